@@ -1,0 +1,1 @@
+//! The Android library around the Shadecast client.

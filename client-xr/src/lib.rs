@@ -1,0 +1,1 @@
+//! The Shadecast headset client: receives, decodes, bundles and draws.

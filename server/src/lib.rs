@@ -1,0 +1,1 @@
+//! The Shadecast server: scenes, animation, visibility, atlas, shading, encoding.

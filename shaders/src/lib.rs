@@ -1,0 +1,1 @@
+//! GLSL, its SPIR-V and reflection, and the CPU twins of the stages.

@@ -1,0 +1,1 @@
+//! The general Vulkan code: device, memory, retire ring, pipelines from reflection, recorder.

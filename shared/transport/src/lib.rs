@@ -1,0 +1,1 @@
+//! QUIC on mio, server identity and the simulated link.

@@ -1,0 +1,1 @@
+//! Whole-system tests: processes, sockets, codec, GPU stages against their CPU twins.

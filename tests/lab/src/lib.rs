@@ -1,0 +1,1 @@
+//! Server, link and client on one virtual clock; metrics and reports.

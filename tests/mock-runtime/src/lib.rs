@@ -1,0 +1,1 @@
+//! An OpenXR runtime library for tests: scripted head, virtual clock, captures.
