@@ -1,1 +1,18 @@
-//! Wire format, limits, time, atlas addressing, vertex codec and session of Shadecast, without I/O.
+//! What server and client agree on: ids, time, limits, atlas addressing, messages, the vertex codec and the
+//! session state machines. Pure: no GPU, no socket, no clock; time and bytes are arguments.
+#![forbid(unsafe_code)]
+
+pub mod atlas;
+pub mod clock;
+pub mod delta;
+pub mod ids;
+pub mod limits;
+pub mod message;
+pub mod pose;
+pub mod samples;
+pub mod session;
+pub mod time;
+pub mod wire;
+
+/// Version of the wire format. A change of the bytes without a change of this number fails the wire goldens.
+pub const PROTOCOL_VERSION: u32 = 1;

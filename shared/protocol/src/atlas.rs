@@ -1,0 +1,263 @@
+//! Addressing of the shading atlas: where a patch's block lies, and which part of it a lookup may reach.
+//!
+//! Server (shading), client (lookup) and the shaders of both must agree here to the texel. What this module does not
+//! know is which block goes where: that is the server's allocator.
+
+use crate::limits::{ATLAS_MAX_EXTENT, BLOCK_INSET_TEXELS, BLOCK_MAX_LOG2, BLOCK_MIN_LOG2};
+use thiserror::Error;
+
+/// Bits of one address coordinate in a packed block, in units of the smallest block side.
+const ADDRESS_BITS: u32 = 10;
+/// Bits of one size exponent in a packed block.
+const SIZE_BITS: u32 = 3;
+const USED_BITS: u32 = 2 * ADDRESS_BITS + 2 * SIZE_BITS;
+
+/// Corner of a block nearest to the atlas's origin, in texels from the upper left; multiples of 4.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct BlockAddress {
+    /// Texels from the left.
+    pub x: u16,
+    /// Texels from the top.
+    pub y: u16,
+}
+
+/// Side lengths of a block as powers of two, each exponent in `BLOCK_MIN_LOG2..=BLOCK_MAX_LOG2`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct BlockSize {
+    /// Width is `1 << width_log2` texels.
+    pub width_log2: u8,
+    /// Height is `1 << height_log2` texels.
+    pub height_log2: u8,
+}
+
+/// A patch's rectangle in the atlas.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Block {
+    /// Where it lies.
+    pub address: BlockAddress,
+    /// How large it is.
+    pub size: BlockSize,
+}
+
+/// A word that is no block.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+#[error("{word:#010x} is not a block of the atlas: {reason}")]
+pub struct BlockError {
+    /// The word.
+    pub word: u32,
+    /// What is wrong with it.
+    pub reason: &'static str,
+}
+
+impl BlockSize {
+    /// A size from its exponents; `None` outside `BLOCK_MIN_LOG2..=BLOCK_MAX_LOG2`.
+    pub fn new(width_log2: u8, height_log2: u8) -> Option<Self> {
+        let allowed = BLOCK_MIN_LOG2 as u8..=BLOCK_MAX_LOG2 as u8;
+        (allowed.contains(&width_log2) && allowed.contains(&height_log2))
+            .then_some(Self { width_log2, height_log2 })
+    }
+
+    /// Width in texels, 4..=512.
+    pub fn width(self) -> u32 {
+        1 << self.width_log2
+    }
+
+    /// Height in texels, 4..=512.
+    pub fn height(self) -> u32 {
+        1 << self.height_log2
+    }
+
+    /// Texels in the block.
+    pub fn texels(self) -> u32 {
+        self.width() * self.height()
+    }
+}
+
+impl Block {
+    /// As one word, from bit 0: x/4 (10 bits), y/4 (10), width_log2 - 2 (3), height_log2 - 2 (3); the rest is 0.
+    pub fn pack(self) -> u32 {
+        debug_assert!(self.address.x % 4 == 0 && self.address.y % 4 == 0, "{self:?}");
+        (u32::from(self.address.x) >> BLOCK_MIN_LOG2)
+            | (u32::from(self.address.y) >> BLOCK_MIN_LOG2) << ADDRESS_BITS
+            | (u32::from(self.size.width_log2) - BLOCK_MIN_LOG2) << (2 * ADDRESS_BITS)
+            | (u32::from(self.size.height_log2) - BLOCK_MIN_LOG2) << (2 * ADDRESS_BITS + SIZE_BITS)
+    }
+
+    /// The block of a packed word, if it lies within the largest atlas.
+    pub fn unpack(word: u32) -> Result<Self, BlockError> {
+        let field = |shift: u32, bits: u32| word >> shift & ((1 << bits) - 1);
+        if word >> USED_BITS != 0 {
+            return Err(BlockError { word, reason: "its upper six bits must be zero" });
+        }
+        let address = BlockAddress {
+            x: (field(0, ADDRESS_BITS) << BLOCK_MIN_LOG2) as u16,
+            y: (field(ADDRESS_BITS, ADDRESS_BITS) << BLOCK_MIN_LOG2) as u16,
+        };
+        let size = BlockSize {
+            width_log2: (field(2 * ADDRESS_BITS, SIZE_BITS) + BLOCK_MIN_LOG2) as u8,
+            height_log2: (field(2 * ADDRESS_BITS + SIZE_BITS, SIZE_BITS) + BLOCK_MIN_LOG2) as u8,
+        };
+        let block = Self { address, size };
+        if !block.fits(ATLAS_MAX_EXTENT) {
+            return Err(BlockError { word, reason: "it reaches beyond the largest atlas" });
+        }
+        Ok(block)
+    }
+
+    /// True where the block lies wholly inside an atlas of this extent in texels.
+    pub fn fits(self, extent_texels: [u32; 2]) -> bool {
+        u32::from(self.address.x) + self.size.width() <= extent_texels[0]
+            && u32::from(self.address.y) + self.size.height() <= extent_texels[1]
+    }
+
+    /// The whole block in texels: left, top, right, bottom; right and bottom exclusive.
+    pub fn rect_texels(self) -> [u32; 4] {
+        let (x, y) = (u32::from(self.address.x), u32::from(self.address.y));
+        [x, y, x + self.size.width(), y + self.size.height()]
+    }
+
+    /// The rectangle to which the patch's unit square maps, in texel coordinates (a texel's centre is at +0.5): left,
+    /// top, right, bottom. It is inset by one luma texel. Luma centres start at +0.5 and centre-sited half-resolution
+    /// chroma centres at +1, so that no bilinear tap of non-zero weight of either plane leaves the block.
+    pub fn lookup_rect_texels(self) -> [f32; 4] {
+        let [left, top, right, bottom] = self.rect_texels();
+        let inset = BLOCK_INSET_TEXELS;
+        [(left + inset) as f32, (top + inset) as f32, (right - inset) as f32, (bottom - inset) as f32]
+    }
+
+    /// True where the two blocks share a texel.
+    pub fn overlaps(self, other: Self) -> bool {
+        let (a, b) = (self.rect_texels(), other.rect_texels());
+        a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
+    }
+}
+
+/// How many triangles a patch has; this fixes how they lie in its unit square.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[repr(u8)]
+pub enum PatchKind {
+    /// Half of the square.
+    One = 1,
+    /// The square, split by the diagonal v0-v2.
+    Two = 2,
+    /// The square, with v4 on the middle of the edge v0-v1.
+    Three = 3,
+}
+
+impl PatchKind {
+    /// All kinds, in order of their number.
+    pub const ALL: [Self; 3] = [Self::One, Self::Two, Self::Three];
+
+    /// The kind of this many triangles.
+    pub fn from_triangle_count(count: u8) -> Option<Self> {
+        Self::ALL.get(usize::from(count).checked_sub(1)?).copied()
+    }
+
+    /// Triangles, 1..=3.
+    pub fn triangle_count(self) -> usize {
+        self.triangles().len()
+    }
+
+    /// Vertices, 3..=5.
+    pub fn vertex_count(self) -> usize {
+        self.corner_uv().len()
+    }
+
+    /// Each vertex's place in the unit square; (0, 0) is the corner of the block's address.
+    pub fn corner_uv(self) -> &'static [[f32; 2]] {
+        match self {
+            Self::One => &[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]],
+            Self::Two => &[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]],
+            Self::Three => &[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.5, 0.0]],
+        }
+    }
+
+    /// The triangles, as indices of the patch's vertices. All turn from u to v, as the mesh's triangles do.
+    pub fn triangles(self) -> &'static [[u8; 3]] {
+        match self {
+            Self::One => &[[0, 1, 2]],
+            Self::Two => &[[0, 1, 2], [0, 2, 3]],
+            Self::Three => &[[0, 4, 3], [4, 2, 3], [4, 1, 2]],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Inclusive range of the texels with non-zero weight in a bilinear lookup at `at`, centres at +0.5.
+    fn taps(at: f64) -> (i64, i64) {
+        let low = (at - 0.5).floor();
+        let weight_of_next = at - 0.5 - low;
+        (low as i64, low as i64 + i64::from(weight_of_next > 0.0))
+    }
+
+    #[test]
+    fn lookups_never_reach_a_neighbours_luma_or_chroma() {
+        for log2 in BLOCK_MIN_LOG2..=BLOCK_MAX_LOG2 {
+            for start in [0, 4, 512, 1020, 3584u16] {
+                let size = BlockSize::new(log2 as u8, log2 as u8).unwrap();
+                let block = Block { address: BlockAddress { x: start, y: 0 }, size };
+                let [left, _, right, _] = block.rect_texels().map(i64::from);
+                let [from, _, to, _] = block.lookup_rect_texels().map(f64::from);
+                let steps = (to - from) as u32 * 64;
+                for step in 0..=steps {
+                    let at = from + (to - from) * f64::from(step) / f64::from(steps);
+                    let (low, high) = taps(at);
+                    assert!(low >= left && high < right, "luma {low}..={high} of {left}..{right} at {at}");
+                    let (low, high) = taps(at * 0.5);
+                    assert!(low >= left / 2 && high < right / 2, "chroma {low}..={high} of {left}..{right} at {at}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn half_the_inset_would_reach_a_neighbours_chroma() {
+        let at = 64.0 + 0.5;
+        assert!(taps(at).0 >= 64, "luma alone would allow it");
+        assert!(taps(at * 0.5).0 < 32);
+    }
+
+    #[test]
+    fn every_block_survives_packing() {
+        for w in 2..=9u8 {
+            for h in 2..=9u8 {
+                for address in [(0, 0), (4, 8), (3584, 1536), (1020, 36)] {
+                    let block = Block {
+                        address: BlockAddress { x: address.0, y: address.1 },
+                        size: BlockSize { width_log2: w, height_log2: h },
+                    };
+                    assert_eq!(Block::unpack(block.pack()), Ok(block));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn words_that_are_no_block_are_refused() {
+        assert!(Block::unpack(crate::limits::NO_BLOCK).is_err());
+        assert!(Block::unpack(1 << 26).is_err());
+        let beyond = Block { address: BlockAddress { x: 4092, y: 0 }, size: BlockSize::new(3, 2).unwrap() };
+        assert!(Block::unpack(beyond.pack()).is_err());
+    }
+
+    #[test]
+    fn patch_triangles_turn_alike_and_cover_their_share_of_the_square() {
+        for (kind, share) in PatchKind::ALL.into_iter().zip([0.5, 1.0, 1.0]) {
+            let uv = kind.corner_uv();
+            let mut area = 0.0;
+            for tri in kind.triangles() {
+                let [a, b, c] = tri.map(|i| uv[usize::from(i)]);
+                let twice = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+                assert!(twice > 0.0, "{kind:?} {tri:?}");
+                area += twice * 0.5;
+            }
+            assert_eq!(area, share, "{kind:?}");
+            assert_eq!(PatchKind::from_triangle_count(kind.triangle_count() as u8), Some(kind));
+        }
+        assert_eq!(PatchKind::from_triangle_count(0), None);
+        assert_eq!(PatchKind::from_triangle_count(4), None);
+    }
+}

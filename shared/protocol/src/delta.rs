@@ -1,0 +1,87 @@
+//! The geometry delta: what a client must learn and forget with one update, and its bytes.
+
+use crate::atlas::{Block, PatchKind};
+use crate::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
+use crate::time::{GridIndex, ServerTime};
+use glam::Vec3;
+
+/// What one update changes in the client's memory. Applied in the order: patch evictions, vertex evictions, instances,
+/// new vertices, new patches, placements, samples. Deltas follow each other without a gap, starting at frame 0.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GeometryDelta {
+    /// The update.
+    pub frame: FrameId,
+    /// The time for which the update was made.
+    pub time: ServerTime,
+    /// Instances seen for the first time, or with a new quantisation step.
+    pub instances: Vec<InstanceInfo>,
+    /// Vertices that enter; their slots are free.
+    pub new_vertices: Vec<NewVertex>,
+    /// Patches that enter; their slots are free, their vertices present.
+    pub new_patches: Vec<NewPatch>,
+    /// Patches to forget.
+    pub evicted_patches: Vec<PatchSlot>,
+    /// Vertices to forget; no patch uses them any more.
+    pub evicted_vertices: Vec<VertexSlot>,
+    /// Patches whose block changes with this update's picture; `None`: it has none, do not draw it.
+    pub placements: Vec<(PatchSlot, Option<Block>)>,
+    /// New samples of animated vertices. They count from arrival on, not from the update's display.
+    pub samples: Vec<SampleBatch>,
+}
+
+/// An instance, as far as a client needs to know it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InstanceInfo {
+    /// The instance.
+    pub instance: InstanceId,
+    /// Quantisation step of its vertices' samples in metres, `MIN_STEP_M..=MAX_STEP_M`.
+    pub step_m: f32,
+}
+
+/// A vertex that enters the client's memory.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NewVertex {
+    /// Its place.
+    pub slot: VertexSlot,
+    /// Whose it is.
+    pub instance: InstanceId,
+    /// How it moves.
+    pub motion: Motion,
+}
+
+/// How a vertex moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Motion {
+    /// Not at all.
+    Static {
+        /// In the world, metres.
+        position: Vec3,
+    },
+    /// By samples on the grid, in [`GeometryDelta::samples`].
+    Sampled,
+}
+
+/// A patch that enters the client's memory. It has no block until a placement gives it one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NewPatch {
+    /// Its place.
+    pub slot: PatchSlot,
+    /// Whose it is.
+    pub instance: InstanceId,
+    /// Number and arrangement of its triangles.
+    pub kind: PatchKind,
+    /// Its vertices; entries that the kind does not use repeat the first.
+    pub vertices: [VertexSlot; 5],
+}
+
+/// Quantised world positions by slot: metres are `value * step_m` of the vertex's instance.
+pub type SampleValues = Vec<(VertexSlot, [i32; 3])>;
+
+/// Samples of some vertices at one grid step.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SampleBatch {
+    /// The grid step.
+    pub grid: GridIndex,
+    /// In ascending order of slots.
+    pub values: SampleValues,
+}

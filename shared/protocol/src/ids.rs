@@ -1,0 +1,31 @@
+//! Names for what must not be mixed up.
+
+use serde::{Deserialize, Serialize};
+
+macro_rules! id {
+    ($(#[$doc:meta])* $name:ident($inner:ty)) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        pub struct $name(pub $inner);
+
+        impl $name {
+            /// The bare number as an index into an array.
+            pub fn index(self) -> usize {
+                self.0 as usize
+            }
+        }
+    };
+}
+
+id!(/** One update of the server. Rises by one per update within a session; 0 is the first. */ FrameId(u32));
+id!(/** A vertex place in the client's memory, assigned by the server. */ VertexSlot(u32));
+id!(/** A patch place in the client's memory, assigned by the server. */ PatchSlot(u32));
+id!(/** One placed model of the scene. */ InstanceId(u16));
+id!(/** Changes with every jump of the head or stage; prediction restarts when it does. */ DiscontinuityId(u32));
+
+impl FrameId {
+    /// The update after this one.
+    pub fn next(self) -> Self {
+        Self(self.0 + 1)
+    }
+}

@@ -1,0 +1,116 @@
+//! Every capacity of the system as a named constant, so that an overflow has one place to be defined in.
+//!
+//! Decoders check counts against these before they allocate. [`glsl_defines`] hands the ones that shaders read to
+//! the shader build. The asserts at the end hold the relations between them.
+
+/// Vertices that a client keeps at most. Slots are numbered from 0.
+pub const MAX_VERTEX_SLOTS: u32 = 131_072;
+/// Patches that a client keeps at most. Slots are numbered from 0.
+pub const MAX_PATCH_SLOTS: u32 = 131_072;
+/// Placed models of a scene.
+pub const MAX_INSTANCES: u32 = 4096;
+/// Grid samples that the client keeps per animated vertex: sample `g` lies at `g mod SAMPLE_RING`.
+pub const SAMPLE_RING: u32 = 16;
+/// Predicted views per update.
+pub const MAX_VIEWS: u32 = 6;
+/// Vertices of a patch of three triangles.
+pub const PATCH_MAX_VERTICES: u32 = 5;
+
+/// Atlas width and height in texels unless asked otherwise.
+pub const ATLAS_DEFAULT_EXTENT: [u32; 2] = [2048, 2048];
+/// Largest atlas width and height in texels.
+pub const ATLAS_MAX_EXTENT: [u32; 2] = [4096, 2048];
+/// Smallest side of a block is `1 << BLOCK_MIN_LOG2` texels. Addresses are multiples of it.
+pub const BLOCK_MIN_LOG2: u32 = 2;
+/// Largest side of a block is `1 << BLOCK_MAX_LOG2` texels.
+pub const BLOCK_MAX_LOG2: u32 = 9;
+/// Smallest side of a superblock is `1 << SUPERBLOCK_MIN_LOG2` texels.
+pub const SUPERBLOCK_MIN_LOG2: u32 = 6;
+/// A patch's unit square maps to its block less this many luma texels on each side.
+pub const BLOCK_INSET_TEXELS: u32 = 1;
+/// 16x16 macroblocks in one coded picture: H.264 level 5.2.
+pub const MAX_MACROBLOCKS: u32 = 36_864;
+
+/// Grid steps for which one delta may carry samples of a vertex that has just become visible.
+pub const MAX_NEW_SAMPLE_GRIDS: u32 = SAMPLE_RING;
+/// Batches of samples in one delta: first samples, regular ones, and those sent again after the future changed.
+pub const MAX_SAMPLE_BATCHES: u32 = 2 * SAMPLE_RING;
+/// Vertex samples in one delta, over all its batches.
+pub const MAX_SAMPLES_PER_DELTA: u32 = MAX_VERTEX_SLOTS * MAX_NEW_SAMPLE_GRIDS;
+/// Smallest quantisation step of vertex samples in metres.
+pub const MIN_STEP_M: f32 = 1e-6;
+/// Largest quantisation step of vertex samples in metres.
+pub const MAX_STEP_M: f32 = 1.0;
+/// Largest magnitude of a coordinate in metres; larger ones are refused as nonsense.
+pub const MAX_COORDINATE_M: f32 = 1e6;
+/// Largest speed in metres or radians per second that a head state may claim.
+pub const MAX_SPEED: f32 = 1e4;
+
+/// Bytes of one message on the control stream.
+pub const MAX_CONTROL_BYTES: usize = 1 << 20;
+/// Bytes of one geometry delta.
+pub const MAX_DELTA_BYTES: usize = 40 << 20;
+/// Bytes of one coded picture.
+pub const MAX_ACCESS_UNIT_BYTES: usize = 8 << 20;
+/// Bytes of one unidirectional stream: a delta or a picture with its framing.
+pub const MAX_STREAM_BYTES: usize = MAX_DELTA_BYTES + 64;
+/// Bytes of one datagram; what every path carries unfragmented inside QUIC.
+pub const MAX_DATAGRAM_BYTES: usize = 1100;
+/// Bytes of a text that a peer sends to be shown or logged.
+pub const MAX_TEXT_BYTES: usize = 1024;
+/// Codecs that a client may list.
+pub const MAX_CODECS: usize = 8;
+/// Deltas and early pictures that a client holds while one before them is still on its way.
+pub const MAX_QUEUED_STREAMS: usize = 128;
+/// Bytes that a client holds while an earlier delta is still on its way.
+pub const MAX_QUEUED_STREAM_BYTES: usize = 2 * MAX_DELTA_BYTES;
+/// Pixels per eye and side that a client may ask for.
+pub const MAX_EYE_EXTENT_PIXELS: u32 = 8192;
+
+/// The word of a placement that takes a patch's block away.
+pub const NO_BLOCK: u32 = u32::MAX;
+
+/// Bytes that a sample can cost at worst: three raw words, and its share of a group's header.
+const WORST_SAMPLE_BYTES: usize = 13;
+/// Bytes that a vertex can cost at worst beside its samples: a run of its own, a position, its eviction.
+const WORST_VERTEX_BYTES: usize = 16 + 12 + 5;
+/// Bytes that a patch can cost at worst: slot, instance, kind, five vertices, placement, eviction.
+const WORST_PATCH_BYTES: usize = 5 + 4 + 5 * PATCH_MAX_VERTICES as usize + 5 + 4 + 5;
+
+const _: () = {
+    assert!(MAX_VERTEX_SLOTS.is_power_of_two() && MAX_PATCH_SLOTS.is_power_of_two());
+    assert!(MAX_INSTANCES <= 1 << 16, "an instance is 16 bits");
+    assert!(SAMPLE_RING.is_power_of_two() && SAMPLE_RING >= 8, "100 ms ahead, four to interpolate, and some late");
+    assert!(ATLAS_MAX_EXTENT[0] <= 1 << (10 + BLOCK_MIN_LOG2), "10 bits of address");
+    assert!(ATLAS_MAX_EXTENT[1] <= 1 << (10 + BLOCK_MIN_LOG2), "10 bits of address");
+    assert!(BLOCK_MAX_LOG2 - BLOCK_MIN_LOG2 < 8, "3 bits of size");
+    assert!(SUPERBLOCK_MIN_LOG2 >= BLOCK_MIN_LOG2 && SUPERBLOCK_MIN_LOG2 <= BLOCK_MAX_LOG2);
+    assert!(2 * BLOCK_INSET_TEXELS < 1 << BLOCK_MIN_LOG2, "the smallest block keeps an inside");
+    assert!(ATLAS_MAX_EXTENT[0] / 16 * (ATLAS_MAX_EXTENT[1] / 16) <= MAX_MACROBLOCKS);
+    assert!(ATLAS_DEFAULT_EXTENT[0] <= ATLAS_MAX_EXTENT[0] && ATLAS_DEFAULT_EXTENT[1] <= ATLAS_MAX_EXTENT[1]);
+    assert!(ATLAS_MAX_EXTENT[0] % (1 << BLOCK_MAX_LOG2) == 0 && ATLAS_MAX_EXTENT[1] % (1 << BLOCK_MAX_LOG2) == 0);
+    assert!(
+        MAX_SAMPLES_PER_DELTA as usize * WORST_SAMPLE_BYTES
+            + MAX_VERTEX_SLOTS as usize * WORST_VERTEX_BYTES
+            + MAX_PATCH_SLOTS as usize * WORST_PATCH_BYTES
+            <= MAX_DELTA_BYTES,
+        "whatever the server may have to say in one delta fits in one"
+    );
+    assert!(MAX_ACCESS_UNIT_BYTES + 64 <= MAX_STREAM_BYTES && MAX_STREAM_BYTES <= MAX_QUEUED_STREAM_BYTES);
+};
+
+/// The limits that shaders read, as `#define` names and values.
+pub fn glsl_defines() -> Vec<(&'static str, u32)> {
+    vec![
+        ("MAX_VERTEX_SLOTS", MAX_VERTEX_SLOTS),
+        ("MAX_PATCH_SLOTS", MAX_PATCH_SLOTS),
+        ("MAX_INSTANCES", MAX_INSTANCES),
+        ("SAMPLE_RING", SAMPLE_RING),
+        ("MAX_VIEWS", MAX_VIEWS),
+        ("PATCH_MAX_VERTICES", PATCH_MAX_VERTICES),
+        ("BLOCK_MIN_LOG2", BLOCK_MIN_LOG2),
+        ("BLOCK_MAX_LOG2", BLOCK_MAX_LOG2),
+        ("BLOCK_INSET_TEXELS", BLOCK_INSET_TEXELS),
+        ("NO_BLOCK", NO_BLOCK),
+    ]
+}

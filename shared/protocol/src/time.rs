@@ -1,0 +1,102 @@
+//! Time on the one server clock and on the client's own, and the absolute sample grid.
+//!
+//! Only this module and [`crate::clock`] convert between the clocks.
+
+use serde::{Deserialize, Serialize};
+
+/// Nanoseconds on the server's clock; 0 is the start of the session's scene.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct ServerTime(pub i64);
+
+/// Nanoseconds on the client's monotonic clock (on Linux and Android `CLOCK_MONOTONIC`).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct DisplayTime(pub i64);
+
+/// Number of a sample on the absolute grid: sample `g` is the pose at `g * spacing`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct GridIndex(pub i32);
+
+/// Spacing of the sample grid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Grid {
+    /// Nanoseconds between two samples; positive.
+    pub spacing_ns: i64,
+}
+
+/// 33.3 ms: three samples cover the paper's 100 ms.
+pub const DEFAULT_GRID: Grid = Grid { spacing_ns: 33_333_333 };
+
+impl ServerTime {
+    /// Seconds since the session's start.
+    pub fn seconds(self) -> f64 {
+        self.0 as f64 * 1e-9
+    }
+
+    /// This time, moved by `ns` nanoseconds.
+    pub fn plus_ns(self, ns: i64) -> Self {
+        Self(self.0.saturating_add(ns))
+    }
+
+    /// Nanoseconds from `earlier` to this time; negative when `earlier` is later.
+    pub fn since(self, earlier: Self) -> i64 {
+        self.0.saturating_sub(earlier.0)
+    }
+}
+
+impl DisplayTime {
+    /// This time, moved by `ns` nanoseconds.
+    pub fn plus_ns(self, ns: i64) -> Self {
+        Self(self.0.saturating_add(ns))
+    }
+
+    /// Nanoseconds from `earlier` to this time; negative when `earlier` is later.
+    pub fn since(self, earlier: Self) -> i64 {
+        self.0.saturating_sub(earlier.0)
+    }
+}
+
+impl GridIndex {
+    /// The sample `n` places later.
+    pub fn plus(self, n: i32) -> Self {
+        Self(self.0.saturating_add(n))
+    }
+}
+
+impl Grid {
+    /// When sample `g` is.
+    pub fn time_of(self, g: GridIndex) -> ServerTime {
+        ServerTime(i64::from(g.0) * self.spacing_ns)
+    }
+
+    /// The last sample at or before `t`.
+    pub fn floor(self, t: ServerTime) -> GridIndex {
+        GridIndex(t.0.div_euclid(self.spacing_ns) as i32)
+    }
+
+    /// The first sample at or after `t`.
+    pub fn ceil(self, t: ServerTime) -> GridIndex {
+        GridIndex(-((-t.0).div_euclid(self.spacing_ns)) as i32)
+    }
+
+    /// The sample nearest to `t`.
+    pub fn nearest(self, t: ServerTime) -> GridIndex {
+        self.floor(t.plus_ns(self.spacing_ns / 2))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn grid_rounds_towards_the_named_side_also_before_zero() {
+        let grid = Grid { spacing_ns: 10 };
+        assert_eq!(grid.floor(ServerTime(-1)), GridIndex(-1));
+        assert_eq!(grid.ceil(ServerTime(-1)), GridIndex(0));
+        assert_eq!(grid.floor(ServerTime(19)), GridIndex(1));
+        assert_eq!(grid.ceil(ServerTime(11)), GridIndex(2));
+        assert_eq!(grid.ceil(ServerTime(20)), GridIndex(2));
+        assert_eq!(grid.nearest(ServerTime(14)), GridIndex(1));
+        assert_eq!(grid.nearest(ServerTime(15)), GridIndex(2));
+    }
+}
