@@ -3,9 +3,9 @@
 # Finding out costs a few milliseconds and no rights, so every command begins with it.
 
 # The C++ compiler and nasm are for openh264 (without nasm it silently builds without its assembly) and the metrics; glslang
-# compiles the shaders. "a|b" stands for either: a release may have renamed a package.
+# compiles the shaders.
 PACKAGES=(g++ nasm glslang-tools libvulkan1 mesa-vulkan-drivers vulkan-validationlayers
-  "libopenxr-loader1|libopenxr-loader1t64" ca-certificates)
+  libopenxr-loader1 ca-certificates)
 
 # Debian 12's own Mesa 22.3 draws only the first view of a multiview pass on the CPU device; its backports have 25.
 MESA_MAJOR_MIN=25
@@ -29,16 +29,12 @@ installed_version() {
 }
 
 is_installed() {
-  local name version
-  for name in ${1//|/ }; do
-    version=$(installed_version "$name")
-    [ -n "$version" ] || continue
-    if [ "$name" = mesa-vulkan-drivers ] && wants_backports; then
-      dpkg --compare-versions "$version" ge "$MESA_MAJOR_MIN" || continue
-    fi
-    return 0
-  done
-  return 1
+  local version
+  version=$(installed_version "$1")
+  [ -n "$version" ] || return 1
+  if [ "$1" = mesa-vulkan-drivers ] && wants_backports; then
+    dpkg --compare-versions "$version" ge "$MESA_MAJOR_MIN"
+  fi
 }
 
 missing_packages() {
@@ -114,18 +110,6 @@ backports_stanza() {
 
 has_suite() { apt_sources | cut -f 1 | grep -qxF "$1"; }
 
-# "a|b": the name this release knows.
-choose_name() {
-  local name
-  for name in ${1//|/ }; do
-    if apt-cache show "$name" >/dev/null 2>&1; then
-      echo "$name"
-      return
-    fi
-  done
-  echo "${1%%|*}"
-}
-
 # Sets SUDO to the words that make a command run as root, or fails.
 find_root() {
   SUDO=()
@@ -162,11 +146,9 @@ install_packages() {
     printf '%s\n' "$stanza" | "${SUDO[@]}" tee "$APT_DIR/sources.list.d/$BACKPORTS_FILE" >/dev/null
   fi
   apt_get update || die "'apt-get update' failed (its message is above): is the network there, are the sources right?"
-  local names=() package
-  for package in "$@"; do names+=("$(choose_name "$package")"); done
-  if [ ${#names[@]} -gt 0 ]; then
-    apt_get install -y --no-install-recommends "${names[@]}" ||
-      die "could not install: ${names[*]} (apt's message is above; on Ubuntu the component 'universe' must be enabled)"
+  if [ $# -gt 0 ]; then
+    apt_get install -y --no-install-recommends "$@" ||
+      die "could not install: $* (apt's message is above; on Ubuntu the component 'universe' must be enabled)"
   fi
   if [ -n "$mesa_suite" ]; then
     apt_get install -y --no-install-recommends -t "$mesa_suite" mesa-vulkan-drivers ||
@@ -191,16 +173,14 @@ setup_with_apt() {
       "Add a source for bookworm-backports, then run this command again."
   fi
   if ! find_root; then
-    local names=()
-    for package in "${plain[@]}"; do names+=("$(choose_name "$package")"); done
-    print_commands "$stanza" "$mesa_suite" "${names[@]}" >&2
+    print_commands "$stanza" "$mesa_suite" "${plain[@]}" >&2
     exit 1
   fi
   echo "setup: installing ${missing[*]}"
   install_packages "$stanza" "$mesa_suite" "${plain[@]}"
   mapfile -t missing < <(missing_packages)
   [ ${#missing[@]} -eq 0 ] || die "still missing or too old after the installation: ${missing[*]}" \
-    "'apt-cache policy ${missing[*]%%|*}' shows what the sources offer."
+    "'apt-cache policy ${missing[*]}' shows what the sources offer."
 }
 
 has_library() { { ldconfig -p || /sbin/ldconfig -p; } 2>/dev/null | grep -qF "$1"; }
