@@ -10,7 +10,8 @@ use crate::limits::{
 };
 use crate::pose::{Eye, Pose};
 use crate::time::{DisplayTime, Grid, ServerTime};
-use crate::wire::WireError;
+use crate::PROTOCOL_VERSION;
+use crate::wire::{WireError, check_count, invalid};
 use glam::Vec3;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -218,4 +219,293 @@ pub struct HeadState {
     pub eyes: [Eye; 2],
     /// Changes with every jump.
     pub discontinuity: DiscontinuityId,
+}
+
+/// The part of a hello that every version of the protocol can read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct HelloVersions {
+    /// Newest protocol version that the client speaks.
+    pub protocol_version: u32,
+    /// Oldest protocol version that the client speaks.
+    pub min_protocol_version: u32,
+    /// The client program's version.
+    pub app_version: String,
+}
+
+/// Shortest and longest period, in nanoseconds, that makes sense for a display, an update or the sample grid.
+const PERIOD_NS: std::ops::RangeInclusive<i64> = 1_000_000..=1_000_000_000;
+/// Smallest atlas side in texels: one of the largest blocks.
+const MIN_ATLAS_SIDE: u32 = 1 << BLOCK_MAX_LOG2;
+
+impl ClientMessage {
+    /// The message's bytes, without the control stream's framing.
+    pub fn encode(&self) -> Vec<u8> {
+        to_bytes(self)
+    }
+
+    /// The message of these bytes. A hello of a later protocol version may be followed by fields unknown here.
+    pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
+        check_count("a control message's length in bytes", bytes.len(), MAX_CONTROL_BYTES)?;
+        let (message, left) = from_prefix::<Self>("a client's message", bytes)?;
+        message.check()?;
+        let may_be_longer = matches!(&message, Self::Hello(hello) if hello.protocol_version > PROTOCOL_VERSION);
+        if left > 0 && !may_be_longer {
+            return Err(WireError::Trailing { what: "a client's message", left });
+        }
+        Ok(message)
+    }
+
+    /// The versions in a hello's bytes, whatever follows them; `None` where they are no hello.
+    pub fn peek_versions(bytes: &[u8]) -> Option<HelloVersions> {
+        let ((variant, protocol_version, min_protocol_version, app_version), _) =
+            postcard::take_from_bytes::<(u32, u32, u32, String)>(bytes).ok()?;
+        (variant == 0 && app_version.len() <= MAX_TEXT_BYTES).then_some(HelloVersions {
+            protocol_version,
+            min_protocol_version,
+            app_version,
+        })
+    }
+
+    fn check(&self) -> Result<(), WireError> {
+        match self {
+            Self::Hello(hello) => hello.check(),
+            Self::Displayed(_) | Self::RefreshRequest { .. } | Self::Goodbye => Ok(()),
+        }
+    }
+}
+
+impl ServerMessage {
+    /// The message's bytes, without the control stream's framing.
+    pub fn encode(&self) -> Vec<u8> {
+        to_bytes(self)
+    }
+
+    /// The message of these bytes.
+    pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
+        check_count("a control message's length in bytes", bytes.len(), MAX_CONTROL_BYTES)?;
+        let message: Self = from_whole("a server's message", bytes)?;
+        match &message {
+            Self::Welcome(welcome) => welcome.check()?,
+            Self::Refused(refused) => {
+                check_count("a refusal's reason in bytes", refused.reason.len(), MAX_TEXT_BYTES)?;
+                check_count("a refusal's remedy in bytes", refused.remedy.len(), MAX_TEXT_BYTES)?;
+            }
+            Self::Goodbye => {}
+        }
+        Ok(message)
+    }
+}
+
+impl ClientDatagram {
+    /// The datagram's bytes.
+    pub fn encode(&self) -> Vec<u8> {
+        to_bytes(self)
+    }
+
+    /// The datagram of these bytes.
+    pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
+        check_count("a datagram's length in bytes", bytes.len(), MAX_DATAGRAM_BYTES)?;
+        let datagram: Self = from_whole("a client's datagram", bytes)?;
+        if let Self::Pose(head) = &datagram {
+            head.check()?;
+        }
+        Ok(datagram)
+    }
+}
+
+impl ServerDatagram {
+    /// The datagram's bytes.
+    pub fn encode(&self) -> Vec<u8> {
+        to_bytes(self)
+    }
+
+    /// The datagram of these bytes.
+    pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
+        check_count("a datagram's length in bytes", bytes.len(), MAX_DATAGRAM_BYTES)?;
+        from_whole("a server's datagram", bytes)
+    }
+}
+
+impl Refused {
+    /// A refusal whose texts are cut to what the wire allows.
+    pub fn new(reason: &str, remedy: &str) -> Self {
+        Self { reason: clipped(reason), remedy: clipped(remedy) }
+    }
+}
+
+impl ClientHello {
+    /// True limits and ranges of every field, as an error that names the first that is wrong.
+    pub fn check(&self) -> Result<(), WireError> {
+        check_versions("a hello's protocol versions", self.protocol_version, self.min_protocol_version)?;
+        check_count("a hello's program version in bytes", self.app_version.len(), MAX_TEXT_BYTES)?;
+        self.capabilities.check()
+    }
+}
+
+impl Capabilities {
+    fn check(&self) -> Result<(), WireError> {
+        check_count("the list of codecs", self.codecs.len(), MAX_CODECS)?;
+        self.eyes.iter().try_for_each(check_eye)?;
+        let pixels = 1..=MAX_EYE_EXTENT_PIXELS;
+        require(self.eye_extent_pixels.iter().all(|side| pixels.contains(side)), "an eye's extent in pixels", || {
+            format!("{:?} is not within 1..={MAX_EYE_EXTENT_PIXELS}", self.eye_extent_pixels)
+        })?;
+        check_slots("the vertex slots of a client", self.max_vertex_slots, MAX_VERTEX_SLOTS)?;
+        check_slots("the patch slots of a client", self.max_patch_slots, MAX_PATCH_SLOTS)?;
+        check_period("the display period", self.display_period_ns)
+    }
+}
+
+impl Welcome {
+    /// True limits and ranges of every field, as an error that names the first that is wrong.
+    pub fn check(&self) -> Result<(), WireError> {
+        check_period("the sample grid's spacing", self.grid.spacing_ns)?;
+        check_period("the update period", self.update_period_ns)?;
+        let side_ok = |i: usize| {
+            let side = self.atlas_extent_texels[i];
+            (MIN_ATLAS_SIDE..=ATLAS_MAX_EXTENT[i]).contains(&side) && side.is_power_of_two()
+        };
+        require(side_ok(0) && side_ok(1), "the atlas's extent in texels", || {
+            format!("{:?} are not powers of two within {MIN_ATLAS_SIDE}..={ATLAS_MAX_EXTENT:?}", self.atlas_extent_texels)
+        })?;
+        check_slots("the vertex slots of a session", self.vertex_slots, MAX_VERTEX_SLOTS)?;
+        check_slots("the patch slots of a session", self.patch_slots, MAX_PATCH_SLOTS)?;
+        check_pose("where the stage starts", &self.world_from_stage)?;
+        self.environment.check()
+    }
+}
+
+impl Environment {
+    fn check(&self) -> Result<(), WireError> {
+        let colours = [self.zenith, self.horizon, self.nadir];
+        require(colours.iter().flatten().all(|c| c.is_finite() && *c >= 0.0), "the environment", || {
+            format!("{colours:?} are not finite radiances of zero or more")
+        })
+    }
+}
+
+impl HeadState {
+    /// True ranges of every field, as an error that names the first that is wrong.
+    pub fn check(&self) -> Result<(), WireError> {
+        check_pose("a head's pose", &self.world_from_head)?;
+        let speed_ok = |v: Vec3| v.is_finite() && v.length() <= MAX_SPEED;
+        require(speed_ok(self.linear_velocity) && speed_ok(self.angular_velocity), "a head's velocity", || {
+            format!("{} m/s and {} rad/s are not finite and below {MAX_SPEED}", self.linear_velocity, self.angular_velocity)
+        })?;
+        self.eyes.iter().try_for_each(check_eye)
+    }
+}
+
+/// The terms under which this client and this server can work together, or why they cannot and what to do.
+pub fn negotiate(hello: &ClientHello, offer: &ServerOffer) -> Result<Welcome, Refused> {
+    let protocol_version =
+        negotiate_version(hello.protocol_version, hello.min_protocol_version, &hello.app_version, offer)?;
+    let capabilities = &hello.capabilities;
+    let codec = offer.codecs.iter().find(|codec| capabilities.codecs.contains(codec)).ok_or_else(|| {
+        Refused::new(
+            &format!("the client decodes {:?}, the server encodes {:?}", capabilities.codecs, offer.codecs),
+            "install a client and a server that share a codec",
+        )
+    })?;
+    Ok(Welcome {
+        protocol_version,
+        session: offer.session,
+        grid: offer.grid,
+        atlas_extent_texels: negotiate_atlas(capabilities.max_atlas_extent, offer.atlas_extent_texels)?,
+        vertex_slots: offer.vertex_slots.min(capabilities.max_vertex_slots),
+        patch_slots: offer.patch_slots.min(capabilities.max_patch_slots),
+        codec: *codec,
+        environment: offer.environment,
+        world_from_stage: offer.world_from_stage,
+        update_period_ns: offer.update_period_ns,
+    })
+}
+
+/// The newest version that both speak; otherwise which of the two to update.
+pub fn negotiate_version(newest: u32, oldest: u32, app_version: &str, offer: &ServerOffer) -> Result<u32, Refused> {
+    let version = newest.min(offer.protocol_version);
+    if version >= oldest.max(offer.min_protocol_version) {
+        return Ok(version);
+    }
+    let client = format!("the client ({app_version}) speaks protocol {}", span(oldest, newest));
+    let server = format!(
+        "the server ({}) speaks protocol {}",
+        offer.app_version,
+        span(offer.min_protocol_version, offer.protocol_version)
+    );
+    let remedy = if newest < offer.min_protocol_version {
+        format!("update the client to one that speaks protocol {}", offer.min_protocol_version)
+    } else {
+        format!("update the server to one that speaks protocol {oldest}")
+    };
+    Err(Refused::new(&format!("{client}, {server}"), &remedy))
+}
+
+fn span(oldest: u32, newest: u32) -> String {
+    if oldest == newest { format!("{newest}") } else { format!("{oldest} to {newest}") }
+}
+
+/// The offered extent with its sides halved until the client can hold it.
+fn negotiate_atlas(client_max: [u32; 2], offered: [u32; 2]) -> Result<[u32; 2], Refused> {
+    let mut extent = offered;
+    for (side, max) in extent.iter_mut().zip(client_max) {
+        while *side > max && *side > MIN_ATLAS_SIDE {
+            *side /= 2;
+        }
+        if *side > max {
+            return Err(Refused::new(
+                &format!("the client holds an atlas of at most {}x{} texels", client_max[0], client_max[1]),
+                &format!("use a device with textures of at least {MIN_ATLAS_SIDE}x{MIN_ATLAS_SIDE} texels"),
+            ));
+        }
+    }
+    Ok(extent)
+}
+
+fn to_bytes<T: Serialize>(value: &T) -> Vec<u8> {
+    // Fails only for types that cannot be serialised at all, which ours are not.
+    postcard::to_stdvec(value).expect("plain messages serialise")
+}
+
+fn from_prefix<T: DeserializeOwned>(what: &'static str, bytes: &[u8]) -> Result<(T, usize), WireError> {
+    let (value, rest) = postcard::take_from_bytes(bytes).map_err(|error| invalid(what, error.to_string()))?;
+    Ok((value, rest.len()))
+}
+
+fn from_whole<T: DeserializeOwned>(what: &'static str, bytes: &[u8]) -> Result<T, WireError> {
+    match from_prefix(what, bytes)? {
+        (value, 0) => Ok(value),
+        (_, left) => Err(WireError::Trailing { what, left }),
+    }
+}
+
+fn clipped(text: &str) -> String {
+    text[..text.floor_char_boundary(MAX_TEXT_BYTES)].to_owned()
+}
+
+fn require(good: bool, what: &'static str, reason: impl FnOnce() -> String) -> Result<(), WireError> {
+    if good { Ok(()) } else { Err(invalid(what, reason())) }
+}
+
+fn check_versions(what: &'static str, newest: u32, oldest: u32) -> Result<(), WireError> {
+    require(oldest <= newest, what, || format!("the oldest, {oldest}, is above the newest, {newest}"))
+}
+
+fn check_period(what: &'static str, period_ns: i64) -> Result<(), WireError> {
+    require(PERIOD_NS.contains(&period_ns), what, || format!("{period_ns} ns is not within {PERIOD_NS:?}"))
+}
+
+fn check_slots(what: &'static str, slots: u32, limit: u32) -> Result<(), WireError> {
+    require((1..=limit).contains(&slots), what, || format!("{slots} is not within 1..={limit}"))
+}
+
+fn check_pose(what: &'static str, pose: &Pose) -> Result<(), WireError> {
+    require(pose.is_valid() && pose.position.abs().max_element() <= MAX_COORDINATE_M, what, || {
+        format!("{pose:?} is not a rotation of unit length and a position within {MAX_COORDINATE_M} m")
+    })
+}
+
+fn check_eye(eye: &Eye) -> Result<(), WireError> {
+    check_pose("an eye's pose", &eye.head_from_eye)?;
+    require(eye.fov.is_valid(), "an eye's field of view", || format!("{:?} is not a frustum", eye.fov))
 }

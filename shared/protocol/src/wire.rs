@@ -1,8 +1,17 @@
 //! Framing, the one error type of all decoders, and the reader that they share.
 
+use crate::delta;
 use crate::ids::FrameId;
+use crate::limits::{MAX_ACCESS_UNIT_BYTES, MAX_CONTROL_BYTES, MAX_DELTA_BYTES};
 use crate::time::ServerTime;
 use thiserror::Error;
+
+/// First byte of a stream that holds a geometry delta.
+const KIND_GEOMETRY: u8 = 1;
+/// First byte of a stream that holds a picture.
+const KIND_PICTURE: u8 = 2;
+/// Bytes of the length before each control message.
+const CONTROL_PREFIX: usize = 4;
 
 /// Bytes that are not what they should be. The message names what was being read and what is wrong with it.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
@@ -73,4 +82,230 @@ pub enum StreamMessage<'a> {
         /// Its bytes for the decoder.
         access_unit: &'a [u8],
     },
+}
+
+/// The bytes of a stream that holds this geometry delta, as [`delta::encode`] made it.
+pub fn encode_geometry(payload: &[u8]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(1 + payload.len());
+    out.push(KIND_GEOMETRY);
+    out.extend_from_slice(payload);
+    out
+}
+
+/// The bytes of a stream that holds this picture.
+pub fn encode_picture(header: PictureHeader, access_unit: &[u8]) -> Vec<u8> {
+    assert!(access_unit.len() <= MAX_ACCESS_UNIT_BYTES, "access unit of {} bytes", access_unit.len());
+    let mut out = Vec::with_capacity(18 + access_unit.len());
+    out.push(KIND_PICTURE);
+    out.extend_from_slice(&header.frame.0.to_le_bytes());
+    out.extend_from_slice(&header.time.0.to_le_bytes());
+    out.push(u8::from(header.is_refresh));
+    out.extend_from_slice(&(access_unit.len() as u32).to_le_bytes());
+    out.extend_from_slice(access_unit);
+    out
+}
+
+/// Tells what a complete unidirectional stream holds.
+pub fn parse_stream(bytes: &[u8]) -> Result<StreamMessage<'_>, WireError> {
+    let mut reader = Reader::new("a stream's kind", bytes);
+    match reader.u8()? {
+        KIND_GEOMETRY => {
+            let payload = reader.rest();
+            check_count("a delta's length in bytes", payload.len(), MAX_DELTA_BYTES)?;
+            Ok(StreamMessage::Geometry { frame: delta::peek_frame(payload)?, payload })
+        }
+        KIND_PICTURE => parse_picture(reader),
+        kind => Err(invalid("a stream's kind", format!("{kind} is neither geometry (1) nor a picture (2)"))),
+    }
+}
+
+fn parse_picture(mut reader: Reader<'_>) -> Result<StreamMessage<'_>, WireError> {
+    reader.what = "a picture";
+    let frame = FrameId(reader.u32()?);
+    let time = ServerTime(reader.i64()?);
+    let is_refresh = match reader.u8()? {
+        flag @ 0..=1 => flag == 1,
+        flag => return Err(invalid("a picture's refresh flag", format!("{flag} is neither 0 nor 1"))),
+    };
+    let length = reader.u32()? as usize;
+    check_count("an access unit's length in bytes", length, MAX_ACCESS_UNIT_BYTES)?;
+    let access_unit = reader.take(length)?;
+    reader.finish()?;
+    Ok(StreamMessage::Picture { header: PictureHeader { frame, time, is_refresh }, access_unit })
+}
+
+/// A control message with its length before it, as it goes on the control stream.
+pub fn frame_control(payload: &[u8]) -> Vec<u8> {
+    assert!(payload.len() <= MAX_CONTROL_BYTES, "control message of {} bytes", payload.len());
+    let mut out = Vec::with_capacity(CONTROL_PREFIX + payload.len());
+    out.extend_from_slice(&(payload.len() as u32).to_le_bytes());
+    out.extend_from_slice(payload);
+    out
+}
+
+/// Cuts the control stream, which arrives in arbitrary pieces, into messages. Holds at most one unfinished message.
+#[derive(Clone, Debug, Default)]
+pub struct ControlReader {
+    pending: Vec<u8>,
+}
+
+impl ControlReader {
+    /// Takes the next bytes of the stream; gives the messages that are now whole. After an error the stream has lost
+    /// its framing and is of no further use.
+    pub fn push(&mut self, mut bytes: &[u8]) -> Result<Vec<Vec<u8>>, WireError> {
+        let mut messages = Vec::new();
+        loop {
+            if self.fill(&mut bytes, CONTROL_PREFIX) {
+                return Ok(messages);
+            }
+            let prefix = [self.pending[0], self.pending[1], self.pending[2], self.pending[3]];
+            let length = u32::from_le_bytes(prefix) as usize;
+            check_count("a control message's length in bytes", length, MAX_CONTROL_BYTES)?;
+            if self.fill(&mut bytes, CONTROL_PREFIX + length) {
+                return Ok(messages);
+            }
+            messages.push(self.pending.split_off(CONTROL_PREFIX));
+            self.pending.clear();
+        }
+    }
+
+    /// Moves bytes over until `target` are pending; true where they do not suffice.
+    fn fill(&mut self, bytes: &mut &[u8], target: usize) -> bool {
+        let wanted = target.saturating_sub(self.pending.len()).min(bytes.len());
+        let (now, later) = bytes.split_at(wanted);
+        self.pending.extend_from_slice(now);
+        *bytes = later;
+        self.pending.len() < target
+    }
+}
+
+/// An [`WireError::Invalid`].
+pub(crate) fn invalid(what: &'static str, reason: impl Into<String>) -> WireError {
+    WireError::Invalid { what, reason: reason.into() }
+}
+
+/// `value` where it is within `limit`.
+pub(crate) fn check_count(what: &'static str, value: usize, limit: usize) -> Result<usize, WireError> {
+    if value > limit {
+        return Err(WireError::TooMany { what, value: value as u64, limit: limit as u64 });
+    }
+    Ok(value)
+}
+
+/// Reads little-endian values from the front of a slice; every method is total.
+#[derive(Clone, Debug)]
+pub(crate) struct Reader<'a> {
+    /// What is being read, for errors.
+    pub(crate) what: &'static str,
+    bytes: &'a [u8],
+}
+
+impl<'a> Reader<'a> {
+    pub(crate) fn new(what: &'static str, bytes: &'a [u8]) -> Self {
+        Self { what, bytes }
+    }
+
+    pub(crate) fn left(&self) -> usize {
+        self.bytes.len()
+    }
+
+    /// Everything that is left.
+    pub(crate) fn rest(&mut self) -> &'a [u8] {
+        std::mem::take(&mut self.bytes)
+    }
+
+    pub(crate) fn take(&mut self, count: usize) -> Result<&'a [u8], WireError> {
+        let left = self.bytes.len();
+        let Some((taken, rest)) = self.bytes.split_at_checked(count) else {
+            return Err(WireError::Truncated { what: self.what, needed: count - left, left });
+        };
+        self.bytes = rest;
+        Ok(taken)
+    }
+
+    fn array<const N: usize>(&mut self) -> Result<[u8; N], WireError> {
+        let mut array = [0; N];
+        array.copy_from_slice(self.take(N)?);
+        Ok(array)
+    }
+
+    pub(crate) fn u8(&mut self) -> Result<u8, WireError> {
+        Ok(self.array::<1>()?[0])
+    }
+
+    pub(crate) fn u32(&mut self) -> Result<u32, WireError> {
+        Ok(u32::from_le_bytes(self.array()?))
+    }
+
+    pub(crate) fn i64(&mut self) -> Result<i64, WireError> {
+        Ok(i64::from_le_bytes(self.array()?))
+    }
+
+    pub(crate) fn f32(&mut self) -> Result<f32, WireError> {
+        Ok(f32::from_le_bytes(self.array()?))
+    }
+
+    /// A number of at most 32 bits in groups of seven, lowest first.
+    pub(crate) fn varint(&mut self) -> Result<u32, WireError> {
+        let mut value = 0u32;
+        for shift in (0..35).step_by(7) {
+            let byte = self.u8()?;
+            let bits = u32::from(byte & 0x7f);
+            if shift == 28 && byte > 0x0f {
+                return Err(invalid(self.what, "a number has more than 32 bits"));
+            }
+            value |= bits << shift;
+            if byte & 0x80 == 0 {
+                return Ok(value);
+            }
+        }
+        Err(invalid(self.what, "a number does not end"))
+    }
+
+    /// A signed number, small magnitudes short.
+    pub(crate) fn zigzag(&mut self) -> Result<i32, WireError> {
+        Ok(unzigzag(self.varint()?))
+    }
+
+    /// A count that is within `limit`, and for which at least `min_bytes` are left per item.
+    pub(crate) fn count(&mut self, limit: usize, min_bytes: usize) -> Result<usize, WireError> {
+        let count = check_count(self.what, self.varint()? as usize, limit)?;
+        let needed = count * min_bytes;
+        if needed > self.left() {
+            return Err(WireError::Truncated { what: self.what, needed: needed - self.left(), left: self.left() });
+        }
+        Ok(count)
+    }
+
+    /// Nothing may be left.
+    pub(crate) fn finish(self) -> Result<(), WireError> {
+        match self.bytes.len() {
+            0 => Ok(()),
+            left => Err(WireError::Trailing { what: self.what, left }),
+        }
+    }
+}
+
+/// Appends a number in groups of seven bits, lowest first.
+pub(crate) fn put_varint(out: &mut Vec<u8>, mut value: u32) {
+    while value >= 0x80 {
+        out.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    out.push(value as u8);
+}
+
+/// Appends a signed number, small magnitudes short.
+pub(crate) fn put_zigzag(out: &mut Vec<u8>, value: i32) {
+    put_varint(out, zigzag(value));
+}
+
+/// 0, -1, 1, -2 .. to 0, 1, 2, 3 ..
+pub(crate) fn zigzag(value: i32) -> u32 {
+    (value as u32) << 1 ^ (value >> 31) as u32
+}
+
+/// The inverse of [`zigzag`].
+pub(crate) fn unzigzag(value: u32) -> i32 {
+    (value >> 1) as i32 ^ -((value & 1) as i32)
 }
