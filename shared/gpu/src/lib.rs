@@ -1,1 +1,58 @@
-//! The general Vulkan code: device, memory, retire ring, pipelines from reflection, recorder.
+//! The only general Vulkan code of the project: device, memory, retire ring, pipelines from reflection, recorder.
+//! It knows nothing of scenes, atlases or headsets.
+
+mod bind;
+mod context;
+mod memory;
+mod pass;
+mod pipeline;
+mod recorder;
+mod selftest;
+
+pub use ash::vk;
+pub use bind::{Bind, BindGroup, Layout, SCENE_TEXTURES};
+pub use context::{DesktopDevice, DeviceSource, Gpu, GpuOptions, Needs};
+pub use memory::{Buffer, Image, ImageDesc, Memory, Sampler, SamplerDesc};
+pub use pass::{Attachment, Framebuffer, RenderPass, RenderPassDesc};
+pub use pipeline::{ComputePipeline, GraphicsPipeline, GraphicsPipelineDesc, VertexInput};
+pub use recorder::{Access, Recorder, Ticket};
+
+/// What can go wrong with a device.
+#[derive(Debug, thiserror::Error)]
+pub enum GpuError {
+    /// The Vulkan loader library is missing.
+    #[error("the Vulkan loader could not be opened ({0}); install it (Debian and Ubuntu: package libvulkan1)")]
+    NoLoader(String),
+    /// No device does what is needed.
+    #[error("no Vulkan device can be used: {0}")]
+    NoDevice(String),
+    /// A Vulkan call failed.
+    #[error("{doing}: {result}")]
+    Vulkan {
+        /// What was being done.
+        doing: &'static str,
+        /// The driver's answer.
+        result: vk::Result,
+    },
+    /// Device memory ran out or could not be had.
+    #[error("{size} bytes of GPU memory for {name}: {reason}")]
+    Memory {
+        /// What for.
+        name: String,
+        /// Bytes asked for.
+        size: u64,
+        /// The allocator's answer.
+        reason: String,
+    },
+}
+
+/// Turns a Vulkan result into an error that says what was being done.
+pub(crate) trait Doing<T> {
+    fn doing(self, doing: &'static str) -> Result<T, GpuError>;
+}
+
+impl<T> Doing<T> for Result<T, vk::Result> {
+    fn doing(self, doing: &'static str) -> Result<T, GpuError> {
+        self.map_err(|result| GpuError::Vulkan { doing, result })
+    }
+}

@@ -1,0 +1,30 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_nonuniform_qualifier : require
+// What is where in the ground truth: instance and distance along the view axis, one sample a pixel.
+#include "scene.glsl"
+layout(std140, binding = 3) uniform View { ViewGpu view; };
+layout(std430, binding = 4) readonly buffer Materials { MaterialGpu materials[]; };
+layout(binding = 6) uniform sampler2D textures[];
+layout(push_constant) uniform ForwardPush {
+    uint vertex_base;
+    uint position_base;
+    uint frame_base;
+    uint material;
+    uint instance;
+};
+layout(location = 0) in vec3 world_position;
+layout(location = 3) in vec2 uv;
+layout(location = 0) out uint instance_number; // + 1; 0 is background
+layout(location = 1) out float distance_m;
+
+void main() {
+    MaterialGpu m = materials[material];
+    if (m.alpha_cutoff >= 0.0) {
+        float alpha = m.base_color.a;
+        if (m.base_color_texture >= 0) alpha *= texture(textures[nonuniformEXT(m.base_color_texture)], uv).a;
+        if (alpha < m.alpha_cutoff) discard;
+    }
+    instance_number = instance + 1;
+    distance_m = 1.0 / gl_FragCoord.w;
+}

@@ -1,0 +1,29 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_nonuniform_qualifier : require
+// Writes the scene-wide patch number + 1; 0 is background.
+#include "scene.glsl"
+
+layout(std430, binding = 3) readonly buffer PatchOfTriangle { uint patch_of_triangle[]; };
+layout(std430, binding = 4) readonly buffer Materials { MaterialGpu materials[]; };
+layout(binding = 5) uniform sampler2D textures[];
+layout(push_constant) uniform IdBufferPush {
+    uint vertex_base;
+    uint position_base;
+    uint triangle_base;
+    uint patch_base;
+    uint material;
+    uint first_view;
+};
+layout(location = 0) in vec2 uv;
+layout(location = 0) out uint patch_number;
+
+void main() {
+    MaterialGpu m = materials[material];
+    if (m.alpha_cutoff >= 0.0) {
+        float alpha = m.base_color.a;
+        if (m.base_color_texture >= 0) alpha *= texture(textures[nonuniformEXT(m.base_color_texture)], uv).a;
+        if (alpha < m.alpha_cutoff) discard;
+    }
+    patch_number = patch_base + patch_of_triangle[triangle_base + gl_PrimitiveID] + 1;
+}

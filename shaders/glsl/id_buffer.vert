@@ -1,0 +1,24 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_multiview : require
+// Visibility: one draw of every instance per predicted time, both eyes at once.
+#include "scene.glsl"
+
+layout(std430, binding = 0) readonly buffer Vertices { VertexGpu vertices[]; };
+layout(std430, binding = 1) readonly buffer SavedVertices { vec4 saved_vertices[]; };
+layout(std140, binding = 2) uniform Views { ViewGpu views[MAX_VIEWS]; };
+layout(push_constant) uniform IdBufferPush {
+    uint vertex_base;
+    uint position_base;  // of the instance at the view's time
+    uint triangle_base;  // of the primitive, into patch_of_triangle
+    uint patch_base;     // of the instance in the scene's numbering
+    uint material;
+    uint first_view;
+};
+layout(location = 0) out vec2 uv;
+
+void main() {
+    VertexGpu v = vertices[vertex_base + gl_VertexIndex];
+    uv = vec2(v.position_u.w, v.normal_v.w);
+    gl_Position = views[first_view + gl_ViewIndex].clip_from_world * saved_vertices[position_base + gl_VertexIndex];
+}

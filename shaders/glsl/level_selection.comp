@@ -1,0 +1,88 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+// Largest projected extent of each visible patch over all predicted views, in texels, packed 16:16 (width, height);
+// 0 where the patch is not visible. Twin: twin/level_selection.rs.
+layout(local_size_x = 64) in;
+#include "scene.glsl"
+
+layout(std430, binding = 0) readonly buffer Vertices { VertexGpu vertices[]; };
+layout(std430, binding = 1) readonly buffer SavedVertices { vec4 saved_vertices[]; };
+layout(std140, binding = 2) uniform Views { ViewGpu views[MAX_VIEWS]; };
+layout(std430, binding = 3) readonly buffer Patches { PatchGpu patches[]; };
+layout(std430, binding = 4) readonly buffer Materials { MaterialGpu materials[]; };
+layout(std430, binding = 5) readonly buffer Visible { uint visible[]; };
+layout(std430, binding = 6) writeonly buffer Extents { uint extents[]; };
+layout(push_constant) uniform LevelSelectionPush {
+    uint vertex_base;
+    uint patch_base;       // of the model, into patches
+    uint scene_patch_base; // of the instance, into visible and extents
+    uint patch_count;
+    uint view_count;
+    uint position_base0;   // of the instance at the time of views 0-1, 2-3, 4-5
+    uint position_base1;
+    uint position_base2;
+};
+
+// Length in pixels of the part of an edge in front of the near plane (w = distance along the view axis).
+float projected_length(vec4 a, vec4 b, vec2 half_extent) {
+    float near = NEAR_UM * 1e-6;
+    if (a.w < near && b.w < near) return 0.0;
+    if (a.w < near) a = mix(a, b, (near - a.w) / (b.w - a.w));
+    if (b.w < near) b = mix(b, a, (near - b.w) / (a.w - b.w));
+    return length((a.xy / a.w - b.xy / b.w) * half_extent);
+}
+
+bool outside_one_side(vec4 c[5]) {
+    bvec4 out_all = bvec4(true);
+    for (int i = 0; i < 5; i++) {
+        out_all.x = out_all.x && c[i].x < -c[i].w;
+        out_all.y = out_all.y && c[i].x > c[i].w;
+        out_all.z = out_all.z && c[i].y < -c[i].w;
+        out_all.w = out_all.w && c[i].y > c[i].w;
+    }
+    return any(out_all);
+}
+
+vec2 vertex_uv(uint index) {
+    VertexGpu v = vertices[vertex_base + index];
+    return vec2(v.position_u.w, v.normal_v.w);
+}
+
+// What the source textures hold, with half a step to spare; unbounded where there is none.
+vec2 texture_cap(PatchGpu p) {
+    float extent = materials[p.material].texture_extent_texels;
+    if (extent <= 0.0) return vec2(65535.0);
+    uint height_corner = p.kind == 1 ? 2 : 3;
+    vec2 origin = vertex_uv(p.vertices[0]);
+    vec2 cap = vec2(distance(origin, vertex_uv(p.vertices[1])), distance(origin, vertex_uv(p.vertices[height_corner])));
+    return max(cap * extent * 1.5, vec2(8.0));
+}
+
+void main() {
+    uint index = gl_GlobalInvocationID.x;
+    if (index >= patch_count) return;
+    if (visible[scene_patch_base + index] == 0) {
+        extents[scene_patch_base + index] = 0;
+        return;
+    }
+    PatchGpu p = patches[patch_base + index];
+    uint bases[3] = uint[3](position_base0, position_base1, position_base2);
+    vec2 extent = vec2(1.0);
+    for (uint view = 0; view < view_count; view++) {
+        vec4 c[5];
+        for (int i = 0; i < 5; i++) {
+            c[i] = views[view].clip_from_world * saved_vertices[bases[view / 2] + p.vertices[i]];
+        }
+        if (outside_one_side(c)) continue;
+        vec2 half_extent = views[view].extent_pixels.xy * 0.5;
+        float width = projected_length(c[0], c[1], half_extent);
+        float height = projected_length(c[0], c[p.kind == 1 ? 2 : 3], half_extent);
+        if (p.kind != 1) {
+            width = max(width, projected_length(c[3], c[2], half_extent));
+            height = max(height, projected_length(c[1], c[2], half_extent));
+        }
+        extent = max(extent, vec2(width, height));
+    }
+    uvec2 texels = uvec2(clamp(ceil(min(extent, texture_cap(p))), 1.0, 65535.0));
+    extents[scene_patch_base + index] = texels.x | texels.y << 16;
+}

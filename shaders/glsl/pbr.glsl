@@ -1,0 +1,75 @@
+// The shading model, one piece of code for the atlas and for the ground truth.
+// glTF 2.0 appendix B: Lambert + GGX with Smith-GGX visibility and Schlick Fresnel. Ambient specular uses the
+// environment BRDF approximation of Karis (2014).
+#ifndef PBR_GLSL
+#define PBR_GLSL
+
+struct Surface {
+    vec3 world_position;
+    vec3 world_normal;    // interpolated, towards the viewer's side
+    vec3 world_tangent;
+    float tangent_sign;
+    vec2 uv;
+    vec2 uv_dx;           // change of uv per pixel or texel
+    vec2 uv_dy;
+};
+
+vec4 fetch(int texture_index, Surface s, vec4 absent) {
+    if (texture_index < 0) return absent;
+    return textureGrad(textures[nonuniformEXT(texture_index)], s.uv, s.uv_dx, s.uv_dy);
+}
+
+vec3 mapped_normal(MaterialGpu m, Surface s) {
+    vec3 n = normalize(s.world_normal);
+    if (m.normal_texture < 0) return n;
+    vec3 t = s.world_tangent - n * dot(n, s.world_tangent);
+    if (dot(t, t) < 1e-12) return n;
+    t = normalize(t);
+    vec3 b = cross(n, t) * s.tangent_sign;
+    vec3 map = fetch(m.normal_texture, s, vec4(0.5, 0.5, 1.0, 1.0)).xyz * 2.0 - 1.0;
+    map.xy *= m.normal_scale;
+    return normalize(map.x * t + map.y * b + map.z * n);
+}
+
+vec3 ambient_brdf(vec3 f0, float roughness, float n_dot_v) {
+    vec4 r = roughness * vec4(-1.0, -0.0275, -0.572, 0.022) + vec4(1.0, 0.0425, 1.04, -0.04);
+    float a004 = min(r.x * r.x, exp2(-9.28 * n_dot_v)) * r.x + r.y;
+    vec2 ab = vec2(-1.04, 1.04) * a004 + r.zw;
+    return f0 * ab.x + ab.y;
+}
+
+vec3 sun_light(vec3 n, vec3 v, vec3 diffuse, vec3 f0, float roughness) {
+    vec3 l = light.to_sun.xyz, h = normalize(l + v);
+    float n_l = max(dot(n, l), 0.0), n_v = max(dot(n, v), 1e-3);
+    float n_h = max(dot(n, h), 0.0), v_h = max(dot(v, h), 0.0);
+    float a = max(roughness * roughness, 1e-3), a2 = a * a;
+    float d = n_h * n_h * (a2 - 1.0) + 1.0;
+    float distribution = a2 / (3.14159265 * d * d);
+    float visibility =
+        0.5 / (n_l * sqrt(n_v * n_v * (1.0 - a2) + a2) + n_v * sqrt(n_l * n_l * (1.0 - a2) + a2) + 1e-5);
+    vec3 fresnel = f0 + (1.0 - f0) * pow(1.0 - v_h, 5.0);
+    return ((1.0 - fresnel) * diffuse / 3.14159265 + fresnel * distribution * visibility) * n_l
+        * light.irradiance.rgb;
+}
+
+// Linear radiance towards the eye; alpha is the base colour's.
+vec4 shade(MaterialGpu m, Surface s, vec3 world_eye) {
+    vec4 base = m.base_color * fetch(m.base_color_texture, s, vec4(1.0));
+    vec4 rough_metal = fetch(m.metallic_roughness_texture, s, vec4(1.0));
+    float roughness = clamp(m.roughness * rough_metal.g, 0.04, 1.0);
+    float metallic = clamp(m.emissive_metallic.w * rough_metal.b, 0.0, 1.0);
+    float occlusion = mix(1.0, fetch(m.occlusion_texture, s, vec4(1.0)).r, m.occlusion_strength);
+    vec3 n = mapped_normal(m, s), v = normalize(world_eye - s.world_position);
+    vec3 f0 = mix(vec3(0.04), base.rgb, metallic), diffuse = base.rgb * (1.0 - metallic);
+    // The gradient's irradiance over a hemisphere around n, divided by pi: the middle of what it sees.
+    vec3 ambient = sky_radiance(light.zenith.rgb, light.horizon.rgb, light.nadir.rgb, n * abs(n));
+    vec3 mirrored = sky_radiance(light.zenith.rgb, light.horizon.rgb, light.nadir.rgb, reflect(-v, n));
+    vec3 soft = mix(mirrored, ambient, roughness);
+    vec3 emissive = m.emissive_metallic.rgb * fetch(m.emissive_texture, s, vec4(1.0)).rgb;
+    float n_v = max(dot(n, v), 1e-3);
+    vec3 radiance = sun_light(n, v, diffuse, f0, roughness)
+        + occlusion * (diffuse * ambient + soft * ambient_brdf(f0, roughness, n_v)) + emissive;
+    return vec4(radiance, base.a);
+}
+
+#endif

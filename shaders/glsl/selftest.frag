@@ -1,0 +1,5 @@
+#version 460
+#extension GL_EXT_multiview : require
+// Each view gets its own number, so that a driver that draws one view only is found out.
+layout(location = 0) out uint number;
+void main() { number = 7 + gl_ViewIndex; }

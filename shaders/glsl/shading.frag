@@ -1,0 +1,86 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_nonuniform_qualifier : require
+// Shades a patch in object space: finds the triangle from the position inside the block, extrapolates into the
+// gutter, and writes the tone-mapped colour sRGB-coded.
+#include "scene.glsl"
+#include "environment.glsl"
+
+struct BlockGpu {
+    uint patch_index;
+    uint address_texels;
+    uint extent_texels;
+    uint vertex_base;
+    uint position_base;
+    uint frame_base;
+    uint reserved0;
+    uint reserved1;
+};
+layout(std430, binding = 0) readonly buffer Blocks { BlockGpu blocks[]; };
+layout(std430, binding = 1) readonly buffer Patches { PatchGpu patches[]; };
+layout(std430, binding = 2) readonly buffer Vertices { VertexGpu vertices[]; };
+layout(std430, binding = 3) readonly buffer SavedVertices { vec4 saved_vertices[]; };
+layout(std430, binding = 4) readonly buffer SavedFrames { FrameGpu saved_frames[]; };
+layout(std430, binding = 5) readonly buffer Materials { MaterialGpu materials[]; };
+layout(std140, binding = 6) uniform Light { LightGpu light; };
+layout(binding = 7) uniform sampler2D textures[];
+#include "pbr.glsl"
+layout(push_constant) uniform ShadingPush {
+    vec4 world_eye;
+    vec2 atlas_extent_texels;
+};
+layout(location = 0) flat in uint block_index;
+layout(location = 1) in vec2 texel;
+layout(location = 0) out vec4 color;
+
+uint triangle_at(uint kind, vec2 uv) {
+    if (kind == 1) return 0;
+    if (kind == 2) return uv.y <= uv.x ? 0 : 1;
+    // Edges from (0.5, 0) to (0, 1) and to (1, 1).
+    if (2.0 * uv.x + uv.y <= 1.0) return 0;
+    return 2.0 * uv.x - uv.y >= 1.0 ? 2 : 1;
+}
+
+// Barycentric coordinates of uv, and their constant change with uv, as columns of 1, d/du, d/dv.
+mat3 barycentric(vec2 a, vec2 b, vec2 c, vec2 uv) {
+    vec2 ab = b - a, ac = c - a, ap = uv - a;
+    float area = ab.x * ac.y - ab.y * ac.x;
+    vec2 beta = vec2(ac.y, -ac.x) / area, gamma = vec2(-ab.y, ab.x) / area;
+    vec2 w = vec2(dot(beta, ap), dot(gamma, ap));
+    return mat3(vec3(1.0 - w.x - w.y, w), vec3(-beta.x - gamma.x, beta.x, gamma.x),
+        vec3(-beta.y - gamma.y, beta.y, gamma.y));
+}
+
+void main() {
+    BlockGpu b = blocks[block_index];
+    PatchGpu p = patches[b.patch_index];
+    vec2 inner = vec2(b.extent_texels & 0xffff, b.extent_texels >> 16) - 2.0 * BLOCK_INSET_TEXELS;
+    vec2 uv = (texel - BLOCK_INSET_TEXELS) / inner;
+    uint t = triangle_at(p.kind, uv) * 3;
+    uint corners[3] = uint[3](
+        PATCH_TRIANGLES[p.kind - 1][t], PATCH_TRIANGLES[p.kind - 1][t + 1], PATCH_TRIANGLES[p.kind - 1][t + 2]);
+    mat3 weights = barycentric(patch_corner_uv(p.kind, corners[0]), patch_corner_uv(p.kind, corners[1]),
+        patch_corner_uv(p.kind, corners[2]), uv);
+    Surface s;
+    s.world_position = s.world_normal = s.world_tangent = vec3(0.0);
+    s.uv = s.uv_dx = s.uv_dy = vec2(0.0);
+    vec3 at[3];
+    for (int i = 0; i < 3; i++) {
+        uint index = p.vertices[corners[i]];
+        VertexGpu v = vertices[b.vertex_base + index];
+        FrameGpu f = saved_frames[b.frame_base + index];
+        vec2 vertex_uv = vec2(v.position_u.w, v.normal_v.w);
+        at[i] = saved_vertices[b.position_base + index].xyz;
+        s.world_position += weights[0][i] * at[i];
+        s.world_normal += weights[0][i] * f.normal.xyz;
+        s.world_tangent += weights[0][i] * f.tangent.xyz;
+        s.tangent_sign = f.tangent.w;
+        s.uv += weights[0][i] * vertex_uv;
+        s.uv_dx += weights[1][i] * vertex_uv / inner.x;
+        s.uv_dy += weights[2][i] * vertex_uv / inner.y;
+    }
+    MaterialGpu m = materials[p.material];
+    vec3 facing = cross(at[1] - at[0], at[2] - at[0]);
+    if (m.double_sided != 0 && dot(facing, world_eye.xyz - s.world_position) < 0.0) s.world_normal = -s.world_normal;
+    color = vec4(srgb_from_linear(tone_map(shade(m, s, world_eye.xyz).rgb)), 1.0);
+}

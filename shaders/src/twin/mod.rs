@@ -1,0 +1,1 @@
+//! CPU reference twins: what each GPU stage must compute, in plain Rust, one file per shader stem.

@@ -1,0 +1,216 @@
+//! Descriptor layouts from reflection, and sets bound by the names that GLSL gives.
+
+use crate::memory::Garbage;
+use crate::{Buffer, Doing, Gpu, GpuError, Image, Sampler};
+use ash::vk;
+use shadecast_shaders::{Binding, BindingKind, Shader, Stage};
+use std::sync::Arc;
+
+/// Length of a texture array whose length GLSL leaves open. Entries may stay unbound.
+pub const SCENE_TEXTURES: u32 = 512;
+
+/// Descriptor set layout and pipeline layout of one or two shaders.
+pub struct Layout {
+    gpu: Arc<Gpu>,
+    pub(crate) handle: vk::PipelineLayout,
+    set_layout: vk::DescriptorSetLayout,
+    bindings: Vec<(Binding, vk::ShaderStageFlags)>,
+    pub(crate) push_stages: vk::ShaderStageFlags,
+    pub(crate) push_bytes: u32,
+    name: &'static str,
+}
+
+/// A resource for a binding.
+#[derive(Clone, Copy)]
+pub enum Bind<'a> {
+    /// A whole buffer, storage or uniform as the shader says.
+    Buffer(&'a Buffer),
+    /// An image to sample, in SHADER_READ_ONLY_OPTIMAL.
+    Sampled(&'a Image, &'a Sampler),
+    /// Images for a texture array, from element 0 on.
+    Textures(&'a [(&'a Image, &'a Sampler)]),
+    /// A storage image, in GENERAL.
+    Storage(&'a Image),
+}
+
+/// A descriptor set, written once.
+pub struct BindGroup {
+    gpu: Arc<Gpu>,
+    pool: vk::DescriptorPool,
+    pub(crate) set: vk::DescriptorSet,
+}
+
+impl Layout {
+    /// The layout that reflection found in `shaders` (one compute shader, or a vertex and a fragment shader).
+    pub fn new(gpu: &Arc<Gpu>, shaders: &[&Shader]) -> Result<Arc<Self>, GpuError> {
+        let bindings = merged(shaders);
+        let infos: Vec<_> = bindings
+            .iter()
+            .map(|(binding, stages)| {
+                vk::DescriptorSetLayoutBinding::default()
+                    .binding(binding.index)
+                    .descriptor_type(descriptor_type(binding.kind))
+                    .descriptor_count(count(binding))
+                    .stage_flags(*stages)
+            })
+            .collect();
+        let flags: Vec<_> = bindings
+            .iter()
+            .map(|(binding, _)| match binding.count {
+                0 => vk::DescriptorBindingFlags::PARTIALLY_BOUND,
+                _ => vk::DescriptorBindingFlags::empty(),
+            })
+            .collect();
+        let mut flag_info = vk::DescriptorSetLayoutBindingFlagsCreateInfo::default().binding_flags(&flags);
+        let mut info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&infos);
+        if bindings.iter().any(|(b, _)| b.count == 0) {
+            info = info.push_next(&mut flag_info);
+        }
+        let push_bytes = shaders.iter().map(|s| s.push_bytes).max().unwrap_or(0);
+        let push_stages = shaders
+            .iter()
+            .filter(|s| s.push_bytes > 0)
+            .fold(vk::ShaderStageFlags::empty(), |flags, s| flags | stage_flag(s.stage));
+        let ranges = [vk::PushConstantRange { stage_flags: push_stages, offset: 0, size: push_bytes }];
+        // SAFETY: the device is alive; all that the create infos point to lives through the calls.
+        let (set_layout, handle) = unsafe {
+            let set_layout = gpu.device.create_descriptor_set_layout(&info, None);
+            let set_layout = set_layout.doing("creating a descriptor set layout")?;
+            let sets = [set_layout];
+            let mut info = vk::PipelineLayoutCreateInfo::default().set_layouts(&sets);
+            if push_bytes > 0 {
+                info = info.push_constant_ranges(&ranges);
+            }
+            let handle = gpu.device.create_pipeline_layout(&info, None);
+            (set_layout, handle.doing("creating a pipeline layout")?)
+        };
+        let name = shaders.last().map_or("", |s| s.name);
+        Ok(Arc::new(Self { gpu: gpu.clone(), handle, set_layout, bindings, push_stages, push_bytes, name }))
+    }
+
+    fn find(&self, name: &str) -> &Binding {
+        self.bindings
+            .iter()
+            .map(|(binding, _)| binding)
+            .find(|binding| binding.name == name)
+            .unwrap_or_else(|| panic!("{} has no binding {name}", self.name))
+    }
+}
+
+impl Drop for Layout {
+    fn drop(&mut self) {
+        self.gpu.retire(Garbage::Layout(self.handle, self.set_layout));
+    }
+}
+
+fn merged(shaders: &[&Shader]) -> Vec<(Binding, vk::ShaderStageFlags)> {
+    let mut bindings: Vec<(Binding, vk::ShaderStageFlags)> = Vec::new();
+    for shader in shaders {
+        for binding in shader.bindings {
+            match bindings.iter_mut().find(|(b, _)| b.index == binding.index) {
+                Some((known, stages)) => {
+                    assert_eq!(known.name, binding.name, "{}: two names at one binding", shader.name);
+                    *stages |= stage_flag(shader.stage);
+                }
+                None => bindings.push((*binding, stage_flag(shader.stage))),
+            }
+        }
+    }
+    bindings.sort_by_key(|(b, _)| b.index);
+    bindings
+}
+
+fn count(binding: &Binding) -> u32 {
+    if binding.count == 0 { SCENE_TEXTURES } else { binding.count }
+}
+
+pub(crate) fn stage_flag(stage: Stage) -> vk::ShaderStageFlags {
+    match stage {
+        Stage::Vertex => vk::ShaderStageFlags::VERTEX,
+        Stage::Fragment => vk::ShaderStageFlags::FRAGMENT,
+        Stage::Compute => vk::ShaderStageFlags::COMPUTE,
+    }
+}
+
+fn descriptor_type(kind: BindingKind) -> vk::DescriptorType {
+    match kind {
+        BindingKind::UniformBuffer => vk::DescriptorType::UNIFORM_BUFFER,
+        BindingKind::StorageBuffer => vk::DescriptorType::STORAGE_BUFFER,
+        BindingKind::SampledImage => vk::DescriptorType::COMBINED_IMAGE_SAMPLER,
+        BindingKind::StorageImage => vk::DescriptorType::STORAGE_IMAGE,
+    }
+}
+
+impl BindGroup {
+    /// A set of `layout` with every binding bound by name. What is bound must outlive the group's use.
+    ///
+    /// # Panics
+    /// A name that the shaders do not have, or a binding left out: mistakes of ours.
+    pub fn new(layout: &Layout, binds: &[(&str, Bind<'_>)]) -> Result<Self, GpuError> {
+        for (binding, _) in &layout.bindings {
+            let bound = binds.iter().any(|(name, _)| *name == binding.name);
+            assert!(bound, "{}: binding {} is left out", layout.name, binding.name);
+        }
+        let gpu = &layout.gpu;
+        let sizes: Vec<_> = layout
+            .bindings
+            .iter()
+            .map(|(b, _)| vk::DescriptorPoolSize { ty: descriptor_type(b.kind), descriptor_count: count(b) })
+            .collect();
+        let info = vk::DescriptorPoolCreateInfo::default().max_sets(1).pool_sizes(&sizes);
+        // SAFETY: the pool holds exactly one set of this layout.
+        let (pool, set) = unsafe {
+            let pool = gpu.device.create_descriptor_pool(&info, None).doing("creating a descriptor pool")?;
+            let layouts = [layout.set_layout];
+            let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(pool).set_layouts(&layouts);
+            let sets = gpu.device.allocate_descriptor_sets(&info).doing("allocating a descriptor set")?;
+            (pool, sets[0])
+        };
+        let group = Self { gpu: gpu.clone(), pool, set };
+        for (name, bind) in binds {
+            group.write(layout.find(name), bind);
+        }
+        Ok(group)
+    }
+
+    fn write(&self, binding: &Binding, bind: &Bind<'_>) {
+        let sampled = |image: &Image, sampler: &Sampler| {
+            vk::DescriptorImageInfo::default()
+                .image_view(image.view)
+                .sampler(sampler.handle)
+                .image_layout(vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL)
+        };
+        let mut buffers = Vec::new();
+        let mut images = Vec::new();
+        match bind {
+            Bind::Buffer(buffer) => buffers.push(
+                vk::DescriptorBufferInfo::default().buffer(buffer.handle).range(vk::WHOLE_SIZE),
+            ),
+            Bind::Sampled(image, sampler) => images.push(sampled(image, sampler)),
+            Bind::Textures(all) => images.extend(all.iter().map(|(i, s)| sampled(i, s))),
+            Bind::Storage(image) => images.push(
+                vk::DescriptorImageInfo::default()
+                    .image_view(image.view)
+                    .image_layout(vk::ImageLayout::GENERAL),
+            ),
+        }
+        if buffers.is_empty() && images.is_empty() {
+            return;
+        }
+        let write = vk::WriteDescriptorSet::default()
+            .dst_set(self.set)
+            .dst_binding(binding.index)
+            .descriptor_type(descriptor_type(binding.kind))
+            .buffer_info(&buffers)
+            .image_info(&images);
+        let write = if images.is_empty() { write } else { write.descriptor_count(images.len() as u32) };
+        // SAFETY: the set is new and not in use; the resources are alive.
+        unsafe { self.gpu.device.update_descriptor_sets(&[write], &[]) };
+    }
+}
+
+impl Drop for BindGroup {
+    fn drop(&mut self) {
+        self.gpu.retire(Garbage::DescriptorPool(self.pool));
+    }
+}

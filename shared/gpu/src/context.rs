@@ -1,0 +1,457 @@
+//! The device and what hangs on it: allocator, command slots, retire ring, validation messages.
+
+use crate::memory::Garbage;
+use crate::recorder::CommandSlot;
+use crate::{Doing, GpuError};
+use ash::{ext, vk};
+use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
+use std::collections::VecDeque;
+use std::ffi::{CStr, c_char, c_void};
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+
+const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
+
+/// Which of the two required feature sets a device must have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Needs {
+    /// Vulkan 1.2 with descriptor indexing and `gl_PrimitiveID` in fragment shaders.
+    Server,
+    /// Vulkan 1.1 core with multiview: nothing a first-generation standalone headset lacks.
+    Client,
+}
+
+/// How a device is opened.
+#[derive(Clone, Debug)]
+pub struct GpuOptions {
+    /// Feature set.
+    pub needs: Needs,
+    /// Validation layers on; every message is counted and logged.
+    pub validation: bool,
+    /// Part of the wanted device's name; `None` takes the best one (discrete, integrated, CPU).
+    pub device_name: Option<String>,
+}
+
+/// Who creates instance and device: the program itself on a desktop, the OpenXR runtime for a client.
+pub trait DeviceSource {
+    /// `vkCreateInstance` or the runtime's equivalent.
+    fn create_instance(
+        &self,
+        entry: &ash::Entry,
+        info: &vk::InstanceCreateInfo<'_>,
+    ) -> Result<vk::Instance, GpuError>;
+    /// Chooses the physical device.
+    fn physical_device(
+        &self,
+        instance: &ash::Instance,
+        options: &GpuOptions,
+    ) -> Result<vk::PhysicalDevice, GpuError>;
+    /// `vkCreateDevice` or the runtime's equivalent.
+    fn create_device(
+        &self,
+        instance: &ash::Instance,
+        physical: vk::PhysicalDevice,
+        info: &vk::DeviceCreateInfo<'_>,
+    ) -> Result<vk::Device, GpuError>;
+}
+
+/// Instance and device straight from the Vulkan loader.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct DesktopDevice;
+
+/// A device, opened. Cloned as `Arc`; every object keeps it alive.
+pub struct Gpu {
+    pub(crate) device: ash::Device,
+    pub(crate) allocator: Mutex<Option<Allocator>>,
+    pub(crate) queue: vk::Queue,
+    pub(crate) queue_family: u32,
+    pub(crate) idle_slots: Mutex<Vec<CommandSlot>>,
+    pub(crate) busy_slots: Mutex<VecDeque<CommandSlot>>,
+    pub(crate) submitted: AtomicU64,
+    pub(crate) completed: AtomicU64,
+    pub(crate) garbage: Mutex<VecDeque<(u64, Garbage)>>,
+    pub(crate) timings_ms: Mutex<Vec<(&'static str, f64)>>,
+    pub(crate) properties: vk::PhysicalDeviceProperties,
+    physical: vk::PhysicalDevice,
+    messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
+    validation: Box<ValidationLog>,
+    instance: ash::Instance,
+    entry: ash::Entry,
+}
+
+#[derive(Default)]
+struct ValidationLog {
+    count: AtomicU32,
+    texts: Mutex<Vec<String>>,
+}
+
+impl std::fmt::Debug for Gpu {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Gpu").field("device", &self.device_name()).finish_non_exhaustive()
+    }
+}
+
+impl Gpu {
+    /// Opens a device and runs the multiview self-test on it.
+    ///
+    /// # Errors
+    /// No loader, no device with the needed features, or a device that draws only one of two views.
+    pub fn open(options: &GpuOptions, source: &dyn DeviceSource) -> Result<Arc<Self>, GpuError> {
+        // SAFETY: loading the Vulkan loader runs its initialisers, which have no preconditions.
+        let entry = unsafe { ash::Entry::load() }.map_err(|e| GpuError::NoLoader(e.to_string()))?;
+        let validation = Box::<ValidationLog>::default();
+        let instance = create_instance(&entry, options, source)?;
+        let messenger = create_messenger(&entry, &instance, options, &validation)?;
+        let physical = source.physical_device(&instance, options)?;
+        // SAFETY: `physical` belongs to `instance`.
+        let properties = unsafe { instance.get_physical_device_properties(physical) };
+        let queue_family = queue_family(&instance, physical)?;
+        let device = create_device(&instance, physical, queue_family, options, source)?;
+        // SAFETY: the family was asked for in the device's creation with one queue.
+        let queue = unsafe { device.get_device_queue(queue_family, 0) };
+        let allocator = Allocator::new(&AllocatorCreateDesc {
+            instance: instance.clone(),
+            device: device.clone(),
+            physical_device: physical,
+            debug_settings: Default::default(),
+            buffer_device_address: false,
+            allocation_sizes: Default::default(),
+        })
+        .map_err(|e| GpuError::NoDevice(e.to_string()))?;
+        let gpu = Arc::new(Self {
+            device,
+            allocator: Mutex::new(Some(allocator)),
+            queue,
+            queue_family,
+            idle_slots: Mutex::default(),
+            busy_slots: Mutex::default(),
+            submitted: AtomicU64::new(0),
+            completed: AtomicU64::new(0),
+            garbage: Mutex::default(),
+            timings_ms: Mutex::default(),
+            properties,
+            physical,
+            messenger,
+            validation,
+            instance,
+            entry,
+        });
+        crate::selftest::multiview(&gpu)?;
+        Ok(gpu)
+    }
+
+    /// The device's own name for itself.
+    pub fn device_name(&self) -> String {
+        name_of(&self.properties)
+    }
+
+    /// Whether the device is a CPU: correct, slow.
+    pub fn is_cpu(&self) -> bool {
+        self.properties.device_type == vk::PhysicalDeviceType::CPU
+    }
+
+    /// Validation warnings and errors since the device was opened; 0 with validation off.
+    pub fn validation_messages(&self) -> u32 {
+        self.validation.count.load(Ordering::Relaxed)
+    }
+
+    /// The first validation messages, for a failing test's text.
+    pub fn validation_texts(&self) -> Vec<String> {
+        self.validation.texts.lock().expect("not poisoned").clone()
+    }
+
+    /// The loaded device functions, for code that must call Vulkan itself.
+    pub fn device(&self) -> &ash::Device {
+        &self.device
+    }
+
+    /// The instance functions.
+    pub fn instance(&self) -> &ash::Instance {
+        &self.instance
+    }
+
+    /// The loader.
+    pub fn entry(&self) -> &ash::Entry {
+        &self.entry
+    }
+
+    /// The physical device.
+    pub fn physical_device(&self) -> vk::PhysicalDevice {
+        self.physical
+    }
+
+    /// Family of the one queue; its index within the family is 0.
+    pub fn queue_family(&self) -> u32 {
+        self.queue_family
+    }
+
+    /// Milliseconds that each scope of the finished recordings took on the GPU, in order, since the last call.
+    pub fn take_timings_ms(&self) -> Vec<(&'static str, f64)> {
+        std::mem::take(&mut self.timings_ms.lock().expect("not poisoned"))
+    }
+
+    /// Hands handles to the retire ring: they are destroyed when the work that could use them is done.
+    pub(crate) fn retire(&self, garbage: Garbage) {
+        // What is recorded now is submitted next, so it may still use the object.
+        let last_user = self.submitted.load(Ordering::Acquire) + 1;
+        self.garbage.lock().expect("not poisoned").push_back((last_user, garbage));
+    }
+
+    /// Destroys what no submitted or recorded work can use any more.
+    pub(crate) fn collect(&self) {
+        let done = self.completed.load(Ordering::Acquire);
+        let mut garbage = self.garbage.lock().expect("not poisoned");
+        while garbage.front().is_some_and(|(last_user, _)| *last_user <= done) {
+            if let Some((_, item)) = garbage.pop_front() {
+                item.destroy(self);
+            }
+        }
+    }
+}
+
+impl Drop for Gpu {
+    fn drop(&mut self) {
+        // SAFETY: shutdown; nobody else holds the device, so nothing is submitted meanwhile.
+        let _ = unsafe { self.device.device_wait_idle() };
+        let garbage: Vec<_> = self.garbage.lock().expect("not poisoned").drain(..).collect();
+        garbage.into_iter().for_each(|(_, item)| item.destroy(self));
+        let busy: Vec<_> = self.busy_slots.lock().expect("not poisoned").drain(..).collect();
+        let idle: Vec<_> = self.idle_slots.lock().expect("not poisoned").drain(..).collect();
+        busy.into_iter().chain(idle).for_each(|slot| slot.destroy(&self.device));
+        drop(self.allocator.lock().expect("not poisoned").take());
+        // SAFETY: the device is idle and all its objects are gone; the messenger outlives the device, and the
+        // instance goes last.
+        unsafe {
+            self.device.destroy_device(None);
+            if let Some((functions, messenger)) = self.messenger.take() {
+                functions.destroy_debug_utils_messenger(messenger, None);
+            }
+            self.instance.destroy_instance(None);
+        }
+    }
+}
+
+impl DeviceSource for DesktopDevice {
+    fn create_instance(
+        &self,
+        entry: &ash::Entry,
+        info: &vk::InstanceCreateInfo<'_>,
+    ) -> Result<vk::Instance, GpuError> {
+        // SAFETY: `info` and all it points to live through the call.
+        Ok(unsafe { entry.create_instance(info, None) }.doing("creating the Vulkan instance")?.handle())
+    }
+
+    fn physical_device(
+        &self,
+        instance: &ash::Instance,
+        options: &GpuOptions,
+    ) -> Result<vk::PhysicalDevice, GpuError> {
+        // SAFETY: the instance is alive.
+        let all = unsafe { instance.enumerate_physical_devices() }.doing("listing Vulkan devices")?;
+        let mut usable = Vec::new();
+        let mut refused = Vec::new();
+        for physical in all {
+            // SAFETY: `physical` was just listed by this instance.
+            let properties = unsafe { instance.get_physical_device_properties(physical) };
+            let name = name_of(&properties);
+            if options.device_name.as_ref().is_some_and(|wanted| !name.contains(wanted.as_str())) {
+                refused.push(format!("{name}: not the one asked for"));
+                continue;
+            }
+            match missing(instance, physical, options.needs) {
+                None => usable.push((rank(properties.device_type), physical)),
+                Some(what) => refused.push(format!("{name}: lacks {what}")),
+            }
+        }
+        usable.sort_by_key(|(rank, _)| *rank);
+        usable.first().map(|(_, physical)| *physical).ok_or_else(|| {
+            GpuError::NoDevice(if refused.is_empty() {
+                "none is installed; install a driver, or Mesa's software one (package mesa-vulkan-drivers)".into()
+            } else {
+                refused.join("; ")
+            })
+        })
+    }
+
+    fn create_device(
+        &self,
+        instance: &ash::Instance,
+        physical: vk::PhysicalDevice,
+        info: &vk::DeviceCreateInfo<'_>,
+    ) -> Result<vk::Device, GpuError> {
+        // SAFETY: `physical` belongs to `instance`; `info` and all it points to live through the call.
+        let device = unsafe { instance.create_device(physical, info, None) };
+        Ok(device.doing("creating the Vulkan device")?.handle())
+    }
+}
+
+fn rank(device_type: vk::PhysicalDeviceType) -> u32 {
+    match device_type {
+        vk::PhysicalDeviceType::DISCRETE_GPU => 0,
+        vk::PhysicalDeviceType::INTEGRATED_GPU => 1,
+        vk::PhysicalDeviceType::VIRTUAL_GPU => 2,
+        vk::PhysicalDeviceType::CPU => 3,
+        _ => 4,
+    }
+}
+
+fn name_of(properties: &vk::PhysicalDeviceProperties) -> String {
+    properties.device_name_as_c_str().map_or_else(|_| "unnamed".into(), |n| n.to_string_lossy().into_owned())
+}
+
+/// Names the first needed feature that the device lacks.
+fn missing(
+    instance: &ash::Instance,
+    physical: vk::PhysicalDevice,
+    needs: Needs,
+) -> Option<&'static str> {
+    // SAFETY: `physical` belongs to `instance`.
+    let properties = unsafe { instance.get_physical_device_properties(physical) };
+    let api = if needs == Needs::Server { vk::API_VERSION_1_2 } else { vk::API_VERSION_1_1 };
+    if properties.api_version < api {
+        return Some("the needed Vulkan version (server 1.2, client 1.1)");
+    }
+    let mut multiview = vk::PhysicalDeviceMultiviewFeatures::default();
+    let mut indexing = vk::PhysicalDeviceDescriptorIndexingFeatures::default();
+    let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut multiview);
+    if needs == Needs::Server {
+        features = features.push_next(&mut indexing);
+    }
+    // SAFETY: the chain holds structs that this Vulkan version knows, and lives through the call.
+    unsafe { instance.get_physical_device_features2(physical, &mut features) };
+    let core = features.features;
+    if multiview.multiview == 0 {
+        return Some("multiview");
+    }
+    if needs == Needs::Client {
+        return None;
+    }
+    let wanted = [
+        (core.geometry_shader, "geometryShader (for gl_PrimitiveID)"),
+        (core.sampler_anisotropy, "samplerAnisotropy"),
+        (indexing.runtime_descriptor_array, "runtimeDescriptorArray"),
+        (indexing.shader_sampled_image_array_non_uniform_indexing, "non-uniform texture indexing"),
+        (indexing.descriptor_binding_partially_bound, "partially bound descriptors"),
+    ];
+    wanted.iter().find(|(has, _)| *has == 0).map(|(_, name)| *name)
+}
+
+fn create_instance(
+    entry: &ash::Entry,
+    options: &GpuOptions,
+    source: &dyn DeviceSource,
+) -> Result<ash::Instance, GpuError> {
+    let api = if options.needs == Needs::Server { vk::API_VERSION_1_2 } else { vk::API_VERSION_1_1 };
+    let application = vk::ApplicationInfo::default().application_name(c"Shadecast").api_version(api);
+    let layers: Vec<*const c_char> =
+        if options.validation { vec![VALIDATION_LAYER.as_ptr()] } else { Vec::new() };
+    let extensions: Vec<*const c_char> =
+        if options.validation { vec![ext::debug_utils::NAME.as_ptr()] } else { Vec::new() };
+    if options.validation {
+        require_validation_layer(entry)?;
+    }
+    let info = vk::InstanceCreateInfo::default()
+        .application_info(&application)
+        .enabled_layer_names(&layers)
+        .enabled_extension_names(&extensions);
+    let handle = source.create_instance(entry, &info)?;
+    // SAFETY: `handle` was created with this entry's functions.
+    Ok(unsafe { ash::Instance::load(entry.static_fn(), handle) })
+}
+
+fn require_validation_layer(entry: &ash::Entry) -> Result<(), GpuError> {
+    // SAFETY: no preconditions.
+    let layers = unsafe { entry.enumerate_instance_layer_properties() }.doing("listing Vulkan layers")?;
+    if layers.iter().any(|l| l.layer_name_as_c_str() == Ok(VALIDATION_LAYER)) {
+        return Ok(());
+    }
+    Err(GpuError::NoDevice(
+        "validation was asked for, but VK_LAYER_KHRONOS_validation is not installed (Debian and Ubuntu: package vulkan-validationlayers)".into(),
+    ))
+}
+
+fn create_messenger(
+    entry: &ash::Entry,
+    instance: &ash::Instance,
+    options: &GpuOptions,
+    log: &ValidationLog,
+) -> Result<Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>, GpuError> {
+    if !options.validation {
+        return Ok(None);
+    }
+    let functions = ext::debug_utils::Instance::new(entry, instance);
+    let info = vk::DebugUtilsMessengerCreateInfoEXT::default()
+        .message_severity(
+            vk::DebugUtilsMessageSeverityFlagsEXT::ERROR | vk::DebugUtilsMessageSeverityFlagsEXT::WARNING,
+        )
+        .message_type(
+            vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION | vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE,
+        )
+        .pfn_user_callback(Some(on_message))
+        .user_data(std::ptr::from_ref(log).cast_mut().cast());
+    // SAFETY: the log is boxed in the `Gpu`, which destroys the messenger before it frees the log.
+    let messenger = unsafe { functions.create_debug_utils_messenger(&info, None) };
+    Ok(Some((functions, messenger.doing("creating the validation messenger")?)))
+}
+
+unsafe extern "system" fn on_message(
+    _: vk::DebugUtilsMessageSeverityFlagsEXT,
+    _: vk::DebugUtilsMessageTypeFlagsEXT,
+    data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
+    user: *mut c_void,
+) -> vk::Bool32 {
+    // SAFETY: the layer passes valid data for the call's duration; `user` is the log of `create_messenger`.
+    let (data, log) = unsafe { (&*data, &*user.cast::<ValidationLog>()) };
+    // SAFETY: the message is a NUL-terminated string where present.
+    let text = unsafe { data.message_as_c_str() }.unwrap_or(c"").to_string_lossy().into_owned();
+    tracing::error!(target: "vulkan", "{text}");
+    log.count.fetch_add(1, Ordering::Relaxed);
+    if let Ok(mut texts) = log.texts.lock() {
+        if texts.len() < 20 {
+            texts.push(text);
+        }
+    }
+    vk::FALSE
+}
+
+fn queue_family(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Result<u32, GpuError> {
+    let wanted = vk::QueueFlags::GRAPHICS | vk::QueueFlags::COMPUTE;
+    // SAFETY: `physical` belongs to `instance`.
+    unsafe { instance.get_physical_device_queue_family_properties(physical) }
+        .iter()
+        .position(|family| family.queue_flags.contains(wanted))
+        .map(|index| index as u32)
+        .ok_or_else(|| GpuError::NoDevice("it has no queue for graphics and compute".into()))
+}
+
+fn create_device(
+    instance: &ash::Instance,
+    physical: vk::PhysicalDevice,
+    queue_family: u32,
+    options: &GpuOptions,
+    source: &dyn DeviceSource,
+) -> Result<ash::Device, GpuError> {
+    if let Some(what) = missing(instance, physical, options.needs) {
+        return Err(GpuError::NoDevice(format!("the chosen device lacks {what}")));
+    }
+    let server = options.needs == Needs::Server;
+    let core = vk::PhysicalDeviceFeatures::default().geometry_shader(server).sampler_anisotropy(server);
+    let mut multiview = vk::PhysicalDeviceMultiviewFeatures::default().multiview(true);
+    let mut indexing = vk::PhysicalDeviceDescriptorIndexingFeatures::default()
+        .runtime_descriptor_array(true)
+        .shader_sampled_image_array_non_uniform_indexing(true)
+        .descriptor_binding_partially_bound(true);
+    let priorities = [1.0];
+    let queues =
+        [vk::DeviceQueueCreateInfo::default().queue_family_index(queue_family).queue_priorities(&priorities)];
+    let mut info = vk::DeviceCreateInfo::default()
+        .queue_create_infos(&queues)
+        .enabled_features(&core)
+        .push_next(&mut multiview);
+    if server {
+        info = info.push_next(&mut indexing);
+    }
+    let handle = source.create_device(instance, physical, &info)?;
+    // SAFETY: `handle` was created from this instance.
+    Ok(unsafe { ash::Device::load(instance.fp_v1_0(), handle) })
+}

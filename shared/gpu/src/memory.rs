@@ -1,0 +1,345 @@
+//! Buffers, images and samplers. Dropping one hands its handles to the retire ring; the fence destroys.
+
+use crate::{Doing, Gpu, GpuError};
+use ash::vk;
+use gpu_allocator::MemoryLocation;
+use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
+use std::sync::Arc;
+
+/// Where a buffer lives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Memory {
+    /// Device-local, not mapped.
+    Device,
+    /// Mapped, written by the CPU.
+    Upload,
+    /// Mapped and cached, read by the CPU.
+    Readback,
+}
+
+/// A buffer with its memory.
+pub struct Buffer {
+    gpu: Arc<Gpu>,
+    pub(crate) handle: vk::Buffer,
+    allocation: Option<Allocation>,
+    size: u64,
+}
+
+/// What an image is.
+#[derive(Clone, Copy, Debug)]
+pub struct ImageDesc {
+    /// For messages.
+    pub name: &'static str,
+    /// Width and height in texels.
+    pub extent: [u32; 2],
+    /// Array layers.
+    pub layers: u32,
+    /// Mip levels.
+    pub mips: u32,
+    /// Samples per texel.
+    pub samples: vk::SampleCountFlags,
+    /// Format.
+    pub format: vk::Format,
+    /// Usage.
+    pub usage: vk::ImageUsageFlags,
+}
+
+/// An image with its memory and one view of all of it (a 2D view for one layer, an array view for more).
+pub struct Image {
+    gpu: Arc<Gpu>,
+    pub(crate) handle: vk::Image,
+    pub(crate) view: vk::ImageView,
+    allocation: Option<Allocation>,
+    desc: ImageDesc,
+}
+
+/// How a texture is read.
+#[derive(Clone, Copy, Debug)]
+pub struct SamplerDesc {
+    /// Magnification and minification.
+    pub filter: vk::Filter,
+    /// Addressing in u and v.
+    pub wrap: [vk::SamplerAddressMode; 2],
+    /// Mip levels in use, linear between them.
+    pub mips: bool,
+    /// Largest anisotropy; 1 is off.
+    pub anisotropy: f32,
+}
+
+/// A sampler.
+pub struct Sampler {
+    gpu: Arc<Gpu>,
+    pub(crate) handle: vk::Sampler,
+}
+
+/// Handles on their way out.
+pub(crate) enum Garbage {
+    Buffer(vk::Buffer, Option<Allocation>),
+    Image(vk::Image, vk::ImageView, Option<Allocation>),
+    View(vk::ImageView),
+    Sampler(vk::Sampler),
+    DescriptorPool(vk::DescriptorPool),
+    Layout(vk::PipelineLayout, vk::DescriptorSetLayout),
+    Pipeline(vk::Pipeline),
+    RenderPass(vk::RenderPass),
+    Framebuffer(vk::Framebuffer),
+}
+
+impl Garbage {
+    pub(crate) fn destroy(self, gpu: &Gpu) {
+        let device = &gpu.device;
+        // SAFETY: the handles were created from this device, are owned by this value alone, and the retire ring
+        // calls this only after all work that could use them has finished.
+        unsafe {
+            match self {
+                Self::Buffer(buffer, allocation) => {
+                    device.destroy_buffer(buffer, None);
+                    free(gpu, allocation);
+                }
+                Self::Image(image, view, allocation) => {
+                    device.destroy_image_view(view, None);
+                    device.destroy_image(image, None);
+                    free(gpu, allocation);
+                }
+                Self::View(view) => device.destroy_image_view(view, None),
+                Self::Sampler(sampler) => device.destroy_sampler(sampler, None),
+                Self::DescriptorPool(pool) => device.destroy_descriptor_pool(pool, None),
+                Self::Layout(layout, set) => {
+                    device.destroy_pipeline_layout(layout, None);
+                    device.destroy_descriptor_set_layout(set, None);
+                }
+                Self::Pipeline(pipeline) => device.destroy_pipeline(pipeline, None),
+                Self::RenderPass(pass) => device.destroy_render_pass(pass, None),
+                Self::Framebuffer(framebuffer) => device.destroy_framebuffer(framebuffer, None),
+            }
+        }
+    }
+}
+
+fn free(gpu: &Gpu, allocation: Option<Allocation>) {
+    let mut allocator = gpu.allocator.lock().expect("not poisoned");
+    if let (Some(allocator), Some(allocation)) = (allocator.as_mut(), allocation) {
+        // Freeing fails only for a foreign allocation, which this is not.
+        let freed = allocator.free(allocation);
+        debug_assert!(freed.is_ok());
+    }
+}
+
+fn allocate(
+    gpu: &Gpu,
+    name: &str,
+    requirements: vk::MemoryRequirements,
+    location: MemoryLocation,
+    linear: bool,
+) -> Result<Allocation, GpuError> {
+    let desc = AllocationCreateDesc {
+        name,
+        requirements,
+        location,
+        linear,
+        allocation_scheme: AllocationScheme::GpuAllocatorManaged,
+    };
+    let mut allocator = gpu.allocator.lock().expect("not poisoned");
+    let allocator = allocator.as_mut().expect("alive until the device goes");
+    allocator.allocate(&desc).map_err(|e| GpuError::Memory {
+        name: name.into(),
+        size: requirements.size,
+        reason: e.to_string(),
+    })
+}
+
+impl Buffer {
+    /// A buffer of `size` bytes (at least 16), usable for everything this project does with buffers.
+    pub fn new(gpu: &Arc<Gpu>, name: &str, size: u64, memory: Memory) -> Result<Self, GpuError> {
+        let size = size.max(16).next_multiple_of(16);
+        let usage = vk::BufferUsageFlags::STORAGE_BUFFER
+            | vk::BufferUsageFlags::UNIFORM_BUFFER
+            | vk::BufferUsageFlags::VERTEX_BUFFER
+            | vk::BufferUsageFlags::INDEX_BUFFER
+            | vk::BufferUsageFlags::TRANSFER_SRC
+            | vk::BufferUsageFlags::TRANSFER_DST;
+        let info = vk::BufferCreateInfo::default().size(size).usage(usage);
+        // SAFETY: the device is alive; the memory bound comes from an allocation made for these requirements.
+        unsafe {
+            let handle = gpu.device.create_buffer(&info, None).doing("creating a buffer")?;
+            let requirements = gpu.device.get_buffer_memory_requirements(handle);
+            let location = match memory {
+                Memory::Device => MemoryLocation::GpuOnly,
+                Memory::Upload => MemoryLocation::CpuToGpu,
+                Memory::Readback => MemoryLocation::GpuToCpu,
+            };
+            let allocation = allocate(gpu, name, requirements, location, true)?;
+            gpu.device
+                .bind_buffer_memory(handle, allocation.memory(), allocation.offset())
+                .doing("binding a buffer's memory")?;
+            Ok(Self { gpu: gpu.clone(), handle, allocation: Some(allocation), size })
+        }
+    }
+
+    /// A mapped buffer that holds `data`.
+    pub fn upload<T: bytemuck::Pod>(gpu: &Arc<Gpu>, name: &str, data: &[T]) -> Result<Self, GpuError> {
+        let bytes: &[u8] = bytemuck::cast_slice(data);
+        let mut buffer = Self::new(gpu, name, bytes.len() as u64, Memory::Upload)?;
+        buffer.write(0, bytes);
+        Ok(buffer)
+    }
+
+    /// A device-local buffer that holds `data`, copied through a staging buffer; waits for the copy.
+    pub fn device_local<T: bytemuck::Pod>(
+        gpu: &Arc<Gpu>,
+        name: &str,
+        data: &[T],
+    ) -> Result<Self, GpuError> {
+        let staging = Self::upload(gpu, name, data)?;
+        let buffer = Self::new(gpu, name, staging.size, Memory::Device)?;
+        let mut recorder = gpu.record()?;
+        recorder.copy_buffer(&staging, 0, &buffer, 0, staging.size);
+        gpu.wait(recorder.submit()?)?;
+        Ok(buffer)
+    }
+
+    /// Size in bytes.
+    pub fn size(&self) -> u64 {
+        self.size
+    }
+
+    /// The mapped bytes.
+    ///
+    /// # Panics
+    /// The buffer is device-local: a mistake of ours.
+    pub fn bytes(&self) -> &[u8] {
+        self.allocation.as_ref().and_then(|a| a.mapped_slice()).expect("a mapped buffer")
+    }
+
+    /// The mapped bytes as values.
+    pub fn values<T: bytemuck::Pod>(&self) -> &[T] {
+        bytemuck::cast_slice(self.bytes())
+    }
+
+    /// The mapped bytes, to write. The caller knows that no submitted work reads them.
+    pub fn bytes_mut(&mut self) -> &mut [u8] {
+        self.allocation.as_mut().and_then(|a| a.mapped_slice_mut()).expect("a mapped buffer")
+    }
+
+    /// Writes `bytes` at `offset`. The caller knows that no submitted work reads them.
+    pub fn write(&mut self, offset: usize, bytes: &[u8]) {
+        self.bytes_mut()[offset..offset + bytes.len()].copy_from_slice(bytes);
+    }
+
+    /// The Vulkan handle.
+    pub fn handle(&self) -> vk::Buffer {
+        self.handle
+    }
+}
+
+impl Drop for Buffer {
+    fn drop(&mut self) {
+        self.gpu.retire(Garbage::Buffer(self.handle, self.allocation.take()));
+    }
+}
+
+impl Image {
+    /// An image in layout UNDEFINED.
+    pub fn new(gpu: &Arc<Gpu>, desc: ImageDesc) -> Result<Self, GpuError> {
+        let info = vk::ImageCreateInfo::default()
+            .image_type(vk::ImageType::TYPE_2D)
+            .format(desc.format)
+            .extent(vk::Extent3D { width: desc.extent[0], height: desc.extent[1], depth: 1 })
+            .mip_levels(desc.mips)
+            .array_layers(desc.layers)
+            .samples(desc.samples)
+            .usage(desc.usage);
+        // SAFETY: the device is alive; the memory bound comes from an allocation made for these requirements.
+        unsafe {
+            let handle = gpu.device.create_image(&info, None).doing("creating an image")?;
+            let requirements = gpu.device.get_image_memory_requirements(handle);
+            let allocation = allocate(gpu, desc.name, requirements, MemoryLocation::GpuOnly, false)?;
+            gpu.device
+                .bind_image_memory(handle, allocation.memory(), allocation.offset())
+                .doing("binding an image's memory")?;
+            let view = create_view(gpu, handle, &desc, 0, desc.layers)?;
+            Ok(Self { gpu: gpu.clone(), handle, view, allocation: Some(allocation), desc })
+        }
+    }
+
+    /// What it was made with.
+    pub fn desc(&self) -> &ImageDesc {
+        &self.desc
+    }
+
+    /// The Vulkan handle.
+    pub fn handle(&self) -> vk::Image {
+        self.handle
+    }
+
+    /// The view of the whole image.
+    pub fn view(&self) -> vk::ImageView {
+        self.view
+    }
+
+    /// All of it, for barriers.
+    pub fn whole(&self) -> vk::ImageSubresourceRange {
+        whole(&self.desc, 0, self.desc.layers)
+    }
+}
+
+impl Drop for Image {
+    fn drop(&mut self) {
+        self.gpu.retire(Garbage::Image(self.handle, self.view, self.allocation.take()));
+    }
+}
+
+fn whole(desc: &ImageDesc, first_layer: u32, layers: u32) -> vk::ImageSubresourceRange {
+    let depth = matches!(desc.format, vk::Format::D32_SFLOAT | vk::Format::D16_UNORM);
+    let aspect = if depth { vk::ImageAspectFlags::DEPTH } else { vk::ImageAspectFlags::COLOR };
+    vk::ImageSubresourceRange {
+        aspect_mask: aspect,
+        base_mip_level: 0,
+        level_count: desc.mips,
+        base_array_layer: first_layer,
+        layer_count: layers,
+    }
+}
+
+/// A view of `layers` layers of an image made with `desc`.
+pub(crate) fn create_view(
+    gpu: &Gpu,
+    image: vk::Image,
+    desc: &ImageDesc,
+    first_layer: u32,
+    layers: u32,
+) -> Result<vk::ImageView, GpuError> {
+    let kind = if layers == 1 { vk::ImageViewType::TYPE_2D } else { vk::ImageViewType::TYPE_2D_ARRAY };
+    let info = vk::ImageViewCreateInfo::default()
+        .image(image)
+        .view_type(kind)
+        .format(desc.format)
+        .subresource_range(whole(desc, first_layer, layers));
+    // SAFETY: the image is alive and has the layers and mips that its description says.
+    unsafe { gpu.device.create_image_view(&info, None) }.doing("creating an image view")
+}
+
+impl Sampler {
+    /// A sampler.
+    pub fn new(gpu: &Arc<Gpu>, desc: SamplerDesc) -> Result<Self, GpuError> {
+        let info = vk::SamplerCreateInfo::default()
+            .mag_filter(desc.filter)
+            .min_filter(desc.filter)
+            .mipmap_mode(vk::SamplerMipmapMode::LINEAR)
+            .address_mode_u(desc.wrap[0])
+            .address_mode_v(desc.wrap[1])
+            .address_mode_w(vk::SamplerAddressMode::CLAMP_TO_EDGE)
+            .anisotropy_enable(desc.anisotropy > 1.0)
+            .max_anisotropy(desc.anisotropy.min(gpu.properties.limits.max_sampler_anisotropy))
+            .max_lod(if desc.mips { vk::LOD_CLAMP_NONE } else { 0.0 });
+        // SAFETY: the device is alive and has the feature anisotropy needs where it is asked for.
+        let handle = unsafe { gpu.device.create_sampler(&info, None) }.doing("creating a sampler")?;
+        Ok(Self { gpu: gpu.clone(), handle })
+    }
+}
+
+impl Drop for Sampler {
+    fn drop(&mut self) {
+        self.gpu.retire(Garbage::Sampler(self.handle));
+    }
+}

@@ -1,0 +1,188 @@
+//! Render passes of one subpass, and framebuffers.
+
+use crate::memory::{Garbage, create_view};
+use crate::{Doing, Gpu, GpuError, ImageDesc};
+use ash::vk;
+use std::sync::Arc;
+
+/// One attachment of a pass.
+#[derive(Clone, Copy, Debug)]
+pub struct Attachment {
+    /// Format.
+    pub format: vk::Format,
+    /// Load operation.
+    pub load: vk::AttachmentLoadOp,
+    /// Store operation.
+    pub store: vk::AttachmentStoreOp,
+    /// Layout before the pass (UNDEFINED where the content does not matter).
+    pub before: vk::ImageLayout,
+    /// Layout after the pass.
+    pub after: vk::ImageLayout,
+}
+
+/// A render pass of one subpass.
+#[derive(Clone, Debug)]
+pub struct RenderPassDesc {
+    /// Colour attachments, with `samples` samples.
+    pub colors: Vec<Attachment>,
+    /// One resolve target per colour attachment; empty without MSAA.
+    pub resolves: Vec<Attachment>,
+    /// Depth, never stored.
+    pub depth: Option<vk::Format>,
+    /// Samples of colour and depth.
+    pub samples: vk::SampleCountFlags,
+    /// Multiview mask; 0 is off.
+    pub view_mask: u32,
+}
+
+/// A render pass.
+pub struct RenderPass {
+    gpu: Arc<Gpu>,
+    pub(crate) handle: vk::RenderPass,
+    pub(crate) samples: vk::SampleCountFlags,
+    pub(crate) colors: usize,
+    pub(crate) has_depth: bool,
+}
+
+/// Image views for a pass, in its order: colours, resolves, depth.
+pub struct Framebuffer {
+    gpu: Arc<Gpu>,
+    pub(crate) handle: vk::Framebuffer,
+    pub(crate) extent: [u32; 2],
+    owned_views: Vec<vk::ImageView>,
+}
+
+impl RenderPass {
+    /// A pass. Execution and memory dependencies with the outside are the recorder's barriers.
+    pub fn new(gpu: &Arc<Gpu>, desc: &RenderPassDesc) -> Result<Self, GpuError> {
+        let one = vk::SampleCountFlags::TYPE_1;
+        let mut attachments: Vec<_> =
+            desc.colors.iter().map(|a| description(a, desc.samples)).collect();
+        attachments.extend(desc.resolves.iter().map(|a| description(a, one)));
+        if let Some(format) = desc.depth {
+            let depth = Attachment {
+                format,
+                load: vk::AttachmentLoadOp::CLEAR,
+                store: vk::AttachmentStoreOp::DONT_CARE,
+                before: vk::ImageLayout::UNDEFINED,
+                after: vk::ImageLayout::DEPTH_STENCIL_ATTACHMENT_OPTIMAL,
+            };
+            attachments.push(description(&depth, desc.samples));
+        }
+        let reference = |index: usize, layout| vk::AttachmentReference { attachment: index as u32, layout };
+        let color = vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL;
+        let colors: Vec<_> = (0..desc.colors.len()).map(|i| reference(i, color)).collect();
+        let resolves: Vec<_> =
+            (0..desc.resolves.len()).map(|i| reference(desc.colors.len() + i, color)).collect();
+        let depth = reference(attachments.len() - 1, vk::ImageLayout::DEPTH_STENCIL_ATTACHMENT_OPTIMAL);
+        let mut subpass = vk::SubpassDescription::default().color_attachments(&colors);
+        if !resolves.is_empty() {
+            subpass = subpass.resolve_attachments(&resolves);
+        }
+        if desc.depth.is_some() {
+            subpass = subpass.depth_stencil_attachment(&depth);
+        }
+        let subpasses = [subpass];
+        let dependencies = [attachment_reuse()];
+        let masks = [desc.view_mask];
+        let mut multiview = vk::RenderPassMultiviewCreateInfo::default().view_masks(&masks);
+        let mut info = vk::RenderPassCreateInfo::default()
+            .attachments(&attachments)
+            .subpasses(&subpasses)
+            .dependencies(&dependencies);
+        if desc.view_mask != 0 {
+            info = info.push_next(&mut multiview);
+        }
+        // SAFETY: the device is alive; all that the info points to lives through the call.
+        let handle = unsafe { gpu.device.create_render_pass(&info, None) }.doing("creating a render pass")?;
+        Ok(Self {
+            gpu: gpu.clone(),
+            handle,
+            samples: desc.samples,
+            colors: desc.colors.len(),
+            has_depth: desc.depth.is_some(),
+        })
+    }
+}
+
+/// The next use of an attachment waits for the last one: depth and MSAA images are shared by frames in flight.
+fn attachment_reuse() -> vk::SubpassDependency {
+    let stages = vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT
+        | vk::PipelineStageFlags::EARLY_FRAGMENT_TESTS
+        | vk::PipelineStageFlags::LATE_FRAGMENT_TESTS;
+    let writes =
+        vk::AccessFlags::COLOR_ATTACHMENT_WRITE | vk::AccessFlags::DEPTH_STENCIL_ATTACHMENT_WRITE;
+    let reads = vk::AccessFlags::COLOR_ATTACHMENT_READ | vk::AccessFlags::DEPTH_STENCIL_ATTACHMENT_READ;
+    vk::SubpassDependency {
+        src_subpass: vk::SUBPASS_EXTERNAL,
+        dst_subpass: 0,
+        src_stage_mask: stages,
+        dst_stage_mask: stages,
+        src_access_mask: writes,
+        dst_access_mask: writes | reads,
+        dependency_flags: vk::DependencyFlags::empty(),
+    }
+}
+
+fn description(a: &Attachment, samples: vk::SampleCountFlags) -> vk::AttachmentDescription {
+    vk::AttachmentDescription::default()
+        .format(a.format)
+        .samples(samples)
+        .load_op(a.load)
+        .store_op(a.store)
+        .stencil_load_op(vk::AttachmentLoadOp::DONT_CARE)
+        .stencil_store_op(vk::AttachmentStoreOp::DONT_CARE)
+        .initial_layout(a.before)
+        .final_layout(a.after)
+}
+
+impl Drop for RenderPass {
+    fn drop(&mut self) {
+        self.gpu.retire(Garbage::RenderPass(self.handle));
+    }
+}
+
+impl Framebuffer {
+    /// Binds `views` (which the caller keeps alive) to `pass`.
+    pub fn new(
+        gpu: &Arc<Gpu>,
+        pass: &RenderPass,
+        extent: [u32; 2],
+        views: &[vk::ImageView],
+    ) -> Result<Self, GpuError> {
+        let info = vk::FramebufferCreateInfo::default()
+            .render_pass(pass.handle)
+            .attachments(views)
+            .width(extent[0])
+            .height(extent[1])
+            .layers(1);
+        // SAFETY: pass and views are alive, and the views are of the pass's formats.
+        let handle = unsafe { gpu.device.create_framebuffer(&info, None) }.doing("creating a framebuffer")?;
+        Ok(Self { gpu: gpu.clone(), handle, extent, owned_views: Vec::new() })
+    }
+
+    /// As [`Framebuffer::new`], where the first attachment (or, with MSAA, the resolve target at `foreign_index`)
+    /// is `layers` layers of an image that somebody else owns, such as an OpenXR swapchain image.
+    pub fn around_foreign_image(
+        gpu: &Arc<Gpu>,
+        pass: &RenderPass,
+        image: vk::Image,
+        desc: &ImageDesc,
+        foreign_index: usize,
+        other_views: &[vk::ImageView],
+    ) -> Result<Self, GpuError> {
+        let view = create_view(gpu, image, desc, 0, desc.layers)?;
+        let mut views = other_views.to_vec();
+        views.insert(foreign_index, view);
+        let mut framebuffer = Self::new(gpu, pass, desc.extent, &views)?;
+        framebuffer.owned_views.push(view);
+        Ok(framebuffer)
+    }
+}
+
+impl Drop for Framebuffer {
+    fn drop(&mut self) {
+        self.gpu.retire(Garbage::Framebuffer(self.handle));
+        self.owned_views.drain(..).for_each(|view| self.gpu.retire(Garbage::View(view)));
+    }
+}

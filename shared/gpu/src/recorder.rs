@@ -1,0 +1,503 @@
+//! Recording of commands: a recording is a value, submitted once; slots come back when their fence has signalled.
+
+use crate::bind::BindGroup;
+use crate::pass::{Framebuffer, RenderPass};
+use crate::pipeline::{ComputePipeline, GraphicsPipeline};
+use crate::{Buffer, Doing, Gpu, GpuError, Image};
+use ash::vk;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+const MAX_TIMED_SCOPES: u32 = 32;
+
+/// A submitted recording; completes in the order of submission.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Ticket(pub(crate) u64);
+
+/// Command pool, buffer, fence and timestamps of one recording.
+pub(crate) struct CommandSlot {
+    pool: vk::CommandPool,
+    commands: vk::CommandBuffer,
+    fence: vk::Fence,
+    queries: vk::QueryPool,
+    scopes: Vec<&'static str>,
+    serial: u64,
+}
+
+/// Who touches memory, for barriers: stages and kinds of access together.
+#[derive(Clone, Copy, Debug)]
+pub struct Access(pub vk::PipelineStageFlags, pub vk::AccessFlags);
+
+impl Access {
+    /// Nothing before.
+    pub const NONE: Self = Self(vk::PipelineStageFlags::TOP_OF_PIPE, vk::AccessFlags::empty());
+    /// Compute shaders write.
+    pub const COMPUTE_WRITE: Self =
+        Self(vk::PipelineStageFlags::COMPUTE_SHADER, vk::AccessFlags::SHADER_WRITE);
+    /// Compute shaders read.
+    pub const COMPUTE_READ: Self =
+        Self(vk::PipelineStageFlags::COMPUTE_SHADER, vk::AccessFlags::SHADER_READ);
+    /// Compute shaders read and write.
+    pub const COMPUTE: Self = Self(
+        vk::PipelineStageFlags::COMPUTE_SHADER,
+        vk::AccessFlags::from_raw(
+            vk::AccessFlags::SHADER_READ.as_raw() | vk::AccessFlags::SHADER_WRITE.as_raw(),
+        ),
+    );
+    /// Vertex shaders read.
+    pub const VERTEX_READ: Self =
+        Self(vk::PipelineStageFlags::VERTEX_SHADER, vk::AccessFlags::SHADER_READ);
+    /// Vertex and fragment shaders read.
+    pub const GRAPHICS_READ: Self = Self(
+        vk::PipelineStageFlags::from_raw(
+            vk::PipelineStageFlags::VERTEX_SHADER.as_raw()
+                | vk::PipelineStageFlags::FRAGMENT_SHADER.as_raw(),
+        ),
+        vk::AccessFlags::SHADER_READ,
+    );
+    /// Fragment shaders read.
+    pub const FRAGMENT_READ: Self =
+        Self(vk::PipelineStageFlags::FRAGMENT_SHADER, vk::AccessFlags::SHADER_READ);
+    /// A pass has written colour.
+    pub const COLOR_WRITE: Self = Self(
+        vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT,
+        vk::AccessFlags::COLOR_ATTACHMENT_WRITE,
+    );
+    /// Copies read.
+    pub const COPY_READ: Self = Self(vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_READ);
+    /// Copies write.
+    pub const COPY_WRITE: Self = Self(vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE);
+    /// The CPU reads mapped memory after the fence.
+    pub const HOST_READ: Self = Self(vk::PipelineStageFlags::HOST, vk::AccessFlags::HOST_READ);
+}
+
+/// A recording in progress. Dropping it unsubmitted gives the slot back unused.
+pub struct Recorder {
+    gpu: Arc<Gpu>,
+    slot: Option<CommandSlot>,
+}
+
+impl CommandSlot {
+    fn new(gpu: &Gpu) -> Result<Self, GpuError> {
+        let device = &gpu.device;
+        // SAFETY: the device is alive; the buffer comes from the pool just made.
+        unsafe {
+            let info = vk::CommandPoolCreateInfo::default().queue_family_index(gpu.queue_family);
+            let pool = device.create_command_pool(&info, None).doing("creating a command pool")?;
+            let info = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
+            let commands = device.allocate_command_buffers(&info).doing("allocating a command buffer")?[0];
+            let fence = device.create_fence(&vk::FenceCreateInfo::default(), None).doing("creating a fence")?;
+            let info = vk::QueryPoolCreateInfo::default()
+                .query_type(vk::QueryType::TIMESTAMP)
+                .query_count(MAX_TIMED_SCOPES * 2);
+            let queries = device.create_query_pool(&info, None).doing("creating a query pool")?;
+            Ok(Self { pool, commands, fence, queries, scopes: Vec::with_capacity(32), serial: 0 })
+        }
+    }
+
+    pub(crate) fn destroy(self, device: &ash::Device) {
+        // SAFETY: called with the device idle.
+        unsafe {
+            device.destroy_query_pool(self.queries, None);
+            device.destroy_fence(self.fence, None);
+            device.destroy_command_pool(self.pool, None);
+        }
+    }
+
+    fn read_timings(&self, gpu: &Gpu) {
+        if self.scopes.is_empty() {
+            return;
+        }
+        let mut stamps = [0u64; MAX_TIMED_SCOPES as usize * 2];
+        let count = self.scopes.len() * 2;
+        // SAFETY: the recording wrote these queries and has finished.
+        let read = unsafe {
+            gpu.device.get_query_pool_results(
+                self.queries,
+                0,
+                &mut stamps[..count],
+                vk::QueryResultFlags::TYPE_64,
+            )
+        };
+        if read.is_err() {
+            return;
+        }
+        let period = f64::from(gpu.properties.limits.timestamp_period) * 1e-6;
+        let mut timings = gpu.timings_ms.lock().expect("not poisoned");
+        if timings.len() > 4096 {
+            timings.clear(); // nobody asks for them
+        }
+        for (scope, pair) in self.scopes.iter().zip(stamps.chunks_exact(2)) {
+            timings.push((scope, pair[1].saturating_sub(pair[0]) as f64 * period));
+        }
+    }
+}
+
+impl Gpu {
+    /// Starts a recording.
+    pub fn record(self: &Arc<Self>) -> Result<Recorder, GpuError> {
+        self.reclaim()?;
+        let slot = self.idle_slots.lock().expect("not poisoned").pop();
+        let mut slot = match slot {
+            Some(slot) => slot,
+            None => CommandSlot::new(self)?,
+        };
+        slot.scopes.clear();
+        let info = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+        // SAFETY: the slot is idle: new, or its fence has signalled.
+        unsafe {
+            let reset = self.device.reset_command_pool(slot.pool, vk::CommandPoolResetFlags::empty());
+            reset.doing("resetting a command pool")?;
+            self.device.begin_command_buffer(slot.commands, &info).doing("beginning a recording")?;
+            self.device.cmd_reset_query_pool(slot.commands, slot.queries, 0, MAX_TIMED_SCOPES * 2);
+        }
+        Ok(Recorder { gpu: self.clone(), slot: Some(slot) })
+    }
+
+    /// Waits until the recording behind `ticket`, and all before it, have finished.
+    pub fn wait(&self, ticket: Ticket) -> Result<(), GpuError> {
+        while self.completed.load(Ordering::Acquire) < ticket.0 {
+            let fence = {
+                let busy = self.busy_slots.lock().expect("not poisoned");
+                match busy.front() {
+                    Some(slot) => slot.fence,
+                    None => break,
+                }
+            };
+            // SAFETY: the fence belongs to a submitted slot.
+            unsafe { self.device.wait_for_fences(&[fence], true, u64::MAX) }.doing("waiting for the GPU")?;
+            self.reclaim()?;
+        }
+        Ok(())
+    }
+
+    /// Whether the recording behind `ticket` has finished.
+    pub fn is_done(&self, ticket: Ticket) -> Result<bool, GpuError> {
+        self.reclaim()?;
+        Ok(self.completed.load(Ordering::Acquire) >= ticket.0)
+    }
+
+    /// Takes back the slots whose fence has signalled, in order, and destroys what only they used.
+    fn reclaim(&self) -> Result<(), GpuError> {
+        let mut busy = self.busy_slots.lock().expect("not poisoned");
+        while let Some(slot) = busy.front() {
+            // SAFETY: the fence belongs to a submitted slot.
+            let signalled = unsafe { self.device.get_fence_status(slot.fence) };
+            if !signalled.doing("asking for a fence")? {
+                break;
+            }
+            let Some(slot) = busy.pop_front() else { break };
+            slot.read_timings(self);
+            // SAFETY: the fence has signalled and nobody waits on it.
+            unsafe { self.device.reset_fences(&[slot.fence]) }.doing("resetting a fence")?;
+            self.completed.store(slot.serial, Ordering::Release);
+            self.idle_slots.lock().expect("not poisoned").push(slot);
+        }
+        drop(busy);
+        self.collect();
+        Ok(())
+    }
+}
+
+impl Recorder {
+    fn slot(&self) -> &CommandSlot {
+        self.slot.as_ref().expect("present until submitted")
+    }
+
+    /// The command buffer, for commands that have no method here.
+    pub fn commands(&self) -> vk::CommandBuffer {
+        self.slot().commands
+    }
+
+    /// Ends the recording and submits it.
+    pub fn submit(mut self) -> Result<Ticket, GpuError> {
+        let mut slot = self.slot.take().expect("present until submitted");
+        let commands = [slot.commands];
+        let submits = [vk::SubmitInfo::default().command_buffers(&commands)];
+        // One lock around serial and submission keeps completion in the order of serials.
+        let mut busy = self.gpu.busy_slots.lock().expect("not poisoned");
+        // SAFETY: the buffer is recorded, the fence is unsignalled, and the queue is only used under this lock and,
+        // for a client, by the OpenXR runtime inside calls made from the same thread.
+        unsafe {
+            self.gpu.device.end_command_buffer(slot.commands).doing("ending a recording")?;
+            self.gpu.device.queue_submit(self.gpu.queue, &submits, slot.fence).doing("submitting")?;
+        }
+        slot.serial = self.gpu.submitted.fetch_add(1, Ordering::AcqRel) + 1;
+        let ticket = Ticket(slot.serial);
+        busy.push_back(slot);
+        Ok(ticket)
+    }
+
+    /// Times what `body` records under `name`.
+    pub fn scope<R>(&mut self, name: &'static str, body: impl FnOnce(&mut Self) -> R) -> R {
+        let index = self.slot().scopes.len() as u32;
+        let timed = index < MAX_TIMED_SCOPES;
+        if timed {
+            self.slot.as_mut().expect("present until submitted").scopes.push(name);
+            self.timestamp(index * 2, vk::PipelineStageFlags::TOP_OF_PIPE);
+        }
+        let result = body(self);
+        if timed {
+            self.timestamp(index * 2 + 1, vk::PipelineStageFlags::BOTTOM_OF_PIPE);
+        }
+        result
+    }
+
+    fn timestamp(&mut self, query: u32, stage: vk::PipelineStageFlags) {
+        let slot = self.slot();
+        // SAFETY: the query is in range and was reset at the recording's start.
+        unsafe { self.gpu.device.cmd_write_timestamp(slot.commands, stage, slot.queries, query) };
+    }
+
+    /// Dispatches `groups` workgroups.
+    pub fn dispatch<P: bytemuck::Pod>(
+        &mut self,
+        pipeline: &ComputePipeline,
+        group: &BindGroup,
+        push: &P,
+        groups: [u32; 3],
+    ) {
+        let (device, commands) = (&self.gpu.device, self.commands());
+        let layout = pipeline.layout();
+        self.push(layout, push);
+        // SAFETY: pipeline and set are alive and of one layout.
+        unsafe {
+            device.cmd_bind_pipeline(commands, vk::PipelineBindPoint::COMPUTE, pipeline.handle);
+            let sets = [group.set];
+            let point = vk::PipelineBindPoint::COMPUTE;
+            device.cmd_bind_descriptor_sets(commands, point, layout.handle, 0, &sets, &[]);
+            device.cmd_dispatch(commands, groups[0], groups[1], groups[2]);
+        }
+    }
+
+    fn push<P: bytemuck::Pod>(&self, layout: &crate::Layout, push: &P) {
+        if layout.push_bytes == 0 {
+            return;
+        }
+        let bytes = bytemuck::bytes_of(push);
+        let used = layout.push_bytes as usize;
+        assert!(bytes.len() >= used, "push constants of {} bytes, {} given", used, bytes.len());
+        // SAFETY: the range and its stages are the layout's.
+        unsafe {
+            self.gpu.device.cmd_push_constants(
+                self.commands(),
+                layout.handle,
+                layout.push_stages,
+                0,
+                &bytes[..used],
+            );
+        }
+    }
+
+    /// Begins a pass over the whole framebuffer with viewport and scissor set.
+    pub fn begin_pass(&mut self, pass: &RenderPass, target: &Framebuffer, clears: &[vk::ClearValue]) {
+        let area = vk::Rect2D {
+            offset: vk::Offset2D::default(),
+            extent: vk::Extent2D { width: target.extent[0], height: target.extent[1] },
+        };
+        let info = vk::RenderPassBeginInfo::default()
+            .render_pass(pass.handle)
+            .framebuffer(target.handle)
+            .render_area(area)
+            .clear_values(clears);
+        let viewport = vk::Viewport {
+            width: target.extent[0] as f32,
+            height: target.extent[1] as f32,
+            max_depth: 1.0,
+            ..Default::default()
+        };
+        // SAFETY: pass and framebuffer are alive and compatible.
+        unsafe {
+            let (device, commands) = (&self.gpu.device, self.commands());
+            device.cmd_begin_render_pass(commands, &info, vk::SubpassContents::INLINE);
+            device.cmd_set_viewport(commands, 0, &[viewport]);
+            device.cmd_set_scissor(commands, 0, &[area]);
+        }
+    }
+
+    /// Ends the pass.
+    pub fn end_pass(&mut self) {
+        // SAFETY: a pass is open.
+        unsafe { self.gpu.device.cmd_end_render_pass(self.commands()) };
+    }
+
+    /// Binds pipeline and set for the following draws.
+    pub fn bind(&mut self, pipeline: &GraphicsPipeline, group: &BindGroup) {
+        let point = vk::PipelineBindPoint::GRAPHICS;
+        // SAFETY: pipeline and set are alive and of one layout.
+        unsafe {
+            let (device, commands) = (&self.gpu.device, self.commands());
+            device.cmd_bind_pipeline(commands, point, pipeline.handle);
+            let sets = [group.set];
+            device.cmd_bind_descriptor_sets(commands, point, pipeline.layout().handle, 0, &sets, &[]);
+        }
+    }
+
+    /// Binds a pipeline without descriptors.
+    pub fn bind_pipeline(&mut self, pipeline: &GraphicsPipeline) {
+        // SAFETY: the pipeline is alive.
+        unsafe {
+            self.gpu.device.cmd_bind_pipeline(
+                self.commands(),
+                vk::PipelineBindPoint::GRAPHICS,
+                pipeline.handle,
+            );
+        }
+    }
+
+    /// Push constants for the following draws with `pipeline`.
+    pub fn push_constants<P: bytemuck::Pod>(&mut self, pipeline: &GraphicsPipeline, push: &P) {
+        self.push(pipeline.layout(), push);
+    }
+
+    /// The index buffer (32 bit) for the following draws.
+    pub fn bind_indices(&mut self, buffer: &Buffer, offset_bytes: u64) {
+        // SAFETY: the buffer is alive.
+        unsafe {
+            let (device, commands) = (&self.gpu.device, self.commands());
+            device.cmd_bind_index_buffer(commands, buffer.handle, offset_bytes, vk::IndexType::UINT32);
+        }
+    }
+
+    /// The vertex buffer for the following draws.
+    pub fn bind_vertices(&mut self, buffer: &Buffer, offset_bytes: u64) {
+        // SAFETY: the buffer is alive.
+        unsafe {
+            let (device, commands) = (&self.gpu.device, self.commands());
+            device.cmd_bind_vertex_buffers(commands, 0, &[buffer.handle], &[offset_bytes]);
+        }
+    }
+
+    /// Draws `vertices` vertices of `instances` instances.
+    pub fn draw(&mut self, vertices: u32, instances: u32) {
+        // SAFETY: pipeline and sets are bound.
+        unsafe { self.gpu.device.cmd_draw(self.commands(), vertices, instances, 0, 0) };
+    }
+
+    /// Draws `count` indices from `first` on.
+    pub fn draw_indexed(&mut self, first: u32, count: u32) {
+        // SAFETY: pipeline, sets and index buffer are bound.
+        unsafe { self.gpu.device.cmd_draw_indexed(self.commands(), count, 1, first, 0, 0) };
+    }
+
+    /// Orders memory accesses.
+    pub fn barrier(&mut self, before: Access, after: Access) {
+        let barrier =
+            vk::MemoryBarrier::default().src_access_mask(before.1).dst_access_mask(after.1);
+        // SAFETY: stages and accesses fit together by `Access`'s constants.
+        unsafe {
+            let flags = vk::DependencyFlags::empty();
+            let commands = self.commands();
+            self.gpu.device.cmd_pipeline_barrier(commands, before.0, after.0, flags, &[barrier], &[], &[]);
+        }
+    }
+
+    /// Moves an image to another layout.
+    pub fn transition(
+        &mut self,
+        image: &Image,
+        layouts: [vk::ImageLayout; 2],
+        before: Access,
+        after: Access,
+    ) {
+        self.transition_range(image, image.whole(), layouts, before, after);
+    }
+
+    /// Moves a part of an image to another layout.
+    pub fn transition_range(
+        &mut self,
+        image: &Image,
+        range: vk::ImageSubresourceRange,
+        layouts: [vk::ImageLayout; 2],
+        before: Access,
+        after: Access,
+    ) {
+        let barrier = vk::ImageMemoryBarrier::default()
+            .image(image.handle)
+            .subresource_range(range)
+            .old_layout(layouts[0])
+            .new_layout(layouts[1])
+            .src_access_mask(before.1)
+            .dst_access_mask(after.1)
+            .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+            .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED);
+        // SAFETY: the image is alive and in the first layout.
+        unsafe {
+            let flags = vk::DependencyFlags::empty();
+            let commands = self.commands();
+            self.gpu.device.cmd_pipeline_barrier(commands, before.0, after.0, flags, &[], &[], &[barrier]);
+        }
+    }
+
+    /// Copies bytes.
+    pub fn copy_buffer(&mut self, from: &Buffer, from_offset: u64, to: &Buffer, to_offset: u64, size: u64) {
+        if size == 0 {
+            return;
+        }
+        let region = vk::BufferCopy { src_offset: from_offset, dst_offset: to_offset, size };
+        // SAFETY: both buffers are alive; ranges are checked by the validation layers in tests.
+        unsafe { self.gpu.device.cmd_copy_buffer(self.commands(), from.handle, to.handle, &[region]) };
+    }
+
+    /// Fills a buffer with a word.
+    pub fn fill(&mut self, buffer: &Buffer, word: u32) {
+        // SAFETY: the buffer is alive; its size is a multiple of 16.
+        unsafe {
+            self.gpu.device.cmd_fill_buffer(self.commands(), buffer.handle, 0, vk::WHOLE_SIZE, word);
+        }
+    }
+
+    /// Copies one layer and mip level of an image (in TRANSFER_SRC_OPTIMAL) to a buffer, rows tight.
+    pub fn read_image(&mut self, image: &Image, layer: u32, buffer: &Buffer, offset_bytes: u64) {
+        let region = region(image, image.desc().extent, layer, 0, offset_bytes);
+        // SAFETY: both are alive and the image is in the layout named above.
+        unsafe {
+            self.gpu.device.cmd_copy_image_to_buffer(
+                self.commands(),
+                image.handle,
+                vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
+                buffer.handle,
+                &[region],
+            );
+        }
+    }
+
+    /// Copies tight rows from a buffer to one mip level of an image (in TRANSFER_DST_OPTIMAL).
+    pub fn write_image(&mut self, image: &Image, mip: u32, buffer: &Buffer, offset_bytes: u64) {
+        let extent = image.desc().extent.map(|side| (side >> mip).max(1));
+        let region = region(image, extent, 0, mip, offset_bytes);
+        // SAFETY: both are alive and the image is in the layout named above.
+        unsafe {
+            self.gpu.device.cmd_copy_buffer_to_image(
+                self.commands(),
+                buffer.handle,
+                image.handle,
+                vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+                &[region],
+            );
+        }
+    }
+}
+
+fn region(image: &Image, extent: [u32; 2], layer: u32, mip: u32, offset: u64) -> vk::BufferImageCopy {
+    vk::BufferImageCopy {
+        buffer_offset: offset,
+        image_subresource: vk::ImageSubresourceLayers {
+            aspect_mask: image.whole().aspect_mask,
+            mip_level: mip,
+            base_array_layer: layer,
+            layer_count: 1,
+        },
+        image_extent: vk::Extent3D { width: extent[0], height: extent[1], depth: 1 },
+        ..Default::default()
+    }
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        if let Some(slot) = self.slot.take() {
+            // The buffer is reset when the slot is used again.
+            self.gpu.idle_slots.lock().expect("not poisoned").push(slot);
+        }
+    }
+}

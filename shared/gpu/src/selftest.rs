@@ -1,0 +1,81 @@
+//! Refuses a device that draws only one of two views: better a clear error than one black eye.
+
+use crate::pass::{Attachment, Framebuffer, RenderPass, RenderPassDesc};
+use crate::{
+    Buffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Image, ImageDesc, Memory, Recorder,
+};
+use ash::vk;
+use shadecast_shaders::generated::{SELFTEST_FRAG, SELFTEST_VERT};
+use std::sync::Arc;
+
+/// Draws a number into each of two views and reads both back.
+pub(crate) fn multiview(gpu: &Arc<Gpu>) -> Result<(), GpuError> {
+    let seen = draw_two_views(gpu)?;
+    if seen == [7, 8] {
+        return Ok(());
+    }
+    Err(GpuError::NoDevice(format!(
+        "{} fails the multiview self-test (views show {seen:?} instead of [7, 8]); update the driver \
+         (Debian 12's own Mesa 22 has this fault, Mesa from bookworm-backports does not)",
+        gpu.device_name()
+    )))
+}
+
+fn draw_two_views(gpu: &Arc<Gpu>) -> Result<[u32; 2], GpuError> {
+    let format = vk::Format::R32_UINT;
+    let image = Image::new(
+        gpu,
+        ImageDesc {
+            name: "self-test",
+            extent: [4, 4],
+            layers: 2,
+            mips: 1,
+            samples: vk::SampleCountFlags::TYPE_1,
+            format,
+            usage: vk::ImageUsageFlags::COLOR_ATTACHMENT | vk::ImageUsageFlags::TRANSFER_SRC,
+        },
+    )?;
+    let color = Attachment {
+        format,
+        load: vk::AttachmentLoadOp::CLEAR,
+        store: vk::AttachmentStoreOp::STORE,
+        before: vk::ImageLayout::UNDEFINED,
+        after: vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
+    };
+    let pass = RenderPass::new(
+        gpu,
+        &RenderPassDesc {
+            colors: vec![color],
+            resolves: vec![],
+            depth: None,
+            samples: vk::SampleCountFlags::TYPE_1,
+            view_mask: 0b11,
+        },
+    )?;
+    let target = Framebuffer::new(gpu, &pass, [4, 4], &[image.view()])?;
+    let pipeline = GraphicsPipeline::new(
+        gpu,
+        &GraphicsPipelineDesc {
+            vertex: &SELFTEST_VERT,
+            fragment: &SELFTEST_FRAG,
+            pass: &pass,
+            topology: vk::PrimitiveTopology::TRIANGLE_LIST,
+            cull: vk::CullModeFlags::NONE,
+            depth_write: None,
+            blend: false,
+            vertex_input: None,
+        },
+    )?;
+    let readback = Buffer::new(gpu, "self-test", 128, Memory::Readback)?;
+    let mut recorder: Recorder = gpu.record()?;
+    recorder.begin_pass(&pass, &target, &[vk::ClearValue::default()]);
+    recorder.bind_pipeline(&pipeline);
+    recorder.draw(3, 1);
+    recorder.end_pass();
+    recorder.barrier(crate::Access::COLOR_WRITE, crate::Access::COPY_READ);
+    (0..2).for_each(|layer| recorder.read_image(&image, layer, &readback, u64::from(layer) * 64));
+    recorder.barrier(crate::Access::COPY_WRITE, crate::Access::HOST_READ);
+    gpu.wait(recorder.submit()?)?;
+    let values = readback.values::<u32>();
+    Ok([values[5], values[16 + 5]])
+}
