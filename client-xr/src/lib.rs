@@ -1,1 +1,3 @@
 //! The Shadecast headset client: receives, decodes, bundles and draws.
+
+pub mod decode;

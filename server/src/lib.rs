@@ -1,1 +1,3 @@
 //! The Shadecast server: scenes, animation, visibility, atlas, shading, encoding.
+
+pub mod encode;

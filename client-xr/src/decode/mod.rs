@@ -1,0 +1,109 @@
+//! The seam between the video stream and the atlas texture.
+//!
+//! What is above (the bundle) hands in access units in the order they were encoded and gets planes; what is below is
+//! [`openh264`] on desktops and the platform's decoder on Android. A decoder never conceals: after a broken or lost
+//! unit the picture on display stays, and the decoder refuses everything but a refresh, because a picture that
+//! refers to one that is missing would look plausible and be wrong.
+//!
+//! Planes are I420, full range, BT.709. Whatever bytes come in, a decoder gives a picture of the agreed extent or an
+//! error; [`sps`] looks at every sequence header before the decoder does.
+
+use thiserror::Error;
+
+#[cfg(feature = "desktop")]
+pub mod openh264;
+pub mod sps;
+
+/// The smallest width and height of a picture that a decoder accepts, in texels.
+pub const MIN_EXTENT_TEXELS: u32 = 4;
+
+/// The largest width and height of a picture that a decoder accepts, in texels: H.264 level 5.2.
+pub const MAX_EXTENT_TEXELS: [u32; 2] = [4096, 2304];
+
+/// The longest access unit that a decoder looks at, in bytes: more than the largest picture has uncompressed.
+pub const MAX_ACCESS_UNIT_BYTES: usize = 16 << 20;
+
+/// A decoded picture: tightly packed planes, chroma at half resolution in both directions.
+///
+/// Meant to be used again and again: a decoder of the same extent reuses the memory.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Picture {
+    /// Width and height of the luma plane in texels.
+    pub extent_texels: [u32; 2],
+    /// Luma, 0 (black) to 255 (white): `width * height` bytes, rows from the top.
+    pub y: Vec<u8>,
+    /// Blue difference, 128 is grey: `width / 2 * height / 2` bytes.
+    pub cb: Vec<u8>,
+    /// Red difference, 128 is grey: `width / 2 * height / 2` bytes.
+    pub cr: Vec<u8>,
+}
+
+/// Turns access units into pictures, one for one and in order, without delay.
+pub trait Decoder: Send {
+    /// Decodes one access unit (Annex B) into `picture`.
+    ///
+    /// On an error `picture` is unchanged, and every further unit gives [`DecodeError::NeedsRefresh`] until one with
+    /// a refresh decodes without error.
+    fn decode(&mut self, access_unit: &[u8], picture: &mut Picture) -> Result<(), DecodeError>;
+
+    /// Tells the decoder that a unit was lost on the way: it then waits for a refresh, as after an error.
+    fn unit_lost(&mut self);
+
+    /// Whether only a refresh can be decoded now.
+    fn needs_refresh(&self) -> bool;
+}
+
+/// Why an access unit gave no picture, or a decoder could not be made.
+#[derive(Debug, Error)]
+pub enum DecodeError {
+    /// An extent outside what decoders take.
+    #[error(
+        "cannot decode pictures of {}x{} texels: width and height must be even, at least {MIN_EXTENT_TEXELS} and at \
+         most {}x{}; the server must choose another atlas size",
+        .0[0], .0[1], MAX_EXTENT_TEXELS[0], MAX_EXTENT_TEXELS[1]
+    )]
+    Extent([u32; 2]),
+    /// The stream says that it has another size than was agreed.
+    #[error("the video is {}x{} texels, but {}x{} were agreed on: the server must start a new session when the atlas \
+             changes size", .got[0], .got[1], .want[0], .want[1])]
+    ExtentMismatch {
+        /// The agreed extent, in texels.
+        want: [u32; 2],
+        /// The stream's extent, in texels.
+        got: [u32; 2],
+    },
+    /// A sequence header that cannot be read, or that asks for something other than 4:2:0 with 8 bits.
+    #[error("the video's sequence header is unusable: {0}; a refresh must be requested")]
+    SequenceHeader(#[from] sps::SpsError),
+    /// The unit is longer than any picture.
+    #[error(
+        "an access unit of {got} bytes exceeds the limit of {MAX_ACCESS_UNIT_BYTES}; a refresh must be requested"
+    )]
+    TooLong {
+        /// Its length in bytes.
+        got: usize,
+    },
+    /// The unit holds a kind of NAL unit that no atlas stream has.
+    #[error("the video holds an unexpected NAL unit of type {nal_type}; a refresh must be requested")]
+    UnexpectedUnit {
+        /// Its type, 0 to 31.
+        nal_type: u8,
+    },
+    /// The unit is broken.
+    #[error("the video is broken (decoder state {state:#x}); a refresh must be requested")]
+    Corrupt {
+        /// The decoder's own account of it.
+        state: i32,
+    },
+    /// The unit depends on a picture that is missing.
+    #[error("waiting for a refresh: this access unit depends on a picture that is missing")]
+    NeedsRefresh,
+    /// The decoder library refused.
+    #[error("openh264 failed while {doing} (code {code})")]
+    Library {
+        /// What was being done.
+        doing: &'static str,
+        /// The library's result.
+        code: std::ffi::c_long,
+    },
+}

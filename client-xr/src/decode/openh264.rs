@@ -1,0 +1,263 @@
+//! The desktop decoder: openh264, with concealment off.
+//!
+//! The library takes whatever it is given and may allocate by it, so nothing reaches it unseen: a unit is split, kinds
+//! of NAL units that no stream of ours has are refused, and sequence headers must show the agreed extent. After an
+//! error the whole decoder is replaced at the next refresh, so that no half-decoded state survives.
+//!
+//! The library keeps a picture back in case a later one should come before it. Ours never do, so each unit is flushed
+//! and its picture comes out at once.
+
+use std::ffi::{c_int, c_long, c_void};
+use std::ptr;
+
+use openh264_sys2::{
+    DECODER_OPTION, DECODER_OPTION_TRACE_LEVEL, ERROR_CON_DISABLE, ISVCDecoder, ISVCDecoderVtbl, SBufferInfo,
+    SDecodingParam, TagSysMemBuffer, VIDEO_BITSTREAM_AVC, WELS_LOG_QUIET, source::APILoader, videoFormatI420,
+};
+
+use super::sps::{self, Sps};
+use super::{DecodeError, Decoder, MAX_ACCESS_UNIT_BYTES, MAX_EXTENT_TEXELS, MIN_EXTENT_TEXELS, Picture};
+
+/// The library's name for a function missing from its table, in the range of its own result codes.
+const MISSING_FUNCTION: c_long = -1;
+
+/// Decoder state for a unit that decoded without complaint, but gave no picture.
+const NO_PICTURE: i32 = 0;
+
+/// A [`Decoder`] that runs openh264 on the CPU.
+pub struct OpenH264Decoder {
+    extent_texels: [u32; 2],
+    library: Library,
+    state: State,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    /// Nothing decoded yet: the first unit must be a refresh.
+    Fresh,
+    /// The last unit gave its picture.
+    Clean,
+    /// A unit was broken or lost. The next refresh gets a decoder of its own.
+    Broken,
+}
+
+impl OpenH264Decoder {
+    /// Makes a decoder for a stream of the agreed extent: even, at least 4 and at most 4096x2304 texels.
+    pub fn new(extent_texels: [u32; 2]) -> Result<Self, DecodeError> {
+        let fits = extent_texels
+            .into_iter()
+            .zip(MAX_EXTENT_TEXELS)
+            .all(|(texels, most)| (MIN_EXTENT_TEXELS..=most).contains(&texels) && texels % 2 == 0);
+        if !fits {
+            return Err(DecodeError::Extent(extent_texels));
+        }
+        Ok(Self { extent_texels, library: Library::new()?, state: State::Fresh })
+    }
+
+    fn try_decode(&mut self, access_unit: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
+        let is_refresh = inspect(access_unit, self.extent_texels)?;
+        if self.needs_refresh() && !is_refresh {
+            return Err(DecodeError::NeedsRefresh);
+        }
+        if self.state == State::Broken {
+            self.library = Library::new()?;
+        }
+        let decoded = self.library.decode(access_unit)?;
+        decoded.copy_to(self.extent_texels, picture)
+    }
+}
+
+impl Decoder for OpenH264Decoder {
+    fn decode(&mut self, access_unit: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
+        let result = self.try_decode(access_unit, picture);
+        self.state = match &result {
+            Ok(()) => State::Clean,
+            Err(DecodeError::NeedsRefresh) => self.state,
+            Err(_) => State::Broken,
+        };
+        result
+    }
+
+    fn unit_lost(&mut self) {
+        self.state = State::Broken;
+    }
+
+    fn needs_refresh(&self) -> bool {
+        self.state != State::Clean
+    }
+}
+
+/// Refuses what must not reach the library; otherwise tells whether the unit can be decoded on its own.
+fn inspect(access_unit: &[u8], extent_texels: [u32; 2]) -> Result<bool, DecodeError> {
+    if access_unit.len() > MAX_ACCESS_UNIT_BYTES {
+        return Err(DecodeError::TooLong { got: access_unit.len() });
+    }
+    let mut is_refresh = false;
+    for unit in sps::nal_units(access_unit) {
+        match sps::nal_type(unit) {
+            sps::NAL_SPS => check_extent(&Sps::parse(unit)?, extent_texels)?,
+            sps::NAL_REFRESH_SLICE => is_refresh = true,
+            sps::NAL_SLICE | sps::NAL_SEI | sps::NAL_PPS | sps::NAL_DELIMITER | sps::NAL_FILLER => {}
+            other => return Err(DecodeError::UnexpectedUnit { nal_type: other }),
+        }
+    }
+    Ok(is_refresh)
+}
+
+fn check_extent(sps: &Sps, want: [u32; 2]) -> Result<(), DecodeError> {
+    let got = sps.extent_texels;
+    if got == want { Ok(()) } else { Err(DecodeError::ExtentMismatch { want, got }) }
+}
+
+/// One initialised decoder of the library. Owns it: destroyed on drop.
+struct Library {
+    decoder: *mut ISVCDecoder,
+}
+
+// SAFETY: the decoder is plain heap memory without thread-local or global state, and has no threads of its own as long
+// as none are asked for. `Library` is not `Clone` and every call takes `&mut self`, so only one thread uses it at a
+// time.
+unsafe impl Send for Library {}
+
+impl Library {
+    fn new() -> Result<Self, DecodeError> {
+        let mut decoder: *mut ISVCDecoder = ptr::null_mut();
+        // SAFETY: `decoder` is a valid place for the pointer that the function writes.
+        let code = unsafe { APILoader::WelsCreateDecoder(&mut decoder) };
+        if code != 0 || decoder.is_null() {
+            return Err(DecodeError::Library { doing: "creating a decoder", code });
+        }
+        let mut library = Self { decoder };
+        library.set_option(DECODER_OPTION_TRACE_LEVEL, WELS_LOG_QUIET, "silencing the decoder's log")?;
+        library.initialise()?;
+        Ok(library)
+    }
+
+    fn initialise(&mut self) -> Result<(), DecodeError> {
+        let doing = "initialising the decoder";
+        let mut params = SDecodingParam { eEcActiveIdc: ERROR_CON_DISABLE, ..SDecodingParam::default() };
+        params.sVideoProperty.size = size_of_val(&params.sVideoProperty) as u32;
+        params.sVideoProperty.eVideoBsType = VIDEO_BITSTREAM_AVC;
+        let initialise = required(self.table().Initialize, doing)?;
+        // SAFETY: `self.decoder` is alive (made in `new`, destroyed in `drop` only); the library copies `params`.
+        check(unsafe { initialise(self.decoder, &params) }, doing)
+    }
+
+    fn table(&self) -> &ISVCDecoderVtbl {
+        // SAFETY: a live decoder points to its static table of functions.
+        unsafe { &**self.decoder }
+    }
+
+    fn set_option(
+        &mut self,
+        option: DECODER_OPTION,
+        mut value: c_int,
+        doing: &'static str,
+    ) -> Result<(), DecodeError> {
+        let set = required(self.table().SetOption, doing)?;
+        // SAFETY: the decoder is alive; the options used here read one `int`.
+        check(unsafe { set(self.decoder, option, ptr::from_mut(&mut value).cast::<c_void>()) }, doing)
+    }
+
+    /// Decodes one unit. The picture lies in the library's memory until the next call.
+    fn decode(&mut self, access_unit: &[u8]) -> Result<Decoded<'_>, DecodeError> {
+        let mut planes = [ptr::null_mut::<u8>(); 3];
+        let mut info = SBufferInfo::default();
+        let decode = required(self.table().DecodeFrameNoDelay, "decoding")?;
+        // `inspect` has limited the length far below the range of `c_int`.
+        let length = access_unit.len() as c_int;
+        // SAFETY: the decoder is alive and initialised; the unit holds `length` bytes and is only read; the other
+        // two are valid places for three pointers and one description.
+        let state =
+            unsafe { decode(self.decoder, access_unit.as_ptr(), length, planes.as_mut_ptr(), &mut info) };
+        if state != 0 {
+            return Err(DecodeError::Corrupt { state });
+        }
+        if info.iBufferStatus != 1 {
+            self.flush(&mut planes, &mut info)?;
+        }
+        Decoded::new(planes, &info)
+    }
+
+    /// Takes out the picture that the library holds back.
+    fn flush(&mut self, planes: &mut [*mut u8; 3], info: &mut SBufferInfo) -> Result<(), DecodeError> {
+        let flush = required(self.table().FlushFrame, "flushing")?;
+        // SAFETY: the decoder is alive and initialised; both places are valid for what is written.
+        let state = unsafe { flush(self.decoder, planes.as_mut_ptr(), info) };
+        if state == 0 { Ok(()) } else { Err(DecodeError::Corrupt { state }) }
+    }
+}
+
+impl Drop for Library {
+    fn drop(&mut self) {
+        // SAFETY: the pointer came from `WelsCreateDecoder`, and this is the one place that destroys it. The
+        // destructor releases what initialisation allocated.
+        unsafe { APILoader::WelsDestroyDecoder(self.decoder) };
+    }
+}
+
+/// A picture in the library's memory, borrowed until the next call.
+struct Decoded<'a> {
+    extent_texels: [u32; 2],
+    planes: [&'a [u8]; 3],
+    strides: [usize; 3],
+}
+
+impl Decoded<'_> {
+    fn new(planes: [*mut u8; 3], info: &SBufferInfo) -> Result<Self, DecodeError> {
+        // SAFETY: the union has this one member, and was zeroed before the library wrote it.
+        let memory: TagSysMemBuffer = unsafe { info.UsrData.sSystemBuffer };
+        let [width, height] = [memory.iWidth, memory.iHeight].map(|n| usize::try_from(n).unwrap_or(0));
+        let [luma_stride, chroma_stride] = memory.iStride.map(|n| usize::try_from(n).unwrap_or(0));
+        let complete = info.iBufferStatus == 1
+            && memory.iFormat == videoFormatI420
+            && planes.iter().all(|plane| !plane.is_null())
+            && (2..=luma_stride).contains(&width)
+            && width / 2 <= chroma_stride
+            && height >= 2;
+        if !complete {
+            return Err(DecodeError::Corrupt { state: NO_PICTURE });
+        }
+        let [y, cb, cr] = planes;
+        // SAFETY: the library says that a picture of this size lies there, with these strides: every row but the last
+        // is followed by another one, and the last holds `width` samples. It stays until the library is called again,
+        // which the lifetime of the mutable borrow in `Library::decode` rules out.
+        let planes = unsafe {
+            [
+                std::slice::from_raw_parts(y, luma_stride * (height - 1) + width),
+                std::slice::from_raw_parts(cb, chroma_stride * (height / 2 - 1) + width / 2),
+                std::slice::from_raw_parts(cr, chroma_stride * (height / 2 - 1) + width / 2),
+            ]
+        };
+        let extent_texels = [width as u32, height as u32];
+        Ok(Self { extent_texels, planes, strides: [luma_stride, chroma_stride, chroma_stride] })
+    }
+
+    fn copy_to(&self, want: [u32; 2], picture: &mut Picture) -> Result<(), DecodeError> {
+        if self.extent_texels != want {
+            return Err(DecodeError::ExtentMismatch { want, got: self.extent_texels });
+        }
+        let width = want[0] as usize;
+        picture.extent_texels = want;
+        pack(&mut picture.y, self.planes[0], self.strides[0], width);
+        pack(&mut picture.cb, self.planes[1], self.strides[1], width / 2);
+        pack(&mut picture.cr, self.planes[2], self.strides[2], width / 2);
+        Ok(())
+    }
+}
+
+/// Copies rows of `width` bytes, `stride` apart, into one piece.
+fn pack(to: &mut Vec<u8>, from: &[u8], stride: usize, width: usize) {
+    to.clear();
+    for row in from.chunks(stride) {
+        to.extend_from_slice(&row[..width]);
+    }
+}
+
+fn required<F>(function: Option<F>, doing: &'static str) -> Result<F, DecodeError> {
+    function.ok_or(DecodeError::Library { doing, code: MISSING_FUNCTION })
+}
+
+fn check(code: c_long, doing: &'static str) -> Result<(), DecodeError> {
+    if code == 0 { Ok(()) } else { Err(DecodeError::Library { doing, code }) }
+}

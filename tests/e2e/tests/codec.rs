@@ -1,0 +1,607 @@
+//! The video seams against each other: what the server's encoder writes, the client's decoder reads.
+
+use shadecast_client::decode::openh264::OpenH264Decoder;
+use shadecast_client::decode::sps::{self, Colour, Sps, SpsError};
+use shadecast_client::decode::{DecodeError, Decoder, Picture};
+use shadecast_server::encode::openh264::{DEFAULT_QP, EncoderSettings, OpenH264Encoder};
+use shadecast_server::encode::{AccessUnit, EncodeError, Encoder, Planes};
+
+const SEED: u64 = 0x5ade_ca57;
+const UPDATE_NS: i64 = 33_333_333;
+
+/// A small, fixed generator (SplitMix64), so that pictures and damage are the same in every run.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    fn below(&mut self, end: usize) -> usize {
+        (self.next() % end as u64) as usize
+    }
+}
+
+fn planes(picture: &Picture) -> Planes<'_> {
+    Planes { extent_texels: picture.extent_texels, y: &picture.y, cb: &picture.cb, cr: &picture.cr }
+}
+
+fn flat_picture([width, height]: [u32; 2], luma: u8) -> Picture {
+    let texels = (width * height) as usize;
+    let grey = vec![128; texels / 4];
+    Picture { extent_texels: [width, height], y: vec![luma; texels], cb: grey.clone(), cr: grey }
+}
+
+/// Like an atlas: 16x16 blocks that have nothing to do with each other, each a gradient with some grain.
+fn atlas_picture([width, height]: [u32; 2], random: &mut Random) -> Picture {
+    let mut picture = flat_picture([width, height], 0);
+    for block_y in 0..height.div_ceil(16) {
+        for block_x in 0..width.div_ceil(16) {
+            paint_block(&mut picture, [block_x * 16, block_y * 16], random);
+        }
+    }
+    picture
+}
+
+fn paint_block(picture: &mut Picture, [left, top]: [u32; 2], random: &mut Random) {
+    let [width, height] = picture.extent_texels;
+    let (base, slope_x, slope_y) = (40 + random.below(120), random.below(5), random.below(5));
+    let (cb, cr) = (64 + random.below(128) as u8, 64 + random.below(128) as u8);
+    for y in top..(top + 16).min(height) {
+        for x in left..(left + 16).min(width) {
+            let luma = base + slope_x * (x - left) as usize + slope_y * (y - top) as usize + random.below(8);
+            picture.y[(y * width + x) as usize] = luma.min(255) as u8;
+            let chroma = (y / 2 * (width / 2) + x / 2) as usize;
+            (picture.cb[chroma], picture.cr[chroma]) = (cb, cr);
+        }
+    }
+}
+
+/// BT.709 full range, as ITU-T H.273 gives it: Kr = 0.2126, Kb = 0.0722.
+fn ycbcr_from_rgb(rgb: [f64; 3]) -> [f64; 3] {
+    let [r, g, b] = rgb;
+    let y = 0.2126 * r + 0.7152 * g + 0.0722 * b;
+    [y, 128.0 + (b - y) / 1.8556, 128.0 + (r - y) / 1.5748]
+}
+
+fn rgb_from_ycbcr([y, cb, cr]: [f64; 3]) -> [f64; 3] {
+    let (cb, cr) = (cb - 128.0, cr - 128.0);
+    let g = y - (0.0722 * 1.8556 * cb + 0.2126 * 1.5748 * cr) / 0.7152;
+    [y + 1.5748 * cr, g, y + 1.8556 * cb].map(|c| c.clamp(0.0, 255.0))
+}
+
+/// White, yellow, cyan, green, magenta, red, blue, black, at 100 %.
+const BARS: [[f64; 3]; 8] = [
+    [255.0, 255.0, 255.0],
+    [255.0, 255.0, 0.0],
+    [0.0, 255.0, 255.0],
+    [0.0, 255.0, 0.0],
+    [255.0, 0.0, 255.0],
+    [255.0, 0.0, 0.0],
+    [0.0, 0.0, 255.0],
+    [0.0, 0.0, 0.0],
+];
+
+const BAR_WIDTH: usize = 32;
+
+fn colour_bars() -> Picture {
+    let mut picture = flat_picture([8 * BAR_WIDTH as u32, 64], 0);
+    let width = 8 * BAR_WIDTH;
+    for (at, y) in picture.y.iter_mut().enumerate() {
+        *y = ycbcr_from_rgb(BARS[at % width / BAR_WIDTH])[0].round() as u8;
+    }
+    for at in 0..picture.cb.len() {
+        let [_, cb, cr] = ycbcr_from_rgb(BARS[at % (width / 2) * 2 / BAR_WIDTH]);
+        (picture.cb[at], picture.cr[at]) = (cb.round().min(255.0) as u8, cr.round().min(255.0) as u8);
+    }
+    picture
+}
+
+/// The largest difference of any channel inside the bars, at least `margin` texels from their edges.
+fn worst_bar_error(picture: &Picture, margin: usize) -> f64 {
+    let width = 8 * BAR_WIDTH;
+    let mut worst: f64 = 0.0;
+    for at in 0..picture.y.len() {
+        let (x, y) = (at % width, at / width);
+        if !(margin..BAR_WIDTH - margin).contains(&(x % BAR_WIDTH)) {
+            continue;
+        }
+        let chroma = y / 2 * (width / 2) + x / 2;
+        let sample = [picture.y[at], picture.cb[chroma], picture.cr[chroma]].map(f64::from);
+        let rgb = rgb_from_ycbcr(sample).map(f64::round);
+        let errors = rgb.into_iter().zip(BARS[x / BAR_WIDTH]).map(|(got, want)| (got - want).abs());
+        worst = errors.fold(worst, f64::max);
+    }
+    worst
+}
+
+#[track_caller]
+fn encoder(settings: EncoderSettings) -> OpenH264Encoder {
+    OpenH264Encoder::new(settings).expect("the settings are valid")
+}
+
+#[track_caller]
+fn decoder(extent_texels: [u32; 2]) -> OpenH264Decoder {
+    OpenH264Decoder::new(extent_texels).expect("the extent is valid")
+}
+
+/// Encodes pictures at 30 Hz; a refresh is asked for where `refresh` says so.
+#[track_caller]
+fn encode_all(
+    settings: EncoderSettings,
+    pictures: &[Picture],
+    refresh: impl Fn(usize) -> bool,
+) -> Vec<AccessUnit> {
+    let mut encoder = encoder(settings);
+    let encode = |(at, picture): (usize, &Picture)| {
+        let unit = encoder.encode(&planes(picture), at as i64 * UPDATE_NS, refresh(at));
+        unit.expect("a valid picture encodes")
+    };
+    pictures.iter().enumerate().map(encode).collect()
+}
+
+/// Every picture is the one before with a few blocks painted anew.
+fn changing_pictures(extent_texels: [u32; 2], count: usize, seed: u64) -> Vec<Picture> {
+    let mut random = Random(seed);
+    let mut picture = atlas_picture(extent_texels, &mut random);
+    let change = |_| {
+        let now = picture.clone();
+        for _ in 0..4 {
+            let corner = extent_texels.map(|texels| random.below(texels.div_ceil(16) as usize) as u32 * 16);
+            paint_block(&mut picture, corner, &mut random);
+        }
+        now
+    };
+    (0..count).map(change).collect()
+}
+
+fn psnr_db(a: &[u8], b: &[u8]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    let squares: f64 = a.iter().zip(b).map(|(&a, &b)| f64::from(a.abs_diff(b)).powi(2)).sum();
+    10.0 * (255.0 * 255.0 * a.len() as f64 / squares.max(1e-9)).log10()
+}
+
+#[test]
+fn colour_bars_survive_within_three_of_255() {
+    let bars = colour_bars();
+    // Rounding to bytes alone costs this much; coding may add the rest.
+    let rounding = worst_bar_error(&bars, 0);
+    for (qp, bound) in [(DEFAULT_QP, 3.0), (DEFAULT_QP + 4, f64::INFINITY), (DEFAULT_QP + 8, f64::INFINITY)] {
+        let settings = EncoderSettings { qp, ..EncoderSettings::new(bars.extent_texels) };
+        let mut decoder = decoder(bars.extent_texels);
+        let mut decoded = Picture::default();
+        // A refresh and the picture after it, which is coded in another way.
+        for (at, unit) in encode_all(settings, &[bars.clone(), bars.clone()], |_| false).iter().enumerate() {
+            decoder.decode(&unit.bytes, &mut decoded).expect("a clean stream decodes");
+            let (worst, whole) = (worst_bar_error(&decoded, 8), worst_bar_error(&decoded, 0));
+            println!("QP {qp} picture {at}: worst {worst} flat, {whole} anywhere, {rounding} before coding");
+            assert!(worst <= bound, "QP {qp}, picture {at}: a flat area is off by {worst}");
+        }
+    }
+}
+
+#[test]
+fn exchanged_chroma_planes_do_not_pass_as_colour_bars() {
+    let mut bars = colour_bars();
+    std::mem::swap(&mut bars.cb, &mut bars.cr);
+    assert!(worst_bar_error(&bars, 8) > 100.0);
+}
+
+#[test]
+fn atlas_content_decodes_close_to_what_was_encoded() {
+    let pictures = changing_pictures([256, 192], 10, SEED);
+    let mut decoder = decoder([256, 192]);
+    let mut decoded = Picture::default();
+    for (unit, picture) in
+        encode_all(EncoderSettings::new([256, 192]), &pictures, |_| false).iter().zip(&pictures)
+    {
+        decoder.decode(&unit.bytes, &mut decoded).expect("a clean stream decodes");
+        let luma_db = psnr_db(&decoded.y, &picture.y);
+        let chroma_db = psnr_db(&decoded.cb, &picture.cb).min(psnr_db(&decoded.cr, &picture.cr));
+        println!("{} bytes, luma {luma_db:.1} dB, chroma {chroma_db:.1} dB", unit.bytes.len());
+        assert!(luma_db > 38.0 && chroma_db > 38.0, "seed {SEED:#x}: {luma_db:.1} dB, {chroma_db:.1} dB");
+    }
+}
+
+#[test]
+fn unchanged_pictures_cost_almost_nothing() {
+    let picture = atlas_picture([512, 512], &mut Random(SEED));
+    let units = encode_all(EncoderSettings::new([512, 512]), &vec![picture; 5], |_| false);
+    let bytes: Vec<_> = units.iter().map(|unit| unit.bytes.len()).collect();
+    println!("512x512, unchanged: {bytes:?} bytes");
+    // The first of them still improves what the refresh left coarse.
+    assert!(bytes[1] * 50 < bytes[0], "{bytes:?}");
+    assert!(bytes[2..].iter().all(|&bytes| bytes < 200), "{bytes:?}");
+}
+
+#[test]
+fn refreshes_come_when_asked_for_and_only_then() {
+    let pictures = changing_pictures([128, 128], 100, SEED);
+    let asked = |at: usize| at == 7 || at == 8 || at == 50;
+    for (at, unit) in encode_all(EncoderSettings::new([128, 128]), &pictures, asked).iter().enumerate() {
+        let has_slice = sps::nal_units(&unit.bytes).any(|nal| sps::nal_type(nal) == sps::NAL_REFRESH_SLICE);
+        assert_eq!(
+            (unit.is_refresh, has_slice),
+            (at == 0 || asked(at), at == 0 || asked(at)),
+            "picture {at}"
+        );
+    }
+}
+
+#[test]
+fn a_whole_other_picture_is_no_reason_for_a_refresh() {
+    let pictures: Vec<_> = (0..6).map(|at| atlas_picture([128, 128], &mut Random(SEED + at))).collect();
+    let units = encode_all(EncoderSettings::new([128, 128]), &pictures, |_| false);
+    assert_eq!(units.iter().filter(|unit| unit.is_refresh).count(), 1);
+}
+
+#[test]
+fn the_same_pictures_give_the_same_bytes() {
+    let pictures = changing_pictures([512, 256], 12, SEED);
+    for threads in [1, 2, 4] {
+        let settings = EncoderSettings { threads, ..EncoderSettings::new([512, 256]) };
+        let runs = [(); 3].map(|()| encode_all(settings, &pictures, |at| at == 5));
+        let bytes: usize = runs[0].iter().map(|unit| unit.bytes.len()).sum();
+        println!("{threads} threads: {bytes} bytes");
+        assert!(runs[0] == runs[1] && runs[0] == runs[2], "{threads} threads, seed {SEED:#x}");
+    }
+}
+
+#[test]
+fn sliced_pictures_decode_as_well_as_whole_ones() {
+    let pictures = changing_pictures([256, 256], 5, SEED);
+    let settings = EncoderSettings { threads: 4, ..EncoderSettings::new([256, 256]) };
+    let units = encode_all(settings, &pictures, |_| false);
+    let slices = |unit: &AccessUnit| {
+        sps::nal_units(&unit.bytes)
+            .filter(|nal| matches!(sps::nal_type(nal), 1 | sps::NAL_REFRESH_SLICE))
+            .count()
+    };
+    let mut decoder = decoder([256, 256]);
+    let mut decoded = Picture::default();
+    for (unit, picture) in units.iter().zip(&pictures) {
+        assert_eq!(slices(unit), 4);
+        decoder.decode(&unit.bytes, &mut decoded).expect("a clean stream decodes");
+        assert!(psnr_db(&decoded.y, &picture.y) > 38.0);
+    }
+}
+
+#[test]
+fn every_unit_gives_its_own_picture_at_once() {
+    let lumas = [16, 250, 90, 91, 0, 128, 255, 60, 200, 30];
+    let pictures = lumas.map(|luma| flat_picture([64, 64], luma));
+    let mut decoder = decoder([64, 64]);
+    let mut decoded = Picture::default();
+    for (unit, luma) in encode_all(EncoderSettings::new([64, 64]), &pictures, |at| at == 6).iter().zip(lumas)
+    {
+        decoder.decode(&unit.bytes, &mut decoded).expect("a clean stream decodes");
+        assert!(decoded.y.iter().all(|got| got.abs_diff(luma) <= 3), "wanted {luma}, got {}", decoded.y[0]);
+    }
+}
+
+#[test]
+fn extents_that_macroblocks_do_not_divide_come_back_whole() {
+    for extent in [[16, 16], [18, 16], [100, 52], [66, 130], [1000, 62]] {
+        let pictures = changing_pictures(extent, 3, SEED);
+        let mut decoder = decoder(extent);
+        let mut decoded = Picture::default();
+        for (unit, picture) in
+            encode_all(EncoderSettings::new(extent), &pictures, |_| false).iter().zip(&pictures)
+        {
+            decoder.decode(&unit.bytes, &mut decoded).expect("a clean stream decodes");
+            assert_eq!(decoded.extent_texels, extent);
+            let db = psnr_db(&decoded.y, &picture.y);
+            assert!(db > 36.0, "{extent:?}: {db:.1} dB, seed {SEED:#x}");
+        }
+    }
+}
+
+#[test]
+fn the_largest_atlas_goes_through() {
+    for extent in [[4096, 2048], [4096, 2304]] {
+        let picture = atlas_picture(extent, &mut Random(SEED));
+        let units = encode_all(EncoderSettings::new(extent), &[picture.clone(), picture.clone()], |_| false);
+        let mut decoder = decoder(extent);
+        let mut decoded = Picture::default();
+        for unit in &units {
+            decoder.decode(&unit.bytes, &mut decoded).expect("a clean stream decodes");
+        }
+        println!("{extent:?}: {:?} bytes", units.iter().map(|unit| unit.bytes.len()).collect::<Vec<_>>());
+        assert!(psnr_db(&decoded.y, &picture.y) > 38.0);
+    }
+}
+
+fn stream_header(extent: [u32; 2], threads: u32) -> Vec<u8> {
+    let settings = EncoderSettings { threads, ..EncoderSettings::new(extent) };
+    let units = encode_all(settings, &[flat_picture(extent, 90)], |_| false);
+    let header = sps::nal_units(&units[0].bytes).find(|nal| sps::nal_type(nal) == sps::NAL_SPS);
+    header.expect("a refresh starts with a sequence header").to_vec()
+}
+
+#[test]
+fn the_stream_declares_full_range_bt709_without_reordering() {
+    for extent in [[100, 52], [2048, 2048], [4096, 2048]] {
+        let sps = Sps::parse(&stream_header(extent, 1)).expect("our own header is readable");
+        let bt709 = Colour { full_range: true, primaries: 1, transfer: 1, matrix: 1 };
+        let want = Sps {
+            profile_idc: 100,
+            level_idc: 52,
+            extent_texels: extent,
+            max_num_ref_frames: 1,
+            colour: Some(bt709),
+            max_num_reorder_frames: Some(0),
+        };
+        assert_eq!(sps, want);
+    }
+}
+
+#[test]
+fn a_cut_header_is_an_error_wherever_it_is_cut() {
+    let header = stream_header([100, 52], 1);
+    for length in 0..header.len() - 1 {
+        assert_eq!(
+            Sps::parse(&header[..length]),
+            Err(SpsError::CutShort),
+            "{length} of {} bytes",
+            header.len()
+        );
+    }
+}
+
+#[test]
+fn a_broken_unit_is_an_error_until_the_next_refresh() {
+    let pictures = changing_pictures([128, 128], 12, SEED);
+    let units = encode_all(EncoderSettings::new([128, 128]), &pictures, |at| at == 8);
+    let (mut clean, mut hurt) = (decoder([128, 128]), decoder([128, 128]));
+    let (mut want, mut got) = (Picture::default(), Picture::default());
+    for (at, unit) in units.iter().enumerate() {
+        clean.decode(&unit.bytes, &mut want).expect("a clean stream decodes");
+        let before = got.clone();
+        let cut = if at == 4 { unit.bytes.len() / 2 } else { unit.bytes.len() };
+        let result = hurt.decode(&unit.bytes[..cut], &mut got);
+        match at {
+            0..4 | 8.. => assert!(result.is_ok() && got == want, "picture {at}: {result:?}"),
+            4 => assert!(matches!(result, Err(DecodeError::Corrupt { .. })) && got == before, "{result:?}"),
+            _ => assert!(matches!(result, Err(DecodeError::NeedsRefresh)) && got == before, "{result:?}"),
+        }
+        assert_eq!(hurt.needs_refresh(), (4..8).contains(&at), "picture {at}");
+    }
+}
+
+#[test]
+fn after_a_lost_unit_only_a_refresh_is_decoded() {
+    let pictures = changing_pictures([128, 128], 8, SEED);
+    let units = encode_all(EncoderSettings::new([128, 128]), &pictures, |at| at == 5);
+    let mut decoder = decoder([128, 128]);
+    let mut decoded = Picture::default();
+    for (at, unit) in units.iter().enumerate() {
+        if at == 3 {
+            decoder.unit_lost();
+            continue;
+        }
+        let result = decoder.decode(&unit.bytes, &mut decoded);
+        assert_eq!(result.is_ok(), at != 4, "picture {at}: {result:?}");
+    }
+}
+
+#[test]
+fn a_gap_that_nobody_reported_is_noticed() {
+    let pictures = changing_pictures([128, 128], 5, SEED);
+    let units = encode_all(EncoderSettings::new([128, 128]), &pictures, |_| false);
+    let mut decoder = decoder([128, 128]);
+    let mut decoded = Picture::default();
+    for at in [0, 1, 3] {
+        let result = decoder.decode(&units[at].bytes, &mut decoded);
+        assert_eq!(result.is_ok(), at != 3, "picture {at}: {result:?}");
+    }
+    assert!(decoder.needs_refresh());
+}
+
+#[test]
+fn a_stream_joined_in_the_middle_waits_for_a_refresh() {
+    let pictures = changing_pictures([64, 64], 4, SEED);
+    let units = encode_all(EncoderSettings::new([64, 64]), &pictures, |at| at == 3);
+    let mut decoder = decoder([64, 64]);
+    let mut decoded = Picture::default();
+    for unit in &units[1..3] {
+        let result = decoder.decode(&unit.bytes, &mut decoded);
+        assert!(matches!(result, Err(DecodeError::NeedsRefresh)), "{result:?}");
+    }
+    decoder.decode(&units[3].bytes, &mut decoded).expect("a refresh decodes on its own");
+}
+
+#[test]
+fn a_stream_of_another_extent_is_refused() {
+    let units = encode_all(EncoderSettings::new([128, 64]), &[flat_picture([128, 64], 50)], |_| false);
+    let mut decoder = decoder([64, 128]);
+    let mut decoded = Picture::default();
+    let result = decoder.decode(&units[0].bytes, &mut decoded);
+    assert!(
+        matches!(result, Err(DecodeError::ExtentMismatch { want: [64, 128], got: [128, 64] })),
+        "{result:?}"
+    );
+    assert_eq!(decoded, Picture::default());
+}
+
+#[test]
+fn extents_out_of_range_are_refused_by_both_sides() {
+    for extent in [[0, 64], [64, 2], [63, 64], [64, 65], [4098, 64], [64, 2306], [u32::MAX, u32::MAX]] {
+        let made = OpenH264Encoder::new(EncoderSettings::new(extent));
+        assert!(matches!(made.err(), Some(EncodeError::Extent(e)) if e == extent), "{extent:?}");
+        let made = OpenH264Decoder::new(extent);
+        assert!(matches!(made.err(), Some(DecodeError::Extent(e)) if e == extent), "{extent:?}");
+    }
+}
+
+#[test]
+fn settings_out_of_range_are_refused_by_name() {
+    let good = EncoderSettings::new([64, 64]);
+    let bad = [
+        ("qp", EncoderSettings { qp: 52, ..good }),
+        ("fps", EncoderSettings { fps: 0, ..good }),
+        ("fps", EncoderSettings { fps: 61, ..good }),
+        ("threads", EncoderSettings { threads: 0, ..good }),
+        ("threads", EncoderSettings { threads: 5, ..good }),
+    ];
+    for (want, settings) in bad {
+        let made = OpenH264Encoder::new(settings);
+        assert!(
+            matches!(made.err(), Some(EncodeError::Setting { name, .. }) if name == want),
+            "{settings:?}"
+        );
+    }
+}
+
+#[test]
+fn pictures_that_do_not_fit_are_refused_and_the_stream_goes_on() {
+    let mut encoder = encoder(EncoderSettings::new([64, 64]));
+    let good = flat_picture([64, 64], 90);
+    encoder.encode(&planes(&good), 0, false).expect("a valid picture encodes");
+    let other = flat_picture([64, 32], 90);
+    let result = encoder.encode(&planes(&other), 1, false);
+    assert!(matches!(result, Err(EncodeError::ExtentChanged { .. })), "{result:?}");
+    let short = Planes { cr: &good.cr[1..], ..planes(&good) };
+    let result = encoder.encode(&short, 2, false);
+    assert!(
+        matches!(result, Err(EncodeError::PlaneSize { plane: "cr", got: 1023, want: 1024, .. })),
+        "{result:?}"
+    );
+    let unit = encoder.encode(&planes(&good), 3, false).expect("a valid picture encodes");
+    assert!(!unit.is_refresh, "refused pictures must leave the stream alone");
+}
+
+#[test]
+fn the_quantiser_changes_without_a_refresh() {
+    for extent in [[256, 256], [250, 130]] {
+        let pictures: Vec<_> = (0..9).map(|at| atlas_picture(extent, &mut Random(SEED + at))).collect();
+        let mut encoder = encoder(EncoderSettings::new(extent));
+        let mut decoder = decoder(extent);
+        let mut decoded = Picture::default();
+        let mut sizes = Vec::new();
+        for (at, picture) in pictures.iter().enumerate() {
+            encoder.set_qp([22, 34, 22][at / 3]).expect("the quantiser is in range");
+            let unit = encoder.encode(&planes(picture), at as i64 * UPDATE_NS, false).expect("it encodes");
+            assert_eq!(unit.is_refresh, at == 0, "picture {at}");
+            decoder.decode(&unit.bytes, &mut decoded).expect("it decodes");
+            sizes.push(unit.bytes.len());
+        }
+        println!("{extent:?}, QP 22, 34, 22: {sizes:?} bytes");
+        assert!(sizes[4] * 2 < sizes[2] && sizes[4] * 2 < sizes[7], "{sizes:?}");
+    }
+}
+
+#[test]
+fn noise_at_the_finest_quantiser_gives_a_picture_or_an_error() {
+    let mut random = Random(SEED);
+    let mut noise = flat_picture([256, 256], 0);
+    for plane in [&mut noise.y, &mut noise.cb, &mut noise.cr] {
+        plane.fill_with(|| random.next() as u8);
+    }
+    let mut encoder = encoder(EncoderSettings { qp: 0, ..EncoderSettings::new([256, 256]) });
+    let mut decoder = decoder([256, 256]);
+    let mut decoded = Picture::default();
+    for at in 0..4 {
+        match encoder.encode(&planes(&noise), at, at == 2) {
+            Ok(unit) => {
+                println!("noise at QP 0: {} bytes", unit.bytes.len());
+                decoder.decode(&unit.bytes, &mut decoded).expect("what encodes, decodes");
+                assert!(psnr_db(&decoded.y, &noise.y) > 45.0);
+            }
+            Err(error) => println!("noise at QP 0: {error}"),
+        }
+    }
+    encoder.set_qp(22).expect("the quantiser is in range");
+    let unit = encoder.encode(&planes(&noise), 9, true).expect("an ordinary quantiser encodes anything");
+    decoder.decode(&unit.bytes, &mut decoded).expect("it decodes");
+}
+
+/// Damages a unit in one of five ways.
+fn mutate(unit: &[u8], random: &mut Random) -> Vec<u8> {
+    let mut bytes = unit.to_vec();
+    match random.below(5) {
+        0 => bytes.truncate(random.below(unit.len())),
+        1 => (0..1 + random.below(8)).for_each(|_| {
+            let at = random.below(bytes.len());
+            bytes[at] ^= 1 << random.below(8);
+        }),
+        2 => (0..1 + random.below(64)).for_each(|_| {
+            let at = random.below(bytes.len());
+            bytes[at] = random.next() as u8;
+        }),
+        3 => {
+            let (from, to) = (random.below(bytes.len()), random.below(bytes.len()));
+            drop(bytes.drain(from.min(to)..from.max(to)));
+        }
+        _ => {
+            // Most damage is spent on slice data; hit the headers too.
+            let at = random.below(bytes.len().min(48));
+            bytes[at] = random.next() as u8;
+        }
+    }
+    bytes
+}
+
+#[test]
+fn damaged_units_give_a_picture_or_an_error() {
+    const EXTENT: [u32; 2] = [96, 80];
+    const ROUNDS: usize = 3000;
+    let settings = EncoderSettings { threads: 2, ..EncoderSettings::new(EXTENT) };
+    // A refresh and a picture that refers to it, over and over.
+    let units = encode_all(settings, &changing_pictures(EXTENT, 24, SEED), |at| at % 2 == 0);
+    let mut random = Random(SEED);
+    let mut decoder = decoder(EXTENT);
+    let mut decoded = Picture::default();
+    let (mut pictures, mut errors) = (0, 0);
+    for round in 0..ROUNDS {
+        let at = round % units.len();
+        recover(&mut decoder, &units[at & !1], round);
+        match decoder.decode(&mutate(&units[at].bytes, &mut random), &mut decoded) {
+            Ok(()) => {
+                pictures += 1;
+                assert_eq!(decoded.extent_texels, EXTENT, "round {round}, seed {SEED:#x}");
+                assert_eq!((decoded.y.len(), decoded.cb.len(), decoded.cr.len()), (7680, 1920, 1920));
+            }
+            Err(_) => errors += 1,
+        }
+    }
+    println!("{ROUNDS} damaged units: {pictures} pictures, {errors} errors");
+    assert!(pictures > ROUNDS / 100 && errors > ROUNDS / 4, "{pictures} pictures, {errors} errors");
+}
+
+/// An intact refresh must decode, and to what it always decodes to, whatever came before.
+#[track_caller]
+fn recover(hurt: &mut OpenH264Decoder, refresh: &AccessUnit, round: usize) {
+    let (mut got, mut want) = (Picture::default(), Picture::default());
+    let result = hurt.decode(&refresh.bytes, &mut got);
+    assert!(result.is_ok(), "round {round}, seed {SEED:#x}: {result:?}");
+    if round.is_multiple_of(100) {
+        decoder(got.extent_texels).decode(&refresh.bytes, &mut want).expect("an intact refresh decodes");
+        assert!(got == want, "round {round}, seed {SEED:#x}");
+    }
+}
+
+#[test]
+fn foreign_kinds_of_units_never_reach_the_library() {
+    let mut decoder = decoder([64, 64]);
+    let mut decoded = Picture::default();
+    for nal_type in (0..32).filter(|nal_type| ![1, 5, 6, 7, 8, 9, 12].contains(nal_type)) {
+        let result = decoder.decode(&[0, 0, 0, 1, 0x60 | nal_type, 0x42, 0x80], &mut decoded);
+        assert!(
+            matches!(result, Err(DecodeError::UnexpectedUnit { nal_type: t }) if t == nal_type),
+            "{result:?}"
+        );
+    }
+}
+
+#[test]
+fn empty_and_endless_units_are_errors() {
+    let mut decoder = decoder([64, 64]);
+    let mut decoded = Picture::default();
+    assert!(decoder.decode(&[], &mut decoded).is_err());
+    let endless = vec![0x55; shadecast_client::decode::MAX_ACCESS_UNIT_BYTES + 1];
+    assert!(matches!(decoder.decode(&endless, &mut decoded), Err(DecodeError::TooLong { .. })));
+}
