@@ -1,0 +1,349 @@
+//! What the mock headset is and does in one run: read once per `xrCreateInstance` from the JSON file that the
+//! environment variable [`CONFIG_VARIABLE`] names. The lab and the demo write that file with [`MockConfig::write`].
+
+use std::ffi::OsString;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use shadecast_protocol::pose::Fov;
+
+use crate::head_path::{HeadPath, HeadPathError};
+
+/// Environment variable that names the configuration file; unset means all defaults.
+pub const CONFIG_VARIABLE: &str = "SHADECAST_MOCK_CONFIG";
+
+/// Largest width or height of a swapchain image, pixels.
+pub const MAX_EXTENT_PIXELS: u32 = 8192;
+
+/// Configuration of one run. Every field has a default, and an unknown field is an error.
+/// Relative paths are relative to the folder of the configuration file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MockConfig {
+    /// Recommended width and height of one eye's image, pixels, 1 to [`MAX_EXTENT_PIXELS`].
+    pub extent_pixels: [u32; 2],
+    /// Field of view of the left eye; the right eye's is its mirror image.
+    pub fov_degrees: FovDegrees,
+    /// Distance between the eyes, metres, 0 to 0.2.
+    pub ipd_m: f32,
+    /// Display rate, 1 to 1000 Hz.
+    pub refresh_hz: f64,
+    /// What paces the frames.
+    pub clock: ClockKind,
+    /// `XrTime` of the first `xrWaitFrame` on the virtual clock, nanoseconds, above 0. Unused on the real clock.
+    pub virtual_start_ns: i64,
+    /// Head path (CSV, see [`crate::head_path`]); its time 0 is the `XrTime` of the first `xrWaitFrame`.
+    /// None: standing still, 1.6 m above the floor.
+    pub head_path: Option<PathBuf>,
+    /// Time after the first `xrWaitFrame` at which the session is asked to stop, seconds; 0: never.
+    pub seconds: f64,
+    /// Folder for `frames.jsonl`, `summary.json` and pictures; made where missing. None: nothing is written.
+    pub capture_dir: Option<PathBuf>,
+    /// Pictures of both eyes are written for every frame whose index is a multiple of this; 0: no pictures.
+    pub capture_every: u32,
+    /// What happens at which frame.
+    pub events: Vec<ScriptedEvent>,
+    /// Part of the name of the Vulkan device to use, in any case. None: the first of the fastest kind.
+    pub vulkan_device: Option<String>,
+}
+
+/// Angles from straight ahead to the four sides of the left eye's view, degrees, each above -89 and below 89;
+/// positive is outward, so that `left` of 45 is 45 degrees to the left.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FovDegrees {
+    /// To the left.
+    pub left: f32,
+    /// To the right.
+    pub right: f32,
+    /// Upward.
+    pub up: f32,
+    /// Downward.
+    pub down: f32,
+}
+
+/// What paces the frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ClockKind {
+    /// Each `xrWaitFrame` advances time by one display period and returns at once.
+    Virtual,
+    /// `XrTime` is `CLOCK_MONOTONIC`, and `xrWaitFrame` sleeps.
+    Real,
+}
+
+/// Something that happens to the session at a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScriptedEvent {
+    /// Index of the frame (number of `xrWaitFrame` calls before it) during whose `xrWaitFrame` it happens.
+    pub frame: u64,
+    /// What happens.
+    pub kind: EventKind,
+}
+
+/// What can happen to a session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EventKind {
+    /// FOCUSED to VISIBLE: the session goes on without input.
+    FocusLoss,
+    /// VISIBLE to FOCUSED.
+    FocusGain,
+    /// The session is asked to stop, and exits once the application has ended it.
+    Stop,
+    /// The instance will be lost in one second: the application must destroy it and may create another.
+    InstanceLoss,
+}
+
+/// Why a configuration was refused: what was being done, on which file, what is wrong, what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The configuration file cannot be read.
+    #[error(
+        "cannot read the mock runtime's configuration {path}: {source}; \
+         correct {CONFIG_VARIABLE} or unset it to get the defaults",
+        path = path.display()
+    )]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The configuration file is not valid JSON, or has a field that does not exist.
+    #[error("{path}:{line}: {source}; see MockConfig for the fields", path = path.display(), line = source.line())]
+    Syntax {
+        /// The file.
+        path: PathBuf,
+        /// What serde said.
+        source: serde_json::Error,
+    },
+    /// A value is out of its range.
+    #[error("{path}: {field} is {value}; it must be {range}", path = path.display())]
+    Range {
+        /// The file.
+        path: PathBuf,
+        /// Name of the field.
+        field: &'static str,
+        /// Its value.
+        value: String,
+        /// What it must be.
+        range: &'static str,
+    },
+    /// The head path cannot be read.
+    #[error(
+        "cannot read the head path {head_path} that {config} names: {source}; correct \"head_path\"",
+        head_path = head_path.display(), config = config.display()
+    )]
+    ReadHeadPath {
+        /// The configuration file.
+        config: PathBuf,
+        /// The head path's file.
+        head_path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The head path is not valid.
+    #[error(transparent)]
+    HeadPath(#[from] HeadPathError),
+}
+
+impl Default for MockConfig {
+    fn default() -> Self {
+        Self {
+            extent_pixels: [1024, 1024],
+            fov_degrees: FovDegrees::default(),
+            ipd_m: 0.063,
+            refresh_hz: 72.0,
+            clock: ClockKind::Real,
+            virtual_start_ns: 1_000_000_000,
+            head_path: None,
+            seconds: 0.0,
+            capture_dir: None,
+            capture_every: 0,
+            events: Vec::new(),
+            vulkan_device: None,
+        }
+    }
+}
+
+impl Default for FovDegrees {
+    fn default() -> Self {
+        Self { left: 45.0, right: 45.0, up: 45.0, down: 45.0 }
+    }
+}
+
+impl FovDegrees {
+    /// Frustum of the left eye.
+    pub fn left_eye(self) -> Fov {
+        Fov {
+            left: -self.left.to_radians(),
+            right: self.right.to_radians(),
+            up: self.up.to_radians(),
+            down: -self.down.to_radians(),
+        }
+    }
+
+    /// Frustum of the right eye, the left one's mirror image.
+    pub fn right_eye(self) -> Fov {
+        Self { left: self.right, right: self.left, ..self }.left_eye()
+    }
+}
+
+impl MockConfig {
+    /// Reads and checks the file that [`CONFIG_VARIABLE`] names; the defaults where it is unset.
+    pub fn from_environment(variable: Option<OsString>) -> Result<Self, ConfigError> {
+        variable.map_or_else(|| Ok(Self::default()), |path| Self::load(Path::new(&path)))
+    }
+
+    /// Reads and checks a configuration file; relative paths in it become relative to its folder.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        let mut config: Self = serde_json::from_str(&text)
+            .map_err(|source| ConfigError::Syntax { path: path.to_owned(), source })?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        for file in [&mut config.head_path, &mut config.capture_dir].into_iter().flatten() {
+            *file = folder.join(&*file);
+        }
+        config.check(path)?;
+        Ok(config)
+    }
+
+    /// Writes the configuration as JSON to `path`, for a later [`MockConfig::load`].
+    pub fn write(&self, path: &Path) -> io::Result<()> {
+        let mut text = serde_json::to_string_pretty(self)?;
+        text.push('\n');
+        std::fs::write(path, text)
+    }
+
+    /// The head path that the configuration names; standing still where it names none.
+    /// `config` is the configuration's file, for error messages.
+    pub fn load_head_path(&self, config: &Path) -> Result<HeadPath, ConfigError> {
+        let Some(path) = &self.head_path else { return Ok(HeadPath::standing()) };
+        let text = std::fs::read_to_string(path).map_err(|source| ConfigError::ReadHeadPath {
+            config: config.to_owned(),
+            head_path: path.clone(),
+            source,
+        })?;
+        Ok(HeadPath::parse(&text, &path.display().to_string())?)
+    }
+
+    fn check(&self, path: &Path) -> Result<(), ConfigError> {
+        let extent_ok = self.extent_pixels.iter().all(|side| (1..=MAX_EXTENT_PIXELS).contains(side));
+        let fov_ok = self.fov_degrees.left_eye().is_valid();
+        let rules = [
+            (
+                extent_ok,
+                "extent_pixels",
+                format!("{:?}", self.extent_pixels),
+                "[width, height], each 1 to 8192",
+            ),
+            (
+                fov_ok,
+                "fov_degrees",
+                format!("{:?}", self.fov_degrees),
+                "four angles under 89 degrees that open a view (left + right > 0, up + down > 0)",
+            ),
+            ((0.0..=0.2).contains(&self.ipd_m), "ipd_m", self.ipd_m.to_string(), "0 to 0.2 metres"),
+            (
+                (1.0..=1000.0).contains(&self.refresh_hz),
+                "refresh_hz",
+                self.refresh_hz.to_string(),
+                "1 to 1000 Hz",
+            ),
+            (
+                (1..1 << 62).contains(&self.virtual_start_ns),
+                "virtual_start_ns",
+                self.virtual_start_ns.to_string(),
+                "above 0 and below 2^62, because XrTime has no zero",
+            ),
+            (
+                (0.0..=1e9).contains(&self.seconds),
+                "seconds",
+                self.seconds.to_string(),
+                "0 (never stop) or a time in seconds",
+            ),
+        ];
+        match rules.into_iter().find(|(ok, ..)| !ok) {
+            Some((_, field, value, range)) => {
+                Err(ConfigError::Range { path: path.to_owned(), field, value, range })
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[track_caller]
+    fn loaded(text: &str) -> Result<MockConfig, ConfigError> {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("mock.json");
+        std::fs::write(&path, text).expect("write the configuration");
+        MockConfig::load(&path)
+    }
+
+    #[test]
+    fn an_unset_variable_gives_the_defaults() {
+        assert_eq!(MockConfig::from_environment(None).expect("defaults"), MockConfig::default());
+    }
+
+    #[test]
+    fn a_written_configuration_reads_back_the_same() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("mock.json");
+        let config = MockConfig {
+            clock: ClockKind::Virtual,
+            capture_dir: Some(folder.path().join("out")),
+            capture_every: 3,
+            events: vec![ScriptedEvent { frame: 9, kind: EventKind::FocusLoss }],
+            ..MockConfig::default()
+        };
+        config.write(&path).expect("write");
+        assert_eq!(MockConfig::load(&path).expect("read back"), config);
+    }
+
+    #[test]
+    fn relative_paths_start_at_the_configurations_folder() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("mock.json");
+        std::fs::write(&path, r#"{"head_path": "walk.csv"}"#).expect("write");
+        let config = MockConfig::load(&path).expect("valid");
+        assert_eq!(config.head_path, Some(folder.path().join("walk.csv")));
+        let error = config.load_head_path(&path).expect_err("no such file").to_string();
+        assert!(error.contains("walk.csv") && error.contains("mock.json"), "{error}");
+    }
+
+    #[test]
+    fn a_misspelt_field_names_the_file_and_the_line() {
+        let error = loaded("{\n  \"refresh\": 90\n}").expect_err("unknown field").to_string();
+        assert!(error.contains("mock.json:2: unknown field `refresh`, expected one of"), "{error}");
+    }
+
+    #[test]
+    fn values_out_of_range_name_the_field_and_the_range() {
+        for (text, field) in [
+            (r#"{"extent_pixels": [0, 512]}"#, "extent_pixels is [0, 512]; it must be"),
+            (r#"{"refresh_hz": 0}"#, "refresh_hz is 0; it must be 1 to 1000 Hz"),
+            (r#"{"virtual_start_ns": 0}"#, "virtual_start_ns is 0"),
+            (r#"{"seconds": -1}"#, "seconds is -1"),
+            (r#"{"fov_degrees": {"left": -50, "right": 45, "up": 45, "down": 45}}"#, "fov_degrees"),
+        ] {
+            let error = loaded(text).expect_err(text).to_string();
+            assert!(error.contains(field), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_right_eyes_view_mirrors_the_left_eyes() {
+        let degrees = FovDegrees { left: 50.0, right: 40.0, up: 45.0, down: 42.0 };
+        let (left, right) = (degrees.left_eye(), degrees.right_eye());
+        assert_eq!((left.left, left.right), (-right.right, -right.left));
+        assert_eq!((left.up, left.down), (right.up, right.down));
+    }
+}

@@ -1,0 +1,297 @@
+//! The session: its life from READY to EXITING, and its creation on the application's Vulkan device.
+
+use openxr_sys as xr;
+use xr::Handle as _;
+
+use crate::config::EventKind;
+use crate::fault::{Fault, Outcome};
+use crate::ffi::{self, entry};
+use crate::frame::FrameLoop;
+use crate::gpu::Gpu;
+use crate::instance::{check_system, check_view_configuration};
+use crate::runtime::{self, Core, Event, Session};
+
+type State = xr::SessionState;
+
+/// Where the session stands. Every method that moves it gives the states that it passes through, to be announced.
+///
+/// IDLE and READY are announced at creation. SYNCHRONIZED, VISIBLE and FOCUSED follow the first `xrEndFrame`, so the
+/// first frame is never rendered. A stop passes VISIBLE, SYNCHRONIZED and STOPPING; `xrEndSession` leads to EXITING.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct SessionState {
+    current: State,
+    running: bool,
+    /// False while something else has the focus.
+    focus: bool,
+}
+
+impl SessionState {
+    pub(crate) fn new() -> (Self, Vec<State>) {
+        (Self { current: State::READY, running: false, focus: true }, vec![State::IDLE, State::READY])
+    }
+
+    fn pass(&mut self, states: &[State]) -> Vec<State> {
+        self.current = states.last().copied().unwrap_or(self.current);
+        states.to_vec()
+    }
+
+    /// Refuses a session that has not begun.
+    pub(crate) fn check_running(&self) -> Outcome<()> {
+        match self.running {
+            true => Ok(()),
+            false => Err(Fault::application(
+                xr::Result::ERROR_SESSION_NOT_RUNNING,
+                "the session has not begun (or has ended); call xrBeginSession at READY",
+            )),
+        }
+    }
+
+    /// True while frames are seen.
+    pub(crate) fn should_render(&self) -> bool {
+        self.current == State::VISIBLE || self.current == State::FOCUSED
+    }
+
+    /// True while the session has input.
+    pub(crate) fn is_focused(&self) -> bool {
+        self.current == State::FOCUSED
+    }
+
+    fn begin(&mut self) -> Outcome<()> {
+        if self.running {
+            return Err(Fault::application(
+                xr::Result::ERROR_SESSION_RUNNING,
+                "the session has begun already",
+            ));
+        }
+        if self.current != State::READY {
+            let message = format!("the session is {:?}; wait for READY", self.current);
+            return Err(Fault::application(xr::Result::ERROR_SESSION_NOT_READY, message));
+        }
+        self.running = true;
+        Ok(())
+    }
+
+    fn end(&mut self) -> Outcome<Vec<State>> {
+        self.check_running()?;
+        if self.current != State::STOPPING {
+            let message =
+                format!("the session is {:?}; call xrRequestExitSession, wait for STOPPING", self.current);
+            return Err(Fault::application(xr::Result::ERROR_SESSION_NOT_STOPPING, message));
+        }
+        self.running = false;
+        Ok(self.pass(&[State::IDLE, State::EXITING]))
+    }
+
+    pub(crate) fn frame_ended(&mut self) -> Vec<State> {
+        match (self.current, self.focus) {
+            (State::READY, true) => self.pass(&[State::SYNCHRONIZED, State::VISIBLE, State::FOCUSED]),
+            (State::READY, false) => self.pass(&[State::SYNCHRONIZED, State::VISIBLE]),
+            _ => Vec::new(),
+        }
+    }
+
+    fn set_focus(&mut self, focus: bool) -> Vec<State> {
+        self.focus = focus;
+        match (self.current, focus) {
+            (State::FOCUSED, false) => self.pass(&[State::VISIBLE]),
+            (State::VISIBLE, true) => self.pass(&[State::FOCUSED]),
+            _ => Vec::new(),
+        }
+    }
+
+    pub(crate) fn stop(&mut self) -> Vec<State> {
+        match self.current {
+            State::READY => self.pass(&[State::SYNCHRONIZED, State::STOPPING]),
+            State::SYNCHRONIZED => self.pass(&[State::STOPPING]),
+            State::VISIBLE => self.pass(&[State::SYNCHRONIZED, State::STOPPING]),
+            State::FOCUSED => self.pass(&[State::VISIBLE, State::SYNCHRONIZED, State::STOPPING]),
+            _ => Vec::new(),
+        }
+    }
+}
+
+/// Puts state changes into the event queue.
+pub(crate) fn announce(core: &mut Core, session: u64, states: Vec<State>) {
+    let time_ns = core.now_ns();
+    let events = states.into_iter().map(|state| Event::SessionState { session, state, time_ns });
+    core.events.extend(events);
+}
+
+/// How long before an instance loss its announcement comes, nanoseconds.
+const LOSS_NOTICE_NS: i64 = 1_000_000_000;
+
+/// Lets a scripted event happen.
+pub(crate) fn happen(core: &mut Core, session: &mut Session, kind: EventKind) {
+    let states = match kind {
+        EventKind::FocusLoss => session.state.set_focus(false),
+        EventKind::FocusGain => session.state.set_focus(true),
+        EventKind::Stop => session.state.stop(),
+        EventKind::InstanceLoss => {
+            let loss_time_ns = core.now_ns() + LOSS_NOTICE_NS;
+            core.loss_time_ns = Some(loss_time_ns);
+            core.events.push_back(Event::InstanceLossPending { loss_time_ns });
+            Vec::new()
+        }
+    };
+    announce(core, session.handle, states);
+}
+
+/// Destroys a session with everything in it.
+pub(crate) fn close(session: Option<Session>) {
+    let Some(mut session) = session else { return };
+    for (_, swapchain) in session.swapchains.drain() {
+        swapchain.destroy(&session.gpu);
+    }
+    runtime::notify_frame_begun();
+}
+
+entry! {
+    create_session: CreateSession = "xrCreateSession"(
+        instance: value xr::Instance,
+        create_info: input xr::SessionCreateInfo,
+        session: slot xr::Session,
+    ) {
+        let mut runtime = runtime::lock();
+        check_system(create_info.system_id)?;
+        let handle = runtime.new_handle();
+        let core = runtime.core(instance)?;
+        if !core.requirements_asked {
+            let message = "call xrGetVulkanGraphicsRequirements2KHR before xrCreateSession";
+            return Err(Fault::application(xr::Result::ERROR_GRAPHICS_REQUIREMENTS_CALL_MISSING, message));
+        }
+        // SAFETY: the chain of a structure that the application passes in.
+        let binding = unsafe { ffi::chained_input::<xr::GraphicsBindingVulkanKHR>(create_info.next) };
+        let (Some(binding), Some(vulkan)) = (binding, &core.vulkan) else {
+            let message = "chain an XrGraphicsBindingVulkan2KHR whose instance xrCreateVulkanInstanceKHR has made";
+            return Err(Fault::application(xr::Result::ERROR_GRAPHICS_DEVICE_INVALID, message));
+        };
+        let gpu = Gpu::new(vulkan, binding)?;
+        let (state, states) = SessionState::new();
+        let state_of_instance = runtime.instance_even_lost(instance)?;
+        if state_of_instance.session.is_some() {
+            let message = "a session exists; destroy it before creating another";
+            return Err(Fault::application(xr::Result::ERROR_LIMIT_REACHED, message));
+        }
+        announce(&mut state_of_instance.core, handle, states);
+        state_of_instance.session = Some(Session {
+            handle,
+            state,
+            frames: FrameLoop::default(),
+            gpu,
+            swapchains: Default::default(),
+            spaces: Default::default(),
+            action_sets_attached: false,
+        });
+        *session = xr::Session::from_raw(handle);
+        Ok(xr::Result::SUCCESS)
+    }
+}
+
+entry! {
+    destroy_session: DestroySession = "xrDestroySession"(session: value xr::Session) {
+        let mut runtime = runtime::lock();
+        let raw = session.into_raw();
+        let state = runtime.instance.as_mut().ok_or_else(|| Fault::handle("session"))?;
+        let removed = state.session.take_if(|session| session.handle == raw);
+        if removed.is_none() {
+            return Err(Fault::handle("session"));
+        }
+        close(removed);
+        state.core.actions.detach();
+        state.core.write_summary();
+        Ok(xr::Result::SUCCESS)
+    }
+}
+
+entry! {
+    begin_session: BeginSession = "xrBeginSession"(
+        session: value xr::Session,
+        begin_info: input xr::SessionBeginInfo,
+    ) {
+        let mut runtime = runtime::lock();
+        let (_, session) = runtime.session(session)?;
+        check_view_configuration(begin_info.primary_view_configuration_type)?;
+        session.state.begin()?;
+        session.frames = FrameLoop::default();
+        Ok(xr::Result::SUCCESS)
+    }
+}
+
+entry! {
+    end_session: EndSession = "xrEndSession"(session: value xr::Session) {
+        let mut runtime = runtime::lock();
+        let (core, session) = runtime.session(session)?;
+        let states = session.state.end()?;
+        session.frames = FrameLoop::default();
+        announce(core, session.handle, states);
+        core.write_summary();
+        runtime::notify_frame_begun();
+        Ok(xr::Result::SUCCESS)
+    }
+}
+
+entry! {
+    request_exit_session: RequestExitSession = "xrRequestExitSession"(session: value xr::Session) {
+        let mut runtime = runtime::lock();
+        let (core, session) = runtime.session(session)?;
+        session.state.check_running()?;
+        let states = session.state.stop();
+        announce(core, session.handle, states);
+        Ok(xr::Result::SUCCESS)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn focused() -> SessionState {
+        let (mut state, _) = SessionState::new();
+        state.begin().expect("READY");
+        state.frame_ended();
+        state
+    }
+
+    #[track_caller]
+    fn code<T: std::fmt::Debug>(outcome: Outcome<T>) -> xr::Result {
+        outcome.expect_err("must be refused").code
+    }
+
+    #[test]
+    fn a_session_is_synchronised_visible_and_focused_after_its_first_frame() {
+        let (mut state, announced) = SessionState::new();
+        assert_eq!(announced, [State::IDLE, State::READY]);
+        state.begin().expect("READY");
+        assert!(!state.should_render());
+        assert_eq!(state.frame_ended(), [State::SYNCHRONIZED, State::VISIBLE, State::FOCUSED]);
+        assert!(state.should_render() && state.is_focused());
+        assert_eq!(state.frame_ended(), []);
+    }
+
+    #[test]
+    fn a_stopped_session_passes_every_state_and_exits_once_ended() {
+        let mut state = focused();
+        assert_eq!(state.stop(), [State::VISIBLE, State::SYNCHRONIZED, State::STOPPING]);
+        assert_eq!(state.stop(), [], "a second stop changes nothing");
+        assert_eq!(state.end().expect("STOPPING"), [State::IDLE, State::EXITING]);
+        assert_eq!(code(state.begin()), xr::Result::ERROR_SESSION_NOT_READY);
+    }
+
+    #[test]
+    fn begin_and_end_out_of_order_are_refused() {
+        let (mut state, _) = SessionState::new();
+        assert_eq!(code(state.end()), xr::Result::ERROR_SESSION_NOT_RUNNING);
+        state.begin().expect("READY");
+        assert_eq!(code(state.begin()), xr::Result::ERROR_SESSION_RUNNING);
+        assert_eq!(code(state.end()), xr::Result::ERROR_SESSION_NOT_STOPPING);
+    }
+
+    #[test]
+    fn focus_that_is_lost_before_the_first_frame_stays_lost() {
+        let (mut state, _) = SessionState::new();
+        state.begin().expect("READY");
+        assert_eq!(state.set_focus(false), []);
+        assert_eq!(state.frame_ended(), [State::SYNCHRONIZED, State::VISIBLE]);
+        assert_eq!(state.set_focus(true), [State::FOCUSED]);
+    }
+}

@@ -1,0 +1,362 @@
+//! Swapchains: images that the runtime owns and the application draws into, in the order acquire, wait, release.
+
+use std::collections::VecDeque;
+
+use ash::vk;
+use openxr_sys as xr;
+use xr::Handle as _;
+
+use crate::config::MAX_EXTENT_PIXELS;
+use crate::fault::{Fault, Outcome};
+use crate::ffi::{self, entry};
+use crate::gpu::{Gpu, GpuImage, ImageInfo};
+use crate::runtime::{self, Session};
+
+/// Formats of swapchains, the preferred one first.
+const FORMATS: [vk::Format; 2] = [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB];
+
+/// Images of a swapchain that is not static.
+const IMAGE_COUNT: u32 = 3;
+
+/// A swapchain of the session's.
+pub(crate) struct Swapchain {
+    pub(crate) extent: [u32; 2],
+    pub(crate) array_size: u32,
+    pub(crate) images: ImageQueue,
+    format: vk::Format,
+    gpu_images: Vec<SwapchainImage>,
+}
+
+struct SwapchainImage {
+    image: GpuImage,
+    /// True once the image is in COLOR_ATTACHMENT_OPTIMAL, which its first acquire sees to.
+    in_layout: bool,
+}
+
+impl Swapchain {
+    pub(crate) fn image(&self, index: u32) -> vk::Image {
+        self.gpu_images[index as usize].image.image
+    }
+
+    /// True where a texel's first byte is blue.
+    pub(crate) fn blue_first(&self) -> bool {
+        self.format == vk::Format::B8G8R8A8_SRGB
+    }
+
+    pub(crate) fn destroy(self, gpu: &Gpu) {
+        for image in self.gpu_images {
+            gpu.destroy_image(image.image);
+        }
+    }
+}
+
+/// Who holds which image: the application acquires them in turn, waits for the oldest and releases it.
+#[derive(Clone, Debug)]
+pub(crate) struct ImageQueue {
+    count: u32,
+    next: u32,
+    acquired: VecDeque<u32>,
+    /// The oldest acquired image was waited for.
+    waited: bool,
+    last_released: Option<u32>,
+    /// Only one acquire is allowed, ever.
+    is_static: bool,
+    was_acquired: bool,
+}
+
+impl ImageQueue {
+    fn new(count: u32, is_static: bool) -> Self {
+        Self {
+            count,
+            next: 0,
+            acquired: VecDeque::new(),
+            waited: false,
+            last_released: None,
+            is_static,
+            was_acquired: false,
+        }
+    }
+
+    fn acquire(&mut self) -> Outcome<u32> {
+        if self.is_static && self.was_acquired {
+            return Err(Fault::order("a static swapchain's image is acquired once only"));
+        }
+        if self.acquired.len() as u32 == self.count {
+            return Err(Fault::order("all images are acquired; release one before acquiring another"));
+        }
+        let index = self.next;
+        self.next = (self.next + 1) % self.count;
+        self.acquired.push_back(index);
+        self.was_acquired = true;
+        Ok(index)
+    }
+
+    fn wait(&mut self) -> Outcome<()> {
+        if self.acquired.is_empty() {
+            return Err(Fault::order("no image is acquired; call xrAcquireSwapchainImage first"));
+        }
+        if self.waited {
+            return Err(Fault::order("the oldest acquired image was waited for already; release it first"));
+        }
+        self.waited = true;
+        Ok(())
+    }
+
+    fn release(&mut self) -> Outcome<()> {
+        if !self.waited {
+            return Err(Fault::order("no image was waited for; call xrWaitSwapchainImage first"));
+        }
+        self.waited = false;
+        self.last_released = self.acquired.pop_front();
+        Ok(())
+    }
+
+    /// The image that layers show.
+    pub(crate) fn last_released(&self) -> Option<u32> {
+        self.last_released
+    }
+}
+
+entry! {
+    enumerate_swapchain_formats: EnumerateSwapchainFormats = "xrEnumerateSwapchainFormats"(
+        session: value xr::Session,
+        capacity: value u32,
+        count: raw_out u32,
+        formats: raw_out i64,
+    ) {
+        runtime::lock().session(session)?;
+        // SAFETY: count and formats are the caller's, of the capacity it says.
+        unsafe {
+            ffi::enumerate((capacity, count, formats), &FORMATS, |slot, format| {
+                *slot = i64::from(format.as_raw());
+            })
+        }
+    }
+}
+
+/// The images that a swapchain's creation asks for.
+fn image_info(info: &xr::SwapchainCreateInfo) -> Outcome<ImageInfo> {
+    let format =
+        FORMATS.into_iter().find(|format| i64::from(format.as_raw()) == info.format).ok_or_else(|| {
+            let message = format!("format {}; take one of xrEnumerateSwapchainFormats", info.format);
+            Fault::application(xr::Result::ERROR_SWAPCHAIN_FORMAT_UNSUPPORTED, message)
+        })?;
+    let sizes = [info.width, info.height];
+    let sizes_ok = sizes.iter().all(|side| (1..=MAX_EXTENT_PIXELS).contains(side));
+    let counts_ok = info.array_size > 0 && info.mip_count > 0 && info.sample_count > 0;
+    if !sizes_ok || !counts_ok {
+        let message =
+            format!("{sizes:?} pixels (1 to {MAX_EXTENT_PIXELS}), and all counts above 0, are needed");
+        return Err(Fault::usage(message));
+    }
+    let unsupported = |what: &str| Err(Fault::application(xr::Result::ERROR_FEATURE_UNSUPPORTED, what));
+    if info.face_count != 1 {
+        return unsupported("faceCount must be 1: there are no cube swapchains");
+    }
+    if info.sample_count != 1 {
+        return unsupported("sampleCount must be 1: resolve in the render pass");
+    }
+    if info.create_flags.contains(xr::SwapchainCreateFlags::PROTECTED_CONTENT) {
+        return unsupported("there is no protected content");
+    }
+    let mutable = info.usage_flags.contains(xr::SwapchainUsageFlags::MUTABLE_FORMAT);
+    Ok(ImageInfo {
+        format,
+        extent: sizes,
+        array_size: info.array_size,
+        mip_count: info.mip_count,
+        usage: vulkan_usage(info.usage_flags)?,
+        mutable_format: mutable,
+    })
+}
+
+/// The application's usages, and those that the runtime needs itself: COLOR_ATTACHMENT for the layout in which images
+/// are handed over, TRANSFER_SRC for captures.
+fn vulkan_usage(flags: xr::SwapchainUsageFlags) -> Outcome<vk::ImageUsageFlags> {
+    type Xr = xr::SwapchainUsageFlags;
+    type Vk = vk::ImageUsageFlags;
+    if flags.contains(Xr::DEPTH_STENCIL_ATTACHMENT) {
+        let message = "DEPTH_STENCIL_ATTACHMENT does not go with a colour format";
+        return Err(Fault::application(xr::Result::ERROR_FEATURE_UNSUPPORTED, message));
+    }
+    let pairs = [
+        (Xr::COLOR_ATTACHMENT, Vk::COLOR_ATTACHMENT),
+        (Xr::UNORDERED_ACCESS, Vk::STORAGE),
+        (Xr::TRANSFER_SRC, Vk::TRANSFER_SRC),
+        (Xr::TRANSFER_DST, Vk::TRANSFER_DST),
+        (Xr::SAMPLED, Vk::SAMPLED),
+        (Xr::INPUT_ATTACHMENT, Vk::INPUT_ATTACHMENT),
+    ];
+    let asked = pairs.into_iter().filter(|(xr, _)| flags.contains(*xr)).map(|(_, vk)| vk);
+    Ok(asked.fold(Vk::COLOR_ATTACHMENT | Vk::TRANSFER_SRC, |all, usage| all | usage))
+}
+
+entry! {
+    create_swapchain: CreateSwapchain = "xrCreateSwapchain"(
+        session: value xr::Session,
+        create_info: input xr::SwapchainCreateInfo,
+        swapchain: slot xr::Swapchain,
+    ) {
+        let mut runtime = runtime::lock();
+        let handle = runtime.new_handle();
+        let (_, session) = runtime.session(session)?;
+        let info = image_info(create_info)?;
+        let is_static = create_info.create_flags.contains(xr::SwapchainCreateFlags::STATIC_IMAGE);
+        let count = if is_static { 1 } else { IMAGE_COUNT };
+        session.swapchains.insert(handle, new_swapchain(&session.gpu, &info, count, is_static)?);
+        *swapchain = xr::Swapchain::from_raw(handle);
+        Ok(xr::Result::SUCCESS)
+    }
+}
+
+fn new_swapchain(gpu: &Gpu, info: &ImageInfo, count: u32, is_static: bool) -> Outcome<Swapchain> {
+    let mut swapchain = Swapchain {
+        extent: info.extent,
+        array_size: info.array_size,
+        images: ImageQueue::new(count, is_static),
+        format: info.format,
+        gpu_images: Vec::new(),
+    };
+    for _ in 0..count {
+        match gpu.create_image(info) {
+            Ok(image) => swapchain.gpu_images.push(SwapchainImage { image, in_layout: false }),
+            Err(fault) => {
+                swapchain.destroy(gpu);
+                return Err(fault);
+            }
+        }
+    }
+    Ok(swapchain)
+}
+
+entry! {
+    destroy_swapchain: DestroySwapchain = "xrDestroySwapchain"(swapchain: value xr::Swapchain) {
+        let mut runtime = runtime::lock();
+        let session = runtime.instance.as_mut().and_then(|instance| instance.session.as_mut());
+        let session = session.ok_or_else(|| Fault::handle("swapchain"))?;
+        let removed = session.swapchains.remove(&swapchain.into_raw()).ok_or_else(|| Fault::handle("swapchain"))?;
+        removed.destroy(&session.gpu);
+        Ok(xr::Result::SUCCESS)
+    }
+}
+
+entry! {
+    enumerate_swapchain_images: EnumerateSwapchainImages = "xrEnumerateSwapchainImages"(
+        swapchain: value xr::Swapchain,
+        capacity: value u32,
+        count: raw_out u32,
+        images: raw_out xr::SwapchainImageBaseHeader,
+    ) {
+        let mut runtime = runtime::lock();
+        let (_, session) = runtime.session_of_swapchain(swapchain)?;
+        let images = images.cast::<xr::SwapchainImageVulkanKHR>();
+        let ours = &swapchain_of(session, swapchain)?.0.gpu_images;
+        // SAFETY: with the Vulkan extension the array consists of XrSwapchainImageVulkan2KHR; it is the caller's, of the
+        // capacity it says.
+        unsafe {
+            ffi::enumerate((capacity, count, images), ours, |slot, ours| {
+                slot.image = vk::Handle::as_raw(ours.image.image);
+            })
+        }
+    }
+}
+
+fn swapchain_of(session: &mut Session, handle: xr::Swapchain) -> Outcome<(&mut Swapchain, &mut Gpu)> {
+    let Session { swapchains, gpu, .. } = session;
+    let swapchain = swapchains.get_mut(&handle.into_raw()).ok_or_else(|| Fault::handle("swapchain"))?;
+    Ok((swapchain, gpu))
+}
+
+entry! {
+    acquire_swapchain_image: AcquireSwapchainImage = "xrAcquireSwapchainImage"(
+        swapchain: value xr::Swapchain,
+        acquire_info: optional xr::SwapchainImageAcquireInfo,
+        index: slot u32,
+    ) {
+        let _ = acquire_info;
+        let mut runtime = runtime::lock();
+        let (_, session) = runtime.session_of_swapchain(swapchain)?;
+        let (swapchain, gpu) = swapchain_of(session, swapchain)?;
+        let acquired = swapchain.images.acquire()?;
+        let image = &mut swapchain.gpu_images[acquired as usize];
+        if !image.in_layout {
+            gpu.hand_over(&image.image)?;
+            image.in_layout = true;
+        }
+        *index = acquired;
+        Ok(xr::Result::SUCCESS)
+    }
+}
+
+entry! {
+    wait_swapchain_image: WaitSwapchainImage = "xrWaitSwapchainImage"(
+        swapchain: value xr::Swapchain,
+        wait_info: input xr::SwapchainImageWaitInfo,
+    ) {
+        // Captures are read back before xrEndFrame returns, so the runtime is never still reading an image.
+        let _ = wait_info.timeout;
+        let mut runtime = runtime::lock();
+        let (_, session) = runtime.session_of_swapchain(swapchain)?;
+        swapchain_of(session, swapchain)?.0.images.wait()?;
+        Ok(xr::Result::SUCCESS)
+    }
+}
+
+entry! {
+    release_swapchain_image: ReleaseSwapchainImage = "xrReleaseSwapchainImage"(
+        swapchain: value xr::Swapchain,
+        release_info: optional xr::SwapchainImageReleaseInfo,
+    ) {
+        let _ = release_info;
+        let mut runtime = runtime::lock();
+        let (_, session) = runtime.session_of_swapchain(swapchain)?;
+        swapchain_of(session, swapchain)?.0.images.release()?;
+        Ok(xr::Result::SUCCESS)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[track_caller]
+    fn refused<T: std::fmt::Debug>(outcome: Outcome<T>) {
+        assert_eq!(outcome.expect_err("out of order").code, xr::Result::ERROR_CALL_ORDER_INVALID);
+    }
+
+    #[test]
+    fn images_come_in_turn_and_the_oldest_is_released_first() {
+        let mut queue = ImageQueue::new(3, false);
+        assert_eq!(queue.last_released(), None);
+        for round in 0..7 {
+            assert_eq!(queue.acquire().expect("free"), round % 3);
+            queue.wait().expect("acquired");
+            queue.release().expect("waited");
+            assert_eq!(queue.last_released(), Some(round % 3));
+        }
+    }
+
+    #[test]
+    fn wait_release_and_acquire_out_of_order_are_refused() {
+        let mut queue = ImageQueue::new(2, false);
+        refused(queue.wait());
+        refused(queue.release());
+        queue.acquire().expect("free");
+        refused(queue.release());
+        queue.acquire().expect("free");
+        refused(queue.acquire());
+        queue.wait().expect("acquired");
+        refused(queue.wait());
+        queue.release().expect("waited");
+        assert_eq!(queue.last_released(), Some(0));
+    }
+
+    #[test]
+    fn a_static_swapchain_is_acquired_once() {
+        let mut queue = ImageQueue::new(1, true);
+        queue.acquire().expect("first");
+        queue.wait().expect("acquired");
+        queue.release().expect("waited");
+        refused(queue.acquire());
+    }
+}
