@@ -1,1 +1,8 @@
 //! Server, link and client on one virtual clock; metrics and reports.
+
+pub mod flip;
+pub mod image;
+pub mod metrics;
+pub mod sheet;
+pub mod ssim;
+pub mod stats;

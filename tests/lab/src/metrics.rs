@@ -1,0 +1,523 @@
+//! What a displayed frame is worth, measured against the truth: the forward renderer with the same eye pose, field of
+//! view and time of display.
+//!
+//! Every figure is taken over the pixels where the truth shows geometry, since an empty sky would flatter all of them.
+//! Pictures are compared after display encoding, as sRGB bytes. Filters of SSIM and FLIP look at neighbours outside
+//! that mask too: only their results are masked.
+//!
+//! A **hole** is a pixel of the mask where the client's picture shows another instance, or none, or where its depth
+//! lies more than 1 % behind the truth's. The share is taken of the mask, not of the picture.
+
+use thiserror::Error;
+
+use crate::flip::{DEFAULT_PIXELS_PER_DEGREE, flip_map};
+use crate::image::Rgb8Image;
+use crate::ssim::ssim_map;
+
+/// The least share of the picture that must show geometry for its figures to count.
+pub const MIN_TRUTH_COVERAGE: f64 = 0.4;
+
+/// What PSNR is cut at, so that identical pictures do not make means infinite.
+pub const MAX_PSNR_DB: f64 = 99.0;
+
+/// How far behind the truth the client's depth may lie, as a factor.
+const DEPTH_TOLERANCE: f32 = 1.01;
+
+/// What an eye sees at every pixel, apart from colour. Both lists run row by row from the top left.
+#[derive(Clone, Debug)]
+pub struct ProbeView {
+    /// Pixels in a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// The nearest instance, [`ProbeView::BACKGROUND`] where there is none.
+    pub instance: Vec<u32>,
+    /// Its distance from the eye along the view direction, in metres; infinite where there is none.
+    pub depth_m: Vec<f32>,
+}
+
+impl ProbeView {
+    /// The instance where nothing is seen.
+    pub const BACKGROUND: u32 = u32::MAX;
+
+    /// Whether each pixel shows geometry.
+    pub fn geometry_mask(&self) -> Vec<bool> {
+        self.instance.iter().map(|&instance| instance != Self::BACKGROUND).collect()
+    }
+
+    /// The share of pixels that show geometry, 0 to 1.
+    pub fn coverage(&self) -> f64 {
+        let shown = self.instance.iter().filter(|&&instance| instance != Self::BACKGROUND).count();
+        shown as f64 / self.instance.len().max(1) as f64
+    }
+
+    fn check(&self, name: &'static str) -> Result<(), MetricsError> {
+        let want = self.width as usize * self.height as usize;
+        if self.instance.len() == want && self.depth_m.len() == want && want > 0 {
+            return Ok(());
+        }
+        let got = [self.instance.len(), self.depth_m.len()];
+        Err(MetricsError::Probe { name, width: self.width, height: self.height, got })
+    }
+
+    /// Whether `other` shows at pixel `there` what `self` shows at pixel `here`, no more than 1 % behind it.
+    fn is_shown_by(&self, here: usize, other: &Self, there: usize) -> bool {
+        self.instance[here] == other.instance[there]
+            && other.depth_m[there] <= self.depth_m[here] * DEPTH_TOLERANCE
+    }
+
+    /// The pixels around one, itself included, as far as they exist.
+    fn neighbourhood(&self, at: usize) -> impl Iterator<Item = usize> + use<> {
+        let (width, height) = (self.width as usize, self.height as usize);
+        let (x, y) = (at % width, at / width);
+        let rows = y.saturating_sub(1)..(y + 2).min(height);
+        rows.flat_map(move |y| (x.saturating_sub(1)..(x + 2).min(width)).map(move |x| y * width + x))
+    }
+
+    /// Whether the outline of something passes within one pixel.
+    fn is_silhouette(&self, at: usize) -> bool {
+        self.neighbourhood(at)
+            .any(|near| !self.is_shown_by(at, self, near) || !self.is_shown_by(near, self, at))
+    }
+}
+
+/// Why two views cannot be compared.
+#[derive(Debug, Error, PartialEq, Eq)]
+pub enum MetricsError {
+    /// Pictures or probes of one frame differ in extent.
+    #[error("cannot compare the truth ({}x{} pixels) with {name} ({}x{} pixels): render both at one size",
+            .truth[0], .truth[1], .got[0], .got[1])]
+    Extents {
+        /// What differs from the truth's picture.
+        name: &'static str,
+        /// Extent of the truth's picture, in pixels.
+        truth: [u32; 2],
+        /// Extent of the other, in pixels.
+        got: [u32; 2],
+    },
+    /// A probe that does not hold what it says.
+    #[error("{name} says {width}x{height} pixels, but holds {} instances and {} depths", .got[0], .got[1])]
+    Probe {
+        /// Which probe.
+        name: &'static str,
+        /// Pixels in a row.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// How many instances and depths there are.
+        got: [usize; 2],
+    },
+}
+
+/// One eye's view of one displayed frame, and what it should have been.
+#[derive(Clone, Copy, Debug)]
+pub struct View<'a> {
+    /// The forward renderer's picture.
+    pub truth: &'a Rgb8Image,
+    /// What the forward renderer drew there.
+    pub truth_probe: &'a ProbeView,
+    /// The client's picture.
+    pub client: &'a Rgb8Image,
+    /// What the client drew there; none if it displayed the frame without a bundle, which makes all of it holes.
+    pub client_probe: Option<&'a ProbeView>,
+    /// Pixels per degree at the centre of the view: FLIP is given for this number too.
+    pub pixels_per_degree: f32,
+}
+
+/// How close two pictures are, over the pixels where the truth shows geometry.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PictureMetrics {
+    /// Peak signal to noise ratio over sRGB bytes in dB, at most [`MAX_PSNR_DB`].
+    pub psnr_db: f64,
+    /// Structural similarity, -1 to 1 (identical).
+    pub ssim: f64,
+    /// FLIP at 67 pixels per degree, 0 (identical) to 1.
+    pub flip: f64,
+    /// FLIP at the view's own pixels per degree, 0 (identical) to 1.
+    pub flip_at_view: f64,
+}
+
+/// How much of what should be seen is missing, 0 (nothing) to 1.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Holes {
+    /// Pixels that are holes: the figure that counts.
+    pub strict: f64,
+    /// Holes without those along outlines that a shift by one pixel explains. Always beside `strict`, never instead.
+    pub beyond_outlines: f64,
+}
+
+/// The figures of one eye's view of one displayed frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameMetrics {
+    /// How close the pictures are; none if the truth shows too little geometry for figures to count.
+    pub picture: Option<PictureMetrics>,
+    /// What is missing.
+    pub holes: Holes,
+    /// The share of the picture where the truth shows geometry, 0 to 1.
+    pub truth_coverage: f64,
+    /// Whether the client had a bundle to display.
+    pub has_bundle: bool,
+}
+
+impl FrameMetrics {
+    /// Measures one view.
+    pub fn measure(view: &View<'_>) -> Result<Self, MetricsError> {
+        check_extents(view)?;
+        let truth_coverage = view.truth_probe.coverage();
+        let picture = (truth_coverage >= MIN_TRUTH_COVERAGE).then(|| PictureMetrics::measure(view));
+        let holes = match view.client_probe {
+            Some(client) => Holes::measure(view.truth_probe, client)?,
+            None => Holes::whole(view.truth_probe),
+        };
+        Ok(Self { picture, holes, truth_coverage, has_bundle: view.client_probe.is_some() })
+    }
+
+    /// Whether the figures count.
+    pub fn compared(&self) -> bool {
+        self.picture.is_some()
+    }
+}
+
+fn check_extents(view: &View<'_>) -> Result<(), MetricsError> {
+    view.truth_probe.check("the truth's probe")?;
+    view.client_probe.map_or(Ok(()), |probe| probe.check("the client's probe"))?;
+    let truth = [view.truth.width, view.truth.height];
+    let probe_extent = |probe: &ProbeView| [probe.width, probe.height];
+    let others = [
+        ("the client's picture", Some([view.client.width, view.client.height])),
+        ("the truth's probe", Some(probe_extent(view.truth_probe))),
+        ("the client's probe", view.client_probe.map(probe_extent)),
+    ];
+    for (name, extent) in others {
+        if let Some(got) = extent.filter(|&extent| extent != truth) {
+            return Err(MetricsError::Extents { name, truth, got });
+        }
+    }
+    Ok(())
+}
+
+impl PictureMetrics {
+    fn measure(view: &View<'_>) -> Self {
+        let mask = view.truth_probe.geometry_mask();
+        let flip =
+            |ppd| masked_mean(flip_map(view.truth, view.client, ppd).into_iter().map(f64::from), &mask);
+        Self {
+            psnr_db: psnr_db(view.truth, view.client, &mask),
+            ssim: masked_mean(ssim_map(view.truth, view.client), &mask),
+            flip: flip(DEFAULT_PIXELS_PER_DEGREE),
+            flip_at_view: flip(view.pixels_per_degree),
+        }
+    }
+}
+
+/// Peak signal to noise ratio in dB over the bytes of all pixels in the mask, at most [`MAX_PSNR_DB`].
+pub fn psnr_db(a: &Rgb8Image, b: &Rgb8Image, mask: &[bool]) -> f64 {
+    let pixels = a.data.chunks_exact(3).zip(b.data.chunks_exact(3));
+    let squares = pixels.map(|(a, b)| {
+        let squares: u32 = a.iter().zip(b).map(|(&a, &b)| u32::from(a.abs_diff(b)).pow(2)).sum();
+        f64::from(squares) / 3.0
+    });
+    let mean_square = masked_mean(squares, mask);
+    (10.0 * (255.0 * 255.0 / mean_square).log10()).min(MAX_PSNR_DB)
+}
+
+/// The mean of the values in the mask, which holds at least one.
+fn masked_mean(values: impl IntoIterator<Item = f64>, mask: &[bool]) -> f64 {
+    let chosen = values.into_iter().zip(mask).filter(|(_, inside)| **inside);
+    let (sum, count) = chosen.fold((0.0, 0), |(sum, count), (value, _)| (sum + value, count + 1));
+    sum / f64::from(count)
+}
+
+impl Holes {
+    /// Compares what two views show. Where the truth shows no geometry, nothing can be missing.
+    pub fn measure(truth: &ProbeView, client: &ProbeView) -> Result<Self, MetricsError> {
+        truth.check("the truth's probe")?;
+        client.check("the client's probe")?;
+        if (truth.width, truth.height) != (client.width, client.height) {
+            let [truth, got] = [truth, client].map(|probe| [probe.width, probe.height]);
+            return Err(MetricsError::Extents { name: "the client's probe", truth, got });
+        }
+        let shown = truth.instance.iter().filter(|&&instance| instance != ProbeView::BACKGROUND).count();
+        let holes: Vec<usize> = (0..truth.instance.len()).filter(|&at| is_hole(truth, client, at)).collect();
+        let beyond = holes.iter().filter(|&&at| !is_shifted_outline(truth, client, at)).count();
+        let share = |count: usize| count as f64 / shown.max(1) as f64;
+        Ok(Self { strict: share(holes.len()), beyond_outlines: share(beyond) })
+    }
+
+    /// Everything that should be seen is missing.
+    fn whole(truth: &ProbeView) -> Self {
+        let missing = if truth.coverage() > 0.0 { 1.0 } else { 0.0 };
+        Self { strict: missing, beyond_outlines: missing }
+    }
+}
+
+/// The share of the truth's geometry that is missing in the client's view, 0 to 1.
+pub fn hole_fraction(truth: &ProbeView, client: &ProbeView) -> Result<f64, MetricsError> {
+    Holes::measure(truth, client).map(|holes| holes.strict)
+}
+
+fn is_hole(truth: &ProbeView, client: &ProbeView, at: usize) -> bool {
+    truth.instance[at] != ProbeView::BACKGROUND && !truth.is_shown_by(at, client, at)
+}
+
+/// Whether an outline of the truth passes here, and one side shows within a pixel what the other shows here.
+/// A crack inside a surface is no outline of the truth, so it stays a hole.
+fn is_shifted_outline(truth: &ProbeView, client: &ProbeView, at: usize) -> bool {
+    truth.is_silhouette(at)
+        && truth
+            .neighbourhood(at)
+            .any(|near| truth.is_shown_by(at, client, near) || truth.is_shown_by(near, client, at))
+}
+
+/// Two pictures and a mask that are formulas, so that reference tools can be given the very same.
+#[cfg(test)]
+pub(crate) mod known {
+    use super::*;
+
+    pub const WIDTH: u32 = 64;
+    pub const HEIGHT: u32 = 48;
+
+    /// Gradients in red and green, a chequerboard of 8 pixels in blue.
+    pub fn truth() -> Rgb8Image {
+        let pixel = |x, y| {
+            let blue = if (x / 8 + y / 8) % 2 == 1 { 200 } else { 40 };
+            [(4 * x) as u8, (255 - 5 * y) as u8, blue]
+        };
+        Rgb8Image::from_fn(WIDTH, HEIGHT, pixel).expect("a small picture")
+    }
+
+    /// The truth shifted by one pixel, with less red, and a pattern added to green and taken from blue.
+    pub fn client() -> Rgb8Image {
+        let truth = truth();
+        let pixel = |x: u32, y: u32| {
+            let [r, g, b] = truth.pixel((x + 1).min(WIDTH - 1), y).map(u32::from);
+            let noise = (7 * x + 13 * y) % 17;
+            [(r * 9 / 10) as u8, (g + noise).min(255) as u8, b.saturating_sub(2 * noise) as u8]
+        };
+        Rgb8Image::from_fn(WIDTH, HEIGHT, pixel).expect("a small picture")
+    }
+
+    /// A disc of 20 pixels around (32, 24), 2 m away: 1245 pixels, 40.5 %.
+    pub fn probe() -> ProbeView {
+        let inside = |at: u32| (at % WIDTH).abs_diff(32).pow(2) + (at / WIDTH).abs_diff(24).pow(2) < 400;
+        let pixels = 0..WIDTH * HEIGHT;
+        let instance = pixels.clone().map(|at| if inside(at) { 7 } else { ProbeView::BACKGROUND }).collect();
+        let depth_m = pixels.map(|at| if inside(at) { 2.0 } else { f32::INFINITY }).collect();
+        ProbeView { width: WIDTH, height: HEIGHT, instance, depth_m }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn measure(truth: &Rgb8Image, client: &Rgb8Image) -> FrameMetrics {
+        let probe = known::probe();
+        let view =
+            View { truth, truth_probe: &probe, client, client_probe: Some(&probe), pixels_per_degree: 11.3 };
+        FrameMetrics::measure(&view).expect("the views fit")
+    }
+
+    #[track_caller]
+    fn picture(truth: &Rgb8Image, client: &Rgb8Image) -> PictureMetrics {
+        measure(truth, client).picture.expect("the disc covers enough")
+    }
+
+    fn swapped(image: &Rgb8Image) -> Rgb8Image {
+        let data = image.data.chunks_exact(3).flat_map(|p| [p[2], p[1], p[0]]).collect();
+        Rgb8Image { data, ..image.clone() }
+    }
+
+    #[track_caller]
+    fn assert_close(got: f64, want: f64, tolerance: f64) {
+        assert!((got - want).abs() <= tolerance, "{got} instead of {want}");
+    }
+
+    /// PSNR and SSIM computed with scikit-image 0.26.0 (`peak_signal_noise_ratio` of the pixels in the mask, the full
+    /// map of `structural_similarity` averaged over it), FLIP with flip-evaluator 1.7 (LDR map averaged over it).
+    #[test]
+    fn known_pictures_have_the_figures_of_the_reference_tools() {
+        let metrics = measure(&known::truth(), &known::client());
+        assert_close(metrics.truth_coverage, 0.4052734375, 1e-12);
+        let picture = metrics.picture.expect("the disc covers enough");
+        assert_close(picture.psnr_db, 17.082030012495537, 1e-9);
+        assert_close(picture.ssim, 0.8302392418750119, 1e-9);
+        assert_close(picture.flip, 0.29911329055047897, 1e-4);
+        assert_close(picture.flip_at_view, 0.38202180477629705, 1e-4);
+    }
+
+    #[test]
+    fn identical_pictures_have_perfect_figures() {
+        let picture = picture(&known::truth(), &known::truth());
+        assert_eq!((picture.psnr_db, picture.flip, picture.flip_at_view), (MAX_PSNR_DB, 0.0, 0.0));
+        assert_close(picture.ssim, 1.0, 1e-12);
+    }
+
+    /// Reference tools as above: 10.77 dB, 0.302, 0.519.
+    #[test]
+    fn swapping_red_and_blue_of_one_picture_ruins_every_figure() {
+        let picture = picture(&known::truth(), &swapped(&known::client()));
+        assert_close(picture.psnr_db, 10.769590634800617, 1e-9);
+        assert_close(picture.ssim, 0.3023385883624475, 1e-9);
+        assert_close(picture.flip, 0.5190053, 1e-4);
+    }
+
+    /// Mean squares and structure treat channels alike, but eyes do not: 0.3274 by flip-evaluator.
+    #[test]
+    fn swapping_red_and_blue_of_both_pictures_changes_flip() {
+        let picture = picture(&swapped(&known::truth()), &swapped(&known::client()));
+        assert_close(picture.psnr_db, 17.082030012495537, 1e-9);
+        assert_close(picture.ssim, 0.8302392418750119, 1e-9);
+        assert_close(picture.flip, 0.3274236245207997, 1e-4);
+    }
+
+    #[test]
+    fn a_difference_of_one_everywhere_is_48_db() {
+        let truth = Rgb8Image::filled(64, 48, [100; 3]).expect("a small picture");
+        let client = Rgb8Image::filled(64, 48, [101; 3]).expect("a small picture");
+        assert_close(picture(&truth, &client).psnr_db, 20.0 * 255f64.log10(), 1e-12);
+    }
+
+    #[test]
+    fn pixels_without_geometry_do_not_count_for_psnr() {
+        let truth = known::truth();
+        let mask = known::probe().geometry_mask();
+        let mut client = truth.clone();
+        for (at, _) in mask.iter().enumerate().filter(|(_, inside)| !**inside) {
+            client.set_pixel(at as u32 % known::WIDTH, at as u32 / known::WIDTH, [255, 0, 255]);
+        }
+        assert_eq!(picture(&truth, &client).psnr_db, MAX_PSNR_DB);
+    }
+
+    #[test]
+    fn too_little_geometry_gives_no_figures() {
+        let mut probe = known::probe();
+        // 1245 pixels are 40.5 %; without these it is 1224, 39.8 %.
+        let shown: Vec<usize> = (0..probe.instance.len()).filter(|&at| probe.instance[at] == 7).collect();
+        shown[..21].iter().for_each(|&at| probe.instance[at] = ProbeView::BACKGROUND);
+        let (truth, client) = (known::truth(), known::client());
+        let view = View {
+            truth: &truth,
+            truth_probe: &probe,
+            client: &client,
+            client_probe: Some(&probe),
+            pixels_per_degree: 20.0,
+        };
+        let metrics = FrameMetrics::measure(&view).expect("the views fit");
+        assert!(!metrics.compared() && metrics.truth_coverage < MIN_TRUTH_COVERAGE);
+    }
+
+    #[test]
+    fn a_frame_without_a_bundle_is_all_holes() {
+        let (truth, client, probe) = (known::truth(), known::client(), known::probe());
+        let view = View {
+            truth: &truth,
+            truth_probe: &probe,
+            client: &client,
+            client_probe: None,
+            pixels_per_degree: 20.0,
+        };
+        let metrics = FrameMetrics::measure(&view).expect("the views fit");
+        assert_eq!(metrics.holes, Holes { strict: 1.0, beyond_outlines: 1.0 });
+        assert!(metrics.compared() && !metrics.has_bundle);
+    }
+
+    #[test]
+    fn views_of_different_extents_are_refused() {
+        let (truth, probe) = (known::truth(), known::probe());
+        let small = Rgb8Image::filled(48, 64, [0; 3]).expect("a small picture");
+        let view = View {
+            truth: &truth,
+            truth_probe: &probe,
+            client: &small,
+            client_probe: None,
+            pixels_per_degree: 20.0,
+        };
+        let error = FrameMetrics::measure(&view).expect_err("the extents differ").to_string();
+        assert!(
+            error.contains("64x48") && error.contains("48x64") && error.contains("client's picture"),
+            "{error}"
+        );
+        let mut short = known::probe();
+        short.depth_m.pop();
+        assert!(matches!(Holes::measure(&probe, &short), Err(MetricsError::Probe { .. })));
+    }
+
+    /// `.` is background, a digit is an instance, all of it 2 m away.
+    fn probe(rows: &[&str]) -> ProbeView {
+        let pixels: Vec<char> = rows.iter().flat_map(|row| row.chars()).collect();
+        let instance = pixels.iter().map(|c| c.to_digit(10).unwrap_or(ProbeView::BACKGROUND)).collect();
+        let depth_m = pixels.iter().map(|&c| if c == '.' { f32::INFINITY } else { 2.0 }).collect();
+        ProbeView { width: rows[0].len() as u32, height: rows.len() as u32, instance, depth_m }
+    }
+
+    #[track_caller]
+    fn assert_holes(truth: &ProbeView, client: &ProbeView, strict: f64, beyond_outlines: f64) {
+        let holes = Holes::measure(truth, client).expect("the views fit");
+        assert_eq!(holes, Holes { strict, beyond_outlines });
+        assert_eq!(hole_fraction(truth, client), Ok(strict));
+    }
+
+    #[test]
+    fn a_view_has_no_holes_against_itself() {
+        let truth = probe(&["..11", "..12", "3312"]);
+        assert_holes(&truth, &truth, 0.0, 0.0);
+    }
+
+    #[test]
+    fn the_share_of_holes_is_taken_of_the_geometry() {
+        let truth = probe(&["....", "....", "1111", "1111"]);
+        let client = probe(&["....", "....", "1111", "...."]);
+        let holes = Holes::measure(&truth, &client).expect("the views fit");
+        assert_eq!(holes.strict, 0.5);
+    }
+
+    #[test]
+    fn another_instance_is_a_hole() {
+        let truth = probe(&["11111", "11111", "11111", "11111", "11111"]);
+        let client = probe(&["11111", "11111", "11211", "11111", "11111"]);
+        assert_holes(&truth, &client, 0.04, 0.04);
+    }
+
+    #[test]
+    fn what_the_client_shows_beyond_the_truth_is_no_hole() {
+        assert_holes(&probe(&["..11"]), &probe(&["1111"]), 0.0, 0.0);
+    }
+
+    #[test]
+    fn depth_may_lie_one_percent_behind_but_not_more() {
+        let truth = probe(&["111", "111", "111"]);
+        for (depth_m, holes) in [(2.019, 0.0), (2.021, 1.0), (1.0, 0.0)] {
+            let client = ProbeView { depth_m: vec![depth_m; 9], ..truth.clone() };
+            assert_holes(&truth, &client, holes, holes);
+        }
+    }
+
+    #[test]
+    fn an_outline_shifted_by_one_pixel_is_told_apart() {
+        let truth = probe(&[".1111", ".1111", ".1111", ".1111"]);
+        let client = probe(&["..111", "..111", "..111", "..111"]);
+        assert_holes(&truth, &client, 0.25, 0.0);
+    }
+
+    #[test]
+    fn an_outline_shifted_by_two_pixels_stays_a_hole_where_it_is_one() {
+        let truth = probe(&[".1111", ".1111", ".1111", ".1111"]);
+        let client = probe(&["...11", "...11", "...11", "...11"]);
+        // The outer column has background beside it, the inner one is no outline.
+        assert_holes(&truth, &client, 0.5, 0.25);
+    }
+
+    #[test]
+    fn a_crack_of_one_pixel_inside_a_surface_stays_a_hole() {
+        let truth = probe(&["11111", "11111", "11111"]);
+        let client = probe(&["11.11", "11.11", "11.11"]);
+        assert_holes(&truth, &client, 0.2, 0.2);
+    }
+
+    #[test]
+    fn an_empty_truth_has_no_holes() {
+        assert_holes(&probe(&["...."]), &probe(&["11.."]), 0.0, 0.0);
+        assert_eq!(Holes::whole(&probe(&["...."])), Holes::default());
+    }
+}

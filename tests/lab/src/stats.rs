@@ -1,0 +1,307 @@
+//! What a run is summed up as: `stats.json`, the same from the demo and from the lab, and a few lines for people.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::metrics::{FrameMetrics, PictureMetrics};
+
+/// Payload rates, in megabits (10^6) per second of the run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MbitPerS {
+    /// Video access units.
+    pub atlas: f64,
+    /// Geometry deltas and vertex samples.
+    pub geometry: f64,
+}
+
+/// What was counted while the run went on, everything but the pictures.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Counted {
+    /// The Vulkan device, as its driver names it.
+    pub device: String,
+    /// Whether that device is a CPU.
+    pub device_is_cpu: bool,
+    /// `forward`, `local` or `stream`.
+    pub renderer: String,
+    /// Updates per second of the run.
+    pub server_fps: f64,
+    /// Displayed frames per second of the run.
+    pub client_fps: f64,
+    /// Payload rates.
+    pub mbit_per_s: MbitPerS,
+    /// Bytes on the wire for one vertex at one grid time, headers included; none if nothing animated was sent.
+    pub bytes_per_animated_vertex_sample: Option<f64>,
+    /// Messages of the validation layers, warnings and errors.
+    pub validation_messages: u64,
+}
+
+/// The contents of `stats.json`. Figures that could not be measured are null.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Stats {
+    /// The Vulkan device, as its driver names it.
+    pub device: String,
+    /// Whether that device is a CPU, so that rates say little.
+    pub device_is_cpu: bool,
+    /// `forward`, `local` or `stream`.
+    pub renderer: String,
+    /// Updates per second of the run.
+    pub server_fps: f64,
+    /// Displayed frames per second of the run.
+    pub client_fps: f64,
+    /// Payload rates.
+    pub mbit_per_s: MbitPerS,
+    /// Bytes on the wire for one vertex at one grid time, headers included.
+    pub bytes_per_animated_vertex_sample: Option<f64>,
+    /// Mean over the compared views in dB.
+    pub psnr_db: Option<f64>,
+    /// Mean over the compared views, 1 is identical.
+    pub ssim: Option<f64>,
+    /// Mean over the compared views at 67 pixels per degree, 0 is identical.
+    pub flip: Option<f64>,
+    /// Mean over the compared views at the display's own pixels per degree.
+    pub flip_at_view: Option<f64>,
+    /// Mean share of the truth's geometry that is missing.
+    pub hole_fraction: Option<f64>,
+    /// The same without holes along outlines that a shift by one pixel explains.
+    pub hole_fraction_beyond_outlines: Option<f64>,
+    /// PSNR of the worst compared view, in dB.
+    pub psnr_db_worst: Option<f64>,
+    /// Share of holes of the worst compared view.
+    pub hole_fraction_worst: Option<f64>,
+    /// Views whose figures are in the means: one for each eye of each dumped frame with enough geometry.
+    pub frames_compared: u64,
+    /// Views left out, because the truth shows geometry in less than 40 % of the picture.
+    pub frames_too_empty: u64,
+    /// Compared views that the client displayed without a bundle.
+    pub frames_without_bundle: u64,
+    /// Messages of the validation layers, warnings and errors.
+    pub validation_messages: u64,
+}
+
+/// Why `stats.json` could not be written.
+#[derive(Debug, Error)]
+#[error("cannot write {path}: {source}")]
+pub struct WriteStatsError {
+    /// The file.
+    pub path: PathBuf,
+    /// What is wrong.
+    pub source: std::io::Error,
+}
+
+impl Stats {
+    /// Writes the statistics as indented JSON.
+    pub fn write_json(&self, path: &Path) -> Result<(), WriteStatsError> {
+        let write = || {
+            let mut json = serde_json::to_string_pretty(self)?;
+            json.push('\n');
+            std::fs::write(path, json)
+        };
+        write().map_err(|source| WriteStatsError { path: path.into(), source })
+    }
+}
+
+/// Gathers the figures of displayed frames.
+#[derive(Clone, Debug, Default)]
+pub struct Summary {
+    compared: Vec<(PictureMetrics, FrameMetrics)>,
+    too_empty: u64,
+}
+
+impl Summary {
+    /// Takes the figures of one eye's view of one displayed frame.
+    pub fn add(&mut self, metrics: FrameMetrics) {
+        match metrics.picture {
+            Some(picture) => self.compared.push((picture, metrics)),
+            None => self.too_empty += 1,
+        }
+    }
+
+    /// How many views count.
+    pub fn frames_compared(&self) -> u64 {
+        self.compared.len() as u64
+    }
+
+    /// Joins the figures of all frames with what was counted beside them.
+    pub fn finish(&self, counted: Counted) -> Stats {
+        let without_bundle = self.compared.iter().filter(|(_, frame)| !frame.has_bundle).count();
+        Stats {
+            device: counted.device,
+            device_is_cpu: counted.device_is_cpu,
+            renderer: counted.renderer,
+            server_fps: counted.server_fps,
+            client_fps: counted.client_fps,
+            mbit_per_s: counted.mbit_per_s,
+            bytes_per_animated_vertex_sample: counted.bytes_per_animated_vertex_sample,
+            psnr_db: self.mean(|picture, _| picture.psnr_db),
+            ssim: self.mean(|picture, _| picture.ssim),
+            flip: self.mean(|picture, _| picture.flip),
+            flip_at_view: self.mean(|picture, _| picture.flip_at_view),
+            hole_fraction: self.mean(|_, frame| frame.holes.strict),
+            hole_fraction_beyond_outlines: self.mean(|_, frame| frame.holes.beyond_outlines),
+            psnr_db_worst: self.values(|picture, _| picture.psnr_db).reduce(f64::min),
+            hole_fraction_worst: self.values(|_, frame| frame.holes.strict).reduce(f64::max),
+            frames_compared: self.frames_compared(),
+            frames_too_empty: self.too_empty,
+            frames_without_bundle: without_bundle as u64,
+            validation_messages: counted.validation_messages,
+        }
+    }
+
+    fn values(&self, figure: fn(&PictureMetrics, &FrameMetrics) -> f64) -> impl Iterator<Item = f64> {
+        self.compared.iter().map(move |(picture, frame)| figure(picture, frame))
+    }
+
+    fn mean(&self, figure: fn(&PictureMetrics, &FrameMetrics) -> f64) -> Option<f64> {
+        let count = self.compared.len();
+        (count > 0).then(|| self.values(figure).sum::<f64>() / count as f64)
+    }
+}
+
+/// The short summary that a run prints, one aligned line for each figure.
+impl fmt::Display for Stats {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let kind = if self.device_is_cpu { " (a CPU: rates say little)" } else { "" };
+        line(f, "device", format_args!("{}{kind}", self.device))?;
+        line(f, "renderer", format_args!("{}", self.renderer))?;
+        line(f, "server", format_args!("{:.1} updates/s", self.server_fps))?;
+        line(f, "client", format_args!("{:.1} frames/s", self.client_fps))?;
+        line(f, "atlas", format_args!("{:.2} Mbit/s", self.mbit_per_s.atlas))?;
+        line(f, "geometry", format_args!("{:.2} Mbit/s", self.mbit_per_s.geometry))?;
+        let bytes = figure(self.bytes_per_animated_vertex_sample, 2, " bytes per vertex and sample");
+        line(f, "animation", format_args!("{bytes}"))?;
+        let worst = figure(self.psnr_db_worst, 1, " dB");
+        line(f, "PSNR", format_args!("{} (worst {worst})", figure(self.psnr_db, 1, " dB")))?;
+        line(f, "SSIM", format_args!("{}", figure(self.ssim, 4, "")))?;
+        let at_view = figure(self.flip_at_view, 4, "");
+        let flip = figure(self.flip, 4, "");
+        line(f, "FLIP", format_args!("{flip} at 67 pixels per degree, {at_view} at the display's own"))?;
+        self.fmt_holes(f)?;
+        self.fmt_compared(f)?;
+        line(f, "validation", format_args!("{} messages", self.validation_messages))
+    }
+}
+
+impl Stats {
+    fn fmt_holes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let percent = |fraction: Option<f64>| figure(fraction.map(|fraction| 100.0 * fraction), 3, " %");
+        let beyond = percent(self.hole_fraction_beyond_outlines);
+        let worst = percent(self.hole_fraction_worst);
+        let holes = percent(self.hole_fraction);
+        line(f, "holes", format_args!("{holes} of the geometry (worst {worst}; beyond outlines {beyond})"))
+    }
+
+    fn fmt_compared(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (empty, bare) = (self.frames_too_empty, self.frames_without_bundle);
+        let compared = self.frames_compared;
+        line(
+            f,
+            "compared",
+            format_args!("{compared} views ({bare} without a bundle; {empty} too empty, left out)"),
+        )
+    }
+}
+
+fn line(f: &mut fmt::Formatter<'_>, name: &str, value: fmt::Arguments<'_>) -> fmt::Result {
+    writeln!(f, "  {name:<16}{value}")
+}
+
+fn figure(value: Option<f64>, decimals: usize, unit: &str) -> String {
+    value.map_or_else(|| "not measured".to_owned(), |value| format!("{value:.decimals$}{unit}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metrics::Holes;
+
+    fn frame(psnr_db: f64, strict: f64, has_bundle: bool) -> FrameMetrics {
+        let picture = PictureMetrics { psnr_db, ssim: psnr_db / 100.0, flip: 0.1, flip_at_view: 0.2 };
+        let holes = Holes { strict, beyond_outlines: strict / 2.0 };
+        FrameMetrics { picture: Some(picture), holes, truth_coverage: 0.5, has_bundle }
+    }
+
+    fn counted() -> Counted {
+        let mbit_per_s = MbitPerS { atlas: 12.5, geometry: 3.25 };
+        Counted { device: "a device".into(), renderer: "stream".into(), mbit_per_s, ..Counted::default() }
+    }
+
+    #[test]
+    fn figures_are_means_over_the_compared_views() {
+        let mut summary = Summary::default();
+        summary.add(frame(30.0, 0.0, true));
+        summary.add(frame(40.0, 1.0, false));
+        summary.add(FrameMetrics { picture: None, ..frame(0.0, 0.9, true) });
+        let stats = summary.finish(counted());
+        assert_eq!((stats.psnr_db, stats.ssim), (Some(35.0), Some(0.35)));
+        assert_eq!((stats.hole_fraction, stats.hole_fraction_beyond_outlines), (Some(0.5), Some(0.25)));
+        assert_eq!((stats.psnr_db_worst, stats.hole_fraction_worst), (Some(30.0), Some(1.0)));
+        assert_eq!((stats.frames_compared, stats.frames_too_empty, stats.frames_without_bundle), (2, 1, 1));
+    }
+
+    #[test]
+    fn a_run_without_comparisons_has_no_figures() {
+        let stats = Summary::default().finish(counted());
+        assert_eq!(
+            (stats.psnr_db, stats.flip, stats.hole_fraction, stats.frames_compared),
+            (None, None, None, 0)
+        );
+        assert!(stats.to_string().contains("not measured"));
+    }
+
+    #[test]
+    fn the_file_has_the_promised_keys() {
+        let dir = tempfile::tempdir().expect("a temporary folder");
+        let path = dir.path().join("stats.json");
+        let mut summary = Summary::default();
+        summary.add(frame(30.0, 0.0, true));
+        let stats = summary.finish(counted());
+        stats.write_json(&path).expect("it can be written");
+        let json = std::fs::read_to_string(&path).expect("it can be read");
+        let value: serde_json::Value = serde_json::from_str(&json).expect("it is JSON");
+        for key in [
+            "device",
+            "renderer",
+            "server_fps",
+            "client_fps",
+            "mbit_per_s",
+            "bytes_per_animated_vertex_sample",
+            "psnr_db",
+            "ssim",
+            "flip",
+            "hole_fraction",
+            "frames_compared",
+            "validation_messages",
+        ] {
+            assert!(value.get(key).is_some(), "{key} is missing in {json}");
+        }
+        assert_eq!(value["mbit_per_s"]["atlas"], 12.5);
+        assert_eq!(value["mbit_per_s"]["geometry"], 3.25);
+        assert_eq!(serde_json::from_str::<Stats>(&json).expect("it is the same type"), stats);
+    }
+
+    #[test]
+    fn an_unwritable_file_is_named() {
+        let path = Path::new("/nonexistent/stats.json");
+        let error =
+            Summary::default().finish(counted()).write_json(path).expect_err("there is no such folder");
+        assert!(error.to_string().contains("/nonexistent/stats.json"), "{error}");
+    }
+
+    #[test]
+    fn the_summary_is_aligned() {
+        let mut summary = Summary::default();
+        summary.add(frame(31.25, 0.002, true));
+        let text = summary.finish(counted()).to_string();
+        println!("{text}");
+        let value_column =
+            |line: &str| line.chars().nth(17) == Some(' ') && line.chars().nth(18) != Some(' ');
+        assert!(text.lines().all(value_column), "{text}");
+        assert!(
+            text.contains("  PSNR            31.2 dB") && text.contains("  holes           0.200 %"),
+            "{text}"
+        );
+    }
+}
