@@ -1,1 +1,2 @@
 //! CPU reference twins: what each GPU stage must compute, in plain Rust, one file per shader stem.
+pub mod interpolate;

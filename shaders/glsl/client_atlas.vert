@@ -1,0 +1,16 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_multiview : require
+// The newest complete bundle, both eyes at once. No shading: a position and a place in the atlas.
+#include "client_geometry.glsl"
+
+layout(std430, binding = 0) readonly buffer Corners { CornerGpu corners[]; };
+layout(std430, binding = 1) readonly buffer Positions { vec4 positions[]; };
+layout(std140, binding = 2) uniform Eyes { EyesGpu eyes; };
+layout(location = 0) out vec2 atlas_texel;
+
+void main() {
+    CornerGpu corner = corners[gl_VertexIndex];
+    atlas_texel = corner.atlas_texel;
+    gl_Position = clip_position(eyes.clip_from_world[gl_ViewIndex], positions[corner.vertex_slot]);
+}

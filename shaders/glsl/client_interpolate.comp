@@ -1,0 +1,69 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+// Positions of all animated vertices at the display time, once per display frame for both eyes.
+// Twin: twin/interpolate.rs.
+layout(local_size_x = 64) in;
+#include "client_vertices.glsl"
+
+layout(std430, binding = 0) readonly buffer Samples { uvec4 samples[]; };
+layout(std430, binding = 1) buffer Positions { vec4 positions[]; };
+layout(std430, binding = 2) buffer Blends { vec4 blends[]; };
+layout(push_constant) uniform InterpolatePush {
+    uint vertex_count;    // slots from 0 on
+    uint vertex_slots;    // stride of the ring
+    uint tag;             // of the last grid step at or before the display time
+    float fraction;       // 0..1 from that step to the next
+    uint tag_before;      // the same of the display frame before
+    float fraction_before;
+    float blend_step;     // share of the blending time that has passed since then
+    uint cubic;           // 0: linear
+};
+
+uvec4 sample_at(uint slot, uint at) { return samples[(at % SAMPLE_RING) * vertex_slots + slot]; }
+vec3 place(uvec4 s) { return uintBitsToFloat(s.xyz); }
+
+// Past the last sample the vertex goes on for one grid step at its last velocity, and then stays.
+vec4 beyond(uint slot, uint at, float f) {
+    uint last = 0;
+    for (uint i = 0; i < SAMPLE_RING; i++) {
+        uint known = samples[i * vertex_slots + slot].w;
+        if (known <= at && known > last) last = known;
+    }
+    if (last == NO_SAMPLE) return vec4(0.0);
+    vec3 end = place(sample_at(slot, last));
+    uvec4 earlier = sample_at(slot, last - 1);
+    vec3 velocity = earlier.w == last - 1 && earlier.w != NO_SAMPLE ? end - place(earlier) : vec3(0.0);
+    return vec4(end + velocity * min(float(at - last) + f, 1.0), PAST_THE_END);
+}
+
+// xyz and state at `f` of the way from step `at` to the next.
+vec4 curve(uint slot, uint at, float f) {
+    uvec4 b = sample_at(slot, at), c = sample_at(slot, at + 1);
+    if (b.w != at || c.w != at + 1) return beyond(slot, at, f);
+    uvec4 a = sample_at(slot, at - 1), d = sample_at(slot, at + 2);
+    if (cubic == 0 || a.w != at - 1 || d.w != at + 2) return vec4(mix(place(b), place(c), f), ON_CURVE);
+    // Lagrange's polynomial through the four samples at -1, 0, 1, 2.
+    vec4 w = vec4(-f * (f - 1.0) * (f - 2.0) / 6.0, (f + 1.0) * (f - 1.0) * (f - 2.0) / 2.0,
+                  -(f + 1.0) * f * (f - 2.0) / 2.0, (f + 1.0) * f * (f - 1.0) / 6.0);
+    return vec4(w.x * place(a) + w.y * place(b) + w.z * place(c) + w.w * place(d), ON_CURVE);
+}
+
+void main() {
+    uint slot = gl_GlobalInvocationID.x;
+    if (slot >= vertex_count) return;
+    vec4 blend = blends[slot];
+    if (blend.w < 0.0) return; // static
+    vec4 before = positions[slot];
+    vec4 now = curve(slot, tag, fraction);
+    if (now.w == NOT_DRAWABLE) {
+        positions[slot] = vec4(0.0);
+        return;
+    }
+    if (before.w == PAST_THE_END && now.w == ON_CURVE) {
+        vec4 then = curve(slot, tag_before, fraction_before);
+        blend = then.w == NOT_DRAWABLE ? vec4(0.0) : vec4(before.xyz - then.xyz, 1.0);
+    }
+    blend.w = max(blend.w - blend_step, 0.0);
+    blends[slot] = blend;
+    positions[slot] = vec4(now.xyz + blend.xyz * blend.w, now.w);
+}

@@ -1,0 +1,324 @@
+//! Twin of `client_scatter.comp` and `client_interpolate.comp`: the client's vertex memory, and the positions of animated
+//! vertices at a display time.
+
+use crate::generated::{InterpolatePush, VertexWriteGpu};
+use shadecast_protocol::limits::SAMPLE_RING;
+use shadecast_protocol::time::GridIndex;
+
+/// State of a position (its `w`): no samples around the display time.
+pub const NOT_DRAWABLE: f32 = 0.0;
+/// State of a position: interpolated, or static.
+pub const ON_CURVE: f32 = 1.0;
+/// State of a position: past the last sample, or the future has changed; the next curve is blended to.
+pub const PAST_THE_END: f32 = 2.0;
+/// Bit of [`VertexWriteGpu::slot`] for a static vertex that enters.
+pub const STATIC_BIT: u32 = 1 << 31;
+
+const NO_SAMPLE: u32 = 0;
+
+/// The tag of a grid step: tags order like grid indices, and 0 is no sample.
+pub fn tag(grid: GridIndex) -> u32 {
+    (grid.0 as u32) ^ STATIC_BIT
+}
+
+/// The record of a sample.
+pub fn sample_write(slot: u32, grid: GridIndex, position: [f32; 3]) -> VertexWriteGpu {
+    let [x, y, z] = position.map(f32::to_bits);
+    VertexWriteGpu { slot, tag: tag(grid), x, y, z }
+}
+
+/// The record of an animated vertex that enters a slot: what the slot held is forgotten.
+pub fn sampled_entry(slot: u32) -> VertexWriteGpu {
+    VertexWriteGpu { slot, tag: NO_SAMPLE, x: 0, y: 0, z: 0 }
+}
+
+/// The record of a static vertex that enters a slot.
+pub fn static_entry(slot: u32, position: [f32; 3]) -> VertexWriteGpu {
+    let [x, y, z] = position.map(f32::to_bits);
+    VertexWriteGpu { slot: slot | STATIC_BIT, tag: NO_SAMPLE, x, y, z }
+}
+
+/// The client's vertex memory: see `client_vertices.glsl`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VertexMemory {
+    /// Vertex slots.
+    pub vertex_slots: u32,
+    /// `[ring][slot]`: position as bits, tag.
+    pub samples: Vec<[u32; 4]>,
+    /// By slot: position in the world and state.
+    pub positions: Vec<[f32; 4]>,
+    /// By slot: what is left to blend away, and its share; negative for a static vertex.
+    pub blends: Vec<[f32; 4]>,
+}
+
+impl VertexMemory {
+    /// Empty memory.
+    pub fn new(vertex_slots: u32) -> Self {
+        let slots = vertex_slots as usize;
+        Self {
+            vertex_slots,
+            samples: vec![[0; 4]; slots * SAMPLE_RING as usize],
+            positions: vec![[0.0; 4]; slots],
+            blends: vec![[0.0; 4]; slots],
+        }
+    }
+
+    /// One dispatch of `client_scatter.comp`.
+    pub fn scatter(&mut self, writes: &[VertexWriteGpu]) {
+        for write in writes {
+            let slot = write.slot & !STATIC_BIT;
+            if slot >= self.vertex_slots {
+                continue;
+            }
+            if write.tag == NO_SAMPLE {
+                self.enter(slot as usize, write);
+                continue;
+            }
+            let at = self.place(slot, write.tag);
+            let position = &mut self.positions[slot as usize];
+            if self.samples[at][3] == write.tag && position[3] == ON_CURVE {
+                position[3] = PAST_THE_END;
+            }
+            self.samples[at] = [write.x, write.y, write.z, write.tag];
+        }
+    }
+
+    fn enter(&mut self, slot: usize, write: &VertexWriteGpu) {
+        let is_static = write.slot & STATIC_BIT != 0;
+        for ring in 0..SAMPLE_RING as usize {
+            self.samples[ring * self.vertex_slots as usize + slot] = [0; 4];
+        }
+        let [x, y, z] = [write.x, write.y, write.z].map(f32::from_bits);
+        self.positions[slot] = if is_static { [x, y, z, ON_CURVE] } else { [0.0; 4] };
+        self.blends[slot] = [0.0, 0.0, 0.0, if is_static { -1.0 } else { 0.0 }];
+    }
+
+    /// One dispatch of `client_interpolate.comp`.
+    pub fn interpolate(&mut self, push: &InterpolatePush) {
+        for slot in 0..push.vertex_count.min(self.vertex_slots) {
+            self.interpolate_vertex(slot, push);
+        }
+    }
+
+    fn interpolate_vertex(&mut self, slot: u32, push: &InterpolatePush) {
+        let mut blend = self.blends[slot as usize];
+        if blend[3] < 0.0 {
+            return;
+        }
+        let before = self.positions[slot as usize];
+        let cubic = push.cubic != 0;
+        let Some((now, state)) = self.curve(slot, push.tag, push.fraction, cubic) else {
+            self.positions[slot as usize] = [0.0; 4];
+            return;
+        };
+        if before[3] == PAST_THE_END && state == ON_CURVE {
+            blend = match self.curve(slot, push.tag_before, push.fraction_before, cubic) {
+                Some((then, _)) => [before[0] - then[0], before[1] - then[1], before[2] - then[2], 1.0],
+                None => [0.0; 4],
+            };
+        }
+        blend[3] = (blend[3] - push.blend_step).max(0.0);
+        self.blends[slot as usize] = blend;
+        let moved = |axis: usize| now[axis] + blend[axis] * blend[3];
+        self.positions[slot as usize] = [moved(0), moved(1), moved(2), state];
+    }
+
+    /// Position and state at `f` of the way from step `at` to the next.
+    fn curve(&self, slot: u32, at: u32, f: f32, cubic: bool) -> Option<([f32; 3], f32)> {
+        let near = [self.sample(slot, at), self.sample(slot, at.wrapping_add(1))];
+        let [Some(b), Some(c)] = near else { return self.beyond(slot, at, f) };
+        let outer = [self.sample(slot, at.wrapping_sub(1)), self.sample(slot, at.wrapping_add(2))];
+        let position = match outer {
+            [Some(a), Some(d)] if cubic => {
+                let w = cubic_weights(f);
+                std::array::from_fn(|i| w[0] * a[i] + w[1] * b[i] + w[2] * c[i] + w[3] * d[i])
+            }
+            _ => std::array::from_fn(|i| b[i] * (1.0 - f) + c[i] * f),
+        };
+        Some((position, ON_CURVE))
+    }
+
+    fn beyond(&self, slot: u32, at: u32, f: f32) -> Option<([f32; 3], f32)> {
+        let known = (0..SAMPLE_RING).map(|ring| self.samples[(ring * self.vertex_slots + slot) as usize][3]);
+        let last = known.filter(|known| *known != NO_SAMPLE && *known <= at).max()?;
+        let end = self.sample(slot, last)?;
+        let earlier = self.sample(slot, last.wrapping_sub(1)).unwrap_or(end);
+        let steps = ((at - last) as f32 + f).min(1.0);
+        Some((std::array::from_fn(|i| end[i] + (end[i] - earlier[i]) * steps), PAST_THE_END))
+    }
+
+    fn place(&self, slot: u32, tag: u32) -> usize {
+        (tag % SAMPLE_RING * self.vertex_slots + slot) as usize
+    }
+
+    fn sample(&self, slot: u32, tag: u32) -> Option<[f32; 3]> {
+        let [x, y, z, known] = self.samples[self.place(slot, tag)];
+        (known == tag && tag != NO_SAMPLE).then(|| [x, y, z].map(f32::from_bits))
+    }
+}
+
+/// Lagrange's polynomial through samples at -1, 0, 1, 2, at `f` in 0..=1.
+pub fn cubic_weights(f: f32) -> [f32; 4] {
+    [
+        -f * (f - 1.0) * (f - 2.0) / 6.0,
+        (f + 1.0) * (f - 1.0) * (f - 2.0) / 2.0,
+        -(f + 1.0) * f * (f - 2.0) / 2.0,
+        (f + 1.0) * f * (f - 1.0) / 6.0,
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STEP_S: f64 = 1.0 / 30.0;
+
+    fn push(grid: i32, fraction: f32, cubic: bool) -> InterpolatePush {
+        InterpolatePush {
+            vertex_count: 1,
+            vertex_slots: 1,
+            tag: tag(GridIndex(grid)),
+            fraction,
+            tag_before: tag(GridIndex(grid)),
+            fraction_before: fraction,
+            blend_step: 0.0,
+            cubic: u32::from(cubic),
+        }
+    }
+
+    fn with_samples(grids: std::ops::RangeInclusive<i32>, at: impl Fn(i32) -> f32) -> VertexMemory {
+        let mut memory = VertexMemory::new(1);
+        memory.scatter(&[sampled_entry(0)]);
+        let writes: Vec<_> = grids.map(|g| sample_write(0, GridIndex(g), [at(g), 0.0, 0.0])).collect();
+        memory.scatter(&writes);
+        memory
+    }
+
+    /// The largest error for a sine of 1 Hz, as a share of its range.
+    fn sine_error(cubic: bool) -> f64 {
+        let sine = |g: f64| (g * STEP_S * std::f64::consts::TAU).sin();
+        let mut worst = 0f64;
+        for grid in 0..30 {
+            let mut memory = with_samples(grid - 2..=grid + 3, |g| sine(f64::from(g)) as f32);
+            for step in 0..64 {
+                let fraction = step as f32 / 64.0;
+                memory.interpolate(&push(grid, fraction, cubic));
+                let error = f64::from(memory.positions[0][0]) - sine(f64::from(grid) + f64::from(fraction));
+                worst = worst.max(error.abs() / 2.0);
+            }
+        }
+        worst
+    }
+
+    #[test]
+    fn cubic_follows_a_sine_of_one_hertz_within_a_hundredth_of_a_percent() {
+        let error = sine_error(true);
+        assert!(error < 1e-4, "{error}");
+    }
+
+    #[test]
+    fn linear_misses_a_sine_of_one_hertz_by_a_quarter_of_a_percent() {
+        let error = sine_error(false);
+        assert!((0.0025..0.0029).contains(&error), "{error}");
+    }
+
+    #[test]
+    fn without_an_outer_sample_it_is_linear() {
+        let mut memory = with_samples(5..=7, |g| (g * g) as f32);
+        memory.interpolate(&push(5, 0.5, true));
+        assert_eq!(memory.positions[0], [30.5, 0.0, 0.0, ON_CURVE]);
+    }
+
+    #[test]
+    fn past_the_last_sample_it_holds_its_velocity_for_one_step_and_then_stays() {
+        let mut memory = with_samples(0..=7, |g| (2 * g) as f32);
+        for (grid, fraction, expected) in [(7, 0.5, 15.0), (7, 1.0, 16.0), (8, 0.25, 16.0), (5000, 0.5, 16.0)]
+        {
+            memory.interpolate(&push(grid, fraction, true));
+            assert_eq!(memory.positions[0], [expected, 0.0, 0.0, PAST_THE_END], "{grid} + {fraction}");
+        }
+    }
+
+    #[test]
+    fn before_its_first_sample_it_is_not_drawable() {
+        let mut memory = with_samples(4..=7, |g| g as f32);
+        memory.interpolate(&push(3, 0.9, true));
+        assert_eq!(memory.positions[0][3], NOT_DRAWABLE);
+        memory.interpolate(&push(4, 0.0, true));
+        assert_eq!(memory.positions[0], [4.0, 0.0, 0.0, ON_CURVE]);
+    }
+
+    #[test]
+    fn a_vertex_that_enters_a_slot_never_uses_the_samples_of_the_one_before() {
+        let mut memory = with_samples(0..=9, |_| 100.0);
+        memory.scatter(&[sampled_entry(0)]);
+        memory.scatter(&[5, 6].map(|g| sample_write(0, GridIndex(g), [g as f32, 0.0, 0.0])));
+        memory.interpolate(&push(5, 0.5, true));
+        assert_eq!(memory.positions[0], [5.5, 0.0, 0.0, ON_CURVE]);
+        memory.interpolate(&push(4, 0.5, true));
+        assert_eq!(memory.positions[0][3], NOT_DRAWABLE);
+    }
+
+    #[test]
+    fn a_static_vertex_stays_where_it_is() {
+        let mut memory = with_samples(0..=9, |_| 100.0);
+        memory.scatter(&[static_entry(0, [1.0, 2.0, 3.0])]);
+        memory.interpolate(&push(5, 0.5, true));
+        assert_eq!(memory.positions[0], [1.0, 2.0, 3.0, ON_CURVE]);
+    }
+
+    #[test]
+    fn grid_steps_before_zero_and_across_it_are_in_order() {
+        let mut memory = with_samples(-3..=3, |g| g as f32);
+        for (grid, fraction) in [(-2, 0.5), (-1, 0.5), (0, 0.5)] {
+            memory.interpolate(&push(grid, fraction, true));
+            assert!(
+                (memory.positions[0][0] - (grid as f32 + fraction)).abs() < 1e-6,
+                "{:?}",
+                memory.positions[0]
+            );
+        }
+    }
+
+    /// Runs display frames of a tenth of a step, with late samples, and gives the largest movement between two.
+    #[test]
+    fn after_a_freeze_it_returns_to_its_curve_without_a_jump_within_the_blending_time() {
+        let mut memory = with_samples(0..=4, |g| g as f32);
+        let (mut worst, mut last) = (0f32, None);
+        for frame in 40..200 {
+            let fraction = |frame: i32| (frame % 10) as f32 / 10.0;
+            let late = if frame == 80 { 5..=20 } else { 21..=22 };
+            if frame == 80 || frame == 150 {
+                let writes: Vec<_> =
+                    late.map(|g| sample_write(0, GridIndex(g), [g as f32, 0.0, 0.0])).collect();
+                memory.scatter(&writes);
+            }
+            let before = frame - 1;
+            memory.interpolate(&InterpolatePush {
+                tag_before: tag(GridIndex(before / 10)),
+                fraction_before: fraction(before),
+                blend_step: 1.0 / 60.0,
+                ..push(frame / 10, fraction(frame), true)
+            });
+            let [x, _, _, _] = memory.positions[0];
+            if let Some(last) = last.replace(x) {
+                worst = worst.max((x - last).abs());
+            }
+        }
+        assert!(worst < 0.2, "moved by {worst} in one frame, where the curve moves by 0.1");
+        assert!((last.unwrap() - 19.9).abs() < 1e-4, "back on the curve: {last:?}");
+    }
+
+    #[test]
+    fn a_changed_future_is_blended_to() {
+        let mut memory = with_samples(0..=9, |_| 0.0);
+        memory.interpolate(&push(4, 0.0, true));
+        memory.scatter(&(3..=9).map(|g| sample_write(0, GridIndex(g), [1.0, 0.0, 0.0])).collect::<Vec<_>>());
+        let mut positions = Vec::new();
+        for _ in 0..5 {
+            memory.interpolate(&InterpolatePush { blend_step: 0.25, ..push(4, 0.0, true) });
+            positions.push(memory.positions[0][0]);
+        }
+        assert_eq!(positions, [0.25, 0.5, 0.75, 1.0, 1.0]);
+    }
+}
