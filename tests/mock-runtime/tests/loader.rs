@@ -1,0 +1,680 @@
+//! The mock runtime behind the system's real OpenXR loader, used by a small application.
+//!
+//! The loader reads the environment at `xrCreateInstance`, and the runtime has one instance: the tests take turns.
+
+mod support;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use ash::vk;
+use openxr as xr;
+use shadecast_mock_runtime::clock::{period_begin_ns, period_ns};
+use shadecast_mock_runtime::config::{ClockKind, EventKind, FovDegrees, MockConfig, ScriptedEvent};
+use shadecast_mock_runtime::head_path::HeadPath;
+use shadecast_mock_runtime::record::{FrameRecord, PoseRecord, Side, read_frames, read_summary};
+use support::{App, Run, STEREO, create_instance, load, picture, rect, validation_messages, view};
+use xr::sys::{Handle as _, Result as Code};
+
+const SIZE: [u32; 2] = [48, 32];
+const WHOLE: [i32; 4] = [0, 0, SIZE[0] as i32, SIZE[1] as i32];
+
+/// One metre to the right and a quarter turn to the left in one second.
+const WALK: &str = "t_s,x,y,z,qx,qy,qz,qw\n0,0,1.7,0,0,0,0,1\n1,1,1.7,0,0,0.70710678,0,0.70710678\n";
+
+fn virtual_config() -> MockConfig {
+    MockConfig { extent_pixels: SIZE, clock: ClockKind::Virtual, capture_every: 5, ..MockConfig::default() }
+}
+
+fn with_walk(run: &Run, config: &MockConfig) {
+    let path = run.folder.path().join("walk.csv");
+    std::fs::write(&path, WALK).expect("write the head path");
+    let config = MockConfig { head_path: Some(path), capture_dir: Some(run.captures()), ..config.clone() };
+    config.write(&run.config_path()).expect("write the configuration");
+}
+
+/// A texel that tells frame, eye and place apart.
+fn pattern(frame: u64, eye: u32, x: u32, y: u32) -> [u8; 4] {
+    [(x * 5) as u8, (y * 7) as u8, (frame as u32 * 2 + eye * 128) as u8, 200]
+}
+
+fn rgb_of(size: [u32; 2], texel: impl Fn(u32, u32) -> [u8; 4]) -> Vec<u8> {
+    let places = (0..size[1]).flat_map(|y| (0..size[0]).map(move |x| (x, y)));
+    places.flat_map(|(x, y)| <[u8; 3]>::try_from(&texel(x, y)[..3]).expect("3 of 4")).collect()
+}
+
+/// Draws and submits one frame of a multiview swapchain, as the client does; nothing where it is not seen.
+fn multiview_frame(app: &mut App, swapchain: &mut xr::Swapchain<xr::Vulkan>, frame: u64) -> xr::FrameState {
+    let state = app.waiter.wait().expect("wait");
+    app.stream.begin().expect("begin");
+    let time = state.predicted_display_time;
+    if !state.should_render {
+        app.stream.end(time, xr::EnvironmentBlendMode::OPAQUE, &[]).expect("end");
+        return state;
+    }
+    let images = swapchain.enumerate_images().expect("images");
+    let image = images[swapchain.acquire_image().expect("acquire") as usize];
+    swapchain.wait_image(xr::Duration::INFINITE).expect("wait for the image");
+    for eye in 0..2 {
+        app.gpu.paint(image, eye, SIZE, |x, y| pattern(frame, eye, x, y));
+    }
+    swapchain.release_image().expect("release");
+    let (_, views) = app.session.locate_views(STEREO, time, &app.stage).expect("views");
+    let [x, y, width, height] = WHOLE;
+    let parts = [0, 1].map(|eye| view(swapchain, eye as u32, rect(x, y, width, height), &views[eye]));
+    let layer = xr::CompositionLayerProjection::new().space(&app.stage).views(&parts);
+    app.stream.end(time, xr::EnvironmentBlendMode::OPAQUE, &[&layer]).expect("end");
+    state
+}
+
+/// Runs 20 frames; gives every file of the capture folder.
+fn twenty_frames(config: &MockConfig) -> (Run, BTreeMap<String, Vec<u8>>) {
+    let run = Run::new(config);
+    with_walk(&run, config);
+    let mut app = App::begun();
+    let mut swapchain = app.swapchain(vk::Format::R8G8B8A8_SRGB, SIZE, 2);
+    for frame in 0..20 {
+        let state = multiview_frame(&mut app, &mut swapchain, frame);
+        assert_eq!(state.should_render, frame > 0, "frame {frame}");
+    }
+    app.session.request_exit().expect("running");
+    app.states();
+    app.end();
+    drop(swapchain);
+    drop(app);
+    let files = std::fs::read_dir(run.captures()).expect("captures").map(|entry| {
+        let path = entry.expect("entry").path();
+        let name = path.file_name().expect("a name").to_string_lossy().into_owned();
+        (name, std::fs::read(&path).expect("read"))
+    });
+    let files = files.collect();
+    (run, files)
+}
+
+#[track_caller]
+fn assert_near(a: PoseRecord, b: PoseRecord) {
+    let differences = a.position.iter().zip(b.position).chain(a.orientation.iter().zip(b.orientation));
+    for (a_part, b_part) in differences {
+        assert!((a_part - b_part).abs() < 1e-5, "{a:?} is not {b:?}");
+    }
+}
+
+#[test]
+fn twenty_frames_come_out_as_they_were_drawn() {
+    let before = validation_messages();
+    let (run, files) = twenty_frames(&virtual_config());
+    for frame in [5, 10, 15] {
+        for (eye, side) in Side::BOTH.into_iter().enumerate() {
+            let (size, pixels) = picture(&run.captures(), frame, side);
+            assert_eq!(size, SIZE);
+            assert!(
+                pixels == rgb_of(SIZE, |x, y| pattern(frame, eye as u32, x, y)),
+                "frame {frame} {side:?}"
+            );
+        }
+    }
+    assert_eq!(files.len(), 3 * 2 + 2, "three pairs of pictures, log, summary: {:?}", files.keys());
+    let summary = read_summary(&run.captures()).expect("summary");
+    assert_eq!((summary.frames, summary.errors, summary.missed_frames), (20, 0, 0));
+    assert_eq!((summary.captured_frames, summary.empty_frames, summary.discarded_frames), (3, 1, 0));
+    assert!((summary.seconds - 19.0 / 72.0).abs() < 1e-9, "{}", summary.seconds);
+    assert_eq!(validation_messages(), before, "validation messages");
+}
+
+#[test]
+fn the_log_holds_times_poses_and_fields_of_view_of_every_frame() {
+    let fov = FovDegrees { left: 50.0, right: 40.0, up: 44.0, down: 48.0 };
+    let (run, _) =
+        twenty_frames(&MockConfig { fov_degrees: fov, virtual_start_ns: 7_000, ..virtual_config() });
+    let frames = read_frames(&run.captures()).expect("log");
+    let path = HeadPath::parse(WALK, "walk").expect("valid");
+    assert_eq!(frames.len(), 20);
+    for (index, frame) in (0u64..).zip(&frames) {
+        assert_eq!(frame.frame, index);
+        assert_eq!(frame.wait_time_ns, period_begin_ns(7_000, 72.0, index));
+        assert_eq!(frame.predicted_display_time_ns, period_begin_ns(7_000, 72.0, index + 1));
+        let head = path.pose_at((frame.predicted_display_time_ns - 7_000) as f64 * 1e-9);
+        assert_near(frame.head_pose, head.into());
+        assert_eq!((frame.empty, frame.captured), (index == 0, index > 0 && index % 5 == 0));
+        check_views(frame, fov);
+    }
+}
+
+/// Eyes 63 mm apart on the head's x axis, each with its own field of view.
+fn check_views(frame: &FrameRecord, fov: FovDegrees) {
+    if frame.empty {
+        assert!(frame.views.is_empty());
+        return;
+    }
+    let head = shadecast_protocol::pose::Pose::from(frame.head_pose);
+    for (view, (x, fov)) in frame.views.iter().zip([(-0.0315, fov.left_eye()), (0.0315, fov.right_eye())]) {
+        let eye = PoseRecord {
+            position: (head.position + head.orientation * glam::Vec3::new(x, 0.0, 0.0)).to_array(),
+            orientation: head.orientation.to_array(),
+        };
+        assert_near(view.pose, eye);
+        assert_near(view.stage_pose, eye);
+        assert_eq!(view.frustum(), fov);
+    }
+}
+
+#[test]
+fn two_runs_on_the_virtual_clock_give_identical_files() {
+    let (first_run, first) = twenty_frames(&virtual_config());
+    drop(first_run);
+    let (_second_run, second) = twenty_frames(&virtual_config());
+    assert_eq!(first.keys().collect::<Vec<_>>(), second.keys().collect::<Vec<_>>());
+    for (name, bytes) in &first {
+        assert!(bytes == &second[name], "{name} differs between the runs");
+    }
+}
+
+#[test]
+fn two_plain_swapchains_with_partial_rects_are_captured_too() {
+    let before = validation_messages();
+    let run = Run::new(&MockConfig { capture_every: 1, ..virtual_config() });
+    let mut app = App::begun();
+    app.empty_frame();
+    let mut chains = [0, 1].map(|_| app.swapchain(vk::Format::B8G8R8A8_SRGB, SIZE, 1));
+    let state = app.waiter.wait().expect("wait");
+    app.stream.begin().expect("begin");
+    for (eye, chain) in chains.iter_mut().enumerate() {
+        let images = chain.enumerate_images().expect("images");
+        assert_eq!(images.len(), 3);
+        let image = images[chain.acquire_image().expect("acquire") as usize];
+        chain.wait_image(xr::Duration::INFINITE).expect("wait for the image");
+        app.gpu.paint(image, 0, SIZE, |x, y| pattern(1, eye as u32, x, y));
+        chain.release_image().expect("release");
+    }
+    let time = state.predicted_display_time;
+    let (_, views) = app.session.locate_views(STEREO, time, &app.stage).expect("views");
+    let parts = [0, 1].map(|eye| view(&chains[eye], 0, rect(4, 2, 16, 8), &views[eye]));
+    let layer = xr::CompositionLayerProjection::new().space(&app.stage).views(&parts);
+    app.stream.end(time, xr::EnvironmentBlendMode::OPAQUE, &[&layer]).expect("end");
+    drop(chains);
+    drop(app);
+    for (eye, side) in Side::BOTH.into_iter().enumerate() {
+        let (size, pixels) = picture(&run.captures(), 1, side);
+        assert_eq!(size, [16, 8]);
+        let expected = rgb_of(size, |x, y| {
+            let [b, g, r, a] = pattern(1, eye as u32, x + 4, y + 2);
+            [r, g, b, a]
+        });
+        assert!(pixels == expected, "{side:?}");
+    }
+    assert_eq!(validation_messages(), before, "validation messages");
+}
+
+#[test]
+fn the_system_is_a_stereo_headset_of_the_configured_size() {
+    let _run = Run::new(&virtual_config());
+    let app = App::new();
+    let (instance, system) = (&app.instance, app.system);
+    assert_eq!(instance.properties().expect("properties").runtime_name, "Shadecast mock runtime");
+    assert_eq!(instance.enumerate_view_configurations(system).expect("views"), [STEREO]);
+    let views = instance.enumerate_view_configuration_views(system, STEREO).expect("views");
+    assert_eq!(views.len(), 2);
+    for view in views {
+        assert_eq!([view.recommended_image_rect_width, view.recommended_image_rect_height], SIZE);
+    }
+    let modes = instance.enumerate_environment_blend_modes(system, STEREO).expect("modes");
+    assert_eq!(modes, [xr::EnvironmentBlendMode::OPAQUE]);
+    let formats = app.session.enumerate_swapchain_formats().expect("formats");
+    let wanted = [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB].map(|format| format.as_raw() as u32);
+    assert_eq!(formats, wanted);
+    assert_eq!(app.session.enumerate_reference_spaces().expect("spaces").len(), 3);
+    let hand = instance.system(xr::FormFactor::HANDHELD_DISPLAY);
+    assert_eq!(hand.expect_err("a headset"), Code::ERROR_FORM_FACTOR_UNSUPPORTED);
+    let text = instance.result_to_string(Code::ERROR_CALL_ORDER_INVALID).expect("text");
+    assert_eq!(text, "XR_ERROR_CALL_ORDER_INVALID");
+}
+
+#[test]
+fn unknown_functions_are_unsupported_and_null() {
+    let _run = Run::new(&virtual_config());
+    let entry = load();
+    let instance = create_instance(&entry).expect("instance");
+    for name in [c"xrNoSuchFunction", c"xrGetVisibilityMaskKHR", c"xrCreateHandTrackerEXT"] {
+        let nonsense = get_unsupported as unsafe extern "system" fn();
+        let mut function = Some(nonsense);
+        // SAFETY: a valid instance, a zero-terminated name, and a place for the answer.
+        let code =
+            unsafe { (entry.fp().get_instance_proc_addr)(instance.as_raw(), name.as_ptr(), &mut function) };
+        assert_eq!((code, function), (Code::ERROR_FUNCTION_UNSUPPORTED, None), "{name:?}");
+    }
+}
+
+/// Stands where a null pointer is expected.
+unsafe extern "system" fn get_unsupported() {}
+
+#[test]
+fn calls_out_of_order_are_refused_and_counted() {
+    let run = Run::new(&virtual_config());
+    let mut app = App::new();
+    let order = Code::ERROR_CALL_ORDER_INVALID;
+    assert_eq!(app.waiter.wait().expect_err("not begun"), Code::ERROR_SESSION_NOT_RUNNING);
+    app.session.begin(STEREO).expect("READY");
+    assert_eq!(app.session.begin(STEREO).expect_err("running"), Code::ERROR_SESSION_RUNNING);
+    assert_eq!(app.session.end().expect_err("not STOPPING"), Code::ERROR_SESSION_NOT_STOPPING);
+    assert_eq!(app.stream.begin().expect_err("begin before wait"), order);
+    let opaque = xr::EnvironmentBlendMode::OPAQUE;
+    let early = app.stream.end(xr::Time::from_nanos(1), opaque, &[]);
+    assert_eq!(early.expect_err("end before begin"), order);
+    let state = app.waiter.wait().expect("wait");
+    let early = app.stream.end(state.predicted_display_time, opaque, &[]);
+    assert_eq!(early.expect_err("end before begin"), order);
+    app.stream.begin().expect("begin");
+    assert_eq!(app.stream.begin().expect_err("begin twice"), order);
+    let late = app.stream.end(xr::Time::from_nanos(state.predicted_display_time.as_nanos() + 1), opaque, &[]);
+    assert_eq!(late.expect_err("another time"), Code::ERROR_TIME_INVALID);
+    app.stream.end(state.predicted_display_time, opaque, &[]).expect("end after a refused end");
+    let swapchain = app.swapchain(vk::Format::R8G8B8A8_SRGB, SIZE, 2);
+    swapchain_order(&app, &swapchain);
+    drop(swapchain);
+    drop(app);
+    let summary = read_summary(&run.captures()).expect("summary");
+    assert_eq!(summary.errors, 8 + 3, "{summary:?}");
+}
+
+fn swapchain_order(app: &App, swapchain: &xr::Swapchain<xr::Vulkan>) {
+    let (fp, handle) = (app.instance.fp(), swapchain.as_raw());
+    let order = Code::ERROR_CALL_ORDER_INVALID;
+    let wait_info = xr::sys::SwapchainImageWaitInfo {
+        ty: xr::sys::SwapchainImageWaitInfo::TYPE,
+        next: std::ptr::null(),
+        timeout: xr::Duration::INFINITE,
+    };
+    let mut index = 0;
+    // SAFETY: a valid swapchain, and valid or null structures.
+    unsafe {
+        assert_eq!((fp.wait_swapchain_image)(handle, &wait_info), order, "wait before acquire");
+        assert_eq!((fp.release_swapchain_image)(handle, std::ptr::null()), order, "release before acquire");
+        for _ in 0..3 {
+            assert_eq!((fp.acquire_swapchain_image)(handle, std::ptr::null(), &mut index), Code::SUCCESS);
+        }
+        assert_eq!(
+            (fp.acquire_swapchain_image)(handle, std::ptr::null(), &mut index),
+            order,
+            "no image left"
+        );
+    }
+}
+
+#[test]
+fn a_frame_that_is_begun_and_not_ended_is_discarded() {
+    let run = Run::new(&virtual_config());
+    let mut app = App::begun();
+    app.waiter.wait().expect("wait");
+    app.stream.begin().expect("begin");
+    let state = app.waiter.wait().expect("wait");
+    // SAFETY: a valid session, and a null structure, which is allowed.
+    let code = unsafe { (app.instance.fp().begin_frame)(app.session.as_raw(), std::ptr::null()) };
+    assert_eq!(code, Code::FRAME_DISCARDED);
+    app.stream.end(state.predicted_display_time, xr::EnvironmentBlendMode::OPAQUE, &[]).expect("end");
+    drop(app);
+    let frames = read_frames(&run.captures()).expect("log");
+    assert_eq!(frames.iter().map(|frame| frame.discarded).collect::<Vec<_>>(), [true, false]);
+    assert_eq!(read_summary(&run.captures()).expect("summary").discarded_frames, 1);
+}
+
+#[test]
+fn layers_that_break_a_rule_are_refused() {
+    let run = Run::new(&virtual_config());
+    let mut app = App::begun();
+    app.empty_frame();
+    let mut swapchain = app.swapchain(vk::Format::R8G8B8A8_SRGB, SIZE, 2);
+    let state = app.waiter.wait().expect("wait");
+    app.stream.begin().expect("begin");
+    let time = state.predicted_display_time;
+    let (_, views) = app.session.locate_views(STEREO, time, &app.stage).expect("views");
+    let [x, y, width, height] = WHOLE;
+    let whole = rect(x, y, width, height);
+    let mut submit = |swapchain: &xr::Swapchain<xr::Vulkan>, left: xr::Rect2Di, index, located: &xr::View| {
+        let parts = [view(swapchain, index, left, located), view(swapchain, 1, whole, &views[1])];
+        let layer = xr::CompositionLayerProjection::new().space(&app.stage).views(&parts);
+        app.stream.end(time, xr::EnvironmentBlendMode::OPAQUE, &[&layer])
+    };
+    let unreleased = submit(&swapchain, whole, 0, &views[0]);
+    assert_eq!(unreleased.expect_err("nothing released"), Code::ERROR_LAYER_INVALID);
+    swapchain.acquire_image().expect("acquire");
+    swapchain.wait_image(xr::Duration::INFINITE).expect("wait for the image");
+    swapchain.release_image().expect("release");
+    for outside in [rect(1, 0, width, height), rect(0, -1, width, height), rect(0, 0, 0, height)] {
+        let refused = submit(&swapchain, outside, 0, &views[0]);
+        assert_eq!(refused.expect_err("outside"), Code::ERROR_SWAPCHAIN_RECT_INVALID, "{outside:?}");
+    }
+    let third = submit(&swapchain, whole, 2, &views[0]);
+    assert_eq!(third.expect_err("two layers only"), Code::ERROR_VALIDATION_FAILURE);
+    let mut bad = views[0];
+    bad.pose.orientation.w = 0.5;
+    assert_eq!(submit(&swapchain, whole, 0, &bad).expect_err("not unit"), Code::ERROR_POSE_INVALID);
+    let mut bad = views[0];
+    bad.fov.angle_up = f32::NAN;
+    assert_eq!(submit(&swapchain, whole, 0, &bad).expect_err("NaN"), Code::ERROR_VALIDATION_FAILURE);
+    submit(&swapchain, whole, 0, &views[0]).expect("a good layer after bad ones");
+    drop(swapchain);
+    drop(app);
+    assert_eq!(read_summary(&run.captures()).expect("summary").errors, 7);
+}
+
+fn event(frame: u64, kind: EventKind) -> ScriptedEvent {
+    ScriptedEvent { frame, kind }
+}
+
+#[test]
+fn scripted_focus_changes_and_the_stop_arrive_at_their_frames() {
+    type State = xr::SessionState;
+    let events =
+        vec![event(3, EventKind::FocusLoss), event(5, EventKind::FocusGain), event(7, EventKind::Stop)];
+    let _run = Run::new(&MockConfig { events, ..virtual_config() });
+    let mut app = App::begun();
+    for frame in 0..8 {
+        let expected: &[State] = match frame {
+            0 => &[State::SYNCHRONIZED, State::VISIBLE, State::FOCUSED],
+            3 => &[State::VISIBLE],
+            5 => &[State::FOCUSED],
+            7 => &[State::VISIBLE, State::SYNCHRONIZED, State::STOPPING],
+            _ => &[],
+        };
+        let state = app.empty_frame();
+        assert_eq!(app.states(), expected, "frame {frame}");
+        assert_eq!(state.should_render, (1..7).contains(&frame), "frame {frame}");
+    }
+    app.end();
+    assert_eq!(app.waiter.wait().expect_err("ended"), Code::ERROR_SESSION_NOT_RUNNING);
+}
+
+#[test]
+fn the_session_is_asked_to_stop_after_the_configured_time() {
+    let _run = Run::new(&MockConfig { seconds: 0.125, ..virtual_config() });
+    let mut app = App::begun();
+    let mut frames = 0;
+    while !app.states().contains(&xr::SessionState::STOPPING) {
+        app.empty_frame();
+        frames += 1;
+        assert!(frames < 100, "never stopped");
+    }
+    assert_eq!(frames, 9 + 1, "0.125 s are nine periods; the tenth frame starts at 0.125 s");
+    app.end();
+}
+
+#[test]
+fn a_lost_instance_can_be_made_again_and_the_world_goes_on() {
+    let events = vec![event(4, EventKind::InstanceLoss)];
+    let run = Run::new(&MockConfig { events, refresh_hz: 10.0, ..virtual_config() });
+    let mut app = App::begun();
+    let mut before = 0;
+    let announced = loop {
+        before += 1;
+        app.empty_frame();
+        let mut storage = xr::EventDataBuffer::new();
+        let mut loss = None;
+        while let Some(event) = app.instance.poll_event(&mut storage).expect("poll") {
+            if let xr::Event::InstanceLossPending(event) = event {
+                loss = Some(event.loss_time());
+            }
+        }
+        if let Some(loss) = loss {
+            break loss;
+        }
+    };
+    assert_eq!(before, 5, "announced in frame 4");
+    while let Ok(state) = app.waiter.wait() {
+        before += 1;
+        assert!(state.predicted_display_time.as_nanos() <= announced.as_nanos() + period_ns(10.0));
+        if app.stream.begin().is_err() {
+            break;
+        }
+        let _ = app.stream.end(state.predicted_display_time, xr::EnvironmentBlendMode::OPAQUE, &[]);
+    }
+    let lost = app.waiter.wait().expect_err("lost");
+    assert_eq!(lost, Code::ERROR_INSTANCE_LOST);
+    drop(app);
+    let mut app = App::begun();
+    for _ in 0..20 {
+        app.empty_frame();
+    }
+    let states = app.states();
+    assert_eq!(states.last(), Some(&xr::SessionState::FOCUSED), "no second loss: {states:?}");
+    drop(app);
+    let frames = read_frames(&run.captures()).expect("log");
+    let indices: Vec<u64> = frames.iter().map(|frame| frame.frame).collect();
+    assert!(indices.is_sorted() && indices.last() == Some(&(before + 19)), "{indices:?}");
+    assert!(frames.is_sorted_by_key(|frame| frame.predicted_display_time_ns));
+    assert_eq!(read_summary(&run.captures()).expect("summary").errors, 0);
+}
+
+#[test]
+fn spaces_and_velocities_follow_the_head_path() {
+    let run = Run::new(&virtual_config());
+    with_walk(&run, &virtual_config());
+    let mut app = App::begun();
+    let state = app.empty_frame();
+    let start_ns = MockConfig::default().virtual_start_ns;
+    let space = |ty, pose| app.session.create_reference_space(ty, pose).expect("space");
+    let head = space(xr::ReferenceSpaceType::VIEW, xr::Posef::IDENTITY);
+    let local = space(xr::ReferenceSpaceType::LOCAL, xr::Posef::IDENTITY);
+    let mut ahead = xr::Posef::IDENTITY;
+    ahead.position.z = -2.0;
+    let ahead = space(xr::ReferenceSpaceType::VIEW, ahead);
+    assert_eq!(state.predicted_display_time.as_nanos(), period_begin_ns(start_ns, 72.0, 1));
+    let half = xr::Time::from_nanos(start_ns + 500_000_000);
+    let (place, velocity) = head.relate(&app.stage, half).expect("located");
+    let tracked = xr::SpaceLocationFlags::POSITION_TRACKED | xr::SpaceLocationFlags::ORIENTATION_TRACKED;
+    assert!(place.location_flags.contains(tracked));
+    assert_vector(place.pose.position, [0.5, 1.7, 0.0]);
+    assert_vector(velocity.linear_velocity, [1.0, 0.0, 0.0]);
+    assert_vector(velocity.angular_velocity, [0.0, std::f32::consts::FRAC_PI_2, 0.0]);
+    let in_local = head.locate(&local, half).expect("located");
+    assert_vector(in_local.pose.position, [0.5, 0.0, 0.0]);
+    let in_head = ahead.locate(&head, half).expect("located");
+    assert_vector(in_head.pose.position, [0.0, 0.0, -2.0]);
+    let diagonal = 2.0 * std::f32::consts::FRAC_1_SQRT_2;
+    let in_stage = ahead.locate(&app.stage, half).expect("located");
+    assert_vector(in_stage.pose.position, [0.5 - diagonal, 1.7, -diagonal]);
+    let (_, views) = app.session.locate_views(STEREO, half, &head).expect("views");
+    assert_vector(views[0].pose.position, [-0.0315, 0.0, 0.0]);
+    assert_vector(views[1].pose.position, [0.0315, 0.0, 0.0]);
+    let zero = head.locate(&app.stage, xr::Time::from_nanos(0));
+    assert_eq!(zero.err(), Some(Code::ERROR_TIME_INVALID));
+}
+
+#[track_caller]
+fn assert_vector(found: xr::Vector3f, expected: [f32; 3]) {
+    let far = [found.x, found.y, found.z].iter().zip(expected).any(|(a, b)| (a - b).abs() > 1e-3);
+    assert!(!far, "{found:?} is not {expected:?}");
+}
+
+#[test]
+fn a_layer_in_local_space_is_logged_in_the_stage_too() {
+    let run = Run::new(&virtual_config());
+    with_walk(&run, &virtual_config());
+    let mut app = App::begun();
+    let local = app
+        .session
+        .create_reference_space(xr::ReferenceSpaceType::LOCAL, xr::Posef::IDENTITY)
+        .expect("local");
+    app.stage = local;
+    let mut swapchain = app.swapchain(vk::Format::R8G8B8A8_SRGB, SIZE, 2);
+    for frame in 0..3 {
+        multiview_frame(&mut app, &mut swapchain, frame);
+    }
+    drop(swapchain);
+    drop(app);
+    let frames = read_frames(&run.captures()).expect("log");
+    for view in &frames[2].views {
+        assert!((view.stage_pose.position[1] - view.pose.position[1] - 1.7).abs() < 1e-5, "{view:?}");
+    }
+}
+
+#[test]
+fn times_convert_to_the_monotonic_clock_and_back_unchanged() {
+    let _run = Run::new(&virtual_config());
+    let app = App::new();
+    let functions = app.instance.exts().khr_convert_timespec_time.as_ref().expect("enabled");
+    let mut timespec = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    let mut back = xr::Time::from_nanos(0);
+    let time = xr::Time::from_nanos(12_345_678_901);
+    // SAFETY: a valid instance and places for the answers.
+    unsafe {
+        let handle = app.instance.as_raw();
+        assert_eq!((functions.convert_time_to_timespec_time)(handle, time, &mut timespec), Code::SUCCESS);
+        assert_eq!((timespec.tv_sec, timespec.tv_nsec), (12, 345_678_901));
+        assert_eq!((functions.convert_timespec_time_to_time)(handle, &timespec, &mut back), Code::SUCCESS);
+    }
+    assert_eq!(back, time);
+}
+
+#[test]
+fn the_real_clock_paces_frames_ahead_of_the_monotonic_clock() {
+    let run = Run::new(&MockConfig { clock: ClockKind::Real, refresh_hz: 200.0, ..virtual_config() });
+    let mut app = App::begun();
+    let mut last_ns = 0;
+    for _ in 0..10 {
+        let before_ns = app.instance.now().expect("now").as_nanos();
+        let state = app.empty_frame();
+        let display_ns = state.predicted_display_time.as_nanos();
+        assert!(display_ns > before_ns, "shown after it was waited for");
+        assert!(display_ns > last_ns, "shown after the frame before");
+        assert_eq!(state.predicted_display_period.as_nanos(), 5_000_000);
+        last_ns = display_ns;
+    }
+    drop(app);
+    let frames = read_frames(&run.captures()).expect("log");
+    let summary = read_summary(&run.captures()).expect("summary");
+    let first_ns = frames[0].predicted_display_time_ns;
+    let periods = (last_ns - first_ns) / 5_000_000;
+    assert_eq!(periods as u64, 9 + summary.missed_frames, "every period has a frame or was missed");
+    assert_eq!((last_ns - first_ns) % 5_000_000, 0, "display times lie on the grid");
+}
+
+#[test]
+fn actions_can_be_set_up_and_are_inactive() {
+    let run = Run::new(&virtual_config());
+    let mut app = App::begun();
+    let instance = &app.instance;
+    let left = instance.string_to_path("/user/hand/left").expect("path");
+    let set = instance.create_action_set("main", "Main", 0).expect("set");
+    let grab = set.create_action::<bool>("grab", "Grab", &[left]).expect("action");
+    let aim = set.create_action::<xr::Posef>("aim", "Aim", &[]).expect("action");
+    let binding = |path: &str| instance.string_to_path(path).expect("path");
+    let simple = binding("/interaction_profiles/khr/simple_controller");
+    let bindings = [
+        xr::Binding::new(&grab, binding("/user/hand/left/input/select/click")),
+        xr::Binding::new(&aim, binding("/user/hand/left/input/aim/pose")),
+    ];
+    instance.suggest_interaction_profile_bindings(simple, &bindings).expect("suggest");
+    let unknown =
+        instance.suggest_interaction_profile_bindings(binding("/interaction_profiles/acme/glove"), &bindings);
+    assert_eq!(unknown.expect_err("unknown profile"), Code::ERROR_PATH_UNSUPPORTED);
+    assert_eq!(grab.state(&app.session, left).err(), Some(Code::ERROR_ACTIONSET_NOT_ATTACHED));
+    app.session.attach_action_sets(&[&set]).expect("attach");
+    assert_eq!(app.session.attach_action_sets(&[&set]).err(), Some(Code::ERROR_ACTIONSETS_ALREADY_ATTACHED));
+    let space = aim.create_space(&app.session, xr::Path::NULL, xr::Posef::IDENTITY).expect("space");
+    let state = app.empty_frame();
+    app.session.sync_actions(&[xr::ActiveActionSet::new(&set)]).expect("sync");
+    assert!(!grab.state(&app.session, left).expect("state").is_active);
+    assert!(!aim.is_active(&app.session, xr::Path::NULL).expect("state"));
+    let place = space.locate(&app.stage, state.predicted_display_time).expect("located");
+    assert_eq!(place.location_flags, xr::SpaceLocationFlags::EMPTY);
+    drop((space, aim, grab, set, app));
+    assert_eq!(read_summary(&run.captures()).expect("summary").errors, 2);
+}
+
+#[test]
+fn a_session_needs_the_requirements_call_and_the_runtimes_instance() {
+    let _run = Run::new(&virtual_config());
+    let instance = create_instance(&load()).expect("instance");
+    let system = instance.system(xr::FormFactor::HEAD_MOUNTED_DISPLAY).expect("system");
+    let nothing = xr::vulkan::SessionCreateInfo {
+        instance: std::ptr::null(),
+        physical_device: std::ptr::null(),
+        device: std::ptr::null(),
+        queue_family_index: 0,
+        queue_index: 0,
+    };
+    // SAFETY: the runtime refuses before it uses a handle.
+    let missing = unsafe { instance.create_session::<xr::Vulkan>(system, &nothing) };
+    assert_eq!(missing.err(), Some(Code::ERROR_GRAPHICS_REQUIREMENTS_CALL_MISSING));
+    instance.graphics_requirements::<xr::Vulkan>(system).expect("requirements");
+    // SAFETY: as above.
+    let invalid = unsafe { instance.create_session::<xr::Vulkan>(system, &nothing) };
+    assert_eq!(invalid.err(), Some(Code::ERROR_GRAPHICS_DEVICE_INVALID));
+}
+
+#[test]
+fn stale_handles_are_refused() {
+    let _run = Run::new(&virtual_config());
+    let app = App::new();
+    let stale = app
+        .session
+        .create_reference_space(xr::ReferenceSpaceType::VIEW, xr::Posef::IDENTITY)
+        .expect("space")
+        .as_raw();
+    let destroy = app.instance.fp().destroy_space;
+    // SAFETY: handles may be anything; the runtime refuses those that it does not know.
+    unsafe {
+        assert_eq!(destroy(stale), Code::ERROR_HANDLE_INVALID);
+        assert_eq!(destroy(xr::sys::Space::from_raw(1)), Code::ERROR_HANDLE_INVALID);
+    }
+}
+
+/// Creates an instance in a process of its own with the configuration `config`; gives what was printed.
+#[track_caller]
+fn refused_in_a_process(run: &Run, config: &str) -> String {
+    std::fs::write(run.config_path(), config).expect("write the configuration");
+    let program = std::env::current_exe().expect("this program");
+    let arguments = ["--exact", "helper_that_only_creates_an_instance", "--ignored", "--nocapture"];
+    let output = std::process::Command::new(program).args(arguments).output().expect("run");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stderr).expect("text")
+}
+
+#[test]
+fn a_bad_configuration_is_refused_with_file_line_and_remedy() {
+    let run = Run::unconfigured();
+    let printed = refused_in_a_process(&run, "{\n\"refresh\": 72\n}");
+    assert!(printed.contains("xrCreateInstance") && printed.contains("mock.json:2:"), "{printed}");
+    std::fs::write(run.folder.path().join("walk.csv"), "t_s,x,y,z,qx,qy,qz,qw\n0,0,1,0,0,0,0,1\n1,2,3\n")
+        .expect("write the head path");
+    let printed = refused_in_a_process(&run, r#"{"head_path": "walk.csv"}"#);
+    assert!(printed.contains("walk.csv:3: 3 columns where 8 are needed; write t_s,x,y,z"), "{printed}");
+    let printed = refused_in_a_process(&run, r#"{"head_path": "run.csv"}"#);
+    assert!(printed.contains("run.csv") && printed.contains("correct \"head_path\""), "{printed}");
+}
+
+#[test]
+#[ignore = "run in a process of its own by a_bad_configuration_is_refused_with_file_line_and_remedy"]
+fn helper_that_only_creates_an_instance() {
+    let refused = create_instance(&load()).err();
+    assert_eq!(refused, Some(Code::ERROR_INITIALIZATION_FAILED));
+}
+
+#[test]
+fn the_library_exports_the_negotiation_only() {
+    let library = shadecast_mock_runtime::manifest::find_library().expect("built");
+    let symbols = exported(&library);
+    let ours: Vec<_> =
+        symbols.iter().filter(|name| name.starts_with("xr") || name.contains("shadecast")).collect();
+    assert_eq!(ours, ["xrNegotiateLoaderRuntimeInterface"]);
+}
+
+/// Names of the dynamic symbols that a 64-bit little-endian ELF library defines.
+fn exported(library: &Path) -> Vec<String> {
+    let bytes = std::fs::read(library).expect("read the library");
+    let number = |at: usize, width: usize| {
+        bytes[at..at + width].iter().rev().fold(0usize, |all, byte| all << 8 | usize::from(*byte))
+    };
+    let (sections, entry_size, count) = (number(0x28, 8), number(0x3a, 2), number(0x3c, 2));
+    let section = |index: usize| sections + index * entry_size;
+    let dynamic_symbols = (0..count).map(section).find(|at| number(at + 4, 4) == 11).expect("a .dynsym");
+    let strings = number(section(number(dynamic_symbols + 0x28, 4)) + 0x18, 8);
+    let (start, size) = (number(dynamic_symbols + 0x18, 8), number(dynamic_symbols + 0x20, 8));
+    let defined = (start..start + size).step_by(24).filter(|at| number(at + 6, 2) != 0);
+    let names = defined.map(|at| {
+        let name = &bytes[strings + number(at, 4)..];
+        let end = name.iter().position(|byte| *byte == 0).expect("zero-terminated");
+        String::from_utf8_lossy(&name[..end]).into_owned()
+    });
+    names.collect()
+}
