@@ -207,7 +207,10 @@ mod tests {
                     let (low, high) = taps(at);
                     assert!(low >= left && high < right, "luma {low}..={high} of {left}..{right} at {at}");
                     let (low, high) = taps(at * 0.5);
-                    assert!(low >= left / 2 && high < right / 2, "chroma {low}..={high} of {left}..{right} at {at}");
+                    assert!(
+                        low >= left / 2 && high < right / 2,
+                        "chroma {low}..={high} of {left}..{right} at {at}"
+                    );
                 }
             }
         }

@@ -353,7 +353,8 @@ fn take_evictions<T>(
     let mut reader = Reader::new(what, section);
     let count = reader.count(slots, 1)?;
     let mut previous = BEFORE_FIRST;
-    let evicted = (0..count).map(|_| take_successor(&mut reader, &mut previous).map(&new)).collect::<Result<_, _>>()?;
+    let evicted =
+        (0..count).map(|_| take_successor(&mut reader, &mut previous).map(&new)).collect::<Result<_, _>>()?;
     reader.finish()?;
     Ok(evicted)
 }
@@ -377,7 +378,8 @@ fn take_instances(section: &[u8]) -> Result<Vec<InstanceInfo>, WireError> {
 }
 
 fn take_instance(reader: &mut Reader<'_>) -> Result<InstanceId, WireError> {
-    let number = check_count("the number of an instance", reader.varint()? as usize, MAX_INSTANCES as usize - 1)?;
+    let number =
+        check_count("the number of an instance", reader.varint()? as usize, MAX_INSTANCES as usize - 1)?;
     Ok(InstanceId(number as u16))
 }
 
@@ -429,7 +431,8 @@ fn take_vertex_run(
     check_count("a run of new vertices", length, count - vertices.len())?;
     let instance = take_instance(reader)?;
     for slot in (0..length as u32).map(|i| VertexSlot(first.wrapping_add(i))) {
-        let motion = if sampled { Motion::Sampled } else { Motion::Static { position: take_position(reader)? } };
+        let motion =
+            if sampled { Motion::Sampled } else { Motion::Static { position: take_position(reader)? } };
         vertices.push(NewVertex { slot, instance, motion });
     }
     *previous = first.wrapping_add(length as u32 - 1);
@@ -523,7 +526,11 @@ fn put_samples(out: &mut Vec<u8>, batches: &[SampleBatch], fresh: &[VertexSlot],
     let mut previous = BEFORE_FIRST;
     for batch in batches {
         let (slots, values): (Vec<_>, Vec<_>) = batch.values.iter().copied().unzip();
-        assert!(slots.is_sorted_by(|a, b| a < b), "the samples of grid step {} are not in order", batch.grid.0);
+        assert!(
+            slots.is_sorted_by(|a, b| a < b),
+            "the samples of grid step {} are not in order",
+            batch.grid.0
+        );
         put_successor(out, &mut previous, batch.grid.0 as u32);
         put_coverage(out, &slots, &active, fresh);
         coder.encoder.encode_batch(batch.grid, &mut coder.mirror.history, &slots, &values, out);
@@ -536,7 +543,10 @@ fn put_coverage(out: &mut Vec<u8>, slots: &[VertexSlot], active: &[VertexSlot], 
     } else if slots == fresh {
         out.push(COVER_NEW);
     } else {
-        assert!(slots.iter().all(|slot| active.binary_search(slot).is_ok()), "a sample of a vertex that has none");
+        assert!(
+            slots.iter().all(|slot| active.binary_search(slot).is_ok()),
+            "a sample of a vertex that has none"
+        );
         out.push(COVER_LIST);
         put_evictions(out, slots.iter().map(|slot| slot.0));
     }
@@ -582,7 +592,10 @@ fn take_listed(reader: &mut Reader<'_>, history: &SampleHistory) -> Result<Vec<V
     for _ in 0..count {
         let slot = VertexSlot(take_successor(reader, &mut previous)?);
         if !history.is_active(slot) || slots.last().is_some_and(|last| *last >= slot) {
-            return Err(invalid("a batch's list of vertices", format!("slot {} does not belong there", slot.0)));
+            return Err(invalid(
+                "a batch's list of vertices",
+                format!("slot {} does not belong there", slot.0),
+            ));
         }
         slots.push(slot);
     }

@@ -11,6 +11,8 @@ pub mod message;
 pub mod pose;
 pub mod samples;
 pub mod session;
+#[cfg(test)]
+mod testing;
 pub mod time;
 pub mod wire;
 

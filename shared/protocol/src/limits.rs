@@ -80,7 +80,10 @@ const WORST_PATCH_BYTES: usize = 5 + 4 + 5 * PATCH_MAX_VERTICES as usize + 5 + 4
 const _: () = {
     assert!(MAX_VERTEX_SLOTS.is_power_of_two() && MAX_PATCH_SLOTS.is_power_of_two());
     assert!(MAX_INSTANCES <= 1 << 16, "an instance is 16 bits");
-    assert!(SAMPLE_RING.is_power_of_two() && SAMPLE_RING >= 8, "100 ms ahead, four to interpolate, and some late");
+    assert!(
+        SAMPLE_RING.is_power_of_two() && SAMPLE_RING >= 8,
+        "100 ms ahead, four to interpolate, and some late"
+    );
     assert!(ATLAS_MAX_EXTENT[0] <= 1 << (10 + BLOCK_MIN_LOG2), "10 bits of address");
     assert!(ATLAS_MAX_EXTENT[1] <= 1 << (10 + BLOCK_MIN_LOG2), "10 bits of address");
     assert!(BLOCK_MAX_LOG2 - BLOCK_MIN_LOG2 < 8, "3 bits of size");
@@ -88,7 +91,9 @@ const _: () = {
     assert!(2 * BLOCK_INSET_TEXELS < 1 << BLOCK_MIN_LOG2, "the smallest block keeps an inside");
     assert!(ATLAS_MAX_EXTENT[0] / 16 * (ATLAS_MAX_EXTENT[1] / 16) <= MAX_MACROBLOCKS);
     assert!(ATLAS_DEFAULT_EXTENT[0] <= ATLAS_MAX_EXTENT[0] && ATLAS_DEFAULT_EXTENT[1] <= ATLAS_MAX_EXTENT[1]);
-    assert!(ATLAS_MAX_EXTENT[0] % (1 << BLOCK_MAX_LOG2) == 0 && ATLAS_MAX_EXTENT[1] % (1 << BLOCK_MAX_LOG2) == 0);
+    assert!(
+        ATLAS_MAX_EXTENT[0] % (1 << BLOCK_MAX_LOG2) == 0 && ATLAS_MAX_EXTENT[1] % (1 << BLOCK_MAX_LOG2) == 0
+    );
     assert!(
         MAX_SAMPLES_PER_DELTA as usize * WORST_SAMPLE_BYTES
             + MAX_VERTEX_SLOTS as usize * WORST_VERTEX_BYTES

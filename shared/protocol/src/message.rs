@@ -3,6 +3,7 @@
 //! All are `postcard`. The version fields of a hello and the whole of a refusal keep their place and type in every
 //! version of the protocol, so that two versions that understand nothing else can still say what to update.
 
+use crate::PROTOCOL_VERSION;
 use crate::ids::{DiscontinuityId, FrameId};
 use crate::limits::{
     ATLAS_MAX_EXTENT, BLOCK_MAX_LOG2, MAX_CODECS, MAX_CONTROL_BYTES, MAX_COORDINATE_M, MAX_DATAGRAM_BYTES,
@@ -10,7 +11,6 @@ use crate::limits::{
 };
 use crate::pose::{Eye, Pose};
 use crate::time::{DisplayTime, Grid, ServerTime};
-use crate::PROTOCOL_VERSION;
 use crate::wire::{WireError, check_count, invalid};
 use glam::Vec3;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
@@ -248,7 +248,8 @@ impl ClientMessage {
         check_count("a control message's length in bytes", bytes.len(), MAX_CONTROL_BYTES)?;
         let (message, left) = from_prefix::<Self>("a client's message", bytes)?;
         message.check()?;
-        let may_be_longer = matches!(&message, Self::Hello(hello) if hello.protocol_version > PROTOCOL_VERSION);
+        let may_be_longer =
+            matches!(&message, Self::Hello(hello) if hello.protocol_version > PROTOCOL_VERSION);
         if left > 0 && !may_be_longer {
             return Err(WireError::Trailing { what: "a client's message", left });
         }
@@ -347,9 +348,11 @@ impl Capabilities {
         check_count("the list of codecs", self.codecs.len(), MAX_CODECS)?;
         self.eyes.iter().try_for_each(check_eye)?;
         let pixels = 1..=MAX_EYE_EXTENT_PIXELS;
-        require(self.eye_extent_pixels.iter().all(|side| pixels.contains(side)), "an eye's extent in pixels", || {
-            format!("{:?} is not within 1..={MAX_EYE_EXTENT_PIXELS}", self.eye_extent_pixels)
-        })?;
+        require(
+            self.eye_extent_pixels.iter().all(|side| pixels.contains(side)),
+            "an eye's extent in pixels",
+            || format!("{:?} is not within 1..={MAX_EYE_EXTENT_PIXELS}", self.eye_extent_pixels),
+        )?;
         check_slots("the vertex slots of a client", self.max_vertex_slots, MAX_VERTEX_SLOTS)?;
         check_slots("the patch slots of a client", self.max_patch_slots, MAX_PATCH_SLOTS)?;
         check_period("the display period", self.display_period_ns)
@@ -366,7 +369,10 @@ impl Welcome {
             (MIN_ATLAS_SIDE..=ATLAS_MAX_EXTENT[i]).contains(&side) && side.is_power_of_two()
         };
         require(side_ok(0) && side_ok(1), "the atlas's extent in texels", || {
-            format!("{:?} are not powers of two within {MIN_ATLAS_SIDE}..={ATLAS_MAX_EXTENT:?}", self.atlas_extent_texels)
+            format!(
+                "{:?} are not powers of two within {MIN_ATLAS_SIDE}..={ATLAS_MAX_EXTENT:?}",
+                self.atlas_extent_texels
+            )
         })?;
         check_slots("the vertex slots of a session", self.vertex_slots, MAX_VERTEX_SLOTS)?;
         check_slots("the patch slots of a session", self.patch_slots, MAX_PATCH_SLOTS)?;
@@ -389,9 +395,16 @@ impl HeadState {
     pub fn check(&self) -> Result<(), WireError> {
         check_pose("a head's pose", &self.world_from_head)?;
         let speed_ok = |v: Vec3| v.is_finite() && v.length() <= MAX_SPEED;
-        require(speed_ok(self.linear_velocity) && speed_ok(self.angular_velocity), "a head's velocity", || {
-            format!("{} m/s and {} rad/s are not finite and below {MAX_SPEED}", self.linear_velocity, self.angular_velocity)
-        })?;
+        require(
+            speed_ok(self.linear_velocity) && speed_ok(self.angular_velocity),
+            "a head's velocity",
+            || {
+                format!(
+                    "{} m/s and {} rad/s are not finite and below {MAX_SPEED}",
+                    self.linear_velocity, self.angular_velocity
+                )
+            },
+        )?;
         self.eyes.iter().try_for_each(check_eye)
     }
 }
@@ -422,7 +435,12 @@ pub fn negotiate(hello: &ClientHello, offer: &ServerOffer) -> Result<Welcome, Re
 }
 
 /// The newest version that both speak; otherwise which of the two to update.
-pub fn negotiate_version(newest: u32, oldest: u32, app_version: &str, offer: &ServerOffer) -> Result<u32, Refused> {
+pub fn negotiate_version(
+    newest: u32,
+    oldest: u32,
+    app_version: &str,
+    offer: &ServerOffer,
+) -> Result<u32, Refused> {
     let version = newest.min(offer.protocol_version);
     if version >= oldest.max(offer.min_protocol_version) {
         return Ok(version);

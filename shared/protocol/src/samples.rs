@@ -84,10 +84,9 @@ impl SampleHistory {
     pub(crate) fn set_steps(&mut self, steps: &[(InstanceId, f32)]) -> Result<(), WireError> {
         let mut ratios: Vec<Option<f64>> = Vec::new();
         for &(instance, step_m) in steps {
-            let known = self
-                .steps_m
-                .get_mut(instance.index())
-                .ok_or_else(|| invalid("an instance", format!("{} is not below {MAX_INSTANCES}", instance.0)))?;
+            let known = self.steps_m.get_mut(instance.index()).ok_or_else(|| {
+                invalid("an instance", format!("{} is not below {MAX_INSTANCES}", instance.0))
+            })?;
             if !(MIN_STEP_M..=MAX_STEP_M).contains(&step_m) {
                 let reason = format!("{step_m} m of instance {} is out of range", instance.0);
                 return Err(invalid("a quantisation step", reason));
@@ -118,7 +117,12 @@ impl SampleHistory {
     }
 
     /// A vertex enters a free slot.
-    pub(crate) fn insert(&mut self, slot: VertexSlot, instance: InstanceId, sampled: bool) -> Result<(), WireError> {
+    pub(crate) fn insert(
+        &mut self,
+        slot: VertexSlot,
+        instance: InstanceId,
+        sampled: bool,
+    ) -> Result<(), WireError> {
         const WHAT: &str = "a new vertex";
         if slot.0 >= self.vertex_slots() {
             return Err(invalid(WHAT, format!("slot {} of {} does not exist", slot.0, self.vertex_slots())));

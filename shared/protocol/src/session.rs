@@ -1,1 +1,532 @@
-//! To follow.
+//! The two ends of a session as state machines without I/O: bytes and time go in, bytes and events come out.
+//!
+//! Whoever drives them carries three kinds of bytes: one control stream each way (in order, any pieces),
+//! unidirectional streams from the server (each whole), and datagrams (lossy). What they do not know is sockets, QUIC,
+//! clocks, pictures and GPUs.
+//!
+//! An error ends a session: after [`ClientEvent::Failed`] or [`ServerEvent::Failed`] nothing more comes out.
+
+use crate::clock::ClockEstimator;
+use crate::delta::{self, DeltaSizes, GeometryDelta, SampleCoder, SampleDecoder};
+use crate::ids::FrameId;
+use crate::limits::{MAX_QUEUED_STREAM_BYTES, MAX_QUEUED_STREAMS};
+use crate::message::{
+    ClientDatagram, ClientHello, ClientMessage, Displayed, HeadState, HelloVersions, Refused, ServerDatagram,
+    ServerMessage, ServerOffer, Welcome, negotiate, negotiate_version,
+};
+use crate::time::{DisplayTime, ServerTime};
+use crate::wire::{
+    ControlReader, PictureHeader, StreamMessage, WireError, encode_geometry, encode_picture, frame_control,
+    invalid, parse_stream,
+};
+use std::collections::{BTreeMap, VecDeque};
+
+/// Priority of a geometry stream: small, and later deltas wait for it.
+pub const PRIORITY_GEOMETRY: i32 = 1;
+/// Priority of a picture's stream.
+pub const PRIORITY_PICTURE: i32 = 0;
+
+/// Pings at the start, closer together, so that the clock is good within two seconds.
+const QUICK_PINGS: u32 = 40;
+const QUICK_PING_NS: i64 = 50_000_000;
+const PING_NS: i64 = 100_000_000;
+
+/// Bytes to be carried to the other end.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Out {
+    /// Append to the control stream.
+    Control(Vec<u8>),
+    /// Send as one unidirectional stream, then finish it.
+    Stream {
+        /// All of the stream.
+        bytes: Vec<u8>,
+        /// Higher goes first.
+        priority: i32,
+    },
+    /// Send unreliably.
+    Datagram(Vec<u8>),
+}
+
+/// What a client learns.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ClientEvent {
+    /// The session stands.
+    Welcome(Welcome),
+    /// There will be no session.
+    Refused(Refused),
+    /// The next delta, in order of frames.
+    Delta(GeometryDelta),
+    /// A picture, in order of arrival.
+    Picture {
+        /// Which one.
+        header: PictureHeader,
+        /// Its bytes for the decoder.
+        access_unit: Vec<u8>,
+    },
+    /// The server ends the session.
+    Goodbye,
+    /// The server said what makes no sense: drop the connection, then connect anew.
+    Failed(WireError),
+}
+
+/// What a server learns.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ServerEvent {
+    /// The session stands, under these terms, which the client has been told.
+    Accepted {
+        /// Who is there.
+        hello: ClientHello,
+        /// Under which terms.
+        welcome: Welcome,
+    },
+    /// There will be no session; the client has been told why. Flush, then close.
+    Refused(Refused),
+    /// The newest head state; older ones that come late are left out.
+    Pose(HeadState),
+    /// What the client shows.
+    Displayed(Displayed),
+    /// The client needs a picture that needs no other.
+    RefreshRequest {
+        /// The last frame whose picture decoded, if any.
+        after: Option<FrameId>,
+    },
+    /// The user left.
+    Goodbye,
+    /// The client said what makes no sense: drop the connection.
+    Failed(WireError),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// Hello sent, or awaited.
+    Greeting,
+    Running,
+    Ended,
+}
+
+/// The client's end.
+#[derive(Debug)]
+pub struct ClientSession {
+    phase: Phase,
+    control: ControlReader,
+    clock: ClockEstimator,
+    pings: u32,
+    next_ping: DisplayTime,
+    decoder: Option<SampleDecoder>,
+    next_delta: FrameId,
+    waiting: Waiting,
+    out: VecDeque<Out>,
+    events: VecDeque<ClientEvent>,
+}
+
+/// Streams that cannot be handed on yet.
+#[derive(Debug, Default)]
+struct Waiting {
+    deltas: BTreeMap<FrameId, Vec<u8>>,
+    /// Pictures that came before the welcome.
+    pictures: Vec<(PictureHeader, Vec<u8>)>,
+    bytes: usize,
+}
+
+impl Waiting {
+    fn admit(&mut self, bytes: usize) -> Result<(), WireError> {
+        let streams = self.deltas.len() + self.pictures.len() + 1;
+        let what = "the queue of streams that wait for an earlier delta";
+        crate::wire::check_count(what, streams, MAX_QUEUED_STREAMS)?;
+        self.bytes = crate::wire::check_count(what, self.bytes + bytes, MAX_QUEUED_STREAM_BYTES)?;
+        Ok(())
+    }
+}
+
+impl ClientSession {
+    /// Begins a session: the hello is ready to go out.
+    pub fn start(hello: ClientHello, now: DisplayTime) -> Self {
+        let mut session = Self {
+            phase: Phase::Greeting,
+            control: ControlReader::default(),
+            clock: ClockEstimator::new(),
+            pings: 0,
+            next_ping: now,
+            decoder: None,
+            next_delta: FrameId(0),
+            waiting: Waiting::default(),
+            out: VecDeque::new(),
+            events: VecDeque::new(),
+        };
+        session.say(&ClientMessage::Hello(hello));
+        session
+    }
+
+    /// Takes bytes of the server's control stream.
+    pub fn on_control(&mut self, bytes: &[u8]) {
+        let result = self.try_control(bytes);
+        self.end_on_error(result);
+    }
+
+    /// Takes one whole unidirectional stream.
+    pub fn on_stream(&mut self, bytes: &[u8]) {
+        let result = self.try_stream(bytes);
+        self.end_on_error(result);
+    }
+
+    /// Takes a datagram that came at `now`. Damaged ones are dropped: they carry nothing that is not sent again.
+    pub fn on_datagram(&mut self, bytes: &[u8], now: DisplayTime) {
+        if self.phase == Phase::Ended {
+            return;
+        }
+        if let Ok(ServerDatagram::ClockPong { client_send, server_receive, server_send }) =
+            ServerDatagram::decode(bytes)
+        {
+            self.clock.on_pong(client_send, server_receive, server_send, now);
+        }
+    }
+
+    /// Does what is due at `now`: pings.
+    pub fn on_tick(&mut self, now: DisplayTime) {
+        if self.phase != Phase::Running || now < self.next_ping {
+            return;
+        }
+        self.pings = self.pings.saturating_add(1);
+        let period_ns = if self.pings < QUICK_PINGS { QUICK_PING_NS } else { PING_NS };
+        self.next_ping = now.plus_ns(period_ns);
+        self.out.push_back(Out::Datagram(ClientDatagram::ClockPing { client_send: now }.encode()));
+    }
+
+    /// When [`Self::on_tick`] next has something to do.
+    pub fn next_tick(&self) -> Option<DisplayTime> {
+        (self.phase == Phase::Running).then_some(self.next_ping)
+    }
+
+    /// Sends the head's state.
+    pub fn send_pose(&mut self, head: HeadState) {
+        if self.phase == Phase::Running {
+            self.out.push_back(Out::Datagram(ClientDatagram::Pose(head).encode()));
+        }
+    }
+
+    /// Reports what is on display.
+    pub fn send_displayed(&mut self, displayed: Displayed) {
+        if self.phase == Phase::Running {
+            self.say(&ClientMessage::Displayed(displayed));
+        }
+    }
+
+    /// Asks for a picture that needs no other.
+    pub fn request_refresh(&mut self, after: Option<FrameId>) {
+        if self.phase == Phase::Running {
+            self.say(&ClientMessage::RefreshRequest { after });
+        }
+    }
+
+    /// Takes leave; nothing comes out after it.
+    pub fn goodbye(&mut self) {
+        if self.phase != Phase::Ended {
+            self.say(&ClientMessage::Goodbye);
+            self.phase = Phase::Ended;
+        }
+    }
+
+    /// The next thing that happened.
+    pub fn poll_event(&mut self) -> Option<ClientEvent> {
+        self.events.pop_front()
+    }
+
+    /// The next bytes to carry.
+    pub fn poll_out(&mut self) -> Option<Out> {
+        self.out.pop_front()
+    }
+
+    /// The estimate of the server's clock.
+    pub fn clock(&self) -> &ClockEstimator {
+        &self.clock
+    }
+
+    /// True until the session is refused, failed or left.
+    pub fn is_alive(&self) -> bool {
+        self.phase != Phase::Ended
+    }
+
+    fn say(&mut self, message: &ClientMessage) {
+        self.out.push_back(Out::Control(frame_control(&message.encode())));
+    }
+
+    fn end_on_error(&mut self, result: Result<(), WireError>) {
+        if let Err(error) = result {
+            self.phase = Phase::Ended;
+            self.waiting = Waiting::default();
+            self.events.push_back(ClientEvent::Failed(error));
+        }
+    }
+
+    fn try_control(&mut self, bytes: &[u8]) -> Result<(), WireError> {
+        if self.phase == Phase::Ended {
+            return Ok(());
+        }
+        for message in self.control.push(bytes)? {
+            match (ServerMessage::decode(&message)?, self.phase) {
+                (ServerMessage::Welcome(welcome), Phase::Greeting) => self.begin(welcome)?,
+                (ServerMessage::Welcome(_), _) => return Err(invalid("a welcome", "it comes a second time")),
+                (ServerMessage::Refused(refused), _) => self.end_with(ClientEvent::Refused(refused)),
+                (ServerMessage::Goodbye, _) => self.end_with(ClientEvent::Goodbye),
+            }
+            if self.phase == Phase::Ended {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    fn end_with(&mut self, event: ClientEvent) {
+        self.phase = Phase::Ended;
+        self.waiting = Waiting::default();
+        self.events.push_back(event);
+    }
+
+    /// The welcome is here: streams that overtook it can be handed on.
+    fn begin(&mut self, welcome: Welcome) -> Result<(), WireError> {
+        self.phase = Phase::Running;
+        self.decoder = Some(SampleDecoder::new(welcome.vertex_slots, welcome.patch_slots));
+        self.events.push_back(ClientEvent::Welcome(welcome));
+        for (header, access_unit) in std::mem::take(&mut self.waiting.pictures) {
+            self.waiting.bytes -= access_unit.len();
+            self.events.push_back(ClientEvent::Picture { header, access_unit });
+        }
+        self.hand_on_deltas()
+    }
+
+    fn try_stream(&mut self, bytes: &[u8]) -> Result<(), WireError> {
+        if self.phase == Phase::Ended {
+            return Ok(());
+        }
+        match parse_stream(bytes)? {
+            StreamMessage::Picture { header, access_unit } => self.take_picture(header, access_unit),
+            StreamMessage::Geometry { frame, payload } => self.take_geometry(frame, payload),
+        }
+    }
+
+    fn take_picture(&mut self, header: PictureHeader, access_unit: &[u8]) -> Result<(), WireError> {
+        if self.phase == Phase::Running {
+            self.events.push_back(ClientEvent::Picture { header, access_unit: access_unit.to_vec() });
+            return Ok(());
+        }
+        self.waiting.admit(access_unit.len())?;
+        self.waiting.pictures.push((header, access_unit.to_vec()));
+        Ok(())
+    }
+
+    fn take_geometry(&mut self, frame: FrameId, payload: &[u8]) -> Result<(), WireError> {
+        if frame < self.next_delta || self.waiting.deltas.contains_key(&frame) {
+            return Err(invalid(
+                "a geometry delta",
+                format!("that of frame {} comes a second time", frame.0),
+            ));
+        }
+        if frame == self.next_delta && self.decoder.is_some() {
+            self.hand_on(payload)?;
+            return self.hand_on_deltas();
+        }
+        self.waiting.admit(payload.len())?;
+        self.waiting.deltas.insert(frame, payload.to_vec());
+        Ok(())
+    }
+
+    /// Hands on the waiting deltas whose turn it is.
+    fn hand_on_deltas(&mut self) -> Result<(), WireError> {
+        while let Some(payload) = self.waiting.deltas.remove(&self.next_delta) {
+            self.waiting.bytes -= payload.len();
+            self.hand_on(&payload)?;
+        }
+        Ok(())
+    }
+
+    fn hand_on(&mut self, payload: &[u8]) -> Result<(), WireError> {
+        if let Some(decoder) = &mut self.decoder {
+            self.events.push_back(ClientEvent::Delta(delta::decode(payload, decoder)?));
+            self.next_delta = self.next_delta.next();
+        }
+        Ok(())
+    }
+}
+
+/// The server's end, for one client.
+#[derive(Debug)]
+pub struct ServerSession {
+    phase: Phase,
+    offer: ServerOffer,
+    control: ControlReader,
+    coder: Option<SampleCoder>,
+    next_delta: FrameId,
+    newest_pose: Option<u32>,
+    out: VecDeque<Out>,
+    events: VecDeque<ServerEvent>,
+}
+
+impl ServerSession {
+    /// Waits for a client's hello.
+    pub fn new(offer: ServerOffer) -> Self {
+        Self {
+            phase: Phase::Greeting,
+            offer,
+            control: ControlReader::default(),
+            coder: None,
+            next_delta: FrameId(0),
+            newest_pose: None,
+            out: VecDeque::new(),
+            events: VecDeque::new(),
+        }
+    }
+
+    /// Takes bytes of the client's control stream.
+    pub fn on_control(&mut self, bytes: &[u8]) {
+        if let Err(error) = self.try_control(bytes) {
+            self.end_with(ServerEvent::Failed(error));
+        }
+    }
+
+    /// Takes a datagram that came at `now`. Damaged ones are dropped: they carry nothing that is not sent again.
+    pub fn on_datagram(&mut self, bytes: &[u8], now: ServerTime) {
+        if self.phase != Phase::Running {
+            return;
+        }
+        match ClientDatagram::decode(bytes) {
+            Ok(ClientDatagram::Pose(head)) => self.take_pose(head),
+            Ok(ClientDatagram::ClockPing { client_send }) => {
+                let pong = ServerDatagram::ClockPong { client_send, server_receive: now, server_send: now };
+                self.out.push_back(Out::Datagram(pong.encode()));
+            }
+            Err(_) => {}
+        }
+    }
+
+    /// Sends the delta of the next frame; frames follow each other without a gap from 0. Gives the sizes of its parts.
+    /// Before the welcome and after the end it is dropped.
+    pub fn send_delta(&mut self, delta: &GeometryDelta) -> DeltaSizes {
+        let Some(coder) = self.coder.as_mut().filter(|_| self.phase == Phase::Running) else {
+            return DeltaSizes::default();
+        };
+        assert_eq!(delta.frame, self.next_delta, "deltas go out in the order of frames, without a gap");
+        let bytes = encode_geometry(&delta::encode(delta, coder));
+        let sizes = coder.last_sizes();
+        self.next_delta = delta.frame.next();
+        self.out.push_back(Out::Stream { bytes, priority: PRIORITY_GEOMETRY });
+        sizes
+    }
+
+    /// Sends a coded picture. Before the welcome and after the end it is dropped.
+    pub fn send_picture(&mut self, header: PictureHeader, access_unit: &[u8]) {
+        if self.phase == Phase::Running {
+            let bytes = encode_picture(header, access_unit);
+            self.out.push_back(Out::Stream { bytes, priority: PRIORITY_PICTURE });
+        }
+    }
+
+    /// The frame that the next [`Self::send_delta`] must have.
+    pub fn next_delta(&self) -> FrameId {
+        self.next_delta
+    }
+
+    /// Ends the session; nothing comes out after it.
+    pub fn goodbye(&mut self) {
+        if self.phase != Phase::Ended {
+            self.say(&ServerMessage::Goodbye);
+            self.phase = Phase::Ended;
+        }
+    }
+
+    /// The next thing that happened.
+    pub fn poll_event(&mut self) -> Option<ServerEvent> {
+        self.events.pop_front()
+    }
+
+    /// The next bytes to carry.
+    pub fn poll_out(&mut self) -> Option<Out> {
+        self.out.pop_front()
+    }
+
+    /// True until the session is refused, failed or left.
+    pub fn is_alive(&self) -> bool {
+        self.phase != Phase::Ended
+    }
+
+    fn say(&mut self, message: &ServerMessage) {
+        self.out.push_back(Out::Control(frame_control(&message.encode())));
+    }
+
+    fn end_with(&mut self, event: ServerEvent) {
+        self.phase = Phase::Ended;
+        self.events.push_back(event);
+    }
+
+    fn try_control(&mut self, bytes: &[u8]) -> Result<(), WireError> {
+        if self.phase == Phase::Ended {
+            return Ok(());
+        }
+        for bytes in self.control.push(bytes)? {
+            match self.phase {
+                Phase::Greeting => self.greet(&bytes)?,
+                Phase::Running => self.hear(ClientMessage::decode(&bytes)?)?,
+                Phase::Ended => break,
+            }
+        }
+        Ok(())
+    }
+
+    /// Judges the versions first: a hello of another version need not be readable beyond them.
+    fn greet(&mut self, bytes: &[u8]) -> Result<(), WireError> {
+        if let Some(HelloVersions { protocol_version, min_protocol_version, app_version }) =
+            ClientMessage::peek_versions(bytes)
+            && let Err(refused) =
+                negotiate_version(protocol_version, min_protocol_version, &app_version, &self.offer)
+        {
+            self.refuse(refused);
+            return Ok(());
+        }
+        let ClientMessage::Hello(hello) = ClientMessage::decode(bytes)? else {
+            return Err(invalid("a client's first message", "it is not a hello"));
+        };
+        match negotiate(&hello, &self.offer) {
+            Ok(welcome) => self.accept(hello, welcome),
+            Err(refused) => self.refuse(refused),
+        }
+        Ok(())
+    }
+
+    fn accept(&mut self, hello: ClientHello, welcome: Welcome) {
+        self.phase = Phase::Running;
+        self.coder = Some(SampleCoder::new(welcome.vertex_slots, welcome.patch_slots));
+        self.say(&ServerMessage::Welcome(welcome.clone()));
+        self.events.push_back(ServerEvent::Accepted { hello, welcome });
+    }
+
+    fn refuse(&mut self, refused: Refused) {
+        self.say(&ServerMessage::Refused(refused.clone()));
+        self.end_with(ServerEvent::Refused(refused));
+    }
+
+    fn hear(&mut self, message: ClientMessage) -> Result<(), WireError> {
+        match message {
+            ClientMessage::Hello(_) => return Err(invalid("a hello", "it comes a second time")),
+            ClientMessage::Displayed(displayed) => {
+                if displayed.frame >= self.next_delta {
+                    let reason = format!("frame {} has not been sent", displayed.frame.0);
+                    return Err(invalid("a report of what is on display", reason));
+                }
+                self.events.push_back(ServerEvent::Displayed(displayed));
+            }
+            ClientMessage::RefreshRequest { after } => {
+                self.events.push_back(ServerEvent::RefreshRequest { after })
+            }
+            ClientMessage::Goodbye => self.end_with(ServerEvent::Goodbye),
+        }
+        Ok(())
+    }
+
+    fn take_pose(&mut self, head: HeadState) {
+        // Half of the circle of sequence numbers lies before the newest.
+        let is_newer = self.newest_pose.is_none_or(|newest| head.sequence.wrapping_sub(newest) as i32 > 0);
+        if is_newer {
+            self.newest_pose = Some(head.sequence);
+            self.events.push_back(ServerEvent::Pose(head));
+        }
+    }
+}

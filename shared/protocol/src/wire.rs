@@ -272,7 +272,11 @@ impl<'a> Reader<'a> {
         let count = check_count(self.what, self.varint()? as usize, limit)?;
         let needed = count * min_bytes;
         if needed > self.left() {
-            return Err(WireError::Truncated { what: self.what, needed: needed - self.left(), left: self.left() });
+            return Err(WireError::Truncated {
+                what: self.what,
+                needed: needed - self.left(),
+                left: self.left(),
+            });
         }
         Ok(count)
     }
