@@ -49,8 +49,16 @@ pub struct Image {
     gpu: Arc<Gpu>,
     pub(crate) handle: vk::Image,
     pub(crate) view: vk::ImageView,
-    allocation: Option<Allocation>,
+    backing: Option<Backing>,
     desc: ImageDesc,
+}
+
+/// Where an image's memory comes from.
+pub(crate) enum Backing {
+    /// The allocator.
+    Allocation(Allocation),
+    /// Memory of its own that a tiler never fills: attachments that live within one pass.
+    Lazy(vk::DeviceMemory),
 }
 
 /// How a texture is read.
@@ -75,7 +83,7 @@ pub struct Sampler {
 /// Handles on their way out.
 pub(crate) enum Garbage {
     Buffer(vk::Buffer, Option<Allocation>),
-    Image(vk::Image, vk::ImageView, Option<Allocation>),
+    Image(vk::Image, vk::ImageView, Option<Backing>),
     View(vk::ImageView),
     Sampler(vk::Sampler),
     DescriptorPool(vk::DescriptorPool),
@@ -96,10 +104,14 @@ impl Garbage {
                     device.destroy_buffer(buffer, None);
                     free(gpu, allocation);
                 }
-                Self::Image(image, view, allocation) => {
+                Self::Image(image, view, backing) => {
                     device.destroy_image_view(view, None);
                     device.destroy_image(image, None);
-                    free(gpu, allocation);
+                    match backing {
+                        Some(Backing::Allocation(allocation)) => free(gpu, Some(allocation)),
+                        Some(Backing::Lazy(memory)) => device.free_memory(memory, None),
+                        None => {}
+                    }
                 }
                 Self::View(view) => device.destroy_image_view(view, None),
                 Self::Sampler(sampler) => device.destroy_sampler(sampler, None),
@@ -239,7 +251,7 @@ impl Drop for Buffer {
 }
 
 impl Image {
-    /// An image in layout UNDEFINED.
+    /// An image in layout UNDEFINED. One with usage TRANSIENT_ATTACHMENT gets lazily allocated memory where there is any.
     pub fn new(gpu: &Arc<Gpu>, desc: ImageDesc) -> Result<Self, GpuError> {
         let info = vk::ImageCreateInfo::default()
             .image_type(vk::ImageType::TYPE_2D)
@@ -253,12 +265,14 @@ impl Image {
         unsafe {
             let handle = gpu.device.create_image(&info, None).doing("creating an image")?;
             let requirements = gpu.device.get_image_memory_requirements(handle);
-            let allocation = allocate(gpu, desc.name, requirements, MemoryLocation::GpuOnly, false)?;
-            gpu.device
-                .bind_image_memory(handle, allocation.memory(), allocation.offset())
-                .doing("binding an image's memory")?;
+            let backing = image_backing(gpu, &desc, requirements)?;
+            let (memory, offset) = match &backing {
+                Backing::Allocation(allocation) => (allocation.memory(), allocation.offset()),
+                Backing::Lazy(memory) => (*memory, 0),
+            };
+            gpu.device.bind_image_memory(handle, memory, offset).doing("binding an image's memory")?;
             let view = create_view(gpu, handle, &desc, 0, desc.layers)?;
-            Ok(Self { gpu: gpu.clone(), handle, view, allocation: Some(allocation), desc })
+            Ok(Self { gpu: gpu.clone(), handle, view, backing: Some(backing), desc })
         }
     }
 
@@ -285,8 +299,40 @@ impl Image {
 
 impl Drop for Image {
     fn drop(&mut self) {
-        self.gpu.retire(Garbage::Image(self.handle, self.view, self.allocation.take()));
+        self.gpu.retire(Garbage::Image(self.handle, self.view, self.backing.take()));
     }
+}
+
+fn image_backing(
+    gpu: &Gpu,
+    desc: &ImageDesc,
+    requirements: vk::MemoryRequirements,
+) -> Result<Backing, GpuError> {
+    let lazy = match desc.usage.contains(vk::ImageUsageFlags::TRANSIENT_ATTACHMENT) {
+        true => lazy_memory_type(gpu, requirements.memory_type_bits),
+        false => None,
+    };
+    let Some(memory_type_index) = lazy else {
+        let allocation = allocate(gpu, desc.name, requirements, MemoryLocation::GpuOnly, false)?;
+        return Ok(Backing::Allocation(allocation));
+    };
+    let info = vk::MemoryAllocateInfo::default()
+        .allocation_size(requirements.size)
+        .memory_type_index(memory_type_index);
+    // SAFETY: the device is alive, and the type is one of its own that the image can use.
+    let memory = unsafe { gpu.device.allocate_memory(&info, None) };
+    Ok(Backing::Lazy(memory.doing("allocating lazy memory for an attachment")?))
+}
+
+fn lazy_memory_type(gpu: &Gpu, allowed: u32) -> Option<u32> {
+    // SAFETY: the physical device belongs to the instance.
+    let properties =
+        unsafe { gpu.instance().get_physical_device_memory_properties(gpu.physical_device()) };
+    let lazy = vk::MemoryPropertyFlags::LAZILY_ALLOCATED;
+    (0..properties.memory_type_count).find(|&index| {
+        let flags = properties.memory_types[index as usize].property_flags;
+        allowed & 1 << index != 0 && flags.contains(lazy)
+    })
 }
 
 fn whole(desc: &ImageDesc, first_layer: u32, layers: u32) -> vk::ImageSubresourceRange {

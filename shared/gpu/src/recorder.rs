@@ -447,6 +447,17 @@ impl Recorder {
         }
     }
 
+    /// Clears a colour image (in TRANSFER_DST_OPTIMAL).
+    pub fn clear_image(&mut self, image: &Image, color: [f32; 4]) {
+        let value = vk::ClearColorValue { float32: color };
+        let layout = vk::ImageLayout::TRANSFER_DST_OPTIMAL;
+        let ranges = [image.whole()];
+        // SAFETY: the image is alive, of a float or normalised format, and in the layout named above.
+        unsafe {
+            self.gpu.device.cmd_clear_color_image(self.commands(), image.handle, layout, &value, &ranges);
+        }
+    }
+
     /// Copies one layer and mip level of an image (in TRANSFER_SRC_OPTIMAL) to a buffer, rows tight.
     pub fn read_image(&mut self, image: &Image, layer: u32, buffer: &Buffer, offset_bytes: u64) {
         let region = region(image, image.desc().extent, layer, 0, offset_bytes);

@@ -1,0 +1,265 @@
+//! The shading atlas's memory: superblocks of side max(64, block side), each cut into blocks of one size.
+//!
+//! Blocks keep their address while patch and size stay. The allocator is deterministic: the lowest free address
+//! wins. It knows nothing of patches, levels or time.
+
+use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize};
+use shadecast_protocol::limits::{BLOCK_MAX_LOG2, SUPERBLOCK_MIN_LOG2};
+use std::collections::{BTreeMap, BTreeSet};
+
+const CELL_LOG2: u32 = SUPERBLOCK_MIN_LOG2;
+const LEVELS: usize = (BLOCK_MAX_LOG2 - SUPERBLOCK_MIN_LOG2 + 1) as usize;
+/// Blocks of the smallest size in the smallest superblock: 16 x 16.
+const MAX_SLOTS_WORDS: usize = 4;
+
+/// Which blocks of an atlas are free.
+#[derive(Clone, Debug)]
+pub struct Atlas {
+    extent_texels: [u32; 2],
+    /// Free superblock corners (y, x) by size: 64, 128, 256, 512.
+    free: [BTreeSet<(u32, u32)>; LEVELS],
+    /// Superblocks in use, by corner (y, x).
+    used: BTreeMap<(u32, u32), Superblock>,
+    /// Superblocks of a size that have a block free, by corner.
+    open: BTreeMap<BlockSize, BTreeSet<(u32, u32)>>,
+    used_texels: u64,
+}
+
+#[derive(Clone, Debug)]
+struct Superblock {
+    side_log2: u32,
+    size: BlockSize,
+    taken: [u64; MAX_SLOTS_WORDS],
+    count: u32,
+}
+
+impl Superblock {
+    fn columns(&self) -> u32 {
+        1 << (self.side_log2 - u32::from(self.size.width_log2))
+    }
+
+    fn slots(&self) -> u32 {
+        self.columns() << (self.side_log2 - u32::from(self.size.height_log2))
+    }
+
+    fn take_lowest(&mut self) -> Option<u32> {
+        let slot = (0..self.slots()).find(|s| self.taken[*s as usize / 64] >> (s % 64) & 1 == 0)?;
+        self.taken[slot as usize / 64] |= 1 << (slot % 64);
+        self.count += 1;
+        Some(slot)
+    }
+}
+
+impl Atlas {
+    /// An empty atlas; both sides are multiples of 512 texels.
+    pub fn new(extent_texels: [u32; 2]) -> Self {
+        let largest = 1 << BLOCK_MAX_LOG2;
+        assert!(extent_texels.iter().all(|side| *side > 0 && side % largest == 0), "{extent_texels:?}");
+        let mut free: [BTreeSet<_>; LEVELS] = Default::default();
+        for y in (0..extent_texels[1]).step_by(largest as usize) {
+            for x in (0..extent_texels[0]).step_by(largest as usize) {
+                free[LEVELS - 1].insert((y, x));
+            }
+        }
+        Self { extent_texels, free, used: BTreeMap::new(), open: BTreeMap::new(), used_texels: 0 }
+    }
+
+    /// Width and height in texels.
+    pub fn extent_texels(&self) -> [u32; 2] {
+        self.extent_texels
+    }
+
+    /// Texels inside blocks that are in use.
+    pub fn used_texels(&self) -> u64 {
+        self.used_texels
+    }
+
+    /// A block of this size, or `None` where the atlas is full.
+    pub fn allocate(&mut self, size: BlockSize) -> Option<Block> {
+        let corner = match self.open.get(&size).and_then(|open| open.first()) {
+            Some(corner) => *corner,
+            None => self.open_superblock(size)?,
+        };
+        let superblock = self.used.get_mut(&corner).expect("open superblocks are in use");
+        let slot = superblock.take_lowest().expect("open superblocks have a block free");
+        if superblock.count == superblock.slots() {
+            self.open.get_mut(&size).expect("it was open").remove(&corner);
+        }
+        let (column, row) = (slot % superblock.columns(), slot / superblock.columns());
+        self.used_texels += u64::from(size.texels());
+        let address = BlockAddress {
+            x: (corner.1 + column * size.width()) as u16,
+            y: (corner.0 + row * size.height()) as u16,
+        };
+        Some(Block { address, size })
+    }
+
+    /// Gives a block back.
+    ///
+    /// # Panics
+    /// The block was not allocated here: a mistake of ours.
+    pub fn free(&mut self, block: Block) {
+        let corner = self.superblock_of(block);
+        let superblock = self.used.get_mut(&corner).expect("a block of this atlas");
+        assert_eq!(superblock.size, block.size, "freed with the size it was allocated with");
+        let column = (u32::from(block.address.x) - corner.1) >> block.size.width_log2;
+        let row = (u32::from(block.address.y) - corner.0) >> block.size.height_log2;
+        let slot = row * superblock.columns() + column;
+        let (word, bit) = (slot as usize / 64, 1 << (slot % 64));
+        assert!(superblock.taken[word] & bit != 0, "{block:?} is freed twice");
+        superblock.taken[word] &= !bit;
+        superblock.count -= 1;
+        self.used_texels -= u64::from(block.size.texels());
+        let (empty, side_log2) = (superblock.count == 0, superblock.side_log2);
+        if empty {
+            self.used.remove(&corner);
+            self.open.get_mut(&block.size).map(|open| open.remove(&corner));
+            self.return_superblock(corner, side_log2);
+        } else {
+            self.open.entry(block.size).or_default().insert(corner);
+        }
+    }
+
+    fn superblock_of(&self, block: Block) -> (u32, u32) {
+        let side_log2 = side_log2(block.size);
+        let mask = !((1u32 << side_log2) - 1);
+        (u32::from(block.address.y) & mask, u32::from(block.address.x) & mask)
+    }
+
+    fn open_superblock(&mut self, size: BlockSize) -> Option<(u32, u32)> {
+        let side_log2 = side_log2(size);
+        let corner = self.take_superblock((side_log2 - CELL_LOG2) as usize)?;
+        self.used.insert(corner, Superblock { side_log2, size, taken: [0; MAX_SLOTS_WORDS], count: 0 });
+        self.open.entry(size).or_default().insert(corner);
+        Some(corner)
+    }
+
+    /// The lowest free superblock of a level, split from the smallest larger one where there is none.
+    fn take_superblock(&mut self, level: usize) -> Option<(u32, u32)> {
+        if let Some(corner) = self.free[level].pop_first() {
+            return Some(corner);
+        }
+        if level + 1 == LEVELS {
+            return None;
+        }
+        let (y, x) = self.take_superblock(level + 1)?;
+        let side = 1 << (CELL_LOG2 + level as u32);
+        self.free[level].extend([(y, x + side), (y + side, x), (y + side, x + side)]);
+        Some((y, x))
+    }
+
+    /// Puts a superblock back and joins it with its three siblings while all are free.
+    fn return_superblock(&mut self, corner: (u32, u32), side_log2: u32) {
+        let level = (side_log2 - CELL_LOG2) as usize;
+        let (side, parent) = (1u32 << side_log2, !((2u32 << side_log2) - 1));
+        let (y, x) = (corner.0 & parent, corner.1 & parent);
+        let siblings = [(y, x), (y, x + side), (y + side, x), (y + side, x + side)];
+        let others_free = siblings.iter().all(|s| *s == corner || self.free[level].contains(s));
+        if level + 1 == LEVELS || !others_free {
+            self.free[level].insert(corner);
+            return;
+        }
+        siblings.iter().for_each(|s| {
+            self.free[level].remove(s);
+        });
+        self.return_superblock((y, x), side_log2 + 1);
+    }
+
+    /// Texels of free superblocks and of free blocks inside superblocks in use.
+    pub fn free_texels(&self) -> u64 {
+        let whole: u64 = (0..LEVELS)
+            .map(|level| (self.free[level].len() as u64) << (2 * (CELL_LOG2 as usize + level)))
+            .sum();
+        let partial: u64 =
+            self.used.values().map(|s| u64::from(s.slots() - s.count) * u64::from(s.size.texels())).sum();
+        whole + partial
+    }
+}
+
+fn side_log2(size: BlockSize) -> u32 {
+    u32::from(size.width_log2.max(size.height_log2)).max(SUPERBLOCK_MIN_LOG2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// xorshift64*, so that the trace is the same everywhere.
+    struct Random(u64);
+
+    impl Random {
+        fn below(&mut self, n: u32) -> u32 {
+            self.0 ^= self.0 >> 12;
+            self.0 ^= self.0 << 25;
+            self.0 ^= self.0 >> 27;
+            ((self.0.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 33) as u32) % n
+        }
+
+        fn size(&mut self) -> BlockSize {
+            // Small blocks are the most frequent, as in a real scene.
+            let log2 = |r: u32| (2 + r.min(7)) as u8;
+            let (a, b) = (self.below(9) * self.below(9) / 9, self.below(9) * self.below(9) / 9);
+            BlockSize::new(log2(a), log2(b)).expect("in range")
+        }
+    }
+
+    fn assert_no_overlap(blocks: &[Block], extent: [u32; 2]) {
+        let width = (extent[0] / 4) as usize;
+        let mut owner = vec![false; width * (extent[1] / 4) as usize];
+        for block in blocks {
+            let [l, t, r, b] = block.rect_texels();
+            assert!(block.fits(extent), "{block:?}");
+            for y in t / 4..b / 4 {
+                for x in l / 4..r / 4 {
+                    let cell = &mut owner[y as usize * width + x as usize];
+                    assert!(!*cell, "{block:?} overlaps at {x},{y}");
+                    *cell = true;
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn blocks_never_overlap_and_free_plus_used_is_the_atlas_under_churn() {
+        let extent = [1024, 512];
+        let (mut atlas, mut live, mut random) = (Atlas::new(extent), Vec::new(), Random(7));
+        for step in 0..500 {
+            for _ in 0..20 {
+                if random.below(100) < 45 && !live.is_empty() {
+                    let index = random.below(live.len() as u32) as usize;
+                    atlas.free(live.swap_remove(index));
+                } else if let Some(block) = atlas.allocate(random.size()) {
+                    live.push(block);
+                }
+            }
+            assert_eq!(atlas.free_texels() + atlas.used_texels(), 1024 * 512, "seed 7, step {step}");
+            if step % 25 == 0 {
+                assert_no_overlap(&live, extent);
+            }
+        }
+        live.drain(..).for_each(|block| atlas.free(block));
+        assert_eq!(atlas.free[LEVELS - 1].len(), 2, "everything joins again");
+    }
+
+    #[test]
+    fn the_same_calls_give_the_same_addresses() {
+        let run = || {
+            let (mut atlas, mut random) = (Atlas::new([512, 512]), Random(11));
+            (0..300).map(|_| atlas.allocate(random.size())).collect::<Vec<_>>()
+        };
+        assert_eq!(run(), run());
+    }
+
+    #[test]
+    fn one_size_fills_the_atlas_to_the_last_texel() {
+        for log2 in [2, 5, 9] {
+            let size = BlockSize::new(log2, log2).unwrap();
+            let mut atlas = Atlas::new([1024, 1024]);
+            let mut count = 0;
+            while atlas.allocate(size).is_some() {
+                count += 1;
+            }
+            assert_eq!(count * size.texels(), 1024 * 1024);
+        }
+    }
+}

@@ -1,0 +1,261 @@
+//! One update of the server, from the head's pose to what is sent: the design's steps 1 to 9 on one page, with the
+//! barriers between the stages.
+
+use crate::animation::gpu::Animation;
+use crate::encode::{AccessUnit, EncodeError, Encoder, Planes};
+use crate::levels::Layout;
+use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES};
+use crate::residency::{Residency, UpdateWindow};
+use crate::samples::{RING, SampleWindow};
+use crate::scene_gpu::SceneGpu;
+use crate::stages::forward::view_gpu;
+use crate::stages::id_buffer::IdBuffer;
+use crate::stages::level_selection::LevelSelection;
+use crate::stages::mark::Mark;
+use crate::stages::shading::Shading;
+use crate::stages::ycbcr::Ycbcr;
+use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory};
+use shadecast_protocol::delta::GeometryDelta;
+use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::limits::MAX_VIEWS;
+use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
+use shadecast_protocol::pose::Fov;
+use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
+use shadecast_protocol::wire::PictureHeader;
+use shadecast_shaders::generated::ViewGpu;
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// Updates remembered until their display is reported.
+const REMEMBERED_UPDATES: usize = 256;
+
+/// The pipeline of one client.
+pub struct Frame {
+    gpu: Arc<Gpu>,
+    scene: Arc<SceneGpu>,
+    grid: Grid,
+    eye: EyeSize,
+    head: HeadTrack,
+    animation: Animation,
+    samples: SampleWindow,
+    views: Buffer,
+    id_buffer: IdBuffer,
+    mark: Mark,
+    level_selection: LevelSelection,
+    extents: Buffer,
+    layout: Layout,
+    residency: Residency,
+    shading: Shading,
+    ycbcr: Ycbcr,
+    next: FrameId,
+    update_times: VecDeque<(FrameId, ServerTime)>,
+}
+
+/// The client's eyes, for densities.
+#[derive(Clone, Copy, Debug)]
+struct EyeSize {
+    extent_pixels: [u32; 2],
+    fovs: [Fov; 2],
+}
+
+/// One update, shaded and ready to be encoded.
+#[derive(Clone, Debug)]
+pub struct Shaded {
+    /// The update.
+    pub frame: FrameId,
+    /// When it started.
+    pub time: ServerTime,
+    /// What changes in the client's memory.
+    pub delta: GeometryDelta,
+    /// Atlas width and height in texels.
+    pub extent_texels: [u32; 2],
+    /// Luma, blue and red difference, one after the other, tight.
+    pub planes: Vec<u8>,
+}
+
+impl Frame {
+    /// For a client that agreed to `welcome` and has told its `capabilities`.
+    pub fn new(
+        gpu: &Arc<Gpu>,
+        scene: &Arc<SceneGpu>,
+        welcome: &Welcome,
+        capabilities: &Capabilities,
+    ) -> Result<Self, GpuError> {
+        let eye = EyeSize::of(capabilities);
+        let animation = Animation::new(gpu, scene, RING)?;
+        let samples = SampleWindow::new(gpu, scene, &animation)?;
+        let views = Buffer::new(gpu, "views", u64::from(MAX_VIEWS) * size_of::<ViewGpu>() as u64, Memory::Upload)?;
+        let id_buffer = IdBuffer::new(gpu, scene, &animation, &views, eye.id_buffer_extent())?;
+        let mark = Mark::new(gpu, &id_buffer.image, scene.totals.patches)?;
+        let level_selection = LevelSelection::new(gpu, scene, &animation, &views, &mark.visible)?;
+        let shading = Shading::new(gpu, scene, &animation, welcome.atlas_extent_texels)?;
+        let ycbcr = Ycbcr::new(gpu, &shading.atlas)?;
+        Ok(Self {
+            extents: Buffer::new(gpu, "extents for the CPU", level_selection.extents.size(), Memory::Readback)?,
+            layout: Layout::new(welcome.atlas_extent_texels, scene.totals.patches as usize),
+            residency: Residency::new(&samples, welcome.patch_slots, welcome.vertex_slots),
+            gpu: gpu.clone(),
+            scene: scene.clone(),
+            grid: welcome.grid,
+            eye,
+            head: HeadTrack::default(),
+            animation,
+            samples,
+            views,
+            id_buffer,
+            mark,
+            level_selection,
+            shading,
+            ycbcr,
+            next: FrameId(0),
+            update_times: VecDeque::new(),
+        })
+    }
+
+    /// The client's head, as reported.
+    pub fn head(&mut self, state: HeadState) {
+        self.head.head(state);
+    }
+
+    /// The client shows an update: frees slots, and teaches the prediction how long the way is.
+    pub fn displayed(&mut self, report: &Displayed) {
+        self.residency.displayed(report.frame);
+        while self.update_times.front().is_some_and(|(frame, _)| *frame < report.frame) {
+            self.update_times.pop_front();
+        }
+        if self.update_times.front().is_some_and(|(frame, _)| *frame == report.frame) {
+            if let Some((_, started)) = self.update_times.pop_front() {
+                self.head.displayed(started, report.display_time);
+            }
+        }
+    }
+
+    /// Steps 1 to 6 and 8. `None` before the first head state: there is nowhere to look from.
+    pub fn update(&mut self, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
+        let Some(views) = self.head.predict(now, self.grid) else { return Ok(None) }; // 1
+        self.see(&views)?; // 2 to 4, GPU
+        let changes = self.layout.place(&self.extents.values::<u32>()[..self.scene.totals.patches as usize]); // 4, 5
+        self.shade(&views)?; // 6, GPU
+        let frame = self.next;
+        let window = UpdateWindow {
+            frame,
+            time: now,
+            first_sample: views.first_sample,
+            oldest: self.samples.oldest(),
+            horizon: views.horizon,
+        };
+        let delta = self.residency.update(&self.samples, &changes, window); // 8
+        self.next = frame.next();
+        self.update_times.push_back((frame, now));
+        if self.update_times.len() > REMEMBERED_UPDATES {
+            self.update_times.pop_front();
+        }
+        let planes = self.ycbcr.planes().concat();
+        let extent_texels = self.shading.atlas.desc().extent;
+        Ok(Some(Shaded { frame, time: now, delta, extent_texels, planes }))
+    }
+
+    /// Animates the new grid points, rasterises every predicted view at its time, and measures what is visible.
+    fn see(&mut self, views: &PredictedViews) -> Result<(), GpuError> {
+        self.write_views(views);
+        let slots = views.times.map(SampleWindow::slot);
+        let mut recorder = self.gpu.record()?;
+        self.samples.record(&mut recorder, &mut self.animation, self.grid, views);
+        recorder.fill(&self.mark.visible, 0);
+        recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
+        recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
+        for (time, slot) in slots.into_iter().enumerate() {
+            recorder.scope("id buffer", |r| {
+                self.id_buffer.record(r, &self.scene, &self.animation, slot, 2 * time as u32);
+            });
+            recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
+            recorder.scope("mark", |r| self.mark.record(r));
+            recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the next time draws over the ID buffer
+        }
+        recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
+        recorder.scope("level selection", |r| {
+            self.level_selection.record(r, &self.scene, &self.animation, slots);
+        });
+        recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
+        recorder.copy_buffer(&self.level_selection.extents, 0, &self.extents, 0, self.extents.size());
+        recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
+        self.gpu.wait(recorder.submit()?)
+    }
+
+    /// Fills every live block as it is in the middle of the update's time on display, and converts the atlas.
+    fn shade(&mut self, views: &PredictedViews) -> Result<(), GpuError> {
+        let slot = SampleWindow::slot(views.times[VIEW_TIMES / 2]);
+        self.shading.write_blocks(&self.scene, &self.animation, slot, self.layout.live());
+        let mut recorder = self.gpu.record()?;
+        self.animation.record_frames(&mut recorder, slot);
+        recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
+        recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the last conversion has read the atlas
+        recorder.scope("shading", |r| self.shading.record(r, views.world_from_head.position));
+        recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
+        recorder.scope("ycbcr", |r| self.ycbcr.record(r));
+        self.gpu.wait(recorder.submit()?)
+    }
+
+    fn write_views(&mut self, views: &PredictedViews) {
+        let eyes = views.eyes.iter().flat_map(|pair| pair.iter().enumerate());
+        for (index, (side, view)) in eyes.enumerate() {
+            let clip_from_world = view.fov.clip_from_eye() * view.world_from_eye.inverse().matrix();
+            let mut gpu = view_gpu(clip_from_world, view.world_from_eye.position, [0, 0]);
+            let extent = self.eye.extent_at(self.eye.fovs[side], view.fov);
+            gpu.extent_pixels = [extent[0], extent[1], 0.0, 0.0];
+            self.views.write(index * size_of::<ViewGpu>(), bytemuck::bytes_of(&gpu));
+        }
+    }
+
+    /// Which patch has which block.
+    pub fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    /// The client's memory.
+    pub fn residency(&self) -> &Residency {
+        &self.residency
+    }
+
+    /// How the head moves and how long the way to the display is.
+    pub fn head_track(&self) -> &HeadTrack {
+        &self.head
+    }
+
+    /// World position of a scene-wide vertex at a grid point of the current window.
+    pub fn sample(&self, grid: GridIndex, vertex: u32) -> glam::Vec3 {
+        use crate::residency::Geometry;
+        self.samples.sample(grid, vertex)
+    }
+}
+
+impl Shaded {
+    /// Step 7: the picture as an access unit, with the header that binds it to its delta.
+    pub fn encode(&self, encoder: &mut dyn Encoder, refresh: bool) -> Result<(PictureHeader, AccessUnit), EncodeError> {
+        let luma = self.extent_texels[0] as usize * self.extent_texels[1] as usize;
+        let (y, chroma) = self.planes.split_at(luma);
+        let (cb, cr) = chroma.split_at(luma / 4);
+        let planes = Planes { extent_texels: self.extent_texels, y, cb, cr };
+        let unit = encoder.encode(&planes, self.time.0, refresh)?;
+        Ok((PictureHeader { frame: self.frame, time: self.time, is_refresh: unit.is_refresh }, unit))
+    }
+}
+
+impl EyeSize {
+    fn of(capabilities: &Capabilities) -> Self {
+        Self { extent_pixels: capabilities.eye_extent_pixels, fovs: capabilities.eyes.map(|eye| eye.fov) }
+    }
+
+    /// Pixels that a widened field of view would have at the density of the client's display.
+    fn extent_at(&self, fov: Fov, widened: Fov) -> [f32; 2] {
+        let span = |f: Fov| [f.right.tan() - f.left.tan(), f.up.tan() - f.down.tan()];
+        let (own, wide) = (span(fov), span(widened));
+        [0, 1].map(|axis| self.extent_pixels[axis] as f32 * wide[axis] / own[axis])
+    }
+
+    /// Large enough for the widest field of view that a steady head needs; a wider one is seen more coarsely.
+    fn id_buffer_extent(&self) -> [u32; 2] {
+        let widest = self.fovs.map(|fov| self.extent_at(fov, fov.widened(crate::predict::MIN_MARGIN)));
+        [0, 1].map(|axis| (widest[0][axis].max(widest[1][axis]).ceil() as u32).next_multiple_of(8))
+    }
+}

@@ -1,0 +1,257 @@
+//! Where the headset will look from while an update is on display. Pure: state, measurements and time in, views out.
+
+use glam::{Quat, Vec3};
+use shadecast_protocol::ids::DiscontinuityId;
+use shadecast_protocol::message::HeadState;
+use shadecast_protocol::pose::{Eye, Fov, Pose};
+use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
+use std::collections::VecDeque;
+
+/// View times per update.
+pub const VIEW_TIMES: usize = 3;
+/// Start values until displays are reported: from an update's start to its first and last moment on display.
+const START_FIRST_NS: i64 = 50_000_000;
+const START_LAST_NS: i64 = 100_000_000;
+/// Reports remembered for the horizon.
+const REPORTS: usize = 64;
+/// The field of view is widened by at least this on each side (radians, 3 degrees), for what lies between the view
+/// times, and by at most that (20 degrees).
+pub const MIN_MARGIN: f32 = 0.052;
+const MAX_MARGIN: f32 = 0.35;
+/// Velocities beyond these are tracking errors, not heads.
+const MAX_SPEED_M_S: f32 = 10.0;
+const MAX_TURN_RAD_S: f32 = 20.0;
+/// Never predict farther than this, whatever the path looks like.
+const MAX_HORIZON_NS: i64 = 300_000_000;
+
+/// One predicted eye.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View {
+    /// Takes eye coordinates to the world's.
+    pub world_from_eye: Pose,
+    /// Widened by the margin.
+    pub fov: Fov,
+}
+
+/// What an update is made for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PredictedViews {
+    /// Grid points spread over the interval in which the update will be on display; may repeat.
+    pub times: [GridIndex; VIEW_TIMES],
+    /// Left and right eye at each time.
+    pub eyes: [[View; 2]; VIEW_TIMES],
+    /// The head in the middle of the interval; shading looks from there.
+    pub world_from_head: Pose,
+    /// First grid point that can be on display, less the one before it that interpolation needs.
+    pub first_sample: GridIndex,
+    /// Last grid point that samples must reach: the interval's end and the one after it that interpolation needs.
+    pub horizon: GridIndex,
+    /// What was added to each side of the field of view, radians.
+    pub margin: f32,
+}
+
+/// The head as reported, and how well past predictions came true.
+#[derive(Clone, Debug, Default)]
+pub struct HeadTrack {
+    latest: Option<HeadState>,
+    /// What was predicted, to be compared when the time has come.
+    promised: VecDeque<(ServerTime, Pose)>,
+    /// Recent prediction errors in radians of the view direction, newest last.
+    errors: VecDeque<f32>,
+    first_delays: VecDeque<i64>,
+    last_delays: VecDeque<i64>,
+    on_display: Option<(ServerTime, ServerTime)>,
+}
+
+impl HeadTrack {
+    /// A newer head state; older ones, which datagrams may bring late, are ignored.
+    pub fn head(&mut self, state: HeadState) {
+        if let Some(latest) = &self.latest {
+            if (state.sequence.wrapping_sub(latest.sequence) as i32) <= 0 {
+                return;
+            }
+            if state.discontinuity != latest.discontinuity {
+                self.promised.clear();
+            }
+        }
+        while self.promised.front().is_some_and(|(time, _)| *time <= state.time) {
+            if let Some((time, pose)) = self.promised.pop_front() {
+                let error = view_error(pose, extrapolate(&state, time));
+                push_bounded(&mut self.errors, error);
+            }
+        }
+        self.latest = Some(state);
+    }
+
+    /// An update made at `update` was first on display at `displayed`, both on the server's clock.
+    pub fn displayed(&mut self, update: ServerTime, displayed: ServerTime) {
+        if let Some((previous, _)) = self.on_display {
+            // What was on display until now stayed until this moment.
+            push_bounded(&mut self.last_delays, displayed.since(previous));
+        }
+        push_bounded(&mut self.first_delays, displayed.since(update));
+        self.on_display = Some((update, displayed));
+    }
+
+    /// Whether a head has been reported at all.
+    pub fn is_known(&self) -> bool {
+        self.latest.is_some()
+    }
+
+    /// The latest jump of the head.
+    pub fn discontinuity(&self) -> Option<DiscontinuityId> {
+        self.latest.as_ref().map(|state| state.discontinuity)
+    }
+
+    /// From an update's start to its first and last moment on display, by what was reported: the 10th percentile of
+    /// the first, the 95th of the last.
+    pub fn delays_ns(&self) -> [i64; 2] {
+        let first = percentile(&self.first_delays, 0.10).unwrap_or(START_FIRST_NS);
+        let last = percentile(&self.last_delays, 0.95).unwrap_or(START_LAST_NS);
+        let first = first.clamp(0, MAX_HORIZON_NS);
+        [first, last.clamp(first, MAX_HORIZON_NS)]
+    }
+
+    /// The views for an update that starts at `now`; `None` before the first head state.
+    pub fn predict(&mut self, now: ServerTime, grid: Grid) -> Option<PredictedViews> {
+        let state = self.latest?;
+        let [first_ns, last_ns] = self.delays_ns();
+        let (first, last) = (now.plus_ns(first_ns), now.plus_ns(last_ns));
+        let middle = now.plus_ns((first_ns + last_ns) / 2);
+        let margin = self.margin();
+        let times = [grid.floor(first), grid.nearest(middle), grid.ceil(last)];
+        let eyes = times.map(|g| {
+            let head = extrapolate(&state, grid.time_of(g));
+            state.eyes.map(|eye| view(head, eye, margin))
+        });
+        let world_from_head = extrapolate(&state, middle);
+        if self.promised.len() < REPORTS {
+            self.promised.push_back((middle, world_from_head));
+        }
+        Some(PredictedViews {
+            times,
+            eyes,
+            world_from_head,
+            first_sample: grid.floor(now.plus_ns(first_ns / 2)).plus(-1),
+            horizon: grid.ceil(last).plus(2),
+            margin,
+        })
+    }
+
+    /// The 95th percentile of recent prediction errors, within bounds.
+    fn margin(&self) -> f32 {
+        let mut sorted: Vec<f32> = self.errors.iter().copied().collect();
+        sorted.sort_by(f32::total_cmp);
+        let error = sorted.get(sorted.len().saturating_sub(1) * 95 / 100).copied().unwrap_or(0.0);
+        (MIN_MARGIN + error).min(MAX_MARGIN)
+    }
+}
+
+fn push_bounded<T>(queue: &mut VecDeque<T>, value: T) {
+    if queue.len() == REPORTS {
+        queue.pop_front();
+    }
+    queue.push_back(value);
+}
+
+fn percentile(values: &VecDeque<i64>, share: f64) -> Option<i64> {
+    let mut sorted: Vec<i64> = values.iter().copied().collect();
+    sorted.sort_unstable();
+    let last = sorted.len().checked_sub(1)?;
+    sorted.get((last as f64 * share).round() as usize).copied()
+}
+
+fn view(world_from_head: Pose, eye: Eye, margin: f32) -> View {
+    View { world_from_eye: world_from_head.then(eye.head_from_eye), fov: eye.fov.widened(margin) }
+}
+
+/// The head at `time`, by constant linear and angular velocity.
+pub fn extrapolate(state: &HeadState, time: ServerTime) -> Pose {
+    let seconds = time.since(state.time).clamp(-MAX_HORIZON_NS, MAX_HORIZON_NS) as f32 * 1e-9;
+    let turn = state.angular_velocity.clamp_length_max(MAX_TURN_RAD_S) * seconds;
+    let step: Vec3 = state.linear_velocity.clamp_length_max(MAX_SPEED_M_S) * seconds;
+    let pose = state.world_from_head;
+    Pose {
+        position: pose.position + step,
+        orientation: (Quat::from_scaled_axis(turn) * pose.orientation).normalize(),
+    }
+}
+
+/// Angle between two view directions plus what a shift means for something 2 m away, radians.
+fn view_error(a: Pose, b: Pose) -> f32 {
+    a.orientation.angle_between(b.orientation) + a.position.distance(b.position) / 2.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shadecast_protocol::time::DEFAULT_GRID;
+
+    fn state(sequence: u32, seconds: f64, x: f32, turn_rad_s: f32) -> HeadState {
+        let eye = |x| Eye {
+            head_from_eye: Pose { position: Vec3::new(x, 0.0, 0.0), orientation: Quat::IDENTITY },
+            fov: Fov::symmetric_degrees(90.0),
+        };
+        HeadState {
+            sequence,
+            time: ServerTime((seconds * 1e9) as i64),
+            world_from_head: Pose {
+                position: Vec3::new(x, 1.6, 0.0),
+                orientation: Quat::from_rotation_y(turn_rad_s * seconds as f32),
+            },
+            linear_velocity: Vec3::new(1.0, 0.0, 0.0),
+            angular_velocity: Vec3::new(0.0, turn_rad_s, 0.0),
+            eyes: [eye(-0.0315), eye(0.0315)],
+            discontinuity: DiscontinuityId(0),
+        }
+    }
+
+    #[test]
+    fn a_steady_head_is_predicted_where_it_will_be() {
+        let pose = extrapolate(&state(0, 1.0, 5.0, 0.8), ServerTime(1_100_000_000));
+        assert!((pose.position.x - 5.1).abs() < 1e-5);
+        assert!(pose.orientation.angle_between(Quat::from_rotation_y(0.88)) < 1e-3);
+    }
+
+    #[test]
+    fn view_times_are_grid_points_that_cover_the_time_on_display() {
+        let mut track = HeadTrack::default();
+        track.head(state(0, 1.0, 0.0, 0.0));
+        for update in 0..20 {
+            let start = ServerTime(update * 33_000_000);
+            track.displayed(start, start.plus_ns(70_000_000));
+        }
+        let now = ServerTime(1_000_000_000);
+        let views = track.predict(now, DEFAULT_GRID).unwrap();
+        let [first, last] = track.delays_ns();
+        assert_eq!((first, last), (70_000_000, 103_000_000), "on display until the next one comes");
+        assert!(DEFAULT_GRID.time_of(views.times[0]) <= now.plus_ns(first));
+        assert!(DEFAULT_GRID.time_of(views.times[2]) >= now.plus_ns(last));
+        assert!(views.horizon > views.times[2] && views.first_sample < views.times[0]);
+    }
+
+    #[test]
+    fn states_out_of_order_are_ignored_and_a_jump_forgets_what_was_promised() {
+        let mut track = HeadTrack::default();
+        track.head(state(5, 1.0, 1.0, 0.0));
+        track.head(state(4, 0.9, 0.0, 0.0));
+        assert_eq!(track.latest.unwrap().sequence, 5);
+        track.predict(ServerTime(1_000_000_000), DEFAULT_GRID);
+        let jumped = HeadState { discontinuity: DiscontinuityId(1), ..state(6, 2.0, 50.0, 0.0) };
+        track.head(jumped);
+        assert!(track.errors.is_empty() && track.promised.is_empty());
+    }
+
+    #[test]
+    fn the_margin_grows_with_the_error_and_stays_bounded() {
+        let mut track = HeadTrack::default();
+        let steady = track.margin();
+        for i in 0..40 {
+            let turn = if i % 2 == 0 { 3.0 } else { -3.0 };
+            track.head(state(i, 1.0 + f64::from(i) * 0.1, 0.0, turn));
+            track.predict(ServerTime(1_000_000_000 + i64::from(i) * 100_000_000), DEFAULT_GRID);
+        }
+        assert_eq!(steady, MIN_MARGIN);
+        assert!(track.margin() > steady && track.margin() <= MAX_MARGIN);
+    }
+}

@@ -1,0 +1,337 @@
+//! The client's memory, as the cache that the server alone writes: which vertex and patch lies in which slot.
+//!
+//! Produces the geometry delta of each update. Eviction of static geometry is lazy, because what was visible tends to
+//! come back; animated geometry leaves with its block, because every sample of it costs bytes. A freed slot is used
+//! again only after the client has displayed the frame that freed it.
+
+use crate::levels::PlacementChange;
+use crate::patches::Patch;
+use glam::Vec3;
+use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch};
+use shadecast_protocol::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
+use shadecast_protocol::time::{GridIndex, ServerTime};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+/// A static patch without a block is forgotten after this many updates.
+const RETAIN_UPDATES: u32 = 300;
+/// Free slots under which retained patches go at once.
+const LOW_WATER: usize = 4096;
+const NONE: u32 = u32::MAX;
+
+/// What the residency must know of one instance; scene-wide numbers.
+#[derive(Clone, Copy, Debug)]
+pub struct InstanceRange {
+    /// First scene-wide patch number.
+    pub first_patch: u32,
+    /// First scene-wide vertex number.
+    pub first_vertex: u32,
+}
+
+/// The scene as far as the client's memory goes.
+pub trait Geometry {
+    /// The instance that a scene-wide patch number belongs to.
+    fn instance_of_patch(&self, patch: u32) -> u16;
+    /// Its ranges.
+    fn instance(&self, instance: u16) -> InstanceRange;
+    /// The patch; its vertices are indices within the model.
+    fn patch(&self, patch: u32) -> Patch;
+    /// The world position of a static vertex, `None` for one that moves.
+    fn static_position(&self, vertex: u32) -> Option<Vec3>;
+    /// The world position of an animated vertex at a grid point of the current window.
+    fn sample(&self, grid: GridIndex, vertex: u32) -> Vec3;
+    /// Scene-wide count of vertices.
+    fn vertex_count(&self) -> usize;
+    /// Scene-wide count of patches.
+    fn patch_count(&self) -> usize;
+}
+
+/// What one update gives the residency.
+#[derive(Clone, Copy, Debug)]
+pub struct UpdateWindow {
+    /// The update.
+    pub frame: FrameId,
+    /// Its time.
+    pub time: ServerTime,
+    /// Earliest grid point that a vertex which enters now can be displayed with.
+    pub first_sample: GridIndex,
+    /// Oldest grid point whose positions are still known.
+    pub oldest: GridIndex,
+    /// Last grid point to send.
+    pub horizon: GridIndex,
+}
+
+/// Slots handed out from the lowest on, and taken back once a frame has been displayed.
+#[derive(Debug)]
+struct Slots {
+    free: BTreeSet<u32>,
+    leaving: VecDeque<(FrameId, u32)>,
+}
+
+impl Slots {
+    fn new(count: u32) -> Self {
+        Self { free: (0..count).collect(), leaving: VecDeque::new() }
+    }
+
+    fn take(&mut self) -> Option<u32> {
+        self.free.pop_first()
+    }
+
+    fn leave(&mut self, frame: FrameId, slot: u32) {
+        self.leaving.push_back((frame, slot));
+    }
+
+    fn displayed(&mut self, frame: FrameId) {
+        while self.leaving.front().is_some_and(|(left, _)| *left <= frame) {
+            self.free.extend(self.leaving.pop_front().map(|(_, slot)| slot));
+        }
+    }
+}
+
+/// One client's memory.
+#[derive(Debug)]
+pub struct Residency {
+    patch_slots: Slots,
+    vertex_slots: Slots,
+    /// By scene-wide patch number.
+    slot_of_patch: Vec<u32>,
+    /// By scene-wide vertex number: slot and number of resident patches that use it.
+    vertices: Vec<(u32, u32)>,
+    announced: BTreeSet<u16>,
+    /// Resident patches without a block, by the update since when.
+    retained: BTreeMap<u32, u32>,
+    /// Animated vertices by slot.
+    sampled: BTreeMap<u32, u32>,
+    /// Last grid point sent for every sampled vertex.
+    sent_until: Option<GridIndex>,
+    refused: u64,
+}
+
+impl Residency {
+    /// An empty client memory.
+    pub fn new(geometry: &impl Geometry, patch_slots: u32, vertex_slots: u32) -> Self {
+        Self {
+            patch_slots: Slots::new(patch_slots),
+            vertex_slots: Slots::new(vertex_slots),
+            slot_of_patch: vec![NONE; geometry.patch_count()],
+            vertices: vec![(NONE, 0); geometry.vertex_count()],
+            announced: BTreeSet::new(),
+            retained: BTreeMap::new(),
+            sampled: BTreeMap::new(),
+            sent_until: None,
+            refused: 0,
+        }
+    }
+
+    /// The client has displayed `frame`: slots freed up to it can be used again.
+    pub fn displayed(&mut self, frame: FrameId) {
+        self.patch_slots.displayed(frame);
+        self.vertex_slots.displayed(frame);
+    }
+
+    /// The delta that brings the client from the last update to this one.
+    pub fn update(
+        &mut self,
+        geometry: &impl Geometry,
+        changes: &[PlacementChange],
+        window: UpdateWindow,
+    ) -> GeometryDelta {
+        let mut delta = GeometryDelta { frame: window.frame, time: window.time, ..GeometryDelta::default() };
+        for change in changes.iter().filter(|c| c.block.is_none()) {
+            self.lose_block(geometry, change.patch, window.frame, &mut delta);
+        }
+        self.forget_old(geometry, window.frame, &mut delta);
+        let mut fresh = Vec::new();
+        for change in changes.iter().filter(|c| c.block.is_some()) {
+            let Some(slot) = self.admit(geometry, change.patch, &mut delta, &mut fresh) else { continue };
+            delta.placements.push((PatchSlot(slot), change.block));
+        }
+        sort(&mut delta);
+        fresh.sort_unstable();
+        self.sample(geometry, &fresh, window, &mut delta);
+        delta
+    }
+
+    fn lose_block(&mut self, geometry: &impl Geometry, patch: u32, frame: FrameId, delta: &mut GeometryDelta) {
+        let slot = self.slot_of_patch[patch as usize];
+        if slot == NONE {
+            return; // it was refused when it came
+        }
+        let range = geometry.instance(geometry.instance_of_patch(patch));
+        let moves = corners(geometry.patch(patch))
+            .any(|v| geometry.static_position(range.first_vertex + v).is_none());
+        if moves {
+            self.evict(geometry, patch, frame, delta);
+        } else {
+            self.retained.insert(patch, frame.0);
+            delta.placements.push((PatchSlot(slot), None));
+        }
+    }
+
+    /// Evicts retained patches that are too old, or the oldest while slots are short.
+    fn forget_old(&mut self, geometry: &impl Geometry, frame: FrameId, delta: &mut GeometryDelta) {
+        let short = self.patch_slots.free.len() < LOW_WATER || self.vertex_slots.free.len() < LOW_WATER;
+        let newest_kept = frame.0.saturating_sub(if short { 0 } else { RETAIN_UPDATES });
+        // Those that lost their block only now are in the delta as placements; they go next time.
+        let old: Vec<u32> = self
+            .retained
+            .iter()
+            .filter(|(_, since)| **since < newest_kept)
+            .map(|(patch, _)| *patch)
+            .collect();
+        for patch in old {
+            self.retained.remove(&patch);
+            self.evict(geometry, patch, frame, delta);
+        }
+    }
+
+    fn evict(&mut self, geometry: &impl Geometry, patch: u32, frame: FrameId, delta: &mut GeometryDelta) {
+        let slot = std::mem::replace(&mut self.slot_of_patch[patch as usize], NONE);
+        delta.evicted_patches.push(PatchSlot(slot));
+        self.patch_slots.leave(frame, slot);
+        let range = geometry.instance(geometry.instance_of_patch(patch));
+        for corner in corners(geometry.patch(patch)) {
+            let (vertex_slot, users) = &mut self.vertices[(range.first_vertex + corner) as usize];
+            *users -= 1;
+            if *users == 0 {
+                delta.evicted_vertices.push(VertexSlot(*vertex_slot));
+                self.vertex_slots.leave(frame, *vertex_slot);
+                self.sampled.remove(vertex_slot);
+                *vertex_slot = NONE;
+            }
+        }
+    }
+
+    /// The slot of a patch that has a block, after bringing it and its vertices in where they are not there yet.
+    /// `None` where the client's memory is full: the patch is not shown, and counted.
+    fn admit(
+        &mut self,
+        geometry: &impl Geometry,
+        patch: u32,
+        delta: &mut GeometryDelta,
+        fresh: &mut Vec<u32>,
+    ) -> Option<u32> {
+        self.retained.remove(&patch);
+        let known = self.slot_of_patch[patch as usize];
+        if known != NONE {
+            return Some(known);
+        }
+        if self.vertex_slots.free.len() < 5 || self.patch_slots.free.is_empty() {
+            self.refused += 1;
+            return None;
+        }
+        let slot = self.patch_slots.take()?;
+        self.slot_of_patch[patch as usize] = slot;
+        let instance = geometry.instance_of_patch(patch);
+        let range = geometry.instance(instance);
+        if self.announced.insert(instance) {
+            delta.instances.push(InstanceInfo { instance: InstanceId(instance), step_m: STEP_M });
+        }
+        let shape = geometry.patch(patch);
+        let mut vertices = [VertexSlot(0); 5];
+        for (place, corner) in vertices.iter_mut().zip(shape.vertices).take(shape.kind.vertex_count()) {
+            let vertex = range.first_vertex + corner;
+            *place = VertexSlot(self.admit_vertex(geometry, vertex, instance, delta, fresh));
+        }
+        let first = vertices[0];
+        vertices[shape.kind.vertex_count()..].fill(first);
+        delta.new_patches.push(NewPatch {
+            slot: PatchSlot(slot),
+            instance: InstanceId(instance),
+            kind: shape.kind,
+            vertices,
+        });
+        Some(slot)
+    }
+
+    fn admit_vertex(
+        &mut self,
+        geometry: &impl Geometry,
+        vertex: u32,
+        instance: u16,
+        delta: &mut GeometryDelta,
+        fresh: &mut Vec<u32>,
+    ) -> u32 {
+        let (slot, users) = &mut self.vertices[vertex as usize];
+        *users += 1;
+        if *users > 1 {
+            return *slot;
+        }
+        *slot = self.vertex_slots.take().expect("checked by admit: five are free");
+        let motion = match geometry.static_position(vertex) {
+            Some(position) => Motion::Static { position },
+            None => {
+                self.sampled.insert(*slot, vertex);
+                fresh.push(*slot);
+                Motion::Sampled
+            }
+        };
+        delta.new_vertices.push(NewVertex { slot: VertexSlot(*slot), instance: InstanceId(instance), motion });
+        *slot
+    }
+
+    /// Vertices that enter get every grid point from the earliest that can be displayed; all get the new ones.
+    fn sample(
+        &mut self,
+        geometry: &impl Geometry,
+        fresh: &[u32],
+        window: UpdateWindow,
+        delta: &mut GeometryDelta,
+    ) {
+        let first_new = self.sent_until.map_or(window.first_sample, |g| g.plus(1)).max(window.oldest);
+        let first_sample = window.first_sample.max(window.oldest);
+        for g in first_sample.0..first_new.0 {
+            let slots = fresh.iter().map(|slot| (*slot, self.sampled[slot]));
+            push_batch(geometry, GridIndex(g), slots, delta);
+        }
+        for g in first_new.0..=window.horizon.0 {
+            let slots = self.sampled.iter().map(|(slot, vertex)| (*slot, *vertex));
+            push_batch(geometry, GridIndex(g), slots, delta);
+        }
+        self.sent_until = Some(self.sent_until.map_or(window.horizon, |g| g.max(window.horizon)));
+    }
+
+    /// Animated vertices in the client's memory: slot and scene-wide vertex number, ascending by slot.
+    pub fn sampled(&self) -> impl ExactSizeIterator<Item = (VertexSlot, u32)> + '_ {
+        self.sampled.iter().map(|(slot, vertex)| (VertexSlot(*slot), *vertex))
+    }
+
+    /// Patches that found the client's memory full, summed over all updates.
+    pub fn refused(&self) -> u64 {
+        self.refused
+    }
+}
+
+fn corners(patch: Patch) -> impl Iterator<Item = u32> {
+    patch.vertices.into_iter().take(patch.kind.vertex_count())
+}
+
+fn push_batch(
+    geometry: &impl Geometry,
+    grid: GridIndex,
+    slots: impl Iterator<Item = (u32, u32)>,
+    delta: &mut GeometryDelta,
+) {
+    let values: Vec<_> =
+        slots.map(|(slot, vertex)| (VertexSlot(slot), quantised(geometry.sample(grid, vertex)))).collect();
+    if !values.is_empty() {
+        delta.samples.push(SampleBatch { grid, values });
+    }
+}
+
+/// A world position in steps of [`STEP_M`].
+pub fn quantised(position: Vec3) -> [i32; 3] {
+    position.to_array().map(|c| (c / STEP_M).round() as i32)
+}
+
+/// Quantisation step of vertex samples: a quarter pixel at 1 m for a 500-pixel view of 90 degrees, an eighth at 2 m.
+pub const STEP_M: f32 = 0.0005;
+
+/// The wire wants each list in ascending order of slots.
+fn sort(delta: &mut GeometryDelta) {
+    delta.evicted_patches.sort_unstable();
+    delta.evicted_vertices.sort_unstable();
+    delta.new_vertices.sort_unstable_by_key(|v| v.slot);
+    delta.new_patches.sort_unstable_by_key(|p| p.slot);
+    delta.placements.sort_unstable_by_key(|(slot, _)| *slot);
+    delta.instances.sort_unstable_by_key(|i| i.instance);
+}

@@ -1,0 +1,296 @@
+//! The ground truth: skins at the exact time of the picture, shades per pixel with the atlas's own shading code, 4x
+//! MSAA. A second pass tells what is where, one sample a pixel.
+
+use crate::animation::gpu::Animation;
+use crate::scene_gpu::SceneGpu;
+use ash::vk;
+use glam::{Mat4, Vec3};
+use shadecast_gpu::{
+    Access, Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
+    Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc,
+};
+use shadecast_protocol::pose::{Fov, Pose};
+use shadecast_protocol::time::ServerTime;
+use shadecast_shaders::generated::{
+    BackgroundPush, FORWARD_BACKGROUND_FRAG, FORWARD_BACKGROUND_VERT, FORWARD_FRAG, FORWARD_PROBE_FRAG, FORWARD_VERT,
+    ForwardPush, ViewGpu,
+};
+use std::sync::Arc;
+
+const SAMPLES: vk::SampleCountFlags = vk::SampleCountFlags::TYPE_4;
+const ONE: vk::SampleCountFlags = vk::SampleCountFlags::TYPE_1;
+
+/// A picture with what is where in it; rows from the top.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Truth {
+    /// Width and height in pixels.
+    pub extent_pixels: [u32; 2],
+    /// sRGB, three bytes a pixel.
+    pub rgb8: Vec<u8>,
+    /// Instance at the pixel's centre; `u32::MAX` for background.
+    pub instance: Vec<u32>,
+    /// Distance along the view axis at the pixel's centre, metres; infinite for background.
+    pub distance_m: Vec<f32>,
+}
+
+/// The renderer.
+pub struct Forward {
+    gpu: Arc<Gpu>,
+    scene: Arc<SceneGpu>,
+    animation: Animation,
+    color: Pass,
+    probe: Pass,
+    background: GraphicsPipeline,
+    background_group: BindGroup,
+    view: Buffer,
+    resolved: Image,
+    probes: [Image; 2],
+    readback: Buffer,
+    extent: [u32; 2],
+    _attachments: Vec<Image>,
+}
+
+/// A pass that draws the scene.
+struct Pass {
+    pass: RenderPass,
+    culled: GraphicsPipeline,
+    double_sided: GraphicsPipeline,
+    group: BindGroup,
+    target: Framebuffer,
+}
+
+impl Forward {
+    /// For pictures of `extent` pixels.
+    pub fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>, extent: [u32; 2]) -> Result<Self, GpuError> {
+        let animation = Animation::new(gpu, scene, 1)?;
+        let view = Buffer::new(gpu, "forward view", size_of::<ViewGpu>() as u64, Memory::Upload)?;
+        let srgb = vk::Format::R8G8B8A8_SRGB;
+        let image = |format, samples, usage| {
+            Image::new(gpu, ImageDesc { name: "forward", extent, layers: 1, mips: 1, samples, format, usage })
+        };
+        let attachment = vk::ImageUsageFlags::COLOR_ATTACHMENT;
+        let readable = attachment | vk::ImageUsageFlags::TRANSFER_SRC;
+        let depth_usage = vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT;
+        let multisampled = image(srgb, SAMPLES, attachment)?;
+        let resolved = image(srgb, ONE, readable)?;
+        let deep = image(vk::Format::D32_SFLOAT, SAMPLES, depth_usage)?;
+        let probes = [image(vk::Format::R32_UINT, ONE, readable)?, image(vk::Format::R32_SFLOAT, ONE, readable)?];
+        let shallow = image(vk::Format::D32_SFLOAT, ONE, depth_usage)?;
+        let color_pass = RenderPass::new(gpu, &color_desc(srgb))?;
+        let probe_pass = RenderPass::new(gpu, &probe_desc())?;
+        let color_views = [multisampled.view(), resolved.view(), deep.view()];
+        let probe_views = [probes[0].view(), probes[1].view(), shallow.view()];
+        let color_target = Framebuffer::new(gpu, &color_pass, extent, &color_views)?;
+        let probe_target = Framebuffer::new(gpu, &probe_pass, extent, &probe_views)?;
+        let background = GraphicsPipeline::new(
+            gpu,
+            &GraphicsPipelineDesc {
+                vertex: &FORWARD_BACKGROUND_VERT,
+                fragment: &FORWARD_BACKGROUND_FRAG,
+                pass: &color_pass,
+                topology: vk::PrimitiveTopology::TRIANGLE_LIST,
+                cull: vk::CullModeFlags::NONE,
+                depth_write: Some(false),
+                blend: false,
+                vertex_input: None,
+            },
+        )?;
+        let background_group = BindGroup::new(background.layout(), &[("Light", Bind::Buffer(&scene.light))])?;
+        let pixels = u64::from(extent[0]) * u64::from(extent[1]);
+        Ok(Self {
+            color: Pass::new(gpu, scene, &animation, &view, color_pass, color_target, false)?,
+            probe: Pass::new(gpu, scene, &animation, &view, probe_pass, probe_target, true)?,
+            gpu: gpu.clone(),
+            scene: scene.clone(),
+            animation,
+            background,
+            background_group,
+            view,
+            resolved,
+            probes,
+            readback: Buffer::new(gpu, "forward read-back", pixels * 12, Memory::Readback)?,
+            extent,
+            _attachments: vec![multisampled, deep, shallow],
+        })
+    }
+
+    /// Renders what an eye sees at `time`.
+    pub fn render(&mut self, world_from_eye: Pose, fov: Fov, time: ServerTime) -> Result<Truth, GpuError> {
+        let clip_from_world = fov.clip_from_eye() * world_from_eye.inverse().matrix();
+        self.view.write(0, bytemuck::bytes_of(&view_gpu(clip_from_world, world_from_eye.position, self.extent)));
+        let mut recorder = self.gpu.record()?;
+        self.animation.record_sample(&mut recorder, 0, time);
+        self.animation.record_frames(&mut recorder, 0);
+        recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
+        recorder.scope("forward", |r| self.draw_color(r, world_from_eye, fov));
+        recorder.scope("forward probe", |r| {
+            let clears = [vk::ClearValue::default(); 3];
+            r.begin_pass(&self.probe.pass, &self.probe.target, &clears);
+            self.probe.draw(r, &self.scene, &self.animation);
+            r.end_pass();
+        });
+        recorder.barrier(Access::COLOR_WRITE, Access::COPY_READ);
+        let plane = u64::from(self.extent[0]) * u64::from(self.extent[1]) * 4;
+        for (index, image) in [&self.resolved, &self.probes[0], &self.probes[1]].into_iter().enumerate() {
+            recorder.read_image(image, 0, &self.readback, index as u64 * plane);
+        }
+        recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
+        self.gpu.wait(recorder.submit()?)?;
+        Ok(self.collect(plane as usize))
+    }
+
+    fn draw_color(&self, recorder: &mut Recorder, world_from_eye: Pose, fov: Fov) {
+        let pass = &self.color;
+        recorder.begin_pass(&pass.pass, &pass.target, &[vk::ClearValue::default(); 3]);
+        pass.draw(recorder, &self.scene, &self.animation);
+        recorder.bind(&self.background, &self.background_group);
+        let push = BackgroundPush {
+            world_from_clip_direction: direction_from_ndc(world_from_eye, fov).to_cols_array_2d(),
+        };
+        recorder.push_constants(&self.background, &push);
+        recorder.draw(3, 1);
+        recorder.end_pass();
+    }
+
+    fn collect(&self, plane: usize) -> Truth {
+        let bytes = self.readback.bytes();
+        let ids: &[u32] = bytemuck::cast_slice(&bytes[plane..2 * plane]);
+        let distances: &[f32] = bytemuck::cast_slice(&bytes[2 * plane..3 * plane]);
+        Truth {
+            extent_pixels: self.extent,
+            rgb8: bytes[..plane].chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect(),
+            instance: ids.iter().map(|id| id.wrapping_sub(1)).collect(),
+            distance_m: ids.iter().zip(distances).map(|(id, d)| if *id == 0 { f32::INFINITY } else { *d }).collect(),
+        }
+    }
+}
+
+/// A view as the shaders have it.
+pub fn view_gpu(clip_from_world: Mat4, world_eye: Vec3, extent_pixels: [u32; 2]) -> ViewGpu {
+    ViewGpu {
+        clip_from_world: clip_from_world.to_cols_array_2d(),
+        world_eye: world_eye.extend(1.0).to_array(),
+        extent_pixels: [extent_pixels[0] as f32, extent_pixels[1] as f32, 0.0, 0.0],
+    }
+}
+
+/// Takes (ndc x, ndc y, 1, 0) to the direction in the world that is seen there.
+fn direction_from_ndc(world_from_eye: Pose, fov: Fov) -> Mat4 {
+    let (l, r, u, d) = (fov.left.tan(), fov.right.tan(), fov.up.tan(), fov.down.tan());
+    let eye_from_ndc = Mat4::from_cols_array(&[
+        (r - l) / 2.0, 0.0, 0.0, 0.0, //
+        0.0, (d - u) / 2.0, 0.0, 0.0, //
+        (r + l) / 2.0, (u + d) / 2.0, -1.0, 0.0, //
+        0.0, 0.0, 0.0, 1.0,
+    ]);
+    Mat4::from_quat(world_from_eye.orientation) * eye_from_ndc
+}
+
+fn color_desc(format: vk::Format) -> RenderPassDesc {
+    let before = vk::ImageLayout::UNDEFINED;
+    let multisampled = Attachment {
+        format,
+        load: vk::AttachmentLoadOp::CLEAR,
+        store: vk::AttachmentStoreOp::DONT_CARE,
+        before,
+        after: vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL,
+    };
+    let resolve = Attachment {
+        load: vk::AttachmentLoadOp::DONT_CARE,
+        store: vk::AttachmentStoreOp::STORE,
+        after: vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
+        ..multisampled
+    };
+    RenderPassDesc {
+        colors: vec![multisampled],
+        resolves: vec![resolve],
+        depth: Some(vk::Format::D32_SFLOAT),
+        samples: SAMPLES,
+        view_mask: 0,
+    }
+}
+
+fn probe_desc() -> RenderPassDesc {
+    let attachment = |format| Attachment {
+        format,
+        load: vk::AttachmentLoadOp::CLEAR,
+        store: vk::AttachmentStoreOp::STORE,
+        before: vk::ImageLayout::UNDEFINED,
+        after: vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
+    };
+    RenderPassDesc {
+        colors: vec![attachment(vk::Format::R32_UINT), attachment(vk::Format::R32_SFLOAT)],
+        resolves: vec![],
+        depth: Some(vk::Format::D32_SFLOAT),
+        samples: ONE,
+        view_mask: 0,
+    }
+}
+
+impl Pass {
+    fn new(
+        gpu: &Arc<Gpu>,
+        scene: &SceneGpu,
+        animation: &Animation,
+        view: &Buffer,
+        pass: RenderPass,
+        target: Framebuffer,
+        is_probe: bool,
+    ) -> Result<Self, GpuError> {
+        let pipeline = |cull| {
+            GraphicsPipeline::new(
+                gpu,
+                &GraphicsPipelineDesc {
+                    vertex: &FORWARD_VERT,
+                    fragment: if is_probe { &FORWARD_PROBE_FRAG } else { &FORWARD_FRAG },
+                    pass: &pass,
+                    topology: vk::PrimitiveTopology::TRIANGLE_LIST,
+                    cull,
+                    depth_write: Some(true),
+                    blend: false,
+                    vertex_input: None,
+                },
+            )
+        };
+        let (culled, double_sided) = (pipeline(vk::CullModeFlags::BACK)?, pipeline(vk::CullModeFlags::NONE)?);
+        let textures = scene.texture_binds();
+        let mut binds = vec![
+            ("Vertices", Bind::Buffer(&scene.vertices)),
+            ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
+            ("SavedFrames", Bind::Buffer(animation.saved_frames())),
+            ("View", Bind::Buffer(view)),
+            ("Materials", Bind::Buffer(&scene.materials)),
+            SceneGpu::textures_bind(&textures),
+        ];
+        if !is_probe {
+            binds.push(("Light", Bind::Buffer(&scene.light)));
+        }
+        let group = BindGroup::new(culled.layout(), &binds)?;
+        Ok(Self { pass, culled, double_sided, group, target })
+    }
+
+    fn draw(&self, recorder: &mut Recorder, scene: &SceneGpu, animation: &Animation) {
+        recorder.bind_indices(&scene.indices, 0);
+        for double_sided in [false, true] {
+            let pipeline = if double_sided { &self.double_sided } else { &self.culled };
+            recorder.bind(pipeline, &self.group);
+            for (number, instance) in scene.instances.iter().enumerate() {
+                let (model, source) = (&scene.models[instance.model], &scene.scene.models[instance.model]);
+                let sided = |p: &&crate::scene::Primitive| {
+                    source.materials[p.material as usize].double_sided == double_sided
+                };
+                for primitive in source.primitives.iter().filter(sided) {
+                    let push = ForwardPush {
+                        vertex_base: model.vertex_base,
+                        position_base: animation.position_base(instance, 0),
+                        frame_base: animation.frame_base(instance),
+                        material: model.material_base + primitive.material,
+                        instance: number as u32,
+                    };
+                    recorder.push_constants(pipeline, &push);
+                    recorder.draw_indexed(model.index_base + primitive.first_index, primitive.index_count);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,46 @@
+//! Visibility's second half: the union of the ID buffers as one word per patch.
+
+use ash::vk;
+use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Image, Memory, Recorder, Sampler, SamplerDesc};
+use shadecast_shaders::generated::MARK_COMP;
+use std::sync::Arc;
+
+/// The stage with its output.
+pub struct Mark {
+    pipeline: ComputePipeline,
+    group: BindGroup,
+    _sampler: Sampler,
+    /// One word per scene-wide patch: 1 where it is visible.
+    pub visible: Buffer,
+    extent: [u32; 2],
+}
+
+impl Mark {
+    /// Reads `id_buffer`, marks `patches` patches.
+    pub fn new(gpu: &Arc<Gpu>, id_buffer: &Image, patches: u32) -> Result<Self, GpuError> {
+        let pipeline = ComputePipeline::new(gpu, &MARK_COMP)?;
+        let sampler = Sampler::new(gpu, nearest())?;
+        let visible = Buffer::new(gpu, "visible patches", u64::from(patches) * 4, Memory::Device)?;
+        let group = BindGroup::new(
+            pipeline.layout(),
+            &[("id_buffer", Bind::Sampled(id_buffer, &sampler)), ("Visible", Bind::Buffer(&visible))],
+        )?;
+        Ok(Self { pipeline, group, _sampler: sampler, visible, extent: id_buffer.desc().extent })
+    }
+
+    /// Marks what both layers of the ID buffer show.
+    pub fn record(&self, recorder: &mut Recorder) {
+        let [x, y] = self.extent.map(|side| side.div_ceil(8));
+        recorder.dispatch(&self.pipeline, &self.group, &[0u32; 0], [x, y, 2]);
+    }
+}
+
+/// For images that are read texel by texel.
+pub(crate) fn nearest() -> SamplerDesc {
+    SamplerDesc {
+        filter: vk::Filter::NEAREST,
+        wrap: [vk::SamplerAddressMode::CLAMP_TO_EDGE; 2],
+        mips: false,
+        anisotropy: 1.0,
+    }
+}

@@ -1,0 +1,155 @@
+//! Object-space shading: one quad per live block, gutter included, into the atlas.
+
+use crate::animation::gpu::Animation;
+use crate::scene_gpu::SceneGpu;
+use ash::vk;
+use glam::Vec3;
+use shadecast_gpu::{
+    Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Image,
+    ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc,
+};
+use shadecast_protocol::atlas::Block;
+use shadecast_protocol::limits::MAX_PATCH_SLOTS;
+use shadecast_shaders::generated::{BlockGpu, SHADING_FRAG, SHADING_VERT, ShadingPush};
+use std::sync::Arc;
+
+/// The stage with its output.
+pub struct Shading {
+    pass: RenderPass,
+    pipeline: GraphicsPipeline,
+    group: BindGroup,
+    target: Framebuffer,
+    blocks: Buffer,
+    count: u32,
+    /// RGBA8, sRGB-coded display values; what no block covers keeps its last content, which costs no bits.
+    pub atlas: Image,
+}
+
+impl Shading {
+    /// For an atlas of `extent` texels.
+    pub fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, animation: &Animation, extent: [u32; 2]) -> Result<Self, GpuError> {
+        let format = vk::Format::R8G8B8A8_UNORM;
+        let atlas = Image::new(
+            gpu,
+            ImageDesc {
+                name: "shading atlas",
+                extent,
+                layers: 1,
+                mips: 1,
+                samples: vk::SampleCountFlags::TYPE_1,
+                format,
+                usage: vk::ImageUsageFlags::COLOR_ATTACHMENT
+                    | vk::ImageUsageFlags::SAMPLED
+                    | vk::ImageUsageFlags::TRANSFER_SRC
+                    | vk::ImageUsageFlags::TRANSFER_DST,
+            },
+        )?;
+        clear(gpu, &atlas)?;
+        let read = vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL;
+        let pass = RenderPass::new(
+            gpu,
+            &RenderPassDesc {
+                colors: vec![Attachment {
+                    format,
+                    load: vk::AttachmentLoadOp::LOAD,
+                    store: vk::AttachmentStoreOp::STORE,
+                    before: read,
+                    after: read,
+                }],
+                resolves: vec![],
+                depth: None,
+                samples: vk::SampleCountFlags::TYPE_1,
+                view_mask: 0,
+            },
+        )?;
+        let pipeline = GraphicsPipeline::new(
+            gpu,
+            &GraphicsPipelineDesc {
+                vertex: &SHADING_VERT,
+                fragment: &SHADING_FRAG,
+                pass: &pass,
+                topology: vk::PrimitiveTopology::TRIANGLE_STRIP,
+                cull: vk::CullModeFlags::NONE,
+                depth_write: None,
+                blend: false,
+                vertex_input: None,
+            },
+        )?;
+        let bytes = u64::from(MAX_PATCH_SLOTS.min(scene.totals.patches)) * size_of::<BlockGpu>() as u64;
+        let blocks = Buffer::new(gpu, "live blocks", bytes, Memory::Upload)?;
+        let textures = scene.texture_binds();
+        let group = BindGroup::new(
+            pipeline.layout(),
+            &[
+                ("Blocks", Bind::Buffer(&blocks)),
+                ("Patches", Bind::Buffer(&scene.patches)),
+                ("Vertices", Bind::Buffer(&scene.vertices)),
+                ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
+                ("SavedFrames", Bind::Buffer(animation.saved_frames())),
+                ("Materials", Bind::Buffer(&scene.materials)),
+                ("Light", Bind::Buffer(&scene.light)),
+                SceneGpu::textures_bind(&textures),
+            ],
+        )?;
+        let target = Framebuffer::new(gpu, &pass, extent, &[atlas.view()])?;
+        Ok(Self { pass, pipeline, group, target, blocks, count: 0, atlas })
+    }
+
+    /// Writes the list of blocks to shade, with geometry as it is in `slot`. No submitted work still reads the list.
+    pub fn write_blocks(
+        &mut self,
+        scene: &SceneGpu,
+        animation: &Animation,
+        slot: u32,
+        live: impl Iterator<Item = (u32, Block)>,
+    ) {
+        let list: &mut [BlockGpu] = bytemuck::cast_slice_mut(self.blocks.bytes_mut());
+        self.count = 0;
+        // Live patches come in ascending order, so the instance only ever moves on.
+        let mut index = 0;
+        for (place, (patch, block)) in list.iter_mut().zip(live) {
+            while scene.instances.get(index + 1).is_some_and(|next| next.first_patch <= patch) {
+                index += 1;
+            }
+            let instance = &scene.instances[index];
+            let model = &scene.models[instance.model];
+            *place = BlockGpu {
+                patch_index: model.patch_base + patch - instance.first_patch,
+                address_texels: u32::from(block.address.x) | u32::from(block.address.y) << 16,
+                extent_texels: block.size.width() | block.size.height() << 16,
+                vertex_base: model.vertex_base,
+                position_base: animation.position_base(instance, slot),
+                frame_base: animation.frame_base(instance),
+                reserved0: 0,
+                reserved1: 0,
+            };
+            self.count += 1;
+        }
+    }
+
+    /// Shades the listed blocks as seen from `world_eye`.
+    pub fn record(&self, recorder: &mut Recorder, world_eye: Vec3) {
+        let [width, height] = self.atlas.desc().extent;
+        let push = ShadingPush {
+            world_eye: world_eye.extend(0.0).to_array(),
+            atlas_extent_texels: [width as f32, height as f32],
+            ..bytemuck::Zeroable::zeroed()
+        };
+        recorder.begin_pass(&self.pass, &self.target, &[]);
+        recorder.bind(&self.pipeline, &self.group);
+        recorder.push_constants(&self.pipeline, &push);
+        recorder.draw(4, self.count);
+        recorder.end_pass();
+    }
+}
+
+/// Mid-grey, ready to be sampled: an empty atlas costs the encoder nothing.
+fn clear(gpu: &Arc<Gpu>, atlas: &Image) -> Result<(), GpuError> {
+    use shadecast_gpu::Access;
+    let (from, to) = (vk::ImageLayout::TRANSFER_DST_OPTIMAL, vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL);
+    let mut recorder = gpu.record()?;
+    recorder.transition(atlas, [vk::ImageLayout::UNDEFINED, from], Access::NONE, Access::COPY_WRITE);
+    recorder.clear_image(atlas, [0.5, 0.5, 0.5, 1.0]);
+    recorder.transition(atlas, [from, to], Access::COPY_WRITE, Access::FRAGMENT_READ);
+    gpu.wait(recorder.submit()?)
+}
