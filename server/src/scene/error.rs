@@ -1,0 +1,60 @@
+//! What can be wrong with a scene, said so that the person who made the file can mend it: file, element or line,
+//! what is wrong, and where possible what to write instead.
+
+/// Why a scene or an asset cannot be used. The text is complete: print it as it is.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// The operating system refused the file.
+    #[error("{file}: cannot be read: {source}")]
+    Read {
+        /// The path as the user wrote it.
+        file: String,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// An asset is damaged, or uses what is not supported.
+    #[error("{file}: {element}: {problem}")]
+    Asset {
+        /// File name or the name handed to the importer.
+        file: String,
+        /// The part of it: `mesh 'x' primitive 0`, `node 3`.
+        element: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A scene file has a wrong line.
+    #[error("{file}:{line}: {problem}")]
+    SceneFile {
+        /// The path as the user wrote it.
+        file: String,
+        /// Counted from 1.
+        line: usize,
+        /// What is wrong, with a suggestion where there is one.
+        problem: String,
+    },
+    /// The SCENE argument itself makes no sense.
+    #[error("scene '{argument}': {problem}")]
+    Argument {
+        /// What the user wrote.
+        argument: String,
+        /// What is wrong, and what is accepted.
+        problem: String,
+    },
+}
+
+/// A fault in an asset, before it is known which file the asset came from.
+#[derive(Debug)]
+pub(super) struct Fault {
+    pub(super) element: String,
+    pub(super) problem: String,
+}
+
+impl Fault {
+    pub(super) fn new(element: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self { element: element.into(), problem: problem.into() }
+    }
+
+    pub(super) fn in_file(self, file: &str) -> SceneError {
+        SceneError::Asset { file: file.to_owned(), element: self.element, problem: self.problem }
+    }
+}

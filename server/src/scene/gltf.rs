@@ -1,0 +1,377 @@
+//! glTF 2.0 importer: `.glb` and `.gltf` to a [`Model`].
+//!
+//! Files come from strangers. Whatever they hold, the result is a model whose every index is in range and whose every
+//! number is finite, or an error that names the file and the element; the tests mutate files to hold it to that.
+//! Not imported: cameras, lights, morph targets, vertex colours, blending; one warning each.
+
+mod accessor;
+mod animation;
+mod container;
+mod image;
+mod material;
+mod mesh;
+mod tangent;
+#[cfg(test)]
+mod tests;
+
+use super::error::{Fault, SceneError};
+use super::{Bone, Model, PaletteEntry, Primitive, Trs};
+use ::gltf::accessor::Dimensions;
+use accessor::Reader;
+use glam::{Affine3A, Mat4, Quat, Vec3};
+use material::Materials;
+use mesh::{MAX_VERTICES, Part};
+use std::collections::{BTreeSet, HashMap};
+use std::path::Path;
+use std::rc::Rc;
+
+const MORPH_WARNING: &str = "morph targets are ignored; the mesh keeps its base shape";
+
+/// What was left out of a model, one sentence each, each once.
+type Warnings = BTreeSet<String>;
+
+/// Extensions that change a picture too little, or too rarely, to be read, and those that are read.
+const SILENT_EXTENSIONS: [&str; 2] = ["KHR_mesh_quantization", "KHR_materials_specular"];
+
+/// Loads a file; buffers and images beside it are found relative to it.
+pub fn load(path: &Path) -> Result<Model, SceneError> {
+    let file = path.display().to_string();
+    let bytes = container::read_limited(path).map_err(|source| SceneError::Read { file: file.clone(), source })?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let name = path.file_stem().map_or_else(|| file.clone(), |stem| stem.to_string_lossy().into_owned());
+    finish(import(&bytes, &name, Some(folder)), &file)
+}
+
+/// Loads an asset that lies in memory and refers to no other file. `name` stands for the file in messages.
+pub fn from_slice(bytes: &[u8], name: &str) -> Result<Model, SceneError> {
+    finish(import(bytes, name, None), name)
+}
+
+fn finish(imported: Result<(Model, Warnings), Fault>, file: &str) -> Result<Model, SceneError> {
+    let (model, warnings) = imported.map_err(|fault| fault.in_file(file))?;
+    for warning in warnings {
+        tracing::warn!("{file}: {warning}");
+    }
+    Ok(model)
+}
+
+fn import(bytes: &[u8], name: &str, folder: Option<&Path>) -> Result<(Model, Warnings), Fault> {
+    let container = container::open(bytes, folder)?;
+    let reader = Reader { document: &container.document, buffers: &container.buffers };
+    let mut warnings = Warnings::new();
+    note_extensions(reader.document, &mut warnings);
+    let hierarchy = Hierarchy::read(reader.document, &mut warnings)?;
+    let clips = animation::read_all(reader, &hierarchy.bone_of_node, &mut warnings)?;
+    let mut assembly = Assembly::new(reader, folder, hierarchy, warnings);
+    for node in scene_nodes(reader.document) {
+        assembly.add_node(node)?;
+    }
+    let (mut model, warnings) = assembly.into_model();
+    model.name = name.to_owned();
+    model.clips = clips;
+    Ok((model, warnings))
+}
+
+/// `mesh 'x'` where it has a name, `mesh 3` where not.
+fn label(kind: &str, index: usize, name: Option<&str>) -> String {
+    name.map_or_else(|| format!("{kind} {index}"), |name| format!("{kind} '{}'", name.escape_debug()))
+}
+
+fn node_label(node: &::gltf::Node) -> String {
+    let name = node.name().map(|name| format!(" '{}'", name.escape_debug())).unwrap_or_default();
+    format!("node {}{name}", node.index())
+}
+
+fn note_extensions(document: &::gltf::Document, warnings: &mut Warnings) {
+    for extension in document.extensions_used().filter(|name| !SILENT_EXTENSIONS.contains(name)) {
+        warnings.insert(format!("extension {extension} is ignored"));
+    }
+}
+
+/// The nodes of the default (or first) scene with all their descendants, parents first; all nodes if there is no
+/// scene. The hierarchy has been checked to be a forest.
+fn scene_nodes(document: &::gltf::Document) -> Vec<::gltf::Node<'_>> {
+    let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else {
+        return document.nodes().collect();
+    };
+    let mut pending: Vec<::gltf::Node> = scene.nodes().collect();
+    pending.reverse();
+    let (mut nodes, mut seen) = (Vec::new(), vec![false; document.nodes().len()]);
+    while let Some(node) = pending.pop() {
+        if std::mem::replace(&mut seen[node.index()], true) {
+            continue;
+        }
+        let children: Vec<_> = node.children().collect();
+        pending.extend(children.into_iter().rev());
+        nodes.push(node);
+    }
+    nodes
+}
+
+/// All nodes of a file as bones, parents first.
+struct Hierarchy {
+    bones: Vec<Bone>,
+    bone_of_node: Vec<u32>,
+    /// Whether the node's rest transform, ancestors included, mirrors.
+    mirrored: Vec<bool>,
+}
+
+impl Hierarchy {
+    fn read(document: &::gltf::Document, warnings: &mut Warnings) -> Result<Self, Fault> {
+        let parents = parents(document)?;
+        let nodes: Vec<::gltf::Node> = document.nodes().collect();
+        let order = parents_first(&nodes, &parents)?;
+        let mut bone_of_node = vec![0; nodes.len()];
+        for (bone, node) in order.iter().enumerate() {
+            bone_of_node[*node] = bone as u32;
+        }
+        let (mut bones, mut mirrored) = (Vec::with_capacity(nodes.len()), vec![false; nodes.len()]);
+        for index in order {
+            let node = &nodes[index];
+            let rest = rest_transform(node, warnings)?;
+            let name = node.name().map_or_else(|| format!("node {index}"), str::to_owned);
+            bones.push(Bone { name, parent: parents[index].map(|parent| bone_of_node[parent]), rest });
+            let flips = rest.scale.x * rest.scale.y * rest.scale.z < 0.0;
+            mirrored[index] = flips ^ parents[index].is_some_and(|parent| mirrored[parent]);
+        }
+        Ok(Self { bones, bone_of_node, mirrored })
+    }
+}
+
+fn parents(document: &::gltf::Document) -> Result<Vec<Option<usize>>, Fault> {
+    let mut parents: Vec<Option<usize>> = vec![None; document.nodes().len()];
+    for node in document.nodes() {
+        for child in node.children() {
+            if let Some(other) = parents[child.index()].replace(node.index()) {
+                let problem = format!("is a child of node {other} and of node {}", node.index());
+                return Err(Fault::new(node_label(&child), problem));
+            }
+        }
+    }
+    Ok(parents)
+}
+
+/// Depth first from the roots. With one parent each, nodes that are not reached lie on or below a cycle.
+fn parents_first(nodes: &[::gltf::Node], parents: &[Option<usize>]) -> Result<Vec<usize>, Fault> {
+    let mut pending: Vec<usize> = (0..nodes.len()).rev().filter(|node| parents[*node].is_none()).collect();
+    let (mut order, mut reached) = (Vec::with_capacity(nodes.len()), vec![false; nodes.len()]);
+    while let Some(node) = pending.pop() {
+        order.push(node);
+        reached[node] = true;
+        let children: Vec<usize> = nodes[node].children().map(|child| child.index()).collect();
+        pending.extend(children.into_iter().rev());
+    }
+    match reached.iter().position(|reached| !reached) {
+        Some(lost) => Err(Fault::new(node_label(&nodes[lost]), "is its own ancestor, or below a node that is")),
+        None => Ok(order),
+    }
+}
+
+fn rest_transform(node: &::gltf::Node, warnings: &mut Warnings) -> Result<Trs, Fault> {
+    let fault = |problem: &str| Fault::new(node_label(node), problem);
+    let rest = match node.transform() {
+        ::gltf::scene::Transform::Matrix { matrix } => {
+            let matrix = Mat4::from_cols_array_2d(&matrix);
+            let (scale, rotation, translation) = matrix.to_scale_rotation_translation();
+            let rest = Trs { translation, rotation, scale };
+            if !matrix.abs_diff_eq(rest.affine().into(), 1e-3 * (1.0 + scale.abs().max_element())) {
+                warnings.insert("matrices with shear are replaced by the nearest without".into());
+            }
+            rest
+        }
+        ::gltf::scene::Transform::Decomposed { translation, rotation, scale } => Trs {
+            translation: Vec3::from_array(translation),
+            rotation: Quat::from_array(rotation),
+            scale: Vec3::from_array(scale),
+        },
+    };
+    let length = rest.rotation.length();
+    if !(rest.translation.is_finite() && rest.scale.is_finite() && length.is_finite()) {
+        return Err(fault("its transform is not finite, or a matrix that cannot be split into rotation and scale"));
+    }
+    if length < 1e-6 {
+        return Err(fault("its rotation is a quaternion without length"));
+    }
+    Ok(Trs { rotation: rest.rotation / length, ..rest })
+}
+
+/// The model under construction.
+struct Assembly<'a> {
+    reader: Reader<'a>,
+    hierarchy: Hierarchy,
+    warnings: Warnings,
+    materials: Materials<'a>,
+    model: Model,
+    /// By glTF mesh index, by primitive: a mesh that several nodes show is read once.
+    parts: HashMap<usize, Rc<Vec<Option<Part>>>>,
+    /// By glTF skin index: its first palette entry and their number.
+    skins: HashMap<usize, (usize, usize)>,
+}
+
+impl<'a> Assembly<'a> {
+    fn new(reader: Reader<'a>, folder: Option<&'a Path>, hierarchy: Hierarchy, warnings: Warnings) -> Self {
+        Self {
+            reader,
+            hierarchy,
+            warnings,
+            materials: Materials::new(reader, folder),
+            model: Model::default(),
+            parts: HashMap::new(),
+            skins: HashMap::new(),
+        }
+    }
+
+    fn into_model(self) -> (Model, Warnings) {
+        let Self { mut model, materials, hierarchy, warnings, .. } = self;
+        model.bones = hierarchy.bones;
+        (model.materials, model.textures) = (materials.materials, materials.textures);
+        (model, warnings)
+    }
+
+    fn add_node(&mut self, node: ::gltf::Node) -> Result<(), Fault> {
+        let Some(mesh) = node.mesh() else { return Ok(()) };
+        let parts = self.parts_of(&mesh)?;
+        let binding = self.binding(&node)?;
+        for (primitive, part) in mesh.primitives().zip(parts.iter()) {
+            let Some(part) = part else { continue };
+            let element = format!("{} primitive {}", label("mesh", mesh.index(), mesh.name()), primitive.index());
+            let material = self.materials.index(&primitive.material(), &mut self.warnings)?;
+            self.append(part, &binding, material, &element, &node)?;
+        }
+        Ok(())
+    }
+
+    fn parts_of(&mut self, mesh: &::gltf::Mesh) -> Result<Rc<Vec<Option<Part>>>, Fault> {
+        if let Some(parts) = self.parts.get(&mesh.index()) {
+            return Ok(Rc::clone(parts));
+        }
+        let mut parts = Vec::new();
+        for primitive in mesh.primitives() {
+            let element = format!("{} primitive {}", label("mesh", mesh.index(), mesh.name()), primitive.index());
+            parts.push(mesh::read(self.reader, &primitive, &element, &mut self.warnings)?);
+        }
+        let parts = Rc::new(parts);
+        self.parts.insert(mesh.index(), Rc::clone(&parts));
+        Ok(parts)
+    }
+
+    /// What the vertices of a mesh follow when this node shows it.
+    fn binding(&mut self, node: &::gltf::Node) -> Result<Binding, Fault> {
+        if let Some(skin) = node.skin() {
+            let (first, count) = self.skin_entries(&skin)?;
+            return Ok(Binding::Skin { first, count });
+        }
+        let bone = self.hierarchy.bone_of_node[node.index()];
+        let entry = self.push_entries(vec![PaletteEntry { bone, bone_from_mesh: Affine3A::IDENTITY }])?;
+        Ok(Binding::Node { entry, mirrored: self.hierarchy.mirrored[node.index()] })
+    }
+
+    fn skin_entries(&mut self, skin: &::gltf::Skin) -> Result<(usize, usize), Fault> {
+        if let Some(known) = self.skins.get(&skin.index()) {
+            return Ok(*known);
+        }
+        let element = label("skin", skin.index(), skin.name());
+        let bones: Vec<u32> = skin.joints().map(|joint| self.hierarchy.bone_of_node[joint.index()]).collect();
+        if bones.is_empty() {
+            return Err(Fault::new(element, "has no joints"));
+        }
+        let matrices = self.inverse_bind_matrices(skin, bones.len(), &element)?;
+        let entry = |(bone, bone_from_mesh)| PaletteEntry { bone, bone_from_mesh };
+        let count = bones.len();
+        let first = self.push_entries(bones.into_iter().zip(matrices).map(entry).collect())?;
+        self.skins.insert(skin.index(), (first, count));
+        Ok((first, count))
+    }
+
+    fn inverse_bind_matrices(
+        &self,
+        skin: &::gltf::Skin,
+        joints: usize,
+        element: &str,
+    ) -> Result<Vec<Affine3A>, Fault> {
+        let Some(accessor) = skin.inverse_bind_matrices() else { return Ok(vec![Affine3A::IDENTITY; joints]) };
+        let element = format!("{element} inverse bind matrices (accessor {})", accessor.index());
+        let matrices = self.reader.floats::<16>(&accessor, Dimensions::Mat4, &element)?;
+        if matrices.len() < joints {
+            return Err(Fault::new(element, format!("has {} matrices for {joints} joints", matrices.len())));
+        }
+        Ok(matrices.iter().take(joints).map(|matrix| Affine3A::from_mat4(Mat4::from_cols_array(matrix))).collect())
+    }
+
+    /// Returns the index of the first.
+    fn push_entries(&mut self, entries: Vec<PaletteEntry>) -> Result<usize, Fault> {
+        let first = self.model.palette.len();
+        // Vertices name palette entries with 16 bits.
+        if first + entries.len() > usize::from(u16::MAX) + 1 {
+            return Err(Fault::new("skins and mesh nodes", "need more than 65536 bone matrices together"));
+        }
+        self.model.palette.extend(entries);
+        Ok(first)
+    }
+
+    fn append(
+        &mut self,
+        part: &Part,
+        binding: &Binding,
+        material: u32,
+        element: &str,
+        node: &::gltf::Node,
+    ) -> Result<(), Fault> {
+        let (base, first_index) = (self.model.vertices.len(), self.model.indices.len());
+        if base + part.vertices.len() > MAX_VERTICES || first_index + part.indices.len() > MAX_VERTICES {
+            let problem = format!("brings the model over {MAX_VERTICES} vertices or indices; reduce it");
+            return Err(Fault::new(format!("{element} on {}", node_label(node)), problem));
+        }
+        let fault = |problem: String| Fault::new(format!("{element} on {}", node_label(node)), problem);
+        if matches!(binding, Binding::Skin { .. }) && !part.has_influences {
+            return Err(fault("has no JOINTS_0, though the node has a skin".into()));
+        }
+        for vertex in &part.vertices {
+            self.model.vertices.push(binding.bind(*vertex).map_err(fault)?);
+        }
+        let indices = part.indices.iter().map(|index| base as u32 + index);
+        self.model.indices.extend(indices);
+        if binding.is_mirrored() {
+            let added = &mut self.model.indices[first_index..];
+            added.chunks_exact_mut(3).for_each(|triangle| triangle.swap(1, 2));
+        }
+        let index_count = part.indices.len() as u32;
+        self.model.primitives.push(Primitive { first_index: first_index as u32, index_count, material });
+        Ok(())
+    }
+}
+
+/// What the vertices of a placed mesh follow.
+enum Binding {
+    /// One palette entry for all. Where its rest transform mirrors, glTF 2.0 section 3.7.4 reverses the winding.
+    Node { entry: usize, mirrored: bool },
+    /// The entries of a skin; the node's own transform does not count.
+    Skin { first: usize, count: usize },
+}
+
+impl Binding {
+    fn is_mirrored(&self) -> bool {
+        matches!(self, Self::Node { mirrored: true, .. })
+    }
+
+    fn bind(&self, mut vertex: super::Vertex) -> Result<super::Vertex, String> {
+        match *self {
+            Self::Node { entry, mirrored } => {
+                // In range: push_entries keeps the palette within 16 bits.
+                vertex.joints = [entry as u16; 4];
+                vertex.weights = [1.0, 0.0, 0.0, 0.0];
+                if mirrored {
+                    vertex.tangent[3] = -vertex.tangent[3];
+                }
+            }
+            Self::Skin { first, count } => {
+                // Unused slots repeat a used joint, so that one check covers all four.
+                if let Some(joint) = vertex.joints.iter().find(|joint| usize::from(**joint) >= count) {
+                    return Err(format!("follows joint {joint}, but its skin has {count}"));
+                }
+                vertex.joints = vertex.joints.map(|joint| (first + usize::from(joint)) as u16);
+            }
+        }
+        Ok(vertex)
+    }
+}

@@ -1,0 +1,259 @@
+//! From bytes to a validated JSON document and its binary buffers: GLB, plain glTF, `data:` URIs, files beside it.
+//!
+//! The `gltf` crate's own container reader computes with unchecked lengths, so the container is read here; its JSON
+//! types and its index validation are used.
+
+use super::super::error::Fault;
+use ::gltf::json;
+use ::gltf::json::validation::{Error as Invalid, Validate};
+use std::path::Path;
+
+/// No file, buffer or image may be larger, bytes. Far above any asset a headset could show, and small enough that a
+/// wrong file is refused rather than read until memory is full.
+pub(super) const MAX_FILE_BYTES: u64 = 1 << 30;
+
+/// A document whose indices are all in range, with its buffers.
+pub(super) struct Container {
+    pub(super) document: ::gltf::Document,
+    /// By buffer index, each at least as long as its `byteLength`.
+    pub(super) buffers: Vec<Vec<u8>>,
+}
+
+/// Reads a GLB or a glTF JSON text. External files are looked up in `folder`; `None` forbids them.
+pub(super) fn open(bytes: &[u8], folder: Option<&Path>) -> Result<Container, Fault> {
+    let (json_bytes, blob) = if bytes.starts_with(b"glTF") { split_glb(bytes)? } else { (bytes, None) };
+    let root = json::Root::from_slice(json_bytes)
+        .map_err(|error| Fault::new("JSON", format!("not a glTF document: {error}")))?;
+    check_version(&root)?;
+    check_indices(&root)?;
+    let buffers = read_buffers(&root, blob, folder)?;
+    Ok(Container { document: ::gltf::Document::from_json_without_validation(root), buffers })
+}
+
+/// The JSON chunk and, if there is one, the binary chunk of a GLB (glTF 2.0 section 4.4).
+fn split_glb(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), Fault> {
+    let fault = |problem: String| Fault::new("GLB container", problem);
+    let word = |at: usize| {
+        let four = bytes.get(at..at + 4)?;
+        Some(u32::from_le_bytes([four[0], four[1], four[2], four[3]]))
+    };
+    let (Some(version), Some(length)) = (word(4), word(8)) else {
+        return Err(fault("the file ends inside its header".into()));
+    };
+    if version != 2 {
+        return Err(fault(format!("is version {version}; only version 2 is known")));
+    }
+    let length = length as usize;
+    if length > bytes.len() {
+        return Err(fault(format!("is {length} bytes long, but the file ends after {}", bytes.len())));
+    }
+    let (mut json, mut blob, mut at) = (None, None, 12);
+    while let (Some(size), Some(kind)) = (word(at), word(at + 4)) {
+        let start = at + 8;
+        let end = start + size as usize;
+        if end > length {
+            return Err(fault(format!("the chunk at byte {at} reaches to {end}, past the end at {length}")));
+        }
+        // Later chunks of a known kind and chunks of unknown kinds are to be ignored.
+        match &kind.to_le_bytes() {
+            b"JSON" if json.is_none() => json = Some(&bytes[start..end]),
+            b"BIN\0" if blob.is_none() => blob = Some(&bytes[start..end]),
+            _ => {}
+        }
+        at = end;
+    }
+    Ok((json.ok_or_else(|| fault("has no JSON chunk".into()))?, blob))
+}
+
+fn check_version(root: &json::Root) -> Result<(), Fault> {
+    if root.asset.version.starts_with("2.") {
+        return Ok(());
+    }
+    Err(Fault::new("asset", format!("is glTF {}; only 2.x is supported", root.asset.version)))
+}
+
+/// The crate's validation, which makes its accessors safe to call, less what this importer can do without; plus what
+/// it leaves out (animation targets, image sources).
+fn check_indices(root: &json::Root) -> Result<(), Fault> {
+    let mut faults = Vec::new();
+    root.validate(root, json::Path::new, &mut |path, error| faults.push((path().0, error)));
+    faults.retain(|(path, error)| !is_tolerable(path, *error));
+    if let Some((path, error)) = faults.first() {
+        let more = if faults.len() > 1 { format!(" (and {} more)", faults.len() - 1) } else { String::new() };
+        return Err(Fault::new(path.clone(), format!("{}{more}", describe(*error))));
+    }
+    check_animation_targets(root)?;
+    check_image_sources(root)
+}
+
+/// Bounds of POSITION are for culling, which is not done by them here; quantised attributes are read as such.
+fn is_tolerable(path: &str, error: Invalid) -> bool {
+    let bounds = path.ends_with("].min") || path.ends_with("].max");
+    bounds || (error == Invalid::Unsupported && path.ends_with("\"KHR_mesh_quantization\""))
+}
+
+fn describe(error: Invalid) -> &'static str {
+    match error {
+        Invalid::IndexOutOfBounds => "refers to an element that does not exist",
+        Invalid::Invalid => "has a value that glTF does not know",
+        Invalid::Missing => "is required but missing",
+        Invalid::Oversize => "is larger than this machine can address",
+        Invalid::Unsupported => "is required by the file, but not supported",
+    }
+}
+
+fn check_animation_targets(root: &json::Root) -> Result<(), Fault> {
+    for (index, animation) in root.animations.iter().enumerate() {
+        for (number, channel) in animation.channels.iter().enumerate() {
+            let element = || format!("animation {index} channel {number}");
+            if channel.target.node.value() >= root.nodes.len() {
+                let node = channel.target.node.value();
+                return Err(Fault::new(element(), format!("moves node {node}, which does not exist")));
+            }
+            if matches!(channel.target.path, json::validation::Checked::Invalid) {
+                return Err(Fault::new(element(), "target path is not one that glTF knows"));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn check_image_sources(root: &json::Root) -> Result<(), Fault> {
+    match root.images.iter().position(|image| image.uri.is_none() && image.buffer_view.is_none()) {
+        Some(index) => Err(Fault::new(format!("image {index}"), "has neither a URI nor a buffer view")),
+        None => Ok(()),
+    }
+}
+
+fn read_buffers(root: &json::Root, blob: Option<&[u8]>, folder: Option<&Path>) -> Result<Vec<Vec<u8>>, Fault> {
+    let mut buffers = Vec::with_capacity(root.buffers.len().min(1024));
+    for (index, buffer) in root.buffers.iter().enumerate() {
+        let element = format!("buffer {index}");
+        let data = match (&buffer.uri, blob) {
+            (Some(uri), _) => resolve_uri(uri, folder, &element)?,
+            (None, Some(blob)) if index == 0 => blob.to_vec(),
+            (None, _) => return Err(Fault::new(element, "has no URI, and there is no binary chunk for it")),
+        };
+        if (data.len() as u64) < buffer.byte_length.0 {
+            let problem = format!("should have {} bytes, but has {}", buffer.byte_length.0, data.len());
+            return Err(Fault::new(element, problem));
+        }
+        buffers.push(data);
+    }
+    Ok(buffers)
+}
+
+/// The bytes behind a URI: embedded, or in a file relative to `folder`.
+pub(super) fn resolve_uri(uri: &str, folder: Option<&Path>, element: &str) -> Result<Vec<u8>, Fault> {
+    if let Some(rest) = uri.strip_prefix("data:") {
+        return decode_data_uri(rest).map_err(|problem| Fault::new(element, problem));
+    }
+    if uri.contains("://") {
+        return Err(Fault::new(element, format!("'{uri}' is on the network; put the file beside the asset")));
+    }
+    let name = percent_decode(uri);
+    let Some(folder) = folder else {
+        return Err(Fault::new(element, format!("refers to the file '{name}', but the asset is not in a folder")));
+    };
+    read_limited(&folder.join(&name)).map_err(|error| Fault::new(element, format!("file '{name}': {error}")))
+}
+
+/// Reads a regular file of at most [`MAX_FILE_BYTES`].
+pub(super) fn read_limited(path: &Path) -> std::io::Result<Vec<u8>> {
+    let meta = std::fs::metadata(path)?;
+    if !meta.is_file() {
+        return Err(std::io::Error::other("not a regular file"));
+    }
+    if meta.len() > MAX_FILE_BYTES {
+        return Err(std::io::Error::other(format!("larger than {} MiB", MAX_FILE_BYTES >> 20)));
+    }
+    std::fs::read(path)
+}
+
+fn decode_data_uri(after_scheme: &str) -> Result<Vec<u8>, String> {
+    let (meta, data) = after_scheme.split_once(',').ok_or("data URI without a comma")?;
+    if meta.ends_with(";base64") { decode_base64(data) } else { Ok(percent_decode(data).into_bytes()) }
+}
+
+/// Base64 as in RFC 4648 section 4; the URL-safe letters are accepted too, padding is optional.
+fn decode_base64(text: &str) -> Result<Vec<u8>, String> {
+    let mut out = Vec::with_capacity(text.len() / 4 * 3 + 3);
+    let (mut bits, mut count) = (0u32, 0);
+    for (at, letter) in text.trim_end_matches('=').bytes().enumerate() {
+        let six = match letter {
+            b'A'..=b'Z' => letter - b'A',
+            b'a'..=b'z' => letter - b'a' + 26,
+            b'0'..=b'9' => letter - b'0' + 52,
+            b'+' | b'-' => 62,
+            b'/' | b'_' => 63,
+            _ => return Err(format!("base64 data has a wrong letter at position {at}")),
+        };
+        bits = bits << 6 | u32::from(six);
+        count += 6;
+        if count >= 8 {
+            count -= 8;
+            out.push((bits >> count) as u8);
+            bits &= (1 << count) - 1;
+        }
+    }
+    if count == 6 { Err("base64 data ends in the middle of a byte".into()) } else { Ok(out) }
+}
+
+/// `%20` and its like; what is not such a sequence stays as it is.
+fn percent_decode(text: &str) -> String {
+    let bytes = text.as_bytes();
+    let (mut out, mut at) = (Vec::with_capacity(bytes.len()), 0);
+    while at < bytes.len() {
+        let hex = bytes.get(at + 1..at + 3).filter(|hex| hex.iter().all(u8::is_ascii_hexdigit));
+        let code = hex.and_then(|hex| std::str::from_utf8(hex).ok()).and_then(|h| u8::from_str_radix(h, 16).ok());
+        match code {
+            Some(code) if bytes[at] == b'%' => {
+                out.push(code);
+                at += 3;
+            }
+            _ => {
+                out.push(bytes[at]);
+                at += 1;
+            }
+        }
+    }
+    String::from_utf8_lossy(&out).into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base64_agrees_with_the_test_vectors_of_rfc_4648() {
+        for (text, bytes) in
+            [("", ""), ("Zg==", "f"), ("Zm8=", "fo"), ("Zm9v", "foo"), ("Zm9vYg==", "foob"), ("Zm9vYmFy", "foobar")]
+        {
+            assert_eq!(decode_base64(text).expect(text), bytes.as_bytes());
+        }
+        assert!(decode_base64("Zm9v!").is_err());
+        assert!(decode_base64("Z").is_err());
+    }
+
+    #[test]
+    fn percent_sequences_are_decoded_and_others_kept() {
+        assert_eq!(percent_decode("a%20b%2Fc"), "a b/c");
+        assert_eq!(percent_decode("100%"), "100%");
+        assert_eq!(percent_decode("%zz%4"), "%zz%4");
+    }
+
+    #[test]
+    fn glb_whose_chunk_passes_its_end_is_refused() {
+        let mut glb = b"glTF\x02\0\0\0\x14\0\0\0\xff\xff\xff\xffJSON".to_vec();
+        let fault = split_glb(&glb).err().expect("chunk too long");
+        assert!(fault.problem.contains("chunk at byte 12"), "{}", fault.problem);
+        glb.truncate(9);
+        assert!(split_glb(&glb).is_err());
+    }
+
+    #[test]
+    fn file_of_another_machine_is_not_fetched() {
+        let fault = resolve_uri("https://example.com/a.bin", Some(Path::new(".")), "buffer 0").err();
+        assert!(fault.expect("network").problem.contains("network"));
+    }
+}

@@ -1,0 +1,182 @@
+//! Tangents where the file has none: MikkTSpace for normal-mapped primitives, as glTF asks for; any unit vector in
+//! the surface for the others, whose shading never reads it.
+
+use super::super::Vertex;
+use glam::{Vec2, Vec3};
+use std::collections::HashMap;
+
+/// MikkTSpace visits the triangles around a vertex by recursion; more than this at one place could exhaust the stack.
+const MAX_FAN: usize = 2000;
+
+/// A unit vector perpendicular to the normal, with positive bitangent sign.
+pub(super) fn arbitrary(normal: Vec3) -> [f32; 4] {
+    normal.any_orthonormal_vector().extend(1.0).to_array()
+}
+
+/// Writes tangents for a list of separate triangles (three vertices each). False where a vertex belongs to so many
+/// triangles that a simpler method, without MikkTSpace's exact compatibility, had to be used.
+pub(super) fn generate(corners: &mut [Vertex]) -> bool {
+    if largest_fan(corners) > MAX_FAN {
+        generate_simple(corners);
+        return false;
+    }
+    // Infallible: its error type has no values.
+    let _ = bevy_mikktspace::generate_tangents(&mut Triangles(corners));
+    true
+}
+
+fn largest_fan(corners: &[Vertex]) -> usize {
+    let mut counts: HashMap<[u32; 3], usize> = HashMap::new();
+    for corner in corners {
+        *counts.entry(position_bits(corner.position)).or_default() += 1;
+    }
+    counts.into_values().max().unwrap_or(0)
+}
+
+/// Equal for equal positions; adding zero makes -0 into 0.
+fn position_bits(position: Vec3) -> [u32; 3] {
+    (position + Vec3::ZERO).to_array().map(f32::to_bits)
+}
+
+struct Triangles<'a>(&'a mut [Vertex]);
+
+impl bevy_mikktspace::Geometry for Triangles<'_> {
+    fn num_faces(&self) -> usize {
+        self.0.len() / 3
+    }
+
+    fn num_vertices_of_face(&self, _face: usize) -> usize {
+        3
+    }
+
+    fn position(&self, face: usize, vert: usize) -> [f32; 3] {
+        self.0[face * 3 + vert].position.to_array()
+    }
+
+    fn normal(&self, face: usize, vert: usize) -> [f32; 3] {
+        self.0[face * 3 + vert].normal.to_array()
+    }
+
+    fn tex_coord(&self, face: usize, vert: usize) -> [f32; 2] {
+        // MikkTSpace counts v upwards; glTF's runs downwards.
+        let [u, v] = self.0[face * 3 + vert].uv;
+        [u, 1.0 - v]
+    }
+
+    fn set_tangent(&mut self, space: Option<bevy_mikktspace::TangentSpace>, face: usize, vert: usize) {
+        let vertex = &mut self.0[face * 3 + vert];
+        let [x, y, z, sign] = space.map_or_else(|| arbitrary(vertex.normal), |space| space.tangent_encoded());
+        vertex.tangent = orthonormal(Vec3::new(x, y, z), sign, vertex.normal);
+    }
+}
+
+/// The direction made unit length and perpendicular to the normal, or an arbitrary one where that is impossible.
+pub(super) fn orthonormal(direction: Vec3, sign: f32, normal: Vec3) -> [f32; 4] {
+    let sign = if sign < 0.0 { -1.0 } else { 1.0 };
+    match (direction - normal * normal.dot(direction)).try_normalize() {
+        Some(unit) => unit.extend(sign).to_array(),
+        None => arbitrary(normal),
+    }
+}
+
+/// Direction in which u grows, from each triangle alone.
+fn generate_simple(corners: &mut [Vertex]) {
+    for triangle in corners.chunks_exact_mut(3) {
+        let [p0, p1, p2] = [0, 1, 2].map(|i| triangle[i].position);
+        let [w0, w1, w2] = [0, 1, 2].map(|i| Vec2::from_array(triangle[i].uv));
+        let (e1, e2, d1, d2) = (p1 - p0, p2 - p0, w1 - w0, w2 - w0);
+        let area = d1.perp_dot(d2);
+        let along_u = (e1 * d2.y - e2 * d1.y) * area.signum();
+        // v runs downwards, so that a positive area in (u, v) is a mirrored one in glTF's tangent space.
+        let sign = -area.signum();
+        for corner in triangle {
+            corner.tangent = orthonormal(along_u, sign, corner.normal);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn corner(position: [f32; 3], uv: [f32; 2]) -> Vertex {
+        Vertex {
+            position: Vec3::from_array(position),
+            normal: Vec3::Z,
+            tangent: [0.0; 4],
+            uv,
+            joints: [0; 4],
+            weights: [1.0, 0.0, 0.0, 0.0],
+        }
+    }
+
+    /// A square in the xy plane with u to the right and v down, as a picture lies in glTF.
+    fn picture() -> Vec<Vertex> {
+        let at = |x: f32, y: f32| corner([x, y, 0.0], [x, 1.0 - y]);
+        vec![at(0.0, 0.0), at(1.0, 0.0), at(1.0, 1.0), at(0.0, 0.0), at(1.0, 1.0), at(0.0, 1.0)]
+    }
+
+    #[track_caller]
+    fn assert_tangents(corners: &[Vertex], expected: [f32; 4]) {
+        for corner in corners {
+            for (found, wanted) in corner.tangent.iter().zip(expected) {
+                assert!((found - wanted).abs() < 1e-5, "{:?} instead of {expected:?}", corner.tangent);
+            }
+        }
+    }
+
+    #[test]
+    fn tangent_points_along_u_and_bitangent_up_the_picture() {
+        // glTF: bitangent = cross(normal, tangent) * w; a normal map's green points up the picture: +y here.
+        let mut corners = picture();
+        assert!(generate(&mut corners));
+        assert_tangents(&corners, [1.0, 0.0, 0.0, 1.0]);
+    }
+
+    #[test]
+    fn mirrored_picture_has_a_negative_sign() {
+        let mut corners = picture();
+        corners.iter_mut().for_each(|corner| corner.uv[0] = 1.0 - corner.uv[0]);
+        generate(&mut corners);
+        assert_tangents(&corners, [-1.0, 0.0, 0.0, -1.0]);
+    }
+
+    #[test]
+    fn simple_method_agrees_on_flat_pictures() {
+        for mirrored in [false, true] {
+            let mut corners = picture();
+            if mirrored {
+                corners.iter_mut().for_each(|corner| corner.uv[0] = 1.0 - corner.uv[0]);
+            }
+            let mut simple = corners.clone();
+            generate(&mut corners);
+            generate_simple(&mut simple);
+            assert_tangents(&simple, corners[0].tangent);
+        }
+    }
+
+    #[test]
+    fn a_huge_fan_neither_overflows_the_stack_nor_leaves_tangents_unset() {
+        let mut corners = Vec::new();
+        let rim = |i: usize| {
+            let angle = i as f32 * 1e-4;
+            corner([angle.cos(), angle.sin(), 0.0], [angle.cos(), angle.sin()])
+        };
+        for i in 0..60_000 {
+            corners.extend([corner([0.0; 3], [0.0; 2]), rim(i), rim(i + 1)]);
+        }
+        assert!(!generate(&mut corners));
+        assert!(corners.iter().all(|c| (Vec3::from_slice(&c.tangent[..3]).length() - 1.0).abs() < 1e-3));
+    }
+
+    #[test]
+    fn degenerate_coordinates_give_unit_tangents() {
+        let mut corners = picture();
+        corners.iter_mut().for_each(|corner| corner.uv = [0.5, 0.5]);
+        generate(&mut corners);
+        for corner in &corners {
+            let tangent = Vec3::from_slice(&corner.tangent[..3]);
+            assert!((tangent.length() - 1.0).abs() < 1e-5 && tangent.dot(Vec3::Z).abs() < 1e-5);
+        }
+    }
+}

@@ -1,0 +1,313 @@
+//! Splits triangles with long edges, so that no patch needs a larger block than the atlas grants.
+//!
+//! Whether an edge is split depends on nothing but its two end positions, and its middle is computed from nothing but
+//! its two ends, in a way that does not depend on their order. Both sides of an edge therefore do the same, also
+//! across a seam where they share no vertex, and no T-junction can open a crack.
+
+use super::influences::reduce_to_four;
+use super::{Model, Primitive, Vertex};
+use glam::Vec3;
+use std::collections::HashMap;
+
+/// The longest edge that a patch may have, metres in the world: design section 5.
+pub const MAX_EDGE_M: f32 = 0.5;
+
+/// Splitting stops before a model would grow beyond this many indices.
+const MAX_INDICES: usize = 12 << 20;
+
+/// What splitting did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SplitStats {
+    /// Triangles before.
+    pub triangles_before: usize,
+    /// Triangles after.
+    pub triangles_after: usize,
+    /// False where the model would have grown too large, and longer edges are left.
+    pub complete: bool,
+}
+
+/// Splits edges at their middle until none is longer than `max_edge_m` in mesh space (for an asset that is placed
+/// with a scale, pass the limit divided by that scale). New vertices interpolate all attributes; influences are
+/// blended and reduced to the four largest. Primitives keep their order and materials.
+pub fn split_long_edges(model: &mut Model, max_edge_m: f32) -> SplitStats {
+    assert!(max_edge_m > 0.0, "longest edge {max_edge_m} m");
+    let triangles_before = model.indices.len() / 3;
+    let mut splitter = Splitter { limit_squared: max_edge_m * max_edge_m, vertices: &mut model.vertices };
+    let mut parts: Vec<Vec<u32>> = model.primitives.iter().map(|primitive| slice(&model.indices, primitive)).collect();
+    // Each pass halves the long edges; a length that 64 halvings do not bring below the limit is not finite.
+    let mut complete = false;
+    for _ in 0..64 {
+        let long = parts.iter().map(|part| splitter.count_long(part)).sum::<usize>();
+        complete = long == 0;
+        let total: usize = parts.iter().map(Vec::len).sum();
+        if complete || total + 3 * long > MAX_INDICES {
+            break;
+        }
+        // A middle is shared by primitives too, since they share vertices.
+        let mut middles = HashMap::new();
+        for part in &mut parts {
+            *part = splitter.split_pass(part, &mut middles);
+        }
+    }
+    store(model, &parts);
+    SplitStats { triangles_before, triangles_after: model.indices.len() / 3, complete }
+}
+
+fn slice(indices: &[u32], primitive: &Primitive) -> Vec<u32> {
+    indices[primitive.first_index as usize..][..primitive.index_count as usize].to_vec()
+}
+
+fn store(model: &mut Model, parts: &[Vec<u32>]) {
+    model.indices.clear();
+    for (primitive, part) in model.primitives.iter_mut().zip(parts) {
+        primitive.first_index = model.indices.len() as u32;
+        primitive.index_count = part.len() as u32;
+        model.indices.extend(part);
+    }
+}
+
+struct Splitter<'a> {
+    limit_squared: f32,
+    vertices: &'a mut Vec<Vertex>,
+}
+
+impl Splitter<'_> {
+    fn is_long(&self, a: u32, b: u32) -> bool {
+        let (a, b) = (self.vertices[a as usize].position, self.vertices[b as usize].position);
+        a.distance_squared(b) > self.limit_squared
+    }
+
+    fn marks(&self, [a, b, c]: [u32; 3]) -> [bool; 3] {
+        [self.is_long(a, b), self.is_long(b, c), self.is_long(c, a)]
+    }
+
+    /// Long edges of all triangles: as many triangles are added by the next pass.
+    fn count_long(&self, indices: &[u32]) -> usize {
+        corners(indices).map(|triangle| self.marks(triangle).into_iter().filter(|long| *long).count()).sum()
+    }
+
+    fn split_pass(&mut self, indices: &[u32], middles: &mut HashMap<(u32, u32), u32>) -> Vec<u32> {
+        let mut out = Vec::with_capacity(indices.len() * 2);
+        for triangle in corners(indices) {
+            let marks = self.marks(triangle);
+            let mut middle = |edge: usize| {
+                let (a, b) = (triangle[edge], triangle[(edge + 1) % 3]);
+                marks[edge].then(|| self.middle(a, b, middles))
+            };
+            let mids = [middle(0), middle(1), middle(2)];
+            self.emit(triangle, mids, &mut out);
+        }
+        out
+    }
+
+    /// The triangle's pieces, wound as it is.
+    fn emit(&self, [a, b, c]: [u32; 3], mids: [Option<u32>; 3], out: &mut Vec<u32>) {
+        match mids {
+            [None, None, None] => out.extend([a, b, c]),
+            [Some(ab), Some(bc), Some(ca)] => out.extend([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca]),
+            [Some(ab), None, None] => out.extend([a, ab, c, ab, b, c]),
+            [Some(ab), Some(bc), None] => {
+                out.extend([ab, b, bc]);
+                self.emit_quad([a, ab, bc, c], out);
+            }
+            // The remaining cases are turns of those above.
+            [None, ..] => self.emit([b, c, a], [mids[1], mids[2], mids[0]], out),
+            [Some(_), None, Some(_)] => self.emit([c, a, b], [mids[2], mids[0], mids[1]], out),
+        }
+    }
+
+    /// Cuts along the shorter diagonal.
+    fn emit_quad(&self, [a, b, c, d]: [u32; 4], out: &mut Vec<u32>) {
+        let position = |vertex: u32| self.vertices[vertex as usize].position;
+        if position(a).distance_squared(position(c)) <= position(b).distance_squared(position(d)) {
+            out.extend([a, b, c, a, c, d]);
+        } else {
+            out.extend([a, b, d, b, c, d]);
+        }
+    }
+
+    fn middle(&mut self, a: u32, b: u32, middles: &mut HashMap<(u32, u32), u32>) -> u32 {
+        let vertices = &mut *self.vertices;
+        *middles.entry((a.min(b), a.max(b))).or_insert_with(|| {
+            vertices.push(halfway(&vertices[a as usize], &vertices[b as usize]));
+            (vertices.len() - 1) as u32
+        })
+    }
+}
+
+fn corners(indices: &[u32]) -> impl Iterator<Item = [u32; 3]> {
+    indices.chunks_exact(3).map(|triangle| [triangle[0], triangle[1], triangle[2]])
+}
+
+/// The vertex in the middle of an edge. Position and influences do not depend on the order of the ends, to the last
+/// bit: sums of two floats commute.
+fn halfway(a: &Vertex, b: &Vertex) -> Vertex {
+    let normal = (a.normal + b.normal).try_normalize().unwrap_or(a.normal);
+    let tangents = Vec3::from_slice(&a.tangent[..3]) + Vec3::from_slice(&b.tangent[..3]);
+    let tangent = (tangents - normal * normal.dot(tangents)).try_normalize();
+    let tangent = tangent.unwrap_or_else(|| normal.any_orthonormal_vector());
+    let both = |vertex: &Vertex| vertex.joints.into_iter().zip(vertex.weights.map(|weight| weight * 0.5));
+    // Weights of a vertex are not negative and sum to one, so that there is always something to keep.
+    let (joints, weights) = reduce_to_four(both(a).chain(both(b))).unwrap_or((a.joints, a.weights));
+    Vertex {
+        position: (a.position + b.position) * 0.5,
+        normal,
+        tangent: tangent.extend(a.tangent[3].min(b.tangent[3])).to_array(),
+        uv: [(a.uv[0] + b.uv[0]) * 0.5, (a.uv[1] + b.uv[1]) * 0.5],
+        joints,
+        weights,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{Rng, SeedableRng, rngs::SmallRng};
+
+    fn vertex(position: Vec3, joint: u16) -> Vertex {
+        Vertex {
+            position,
+            normal: Vec3::Y,
+            tangent: [1.0, 0.0, 0.0, 1.0],
+            uv: [position.x, position.z],
+            joints: [joint, 9, 9, 9],
+            weights: [1.0, 0.0, 0.0, 0.0],
+        }
+    }
+
+    /// A bumpy sheet of random cell sizes. `seams`: each triangle has vertices of its own, in two primitives.
+    fn sheet(rng: &mut SmallRng, side: usize, seams: bool) -> Model {
+        let mut axis = || {
+            let mut at = 0.0;
+            let mut step = || {
+                at += rng.random_range(0.05f32..3.0);
+                at
+            };
+            (0..=side).map(|_| step()).collect::<Vec<_>>()
+        };
+        let (xs, zs) = (axis(), axis());
+        let mut grid = Vec::new();
+        for z in &zs {
+            for x in &xs {
+                grid.push(vertex(Vec3::new(*x, rng.random_range(0.0..0.5), *z), rng.random_range(0..5)));
+            }
+        }
+        let mut indices = Vec::new();
+        for row in 0..side as u32 {
+            for column in 0..side as u32 {
+                let corner = row * (side as u32 + 1) + column;
+                let below = corner + side as u32 + 1;
+                indices.extend([corner, below, corner + 1, corner + 1, below, below + 1]);
+            }
+        }
+        let half = (indices.len() / 6 * 3) as u32;
+        let rest = indices.len() as u32 - half;
+        let mut model = Model { vertices: grid, indices, ..Model::default() };
+        if seams {
+            model.vertices = model.indices.iter().map(|index| model.vertices[*index as usize]).collect();
+            model.indices = (0..model.vertices.len() as u32).collect();
+        }
+        model.primitives = vec![
+            Primitive { first_index: 0, index_count: half, material: 0 },
+            Primitive { first_index: half, index_count: rest, material: 1 },
+        ];
+        model
+    }
+
+    fn triangles(model: &Model) -> impl Iterator<Item = [Vec3; 3]> {
+        corners(&model.indices).map(|triangle| triangle.map(|index| model.vertices[index as usize].position))
+    }
+
+    fn area(model: &Model) -> f64 {
+        triangles(model).map(|[a, b, c]| f64::from((b - a).cross(c - a).length()) * 0.5).sum()
+    }
+
+    type Key = [u32; 3];
+
+    /// Edges by their end positions, with the number of triangles on them.
+    fn edges(model: &Model) -> HashMap<(Key, Key), usize> {
+        let key = |position: Vec3| position.to_array().map(f32::to_bits);
+        let mut counts = HashMap::new();
+        for [a, b, c] in triangles(model) {
+            for (from, to) in [(a, b), (b, c), (c, a)] {
+                let (from, to) = (key(from), key(to));
+                *counts.entry((from.min(to), from.max(to))).or_default() += 1;
+            }
+        }
+        counts
+    }
+
+    /// Length of the edges that belong to one triangle only. A T-junction makes edges of the interior such.
+    fn border_length(model: &Model) -> f64 {
+        let length = |(a, b): &(Key, Key)| {
+            let at = |key: &Key| Vec3::from_array(key.map(f32::from_bits));
+            f64::from(at(a).distance(at(b)))
+        };
+        edges(model).iter().filter(|(_, count)| **count == 1).map(|(edge, _)| length(edge)).sum()
+    }
+
+    #[test]
+    fn no_edge_is_long_area_stays_and_no_t_junction_opens() {
+        let mut rng = SmallRng::seed_from_u64(31);
+        for case in 0..40 {
+            let seams = case % 2 == 1;
+            let mut model = sheet(&mut rng, 1 + case % 7, seams);
+            let (area_before, border_before) = (area(&model), border_length(&model));
+            let stats = split_long_edges(&mut model, 0.5);
+            assert!(stats.complete, "seed 31, case {case}");
+            let longest = triangles(&model).flat_map(|[a, b, c]| [a.distance(b), b.distance(c), c.distance(a)]);
+            assert!(longest.fold(0.0, f32::max) <= 0.5, "seed 31, case {case}");
+            assert!((area(&model) / area_before - 1.0).abs() < 1e-4, "seed 31, case {case}");
+            assert!((border_length(&model) / border_before - 1.0).abs() < 1e-4, "seed 31, case {case}");
+            assert!(edges(&model).values().all(|count| *count <= 2), "seed 31, case {case}");
+        }
+    }
+
+    #[test]
+    fn vertices_at_one_place_keep_moving_together_across_a_seam() {
+        let mut rng = SmallRng::seed_from_u64(32);
+        let mut model = sheet(&mut rng, 5, true);
+        split_long_edges(&mut model, 0.4);
+        let mut seen: HashMap<Key, (Vec<u16>, [u32; 4])> = HashMap::new();
+        for vertex in &model.vertices {
+            let used = vertex.joints.into_iter().zip(vertex.weights).filter(|(_, weight)| *weight > 0.0);
+            let influences = (used.map(|(joint, _)| joint).collect(), vertex.weights.map(f32::to_bits));
+            let first = seen.entry(vertex.position.to_array().map(f32::to_bits)).or_insert(influences.clone());
+            assert_eq!(*first, influences, "seed 32, at {}", vertex.position);
+            assert!((vertex.weights.iter().sum::<f32>() - 1.0).abs() < 1e-5, "seed 32");
+        }
+    }
+
+    #[test]
+    fn winding_primitives_and_coordinates_are_kept() {
+        let mut rng = SmallRng::seed_from_u64(33);
+        let mut model = sheet(&mut rng, 4, false);
+        split_long_edges(&mut model, 0.3);
+        assert!(triangles(&model).all(|[a, b, c]| (b - a).cross(c - a).y > 0.0), "seed 33");
+        let [first, second] = &model.primitives[..] else { panic!("two primitives") };
+        assert_eq!((first.first_index, first.material, second.material), (0, 0, 1));
+        assert_eq!(second.first_index, first.index_count);
+        assert_eq!((first.index_count + second.index_count) as usize, model.indices.len());
+        for vertex in &model.vertices {
+            let expected = [vertex.position.x, vertex.position.z];
+            assert!((vertex.uv[0] - expected[0]).abs() < 1e-4 && (vertex.uv[1] - expected[1]).abs() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn short_edges_are_left_alone() {
+        let mut model = sheet(&mut SmallRng::seed_from_u64(34), 6, false);
+        let before = (model.vertices.clone(), model.indices.clone());
+        let stats = split_long_edges(&mut model, 100.0);
+        assert_eq!((model.vertices, model.indices), before);
+        assert_eq!(stats.triangles_before, stats.triangles_after);
+    }
+
+    #[test]
+    fn absurdly_large_model_is_left_coarse_instead_of_filling_memory() {
+        let mut model = sheet(&mut SmallRng::seed_from_u64(35), 2, false);
+        model.vertices.iter_mut().for_each(|vertex| vertex.position *= 1e9);
+        let stats = split_long_edges(&mut model, 0.5);
+        assert!(!stats.complete && model.indices.len() <= MAX_INDICES);
+    }
+}
