@@ -83,13 +83,15 @@ fn check_layer(
     // SAFETY: null or a layer of the application's, all of which begin with this header.
     let header = unsafe { layer.as_ref() }.ok_or_else(|| invalid_layer("a layer is null"))?;
     match header.ty {
-        // SAFETY: the structure says that it is a projection layer.
         xr::StructureType::COMPOSITION_LAYER_PROJECTION => {
-            check_projection(core, session, unsafe { ffi::input(layer.cast(), "layer") }?, frame).map(Some)
+            // SAFETY: the structure says that it is a projection layer.
+            let layer = unsafe { ffi::input(layer.cast(), "layer") }?;
+            check_projection(core, session, layer, frame).map(Some)
         }
-        // SAFETY: the structure says that it is a quad layer.
         xr::StructureType::COMPOSITION_LAYER_QUAD => {
-            check_quad(session, unsafe { ffi::input(layer.cast(), "layer") }?).map(|()| None)
+            // SAFETY: the structure says that it is a quad layer.
+            let layer = unsafe { ffi::input(layer.cast(), "layer") }?;
+            check_quad(session, layer).map(|()| None)
         }
         other => {
             let message = format!("a layer has type {}", crate::names::structure(other));

@@ -357,6 +357,94 @@ fn layers_that_break_a_rule_are_refused() {
     assert_eq!(read_summary(&run.captures()).expect("summary").errors, 7);
 }
 
+#[test]
+fn a_second_wait_blocks_until_the_first_frame_has_begun() {
+    let _run = Run::new(&virtual_config());
+    let App { stage, mut stream, mut waiter, session, gpu, instance, .. } = App::begun();
+    let (send, receive) = std::sync::mpsc::channel();
+    let thread = std::thread::spawn(move || {
+        for _ in 0..2 {
+            send.send(waiter.wait().expect("wait").predicted_display_time).expect("send");
+        }
+    });
+    let first = receive.recv().expect("the first wait returns at once");
+    let nothing = receive.recv_timeout(std::time::Duration::from_millis(100));
+    assert!(nothing.is_err(), "the second wait returned before the first frame had begun");
+    stream.begin().expect("begin");
+    let second = receive.recv().expect("the second wait returns once the frame has begun");
+    assert!(second.as_nanos() > first.as_nanos());
+    stream.end(first, xr::EnvironmentBlendMode::OPAQUE, &[]).expect("end the first, not the second");
+    thread.join().expect("the waiting thread ends");
+    drop((stage, stream, session, gpu, instance));
+}
+
+#[test]
+fn a_quad_layer_is_accepted_and_not_captured() {
+    let run = Run::new(&MockConfig { capture_every: 1, ..virtual_config() });
+    let mut app = App::begun();
+    app.empty_frame();
+    let mut swapchain = app.swapchain(vk::Format::R8G8B8A8_SRGB, SIZE, 1);
+    swapchain.acquire_image().expect("acquire");
+    swapchain.wait_image(xr::Duration::INFINITE).expect("wait for the image");
+    swapchain.release_image().expect("release");
+    let state = app.waiter.wait().expect("wait");
+    app.stream.begin().expect("begin");
+    let part = xr::SwapchainSubImage::new().swapchain(&swapchain).image_rect(rect(0, 0, 8, 8));
+    let quad = xr::CompositionLayerQuad::new()
+        .space(&app.stage)
+        .pose(xr::Posef::IDENTITY)
+        .size(xr::Extent2Df { width: 1.0, height: 1.0 })
+        .sub_image(part);
+    let time = state.predicted_display_time;
+    app.stream.end(time, xr::EnvironmentBlendMode::OPAQUE, &[&quad]).expect("end");
+    drop(swapchain);
+    drop(app);
+    let frames = read_frames(&run.captures()).expect("log");
+    assert!(frames[1].empty && !frames[1].captured, "{:?}", frames[1]);
+}
+
+#[test]
+fn a_messenger_hears_of_refused_calls() {
+    static HEARD: std::sync::Mutex<Vec<String>> = std::sync::Mutex::new(Vec::new());
+    unsafe extern "system" fn hear(
+        _severity: xr::sys::DebugUtilsMessageSeverityFlagsEXT,
+        _types: xr::sys::DebugUtilsMessageTypeFlagsEXT,
+        data: *const xr::sys::DebugUtilsMessengerCallbackDataEXT,
+        _user: *mut std::ffi::c_void,
+    ) -> xr::sys::Bool32 {
+        // SAFETY: the runtime passes valid data with zero-terminated texts.
+        let text = unsafe { std::ffi::CStr::from_ptr((*data).message) };
+        HEARD.lock().expect("lock").push(text.to_string_lossy().into_owned());
+        xr::sys::FALSE
+    }
+    let _run = Run::new(&virtual_config());
+    let mut extensions = xr::ExtensionSet::default();
+    extensions.ext_debug_utils = true;
+    let info = xr::ApplicationInfo { application_name: "messenger test", ..Default::default() };
+    let instance = load().create_instance(&info, &extensions, &[], &()).expect("instance");
+    let functions = instance.exts().ext_debug_utils.as_ref().expect("enabled");
+    let create_info = xr::sys::DebugUtilsMessengerCreateInfoEXT {
+        ty: xr::sys::DebugUtilsMessengerCreateInfoEXT::TYPE,
+        next: std::ptr::null(),
+        message_severities: xr::sys::DebugUtilsMessageSeverityFlagsEXT::ERROR,
+        message_types: xr::sys::DebugUtilsMessageTypeFlagsEXT::VALIDATION,
+        user_callback: Some(hear),
+        user_data: std::ptr::null_mut(),
+    };
+    let mut messenger = xr::sys::DebugUtilsMessengerEXT::NULL;
+    // SAFETY: a valid instance, create info and place for the handle.
+    let code =
+        unsafe { (functions.create_debug_utils_messenger)(instance.as_raw(), &create_info, &mut messenger) };
+    assert_eq!(code, Code::SUCCESS);
+    instance.string_to_path("no slash").expect_err("not a path");
+    // SAFETY: the messenger was created above.
+    assert_eq!(unsafe { (functions.destroy_debug_utils_messenger)(messenger) }, Code::SUCCESS);
+    instance.string_to_path("/still wrong").expect_err("not a path");
+    let heard = HEARD.lock().expect("lock").clone();
+    assert_eq!(heard.len(), 1, "{heard:?}");
+    assert!(heard[0].contains("XR_ERROR_PATH_FORMAT_INVALID: path \"no slash\""), "{heard:?}");
+}
+
 fn event(frame: u64, kind: EventKind) -> ScriptedEvent {
     ScriptedEvent { frame, kind }
 }
