@@ -1,0 +1,258 @@
+//! The command line of the server.
+
+use anyhow::Context;
+use clap::{Args, Parser, Subcommand};
+use glam::{EulerRot, Quat, Vec3};
+use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
+use shadecast_protocol::limits::{ATLAS_DEFAULT_EXTENT, ATLAS_MAX_EXTENT};
+use shadecast_protocol::pose::{Fov, Pose};
+use shadecast_protocol::time::ServerTime;
+use shadecast_server::animation::clip::DEFAULT_RESAMPLE_INTERVAL_S;
+use shadecast_server::encode::openh264::DEFAULT_QP;
+use shadecast_server::scene::load::{SceneSource, load_scene};
+use shadecast_server::scene_gpu::SceneGpu;
+use shadecast_server::stages::forward::Forward;
+use shadecast_server::stream::{StreamOptions, run};
+use shadecast_server::{generate, picture};
+use shadecast_transport::{LinkProfile, LinkSchedule};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Streams shaded, animated worlds to a headset that only rasterises and texture-maps.
+#[derive(Parser)]
+#[command(name = "shadecast-server", version, after_help = "Examples:
+  shadecast-server stream dragons:3
+  shadecast-server stream castle.toml --listen 0.0.0.0:7400
+  shadecast-server stream fox.glb --link latency=20ms,jitter=5ms,rate=100mbit
+  shadecast-server forward dragon --out pictures --frames 8 --fps 8
+  shadecast-server generate dragon --out dragon.glb
+
+SCENE is dragon, dragons:N, a .glb or .gltf file, or a scene description (.toml).")]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Serves a scene to a client
+    Stream(StreamArgs),
+    /// Renders a scene to PNG files with the ground-truth renderer
+    Forward(ForwardArgs),
+    /// Writes a generated model
+    Generate {
+        /// What to generate: dragon
+        what: String,
+        /// The .glb file to write
+        #[arg(long)]
+        out: PathBuf,
+    },
+}
+
+#[derive(Args)]
+struct DeviceArgs {
+    /// Part of the wanted Vulkan device's name
+    #[arg(long)]
+    device: Option<String>,
+    /// Vulkan validation layers on; messages are logged and counted
+    #[arg(long)]
+    validation: bool,
+    /// Milliseconds between the keys that clips are resampled to
+    #[arg(long, default_value_t = DEFAULT_RESAMPLE_INTERVAL_S * 1000.0)]
+    resample_ms: f32,
+}
+
+#[derive(Args)]
+struct StreamArgs {
+    /// dragon, dragons:N, a .glb/.gltf file, or a scene .toml
+    scene: String,
+    /// UDP address to listen on; 0.0.0.0:7400 for headsets on the network
+    #[arg(long, default_value = "127.0.0.1:7400")]
+    listen: SocketAddr,
+    /// Folder of the server's key [default: the user's configuration folder]
+    #[arg(long)]
+    identity: Option<PathBuf>,
+    /// Atlas width and height in texels, multiples of 512
+    #[arg(long, value_parser = parse_size, default_value = "2048x2048")]
+    atlas: [u32; 2],
+    /// Quantisation of the atlas: 0 (finest) to 51
+    #[arg(long, default_value_t = DEFAULT_QP)]
+    qp: u8,
+    /// Updates per second, 1 to 60
+    #[arg(long, default_value_t = 30.0)]
+    rate: f64,
+    /// Simulates a network on the real socket, such as latency=20ms,jitter=5ms,loss=1%,rate=100mbit, or a .toml file
+    #[arg(long)]
+    link: Option<String>,
+    /// Seed of the simulated network
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Ends after so many seconds; 0: runs until stopped
+    #[arg(long, default_value_t = 0.0)]
+    seconds: f64,
+    /// Writes figures of the run to this JSON file on leaving
+    #[arg(long)]
+    stats: Option<PathBuf>,
+    /// Writes the last shading atlas to this PNG file on leaving
+    #[arg(long)]
+    atlas_png: Option<PathBuf>,
+    #[command(flatten)]
+    device: DeviceArgs,
+}
+
+#[derive(Args)]
+struct ForwardArgs {
+    /// dragon, dragons:N, a .glb/.gltf file, or a scene .toml
+    scene: String,
+    /// Folder for forward-NNNNNN.png
+    #[arg(long)]
+    out: PathBuf,
+    /// Width and height in pixels
+    #[arg(long, value_parser = parse_size, default_value = "1300x1300")]
+    size: [u32; 2],
+    /// Field of view in degrees
+    #[arg(long, default_value_t = 90.0)]
+    fov: f32,
+    /// Pictures to render
+    #[arg(long, default_value_t = 1)]
+    frames: u32,
+    /// Pictures per second of the scene's time
+    #[arg(long, default_value_t = 30.0)]
+    fps: f64,
+    /// Scene time of the first picture, seconds
+    #[arg(long, default_value_t = 0.0)]
+    start: f64,
+    /// Camera in the stage: x,y,z in metres, y up, -z forward
+    #[arg(long, value_parser = parse_vector, default_value = "0,1.6,0", allow_hyphen_values = true)]
+    position: Vec3,
+    /// Camera turned left by so many degrees
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    yaw: f32,
+    /// Camera turned up by so many degrees
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    pitch: f32,
+    #[command(flatten)]
+    device: DeviceArgs,
+}
+
+fn parse_size(text: &str) -> Result<[u32; 2], String> {
+    let parsed = text.split_once('x').and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
+    parsed
+        .filter(|size: &[u32; 2]| size.iter().all(|side| (16..=8192).contains(side)))
+        .ok_or_else(|| format!("\"{text}\" is not WxH with sides from 16 to 8192, such as 512x512"))
+}
+
+fn parse_vector(text: &str) -> Result<Vec3, String> {
+    let numbers: Vec<f32> = text.split(',').filter_map(|part| part.trim().parse().ok()).collect();
+    match numbers[..] {
+        [x, y, z] if Vec3::new(x, y, z).is_finite() => Ok(Vec3::new(x, y, z)),
+        _ => Err(format!("\"{text}\" is not x,y,z, such as 0,1.6,0")),
+    }
+}
+
+fn main() {
+    let filter = tracing_subscriber::filter::Targets::new().with_default(tracing::Level::WARN);
+    use tracing_subscriber::layer::SubscriberExt;
+    use tracing_subscriber::util::SubscriberInitExt;
+    tracing_subscriber::registry().with(tracing_subscriber::fmt::layer().with_writer(std::io::stderr)).with(filter).init();
+    let result = match Cli::parse().command {
+        Command::Stream(args) => stream(&args),
+        Command::Forward(args) => forward(&args),
+        Command::Generate { what, out } => generate_model(&what, &out),
+    };
+    if let Err(error) = result {
+        eprintln!("error: {error:#}");
+        std::process::exit(1);
+    }
+}
+
+fn open(scene: &str, args: &DeviceArgs) -> anyhow::Result<(Arc<Gpu>, Arc<SceneGpu>)> {
+    anyhow::ensure!(
+        args.resample_ms > 0.5 && args.resample_ms < 10_000.0,
+        "--resample-ms {} must lie between 0.5 and 10000",
+        args.resample_ms
+    );
+    let scene = load_scene(&scene.parse::<SceneSource>()?)?;
+    let options =
+        GpuOptions { needs: Needs::Server, validation: args.validation, device_name: args.device.clone() };
+    let gpu = Gpu::open(&options, &DesktopDevice)?;
+    println!("Vulkan device: {}", gpu.device_name());
+    if gpu.is_cpu() {
+        println!("warning: this device is a CPU; pictures are right, but slow");
+    }
+    let scene = SceneGpu::new(&gpu, scene, args.resample_ms / 1000.0)?;
+    Ok((gpu, Arc::new(scene)))
+}
+
+fn stream(args: &StreamArgs) -> anyhow::Result<()> {
+    let [width, height] = args.atlas;
+    anyhow::ensure!(
+        width % 512 == 0 && height % 512 == 0 && width <= ATLAS_MAX_EXTENT[0] && height <= ATLAS_MAX_EXTENT[1],
+        "--atlas {width}x{height}: both sides must be multiples of 512, at most {}x{} (usual: {}x{})",
+        ATLAS_MAX_EXTENT[0],
+        ATLAS_MAX_EXTENT[1],
+        ATLAS_DEFAULT_EXTENT[0],
+        ATLAS_DEFAULT_EXTENT[1]
+    );
+    anyhow::ensure!((1.0..=60.0).contains(&args.rate), "--rate {} must lie between 1 and 60", args.rate);
+    anyhow::ensure!(args.qp <= 51, "--qp {} must lie between 0 and 51", args.qp);
+    let link = args.link.as_deref().map(parse_link).transpose()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = stop.clone();
+    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("catching signals")?;
+    let (gpu, scene) = open(&args.scene, &args.device)?;
+    let options = StreamOptions {
+        listen: args.listen,
+        identity: args.identity.clone(),
+        atlas_extent_texels: args.atlas,
+        qp: args.qp,
+        rate_hz: args.rate,
+        link,
+        seed: args.seed,
+        seconds: args.seconds,
+        atlas_png: args.atlas_png.clone(),
+    };
+    let stats = run(&gpu, &scene, &options, &stop)?;
+    println!("{} updates, {:.1} a second", stats.updates, stats.server_fps);
+    if let Some(path) = &args.stats {
+        let text = serde_json::to_string_pretty(&stats)?;
+        std::fs::write(path, text).with_context(|| format!("writing {}", path.display()))?;
+    }
+    Ok(())
+}
+
+fn parse_link(text: &str) -> anyhow::Result<LinkSchedule> {
+    if text.ends_with(".toml") {
+        return Ok(LinkSchedule::load(text)?);
+    }
+    Ok(text.parse::<LinkProfile>()?.into())
+}
+
+fn forward(args: &ForwardArgs) -> anyhow::Result<()> {
+    anyhow::ensure!((1.0..=150.0).contains(&args.fov), "--fov {} must lie between 1 and 150 degrees", args.fov);
+    anyhow::ensure!(args.fps > 0.0, "--fps {} must be positive", args.fps);
+    let (gpu, scene) = open(&args.scene, &args.device)?;
+    std::fs::create_dir_all(&args.out).with_context(|| format!("making {}", args.out.display()))?;
+    let mut renderer = Forward::new(&gpu, &scene, args.size)?;
+    let orientation = Quat::from_euler(EulerRot::YXZ, args.yaw.to_radians(), args.pitch.to_radians(), 0.0);
+    let stage_from_eye = Pose { position: args.position, orientation };
+    let world_from_eye = scene.scene.world_from_stage.then(stage_from_eye);
+    for frame in 0..args.frames {
+        let time = ServerTime(((args.start + f64::from(frame) / args.fps) * 1e9) as i64);
+        let truth = renderer.render(world_from_eye, Fov::symmetric_degrees(args.fov), time)?;
+        picture::write_png(&args.out.join(format!("forward-{frame:06}.png")), truth.extent_pixels, &truth.rgb8)?;
+    }
+    println!("{} pictures in {}", args.frames, args.out.display());
+    anyhow::ensure!(gpu.validation_messages() == 0, "{} Vulkan validation messages", gpu.validation_messages());
+    Ok(())
+}
+
+fn generate_model(what: &str, out: &Path) -> anyhow::Result<()> {
+    anyhow::ensure!(what == "dragon", "\"{what}\" cannot be generated; what can: dragon");
+    let bytes = generate::dragon();
+    std::fs::write(out, &bytes).with_context(|| format!("writing {}", out.display()))?;
+    println!("{}: {} bytes", out.display(), bytes.len());
+    Ok(())
+}
