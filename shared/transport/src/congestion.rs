@@ -1,0 +1,336 @@
+//! How much may be under way: a congestion controller for a stream of pictures over radio.
+//!
+//! Cubic and `NewReno` take each lost packet for congestion; at 1 % random loss and 40 ms of round trip they settle
+//! at a few Mbit/s. quinn's BBR copes with loss, but draws its phase from the thread's random numbers, so that no two
+//! runs are alike. [`Steady`] keeps BBR's model, the product of the delivery rate measured at the bottleneck and the
+//! shortest round trip, without its random gain cycle, and answers loss only when it is too much for a radio link.
+//! The measurements that decided are in the documentation of [`crate::endpoint`].
+
+use std::any::Any;
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use quinn_proto::RttEstimator;
+use quinn_proto::congestion::{Controller, ControllerFactory};
+
+/// Window before anything is known of the path, bytes: two usual pictures' worth.
+pub const INITIAL_WINDOW_BYTES: u64 = 128 << 10;
+/// The window never falls below this many packets.
+const MIN_WINDOW_PACKETS: u64 = 16;
+/// Largest window of the startup phase, in products of measured rate and shortest round trip: 2 would double it.
+const STARTUP_GAIN: f64 = 3.0;
+/// Window in steady state, in products of bandwidth and shortest round trip.
+const STEADY_GAIN: f64 = 2.0;
+/// Round trips for which a measured delivery rate counts.
+const RATE_ROUNDS: u64 = 10;
+/// Round trips at full load without a quarter more throughput after which the bottleneck counts as found.
+const PLATEAU_ROUNDS: u32 = 3;
+/// A queue that delays a whole round trip's packets by this much more than half of the shortest one ends startup.
+const STARTUP_QUEUE: Duration = Duration::from_millis(10);
+/// Largest window, bytes.
+const MAX_WINDOW_BYTES: u64 = 64 << 20;
+/// Round trips count as at least this: on a shorter path delayed acknowledgements and late threads rule.
+const MIN_ROUND_TRIP: Duration = Duration::from_millis(5);
+/// How long a shortest round trip counts before it is measured anew.
+const MIN_RTT_LIFETIME: Duration = Duration::from_secs(10);
+/// Share of lost bytes above which loss counts as congestion: radio links lose up to 5 %, in bursts.
+const CONGESTION_LOSS: f64 = 0.12;
+/// Bytes acknowledged or lost over which the share of loss is taken.
+const LOSS_SAMPLE_BYTES: u64 = 100 * 1200;
+/// What remains of the window after congestion.
+const BACKOFF: f64 = 0.8;
+/// Growth per round trip of a window that was reduced.
+const CAP_GROWTH: f64 = 1.1;
+
+/// Makes [`Steady`] controllers.
+///
+/// ```
+/// let factory = std::sync::Arc::new(shadecast_transport::congestion::SteadyConfig);
+/// quinn_proto::TransportConfig::default().congestion_controller_factory(factory);
+/// ```
+#[derive(Debug, Default)]
+pub struct SteadyConfig;
+
+impl ControllerFactory for SteadyConfig {
+    fn build(self: Arc<Self>, _now: Instant, current_mtu: u16) -> Box<dyn Controller> {
+        Box::new(Steady::new(current_mtu))
+    }
+}
+
+/// What had been delivered when a batch of packets was sent.
+#[derive(Clone, Copy, Debug)]
+struct SentBatch {
+    sent: Instant,
+    delivered_bytes: u64,
+    delivered_at: Instant,
+    /// When the batch was sent whose acknowledgement was the last at that time.
+    first_sent: Instant,
+}
+
+/// A measured delivery rate.
+#[derive(Clone, Copy, Debug)]
+struct RateSample {
+    round: u64,
+    bytes_per_s: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Mode {
+    /// Doubling the window each round trip until the delivery rate no longer follows.
+    Startup { best_rate: f64, rounds_without_growth: u32 },
+    /// Window from the model.
+    Steady,
+    /// Less than one product of rate and round trip, so that the queue drains and the round trip shows.
+    Drain { until: Instant },
+}
+
+/// The controller; see the module.
+#[derive(Clone, Debug)]
+pub struct Steady {
+    mtu: u64,
+    mode: Mode,
+    /// Window of the startup phase, bytes.
+    startup_window: u64,
+    /// Upper bound of the window after congestion, bytes.
+    cap: Option<f64>,
+    batches: VecDeque<SentBatch>,
+    delivered_bytes: u64,
+    delivered_at: Option<Instant>,
+    last_acked_sent: Option<Instant>,
+    /// The newest batch acknowledged since the last `on_end_acks`.
+    newest_acked: Option<SentBatch>,
+    rates: VecDeque<RateSample>,
+    round: u64,
+    /// A round trip ends when a packet sent after this is acknowledged.
+    round_end: Option<Instant>,
+    min_rtt: Option<Duration>,
+    min_rtt_at: Option<Instant>,
+    /// Shortest round trip of the current round.
+    round_min_rtt: Option<Duration>,
+    sampled_acked: u64,
+    sampled_lost: u64,
+}
+
+impl Steady {
+    fn new(mtu: u16) -> Self {
+        Self {
+            mtu: u64::from(mtu),
+            mode: Mode::Startup { best_rate: 0.0, rounds_without_growth: 0 },
+            startup_window: INITIAL_WINDOW_BYTES,
+            cap: None,
+            batches: VecDeque::new(),
+            delivered_bytes: 0,
+            delivered_at: None,
+            last_acked_sent: None,
+            newest_acked: None,
+            rates: VecDeque::new(),
+            round: 0,
+            round_end: None,
+            min_rtt: None,
+            min_rtt_at: None,
+            round_min_rtt: None,
+            sampled_acked: 0,
+            sampled_lost: 0,
+        }
+    }
+
+    fn min_window(&self) -> u64 {
+        MIN_WINDOW_PACKETS * self.mtu
+    }
+
+    /// Best delivery rate of the last round trips, bytes per second.
+    fn rate(&self) -> f64 {
+        self.rates.front().map_or(0.0, |best| best.bytes_per_s)
+    }
+
+    /// Bytes under way that keep the bottleneck busy without a queue.
+    fn path_bytes(&self) -> Option<f64> {
+        let round_trip = self.min_rtt?.max(MIN_ROUND_TRIP);
+        (self.rate() > 0.0).then(|| self.rate() * round_trip.as_secs_f64())
+    }
+
+    /// Keeps `sample` in a queue that falls in rate and rises in round, so that its front is the best.
+    fn add_rate(&mut self, sample: RateSample) {
+        while self.rates.back().is_some_and(|last| last.bytes_per_s <= sample.bytes_per_s) {
+            self.rates.pop_back();
+        }
+        self.rates.push_back(sample);
+        while self.rates.front().is_some_and(|best| best.round + RATE_ROUNDS < sample.round) {
+            self.rates.pop_front();
+        }
+    }
+
+    /// The delivery rate between the sending of `batch` and now, as in draft-cheng-iccrg-delivery-rate-estimation.
+    fn measured_rate(&self, now: Instant, batch: &SentBatch) -> Option<f64> {
+        let send_time = batch.sent.saturating_duration_since(batch.first_sent);
+        let ack_time = now.saturating_duration_since(batch.delivered_at);
+        let interval = send_time.max(ack_time);
+        // Shorter than a round trip: acknowledgements came in a lump and would exaggerate.
+        if interval.is_zero() || interval < self.min_rtt? {
+            return None;
+        }
+        Some((self.delivered_bytes - batch.delivered_bytes) as f64 / interval.as_secs_f64())
+    }
+
+    fn note_rtt(&mut self, now: Instant, rtt: Duration, app_limited: bool) {
+        let expired = self.min_rtt_at.is_some_and(|at| now.saturating_duration_since(at) > MIN_RTT_LIFETIME);
+        self.round_min_rtt = Some(self.round_min_rtt.map_or(rtt, |min| min.min(rtt)));
+        if self.min_rtt.is_none_or(|min| rtt <= min) {
+            (self.min_rtt, self.min_rtt_at) = (Some(rtt), Some(now));
+        } else if expired {
+            (self.min_rtt, self.min_rtt_at) = (Some(rtt), Some(now));
+            // A path that is not full has no queue to drain.
+            if !app_limited && self.mode == Mode::Steady {
+                self.mode = Mode::Drain { until: now + 2 * rtt };
+            }
+        }
+    }
+
+    fn end_round(&mut self, app_limited: bool) {
+        self.round += 1;
+        let rate = self.rate();
+        let queued = match (self.round_min_rtt.take(), self.min_rtt) {
+            (Some(now), Some(min)) => now > min.mul_f64(1.5) + STARTUP_QUEUE,
+            _ => false,
+        };
+        if let Mode::Startup { best_rate, rounds_without_growth } = &mut self.mode
+            && !app_limited
+        {
+            *rounds_without_growth += 1;
+            if rate > *best_rate * 1.25 {
+                (*best_rate, *rounds_without_growth) = (rate, 0);
+            }
+            if queued || *rounds_without_growth >= PLATEAU_ROUNDS {
+                self.mode = Mode::Steady;
+            }
+        }
+        let model = self.model_window() as f64;
+        // After an outage the path is known: only its last half is approached with care.
+        let growth = |cap: f64| cap * if cap < model / 2.0 { 2.0 } else { CAP_GROWTH };
+        self.cap = self.cap.map(growth).filter(|&cap| cap < model);
+    }
+
+    /// The window without the bound that congestion sets, bytes.
+    fn model_window(&self) -> u64 {
+        let steady = self.path_bytes().map(|bytes| (bytes * STEADY_GAIN) as u64);
+        match self.mode {
+            Mode::Startup { .. } => self.startup_window,
+            Mode::Steady => steady.unwrap_or(INITIAL_WINDOW_BYTES),
+            Mode::Drain { .. } => {
+                self.path_bytes().map_or(INITIAL_WINDOW_BYTES, |bytes| (bytes * 0.5) as u64)
+            }
+        }
+    }
+
+    /// Backs off when the last sample's worth of packets lost more than a radio link does.
+    fn judge_loss(&mut self) {
+        let sampled = self.sampled_acked + self.sampled_lost;
+        if sampled < LOSS_SAMPLE_BYTES {
+            return;
+        }
+        if self.sampled_lost as f64 > CONGESTION_LOSS * sampled as f64 {
+            self.back_off(self.window() as f64 * BACKOFF);
+        }
+        (self.sampled_acked, self.sampled_lost) = (0, 0);
+    }
+
+    fn back_off(&mut self, to_bytes: f64) {
+        if matches!(self.mode, Mode::Startup { .. }) {
+            self.mode = Mode::Steady;
+        }
+        self.cap = Some(to_bytes.max(self.min_window() as f64));
+    }
+}
+
+impl Controller for Steady {
+    fn on_sent(&mut self, now: Instant, _bytes: u64, _last_packet_number: u64) {
+        if self.batches.back().is_some_and(|last| last.sent == now) {
+            return;
+        }
+        // After a pause the time without anything under way must not count as slow delivery.
+        let idle = self.batches.is_empty();
+        let delivered_at = self.delivered_at.filter(|_| !idle).unwrap_or(now);
+        let first_sent = self.last_acked_sent.filter(|_| !idle).unwrap_or(now);
+        let delivered_bytes = self.delivered_bytes;
+        self.batches.push_back(SentBatch { sent: now, delivered_bytes, delivered_at, first_sent });
+        self.round_end.get_or_insert(now);
+    }
+
+    fn on_ack(&mut self, now: Instant, sent: Instant, bytes: u64, app_limited: bool, _rtt: &RttEstimator) {
+        self.delivered_bytes += bytes;
+        self.delivered_at = Some(now);
+        self.sampled_acked += bytes;
+        self.note_rtt(now, now.saturating_duration_since(sent), app_limited);
+        if self.last_acked_sent.is_none_or(|last| last < sent) {
+            self.last_acked_sent = Some(sent);
+        }
+        if let Ok(found) = self.batches.binary_search_by_key(&sent, |batch| batch.sent)
+            && self.newest_acked.is_none_or(|newest| newest.sent <= sent)
+        {
+            self.newest_acked = Some(self.batches[found]);
+        }
+        if matches!(self.mode, Mode::Startup { .. }) && !app_limited {
+            let enough = self.path_bytes().map_or(0, |path| (path * STARTUP_GAIN) as u64);
+            let limit = enough.clamp(INITIAL_WINDOW_BYTES, MAX_WINDOW_BYTES);
+            self.startup_window = self.startup_window.max((self.startup_window + bytes).min(limit));
+        }
+    }
+
+    fn on_end_acks(&mut self, now: Instant, in_flight: u64, app_limited: bool, _largest_acked: Option<u64>) {
+        let Some(batch) = self.newest_acked.take() else { return };
+        if let Some(bytes_per_s) = self.measured_rate(now, &batch)
+            // An idle application proves a lower bound only.
+            && (!app_limited || bytes_per_s > self.rate())
+        {
+            self.add_rate(RateSample { round: self.round, bytes_per_s });
+        }
+        // The batch itself stays: more of its packets may be acknowledged later.
+        while self.batches.front().is_some_and(|first| first.sent < batch.sent || in_flight == 0) {
+            self.batches.pop_front();
+        }
+        if self.round_end.is_some_and(|end| batch.sent >= end) {
+            self.round_end = Some(now);
+            self.end_round(app_limited);
+        }
+        if matches!(self.mode, Mode::Drain { until } if now >= until) {
+            self.mode = Mode::Steady;
+        }
+        self.judge_loss();
+    }
+
+    fn on_congestion_event(
+        &mut self,
+        _now: Instant,
+        _sent: Instant,
+        is_persistent_congestion: bool,
+        lost_bytes: u64,
+    ) {
+        self.sampled_lost += lost_bytes;
+        if is_persistent_congestion {
+            self.back_off(0.0);
+        }
+        self.judge_loss();
+    }
+
+    fn on_mtu_update(&mut self, new_mtu: u16) {
+        self.mtu = u64::from(new_mtu);
+    }
+
+    fn window(&self) -> u64 {
+        let model = self.model_window();
+        self.cap.map_or(model, |cap| model.min(cap as u64)).max(self.min_window())
+    }
+
+    fn clone_box(&self) -> Box<dyn Controller> {
+        Box::new(self.clone())
+    }
+
+    fn initial_window(&self) -> u64 {
+        INITIAL_WINDOW_BYTES
+    }
+
+    fn into_any(self: Box<Self>) -> Box<dyn Any> {
+        self
+    }
+}

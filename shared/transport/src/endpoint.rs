@@ -1,0 +1,914 @@
+//! One QUIC endpoint as messages, without sockets and without a clock.
+//!
+//! Time and datagrams are arguments, so that the same code runs on real sockets ([`crate::mio`]) and on a virtual
+//! clock ([`crate::pair`]). Between two peers there are
+//! - one control stream of length-prefixed messages, both ways, in order;
+//! - unidirectional streams, each a message of its own, none of which waits for another;
+//! - datagrams, which may be lost.
+//!
+//! With a seed, two runs that are fed the same times and bytes produce the same sequence of datagrams by time and
+//! size: connection ids and all choices of the protocol come from the seed, keys and signatures have fixed sizes, and
+//! the congestion controller draws no random numbers.
+//!
+//! A peer that falls silent is noticed after [`IDLE_TIMEOUT`]. A server that was restarted with the same identity
+//! answers the packets of connections it does not know with a reset, so that its clients notice at once.
+
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use bytes::{Bytes, BytesMut};
+use quinn_proto as proto;
+use quinn_proto::{
+    AckFrequencyConfig, ConnectionError, ConnectionHandle, ConnectionId, ConnectionIdGenerator,
+    DatagramEvent, EcnCodepoint, TransportConfig, ValidationTokenConfig, VarInt, congestion,
+};
+use ring::rand::SecureRandom;
+use shadecast_protocol::limits::{MAX_DATAGRAM_BYTES, MAX_STREAM_BYTES};
+
+use crate::congestion::{INITIAL_WINDOW_BYTES, SteadyConfig};
+use crate::identity::{ExpectedIdentity, Fingerprint, IdentityError, ServerIdentity};
+use crate::peer::{Peer, Violation};
+use crate::rng;
+use crate::tls::{self, PinVerifier};
+
+/// A peer from which nothing was heard for this long is given up.
+pub const IDLE_TIMEOUT: Duration = Duration::from_secs(3);
+/// An idle connection says something this often.
+pub const KEEP_ALIVE: Duration = Duration::from_millis(500);
+/// Round trip assumed before one was measured: of a home network, not of the Internet.
+const INITIAL_RTT: Duration = Duration::from_millis(100);
+/// How long a receiver may hold back an acknowledgement; short, because a lost tail is noticed that much later.
+const MAX_ACK_DELAY: Duration = Duration::from_millis(5);
+/// Unidirectional streams that a peer may have open at once.
+const MAX_OPEN_STREAMS: u32 = 256;
+/// Bytes that one stream, and the connection, may have under way: never the limit, the congestion window is.
+const STREAM_WINDOW_BYTES: u32 = 16 << 20;
+const CONNECTION_WINDOW_BYTES: u32 = 64 << 20;
+/// Bytes of datagrams that wait to be sent; the oldest are dropped.
+const DATAGRAM_BUFFER_BYTES: usize = 64 << 10;
+/// Received datagrams that wait for the application; the oldest are dropped.
+const MAX_WAITING_DATAGRAMS: usize = 1024;
+/// Received bytes and messages that wait for the application; beyond them streams are not read on, and the peer's
+/// flow control makes it wait.
+const MAX_WAITING_BYTES: usize = 64 << 20;
+const MAX_WAITING_EVENTS: usize = 4096;
+/// Close code of a peer that broke the rules of this module.
+const CODE_VIOLATION: u32 = 0xbad;
+
+/// A connection, never used twice by one endpoint.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PeerId(pub u64);
+
+/// A unidirectional stream that this endpoint sends, never used twice.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct StreamId(pub u64);
+
+/// Which congestion controller to use. The module [`crate::congestion`] says why there is one of our own.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Congestion {
+    /// [`crate::congestion::Steady`].
+    #[default]
+    Steady,
+    /// quinn's Cubic.
+    Cubic,
+    /// quinn's BBR; its random numbers make runs differ.
+    Bbr,
+}
+
+/// Settings of an endpoint.
+#[derive(Clone, Debug)]
+pub struct EndpointConfig {
+    /// Makes runs repeatable; for tests and virtual time only, since connection ids become predictable.
+    pub seed: Option<u64>,
+    /// The congestion controller.
+    pub congestion: Congestion,
+    /// Peers that a server accepts at once; the next one is refused.
+    pub max_peers: usize,
+    /// Largest unidirectional stream accepted, bytes.
+    pub max_stream_bytes: usize,
+}
+
+impl Default for EndpointConfig {
+    fn default() -> Self {
+        Self { seed: None, congestion: Congestion::Steady, max_peers: 8, max_stream_bytes: MAX_STREAM_BYTES }
+    }
+}
+
+/// Why a connection ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CloseKind {
+    /// This side closed it.
+    Local,
+    /// The peer's application closed it, with this code.
+    Peer(u64),
+    /// Nothing was heard from the peer for [`IDLE_TIMEOUT`].
+    TimedOut,
+    /// The peer does not know the connection: it was restarted.
+    Restarted,
+    /// The server is not the one that was pinned.
+    IdentityChanged,
+    /// The peer broke the rules, or the two speak different protocols.
+    Error,
+}
+
+/// What happened.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// A connection is ready for use.
+    Connected {
+        /// The peer.
+        peer: PeerId,
+        /// Its address.
+        remote: SocketAddr,
+        /// The server's identity, on the client; the server does not know its clients.
+        fingerprint: Option<Fingerprint>,
+    },
+    /// A message on the control stream; never empty.
+    Control {
+        /// The peer.
+        peer: PeerId,
+        /// The message.
+        message: Vec<u8>,
+        /// When its last byte was received, nanoseconds on the endpoint's clock.
+        at_ns: i64,
+    },
+    /// A unidirectional stream, complete.
+    Stream {
+        /// The peer.
+        peer: PeerId,
+        /// All of its bytes.
+        bytes: Vec<u8>,
+        /// When its last byte was received, nanoseconds on the endpoint's clock.
+        at_ns: i64,
+    },
+    /// The peer gave up a stream before it was complete.
+    StreamReset {
+        /// The peer.
+        peer: PeerId,
+        /// The first bytes of it, as far as they had come and at most 64.
+        head: Vec<u8>,
+    },
+    /// A datagram.
+    Datagram {
+        /// The peer.
+        peer: PeerId,
+        /// Its bytes.
+        bytes: Vec<u8>,
+        /// When it was received, nanoseconds on the endpoint's clock.
+        at_ns: i64,
+    },
+    /// A connection ended, or could not be made. Nothing more is told about the peer.
+    Closed {
+        /// The peer.
+        peer: PeerId,
+        /// Why, for programs.
+        kind: CloseKind,
+        /// Why, for users.
+        reason: String,
+    },
+}
+
+impl Event {
+    fn waiting_bytes(&self) -> usize {
+        match self {
+            Self::Control { message, .. } => message.len(),
+            Self::Stream { bytes, .. } => bytes.len(),
+            _ => 0,
+        }
+    }
+}
+
+/// Why something could not be sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SendError {
+    /// The peer is unknown or its connection has ended.
+    #[error("sending to a peer that is not connected (any more)")]
+    NotConnected,
+    /// The network thread has ended.
+    #[error("the network thread has ended; its reason is in the log")]
+    Stopped,
+    /// The queue is full: the network takes less than is sent.
+    #[error("the send queue is full: the network takes less than is sent; send less or cancel old streams")]
+    QueueFull,
+    /// The message is empty or too large.
+    #[error("a message of {bytes} bytes; it must have 1 to {limit}")]
+    Size {
+        /// Its size.
+        bytes: usize,
+        /// The largest allowed.
+        limit: usize,
+    },
+}
+
+/// One or more datagrams to be sent to one address.
+#[derive(Clone, Debug)]
+pub struct Transmit {
+    /// Where to.
+    pub to: SocketAddr,
+    /// From which of the machine's addresses, where that matters.
+    pub from_ip: Option<IpAddr>,
+    /// The payload of the datagrams, one after the other.
+    pub bytes: Vec<u8>,
+    /// Size of each datagram but the last, bytes; `None` for a single datagram.
+    pub segment_size: Option<usize>,
+    /// Congestion mark for the IP header, as the two bits of RFC 3168.
+    pub ecn: Option<u8>,
+}
+
+impl Transmit {
+    /// The payload of each datagram.
+    pub fn datagrams(&self) -> impl Iterator<Item = &[u8]> {
+        self.bytes.chunks(self.segment_size.unwrap_or(self.bytes.len()).max(1))
+    }
+}
+
+/// What is known of a connection.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PeerStats {
+    /// Smoothed round trip.
+    pub rtt: Duration,
+    /// Shortest round trip so far.
+    pub min_rtt: Duration,
+    /// UDP payload sent, bytes.
+    pub sent_bytes: u64,
+    /// UDP payload received, bytes.
+    pub received_bytes: u64,
+    /// Packets sent.
+    pub sent_packets: u64,
+    /// Packets taken for lost and sent again where they mattered.
+    pub lost_packets: u64,
+    /// What may be under way, bytes.
+    pub window_bytes: u64,
+    /// Largest UDP payload that the path is known to carry, bytes.
+    pub mtu_bytes: u16,
+    /// Messages and streams that wait for the network to take them, bytes.
+    pub queued_bytes: u64,
+    /// Streams that are not yet acknowledged to their end.
+    pub streams_under_way: u64,
+}
+
+/// What overflowed, since the endpoint was made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Received datagrams dropped because the application did not take them.
+    pub datagrams_dropped: u64,
+    /// Datagrams that could not be sent: not connected, or larger than the path carries.
+    pub datagrams_refused: u64,
+    /// Messages and streams refused because the queue was full.
+    pub sends_refused: u64,
+    /// Connections refused because there were `max_peers` already.
+    pub peers_refused: u64,
+    /// Peers whose connection was closed because they broke the rules.
+    pub violations: u64,
+}
+
+/// Nanoseconds on the caller's clock as `Instant`s, which QUIC wants.
+struct Clock {
+    base: Instant,
+}
+
+impl Clock {
+    fn instant(&self, ns: i64) -> Instant {
+        let offset = Duration::from_nanos(ns.unsigned_abs());
+        let moved = if ns >= 0 { self.base.checked_add(offset) } else { self.base.checked_sub(offset) };
+        moved.unwrap_or(self.base)
+    }
+
+    fn ns(&self, instant: Instant) -> i64 {
+        let clamp = |d: Duration| i64::try_from(d.as_nanos()).unwrap_or(i64::MAX);
+        match instant.checked_duration_since(self.base) {
+            Some(after) => clamp(after),
+            None => -clamp(self.base.duration_since(instant)),
+        }
+    }
+}
+
+/// Connection ids: from the system's random numbers, or from a seed.
+struct CidGenerator {
+    seed: Option<u64>,
+}
+
+/// Bytes of a connection id.
+const CID_BYTES: usize = 8;
+
+impl ConnectionIdGenerator for CidGenerator {
+    fn generate_cid(&mut self) -> ConnectionId {
+        let mut bytes = [0; CID_BYTES];
+        match &mut self.seed {
+            Some(state) => bytes = rng::next(state).to_le_bytes(),
+            None => fill_random(&mut bytes),
+        }
+        ConnectionId::new(&bytes)
+    }
+
+    fn cid_len(&self) -> usize {
+        CID_BYTES
+    }
+
+    fn cid_lifetime(&self) -> Option<Duration> {
+        None
+    }
+}
+
+fn fill_random(bytes: &mut [u8]) {
+    let filled = ring::rand::SystemRandom::new().fill(bytes);
+    assert!(filled.is_ok(), "the system has no random numbers");
+}
+
+/// 32 bytes from the seed, or from the system's random numbers.
+fn key_bytes(seed: Option<u64>, purpose: u64) -> [u8; 32] {
+    seed.map_or_else(
+        || {
+            let mut bytes = [0; 32];
+            fill_random(&mut bytes);
+            bytes
+        },
+        |seed| rng::bytes32(seed, purpose),
+    )
+}
+
+fn transport_config(congestion: Congestion, is_server: bool) -> TransportConfig {
+    let mut config = TransportConfig::default();
+    // The idle time counts from the last sign of life or, if later, from our next question after it.
+    let idle_ms = VarInt::from_u32((IDLE_TIMEOUT - KEEP_ALIVE).as_millis() as u32);
+    let mut ack_frequency = AckFrequencyConfig::default();
+    ack_frequency.max_ack_delay(Some(MAX_ACK_DELAY));
+    config
+        .max_idle_timeout(Some(idle_ms.into()))
+        .keep_alive_interval(Some(KEEP_ALIVE))
+        .initial_rtt(INITIAL_RTT)
+        .ack_frequency_config(Some(ack_frequency))
+        // The control stream, which the client opens.
+        .max_concurrent_bidi_streams(VarInt::from_u32(u32::from(is_server)))
+        .max_concurrent_uni_streams(VarInt::from_u32(MAX_OPEN_STREAMS))
+        .stream_receive_window(VarInt::from_u32(STREAM_WINDOW_BYTES))
+        .receive_window(VarInt::from_u32(CONNECTION_WINDOW_BYTES))
+        .send_window(u64::from(CONNECTION_WINDOW_BYTES))
+        // Of two pictures with the same priority the older one is to arrive first, not both late.
+        .send_fairness(false)
+        .datagram_receive_buffer_size(Some(DATAGRAM_BUFFER_BYTES))
+        .datagram_send_buffer_size(DATAGRAM_BUFFER_BYTES);
+    match congestion {
+        Congestion::Steady => config.congestion_controller_factory(Arc::new(SteadyConfig)),
+        Congestion::Cubic => {
+            let mut cubic = congestion::CubicConfig::default();
+            cubic.initial_window(INITIAL_WINDOW_BYTES);
+            config.congestion_controller_factory(Arc::new(cubic))
+        }
+        Congestion::Bbr => {
+            let mut bbr = congestion::BbrConfig::default();
+            bbr.initial_window(INITIAL_WINDOW_BYTES);
+            config.congestion_controller_factory(Arc::new(bbr))
+        }
+    };
+    config
+}
+
+/// Hands out ids that are never used twice, to the endpoint and to the handles of its thread.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct IdSource(Arc<AtomicU64>);
+
+impl IdSource {
+    pub(crate) fn next(&self) -> u64 {
+        self.0.fetch_add(1, Ordering::Relaxed)
+    }
+}
+
+/// Events in the order in which they happened, with the datagrams apart, so that the oldest can be dropped.
+#[derive(Default)]
+struct EventQueue {
+    events: VecDeque<(u64, Event)>,
+    datagrams: VecDeque<(u64, Event)>,
+    sequence: u64,
+    waiting_bytes: usize,
+}
+
+impl EventQueue {
+    fn push(&mut self, event: Event) {
+        self.sequence += 1;
+        self.waiting_bytes += event.waiting_bytes();
+        let queue =
+            if matches!(event, Event::Datagram { .. }) { &mut self.datagrams } else { &mut self.events };
+        queue.push_back((self.sequence, event));
+    }
+
+    fn pop(&mut self) -> Option<Event> {
+        let number = |queue: &VecDeque<(u64, Event)>| queue.front().map_or(u64::MAX, |(number, _)| *number);
+        let datagram_first = number(&self.datagrams) < number(&self.events);
+        let (_, event) = if datagram_first { &mut self.datagrams } else { &mut self.events }.pop_front()?;
+        self.waiting_bytes -= event.waiting_bytes();
+        Some(event)
+    }
+
+    /// Whether streams may be read on.
+    fn has_room(&self) -> bool {
+        self.waiting_bytes < MAX_WAITING_BYTES && self.events.len() < MAX_WAITING_EVENTS
+    }
+}
+
+/// A QUIC endpoint: a server, or a client of any number of servers.
+pub struct Endpoint {
+    clock: Clock,
+    config: EndpointConfig,
+    proto: proto::Endpoint,
+    transport: Arc<TransportConfig>,
+    peers: BTreeMap<PeerId, Peer>,
+    by_handle: HashMap<ConnectionHandle, PeerId>,
+    events: EventQueue,
+    responses: VecDeque<Transmit>,
+    /// The peer that may send next, so that none starves the others.
+    next_turn: PeerId,
+    is_server: bool,
+    max_segments: usize,
+    last_now_ns: i64,
+    peer_ids: IdSource,
+    stream_ids: IdSource,
+    connects: u64,
+    counters: Counters,
+}
+
+impl Endpoint {
+    /// A server with this identity.
+    pub fn server(identity: &ServerIdentity, config: EndpointConfig) -> Result<Self, IdentityError> {
+        // The same after a restart: then connections of the time before can be told that they are gone.
+        let reset_key = identity.derived_key("stateless reset");
+        let mut server = proto::ServerConfig::with_crypto(tls::server_config(identity)?);
+        let mut tokens = ValidationTokenConfig::default();
+        tokens.sent(0);
+        let transport = Arc::new(transport_config(config.congestion, true));
+        server.validation_token_config(tokens).transport_config(transport.clone()).max_incoming(64);
+        Ok(Self::new(config, reset_key, transport, Some(Arc::new(server))))
+    }
+
+    /// A client.
+    pub fn client(config: EndpointConfig) -> Self {
+        let transport = Arc::new(transport_config(config.congestion, false));
+        let reset_key = key_bytes(config.seed, 1);
+        Self::new(config, reset_key, transport, None)
+    }
+
+    fn new(
+        config: EndpointConfig,
+        reset_key: [u8; 32],
+        transport: Arc<TransportConfig>,
+        server: Option<Arc<proto::ServerConfig>>,
+    ) -> Self {
+        let is_server = server.is_some();
+        let reset_key = ring::hmac::Key::new(ring::hmac::HMAC_SHA256, &reset_key);
+        let mut endpoint = proto::EndpointConfig::new(Arc::new(reset_key));
+        let cid_seed = config.seed.map(|seed| seed ^ if is_server { 0x5e } else { 0xc1 });
+        endpoint
+            .rng_seed(Some(key_bytes(config.seed, if is_server { 2 } else { 3 })))
+            .cid_generator(move || Box::new(CidGenerator { seed: cid_seed }));
+        Self {
+            clock: Clock { base: Instant::now() },
+            config,
+            proto: proto::Endpoint::new(Arc::new(endpoint), server, true, None),
+            transport,
+            peers: BTreeMap::new(),
+            by_handle: HashMap::new(),
+            events: EventQueue::default(),
+            responses: VecDeque::new(),
+            next_turn: PeerId(0),
+            is_server,
+            max_segments: 1,
+            last_now_ns: 0,
+            peer_ids: IdSource::default(),
+            stream_ids: IdSource::default(),
+            connects: 0,
+            counters: Counters::default(),
+        }
+    }
+
+    pub(crate) fn id_sources(&self) -> (IdSource, IdSource) {
+        (self.peer_ids.clone(), self.stream_ids.clone())
+    }
+
+    /// Whether this endpoint accepts connections.
+    pub fn is_server(&self) -> bool {
+        self.is_server
+    }
+
+    /// How many datagrams one [`Transmit`] may hold; 1 unless set.
+    pub fn set_max_segments(&mut self, max_segments: usize) {
+        self.max_segments = max_segments.clamp(1, 64);
+    }
+
+    /// Starts a connection. `Connected` or `Closed` follows. An address that cannot be reached is a `Closed` too.
+    pub fn connect(&mut self, now_ns: i64, remote: SocketAddr, expected: ExpectedIdentity) -> PeerId {
+        let id = PeerId(self.peer_ids.next());
+        self.connect_as(now_ns, id, remote, expected);
+        id
+    }
+
+    pub(crate) fn connect_as(
+        &mut self,
+        now_ns: i64,
+        id: PeerId,
+        remote: SocketAddr,
+        expected: ExpectedIdentity,
+    ) {
+        if let Err(reason) = self.try_connect(now_ns, id, remote, expected) {
+            let reason = format!("connecting to {remote}: {reason}");
+            self.events.push(Event::Closed { peer: id, kind: CloseKind::Error, reason });
+        }
+    }
+
+    fn try_connect(
+        &mut self,
+        now_ns: i64,
+        id: PeerId,
+        remote: SocketAddr,
+        expected: ExpectedIdentity,
+    ) -> Result<(), String> {
+        let verifier = PinVerifier::new(expected);
+        let tls = tls::client_config(verifier.clone()).map_err(|e| e.to_string())?;
+        let mut config = proto::ClientConfig::new(tls);
+        config.transport_config(self.transport.clone());
+        self.connects += 1;
+        let cid = key_bytes(self.config.seed.map(|seed| seed.wrapping_add(self.connects)), 4);
+        config.initial_dst_cid_provider(Arc::new(move || ConnectionId::new(&cid[..16])));
+        let (handle, conn) = self
+            .proto
+            .connect(self.clock.instant(now_ns), config, remote, tls::SERVER_NAME)
+            .map_err(|e| e.to_string())?;
+        self.add_peer(id, handle, conn, Some(verifier));
+        Ok(())
+    }
+
+    fn add_peer(
+        &mut self,
+        id: PeerId,
+        handle: ConnectionHandle,
+        conn: proto::Connection,
+        verifier: Option<Arc<PinVerifier>>,
+    ) {
+        self.peers.insert(id, Peer::new(id, handle, conn, verifier, self.config.max_stream_bytes));
+        self.by_handle.insert(handle, id);
+    }
+
+    /// Takes a datagram that was received. `ecn` are the two bits of its IP header, if known.
+    pub fn handle_udp(
+        &mut self,
+        now_ns: i64,
+        from: SocketAddr,
+        to_ip: Option<IpAddr>,
+        ecn: Option<u8>,
+        bytes: BytesMut,
+    ) {
+        self.last_now_ns = now_ns;
+        let now = self.clock.instant(now_ns);
+        let mut response = Vec::new();
+        let ecn = ecn.and_then(EcnCodepoint::from_bits);
+        match self.proto.handle(now, from, to_ip, ecn, bytes, &mut response) {
+            Some(DatagramEvent::ConnectionEvent(handle, event)) => {
+                let Some(&id) = self.by_handle.get(&handle) else { return };
+                if let Some(peer) = self.peers.get_mut(&id) {
+                    peer.conn.handle_event(event);
+                }
+                self.drive(now_ns, id);
+            }
+            Some(DatagramEvent::NewConnection(incoming)) => self.accept(now_ns, incoming),
+            Some(DatagramEvent::Response(transmit)) => self.respond(transmit, response),
+            None => {}
+        }
+    }
+
+    fn accept(&mut self, now_ns: i64, incoming: proto::Incoming) {
+        let mut response = Vec::new();
+        let full = self.peers.len() >= self.config.max_peers || !self.events.has_room();
+        if full {
+            self.counters.peers_refused += 1;
+            let transmit = self.proto.refuse(incoming, &mut response);
+            return self.respond(transmit, response);
+        }
+        match self.proto.accept(incoming, self.clock.instant(now_ns), &mut response, None) {
+            Ok((handle, conn)) => {
+                let id = PeerId(self.peer_ids.next());
+                self.add_peer(id, handle, conn, None);
+                self.drive(now_ns, id);
+            }
+            Err(refused) => {
+                tracing::debug!("a connection attempt failed: {}", refused.cause);
+                if let Some(transmit) = refused.response {
+                    self.respond(transmit, response);
+                }
+            }
+        }
+    }
+
+    fn respond(&mut self, transmit: proto::Transmit, mut bytes: Vec<u8>) {
+        bytes.truncate(transmit.size);
+        // Answers to strangers: more than a few at once are an attack.
+        if self.responses.len() < 64 {
+            self.responses.push_back(to_transmit(&transmit, bytes));
+        }
+    }
+
+    /// Tells the endpoint that time has passed; to be called when [`Self::poll_timeout`]'s time has come.
+    pub fn handle_timeout(&mut self, now_ns: i64) {
+        self.last_now_ns = now_ns;
+        let now = self.clock.instant(now_ns);
+        let due: Vec<PeerId> = self
+            .peers
+            .iter_mut()
+            .filter_map(|(&id, peer)| peer.conn.poll_timeout().is_some_and(|at| at <= now).then_some(id))
+            .collect();
+        for id in due {
+            if let Some(peer) = self.peers.get_mut(&id) {
+                peer.conn.handle_timeout(now);
+            }
+            self.drive(now_ns, id);
+        }
+    }
+
+    /// When [`Self::handle_timeout`] wants to be called, nanoseconds.
+    pub fn poll_timeout(&mut self) -> Option<i64> {
+        let next = self.peers.values_mut().filter_map(|peer| peer.conn.poll_timeout()).min()?;
+        Some(self.clock.ns(next))
+    }
+
+    /// The next thing to be sent.
+    pub fn poll_transmit(&mut self, now_ns: i64) -> Option<Transmit> {
+        self.last_now_ns = now_ns;
+        if let Some(response) = self.responses.pop_front() {
+            return Some(response);
+        }
+        let now = self.clock.instant(now_ns);
+        let turn = self.next_turn;
+        let order: Vec<PeerId> =
+            self.peers.range(turn..).chain(self.peers.range(..turn)).map(|(&id, _)| id).collect();
+        for id in order {
+            let Some(peer) = self.peers.get_mut(&id) else { continue };
+            let mut bytes = Vec::with_capacity(1500 * self.max_segments);
+            let transmit = peer.conn.poll_transmit(now, self.max_segments, &mut bytes);
+            self.drive(now_ns, id);
+            if let Some(transmit) = transmit {
+                self.next_turn = PeerId(id.0 + 1);
+                bytes.truncate(transmit.size);
+                return Some(to_transmit(&transmit, bytes));
+            }
+        }
+        None
+    }
+
+    /// The next event.
+    pub fn poll_event(&mut self) -> Option<Event> {
+        let event = self.events.pop();
+        if self.events.has_room() {
+            let waiting: Vec<PeerId> =
+                self.peers.values().filter(|peer| peer.has_readable()).map(|peer| peer.id).collect();
+            for id in waiting {
+                self.read(self.last_now_ns, id);
+            }
+        }
+        event.or_else(|| self.events.pop())
+    }
+
+    /// Moves events between the connection and the endpoint, and turns those for the application into ours.
+    fn drive(&mut self, now_ns: i64, id: PeerId) {
+        loop {
+            let Some(peer) = self.peers.get_mut(&id) else { return };
+            // The application's events first: the endpoint's may end the connection.
+            if let Some(event) = peer.conn.poll() {
+                self.on_quic_event(now_ns, id, event);
+            } else if let Some(event) = peer.conn.poll_endpoint_events() {
+                let (handle, drained) = (peer.handle, event.is_drained());
+                if let Some(answer) = self.proto.handle_event(handle, event) {
+                    peer.conn.handle_event(answer);
+                }
+                if drained {
+                    self.forget(id);
+                }
+            } else {
+                return self.read(now_ns, id);
+            }
+        }
+    }
+
+    fn forget(&mut self, id: PeerId) {
+        if let Some(peer) = self.peers.remove(&id) {
+            self.by_handle.remove(&peer.handle);
+        }
+    }
+
+    fn on_quic_event(&mut self, now_ns: i64, id: PeerId, event: proto::Event) {
+        let Some(peer) = self.peers.get_mut(&id).filter(|peer| !peer.closed) else { return };
+        match event {
+            proto::Event::Connected => {
+                peer.on_connected();
+                let fingerprint = peer.verifier.as_ref().and_then(|verifier| verifier.verdict().fingerprint);
+                self.events.push(Event::Connected { peer: id, remote: peer.remote, fingerprint });
+            }
+            proto::Event::ConnectionLost { reason } => {
+                peer.closed = true;
+                let (kind, reason) = explain(peer, reason);
+                self.events.push(Event::Closed { peer: id, kind, reason });
+            }
+            proto::Event::Stream(event) => {
+                if let Err(violation) = peer.on_stream_event(event) {
+                    self.close_violator(now_ns, id, &violation);
+                }
+            }
+            proto::Event::DatagramReceived => self.read_datagrams(now_ns, id),
+            proto::Event::HandshakeDataReady | proto::Event::DatagramsUnblocked => {}
+        }
+    }
+
+    fn read_datagrams(&mut self, at_ns: i64, id: PeerId) {
+        let Some(peer) = self.peers.get_mut(&id) else { return };
+        while let Some(bytes) = peer.conn.datagrams().recv() {
+            self.events.push(Event::Datagram { peer: id, bytes: bytes.into(), at_ns });
+            if self.events.datagrams.len() > MAX_WAITING_DATAGRAMS {
+                self.events.datagrams.pop_front();
+                self.counters.datagrams_dropped += 1;
+            }
+        }
+    }
+
+    /// Reads the streams of a peer as long as there is room for what they bring.
+    fn read(&mut self, at_ns: i64, id: PeerId) {
+        let Some(peer) = self.peers.get_mut(&id) else { return };
+        while peer.has_readable() && self.events.has_room() {
+            if let Err(violation) = peer.read(at_ns, &mut |event| self.events.push(event)) {
+                return self.close_violator(at_ns, id, &violation);
+            }
+        }
+    }
+
+    fn close_violator(&mut self, now_ns: i64, id: PeerId, Violation(what): &Violation) {
+        self.counters.violations += 1;
+        let reason = format!("the peer broke the protocol: {what}");
+        self.end(now_ns, id, CODE_VIOLATION, &format!("protocol broken: {what}"), CloseKind::Error, reason);
+    }
+
+    /// Closes a connection; the peer learns `code` and `reason`. `Closed` follows here too.
+    pub fn close(&mut self, now_ns: i64, id: PeerId, code: u32, reason: &str) {
+        self.end(now_ns, id, code, reason, CloseKind::Local, format!("closed here: {reason}"));
+    }
+
+    fn end(&mut self, now_ns: i64, id: PeerId, code: u32, told: &str, kind: CloseKind, reason: String) {
+        let Some(peer) = self.peers.get_mut(&id).filter(|peer| !peer.closed) else { return };
+        peer.closed = true;
+        let told = Bytes::copy_from_slice(told.as_bytes());
+        peer.conn.close(self.clock.instant(now_ns), VarInt::from_u32(code), told);
+        self.events.push(Event::Closed { peer: id, kind, reason });
+    }
+
+    /// Closes all connections.
+    pub fn close_all(&mut self, now_ns: i64, code: u32, reason: &str) {
+        for id in self.peers.keys().copied().collect::<Vec<_>>() {
+            self.close(now_ns, id, code, reason);
+        }
+    }
+
+    fn peer_mut(&mut self, id: PeerId) -> Result<&mut Peer, SendError> {
+        self.peers.get_mut(&id).filter(|peer| !peer.closed).ok_or(SendError::NotConnected)
+    }
+
+    fn count<T>(&mut self, sent: Result<T, SendError>) -> Result<T, SendError> {
+        if sent.is_err() {
+            self.counters.sends_refused += 1;
+        }
+        sent
+    }
+
+    /// Sends a message on the control stream; before the connection is ready it waits.
+    pub fn send_control(&mut self, id: PeerId, message: &[u8]) -> Result<(), SendError> {
+        let sent = self.peer_mut(id).and_then(|peer| peer.send_control(message));
+        self.count(sent)
+    }
+
+    /// Sends `bytes` as a stream of its own. Streams of higher `priority` go first, of equal priority the older one.
+    pub fn send_stream(&mut self, id: PeerId, bytes: Vec<u8>, priority: i32) -> Result<StreamId, SendError> {
+        let stream = StreamId(self.stream_ids.next());
+        self.send_stream_as(id, stream, bytes, priority).map(|()| stream)
+    }
+
+    pub(crate) fn send_stream_as(
+        &mut self,
+        id: PeerId,
+        stream: StreamId,
+        bytes: Vec<u8>,
+        priority: i32,
+    ) -> Result<(), SendError> {
+        let sent = self.peer_mut(id).and_then(|peer| peer.send_stream(stream, bytes.into(), priority));
+        self.count(sent)
+    }
+
+    /// Gives up a stream; the peer is told. `false` when there is nothing left to give up.
+    pub fn cancel_stream(&mut self, id: PeerId, stream: StreamId) -> bool {
+        self.peer_mut(id).is_ok_and(|peer| peer.cancel_stream(stream))
+    }
+
+    /// Sends a datagram of at most [`MAX_DATAGRAM_BYTES`], which may be lost; `false` when it cannot be sent at all.
+    pub fn send_datagram(&mut self, id: PeerId, bytes: &[u8]) -> bool {
+        let fits = bytes.len() <= MAX_DATAGRAM_BYTES;
+        let bytes = Bytes::copy_from_slice(bytes);
+        let sent = fits && self.peer_mut(id).is_ok_and(|peer| peer.send_datagram(bytes));
+        self.counters.datagrams_refused += u64::from(!sent);
+        sent
+    }
+
+    /// Smoothed round trip to a peer.
+    pub fn rtt(&self, id: PeerId) -> Option<Duration> {
+        self.peers.get(&id).map(|peer| peer.conn.rtt())
+    }
+
+    /// What is known of a connection.
+    pub fn stats(&self, id: PeerId) -> Option<PeerStats> {
+        let peer = self.peers.get(&id)?;
+        let stats = peer.conn.stats();
+        Some(PeerStats {
+            rtt: stats.path.rtt,
+            min_rtt: stats.path.min_rtt,
+            sent_bytes: stats.udp_tx.bytes,
+            received_bytes: stats.udp_rx.bytes,
+            sent_packets: stats.path.sent_packets,
+            lost_packets: stats.path.lost_packets,
+            window_bytes: stats.path.cwnd,
+            mtu_bytes: stats.path.current_mtu,
+            queued_bytes: peer.queued_bytes() as u64,
+            streams_under_way: peer.streams_under_way() as u64,
+        })
+    }
+
+    /// The peers whose connections are in use or being made.
+    pub fn peers(&self) -> impl Iterator<Item = PeerId> {
+        self.peers.values().filter(|peer| !peer.closed).map(|peer| peer.id)
+    }
+
+    /// What overflowed so far.
+    pub fn counters(&self) -> Counters {
+        self.counters
+    }
+}
+
+fn to_transmit(transmit: &proto::Transmit, bytes: Vec<u8>) -> Transmit {
+    Transmit {
+        to: transmit.destination,
+        from_ip: transmit.src_ip,
+        bytes,
+        segment_size: transmit.segment_size,
+        ecn: transmit.ecn.map(|ecn| ecn as u8),
+    }
+}
+
+/// TLS alert "no application protocol" as a QUIC error code (RFC 9001, section 4.8; RFC 7301).
+const NO_APPLICATION_PROTOCOL: u64 = 0x100 + 120;
+
+/// Why a connection was lost, for programs and for users.
+fn explain(peer: &Peer, error: ConnectionError) -> (CloseKind, String) {
+    let remote = peer.remote;
+    if let Some(refusal) = peer.verifier.as_ref().and_then(|verifier| verifier.verdict().refusal) {
+        return (CloseKind::IdentityChanged, format!("{remote}: {refusal}"));
+    }
+    let other_protocol = || {
+        format!(
+            "{remote} speaks another protocol than Shadecast's; update the older side, or check the address"
+        )
+    };
+    match error {
+        ConnectionError::TimedOut if !peer.connected => (
+            CloseKind::TimedOut,
+            format!("{remote} did not answer: check that the server runs there and that UDP is not blocked"),
+        ),
+        ConnectionError::TimedOut => (
+            CloseKind::TimedOut,
+            format!(
+                "nothing was heard from {remote} for {} s: it stopped or the network is down",
+                IDLE_TIMEOUT.as_secs()
+            ),
+        ),
+        ConnectionError::Reset => (
+            CloseKind::Restarted,
+            format!("{remote} was restarted and does not know this connection any more"),
+        ),
+        ConnectionError::ApplicationClosed(close) => (
+            CloseKind::Peer(close.error_code.into_inner()),
+            format!("{remote} closed the connection: {}", String::from_utf8_lossy(&close.reason)),
+        ),
+        ConnectionError::VersionMismatch => (CloseKind::Error, other_protocol()),
+        ConnectionError::ConnectionClosed(close)
+            if u64::from(close.error_code) == NO_APPLICATION_PROTOCOL =>
+        {
+            (CloseKind::Error, other_protocol())
+        }
+        ConnectionError::ConnectionClosed(close)
+            if close.error_code == proto::TransportErrorCode::CONNECTION_REFUSED =>
+        {
+            (
+                CloseKind::Error,
+                format!("{remote} refused the connection: it serves as many clients as it can"),
+            )
+        }
+        other => (CloseKind::Error, format!("connection to {remote}: {other}")),
+    }
+}
+
+#[cfg(test)]
+#[path = "endpoint_tests.rs"]
+mod tests;

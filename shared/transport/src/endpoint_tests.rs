@@ -1,0 +1,556 @@
+use super::*;
+use crate::link::{Direction, LinkProfile};
+use crate::pair::{CLIENT_ADDR, Pair, SERVER_ADDR};
+use shadecast_protocol::limits::MAX_CONTROL_BYTES;
+
+const MS: i64 = 1_000_000;
+const S: i64 = 1_000 * MS;
+/// A home network over radio.
+const HOME: &str = "latency=20ms,jitter=5ms,loss=1%,rate=100mbit";
+
+fn seeded(seed: u64) -> EndpointConfig {
+    EndpointConfig { seed: Some(seed), ..EndpointConfig::default() }
+}
+
+fn server(seed: u64) -> Endpoint {
+    Endpoint::server(&ServerIdentity::from_seed(seed).unwrap(), seeded(seed)).unwrap()
+}
+
+fn pair(link: &str, seed: u64) -> Pair {
+    let profile: LinkProfile = link.parse().unwrap();
+    Pair::new(server(seed), Endpoint::client(seeded(seed)), profile, seed)
+}
+
+/// A pair with a connection, and its name on either side.
+struct Connected {
+    pair: Pair,
+    on_server: PeerId,
+    on_client: PeerId,
+}
+
+fn connect(mut pair: Pair) -> Connected {
+    let on_client = pair.client.connect(pair.now_ns(), SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+    pair.step_until(pair.now_ns() + 3 * S);
+    let on_server = match pair.server.poll_event() {
+        Some(Event::Connected { peer, .. }) => peer,
+        other => panic!("the server saw {other:?}"),
+    };
+    assert!(matches!(pair.client.poll_event(), Some(Event::Connected { peer, .. }) if peer == on_client));
+    Connected { pair, on_server, on_client }
+}
+
+fn connected(link: &str, seed: u64) -> Connected {
+    connect(pair(link, seed))
+}
+
+fn events(endpoint: &mut Endpoint) -> Vec<Event> {
+    std::iter::from_fn(|| endpoint.poll_event()).collect()
+}
+
+/// Bytes that are different for each message and position.
+fn pattern(size: usize, salt: u64) -> Vec<u8> {
+    let mut state = salt;
+    (0..size).map(|_| rng::next(&mut state) as u8).collect()
+}
+
+#[track_caller]
+fn assert_closed(events: &[Event], expected: CloseKind, words: &[&str]) {
+    let closed = events.iter().find_map(|event| match event {
+        Event::Closed { kind, reason, .. } => Some((*kind, reason.clone())),
+        _ => None,
+    });
+    let Some((kind, reason)) = closed else { panic!("not closed: {events:?}") };
+    assert_eq!(kind, expected, "{reason}");
+    for word in words {
+        assert!(reason.contains(word), "\"{word}\" is not in: {reason}");
+    }
+}
+
+#[test]
+fn the_client_learns_the_servers_fingerprint() {
+    let mut pair = pair("latency=10ms", 1);
+    pair.client.connect(0, SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+    let seen = pair.step_to_events(S);
+    let expected = ServerIdentity::from_seed(1).unwrap().fingerprint();
+    let told = seen.iter().find_map(|(_, event)| match event {
+        Event::Connected { fingerprint, remote, .. } if *remote == SERVER_ADDR => Some(*fingerprint),
+        _ => None,
+    });
+    assert_eq!(told, Some(Some(expected)), "{seen:?}");
+    // Handshake: one round trip of 20 ms.
+    assert!(pair.now_ns() < 30 * MS, "{} ns", pair.now_ns());
+}
+
+#[test]
+fn messages_of_all_sizes_arrive_whole_both_ways() {
+    for link in
+        ["none", "latency=5ms", HOME, "latency=30ms,jitter=10ms,loss=5%,reorder=2%,rate=50mbit,mtu=1280"]
+    {
+        for seed in 0..3 {
+            let Connected { mut pair, on_server, on_client } = connected(link, seed);
+            let sizes = [1, 2, 100, 1199, 1200, 1201, 65_536, 500_000, 2_000_000];
+            for (salt, size) in sizes.into_iter().enumerate() {
+                let bytes = pattern(size, salt as u64);
+                let control = &bytes[..size.min(MAX_CONTROL_BYTES)];
+                pair.server.send_control(on_server, control).unwrap();
+                pair.client.send_control(on_client, control).unwrap();
+                pair.server.send_stream(on_server, bytes.clone(), 0).unwrap();
+                pair.client.send_stream(on_client, bytes, 0).unwrap();
+            }
+            pair.step_until(pair.now_ns() + 20 * S);
+            for endpoint in [&mut pair.server, &mut pair.client] {
+                check_messages(&events(endpoint), &sizes, &format!("link {link}, seed {seed}"));
+            }
+        }
+    }
+}
+
+/// All control messages in order, all streams in any.
+fn check_messages(events: &[Event], sizes: &[usize], context: &str) {
+    let control: Vec<usize> = events
+        .iter()
+        .filter_map(|event| match event {
+            Event::Control { message, .. } => Some(message.len()),
+            _ => None,
+        })
+        .collect();
+    let expected: Vec<usize> = sizes.iter().map(|&size| size.min(MAX_CONTROL_BYTES)).collect();
+    assert_eq!(control, expected, "{context}");
+    let mut streams = 0;
+    for event in events {
+        if let Event::Stream { bytes, .. } = event {
+            let salt = sizes.iter().position(|&size| size == bytes.len());
+            let salt = salt.unwrap_or_else(|| panic!("{context}: a stream of {} bytes", bytes.len()));
+            assert!(*bytes == pattern(bytes.len(), salt as u64), "{context}: stream {salt} differs");
+            streams += 1;
+        }
+    }
+    assert_eq!(streams, sizes.len(), "{context}");
+}
+
+#[test]
+fn the_server_may_speak_first() {
+    let mut pair = pair("latency=5ms", 2);
+    pair.client.connect(0, SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+    let peer = loop {
+        if let Some(Event::Connected { peer, .. }) = pair.server.poll_event() {
+            break peer;
+        }
+        let next = pair.next_event_ns().expect("a handshake under way");
+        pair.step_until(next);
+    };
+    pair.server.send_control(peer, b"welcome").unwrap();
+    pair.step_until(S);
+    assert!(
+        events(&mut pair.client)
+            .iter()
+            .any(|e| matches!(e, Event::Control { message, .. } if message == b"welcome"))
+    );
+}
+
+#[test]
+fn what_is_sent_before_the_connection_is_ready_waits_for_it() {
+    let mut pair = pair("latency=5ms", 2);
+    let peer = pair.client.connect(0, SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+    pair.client.send_control(peer, b"hello").unwrap();
+    pair.client.send_stream(peer, vec![5; 10_000], 0).unwrap();
+    pair.step_until(S);
+    let seen = events(&mut pair.server);
+    assert!(
+        seen.iter().any(|e| matches!(e, Event::Control { message, .. } if message == b"hello")),
+        "{seen:?}"
+    );
+    assert!(seen.iter().any(|e| matches!(e, Event::Stream { bytes, .. } if bytes.len() == 10_000)));
+}
+
+#[test]
+fn datagrams_arrive_with_the_time_of_their_arrival() {
+    let Connected { mut pair, on_client, .. } = connected("latency=20ms", 3);
+    let sent_ns = pair.now_ns();
+    assert!(pair.client.send_datagram(on_client, b"pose"));
+    pair.step_until(sent_ns + S);
+    let seen = events(&mut pair.server);
+    let [Event::Datagram { bytes, at_ns, .. }] = &seen[..] else { panic!("{seen:?}") };
+    assert_eq!((bytes.as_slice(), *at_ns), (&b"pose"[..], sent_ns + 20 * MS));
+}
+
+#[test]
+fn datagrams_that_nobody_takes_are_dropped_oldest_first_and_counted() {
+    let Connected { mut pair, on_client, .. } = connected("latency=1ms", 3);
+    let extra = 50;
+    for n in 0..MAX_WAITING_DATAGRAMS as u32 + extra {
+        assert!(pair.client.send_datagram(on_client, &n.to_le_bytes()));
+        pair.step_until(pair.now_ns() + 2 * MS);
+    }
+    pair.step_until(pair.now_ns() + S);
+    let seen = events(&mut pair.server);
+    assert_eq!(seen.len(), MAX_WAITING_DATAGRAMS);
+    assert!(matches!(&seen[0], Event::Datagram { bytes, .. } if bytes[..] == extra.to_le_bytes()));
+    assert_eq!(pair.server.counters().datagrams_dropped, u64::from(extra));
+}
+
+#[test]
+fn a_datagram_that_fits_no_packet_is_refused_and_counted() {
+    let Connected { mut pair, on_client, .. } = connected("latency=1ms", 3);
+    assert!(pair.client.send_datagram(on_client, &vec![0; MAX_DATAGRAM_BYTES]));
+    assert!(!pair.client.send_datagram(on_client, &vec![0; MAX_DATAGRAM_BYTES + 1]));
+    assert!(!pair.client.send_datagram(PeerId(99), b"nobody"));
+    assert_eq!(pair.client.counters().datagrams_refused, 2);
+}
+
+#[test]
+fn a_lost_packet_of_one_stream_does_not_hold_up_the_others() {
+    let Connected { mut pair, on_server, .. } = connected("latency=20ms,loss=10%", 4);
+    for n in 0..100 {
+        pair.server.send_stream(on_server, vec![n; 1000], 0).unwrap();
+    }
+    // Less than one and a half round trips: before anything lost can have been sent again.
+    pair.step_until(pair.now_ns() + 58 * MS);
+    let streams = events(&mut pair.client).len();
+    // A packet that is lost takes parts of two or three streams with it; in one stream nine of ten would be held up.
+    assert!((50..100).contains(&streams), "{streams} of 100 streams came at the first try");
+}
+
+#[test]
+fn urgent_streams_overtake() {
+    let Connected { mut pair, on_server, .. } = connected("latency=5ms,rate=20mbit", 5);
+    pair.server.send_stream(on_server, vec![0; 1_000_000], 0).unwrap();
+    pair.server.send_stream(on_server, vec![1; 20_000], 1).unwrap();
+    pair.step_until(pair.now_ns() + 5 * S);
+    let order: Vec<u8> = events(&mut pair.client)
+        .iter()
+        .map(|event| match event {
+            Event::Stream { bytes, .. } => bytes[0],
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    assert_eq!(order, [1, 0]);
+}
+
+#[test]
+fn a_cancelled_stream_is_reset_and_shows_its_first_bytes() {
+    let Connected { mut pair, on_server, .. } = connected("latency=5ms,rate=10mbit", 6);
+    let stream = pair.server.send_stream(on_server, pattern(1_000_000, 9), 0).unwrap();
+    pair.step_until(pair.now_ns() + 100 * MS);
+    assert!(pair.server.cancel_stream(on_server, stream));
+    assert!(!pair.server.cancel_stream(on_server, stream));
+    pair.step_until(pair.now_ns() + 2 * S);
+    let seen = events(&mut pair.client);
+    let [Event::StreamReset { head, .. }] = &seen[..] else { panic!("{seen:?}") };
+    assert_eq!(head[..], pattern(64, 9));
+    assert_eq!(pair.server.stats(on_server).unwrap().queued_bytes, 0);
+}
+
+#[test]
+fn a_stream_that_arrived_cannot_be_cancelled_any_more() {
+    let Connected { mut pair, on_server, .. } = connected("latency=5ms", 6);
+    let stream = pair.server.send_stream(on_server, vec![1; 1000], 0).unwrap();
+    pair.step_until(pair.now_ns() + S);
+    assert!(!pair.server.cancel_stream(on_server, stream));
+    assert_eq!(pair.server.stats(on_server).unwrap().streams_under_way, 0);
+}
+
+#[test]
+fn more_streams_than_may_be_open_at_once_all_arrive() {
+    let Connected { mut pair, on_server, .. } = connected(HOME, 7);
+    for _ in 0..1000 {
+        pair.server.send_stream(on_server, vec![3; 500], 0).unwrap();
+    }
+    pair.step_until(pair.now_ns() + 5 * S);
+    assert_eq!(events(&mut pair.client).len(), 1000);
+}
+
+#[test]
+fn a_full_send_queue_refuses_and_counts() {
+    let Connected { mut pair, on_server, .. } = connected("latency=5ms,rate=1mbit", 8);
+    let refused = (0..100).find_map(|_| pair.server.send_stream(on_server, vec![0; 4 << 20], 0).err());
+    assert_eq!(refused, Some(SendError::QueueFull));
+    assert_eq!(pair.server.counters().sends_refused, 1);
+    let oversized = pair.server.send_stream(on_server, vec![0; MAX_STREAM_BYTES + 1], 0);
+    assert!(matches!(oversized, Err(SendError::Size { .. })));
+    assert!(matches!(pair.server.send_control(on_server, b""), Err(SendError::Size { .. })));
+}
+
+#[test]
+fn an_application_that_takes_nothing_makes_the_peer_wait_and_loses_nothing() {
+    let Connected { mut pair, on_server, .. } = connected("latency=1ms", 9);
+    let count = 48;
+    let mut sent = 0;
+    for _ in 0..100 {
+        while sent < count && pair.server.send_stream(on_server, vec![sent as u8; 4 << 20], 0).is_ok() {
+            sent += 1;
+        }
+        pair.step_until(pair.now_ns() + 50 * MS);
+    }
+    assert!(pair.client.events.waiting_bytes <= MAX_WAITING_BYTES + (4 << 20), "reading went on");
+    assert!(pair.server.peers().any(|peer| peer == on_server), "waiting is no reason to close");
+    let mut received = 0;
+    for _ in 0..200 {
+        received += events(&mut pair.client).len();
+        while sent < count && pair.server.send_stream(on_server, vec![sent as u8; 4 << 20], 0).is_ok() {
+            sent += 1;
+        }
+        pair.step_until(pair.now_ns() + 50 * MS);
+    }
+    assert_eq!((sent, received), (count, count as usize));
+}
+
+#[test]
+fn a_killed_peer_is_noticed_within_the_idle_timeout() {
+    let Connected { mut pair, .. } = connected(HOME, 10);
+    // Long idleness alone is no death: the connection keeps itself alive.
+    pair.step_until(pair.now_ns() + 60 * S);
+    assert_eq!(events(&mut pair.server), []);
+    pair.restart(Direction::ToClient, Endpoint::client(seeded(77)));
+    let killed_ns = pair.now_ns();
+    let seen = loop {
+        let seen = pair.step_to_events(killed_ns + 10 * S);
+        if seen.iter().any(|(end, _)| *end == Direction::ToServer) || pair.now_ns() >= killed_ns + 10 * S {
+            break seen;
+        }
+    };
+    let seen: Vec<Event> = seen.into_iter().map(|(_, event)| event).collect();
+    assert_eq!(seen.len(), 1, "{seen:?}");
+    let after_ns = pair.now_ns() - killed_ns;
+    assert!(after_ns <= IDLE_TIMEOUT.as_nanos() as i64 + 100 * MS, "noticed after {after_ns} ns");
+}
+
+#[test]
+fn a_silent_network_is_noticed_by_both_within_the_idle_timeout() {
+    let schedule = [("0s", "latency=5ms"), ("10s", "loss=100%")];
+    let schedule =
+        schedule.map(|(start, link)| format!("[[step]]\nstart=\"{start}\"\nlink=\"{link}\"\n")).concat();
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("link.toml");
+    std::fs::write(&path, schedule).unwrap();
+    let schedule = crate::link::LinkSchedule::load(&path).unwrap();
+    let pair = Pair::new(server(11), Endpoint::client(seeded(11)), schedule, 11);
+    let Connected { mut pair, .. } = connect(pair);
+    pair.step_until(10 * S);
+    assert!(events(&mut pair.server).is_empty() && events(&mut pair.client).is_empty());
+    pair.step_until(13 * S + 100 * MS);
+    for endpoint in [&mut pair.server, &mut pair.client] {
+        assert_closed(&events(endpoint), CloseKind::TimedOut, &["nothing was heard", "3 s"]);
+    }
+}
+
+#[test]
+fn a_restarted_server_with_the_same_identity_is_noticed_at_once_and_accepted_again() {
+    let Connected { mut pair, .. } = connected("latency=10ms", 12);
+    let pinned = ExpectedIdentity::Pinned {
+        fingerprint: ServerIdentity::from_seed(12).unwrap().fingerprint(),
+        remedy: String::new(),
+    };
+    let identity = ServerIdentity::from_seed(12).unwrap();
+    // Another seed for the rest: the restarted program has other connection ids.
+    let restarted = Endpoint::server(&identity, seeded(1212)).unwrap();
+    pair.restart(Direction::ToServer, restarted);
+    pair.step_until(pair.now_ns() + S);
+    assert_closed(&events(&mut pair.client), CloseKind::Restarted, &["restarted"]);
+    pair.client.connect(pair.now_ns(), SERVER_ADDR, pinned);
+    pair.step_until(pair.now_ns() + S);
+    assert!(matches!(events(&mut pair.client)[..], [Event::Connected { .. }]));
+}
+
+#[test]
+fn a_server_with_another_identity_is_refused_with_the_remedy() {
+    let mut pair = pair("latency=10ms", 13);
+    let fingerprint = ServerIdentity::from_seed(14).unwrap().fingerprint();
+    let remedy = "delete the line".to_owned();
+    pair.client.connect(0, SERVER_ADDR, ExpectedIdentity::Pinned { fingerprint, remedy });
+    pair.step_until(4 * S);
+    let words = ["another identity", "delete the line", &fingerprint.to_string()];
+    assert_closed(&events(&mut pair.client), CloseKind::IdentityChanged, &words);
+    let seen = events(&mut pair.server);
+    assert!(!seen.iter().any(|e| matches!(e, Event::Connected { .. })), "{seen:?}");
+}
+
+#[test]
+fn closing_tells_the_peer_code_and_reason() {
+    let Connected { mut pair, on_server, .. } = connected("latency=10ms", 15);
+    pair.server.close(pair.now_ns(), on_server, 42, "the scene changed");
+    assert_eq!(pair.server.send_control(on_server, b"late"), Err(SendError::NotConnected));
+    assert_closed(&events(&mut pair.server), CloseKind::Local, &["the scene changed"]);
+    pair.step_until(pair.now_ns() + S);
+    assert_closed(&events(&mut pair.client), CloseKind::Peer(42), &["the scene changed"]);
+    assert!(pair.server.peers.is_empty() && pair.client.peers.is_empty(), "both forget the connection");
+}
+
+#[test]
+fn nobody_at_the_address_is_an_event_with_a_hint() {
+    let mut client = Endpoint::client(seeded(1));
+    let peer = client.connect(0, SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+    while client.poll_transmit(0).is_some() {}
+    let mut now_ns = 0;
+    while let Some(at_ns) = client.poll_timeout().filter(|&at_ns| at_ns < 60 * S) {
+        now_ns = at_ns;
+        client.handle_timeout(now_ns);
+        while client.poll_transmit(now_ns).is_some() {}
+    }
+    assert_closed(&events(&mut client), CloseKind::TimedOut, &["did not answer", "UDP"]);
+    assert!(now_ns <= 4 * S, "{now_ns} ns");
+    client.connect(now_ns, SocketAddr::new(SERVER_ADDR.ip(), 0), ExpectedIdentity::TrustOnFirstUse);
+    assert_closed(&events(&mut client), CloseKind::Error, &["10.0.0.1:0"]);
+    assert_eq!(client.send_control(peer, b"x"), Err(SendError::NotConnected));
+}
+
+#[test]
+fn a_server_refuses_more_peers_than_it_serves() {
+    let config = EndpointConfig { max_peers: 1, ..seeded(16) };
+    let server = Endpoint::server(&ServerIdentity::from_seed(16).unwrap(), config).unwrap();
+    let pair = Pair::new(server, Endpoint::client(seeded(16)), LinkProfile::default(), 16);
+    let Connected { mut pair, .. } = connect(pair);
+    pair.client.connect(pair.now_ns(), SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+    pair.step_until(pair.now_ns() + S);
+    assert_closed(&events(&mut pair.client), CloseKind::Error, &["as many clients as it can"]);
+    assert_eq!(pair.server.counters().peers_refused, 1);
+    assert_eq!(pair.server.peers().count(), 1);
+}
+
+/// A client whose control stream carries `bytes` as they are, without our framing.
+fn send_raw_control(seed: u64, bytes: &[u8]) -> (Vec<Event>, Vec<Event>) {
+    let Connected { mut pair, on_client, .. } = connected("latency=2ms", seed);
+    let peer = pair.client.peers.get_mut(&on_client).unwrap();
+    peer.send_raw_control(bytes);
+    pair.step_until(pair.now_ns() + 2 * S);
+    (events(&mut pair.server), events(&mut pair.client))
+}
+
+#[test]
+fn an_oversized_control_message_closes_the_connection_with_an_error() {
+    let (on_server, on_client) = send_raw_control(17, &(MAX_CONTROL_BYTES as u32 + 1).to_le_bytes());
+    assert_closed(&on_server, CloseKind::Error, &["control message of 1048577 bytes"]);
+    assert_closed(&on_client, CloseKind::Peer(u64::from(CODE_VIOLATION)), &["1048577"]);
+}
+
+#[test]
+fn garbage_on_the_control_stream_ends_that_connection_only() {
+    for seed in 0..10 {
+        let Connected { mut pair, on_client, .. } = connected("latency=2ms", 18);
+        let garbage = [&[0xff; 4][..], &pattern(5000, seed)].concat();
+        pair.client.peers.get_mut(&on_client).unwrap().send_raw_control(&garbage);
+        pair.step_until(pair.now_ns() + 2 * S);
+        assert_closed(&events(&mut pair.server), CloseKind::Error, &["control message"]);
+        pair.client.connect(pair.now_ns(), SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+        pair.step_until(pair.now_ns() + S);
+        assert!(matches!(events(&mut pair.server)[..], [Event::Connected { .. }]), "seed {seed}");
+    }
+}
+
+#[test]
+fn a_stream_larger_than_accepted_closes_the_connection() {
+    let config = EndpointConfig { max_stream_bytes: 100_000, ..seeded(19) };
+    let server = Endpoint::server(&ServerIdentity::from_seed(19).unwrap(), config).unwrap();
+    let pair = Pair::new(server, Endpoint::client(seeded(19)), LinkProfile::default(), 19);
+    let Connected { mut pair, on_client, .. } = connect(pair);
+    pair.client.send_stream(on_client, vec![0; 100_000], 0).unwrap();
+    pair.step_until(pair.now_ns() + S);
+    assert!(matches!(events(&mut pair.server)[..], [Event::Stream { .. }]));
+    pair.client.send_stream(on_client, vec![0; 100_001], 0).unwrap();
+    pair.step_until(pair.now_ns() + S);
+    assert_closed(&events(&mut pair.server), CloseKind::Error, &["a stream of more than 100000 bytes"]);
+    assert_eq!(pair.server.counters().violations, 1);
+}
+
+#[test]
+fn many_incomplete_streams_cannot_fill_the_memory() {
+    let config = EndpointConfig { max_stream_bytes: 100_000, ..seeded(20) };
+    let server = Endpoint::server(&ServerIdentity::from_seed(20).unwrap(), config).unwrap();
+    let pair = Pair::new(server, Endpoint::client(seeded(20)), LinkProfile::default(), 20);
+    let Connected { mut pair, on_client, .. } = connect(pair);
+    for _ in 0..3 {
+        pair.client.peers.get_mut(&on_client).unwrap().send_unfinished(&[0; 90_000]);
+        pair.step_until(pair.now_ns() + 200 * MS);
+    }
+    assert_closed(&events(&mut pair.server), CloseKind::Error, &["incomplete streams"]);
+}
+
+#[test]
+fn random_datagrams_from_strangers_change_nothing() {
+    let Connected { mut pair, on_server, on_client } = connected("latency=2ms", 21);
+    let stranger: SocketAddr = "10.9.9.9:999".parse().unwrap();
+    let mut state = 21;
+    for n in 0..5000 {
+        let mut bytes = pattern(rng::next(&mut state) as usize % 1500, rng::next(&mut state));
+        // Every other one begins like a QUIC packet of version 1.
+        if n % 2 == 0 && bytes.len() > 8 {
+            bytes[..5].copy_from_slice(&[0xc0 | (n as u8 & 0x3f), 0, 0, 0, 1]);
+        }
+        let from = [stranger, CLIENT_ADDR][n % 2];
+        pair.server.handle_udp(pair.now_ns(), from, None, None, BytesMut::from(&bytes[..]));
+        pair.client.handle_udp(pair.now_ns(), SERVER_ADDR, None, None, BytesMut::from(&bytes[..]));
+        pair.step_until(pair.now_ns() + MS / 10);
+    }
+    pair.server.send_control(on_server, b"still here").unwrap();
+    pair.client.send_control(on_client, b"still here").unwrap();
+    pair.step_until(pair.now_ns() + S);
+    for endpoint in [&mut pair.server, &mut pair.client] {
+        let seen = events(endpoint);
+        assert!(
+            matches!(&seen[..], [Event::Control { message, .. }] if message == b"still here"),
+            "{seen:?}"
+        );
+    }
+}
+
+#[test]
+fn changed_datagrams_of_a_connection_change_nothing() {
+    // A middlebox that flips bits: what it touched is lost, and sent again.
+    let Connected { mut pair, on_server, .. } = connected("latency=2ms", 22);
+    let mut state = 22;
+    pair.server.send_stream(on_server, pattern(300_000, 1), 0).unwrap();
+    for _ in 0..2000 {
+        while let Some(transmit) = pair.server.poll_transmit(pair.now_ns()) {
+            let mut bytes = BytesMut::from(&transmit.bytes[..]);
+            if rng::next(&mut state) % 5 == 0 {
+                let at = rng::next(&mut state) as usize % bytes.len();
+                bytes[at] ^= 1 << (rng::next(&mut state) % 8);
+            }
+            pair.client.handle_udp(pair.now_ns(), SERVER_ADDR, None, transmit.ecn, bytes);
+        }
+        pair.step_until(pair.now_ns() + MS);
+    }
+    let seen = events(&mut pair.client);
+    assert!(
+        matches!(&seen[..], [Event::Stream { bytes, .. }] if *bytes == pattern(300_000, 1)),
+        "{}",
+        seen.len()
+    );
+}
+
+/// The traffic of a session: pictures and deltas down, poses up.
+fn session_trace(seed: u64) -> Vec<(i64, Direction, usize)> {
+    let mut pair = pair(HOME, seed);
+    pair.start_trace();
+    let Connected { mut pair, on_server, on_client } = connect(pair);
+    for frame in 0..60_u64 {
+        pair.server.send_stream(on_server, pattern(40_000 + 100 * frame as usize, frame), 0).unwrap();
+        pair.server.send_control(on_server, &pattern(50, frame)).unwrap();
+        for _ in 0..3 {
+            pair.client.send_datagram(on_client, &pattern(80, frame));
+            pair.step_until(pair.now_ns() + 11 * MS);
+        }
+    }
+    pair.step_until(pair.now_ns() + S);
+    pair.trace().to_vec()
+}
+
+#[test]
+fn two_runs_with_one_seed_send_the_same_datagrams_at_the_same_times() {
+    for seed in [1, 2, 3] {
+        let (first, second) = (session_trace(seed), session_trace(seed));
+        assert!(first.len() > 2000, "{} datagrams", first.len());
+        let difference = first.iter().zip(&second).position(|(a, b)| a != b);
+        assert_eq!(difference, None, "seed {seed}");
+        assert_eq!(first.len(), second.len(), "seed {seed}");
+    }
+    assert_ne!(session_trace(1), session_trace(2));
+}
+
+#[test]
+fn times_map_to_instants_and_back() {
+    let clock = Clock { base: Instant::now() };
+    for ns in [0, 1, -1, 5 * S, -5 * S, 1 << 60] {
+        assert_eq!(clock.ns(clock.instant(ns)), ns);
+    }
+}

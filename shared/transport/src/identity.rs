@@ -1,0 +1,446 @@
+//! Who a server is: an Ed25519 key kept in a file, and the client's list of the servers it has met.
+//!
+//! There is no certificate authority between a PC and a headset in one home. The server makes a key pair once; the
+//! client pins the fingerprint of its public key at the first connection and refuses another one later.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::fs;
+use std::io::{self, Write};
+use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer};
+
+use crate::rng;
+
+/// File of a server's private key inside its identity directory.
+const KEY_FILE: &str = "server-key.pem";
+/// File of the pinned servers inside a client's configuration directory.
+const KNOWN_SERVERS_FILE: &str = "known_servers.toml";
+/// What comes before the 32 bytes of an Ed25519 key in a PKCS #8 version 1 document (RFC 8410, section 7).
+const ED25519_PKCS8_PREFIX: [u8; 16] =
+    [0x30, 0x2e, 0x02, 0x01, 0x00, 0x30, 0x05, 0x06, 0x03, 0x2b, 0x65, 0x70, 0x04, 0x22, 0x04, 0x20];
+
+/// SHA-256 of a server's public key (its `SubjectPublicKeyInfo`); written as 64 hexadecimal digits.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Fingerprint(pub [u8; 32]);
+
+impl Fingerprint {
+    pub(crate) fn of_public_key(spki_der: &[u8]) -> Self {
+        let digest = ring::digest::digest(&ring::digest::SHA256, spki_der);
+        let mut bytes = [0; 32];
+        bytes.copy_from_slice(digest.as_ref());
+        Self(bytes)
+    }
+}
+
+impl fmt::Display for Fingerprint {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl fmt::Debug for Fingerprint {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Fingerprint({self})")
+    }
+}
+
+impl FromStr for Fingerprint {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text.len() != 64 || !text.bytes().all(|b| b.is_ascii_hexdigit()) {
+            return Err(format!("\"{text}\" is not a fingerprint of 64 hexadecimal digits"));
+        }
+        let mut bytes = [0; 32];
+        for (i, byte) in bytes.iter_mut().enumerate() {
+            *byte = u8::from_str_radix(&text[2 * i..2 * i + 2], 16).map_err(|e| e.to_string())?;
+        }
+        Ok(Self(bytes))
+    }
+}
+
+/// Why an identity or the list of known servers could not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum IdentityError {
+    /// No directory was given and the environment names none.
+    #[error(
+        "there is no place for the configuration: neither XDG_CONFIG_HOME nor HOME is set; give --identity DIR"
+    )]
+    NoDirectory,
+    /// A file or directory could not be read or written.
+    #[error("{doing} {path}: {source}")]
+    File {
+        /// What was being done.
+        doing: &'static str,
+        /// The file or directory.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The private key can be read by other users.
+    #[error("{path}: the private key can be read by others (mode {mode:04o}); run: chmod 600 {path}")]
+    Permissions {
+        /// The file.
+        path: PathBuf,
+        /// Its permission bits.
+        mode: u32,
+    },
+    /// The private key file holds something else.
+    #[error(
+        "{path}: this is not an Ed25519 private key in PEM form ({wrong}); delete the file to get a new identity"
+    )]
+    Key {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        wrong: String,
+    },
+    /// The list of known servers cannot be understood.
+    #[error("{path}: {wrong}; each line is \"host:port\" = \"fingerprint\": correct the line or delete it")]
+    KnownServers {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        wrong: String,
+    },
+    /// Making the key or the certificate failed.
+    #[error("making the server's identity: {0}")]
+    Generate(String),
+}
+
+fn file_error(doing: &'static str, path: &Path) -> impl FnOnce(io::Error) -> IdentityError {
+    move |source| IdentityError::File { doing, path: path.into(), source }
+}
+
+/// `$XDG_CONFIG_HOME/shadecast`, or `~/.config/shadecast`.
+pub fn default_directory() -> Result<PathBuf, IdentityError> {
+    let from = |name| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+    from("XDG_CONFIG_HOME")
+        .or_else(|| from("HOME").map(|home| home.join(".config")))
+        .map(|base| base.join("shadecast"))
+        .ok_or(IdentityError::NoDirectory)
+}
+
+/// A server's key pair and the self-signed certificate that carries it.
+pub struct ServerIdentity {
+    key: rcgen::KeyPair,
+    certificate: CertificateDer<'static>,
+    fingerprint: Fingerprint,
+}
+
+impl fmt::Debug for ServerIdentity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ServerIdentity({})", self.fingerprint)
+    }
+}
+
+impl ServerIdentity {
+    /// A new identity from the system's random numbers, kept nowhere.
+    pub fn generate() -> Result<Self, IdentityError> {
+        let key = rcgen::KeyPair::generate_for(&rcgen::PKCS_ED25519);
+        Self::from_key(key.map_err(|e| IdentityError::Generate(e.to_string()))?)
+    }
+
+    /// The identity that belongs to `seed`: for tests and virtual time, never for a server that others reach.
+    pub fn from_seed(seed: u64) -> Result<Self, IdentityError> {
+        let mut der = ED25519_PKCS8_PREFIX.to_vec();
+        der.extend(rng::bytes32(seed, 0x1d));
+        Self::from_pkcs8(der).map_err(IdentityError::Generate)
+    }
+
+    /// Reads the identity in `directory`, or makes one there at the first start (key file of mode 0600).
+    pub fn load_or_create(directory: &Path) -> Result<Self, IdentityError> {
+        let path = directory.join(KEY_FILE);
+        if !path.exists() {
+            create_private_directory(directory)?;
+            let fresh = Self::generate()?;
+            write_new_key(&path, &fresh.key.serialize_pem())?;
+        }
+        Self::load(&path)
+    }
+
+    fn load(path: &Path) -> Result<Self, IdentityError> {
+        let metadata = fs::metadata(path).map_err(file_error("reading", path))?;
+        let mode = metadata.permissions().mode() & 0o777;
+        if mode & 0o077 != 0 {
+            return Err(IdentityError::Permissions { path: path.into(), mode });
+        }
+        let wrong = |wrong: String| IdentityError::Key { path: path.into(), wrong };
+        let bytes = fs::read(path).map_err(file_error("reading", path))?;
+        let pem = String::from_utf8(bytes).map_err(|e| wrong(e.to_string()))?;
+        let key = rcgen::KeyPair::from_pkcs8_pem_and_sign_algo(&pem, &rcgen::PKCS_ED25519);
+        Self::from_key(key.map_err(|e| wrong(e.to_string()))?)
+    }
+
+    fn from_pkcs8(der: Vec<u8>) -> Result<Self, String> {
+        let der = PrivatePkcs8KeyDer::from(der);
+        let key = rcgen::KeyPair::from_pkcs8_der_and_sign_algo(&der, &rcgen::PKCS_ED25519);
+        Self::from_key(key.map_err(|e| e.to_string())?).map_err(|e| e.to_string())
+    }
+
+    fn from_key(key: rcgen::KeyPair) -> Result<Self, IdentityError> {
+        let generate = |e: rcgen::Error| IdentityError::Generate(e.to_string());
+        let mut params =
+            rcgen::CertificateParams::new(vec![crate::tls::SERVER_NAME.to_owned()]).map_err(generate)?;
+        params.distinguished_name = rcgen::DistinguishedName::new();
+        params.distinguished_name.push(rcgen::DnType::CommonName, "Shadecast server");
+        // A fixed serial number: one derived from the key would change the certificate's length from key to key.
+        params.serial_number = Some(rcgen::SerialNumber::from_slice(&[1]));
+        let certificate = params.self_signed(&key).map_err(generate)?.der().clone();
+        let fingerprint = Fingerprint::of_public_key(&rcgen::PublicKeyData::subject_public_key_info(&key));
+        Ok(Self { key, certificate, fingerprint })
+    }
+
+    /// SHA-256 of the public key: what clients pin.
+    pub fn fingerprint(&self) -> Fingerprint {
+        self.fingerprint
+    }
+
+    pub(crate) fn certificate(&self) -> CertificateDer<'static> {
+        self.certificate.clone()
+    }
+
+    pub(crate) fn private_key(&self) -> PrivateKeyDer<'static> {
+        PrivatePkcs8KeyDer::from(self.key.serialize_der()).into()
+    }
+
+    /// A key for `purpose` that only the owner of this identity can compute, the same after each restart.
+    pub(crate) fn derived_key(&self, purpose: &str) -> [u8; 32] {
+        let key = ring::hmac::Key::new(ring::hmac::HMAC_SHA256, self.key.serialized_der());
+        let mut out = [0; 32];
+        out.copy_from_slice(ring::hmac::sign(&key, purpose.as_bytes()).as_ref());
+        out
+    }
+}
+
+fn create_private_directory(directory: &Path) -> Result<(), IdentityError> {
+    use std::os::unix::fs::DirBuilderExt;
+    let mut builder = fs::DirBuilder::new();
+    builder.recursive(true).mode(0o700);
+    builder.create(directory).map_err(file_error("creating the directory", directory))
+}
+
+/// Writes `text` to a file of mode 0600 beside `path`.
+fn write_beside(path: &Path, text: &str) -> Result<PathBuf, IdentityError> {
+    let mut name = path.as_os_str().to_owned();
+    name.push(format!(".{}.new", std::process::id()));
+    let beside = PathBuf::from(name);
+    let _ = fs::remove_file(&beside);
+    let write = || -> io::Result<()> {
+        let mut file = fs::OpenOptions::new().write(true).create_new(true).mode(0o600).open(&beside)?;
+        file.write_all(text.as_bytes())?;
+        file.sync_all()
+    };
+    write().map_err(file_error("writing", &beside))?;
+    Ok(beside)
+}
+
+/// Puts a new key at `path`, whole or not at all. When two servers start at once, the first one's key stays.
+fn write_new_key(path: &Path, pem: &str) -> Result<(), IdentityError> {
+    let beside = write_beside(path, pem)?;
+    let linked = fs::hard_link(&beside, path);
+    let _ = fs::remove_file(&beside);
+    match linked {
+        Err(e) if e.kind() != io::ErrorKind::AlreadyExists => Err(file_error("writing", path)(e)),
+        _ => Ok(()),
+    }
+}
+
+/// `text` as a basic string of TOML.
+fn toml_string(text: &str) -> String {
+    let escape = |c: char| match c {
+        '"' | '\\' => format!("\\{c}"),
+        c if c.is_control() => format!("\\u{:04x}", u32::from(c)),
+        c => c.to_string(),
+    };
+    format!("\"{}\"", text.chars().map(escape).collect::<String>())
+}
+
+/// Which server a client is willing to talk to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ExpectedIdentity {
+    /// Any: it is the first meeting. The fingerprint comes with the `Connected` event and is then to be kept.
+    TrustOnFirstUse,
+    /// The one with this fingerprint.
+    Pinned {
+        /// The fingerprint of its public key.
+        fingerprint: Fingerprint,
+        /// What a user does to accept another server, as the end of a sentence.
+        remedy: String,
+    },
+}
+
+/// The servers a client has met, by address, in `known_servers.toml`.
+#[derive(Debug)]
+pub struct KnownServers {
+    path: PathBuf,
+    servers: BTreeMap<String, Fingerprint>,
+}
+
+impl KnownServers {
+    /// Reads the list in `directory`; without a file it is empty.
+    pub fn load(directory: &Path) -> Result<Self, IdentityError> {
+        let path = directory.join(KNOWN_SERVERS_FILE);
+        let text = match fs::read_to_string(&path) {
+            Err(e) if e.kind() == io::ErrorKind::NotFound => String::new(),
+            read => read.map_err(file_error("reading", &path))?,
+        };
+        let wrong = |wrong: String| IdentityError::KnownServers { path: path.clone(), wrong };
+        let lines: BTreeMap<String, String> = toml::from_str(&text).map_err(|e| wrong(e.to_string()))?;
+        let parse = |(address, text): (String, String)| match text.parse() {
+            Ok(fingerprint) => Ok((address, fingerprint)),
+            Err(e) => Err(wrong(format!("\"{address}\": {e}"))),
+        };
+        let servers = lines.into_iter().map(parse).collect::<Result<_, _>>()?;
+        Ok(Self { path, servers })
+    }
+
+    /// Whom to expect at `address` (`host:port`, as the user writes it).
+    pub fn expected(&self, address: &str) -> ExpectedIdentity {
+        match self.servers.get(address) {
+            None => ExpectedIdentity::TrustOnFirstUse,
+            Some(&fingerprint) => ExpectedIdentity::Pinned {
+                fingerprint,
+                remedy: format!(
+                    "if the server was set up anew, delete the line that begins with \"{address}\" from {} and \
+                     connect again",
+                    self.path.display()
+                ),
+            },
+        }
+    }
+
+    /// Pins the server at `address` and writes the list, if it is not pinned already.
+    pub fn remember(&mut self, address: &str, fingerprint: Fingerprint) -> Result<(), IdentityError> {
+        if self.servers.get(address) == Some(&fingerprint) {
+            return Ok(());
+        }
+        self.servers.insert(address.to_owned(), fingerprint);
+        if let Some(directory) = self.path.parent() {
+            create_private_directory(directory)?;
+        }
+        let mut text = String::from("# Servers this client has met, and the fingerprints of their keys.\n");
+        for (address, fingerprint) in &self.servers {
+            text += &format!("{} = \"{fingerprint}\"\n", toml_string(address));
+        }
+        let beside = write_beside(&self.path, &text)?;
+        fs::rename(&beside, &self.path).map_err(file_error("writing", &self.path))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mode(path: &Path) -> u32 {
+        fs::metadata(path).unwrap().permissions().mode() & 0o777
+    }
+
+    #[test]
+    fn an_identity_survives_a_restart() {
+        let dir = tempfile::tempdir().unwrap();
+        let directory = dir.path().join("new/shadecast");
+        let first = ServerIdentity::load_or_create(&directory).unwrap();
+        let second = ServerIdentity::load_or_create(&directory).unwrap();
+        assert_eq!(first.fingerprint(), second.fingerprint());
+        assert_eq!(first.certificate(), second.certificate());
+        assert_eq!(fs::read_dir(&directory).unwrap().count(), 1, "only the key file is left");
+    }
+
+    #[test]
+    fn the_private_key_belongs_to_its_owner_alone() {
+        let dir = tempfile::tempdir().unwrap();
+        ServerIdentity::load_or_create(dir.path()).unwrap();
+        let path = dir.path().join(KEY_FILE);
+        assert_eq!(mode(&path), 0o600);
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o640)).unwrap();
+        let message = ServerIdentity::load_or_create(dir.path()).unwrap_err().to_string();
+        assert!(message.contains("mode 0640") && message.contains("chmod 600"), "{message}");
+    }
+
+    #[test]
+    fn two_identities_differ_and_a_seed_repeats() {
+        let of = |seed| ServerIdentity::from_seed(seed).unwrap();
+        assert_ne!(of(1).fingerprint(), of(2).fingerprint());
+        assert_eq!(of(1).certificate(), of(1).certificate());
+        let fresh = || ServerIdentity::generate().unwrap().fingerprint();
+        assert_ne!(fresh(), fresh());
+    }
+
+    #[test]
+    fn certificates_of_all_keys_have_one_length() {
+        let lengths: Vec<usize> =
+            (0..300).map(|seed| ServerIdentity::from_seed(seed).unwrap().certificate().len()).collect();
+        assert!(lengths.iter().all(|&length| length == lengths[0]), "{lengths:?}");
+    }
+
+    #[test]
+    fn a_damaged_key_file_is_named_with_the_remedy() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join(KEY_FILE);
+        for content in [
+            &b""[..],
+            b"hello",
+            b"\xff\xfe",
+            b"-----BEGIN PRIVATE KEY-----\nAAAA\n-----END PRIVATE KEY-----\n",
+        ] {
+            fs::write(&path, content).unwrap();
+            fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
+            let message = ServerIdentity::load_or_create(dir.path()).unwrap_err().to_string();
+            assert!(message.contains(KEY_FILE) && message.contains("delete the file"), "{message}");
+        }
+    }
+
+    #[test]
+    fn a_known_server_is_expected_the_next_time() {
+        let dir = tempfile::tempdir().unwrap();
+        let directory = dir.path().join("client");
+        let fingerprint = ServerIdentity::from_seed(3).unwrap().fingerprint();
+        let mut known = KnownServers::load(&directory).unwrap();
+        assert_eq!(known.expected("pc.local:47800"), ExpectedIdentity::TrustOnFirstUse);
+        known.remember("pc.local:47800", fingerprint).unwrap();
+        known.remember("[::1]:47800", fingerprint).unwrap();
+
+        let known = KnownServers::load(&directory).unwrap();
+        for address in ["pc.local:47800", "[::1]:47800"] {
+            let ExpectedIdentity::Pinned { fingerprint: pinned, remedy } = known.expected(address) else {
+                panic!("{address} is not pinned");
+            };
+            assert_eq!(pinned, fingerprint);
+            assert!(remedy.contains(address) && remedy.contains(KNOWN_SERVERS_FILE), "{remedy}");
+        }
+        assert_eq!(known.expected("other:1"), ExpectedIdentity::TrustOnFirstUse);
+        assert_eq!(mode(&known.path), 0o600);
+    }
+
+    #[test]
+    fn any_address_can_be_remembered() {
+        let dir = tempfile::tempdir().unwrap();
+        let odd = "a\"b\\c\td\u{1}é = ]:1";
+        let fingerprint = Fingerprint([7; 32]);
+        KnownServers::load(dir.path()).unwrap().remember(odd, fingerprint).unwrap();
+        let known = KnownServers::load(dir.path()).unwrap();
+        assert!(matches!(known.expected(odd), ExpectedIdentity::Pinned { .. }));
+    }
+
+    #[test]
+    fn a_damaged_list_is_named_with_the_remedy() {
+        let dir = tempfile::tempdir().unwrap();
+        for content in ["\"a:1\" = \"12ab\"", "\"a:1\" = 3", "what is this"] {
+            fs::write(dir.path().join(KNOWN_SERVERS_FILE), content).unwrap();
+            let message = KnownServers::load(dir.path()).unwrap_err().to_string();
+            assert!(message.contains(KNOWN_SERVERS_FILE) && message.contains("delete it"), "{message}");
+        }
+    }
+
+    #[test]
+    fn a_fingerprint_reads_back_as_it_is_written() {
+        let fingerprint = Fingerprint(rng::bytes32(5, 5));
+        assert_eq!(fingerprint.to_string().parse(), Ok(fingerprint));
+        assert!("é".repeat(32).parse::<Fingerprint>().is_err());
+    }
+}

@@ -1,0 +1,636 @@
+//! The endpoint on a real UDP socket, driven by one thread.
+//!
+//! This is the only module with a socket and a clock. The driver moves datagrams between socket and endpoint in
+//! batches (segmentation offload both ways), sleeps until the socket, a timer or another thread wants something, and
+//! never waits for anything else: what the socket does not take is kept, one piece, and what the application does not
+//! take stays in the endpoint, whose flow control then makes the peer wait.
+
+use std::collections::BTreeMap;
+use std::io::{self, IoSliceMut};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use ::mio::net::UdpSocket;
+use ::mio::{Interest, Poll, Token, Waker};
+use bytes::BytesMut;
+use quinn_udp::{RecvMeta, UdpSockRef, UdpSocketState};
+
+use crate::endpoint::{
+    Counters, Endpoint, Event, IdSource, PeerId, PeerStats, SendError, StreamId, Transmit,
+};
+use crate::identity::ExpectedIdentity;
+use crate::link::{Direction, Link, LinkCounts, LinkSchedule};
+
+const SOCKET: Token = Token(0);
+const WAKER: Token = Token(1);
+/// Largest UDP datagram, or train of datagrams that the kernel coalesced, bytes.
+const MAX_DATAGRAM_TRAIN_BYTES: usize = 65_535;
+/// Asked of the kernel for both socket buffers, bytes; it may give less.
+const SOCKET_BUFFER_BYTES: usize = 4 << 20;
+/// Receive batches handled before timers and sending have their turn.
+const BATCHES_PER_TURN: usize = 16;
+/// Commands and events that wait between the threads.
+const CHANNEL_CAPACITY: usize = 1024;
+/// The thread looks at its channels at least this often.
+const MAX_WAIT: Duration = Duration::from_millis(100);
+/// Statistics are published this often.
+const PUBLISH_INTERVAL_NS: i64 = 50_000_000;
+/// How long a stopping thread tries to tell its peers.
+const FAREWELL: Duration = Duration::from_millis(200);
+
+/// Nanoseconds on `CLOCK_MONOTONIC`, the clock of `XrTime` on Linux and Android.
+pub fn monotonic_now_ns() -> i64 {
+    let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: `now` is a valid timespec to write to for the length of the call.
+    let result = unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &mut now) };
+    assert_eq!(result, 0, "every Linux has CLOCK_MONOTONIC");
+    // Casts: the widths of the fields differ between platforms.
+    now.tv_sec as i64 * 1_000_000_000 + now.tv_nsec as i64
+}
+
+/// The address to bind for reaching `remote`: any of the same family, any port.
+pub fn any_address_for(remote: SocketAddr) -> SocketAddr {
+    let ip: IpAddr =
+        if remote.is_ipv4() { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() };
+    SocketAddr::new(ip, 0)
+}
+
+/// Why a driver could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum DriverError {
+    /// The socket could not be opened.
+    #[error("opening UDP socket {address}: {source}{hint}")]
+    Bind {
+        /// The address asked for.
+        address: SocketAddr,
+        /// What the system said.
+        source: io::Error,
+        /// What to do.
+        hint: &'static str,
+    },
+    /// The event loop or its thread could not be set up.
+    #[error("setting up the network thread: {0}")]
+    SetUp(#[from] io::Error),
+}
+
+fn bind_error(address: SocketAddr, source: io::Error) -> DriverError {
+    let hint = match source.kind() {
+        io::ErrorKind::AddrInUse => {
+            "; another program uses this port: stop it, or choose another with --listen"
+        }
+        io::ErrorKind::AddrNotAvailable => {
+            "; this machine has no such address: use 0.0.0.0 or one of its own"
+        }
+        io::ErrorKind::PermissionDenied => "; ports below 1024 need privileges: choose a higher one",
+        _ => "",
+    };
+    DriverError::Bind { address, source, hint }
+}
+
+/// Where a datagram on the simulated link goes to or comes from.
+#[derive(Clone, Copy, Debug)]
+struct LinkTag {
+    remote: SocketAddr,
+    local_ip: Option<IpAddr>,
+    ecn: Option<u8>,
+}
+
+/// An endpoint with its socket.
+pub struct Driver {
+    endpoint: Endpoint,
+    socket: UdpSocket,
+    state: UdpSocketState,
+    poll: Poll,
+    readiness: ::mio::Events,
+    waker: Arc<Waker>,
+    /// What the socket did not take.
+    pending: Option<Transmit>,
+    link: Option<Link<LinkTag>>,
+    receive_buffers: Vec<Vec<u8>>,
+    /// The socket may have more than was read.
+    more_to_read: bool,
+}
+
+impl Driver {
+    /// Opens a socket at `address` for `endpoint`.
+    pub fn bind(mut endpoint: Endpoint, address: SocketAddr) -> Result<Self, DriverError> {
+        let mut socket = UdpSocket::bind(address).map_err(|e| bind_error(address, e))?;
+        let state = UdpSocketState::new(UdpSockRef::from(&socket))?;
+        // The kernel's default is a fraction of one picture; a refusal only costs throughput.
+        let _ = state.set_recv_buffer_size(UdpSockRef::from(&socket), SOCKET_BUFFER_BYTES);
+        let _ = state.set_send_buffer_size(UdpSockRef::from(&socket), SOCKET_BUFFER_BYTES);
+        let poll = Poll::new()?;
+        poll.registry().register(&mut socket, SOCKET, Interest::READABLE | Interest::WRITABLE)?;
+        let waker = Arc::new(Waker::new(poll.registry(), WAKER)?);
+        endpoint.set_max_segments(state.max_gso_segments());
+        let receive_buffers = vec![vec![0; MAX_DATAGRAM_TRAIN_BYTES]; quinn_udp::BATCH_SIZE];
+        Ok(Self {
+            endpoint,
+            socket,
+            state,
+            poll,
+            readiness: ::mio::Events::with_capacity(16),
+            waker,
+            pending: None,
+            link: None,
+            receive_buffers,
+            more_to_read: false,
+        })
+    }
+
+    /// Sends everything, both ways, through a simulated link first.
+    pub fn with_link(mut self, schedule: impl Into<LinkSchedule>, seed: u64) -> Self {
+        // The link works on single datagrams.
+        self.endpoint.set_max_segments(1);
+        self.link = Some(Link::new(schedule, seed));
+        self
+    }
+
+    /// The socket's own address.
+    pub fn local_addr(&self) -> io::Result<SocketAddr> {
+        self.socket.local_addr()
+    }
+
+    /// The endpoint; call [`Self::poll`] after using it.
+    pub fn endpoint(&mut self) -> &mut Endpoint {
+        &mut self.endpoint
+    }
+
+    /// Ends a [`Self::poll`] that waits, from any thread.
+    pub fn waker(&self) -> Arc<Waker> {
+        self.waker.clone()
+    }
+
+    /// Direction of what this side sends.
+    fn outward(&self) -> Direction {
+        if self.endpoint.is_server() { Direction::ToClient } else { Direction::ToServer }
+    }
+
+    /// Sends and receives; waits up to `max_wait` when there is nothing to do.
+    pub fn poll(&mut self, max_wait: Duration) -> io::Result<()> {
+        self.advance(monotonic_now_ns())?;
+        let wait = self.wait(max_wait);
+        match self.poll.poll(&mut self.readiness, Some(wait)) {
+            Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+            result => result?,
+        }
+        self.receive()?;
+        self.advance(monotonic_now_ns())
+    }
+
+    fn wait(&mut self, max_wait: Duration) -> Duration {
+        if self.more_to_read {
+            return Duration::ZERO;
+        }
+        let link = self.link.as_ref().and_then(Link::next_event_ns);
+        match self.endpoint.poll_timeout().into_iter().chain(link).min() {
+            None => max_wait,
+            Some(at_ns) => {
+                let ns = (at_ns - monotonic_now_ns()).max(0);
+                max_wait.min(Duration::from_nanos(ns as u64))
+            }
+        }
+    }
+
+    /// Handles what is due, and sends what there is.
+    fn advance(&mut self, now_ns: i64) -> io::Result<()> {
+        self.deliver_from_link(now_ns)?;
+        if self.endpoint.poll_timeout().is_some_and(|at_ns| at_ns <= now_ns) {
+            self.endpoint.handle_timeout(now_ns);
+        }
+        self.transmit(now_ns)?;
+        self.deliver_from_link(now_ns)
+    }
+
+    /// Reads what the socket has, at most a turn's worth.
+    fn receive(&mut self) -> io::Result<()> {
+        let mut buffers = std::mem::take(&mut self.receive_buffers);
+        let result = self.receive_into(&mut buffers);
+        self.receive_buffers = buffers;
+        result
+    }
+
+    fn receive_into(&mut self, buffers: &mut [Vec<u8>]) -> io::Result<()> {
+        let mut metas = [RecvMeta::default(); quinn_udp::BATCH_SIZE];
+        for _ in 0..BATCHES_PER_TURN {
+            let mut slices: Vec<IoSliceMut<'_>> = buffers.iter_mut().map(|b| IoSliceMut::new(b)).collect();
+            let count = match self.state.recv(UdpSockRef::from(&self.socket), &mut slices, &mut metas) {
+                Ok(count) => count,
+                Err(e) if e.kind() == io::ErrorKind::WouldBlock => {
+                    self.more_to_read = false;
+                    return Ok(());
+                }
+                // An earlier datagram could not be delivered: says nothing about this socket.
+                Err(e) if is_passing(&e) => continue,
+                Err(e) => return Err(e),
+            };
+            let now_ns = monotonic_now_ns();
+            for (buffer, meta) in buffers.iter().zip(&metas[..count]) {
+                for datagram in buffer[..meta.len].chunks(meta.stride.max(1)) {
+                    self.take_datagram(now_ns, meta, datagram);
+                }
+            }
+            // Acknowledgements go out after every batch: the sender's pace follows them.
+            self.transmit(now_ns)?;
+        }
+        self.more_to_read = true;
+        Ok(())
+    }
+
+    fn take_datagram(&mut self, now_ns: i64, meta: &RecvMeta, datagram: &[u8]) {
+        let ecn = meta.ecn.map(|ecn| ecn as u8);
+        let inward = match self.outward() {
+            Direction::ToClient => Direction::ToServer,
+            Direction::ToServer => Direction::ToClient,
+        };
+        match &mut self.link {
+            None => self.endpoint.handle_udp(now_ns, meta.addr, meta.dst_ip, ecn, BytesMut::from(datagram)),
+            Some(link) => {
+                let tag = LinkTag { remote: meta.addr, local_ip: meta.dst_ip, ecn };
+                link.send(now_ns, inward, datagram.to_vec(), tag);
+            }
+        }
+    }
+
+    /// Sends what the endpoint has, until the socket takes no more.
+    fn transmit(&mut self, now_ns: i64) -> io::Result<()> {
+        loop {
+            let Some(transmit) = self.pending.take().or_else(|| self.endpoint.poll_transmit(now_ns)) else {
+                return Ok(());
+            };
+            let direction = self.outward();
+            if let Some(link) = &mut self.link {
+                let tag = LinkTag { remote: transmit.to, local_ip: transmit.from_ip, ecn: transmit.ecn };
+                for datagram in transmit.datagrams() {
+                    link.send(now_ns, direction, datagram.to_vec(), tag);
+                }
+            } else if !self.send(&transmit)? {
+                self.pending = Some(transmit);
+                return Ok(());
+            }
+        }
+    }
+
+    /// `false` when the socket takes no more for now.
+    fn send(&self, transmit: &Transmit) -> io::Result<bool> {
+        let datagrams = quinn_udp::Transmit {
+            destination: transmit.to,
+            ecn: transmit.ecn.and_then(quinn_udp::EcnCodepoint::from_bits),
+            contents: &transmit.bytes,
+            segment_size: transmit.segment_size,
+            src_ip: transmit.from_ip,
+        };
+        match self.state.send(UdpSockRef::from(&self.socket), &datagrams) {
+            Ok(()) => Ok(true),
+            Err(e) if e.kind() == io::ErrorKind::WouldBlock => Ok(false),
+            Err(e) if is_passing(&e) => Ok(true),
+            Err(e) => Err(e),
+        }
+    }
+
+    fn deliver_from_link(&mut self, now_ns: i64) -> io::Result<()> {
+        let outward = self.outward();
+        while let Some(delivery) = self.link.as_mut().and_then(|link| link.poll(now_ns)) {
+            let LinkTag { remote, local_ip, ecn } = delivery.tag;
+            if delivery.direction != outward {
+                self.endpoint.handle_udp(now_ns, remote, local_ip, ecn, BytesMut::from(&delivery.bytes[..]));
+                continue;
+            }
+            let bytes = delivery.bytes;
+            // A socket that takes no more loses the datagram, as a network does.
+            self.send(&Transmit { to: remote, from_ip: local_ip, bytes, segment_size: None, ecn })?;
+        }
+        Ok(())
+    }
+
+    /// Tells all peers that this side ends, as far as that is possible in a short time.
+    fn farewell(&mut self) -> io::Result<()> {
+        self.endpoint.close_all(monotonic_now_ns(), 0, "the program ended");
+        let deadline_ns = monotonic_now_ns() + FAREWELL.as_nanos() as i64;
+        loop {
+            self.advance(monotonic_now_ns())?;
+            let unsent =
+                self.pending.is_some() || self.link.as_ref().is_some_and(|l| l.next_event_ns().is_some());
+            if !unsent || monotonic_now_ns() > deadline_ns {
+                return Ok(());
+            }
+            self.poll(Duration::from_millis(5))?;
+        }
+    }
+}
+
+/// Errors of single datagrams that say nothing about the socket: the network or the other host is away for now.
+fn is_passing(error: &io::Error) -> bool {
+    use io::ErrorKind::{
+        ConnectionRefused, ConnectionReset, HostUnreachable, Interrupted, NetworkDown, NetworkUnreachable,
+    };
+    let kinds =
+        [ConnectionRefused, ConnectionReset, HostUnreachable, Interrupted, NetworkDown, NetworkUnreachable];
+    kinds.contains(&error.kind())
+}
+
+/// What the application asks of the network thread.
+enum Command {
+    Connect { peer: PeerId, remote: SocketAddr, expected: ExpectedIdentity },
+    Control { peer: PeerId, message: Vec<u8> },
+    Stream { peer: PeerId, stream: StreamId, bytes: Vec<u8>, priority: i32 },
+    Cancel { peer: PeerId, stream: StreamId },
+    Datagram { peer: PeerId, bytes: Vec<u8> },
+    Close { peer: PeerId, code: u32, reason: String },
+}
+
+/// What the network thread tells about itself.
+#[derive(Clone, Debug, Default)]
+struct Published {
+    stats: BTreeMap<PeerId, PeerStats>,
+    counters: Counters,
+    link: Option<[LinkCounts; 2]>,
+}
+
+struct Inner {
+    /// `None` while dropping.
+    commands: Option<SyncSender<Command>>,
+    waker: Arc<Waker>,
+    thread: Option<JoinHandle<()>>,
+    published: Arc<Mutex<Published>>,
+    peer_ids: IdSource,
+    stream_ids: IdSource,
+    local_addr: SocketAddr,
+}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        self.commands = None;
+        // Failing only means that the thread notices at its next look.
+        let _ = self.waker.wake();
+        if let Some(thread) = self.thread.take() {
+            // A panic was already reported by its own thread.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Commands the network thread, from any thread. When the last one is dropped the thread closes all connections and
+/// ends.
+#[derive(Clone)]
+pub struct Handle {
+    inner: Arc<Inner>,
+}
+
+impl Handle {
+    fn command(&self, command: Command) -> Result<(), SendError> {
+        let commands = self.inner.commands.as_ref().ok_or(SendError::Stopped)?;
+        commands.try_send(command).map_err(|e| match e {
+            TrySendError::Full(_) => SendError::QueueFull,
+            TrySendError::Disconnected(_) => SendError::Stopped,
+        })?;
+        // Failing only means that the thread notices at its next look.
+        let _ = self.inner.waker.wake();
+        Ok(())
+    }
+
+    /// Starts a connection; `Connected` or `Closed` follows.
+    pub fn connect(&self, remote: SocketAddr, expected: ExpectedIdentity) -> Result<PeerId, SendError> {
+        let peer = PeerId(self.inner.peer_ids.next());
+        self.command(Command::Connect { peer, remote, expected }).map(|()| peer)
+    }
+
+    /// Sends a message on the control stream. What the network thread cannot queue is counted in [`Self::counters`].
+    pub fn send_control(&self, peer: PeerId, message: Vec<u8>) -> Result<(), SendError> {
+        self.command(Command::Control { peer, message })
+    }
+
+    /// Sends `bytes` as a stream of its own; higher `priority` first.
+    pub fn send_stream(&self, peer: PeerId, bytes: Vec<u8>, priority: i32) -> Result<StreamId, SendError> {
+        let stream = StreamId(self.inner.stream_ids.next());
+        self.command(Command::Stream { peer, stream, bytes, priority }).map(|()| stream)
+    }
+
+    /// Gives up a stream.
+    pub fn cancel_stream(&self, peer: PeerId, stream: StreamId) -> Result<(), SendError> {
+        self.command(Command::Cancel { peer, stream })
+    }
+
+    /// Sends a datagram, which may be lost.
+    pub fn send_datagram(&self, peer: PeerId, bytes: Vec<u8>) -> Result<(), SendError> {
+        self.command(Command::Datagram { peer, bytes })
+    }
+
+    /// Closes a connection; the peer learns `code` and `reason`.
+    pub fn close(&self, peer: PeerId, code: u32, reason: &str) -> Result<(), SendError> {
+        self.command(Command::Close { peer, code, reason: reason.to_owned() })
+    }
+
+    fn published(&self) -> std::sync::MutexGuard<'_, Published> {
+        self.inner.published.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What is known of a connection, at most a tenth of a second old.
+    pub fn stats(&self, peer: PeerId) -> Option<PeerStats> {
+        self.published().stats.get(&peer).copied()
+    }
+
+    /// What overflowed so far, at most a tenth of a second old.
+    pub fn counters(&self) -> Counters {
+        self.published().counters
+    }
+
+    /// What became of the datagrams on the simulated link, if there is one.
+    pub fn link_counts(&self, direction: Direction) -> Option<LinkCounts> {
+        self.published().link.map(|[to_client, to_server]| match direction {
+            Direction::ToClient => to_client,
+            Direction::ToServer => to_server,
+        })
+    }
+
+    /// The socket's own address.
+    pub fn local_addr(&self) -> SocketAddr {
+        self.inner.local_addr
+    }
+}
+
+/// The events of the network thread.
+pub struct Events {
+    receiver: Receiver<Event>,
+    waker: Arc<Waker>,
+    /// The thread holds back events because the channel is full.
+    held_back: Arc<AtomicBool>,
+}
+
+impl Events {
+    fn taken(&self, event: Event) -> Event {
+        if self.held_back.swap(false, Ordering::AcqRel) {
+            let _ = self.waker.wake();
+        }
+        event
+    }
+
+    /// The next event, if there is one already.
+    pub fn try_next(&self) -> Option<Event> {
+        self.receiver.try_recv().ok().map(|event| self.taken(event))
+    }
+
+    /// The next event, waiting up to `timeout` for it.
+    ///
+    /// # Errors
+    /// [`Stopped`] when the network thread has ended and no events are left.
+    pub fn next_timeout(&self, timeout: Duration) -> Result<Option<Event>, Stopped> {
+        match self.receiver.recv_timeout(timeout) {
+            Ok(event) => Ok(Some(self.taken(event))),
+            Err(RecvTimeoutError::Timeout) => Ok(None),
+            Err(RecvTimeoutError::Disconnected) => Err(Stopped),
+        }
+    }
+}
+
+/// The network thread has ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the network thread has ended; its reason is in the log")]
+pub struct Stopped;
+
+/// Runs a driver on a thread of its own.
+pub fn spawn(driver: Driver) -> Result<(Handle, Events), DriverError> {
+    let local_addr = driver.local_addr()?;
+    let waker = driver.waker();
+    let (commands, command_receiver) = sync_channel(CHANNEL_CAPACITY);
+    let (event_sender, receiver) = sync_channel(CHANNEL_CAPACITY);
+    let (peer_ids, stream_ids) = driver.endpoint.id_sources();
+    let published = Arc::new(Mutex::default());
+    let held_back = Arc::new(AtomicBool::new(false));
+    let worker = Worker {
+        driver,
+        commands: command_receiver,
+        events: event_sender,
+        held: None,
+        held_back: held_back.clone(),
+        published: published.clone(),
+        published_ns: i64::MIN,
+    };
+    let thread = std::thread::Builder::new().name("network".into()).spawn(move || worker.run())?;
+    let inner = Inner {
+        commands: Some(commands),
+        waker: waker.clone(),
+        thread: Some(thread),
+        published,
+        peer_ids,
+        stream_ids,
+        local_addr,
+    };
+    Ok((Handle { inner: Arc::new(inner) }, Events { receiver, waker, held_back }))
+}
+
+/// The network thread.
+struct Worker {
+    driver: Driver,
+    commands: Receiver<Command>,
+    events: SyncSender<Event>,
+    /// An event that the channel did not take.
+    held: Option<Event>,
+    held_back: Arc<AtomicBool>,
+    published: Arc<Mutex<Published>>,
+    published_ns: i64,
+}
+
+/// The application has let go of the thread.
+struct LetGo;
+
+impl Worker {
+    fn run(mut self) {
+        let result = loop {
+            if self.take_commands().is_err() || self.hand_out_events().is_err() {
+                break self.driver.farewell();
+            }
+            if let Err(e) = self.driver.poll(MAX_WAIT) {
+                break Err(e);
+            }
+            self.publish();
+        };
+        if let Err(e) = result {
+            tracing::error!("the network thread ends: {e}");
+        }
+    }
+
+    fn take_commands(&mut self) -> Result<(), LetGo> {
+        // A bound, so that a busy application cannot keep the socket waiting.
+        for _ in 0..CHANNEL_CAPACITY {
+            match self.commands.try_recv() {
+                Ok(command) => self.execute(command),
+                Err(TryRecvError::Empty) => return Ok(()),
+                Err(TryRecvError::Disconnected) => return Err(LetGo),
+            }
+        }
+        Ok(())
+    }
+
+    fn execute(&mut self, command: Command) {
+        let now_ns = monotonic_now_ns();
+        let endpoint = self.driver.endpoint();
+        let sent = match command {
+            Command::Connect { peer, remote, expected } => {
+                endpoint.connect_as(now_ns, peer, remote, expected);
+                Ok(())
+            }
+            Command::Control { peer, message } => endpoint.send_control(peer, &message),
+            Command::Stream { peer, stream, bytes, priority } => {
+                endpoint.send_stream_as(peer, stream, bytes, priority)
+            }
+            Command::Cancel { peer, stream } => {
+                endpoint.cancel_stream(peer, stream);
+                Ok(())
+            }
+            Command::Datagram { peer, bytes } => {
+                endpoint.send_datagram(peer, &bytes);
+                Ok(())
+            }
+            Command::Close { peer, code, reason } => {
+                endpoint.close(now_ns, peer, code, &reason);
+                Ok(())
+            }
+        };
+        if let Err(e) = sent {
+            tracing::debug!("not sent: {e}");
+        }
+    }
+
+    fn hand_out_events(&mut self) -> Result<(), LetGo> {
+        loop {
+            let Some(event) = self.held.take().or_else(|| self.driver.endpoint().poll_event()) else {
+                return Ok(());
+            };
+            // The flag is raised before the second attempt, so that a receiver that drains the channel in between
+            // either makes room for it or sees the flag.
+            let event = match self.events.try_send(event) {
+                Ok(()) => continue,
+                Err(TrySendError::Disconnected(_)) => return Err(LetGo),
+                Err(TrySendError::Full(event)) => event,
+            };
+            self.held_back.store(true, Ordering::Release);
+            match self.events.try_send(event) {
+                Ok(()) => {}
+                Err(TrySendError::Disconnected(_)) => return Err(LetGo),
+                Err(TrySendError::Full(event)) => {
+                    self.held = Some(event);
+                    return Ok(());
+                }
+            }
+        }
+    }
+
+    fn publish(&mut self) {
+        let now_ns = monotonic_now_ns();
+        if now_ns < self.published_ns.saturating_add(PUBLISH_INTERVAL_NS) {
+            return;
+        }
+        self.published_ns = now_ns;
+        let endpoint = &self.driver.endpoint;
+        let stats = endpoint.peers().filter_map(|peer| Some((peer, endpoint.stats(peer)?))).collect();
+        let link = self.driver.link.as_ref();
+        let link = link.map(|link| [Direction::ToClient, Direction::ToServer].map(|d| link.counts(d)));
+        let news = Published { stats, counters: endpoint.counters(), link };
+        *self.published.lock().unwrap_or_else(PoisonError::into_inner) = news;
+    }
+}

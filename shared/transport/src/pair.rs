@@ -1,0 +1,140 @@
+//! Two endpoints joined by a simulated link, in virtual time.
+//!
+//! Nothing happens by itself: [`Pair::step_until`] plays everything up to a time, in the order in which it would
+//! happen, and a slow machine sees exactly what a fast one does.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+
+use bytes::BytesMut;
+
+use crate::endpoint::{Endpoint, Event};
+use crate::link::{Direction, Link, LinkSchedule};
+
+/// The server's address in every pair.
+pub const SERVER_ADDR: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::new(10, 0, 0, 1)), 47_800);
+/// The client's address in every pair.
+pub const CLIENT_ADDR: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::new(10, 0, 0, 2)), 50_000);
+
+/// A server, a client and the network between them.
+pub struct Pair {
+    /// The server's end.
+    pub server: Endpoint,
+    /// The client's end.
+    pub client: Endpoint,
+    link: Link<Option<u8>>,
+    now_ns: i64,
+    trace: Option<Vec<(i64, Direction, usize)>>,
+}
+
+impl Pair {
+    /// Joins two endpoints at time 0.
+    pub fn new(server: Endpoint, client: Endpoint, link: impl Into<LinkSchedule>, seed: u64) -> Self {
+        let mut link = Link::new(link, seed);
+        link.start_at(0);
+        Self { server, client, link, now_ns: 0, trace: None }
+    }
+
+    /// The virtual time, nanoseconds.
+    pub fn now_ns(&self) -> i64 {
+        self.now_ns
+    }
+
+    /// The link, for its counters.
+    pub fn link(&self) -> &Link<Option<u8>> {
+        &self.link
+    }
+
+    /// Replaces one end by another endpoint, as when a program is killed and started again.
+    pub fn restart(&mut self, end: Direction, endpoint: Endpoint) {
+        match end {
+            Direction::ToServer => self.server = endpoint,
+            Direction::ToClient => self.client = endpoint,
+        }
+    }
+
+    /// Notes the time, direction and size of each datagram from now on.
+    pub fn start_trace(&mut self) {
+        self.trace = Some(Vec::new());
+    }
+
+    /// The datagrams noted so far.
+    pub fn trace(&self) -> &[(i64, Direction, usize)] {
+        self.trace.as_deref().unwrap_or_default()
+    }
+
+    /// When something happens next by itself, nanoseconds; never before [`Self::now_ns`].
+    pub fn next_event_ns(&mut self) -> Option<i64> {
+        self.flush();
+        let times = [self.link.next_event_ns(), self.server.poll_timeout(), self.client.poll_timeout()];
+        times.into_iter().flatten().min().map(|at| at.max(self.now_ns))
+    }
+
+    /// Plays everything up to and including `until_ns`. Times before now only send what waits.
+    pub fn step_until(&mut self, until_ns: i64) {
+        while let Some(at_ns) = self.next_event_ns().filter(|&at_ns| at_ns <= until_ns) {
+            self.now_ns = at_ns;
+            self.step();
+        }
+        self.now_ns = self.now_ns.max(until_ns);
+    }
+
+    /// Plays until one end has an event for its application or `until_ns` is reached; the events seen, in order, with
+    /// the end that saw each ([`Direction::ToServer`] is the server).
+    pub fn step_to_events(&mut self, until_ns: i64) -> Vec<(Direction, Event)> {
+        loop {
+            let events = self.take_events();
+            if !events.is_empty() {
+                return events;
+            }
+            match self.next_event_ns().filter(|&at_ns| at_ns <= until_ns) {
+                Some(at_ns) => self.now_ns = at_ns,
+                None => {
+                    self.now_ns = self.now_ns.max(until_ns);
+                    return events;
+                }
+            }
+            self.step();
+        }
+    }
+
+    fn take_events(&mut self) -> Vec<(Direction, Event)> {
+        let server =
+            std::iter::from_fn(|| self.server.poll_event()).map(|event| (Direction::ToServer, event));
+        let client =
+            std::iter::from_fn(|| self.client.poll_event()).map(|event| (Direction::ToClient, event));
+        server.chain(client).collect()
+    }
+
+    /// Handles what is due now.
+    fn step(&mut self) {
+        let now_ns = self.now_ns;
+        while let Some(delivery) = self.link.poll(now_ns) {
+            let (end, from) = match delivery.direction {
+                Direction::ToServer => (&mut self.server, CLIENT_ADDR),
+                Direction::ToClient => (&mut self.client, SERVER_ADDR),
+            };
+            end.handle_udp(now_ns, from, None, delivery.tag, BytesMut::from(&delivery.bytes[..]));
+        }
+        self.server.handle_timeout(now_ns);
+        self.client.handle_timeout(now_ns);
+    }
+
+    /// Puts what the endpoints want to send on the link.
+    fn flush(&mut self) {
+        for direction in [Direction::ToClient, Direction::ToServer] {
+            loop {
+                let end = match direction {
+                    Direction::ToClient => &mut self.server,
+                    Direction::ToServer => &mut self.client,
+                };
+                let Some(transmit) = end.poll_transmit(self.now_ns) else { break };
+                for datagram in transmit.datagrams() {
+                    if let Some(trace) = &mut self.trace {
+                        trace.push((self.now_ns, direction, datagram.len()));
+                    }
+                    self.link.send(self.now_ns, direction, datagram.to_vec(), transmit.ecn);
+                }
+            }
+        }
+    }
+}

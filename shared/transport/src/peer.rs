@@ -1,0 +1,450 @@
+//! One connection as messages: framing on the control stream, whole unidirectional streams, datagrams.
+//!
+//! Everything that is kept has a limit. What the peer sends too much of closes the connection; what we send too much
+//! of is refused and counted.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use quinn_proto as proto;
+use quinn_proto::{Connection, ConnectionHandle, Dir, VarInt};
+use shadecast_protocol::limits::MAX_CONTROL_BYTES;
+
+use crate::endpoint::{Event, PeerId, SendError, StreamId};
+use crate::tls::PinVerifier;
+
+/// Bytes of messages and streams that wait for the network to take them, per peer.
+const MAX_QUEUED_BYTES: usize = 96 << 20;
+/// Streams that wait for the network to take them, per peer.
+const MAX_QUEUED_STREAMS: usize = 1024;
+/// Of a stream that the sender gave up, this many bytes are handed on, so that its header can be read.
+const RESET_HEAD_BYTES: usize = 64;
+/// The control stream goes before all other streams.
+const CONTROL_PRIORITY: i32 = i32::MAX;
+/// Reset code of a stream that is given up.
+const CANCELLED: VarInt = VarInt::from_u32(1);
+
+/// What the peer did that ends the connection.
+pub(crate) struct Violation(pub(crate) String);
+
+/// Splits the control stream's bytes into messages: `u32` little-endian length, then the message.
+#[derive(Default)]
+pub(crate) struct FrameReader {
+    buffer: Vec<u8>,
+}
+
+impl FrameReader {
+    pub(crate) fn push(&mut self, bytes: &[u8]) {
+        self.buffer.extend_from_slice(bytes);
+    }
+
+    /// The next whole message. Empty messages only open the stream, and are skipped.
+    pub(crate) fn next(&mut self) -> Result<Option<Vec<u8>>, Violation> {
+        loop {
+            let Some((length, rest)) = self.buffer.split_first_chunk::<4>() else { return Ok(None) };
+            let length = u32::from_le_bytes(*length) as usize;
+            if length > MAX_CONTROL_BYTES {
+                return Err(Violation(format!(
+                    "a control message of {length} bytes; the limit is {MAX_CONTROL_BYTES}"
+                )));
+            }
+            if rest.len() < length {
+                return Ok(None);
+            }
+            let message = rest[..length].to_vec();
+            self.buffer.drain(..4 + length);
+            if !message.is_empty() {
+                return Ok(Some(message));
+            }
+        }
+    }
+}
+
+/// A unidirectional stream that we send.
+struct Outgoing {
+    /// `None` while the peer allows no more streams.
+    quic: Option<proto::StreamId>,
+    priority: i32,
+    /// What QUIC has not taken yet.
+    rest: Bytes,
+}
+
+/// One connection and what belongs to it.
+pub(crate) struct Peer {
+    pub(crate) id: PeerId,
+    pub(crate) handle: ConnectionHandle,
+    pub(crate) conn: Connection,
+    pub(crate) remote: SocketAddr,
+    /// The client's view of the server's identity; `None` on the server.
+    pub(crate) verifier: Option<Arc<PinVerifier>>,
+    pub(crate) connected: bool,
+    /// A `Closed` event was emitted: nothing more is told about this peer.
+    pub(crate) closed: bool,
+    /// Largest stream that this side accepts, bytes.
+    max_stream_bytes: usize,
+    control: Option<proto::StreamId>,
+    control_in: FrameReader,
+    control_out: VecDeque<Bytes>,
+    outgoing: BTreeMap<StreamId, Outgoing>,
+    by_quic: BTreeMap<proto::StreamId, StreamId>,
+    queued_bytes: usize,
+    incoming: BTreeMap<proto::StreamId, Vec<u8>>,
+    incoming_bytes: usize,
+    /// Streams that may have something to read.
+    readable: BTreeSet<proto::StreamId>,
+}
+
+impl Peer {
+    pub(crate) fn new(
+        id: PeerId,
+        handle: ConnectionHandle,
+        conn: Connection,
+        verifier: Option<Arc<PinVerifier>>,
+        max_stream_bytes: usize,
+    ) -> Self {
+        Self {
+            id,
+            handle,
+            remote: conn.remote_address(),
+            conn,
+            verifier,
+            connected: false,
+            closed: false,
+            max_stream_bytes,
+            control: None,
+            control_in: FrameReader::default(),
+            control_out: VecDeque::new(),
+            outgoing: BTreeMap::new(),
+            by_quic: BTreeMap::new(),
+            queued_bytes: 0,
+            incoming: BTreeMap::new(),
+            incoming_bytes: 0,
+            readable: BTreeSet::new(),
+        }
+    }
+
+    /// Bytes that wait for the network to take them.
+    pub(crate) fn queued_bytes(&self) -> usize {
+        self.queued_bytes
+    }
+
+    /// Streams that are not yet acknowledged to their end.
+    pub(crate) fn streams_under_way(&self) -> usize {
+        self.outgoing.len()
+    }
+
+    /// The handshake is done: the client opens the control stream, and what waited is sent.
+    pub(crate) fn on_connected(&mut self) {
+        self.connected = true;
+        if self.conn.side().is_client()
+            && let Some(id) = self.conn.streams().open(Dir::Bi)
+        {
+            self.set_control(id);
+            // An empty message makes the stream known to the server, so that it can speak first.
+            self.control_out.push_front(Bytes::from_static(&[0; 4]));
+            self.queued_bytes += 4;
+        }
+        self.write_control();
+        self.open_waiting();
+    }
+
+    fn set_control(&mut self, id: proto::StreamId) {
+        self.control = Some(id);
+        // Fails for a closed stream only; writing tells.
+        let _ = self.conn.send_stream(id).set_priority(CONTROL_PRIORITY);
+    }
+
+    pub(crate) fn send_control(&mut self, message: &[u8]) -> Result<(), SendError> {
+        if message.is_empty() || message.len() > MAX_CONTROL_BYTES {
+            return Err(SendError::Size { bytes: message.len(), limit: MAX_CONTROL_BYTES });
+        }
+        self.reserve(message.len() + 4)?;
+        let mut frame = Vec::with_capacity(message.len() + 4);
+        frame.extend((message.len() as u32).to_le_bytes());
+        frame.extend(message);
+        self.control_out.push_back(frame.into());
+        self.write_control();
+        Ok(())
+    }
+
+    pub(crate) fn send_stream(&mut self, id: StreamId, bytes: Bytes, priority: i32) -> Result<(), SendError> {
+        let limit = shadecast_protocol::limits::MAX_STREAM_BYTES;
+        if bytes.len() > limit {
+            return Err(SendError::Size { bytes: bytes.len(), limit });
+        }
+        if self.outgoing.len() >= MAX_QUEUED_STREAMS {
+            return Err(SendError::QueueFull);
+        }
+        self.reserve(bytes.len())?;
+        self.outgoing.insert(id, Outgoing { quic: None, priority, rest: bytes });
+        self.open_waiting();
+        Ok(())
+    }
+
+    fn reserve(&mut self, bytes: usize) -> Result<(), SendError> {
+        if self.closed {
+            return Err(SendError::NotConnected);
+        }
+        if self.queued_bytes + bytes > MAX_QUEUED_BYTES {
+            return Err(SendError::QueueFull);
+        }
+        self.queued_bytes += bytes;
+        Ok(())
+    }
+
+    /// Gives up a stream; `false` when it is unknown or already acknowledged to its end.
+    pub(crate) fn cancel_stream(&mut self, id: StreamId) -> bool {
+        let Some(outgoing) = self.outgoing.remove(&id) else { return false };
+        self.queued_bytes -= outgoing.rest.len();
+        if let Some(quic) = outgoing.quic {
+            self.by_quic.remove(&quic);
+            // An already closed stream needs no reset.
+            let _ = self.conn.send_stream(quic).reset(CANCELLED);
+        }
+        true
+    }
+
+    pub(crate) fn send_datagram(&mut self, bytes: Bytes) -> bool {
+        !self.closed && self.conn.datagrams().send(bytes, true).is_ok()
+    }
+
+    fn write_control(&mut self) {
+        let Some(id) = self.control.filter(|_| self.connected) else { return };
+        while let Some(frame) = self.control_out.front_mut() {
+            let Ok(written) = self.conn.send_stream(id).write(frame) else { return };
+            self.queued_bytes -= written;
+            if written == frame.len() {
+                self.control_out.pop_front();
+            } else {
+                let _ = frame.split_to(written);
+            }
+        }
+    }
+
+    /// Opens as many waiting streams as the peer allows, the most urgent and oldest first.
+    pub(crate) fn open_waiting(&mut self) {
+        if !self.connected {
+            return;
+        }
+        let mut waiting: Vec<(std::cmp::Reverse<i32>, StreamId)> = self
+            .outgoing
+            .iter()
+            .filter(|(_, outgoing)| outgoing.quic.is_none())
+            .map(|(&id, outgoing)| (std::cmp::Reverse(outgoing.priority), id))
+            .collect();
+        waiting.sort_unstable();
+        for (std::cmp::Reverse(priority), id) in waiting {
+            let Some(quic) = self.conn.streams().open(Dir::Uni) else { return };
+            let _ = self.conn.send_stream(quic).set_priority(priority);
+            self.by_quic.insert(quic, id);
+            if let Some(outgoing) = self.outgoing.get_mut(&id) {
+                outgoing.quic = Some(quic);
+            }
+            self.write_stream(quic);
+        }
+    }
+
+    /// Writes what QUIC takes of a stream, and ends it after its last byte.
+    fn write_stream(&mut self, quic: proto::StreamId) {
+        let Some(id) = self.by_quic.get(&quic) else { return };
+        let Some(outgoing) = self.outgoing.get_mut(id) else { return };
+        let before = outgoing.rest.len();
+        let mut stream = self.conn.send_stream(quic);
+        let mut chunks = [std::mem::take(&mut outgoing.rest)];
+        // Until it is refused: only then is the stream told when there is room again.
+        while !chunks[0].is_empty() && stream.write_chunks(&mut chunks).is_ok() {}
+        [outgoing.rest] = chunks;
+        self.queued_bytes -= before - outgoing.rest.len();
+        if outgoing.rest.is_empty() {
+            // Finishing twice or after a stop is refused, and harmless.
+            let _ = stream.finish();
+        }
+    }
+
+    /// Takes over what QUIC reports about streams.
+    pub(crate) fn on_stream_event(&mut self, event: proto::StreamEvent) -> Result<(), Violation> {
+        match event {
+            proto::StreamEvent::Opened { dir: Dir::Bi } => self.accept_control()?,
+            proto::StreamEvent::Opened { dir: Dir::Uni } => {
+                while let Some(id) = self.conn.streams().accept(Dir::Uni) {
+                    self.incoming.insert(id, Vec::new());
+                    self.readable.insert(id);
+                }
+            }
+            proto::StreamEvent::Readable { id } => {
+                self.readable.insert(id);
+            }
+            proto::StreamEvent::Writable { id } if Some(id) == self.control => self.write_control(),
+            proto::StreamEvent::Writable { id } => self.write_stream(id),
+            proto::StreamEvent::Finished { id } => self.forget_outgoing(id),
+            proto::StreamEvent::Stopped { id, .. } => {
+                let _ = self.conn.send_stream(id).reset(CANCELLED);
+                self.forget_outgoing(id);
+            }
+            proto::StreamEvent::Available { .. } => self.open_waiting(),
+        }
+        Ok(())
+    }
+
+    fn accept_control(&mut self) -> Result<(), Violation> {
+        while let Some(id) = self.conn.streams().accept(Dir::Bi) {
+            if self.control.is_some() {
+                return Err(Violation("a second control stream".into()));
+            }
+            self.set_control(id);
+            self.readable.insert(id);
+        }
+        self.write_control();
+        Ok(())
+    }
+
+    fn forget_outgoing(&mut self, quic: proto::StreamId) {
+        if let Some(outgoing) = self.by_quic.remove(&quic).and_then(|id| self.outgoing.remove(&id)) {
+            self.queued_bytes -= outgoing.rest.len();
+        }
+    }
+
+    /// Whether [`Self::read`] may find something.
+    pub(crate) fn has_readable(&self) -> bool {
+        !self.closed && !self.readable.is_empty()
+    }
+
+    /// Reads one stream as far as it goes, and emits what is complete.
+    pub(crate) fn read(&mut self, at_ns: i64, emit: &mut impl FnMut(Event)) -> Result<(), Violation> {
+        let Some(id) = self.readable.pop_first() else { return Ok(()) };
+        if Some(id) == self.control {
+            self.read_control(id, at_ns, emit)
+        } else {
+            self.read_uni(id, at_ns, emit)
+        }
+    }
+
+    fn read_control(
+        &mut self,
+        id: proto::StreamId,
+        at_ns: i64,
+        emit: &mut impl FnMut(Event),
+    ) -> Result<(), Violation> {
+        let mut stream = self.conn.recv_stream(id);
+        let Ok(mut chunks) = stream.read(true) else { return Ok(()) };
+        loop {
+            match chunks.next(MAX_CONTROL_BYTES) {
+                Ok(Some(chunk)) => self.control_in.push(&chunk.bytes),
+                Ok(None) | Err(proto::ReadError::Reset(_)) => {
+                    return Err(Violation("the control stream was ended".into()));
+                }
+                Err(proto::ReadError::Blocked) => break,
+            }
+            while let Some(message) = self.control_in.next()? {
+                emit(Event::Control { peer: self.id, message, at_ns });
+            }
+        }
+        // The connection is polled for transmits after each call anyway.
+        let _ = chunks.finalize();
+        Ok(())
+    }
+
+    fn read_uni(
+        &mut self,
+        id: proto::StreamId,
+        at_ns: i64,
+        emit: &mut impl FnMut(Event),
+    ) -> Result<(), Violation> {
+        let Some(bytes) = self.incoming.get_mut(&id) else { return Ok(()) };
+        let mut stream = self.conn.recv_stream(id);
+        let Ok(mut chunks) = stream.read(true) else { return Ok(()) };
+        let before = bytes.len();
+        let ended = loop {
+            match chunks.next(usize::MAX) {
+                Ok(Some(chunk)) => bytes.extend_from_slice(&chunk.bytes),
+                Ok(None) => break Some(true),
+                Err(proto::ReadError::Reset(_)) => break Some(false),
+                Err(proto::ReadError::Blocked) => break None,
+            }
+            if bytes.len() > self.max_stream_bytes {
+                return Err(Violation(format!("a stream of more than {} bytes", self.max_stream_bytes)));
+            }
+        };
+        let _ = chunks.finalize();
+        self.incoming_bytes += bytes.len() - before;
+        if let Some(complete) = ended {
+            let mut bytes = self.incoming.remove(&id).unwrap_or_default();
+            self.incoming_bytes -= bytes.len();
+            if complete {
+                emit(Event::Stream { peer: self.id, bytes, at_ns });
+            } else {
+                bytes.truncate(RESET_HEAD_BYTES);
+                emit(Event::StreamReset { peer: self.id, head: bytes });
+            }
+        }
+        // As much again as one stream may hold: a large one beside many small ones.
+        let limit = 2 * self.max_stream_bytes;
+        if self.incoming_bytes > limit {
+            return Err(Violation(format!("more than {limit} bytes in incomplete streams")));
+        }
+        Ok(())
+    }
+}
+
+/// What only a broken peer does.
+#[cfg(test)]
+impl Peer {
+    pub(crate) fn send_raw_control(&mut self, bytes: &[u8]) {
+        self.reserve(bytes.len()).expect("room in the queue");
+        self.control_out.push_back(Bytes::copy_from_slice(bytes));
+        self.write_control();
+    }
+
+    pub(crate) fn send_unfinished(&mut self, bytes: &[u8]) {
+        let id = self.conn.streams().open(Dir::Uni).expect("a free stream");
+        let written = self.conn.send_stream(id).write(bytes).expect("room in the window");
+        assert_eq!(written, bytes.len());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng;
+
+    fn frame(message: &[u8]) -> Vec<u8> {
+        [&(message.len() as u32).to_le_bytes(), message].concat()
+    }
+
+    fn read_all(reader: &mut FrameReader) -> Vec<Vec<u8>> {
+        std::iter::from_fn(|| reader.next().ok().flatten()).collect()
+    }
+
+    #[test]
+    fn messages_come_out_whole_however_the_bytes_are_cut() {
+        let messages: Vec<Vec<u8>> = [1, 2, 5, 300, 70_000].map(|n| vec![n as u8; n]).into();
+        let bytes: Vec<u8> = messages.iter().flat_map(|m| frame(m)).collect();
+        for seed in 0..20 {
+            let mut state = seed;
+            let (mut reader, mut rest, mut out) = (FrameReader::default(), &bytes[..], Vec::new());
+            while !rest.is_empty() {
+                let cut = (rng::next(&mut state) as usize % 3000 + 1).min(rest.len());
+                reader.push(&rest[..cut]);
+                out.extend(read_all(&mut reader));
+                rest = &rest[cut..];
+            }
+            assert_eq!(out, messages, "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn an_empty_message_opens_the_stream_and_nothing_more() {
+        let mut reader = FrameReader::default();
+        reader.push(&[frame(b""), frame(b"a"), frame(b"")].concat());
+        assert_eq!(read_all(&mut reader), [b"a"]);
+    }
+
+    #[test]
+    fn a_message_over_the_limit_is_refused_before_it_is_collected() {
+        let mut reader = FrameReader::default();
+        reader.push(&(MAX_CONTROL_BYTES as u32 + 1).to_le_bytes());
+        assert!(reader.next().is_err());
+    }
+}
