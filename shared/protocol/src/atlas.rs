@@ -76,7 +76,10 @@ impl BlockSize {
 impl Block {
     /// As one word, from bit 0: x/4 (10 bits), y/4 (10), width_log2 - 2 (3), height_log2 - 2 (3); the rest is 0.
     pub fn pack(self) -> u32 {
-        debug_assert!(self.address.x % 4 == 0 && self.address.y % 4 == 0, "{self:?}");
+        debug_assert!(
+            [self.address.x, self.address.y].iter().all(|c| c.is_multiple_of(1 << BLOCK_MIN_LOG2)),
+            "{self:?}"
+        );
         (u32::from(self.address.x) >> BLOCK_MIN_LOG2)
             | (u32::from(self.address.y) >> BLOCK_MIN_LOG2) << ADDRESS_BITS
             | (u32::from(self.size.width_log2) - BLOCK_MIN_LOG2) << (2 * ADDRESS_BITS)

@@ -601,3 +601,317 @@ fn take_listed(reader: &mut Reader<'_>, history: &SampleHistory) -> Result<Vec<V
     }
     Ok(slots)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::atlas::{BlockAddress, BlockSize};
+    use crate::testing::{Dice, damaged};
+    use std::collections::BTreeMap;
+
+    const VERTEX_SLOTS: u32 = 600;
+    const PATCH_SLOTS: u32 = 300;
+
+    /// A server that does random but lawful things, and so makes deltas of every kind.
+    struct Chaos {
+        dice: Dice,
+        frame: u32,
+        grid: i32,
+        instances: Vec<InstanceId>,
+        vertices: BTreeMap<u32, Motion>,
+        patches: BTreeMap<u32, NewPatch>,
+        curve: BTreeMap<u32, ([f64; 3], [f64; 3])>,
+    }
+
+    impl Chaos {
+        fn new(seed: u64) -> Self {
+            Self {
+                dice: Dice::new(seed),
+                frame: 0,
+                grid: -5,
+                instances: Vec::new(),
+                vertices: BTreeMap::new(),
+                patches: BTreeMap::new(),
+                curve: BTreeMap::new(),
+            }
+        }
+
+        fn delta(&mut self) -> GeometryDelta {
+            let mut delta = GeometryDelta {
+                frame: FrameId(self.frame),
+                time: ServerTime(i64::from(self.frame) * 33_333_333 - 7),
+                ..GeometryDelta::default()
+            };
+            self.frame += 1;
+            self.evict(&mut delta);
+            self.announce(&mut delta);
+            self.add_vertices(&mut delta);
+            self.add_patches(&mut delta);
+            self.place(&mut delta);
+            self.sample(&mut delta);
+            delta
+        }
+
+        fn evict(&mut self, delta: &mut GeometryDelta) {
+            let gone: Vec<u32> = self.patches.keys().copied().filter(|_| self.dice.once_in(9)).collect();
+            self.patches.retain(|slot, _| !gone.contains(slot));
+            delta.evicted_patches = gone.into_iter().map(PatchSlot).collect();
+            let used: Vec<u32> =
+                self.patches.values().flat_map(|patch| patch.vertices).map(|slot| slot.0).collect();
+            let unused = self.vertices.keys().copied().filter(|slot| !used.contains(slot));
+            let gone: Vec<u32> = unused.filter(|_| self.dice.once_in(3)).collect();
+            for slot in &gone {
+                self.vertices.remove(slot);
+                self.curve.remove(slot);
+            }
+            delta.evicted_vertices = gone.into_iter().rev().map(VertexSlot).collect();
+        }
+
+        fn announce(&mut self, delta: &mut GeometryDelta) {
+            if self.instances.is_empty() || self.dice.once_in(4) {
+                let instance = InstanceId(self.dice.below(u64::from(MAX_INSTANCES)) as u16);
+                self.instances.push(instance);
+                let step_m = 0.0001 * (1 + self.dice.below(20)) as f32;
+                delta.instances.push(InstanceInfo { instance, step_m });
+            }
+            if self.dice.once_in(7) {
+                let instance = self.instances[self.dice.below(self.instances.len() as u64) as usize];
+                delta.instances.push(InstanceInfo { instance, step_m: 0.003 });
+            }
+        }
+
+        fn add_vertices(&mut self, delta: &mut GeometryDelta) {
+            let first = self.dice.below(u64::from(VERTEX_SLOTS)) as u32;
+            let last = (first + self.dice.below(90) as u32).min(VERTEX_SLOTS);
+            let instance = self.instances[self.dice.below(self.instances.len() as u64) as usize];
+            for slot in first..last {
+                if self.vertices.contains_key(&slot) || self.dice.once_in(10) {
+                    continue;
+                }
+                let mut at = || self.dice.signed_unit() * 3.0;
+                let (position, velocity) = ([at(), at(), at()], [at(), at(), at()]);
+                let motion = if self.dice.once_in(3) {
+                    Motion::Static { position: Vec3::from_array(position.map(|c| c as f32)) }
+                } else {
+                    self.curve.insert(slot, (position, velocity));
+                    Motion::Sampled
+                };
+                self.vertices.insert(slot, motion);
+                delta.new_vertices.push(NewVertex { slot: VertexSlot(slot), instance, motion });
+            }
+        }
+
+        fn add_patches(&mut self, delta: &mut GeometryDelta) {
+            let vertices: Vec<u32> = self.vertices.keys().copied().collect();
+            for _ in 0..self.dice.below(20) {
+                let slot = self.dice.below(u64::from(PATCH_SLOTS)) as u32;
+                if vertices.is_empty() || self.patches.contains_key(&slot) {
+                    continue;
+                }
+                let kind = PatchKind::ALL[self.dice.below(3) as usize];
+                let mut any = || VertexSlot(vertices[self.dice.below(vertices.len() as u64) as usize]);
+                let mut corners = [any(), any(), any(), any(), any()];
+                let first = corners[0];
+                corners[kind.vertex_count()..].fill(first);
+                let instance = self.instances[self.dice.below(self.instances.len() as u64) as usize];
+                let patch = NewPatch { slot: PatchSlot(slot), instance, kind, vertices: corners };
+                self.patches.insert(slot, patch);
+                delta.new_patches.push(patch);
+            }
+        }
+
+        fn place(&mut self, delta: &mut GeometryDelta) {
+            for &slot in self.patches.keys() {
+                if self.dice.once_in(2) {
+                    let address = BlockAddress {
+                        x: self.dice.below(500) as u16 * 4,
+                        y: self.dice.below(300) as u16 * 4,
+                    };
+                    let (width_log2, height_log2) =
+                        (2 + self.dice.below(6) as u8, 2 + self.dice.below(6) as u8);
+                    let block = Block { address, size: BlockSize { width_log2, height_log2 } };
+                    let block = (!self.dice.once_in(5)).then_some(block);
+                    delta.placements.push((PatchSlot(slot), block));
+                }
+            }
+        }
+
+        fn sample(&mut self, delta: &mut GeometryDelta) {
+            let fresh: Vec<u32> = delta.new_vertices.iter().map(|vertex| vertex.slot.0).collect();
+            let is_fresh = |slot: &u32| fresh.contains(slot);
+            let earlier = self.grid - self.dice.below(4) as i32;
+            (earlier..self.grid).for_each(|grid| self.batch(delta, grid, is_fresh));
+            if self.dice.once_in(6) {
+                // The future changed for some: a few steps are sent again.
+                let odd = self.dice.below(5) as u32;
+                (self.grid - 2..self.grid).for_each(|grid| self.batch(delta, grid, |slot| slot % 5 == odd));
+            }
+            if self.dice.once_in(8) {
+                self.grid += 1; // A step that nobody gets.
+            }
+            (0..self.dice.below(3)).for_each(|_| {
+                self.batch(delta, self.grid, |_| true);
+                self.grid += 1;
+            });
+        }
+
+        fn batch(&mut self, delta: &mut GeometryDelta, grid: i32, wanted: impl Fn(&u32) -> bool) {
+            let dice = &mut self.dice;
+            let mut value =
+                |c: f64, v: f64| ((c + v * f64::from(grid) * 0.033) * 2000.0) as i32 + dice.below(3) as i32;
+            let values = self
+                .curve
+                .iter()
+                .filter(|(slot, _)| wanted(slot))
+                .map(|(slot, (c, v))| {
+                    (VertexSlot(*slot), std::array::from_fn(|axis| value(c[axis], v[axis])))
+                })
+                .collect();
+            delta.samples.push(SampleBatch { grid: GridIndex(grid), values });
+        }
+    }
+
+    #[test]
+    fn both_sides_stay_in_step_through_random_sessions() {
+        for seed in 0..30 {
+            let mut chaos = Chaos::new(seed);
+            let mut coder = SampleCoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+            let mut decoder = SampleDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+            for _ in 0..60 {
+                let delta = chaos.delta();
+                let bytes = encode(&delta, &mut coder);
+                assert_eq!(peek_frame(&bytes), Ok(delta.frame));
+                assert_eq!(decode(&bytes, &mut decoder).as_ref(), Ok(&delta), "seed {seed}");
+                assert_eq!(coder.history().active_slots(), decoder.history().active_slots(), "seed {seed}");
+                assert_eq!(coder.last_sizes().total_bytes, bytes.len());
+            }
+        }
+    }
+
+    #[test]
+    fn damaged_deltas_give_values_or_errors() {
+        for seed in 0..4 {
+            let mut chaos = Chaos::new(seed);
+            let mut coder = SampleCoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+            let mut decoder = SampleDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+            for _ in 0..5 {
+                let bytes = encode(&chaos.delta(), &mut coder);
+                damaged(&bytes, seed, 400, |bytes| {
+                    let mut victim = decoder.clone();
+                    if decode(bytes, &mut victim).is_err() {
+                        assert!(decode(bytes, &mut victim).is_err(), "a broken decoder stays so");
+                    }
+                });
+                for length in 0..bytes.len() {
+                    assert!(
+                        decode(&bytes[..length], &mut decoder.clone()).is_err(),
+                        "{length} of {}",
+                        bytes.len()
+                    );
+                }
+                decode(&bytes, &mut decoder).unwrap();
+            }
+        }
+    }
+
+    fn bytes_of(delta: GeometryDelta) -> Vec<u8> {
+        // A coder that allows more than the decoder under test.
+        let mut coder = SampleCoder::new(4 * VERTEX_SLOTS, 4 * PATCH_SLOTS);
+        encode(&delta, &mut coder)
+    }
+
+    #[track_caller]
+    fn assert_refused(bytes: &[u8], words: &str) {
+        let error =
+            decode(bytes, &mut SampleDecoder::new(VERTEX_SLOTS, PATCH_SLOTS)).unwrap_err().to_string();
+        assert!(error.contains(words), "{error}");
+    }
+
+    fn static_vertex(slot: u32) -> NewVertex {
+        let motion = Motion::Static { position: Vec3::ONE };
+        NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion }
+    }
+
+    #[test]
+    fn slots_beyond_the_agreed_capacity_are_refused() {
+        let vertex = GeometryDelta { new_vertices: vec![static_vertex(VERTEX_SLOTS)], ..Default::default() };
+        assert_refused(&bytes_of(vertex), "slot 600 of 600 does not exist");
+        let patch = NewPatch {
+            slot: PatchSlot(PATCH_SLOTS),
+            instance: InstanceId(0),
+            kind: PatchKind::One,
+            vertices: [VertexSlot(0); 5],
+        };
+        let delta = GeometryDelta {
+            new_vertices: vec![static_vertex(0)],
+            new_patches: vec![patch],
+            ..GeometryDelta::default()
+        };
+        assert_refused(&bytes_of(delta), "slot 300 of 300 does not exist");
+    }
+
+    #[test]
+    fn a_slot_in_use_is_not_given_again_and_a_free_one_not_taken_back() {
+        let delta = GeometryDelta { new_vertices: vec![static_vertex(7)], ..Default::default() };
+        let bytes = bytes_of(delta);
+        let mut decoder = SampleDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+        decode(&bytes, &mut decoder).unwrap();
+        assert!(decode(&bytes, &mut decoder).unwrap_err().to_string().contains("slot 7 is taken"));
+
+        let mut section = Vec::new();
+        put_evictions(&mut section, [3].into_iter());
+        let header = GeometryDelta::default();
+        let sections = [section, vec![0], vec![0], vec![0], vec![0], vec![0], vec![0]];
+        assert_refused(&put_header_and(&header, &sections), "slot 3 is free");
+    }
+
+    #[test]
+    fn huge_counts_are_refused_before_anything_is_allocated() {
+        for (section, words) in [
+            (0, "evicted patches"),
+            (1, "evicted vertices"),
+            (2, "instances"),
+            (3, "new vertices"),
+            (4, "new patches"),
+            (5, "placements"),
+            (6, "batches of samples"),
+        ] {
+            let mut sections: [Vec<u8>; SECTIONS] = std::array::from_fn(|_| vec![0]);
+            sections[section] = vec![0xff, 0xff, 0xff, 0xff, 0x0f];
+            assert_refused(&put_header_and(&GeometryDelta::default(), &sections), words);
+        }
+    }
+
+    #[test]
+    fn positions_that_are_no_numbers_are_refused() {
+        for bad in [f32::NAN, f32::INFINITY, -2e6] {
+            let motion = Motion::Static { position: Vec3::new(0.0, bad, 0.0) };
+            let vertex = NewVertex { slot: VertexSlot(0), instance: InstanceId(0), motion };
+            assert_refused(
+                &bytes_of(GeometryDelta { new_vertices: vec![vertex], ..Default::default() }),
+                "a vertex's position is not valid",
+            );
+        }
+    }
+
+    #[test]
+    fn runs_of_slots_cost_nothing_per_vertex() {
+        let new_vertices = (0..1000)
+            .map(|slot| NewVertex {
+                slot: VertexSlot(slot),
+                instance: InstanceId(0),
+                motion: Motion::Sampled,
+            })
+            .collect();
+        let instances = vec![InstanceInfo { instance: InstanceId(0), step_m: 0.001 }];
+        let mut coder = SampleCoder::new(1000, 1);
+        encode(&GeometryDelta { instances, new_vertices, ..Default::default() }, &mut coder);
+        assert!(coder.last_sizes().vertex_bytes < 20, "{:?}", coder.last_sizes());
+    }
+
+    #[test]
+    #[should_panic(expected = "slot 9 is free")]
+    fn a_server_that_contradicts_itself_is_a_bug() {
+        bytes_of(GeometryDelta { evicted_vertices: vec![VertexSlot(9)], ..Default::default() });
+    }
+}

@@ -11,10 +11,13 @@ pub mod message;
 pub mod pose;
 pub mod samples;
 pub mod session;
-#[cfg(test)]
-mod testing;
 pub mod time;
 pub mod wire;
+
+#[cfg(test)]
+mod goldens;
+#[cfg(test)]
+mod testing;
 
 /// Version of the wire format. A change of the bytes without a change of this number fails the wire goldens.
 pub const PROTOCOL_VERSION: u32 = 1;

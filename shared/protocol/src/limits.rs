@@ -92,7 +92,8 @@ const _: () = {
     assert!(ATLAS_MAX_EXTENT[0] / 16 * (ATLAS_MAX_EXTENT[1] / 16) <= MAX_MACROBLOCKS);
     assert!(ATLAS_DEFAULT_EXTENT[0] <= ATLAS_MAX_EXTENT[0] && ATLAS_DEFAULT_EXTENT[1] <= ATLAS_MAX_EXTENT[1]);
     assert!(
-        ATLAS_MAX_EXTENT[0] % (1 << BLOCK_MAX_LOG2) == 0 && ATLAS_MAX_EXTENT[1] % (1 << BLOCK_MAX_LOG2) == 0
+        ATLAS_MAX_EXTENT[0].is_multiple_of(1 << BLOCK_MAX_LOG2)
+            && ATLAS_MAX_EXTENT[1].is_multiple_of(1 << BLOCK_MAX_LOG2)
     );
     assert!(
         MAX_SAMPLES_PER_DELTA as usize * WORST_SAMPLE_BYTES

@@ -527,3 +527,199 @@ fn check_eye(eye: &Eye) -> Result<(), WireError> {
     check_pose("an eye's pose", &eye.head_from_eye)?;
     require(eye.fov.is_valid(), "an eye's field of view", || format!("{:?} is not a frustum", eye.fov))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{damaged, displayed, head, hello, offer, welcome};
+
+    fn client_messages() -> Vec<ClientMessage> {
+        vec![
+            ClientMessage::Hello(hello()),
+            ClientMessage::Displayed(displayed(300)),
+            ClientMessage::RefreshRequest { after: None },
+            ClientMessage::RefreshRequest { after: Some(FrameId(u32::MAX)) },
+            ClientMessage::Goodbye,
+        ]
+    }
+
+    fn server_messages() -> Vec<ServerMessage> {
+        let refused = Refused::new("the scene has gone", "choose another");
+        vec![ServerMessage::Welcome(welcome()), ServerMessage::Refused(refused), ServerMessage::Goodbye]
+    }
+
+    fn client_datagrams() -> Vec<ClientDatagram> {
+        vec![
+            ClientDatagram::Pose(head(u32::MAX)),
+            ClientDatagram::ClockPing { client_send: DisplayTime(i64::MIN) },
+        ]
+    }
+
+    fn pong() -> ServerDatagram {
+        ServerDatagram::ClockPong {
+            client_send: DisplayTime(i64::MAX),
+            server_receive: ServerTime(-1),
+            server_send: ServerTime(1 << 40),
+        }
+    }
+
+    #[test]
+    fn every_message_comes_back() {
+        client_messages().iter().for_each(|m| assert_eq!(ClientMessage::decode(&m.encode()).as_ref(), Ok(m)));
+        server_messages().iter().for_each(|m| assert_eq!(ServerMessage::decode(&m.encode()).as_ref(), Ok(m)));
+        client_datagrams()
+            .iter()
+            .for_each(|m| assert_eq!(ClientDatagram::decode(&m.encode()).as_ref(), Ok(m)));
+        assert_eq!(ServerDatagram::decode(&pong().encode()), Ok(pong()));
+    }
+
+    #[test]
+    fn datagrams_fit_every_path() {
+        for datagram in client_datagrams() {
+            assert!(datagram.encode().len() <= MAX_DATAGRAM_BYTES, "{datagram:?}");
+        }
+    }
+
+    /// Damaged bytes that still are a message are a valid one: it can be sent on and comes back.
+    #[test]
+    fn damaged_messages_give_valid_messages_or_errors() {
+        for message in client_messages() {
+            damaged(&message.encode(), 1, 5000, |bytes| {
+                if let Ok(message) = ClientMessage::decode(bytes) {
+                    assert!(ClientMessage::decode(&message.encode()).is_ok(), "{message:?}");
+                }
+                ClientMessage::peek_versions(bytes);
+            });
+        }
+        for message in server_messages() {
+            damaged(&message.encode(), 2, 5000, |bytes| {
+                if let Ok(message) = ServerMessage::decode(bytes) {
+                    assert!(ServerMessage::decode(&message.encode()).is_ok(), "{message:?}");
+                }
+            });
+        }
+        for datagram in client_datagrams() {
+            damaged(&datagram.encode(), 3, 5000, |bytes| {
+                if let Ok(datagram) = ClientDatagram::decode(bytes) {
+                    assert!(ClientDatagram::decode(&datagram.encode()).is_ok(), "{datagram:?}");
+                }
+            });
+        }
+        damaged(&pong().encode(), 4, 5000, |bytes| {
+            drop(ServerDatagram::decode(bytes).map(|pong| pong.encode()))
+        });
+    }
+
+    #[test]
+    fn no_prefix_and_no_extension_of_a_message_is_one() {
+        for bytes in client_messages().iter().map(ClientMessage::encode) {
+            (0..bytes.len()).for_each(|length| assert!(ClientMessage::decode(&bytes[..length]).is_err()));
+            let error = ClientMessage::decode(&[bytes, vec![0]].concat()).unwrap_err();
+            assert_eq!(error, WireError::Trailing { what: "a client's message", left: 1 });
+        }
+    }
+
+    #[track_caller]
+    fn assert_pose_refused(change: impl Fn(&mut HeadState), words: &str) {
+        let mut state = head(0);
+        change(&mut state);
+        let error = ClientDatagram::decode(&ClientDatagram::Pose(state).encode()).unwrap_err().to_string();
+        assert!(error.contains(words), "{error}");
+    }
+
+    #[test]
+    fn heads_that_cannot_be_are_refused() {
+        assert_pose_refused(|head| head.world_from_head.position.y = f32::NAN, "a head's pose");
+        assert_pose_refused(|head| head.world_from_head.position.y = 2e6, "a head's pose");
+        assert_pose_refused(|head| head.world_from_head.orientation.w = 0.0, "a head's pose");
+        assert_pose_refused(|head| head.linear_velocity.x = f32::INFINITY, "a head's velocity");
+        assert_pose_refused(|head| head.angular_velocity.x = 1e5, "a head's velocity");
+        assert_pose_refused(|head| head.eyes[1].fov.left = 1.0, "an eye's field of view");
+        assert_pose_refused(|head| head.eyes[0].head_from_eye.position.z = f32::NAN, "an eye's pose");
+    }
+
+    #[track_caller]
+    fn assert_hello_refused(change: impl Fn(&mut ClientHello), words: &str) {
+        let mut hello = hello();
+        change(&mut hello);
+        let error = ClientMessage::decode(&ClientMessage::Hello(hello).encode()).unwrap_err().to_string();
+        assert!(error.contains(words), "{error}");
+    }
+
+    #[test]
+    fn hellos_that_cannot_be_are_refused() {
+        assert_hello_refused(|hello| hello.min_protocol_version = 2, "protocol versions");
+        assert_hello_refused(|hello| hello.app_version = "x".repeat(MAX_TEXT_BYTES + 1), "program version");
+        assert_hello_refused(|hello| hello.capabilities.codecs = vec![Codec::H264; MAX_CODECS + 1], "codecs");
+        assert_hello_refused(|hello| hello.capabilities.max_vertex_slots = 0, "vertex slots");
+        assert_hello_refused(|hello| hello.capabilities.max_patch_slots = MAX_PATCH_SLOTS + 1, "patch slots");
+        assert_hello_refused(|hello| hello.capabilities.eye_extent_pixels[1] = 0, "extent in pixels");
+        assert_hello_refused(|hello| hello.capabilities.display_period_ns = 0, "display period");
+    }
+
+    #[track_caller]
+    fn assert_welcome_refused(change: impl Fn(&mut Welcome), words: &str) {
+        let mut welcome = welcome();
+        change(&mut welcome);
+        let error = ServerMessage::decode(&ServerMessage::Welcome(welcome).encode()).unwrap_err().to_string();
+        assert!(error.contains(words), "{error}");
+    }
+
+    #[test]
+    fn welcomes_that_cannot_be_are_refused() {
+        assert_welcome_refused(|welcome| welcome.grid.spacing_ns = 0, "grid");
+        assert_welcome_refused(|welcome| welcome.update_period_ns = i64::MAX, "update period");
+        assert_welcome_refused(|welcome| welcome.atlas_extent_texels = [2000, 2048], "atlas");
+        assert_welcome_refused(|welcome| welcome.atlas_extent_texels = [2048, 4096], "atlas");
+        assert_welcome_refused(|welcome| welcome.vertex_slots = MAX_VERTEX_SLOTS + 1, "vertex slots");
+        assert_welcome_refused(|welcome| welcome.environment.nadir[2] = -1.0, "environment");
+        assert_welcome_refused(|welcome| welcome.world_from_stage.position.x = f32::NAN, "stage");
+    }
+
+    #[test]
+    fn negotiation_takes_the_smaller_of_both_capacities() {
+        let welcome = welcome();
+        assert_eq!((welcome.vertex_slots, welcome.patch_slots), (600, 300));
+        assert_eq!(welcome.atlas_extent_texels, [2048, 2048]);
+        let mut small = hello();
+        small.capabilities.max_atlas_extent = [4096, 1500];
+        assert_eq!(negotiate(&small, &offer()).unwrap().atlas_extent_texels, [2048, 1024]);
+        small.capabilities.max_atlas_extent = [256, 256];
+        assert!(negotiate(&small, &offer()).unwrap_err().reason.contains("256x256"));
+        small = hello();
+        small.capabilities.codecs.clear();
+        assert!(negotiate(&small, &offer()).unwrap_err().remedy.contains("codec"));
+    }
+
+    #[test]
+    fn versions_that_overlap_agree_on_the_newest_and_others_learn_what_to_update() {
+        let offer = ServerOffer { protocol_version: 5, min_protocol_version: 3, ..offer() };
+        let negotiated = |newest, oldest| negotiate_version(newest, oldest, "0.9", &offer);
+        assert_eq!(negotiated(4, 1), Ok(4));
+        assert_eq!(negotiated(9, 5), Ok(5));
+        assert_eq!(negotiated(2, 1).unwrap_err().remedy, "update the client to one that speaks protocol 3");
+        assert_eq!(negotiated(7, 6).unwrap_err().remedy, "update the server to one that speaks protocol 6");
+        let reason = negotiated(2, 1).unwrap_err().reason;
+        assert_eq!(
+            reason,
+            "the client (0.9) speaks protocol 1 to 2, the server (0.1.0) speaks protocol 3 to 5"
+        );
+    }
+
+    #[test]
+    fn a_later_hello_may_say_more_and_still_be_understood() {
+        let later = ClientHello { protocol_version: PROTOCOL_VERSION + 1, ..hello() };
+        let bytes = [ClientMessage::Hello(later.clone()).encode(), b"fields of the future".to_vec()].concat();
+        assert_eq!(ClientMessage::decode(&bytes), Ok(ClientMessage::Hello(later)));
+        let versions = ClientMessage::peek_versions(&bytes[..12]).unwrap();
+        assert_eq!(versions.protocol_version, PROTOCOL_VERSION + 1);
+    }
+
+    #[test]
+    fn a_refusal_is_cut_to_what_the_wire_allows() {
+        let refused = Refused::new(&"ä".repeat(MAX_TEXT_BYTES), "");
+        assert_eq!(refused.reason.len(), MAX_TEXT_BYTES);
+        let message = ServerMessage::Refused(refused);
+        assert_eq!(ServerMessage::decode(&message.encode()), Ok(message));
+    }
+}

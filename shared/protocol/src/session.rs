@@ -530,3 +530,267 @@ impl ServerSession {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::limits::MAX_DELTA_BYTES;
+    use crate::testing::{Dice, damaged, displayed, head, hello, offer};
+
+    /// Both ends, with what the client has been sent and has not yet been given.
+    struct Pair {
+        client: ClientSession,
+        server: ServerSession,
+        streams: Vec<Vec<u8>>,
+    }
+
+    const NOW: DisplayTime = DisplayTime(1_000);
+
+    impl Pair {
+        fn new() -> Self {
+            Self {
+                client: ClientSession::start(hello(), NOW),
+                server: ServerSession::new(offer()),
+                streams: Vec::new(),
+            }
+        }
+
+        fn connected() -> Self {
+            let mut pair = Self::new();
+            pair.carry(ServerTime(0));
+            assert!(matches!(pair.client.poll_event(), Some(ClientEvent::Welcome(_))));
+            assert!(matches!(pair.server.poll_event(), Some(ServerEvent::Accepted { .. })));
+            pair
+        }
+
+        /// Carries control bytes and datagrams both ways until none are left; keeps streams back.
+        fn carry(&mut self, now: ServerTime) {
+            loop {
+                if let Some(out) = self.client.poll_out() {
+                    match out {
+                        Out::Control(bytes) => self.server.on_control(&bytes),
+                        Out::Datagram(bytes) => self.server.on_datagram(&bytes, now),
+                        Out::Stream { .. } => panic!("a client sends no streams"),
+                    }
+                } else if let Some(out) = self.server.poll_out() {
+                    match out {
+                        Out::Control(bytes) => self.client.on_control(&bytes),
+                        Out::Datagram(bytes) => self.client.on_datagram(&bytes, NOW),
+                        Out::Stream { bytes, .. } => self.streams.push(bytes),
+                    }
+                } else {
+                    return;
+                }
+            }
+        }
+
+        fn send_delta(&mut self) {
+            let frame = self.server.next_delta();
+            self.server.send_delta(&GeometryDelta { frame, ..Default::default() });
+        }
+
+        fn client_events(&mut self) -> Vec<ClientEvent> {
+            std::iter::from_fn(|| self.client.poll_event()).collect()
+        }
+    }
+
+    fn picture(frame: u32) -> PictureHeader {
+        PictureHeader { frame: FrameId(frame), time: ServerTime(1), is_refresh: frame == 0 }
+    }
+
+    #[test]
+    fn deltas_come_out_in_order_however_their_streams_arrive() {
+        for seed in 0..50 {
+            let (mut pair, mut dice) = (Pair::connected(), Dice::new(seed));
+            (0..40).for_each(|_| pair.send_delta());
+            pair.carry(ServerTime(0));
+            while !pair.streams.is_empty() {
+                let next = dice.below(pair.streams.len() as u64) as usize;
+                pair.client.on_stream(&pair.streams.swap_remove(next));
+            }
+            let frames: Vec<_> = pair
+                .client_events()
+                .into_iter()
+                .map(|event| match event {
+                    ClientEvent::Delta(delta) => delta.frame.0,
+                    other => panic!("seed {seed}: {other:?}"),
+                })
+                .collect();
+            assert_eq!(frames, (0..40).collect::<Vec<_>>(), "seed {seed}");
+            assert_eq!(pair.client.waiting.bytes, 0);
+        }
+    }
+
+    #[test]
+    fn pictures_come_out_at_once_though_a_delta_is_late() {
+        let mut pair = Pair::connected();
+        pair.send_delta();
+        pair.server.send_picture(picture(0), b"coded");
+        pair.carry(ServerTime(0));
+        pair.client.on_stream(&pair.streams[1]);
+        let expected = ClientEvent::Picture { header: picture(0), access_unit: b"coded".to_vec() };
+        assert_eq!(pair.client_events(), [expected]);
+    }
+
+    #[test]
+    fn streams_that_overtake_the_welcome_wait_for_it() {
+        let mut pair = Pair::new();
+        let Some(Out::Control(hello)) = pair.client.poll_out() else { panic!("no hello") };
+        pair.server.on_control(&hello);
+        let Some(Out::Control(welcome)) = pair.server.poll_out() else { panic!("no welcome") };
+        pair.send_delta();
+        pair.server.send_picture(picture(0), b"coded");
+        pair.carry(ServerTime(0));
+        pair.streams.clone().iter().for_each(|stream| pair.client.on_stream(stream));
+        assert_eq!(pair.client_events(), []);
+        pair.client.on_control(&welcome);
+        let events = pair.client_events();
+        assert!(matches!(events[0], ClientEvent::Welcome(_)), "{events:?}");
+        assert_eq!(events.len(), 3);
+        assert_eq!(pair.client.waiting.bytes, 0);
+    }
+
+    #[test]
+    fn a_mismatch_of_versions_tells_the_user_what_to_update() {
+        let mut pair = Pair::new();
+        pair.server.offer.protocol_version = 8;
+        pair.server.offer.min_protocol_version = 7;
+        pair.carry(ServerTime(0));
+        let events = pair.client_events();
+        let [ClientEvent::Refused(refused)] = &events[..] else { panic!("{events:?}") };
+        assert_eq!(refused.remedy, "update the client to one that speaks protocol 7");
+        assert!(!pair.client.is_alive() && !pair.server.is_alive());
+    }
+
+    #[test]
+    fn a_hello_of_the_far_future_is_refused_by_its_versions_alone() {
+        let mut server = ServerSession::new(offer());
+        let hello = [vec![0, 40, 39, 3], b"9.0".to_vec(), vec![0xee; 30]].concat();
+        server.on_control(&frame_control(&hello));
+        let Some(ServerEvent::Refused(refused)) = server.poll_event() else { panic!("not refused") };
+        assert_eq!(refused.remedy, "update the server to one that speaks protocol 39");
+    }
+
+    #[test]
+    fn pings_make_the_clocks_agree() {
+        let mut pair = Pair::connected();
+        pair.client.on_tick(NOW);
+        pair.carry(ServerTime(5_000_000));
+        assert_eq!(pair.client.clock().server_time(NOW), Some(ServerTime(5_000_000)));
+        assert_eq!(pair.client.next_tick(), Some(NOW.plus_ns(QUICK_PING_NS)));
+        pair.client.on_tick(NOW.plus_ns(1));
+        assert_eq!(pair.client.poll_out(), None, "not yet due");
+    }
+
+    #[test]
+    fn late_poses_are_left_out_also_when_the_sequence_wraps() {
+        let mut pair = Pair::connected();
+        for sequence in [u32::MAX - 1, u32::MAX, 1, 0, u32::MAX, 2] {
+            pair.client.send_pose(head(sequence));
+        }
+        pair.carry(ServerTime(0));
+        let seen: Vec<_> = std::iter::from_fn(|| pair.server.poll_event())
+            .map(|event| match event {
+                ServerEvent::Pose(head) => head.sequence,
+                other => panic!("{other:?}"),
+            })
+            .collect();
+        assert_eq!(seen, [u32::MAX - 1, u32::MAX, 1, 2]);
+    }
+
+    #[test]
+    fn reports_and_requests_reach_the_server() {
+        let mut pair = Pair::connected();
+        pair.send_delta();
+        pair.client.send_displayed(displayed(0));
+        pair.client.request_refresh(Some(FrameId(0)));
+        pair.client.goodbye();
+        pair.carry(ServerTime(0));
+        let events: Vec<_> = std::iter::from_fn(|| pair.server.poll_event()).collect();
+        let expected = [
+            ServerEvent::Displayed(displayed(0)),
+            ServerEvent::RefreshRequest { after: Some(FrameId(0)) },
+            ServerEvent::Goodbye,
+        ];
+        assert_eq!(events, expected);
+        assert!(!pair.server.is_alive());
+    }
+
+    #[track_caller]
+    fn assert_failed(pair: &mut Pair, words: &str) {
+        let events = pair.client_events();
+        let Some(ClientEvent::Failed(error)) = events.last() else { panic!("{events:?}") };
+        assert!(error.to_string().contains(words), "{error}");
+        assert!(!pair.client.is_alive());
+    }
+
+    #[test]
+    fn a_delta_that_comes_twice_ends_the_session() {
+        let mut pair = Pair::connected();
+        pair.send_delta();
+        pair.carry(ServerTime(0));
+        (0..2).for_each(|_| pair.client.on_stream(&pair.streams[0]));
+        assert_failed(&mut pair, "a second time");
+    }
+
+    #[test]
+    fn a_server_that_never_sends_the_missing_delta_cannot_fill_the_clients_memory() {
+        let mut pair = Pair::connected();
+        (0..=MAX_QUEUED_STREAMS + 1).for_each(|_| pair.send_delta());
+        pair.carry(ServerTime(0));
+        pair.streams[1..].iter().for_each(|stream| pair.client.on_stream(stream));
+        assert_failed(&mut pair, "above the limit of 128");
+
+        let mut waiting = Waiting::default();
+        assert!(waiting.admit(MAX_DELTA_BYTES).is_ok() && waiting.admit(MAX_DELTA_BYTES).is_ok());
+        assert!(waiting.admit(1).is_err());
+    }
+
+    #[test]
+    fn showing_a_frame_that_was_never_sent_ends_the_session() {
+        let mut pair = Pair::connected();
+        pair.client.send_displayed(displayed(0));
+        pair.carry(ServerTime(0));
+        let event = pair.server.poll_event();
+        assert!(matches!(event, Some(ServerEvent::Failed(_))), "{event:?}");
+    }
+
+    #[test]
+    fn nothing_is_taken_in_after_the_end() {
+        let mut pair = Pair::connected();
+        pair.server.goodbye();
+        pair.send_delta_after_the_end();
+        pair.carry(ServerTime(0));
+        assert_eq!(pair.client_events(), [ClientEvent::Goodbye]);
+        pair.client.on_control(b"anything");
+        pair.client.on_stream(b"anything");
+        pair.client.on_tick(NOW);
+        assert_eq!((pair.client.poll_event(), pair.client.poll_out()), (None, None));
+    }
+
+    impl Pair {
+        fn send_delta_after_the_end(&mut self) {
+            let sizes = self.server.send_delta(&GeometryDelta::default());
+            assert_eq!(sizes, DeltaSizes::default());
+        }
+    }
+
+    #[test]
+    fn damaged_traffic_ends_sessions_and_nothing_worse() {
+        let mut pair = Pair::new();
+        let Some(Out::Control(greeting)) = pair.client.poll_out() else { panic!("no hello") };
+        damaged(&greeting, 1, 3000, |bytes| ServerSession::new(offer()).on_control(bytes));
+        pair.server.on_control(&greeting);
+        let Some(Out::Control(welcome)) = pair.server.poll_out() else { panic!("no welcome") };
+        damaged(&welcome, 2, 1000, |bytes| ClientSession::start(hello(), NOW).on_control(bytes));
+        pair.client.on_control(&welcome);
+        let ping = ClientDatagram::ClockPing { client_send: NOW }.encode();
+        damaged(&ping, 3, 1000, |bytes| pair.server.on_datagram(bytes, ServerTime(0)));
+        pair.server.on_datagram(&ping, ServerTime(0));
+        while let Some(out) = pair.server.poll_out() {
+            let Out::Datagram(pong) = out else { panic!("only pongs") };
+            damaged(&pong, 4, 10, |bytes| pair.client.on_datagram(bytes, NOW));
+        }
+        assert!(pair.client.is_alive() && pair.server.is_alive(), "a damaged datagram is only dropped");
+    }
+}

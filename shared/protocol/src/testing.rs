@@ -1,4 +1,86 @@
-//! Seeded randomness and mutation of bytes, for this crate's tests.
+//! Seeded randomness, mutation of bytes and fixed messages, for this crate's tests.
+
+use crate::ids::{DiscontinuityId, FrameId};
+use crate::message::{
+    Capabilities, ClientHello, Codec, Displayed, Environment, HeadState, ServerOffer, Welcome, negotiate,
+};
+use crate::pose::{Eye, Fov, Pose};
+use crate::time::{DEFAULT_GRID, ServerTime};
+use glam::{Quat, Vec3};
+
+/// The eyes of a headset of 64 mm between the pupils.
+pub(crate) fn eyes() -> [Eye; 2] {
+    [-0.032, 0.032].map(|x| Eye {
+        head_from_eye: Pose { position: Vec3::new(x, 0.0, 0.0), orientation: Quat::IDENTITY },
+        fov: Fov { left: -0.75, right: 0.75, up: 0.5, down: -0.875 },
+    })
+}
+
+pub(crate) fn hello() -> ClientHello {
+    ClientHello {
+        protocol_version: 1,
+        min_protocol_version: 1,
+        app_version: "0.1.0".to_owned(),
+        capabilities: Capabilities {
+            max_atlas_extent: [4096, 4096],
+            max_vertex_slots: 600,
+            max_patch_slots: 300,
+            codecs: vec![Codec::H264],
+            eyes: eyes(),
+            eye_extent_pixels: [1832, 1920],
+            display_period_ns: 13_888_888,
+        },
+    }
+}
+
+pub(crate) fn offer() -> ServerOffer {
+    ServerOffer {
+        protocol_version: 1,
+        min_protocol_version: 1,
+        app_version: "0.1.0".to_owned(),
+        session: 0x0123_4567_89ab_cdef,
+        grid: DEFAULT_GRID,
+        atlas_extent_texels: [2048, 2048],
+        vertex_slots: 131_072,
+        patch_slots: 131_072,
+        codecs: vec![Codec::H264],
+        environment: Environment { zenith: [0.25, 0.5, 1.0], horizon: [0.5, 0.75, 1.0], nadir: [0.125; 3] },
+        world_from_stage: Pose { position: Vec3::new(0.0, 0.0, 3.5), orientation: Quat::IDENTITY },
+        update_period_ns: 33_333_333,
+    }
+}
+
+pub(crate) fn welcome() -> Welcome {
+    negotiate(&hello(), &offer()).unwrap()
+}
+
+pub(crate) fn head(sequence: u32) -> HeadState {
+    HeadState {
+        sequence,
+        time: ServerTime(1_000_000_007),
+        world_from_head: Pose {
+            position: Vec3::new(0.5, 1.625, -2.0),
+            orientation: Quat::from_xyzw(0.6, 0.0, 0.0, 0.8),
+        },
+        linear_velocity: Vec3::new(0.25, 0.0, -1.5),
+        angular_velocity: Vec3::new(0.0, 2.5, 0.0),
+        eyes: eyes(),
+        discontinuity: DiscontinuityId(3),
+    }
+}
+
+pub(crate) fn displayed(frame: u32) -> Displayed {
+    Displayed {
+        frame: FrameId(frame),
+        display_time: ServerTime(-5),
+        display_frames: 72,
+        frames_without_bundle: 1,
+        frozen_vertices: 200,
+        withheld_patches: 3,
+        lost_pictures: 0,
+        decode_to_display_ns: 9_000_000,
+    }
+}
 
 /// SplitMix64: small, seeded, and the same everywhere. Source: Steele, Lea and Flood 2014.
 pub(crate) struct Dice(u64);

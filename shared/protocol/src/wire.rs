@@ -313,3 +313,78 @@ pub(crate) fn zigzag(value: i32) -> u32 {
 pub(crate) fn unzigzag(value: u32) -> i32 {
     (value >> 1) as i32 ^ -((value & 1) as i32)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::delta::{GeometryDelta, SampleCoder};
+    use crate::testing::{Dice, damaged};
+
+    const HEADER: PictureHeader =
+        PictureHeader { frame: FrameId(77), time: ServerTime(-12_345), is_refresh: true };
+
+    #[test]
+    fn streams_come_back_as_what_they_were() {
+        let picture = encode_picture(HEADER, b"coded");
+        assert_eq!(
+            parse_stream(&picture),
+            Ok(StreamMessage::Picture { header: HEADER, access_unit: b"coded" })
+        );
+        let delta = GeometryDelta { frame: FrameId(9), ..Default::default() };
+        let payload = delta::encode(&delta, &mut SampleCoder::new(1, 1));
+        let stream = encode_geometry(&payload);
+        assert_eq!(
+            parse_stream(&stream),
+            Ok(StreamMessage::Geometry { frame: FrameId(9), payload: &payload })
+        );
+    }
+
+    #[test]
+    fn damaged_streams_give_values_or_errors() {
+        let picture = encode_picture(HEADER, &[7; 100]);
+        damaged(&picture, 1, 5000, |bytes| drop(parse_stream(bytes)));
+        (0..picture.len()).for_each(|length| assert!(parse_stream(&picture[..length]).is_err()));
+        let longer = [picture, vec![0]].concat();
+        assert_eq!(parse_stream(&longer), Err(WireError::Trailing { what: "a picture", left: 1 }));
+        assert!(parse_stream(&[]).is_err() && parse_stream(&[3]).is_err());
+    }
+
+    #[test]
+    fn the_control_stream_is_cut_right_in_whatever_pieces_it_comes() {
+        for seed in 0..50 {
+            let mut dice = Dice::new(seed);
+            let messages: Vec<Vec<u8>> = (0..20).map(|i| vec![i; dice.below(300) as usize]).collect();
+            let stream: Vec<u8> = messages.iter().flat_map(|message| frame_control(message)).collect();
+            let (mut reader, mut rest, mut got) = (ControlReader::default(), &stream[..], Vec::new());
+            while !rest.is_empty() {
+                let (piece, later) = rest.split_at((dice.below(40) as usize + 1).min(rest.len()));
+                got.extend(reader.push(piece).unwrap());
+                rest = later;
+            }
+            assert_eq!(got, messages, "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn a_control_message_above_the_limit_is_refused_by_its_length_alone() {
+        let length = (MAX_CONTROL_BYTES as u32 + 1).to_le_bytes();
+        assert!(matches!(ControlReader::default().push(&length), Err(WireError::TooMany { .. })));
+    }
+
+    #[test]
+    fn numbers_of_all_sizes_come_back() {
+        for shift in 0..32 {
+            for value in [1u32 << shift, (1 << shift) - 1, u32::MAX >> shift] {
+                let mut bytes = Vec::new();
+                put_varint(&mut bytes, value);
+                put_zigzag(&mut bytes, value as i32);
+                let mut reader = Reader::new("numbers", &bytes);
+                assert_eq!((reader.varint(), reader.zigzag()), (Ok(value), Ok(value as i32)));
+                assert_eq!(reader.finish(), Ok(()));
+            }
+        }
+        for endless in [[0xff; 5], [0x80; 5], [0x80, 0x80, 0x80, 0x80, 0x10]] {
+            assert!(Reader::new("numbers", &endless).varint().is_err());
+        }
+    }
+}

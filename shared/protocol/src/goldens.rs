@@ -1,0 +1,149 @@
+//! The wire format's bytes, pinned: peers of the same version must agree on them, on every machine and in every build.
+//!
+//! A test fails here? Then old and new programs no longer understand each other. Raise `PROTOCOL_VERSION`, then take the
+//! new bytes over from the failure's message.
+
+use crate::atlas::{Block, BlockAddress, BlockSize, PatchKind};
+use crate::delta::{
+    GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch, SampleCoder, encode,
+};
+use crate::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
+use crate::message::{ClientDatagram, ClientMessage, Refused, ServerDatagram, ServerMessage};
+use crate::testing::{displayed, head, hello, welcome};
+use crate::time::{DisplayTime, GridIndex, ServerTime};
+use crate::wire::{PictureHeader, encode_geometry, encode_picture, frame_control};
+use glam::Vec3;
+
+/// The version whose bytes are pinned below.
+const PINNED_VERSION: u32 = 1;
+
+#[track_caller]
+fn assert_pinned(bytes: &[u8], hex: &str) {
+    let actual: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+    let pinned: String = hex.split_whitespace().collect();
+    assert_eq!(actual, pinned, "the wire format has changed: raise PROTOCOL_VERSION and pin the new bytes");
+}
+
+/// Two deltas: everything enters, then it moves and some of it leaves.
+fn deltas() -> [Vec<u8>; 2] {
+    let (near, far) = (InstanceId(3), InstanceId(7));
+    let vertex = |slot, instance, motion| NewVertex { slot: VertexSlot(slot), instance, motion };
+    let block = |x, y, width_log2, height_log2| {
+        Some(Block { address: BlockAddress { x, y }, size: BlockSize { width_log2, height_log2 } })
+    };
+    let patch = |slot, instance, kind, vertices: [u32; 5]| NewPatch {
+        slot: PatchSlot(slot),
+        instance,
+        kind,
+        vertices: vertices.map(VertexSlot),
+    };
+    let sample = |slot: u32, step: i32| {
+        let along = slot as i32 * 40 + step * step * 7;
+        (VertexSlot(slot), [along, 1000 - along / 3, -250])
+    };
+    let batch = |grid, slots: std::ops::Range<u32>| SampleBatch {
+        grid: GridIndex(grid),
+        values: slots.map(|slot| sample(slot, grid)).collect(),
+    };
+    let still = Motion::Static { position: Vec3::new(1.0, -0.5, 2.25) };
+    let mut new_vertices: Vec<_> = (0..40).map(|slot| vertex(slot, near, Motion::Sampled)).collect();
+    new_vertices.extend((100..103).map(|slot| vertex(slot, far, still)));
+    let enters = GeometryDelta {
+        frame: FrameId(0),
+        time: ServerTime(1_000_000_000),
+        instances: vec![
+            InstanceInfo { instance: near, step_m: 0.0005 },
+            InstanceInfo { instance: far, step_m: 0.25 },
+        ],
+        new_vertices,
+        new_patches: vec![
+            patch(0, near, PatchKind::Two, [0, 1, 2, 3, 0]),
+            patch(1, near, PatchKind::Three, [2, 3, 4, 5, 6]),
+            patch(9, far, PatchKind::One, [100, 101, 102, 100, 100]),
+        ],
+        placements: vec![(PatchSlot(0), block(0, 0, 2, 9)), (PatchSlot(9), block(2044, 1020, 2, 2))],
+        samples: (29..33).map(|grid| batch(grid, 0..40)).collect(),
+        ..Default::default()
+    };
+    let moves = GeometryDelta {
+        frame: FrameId(1),
+        time: ServerTime(1_033_333_333),
+        evicted_patches: vec![PatchSlot(1)],
+        evicted_vertices: vec![VertexSlot(5), VertexSlot(6)],
+        placements: vec![(PatchSlot(0), None)],
+        samples: vec![batch(32, 10..13), batch(35, 0..0)],
+        ..Default::default()
+    };
+    let mut coder = SampleCoder::new(200, 20);
+    [encode(&enters, &mut coder), encode(&moves, &mut coder)]
+}
+
+#[test]
+fn the_pinned_version_is_the_current_one() {
+    assert_eq!(PINNED_VERSION, crate::PROTOCOL_VERSION, "pin the bytes of the new version");
+}
+
+#[test]
+fn control_messages_keep_their_bytes() {
+    assert_pinned(
+        &frame_control(&ClientMessage::Hello(hello()).encode()),
+        "7300000000010105302e312e3080208020d804ac0201006f1203bd000000000000000000000000000000000000000000 \
+         00803f000040bf0000403f0000003f000060bf6f12033d00000000000000000000000000000000000000000000803f00 \
+         0040bf0000403f0000003f000060bfa80e800ff0b59f0d",
+    );
+    assert_pinned(&ClientMessage::Displayed(displayed(300)).encode(), "01ac02094801c801030080d1ca08");
+    assert_pinned(&ClientMessage::RefreshRequest { after: Some(FrameId(8)) }.encode(), "020108");
+    assert_pinned(&ClientMessage::Goodbye.encode(), "03");
+    assert_pinned(
+        &ServerMessage::Welcome(welcome()).encode(),
+        "0001ef9bafcdf8acd19101aa81e51f80108010d804ac02000000803e0000003f0000803f0000003f0000403f0000803f \
+         0000003e0000003e0000003e0000000000000000000060400000000000000000000000000000803faa81e51f",
+    );
+    let refused = Refused::new("too old", "update");
+    assert_pinned(&ServerMessage::Refused(refused).encode(), "0107746f6f206f6c6406757064617465");
+    assert_pinned(&ServerMessage::Goodbye.encode(), "02");
+}
+
+#[test]
+fn datagrams_keep_their_bytes() {
+    assert_pinned(
+        &ClientDatagram::Pose(head(7)).encode(),
+        "00078ea8d6b9070000003f0000d03f000000c09a99193f0000000000000000cdcc4c3f0000803e000000000000c0bf00 \
+         00000000002040000000006f1203bd00000000000000000000000000000000000000000000803f000040bf0000403f00 \
+         00003f000060bf6f12033d00000000000000000000000000000000000000000000803f000040bf0000403f0000003f00 \
+         0060bf03",
+    );
+    let ping = ClientDatagram::ClockPing { client_send: DisplayTime(123_456_789) };
+    assert_pinned(&ping.encode(), "01aab4de75");
+    let pong = ServerDatagram::ClockPong {
+        client_send: DisplayTime(123_456_789),
+        server_receive: ServerTime(1_000),
+        server_send: ServerTime(2_000),
+    };
+    assert_pinned(&pong.encode(), "00aab4de75d00fa01f");
+}
+
+#[test]
+fn streams_keep_their_bytes() {
+    let header = PictureHeader { frame: FrameId(5), time: ServerTime(-1), is_refresh: true };
+    assert_pinned(
+        &encode_picture(header, &[0, 0, 0, 1, 0x67]),
+        "0205000000ffffffffffffffff01050000000000000167",
+    );
+    let [enters, moves] = deltas();
+    assert_pinned(
+        &encode_geometry(&enters),
+        "01534347310000000000ca9a3b0000000001000000010000000b0000002b000000160000000b000000c2000000000002 \
+         036f12033a070000803e2b004f037804070000803f000000bf000010400000803f000000bf000010400000803f000000 \
+         bf000010400300060300000000000303000000000e0507ba01000002000000800310fffd0300043a00b403556bf028cd \
+         bfb600000080daf50100edfa00a0767d0050bb3e00a05d1f00d4ae0f006ad70700b4eb0380daf50140edfa0080767d00 \
+         50bb3e00a85d1f00d0ae0f006ad70700b5eb0300daf50140edfa00a0767d0040bb3e00a85d1f00d4ae0f0068d70700b5 \
+         eb0380daf50100edfa00a0767d0050bb3e00a05d1f00d4ae0f006ad7071c68281b005b000001a5734813012049922401 \
+         1c68281b80360000016575481d01d8b66ddb061c68281b005b000001253748250110141e48029004",
+    );
+    assert_pinned(
+        &encode_geometry(&moves),
+        "015343473101000000556a973d000000000200000003000000010000000100000001000000060000000f000000010202 \
+         0a000000000100ffffffff0240020314000082c2034900040401",
+    );
+}
