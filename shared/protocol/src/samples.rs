@@ -8,11 +8,12 @@
 //!
 //! All arithmetic wraps, so that hostile bytes can give wrong positions but nothing worse.
 
-use crate::delta::SampleValues;
+use crate::delta::{GeometryDelta, SampleValues};
 use crate::ids::{InstanceId, VertexSlot};
 use crate::limits::{MAX_INSTANCES, MAX_STEP_M, MIN_STEP_M};
 use crate::time::GridIndex;
 use crate::wire::{WireError, invalid, unzigzag, zigzag};
+use glam::Vec3;
 
 /// Vertices that share a prediction order and widths.
 const GROUP: usize = 32;
@@ -22,6 +23,49 @@ const ORDERS: usize = DEPTH + 1;
 const ORDER_BITS: u32 = 2;
 /// Widths 0..=30 are themselves; 31 stands for all 32 bits.
 const WIDTH_BITS: u32 = 5;
+
+/// A world position in metres as a sample of this step; coordinates beyond what 32 bits hold are clamped.
+pub fn quantise(position: Vec3, step_m: f32) -> [i32; 3] {
+    position.to_array().map(|metres| (f64::from(metres) / f64::from(step_m)).round() as i32)
+}
+
+/// The world position in metres of a sample of this step.
+pub fn dequantise(value: [i32; 3], step_m: f32) -> Vec3 {
+    Vec3::from_array(value.map(|steps| (f64::from(steps) * f64::from(step_m)) as f32))
+}
+
+/// Turns samples into metres: which step each vertex slot has, as of the last delta applied. For whoever receives
+/// deltas one by one, after the session has already decoded later ones.
+#[derive(Clone, Debug)]
+pub struct StepTable {
+    step_m_of_instance: Vec<f32>,
+    instance_of_vertex: Vec<InstanceId>,
+}
+
+impl StepTable {
+    /// For slots `0..vertex_slots`.
+    pub fn new(vertex_slots: u32) -> Self {
+        Self {
+            step_m_of_instance: vec![0.0; MAX_INSTANCES as usize],
+            instance_of_vertex: vec![InstanceId(0); vertex_slots as usize],
+        }
+    }
+
+    /// Takes in the instances and vertices of a delta; to be called before its samples are read.
+    pub fn apply(&mut self, delta: &GeometryDelta) {
+        for info in &delta.instances {
+            self.step_m_of_instance[info.instance.index()] = info.step_m;
+        }
+        for vertex in &delta.new_vertices {
+            self.instance_of_vertex[vertex.slot.index()] = vertex.instance;
+        }
+    }
+
+    /// The world position in metres of a sample of this vertex.
+    pub fn position(&self, slot: VertexSlot, value: [i32; 3]) -> Vec3 {
+        dequantise(value, self.step_m_of_instance[self.instance_of_vertex[slot.index()].index()])
+    }
+}
 
 /// What the past of every vertex slot is, the same on both sides. Sized once, at connection.
 #[derive(Clone, Debug)]
@@ -481,6 +525,7 @@ impl SlotSet {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::delta::{InstanceInfo, Motion, NewVertex};
     use crate::testing::{Dice, damaged};
 
     const STEP_M: f32 = 0.0005;
@@ -665,5 +710,22 @@ mod tests {
         slots.iter().rev().for_each(|slot| assert!(set.insert(*slot)));
         assert!(!set.insert(63) && set.remove(1) && !set.remove(1) && !set.remove(1000));
         assert_eq!(set.iter().collect::<Vec<_>>(), [0, 63, 64, 127, 128, 199]);
+    }
+
+    #[test]
+    fn a_position_comes_back_within_half_a_step_as_of_the_delta_in_hand() {
+        let mut table = StepTable::new(8);
+        let (slot, instance) = (VertexSlot(5), InstanceId(9));
+        let vertex = NewVertex { slot, instance, motion: Motion::Sampled };
+        let position = Vec3::new(1.234_567, -7.654_321, 0.000_2);
+        for step_m in [0.0005, 0.01] {
+            let mut delta = GeometryDelta::default();
+            delta.instances.push(InstanceInfo { instance, step_m });
+            delta.new_vertices.push(vertex);
+            table.apply(&delta);
+            let error = table.position(slot, quantise(position, step_m)) - position;
+            assert!(error.abs().max_element() <= step_m * 0.501, "{error} at {step_m}");
+        }
+        assert_eq!(quantise(Vec3::new(1e30, f32::NAN, -1e30), 1e-6), [i32::MAX, 0, i32::MIN]);
     }
 }

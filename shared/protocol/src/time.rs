@@ -68,20 +68,25 @@ impl Grid {
         ServerTime(i64::from(g.0) * self.spacing_ns)
     }
 
-    /// The last sample at or before `t`.
+    /// The last sample at or before `t`; at the ends of what an index can name, the last or first there is.
     pub fn floor(self, t: ServerTime) -> GridIndex {
-        GridIndex(t.0.div_euclid(self.spacing_ns) as i32)
+        clamped(t.0.div_euclid(self.spacing_ns))
     }
 
-    /// The first sample at or after `t`.
+    /// The first sample at or after `t`; at the ends of what an index can name, the last or first there is.
     pub fn ceil(self, t: ServerTime) -> GridIndex {
-        GridIndex(-((-t.0).div_euclid(self.spacing_ns)) as i32)
+        let is_between = t.0.rem_euclid(self.spacing_ns) != 0;
+        clamped(t.0.div_euclid(self.spacing_ns) + i64::from(is_between))
     }
 
     /// The sample nearest to `t`.
     pub fn nearest(self, t: ServerTime) -> GridIndex {
         self.floor(t.plus_ns(self.spacing_ns / 2))
     }
+}
+
+fn clamped(index: i64) -> GridIndex {
+    GridIndex(index.clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32)
 }
 
 #[cfg(test)]
@@ -98,5 +103,15 @@ mod tests {
         assert_eq!(grid.ceil(ServerTime(20)), GridIndex(2));
         assert_eq!(grid.nearest(ServerTime(14)), GridIndex(1));
         assert_eq!(grid.nearest(ServerTime(15)), GridIndex(2));
+    }
+
+    #[test]
+    fn times_beyond_the_grid_fall_on_its_ends_instead_of_overflowing() {
+        let grid = Grid { spacing_ns: 1_000_000 };
+        for (time, end) in [(i64::MIN, i32::MIN), (i64::MAX, i32::MAX)] {
+            assert_eq!(grid.floor(ServerTime(time)), GridIndex(end));
+            assert_eq!(grid.ceil(ServerTime(time)), GridIndex(end));
+            assert_eq!(grid.nearest(ServerTime(time)), GridIndex(end));
+        }
     }
 }
