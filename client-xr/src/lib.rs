@@ -1,3 +1,17 @@
 //! The Shadecast headset client: receives, decodes, bundles and draws.
+//!
+//! [`client::Client`] is the whole of it without I/O; [`frame`] is one display frame on one page. Without the feature
+//! `desktop` nothing here needs a C++ compiler or a command line: the Android library is built so.
 
+pub mod bundle;
+pub mod client;
 pub mod decode;
+pub mod decoding;
+pub mod font;
+pub mod frame;
+pub mod platform;
+pub mod renderer;
+pub mod scene;
+pub mod stages;
+pub mod stats;
+pub mod xr;

@@ -1,0 +1,518 @@
+//! The client without I/O: bytes and time come in, bytes go out, and each display frame is one [`Client::step`].
+//!
+//! Two drivers use it: [`crate::net`] with a socket and the real clock, and the lab, which steps it in virtual time beside a
+//! server. What it does not know is sockets and who waits for whom.
+
+use crate::decode::Picture;
+use crate::decoding::{self, DecodeTiming, Decoding};
+use crate::platform;
+use crate::renderer::Stages;
+use crate::scene::{ArrivedPicture, Scene, SceneClock};
+use crate::stages::background::{self, Text};
+use crate::stages::interpolate::Interpolation;
+use crate::stages::probe::{Probe, ProbeView};
+use crate::stats::{ClientStats, Counters};
+use crate::xr::{Views, Xr, XrError};
+use shadecast_gpu::{Gpu, GpuError, vk};
+use shadecast_protocol::PROTOCOL_VERSION;
+use shadecast_protocol::delta::GeometryDelta;
+use shadecast_protocol::ids::{DiscontinuityId, FrameId};
+use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
+use shadecast_protocol::message::{Capabilities, ClientHello, Codec, Displayed, HeadState, Refused, Welcome};
+use shadecast_protocol::pose::{Eye, Pose};
+use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
+use shadecast_protocol::time::{DisplayTime, ServerTime};
+use shadecast_protocol::wire::{self, StreamMessage};
+use shadecast_shaders::generated::EyesGpu;
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// What is on display is reported at least this often.
+const REPORT_NS: i64 = 250_000_000;
+
+/// How a client behaves.
+#[derive(Clone, Copy, Debug)]
+pub struct ClientOptions {
+    /// How positions between samples are found.
+    pub interpolation: Interpolation,
+    /// Samples per pixel: 1 or 4.
+    pub msaa: u32,
+    /// How decoding takes time.
+    pub decoding: DecodeTiming,
+    /// Vertices that the client offers to keep.
+    pub max_vertex_slots: u32,
+    /// Patches that the client offers to keep.
+    pub max_patch_slots: u32,
+}
+
+impl Default for ClientOptions {
+    fn default() -> Self {
+        Self {
+            interpolation: Interpolation::Cubic,
+            msaa: 4,
+            decoding: DecodeTiming::Thread,
+            max_vertex_slots: MAX_VERTEX_SLOTS,
+            max_patch_slots: MAX_PATCH_SLOTS,
+        }
+    }
+}
+
+/// What ends a client.
+#[derive(Debug, thiserror::Error)]
+pub enum ClientError {
+    /// The headset.
+    #[error(transparent)]
+    Xr(#[from] XrError),
+    /// The device.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+}
+
+impl ClientError {
+    /// True where device or session are gone, and opening the headset anew helps.
+    pub fn is_lost(&self) -> bool {
+        let gpu = match self {
+            Self::Xr(XrError::Lost(_)) => return true,
+            Self::Xr(XrError::Gpu(gpu)) | Self::Gpu(gpu) => gpu,
+            Self::Xr(_) => return false,
+        };
+        matches!(gpu, GpuError::Vulkan { result: vk::Result::ERROR_DEVICE_LOST, .. })
+    }
+}
+
+/// What became of a connection, for who drives it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Notice {
+    /// The session stands.
+    Welcome(Welcome),
+    /// The server wants no session: close, tell the user, and try again later.
+    Refused(Refused),
+    /// The server has ended the session: close, and connect again.
+    ServerLeft,
+    /// What the server said makes no sense, or cannot be shown: close, and connect again.
+    Failed(String),
+}
+
+/// What came of one call of [`Client::step`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Step {
+    /// A display frame.
+    Frame(FrameReport),
+    /// The headset shows nothing of ours now; step again soon.
+    Idle,
+    /// The session has ended for good.
+    Exit,
+}
+
+/// One display frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameReport {
+    /// When it is seen.
+    pub display_time: DisplayTime,
+    /// The same on the server's clock, once that is known.
+    pub server_time: Option<ServerTime>,
+    /// False where the runtime wanted no picture.
+    pub is_rendered: bool,
+    /// The update on display; `None`: no bundle yet, the waiting room is seen.
+    pub frame: Option<FrameId>,
+    /// True where the bundle is on display for the first time.
+    pub is_new: bool,
+    /// Animated vertices that go on at their last velocity for want of samples.
+    pub held_vertices: u32,
+    /// Animated vertices that have stopped for want of samples.
+    pub frozen_vertices: u32,
+    /// Patches not drawn for want of samples.
+    pub withheld_patches: u32,
+}
+
+/// A connection, from the moment that bytes can flow.
+pub(crate) struct Connection {
+    serial: u64,
+    session: ClientSession,
+    decoding: Option<Decoding>,
+}
+
+impl Connection {
+    /// A picture that is not needed any more goes back to the decoder.
+    pub(crate) fn recycle(&mut self, picture: Picture) {
+        if let Some(decoding) = &mut self.decoding {
+            decoding.recycle(picture);
+        }
+    }
+}
+
+/// What the last rendered frame showed, for the probe.
+#[derive(Clone, Copy)]
+pub(crate) struct LastDrawn {
+    pub(crate) eyes: EyesGpu,
+    pub(crate) index_count: u32,
+}
+
+/// The client. Fields are dropped in this order: what the device made goes before the session.
+pub struct Client {
+    pub(crate) shown: Option<Scene>,
+    pub(crate) next: Option<Scene>,
+    pub(crate) stages: Stages,
+    pub(crate) probe: Option<Probe>,
+    pub(crate) last_drawn: Option<LastDrawn>,
+    pub(crate) options: ClientOptions,
+    pub(crate) gpu: Arc<Gpu>,
+    pub(crate) xr: Xr,
+    pub(crate) counters: Counters,
+    pub(crate) now: DisplayTime,
+    pub(crate) panel: Option<Pose>,
+    pub(crate) status: Text,
+    pub(crate) connection: Option<Connection>,
+    spare: Vec<ArrivedPicture>,
+    /// The driver is connected; the session begins when the eyes are known, since the hello names them.
+    is_connected: bool,
+    serial: u64,
+    eyes: Option<([Eye; 2], i64)>,
+    head: Option<HeadState>,
+    sequence: u32,
+    report: Displayed,
+    reported: Option<DisplayTime>,
+    out: VecDeque<Out>,
+    notices: VecDeque<Notice>,
+}
+
+impl Client {
+    /// A client on an open headset, not connected.
+    pub fn new(xr: Xr, options: ClientOptions) -> Result<Self, ClientError> {
+        let gpu = xr.headset.gpu().clone();
+        let samples =
+            if options.msaa > 1 { vk::SampleCountFlags::TYPE_4 } else { vk::SampleCountFlags::TYPE_1 };
+        let stages = Stages::new(&gpu, &xr.swapchain, samples)?;
+        Ok(Self {
+            shown: None,
+            next: None,
+            stages,
+            probe: None,
+            last_drawn: None,
+            options,
+            counters: Counters::new(&gpu, xr.headset.runtime_name()),
+            gpu,
+            xr,
+            now: DisplayTime(0),
+            panel: None,
+            status: Text::new("Shadecast"),
+            connection: None,
+            spare: Vec::with_capacity(8),
+            is_connected: false,
+            serial: 0,
+            eyes: None,
+            head: None,
+            sequence: 0,
+            report: Displayed::default(),
+            reported: None,
+            out: VecDeque::new(),
+            notices: VecDeque::new(),
+        })
+    }
+
+    /// Says `text` in the waiting room, which is seen until the first bundle.
+    pub fn set_status(&mut self, text: &str) {
+        self.status = Text::new(text);
+    }
+
+    /// Asks the runtime to end the session; [`Step::Exit`] follows.
+    pub fn request_exit(&mut self) {
+        self.xr.headset.request_exit();
+    }
+
+    /// The device.
+    pub fn gpu(&self) -> &Arc<Gpu> {
+        &self.gpu
+    }
+
+    /// Pixels per eye, width and height.
+    pub fn eye_extent_pixels(&self) -> [u32; 2] {
+        self.xr.swapchain.extent_pixels()
+    }
+
+    /// Bytes can flow from `now` on. The session begins once the eyes have been located.
+    pub fn on_connected(&mut self, now: DisplayTime) {
+        self.on_closed(now);
+        self.is_connected = true;
+        self.begin_session();
+    }
+
+    /// The connection is gone. What was on display stays there.
+    pub fn on_closed(&mut self, now: DisplayTime) {
+        self.now = now;
+        self.is_connected = false;
+        self.next = None;
+        self.out.clear();
+        let Some(connection) = self.connection.take() else { return };
+        if let Some(shown) = self.shown.as_mut().filter(|shown| shown.serial == connection.serial) {
+            shown.clock = SceneClock::Ended(Box::new(connection.session.clock().clone()));
+        }
+    }
+
+    /// Takes leave of the server: the last bytes come out of [`Client::poll_out`].
+    pub fn say_goodbye(&mut self) {
+        if let Some(connection) = &mut self.connection {
+            connection.session.goodbye();
+        }
+    }
+
+    fn begin_session(&mut self) {
+        let (Some((eyes, display_period_ns)), true, None) = (self.eyes, self.is_connected, &self.connection)
+        else {
+            return;
+        };
+        let hello = ClientHello {
+            protocol_version: PROTOCOL_VERSION,
+            min_protocol_version: PROTOCOL_VERSION,
+            app_version: env!("CARGO_PKG_VERSION").to_owned(),
+            capabilities: Capabilities {
+                max_atlas_extent: ATLAS_MAX_EXTENT,
+                max_vertex_slots: self.options.max_vertex_slots.min(MAX_VERTEX_SLOTS),
+                max_patch_slots: self.options.max_patch_slots.min(MAX_PATCH_SLOTS),
+                codecs: vec![Codec::H264],
+                eyes,
+                eye_extent_pixels: self.xr.swapchain.extent_pixels(),
+                display_period_ns,
+            },
+        };
+        self.serial += 1;
+        let session = ClientSession::start(hello, self.now);
+        self.connection = Some(Connection { serial: self.serial, session, decoding: None });
+    }
+
+    /// Takes bytes of the server's control stream.
+    pub fn receive_control(&mut self, now: DisplayTime, bytes: &[u8]) -> Result<(), ClientError> {
+        self.now = now;
+        if let Some(connection) = &mut self.connection {
+            connection.session.on_control(bytes);
+        }
+        self.take_events()
+    }
+
+    /// Takes one whole unidirectional stream.
+    pub fn receive_stream(&mut self, now: DisplayTime, bytes: &[u8]) -> Result<(), ClientError> {
+        self.now = now;
+        match wire::parse_stream(bytes) {
+            Ok(StreamMessage::Picture { access_unit, .. }) => {
+                self.counters.atlas_bytes += access_unit.len() as u64
+            }
+            _ => self.counters.geometry_bytes += bytes.len() as u64,
+        }
+        if let Some(connection) = &mut self.connection {
+            connection.session.on_stream(bytes);
+        }
+        self.take_events()
+    }
+
+    /// The server gave up a stream of which `head` had come: a picture that will not be shown in time.
+    pub fn receive_reset(&mut self, now: DisplayTime, head: &[u8]) {
+        self.now = now;
+        if let Some(decoding) = self.connection.as_mut().and_then(|connection| connection.decoding.as_mut()) {
+            decoding.given_up(decoding::frame_of_head(head));
+        }
+    }
+
+    /// Takes a datagram.
+    pub fn receive_datagram(&mut self, now: DisplayTime, bytes: &[u8]) {
+        self.now = now;
+        if let Some(connection) = &mut self.connection {
+            connection.session.on_datagram(bytes, now);
+        }
+    }
+
+    /// Does what is due at `now`: pings, decoded pictures, requests.
+    pub fn advance(&mut self, now: DisplayTime) -> Result<(), ClientError> {
+        self.now = now;
+        self.begin_session();
+        let Some(connection) = &mut self.connection else { return Ok(()) };
+        connection.session.on_tick(now);
+        if let Some(decoding) = &mut connection.decoding {
+            let spare = &mut self.spare;
+            let scene = self.next.as_mut().or(self.shown.as_mut());
+            let scene = scene.filter(|scene| scene.serial == connection.serial);
+            if let Some(scene) = scene {
+                decoding.advance(now, |decoded| {
+                    let picture = ArrivedPicture { arrived: decoded.arrived, picture: decoded.picture };
+                    spare.extend(scene.bundler.add_picture(decoded.frame, picture));
+                });
+            }
+            spare.drain(..).for_each(|unused| decoding.recycle(unused.picture));
+            if let Some(after) = decoding.refresh_request(now) {
+                self.counters.refresh_requests += 1;
+                connection.session.request_refresh(after);
+            }
+            let lost = decoding.take_lost();
+            self.report.lost_pictures += lost;
+            self.counters.lost_pictures += u64::from(lost);
+        }
+        self.take_events()
+    }
+
+    /// When [`Client::advance`] next has something to do by itself.
+    pub fn next_tick(&self) -> Option<DisplayTime> {
+        self.connection.as_ref().and_then(|connection| connection.session.next_tick())
+    }
+
+    /// The next bytes to carry to the server.
+    pub fn poll_out(&mut self) -> Option<Out> {
+        self.connection.as_mut().and_then(|connection| connection.session.poll_out())
+    }
+
+    /// What became of the connection.
+    pub fn poll_notice(&mut self) -> Option<Notice> {
+        self.notices.pop_front()
+    }
+
+    fn take_events(&mut self) -> Result<(), ClientError> {
+        while let Some(event) = self.connection.as_mut().and_then(|c| c.session.poll_event()) {
+            match event {
+                ClientEvent::Welcome(welcome) => self.welcome(welcome)?,
+                ClientEvent::Delta(delta) => self.take_delta(delta),
+                ClientEvent::Picture { header, access_unit } => {
+                    if let Some(decoding) = self.connection.as_mut().and_then(|c| c.decoding.as_mut()) {
+                        decoding.add(header, access_unit, self.now);
+                    }
+                }
+                ClientEvent::Refused(refused) => self.notices.push_back(Notice::Refused(refused)),
+                ClientEvent::Goodbye => self.notices.push_back(Notice::ServerLeft),
+                ClientEvent::Failed(error) => self.notices.push_back(Notice::Failed(error.to_string())),
+            }
+        }
+        Ok(())
+    }
+
+    fn welcome(&mut self, welcome: Welcome) -> Result<(), ClientError> {
+        let Some(connection) = &mut self.connection else { return Ok(()) };
+        match platform::decoder(welcome.atlas_extent_texels) {
+            Ok(decoder) => connection.decoding = Some(Decoding::new(decoder, self.options.decoding)),
+            Err(error) => {
+                self.notices.push_back(Notice::Failed(error.to_string()));
+                return Ok(());
+            }
+        }
+        self.counters.connections += 1;
+        let clock = SceneClock::Connection;
+        let scene = Scene::new(&self.gpu, &self.stages, welcome.clone(), connection.serial, clock)?;
+        self.next = Some(scene);
+        self.notices.push_back(Notice::Welcome(welcome));
+        Ok(())
+    }
+
+    fn take_delta(&mut self, delta: GeometryDelta) {
+        self.counters.vertex_samples +=
+            delta.samples.iter().map(|batch| batch.values.len() as u64).sum::<u64>();
+        if let Some(scene) = self.next.as_mut().or(self.shown.as_mut()) {
+            scene.bundler.add_delta(delta);
+        }
+    }
+
+    /// Begins to show a server of the same process: `server_offset_ns` is its clock less the client's. Deltas and pictures
+    /// come by [`Client::accept_local`].
+    pub fn start_local(&mut self, terms: Welcome, server_offset_ns: i64) -> Result<(), ClientError> {
+        self.on_closed(self.now);
+        self.serial += 1;
+        let clock = SceneClock::Offset(server_offset_ns);
+        self.next = Some(Scene::new(&self.gpu, &self.stages, terms, self.serial, clock)?);
+        Ok(())
+    }
+
+    /// Takes an update of a server of the same process, handed over by memory copy: no codec, no network.
+    pub fn accept_local(&mut self, now: DisplayTime, delta: GeometryDelta, picture: Option<Picture>) {
+        self.now = now;
+        let frame = delta.frame;
+        self.take_delta(delta);
+        let scene = self.next.as_mut().or(self.shown.as_mut());
+        if let (Some(scene), Some(picture)) = (scene, picture) {
+            scene.bundler.add_picture(frame, ArrivedPicture { arrived: now, picture });
+        }
+    }
+
+    /// `at` on the clock of the server that made `scene`.
+    pub(crate) fn server_time(&self, scene: &Scene, at: DisplayTime) -> Option<ServerTime> {
+        match &scene.clock {
+            SceneClock::Connection => self.connection.as_ref()?.session.clock().server_time(at),
+            SceneClock::Ended(clock) => clock.server_time(at),
+            SceneClock::Offset(offset_ns) => Some(ServerTime(at.0.saturating_add(*offset_ns))),
+        }
+    }
+
+    /// Notes where the head will be at `display_time`, and tells the server.
+    pub(crate) fn tell_head(&mut self, display_time: DisplayTime, period_ns: i64, views: &Views) {
+        self.eyes = Some((views.eyes(), period_ns));
+        if self.panel.is_none() {
+            self.panel = Some(background::panel_ahead(views.stage_from_head));
+        }
+        let Some(scene) = self.next.as_ref().or(self.shown.as_ref()) else { return };
+        let Some(time) = self.server_time(scene, display_time) else { return };
+        let world_from_stage = scene.terms.world_from_stage;
+        let head = HeadState {
+            sequence: self.sequence,
+            time,
+            world_from_head: world_from_stage.then(views.stage_from_head),
+            linear_velocity: world_from_stage.orientation * views.linear_velocity,
+            angular_velocity: world_from_stage.orientation * views.angular_velocity,
+            eyes: views.eyes(),
+            discontinuity: DiscontinuityId(0),
+        };
+        let serial = scene.serial;
+        self.head = Some(head);
+        if let Some(connection) = self.connection.as_mut().filter(|connection| connection.serial == serial) {
+            self.sequence = self.sequence.wrapping_add(1);
+            connection.session.send_pose(head);
+        }
+    }
+
+    /// The head's state at the last display frame, once the server's clock is known.
+    pub fn head_state(&self) -> Option<HeadState> {
+        self.head
+    }
+
+    /// Counts a display frame, and reports what is on display where that is new or due.
+    pub(crate) fn report_frame(&mut self, frame: &FrameReport, picture_arrived: Option<DisplayTime>) {
+        self.counters.count(frame);
+        self.report.display_frames += 1;
+        self.report.frames_without_bundle += u32::from(frame.frame.is_none());
+        self.report.frozen_vertices = self.report.frozen_vertices.saturating_add(frame.frozen_vertices);
+        self.report.withheld_patches = self.report.withheld_patches.saturating_add(frame.withheld_patches);
+        let Some(shown) = self.shown.as_ref() else { return };
+        let (Some(id), Some(time)) = (frame.frame, frame.server_time) else { return };
+        if frame.is_new {
+            self.report.frame = id;
+            self.report.display_time = time;
+            let since = picture_arrived.map_or(0, |arrived| frame.display_time.since(arrived));
+            self.report.decode_to_display_ns = since;
+        }
+        let is_due = self.reported.is_none_or(|reported| frame.display_time.since(reported) >= REPORT_NS);
+        let live = self.connection.as_mut().filter(|connection| connection.serial == shown.serial);
+        if let Some(connection) = live.filter(|_| frame.is_new || is_due) {
+            connection.session.send_displayed(self.report);
+            self.reported = Some(frame.display_time);
+            let Displayed { frame, display_time, decode_to_display_ns, .. } = self.report;
+            self.report = Displayed { frame, display_time, decode_to_display_ns, ..Displayed::default() };
+        }
+    }
+
+    /// For measurements: instance and distance of what the last rendered frame showed, left and right eye. Waits for the
+    /// GPU.
+    pub fn probe(&mut self) -> Result<[ProbeView; 2], ClientError> {
+        let extent = self.xr.swapchain.extent_pixels();
+        let (Some(scene), Some(drawn)) = (&self.shown, self.last_drawn) else {
+            return Ok([ProbeView::empty(extent), ProbeView::empty(extent)]);
+        };
+        let probe = match &mut self.probe {
+            Some(probe) => probe,
+            none => none.insert(Probe::new(&self.gpu, extent)?),
+        };
+        Ok(scene.probe(probe, &drawn.eyes, drawn.index_count)?)
+    }
+
+    /// For tests: position and state of every vertex slot as the last display frame had them; empty without a bundle.
+    pub fn read_positions(&self) -> Result<Vec<[f32; 4]>, ClientError> {
+        Ok(self.shown.as_ref().map_or(Ok(Vec::new()), |scene| scene.read_positions(&self.gpu))?)
+    }
+
+    /// How it went so far.
+    pub fn stats(&self) -> ClientStats {
+        self.counters.stats(&self.gpu)
+    }
+}

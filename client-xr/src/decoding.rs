@@ -1,0 +1,520 @@
+//! From coded pictures, which come in any order, to decoded ones: puts them in order, decodes each, and says when only a
+//! refresh helps. The seam to the codec is [`crate::decode`].
+//!
+//! Every frame has a picture, and each needs the one before it, unless it is a refresh. In virtual time decoding takes as
+//! long as it is told to; in real time a thread of its own does it.
+
+use crate::decode::{DecodeError, Decoder, Picture};
+use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::time::{DisplayTime, ServerTime};
+use shadecast_protocol::wire::{PictureHeader, encode_picture};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
+use std::thread::JoinHandle;
+
+/// A picture that is awaited this long since a later one came is lost: longer than the server tries (250 ms or three round
+/// trips), so that its word counts where it comes.
+const GIVE_UP_NS: i64 = 600_000_000;
+/// A refresh that does not come is asked for again after this time.
+const ASK_AGAIN_NS: i64 = 500_000_000;
+/// Coded pictures that wait for one before them; beyond it the missing one is lost.
+const MAX_WAITING: usize = 64;
+/// Coded pictures that wait for the decoding thread.
+const THREAD_QUEUE: usize = 8;
+/// Decoded pictures kept for reuse.
+const MAX_SPARE: usize = 4;
+
+/// How decoding takes time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DecodeTiming {
+    /// On a thread of its own, as fast as it goes.
+    Thread,
+    /// At once, but handed on only after so many nanoseconds of the virtual clock, one picture after the other.
+    Virtual {
+        /// Nanoseconds per picture.
+        delay_ns: i64,
+    },
+}
+
+/// A decoded picture.
+#[derive(Debug)]
+pub struct Decoded {
+    /// Its frame.
+    pub frame: FrameId,
+    /// When its last byte came.
+    pub arrived: DisplayTime,
+    /// Its planes.
+    pub picture: Picture,
+}
+
+/// A coded picture.
+struct Coded {
+    header: PictureHeader,
+    access_unit: Vec<u8>,
+    arrived: DisplayTime,
+}
+
+/// What the decoder is told.
+enum Job {
+    Decode(Coded),
+    /// A picture before the next is missing.
+    UnitLost,
+}
+
+/// What became of a picture.
+struct Outcome {
+    frame: FrameId,
+    arrived: DisplayTime,
+    result: Result<Picture, DecodeError>,
+}
+
+/// The decoding of one connection.
+pub struct Decoding {
+    order: PictureOrder,
+    engine: Engine,
+    last_decoded: Option<FrameId>,
+    /// When a refresh was last asked for, while one is needed.
+    asked: Option<DisplayTime>,
+    needs_refresh: bool,
+    /// The last refresh handed to the decoder.
+    last_refresh: Option<FrameId>,
+    lost: u32,
+}
+
+/// Puts pictures in order.
+#[derive(Default)]
+struct PictureOrder {
+    next: FrameId,
+    waiting: BTreeMap<FrameId, Coded>,
+    /// Given up by the server, later than `next`.
+    dead: BTreeSet<FrameId>,
+}
+
+enum Engine {
+    Virtual {
+        decoder: Box<dyn Decoder>,
+        delay_ns: i64,
+        busy_until: DisplayTime,
+        done: VecDeque<(DisplayTime, Outcome)>,
+        spare: Vec<Picture>,
+    },
+    Thread {
+        jobs: Option<SyncSender<Job>>,
+        outcomes: Receiver<Outcome>,
+        spare: SyncSender<Picture>,
+        thread: Option<JoinHandle<()>>,
+        overflowed: bool,
+    },
+}
+
+/// The frame of a picture of whose stream `head` has come; `None` where that is too little, or no picture.
+pub fn frame_of_head(head: &[u8]) -> Option<FrameId> {
+    let header = PictureHeader { frame: FrameId(0), time: ServerTime(0), is_refresh: false };
+    let kind = encode_picture(header, &[])[0];
+    let frame = head.get(1..5)?.try_into().ok().map(u32::from_le_bytes)?;
+    (head[0] == kind).then_some(FrameId(frame))
+}
+
+impl PictureOrder {
+    /// Takes a picture in. Gives the number of missing ones that it makes superfluous, because it needs none of them.
+    fn add(&mut self, coded: Coded) -> u32 {
+        let frame = coded.header.frame;
+        if frame < self.next {
+            return 0;
+        }
+        let is_refresh = coded.header.is_refresh;
+        self.waiting.insert(frame, coded);
+        if !is_refresh || frame == self.next {
+            return 0;
+        }
+        let skipped = frame.0 - self.next.0;
+        self.waiting = self.waiting.split_off(&frame);
+        self.dead = self.dead.split_off(&frame);
+        self.next = frame;
+        skipped
+    }
+
+    /// The next picture in order, if it is there.
+    fn pop(&mut self) -> Option<Coded> {
+        let coded = self.waiting.remove(&self.next)?;
+        self.next = self.next.next();
+        Some(coded)
+    }
+
+    /// Whether the picture that is awaited must be given up.
+    fn is_hopeless(&self, now: DisplayTime) -> bool {
+        let oldest = self.waiting.values().map(|coded| coded.arrived).min();
+        self.waiting.len() > MAX_WAITING || oldest.is_some_and(|arrived| now.since(arrived) > GIVE_UP_NS)
+    }
+}
+
+impl Decoding {
+    /// For a connection whose pictures `decoder` can decode.
+    pub fn new(decoder: Box<dyn Decoder>, timing: DecodeTiming) -> Self {
+        let engine = match timing {
+            DecodeTiming::Thread => Engine::thread(decoder),
+            DecodeTiming::Virtual { delay_ns } => Engine::Virtual {
+                decoder,
+                delay_ns,
+                busy_until: DisplayTime(i64::MIN),
+                done: VecDeque::new(),
+                spare: Vec::new(),
+            },
+        };
+        Self {
+            order: PictureOrder::default(),
+            engine,
+            last_decoded: None,
+            asked: None,
+            needs_refresh: false,
+            last_refresh: None,
+            lost: 0,
+        }
+    }
+
+    /// Takes in a coded picture that came at `now`.
+    pub fn add(&mut self, header: PictureHeader, access_unit: Vec<u8>, now: DisplayTime) {
+        let skipped = self.order.add(Coded { header, access_unit, arrived: now });
+        if skipped > 0 {
+            self.lose(skipped);
+        }
+        self.pump();
+    }
+
+    /// The server gave up the picture of `frame`; unknown where not a byte of it came: then it is the one awaited.
+    pub fn given_up(&mut self, frame: Option<FrameId>) {
+        let frame = frame.unwrap_or(self.order.next);
+        if frame >= self.order.next && self.order.dead.len() < MAX_WAITING {
+            self.order.dead.insert(frame);
+        }
+        self.pump();
+    }
+
+    fn give_up_next(&mut self) {
+        self.order.next = self.order.next.next();
+        self.lose(1);
+        self.pump();
+    }
+
+    fn lose(&mut self, count: u32) {
+        self.lost += count;
+        self.needs_refresh = true;
+        self.engine.start(Job::UnitLost);
+    }
+
+    fn pump(&mut self) {
+        loop {
+            if self.order.dead.remove(&self.order.next) && !self.order.waiting.contains_key(&self.order.next)
+            {
+                self.order.next = self.order.next.next();
+                self.lose(1);
+                continue;
+            }
+            let Some(coded) = self.order.pop() else { return };
+            if coded.header.is_refresh {
+                self.needs_refresh = false;
+                self.last_refresh = Some(coded.header.frame);
+            }
+            if !self.engine.start(Job::Decode(coded)) {
+                self.lose(1);
+            }
+        }
+    }
+
+    /// Does what is due at `now`, and hands on what is decoded by then.
+    pub fn advance(&mut self, now: DisplayTime, mut decoded: impl FnMut(Decoded)) {
+        while self.order.is_hopeless(now) {
+            self.give_up_next();
+        }
+        while let Some(Outcome { frame, arrived, result }) = self.engine.finished(now) {
+            match result {
+                Ok(picture) => {
+                    self.last_decoded = Some(frame);
+                    decoded(Decoded { frame, arrived, picture });
+                }
+                Err(error) => {
+                    tracing::debug!("picture of frame {}: {error}", frame.0);
+                    self.lost += 1;
+                    // A refresh that is on its way heals what failed before it.
+                    self.needs_refresh |= self.last_refresh.is_none_or(|refresh| refresh <= frame);
+                }
+            }
+        }
+        if !self.needs_refresh {
+            self.asked = None;
+        }
+    }
+
+    /// The request that is due at `now`: the last frame that decoded, if only a refresh helps.
+    pub fn refresh_request(&mut self, now: DisplayTime) -> Option<Option<FrameId>> {
+        let is_due = self.asked.is_none_or(|asked| now.since(asked) >= ASK_AGAIN_NS);
+        if !self.needs_refresh || !is_due {
+            return None;
+        }
+        self.asked = Some(now);
+        Some(self.last_decoded)
+    }
+
+    /// Pictures lost or undecodable since the last call.
+    pub fn take_lost(&mut self) -> u32 {
+        std::mem::take(&mut self.lost)
+    }
+
+    /// Gives a picture back for reuse.
+    pub fn recycle(&mut self, picture: Picture) {
+        match &mut self.engine {
+            Engine::Virtual { spare, .. } if spare.len() < MAX_SPARE => spare.push(picture),
+            Engine::Virtual { .. } => {}
+            // A full or closed channel only means that the picture is freed.
+            Engine::Thread { spare, .. } => drop(spare.try_send(picture)),
+        }
+    }
+}
+
+impl Engine {
+    fn thread(decoder: Box<dyn Decoder>) -> Self {
+        let (jobs, job_receiver) = sync_channel(THREAD_QUEUE);
+        let (outcome_sender, outcomes) = sync_channel(THREAD_QUEUE);
+        let (spare, spare_receiver) = sync_channel(MAX_SPARE);
+        let thread = std::thread::Builder::new()
+            .name("decode".into())
+            .spawn(move || decode_all(decoder, &job_receiver, &outcome_sender, &spare_receiver));
+        if let Err(error) = &thread {
+            tracing::error!("the decoding thread could not be started: {error}");
+        }
+        Self::Thread { jobs: Some(jobs), outcomes, spare, thread: thread.ok(), overflowed: false }
+    }
+
+    /// Starts a job. False where the queue is full: the picture is lost, and the decoder will be told.
+    fn start(&mut self, job: Job) -> bool {
+        match self {
+            Self::Virtual { decoder, delay_ns, busy_until, done, spare } => {
+                if let Some(outcome) = run(decoder.as_mut(), job, || spare.pop()) {
+                    *busy_until = (*busy_until).max(outcome.arrived).plus_ns(*delay_ns);
+                    done.push_back((*busy_until, outcome));
+                }
+                true
+            }
+            Self::Thread { jobs: Some(jobs), overflowed, .. } => {
+                if *overflowed && jobs.try_send(Job::UnitLost).is_err() {
+                    return false;
+                }
+                let sent = jobs.try_send(job);
+                *overflowed = matches!(sent, Err(TrySendError::Full(_)));
+                sent.is_ok()
+            }
+            Self::Thread { .. } => false,
+        }
+    }
+
+    fn finished(&mut self, now: DisplayTime) -> Option<Outcome> {
+        match self {
+            Self::Virtual { done, .. } => {
+                done.pop_front_if(|(ready, _)| *ready <= now).map(|(_, outcome)| outcome)
+            }
+            Self::Thread { outcomes, .. } => match outcomes.try_recv() {
+                Ok(outcome) => Some(outcome),
+                Err(TryRecvError::Empty | TryRecvError::Disconnected) => None,
+            },
+        }
+    }
+}
+
+impl Drop for Engine {
+    fn drop(&mut self) {
+        if let Self::Thread { jobs, outcomes, thread, .. } = self {
+            jobs.take();
+            // The thread may wait for room among the outcomes.
+            while outcomes.recv().is_ok() {}
+            thread.take().map(JoinHandle::join);
+        }
+    }
+}
+
+fn decode_all(
+    mut decoder: Box<dyn Decoder>,
+    jobs: &Receiver<Job>,
+    outcomes: &SyncSender<Outcome>,
+    spare: &Receiver<Picture>,
+) {
+    while let Ok(job) = jobs.recv() {
+        let outcome = run(decoder.as_mut(), job, || spare.try_recv().ok());
+        if outcome.is_some_and(|outcome| outcomes.send(outcome).is_err()) {
+            return;
+        }
+    }
+}
+
+fn run(decoder: &mut dyn Decoder, job: Job, spare: impl FnOnce() -> Option<Picture>) -> Option<Outcome> {
+    let Job::Decode(Coded { header, access_unit, arrived }) = job else {
+        decoder.unit_lost();
+        return None;
+    };
+    let mut picture = spare().unwrap_or_default();
+    let result = decoder.decode(&access_unit, &mut picture).map(|()| picture);
+    Some(Outcome { frame: header.frame, arrived, result })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shadecast_protocol::wire::encode_geometry;
+
+    const MS: i64 = 1_000_000;
+
+    /// Decodes a unit of one byte to that byte; 0 is broken, an even one needs the one before, an odd one is a refresh.
+    #[derive(Default)]
+    struct Toy {
+        last: Option<u8>,
+    }
+
+    impl Decoder for Toy {
+        fn decode(&mut self, access_unit: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
+            let unit = access_unit[0];
+            let is_refresh = unit % 2 == 1;
+            if unit == 0 {
+                self.last = None;
+                return Err(DecodeError::Corrupt { state: 1 });
+            }
+            if !is_refresh && self.last.is_none() {
+                return Err(DecodeError::NeedsRefresh);
+            }
+            self.last = Some(unit);
+            picture.y = vec![unit];
+            Ok(())
+        }
+
+        fn unit_lost(&mut self) {
+            self.last = None;
+        }
+
+        fn needs_refresh(&self) -> bool {
+            self.last.is_none()
+        }
+    }
+
+    struct Bench {
+        decoding: Decoding,
+        seen: Vec<(u32, u8)>,
+    }
+
+    impl Bench {
+        fn new(delay_ms: i64) -> Self {
+            let timing = DecodeTiming::Virtual { delay_ns: delay_ms * MS };
+            Self { decoding: Decoding::new(Box::<Toy>::default(), timing), seen: Vec::new() }
+        }
+
+        fn add(&mut self, frame: u32, unit: u8, at_ms: i64) {
+            let header =
+                PictureHeader { frame: FrameId(frame), time: ServerTime(0), is_refresh: unit % 2 == 1 };
+            self.decoding.add(header, vec![unit], DisplayTime(at_ms * MS));
+        }
+
+        fn advance(&mut self, at_ms: i64) {
+            let seen = &mut self.seen;
+            self.decoding.advance(DisplayTime(at_ms * MS), |d| seen.push((d.frame.0, d.picture.y[0])));
+        }
+
+        fn asks(&mut self, at_ms: i64) -> bool {
+            self.decoding.refresh_request(DisplayTime(at_ms * MS)).is_some()
+        }
+    }
+
+    #[test]
+    fn a_pictures_frame_is_told_from_the_head_of_its_stream() {
+        let header = PictureHeader { frame: FrameId(0x0403_0201), time: ServerTime(9), is_refresh: true };
+        let stream = encode_picture(header, &[1, 2, 3]);
+        assert_eq!(frame_of_head(&stream[..5]), Some(FrameId(0x0403_0201)));
+        assert_eq!(frame_of_head(&stream[..4]), None);
+        assert_eq!(frame_of_head(&encode_geometry(&[0; 8])), None);
+    }
+
+    #[test]
+    fn pictures_that_overtake_are_decoded_in_order() {
+        let mut bench = Bench::new(0);
+        bench.add(0, 1, 0);
+        bench.add(2, 4, 1);
+        bench.add(1, 2, 2);
+        bench.advance(2);
+        assert_eq!(bench.seen, [(0, 1), (1, 2), (2, 4)]);
+        assert!(!bench.asks(2));
+    }
+
+    #[test]
+    fn decoding_takes_its_time_one_picture_after_the_other() {
+        let mut bench = Bench::new(6);
+        bench.add(0, 1, 0);
+        bench.add(1, 2, 1);
+        bench.advance(5);
+        assert_eq!(bench.seen, []);
+        bench.advance(6);
+        assert_eq!(bench.seen, [(0, 1)]);
+        bench.advance(12);
+        assert_eq!(bench.seen, [(0, 1), (1, 2)]);
+    }
+
+    #[test]
+    fn a_picture_given_up_costs_those_up_to_the_next_refresh_and_asks_for_it() {
+        let mut bench = Bench::new(0);
+        bench.add(0, 1, 0);
+        bench.add(2, 4, 1);
+        bench.decoding.given_up(Some(FrameId(1)));
+        bench.advance(2);
+        assert_eq!(bench.seen, [(0, 1)]);
+        assert!(bench.asks(2) && !bench.asks(3));
+        assert!(bench.asks(502), "asked again where none came");
+        bench.add(3, 7, 510);
+        bench.add(4, 8, 520);
+        bench.advance(520);
+        assert_eq!(bench.seen, [(0, 1), (3, 7), (4, 8)]);
+        assert!(!bench.asks(5000));
+        assert_eq!(bench.decoding.take_lost(), 2);
+    }
+
+    #[test]
+    fn a_refresh_does_not_wait_for_what_is_missing_before_it() {
+        let mut bench = Bench::new(0);
+        bench.add(0, 1, 0);
+        bench.add(3, 7, 1);
+        bench.add(1, 2, 2);
+        bench.advance(2);
+        assert_eq!(bench.seen, [(0, 1), (3, 7)]);
+        assert!(!bench.asks(2));
+    }
+
+    #[test]
+    fn a_picture_that_never_comes_is_given_up_in_the_end() {
+        let mut bench = Bench::new(0);
+        bench.add(0, 1, 0);
+        bench.add(2, 4, 10);
+        bench.advance(600);
+        assert!(!bench.asks(600));
+        bench.advance(611);
+        assert!(bench.asks(611));
+    }
+
+    #[test]
+    fn a_broken_picture_asks_for_a_refresh() {
+        let mut bench = Bench::new(0);
+        bench.add(0, 1, 0);
+        bench.add(1, 0, 1);
+        bench.advance(1);
+        assert_eq!(bench.decoding.refresh_request(DisplayTime(MS)), Some(Some(FrameId(0))));
+    }
+
+    #[test]
+    fn the_thread_decodes_the_same() {
+        let mut decoding = Decoding::new(Box::<Toy>::default(), DecodeTiming::Thread);
+        for (frame, unit) in [(0, 1), (1, 2), (2, 4)] {
+            let header =
+                PictureHeader { frame: FrameId(frame), time: ServerTime(0), is_refresh: unit % 2 == 1 };
+            decoding.add(header, vec![unit], DisplayTime(0));
+        }
+        let mut seen = Vec::new();
+        while seen.len() < 3 {
+            decoding.advance(DisplayTime(0), |d| seen.push((d.frame.0, d.picture.y[0])));
+            std::thread::yield_now();
+        }
+        assert_eq!(seen, [(0, 1), (1, 2), (2, 4)]);
+    }
+}

@@ -1,0 +1,58 @@
+//! What differs between a desktop and a headset's own system, and nothing else: how the OpenXR loader is brought up, which
+//! decoder there is, what the monotonic clock is, and what may be asked of the device.
+
+pub mod requirements;
+
+use crate::decode::{DecodeError, Decoder};
+use shadecast_protocol::time::DisplayTime;
+
+/// The system that the client runs on.
+#[cfg(not(target_os = "android"))]
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Platform;
+
+/// The system that the client runs on.
+#[cfg(target_os = "android")]
+pub struct Platform {
+    /// The activity, as OpenXR must know it.
+    pub activity: openxr::AndroidPlatformInfo,
+}
+
+#[cfg(not(target_os = "android"))]
+impl Platform {
+    /// What the OpenXR loader must be told: nothing.
+    pub(crate) fn openxr_platform(&self) -> &() {
+        &()
+    }
+
+    /// Extensions that OpenXR needs on this system only: none.
+    pub(crate) fn add_extensions(&self, _: &mut openxr::ExtensionSet) {}
+}
+
+#[cfg(target_os = "android")]
+impl Platform {
+    pub(crate) fn openxr_platform(&self) -> &openxr::AndroidPlatformInfo {
+        &self.activity
+    }
+
+    pub(crate) fn add_extensions(&self, wanted: &mut openxr::ExtensionSet) {
+        wanted.khr_android_create_instance = true;
+    }
+}
+
+/// The decoder of this system for pictures of `extent_texels`.
+#[cfg(feature = "desktop")]
+pub fn decoder(extent_texels: [u32; 2]) -> Result<Box<dyn Decoder>, DecodeError> {
+    Ok(Box::new(crate::decode::openh264::OpenH264Decoder::new(extent_texels)?))
+}
+
+/// The decoder of this system for pictures of `extent_texels`. MediaCodec is a later step.
+#[cfg(not(feature = "desktop"))]
+pub fn decoder(extent_texels: [u32; 2]) -> Result<Box<dyn Decoder>, DecodeError> {
+    Err(DecodeError::Extent(extent_texels))
+}
+
+/// The monotonic clock that OpenXR's times are converted to.
+pub fn monotonic_now() -> DisplayTime {
+    DisplayTime(shadecast_transport::monotonic_now_ns())
+}

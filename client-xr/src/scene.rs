@@ -1,0 +1,194 @@
+//! What one connection shows: the terms it was made under, the bundles, and their place on the GPU. A new connection has a
+//! new one; the old one stays on display until the new one has its first complete bundle.
+
+use crate::bundle::{Bundler, Motionless};
+use crate::client::ClientError;
+use crate::decode::Picture;
+use crate::renderer::Stages;
+use crate::stages::atlas_draw::BundleSet;
+use crate::stages::interpolate::{self, GridTime, Interpolation};
+use crate::stages::scatter::{ScatterStaging, VertexMemory};
+use crate::stages::wait_for;
+use shadecast_gpu::{Access, BindGroup, Gpu, GpuError, Recorder};
+use shadecast_protocol::clock::ClockEstimator;
+use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::message::Welcome;
+use shadecast_protocol::time::{DisplayTime, ServerTime};
+use shadecast_shaders::generated::{CornerGpu, EyesGpu};
+use std::sync::Arc;
+
+/// A decoded picture, and when it came.
+#[derive(Debug)]
+pub struct ArrivedPicture {
+    /// When its last byte came.
+    pub arrived: DisplayTime,
+    /// Its planes.
+    pub picture: Picture,
+}
+
+/// How the server's clock is known to a scene.
+#[derive(Clone, Debug)]
+pub enum SceneClock {
+    /// By the live connection.
+    Connection,
+    /// As a connection that has ended knew it.
+    Ended(Box<ClockEstimator>),
+    /// Server and client are one process; the difference is known.
+    Offset(i64),
+}
+
+/// One connection's scene.
+pub struct Scene {
+    /// Which connection made it.
+    pub serial: u64,
+    /// Its terms.
+    pub terms: Welcome,
+    /// What may be drawn.
+    pub bundler: Bundler<ArrivedPicture>,
+    /// How its times are converted.
+    pub clock: SceneClock,
+    memory: VertexMemory,
+    staging: ScatterStaging,
+    interpolate_group: BindGroup,
+    sets: [BundleSet; 3],
+    /// The set on display.
+    shown: usize,
+    /// The server's time at the last display frame.
+    last_time: Option<ServerTime>,
+}
+
+/// A bundle that has just come on display.
+#[derive(Clone, Copy, Debug)]
+pub struct Switched {
+    /// Its frame.
+    pub frame: FrameId,
+    /// When the last byte of its picture came.
+    pub picture_arrived: DisplayTime,
+}
+
+/// How a scene stands at a display time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SceneReport {
+    /// Indices to draw.
+    pub index_count: u32,
+    /// Patches that cannot be drawn yet for want of samples.
+    pub withheld_patches: u32,
+    /// Vertices that have run out of samples.
+    pub motionless: Motionless,
+}
+
+impl Scene {
+    /// Allocates everything that a connection under these terms can need.
+    pub fn new(
+        gpu: &Arc<Gpu>,
+        stages: &Stages,
+        terms: Welcome,
+        serial: u64,
+        clock: SceneClock,
+    ) -> Result<Self, GpuError> {
+        let mut recorder = gpu.record()?;
+        let memory = VertexMemory::new(gpu, &mut recorder, terms.vertex_slots)?;
+        let staging = stages.scatter.staging(gpu, &memory)?;
+        let interpolate_group = stages.interpolate.bind(&memory)?;
+        let mut set = || {
+            let eyes = stages.eyes.each_ref();
+            stages.atlas.bundle_set(
+                gpu,
+                &mut recorder,
+                terms.patch_slots,
+                terms.atlas_extent_texels,
+                &memory,
+                eyes,
+            )
+        };
+        let sets = [set()?, set()?, set()?];
+        recorder.submit()?;
+        let bundler = Bundler::new(terms.vertex_slots, terms.patch_slots);
+        let (shown, last_time) = (0, None);
+        Ok(Self { serial, terms, bundler, clock, memory, staging, interpolate_group, sets, shown, last_time })
+    }
+
+    /// Whether a bundle of it can be drawn.
+    pub fn is_drawable(&self) -> bool {
+        self.bundler.current().is_some()
+    }
+
+    /// Writes what has arrived about vertices. Needs a barrier before, and has one after it.
+    pub fn record_arrivals(&mut self, recorder: &mut Recorder, stages: &Stages, frame_slot: usize) {
+        let (slots, writes) = (self.memory.vertex_slots, self.bundler.writes());
+        stages.scatter.record(recorder, &mut self.staging, frame_slot, slots, writes);
+    }
+
+    /// Switches to the newest complete bundle, if there is a newer one: its picture into images, its patches into a draw
+    /// list. Pictures that are not needed any more go to `recycle`.
+    pub fn record_switch(
+        &mut self,
+        gpu: &Gpu,
+        recorder: &mut Recorder,
+        time: ServerTime,
+        mut recycle: impl FnMut(Picture),
+    ) -> Result<Option<Switched>, ClientError> {
+        let newest = self.bundler.take_newest_complete(|dropped| recycle(dropped.picture));
+        let Some((frame, arrived)) = newest else { return Ok(None) };
+        self.shown = (self.shown + 1) % self.sets.len();
+        let set = &mut self.sets[self.shown];
+        wait_for(gpu, &mut set.last_use)?;
+        set.planes.record(recorder, &arrived.picture);
+        let grid = GridTime::of(self.terms.grid, time).step;
+        let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(set.corners.bytes_mut());
+        let indices: &mut [u32] = bytemuck::cast_slice_mut(set.indices.bytes_mut());
+        self.bundler.write_draw_list(grid, corners, indices, &mut set.list);
+        recycle(arrived.picture);
+        Ok(Some(Switched { frame, picture_arrived: arrived.arrived }))
+    }
+
+    /// Moves the animated vertices to where they are at `time`.
+    pub fn record_motion(
+        &mut self,
+        recorder: &mut Recorder,
+        stages: &Stages,
+        time: ServerTime,
+        interpolation: Interpolation,
+    ) -> SceneReport {
+        let vertices = [self.bundler.vertex_count(), self.memory.vertex_slots];
+        let push = interpolate::push(self.terms.grid, time, self.last_time, vertices, interpolation);
+        self.last_time = Some(time);
+        stages.interpolate.record(recorder, &self.interpolate_group, &push);
+        let step = GridTime::of(self.terms.grid, time).step;
+        let (index_count, withheld_patches) = self.sets[self.shown].list.at(step);
+        SceneReport { index_count, withheld_patches, motionless: self.bundler.motionless(step) }
+    }
+
+    /// Draws the bundle on display.
+    pub fn record_draw(&self, recorder: &mut Recorder, stages: &Stages, frame_slot: usize, index_count: u32) {
+        stages.atlas.record(recorder, &self.sets[self.shown], frame_slot, index_count);
+    }
+
+    /// Notes that the recording behind `ticket` reads the bundle on display.
+    pub fn used_by(&mut self, ticket: shadecast_gpu::Ticket) {
+        self.sets[self.shown].last_use = Some(ticket);
+    }
+
+    /// The bundle on display, for the probe.
+    pub fn probe(
+        &self,
+        probe: &mut crate::stages::probe::Probe,
+        eyes: &EyesGpu,
+        index_count: u32,
+    ) -> Result<[crate::stages::probe::ProbeView; 2], GpuError> {
+        probe.run(&self.sets[self.shown], &self.memory.positions, eyes, index_count)
+    }
+
+    /// Positions and states of all vertex slots as the last display frame left them. Waits for the GPU; for tests.
+    pub fn read_positions(&self, gpu: &Arc<Gpu>) -> Result<Vec<[f32; 4]>, GpuError> {
+        let positions = &self.memory.positions;
+        let readback =
+            shadecast_gpu::Buffer::new(gpu, "positions", positions.size(), shadecast_gpu::Memory::Readback)?;
+        let mut recorder = gpu.record()?;
+        recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
+        recorder.copy_buffer(positions, 0, &readback, 0, positions.size());
+        recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
+        gpu.wait(recorder.submit()?)?;
+        Ok(readback.values::<[f32; 4]>()[..self.memory.vertex_slots as usize].to_vec())
+    }
+}

@@ -1,0 +1,181 @@
+//! The one draw of a bundle: both eyes by multiview, the atlas looked up and nothing shaded (`client_atlas.*`).
+
+use super::FRAMES_IN_FLIGHT;
+use super::scatter::VertexMemory;
+use super::upload::Planes;
+use crate::bundle::{DrawList, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
+use shadecast_gpu::{
+    Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
+    Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc, Sampler, SamplerDesc, Ticket, vk,
+};
+use shadecast_shaders::generated::{CLIENT_ATLAS_FRAG, CLIENT_ATLAS_VERT, CornerGpu, EyesGpu};
+use std::sync::Arc;
+
+/// Depth: reversed, never stored.
+pub(super) const DEPTH_FORMAT: vk::Format = vk::Format::D32_SFLOAT;
+/// Both eyes.
+pub(super) const BOTH_EYES: u32 = 0b11;
+
+/// What is drawn to: the swapchain's images, multisampled colour and depth that live within the pass.
+pub struct EyeTargets {
+    /// The one pass of a display frame.
+    pub pass: RenderPass,
+    framebuffers: Vec<Framebuffer>,
+    _transient: Vec<Image>,
+}
+
+/// The pipeline.
+pub struct AtlasDraw {
+    pipeline: GraphicsPipeline,
+    sampler: Sampler,
+}
+
+/// A bundle on the GPU: what the CPU made of placements, and the picture. Three of them take turns.
+pub struct BundleSet {
+    /// Corners by patch.
+    pub corners: Buffer,
+    /// Indices of corners.
+    pub indices: Buffer,
+    /// How much of both is used.
+    pub list: DrawList,
+    /// The picture.
+    pub planes: Planes,
+    /// The last recording that read this set.
+    pub last_use: Option<Ticket>,
+    groups: [BindGroup; FRAMES_IN_FLIGHT],
+}
+
+impl EyeTargets {
+    /// A pass and its framebuffers for `images`, which have two layers of `extent_pixels`.
+    pub fn new(
+        gpu: &Arc<Gpu>,
+        images: &[vk::Image],
+        format: vk::Format,
+        extent_pixels: [u32; 2],
+        samples: vk::SampleCountFlags,
+    ) -> Result<Self, GpuError> {
+        let multisampled = samples != vk::SampleCountFlags::TYPE_1;
+        let color = |store| Attachment {
+            format,
+            load: vk::AttachmentLoadOp::DONT_CARE, // the background covers what the bundle leaves
+            store,
+            before: vk::ImageLayout::UNDEFINED,
+            after: vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL,
+        };
+        let shown = color(vk::AttachmentStoreOp::STORE);
+        let (colors, resolves) = match multisampled {
+            true => (vec![color(vk::AttachmentStoreOp::DONT_CARE)], vec![shown]),
+            false => (vec![shown], vec![]),
+        };
+        let desc =
+            RenderPassDesc { colors, resolves, depth: Some(DEPTH_FORMAT), samples, view_mask: BOTH_EYES };
+        let pass = RenderPass::new(gpu, &desc)?;
+        let attachment = |name, format, usage| {
+            let usage = usage | vk::ImageUsageFlags::TRANSIENT_ATTACHMENT;
+            Image::new(
+                gpu,
+                ImageDesc { name, extent: extent_pixels, layers: 2, mips: 1, samples, format, usage },
+            )
+        };
+        let mut transient = Vec::new();
+        if multisampled {
+            transient.push(attachment("eye colour", format, vk::ImageUsageFlags::COLOR_ATTACHMENT)?);
+        }
+        transient.push(attachment("eye depth", DEPTH_FORMAT, vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT)?);
+        let views: Vec<_> = transient.iter().map(Image::view).collect();
+        let desc = ImageDesc {
+            name: "swapchain image",
+            extent: extent_pixels,
+            layers: 2,
+            mips: 1,
+            samples: vk::SampleCountFlags::TYPE_1,
+            format,
+            usage: vk::ImageUsageFlags::COLOR_ATTACHMENT,
+        };
+        let foreign = usize::from(multisampled);
+        let framebuffers = images
+            .iter()
+            .map(|image| Framebuffer::around_foreign_image(gpu, &pass, *image, &desc, foreign, &views))
+            .collect::<Result<_, _>>()?;
+        Ok(Self { pass, framebuffers, _transient: transient })
+    }
+
+    /// Begins the pass on the swapchain image `index`.
+    pub fn begin(&self, recorder: &mut Recorder, index: usize) {
+        let color = vk::ClearValue::default();
+        let far = vk::ClearValue { depth_stencil: vk::ClearDepthStencilValue { depth: 0.0, stencil: 0 } };
+        let clears = [color, color, far];
+        // One clear value per attachment: colour and depth, or multisampled colour, resolve target and depth.
+        let first = usize::from(self._transient.len() == 1);
+        recorder.begin_pass(&self.pass, &self.framebuffers[index], &clears[first..]);
+    }
+}
+
+impl AtlasDraw {
+    /// The pipeline for `pass`.
+    pub fn new(gpu: &Arc<Gpu>, pass: &RenderPass) -> Result<Self, GpuError> {
+        let desc = GraphicsPipelineDesc {
+            vertex: &CLIENT_ATLAS_VERT,
+            fragment: &CLIENT_ATLAS_FRAG,
+            pass,
+            topology: vk::PrimitiveTopology::TRIANGLE_LIST,
+            cull: vk::CullModeFlags::NONE,
+            depth_write: Some(true),
+            blend: false,
+            vertex_input: None,
+        };
+        let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
+        let sampler =
+            SamplerDesc { filter: vk::Filter::LINEAR, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
+        Ok(Self { pipeline: GraphicsPipeline::new(gpu, &desc)?, sampler: Sampler::new(gpu, sampler)? })
+    }
+
+    /// Room for a bundle of a connection with these capacities.
+    pub fn bundle_set(
+        &self,
+        gpu: &Arc<Gpu>,
+        recorder: &mut Recorder,
+        patch_slots: u32,
+        extent_texels: [u32; 2],
+        memory: &VertexMemory,
+        eyes: [&Buffer; FRAMES_IN_FLIGHT],
+    ) -> Result<BundleSet, GpuError> {
+        let patches = u64::from(patch_slots);
+        let corner_bytes = patches * (MAX_CORNERS_PER_PATCH * size_of::<CornerGpu>()) as u64;
+        let index_bytes = patches * (MAX_INDICES_PER_PATCH * size_of::<u32>()) as u64;
+        let corners = Buffer::new(gpu, "corners", corner_bytes, Memory::Upload)?;
+        let indices = Buffer::new(gpu, "indices", index_bytes, Memory::Upload)?;
+        let planes = Planes::new(gpu, recorder, extent_texels)?;
+        let group = |eyes: &Buffer| {
+            let binds = [
+                ("Corners", Bind::Buffer(&corners)),
+                ("Positions", Bind::Buffer(&memory.positions)),
+                ("Eyes", Bind::Buffer(eyes)),
+                ("luma_plane", Bind::Sampled(&planes.images[0], &self.sampler)),
+                ("cb_plane", Bind::Sampled(&planes.images[1], &self.sampler)),
+                ("cr_plane", Bind::Sampled(&planes.images[2], &self.sampler)),
+            ];
+            BindGroup::new(self.pipeline.layout(), &binds)
+        };
+        let groups = [group(eyes[0])?, group(eyes[1])?, group(eyes[2])?];
+        let late = Vec::with_capacity(patch_slots as usize);
+        let list = DrawList { late, ..DrawList::default() };
+        Ok(BundleSet { corners, indices, list, planes, last_use: None, groups })
+    }
+
+    /// Draws the first `index_count` indices of `set` with the eyes of frame slot `frame_slot`.
+    pub fn record(&self, recorder: &mut Recorder, set: &BundleSet, frame_slot: usize, index_count: u32) {
+        if index_count == 0 {
+            return;
+        }
+        recorder.bind(&self.pipeline, &set.groups[frame_slot]);
+        recorder.bind_indices(&set.indices, 0);
+        recorder.draw_indexed(0, index_count);
+    }
+}
+
+/// Uniform buffers of the eyes, one per frame in flight.
+pub fn eye_buffers(gpu: &Arc<Gpu>) -> Result<[Buffer; FRAMES_IN_FLIGHT], GpuError> {
+    let buffer = || Buffer::new(gpu, "eyes", size_of::<EyesGpu>() as u64, Memory::Upload);
+    Ok([buffer()?, buffer()?, buffer()?])
+}

@@ -1,0 +1,95 @@
+//! Positions of animated vertices at the display time (`client_interpolate.comp`), once per display frame for both eyes.
+
+use super::scatter::{GROUP, VertexMemory};
+use shadecast_gpu::{Bind, BindGroup, ComputePipeline, Gpu, GpuError, Recorder};
+use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
+use shadecast_shaders::generated::{CLIENT_INTERPOLATE_COMP, InterpolatePush};
+use shadecast_shaders::twin::interpolate::tag;
+use std::sync::Arc;
+
+/// A jump is blended away within this time.
+pub const BLEND_NS: i64 = 200_000_000;
+
+/// How positions between samples are found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Interpolation {
+    /// A cubic through four samples.
+    #[default]
+    Cubic,
+    /// A line through two: the paper's, and the baseline.
+    Linear,
+}
+
+/// A time on the sample grid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GridTime {
+    /// The last step at or before the time.
+    pub step: GridIndex,
+    /// The way from there to the next step, 0..=1.
+    pub fraction: f32,
+}
+
+/// The pipeline.
+pub struct Interpolate {
+    pipeline: ComputePipeline,
+}
+
+impl GridTime {
+    /// Where `time` lies on `grid`.
+    pub fn of(grid: Grid, time: ServerTime) -> Self {
+        let step = grid.floor(time);
+        let since_ns = time.since(grid.time_of(step));
+        Self { step, fraction: (since_ns as f64 / grid.spacing_ns as f64).clamp(0.0, 1.0) as f32 }
+    }
+}
+
+/// What the shader is told for a display frame at `now`, after one at `before`.
+pub fn push(
+    grid: Grid,
+    now: ServerTime,
+    before: Option<ServerTime>,
+    vertices: [u32; 2],
+    interpolation: Interpolation,
+) -> InterpolatePush {
+    let before = before.unwrap_or(now);
+    let (at, was) = (GridTime::of(grid, now), GridTime::of(grid, before));
+    let [vertex_count, vertex_slots] = vertices;
+    InterpolatePush {
+        vertex_count,
+        vertex_slots,
+        tag: tag(at.step),
+        fraction: at.fraction,
+        tag_before: tag(was.step),
+        fraction_before: was.fraction,
+        blend_step: (now.since(before) as f64 / BLEND_NS as f64).clamp(0.0, 1.0) as f32,
+        cubic: u32::from(interpolation == Interpolation::Cubic),
+    }
+}
+
+impl Interpolate {
+    /// The pipeline.
+    pub fn new(gpu: &Arc<Gpu>) -> Result<Self, GpuError> {
+        Ok(Self { pipeline: ComputePipeline::new(gpu, &CLIENT_INTERPOLATE_COMP)? })
+    }
+
+    /// Binds `memory`.
+    pub fn bind(&self, memory: &VertexMemory) -> Result<BindGroup, GpuError> {
+        let binds = [
+            ("Samples", Bind::Buffer(&memory.samples)),
+            ("Positions", Bind::Buffer(&memory.positions)),
+            ("Blends", Bind::Buffer(&memory.blends)),
+        ];
+        BindGroup::new(self.pipeline.layout(), &binds)
+    }
+
+    /// Interpolates the first `push.vertex_count` slots.
+    pub fn record(&self, recorder: &mut Recorder, group: &BindGroup, push: &InterpolatePush) {
+        if push.vertex_count > 0 {
+            recorder.dispatch(&self.pipeline, group, push, [push.vertex_count.div_ceil(GROUP), 1, 1]);
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "interpolate_tests.rs"]
+mod tests;

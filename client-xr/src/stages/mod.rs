@@ -1,0 +1,75 @@
+//! The client's GPU stages, in the order of a display frame. Each is one file: layout, pipeline, `record`; its shader and
+//! twin carry the same stem. Barriers between stages are in `frame.rs`.
+
+pub mod atlas_draw;
+pub mod background;
+pub mod interpolate;
+pub mod probe;
+pub mod scatter;
+pub mod upload;
+
+use glam::{Mat4, Vec3, Vec4};
+use shadecast_gpu::{Access, Gpu, GpuError, Ticket, vk};
+use shadecast_protocol::pose::{Fov, Pose};
+use shadecast_shaders::generated::EyesGpu;
+
+/// Display frames that the CPU may be ahead of the GPU. What the CPU writes for a frame exists this often.
+pub const FRAMES_IN_FLIGHT: usize = 3;
+
+/// Everything that a display frame does with the vertex memory: compute shaders write it, vertex shaders read it.
+pub const VERTEX_MEMORY_USE: Access = Access(
+    vk::PipelineStageFlags::from_raw(
+        vk::PipelineStageFlags::VERTEX_SHADER.as_raw() | vk::PipelineStageFlags::COMPUTE_SHADER.as_raw(),
+    ),
+    vk::AccessFlags::from_raw(vk::AccessFlags::SHADER_READ.as_raw() | vk::AccessFlags::SHADER_WRITE.as_raw()),
+);
+
+/// What the shaders must know of two eyes in the world, and of the same eyes in the backdrop's space.
+pub fn eyes_gpu(world_from_eye: [Pose; 2], space_from_eye: [Pose; 2], fov: [Fov; 2]) -> EyesGpu {
+    let clip_from_world = |eye: usize| fov[eye].clip_from_eye() * world_from_eye[eye].inverse().matrix();
+    let direction = |eye: usize| direction_from_clip(space_from_eye[eye], fov[eye]);
+    let position = |eye: usize| space_from_eye[eye].position.extend(1.0).to_array();
+    EyesGpu {
+        clip_from_world: [clip_from_world(0), clip_from_world(1)].map(|m| m.to_cols_array_2d()),
+        space_from_clip_direction: [direction(0), direction(1)].map(|m| m.to_cols_array_2d()),
+        space_eye: [position(0), position(1)],
+    }
+}
+
+/// Takes (ndc, 1, 0) to a direction in the space, of length 1 along the view axis.
+fn direction_from_clip(space_from_eye: Pose, fov: Fov) -> Mat4 {
+    let (l, r, u, d) = (fov.left.tan(), fov.right.tan(), fov.up.tan(), fov.down.tan());
+    let turned = |x: f32, y: f32, z: f32| (space_from_eye.orientation * Vec3::new(x, y, z)).extend(0.0);
+    Mat4::from_cols(
+        turned((r - l) * 0.5, 0.0, 0.0),
+        turned(0.0, (d - u) * 0.5, 0.0),
+        turned((r + l) * 0.5, (u + d) * 0.5, -1.0),
+        Vec4::ZERO,
+    )
+}
+
+/// Waits for a frame slot's last user, which was submitted [`FRAMES_IN_FLIGHT`] frames ago.
+pub fn wait_for(gpu: &Gpu, ticket: &mut Option<Ticket>) -> Result<(), GpuError> {
+    ticket.take().map_or(Ok(()), |ticket| gpu.wait(ticket))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Quat;
+
+    #[test]
+    fn a_direction_from_clip_projects_back_to_the_same_place() {
+        let fov = Fov { left: -0.8, right: 0.6, up: 0.5, down: -0.7 };
+        let pose = Pose { position: Vec3::new(1.0, 2.0, 3.0), orientation: Quat::from_rotation_y(0.7) };
+        let eyes = eyes_gpu([pose; 2], [pose; 2], [fov; 2]);
+        for ndc in [[0.0, 0.0], [-1.0, 1.0], [0.3, -0.9]] {
+            let direction = Mat4::from_cols_array_2d(&eyes.space_from_clip_direction[1])
+                * Vec4::new(ndc[0], ndc[1], 1.0, 0.0);
+            let point = (pose.position + direction.truncate() * 5.0).extend(1.0);
+            let clip = Mat4::from_cols_array_2d(&eyes.clip_from_world[1]) * point;
+            let seen = clip.truncate().truncate() / clip.w;
+            assert!((seen.x - ndc[0]).abs() < 1e-5 && (seen.y - ndc[1]).abs() < 1e-5, "{ndc:?}: {seen}");
+        }
+    }
+}

@@ -1,0 +1,98 @@
+//! The client's vertex memory on the GPU, and what writes deltas into it (`client_scatter.comp`).
+
+use super::FRAMES_IN_FLIGHT;
+use crate::bundle::VertexWrites;
+use shadecast_gpu::{Access, Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
+use shadecast_protocol::limits::SAMPLE_RING;
+use shadecast_shaders::generated::{CLIENT_SCATTER_COMP, ScatterPush, VertexWriteGpu};
+use std::sync::Arc;
+
+/// Records that one display frame can write; what is more waits for the next.
+const STAGING_RECORDS: u32 = 400_000;
+/// Invocations of a workgroup in the vertex shaders.
+pub(super) const GROUP: u32 = 64;
+
+/// Samples, positions and blends of all vertex slots: see `client_vertices.glsl`.
+pub struct VertexMemory {
+    /// `[ring][slot]`, 16 bytes each.
+    pub samples: Buffer,
+    /// By slot, 16 bytes each.
+    pub positions: Buffer,
+    /// By slot, 16 bytes each.
+    pub blends: Buffer,
+    /// Slots.
+    pub vertex_slots: u32,
+}
+
+/// The pipeline.
+pub struct Scatter {
+    pipeline: ComputePipeline,
+}
+
+/// What one connection needs to write: a staging buffer per frame in flight.
+pub struct ScatterStaging {
+    slots: [(Buffer, BindGroup); FRAMES_IN_FLIGHT],
+    records: usize,
+}
+
+impl VertexMemory {
+    /// Empty memory; `recorder` clears it.
+    pub fn new(gpu: &Arc<Gpu>, recorder: &mut Recorder, vertex_slots: u32) -> Result<Self, GpuError> {
+        let by_slot = u64::from(vertex_slots) * 16;
+        let memory = Self {
+            samples: Buffer::new(gpu, "vertex samples", by_slot * u64::from(SAMPLE_RING), Memory::Device)?,
+            positions: Buffer::new(gpu, "vertex positions", by_slot, Memory::Device)?,
+            blends: Buffer::new(gpu, "vertex blends", by_slot, Memory::Device)?,
+            vertex_slots,
+        };
+        [&memory.samples, &memory.positions, &memory.blends].into_iter().for_each(|b| recorder.fill(b, 0));
+        recorder.barrier(Access::COPY_WRITE, Access::COMPUTE);
+        Ok(memory)
+    }
+}
+
+impl Scatter {
+    /// The pipeline.
+    pub fn new(gpu: &Arc<Gpu>) -> Result<Self, GpuError> {
+        Ok(Self { pipeline: ComputePipeline::new(gpu, &CLIENT_SCATTER_COMP)? })
+    }
+
+    /// Staging for `memory`.
+    pub fn staging(&self, gpu: &Arc<Gpu>, memory: &VertexMemory) -> Result<ScatterStaging, GpuError> {
+        let records = (memory.vertex_slots * (SAMPLE_RING + 1)).min(STAGING_RECORDS) as usize;
+        let bytes = (records * size_of::<VertexWriteGpu>()) as u64;
+        let slot = || {
+            let staging = Buffer::new(gpu, "vertex staging", bytes, Memory::Upload)?;
+            let binds = [
+                ("Samples", Bind::Buffer(&memory.samples)),
+                ("Positions", Bind::Buffer(&memory.positions)),
+                ("Blends", Bind::Buffer(&memory.blends)),
+                ("Writes", Bind::Buffer(&staging)),
+            ];
+            let group = BindGroup::new(self.pipeline.layout(), &binds)?;
+            Ok::<_, GpuError>((staging, group))
+        };
+        Ok(ScatterStaging { slots: [slot()?, slot()?, slot()?], records })
+    }
+
+    /// Writes what waits in `writes`, as far as the staging buffer of frame slot `frame_slot` reaches. That slot's last
+    /// recording has finished.
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        staging: &mut ScatterStaging,
+        frame_slot: usize,
+        vertex_slots: u32,
+        writes: &mut VertexWrites,
+    ) {
+        let (buffer, group) = &mut staging.slots[frame_slot];
+        let bytes = staging.records * size_of::<VertexWriteGpu>();
+        let records: &mut [VertexWriteGpu] = bytemuck::cast_slice_mut(&mut buffer.bytes_mut()[..bytes]);
+        writes.drain_into(records, |range| {
+            let count = range.end - range.start;
+            let push = ScatterPush { first: range.start, count, vertex_slots };
+            recorder.dispatch(&self.pipeline, group, &push, [count.div_ceil(GROUP), 1, 1]);
+            recorder.barrier(Access::COMPUTE, Access::COMPUTE);
+        });
+    }
+}

@@ -1,0 +1,63 @@
+//! Decoded planes into images. Three sets exist, so that the one on display is never overwritten and no copy is waited for.
+
+use crate::decode::Picture;
+use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, ImageDesc, Memory, Recorder, vk};
+use std::sync::Arc;
+
+/// One picture's planes on the GPU.
+pub struct Planes {
+    /// Luma, then blue and red difference at half the resolution: R8.
+    pub images: [Image; 3],
+    staging: Buffer,
+    offsets: [usize; 3],
+}
+
+impl Planes {
+    /// Planes for pictures of `extent_texels`; `recorder` makes them readable.
+    pub fn new(gpu: &Arc<Gpu>, recorder: &mut Recorder, extent_texels: [u32; 2]) -> Result<Self, GpuError> {
+        let half = extent_texels.map(|side| side / 2);
+        let luma = (extent_texels[0] * extent_texels[1]) as usize;
+        // Offsets of a copy are multiples of four.
+        let chroma = ((half[0] * half[1]) as usize).next_multiple_of(4);
+        let images = [plane(gpu, "luma", extent_texels)?, plane(gpu, "cb", half)?, plane(gpu, "cr", half)?];
+        let staging = Buffer::new(gpu, "picture staging", (luma + 2 * chroma) as u64, Memory::Upload)?;
+        for image in &images {
+            let layouts = [vk::ImageLayout::UNDEFINED, vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL];
+            recorder.transition(image, layouts, Access::NONE, Access::FRAGMENT_READ);
+        }
+        Ok(Self { images, staging, offsets: [0, luma, luma + chroma] })
+    }
+
+    /// Copies `picture`, which has the extent these planes were made for. No submitted work reads the staging buffer.
+    pub fn record(&mut self, recorder: &mut Recorder, picture: &Picture) {
+        let planes = [&picture.y, &picture.cb, &picture.cr];
+        for (index, plane) in planes.into_iter().enumerate() {
+            let image = &self.images[index];
+            let [width, height] = image.desc().extent;
+            assert_eq!(
+                plane.len(),
+                (width * height) as usize,
+                "a decoder gives pictures of the agreed extent"
+            );
+            self.staging.write(self.offsets[index], plane);
+            let written = [vk::ImageLayout::UNDEFINED, vk::ImageLayout::TRANSFER_DST_OPTIMAL];
+            recorder.transition(image, written, Access::FRAGMENT_READ, Access::COPY_WRITE);
+            recorder.write_image(image, 0, &self.staging, self.offsets[index] as u64);
+            let read = [vk::ImageLayout::TRANSFER_DST_OPTIMAL, vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL];
+            recorder.transition(image, read, Access::COPY_WRITE, Access::FRAGMENT_READ);
+        }
+    }
+}
+
+fn plane(gpu: &Arc<Gpu>, name: &'static str, extent: [u32; 2]) -> Result<Image, GpuError> {
+    let desc = ImageDesc {
+        name,
+        extent,
+        layers: 1,
+        mips: 1,
+        samples: vk::SampleCountFlags::TYPE_1,
+        format: vk::Format::R8_UNORM,
+        usage: vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::TRANSFER_DST,
+    };
+    Image::new(gpu, desc)
+}

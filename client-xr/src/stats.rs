@@ -1,0 +1,136 @@
+//! What a client counts, and how it is reported.
+
+use crate::client::FrameReport;
+use serde::Serialize;
+use shadecast_gpu::Gpu;
+use shadecast_protocol::time::DisplayTime;
+
+/// How a client fared, for `--stats` and the lab.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ClientStats {
+    /// The Vulkan device's name.
+    pub device: String,
+    /// True where the device is a CPU: correct, slow.
+    pub device_is_cpu: bool,
+    /// The OpenXR runtime's name.
+    pub runtime: String,
+    /// From the first to the last display frame, seconds of display time.
+    pub seconds: f64,
+    /// Display frames per second of display time.
+    pub client_fps: f64,
+    /// Bundles that came on display, per second of display time.
+    pub bundles_per_s: f64,
+    /// Display frames.
+    pub frames: u64,
+    /// Display frames that were rendered.
+    pub rendered_frames: u64,
+    /// Rendered display frames that showed a bundle.
+    pub frames_with_bundle: u64,
+    /// Bundles that came on display.
+    pub bundles: u64,
+    /// Sessions that stood.
+    pub connections: u64,
+    /// Bytes of coded pictures received.
+    pub atlas_bytes: u64,
+    /// Bytes of geometry deltas received, samples included.
+    pub geometry_bytes: u64,
+    /// Vertex samples received.
+    pub vertex_samples: u64,
+    /// Vertices that went on at their last velocity, summed over display frames.
+    pub held_vertices: u64,
+    /// Vertices that had stopped for want of samples, summed over display frames.
+    pub frozen_vertices: u64,
+    /// Patches not drawn for want of samples, summed over display frames.
+    pub withheld_patches: u64,
+    /// Pictures given up or undecodable.
+    pub lost_pictures: u64,
+    /// Refreshes asked for.
+    pub refresh_requests: u64,
+    /// Validation messages; 0 with validation off.
+    pub validation_messages: u32,
+}
+
+/// The counters behind [`ClientStats`].
+pub(crate) struct Counters {
+    device: String,
+    device_is_cpu: bool,
+    runtime: String,
+    span: Option<(DisplayTime, DisplayTime)>,
+    frames: u64,
+    rendered_frames: u64,
+    frames_with_bundle: u64,
+    bundles: u64,
+    held_vertices: u64,
+    frozen_vertices: u64,
+    withheld_patches: u64,
+    pub(crate) connections: u64,
+    pub(crate) atlas_bytes: u64,
+    pub(crate) geometry_bytes: u64,
+    pub(crate) vertex_samples: u64,
+    pub(crate) lost_pictures: u64,
+    pub(crate) refresh_requests: u64,
+}
+
+impl Counters {
+    pub(crate) fn new(gpu: &Gpu, runtime: &str) -> Self {
+        Self {
+            device: gpu.device_name(),
+            device_is_cpu: gpu.is_cpu(),
+            runtime: runtime.to_owned(),
+            span: None,
+            frames: 0,
+            rendered_frames: 0,
+            frames_with_bundle: 0,
+            bundles: 0,
+            held_vertices: 0,
+            frozen_vertices: 0,
+            withheld_patches: 0,
+            connections: 0,
+            atlas_bytes: 0,
+            geometry_bytes: 0,
+            vertex_samples: 0,
+            lost_pictures: 0,
+            refresh_requests: 0,
+        }
+    }
+
+    pub(crate) fn count(&mut self, frame: &FrameReport) {
+        let (first, _) = self.span.unwrap_or((frame.display_time, frame.display_time));
+        self.span = Some((first, frame.display_time));
+        self.frames += 1;
+        self.rendered_frames += u64::from(frame.is_rendered);
+        self.frames_with_bundle += u64::from(frame.is_rendered && frame.frame.is_some());
+        self.bundles += u64::from(frame.is_new);
+        self.held_vertices += u64::from(frame.held_vertices);
+        self.frozen_vertices += u64::from(frame.frozen_vertices);
+        self.withheld_patches += u64::from(frame.withheld_patches);
+    }
+
+    pub(crate) fn stats(&self, gpu: &Gpu) -> ClientStats {
+        let seconds = self.span.map_or(0.0, |(first, last)| last.since(first) as f64 * 1e-9);
+        // The first frame opens the span, so that it is not counted as one that took time.
+        let per_s = |count: u64| if seconds > 0.0 { count.saturating_sub(1) as f64 / seconds } else { 0.0 };
+        ClientStats {
+            device: self.device.clone(),
+            device_is_cpu: self.device_is_cpu,
+            runtime: self.runtime.clone(),
+            seconds,
+            client_fps: per_s(self.frames),
+            bundles_per_s: per_s(self.bundles),
+            frames: self.frames,
+            rendered_frames: self.rendered_frames,
+            frames_with_bundle: self.frames_with_bundle,
+            bundles: self.bundles,
+            connections: self.connections,
+            atlas_bytes: self.atlas_bytes,
+            geometry_bytes: self.geometry_bytes,
+            vertex_samples: self.vertex_samples,
+            held_vertices: self.held_vertices,
+            frozen_vertices: self.frozen_vertices,
+            withheld_patches: self.withheld_patches,
+            lost_pictures: self.lost_pictures,
+            refresh_requests: self.refresh_requests,
+            validation_messages: gpu.validation_messages(),
+        }
+    }
+}

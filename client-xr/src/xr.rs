@@ -1,0 +1,682 @@
+//! OpenXR: instance, Vulkan device, session, frames, views. The only module that names `openxr`.
+//!
+//! Asks for API 1.0, which every loader in use accepts. Nothing here allocates once frames run: views are located
+//! through the function pointers into arrays of two.
+
+use crate::platform::Platform;
+use ash::vk;
+use ash::vk::Handle as _;
+use glam::{Quat, Vec3};
+use openxr::sys;
+use openxr::sys::platform::VkGetInstanceProcAddr;
+use shadecast_gpu::{DeviceSource, Gpu, GpuError, GpuOptions, Needs};
+use shadecast_protocol::pose::{Eye, Fov, Pose};
+use shadecast_protocol::time::DisplayTime;
+use std::sync::{Arc, OnceLock};
+
+const VIEW_CONFIGURATION: openxr::ViewConfigurationType = openxr::ViewConfigurationType::PRIMARY_STEREO;
+/// Swapchain formats that will do, best first; both store what the attachment's linear values encode to.
+const FORMATS: [vk::Format; 2] = [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB];
+/// Eye height where the runtime knows no floor, metres.
+const ASSUMED_EYE_HEIGHT_M: f32 = 1.6;
+
+/// What went wrong with the headset's runtime.
+#[derive(Debug, thiserror::Error)]
+pub enum XrError {
+    /// The loader library is missing.
+    #[error(
+        "the OpenXR loader could not be opened ({0}); install it (Debian and Ubuntu: package libopenxr-loader1)"
+    )]
+    NoLoader(String),
+    /// No runtime answers the loader.
+    #[error(
+        "no OpenXR runtime answers ({0}); start your headset's runtime (SteamVR, Monado, WiVRn), or set the environment \
+         variable XR_RUNTIME_JSON to the path of its manifest, for example \
+         XR_RUNTIME_JSON=/usr/share/openxr/1/openxr_monado.json"
+    )]
+    NoRuntime(sys::Result),
+    /// The runtime lacks an extension.
+    #[error(
+        "the OpenXR runtime \"{runtime}\" lacks {extension}, which this program needs; use another runtime"
+    )]
+    NoExtension {
+        /// The runtime's name for itself.
+        runtime: String,
+        /// The extension.
+        extension: &'static str,
+    },
+    /// No headset.
+    #[error("the OpenXR runtime finds no headset ({0}); connect it and switch it on")]
+    NoHeadset(sys::Result),
+    /// The runtime offers nothing that can be drawn to.
+    #[error("the OpenXR runtime offers no swapchain format of 8-bit sRGB; use another runtime")]
+    NoFormat,
+    /// Session, instance or device are gone; all must be made anew.
+    #[error("the headset's session was lost while {0}")]
+    Lost(&'static str),
+    /// A call failed.
+    #[error("{doing}: the OpenXR runtime answers {result:?}")]
+    Call {
+        /// What was being done.
+        doing: &'static str,
+        /// The answer.
+        result: sys::Result,
+    },
+    /// The device failed.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+}
+
+trait Doing<T> {
+    fn doing(self, doing: &'static str) -> Result<T, XrError>;
+}
+
+impl<T> Doing<T> for Result<T, sys::Result> {
+    fn doing(self, doing: &'static str) -> Result<T, XrError> {
+        self.map_err(|result| match result {
+            sys::Result::ERROR_INSTANCE_LOST | sys::Result::ERROR_SESSION_LOST => XrError::Lost(doing),
+            _ => XrError::Call { doing, result },
+        })
+    }
+}
+
+/// How the headset is opened.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct XrOptions {
+    /// Vulkan validation layers on.
+    pub validation: bool,
+}
+
+/// The runtime, as the maker of Vulkan's instance and device.
+struct XrDevice {
+    instance: openxr::Instance,
+    system: openxr::SystemId,
+    /// `vkGetInstanceProcAddr` of the loader that `Gpu::open` has opened and keeps.
+    loader: OnceLock<VkGetInstanceProcAddr>,
+}
+
+/// A headset that is ready to draw to: images, and all else. Dropped in this order.
+pub struct Xr {
+    /// The images of both eyes.
+    pub swapchain: Swapchain,
+    /// Session, frames and views.
+    pub headset: Headset,
+}
+
+/// A headset's session, and the device it draws with. Fields are dropped in this order: what is made first goes last.
+pub struct Headset {
+    stage: openxr::Space,
+    head: openxr::Space,
+    stream: openxr::FrameStream<openxr::Vulkan>,
+    waiter: openxr::FrameWaiter,
+    session: openxr::Session<openxr::Vulkan>,
+    blend_mode: openxr::EnvironmentBlendMode,
+    phase: Phase,
+    exit_requested: bool,
+    last_views: Option<Views>,
+    gpu: Arc<Gpu>,
+    device: XrDevice,
+    runtime_name: String,
+}
+
+/// The session, as far as the frame loop must know.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// Not begun, or ended.
+    Idle,
+    /// Begun: frames must be waited for.
+    Running,
+    /// The runtime is done with us.
+    Exiting,
+}
+
+/// What to do next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Activity {
+    /// Nothing is shown: look again soon.
+    Idle,
+    /// Wait for a frame and draw it.
+    Running,
+    /// The session has ended for good.
+    Exit,
+}
+
+/// A frame that the runtime asked for, between waiting and ending. Consumed by [`Headset::end_frame`].
+#[derive(Debug)]
+#[must_use]
+pub struct FrameTurn {
+    xr_time: openxr::Time,
+    /// When it will be seen, on `CLOCK_MONOTONIC`.
+    pub display_time: DisplayTime,
+    /// How long it will be seen, nanoseconds.
+    pub period_ns: i64,
+    /// False where nobody sees it, so that drawing it is a waste.
+    pub should_render: bool,
+}
+
+/// Where the head and its two eyes are at a display time, in the stage's frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Views {
+    /// The head.
+    pub stage_from_head: Pose,
+    /// Metres per second along the stage's axes.
+    pub linear_velocity: Vec3,
+    /// Radians per second about the stage's axes.
+    pub angular_velocity: Vec3,
+    /// Left and right eye in the stage.
+    pub stage_from_eye: [Pose; 2],
+    /// Left and right frustum.
+    pub fov: [Fov; 2],
+}
+
+/// The array swapchain of both eyes.
+pub struct Swapchain {
+    handle: openxr::Swapchain<openxr::Vulkan>,
+    images: Vec<vk::Image>,
+    format: vk::Format,
+    extent_pixels: [u32; 2],
+}
+
+/// A swapchain image that is ours until it is released.
+#[must_use]
+pub struct AcquiredImage<'a> {
+    swapchain: &'a mut Swapchain,
+    index: usize,
+    is_released: bool,
+}
+
+impl DeviceSource for XrDevice {
+    fn create_instance(
+        &self,
+        entry: &ash::Entry,
+        info: &vk::InstanceCreateInfo<'_>,
+    ) -> Result<vk::Instance, GpuError> {
+        // SAFETY: both are the type of `vkGetInstanceProcAddr`; ash and OpenXR only name handles and the result differently.
+        let loader = *self
+            .loader
+            .get_or_init(|| unsafe { std::mem::transmute(entry.static_fn().get_instance_proc_addr) });
+        // SAFETY: `info` and all that it points to live through the call; the runtime only adds to it.
+        let made = unsafe {
+            self.instance.create_vulkan_instance(self.system, loader, std::ptr::from_ref(info).cast())
+        };
+        Ok(vk::Instance::from_raw(
+            made_by_runtime(made, "creating the Vulkan instance through OpenXR")? as u64
+        ))
+    }
+
+    fn physical_device(
+        &self,
+        instance: &ash::Instance,
+        _: &GpuOptions,
+    ) -> Result<vk::PhysicalDevice, GpuError> {
+        // SAFETY: the instance was made by `create_instance` above.
+        let device = unsafe {
+            self.instance.vulkan_graphics_device(self.system, instance.handle().as_raw() as usize as *const _)
+        };
+        let device = device.map_err(|result| {
+            GpuError::NoDevice(format!(
+                "the OpenXR runtime answers {result:?} when asked for the headset's device"
+            ))
+        })?;
+        Ok(vk::PhysicalDevice::from_raw(device as u64))
+    }
+
+    fn create_device(
+        &self,
+        instance: &ash::Instance,
+        physical: vk::PhysicalDevice,
+        info: &vk::DeviceCreateInfo<'_>,
+    ) -> Result<vk::Device, GpuError> {
+        let Some(loader) = self.loader.get().copied() else {
+            return Err(GpuError::NoLoader(format!("{:?} is not of this runtime", instance.handle())));
+        };
+        // SAFETY: `physical` is the device that the runtime named; `info` and all that it points to live through the
+        // call.
+        let made = unsafe {
+            self.instance.create_vulkan_device(
+                self.system,
+                loader,
+                physical.as_raw() as usize as *const _,
+                std::ptr::from_ref(info).cast(),
+            )
+        };
+        Ok(vk::Device::from_raw(made_by_runtime(made, "creating the Vulkan device through OpenXR")? as u64))
+    }
+}
+
+fn made_by_runtime<T>(
+    made: Result<Result<*const T, i32>, sys::Result>,
+    doing: &'static str,
+) -> Result<*const T, GpuError> {
+    match made {
+        Ok(Ok(handle)) => Ok(handle),
+        Ok(Err(result)) => Err(GpuError::Vulkan { doing, result: vk::Result::from_raw(result) }),
+        Err(result) => Err(GpuError::NoDevice(format!("{doing}: the OpenXR runtime answers {result:?}"))),
+    }
+}
+
+fn open_instance(platform: &Platform) -> Result<openxr::Instance, XrError> {
+    // SAFETY: the system's OpenXR loader conforms to the specification.
+    let entry = unsafe { openxr::Entry::load(platform.openxr_platform()) };
+    let entry = entry.map_err(|error| XrError::NoLoader(error.to_string()))?;
+    let available = entry.enumerate_extensions().map_err(XrError::NoRuntime)?;
+    let mut wanted = openxr::ExtensionSet::default();
+    wanted.khr_vulkan_enable2 = true;
+    wanted.khr_convert_timespec_time = true;
+    platform.add_extensions(&mut wanted);
+    let lacking = [
+        (available.khr_vulkan_enable2, "XR_KHR_vulkan_enable2"),
+        (available.khr_convert_timespec_time, "XR_KHR_convert_timespec_time"),
+    ];
+    if let Some((_, extension)) = lacking.into_iter().find(|(has, _)| !has) {
+        return Err(XrError::NoExtension { runtime: "in use".into(), extension });
+    }
+    let application = openxr::ApplicationInfo {
+        application_name: "Shadecast",
+        application_version: 1,
+        engine_name: "Shadecast",
+        engine_version: 1,
+        api_version: openxr::Version::new(1, 0, 0),
+    };
+    entry.create_instance(&application, &wanted, &[], platform.openxr_platform()).map_err(|result| {
+        match result {
+            sys::Result::ERROR_RUNTIME_UNAVAILABLE | sys::Result::ERROR_RUNTIME_FAILURE => {
+                XrError::NoRuntime(result)
+            }
+            _ => XrError::Call { doing: "creating the OpenXR instance", result },
+        }
+    })
+}
+
+impl Xr {
+    /// Opens the headset: instance, device, session, swapchain.
+    pub fn open(platform: &Platform, options: XrOptions) -> Result<Self, XrError> {
+        let instance = open_instance(platform)?;
+        let runtime_name = instance.properties().doing("asking for the runtime's name")?.runtime_name;
+        let system = instance.system(openxr::FormFactor::HEAD_MOUNTED_DISPLAY).map_err(XrError::NoHeadset)?;
+        let blend_modes = instance
+            .enumerate_environment_blend_modes(system, VIEW_CONFIGURATION)
+            .doing("listing blend modes")?;
+        let blend_mode = blend_modes.first().copied().unwrap_or(openxr::EnvironmentBlendMode::OPAQUE);
+        // The specification wants this call before a session is made; any version with 1.1 core will do.
+        instance.graphics_requirements::<openxr::Vulkan>(system).doing("asking for Vulkan versions")?;
+        let device = XrDevice { instance: instance.clone(), system, loader: OnceLock::new() };
+        let gpu_options =
+            GpuOptions { needs: Needs::Client, validation: options.validation, device_name: None };
+        let gpu = Gpu::open(&gpu_options, &device)?;
+        let (session, waiter, stream) = open_session(&instance, system, &gpu)?;
+        let stage = open_stage(&session)?;
+        let head = session
+            .create_reference_space(openxr::ReferenceSpaceType::VIEW, openxr::Posef::IDENTITY)
+            .doing("creating the head's space")?;
+        let swapchain = Swapchain::open(&instance, system, &session)?;
+        let headset = Headset {
+            stage,
+            head,
+            stream,
+            waiter,
+            session,
+            blend_mode,
+            phase: Phase::Idle,
+            exit_requested: false,
+            last_views: None,
+            gpu,
+            device,
+            runtime_name,
+        };
+        Ok(Self { swapchain, headset })
+    }
+}
+
+impl Headset {
+    /// The device to draw with.
+    pub fn gpu(&self) -> &Arc<Gpu> {
+        &self.gpu
+    }
+
+    /// The runtime's name for itself.
+    pub fn runtime_name(&self) -> &str {
+        &self.runtime_name
+    }
+
+    /// Asks the runtime to end the session; [`Activity::Exit`] follows.
+    pub fn request_exit(&mut self) {
+        self.exit_requested = true;
+    }
+
+    /// Takes in the runtime's events, and begins or ends the session as they say.
+    pub fn poll_events(&mut self) -> Result<Activity, XrError> {
+        if self.exit_requested {
+            self.pass_on_exit_request()?;
+        }
+        let instance = self.device.instance.clone();
+        let mut buffer = openxr::EventDataBuffer::new();
+        while let Some(event) = instance.poll_event(&mut buffer).doing("polling events")? {
+            match event {
+                openxr::Event::SessionStateChanged(change) => self.change_state(change.state())?,
+                openxr::Event::InstanceLossPending(_) => return Err(XrError::Lost("polling events")),
+                _ => {}
+            }
+        }
+        Ok(match self.phase {
+            Phase::Idle => Activity::Idle,
+            Phase::Running => Activity::Running,
+            Phase::Exiting => Activity::Exit,
+        })
+    }
+
+    fn pass_on_exit_request(&mut self) -> Result<(), XrError> {
+        if self.phase == Phase::Running {
+            self.exit_requested = false;
+            return self.session.request_exit().doing("asking for the session's end");
+        }
+        self.phase = Phase::Exiting;
+        Ok(())
+    }
+
+    fn change_state(&mut self, state: openxr::SessionState) -> Result<(), XrError> {
+        tracing::debug!("session state {state:?}");
+        match state {
+            openxr::SessionState::READY => {
+                self.session.begin(VIEW_CONFIGURATION).doing("beginning the session")?;
+                self.phase = Phase::Running;
+            }
+            openxr::SessionState::STOPPING => {
+                self.phase = Phase::Idle;
+                self.session.end().doing("ending the session")?;
+            }
+            openxr::SessionState::LOSS_PENDING => return Err(XrError::Lost("polling events")),
+            openxr::SessionState::EXITING => self.phase = Phase::Exiting,
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// Sleeps until the runtime wants the next frame, and begins it.
+    pub fn wait_frame(&mut self) -> Result<FrameTurn, XrError> {
+        let state = self.waiter.wait().doing("waiting for a frame")?;
+        self.stream.begin().doing("beginning a frame")?;
+        Ok(FrameTurn {
+            xr_time: state.predicted_display_time,
+            display_time: self.monotonic(state.predicted_display_time)?,
+            period_ns: state.predicted_display_period.as_nanos(),
+            should_render: state.should_render,
+        })
+    }
+
+    /// `XrTime` on the client's monotonic clock.
+    fn monotonic(&self, time: openxr::Time) -> Result<DisplayTime, XrError> {
+        let instance = &self.device.instance;
+        let Some(convert) = &instance.exts().khr_convert_timespec_time else {
+            return Err(XrError::NoExtension {
+                runtime: self.runtime_name.clone(),
+                extension: "XR_KHR_convert_timespec_time",
+            });
+        };
+        let mut timespec = std::mem::MaybeUninit::uninit();
+        // SAFETY: the instance is alive; on success the whole timespec is written, on failure it is not read.
+        let timespec = unsafe {
+            let convert = convert.convert_time_to_timespec_time;
+            succeeded(convert(instance.as_raw(), time, timespec.as_mut_ptr())).doing("converting a time")?;
+            timespec.assume_init()
+        };
+        Ok(DisplayTime(timespec.tv_sec as i64 * 1_000_000_000 + timespec.tv_nsec as i64))
+    }
+
+    /// Where head and eyes will be when the frame is seen. Call it as late as possible. Tracking that is lost leaves the
+    /// head where it was last.
+    pub fn locate_views(&mut self, turn: &FrameTurn) -> Result<Views, XrError> {
+        let info = sys::ViewLocateInfo {
+            ty: sys::ViewLocateInfo::TYPE,
+            next: std::ptr::null(),
+            view_configuration_type: VIEW_CONFIGURATION,
+            display_time: turn.xr_time,
+            space: self.stage.as_raw(),
+        };
+        let mut state = sys::ViewState {
+            ty: sys::ViewState::TYPE,
+            next: std::ptr::null_mut(),
+            view_state_flags: sys::ViewStateFlags::EMPTY,
+        };
+        let blank = sys::View {
+            ty: sys::View::TYPE,
+            next: std::ptr::null_mut(),
+            pose: openxr::Posef::IDENTITY,
+            fov: openxr::Fovf::default(),
+        };
+        let mut views = [blank; 2];
+        let mut count = 0;
+        let locate = self.device.instance.fp().locate_views;
+        // SAFETY: session and space are alive; the array has the two places that are announced.
+        let result =
+            unsafe { locate(self.session.as_raw(), &info, &mut state, 2, &mut count, views.as_mut_ptr()) };
+        succeeded(result).doing("locating the eyes")?;
+        let (location, velocity) = self.head.relate(&self.stage, turn.xr_time).doing("locating the head")?;
+        let valid = sys::ViewStateFlags::ORIENTATION_VALID | sys::ViewStateFlags::POSITION_VALID;
+        let mut located = Views {
+            stage_from_head: pose_of(location.pose),
+            linear_velocity: velocity_of(
+                velocity.linear_velocity,
+                velocity.velocity_flags,
+                sys::SpaceVelocityFlags::LINEAR_VALID,
+            ),
+            angular_velocity: velocity_of(
+                velocity.angular_velocity,
+                velocity.velocity_flags,
+                sys::SpaceVelocityFlags::ANGULAR_VALID,
+            ),
+            stage_from_eye: views.map(|view| pose_of(view.pose)),
+            fov: views.map(|view| fov_of(view.fov)),
+        };
+        if count != 2 || !state.view_state_flags.contains(valid) || !located.is_valid() {
+            located = self.last_views.unwrap_or_else(|| located.without_tracking());
+        }
+        self.last_views = Some(located);
+        Ok(located)
+    }
+
+    /// Ends a frame that shows nothing.
+    pub fn end_empty_frame(&mut self, turn: FrameTurn) -> Result<(), XrError> {
+        self.stream.end(turn.xr_time, self.blend_mode, &[]).doing("ending a frame")
+    }
+
+    /// Ends a frame: the last released image of `swapchain` is shown as seen from `views`.
+    pub fn end_frame(
+        &mut self,
+        turn: FrameTurn,
+        views: &Views,
+        swapchain: &Swapchain,
+    ) -> Result<(), XrError> {
+        let [width, height] = swapchain.extent_pixels.map(|side| side as i32);
+        let rect = openxr::Rect2Di {
+            offset: openxr::Offset2Di { x: 0, y: 0 },
+            extent: openxr::Extent2Di { width, height },
+        };
+        let view = |eye: usize| {
+            let image = openxr::SwapchainSubImage::new()
+                .swapchain(&swapchain.handle)
+                .image_array_index(eye as u32)
+                .image_rect(rect);
+            openxr::CompositionLayerProjectionView::new()
+                .pose(posef_of(views.stage_from_eye[eye]))
+                .fov(fovf_of(views.fov[eye]))
+                .sub_image(image)
+        };
+        let projected = [view(0), view(1)];
+        let layer = openxr::CompositionLayerProjection::new().space(&self.stage).views(&projected);
+        self.stream.end(turn.xr_time, self.blend_mode, &[&layer]).doing("ending a frame")
+    }
+}
+
+fn open_session(
+    instance: &openxr::Instance,
+    system: openxr::SystemId,
+    gpu: &Arc<Gpu>,
+) -> Result<
+    (openxr::Session<openxr::Vulkan>, openxr::FrameWaiter, openxr::FrameStream<openxr::Vulkan>),
+    XrError,
+> {
+    let info = openxr::vulkan::SessionCreateInfo {
+        instance: gpu.instance().handle().as_raw() as usize as *const _,
+        physical_device: gpu.physical_device().as_raw() as usize as *const _,
+        device: gpu.device().handle().as_raw() as usize as *const _,
+        queue_family_index: gpu.queue_family(),
+        queue_index: 0,
+    };
+    // SAFETY: the handles are alive and stay so: the guard keeps the device until the session is gone. The queue is
+    // used on the thread that makes the frame calls, and nowhere else while they run.
+    let session =
+        unsafe { instance.create_session_with_guard::<openxr::Vulkan>(system, &info, Box::new(gpu.clone())) };
+    session.doing("creating the OpenXR session")
+}
+
+/// The room with its floor; where the runtime knows none, one that lies at an assumed height below the eyes.
+fn open_stage(session: &openxr::Session<openxr::Vulkan>) -> Result<openxr::Space, XrError> {
+    let known = session.enumerate_reference_spaces().doing("listing spaces")?;
+    let space = if known.contains(&openxr::ReferenceSpaceType::STAGE) {
+        session.create_reference_space(openxr::ReferenceSpaceType::STAGE, openxr::Posef::IDENTITY)
+    } else {
+        let floor =
+            Pose { position: Vec3::new(0.0, -ASSUMED_EYE_HEIGHT_M, 0.0), orientation: Quat::IDENTITY };
+        session.create_reference_space(openxr::ReferenceSpaceType::LOCAL, posef_of(floor))
+    };
+    space.doing("creating the stage's space")
+}
+
+impl Swapchain {
+    fn open(
+        instance: &openxr::Instance,
+        system: openxr::SystemId,
+        session: &openxr::Session<openxr::Vulkan>,
+    ) -> Result<Self, XrError> {
+        let views = instance.enumerate_view_configuration_views(system, VIEW_CONFIGURATION);
+        let views = views.doing("asking for the size of the views")?;
+        let side = |of: fn(&openxr::ViewConfigurationView) -> u32| views.iter().map(of).max().unwrap_or(1);
+        let extent_pixels =
+            [side(|v| v.recommended_image_rect_width), side(|v| v.recommended_image_rect_height)];
+        let offered = session.enumerate_swapchain_formats().doing("listing swapchain formats")?;
+        let format = FORMATS.into_iter().find(|format| offered.contains(&(format.as_raw() as u32)));
+        let format = format.ok_or(XrError::NoFormat)?;
+        let handle = session
+            .create_swapchain(&openxr::SwapchainCreateInfo {
+                create_flags: openxr::SwapchainCreateFlags::EMPTY,
+                usage_flags: openxr::SwapchainUsageFlags::COLOR_ATTACHMENT,
+                format: format.as_raw() as u32,
+                sample_count: 1,
+                width: extent_pixels[0],
+                height: extent_pixels[1],
+                face_count: 1,
+                array_size: 2,
+                mip_count: 1,
+            })
+            .doing("creating the swapchain")?;
+        let images = handle.enumerate_images().doing("listing the swapchain's images")?;
+        let images = images.into_iter().map(vk::Image::from_raw).collect();
+        Ok(Self { handle, images, format, extent_pixels })
+    }
+
+    /// Width and height of one eye in pixels.
+    pub fn extent_pixels(&self) -> [u32; 2] {
+        self.extent_pixels
+    }
+
+    /// Format of the swapchain.
+    pub fn format(&self) -> vk::Format {
+        self.format
+    }
+
+    /// The swapchain's images, for framebuffers.
+    pub fn images(&self) -> &[vk::Image] {
+        &self.images
+    }
+
+    /// Takes the next image to draw to, waiting until the compositor has done with it.
+    pub fn acquire(&mut self) -> Result<AcquiredImage<'_>, XrError> {
+        let index = self.handle.acquire_image().doing("acquiring an image")? as usize;
+        self.handle.wait_image(openxr::Duration::INFINITE).doing("waiting for an image")?;
+        Ok(AcquiredImage { swapchain: self, index, is_released: false })
+    }
+}
+
+impl AcquiredImage<'_> {
+    /// Its place in [`Swapchain::images`].
+    pub fn index(&self) -> usize {
+        self.index
+    }
+
+    /// Gives the image, drawn to by submitted work, to the compositor.
+    pub fn release(mut self) -> Result<(), XrError> {
+        self.is_released = true;
+        self.swapchain.handle.release_image().doing("releasing an image")
+    }
+}
+
+impl Drop for AcquiredImage<'_> {
+    fn drop(&mut self) {
+        if !self.is_released {
+            // Only on the way out of a failed frame: what remains of the session is ended by who sees the error.
+            let _ = self.swapchain.handle.release_image();
+        }
+    }
+}
+
+impl Views {
+    /// The eyes as the protocol has them.
+    pub fn eyes(&self) -> [Eye; 2] {
+        let head_from_stage = self.stage_from_head.inverse();
+        std::array::from_fn(|eye| Eye {
+            head_from_eye: head_from_stage.then(self.stage_from_eye[eye]),
+            fov: self.fov[eye],
+        })
+    }
+
+    fn is_valid(&self) -> bool {
+        self.stage_from_head.is_valid()
+            && self.stage_from_eye.iter().all(|pose| pose.is_valid())
+            && self.fov.iter().all(|fov| fov.is_valid())
+    }
+
+    /// A standing head that looks ahead, with whatever frusta are known.
+    fn without_tracking(self) -> Self {
+        let head = Pose { position: Vec3::new(0.0, ASSUMED_EYE_HEIGHT_M, 0.0), orientation: Quat::IDENTITY };
+        let fov = self.fov.map(|fov| if fov.is_valid() { fov } else { Fov::symmetric_degrees(90.0) });
+        Self {
+            stage_from_head: head,
+            linear_velocity: Vec3::ZERO,
+            angular_velocity: Vec3::ZERO,
+            stage_from_eye: [head; 2],
+            fov,
+        }
+    }
+}
+
+fn succeeded(result: sys::Result) -> Result<(), sys::Result> {
+    if result.into_raw() >= 0 { Ok(()) } else { Err(result) }
+}
+
+fn pose_of(pose: openxr::Posef) -> Pose {
+    let openxr::Posef { position: p, orientation: o } = pose;
+    let orientation = Quat::from_xyzw(o.x, o.y, o.z, o.w);
+    Pose { position: Vec3::new(p.x, p.y, p.z), orientation }
+}
+
+fn posef_of(pose: Pose) -> openxr::Posef {
+    let (p, o) = (pose.position, pose.orientation);
+    openxr::Posef {
+        position: openxr::Vector3f { x: p.x, y: p.y, z: p.z },
+        orientation: openxr::Quaternionf { x: o.x, y: o.y, z: o.z, w: o.w },
+    }
+}
+
+fn velocity_of(v: openxr::Vector3f, flags: sys::SpaceVelocityFlags, valid: sys::SpaceVelocityFlags) -> Vec3 {
+    let velocity = Vec3::new(v.x, v.y, v.z);
+    if flags.contains(valid) && velocity.is_finite() { velocity } else { Vec3::ZERO }
+}
+
+fn fov_of(fov: openxr::Fovf) -> Fov {
+    Fov { left: fov.angle_left, right: fov.angle_right, up: fov.angle_up, down: fov.angle_down }
+}
+
+fn fovf_of(fov: Fov) -> openxr::Fovf {
+    openxr::Fovf { angle_left: fov.left, angle_right: fov.right, angle_up: fov.up, angle_down: fov.down }
+}
