@@ -56,7 +56,12 @@ pub fn resample(model: &Model, clip: Option<usize>, interval_s: f32) -> Resample
     let duration_s = clip.map_or(0.0, |clip| model.clips[clip].duration_s);
     if duration_s <= 0.0 {
         let pose = source_pose(model, clip, 0.0);
-        return ResampledClip { interval_s, count: 2, samples: [pose.clone(), pose].concat(), duration_s: 0.0 };
+        return ResampledClip {
+            interval_s,
+            count: 2,
+            samples: [pose.clone(), pose].concat(),
+            duration_s: 0.0,
+        };
     }
     let intervals = interval_count(duration_s, interval_s, model.bones.len());
     let step_s = f64::from(duration_s) / f64::from(intervals);
@@ -74,7 +79,10 @@ fn interval_count(duration_s: f32, interval_s: f32, bone_count: usize) -> u32 {
     let wanted = (f64::from(duration_s) / f64::from(interval_s) - 1e-3).ceil().max(1.0);
     let limit = (MAX_RESAMPLED_TRANSFORMS / bone_count.max(1)).saturating_sub(1).max(1);
     if wanted > limit as f64 {
-        tracing::warn!("clip of {duration_s} s is resampled at {} s instead of {interval_s} s", duration_s / limit as f32);
+        tracing::warn!(
+            "clip of {duration_s} s is resampled at {} s instead of {interval_s} s",
+            duration_s / limit as f32
+        );
     }
     wanted.min(limit as f64) as u32
 }
@@ -133,7 +141,12 @@ impl Place {
             return Self { key, next: key, fraction: 0.0, span_s: 0.0 };
         }
         let (from, to) = (f64::from(times_s[after - 1]), f64::from(times_s[after]));
-        Self { key: after - 1, next: after, fraction: ((t_s - from) / (to - from)) as f32, span_s: (to - from) as f32 }
+        Self {
+            key: after - 1,
+            next: after,
+            fraction: ((t_s - from) / (to - from)) as f32,
+            span_s: (to - from) as f32,
+        }
     }
 }
 
@@ -181,7 +194,9 @@ pub fn track_varies(track: &Track) -> bool {
     let per_key = if track.interpolation == Interpolation::CubicSpline { 3 } else { 1 };
     let between = |a: Vec3, b: Vec3| (a - b).abs().max_element();
     match &track.values {
-        TrackValues::Translation(keys) | TrackValues::Scale(keys) => differ(keys, per_key, between, Vec3::ZERO),
+        TrackValues::Translation(keys) | TrackValues::Scale(keys) => {
+            differ(keys, per_key, between, Vec3::ZERO)
+        }
         TrackValues::Rotation(keys) => {
             let zero = Quat::from_vec4(Vec4::ZERO);
             // Both signs of a quaternion are the same rotation.
@@ -242,9 +257,8 @@ mod tests {
 
     fn distance(a: TrackValue, b: TrackValue) -> f32 {
         match (a, b) {
-            (TrackValue::Translation(a), TrackValue::Translation(b)) | (TrackValue::Scale(a), TrackValue::Scale(b)) => {
-                a.distance(b)
-            }
+            (TrackValue::Translation(a), TrackValue::Translation(b))
+            | (TrackValue::Scale(a), TrackValue::Scale(b)) => a.distance(b),
             (TrackValue::Rotation(a), TrackValue::Rotation(b)) => (1.0 - a.dot(b).abs()).max(0.0).sqrt(),
             _ => f32::INFINITY,
         }
@@ -261,15 +275,22 @@ mod tests {
             }
             let last = track.times_s.len() - 1;
             let (before, after) = (f64::from(track.times_s[0]) - 1.0, f64::from(track.times_s[last]) + 1.0);
-            assert!(distance(evaluate_track(&track, before), key_value(&track, 0)) < 1e-3, "seed 1, case {case}");
-            assert!(distance(evaluate_track(&track, after), key_value(&track, last)) < 1e-3, "seed 1, case {case}");
+            assert!(
+                distance(evaluate_track(&track, before), key_value(&track, 0)) < 1e-3,
+                "seed 1, case {case}"
+            );
+            assert!(
+                distance(evaluate_track(&track, after), key_value(&track, last)) < 1e-3,
+                "seed 1, case {case}"
+            );
         }
     }
 
     #[test]
     fn step_holds_and_linear_halves() {
         let values = TrackValues::Translation(vec![Vec3::ZERO, Vec3::new(2.0, 4.0, 6.0)]);
-        let mut track = Track { bone: 0, times_s: vec![1.0, 2.0], interpolation: Interpolation::Step, values };
+        let mut track =
+            Track { bone: 0, times_s: vec![1.0, 2.0], interpolation: Interpolation::Step, values };
         assert_eq!(evaluate_track(&track, 1.999), TrackValue::Translation(Vec3::ZERO));
         track.interpolation = Interpolation::Linear;
         assert_eq!(evaluate_track(&track, 1.5), TrackValue::Translation(Vec3::new(1.0, 2.0, 3.0)));
@@ -278,14 +299,17 @@ mod tests {
     #[test]
     fn cubic_spline_reproduces_a_cubic() {
         // x(t) = t^3 - 2 t^2 + 3 t - 1 has x'(t) = 3 t^2 - 4 t + 3; a Hermite spline with true tangents is exact.
-        let (x, slope) = (|t: f32| t * t * t - 2.0 * t * t + 3.0 * t - 1.0, |t: f32| 3.0 * t * t - 4.0 * t + 3.0);
+        let (x, slope) =
+            (|t: f32| t * t * t - 2.0 * t * t + 3.0 * t - 1.0, |t: f32| 3.0 * t * t - 4.0 * t + 3.0);
         let times_s = vec![0.0, 0.7, 2.0];
         let triple = |t: &f32| [Vec3::splat(slope(*t)), Vec3::splat(x(*t)), Vec3::splat(slope(*t))];
         let values = TrackValues::Translation(times_s.iter().flat_map(triple).collect());
         let track = Track { bone: 0, times_s, interpolation: Interpolation::CubicSpline, values };
         for step in 0..=200 {
             let t = step as f32 * 0.01;
-            let TrackValue::Translation(found) = evaluate_track(&track, f64::from(t)) else { panic!("translation") };
+            let TrackValue::Translation(found) = evaluate_track(&track, f64::from(t)) else {
+                panic!("translation")
+            };
             assert!((found.x - x(t)).abs() < 1e-5, "at {t}: {} instead of {}", found.x, x(t));
         }
     }
@@ -295,7 +319,8 @@ mod tests {
         let (a, b) = (Quat::from_rotation_y(0.2), Quat::from_rotation_y(1.0));
         for b in [b, -b] {
             let values = TrackValues::Rotation(vec![a, b]);
-            let track = Track { bone: 0, times_s: vec![0.0, 1.0], interpolation: Interpolation::Linear, values };
+            let track =
+                Track { bone: 0, times_s: vec![0.0, 1.0], interpolation: Interpolation::Linear, values };
             let TrackValue::Rotation(found) = evaluate_track(&track, 0.25) else { panic!("rotation") };
             assert!(found.angle_between(Quat::from_rotation_y(0.4)) < 1e-3, "{found}");
         }
@@ -330,7 +355,7 @@ mod tests {
             let end = f64::from(clip.interval_s) * f64::from(clip.count - 1);
             assert!((end - f64::from(clip.duration_s)).abs() < 1e-4, "seed 3, case {case}: {end}");
             for (sample, trs) in clip.samples.iter().enumerate() {
-                let t = f64::from(clip.duration_s) * sample as f64 / f64::from(clip.count - 1);
+                let t = f64::from(clip.duration_s) / f64::from(clip.count - 1) * sample as f64;
                 assert_eq!(*trs, source_pose(&model, Some(0), t)[0], "seed 3, case {case}, sample {sample}");
             }
         }
@@ -359,7 +384,8 @@ mod tests {
     #[test]
     fn very_long_clip_is_resampled_more_coarsely_instead_of_filling_memory() {
         let values = TrackValues::Translation(vec![Vec3::ZERO, Vec3::X]);
-        let track = Track { bone: 0, times_s: vec![0.0, 86_400.0], interpolation: Interpolation::Linear, values };
+        let track =
+            Track { bone: 0, times_s: vec![0.0, 86_400.0], interpolation: Interpolation::Linear, values };
         let mut model = one_bone(track);
         model.bones = vec![model.bones[0].clone(); 4096];
         let clip = resample(&model, Some(0), 1e-3);
@@ -419,16 +445,23 @@ mod tests {
             track(Interpolation::Linear, TrackValues::Rotation(vec![Quat::IDENTITY, -Quat::IDENTITY])),
             track(
                 Interpolation::CubicSpline,
-                TrackValues::Scale([Vec3::ZERO, Vec3::ONE, Vec3::ZERO, Vec3::ZERO, Vec3::ONE, Vec3::ZERO].to_vec()),
+                TrackValues::Scale(
+                    [Vec3::ZERO, Vec3::ONE, Vec3::ZERO, Vec3::ZERO, Vec3::ONE, Vec3::ZERO].to_vec(),
+                ),
             ),
         ];
         assert!(still.iter().all(|track| !track_varies(track)));
         let moving = [
             track(Interpolation::Step, TrackValues::Scale(vec![Vec3::ONE, Vec3::X])),
-            track(Interpolation::Linear, TrackValues::Rotation(vec![Quat::IDENTITY, Quat::from_rotation_x(0.01)])),
+            track(
+                Interpolation::Linear,
+                TrackValues::Rotation(vec![Quat::IDENTITY, Quat::from_rotation_x(0.01)]),
+            ),
             track(
                 Interpolation::CubicSpline,
-                TrackValues::Scale([Vec3::ZERO, Vec3::ONE, Vec3::X, Vec3::ZERO, Vec3::ONE, Vec3::ZERO].to_vec()),
+                TrackValues::Scale(
+                    [Vec3::ZERO, Vec3::ONE, Vec3::X, Vec3::ZERO, Vec3::ONE, Vec3::ZERO].to_vec(),
+                ),
             ),
         ];
         assert!(moving.iter().all(track_varies));

@@ -154,7 +154,12 @@ mod tests {
         let mut number = |low: f32, high: f32| rng.random_range(low..high);
         Trs {
             translation: Vec3::new(number(-1.0, 1.0), number(-1.0, 1.0), number(-1.0, 1.0)),
-            rotation: Quat::from_euler(glam::EulerRot::XYZ, number(-3.0, 3.0), number(-1.5, 1.5), number(-3.0, 3.0)),
+            rotation: Quat::from_euler(
+                glam::EulerRot::XYZ,
+                number(-3.0, 3.0),
+                number(-1.5, 1.5),
+                number(-3.0, 3.0),
+            ),
             scale: Vec3::new(number(0.5, 2.0), number(0.5, 2.0), number(0.5, 2.0)),
         }
     }
@@ -226,7 +231,10 @@ mod tests {
                     let close = found.translation.abs_diff_eq(expected.translation, 1e-4)
                         && found.rotation.dot(expected.rotation).abs() > 1.0 - 1e-4
                         && found.scale.abs_diff_eq(expected.scale, 1e-4);
-                    assert!(close, "seed 22, sample {sample}, bone {bone}, turn {turn}: {found:?} {expected:?}");
+                    assert!(
+                        close,
+                        "seed 22, sample {sample}, bone {bone}, turn {turn}: {found:?} {expected:?}"
+                    );
                 }
             }
         }
@@ -291,7 +299,8 @@ mod tests {
         let mut rng = SmallRng::seed_from_u64(25);
         let mut model = random_model(&mut rng, 2);
         model.bones[1].parent = None;
-        model.vertices = vec![vertex([0, 1, 0, 0], [1.0, 0.0, 0.0, 0.0]), vertex([0, 1, 0, 0], [0.9, 0.1, 0.0, 0.0])];
+        model.vertices =
+            vec![vertex([0, 1, 0, 0], [1.0, 0.0, 0.0, 0.0]), vertex([0, 1, 0, 0], [0.9, 0.1, 0.0, 0.0])];
         assert_eq!(animated_vertices(&model, Some(0)), [false, true]);
     }
 
@@ -321,7 +330,10 @@ mod tests {
         let model = random_model(&mut rng, 12);
         let (low, high) = bounds(&model, Some(0), 20).expect("vertices");
         for vertex in skin(&model, &source_palette(&model, Some(0), 0.35), Affine3A::IDENTITY) {
-            assert!(vertex.position.cmpge(low - 1e-4).all() && vertex.position.cmple(high + 1e-4).all(), "seed 27");
+            assert!(
+                vertex.position.cmpge(low - 1e-4).all() && vertex.position.cmple(high + 1e-4).all(),
+                "seed 27"
+            );
         }
         assert_eq!(bounds(&Model::default(), None, 3), None);
     }

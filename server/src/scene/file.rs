@@ -117,8 +117,17 @@ pub fn parse(text: &str, file: &str) -> Result<SceneFile, SceneError> {
 }
 
 const ROOT_KEYS: [&str; 8] = ["model", "instance", "sun", "sky", "environment", "ground", "stage", "camera"];
-const INSTANCE_KEYS: [&str; 9] =
-    ["name", "model", "translation", "rotation_euler_deg", "scale", "matrix", "time_shift_s", "speed", "clip"];
+const INSTANCE_KEYS: [&str; 9] = [
+    "name",
+    "model",
+    "translation",
+    "rotation_euler_deg",
+    "scale",
+    "matrix",
+    "time_shift_s",
+    "speed",
+    "clip",
+];
 
 fn read_models(root: &Fields) -> Result<Vec<ModelEntry>, SceneError> {
     let mut models: Vec<ModelEntry> = Vec::new();
@@ -128,8 +137,11 @@ fn read_models(root: &Fields) -> Result<Vec<ModelEntry>, SceneError> {
             return Err(fields.source.error(line, format!("there are two models of the name \"{name}\"")));
         }
         let (file, line) = fields.required_string("file")?;
-        let file =
-            if file == BUILT_IN_DRAGON { ModelFile::BuiltInDragon } else { ModelFile::Path(PathBuf::from(file)) };
+        let file = if file == BUILT_IN_DRAGON {
+            ModelFile::BuiltInDragon
+        } else {
+            ModelFile::Path(PathBuf::from(file))
+        };
         models.push(ModelEntry { name, file, line });
     }
     Ok(models)
@@ -174,11 +186,13 @@ fn read_placement(fields: &Fields) -> Result<Affine3A, SceneError> {
             return Err(fields.source.error(fields.line_of("matrix"), problem));
         }
         Some(matrix) => affine_of(&Mat4::from_cols_array(&matrix)).ok_or_else(|| {
-            let problem = "the last row of \"matrix\" (numbers 4, 8, 12, 16) must be 0, 0, 0, 1: columns come first";
+            let problem =
+                "the last row of \"matrix\" (numbers 4, 8, 12, 16) must be 0, 0, 0, 1: columns come first";
             fields.source.error(fields.line_of("matrix"), problem)
         })?,
         None => {
-            let [x, y, z] = fields.numbers::<3>("rotation_euler_deg")?.unwrap_or_default().map(f32::to_radians);
+            let [x, y, z] =
+                fields.numbers::<3>("rotation_euler_deg")?.unwrap_or_default().map(f32::to_radians);
             let rotation = Quat::from_euler(EulerRot::YXZ, y, x, z);
             let translation = Vec3::from_array(fields.numbers("translation")?.unwrap_or_default());
             Affine3A::from_scale_rotation_translation(read_scale(fields)?, rotation, translation)
@@ -186,7 +200,9 @@ fn read_placement(fields: &Fields) -> Result<Affine3A, SceneError> {
     };
     if placement.matrix3.determinant() == 0.0 {
         let key = if fields.get("matrix").is_some() { "matrix" } else { "scale" };
-        return Err(fields.source.error(fields.line_of(key), format!("\"{key}\" flattens the model to nothing")));
+        return Err(fields
+            .source
+            .error(fields.line_of(key), format!("\"{key}\" flattens the model to nothing")));
     }
     Ok(placement)
 }
@@ -281,7 +297,8 @@ impl<'a> Fields<'a> {
         line: usize,
         known: &[&str],
     ) -> Result<Self, SceneError> {
-        let mut unknown: Vec<_> = table.keys().filter(|key| !known.contains(&key.get_ref().as_ref())).collect();
+        let mut unknown: Vec<_> =
+            table.keys().filter(|key| !known.contains(&key.get_ref().as_ref())).collect();
         unknown.sort_by_key(|key| key.span().start);
         let Some(key) = unknown.first() else { return Ok(Self { source, what, table, line }) };
         let hint = did_you_mean(key.get_ref(), known.iter().copied());
@@ -464,17 +481,45 @@ yaw_deg = 180
     #[test]
     fn faults_are_shown_where_they_stand() {
         let cases = [
-            ("time_shift_s = 0.5", "time_shft_s = 0.5", "scene.toml:15: instance has no \"time_shft_s\"; did you mean \"time_shift_s\"?"),
+            (
+                "time_shift_s = 0.5",
+                "time_shft_s = 0.5",
+                "scene.toml:15: instance has no \"time_shft_s\"; did you mean \"time_shift_s\"?",
+            ),
             ("[sky]", "[skyy]", "scene.toml:28: a scene has no \"skyy\"; did you mean \"sky\"?"),
-            ("scale = 2", "scale = \"big\"", "scene.toml:14: \"scale\" of instance must be a finite number, not string"),
-            ("scale = 2", "scale = inf", "scene.toml:14: \"scale\" of instance must be a finite number, not float"),
+            (
+                "scale = 2",
+                "scale = \"big\"",
+                "scene.toml:14: \"scale\" of instance must be a finite number, not string",
+            ),
+            (
+                "scale = 2",
+                "scale = inf",
+                "scene.toml:14: \"scale\" of instance must be a finite number, not float",
+            ),
             ("scale = 2", "scale = 0", "scene.toml:14: \"scale\" flattens the model to nothing"),
-            ("[1, 2.5, -3]", "[1, 2.5]", "scene.toml:12: \"translation\" of instance has 2 numbers; it must have 3"),
-            ("name = \"fox\"", "name = \"dragon\"", "scene.toml:7: there are two models of the name \"dragon\""),
+            (
+                "[1, 2.5, -3]",
+                "[1, 2.5]",
+                "scene.toml:12: \"translation\" of instance has 2 numbers; it must have 3",
+            ),
+            (
+                "name = \"fox\"",
+                "name = \"dragon\"",
+                "scene.toml:7: there are two models of the name \"dragon\"",
+            ),
             ("file = \"dragon\"", "", "scene.toml:2: model needs \"file\""),
-            ("direction = [0, 2, 0]", "direction = [0, 0, 0]", "scene.toml:25: \"direction\" has no length; it is the vector towards the sun"),
+            (
+                "direction = [0, 2, 0]",
+                "direction = [0, 0, 0]",
+                "scene.toml:25: \"direction\" has no length; it is the vector towards the sun",
+            ),
             ("size_m = 10", "size_m = 1000", "scene.toml:32: \"size_m\" must be from 1 to 100 metres"),
-            ("clip = \"Run\"", "clip = \"Run\"\nscale = 3", "scene.toml:23: \"matrix\" cannot be combined with translation, rotation_euler_deg or scale"),
+            (
+                "clip = \"Run\"",
+                "clip = \"Run\"\nscale = 3",
+                "scene.toml:23: \"matrix\" cannot be combined with translation, rotation_euler_deg or scale",
+            ),
             ("[0.1, 0.2, 0.3]", "[0.1, -0.2, 0.3]", "scene.toml:29: \"zenith\" cannot be negative"),
         ];
         for (good, bad, expected) in cases {

@@ -36,7 +36,8 @@ const SILENT_EXTENSIONS: [&str; 2] = ["KHR_mesh_quantization", "KHR_materials_sp
 /// Loads a file; buffers and images beside it are found relative to it.
 pub fn load(path: &Path) -> Result<Model, SceneError> {
     let file = path.display().to_string();
-    let bytes = container::read_limited(path).map_err(|source| SceneError::Read { file: file.clone(), source })?;
+    let bytes =
+        container::read_limited(path).map_err(|source| SceneError::Read { file: file.clone(), source })?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let name = path.file_stem().map_or_else(|| file.clone(), |stem| stem.to_string_lossy().into_owned());
     finish(import(&bytes, &name, Some(folder)), &file)
@@ -162,7 +163,9 @@ fn parents_first(nodes: &[::gltf::Node], parents: &[Option<usize>]) -> Result<Ve
         pending.extend(children.into_iter().rev());
     }
     match reached.iter().position(|reached| !reached) {
-        Some(lost) => Err(Fault::new(node_label(&nodes[lost]), "is its own ancestor, or below a node that is")),
+        Some(lost) => {
+            Err(Fault::new(node_label(&nodes[lost]), "is its own ancestor, or below a node that is"))
+        }
         None => Ok(order),
     }
 }
@@ -187,7 +190,9 @@ fn rest_transform(node: &::gltf::Node, warnings: &mut Warnings) -> Result<Trs, F
     };
     let length = rest.rotation.length();
     if !(rest.translation.is_finite() && rest.scale.is_finite() && length.is_finite()) {
-        return Err(fault("its transform is not finite, or a matrix that cannot be split into rotation and scale"));
+        return Err(fault(
+            "its transform is not finite, or a matrix that cannot be split into rotation and scale",
+        ));
     }
     if length < 1e-6 {
         return Err(fault("its rotation is a quaternion without length"));
@@ -234,7 +239,8 @@ impl<'a> Assembly<'a> {
         let binding = self.binding(&node)?;
         for (primitive, part) in mesh.primitives().zip(parts.iter()) {
             let Some(part) = part else { continue };
-            let element = format!("{} primitive {}", label("mesh", mesh.index(), mesh.name()), primitive.index());
+            let element =
+                format!("{} primitive {}", label("mesh", mesh.index(), mesh.name()), primitive.index());
             let material = self.materials.index(&primitive.material(), &mut self.warnings)?;
             self.append(part, &binding, material, &element, &node)?;
         }
@@ -247,7 +253,8 @@ impl<'a> Assembly<'a> {
         }
         let mut parts = Vec::new();
         for primitive in mesh.primitives() {
-            let element = format!("{} primitive {}", label("mesh", mesh.index(), mesh.name()), primitive.index());
+            let element =
+                format!("{} primitive {}", label("mesh", mesh.index(), mesh.name()), primitive.index());
             parts.push(mesh::read(self.reader, &primitive, &element, &mut self.warnings)?);
         }
         let parts = Rc::new(parts);
@@ -289,13 +296,19 @@ impl<'a> Assembly<'a> {
         joints: usize,
         element: &str,
     ) -> Result<Vec<Affine3A>, Fault> {
-        let Some(accessor) = skin.inverse_bind_matrices() else { return Ok(vec![Affine3A::IDENTITY; joints]) };
+        let Some(accessor) = skin.inverse_bind_matrices() else {
+            return Ok(vec![Affine3A::IDENTITY; joints]);
+        };
         let element = format!("{element} inverse bind matrices (accessor {})", accessor.index());
         let matrices = self.reader.floats::<16>(&accessor, Dimensions::Mat4, &element)?;
         if matrices.len() < joints {
             return Err(Fault::new(element, format!("has {} matrices for {joints} joints", matrices.len())));
         }
-        Ok(matrices.iter().take(joints).map(|matrix| Affine3A::from_mat4(Mat4::from_cols_array(matrix))).collect())
+        Ok(matrices
+            .iter()
+            .take(joints)
+            .map(|matrix| Affine3A::from_mat4(Mat4::from_cols_array(matrix)))
+            .collect())
     }
 
     /// Returns the index of the first.

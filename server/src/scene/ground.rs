@@ -106,7 +106,9 @@ fn colour(at_m: Vec2) -> Vec3 {
     let to_joint = (at_m - at_m.round()).abs().min_element();
     let joint = 1.0 - smooth_step(0.015, 0.075, to_joint);
     let cloud = 0.6 * noise(at_m, 1.0, 3) + 0.4 * noise(at_m, 0.25, 4) - 0.5;
-    let stone = Vec3::new(0.56, 0.545, 0.515) + 0.055 * (shade - 0.5) + 0.03 * warm * Vec3::new(1.0, 0.1, -0.9);
+    // A tile's own shade fades out towards the joint, so that two tiles do not meet in a hard edge.
+    let own = (1.0 - joint) * (0.055 * (shade - 0.5) + 0.03 * warm * Vec3::new(1.0, 0.1, -0.9));
+    let stone = Vec3::new(0.56, 0.545, 0.515) + own;
     (stone + 0.06 * cloud - 0.11 * joint).clamp(Vec3::ZERO, Vec3::ONE)
 }
 
@@ -172,7 +174,8 @@ mod tests {
             }
         }
         assert!(largest_step <= 8, "steps between texels of {largest_step}");
-        let (low, high) = (0..TEXTURE_SIDE).map(|i| texel(i, i)).fold((255, 0), |(l, h), v| (l.min(v), h.max(v)));
+        let (low, high) =
+            (0..TEXTURE_SIDE).map(|i| texel(i, i)).fold((255, 0), |(l, h), v| (l.min(v), h.max(v)));
         assert!(high - low < 70 && low > 60, "from {low} to {high}");
     }
 

@@ -42,11 +42,15 @@ impl FromStr for SceneSource {
         match argument.split_once(':') {
             Some(("dragons" | "dragon", count)) => {
                 let count = count.parse().ok().filter(|count| (1..=MAX_DRAGONS).contains(count));
-                count.map(Self::Dragons).ok_or_else(|| fault(format!("the number must be from 1 to {MAX_DRAGONS}")))
+                count
+                    .map(Self::Dragons)
+                    .ok_or_else(|| fault(format!("the number must be from 1 to {MAX_DRAGONS}")))
             }
             _ if argument == "dragon" => Ok(Self::Dragons(1)),
             _ if argument == "dragons" => Ok(Self::default()),
-            _ if argument.is_empty() => Err(fault("is empty; give dragons:N or a .glb, .gltf or .toml file".into())),
+            _ if argument.is_empty() => {
+                Err(fault("is empty; give dragons:N or a .glb, .gltf or .toml file".into()))
+            }
             _ => Ok(Self::File(argument.into())),
         }
     }
@@ -137,8 +141,11 @@ const ASSET_EXTENT_M: (f32, f32, f32) = (0.9, 2.0, 1.6);
 fn asset(path: &Path) -> Result<Scene, SceneError> {
     let model = gltf::load(path)?;
     let clip = first_moving_clip(&model);
-    let world_from_model = place_asset(&model, clip)
-        .map_err(|problem| SceneError::Asset { file: path.display().to_string(), element: "scene".into(), problem })?;
+    let world_from_model = place_asset(&model, clip).map_err(|problem| SceneError::Asset {
+        file: path.display().to_string(),
+        element: "scene".into(),
+        problem,
+    })?;
     let name = model.name.clone();
     let instance = Instance { name, model: 0, world_from_model, clip, time_shift_s: 0.0, speed: 1.0 };
     Ok(around(vec![model], vec![instance]))
@@ -161,7 +168,9 @@ fn finite_bounds(model: &Model, clip: Option<usize>) -> Result<(Vec3, Vec3), Str
     let (low, high) = pose::bounds(model, clip, 16).ok_or("has no triangles to show")?;
     let extent = (high - low).max_element();
     if !(low.is_finite() && high.is_finite() && extent > 1e-6 && extent < 1e7) {
-        return Err(format!("its extent of {extent} m cannot be shown (bones may blow it up or shrink it to nothing)"));
+        return Err(format!(
+            "its extent of {extent} m cannot be shown (bones may blow it up or shrink it to nothing)"
+        ));
     }
     Ok((low, high))
 }
@@ -174,7 +183,8 @@ const GROUP_DISTANCE_M: f32 = 3.3;
 fn dragons(count: u32) -> Result<Scene, SceneError> {
     let model = built_in_dragon()?;
     let clip = first_moving_clip(&model);
-    let fault = |problem| SceneError::Asset { file: "built-in dragon".into(), element: "scene".into(), problem };
+    let fault =
+        |problem| SceneError::Asset { file: "built-in dragon".into(), element: "scene".into(), problem };
     let (low, high) = finite_bounds(&model, clip).map_err(fault)?;
     let duration_s = clip.map_or(0.0, |clip| model.clips[clip].duration_s);
     let instance = |index: u32| Instance {
@@ -190,20 +200,19 @@ fn dragons(count: u32) -> Result<Scene, SceneError> {
     Ok(around(vec![model], instances))
 }
 
-/// Rows of at most ceil(sqrt(count)) side by side (all of up to three in one row), later rows further back, each
-/// dragon turned halfway towards the user, the outer ones of a row nearer than the inner ones.
+/// Rows of at most ceil(sqrt(count)) side by side (all of up to three in one row), later rows further back and
+/// shifted by half a place, each dragon turned towards the user, the outer ones of a row nearer than the inner ones.
 fn dragon_place(index: u32, count: u32, low: Vec3, high: Vec3) -> Affine3A {
     let columns = if count <= 3 { count } else { (f64::from(count).sqrt().ceil()) as u32 };
-    let rows = count.div_ceil(columns);
     let (row, column) = (index / columns, index % columns);
     let in_row = columns.min(count - row * columns);
     // Wings of neighbours may overlap in x a little, since neighbours also differ in depth.
-    let spacing = Vec3::new((high.x - low.x) * 0.85, 0.0, (high.z - low.z) * 0.9 + 0.4).max(Vec3::splat(0.5));
-    let side = column as f32 - (in_row - 1) as f32 * 0.5;
-    let nearest = GROUP_DISTANCE_M.max(GROUP_DISTANCE_M + (rows as f32 - 1.0) * 0.25);
-    let stagger = 0.35 * (side.abs().min(2.0) - 0.5);
-    let at = Vec3::new(side * spacing.x, 0.0, -(nearest + row as f32 * spacing.z) + stagger);
-    let yaw = -0.5 * (at.x / -at.z).atan();
+    let spacing = Vec3::new((high.x - low.x) * 0.85, 0.0, (high.z - low.z) * 0.7).max(Vec3::splat(0.85));
+    let shift = if count > columns { 0.5 * (row % 2) as f32 - 0.25 } else { 0.0 };
+    let side = column as f32 - (in_row - 1) as f32 * 0.5 + shift;
+    let stagger = if in_row > 1 { 0.35 * (side.abs().min(2.0) - 0.5) } else { 0.0 };
+    let at = Vec3::new(side * spacing.x, 0.0, -(GROUP_DISTANCE_M + row as f32 * spacing.z) + stagger);
+    let yaw = -(at.x / -at.z).atan();
     let middle = (low + high) * 0.5;
     let model_from_foot = Affine3A::from_translation(-Vec3::new(middle.x, low.y, middle.z));
     Affine3A::from_rotation_translation(Quat::from_rotation_y(yaw), at) * model_from_foot
@@ -213,14 +222,16 @@ fn dragon_place(index: u32, count: u32, low: Vec3, high: Vec3) -> Affine3A {
 
 fn scene_file(path: &Path) -> Result<Scene, SceneError> {
     let name = path.display().to_string();
-    let text = std::fs::read_to_string(path).map_err(|source| SceneError::Read { file: name.clone(), source })?;
+    let text =
+        std::fs::read_to_string(path).map_err(|source| SceneError::Read { file: name.clone(), source })?;
     scene_from_text(&text, &name, path.parent().unwrap_or(Path::new("")))
 }
 
 /// The scene that a file of this text in this folder describes.
 pub fn scene_from_text(text: &str, name: &str, folder: &Path) -> Result<Scene, SceneError> {
     let file = file::parse(text, name)?;
-    let models = file.models.iter().map(|entry| load_model(entry, name, folder)).collect::<Result<Vec<_>, _>>()?;
+    let models =
+        file.models.iter().map(|entry| load_model(entry, name, folder)).collect::<Result<Vec<_>, _>>()?;
     let instances = instances(&file, &models, name)?;
     let SceneFile { sun, environment, ground_size_m, world_from_stage, .. } = file;
     Ok(finished(Scene { models, instances, sun, environment, world_from_stage }, ground_size_m))
@@ -232,7 +243,8 @@ fn load_model(entry: &ModelEntry, name: &str, folder: &Path) -> Result<Model, Sc
         ModelFile::BuiltInDragon => built_in_dragon()?,
         ModelFile::Path(path) if matches!(extension(path).as_str(), "glb" | "gltf") => {
             // The reason in the scene's terms: the line that names the file.
-            gltf::load(&folder.join(path)).map_err(|error| fault(format!("model \"{}\": {error}", entry.name)))?
+            gltf::load(&folder.join(path))
+                .map_err(|error| fault(format!("model \"{}\": {error}", entry.name)))?
         }
         ModelFile::Path(path) => {
             let hint = did_you_mean(&path.to_string_lossy(), [file::BUILT_IN_DRAGON]);
@@ -293,7 +305,10 @@ fn split_models(scene: &mut Scene) {
         }
         let stats = split_long_edges(model, limit);
         if !stats.complete {
-            tracing::warn!("{}: edges stay longer than {MAX_EDGE_M} m; split it in a modelling tool", model.name);
+            tracing::warn!(
+                "{}: edges stay longer than {MAX_EDGE_M} m; split it in a modelling tool",
+                model.name
+            );
         }
     }
 }
@@ -307,4 +322,191 @@ fn rest_scale(model: &Model) -> f32 {
 fn largest_scale(transform: Affine3A) -> f32 {
     let axes = transform.matrix3;
     axes.x_axis.length().max(axes.y_axis.length()).max(axes.z_axis.length())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::split::SplitStats;
+
+    fn shared_asset(name: &str) -> Option<PathBuf> {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/assets").join(name);
+        if path.is_file() {
+            return Some(path);
+        }
+        eprintln!("SKIPPED: {} does not exist", path.display());
+        None
+    }
+
+    /// Bounds of an instance in the world over its clip.
+    fn world_bounds(scene: &Scene, index: usize) -> (Vec3, Vec3) {
+        let instance = &scene.instances[index];
+        let model = &scene.models[instance.model];
+        let duration_s = instance.clip.map_or(0.0, |clip| model.clips[clip].duration_s);
+        let mut found = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+        for moment in 0..16 {
+            let palette =
+                pose::source_palette(model, instance.clip, f64::from(duration_s) * f64::from(moment) / 16.0);
+            for vertex in pose::skin(model, &palette, instance.world_from_model) {
+                found = (found.0.min(vertex.position), found.1.max(vertex.position));
+            }
+        }
+        found
+    }
+
+    fn longest_edge_m(scene: &Scene, index: usize) -> f32 {
+        let instance = &scene.instances[index];
+        let model = &scene.models[instance.model];
+        let skinned = pose::skin(model, &pose::source_palette(model, None, 0.0), instance.world_from_model);
+        let edges = model.indices.chunks_exact(3).flat_map(|triangle| {
+            let [a, b, c] = [0, 1, 2].map(|corner| skinned[triangle[corner] as usize].position);
+            [a.distance(b), b.distance(c), c.distance(a)]
+        });
+        edges.fold(0.0, f32::max)
+    }
+
+    #[test]
+    fn scene_arguments_are_understood() {
+        let parse = |argument: &str| argument.parse::<SceneSource>();
+        assert_eq!(parse("dragon").expect("good"), SceneSource::Dragons(1));
+        assert_eq!(parse("dragons:9").expect("good"), SceneSource::Dragons(9));
+        assert_eq!(parse("dragons").expect("good"), SceneSource::default());
+        assert_eq!(parse("a/b.glb").expect("good"), SceneSource::File("a/b.glb".into()));
+        for bad in ["dragons:0", "dragons:x", "dragons:4000", ""] {
+            assert!(parse(bad).is_err(), "{bad}");
+        }
+        for source in ["dragon", "dragons:9", "a/b.glb"] {
+            assert_eq!(parse(source).expect("good").to_string(), source);
+        }
+    }
+
+    #[test]
+    fn unknown_files_are_refused_with_advice() {
+        let message = |path: &str| load_scene(&SceneSource::File(path.into())).expect_err(path).to_string();
+        assert!(message("x.fbx").contains("files of kind .fbx are not known"), "{}", message("x.fbx"));
+        assert!(message("dragn").contains("did you mean \"dragon\"?"), "{}", message("dragn"));
+        assert!(
+            message("nowhere.glb").starts_with("nowhere.glb: cannot be read"),
+            "{}",
+            message("nowhere.glb")
+        );
+        assert!(
+            message("nowhere.toml").starts_with("nowhere.toml: cannot be read"),
+            "{}",
+            message("nowhere.toml")
+        );
+    }
+
+    #[test]
+    fn real_assets_stand_in_front_of_the_user_at_a_sensible_size() {
+        for name in
+            ["CesiumMan.glb", "Fox.glb", "DamagedHelmet.glb", "RiggedSimple.glb", "MorphStressTest.gltf"]
+        {
+            let Some(path) = shared_asset(name) else { return };
+            let scene = load_scene(&SceneSource::File(path)).expect(name);
+            let (low, high) = world_bounds(&scene, 0);
+            let extent = (high - low).max_element();
+            eprintln!("{name}: from {low:.2} to {high:.2}, clip {:?}", scene.instances[0].clip);
+            assert!((0.85..=2.05).contains(&extent), "{name}: {extent} m");
+            assert!(low.y.abs() < 0.02, "{name}: stands at {}", low.y);
+            let middle = (low + high) * 0.5;
+            assert!(middle.x.abs() < 0.05 && (middle.z + ASSET_DISTANCE_M).abs() < 0.05, "{name}: {middle}");
+            assert!(longest_edge_m(&scene, 0) <= MAX_EDGE_M * 1.01, "{name}");
+            assert_eq!(scene.instances[1].name, "ground");
+        }
+    }
+
+    #[test]
+    fn dragons_stand_apart_in_front_of_the_user() {
+        for count in [1, 2, 3, 5, 9, 25] {
+            let scene = load_scene(&SceneSource::Dragons(count)).expect("dragons");
+            assert_eq!(scene.instances.len(), count as usize + 1);
+            assert_eq!(scene.models.len(), 2, "one dragon however many are shown, and the ground");
+            let places: Vec<Vec3> = (0..count as usize)
+                .map(|index| {
+                    let (low, high) = world_bounds(&scene, index);
+                    assert!(low.y.abs() < 0.05, "dragon {index} of {count} stands at {}", low.y);
+                    assert!(high.z < -0.6, "dragon {index} of {count} touches the user: {high}");
+                    (low + high) * 0.5
+                })
+                .collect();
+            for (a, first) in places.iter().enumerate() {
+                assert!(
+                    places[a + 1..].iter().all(|other| first.distance(*other) > 0.8),
+                    "{count}: {places:?}"
+                );
+            }
+            if count <= 3 {
+                let group = places.iter().sum::<Vec3>() / count as f32;
+                assert!((3.0..=3.6).contains(&-group.z) && group.x.abs() < 0.3, "{count}: centre {group}");
+            }
+            let mut shifts: Vec<f32> =
+                scene.instances[..count as usize].iter().map(|i| i.time_shift_s).collect();
+            shifts.sort_by(f32::total_cmp);
+            assert!(shifts.windows(2).all(|pair| pair[1] - pair[0] > 0.01), "{shifts:?}");
+        }
+    }
+
+    #[test]
+    fn example_in_the_documentation_loads() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/scene.example.toml");
+        let scene = load_scene(&SceneSource::File(path)).expect("the example");
+        assert_eq!(
+            scene.instances.iter().map(|i| i.name.as_str()).collect::<Vec<_>>(),
+            ["the near one", "dragon 1", "ground"]
+        );
+        assert!(scene.instances[0].clip.is_some());
+    }
+
+    #[test]
+    fn unknown_clip_is_shown_with_its_line() {
+        let text = "[[model]]\nname = \"d\"\nfile = \"dragon\"\n[[instance]]\nmodel = \"d\"\nclip = \"swim across the lake\"\n";
+        let message = scene_from_text(text, "s.toml", Path::new("")).expect_err("no such clip").to_string();
+        assert!(
+            message.starts_with("s.toml:6: model \"d\" has no clip \"swim across the lake\"; it has \""),
+            "{message}"
+        );
+        let rest = scene_from_text(&text.replace("swim across the lake", ""), "s.toml", Path::new(""))
+            .expect("rest pose");
+        assert_eq!(rest.instances[0].clip, None);
+    }
+
+    #[test]
+    fn missing_model_file_is_shown_with_its_line() {
+        let text = "[[model]]\nname = \"d\"\nfile = \"gone.glb\"\n[[instance]]\nmodel = \"d\"\n";
+        let message =
+            |text: &str| scene_from_text(text, "s.toml", Path::new("x")).expect_err("fault").to_string();
+        assert!(
+            message(text).starts_with("s.toml:3: model \"d\": x/gone.glb: cannot be read"),
+            "{}",
+            message(text)
+        );
+        let typo = message(&text.replace("gone.glb", "dragno"));
+        assert_eq!(typo, "s.toml:3: \"dragno\" is not a .glb or .gltf file; did you mean \"dragon\"?");
+    }
+
+    #[test]
+    fn edges_are_split_by_their_length_in_the_world() {
+        let mut small = ground::ground(4.0);
+        small.name = "sheet".into();
+        let instance = |scale: f32| Instance {
+            name: "i".into(),
+            model: 0,
+            world_from_model: Affine3A::from_scale(Vec3::splat(scale)),
+            clip: None,
+            time_shift_s: 0.0,
+            speed: 1.0,
+        };
+        let split = |scale: f32| {
+            let scene = around(vec![small.clone()], vec![instance(0.1), instance(scale)]);
+            (scene.models[0].indices.len() / 3, longest_edge_m(&scene, 1))
+        };
+        let SplitStats { triangles_before, .. } = split_long_edges(&mut small.clone(), 100.0);
+        assert_eq!(split(0.5).0, triangles_before, "diagonals of 0.35 m stay");
+        let (triangles, longest_m) = split(4.0);
+        assert!(
+            triangles > triangles_before && longest_m <= MAX_EDGE_M,
+            "{triangles} triangles, {longest_m} m"
+        );
+    }
 }

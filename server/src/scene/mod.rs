@@ -268,8 +268,7 @@ pub struct Environment {
 
 impl Trs {
     /// Changes nothing.
-    pub const IDENTITY: Self =
-        Self { translation: Vec3::ZERO, rotation: Quat::IDENTITY, scale: Vec3::ONE };
+    pub const IDENTITY: Self = Self { translation: Vec3::ZERO, rotation: Quat::IDENTITY, scale: Vec3::ONE };
 
     /// `translate * rotate * scale`.
     pub fn affine(self) -> Affine3A {

@@ -33,7 +33,8 @@ pub fn split_long_edges(model: &mut Model, max_edge_m: f32) -> SplitStats {
     assert!(max_edge_m > 0.0, "longest edge {max_edge_m} m");
     let triangles_before = model.indices.len() / 3;
     let mut splitter = Splitter { limit_squared: max_edge_m * max_edge_m, vertices: &mut model.vertices };
-    let mut parts: Vec<Vec<u32>> = model.primitives.iter().map(|primitive| slice(&model.indices, primitive)).collect();
+    let mut parts: Vec<Vec<u32>> =
+        model.primitives.iter().map(|primitive| slice(&model.indices, primitive)).collect();
     // Each pass halves the long edges; a length that 64 halvings do not bring below the limit is not finite.
     let mut complete = false;
     for _ in 0..64 {
@@ -255,7 +256,8 @@ mod tests {
             let (area_before, border_before) = (area(&model), border_length(&model));
             let stats = split_long_edges(&mut model, 0.5);
             assert!(stats.complete, "seed 31, case {case}");
-            let longest = triangles(&model).flat_map(|[a, b, c]| [a.distance(b), b.distance(c), c.distance(a)]);
+            let longest =
+                triangles(&model).flat_map(|[a, b, c]| [a.distance(b), b.distance(c), c.distance(a)]);
             assert!(longest.fold(0.0, f32::max) <= 0.5, "seed 31, case {case}");
             assert!((area(&model) / area_before - 1.0).abs() < 1e-4, "seed 31, case {case}");
             assert!((border_length(&model) / border_before - 1.0).abs() < 1e-4, "seed 31, case {case}");
@@ -272,7 +274,8 @@ mod tests {
         for vertex in &model.vertices {
             let used = vertex.joints.into_iter().zip(vertex.weights).filter(|(_, weight)| *weight > 0.0);
             let influences = (used.map(|(joint, _)| joint).collect(), vertex.weights.map(f32::to_bits));
-            let first = seen.entry(vertex.position.to_array().map(f32::to_bits)).or_insert(influences.clone());
+            let first =
+                seen.entry(vertex.position.to_array().map(f32::to_bits)).or_insert(influences.clone());
             assert_eq!(*first, influences, "seed 32, at {}", vertex.position);
             assert!((vertex.weights.iter().sum::<f32>() - 1.0).abs() < 1e-5, "seed 32");
         }

@@ -53,7 +53,10 @@ impl<'a> Reader<'a> {
     ) -> Result<Vec<[u32; N]>, Fault> {
         let kind = accessor.data_type();
         if !matches!(kind, DataType::U8 | DataType::U16 | DataType::U32) {
-            return Err(Fault::new(element, format!("has components of type {kind:?}, not unsigned integers")));
+            return Err(Fault::new(
+                element,
+                format!("has components of type {kind:?}, not unsigned integers"),
+            ));
         }
         self.read(accessor, shape, element, |bytes| integer_component(kind, bytes))
     }
@@ -99,7 +102,12 @@ impl<'a> Reader<'a> {
         Ok(values)
     }
 
-    fn check_shape(&self, accessor: &::gltf::Accessor, shape: Dimensions, element: &str) -> Result<(), Fault> {
+    fn check_shape(
+        &self,
+        accessor: &::gltf::Accessor,
+        shape: Dimensions,
+        element: &str,
+    ) -> Result<(), Fault> {
         let found = accessor.dimensions();
         if found != shape {
             return Err(Fault::new(element, format!("has elements of type {found:?}, not {shape:?}")));
@@ -153,7 +161,10 @@ impl<'a> Reader<'a> {
         for entry in 0..count {
             let index = integer_component(kind, at.get(entry)) as usize;
             let place = values.get_mut(index).ok_or_else(|| {
-                Fault::new(element, format!("sparse entry {entry} replaces element {index}, which does not exist"))
+                Fault::new(
+                    element,
+                    format!("sparse entry {entry} replaces element {index}, which does not exist"),
+                )
             })?;
             *place = decode(with.get(entry));
         }

@@ -13,7 +13,11 @@ use std::collections::HashSet;
 const MAX_DURATION_S: f32 = 86_400.0;
 
 /// Reads all animations; `bone_of_node` maps glTF node indices to bones.
-pub(super) fn read_all(reader: Reader, bone_of_node: &[u32], warnings: &mut Warnings) -> Result<Vec<Clip>, Fault> {
+pub(super) fn read_all(
+    reader: Reader,
+    bone_of_node: &[u32],
+    warnings: &mut Warnings,
+) -> Result<Vec<Clip>, Fault> {
     reader.document.animations().map(|animation| read(reader, &animation, bone_of_node, warnings)).collect()
 }
 
@@ -39,7 +43,12 @@ fn read(
             warnings.insert("of several curves for one property of a node the first is used".into());
             continue;
         }
-        let track = read_track(reader, &channel, bone_of_node[node], &format!("{element} channel {}", channel.index()))?;
+        let track = read_track(
+            reader,
+            &channel,
+            bone_of_node[node],
+            &format!("{element} channel {}", channel.index()),
+        )?;
         clip.duration_s = track.times_s.iter().copied().fold(clip.duration_s, f32::max);
         clip.tracks.push(track);
     }
@@ -85,7 +94,8 @@ fn read_track(
 
 fn read_times(reader: Reader, input: &::gltf::Accessor, element: &str) -> Result<Vec<f32>, Fault> {
     let element = format!("{element} input (accessor {})", input.index());
-    let times: Vec<f32> = reader.floats::<1>(input, Dimensions::Scalar, &element)?.into_iter().flatten().collect();
+    let times: Vec<f32> =
+        reader.floats::<1>(input, Dimensions::Scalar, &element)?.into_iter().flatten().collect();
     if times.is_empty() {
         return Err(Fault::new(element, "has no keys"));
     }
@@ -122,9 +132,12 @@ fn read_rotations(
         }
         let length = rotation.length();
         if !(length.is_finite() && length > 1e-6) {
-            return Err(Fault::new(element, format!("value {index} is not a rotation: its length is {length}")));
+            return Err(Fault::new(
+                element,
+                format!("value {index} is not a rotation: its length is {length}"),
+            ));
         }
-        *rotation = *rotation / length;
+        *rotation = rotation.normalize();
     }
     Ok(rotations)
 }

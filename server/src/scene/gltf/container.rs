@@ -75,6 +75,7 @@ fn check_version(root: &json::Root) -> Result<(), Fault> {
 /// The crate's validation, which makes its accessors safe to call, less what this importer can do without; plus what
 /// it leaves out (animation targets, image sources).
 fn check_indices(root: &json::Root) -> Result<(), Fault> {
+    check_positions(root)?;
     let mut faults = Vec::new();
     root.validate(root, json::Path::new, &mut |path, error| faults.push((path().0, error)));
     faults.retain(|(path, error)| !is_tolerable(path, *error));
@@ -84,6 +85,22 @@ fn check_indices(root: &json::Root) -> Result<(), Fault> {
     }
     check_animation_targets(root)?;
     check_image_sources(root)
+}
+
+/// The crate's validation itself panics where POSITION names an accessor that does not exist (gltf-json 1.4.1), so
+/// this comes first.
+fn check_positions(root: &json::Root) -> Result<(), Fault> {
+    let semantic = json::validation::Checked::Valid(json::mesh::Semantic::Positions);
+    for (index, mesh) in root.meshes.iter().enumerate() {
+        for (number, primitive) in mesh.primitives.iter().enumerate() {
+            let accessor = primitive.attributes.get(&semantic).map(|accessor| accessor.value());
+            if let Some(accessor) = accessor.filter(|accessor| *accessor >= root.accessors.len()) {
+                let problem = format!("POSITION is accessor {accessor}, which does not exist");
+                return Err(Fault::new(format!("mesh {index} primitive {number}"), problem));
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Bounds of POSITION are for culling, which is not done by them here; quantised attributes are read as such.
@@ -125,7 +142,11 @@ fn check_image_sources(root: &json::Root) -> Result<(), Fault> {
     }
 }
 
-fn read_buffers(root: &json::Root, blob: Option<&[u8]>, folder: Option<&Path>) -> Result<Vec<Vec<u8>>, Fault> {
+fn read_buffers(
+    root: &json::Root,
+    blob: Option<&[u8]>,
+    folder: Option<&Path>,
+) -> Result<Vec<Vec<u8>>, Fault> {
     let mut buffers = Vec::with_capacity(root.buffers.len().min(1024));
     for (index, buffer) in root.buffers.iter().enumerate() {
         let element = format!("buffer {index}");
@@ -153,7 +174,10 @@ pub(super) fn resolve_uri(uri: &str, folder: Option<&Path>, element: &str) -> Re
     }
     let name = percent_decode(uri);
     let Some(folder) = folder else {
-        return Err(Fault::new(element, format!("refers to the file '{name}', but the asset is not in a folder")));
+        return Err(Fault::new(
+            element,
+            format!("refers to the file '{name}', but the asset is not in a folder"),
+        ));
     };
     read_limited(&folder.join(&name)).map_err(|error| Fault::new(element, format!("file '{name}': {error}")))
 }
@@ -205,7 +229,8 @@ fn percent_decode(text: &str) -> String {
     let (mut out, mut at) = (Vec::with_capacity(bytes.len()), 0);
     while at < bytes.len() {
         let hex = bytes.get(at + 1..at + 3).filter(|hex| hex.iter().all(u8::is_ascii_hexdigit));
-        let code = hex.and_then(|hex| std::str::from_utf8(hex).ok()).and_then(|h| u8::from_str_radix(h, 16).ok());
+        let code =
+            hex.and_then(|hex| std::str::from_utf8(hex).ok()).and_then(|h| u8::from_str_radix(h, 16).ok());
         match code {
             Some(code) if bytes[at] == b'%' => {
                 out.push(code);
@@ -226,9 +251,14 @@ mod tests {
 
     #[test]
     fn base64_agrees_with_the_test_vectors_of_rfc_4648() {
-        for (text, bytes) in
-            [("", ""), ("Zg==", "f"), ("Zm8=", "fo"), ("Zm9v", "foo"), ("Zm9vYg==", "foob"), ("Zm9vYmFy", "foobar")]
-        {
+        for (text, bytes) in [
+            ("", ""),
+            ("Zg==", "f"),
+            ("Zm8=", "fo"),
+            ("Zm9v", "foo"),
+            ("Zm9vYg==", "foob"),
+            ("Zm9vYmFy", "foobar"),
+        ] {
             assert_eq!(decode_base64(text).expect(text), bytes.as_bytes());
         }
         assert!(decode_base64("Zm9v!").is_err());
@@ -245,7 +275,7 @@ mod tests {
     #[test]
     fn glb_whose_chunk_passes_its_end_is_refused() {
         let mut glb = b"glTF\x02\0\0\0\x14\0\0\0\xff\xff\xff\xffJSON".to_vec();
-        let fault = split_glb(&glb).err().expect("chunk too long");
+        let fault = split_glb(&glb).expect_err("chunk too long");
         assert!(fault.problem.contains("chunk at byte 12"), "{}", fault.problem);
         glb.truncate(9);
         assert!(split_glb(&glb).is_err());

@@ -92,7 +92,13 @@ mod tests {
     use super::*;
     use png::{BitDepth, ColorType};
 
-    fn encode(color: ColorType, depth: BitDepth, extent: [u32; 2], data: &[u8], palette: Option<(&[u8], &[u8])>) -> Vec<u8> {
+    fn encode(
+        color: ColorType,
+        depth: BitDepth,
+        extent: [u32; 2],
+        data: &[u8],
+        palette: Option<(&[u8], &[u8])>,
+    ) -> Vec<u8> {
         let mut out = Vec::new();
         let mut encoder = png::Encoder::new(&mut out, extent[0], extent[1]);
         encoder.set_color(color);
@@ -117,7 +123,12 @@ mod tests {
             (ColorType::GrayscaleAlpha, BitDepth::Eight, &[1, 2, 3, 4], [1, 1, 1, 2, 3, 3, 3, 4]),
             (ColorType::Rgb, BitDepth::Eight, &[1, 2, 3, 4, 5, 6], [1, 2, 3, 255, 4, 5, 6, 255]),
             (ColorType::Rgba, BitDepth::Eight, &[1, 2, 3, 4, 5, 6, 7, 8], [1, 2, 3, 4, 5, 6, 7, 8]),
-            (ColorType::Rgb, BitDepth::Sixteen, &[1, 0, 2, 0, 3, 0, 4, 0, 5, 0, 6, 0], [1, 2, 3, 255, 4, 5, 6, 255]),
+            (
+                ColorType::Rgb,
+                BitDepth::Sixteen,
+                &[1, 0, 2, 0, 3, 0, 4, 0, 5, 0, 6, 0],
+                [1, 2, 3, 255, 4, 5, 6, 255],
+            ),
         ];
         for (color, depth, data, expected) in cases {
             let pixels = decode(&encode(color, depth, [2, 1], data, None)).expect("valid PNG");

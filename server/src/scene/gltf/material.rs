@@ -59,7 +59,8 @@ impl<'a> Materials<'a> {
             normal_scale: normal.as_ref().map_or(1.0, ::gltf::material::NormalTexture::scale),
             occlusion_strength: occlusion.as_ref().map_or(1.0, ::gltf::material::OcclusionTexture::strength),
             base_color_texture: self.texture(pbr.base_color_texture().map(|t| t.texture()), true)?,
-            metallic_roughness_texture: self.texture(pbr.metallic_roughness_texture().map(|t| t.texture()), false)?,
+            metallic_roughness_texture: self
+                .texture(pbr.metallic_roughness_texture().map(|t| t.texture()), false)?,
             normal_texture: self.texture(normal.map(|t| t.texture()), false)?,
             occlusion_texture: self.texture(occlusion.map(|t| t.texture()), false)?,
             emissive_texture: self.texture(source.emissive_texture().map(|t| t.texture()), true)?,
@@ -133,7 +134,8 @@ fn alpha_cutoff(source: &::gltf::Material, warnings: &mut Warnings) -> Option<f3
 }
 
 fn check_factors(material: &Material) -> Result<(), String> {
-    let mut numbers = vec![material.metallic, material.roughness, material.normal_scale, material.occlusion_strength];
+    let mut numbers =
+        vec![material.metallic, material.roughness, material.normal_scale, material.occlusion_strength];
     numbers.extend(material.base_color.iter().chain(&material.emissive).chain(&material.alpha_cutoff));
     if numbers.iter().all(|number| number.is_finite()) {
         return Ok(());

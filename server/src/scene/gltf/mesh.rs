@@ -131,7 +131,9 @@ impl Source<'_> {
             None => (0..vertex_count as u32).collect(),
         };
         if list.len() > MAX_VERTICES {
-            return Err(self.fault(format!("has {} indices; at most {MAX_VERTICES} are supported", list.len())));
+            return Err(
+                self.fault(format!("has {} indices; at most {MAX_VERTICES} are supported", list.len()))
+            );
         }
         match self.primitive.mode() {
             Mode::TriangleStrip => Ok(unroll_strip(&list)),
@@ -143,8 +145,12 @@ impl Source<'_> {
 
     fn indices(&self, accessor: &::gltf::Accessor, vertex_count: usize) -> Result<Vec<u32>, Fault> {
         let element = format!("{} indices (accessor {})", self.element, accessor.index());
-        let list: Vec<u32> =
-            self.reader.integers::<1>(accessor, Dimensions::Scalar, &element)?.into_iter().flatten().collect();
+        let list: Vec<u32> = self
+            .reader
+            .integers::<1>(accessor, Dimensions::Scalar, &element)?
+            .into_iter()
+            .flatten()
+            .collect();
         match list.iter().position(|index| *index as usize >= vertex_count) {
             Some(at) => {
                 let problem = format!("index {at} is {}, but there are {vertex_count} vertices", list[at]);
@@ -155,7 +161,12 @@ impl Source<'_> {
     }
 
     /// False where the primitive has no normals. A normal of no length is replaced by its triangle's.
-    fn normals(&self, vertices: &mut [Vertex], indices: &[u32], warnings: &mut Warnings) -> Result<bool, Fault> {
+    fn normals(
+        &self,
+        vertices: &mut [Vertex],
+        indices: &[u32],
+        warnings: &mut Warnings,
+    ) -> Result<bool, Fault> {
         let Some(normals) = self.attribute::<3>(Semantic::Normals, Dimensions::Vec3, vertices.len())? else {
             return Ok(false);
         };
@@ -287,7 +298,10 @@ fn replace_zero_normals(vertices: &mut [Vertex], indices: &[u32]) {
             }
         }
     }
-    vertices.iter_mut().filter(|vertex| vertex.normal == Vec3::ZERO).for_each(|vertex| vertex.normal = Vec3::Y);
+    vertices
+        .iter_mut()
+        .filter(|vertex| vertex.normal == Vec3::ZERO)
+        .for_each(|vertex| vertex.normal = Vec3::Y);
 }
 
 #[cfg(test)]
@@ -298,6 +312,8 @@ mod tests {
     fn strips_and_fans_keep_the_winding_of_the_specification() {
         assert_eq!(unroll_strip(&[0, 1, 2, 3, 4]), [0, 1, 2, 1, 3, 2, 2, 3, 4]);
         assert_eq!(unroll_fan(&[9, 1, 2, 3]), [1, 2, 9, 2, 3, 9]);
-        assert!(unroll_strip(&[0, 1]).is_empty() && unroll_fan(&[]).is_empty() && unroll_fan(&[1]).is_empty());
+        assert!(
+            unroll_strip(&[0, 1]).is_empty() && unroll_fan(&[]).is_empty() && unroll_fan(&[1]).is_empty()
+        );
     }
 }
