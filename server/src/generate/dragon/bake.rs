@@ -139,7 +139,7 @@ fn mean(near: impl Iterator<Item = Texel>) -> Option<Texel> {
 }
 
 fn bytes(color: Vec3) -> [u8; 3] {
-    color.to_array().map(|channel| (channel.clamp(0.0, 1.0) * 255.0).round() as u8)
+    color.to_array().map(|channel| (channel.clamp(0.0, 1.0) * 255.0 + 0.5) as u8)
 }
 
 /// A PNG of 8-bit RGB rows.

@@ -39,7 +39,10 @@ impl Joint<'_> {
         }
         let depth = 0.5 * self.fillet_m;
         mesh.drop_triangles(|[a, b, c]| {
-            self.nearest_other((a.position + b.position + c.position) / 3.0).0 < -depth
+            // Where a tube's start was pressed together inside the other it may have folded over: never seen either.
+            let face = (b.position - a.position).cross(c.position - a.position);
+            let folded = face.dot(a.normal + b.normal + c.normal) <= 0.0;
+            folded || self.nearest_other((a.position + b.position + c.position) / 3.0).0 < -depth
         });
     }
 

@@ -16,7 +16,7 @@ pub(super) const KEYS: usize = DURATION_S as usize * KEYS_PER_S + 1;
 /// Swing of the wings' roots to either side, degrees.
 const FLAP_DEG: f32 = 40.0;
 /// Height of the hover above the standing pose, and how far it goes up and down, metres.
-const HOVER_M: f32 = 0.135;
+const HOVER_M: f32 = 0.155;
 const BOB_M: f32 = 0.040;
 
 /// What moves a joint away from the pose in which the skin was made; in the model's axes, about the joint.

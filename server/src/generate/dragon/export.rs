@@ -18,11 +18,11 @@ pub(super) fn glb(rig: &Rig, mesh: &Mesh) -> Vec<u8> {
     let mut buffer = Buffer::default();
     let primitives = primitives(mesh, &mut buffer);
     let (images, textures) = pictures(mesh, &mut buffer);
-    let inverse_bind: Vec<Mat4> = rig.joints.iter().map(|joint| inverse_bind(joint)).collect();
+    let inverse_bind: Vec<Mat4> = rig.joints.iter().map(inverse_bind).collect();
     let inverse_bind = buffer.mat4s(&inverse_bind);
     let animation = animation(rig, &mut buffer);
 
-    let joints: Vec<usize> = (0..rig.joints.len()).map(|joint| node(joint)).collect();
+    let joints: Vec<usize> = (0..rig.joints.len()).map(node).collect();
     let mut nodes = vec![json!({"name": "dragon", "mesh": 0, "skin": 0})];
     nodes.extend((0..rig.joints.len()).map(|joint| joint_node(rig, joint)));
     buffer.into_glb(json!({
@@ -55,7 +55,7 @@ fn joint_node(rig: &Rig, index: usize) -> Value {
     });
     let children: Vec<usize> = (0..rig.joints.len())
         .filter(|&child| rig.joints[child].parent == Some(index))
-        .map(|child| self::node(child))
+        .map(self::node)
         .collect();
     if !children.is_empty() {
         node["children"] = json!(children);

@@ -35,6 +35,7 @@ pub(super) fn mesh(rig: &Rig, spine: &Limb) -> Mesh {
     }
     left.append(rigid(ear(), &Weights::one(rig.ears[0])));
     left.append(eye(&Weights::one(rig.eyes[0])));
+    left.append(rigid(eyelid(), &head));
 
     mesh.append(left.mirrored(&|joint| rig.mirror[joint]));
     mesh.append(left);
@@ -69,7 +70,7 @@ pub(super) fn skull_bumps() -> Vec<Bump> {
         [x, -x].map(|x| Bump { centre: Vec3::new(x, y, z), radius_m: Vec3::new(rx, ry, rz), height_m })
     };
     [
-        bump(0.067, 1.852, 1.020, 0.032, 0.023, 0.067, 0.0196), // brow
+        bump(0.070, 1.850, 1.015, 0.032, 0.023, 0.067, 0.0230), // brow
         bump(0.090, 1.809, 1.010, 0.034, 0.023, 0.034, -0.0138), // socket
         bump(0.098, 1.760, 0.968, 0.034, 0.030, 0.069, 0.0115), // cheek
         bump(0.046, 1.740, 1.359, 0.023, 0.018, 0.028, 0.0149), // nostril rim
@@ -227,32 +228,71 @@ fn ear() -> Mesh {
     .mesh()
 }
 
-/// A ball whose texture is laid out around the line of sight.
-fn eye(weights: &Weights) -> Mesh {
-    const RINGS: usize = 9;
-    const SPOKES: usize = 14;
-    let sight = Vec3::new(1.0, 0.12, EYE_FORWARDS).normalize();
-    let upright = (Vec3::Y - sight * sight.y).normalize();
-    let sideways = upright.cross(sight);
-    let vertex = |ring: usize, spoke: usize| {
-        let (off, around) = (PI * ring as f32 / RINGS as f32, TAU * spoke as f32 / SPOKES as f32);
-        let rim = sideways * around.cos() + upright * around.sin();
-        let normal = sight * off.cos() + rim * off.sin();
-        let flat = Vec2::new(around.cos(), -around.sin()) * (off / PI);
-        let paint = Vec4::new(off, off * around.cos(), off * around.sin(), 0.0);
-        let texel = island::EYE + flat * island::EYE_RADIUS;
-        let mut vertex = Vertex::new(EYE + normal * EYE_RADIUS_M, texel, Skin::Eye, paint);
-        vertex.normal = normal;
-        vertex.weights = weights.clone();
-        vertex
+/// Where an eye looks, what is up for it, and what is to its side.
+struct Gaze {
+    sight: Vec3,
+    upright: Vec3,
+    sideways: Vec3,
+}
+
+impl Gaze {
+    fn left() -> Self {
+        let sight = Vec3::new(1.0, 0.10, EYE_FORWARDS).normalize();
+        let upright = (Vec3::Y - sight * sight.y).normalize();
+        Self { sight, upright, sideways: upright.cross(sight) }
+    }
+}
+
+/// Part of a ball around an axis, in rings from the pole; `vertex` gets the direction and the two angles.
+fn ball(
+    axis: Vec3,
+    zero: Vec3,
+    reach: f32,
+    [rings, spokes]: [usize; 2],
+    vertex: &dyn Fn(Vec3, f32, f32) -> Vertex,
+) -> Mesh {
+    let across = axis.cross(zero);
+    let at = |ring: usize, spoke: usize| {
+        let off = reach * ring as f32 / rings as f32;
+        // The last spoke lies exactly on the first.
+        let around = TAU * (spoke % spokes) as f32 / spokes as f32;
+        let rim = zero * around.cos() + across * around.sin();
+        vertex(axis * off.cos() + rim * off.sin(), off, around)
     };
     let mut rows = Rows::default();
-    rows.push([(0.5, vertex(0, 0))]);
-    for ring in 1..RINGS {
-        rows.push((0..=SPOKES).map(|spoke| (spoke as f32 / SPOKES as f32, vertex(ring, spoke))));
+    rows.push([(0.5, at(0, 0))]);
+    for ring in 1..=rings {
+        rows.push((0..=spokes).map(|spoke| (spoke as f32 / spokes as f32, at(ring, spoke))));
     }
-    // The far pole has no one place in the texture; it is inside the skull, and left open.
     rows.into_mesh()
+}
+
+/// A ball whose texture is laid out around the line of sight; what is deep inside the skull is left out.
+fn eye(weights: &Weights) -> Mesh {
+    const REACH: f32 = 0.8 * PI;
+    let gaze = Gaze::left();
+    let vertex = |normal: Vec3, off: f32, around: f32| {
+        let (sin, cos) = around.sin_cos();
+        let texel = island::EYE + Vec2::new(cos, -sin) * (island::EYE_RADIUS * off / REACH);
+        let paint = Vec4::new(off, off * cos, off * sin, 0.0);
+        Vertex::new(EYE + normal * EYE_RADIUS_M, texel, Skin::Eye, paint)
+    };
+    rigid(ball(gaze.sight, gaze.sideways, REACH, [7, 14], &vertex), weights)
+}
+
+/// A shell over the upper part of the eye, drawn down in front.
+fn eyelid() -> Mesh {
+    const REACH: f32 = 0.46 * PI;
+    const RADIUS_M: f32 = 1.09 * EYE_RADIUS_M;
+    let gaze = Gaze::left();
+    let axis = (gaze.upright - 0.12 * gaze.sight + 0.30 * gaze.sideways).normalize();
+    let zero = (gaze.sight - axis * axis.dot(gaze.sight)).normalize();
+    let vertex = |normal: Vec3, off: f32, around: f32| {
+        let offset = Vec2::from_angle(around) * (off * RADIUS_M);
+        let texel = island::EYELID + offset * island::EYELID_TEXELS_PER_M;
+        Vertex::new(EYE + normal * RADIUS_M, texel, Skin::Hide, hide_paint(0.0, 0.35 * PI, 1.0, 0.0))
+    };
+    ball(axis, zero, REACH, [5, 14], &vertex)
 }
 
 fn rigid(mut mesh: Mesh, weights: &Weights) -> Mesh {

@@ -19,6 +19,8 @@ mod mesh;
 mod paint;
 mod rig;
 mod sheet;
+#[cfg(test)]
+mod tests;
 mod weights;
 mod wings;
 

@@ -120,10 +120,10 @@ fn membrane(place: Vec3, paint: Vec4) -> Sample {
     color = color.lerp(SKIN_DEEP, 0.75 * smoothstep(0.62, 1.0, rim + 0.25 * (cloud - 0.5)));
     let folds = (rim * 38.0 + 6.0 * noise(place * 7.0)).sin();
     Sample {
-        color: color * lerp(0.84, 1.12, cloud) * (1.0 + 0.03 * folds),
+        color: color * lerp(0.84, 1.12, cloud) * (1.0 + 0.02 * folds),
         roughness: 0.58,
         metallic: 0.0,
-        height_m: 0.0011 * folds + 0.0016 * cloud,
+        height_m: 0.0007 * folds + 0.0016 * cloud,
     }
 }
 
