@@ -1,1 +1,429 @@
+//! A small server with a slot allocator, a network that reorders and drops, and a client that must always show exactly one
+//! update.
 
+use super::*;
+use shadecast_protocol::atlas::{BlockAddress, BlockSize};
+use shadecast_protocol::delta::{InstanceInfo, NewVertex, SampleBatch};
+use shadecast_shaders::twin::interpolate::{VertexMemory, tag};
+use std::collections::BTreeMap;
+
+const VERTEX_SLOTS: u32 = 40;
+const PATCH_SLOTS: u32 = 12;
+const INSTANCES: u16 = 3;
+
+/// SplitMix64 (Steele, Lea and Flood 2014).
+struct Dice(u64);
+
+impl Dice {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    fn below(&mut self, limit: u64) -> u64 {
+        self.next() % limit
+    }
+
+    fn once_in(&mut self, times: u64) -> bool {
+        self.below(times) == 0
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct ModelVertex {
+    /// Unlike every other vertex that ever was; its x in the world.
+    identity: i32,
+    instance: u16,
+    is_sampled: bool,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+struct ModelPatch {
+    instance: u16,
+    kind: PatchKind,
+    slots: Vec<u32>,
+    block: Option<Block>,
+}
+
+/// What should be seen: of each drawn patch its instance, its vertices' identities, its block's corner.
+type Seen = Vec<(u32, Vec<i32>, [f32; 2])>;
+
+#[derive(Default)]
+struct Server {
+    next_frame: u32,
+    identities: i32,
+    grid: i32,
+    vertices: BTreeMap<u32, ModelVertex>,
+    patches: BTreeMap<u32, ModelPatch>,
+    /// Freed slots by the frame that freed them.
+    freed_vertices: Vec<(u32, u32)>,
+    freed_patches: Vec<(u32, u32)>,
+    acknowledged: Option<u32>,
+    seen_at: BTreeMap<u32, Seen>,
+}
+
+impl Server {
+    fn free_slot(
+        used: impl Fn(u32) -> bool,
+        freed: &[(u32, u32)],
+        slots: u32,
+        acknowledged: Option<u32>,
+    ) -> Option<u32> {
+        let is_blocked = |slot| {
+            freed
+                .iter()
+                .any(|(frame, freed)| *freed == slot && acknowledged.is_none_or(|shown| shown < *frame))
+        };
+        (0..slots).find(|slot| !used(*slot) && !is_blocked(*slot))
+    }
+
+    fn update(&mut self, dice: &mut Dice) -> GeometryDelta {
+        let frame = self.next_frame;
+        self.next_frame += 1;
+        let mut delta = GeometryDelta { frame: FrameId(frame), ..GeometryDelta::default() };
+        if frame == 0 {
+            delta.instances =
+                (0..INSTANCES).map(|i| InstanceInfo { instance: InstanceId(i), step_m: 1.0 }).collect();
+        }
+        self.evict(dice, &mut delta);
+        self.grid += 1;
+        let entering = (0..dice.below(3)).filter_map(|_| self.enter(dice, &mut delta)).collect::<Vec<_>>();
+        self.place(dice, &mut delta);
+        self.sample(&mut delta, &entering.concat());
+        self.seen_at.insert(frame, self.seen());
+        delta
+    }
+
+    fn evict(&mut self, dice: &mut Dice, delta: &mut GeometryDelta) {
+        let leaving: Vec<_> = self.patches.keys().copied().filter(|_| dice.once_in(5)).collect();
+        for slot in leaving {
+            self.patches.remove(&slot);
+            self.freed_patches.push((delta.frame.0, slot));
+            delta.evicted_patches.push(PatchSlot(slot));
+        }
+        let is_used = |slot: &u32| self.patches.values().any(|patch| patch.slots.contains(slot));
+        let idle: Vec<_> = self.vertices.keys().copied().filter(|slot| !is_used(slot)).collect();
+        for slot in idle {
+            self.vertices.remove(&slot);
+            self.freed_vertices.push((delta.frame.0, slot));
+            delta.evicted_vertices.push(VertexSlot(slot));
+        }
+    }
+
+    /// A patch with new vertices enters. Gives their slots.
+    fn enter(&mut self, dice: &mut Dice, delta: &mut GeometryDelta) -> Option<Vec<u32>> {
+        let known = |slot| self.patches.contains_key(&slot);
+        let patch_slot = Self::free_slot(known, &self.freed_patches, PATCH_SLOTS, self.acknowledged)?;
+        let kind = PatchKind::ALL[dice.below(3) as usize];
+        let instance = dice.below(u64::from(INSTANCES)) as u16;
+        let mut slots = Vec::new();
+        for _ in 0..kind.vertex_count() {
+            let used = |slot| self.vertices.contains_key(&slot) || slots.contains(&slot);
+            slots.push(Self::free_slot(used, &self.freed_vertices, VERTEX_SLOTS, self.acknowledged)?);
+        }
+        for slot in &slots {
+            self.identities += 1;
+            let vertex = ModelVertex { identity: self.identities, instance, is_sampled: instance == 0 };
+            self.vertices.insert(*slot, vertex);
+            let motion = match vertex.is_sampled {
+                true => Motion::Sampled,
+                false => Motion::Static { position: glam::Vec3::new(self.identities as f32, 0.0, 0.0) },
+            };
+            delta.new_vertices.push(NewVertex {
+                slot: VertexSlot(*slot),
+                instance: InstanceId(instance),
+                motion,
+            });
+        }
+        let vertices = std::array::from_fn(|i| VertexSlot(*slots.get(i).unwrap_or(&slots[0])));
+        let new = NewPatch { slot: PatchSlot(patch_slot), instance: InstanceId(instance), kind, vertices };
+        delta.new_patches.push(new);
+        self.patches.insert(patch_slot, ModelPatch { instance, kind, slots: slots.clone(), block: None });
+        Some(slots)
+    }
+
+    fn place(&mut self, dice: &mut Dice, delta: &mut GeometryDelta) {
+        for (slot, patch) in &mut self.patches {
+            if patch.block.is_none() || dice.once_in(4) {
+                let address = BlockAddress { x: dice.below(64) as u16 * 4, y: dice.below(64) as u16 * 4 };
+                let size = BlockSize::new(2, 3).expect("a size");
+                patch.block = (!dice.once_in(6)).then_some(Block { address, size });
+                delta.placements.push((PatchSlot(*slot), patch.block));
+            }
+        }
+    }
+
+    /// Every animated vertex gets the next step; one that enters gets the three before it too.
+    fn sample(&mut self, delta: &mut GeometryDelta, entering: &[u32]) {
+        for grid in self.grid - 3..=self.grid {
+            let sampled = self.vertices.iter().filter(|(_, vertex)| vertex.is_sampled);
+            let due = sampled.filter(|(slot, _)| grid == self.grid || entering.contains(slot));
+            let values: Vec<_> = due.map(|(slot, v)| (VertexSlot(*slot), [v.identity, grid, 0])).collect();
+            delta.samples.push(SampleBatch { grid: GridIndex(grid), values });
+        }
+    }
+
+    fn seen(&self) -> Seen {
+        let placed = self.patches.values().filter_map(|patch| Some((patch, patch.block?)));
+        let mut seen: Seen = placed
+            .map(|(patch, block)| {
+                let identities = patch.slots.iter().map(|slot| self.vertices[slot].identity).collect();
+                let [left, top, _, _] = block.lookup_rect_texels();
+                (u32::from(patch.instance), identities, [left, top])
+            })
+            .collect();
+        seen.sort_by(|a, b| a.partial_cmp(b).expect("finite"));
+        seen
+    }
+}
+
+struct Bench {
+    seed: u64,
+    bundler: Bundler<u32>,
+    memory: VertexMemory,
+    corners: Vec<CornerGpu>,
+    indices: Vec<u32>,
+    list: DrawList,
+}
+
+impl Bench {
+    fn new(seed: u64) -> Self {
+        Self {
+            seed,
+            bundler: Bundler::new(VERTEX_SLOTS, PATCH_SLOTS),
+            memory: VertexMemory::new(VERTEX_SLOTS),
+            corners: vec![bytemuck::Zeroable::zeroed(); PATCH_SLOTS as usize * MAX_CORNERS_PER_PATCH],
+            indices: vec![0; PATCH_SLOTS as usize * MAX_INDICES_PER_PATCH],
+            list: DrawList::default(),
+        }
+    }
+
+    /// One display frame with room for `records` vertex records. Gives the frame on display.
+    fn display(&mut self, records: usize, grid: i32) -> Option<FrameId> {
+        let mut staging = vec![bytemuck::Zeroable::zeroed(); records];
+        let mut ranges = Vec::new();
+        self.bundler.writes().drain_into(&mut staging, |range| ranges.push(range));
+        for range in ranges {
+            self.memory.scatter(&staging[range.start as usize..range.end as usize]);
+        }
+        if let Some((frame, picture)) = self.bundler.take_newest_complete(|_| {}) {
+            assert_eq!(frame.0, picture, "seed {}: the picture of another frame", self.seed);
+            let grid = GridIndex(grid);
+            self.bundler.write_draw_list(grid, &mut self.corners, &mut self.indices, &mut self.list);
+        }
+        self.bundler.current()
+    }
+
+    /// What the draw list shows, by what the vertex memory holds now.
+    fn seen(&self) -> Seen {
+        let mut seen = Seen::new();
+        let mut corner = 0;
+        while corner < self.list.corners as usize {
+            let first = self.corners[corner];
+            let count = self.patch_corners(corner as u32);
+            let slots = self.corners[corner..corner + count].iter().map(|c| c.vertex_slot);
+            let identities = slots.map(|slot| self.identity(slot)).collect();
+            seen.push((first.instance, identities, first.atlas_texel));
+            corner += count;
+        }
+        seen.sort_by(|a, b| a.partial_cmp(b).expect("finite"));
+        seen
+    }
+
+    /// Corners of the patch whose first corner is `first`: the next patch begins with the least corner that no triangle
+    /// shares with this one's.
+    fn patch_corners(&self, first: u32) -> usize {
+        let all = self.list.late.last().map_or(self.list.indices, |(_, end)| *end) as usize;
+        let mut end = first + 1;
+        for triangle in self.indices[..all].chunks(3) {
+            let is_ours = triangle.iter().any(|index| (first..end).contains(index));
+            end = if is_ours { end.max(triangle.iter().max().expect("three") + 1) } else { end };
+        }
+        (end - first) as usize
+    }
+
+    /// The identity that the vertex memory gives a slot.
+    fn identity(&self, slot: u32) -> i32 {
+        let [x, _, _, state] = self.memory.positions[slot as usize];
+        if state != 0.0 {
+            return x as i32;
+        }
+        let ring = (0..16).map(|ring| self.memory.samples[(ring * VERTEX_SLOTS + slot) as usize]);
+        let mut known: Vec<_> = ring.filter(|sample| sample[3] != 0).collect();
+        known.sort_by_key(|sample| sample[3]);
+        known.dedup_by_key(|sample| sample[0]);
+        assert_eq!(known.len(), 1, "seed {}: slot {slot} mixes vertices: {known:?}", self.seed);
+        f32::from_bits(known[0][0]) as i32
+    }
+}
+
+/// Deltas in order, pictures in any order and with losses, display frames in between.
+fn run(seed: u64) {
+    let (mut dice, mut server, mut bench) = (Dice(seed), Server::default(), Bench::new(seed));
+    let mut deltas = VecDeque::new();
+    let mut pictures = Vec::new();
+    for _ in 0..400 {
+        match dice.below(5) {
+            0 => {
+                let delta = server.update(&mut dice);
+                pictures.push(delta.frame);
+                deltas.push_back(delta);
+            }
+            1 | 2 => deltas.pop_front().into_iter().for_each(|delta| bench.bundler.add_delta(delta)),
+            3 if !pictures.is_empty() => {
+                let frame = pictures.swap_remove(dice.below(pictures.len() as u64) as usize);
+                if !dice.once_in(4) {
+                    bench.bundler.add_picture(frame, frame.0);
+                }
+            }
+            _ => {
+                let records = 1 + dice.below(40) as usize;
+                check(&mut bench, &mut server, records);
+            }
+        }
+    }
+    deltas.into_iter().for_each(|delta| bench.bundler.add_delta(delta));
+    let last = server.update(&mut dice);
+    let frame = last.frame;
+    bench.bundler.add_delta(last);
+    bench.bundler.add_picture(frame, frame.0);
+    assert_eq!(
+        check(&mut bench, &mut server, 100_000),
+        Some(frame),
+        "seed {seed}: the newest wins in the end"
+    );
+}
+
+fn check(bench: &mut Bench, server: &mut Server, records: usize) -> Option<FrameId> {
+    let before = bench.bundler.current();
+    let shown = bench.display(records, server.grid);
+    assert!(shown >= before, "seed {}: back from {before:?} to {shown:?}", bench.seed);
+    if let Some(frame) = shown {
+        assert_eq!(bench.seen(), server.seen_at[&frame.0], "seed {}, frame {}", bench.seed, frame.0);
+        server.acknowledged = Some(frame.0);
+    }
+    shown
+}
+
+#[test]
+fn what_is_drawn_is_always_one_update_whatever_arrives_when() {
+    (0..300).for_each(run);
+}
+
+fn delta(frame: u32) -> GeometryDelta {
+    GeometryDelta { frame: FrameId(frame), ..GeometryDelta::default() }
+}
+
+/// A patch of one triangle of sampled vertices 0, 1, 2, placed.
+fn triangle(frame: u32, samples: std::ops::RangeInclusive<i32>) -> GeometryDelta {
+    let vertex =
+        |slot| NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion: Motion::Sampled };
+    let block = Block { address: BlockAddress { x: 8, y: 4 }, size: BlockSize::new(3, 2).expect("a size") };
+    let vertices = [0, 1, 2, 0, 0].map(VertexSlot);
+    let batch = |grid| SampleBatch {
+        grid: GridIndex(grid),
+        values: (0..3).map(|slot| (VertexSlot(slot), [1, 2, 3])).collect(),
+    };
+    GeometryDelta {
+        instances: vec![InstanceInfo { instance: InstanceId(0), step_m: 0.5 }],
+        new_vertices: (0..3).map(vertex).collect(),
+        new_patches: vec![NewPatch {
+            slot: PatchSlot(0),
+            instance: InstanceId(0),
+            kind: PatchKind::One,
+            vertices,
+        }],
+        placements: vec![(PatchSlot(0), Some(block))],
+        samples: samples.map(batch).collect(),
+        ..delta(frame)
+    }
+}
+
+#[test]
+fn a_picture_without_its_delta_is_not_shown_nor_a_delta_without_a_picture() {
+    let mut bench = Bench::new(0);
+    bench.bundler.add_picture(FrameId(0), 0);
+    assert_eq!(bench.display(100, 0), None);
+    bench.bundler.add_delta(delta(0));
+    bench.bundler.add_delta(delta(1));
+    assert_eq!(bench.display(100, 0), Some(FrameId(0)));
+    assert_eq!(bench.display(100, 0), Some(FrameId(0)), "frame 1 has no picture");
+    bench.bundler.add_picture(FrameId(1), 1);
+    assert_eq!(bench.display(100, 0), Some(FrameId(1)));
+}
+
+#[test]
+fn a_picture_that_comes_after_a_later_one_was_shown_is_given_back() {
+    let mut bench = Bench::new(0);
+    (0..2).for_each(|frame| bench.bundler.add_delta(delta(frame)));
+    assert_eq!(bench.bundler.add_picture(FrameId(1), 1), None);
+    bench.display(100, 0);
+    assert_eq!(bench.bundler.add_picture(FrameId(0), 0), Some(0));
+}
+
+#[test]
+fn corners_lie_in_the_blocks_lookup_rectangle_and_carry_slot_and_instance() {
+    let mut bench = Bench::new(0);
+    bench.bundler.add_delta(triangle(0, 0..=4));
+    bench.bundler.add_picture(FrameId(0), 0);
+    bench.display(100, 1);
+    assert_eq!((bench.list.corners, bench.list.indices, bench.list.patches), (3, 3, 1));
+    let texels: Vec<_> = bench.corners[..3].iter().map(|corner| corner.atlas_texel).collect();
+    assert_eq!(texels, [[9.0, 5.0], [15.0, 5.0], [9.0, 7.0]]);
+    assert_eq!(bench.indices[..3], [0, 1, 2]);
+    assert_eq!(bench.corners[2].vertex_slot, 2);
+}
+
+#[test]
+fn samples_are_in_metres_and_count_before_the_picture_is_there() {
+    let mut bench = Bench::new(0);
+    bench.bundler.add_delta(triangle(0, 0..=4));
+    bench.display(100, 0);
+    let [x, y, z, known] = bench.memory.samples[(4 * VERTEX_SLOTS) as usize];
+    assert_eq!(([x, y, z].map(f32::from_bits), known), ([0.5, 1.0, 1.5], tag(GridIndex(4))));
+}
+
+#[test]
+fn a_patch_is_withheld_until_the_first_step_that_all_its_vertices_have() {
+    let mut bench = Bench::new(0);
+    bench.bundler.add_delta(triangle(0, 5..=8));
+    bench.bundler.add_picture(FrameId(0), 0);
+    bench.display(100, 3);
+    assert_eq!(bench.list.at(GridIndex(4)), (0, 1));
+    assert_eq!(bench.list.at(GridIndex(5)), (3, 0));
+}
+
+#[test]
+fn vertices_past_their_last_sample_are_held_for_one_step_and_then_frozen() {
+    let mut bench = Bench::new(0);
+    bench.bundler.add_delta(triangle(0, 0..=4));
+    bench.bundler.add_picture(FrameId(0), 0);
+    bench.display(100, 0);
+    let at = |grid| bench.bundler.motionless(GridIndex(grid));
+    assert_eq!(at(3), Motionless::default());
+    assert_eq!(at(4), Motionless { held: 3, frozen: 0 });
+    assert_eq!(at(5), Motionless { held: 0, frozen: 3 });
+}
+
+#[test]
+fn pictures_that_never_come_do_not_pile_up_deltas() {
+    let mut bench = Bench::new(0);
+    (0..1000).for_each(|frame| bench.bundler.add_delta(delta(frame)));
+    assert!(bench.bundler.pending.len() <= MAX_PENDING);
+    bench.bundler.add_picture(FrameId(1), 1);
+    assert_eq!(bench.display(100, 0), None, "too late for it");
+    bench.bundler.add_picture(FrameId(999), 999);
+    assert_eq!(bench.display(100, 0), Some(FrameId(999)));
+}
+
+#[test]
+fn a_bundle_waits_until_its_vertices_are_in_the_gpus_memory() {
+    let mut bench = Bench::new(0);
+    bench.bundler.add_delta(triangle(0, 0..=4));
+    bench.bundler.add_picture(FrameId(0), 0);
+    assert_eq!(bench.display(10, 0), None);
+    assert_eq!(bench.display(10, 0), Some(FrameId(0)), "3 entries and 15 samples");
+}

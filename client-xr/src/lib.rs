@@ -9,6 +9,7 @@ pub mod decode;
 pub mod decoding;
 pub mod font;
 pub mod frame;
+pub mod net;
 pub mod platform;
 pub mod renderer;
 pub mod scene;

@@ -1,1 +1,139 @@
+//! The vertex memory on the GPU against its twin, on random deltas and display times. Validation is on; any message fails.
 
+use super::*;
+use crate::bundle::Bundler;
+use crate::stages::scatter::Scatter;
+use shadecast_gpu::{Access, Buffer, DesktopDevice, GpuOptions, Memory, Needs};
+use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewVertex, SampleBatch};
+use shadecast_protocol::ids::{FrameId, InstanceId, VertexSlot};
+use shadecast_shaders::twin::interpolate::VertexMemory as Twin;
+
+const SLOTS: u32 = 300;
+const GRID: Grid = Grid { spacing_ns: 33_333_333 };
+
+struct Dice(u64);
+
+impl Dice {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    fn below(&mut self, limit: u64) -> u64 {
+        self.next() % limit
+    }
+}
+
+/// Some vertices enter, some animated ones get samples: new, missing, and sent again.
+fn random_delta(dice: &mut Dice, frame: u32, grid: i32) -> GeometryDelta {
+    let motion = |dice: &mut Dice| match dice.below(4) {
+        0 => Motion::Static { position: glam::Vec3::splat(dice.below(1000) as f32 * 0.01) },
+        _ => Motion::Sampled,
+    };
+    let enters = |dice: &mut Dice| frame == 0 || dice.below(20) == 0;
+    let new_vertices = (0..SLOTS)
+        .filter_map(|slot| {
+            let vertex = NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion: motion(dice) };
+            enters(dice).then_some(vertex)
+        })
+        .collect();
+    let values = |dice: &mut Dice| {
+        let slots = (0..SLOTS).map(VertexSlot).filter(|_| dice.below(3) > 0).collect::<Vec<_>>();
+        slots.into_iter().map(|slot| (slot, [0; 3].map(|_| dice.below(4000) as i32 - 2000))).collect()
+    };
+    let samples = (grid - 2..=grid + 3)
+        .map(|grid| SampleBatch { grid: GridIndex(grid), values: values(dice) })
+        .collect();
+    GeometryDelta {
+        frame: FrameId(frame),
+        instances: vec![InstanceInfo { instance: InstanceId(0), step_m: 0.001 }],
+        new_vertices,
+        samples,
+        ..GeometryDelta::default()
+    }
+}
+
+fn open() -> Arc<Gpu> {
+    let options = GpuOptions { needs: Needs::Client, validation: true, device_name: None };
+    Gpu::open(&options, &DesktopDevice).expect("a Vulkan device; `./shadecast setup` installs a software one")
+}
+
+#[test]
+fn gpu_and_twin_agree_on_random_deltas_and_times() {
+    let gpu = open();
+    for (seed, interpolation) in [(1, Interpolation::Cubic), (2, Interpolation::Linear)] {
+        compare(&gpu, seed, interpolation);
+    }
+    assert_eq!(gpu.validation_messages(), 0, "{:?}", gpu.validation_texts());
+}
+
+fn compare(gpu: &Arc<Gpu>, seed: u64, interpolation: Interpolation) {
+    let (scatter, interpolate) = (Scatter::new(gpu).unwrap(), Interpolate::new(gpu).unwrap());
+    let mut recorder = gpu.record().unwrap();
+    let memory = VertexMemory::new(gpu, &mut recorder, SLOTS).unwrap();
+    gpu.wait(recorder.submit().unwrap()).unwrap();
+    let mut staging = scatter.staging(gpu, &memory).unwrap();
+    let group = interpolate.bind(&memory).unwrap();
+    let readback = Buffer::new(gpu, "positions", memory.positions.size(), Memory::Readback).unwrap();
+    let (mut dice, mut twin) = (Dice(seed), Twin::new(SLOTS));
+    let [mut on_gpu, mut on_cpu] = [Bundler::<()>::new(SLOTS, 1), Bundler::<()>::new(SLOTS, 1)];
+    let (mut time, mut before) = (ServerTime(-200_000_000), None);
+    for frame in 0..60 {
+        if dice.below(3) > 0 {
+            let late = dice.below(3) as i32;
+            let delta = random_delta(&mut dice, frame, GRID.floor(time).0 - late);
+            on_gpu.add_delta(delta.clone());
+            on_cpu.add_delta(delta);
+        }
+        let push = push(GRID, time, before.replace(time), [SLOTS, SLOTS], interpolation);
+        let mut recorder = gpu.record().unwrap();
+        scatter.record(&mut recorder, &mut staging, frame as usize % 3, SLOTS, on_gpu.writes());
+        interpolate.record(&mut recorder, &group, &push);
+        recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
+        recorder.copy_buffer(&memory.positions, 0, &readback, 0, readback.size());
+        recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
+        gpu.wait(recorder.submit().unwrap()).unwrap();
+        scatter_on(&mut twin, &mut on_cpu);
+        twin.interpolate(&push);
+        let seen = &readback.values::<[f32; 4]>()[..SLOTS as usize];
+        for (slot, (gpu, cpu)) in seen.iter().zip(&twin.positions).enumerate() {
+            let is_close = gpu.iter().zip(cpu).all(|(a, b)| (a - b).abs() <= 1e-5 * (1.0 + b.abs()));
+            assert!(
+                is_close && gpu[3] == cpu[3],
+                "seed {seed}, frame {frame}, slot {slot}: {gpu:?}, twin {cpu:?}"
+            );
+        }
+        time = time.plus_ns(13_888_889);
+    }
+    let states = twin.positions.iter().map(|p| p[3] as u32).collect::<std::collections::BTreeSet<_>>();
+    assert!(states.len() > 1, "the deltas reach more than one state: {states:?}");
+}
+
+fn scatter_on(twin: &mut Twin, bundler: &mut Bundler<()>) {
+    let mut records = vec![bytemuck::Zeroable::zeroed(); 100_000];
+    let mut ranges = Vec::new();
+    bundler.writes().drain_into(&mut records, |range| ranges.push(range));
+    ranges.into_iter().for_each(|range| twin.scatter(&records[range.start as usize..range.end as usize]));
+}
+
+#[test]
+fn a_time_is_split_into_a_step_and_a_fraction_also_before_zero() {
+    let at = |ns| GridTime::of(Grid { spacing_ns: 100 }, ServerTime(ns));
+    assert_eq!(at(250), GridTime { step: GridIndex(2), fraction: 0.5 });
+    assert_eq!(at(-25), GridTime { step: GridIndex(-1), fraction: 0.75 });
+    assert_eq!(at(300), GridTime { step: GridIndex(3), fraction: 0.0 });
+}
+
+#[test]
+fn blending_is_over_after_its_time() {
+    let step = |ns| {
+        let now = ServerTime(1_000_000_000);
+        push(GRID, now.plus_ns(ns), Some(now), [1, 1], Interpolation::Cubic).blend_step
+    };
+    assert_eq!(step(BLEND_NS), 1.0);
+    assert!((step(BLEND_NS / 4) - 0.25).abs() < 1e-6);
+    assert_eq!(step(-5), 0.0, "a clock that is corrected backwards does not undo it");
+}

@@ -1,0 +1,191 @@
+//! `shadecast-client`: the command line around [`shadecast_client::net`].
+
+use anyhow::Context;
+use clap::{Parser, ValueEnum};
+use shadecast_client::client::{Client, ClientError, ClientOptions, FrameReport};
+use shadecast_client::net::{self, RunOptions};
+use shadecast_client::platform::Platform;
+use shadecast_client::stages::interpolate::Interpolation;
+use shadecast_client::stats::ClientStats;
+use shadecast_client::xr::XrOptions;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Set by SIGINT and SIGTERM.
+static STOP: AtomicBool = AtomicBool::new(false);
+
+const EXAMPLES: &str = "\
+Examples:
+  shadecast-client --connect 192.168.1.5:7400
+  XR_RUNTIME_JSON=/usr/share/openxr/1/openxr_monado.json shadecast-client
+  shadecast-client --seconds 10 --stats stats.json --validation
+
+The OpenXR runtime is the system's active one, or the one whose manifest XR_RUNTIME_JSON names.
+The program exits with 0 when the runtime or the user ends the session.";
+
+/// Shows an animated scene that a Shadecast server shades, on an OpenXR headset.
+#[derive(Parser)]
+#[command(version, after_help = EXAMPLES)]
+struct Arguments {
+    /// Server to connect to, as HOST:PORT
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7400")]
+    connect: String,
+    /// Folder with the fingerprints of known servers [default: ~/.config/shadecast]
+    #[arg(long, value_name = "DIR")]
+    identity: Option<PathBuf>,
+    /// End the session after so many seconds
+    #[arg(long, value_name = "S", default_value_t = 0.0, hide_default_value = true)]
+    seconds: f64,
+    /// Write what was counted to this file
+    #[arg(long, value_name = "FILE.json")]
+    stats: Option<PathBuf>,
+    /// Vulkan validation layers on
+    #[arg(long)]
+    validation: bool,
+    /// How positions between two samples are found
+    #[arg(long, value_enum, default_value_t = InterpolationArgument::Cubic)]
+    interpolation: InterpolationArgument,
+    /// Measurement: write instance and distance of each pixel to this folder
+    #[arg(long, value_name = "DIR", requires = "probe_every")]
+    probe_dir: Option<PathBuf>,
+    /// Measurement: write them at every Nth display frame
+    #[arg(long, value_name = "N", requires = "probe_dir", value_parser = clap::value_parser!(u64).range(1..))]
+    probe_every: Option<u64>,
+    /// Samples per pixel
+    #[arg(long, value_name = "SAMPLES", default_value = "4", value_parser = ["1", "4"])]
+    msaa: String,
+    /// Say only what goes wrong
+    #[arg(long)]
+    quiet: bool,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum InterpolationArgument {
+    /// A cubic through four samples
+    Cubic,
+    /// A line through two
+    Linear,
+}
+
+extern "C" fn stop(_: libc::c_int) {
+    STOP.store(true, Ordering::Relaxed);
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let level = if arguments.quiet { tracing::Level::WARN } else { tracing::Level::INFO };
+    tracing_subscriber::fmt().with_max_level(level).with_target(false).with_writer(std::io::stderr).init();
+    for signal in [libc::SIGINT, libc::SIGTERM] {
+        // SAFETY: the handler only stores to an atomic, which is safe in a signal handler.
+        unsafe { libc::signal(signal, stop as *const () as libc::sighandler_t) };
+    }
+    match run(&arguments) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("shadecast-client: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let identity_dir = match &arguments.identity {
+        Some(folder) => folder.clone(),
+        None => shadecast_transport::identity::default_directory()?,
+    };
+    let options = RunOptions {
+        server: arguments.connect.clone(),
+        identity_dir,
+        client: ClientOptions {
+            interpolation: match arguments.interpolation {
+                InterpolationArgument::Cubic => Interpolation::Cubic,
+                InterpolationArgument::Linear => Interpolation::Linear,
+            },
+            msaa: if arguments.msaa == "1" { 1 } else { 4 },
+            ..ClientOptions::default()
+        },
+        xr: XrOptions { validation: arguments.validation },
+        seconds: arguments.seconds,
+    };
+    let mut probes = arguments
+        .probe_dir
+        .as_ref()
+        .zip(arguments.probe_every)
+        .map(|(folder, every)| Probes::new(folder, every));
+    if let Some(probes) = &probes {
+        std::fs::create_dir_all(&probes.folder)
+            .with_context(|| format!("making {}", probes.folder.display()))?;
+    }
+    let mut announced = arguments.quiet;
+    let stats = net::run(&Platform, &options, &STOP, &mut |client, report| {
+        if !std::mem::replace(&mut announced, true) {
+            announce(client);
+        }
+        probes.as_mut().map_or(Ok(()), |probes| probes.observe(client, report))
+    })?;
+    if let Some(error) = probes.and_then(|probes| probes.failure) {
+        return Err(error);
+    }
+    if let Some(path) = &arguments.stats {
+        let text = serde_json::to_string_pretty(&stats)? + "\n";
+        std::fs::write(path, text).with_context(|| format!("writing {}", path.display()))?;
+    }
+    if !arguments.quiet {
+        summarise(&stats);
+    }
+    Ok(())
+}
+
+fn announce(client: &Client) {
+    let gpu = client.gpu();
+    let slow = if gpu.is_cpu() { " (a CPU: correct, but slow)" } else { "" };
+    let [width, height] = client.eye_extent_pixels();
+    eprintln!("{} on {}{slow}, {width}x{height} per eye", client.stats().runtime, gpu.device_name());
+}
+
+fn summarise(stats: &ClientStats) {
+    eprintln!(
+        "{:.1} s: {:.1} frames/s, {:.1} bundles/s, {:.1} MB atlas, {:.1} MB geometry, {} vertices frozen, {} pictures lost",
+        stats.seconds,
+        stats.client_fps,
+        stats.bundles_per_s,
+        stats.atlas_bytes as f64 * 1e-6,
+        stats.geometry_bytes as f64 * 1e-6,
+        stats.frozen_vertices,
+        stats.lost_pictures,
+    );
+}
+
+/// Writes what the probe sees, every so many display frames.
+struct Probes {
+    folder: PathBuf,
+    every: u64,
+    frames: u64,
+    /// The first file that could not be written; later ones are not tried.
+    failure: Option<anyhow::Error>,
+}
+
+impl Probes {
+    fn new(folder: &Path, every: u64) -> Self {
+        Self { folder: folder.to_owned(), every, frames: 0, failure: None }
+    }
+
+    fn observe(&mut self, client: &mut Client, report: &FrameReport) -> Result<(), ClientError> {
+        let is_due = self.frames.is_multiple_of(self.every) && report.is_rendered && self.failure.is_none();
+        self.frames += 1;
+        if !is_due {
+            return Ok(());
+        }
+        for (view, side) in client.probe()?.iter().zip(["left", "right"]) {
+            let path = self.folder.join(format!("probe-{}-{side}.bin", report.display_time.0));
+            let written = std::fs::write(&path, view.to_bytes());
+            if let Err(error) = written.with_context(|| format!("writing {}", path.display())) {
+                self.failure = Some(error);
+                STOP.store(true, Ordering::Relaxed);
+                return Ok(());
+            }
+        }
+        Ok(())
+    }
+}
