@@ -3,10 +3,10 @@
 //! The union is the polynomial smooth minimum of the two rough distances. Each surface sinks below it where the other
 //! one is nearer, so that they cross at equal distance instead of lying in each other.
 
-use super::curve::smoothstep;
+use super::curve::{lerp, smoothstep};
 use super::loft::Loft;
-use super::mesh::Mesh;
-use super::weights::{Limb, Weights};
+use super::mesh::{Mesh, Vertex};
+use super::weights::{Limb, Shading, Weights};
 use glam::Vec3;
 
 /// One limb's surface against others.
@@ -20,7 +20,7 @@ pub(super) struct Joint<'a> {
 }
 
 impl Joint<'_> {
-    /// Moves the surface onto the union, sets weights and normals, and drops what lies deep inside the others.
+    /// Moves the surface onto the union, sets weights, paint and normals, and drops what lies deep inside the others.
     pub fn apply(&self, mesh: &mut Mesh) {
         mesh.smooth_normals();
         for vertex in &mut mesh.vertices {
@@ -28,7 +28,7 @@ impl Joint<'_> {
             if before.1.abs() < self.fillet_m {
                 vertex.position = self.onto_union(vertex.position);
             }
-            vertex.weights = self.weights(vertex.position);
+            self.change_over(vertex);
         }
         mesh.smooth_normals();
         for vertex in &mut mesh.vertices {
@@ -89,13 +89,19 @@ impl Joint<'_> {
         point
     }
 
-    fn weights(&self, point: Vec3) -> Weights {
-        let (other, limb) = self.nearest_other(point);
-        let own = self.own.loft.distance(point);
-        let share = smoothstep(-self.changeover_m, self.changeover_m, other - own);
-        match limb {
-            Some(limb) if share < 1.0 => Weights::mix(&limb.weights(point), &self.own.weights(point), share),
-            _ => self.own.weights(point),
+    /// Near the others, weights and paint go over into theirs: the same for both surfaces at the same place.
+    fn change_over(&self, vertex: &mut Vertex) {
+        let point = vertex.position;
+        let (other_m, other) = self.nearest_other(point);
+        let share =
+            smoothstep(-self.changeover_m, self.changeover_m, other_m - self.own.loft.distance(point));
+        vertex.weights = self.own.weights(point);
+        let Some(other) = other.filter(|_| share < 1.0) else { return };
+        vertex.weights = Weights::mix(&other.weights(point), &vertex.weights, share);
+        vertex.paint.x = lerp(other.ventral(point), self.own.ventral(point), share);
+        // Belly plates run on from the trunk onto limbs, which have none of their own.
+        if self.own.shading != Shading::TRUNK && other.shading == Shading::TRUNK {
+            vertex.paint.y = other.loft.nearest_m(point);
         }
     }
 }

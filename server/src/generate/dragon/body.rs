@@ -5,8 +5,8 @@ use super::curve::{lerp, smoothstep};
 use super::horn::Horn;
 use super::loft::Loft;
 use super::mesh::{Mesh, Skin, Tube};
-use super::weights::Limb;
-use glam::{Vec2, Vec3, Vec4};
+use super::weights::{Limb, Shading};
+use glam::{Vec2, Vec3};
 
 /// Wanted edge lengths, metres.
 const TRUNK_EDGE_M: f32 = 0.0300;
@@ -19,11 +19,6 @@ pub(super) fn edge_m(spine: &Loft, s_m: f32) -> f32 {
     let (neck_m, skull_m) = (spine.length_at_station(18.0), spine.length_at_station(spine_row::SKULL + 0.6));
     let tail = lerp(TAIL_EDGE_M, TRUNK_EDGE_M, smoothstep(0.5 * hips_m, hips_m, s_m));
     lerp(tail, SKULL_EDGE_M, smoothstep(neck_m, skull_m, s_m))
-}
-
-/// Paint for hide: how ventral, length, grain, mouth.
-pub(super) fn hide_paint(s_m: f32, angle: f32, grain: f32, mouth: f32) -> Vec4 {
-    Vec4::new(0.5 - 0.5 * angle.cos(), s_m, grain, mouth)
 }
 
 /// Tail and trunk up to the skull; the head goes on where this ends.
@@ -42,7 +37,7 @@ pub(super) fn tube(spine: &Limb) -> Mesh {
             caps,
             island,
             skin: Skin::Hide,
-            paint: &|s_m, angle| hide_paint(s_m, angle, grain(s_m), 0.0),
+            paint: &|s_m, angle| Shading::TRUNK.hide_paint(s_m, angle, grain(s_m), 0.0),
         }
         .mesh()
     };

@@ -2,14 +2,14 @@
 
 use super::anatomy::{self, island, spine_row};
 use super::blend::Joint;
-use super::body::{self, hide_paint};
+use super::body;
 use super::curve::{arch, lerp, smoothstep};
 use super::horn::Horn;
 use super::loft::Loft;
 use super::mesh::{Bump, Mesh, Rows, Skin, Tube, Vertex};
 use super::rig::{EAR, EYE, Rig};
 use super::sheet::{Sheet, thin_rim};
-use super::weights::{Limb, Weights};
+use super::weights::{Limb, Shading, Weights};
 use glam::{Vec2, Vec3, Vec4};
 use std::f32::consts::{PI, TAU};
 
@@ -58,7 +58,12 @@ pub(super) fn skull(spine: &Limb) -> Mesh {
         skin: Skin::Hide,
         paint: &|s_m, angle| {
             let low = smoothstep(0.80, 0.93, 0.5 - 0.5 * angle.cos());
-            hide_paint(s_m, angle, 1.0, low * smoothstep(mouth_from_m, mouth_from_m + 0.05, s_m))
+            Shading::TRUNK.hide_paint(
+                s_m,
+                angle,
+                1.0,
+                low * smoothstep(mouth_from_m, mouth_from_m + 0.05, s_m),
+            )
         },
     }
     .mesh()
@@ -92,7 +97,7 @@ fn jaw_mesh(jaw: &Limb, spine: &Limb) -> Mesh {
         paint: &|s_m, angle| {
             let ventral = 0.5 - 0.5 * angle.cos();
             let mouth = (1.0 - smoothstep(0.07, 0.2, ventral)) * smoothstep(0.03, 0.08, s_m);
-            hide_paint(s_m, angle, 1.0, mouth)
+            Shading::TRUNK.hide_paint(s_m, angle, 1.0, mouth)
         },
     }
     .mesh();
@@ -110,7 +115,7 @@ fn tongue(rig: &Rig) -> Mesh {
         caps: [false, true],
         island: island::TONGUE,
         skin: Skin::Hide,
-        paint: &|s_m, angle| hide_paint(s_m, angle, 1.0, 2.0),
+        paint: &|s_m, angle| Shading::TRUNK.hide_paint(s_m, angle, 1.0, 2.0),
     }
     .mesh();
     mesh.set_weights(|place| limb.weights(place));
@@ -290,7 +295,12 @@ fn eyelid() -> Mesh {
     let vertex = |normal: Vec3, off: f32, around: f32| {
         let offset = Vec2::from_angle(around) * (off * RADIUS_M);
         let texel = island::EYELID + offset * island::EYELID_TEXELS_PER_M;
-        Vertex::new(EYE + normal * RADIUS_M, texel, Skin::Hide, hide_paint(0.0, 0.35 * PI, 1.0, 0.0))
+        Vertex::new(
+            EYE + normal * RADIUS_M,
+            texel,
+            Skin::Hide,
+            Shading::TRUNK.hide_paint(0.0, 0.35 * PI, 1.0, 0.0),
+        )
     };
     ball(axis, zero, REACH, [5, 14], &vertex)
 }

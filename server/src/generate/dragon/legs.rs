@@ -2,13 +2,12 @@
 
 use super::anatomy::{self, LIMB_CHANGEOVER_M, LIMB_FILLET_M, island};
 use super::blend::Joint;
-use super::body::hide_paint;
 use super::horn::Horn;
 use super::loft::Station;
 use super::mesh::{Island, Mesh, Skin, Tube};
 use super::rig::{Rig, TOES};
-use super::weights::{Limb, Weights};
-use glam::{Vec2, Vec3, Vec4};
+use super::weights::{Limb, Shading, Weights};
+use glam::{Vec2, Vec3};
 
 const LEG_EDGE_M: f32 = 0.0265;
 const TOE_EDGE_M: f32 = 0.0200;
@@ -87,9 +86,6 @@ impl Leg {
     }
 }
 
-/// Legs have neither back nor belly: of how ventral a place is, a part remains.
-const SHADED: Vec4 = Vec4::new(0.25, 1.0, 1.0, 1.0);
-
 fn tube(limb: &Limb, edge_m: f32, island: Island, grain: f32) -> Mesh {
     Tube {
         loft: &limb.loft,
@@ -99,7 +95,7 @@ fn tube(limb: &Limb, edge_m: f32, island: Island, grain: f32) -> Mesh {
         caps: [true, true],
         island,
         skin: Skin::Hide,
-        paint: &|s_m, angle| hide_paint(s_m, angle, grain, 0.0) * SHADED + Vec4::X * 0.22,
+        paint: &|s_m, angle| Shading::LEG.hide_paint(s_m, angle, grain, 0.0),
     }
     .mesh()
 }

@@ -154,6 +154,16 @@ impl Loft {
         best.map_or(0.0, |(_, s_m)| s_m)
     }
 
+    /// How far around a point lies: 0 above the curve, 1 below it.
+    pub fn ventral(&self, point: Vec3) -> f32 {
+        let section = self.section(self.nearest_m(point));
+        let offset = point - section.centre;
+        let (x, y) = (offset.dot(section.side), offset.dot(section.up));
+        let vertical = if y > 0.0 { section.top } else { section.bottom };
+        let turned = Vec2::new(x / section.half_width, y / vertical).normalize_or(Vec2::Y);
+        0.5 - 0.5 * turned.y
+    }
+
     /// Rough signed distance, metres: exact on the surface, negative inside. Far away only a lower bound.
     pub fn distance(&self, point: Vec3) -> f32 {
         const FAR_M: f32 = 0.3;

@@ -74,8 +74,8 @@ fn hide(place: Vec3, paint: Vec4) -> Sample {
 
 /// Rounded scales, darker in the furrows, in bands of dark teal over green.
 fn scales(place: Vec3, ventral: f32, grain: f32) -> Sample {
-    const BODY_SCALE_M: f32 = 0.030;
-    const HEAD_SCALE_M: f32 = 0.018;
+    const BODY_SCALE_M: f32 = 0.036;
+    const HEAD_SCALE_M: f32 = 0.021;
     let large = if grain < 1.0 { cells(place / BODY_SCALE_M) } else { Cell::default() };
     let small = if grain > 0.0 { cells(place / HEAD_SCALE_M) } else { Cell::default() };
     let ridge = lerp(large.ridge(), small.ridge(), grain);
@@ -88,10 +88,10 @@ fn scales(place: Vec3, ventral: f32, grain: f32) -> Sample {
     let dark = (1.0 - smoothstep(0.02, 0.42, ventral + 0.30 * (bands - 0.5) + 0.2 * (cloud - 0.5))) * 0.92;
     let color = flank.lerp(BACK, dark);
     Sample {
-        color: color * lerp(0.62, 1.10, ridge) * lerp(0.88, 1.10, tint),
+        color: color * lerp(0.72, 1.08, ridge) * lerp(0.90, 1.08, tint),
         roughness: lerp(0.72, 0.42, ridge),
         metallic: 0.0,
-        height_m: 0.10 * size_m * ridge,
+        height_m: 0.08 * size_m * ridge,
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::anatomy::{self, FINGER_BONES, LEG_BONE_ROWS, WingPlane, spine_row};
 use super::loft::{Loft, Station};
-use super::weights::{Chain, Limb};
+use super::weights::{Chain, Limb, Shading};
 use glam::{Quat, Vec2, Vec3};
 
 pub(super) const SPINE_JOINTS: usize = 3;
@@ -82,19 +82,32 @@ impl Rig {
             tail.chain(trunk).chain(neck).chain(head).unzip();
         bounds_m.push(loft.length_m());
         let breath = (self.ribs, loft.length_at_station(13.0), 0.38, 0.8);
-        Limb { loft, chain: Chain { bounds_m, joints, softness: 0.5 }, breath: Some(breath) }
+        Limb {
+            loft,
+            chain: Chain { bounds_m, joints, softness: 0.5 },
+            breath: Some(breath),
+            shading: Shading::TRUNK,
+        }
     }
 
     pub fn leg_limb(&self, leg: usize, loft: Loft) -> Limb {
         let mut bounds_m: Vec<f32> = LEG_BONE_ROWS.map(|row| loft.length_at_station(row)).to_vec();
         bounds_m[0] = 0.0;
         bounds_m.push(loft.length_m());
-        Limb::new(loft, Chain { bounds_m, joints: self.legs[leg].bones.to_vec(), softness: 0.35 })
+        Limb::new(
+            loft,
+            Chain { bounds_m, joints: self.legs[leg].bones.to_vec(), softness: 0.35 },
+            Shading::LEG,
+        )
     }
 
     pub fn toe_limb(&self, leg: usize, toe: usize, loft: Loft) -> Limb {
         let bounds_m = vec![0.0, 0.55 * loft.length_m(), loft.length_m()];
-        Limb::new(loft, Chain { bounds_m, joints: self.legs[leg].toes[toe].to_vec(), softness: 0.4 })
+        Limb::new(
+            loft,
+            Chain { bounds_m, joints: self.legs[leg].toes[toe].to_vec(), softness: 0.4 },
+            Shading::LEG,
+        )
     }
 
     pub fn arm_limb(&self, wing: usize, loft: Loft) -> Limb {
@@ -108,7 +121,7 @@ impl Rig {
         ];
         let wing = &self.wings[wing];
         let joints = vec![wing.root, wing.upper, wing.fore, wing.hand];
-        Limb::new(loft, Chain { bounds_m, joints, softness: 0.45 })
+        Limb::new(loft, Chain { bounds_m, joints, softness: 0.45 }, Shading::WING)
     }
 
     /// Weights along a finger; lengths are shares of it, 0 wrist to 1 tip.
@@ -120,12 +133,12 @@ impl Rig {
 
     pub fn jaw_limb(&self, loft: Loft) -> Limb {
         let bounds_m = vec![0.0, 0.6 * loft.length_m(), loft.length_m()];
-        Limb::new(loft, Chain { bounds_m, joints: self.jaw.to_vec(), softness: 0.3 })
+        Limb::new(loft, Chain { bounds_m, joints: self.jaw.to_vec(), softness: 0.3 }, Shading::TRUNK)
     }
 
     pub fn tongue_limb(&self, loft: Loft) -> Limb {
         let bounds_m = vec![0.0, 0.5 * loft.length_m(), loft.length_m()];
-        Limb::new(loft, Chain { bounds_m, joints: self.tongue.to_vec(), softness: 0.4 })
+        Limb::new(loft, Chain { bounds_m, joints: self.tongue.to_vec(), softness: 0.4 }, Shading::TRUNK)
     }
 }
 

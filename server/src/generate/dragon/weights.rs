@@ -2,7 +2,7 @@
 
 use super::curve::smoothstep;
 use super::loft::Loft;
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 
 /// Joints with their shares. Shares need not sum to 1 until [`Weights::strongest`] makes them.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -89,11 +89,43 @@ pub(super) struct Limb {
     pub chain: Chain,
     /// A joint that breathes: share of it at a length along the curve, as (joint, centre m, reach m, most).
     pub breath: Option<(usize, f32, f32, f32)>,
+    pub shading: Shading,
+}
+
+/// How ventral a limb is painted: scale and offset on how far below its curve a place is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Shading {
+    pub scale: f32,
+    pub offset: f32,
+}
+
+impl Shading {
+    /// From back to belly.
+    pub const TRUNK: Self = Self { scale: 1.0, offset: 0.0 };
+    /// Legs have neither back nor belly.
+    pub const LEG: Self = Self { scale: 0.25, offset: 0.27 };
+    /// Dark all around.
+    pub const WING: Self = Self { scale: 0.2, offset: 0.0 };
+
+    /// Paint for hide (see `Skin::Hide`) at a length along the limb (m) and an angle from its top (radians).
+    pub fn hide_paint(self, s_m: f32, angle: f32, grain: f32, mouth: f32) -> Vec4 {
+        Vec4::new(self.of(0.5 - 0.5 * angle.cos()), s_m, grain, mouth)
+    }
+
+    /// What the painter gets for a place; 0 above the curve, 1 below it.
+    fn of(self, ventral: f32) -> f32 {
+        self.scale * ventral + self.offset
+    }
 }
 
 impl Limb {
-    pub fn new(loft: Loft, chain: Chain) -> Self {
-        Self { loft, chain, breath: None }
+    pub fn new(loft: Loft, chain: Chain, shading: Shading) -> Self {
+        Self { loft, chain, breath: None, shading }
+    }
+
+    /// How ventral the limb is painted at a place.
+    pub fn ventral(&self, point: Vec3) -> f32 {
+        self.shading.of(self.loft.ventral(point))
     }
 
     /// Weights at the place of the curve nearest to a point.

@@ -5,15 +5,14 @@ use super::anatomy::{
     island,
 };
 use super::blend::Joint;
-use super::body::hide_paint;
 use super::curve::{arch, catmull_rom, smoothstep};
 use super::horn::Horn;
 use super::loft::Loft;
 use super::mesh::{Island, Mesh, Skin, Tube};
 use super::rig::{FINGERS, Rig};
 use super::sheet::{Sheet, thin_rim};
-use super::weights::{Chain, Limb, Weights};
-use glam::{Vec2, Vec3, Vec4};
+use super::weights::{Chain, Limb, Shading, Weights};
+use glam::{Vec2, Vec3};
 
 const ARM_EDGE_M: f32 = 0.0225;
 const FINGER_EDGE_M: f32 = 0.0330;
@@ -198,7 +197,7 @@ fn bone_tube(loft: &Loft, edge_m: f32, island: Island) -> Mesh {
         caps: [true, true],
         island,
         skin: Skin::Hide,
-        paint: &|s_m, angle| hide_paint(s_m, angle, 0.0, 0.0) * Vec4::new(0.2, 1.0, 1.0, 1.0),
+        paint: &|s_m, angle| Shading::WING.hide_paint(s_m, angle, 0.0, 0.0),
     }
     .mesh()
 }
