@@ -20,8 +20,8 @@ const MAX_PENDING: usize = 256;
 const MAX_PICTURES: usize = 3;
 /// Corners of a patch of three triangles, and its indices.
 pub const MAX_CORNERS_PER_PATCH: usize = 5;
-/// Indices of a patch of three triangles.
-pub const MAX_INDICES_PER_PATCH: usize = 9;
+/// Indices of a patch of three triangles, both sides.
+pub const MAX_INDICES_PER_PATCH: usize = 18;
 
 /// Everything that deltas and pictures add up to. `P` is a decoded picture.
 #[derive(Debug)]
@@ -63,6 +63,7 @@ struct Patch {
     instance: InstanceId,
     kind: PatchKind,
     vertices: [VertexSlot; 5],
+    double_sided: bool,
     block: Option<Block>,
 }
 
@@ -276,8 +277,8 @@ impl<P> Bundler<P> {
         for new in changes.new {
             let known = new.vertices.iter().all(|slot| slot.index() < self.vertices.len());
             if let Some(patch) = self.patches.get_mut(new.slot.index()).filter(|_| known) {
-                let NewPatch { instance, kind, vertices, .. } = new;
-                *patch = Some(Patch { instance, kind, vertices, block: None });
+                let NewPatch { instance, kind, vertices, double_sided, .. } = new;
+                *patch = Some(Patch { instance, kind, vertices, double_sided, block: None });
             }
         }
         for (slot, block) in changes.placements {
@@ -387,8 +388,18 @@ impl ListWriter<'_> {
             };
             self.corner_count += 1;
         }
-        for corner in patch.kind.triangles().iter().flatten() {
-            self.indices[self.index_count] = base + u32::from(*corner);
+        for [a, b, c] in patch.kind.triangles() {
+            self.write_triangle(base, [*a, *b, *c]);
+            // Back faces are culled, so that one draw serves both kinds: what has two sides is there twice.
+            if patch.double_sided {
+                self.write_triangle(base, [*a, *c, *b]);
+            }
+        }
+    }
+
+    fn write_triangle(&mut self, base: u32, corners: [u8; 3]) {
+        for corner in corners {
+            self.indices[self.index_count] = base + u32::from(corner);
             self.index_count += 1;
         }
     }

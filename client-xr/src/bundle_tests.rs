@@ -139,7 +139,13 @@ impl Server {
             });
         }
         let vertices = std::array::from_fn(|i| VertexSlot(*slots.get(i).unwrap_or(&slots[0])));
-        let new = NewPatch { slot: PatchSlot(patch_slot), instance: InstanceId(instance), kind, vertices };
+        let new = NewPatch {
+            slot: PatchSlot(patch_slot),
+            instance: InstanceId(instance),
+            kind,
+            vertices,
+            double_sided: false,
+        };
         delta.new_patches.push(new);
         self.patches.insert(patch_slot, ModelPatch { instance, kind, slots: slots.clone(), block: None });
         Some(slots)
@@ -335,6 +341,7 @@ fn triangle(frame: u32, samples: std::ops::RangeInclusive<i32>) -> GeometryDelta
             instance: InstanceId(0),
             kind: PatchKind::One,
             vertices,
+            double_sided: false,
         }],
         placements: vec![(PatchSlot(0), Some(block))],
         samples: samples.map(batch).collect(),

@@ -54,6 +54,12 @@ void main() {
     if (backdrop.zenith.w > 0.0) {
         vec3 eye = eyes.space_eye[gl_ViewIndex].xyz;
         color.rgb = mix(color.rgb, vec3(0.45), floor_coverage(eye, direction) * 0.6);
-        color.rgb = mix(color.rgb, vec3(0.9), text_coverage(eye, direction));
+        // Dots are about a pixel: nine lookups spread over it keep them from flickering.
+        vec3 across = dFdx(direction) / 3.0, down = dFdy(direction) / 3.0;
+        float text_share = 0.0;
+        for (int i = 0; i < 9; i++) {
+            text_share += text_coverage(eye, direction + across * float(i % 3 - 1) + down * float(i / 3 - 1)) / 9.0;
+        }
+        color.rgb = mix(color.rgb, vec3(0.9), text_share);
     }
 }

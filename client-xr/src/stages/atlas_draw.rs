@@ -119,7 +119,7 @@ impl AtlasDraw {
             fragment: &CLIENT_ATLAS_FRAG,
             pass,
             topology: vk::PrimitiveTopology::TRIANGLE_LIST,
-            cull: vk::CullModeFlags::NONE,
+            cull: vk::CullModeFlags::BACK,
             depth_write: Some(true),
             blend: false,
             vertex_input: None,

@@ -15,8 +15,8 @@ use std::sync::Arc;
 
 /// Columns and rows of text that are shown at most.
 pub const TEXT_CELLS: [usize; 2] = [40, 6];
-/// A character's extent in metres: at 1.75 m about 0.8 by 1.2 degrees.
-const CELL_EXTENT_M: [f32; 2] = [0.024, 0.036];
+/// A character's extent in metres: at 1.75 m about 1.2 by 1.8 degrees.
+const CELL_EXTENT_M: [f32; 2] = [0.036, 0.054];
 /// How far ahead of the head the text appears.
 const TEXT_DISTANCE_M: f32 = 1.75;
 /// The waiting room's light: neutral, dim enough for a dark room.

@@ -103,7 +103,7 @@ impl Probe {
                 fragment: &CLIENT_PROBE_FRAG,
                 pass: &pass,
                 topology: vk::PrimitiveTopology::TRIANGLE_LIST,
-                cull: vk::CullModeFlags::NONE,
+                cull: vk::CullModeFlags::BACK,
                 depth_write: Some(true),
                 blend: false,
                 vertex_input: None,

@@ -1,0 +1,378 @@
+//! The client on the mock headset: what a person in it would see, without a server.
+
+mod support;
+
+use shadecast_client::client::Step;
+use shadecast_client::decode::Picture as Planes;
+use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
+use shadecast_mock_runtime::record::Side;
+use shadecast_protocol::PROTOCOL_VERSION;
+use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize, PatchKind};
+use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch};
+use shadecast_protocol::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
+use shadecast_protocol::message::{Codec, Environment, ServerOffer, Welcome};
+use shadecast_protocol::pose::Pose;
+use shadecast_protocol::session::{Out, ServerEvent, ServerSession};
+use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime};
+use support::{Run, SIDE, at, finish, frame, pixel};
+
+const ATLAS: [u32; 2] = [512, 512];
+/// sRGB values of the two patches, and their full-range BT.709 planes.
+const RED: ([u8; 3], [u8; 3]) = ([200, 40, 40], [74, 110, 208]);
+const BLUE: ([u8; 3], [u8; 3]) = ([40, 60, 220], [67, 210, 111]);
+/// The animated edge moves this fast, metres per second.
+const SPEED: f32 = 0.3;
+
+fn environment() -> Environment {
+    Environment { zenith: [0.1, 0.3, 0.9], horizon: [0.5, 0.5, 0.5], nadir: [0.1, 0.1, 0.1] }
+}
+
+fn terms() -> Welcome {
+    Welcome {
+        protocol_version: PROTOCOL_VERSION,
+        session: 1,
+        grid: DEFAULT_GRID,
+        atlas_extent_texels: ATLAS,
+        vertex_slots: 256,
+        patch_slots: 64,
+        codec: Codec::H264,
+        environment: environment(),
+        world_from_stage: Pose::IDENTITY,
+        update_period_ns: 33_333_333,
+    }
+}
+
+fn block(x: u16) -> Block {
+    Block { address: BlockAddress { x, y: 0 }, size: BlockSize::new(6, 6).expect("a size") }
+}
+
+/// Left half red, right half blue, elsewhere green so that a wrong lookup is seen.
+fn planes(blocks: [u16; 2]) -> Planes {
+    let [w, h] = ATLAS.map(|side| side as usize);
+    let ycbcr = |x: usize, y: usize| {
+        let inside = |from: u16| (usize::from(from)..usize::from(from) + 64).contains(&x) && y < 64;
+        if inside(blocks[0]) {
+            RED.1
+        } else if inside(blocks[1]) {
+            BLUE.1
+        } else {
+            [150, 40, 20]
+        }
+    };
+    let plane = |step: usize, component: usize| {
+        let texels = (0..h / step).flat_map(|y| (0..w / step).map(move |x| (x, y)));
+        texels.map(|(x, y)| ycbcr(x * step, y * step)[component]).collect()
+    };
+    Planes { extent_texels: ATLAS, y: plane(1, 0), cb: plane(2, 1), cr: plane(2, 2) }
+}
+
+/// Where the moving edge is at a server time.
+fn edge_x(time: ServerTime) -> f32 {
+    0.5 + SPEED * (time.seconds() as f32 - 1.0)
+}
+
+/// Samples of the right patch's edge from grid step `from` on.
+fn samples(from: i32, to: i32) -> Vec<SampleBatch> {
+    let place = |slot: u32, grid: i32| {
+        let time = DEFAULT_GRID.time_of(GridIndex(grid));
+        let x = if slot < 6 { 0.02 } else { edge_x(time) };
+        let y = if slot.is_multiple_of(2) { 2.1 } else { 1.1 };
+        [x, y, -2.0].map(|metres| (metres / 0.0001f32).round() as i32)
+    };
+    let batch = |grid| SampleBatch {
+        grid: GridIndex(grid),
+        values: (4..8).map(|slot| (VertexSlot(slot), place(slot, grid))).collect(),
+    };
+    (from..=to).map(batch).collect()
+}
+
+/// Two squares of a metre two metres ahead: the left one static and red, the right one animated and blue.
+fn two_patches() -> GeometryDelta {
+    let statics = [[-0.5, 2.1], [-0.5, 1.1], [-0.02, 2.1], [-0.02, 1.1]];
+    let fixed = |(slot, [x, y]): (u32, [f32; 2])| NewVertex {
+        slot: VertexSlot(slot),
+        instance: InstanceId(3),
+        motion: Motion::Static { position: [x, y, -2.0].into() },
+    };
+    let moving =
+        |slot| NewVertex { slot: VertexSlot(slot), instance: InstanceId(7), motion: Motion::Sampled };
+    let patch = |slot: u32, instance: u16, first: u32| NewPatch {
+        slot: PatchSlot(slot),
+        instance: InstanceId(instance),
+        kind: PatchKind::Two,
+        // Around the square: upper left, upper right, lower right, lower left.
+        vertices: [first, first + 2, first + 3, first + 1, first].map(VertexSlot),
+        double_sided: true,
+    };
+    GeometryDelta {
+        frame: FrameId(0),
+        time: ServerTime(1_000_000_000),
+        instances: vec![InstanceInfo { instance: InstanceId(7), step_m: 0.0001 }],
+        new_vertices: (0..).zip(statics).map(fixed).chain((4..8).map(moving)).collect(),
+        new_patches: vec![patch(0, 3, 0), patch(1, 7, 4)],
+        placements: vec![(PatchSlot(0), Some(block(0))), (PatchSlot(1), Some(block(64)))],
+        samples: samples(29, 45),
+        ..GeometryDelta::default()
+    }
+}
+
+#[track_caller]
+fn assert_close(got: [u8; 3], want: [u8; 3], what: &str) {
+    let is_close = got.iter().zip(want).all(|(got, want)| got.abs_diff(want) <= 3);
+    assert!(is_close, "{what}: {got:?} instead of {want:?}");
+}
+
+#[test]
+fn before_the_first_bundle_there_is_a_gradient_a_floor_and_a_text_in_both_eyes() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    client.set_status("Connecting to 192.168.1.5:7400");
+    for _ in 0..4 {
+        let report = frame(&mut client);
+        assert_eq!(report.frame, None);
+    }
+    finish(&run, client);
+    let (left, right) = (run.picture(3, Side::Left), run.picture(3, Side::Right));
+    for picture in [&left, &right] {
+        let bright = picture.pixels().filter(|pixel| pixel[1] > 140).count();
+        assert!((100..3000).contains(&bright), "{bright} bright pixels of text");
+        assert_ne!(picture.at(SIDE / 2, 2), picture.at(SIDE / 2, SIDE / 3), "a gradient");
+    }
+    let differing = left.pixels().zip(right.pixels()).filter(|(left, right)| left != right).count();
+    assert!(differing > 100, "the eyes see the text from two places: {differing} pixels differ");
+}
+
+#[test]
+fn patches_are_seen_where_they_are_and_in_the_atlas_colours_by_both_eyes() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    client.start_local(terms(), 0).expect("a scene");
+    client.accept_local(at(1), two_patches(), Some(planes([0, 64])));
+    frame(&mut client); // not seen: the session is not visible yet
+    let report = frame(&mut client);
+    assert_eq!((report.frame, report.is_new, report.withheld_patches), (Some(FrameId(0)), true, 0));
+    assert!(!frame(&mut client).is_new);
+    let probe = client.probe().expect("a probe");
+    finish(&run, client);
+    for (side, eye) in [(Side::Left, -1.0), (Side::Right, 1.0)] {
+        let picture = run.picture(1, side);
+        let see = |point: [f32; 3]| {
+            let [x, y] = pixel(point, eye);
+            picture.at(x as u32, y as u32)
+        };
+        assert_close(see([-0.25, 1.6, -2.0]), RED.0, "the left square");
+        assert_close(see([0.25, 1.6, -2.0]), BLUE.0, "the right square");
+        assert_close(see([-0.47, 1.13, -2.0]), RED.0, "its lower left corner");
+        let sky = picture.at(SIDE / 2, 0);
+        assert!(sky[2] > sky[0] + 20, "blue sky above: {sky:?}");
+        let green = picture.pixels().filter(|[r, g, b]| g > r && g > b && *g > 120).count();
+        assert_eq!(green, 0, "no texel beside the blocks is seen");
+    }
+    for (view, eye) in probe.iter().zip([-1.0, 1.0]) {
+        let see = |point: [f32; 3]| {
+            let [x, y] = pixel(point, eye);
+            let at = (y as u32 * SIDE + x as u32) as usize;
+            (view.instance[at], view.distance_m[at])
+        };
+        let (instance, distance_m) = see([-0.25, 1.6, -2.0]);
+        assert!(instance == 3 && (distance_m - 2.0).abs() < 1e-4, "{instance} at {distance_m} m");
+        assert_eq!(see([0.25, 1.6, -2.0]).0, 7);
+        assert_eq!(see([0.0, 0.5, -2.0]), (u32::MAX, f32::INFINITY));
+    }
+}
+
+#[test]
+fn an_animated_edge_moves_with_every_display_frame_and_follows_its_motion() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    client.start_local(terms(), 0).expect("a scene");
+    client.accept_local(at(1), two_patches(), Some(planes([0, 64])));
+    frame(&mut client);
+    let mut last = None;
+    for _ in 0..20 {
+        let report = frame(&mut client);
+        let time = report.server_time.expect("a clock");
+        let [x, y, z, _] = client.read_positions().expect("positions")[6];
+        assert!((x - edge_x(time)).abs() < 2e-4, "{x} instead of {} at {time:?}", edge_x(time));
+        assert!((y - 2.1).abs() < 1e-4 && (z + 2.0).abs() < 1e-4);
+        assert_ne!(last.replace(x), Some(x), "it moved");
+        assert_eq!((report.held_vertices, report.frozen_vertices), (0, 0));
+    }
+    finish(&run, client);
+    // The pictures move too: where the edge was at the first frame, the last one shows the square.
+    let beyond = pixel([0.53, 1.6, -2.0], -1.0).map(|p| p as u32);
+    assert_ne!(run.picture(1, Side::Left).at(beyond[0], beyond[1]), BLUE.0);
+    assert_close(run.picture(20, Side::Left).at(beyond[0], beyond[1]), BLUE.0, "the edge has passed");
+}
+
+#[test]
+fn a_vertex_that_runs_out_of_samples_stops_and_is_counted_and_returns_without_a_jump() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    client.start_local(terms(), 0).expect("a scene");
+    let first = GeometryDelta { samples: samples(29, 33), ..two_patches() };
+    client.accept_local(at(1), first, Some(planes([0, 64])));
+    frame(&mut client);
+    let (mut frozen, mut largest, mut last) = (0, 0f32, None);
+    for index in 0..50 {
+        if index == 16 {
+            let late =
+                GeometryDelta { frame: FrameId(1), samples: samples(34, 49), ..GeometryDelta::default() };
+            client.accept_local(at(2), late, None);
+        }
+        let report = frame(&mut client);
+        frozen += report.frozen_vertices;
+        let x = client.read_positions().expect("positions")[6][0];
+        if let Some(last) = last.replace(x) {
+            largest = largest.max((x - last).abs());
+        }
+    }
+    let frame_m = SPEED / 72.0;
+    assert!(frozen > 0, "freezing is counted");
+    assert!(largest < 2.5 * frame_m, "moved by {largest} m in a frame, the curve by {frame_m}");
+    finish(&run, client);
+}
+
+#[test]
+fn a_patch_without_samples_is_withheld_and_the_rest_is_seen() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    client.start_local(terms(), 0).expect("a scene");
+    let late = GeometryDelta { samples: samples(40, 45), ..two_patches() };
+    client.accept_local(at(1), late, Some(planes([0, 64])));
+    frame(&mut client);
+    assert_eq!(frame(&mut client).withheld_patches, 1);
+    let picture = |frame| run.picture(frame, Side::Left);
+    let [x, y] = pixel([0.25, 1.6, -2.0], -1.0).map(|p| p as u32);
+    assert_ne!(picture(1).at(x, y), BLUE.0);
+    let [red_x, red_y] = pixel([-0.25, 1.6, -2.0], -1.0).map(|p| p as u32);
+    assert_close(picture(1).at(red_x, red_y), RED.0, "the static patch");
+    while frame(&mut client).withheld_patches > 0 {}
+    let seen = client.stats().frames - 1;
+    finish(&run, client);
+    assert_close(picture(seen).at(x, y), BLUE.0, "drawn as soon as it can be");
+}
+
+#[test]
+fn the_newest_picture_goes_with_its_own_placements() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    client.start_local(terms(), 0).expect("a scene");
+    client.accept_local(at(1), two_patches(), Some(planes([0, 64])));
+    // The blocks change places; the picture of that update never comes, that of the next has them elsewhere again.
+    let swapped = vec![(PatchSlot(0), Some(block(64))), (PatchSlot(1), Some(block(0)))];
+    let moved = vec![(PatchSlot(0), Some(block(128)))];
+    let next =
+        |frame, placements| GeometryDelta { frame: FrameId(frame), placements, ..GeometryDelta::default() };
+    frame(&mut client);
+    frame(&mut client);
+    client.accept_local(at(2), next(1, swapped), None);
+    assert_eq!(frame(&mut client).frame, Some(FrameId(0)), "no picture, no switch");
+    client.accept_local(at(3), next(2, moved), Some(planes([128, 0])));
+    assert_eq!(frame(&mut client).frame, Some(FrameId(2)));
+    finish(&run, client);
+    for index in [1, 2, 3] {
+        let picture = run.picture(index, Side::Right);
+        let see = |x: f32| pixel([x, 1.6, -2.0], 1.0).map(|p| p as u32);
+        assert_close(picture.at(see(-0.25)[0], see(-0.25)[1]), RED.0, &format!("left in frame {index}"));
+        assert_close(picture.at(see(0.25)[0], see(0.25)[1]), BLUE.0, &format!("right in frame {index}"));
+    }
+}
+
+#[test]
+fn a_session_is_agreed_on_and_the_server_learns_of_head_and_time() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    let mut server = ServerSession::new(ServerOffer {
+        protocol_version: PROTOCOL_VERSION,
+        min_protocol_version: PROTOCOL_VERSION,
+        app_version: "test".into(),
+        session: 5,
+        grid: DEFAULT_GRID,
+        atlas_extent_texels: ATLAS,
+        vertex_slots: 1000,
+        patch_slots: 1000,
+        codecs: vec![Codec::H264],
+        environment: environment(),
+        world_from_stage: Pose { position: [10.0, 0.0, 0.0].into(), ..Pose::IDENTITY },
+        update_period_ns: 33_333_333,
+    });
+    const SERVER_AHEAD_NS: i64 = 5_000_000_000;
+    client.on_connected(at(1_000_000_000));
+    let (mut hello, mut poses) = (None, Vec::new());
+    for index in 0..30 {
+        let now = at(1_000_000_000 + index * 13_888_889);
+        client.advance(now).expect("time passes");
+        let report = frame(&mut client);
+        while let Some(out) = client.poll_out() {
+            match out {
+                Out::Control(bytes) => server.on_control(&bytes),
+                Out::Datagram(bytes) => server.on_datagram(&bytes, ServerTime(now.0 + SERVER_AHEAD_NS)),
+                Out::Stream { .. } => panic!("clients send no streams"),
+            }
+        }
+        while let Some(event) = server.poll_event() {
+            match event {
+                ServerEvent::Accepted { hello: accepted, .. } => hello = Some(accepted),
+                ServerEvent::Pose(pose) => poses.push((report.display_time, pose)),
+                other => panic!("{other:?}"),
+            }
+        }
+        while let Some(out) = server.poll_out() {
+            match out {
+                Out::Control(bytes) => client.receive_control(now, &bytes).expect("control"),
+                Out::Datagram(bytes) => client.receive_datagram(now, &bytes),
+                Out::Stream { .. } => {}
+            }
+        }
+    }
+    let capabilities = hello.expect("a hello").capabilities;
+    assert_eq!((capabilities.eye_extent_pixels, capabilities.max_vertex_slots), ([SIDE; 2], 256));
+    assert!((capabilities.eyes[1].head_from_eye.position.x - 0.0315).abs() < 1e-5);
+    assert!(poses.len() > 20, "{} poses", poses.len());
+    for (display_time, pose) in &poses {
+        assert_eq!(
+            pose.time.0,
+            display_time.0 + SERVER_AHEAD_NS,
+            "the head's time is the frame's on the server's clock"
+        );
+        assert!((pose.world_from_head.position - glam::Vec3::new(10.0, 1.6, 0.0)).length() < 1e-5);
+    }
+    finish(&run, client);
+}
+
+#[test]
+fn the_sessions_end_ends_the_client() {
+    let events = vec![ScriptedEvent { frame: 5, kind: EventKind::Stop }];
+    let run = Run::new(MockConfig { events, ..MockConfig::default() });
+    let mut client = run.client();
+    let frames = (0..100).take_while(|_| client.step().expect("a step") != Step::Exit).count();
+    assert!((5..20).contains(&frames), "{frames} steps");
+    finish(&run, client);
+}
+
+#[test]
+fn a_wish_to_exit_passes_through_the_runtime() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    for _ in 0..3 {
+        frame(&mut client);
+    }
+    client.request_exit();
+    let steps = (0..20).take_while(|_| client.step().expect("a step") != Step::Exit).count();
+    assert!(steps < 10, "{steps} steps");
+    finish(&run, client);
+}
+
+#[test]
+fn a_lost_instance_is_told_from_other_errors_and_the_headset_opens_again() {
+    let events = vec![ScriptedEvent { frame: 3, kind: EventKind::InstanceLoss }];
+    let run = Run::new(MockConfig { events, ..MockConfig::default() });
+    let mut client = run.client();
+    let error = (0..20).find_map(|_| client.step().err()).expect("the loss is an error");
+    assert!(error.is_lost(), "{error}");
+    drop(client);
+    let mut client = run.client();
+    frame(&mut client);
+    finish(&run, client);
+}

@@ -1,0 +1,173 @@
+//! What the client asks of a headset: the list against what every headset has, and what is really asked for against the list.
+
+use shadecast_client::platform::requirements::REQUIRED;
+use shadecast_gpu::{DesktopDevice, DeviceSource, Gpu, GpuError, GpuOptions, Needs, vk};
+use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS, SAMPLE_RING};
+use shadecast_shaders::Shader;
+use shadecast_shaders::generated as shaders;
+use std::ffi::CStr;
+use std::sync::Mutex;
+
+/// What a Snapdragon 865 / XR2 of 2020 has: its published Vulkan profile, restricted to what is worth using.
+const EVERY_HEADSET_FEATURES: [&str; 5] = [
+    "multiview",
+    "storageBuffer16BitAccess",
+    "samplerYcbcrConversion",
+    "shaderDrawParameters",
+    "robustBufferAccess",
+];
+const EVERY_HEADSET_CAPABILITIES: [&str; 4] = ["Matrix", "Shader", "MultiView", "ImageQuery"];
+const EVERY_RUNTIME_EXTENSIONS: [&str; 2] = ["XR_KHR_vulkan_enable2", "XR_KHR_convert_timespec_time"];
+const GUARANTEED_STORAGE_BUFFER_BYTES: u64 = 128 << 20;
+const GUARANTEED_PUSH_CONSTANT_BYTES: u32 = 128;
+
+fn client_shaders() -> Vec<&'static Shader> {
+    vec![
+        &shaders::CLIENT_SCATTER_COMP,
+        &shaders::CLIENT_INTERPOLATE_COMP,
+        &shaders::CLIENT_ATLAS_VERT,
+        &shaders::CLIENT_ATLAS_FRAG,
+        &shaders::CLIENT_BACKGROUND_VERT,
+        &shaders::CLIENT_BACKGROUND_FRAG,
+        &shaders::CLIENT_PROBE_VERT,
+        &shaders::CLIENT_PROBE_FRAG,
+    ]
+}
+
+#[test]
+fn the_list_asks_for_nothing_that_a_first_generation_headset_lacks() {
+    assert!(REQUIRED.vulkan_version <= [1, 1]);
+    assert!(REQUIRED.vulkan_extensions.is_empty());
+    assert!(REQUIRED.vulkan_features.iter().all(|f| EVERY_HEADSET_FEATURES.contains(f)));
+    assert!(REQUIRED.spirv_capabilities.iter().all(|c| EVERY_HEADSET_CAPABILITIES.contains(c)));
+    assert!(REQUIRED.openxr_extensions.iter().all(|e| EVERY_RUNTIME_EXTENSIONS.contains(e)));
+    assert!(REQUIRED.storage_buffer_bytes <= GUARANTEED_STORAGE_BUFFER_BYTES);
+    assert!(REQUIRED.push_constant_bytes <= GUARANTEED_PUSH_CONSTANT_BYTES);
+}
+
+#[test]
+fn the_largest_buffers_and_push_constants_are_within_the_list() {
+    let largest = [u64::from(MAX_VERTEX_SLOTS * SAMPLE_RING) * 16, u64::from(MAX_PATCH_SLOTS) * 5 * 16];
+    assert_eq!(largest.into_iter().max(), Some(REQUIRED.storage_buffer_bytes));
+    let push_bytes = client_shaders().iter().map(|shader| shader.push_bytes).max();
+    assert_eq!(push_bytes, Some(REQUIRED.push_constant_bytes));
+}
+
+#[test]
+fn the_shaders_declare_the_capabilities_of_the_list_and_no_other() {
+    let mut declared = std::collections::BTreeSet::new();
+    for shader in client_shaders() {
+        for capability in capabilities(shader.words) {
+            assert!(REQUIRED.spirv_capabilities.contains(&capability), "{}: {capability}", shader.name);
+            declared.insert(capability);
+        }
+    }
+    assert_eq!(declared.len(), REQUIRED.spirv_capabilities.len(), "{declared:?}");
+}
+
+/// `OpCapability` instructions of a module. Source: SPIR-V 1.3, sections 2.3 and 3.31.
+fn capabilities(words: &[u32]) -> Vec<&'static str> {
+    let mut found = Vec::new();
+    let mut at = 5;
+    while at < words.len() {
+        let (length, opcode) = ((words[at] >> 16) as usize, words[at] & 0xffff);
+        if opcode == 17 {
+            found.push(match words[at + 1] {
+                0 => "Matrix",
+                1 => "Shader",
+                50 => "ImageQuery",
+                4439 => "MultiView",
+                _ => "unknown",
+            });
+        }
+        at += length.max(1);
+    }
+    found
+}
+
+/// Passes everything on, and notes what the device is created with.
+#[derive(Default)]
+struct Noting {
+    asked: Mutex<Vec<String>>,
+}
+
+impl DeviceSource for Noting {
+    fn create_instance(
+        &self,
+        entry: &ash::Entry,
+        info: &vk::InstanceCreateInfo<'_>,
+    ) -> Result<vk::Instance, GpuError> {
+        // SAFETY: the application info is there and lives through the call.
+        let version = unsafe { (*info.p_application_info).api_version };
+        let asked = format!("{}.{}", vk::api_version_major(version), vk::api_version_minor(version));
+        self.asked.lock().unwrap().push(asked);
+        DesktopDevice.create_instance(entry, info)
+    }
+
+    fn physical_device(
+        &self,
+        instance: &ash::Instance,
+        options: &GpuOptions,
+    ) -> Result<vk::PhysicalDevice, GpuError> {
+        DesktopDevice.physical_device(instance, options)
+    }
+
+    fn create_device(
+        &self,
+        instance: &ash::Instance,
+        physical: vk::PhysicalDevice,
+        info: &vk::DeviceCreateInfo<'_>,
+    ) -> Result<vk::Device, GpuError> {
+        let mut asked = self.asked.lock().unwrap();
+        for index in 0..info.enabled_extension_count as usize {
+            // SAFETY: the array has as many NUL-terminated names as the info says.
+            let name = unsafe { CStr::from_ptr(*info.pp_enabled_extension_names.add(index)) };
+            asked.push(name.to_string_lossy().into_owned());
+        }
+        // SAFETY: null or the features of version 1.0.
+        if let Some(core) = unsafe { info.p_enabled_features.as_ref() } {
+            // SAFETY: the struct is nothing but 55 booleans of 32 bits.
+            let flags: [u32; 55] = unsafe { std::mem::transmute(*core) };
+            asked.extend(
+                flags
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, on)| **on != 0)
+                    .map(|(i, _)| format!("core feature {i}")),
+            );
+        }
+        let mut next = info.p_next.cast::<vk::BaseInStructure<'_>>();
+        // SAFETY: a chain of Vulkan structs, each of which begins with its type and the next.
+        while let Some(link) = unsafe { next.as_ref() } {
+            if link.s_type == vk::StructureType::PHYSICAL_DEVICE_MULTIVIEW_FEATURES {
+                // SAFETY: the type says what it is.
+                let features = unsafe { *next.cast::<vk::PhysicalDeviceMultiviewFeatures<'_>>() };
+                let flags = [
+                    (features.multiview, "multiview"),
+                    (features.multiview_geometry_shader, "multiviewGeometryShader"),
+                    (features.multiview_tessellation_shader, "multiviewTessellationShader"),
+                ];
+                asked.extend(flags.iter().filter(|(on, _)| *on != 0).map(|(_, name)| (*name).to_owned()));
+            } else {
+                asked.push(format!("{:?}", link.s_type));
+            }
+            next = link.p_next;
+        }
+        drop(asked);
+        DesktopDevice.create_device(instance, physical, info)
+    }
+}
+
+#[test]
+fn a_device_is_asked_for_exactly_what_the_list_says() {
+    let source = Noting::default();
+    let options = GpuOptions { needs: Needs::Client, validation: true, device_name: None };
+    let gpu = Gpu::open(&options, &source).expect("a Vulkan device");
+    let [major, minor] = REQUIRED.vulkan_version;
+    let mut wanted = vec![format!("{major}.{minor}")];
+    wanted.extend(
+        REQUIRED.vulkan_extensions.iter().chain(REQUIRED.vulkan_features).map(|name| (*name).to_owned()),
+    );
+    assert_eq!(*source.asked.lock().unwrap(), wanted);
+    assert_eq!(gpu.validation_messages(), 0, "{:?}", gpu.validation_texts());
+}

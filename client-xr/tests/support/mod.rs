@@ -1,0 +1,127 @@
+//! A client on the mock runtime in virtual time, behind the system's OpenXR loader, with validation on.
+
+use shadecast_client::client::{Client, ClientOptions, FrameReport, Step};
+use shadecast_client::decoding::DecodeTiming;
+use shadecast_client::platform::Platform;
+use shadecast_client::xr::{Xr, XrOptions};
+use shadecast_gpu::Gpu;
+use shadecast_mock_runtime::config::{CONFIG_VARIABLE, ClockKind, MockConfig};
+use shadecast_mock_runtime::manifest;
+use shadecast_mock_runtime::record::{Side, picture_path};
+use shadecast_protocol::time::DisplayTime;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Pixels of one eye, both ways; 90 degrees.
+pub const SIDE: u32 = 256;
+
+/// One run of the runtime: its folder, and the right to be the only one in the process.
+pub struct Run {
+    folder: tempfile::TempDir,
+    _turn: MutexGuard<'static, ()>,
+}
+
+impl Run {
+    pub fn new(config: MockConfig) -> Self {
+        static TURN: Mutex<()> = Mutex::new(());
+        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let library = manifest::find_library().expect("the mock runtime is built beside the tests");
+        let manifest = manifest::write(folder.path(), &library).expect("write the manifest");
+        let run = Self { folder, _turn: turn };
+        let path = run.folder.path().join("mock.json");
+        let config = MockConfig {
+            extent_pixels: [SIDE; 2],
+            clock: ClockKind::Virtual,
+            capture_dir: Some(run.captures()),
+            capture_every: 1,
+            ..config
+        };
+        config.write(&path).expect("write the configuration");
+        // SAFETY: the turn makes this the only test of the process that runs or reads the environment.
+        unsafe {
+            std::env::set_var("XR_RUNTIME_JSON", manifest);
+            std::env::set_var(CONFIG_VARIABLE, path);
+        }
+        run
+    }
+
+    pub fn captures(&self) -> PathBuf {
+        self.folder.path().join("captures")
+    }
+
+    pub fn client(&self) -> Client {
+        let xr = Xr::open(&Platform, XrOptions { validation: true }).expect("the mock headset opens");
+        let options = ClientOptions {
+            decoding: DecodeTiming::Virtual { delay_ns: 6_000_000 },
+            max_vertex_slots: 256,
+            max_patch_slots: 64,
+            ..ClientOptions::default()
+        };
+        Client::new(xr, options).expect("a client")
+    }
+
+    /// The picture of a frame: rows of red, green, blue.
+    pub fn picture(&self, frame: u64, side: Side) -> Picture {
+        let path = picture_path(&self.captures(), frame, side);
+        let file = std::fs::File::open(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().expect("a PNG");
+        let mut rgb = vec![0; reader.output_buffer_size().expect("a size")];
+        reader.next_frame(&mut rgb).expect("pixels");
+        if let Some(folder) = std::env::var_os("SHADECAST_KEEP_PICTURES") {
+            let name = std::thread::current().name().unwrap_or("test").replace("::", "-");
+            let kept = PathBuf::from(folder).join(format!("{name}-{frame:03}-{side:?}.png"));
+            std::fs::copy(&path, kept).expect("keep the picture");
+        }
+        Picture { rgb }
+    }
+}
+
+pub struct Picture {
+    rgb: Vec<u8>,
+}
+
+impl Picture {
+    pub fn at(&self, x: u32, y: u32) -> [u8; 3] {
+        let at = ((y * SIDE + x) * 3) as usize;
+        [self.rgb[at], self.rgb[at + 1], self.rgb[at + 2]]
+    }
+
+    pub fn pixels(&self) -> impl Iterator<Item = [u8; 3]> + '_ {
+        self.rgb.chunks_exact(3).map(|pixel| [pixel[0], pixel[1], pixel[2]])
+    }
+}
+
+/// Steps to the next display frame.
+#[track_caller]
+pub fn frame(client: &mut Client) -> FrameReport {
+    for _ in 0..10 {
+        match client.step().expect("a step") {
+            Step::Frame(report) => return report,
+            Step::Idle => {}
+            Step::Exit => panic!("the session has ended"),
+        }
+    }
+    panic!("the session does not begin");
+}
+
+/// Drops the client, and fails where Vulkan's validation layers or the runtime had something to say.
+#[track_caller]
+pub fn finish(run: &Run, client: Client) {
+    let gpu: Arc<Gpu> = client.gpu().clone();
+    drop(client);
+    assert_eq!(gpu.validation_messages(), 0, "{:?}", gpu.validation_texts());
+    let summary = shadecast_mock_runtime::record::read_summary(&run.captures()).expect("a summary");
+    assert_eq!(summary.errors, 0, "calls that the runtime refused");
+}
+
+/// Where a point of the stage is seen by the left (-1) or right (1) eye of a standing head that looks ahead, in pixels.
+pub fn pixel(point: [f32; 3], eye: f32) -> [f32; 2] {
+    let (x, y, depth) = (point[0] - eye * 0.0315, point[1] - 1.6, -point[2]);
+    let half = SIDE as f32 * 0.5;
+    [half + x / depth * half, half - y / depth * half]
+}
+
+pub fn at(ns: i64) -> DisplayTime {
+    DisplayTime(ns)
+}
