@@ -198,11 +198,16 @@ fn read_placement(fields: &Fields) -> Result<Affine3A, SceneError> {
             Affine3A::from_scale_rotation_translation(read_scale(fields)?, rotation, translation)
         }
     };
-    if placement.matrix3.determinant() == 0.0 {
+    let determinant = placement.matrix3.determinant();
+    if !determinant.is_finite() || determinant <= 0.0 {
         let key = if fields.get("matrix").is_some() { "matrix" } else { "scale" };
-        return Err(fields
-            .source
-            .error(fields.line_of(key), format!("\"{key}\" flattens the model to nothing")));
+        // A mirroring placement would turn the front of every triangle to the back.
+        let problem = if determinant < 0.0 {
+            "mirrors the model; mirror the asset instead"
+        } else {
+            "flattens the model to nothing"
+        };
+        return Err(fields.source.error(fields.line_of(key), format!("\"{key}\" {problem}")));
     }
     Ok(placement)
 }
@@ -498,6 +503,11 @@ yaw_deg = 180
                 "scene.toml:14: \"scale\" of instance must be a finite number, not float",
             ),
             ("scale = 2", "scale = 0", "scene.toml:14: \"scale\" flattens the model to nothing"),
+            (
+                "scale = 2",
+                "scale = [1, -1, 1]",
+                "scene.toml:14: \"scale\" mirrors the model; mirror the asset instead",
+            ),
             (
                 "[1, 2.5, -3]",
                 "[1, 2.5]",

@@ -9,14 +9,15 @@ pub type FourInfluences = ([u16; 4], [f32; 4]);
 /// The result does not depend on the order of the input, ties included: vertices of two triangles that meet at a
 /// seam must be reduced alike, or the seam opens under animation.
 pub fn reduce_to_four(influences: impl IntoIterator<Item = (u16, f32)>) -> Option<FourInfluences> {
-    let mut merged: Vec<(u16, f32)> = Vec::with_capacity(8);
+    // In f64, so that weights near f32::MAX have finite sums.
+    let mut merged: Vec<(u16, f64)> = Vec::with_capacity(8);
     for (joint, weight) in influences {
         if !weight.is_finite() || weight < 0.0 {
             return None;
         }
         match merged.iter_mut().find(|(known, _)| *known == joint) {
-            Some((_, sum)) => *sum += weight,
-            None if weight > 0.0 => merged.push((joint, weight)),
+            Some((_, sum)) => *sum += f64::from(weight),
+            None if weight > 0.0 => merged.push((joint, f64::from(weight))),
             None => {}
         }
     }
@@ -25,15 +26,14 @@ pub fn reduce_to_four(influences: impl IntoIterator<Item = (u16, f32)>) -> Optio
     normalised(&merged)
 }
 
-fn normalised(largest_first: &[(u16, f32)]) -> Option<FourInfluences> {
-    // In f64, so that even four weights near f32::MAX have a finite sum.
-    let sum: f64 = largest_first.iter().map(|(_, weight)| f64::from(*weight)).sum();
+fn normalised(largest_first: &[(u16, f64)]) -> Option<FourInfluences> {
+    let sum: f64 = largest_first.iter().map(|(_, weight)| *weight).sum();
     let first = largest_first.first()?;
     // Unused slots name a joint that is used anyway: its matrix is loaded already, and it is always in range.
     let (mut joints, mut weights) = ([first.0; 4], [0.0; 4]);
     for (slot, (joint, weight)) in largest_first.iter().enumerate() {
         joints[slot] = *joint;
-        weights[slot] = (f64::from(*weight) / sum) as f32;
+        weights[slot] = (*weight / sum) as f32;
     }
     Some((joints, weights))
 }
@@ -77,6 +77,14 @@ mod tests {
         let (joints, weights) = reduce_to_four([(7, 0.25), (3, 0.5), (7, 0.25)]).expect("positive weights");
         assert_eq!((joints[0], joints[1]), (3, 7));
         assert_eq!((weights[0], weights[1]), (0.5, 0.5));
+    }
+
+    #[test]
+    fn enormous_weights_are_scaled_too() {
+        let (joints, weights) =
+            reduce_to_four([(7, f32::MAX), (3, f32::MAX), (7, f32::MAX)]).expect("positive weights");
+        assert_eq!((joints[0], joints[1]), (7, 3));
+        assert!((weights[0] - 2.0 / 3.0).abs() < 1e-6 && (weights[1] - 1.0 / 3.0).abs() < 1e-6);
     }
 
     #[test]

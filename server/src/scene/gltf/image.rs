@@ -91,6 +91,7 @@ fn decode_jpeg(bytes: &[u8]) -> Result<Pixels, String> {
 mod tests {
     use super::*;
     use png::{BitDepth, ColorType};
+    use rand::{Rng, SeedableRng, rngs::SmallRng};
 
     fn encode(
         color: ColorType,
@@ -150,6 +151,76 @@ mod tests {
         let png = encode(ColorType::Rgb, BitDepth::Eight, [64, 64], &rows, None);
         for length in [3, 8, 20, 40, png.len() / 2, png.len() * 3 / 4] {
             assert!(decode(&png[..length]).is_err(), "{length} of {} bytes", png.len());
+        }
+    }
+
+    /// A baseline JPEG of 8 x 8 texels of one colour, put together by hand: quantisation by 1, one Huffman code for
+    /// "difference of 10 bits" and one for "no further coefficients", each a single 0 bit.
+    fn flat_jpeg(components: &[u16]) -> Vec<u8> {
+        let mut out = vec![0xff, 0xd8, 0xff, 0xdb, 0, 67, 0];
+        out.extend([1; 64]);
+        let count = components.len() as u8;
+        out.extend([0xff, 0xc0, 0, 8 + 3 * count, 8, 0, 8, 0, 8, count]);
+        (1..=count).for_each(|id| out.extend([id, 0x11, 0]));
+        for (class, symbol) in [(0x00, 10), (0x10, 0)] {
+            out.extend([0xff, 0xc4, 0, 20, class, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, symbol]);
+        }
+        out.extend([0xff, 0xda, 0, 6 + 2 * count, count]);
+        (1..=count).for_each(|id| out.extend([id, 0x00]));
+        out.extend([0, 63, 0]);
+        // Each block: 0, ten bits of the difference from 128 times 8, 0.
+        let bits: String = components.iter().map(|bits| format!("0{bits:010b}0")).collect();
+        let padded = format!("{bits:1<width$}", width = bits.len().next_multiple_of(8));
+        let byte = |at: usize| u8::from_str_radix(&padded[at..at + 8], 2).expect("bits");
+        out.extend((0..padded.len()).step_by(8).map(byte));
+        out.extend([0xff, 0xd9]);
+        out
+    }
+
+    /// 8 * (200 - 128), and 8 * (56 - 128) in the one's complement that JPEG uses for negative numbers.
+    const AT_200: u16 = 576;
+    const AT_56: u16 = 447;
+
+    #[test]
+    fn grey_and_colour_jpegs_become_rgba() {
+        let grey = decode(&flat_jpeg(&[AT_200])).expect("valid JPEG");
+        assert_eq!(grey.extent_texels, [8, 8]);
+        assert_eq!(grey.rgba8, [200, 200, 200, 255].repeat(64));
+        // JFIF: r = y + 1.402 (cr - 128), g = y - 0.344 (cb - 128) - 0.714 (cr - 128), b = y + 1.772 (cb - 128).
+        let colour = decode(&flat_jpeg(&[AT_200, AT_56, AT_200])).expect("valid JPEG");
+        for texel in colour.rgba8.chunks_exact(4) {
+            let errors = [255i32, 173, 72, 255].iter().zip(texel).map(|(a, b)| (a - i32::from(*b)).abs());
+            assert!(errors.max() <= Some(2), "{texel:?}");
+        }
+    }
+
+    #[test]
+    fn damaged_images_are_errors_or_pictures_of_the_announced_size() {
+        let png = encode(ColorType::Rgb, BitDepth::Eight, [5, 4], &[77; 60], None);
+        for (name, original) in [("JPEG", flat_jpeg(&[AT_200, AT_56, AT_200])), ("PNG", png)] {
+            for seed in 0..4000 {
+                let mut rng = SmallRng::seed_from_u64(seed);
+                let mut bytes = original.clone();
+                for _ in 0..rng.random_range(1..6) {
+                    let at = rng.random_range(2..bytes.len());
+                    bytes[at] = if rng.random_bool(0.5) {
+                        rng.random()
+                    } else {
+                        bytes[at] ^ 1 << rng.random_range(0..8)
+                    };
+                }
+                if rng.random_bool(0.2) {
+                    bytes.truncate(rng.random_range(2..bytes.len()));
+                }
+                if let Ok(pixels) = decode(&bytes) {
+                    let [width, height] = pixels.extent_texels;
+                    assert_eq!(
+                        pixels.rgba8.len(),
+                        4 * width as usize * height as usize,
+                        "{name}, seed {seed}"
+                    );
+                }
+            }
         }
     }
 

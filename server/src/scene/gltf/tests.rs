@@ -587,9 +587,14 @@ fn load_damaged(bytes: &[u8], context: &str) -> bool {
     }
 }
 
+/// `SHADECAST_MUTATIONS=100 cargo test ...` tries a hundred times as many.
+fn effort() -> u32 {
+    std::env::var("SHADECAST_MUTATIONS").ok().and_then(|factor| factor.parse().ok()).unwrap_or(1)
+}
+
 fn mutate_bytes(bytes: &[u8], count: u32, seed: u64) -> (u32, u32) {
     let (mut loaded, mut refused) = (0, 0);
-    for case in 0..count {
+    for case in 0..count * effort() {
         let mut rng = SmallRng::seed_from_u64(seed + u64::from(case));
         let mut damaged = bytes.to_vec();
         // Half of them in the numbers behind the JSON, where damage is not noticed by a parser.
@@ -677,7 +682,7 @@ fn mutate_json(glb: &[u8], count: u32, seed: u64) -> (u32, u32) {
         json!({ "count": 3, "indices": { "bufferView": 2, "componentType": 5121 }, "values": { "bufferView": 0 } }),
     ];
     let (mut loaded, mut refused) = (0, 0);
-    for case in 0..count {
+    for case in 0..count * effort() {
         let mut rng = SmallRng::seed_from_u64(seed + u64::from(case));
         let mut damaged = root.clone();
         for _ in 0..rng.random_range(1..=2) {
