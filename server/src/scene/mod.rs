@@ -1,6 +1,6 @@
 //! The scene as every renderer sees it: models with their bones, clips and materials, and placed instances.
 //!
-//! Importers ([`gltf`]) and the scene file ([`file`]) produce it; nothing in here knows of Vulkan.
+//! Importers ([`gltf`]) and the scene file ([`mod@file`]) produce it; nothing in here knows of Vulkan.
 
 pub mod error;
 pub mod file;
