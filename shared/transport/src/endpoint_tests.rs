@@ -212,6 +212,35 @@ fn a_lost_packet_of_one_stream_does_not_hold_up_the_others() {
 }
 
 #[test]
+fn random_loss_does_not_slow_a_connection_down() {
+    for seed in 0..4 {
+        let Connected { mut pair, on_server, .. } = connected(HOME, seed);
+        for _ in 0..25 {
+            pair.server.send_stream(on_server, vec![0; 1_000_000], 0).unwrap();
+        }
+        // 25 MB are 2 s of this link.
+        pair.step_until(pair.now_ns() + 2800 * MS);
+        assert_eq!(events(&mut pair.client).len(), 25, "seed {seed}");
+    }
+}
+
+#[test]
+fn congestion_is_answered_by_sending_less() {
+    // A quarter of everything is lost, whatever is sent: nobody may keep on at full speed.
+    let Connected { mut pair, on_server, .. } = connected("latency=10ms,rate=100mbit", 1);
+    let lossy: LinkProfile = "latency=10ms,rate=100mbit,loss=25%".parse().unwrap();
+    pair.set_link(lossy, 2);
+    for _ in 0..20 {
+        pair.server.send_stream(on_server, vec![0; 1_000_000], 0).unwrap();
+    }
+    pair.step_until(pair.now_ns() + 2 * S);
+    let before = pair.server.stats(on_server).unwrap().sent_bytes;
+    pair.step_until(pair.now_ns() + S);
+    let mbit = (pair.server.stats(on_server).unwrap().sent_bytes - before) as f64 * 8e-6;
+    assert!(mbit < 30.0, "{mbit} Mbit/s");
+}
+
+#[test]
 fn urgent_streams_overtake() {
     let Connected { mut pair, on_server, .. } = connected("latency=5ms,rate=20mbit", 5);
     pair.server.send_stream(on_server, vec![0; 1_000_000], 0).unwrap();
@@ -502,7 +531,7 @@ fn changed_datagrams_of_a_connection_change_nothing() {
     for _ in 0..2000 {
         while let Some(transmit) = pair.server.poll_transmit(pair.now_ns()) {
             let mut bytes = BytesMut::from(&transmit.bytes[..]);
-            if rng::next(&mut state) % 5 == 0 {
+            if rng::unit(&mut state) < 0.2 {
                 let at = rng::next(&mut state) as usize % bytes.len();
                 bytes[at] ^= 1 << (rng::next(&mut state) % 8);
             }

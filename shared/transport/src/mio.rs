@@ -48,8 +48,9 @@ pub fn monotonic_now_ns() -> i64 {
     // SAFETY: `now` is a valid timespec to write to for the length of the call.
     let result = unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &mut now) };
     assert_eq!(result, 0, "every Linux has CLOCK_MONOTONIC");
-    // Casts: the widths of the fields differ between platforms.
-    now.tv_sec as i64 * 1_000_000_000 + now.tv_nsec as i64
+    #[allow(clippy::unnecessary_cast, reason = "the widths of the fields differ between platforms")]
+    let (seconds, ns) = (now.tv_sec as i64, now.tv_nsec as i64);
+    seconds * 1_000_000_000 + ns
 }
 
 /// The address to bind for reaching `remote`: any of the same family, any port.
@@ -117,7 +118,7 @@ pub struct Driver {
 
 impl Driver {
     /// Opens a socket at `address` for `endpoint`.
-    pub fn bind(mut endpoint: Endpoint, address: SocketAddr) -> Result<Self, DriverError> {
+    pub fn bind(endpoint: Endpoint, address: SocketAddr) -> Result<Self, DriverError> {
         let mut socket = UdpSocket::bind(address).map_err(|e| bind_error(address, e))?;
         let state = UdpSocketState::new(UdpSockRef::from(&socket))?;
         // The kernel's default is a fraction of one picture; a refusal only costs throughput.
@@ -126,7 +127,6 @@ impl Driver {
         let poll = Poll::new()?;
         poll.registry().register(&mut socket, SOCKET, Interest::READABLE | Interest::WRITABLE)?;
         let waker = Arc::new(Waker::new(poll.registry(), WAKER)?);
-        endpoint.set_max_segments(state.max_gso_segments());
         let receive_buffers = vec![vec![0; MAX_DATAGRAM_TRAIN_BYTES]; quinn_udp::BATCH_SIZE];
         Ok(Self {
             endpoint,
@@ -144,8 +144,6 @@ impl Driver {
 
     /// Sends everything, both ways, through a simulated link first.
     pub fn with_link(mut self, schedule: impl Into<LinkSchedule>, seed: u64) -> Self {
-        // The link works on single datagrams.
-        self.endpoint.set_max_segments(1);
         self.link = Some(Link::new(schedule, seed));
         self
     }
@@ -259,6 +257,9 @@ impl Driver {
     /// Sends what the endpoint has, until the socket takes no more.
     fn transmit(&mut self, now_ns: i64) -> io::Result<()> {
         loop {
+            // The kernel may have turned out not to support segmentation.
+            let segments = if self.link.is_some() { 1 } else { self.state.max_gso_segments() };
+            self.endpoint.set_max_segments(segments);
             let Some(transmit) = self.pending.take().or_else(|| self.endpoint.poll_transmit(now_ns)) else {
                 return Ok(());
             };

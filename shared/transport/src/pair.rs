@@ -52,6 +52,12 @@ impl Pair {
         }
     }
 
+    /// Replaces the link from now on; what is under way on the old one is lost.
+    pub fn set_link(&mut self, link: impl Into<LinkSchedule>, seed: u64) {
+        self.link = Link::new(link, seed);
+        self.link.start_at(self.now_ns);
+    }
+
     /// Notes the time, direction and size of each datagram from now on.
     pub fn start_trace(&mut self) {
         self.trace = Some(Vec::new());
