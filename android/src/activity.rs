@@ -1,89 +1,77 @@
-//! The Android activity as the client sees it: a Java machine, an activity object, two folders, and events that must be
-//! answered.
+//! The Android activity: its events must be answered, and it knows the app's folders.
 //!
 //! `NativeActivity` calls us on Java's main thread, and `android-activity` holds that thread until `android_main` has taken
-//! the event. Whoever runs on `android_main` must therefore call [`Activity::poll`] often, and never wait long for anything
-//! else; and every input event must be taken from its queue, or the system reports an application that does not respond.
+//! the event. So this thread does nothing else; and every input event is taken from its queue, or the system reports an
+//! application that does not respond.
 
+use crate::headset::Headset;
 use crate::settings::{FILE_BYTES_MAX, FILE_NAME, Settings};
 use android_activity::{AndroidApp, InputStatus, MainEvent, PollEvent};
 use anyhow::Context;
-use openxr::AndroidPlatformInfo;
 use std::fs::File;
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
-/// The running activity.
-pub struct Activity {
-    app: AndroidApp,
-    destroyed: bool,
+/// Longest wait for an event. The headset's thread wakes this one when it ends; the limit is for a wake-up that got lost.
+const POLL_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// Runs the client until it ends or the system destroys the activity.
+pub fn run(app: AndroidApp) {
+    let headset = match start(&app) {
+        Ok(headset) => headset,
+        Err(error) => return tracing::error!("{error:#}"),
+    };
+    while headset.is_running() && answer_events(&app) {}
+    headset.leave();
 }
 
-impl Activity {
-    /// Wraps what `android_main` was given.
-    pub fn new(app: AndroidApp) -> Self {
-        Self { app, destroyed: false }
-    }
+fn start(app: &AndroidApp) -> anyhow::Result<Headset> {
+    let data_folder = app.internal_data_path().context("the system names no folder for this app's data")?;
+    Headset::start(app.clone(), settings(app), data_folder)
+}
 
-    /// Answers all events that wait, and waits up to `timeout` for the first. Returns whether the activity goes on.
-    pub fn poll(&mut self, timeout: Duration) -> bool {
-        let mut destroyed = self.destroyed;
-        let mut has_input = false;
-        self.app.poll_events(Some(timeout), |event| match event {
-            PollEvent::Main(MainEvent::Destroy) => destroyed = true,
-            PollEvent::Main(MainEvent::InputAvailable) => has_input = true,
-            PollEvent::Main(MainEvent::LowMemory) => tracing::warn!("the system is low on memory"),
-            PollEvent::Main(event) => tracing::debug!("activity: {event:?}"),
-            _ => {}
-        });
-        self.destroyed = destroyed;
-        if has_input {
-            self.discard_input();
-        }
-        !self.destroyed
+/// Answers all events that wait, and waits for the first. Returns whether the activity goes on.
+fn answer_events(app: &AndroidApp) -> bool {
+    let mut goes_on = true;
+    let mut has_input = false;
+    app.poll_events(Some(POLL_TIMEOUT), |event| match event {
+        PollEvent::Main(MainEvent::Destroy) => goes_on = false,
+        PollEvent::Main(MainEvent::InputAvailable) => has_input = true,
+        PollEvent::Main(MainEvent::LowMemory) => tracing::warn!("the system is low on memory"),
+        PollEvent::Main(event) => tracing::debug!("activity: {event:?}"),
+        _ => {}
+    });
+    if has_input {
+        give_back_input(app);
     }
+    goes_on
+}
 
-    /// Buttons come through OpenXR; what arrives here (a volume key, a paired keyboard) goes back to the system.
-    fn discard_input(&self) {
-        match self.app.input_events_iter() {
-            Ok(mut events) => while events.next(|_| InputStatus::Unhandled) {},
-            Err(error) => tracing::warn!("input events could not be taken: {error}"),
-        }
+/// Buttons come through OpenXR; what arrives here (a volume key, a paired keyboard) is the system's to handle.
+fn give_back_input(app: &AndroidApp) {
+    match app.input_events_iter() {
+        Ok(mut events) => while events.next(|_| InputStatus::Unhandled) {},
+        Err(error) => tracing::warn!("input events could not be taken: {error}"),
     }
+}
 
-    /// What OpenXR must know of the process: the loader finds the runtime through it, and the runtime follows this activity.
-    ///
-    /// The pointers come from the activity itself. The `ndk_context` crate would give the *application* object instead
-    /// (android-activity 0.6.1), which is no `android.app.Activity`, as `XR_KHR_android_create_instance` demands.
-    pub fn openxr_platform(&self) -> AndroidPlatformInfo {
-        // SAFETY: `vm_as_ptr` is the process's JavaVM, which never goes away. `activity_as_ptr` is a global reference to the
-        // NativeActivity that stays valid until the last `AndroidApp` is dropped: the caller's loop ends before `self` does.
-        unsafe { AndroidPlatformInfo::new(self.app.vm_as_ptr(), self.app.activity_as_ptr()) }
-    }
-
-    /// A private folder for what must survive a restart, such as the known servers.
-    pub fn data_folder(&self) -> anyhow::Result<PathBuf> {
-        self.app.internal_data_path().context("the system names no folder for this app's data")
-    }
-
-    /// The user's settings; a missing file means the defaults, a wrong one is reported and ignored.
-    pub fn settings(&self) -> Settings {
-        let Some(path) = self.app.external_data_path().map(|folder| folder.join(FILE_NAME)) else {
+/// The user's settings; a missing file means the defaults, a wrong one is reported and ignored.
+fn settings(app: &AndroidApp) -> Settings {
+    let Some(path) = app.external_data_path().map(|folder| folder.join(FILE_NAME)) else {
+        return Settings::default();
+    };
+    let bytes = match read_bounded(&path) {
+        Ok(bytes) => bytes,
+        Err(error) => {
+            tracing::warn!("no server set: {}: {error}", path.display());
             return Settings::default();
-        };
-        let bytes = match read_bounded(&path) {
-            Ok(bytes) => bytes,
-            Err(error) => {
-                tracing::info!("no settings: {}: {error}", path.display());
-                return Settings::default();
-            }
-        };
-        Settings::parse(&bytes).unwrap_or_else(|error| {
-            tracing::error!("{error} (in {})", path.display());
-            Settings::default()
-        })
-    }
+        }
+    };
+    Settings::parse(&bytes).unwrap_or_else(|error| {
+        tracing::error!("{error} (in {})", path.display());
+        Settings::default()
+    })
 }
 
 /// One byte more than settings may have, so that a longer file is seen to be one.

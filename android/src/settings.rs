@@ -2,26 +2,33 @@
 //!
 //! Plain data in and out, so that it is tested on the host.
 
-use std::net::SocketAddr;
-
 /// The file's name in the app's external folder, where `adb push` can put it.
 pub const FILE_NAME: &str = "server.txt";
 
 /// Longest file that is read, in bytes: an address and a few comments.
 pub const FILE_BYTES_MAX: usize = 4096;
 
+/// What is tried without a file. The headset shows that it is trying this address, which tells the user that none was set.
+pub const DEFAULT_SERVER: &str = "127.0.0.1:7400";
+
 /// Settings of one start.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Settings {
-    /// The server to connect to; `None`: as the client does without an address.
-    pub connect: Option<SocketAddr>,
+    /// The server to connect to, as `HOST:PORT`.
+    pub server: String,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { server: DEFAULT_SERVER.to_owned() }
+    }
 }
 
 /// Why the settings file was not understood.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum SettingsError {
     /// A line is not an address.
-    #[error("{FILE_NAME}:{line}: '{text}' is not IP:PORT, such as 192.168.1.20:47000")]
+    #[error("{FILE_NAME}:{line}: '{text}' is not HOST:PORT, such as 192.168.1.20:7400")]
     Address {
         /// Line number, from 1.
         line: usize,
@@ -40,59 +47,77 @@ pub enum SettingsError {
 }
 
 impl Settings {
-    /// Reads the file's bytes: empty lines, `#` comments, and at most one `IP:PORT`.
+    /// Reads the file's bytes: empty lines, `#` comments, and at most one `HOST:PORT`.
     pub fn parse(bytes: &[u8]) -> Result<Self, SettingsError> {
         if bytes.len() > FILE_BYTES_MAX {
             return Err(SettingsError::NotText);
         }
         let text = std::str::from_utf8(bytes).map_err(|_| SettingsError::NotText)?;
-        let mut settings = Self::default();
+        let mut server = None;
         for (index, line) in text.lines().enumerate() {
             let content = line.split('#').next().unwrap_or_default().trim();
             if content.is_empty() {
                 continue;
             }
-            let address = content
-                .parse()
-                .map_err(|_| SettingsError::Address { line: index + 1, text: content.to_owned() })?;
-            if settings.connect.replace(address).is_some() {
+            if !is_address(content) {
+                return Err(SettingsError::Address { line: index + 1, text: content.to_owned() });
+            }
+            if server.replace(content.to_owned()).is_some() {
                 return Err(SettingsError::Second { line: index + 1 });
             }
         }
-        Ok(settings)
+        Ok(server.map_or_else(Self::default, |server| Self { server }))
     }
+}
+
+/// Looks like `HOST:PORT`; whether the host is known only the network can say. An IPv6 host stands in brackets.
+fn is_address(text: &str) -> bool {
+    let Some((host, port)) = text.rsplit_once(':') else { return false };
+    let is_bracketed = host.starts_with('[') && host.ends_with(']');
+    let is_host =
+        !host.is_empty() && !host.contains(char::is_whitespace) && (is_bracketed || !host.contains(':'));
+    is_host && port.parse::<u16>().is_ok_and(|port| port > 0)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn connect(text: &str) -> Option<SocketAddr> {
-        Settings::parse(text.as_bytes()).expect("valid settings").connect
+    fn server(text: &str) -> String {
+        Settings::parse(text.as_bytes()).expect("valid settings").server
     }
 
     #[test]
     fn address_is_found_between_comments() {
-        let text = "# living room\r\n\r\n 192.168.1.20:47000 # the desktop\r\n";
-        assert_eq!(connect(text), Some(SocketAddr::from(([192, 168, 1, 20], 47000))));
+        assert_eq!(server("# living room\r\n\r\n 192.168.1.20:7400 # the desktop\r\n"), "192.168.1.20:7400");
+        assert_eq!(server("desktop.local:7401"), "desktop.local:7401");
     }
 
     #[test]
     fn ipv6_address_needs_brackets() {
-        assert_eq!(connect("[::1]:5"), Some("[::1]:5".parse().expect("literal")));
-        assert!(Settings::parse(b"fe80::1:5 x").is_err());
+        assert_eq!(server("[fe80::1]:7400"), "[fe80::1]:7400");
+        assert!(Settings::parse(b"fe80::1:7400").is_err());
     }
 
     #[test]
-    fn empty_file_leaves_the_choice_to_the_client() {
-        assert_eq!(connect(""), None);
-        assert_eq!(connect("# nothing\n"), None);
+    fn file_without_address_means_the_default() {
+        assert_eq!(server(""), DEFAULT_SERVER);
+        assert_eq!(server("# nothing\n"), DEFAULT_SERVER);
+        assert!(is_address(DEFAULT_SERVER));
+    }
+
+    #[test]
+    fn host_and_port_are_both_wanted() {
+        for wrong in ["desktop", ":7400", "desktop:", "desktop:0", "desktop:70000", "my desktop:7400"] {
+            let error = Settings::parse(wrong.as_bytes()).expect_err(wrong);
+            assert_eq!(error, SettingsError::Address { line: 1, text: wrong.to_owned() });
+        }
     }
 
     #[test]
     fn error_names_line_and_text() {
-        let error = Settings::parse(b"\nmy-pc\n").expect_err("no address");
-        assert_eq!(error.to_string(), "server.txt:2: 'my-pc' is not IP:PORT, such as 192.168.1.20:47000");
+        let error = Settings::parse(b"\nmy-pc\n").expect_err("no port");
+        assert_eq!(error.to_string(), "server.txt:2: 'my-pc' is not HOST:PORT, such as 192.168.1.20:7400");
     }
 
     #[test]
