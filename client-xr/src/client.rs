@@ -132,6 +132,16 @@ pub(crate) struct Connection {
     decoding: Option<Decoding>,
 }
 
+impl Drop for Client {
+    fn drop(&mut self) {
+        // The session goes with its images: the GPU must be done with them. A device that is lost is done.
+        let idle = self.gpu.record().and_then(|recorder| recorder.submit()).and_then(|last| self.gpu.wait(last));
+        if let Err(error) = idle {
+            tracing::debug!("waiting for the GPU before the session's end: {error}");
+        }
+    }
+}
+
 impl Connection {
     /// A picture that is not needed any more goes back to the decoder.
     pub(crate) fn recycle(&mut self, picture: Picture) {

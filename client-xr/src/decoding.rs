@@ -9,7 +9,7 @@ use shadecast_protocol::ids::FrameId;
 use shadecast_protocol::time::{DisplayTime, ServerTime};
 use shadecast_protocol::wire::{PictureHeader, encode_picture};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 
 /// A picture that is awaited this long since a later one came is lost: longer than the server tries (250 ms or three round
@@ -312,10 +312,7 @@ impl Engine {
             Self::Virtual { done, .. } => {
                 done.pop_front_if(|(ready, _)| *ready <= now).map(|(_, outcome)| outcome)
             }
-            Self::Thread { outcomes, .. } => match outcomes.try_recv() {
-                Ok(outcome) => Some(outcome),
-                Err(TryRecvError::Empty | TryRecvError::Disconnected) => None,
-            },
+            Self::Thread { outcomes, .. } => outcomes.try_recv().ok(),
         }
     }
 }

@@ -222,10 +222,9 @@ impl Connector {
     fn take(&mut self, client: &mut Client, event: Event) -> Result<(), ClientError> {
         match event {
             Event::Connected { peer, fingerprint, .. } if self.peer == Some(peer) => {
-                if let Some(fingerprint) = fingerprint {
-                    if let Err(error) = self.known.remember(&self.server, fingerprint) {
-                        tracing::warn!("{error}; the server will not be recognised next time");
-                    }
+                let remembered = fingerprint.map_or(Ok(()), |it| self.known.remember(&self.server, it));
+                if let Err(error) = remembered {
+                    tracing::warn!("{error}; the server will not be recognised next time");
                 }
                 client.on_connected(monotonic_now());
             }

@@ -420,7 +420,7 @@ impl Headset {
             succeeded(convert(instance.as_raw(), time, timespec.as_mut_ptr())).doing("converting a time")?;
             timespec.assume_init()
         };
-        Ok(DisplayTime(timespec.tv_sec as i64 * 1_000_000_000 + timespec.tv_nsec as i64))
+        Ok(DisplayTime(timespec.tv_sec * 1_000_000_000 + timespec.tv_nsec))
     }
 
     /// Where head and eyes will be when the frame is seen. Call it as late as possible. Tracking that is lost leaves the

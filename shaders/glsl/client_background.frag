@@ -22,18 +22,28 @@ layout(location = 0) out vec4 color; // linear; the attachment is sRGB
 
 const vec2 GLYPH_EXTENT = vec2(6.0, 9.0); // 5x7 and what lies between glyphs
 
+// Whether a dot of the text lies at a place in the panel, in cells from the upper left.
+float text_dot(vec2 at) {
+    vec2 cells = vec2(backdrop.text_cells.xy);
+    if (any(lessThan(at, vec2(0.0))) || any(greaterThanEqual(at, cells))) return 0.0;
+    uvec2 cell = uvec2(at), dot_at = uvec2(fract(at) * GLYPH_EXTENT);
+    if (dot_at.x > 4 || dot_at.y > 7) return 0.0;
+    uint word = text[(cell.y * backdrop.text_cells.x + cell.x) * 2 + dot_at.x / 4];
+    return float(word >> (dot_at.x % 4 * 8 + dot_at.y) & 1);
+}
+
+// Dots are about a pixel: nine lookups spread over it keep them from flickering.
 float text_coverage(vec3 eye, vec3 direction) {
     vec3 origin = (backdrop.panel_from_space * vec4(eye, 1.0)).xyz;
     vec3 along = (backdrop.panel_from_space * vec4(direction, 0.0)).xyz;
     float t = -origin.z / along.z;
     vec2 cells = vec2(backdrop.text_cells.xy);
-    vec2 at = (origin.xy + along.xy * t) / backdrop.cell_extent_m.xy;
-    at = vec2(at.x, -at.y) + cells * 0.5;
-    if (!(t > 0.0) || any(lessThan(at, vec2(0.0))) || any(greaterThanEqual(at, cells))) return 0.0;
-    uvec2 cell = uvec2(at), dot_at = uvec2(fract(at) * GLYPH_EXTENT);
-    if (dot_at.x > 4 || dot_at.y > 7) return 0.0;
-    uint word = text[(cell.y * backdrop.text_cells.x + cell.x) * 2 + dot_at.x / 4];
-    return float(word >> (dot_at.x % 4 * 8 + dot_at.y) & 1);
+    vec2 at = (origin.xy + along.xy * t) / backdrop.cell_extent_m.xy * vec2(1.0, -1.0) + cells * 0.5;
+    vec2 third = fwidth(at) / 3.0;
+    if (!(t > 0.0) || any(lessThan(at, -third)) || any(greaterThan(at, cells + third))) return 0.0;
+    float share = 0.0;
+    for (int i = 0; i < 9; i++) share += text_dot(at + third * vec2(i % 3 - 1, i / 3 - 1)) / 9.0;
+    return share;
 }
 
 // Lines a metre apart on the stage's floor, as wide as a pixel at least, fading out with distance.
@@ -54,12 +64,6 @@ void main() {
     if (backdrop.zenith.w > 0.0) {
         vec3 eye = eyes.space_eye[gl_ViewIndex].xyz;
         color.rgb = mix(color.rgb, vec3(0.45), floor_coverage(eye, direction) * 0.6);
-        // Dots are about a pixel: nine lookups spread over it keep them from flickering.
-        vec3 across = dFdx(direction) / 3.0, down = dFdy(direction) / 3.0;
-        float text_share = 0.0;
-        for (int i = 0; i < 9; i++) {
-            text_share += text_coverage(eye, direction + across * float(i % 3 - 1) + down * float(i / 3 - 1)) / 9.0;
-        }
-        color.rgb = mix(color.rgb, vec3(0.9), text_share);
+        color.rgb = mix(color.rgb, vec3(0.9), text_coverage(eye, direction));
     }
 }
