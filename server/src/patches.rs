@@ -24,6 +24,8 @@ pub struct Patch {
     pub kind: PatchKind,
     /// Index into the model's materials.
     pub material: u32,
+    /// Seen from behind too, as its material says.
+    pub double_sided: bool,
 }
 
 /// All patches of a model.
@@ -229,7 +231,8 @@ impl<'a> Builder<'a> {
             }
             let kind = PatchKind::ALL[group.count - 1];
             let material = self.material[triangle as usize];
-            result.patches.push(Patch { vertices: group.vertices, kind, material });
+            let double_sided = self.model.materials.get(material as usize).is_some_and(|m| m.double_sided);
+            result.patches.push(Patch { vertices: group.vertices, kind, material, double_sided });
         }
         result
     }
@@ -290,7 +293,8 @@ mod tests {
             assert_eq!(patch.material, 3);
             for t in patch.kind.triangles() {
                 let mut t = t.map(|c| patch.vertices[c as usize]);
-                t.rotate_left((0..3).min_by_key(|i| t[*i]).unwrap());
+                let first = (0..3).min_by_key(|i| t[*i]).unwrap();
+                t.rotate_left(first);
                 assert!(of_patches.insert(t), "{t:?} twice");
             }
         }
@@ -299,7 +303,8 @@ mod tests {
             .chunks_exact(3)
             .map(|t| {
                 let mut t = [t[0], t[1], t[2]];
-                t.rotate_left((0..3).min_by_key(|i| t[*i]).unwrap());
+                let first = (0..3).min_by_key(|i| t[*i]).unwrap();
+                t.rotate_left(first);
                 t
             })
             .collect();

@@ -239,6 +239,7 @@ impl Residency {
             instance: InstanceId(instance),
             kind: shape.kind,
             vertices,
+            double_sided: shape.double_sided,
         });
         Some(slot)
     }
@@ -334,4 +335,221 @@ fn sort(delta: &mut GeometryDelta) {
     delta.new_patches.sort_unstable_by_key(|p| p.slot);
     delta.placements.sort_unstable_by_key(|(slot, _)| *slot);
     delta.instances.sort_unstable_by_key(|i| i.instance);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shadecast_protocol::atlas::{Block, PatchKind};
+    use shadecast_protocol::delta::{SampleCoder, SampleDecoder, decode, encode};
+    use std::collections::HashMap;
+
+    const PATCHES: u32 = 400;
+    const SEED: u64 = 23;
+
+    /// A strip of quads; the first half of the patches belongs to a static instance, the rest to a moving one.
+    struct Strip;
+
+    impl Geometry for Strip {
+        fn instance_of_patch(&self, patch: u32) -> u16 {
+            u16::from(patch >= PATCHES / 2)
+        }
+        fn instance(&self, instance: u16) -> InstanceRange {
+            let first_patch = u32::from(instance) * PATCHES / 2;
+            InstanceRange { first_patch, first_vertex: u32::from(instance) * (PATCHES + 2) }
+        }
+        fn patch(&self, patch: u32) -> Patch {
+            let v = 2 * (patch % (PATCHES / 2));
+            Patch { vertices: [v, v + 1, v + 3, v + 2, v], kind: PatchKind::Two, material: 0, double_sided: false }
+        }
+        fn static_position(&self, vertex: u32) -> Option<Vec3> {
+            (vertex < PATCHES + 2).then(|| Vec3::new(vertex as f32, 0.0, 0.0))
+        }
+        fn sample(&self, grid: GridIndex, vertex: u32) -> Vec3 {
+            Vec3::new(vertex as f32 * 0.01, (grid.0 as f32 * 0.2).sin(), 1.0)
+        }
+        fn vertex_count(&self) -> usize {
+            2 * (PATCHES as usize + 2)
+        }
+        fn patch_count(&self) -> usize {
+            PATCHES as usize
+        }
+    }
+
+    /// What a client knows, kept as the design says: slots, and the samples of each.
+    #[derive(Default)]
+    struct Mirror {
+        patches: HashMap<PatchSlot, (NewPatch, Option<Block>)>,
+        vertices: HashMap<VertexSlot, (NewVertex, BTreeMap<i32, [i32; 3]>)>,
+    }
+
+    impl Mirror {
+        fn apply(&mut self, delta: &GeometryDelta) {
+            for slot in &delta.evicted_patches {
+                assert!(self.patches.remove(slot).is_some());
+            }
+            for slot in &delta.evicted_vertices {
+                assert!(self.vertices.remove(slot).is_some());
+                assert!(!self.patches.values().any(|(p, _)| p.vertices.contains(slot)), "still in use");
+            }
+            for vertex in &delta.new_vertices {
+                assert!(self.vertices.insert(vertex.slot, (*vertex, BTreeMap::new())).is_none());
+            }
+            for patch in &delta.new_patches {
+                assert!(patch.vertices.iter().all(|v| self.vertices.contains_key(v)));
+                assert!(self.patches.insert(patch.slot, (*patch, None)).is_none());
+            }
+            for (slot, block) in &delta.placements {
+                self.patches.get_mut(slot).expect("resident").1 = *block;
+            }
+            for batch in &delta.samples {
+                for (slot, value) in &batch.values {
+                    self.vertices.get_mut(slot).expect("resident").1.insert(batch.grid.0, *value);
+                }
+            }
+        }
+    }
+
+    fn block(patch: u32) -> Option<Block> {
+        Some(Block::unpack(patch % 64).expect("in the atlas"))
+    }
+
+    struct Run {
+        residency: Residency,
+        coder: SampleCoder,
+        decoder: SampleDecoder,
+        mirror: Mirror,
+        live: BTreeSet<u32>,
+        random: u64,
+        frame: u32,
+    }
+
+    impl Run {
+        fn new() -> Self {
+            Self {
+                residency: Residency::new(&Strip, 1024, 1024),
+                coder: SampleCoder::new(1024, 1024),
+                decoder: SampleDecoder::new(1024, 1024),
+                mirror: Mirror::default(),
+                live: BTreeSet::new(),
+                random: SEED,
+                frame: 0,
+            }
+        }
+
+        fn below(&mut self, n: u64) -> u64 {
+            self.random = self.random.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (self.random >> 33) % n
+        }
+
+        /// Random patches come and go; the delta travels over the wire's coding.
+        fn step(&mut self) -> GeometryDelta {
+            let mut changes: BTreeMap<u32, Option<Block>> = BTreeMap::new();
+            for _ in 0..20 {
+                let patch = self.below(u64::from(PATCHES)) as u32;
+                let comes = self.live.insert(patch) || {
+                    self.live.remove(&patch);
+                    false
+                };
+                changes.insert(patch, if comes { block(patch) } else { None });
+            }
+            let changes: Vec<_> =
+                changes.into_iter().map(|(patch, block)| PlacementChange { patch, block }).collect();
+            let window = UpdateWindow {
+                frame: FrameId(self.frame),
+                time: ServerTime(i64::from(self.frame) * 33),
+                first_sample: GridIndex(self.frame as i32),
+                oldest: GridIndex(self.frame as i32 - 5),
+                horizon: GridIndex(self.frame as i32 + 5),
+            };
+            let delta = self.residency.update(&Strip, &changes, window);
+            let bytes = encode(&delta, &mut self.coder);
+            let decoded = decode(&bytes, &mut self.decoder).expect("what the server sends is valid");
+            assert_eq!(decoded, delta, "seed {SEED}, frame {}", self.frame);
+            self.mirror.apply(&decoded);
+            self.frame += 1;
+            decoded
+        }
+    }
+
+    #[test]
+    fn the_client_holds_every_live_patch_with_its_block_and_vertices() {
+        let mut run = Run::new();
+        for _ in 0..200 {
+            run.step();
+            let blocks = run.mirror.patches.values().filter(|(_, block)| block.is_some()).count();
+            assert_eq!(blocks, run.live.len(), "seed {SEED}, frame {}", run.frame);
+            run.residency.displayed(FrameId(run.frame - 1));
+        }
+        assert_eq!(run.residency.refused(), 0);
+    }
+
+    #[test]
+    fn every_animated_vertex_has_all_samples_of_its_window() {
+        let mut run = Run::new();
+        for _ in 0..100 {
+            run.step();
+            let now = run.frame as i32 - 1;
+            for (vertex, samples) in run.mirror.vertices.values().filter(|(v, _)| v.motion == Motion::Sampled) {
+                let complete = (now..=now + 5).all(|g| samples.contains_key(&g));
+                assert!(complete, "seed {SEED}, frame {now}: {vertex:?} has {:?}", samples.keys());
+            }
+            run.residency.displayed(FrameId(run.frame - 1));
+        }
+    }
+
+    #[test]
+    fn a_slot_is_not_used_again_before_the_frame_that_freed_it_was_displayed() {
+        let mut run = Run::new();
+        let mut freed: HashMap<VertexSlot, u32> = HashMap::new();
+        let mut displayed = 0;
+        for _ in 0..120 {
+            let frame = run.frame;
+            let delta = run.step();
+            for vertex in &delta.new_vertices {
+                let since = freed.remove(&vertex.slot);
+                assert!(since.is_none_or(|since| since <= displayed), "frame {frame}: {:?}", vertex.slot);
+            }
+            freed.extend(delta.evicted_vertices.iter().map(|slot| (*slot, frame)));
+            if frame % 7 == 6 {
+                displayed = frame - 3;
+                run.residency.displayed(FrameId(displayed));
+            }
+        }
+    }
+
+    #[test]
+    fn static_geometry_out_of_sight_stays_for_a_while_and_costs_nothing_when_it_returns() {
+        let mut residency = Residency::new(&Strip, 8192, 8192);
+        let window = |frame: u32| UpdateWindow {
+            frame: FrameId(frame),
+            time: ServerTime(0),
+            first_sample: GridIndex(0),
+            oldest: GridIndex(0),
+            horizon: GridIndex(3),
+        };
+        let change = |block| [PlacementChange { patch: 3, block }];
+        residency.update(&Strip, &change(block(3)), window(0));
+        let lost = residency.update(&Strip, &change(None), window(1));
+        assert!(lost.evicted_patches.is_empty() && lost.placements.len() == 1);
+        let back = residency.update(&Strip, &change(block(3)), window(2));
+        assert!(back.new_patches.is_empty() && back.new_vertices.is_empty() && back.placements.len() == 1);
+    }
+
+    #[test]
+    fn a_full_client_memory_refuses_and_counts_instead_of_failing() {
+        let mut residency = Residency::new(&Strip, 8, 8);
+        let changes: Vec<_> = (0..50).map(|patch| PlacementChange { patch, block: block(patch) }).collect();
+        let window = UpdateWindow {
+            frame: FrameId(0),
+            time: ServerTime(0),
+            first_sample: GridIndex(0),
+            oldest: GridIndex(0),
+            horizon: GridIndex(3),
+        };
+        let delta = residency.update(&Strip, &changes, window);
+        assert!(delta.new_vertices.len() <= 8 && residency.refused() > 0);
+        let gone: Vec<_> = changes.iter().map(|c| PlacementChange { block: None, ..*c }).collect();
+        residency.update(&Strip, &gone, UpdateWindow { frame: FrameId(1), ..window });
+    }
 }

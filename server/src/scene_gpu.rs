@@ -186,8 +186,7 @@ impl SceneGpu {
         let (place, instance) = (&self.instances[index], &self.scene.instances[index]);
         let model = &self.models[place.model];
         let clip = &model.clips[instance.clip.map_or(0, |c| c + 1)];
-        let time_s = time_s * f64::from(instance.speed) + f64::from(instance.time_shift_s);
-        let phase = clip::clip_phase(time_s, clip.timing.duration_s);
+        let phase = clip::clip_phase(instance.clip_time_s(time_s), clip.timing.duration_s);
         let (key, fraction) = pose::sample_at(&clip.timing, phase);
         let next = (key + 1).min(clip.timing.count as usize - 1);
         PoseGpu {

@@ -38,7 +38,7 @@ void main() {
     // Normals go through the cofactors of the matrix, which stay right under non-uniform scale.
     mat3 m = transpose(mat3(row0.xyz, row1.xyz, row2.xyz));
     mat3 cofactors = mat3(cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1]));
-    vec3 normal = cofactors * v.normal_v.xyz, tangent = m * v.tangent.xyz;
+    vec3 normal = cofactors * v.normal_v.xyz * sign(determinant(m)), tangent = m * v.tangent.xyz;
     saved_frames[output_base + index].normal = vec4(normal / max(length(normal), 1e-20), 0.0);
     saved_frames[output_base + index].tangent = vec4(tangent / max(length(tangent), 1e-20), v.tangent.w);
 }

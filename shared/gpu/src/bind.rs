@@ -200,10 +200,9 @@ impl BindGroup {
         let write = vk::WriteDescriptorSet::default()
             .dst_set(self.set)
             .dst_binding(binding.index)
-            .descriptor_type(descriptor_type(binding.kind))
-            .buffer_info(&buffers)
-            .image_info(&images);
-        let write = if images.is_empty() { write } else { write.descriptor_count(images.len() as u32) };
+            .descriptor_type(descriptor_type(binding.kind));
+        // Each setter sets the count, so only one may be called.
+        let write = if images.is_empty() { write.buffer_info(&buffers) } else { write.image_info(&images) };
         // SAFETY: the set is new and not in use; the resources are alive.
         unsafe { self.gpu.device.update_descriptor_sets(&[write], &[]) };
     }

@@ -190,6 +190,12 @@ impl Gpu {
         std::mem::take(&mut self.timings_ms.lock().expect("not poisoned"))
     }
 
+    /// Waits until everything submitted has finished: for shutdown only, before others destroy what the GPU may still use.
+    pub fn wait_idle(&self) {
+        // SAFETY: the queue is used from this thread alone while the caller shuts down. A lost device is idle too.
+        let _ = unsafe { self.device.device_wait_idle() };
+    }
+
     /// Hands handles to the retire ring: they are destroyed when the work that could use them is done.
     pub(crate) fn retire(&self, garbage: Garbage) {
         // What is recorded now is submitted next, so it may still use the object.

@@ -371,7 +371,7 @@ impl Sampler {
         let info = vk::SamplerCreateInfo::default()
             .mag_filter(desc.filter)
             .min_filter(desc.filter)
-            .mipmap_mode(vk::SamplerMipmapMode::LINEAR)
+            .mipmap_mode(if desc.mips { vk::SamplerMipmapMode::LINEAR } else { vk::SamplerMipmapMode::NEAREST })
             .address_mode_u(desc.wrap[0])
             .address_mode_v(desc.wrap[1])
             .address_mode_w(vk::SamplerAddressMode::CLAMP_TO_EDGE)

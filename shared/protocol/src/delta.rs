@@ -91,6 +91,8 @@ pub struct NewPatch {
     pub kind: PatchKind,
     /// Its vertices; entries that the kind does not use repeat the first.
     pub vertices: [VertexSlot; 5],
+    /// Seen from behind too. Others are not drawn from there: behind a thin surface lies its other side.
+    pub double_sided: bool,
 }
 
 /// Quantised world positions by slot: metres are `value * step_m` of the vertex's instance.
@@ -455,7 +457,7 @@ fn put_patches(out: &mut Vec<u8>, patches: &[NewPatch]) {
     for patch in patches {
         put_successor(out, &mut previous, patch.slot.0);
         let changes = patch.instance != instance;
-        out.push(patch.kind as u8 | u8::from(changes) << 2);
+        out.push(patch.kind as u8 | u8::from(changes) << 2 | u8::from(patch.double_sided) << 3);
         if changes {
             put_varint(out, u32::from(patch.instance.0));
             instance = patch.instance;
@@ -475,7 +477,7 @@ fn take_patches(section: &[u8], patch_slots: usize) -> Result<Vec<NewPatch>, Wir
         let slot = PatchSlot(take_successor(&mut reader, &mut previous)?);
         let flags = reader.u8()?;
         let kind = PatchKind::from_triangle_count(flags & 3)
-            .filter(|_| flags < 8)
+            .filter(|_| flags < 16)
             .ok_or_else(|| invalid("a patch's kind", format!("{flags:#x} is none")))?;
         if flags & 4 != 0 {
             instance = take_instance(&mut reader)?;
@@ -486,7 +488,7 @@ fn take_patches(section: &[u8], patch_slots: usize) -> Result<Vec<NewPatch>, Wir
         }
         let first = vertices[0];
         vertices[kind.vertex_count()..].fill(first);
-        patches.push(NewPatch { slot, instance, kind, vertices });
+        patches.push(NewPatch { slot, instance, kind, vertices, double_sided: flags & 8 != 0 });
     }
     reader.finish()?;
     Ok(patches)
@@ -714,7 +716,8 @@ mod tests {
                 let first = corners[0];
                 corners[kind.vertex_count()..].fill(first);
                 let instance = self.instances[self.dice.below(self.instances.len() as u64) as usize];
-                let patch = NewPatch { slot: PatchSlot(slot), instance, kind, vertices: corners };
+                let double_sided = self.dice.once_in(3);
+                let patch = NewPatch { slot: PatchSlot(slot), instance, kind, vertices: corners, double_sided };
                 self.patches.insert(slot, patch);
                 delta.new_patches.push(patch);
             }
@@ -841,6 +844,7 @@ mod tests {
             instance: InstanceId(0),
             kind: PatchKind::One,
             vertices: [VertexSlot(0); 5],
+            double_sided: false,
         };
         let delta = GeometryDelta {
             new_vertices: vec![static_vertex(0)],

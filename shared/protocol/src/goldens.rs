@@ -36,6 +36,7 @@ fn deltas() -> [Vec<u8>; 2] {
         instance,
         kind,
         vertices: vertices.map(VertexSlot),
+        double_sided: false,
     };
     let sample = |slot: u32, step: i32| {
         let along = slot as i32 * 40 + step * step * 7;

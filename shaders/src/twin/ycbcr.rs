@@ -1,0 +1,44 @@
+//! Twin of `ycbcr.comp`: full-range BT.709 (ITU-R BT.709-6, item 3), 4:2:0, chroma centre-sited.
+
+/// `rgba8` (tight rows, sides even) as luma, blue and red difference planes, one after the other.
+pub fn planes(rgba8: &[u8], [width, height]: [u32; 2]) -> Vec<u8> {
+    let (w, h) = (width as usize, height as usize);
+    let (mut luma, mut blue, mut red) = (Vec::new(), Vec::new(), Vec::new());
+    let at = |x: usize, y: usize| ycbcr(&rgba8[(y * w + x) * 4..][..3]);
+    for y in 0..h {
+        luma.extend((0..w).map(|x| byte(at(x, y)[0])));
+    }
+    for y in (0..h).step_by(2) {
+        for x in (0..w).step_by(2) {
+            let four = [at(x, y), at(x + 1, y), at(x, y + 1), at(x + 1, y + 1)];
+            let mean = |channel: usize| four.iter().map(|c| c[channel]).sum::<f32>() / 4.0;
+            blue.push(byte(mean(1)));
+            red.push(byte(mean(2)));
+        }
+    }
+    [luma, blue, red].concat()
+}
+
+fn ycbcr(rgb8: &[u8]) -> [f32; 3] {
+    let [r, g, b] = [0, 1, 2].map(|c| f32::from(rgb8[c]) / 255.0);
+    let y = 0.2126 * r + 0.7152 * g + 0.0722 * b;
+    [y, (b - y) / 1.8556 + 128.0 / 255.0, (r - y) / 1.5748 + 128.0 / 255.0]
+}
+
+fn byte(value: f32) -> u8 {
+    (value.clamp(0.0, 1.0) * 255.0).round() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn grey_has_no_chroma_and_primaries_have_their_weights() {
+        let solid = |rgb: [u8; 3]| planes(&[[rgb[0], rgb[1], rgb[2], 255]; 4].concat(), [2, 2]);
+        assert_eq!(solid([77; 3]), [77, 77, 77, 77, 128, 128]);
+        assert_eq!(solid([255, 0, 0]), [54, 54, 54, 54, 99, 255]);
+        assert_eq!(solid([0, 255, 0]), [182, 182, 182, 182, 30, 12]);
+        assert_eq!(solid([0, 0, 255]), [18, 18, 18, 18, 255, 116]);
+    }
+}

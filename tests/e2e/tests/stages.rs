@@ -1,0 +1,169 @@
+//! Every GPU stage of the server against its CPU twin, on a small scene, with validation layers on.
+
+use glam::{Mat4, Vec2, Vec3, Vec4};
+use shadecast_gpu::{Access, Buffer, DesktopDevice, Gpu, GpuOptions, Memory, Needs};
+use shadecast_protocol::pose::{Fov, Pose};
+use shadecast_protocol::time::ServerTime;
+use shadecast_server::animation::gpu::Animation;
+use shadecast_server::animation::{clip, pose};
+use shadecast_server::scene::load::{SceneSource, load_scene};
+use shadecast_server::scene_gpu::SceneGpu;
+use shadecast_server::stages::forward::{Forward, view_gpu};
+use shadecast_server::stages::id_buffer::IdBuffer;
+use shadecast_server::stages::level_selection::LevelSelection;
+use shadecast_server::stages::mark::Mark;
+use shadecast_shaders::twin;
+use std::sync::Arc;
+
+const INTERVAL_S: f32 = clip::DEFAULT_RESAMPLE_INTERVAL_S;
+
+fn gpu() -> Arc<Gpu> {
+    let options = GpuOptions { needs: Needs::Server, validation: true, device_name: None };
+    Gpu::open(&options, &DesktopDevice).expect("a Vulkan device; `./shadecast setup` installs a software one")
+}
+
+fn dragon(gpu: &Arc<Gpu>) -> Arc<SceneGpu> {
+    let scene = load_scene(&SceneSource::Dragons(1)).expect("the built-in scene loads");
+    Arc::new(SceneGpu::new(gpu, scene, INTERVAL_S).expect("the scene fits"))
+}
+
+#[track_caller]
+fn assert_no_messages(gpu: &Gpu) {
+    assert_eq!(gpu.validation_messages(), 0, "{:#?}", gpu.validation_texts());
+}
+
+/// Runs `record` and returns the words of `buffer` afterwards.
+fn read<T: bytemuck::Pod>(gpu: &Arc<Gpu>, buffer: &Buffer, record: impl FnOnce(&mut shadecast_gpu::Recorder)) -> Vec<T> {
+    let target = Buffer::new(gpu, "read-back", buffer.size(), Memory::Readback).unwrap();
+    let mut recorder = gpu.record().unwrap();
+    record(&mut recorder);
+    recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
+    recorder.copy_buffer(buffer, 0, &target, 0, buffer.size());
+    recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
+    gpu.wait(recorder.submit().unwrap()).unwrap();
+    target.values::<T>().to_vec()
+}
+
+#[test]
+fn skinned_vertices_equal_the_cpu_twin_within_a_hundred_thousandth_of_the_models_size() {
+    let gpu = gpu();
+    let scene = dragon(&gpu);
+    let mut animation = Animation::new(&gpu, &scene, 2).unwrap();
+    for time_s in [0.0, 0.731, 3.999] {
+        let time = ServerTime((time_s * 1e9) as i64);
+        let mut recorder = gpu.record().unwrap();
+        animation.record_sample(&mut recorder, 1, time);
+        gpu.wait(recorder.submit().unwrap()).unwrap();
+        let saved: Vec<[f32; 4]> = read(&gpu, animation.saved_vertices(), |_| {});
+        for (index, instance) in scene.scene.instances.iter().enumerate() {
+            let model = &scene.scene.models[instance.model];
+            let resampled = clip::resample(model, instance.clip, INTERVAL_S);
+            let t = instance.clip_time_s(time.seconds());
+            let locals = pose::local_pose(&resampled, model.bones.len(), clip::clip_phase(t, resampled.duration_s));
+            let palette = pose::palette(model, &pose::global_pose(model, &locals));
+            let twin = pose::skin(model, &palette, instance.world_from_model);
+            let base = animation.position_base(&scene.instances[index], 1) as usize;
+            let size = twin.iter().map(|v| v.position.length()).fold(1.0, f32::max);
+            for (v, expected) in twin.iter().enumerate() {
+                let [x, y, z, _] = saved[base + v];
+                let error = Vec3::new(x, y, z).distance(expected.position) / size;
+                assert!(error < 1e-5, "{} vertex {v} at {time_s} s: {error}", instance.name);
+            }
+        }
+    }
+    assert_no_messages(&gpu);
+}
+
+#[test]
+fn marks_and_extents_equal_their_cpu_twins() {
+    let gpu = gpu();
+    let scene = dragon(&gpu);
+    let mut animation = Animation::new(&gpu, &scene, 3).unwrap();
+    let extent = [128u32, 96];
+    let eye = |x: f32| Pose { position: Vec3::new(x, 1.6, 0.3), ..Pose::IDENTITY };
+    let fov = Fov::symmetric_degrees(80.0);
+    let world_eyes: Vec<Pose> = (0..6).map(|v| scene.scene.world_from_stage.then(eye(v as f32 * 0.05))).collect();
+    let matrices: Vec<Mat4> = world_eyes.iter().map(|e| fov.clip_from_eye() * e.inverse().matrix()).collect();
+    let views: Vec<_> =
+        matrices.iter().zip(&world_eyes).map(|(m, e)| view_gpu(*m, e.position, extent)).collect();
+    let views = Buffer::upload(&gpu, "views", &views).unwrap();
+    let id_buffer = IdBuffer::new(&gpu, &scene, &animation, &views, extent).unwrap();
+    let mark = Mark::new(&gpu, &id_buffer.image, scene.totals.patches).unwrap();
+    let levels = LevelSelection::new(&gpu, &scene, &animation, &views, &mark.visible).unwrap();
+    let pixels = (extent[0] * extent[1]) as usize;
+    let ids = Buffer::new(&gpu, "ids", pixels as u64 * 8, Memory::Readback).unwrap();
+    let mut recorder = gpu.record().unwrap();
+    for slot in 0..3 {
+        animation.record_sample(&mut recorder, slot, ServerTime(i64::from(slot) * 33_000_000));
+    }
+    recorder.fill(&mark.visible, 0);
+    recorder.barrier(Access::COPY_WRITE, Access::COMPUTE);
+    recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
+    id_buffer.record(&mut recorder, &scene, &animation, 1, 2);
+    recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
+    mark.record(&mut recorder);
+    recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
+    levels.record(&mut recorder, &scene, &animation, [0, 1, 2]);
+    let layouts =
+        [shadecast_gpu::vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL, shadecast_gpu::vk::ImageLayout::TRANSFER_SRC_OPTIMAL];
+    recorder.transition(&id_buffer.image, layouts, Access::COMPUTE_READ, Access::COPY_READ);
+    (0..2).for_each(|layer| recorder.read_image(&id_buffer.image, layer, &ids, u64::from(layer) * pixels as u64 * 4));
+    recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
+    gpu.wait(recorder.submit().unwrap()).unwrap();
+
+    let patches = scene.totals.patches as usize;
+    let visible: Vec<u32> = read(&gpu, &mark.visible, |_| {});
+    let twin = twin::mark::mark(&ids.values::<u32>()[..2 * pixels], patches);
+    assert_eq!(visible[..patches], twin[..]);
+    assert!(twin.iter().sum::<u32>() > 500, "the dragon is in view");
+
+    let saved: Vec<[f32; 4]> = read(&gpu, animation.saved_vertices(), |_| {});
+    let extents: Vec<u32> = read(&gpu, &levels.extents, |_| {});
+    let twin_views: Vec<_> = matrices
+        .iter()
+        .map(|m| twin::level_selection::View {
+            clip_from_world: *m,
+            extent_pixels: Vec2::new(extent[0] as f32, extent[1] as f32),
+        })
+        .collect();
+    let mut compared = 0;
+    for patch in (0..patches as u32).filter(|p| twin[*p as usize] != 0) {
+        let instance = &scene.instances[scene.instance_of_patch(patch)];
+        let shape = scene.models[instance.model].patches[(patch - instance.first_patch) as usize];
+        let world: Vec<[Vec4; 5]> = (0..6)
+            .map(|view| {
+                let base = animation.position_base(instance, view / 2);
+                shape.vertices.map(|v| Vec4::from_array(saved[(base + v) as usize]))
+            })
+            .collect();
+        let expected = twin::level_selection::extent_texels(shape.kind as u32, &twin_views, &world);
+        let got = [extents[patch as usize] & 0xffff, extents[patch as usize] >> 16];
+        for axis in 0..2 {
+            // Textures may cap it; rounding may differ by one.
+            assert!(got[axis] <= expected[axis] + 1, "patch {patch}: {got:?}, twin {expected:?}");
+            assert!(got[axis] + 1 >= expected[axis].min(8), "patch {patch}: {got:?}, twin {expected:?}");
+            compared += usize::from(got[axis].abs_diff(expected[axis]) <= 1);
+        }
+    }
+    assert!(compared > 500, "most extents are not capped: {compared}");
+    assert_no_messages(&gpu);
+}
+
+#[test]
+fn the_forward_renderer_shows_the_dragon_in_front_of_the_sky_and_the_same_twice() {
+    let gpu = gpu();
+    let scene = dragon(&gpu);
+    let mut forward = Forward::new(&gpu, &scene, [128, 128]).unwrap();
+    let eye = scene.scene.world_from_stage.then(Pose { position: Vec3::new(0.0, 1.6, 0.0), ..Pose::IDENTITY });
+    let fov = Fov::symmetric_degrees(90.0);
+    let first = forward.render(eye, fov, ServerTime(500_000_000)).unwrap();
+    let moved = forward.render(eye, fov, ServerTime(750_000_000)).unwrap();
+    let again = forward.render(eye, fov, ServerTime(500_000_000)).unwrap();
+    assert_eq!(first, again);
+    assert_ne!(first.rgb8, moved.rgb8, "the wings move");
+    let covered = first.instance.iter().filter(|i| **i != u32::MAX).count();
+    assert!(covered * 10 > first.instance.len() * 4, "{covered} pixels of geometry");
+    let nearest = first.distance_m.iter().copied().fold(f32::INFINITY, f32::min);
+    assert!(nearest > 0.3 && nearest < 5.0, "{nearest} m");
+    assert_no_messages(&gpu);
+}

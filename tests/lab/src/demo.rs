@@ -1,0 +1,222 @@
+//! `shadecast-lab demo`: server and client as a user runs them, two processes on loopback in real time, with the mock
+//! runtime behind the system's OpenXR loader; then the same pictures by the ground-truth renderer.
+
+use crate::compare::Comparer;
+use crate::image::Rgb8Image;
+use crate::metrics::ProbeView;
+use crate::options::RunOptions;
+use crate::run::{compare, mock_config, prepare_runtime, progress, write_pictures};
+use crate::stats::{Counted, MbitPerS, Stats, Summary};
+use anyhow::{Context, bail, ensure};
+use serde_json::Value;
+use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
+use shadecast_mock_runtime::config::ClockKind;
+use shadecast_mock_runtime::record::{FrameRecord, read_frames};
+use shadecast_protocol::time::ServerTime;
+use shadecast_server::animation::clip::DEFAULT_RESAMPLE_INTERVAL_S;
+use shadecast_server::scene::load::{SceneSource, load_scene};
+use shadecast_server::scene_gpu::SceneGpu;
+use std::net::UdpSocket;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Seconds that a process may take to end after it should have.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// Display frames between two that are captured: captures wait for the GPU, so they are few.
+const CAPTURE_EVERY: u32 = 36;
+
+/// What to show.
+#[derive(Clone, Debug)]
+pub struct DemoOptions {
+    /// Scene.
+    pub scene: SceneSource,
+    /// Folder for what comes out.
+    pub out: PathBuf,
+    /// Pixels per eye.
+    pub extent_pixels: [u32; 2],
+    /// Seconds of display.
+    pub seconds: f64,
+    /// Validation layers in both processes.
+    pub validation: bool,
+}
+
+/// A process that is ended when it is dropped.
+struct Running {
+    name: &'static str,
+    child: Child,
+}
+
+impl Running {
+    fn start(name: &'static str, command: &mut Command) -> anyhow::Result<Self> {
+        let child = command.stdin(Stdio::null()).stdout(Stdio::null()).spawn();
+        Ok(Self { name, child: child.with_context(|| format!("starting {name}"))? })
+    }
+
+    fn is_running(&mut self) -> anyhow::Result<bool> {
+        Ok(self.child.try_wait()?.is_none())
+    }
+
+    fn wait(&mut self, deadline: Instant) -> anyhow::Result<()> {
+        loop {
+            match self.child.try_wait()? {
+                Some(status) if status.success() => return Ok(()),
+                Some(status) => bail!("{} ended with {status}; its messages are above", self.name),
+                None if Instant::now() > deadline => bail!("{} did not end in time", self.name),
+                None => std::thread::sleep(Duration::from_millis(50)),
+            }
+        }
+    }
+
+    /// Asks the process to end, as Ctrl-C does.
+    fn interrupt(&self) -> anyhow::Result<()> {
+        let status = Command::new("kill").args(["-INT", &self.child.id().to_string()]).status()?;
+        ensure!(status.success(), "{} could not be asked to end", self.name);
+        Ok(())
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn program(name: &str) -> anyhow::Result<PathBuf> {
+    let here = std::env::current_exe().context("finding the programs")?;
+    let folder = here.parent().context("finding the programs")?;
+    let folder = if folder.ends_with("deps") { folder.parent().unwrap_or(folder) } else { folder };
+    let path = folder.join(name);
+    ensure!(path.exists(), "{} is not built; run `cargo build --release -p {name}`", path.display());
+    Ok(path)
+}
+
+/// Runs the demo.
+///
+/// # Errors
+/// A program is missing or fails, or nothing was shown.
+pub fn demo(options: &DemoOptions) -> anyhow::Result<Stats> {
+    let out = std::path::absolute(&options.out)?;
+    if out.exists() {
+        std::fs::remove_dir_all(&out).with_context(|| format!("clearing {}", out.display()))?;
+    }
+    std::fs::create_dir_all(&out).with_context(|| format!("making {}", out.display()))?;
+    let run = RunOptions {
+        extent_pixels: options.extent_pixels,
+        seconds: options.seconds,
+        ..RunOptions::new(options.scene.clone(), out.clone())
+    };
+    let config = mock_config(&run, ClockKind::Real, CAPTURE_EVERY)?;
+    let runtime = prepare_runtime(&config, &out)?;
+    stream(options, &out, &runtime)?;
+    measure(options, &run, &out)
+}
+
+/// Runs both processes to their end.
+fn stream(options: &DemoOptions, out: &Path, runtime: &[(&'static str, PathBuf); 2]) -> anyhow::Result<()> {
+    // A free port: bound for a moment, then left to the server.
+    let address = UdpSocket::bind("127.0.0.1:0").and_then(|s| s.local_addr()).context("finding a free port")?;
+    let mut server = Command::new(program("shadecast-server")?);
+    server.args(["stream", &options.scene.to_string(), "--listen", &address.to_string()]);
+    server.arg("--identity").arg(out.join("server-identity")).arg("--stats").arg(out.join("server.json"));
+    server.arg("--atlas-png").arg(out.join("atlas.png"));
+    server.args(["--seconds", &(options.seconds + 120.0).to_string()]);
+    let mut client = Command::new(program("shadecast-client")?);
+    client.args(["--connect", &address.to_string(), "--quiet", "--probe-every", &CAPTURE_EVERY.to_string()]);
+    client.arg("--probe-dir").arg(out.join("probe")).arg("--stats").arg(out.join("client.json"));
+    client.arg("--identity").arg(out.join("client-identity"));
+    client.envs(runtime.iter().map(|(name, value)| (name, value)));
+    if options.validation {
+        server.arg("--validation");
+        client.arg("--validation");
+    }
+    let mut server = Running::start("shadecast-server", &mut server)?;
+    let mut client = Running::start("shadecast-client", &mut client)?;
+    let start = Instant::now();
+    let bar = progress(true, (options.seconds * 10.0) as u64);
+    while client.is_running()? && server.is_running()? && start.elapsed().as_secs_f64() < options.seconds {
+        bar.set_position((start.elapsed().as_secs_f64() * 10.0) as u64);
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    bar.finish_and_clear();
+    client.wait(Instant::now() + PATIENCE)?;
+    server.interrupt()?;
+    server.wait(Instant::now() + PATIENCE)
+}
+
+fn read_json(path: &Path) -> anyhow::Result<Value> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+    serde_json::from_str(&text).with_context(|| format!("understanding {}", path.display()))
+}
+
+fn number(value: &Value, key: &str) -> f64 {
+    value.get(key).and_then(Value::as_f64).unwrap_or(0.0)
+}
+
+/// Compares what was captured with the truth, and sums up.
+fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Result<Stats> {
+    let (server, client) = (read_json(&out.join("server.json"))?, read_json(&out.join("client.json"))?);
+    let epoch_ns = server.get("epoch_monotonic_ns").and_then(Value::as_i64).context("the server's epoch")?;
+    let gpu = Gpu::open(
+        &GpuOptions { needs: Needs::Server, validation: options.validation, device_name: None },
+        &DesktopDevice,
+    )?;
+    let scene = Arc::new(SceneGpu::new(&gpu, load_scene(&options.scene)?, DEFAULT_RESAMPLE_INTERVAL_S)?);
+    let mut comparer = Comparer::new(&gpu, &scene, options.extent_pixels)?;
+    let capture = out.join("capture");
+    let frames = read_frames(&capture).context("reading the runtime's frame log")?;
+    let mut summary = Summary::default();
+    let mut last = None;
+    for record in frames.iter().filter(|record| record.captured) {
+        let Some(probes) = read_probes(out, record)? else { continue }; // before the first bundle
+        let time = ServerTime(record.predicted_display_time_ns - epoch_ns);
+        let world_from_stage = scene.scene.world_from_stage;
+        let pictures =
+            compare(&mut comparer, &mut summary, record, &capture, world_from_stage, time, Some(&probes), false)?;
+        last = Some(pictures);
+    }
+    let [shown, truth] = last.context("the client showed no picture of the scene; give it more --seconds")?;
+    let seconds = number(&server, "seconds").max(1e-3);
+    let samples = number(&server, "samples");
+    let stats = summary.finish(Counted {
+        device: gpu.device_name(),
+        device_is_cpu: gpu.is_cpu(),
+        renderer: "stream".into(),
+        server_fps: number(&server, "server_fps"),
+        client_fps: number(&client, "client_fps"),
+        mbit_per_s: MbitPerS {
+            atlas: number(&server, "atlas_bytes") * 8e-6 / seconds,
+            geometry: number(&server, "geometry_bytes") * 8e-6 / seconds,
+        },
+        bytes_per_animated_vertex_sample: (samples > 0.0).then(|| number(&server, "sample_bytes") / samples),
+        validation_messages: number(&server, "validation_messages") as u64
+            + number(&client, "validation_messages") as u64
+            + u64::from(gpu.validation_messages()),
+    });
+    stats.write_json(&run.out.join("stats.json"))?;
+    let atlas = Rgb8Image::read_png(&out.join("atlas.png")).ok();
+    write_pictures(out, &shown, &truth, atlas.as_ref())?;
+    Ok(stats)
+}
+
+/// The client's probes of a captured frame; none for a frame that showed no bundle.
+fn read_probes(out: &Path, record: &FrameRecord) -> anyhow::Result<Option<[ProbeView; 2]>> {
+    let path = |side| out.join("probe").join(format!("probe-{}-{side}.bin", record.predicted_display_time_ns));
+    if !path("left").exists() {
+        return Ok(None);
+    }
+    Ok(Some([read_probe(&path("left"))?, read_probe(&path("right"))?]))
+}
+
+fn read_probe(path: &Path) -> anyhow::Result<ProbeView> {
+    let bytes = std::fs::read(path).with_context(|| format!("reading {}", path.display()))?;
+    let words: Vec<u32> =
+        bytes.chunks_exact(4).map(|c| u32::from_le_bytes([c[0], c[1], c[2], c[3]])).collect();
+    let (extent, rest) = words.split_at_checked(2).context("a probe begins with its extent")?;
+    let pixels = extent[0] as usize * extent[1] as usize;
+    ensure!(rest.len() == 2 * pixels, "{} is cut short", path.display());
+    let depth_m = rest[pixels..].iter().map(|bits| f32::from_bits(*bits)).collect();
+    Ok(ProbeView { width: extent[0], height: extent[1], instance: rest[..pixels].to_vec(), depth_m })
+}

@@ -1,0 +1,207 @@
+//! The command line of the lab.
+
+use clap::{Args, Parser, Subcommand};
+use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
+use shadecast_lab::demo::{DemoOptions, demo};
+use shadecast_lab::long;
+use shadecast_lab::options::{Renderer, RunOptions, StageMs};
+use shadecast_lab::run::run;
+use shadecast_server::animation::clip::DEFAULT_RESAMPLE_INTERVAL_S;
+use shadecast_server::encode::openh264::DEFAULT_QP;
+use shadecast_server::scene::load::SceneSource;
+use shadecast_transport::{LinkProfile, LinkSchedule};
+use std::path::PathBuf;
+
+/// The whole system on one virtual clock: measurements that a slow machine makes as a fast one would.
+#[derive(Parser)]
+#[command(name = "shadecast-lab", version, after_help = "Examples:
+  shadecast-lab run dragons:3 --renderer stream --link latency=20ms,jitter=5ms,rate=100mbit --out out/run
+  shadecast-lab run fox.glb --renderer local --size 256x256 --seconds 3 --dump-every 24 --out out/fox
+  shadecast-lab demo --out out/demo
+  shadecast-lab device
+
+SCENE is dragon, dragons:N, a .glb or .gltf file, or a scene description (.toml).
+A head path is a CSV file, t_s,x,y,z,qx,qy,qz,qw: metres in the stage's frame (y up, -z forward).")]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Runs server, link and client in one process on a virtual clock, and measures
+    Run(RunArgs),
+    /// Runs server and client as two processes on loopback in real time, and measures
+    Demo(DemoArgs),
+    /// Runs the sizes that take long, one after the other; what is done already is left out
+    Long {
+        /// Folder for the JSON results
+        #[arg(long, default_value = "docs/results")]
+        out: PathBuf,
+    },
+    /// Names the Vulkan device that would be used
+    Device,
+}
+
+#[derive(Args)]
+struct RunArgs {
+    /// dragon, dragons:N, a .glb/.gltf file, or a scene .toml
+    scene: String,
+    /// Which renderer makes the pictures
+    #[arg(long, value_enum, default_value = "stream")]
+    renderer: Renderer,
+    /// The network: latency=20ms,jitter=5ms,loss=1%,rate=100mbit, none, or a .toml file of those with start times
+    #[arg(long, default_value = "latency=20ms,jitter=5ms,rate=100mbit")]
+    link: String,
+    /// Head path (CSV) [default: a short walk]
+    #[arg(long)]
+    head: Option<PathBuf>,
+    /// Virtual seconds
+    #[arg(long, default_value_t = 5.0)]
+    seconds: f64,
+    /// Pixels per eye
+    #[arg(long, value_parser = parse_size, default_value = "512x512")]
+    size: [u32; 2],
+    /// Field of view in degrees
+    #[arg(long, default_value_t = 90.0)]
+    fov: f32,
+    /// Seed of link and connection
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Folder for pictures and stats.json
+    #[arg(long)]
+    out: PathBuf,
+    /// Writes client-NNNNNN-left.png, -right.png and truth-NNNNNN-left.png, -right.png every N display frames
+    #[arg(long, default_value_t = 0)]
+    dump_every: u32,
+    /// Compares with the truth every N display frames (with --dump-every: those that are written)
+    #[arg(long, default_value_t = 12)]
+    compare_every: u32,
+    /// Milliseconds that stages take: server=12,encode=8,decode=6
+    #[arg(long, default_value = "server=12,encode=8,decode=6")]
+    stage_ms: StageMs,
+    /// Also follows animated vertices at every display frame and writes motion.json
+    #[arg(long)]
+    motion: bool,
+    /// Quantisation of the atlas: 0 (finest) to 51
+    #[arg(long, default_value_t = DEFAULT_QP)]
+    qp: u8,
+    /// Atlas width and height in texels, multiples of 512
+    #[arg(long, value_parser = parse_size, default_value = "2048x2048")]
+    atlas: [u32; 2],
+    /// Milliseconds between the keys that clips are resampled to
+    #[arg(long, default_value_t = DEFAULT_RESAMPLE_INTERVAL_S * 1000.0)]
+    resample_ms: f32,
+    /// Vulkan validation layers on
+    #[arg(long)]
+    validation: bool,
+    /// Part of the wanted Vulkan device's name
+    #[arg(long)]
+    device: Option<String>,
+}
+
+#[derive(Args)]
+struct DemoArgs {
+    /// dragon, dragons:N, a .glb/.gltf file, or a scene .toml
+    #[arg(default_value = "dragons:3")]
+    scene: String,
+    /// Folder for pictures and stats.json
+    #[arg(long, default_value = "out/demo")]
+    out: PathBuf,
+    /// Pixels per eye
+    #[arg(long, value_parser = parse_size, default_value = "384x384")]
+    size: [u32; 2],
+    /// Seconds of streaming
+    #[arg(long, default_value_t = 8.0)]
+    seconds: f64,
+    /// Vulkan validation layers on
+    #[arg(long)]
+    validation: bool,
+}
+
+fn parse_size(text: &str) -> Result<[u32; 2], String> {
+    let parsed = text.split_once('x').and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
+    parsed
+        .filter(|size: &[u32; 2]| size.iter().all(|side| (16..=4096).contains(side)))
+        .ok_or_else(|| format!("\"{text}\" is not WxH with sides from 16 to 4096, such as 512x512"))
+}
+
+fn main() {
+    use tracing_subscriber::layer::SubscriberExt;
+    use tracing_subscriber::util::SubscriberInitExt;
+    let filter = tracing_subscriber::filter::Targets::new().with_default(tracing::Level::WARN);
+    let layer = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
+    tracing_subscriber::registry().with(layer).with(filter).init();
+    let result = match Cli::parse().command {
+        Command::Run(args) => run_one(args),
+        Command::Demo(args) => run_demo(args),
+        Command::Long { out } => long::run_all(&out),
+        Command::Device => name_device(),
+    };
+    if let Err(error) = result {
+        eprintln!("error: {error:#}");
+        std::process::exit(1);
+    }
+}
+
+fn run_one(args: RunArgs) -> anyhow::Result<()> {
+    anyhow::ensure!(args.seconds > 0.0, "--seconds {} must be positive", args.seconds);
+    anyhow::ensure!(args.compare_every > 0, "--compare-every must be at least 1");
+    anyhow::ensure!((10.0..=170.0).contains(&args.fov), "--fov {} must lie between 10 and 170", args.fov);
+    anyhow::ensure!(args.atlas.iter().all(|s| s % 512 == 0), "--atlas: both sides must be multiples of 512");
+    let link: LinkSchedule = match args.link.ends_with(".toml") {
+        true => LinkSchedule::load(&args.link)?,
+        false => args.link.parse::<LinkProfile>()?.into(),
+    };
+    let options = RunOptions {
+        renderer: args.renderer,
+        link,
+        head: args.head,
+        seconds: args.seconds,
+        extent_pixels: args.size,
+        fov_degrees: args.fov,
+        seed: args.seed,
+        dump_every: args.dump_every,
+        compare_every: args.compare_every,
+        stages: args.stage_ms,
+        validation: args.validation,
+        device: args.device,
+        qp: args.qp,
+        atlas_extent_texels: args.atlas,
+        resample_s: args.resample_ms / 1000.0,
+        motion: args.motion,
+        verbose: true,
+        ..RunOptions::new(args.scene.parse()?, args.out)
+    };
+    let report = run(&options)?;
+    println!("{}", report.stats);
+    if let Some(motion) = report.motion {
+        println!(
+            "  motion          {:.3} % of range at worst, {:.3} % at the 99th percentile, {:.2} mm; moved in {:.1} % of frames",
+            motion.max_error_percent_of_range,
+            motion.p99_error_percent_of_range,
+            motion.max_error_mm,
+            motion.moved_share * 100.0
+        );
+    }
+    Ok(())
+}
+
+fn run_demo(args: DemoArgs) -> anyhow::Result<()> {
+    let scene: SceneSource = args.scene.parse()?;
+    let options =
+        DemoOptions { scene, out: args.out, extent_pixels: args.size, seconds: args.seconds, validation: args.validation };
+    let stats = demo(&options)?;
+    println!("{stats}");
+    println!("Pictures: {}", options.out.join("sheet.png").display());
+    Ok(())
+}
+
+fn name_device() -> anyhow::Result<()> {
+    let gpu = Gpu::open(&GpuOptions { needs: Needs::Server, validation: false, device_name: None }, &DesktopDevice)?;
+    println!("Vulkan device: {}", gpu.device_name());
+    if gpu.is_cpu() {
+        println!("warning: this device is a CPU; everything works, slowly");
+    }
+    Ok(())
+}

@@ -1,0 +1,294 @@
+//! `shadecast-lab run`: one run in virtual time, measured and written down.
+
+use crate::compare::{Comparer, Shown};
+use crate::image::Rgb8Image;
+use crate::metrics::{FrameMetrics, ProbeView};
+use crate::motion::{Motion, MotionReport};
+use crate::options::{Renderer, RunOptions};
+use crate::session::{Lab, SERVER_EPOCH_NS, START_NS, Server};
+use crate::sheet::{Sheet, difference};
+use crate::stats::{Counted, MbitPerS, Stats, Summary};
+use anyhow::{Context, ensure};
+use indicatif::{ProgressBar, ProgressStyle};
+use shadecast_client::client::Step;
+use shadecast_mock_runtime::config::{ClockKind, FovDegrees, MockConfig};
+use shadecast_mock_runtime::record::{FrameRecord, Side, picture_path, read_frames};
+use shadecast_mock_runtime::manifest;
+use shadecast_protocol::pose::{Fov, Pose};
+use shadecast_protocol::time::ServerTime;
+use std::path::{Path, PathBuf};
+
+/// A walk of a few steps to the side and forward, turning the head: 5 s, then it goes back the same way.
+pub const BUILT_IN_WALK: &str = include_str!("walk.csv");
+
+/// What a run leaves behind, beside its files.
+#[derive(Clone, Debug)]
+pub struct Report {
+    /// As in `stats.json`.
+    pub stats: Stats,
+    /// Display frames shown with a bundle.
+    pub frames_with_bundle: u64,
+    /// Display frames before the first bundle.
+    pub frames_before_first_bundle: u64,
+    /// Calls that the OpenXR runtime refused.
+    pub runtime_errors: u64,
+    /// How vertices moved, where that was asked for.
+    pub motion: Option<MotionReport>,
+}
+
+/// Writes the mock runtime's configuration and points the process's OpenXR loader to it.
+///
+/// # Errors
+/// The folder cannot be written, or the runtime library is not built.
+pub fn prepare_runtime(config: &MockConfig, folder: &Path) -> anyhow::Result<[(&'static str, PathBuf); 2]> {
+    std::fs::create_dir_all(folder).with_context(|| format!("making {}", folder.display()))?;
+    let config_path = folder.join("mock.json");
+    config.write(&config_path).with_context(|| format!("writing {}", config_path.display()))?;
+    let library = manifest::find_library()
+        .context("the mock OpenXR runtime is not built; run `cargo build -p shadecast-mock-runtime`")?;
+    let manifest = manifest::write(folder, &library).context("writing the runtime's manifest")?;
+    Ok([("XR_RUNTIME_JSON", manifest), (shadecast_mock_runtime::config::CONFIG_VARIABLE, config_path)])
+}
+
+/// The mock runtime's configuration for a run.
+pub fn mock_config(options: &RunOptions, clock: ClockKind, capture_every: u32) -> anyhow::Result<MockConfig> {
+    let half = options.fov_degrees * 0.5;
+    let head_path = match &options.head {
+        Some(path) => path.canonicalize().with_context(|| format!("head path {}", path.display()))?,
+        None => {
+            std::fs::create_dir_all(&options.out).with_context(|| format!("making {}", options.out.display()))?;
+            let path = options.out.join("walk.csv");
+            std::fs::write(&path, BUILT_IN_WALK).with_context(|| format!("writing {}", path.display()))?;
+            path.canonicalize()?
+        }
+    };
+    Ok(MockConfig {
+        extent_pixels: options.extent_pixels,
+        fov_degrees: FovDegrees { left: half, right: half, up: half, down: half },
+        refresh_hz: options.refresh_hz,
+        clock,
+        virtual_start_ns: START_NS,
+        head_path: Some(head_path),
+        seconds: options.seconds,
+        capture_dir: Some(std::path::absolute(options.out.join("capture"))?),
+        capture_every,
+        ..MockConfig::default()
+    })
+}
+
+/// Sets the variables that the OpenXR loader and the mock runtime read.
+///
+/// # Safety
+/// No other thread may read or write the environment meanwhile.
+pub unsafe fn set_runtime(variables: &[(&'static str, PathBuf)]) {
+    for (name, value) in variables {
+        // SAFETY: the caller's promise.
+        unsafe { std::env::set_var(name, value) };
+    }
+}
+
+/// Runs and measures; writes `stats.json`, the contact sheet and the dumped pictures into `options.out`.
+///
+/// # Errors
+/// Anything that keeps the run from going on: no device, no runtime, a file.
+pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
+    let capture_every = if options.dump_every > 0 { options.dump_every } else { options.compare_every };
+    let capture = options.out.join("capture");
+    if capture.exists() {
+        std::fs::remove_dir_all(&capture).with_context(|| format!("clearing {}", capture.display()))?;
+    }
+    let config = mock_config(options, ClockKind::Virtual, capture_every)?;
+    let variables = prepare_runtime(&config, &options.out)?;
+    // SAFETY: this is called from the main thread of the program, or from tests that hold the lab's lock, before the
+    // client's threads start.
+    unsafe { set_runtime(&variables) };
+    let server = Server::new(options)?;
+    let mut comparer = Comparer::new(&server.gpu, &server.scene, options.extent_pixels)?;
+    let mut lab = Lab::new(options, server)?;
+    lab.connect()?;
+    let mut run = Run {
+        options,
+        capture,
+        summary: Summary::default(),
+        with_bundle: 0,
+        before: 0,
+        last: None,
+        motion: Motion::default(),
+    };
+    let frames = (options.seconds * options.refresh_hz).round() as u64;
+    let bar = progress(options.verbose, frames);
+    while let Step::Frame(shown) = lab.step()? {
+        if options.motion && shown.frame.is_some() {
+            run.motion.look(&lab, ServerTime(shown.display_time.0 - SERVER_EPOCH_NS))?;
+        }
+        run.look(&mut lab, &mut comparer, shown.frame.is_some())?;
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    run.finish(&lab)
+}
+
+/// A bar that is only seen where it is asked for.
+pub fn progress(visible: bool, length: u64) -> ProgressBar {
+    if !visible {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta} left");
+    ProgressBar::new(length).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+}
+
+struct Run<'a> {
+    options: &'a RunOptions,
+    capture: PathBuf,
+    summary: Summary,
+    with_bundle: u64,
+    before: u64,
+    /// Client and truth of both eyes, the last compared.
+    last: Option<[[Rgb8Image; 2]; 2]>,
+    motion: Motion,
+}
+
+impl Run<'_> {
+    /// Counts the frame just shown, and compares it where it was captured.
+    fn look(&mut self, lab: &mut Lab, comparer: &mut Comparer, has_bundle: bool) -> anyhow::Result<()> {
+        if !has_bundle && self.with_bundle == 0 {
+            self.before += 1;
+            return Ok(());
+        }
+        self.with_bundle += u64::from(has_bundle);
+        let records = read_frames(&self.capture).context("reading the runtime's frame log")?;
+        let Some(record) = records.last().filter(|record| record.captured) else { return Ok(()) };
+        let probes = if has_bundle { Some(lab.client.probe()?.map(into_probe)) } else { None };
+        let world_from_stage = lab.server.scene.scene.world_from_stage;
+        let time = ServerTime(record.predicted_display_time_ns - SERVER_EPOCH_NS);
+        let pictures = compare(comparer, &mut self.summary, record, &self.capture, world_from_stage, time, probes.as_ref(),
+            self.options.renderer == Renderer::Forward)?;
+        if self.options.dump_every > 0 {
+            dump(&self.options.out, record.frame, &pictures)?;
+        }
+        self.last = Some(pictures);
+        Ok(())
+    }
+
+    fn finish(self, lab: &Lab) -> anyhow::Result<Report> {
+        let (server, sent) = (&lab.server, lab.server.sent);
+        ensure!(self.with_bundle > 0, "the client showed no bundle in {} s", self.options.seconds);
+        let shown = self.with_bundle as f64 / self.options.refresh_hz;
+        let mbit = |bytes: u64| bytes as f64 * 8e-6 / self.options.seconds;
+        let validation_messages =
+            u64::from(server.gpu.validation_messages()) + u64::from(lab.client.stats().validation_messages);
+        let stats = self.summary.finish(Counted {
+            device: server.gpu.device_name(),
+            device_is_cpu: server.gpu.is_cpu(),
+            renderer: self.options.renderer.name().into(),
+            server_fps: sent.updates as f64 / self.options.seconds,
+            client_fps: self.with_bundle as f64 / shown,
+            mbit_per_s: MbitPerS { atlas: mbit(sent.atlas_bytes), geometry: mbit(sent.geometry_bytes) },
+            bytes_per_animated_vertex_sample: (sent.samples > 0).then(|| sent.sample_bytes as f64 / sent.samples as f64),
+            validation_messages,
+        });
+        stats.write_json(&self.options.out.join("stats.json"))?;
+        let atlas = match &server.last {
+            Some(shaded) => Some(atlas_picture(shaded.extent_texels, &shaded.planes)?),
+            None => None,
+        };
+        if let Some([client, truth]) = &self.last {
+            write_pictures(&self.options.out, client, truth, atlas.as_ref())?;
+        }
+        let motion = self.motion.report();
+        if let Some(motion) = &motion {
+            std::fs::write(self.options.out.join("motion.json"), serde_json::to_string_pretty(motion)?)?;
+        }
+        let runtime_errors = shadecast_mock_runtime::record::read_summary(&self.capture).map_or(0, |s| s.errors);
+        Ok(Report {
+            stats,
+            frames_with_bundle: self.with_bundle,
+            frames_before_first_bundle: self.before,
+            runtime_errors,
+            motion,
+        })
+    }
+}
+
+/// Planes as a picture.
+pub fn atlas_picture(extent_texels: [u32; 2], planes: &[u8]) -> anyhow::Result<Rgb8Image> {
+    let rgb = shadecast_server::picture::rgb_from_planes(extent_texels, planes);
+    Ok(Rgb8Image::new(extent_texels[0], extent_texels[1], rgb)?)
+}
+
+/// A client's probe as the metrics want it.
+pub fn into_probe(probe: shadecast_client::stages::probe::ProbeView) -> ProbeView {
+    ProbeView { width: probe.width, height: probe.height, instance: probe.instance, depth_m: probe.distance_m }
+}
+
+/// Measures both eyes of a captured frame; client and truth pictures, by eye.
+#[allow(clippy::too_many_arguments)]
+pub fn compare(
+    comparer: &mut Comparer,
+    summary: &mut Summary,
+    record: &FrameRecord,
+    capture: &Path,
+    world_from_stage: Pose,
+    time: ServerTime,
+    probes: Option<&[ProbeView; 2]>,
+    truth_with_itself: bool,
+) -> anyhow::Result<[[Rgb8Image; 2]; 2]> {
+    let mut clients = Vec::new();
+    let mut truths = Vec::new();
+    for (eye, side) in [Side::Left, Side::Right].into_iter().enumerate() {
+        let picture = Rgb8Image::read_png(&picture_path(capture, record.frame, side))?;
+        let view = record.views.get(eye).context("a captured frame has two views")?;
+        let fov: Fov = view.frustum();
+        let shown = Shown {
+            world_from_eye: world_from_stage.then(view.stage_pose.into()),
+            fov,
+            time,
+            picture: &picture,
+            probe: probes.map(|probes| &probes[eye]),
+        };
+        let (truth, metrics): (Rgb8Image, FrameMetrics) = comparer.measure(&shown)?;
+        if truth_with_itself {
+            let (_, own) = comparer.measure(&Shown { picture: &truth, ..shown })?;
+            summary.add(own);
+        } else {
+            summary.add(metrics);
+        }
+        clients.push(picture);
+        truths.push(truth);
+    }
+    let pair = |pictures: Vec<Rgb8Image>| <[Rgb8Image; 2]>::try_from(pictures).map_err(|_| anyhow::anyhow!("two eyes"));
+    Ok([pair(clients)?, pair(truths)?])
+}
+
+fn dump(out: &Path, frame: u64, [client, truth]: &[[Rgb8Image; 2]; 2]) -> anyhow::Result<()> {
+    for (eye, side) in ["left", "right"].into_iter().enumerate() {
+        client[eye].write_png(&out.join(format!("client-{frame:06}-{side}.png")))?;
+        truth[eye].write_png(&out.join(format!("truth-{frame:06}-{side}.png")))?;
+    }
+    Ok(())
+}
+
+/// The last compared pictures, their difference, the atlas, and one sheet of all of them.
+pub fn write_pictures(
+    out: &Path,
+    client: &[Rgb8Image; 2],
+    truth: &[Rgb8Image; 2],
+    atlas: Option<&Rgb8Image>,
+) -> anyhow::Result<()> {
+    let mut sheet = Sheet::new("SHADECAST", 3, [384, 384]);
+    for (eye, side) in ["left", "right"].into_iter().enumerate() {
+        let different = difference(&truth[eye], &client[eye], 4.0);
+        client[eye].write_png(&out.join(format!("client-{side}.png")))?;
+        truth[eye].write_png(&out.join(format!("truth-{side}.png")))?;
+        different.write_png(&out.join(format!("difference-{side}.png")))?;
+        sheet.add(&format!("{side} eye: client"), &client[eye])?;
+        sheet.add(&format!("{side} eye: truth"), &truth[eye])?;
+        sheet.add(&format!("{side} eye: difference x4"), &different)?;
+    }
+    if let Some(atlas) = atlas {
+        atlas.write_png(&out.join("atlas.png"))?;
+        sheet.add("shading atlas", atlas)?;
+    }
+    sheet.render()?.write_png(&out.join("sheet.png"))?;
+    Ok(())
+}

@@ -1,0 +1,397 @@
+//! The whole system in one process on one virtual clock: server, link and client, stepped in the order of time.
+//!
+//! Durations of stages are parameters, never measured, so that a slow machine shows exactly what a fast one would and
+//! two runs are the same. The client is the one that ships: it draws through the system's OpenXR loader into the mock
+//! runtime, whose clock moves on by one period per `xrWaitFrame`.
+
+use crate::options::{Renderer, RunOptions, StageMs};
+use anyhow::{Context, bail};
+use shadecast_client::client::{Client, ClientOptions, FrameReport, Step};
+use shadecast_client::decode::Picture;
+use shadecast_client::decoding::DecodeTiming;
+use shadecast_client::platform::Platform;
+use shadecast_client::xr::{Xr, XrOptions};
+use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
+use shadecast_protocol::message::{Capabilities, ClientHello, Codec, Displayed, negotiate};
+use shadecast_protocol::pose::{Eye, Fov, Pose};
+use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
+use shadecast_protocol::delta::DeltaSizes;
+use shadecast_protocol::session::{Out, ServerEvent, ServerSession};
+use shadecast_protocol::time::{DisplayTime, ServerTime};
+use shadecast_protocol::wire::PictureHeader;
+use shadecast_server::encode::Encoder;
+use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
+use shadecast_server::frame::{Frame, Shaded};
+use shadecast_server::scene::load::load_scene;
+use shadecast_server::scene_gpu::SceneGpu;
+use shadecast_server::stream::offer;
+use shadecast_transport::endpoint::{Endpoint, EndpointConfig, Event, PeerId};
+use shadecast_transport::{Direction, ExpectedIdentity, Pair, ServerIdentity};
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// Server time 0 on the virtual clock: the client's estimate of it has something to find out.
+pub const SERVER_EPOCH_NS: i64 = 700_000_000;
+/// The first `xrWaitFrame` on the virtual clock.
+pub const START_NS: i64 = 1_000_000_000;
+
+/// What crossed from server to client.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Sent {
+    /// Updates made.
+    pub updates: u64,
+    /// Bytes of access units.
+    pub atlas_bytes: u64,
+    /// Bytes of geometry deltas.
+    pub geometry_bytes: u64,
+    /// Bytes of vertex samples in them.
+    pub sample_bytes: u64,
+    /// Vertex samples in them.
+    pub samples: u64,
+}
+
+/// The server's side.
+pub struct Server {
+    /// Its device.
+    pub gpu: Arc<Gpu>,
+    /// Its scene.
+    pub scene: Arc<SceneGpu>,
+    /// The pipeline of the client, once there is one.
+    pub frame: Option<Frame>,
+    /// What it sent.
+    pub sent: Sent,
+    /// The last update's planes and their extent, for the atlas picture.
+    pub last: Option<Shaded>,
+    session: ServerSession,
+    encoder: Option<Box<dyn Encoder>>,
+    peer: Option<PeerId>,
+    refresh: bool,
+    qp: u8,
+    sessions: u64,
+    atlas_extent_texels: [u32; 2],
+    rate_hz: f64,
+}
+
+/// What leaves the server when its stages are done.
+enum Leaving {
+    Delta(Box<Shaded>),
+    Picture(PictureHeader, Vec<u8>),
+}
+
+/// Server, link and client.
+pub struct Lab {
+    /// The server.
+    pub server: Server,
+    /// The client.
+    pub client: Client,
+    renderer: Renderer,
+    pair: Pair,
+    client_peer: Option<PeerId>,
+    leaving: VecDeque<(i64, Leaving)>,
+    next_update_ns: i64,
+    update_period_ns: i64,
+    refresh_hz: f64,
+    stages: StageMs,
+    fov: Fov,
+    frame: u64,
+}
+
+/// Turns of the runtime without a frame that are taken for a start-up; more are a runtime that never starts.
+const MAX_IDLE_TURNS: u32 = 100;
+
+impl Server {
+    /// Opens the server's device and loads the scene.
+    pub fn new(options: &RunOptions) -> anyhow::Result<Self> {
+        let scene = load_scene(&options.scene)?;
+        let gpu_options =
+            GpuOptions { needs: Needs::Server, validation: options.validation, device_name: options.device.clone() };
+        let gpu = Gpu::open(&gpu_options, &DesktopDevice)?;
+        let scene = Arc::new(SceneGpu::new(&gpu, scene, options.resample_s)?);
+        let session = ServerSession::new(offer(&scene, options.atlas_extent_texels, options.rate_hz, 1));
+        Ok(Self {
+            gpu,
+            scene,
+            frame: None,
+            sent: Sent::default(),
+            last: None,
+            session,
+            encoder: None,
+            peer: None,
+            refresh: false,
+            qp: options.qp,
+            sessions: 1,
+            atlas_extent_texels: options.atlas_extent_texels,
+            rate_hz: options.rate_hz,
+        })
+    }
+
+    /// A client came: a new session, and nothing kept of the last one.
+    fn connected(&mut self, peer: PeerId) {
+        self.sessions += 1;
+        self.peer = Some(peer);
+        self.frame = None;
+        let offer = offer(&self.scene, self.atlas_extent_texels, self.rate_hz, self.sessions);
+        self.session = ServerSession::new(offer);
+    }
+
+    /// Hands what the session learnt to the pipeline.
+    fn listen(&mut self) -> anyhow::Result<()> {
+        while let Some(event) = self.session.poll_event() {
+            match event {
+                ServerEvent::Accepted { hello, welcome } => {
+                    let settings = EncoderSettings { qp: self.qp, ..EncoderSettings::new(welcome.atlas_extent_texels) };
+                    self.encoder = Some(Box::new(OpenH264Encoder::new(settings)?));
+                    self.frame = Some(Frame::new(&self.gpu, &self.scene, &welcome, &hello.capabilities)?);
+                }
+                ServerEvent::Pose(state) => self.frame.iter_mut().for_each(|f| f.head(state)),
+                ServerEvent::Displayed(report) => self.frame.iter_mut().for_each(|f| f.displayed(&report)),
+                ServerEvent::RefreshRequest { .. } => self.refresh = true,
+                ServerEvent::Refused(refused) => bail!("the server refused: {} {}", refused.reason, refused.remedy),
+                ServerEvent::Goodbye => self.frame = None,
+                ServerEvent::Failed(error) => bail!("the server could not understand the client: {error}"),
+            }
+        }
+        Ok(())
+    }
+
+    fn count(&mut self, sizes: DeltaSizes) {
+        self.sent.geometry_bytes += sizes.total_bytes as u64;
+        self.sent.sample_bytes += sizes.sample_bytes as u64;
+        self.sent.samples += sizes.samples as u64;
+    }
+}
+
+impl Lab {
+    /// Opens both sides; the mock runtime must be set up in the environment.
+    pub fn new(options: &RunOptions, server: Server) -> anyhow::Result<Self> {
+        let identity = ServerIdentity::from_seed(options.seed)?;
+        let config = |salt| EndpointConfig { seed: Some(options.seed ^ salt), ..EndpointConfig::default() };
+        let server_end = Endpoint::server(&identity, config(1))?;
+        let pair = Pair::new(server_end, Endpoint::client(config(2)), options.link.clone(), options.seed);
+        let xr = Xr::open(&Platform::default(), XrOptions { validation: options.validation })
+            .context("opening the OpenXR runtime")?;
+        let decoding = DecodeTiming::Virtual { delay_ns: options.stages.ns(options.stages.decode) };
+        let client =
+            Client::new(xr, ClientOptions { decoding, ..ClientOptions::default() }).context("making the client")?;
+        Ok(Self {
+            server,
+            client,
+            renderer: options.renderer,
+            pair,
+            client_peer: None,
+            leaving: VecDeque::new(),
+            next_update_ns: START_NS,
+            update_period_ns: (1e9 / options.rate_hz) as i64,
+            refresh_hz: options.refresh_hz,
+            stages: options.stages,
+            fov: Fov::symmetric_degrees(options.fov_degrees),
+            frame: 0,
+        })
+    }
+
+    /// Connects over the link, or in memory.
+    ///
+    /// # Errors
+    /// The two do not agree, or memory is short.
+    pub fn connect(&mut self) -> anyhow::Result<()> {
+        if self.renderer == Renderer::Stream {
+            let expected = ExpectedIdentity::TrustOnFirstUse;
+            let peer = self.pair.client.connect(START_NS, shadecast_transport::pair::SERVER_ADDR, expected);
+            self.client_peer = Some(peer);
+            return Ok(());
+        }
+        let hello = self.local_hello();
+        let server = &mut self.server;
+        let offer = offer(&server.scene, server.atlas_extent_texels, server.rate_hz, 1);
+        let terms = negotiate(&hello, &offer).map_err(|refused| anyhow::anyhow!("{}", refused.reason))?;
+        server.frame = Some(Frame::new(&server.gpu, &server.scene, &terms, &hello.capabilities)?);
+        Ok(self.client.start_local(terms, -SERVER_EPOCH_NS)?)
+    }
+
+    /// What the client would say of itself over a network.
+    fn local_hello(&self) -> ClientHello {
+        let eye = |x| Eye {
+            head_from_eye: Pose { position: glam::Vec3::new(x, 0.0, 0.0), ..Pose::IDENTITY },
+            fov: self.fov,
+        };
+        ClientHello {
+            protocol_version: shadecast_protocol::PROTOCOL_VERSION,
+            min_protocol_version: shadecast_protocol::PROTOCOL_VERSION,
+            app_version: env!("CARGO_PKG_VERSION").into(),
+            capabilities: Capabilities {
+                max_atlas_extent: ATLAS_MAX_EXTENT,
+                max_vertex_slots: MAX_VERTEX_SLOTS,
+                max_patch_slots: MAX_PATCH_SLOTS,
+                codecs: vec![Codec::H264],
+                eyes: [eye(-0.0315), eye(0.0315)],
+                eye_extent_pixels: self.client.eye_extent_pixels(),
+                display_period_ns: (1e9 / self.refresh_hz) as i64,
+            },
+        }
+    }
+
+    /// When the next display frame begins, nanoseconds of the virtual clock.
+    pub fn next_frame_ns(&self) -> i64 {
+        shadecast_mock_runtime::clock::period_begin_ns(START_NS, self.refresh_hz, self.frame)
+    }
+
+    /// Plays everything up to the next display frame, then shows it.
+    pub fn step(&mut self) -> anyhow::Result<Step> {
+        let frame_ns = self.next_frame_ns();
+        self.play_until(frame_ns)?;
+        for _ in 0..MAX_IDLE_TURNS {
+            let step = self.client.step_with(|client| client.advance(DisplayTime(frame_ns)))?;
+            match &step {
+                Step::Idle => continue,
+                Step::Frame(report) => self.frame_shown(report),
+                Step::Exit => {}
+            }
+            self.flush()?;
+            return Ok(step);
+        }
+        bail!("the OpenXR runtime does not start the session")
+    }
+
+    /// In memory there are no messages: the server looks at the client itself.
+    fn frame_shown(&mut self, report: &FrameReport) {
+        self.frame += 1;
+        let Some(frame) = self.server.frame.as_mut().filter(|_| self.renderer != Renderer::Stream) else { return };
+        self.client.head_state().into_iter().for_each(|state| frame.head(state));
+        if let (true, Some(id), Some(time)) = (report.is_new, report.frame, report.server_time) {
+            frame.displayed(&Displayed { frame: id, display_time: time, ..Displayed::default() });
+        }
+    }
+
+    /// Updates, departures and arrivals in the order of time.
+    fn play_until(&mut self, until_ns: i64) -> anyhow::Result<()> {
+        loop {
+            let departure_ns = self.leaving.front().map_or(i64::MAX, |(at_ns, _)| *at_ns);
+            let next_ns = departure_ns.min(self.next_update_ns).min(until_ns);
+            self.play_link(next_ns)?;
+            if departure_ns <= next_ns {
+                self.depart(departure_ns)?;
+            } else if self.next_update_ns <= next_ns {
+                self.update()?;
+            } else {
+                return Ok(());
+            }
+        }
+    }
+
+    fn play_link(&mut self, until_ns: i64) -> anyhow::Result<()> {
+        if self.renderer != Renderer::Stream {
+            return Ok(());
+        }
+        loop {
+            let events = self.pair.step_to_events(until_ns);
+            if events.is_empty() {
+                return Ok(());
+            }
+            for (end, event) in events {
+                match end {
+                    Direction::ToServer => self.server_event(event)?,
+                    Direction::ToClient => self.client_event(event)?,
+                }
+            }
+            self.flush()?;
+        }
+    }
+
+    fn server_event(&mut self, event: Event) -> anyhow::Result<()> {
+        match event {
+            Event::Connected { peer, .. } => self.server.connected(peer),
+            Event::Control { message, .. } => self.server.session.on_control(&message),
+            Event::Datagram { bytes, at_ns, .. } => {
+                self.server.session.on_datagram(&bytes, ServerTime(at_ns - SERVER_EPOCH_NS));
+            }
+            Event::Closed { .. } => self.server.frame = None,
+            Event::Stream { .. } | Event::StreamReset { .. } => {}
+        }
+        self.server.listen()
+    }
+
+    fn client_event(&mut self, event: Event) -> anyhow::Result<()> {
+        match event {
+            Event::Connected { .. } => self.client.on_connected(DisplayTime(self.pair.now_ns())),
+            Event::Control { message, at_ns, .. } => self.client.receive_control(DisplayTime(at_ns), &message)?,
+            Event::Datagram { bytes, at_ns, .. } => self.client.receive_datagram(DisplayTime(at_ns), &bytes),
+            Event::Stream { bytes, at_ns, .. } => self.client.receive_stream(DisplayTime(at_ns), &bytes)?,
+            Event::StreamReset { head, .. } => self.client.receive_reset(DisplayTime(self.pair.now_ns()), &head),
+            Event::Closed { reason, .. } => bail!("the connection ended: {reason}"),
+        }
+        Ok(())
+    }
+
+    /// Hands what both sides want to send to the link.
+    fn flush(&mut self) -> anyhow::Result<()> {
+        let (Some(client), Some(server)) = (self.client_peer, self.server.peer) else { return Ok(()) };
+        while let Some(out) = self.client.poll_out() {
+            match out {
+                Out::Control(bytes) => self.pair.client.send_control(client, &bytes)?,
+                Out::Datagram(bytes) => drop(self.pair.client.send_datagram(client, &bytes)),
+                Out::Stream { .. } => bail!("the client opened a stream"),
+            }
+        }
+        while let Some(out) = self.server.session.poll_out() {
+            match out {
+                Out::Control(bytes) => self.pair.server.send_control(server, &bytes)?,
+                Out::Datagram(bytes) => drop(self.pair.server.send_datagram(server, &bytes)),
+                Out::Stream { bytes, priority } => {
+                    self.pair.server.send_stream(server, bytes, priority)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// One update; what it makes leaves when its stages are done.
+    fn update(&mut self) -> anyhow::Result<()> {
+        let now_ns = self.next_update_ns;
+        self.next_update_ns += self.update_period_ns;
+        let server = &mut self.server;
+        let Some(frame) = &mut server.frame else { return Ok(()) };
+        let Some(shaded) = frame.update(ServerTime(now_ns - SERVER_EPOCH_NS))? else { return Ok(()) };
+        server.sent.updates += 1;
+        let shaded_ns = now_ns + self.stages.ns(self.stages.server);
+        server.last = Some(shaded.clone());
+        if self.renderer == Renderer::Stream {
+            let encoder = server.encoder.as_mut().context("an encoder comes with the pipeline")?;
+            let (header, unit) = shaded.encode(encoder.as_mut(), std::mem::take(&mut server.refresh))?;
+            server.sent.atlas_bytes += unit.bytes.len() as u64;
+            let encoded_ns = shaded_ns + self.stages.ns(self.stages.encode);
+            self.leave(encoded_ns, Leaving::Picture(header, unit.bytes));
+        }
+        self.leave(shaded_ns, Leaving::Delta(Box::new(shaded)));
+        Ok(())
+    }
+
+    fn leave(&mut self, at_ns: i64, what: Leaving) {
+        let place = self.leaving.partition_point(|(other, _)| *other <= at_ns);
+        self.leaving.insert(place, (at_ns, what));
+    }
+
+    fn depart(&mut self, now_ns: i64) -> anyhow::Result<()> {
+        let Some((_, leaving)) = self.leaving.pop_front() else { return Ok(()) };
+        match leaving {
+            Leaving::Delta(shaded) => {
+                if self.renderer == Renderer::Stream {
+                    let sizes = self.server.session.send_delta(&shaded.delta);
+                    self.server.count(sizes);
+                } else {
+                    let picture = picture_of(&shaded);
+                    self.client.accept_local(DisplayTime(now_ns), shaded.delta, Some(picture));
+                }
+            }
+            Leaving::Picture(header, bytes) => self.server.session.send_picture(header, &bytes),
+        }
+        self.flush()
+    }
+}
+
+/// The planes as a decoder would give them: the renderer without codec and network.
+fn picture_of(shaded: &Shaded) -> Picture {
+    let luma = shaded.extent_texels[0] as usize * shaded.extent_texels[1] as usize;
+    let (y, chroma) = shaded.planes.split_at(luma);
+    let (cb, cr) = chroma.split_at(luma / 4);
+    Picture { extent_texels: shaded.extent_texels, y: y.to_vec(), cb: cb.to_vec(), cr: cr.to_vec() }
+}
