@@ -3,7 +3,7 @@
 //! Two drivers use it: [`crate::net`] with a socket and the real clock, and the lab, which steps it in virtual time beside a
 //! server. What it does not know is sockets and who waits for whom.
 
-use crate::decode::Picture;
+use crate::decode::{DecodeError, Decoder, Picture};
 use crate::decoding::{self, DecodeTiming, Decoding};
 use crate::platform;
 use crate::renderer::Stages;
@@ -39,6 +39,8 @@ pub struct ClientOptions {
     pub msaa: u32,
     /// How decoding takes time.
     pub decoding: DecodeTiming,
+    /// Makes a decoder for pictures of an extent in texels.
+    pub decoder: fn([u32; 2]) -> Result<Box<dyn Decoder>, DecodeError>,
     /// Vertices that the client offers to keep.
     pub max_vertex_slots: u32,
     /// Patches that the client offers to keep.
@@ -51,6 +53,7 @@ impl Default for ClientOptions {
             interpolation: Interpolation::Cubic,
             msaa: 4,
             decoding: DecodeTiming::Thread,
+            decoder: platform::decoder,
             max_vertex_slots: MAX_VERTEX_SLOTS,
             max_patch_slots: MAX_PATCH_SLOTS,
         }
@@ -135,7 +138,8 @@ pub(crate) struct Connection {
 impl Drop for Client {
     fn drop(&mut self) {
         // The session goes with its images: the GPU must be done with them. A device that is lost is done.
-        let idle = self.gpu.record().and_then(|recorder| recorder.submit()).and_then(|last| self.gpu.wait(last));
+        let idle =
+            self.gpu.record().and_then(|recorder| recorder.submit()).and_then(|last| self.gpu.wait(last));
         if let Err(error) = idle {
             tracing::debug!("waiting for the GPU before the session's end: {error}");
         }
@@ -393,7 +397,7 @@ impl Client {
 
     fn welcome(&mut self, welcome: Welcome) -> Result<(), ClientError> {
         let Some(connection) = &mut self.connection else { return Ok(()) };
-        match platform::decoder(welcome.atlas_extent_texels) {
+        match (self.options.decoder)(welcome.atlas_extent_texels) {
             Ok(decoder) => connection.decoding = Some(Decoding::new(decoder, self.options.decoding)),
             Err(error) => {
                 self.notices.push_back(Notice::Failed(error.to_string()));
@@ -480,8 +484,8 @@ impl Client {
     /// Counts a display frame, and reports what is on display where that is new or due.
     pub(crate) fn report_frame(&mut self, frame: &FrameReport, picture_arrived: Option<DisplayTime>) {
         self.counters.count(frame);
-        self.report.display_frames += 1;
-        self.report.frames_without_bundle += u32::from(frame.frame.is_none());
+        self.report.display_frames += u32::from(frame.is_rendered);
+        self.report.frames_without_bundle += u32::from(frame.is_rendered && frame.frame.is_none());
         self.report.frozen_vertices = self.report.frozen_vertices.saturating_add(frame.frozen_vertices);
         self.report.withheld_patches = self.report.withheld_patches.saturating_add(frame.withheld_patches);
         let Some(shown) = self.shown.as_ref() else { return };

@@ -75,7 +75,12 @@ extern "C" fn stop(_: libc::c_int) {
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let level = if arguments.quiet { tracing::Level::WARN } else { tracing::Level::INFO };
-    tracing_subscriber::fmt().with_max_level(level).with_target(false).with_writer(std::io::stderr).init();
+    tracing_subscriber::fmt()
+        .with_max_level(level)
+        .with_target(false)
+        .without_time()
+        .with_writer(std::io::stderr)
+        .init();
     for signal in [libc::SIGINT, libc::SIGTERM] {
         // SAFETY: the handler only stores to an atomic, which is safe in a signal handler.
         unsafe { libc::signal(signal, stop as *const () as libc::sighandler_t) };

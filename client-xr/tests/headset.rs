@@ -2,7 +2,7 @@
 
 mod support;
 
-use shadecast_client::client::Step;
+use shadecast_client::client::{Client, FrameReport, Step};
 use shadecast_client::decode::Picture as Planes;
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
 use shadecast_mock_runtime::record::Side;
@@ -13,8 +13,9 @@ use shadecast_protocol::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
 use shadecast_protocol::message::{Codec, Environment, ServerOffer, Welcome};
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::session::{Out, ServerEvent, ServerSession};
-use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime};
-use support::{Run, SIDE, at, finish, frame, pixel};
+use shadecast_protocol::time::{DEFAULT_GRID, DisplayTime, GridIndex, ServerTime};
+use shadecast_protocol::wire::{PictureHeader, StreamMessage, parse_stream};
+use support::{Run, SIDE, at, coded, finish, frame, pixel};
 
 const ATLAS: [u32; 2] = [512, 512];
 /// sRGB values of the two patches, and their full-range BT.709 planes.
@@ -279,66 +280,201 @@ fn the_newest_picture_goes_with_its_own_placements() {
     }
 }
 
+/// A server's session and a link of no length, both in the client's virtual time.
+struct Line {
+    server: ServerSession,
+    frames: i64,
+    events: Vec<ServerEvent>,
+    /// Streams whose frame and kind this names are lost: what the client gets is a reset.
+    lost_pictures: Vec<u32>,
+}
+
+/// The server's clock is ahead of the client's by this.
+const SERVER_AHEAD_NS: i64 = 5_000_000_000;
+
+impl Line {
+    fn new() -> Self {
+        let server = ServerSession::new(ServerOffer {
+            protocol_version: PROTOCOL_VERSION,
+            min_protocol_version: PROTOCOL_VERSION,
+            app_version: "test".into(),
+            session: 5,
+            grid: DEFAULT_GRID,
+            atlas_extent_texels: ATLAS,
+            vertex_slots: 1000,
+            patch_slots: 1000,
+            codecs: vec![Codec::H264],
+            environment: environment(),
+            world_from_stage: Pose { position: [10.0, 0.0, 0.0].into(), ..Pose::IDENTITY },
+            update_period_ns: 33_333_333,
+        });
+        Self { server, frames: 0, events: Vec::new(), lost_pictures: Vec::new() }
+    }
+
+    /// One display frame, and what both ends say meanwhile.
+    fn frame(&mut self, client: &mut Client) -> FrameReport {
+        let now = at(1_000_000_000 + self.frames * 13_888_889);
+        self.frames += 1;
+        self.deliver(client, now);
+        client.advance(now).expect("time passes");
+        let report = frame(client);
+        while let Some(out) = client.poll_out() {
+            match out {
+                Out::Control(bytes) => self.server.on_control(&bytes),
+                Out::Datagram(bytes) => self.server.on_datagram(&bytes, ServerTime(now.0 + SERVER_AHEAD_NS)),
+                Out::Stream { .. } => panic!("clients send no streams"),
+            }
+        }
+        self.events.extend(std::iter::from_fn(|| self.server.poll_event()));
+        self.deliver(client, now);
+        report
+    }
+
+    /// What the server has said reaches the client.
+    fn deliver(&mut self, client: &mut Client, now: DisplayTime) {
+        while let Some(out) = self.server.poll_out() {
+            match out {
+                Out::Control(bytes) => client.receive_control(now, &bytes).expect("control"),
+                Out::Datagram(bytes) => client.receive_datagram(now, &bytes),
+                Out::Stream { bytes, .. } => match parse_stream(&bytes).expect("a stream") {
+                    StreamMessage::Picture { header, .. } if self.lost_pictures.contains(&header.frame.0) => {
+                        client.receive_reset(now, &bytes[..20]);
+                    }
+                    _ => client.receive_stream(now, &bytes).expect("a stream"),
+                },
+            }
+        }
+    }
+
+    /// Display frames until the session stands and the client knows the server's clock.
+    fn connect(client: &mut Client) -> Self {
+        let mut line = Self::new();
+        client.on_connected(at(1_000_000_000));
+        for _ in 0..12 {
+            line.frame(client);
+        }
+        assert!(matches!(line.events[0], ServerEvent::Accepted { .. }), "{:?}", line.events);
+        line
+    }
+
+    fn send(&mut self, delta: &GeometryDelta, planes: &Planes, is_refresh: bool) {
+        self.server.send_delta(delta);
+        let header = PictureHeader { frame: delta.frame, time: delta.time, is_refresh };
+        self.server.send_picture(header, &coded(planes, is_refresh));
+    }
+}
+
+/// The two squares around the client's head, whose stage begins at x = 10 m, both static.
+fn static_patches() -> GeometryDelta {
+    let mut delta = GeometryDelta { samples: vec![], ..two_patches() };
+    for (index, vertex) in delta.new_vertices.iter_mut().enumerate() {
+        let x = [9.5, 9.5, 9.98, 9.98, 10.02, 10.02, 10.5, 10.5][index];
+        let y = if index % 2 == 0 { 2.1 } else { 1.1 };
+        vertex.motion = Motion::Static { position: [x, y, -2.0].into() };
+    }
+    delta
+}
+
 #[test]
 fn a_session_is_agreed_on_and_the_server_learns_of_head_and_time() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
-    let mut server = ServerSession::new(ServerOffer {
-        protocol_version: PROTOCOL_VERSION,
-        min_protocol_version: PROTOCOL_VERSION,
-        app_version: "test".into(),
-        session: 5,
-        grid: DEFAULT_GRID,
-        atlas_extent_texels: ATLAS,
-        vertex_slots: 1000,
-        patch_slots: 1000,
-        codecs: vec![Codec::H264],
-        environment: environment(),
-        world_from_stage: Pose { position: [10.0, 0.0, 0.0].into(), ..Pose::IDENTITY },
-        update_period_ns: 33_333_333,
-    });
-    const SERVER_AHEAD_NS: i64 = 5_000_000_000;
-    client.on_connected(at(1_000_000_000));
-    let (mut hello, mut poses) = (None, Vec::new());
-    for index in 0..30 {
-        let now = at(1_000_000_000 + index * 13_888_889);
-        client.advance(now).expect("time passes");
-        let report = frame(&mut client);
-        while let Some(out) = client.poll_out() {
-            match out {
-                Out::Control(bytes) => server.on_control(&bytes),
-                Out::Datagram(bytes) => server.on_datagram(&bytes, ServerTime(now.0 + SERVER_AHEAD_NS)),
-                Out::Stream { .. } => panic!("clients send no streams"),
-            }
-        }
-        while let Some(event) = server.poll_event() {
-            match event {
-                ServerEvent::Accepted { hello: accepted, .. } => hello = Some(accepted),
-                ServerEvent::Pose(pose) => poses.push((report.display_time, pose)),
-                other => panic!("{other:?}"),
-            }
-        }
-        while let Some(out) = server.poll_out() {
-            match out {
-                Out::Control(bytes) => client.receive_control(now, &bytes).expect("control"),
-                Out::Datagram(bytes) => client.receive_datagram(now, &bytes),
-                Out::Stream { .. } => {}
-            }
-        }
-    }
-    let capabilities = hello.expect("a hello").capabilities;
+    let mut line = Line::connect(&mut client);
+    let reports: Vec<_> = (0..10).map(|_| line.frame(&mut client)).collect();
+    let ServerEvent::Accepted { hello, .. } = &line.events[0] else { panic!("{:?}", line.events) };
+    let capabilities = &hello.capabilities;
     assert_eq!((capabilities.eye_extent_pixels, capabilities.max_vertex_slots), ([SIDE; 2], 256));
     assert!((capabilities.eyes[1].head_from_eye.position.x - 0.0315).abs() < 1e-5);
-    assert!(poses.len() > 20, "{} poses", poses.len());
-    for (display_time, pose) in &poses {
-        assert_eq!(
-            pose.time.0,
-            display_time.0 + SERVER_AHEAD_NS,
-            "the head's time is the frame's on the server's clock"
-        );
+    let poses = line.events.iter().filter_map(|event| match event {
+        ServerEvent::Pose(pose) => Some(pose),
+        _ => None,
+    });
+    let last: Vec<_> = poses.rev().take(10).collect();
+    for (report, pose) in reports.iter().rev().zip(last) {
+        let shown = report.display_time.0 + SERVER_AHEAD_NS;
+        assert_eq!(pose.time.0, shown, "the head's time is the frame's on the server's clock");
         assert!((pose.world_from_head.position - glam::Vec3::new(10.0, 1.6, 0.0)).length() < 1e-5);
     }
     finish(&run, client);
+}
+
+#[test]
+fn updates_of_a_session_are_shown_after_decoding_and_reported() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    let mut line = Line::connect(&mut client);
+    line.send(&static_patches(), &planes([0, 64]), true);
+    let reports: Vec<_> = (0..3).map(|_| line.frame(&mut client)).collect();
+    // 6 ms of decoding: the first frame is too early.
+    assert_eq!(
+        reports.iter().map(|report| report.frame).collect::<Vec<_>>(),
+        [None, Some(FrameId(0)), Some(FrameId(0))]
+    );
+    let displayed = line.events.iter().find_map(|event| match event {
+        ServerEvent::Displayed(displayed) => Some(*displayed),
+        _ => None,
+    });
+    let displayed = displayed.expect("a report");
+    assert_eq!((displayed.frame, displayed.frames_without_bundle), (FrameId(0), 12));
+    assert_eq!(Some(displayed.display_time), reports[1].server_time);
+    let stats = client.stats();
+    assert_eq!((stats.bundles, stats.atlas_bytes), (1, u64::from(ATLAS[0] * ATLAS[1]) * 3 / 2 + 1));
+    finish(&run, client);
+    let [x, y] = pixel([-0.25, 1.6, -2.0], -1.0).map(|p| p as u32);
+    assert_close(run.picture(stats.frames - 1, Side::Left).at(x, y), RED.0, "the left square");
+}
+
+#[test]
+fn a_lost_picture_leaves_the_last_bundle_on_display_until_a_refresh_that_is_asked_for() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    let mut line = Line::connect(&mut client);
+    line.lost_pictures = vec![1];
+    line.send(&static_patches(), &planes([0, 64]), true);
+    line.frame(&mut client);
+    for frame in 1..4 {
+        let placements = vec![(PatchSlot(0), Some(block(64 * frame as u16)))];
+        let delta = GeometryDelta { frame: FrameId(frame), placements, ..GeometryDelta::default() };
+        line.send(&delta, &planes([64 * frame as u16, 0]), frame == 3);
+        let shown = line.frame(&mut client).frame;
+        assert_eq!(
+            shown,
+            Some(FrameId(0)),
+            "update {frame} is not shown: it needs the lost one, or is being decoded"
+        );
+    }
+    assert_eq!(line.frame(&mut client).frame, Some(FrameId(3)));
+    let asked =
+        line.events.iter().filter(|event| matches!(event, ServerEvent::RefreshRequest { .. })).count();
+    assert_eq!((asked, client.stats().lost_pictures), (1, 2));
+    finish(&run, client);
+}
+
+#[test]
+fn after_a_reconnect_the_old_bundle_stays_until_the_new_server_has_one() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    let mut line = Line::connect(&mut client);
+    line.send(&static_patches(), &planes([0, 64]), true);
+    for _ in 0..2 {
+        line.frame(&mut client);
+    }
+    client.on_closed(at(2_000_000_000));
+    for _ in 0..3 {
+        assert_eq!(frame(&mut client).frame, Some(FrameId(0)), "without a server the last bundle stays");
+    }
+    let mut line = Line::connect(&mut client);
+    assert_eq!(line.frame(&mut client).frame, Some(FrameId(0)), "connected, but there is no new one yet");
+    // The new server has the squares' colours exchanged.
+    line.send(&static_patches(), &planes([64, 0]), true);
+    line.frame(&mut client);
+    assert!(line.frame(&mut client).is_new);
+    let last = client.stats().frames - 1;
+    assert_eq!(client.stats().connections, 2);
+    finish(&run, client);
+    let [x, y] = pixel([-0.25, 1.6, -2.0], -1.0).map(|p| p as u32);
+    assert_close(run.picture(last - 2, Side::Left).at(x, y), RED.0, "the old server's picture");
+    assert_close(run.picture(last, Side::Left).at(x, y), BLUE.0, "the new server's picture");
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! A client on the mock runtime in virtual time, behind the system's OpenXR loader, with validation on.
 
 use shadecast_client::client::{Client, ClientOptions, FrameReport, Step};
+use shadecast_client::decode::{self, DecodeError, Decoder};
 use shadecast_client::decoding::DecodeTiming;
 use shadecast_client::platform::Platform;
 use shadecast_client::xr::{Xr, XrOptions};
@@ -56,6 +57,7 @@ impl Run {
             decoding: DecodeTiming::Virtual { delay_ns: 6_000_000 },
             max_vertex_slots: 256,
             max_patch_slots: 64,
+            decoder: |extent_texels| Ok(Box::new(RawDecoder { extent_texels, has_reference: false })),
             ..ClientOptions::default()
         };
         Client::new(xr, options).expect("a client")
@@ -124,4 +126,42 @@ pub fn pixel(point: [f32; 3], eye: f32) -> [f32; 2] {
 
 pub fn at(ns: i64) -> DisplayTime {
     DisplayTime(ns)
+}
+
+/// Decodes what [`coded`] makes: planes as they are, behind a byte that says whether an earlier picture is needed.
+struct RawDecoder {
+    extent_texels: [u32; 2],
+    has_reference: bool,
+}
+
+/// A picture as the raw decoder takes it.
+pub fn coded(picture: &decode::Picture, is_refresh: bool) -> Vec<u8> {
+    [&[u8::from(is_refresh)][..], &picture.y, &picture.cb, &picture.cr].concat()
+}
+
+impl Decoder for RawDecoder {
+    fn decode(&mut self, access_unit: &[u8], picture: &mut decode::Picture) -> Result<(), DecodeError> {
+        if access_unit[0] == 0 && !self.has_reference {
+            return Err(DecodeError::NeedsRefresh);
+        }
+        self.has_reference = true;
+        let luma = (self.extent_texels[0] * self.extent_texels[1]) as usize;
+        let (y, chroma) = access_unit[1..].split_at(luma);
+        let (cb, cr) = chroma.split_at(luma / 4);
+        *picture = decode::Picture {
+            extent_texels: self.extent_texels,
+            y: y.to_vec(),
+            cb: cb.to_vec(),
+            cr: cr.to_vec(),
+        };
+        Ok(())
+    }
+
+    fn unit_lost(&mut self) {
+        self.has_reference = false;
+    }
+
+    fn needs_refresh(&self) -> bool {
+        !self.has_reference
+    }
 }
