@@ -3,9 +3,9 @@
 //! Two drivers use it: [`crate::net`] with a socket and the real clock, and the lab, which steps it in virtual time beside a
 //! server. What it does not know is sockets and who waits for whom.
 
-use crate::decode::{DecodeError, Decoder, Picture};
+use crate::decode::Picture;
 use crate::decoding::{self, DecodeTiming, Decoding};
-use crate::platform;
+use crate::platform::{self, MakeDecoder};
 use crate::renderer::Stages;
 use crate::scene::{ArrivedPicture, Scene, SceneClock};
 use crate::stages::background::{self, Text};
@@ -40,7 +40,7 @@ pub struct ClientOptions {
     /// How decoding takes time.
     pub decoding: DecodeTiming,
     /// Makes a decoder for pictures of an extent in texels.
-    pub decoder: fn([u32; 2]) -> Result<Box<dyn Decoder>, DecodeError>,
+    pub decoder: MakeDecoder,
     /// Vertices that the client offers to keep.
     pub max_vertex_slots: u32,
     /// Patches that the client offers to keep.

@@ -40,6 +40,9 @@ impl Platform {
     }
 }
 
+/// Makes a decoder for pictures of an extent in texels.
+pub type MakeDecoder = fn([u32; 2]) -> Result<Box<dyn Decoder>, DecodeError>;
+
 /// The decoder of this system for pictures of `extent_texels`.
 #[cfg(feature = "desktop")]
 pub fn decoder(extent_texels: [u32; 2]) -> Result<Box<dyn Decoder>, DecodeError> {
