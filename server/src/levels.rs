@@ -10,6 +10,9 @@ use shadecast_protocol::limits::{BLOCK_INSET_TEXELS, BLOCK_MAX_LOG2, BLOCK_MIN_L
 pub const HOLD_UPDATES: u32 = 10;
 /// A block shrinks only when the extent has fallen under this part of the next smaller size.
 const SHRINK_BELOW: f32 = 0.8;
+/// Sizes round up to a power of two only beyond this part of the way: a block may be a quarter smaller than its extent
+/// before the next size, twice the texels, is taken. ARCHITECTURE.md has the measurement.
+const ROUNDING: f32 = 0.8;
 /// A full atlas multiplies texel density by this and tries again.
 const COARSEN: f32 = 0.84;
 /// With room to spare, density recovers by this per update.
@@ -186,10 +189,10 @@ impl Layout {
 fn wanted_size(extent: [u16; 2], current: Option<BlockSize>, density: f32) -> BlockSize {
     let side = |texels: u16, current: Option<u8>| {
         let needed = f32::from(texels) * density + 2.0 * BLOCK_INSET_TEXELS as f32;
-        let exact = log2_up(needed);
+        let exact = log2_up(needed * ROUNDING);
         match current {
             // Pressure (density below 1) beats hysteresis: what must shrink, shrinks.
-            Some(now) if density >= 1.0 && exact < now && log2_up(needed / SHRINK_BELOW) >= now => now,
+            Some(now) if density >= 1.0 && exact < now && log2_up(needed * ROUNDING / SHRINK_BELOW) >= now => now,
             _ => exact,
         }
     };

@@ -4,7 +4,8 @@ use glam::{Quat, Vec3};
 use shadecast_protocol::ids::DiscontinuityId;
 use shadecast_protocol::message::HeadState;
 use shadecast_protocol::pose::{Eye, Fov, Pose};
-use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
+use shadecast_protocol::limits::SAMPLE_RING;
+use shadecast_protocol::time::{DEFAULT_GRID, Grid, GridIndex, ServerTime};
 use std::collections::VecDeque;
 
 /// View times per update.
@@ -21,8 +22,8 @@ const MAX_MARGIN: f32 = 0.35;
 /// Velocities beyond these are tracking errors, not heads.
 const MAX_SPEED_M_S: f32 = 10.0;
 const MAX_TURN_RAD_S: f32 = 20.0;
-/// Never predict farther than this, whatever the path looks like.
-const MAX_HORIZON_NS: i64 = 300_000_000;
+/// Never predict farther than this, whatever the path looks like: the ring of samples must hold the whole window.
+const MAX_HORIZON_NS: i64 = 400_000_000;
 
 /// One predicted eye.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,6 +33,8 @@ pub struct View {
     /// Widened by the margin.
     pub fov: Fov,
 }
+
+const _: () = assert!(MAX_HORIZON_NS / DEFAULT_GRID.spacing_ns + 4 <= SAMPLE_RING as i64);
 
 /// What an update is made for.
 #[derive(Clone, Debug, PartialEq)]
@@ -185,7 +188,6 @@ fn view_error(a: Pose, b: Pose) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use shadecast_protocol::time::DEFAULT_GRID;
 
     fn state(sequence: u32, seconds: f64, x: f32, turn_rad_s: f32) -> HeadState {
         let eye = |x| Eye {

@@ -10,8 +10,8 @@ use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::time::{Grid, GridIndex};
 use std::sync::Arc;
 
-/// Grid points kept on the server: the horizon's 300 ms at the default grid, with room for late ones.
-pub const RING: u32 = 16;
+/// Grid points kept on the server: as many as on the client.
+pub const RING: u32 = shadecast_protocol::limits::SAMPLE_RING;
 
 /// Samples `oldest..=newest`, each in the slot of its number modulo [`RING`].
 pub struct SampleWindow {
@@ -46,10 +46,10 @@ impl SampleWindow {
         self.oldest
     }
 
-    /// Records the samples that `views` need and the window lacks. A server that fell behind by more than the ring
-    /// skips the grid points that nobody can display any more.
+    /// Records the samples that `views` need and the window lacks. A server that fell behind skips the grid points that
+    /// nobody can display any more.
     pub fn record(&mut self, recorder: &mut Recorder, animation: &mut Animation, grid: Grid, views: &PredictedViews) {
-        let earliest = views.horizon.plus(1 - RING as i32);
+        let earliest = views.horizon.plus(1 - RING as i32).max(views.first_sample.min(views.times[0]));
         let first = self.newest.map_or(views.first_sample, |g| g.plus(1)).max(earliest);
         let is_first = self.newest.is_none();
         if is_first || self.newest.is_some_and(|newest| newest < first.plus(-1)) {
@@ -70,7 +70,7 @@ impl SampleWindow {
         }
         recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
         self.newest = self.newest.max(Some(views.horizon));
-        self.oldest = self.oldest.max(earliest);
+        self.oldest = self.oldest.max(views.horizon.plus(1 - RING as i32));
     }
 
     fn saved(&self, index: u32) -> Vec3 {

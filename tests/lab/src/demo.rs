@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 /// Seconds that a process may take to end after it should have.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// Display frames between two that are captured: captures wait for the GPU, so they are few.
-const CAPTURE_EVERY: u32 = 36;
+const CAPTURE_EVERY: u32 = 12;
 
 /// What to show.
 #[derive(Clone, Debug)]
@@ -38,6 +38,8 @@ pub struct DemoOptions {
     pub extent_pixels: [u32; 2],
     /// Seconds of display.
     pub seconds: f64,
+    /// Display frames per second.
+    pub refresh_hz: f64,
     /// Validation layers in both processes.
     pub validation: bool,
 }
@@ -106,6 +108,7 @@ pub fn demo(options: &DemoOptions) -> anyhow::Result<Stats> {
     let run = RunOptions {
         extent_pixels: options.extent_pixels,
         seconds: options.seconds,
+        refresh_hz: options.refresh_hz,
         ..RunOptions::new(options.scene.clone(), out.clone())
     };
     let config = mock_config(&run, ClockKind::Real, CAPTURE_EVERY)?;
@@ -169,8 +172,13 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
     let frames = read_frames(&capture).context("reading the runtime's frame log")?;
     let mut summary = Summary::default();
     let mut last = None;
+    let mut has_begun = false;
     for record in frames.iter().filter(|record| record.captured) {
-        let Some(probes) = read_probes(out, record)? else { continue }; // before the first bundle
+        let Some(probes) = read_probes(out, record)? else { continue };
+        has_begun |= probes.iter().any(|probe| probe.coverage() > 0.0);
+        if !has_begun {
+            continue; // the waiting room, before the first bundle
+        }
         let time = ServerTime(record.predicted_display_time_ns - epoch_ns);
         let world_from_stage = scene.scene.world_from_stage;
         let pictures =
@@ -194,6 +202,7 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
         validation_messages: number(&server, "validation_messages") as u64
             + number(&client, "validation_messages") as u64
             + u64::from(gpu.validation_messages()),
+        gpu_ms: server.get("gpu_ms").cloned().map(serde_json::from_value).transpose()?.unwrap_or_default(),
     });
     stats.write_json(&run.out.join("stats.json"))?;
     let atlas = Rgb8Image::read_png(&out.join("atlas.png")).ok();

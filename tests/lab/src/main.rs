@@ -8,9 +8,9 @@ use shadecast_lab::options::{Renderer, RunOptions, StageMs};
 use shadecast_lab::run::run;
 use shadecast_server::animation::clip::DEFAULT_RESAMPLE_INTERVAL_S;
 use shadecast_server::encode::openh264::DEFAULT_QP;
-use shadecast_server::scene::load::SceneSource;
 use shadecast_transport::{LinkProfile, LinkSchedule};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// The whole system on one virtual clock: measurements that a slow machine makes as a fast one would.
 #[derive(Parser)]
@@ -102,15 +102,17 @@ struct RunArgs {
 
 #[derive(Args)]
 struct DemoArgs {
-    /// dragon, dragons:N, a .glb/.gltf file, or a scene .toml
-    #[arg(default_value = "dragons:3")]
-    scene: String,
+    /// dragon, dragons:N, a .glb/.gltf file, or a scene .toml [default: dragons:3; one dragon on a CPU]
+    scene: Option<String>,
     /// Folder for pictures and stats.json
     #[arg(long, default_value = "out/demo")]
     out: PathBuf,
-    /// Pixels per eye
-    #[arg(long, value_parser = parse_size, default_value = "384x384")]
-    size: [u32; 2],
+    /// Pixels per eye [default: 1024x1024; 192x192 on a CPU]
+    #[arg(long, value_parser = parse_size)]
+    size: Option<[u32; 2]>,
+    /// Display frames per second [default: 72; 15 on a CPU]
+    #[arg(long)]
+    refresh: Option<f64>,
     /// Seconds of streaming
     #[arg(long, default_value_t = 8.0)]
     seconds: f64,
@@ -188,9 +190,20 @@ fn run_one(args: RunArgs) -> anyhow::Result<()> {
 }
 
 fn run_demo(args: DemoArgs) -> anyhow::Result<()> {
-    let scene: SceneSource = args.scene.parse()?;
-    let options =
-        DemoOptions { scene, out: args.out, extent_pixels: args.size, seconds: args.seconds, validation: args.validation };
+    let gpu = open_device()?;
+    let defaults = if gpu.is_cpu() { ("dragon", [192, 192], 15.0) } else { ("dragons:3", [1024, 1024], 72.0) };
+    drop(gpu);
+    let refresh_hz = args.refresh.unwrap_or(defaults.2);
+    anyhow::ensure!((5.0..=240.0).contains(&refresh_hz), "--refresh {refresh_hz} must lie between 5 and 240");
+    anyhow::ensure!(args.seconds > 0.0, "--seconds {} must be positive", args.seconds);
+    let options = DemoOptions {
+        scene: args.scene.as_deref().unwrap_or(defaults.0).parse()?,
+        out: args.out,
+        extent_pixels: args.size.unwrap_or(defaults.1),
+        seconds: args.seconds,
+        refresh_hz,
+        validation: args.validation,
+    };
     let stats = demo(&options)?;
     println!("{stats}");
     println!("Pictures: {}", options.out.join("sheet.png").display());
@@ -198,10 +211,15 @@ fn run_demo(args: DemoArgs) -> anyhow::Result<()> {
 }
 
 fn name_device() -> anyhow::Result<()> {
+    open_device().map(|_| ())
+}
+
+/// Opens the device that would be used, and says which it is.
+fn open_device() -> anyhow::Result<Arc<Gpu>> {
     let gpu = Gpu::open(&GpuOptions { needs: Needs::Server, validation: false, device_name: None }, &DesktopDevice)?;
     println!("Vulkan device: {}", gpu.device_name());
     if gpu.is_cpu() {
         println!("warning: this device is a CPU; everything works, slowly");
     }
-    Ok(())
+    Ok(gpu)
 }

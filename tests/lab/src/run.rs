@@ -16,6 +16,7 @@ use shadecast_mock_runtime::record::{FrameRecord, Side, picture_path, read_frame
 use shadecast_mock_runtime::manifest;
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// A walk of a few steps to the side and forward, turning the head: 5 s, then it goes back the same way.
@@ -114,10 +115,14 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
         before: 0,
         last: None,
         motion: Motion::default(),
+        gpu_ms: BTreeMap::new(),
     };
     let frames = (options.seconds * options.refresh_hz).round() as u64;
     let bar = progress(options.verbose, frames);
     while let Step::Frame(shown) = lab.step()? {
+        for (stage, ms) in lab.server.gpu.take_timings_ms() {
+            *run.gpu_ms.entry(stage).or_default() += ms;
+        }
         if options.motion && shown.frame.is_some() {
             run.motion.look(&lab, ServerTime(shown.display_time.0 - SERVER_EPOCH_NS))?;
         }
@@ -146,6 +151,8 @@ struct Run<'a> {
     /// Client and truth of both eyes, the last compared.
     last: Option<[[Rgb8Image; 2]; 2]>,
     motion: Motion,
+    /// Milliseconds by the server's GPU stage, summed.
+    gpu_ms: BTreeMap<&'static str, f64>,
 }
 
 impl Run<'_> {
@@ -163,6 +170,7 @@ impl Run<'_> {
         let time = ServerTime(record.predicted_display_time_ns - SERVER_EPOCH_NS);
         let pictures = compare(comparer, &mut self.summary, record, &self.capture, world_from_stage, time, probes.as_ref(),
             self.options.renderer == Renderer::Forward)?;
+        lab.server.gpu.take_timings_ms(); // the ground truth's own
         if self.options.dump_every > 0 {
             dump(&self.options.out, record.frame, &pictures)?;
         }
@@ -186,6 +194,7 @@ impl Run<'_> {
             mbit_per_s: MbitPerS { atlas: mbit(sent.atlas_bytes), geometry: mbit(sent.geometry_bytes) },
             bytes_per_animated_vertex_sample: (sent.samples > 0).then(|| sent.sample_bytes as f64 / sent.samples as f64),
             validation_messages,
+            gpu_ms: self.gpu_ms.iter().map(|(stage, ms)| ((*stage).to_owned(), ms / sent.updates.max(1) as f64)).collect(),
         });
         stats.write_json(&self.options.out.join("stats.json"))?;
         let atlas = match &server.last {

@@ -1,5 +1,6 @@
 //! What a run is summed up as: `stats.json`, the same from the demo and from the lab, and a few lines for people.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -34,6 +35,8 @@ pub struct Counted {
     pub mbit_per_s: MbitPerS,
     /// Bytes on the wire for one vertex at one grid time, headers included; none if nothing animated was sent.
     pub bytes_per_animated_vertex_sample: Option<f64>,
+    /// Mean milliseconds per update that each GPU stage of the server took.
+    pub gpu_ms: BTreeMap<String, f64>,
     /// Messages of the validation layers, warnings and errors.
     pub validation_messages: u64,
 }
@@ -79,6 +82,8 @@ pub struct Stats {
     pub frames_without_bundle: u64,
     /// Messages of the validation layers, warnings and errors.
     pub validation_messages: u64,
+    /// Mean milliseconds per update that each GPU stage of the server took.
+    pub gpu_ms: BTreeMap<String, f64>,
 }
 
 /// Why `stats.json` could not be written.
@@ -147,6 +152,7 @@ impl Summary {
             frames_too_empty: self.too_empty,
             frames_without_bundle: without_bundle as u64,
             validation_messages: counted.validation_messages,
+            gpu_ms: counted.gpu_ms,
         }
     }
 
@@ -180,7 +186,9 @@ impl fmt::Display for Stats {
         line(f, "FLIP", format_args!("{flip} at 67 pixels per degree, {at_view} at the display's own"))?;
         self.fmt_holes(f)?;
         self.fmt_compared(f)?;
-        line(f, "validation", format_args!("{} messages", self.validation_messages))
+        line(f, "validation", format_args!("{} messages", self.validation_messages))?;
+        let stages: Vec<_> = self.gpu_ms.iter().map(|(stage, ms)| format!("{stage} {ms:.1}")).collect();
+        line(f, "GPU ms/update", format_args!("{}", stages.join(", ")))
     }
 }
 
