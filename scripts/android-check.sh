@@ -1,23 +1,55 @@
 #!/usr/bin/env bash
-# Compiles and lints for a headset's system what runs there, without an NDK: nothing is linked, so missing symbols go unseen.
+# Checks, without an NDK, what runs on a headset: compiles and lints it for that system. With --link also links the library
+# against stubs that define only the symbols of android/ndk-symbols.txt. A check: what comes out runs nowhere.
 set -euo pipefail
 ROOT=$(dirname -- "$(dirname -- "$(readlink -f -- "$0")")")
 TARGET=aarch64-linux-android
+API=29
 cd -- "$ROOT"
 
-if [ ! -d "$(rustc --print sysroot)/lib/rustlib/$TARGET/lib" ]; then
-  echo "android-check: no standard library for $TARGET: rustup target add $TARGET" >&2
+die() {
+  echo "android-check: $*" >&2
   exit 1
-fi
-if ! command -v clang >/dev/null; then
-  echo "android-check: clang is needed for the C parts of ring: apt-get install clang" >&2
-  exit 1
-fi
+}
 
-# ring's C code asks for no header of the system when it is told so; an NDK given from outside is used instead.
+needs() { # TOOL PACKAGE
+  command -v "$1" >/dev/null || die "'$1' was not found: apt-get install $2"
+}
+
+# Stub libraries, empty but for their symbols. The NDK's libunwind is a static archive.
+make_stubs() {
+  local stubs=$1 library compile=(clang "--target=$TARGET$API" -fPIC -ffreestanding -nostdlibinc -fno-builtin -w)
+  for library in c m dl log android mediandk nativewindow unwind; do
+    {
+      echo "int shadecast_stub_$library;"
+      awk -v library=$library '$1 == library {print "void " $2 "(void) {}"}' android/ndk-symbols.txt
+    } >"$stubs/$library.c"
+    "${compile[@]}" -c "$stubs/$library.c" -o "$stubs/$library.o"
+    [ $library = unwind ] || ld.lld -shared -soname lib$library.so -o "$stubs/lib$library.so" "$stubs/$library.o"
+  done
+  llvm-ar rcs "$stubs/libunwind.a" "$stubs/unwind.o"
+}
+
+link() {
+  needs ld.lld lld
+  needs llvm-ar llvm
+  STUBS=$(mktemp -d)
+  trap 'rm -rf -- "$STUBS"' EXIT
+  make_stubs "$STUBS"
+  local flags="-Lnative=$STUBS -Clink-arg=--target=$TARGET$API -Clink-arg=-fuse-ld=lld -Clink-arg=-nostartfiles"
+  flags+=" -Clink-arg=-Wl,-z,defs -Clink-arg=-Wl,-error-limit=0"
+  CARGO_TARGET_AARCH64_LINUX_ANDROID_LINKER=clang CARGO_TARGET_AARCH64_LINUX_ANDROID_RUSTFLAGS=$flags \
+    cargo build --target $TARGET --locked -p shadecast-android
+}
+
+[ -d "$(rustc --print sysroot)/lib/rustlib/$TARGET/lib" ] || die "no standard library for $TARGET: rustup target add $TARGET"
+needs clang clang
+# ring's C code asks for no header of the system when it is told so; a compiler given from outside is used instead.
 export CC_aarch64_linux_android="${CC_aarch64_linux_android:-clang}"
 export CFLAGS_aarch64_linux_android="${CFLAGS_aarch64_linux_android:--nostdlibinc -DRING_CORE_NOSTDLIBINC=1}"
 # A folder of its own: this compiler may be another release than the host's.
 export CARGO_TARGET_DIR="${CARGO_TARGET_DIR:-$ROOT/target/android}"
 
-cargo clippy --target "$TARGET" --locked -p shadecast-protocol -p shadecast-transport -p shadecast-android -- -D warnings
+cargo clippy --target $TARGET --locked -p shadecast-protocol -p shadecast-transport -p shadecast-android -- -D warnings
+if [ "${1:-}" = --link ]; then link; fi
+echo "android-check: ok"
