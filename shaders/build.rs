@@ -88,7 +88,11 @@ fn describe(file: &Path, words: &[u32], structs: &mut BTreeMap<String, String>, 
     writeln!(modules, "/// `{stem}`, compiled and reflected.\npub static {constant}: Shader = Shader {{ name: \"{stem}\", stage: Stage::{},", stage_name(stage)).unwrap();
     writeln!(modules, "push_bytes: {push_bytes}, words: &[{}], bindings: &[", words.join(",")).unwrap();
     for (index, kind, count, name) in bindings {
-        writeln!(modules, "Binding {{ index: {index}, kind: BindingKind::{kind}, count: {count}, name: \"{name}\" }},").unwrap();
+        writeln!(
+            modules,
+            "Binding {{ index: {index}, kind: BindingKind::{kind}, count: {count}, name: \"{name}\" }},"
+        )
+        .unwrap();
     }
     modules.push_str("] };\n");
 }
@@ -116,10 +120,8 @@ fn collect_structs(ty: &Type, structs: &mut BTreeMap<String, String>, stem: &str
     match ty {
         Type::Array(array) => collect_structs(&array.element_ty, structs, stem),
         Type::Struct(block) => {
-            let open_ended = block
-                .members
-                .iter()
-                .any(|m| matches!(&m.ty, Type::Array(a) if a.nelement.is_none()));
+            let open_ended =
+                block.members.iter().any(|m| matches!(&m.ty, Type::Array(a) if a.nelement.is_none()));
             if open_ended {
                 block.members.iter().for_each(|m| collect_structs(&m.ty, structs, stem));
             } else {
@@ -138,17 +140,24 @@ fn emit_struct(block: &StructType, structs: &mut BTreeMap<String, String>, stem:
         let field = member.name.clone().unwrap_or_else(|| panic!("{stem}: {name} has a nameless member"));
         let offset = member.offset.unwrap_or_else(|| panic!("{stem}: {name}.{field} has no offset"));
         if offset > at {
-            writeln!(fields, "    /// Alignment of the next member.\n    pub _pad{index}: [u8; {}],", offset - at).unwrap();
+            writeln!(
+                fields,
+                "    /// Alignment of the next member.\n    pub _pad{index}: [u8; {}],",
+                offset - at
+            )
+            .unwrap();
         }
         let (rust, bytes) = rust_type(&member.ty, stem);
         align = align.max(member_align(&member.ty));
         writeln!(fields, "    /// See the GLSL struct.\n    pub {field}: {rust},").unwrap();
-        writeln!(checks, "const _: () = assert!(std::mem::offset_of!({name}, {field}) == {offset});").unwrap();
+        writeln!(checks, "const _: () = assert!(std::mem::offset_of!({name}, {field}) == {offset});")
+            .unwrap();
         at = offset + bytes;
     }
     let tail = round_up(at, align) - at;
     if tail > 0 {
-        writeln!(fields, "    /// Size is a multiple of the alignment.\n    pub _pad_end: [u8; {tail}],").unwrap();
+        writeln!(fields, "    /// Size is a multiple of the alignment.\n    pub _pad_end: [u8; {tail}],")
+            .unwrap();
     }
     let text = format!(
         "/// Layout of the GLSL struct `{name}`.\n#[repr(C)]\n#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Zeroable, bytemuck::Pod)]\npub struct {name} {{\n{fields}}}\n{checks}"

@@ -84,14 +84,20 @@ impl Frame {
         let eye = EyeSize::of(capabilities);
         let animation = Animation::new(gpu, scene, RING)?;
         let samples = SampleWindow::new(gpu, scene, &animation)?;
-        let views = Buffer::new(gpu, "views", u64::from(MAX_VIEWS) * size_of::<ViewGpu>() as u64, Memory::Upload)?;
+        let views =
+            Buffer::new(gpu, "views", u64::from(MAX_VIEWS) * size_of::<ViewGpu>() as u64, Memory::Upload)?;
         let id_buffer = IdBuffer::new(gpu, scene, &animation, &views, eye.id_buffer_extent())?;
         let mark = Mark::new(gpu, &id_buffer.image, scene.totals.patches)?;
         let level_selection = LevelSelection::new(gpu, scene, &animation, &views, &mark.visible)?;
         let shading = Shading::new(gpu, scene, &animation, welcome.atlas_extent_texels)?;
         let ycbcr = Ycbcr::new(gpu, &shading.atlas)?;
         Ok(Self {
-            extents: Buffer::new(gpu, "extents for the CPU", level_selection.extents.size(), Memory::Readback)?,
+            extents: Buffer::new(
+                gpu,
+                "extents for the CPU",
+                level_selection.extents.size(),
+                Memory::Readback,
+            )?,
             layout: Layout::new(welcome.atlas_extent_texels, scene.totals.patches as usize),
             residency: Residency::new(&samples, welcome.patch_slots, welcome.vertex_slots),
             gpu: gpu.clone(),
@@ -123,10 +129,11 @@ impl Frame {
         while self.update_times.front().is_some_and(|(frame, _)| *frame < report.frame) {
             self.update_times.pop_front();
         }
-        if self.update_times.front().is_some_and(|(frame, _)| *frame == report.frame) {
-            if let Some((_, started)) = self.update_times.pop_front() {
-                self.head.displayed(started, report.display_time);
-            }
+        if let Some((frame, started)) = self.update_times.front().copied()
+            && frame == report.frame
+        {
+            self.update_times.pop_front();
+            self.head.displayed(started, report.display_time);
         }
     }
 
@@ -231,7 +238,11 @@ impl Frame {
 
 impl Shaded {
     /// Step 7: the picture as an access unit, with the header that binds it to its delta.
-    pub fn encode(&self, encoder: &mut dyn Encoder, refresh: bool) -> Result<(PictureHeader, AccessUnit), EncodeError> {
+    pub fn encode(
+        &self,
+        encoder: &mut dyn Encoder,
+        refresh: bool,
+    ) -> Result<(PictureHeader, AccessUnit), EncodeError> {
         let luma = self.extent_texels[0] as usize * self.extent_texels[1] as usize;
         let (y, chroma) = self.planes.split_at(luma);
         let (cb, cr) = chroma.split_at(luma / 4);

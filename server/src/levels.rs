@@ -192,7 +192,11 @@ fn wanted_size(extent: [u16; 2], current: Option<BlockSize>, density: f32) -> Bl
         let exact = log2_up(needed * ROUNDING);
         match current {
             // Pressure (density below 1) beats hysteresis: what must shrink, shrinks.
-            Some(now) if density >= 1.0 && exact < now && log2_up(needed * ROUNDING / SHRINK_BELOW) >= now => now,
+            Some(now)
+                if density >= 1.0 && exact < now && log2_up(needed * ROUNDING / SHRINK_BELOW) >= now =>
+            {
+                now
+            }
             _ => exact,
         }
     };

@@ -22,14 +22,18 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Streams shaded, animated worlds to a headset that only rasterises and texture-maps.
 #[derive(Parser)]
-#[command(name = "shadecast-server", version, after_help = "Examples:
+#[command(
+    name = "shadecast-server",
+    version,
+    after_help = "Examples:
   shadecast-server stream dragons:3
   shadecast-server stream castle.toml --listen 0.0.0.0:7400
   shadecast-server stream fox.glb --link latency=20ms,jitter=5ms,rate=100mbit
   shadecast-server forward dragon --out pictures --frames 8 --fps 8
   shadecast-server generate dragon --out dragon.glb
 
-SCENE is dragon, dragons:N, a .glb or .gltf file, or a scene description (.toml).")]
+SCENE is dragon, dragons:N, a .glb or .gltf file, or a scene description (.toml)."
+)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -156,7 +160,10 @@ fn main() {
     let filter = tracing_subscriber::filter::Targets::new().with_default(tracing::Level::WARN);
     use tracing_subscriber::layer::SubscriberExt;
     use tracing_subscriber::util::SubscriberInitExt;
-    tracing_subscriber::registry().with(tracing_subscriber::fmt::layer().with_writer(std::io::stderr)).with(filter).init();
+    tracing_subscriber::registry()
+        .with(tracing_subscriber::fmt::layer().with_writer(std::io::stderr))
+        .with(filter)
+        .init();
     let result = match Cli::parse().command {
         Command::Stream(args) => stream(&args),
         Command::Forward(args) => forward(&args),
@@ -189,7 +196,10 @@ fn open(scene: &str, args: &DeviceArgs) -> anyhow::Result<(Arc<Gpu>, Arc<SceneGp
 fn stream(args: &StreamArgs) -> anyhow::Result<()> {
     let [width, height] = args.atlas;
     anyhow::ensure!(
-        width % 512 == 0 && height % 512 == 0 && width <= ATLAS_MAX_EXTENT[0] && height <= ATLAS_MAX_EXTENT[1],
+        width % 512 == 0
+            && height % 512 == 0
+            && width <= ATLAS_MAX_EXTENT[0]
+            && height <= ATLAS_MAX_EXTENT[1],
         "--atlas {width}x{height}: both sides must be multiples of 512, at most {}x{} (usual: {}x{})",
         ATLAS_MAX_EXTENT[0],
         ATLAS_MAX_EXTENT[1],
@@ -231,7 +241,11 @@ fn parse_link(text: &str) -> anyhow::Result<LinkSchedule> {
 }
 
 fn forward(args: &ForwardArgs) -> anyhow::Result<()> {
-    anyhow::ensure!((1.0..=150.0).contains(&args.fov), "--fov {} must lie between 1 and 150 degrees", args.fov);
+    anyhow::ensure!(
+        (1.0..=150.0).contains(&args.fov),
+        "--fov {} must lie between 1 and 150 degrees",
+        args.fov
+    );
     anyhow::ensure!(args.fps > 0.0, "--fps {} must be positive", args.fps);
     let (gpu, scene) = open(&args.scene, &args.device)?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("making {}", args.out.display()))?;
@@ -242,10 +256,18 @@ fn forward(args: &ForwardArgs) -> anyhow::Result<()> {
     for frame in 0..args.frames {
         let time = ServerTime(((args.start + f64::from(frame) / args.fps) * 1e9) as i64);
         let truth = renderer.render(world_from_eye, Fov::symmetric_degrees(args.fov), time)?;
-        picture::write_png(&args.out.join(format!("forward-{frame:06}.png")), truth.extent_pixels, &truth.rgb8)?;
+        picture::write_png(
+            &args.out.join(format!("forward-{frame:06}.png")),
+            truth.extent_pixels,
+            &truth.rgb8,
+        )?;
     }
     println!("{} pictures in {}", args.frames, args.out.display());
-    anyhow::ensure!(gpu.validation_messages() == 0, "{} Vulkan validation messages", gpu.validation_messages());
+    anyhow::ensure!(
+        gpu.validation_messages() == 0,
+        "{} Vulkan validation messages",
+        gpu.validation_messages()
+    );
     Ok(())
 }
 

@@ -63,7 +63,7 @@ mod tests {
     use crate::scene::Wrap;
 
     fn checker(srgb: bool) -> Texture {
-        let texel = |i: u32| if (i % 4 + i / 4) % 2 == 0 { [255; 4] } else { [0, 0, 0, 255] };
+        let texel = |i: u32| if (i % 4 + i / 4).is_multiple_of(2) { [255; 4] } else { [0, 0, 0, 255] };
         Texture {
             name: "checker".into(),
             extent_texels: [4, 2],

@@ -107,8 +107,7 @@ struct Builder<'a> {
 
 impl<'a> Builder<'a> {
     fn new(model: &'a Model) -> Self {
-        let triangles: Vec<[u32; 3]> =
-            model.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
+        let triangles: Vec<[u32; 3]> = model.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
         let mut material = vec![0; triangles.len()];
         for primitive in &model.primitives {
             let first = primitive.first_index as usize / 3;
@@ -117,7 +116,9 @@ impl<'a> Builder<'a> {
         let position = |v: u32| model.vertices[v as usize].position;
         let normal = triangles
             .iter()
-            .map(|t| (position(t[1]) - position(t[0])).cross(position(t[2]) - position(t[0])).normalize_or_zero())
+            .map(|t| {
+                (position(t[1]) - position(t[0])).cross(position(t[2]) - position(t[0])).normalize_or_zero()
+            })
             .collect();
         let mut edges = HashMap::with_capacity(triangles.len() * 3);
         for (index, t) in triangles.iter().enumerate() {
@@ -218,7 +219,8 @@ impl<'a> Builder<'a> {
 
     /// Gives every triangle left a patch of its own and numbers all patches by their first triangle.
     fn finish(self) -> Patches {
-        let mut result = Patches { patches: Vec::new(), patch_of_triangle: vec![u32::MAX; self.triangles.len()] };
+        let mut result =
+            Patches { patches: Vec::new(), patch_of_triangle: vec![u32::MAX; self.triangles.len()] };
         for triangle in 0..self.triangles.len() as u32 {
             let group = match self.groups[triangle as usize] {
                 Some(group) => group,

@@ -9,7 +9,8 @@ use std::path::Path;
 /// # Errors
 /// The file cannot be written; the error names it.
 pub fn write_png(path: &Path, [width, height]: [u32; 2], rgb8: &[u8]) -> io::Result<()> {
-    let named = |error: io::Error| io::Error::new(error.kind(), format!("writing {}: {error}", path.display()));
+    let named =
+        |error: io::Error| io::Error::new(error.kind(), format!("writing {}: {error}", path.display()));
     let file = File::create(path).map_err(named)?;
     let mut encoder = png::Encoder::new(BufWriter::new(file), width, height);
     encoder.set_color(png::ColorType::Rgb);
@@ -28,7 +29,8 @@ pub fn rgb_from_planes([width, height]: [u32; 2], planes: &[u8]) -> Vec<u8> {
         let y = f32::from(planes[i]);
         let (b, r) = (f32::from(cb[chroma]) - 128.0, f32::from(cr[chroma]) - 128.0);
         // ITU-R BT.709-6, item 3, solved for red, green and blue.
-        [y + 1.5748 * r, y - 0.1873 * b - 0.4681 * r, y + 1.8556 * b].map(|c| c.round().clamp(0.0, 255.0) as u8)
+        [y + 1.5748 * r, y - 0.1873 * b - 0.4681 * r, y + 1.8556 * b]
+            .map(|c| c.round().clamp(0.0, 255.0) as u8)
     };
     (0..luma).flat_map(texel).collect()
 }

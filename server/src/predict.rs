@@ -2,9 +2,9 @@
 
 use glam::{Quat, Vec3};
 use shadecast_protocol::ids::DiscontinuityId;
+use shadecast_protocol::limits::SAMPLE_RING;
 use shadecast_protocol::message::HeadState;
 use shadecast_protocol::pose::{Eye, Fov, Pose};
-use shadecast_protocol::limits::SAMPLE_RING;
 use shadecast_protocol::time::{DEFAULT_GRID, Grid, GridIndex, ServerTime};
 use std::collections::VecDeque;
 

@@ -151,7 +151,13 @@ impl Residency {
         delta
     }
 
-    fn lose_block(&mut self, geometry: &impl Geometry, patch: u32, frame: FrameId, delta: &mut GeometryDelta) {
+    fn lose_block(
+        &mut self,
+        geometry: &impl Geometry,
+        patch: u32,
+        frame: FrameId,
+        delta: &mut GeometryDelta,
+    ) {
         let slot = self.slot_of_patch[patch as usize];
         if slot == NONE {
             return; // it was refused when it came
@@ -266,7 +272,11 @@ impl Residency {
                 Motion::Sampled
             }
         };
-        delta.new_vertices.push(NewVertex { slot: VertexSlot(*slot), instance: InstanceId(instance), motion });
+        delta.new_vertices.push(NewVertex {
+            slot: VertexSlot(*slot),
+            instance: InstanceId(instance),
+            motion,
+        });
         *slot
     }
 
@@ -360,7 +370,12 @@ mod tests {
         }
         fn patch(&self, patch: u32) -> Patch {
             let v = 2 * (patch % (PATCHES / 2));
-            Patch { vertices: [v, v + 1, v + 3, v + 2, v], kind: PatchKind::Two, material: 0, double_sided: false }
+            Patch {
+                vertices: [v, v + 1, v + 3, v + 2, v],
+                kind: PatchKind::Two,
+                material: 0,
+                double_sided: false,
+            }
         }
         fn static_position(&self, vertex: u32) -> Option<Vec3> {
             (vertex < PATCHES + 2).then(|| Vec3::new(vertex as f32, 0.0, 0.0))
@@ -490,7 +505,8 @@ mod tests {
         for _ in 0..100 {
             run.step();
             let now = run.frame as i32 - 1;
-            for (vertex, samples) in run.mirror.vertices.values().filter(|(v, _)| v.motion == Motion::Sampled) {
+            for (vertex, samples) in run.mirror.vertices.values().filter(|(v, _)| v.motion == Motion::Sampled)
+            {
                 let complete = (now..=now + 5).all(|g| samples.contains_key(&g));
                 assert!(complete, "seed {SEED}, frame {now}: {vertex:?} has {:?}", samples.keys());
             }

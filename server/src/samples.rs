@@ -1,10 +1,10 @@
 //! The window of grid samples: which grid points are computed, and their positions where the CPU can read them.
 
 use crate::animation::gpu::Animation;
+use crate::patches::Patch;
 use crate::predict::PredictedViews;
 use crate::residency::{Geometry, InstanceRange};
 use crate::scene_gpu::SceneGpu;
-use crate::patches::Patch;
 use glam::Vec3;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::time::{Grid, GridIndex};
@@ -27,7 +27,8 @@ pub struct SampleWindow {
 impl SampleWindow {
     /// An empty window.
     pub fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>, animation: &Animation) -> Result<Self, GpuError> {
-        let mirror = Buffer::new(gpu, "positions for the CPU", animation.saved_vertices().size(), Memory::Readback)?;
+        let mirror =
+            Buffer::new(gpu, "positions for the CPU", animation.saved_vertices().size(), Memory::Readback)?;
         let mut places = Vec::with_capacity(scene.totals.vertices as usize);
         for instance in &scene.instances {
             let count = scene.models[instance.model].vertex_count;
@@ -48,7 +49,13 @@ impl SampleWindow {
 
     /// Records the samples that `views` need and the window lacks. A server that fell behind skips the grid points that
     /// nobody can display any more.
-    pub fn record(&mut self, recorder: &mut Recorder, animation: &mut Animation, grid: Grid, views: &PredictedViews) {
+    pub fn record(
+        &mut self,
+        recorder: &mut Recorder,
+        animation: &mut Animation,
+        grid: Grid,
+        views: &PredictedViews,
+    ) {
         let earliest = views.horizon.plus(1 - RING as i32).max(views.first_sample.min(views.times[0]));
         let first = self.newest.map_or(views.first_sample, |g| g.plus(1)).max(earliest);
         let is_first = self.newest.is_none();

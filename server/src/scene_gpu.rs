@@ -9,7 +9,9 @@ use crate::patches::{Patch, Patches};
 use crate::scene::{Instance, Material, Model, Scene, Texture, Wrap};
 use ash::vk;
 use glam::Affine3A;
-use shadecast_gpu::{Access, Bind, Buffer, Gpu, GpuError, Image, ImageDesc, SCENE_TEXTURES, Sampler, SamplerDesc};
+use shadecast_gpu::{
+    Access, Bind, Buffer, Gpu, GpuError, Image, ImageDesc, SCENE_TEXTURES, Sampler, SamplerDesc,
+};
 use shadecast_shaders::generated::{EntryGpu, KeyGpu, LightGpu, MaterialGpu, PatchGpu, PoseGpu, VertexGpu};
 use std::sync::Arc;
 
@@ -311,7 +313,8 @@ impl BoneOrder {
         for (new, old) in old_of_new.iter().enumerate() {
             new_of_old[*old as usize] = new as u32;
         }
-        let parent = |old: &u32| model.bones[*old as usize].parent.map_or(-1, |p| new_of_old[p as usize] as i32);
+        let parent =
+            |old: &u32| model.bones[*old as usize].parent.map_or(-1, |p| new_of_old[p as usize] as i32);
         let parents = old_of_new.iter().map(parent).collect();
         let levels = depth.iter().max().map_or(0, |deepest| deepest + 1);
         let level_starts = (0..=levels)

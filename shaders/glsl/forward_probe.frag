@@ -3,7 +3,6 @@
 #extension GL_EXT_nonuniform_qualifier : require
 // What is where in the ground truth: instance and distance along the view axis, one sample a pixel.
 #include "scene.glsl"
-layout(std140, binding = 3) uniform View { ViewGpu view; };
 layout(std430, binding = 4) readonly buffer Materials { MaterialGpu materials[]; };
 layout(binding = 6) uniform sampler2D textures[];
 layout(push_constant) uniform ForwardPush {
@@ -13,8 +12,7 @@ layout(push_constant) uniform ForwardPush {
     uint material;
     uint instance;
 };
-layout(location = 0) in vec3 world_position;
-layout(location = 3) in vec2 uv;
+layout(location = 0) in vec2 uv;
 layout(location = 0) out uint instance_number; // + 1; 0 is background
 layout(location = 1) out float distance_m;
 

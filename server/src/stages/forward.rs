@@ -6,14 +6,14 @@ use crate::scene_gpu::SceneGpu;
 use ash::vk;
 use glam::{Mat4, Vec3};
 use shadecast_gpu::{
-    Access, Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
-    Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc,
+    Access, Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline,
+    GraphicsPipelineDesc, Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc,
 };
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_shaders::generated::{
-    BackgroundPush, FORWARD_BACKGROUND_FRAG, FORWARD_BACKGROUND_VERT, FORWARD_FRAG, FORWARD_PROBE_FRAG, FORWARD_VERT,
-    ForwardPush, ViewGpu,
+    BackgroundPush, FORWARD_BACKGROUND_FRAG, FORWARD_BACKGROUND_VERT, FORWARD_FRAG, FORWARD_PROBE_FRAG,
+    FORWARD_PROBE_VERT, FORWARD_VERT, ForwardPush, ViewGpu,
 };
 use std::sync::Arc;
 
@@ -74,7 +74,8 @@ impl Forward {
         let multisampled = image(srgb, SAMPLES, attachment)?;
         let resolved = image(srgb, ONE, readable)?;
         let deep = image(vk::Format::D32_SFLOAT, SAMPLES, depth_usage)?;
-        let probes = [image(vk::Format::R32_UINT, ONE, readable)?, image(vk::Format::R32_SFLOAT, ONE, readable)?];
+        let probes =
+            [image(vk::Format::R32_UINT, ONE, readable)?, image(vk::Format::R32_SFLOAT, ONE, readable)?];
         let shallow = image(vk::Format::D32_SFLOAT, ONE, depth_usage)?;
         let color_pass = RenderPass::new(gpu, &color_desc(srgb))?;
         let probe_pass = RenderPass::new(gpu, &probe_desc())?;
@@ -117,7 +118,8 @@ impl Forward {
     /// Renders what an eye sees at `time`.
     pub fn render(&mut self, world_from_eye: Pose, fov: Fov, time: ServerTime) -> Result<Truth, GpuError> {
         let clip_from_world = fov.clip_from_eye() * world_from_eye.inverse().matrix();
-        self.view.write(0, bytemuck::bytes_of(&view_gpu(clip_from_world, world_from_eye.position, self.extent)));
+        self.view
+            .write(0, bytemuck::bytes_of(&view_gpu(clip_from_world, world_from_eye.position, self.extent)));
         let mut recorder = self.gpu.record()?;
         self.animation.record_sample(&mut recorder, 0, time);
         self.animation.record_frames(&mut recorder, 0);
@@ -160,7 +162,11 @@ impl Forward {
             extent_pixels: self.extent,
             rgb8: bytes[..plane].chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect(),
             instance: ids.iter().map(|id| id.wrapping_sub(1)).collect(),
-            distance_m: ids.iter().zip(distances).map(|(id, d)| if *id == 0 { f32::INFINITY } else { *d }).collect(),
+            distance_m: ids
+                .iter()
+                .zip(distances)
+                .map(|(id, d)| if *id == 0 { f32::INFINITY } else { *d })
+                .collect(),
         }
     }
 }
@@ -178,10 +184,22 @@ pub fn view_gpu(clip_from_world: Mat4, world_eye: Vec3, extent_pixels: [u32; 2])
 fn direction_from_ndc(world_from_eye: Pose, fov: Fov) -> Mat4 {
     let (l, r, u, d) = (fov.left.tan(), fov.right.tan(), fov.up.tan(), fov.down.tan());
     let eye_from_ndc = Mat4::from_cols_array(&[
-        (r - l) / 2.0, 0.0, 0.0, 0.0, //
-        0.0, (d - u) / 2.0, 0.0, 0.0, //
-        (r + l) / 2.0, (u + d) / 2.0, -1.0, 0.0, //
-        0.0, 0.0, 0.0, 1.0,
+        (r - l) / 2.0,
+        0.0,
+        0.0,
+        0.0, //
+        0.0,
+        (d - u) / 2.0,
+        0.0,
+        0.0, //
+        (r + l) / 2.0,
+        (u + d) / 2.0,
+        -1.0,
+        0.0, //
+        0.0,
+        0.0,
+        0.0,
+        1.0,
     ]);
     Mat4::from_quat(world_from_eye.orientation) * eye_from_ndc
 }
@@ -241,7 +259,7 @@ impl Pass {
             GraphicsPipeline::new(
                 gpu,
                 &GraphicsPipelineDesc {
-                    vertex: &FORWARD_VERT,
+                    vertex: if is_probe { &FORWARD_PROBE_VERT } else { &FORWARD_VERT },
                     fragment: if is_probe { &FORWARD_PROBE_FRAG } else { &FORWARD_FRAG },
                     pass: &pass,
                     topology: vk::PrimitiveTopology::TRIANGLE_LIST,
@@ -257,12 +275,12 @@ impl Pass {
         let mut binds = vec![
             ("Vertices", Bind::Buffer(&scene.vertices)),
             ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
-            ("SavedFrames", Bind::Buffer(animation.saved_frames())),
             ("View", Bind::Buffer(view)),
             ("Materials", Bind::Buffer(&scene.materials)),
             SceneGpu::textures_bind(&textures),
         ];
         if !is_probe {
+            binds.push(("SavedFrames", Bind::Buffer(animation.saved_frames())));
             binds.push(("Light", Bind::Buffer(&scene.light)));
         }
         let group = BindGroup::new(culled.layout(), &binds)?;

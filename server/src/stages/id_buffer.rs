@@ -4,8 +4,8 @@ use crate::animation::gpu::Animation;
 use crate::scene_gpu::SceneGpu;
 use ash::vk;
 use shadecast_gpu::{
-    Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Image,
-    ImageDesc, Recorder, RenderPass, RenderPassDesc,
+    Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
+    Image, ImageDesc, Recorder, RenderPass, RenderPassDesc,
 };
 use shadecast_shaders::generated::{ID_BUFFER_FRAG, ID_BUFFER_VERT, IdBufferPush};
 use std::sync::Arc;
@@ -81,7 +81,14 @@ impl IdBuffer {
     }
 
     /// Draws the scene as it is in `slot` into the two views from `first_view` on.
-    pub fn record(&self, recorder: &mut Recorder, scene: &SceneGpu, animation: &Animation, slot: u32, first_view: u32) {
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        scene: &SceneGpu,
+        animation: &Animation,
+        slot: u32,
+        first_view: u32,
+    ) {
         let clears = [vk::ClearValue::default(), vk::ClearValue::default()]; // no patch; far, which is 0
         recorder.begin_pass(&self.pass, &self.target, &clears);
         recorder.bind_indices(&scene.indices, 0);
@@ -121,7 +128,9 @@ fn id_image(gpu: &Arc<Gpu>, extent: [u32; 2]) -> Result<Image, GpuError> {
             mips: 1,
             samples: vk::SampleCountFlags::TYPE_1,
             format: vk::Format::R32_UINT,
-            usage: vk::ImageUsageFlags::COLOR_ATTACHMENT | vk::ImageUsageFlags::SAMPLED,
+            usage: vk::ImageUsageFlags::COLOR_ATTACHMENT
+                | vk::ImageUsageFlags::SAMPLED
+                | vk::ImageUsageFlags::TRANSFER_SRC,
         },
     )
 }

@@ -42,7 +42,13 @@ impl LevelSelection {
     }
 
     /// Measures every visible patch with geometry as it is in each view time's slot.
-    pub fn record(&self, recorder: &mut Recorder, scene: &SceneGpu, animation: &Animation, slots: [u32; VIEW_TIMES]) {
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        scene: &SceneGpu,
+        animation: &Animation,
+        slots: [u32; VIEW_TIMES],
+    ) {
         for instance in &scene.instances {
             let model = &scene.models[instance.model];
             let base = slots.map(|slot| animation.position_base(instance, slot));

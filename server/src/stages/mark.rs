@@ -1,7 +1,9 @@
 //! Visibility's second half: the union of the ID buffers as one word per patch.
 
 use ash::vk;
-use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Image, Memory, Recorder, Sampler, SamplerDesc};
+use shadecast_gpu::{
+    Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Image, Memory, Recorder, Sampler, SamplerDesc,
+};
 use shadecast_shaders::generated::MARK_COMP;
 use std::sync::Arc;
 

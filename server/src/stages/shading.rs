@@ -5,8 +5,8 @@ use crate::scene_gpu::SceneGpu;
 use ash::vk;
 use glam::Vec3;
 use shadecast_gpu::{
-    Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Image,
-    ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc,
+    Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
+    Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc,
 };
 use shadecast_protocol::atlas::Block;
 use shadecast_protocol::limits::MAX_PATCH_SLOTS;
@@ -27,7 +27,12 @@ pub struct Shading {
 
 impl Shading {
     /// For an atlas of `extent` texels.
-    pub fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, animation: &Animation, extent: [u32; 2]) -> Result<Self, GpuError> {
+    pub fn new(
+        gpu: &Arc<Gpu>,
+        scene: &SceneGpu,
+        animation: &Animation,
+        extent: [u32; 2],
+    ) -> Result<Self, GpuError> {
         let format = vk::Format::R8G8B8A8_UNORM;
         let atlas = Image::new(
             gpu,

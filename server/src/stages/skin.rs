@@ -22,7 +22,8 @@ impl Skin {
     pub fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, palettes: &Buffer, slots: u32) -> Result<Self, GpuError> {
         let pipeline = ComputePipeline::new(gpu, &SKIN_COMP)?;
         let totals = scene.totals;
-        let positions = u64::from(totals.static_vertices) + u64::from(slots) * u64::from(totals.animated_vertices);
+        let positions =
+            u64::from(totals.static_vertices) + u64::from(slots) * u64::from(totals.animated_vertices);
         let saved_vertices = Buffer::new(gpu, "saved vertices", positions * 16, Memory::Device)?;
         let frames_bytes = u64::from(totals.vertices) * size_of::<FrameGpu>() as u64;
         let saved_frames = Buffer::new(gpu, "saved frames", frames_bytes, Memory::Device)?;
@@ -53,7 +54,14 @@ impl Skin {
     }
 
     /// Skins the positions of the static or the animated instances with the palettes of `slot`.
-    pub fn record_positions(&self, recorder: &mut Recorder, scene: &SceneGpu, palette_base: u32, slot: u32, animated: bool) {
+    pub fn record_positions(
+        &self,
+        recorder: &mut Recorder,
+        scene: &SceneGpu,
+        palette_base: u32,
+        slot: u32,
+        animated: bool,
+    ) {
         for instance in scene.instances.iter().filter(|i| i.is_animated == animated) {
             let output_base = self.position_base(instance, slot);
             self.record_one(recorder, scene, instance, [palette_base, output_base, 0]);
@@ -61,7 +69,13 @@ impl Skin {
     }
 
     /// Skins normals and tangents of the static or the animated instances with the palettes of a slot.
-    pub fn record_frames(&self, recorder: &mut Recorder, scene: &SceneGpu, palette_base: u32, animated: bool) {
+    pub fn record_frames(
+        &self,
+        recorder: &mut Recorder,
+        scene: &SceneGpu,
+        palette_base: u32,
+        animated: bool,
+    ) {
         for instance in scene.instances.iter().filter(|i| i.is_animated == animated) {
             let output_base = self.frame_base(instance);
             self.record_one(recorder, scene, instance, [palette_base, output_base, 1]);

@@ -1,7 +1,9 @@
 //! The atlas as full-range BT.709 4:2:0 planes, in memory that the encoder can read.
 
 use crate::stages::mark::nearest;
-use shadecast_gpu::{Access, Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Image, Memory, Recorder, Sampler};
+use shadecast_gpu::{
+    Access, Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Image, Memory, Recorder, Sampler,
+};
 use shadecast_shaders::generated::{YCBCR_COMP, YcbcrPush};
 use std::sync::Arc;
 

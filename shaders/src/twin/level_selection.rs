@@ -22,7 +22,8 @@ pub fn extent_texels(kind: u32, views: &[View], world: &[[Vec4; 5]]) -> [u32; 2]
             continue;
         }
         let half = view.extent_pixels * 0.5;
-        let mut size = Vec2::new(length(c[0], c[1], half), length(c[0], c[if kind == 1 { 2 } else { 3 }], half));
+        let mut size =
+            Vec2::new(length(c[0], c[1], half), length(c[0], c[if kind == 1 { 2 } else { 3 }], half));
         if kind != 1 {
             size = size.max(Vec2::new(length(c[3], c[2], half), length(c[1], c[2], half)));
         }

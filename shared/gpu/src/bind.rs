@@ -183,9 +183,9 @@ impl BindGroup {
         let mut buffers = Vec::new();
         let mut images = Vec::new();
         match bind {
-            Bind::Buffer(buffer) => buffers.push(
-                vk::DescriptorBufferInfo::default().buffer(buffer.handle).range(vk::WHOLE_SIZE),
-            ),
+            Bind::Buffer(buffer) => {
+                buffers.push(vk::DescriptorBufferInfo::default().buffer(buffer.handle).range(vk::WHOLE_SIZE))
+            }
             Bind::Sampled(image, sampler) => images.push(sampled(image, sampler)),
             Bind::Textures(all) => images.extend(all.iter().map(|(i, s)| sampled(i, s))),
             Bind::Storage(image) => images.push(

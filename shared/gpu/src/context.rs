@@ -272,7 +272,8 @@ impl DeviceSource for DesktopDevice {
         usable.sort_by_key(|(rank, _)| *rank);
         usable.first().map(|(_, physical)| *physical).ok_or_else(|| {
             GpuError::NoDevice(if refused.is_empty() {
-                "none is installed; install a driver, or Mesa's software one (package mesa-vulkan-drivers)".into()
+                "none is installed; install a driver, or Mesa's software one (package mesa-vulkan-drivers)"
+                    .into()
             } else {
                 refused.join("; ")
             })
@@ -306,11 +307,7 @@ fn name_of(properties: &vk::PhysicalDeviceProperties) -> String {
 }
 
 /// Names the first needed feature that the device lacks.
-fn missing(
-    instance: &ash::Instance,
-    physical: vk::PhysicalDevice,
-    needs: Needs,
-) -> Option<&'static str> {
+fn missing(instance: &ash::Instance, physical: vk::PhysicalDevice, needs: Needs) -> Option<&'static str> {
     // SAFETY: `physical` belongs to `instance`.
     let properties = unsafe { instance.get_physical_device_properties(physical) };
     let api = if needs == Needs::Server { vk::API_VERSION_1_2 } else { vk::API_VERSION_1_1 };
@@ -412,10 +409,10 @@ unsafe extern "system" fn on_message(
     let text = unsafe { data.message_as_c_str() }.unwrap_or(c"").to_string_lossy().into_owned();
     tracing::error!(target: "vulkan", "{text}");
     log.count.fetch_add(1, Ordering::Relaxed);
-    if let Ok(mut texts) = log.texts.lock() {
-        if texts.len() < 20 {
-            texts.push(text);
-        }
+    if let Ok(mut texts) = log.texts.lock()
+        && texts.len() < 20
+    {
+        texts.push(text);
     }
     vk::FALSE
 }

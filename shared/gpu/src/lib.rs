@@ -21,7 +21,9 @@ pub use recorder::{Access, Recorder, Ticket};
 #[derive(Debug, thiserror::Error)]
 pub enum GpuError {
     /// The Vulkan loader library is missing.
-    #[error("the Vulkan loader could not be opened ({0}); install it (Debian and Ubuntu: package libvulkan1)")]
+    #[error(
+        "the Vulkan loader could not be opened ({0}); install it (Debian and Ubuntu: package libvulkan1)"
+    )]
     NoLoader(String),
     /// No device does what is needed.
     #[error("no Vulkan device can be used: {0}")]

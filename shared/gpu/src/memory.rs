@@ -197,11 +197,7 @@ impl Buffer {
     }
 
     /// A device-local buffer that holds `data`, copied through a staging buffer; waits for the copy.
-    pub fn device_local<T: bytemuck::Pod>(
-        gpu: &Arc<Gpu>,
-        name: &str,
-        data: &[T],
-    ) -> Result<Self, GpuError> {
+    pub fn device_local<T: bytemuck::Pod>(gpu: &Arc<Gpu>, name: &str, data: &[T]) -> Result<Self, GpuError> {
         let staging = Self::upload(gpu, name, data)?;
         let buffer = Self::new(gpu, name, staging.size, Memory::Device)?;
         let mut recorder = gpu.record()?;
@@ -326,8 +322,7 @@ fn image_backing(
 
 fn lazy_memory_type(gpu: &Gpu, allowed: u32) -> Option<u32> {
     // SAFETY: the physical device belongs to the instance.
-    let properties =
-        unsafe { gpu.instance().get_physical_device_memory_properties(gpu.physical_device()) };
+    let properties = unsafe { gpu.instance().get_physical_device_memory_properties(gpu.physical_device()) };
     let lazy = vk::MemoryPropertyFlags::LAZILY_ALLOCATED;
     (0..properties.memory_type_count).find(|&index| {
         let flags = properties.memory_types[index as usize].property_flags;
@@ -371,7 +366,11 @@ impl Sampler {
         let info = vk::SamplerCreateInfo::default()
             .mag_filter(desc.filter)
             .min_filter(desc.filter)
-            .mipmap_mode(if desc.mips { vk::SamplerMipmapMode::LINEAR } else { vk::SamplerMipmapMode::NEAREST })
+            .mipmap_mode(if desc.mips {
+                vk::SamplerMipmapMode::LINEAR
+            } else {
+                vk::SamplerMipmapMode::NEAREST
+            })
             .address_mode_u(desc.wrap[0])
             .address_mode_v(desc.wrap[1])
             .address_mode_w(vk::SamplerAddressMode::CLAMP_TO_EDGE)

@@ -56,8 +56,7 @@ impl RenderPass {
     /// A pass. Execution and memory dependencies with the outside are the recorder's barriers.
     pub fn new(gpu: &Arc<Gpu>, desc: &RenderPassDesc) -> Result<Self, GpuError> {
         let one = vk::SampleCountFlags::TYPE_1;
-        let mut attachments: Vec<_> =
-            desc.colors.iter().map(|a| description(a, desc.samples)).collect();
+        let mut attachments: Vec<_> = desc.colors.iter().map(|a| description(a, desc.samples)).collect();
         attachments.extend(desc.resolves.iter().map(|a| description(a, one)));
         if let Some(format) = desc.depth {
             let depth = Attachment {
@@ -110,8 +109,7 @@ fn attachment_reuse() -> vk::SubpassDependency {
     let stages = vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT
         | vk::PipelineStageFlags::EARLY_FRAGMENT_TESTS
         | vk::PipelineStageFlags::LATE_FRAGMENT_TESTS;
-    let writes =
-        vk::AccessFlags::COLOR_ATTACHMENT_WRITE | vk::AccessFlags::DEPTH_STENCIL_ATTACHMENT_WRITE;
+    let writes = vk::AccessFlags::COLOR_ATTACHMENT_WRITE | vk::AccessFlags::DEPTH_STENCIL_ATTACHMENT_WRITE;
     let reads = vk::AccessFlags::COLOR_ATTACHMENT_READ | vk::AccessFlags::DEPTH_STENCIL_ATTACHMENT_READ;
     vk::SubpassDependency {
         src_subpass: vk::SUBPASS_EXTERNAL,

@@ -116,10 +116,8 @@ fn create(
     let stage = |module, stage| {
         vk::PipelineShaderStageCreateInfo::default().stage(stage).module(module).name(c"main")
     };
-    let stages = [
-        stage(modules[0], vk::ShaderStageFlags::VERTEX),
-        stage(modules[1], vk::ShaderStageFlags::FRAGMENT),
-    ];
+    let stages =
+        [stage(modules[0], vk::ShaderStageFlags::VERTEX), stage(modules[1], vk::ShaderStageFlags::FRAGMENT)];
     let (bindings, attributes) = vertex_input(desc.vertex_input);
     let vertex_input = vk::PipelineVertexInputStateCreateInfo::default()
         .vertex_binding_descriptions(&bindings)

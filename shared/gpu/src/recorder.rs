@@ -35,8 +35,7 @@ impl Access {
     pub const COMPUTE_WRITE: Self =
         Self(vk::PipelineStageFlags::COMPUTE_SHADER, vk::AccessFlags::SHADER_WRITE);
     /// Compute shaders read.
-    pub const COMPUTE_READ: Self =
-        Self(vk::PipelineStageFlags::COMPUTE_SHADER, vk::AccessFlags::SHADER_READ);
+    pub const COMPUTE_READ: Self = Self(vk::PipelineStageFlags::COMPUTE_SHADER, vk::AccessFlags::SHADER_READ);
     /// Compute shaders read and write.
     pub const COMPUTE: Self = Self(
         vk::PipelineStageFlags::COMPUTE_SHADER,
@@ -45,13 +44,11 @@ impl Access {
         ),
     );
     /// Vertex shaders read.
-    pub const VERTEX_READ: Self =
-        Self(vk::PipelineStageFlags::VERTEX_SHADER, vk::AccessFlags::SHADER_READ);
+    pub const VERTEX_READ: Self = Self(vk::PipelineStageFlags::VERTEX_SHADER, vk::AccessFlags::SHADER_READ);
     /// Vertex and fragment shaders read.
     pub const GRAPHICS_READ: Self = Self(
         vk::PipelineStageFlags::from_raw(
-            vk::PipelineStageFlags::VERTEX_SHADER.as_raw()
-                | vk::PipelineStageFlags::FRAGMENT_SHADER.as_raw(),
+            vk::PipelineStageFlags::VERTEX_SHADER.as_raw() | vk::PipelineStageFlags::FRAGMENT_SHADER.as_raw(),
         ),
         vk::AccessFlags::SHADER_READ,
     );
@@ -59,10 +56,8 @@ impl Access {
     pub const FRAGMENT_READ: Self =
         Self(vk::PipelineStageFlags::FRAGMENT_SHADER, vk::AccessFlags::SHADER_READ);
     /// A pass has written colour.
-    pub const COLOR_WRITE: Self = Self(
-        vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT,
-        vk::AccessFlags::COLOR_ATTACHMENT_WRITE,
-    );
+    pub const COLOR_WRITE: Self =
+        Self(vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT, vk::AccessFlags::COLOR_ATTACHMENT_WRITE);
     /// Copies read.
     pub const COPY_READ: Self = Self(vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_READ);
     /// Copies write.
@@ -86,7 +81,8 @@ impl CommandSlot {
             let pool = device.create_command_pool(&info, None).doing("creating a command pool")?;
             let info = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
             let commands = device.allocate_command_buffers(&info).doing("allocating a command buffer")?[0];
-            let fence = device.create_fence(&vk::FenceCreateInfo::default(), None).doing("creating a fence")?;
+            let fence =
+                device.create_fence(&vk::FenceCreateInfo::default(), None).doing("creating a fence")?;
             let info = vk::QueryPoolCreateInfo::default()
                 .query_type(vk::QueryType::TIMESTAMP)
                 .query_count(MAX_TIMED_SCOPES * 2);
@@ -382,8 +378,7 @@ impl Recorder {
 
     /// Orders memory accesses.
     pub fn barrier(&mut self, before: Access, after: Access) {
-        let barrier =
-            vk::MemoryBarrier::default().src_access_mask(before.1).dst_access_mask(after.1);
+        let barrier = vk::MemoryBarrier::default().src_access_mask(before.1).dst_access_mask(after.1);
         // SAFETY: stages and accesses fit together by `Access`'s constants.
         unsafe {
             let flags = vk::DependencyFlags::empty();

@@ -37,6 +37,6 @@ fn copies_arrive_and_buffers_dropped_while_in_use_outlive_the_work() {
 fn an_unknown_device_name_is_an_error_that_lists_what_there_is() {
     let options =
         GpuOptions { needs: Needs::Client, validation: false, device_name: Some("no such device".into()) };
-    let error = Gpu::open(&options, &DesktopDevice).err().expect("refused").to_string();
+    let error = Gpu::open(&options, &DesktopDevice).expect_err("refused").to_string();
     assert!(error.contains("not the one asked for"), "{error}");
 }

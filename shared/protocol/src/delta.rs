@@ -717,7 +717,8 @@ mod tests {
                 corners[kind.vertex_count()..].fill(first);
                 let instance = self.instances[self.dice.below(self.instances.len() as u64) as usize];
                 let double_sided = self.dice.once_in(3);
-                let patch = NewPatch { slot: PatchSlot(slot), instance, kind, vertices: corners, double_sided };
+                let patch =
+                    NewPatch { slot: PatchSlot(slot), instance, kind, vertices: corners, double_sided };
                 self.patches.insert(slot, patch);
                 delta.new_patches.push(patch);
             }

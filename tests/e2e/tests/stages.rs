@@ -33,7 +33,11 @@ fn assert_no_messages(gpu: &Gpu) {
 }
 
 /// Runs `record` and returns the words of `buffer` afterwards.
-fn read<T: bytemuck::Pod>(gpu: &Arc<Gpu>, buffer: &Buffer, record: impl FnOnce(&mut shadecast_gpu::Recorder)) -> Vec<T> {
+fn read<T: bytemuck::Pod>(
+    gpu: &Arc<Gpu>,
+    buffer: &Buffer,
+    record: impl FnOnce(&mut shadecast_gpu::Recorder),
+) -> Vec<T> {
     let target = Buffer::new(gpu, "read-back", buffer.size(), Memory::Readback).unwrap();
     let mut recorder = gpu.record().unwrap();
     record(&mut recorder);
@@ -59,7 +63,8 @@ fn skinned_vertices_equal_the_cpu_twin_within_a_hundred_thousandth_of_the_models
             let model = &scene.scene.models[instance.model];
             let resampled = clip::resample(model, instance.clip, INTERVAL_S);
             let t = instance.clip_time_s(time.seconds());
-            let locals = pose::local_pose(&resampled, model.bones.len(), clip::clip_phase(t, resampled.duration_s));
+            let locals =
+                pose::local_pose(&resampled, model.bones.len(), clip::clip_phase(t, resampled.duration_s));
             let palette = pose::palette(model, &pose::global_pose(model, &locals));
             let twin = pose::skin(model, &palette, instance.world_from_model);
             let base = animation.position_base(&scene.instances[index], 1) as usize;
@@ -82,7 +87,8 @@ fn marks_and_extents_equal_their_cpu_twins() {
     let extent = [128u32, 96];
     let eye = |x: f32| Pose { position: Vec3::new(x, 1.6, 0.3), ..Pose::IDENTITY };
     let fov = Fov::symmetric_degrees(80.0);
-    let world_eyes: Vec<Pose> = (0..6).map(|v| scene.scene.world_from_stage.then(eye(v as f32 * 0.05))).collect();
+    let world_eyes: Vec<Pose> =
+        (0..6).map(|v| scene.scene.world_from_stage.then(eye(v as f32 * 0.05))).collect();
     let matrices: Vec<Mat4> = world_eyes.iter().map(|e| fov.clip_from_eye() * e.inverse().matrix()).collect();
     let views: Vec<_> =
         matrices.iter().zip(&world_eyes).map(|(m, e)| view_gpu(*m, e.position, extent)).collect();
@@ -104,10 +110,14 @@ fn marks_and_extents_equal_their_cpu_twins() {
     mark.record(&mut recorder);
     recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
     levels.record(&mut recorder, &scene, &animation, [0, 1, 2]);
-    let layouts =
-        [shadecast_gpu::vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL, shadecast_gpu::vk::ImageLayout::TRANSFER_SRC_OPTIMAL];
+    let layouts = [
+        shadecast_gpu::vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
+        shadecast_gpu::vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
+    ];
     recorder.transition(&id_buffer.image, layouts, Access::COMPUTE_READ, Access::COPY_READ);
-    (0..2).for_each(|layer| recorder.read_image(&id_buffer.image, layer, &ids, u64::from(layer) * pixels as u64 * 4));
+    (0..2).for_each(|layer| {
+        recorder.read_image(&id_buffer.image, layer, &ids, u64::from(layer) * pixels as u64 * 4)
+    });
     recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
     gpu.wait(recorder.submit().unwrap()).unwrap();
 
@@ -154,7 +164,8 @@ fn the_forward_renderer_shows_the_dragon_in_front_of_the_sky_and_the_same_twice(
     let gpu = gpu();
     let scene = dragon(&gpu);
     let mut forward = Forward::new(&gpu, &scene, [128, 128]).unwrap();
-    let eye = scene.scene.world_from_stage.then(Pose { position: Vec3::new(0.0, 1.6, 0.0), ..Pose::IDENTITY });
+    let eye =
+        scene.scene.world_from_stage.then(Pose { position: Vec3::new(0.0, 1.6, 0.0), ..Pose::IDENTITY });
     let fov = Fov::symmetric_degrees(90.0);
     let first = forward.render(eye, fov, ServerTime(500_000_000)).unwrap();
     let moved = forward.render(eye, fov, ServerTime(750_000_000)).unwrap();
@@ -165,5 +176,47 @@ fn the_forward_renderer_shows_the_dragon_in_front_of_the_sky_and_the_same_twice(
     assert!(covered * 10 > first.instance.len() * 4, "{covered} pixels of geometry");
     let nearest = first.distance_m.iter().copied().fold(f32::INFINITY, f32::min);
     assert!(nearest > 0.3 && nearest < 5.0, "{nearest} m");
+    assert_no_messages(&gpu);
+}
+
+#[test]
+fn atlas_planes_equal_the_cpu_twin_within_one_code_value() {
+    use shadecast_gpu::vk::{Format, ImageLayout, ImageUsageFlags, SampleCountFlags};
+    use shadecast_gpu::{Image, ImageDesc};
+    use shadecast_server::stages::ycbcr::Ycbcr;
+    let gpu = gpu();
+    let extent = [64u32, 48];
+    let mut state = 5u32;
+    let rgba8: Vec<u8> = (0..extent[0] * extent[1] * 4)
+        .map(|_| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 24) as u8
+        })
+        .collect();
+    let desc = ImageDesc {
+        name: "atlas",
+        extent,
+        layers: 1,
+        mips: 1,
+        samples: SampleCountFlags::TYPE_1,
+        format: Format::R8G8B8A8_UNORM,
+        usage: ImageUsageFlags::SAMPLED | ImageUsageFlags::TRANSFER_DST,
+    };
+    let atlas = Image::new(&gpu, desc).unwrap();
+    let staging = Buffer::upload(&gpu, "texels", &rgba8).unwrap();
+    let ycbcr = Ycbcr::new(&gpu, &atlas).unwrap();
+    let mut recorder = gpu.record().unwrap();
+    let [blank, written, read] =
+        [ImageLayout::UNDEFINED, ImageLayout::TRANSFER_DST_OPTIMAL, ImageLayout::SHADER_READ_ONLY_OPTIMAL];
+    recorder.transition(&atlas, [blank, written], Access::NONE, Access::COPY_WRITE);
+    recorder.write_image(&atlas, 0, &staging, 0);
+    recorder.transition(&atlas, [written, read], Access::COPY_WRITE, Access::COMPUTE_READ);
+    ycbcr.record(&mut recorder);
+    gpu.wait(recorder.submit().unwrap()).unwrap();
+    let twin = twin::ycbcr::planes(&rgba8, extent);
+    let planes = ycbcr.planes().concat();
+    assert_eq!(planes.len(), twin.len());
+    let worst = planes.iter().zip(&twin).map(|(a, b)| a.abs_diff(*b)).max();
+    assert!(worst <= Some(1), "{worst:?}");
     assert_no_messages(&gpu);
 }

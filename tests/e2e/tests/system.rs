@@ -37,7 +37,11 @@ fn assert_good(report: &Report, what: &str) {
     assert_eq!(stats.frames_without_bundle, 0, "{what}: after the first bundle there is always one");
     assert!(stats.psnr_db.is_some_and(|db| db >= 30.0), "{what}: PSNR {:?}", stats.psnr_db);
     assert!(stats.flip.is_some_and(|flip| flip <= 0.10), "{what}: FLIP {:?}", stats.flip);
-    assert!(stats.hole_fraction.is_some_and(|holes| holes <= 0.005), "{what}: holes {:?}", stats.hole_fraction);
+    assert!(
+        stats.hole_fraction.is_some_and(|holes| holes <= 0.005),
+        "{what}: holes {:?}",
+        stats.hole_fraction
+    );
 }
 
 #[test]
@@ -51,7 +55,9 @@ fn a_dragon_over_a_simulated_link_looks_like_the_truth_and_moves_between_updates
     assert!(motion.moved_share > 0.99, "vertices move at every display frame: {motion:?}");
     assert!(motion.p99_error_percent_of_range <= 0.3, "{motion:?}");
     assert!(report.stats.bytes_per_animated_vertex_sample.is_some_and(|bytes| bytes < 4.5));
-    for name in ["stats.json", "sheet.png", "atlas.png", "client-left.png", "truth-right.png", "difference-left.png"] {
+    for name in
+        ["stats.json", "sheet.png", "atlas.png", "client-left.png", "truth-right.png", "difference-left.png"]
+    {
         assert!(out.path().join(name).metadata().is_ok_and(|m| m.len() > 0), "{name} is missing");
     }
 }
@@ -101,7 +107,8 @@ fn two_runs_in_virtual_time_give_identical_pictures() {
             .filter(|frame| frame.captured)
             .flat_map(|frame| {
                 use shadecast_mock_runtime::record::{Side, picture_path};
-                [Side::Left, Side::Right].map(|side| std::fs::read(picture_path(&capture, frame.frame, side)).unwrap())
+                [Side::Left, Side::Right]
+                    .map(|side| std::fs::read(picture_path(&capture, frame.frame, side)).unwrap())
             })
             .collect();
         (frames, pictures)

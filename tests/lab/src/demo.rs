@@ -120,7 +120,8 @@ pub fn demo(options: &DemoOptions) -> anyhow::Result<Stats> {
 /// Runs both processes to their end.
 fn stream(options: &DemoOptions, out: &Path, runtime: &[(&'static str, PathBuf); 2]) -> anyhow::Result<()> {
     // A free port: bound for a moment, then left to the server.
-    let address = UdpSocket::bind("127.0.0.1:0").and_then(|s| s.local_addr()).context("finding a free port")?;
+    let address =
+        UdpSocket::bind("127.0.0.1:0").and_then(|s| s.local_addr()).context("finding a free port")?;
     let mut server = Command::new(program("shadecast-server")?);
     server.args(["stream", &options.scene.to_string(), "--listen", &address.to_string()]);
     server.arg("--identity").arg(out.join("server-identity")).arg("--stats").arg(out.join("server.json"));
@@ -181,8 +182,16 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
         }
         let time = ServerTime(record.predicted_display_time_ns - epoch_ns);
         let world_from_stage = scene.scene.world_from_stage;
-        let pictures =
-            compare(&mut comparer, &mut summary, record, &capture, world_from_stage, time, Some(&probes), false)?;
+        let pictures = compare(
+            &mut comparer,
+            &mut summary,
+            record,
+            &capture,
+            world_from_stage,
+            time,
+            Some(&probes),
+            false,
+        )?;
         last = Some(pictures);
     }
     let [shown, truth] = last.context("the client showed no picture of the scene; give it more --seconds")?;
@@ -212,7 +221,8 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
 
 /// The client's probes of a captured frame; none for a frame that showed no bundle.
 fn read_probes(out: &Path, record: &FrameRecord) -> anyhow::Result<Option<[ProbeView; 2]>> {
-    let path = |side| out.join("probe").join(format!("probe-{}-{side}.bin", record.predicted_display_time_ns));
+    let path =
+        |side| out.join("probe").join(format!("probe-{}-{side}.bin", record.predicted_display_time_ns));
     if !path("left").exists() {
         return Ok(None);
     }

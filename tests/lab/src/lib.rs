@@ -1,15 +1,15 @@
 //! Server, link and client on one virtual clock; metrics and reports.
 
-pub mod flip;
-pub mod image;
-pub mod metrics;
-pub mod sheet;
-pub mod ssim;
-pub mod stats;
 pub mod compare;
 pub mod demo;
+pub mod flip;
+pub mod image;
 pub mod long;
+pub mod metrics;
 pub mod motion;
 pub mod options;
 pub mod run;
 pub mod session;
+pub mod sheet;
+pub mod ssim;
+pub mod stats;

@@ -33,7 +33,12 @@ pub fn run_all(out: &Path) -> anyhow::Result<()> {
         }
         println!("running {name}");
         let work = std::env::temp_dir().join(format!("shadecast-long-{}-{name}", std::process::id()));
-        let options = RunOptions { verbose: true, motion: true, compare_every: 10, ..RunOptions::new(scene, work.clone()) };
+        let options = RunOptions {
+            verbose: true,
+            motion: true,
+            compare_every: 10,
+            ..RunOptions::new(scene, work.clone())
+        };
         let report = run(&options).with_context(|| format!("running {name}"))?;
         println!("{}", report.stats);
         let both = serde_json::json!({ "stats": report.stats, "motion": report.motion });

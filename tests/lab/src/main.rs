@@ -14,14 +14,18 @@ use std::sync::Arc;
 
 /// The whole system on one virtual clock: measurements that a slow machine makes as a fast one would.
 #[derive(Parser)]
-#[command(name = "shadecast-lab", version, after_help = "Examples:
+#[command(
+    name = "shadecast-lab",
+    version,
+    after_help = "Examples:
   shadecast-lab run dragons:3 --renderer stream --link latency=20ms,jitter=5ms,rate=100mbit --out out/run
   shadecast-lab run fox.glb --renderer local --size 256x256 --seconds 3 --dump-every 24 --out out/fox
   shadecast-lab demo --out out/demo
   shadecast-lab device
 
 SCENE is dragon, dragons:N, a .glb or .gltf file, or a scene description (.toml).
-A head path is a CSV file, t_s,x,y,z,qx,qy,qz,qw: metres in the stage's frame (y up, -z forward).")]
+A head path is a CSV file, t_s,x,y,z,qx,qy,qz,qw: metres in the stage's frame (y up, -z forward)."
+)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -191,7 +195,8 @@ fn run_one(args: RunArgs) -> anyhow::Result<()> {
 
 fn run_demo(args: DemoArgs) -> anyhow::Result<()> {
     let gpu = open_device()?;
-    let defaults = if gpu.is_cpu() { ("dragon", [192, 192], 15.0) } else { ("dragons:3", [1024, 1024], 72.0) };
+    let defaults =
+        if gpu.is_cpu() { ("dragon", [192, 192], 15.0) } else { ("dragons:3", [1024, 1024], 72.0) };
     drop(gpu);
     let refresh_hz = args.refresh.unwrap_or(defaults.2);
     anyhow::ensure!((5.0..=240.0).contains(&refresh_hz), "--refresh {refresh_hz} must lie between 5 and 240");
@@ -216,7 +221,10 @@ fn name_device() -> anyhow::Result<()> {
 
 /// Opens the device that would be used, and says which it is.
 fn open_device() -> anyhow::Result<Arc<Gpu>> {
-    let gpu = Gpu::open(&GpuOptions { needs: Needs::Server, validation: false, device_name: None }, &DesktopDevice)?;
+    let gpu = Gpu::open(
+        &GpuOptions { needs: Needs::Server, validation: false, device_name: None },
+        &DesktopDevice,
+    )?;
     println!("Vulkan device: {}", gpu.device_name());
     if gpu.is_cpu() {
         println!("warning: this device is a CPU; everything works, slowly");

@@ -2,10 +2,10 @@
 //! source curves at the true time of display.
 
 use crate::session::Lab;
+use glam::{Affine3A, Vec3};
 use serde::{Deserialize, Serialize};
 use shadecast_protocol::time::ServerTime;
 use shadecast_server::animation::pose;
-use glam::{Affine3A, Vec3};
 use std::collections::HashMap;
 
 /// Every so many vertices one is followed.
@@ -16,14 +16,34 @@ const MIN_RANGE_M: f32 = 0.25;
 /// looked at.
 const SETTLED_FRAMES: u64 = 30;
 
+/// Times over a clip at which the range of a vertex's motion is looked at.
+const RANGE_TIMES: u32 = 48;
+
 /// Positions of some vertices over a run.
 #[derive(Debug, Default)]
 pub struct Motion {
-    /// By scene-wide vertex number: display frame, shown and true position.
-    paths: HashMap<u32, Vec<(u64, Vec3, Vec3)>>,
+    /// By scene-wide vertex number.
+    paths: HashMap<u32, Path>,
     frames: u64,
-    /// By slot: the vertex that the server put there, and since which display frame.
-    since: HashMap<u32, (u32, u64)>,
+    /// By slot: the vertex that the server put there, since which display frame, and until which.
+    tenants: HashMap<u32, Tenant>,
+    /// By instance: palettes spread over its clip.
+    clips: HashMap<usize, Vec<Vec<Affine3A>>>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Tenant {
+    vertex: u32,
+    since: u64,
+    until: u64,
+}
+
+#[derive(Debug)]
+struct Path {
+    /// Diagonal of the box around the vertex's way through the whole clip, metres.
+    range_m: f32,
+    /// Display frame, shown and true position.
+    places: Vec<(u64, Vec3, Vec3)>,
 }
 
 /// What came of it.
@@ -55,11 +75,7 @@ impl Motion {
         let mut palettes: HashMap<usize, Vec<Affine3A>> = HashMap::new();
         self.frames += 1;
         for (slot, vertex) in frame.residency().sampled().filter(|(_, vertex)| vertex % STRIDE == 0) {
-            let (known, since) = self.since.entry(slot.0).or_insert((vertex, self.frames));
-            if *known != vertex {
-                (*known, *since) = (vertex, self.frames);
-            }
-            if self.frames - *since < SETTLED_FRAMES {
+            if !self.has_settled(slot.0, vertex) {
                 continue;
             }
             let Some([x, y, z, state]) = positions.get(slot.index()).copied() else { continue };
@@ -69,15 +85,36 @@ impl Motion {
             let index = scene.instance_of_vertex(vertex);
             let instance = &scene.scene.instances[index];
             let model = &scene.scene.models[instance.model];
-            let palette = palettes.entry(index).or_insert_with(|| {
-                pose::source_palette(model, instance.clip, instance.clip_time_s(time.seconds()))
-            });
+            let at = |time_s: f64| pose::source_palette(model, instance.clip, instance.clip_time_s(time_s));
+            let palette = palettes.entry(index).or_insert_with(|| at(time.seconds()));
             let v = &model.vertices[(vertex - scene.instances[index].first_vertex) as usize];
-            let world_from_mesh = instance.world_from_model * pose::blend(palette, v.joints, v.weights);
-            let truth = world_from_mesh.transform_point3(v.position);
-            self.paths.entry(vertex).or_default().push((self.frames, Vec3::new(x, y, z), truth));
+            let place = |palette: &[Affine3A]| {
+                (instance.world_from_model * pose::blend(palette, v.joints, v.weights))
+                    .transform_point3(v.position)
+            };
+            let truth = place(palette);
+            let path = self.paths.entry(vertex).or_insert_with(|| {
+                let duration_s = instance.clip.map_or(0.0, |clip| model.clips[clip].duration_s);
+                let moment = |i: u32| f64::from(duration_s) * f64::from(i) / f64::from(RANGE_TIMES);
+                let clip = self.clips.entry(index);
+                let clip = clip.or_insert_with(|| (0..RANGE_TIMES).map(|i| at(moment(i))).collect());
+                Path { range_m: range_m(clip.iter().map(|palette| place(palette))), places: Vec::new() }
+            });
+            path.places.push((self.frames, Vec3::new(x, y, z), truth));
         }
         Ok(())
+    }
+
+    /// Whether the vertex has been in the slot for so long that the client has it too.
+    fn has_settled(&mut self, slot: u32, vertex: u32) -> bool {
+        let frames = self.frames;
+        let fresh = Tenant { vertex, since: frames, until: frames };
+        let tenant = self.tenants.entry(slot).or_insert(fresh);
+        if tenant.vertex != vertex || tenant.until + 1 < frames {
+            *tenant = fresh;
+        }
+        tenant.until = frames;
+        frames - tenant.since >= SETTLED_FRAMES
     }
 
     /// The figures; `None` where nothing moved enough.
@@ -85,19 +122,16 @@ impl Motion {
         let mut errors = Vec::new();
         let (mut pairs, mut moved, mut vertices, mut max_mm) = (0u64, 0u64, 0u64, 0.0f64);
         for path in self.paths.values() {
-            let low = path.iter().fold(Vec3::INFINITY, |low, (_, _, truth)| low.min(*truth));
-            let high = path.iter().fold(Vec3::NEG_INFINITY, |high, (_, _, truth)| high.max(*truth));
-            let range_m = (high - low).length();
-            if range_m < MIN_RANGE_M {
+            if path.range_m < MIN_RANGE_M {
                 continue;
             }
             vertices += 1;
-            for (_, shown, truth) in path {
+            for (_, shown, truth) in &path.places {
                 let error_m = f64::from(shown.distance(*truth));
-                errors.push(error_m / f64::from(range_m) * 100.0);
+                errors.push(error_m / f64::from(path.range_m) * 100.0);
                 max_mm = max_mm.max(error_m * 1000.0);
             }
-            for pair in path.windows(2).filter(|pair| pair[1].0 == pair[0].0 + 1) {
+            for pair in path.places.windows(2).filter(|pair| pair[1].0 == pair[0].0 + 1) {
                 pairs += 1;
                 moved += u64::from(pair[0].1 != pair[1].1);
             }
@@ -113,4 +147,10 @@ impl Motion {
             max_error_mm: max_mm,
         })
     }
+}
+
+fn range_m(places: impl Iterator<Item = Vec3>) -> f32 {
+    let (low, high) =
+        places.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
+    (high - low).length()
 }

@@ -58,8 +58,10 @@ impl FromStr for StageMs {
     fn from_str(text: &str) -> Result<Self, String> {
         let mut stages = Self::default();
         for part in text.split(',') {
-            let (key, value) = part.split_once('=').ok_or_else(|| format!("\"{part}\" is not stage=milliseconds"))?;
-            let value: f64 = value.parse().map_err(|_| format!("\"{value}\" is not a number of milliseconds"))?;
+            let (key, value) =
+                part.split_once('=').ok_or_else(|| format!("\"{part}\" is not stage=milliseconds"))?;
+            let value: f64 =
+                value.parse().map_err(|_| format!("\"{value}\" is not a number of milliseconds"))?;
             if !(0.0..=1000.0).contains(&value) {
                 return Err(format!("{key}={value}: must lie between 0 and 1000 ms"));
             }

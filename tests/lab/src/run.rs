@@ -12,8 +12,8 @@ use anyhow::{Context, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 use shadecast_client::client::Step;
 use shadecast_mock_runtime::config::{ClockKind, FovDegrees, MockConfig};
-use shadecast_mock_runtime::record::{FrameRecord, Side, picture_path, read_frames};
 use shadecast_mock_runtime::manifest;
+use shadecast_mock_runtime::record::{FrameRecord, Side, picture_path, read_frames};
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use std::collections::BTreeMap;
@@ -57,7 +57,8 @@ pub fn mock_config(options: &RunOptions, clock: ClockKind, capture_every: u32) -
     let head_path = match &options.head {
         Some(path) => path.canonicalize().with_context(|| format!("head path {}", path.display()))?,
         None => {
-            std::fs::create_dir_all(&options.out).with_context(|| format!("making {}", options.out.display()))?;
+            std::fs::create_dir_all(&options.out)
+                .with_context(|| format!("making {}", options.out.display()))?;
             let path = options.out.join("walk.csv");
             std::fs::write(&path, BUILT_IN_WALK).with_context(|| format!("writing {}", path.display()))?;
             path.canonicalize()?
@@ -168,8 +169,16 @@ impl Run<'_> {
         let probes = if has_bundle { Some(lab.client.probe()?.map(into_probe)) } else { None };
         let world_from_stage = lab.server.scene.scene.world_from_stage;
         let time = ServerTime(record.predicted_display_time_ns - SERVER_EPOCH_NS);
-        let pictures = compare(comparer, &mut self.summary, record, &self.capture, world_from_stage, time, probes.as_ref(),
-            self.options.renderer == Renderer::Forward)?;
+        let pictures = compare(
+            comparer,
+            &mut self.summary,
+            record,
+            &self.capture,
+            world_from_stage,
+            time,
+            probes.as_ref(),
+            self.options.renderer == Renderer::Forward,
+        )?;
         lab.server.gpu.take_timings_ms(); // the ground truth's own
         if self.options.dump_every > 0 {
             dump(&self.options.out, record.frame, &pictures)?;
@@ -192,9 +201,14 @@ impl Run<'_> {
             server_fps: sent.updates as f64 / self.options.seconds,
             client_fps: self.with_bundle as f64 / shown,
             mbit_per_s: MbitPerS { atlas: mbit(sent.atlas_bytes), geometry: mbit(sent.geometry_bytes) },
-            bytes_per_animated_vertex_sample: (sent.samples > 0).then(|| sent.sample_bytes as f64 / sent.samples as f64),
+            bytes_per_animated_vertex_sample: (sent.samples > 0)
+                .then(|| sent.sample_bytes as f64 / sent.samples as f64),
             validation_messages,
-            gpu_ms: self.gpu_ms.iter().map(|(stage, ms)| ((*stage).to_owned(), ms / sent.updates.max(1) as f64)).collect(),
+            gpu_ms: self
+                .gpu_ms
+                .iter()
+                .map(|(stage, ms)| ((*stage).to_owned(), ms / sent.updates.max(1) as f64))
+                .collect(),
         });
         stats.write_json(&self.options.out.join("stats.json"))?;
         let atlas = match &server.last {
@@ -208,7 +222,8 @@ impl Run<'_> {
         if let Some(motion) = &motion {
             std::fs::write(self.options.out.join("motion.json"), serde_json::to_string_pretty(motion)?)?;
         }
-        let runtime_errors = shadecast_mock_runtime::record::read_summary(&self.capture).map_or(0, |s| s.errors);
+        let runtime_errors =
+            shadecast_mock_runtime::record::read_summary(&self.capture).map_or(0, |s| s.errors);
         Ok(Report {
             stats,
             frames_with_bundle: self.with_bundle,
@@ -227,7 +242,12 @@ pub fn atlas_picture(extent_texels: [u32; 2], planes: &[u8]) -> anyhow::Result<R
 
 /// A client's probe as the metrics want it.
 pub fn into_probe(probe: shadecast_client::stages::probe::ProbeView) -> ProbeView {
-    ProbeView { width: probe.width, height: probe.height, instance: probe.instance, depth_m: probe.distance_m }
+    ProbeView {
+        width: probe.width,
+        height: probe.height,
+        instance: probe.instance,
+        depth_m: probe.distance_m,
+    }
 }
 
 /// Measures both eyes of a captured frame; client and truth pictures, by eye.
@@ -265,7 +285,9 @@ pub fn compare(
         clients.push(picture);
         truths.push(truth);
     }
-    let pair = |pictures: Vec<Rgb8Image>| <[Rgb8Image; 2]>::try_from(pictures).map_err(|_| anyhow::anyhow!("two eyes"));
+    let pair = |pictures: Vec<Rgb8Image>| {
+        <[Rgb8Image; 2]>::try_from(pictures).map_err(|_| anyhow::anyhow!("two eyes"))
+    };
     Ok([pair(clients)?, pair(truths)?])
 }
 

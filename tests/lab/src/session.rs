@@ -11,11 +11,11 @@ use shadecast_client::decode::Picture;
 use shadecast_client::decoding::DecodeTiming;
 use shadecast_client::platform::Platform;
 use shadecast_client::xr::{Xr, XrOptions};
+use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
+use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Capabilities, ClientHello, Codec, Displayed, negotiate};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
-use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
-use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::session::{Out, ServerEvent, ServerSession};
 use shadecast_protocol::time::{DisplayTime, ServerTime};
 use shadecast_protocol::wire::PictureHeader;
@@ -103,8 +103,11 @@ impl Server {
     /// Opens the server's device and loads the scene.
     pub fn new(options: &RunOptions) -> anyhow::Result<Self> {
         let scene = load_scene(&options.scene)?;
-        let gpu_options =
-            GpuOptions { needs: Needs::Server, validation: options.validation, device_name: options.device.clone() };
+        let gpu_options = GpuOptions {
+            needs: Needs::Server,
+            validation: options.validation,
+            device_name: options.device.clone(),
+        };
         let gpu = Gpu::open(&gpu_options, &DesktopDevice)?;
         let scene = Arc::new(SceneGpu::new(&gpu, scene, options.resample_s)?);
         let session = ServerSession::new(offer(&scene, options.atlas_extent_texels, options.rate_hz, 1));
@@ -139,14 +142,17 @@ impl Server {
         while let Some(event) = self.session.poll_event() {
             match event {
                 ServerEvent::Accepted { hello, welcome } => {
-                    let settings = EncoderSettings { qp: self.qp, ..EncoderSettings::new(welcome.atlas_extent_texels) };
+                    let settings =
+                        EncoderSettings { qp: self.qp, ..EncoderSettings::new(welcome.atlas_extent_texels) };
                     self.encoder = Some(Box::new(OpenH264Encoder::new(settings)?));
                     self.frame = Some(Frame::new(&self.gpu, &self.scene, &welcome, &hello.capabilities)?);
                 }
                 ServerEvent::Pose(state) => self.frame.iter_mut().for_each(|f| f.head(state)),
                 ServerEvent::Displayed(report) => self.frame.iter_mut().for_each(|f| f.displayed(&report)),
                 ServerEvent::RefreshRequest { .. } => self.refresh = true,
-                ServerEvent::Refused(refused) => bail!("the server refused: {} {}", refused.reason, refused.remedy),
+                ServerEvent::Refused(refused) => {
+                    bail!("the server refused: {} {}", refused.reason, refused.remedy)
+                }
                 ServerEvent::Goodbye => self.frame = None,
                 ServerEvent::Failed(error) => bail!("the server could not understand the client: {error}"),
             }
@@ -168,11 +174,11 @@ impl Lab {
         let config = |salt| EndpointConfig { seed: Some(options.seed ^ salt), ..EndpointConfig::default() };
         let server_end = Endpoint::server(&identity, config(1))?;
         let pair = Pair::new(server_end, Endpoint::client(config(2)), options.link.clone(), options.seed);
-        let xr = Xr::open(&Platform::default(), XrOptions { validation: options.validation })
+        let xr = Xr::open(&Platform, XrOptions { validation: options.validation })
             .context("opening the OpenXR runtime")?;
         let decoding = DecodeTiming::Virtual { delay_ns: options.stages.ns(options.stages.decode) };
-        let client =
-            Client::new(xr, ClientOptions { decoding, ..ClientOptions::default() }).context("making the client")?;
+        let client = Client::new(xr, ClientOptions { decoding, ..ClientOptions::default() })
+            .context("making the client")?;
         Ok(Self {
             server,
             client,
@@ -255,7 +261,9 @@ impl Lab {
     /// In memory there are no messages: the server looks at the client itself.
     fn frame_shown(&mut self, report: &FrameReport) {
         self.frame += 1;
-        let Some(frame) = self.server.frame.as_mut().filter(|_| self.renderer != Renderer::Stream) else { return };
+        let Some(frame) = self.server.frame.as_mut().filter(|_| self.renderer != Renderer::Stream) else {
+            return;
+        };
         self.client.head_state().into_iter().for_each(|state| frame.head(state));
         if let (true, Some(id), Some(time)) = (report.is_new, report.frame, report.server_time) {
             frame.displayed(&Displayed { frame: id, display_time: time, ..Displayed::default() });
@@ -313,10 +321,14 @@ impl Lab {
     fn client_event(&mut self, event: Event) -> anyhow::Result<()> {
         match event {
             Event::Connected { .. } => self.client.on_connected(DisplayTime(self.pair.now_ns())),
-            Event::Control { message, at_ns, .. } => self.client.receive_control(DisplayTime(at_ns), &message)?,
+            Event::Control { message, at_ns, .. } => {
+                self.client.receive_control(DisplayTime(at_ns), &message)?
+            }
             Event::Datagram { bytes, at_ns, .. } => self.client.receive_datagram(DisplayTime(at_ns), &bytes),
             Event::Stream { bytes, at_ns, .. } => self.client.receive_stream(DisplayTime(at_ns), &bytes)?,
-            Event::StreamReset { head, .. } => self.client.receive_reset(DisplayTime(self.pair.now_ns()), &head),
+            Event::StreamReset { head, .. } => {
+                self.client.receive_reset(DisplayTime(self.pair.now_ns()), &head)
+            }
             Event::Closed { reason, .. } => bail!("the connection ended: {reason}"),
         }
         Ok(())

@@ -1,0 +1,22 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+// The ground truth's vertex path without what only shading needs.
+#include "scene.glsl"
+
+layout(std430, binding = 0) readonly buffer Vertices { VertexGpu vertices[]; };
+layout(std430, binding = 1) readonly buffer SavedVertices { vec4 saved_vertices[]; };
+layout(std140, binding = 3) uniform View { ViewGpu view; };
+layout(push_constant) uniform ForwardPush {
+    uint vertex_base;
+    uint position_base;
+    uint frame_base;
+    uint material;
+    uint instance;
+};
+layout(location = 0) out vec2 uv;
+
+void main() {
+    VertexGpu v = vertices[vertex_base + gl_VertexIndex];
+    uv = vec2(v.position_u.w, v.normal_v.w);
+    gl_Position = view.clip_from_world * vec4(saved_vertices[position_base + gl_VertexIndex].xyz, 1.0);
+}
