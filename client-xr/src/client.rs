@@ -470,8 +470,8 @@ impl Client {
         };
         let serial = scene.serial;
         self.head = Some(head);
+        self.sequence = self.sequence.wrapping_add(1);
         if let Some(connection) = self.connection.as_mut().filter(|connection| connection.serial == serial) {
-            self.sequence = self.sequence.wrapping_add(1);
             connection.session.send_pose(head);
         }
     }

@@ -112,15 +112,41 @@ impl Stage {
         let config = mock_config(&options, ClockKind::Real, 0).unwrap();
         let runtime = prepare_runtime(&config, &out).unwrap();
         let mut command = Command::new(program("shadecast-client"));
-        command.args(["--connect", &self.address.to_string(), "--validation"]);
+        command.args(["--connect", &self.address.to_string(), "--validation", "--probe-every", "3"]);
+        command.arg("--probe-dir").arg(out.join("probe"));
         command.arg("--identity").arg(self.path("client")).arg("--stats").arg(out.join("client.json"));
         command.envs(runtime.iter().map(|(name, value)| (name, value)));
         Running::start(&mut command)
     }
 
+    /// Waits until the client shows geometry in a frame that is not there yet: one of its probes holds an instance.
+    #[track_caller]
+    fn shows_the_scene(&self, name: &str) {
+        let folder = self.path(name).join("probe");
+        let probes = || std::fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
+        let known: Vec<PathBuf> = probes().collect();
+        let deadline = Instant::now() + PATIENCE;
+        while Instant::now() < deadline {
+            if probes().filter(|path| !known.contains(path)).any(|path| holds_an_instance(&path)) {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(200));
+        }
+        panic!("the client showed nothing of the scene in time");
+    }
+
     fn json(&self, name: &str) -> Value {
         serde_json::from_str(&std::fs::read_to_string(self.path(name)).unwrap()).unwrap()
     }
+}
+
+/// Whether a probe file (width, height, instances, distances; little-endian words) shows anything but background.
+fn holds_an_instance(probe: &Path) -> bool {
+    let bytes = std::fs::read(probe).unwrap_or_default();
+    let words: Vec<u32> =
+        bytes.chunks_exact(4).map(|c| u32::from_le_bytes([c[0], c[1], c[2], c[3]])).collect();
+    let pixels = words.len().saturating_sub(2) / 2;
+    words.iter().skip(2).take(pixels).any(|instance| *instance != u32::MAX)
 }
 
 fn number(value: &Value, key: &str) -> f64 {
@@ -134,13 +160,13 @@ fn a_killed_server_comes_back_and_the_client_goes_on() {
     first.says("Listening");
     let mut client = stage.client("a");
     first.says("Client connected");
-    std::thread::sleep(Duration::from_secs(4));
+    stage.shows_the_scene("a");
     first.signal("-KILL");
     drop(first);
-    std::thread::sleep(Duration::from_secs(1));
+    stage.shows_the_scene("a"); // the last frame stays
     let mut second = stage.server("second.json");
     second.says("Client connected");
-    std::thread::sleep(Duration::from_secs(4));
+    stage.shows_the_scene("a");
     client.signal("-INT");
     client.ends_well();
     second.signal("-INT");
@@ -161,12 +187,12 @@ fn a_killed_client_is_forgotten_and_the_next_one_is_served() {
     server.says("Listening");
     let first = stage.client("a");
     server.says("Client connected");
-    std::thread::sleep(Duration::from_secs(3));
+    stage.shows_the_scene("a");
     first.signal("-KILL");
     drop(first);
     let mut next = stage.client("b");
     server.says("Client connected");
-    std::thread::sleep(Duration::from_secs(5));
+    stage.shows_the_scene("b");
     next.signal("-INT");
     next.ends_well();
     server.signal("-INT");

@@ -101,9 +101,7 @@ fn program(name: &str) -> anyhow::Result<PathBuf> {
 /// A program is missing or fails, or nothing was shown.
 pub fn demo(options: &DemoOptions) -> anyhow::Result<Stats> {
     let out = std::path::absolute(&options.out)?;
-    if out.exists() {
-        std::fs::remove_dir_all(&out).with_context(|| format!("clearing {}", out.display()))?;
-    }
+    clear(&out)?;
     std::fs::create_dir_all(&out).with_context(|| format!("making {}", out.display()))?;
     let run = RunOptions {
         extent_pixels: options.extent_pixels,
@@ -115,6 +113,23 @@ pub fn demo(options: &DemoOptions) -> anyhow::Result<Stats> {
     let runtime = prepare_runtime(&config, &out)?;
     stream(options, &out, &runtime)?;
     measure(options, &run, &out)
+}
+
+/// Takes away what an earlier demo left in `out`, and nothing else.
+fn clear(out: &Path) -> anyhow::Result<()> {
+    for folder in ["capture", "probe"] {
+        let path = out.join(folder);
+        if path.exists() {
+            std::fs::remove_dir_all(&path).with_context(|| format!("clearing {}", path.display()))?;
+        }
+    }
+    for file in ["atlas.png", "stats.json", "server.json", "client.json"] {
+        let path = out.join(file);
+        if path.exists() {
+            std::fs::remove_file(&path).with_context(|| format!("clearing {}", path.display()))?;
+        }
+    }
+    Ok(())
 }
 
 /// Runs both processes to their end.
