@@ -3,6 +3,7 @@
 
 use crate::animation::gpu::Animation;
 use crate::scene_gpu::SceneGpu;
+use crate::stages::geometry::Geometry;
 use ash::vk;
 use glam::{Mat4, Vec3};
 use shadecast_gpu::{
@@ -53,8 +54,7 @@ pub struct Forward {
 /// A pass that draws the scene.
 struct Pass {
     pass: RenderPass,
-    culled: GraphicsPipeline,
-    double_sided: GraphicsPipeline,
+    geometry: Geometry,
     group: BindGroup,
     target: Framebuffer,
 }
@@ -255,22 +255,10 @@ impl Pass {
         target: Framebuffer,
         is_probe: bool,
     ) -> Result<Self, GpuError> {
-        let pipeline = |cull| {
-            GraphicsPipeline::new(
-                gpu,
-                &GraphicsPipelineDesc {
-                    vertex: if is_probe { &FORWARD_PROBE_VERT } else { &FORWARD_VERT },
-                    fragment: if is_probe { &FORWARD_PROBE_FRAG } else { &FORWARD_FRAG },
-                    pass: &pass,
-                    topology: vk::PrimitiveTopology::TRIANGLE_LIST,
-                    cull,
-                    depth_write: Some(true),
-                    blend: false,
-                    vertex_input: None,
-                },
-            )
+        let geometry = match is_probe {
+            true => Geometry::new(gpu, &FORWARD_PROBE_VERT, &FORWARD_PROBE_FRAG, &pass)?,
+            false => Geometry::new(gpu, &FORWARD_VERT, &FORWARD_FRAG, &pass)?,
         };
-        let (culled, double_sided) = (pipeline(vk::CullModeFlags::BACK)?, pipeline(vk::CullModeFlags::NONE)?);
         let textures = scene.texture_binds();
         let mut binds = vec![
             ("Vertices", Bind::Buffer(&scene.vertices)),
@@ -283,32 +271,17 @@ impl Pass {
             binds.push(("SavedFrames", Bind::Buffer(animation.saved_frames())));
             binds.push(("Light", Bind::Buffer(&scene.light)));
         }
-        let group = BindGroup::new(culled.layout(), &binds)?;
-        Ok(Self { pass, culled, double_sided, group, target })
+        let group = BindGroup::new(geometry.layout(), &binds)?;
+        Ok(Self { pass, geometry, group, target })
     }
 
     fn draw(&self, recorder: &mut Recorder, scene: &SceneGpu, animation: &Animation) {
-        recorder.bind_indices(&scene.indices, 0);
-        for double_sided in [false, true] {
-            let pipeline = if double_sided { &self.double_sided } else { &self.culled };
-            recorder.bind(pipeline, &self.group);
-            for (number, instance) in scene.instances.iter().enumerate() {
-                let (model, source) = (&scene.models[instance.model], &scene.scene.models[instance.model]);
-                let sided = |p: &&crate::scene::Primitive| {
-                    source.materials[p.material as usize].double_sided == double_sided
-                };
-                for primitive in source.primitives.iter().filter(sided) {
-                    let push = ForwardPush {
-                        vertex_base: model.vertex_base,
-                        position_base: animation.position_base(instance, 0),
-                        frame_base: animation.frame_base(instance),
-                        material: model.material_base + primitive.material,
-                        instance: number as u32,
-                    };
-                    recorder.push_constants(pipeline, &push);
-                    recorder.draw_indexed(model.index_base + primitive.first_index, primitive.index_count);
-                }
-            }
-        }
+        self.geometry.record(recorder, &self.group, scene, |draw| ForwardPush {
+            vertex_base: draw.model.vertex_base,
+            position_base: animation.position_base(draw.instance, 0),
+            frame_base: animation.frame_base(draw.instance),
+            material: draw.model.material_base + draw.primitive.material,
+            instance: draw.number as u32,
+        });
     }
 }

@@ -2,10 +2,11 @@
 
 use crate::animation::gpu::Animation;
 use crate::scene_gpu::SceneGpu;
+use crate::stages::geometry::Geometry;
 use ash::vk;
 use shadecast_gpu::{
-    Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
-    Image, ImageDesc, Recorder, RenderPass, RenderPassDesc,
+    Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, Image, ImageDesc, Recorder, RenderPass,
+    RenderPassDesc,
 };
 use shadecast_shaders::generated::{ID_BUFFER_FRAG, ID_BUFFER_VERT, IdBufferPush};
 use std::sync::Arc;
@@ -13,8 +14,7 @@ use std::sync::Arc;
 /// The stage with its output; both eyes of one time at once.
 pub struct IdBuffer {
     pass: RenderPass,
-    culled: GraphicsPipeline,
-    double_sided: GraphicsPipeline,
+    geometry: Geometry,
     group: BindGroup,
     target: Framebuffer,
     /// R32_UINT, two layers: scene-wide patch number + 1, 0 for background.
@@ -48,25 +48,10 @@ impl IdBuffer {
                 view_mask: 0b11,
             },
         )?;
-        let pipeline = |cull| {
-            GraphicsPipeline::new(
-                gpu,
-                &GraphicsPipelineDesc {
-                    vertex: &ID_BUFFER_VERT,
-                    fragment: &ID_BUFFER_FRAG,
-                    pass: &pass,
-                    topology: vk::PrimitiveTopology::TRIANGLE_LIST,
-                    cull,
-                    depth_write: Some(true),
-                    blend: false,
-                    vertex_input: None,
-                },
-            )
-        };
-        let (culled, double_sided) = (pipeline(vk::CullModeFlags::BACK)?, pipeline(vk::CullModeFlags::NONE)?);
+        let geometry = Geometry::new(gpu, &ID_BUFFER_VERT, &ID_BUFFER_FRAG, &pass)?;
         let textures = scene.texture_binds();
         let group = BindGroup::new(
-            culled.layout(),
+            geometry.layout(),
             &[
                 ("Vertices", Bind::Buffer(&scene.vertices)),
                 ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
@@ -77,7 +62,7 @@ impl IdBuffer {
             ],
         )?;
         let target = Framebuffer::new(gpu, &pass, extent, &[image.view(), depth.view()])?;
-        Ok(Self { pass, culled, double_sided, group, target, image, _depth: depth })
+        Ok(Self { pass, geometry, group, target, image, _depth: depth })
     }
 
     /// Draws the scene as it is in `slot` into the two views from `first_view` on.
@@ -91,29 +76,14 @@ impl IdBuffer {
     ) {
         let clears = [vk::ClearValue::default(), vk::ClearValue::default()]; // no patch; far, which is 0
         recorder.begin_pass(&self.pass, &self.target, &clears);
-        recorder.bind_indices(&scene.indices, 0);
-        for double_sided in [false, true] {
-            let pipeline = if double_sided { &self.double_sided } else { &self.culled };
-            recorder.bind(pipeline, &self.group);
-            for instance in &scene.instances {
-                let (model, source) = (&scene.models[instance.model], &scene.scene.models[instance.model]);
-                let sided = |p: &&crate::scene::Primitive| {
-                    source.materials[p.material as usize].double_sided == double_sided
-                };
-                for primitive in source.primitives.iter().filter(sided) {
-                    let push = IdBufferPush {
-                        vertex_base: model.vertex_base,
-                        position_base: animation.position_base(instance, slot),
-                        triangle_base: (model.index_base + primitive.first_index) / 3,
-                        patch_base: instance.first_patch,
-                        material: model.material_base + primitive.material,
-                        first_view,
-                    };
-                    recorder.push_constants(pipeline, &push);
-                    recorder.draw_indexed(model.index_base + primitive.first_index, primitive.index_count);
-                }
-            }
-        }
+        self.geometry.record(recorder, &self.group, scene, |draw| IdBufferPush {
+            vertex_base: draw.model.vertex_base,
+            position_base: animation.position_base(draw.instance, slot),
+            triangle_base: (draw.model.index_base + draw.primitive.first_index) / 3,
+            patch_base: draw.instance.first_patch,
+            material: draw.model.material_base + draw.primitive.material,
+            first_view,
+        });
         recorder.end_pass();
     }
 }

@@ -9,3 +9,5 @@ pub mod level_selection;
 pub mod shading;
 pub mod ycbcr;
 pub mod forward;
+
+mod geometry;

@@ -82,7 +82,7 @@ impl RenderPass {
             subpass = subpass.depth_stencil_attachment(&depth);
         }
         let subpasses = [subpass];
-        let dependencies = [attachment_reuse()];
+        let dependencies = [attachment_reuse(), hand_over()];
         let masks = [desc.view_mask];
         let mut multiview = vk::RenderPassMultiviewCreateInfo::default().view_masks(&masks);
         let mut info = vk::RenderPassCreateInfo::default()
@@ -118,6 +118,22 @@ fn attachment_reuse() -> vk::SubpassDependency {
         dst_stage_mask: stages,
         src_access_mask: writes,
         dst_access_mask: writes | reads,
+        dependency_flags: vk::DependencyFlags::empty(),
+    }
+}
+
+/// The pass's last layout transitions come before what a following barrier from colour output waits for. Without it they
+/// are ordered only before the end of the pipe, which no barrier names.
+fn hand_over() -> vk::SubpassDependency {
+    let stages = vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT;
+    vk::SubpassDependency {
+        src_subpass: 0,
+        dst_subpass: vk::SUBPASS_EXTERNAL,
+        src_stage_mask: stages | vk::PipelineStageFlags::LATE_FRAGMENT_TESTS,
+        dst_stage_mask: stages,
+        src_access_mask: vk::AccessFlags::COLOR_ATTACHMENT_WRITE
+            | vk::AccessFlags::DEPTH_STENCIL_ATTACHMENT_WRITE,
+        dst_access_mask: vk::AccessFlags::COLOR_ATTACHMENT_READ | vk::AccessFlags::COLOR_ATTACHMENT_WRITE,
         dependency_flags: vk::DependencyFlags::empty(),
     }
 }

@@ -1,0 +1,85 @@
+//! What every stage that rasterises the scene shares: a pipeline for each kind of side, and the walk over instances and
+//! primitives.
+
+use crate::scene::Primitive;
+use crate::scene_gpu::{InstanceGpu, ModelGpu, SceneGpu};
+use ash::vk;
+use shadecast_gpu::{
+    BindGroup, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Layout, Recorder, RenderPass,
+};
+use shadecast_shaders::Shader;
+use std::sync::Arc;
+
+/// The pipelines of a pass that draws the scene with depth test.
+pub(crate) struct Geometry {
+    culled: GraphicsPipeline,
+    double_sided: GraphicsPipeline,
+}
+
+/// One draw: a primitive of an instance.
+pub(crate) struct Draw<'a> {
+    /// Number of the instance in the scene.
+    pub(crate) number: usize,
+    /// The instance.
+    pub(crate) instance: &'a InstanceGpu,
+    /// Its model.
+    pub(crate) model: &'a ModelGpu,
+    /// The primitive, in the model's own numbers.
+    pub(crate) primitive: &'a Primitive,
+}
+
+impl Geometry {
+    /// Pipelines of two shaders in `pass`.
+    pub(crate) fn new(
+        gpu: &Arc<Gpu>,
+        vertex: &Shader,
+        fragment: &Shader,
+        pass: &RenderPass,
+    ) -> Result<Self, GpuError> {
+        let pipeline = |cull| {
+            let desc = GraphicsPipelineDesc {
+                vertex,
+                fragment,
+                pass,
+                topology: vk::PrimitiveTopology::TRIANGLE_LIST,
+                cull,
+                depth_write: Some(true),
+                blend: false,
+                vertex_input: None,
+            };
+            GraphicsPipeline::new(gpu, &desc)
+        };
+        Ok(Self {
+            culled: pipeline(vk::CullModeFlags::BACK)?,
+            double_sided: pipeline(vk::CullModeFlags::NONE)?,
+        })
+    }
+
+    /// Layout of both, for bind groups.
+    pub(crate) fn layout(&self) -> &Arc<Layout> {
+        self.culled.layout()
+    }
+
+    /// Draws the whole scene with the push constants that `push` gives for each draw.
+    pub(crate) fn record<P: bytemuck::Pod>(
+        &self,
+        recorder: &mut Recorder,
+        group: &BindGroup,
+        scene: &SceneGpu,
+        push: impl Fn(&Draw<'_>) -> P,
+    ) {
+        recorder.bind_indices(&scene.indices, 0);
+        for (pipeline, double_sided) in [(&self.culled, false), (&self.double_sided, true)] {
+            recorder.bind(pipeline, group);
+            for (number, instance) in scene.instances.iter().enumerate() {
+                let (model, source) = (&scene.models[instance.model], &scene.scene.models[instance.model]);
+                let is_so =
+                    |p: &&Primitive| source.materials[p.material as usize].double_sided == double_sided;
+                for primitive in source.primitives.iter().filter(is_so) {
+                    recorder.push_constants(pipeline, &push(&Draw { number, instance, model, primitive }));
+                    recorder.draw_indexed(model.index_base + primitive.first_index, primitive.index_count);
+                }
+            }
+        }
+    }
+}
