@@ -16,16 +16,17 @@ use shadecast_protocol::time::ServerTime;
 use shadecast_server::animation::clip::DEFAULT_RESAMPLE_INTERVAL_S;
 use shadecast_server::scene::load::{SceneSource, load_scene};
 use shadecast_server::scene_gpu::SceneGpu;
+use std::io::{BufRead, BufReader};
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Seconds that a process may take to end after it should have.
-const PATIENCE: Duration = Duration::from_secs(60);
+/// How long a process may take to start, to show the first picture, or to end.
+const PATIENCE: Duration = Duration::from_secs(120);
 /// Display frames between two that are captured: captures wait for the GPU, so they are few.
-const CAPTURE_EVERY: u32 = 12;
+const CAPTURE_EVERY: u32 = 8;
 
 /// What to show.
 #[derive(Clone, Debug)]
@@ -52,8 +53,24 @@ struct Running {
 
 impl Running {
     fn start(name: &'static str, command: &mut Command) -> anyhow::Result<Self> {
-        let child = command.stdin(Stdio::null()).stdout(Stdio::null()).spawn();
+        let child = command.stdin(Stdio::null()).spawn();
         Ok(Self { name, child: child.with_context(|| format!("starting {name}"))? })
+    }
+
+    /// Reads the process's output until a line holds `text`, then lets it run on unheard.
+    fn says(&mut self, text: &'static str) -> anyhow::Result<()> {
+        let output = self.child.stdout.take().context("its output is read once")?;
+        let (heard_to, heard) = std::sync::mpsc::channel();
+        std::thread::spawn(move || {
+            for line in BufReader::new(output).lines().map_while(Result::ok) {
+                if line.contains(text) {
+                    let _ = heard_to.send(());
+                }
+            }
+        });
+        heard
+            .recv_timeout(PATIENCE)
+            .map_err(|_| anyhow::anyhow!("{} did not start; its messages are above", self.name))
     }
 
     fn is_running(&mut self) -> anyhow::Result<bool> {
@@ -105,7 +122,7 @@ pub fn demo(options: &DemoOptions) -> anyhow::Result<Stats> {
     std::fs::create_dir_all(&out).with_context(|| format!("making {}", out.display()))?;
     let run = RunOptions {
         extent_pixels: options.extent_pixels,
-        seconds: options.seconds,
+        seconds: 0.0, // the session ends when the client is asked to
         refresh_hz: options.refresh_hz,
         ..RunOptions::new(options.scene.clone(), out.clone())
     };
@@ -141,7 +158,7 @@ fn stream(options: &DemoOptions, out: &Path, runtime: &[(&'static str, PathBuf);
     server.args(["stream", &options.scene.to_string(), "--listen", &address.to_string()]);
     server.arg("--identity").arg(out.join("server-identity")).arg("--stats").arg(out.join("server.json"));
     server.arg("--atlas-png").arg(out.join("atlas.png"));
-    server.args(["--seconds", &(options.seconds + 120.0).to_string()]);
+    server.args(["--seconds", &(options.seconds + 300.0).to_string()]);
     let mut client = Command::new(program("shadecast-client")?);
     client.args(["--connect", &address.to_string(), "--quiet", "--probe-every", &CAPTURE_EVERY.to_string()]);
     client.arg("--probe-dir").arg(out.join("probe")).arg("--stats").arg(out.join("client.json"));
@@ -151,18 +168,46 @@ fn stream(options: &DemoOptions, out: &Path, runtime: &[(&'static str, PathBuf);
         server.arg("--validation");
         client.arg("--validation");
     }
-    let mut server = Running::start("shadecast-server", &mut server)?;
-    let mut client = Running::start("shadecast-client", &mut client)?;
-    let start = Instant::now();
-    let bar = progress(true, (options.seconds * 10.0) as u64);
-    while client.is_running()? && server.is_running()? && start.elapsed().as_secs_f64() < options.seconds {
-        bar.set_position((start.elapsed().as_secs_f64() * 10.0) as u64);
-        std::thread::sleep(Duration::from_millis(100));
-    }
-    bar.finish_and_clear();
+    let mut server = Running::start("shadecast-server", server.stdout(Stdio::piped()))?;
+    server.says("Listening")?;
+    let mut client = Running::start("shadecast-client", client.stdout(Stdio::null()))?;
+    watch(options, &out.join("probe"), [&mut server, &mut client])?;
+    client.interrupt()?;
     client.wait(Instant::now() + PATIENCE)?;
     server.interrupt()?;
     server.wait(Instant::now() + PATIENCE)
+}
+
+/// Waits for the first picture of the scene, then for as long as was asked for.
+fn watch(options: &DemoOptions, probes: &Path, mut processes: [&mut Running; 2]) -> anyhow::Result<()> {
+    let bar = progress(true, (options.seconds * 10.0) as u64);
+    let start = Instant::now();
+    let mut first = None;
+    loop {
+        for process in &mut processes {
+            ensure!(process.is_running()?, "{} ended early; its messages are above", process.name);
+        }
+        match first {
+            None if shows_geometry(probes) => first = Some(Instant::now()),
+            None => ensure!(start.elapsed() < PATIENCE, "the client showed no picture of the scene in time"),
+            Some(first) => {
+                let shown_s = first.elapsed().as_secs_f64();
+                bar.set_position((shown_s * 10.0) as u64);
+                if shown_s >= options.seconds {
+                    break;
+                }
+            }
+        }
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    bar.finish_and_clear();
+    Ok(())
+}
+
+/// Whether any probe in the folder holds more than background.
+fn shows_geometry(folder: &Path) -> bool {
+    let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    files.map(|file| read_probe(&file.path())).any(|probe| probe.is_ok_and(|probe| probe.coverage() > 0.0))
 }
 
 fn read_json(path: &Path) -> anyhow::Result<Value> {

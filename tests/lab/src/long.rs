@@ -36,6 +36,7 @@ pub fn run_all(out: &Path) -> anyhow::Result<()> {
         let options = RunOptions {
             verbose: true,
             motion: true,
+            validation: true,
             compare_every: 10,
             ..RunOptions::new(scene, work.clone())
         };
