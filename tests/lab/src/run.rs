@@ -306,7 +306,8 @@ pub fn write_pictures(
     truth: &[Rgb8Image; 2],
     atlas: Option<&Rgb8Image>,
 ) -> anyhow::Result<()> {
-    let mut sheet = Sheet::new("SHADECAST", 3, [384, 384]);
+    let cell = [client[0].width, client[0].height].map(|side| side.clamp(192, 384));
+    let mut sheet = Sheet::new("SHADECAST", 3, cell);
     for (eye, side) in ["left", "right"].into_iter().enumerate() {
         let different = difference(&truth[eye], &client[eye], 4.0);
         client[eye].write_png(&out.join(format!("client-{side}.png")))?;
