@@ -9,6 +9,7 @@ use crate::patches::Patch;
 use glam::Vec3;
 use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch};
 use shadecast_protocol::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
+use shadecast_protocol::samples::quantise;
 use shadecast_protocol::time::{GridIndex, ServerTime};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -322,16 +323,12 @@ fn push_batch(
     slots: impl Iterator<Item = (u32, u32)>,
     delta: &mut GeometryDelta,
 ) {
-    let values: Vec<_> =
-        slots.map(|(slot, vertex)| (VertexSlot(slot), quantised(geometry.sample(grid, vertex)))).collect();
+    let values: Vec<_> = slots
+        .map(|(slot, vertex)| (VertexSlot(slot), quantise(geometry.sample(grid, vertex), STEP_M)))
+        .collect();
     if !values.is_empty() {
         delta.samples.push(SampleBatch { grid, values });
     }
-}
-
-/// A world position in steps of [`STEP_M`].
-pub fn quantised(position: Vec3) -> [i32; 3] {
-    position.to_array().map(|c| (c / STEP_M).round() as i32)
 }
 
 /// Quantisation step of vertex samples: a quarter pixel at 1 m for a 500-pixel view of 90 degrees, an eighth at 2 m.

@@ -120,7 +120,6 @@ struct Active {
     peer: PeerId,
     session: ServerSession,
     heard_ns: i64,
-    accepted: bool,
 }
 
 /// What the network tells the pipeline.
@@ -260,7 +259,7 @@ fn welcome(served: &Served, peer: PeerId, remote: SocketAddr, offer: ServerOffer
         let _ = news.send(News::Gone);
     }
     println!("Client connected from {remote}");
-    *active = Some(Active { peer, session: ServerSession::new(offer), heard_ns: now_ns, accepted: false });
+    *active = Some(Active { peer, session: ServerSession::new(offer), heard_ns: now_ns });
 }
 
 fn heard(served: &Served, peer: PeerId, at_ns: i64) {
@@ -284,8 +283,6 @@ fn tell(served: &Served, peer: PeerId, news: &Sender<News>) {
     while let Some(Some(event)) = served.with(peer, ServerSession::poll_event) {
         let item = match event {
             ServerEvent::Accepted { hello, welcome } => {
-                let mut active = served.active.lock().expect("not poisoned");
-                active.iter_mut().for_each(|active| active.accepted = true);
                 News::Accepted(Box::new(welcome), Box::new(hello.capabilities), peer)
             }
             ServerEvent::Pose(state) => News::Pose(state),

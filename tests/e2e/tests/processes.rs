@@ -1,6 +1,7 @@
 //! Server and client as users run them: two processes on loopback, killed and started again.
 
 use serde_json::Value;
+use shadecast_lab::demo::read_probe;
 use shadecast_lab::options::RunOptions;
 use shadecast_lab::run::{mock_config, prepare_runtime};
 use shadecast_mock_runtime::config::ClockKind;
@@ -127,7 +128,10 @@ impl Stage {
         let known: Vec<PathBuf> = probes().collect();
         let deadline = Instant::now() + PATIENCE;
         while Instant::now() < deadline {
-            if probes().filter(|path| !known.contains(path)).any(|path| holds_an_instance(&path)) {
+            if probes()
+                .filter(|path| !known.contains(path))
+                .any(|path| read_probe(&path).is_ok_and(|probe| probe.coverage() > 0.0))
+            {
                 return;
             }
             std::thread::sleep(Duration::from_millis(200));
@@ -138,15 +142,6 @@ impl Stage {
     fn json(&self, name: &str) -> Value {
         serde_json::from_str(&std::fs::read_to_string(self.path(name)).unwrap()).unwrap()
     }
-}
-
-/// Whether a probe file (width, height, instances, distances; little-endian words) shows anything but background.
-fn holds_an_instance(probe: &Path) -> bool {
-    let bytes = std::fs::read(probe).unwrap_or_default();
-    let words: Vec<u32> =
-        bytes.chunks_exact(4).map(|c| u32::from_le_bytes([c[0], c[1], c[2], c[3]])).collect();
-    let pixels = words.len().saturating_sub(2) / 2;
-    words.iter().skip(2).take(pixels).any(|instance| *instance != u32::MAX)
 }
 
 fn number(value: &Value, key: &str) -> f64 {

@@ -289,7 +289,11 @@ fn read_probes(out: &Path, record: &FrameRecord) -> anyhow::Result<Option<[Probe
     Ok(Some([read_probe(&path("left"))?, read_probe(&path("right"))?]))
 }
 
-fn read_probe(path: &Path) -> anyhow::Result<ProbeView> {
+/// A probe file of the client: width, height, instances, distances; little-endian words.
+///
+/// # Errors
+/// The file cannot be read, or is cut short.
+pub fn read_probe(path: &Path) -> anyhow::Result<ProbeView> {
     let bytes = std::fs::read(path).with_context(|| format!("reading {}", path.display()))?;
     let words: Vec<u32> =
         bytes.chunks_exact(4).map(|c| u32::from_le_bytes([c[0], c[1], c[2], c[3]])).collect();
