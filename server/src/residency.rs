@@ -5,12 +5,12 @@
 //! again only after the client has displayed the frame that freed it.
 
 use crate::levels::PlacementChange;
-use crate::patches::Patch;
 use glam::Vec3;
 use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch};
 use shadecast_protocol::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
 use shadecast_protocol::samples::quantise;
 use shadecast_protocol::time::{GridIndex, ServerTime};
+use shadecast_scene::patches::Patch;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// A static patch without a block is forgotten after this many updates.

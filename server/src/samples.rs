@@ -1,13 +1,13 @@
 //! The window of grid samples: which grid points are computed, and their positions where the CPU can read them.
 
 use crate::animation::gpu::Animation;
-use crate::patches::Patch;
 use crate::predict::PredictedViews;
 use crate::residency::{Geometry, InstanceRange};
 use crate::scene_gpu::SceneGpu;
 use glam::Vec3;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::time::{Grid, GridIndex};
+use shadecast_scene::patches::Patch;
 use std::sync::Arc;
 
 /// Grid points kept on the server: as many as on the client.

@@ -3,15 +3,15 @@
 //! Numbers: a *scene-wide* vertex or patch number counts over all instances, in their order; a *model* number counts
 //! within one model.
 
-use crate::animation::clip::{self, ResampledClip};
-use crate::animation::pose;
-use crate::patches::{Patch, Patches};
-use crate::scene::{Instance, Material, Model, Scene, Texture, Wrap};
 use ash::vk;
 use glam::Affine3A;
 use shadecast_gpu::{
     Access, Bind, Buffer, Gpu, GpuError, Image, ImageDesc, SCENE_TEXTURES, Sampler, SamplerDesc,
 };
+use shadecast_scene::animation::clip::{self, ResampledClip};
+use shadecast_scene::animation::pose;
+use shadecast_scene::patches::{Patch, Patches};
+use shadecast_scene::{Instance, Material, Model, Scene, Texture, TextureSlot, Wrap};
 use shadecast_shaders::generated::{EntryGpu, KeyGpu, LightGpu, MaterialGpu, PatchGpu, PoseGpu, VertexGpu};
 use std::sync::Arc;
 
@@ -188,11 +188,11 @@ impl SceneGpu {
         let (place, instance) = (&self.instances[index], &self.scene.instances[index]);
         let model = &self.models[place.model];
         let clip = &model.clips[instance.clip.map_or(0, |c| c + 1)];
-        let phase = clip::clip_phase(instance.clip_time_s(time_s), clip.timing.duration_s);
+        let phase = instance.clip_phase_s(clip.timing.duration_s, time_s);
         let (key, fraction) = pose::sample_at(&clip.timing, phase);
         let next = (key + 1).min(clip.timing.count as usize - 1);
         PoseGpu {
-            world_from_model: rows(instance.world_from_model),
+            world_from_model: rows(instance.world_from_model(time_s)),
             bone_base: model.bone_base,
             level_base: model.level_base,
             level_count: model.level_count,
@@ -324,7 +324,7 @@ impl BoneOrder {
     }
 }
 
-fn vertex(v: &crate::scene::Vertex) -> VertexGpu {
+fn vertex(v: &shadecast_scene::Vertex) -> VertexGpu {
     let pair = |a: u16, b: u16| u32::from(a) | u32::from(b) << 16;
     VertexGpu {
         position_u: v.position.extend(v.uv[0]).to_array(),
@@ -332,12 +332,15 @@ fn vertex(v: &crate::scene::Vertex) -> VertexGpu {
         tangent: v.tangent,
         weights: v.weights,
         joints: [pair(v.joints[0], v.joints[1]), pair(v.joints[2], v.joints[3])],
-        reserved: [0; 2],
+        morphs: [0; 2],
+        uv1: v.uv1,
+        color: u32::from_le_bytes(v.color),
+        reserved: 0,
     }
 }
 
 fn material(m: &Material, model: &Model, texture_base: usize) -> MaterialGpu {
-    let index = |texture: Option<u32>| texture.map_or(-1, |t| texture_base as i32 + t as i32);
+    let index = |slot: Option<TextureSlot>| slot.map_or(-1, |s| texture_base as i32 + s.texture as i32);
     let all = [
         m.base_color_texture,
         m.metallic_roughness_texture,
@@ -348,7 +351,7 @@ fn material(m: &Material, model: &Model, texture_base: usize) -> MaterialGpu {
     let extent = all
         .iter()
         .flatten()
-        .map(|t| model.textures[*t as usize].extent_texels)
+        .map(|t| model.textures[t.texture as usize].extent_texels)
         .map(|[w, h]| w.max(h))
         .max()
         .unwrap_or(0);
@@ -426,7 +429,7 @@ fn sampler(wrap: [Wrap; 2]) -> SamplerDesc {
 
 /// Uploads an image with a full mip chain, made on the CPU in linear light.
 fn upload_texture(gpu: &Arc<Gpu>, texture: &Texture) -> Result<Image, GpuError> {
-    let levels = crate::mips::chain(texture);
+    let levels = shadecast_scene::mips::chain(texture);
     let image = Image::new(
         gpu,
         ImageDesc {

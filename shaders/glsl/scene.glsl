@@ -9,7 +9,10 @@ struct VertexGpu {
     vec4 tangent;    // xyz unit, w sign of the bitangent
     vec4 weights;    // sum 1
     uvec2 joints;
-    uvec2 reserved;
+    uvec2 morphs;    // first delta of the vertex, and their number
+    vec2 uv1;        // second texture coordinates
+    uint color;      // linear RGBA, 8 bits each, red lowest
+    uint reserved;
 };
 
 // A patch of 1 to 3 triangles; vertices are indices within the model. Unused entries repeat the first.

@@ -1,5 +1,3 @@
-//! How the scene moves: clips resampled to a constant interval, poses, bone palettes, skinning.
+//! How the scene moves: samples of the whole scene on the GPU.
 
-pub mod clip;
 pub mod gpu;
-pub mod pose;

@@ -1,12 +1,12 @@
 //! What every stage that rasterises the scene shares: a pipeline for each kind of side, and the walk over instances and
 //! primitives.
 
-use crate::scene::Primitive;
 use crate::scene_gpu::{InstanceGpu, ModelGpu, SceneGpu};
 use ash::vk;
 use shadecast_gpu::{
     BindGroup, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Layout, Recorder, RenderPass,
 };
+use shadecast_scene::Primitive;
 use shadecast_shaders::Shader;
 use std::sync::Arc;
 

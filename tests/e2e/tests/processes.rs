@@ -5,7 +5,7 @@ use shadecast_lab::demo::read_probe;
 use shadecast_lab::options::RunOptions;
 use shadecast_lab::run::{mock_config, prepare_runtime};
 use shadecast_mock_runtime::config::ClockKind;
-use shadecast_server::scene::load::SceneSource;
+use shadecast_scene::load::SceneSource;
 use std::io::{BufRead, BufReader};
 use std::net::{SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};

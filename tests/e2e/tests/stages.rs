@@ -4,9 +4,9 @@ use glam::{Mat4, Vec2, Vec3, Vec4};
 use shadecast_gpu::{Access, Buffer, DesktopDevice, Gpu, GpuOptions, Memory, Needs};
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
+use shadecast_scene::animation::{clip, pose};
+use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_server::animation::gpu::Animation;
-use shadecast_server::animation::{clip, pose};
-use shadecast_server::scene::load::{SceneSource, load_scene};
 use shadecast_server::scene_gpu::SceneGpu;
 use shadecast_server::stages::forward::{Forward, view_gpu};
 use shadecast_server::stages::id_buffer::IdBuffer;
@@ -62,11 +62,10 @@ fn skinned_vertices_equal_the_cpu_twin_within_a_hundred_thousandth_of_the_models
         for (index, instance) in scene.scene.instances.iter().enumerate() {
             let model = &scene.scene.models[instance.model];
             let resampled = clip::resample(model, instance.clip, INTERVAL_S);
-            let t = instance.clip_time_s(time.seconds());
-            let locals =
-                pose::local_pose(&resampled, model.bones.len(), clip::clip_phase(t, resampled.duration_s));
+            let phase_s = instance.clip_phase_s(resampled.duration_s, time.seconds());
+            let locals = pose::local_pose(&resampled, model.bones.len(), phase_s);
             let palette = pose::palette(model, &pose::global_pose(model, &locals));
-            let twin = pose::skin(model, &palette, instance.world_from_model);
+            let twin = pose::skin(model, &palette, instance.world_from_model(time.seconds()));
             let base = animation.position_base(&scene.instances[index], 1) as usize;
             let size = twin.iter().map(|v| v.position.length()).fold(1.0, f32::max);
             for (v, expected) in twin.iter().enumerate() {

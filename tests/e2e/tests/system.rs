@@ -4,7 +4,7 @@
 use shadecast_lab::options::{Renderer, RunOptions};
 use shadecast_lab::run::{Report, run};
 use shadecast_mock_runtime::record::read_frames;
-use shadecast_server::scene::load::SceneSource;
+use shadecast_scene::load::SceneSource;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard};
 

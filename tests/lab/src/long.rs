@@ -3,7 +3,7 @@
 use crate::options::RunOptions;
 use crate::run::run;
 use anyhow::Context;
-use shadecast_server::scene::load::SceneSource;
+use shadecast_scene::load::SceneSource;
 use std::path::{Path, PathBuf};
 
 /// Real models that the runs use where they are there; the project ships none.

@@ -6,7 +6,7 @@ use shadecast_lab::demo::{DemoOptions, demo};
 use shadecast_lab::long;
 use shadecast_lab::options::{Renderer, RunOptions, StageMs};
 use shadecast_lab::run::run;
-use shadecast_server::animation::clip::DEFAULT_RESAMPLE_INTERVAL_S;
+use shadecast_scene::animation::clip::DEFAULT_RESAMPLE_INTERVAL_S;
 use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_transport::{LinkProfile, LinkSchedule};
 use std::path::PathBuf;

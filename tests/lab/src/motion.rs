@@ -5,7 +5,7 @@ use crate::session::Lab;
 use glam::{Affine3A, Vec3};
 use serde::{Deserialize, Serialize};
 use shadecast_protocol::time::ServerTime;
-use shadecast_server::animation::pose;
+use shadecast_scene::animation::pose;
 use std::collections::HashMap;
 
 /// Every so many vertices one is followed.
@@ -85,16 +85,17 @@ impl Motion {
             let index = scene.instance_of_vertex(vertex);
             let instance = &scene.scene.instances[index];
             let model = &scene.scene.models[instance.model];
-            let at = |time_s: f64| pose::source_palette(model, instance.clip, instance.clip_time_s(time_s));
-            let palette = palettes.entry(index).or_insert_with(|| at(time.seconds()));
+            let duration_s = model.duration_s(instance.clip);
+            let at = |phase_s: f64| pose::source_palette(model, instance.clip, phase_s);
+            let now_s = instance.clip_phase_s(duration_s, time.seconds());
+            let palette = palettes.entry(index).or_insert_with(|| at(now_s));
             let v = &model.vertices[(vertex - scene.instances[index].first_vertex) as usize];
             let place = |palette: &[Affine3A]| {
-                (instance.world_from_model * pose::blend(palette, v.joints, v.weights))
+                (instance.world_from_model(time.seconds()) * pose::blend(palette, v.joints, v.weights))
                     .transform_point3(v.position)
             };
             let truth = place(palette);
             let path = self.paths.entry(vertex).or_insert_with(|| {
-                let duration_s = instance.clip.map_or(0.0, |clip| model.clips[clip].duration_s);
                 let moment = |i: u32| f64::from(duration_s) * f64::from(i) / f64::from(RANGE_TIMES);
                 let clip = self.clips.entry(index);
                 let clip = clip.or_insert_with(|| (0..RANGE_TIMES).map(|i| at(moment(i))).collect());

@@ -1,6 +1,6 @@
 //! What a run in virtual time is made with.
 
-use shadecast_server::scene::load::SceneSource;
+use shadecast_scene::load::SceneSource;
 use shadecast_transport::{LinkProfile, LinkSchedule};
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -151,7 +151,7 @@ impl RunOptions {
             atlas_extent_texels: shadecast_protocol::limits::ATLAS_DEFAULT_EXTENT,
             rate_hz: 30.0,
             refresh_hz: 72.0,
-            resample_s: shadecast_server::animation::clip::DEFAULT_RESAMPLE_INTERVAL_S,
+            resample_s: shadecast_scene::animation::clip::DEFAULT_RESAMPLE_INTERVAL_S,
             motion: false,
             verbose: false,
         }

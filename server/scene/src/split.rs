@@ -150,11 +150,14 @@ fn halfway(a: &Vertex, b: &Vertex) -> Vertex {
     let both = |vertex: &Vertex| vertex.joints.into_iter().zip(vertex.weights.map(|weight| weight * 0.5));
     // Weights of a vertex are not negative and sum to one, so that there is always something to keep.
     let (joints, weights) = reduce_to_four(both(a).chain(both(b))).unwrap_or((a.joints, a.weights));
+    let middle = |a: [f32; 2], b: [f32; 2]| [(a[0] + b[0]) * 0.5, (a[1] + b[1]) * 0.5];
     Vertex {
         position: (a.position + b.position) * 0.5,
         normal,
         tangent: tangent.extend(a.tangent[3].min(b.tangent[3])).to_array(),
-        uv: [(a.uv[0] + b.uv[0]) * 0.5, (a.uv[1] + b.uv[1]) * 0.5],
+        uv: middle(a.uv, b.uv),
+        uv1: middle(a.uv1, b.uv1),
+        color: [0, 1, 2, 3].map(|c| u8::midpoint(a.color[c], b.color[c])),
         joints,
         weights,
     }
@@ -169,10 +172,9 @@ mod tests {
         Vertex {
             position,
             normal: Vec3::Y,
-            tangent: [1.0, 0.0, 0.0, 1.0],
             uv: [position.x, position.z],
             joints: [joint, 9, 9, 9],
-            weights: [1.0, 0.0, 0.0, 0.0],
+            ..Vertex::default()
         }
     }
 

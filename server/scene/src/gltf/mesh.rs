@@ -104,11 +104,8 @@ impl Source<'_> {
         let uvs = self.texture_coordinates(positions.len(), warnings)?;
         let vertex = |(position, uv): (&[f32; 3], &[f32; 2])| Vertex {
             position: Vec3::from_array(*position),
-            normal: Vec3::Z,
-            tangent: [1.0, 0.0, 0.0, 1.0],
             uv: *uv,
-            joints: [0; 4],
-            weights: [1.0, 0.0, 0.0, 0.0],
+            ..Vertex::default()
         };
         Ok(positions.iter().zip(&uvs).map(vertex).collect())
     }

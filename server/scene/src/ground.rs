@@ -30,7 +30,7 @@ pub fn ground(size_m: f32) -> Model {
         primitives: vec![Primitive { first_index: 0, index_count, material: 0 }],
         materials: vec![material()],
         textures: vec![texture()],
-        clips: Vec::new(),
+        ..Model::default()
     }
 }
 
@@ -44,8 +44,7 @@ fn grid_vertices(cells: u32) -> Vec<Vertex> {
             // u grows with x, v with z: cross(y, x) = -z is where the picture's top lies.
             tangent: [1.0, 0.0, 0.0, 1.0],
             uv: [x / TEXTURE_M, z / TEXTURE_M],
-            joints: [0; 4],
-            weights: [1.0, 0.0, 0.0, 0.0],
+            ..Vertex::default()
         }
     };
     (0..=cells).flat_map(|row| (0..=cells).map(move |column| at(column, row))).collect()
@@ -63,19 +62,9 @@ fn grid_indices(cells: u32) -> Vec<u32> {
 fn material() -> Material {
     Material {
         name: "ground".into(),
-        base_color: [1.0; 4],
-        metallic: 0.0,
         roughness: 0.9,
-        emissive: [0.0; 3],
-        normal_scale: 1.0,
-        occlusion_strength: 1.0,
-        base_color_texture: Some(0),
-        metallic_roughness_texture: None,
-        normal_texture: None,
-        occlusion_texture: None,
-        emissive_texture: None,
-        alpha_cutoff: None,
-        double_sided: false,
+        base_color_texture: Some(0.into()),
+        ..Material::default()
     }
 }
 

@@ -1,6 +1,6 @@
 //! Mip chains by a 2x2 box in linear light, so that minified textures keep their brightness.
 
-use crate::scene::Texture;
+use crate::Texture;
 
 /// All levels of a texture from the full size to 1x1, RGBA8 in the texture's own coding.
 pub fn chain(texture: &Texture) -> Vec<Vec<u8>> {
@@ -60,7 +60,7 @@ fn encode(value: f32, srgb: bool) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Wrap;
+    use crate::Wrap;
 
     fn checker(srgb: bool) -> Texture {
         let texel = |i: u32| if (i % 4 + i / 4).is_multiple_of(2) { [255; 4] } else { [0, 0, 0, 255] };

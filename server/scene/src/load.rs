@@ -5,9 +5,9 @@ use super::error::SceneError;
 use super::file::{self, ClipChoice, ModelEntry, ModelFile, SceneFile};
 use super::split::{MAX_EDGE_M, split_long_edges};
 use super::suggest::did_you_mean;
-use super::{Instance, Model, Scene, gltf, ground};
 use crate::animation::clip::track_varies;
 use crate::animation::pose;
+use crate::{Instance, Model, Scene, gltf, ground};
 use glam::{Affine3A, Quat, Vec3};
 use shadecast_protocol::pose::Pose;
 use std::fmt;
@@ -105,7 +105,16 @@ fn first_moving_clip(model: &Model) -> Option<usize> {
 /// A scene with default light, ground and stage.
 fn around(models: Vec<Model>, instances: Vec<Instance>) -> Scene {
     let (sun, environment) = file::default_light();
-    let scene = Scene { models, instances, sun, environment, world_from_stage: Pose::IDENTITY };
+    let scene = Scene {
+        models,
+        instances,
+        sun,
+        lights: Vec::new(),
+        environment,
+        world_from_stage: Pose::IDENTITY,
+        cameras: Vec::new(),
+        head_paths: Vec::new(),
+    };
     finished(scene, Some(ground::DEFAULT_SIZE_M))
 }
 
@@ -120,14 +129,8 @@ fn finished(mut scene: Scene, ground_size_m: Option<f32>) -> Scene {
 }
 
 fn add_ground(scene: &mut Scene, size_m: f32) {
-    scene.instances.push(Instance {
-        name: "ground".into(),
-        model: scene.models.len(),
-        world_from_model: Affine3A::IDENTITY,
-        clip: None,
-        time_shift_s: 0.0,
-        speed: 1.0,
-    });
+    // Nothing lies below it that its shadow could reach.
+    scene.instances.push(Instance { casts_shadow: false, ..Instance::new("ground", scene.models.len()) });
     scene.models.push(ground::ground(size_m));
 }
 
@@ -141,13 +144,13 @@ const ASSET_EXTENT_M: (f32, f32, f32) = (0.9, 2.0, 1.6);
 fn asset(path: &Path) -> Result<Scene, SceneError> {
     let model = gltf::load(path)?;
     let clip = first_moving_clip(&model);
-    let world_from_model = place_asset(&model, clip).map_err(|problem| SceneError::Asset {
+    let placement = place_asset(&model, clip).map_err(|problem| SceneError::Asset {
         file: path.display().to_string(),
         element: "scene".into(),
         problem,
     })?;
     let name = model.name.clone();
-    let instance = Instance { name, model: 0, world_from_model, clip, time_shift_s: 0.0, speed: 1.0 };
+    let instance = Instance { placement, clip, ..Instance::new(name, 0) };
     Ok(around(vec![model], vec![instance]))
 }
 
@@ -186,15 +189,13 @@ fn dragons(count: u32) -> Result<Scene, SceneError> {
     let fault =
         |problem| SceneError::Asset { file: "built-in dragon".into(), element: "scene".into(), problem };
     let (low, high) = finite_bounds(&model, clip).map_err(fault)?;
-    let duration_s = clip.map_or(0.0, |clip| model.clips[clip].duration_s);
+    let duration_s = model.duration_s(clip);
     let instance = |index: u32| Instance {
-        name: format!("dragon {index}"),
-        model: 0,
-        world_from_model: dragon_place(index, count, low, high),
+        placement: dragon_place(index, count, low, high),
         clip,
         // Golden-ratio steps: any number of dragons is spread evenly over the loop, and neighbours differ.
         time_shift_s: (index as f32 * 0.618_034).fract() * duration_s,
-        speed: 1.0,
+        ..Instance::new(format!("dragon {index}"), 0)
     };
     let instances = (0..count).map(instance).collect();
     Ok(around(vec![model], instances))
@@ -234,7 +235,17 @@ pub fn scene_from_text(text: &str, name: &str, folder: &Path) -> Result<Scene, S
         file.models.iter().map(|entry| load_model(entry, name, folder)).collect::<Result<Vec<_>, _>>()?;
     let instances = instances(&file, &models, name)?;
     let SceneFile { sun, environment, ground_size_m, world_from_stage, .. } = file;
-    Ok(finished(Scene { models, instances, sun, environment, world_from_stage }, ground_size_m))
+    let scene = Scene {
+        models,
+        instances,
+        sun,
+        lights: Vec::new(),
+        environment,
+        world_from_stage,
+        cameras: Vec::new(),
+        head_paths: Vec::new(),
+    };
+    Ok(finished(scene, ground_size_m))
 }
 
 fn load_model(entry: &ModelEntry, name: &str, folder: &Path) -> Result<Model, SceneError> {
@@ -258,12 +269,11 @@ fn load_model(entry: &ModelEntry, name: &str, folder: &Path) -> Result<Model, Sc
 fn instances(file: &SceneFile, models: &[Model], name: &str) -> Result<Vec<Instance>, SceneError> {
     let convert = |entry: &file::InstanceEntry| {
         Ok(Instance {
-            name: entry.name.clone(),
-            model: entry.model,
-            world_from_model: entry.world_from_model,
+            placement: entry.world_from_model,
             clip: choose_clip(&entry.clip, &models[entry.model], name)?,
             time_shift_s: entry.time_shift_s,
             speed: entry.speed,
+            ..Instance::new(entry.name.clone(), entry.model)
         })
     };
     file.instances.iter().map(convert).collect()
@@ -297,7 +307,7 @@ fn quoted_list<'a>(names: impl Iterator<Item = &'a str>) -> String {
 fn split_models(scene: &mut Scene) {
     for index in 0..scene.models.len() {
         let placed = scene.instances.iter().filter(|instance| instance.model == index);
-        let scale = placed.map(|instance| largest_scale(instance.world_from_model)).fold(0.0, f32::max);
+        let scale = placed.map(|instance| largest_scale(instance.placement)).fold(0.0, f32::max);
         let model = &mut scene.models[index];
         let limit = MAX_EDGE_M / (scale * rest_scale(model));
         if !(limit.is_finite() && limit > 0.0) {
@@ -327,10 +337,10 @@ fn largest_scale(transform: Affine3A) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::split::SplitStats;
+    use crate::split::SplitStats;
 
     fn shared_asset(name: &str) -> Option<PathBuf> {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/assets").join(name);
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/assets").join(name);
         if path.is_file() {
             return Some(path);
         }
@@ -342,12 +352,12 @@ mod tests {
     fn world_bounds(scene: &Scene, index: usize) -> (Vec3, Vec3) {
         let instance = &scene.instances[index];
         let model = &scene.models[instance.model];
-        let duration_s = instance.clip.map_or(0.0, |clip| model.clips[clip].duration_s);
+        let duration_s = model.duration_s(instance.clip);
         let mut found = (Vec3::INFINITY, Vec3::NEG_INFINITY);
         for moment in 0..16 {
             let palette =
                 pose::source_palette(model, instance.clip, f64::from(duration_s) * f64::from(moment) / 16.0);
-            for vertex in pose::skin(model, &palette, instance.world_from_model) {
+            for vertex in pose::skin(model, &palette, instance.world_from_model(0.0)) {
                 found = (found.0.min(vertex.position), found.1.max(vertex.position));
             }
         }
@@ -357,7 +367,8 @@ mod tests {
     fn longest_edge_m(scene: &Scene, index: usize) -> f32 {
         let instance = &scene.instances[index];
         let model = &scene.models[instance.model];
-        let skinned = pose::skin(model, &pose::source_palette(model, None, 0.0), instance.world_from_model);
+        let skinned =
+            pose::skin(model, &pose::source_palette(model, None, 0.0), instance.world_from_model(0.0));
         let edges = model.indices.chunks_exact(3).flat_map(|triangle| {
             let [a, b, c] = [0, 1, 2].map(|corner| skinned[triangle[corner] as usize].position);
             [a.distance(b), b.distance(c), c.distance(a)]
@@ -449,7 +460,7 @@ mod tests {
 
     #[test]
     fn example_in_the_documentation_loads() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/scene.example.toml");
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/scene.example.toml");
         let scene = load_scene(&SceneSource::File(path)).expect("the example");
         assert_eq!(
             scene.instances.iter().map(|i| i.name.as_str()).collect::<Vec<_>>(),
@@ -490,12 +501,8 @@ mod tests {
         let mut small = ground::ground(4.0);
         small.name = "sheet".into();
         let instance = |scale: f32| Instance {
-            name: "i".into(),
-            model: 0,
-            world_from_model: Affine3A::from_scale(Vec3::splat(scale)),
-            clip: None,
-            time_shift_s: 0.0,
-            speed: 1.0,
+            placement: Affine3A::from_scale(Vec3::splat(scale)),
+            ..Instance::new("i", 0)
         };
         let split = |scale: f32| {
             let scene = around(vec![small.clone()], vec![instance(0.1), instance(scale)]);

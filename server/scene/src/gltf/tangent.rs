@@ -100,14 +100,7 @@ mod tests {
     use super::*;
 
     fn corner(position: [f32; 3], uv: [f32; 2]) -> Vertex {
-        Vertex {
-            position: Vec3::from_array(position),
-            normal: Vec3::Z,
-            tangent: [0.0; 4],
-            uv,
-            joints: [0; 4],
-            weights: [1.0, 0.0, 0.0, 0.0],
-        }
+        Vertex { position: Vec3::from_array(position), tangent: [0.0; 4], uv, ..Vertex::default() }
     }
 
     /// A square in the xy plane with u to the right and v down, as a picture lies in glTF.

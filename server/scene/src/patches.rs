@@ -3,7 +3,7 @@
 //! Built once per model, greedily, cheapest group first; the cost of a group is the area of its rectangle over the
 //! area of its triangles (waste), so that a single triangle costs at least 2 and a square quad costs 1.
 
-use crate::scene::Model;
+use crate::Model;
 use glam::Vec3;
 use shadecast_protocol::atlas::PatchKind;
 use std::collections::HashMap;
@@ -253,7 +253,7 @@ impl<'a> Builder<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Primitive, Vertex};
+    use crate::{Primitive, Vertex};
     use std::collections::HashSet;
 
     /// A wavy grid of `side` x `side` quads.
@@ -263,10 +263,8 @@ mod tests {
             Vertex {
                 position: Vec3::new(x, (x * 0.7).sin() * 0.3 + (z * 1.3).cos() * 0.2, z),
                 normal: Vec3::Y,
-                tangent: [1.0, 0.0, 0.0, 1.0],
                 uv: [x, z],
-                joints: [0; 4],
-                weights: [1.0, 0.0, 0.0, 0.0],
+                ..Vertex::default()
             }
         };
         let mut indices = Vec::new();

@@ -1,6 +1,6 @@
 //! Source curves evaluated exactly, and clips resampled at a constant interval, which is what the GPU reads.
 
-use crate::scene::{Interpolation, Model, Track, TrackValues, Trs};
+use crate::{Interpolation, Model, Repetition, Track, TrackValues, Trs};
 use glam::{Quat, Vec3, Vec4};
 
 /// Default spacing of resampled keys, seconds. Linear interpolation over an interval `h` misses the top of a sine of
@@ -37,23 +37,34 @@ pub enum TrackValue {
     Scale(Vec3),
 }
 
-/// Where a looping clip stands: `time_s` wrapped into `[0, duration_s)`; 0 for a clip without duration. Double
-/// precision, because a session may last for days and a phase must still be right to the microsecond.
-pub fn clip_phase(time_s: f64, duration_s: f32) -> f64 {
+/// Where a clip stands: `time_s` brought into `[0, duration_s]`; 0 for a clip without duration. A loop never stands
+/// at its very end, which is its start. Double precision, because a session may last for days and a phase must still
+/// be right to the microsecond.
+pub fn clip_phase(time_s: f64, duration_s: f32, repetition: Repetition) -> f64 {
     let duration_s = f64::from(duration_s);
     if duration_s <= 0.0 || !time_s.is_finite() {
         return 0.0;
     }
-    let phase = time_s.rem_euclid(duration_s);
-    // A tiny negative time rounds up to the duration itself.
-    if phase < duration_s { phase } else { 0.0 }
+    let wrapped = |period_s: f64| {
+        let phase = time_s.rem_euclid(period_s);
+        // A tiny negative time rounds up to the period itself.
+        if phase < period_s { phase } else { 0.0 }
+    };
+    match repetition {
+        Repetition::Once => time_s.clamp(0.0, duration_s),
+        Repetition::Loop => wrapped(duration_s),
+        Repetition::PingPong => {
+            let phase = wrapped(2.0 * duration_s);
+            if phase <= duration_s { phase } else { 2.0 * duration_s - phase }
+        }
+    }
 }
 
 /// Resamples a clip of the model, or its rest pose for `None`. `interval_s` must be positive; the interval used is
 /// shorter, unless the clip is so long that [`MAX_RESAMPLED_TRANSFORMS`] makes it longer.
 pub fn resample(model: &Model, clip: Option<usize>, interval_s: f32) -> ResampledClip {
     assert!(interval_s > 0.0, "resampling interval {interval_s} s");
-    let duration_s = clip.map_or(0.0, |clip| model.clips[clip].duration_s);
+    let duration_s = model.duration_s(clip);
     if duration_s <= 0.0 {
         let pose = source_pose(model, clip, 0.0);
         return ResampledClip {
@@ -102,14 +113,24 @@ fn align_hemispheres(samples: &mut [Trs], bone_count: usize) {
 pub fn source_pose(model: &Model, clip: Option<usize>, t_s: f64) -> Vec<Trs> {
     let mut pose: Vec<Trs> = model.bones.iter().map(|bone| bone.rest).collect();
     for track in clip.iter().flat_map(|clip| &model.clips[*clip].tracks) {
-        let bone = &mut pose[track.bone as usize];
-        match evaluate_track(track, t_s) {
-            TrackValue::Translation(value) => bone.translation = value,
-            TrackValue::Rotation(value) => bone.rotation = value,
-            TrackValue::Scale(value) => bone.scale = value,
-        }
+        apply(track, t_s, &mut pose[track.bone as usize]);
     }
     pose
+}
+
+fn apply(track: &Track, t_s: f64, bone: &mut Trs) {
+    match evaluate_track(track, t_s) {
+        TrackValue::Translation(value) => bone.translation = value,
+        TrackValue::Rotation(value) => bone.rotation = value,
+        TrackValue::Scale(value) => bone.scale = value,
+    }
+}
+
+/// One bone's transform by its `tracks`, whichever bone they name; channels without a track stay at `rest`.
+pub fn transform_of_tracks(tracks: &[Track], rest: Trs, t_s: f64) -> Trs {
+    let mut transform = rest;
+    tracks.iter().for_each(|track| apply(track, t_s, &mut transform));
+    transform
 }
 
 /// A curve at `t_s` seconds, as glTF 2.0 section 3.11 and appendix C define it, clamped outside its keys.
@@ -212,7 +233,7 @@ pub fn track_varies(track: &Track) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Bone, Clip};
+    use crate::{Bone, Clip};
     use rand::{Rng, SeedableRng, rngs::SmallRng};
     use std::f64::consts::{PI, TAU};
 
@@ -329,7 +350,7 @@ mod tests {
     fn one_bone(track: Track) -> Model {
         let duration_s = track.times_s[track.times_s.len() - 1];
         let bone = Bone { name: "b".into(), parent: None, rest: Trs::IDENTITY };
-        let clip = Clip { name: "c".into(), duration_s, tracks: vec![track] };
+        let clip = Clip { name: "c".into(), duration_s, tracks: vec![track], ..Clip::default() };
         Model { bones: vec![bone], clips: vec![clip], ..Model::default() }
     }
 
@@ -393,14 +414,24 @@ mod tests {
     }
 
     #[test]
+    fn once_holds_its_ends_and_ping_pong_comes_back() {
+        let at = |time_s, repetition| clip_phase(time_s, 4.0, repetition);
+        assert_eq!([-1.0, 1.0, 9.0].map(|t| at(t, Repetition::Once)), [0.0, 1.0, 4.0]);
+        assert_eq!(
+            [1.0, 4.0, 5.0, 9.0, -1.0].map(|t| at(t, Repetition::PingPong)),
+            [1.0, 4.0, 3.0, 1.0, 1.0]
+        );
+    }
+
+    #[test]
     fn phase_wraps_and_stays_exact_after_a_week() {
-        assert_eq!(clip_phase(9.0, 4.0), 1.0);
-        assert_eq!(clip_phase(-1.0, 4.0), 3.0);
-        assert_eq!(clip_phase(4.0, 4.0), 0.0);
-        assert_eq!(clip_phase(-1e-20, 4.0), 0.0);
-        assert_eq!(clip_phase(5.0, 0.0), 0.0);
-        assert_eq!(clip_phase(f64::NAN, 4.0), 0.0);
-        assert!((clip_phase(604_800.0 + 1.25, 4.0) - 1.25).abs() < 1e-6);
+        assert_eq!(clip_phase(9.0, 4.0, Repetition::Loop), 1.0);
+        assert_eq!(clip_phase(-1.0, 4.0, Repetition::Loop), 3.0);
+        assert_eq!(clip_phase(4.0, 4.0, Repetition::Loop), 0.0);
+        assert_eq!(clip_phase(-1e-20, 4.0, Repetition::Loop), 0.0);
+        assert_eq!(clip_phase(5.0, 0.0, Repetition::Loop), 0.0);
+        assert_eq!(clip_phase(f64::NAN, 4.0, Repetition::Loop), 0.0);
+        assert!((clip_phase(604_800.0 + 1.25, 4.0, Repetition::Loop) - 1.25).abs() < 1e-6);
     }
 
     /// Largest error of linear interpolation of `40 sin(2 pi t)` degrees between samples, in parts of its range.

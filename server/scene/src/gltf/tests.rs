@@ -241,7 +241,7 @@ fn assert_sound(model: &Model, context: &str) {
         let textures = [material.base_color_texture, material.normal_texture, material.emissive_texture];
         let others = [material.metallic_roughness_texture, material.occlusion_texture];
         let mut used = textures.into_iter().chain(others).flatten();
-        assert!(used.all(|texture| (texture as usize) < model.textures.len()), "{context}");
+        assert!(used.all(|slot| (slot.texture as usize) < model.textures.len()), "{context}");
     }
     for track in model.clips.iter().flat_map(|clip| &clip.tracks) {
         assert!((track.bone as usize) < model.bones.len(), "{context}");
@@ -280,7 +280,7 @@ fn sample_file_arrives_whole() {
     assert_eq!((model.primitives.len(), model.indices.len()), (2, 24));
     let [cloth, wood] = &model.materials[..] else { panic!("two materials") };
     assert_eq!((cloth.alpha_cutoff, cloth.double_sided, cloth.roughness), (Some(0.25), true, 0.5));
-    assert_eq!((wood.alpha_cutoff, wood.normal_scale, wood.normal_texture), (None, 0.5, Some(1)));
+    assert_eq!((wood.alpha_cutoff, wood.normal_scale, wood.normal_texture), (None, 0.5, Some(1.into())));
     let [red, bumps] = &model.textures[..] else { panic!("two textures") };
     assert_eq!(
         (red.wrap, red.srgb, &red.rgba8[..4]),
@@ -723,7 +723,7 @@ fn changed_json_values_give_a_sound_model_or_an_error() {
 
 /// Where the real assets lie, if they do.
 fn assets() -> Option<std::path::PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/assets");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/assets");
     if folder.is_dir() {
         return Some(folder);
     }

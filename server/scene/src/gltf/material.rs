@@ -2,7 +2,7 @@
 //! linear, and with which wrap modes.
 
 use super::super::error::Fault;
-use super::super::{Material, Texture, Wrap};
+use super::super::{Material, Texture, TextureSlot, Wrap};
 use super::accessor::Reader;
 use super::{Warnings, container, image, label};
 use ::gltf::material::AlphaMode;
@@ -66,25 +66,26 @@ impl<'a> Materials<'a> {
             emissive_texture: self.texture(source.emissive_texture().map(|t| t.texture()), true)?,
             alpha_cutoff: alpha_cutoff(source, warnings),
             double_sided: source.double_sided(),
+            unlit: false,
         };
         check_factors(&material).map_err(|problem| Fault::new(element, problem))?;
         Ok(clamped(material))
     }
 
-    fn texture(&mut self, source: Option<::gltf::Texture>, srgb: bool) -> Result<Option<u32>, Fault> {
+    fn texture(&mut self, source: Option<::gltf::Texture>, srgb: bool) -> Result<Option<TextureSlot>, Fault> {
         let Some(source) = source else { return Ok(None) };
         let sampler = source.sampler();
         let wrap = [wrap(sampler.wrap_s()), wrap(sampler.wrap_t())];
         let image = source.source();
         let key = (image.index(), wrap.map(|mode| mode as u8), srgb);
         if let Some(index) = self.known_textures.get(&key) {
-            return Ok(Some(*index));
+            return Ok(Some((*index).into()));
         }
         let texture = self.decode(&image, wrap, srgb)?;
         let index = self.textures.len() as u32;
         self.textures.push(texture);
         self.known_textures.insert(key, index);
-        Ok(Some(index))
+        Ok(Some(index.into()))
     }
 
     fn decode(&self, image: &::gltf::Image, wrap: [Wrap; 2], srgb: bool) -> Result<Texture, Fault> {

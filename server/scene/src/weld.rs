@@ -7,7 +7,7 @@ use std::collections::HashMap;
 /// Merges equal vertices, and drops triangles that name a vertex twice and vertices that no triangle names. The order
 /// of triangles and the order of first use of vertices stay.
 pub fn weld(vertices: &mut Vec<Vertex>, indices: &mut Vec<u32>) {
-    let mut slots: HashMap<[u32; 18], u32> = HashMap::with_capacity(vertices.len());
+    let mut slots: HashMap<[u32; 21], u32> = HashMap::with_capacity(vertices.len());
     let (mut kept, mut list) = (Vec::with_capacity(vertices.len()), Vec::with_capacity(indices.len()));
     for triangle in indices.chunks_exact(3) {
         let keys = [0, 1, 2].map(|corner| key(&vertices[triangle[corner] as usize]));
@@ -25,15 +25,15 @@ pub fn weld(vertices: &mut Vec<Vertex>, indices: &mut Vec<u32>) {
 }
 
 /// Every bit of a vertex, with -0 as 0.
-fn key(vertex: &Vertex) -> [u32; 18] {
-    let mut key = [0; 18];
+fn key(vertex: &Vertex) -> [u32; 21] {
+    let mut key = [0; 21];
     let floats = vertex.position.to_array().into_iter().chain(vertex.normal.to_array());
-    let floats = floats.chain(vertex.tangent).chain(vertex.uv).chain(vertex.weights);
+    let floats = floats.chain(vertex.tangent).chain(vertex.uv).chain(vertex.uv1).chain(vertex.weights);
     for (slot, value) in key.iter_mut().zip(floats) {
         *slot = (value + 0.0).to_bits();
     }
     let [a, b, c, d] = vertex.joints.map(u32::from);
-    (key[16], key[17]) = (a << 16 | b, c << 16 | d);
+    (key[18], key[19], key[20]) = (a << 16 | b, c << 16 | d, u32::from_le_bytes(vertex.color));
     key
 }
 
@@ -43,14 +43,7 @@ mod tests {
     use glam::Vec3;
 
     fn vertex(x: f32, joint: u16) -> Vertex {
-        Vertex {
-            position: Vec3::new(x, 0.0, 0.0),
-            normal: Vec3::Z,
-            tangent: [1.0, 0.0, 0.0, 1.0],
-            uv: [0.0; 2],
-            joints: [joint; 4],
-            weights: [1.0, 0.0, 0.0, 0.0],
-        }
+        Vertex { position: Vec3::new(x, 0.0, 0.0), joints: [joint; 4], ..Vertex::default() }
     }
 
     #[test]
