@@ -355,9 +355,8 @@ mod tests {
         let duration_s = model.duration_s(instance.clip);
         let mut found = (Vec3::INFINITY, Vec3::NEG_INFINITY);
         for moment in 0..16 {
-            let palette =
-                pose::source_palette(model, instance.clip, f64::from(duration_s) * f64::from(moment) / 16.0);
-            for vertex in pose::skin(model, &palette, instance.world_from_model(0.0)) {
+            let t_s = f64::from(duration_s) * f64::from(moment) / 16.0;
+            for vertex in pose::source_skin(model, instance.clip, t_s, instance.world_from_model(0.0)) {
                 found = (found.0.min(vertex.position), found.1.max(vertex.position));
             }
         }
@@ -367,8 +366,7 @@ mod tests {
     fn longest_edge_m(scene: &Scene, index: usize) -> f32 {
         let instance = &scene.instances[index];
         let model = &scene.models[instance.model];
-        let skinned =
-            pose::skin(model, &pose::source_palette(model, None, 0.0), instance.world_from_model(0.0));
+        let skinned = pose::source_skin(model, None, 0.0, instance.world_from_model(0.0));
         let edges = model.indices.chunks_exact(3).flat_map(|triangle| {
             let [a, b, c] = [0, 1, 2].map(|corner| skinned[triangle[corner] as usize].position);
             [a.distance(b), b.distance(c), c.distance(a)]

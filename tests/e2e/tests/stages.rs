@@ -65,7 +65,7 @@ fn skinned_vertices_equal_the_cpu_twin_within_a_hundred_thousandth_of_the_models
             let phase_s = instance.clip_phase_s(resampled.duration_s, time.seconds());
             let locals = pose::local_pose(&resampled, model.bones.len(), phase_s);
             let palette = pose::palette(model, &pose::global_pose(model, &locals));
-            let twin = pose::skin(model, &palette, instance.world_from_model(time.seconds()));
+            let twin = pose::skin(&model.vertices, &palette, instance.world_from_model(time.seconds()));
             let base = animation.position_base(&scene.instances[index], 1) as usize;
             let size = twin.iter().map(|v| v.position.length()).fold(1.0, f32::max);
             for (v, expected) in twin.iter().enumerate() {

@@ -1,6 +1,6 @@
 //! Source curves evaluated exactly, and clips resampled at a constant interval, which is what the GPU reads.
 
-use crate::{Interpolation, Model, Repetition, Track, TrackValues, Trs};
+use crate::{Interpolation, Model, MorphTrack, Repetition, Track, TrackValues, Trs};
 use glam::{Quat, Vec3, Vec4};
 
 /// Default spacing of resampled keys, seconds. Linear interpolation over an interval `h` misses the top of a sine of
@@ -133,6 +133,30 @@ pub fn transform_of_tracks(tracks: &[Track], rest: Trs, t_s: f64) -> Trs {
     transform
 }
 
+/// The weights of all morph targets by the source curves, `t_s` seconds into the clip, as [`source_pose`].
+pub fn source_morph_weights(model: &Model, clip: Option<usize>, t_s: f64) -> Vec<f32> {
+    let mut weights: Vec<f32> = model.morphs.iter().map(|morph| morph.rest_weight).collect();
+    for track in clip.iter().flat_map(|clip| &model.clips[*clip].morph_tracks) {
+        for morph in 0..track.morph_count {
+            weights[(track.first_morph + morph) as usize] = evaluate_morph_track(track, morph, t_s);
+        }
+    }
+    weights
+}
+
+/// The weight of the track's morph number `morph` at `t_s` seconds, clamped outside its keys.
+pub fn evaluate_morph_track(track: &MorphTrack, morph: u32, t_s: f64) -> f32 {
+    let place = Place::find(&track.times_s, t_s);
+    let weight = |value: usize| track.weights[value * track.morph_count as usize + morph as usize];
+    match track.interpolation {
+        Interpolation::Step => weight(place.key),
+        Interpolation::Linear => {
+            weight(place.key) + place.fraction * (weight(place.next) - weight(place.key))
+        }
+        Interpolation::CubicSpline => hermite(|value| Vec4::splat(weight(value)), &place).x,
+    }
+}
+
 /// A curve at `t_s` seconds, as glTF 2.0 section 3.11 and appendix C define it, clamped outside its keys.
 pub fn evaluate_track(track: &Track, t_s: f64) -> TrackValue {
     let place = Place::find(&track.times_s, t_s);
@@ -228,6 +252,18 @@ pub fn track_varies(track: &Track) -> bool {
             differ(keys, per_key, distance, zero)
         }
     }
+}
+
+/// Whether any of the track's weights changes over time.
+pub fn morph_track_varies(track: &MorphTrack) -> bool {
+    let count = track.morph_count as usize;
+    let is_cubic = track.interpolation == Interpolation::CubicSpline;
+    let value = |key: usize| &track.weights[if is_cubic { 3 * key + 1 } else { key } * count..][..count];
+    let moves = (1..track.times_s.len()).any(|key| value(key) != value(0));
+    let tangents = |part: usize| track.weights.chunks_exact(count).skip(part).step_by(3).flatten();
+    // Equal keys still swing if they have tangents.
+    let swings = || tangents(0).chain(tangents(2)).any(|tangent| *tangent != 0.0);
+    moves || (is_cubic && track.times_s.len() > 1 && swings())
 }
 
 #[cfg(test)]

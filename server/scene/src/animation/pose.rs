@@ -6,10 +6,11 @@
 //! by at most 4.2 degrees between samples, and the error is 0.0001 degrees.
 
 use super::clip::{self, ResampledClip};
-use crate::{Model, Trs};
+use crate::{Model, Trs, Vertex};
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
+use std::borrow::Cow;
 
-pub use super::clip::source_pose;
+pub use super::clip::{source_morph_weights, source_pose};
 
 /// A vertex after skinning.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,10 +64,30 @@ pub fn palette(model: &Model, globals: &[Affine3A]) -> Vec<Affine3A> {
     model.palette.iter().map(|entry| globals[entry.bone as usize] * entry.bone_from_mesh).collect()
 }
 
-/// Linear blend skinning of all vertices. Tangents follow the blended matrix, normals its cofactor matrix, so that
-/// they stay perpendicular to surfaces under unequal scales.
-pub fn skin(model: &Model, palette: &[Affine3A], world_from_model: Affine3A) -> Vec<SkinnedVertex> {
-    let skin_one = |vertex: &crate::Vertex| {
+/// The vertices with every morph target added that has a weight; normals and tangents unit length again. Borrowed
+/// where nothing is added.
+pub fn morphed<'a>(model: &'a Model, morph_weights: &[f32]) -> Cow<'a, [Vertex]> {
+    assert_eq!(morph_weights.len(), model.morphs.len(), "one weight per morph");
+    if morph_weights.iter().all(|weight| *weight == 0.0) {
+        return Cow::Borrowed(&model.vertices);
+    }
+    let mut vertices = model.vertices.clone();
+    for (morph, weight) in model.morphs.iter().zip(morph_weights).filter(|(_, weight)| **weight != 0.0) {
+        for delta in &morph.deltas {
+            let vertex = &mut vertices[delta.vertex as usize];
+            let tangent = Vec3::from_slice(&vertex.tangent[..3]) + *weight * delta.tangent;
+            vertex.position += *weight * delta.position;
+            vertex.normal += *weight * delta.normal;
+            vertex.tangent = tangent.extend(vertex.tangent[3]).to_array();
+        }
+    }
+    Cow::Owned(vertices)
+}
+
+/// Linear blend skinning of `vertices` (a model's, or what [`morphed`] makes of them). Tangents follow the blended
+/// matrix, normals its cofactor matrix, so that they stay perpendicular to surfaces under unequal scales.
+pub fn skin(vertices: &[Vertex], palette: &[Affine3A], world_from_model: Affine3A) -> Vec<SkinnedVertex> {
+    let skin_one = |vertex: &Vertex| {
         let world_from_mesh = world_from_model * blend(palette, vertex.joints, vertex.weights);
         let linear = world_from_mesh.matrix3;
         let tangent = linear * Vec3A::from_slice(&vertex.tangent[..3]);
@@ -76,7 +97,7 @@ pub fn skin(model: &Model, palette: &[Affine3A], world_from_model: Affine3A) -> 
             tangent: tangent.normalize_or_zero().extend(vertex.tangent[3]).to_array(),
         }
     };
-    model.vertices.iter().map(skin_one).collect()
+    vertices.iter().map(skin_one).collect()
 }
 
 /// The weighted sum of up to four palette matrices.
@@ -103,12 +124,34 @@ pub fn source_palette(model: &Model, clip: Option<usize>, t_s: f64) -> Vec<Affin
     palette(model, &global_pose(model, &source_pose(model, clip, t_s)))
 }
 
+/// All skinned vertices `t_s` seconds into the clip, from the source curves.
+pub fn source_skin(
+    model: &Model,
+    clip: Option<usize>,
+    t_s: f64,
+    world_from_model: Affine3A,
+) -> Vec<SkinnedVertex> {
+    let vertices = morphed(model, &source_morph_weights(model, clip, t_s));
+    skin(&vertices, &source_palette(model, clip, t_s), world_from_model)
+}
+
 /// For each vertex, whether the clip moves it: whether a bone it follows, or an ancestor of one, has a curve that
-/// really varies.
+/// really varies, or a morph target of it does.
 pub fn animated_vertices(model: &Model, clip: Option<usize>) -> Vec<bool> {
     let entries = animated_palette(model, clip);
     let moves = |(joint, weight): (u16, f32)| weight > 0.0 && entries[usize::from(joint)];
-    model.vertices.iter().map(|vertex| vertex.joints.into_iter().zip(vertex.weights).any(moves)).collect()
+    let mut animated: Vec<bool> = model
+        .vertices
+        .iter()
+        .map(|vertex| vertex.joints.into_iter().zip(vertex.weights).any(moves))
+        .collect();
+    for track in clip.iter().flat_map(|clip| &model.clips[*clip].morph_tracks) {
+        if clip::morph_track_varies(track) {
+            let morphs = &model.morphs[track.first_morph as usize..][..track.morph_count as usize];
+            morphs.iter().flat_map(|m| &m.deltas).for_each(|delta| animated[delta.vertex as usize] = true);
+        }
+    }
+    animated
 }
 
 /// For each palette entry, whether the clip moves it.
@@ -131,9 +174,8 @@ pub fn bounds(model: &Model, clip: Option<usize>, times: u32) -> Option<(Vec3, V
     let mut found: Option<(Vec3, Vec3)> = None;
     for moment in 0..moments {
         let t_s = f64::from(duration_s) * f64::from(moment) / f64::from(moments);
-        let palette = source_palette(model, clip, t_s);
-        for vertex in &model.vertices {
-            let at = blend(&palette, vertex.joints, vertex.weights).transform_point3(vertex.position);
+        for vertex in source_skin(model, clip, t_s, Affine3A::IDENTITY) {
+            let at = vertex.position;
             let (low, high) = found.unwrap_or((at, at));
             found = Some((low.min(at), high.max(at)));
         }
@@ -144,7 +186,9 @@ pub fn bounds(model: &Model, clip: Option<usize>, times: u32) -> Option<(Vec3, V
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Bone, Clip, Interpolation, PaletteEntry, Track, TrackValues, Vertex};
+    use crate::{
+        Bone, Clip, Interpolation, Morph, MorphDelta, MorphTrack, PaletteEntry, Track, TrackValues, Vertex,
+    };
     use glam::{Mat4, Quat};
     use rand::{Rng, SeedableRng, rngs::SmallRng};
 
@@ -273,7 +317,7 @@ mod tests {
             let model = random_model(&mut rng, 30);
             let animated = animated_vertices(&model, Some(0));
             let positions = |t| {
-                skin(&model, &source_palette(&model, Some(0), t), Affine3A::IDENTITY)
+                source_skin(&model, Some(0), t, Affine3A::IDENTITY)
                     .into_iter()
                     .map(|vertex| vertex.position)
                     .collect::<Vec<_>>()
@@ -295,6 +339,37 @@ mod tests {
         model.vertices =
             vec![vertex([0, 1, 0, 0], [1.0, 0.0, 0.0, 0.0]), vertex([0, 1, 0, 0], [0.9, 0.1, 0.0, 0.0])];
         assert_eq!(animated_vertices(&model, Some(0)), [false, true]);
+    }
+
+    #[test]
+    fn morphs_are_added_before_skinning_and_move_their_vertices() {
+        let mut rng = SmallRng::seed_from_u64(28);
+        let mut model = random_model(&mut rng, 3);
+        model.clips[0].tracks.clear();
+        let delta = MorphDelta {
+            vertex: 1,
+            position: Vec3::X,
+            normal: Vec3::new(3.0, 0.0, -1.0),
+            tangent: Vec3::ZERO,
+        };
+        model.morphs = vec![Morph { name: "m".into(), rest_weight: 0.25, deltas: vec![delta] }];
+        let at = |model: &Model, clip, t_s| source_skin(model, clip, t_s, Affine3A::IDENTITY)[1];
+        let expected = |model: &Model, weight: f32| {
+            source_palette(model, None, 0.0)[1]
+                .transform_point3(model.vertices[1].position + weight * Vec3::X)
+        };
+        assert!(at(&model, None, 0.0).position.abs_diff_eq(expected(&model, 0.25), 1e-5), "rest weight");
+        assert_eq!(animated_vertices(&model, Some(0)), [false; 3]);
+        model.clips[0].morph_tracks = vec![MorphTrack {
+            first_morph: 0,
+            morph_count: 1,
+            times_s: vec![0.0, 1.0],
+            interpolation: Interpolation::Linear,
+            weights: vec![0.0, 1.0],
+        }];
+        assert!(at(&model, Some(0), 0.5).position.abs_diff_eq(expected(&model, 0.5), 1e-5));
+        assert_eq!(morphed(&model, &[0.5])[1].normal, Vec3::new(1.5, 0.0, 0.5));
+        assert_eq!(animated_vertices(&model, Some(0)), [false, true, false]);
     }
 
     #[test]
@@ -322,7 +397,7 @@ mod tests {
         let mut rng = SmallRng::seed_from_u64(27);
         let model = random_model(&mut rng, 12);
         let (low, high) = bounds(&model, Some(0), 20).expect("vertices");
-        for vertex in skin(&model, &source_palette(&model, Some(0), 0.35), Affine3A::IDENTITY) {
+        for vertex in source_skin(&model, Some(0), 0.35, Affine3A::IDENTITY) {
             assert!(
                 vertex.position.cmpge(low - 1e-4).all() && vertex.position.cmple(high + 1e-4).all(),
                 "seed 27"

@@ -265,7 +265,8 @@ fn exercise(model: &Model) {
         let resampled = clip::resample(model, clip, (duration_s / 4.0).max(1e-3));
         let locals = pose::local_pose(&resampled, model.bones.len(), 0.3);
         let palette = pose::palette(model, &pose::global_pose(model, &locals));
-        assert_eq!(pose::skin(model, &palette, Affine3A::IDENTITY).len(), model.vertices.len());
+        let vertices = pose::morphed(model, &pose::source_morph_weights(model, clip, 0.3));
+        assert_eq!(pose::skin(&vertices, &palette, Affine3A::IDENTITY).len(), model.vertices.len());
         pose::animated_vertices(model, clip);
     }
 }
@@ -331,7 +332,7 @@ fn pose_at_keyframes_equals_an_independent_evaluation() {
         // Not wrapped: the last key is the clip's end.
         let locals = pose::source_pose(&model, Some(0), f64::from(*time));
         let palette = pose::palette(&model, &pose::global_pose(&model, &locals));
-        let found = pose::skin(&model, &palette, Affine3A::IDENTITY);
+        let found = pose::skin(&model.vertices, &palette, Affine3A::IDENTITY);
         for (vertex, found) in model.vertices.iter().zip(found) {
             let p = vertex.position.to_array().map(f64::from);
             let apply = |m: &Matrix, i: usize| m[i][0] * p[0] + m[i][1] * p[1] + m[i][2] * p[2] + m[i][3];
@@ -368,7 +369,7 @@ fn mirrored_node_keeps_its_front_outside() {
     glb.root["nodes"][3]["scale"] = json!([-1, 1, 1]);
     let model = from_slice(&glb.finish(), "mirror").expect("a good file");
     let range = model.primitives[1].first_index as usize..;
-    let skinned = pose::skin(&model, &pose::source_palette(&model, None, 0.0), Affine3A::IDENTITY);
+    let skinned = pose::source_skin(&model, None, 0.0, Affine3A::IDENTITY);
     for triangle in model.indices[range].chunks_exact(3) {
         let [a, b, c] = [0, 1, 2].map(|i| skinned[triangle[i] as usize]);
         let geometric = (b.position - a.position).cross(c.position - a.position);
