@@ -5,6 +5,8 @@
 //! what reads strangers' files can be fuzzed without building a renderer.
 
 pub mod animation;
+pub mod bulk;
+pub mod cache;
 pub mod generate;
 pub mod mips;
 pub mod patches;

@@ -1,0 +1,460 @@
+//! Results that are expensive to compute and cheap to keep, on disk between starts.
+//!
+//! An entry is found by a [`Key`]: the hash of everything that the result depends on. So an entry never has to be
+//! invalidated: when an input changes, so does the key, and the old entry ages until it is removed for its space.
+//! The files are nobody's but ours, yet they may be damaged, cut off, or from another version; then they count as
+//! absent. Nothing that goes wrong in here stops a program: at worst it computes again.
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::convert::Infallible;
+use std::ffi::OsString;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::time::{Duration, SystemTime};
+
+/// Largest sum of all entries, bytes; the least recently used go first.
+pub const MAX_CACHE_BYTES: u64 = 2 << 30;
+
+/// Of the sources of this crate: whoever changes an importer, the simplifier or the generated dragon need not think of
+/// the cache.
+const SOURCES: &str = env!("SHADECAST_SCENE_SOURCES");
+
+const MAGIC: [u8; 8] = *b"SHDCACHE";
+/// Of the layout of the file itself.
+const FILE_VERSION: u32 = 1;
+/// Reads as another number on a machine of the other byte order.
+const BYTE_ORDER: u32 = 0x0102_0304;
+const HASH_BYTES: usize = blake3::OUT_LEN;
+/// Magic, file version, byte order, key, length of the payload, hash of the payload; the payload follows.
+const HEADER_BYTES: usize = 8 + 4 + 4 + HASH_BYTES + 8 + HASH_BYTES;
+const EXTENSION: &str = "entry";
+/// A file that is still being written, or was when its writer died.
+const TEMPORARY_EXTENSION: &str = "new";
+const ABANDONED_AFTER: Duration = Duration::from_secs(3600);
+
+/// Says which result is meant: its kind, and a hash of all that it depends on.
+#[derive(Clone, Debug)]
+pub struct Key {
+    kind: &'static str,
+    hasher: blake3::Hasher,
+}
+
+impl Key {
+    /// The key of a result of a kind (a short word of letters, for file names) at a version, to be raised when what is
+    /// computed or how it is stored changes outside this crate; changes inside it are noticed anyway.
+    pub fn new(kind: &'static str, version: u32) -> Self {
+        Self { kind, hasher: blake3::Hasher::new() }.bytes(SOURCES.as_bytes()).bytes(&version.to_le_bytes())
+    }
+
+    /// It depends on these bytes.
+    #[must_use]
+    pub fn bytes(mut self, bytes: &[u8]) -> Self {
+        self.hasher.update(&(bytes.len() as u64).to_le_bytes());
+        self.hasher.update(bytes);
+        self
+    }
+
+    /// It depends on this value.
+    #[must_use]
+    pub fn value(mut self, value: &(impl Serialize + ?Sized)) -> Self {
+        let mut writer = BufWriter::with_capacity(1 << 16, &mut self.hasher);
+        postcard::to_io(value, &mut writer).expect("a hasher takes everything; our types serialise");
+        writer.flush().expect("a hasher takes everything");
+        drop(writer);
+        self
+    }
+
+    fn hash(&self) -> [u8; HASH_BYTES] {
+        *self.hasher.finalize().as_bytes()
+    }
+
+    fn file_name(&self) -> String {
+        let hex = blake3::Hash::from_bytes(self.hash()).to_hex();
+        format!("{}-{}.{EXTENSION}", self.kind, &hex[..40])
+    }
+}
+
+/// A folder of results, or none at all.
+#[derive(Debug)]
+pub struct Cache {
+    folder: Option<PathBuf>,
+    limit_bytes: u64,
+    hits: AtomicU32,
+    misses: AtomicU32,
+    /// Whether it was said that nothing can be written.
+    has_warned: AtomicBool,
+}
+
+impl Cache {
+    /// In this folder, which is made when the first entry is written.
+    pub fn new(folder: impl Into<PathBuf>) -> Self {
+        Self::with(Some(folder.into()), MAX_CACHE_BYTES)
+    }
+
+    /// Keeps nothing: everything is computed each time.
+    pub fn disabled() -> Self {
+        Self::with(None, 0)
+    }
+
+    /// In the user's own folder for such things; keeps nothing where there is none.
+    pub fn of_user() -> Self {
+        Self::with(user_folder(|name| std::env::var_os(name)), MAX_CACHE_BYTES)
+    }
+
+    fn with(folder: Option<PathBuf>, limit_bytes: u64) -> Self {
+        let count = || AtomicU32::new(0);
+        Self { folder, limit_bytes, hits: count(), misses: count(), has_warned: AtomicBool::new(false) }
+    }
+
+    /// Where the entries are.
+    pub fn folder(&self) -> Option<&Path> {
+        self.folder.as_deref()
+    }
+
+    /// Results so far that were found, and those that had to be computed.
+    pub fn hits_and_misses(&self) -> (u32, u32) {
+        (self.hits.load(Ordering::Relaxed), self.misses.load(Ordering::Relaxed))
+    }
+
+    /// The result of this key: from the folder, or computed and then kept. Large arrays in it should be marked with
+    /// [`bulk`](crate::bulk).
+    pub fn get_or_compute<T: Serialize + DeserializeOwned>(
+        &self,
+        key: &Key,
+        compute: impl FnOnce() -> T,
+    ) -> T {
+        let Ok(value) = self.try_get_or_compute(key, || Ok::<T, Infallible>(compute()));
+        value
+    }
+
+    /// As [`Self::get_or_compute`]; an error is handed on and not kept.
+    ///
+    /// # Errors
+    /// Those of `compute`; the cache itself has none.
+    pub fn try_get_or_compute<T: Serialize + DeserializeOwned, E>(
+        &self,
+        key: &Key,
+        compute: impl FnOnce() -> Result<T, E>,
+    ) -> Result<T, E> {
+        if let Some(value) = self.find(key) {
+            self.hits.fetch_add(1, Ordering::Relaxed);
+            return Ok(value);
+        }
+        let value = compute()?;
+        self.misses.fetch_add(1, Ordering::Relaxed);
+        self.keep(key, &value);
+        Ok(value)
+    }
+
+    fn find<T: DeserializeOwned>(&self, key: &Key) -> Option<T> {
+        let path = self.folder.as_ref()?.join(key.file_name());
+        let bytes = match std::fs::read(&path) {
+            Ok(bytes) => bytes,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return None,
+            Err(error) => {
+                tracing::warn!("{}: cannot be read ({error}); it is made anew", path.display());
+                return None;
+            }
+        };
+        let found = payload(&bytes, &key.hash()).and_then(|payload| {
+            postcard::from_bytes(payload).map_err(|_| "holds something else than its name says")
+        });
+        match found {
+            Ok(value) => {
+                mark_used(&path);
+                Some(value)
+            }
+            Err(problem) => {
+                tracing::warn!("{}: {problem}; it is made anew", path.display());
+                None
+            }
+        }
+    }
+
+    fn keep(&self, key: &Key, value: &impl Serialize) {
+        let Some(folder) = &self.folder else { return };
+        let written = write_entry(folder, key, value).and_then(|path| self.make_room(folder, &path));
+        if let Err(error) = written
+            && !self.has_warned.swap(true, Ordering::Relaxed)
+        {
+            let folder = folder.display();
+            tracing::warn!("cache {folder}: {error}; the next start computes again what this one did");
+        }
+    }
+
+    /// Removes the least recently used entries until the rest fits, and what dead writers left.
+    fn make_room(&self, folder: &Path, newest: &Path) -> std::io::Result<()> {
+        let now = std::fs::metadata(newest)?.modified()?;
+        let mut entries = Vec::new();
+        for item in std::fs::read_dir(folder)?.flatten() {
+            // Another process may have removed it meanwhile.
+            let Ok(meta) = item.metadata() else { continue };
+            let (path, modified) = (item.path(), meta.modified()?);
+            match path.extension().and_then(|extension| extension.to_str()) {
+                Some(EXTENSION) if meta.is_file() => entries.push((modified, meta.len(), path)),
+                Some(TEMPORARY_EXTENSION) if modified + ABANDONED_AFTER < now => {
+                    let _ = std::fs::remove_file(path);
+                }
+                _ => {}
+            }
+        }
+        entries.sort();
+        let mut total: u64 = entries.iter().map(|(_, bytes, _)| bytes).sum();
+        for (_, bytes, path) in entries {
+            if total <= self.limit_bytes {
+                break;
+            }
+            // Where that fails, another process was faster, or the folder is not ours to clean.
+            let _ = std::fs::remove_file(path);
+            total -= bytes;
+        }
+        Ok(())
+    }
+}
+
+/// `$XDG_CACHE_HOME/shadecast`, or `~/.cache/shadecast`. The XDG specification has relative paths ignored.
+fn user_folder(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
+    let from = |name| variable(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    let base = from("XDG_CACHE_HOME").or_else(|| from("HOME").map(|home| home.join(".cache")));
+    base.map(|base| base.join("shadecast"))
+}
+
+/// The payload of a file that is whole and belongs to the key.
+fn payload<'a>(file: &'a [u8], key: &[u8; HASH_BYTES]) -> Result<&'a [u8], &'static str> {
+    let (head, payload) = file.split_at_checked(HEADER_BYTES).ok_or("is cut off")?;
+    let expected = header(key, payload);
+    let (kind, rest) = head.split_at(16);
+    if kind != &expected[..16] {
+        return Err("is not an entry of this version");
+    }
+    if rest[..HASH_BYTES] != *key {
+        return Err("belongs to another input");
+    }
+    if *head == expected { Ok(payload) } else { Err("is damaged") }
+}
+
+fn header(key: &[u8; HASH_BYTES], payload: &[u8]) -> [u8; HEADER_BYTES] {
+    let mut head = [0; HEADER_BYTES];
+    let mut rest = &mut head[..];
+    let (length, hash) = ((payload.len() as u64).to_le_bytes(), blake3::hash(payload));
+    let parts: [&[u8]; 6] =
+        [&MAGIC, &FILE_VERSION.to_le_bytes(), &BYTE_ORDER.to_ne_bytes(), key, &length, hash.as_bytes()];
+    for part in parts {
+        rest.write_all(part).expect("the header has room for its parts");
+    }
+    head
+}
+
+/// Writes beside the entry and then renames, so that nobody ever sees half of it.
+fn write_entry(folder: &Path, key: &Key, value: &impl Serialize) -> std::io::Result<PathBuf> {
+    static COUNTER: AtomicU32 = AtomicU32::new(0);
+    let payload = postcard::to_stdvec(value).map_err(std::io::Error::other)?;
+    std::fs::create_dir_all(folder)?;
+    let path = folder.join(key.file_name());
+    let number = COUNTER.fetch_add(1, Ordering::Relaxed);
+    let temporary = path.with_extension(format!("{}-{number}.{TEMPORARY_EXTENSION}", std::process::id()));
+    let written = std::fs::File::create(&temporary).and_then(|mut file| {
+        file.write_all(&header(&key.hash(), &payload))?;
+        file.write_all(&payload)
+    });
+    let renamed = written.and_then(|()| std::fs::rename(&temporary, &path));
+    if renamed.is_err() {
+        let _ = std::fs::remove_file(&temporary);
+    }
+    renamed.map(|()| path)
+}
+
+/// The time decides nothing but which entry goes first when space runs out. Fails harmlessly in a folder that can
+/// only be read.
+fn mark_used(path: &Path) {
+    let file = std::fs::File::options().append(true).open(path);
+    let _ = file.and_then(|file| file.set_modified(SystemTime::now()));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde::Deserialize;
+    use std::cell::Cell;
+
+    #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+    struct Thing {
+        name: String,
+        #[serde(with = "crate::bulk")]
+        numbers: Vec<u32>,
+    }
+
+    fn thing(number: u32) -> Thing {
+        Thing { name: "thing".into(), numbers: (0..1000).map(|i| i ^ number).collect() }
+    }
+
+    /// The result, and whether it had to be computed.
+    fn ask(cache: &Cache, key: &Key, number: u32) -> (Thing, bool) {
+        let computed = Cell::new(false);
+        let value = cache.get_or_compute(key, || {
+            computed.set(true);
+            thing(number)
+        });
+        (value, computed.get())
+    }
+
+    fn only_file(folder: &Path) -> PathBuf {
+        let files: Vec<_> = std::fs::read_dir(folder).unwrap().map(|item| item.unwrap().path()).collect();
+        let [file] = &files[..] else { panic!("one file expected: {files:?}") };
+        file.clone()
+    }
+
+    fn set_age(path: &Path, age: Duration) {
+        let file = std::fs::File::options().append(true).open(path).unwrap();
+        file.set_modified(SystemTime::now() - age).unwrap();
+    }
+
+    #[test]
+    fn the_second_time_it_is_found_by_a_later_process_too() {
+        let folder = tempfile::tempdir().unwrap();
+        let key = || Key::new("thing", 1).bytes(b"input").value(&(0.5f32, "option"));
+        let first = Cache::new(folder.path());
+        assert_eq!(ask(&first, &key(), 1), (thing(1), true));
+        assert_eq!(ask(&first, &key(), 2), (thing(1), false));
+        assert_eq!(ask(&Cache::new(folder.path()), &key(), 3), (thing(1), false));
+        assert_eq!(first.hits_and_misses(), (1, 1));
+    }
+
+    #[test]
+    fn whatever_differs_in_the_key_misses() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = Cache::new(folder.path());
+        let keys = [
+            Key::new("thing", 1).bytes(b"ab").bytes(b"c").value(&0.5f32),
+            Key::new("other", 1).bytes(b"ab").bytes(b"c").value(&0.5f32),
+            Key::new("thing", 2).bytes(b"ab").bytes(b"c").value(&0.5f32),
+            Key::new("thing", 1).bytes(b"a").bytes(b"bc").value(&0.5f32),
+            Key::new("thing", 1).bytes(b"ab").bytes(b"c").value(&0.25f32),
+        ];
+        for (number, key) in keys.iter().enumerate() {
+            assert!(ask(&cache, key, number as u32).1, "key {number}");
+        }
+        for (number, key) in keys.iter().enumerate() {
+            assert_eq!(ask(&cache, key, 99), (thing(number as u32), false));
+        }
+    }
+
+    #[test]
+    fn every_damage_is_noticed_and_mended() {
+        let folder = tempfile::tempdir().unwrap();
+        let (cache, key) = (Cache::new(folder.path()), Key::new("thing", 1));
+        ask(&cache, &key, 1);
+        let file = only_file(folder.path());
+        let whole = std::fs::read(&file).unwrap();
+        let cuts = (0..whole.len()).step_by(97).map(|length| whole[..length].to_vec());
+        let flips = (0..whole.len()).step_by(89).map(|at| {
+            let mut bytes = whole.clone();
+            bytes[at] ^= 0x10;
+            bytes
+        });
+        let longer = std::iter::once([&whole[..], b"!"].concat());
+        for damaged in cuts.chain(flips).chain(longer) {
+            std::fs::write(&file, damaged).unwrap();
+            assert_eq!(ask(&cache, &key, 1), (thing(1), true));
+            assert_eq!(std::fs::read(&file).unwrap(), whole, "mended");
+        }
+    }
+
+    #[test]
+    fn an_entry_under_a_wrong_name_or_of_a_wrong_type_is_not_taken() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = Cache::new(folder.path());
+        ask(&cache, &Key::new("thing", 1), 1);
+        let other = Key::new("thing", 2);
+        std::fs::rename(only_file(folder.path()), folder.path().join(other.file_name())).unwrap();
+        assert_eq!(ask(&cache, &other, 2), (thing(2), true));
+        cache.get_or_compute(&Key::new("thing", 3), || 7u8);
+        assert_eq!(ask(&cache, &Key::new("thing", 3), 3), (thing(3), true));
+    }
+
+    #[test]
+    fn an_error_is_handed_on_and_not_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let (cache, key) = (Cache::new(folder.path()), Key::new("thing", 1));
+        assert_eq!(cache.try_get_or_compute::<Thing, _>(&key, || Err("no")), Err("no"));
+        assert!(ask(&cache, &key, 1).1);
+    }
+
+    #[test]
+    fn the_least_recently_used_entries_make_room() {
+        let folder = tempfile::tempdir().unwrap();
+        let size = 4200;
+        let cache = Cache::with(Some(folder.path().to_owned()), 3 * size);
+        let key = |number: u32| Key::new("thing", number);
+        for number in 0..3 {
+            ask(&cache, &key(number), number);
+            let age = Duration::from_secs(u64::from(100 - number));
+            let path = folder.path().join(key(number).file_name());
+            assert!(std::fs::metadata(&path).unwrap().len() < size);
+            set_age(&path, age);
+        }
+        assert!(!ask(&cache, &key(0), 0).1, "now 1 is the one not used for longest");
+        ask(&cache, &key(3), 3);
+        let is_there = |number: u32| folder.path().join(key(number).file_name()).exists();
+        assert_eq!([0, 1, 2, 3].map(is_there), [true, false, true, true]);
+    }
+
+    #[test]
+    fn leftovers_of_dead_writers_go_and_strange_files_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = Cache::new(folder.path());
+        let (dead, alive, strange) =
+            ["thing.1-0.new", "thing.2-0.new", "letter.txt"].map(|name| folder.path().join(name)).into();
+        for path in [&dead, &alive, &strange] {
+            std::fs::write(path, b"x").unwrap();
+        }
+        for path in [&dead, &strange] {
+            set_age(path, 2 * ABANDONED_AFTER);
+        }
+        ask(&cache, &Key::new("thing", 1), 1);
+        assert_eq!([dead, alive, strange].map(|path| path.exists()), [false, true, true]);
+    }
+
+    #[test]
+    fn many_writers_and_readers_at_once_see_whole_entries_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let work = || {
+            // A cache of its own each, as processes have.
+            for round in 0..40 {
+                let cache = Cache::new(folder.path());
+                let number = round % 4;
+                assert_eq!(ask(&cache, &Key::new("thing", number), number).0, thing(number));
+                if round % 8 == 7 {
+                    let _ = std::fs::remove_file(folder.path().join(Key::new("thing", number).file_name()));
+                }
+            }
+        };
+        std::thread::scope(|scope| (0..4).for_each(|_| drop(scope.spawn(work))));
+        let names = std::fs::read_dir(folder.path()).unwrap().map(|item| item.unwrap().file_name());
+        assert!(names.into_iter().all(|name| name.to_string_lossy().ends_with(".entry")));
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_made_only_costs_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        std::fs::write(&file, b"in the way").unwrap();
+        let cache = Cache::new(file.join("cache"));
+        assert_eq!(ask(&cache, &Key::new("thing", 1), 1), (thing(1), true));
+        assert_eq!(ask(&cache, &Key::new("thing", 1), 1), (thing(1), true));
+        assert!(ask(&Cache::disabled(), &Key::new("thing", 1), 1).1);
+    }
+
+    #[test]
+    fn the_users_folder_follows_the_xdg_specification() {
+        let folder = |cache: Option<&str>, home: Option<&str>| {
+            user_folder(|name| if name == "HOME" { home } else { cache }.map(OsString::from))
+        };
+        assert_eq!(folder(Some("/c"), Some("/h")), Some("/c/shadecast".into()));
+        assert_eq!(folder(None, Some("/h")), Some("/h/.cache/shadecast".into()));
+        assert_eq!(folder(Some("relative"), Some("/h")), Some("/h/.cache/shadecast".into()));
+        assert_eq!(folder(None, None), None);
+    }
+}
