@@ -7,20 +7,19 @@
 mod accessor;
 mod animation;
 mod container;
-mod image;
 mod material;
 mod mesh;
-mod tangent;
 #[cfg(test)]
 mod tests;
 
 use super::error::{Fault, SceneError};
+use super::limits::{MAX_PALETTE, MAX_VERTICES, read_limited};
 use super::{Bone, Model, PaletteEntry, Primitive, Trs};
 use ::gltf::accessor::Dimensions;
 use accessor::Reader;
 use glam::{Affine3A, Mat4, Quat, Vec3};
 use material::Materials;
-use mesh::{MAX_VERTICES, Part};
+use mesh::Part;
 use std::collections::{BTreeSet, HashMap};
 use std::path::Path;
 use std::rc::Rc;
@@ -36,8 +35,7 @@ const SILENT_EXTENSIONS: [&str; 2] = ["KHR_mesh_quantization", "KHR_materials_sp
 /// Loads a file; buffers and images beside it are found relative to it.
 pub fn load(path: &Path) -> Result<Model, SceneError> {
     let file = path.display().to_string();
-    let bytes =
-        container::read_limited(path).map_err(|source| SceneError::Read { file: file.clone(), source })?;
+    let bytes = read_limited(path).map_err(|source| SceneError::Read { file: file.clone(), source })?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let name = path.file_stem().map_or_else(|| file.clone(), |stem| stem.to_string_lossy().into_owned());
     finish(import(&bytes, &name, Some(folder)), &file)
@@ -314,9 +312,9 @@ impl<'a> Assembly<'a> {
     /// Returns the index of the first.
     fn push_entries(&mut self, entries: Vec<PaletteEntry>) -> Result<usize, Fault> {
         let first = self.model.palette.len();
-        // Vertices name palette entries with 16 bits.
-        if first + entries.len() > usize::from(u16::MAX) + 1 {
-            return Err(Fault::new("skins and mesh nodes", "need more than 65536 bone matrices together"));
+        if first + entries.len() > MAX_PALETTE {
+            let problem = format!("need more than {MAX_PALETTE} bone matrices together");
+            return Err(Fault::new("skins and mesh nodes", problem));
         }
         self.model.palette.extend(entries);
         Ok(first)

@@ -14,10 +14,15 @@ pub mod error;
 pub mod file;
 pub mod gltf;
 pub mod ground;
+mod image;
 pub mod influences;
+mod limits;
 pub mod load;
+#[cfg(test)]
+mod sound;
 pub mod split;
 pub mod suggest;
+mod tangent;
 pub mod weld;
 
 pub use error::SceneError;

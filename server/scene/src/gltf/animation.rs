@@ -1,6 +1,7 @@
 //! glTF animations to [`Clip`]s: curves are kept as the file has them.
 
 use super::super::error::Fault;
+use super::super::limits::MAX_DURATION_S;
 use super::super::{Clip, Interpolation, Track, TrackValues};
 use super::accessor::Reader;
 use super::{Warnings, label};
@@ -8,9 +9,6 @@ use ::gltf::accessor::Dimensions;
 use ::gltf::animation::Property;
 use glam::{Quat, Vec3};
 use std::collections::HashSet;
-
-/// Longest clip, seconds. A day; longer ones are damaged files, and would be resampled to gigabytes.
-const MAX_DURATION_S: f32 = 86_400.0;
 
 /// Reads all animations; `bone_of_node` maps glTF node indices to bones.
 pub(super) fn read_all(

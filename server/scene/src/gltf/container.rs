@@ -4,13 +4,10 @@
 //! types and its index validation are used.
 
 use super::super::error::Fault;
+use super::super::limits::read_limited;
 use ::gltf::json;
 use ::gltf::json::validation::{Error as Invalid, Validate};
 use std::path::Path;
-
-/// No file, buffer or image may be larger, bytes. Far above any asset a headset could show, and small enough that a
-/// wrong file is refused rather than read until memory is full.
-pub(super) const MAX_FILE_BYTES: u64 = 1 << 30;
 
 /// A document whose indices are all in range, with its buffers.
 pub(super) struct Container {
@@ -180,18 +177,6 @@ pub(super) fn resolve_uri(uri: &str, folder: Option<&Path>, element: &str) -> Re
         ));
     };
     read_limited(&folder.join(&name)).map_err(|error| Fault::new(element, format!("file '{name}': {error}")))
-}
-
-/// Reads a regular file of at most [`MAX_FILE_BYTES`].
-pub(super) fn read_limited(path: &Path) -> std::io::Result<Vec<u8>> {
-    let meta = std::fs::metadata(path)?;
-    if !meta.is_file() {
-        return Err(std::io::Error::other("not a regular file"));
-    }
-    if meta.len() > MAX_FILE_BYTES {
-        return Err(std::io::Error::other(format!("larger than {} MiB", MAX_FILE_BYTES >> 20)));
-    }
-    std::fs::read(path)
 }
 
 fn decode_data_uri(after_scheme: &str) -> Result<Vec<u8>, String> {

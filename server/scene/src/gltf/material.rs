@@ -2,9 +2,9 @@
 //! linear, and with which wrap modes.
 
 use super::super::error::Fault;
-use super::super::{Material, Texture, TextureSlot, Wrap};
+use super::super::{Material, Texture, TextureSlot, Wrap, image};
 use super::accessor::Reader;
-use super::{Warnings, container, image, label};
+use super::{Warnings, container, label};
 use ::gltf::material::AlphaMode;
 use ::gltf::texture::WrappingMode;
 use std::collections::HashMap;

@@ -3,15 +3,13 @@
 
 use super::super::error::Fault;
 use super::super::influences::reduce_to_four;
-use super::super::{Vertex, weld};
+use super::super::limits::MAX_VERTICES;
+use super::super::{Vertex, tangent, weld};
+use super::Warnings;
 use super::accessor::Reader;
-use super::{Warnings, tangent};
 use ::gltf::accessor::Dimensions;
 use ::gltf::mesh::{Mode, Semantic};
 use glam::Vec3;
-
-/// Most vertices and indices of a whole asset.
-pub(super) const MAX_VERTICES: usize = 1 << 22;
 
 /// JOINTS_n and WEIGHTS_n beyond this are not looked for: 32 influences a vertex.
 const MAX_SETS: u32 = 8;

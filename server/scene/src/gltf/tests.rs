@@ -1,8 +1,9 @@
 //! The importer on small generated files, on thousands of damaged ones, and on real assets where they are there.
 
-use super::super::{Interpolation, Model, TrackValues, Wrap};
+use super::super::{Model, Wrap};
 use super::*;
-use crate::animation::{clip, pose};
+use crate::animation::pose;
+use crate::sound::{assert_sound, exercise};
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 use serde_json::{Value, json};
 
@@ -187,88 +188,6 @@ fn sample() -> GlbBuilder {
 
 fn load_sample() -> Model {
     from_slice(&sample().finish(), "sample.glb").expect("a good file")
-}
-
-/// What every model must keep, whatever the file was.
-#[track_caller]
-fn assert_sound(model: &Model, context: &str) {
-    for (index, bone) in model.bones.iter().enumerate() {
-        assert!(bone.parent.is_none_or(|parent| (parent as usize) < index), "{context}: bone {index}");
-        assert!(bone.rest.translation.is_finite() && bone.rest.scale.is_finite(), "{context}: bone {index}");
-        assert!(bone.rest.rotation.is_normalized(), "{context}: bone {index}");
-    }
-    assert!(model.palette.iter().all(|entry| (entry.bone as usize) < model.bones.len()), "{context}");
-    for (index, vertex) in model.vertices.iter().enumerate() {
-        let unit = |v: Vec3| (v.length() - 1.0).abs() < 1e-3;
-        assert!(
-            vertex.position.is_finite() && vertex.uv.iter().all(|c| c.is_finite()),
-            "{context}: vertex {index}"
-        );
-        assert!(unit(vertex.normal), "{context}: vertex {index} normal {}", vertex.normal);
-        assert!(
-            unit(Vec3::from_slice(&vertex.tangent[..3])),
-            "{context}: vertex {index} {:?}",
-            vertex.tangent
-        );
-        assert!(vertex.tangent[3].abs() == 1.0, "{context}: vertex {index}");
-        assert!(
-            vertex.joints.iter().all(|joint| (*joint as usize) < model.palette.len()),
-            "{context}: vertex {index}"
-        );
-        let sum: f32 = vertex.weights.iter().sum();
-        assert!(
-            (sum - 1.0).abs() < 1e-5 && vertex.weights.iter().all(|w| *w >= 0.0),
-            "{context}: vertex {index}"
-        );
-    }
-    let mut next = 0;
-    for primitive in &model.primitives {
-        assert_eq!(primitive.first_index, next, "{context}");
-        assert!(primitive.index_count % 3 == 0 && primitive.index_count > 0, "{context}");
-        assert!((primitive.material as usize) < model.materials.len(), "{context}");
-        next += primitive.index_count;
-    }
-    assert_eq!(next as usize, model.indices.len(), "{context}");
-    assert!(model.indices.iter().all(|index| (*index as usize) < model.vertices.len()), "{context}");
-    for texture in &model.textures {
-        let [width, height] = texture.extent_texels;
-        assert!(
-            texture.rgba8.len() == 4 * width as usize * height as usize && width * height > 0,
-            "{context}"
-        );
-    }
-    for material in &model.materials {
-        let textures = [material.base_color_texture, material.normal_texture, material.emissive_texture];
-        let others = [material.metallic_roughness_texture, material.occlusion_texture];
-        let mut used = textures.into_iter().chain(others).flatten();
-        assert!(used.all(|slot| (slot.texture as usize) < model.textures.len()), "{context}");
-    }
-    for track in model.clips.iter().flat_map(|clip| &clip.tracks) {
-        assert!((track.bone as usize) < model.bones.len(), "{context}");
-        assert!(
-            track.times_s.windows(2).all(|pair| pair[0] < pair[1]) && !track.times_s.is_empty(),
-            "{context}"
-        );
-        let per_key = if track.interpolation == Interpolation::CubicSpline { 3 } else { 1 };
-        let count = match &track.values {
-            TrackValues::Translation(values) | TrackValues::Scale(values) => values.len(),
-            TrackValues::Rotation(values) => values.len(),
-        };
-        assert_eq!(count, per_key * track.times_s.len(), "{context}");
-    }
-}
-
-/// Whatever loads must also be usable.
-fn exercise(model: &Model) {
-    for clip in (0..model.clips.len()).map(Some).chain([None]) {
-        let duration_s = clip.map_or(1.0, |clip| model.clips[clip].duration_s);
-        let resampled = clip::resample(model, clip, (duration_s / 4.0).max(1e-3));
-        let locals = pose::local_pose(&resampled, model.bones.len(), 0.3);
-        let palette = pose::palette(model, &pose::global_pose(model, &locals));
-        let vertices = pose::morphed(model, &pose::source_morph_weights(model, clip, 0.3));
-        assert_eq!(pose::skin(&vertices, &palette, Affine3A::IDENTITY).len(), model.vertices.len());
-        pose::animated_vertices(model, clip);
-    }
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Tangents where the file has none: MikkTSpace for normal-mapped primitives, as glTF asks for; any unit vector in
 //! the surface for the others, whose shading never reads it.
 
-use super::super::Vertex;
+use super::Vertex;
 use glam::{Vec2, Vec3};
 use std::collections::HashMap;
 
@@ -9,13 +9,13 @@ use std::collections::HashMap;
 const MAX_FAN: usize = 2000;
 
 /// A unit vector perpendicular to the normal, with positive bitangent sign.
-pub(super) fn arbitrary(normal: Vec3) -> [f32; 4] {
+pub(crate) fn arbitrary(normal: Vec3) -> [f32; 4] {
     normal.any_orthonormal_vector().extend(1.0).to_array()
 }
 
 /// Writes tangents for a list of separate triangles (three vertices each). False where a vertex belongs to so many
 /// triangles that a simpler method, without MikkTSpace's exact compatibility, had to be used.
-pub(super) fn generate(corners: &mut [Vertex]) -> bool {
+pub(crate) fn generate(corners: &mut [Vertex]) -> bool {
     if largest_fan(corners) > MAX_FAN {
         generate_simple(corners);
         return false;
@@ -71,7 +71,7 @@ impl bevy_mikktspace::Geometry for Triangles<'_> {
 }
 
 /// The direction made unit length and perpendicular to the normal, or an arbitrary one where that is impossible.
-pub(super) fn orthonormal(direction: Vec3, sign: f32, normal: Vec3) -> [f32; 4] {
+pub(crate) fn orthonormal(direction: Vec3, sign: f32, normal: Vec3) -> [f32; 4] {
     let sign = if sign < 0.0 { -1.0 } else { 1.0 };
     match (direction - normal * normal.dot(direction)).try_normalize() {
         Some(unit) => unit.extend(sign).to_array(),

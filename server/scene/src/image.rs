@@ -8,14 +8,14 @@ const MAX_SIDE: u32 = 8192;
 
 /// A decoded image, rows from the top.
 #[derive(Debug, PartialEq)]
-pub(super) struct Pixels {
-    pub(super) extent_texels: [u32; 2],
+pub(crate) struct Pixels {
+    pub(crate) extent_texels: [u32; 2],
     /// `4 * width * height` bytes.
-    pub(super) rgba8: Vec<u8>,
+    pub(crate) rgba8: Vec<u8>,
 }
 
 /// Decodes, or says what is wrong.
-pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, String> {
+pub(crate) fn decode(bytes: &[u8]) -> Result<Pixels, String> {
     if bytes.starts_with(b"\x89PNG") {
         decode_png(bytes).map_err(|error| format!("damaged PNG: {error}"))
     } else if bytes.starts_with(&[0xff, 0xd8]) {

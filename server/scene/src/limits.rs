@@ -1,0 +1,28 @@
+//! What no asset may exceed, whatever its format: far above anything a headset could show, and small enough that a
+//! wrong or hostile file is refused rather than read until memory is full.
+
+use std::path::Path;
+
+/// No file, buffer or image may be larger, bytes.
+pub(crate) const MAX_FILE_BYTES: u64 = 1 << 30;
+
+/// Most vertices and indices of a whole asset.
+pub(crate) const MAX_VERTICES: usize = 1 << 22;
+
+/// Most palette entries of a whole asset: vertices name them with 16 bits.
+pub(crate) const MAX_PALETTE: usize = 1 << 16;
+
+/// Longest clip, seconds. A day; longer ones are damaged files, and would be resampled to gigabytes.
+pub(crate) const MAX_DURATION_S: f32 = 86_400.0;
+
+/// Reads a regular file of at most [`MAX_FILE_BYTES`].
+pub(crate) fn read_limited(path: &Path) -> std::io::Result<Vec<u8>> {
+    let meta = std::fs::metadata(path)?;
+    if !meta.is_file() {
+        return Err(std::io::Error::other("not a regular file"));
+    }
+    if meta.len() > MAX_FILE_BYTES {
+        return Err(std::io::Error::other(format!("larger than {} MiB", MAX_FILE_BYTES >> 20)));
+    }
+    std::fs::read(path)
+}
