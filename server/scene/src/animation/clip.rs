@@ -269,38 +269,9 @@ pub fn morph_track_varies(track: &MorphTrack) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Bone, Clip};
-    use rand::{Rng, SeedableRng, rngs::SmallRng};
+    use crate::animation::test_models::{INTERPOLATIONS, one_bone, random_track};
+    use rand::{SeedableRng, rngs::SmallRng};
     use std::f64::consts::{PI, TAU};
-
-    fn random_rotation(rng: &mut SmallRng) -> Quat {
-        let mut component = || rng.random_range(-1.0f32..1.0);
-        Quat::from_xyzw(component(), component(), component(), component() + 1e-3).normalize()
-    }
-
-    fn random_track(rng: &mut SmallRng, bone: u32, interpolation: Interpolation, kind: usize) -> Track {
-        let mut time = 0.0;
-        let times_s: Vec<f32> = (0..rng.random_range(1..12))
-            .map(|_| {
-                time += rng.random_range(0.01f32..0.4);
-                time
-            })
-            .collect();
-        let count = times_s.len() * if interpolation == Interpolation::CubicSpline { 3 } else { 1 };
-        let values = match kind {
-            0 => TrackValues::Translation((0..count).map(|_| random_vector(rng)).collect()),
-            1 => TrackValues::Rotation((0..count).map(|_| random_rotation(rng)).collect()),
-            _ => TrackValues::Scale((0..count).map(|_| random_vector(rng)).collect()),
-        };
-        Track { bone, times_s, interpolation, values }
-    }
-
-    fn random_vector(rng: &mut SmallRng) -> Vec3 {
-        Vec3::new(rng.random_range(-2.0..2.0), rng.random_range(-2.0..2.0), rng.random_range(-2.0..2.0))
-    }
-
-    const INTERPOLATIONS: [Interpolation; 3] =
-        [Interpolation::Step, Interpolation::Linear, Interpolation::CubicSpline];
 
     /// The stored value of a key.
     fn key_value(track: &Track, key: usize) -> TrackValue {
@@ -381,13 +352,6 @@ mod tests {
             let TrackValue::Rotation(found) = evaluate_track(&track, 0.25) else { panic!("rotation") };
             assert!(found.angle_between(Quat::from_rotation_y(0.4)) < 1e-3, "{found}");
         }
-    }
-
-    fn one_bone(track: Track) -> Model {
-        let duration_s = track.times_s[track.times_s.len() - 1];
-        let bone = Bone { name: "b".into(), parent: None, rest: Trs::IDENTITY };
-        let clip = Clip { name: "c".into(), duration_s, tracks: vec![track], ..Clip::default() };
-        Model { bones: vec![bone], clips: vec![clip], ..Model::default() }
     }
 
     #[test]

@@ -1,4 +1,7 @@
-//! How a model moves, on the CPU: source curves, poses, skinning.
+//! How a model moves, on the CPU: source curves, their sampling, poses, skinning.
 
 pub mod clip;
 pub mod pose;
+pub mod sampling;
+#[cfg(test)]
+mod test_models;
