@@ -2,35 +2,37 @@
 //!
 //! Files come from strangers. Whatever they hold, the result is a model whose every index is in range and whose every
 //! number is finite, or an error that names the file and the element; the tests mutate files to hold it to that.
-//! Not imported: cameras, lights, morph targets, vertex colours, blending; one warning each.
+//! What is not imported (cameras, blending, unknown extensions) is named in one warning each; an extension that the
+//! file requires and this importer lacks is an error.
 
 mod accessor;
 mod animation;
+mod compression;
 mod container;
+mod extensions;
+mod light;
 mod material;
 mod mesh;
+mod shape;
 #[cfg(test)]
 mod tests;
 
 use super::error::{Fault, SceneError};
-use super::limits::{MAX_PALETTE, MAX_VERTICES, read_limited};
-use super::{Bone, Model, PaletteEntry, Primitive, Trs};
+use super::limits::{MAX_DELTAS, MAX_MORPHS, MAX_PALETTE, MAX_VERTICES, read_limited};
+use super::{Bone, Light, Model, Morph, MorphDelta, PaletteEntry, Primitive, Trs};
 use ::gltf::accessor::Dimensions;
 use accessor::Reader;
 use glam::{Affine3A, Mat4, Quat, Vec3};
 use material::Materials;
 use mesh::Part;
+use serde::Deserialize;
 use std::collections::{BTreeSet, HashMap};
+use std::ops::Range;
 use std::path::Path;
 use std::rc::Rc;
 
-const MORPH_WARNING: &str = "morph targets are ignored; the mesh keeps its base shape";
-
 /// What was left out of a model, one sentence each, each once.
 type Warnings = BTreeSet<String>;
-
-/// Extensions that change a picture too little, or too rarely, to be read, and those that are read.
-const SILENT_EXTENSIONS: [&str; 2] = ["KHR_mesh_quantization", "KHR_materials_specular"];
 
 /// Loads a file; buffers and images beside it are found relative to it.
 pub fn load(path: &Path) -> Result<Model, SceneError> {
@@ -55,19 +57,19 @@ fn finish(imported: Result<(Model, Warnings), Fault>, file: &str) -> Result<Mode
 }
 
 fn import(bytes: &[u8], name: &str, folder: Option<&Path>) -> Result<(Model, Warnings), Fault> {
-    let container = container::open(bytes, folder)?;
-    let reader = Reader { document: &container.document, buffers: &container.buffers };
     let mut warnings = Warnings::new();
-    note_extensions(reader.document, &mut warnings);
-    let hierarchy = Hierarchy::read(reader.document, &mut warnings)?;
-    let clips = animation::read_all(reader, &hierarchy.bone_of_node, &mut warnings)?;
-    let mut assembly = Assembly::new(reader, folder, hierarchy, warnings);
-    for node in scene_nodes(reader.document) {
-        assembly.add_node(node)?;
+    let container = container::open(bytes, folder, &mut warnings)?;
+    let container::Container { document, buffers, decoded } = &container;
+    let reader = Reader { document, buffers, decoded };
+    let hierarchy = Hierarchy::read(document, &mut warnings)?;
+    let lights = light::read_all(document)?;
+    let mut assembly = Assembly::new(reader, folder, hierarchy, lights, warnings);
+    for node in scene_nodes(document) {
+        assembly.add_node(&node)?;
     }
+    assembly.add_clips()?;
     let (mut model, warnings) = assembly.into_model();
     model.name = name.to_owned();
-    model.clips = clips;
     Ok((model, warnings))
 }
 
@@ -79,12 +81,6 @@ fn label(kind: &str, index: usize, name: Option<&str>) -> String {
 fn node_label(node: &::gltf::Node) -> String {
     let name = node.name().map(|name| format!(" '{}'", name.escape_debug())).unwrap_or_default();
     format!("node {}{name}", node.index())
-}
-
-fn note_extensions(document: &::gltf::Document, warnings: &mut Warnings) {
-    for extension in document.extensions_used().filter(|name| !SILENT_EXTENSIONS.contains(name)) {
-        warnings.insert(format!("extension {extension} is ignored"));
-    }
 }
 
 /// The nodes of the default (or first) scene with all their descendants, parents first; all nodes if there is no
@@ -202,9 +198,14 @@ fn rest_transform(node: &::gltf::Node, warnings: &mut Warnings) -> Result<Trs, F
 struct Assembly<'a> {
     reader: Reader<'a>,
     hierarchy: Hierarchy,
+    /// All that the file defines.
+    lights: Vec<Light>,
     warnings: Warnings,
     materials: Materials<'a>,
     model: Model,
+    /// By glTF node index, where the node shows a mesh with morph targets.
+    morphs_of_node: HashMap<usize, Range<u32>>,
+    delta_count: usize,
     /// By glTF mesh index, by primitive: a mesh that several nodes show is read once.
     parts: HashMap<usize, Rc<Vec<Option<Part>>>>,
     /// By glTF skin index: its first palette entry and their number.
@@ -212,13 +213,22 @@ struct Assembly<'a> {
 }
 
 impl<'a> Assembly<'a> {
-    fn new(reader: Reader<'a>, folder: Option<&'a Path>, hierarchy: Hierarchy, warnings: Warnings) -> Self {
+    fn new(
+        reader: Reader<'a>,
+        folder: Option<&'a Path>,
+        hierarchy: Hierarchy,
+        lights: Vec<Light>,
+        warnings: Warnings,
+    ) -> Self {
         Self {
             reader,
             hierarchy,
+            lights,
             warnings,
             materials: Materials::new(reader, folder),
             model: Model::default(),
+            morphs_of_node: HashMap::new(),
+            delta_count: 0,
             parts: HashMap::new(),
             skins: HashMap::new(),
         }
@@ -231,16 +241,73 @@ impl<'a> Assembly<'a> {
         (model, warnings)
     }
 
-    fn add_node(&mut self, node: ::gltf::Node) -> Result<(), Fault> {
+    fn add_node(&mut self, node: &::gltf::Node) -> Result<(), Fault> {
+        if node.camera().is_some() {
+            self.warnings.insert("cameras are ignored; the scene file can define some".into());
+        }
+        let bone = self.hierarchy.bone_of_node[node.index()];
+        self.model.lights.extend(light::of_node(node, bone, &self.lights)?);
         let Some(mesh) = node.mesh() else { return Ok(()) };
         let parts = self.parts_of(&mesh)?;
-        let binding = self.binding(&node)?;
+        let binding = self.binding(node)?;
+        let first_morph = self.add_morphs(node, &mesh)?;
         for (primitive, part) in mesh.primitives().zip(parts.iter()) {
             let Some(part) = part else { continue };
             let element =
                 format!("{} primitive {}", label("mesh", mesh.index(), mesh.name()), primitive.index());
             let material = self.materials.index(&primitive.material(), &mut self.warnings)?;
-            self.append(part, &binding, material, &element, &node)?;
+            self.append_deltas(part, first_morph, &element)?;
+            self.append(part, &binding, material, &element, node)?;
+        }
+        Ok(())
+    }
+
+    fn add_clips(&mut self) -> Result<(), Fault> {
+        let moved = animation::Moved {
+            bone_of_node: &self.hierarchy.bone_of_node,
+            morphs_of_node: &self.morphs_of_node,
+        };
+        self.model.clips = animation::read_all(self.reader, moved, &mut self.warnings)?;
+        Ok(())
+    }
+
+    /// Morphs without deltas for a node that shows `mesh`: weights belong to nodes. Returns the index of the first.
+    fn add_morphs(&mut self, node: &::gltf::Node, mesh: &::gltf::Mesh) -> Result<usize, Fault> {
+        let first = self.model.morphs.len();
+        let element = label("mesh", mesh.index(), mesh.name());
+        let count = target_count(mesh).map_err(|problem| Fault::new(&*element, problem))?;
+        if count == 0 {
+            return Ok(first);
+        }
+        if first + count > MAX_MORPHS {
+            let problem = format!("brings the asset over {MAX_MORPHS} morph targets; reduce it");
+            return Err(Fault::new(element, problem));
+        }
+        let weights = node.weights().or_else(|| mesh.weights()).unwrap_or_default();
+        if weights.iter().any(|weight| !weight.is_finite()) {
+            return Err(Fault::new(node_label(node), "has a weight that is not a finite number"));
+        }
+        let names = target_names(mesh);
+        self.model.morphs.extend((0..count).map(|at| Morph {
+            name: names.get(at).cloned().unwrap_or_else(|| format!("morph {at}")),
+            rest_weight: weights.get(at).copied().unwrap_or(0.0),
+            deltas: Vec::new(),
+        }));
+        self.morphs_of_node.insert(node.index(), first as u32..(first + count) as u32);
+        Ok(first)
+    }
+
+    /// Moves vertices that `append` is about to add.
+    fn append_deltas(&mut self, part: &Part, first_morph: usize, element: &str) -> Result<(), Fault> {
+        self.delta_count += part.targets.iter().map(Vec::len).sum::<usize>();
+        if self.delta_count > MAX_DELTAS {
+            let problem = format!("brings the morph targets over {MAX_DELTAS} deltas; reduce them");
+            return Err(Fault::new(element, problem));
+        }
+        let base = self.model.vertices.len() as u32;
+        for (morph, target) in self.model.morphs[first_morph..].iter_mut().zip(&part.targets) {
+            let place = |delta: &MorphDelta| MorphDelta { vertex: base + delta.vertex, ..*delta };
+            morph.deltas.extend(target.iter().map(place));
         }
         Ok(())
     }
@@ -350,6 +417,27 @@ impl<'a> Assembly<'a> {
         self.model.primitives.push(Primitive { first_index: first_index as u32, index_count, material });
         Ok(())
     }
+}
+
+/// The number of morph targets, which all primitives of a mesh share.
+fn target_count(mesh: &::gltf::Mesh) -> Result<usize, String> {
+    let mut counts = mesh.primitives().map(|primitive| primitive.morph_targets().len());
+    let first = counts.next().unwrap_or(0);
+    match counts.find(|count| *count != first) {
+        Some(other) => Err(format!("one primitive has {first} morph targets and another {other}")),
+        None => Ok(first),
+    }
+}
+
+/// From `extras.targetNames`, a convention that all exporters share; empty where there is none.
+fn target_names(mesh: &::gltf::Mesh) -> Vec<String> {
+    #[derive(Default, Deserialize)]
+    #[serde(rename_all = "camelCase", default)]
+    struct Extras {
+        target_names: Vec<String>,
+    }
+    let extras = mesh.extras().as_ref().and_then(|text| serde_json::from_str::<Extras>(text.get()).ok());
+    extras.unwrap_or_default().target_names
 }
 
 /// What the vertices of a placed mesh follow.

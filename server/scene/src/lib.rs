@@ -161,7 +161,7 @@ pub struct Vertex {
     pub tangent: [f32; 4],
     /// First texture coordinate set, v down as in glTF.
     pub uv: [f32; 2],
-    /// Second texture coordinate set.
+    /// Second texture coordinate set; zero where no texture uses it.
     pub uv1: [f32; 2],
     /// Linear RGBA, 255 for 1, multiplied with the base colour.
     pub color: [u8; 4],
@@ -271,6 +271,14 @@ impl From<u32> for TextureSlot {
     /// The texture by the first coordinates as they are.
     fn from(texture: u32) -> Self {
         Self { texture, set: 0, uv_transform: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]] }
+    }
+}
+
+impl TextureSlot {
+    /// Where a vertex looks its colour up.
+    pub fn coordinates(&self, vertex: &Vertex) -> [f32; 2] {
+        let [u, v] = if self.set == 0 { vertex.uv } else { vertex.uv1 };
+        self.uv_transform.map(|row| row[0] * u + row[1] * v + row[2])
     }
 }
 

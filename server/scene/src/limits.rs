@@ -12,6 +12,15 @@ pub(crate) const MAX_VERTICES: usize = 1 << 22;
 /// Most palette entries of a whole asset: vertices name them with 16 bits.
 pub(crate) const MAX_PALETTE: usize = 1 << 16;
 
+/// Most morph targets of a whole asset, every showing of a mesh counted.
+pub(crate) const MAX_MORPHS: usize = 1 << 16;
+
+/// Most deltas of all morph targets, 40 bytes each.
+pub(crate) const MAX_DELTAS: usize = 1 << 23;
+
+/// Most texels of all textures: 1 GiB of RGBA. A picture can be a thousand times larger than its file.
+pub(crate) const MAX_TEXELS: usize = 1 << 28;
+
 /// Longest clip, seconds. A day; longer ones are damaged files, and would be resampled to gigabytes.
 pub(crate) const MAX_DURATION_S: f32 = 86_400.0;
 

@@ -1,7 +1,7 @@
 //! Tangents where the file has none: MikkTSpace for normal-mapped primitives, as glTF asks for; any unit vector in
 //! the surface for the others, whose shading never reads it.
 
-use super::Vertex;
+use super::{TextureSlot, Vertex};
 use glam::{Vec2, Vec3};
 use std::collections::HashMap;
 
@@ -13,15 +13,16 @@ pub(crate) fn arbitrary(normal: Vec3) -> [f32; 4] {
     normal.any_orthonormal_vector().extend(1.0).to_array()
 }
 
-/// Writes tangents for a list of separate triangles (three vertices each). False where a vertex belongs to so many
-/// triangles that a simpler method, without MikkTSpace's exact compatibility, had to be used.
-pub(crate) fn generate(corners: &mut [Vertex]) -> bool {
+/// Writes tangents for a list of separate triangles (three vertices each), along the texture coordinates as the
+/// normal map's slot makes them. False where a vertex belongs to so many triangles that a simpler method, without
+/// MikkTSpace's exact compatibility, had to be used.
+pub(crate) fn generate(corners: &mut [Vertex], normal_map: &TextureSlot) -> bool {
     if largest_fan(corners) > MAX_FAN {
-        generate_simple(corners);
+        generate_simple(corners, normal_map);
         return false;
     }
     // Infallible: its error type has no values.
-    let _ = bevy_mikktspace::generate_tangents(&mut Triangles(corners));
+    let _ = bevy_mikktspace::generate_tangents(&mut Triangles { corners, normal_map });
     true
 }
 
@@ -38,11 +39,14 @@ fn position_bits(position: Vec3) -> [u32; 3] {
     (position + Vec3::ZERO).to_array().map(f32::to_bits)
 }
 
-struct Triangles<'a>(&'a mut [Vertex]);
+struct Triangles<'a> {
+    corners: &'a mut [Vertex],
+    normal_map: &'a TextureSlot,
+}
 
 impl bevy_mikktspace::Geometry for Triangles<'_> {
     fn num_faces(&self) -> usize {
-        self.0.len() / 3
+        self.corners.len() / 3
     }
 
     fn num_vertices_of_face(&self, _face: usize) -> usize {
@@ -50,21 +54,21 @@ impl bevy_mikktspace::Geometry for Triangles<'_> {
     }
 
     fn position(&self, face: usize, vert: usize) -> [f32; 3] {
-        self.0[face * 3 + vert].position.to_array()
+        self.corners[face * 3 + vert].position.to_array()
     }
 
     fn normal(&self, face: usize, vert: usize) -> [f32; 3] {
-        self.0[face * 3 + vert].normal.to_array()
+        self.corners[face * 3 + vert].normal.to_array()
     }
 
     fn tex_coord(&self, face: usize, vert: usize) -> [f32; 2] {
         // MikkTSpace counts v upwards; glTF's runs downwards.
-        let [u, v] = self.0[face * 3 + vert].uv;
+        let [u, v] = self.normal_map.coordinates(&self.corners[face * 3 + vert]);
         [u, 1.0 - v]
     }
 
     fn set_tangent(&mut self, space: Option<bevy_mikktspace::TangentSpace>, face: usize, vert: usize) {
-        let vertex = &mut self.0[face * 3 + vert];
+        let vertex = &mut self.corners[face * 3 + vert];
         let [x, y, z, sign] = space.map_or_else(|| arbitrary(vertex.normal), |space| space.tangent_encoded());
         vertex.tangent = orthonormal(Vec3::new(x, y, z), sign, vertex.normal);
     }
@@ -80,10 +84,10 @@ pub(crate) fn orthonormal(direction: Vec3, sign: f32, normal: Vec3) -> [f32; 4] 
 }
 
 /// Direction in which u grows, from each triangle alone.
-fn generate_simple(corners: &mut [Vertex]) {
+fn generate_simple(corners: &mut [Vertex], normal_map: &TextureSlot) {
     for triangle in corners.chunks_exact_mut(3) {
         let [p0, p1, p2] = [0, 1, 2].map(|i| triangle[i].position);
-        let [w0, w1, w2] = [0, 1, 2].map(|i| Vec2::from_array(triangle[i].uv));
+        let [w0, w1, w2] = [0, 1, 2].map(|i| Vec2::from_array(normal_map.coordinates(&triangle[i])));
         let (e1, e2, d1, d2) = (p1 - p0, p2 - p0, w1 - w0, w2 - w0);
         let area = d1.perp_dot(d2);
         let along_u = (e1 * d2.y - e2 * d1.y) * area.signum();
@@ -122,7 +126,7 @@ mod tests {
     fn tangent_points_along_u_and_bitangent_up_the_picture() {
         // glTF: bitangent = cross(normal, tangent) * w; a normal map's green points up the picture: +y here.
         let mut corners = picture();
-        assert!(generate(&mut corners));
+        assert!(generate(&mut corners, &0.into()));
         assert_tangents(&corners, [1.0, 0.0, 0.0, 1.0]);
     }
 
@@ -130,8 +134,18 @@ mod tests {
     fn mirrored_picture_has_a_negative_sign() {
         let mut corners = picture();
         corners.iter_mut().for_each(|corner| corner.uv[0] = 1.0 - corner.uv[0]);
-        generate(&mut corners);
+        generate(&mut corners, &0.into());
         assert_tangents(&corners, [-1.0, 0.0, 0.0, -1.0]);
+    }
+
+    #[test]
+    fn tangent_follows_the_transform_and_the_set_of_the_normal_map() {
+        let turned = TextureSlot { texture: 0, set: 1, uv_transform: [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.5]] };
+        let mut corners = picture();
+        corners.iter_mut().for_each(|corner| (corner.uv1, corner.uv) = (corner.uv, [0.0; 2]));
+        generate(&mut corners, &turned);
+        // u' is v, which grows down the picture.
+        assert_tangents(&corners, [0.0, -1.0, 0.0, 1.0]);
     }
 
     #[test]
@@ -142,8 +156,8 @@ mod tests {
                 corners.iter_mut().for_each(|corner| corner.uv[0] = 1.0 - corner.uv[0]);
             }
             let mut simple = corners.clone();
-            generate(&mut corners);
-            generate_simple(&mut simple);
+            generate(&mut corners, &0.into());
+            generate_simple(&mut simple, &0.into());
             assert_tangents(&simple, corners[0].tangent);
         }
     }
@@ -158,7 +172,7 @@ mod tests {
         for i in 0..60_000 {
             corners.extend([corner([0.0; 3], [0.0; 2]), rim(i), rim(i + 1)]);
         }
-        assert!(!generate(&mut corners));
+        assert!(!generate(&mut corners, &0.into()));
         assert!(corners.iter().all(|c| (Vec3::from_slice(&c.tangent[..3]).length() - 1.0).abs() < 1e-3));
     }
 
@@ -166,7 +180,7 @@ mod tests {
     fn degenerate_coordinates_give_unit_tangents() {
         let mut corners = picture();
         corners.iter_mut().for_each(|corner| corner.uv = [0.5, 0.5]);
-        generate(&mut corners);
+        generate(&mut corners, &0.into());
         for corner in &corners {
             let tangent = Vec3::from_slice(&corner.tangent[..3]);
             assert!((tangent.length() - 1.0).abs() < 1e-5 && tangent.dot(Vec3::Z).abs() < 1e-5);

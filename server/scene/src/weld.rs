@@ -7,21 +7,32 @@ use std::collections::HashMap;
 /// Merges equal vertices, and drops triangles that name a vertex twice and vertices that no triangle names. The order
 /// of triangles and the order of first use of vertices stay.
 pub fn weld(vertices: &mut Vec<Vertex>, indices: &mut Vec<u32>) {
-    let mut slots: HashMap<[u32; 21], u32> = HashMap::with_capacity(vertices.len());
+    weld_within_classes(vertices, indices, |_| 0);
+}
+
+/// Like [`weld`], but vertices of different `class` stay apart: those whose morph targets differ, for example.
+/// Returns which vertex each one that is left was, so that what belongs to vertices can follow them.
+pub fn weld_within_classes(
+    vertices: &mut Vec<Vertex>,
+    indices: &mut Vec<u32>,
+    class: impl Fn(u32) -> u32,
+) -> Vec<u32> {
+    let mut slots: HashMap<([u32; 21], u32), u32> = HashMap::with_capacity(vertices.len());
     let (mut kept, mut list) = (Vec::with_capacity(vertices.len()), Vec::with_capacity(indices.len()));
     for triangle in indices.chunks_exact(3) {
-        let keys = [0, 1, 2].map(|corner| key(&vertices[triangle[corner] as usize]));
+        let keys = [0, 1, 2].map(|corner| triangle[corner]).map(|v| (key(&vertices[v as usize]), class(v)));
         if keys[0] == keys[1] || keys[1] == keys[2] || keys[2] == keys[0] {
             continue;
         }
         for (corner, key) in keys.into_iter().enumerate() {
             list.push(*slots.entry(key).or_insert_with(|| {
-                kept.push(vertices[triangle[corner] as usize]);
+                kept.push(triangle[corner]);
                 (kept.len() - 1) as u32
             }));
         }
     }
-    (*vertices, *indices) = (kept, list);
+    (*vertices, *indices) = (kept.iter().map(|vertex| vertices[*vertex as usize]).collect(), list);
+    kept
 }
 
 /// Every bit of a vertex, with -0 as 0.
@@ -63,6 +74,14 @@ mod tests {
         let mut indices = vec![0, 1, 2, 3, 2, 1];
         weld(&mut vertices, &mut indices);
         assert_eq!(vertices.len(), 4);
+    }
+
+    #[test]
+    fn vertices_of_different_classes_stay_apart_and_say_what_they_were() {
+        let mut vertices: Vec<Vertex> = [5.0, 0.0, 1.0, 2.0, 2.0, 1.0, -3.0].map(|x| vertex(x, 0)).to_vec();
+        let mut indices = vec![1, 2, 3, 4, 5, 6];
+        let origins = weld_within_classes(&mut vertices, &mut indices, |vertex| u32::from(vertex == 5));
+        assert_eq!((origins, indices), (vec![1, 2, 3, 5, 6], vec![0, 1, 2, 2, 3, 4]));
     }
 
     #[test]

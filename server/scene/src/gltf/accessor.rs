@@ -2,10 +2,11 @@
 //! looking).
 
 use super::super::error::Fault;
+use super::compression::Decoded;
 use ::gltf::accessor::{DataType, Dimensions};
 use ::gltf::json::accessor::ComponentType;
 
-/// Most elements of one accessor: bounds what a sparse accessor without data, which costs a file nothing, can claim.
+/// Most elements of one accessor.
 const MAX_ELEMENTS: usize = 1 << 22;
 
 /// The buffers of a document.
@@ -13,6 +14,8 @@ const MAX_ELEMENTS: usize = 1 << 22;
 pub(super) struct Reader<'a> {
     pub(super) document: &'a ::gltf::Document,
     pub(super) buffers: &'a [Vec<u8>],
+    /// What compressed buffer views hold.
+    pub(super) decoded: &'a Decoded,
 }
 
 /// Where `count` elements of `size` bytes lie, checked to be inside `bytes`.
@@ -38,10 +41,24 @@ impl<'a> Reader<'a> {
     ) -> Result<Vec<[f32; N]>, Fault> {
         let (kind, normalized) = (accessor.data_type(), accessor.normalized());
         let values = self.read(accessor, shape, element, |bytes| float_component(kind, normalized, bytes))?;
-        match values.iter().position(|value: &[f32; N]| value.iter().any(|number| !number.is_finite())) {
-            Some(index) => Err(Fault::new(element, format!("value {index} is not a finite number"))),
-            None => Ok(values),
-        }
+        check_finite(&values, element)?;
+        Ok(values)
+    }
+
+    /// RGBA from 0 to 1; alpha is 1 where the colours have three components. Integers are normalised, as the
+    /// specification asks for, whether the accessor says so or not.
+    pub(super) fn colors(&self, accessor: &::gltf::Accessor, element: &str) -> Result<Vec<[f32; 4]>, Fault> {
+        let kind = accessor.data_type();
+        let convert = |bytes: &[u8]| float_component(kind, true, bytes);
+        let values = match accessor.dimensions() {
+            Dimensions::Vec3 => {
+                let rgb = self.read::<3, f32>(accessor, Dimensions::Vec3, element, convert)?;
+                rgb.into_iter().map(|[r, g, b]| [r, g, b, 1.0]).collect()
+            }
+            _ => self.read::<4, f32>(accessor, Dimensions::Vec4, element, convert)?,
+        };
+        check_finite(&values, element)?;
+        Ok(values.into_iter().map(|color| color.map(|part| part.clamp(0.0, 1.0))).collect())
     }
 
     /// Unsigned integers.
@@ -63,6 +80,9 @@ impl<'a> Reader<'a> {
 
     /// The bytes of a buffer view.
     pub(super) fn view_bytes(&self, view: &::gltf::buffer::View, element: &str) -> Result<&'a [u8], Fault> {
+        if let Some(bytes) = self.decoded.get(&view.index()) {
+            return Ok(bytes);
+        }
         let buffer = self.buffers.get(view.buffer().index()).map(Vec::as_slice).unwrap_or_default();
         let end = view.offset().checked_add(view.length());
         end.and_then(|end| buffer.get(view.offset()..end)).ok_or_else(|| {
@@ -116,7 +136,18 @@ impl<'a> Reader<'a> {
             let problem = format!("has {} elements; at most {MAX_ELEMENTS} are supported", accessor.count());
             return Err(Fault::new(element, problem));
         }
+        // Zeros for nothing: a few bytes of JSON must not claim gigabytes.
+        if accessor.view().is_none() && accessor.count() > self.data_bytes() {
+            let (count, bytes) = (accessor.count(), self.data_bytes());
+            let problem = format!("has {count} elements without data, more than the file's {bytes} bytes");
+            return Err(Fault::new(element, problem));
+        }
         Ok(())
+    }
+
+    /// Bytes in all buffers, decompressed ones included.
+    fn data_bytes(&self) -> usize {
+        self.buffers.iter().chain(self.decoded.values()).map(Vec::len).sum()
     }
 
     fn elements(
@@ -169,6 +200,13 @@ impl<'a> Reader<'a> {
             *place = decode(with.get(entry));
         }
         Ok(())
+    }
+}
+
+fn check_finite<const N: usize>(values: &[[f32; N]], element: &str) -> Result<(), Fault> {
+    match values.iter().position(|value| value.iter().any(|number| !number.is_finite())) {
+        Some(index) => Err(Fault::new(element, format!("value {index} is not a finite number"))),
+        None => Ok(()),
     }
 }
 

@@ -5,8 +5,13 @@
 
 use super::super::error::Fault;
 use super::super::limits::read_limited;
+use super::compression::{self, Decoded};
+use super::{Warnings, extensions};
 use ::gltf::json;
 use ::gltf::json::validation::{Error as Invalid, Validate};
+use serde::Deserialize;
+use serde_json::Value;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// A document whose indices are all in range, with its buffers.
@@ -14,17 +19,78 @@ pub(super) struct Container {
     pub(super) document: ::gltf::Document,
     /// By buffer index, each at least as long as its `byteLength`.
     pub(super) buffers: Vec<Vec<u8>>,
+    /// What compressed buffer views hold.
+    pub(super) decoded: Decoded,
 }
 
 /// Reads a GLB or a glTF JSON text. External files are looked up in `folder`; `None` forbids them.
-pub(super) fn open(bytes: &[u8], folder: Option<&Path>) -> Result<Container, Fault> {
+pub(super) fn open(bytes: &[u8], folder: Option<&Path>, warnings: &mut Warnings) -> Result<Container, Fault> {
     let (json_bytes, blob) = if bytes.starts_with(b"glTF") { split_glb(bytes)? } else { (bytes, None) };
-    let root = json::Root::from_slice(json_bytes)
+    let root = parse(json_bytes, warnings)
         .map_err(|error| Fault::new("JSON", format!("not a glTF document: {error}")))?;
     check_version(&root)?;
+    extensions::check_required(&root)?;
+    extensions::note_ignored(&root, warnings);
     check_indices(&root)?;
     let buffers = read_buffers(&root, blob, folder)?;
-    Ok(Container { document: ::gltf::Document::from_json_without_validation(root), buffers })
+    let decoded = compression::decode_views(&root, &buffers)?;
+    let document = ::gltf::Document::from_json_without_validation(root);
+    Ok(Container { document, buffers, decoded })
+}
+
+/// What the `gltf` crate's types pass over or cannot hold.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Overlooked {
+    meshes: Vec<OverlookedMesh>,
+    animations: Vec<OverlookedAnimation>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct OverlookedMesh {
+    primitives: Vec<OverlookedPrimitive>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct OverlookedPrimitive {
+    targets: Vec<BTreeMap<String, Value>>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct OverlookedAnimation {
+    channels: Vec<Value>,
+}
+
+/// Whether a channel moves a node; those that do not are for extensions (glTF 2.0 section 5.6).
+fn moves_a_node(channel: &Value) -> bool {
+    channel.get("target").is_none_or(|target| target.get("node").is_some())
+}
+
+fn parse(bytes: &[u8], warnings: &mut Warnings) -> Result<json::Root, serde_json::Error> {
+    // What is wrong with the document is said by the second reading of it, with the place.
+    let overlooked: Overlooked = serde_json::from_slice(bytes).unwrap_or_default();
+    let targets = overlooked.meshes.iter().flat_map(|mesh| &mesh.primitives).flat_map(|p| &p.targets);
+    if targets.flat_map(|target| target.keys()).any(|name| !is_morphed(name)) {
+        warnings.insert("morph targets move positions, normals and tangents only, nothing else".into());
+    }
+    if overlooked.animations.iter().flat_map(|animation| &animation.channels).all(moves_a_node) {
+        return json::Root::from_slice(bytes);
+    }
+    warnings.insert("curves that do not move a node are ignored".into());
+    let mut root: Value = serde_json::from_slice(bytes)?;
+    for animation in root.get_mut("animations").and_then(Value::as_array_mut).into_iter().flatten() {
+        if let Some(channels) = animation.get_mut("channels").and_then(Value::as_array_mut) {
+            channels.retain(moves_a_node);
+        }
+    }
+    serde_json::from_value(root)
+}
+
+fn is_morphed(attribute: &str) -> bool {
+    json::mesh::VALID_MORPH_TARGETS.contains(&attribute)
 }
 
 /// The JSON chunk and, if there is one, the binary chunk of a GLB (glTF 2.0 section 4.4).
@@ -100,10 +166,10 @@ fn check_positions(root: &json::Root) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Bounds of POSITION are for culling, which is not done by them here; quantised attributes are read as such.
+/// Bounds of POSITION are for culling, which is not done by them here; required extensions are checked elsewhere.
 fn is_tolerable(path: &str, error: Invalid) -> bool {
     let bounds = path.ends_with("].min") || path.ends_with("].max");
-    bounds || (error == Invalid::Unsupported && path.ends_with("\"KHR_mesh_quantization\""))
+    bounds || error == Invalid::Unsupported
 }
 
 fn describe(error: Invalid) -> &'static str {
@@ -150,6 +216,10 @@ fn read_buffers(
         let data = match (&buffer.uri, blob) {
             (Some(uri), _) => resolve_uri(uri, folder, &element)?,
             (None, Some(blob)) if index == 0 => blob.to_vec(),
+            (None, _) if compression::is_placeholder(buffer) => {
+                buffers.push(Vec::new());
+                continue;
+            }
             (None, _) => return Err(Fault::new(element, "has no URI, and there is no binary chunk for it")),
         };
         if (data.len() as u64) < buffer.byte_length.0 {

@@ -1,12 +1,19 @@
 //! Materials and the textures that they use. A glTF image becomes one [`Texture`] per way of use: coded in sRGB or
 //! linear, and with which wrap modes.
+//!
+//! A vertex holds two sets of texture coordinates. Files may number theirs as they like; the first two that a
+//! material uses become sets 0 and 1 of the vertices that have the material.
 
 use super::super::error::Fault;
+use super::super::limits::MAX_TEXELS;
 use super::super::{Material, Texture, TextureSlot, Wrap, image};
 use super::accessor::Reader;
+use super::extensions::{self, EMISSIVE_STRENGTH, TEXTURE_TRANSFORM, UNLIT};
 use super::{Warnings, container, label};
 use ::gltf::material::AlphaMode;
 use ::gltf::texture::WrappingMode;
+use serde::Deserialize;
+use serde_json::{Map, Value};
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -47,45 +54,66 @@ impl<'a> Materials<'a> {
 
     fn convert(&mut self, source: &::gltf::Material, warnings: &mut Warnings) -> Result<Material, Fault> {
         let name = source.name().map_or_else(|| default_name(source), str::to_owned);
-        let element = label("material", source.index().unwrap_or(0), source.name());
+        let element = element(source);
         let pbr = source.pbr_metallic_roughness();
-        let (normal, occlusion) = (source.normal_texture(), source.occlusion_texture());
+        let used = References::read(source)?;
+        used.note_lost_sets(warnings);
+        let sets = used.sets();
+        let [base_color, metallic_roughness, normal, occlusion, emissive] = used.0;
+        let scale = source.normal_texture().map_or(1.0, |texture| texture.scale());
+        let strength = source.occlusion_texture().map_or(1.0, |texture| texture.strength());
+        let glow = emissive_strength(source, &element)?;
         let material = Material {
             name,
             base_color: pbr.base_color_factor(),
             metallic: pbr.metallic_factor(),
             roughness: pbr.roughness_factor(),
-            emissive: source.emissive_factor(),
-            normal_scale: normal.as_ref().map_or(1.0, ::gltf::material::NormalTexture::scale),
-            occlusion_strength: occlusion.as_ref().map_or(1.0, ::gltf::material::OcclusionTexture::strength),
-            base_color_texture: self.texture(pbr.base_color_texture().map(|t| t.texture()), true)?,
-            metallic_roughness_texture: self
-                .texture(pbr.metallic_roughness_texture().map(|t| t.texture()), false)?,
-            normal_texture: self.texture(normal.map(|t| t.texture()), false)?,
-            occlusion_texture: self.texture(occlusion.map(|t| t.texture()), false)?,
-            emissive_texture: self.texture(source.emissive_texture().map(|t| t.texture()), true)?,
+            emissive: source.emissive_factor().map(|part| part * glow),
+            normal_scale: scale,
+            occlusion_strength: strength,
+            base_color_texture: self.texture(base_color, sets, true)?,
+            metallic_roughness_texture: self.texture(metallic_roughness, sets, false)?,
+            normal_texture: self.texture(normal, sets, false)?,
+            occlusion_texture: self.texture(occlusion, sets, false)?,
+            emissive_texture: self.texture(emissive, sets, true)?,
             alpha_cutoff: alpha_cutoff(source, warnings),
             double_sided: source.double_sided(),
-            unlit: false,
+            unlit: source.extension_value(UNLIT).is_some(),
         };
         check_factors(&material).map_err(|problem| Fault::new(element, problem))?;
         Ok(clamped(material))
     }
 
-    fn texture(&mut self, source: Option<::gltf::Texture>, srgb: bool) -> Result<Option<TextureSlot>, Fault> {
-        let Some(source) = source else { return Ok(None) };
-        let sampler = source.sampler();
+    fn texture(
+        &mut self,
+        reference: Option<Reference>,
+        sets: [u32; 2],
+        srgb: bool,
+    ) -> Result<Option<TextureSlot>, Fault> {
+        let Some(reference) = reference else { return Ok(None) };
+        let sampler = reference.texture.sampler();
         let wrap = [wrap(sampler.wrap_s()), wrap(sampler.wrap_t())];
-        let image = source.source();
+        let image = reference.texture.source();
         let key = (image.index(), wrap.map(|mode| mode as u8), srgb);
         if let Some(index) = self.known_textures.get(&key) {
-            return Ok(Some((*index).into()));
+            return Ok(Some(reference.slot(*index, sets)));
         }
         let texture = self.decode(&image, wrap, srgb)?;
         let index = self.textures.len() as u32;
         self.textures.push(texture);
         self.known_textures.insert(key, index);
-        Ok(Some(index.into()))
+        Ok(Some(reference.slot(index, sets)))
+    }
+
+    /// An error where another picture of this size would be too much.
+    fn check_room(&self, [width, height]: [u32; 2], element: &str) -> Result<(), Fault> {
+        let texels = |[width, height]: [u32; 2]| width as usize * height as usize;
+        let held: usize = self.textures.iter().map(|texture| texels(texture.extent_texels)).sum();
+        if held + texels([width, height]) <= MAX_TEXELS {
+            return Ok(());
+        }
+        let problem = format!("brings the textures over {MAX_TEXELS} texels; use fewer or smaller ones");
+        Err(Fault::new(element, problem))
     }
 
     fn decode(&self, image: &::gltf::Image, wrap: [Wrap; 2], srgb: bool) -> Result<Texture, Fault> {
@@ -93,7 +121,9 @@ impl<'a> Materials<'a> {
         // Decoded already for another use: the pixels are the same.
         let other = self.known_textures.iter().find(|((known, _, _), _)| *known == image.index());
         if let Some((_, index)) = other {
-            return Ok(Texture { wrap, srgb, ..self.textures[*index as usize].clone() });
+            let known = &self.textures[*index as usize];
+            self.check_room(known.extent_texels, &element)?;
+            return Ok(Texture { wrap, srgb, ..known.clone() });
         }
         let json = &self.reader.document.as_json().images[image.index()];
         let decoded = match (&json.uri, json.buffer_view) {
@@ -106,9 +136,156 @@ impl<'a> Materials<'a> {
             (None, None) => Err("has no data".into()),
         };
         let pixels = decoded.map_err(|problem| Fault::new(element.clone(), problem))?;
+        self.check_room(pixels.extent_texels, &element)?;
         let name = image.name().map_or(element, str::to_owned);
         Ok(Texture { name, extent_texels: pixels.extent_texels, rgba8: pixels.rgba8, srgb, wrap })
     }
+}
+
+fn element(material: &::gltf::Material) -> String {
+    label("material", material.index().unwrap_or(0), material.name())
+}
+
+/// How a material refers to a texture, whichever of glTF's three kinds of reference it is.
+struct Reference<'a> {
+    texture: ::gltf::Texture<'a>,
+    /// The n of TEXCOORD_n.
+    set: u32,
+    uv_transform: [[f32; 3]; 2],
+}
+
+impl<'a> Reference<'a> {
+    fn read(
+        texture: ::gltf::Texture<'a>,
+        set: u32,
+        others: Option<&Map<String, Value>>,
+        element: &str,
+    ) -> Result<Self, Fault> {
+        let transform: Option<Transform> = extensions::read(others, TEXTURE_TRANSFORM, element)?;
+        let transform = transform.unwrap_or_default();
+        let uv_transform = transform.matrix();
+        if !uv_transform.iter().flatten().all(|number| number.is_finite()) {
+            return Err(Fault::new(element, format!("{TEXTURE_TRANSFORM} has a number that is not finite")));
+        }
+        Ok(Self { texture, set: transform.tex_coord.unwrap_or(set), uv_transform })
+    }
+
+    /// Set 0 where the vertices do not hold the wanted one.
+    fn slot(&self, texture: u32, sets: [u32; 2]) -> TextureSlot {
+        let set = sets.iter().position(|set| *set == self.set).unwrap_or(0) as u32;
+        TextureSlot { texture, set, uv_transform: self.uv_transform }
+    }
+}
+
+/// `KHR_texture_transform`.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+struct Transform {
+    offset: [f32; 2],
+    rotation: f32,
+    scale: [f32; 2],
+    tex_coord: Option<u32>,
+}
+
+impl Default for Transform {
+    fn default() -> Self {
+        Self { offset: [0.0; 2], rotation: 0.0, scale: [1.0; 2], tex_coord: None }
+    }
+}
+
+impl Transform {
+    /// The extension's `translation * rotation * scale`; it turns against the sense of u to v.
+    fn matrix(&self) -> [[f32; 3]; 2] {
+        let (sin, cos) = self.rotation.sin_cos();
+        let ([x, y], [w, h]) = (self.offset, self.scale);
+        [[cos * w, sin * h, x], [-sin * w, cos * h, y]]
+    }
+}
+
+/// The textures of a material: base colour, metallic-roughness, normal, occlusion, emissive.
+struct References<'a>([Option<Reference<'a>>; 5]);
+
+impl<'a> References<'a> {
+    fn read(material: &::gltf::Material<'a>) -> Result<Self, Fault> {
+        let element = element(material);
+        let pbr = material.pbr_metallic_roughness();
+        let plain = |info: Option<::gltf::texture::Info<'a>>| {
+            info.map(|t| Reference::read(t.texture(), t.tex_coord(), t.extensions(), &element)).transpose()
+        };
+        let normal = material.normal_texture();
+        let occlusion = material.occlusion_texture();
+        Ok(Self([
+            plain(pbr.base_color_texture())?,
+            plain(pbr.metallic_roughness_texture())?,
+            normal
+                .map(|t| Reference::read(t.texture(), t.tex_coord(), t.extensions(), &element))
+                .transpose()?,
+            occlusion
+                .map(|t| Reference::read(t.texture(), t.tex_coord(), t.extensions(), &element))
+                .transpose()?,
+            plain(material.emissive_texture())?,
+        ]))
+    }
+
+    /// All sets that are used, ascending.
+    fn used_sets(&self) -> Vec<u32> {
+        let mut used: Vec<u32> = self.0.iter().flatten().map(|reference| reference.set).collect();
+        used.sort_unstable();
+        used.dedup();
+        used
+    }
+
+    /// Which of the file's sets become a vertex's first and second: 0 and 1, unless a material uses others.
+    fn sets(&self) -> [u32; 2] {
+        match self.used_sets()[..] {
+            [] | [0] | [1] | [0, 1] => [0, 1],
+            [only] => [only, only],
+            [first, second, ..] => [first, second],
+        }
+    }
+
+    fn note_lost_sets(&self, warnings: &mut Warnings) {
+        if self.used_sets().len() > 2 {
+            warnings.insert("of more than two sets of texture coordinates the first two are used".into());
+        }
+    }
+}
+
+/// What the vertices of a primitive must know of its material.
+pub(super) struct Coordinates {
+    /// The n of TEXCOORD_n that become a vertex's first and second coordinates.
+    pub(super) sets: [u32; 2],
+    /// Whether any texture uses the second.
+    pub(super) uses_second: bool,
+    /// How the normal map looks up; its texture's number means nothing yet.
+    pub(super) normal_map: Option<TextureSlot>,
+}
+
+impl Coordinates {
+    pub(super) fn of(material: &::gltf::Material) -> Result<Self, Fault> {
+        let used = References::read(material)?;
+        let sets = used.sets();
+        let uses_second = sets[0] != sets[1] && used.used_sets().contains(&sets[1]);
+        let normal_map = used.0[2].as_ref().map(|reference| reference.slot(0, sets));
+        Ok(Self { sets, uses_second, normal_map })
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+struct Strength {
+    emissive_strength: f32,
+}
+
+impl Default for Strength {
+    fn default() -> Self {
+        Self { emissive_strength: 1.0 }
+    }
+}
+
+fn emissive_strength(material: &::gltf::Material, element: &str) -> Result<f32, Fault> {
+    let strength: Option<Strength> = extensions::read(material.extensions(), EMISSIVE_STRENGTH, element)?;
+    Ok(strength.unwrap_or_default().emissive_strength)
 }
 
 fn default_name(source: &::gltf::Material) -> String {

@@ -1,12 +1,14 @@
-//! One glTF primitive to vertices and triangles: strips and fans unrolled, normals and tangents made where missing,
-//! influences reduced, equal vertices welded.
+//! One glTF primitive to vertices, triangles and morph targets: strips and fans unrolled, normals and tangents made
+//! where missing, influences reduced, equal vertices welded.
 
 use super::super::error::Fault;
 use super::super::influences::reduce_to_four;
-use super::super::limits::MAX_VERTICES;
-use super::super::{Vertex, tangent, weld};
+use super::super::limits::{MAX_DELTAS, MAX_VERTICES};
+use super::super::{MorphDelta, Vertex, tangent};
 use super::Warnings;
 use super::accessor::Reader;
+use super::material::Coordinates;
+use super::shape::{Delta, Shape, triangle_normal};
 use ::gltf::accessor::Dimensions;
 use ::gltf::mesh::{Mode, Semantic};
 use glam::Vec3;
@@ -19,6 +21,8 @@ pub(super) struct Part {
     pub(super) vertices: Vec<Vertex>,
     pub(super) indices: Vec<u32>,
     pub(super) has_influences: bool,
+    /// By morph target: the vertices of the part that it moves.
+    pub(super) targets: Vec<Vec<MorphDelta>>,
 }
 
 /// Reads one primitive; `None` where it has no triangles (points, lines, empty).
@@ -32,38 +36,44 @@ pub(super) fn read(
         warnings.insert("points and lines are not drawn".into());
         return Ok(None);
     }
-    let source = Source { reader, primitive, element };
-    note_what_is_left_out(primitive, warnings);
-    let mut vertices = source.vertices(warnings)?;
-    let mut indices = source.triangles(vertices.len())?;
+    let coordinates = Coordinates::of(&primitive.material())?;
+    let source = Source { reader, primitive, element, coordinates };
+    source.note_what_is_left_out(warnings);
+    let mut vertices = source.vertices()?;
+    let indices = source.triangles(vertices.len())?;
     let has_influences = source.influences(&mut vertices)?;
-    let has_normals = source.normals(&mut vertices, &indices, warnings)?;
+    let targets = source.targets(vertices.len(), indices.len())?;
+    let mut shape = Shape { vertices, indices, targets };
+    let has_normals = source.normals(&mut shape.vertices, &shape.indices, warnings)?;
     if !has_normals {
         // glTF 2.0 section 3.7.2.1: flat normals where there are none, and given tangents are then ignored.
-        separate_corners(&mut vertices, &mut indices);
-        flat_normals(&mut vertices);
+        shape.separate_corners();
+        shape.make_flat_normals();
     }
-    source.tangents(has_normals, &mut vertices, &mut indices, warnings)?;
-    weld::weld(&mut vertices, &mut indices);
-    Ok((!indices.is_empty()).then_some(Part { vertices, indices, has_influences }))
-}
-
-fn note_what_is_left_out(primitive: &::gltf::Primitive, warnings: &mut Warnings) {
-    if primitive.morph_targets().next().is_some() {
-        warnings.insert(super::MORPH_WARNING.into());
-    }
-    if primitive.get(&Semantic::Colors(0)).is_some() {
-        warnings.insert("vertex colours are ignored".into());
-    }
+    source.tangents(has_normals, &mut shape, warnings)?;
+    shape.weld();
+    let targets = shape.morph_deltas();
+    let Shape { vertices, indices, .. } = shape;
+    Ok((!indices.is_empty()).then_some(Part { vertices, indices, has_influences, targets }))
 }
 
 struct Source<'a> {
     reader: Reader<'a>,
     primitive: &'a ::gltf::Primitive<'a>,
     element: &'a str,
+    coordinates: Coordinates,
 }
 
 impl Source<'_> {
+    fn note_what_is_left_out(&self, warnings: &mut Warnings) {
+        if self.primitive.get(&Semantic::Colors(1)).is_some() {
+            warnings.insert("vertex colours beyond COLOR_0 are ignored".into());
+        }
+        if self.primitive.get(&Semantic::Joints(MAX_SETS)).is_some() {
+            warnings.insert(format!("of more than {} joints of a vertex the first are used", 4 * MAX_SETS));
+        }
+    }
+
     fn fault(&self, problem: impl Into<String>) -> Fault {
         Fault::new(self.element, problem)
     }
@@ -92,31 +102,77 @@ impl Source<'_> {
         Err(Fault::new(element, format!("has {} elements for {count} vertices", accessor.count())))
     }
 
-    /// Positions and texture coordinates; the rest is filled in later.
-    fn vertices(&self, warnings: &mut Warnings) -> Result<Vec<Vertex>, Fault> {
+    /// Positions, texture coordinates and colours; the rest is filled in later.
+    fn vertices(&self) -> Result<Vec<Vertex>, Fault> {
         let Some(accessor) = self.primitive.get(&Semantic::Positions) else {
             return Err(self.fault("has no POSITION"));
         };
         let element = self.attribute_element(&Semantic::Positions, &accessor);
         let positions = self.reader.floats::<3>(&accessor, Dimensions::Vec3, &element)?;
-        let uvs = self.texture_coordinates(positions.len(), warnings)?;
-        let vertex = |(position, uv): (&[f32; 3], &[f32; 2])| Vertex {
-            position: Vec3::from_array(*position),
-            uv: *uv,
-            ..Vertex::default()
-        };
-        Ok(positions.iter().zip(&uvs).map(vertex).collect())
+        let vertex = |p: &[f32; 3]| Vertex { position: Vec3::from_array(*p), ..Vertex::default() };
+        let mut vertices: Vec<Vertex> = positions.iter().map(vertex).collect();
+        self.texture_coordinates(&mut vertices)?;
+        self.colors(&mut vertices)?;
+        Ok(vertices)
     }
 
-    /// The set that the base colour uses (a vertex holds one), zeros if there is none.
-    fn texture_coordinates(&self, count: usize, warnings: &mut Warnings) -> Result<Vec<[f32; 2]>, Fault> {
-        let sets = used_texture_sets(&self.primitive.material());
-        let set = sets.first().copied().unwrap_or(0);
-        if sets.iter().any(|other| *other != set) {
-            warnings.insert("only one set of texture coordinates per material is used".into());
+    /// The second set only where a texture uses it: it would keep vertices apart for nothing.
+    fn texture_coordinates(&self, vertices: &mut [Vertex]) -> Result<(), Fault> {
+        let [first, second] = self.coordinates.sets;
+        let read = |set| self.attribute(Semantic::TexCoords(set), Dimensions::Vec2, vertices.len());
+        let (uv, uv1) = (read(first)?, if self.coordinates.uses_second { read(second)? } else { None });
+        for (vertex, uv) in vertices.iter_mut().zip(uv.into_iter().flatten()) {
+            vertex.uv = uv;
         }
-        let found = self.attribute(Semantic::TexCoords(set), Dimensions::Vec2, count)?;
-        Ok(found.unwrap_or_else(|| vec![[0.0; 2]; count]))
+        for (vertex, uv) in vertices.iter_mut().zip(uv1.into_iter().flatten()) {
+            vertex.uv1 = uv;
+        }
+        Ok(())
+    }
+
+    fn colors(&self, vertices: &mut [Vertex]) -> Result<(), Fault> {
+        let semantic = Semantic::Colors(0);
+        let Some(accessor) = self.primitive.get(&semantic) else { return Ok(()) };
+        let element = self.attribute_element(&semantic, &accessor);
+        self.check_count(&accessor, vertices.len(), &element)?;
+        let colors = self.reader.colors(&accessor, &element)?;
+        for (vertex, color) in vertices.iter_mut().zip(colors) {
+            vertex.color = color.map(|part| (part * 255.0).round() as u8);
+        }
+        Ok(())
+    }
+
+    /// By morph target, for each vertex of the file.
+    fn targets(&self, vertex_count: usize, index_count: usize) -> Result<Vec<Vec<Delta>>, Fault> {
+        let targets = self.primitive.morph_targets();
+        // Corners may have to be separated: then there are as many vertices as indices.
+        let needed = targets.len().saturating_mul(vertex_count.max(index_count));
+        if needed > MAX_DELTAS {
+            return Err(self.fault(format!(
+                "its {} morph targets need {needed} deltas; at most {MAX_DELTAS} are supported",
+                targets.len()
+            )));
+        }
+        targets.enumerate().map(|(number, target)| self.target(number, &target, vertex_count)).collect()
+    }
+
+    fn target(
+        &self,
+        number: usize,
+        target: &::gltf::mesh::MorphTarget,
+        count: usize,
+    ) -> Result<Vec<Delta>, Fault> {
+        let read = |name: &str, accessor: Option<::gltf::Accessor>| {
+            let Some(accessor) = accessor else { return Ok(vec![Vec3::ZERO; count]) };
+            let element = format!("{} target {number} {name} (accessor {})", self.element, accessor.index());
+            self.check_count(&accessor, count, &element)?;
+            let values = self.reader.floats::<3>(&accessor, Dimensions::Vec3, &element)?;
+            Ok(values.into_iter().map(Vec3::from_array).collect())
+        };
+        let positions = read("POSITION", target.positions())?;
+        let (normals, tangents) = (read("NORMAL", target.normals())?, read("TANGENT", target.tangents())?);
+        let all = positions.into_iter().zip(normals).zip(tangents);
+        Ok(all.map(|((position, normal), tangent)| Delta { position, normal, tangent }).collect())
     }
 
     /// Three indices a triangle, all below `vertex_count`.
@@ -175,29 +231,26 @@ impl Source<'_> {
         Ok(true)
     }
 
-    fn tangents(
-        &self,
-        has_normals: bool,
-        vertices: &mut Vec<Vertex>,
-        indices: &mut Vec<u32>,
-        warnings: &mut Warnings,
-    ) -> Result<(), Fault> {
+    fn tangents(&self, has_normals: bool, shape: &mut Shape, warnings: &mut Warnings) -> Result<(), Fault> {
         // After flat normals the vertices are no longer the file's, and the specification ignores its tangents.
         let given = match has_normals {
-            true => self.attribute::<4>(Semantic::Tangents, Dimensions::Vec4, vertices.len())?,
+            true => self.attribute::<4>(Semantic::Tangents, Dimensions::Vec4, shape.vertices.len())?,
             false => None,
         };
         if let Some(given) = given {
-            for (vertex, [x, y, z, w]) in vertices.iter_mut().zip(given) {
+            for (vertex, [x, y, z, w]) in shape.vertices.iter_mut().zip(given) {
                 vertex.tangent = tangent::orthonormal(Vec3::new(x, y, z), w, vertex.normal);
             }
-        } else if self.primitive.material().normal_texture().is_some() {
-            separate_corners(vertices, indices);
-            if !tangent::generate(vertices) {
+            return Ok(());
+        }
+        shape.targets.iter_mut().flatten().for_each(|delta| delta.tangent = Vec3::ZERO);
+        if let Some(normal_map) = &self.coordinates.normal_map {
+            shape.separate_corners();
+            if !shape.generate_tangents(normal_map) {
                 warnings.insert("tangents of very large triangle fans are approximate".into());
             }
         } else {
-            vertices.iter_mut().for_each(|vertex| vertex.tangent = tangent::arbitrary(vertex.normal));
+            shape.vertices.iter_mut().for_each(|vertex| vertex.tangent = tangent::arbitrary(vertex.normal));
         }
         Ok(())
     }
@@ -240,19 +293,6 @@ impl Source<'_> {
 
 type InfluenceSet = (Vec<[u16; 4]>, Vec<[f32; 4]>);
 
-/// Texture coordinate sets of a material's textures, the base colour's (or else the first found) first.
-fn used_texture_sets(material: &::gltf::Material) -> Vec<u32> {
-    let pbr = material.pbr_metallic_roughness();
-    let sets = [
-        pbr.base_color_texture().map(|texture| texture.tex_coord()),
-        material.normal_texture().map(|texture| texture.tex_coord()),
-        pbr.metallic_roughness_texture().map(|texture| texture.tex_coord()),
-        material.occlusion_texture().map(|texture| texture.tex_coord()),
-        material.emissive_texture().map(|texture| texture.tex_coord()),
-    ];
-    sets.into_iter().flatten().collect()
-}
-
 /// glTF 2.0 section 3.7.2.1: triangle i of a strip is (i, i + 1 + i % 2, i + 2 - i % 2).
 fn unroll_strip(list: &[u32]) -> Vec<u32> {
     let triangle = |(i, w): (usize, &[u32])| if i % 2 == 0 { [w[0], w[1], w[2]] } else { [w[0], w[2], w[1]] };
@@ -263,24 +303,6 @@ fn unroll_strip(list: &[u32]) -> Vec<u32> {
 fn unroll_fan(list: &[u32]) -> Vec<u32> {
     let Some((centre, rim)) = list.split_first() else { return Vec::new() };
     rim.windows(2).flat_map(|pair| [pair[0], pair[1], *centre]).collect()
-}
-
-/// Gives each triangle corner a vertex of its own.
-fn separate_corners(vertices: &mut Vec<Vertex>, indices: &mut Vec<u32>) {
-    *vertices = indices.iter().map(|index| vertices[*index as usize]).collect();
-    *indices = (0..vertices.len() as u32).collect();
-}
-
-/// For separate corners: the triangle's normal; up where the triangle has no area.
-fn flat_normals(corners: &mut [Vertex]) {
-    for triangle in corners.chunks_exact_mut(3) {
-        let normal = triangle_normal([0, 1, 2].map(|i| triangle[i].position));
-        triangle.iter_mut().for_each(|corner| corner.normal = normal);
-    }
-}
-
-fn triangle_normal([a, b, c]: [Vec3; 3]) -> Vec3 {
-    (b - a).cross(c - a).try_normalize().unwrap_or(Vec3::Y)
 }
 
 fn replace_zero_normals(vertices: &mut [Vertex], indices: &[u32]) {
