@@ -52,8 +52,8 @@ enum Filter {
 pub(super) fn is_placeholder(buffer: &json::Buffer) -> bool {
     let others = buffer.extensions.as_ref().map(|extensions| &extensions.others);
     let is_fallback =
-        |name: &&str| others.and_then(|all| all.get(name)?.get("fallback")?.as_bool()).unwrap_or(false);
-    COMPRESSION.iter().any(|name| is_fallback(name))
+        |name: &&str| others.and_then(|all| all.get(*name)?.get("fallback")?.as_bool()).unwrap_or(false);
+    COMPRESSION.iter().any(is_fallback)
 }
 
 /// Decodes all compressed views.
