@@ -8,11 +8,13 @@ use glam::Affine3A;
 use shadecast_gpu::{
     Access, Bind, Buffer, Gpu, GpuError, Image, ImageDesc, SCENE_TEXTURES, Sampler, SamplerDesc,
 };
+use shadecast_scene::animation::bounds::{self, Bounds};
 use shadecast_scene::animation::clip::{self, ResampledClip};
 use shadecast_scene::animation::pose;
 use shadecast_scene::patches::{Patch, Patches};
 use shadecast_scene::{Instance, Material, Model, Scene, Texture, TextureSlot, Wrap};
 use shadecast_shaders::generated::{EntryGpu, KeyGpu, LightGpu, MaterialGpu, PatchGpu, PoseGpu, VertexGpu};
+use std::collections::HashMap;
 use std::sync::Arc;
 
 /// A model's place in the shared buffers.
@@ -89,6 +91,8 @@ pub struct SceneGpu {
     pub models: Vec<ModelGpu>,
     /// By instance.
     pub instances: Vec<InstanceGpu>,
+    /// By instance: a box in the world that it never leaves, over its clip and its path; empty without vertices.
+    pub world_bounds: Vec<Bounds>,
     /// Sizes.
     pub totals: Totals,
     /// `VertexGpu` of all models.
@@ -145,6 +149,7 @@ impl SceneGpu {
             )));
         }
         let (instances, totals) = place_instances(&scene, &models);
+        let world_bounds = world_bounds(&scene);
         let (textures, samplers, sampler_of_texture) = upload_textures(gpu, &scene)?;
         let local = |name, bytes: &[u8]| Buffer::device_local(gpu, name, bytes);
         Ok(Self {
@@ -161,6 +166,7 @@ impl SceneGpu {
             scene,
             models,
             instances,
+            world_bounds,
             totals,
             textures,
             samplers,
@@ -399,6 +405,18 @@ fn place_instances(scene: &Scene, models: &[ModelGpu]) -> (Vec<InstanceGpu>, Tot
     };
     let instances = scene.instances.iter().map(&mut place).collect();
     (instances, totals)
+}
+
+/// The boxes of all instances; each clip of each model is looked at once.
+fn world_bounds(scene: &Scene) -> Vec<Bounds> {
+    let mut known = HashMap::new();
+    let mut of = |instance: &Instance| {
+        let of_model = known
+            .entry((instance.model, instance.clip))
+            .or_insert_with(|| bounds::model_bounds(&scene.models[instance.model], instance.clip));
+        bounds::instance_bounds(instance, *of_model)
+    };
+    scene.instances.iter().map(&mut of).collect()
 }
 
 type Textures = (Vec<Image>, Vec<Sampler>, Vec<usize>);

@@ -86,6 +86,7 @@ pub fn default_light() -> (Sun, Environment) {
         // High, from behind the user's left shoulder: what faces the user is lit, and shapes show.
         to_sun: Vec3::new(-0.45, 0.75, 0.5).normalize(),
         irradiance: Vec3::new(2.9, 2.7, 2.4),
+        casts_shadows: true,
     };
     let environment = Environment {
         zenith: Vec3::new(0.22, 0.38, 0.68),
@@ -225,7 +226,9 @@ fn read_scale(fields: &Fields) -> Result<Vec3, SceneError> {
 }
 
 fn read_sun(root: &Fields, default: Sun) -> Result<Sun, SceneError> {
-    let Some(fields) = root.table("sun", &["direction", "irradiance"])? else { return Ok(default) };
+    let Some(fields) = root.table("sun", &["direction", "irradiance", "shadows"])? else {
+        return Ok(default);
+    };
     let to_sun = match fields.numbers::<3>("direction")?.map(Vec3::from_array) {
         None => default.to_sun,
         Some(direction) => direction.try_normalize().ok_or_else(|| {
@@ -233,7 +236,11 @@ fn read_sun(root: &Fields, default: Sun) -> Result<Sun, SceneError> {
             fields.source.error(fields.line_of("direction"), problem)
         })?,
     };
-    Ok(Sun { to_sun, irradiance: fields.colour("irradiance")?.unwrap_or(default.irradiance) })
+    Ok(Sun {
+        to_sun,
+        irradiance: fields.colour("irradiance")?.unwrap_or(default.irradiance),
+        casts_shadows: fields.flag("shadows")?.unwrap_or(default.casts_shadows),
+    })
 }
 
 fn read_environment(root: &Fields, default: Environment) -> Result<Environment, SceneError> {
@@ -536,6 +543,13 @@ yaw_deg = 180
             assert!(GOOD.contains(good), "{good}");
             assert_eq!(message(&GOOD.replacen(good, bad, 1)), expected, "{bad}");
         }
+    }
+
+    #[test]
+    fn sun_casts_shadows_unless_told_otherwise() {
+        let shadows = |text: &str| parse(text, "scene.toml").expect("a good file").sun.casts_shadows;
+        assert!(shadows(GOOD));
+        assert!(!shadows(&GOOD.replace("[sun]", "[sun]\nshadows = false")));
     }
 
     #[test]

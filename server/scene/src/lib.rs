@@ -532,6 +532,8 @@ pub struct Sun {
     pub to_sun: Vec3,
     /// Linear RGB irradiance on a surface that faces the sun.
     pub irradiance: Vec3,
+    /// Whether what is in its way throws shadows.
+    pub casts_shadows: bool,
 }
 
 /// A vertical gradient: the sky seen by the user, and the ambient light.

@@ -1,5 +1,6 @@
 //! How a model moves, on the CPU: source curves, their sampling, poses, skinning.
 
+pub mod bounds;
 pub mod clip;
 pub mod pose;
 pub mod sampling;
