@@ -13,6 +13,7 @@ use crate::stages::id_buffer::IdBuffer;
 use crate::stages::level_selection::LevelSelection;
 use crate::stages::mark::Mark;
 use crate::stages::shading::Shading;
+use crate::stages::shadow::Shadow;
 use crate::stages::ycbcr::Ycbcr;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory};
 use shadecast_protocol::delta::GeometryDelta;
@@ -45,6 +46,7 @@ pub struct Frame {
     extents: Buffer,
     layout: Layout,
     residency: Residency,
+    shadow: Shadow,
     shading: Shading,
     ycbcr: Ycbcr,
     next: FrameId,
@@ -89,7 +91,8 @@ impl Frame {
         let id_buffer = IdBuffer::new(gpu, scene, &animation, &views, eye.id_buffer_extent())?;
         let mark = Mark::new(gpu, &id_buffer.image, scene.totals.patches)?;
         let level_selection = LevelSelection::new(gpu, scene, &animation, &views, &mark.visible)?;
-        let shading = Shading::new(gpu, scene, &animation, welcome.atlas_extent_texels)?;
+        let shadow = Shadow::new(gpu, scene, &animation)?;
+        let shading = Shading::new(gpu, scene, &animation, &shadow, welcome.atlas_extent_texels)?;
         let ycbcr = Ycbcr::new(gpu, &shading.atlas)?;
         Ok(Self {
             extents: Buffer::new(
@@ -111,6 +114,7 @@ impl Frame {
             id_buffer,
             mark,
             level_selection,
+            shadow,
             shading,
             ycbcr,
             next: FrameId(0),
@@ -191,11 +195,15 @@ impl Frame {
 
     /// Fills every live block as it is in the middle of the update's time on display, and converts the atlas.
     fn shade(&mut self, views: &PredictedViews) -> Result<(), GpuError> {
-        let slot = SampleWindow::slot(views.times[VIEW_TIMES / 2]);
+        let middle = views.times[VIEW_TIMES / 2];
+        let slot = SampleWindow::slot(middle);
+        self.shadow.write(&self.scene, self.grid.time_of(middle));
         self.shading.write_blocks(&self.scene, &self.animation, slot, self.layout.live());
         let mut recorder = self.gpu.record()?;
         self.animation.record_frames(&mut recorder, slot);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
+        recorder.scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, slot));
+        recorder.barrier(Access::DEPTH_WRITE, Access::FRAGMENT_READ);
         recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the last conversion has read the atlas
         recorder.scope("shading", |r| self.shading.record(r, views.world_from_head.position));
         recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);

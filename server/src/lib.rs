@@ -5,6 +5,7 @@ pub mod atlas;
 pub mod encode;
 pub mod frame;
 pub mod levels;
+pub mod lights;
 pub mod picture;
 pub mod predict;
 pub mod residency;

@@ -67,6 +67,9 @@ struct DeviceArgs {
     /// Milliseconds between the keys that clips are resampled to
     #[arg(long, default_value_t = DEFAULT_RESAMPLE_INTERVAL_S * 1000.0)]
     resample_ms: f32,
+    /// The sun casts no shadows, whatever the scene says
+    #[arg(long)]
+    no_shadows: bool,
 }
 
 #[derive(Args)]
@@ -182,7 +185,8 @@ fn open(scene: &str, args: &DeviceArgs) -> anyhow::Result<(Arc<Gpu>, Arc<SceneGp
         "--resample-ms {} must lie between 0.5 and 10000",
         args.resample_ms
     );
-    let scene = load_scene(&scene.parse::<SceneSource>()?)?;
+    let mut scene = load_scene(&scene.parse::<SceneSource>()?)?;
+    scene.sun.casts_shadows &= !args.no_shadows;
     let options =
         GpuOptions { needs: Needs::Server, validation: args.validation, device_name: args.device.clone() };
     let gpu = Gpu::open(&options, &DesktopDevice)?;

@@ -3,17 +3,19 @@
 //! Numbers: a *scene-wide* vertex or patch number counts over all instances, in their order; a *model* number counts
 //! within one model.
 
+use crate::lights::{self, SunView};
 use ash::vk;
 use glam::Affine3A;
 use shadecast_gpu::{
     Access, Bind, Buffer, Gpu, GpuError, Image, ImageDesc, SCENE_TEXTURES, Sampler, SamplerDesc,
 };
+use shadecast_protocol::limits::MAX_LIGHTS;
 use shadecast_scene::animation::bounds::{self, Bounds};
 use shadecast_scene::animation::clip::{self, ResampledClip};
 use shadecast_scene::animation::pose;
 use shadecast_scene::patches::{Patch, Patches};
 use shadecast_scene::{Instance, Material, Model, Scene, Texture, TextureSlot, Wrap};
-use shadecast_shaders::generated::{EntryGpu, KeyGpu, LightGpu, MaterialGpu, PatchGpu, PoseGpu, VertexGpu};
+use shadecast_shaders::generated::{EntryGpu, KeyGpu, MaterialGpu, PatchGpu, PoseGpu, VertexGpu};
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -105,8 +107,6 @@ pub struct SceneGpu {
     pub patch_of_triangle: Buffer,
     /// `MaterialGpu`.
     pub materials: Buffer,
-    /// `LightGpu`.
-    pub light: Buffer,
     pub(crate) parents: Buffer,
     pub(crate) levels: Buffer,
     pub(crate) keys: Buffer,
@@ -150,6 +150,10 @@ impl SceneGpu {
         }
         let (instances, totals) = place_instances(&scene, &models);
         let world_bounds = world_bounds(&scene);
+        let surplus = lights::surplus(&scene);
+        if surplus > 0 {
+            tracing::warn!("{surplus} lights are left out: a scene has at most {MAX_LIGHTS} beside the sun");
+        }
         let (textures, samplers, sampler_of_texture) = upload_textures(gpu, &scene)?;
         let local = |name, bytes: &[u8]| Buffer::device_local(gpu, name, bytes);
         Ok(Self {
@@ -162,7 +166,6 @@ impl SceneGpu {
             levels: local("bone levels", bytemuck::cast_slice(&arrays.levels))?,
             keys: local("keyframes", bytemuck::cast_slice(&arrays.keys))?,
             entries: local("palette entries", bytemuck::cast_slice(&arrays.entries))?,
-            light: local("light", bytemuck::bytes_of(&light(&scene)))?,
             scene,
             models,
             instances,
@@ -214,6 +217,23 @@ impl SceneGpu {
         }
     }
 
+    /// The instances that cast shadows.
+    pub fn casters(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.instances.len()).filter(|index| self.scene.instances[*index].casts_shadow)
+    }
+
+    /// Whether an instance is ever elsewhere than at first.
+    pub fn moves(&self, index: usize) -> bool {
+        self.instances[index].is_animated || self.scene.instances[index].path.is_some()
+    }
+
+    /// The sun's view of the casters; `None` where it casts no shadows.
+    pub fn sun_view(&self) -> Option<SunView> {
+        let sun = self.scene.sun;
+        let casters = self.casters().map(|index| self.world_bounds[index]);
+        if sun.casts_shadows { SunView::around(sun.to_sun, casters) } else { None }
+    }
+
     /// Texture array for a bind group.
     pub fn textures_bind<'a>(binds: &'a [(&'a Image, &'a Sampler)]) -> (&'static str, Bind<'a>) {
         ("textures", Bind::Textures(binds))
@@ -223,17 +243,6 @@ impl SceneGpu {
 fn rows(transform: Affine3A) -> [[f32; 4]; 3] {
     let (m, t) = (transform.matrix3, transform.translation);
     [0, 1, 2].map(|r| [m.x_axis[r], m.y_axis[r], m.z_axis[r], t[r]])
-}
-
-fn light(scene: &Scene) -> LightGpu {
-    let environment = scene.environment;
-    LightGpu {
-        to_sun: scene.sun.to_sun.extend(0.0).to_array(),
-        irradiance: scene.sun.irradiance.extend(0.0).to_array(),
-        zenith: environment.zenith.extend(0.0).to_array(),
-        horizon: environment.horizon.extend(0.0).to_array(),
-        nadir: environment.nadir.extend(0.0).to_array(),
-    }
 }
 
 impl Arrays {

@@ -1,15 +1,7 @@
-// Sun and sky, and the way from linear radiance to a display value. Server and client share this file, so that
+// The sky, and the way from linear radiance to a display value. Server and client share this file, so that
 // the background drawn by the client and the one of the ground truth are the same.
 #ifndef ENVIRONMENT_GLSL
 #define ENVIRONMENT_GLSL
-
-struct LightGpu {
-    vec4 to_sun;      // xyz unit
-    vec4 irradiance;  // rgb, on a surface that faces the sun
-    vec4 zenith;      // rgb radiance
-    vec4 horizon;
-    vec4 nadir;
-};
 
 vec3 sky_radiance(vec3 zenith, vec3 horizon, vec3 nadir, vec3 direction) {
     float up = clamp(direction.y, -1.0, 1.0);

@@ -4,11 +4,13 @@
 // The ground truth: per-pixel shading with the atlas's own shading code.
 #include "scene.glsl"
 #include "environment.glsl"
+#include "light.glsl"
 
 layout(std140, binding = 3) uniform View { ViewGpu view; };
 layout(std430, binding = 4) readonly buffer Materials { MaterialGpu materials[]; };
 layout(std140, binding = 5) uniform Light { LightGpu light; };
 layout(binding = 6) uniform sampler2D textures[];
+layout(binding = 7) uniform sampler2D shadow_map;
 #include "pbr.glsl"
 layout(push_constant) uniform ForwardPush {
     uint vertex_base;

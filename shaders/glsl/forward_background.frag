@@ -2,6 +2,7 @@
 #extension GL_GOOGLE_include_directive : require
 // The environment as the user sees it.
 #include "environment.glsl"
+#include "light.glsl"
 
 layout(std140, binding = 0) uniform Light { LightGpu light; };
 layout(push_constant) uniform BackgroundPush {

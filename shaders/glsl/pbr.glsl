@@ -3,6 +3,7 @@
 // environment BRDF approximation of Karis (2014).
 #ifndef PBR_GLSL
 #define PBR_GLSL
+#include "shadow.glsl"
 
 struct Surface {
     vec3 world_position;
@@ -38,8 +39,9 @@ vec3 ambient_brdf(vec3 f0, float roughness, float n_dot_v) {
     return f0 * ab.x + ab.y;
 }
 
-vec3 sun_light(vec3 n, vec3 v, vec3 diffuse, vec3 f0, float roughness) {
-    vec3 l = light.to_sun.xyz, h = normalize(l + v);
+// Radiance towards v for an irradiance of 1 on a surface that faces l.
+vec3 reflected(vec3 n, vec3 v, vec3 l, vec3 diffuse, vec3 f0, float roughness) {
+    vec3 h = normalize(l + v);
     float n_l = max(dot(n, l), 0.0), n_v = max(dot(n, v), 1e-3);
     float n_h = max(dot(n, h), 0.0), v_h = max(dot(v, h), 0.0);
     float a = max(roughness * roughness, 1e-3), a2 = a * a;
@@ -48,8 +50,22 @@ vec3 sun_light(vec3 n, vec3 v, vec3 diffuse, vec3 f0, float roughness) {
     float visibility =
         0.5 / (n_l * sqrt(n_v * n_v * (1.0 - a2) + a2) + n_v * sqrt(n_l * n_l * (1.0 - a2) + a2) + 1e-5);
     vec3 fresnel = f0 + (1.0 - f0) * pow(1.0 - v_h, 5.0);
-    return ((1.0 - fresnel) * diffuse / 3.14159265 + fresnel * distribution * visibility) * n_l
-        * light.irradiance.rgb;
+    return ((1.0 - fresnel) * diffuse / 3.14159265 + fresnel * distribution * visibility) * n_l;
+}
+
+// Sun and lamps. `facing` is the surface's own normal, without the normal map: what the shadow map knows.
+vec3 direct_light(vec3 at, vec3 facing, vec3 n, vec3 v, vec3 diffuse, vec3 f0, float roughness) {
+    vec3 sum = vec3(0.0);
+    if (dot(n, light.to_sun.xyz) > 0.0) {
+        sum = light.irradiance.rgb * sun_visibility(at, facing)
+            * reflected(n, v, light.to_sun.xyz, diffuse, f0, roughness);
+    }
+    for (uint i = 0; i < light.punctual_count.x; i++) {
+        vec3 l;
+        vec3 irradiance = punctual_irradiance(light.punctual[i], at, l);
+        if (irradiance != vec3(0.0)) sum += irradiance * reflected(n, v, l, diffuse, f0, roughness);
+    }
+    return sum;
 }
 
 // Linear radiance towards the eye; alpha is the base colour's.
@@ -67,7 +83,7 @@ vec4 shade(MaterialGpu m, Surface s, vec3 world_eye) {
     vec3 soft = mix(mirrored, ambient, roughness);
     vec3 emissive = m.emissive_metallic.rgb * fetch(m.emissive_texture, s, vec4(1.0)).rgb;
     float n_v = max(dot(n, v), 1e-3);
-    vec3 radiance = sun_light(n, v, diffuse, f0, roughness)
+    vec3 radiance = direct_light(s.world_position, normalize(s.world_normal), n, v, diffuse, f0, roughness)
         + occlusion * (diffuse * ambient + soft * ambient_brdf(f0, roughness, n_v)) + emissive;
     return vec4(radiance, base.a);
 }

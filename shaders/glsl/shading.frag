@@ -5,6 +5,7 @@
 // gutter, and writes the tone-mapped colour sRGB-coded.
 #include "scene.glsl"
 #include "environment.glsl"
+#include "light.glsl"
 
 struct BlockGpu {
     uint patch_index;
@@ -24,6 +25,7 @@ layout(std430, binding = 4) readonly buffer SavedFrames { FrameGpu saved_frames[
 layout(std430, binding = 5) readonly buffer Materials { MaterialGpu materials[]; };
 layout(std140, binding = 6) uniform Light { LightGpu light; };
 layout(binding = 7) uniform sampler2D textures[];
+layout(binding = 8) uniform sampler2D shadow_map;
 #include "pbr.glsl"
 layout(push_constant) uniform ShadingPush {
     vec4 world_eye;

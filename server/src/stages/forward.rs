@@ -4,6 +4,7 @@
 use crate::animation::gpu::Animation;
 use crate::scene_gpu::SceneGpu;
 use crate::stages::geometry::Geometry;
+use crate::stages::shadow::Shadow;
 use ash::vk;
 use glam::{Mat4, Vec3};
 use shadecast_gpu::{
@@ -39,6 +40,7 @@ pub struct Forward {
     gpu: Arc<Gpu>,
     scene: Arc<SceneGpu>,
     animation: Animation,
+    shadow: Shadow,
     color: Pass,
     probe: Pass,
     background: GraphicsPipeline,
@@ -63,6 +65,7 @@ impl Forward {
     /// For pictures of `extent` pixels.
     pub fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>, extent: [u32; 2]) -> Result<Self, GpuError> {
         let animation = Animation::new(gpu, scene, 1)?;
+        let shadow = Shadow::new(gpu, scene, &animation)?;
         let view = Buffer::new(gpu, "forward view", size_of::<ViewGpu>() as u64, Memory::Upload)?;
         let srgb = vk::Format::R8G8B8A8_SRGB;
         let image = |format, samples, usage| {
@@ -96,14 +99,15 @@ impl Forward {
                 vertex_input: None,
             },
         )?;
-        let background_group = BindGroup::new(background.layout(), &[("Light", Bind::Buffer(&scene.light))])?;
+        let background_group = BindGroup::new(background.layout(), &shadow.binds()[..1])?;
         let pixels = u64::from(extent[0]) * u64::from(extent[1]);
         Ok(Self {
-            color: Pass::new(gpu, scene, &animation, &view, color_pass, color_target, false)?,
-            probe: Pass::new(gpu, scene, &animation, &view, probe_pass, probe_target, true)?,
+            color: Pass::new(gpu, scene, &animation, &view, color_pass, color_target, Some(&shadow))?,
+            probe: Pass::new(gpu, scene, &animation, &view, probe_pass, probe_target, None)?,
             gpu: gpu.clone(),
             scene: scene.clone(),
             animation,
+            shadow,
             background,
             background_group,
             view,
@@ -120,10 +124,13 @@ impl Forward {
         let clip_from_world = fov.clip_from_eye() * world_from_eye.inverse().matrix();
         self.view
             .write(0, bytemuck::bytes_of(&view_gpu(clip_from_world, world_from_eye.position, self.extent)));
+        self.shadow.write(&self.scene, time);
         let mut recorder = self.gpu.record()?;
         self.animation.record_sample(&mut recorder, 0, time);
         self.animation.record_frames(&mut recorder, 0);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
+        recorder.scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, 0));
+        recorder.barrier(Access::DEPTH_WRITE, Access::FRAGMENT_READ);
         recorder.scope("forward", |r| self.draw_color(r, world_from_eye, fov));
         recorder.scope("forward probe", |r| {
             let clears = [vk::ClearValue::default(); 3];
@@ -253,11 +260,11 @@ impl Pass {
         view: &Buffer,
         pass: RenderPass,
         target: Framebuffer,
-        is_probe: bool,
+        shaded: Option<&Shadow>,
     ) -> Result<Self, GpuError> {
-        let geometry = match is_probe {
-            true => Geometry::new(gpu, &FORWARD_PROBE_VERT, &FORWARD_PROBE_FRAG, &pass)?,
-            false => Geometry::new(gpu, &FORWARD_VERT, &FORWARD_FRAG, &pass)?,
+        let geometry = match shaded {
+            None => Geometry::new(gpu, &FORWARD_PROBE_VERT, &FORWARD_PROBE_FRAG, &pass)?,
+            Some(_) => Geometry::new(gpu, &FORWARD_VERT, &FORWARD_FRAG, &pass)?,
         };
         let textures = scene.texture_binds();
         let mut binds = vec![
@@ -267,9 +274,9 @@ impl Pass {
             ("Materials", Bind::Buffer(&scene.materials)),
             SceneGpu::textures_bind(&textures),
         ];
-        if !is_probe {
+        if let Some(shadow) = shaded {
             binds.push(("SavedFrames", Bind::Buffer(animation.saved_frames())));
-            binds.push(("Light", Bind::Buffer(&scene.light)));
+            binds.extend(shadow.binds());
         }
         let group = BindGroup::new(geometry.layout(), &binds)?;
         Ok(Self { pass, geometry, group, target })

@@ -68,10 +68,22 @@ impl Geometry {
         scene: &SceneGpu,
         push: impl Fn(&Draw<'_>) -> P,
     ) {
+        self.record_some(recorder, group, scene, |_| true, push);
+    }
+
+    /// Draws the instances that `wanted` takes by their number.
+    pub(crate) fn record_some<P: bytemuck::Pod>(
+        &self,
+        recorder: &mut Recorder,
+        group: &BindGroup,
+        scene: &SceneGpu,
+        wanted: impl Fn(usize) -> bool,
+        push: impl Fn(&Draw<'_>) -> P,
+    ) {
         recorder.bind_indices(&scene.indices, 0);
         for (pipeline, double_sided) in [(&self.culled, false), (&self.double_sided, true)] {
             recorder.bind(pipeline, group);
-            for (number, instance) in scene.instances.iter().enumerate() {
+            for (number, instance) in scene.instances.iter().enumerate().filter(|(n, _)| wanted(*n)) {
                 let (model, source) = (&scene.models[instance.model], &scene.scene.models[instance.model]);
                 let is_so =
                     |p: &&Primitive| source.materials[p.material as usize].double_sided == double_sided;

@@ -6,6 +6,7 @@ pub mod skin;
 pub mod id_buffer;
 pub mod mark;
 pub mod level_selection;
+pub mod shadow;
 pub mod shading;
 pub mod ycbcr;
 pub mod forward;

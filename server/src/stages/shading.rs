@@ -2,6 +2,7 @@
 
 use crate::animation::gpu::Animation;
 use crate::scene_gpu::SceneGpu;
+use crate::stages::shadow::Shadow;
 use ash::vk;
 use glam::Vec3;
 use shadecast_gpu::{
@@ -31,6 +32,7 @@ impl Shading {
         gpu: &Arc<Gpu>,
         scene: &SceneGpu,
         animation: &Animation,
+        shadow: &Shadow,
         extent: [u32; 2],
     ) -> Result<Self, GpuError> {
         let format = vk::Format::R8G8B8A8_UNORM;
@@ -83,6 +85,7 @@ impl Shading {
         let bytes = u64::from(MAX_PATCH_SLOTS.min(scene.totals.patches)) * size_of::<BlockGpu>() as u64;
         let blocks = Buffer::new(gpu, "live blocks", bytes, Memory::Upload)?;
         let textures = scene.texture_binds();
+        let [light, shadow_map] = shadow.binds();
         let group = BindGroup::new(
             pipeline.layout(),
             &[
@@ -92,7 +95,8 @@ impl Shading {
                 ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
                 ("SavedFrames", Bind::Buffer(animation.saved_frames())),
                 ("Materials", Bind::Buffer(&scene.materials)),
-                ("Light", Bind::Buffer(&scene.light)),
+                light,
+                shadow_map,
                 SceneGpu::textures_bind(&textures),
             ],
         )?;

@@ -55,6 +55,26 @@ pub struct Framebuffer {
 impl RenderPass {
     /// A pass. Execution and memory dependencies with the outside are the recorder's barriers.
     pub fn new(gpu: &Arc<Gpu>, desc: &RenderPassDesc) -> Result<Self, GpuError> {
+        Self::create(gpu, desc, vk::AttachmentStoreOp::DONT_CARE)
+    }
+
+    /// A pass that leaves depth alone, ready to be sampled; it begins with the cleared depth.
+    pub fn depth_map(gpu: &Arc<Gpu>, format: vk::Format) -> Result<Self, GpuError> {
+        let desc = RenderPassDesc {
+            colors: vec![],
+            resolves: vec![],
+            depth: Some(format),
+            samples: vk::SampleCountFlags::TYPE_1,
+            view_mask: 0,
+        };
+        Self::create(gpu, &desc, vk::AttachmentStoreOp::STORE)
+    }
+
+    fn create(
+        gpu: &Arc<Gpu>,
+        desc: &RenderPassDesc,
+        depth_store: vk::AttachmentStoreOp,
+    ) -> Result<Self, GpuError> {
         let one = vk::SampleCountFlags::TYPE_1;
         let mut attachments: Vec<_> = desc.colors.iter().map(|a| description(a, desc.samples)).collect();
         attachments.extend(desc.resolves.iter().map(|a| description(a, one)));
@@ -62,9 +82,12 @@ impl RenderPass {
             let depth = Attachment {
                 format,
                 load: vk::AttachmentLoadOp::CLEAR,
-                store: vk::AttachmentStoreOp::DONT_CARE,
+                store: depth_store,
                 before: vk::ImageLayout::UNDEFINED,
-                after: vk::ImageLayout::DEPTH_STENCIL_ATTACHMENT_OPTIMAL,
+                after: match depth_store {
+                    vk::AttachmentStoreOp::STORE => vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
+                    _ => vk::ImageLayout::DEPTH_STENCIL_ATTACHMENT_OPTIMAL,
+                },
             };
             attachments.push(description(&depth, desc.samples));
         }
@@ -122,18 +145,19 @@ fn attachment_reuse() -> vk::SubpassDependency {
     }
 }
 
-/// The pass's last layout transitions come before what a following barrier from colour output waits for. Without it they
+/// The pass's last layout transitions come before what a following barrier from colour or depth output waits for. Without it they
 /// are ordered only before the end of the pipe, which no barrier names.
 fn hand_over() -> vk::SubpassDependency {
-    let stages = vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT;
+    let stages =
+        vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT | vk::PipelineStageFlags::LATE_FRAGMENT_TESTS;
+    let writes = vk::AccessFlags::COLOR_ATTACHMENT_WRITE | vk::AccessFlags::DEPTH_STENCIL_ATTACHMENT_WRITE;
     vk::SubpassDependency {
         src_subpass: 0,
         dst_subpass: vk::SUBPASS_EXTERNAL,
-        src_stage_mask: stages | vk::PipelineStageFlags::LATE_FRAGMENT_TESTS,
+        src_stage_mask: stages,
         dst_stage_mask: stages,
-        src_access_mask: vk::AccessFlags::COLOR_ATTACHMENT_WRITE
-            | vk::AccessFlags::DEPTH_STENCIL_ATTACHMENT_WRITE,
-        dst_access_mask: vk::AccessFlags::COLOR_ATTACHMENT_READ | vk::AccessFlags::COLOR_ATTACHMENT_WRITE,
+        src_access_mask: writes,
+        dst_access_mask: writes | vk::AccessFlags::COLOR_ATTACHMENT_READ,
         dependency_flags: vk::DependencyFlags::empty(),
     }
 }

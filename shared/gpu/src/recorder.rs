@@ -58,6 +58,9 @@ impl Access {
     /// A pass has written colour.
     pub const COLOR_WRITE: Self =
         Self(vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT, vk::AccessFlags::COLOR_ATTACHMENT_WRITE);
+    /// A pass has written depth that outlives it.
+    pub const DEPTH_WRITE: Self =
+        Self(vk::PipelineStageFlags::LATE_FRAGMENT_TESTS, vk::AccessFlags::DEPTH_STENCIL_ATTACHMENT_WRITE);
     /// Copies read.
     pub const COPY_READ: Self = Self(vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_READ);
     /// Copies write.

@@ -9,6 +9,8 @@ pub const MAX_VERTEX_SLOTS: u32 = 131_072;
 pub const MAX_PATCH_SLOTS: u32 = 131_072;
 /// Placed models of a scene.
 pub const MAX_INSTANCES: u32 = 4096;
+/// Lights beside the sun that a scene is lit by at one time.
+pub const MAX_LIGHTS: u32 = 16;
 /// Grid samples that the client keeps per animated vertex: sample `g` lies at `g mod SAMPLE_RING`.
 pub const SAMPLE_RING: u32 = 16;
 /// Predicted views per update.
@@ -111,6 +113,7 @@ pub fn glsl_defines() -> Vec<(&'static str, u32)> {
         ("MAX_VERTEX_SLOTS", MAX_VERTEX_SLOTS),
         ("MAX_PATCH_SLOTS", MAX_PATCH_SLOTS),
         ("MAX_INSTANCES", MAX_INSTANCES),
+        ("MAX_LIGHTS", MAX_LIGHTS),
         ("SAMPLE_RING", SAMPLE_RING),
         ("MAX_VIEWS", MAX_VIEWS),
         ("PATCH_MAX_VERTICES", PATCH_MAX_VERTICES),

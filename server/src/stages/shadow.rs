@@ -1,0 +1,106 @@
+//! The sun's shadows: the depth of all casters as the sun sees them, and the buffer of all light, which the map's lookup
+//! belongs to.
+
+use crate::animation::gpu::Animation;
+use crate::lights::{self, SHADOW_EXTENT_TEXELS, SunView};
+use crate::scene_gpu::SceneGpu;
+use crate::stages::geometry::Geometry;
+use ash::vk;
+use shadecast_gpu::{
+    Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, Image, ImageDesc, Memory, Recorder, RenderPass,
+    Sampler, SamplerDesc,
+};
+use shadecast_protocol::time::ServerTime;
+use shadecast_shaders::generated::{LightGpu, SHADOW_FRAG, SHADOW_VERT, ShadowPush};
+use std::sync::Arc;
+
+/// The stage with its outputs.
+pub struct Shadow {
+    pass: RenderPass,
+    geometry: Geometry,
+    group: BindGroup,
+    target: Framebuffer,
+    map: Image,
+    sampler: Sampler,
+    light: Buffer,
+    view: Option<SunView>,
+    /// Whether any caster moves.
+    is_animated: bool,
+    is_drawn: bool,
+}
+
+impl Shadow {
+    /// For the scene's sun. Where it casts no shadows, or nothing is in its way, the map is a small empty one.
+    pub fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, animation: &Animation) -> Result<Self, GpuError> {
+        let view = scene.sun_view();
+        let side = if view.is_some() { SHADOW_EXTENT_TEXELS } else { 16 };
+        let format = vk::Format::D32_SFLOAT;
+        let map = Image::new(
+            gpu,
+            ImageDesc {
+                name: "shadow map",
+                extent: [side; 2],
+                layers: 1,
+                mips: 1,
+                samples: vk::SampleCountFlags::TYPE_1,
+                format,
+                usage: vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT | vk::ImageUsageFlags::SAMPLED,
+            },
+        )?;
+        let pass = RenderPass::depth_map(gpu, format)?;
+        let geometry = Geometry::new(gpu, &SHADOW_VERT, &SHADOW_FRAG, &pass)?;
+        let light = Buffer::new(gpu, "light", size_of::<LightGpu>() as u64, Memory::Upload)?;
+        let textures = scene.texture_binds();
+        let binds = [
+            ("Vertices", Bind::Buffer(&scene.vertices)),
+            ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
+            ("Light", Bind::Buffer(&light)),
+            ("Materials", Bind::Buffer(&scene.materials)),
+            SceneGpu::textures_bind(&textures),
+        ];
+        let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
+        let nearest =
+            SamplerDesc { filter: vk::Filter::NEAREST, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
+        Ok(Self {
+            group: BindGroup::new(geometry.layout(), &binds)?,
+            target: Framebuffer::new(gpu, &pass, [side; 2], &[map.view()])?,
+            sampler: Sampler::new(gpu, nearest)?,
+            is_animated: scene.casters().any(|index| scene.moves(index)),
+            pass,
+            geometry,
+            map,
+            light,
+            view,
+            is_drawn: false,
+        })
+    }
+
+    /// Writes the light as it is at `time`. No submitted work still reads it.
+    pub fn write(&mut self, scene: &SceneGpu, time: ServerTime) {
+        let light = lights::at(&scene.scene, self.view.as_ref(), time.seconds());
+        self.light.write(0, bytemuck::bytes_of(&light));
+    }
+
+    /// Draws the casters as they are in `slot`; once where none of them moves.
+    pub fn record(&mut self, recorder: &mut Recorder, scene: &SceneGpu, animation: &Animation, slot: u32) {
+        if self.is_drawn && !(self.is_animated && self.view.is_some()) {
+            return;
+        }
+        self.is_drawn = true;
+        recorder.begin_pass(&self.pass, &self.target, &[vk::ClearValue::default()]); // 0: far from the sun
+        if self.view.is_some() {
+            let casts = |number: usize| scene.scene.instances[number].casts_shadow;
+            self.geometry.record_some(recorder, &self.group, scene, casts, |draw| ShadowPush {
+                vertex_base: draw.model.vertex_base,
+                position_base: animation.position_base(draw.instance, slot),
+                material: draw.model.material_base + draw.primitive.material,
+            });
+        }
+        recorder.end_pass();
+    }
+
+    /// What shading binds to see by: the light, and the map.
+    pub fn binds(&self) -> [(&'static str, Bind<'_>); 2] {
+        [("Light", Bind::Buffer(&self.light)), ("shadow_map", Bind::Sampled(&self.map, &self.sampler))]
+    }
+}
