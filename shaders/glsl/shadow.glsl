@@ -13,6 +13,7 @@ float sun_visibility(vec3 world_position, vec3 n) {
     float offset_texels = 0.5 + 2.83 * sqrt(clamp(1.0 - cosine * cosine, 0.0, 1.0));
     vec3 moved = world_position + n * offset_texels * light.shadow.y;
     vec3 at = (light.shadow_from_world * vec4(moved, 1.0)).xyz;
+    at.z = max(at.z, 0.0); // behind all casters there is still ground to see: as deep as the empty map
     vec2 texel = at.xy * light.shadow.x - 0.5, first = floor(texel), f = texel - first;
     // Of four texels in a row, the outer ones count by how far the middle is from them.
     vec4 columns = vec4(1.0 - f.x, 1.0, 1.0, f.x), rows = vec4(1.0 - f.y, 1.0, 1.0, f.y);
