@@ -8,8 +8,10 @@ use shadecast_protocol::limits::{ATLAS_DEFAULT_EXTENT, ATLAS_MAX_EXTENT};
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::animation::clip::DEFAULT_RESAMPLE_INTERVAL_S;
+use shadecast_scene::file::{DEFAULT_FOV_DEG, FOV_RANGE_DEG};
 use shadecast_scene::generate;
 use shadecast_scene::load::{SceneSource, load_scene};
+use shadecast_scene::{Camera, HeadPath, Scene};
 use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::picture;
 use shadecast_server::scene_gpu::SceneGpu;
@@ -33,7 +35,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
   shadecast-server forward dragon --out pictures --frames 8 --fps 8
   shadecast-server generate dragon --out dragon.glb
 
-SCENE is dragon, dragons:N, a .glb or .gltf file, or a scene description (.toml)."
+SCENE is dragon, dragons:N, dragons:NxMxK (a grid), a .glb or .gltf file, or a scene description (.toml)."
 )]
 struct Cli {
     #[command(subcommand)]
@@ -120,9 +122,9 @@ struct ForwardArgs {
     /// Width and height in pixels
     #[arg(long, value_parser = parse_size, default_value = "1300x1300")]
     size: [u32; 2],
-    /// Field of view in degrees
-    #[arg(long, default_value_t = 90.0)]
-    fov: f32,
+    /// Field of view in degrees [default: the camera's; 90 without one]
+    #[arg(long)]
+    fov: Option<f32>,
     /// Pictures to render
     #[arg(long, default_value_t = 1)]
     frames: u32,
@@ -132,6 +134,13 @@ struct ForwardArgs {
     /// Scene time of the first picture, seconds
     #[arg(long, default_value_t = 0.0)]
     start: f64,
+    /// A camera of the scene, by its name
+    #[arg(long, conflicts_with_all = ["position", "yaw", "pitch", "head_path"])]
+    camera: Option<String>,
+    /// The camera follows a head path of the scene, by its name, at the scene's time; every scene has still, turn and
+    /// walk
+    #[arg(long, conflicts_with_all = ["position", "yaw", "pitch"])]
+    head_path: Option<String>,
     /// Camera in the stage: x,y,z in metres, y up, -z forward
     #[arg(long, value_parser = parse_vector, default_value = "0,1.6,0", allow_hyphen_values = true)]
     position: Vec3,
@@ -247,20 +256,21 @@ fn parse_link(text: &str) -> anyhow::Result<LinkSchedule> {
 
 fn forward(args: &ForwardArgs) -> anyhow::Result<()> {
     anyhow::ensure!(
-        (1.0..=150.0).contains(&args.fov),
-        "--fov {} must lie between 1 and 150 degrees",
-        args.fov
+        args.fov.is_none_or(|fov| FOV_RANGE_DEG.contains(&fov)),
+        "--fov must lie between {} and {} degrees",
+        FOV_RANGE_DEG.start(),
+        FOV_RANGE_DEG.end()
     );
     anyhow::ensure!(args.fps > 0.0, "--fps {} must be positive", args.fps);
     let (gpu, scene) = open(&args.scene, &args.device)?;
+    let viewpoint = Viewpoint::of(args, &scene.scene)?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("making {}", args.out.display()))?;
     let mut renderer = Forward::new(&gpu, &scene, args.size)?;
-    let orientation = Quat::from_euler(EulerRot::YXZ, args.yaw.to_radians(), args.pitch.to_radians(), 0.0);
-    let stage_from_eye = Pose { position: args.position, orientation };
-    let world_from_eye = scene.scene.world_from_stage.then(stage_from_eye);
+    let fov = viewpoint.fov(args);
     for frame in 0..args.frames {
-        let time = ServerTime(((args.start + f64::from(frame) / args.fps) * 1e9) as i64);
-        let truth = renderer.render(world_from_eye, Fov::symmetric_degrees(args.fov), time)?;
+        let time_s = args.start + f64::from(frame) / args.fps;
+        let world_from_eye = scene.scene.world_from_stage.then(viewpoint.stage_from_eye(time_s));
+        let truth = renderer.render(world_from_eye, fov, ServerTime((time_s * 1e9) as i64))?;
         picture::write_png(
             &args.out.join(format!("forward-{frame:06}.png")),
             truth.extent_pixels,
@@ -274,6 +284,45 @@ fn forward(args: &ForwardArgs) -> anyhow::Result<()> {
         gpu.validation_messages()
     );
     Ok(())
+}
+
+/// Where pictures are made from.
+enum Viewpoint<'a> {
+    Still(Pose),
+    Camera(&'a Camera),
+    HeadPath(&'a HeadPath),
+}
+
+impl<'a> Viewpoint<'a> {
+    fn of(args: &ForwardArgs, scene: &'a Scene) -> anyhow::Result<Self> {
+        if let Some(name) = &args.camera {
+            return Ok(Self::Camera(scene.camera(name)?));
+        }
+        if let Some(name) = &args.head_path {
+            return Ok(Self::HeadPath(scene.head_path(name)?));
+        }
+        let orientation =
+            Quat::from_euler(EulerRot::YXZ, args.yaw.to_radians(), args.pitch.to_radians(), 0.0);
+        Ok(Self::Still(Pose { position: args.position, orientation }))
+    }
+
+    /// At a time of the scene in seconds.
+    fn stage_from_eye(&self, time_s: f64) -> Pose {
+        match self {
+            Self::Still(stage_from_eye) => *stage_from_eye,
+            Self::Camera(camera) => camera.stage_from_eye,
+            Self::HeadPath(head_path) => head_path.stage_from_head(time_s),
+        }
+    }
+
+    /// What was asked for, else what the camera says, else 90 degrees.
+    fn fov(&self, args: &ForwardArgs) -> Fov {
+        let [width, height] = args.size.map(|side| side as f32);
+        match (args.fov, self) {
+            (None, Self::Camera(camera)) => camera.fov(width / height),
+            (fov, _) => Fov::symmetric_degrees(fov.unwrap_or(DEFAULT_FOV_DEG)),
+        }
+    }
 }
 
 fn generate_model(what: &str, out: &Path) -> anyhow::Result<()> {

@@ -32,6 +32,16 @@ pub enum SceneError {
         /// What is wrong, with a suggestion where there is one.
         problem: String,
     },
+    /// A camera or a head path of this name is wanted, and the scene has none.
+    #[error("the scene has no {what} \"{name}\"{hint}")]
+    UnknownName {
+        /// What is looked for: `camera`.
+        what: &'static str,
+        /// The name as the user wrote it.
+        name: String,
+        /// What there is instead, ready to be appended.
+        hint: String,
+    },
     /// The SCENE argument itself makes no sense.
     #[error("scene '{argument}': {problem}")]
     Argument {

@@ -18,11 +18,13 @@ mod image;
 pub mod influences;
 mod limits;
 pub mod load;
+mod path;
 #[cfg(test)]
 mod sound;
 pub mod split;
 pub mod suggest;
 mod tangent;
+mod views;
 pub mod weld;
 
 pub use error::SceneError;
@@ -42,7 +44,8 @@ pub struct Scene {
     pub instances: Vec<Instance>,
     /// The light that casts shadows.
     pub sun: Sun,
-    /// Lights placed by the scene file; those of an asset are in its [`Model::lights`].
+    /// Lights placed by the scene file, at most [`MAX_LIGHTS`](shadecast_protocol::limits::MAX_LIGHTS);
+    /// those of an asset are in its [`Model::lights`].
     pub lights: Vec<PlacedLight>,
     /// Background and ambient light.
     pub environment: Environment,

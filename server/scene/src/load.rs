@@ -4,10 +4,11 @@
 use super::error::SceneError;
 use super::file::{self, ClipChoice, ModelEntry, ModelFile, SceneFile};
 use super::split::{MAX_EDGE_M, split_long_edges};
-use super::suggest::did_you_mean;
+use super::suggest::{did_you_mean, did_you_mean_or_list};
 use crate::animation::clip::track_varies;
 use crate::animation::pose;
-use crate::{Instance, Model, Scene, gltf, ground};
+use crate::views::find_head_path;
+use crate::{HeadPath, Instance, Model, Scene, gltf, ground};
 use glam::{Affine3A, Quat, Vec3};
 use shadecast_protocol::pose::Pose;
 use std::fmt;
@@ -22,6 +23,8 @@ pub const MAX_DRAGONS: u32 = 1024;
 pub enum SceneSource {
     /// So many built-in dragons.
     Dragons(u32),
+    /// Built-in dragons in a grid: so many side by side, above each other, behind each other.
+    DragonGrid([u32; 3]),
     /// A `.glb` or `.gltf` asset, or a `.toml` scene.
     File(PathBuf),
 }
@@ -36,16 +39,15 @@ impl Default for SceneSource {
 impl FromStr for SceneSource {
     type Err = SceneError;
 
-    /// `dragon`, `dragons:N`, or a path.
+    /// `dragon`, `dragons:N`, `dragons:NxMxK`, or a path.
     fn from_str(argument: &str) -> Result<Self, SceneError> {
         let fault = |problem: String| SceneError::Argument { argument: argument.to_owned(), problem };
         match argument.split_once(':') {
-            Some(("dragons" | "dragon", count)) => {
-                let count = count.parse().ok().filter(|count| (1..=MAX_DRAGONS).contains(count));
-                count
-                    .map(Self::Dragons)
-                    .ok_or_else(|| fault(format!("the number must be from 1 to {MAX_DRAGONS}")))
-            }
+            Some(("dragons" | "dragon", count)) => parse_dragons(count).ok_or_else(|| {
+                fault(format!(
+                    "the number must be from 1 to {MAX_DRAGONS}, or three of that product, such as 3x1x3"
+                ))
+            }),
             _ if argument == "dragon" => Ok(Self::Dragons(1)),
             _ if argument == "dragons" => Ok(Self::default()),
             _ if argument.is_empty() => {
@@ -56,11 +58,25 @@ impl FromStr for SceneSource {
     }
 }
 
+/// `N` or `NxMxK`, at most [`MAX_DRAGONS`] in all.
+fn parse_dragons(count: &str) -> Option<SceneSource> {
+    let numbers: Option<Vec<u32>> = count.split('x').map(|number| number.parse().ok()).collect();
+    let numbers = numbers?;
+    let product = numbers.iter().try_fold(1u32, |product, number| product.checked_mul(*number))?;
+    match numbers[..] {
+        _ if !(1..=MAX_DRAGONS).contains(&product) => None,
+        [count] => Some(SceneSource::Dragons(count)),
+        [across, up, deep] => Some(SceneSource::DragonGrid([across, up, deep])),
+        _ => None,
+    }
+}
+
 impl fmt::Display for SceneSource {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Dragons(1) => write!(out, "dragon"),
             Self::Dragons(count) => write!(out, "dragons:{count}"),
+            Self::DragonGrid([across, up, deep]) => write!(out, "dragons:{across}x{up}x{deep}"),
             Self::File(path) => write!(out, "{}", path.display()),
         }
     }
@@ -71,9 +87,10 @@ impl fmt::Display for SceneSource {
 pub fn load_scene(source: &SceneSource) -> Result<Scene, SceneError> {
     match source {
         SceneSource::Dragons(count) => dragons(*count),
+        SceneSource::DragonGrid(count) => dragon_grid(*count),
         SceneSource::File(path) => match extension(path).as_str() {
             "toml" => scene_file(path),
-            "glb" | "gltf" => asset(path),
+            _ if is_asset(path) => asset(path),
             other => Err(unknown_kind(path, other)),
         },
     }
@@ -93,8 +110,17 @@ fn unknown_kind(path: &Path, extension: &str) -> SceneError {
     SceneError::Argument { argument: name, problem }
 }
 
-fn built_in_dragon() -> Result<Model, SceneError> {
-    gltf::from_slice(&crate::generate::dragon(), "built-in dragon")
+/// Whether the file's name is that of an asset that can be imported.
+fn is_asset(path: &Path) -> bool {
+    matches!(extension(path).as_str(), "glb" | "gltf")
+}
+
+/// The one way by which models come into a scene.
+fn load_model(file: &ModelFile) -> Result<Model, SceneError> {
+    match file {
+        ModelFile::BuiltInDragon => gltf::from_slice(&crate::generate::dragon(), "built-in dragon"),
+        ModelFile::Path(path) => gltf::load(path),
+    }
 }
 
 /// The first clip that moves anything.
@@ -113,7 +139,7 @@ fn around(models: Vec<Model>, instances: Vec<Instance>) -> Scene {
         environment,
         world_from_stage: Pose::IDENTITY,
         cameras: Vec::new(),
-        head_paths: Vec::new(),
+        head_paths: file::built_in_head_paths(),
     };
     finished(scene, Some(ground::DEFAULT_SIZE_M))
 }
@@ -142,7 +168,7 @@ const ASSET_DISTANCE_M: f32 = 2.5;
 const ASSET_EXTENT_M: (f32, f32, f32) = (0.9, 2.0, 1.6);
 
 fn asset(path: &Path) -> Result<Scene, SceneError> {
-    let model = gltf::load(path)?;
+    let model = load_model(&ModelFile::Path(path.to_owned()))?;
     let clip = first_moving_clip(&model);
     let placement = place_asset(&model, clip).map_err(|problem| SceneError::Asset {
         file: path.display().to_string(),
@@ -184,21 +210,53 @@ fn finite_bounds(model: &Model, clip: Option<usize>) -> Result<(Vec3, Vec3), Str
 const GROUP_DISTANCE_M: f32 = 3.3;
 
 fn dragons(count: u32) -> Result<Scene, SceneError> {
-    let model = built_in_dragon()?;
+    let place = |index, low, high| dragon_place(index, count, low, high);
+    placed_dragons((0..count).map(|index| format!("dragon {index}")).collect(), place)
+}
+
+/// The paper's arrangement: a three-dimensional grid, the lowest layer on the ground, x before y before z.
+fn dragon_grid(count: [u32; 3]) -> Result<Scene, SceneError> {
+    let cells: Vec<[u32; 3]> = file::cells(count).collect();
+    let names = cells.iter().map(|[x, y, z]| format!("dragon {x},{y},{z}")).collect();
+    placed_dragons(names, |index, low, high| grid_place(cells[index as usize], count, low, high))
+}
+
+/// Dragons of these names, each where `place` puts the one of its number, given the bounds of its flight.
+fn placed_dragons(
+    names: Vec<String>,
+    place: impl Fn(u32, Vec3, Vec3) -> Affine3A,
+) -> Result<Scene, SceneError> {
+    let model = load_model(&ModelFile::BuiltInDragon)?;
     let clip = first_moving_clip(&model);
     let fault =
         |problem| SceneError::Asset { file: "built-in dragon".into(), element: "scene".into(), problem };
     let (low, high) = finite_bounds(&model, clip).map_err(fault)?;
     let duration_s = model.duration_s(clip);
-    let instance = |index: u32| Instance {
-        placement: dragon_place(index, count, low, high),
+    let instance = |(index, name): (u32, String)| Instance {
+        placement: place(index, low, high),
         clip,
-        // Golden-ratio steps: any number of dragons is spread evenly over the loop, and neighbours differ.
-        time_shift_s: (index as f32 * 0.618_034).fract() * duration_s,
-        ..Instance::new(format!("dragon {index}"), 0)
+        time_shift_s: file::spread(index) * duration_s,
+        ..Instance::new(name, 0)
     };
-    let instances = (0..count).map(instance).collect();
+    let instances = (0..).zip(names).map(instance).collect();
     Ok(around(vec![model], instances))
+}
+
+/// Distance of neighbours in a grid of dragons, in parts of a dragon's extent.
+const GRID_SPACING: f32 = 1.15;
+
+/// Columns side by side about the user's line of sight, rows further back, layers upwards.
+fn grid_place([x, y, z]: [u32; 3], [across, _, _]: [u32; 3], low: Vec3, high: Vec3) -> Affine3A {
+    let step = (high - low) * GRID_SPACING;
+    let side = x as f32 - (across - 1) as f32 * 0.5;
+    let at = Vec3::new(side * step.x, y as f32 * step.y, -(GROUP_DISTANCE_M + z as f32 * step.z));
+    Affine3A::from_translation(at) * model_from_foot(low, high)
+}
+
+/// Takes the middle of a model's foot to its origin.
+fn model_from_foot(low: Vec3, high: Vec3) -> Affine3A {
+    let middle = (low + high) * 0.5;
+    Affine3A::from_translation(-Vec3::new(middle.x, low.y, middle.z))
 }
 
 /// Rows of at most ceil(sqrt(count)) side by side (all of up to three in one row), later rows further back and
@@ -214,47 +272,59 @@ fn dragon_place(index: u32, count: u32, low: Vec3, high: Vec3) -> Affine3A {
     let stagger = if in_row > 1 { 0.35 * (side.abs().min(2.0) - 0.5) } else { 0.0 };
     let at = Vec3::new(side * spacing.x, 0.0, -(GROUP_DISTANCE_M + row as f32 * spacing.z) + stagger);
     let yaw = -(at.x / -at.z).atan();
-    let middle = (low + high) * 0.5;
-    let model_from_foot = Affine3A::from_translation(-Vec3::new(middle.x, low.y, middle.z));
-    Affine3A::from_rotation_translation(Quat::from_rotation_y(yaw), at) * model_from_foot
+    Affine3A::from_rotation_translation(Quat::from_rotation_y(yaw), at) * model_from_foot(low, high)
 }
 
 // ---- a scene file ----
 
 fn scene_file(path: &Path) -> Result<Scene, SceneError> {
-    let name = path.display().to_string();
-    let text =
-        std::fs::read_to_string(path).map_err(|source| SceneError::Read { file: name.clone(), source })?;
+    let (name, text) = read_scene_file(path)?;
     scene_from_text(&text, &name, path.parent().unwrap_or(Path::new("")))
+}
+
+/// Name, for messages, and text.
+fn read_scene_file(path: &Path) -> Result<(String, String), SceneError> {
+    let name = path.display().to_string();
+    match std::fs::read_to_string(path) {
+        Ok(text) => Ok((name, text)),
+        Err(source) => Err(SceneError::Read { file: name, source }),
+    }
+}
+
+/// A head path of a scene by its name, without loading the scene's models.
+///
+/// # Errors
+/// The scene file cannot be read or has a fault, or no head path has that name.
+pub fn load_head_path(source: &SceneSource, name: &str) -> Result<HeadPath, SceneError> {
+    let head_paths = match source {
+        SceneSource::File(path) if extension(path) == "toml" => {
+            let (file, text) = read_scene_file(path)?;
+            file::parse(&text, &file)?.head_paths
+        }
+        _ => file::built_in_head_paths(),
+    };
+    find_head_path(&head_paths, name).cloned()
 }
 
 /// The scene that a file of this text in this folder describes.
 pub fn scene_from_text(text: &str, name: &str, folder: &Path) -> Result<Scene, SceneError> {
     let file = file::parse(text, name)?;
     let models =
-        file.models.iter().map(|entry| load_model(entry, name, folder)).collect::<Result<Vec<_>, _>>()?;
+        file.models.iter().map(|entry| named_model(entry, name, folder)).collect::<Result<Vec<_>, _>>()?;
     let instances = instances(&file, &models, name)?;
-    let SceneFile { sun, environment, ground_size_m, world_from_stage, .. } = file;
-    let scene = Scene {
-        models,
-        instances,
-        sun,
-        lights: Vec::new(),
-        environment,
-        world_from_stage,
-        cameras: Vec::new(),
-        head_paths: Vec::new(),
-    };
+    let SceneFile { sun, lights, environment, ground_size_m, world_from_stage, cameras, head_paths, .. } =
+        file;
+    let scene = Scene { models, instances, sun, lights, environment, world_from_stage, cameras, head_paths };
     Ok(finished(scene, ground_size_m))
 }
 
-fn load_model(entry: &ModelEntry, name: &str, folder: &Path) -> Result<Model, SceneError> {
+fn named_model(entry: &ModelEntry, name: &str, folder: &Path) -> Result<Model, SceneError> {
     let fault = |problem: String| SceneError::SceneFile { file: name.to_owned(), line: entry.line, problem };
     let mut model = match &entry.file {
-        ModelFile::BuiltInDragon => built_in_dragon()?,
-        ModelFile::Path(path) if matches!(extension(path).as_str(), "glb" | "gltf") => {
+        ModelFile::BuiltInDragon => load_model(&ModelFile::BuiltInDragon)?,
+        ModelFile::Path(path) if is_asset(path) => {
             // The reason in the scene's terms: the line that names the file.
-            gltf::load(&folder.join(path))
+            load_model(&ModelFile::Path(folder.join(path)))
                 .map_err(|error| fault(format!("model \"{}\": {error}", entry.name)))?
         }
         ModelFile::Path(path) => {
@@ -268,12 +338,18 @@ fn load_model(entry: &ModelEntry, name: &str, folder: &Path) -> Result<Model, Sc
 
 fn instances(file: &SceneFile, models: &[Model], name: &str) -> Result<Vec<Instance>, SceneError> {
     let convert = |entry: &file::InstanceEntry| {
+        let model = &models[entry.model];
+        let clip = choose_clip(&entry.clip, model, name)?;
         Ok(Instance {
+            name: entry.name.clone(),
+            model: entry.model,
             placement: entry.world_from_model,
-            clip: choose_clip(&entry.clip, &models[entry.model], name)?,
-            time_shift_s: entry.time_shift_s,
+            path: entry.path.clone(),
+            clip,
+            time_shift_s: entry.time_shift.in_seconds(model.duration_s(clip), entry.speed),
             speed: entry.speed,
-            ..Instance::new(entry.name.clone(), entry.model)
+            repetition: entry.repetition,
+            casts_shadow: entry.casts_shadow,
         })
     };
     file.instances.iter().map(convert).collect()
@@ -288,18 +364,10 @@ fn choose_clip(choice: &ClipChoice, model: &Model, name: &str) -> Result<Option<
     let names = || model.clips.iter().map(|clip| clip.name.as_str());
     let found = names().position(|clip| clip == wanted);
     found.map(Some).ok_or_else(|| {
-        let mut hint = did_you_mean(wanted, names());
-        if hint.is_empty() {
-            hint = format!("; it has {}", quoted_list(names()));
-        }
+        let hint = did_you_mean_or_list(wanted, names(), "it has");
         let problem = format!("model \"{}\" has no clip \"{wanted}\"{hint}", model.name);
         SceneError::SceneFile { file: name.to_owned(), line, problem }
     })
-}
-
-fn quoted_list<'a>(names: impl Iterator<Item = &'a str>) -> String {
-    let list: Vec<String> = names.map(|name| format!("\"{name}\"")).collect();
-    if list.is_empty() { "none".into() } else { list.join(", ") }
 }
 
 // ---- long edges ----
@@ -307,7 +375,7 @@ fn quoted_list<'a>(names: impl Iterator<Item = &'a str>) -> String {
 fn split_models(scene: &mut Scene) {
     for index in 0..scene.models.len() {
         let placed = scene.instances.iter().filter(|instance| instance.model == index);
-        let scale = placed.map(|instance| largest_scale(instance.placement)).fold(0.0, f32::max);
+        let scale = placed.map(largest_world_scale).fold(0.0, f32::max);
         let model = &mut scene.models[index];
         let limit = MAX_EDGE_M / (scale * rest_scale(model));
         if !(limit.is_finite() && limit > 0.0) {
@@ -326,6 +394,12 @@ fn split_models(scene: &mut Scene) {
 /// Largest stretch from mesh to model space among the palette's entries in the rest pose.
 fn rest_scale(model: &Model) -> f32 {
     pose::source_palette(model, None, 0.0).into_iter().map(largest_scale).fold(0.0, f32::max)
+}
+
+/// Largest stretch from model to world at any time; a bound where path and placement stretch different axes.
+fn largest_world_scale(instance: &Instance) -> f32 {
+    let path = instance.path.as_ref().map_or(1.0, |path| path.scale_range().1);
+    path * largest_scale(instance.placement)
 }
 
 /// Longest image of an axis.
@@ -380,11 +454,14 @@ mod tests {
         assert_eq!(parse("dragon").expect("good"), SceneSource::Dragons(1));
         assert_eq!(parse("dragons:9").expect("good"), SceneSource::Dragons(9));
         assert_eq!(parse("dragons").expect("good"), SceneSource::default());
+        assert_eq!(parse("dragons:3x1x2").expect("good"), SceneSource::DragonGrid([3, 1, 2]));
         assert_eq!(parse("a/b.glb").expect("good"), SceneSource::File("a/b.glb".into()));
-        for bad in ["dragons:0", "dragons:x", "dragons:4000", ""] {
+        for bad in
+            ["dragons:0", "dragons:x", "dragons:4000", "dragons:3x3", "dragons:0x1x1", "dragons:99x99x99", ""]
+        {
             assert!(parse(bad).is_err(), "{bad}");
         }
-        for source in ["dragon", "dragons:9", "a/b.glb"] {
+        for source in ["dragon", "dragons:9", "dragons:13x1x13", "a/b.glb"] {
             assert_eq!(parse(source).expect("good").to_string(), source);
         }
     }
@@ -457,14 +534,43 @@ mod tests {
     }
 
     #[test]
+    fn grid_of_dragons_fills_rows_columns_and_layers_without_touching() {
+        let scene = load_scene(&SceneSource::DragonGrid([3, 2, 2])).expect("dragons");
+        assert_eq!((scene.instances.len(), scene.models.len()), (13, 2));
+        let (low, high) = world_bounds(&scene, 0);
+        let moved = |instance: &Instance| {
+            assert_eq!(instance.placement.matrix3, scene.instances[0].placement.matrix3);
+            let by = Vec3::from(instance.placement.translation - scene.instances[0].placement.translation);
+            (low + by, high + by)
+        };
+        let bounds: Vec<(Vec3, Vec3)> = scene.instances[..12].iter().map(moved).collect();
+        for (a, (low, high)) in bounds.iter().enumerate() {
+            assert!(high.z < -0.6, "dragon {a} touches the user: {high}");
+            for (b, other) in bounds.iter().enumerate().skip(a + 1) {
+                let apart = low.cmpgt(other.1) | other.0.cmpgt(*high);
+                assert!(apart.any(), "dragons {a} and {b} overlap");
+            }
+        }
+        assert!(bounds[0].0.y.abs() < 0.05 && bounds[3].0.y > bounds[0].1.y, "layers stand on each other");
+        let middle_x = bounds.iter().map(|(low, high)| low.x + high.x).sum::<f32>() / 24.0;
+        assert!(middle_x.abs() < 0.05, "{middle_x}");
+    }
+
+    #[test]
     fn example_in_the_documentation_loads() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/scene.example.toml");
-        let scene = load_scene(&SceneSource::File(path)).expect("the example");
-        assert_eq!(
-            scene.instances.iter().map(|i| i.name.as_str()).collect::<Vec<_>>(),
-            ["the near one", "dragon 1", "ground"]
-        );
-        assert!(scene.instances[0].clip.is_some());
+        let source = SceneSource::File(path);
+        let scene = load_scene(&source).expect("the example");
+        let names: Vec<&str> = scene.instances.iter().map(|i| i.name.as_str()).collect();
+        assert_eq!(names[..4], ["the near one", "dragon 1", "the moving one", "flock 0,0,0"]);
+        assert_eq!((names.len(), names[9]), (10, "ground"));
+        assert!(scene.instances[0].clip.is_some() && scene.instances[2].path.is_some());
+        assert_eq!((scene.lights.len(), scene.cameras.len()), (2, 2));
+        let aside = scene.head_path("step aside").expect("defined").stage_from_head(1.0);
+        let alone = load_head_path(&source, "step aside").expect("defined");
+        assert_eq!(alone.stage_from_head(1.0), aside);
+        let (low, high) = world_bounds(&scene, 2);
+        assert!(low.y > -0.05 && high.y < 2.0, "the moving one flies low: {low} to {high}");
     }
 
     #[test]
@@ -508,6 +614,13 @@ mod tests {
         };
         let SplitStats { triangles_before, .. } = split_long_edges(&mut small.clone(), 100.0);
         assert_eq!(split(0.5).0, triangles_before, "diagonals of 0.35 m stay");
+        let keys = "{ time_s = 0, scale = 1 }, { time_s = 1, scale = 4 }";
+        let text = format!(
+            "[[model]]\nname = \"d\"\nfile = \"dragon\"\n[[instance]]\nmodel = \"d\"\npath = {{ key = [{keys}] }}\n"
+        );
+        let growing = scene_from_text(&text, "s.toml", Path::new("")).expect("good").instances.remove(0);
+        let scene = around(vec![small.clone()], vec![Instance { model: 0, ..growing }]);
+        assert!(scene.models[0].indices.len() / 3 > triangles_before, "a path that grows it counts");
         let (triangles, longest_m) = split(4.0);
         assert!(
             triangles > triangles_before && longest_m <= MAX_EDGE_M,

@@ -17,6 +17,20 @@ pub fn did_you_mean<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str
     closest(word, candidates).map(|best| format!("; did you mean \"{best}\"?")).unwrap_or_default()
 }
 
+/// As [`did_you_mean`], or where nothing is near: `; {lead} "a", "b"`.
+pub fn did_you_mean_or_list<'a>(
+    word: &str,
+    candidates: impl Iterator<Item = &'a str> + Clone,
+    lead: &str,
+) -> String {
+    let hint = did_you_mean(word, candidates.clone());
+    if !hint.is_empty() {
+        return hint;
+    }
+    let list: Vec<String> = candidates.map(|name| format!("\"{name}\"")).collect();
+    format!("; {lead} {}", if list.is_empty() { "none".into() } else { list.join(", ") })
+}
+
 /// Levenshtein distance with transpositions of neighbours (optimal string alignment), in characters, ASCII case
 /// ignored.
 fn edit_distance(a: &str, b: &str) -> usize {

@@ -4,7 +4,7 @@ use clap::{Args, Parser, Subcommand};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_lab::demo::{DemoOptions, demo};
 use shadecast_lab::long;
-use shadecast_lab::options::{Renderer, RunOptions, StageMs};
+use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs};
 use shadecast_lab::run::run;
 use shadecast_scene::animation::clip::DEFAULT_RESAMPLE_INTERVAL_S;
 use shadecast_server::encode::openh264::DEFAULT_QP;
@@ -23,7 +23,7 @@ use std::sync::Arc;
   shadecast-lab demo --out out/demo
   shadecast-lab device
 
-SCENE is dragon, dragons:N, a .glb or .gltf file, or a scene description (.toml).
+SCENE is dragon, dragons:N, dragons:NxMxK (a grid), a .glb or .gltf file, or a scene description (.toml).
 A head path is a CSV file, t_s,x,y,z,qx,qy,qz,qw: metres in the stage's frame (y up, -z forward)."
 )]
 struct Cli {
@@ -60,6 +60,9 @@ struct RunArgs {
     /// Head path (CSV) [default: a short walk]
     #[arg(long)]
     head: Option<PathBuf>,
+    /// A head path of the scene, by its name; every scene has still, turn and walk
+    #[arg(long, conflicts_with = "head")]
+    head_path: Option<String>,
     /// Virtual seconds
     #[arg(long, default_value_t = 5.0)]
     seconds: f64,
@@ -162,7 +165,11 @@ fn run_one(args: RunArgs) -> anyhow::Result<()> {
     let options = RunOptions {
         renderer: args.renderer,
         link,
-        head: args.head,
+        head: match (args.head, args.head_path) {
+            (Some(file), _) => Head::File(file),
+            (None, Some(name)) => Head::Named(name),
+            (None, None) => Head::Walk,
+        },
         seconds: args.seconds,
         extent_pixels: args.size,
         fov_degrees: args.fov,

@@ -76,6 +76,18 @@ impl FromStr for StageMs {
     }
 }
 
+/// Where the head goes in a run.
+#[derive(Clone, Debug, Default)]
+pub enum Head {
+    /// A few steps.
+    #[default]
+    Walk,
+    /// A CSV file, as the mock runtime reads it.
+    File(PathBuf),
+    /// A head path of the scene by its name; its time 0 is the first display frame.
+    Named(String),
+}
+
 /// A run.
 #[derive(Clone, Debug)]
 pub struct RunOptions {
@@ -85,8 +97,8 @@ pub struct RunOptions {
     pub renderer: Renderer,
     /// The simulated network.
     pub link: LinkSchedule,
-    /// Head path; `None`: the built-in walk.
-    pub head: Option<PathBuf>,
+    /// Where the head goes.
+    pub head: Head,
     /// Virtual seconds.
     pub seconds: f64,
     /// Pixels per eye.
@@ -136,7 +148,7 @@ impl RunOptions {
             scene,
             renderer: Renderer::Stream,
             link: link.into(),
-            head: None,
+            head: Head::Walk,
             seconds: 5.0,
             extent_pixels: [512, 512],
             fov_degrees: 90.0,

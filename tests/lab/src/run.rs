@@ -4,7 +4,7 @@ use crate::compare::{Comparer, Shown};
 use crate::image::Rgb8Image;
 use crate::metrics::{FrameMetrics, ProbeView};
 use crate::motion::{Motion, MotionReport};
-use crate::options::{Renderer, RunOptions};
+use crate::options::{Head, Renderer, RunOptions};
 use crate::session::{Lab, SERVER_EPOCH_NS, START_NS, Server};
 use crate::sheet::{Sheet, difference};
 use crate::stats::{Counted, MbitPerS, Stats, Summary};
@@ -12,10 +12,13 @@ use anyhow::{Context, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 use shadecast_client::client::Step;
 use shadecast_mock_runtime::config::{ClockKind, FovDegrees, MockConfig};
+use shadecast_mock_runtime::head_path::COLUMNS;
 use shadecast_mock_runtime::manifest;
 use shadecast_mock_runtime::record::{FrameRecord, Side, picture_path, read_frames};
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
+use shadecast_scene::HeadPath;
+use shadecast_scene::load::load_head_path;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -55,13 +58,12 @@ pub fn prepare_runtime(config: &MockConfig, folder: &Path) -> anyhow::Result<[(&
 pub fn mock_config(options: &RunOptions, clock: ClockKind, capture_every: u32) -> anyhow::Result<MockConfig> {
     let half = options.fov_degrees * 0.5;
     let head_path = match &options.head {
-        Some(path) => path.canonicalize().with_context(|| format!("head path {}", path.display()))?,
-        None => {
-            std::fs::create_dir_all(&options.out)
-                .with_context(|| format!("making {}", options.out.display()))?;
-            let path = options.out.join("walk.csv");
-            std::fs::write(&path, BUILT_IN_WALK).with_context(|| format!("writing {}", path.display()))?;
-            path.canonicalize()?
+        Head::File(path) => path.canonicalize().with_context(|| format!("head path {}", path.display()))?,
+        Head::Walk => write_head_path(options, "walk.csv", BUILT_IN_WALK)?,
+        Head::Named(name) => {
+            let path = load_head_path(&options.scene, name)?;
+            let text = head_path_csv(&path, options.seconds, options.refresh_hz);
+            write_head_path(options, "head.csv", &text)?
         }
     };
     Ok(MockConfig {
@@ -76,6 +78,29 @@ pub fn mock_config(options: &RunOptions, clock: ClockKind, capture_every: u32) -
         capture_every,
         ..MockConfig::default()
     })
+}
+
+fn write_head_path(options: &RunOptions, file: &str, text: &str) -> anyhow::Result<PathBuf> {
+    std::fs::create_dir_all(&options.out).with_context(|| format!("making {}", options.out.display()))?;
+    let path = options.out.join(file);
+    std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))?;
+    Ok(path.canonicalize()?)
+}
+
+/// Rows of a head path per display frame: what the mock runtime interpolates linearly between them is no rounder.
+const ROWS_PER_FRAME: f64 = 4.0;
+
+/// A head path of the scene as the mock runtime reads it, time 0 of one being time 0 of the other; a second longer
+/// than the run, since poses are also asked for ahead of time.
+fn head_path_csv(path: &HeadPath, seconds: f64, refresh_hz: f64) -> String {
+    let rate_hz = refresh_hz * ROWS_PER_FRAME;
+    let mut text = format!("{COLUMNS}\n");
+    for row in 0..=((seconds + 1.0) * rate_hz).ceil() as u32 {
+        let t_s = f64::from(row) / rate_hz;
+        let Pose { position: p, orientation: q } = path.stage_from_head(t_s);
+        text += &format!("{t_s:.9},{},{},{},{},{},{},{}\n", p.x, p.y, p.z, q.x, q.y, q.z, q.w);
+    }
+    text
 }
 
 /// Sets the variables that the OpenXR loader and the mock runtime read.
@@ -332,4 +357,34 @@ pub fn write_pictures(
     }
     sheet.render()?.write_png(&out.join("sheet.png"))?;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shadecast_mock_runtime::head_path::HeadPath as MockHeadPath;
+    use shadecast_scene::SceneSource;
+
+    #[test]
+    fn mock_runtime_moves_its_head_as_the_scene_says() {
+        let path = load_head_path(&SceneSource::Dragons(1), "walk").expect("every scene has it");
+        let mock = MockHeadPath::parse(&head_path_csv(&path, 3.0, 72.0), "head.csv").expect("valid");
+        assert!(mock.end_s() >= 4.0);
+        for frame in 0..216 {
+            // Between rows too.
+            let t_s = f64::from(frame) / 72.0 + 0.0011;
+            let (found, expected) = (mock.pose_at(t_s), path.stage_from_head(t_s));
+            assert!(found.position.distance(expected.position) < 1e-5, "{t_s}: {found:?}");
+            assert!(found.orientation.angle_between(expected.orientation) < 1e-3, "{t_s}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn head_path_that_the_scene_does_not_have_is_suggested() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let head = Head::Named("wakl".into());
+        let options = RunOptions { head, ..RunOptions::new(SceneSource::Dragons(1), folder.path().into()) };
+        let error = mock_config(&options, ClockKind::Virtual, 0).expect_err("unknown").to_string();
+        assert_eq!(error, "the scene has no head path \"wakl\"; did you mean \"walk\"?");
+    }
 }
