@@ -7,6 +7,7 @@ use super::split::{MAX_EDGE_M, split_long_edges};
 use super::suggest::{did_you_mean, did_you_mean_or_list};
 use crate::animation::clip::track_varies;
 use crate::animation::pose;
+use crate::limits::read_limited;
 use crate::views::find_head_path;
 use crate::{HeadPath, Instance, Model, Scene, gltf, ground};
 use glam::{Affine3A, Quat, Vec3};
@@ -285,7 +286,9 @@ fn scene_file(path: &Path) -> Result<Scene, SceneError> {
 /// Name, for messages, and text.
 fn read_scene_file(path: &Path) -> Result<(String, String), SceneError> {
     let name = path.display().to_string();
-    match std::fs::read_to_string(path) {
+    let text = read_limited(path)
+        .and_then(|bytes| String::from_utf8(bytes).map_err(|_| std::io::Error::other("not UTF-8 text")));
+    match text {
         Ok(text) => Ok((name, text)),
         Err(source) => Err(SceneError::Read { file: name, source }),
     }

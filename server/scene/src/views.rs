@@ -2,7 +2,6 @@
 
 use crate::suggest::did_you_mean_or_list;
 use crate::{Camera, HeadPath, Scene, SceneError};
-use glam::Vec3;
 use shadecast_protocol::pose::{Fov, Pose};
 
 impl Scene {
@@ -51,6 +50,6 @@ impl HeadPath {
     /// Where the head is `time_s` seconds into the scene.
     pub fn stage_from_head(&self, time_s: f64) -> Pose {
         let (_, orientation, position) = self.path.transform(time_s).to_scale_rotation_translation();
-        Pose { position: Vec3::from(position), orientation: orientation.normalize() }
+        Pose { position, orientation: orientation.normalize() }
     }
 }

@@ -4,13 +4,14 @@
 use super::fields::Fields;
 use super::placement::read_scale;
 use super::view::{read_quaternion, rotation_of};
+use crate::limits::MAX_DURATION_S;
 use crate::{Clip, Interpolation, Path, Repetition, SceneError, Track, TrackValues};
 use glam::{Quat, Vec3, Vec4};
 
 /// Most keys of one path.
 pub const MAX_PATH_KEYS: usize = 4096;
 /// Latest key of a path, seconds.
-pub const MAX_PATH_DURATION_S: f32 = 86_400.0;
+pub const MAX_PATH_DURATION_S: f32 = MAX_DURATION_S;
 /// Largest factor of a path's scale.
 const MAX_PATH_SCALE: f32 = 1000.0;
 /// Most degrees from key to key about one axis: keys are joined along the shorter arc, and beyond this it is hardly

@@ -460,9 +460,12 @@ fn translation(path: &Path, time_s: f64) -> Vec3 {
     path.transform(time_s).translation.into()
 }
 
+/// Time, place, degrees about x, y and z, scale.
+type UnevenKey = (f64, Vec3, [f32; 3], f32);
+
 /// Keys at uneven times, and their TOML.
-fn uneven_keys() -> (Vec<(f64, Vec3, [f32; 3], f32)>, String) {
-    let keys: Vec<(f64, Vec3, [f32; 3], f32)> = (0..12)
+fn uneven_keys() -> (Vec<UnevenKey>, String) {
+    let keys: Vec<UnevenKey> = (0..12)
         .map(|key| {
             let at = key as f32;
             let place = Vec3::new((at * 1.7).sin() * 3.0, at * 0.3, (at * 0.9).cos());
@@ -490,7 +493,7 @@ fn every_interpolation_of_a_path_hits_its_keys() {
         for (time_s, place, turn_deg, scale) in &keys {
             let found = path.transform(f64::from(*time_s as f32));
             let (size, rotation, at) = found.to_scale_rotation_translation();
-            assert!(Vec3::from(at).abs_diff_eq(*place, 1e-4), "{way} at {time_s}: {at}");
+            assert!(at.abs_diff_eq(*place, 1e-4), "{way} at {time_s}: {at}");
             assert!(size.abs_diff_eq(Vec3::splat(*scale), 1e-4), "{way} at {time_s}: {size}");
             let [x, y, z] = turn_deg.map(f32::to_radians);
             let turn = Quat::from_rotation_y(y) * Quat::from_rotation_x(x) * Quat::from_rotation_z(z);
