@@ -35,7 +35,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
   shadecast-server forward dragon --out pictures --frames 8 --fps 8
   shadecast-server generate dragon --out dragon.glb
 
-SCENE is dragon, dragons:N, dragons:NxMxK (a grid), a .glb or .gltf file, or a scene description (.toml)."
+SCENE is dragon, dragons:N, dragons:NxMxK (a grid), a .glb, .gltf or .fbx file, or a scene description (.toml)."
 )]
 struct Cli {
     #[command(subcommand)]
@@ -76,7 +76,7 @@ struct DeviceArgs {
 
 #[derive(Args)]
 struct StreamArgs {
-    /// dragon, dragons:N, a .glb/.gltf file, or a scene .toml
+    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     scene: String,
     /// UDP address to listen on; 0.0.0.0:7400 for headsets on the network
     #[arg(long, default_value = "127.0.0.1:7400")]
@@ -114,7 +114,7 @@ struct StreamArgs {
 
 #[derive(Args)]
 struct ForwardArgs {
-    /// dragon, dragons:N, a .glb/.gltf file, or a scene .toml
+    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     scene: String,
     /// Folder for forward-NNNNNN.png
     #[arg(long)]

@@ -11,14 +11,15 @@ mod compression;
 mod container;
 mod extensions;
 mod light;
-mod material;
-mod mesh;
+pub(crate) mod material;
+pub(crate) mod mesh;
 mod shape;
 #[cfg(test)]
 mod tests;
 
 use super::error::{Fault, SceneError};
-use super::limits::{MAX_DELTAS, MAX_MORPHS, MAX_PALETTE, MAX_VERTICES, read_limited};
+use super::import::{Warnings, label};
+use super::limits::{MAX_DELTAS, MAX_MORPHS, MAX_PALETTE, MAX_VERTICES};
 use super::{Bone, Light, Model, Morph, MorphDelta, PaletteEntry, Primitive, Trs};
 use ::gltf::accessor::Dimensions;
 use accessor::Reader;
@@ -26,34 +27,19 @@ use glam::{Affine3A, Mat4, Quat, Vec3};
 use material::Materials;
 use mesh::Part;
 use serde::Deserialize;
-use std::collections::{BTreeSet, HashMap};
+use std::collections::HashMap;
 use std::ops::Range;
 use std::path::Path;
 use std::rc::Rc;
 
-/// What was left out of a model, one sentence each, each once.
-type Warnings = BTreeSet<String>;
-
 /// Loads a file; buffers and images beside it are found relative to it.
 pub fn load(path: &Path) -> Result<Model, SceneError> {
-    let file = path.display().to_string();
-    let bytes = read_limited(path).map_err(|source| SceneError::Read { file: file.clone(), source })?;
-    let folder = path.parent().unwrap_or(Path::new(""));
-    let name = path.file_stem().map_or_else(|| file.clone(), |stem| stem.to_string_lossy().into_owned());
-    finish(import(&bytes, &name, Some(folder)), &file)
+    super::import::load(path, import)
 }
 
 /// Loads an asset that lies in memory and refers to no other file. `name` stands for the file in messages.
 pub fn from_slice(bytes: &[u8], name: &str) -> Result<Model, SceneError> {
-    finish(import(bytes, name, None), name)
-}
-
-fn finish(imported: Result<(Model, Warnings), Fault>, file: &str) -> Result<Model, SceneError> {
-    let (model, warnings) = imported.map_err(|fault| fault.in_file(file))?;
-    for warning in warnings {
-        tracing::warn!("{file}: {warning}");
-    }
-    Ok(model)
+    super::import::from_slice(bytes, name, import)
 }
 
 fn import(bytes: &[u8], name: &str, folder: Option<&Path>) -> Result<(Model, Warnings), Fault> {
@@ -71,11 +57,6 @@ fn import(bytes: &[u8], name: &str, folder: Option<&Path>) -> Result<(Model, War
     let (mut model, warnings) = assembly.into_model();
     model.name = name.to_owned();
     Ok((model, warnings))
-}
-
-/// `mesh 'x'` where it has a name, `mesh 3` where not.
-fn label(kind: &str, index: usize, name: Option<&str>) -> String {
-    name.map_or_else(|| format!("{kind} {index}"), |name| format!("{kind} '{}'", name.escape_debug()))
 }
 
 fn node_label(node: &::gltf::Node) -> String {

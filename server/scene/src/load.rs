@@ -9,7 +9,7 @@ use crate::animation::clip::track_varies;
 use crate::animation::pose;
 use crate::limits::read_limited;
 use crate::views::find_head_path;
-use crate::{HeadPath, Instance, Model, Scene, gltf, ground};
+use crate::{HeadPath, Instance, Model, Scene, fbx, gltf, ground};
 use glam::{Affine3A, Quat, Vec3};
 use shadecast_protocol::pose::Pose;
 use std::fmt;
@@ -26,7 +26,7 @@ pub enum SceneSource {
     Dragons(u32),
     /// Built-in dragons in a grid: so many side by side, above each other, behind each other.
     DragonGrid([u32; 3]),
-    /// A `.glb` or `.gltf` asset, or a `.toml` scene.
+    /// A `.glb`, `.gltf` or `.fbx` asset, or a `.toml` scene.
     File(PathBuf),
 }
 
@@ -52,7 +52,7 @@ impl FromStr for SceneSource {
             _ if argument == "dragon" => Ok(Self::Dragons(1)),
             _ if argument == "dragons" => Ok(Self::default()),
             _ if argument.is_empty() => {
-                Err(fault("is empty; give dragons:N or a .glb, .gltf or .toml file".into()))
+                Err(fault("is empty; give dragons:N or a .glb, .gltf, .fbx or .toml file".into()))
             }
             _ => Ok(Self::File(argument.into())),
         }
@@ -105,21 +105,22 @@ fn unknown_kind(path: &Path, extension: &str) -> SceneError {
     let name = path.display().to_string();
     let hint = did_you_mean(&name, ["dragon", "dragons"]);
     let problem = match extension {
-        "" => format!("is neither a built-in scene nor a .glb, .gltf or .toml file{hint}"),
-        other => format!("files of kind .{other} are not known; give a .glb, .gltf or .toml file"),
+        "" => format!("is neither a built-in scene nor a .glb, .gltf, .fbx or .toml file{hint}"),
+        other => format!("files of kind .{other} are not known; give a .glb, .gltf, .fbx or .toml file"),
     };
     SceneError::Argument { argument: name, problem }
 }
 
 /// Whether the file's name is that of an asset that can be imported.
 fn is_asset(path: &Path) -> bool {
-    matches!(extension(path).as_str(), "glb" | "gltf")
+    matches!(extension(path).as_str(), "glb" | "gltf" | "fbx")
 }
 
 /// The one way by which models come into a scene.
 fn load_model(file: &ModelFile) -> Result<Model, SceneError> {
     match file {
         ModelFile::BuiltInDragon => gltf::from_slice(&crate::generate::dragon(), "built-in dragon"),
+        ModelFile::Path(path) if extension(path) == "fbx" => fbx::load(path),
         ModelFile::Path(path) => gltf::load(path),
     }
 }
@@ -332,7 +333,7 @@ fn named_model(entry: &ModelEntry, name: &str, folder: &Path) -> Result<Model, S
         }
         ModelFile::Path(path) => {
             let hint = did_you_mean(&path.to_string_lossy(), [file::BUILT_IN_DRAGON]);
-            return Err(fault(format!("\"{}\" is not a .glb or .gltf file{hint}", path.display())));
+            return Err(fault(format!("\"{}\" is not a .glb, .gltf or .fbx file{hint}", path.display())));
         }
     };
     model.name.clone_from(&entry.name);
@@ -472,7 +473,7 @@ mod tests {
     #[test]
     fn unknown_files_are_refused_with_advice() {
         let message = |path: &str| load_scene(&SceneSource::File(path.into())).expect_err(path).to_string();
-        assert!(message("x.fbx").contains("files of kind .fbx are not known"), "{}", message("x.fbx"));
+        assert!(message("x.obj").contains("files of kind .obj are not known"), "{}", message("x.obj"));
         assert!(message("dragn").contains("did you mean \"dragon\"?"), "{}", message("dragn"));
         assert!(
             message("nowhere.glb").starts_with("nowhere.glb: cannot be read"),
@@ -600,7 +601,7 @@ mod tests {
             message(text)
         );
         let typo = message(&text.replace("gone.glb", "dragno"));
-        assert_eq!(typo, "s.toml:3: \"dragno\" is not a .glb or .gltf file; did you mean \"dragon\"?");
+        assert_eq!(typo, "s.toml:3: \"dragno\" is not a .glb, .gltf or .fbx file; did you mean \"dragon\"?");
     }
 
     #[test]

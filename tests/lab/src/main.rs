@@ -23,7 +23,7 @@ use std::sync::Arc;
   shadecast-lab demo --out out/demo
   shadecast-lab device
 
-SCENE is dragon, dragons:N, dragons:NxMxK (a grid), a .glb or .gltf file, or a scene description (.toml).
+SCENE is dragon, dragons:N, dragons:NxMxK (a grid), a .glb, .gltf or .fbx file, or a scene description (.toml).
 A head path is a CSV file, t_s,x,y,z,qx,qy,qz,qw: metres in the stage's frame (y up, -z forward)."
 )]
 struct Cli {
@@ -49,7 +49,7 @@ enum Command {
 
 #[derive(Args)]
 struct RunArgs {
-    /// dragon, dragons:N, a .glb/.gltf file, or a scene .toml
+    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     scene: String,
     /// Which renderer makes the pictures
     #[arg(long, value_enum, default_value = "stream")]
@@ -109,7 +109,7 @@ struct RunArgs {
 
 #[derive(Args)]
 struct DemoArgs {
-    /// dragon, dragons:N, a .glb/.gltf file, or a scene .toml [default: dragons:3; one dragon on a CPU]
+    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml [default: dragons:3; one dragon on a CPU]
     scene: Option<String>,
     /// Folder for pictures and stats.json
     #[arg(long, default_value = "out/demo")]

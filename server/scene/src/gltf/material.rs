@@ -311,7 +311,7 @@ fn alpha_cutoff(source: &::gltf::Material, warnings: &mut Warnings) -> Option<f3
     }
 }
 
-fn check_factors(material: &Material) -> Result<(), String> {
+pub(crate) fn check_factors(material: &Material) -> Result<(), String> {
     let mut numbers =
         vec![material.metallic, material.roughness, material.normal_scale, material.occlusion_strength];
     numbers.extend(material.base_color.iter().chain(&material.emissive).chain(&material.alpha_cutoff));
@@ -322,7 +322,7 @@ fn check_factors(material: &Material) -> Result<(), String> {
 }
 
 /// Factors into the ranges that glTF allows; exporters write 1.0000001.
-fn clamped(mut material: Material) -> Material {
+pub(crate) fn clamped(mut material: Material) -> Material {
     material.base_color = material.base_color.map(|factor| factor.clamp(0.0, 1.0));
     material.emissive = material.emissive.map(|factor| factor.max(0.0));
     material.metallic = material.metallic.clamp(0.0, 1.0);

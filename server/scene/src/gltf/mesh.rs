@@ -305,7 +305,8 @@ fn unroll_fan(list: &[u32]) -> Vec<u32> {
     rim.windows(2).flat_map(|pair| [pair[0], pair[1], *centre]).collect()
 }
 
-fn replace_zero_normals(vertices: &mut [Vertex], indices: &[u32]) {
+/// A normal of no length is replaced by its triangle's.
+pub(crate) fn replace_zero_normals(vertices: &mut [Vertex], indices: &[u32]) {
     for triangle in indices.chunks_exact(3) {
         let corners = [0, 1, 2].map(|i| triangle[i] as usize);
         let normal = triangle_normal(corners.map(|corner| vertices[corner].position));
