@@ -3,7 +3,8 @@
 /// Four joints and their weights, as a vertex holds them.
 pub type FourInfluences = ([u16; 4], [f32; 4]);
 
-/// Keeps the four largest influences and scales them to sum 1. A joint that occurs twice counts once, with the sum of
+/// Keeps the four largest influences and scales them to sum 1, in whole units of 1/65,535, so that the GPU can hold
+/// them in 16 bits and still blend with exactly the weights that the CPU has. A joint that occurs twice counts once, with the sum of
 /// its weights. `None` where all weights are zero, or one is negative or not finite.
 ///
 /// The result does not depend on the order of the input, ties included: vertices of two triangles that meet at a
@@ -30,12 +31,24 @@ fn normalised(largest_first: &[(u16, f64)]) -> Option<FourInfluences> {
     let sum: f64 = largest_first.iter().map(|(_, weight)| *weight).sum();
     let first = largest_first.first()?;
     // Unused slots name a joint that is used anyway: its matrix is loaded already, and it is always in range.
-    let (mut joints, mut weights) = ([first.0; 4], [0.0; 4]);
-    for (slot, (joint, weight)) in largest_first.iter().enumerate() {
-        joints[slot] = *joint;
-        weights[slot] = (*weight / sum) as f32;
+    let (mut joints, mut units) = ([first.0; 4], [0; 4]);
+    for (slot, (joint, weight)) in largest_first.iter().enumerate().skip(1) {
+        units[slot] = (*weight / sum * f64::from(u16::MAX)).round() as u16;
+        joints[slot] = if units[slot] > 0 { *joint } else { first.0 };
     }
-    Some((joints, weights))
+    // At most three times the half of a unit too many: the largest of four weights is above that.
+    units[0] = u16::MAX - units[1..].iter().sum::<u16>();
+    Some((joints, units.map(weight_of_units)))
+}
+
+/// The weight that so many of 65,535 units stand for.
+pub fn weight_of_units(units: u16) -> f32 {
+    f32::from(units) / f32::from(u16::MAX)
+}
+
+/// The units of a weight, exactly for those that [`reduce_to_four`] gives.
+pub fn units_of_weight(weight: f32) -> u16 {
+    (weight * f32::from(u16::MAX)).round() as u16
 }
 
 #[cfg(test)]
@@ -52,10 +65,13 @@ mod tests {
             let (joints, weights) = reduce_to_four(input.clone()).expect("positive weights");
             let sum: f32 = weights.iter().sum();
             assert!((sum - 1.0).abs() < 1e-6, "seed 11, case {case}: sum {sum}");
+            let units: u32 = weights.map(|w| u32::from(units_of_weight(w))).iter().sum();
+            assert_eq!(units, 65_535, "seed 11, case {case}");
+            assert_eq!(weights, weights.map(|w| weight_of_units(units_of_weight(w))), "seed 11, case {case}");
             let kept = input.len().min(4);
             for slot in 1..kept {
                 let (first, other) = (input[joints[0] as usize].1, input[joints[slot] as usize].1);
-                assert!((weights[slot] * first - weights[0] * other).abs() < 1e-6, "seed 11, case {case}");
+                assert!((weights[slot] * first - weights[0] * other).abs() < 4e-5, "seed 11, case {case}");
             }
         }
     }
@@ -76,7 +92,7 @@ mod tests {
     fn a_joint_named_twice_counts_once() {
         let (joints, weights) = reduce_to_four([(7, 0.25), (3, 0.5), (7, 0.25)]).expect("positive weights");
         assert_eq!((joints[0], joints[1]), (3, 7));
-        assert_eq!((weights[0], weights[1]), (0.5, 0.5));
+        assert_eq!((units_of_weight(weights[0]), units_of_weight(weights[1])), (32_767, 32_768));
     }
 
     #[test]
@@ -84,7 +100,7 @@ mod tests {
         let (joints, weights) =
             reduce_to_four([(7, f32::MAX), (3, f32::MAX), (7, f32::MAX)]).expect("positive weights");
         assert_eq!((joints[0], joints[1]), (7, 3));
-        assert!((weights[0] - 2.0 / 3.0).abs() < 1e-6 && (weights[1] - 1.0 / 3.0).abs() < 1e-6);
+        assert!((weights[0] - 2.0 / 3.0).abs() < 1e-5 && (weights[1] - 1.0 / 3.0).abs() < 1e-5);
     }
 
     #[test]

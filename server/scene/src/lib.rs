@@ -17,6 +17,7 @@ pub mod gltf;
 pub mod ground;
 mod image;
 mod import;
+pub mod identity;
 pub mod influences;
 mod limits;
 pub mod load;
