@@ -2,6 +2,7 @@
 //! barriers between the stages.
 
 use crate::animation::gpu::Animation;
+use crate::culling::Culling;
 use crate::encode::{AccessUnit, EncodeError, Encoder, Planes};
 use crate::levels::Layout;
 use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES};
@@ -39,6 +40,7 @@ pub struct Frame {
     head: HeadTrack,
     animation: Animation,
     samples: SampleWindow,
+    culling: Culling,
     views: Buffer,
     id_buffer: IdBuffer,
     mark: Mark,
@@ -110,6 +112,7 @@ impl Frame {
             head: HeadTrack::default(),
             animation,
             samples,
+            culling: scene.culling(),
             views,
             id_buffer,
             mark,
@@ -166,18 +169,19 @@ impl Frame {
         Ok(Some(Shaded { frame, time: now, delta, extent_texels, planes }))
     }
 
-    /// Animates the new grid points, rasterises every predicted view at its time, and measures what is visible.
+    /// Animates the new grid points of what can be in view, rasterises every predicted view at its time, and measures what is visible.
     fn see(&mut self, views: &PredictedViews) -> Result<(), GpuError> {
         self.write_views(views);
+        let needed = self.culling.update(views.eyes.iter().flatten().copied());
         let slots = views.times.map(SampleWindow::slot);
         let mut recorder = self.gpu.record()?;
-        self.samples.record(&mut recorder, &mut self.animation, self.grid, views);
+        self.samples.record(&mut recorder, &mut self.animation, self.grid, views, needed);
         recorder.fill(&self.mark.visible, 0);
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         for (time, slot) in slots.into_iter().enumerate() {
             recorder.scope("id buffer", |r| {
-                self.id_buffer.record(r, &self.scene, &self.animation, slot, 2 * time as u32);
+                self.id_buffer.record(r, &self.scene, &self.animation, needed, slot, 2 * time as u32);
             });
             recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
             recorder.scope("mark", |r| self.mark.record(r));
@@ -200,9 +204,10 @@ impl Frame {
         self.shadow.write(&self.scene, self.grid.time_of(middle));
         self.shading.write_blocks(&self.scene, &self.animation, slot, self.layout.live());
         let mut recorder = self.gpu.record()?;
-        self.animation.record_frames(&mut recorder, slot);
+        let needed = self.culling.needed();
+        self.animation.record_frames(&mut recorder, slot, |instance| needed[instance]);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
-        recorder.scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, slot));
+        recorder.scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, needed, slot));
         recorder.barrier(Access::DEPTH_WRITE, Access::FRAGMENT_READ);
         recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the last conversion has read the atlas
         recorder.scope("shading", |r| self.shading.record(r, views.world_from_head.position));

@@ -2,6 +2,7 @@
 
 pub mod animation;
 pub mod atlas;
+pub mod culling;
 pub mod encode;
 pub mod frame;
 pub mod levels;

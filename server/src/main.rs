@@ -7,15 +7,16 @@ use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_protocol::limits::{ATLAS_DEFAULT_EXTENT, ATLAS_MAX_EXTENT};
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
-use shadecast_scene::animation::clip::DEFAULT_RESAMPLE_INTERVAL_S;
+use shadecast_scene::animation::sampling::Sampling;
 use shadecast_scene::file::{DEFAULT_FOV_DEG, FOV_RANGE_DEG};
 use shadecast_scene::generate;
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_scene::{Camera, HeadPath, Scene};
 use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::picture;
-use shadecast_server::scene_gpu::SceneGpu;
+use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
 use shadecast_server::stages::forward::Forward;
+use shadecast_server::stages::skin::Skinning;
 use shadecast_server::stream::{StreamOptions, run};
 use shadecast_transport::{LinkProfile, LinkSchedule};
 use std::net::SocketAddr;
@@ -66,9 +67,12 @@ struct DeviceArgs {
     /// Vulkan validation layers on; messages are logged and counted
     #[arg(long)]
     validation: bool,
-    /// Milliseconds between the keys that clips are resampled to
-    #[arg(long, default_value_t = DEFAULT_RESAMPLE_INTERVAL_S * 1000.0)]
-    resample_ms: f32,
+    /// How clips become keys: error-bounded[:0.1mm], or the paper's constant[:100ms]
+    #[arg(long, default_value_t)]
+    sampling: Sampling,
+    /// How vertices are skinned
+    #[arg(long, value_enum, default_value_t)]
+    skinning: Skinning,
     /// The sun casts no shadows, whatever the scene says
     #[arg(long)]
     no_shadows: bool,
@@ -189,11 +193,6 @@ fn main() {
 }
 
 fn open(scene: &str, args: &DeviceArgs) -> anyhow::Result<(Arc<Gpu>, Arc<SceneGpu>)> {
-    anyhow::ensure!(
-        args.resample_ms > 0.5 && args.resample_ms < 10_000.0,
-        "--resample-ms {} must lie between 0.5 and 10000",
-        args.resample_ms
-    );
     let mut scene = load_scene(&scene.parse::<SceneSource>()?)?;
     scene.sun.casts_shadows &= !args.no_shadows;
     let options =
@@ -203,7 +202,8 @@ fn open(scene: &str, args: &DeviceArgs) -> anyhow::Result<(Arc<Gpu>, Arc<SceneGp
     if gpu.is_cpu() {
         println!("warning: this device is a CPU; pictures are right, but slow");
     }
-    let scene = SceneGpu::new(&gpu, scene, args.resample_ms / 1000.0)?;
+    let scene =
+        SceneGpu::new(&gpu, scene, &SceneOptions { sampling: args.sampling, skinning: args.skinning })?;
     Ok((gpu, Arc::new(scene)))
 }
 

@@ -1,6 +1,6 @@
 //! The window of grid samples: which grid points are computed, and their positions where the CPU can read them.
 
-use crate::animation::gpu::Animation;
+use crate::animation::gpu::{Animation, SampleJob};
 use crate::predict::PredictedViews;
 use crate::residency::{Geometry, InstanceRange};
 use crate::scene_gpu::SceneGpu;
@@ -20,8 +20,11 @@ pub struct SampleWindow {
     mirror: Buffer,
     /// By scene-wide vertex number: its place among the static or the animated saved vertices, and which of them.
     places: Vec<(u32, bool)>,
+    /// By instance: which grid point each slot holds.
+    held: Vec<[Option<GridIndex>; RING as usize]>,
+    jobs: Vec<SampleJob>,
     oldest: GridIndex,
-    newest: Option<GridIndex>,
+    is_first: bool,
 }
 
 impl SampleWindow {
@@ -34,7 +37,15 @@ impl SampleWindow {
             let count = scene.models[instance.model].vertex_count;
             places.extend((0..count).map(|v| (instance.saved_base + v, instance.is_animated)));
         }
-        Ok(Self { scene: scene.clone(), mirror, places, oldest: GridIndex(0), newest: None })
+        Ok(Self {
+            held: vec![[None; RING as usize]; scene.instances.len()],
+            jobs: Vec::new(),
+            scene: scene.clone(),
+            mirror,
+            places,
+            oldest: GridIndex(0),
+            is_first: true,
+        })
     }
 
     /// The slot of a grid point.
@@ -47,37 +58,67 @@ impl SampleWindow {
         self.oldest
     }
 
-    /// Records the samples that `views` need and the window lacks. A server that fell behind skips the grid points that
-    /// nobody can display any more.
+    /// Records the samples that `views` need of the `needed` instances and the window lacks: of an instance that was
+    /// needed before, the newest; of one that comes into view, all of the window.
     pub fn record(
         &mut self,
         recorder: &mut Recorder,
         animation: &mut Animation,
         grid: Grid,
         views: &PredictedViews,
+        needed: &[bool],
     ) {
+        // A server that fell behind skips the grid points that nobody can display any more.
         let earliest = views.horizon.plus(1 - RING as i32).max(views.first_sample.min(views.times[0]));
-        let first = self.newest.map_or(views.first_sample, |g| g.plus(1)).max(earliest);
-        let is_first = self.newest.is_none();
-        if is_first || self.newest.is_some_and(|newest| newest < first.plus(-1)) {
-            self.oldest = first;
-        }
-        for g in (first.0..=views.horizon.0).map(GridIndex) {
-            animation.record_sample(recorder, Self::slot(g), grid.time_of(g));
-        }
+        self.oldest = earliest;
+        self.list_jobs(earliest, views.horizon, grid, needed);
+        let statics =
+            SampleJob { instance: 0, slot: Self::slot(views.horizon), time: grid.time_of(views.horizon) };
+        animation.record(recorder, &self.jobs, statics);
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
-        if is_first {
+        if std::mem::take(&mut self.is_first) {
             let statics = u64::from(self.scene.totals.static_vertices) * 16;
             recorder.copy_buffer(animation.saved_vertices(), 0, &self.mirror, 0, statics);
         }
-        for g in (first.0..=views.horizon.0).map(GridIndex) {
-            let run = u64::from(self.scene.totals.animated_vertices) * 16;
-            let at = u64::from(self.scene.totals.static_vertices) * 16 + u64::from(Self::slot(g)) * run;
-            recorder.copy_buffer(animation.saved_vertices(), at, &self.mirror, at, run);
-        }
+        self.copy_back(recorder, animation);
         recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
-        self.newest = self.newest.max(Some(views.horizon));
-        self.oldest = self.oldest.max(views.horizon.plus(1 - RING as i32));
+    }
+
+    fn list_jobs(&mut self, earliest: GridIndex, horizon: GridIndex, grid: Grid, needed: &[bool]) {
+        self.jobs.clear();
+        for g in (earliest.0..=horizon.0).map(GridIndex) {
+            let slot = Self::slot(g);
+            for (instance, place) in self.scene.instances.iter().enumerate() {
+                let held = &mut self.held[instance][slot as usize];
+                if place.is_animated && needed[instance] && *held != Some(g) {
+                    *held = Some(g);
+                    self.jobs.push(SampleJob { instance, slot, time: grid.time_of(g) });
+                }
+            }
+        }
+    }
+
+    /// Copies what was skinned; neighbours in the buffer at once.
+    fn copy_back(&self, recorder: &mut Recorder, animation: &Animation) {
+        let mut run = 0..0;
+        let mut copy = |run: &std::ops::Range<u64>| {
+            let size = run.end - run.start;
+            if size == 0 {
+                return;
+            }
+            recorder.copy_buffer(animation.saved_vertices(), run.start, &self.mirror, run.start, size);
+        };
+        for job in &self.jobs {
+            let place = &self.scene.instances[job.instance];
+            let first = u64::from(animation.position_base(place, job.slot)) * 16;
+            let size = u64::from(self.scene.models[place.model].vertex_count) * 16;
+            if first != run.end {
+                copy(&run);
+                run = first..first;
+            }
+            run.end += size;
+        }
+        copy(&run);
     }
 
     fn saved(&self, index: u32) -> Vec3 {
@@ -98,7 +139,7 @@ impl Geometry for SampleWindow {
 
     fn patch(&self, patch: u32) -> Patch {
         let place = &self.scene.instances[self.scene.instance_of_patch(patch)];
-        self.scene.models[place.model].patches[(patch - place.first_patch) as usize]
+        self.scene.models[place.model].mesh.patches[(patch - place.first_patch) as usize]
     }
 
     fn static_position(&self, vertex: u32) -> Option<Vec3> {
@@ -109,7 +150,11 @@ impl Geometry for SampleWindow {
     }
 
     fn sample(&self, grid: GridIndex, vertex: u32) -> Vec3 {
-        debug_assert!(grid >= self.oldest && Some(grid) <= self.newest, "{grid:?} is not in the window");
+        debug_assert_eq!(
+            self.held[self.scene.instance_of_vertex(vertex)][Self::slot(grid) as usize],
+            Some(grid),
+            "vertex {vertex} is not skinned at this time"
+        );
         let totals = self.scene.totals;
         let (place, _) = self.places[vertex as usize];
         self.saved(totals.static_vertices + Self::slot(grid) * totals.animated_vertices + place)

@@ -3,25 +3,46 @@
 //! Numbers: a *scene-wide* vertex or patch number counts over all instances, in their order; a *model* number counts
 //! within one model.
 
+use crate::animation::manager::AnimationManager;
+use crate::culling::Culling;
 use crate::lights::{self, SunView};
+use crate::stages::skin::{GROUP, Skinning};
 use ash::vk;
-use glam::Affine3A;
 use shadecast_gpu::{
-    Access, Bind, Buffer, Gpu, GpuError, Image, ImageDesc, SCENE_TEXTURES, Sampler, SamplerDesc,
+    Access, Bind, Buffer, Gpu, GpuError, Image, ImageDesc, Memory, SCENE_TEXTURES, Sampler, SamplerDesc,
 };
 use shadecast_protocol::limits::MAX_LIGHTS;
 use shadecast_scene::animation::bounds::{self, Bounds};
-use shadecast_scene::animation::clip::{self, ResampledClip};
 use shadecast_scene::animation::pose;
+use shadecast_scene::animation::sampling::Sampling;
+use shadecast_scene::identity::{ContentHash, mesh_hash, texture_hash};
+use shadecast_scene::influences::units_of_weight;
 use shadecast_scene::patches::{Patch, Patches};
-use shadecast_scene::{Instance, Material, Model, Scene, Texture, TextureSlot, Wrap};
-use shadecast_shaders::generated::{EntryGpu, KeyGpu, MaterialGpu, PatchGpu, PoseGpu, VertexGpu};
+use shadecast_scene::{Instance, Material, Model, Scene, Texture, TextureSlot, Vertex, Wrap};
+use shadecast_shaders::generated::{MaterialGpu, MorphDeltaGpu, PackedVertexGpu, PatchGpu, VertexGpu};
 use std::collections::HashMap;
 use std::sync::Arc;
 
 /// A model's place in the shared buffers.
 #[derive(Debug)]
 pub struct ModelGpu {
+    /// Its mesh, which other models may share.
+    pub mesh: MeshGpu,
+    /// First entry in the material buffer.
+    pub material_base: u32,
+}
+
+impl std::ops::Deref for ModelGpu {
+    type Target = MeshGpu;
+
+    fn deref(&self) -> &MeshGpu {
+        &self.mesh
+    }
+}
+
+/// A mesh's place in the shared buffers; equal meshes have one.
+#[derive(Clone, Debug)]
+pub struct MeshGpu {
     /// First entry in the vertex buffer.
     pub vertex_base: u32,
     /// Vertices.
@@ -31,23 +52,13 @@ pub struct ModelGpu {
     /// First entry in the patch buffer.
     pub patch_base: u32,
     /// The patches, for the CPU.
-    pub patches: Vec<Patch>,
-    /// First entry in the material buffer.
-    pub material_base: u32,
-    bone_base: u32,
-    bone_count: u32,
-    level_base: u32,
-    level_count: u32,
-    entry_base: u32,
-    entry_count: u32,
-    /// Rest pose first, then the clips.
-    clips: Vec<ClipGpu>,
-}
-
-#[derive(Debug)]
-struct ClipGpu {
-    key_base: u32,
-    timing: ResampledClip,
+    pub patches: Arc<[Patch]>,
+    /// Whether any morph target moves its vertices.
+    pub has_morphs: bool,
+    /// First entry in the packed vertices.
+    pub packed_base: u32,
+    /// Where its packed vertices of 1, 2, 3 and 4 influences end, counted from `packed_base`; multiples of 64.
+    pub packed_ends: [u32; 4],
 }
 
 /// An instance's place in the shared buffers.
@@ -63,9 +74,6 @@ pub struct InstanceGpu {
     pub is_animated: bool,
     /// First vertex among the static or the animated ones, as `is_animated` says.
     pub saved_base: u32,
-    /// First palette entry.
-    pub palette_base: u32,
-    global_base: u32,
 }
 
 /// Sizes of the per-instance buffers.
@@ -83,6 +91,8 @@ pub struct Totals {
     pub palette: u32,
     /// Bones over all instances.
     pub bones: u32,
+    /// Morph targets over all instances.
+    pub morphs: u32,
 }
 
 /// All of it.
@@ -107,10 +117,14 @@ pub struct SceneGpu {
     pub patch_of_triangle: Buffer,
     /// `MaterialGpu`.
     pub materials: Buffer,
-    pub(crate) parents: Buffer,
-    pub(crate) levels: Buffer,
-    pub(crate) keys: Buffer,
-    pub(crate) entries: Buffer,
+    /// How vertices are skinned.
+    pub skinning: Skinning,
+    /// Skeletons and clips.
+    pub animation: AnimationBuffers,
+    /// `PackedVertexGpu` of all meshes, where the skinning uses them.
+    pub packed_vertices: Buffer,
+    /// `MorphDeltaGpu` of all meshes, by vertex.
+    pub morph_deltas: Buffer,
     textures: Vec<Image>,
     samplers: Vec<Sampler>,
     sampler_of_texture: Vec<usize>,
@@ -124,28 +138,88 @@ struct Arrays {
     patches: Vec<PatchGpu>,
     patch_of_triangle: Vec<u32>,
     materials: Vec<MaterialGpu>,
-    parents: Vec<i32>,
-    levels: Vec<u32>,
-    keys: Vec<KeyGpu>,
-    entries: Vec<EntryGpu>,
+    packed: Vec<PackedVertexGpu>,
+    morph_deltas: Vec<MorphDeltaGpu>,
+    /// Meshes that are there already.
+    meshes: HashMap<ContentHash, MeshGpu>,
+}
+
+/// How a scene is brought to the GPU.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SceneOptions {
+    /// How clips become keys.
+    pub sampling: Sampling,
+    /// How vertices are skinned.
+    pub skinning: Skinning,
+}
+
+/// The animation manager with its arrays on the GPU.
+pub struct AnimationBuffers {
+    /// Skeletons, clips and who uses them; its arrays are empty, the GPU has them.
+    pub manager: AnimationManager,
+    /// Bytes of the arrays.
+    pub bytes: u64,
+    pub(crate) level_starts: Buffer,
+    parents: Buffer,
+    tracks: Buffer,
+    keys: Buffer,
+    key_times: Buffer,
+    entries: Buffer,
+}
+
+impl AnimationBuffers {
+    fn new(gpu: &Arc<Gpu>, mut manager: AnimationManager) -> Result<Self, GpuError> {
+        let arrays = std::mem::take(&mut manager.arrays);
+        Ok(Self {
+            manager,
+            bytes: arrays.bytes(),
+            level_starts: filled(gpu, "bone levels", &arrays.level_starts)?,
+            parents: filled(gpu, "bone parents", &arrays.parents)?,
+            tracks: filled(gpu, "animation meta", &arrays.tracks)?,
+            keys: filled(gpu, "keyframes", &arrays.keys)?,
+            key_times: filled(gpu, "keyframe times", &arrays.key_times)?,
+            entries: filled(gpu, "inverse bind matrices", &arrays.entries)?,
+        })
+    }
+
+    /// What evaluates a bone.
+    pub(crate) fn binds(&self) -> Vec<(&'static str, Bind<'_>)> {
+        vec![
+            ("Parents", Bind::Buffer(&self.parents)),
+            ("Tracks", Bind::Buffer(&self.tracks)),
+            ("Keys", Bind::Buffer(&self.keys)),
+            ("KeyTimes", Bind::Buffer(&self.key_times)),
+            ("Entries", Bind::Buffer(&self.entries)),
+        ]
+    }
+}
+
+/// A device-local buffer of an array that may be empty; Vulkan has no empty buffers.
+fn filled<T: bytemuck::Pod>(gpu: &Arc<Gpu>, name: &str, data: &[T]) -> Result<Buffer, GpuError> {
+    match data.is_empty() {
+        true => Buffer::new(gpu, name, 64, Memory::Device),
+        false => Buffer::device_local(gpu, name, data),
+    }
 }
 
 impl SceneGpu {
-    /// Uploads `scene`, its clips resampled at `interval_s`.
+    /// Uploads `scene`, its clips sampled.
     ///
     /// # Errors
     /// Memory, or more textures than [`SCENE_TEXTURES`].
-    pub fn new(gpu: &Arc<Gpu>, scene: Scene, interval_s: f32) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Arc<Gpu>, scene: Scene, options: &SceneOptions) -> Result<Self, GpuError> {
+        let manager = AnimationManager::new(&scene, options.sampling);
         let mut arrays = Arrays::default();
-        let mut models = Vec::new();
-        let mut texture_base = 0;
-        for model in &scene.models {
-            models.push(arrays.add(model, interval_s, texture_base));
-            texture_base += model.textures.len();
-        }
-        if texture_base > SCENE_TEXTURES as usize {
+        let mut textures = UniqueTextures::default();
+        let models: Vec<ModelGpu> = scene
+            .models
+            .iter()
+            .map(|model| arrays.add(model, &textures.add(&model.textures), options.skinning))
+            .collect();
+        let count = textures.unique.len();
+        if count > SCENE_TEXTURES as usize {
             return Err(GpuError::NoDevice(format!(
-                "the scene has {texture_base} textures, at most {SCENE_TEXTURES} can be bound; use fewer"
+                "the scene has {count} textures, at most {SCENE_TEXTURES} can be bound; use fewer"
             )));
         }
         let (instances, totals) = place_instances(&scene, &models);
@@ -154,7 +228,7 @@ impl SceneGpu {
         if surplus > 0 {
             tracing::warn!("{surplus} lights are left out: a scene has at most {MAX_LIGHTS} beside the sun");
         }
-        let (textures, samplers, sampler_of_texture) = upload_textures(gpu, &scene)?;
+        let (textures, samplers, sampler_of_texture) = upload_textures(gpu, &textures.unique)?;
         let local = |name, bytes: &[u8]| Buffer::device_local(gpu, name, bytes);
         Ok(Self {
             vertices: local("vertices", bytemuck::cast_slice(&arrays.vertices))?,
@@ -162,10 +236,10 @@ impl SceneGpu {
             patches: local("patches", bytemuck::cast_slice(&arrays.patches))?,
             patch_of_triangle: local("patch of triangle", bytemuck::cast_slice(&arrays.patch_of_triangle))?,
             materials: local("materials", bytemuck::cast_slice(&arrays.materials))?,
-            parents: local("bone parents", bytemuck::cast_slice(&arrays.parents))?,
-            levels: local("bone levels", bytemuck::cast_slice(&arrays.levels))?,
-            keys: local("keyframes", bytemuck::cast_slice(&arrays.keys))?,
-            entries: local("palette entries", bytemuck::cast_slice(&arrays.entries))?,
+            skinning: options.skinning,
+            animation: AnimationBuffers::new(gpu, manager)?,
+            packed_vertices: filled(gpu, "packed vertices", &arrays.packed)?,
+            morph_deltas: filled(gpu, "morph targets", &arrays.morph_deltas)?,
             scene,
             models,
             instances,
@@ -175,6 +249,22 @@ impl SceneGpu {
             samplers,
             sampler_of_texture,
         })
+    }
+
+    /// That the device can bind so many bytes of `what` as one buffer.
+    ///
+    /// # Errors
+    /// It cannot; the text says what to do.
+    pub fn check_room(&self, gpu: &Gpu, what: &str, bytes: u64) -> Result<(), GpuError> {
+        let most = gpu.max_storage_buffer_bytes();
+        if bytes <= most {
+            return Ok(());
+        }
+        Err(GpuError::NoDevice(format!(
+            "{} MiB are needed for the {what}, this device binds at most {} MiB at once; use fewer or smaller models",
+            bytes >> 20,
+            most >> 20
+        )))
     }
 
     /// Every texture with its sampler, in scene-wide order.
@@ -192,39 +282,21 @@ impl SceneGpu {
         self.instances.partition_point(|instance| instance.first_vertex <= vertex) - 1
     }
 
-    /// An instance's pose at `time_s`, for the palette stage.
-    pub fn pose(&self, index: usize, time_s: f64) -> PoseGpu {
-        let (place, instance) = (&self.instances[index], &self.scene.instances[index]);
-        let model = &self.models[place.model];
-        let clip = &model.clips[instance.clip.map_or(0, |c| c + 1)];
-        let phase = instance.clip_phase_s(clip.timing.duration_s, time_s);
-        let (key, fraction) = pose::sample_at(&clip.timing, phase);
-        let next = (key + 1).min(clip.timing.count as usize - 1);
-        PoseGpu {
-            world_from_model: rows(instance.world_from_model(time_s)),
-            bone_base: model.bone_base,
-            level_base: model.level_base,
-            level_count: model.level_count,
-            key0_base: clip.key_base + key as u32 * model.bone_count,
-            key1_base: clip.key_base + next as u32 * model.bone_count,
-            fraction,
-            entry_base: model.entry_base,
-            entry_count: model.entry_count,
-            global_base: place.global_base,
-            palette_base: place.palette_base,
-            reserved0: 0,
-            reserved1: 0,
-        }
-    }
-
     /// The instances that cast shadows.
     pub fn casters(&self) -> impl Iterator<Item = usize> + '_ {
         (0..self.instances.len()).filter(|index| self.scene.instances[*index].casts_shadow)
     }
 
+    /// Which instances views need, for one client.
+    pub fn culling(&self) -> Culling {
+        let sun = self.scene.sun;
+        let casts_shadow = |index: usize| self.scene.instances[index].casts_shadow;
+        Culling::new(&self.world_bounds, casts_shadow, sun.casts_shadows.then_some(sun.to_sun))
+    }
+
     /// Whether an instance is ever elsewhere than at first.
     pub fn moves(&self, index: usize) -> bool {
-        self.instances[index].is_animated || self.scene.instances[index].path.is_some()
+        self.instances[index].is_animated
     }
 
     /// The sun's view of the casters; `None` where it casts no shadows.
@@ -240,107 +312,109 @@ impl SceneGpu {
     }
 }
 
-fn rows(transform: Affine3A) -> [[f32; 4]; 3] {
-    let (m, t) = (transform.matrix3, transform.translation);
-    [0, 1, 2].map(|r| [m.x_axis[r], m.y_axis[r], m.z_axis[r], t[r]])
-}
-
 impl Arrays {
-    fn add(&mut self, model: &Model, interval_s: f32, texture_base: usize) -> ModelGpu {
-        let patches = Patches::build(model);
+    fn add(&mut self, model: &Model, textures: &[u32], skinning: Skinning) -> ModelGpu {
         let material_base = self.materials.len() as u32;
-        let order = BoneOrder::new(model);
-        let result = ModelGpu {
+        self.materials.extend(model.materials.iter().map(|m| material(m, model, textures)));
+        let hash = mesh_hash(model);
+        let mesh = match self.meshes.get(&hash) {
+            Some(known) => known.clone(),
+            None => self.add_mesh(model, skinning),
+        };
+        self.meshes.insert(hash, mesh.clone());
+        ModelGpu { mesh, material_base }
+    }
+
+    fn add_mesh(&mut self, model: &Model, skinning: Skinning) -> MeshGpu {
+        let patches = Patches::build(model);
+        let (packed_base, packed_ends) = match skinning {
+            Skinning::Packed => self.add_packed(model),
+            _ => (0, [0; 4]),
+        };
+        let mesh = MeshGpu {
             vertex_base: self.vertices.len() as u32,
             vertex_count: model.vertices.len() as u32,
             index_base: self.indices.len() as u32,
             patch_base: self.patches.len() as u32,
-            material_base,
-            bone_base: self.parents.len() as u32,
-            bone_count: model.bones.len() as u32,
-            level_base: self.levels.len() as u32,
-            level_count: order.level_starts.len() as u32 - 1,
-            entry_base: self.entries.len() as u32,
-            entry_count: model.palette.len() as u32,
-            clips: self.add_clips(model, &order, interval_s),
-            patches: patches.patches.clone(),
+            has_morphs: !model.morphs.is_empty(),
+            packed_base,
+            packed_ends,
+            patches: patches.patches.into(),
         };
-        self.vertices.extend(model.vertices.iter().map(vertex));
+        let morphs = self.add_morphs(model);
+        let vertices = model.vertices.iter().zip(morphs);
+        self.vertices.extend(vertices.map(|(v, morphs)| VertexGpu { morphs, ..vertex(v) }));
         self.indices.extend(&model.indices);
-        self.patches.extend(patches.patches.iter().map(|p| PatchGpu {
+        self.patches.extend(mesh.patches.iter().map(|p| PatchGpu {
             vertices: p.vertices,
             kind: p.kind as u32,
-            material: material_base + p.material,
+            material: p.material,
             reserved: 0,
         }));
         self.patch_of_triangle.extend(&patches.patch_of_triangle);
-        self.materials.extend(model.materials.iter().map(|m| material(m, model, texture_base)));
-        self.parents.extend(&order.parents);
-        self.levels.extend(&order.level_starts);
-        self.entries.extend(model.palette.iter().map(|entry| EntryGpu {
-            bone_from_mesh: rows(entry.bone_from_mesh),
-            bone: [order.new_of_old[entry.bone as usize], 0, 0, 0],
-        }));
-        result
+        mesh
     }
 
-    fn add_clips(&mut self, model: &Model, order: &BoneOrder, interval_s: f32) -> Vec<ClipGpu> {
-        let all = std::iter::once(None).chain((0..model.clips.len()).map(Some));
-        all.map(|clip| {
-            let mut timing = clip::resample(model, clip, interval_s);
-            let key_base = self.keys.len() as u32;
-            for sample in timing.samples.chunks_exact(model.bones.len().max(1)) {
-                self.keys.extend(order.old_of_new.iter().map(|old| {
-                    let key = sample[*old as usize];
-                    KeyGpu {
-                        translation: key.translation.extend(0.0).to_array(),
-                        rotation: key.rotation.to_array(),
-                        scale: key.scale.extend(0.0).to_array(),
-                    }
-                }));
+    /// Sorts the morph targets' deltas by vertex; returns the first delta of each vertex and their number.
+    fn add_morphs(&mut self, model: &Model) -> Vec<[u32; 2]> {
+        let mut of_vertex: Vec<Vec<MorphDeltaGpu>> = vec![Vec::new(); model.vertices.len()];
+        for (morph, source) in model.morphs.iter().enumerate() {
+            for delta in &source.deltas {
+                of_vertex[delta.vertex as usize].push(MorphDeltaGpu {
+                    position: delta.position.to_array(),
+                    morph: morph as u32,
+                    normal: delta.normal.to_array(),
+                    tangent: delta.tangent.to_array(),
+                    reserved0: 0,
+                    reserved1: 0,
+                });
             }
-            timing.samples = Vec::new(); // the GPU has them now
-            ClipGpu { key_base, timing }
-        })
-        .collect()
+        }
+        let place = |deltas: Vec<MorphDeltaGpu>| {
+            let range = [self.morph_deltas.len() as u32, deltas.len() as u32];
+            self.morph_deltas.extend(deltas);
+            range
+        };
+        of_vertex.into_iter().map(place).collect()
+    }
+
+    /// Positions with their influences, sorted by the number of influences, each number filled up to whole workgroups.
+    fn add_packed(&mut self, model: &Model) -> (u32, [u32; 4]) {
+        let base = self.packed.len() as u32;
+        let mut ends = [0; 4];
+        for count in 1..=4 {
+            let has_count =
+                |v: &&(u32, &Vertex)| v.1.weights.iter().filter(|w| **w > 0.0).count().max(1) == count;
+            let vertices = (0..).zip(&model.vertices);
+            self.packed.extend(vertices.filter(|v| has_count(&v)).map(|(index, v)| packed(index, v)));
+            let filled = (self.packed.len() as u32 - base).next_multiple_of(GROUP);
+            let filler = PackedVertexGpu { index: u32::MAX, ..bytemuck::Zeroable::zeroed() };
+            self.packed.resize((base + filled) as usize, filler);
+            ends[count - 1] = filled;
+        }
+        (base, ends)
     }
 }
 
-/// Bones sorted by depth in the hierarchy, so that one level after the other can be evaluated in parallel.
-struct BoneOrder {
-    old_of_new: Vec<u32>,
-    new_of_old: Vec<u32>,
-    /// In the new order; -1 for a root.
-    parents: Vec<i32>,
-    /// First bone of each level, and the count at the end.
-    level_starts: Vec<u32>,
-}
-
-impl BoneOrder {
-    fn new(model: &Model) -> Self {
-        let mut depth = vec![0u32; model.bones.len()];
-        for (index, bone) in model.bones.iter().enumerate() {
-            depth[index] = bone.parent.map_or(0, |parent| depth[parent as usize] + 1);
-        }
-        let mut old_of_new: Vec<u32> = (0..model.bones.len() as u32).collect();
-        old_of_new.sort_by_key(|old| depth[*old as usize]);
-        let mut new_of_old = vec![0; old_of_new.len()];
-        for (new, old) in old_of_new.iter().enumerate() {
-            new_of_old[*old as usize] = new as u32;
-        }
-        let parent =
-            |old: &u32| model.bones[*old as usize].parent.map_or(-1, |p| new_of_old[p as usize] as i32);
-        let parents = old_of_new.iter().map(parent).collect();
-        let levels = depth.iter().max().map_or(0, |deepest| deepest + 1);
-        let level_starts = (0..=levels)
-            .map(|level| old_of_new.partition_point(|old| depth[*old as usize] < level) as u32)
-            .collect();
-        Self { old_of_new, new_of_old, parents, level_starts }
+fn packed(index: u32, v: &Vertex) -> PackedVertexGpu {
+    // Those that count first; the sort is stable, so that the largest stays in front.
+    let mut slots = [0, 1, 2, 3];
+    slots.sort_by_key(|slot| v.weights[*slot] <= 0.0);
+    let units = slots.map(|slot| units_of_weight(v.weights[slot]));
+    let joints = slots.map(|slot| v.joints[slot]);
+    PackedVertexGpu {
+        position: v.position.to_array(),
+        index,
+        joints: [pair(joints[0], joints[1]), pair(joints[2], joints[3])],
+        weights: [pair(units[0], units[1]), pair(units[2], units[3])],
     }
 }
 
-fn vertex(v: &shadecast_scene::Vertex) -> VertexGpu {
-    let pair = |a: u16, b: u16| u32::from(a) | u32::from(b) << 16;
+fn pair(low: u16, high: u16) -> u32 {
+    u32::from(low) | u32::from(high) << 16
+}
+
+fn vertex(v: &Vertex) -> VertexGpu {
     VertexGpu {
         position_u: v.position.extend(v.uv[0]).to_array(),
         normal_v: v.normal.extend(v.uv[1]).to_array(),
@@ -354,8 +428,8 @@ fn vertex(v: &shadecast_scene::Vertex) -> VertexGpu {
     }
 }
 
-fn material(m: &Material, model: &Model, texture_base: usize) -> MaterialGpu {
-    let index = |slot: Option<TextureSlot>| slot.map_or(-1, |s| texture_base as i32 + s.texture as i32);
+fn material(m: &Material, model: &Model, textures: &[u32]) -> MaterialGpu {
+    let index = |slot: Option<TextureSlot>| slot.map_or(-1, |s| textures[s.texture as usize] as i32);
     let all = [
         m.base_color_texture,
         m.metallic_roughness_texture,
@@ -393,7 +467,8 @@ fn place_instances(scene: &Scene, models: &[ModelGpu]) -> (Vec<InstanceGpu>, Tot
     let mut totals = Totals::default();
     let mut place = |instance: &Instance| {
         let (source, model) = (&scene.models[instance.model], &models[instance.model]);
-        let is_animated = pose::animated_vertices(source, instance.clip).iter().any(|moves| *moves);
+        let is_animated = instance.path.is_some()
+            || pose::animated_vertices(source, instance.clip).iter().any(|moves| *moves);
         let saved = if is_animated { &mut totals.animated_vertices } else { &mut totals.static_vertices };
         let saved_base = *saved;
         *saved += model.vertex_count;
@@ -403,13 +478,12 @@ fn place_instances(scene: &Scene, models: &[ModelGpu]) -> (Vec<InstanceGpu>, Tot
             first_vertex: totals.vertices,
             is_animated,
             saved_base,
-            palette_base: totals.palette,
-            global_base: totals.bones,
         };
         totals.patches += model.patches.len() as u32;
         totals.vertices += model.vertex_count;
-        totals.palette += model.entry_count;
-        totals.bones += model.bone_count;
+        totals.palette += source.palette.len() as u32;
+        totals.bones += source.bones.len() as u32;
+        totals.morphs += source.morphs.len() as u32;
         result
     };
     let instances = scene.instances.iter().map(&mut place).collect();
@@ -430,10 +504,30 @@ fn world_bounds(scene: &Scene) -> Vec<Bounds> {
 
 type Textures = (Vec<Image>, Vec<Sampler>, Vec<usize>);
 
-fn upload_textures(gpu: &Arc<Gpu>, scene: &Scene) -> Result<Textures, GpuError> {
+/// Textures of all models, equal ones once.
+#[derive(Default)]
+struct UniqueTextures<'a> {
+    unique: Vec<&'a Texture>,
+    known: HashMap<ContentHash, u32>,
+}
+
+impl<'a> UniqueTextures<'a> {
+    /// The scene-wide numbers of a model's textures.
+    fn add(&mut self, textures: &'a [Texture]) -> Vec<u32> {
+        let mut number = |texture: &'a Texture| {
+            *self.known.entry(texture_hash(texture)).or_insert_with(|| {
+                self.unique.push(texture);
+                self.unique.len() as u32 - 1
+            })
+        };
+        textures.iter().map(&mut number).collect()
+    }
+}
+
+fn upload_textures(gpu: &Arc<Gpu>, textures: &[&Texture]) -> Result<Textures, GpuError> {
     let mut wraps: Vec<[Wrap; 2]> = Vec::new();
     let (mut images, mut samplers, mut sampler_of_texture) = (Vec::new(), Vec::new(), Vec::new());
-    for texture in scene.models.iter().flat_map(|m| &m.textures) {
+    for texture in textures.iter().copied() {
         let known = wraps.iter().position(|w| *w == texture.wrap);
         sampler_of_texture.push(known.unwrap_or(wraps.len()));
         if known.is_none() {

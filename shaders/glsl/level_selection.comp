@@ -21,6 +21,7 @@ layout(push_constant) uniform LevelSelectionPush {
     uint position_base0;   // of the instance at the time of views 0-1, 2-3, 4-5
     uint position_base1;
     uint position_base2;
+    uint material_base;
 };
 
 // Length in pixels of the part of an edge in front of the near plane (w = distance along the view axis).
@@ -50,7 +51,7 @@ vec2 vertex_uv(uint index) {
 
 // What the source textures hold, with half a step to spare; unbounded where there is none.
 vec2 texture_cap(PatchGpu p) {
-    float extent = materials[p.material].texture_extent_texels;
+    float extent = materials[material_base + p.material].texture_extent_texels;
     if (extent <= 0.0) return vec2(65535.0);
     uint height_corner = p.kind == 1 ? 2 : 3;
     vec2 origin = vertex_uv(p.vertices[0]);

@@ -19,7 +19,7 @@ struct VertexGpu {
 struct PatchGpu {
     uint vertices[5];
     uint kind;
-    uint material;
+    uint material; // of its model
     uint reserved;
 };
 

@@ -14,8 +14,8 @@ struct BlockGpu {
     uint vertex_base;
     uint position_base;
     uint frame_base;
-    uint reserved0;
-    uint reserved1;
+    uint material_base;
+    uint reserved;
 };
 layout(std430, binding = 0) readonly buffer Blocks { BlockGpu blocks[]; };
 layout(std430, binding = 1) readonly buffer Patches { PatchGpu patches[]; };
@@ -81,7 +81,7 @@ void main() {
         s.uv_dx += weights[1][i] * vertex_uv / inner.x;
         s.uv_dy += weights[2][i] * vertex_uv / inner.y;
     }
-    MaterialGpu m = materials[p.material];
+    MaterialGpu m = materials[b.material_base + p.material];
     vec3 facing = cross(at[1] - at[0], at[2] - at[0]);
     if (m.double_sided != 0 && dot(facing, world_eye.xyz - s.world_position) < 0.0) s.world_normal = -s.world_normal;
     color = vec4(srgb_from_linear(tone_map(shade(m, s, world_eye.xyz).rgb)), 1.0);

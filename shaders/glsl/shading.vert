@@ -11,8 +11,8 @@ struct BlockGpu {
     uint vertex_base;
     uint position_base;
     uint frame_base;
-    uint reserved0;
-    uint reserved1;
+    uint material_base;
+    uint reserved;
 };
 layout(std430, binding = 0) readonly buffer Blocks { BlockGpu blocks[]; };
 layout(push_constant) uniform ShadingPush {

@@ -1,50 +1,216 @@
-//! The animation manager: samples of the whole scene on the time grid, each computed once on the GPU and kept in a
-//! ring of slots, shared by all updates that cover its time.
+//! Samples of the whole scene on the time grid, each computed once on the GPU and kept in a ring of slots, shared by
+//! all updates that cover its time. Instances with the same skeleton, clip and phase share a palette.
 
+use super::manager::{PoseKey, rows};
 use crate::scene_gpu::{InstanceGpu, SceneGpu};
 use crate::stages::palette::Palette;
-use crate::stages::skin::Skin;
-use shadecast_gpu::{Access, Gpu, GpuError, Recorder};
+use crate::stages::skin::{Skin, Skinning};
+use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::time::ServerTime;
+use shadecast_shaders::generated::{PoseGpu, SkinJobGpu};
+use std::collections::HashMap;
+use std::ops::Range;
 use std::sync::Arc;
+
+/// `SkinJobGpu::weight_base` of a mesh without morph targets.
+const NO_MORPHS: u32 = u32::MAX;
+
+/// An instance to be skinned at a sample time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SampleJob {
+    /// Index into the scene's instances.
+    pub instance: usize,
+    /// Slot of the ring.
+    pub slot: u32,
+    /// The slot's time; the same for all jobs of a slot until it is used for another time.
+    pub time: ServerTime,
+}
+
+/// How much work the animation has done, and how much it was spared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct AnimationCounts {
+    /// Poses evaluated.
+    pub poses: u64,
+    /// Instances that found their pose evaluated for another one.
+    pub shared_poses: u64,
+    /// Instances skinned, times sample times.
+    pub instance_samples: u64,
+    /// Vertices skinned.
+    pub vertices: u64,
+}
 
 /// Palettes and saved vertices of a ring of sample times.
 pub struct Animation {
     scene: Arc<SceneGpu>,
     palette: Palette,
     skin: Skin,
+    morph_weights: Buffer,
+    slots: Vec<Slot>,
     statics_done: bool,
+    jobs: Vec<SkinJobGpu>,
+    counts: AnimationCounts,
+}
+
+/// What is in a slot: the poses of its time, and which of them an instance has.
+#[derive(Clone, Debug, Default)]
+struct Slot {
+    time: Option<ServerTime>,
+    poses: HashMap<PoseKey, PoseRef>,
+    bones: u32,
+    entries: u32,
+    weights: u32,
+    pose_of_instance: Vec<Option<PoseRef>>,
+}
+
+/// Where a pose's parts lie.
+#[derive(Clone, Copy, Debug)]
+struct PoseRef {
+    pose: u32,
+    palette_base: u32,
+    weight_base: u32,
 }
 
 impl Animation {
     /// With room for `slots` sample times.
     pub fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>, slots: u32) -> Result<Self, GpuError> {
         let palette = Palette::new(gpu, scene, slots)?;
-        let skin = Skin::new(gpu, scene, &palette.palettes, slots)?;
-        Ok(Self { scene: scene.clone(), palette, skin, statics_done: false })
+        let weights_bytes = u64::from(slots) * u64::from(scene.totals.morphs.max(1)) * 4;
+        let morph_weights = Buffer::new(gpu, "morph weights", weights_bytes, Memory::Upload)?;
+        let skin = Skin::new(gpu, scene, &palette, &morph_weights, slots)?;
+        let empty = Slot { pose_of_instance: vec![None; scene.instances.len()], ..Slot::default() };
+        Ok(Self {
+            scene: scene.clone(),
+            palette,
+            skin,
+            morph_weights,
+            slots: vec![empty; slots as usize],
+            statics_done: false,
+            jobs: Vec::new(),
+            counts: AnimationCounts::default(),
+        })
     }
 
-    /// Poses and skins the animated instances at `time` into `slot`; the static ones with the first call.
+    /// Poses and skins all animated instances at `time` into `slot`; the static ones with the first call.
     pub fn record_sample(&mut self, recorder: &mut Recorder, slot: u32, time: ServerTime) {
-        // The slot's palettes and vertices, and the shared bone transforms, may still be read by the last sample.
-        recorder.barrier(Access::COMPUTE, Access::COMPUTE);
-        recorder.scope("palette", |r| self.palette.record(r, &self.scene, slot, time.seconds()));
-        recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
-        let base = self.palette.slot_base(slot);
-        recorder.scope("skin", |r| {
-            self.skin.record_positions(r, &self.scene, base, slot, true);
-            if !self.statics_done {
-                self.skin.record_positions(r, &self.scene, base, slot, false);
-                self.skin.record_frames(r, &self.scene, base, false);
-            }
-        });
-        self.statics_done = true;
+        let animated = self.scene.instances.iter().enumerate().filter(|(_, instance)| instance.is_animated);
+        let jobs: Vec<SampleJob> = animated.map(|(instance, _)| SampleJob { instance, slot, time }).collect();
+        self.record(recorder, &jobs, SampleJob { instance: 0, slot, time });
     }
 
-    /// Skins normals and tangents of the animated instances as they are in `slot`.
-    pub fn record_frames(&self, recorder: &mut Recorder, slot: u32) {
-        let base = self.palette.slot_base(slot);
-        recorder.scope("skin frames", |r| self.skin.record_frames(r, &self.scene, base, true));
+    /// Poses and skins the instances of `samples`; the static ones with the first call, posed at `statics`.
+    pub fn record(&mut self, recorder: &mut Recorder, samples: &[SampleJob], statics: SampleJob) {
+        let all = 0..self.scene.instances.len();
+        let still = |instance: &usize| !self.statics_done && !self.scene.instances[*instance].is_animated;
+        let still: Vec<SampleJob> =
+            all.filter(still).map(|instance| SampleJob { instance, ..statics }).collect();
+        let mut jobs = std::mem::take(&mut self.jobs);
+        let mut poses: Vec<Range<u32>> = Vec::new();
+        jobs.clear();
+        for sample in samples.iter().chain(&still) {
+            let pose = self.pose(*sample, &mut poses);
+            let base = self.skin.position_base(&self.scene.instances[sample.instance], sample.slot);
+            jobs.push(self.job(*sample, pose, base));
+        }
+        // The slots' palettes and vertices may still be read by the last samples.
+        recorder.barrier(Access::COMPUTE, Access::COMPUTE);
+        if self.scene.skinning != Skinning::PerVertexChain {
+            recorder.scope("palette", |r| poses.into_iter().for_each(|range| self.palette.record(r, range)));
+            recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
+        }
+        recorder.scope("skin", |r| self.skin.record_positions(r, &self.scene, &mut jobs));
+        self.counts.instance_samples += jobs.len() as u64;
+        self.counts.vertices += jobs.iter().map(|job| u64::from(job.vertex_count)).sum::<u64>();
+        self.jobs = jobs;
+        self.statics_done = true;
+        if !still.is_empty() {
+            self.record_frames_of(recorder, &still);
+        }
+    }
+
+    /// Skins normals and tangents of the animated instances that are in `slot` and that `is_wanted` names.
+    pub fn record_frames(&mut self, recorder: &mut Recorder, slot: u32, is_wanted: impl Fn(usize) -> bool) {
+        let Some(time) = self.slots[slot as usize].time else { return };
+        let scene = self.scene.clone();
+        let there = |instance: &usize| {
+            scene.instances[*instance].is_animated
+                && is_wanted(*instance)
+                && self.slots[slot as usize].pose_of_instance[*instance].is_some()
+        };
+        let samples: Vec<SampleJob> = (0..scene.instances.len())
+            .filter(there)
+            .map(|instance| SampleJob { instance, slot, time })
+            .collect();
+        self.record_frames_of(recorder, &samples);
+    }
+
+    fn record_frames_of(&mut self, recorder: &mut Recorder, samples: &[SampleJob]) {
+        let mut jobs = std::mem::take(&mut self.jobs);
+        jobs.clear();
+        for sample in samples {
+            let pose = self.slots[sample.slot as usize].pose_of_instance[sample.instance];
+            let base = self.skin.frame_base(&self.scene.instances[sample.instance]);
+            jobs.push(self.job(*sample, pose.expect("posed before its frames are wanted"), base));
+        }
+        recorder.scope("skin frames", |r| self.skin.record_frames(r, &mut jobs));
+        self.jobs = jobs;
+    }
+
+    /// The pose of an instance at a sample time: that of another one in the same pose, or a new one, which is added to
+    /// `fresh`.
+    fn pose(&mut self, sample: SampleJob, fresh: &mut Vec<Range<u32>>) -> PoseRef {
+        let (scene, number) = (self.scene.clone(), sample.slot as usize);
+        let (manager, instance) = (&scene.animation.manager, &scene.scene.instances[sample.instance]);
+        let key = manager.pose_key(instance, sample.time.seconds());
+        let slot = &mut self.slots[number];
+        if slot.time != Some(sample.time) {
+            slot.start(sample.time);
+        }
+        if let Some(known) = slot.poses.get(&key).copied() {
+            slot.pose_of_instance[sample.instance] = Some(known);
+            self.counts.shared_poses += 1;
+            return known;
+        }
+        let (skeleton, totals) = (manager.skeleton(key), scene.totals);
+        let pose = sample.slot * scene.instances.len() as u32 + slot.poses.len() as u32;
+        let global_base = sample.slot * totals.bones + slot.bones;
+        let palette_base = sample.slot * totals.palette + slot.entries;
+        let weight_base = sample.slot * totals.morphs + slot.weights;
+        slot.bones += skeleton.bone_count;
+        slot.entries += skeleton.entry_count;
+        for weight in manager.morph_weights(key) {
+            let at = sample.slot * totals.morphs + slot.weights;
+            self.morph_weights.write(at as usize * 4, bytemuck::bytes_of(&weight));
+            slot.weights += 1;
+        }
+        let found = PoseRef { pose, palette_base, weight_base };
+        slot.poses.insert(key, found);
+        slot.pose_of_instance[sample.instance] = Some(found);
+        let gpu = manager.pose(key, global_base, palette_base);
+        self.palette.poses.write(pose as usize * size_of::<PoseGpu>(), bytemuck::bytes_of(&gpu));
+        self.counts.poses += 1;
+        match fresh.last_mut() {
+            Some(range) if range.end == pose => range.end += 1,
+            _ => fresh.push(pose..pose + 1),
+        }
+        found
+    }
+
+    fn job(&self, sample: SampleJob, pose: PoseRef, output_base: u32) -> SkinJobGpu {
+        let (place, instance) =
+            (&self.scene.instances[sample.instance], &self.scene.scene.instances[sample.instance]);
+        let model = &self.scene.models[place.model];
+        SkinJobGpu {
+            world_from_model: rows(instance.world_from_model(sample.time.seconds())),
+            first_group: 0,
+            vertex_base: model.vertex_base,
+            vertex_count: model.vertex_count,
+            palette_base: pose.palette_base,
+            output_base,
+            weight_base: if model.has_morphs { pose.weight_base } else { NO_MORPHS },
+            pose: pose.pose,
+            packed_base: model.packed_base,
+            packed_ends: model.packed_ends,
+        }
     }
 
     /// First saved vertex of an instance at a slot's time.
@@ -58,12 +224,26 @@ impl Animation {
     }
 
     /// World positions, vec4: static instances first, then one run of the animated ones per slot.
-    pub fn saved_vertices(&self) -> &shadecast_gpu::Buffer {
+    pub fn saved_vertices(&self) -> &Buffer {
         &self.skin.saved_vertices
     }
 
     /// Normals and tangents, static instances first.
-    pub fn saved_frames(&self) -> &shadecast_gpu::Buffer {
+    pub fn saved_frames(&self) -> &Buffer {
         &self.skin.saved_frames
+    }
+
+    /// Work done so far.
+    pub fn counts(&self) -> AnimationCounts {
+        self.counts
+    }
+}
+
+impl Slot {
+    fn start(&mut self, time: ServerTime) {
+        self.time = Some(time);
+        self.poses.clear();
+        self.pose_of_instance.fill(None);
+        (self.bones, self.entries, self.weights) = (0, 0, 0);
     }
 }

@@ -1,3 +1,4 @@
-//! How the scene moves: samples of the whole scene on the GPU.
+//! How the scene moves: what the GPU needs of it, each once, and samples of it on the time grid.
 
 pub mod gpu;
+pub mod manager;

@@ -41,6 +41,8 @@ pub struct Forward {
     scene: Arc<SceneGpu>,
     animation: Animation,
     shadow: Shadow,
+    /// Every instance is needed: the eye may be anywhere in the next picture.
+    all: Vec<bool>,
     color: Pass,
     probe: Pass,
     background: GraphicsPipeline,
@@ -108,6 +110,7 @@ impl Forward {
             scene: scene.clone(),
             animation,
             shadow,
+            all: vec![true; scene.instances.len()],
             background,
             background_group,
             view,
@@ -127,9 +130,9 @@ impl Forward {
         self.shadow.write(&self.scene, time);
         let mut recorder = self.gpu.record()?;
         self.animation.record_sample(&mut recorder, 0, time);
-        self.animation.record_frames(&mut recorder, 0);
+        self.animation.record_frames(&mut recorder, 0, |_| true);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
-        recorder.scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, 0));
+        recorder.scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, &self.all, 0));
         recorder.barrier(Access::DEPTH_WRITE, Access::FRAGMENT_READ);
         recorder.scope("forward", |r| self.draw_color(r, world_from_eye, fov));
         recorder.scope("forward probe", |r| {

@@ -65,25 +65,32 @@ impl IdBuffer {
         Ok(Self { pass, geometry, group, target, image, _depth: depth })
     }
 
-    /// Draws the scene as it is in `slot` into the two views from `first_view` on.
+    /// Draws the `needed` instances as they are in `slot` into the two views from `first_view` on.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         scene: &SceneGpu,
         animation: &Animation,
+        needed: &[bool],
         slot: u32,
         first_view: u32,
     ) {
         let clears = [vk::ClearValue::default(), vk::ClearValue::default()]; // no patch; far, which is 0
         recorder.begin_pass(&self.pass, &self.target, &clears);
-        self.geometry.record(recorder, &self.group, scene, |draw| IdBufferPush {
-            vertex_base: draw.model.vertex_base,
-            position_base: animation.position_base(draw.instance, slot),
-            triangle_base: (draw.model.index_base + draw.primitive.first_index) / 3,
-            patch_base: draw.instance.first_patch,
-            material: draw.model.material_base + draw.primitive.material,
-            first_view,
-        });
+        self.geometry.record_some(
+            recorder,
+            &self.group,
+            scene,
+            |number| needed[number],
+            |draw| IdBufferPush {
+                vertex_base: draw.model.vertex_base,
+                position_base: animation.position_base(draw.instance, slot),
+                triangle_base: (draw.model.index_base + draw.primitive.first_index) / 3,
+                patch_base: draw.instance.first_patch,
+                material: draw.model.material_base + draw.primitive.material,
+                first_view,
+            },
+        );
         recorder.end_pass();
     }
 }

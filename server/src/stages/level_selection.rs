@@ -62,6 +62,7 @@ impl LevelSelection {
                 position_base0: base[0],
                 position_base1: base[1],
                 position_base2: base[2],
+                material_base: model.material_base,
             };
             recorder.dispatch(&self.pipeline, &self.group, &push, [patch_count.div_ceil(64), 1, 1]);
         }

@@ -129,8 +129,8 @@ impl Shading {
                 vertex_base: model.vertex_base,
                 position_base: animation.position_base(instance, slot),
                 frame_base: animation.frame_base(instance),
-                reserved0: 0,
-                reserved1: 0,
+                material_base: model.material_base,
+                reserved: 0,
             };
             self.count += 1;
         }

@@ -81,15 +81,23 @@ impl Shadow {
         self.light.write(0, bytemuck::bytes_of(&light));
     }
 
-    /// Draws the casters as they are in `slot`; once where none of them moves.
-    pub fn record(&mut self, recorder: &mut Recorder, scene: &SceneGpu, animation: &Animation, slot: u32) {
+    /// Draws the `needed` casters as they are in `slot`; once and all where none of them moves.
+    pub fn record(
+        &mut self,
+        recorder: &mut Recorder,
+        scene: &SceneGpu,
+        animation: &Animation,
+        needed: &[bool],
+        slot: u32,
+    ) {
         if self.is_drawn && !(self.is_animated && self.view.is_some()) {
             return;
         }
         self.is_drawn = true;
         recorder.begin_pass(&self.pass, &self.target, &[vk::ClearValue::default()]); // 0: far from the sun
         if self.view.is_some() {
-            let casts = |number: usize| scene.scene.instances[number].casts_shadow;
+            let all = !self.is_animated;
+            let casts = |number: usize| (all || needed[number]) && scene.scene.instances[number].casts_shadow;
             self.geometry.record_some(recorder, &self.group, scene, casts, |draw| ShadowPush {
                 vertex_base: draw.model.vertex_base,
                 position_base: animation.position_base(draw.instance, slot),

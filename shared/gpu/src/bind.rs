@@ -173,6 +173,13 @@ impl BindGroup {
         Ok(group)
     }
 
+    /// As [`Self::new`], but `candidates` may have names that the shaders lack: for variants of one stage.
+    pub fn of(layout: &Layout, candidates: &[(&str, Bind<'_>)]) -> Result<Self, GpuError> {
+        let known = |name: &str| layout.bindings.iter().any(|(binding, _)| binding.name == name);
+        let binds: Vec<_> = candidates.iter().filter(|(name, _)| known(name)).copied().collect();
+        Self::new(layout, &binds)
+    }
+
     fn write(&self, binding: &Binding, bind: &Bind<'_>) {
         let sampled = |image: &Image, sampler: &Sampler| {
             vk::DescriptorImageInfo::default()

@@ -145,6 +145,11 @@ impl Gpu {
         name_of(&self.properties)
     }
 
+    /// Most bytes that one binding of a storage buffer can reach.
+    pub fn max_storage_buffer_bytes(&self) -> u64 {
+        u64::from(self.properties.limits.max_storage_buffer_range)
+    }
+
     /// Whether the device is a CPU: correct, slow.
     pub fn is_cpu(&self) -> bool {
         self.properties.device_type == vk::PhysicalDeviceType::CPU

@@ -4,12 +4,12 @@ use glam::{Affine3A, Vec3};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
-use shadecast_scene::animation::{clip, pose};
+use shadecast_scene::animation::pose;
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_scene::{
     Environment, Instance, Light, LightKind, Material, Model, PlacedLight, Scene, Texture, Wrap, ground,
 };
-use shadecast_server::scene_gpu::SceneGpu;
+use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
 use shadecast_server::stages::forward::{Forward, Truth};
 use std::sync::Arc;
 
@@ -24,7 +24,7 @@ fn gpu() -> Arc<Gpu> {
 /// What `scene` looks like from `eye`; no validation message was given.
 #[track_caller]
 fn picture(gpu: &Arc<Gpu>, scene: &Scene, eye: Pose, time: ServerTime) -> Truth {
-    let scene = SceneGpu::new(gpu, scene.clone(), clip::DEFAULT_RESAMPLE_INTERVAL_S).unwrap();
+    let scene = SceneGpu::new(gpu, scene.clone(), &SceneOptions::default()).unwrap();
     let mut forward = Forward::new(gpu, &Arc::new(scene), [SIDE; 2]).unwrap();
     let truth = forward.render(eye, Fov::symmetric_degrees(FOV_DEGREES), time).unwrap();
     assert_eq!(gpu.validation_messages(), 0, "{:#?}", gpu.validation_texts());

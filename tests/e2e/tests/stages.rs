@@ -4,18 +4,16 @@ use glam::{Mat4, Vec2, Vec3, Vec4};
 use shadecast_gpu::{Access, Buffer, DesktopDevice, Gpu, GpuOptions, Memory, Needs};
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
-use shadecast_scene::animation::{clip, pose};
+use shadecast_scene::animation::{pose, sampling};
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_server::animation::gpu::Animation;
-use shadecast_server::scene_gpu::SceneGpu;
+use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
 use shadecast_server::stages::forward::{Forward, view_gpu};
 use shadecast_server::stages::id_buffer::IdBuffer;
 use shadecast_server::stages::level_selection::LevelSelection;
 use shadecast_server::stages::mark::Mark;
 use shadecast_shaders::twin;
 use std::sync::Arc;
-
-const INTERVAL_S: f32 = clip::DEFAULT_RESAMPLE_INTERVAL_S;
 
 fn gpu() -> Arc<Gpu> {
     let options = GpuOptions { needs: Needs::Server, validation: true, device_name: None };
@@ -24,7 +22,7 @@ fn gpu() -> Arc<Gpu> {
 
 fn dragon(gpu: &Arc<Gpu>) -> Arc<SceneGpu> {
     let scene = load_scene(&SceneSource::Dragons(1)).expect("the built-in scene loads");
-    Arc::new(SceneGpu::new(gpu, scene, INTERVAL_S).expect("the scene fits"))
+    Arc::new(SceneGpu::new(gpu, scene, &SceneOptions::default()).expect("the scene fits"))
 }
 
 #[track_caller]
@@ -61,9 +59,9 @@ fn skinned_vertices_equal_the_cpu_twin_within_a_hundred_thousandth_of_the_models
         let saved: Vec<[f32; 4]> = read(&gpu, animation.saved_vertices(), |_| {});
         for (index, instance) in scene.scene.instances.iter().enumerate() {
             let model = &scene.scene.models[instance.model];
-            let resampled = clip::resample(model, instance.clip, INTERVAL_S);
-            let phase_s = instance.clip_phase_s(resampled.duration_s, time.seconds());
-            let locals = pose::local_pose(&resampled, model.bones.len(), phase_s);
+            let clip = sampling::sample(model, instance.clip, sampling::Sampling::default());
+            let phase_s = instance.clip_phase_s(clip.duration_s, time.seconds());
+            let locals = clip.local_pose(phase_s);
             let palette = pose::palette(model, &pose::global_pose(model, &locals));
             let twin = pose::skin(&model.vertices, &palette, instance.world_from_model(time.seconds()));
             let base = animation.position_base(&scene.instances[index], 1) as usize;
@@ -104,7 +102,7 @@ fn marks_and_extents_equal_their_cpu_twins() {
     recorder.fill(&mark.visible, 0);
     recorder.barrier(Access::COPY_WRITE, Access::COMPUTE);
     recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
-    id_buffer.record(&mut recorder, &scene, &animation, 1, 2);
+    id_buffer.record(&mut recorder, &scene, &animation, &vec![true; scene.instances.len()], 1, 2);
     recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
     mark.record(&mut recorder);
     recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);

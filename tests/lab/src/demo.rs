@@ -13,9 +13,8 @@ use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_mock_runtime::config::ClockKind;
 use shadecast_mock_runtime::record::{FrameRecord, read_frames};
 use shadecast_protocol::time::ServerTime;
-use shadecast_scene::animation::clip::DEFAULT_RESAMPLE_INTERVAL_S;
 use shadecast_scene::load::{SceneSource, load_scene};
-use shadecast_server::scene_gpu::SceneGpu;
+use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
 use std::io::{BufRead, BufReader};
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
@@ -227,7 +226,7 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
         &GpuOptions { needs: Needs::Server, validation: options.validation, device_name: None },
         &DesktopDevice,
     )?;
-    let scene = Arc::new(SceneGpu::new(&gpu, load_scene(&options.scene)?, DEFAULT_RESAMPLE_INTERVAL_S)?);
+    let scene = Arc::new(SceneGpu::new(&gpu, load_scene(&options.scene)?, &SceneOptions::default())?);
     let mut comparer = Comparer::new(&gpu, &scene, options.extent_pixels)?;
     let capture = out.join("capture");
     let frames = read_frames(&capture).context("reading the runtime's frame log")?;

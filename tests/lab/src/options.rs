@@ -1,6 +1,7 @@
 //! What a run in virtual time is made with.
 
 use shadecast_scene::load::SceneSource;
+use shadecast_server::scene_gpu::SceneOptions;
 use shadecast_transport::{LinkProfile, LinkSchedule};
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -127,8 +128,8 @@ pub struct RunOptions {
     pub rate_hz: f64,
     /// Display frames per second.
     pub refresh_hz: f64,
-    /// Seconds between the keys that clips are resampled to.
-    pub resample_s: f32,
+    /// Sampling and skinning.
+    pub scene_options: SceneOptions,
     /// Follows animated vertices at every display frame and compares them with the source curves.
     pub motion: bool,
     /// Prints a progress bar and a summary.
@@ -163,7 +164,7 @@ impl RunOptions {
             atlas_extent_texels: shadecast_protocol::limits::ATLAS_DEFAULT_EXTENT,
             rate_hz: 30.0,
             refresh_hz: 72.0,
-            resample_s: shadecast_scene::animation::clip::DEFAULT_RESAMPLE_INTERVAL_S,
+            scene_options: SceneOptions::default(),
             motion: false,
             verbose: false,
         }

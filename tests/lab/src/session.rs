@@ -109,7 +109,7 @@ impl Server {
             device_name: options.device.clone(),
         };
         let gpu = Gpu::open(&gpu_options, &DesktopDevice)?;
-        let scene = Arc::new(SceneGpu::new(&gpu, scene, options.resample_s)?);
+        let scene = Arc::new(SceneGpu::new(&gpu, scene, &options.scene_options)?);
         let session = ServerSession::new(offer(&scene, options.atlas_extent_texels, options.rate_hz, 1));
         Ok(Self {
             gpu,

@@ -1,0 +1,250 @@
+//! The animation manager: skeletons, clips and morph targets of the whole scene, each stored once however many models
+//! and instances use it, as the arrays that the GPU reads. Pure; [`super::gpu`] owns the buffers.
+
+use glam::Affine3A;
+use shadecast_scene::animation::sampling::{KeyInterpolation, SampledClip, SampledTrack, Sampling, sample};
+use shadecast_scene::identity::{ContentHash, clip_hash, skeleton_hash};
+use shadecast_scene::{Instance, Model, Scene};
+use shadecast_shaders::generated::{EntryGpu, PoseGpu, TrackGpu};
+use std::collections::HashMap;
+
+/// What one model needs to be animated: its parts in the scene-wide arrays.
+#[derive(Clone, Debug)]
+pub struct AnimationMaterial {
+    /// Index into [`AnimationManager::skeletons`].
+    pub skeleton: usize,
+    /// Indices into [`AnimationManager::clips`]: the rest pose first, then the model's clips.
+    pub clips: Vec<usize>,
+}
+
+/// Bone hierarchy meta and inverse bind matrices of a skeleton, in the scene-wide arrays.
+#[derive(Clone, Copy, Debug)]
+pub struct Skeleton {
+    /// First entry in `parents`.
+    pub bone_base: u32,
+    /// Bones.
+    pub bone_count: u32,
+    level_base: u32,
+    level_count: u32,
+    entry_base: u32,
+    /// Palette entries.
+    pub entry_count: u32,
+}
+
+/// Animation meta and keyframes of a clip, in the scene-wide arrays; what the CPU needs of it beside.
+#[derive(Clone, Debug)]
+pub struct StoredClip {
+    /// First of three tracks a bone.
+    track_base: u32,
+    /// Seconds.
+    pub duration_s: f32,
+    /// Curves of morph weights: few numbers, evaluated on the CPU.
+    morphs: Vec<SampledTrack>,
+}
+
+/// Skeletons, clips and who uses them.
+#[derive(Debug, Default)]
+pub struct AnimationManager {
+    /// By model.
+    pub materials: Vec<AnimationMaterial>,
+    /// Each different one once.
+    pub skeletons: Vec<Skeleton>,
+    /// Each different one (for its skeleton) once.
+    pub clips: Vec<StoredClip>,
+    /// What goes to the GPU.
+    pub arrays: Arrays,
+}
+
+/// The scene-wide arrays.
+#[derive(Debug, Default)]
+pub struct Arrays {
+    /// Bone hierarchy meta: parent in the skeleton's own order, -1 for a root.
+    pub parents: Vec<i32>,
+    /// First bone of each level of each skeleton, and the count at its end.
+    pub level_starts: Vec<u32>,
+    /// Inverse bind matrices.
+    pub entries: Vec<EntryGpu>,
+    /// Animation meta.
+    pub tracks: Vec<TrackGpu>,
+    /// Keyframes.
+    pub keys: Vec<[f32; 4]>,
+    /// Their times, seconds.
+    pub key_times: Vec<f32>,
+}
+
+/// What decides which pose an instance is in. Equal keys share a palette.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct PoseKey {
+    skeleton: usize,
+    clip: usize,
+    phase_bits: u64,
+}
+
+impl AnimationManager {
+    /// Samples every clip of the scene.
+    pub fn new(scene: &Scene, sampling: Sampling) -> Self {
+        let mut manager = Self::default();
+        let mut skeletons: HashMap<ContentHash, (usize, BoneOrder)> = HashMap::new();
+        let mut clips: HashMap<(usize, ContentHash), usize> = HashMap::new();
+        for model in &scene.models {
+            let (skeleton, order) = skeletons
+                .entry(skeleton_hash(model))
+                .or_insert_with(|| (manager.skeletons.len(), manager.add_skeleton(model)));
+            let all = std::iter::once(None).chain((0..model.clips.len()).map(Some));
+            let stored = all.map(|clip| {
+                *clips
+                    .entry((*skeleton, clip_hash(model, clip)))
+                    .or_insert_with(|| manager.add_clip(&sample(model, clip, sampling), order))
+            });
+            let clips = stored.collect();
+            manager.materials.push(AnimationMaterial { skeleton: *skeleton, clips });
+        }
+        manager
+    }
+
+    fn add_skeleton(&mut self, model: &Model) -> BoneOrder {
+        let (order, arrays) = (BoneOrder::new(model), &mut self.arrays);
+        self.skeletons.push(Skeleton {
+            bone_base: arrays.parents.len() as u32,
+            bone_count: model.bones.len() as u32,
+            level_base: arrays.level_starts.len() as u32,
+            level_count: order.level_starts.len() as u32 - 1,
+            entry_base: arrays.entries.len() as u32,
+            entry_count: model.palette.len() as u32,
+        });
+        arrays.parents.extend(&order.parents);
+        arrays.level_starts.extend(&order.level_starts);
+        arrays.entries.extend(model.palette.iter().map(|entry| EntryGpu {
+            bone_from_mesh: rows(entry.bone_from_mesh),
+            bone: [order.new_of_old[entry.bone as usize], 0, 0, 0],
+        }));
+        order
+    }
+
+    /// Returns the clip's number.
+    fn add_clip(&mut self, clip: &SampledClip, order: &BoneOrder) -> usize {
+        let track_base = self.arrays.tracks.len() as u32;
+        for old in &order.old_of_new {
+            clip.bones[*old as usize].iter().for_each(|track| self.arrays.add_track(track));
+        }
+        let (duration_s, morphs) = (clip.duration_s, clip.morphs.clone());
+        self.clips.push(StoredClip { track_base, duration_s, morphs });
+        self.clips.len() - 1
+    }
+
+    fn clip_of(&self, instance: &Instance) -> usize {
+        self.materials[instance.model].clips[instance.clip.map_or(0, |clip| clip + 1)]
+    }
+
+    /// Which pose the instance is in at a time of the scene.
+    pub fn pose_key(&self, instance: &Instance, scene_time_s: f64) -> PoseKey {
+        let clip = self.clip_of(instance);
+        let phase_s = instance.clip_phase_s(self.clips[clip].duration_s, scene_time_s);
+        let skeleton = self.materials[instance.model].skeleton;
+        PoseKey { skeleton, clip, phase_bits: phase_s.to_bits() }
+    }
+
+    /// The pose of a key for the GPU, its bones and palette where the caller has room for them.
+    pub fn pose(&self, key: PoseKey, global_base: u32, palette_base: u32) -> PoseGpu {
+        let (skeleton, phase_s) = (&self.skeletons[key.skeleton], f64::from_bits(key.phase_bits));
+        PoseGpu {
+            bone_base: skeleton.bone_base,
+            level_base: skeleton.level_base,
+            level_count: skeleton.level_count,
+            track_base: self.clips[key.clip].track_base,
+            entry_base: skeleton.entry_base,
+            entry_count: skeleton.entry_count,
+            global_base,
+            palette_base,
+            phase_s: phase_s as f32,
+            phase_low_s: (phase_s - f64::from(phase_s as f32)) as f32,
+            reserved0: 0,
+            reserved1: 0,
+        }
+    }
+
+    /// The skeleton of a pose.
+    pub fn skeleton(&self, key: PoseKey) -> &Skeleton {
+        &self.skeletons[key.skeleton]
+    }
+
+    /// The morph weights of a pose.
+    pub fn morph_weights(&self, key: PoseKey) -> impl Iterator<Item = f32> + '_ {
+        let phase_s = f64::from_bits(key.phase_bits);
+        self.clips[key.clip].morphs.iter().map(move |track| track.evaluate(phase_s).x)
+    }
+}
+
+impl Arrays {
+    fn add_track(&mut self, track: &SampledTrack) {
+        self.tracks.push(TrackGpu {
+            first_key: self.keys.len() as u32,
+            first_time: self.key_times.len() as u32,
+            key_count: track.values.len() as u32,
+            kind: track.interpolation as u32,
+            interval_s: track.interval_s,
+            reserved0: 0,
+            reserved1: 0,
+            reserved2: 0,
+        });
+        self.key_times.extend(&track.times_s);
+        if track.interpolation == KeyInterpolation::Cubic && track.values.len() > 1 {
+            let both = track.values.iter().zip(&track.tangents);
+            self.keys.extend(both.flat_map(|(value, tangent)| [value.to_array(), tangent.to_array()]));
+        } else {
+            self.keys.extend(track.values.iter().map(|value| value.to_array()));
+        }
+    }
+
+    /// Bytes on the GPU.
+    pub fn bytes(&self) -> u64 {
+        let sizes = [
+            size_of_val(&self.parents[..]),
+            size_of_val(&self.level_starts[..]),
+            size_of_val(&self.entries[..]),
+            size_of_val(&self.tracks[..]),
+            size_of_val(&self.keys[..]),
+            size_of_val(&self.key_times[..]),
+        ];
+        sizes.iter().sum::<usize>() as u64
+    }
+}
+
+/// An affine transform as rows.
+pub fn rows(transform: Affine3A) -> [[f32; 4]; 3] {
+    let (m, t) = (transform.matrix3, transform.translation);
+    [0, 1, 2].map(|r| [m.x_axis[r], m.y_axis[r], m.z_axis[r], t[r]])
+}
+
+/// Bones sorted by depth in the hierarchy, so that one level after the other can be evaluated in parallel.
+struct BoneOrder {
+    old_of_new: Vec<u32>,
+    new_of_old: Vec<u32>,
+    /// In the new order; -1 for a root.
+    parents: Vec<i32>,
+    /// First bone of each level, and the count at the end.
+    level_starts: Vec<u32>,
+}
+
+impl BoneOrder {
+    fn new(model: &Model) -> Self {
+        let mut depth = vec![0u32; model.bones.len()];
+        for (index, bone) in model.bones.iter().enumerate() {
+            depth[index] = bone.parent.map_or(0, |parent| depth[parent as usize] + 1);
+        }
+        let mut old_of_new: Vec<u32> = (0..model.bones.len() as u32).collect();
+        old_of_new.sort_by_key(|old| depth[*old as usize]);
+        let mut new_of_old = vec![0; old_of_new.len()];
+        for (new, old) in old_of_new.iter().enumerate() {
+            new_of_old[*old as usize] = new as u32;
+        }
+        let parent =
+            |old: &u32| model.bones[*old as usize].parent.map_or(-1, |p| new_of_old[p as usize] as i32);
+        let parents = old_of_new.iter().map(parent).collect();
+        let levels = depth.iter().max().map_or(0, |deepest| deepest + 1);
+        let level_starts = (0..=levels)
+            .map(|level| old_of_new.partition_point(|old| depth[*old as usize] < level) as u32)
+            .collect();
+        Self { old_of_new, new_of_old, parents, level_starts }
+    }
+}

@@ -1,0 +1,164 @@
+//! Which instances an update needs at all. Pure.
+//!
+//! An instance is needed if the box that it never leaves, or what that box can shade, reaches a predicted view; and for
+//! some updates after that, since the layout holds what was seen. What is not needed is neither posed nor skinned nor
+//! drawn.
+
+use crate::levels::HOLD_UPDATES;
+use crate::predict::View;
+use glam::{Vec3, Vec4};
+use shadecast_scene::animation::bounds::Bounds;
+
+/// Remembers when each instance was last in view.
+#[derive(Clone, Debug)]
+pub struct Culling {
+    /// The boxes that instances never leave, those of casters drawn out along the sun's rays.
+    reach: Vec<Reach>,
+    /// By instance: the update that needed it last; 0: none.
+    last_needed: Vec<u32>,
+    needed: Vec<bool>,
+    update: u32,
+}
+
+/// What an instance can be seen by: itself, or its shadow.
+#[derive(Clone, Copy, Debug)]
+struct Reach {
+    bounds: Bounds,
+    /// From the box to where its shadow can end; zero for what casts none.
+    shadow: Vec3,
+}
+
+impl Culling {
+    /// `bounds` and `casts_shadow` by instance; `to_sun` is `None` where the sun casts no shadows.
+    pub fn new(bounds: &[Bounds], casts_shadow: impl Fn(usize) -> bool, to_sun: Option<Vec3>) -> Self {
+        let all = bounds.iter().copied().fold(Bounds::EMPTY, Bounds::union);
+        let shadow = match to_sun {
+            // No shadow in the scene is longer than the scene.
+            Some(to_sun) if !all.is_empty() => -to_sun * all.low.distance(all.high),
+            _ => Vec3::ZERO,
+        };
+        let reach = |(index, bounds): (usize, &Bounds)| Reach {
+            bounds: *bounds,
+            shadow: if casts_shadow(index) { shadow } else { Vec3::ZERO },
+        };
+        Self {
+            reach: bounds.iter().enumerate().map(reach).collect(),
+            last_needed: vec![0; bounds.len()],
+            needed: vec![false; bounds.len()],
+            update: 0,
+        }
+    }
+
+    /// By instance, whether an update with these views needs it.
+    pub fn update(&mut self, views: impl Iterator<Item = View> + Clone) -> &[bool] {
+        self.update += 1;
+        for (index, reach) in self.reach.iter().enumerate() {
+            if views.clone().any(|view| reach.is_in(&view)) {
+                self.last_needed[index] = self.update;
+            }
+            let last = self.last_needed[index];
+            // One update more than the layout holds a patch: it decides after this.
+            self.needed[index] = last > 0 && self.update - last <= HOLD_UPDATES + 1;
+        }
+        &self.needed
+    }
+
+    /// The last update's answer.
+    pub fn needed(&self) -> &[bool] {
+        &self.needed
+    }
+}
+
+impl Reach {
+    /// Conservative: outside only if all of it lies on the far side of one of the view's planes.
+    fn is_in(&self, view: &View) -> bool {
+        if self.bounds.is_empty() {
+            return false;
+        }
+        let eye_from_world = view.world_from_eye.inverse().matrix();
+        let corners = self.bounds.corners().map(|corner| eye_from_world.transform_point3(corner));
+        let shadow = eye_from_world.transform_vector3(self.shadow);
+        let planes = side_planes(view);
+        planes.iter().all(|plane| {
+            corners
+                .iter()
+                .any(|c| plane.dot(c.extend(1.0)) >= 0.0 || plane.dot((*c + shadow).extend(1.0)) >= 0.0)
+        })
+    }
+}
+
+/// The planes of a view through the eye, and the one behind it, in the eye's frame (looking along -z); positive inside.
+fn side_planes(view: &View) -> [Vec4; 5] {
+    let (l, r, u, d) = (view.fov.left.tan(), view.fov.right.tan(), view.fov.up.tan(), view.fov.down.tan());
+    [
+        Vec4::new(1.0, 0.0, l, 0.0),
+        Vec4::new(-1.0, 0.0, -r, 0.0),
+        Vec4::new(0.0, 1.0, d, 0.0),
+        Vec4::new(0.0, -1.0, -u, 0.0),
+        Vec4::new(0.0, 0.0, -1.0, 0.0),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Quat;
+    use rand::{Rng, SeedableRng, rngs::SmallRng};
+    use shadecast_protocol::pose::{Fov, Pose};
+
+    fn view(position: Vec3, yaw: f32) -> View {
+        let fov = Fov { left: -0.6, right: 0.9, up: 0.5, down: -0.8 };
+        View { world_from_eye: Pose { position, orientation: Quat::from_rotation_y(yaw) }, fov }
+    }
+
+    fn cube(middle: Vec3) -> Bounds {
+        Bounds { low: middle - 0.5, high: middle + 0.5 }
+    }
+
+    #[test]
+    fn what_projects_into_a_view_is_needed() {
+        let mut rng = SmallRng::seed_from_u64(31);
+        let mut outside = 0;
+        for case in 0..500 {
+            let mut number = |reach: f32| rng.random_range(-reach..reach);
+            let view = view(Vec3::new(number(3.0), number(1.0), number(3.0)), number(3.1));
+            let bounds = cube(Vec3::new(number(8.0), number(4.0), number(8.0)));
+            let clip = view.fov.clip_from_eye() * view.world_from_eye.inverse().matrix();
+            let visible = (0..100).any(|_| {
+                let mut within = || rng.random_range(0.0f32..1.0);
+                let p = bounds.low + Vec3::new(within(), within(), within()) * (bounds.high - bounds.low);
+                let at = clip * p.extend(1.0);
+                at.w > 0.1 && at.x.abs() <= at.w && at.y.abs() <= at.w
+            });
+            let needed = Culling::new(&[bounds], |_| false, None).update([view].into_iter())[0];
+            assert!(needed || !visible, "seed 31, case {case}");
+            outside += u32::from(!needed);
+        }
+        assert!(outside > 200, "culls nothing: {outside} of 500");
+    }
+
+    #[test]
+    fn a_caster_behind_the_user_is_needed_where_its_shadow_falls_into_view() {
+        // The sun stands behind the user and low; the far box makes the scene long enough for the shadow.
+        let bounds = [cube(Vec3::new(0.0, 3.0, 6.0)), cube(Vec3::new(0.0, 0.0, -30.0))];
+        let to_sun = Vec3::new(0.0, 0.3, 1.0).normalize();
+        let needed = |sun| {
+            let mut culling = Culling::new(&bounds, |index| index == 0, sun);
+            culling.update([view(Vec3::new(0.0, 1.6, 0.0), 0.0)].into_iter())[0]
+        };
+        assert!(needed(Some(to_sun)));
+        assert!(!needed(None));
+        assert!(!needed(Some(-to_sun)), "the shadow falls to the other side");
+    }
+
+    #[test]
+    fn what_leaves_the_view_is_needed_as_long_as_the_layout_may_hold_it() {
+        let mut culling = Culling::new(&[cube(Vec3::new(0.0, 0.0, -5.0))], |_| false, None);
+        let (towards, away) = (view(Vec3::ZERO, 0.0), view(Vec3::ZERO, 3.1));
+        assert!(culling.update([towards].into_iter())[0]);
+        let after = (0..20).take_while(|_| culling.update([away].into_iter())[0]).count();
+        assert_eq!(after as u32, HOLD_UPDATES + 1);
+        assert!(!culling.update([away].into_iter())[0]);
+        assert!(!Culling::new(&[Bounds::EMPTY], |_| false, None).update([towards].into_iter())[0]);
+    }
+}

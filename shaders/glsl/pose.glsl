@@ -1,0 +1,96 @@
+// Skeletons, sampled curves and poses: what evaluates a bone. Shared by the palette and by the per-vertex chain; the
+// buffers are bound from POSE_BINDING on.
+// Twin: scene/src/animation/{sampling,pose}.rs.
+#ifndef POSE_GLSL
+#define POSE_GLSL
+#include "rows.glsl"
+
+// A curve of a bone's translation, rotation or scale. One key: constant. interval_s > 0: keys at equal intervals.
+struct TrackGpu {
+    uint first_key;  // into keys; for cubic curves value and tangent alternate
+    uint first_time; // into key_times
+    uint key_count;
+    uint kind;       // 0 step, 1 linear, 2 cubic
+    float interval_s;
+    uint reserved0;
+    uint reserved1;
+    uint reserved2;
+};
+
+// A skeleton at a phase of a clip. Instances with the same skeleton, clip and phase share it.
+struct PoseGpu {
+    uint bone_base;    // of the skeleton, into parents
+    uint level_base;   // into level_starts
+    uint level_count;
+    uint track_base;   // of the clip, three a bone: translation, rotation, scale
+    uint entry_base;   // into entries
+    uint entry_count;
+    uint global_base;  // into globals
+    uint palette_base; // into palettes
+    float phase_s;     // seconds into the clip, and what single precision cannot hold of it
+    float phase_low_s;
+    uint reserved0;
+    uint reserved1;
+};
+
+// bone_from_mesh as rows.
+struct EntryGpu {
+    vec4 bone_from_mesh[3];
+    uvec4 bone;
+};
+
+#ifndef POSE_BINDING
+#define POSE_BINDING 0
+#endif
+layout(std430, binding = POSE_BINDING) readonly buffer Poses { PoseGpu poses[]; };
+layout(std430, binding = POSE_BINDING + 1) readonly buffer Parents { int parents[]; };
+layout(std430, binding = POSE_BINDING + 2) readonly buffer Tracks { TrackGpu tracks[]; };
+layout(std430, binding = POSE_BINDING + 3) readonly buffer Keys { vec4 keys[]; };
+layout(std430, binding = POSE_BINDING + 4) readonly buffer KeyTimes { float key_times[]; };
+layout(std430, binding = POSE_BINDING + 5) readonly buffer Entries { EntryGpu entries[]; };
+
+// translate * rotate * scale; q need not be of unit length.
+Rows transform_of(vec3 t, vec4 q, vec3 s) {
+    q = normalize(q);
+    vec3 x = vec3(1 - 2 * (q.y * q.y + q.z * q.z), 2 * (q.x * q.y + q.w * q.z), 2 * (q.x * q.z - q.w * q.y)) * s.x;
+    vec3 y = vec3(2 * (q.x * q.y - q.w * q.z), 1 - 2 * (q.x * q.x + q.z * q.z), 2 * (q.y * q.z + q.w * q.x)) * s.y;
+    vec3 z = vec3(2 * (q.x * q.z + q.w * q.y), 2 * (q.y * q.z - q.w * q.x), 1 - 2 * (q.x * q.x + q.y * q.y)) * s.z;
+    return Rows(vec4[3](vec4(x.x, y.x, z.x, t.x), vec4(x.y, y.y, z.y, t.y), vec4(x.z, y.z, z.z, t.z)));
+}
+
+// The key at or before the phase, never the last one.
+uint key_before(TrackGpu track, float phase_s) {
+    uint last = track.key_count - 2;
+    if (track.interval_s > 0.0) return min(uint(phase_s / track.interval_s), last);
+    uint low = 0, high = last;
+    while (low < high) {
+        uint middle = (low + high + 1) / 2;
+        if (key_times[track.first_time + middle] <= phase_s) low = middle; else high = middle - 1;
+    }
+    return low;
+}
+
+vec4 sample_track(TrackGpu track, float phase_s, float phase_low_s) {
+    if (track.key_count == 1) return keys[track.first_key];
+    uint key = key_before(track, phase_s);
+    float from = key_times[track.first_time + key], span = key_times[track.first_time + key + 1] - from;
+    // Subtracted before the low part is added: exact where phase and key are close.
+    float f = clamp(((phase_s - from) + phase_low_s) / span, 0.0, 1.0);
+    if (track.kind == 0) return keys[track.first_key + key + (f < 1.0 ? 0 : 1)];
+    if (track.kind == 1) return mix(keys[track.first_key + key], keys[track.first_key + key + 1], f);
+    uint at = track.first_key + 2 * key;
+    float f2 = f * f, f3 = f2 * f;
+    return keys[at] * (2.0 * f3 - 3.0 * f2 + 1.0) + keys[at + 1] * (span * (f3 - 2.0 * f2 + f))
+        + keys[at + 2] * (3.0 * f2 - 2.0 * f3) + keys[at + 3] * (span * (f3 - f2));
+}
+
+// parent_from_bone of the bone at the pose's phase.
+Rows local_transform(PoseGpu pose, uint bone) {
+    uint first = pose.track_base + 3 * bone;
+    vec3 t = sample_track(tracks[first], pose.phase_s, pose.phase_low_s).xyz;
+    vec4 q = sample_track(tracks[first + 1], pose.phase_s, pose.phase_low_s);
+    vec3 s = sample_track(tracks[first + 2], pose.phase_s, pose.phase_low_s).xyz;
+    return transform_of(t, q, s);
+}
+
+#endif

@@ -1,0 +1,27 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+// The paper's skinning, the baseline: each vertex walks the whole parent chain of each of its bones and samples every
+// bone on the way; nothing is shared between vertices. Twin: scene/src/animation/pose.rs.
+layout(local_size_x = 64) in;
+#include "skin_buffers.glsl"
+#define POSE_BINDING 6
+#include "pose.glsl"
+
+Rows influence(SkinJobGpu job, uint joint) {
+    PoseGpu pose = poses[job.pose];
+    EntryGpu entry = entries[pose.entry_base + joint];
+    int bone = int(entry.bone.x);
+    Rows chain = Rows(entry.bone_from_mesh);
+    while (bone >= 0) {
+        chain = multiply(local_transform(pose, uint(bone)), chain);
+        bone = parents[pose.bone_base + uint(bone)];
+    }
+    return chain;
+}
+#include "skin.glsl"
+
+void main() {
+    SkinJobGpu job = job_of_group(group_number());
+    uint index = (group_number() - job.first_group) * 64 + gl_LocalInvocationID.x;
+    if (index < job.vertex_count) skin_vertex(job, index);
+}
