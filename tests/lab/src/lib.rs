@@ -10,6 +10,7 @@ pub mod motion;
 pub mod options;
 pub mod run;
 pub mod session;
+pub mod skinning;
 pub mod sheet;
 pub mod ssim;
 pub mod stats;

@@ -1,13 +1,17 @@
 //! The command line of the lab.
 
+use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_lab::demo::{DemoOptions, demo};
 use shadecast_lab::long;
 use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs};
 use shadecast_lab::run::run;
-use shadecast_scene::animation::clip::DEFAULT_RESAMPLE_INTERVAL_S;
+use shadecast_lab::skinning;
+use shadecast_scene::animation::sampling::Sampling;
 use shadecast_server::encode::openh264::DEFAULT_QP;
+use shadecast_server::scene_gpu::SceneOptions;
+use shadecast_server::stages::skin::Skinning;
 use shadecast_transport::{LinkProfile, LinkSchedule};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -35,6 +39,8 @@ struct Cli {
 enum Command {
     /// Runs server, link and client in one process on a virtual clock, and measures
     Run(RunArgs),
+    /// Measures the ways of skinning side by side, against the floor that the device's own rates set
+    Skinning(SkinningArgs),
     /// Runs server and client as two processes on loopback in real time, and measures
     Demo(DemoArgs),
     /// Runs the sizes that take long, one after the other; what is done already is left out
@@ -96,15 +102,31 @@ struct RunArgs {
     /// Atlas width and height in texels, multiples of 512
     #[arg(long, value_parser = parse_size, default_value = "2048x2048")]
     atlas: [u32; 2],
-    /// Milliseconds between the keys that clips are resampled to
-    #[arg(long, default_value_t = DEFAULT_RESAMPLE_INTERVAL_S * 1000.0)]
-    resample_ms: f32,
+    /// How clips become keys: error-bounded[:0.1mm], or the paper's constant[:100ms]
+    #[arg(long, default_value_t)]
+    sampling: Sampling,
+    /// How vertices are skinned
+    #[arg(long, value_enum, default_value_t)]
+    skinning: Skinning,
     /// Vulkan validation layers on
     #[arg(long)]
     validation: bool,
     /// Part of the wanted Vulkan device's name
     #[arg(long)]
     device: Option<String>,
+}
+
+#[derive(Args)]
+struct SkinningArgs {
+    /// dragon, dragons:N, a .glb/.gltf file, or a scene .toml
+    #[arg(default_value = "dragons:9")]
+    scene: String,
+    /// How clips become keys: error-bounded[:0.1mm], or the paper's constant[:100ms]
+    #[arg(long, default_value_t)]
+    sampling: Sampling,
+    /// Writes the figures to this JSON file
+    #[arg(long)]
+    out: Option<PathBuf>,
 }
 
 #[derive(Args)]
@@ -145,6 +167,7 @@ fn main() {
         Command::Run(args) => run_one(args),
         Command::Demo(args) => run_demo(args),
         Command::Long { out } => long::run_all(&out),
+        Command::Skinning(args) => measure_skinning(&args),
         Command::Device => name_device(),
     };
     if let Err(error) = result {
@@ -181,7 +204,7 @@ fn run_one(args: RunArgs) -> anyhow::Result<()> {
         device: args.device,
         qp: args.qp,
         atlas_extent_texels: args.atlas,
-        resample_s: args.resample_ms / 1000.0,
+        scene_options: SceneOptions { sampling: args.sampling, skinning: args.skinning },
         motion: args.motion,
         verbose: true,
         ..RunOptions::new(args.scene.parse()?, args.out)
@@ -219,6 +242,16 @@ fn run_demo(args: DemoArgs) -> anyhow::Result<()> {
     let stats = demo(&options)?;
     println!("{stats}");
     println!("Pictures: {}", options.out.join("sheet.png").display());
+    Ok(())
+}
+
+fn measure_skinning(args: &SkinningArgs) -> anyhow::Result<()> {
+    let report = skinning::measure(&args.scene.parse()?, args.sampling)?;
+    println!("{report}");
+    if let Some(path) = &args.out {
+        std::fs::write(path, serde_json::to_string_pretty(&report)?)
+            .with_context(|| format!("writing {}", path.display()))?;
+    }
     Ok(())
 }
 
