@@ -2,10 +2,14 @@
 //!
 //! Two ways lead there. *Constant* sampling looks at every curve at one interval, as the paper does. *Error-bounded*
 //! sampling keeps the fewest keys with which no skinned vertex leaves the original by more than a bound
-//! ([`bounded`]). What evaluates a clip need not know which of the two made it.
+//! (`bounded`). What evaluates a clip need not know which of the two made it.
 
+mod bounded;
+pub(crate) mod curve;
+mod fit;
 mod parse;
-mod source;
+pub(crate) mod probe;
+pub(crate) mod source;
 
 pub use parse::SamplingError;
 use source::Source;
@@ -201,7 +205,7 @@ fn transform([translation, rotation, scale]: &[SampledTrack; 3], t_s: f64) -> Tr
 pub fn sample(model: &Model, clip: Option<usize>, sampling: Sampling) -> SampledClip {
     match sampling {
         Sampling::Constant { interval_s } => constant(model, clip, interval_s),
-        Sampling::ErrorBounded { .. } => constant(model, clip, 1.0 / 60.0),
+        Sampling::ErrorBounded { bound_m, range_share } => bounded::sample(model, clip, bound_m, range_share),
     }
 }
 

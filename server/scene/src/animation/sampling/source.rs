@@ -2,7 +2,7 @@
 
 use super::{SampledClip, SampledTrack};
 use crate::animation::clip::{self, TrackValue};
-use crate::{Bone, Model, MorphTrack, PaletteEntry, Path, Track, TrackValues, Trs, Vertex};
+use crate::{Bone, Interpolation, Model, MorphTrack, PaletteEntry, Path, Track, TrackValues, Trs, Vertex};
 use glam::{Affine3A, Vec3, Vec4};
 
 /// One curve of a model.
@@ -53,6 +53,24 @@ impl Source<'_> {
             Self::Rest(_) => false,
             Self::Bone(track) => clip::track_varies(track),
             Self::Morph(track, _) => clip::morph_track_varies(track),
+        }
+    }
+
+    /// Times of the source's keys, seconds.
+    pub fn times_s(&self) -> &[f32] {
+        match self {
+            Self::Rest(_) => &[0.0],
+            Self::Bone(track) => &track.times_s,
+            Self::Morph(track, _) => &track.times_s,
+        }
+    }
+
+    /// How the source goes from key to key.
+    pub fn interpolation(&self) -> Interpolation {
+        match self {
+            Self::Rest(_) => Interpolation::Step,
+            Self::Bone(track) => track.interpolation,
+            Self::Morph(track, _) => track.interpolation,
         }
     }
 }
