@@ -5,11 +5,11 @@ use super::error::SceneError;
 use super::file::{self, ClipChoice, ModelEntry, ModelFile, SceneFile};
 use super::split::{MAX_EDGE_M, split_long_edges};
 use super::suggest::{did_you_mean, did_you_mean_or_list};
-use crate::animation::clip::track_varies;
+use crate::animation::clip::{morph_track_varies, track_varies};
 use crate::animation::pose;
 use crate::limits::read_limited;
 use crate::views::find_head_path;
-use crate::{HeadPath, Instance, Model, Scene, fbx, gltf, ground};
+use crate::{Clip, HeadPath, Instance, Model, Scene, fbx, gltf, ground};
 use glam::{Affine3A, Quat, Vec3};
 use shadecast_protocol::pose::Pose;
 use std::fmt;
@@ -127,7 +127,10 @@ fn load_model(file: &ModelFile) -> Result<Model, SceneError> {
 
 /// The first clip that moves anything.
 fn first_moving_clip(model: &Model) -> Option<usize> {
-    model.clips.iter().position(|clip| clip.tracks.iter().any(track_varies))
+    let moves = |clip: &Clip| {
+        clip.tracks.iter().any(track_varies) || clip.morph_tracks.iter().any(morph_track_varies)
+    };
+    model.clips.iter().position(moves)
 }
 
 /// A scene with default light, ground and stage.
@@ -503,6 +506,7 @@ mod tests {
             assert!(middle.x.abs() < 0.05 && (middle.z + ASSET_DISTANCE_M).abs() < 0.05, "{name}: {middle}");
             assert!(longest_edge_m(&scene, 0) <= MAX_EDGE_M * 1.01, "{name}");
             assert_eq!(scene.instances[1].name, "ground");
+            assert_eq!(scene.instances[0].clip.is_some(), name != "DamagedHelmet.glb", "{name} moves");
         }
     }
 

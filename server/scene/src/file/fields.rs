@@ -11,13 +11,19 @@ use toml::de::{DeTable, DeValue};
 /// The text, to find lines in.
 pub(super) struct Source<'a> {
     pub(super) text: &'a str,
-    pub(super) file: &'a str,
+    file: &'a str,
+    /// Offset of each line break.
+    breaks: Vec<usize>,
 }
 
-impl Source<'_> {
+impl<'a> Source<'a> {
+    pub(super) fn new(text: &'a str, file: &'a str) -> Self {
+        Self { text, file, breaks: text.match_indices('\n').map(|(at, _)| at).collect() }
+    }
+
     /// Line of a byte offset, from 1.
     pub(super) fn line(&self, offset: usize) -> usize {
-        1 + self.text.bytes().take(offset).filter(|byte| *byte == b'\n').count()
+        1 + self.breaks.partition_point(|at| *at < offset)
     }
 
     pub(super) fn last_line(&self) -> usize {

@@ -65,7 +65,7 @@ const LIGHT_KEYS: [&str; 10] = [
     "target",
 ];
 
-/// The keys of each kind that not all have; the kind is the place in the list.
+/// Words for the kinds.
 const KINDS: [(&str, Kind); 3] =
     [("point", Kind::Point), ("spot", Kind::Spot), ("directional", Kind::Directional)];
 
@@ -149,10 +149,6 @@ fn read_place(fields: &Fields, kind: Kind) -> Result<Affine3A, SceneError> {
         })?),
         None => fields.direction("direction", "the way the light shines")?,
     };
-    let along = match kind {
-        Kind::Point => Vec3::NEG_Z,
-        Kind::Spot => fields.required("direction", along)?,
-        Kind::Directional => fields.required("direction", along)?,
-    };
+    let along = if kind == Kind::Point { Vec3::NEG_Z } else { fields.required("direction", along)? };
     Ok(Affine3A::from_rotation_translation(turned_to(along), position))
 }

@@ -129,7 +129,7 @@ pub enum ClipChoice {
 
 /// Reads the text of a scene file. `file` is its name, for messages.
 pub fn parse(text: &str, file: &str) -> Result<SceneFile, SceneError> {
-    let source = Source { text, file };
+    let source = Source::new(text, file);
     let document = read_toml(&source)?;
     let root = Fields::new(&source, "a scene", &document, 1, &ROOT_KEYS)?;
     let models = read_models(&root)?;
@@ -173,7 +173,7 @@ fn read_toml<'a>(source: &Source<'a>) -> Result<DeTable<'a>, SceneError> {
 
 /// The head paths that every scene has: standing still, turning, walking a few steps.
 pub fn built_in_head_paths() -> Vec<HeadPath> {
-    let source = Source { text: include_str!("head_paths.toml"), file: "built-in head paths" };
+    let source = Source::new(include_str!("head_paths.toml"), "built-in head paths");
     let read = || view::read_head_paths(&Fields::new(&source, "", &read_toml(&source)?, 1, &["head_path"])?);
     read().expect("the built-in head paths are valid")
 }
