@@ -13,6 +13,7 @@ mod hierarchy;
 mod material;
 mod mesh;
 mod morph;
+mod skeleton;
 mod skin;
 #[cfg(test)]
 mod tests;
@@ -69,6 +70,9 @@ fn import(bytes: &[u8], name: &str, folder: Option<&Path>) -> Result<(Model, War
     model.clips = animation::read_all(&scene, &hierarchy, &morphs)?;
     model.morphs = morphs.morphs;
     (model.materials, model.textures) = (materials.materials, materials.textures);
+    if model.indices.is_empty() && skeleton::add(&scene, &hierarchy, &mut model) {
+        warnings.insert("has no meshes; the bones of its skeleton are shown instead".into());
+    }
     model.bones = [hierarchy.bones, light_bones].concat();
     Ok((model, warnings))
 }

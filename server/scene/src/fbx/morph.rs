@@ -51,7 +51,8 @@ impl Shapes {
 
 impl Channel {
     /// The weights of the channel's shapes, as FBX blends them: up to the first shape it grows in; between two shapes
-    /// they share; beyond the last one the last two are extrapolated. Shapes at negative weights likewise downwards.
+    /// they share; beyond the last one the last two are extrapolated. Shapes at negative weights likewise downwards;
+    /// where there are none, the first shape is taken away.
     pub(super) fn weights(&self, weight: f64) -> Vec<f64> {
         let mut weights = vec![0.0; self.targets.len()];
         let negative = self.targets.iter().take_while(|target| **target < 0.0).count();
@@ -65,8 +66,16 @@ impl Channel {
                 break;
             }
         }
+        let Some(next) = after else {
+            // No shape on this side of 0: the nearest on the other side is taken away instead.
+            let nearest = if weight > 0.0 { negative.checked_sub(1) } else { Some(negative) };
+            let nearest = nearest.and_then(|index| Some((index, *self.targets.get(index)?)));
+            if let Some((index, target)) = nearest.filter(|(_, target)| *target != 0.0) {
+                weights[index] = weight / target;
+            }
+            return weights;
+        };
         let target = |shape: Option<usize>| shape.map_or(0.0, |shape| self.targets[shape]);
-        let Some(next) = after else { return weights };
         let span = target(after) - target(before);
         if span != 0.0 {
             let share = (weight - target(before)) / span;
