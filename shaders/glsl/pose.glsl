@@ -59,24 +59,25 @@ Rows transform_of(vec3 t, vec4 q, vec3 s) {
 }
 
 // The key at or before the phase, never the last one.
-uint key_before(TrackGpu track, float phase_s) {
+uint key_before(TrackGpu track, float phase_s, float phase_low_s) {
     uint last = track.key_count - 2;
     if (track.interval_s > 0.0) return min(uint(phase_s / track.interval_s), last);
     uint low = 0, high = last;
     while (low < high) {
         uint middle = (low + high + 1) / 2;
-        if (key_times[track.first_time + middle] <= phase_s) low = middle; else high = middle - 1;
+        // In this order the comparison is exact, and a step falls on the same side as in double precision.
+        if (key_times[track.first_time + middle] - phase_s <= phase_low_s) low = middle; else high = middle - 1;
     }
     return low;
 }
 
 vec4 sample_track(TrackGpu track, float phase_s, float phase_low_s) {
     if (track.key_count == 1) return keys[track.first_key];
-    uint key = key_before(track, phase_s);
-    float from = key_times[track.first_time + key], span = key_times[track.first_time + key + 1] - from;
+    uint key = key_before(track, phase_s, phase_low_s);
+    float from = key_times[track.first_time + key], to = key_times[track.first_time + key + 1], span = to - from;
+    if (track.kind == 0) return keys[track.first_key + key + (to - phase_s <= phase_low_s ? 1 : 0)];
     // Subtracted before the low part is added: exact where phase and key are close.
     float f = clamp(((phase_s - from) + phase_low_s) / span, 0.0, 1.0);
-    if (track.kind == 0) return keys[track.first_key + key + (f < 1.0 ? 0 : 1)];
     if (track.kind == 1) return mix(keys[track.first_key + key], keys[track.first_key + key + 1], f);
     uint at = track.first_key + 2 * key;
     float f2 = f * f, f3 = f2 * f;
