@@ -7,6 +7,9 @@ use crate::sound::{assert_sound, exercise};
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 use serde_json::{Value, json};
 
+mod curves;
+mod features;
+
 /// Builds a GLB: numbers go to one buffer, the JSON is free to be changed before it is written.
 struct GlbBuilder {
     root: Value,
@@ -484,7 +487,7 @@ fn faults_in_animations_and_images_name_the_element() {
 
 #[test]
 fn every_truncation_of_a_file_is_an_error() {
-    let glb = sample().finish();
+    let glb = features::rich();
     for length in 0..glb.len() {
         let message = from_slice(&glb[..length], "short.glb").expect_err("truncated").to_string();
         assert!(message.starts_with("short.glb: "), "{length} bytes: {message}");
@@ -548,9 +551,11 @@ fn mutate_bytes(bytes: &[u8], count: u32, seed: u64) -> (u32, u32) {
 
 #[test]
 fn flipped_bytes_give_a_sound_model_or_an_error() {
-    let (loaded, refused) = mutate_bytes(&sample().finish(), 4000, 1_000_000);
-    eprintln!("sample: {loaded} damaged files loaded, {refused} refused");
-    assert!(loaded > 100 && refused > 100);
+    for (name, file) in [("sample", sample().finish()), ("rich", features::rich())] {
+        let (loaded, refused) = mutate_bytes(&file, 3000, 1_000_000);
+        eprintln!("{name}: {loaded} damaged files loaded, {refused} refused");
+        assert!(loaded > 100 && refused > 100);
+    }
 }
 
 /// All values of a JSON document by path.
@@ -637,9 +642,11 @@ fn mutate_json(glb: &[u8], count: u32, seed: u64) -> (u32, u32) {
 
 #[test]
 fn changed_json_values_give_a_sound_model_or_an_error() {
-    let (loaded, refused) = mutate_json(&sample().finish(), 6000, 2_000_000);
-    eprintln!("sample: {loaded} files with changed JSON loaded, {refused} refused");
-    assert!(loaded > 100 && refused > 100);
+    for (name, file) in [("sample", sample().finish()), ("rich", features::rich())] {
+        let (loaded, refused) = mutate_json(&file, 4000, 2_000_000);
+        eprintln!("{name}: {loaded} files with changed JSON loaded, {refused} refused");
+        assert!(loaded > 100 && refused > 100);
+    }
 }
 
 // ---- real assets ----
