@@ -437,13 +437,10 @@ fn material(m: &Material, model: &Model, textures: &[u32]) -> MaterialGpu {
         m.occlusion_texture,
         m.emissive_texture,
     ];
-    let extent = all
-        .iter()
-        .flatten()
-        .map(|t| model.textures[t.texture as usize].extent_texels)
-        .map(|[w, h]| w.max(h))
-        .max()
-        .unwrap_or(0);
+    let texels = |set: u32| {
+        let of_set = all.iter().flatten().filter(|slot| slot.set == set);
+        of_set.map(|slot| texels_per_unit(slot, &model.textures)).fold(0.0, f32::max)
+    };
     let [r, g, b] = m.emissive;
     MaterialGpu {
         base_color: m.base_color,
@@ -458,9 +455,34 @@ fn material(m: &Material, model: &Model, textures: &[u32]) -> MaterialGpu {
         occlusion_texture: index(all[3]),
         emissive_texture: index(all[4]),
         double_sided: u32::from(m.double_sided),
-        texture_extent_texels: extent as f32,
-        reserved: 0,
+        texture_extent_texels: texels(0),
+        texture_extent1_texels: texels(1),
+        uv_rows: uv_rows(all),
+        unlit: u32::from(m.unlit),
+        reserved: [0; 3],
     }
+}
+
+/// Largest number of texels that one unit of the vertices' texture coordinates can cover.
+fn texels_per_unit(slot: &TextureSlot, textures: &[Texture]) -> f32 {
+    let [width, height] = textures[slot.texture as usize].extent_texels;
+    let [[a, b, _], [c, d, _]] = slot.uv_transform;
+    // The larger singular value of the 2x2 part.
+    let (p, q, r) = (a * a + c * c, b * b + d * d, a * b + c * d);
+    let stretch = ((p + q) / 2.0 + ((p - q) / 2.0).hypot(r)).sqrt();
+    width.max(height) as f32 * stretch
+}
+
+/// By slot the rows of its matrix; the first row's w is its set.
+fn uv_rows(slots: [Option<TextureSlot>; 5]) -> [[f32; 4]; 10] {
+    let mut rows = [[0.0; 4]; 10];
+    for (at, slot) in slots.into_iter().enumerate() {
+        let slot = slot.unwrap_or_else(|| 0.into());
+        let [[a, b, x], [c, d, y]] = slot.uv_transform;
+        rows[2 * at] = [a, b, x, slot.set as f32];
+        rows[2 * at + 1] = [c, d, y, 0.0];
+    }
+    rows
 }
 
 fn place_instances(scene: &Scene, models: &[ModelGpu]) -> (Vec<InstanceGpu>, Totals) {

@@ -22,14 +22,17 @@ layout(push_constant) uniform ForwardPush {
 layout(location = 0) in vec3 world_position;
 layout(location = 1) in vec3 world_normal;
 layout(location = 2) in vec4 world_tangent;
-layout(location = 3) in vec2 uv;
+layout(location = 3) in vec4 uvs; // both sets
+layout(location = 4) in vec4 vertex_color;
 layout(location = 0) out vec4 color; // linear; the attachment is sRGB
 
 void main() {
     MaterialGpu m = materials[material];
     float side = m.double_sided != 0 && !gl_FrontFacing ? -1.0 : 1.0;
-    Surface s = Surface(world_position, world_normal * side, world_tangent.xyz, world_tangent.w, uv, dFdx(uv), dFdy(uv));
-    vec4 shaded = shade(m, s, view.world_eye.xyz);
-    if (m.alpha_cutoff >= 0.0 && shaded.a < m.alpha_cutoff) discard;
-    color = vec4(tone_map(shaded.rgb), 1.0);
+    vec4 dx = dFdx(uvs), dy = dFdy(uvs);
+    Surface s = Surface(world_position, world_normal * side, world_tangent.xyz, world_tangent.w,
+        uvs.xy, dx.xy, dy.xy, uvs.zw, dx.zw, dy.zw, vertex_color);
+    vec4 shown = display_color(m, s, view.world_eye.xyz);
+    if (m.alpha_cutoff >= 0.0 && shown.a < m.alpha_cutoff) discard;
+    color = vec4(shown.rgb, 1.0);
 }

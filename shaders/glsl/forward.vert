@@ -17,7 +17,8 @@ layout(push_constant) uniform ForwardPush {
 layout(location = 0) out vec3 world_position;
 layout(location = 1) out vec3 world_normal;
 layout(location = 2) out vec4 world_tangent;
-layout(location = 3) out vec2 uv;
+layout(location = 3) out vec4 uvs; // both sets
+layout(location = 4) out vec4 vertex_color;
 
 void main() {
     VertexGpu v = vertices[vertex_base + gl_VertexIndex];
@@ -25,6 +26,7 @@ void main() {
     world_position = saved_vertices[position_base + gl_VertexIndex].xyz;
     world_normal = f.normal.xyz;
     world_tangent = f.tangent;
-    uv = vec2(v.position_u.w, v.normal_v.w);
+    uvs = vec4(v.position_u.w, v.normal_v.w, v.uv1);
+    vertex_color = unpackUnorm4x8(v.color);
     gl_Position = view.clip_from_world * vec4(world_position, 1.0);
 }

@@ -5,6 +5,7 @@
 #include "scene.glsl"
 layout(std430, binding = 4) readonly buffer Materials { MaterialGpu materials[]; };
 layout(binding = 6) uniform sampler2D textures[];
+#include "alpha.glsl"
 layout(push_constant) uniform ForwardPush {
     uint vertex_base;
     uint position_base;
@@ -12,17 +13,12 @@ layout(push_constant) uniform ForwardPush {
     uint material;
     uint instance;
 };
-layout(location = 0) in vec2 uv;
+layout(location = 0) in vec3 lookup;
 layout(location = 0) out uint instance_number; // + 1; 0 is background
 layout(location = 1) out float distance_m;
 
 void main() {
-    MaterialGpu m = materials[material];
-    if (m.alpha_cutoff >= 0.0) {
-        float alpha = m.base_color.a;
-        if (m.base_color_texture >= 0) alpha *= texture(textures[nonuniformEXT(m.base_color_texture)], uv).a;
-        if (alpha < m.alpha_cutoff) discard;
-    }
+    if (is_cut_out(materials[material], lookup)) discard;
     instance_number = instance + 1;
     distance_m = 1.0 / gl_FragCoord.w;
 }

@@ -5,6 +5,7 @@
 
 layout(std430, binding = 0) readonly buffer Vertices { VertexGpu vertices[]; };
 layout(std430, binding = 1) readonly buffer SavedVertices { vec4 saved_vertices[]; };
+layout(std430, binding = 4) readonly buffer Materials { MaterialGpu materials[]; };
 layout(std140, binding = 3) uniform View { ViewGpu view; };
 layout(push_constant) uniform ForwardPush {
     uint vertex_base;
@@ -13,10 +14,9 @@ layout(push_constant) uniform ForwardPush {
     uint material;
     uint instance;
 };
-layout(location = 0) out vec2 uv;
+layout(location = 0) out vec3 lookup;
 
 void main() {
-    VertexGpu v = vertices[vertex_base + gl_VertexIndex];
-    uv = vec2(v.position_u.w, v.normal_v.w);
+    lookup = alpha_lookup(materials[material], vertices[vertex_base + gl_VertexIndex]);
     gl_Position = view.clip_from_world * vec4(saved_vertices[position_base + gl_VertexIndex].xyz, 1.0);
 }

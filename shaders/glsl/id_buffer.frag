@@ -7,6 +7,7 @@
 layout(std430, binding = 3) readonly buffer PatchOfTriangle { uint patch_of_triangle[]; };
 layout(std430, binding = 4) readonly buffer Materials { MaterialGpu materials[]; };
 layout(binding = 5) uniform sampler2D textures[];
+#include "alpha.glsl"
 layout(push_constant) uniform IdBufferPush {
     uint vertex_base;
     uint position_base;
@@ -15,15 +16,10 @@ layout(push_constant) uniform IdBufferPush {
     uint material;
     uint first_view;
 };
-layout(location = 0) in vec2 uv;
+layout(location = 0) in vec3 lookup;
 layout(location = 0) out uint patch_number;
 
 void main() {
-    MaterialGpu m = materials[material];
-    if (m.alpha_cutoff >= 0.0) {
-        float alpha = m.base_color.a;
-        if (m.base_color_texture >= 0) alpha *= texture(textures[nonuniformEXT(m.base_color_texture)], uv).a;
-        if (alpha < m.alpha_cutoff) discard;
-    }
+    if (is_cut_out(materials[material], lookup)) discard;
     patch_number = patch_base + patch_of_triangle[triangle_base + gl_PrimitiveID] + 1;
 }

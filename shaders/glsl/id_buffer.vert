@@ -7,6 +7,7 @@
 layout(std430, binding = 0) readonly buffer Vertices { VertexGpu vertices[]; };
 layout(std430, binding = 1) readonly buffer SavedVertices { vec4 saved_vertices[]; };
 layout(std140, binding = 2) uniform Views { ViewGpu views[MAX_VIEWS]; };
+layout(std430, binding = 4) readonly buffer Materials { MaterialGpu materials[]; };
 layout(push_constant) uniform IdBufferPush {
     uint vertex_base;
     uint position_base;  // of the instance at the view's time
@@ -15,10 +16,9 @@ layout(push_constant) uniform IdBufferPush {
     uint material;
     uint first_view;
 };
-layout(location = 0) out vec2 uv;
+layout(location = 0) out vec3 lookup;
 
 void main() {
-    VertexGpu v = vertices[vertex_base + gl_VertexIndex];
-    uv = vec2(v.position_u.w, v.normal_v.w);
+    lookup = alpha_lookup(materials[material], vertices[vertex_base + gl_VertexIndex]);
     gl_Position = views[first_view + gl_ViewIndex].clip_from_world * saved_vertices[position_base + gl_VertexIndex];
 }

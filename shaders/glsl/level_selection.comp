@@ -44,19 +44,26 @@ bool outside_one_side(vec4 c[5]) {
     return any(out_all);
 }
 
-vec2 vertex_uv(uint index) {
+// Both sets.
+vec4 vertex_uvs(uint index) {
     VertexGpu v = vertices[vertex_base + index];
-    return vec2(v.position_u.w, v.normal_v.w);
+    return vec4(v.position_u.w, v.normal_v.w, v.uv1);
+}
+
+// Texels along an edge of the sharper of the two sets.
+float texels_along(vec4 from, vec4 to, MaterialGpu m) {
+    return max(distance(from.xy, to.xy) * m.texture_extent_texels, distance(from.zw, to.zw) * m.texture_extent1_texels);
 }
 
 // What the source textures hold, with half a step to spare; unbounded where there is none.
 vec2 texture_cap(PatchGpu p) {
-    float extent = materials[material_base + p.material].texture_extent_texels;
-    if (extent <= 0.0) return vec2(65535.0);
+    MaterialGpu m = materials[material_base + p.material];
+    if (m.texture_extent_texels <= 0.0 && m.texture_extent1_texels <= 0.0) return vec2(65535.0);
     uint height_corner = p.kind == 1 ? 2 : 3;
-    vec2 origin = vertex_uv(p.vertices[0]);
-    vec2 cap = vec2(distance(origin, vertex_uv(p.vertices[1])), distance(origin, vertex_uv(p.vertices[height_corner])));
-    return max(cap * extent * 1.5, vec2(8.0));
+    vec4 origin = vertex_uvs(p.vertices[0]);
+    vec2 cap = vec2(texels_along(origin, vertex_uvs(p.vertices[1]), m),
+        texels_along(origin, vertex_uvs(p.vertices[height_corner]), m));
+    return max(cap * 1.5, vec2(8.0));
 }
 
 void main() {

@@ -13,11 +13,21 @@ struct Surface {
     vec2 uv;
     vec2 uv_dx;           // change of uv per pixel or texel
     vec2 uv_dy;
+    vec2 uv1;
+    vec2 uv1_dx;
+    vec2 uv1_dy;
+    vec4 color;           // of the vertices, 0..1
 };
 
-vec4 fetch(int texture_index, Surface s, vec4 absent) {
+vec4 fetch(MaterialGpu m, uint slot, int texture_index, Surface s, vec4 absent) {
     if (texture_index < 0) return absent;
-    return textureGrad(textures[nonuniformEXT(texture_index)], s.uv, s.uv_dx, s.uv_dy);
+    vec2 uv = slot_uv(m, slot, s.uv, s.uv1, 1.0);
+    vec2 dx = slot_uv(m, slot, s.uv_dx, s.uv1_dx, 0.0), dy = slot_uv(m, slot, s.uv_dy, s.uv1_dy, 0.0);
+    return textureGrad(textures[nonuniformEXT(texture_index)], uv, dx, dy);
+}
+
+vec4 base_color(MaterialGpu m, Surface s) {
+    return m.base_color * s.color * fetch(m, BASE_COLOR_SLOT, m.base_color_texture, s, vec4(1.0));
 }
 
 vec3 mapped_normal(MaterialGpu m, Surface s) {
@@ -27,7 +37,7 @@ vec3 mapped_normal(MaterialGpu m, Surface s) {
     if (dot(t, t) < 1e-12) return n;
     t = normalize(t);
     vec3 b = cross(n, t) * s.tangent_sign;
-    vec3 map = fetch(m.normal_texture, s, vec4(0.5, 0.5, 1.0, 1.0)).xyz * 2.0 - 1.0;
+    vec3 map = fetch(m, NORMAL_SLOT, m.normal_texture, s, vec4(0.5, 0.5, 1.0, 1.0)).xyz * 2.0 - 1.0;
     map.xy *= m.normal_scale;
     return normalize(map.x * t + map.y * b + map.z * n);
 }
@@ -70,22 +80,30 @@ vec3 direct_light(vec3 at, vec3 facing, vec3 n, vec3 v, vec3 diffuse, vec3 f0, f
 
 // Linear radiance towards the eye; alpha is the base colour's.
 vec4 shade(MaterialGpu m, Surface s, vec3 world_eye) {
-    vec4 base = m.base_color * fetch(m.base_color_texture, s, vec4(1.0));
-    vec4 rough_metal = fetch(m.metallic_roughness_texture, s, vec4(1.0));
+    vec4 base = base_color(m, s);
+    vec4 rough_metal = fetch(m, METALLIC_ROUGHNESS_SLOT, m.metallic_roughness_texture, s, vec4(1.0));
     float roughness = clamp(m.roughness * rough_metal.g, 0.04, 1.0);
     float metallic = clamp(m.emissive_metallic.w * rough_metal.b, 0.0, 1.0);
-    float occlusion = mix(1.0, fetch(m.occlusion_texture, s, vec4(1.0)).r, m.occlusion_strength);
+    float occlusion = mix(1.0, fetch(m, OCCLUSION_SLOT, m.occlusion_texture, s, vec4(1.0)).r, m.occlusion_strength);
     vec3 n = mapped_normal(m, s), v = normalize(world_eye - s.world_position);
     vec3 f0 = mix(vec3(0.04), base.rgb, metallic), diffuse = base.rgb * (1.0 - metallic);
     // The gradient's irradiance over a hemisphere around n, divided by pi: the middle of what it sees.
     vec3 ambient = sky_radiance(light.zenith.rgb, light.horizon.rgb, light.nadir.rgb, n * abs(n));
     vec3 mirrored = sky_radiance(light.zenith.rgb, light.horizon.rgb, light.nadir.rgb, reflect(-v, n));
     vec3 soft = mix(mirrored, ambient, roughness);
-    vec3 emissive = m.emissive_metallic.rgb * fetch(m.emissive_texture, s, vec4(1.0)).rgb;
+    vec3 glow = fetch(m, EMISSIVE_SLOT, m.emissive_texture, s, vec4(1.0)).rgb;
+    vec3 emissive = m.emissive_metallic.rgb * glow;
     float n_v = max(dot(n, v), 1e-3);
     vec3 radiance = direct_light(s.world_position, normalize(s.world_normal), n, v, diffuse, f0, roughness)
         + occlusion * (diffuse * ambient + soft * ambient_brdf(f0, roughness, n_v)) + emissive;
     return vec4(radiance, base.a);
+}
+
+// Linear display light, 0..1; alpha is the base colour's. What is unlit is shown as it is, not tone-mapped.
+vec4 display_color(MaterialGpu m, Surface s, vec3 world_eye) {
+    if (m.unlit != 0) return clamp(base_color(m, s), 0.0, 1.0);
+    vec4 shaded = shade(m, s, world_eye);
+    return vec4(tone_map(shaded.rgb), shaded.a);
 }
 
 #endif

@@ -23,7 +23,8 @@ struct PatchGpu {
     uint reserved;
 };
 
-// glTF 2.0 section 3.9; a texture index of -1 means none. alpha_cutoff below 0 means opaque.
+// glTF 2.0 section 3.9; a texture index of -1 means none. alpha_cutoff below 0 means opaque. Slots are numbered as
+// the texture indices stand.
 struct MaterialGpu {
     vec4 base_color;
     vec4 emissive_metallic; // rgb, metallic
@@ -37,9 +38,34 @@ struct MaterialGpu {
     int occlusion_texture;
     int emissive_texture;
     uint double_sided;
-    float texture_extent_texels; // largest side of its textures, 0 where it has none
-    uint reserved;
+    // By set of texture coordinates: largest side of its textures in texels per unit of the vertices' coordinates, 0
+    // where it has none.
+    float texture_extent_texels;
+    float texture_extent1_texels;
+    // By slot two rows of a 2x3 matrix for the texture coordinates; the first row's w is the set, 0 or 1.
+    vec4 uv_rows[10];
+    uint unlit;
+    uint reserved[3];
 };
+
+const uint BASE_COLOR_SLOT = 0;
+const uint METALLIC_ROUGHNESS_SLOT = 1;
+const uint NORMAL_SLOT = 2;
+const uint OCCLUSION_SLOT = 3;
+const uint EMISSIVE_SLOT = 4;
+
+// What a slot looks up, from a vertex's or a pixel's coordinates; with `one` 0, changes of them are turned alike.
+vec2 slot_uv(MaterialGpu m, uint slot, vec2 uv, vec2 uv1, float one) {
+    vec4 u = m.uv_rows[2 * slot], v = m.uv_rows[2 * slot + 1];
+    vec3 place = vec3(u.w == 0.0 ? uv : uv1, one);
+    return vec2(dot(u.xyz, place), dot(v.xyz, place));
+}
+
+// What an alpha test needs of a vertex: the base colour's texture coordinates, and the vertex colour's alpha.
+vec3 alpha_lookup(MaterialGpu m, VertexGpu v) {
+    vec2 uv = slot_uv(m, BASE_COLOR_SLOT, vec2(v.position_u.w, v.normal_v.w), v.uv1, 1.0);
+    return vec3(uv, unpackUnorm4x8(v.color).a);
+}
 
 // Position and frame of one vertex at shading time.
 struct FrameGpu {

@@ -65,7 +65,8 @@ void main() {
         patch_corner_uv(p.kind, corners[2]), uv);
     Surface s;
     s.world_position = s.world_normal = s.world_tangent = vec3(0.0);
-    s.uv = s.uv_dx = s.uv_dy = vec2(0.0);
+    s.uv = s.uv_dx = s.uv_dy = s.uv1 = s.uv1_dx = s.uv1_dy = vec2(0.0);
+    s.color = vec4(0.0);
     vec3 at[3];
     for (int i = 0; i < 3; i++) {
         uint index = p.vertices[corners[i]];
@@ -80,9 +81,14 @@ void main() {
         s.uv += weights[0][i] * vertex_uv;
         s.uv_dx += weights[1][i] * vertex_uv / inner.x;
         s.uv_dy += weights[2][i] * vertex_uv / inner.y;
+        s.uv1 += weights[0][i] * v.uv1;
+        s.uv1_dx += weights[1][i] * v.uv1 / inner.x;
+        s.uv1_dy += weights[2][i] * v.uv1 / inner.y;
+        s.color += weights[0][i] * unpackUnorm4x8(v.color);
     }
     MaterialGpu m = materials[b.material_base + p.material];
     vec3 facing = cross(at[1] - at[0], at[2] - at[0]);
     if (m.double_sided != 0 && dot(facing, world_eye.xyz - s.world_position) < 0.0) s.world_normal = -s.world_normal;
-    color = vec4(srgb_from_linear(tone_map(shade(m, s, world_eye.xyz).rgb)), 1.0);
+    s.color = clamp(s.color, 0.0, 1.0); // the gutter extrapolates
+    color = vec4(srgb_from_linear(display_color(m, s, world_eye.xyz).rgb), 1.0);
 }

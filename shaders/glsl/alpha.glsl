@@ -1,0 +1,14 @@
+// The alpha test of passes that do not shade: one piece of code, for the same holes everywhere. Included after
+// `textures`.
+#ifndef ALPHA_GLSL
+#define ALPHA_GLSL
+
+// `lookup` is what alpha_lookup gave the vertices, interpolated.
+bool is_cut_out(MaterialGpu m, vec3 lookup) {
+    if (m.alpha_cutoff < 0.0) return false;
+    float alpha = m.base_color.a * lookup.z;
+    if (m.base_color_texture >= 0) alpha *= texture(textures[nonuniformEXT(m.base_color_texture)], lookup.xy).a;
+    return alpha < m.alpha_cutoff;
+}
+
+#endif
