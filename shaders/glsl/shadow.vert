@@ -7,16 +7,16 @@
 layout(std430, binding = 0) readonly buffer Vertices { VertexGpu vertices[]; };
 layout(std430, binding = 1) readonly buffer SavedVertices { vec4 saved_vertices[]; };
 layout(std140, binding = 2) uniform Light { LightGpu light; };
+layout(std430, binding = 3) readonly buffer Materials { MaterialGpu materials[]; };
 layout(push_constant) uniform ShadowPush {
     uint vertex_base;
     uint position_base;
     uint material;
 };
-layout(location = 0) out vec2 uv;
+layout(location = 0) out vec3 lookup;
 
 void main() {
-    VertexGpu v = vertices[vertex_base + gl_VertexIndex];
-    uv = vec2(v.position_u.w, v.normal_v.w);
+    lookup = alpha_lookup(materials[material], vertices[vertex_base + gl_VertexIndex]);
     vec3 at = (light.shadow_from_world * vec4(saved_vertices[position_base + gl_VertexIndex].xyz, 1.0)).xyz;
     gl_Position = vec4(at.xy * 2.0 - 1.0, at.z, 1.0);
 }
