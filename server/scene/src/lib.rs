@@ -22,8 +22,8 @@ pub mod influences;
 mod limits;
 pub mod load;
 mod path;
-#[cfg(test)]
-mod sound;
+#[cfg(any(test, feature = "checks"))]
+pub mod sound;
 pub mod split;
 pub mod suggest;
 mod tangent;

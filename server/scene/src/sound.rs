@@ -1,4 +1,4 @@
-//! What every importer's models are held to in tests, whatever the file was.
+//! What every importer's models are held to in tests and by fuzz targets, whatever the file was.
 
 use crate::animation::{clip, pose};
 use crate::{Interpolation, Model, TrackValues};
@@ -6,7 +6,7 @@ use glam::{Affine3A, Vec3};
 
 /// What every model must keep, whatever the file was.
 #[track_caller]
-pub(crate) fn assert_sound(model: &Model, context: &str) {
+pub fn assert_sound(model: &Model, context: &str) {
     for (index, bone) in model.bones.iter().enumerate() {
         assert!(bone.parent.is_none_or(|parent| (parent as usize) < index), "{context}: bone {index}");
         assert!(bone.rest.translation.is_finite() && bone.rest.scale.is_finite(), "{context}: bone {index}");
@@ -123,7 +123,7 @@ fn assert_morphs_sound(model: &Model, context: &str) {
 }
 
 /// Whatever loads must also be usable.
-pub(crate) fn exercise(model: &Model) {
+pub fn exercise(model: &Model) {
     for clip in (0..model.clips.len()).map(Some).chain([None]) {
         let duration_s = clip.map_or(1.0, |clip| model.clips[clip].duration_s);
         let resampled = clip::resample(model, clip, (duration_s / 4.0).max(1e-3));

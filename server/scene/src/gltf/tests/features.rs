@@ -728,3 +728,23 @@ fn the_file_with_everything_loads() {
     assert_eq!((model.lights.len(), model.morphs.len(), model.clips[0].morph_tracks.len()), (1, 4, 1));
     assert_eq!(warnings, Warnings::new());
 }
+
+/// The seeds of the fuzz target are what these tests generate: as a file, and as text and numbers with a zero between
+/// them, which the target puts into a container. `SHADECAST_WRITE_SEEDS=1 cargo test ...` writes them.
+#[test]
+fn seeds_of_the_fuzz_target_are_up_to_date() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fuzz/seeds/gltf");
+    let split = |glb: &[u8]| {
+        let (root, bin) = parts(glb);
+        [serde_json::to_vec(&root).expect("JSON"), vec![0], bin].concat()
+    };
+    let (plain, rich) = (sample().finish(), rich());
+    let seeds = [("plain.split", split(&plain)), ("rich.split", split(&rich)), ("rich.glb", rich)];
+    for (name, bytes) in seeds {
+        let path = folder.join(name);
+        if std::env::var_os("SHADECAST_WRITE_SEEDS").is_some() {
+            std::fs::write(&path, &bytes).expect("the seed can be written");
+        }
+        assert!(std::fs::read(&path).ok() == Some(bytes), "{name} is not what the tests generate");
+    }
+}
