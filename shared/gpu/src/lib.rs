@@ -8,6 +8,8 @@ mod pass;
 mod pipeline;
 mod recorder;
 mod selftest;
+#[cfg(feature = "window")]
+mod window;
 
 pub use ash::vk;
 pub use bind::{Bind, BindGroup, Layout, SCENE_TEXTURES};
@@ -16,6 +18,8 @@ pub use memory::{Buffer, Image, ImageDesc, Memory, Sampler, SamplerDesc};
 pub use pass::{Attachment, Framebuffer, RenderPass, RenderPassDesc};
 pub use pipeline::{ComputePipeline, GraphicsPipeline, GraphicsPipelineDesc, VertexInput};
 pub use recorder::{Access, Recorder, Ticket};
+#[cfg(feature = "window")]
+pub use window::{Swapchain, WindowDevice, WindowImage};
 
 /// What can go wrong with a device.
 #[derive(Debug, thiserror::Error)]

@@ -91,6 +91,10 @@ pub(crate) enum Garbage {
     Pipeline(vk::Pipeline),
     RenderPass(vk::RenderPass),
     Framebuffer(vk::Framebuffer),
+    #[cfg(feature = "window")]
+    Swapchain(Box<ash::khr::swapchain::Device>, vk::SwapchainKHR),
+    #[cfg(feature = "window")]
+    Surface(Box<ash::khr::surface::Instance>, vk::SurfaceKHR),
 }
 
 impl Garbage {
@@ -123,6 +127,10 @@ impl Garbage {
                 Self::Pipeline(pipeline) => device.destroy_pipeline(pipeline, None),
                 Self::RenderPass(pass) => device.destroy_render_pass(pass, None),
                 Self::Framebuffer(framebuffer) => device.destroy_framebuffer(framebuffer, None),
+                #[cfg(feature = "window")]
+                Self::Swapchain(functions, swapchain) => functions.destroy_swapchain(swapchain, None),
+                #[cfg(feature = "window")]
+                Self::Surface(functions, surface) => functions.destroy_surface(surface, None),
             }
         }
     }

@@ -199,6 +199,11 @@ impl Framebuffer {
         Ok(Self { gpu: gpu.clone(), handle, extent, owned_views: Vec::new() })
     }
 
+    /// Width and height in pixels.
+    pub fn extent(&self) -> [u32; 2] {
+        self.extent
+    }
+
     /// As [`Framebuffer::new`], where the first attachment (or, with MSAA, the resolve target at `foreign_index`)
     /// is `layers` layers of an image that somebody else owns, such as an OpenXR swapchain image.
     pub fn around_foreign_image(

@@ -209,10 +209,27 @@ impl Recorder {
     }
 
     /// Ends the recording and submits it.
-    pub fn submit(mut self) -> Result<Ticket, GpuError> {
+    pub fn submit(self) -> Result<Ticket, GpuError> {
+        self.submit_with(vk::SubmitInfo::default())
+    }
+
+    /// Ends the recording and submits it: colour is written after `before`, and `after` follows all of it.
+    #[cfg(feature = "window")]
+    pub(crate) fn submit_between(
+        self,
+        before: vk::Semaphore,
+        after: vk::Semaphore,
+    ) -> Result<Ticket, GpuError> {
+        let (waits, signals) = ([before], [after]);
+        let stages = [vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT];
+        let info = vk::SubmitInfo::default().wait_semaphores(&waits).wait_dst_stage_mask(&stages);
+        self.submit_with(info.signal_semaphores(&signals))
+    }
+
+    fn submit_with(mut self, info: vk::SubmitInfo<'_>) -> Result<Ticket, GpuError> {
         let mut slot = self.slot.take().expect("present until submitted");
         let commands = [slot.commands];
-        let submits = [vk::SubmitInfo::default().command_buffers(&commands)];
+        let submits = [info.command_buffers(&commands)];
         // One lock around serial and submission keeps completion in the order of serials.
         let mut busy = self.gpu.busy_slots.lock().expect("not poisoned");
         // SAFETY: the buffer is recorded, the fence is unsignalled, and the queue is only used under this lock and,
