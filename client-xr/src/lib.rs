@@ -7,7 +7,6 @@ pub mod bundle;
 pub mod client;
 pub mod decode;
 pub mod decoding;
-pub mod font;
 pub mod frame;
 pub mod net;
 pub mod platform;

@@ -15,22 +15,11 @@ struct BackdropGpu {
 };
 layout(std140, binding = 0) uniform Eyes { EyesGpu eyes; };
 layout(std140, binding = 1) uniform Backdrop { BackdropGpu backdrop; };
-// Two words a cell: five columns of eight bits, the topmost lowest.
 layout(std430, binding = 2) readonly buffer Text { uint text[]; };
 layout(location = 0) in vec2 ndc;
 layout(location = 0) out vec4 color; // linear; the attachment is sRGB
 
-const vec2 GLYPH_EXTENT = vec2(6.0, 9.0); // 5x7 and what lies between glyphs
-
-// Whether a dot of the text lies at a place in the panel, in cells from the upper left.
-float text_dot(vec2 at) {
-    vec2 cells = vec2(backdrop.text_cells.xy);
-    if (any(lessThan(at, vec2(0.0))) || any(greaterThanEqual(at, cells))) return 0.0;
-    uvec2 cell = uvec2(at), dot_at = uvec2(fract(at) * GLYPH_EXTENT);
-    if (dot_at.x > 4 || dot_at.y > 7) return 0.0;
-    uint word = text[(cell.y * backdrop.text_cells.x + cell.x) * 2 + dot_at.x / 4];
-    return float(word >> (dot_at.x % 4 * 8 + dot_at.y) & 1);
-}
+#include "text.glsl"
 
 // Dots are about a pixel: nine lookups spread over it keep them from flickering.
 float text_coverage(vec3 eye, vec3 direction) {
@@ -42,7 +31,7 @@ float text_coverage(vec3 eye, vec3 direction) {
     vec2 third = fwidth(at) / 3.0;
     if (!(t > 0.0) || any(lessThan(at, -third)) || any(greaterThan(at, cells + third))) return 0.0;
     float share = 0.0;
-    for (int i = 0; i < 9; i++) share += text_dot(at + third * vec2(i % 3 - 1, i / 3 - 1)) / 9.0;
+    for (int i = 0; i < 9; i++) share += text_dot(at + third * vec2(i % 3 - 1, i / 3 - 1), backdrop.text_cells.xy) / 9.0;
     return share;
 }
 

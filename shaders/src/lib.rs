@@ -2,6 +2,7 @@
 //! reference twins of the GPU stages. No Vulkan in here.
 #![forbid(unsafe_code)]
 
+pub mod font;
 pub mod twin;
 
 /// Compiled GLSL with what reflection found in it.

@@ -2,7 +2,7 @@
 //! gradient, a floor grid and a text (`client_background.*`).
 
 use super::FRAMES_IN_FLIGHT;
-use crate::font;
+
 use glam::{Mat4, Quat, Vec3};
 use shadecast_gpu::{
     Bind, BindGroup, Buffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Memory, Recorder,
@@ -10,6 +10,7 @@ use shadecast_gpu::{
 };
 use shadecast_protocol::message::Environment;
 use shadecast_protocol::pose::Pose;
+use shadecast_shaders::font;
 use shadecast_shaders::generated::{BackdropGpu, CLIENT_BACKGROUND_FRAG, CLIENT_BACKGROUND_VERT};
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! A 5x7 dot font for the one line of text that a client without a scene must show.
+//! A 5x7 dot font for the few lines of text that renderers draw themselves; `text.glsl` reads its words.
 
 /// Five columns per character from the space on; the lowest bit of a column is the topmost dot.
 #[rustfmt::skip]
