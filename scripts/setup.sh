@@ -3,9 +3,11 @@
 # Finding out costs a few milliseconds and no rights, so every command begins with it.
 
 # The C++ compiler and nasm are for openh264 (without nasm it silently builds without its assembly) and the metrics; glslang
-# compiles the shaders; procps has `kill`, with which the demo and the process tests end what they started.
+# compiles the shaders; procps has `kill`, with which the demo and the process tests end what they started. The X libraries
+# are loaded by the forward renderer's window when it opens; xvfb is a display for its test.
 PACKAGES=(g++ nasm glslang-tools libvulkan1 mesa-vulkan-drivers vulkan-validationlayers
-  libopenxr-loader1 ca-certificates procps)
+  libopenxr-loader1 ca-certificates procps
+  libx11-6 libx11-xcb1 libxcb1 libxcursor1 libxi6 libxkbcommon-x11-0 libxrandr2 xvfb)
 
 # Debian 12's own Mesa 22.3 draws only the first view of a multiview pass on the CPU device; its backports have 25.
 MESA_MAJOR_MIN=25

@@ -2,6 +2,7 @@
 
 pub mod animation;
 pub mod atlas;
+pub mod camera;
 pub mod culling;
 pub mod encode;
 pub mod frame;
@@ -14,3 +15,5 @@ pub mod samples;
 pub mod scene_gpu;
 pub mod stages;
 pub mod stream;
+pub mod video;
+pub mod window;

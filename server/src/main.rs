@@ -1,21 +1,18 @@
 //! The command line of the server.
 
+mod forward_command;
+
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
-use glam::{EulerRot, Quat, Vec3};
+use glam::Vec3;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_protocol::limits::{ATLAS_DEFAULT_EXTENT, ATLAS_MAX_EXTENT};
-use shadecast_protocol::pose::{Fov, Pose};
-use shadecast_protocol::time::ServerTime;
+use shadecast_scene::Scene;
 use shadecast_scene::animation::sampling::Sampling;
-use shadecast_scene::file::{DEFAULT_FOV_DEG, FOV_RANGE_DEG};
 use shadecast_scene::generate;
 use shadecast_scene::load::{SceneSource, load_scene};
-use shadecast_scene::{Camera, HeadPath, Scene};
 use shadecast_server::encode::openh264::DEFAULT_QP;
-use shadecast_server::picture;
 use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
-use shadecast_server::stages::forward::Forward;
 use shadecast_server::stages::skin::Skinning;
 use shadecast_server::stream::{StreamOptions, run};
 use shadecast_transport::{LinkProfile, LinkSchedule};
@@ -34,6 +31,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
   shadecast-server stream castle.toml --listen 0.0.0.0:7400
   shadecast-server stream fox.glb --link latency=20ms,jitter=5ms,rate=100mbit
   shadecast-server forward dragon --out pictures --frames 8 --fps 8
+  shadecast-server forward dragons:3 --out dragons.mp4 --frames 120 --size 1280x720
+  shadecast-server forward dragons:3 --window
   shadecast-server generate dragon --out dragon.glb
 
 SCENE is dragon, dragons:N, dragons:NxMxK (a grid), a .glb, .gltf or .fbx file, or a scene description (.toml)."
@@ -47,8 +46,8 @@ struct Cli {
 enum Command {
     /// Serves a scene to a client
     Stream(StreamArgs),
-    /// Renders a scene to PNG files with the ground-truth renderer
-    Forward(ForwardArgs),
+    /// Renders a scene with the ground-truth renderer: to PNG files, to a video, or in a window
+    Forward(Box<forward_command::ForwardArgs>),
     /// Writes a generated model
     Generate {
         /// What to generate: dragon
@@ -116,48 +115,6 @@ struct StreamArgs {
     device: DeviceArgs,
 }
 
-#[derive(Args)]
-struct ForwardArgs {
-    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
-    scene: String,
-    /// Folder for forward-NNNNNN.png
-    #[arg(long)]
-    out: PathBuf,
-    /// Width and height in pixels
-    #[arg(long, value_parser = parse_size, default_value = "1300x1300")]
-    size: [u32; 2],
-    /// Field of view in degrees [default: the camera's; 90 without one]
-    #[arg(long)]
-    fov: Option<f32>,
-    /// Pictures to render
-    #[arg(long, default_value_t = 1)]
-    frames: u32,
-    /// Pictures per second of the scene's time
-    #[arg(long, default_value_t = 30.0)]
-    fps: f64,
-    /// Scene time of the first picture, seconds
-    #[arg(long, default_value_t = 0.0)]
-    start: f64,
-    /// A camera of the scene, by its name
-    #[arg(long, conflicts_with_all = ["position", "yaw", "pitch", "head_path"])]
-    camera: Option<String>,
-    /// The camera follows a head path of the scene, by its name, at the scene's time; every scene has still, turn and
-    /// walk
-    #[arg(long, conflicts_with_all = ["position", "yaw", "pitch"])]
-    head_path: Option<String>,
-    /// Camera in the stage: x,y,z in metres, y up, -z forward
-    #[arg(long, value_parser = parse_vector, default_value = "0,1.6,0", allow_hyphen_values = true)]
-    position: Vec3,
-    /// Camera turned left by so many degrees
-    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
-    yaw: f32,
-    /// Camera turned up by so many degrees
-    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
-    pitch: f32,
-    #[command(flatten)]
-    device: DeviceArgs,
-}
-
 fn parse_size(text: &str) -> Result<[u32; 2], String> {
     let parsed = text.split_once('x').and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
     parsed
@@ -174,7 +131,9 @@ fn parse_vector(text: &str) -> Result<Vec3, String> {
 }
 
 fn main() {
-    let filter = tracing_subscriber::filter::Targets::new().with_default(tracing::Level::WARN);
+    let filter = tracing_subscriber::filter::Targets::new()
+        .with_default(tracing::Level::WARN)
+        .with_target("winit", tracing::Level::ERROR); // it warns of displays without a size
     use tracing_subscriber::layer::SubscriberExt;
     use tracing_subscriber::util::SubscriberInitExt;
     tracing_subscriber::registry()
@@ -183,7 +142,7 @@ fn main() {
         .init();
     let result = match Cli::parse().command {
         Command::Stream(args) => stream(&args),
-        Command::Forward(args) => forward(&args),
+        Command::Forward(args) => forward_command::forward(&args),
         Command::Generate { what, out } => generate_model(&what, &out),
     };
     if let Err(error) = result {
@@ -192,18 +151,30 @@ fn main() {
     }
 }
 
-fn open(scene: &str, args: &DeviceArgs) -> anyhow::Result<(Arc<Gpu>, Arc<SceneGpu>)> {
+/// The scene as it is to be lit.
+fn load(scene: &str, args: &DeviceArgs) -> anyhow::Result<Scene> {
     let mut scene = load_scene(&scene.parse::<SceneSource>()?)?;
     scene.sun.casts_shadows &= !args.no_shadows;
-    let options =
-        GpuOptions { needs: Needs::Server, validation: args.validation, device_name: args.device.clone() };
-    let gpu = Gpu::open(&options, &DesktopDevice)?;
-    println!("Vulkan device: {}", gpu.device_name());
+    Ok(scene)
+}
+
+fn gpu_options(args: &DeviceArgs) -> GpuOptions {
+    GpuOptions { needs: Needs::Server, validation: args.validation, device_name: args.device.clone() }
+}
+
+fn scene_options(args: &DeviceArgs) -> SceneOptions {
+    SceneOptions { sampling: args.sampling, skinning: args.skinning }
+}
+
+fn open(scene: &str, args: &DeviceArgs) -> anyhow::Result<(Arc<Gpu>, Arc<SceneGpu>)> {
+    let scene = load(scene, args)?;
+    let gpu = Gpu::open(&gpu_options(args), &DesktopDevice)?;
+    // Standard output may be where a video goes.
+    eprintln!("Vulkan device: {}", gpu.device_name());
     if gpu.is_cpu() {
-        println!("warning: this device is a CPU; pictures are right, but slow");
+        eprintln!("warning: this device is a CPU; pictures are right, but slow");
     }
-    let scene =
-        SceneGpu::new(&gpu, scene, &SceneOptions { sampling: args.sampling, skinning: args.skinning })?;
+    let scene = SceneGpu::new(&gpu, scene, &scene_options(args))?;
     Ok((gpu, Arc::new(scene)))
 }
 
@@ -252,77 +223,6 @@ fn parse_link(text: &str) -> anyhow::Result<LinkSchedule> {
         return Ok(LinkSchedule::load(text)?);
     }
     Ok(text.parse::<LinkProfile>()?.into())
-}
-
-fn forward(args: &ForwardArgs) -> anyhow::Result<()> {
-    anyhow::ensure!(
-        args.fov.is_none_or(|fov| FOV_RANGE_DEG.contains(&fov)),
-        "--fov must lie between {} and {} degrees",
-        FOV_RANGE_DEG.start(),
-        FOV_RANGE_DEG.end()
-    );
-    anyhow::ensure!(args.fps > 0.0, "--fps {} must be positive", args.fps);
-    let (gpu, scene) = open(&args.scene, &args.device)?;
-    let viewpoint = Viewpoint::of(args, &scene.scene)?;
-    std::fs::create_dir_all(&args.out).with_context(|| format!("making {}", args.out.display()))?;
-    let mut renderer = Forward::new(&gpu, &scene, args.size)?;
-    let fov = viewpoint.fov(args);
-    for frame in 0..args.frames {
-        let time_s = args.start + f64::from(frame) / args.fps;
-        let world_from_eye = scene.scene.world_from_stage.then(viewpoint.stage_from_eye(time_s));
-        let truth = renderer.render(world_from_eye, fov, ServerTime((time_s * 1e9) as i64))?;
-        picture::write_png(
-            &args.out.join(format!("forward-{frame:06}.png")),
-            truth.extent_pixels,
-            &truth.rgb8,
-        )?;
-    }
-    println!("{} pictures in {}", args.frames, args.out.display());
-    anyhow::ensure!(
-        gpu.validation_messages() == 0,
-        "{} Vulkan validation messages",
-        gpu.validation_messages()
-    );
-    Ok(())
-}
-
-/// Where pictures are made from.
-enum Viewpoint<'a> {
-    Still(Pose),
-    Camera(&'a Camera),
-    HeadPath(&'a HeadPath),
-}
-
-impl<'a> Viewpoint<'a> {
-    fn of(args: &ForwardArgs, scene: &'a Scene) -> anyhow::Result<Self> {
-        if let Some(name) = &args.camera {
-            return Ok(Self::Camera(scene.camera(name)?));
-        }
-        if let Some(name) = &args.head_path {
-            return Ok(Self::HeadPath(scene.head_path(name)?));
-        }
-        let orientation =
-            Quat::from_euler(EulerRot::YXZ, args.yaw.to_radians(), args.pitch.to_radians(), 0.0);
-        Ok(Self::Still(Pose { position: args.position, orientation }))
-    }
-
-    /// At a time of the scene in seconds.
-    fn stage_from_eye(&self, time_s: f64) -> Pose {
-        match self {
-            Self::Still(stage_from_eye) => *stage_from_eye,
-            Self::Camera(camera) => camera.stage_from_eye,
-            Self::HeadPath(head_path) => head_path.stage_from_head(time_s),
-        }
-    }
-
-    /// What was asked for, else what the camera says, else 90 degrees.
-    fn fov(&self, args: &ForwardArgs) -> Fov {
-        let [width, height] = args.size.map(|side| side as f32);
-        match (args.fov, self) {
-            (None, Self::Camera(camera)) => camera.fov(width / height),
-            (fov, _) => Fov::symmetric_degrees(fov.unwrap_or(DEFAULT_FOV_DEG)),
-        }
-    }
 }
 
 fn generate_model(what: &str, out: &Path) -> anyhow::Result<()> {

@@ -1,5 +1,5 @@
-//! The ground truth: skins at the exact time of the picture, shades per pixel with the atlas's own shading code, 4x
-//! MSAA. A second pass tells what is where, one sample a pixel.
+//! The ground truth: skins at the exact time of the picture, shades per pixel with the atlas's own shading code,
+//! antialiased by multisampling. A second pass tells what is where, one sample a pixel.
 
 use crate::animation::gpu::Animation;
 use crate::scene_gpu::SceneGpu;
@@ -19,7 +19,7 @@ use shadecast_shaders::generated::{
 };
 use std::sync::Arc;
 
-const SAMPLES: vk::SampleCountFlags = vk::SampleCountFlags::TYPE_4;
+const SRGB: vk::Format = vk::Format::R8G8B8A8_SRGB;
 const ONE: vk::SampleCountFlags = vk::SampleCountFlags::TYPE_1;
 
 /// A picture with what is where in it; rows from the top.
@@ -48,11 +48,8 @@ pub struct Forward {
     background: GraphicsPipeline,
     background_group: BindGroup,
     view: Buffer,
-    resolved: Image,
-    probes: [Image; 2],
-    readback: Buffer,
-    extent: [u32; 2],
-    _attachments: Vec<Image>,
+    targets: Targets,
+    samples: vk::SampleCountFlags,
 }
 
 /// A pass that draws the scene.
@@ -60,34 +57,37 @@ struct Pass {
     pass: RenderPass,
     geometry: Geometry,
     group: BindGroup,
-    target: Framebuffer,
+}
+
+/// What depends on the picture's size.
+struct Targets {
+    extent: [u32; 2],
+    color: Framebuffer,
+    probe: Framebuffer,
+    resolved: Image,
+    probes: [Image; 2],
+    readback: Buffer,
+    _attachments: Vec<Image>,
 }
 
 impl Forward {
-    /// For pictures of `extent` pixels.
+    /// For pictures of `extent` pixels, with 4 samples a pixel.
     pub fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>, extent: [u32; 2]) -> Result<Self, GpuError> {
+        Self::with_samples(gpu, scene, extent, vk::SampleCountFlags::TYPE_4)
+    }
+
+    /// For pictures of `extent` pixels with so many samples a pixel.
+    pub fn with_samples(
+        gpu: &Arc<Gpu>,
+        scene: &Arc<SceneGpu>,
+        extent: [u32; 2],
+        samples: vk::SampleCountFlags,
+    ) -> Result<Self, GpuError> {
         let animation = Animation::new(gpu, scene, 1)?;
         let shadow = Shadow::new(gpu, scene, &animation)?;
         let view = Buffer::new(gpu, "forward view", size_of::<ViewGpu>() as u64, Memory::Upload)?;
-        let srgb = vk::Format::R8G8B8A8_SRGB;
-        let image = |format, samples, usage| {
-            Image::new(gpu, ImageDesc { name: "forward", extent, layers: 1, mips: 1, samples, format, usage })
-        };
-        let attachment = vk::ImageUsageFlags::COLOR_ATTACHMENT;
-        let readable = attachment | vk::ImageUsageFlags::TRANSFER_SRC;
-        let depth_usage = vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT;
-        let multisampled = image(srgb, SAMPLES, attachment)?;
-        let resolved = image(srgb, ONE, readable)?;
-        let deep = image(vk::Format::D32_SFLOAT, SAMPLES, depth_usage)?;
-        let probes =
-            [image(vk::Format::R32_UINT, ONE, readable)?, image(vk::Format::R32_SFLOAT, ONE, readable)?];
-        let shallow = image(vk::Format::D32_SFLOAT, ONE, depth_usage)?;
-        let color_pass = RenderPass::new(gpu, &color_desc(srgb))?;
+        let color_pass = RenderPass::new(gpu, &color_desc(SRGB, samples))?;
         let probe_pass = RenderPass::new(gpu, &probe_desc())?;
-        let color_views = [multisampled.view(), resolved.view(), deep.view()];
-        let probe_views = [probes[0].view(), probes[1].view(), shallow.view()];
-        let color_target = Framebuffer::new(gpu, &color_pass, extent, &color_views)?;
-        let probe_target = Framebuffer::new(gpu, &probe_pass, extent, &probe_views)?;
         let background = GraphicsPipeline::new(
             gpu,
             &GraphicsPipelineDesc {
@@ -102,10 +102,12 @@ impl Forward {
             },
         )?;
         let background_group = BindGroup::new(background.layout(), &shadow.binds()[..1])?;
-        let pixels = u64::from(extent[0]) * u64::from(extent[1]);
+        let color = Pass::new(gpu, scene, &animation, &view, color_pass, Some(&shadow))?;
+        let probe = Pass::new(gpu, scene, &animation, &view, probe_pass, None)?;
         Ok(Self {
-            color: Pass::new(gpu, scene, &animation, &view, color_pass, color_target, Some(&shadow))?,
-            probe: Pass::new(gpu, scene, &animation, &view, probe_pass, probe_target, None)?,
+            targets: Targets::new(gpu, [&color.pass, &probe.pass], extent, samples)?,
+            color,
+            probe,
             gpu: gpu.clone(),
             scene: scene.clone(),
             animation,
@@ -114,47 +116,76 @@ impl Forward {
             background,
             background_group,
             view,
-            resolved,
-            probes,
-            readback: Buffer::new(gpu, "forward read-back", pixels * 12, Memory::Readback)?,
-            extent,
-            _attachments: vec![multisampled, deep, shallow],
+            samples,
         })
     }
 
-    /// Renders what an eye sees at `time`.
-    pub fn render(&mut self, world_from_eye: Pose, fov: Fov, time: ServerTime) -> Result<Truth, GpuError> {
+    /// Renders pictures of another size from now on. Nothing submitted still uses the old one.
+    pub fn resize(&mut self, extent: [u32; 2]) -> Result<(), GpuError> {
+        self.targets = Targets::new(&self.gpu, [&self.color.pass, &self.probe.pass], extent, self.samples)?;
+        Ok(())
+    }
+
+    /// Width and height of pictures, pixels.
+    pub fn extent(&self) -> [u32; 2] {
+        self.targets.extent
+    }
+
+    /// What was drawn last: sRGB, one sample a pixel, in TRANSFER_SRC_OPTIMAL after [`Forward::record`].
+    pub fn image(&self) -> &Image {
+        &self.targets.resolved
+    }
+
+    /// Records what an eye sees at `time`. Nothing submitted still reads the last recording's view.
+    pub fn record(&mut self, recorder: &mut Recorder, world_from_eye: Pose, fov: Fov, time: ServerTime) {
         let clip_from_world = fov.clip_from_eye() * world_from_eye.inverse().matrix();
-        self.view
-            .write(0, bytemuck::bytes_of(&view_gpu(clip_from_world, world_from_eye.position, self.extent)));
+        let view = view_gpu(clip_from_world, world_from_eye.position, self.targets.extent);
+        self.view.write(0, bytemuck::bytes_of(&view));
         self.shadow.write(&self.scene, time);
-        let mut recorder = self.gpu.record()?;
-        self.animation.record_sample(&mut recorder, 0, time);
-        self.animation.record_frames(&mut recorder, 0, |_| true);
+        self.animation.record_sample(recorder, 0, time);
+        self.animation.record_frames(recorder, 0, |_| true);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         recorder.scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, &self.all, 0));
         recorder.barrier(Access::DEPTH_WRITE, Access::FRAGMENT_READ);
         recorder.scope("forward", |r| self.draw_color(r, world_from_eye, fov));
+    }
+
+    /// Renders what an eye sees at `time`: sRGB, three bytes a pixel.
+    pub fn picture(&mut self, world_from_eye: Pose, fov: Fov, time: ServerTime) -> Result<Vec<u8>, GpuError> {
+        let mut recorder = self.gpu.record()?;
+        self.record(&mut recorder, world_from_eye, fov, time);
+        self.read(recorder, &[&self.targets.resolved])?;
+        Ok(rgb8(&self.targets.readback.bytes()[..self.targets.plane_bytes()]))
+    }
+
+    /// Renders what an eye sees at `time`, and what is where in it.
+    pub fn render(&mut self, world_from_eye: Pose, fov: Fov, time: ServerTime) -> Result<Truth, GpuError> {
+        let mut recorder = self.gpu.record()?;
+        self.record(&mut recorder, world_from_eye, fov, time);
         recorder.scope("forward probe", |r| {
-            let clears = [vk::ClearValue::default(); 3];
-            r.begin_pass(&self.probe.pass, &self.probe.target, &clears);
+            r.begin_pass(&self.probe.pass, &self.targets.probe, &[vk::ClearValue::default(); 3]);
             self.probe.draw(r, &self.scene, &self.animation);
             r.end_pass();
         });
+        let [instances, distances] = &self.targets.probes;
+        self.read(recorder, &[&self.targets.resolved, instances, distances])?;
+        Ok(self.targets.collect())
+    }
+
+    /// Copies images to the read-back buffer, one behind the other, and waits for all that was recorded.
+    fn read(&self, mut recorder: Recorder, images: &[&Image]) -> Result<(), GpuError> {
         recorder.barrier(Access::COLOR_WRITE, Access::COPY_READ);
-        let plane = u64::from(self.extent[0]) * u64::from(self.extent[1]) * 4;
-        for (index, image) in [&self.resolved, &self.probes[0], &self.probes[1]].into_iter().enumerate() {
-            recorder.read_image(image, 0, &self.readback, index as u64 * plane);
+        let plane = self.targets.plane_bytes() as u64;
+        for (index, image) in images.iter().enumerate() {
+            recorder.read_image(image, 0, &self.targets.readback, index as u64 * plane);
         }
         recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
-        self.gpu.wait(recorder.submit()?)?;
-        Ok(self.collect(plane as usize))
+        self.gpu.wait(recorder.submit()?)
     }
 
     fn draw_color(&self, recorder: &mut Recorder, world_from_eye: Pose, fov: Fov) {
-        let pass = &self.color;
-        recorder.begin_pass(&pass.pass, &pass.target, &[vk::ClearValue::default(); 3]);
-        pass.draw(recorder, &self.scene, &self.animation);
+        recorder.begin_pass(&self.color.pass, &self.targets.color, &[vk::ClearValue::default(); 3]);
+        self.color.draw(recorder, &self.scene, &self.animation);
         recorder.bind(&self.background, &self.background_group);
         let push = BackgroundPush {
             world_from_clip_direction: direction_from_ndc(world_from_eye, fov).to_cols_array_2d(),
@@ -163,14 +194,58 @@ impl Forward {
         recorder.draw(3, 1);
         recorder.end_pass();
     }
+}
 
-    fn collect(&self, plane: usize) -> Truth {
-        let bytes = self.readback.bytes();
+impl Targets {
+    /// For a colour and a probe pass.
+    fn new(
+        gpu: &Arc<Gpu>,
+        [color_pass, probe_pass]: [&RenderPass; 2],
+        extent: [u32; 2],
+        samples: vk::SampleCountFlags,
+    ) -> Result<Self, GpuError> {
+        let image = |format, samples, usage| {
+            Image::new(gpu, ImageDesc { name: "forward", extent, layers: 1, mips: 1, samples, format, usage })
+        };
+        let attachment = vk::ImageUsageFlags::COLOR_ATTACHMENT;
+        let readable = attachment | vk::ImageUsageFlags::TRANSFER_SRC;
+        let depth_usage = vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT;
+        let resolved = image(SRGB, ONE, readable | vk::ImageUsageFlags::SAMPLED)?;
+        let deep = image(vk::Format::D32_SFLOAT, samples, depth_usage)?;
+        let probes =
+            [image(vk::Format::R32_UINT, ONE, readable)?, image(vk::Format::R32_SFLOAT, ONE, readable)?];
+        let shallow = image(vk::Format::D32_SFLOAT, ONE, depth_usage)?;
+        let probe_views = [probes[0].view(), probes[1].view(), shallow.view()];
+        let mut attachments = vec![deep, shallow];
+        let mut color_views = vec![resolved.view(), attachments[0].view()];
+        if samples != ONE {
+            attachments.push(image(SRGB, samples, attachment)?);
+            color_views.insert(0, attachments[2].view());
+        }
+        let pixels = u64::from(extent[0]) * u64::from(extent[1]);
+        Ok(Self {
+            extent,
+            color: Framebuffer::new(gpu, color_pass, extent, &color_views)?,
+            probe: Framebuffer::new(gpu, probe_pass, extent, &probe_views)?,
+            resolved,
+            probes,
+            readback: Buffer::new(gpu, "forward read-back", pixels * 12, Memory::Readback)?,
+            _attachments: attachments,
+        })
+    }
+
+    /// Bytes of one of the three images, each four bytes a pixel.
+    fn plane_bytes(&self) -> usize {
+        self.extent[0] as usize * self.extent[1] as usize * 4
+    }
+
+    fn collect(&self) -> Truth {
+        let (plane, bytes) = (self.plane_bytes(), self.readback.bytes());
         let ids: &[u32] = bytemuck::cast_slice(&bytes[plane..2 * plane]);
         let distances: &[f32] = bytemuck::cast_slice(&bytes[2 * plane..3 * plane]);
         Truth {
             extent_pixels: self.extent,
-            rgb8: bytes[..plane].chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect(),
+            rgb8: rgb8(&bytes[..plane]),
             instance: ids.iter().map(|id| id.wrapping_sub(1)).collect(),
             distance_m: ids
                 .iter()
@@ -179,6 +254,10 @@ impl Forward {
                 .collect(),
         }
     }
+}
+
+fn rgb8(rgba8: &[u8]) -> Vec<u8> {
+    rgba8.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect()
 }
 
 /// A view as the shaders have it.
@@ -214,28 +293,23 @@ fn direction_from_ndc(world_from_eye: Pose, fov: Fov) -> Mat4 {
     Mat4::from_quat(world_from_eye.orientation) * eye_from_ndc
 }
 
-fn color_desc(format: vk::Format) -> RenderPassDesc {
-    let before = vk::ImageLayout::UNDEFINED;
-    let multisampled = Attachment {
+fn color_desc(format: vk::Format, samples: vk::SampleCountFlags) -> RenderPassDesc {
+    let shown = Attachment {
         format,
         load: vk::AttachmentLoadOp::CLEAR,
-        store: vk::AttachmentStoreOp::DONT_CARE,
-        before,
-        after: vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL,
-    };
-    let resolve = Attachment {
-        load: vk::AttachmentLoadOp::DONT_CARE,
         store: vk::AttachmentStoreOp::STORE,
+        before: vk::ImageLayout::UNDEFINED,
         after: vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
-        ..multisampled
     };
-    RenderPassDesc {
-        colors: vec![multisampled],
-        resolves: vec![resolve],
-        depth: Some(vk::Format::D32_SFLOAT),
-        samples: SAMPLES,
-        view_mask: 0,
-    }
+    let multisampled = Attachment {
+        store: vk::AttachmentStoreOp::DONT_CARE,
+        after: vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL,
+        ..shown
+    };
+    let resolve = Attachment { load: vk::AttachmentLoadOp::DONT_CARE, ..shown };
+    let (colors, resolves) =
+        if samples == ONE { (vec![shown], vec![]) } else { (vec![multisampled], vec![resolve]) };
+    RenderPassDesc { colors, resolves, depth: Some(vk::Format::D32_SFLOAT), samples, view_mask: 0 }
 }
 
 fn probe_desc() -> RenderPassDesc {
@@ -262,7 +336,6 @@ impl Pass {
         animation: &Animation,
         view: &Buffer,
         pass: RenderPass,
-        target: Framebuffer,
         shaded: Option<&Shadow>,
     ) -> Result<Self, GpuError> {
         let geometry = match shaded {
@@ -282,7 +355,7 @@ impl Pass {
             binds.extend(shadow.binds());
         }
         let group = BindGroup::new(geometry.layout(), &binds)?;
-        Ok(Self { pass, geometry, group, target })
+        Ok(Self { pass, geometry, group })
     }
 
     fn draw(&self, recorder: &mut Recorder, scene: &SceneGpu, animation: &Animation) {

@@ -10,5 +10,6 @@ pub mod shadow;
 pub mod shading;
 pub mod ycbcr;
 pub mod forward;
+pub mod present;
 
 mod geometry;

@@ -1,0 +1,95 @@
+//! Just enough of the X protocol to be a user of a window: focus it and press keys (X11R7 protocol and the XTEST extension,
+//! version 2.2). Keys are evdev's numbers plus 8, as servers on Linux have them.
+
+use std::io::{self, Read, Write};
+use std::os::unix::net::UnixStream;
+use std::time::Duration;
+
+/// F.
+pub const KEY_F: u8 = 33 + 8;
+/// Escape.
+pub const KEY_ESCAPE: u8 = 1 + 8;
+
+const QUERY_TREE: u8 = 15;
+const SET_INPUT_FOCUS: u8 = 42;
+const GET_INPUT_FOCUS: u8 = 43;
+const QUERY_EXTENSION: u8 = 98;
+const FAKE_INPUT: u8 = 2;
+
+/// A client without windows.
+pub struct Connection {
+    stream: UnixStream,
+    root: u32,
+    xtest: u8,
+}
+
+impl Connection {
+    /// To a display of this machine that asks for no authorisation.
+    pub fn open(display: u32) -> io::Result<Self> {
+        let mut stream = UnixStream::connect(format!("/tmp/.X11-unix/X{display}"))?;
+        stream.set_read_timeout(Some(Duration::from_secs(20)))?;
+        stream.write_all(&[b'l', 0, 11, 0, 0, 0, 0, 0, 0, 0, 0, 0])?;
+        let mut head = [0; 8];
+        stream.read_exact(&mut head)?;
+        assert_eq!(head[0], 1, "the display refuses the connection");
+        let mut setup = vec![0; usize::from(u16::from_le_bytes([head[6], head[7]])) * 4];
+        stream.read_exact(&mut setup)?;
+        // After 32 bytes the vendor's name, padded, the pixmap formats of 8 bytes each, and the first screen.
+        let vendor = usize::from(u16::from_le_bytes([setup[16], setup[17]])).next_multiple_of(4);
+        let screen = 32 + vendor + usize::from(setup[21]) * 8;
+        let root = word(&setup, screen);
+        let mut connection = Self { stream, root, xtest: 0 };
+        let mut name = vec![5, 0, 0, 0];
+        name.extend(b"XTEST\0\0\0");
+        let reply = connection.ask(QUERY_EXTENSION, 0, &name)?;
+        assert_eq!(reply[8], 1, "the display has XTEST");
+        connection.xtest = reply[9];
+        Ok(connection)
+    }
+
+    /// Gives the keyboard to the last mapped child of the root window that takes it.
+    pub fn focus_first_window(&mut self) -> io::Result<()> {
+        let tree = self.ask(QUERY_TREE, 0, &self.root.to_le_bytes())?;
+        let children = usize::from(u16::from_le_bytes([tree[16], tree[17]]));
+        for child in 0..children {
+            let window = word(&tree, 32 + child * 4).to_le_bytes();
+            // Windows that are not visible answer with an error, which `ask` skips.
+            self.send(SET_INPUT_FOCUS, 1, &[window, [0; 4]].concat())?;
+        }
+        self.ask(GET_INPUT_FOCUS, 0, &[]).map(|_| ())
+    }
+
+    /// Presses a key and lets it go.
+    pub fn press(&mut self, key: u8) -> io::Result<()> {
+        for kind in [2, 3] {
+            let mut event = vec![0; 32];
+            (event[0], event[1]) = (kind, key);
+            self.send(self.xtest, FAKE_INPUT, &event)?;
+        }
+        self.ask(GET_INPUT_FOCUS, 0, &[]).map(|_| ()) // a reply: the server has seen the keys
+    }
+
+    fn send(&mut self, opcode: u8, data: u8, body: &[u8]) -> io::Result<()> {
+        let words = (1 + body.len() / 4) as u16;
+        let [low, high] = words.to_le_bytes();
+        self.stream.write_all(&[&[opcode, data, low, high], body].concat())
+    }
+
+    fn ask(&mut self, opcode: u8, data: u8, body: &[u8]) -> io::Result<Vec<u8>> {
+        self.send(opcode, data, body)?;
+        loop {
+            let mut reply = vec![0; 32];
+            self.stream.read_exact(&mut reply)?;
+            if reply[0] == 1 {
+                let mut rest = vec![0; word(&reply, 4) as usize * 4];
+                self.stream.read_exact(&mut rest)?;
+                reply.extend(rest);
+                return Ok(reply);
+            }
+        }
+    }
+}
+
+fn word(bytes: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
+}
