@@ -16,6 +16,7 @@ use support::x11::{self, Connection};
 /// A software device on a busy machine is slow to start.
 const PATIENCE: Duration = Duration::from_secs(120);
 const SIZE: &str = "160x120";
+const SCREEN: [u32; 2] = [320, 240];
 
 fn server() -> Command {
     let here = std::env::current_exe().unwrap();
@@ -38,7 +39,16 @@ impl Display {
     fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let mut command = Command::new("Xvfb");
-        command.args(["-displayfd", "1", "-screen", "0", "320x240x24", "-nolisten", "tcp", "-fbdir"]);
+        command.args([
+            "-displayfd",
+            "1",
+            "-screen",
+            "0",
+            &format!("{}x{}x24", SCREEN[0], SCREEN[1]),
+            "-nolisten",
+            "tcp",
+            "-fbdir",
+        ]);
         command.arg(folder.path()).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null());
         let mut child = command.spawn().expect("Xvfb; `./shadecast setup` installs it (package xvfb)");
         let mut line = String::new();
@@ -63,6 +73,12 @@ impl Drop for Display {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
+    }
+}
+
+fn until(deadline: Instant, is_so: impl Fn() -> bool) {
+    while !is_so() && Instant::now() < deadline {
+        std::thread::sleep(Duration::from_millis(100));
     }
 }
 
@@ -92,7 +108,7 @@ fn window_shows_what_the_headless_renderer_renders() {
 }
 
 #[test]
-fn picture_reaches_the_screen_and_escape_ends_the_program() {
+fn picture_reaches_the_screen_follows_the_windows_size_and_escape_ends_the_program() {
     let display = Display::start();
     let before = display.screen();
     let mut window = server();
@@ -103,12 +119,17 @@ fn picture_reaches_the_screen_and_escape_ends_the_program() {
         let seen: std::collections::BTreeSet<&[u8]> = screen.chunks_exact(4).collect();
         seen.len()
     };
-    while colours(&display.screen()) < 500 && Instant::now() < deadline {
-        std::thread::sleep(Duration::from_millis(100));
-    }
+    until(deadline, || colours(&display.screen()) >= 500);
     assert!(colours(&before) < 10 && colours(&display.screen()) >= 500, "the window stays empty");
     let mut user = Connection::open(display.number).unwrap();
-    user.focus_first_window().unwrap();
+    for extent in [[300, 200], [120, 90], [310, 220]] {
+        user.resize(extent).unwrap();
+    }
+    let corner = (210 * SCREEN[0] + 300) as usize * 4;
+    let is_drawn = || display.screen()[corner..][..3] != before[corner..][..3];
+    until(deadline, is_drawn);
+    assert!(is_drawn(), "what the larger window has won stays empty");
+    user.focus().unwrap();
     user.press(x11::KEY_F).unwrap();
     user.press(x11::KEY_ESCAPE).unwrap();
     let ended = loop {

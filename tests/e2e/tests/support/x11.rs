@@ -10,6 +10,7 @@ pub const KEY_F: u8 = 33 + 8;
 /// Escape.
 pub const KEY_ESCAPE: u8 = 1 + 8;
 
+const CONFIGURE_WINDOW: u8 = 12;
 const QUERY_TREE: u8 = 15;
 const SET_INPUT_FOCUS: u8 = 42;
 const GET_INPUT_FOCUS: u8 = 43;
@@ -47,15 +48,33 @@ impl Connection {
         Ok(connection)
     }
 
-    /// Gives the keyboard to the last mapped child of the root window that takes it.
-    pub fn focus_first_window(&mut self) -> io::Result<()> {
+    /// Gives the keyboard to the last visible window.
+    pub fn focus(&mut self) -> io::Result<()> {
+        for window in self.windows()? {
+            // Windows that are not visible answer with an error, which `ask` skips.
+            self.send(SET_INPUT_FOCUS, 1, &[window.to_le_bytes(), [0; 4]].concat())?;
+        }
+        self.sync()
+    }
+
+    /// Makes all windows so large, as a user who drags their corners.
+    pub fn resize(&mut self, [width, height]: [u32; 2]) -> io::Result<()> {
+        const WIDTH_AND_HEIGHT: u32 = 4 | 8;
+        for window in self.windows()? {
+            let body = [window, WIDTH_AND_HEIGHT, width, height].map(u32::to_le_bytes).concat();
+            self.send(CONFIGURE_WINDOW, 0, &body)?;
+        }
+        self.sync()
+    }
+
+    fn windows(&mut self) -> io::Result<Vec<u32>> {
         let tree = self.ask(QUERY_TREE, 0, &self.root.to_le_bytes())?;
         let children = usize::from(u16::from_le_bytes([tree[16], tree[17]]));
-        for child in 0..children {
-            let window = word(&tree, 32 + child * 4).to_le_bytes();
-            // Windows that are not visible answer with an error, which `ask` skips.
-            self.send(SET_INPUT_FOCUS, 1, &[window, [0; 4]].concat())?;
-        }
+        Ok((0..children).map(|child| word(&tree, 32 + child * 4)).collect())
+    }
+
+    /// Returns when the display has done all that was sent: it answers in order.
+    fn sync(&mut self) -> io::Result<()> {
         self.ask(GET_INPUT_FOCUS, 0, &[]).map(|_| ())
     }
 
@@ -66,7 +85,7 @@ impl Connection {
             (event[0], event[1]) = (kind, key);
             self.send(self.xtest, FAKE_INPUT, &event)?;
         }
-        self.ask(GET_INPUT_FOCUS, 0, &[]).map(|_| ()) // a reply: the server has seen the keys
+        self.sync()
     }
 
     fn send(&mut self, opcode: u8, data: u8, body: &[u8]) -> io::Result<()> {
