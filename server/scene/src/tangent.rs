@@ -74,10 +74,16 @@ impl bevy_mikktspace::Geometry for Triangles<'_> {
     }
 }
 
+/// A vector made unit length, however short: one whose squared length is too small for full precision is scaled up
+/// first. `None` for zero.
+pub(crate) fn unit(vector: Vec3) -> Option<Vec3> {
+    (vector / vector.abs().max_element()).try_normalize()
+}
+
 /// The direction made unit length and perpendicular to the normal, or an arbitrary one where that is impossible.
 pub(crate) fn orthonormal(direction: Vec3, sign: f32, normal: Vec3) -> [f32; 4] {
     let sign = if sign < 0.0 { -1.0 } else { 1.0 };
-    match (direction - normal * normal.dot(direction)).try_normalize() {
+    match unit(direction - normal * normal.dot(direction)) {
         Some(unit) => unit.extend(sign).to_array(),
         None => arbitrary(normal),
     }
@@ -146,6 +152,16 @@ mod tests {
         generate(&mut corners, &turned);
         // u' is v, which grows down the picture.
         assert_tangents(&corners, [0.0, -1.0, 0.0, 1.0]);
+    }
+
+    #[test]
+    fn vectors_of_any_length_become_unit_and_zero_does_not() {
+        for length in [1e-42, 3e-23, 1e-20, 1.0, 1e30] {
+            let found = unit(Vec3::new(3.0, 0.0, -4.0) * length).expect("not zero");
+            // 1e-42 itself has only a few bits.
+            assert!((found.length() - 1.0).abs() < 1e-6 && found.x > 0.59 && found.z < -0.79, "{found}");
+        }
+        assert_eq!(unit(Vec3::ZERO), None);
     }
 
     #[test]

@@ -222,7 +222,7 @@ impl Source<'_> {
             return Ok(false);
         };
         for (vertex, normal) in vertices.iter_mut().zip(normals) {
-            vertex.normal = Vec3::from_array(normal).normalize_or_zero();
+            vertex.normal = tangent::unit(Vec3::from_array(normal)).unwrap_or(Vec3::ZERO);
         }
         if vertices.iter().any(|vertex| vertex.normal == Vec3::ZERO) {
             warnings.insert("normals without length are replaced".into());

@@ -74,7 +74,7 @@ impl Shape {
     fn moved(&self, at: usize) -> Vec<Vertex> {
         let add = |(vertex, delta): (&Vertex, &Delta)| Vertex {
             position: vertex.position + delta.position,
-            normal: (vertex.normal + delta.normal).try_normalize().unwrap_or(vertex.normal),
+            normal: tangent::unit(vertex.normal + delta.normal).unwrap_or(vertex.normal),
             ..*vertex
         };
         self.vertices.iter().zip(&self.targets[at]).map(add).collect()
@@ -133,7 +133,8 @@ fn flat_normals(corners: &mut [Vertex]) {
 
 /// Up where the triangle has no area.
 pub(super) fn triangle_normal([a, b, c]: [Vec3; 3]) -> Vec3 {
-    (b - a).cross(c - a).try_normalize().unwrap_or(Vec3::Y)
+    let (ab, ac) = (tangent::unit(b - a), tangent::unit(c - a));
+    ab.zip(ac).and_then(|(ab, ac)| tangent::unit(ab.cross(ac))).unwrap_or(Vec3::Y)
 }
 
 #[cfg(test)]
