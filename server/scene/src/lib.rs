@@ -24,8 +24,12 @@ pub mod load;
 mod path;
 #[cfg(any(test, feature = "checks"))]
 pub mod sound;
+pub mod lod;
+#[cfg(test)]
+mod sound;
 pub mod split;
 pub mod suggest;
+mod surface;
 mod tangent;
 mod views;
 pub mod weld;
