@@ -326,7 +326,8 @@ impl Arrays {
     }
 
     fn add_mesh(&mut self, model: &Model, skinning: Skinning) -> MeshGpu {
-        let patches = Patches::build(model);
+        // Models that did not come through the loader have none yet.
+        let patches = model.patches.first().cloned().unwrap_or_else(|| Patches::build(model.triangles(0)));
         let (packed_base, packed_ends) = match skinning {
             Skinning::Packed => self.add_packed(model),
             _ => (0, [0; 4]),

@@ -139,16 +139,25 @@ impl Cache {
         compute: impl FnOnce() -> Result<T, E>,
     ) -> Result<T, E> {
         if let Some(value) = self.find(key) {
-            self.hits.fetch_add(1, Ordering::Relaxed);
+            self.count_hit();
             return Ok(value);
         }
         let value = compute()?;
-        self.misses.fetch_add(1, Ordering::Relaxed);
+        self.count_miss();
         self.keep(key, &value);
         Ok(value)
     }
 
-    fn find<T: DeserializeOwned>(&self, key: &Key) -> Option<T> {
+    pub(crate) fn count_hit(&self) {
+        self.hits.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn count_miss(&self) {
+        self.misses.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// The entry of this key, if it is whole.
+    pub(crate) fn find<T: DeserializeOwned>(&self, key: &Key) -> Option<T> {
         let path = self.folder.as_ref()?.join(key.file_name());
         let bytes = match std::fs::read(&path) {
             Ok(bytes) => bytes,
@@ -173,7 +182,8 @@ impl Cache {
         }
     }
 
-    fn keep(&self, key: &Key, value: &impl Serialize) {
+    /// Keeps an entry; where that fails, says so once.
+    pub(crate) fn keep(&self, key: &Key, value: &impl Serialize) {
         let Some(folder) = &self.folder else { return };
         let written = write_entry(folder, key, value).and_then(|path| self.make_room(folder, &path));
         if let Err(error) = written

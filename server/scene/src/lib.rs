@@ -25,6 +25,7 @@ mod path;
 #[cfg(any(test, feature = "checks"))]
 pub mod sound;
 pub mod lod;
+pub mod process;
 #[cfg(test)]
 mod sound;
 pub mod split;
@@ -38,7 +39,9 @@ pub use error::SceneError;
 pub use load::{SceneSource, load_scene};
 
 use animation::clip;
+use bytemuck::{Pod, Zeroable};
 use glam::{Affine3A, Quat, Vec3};
+use patches::Patches;
 use serde::{Deserialize, Serialize};
 use shadecast_protocol::pose::Pose;
 
@@ -74,13 +77,17 @@ pub struct Model {
     /// What vertices refer to: a bone and the transform into its space.
     pub palette: Vec<PaletteEntry>,
     /// All vertices, in mesh space, of all levels of detail.
+    #[serde(with = "bulk")]
     pub vertices: Vec<Vertex>,
     /// The full detail: three per triangle, into `vertices`, counter-clockwise seen from the front.
+    #[serde(with = "bulk")]
     pub indices: Vec<u32>,
     /// Ranges of `indices` with one material each; together they cover `indices`.
     pub primitives: Vec<Primitive>,
     /// Coarser levels, each coarser than the one before; empty where there is nothing to gain.
     pub lods: Vec<Lod>,
+    /// Patches of the full detail, then of each of `lods`; empty until [`process`](crate::process) has made them.
+    pub patches: Vec<Patches>,
     /// Shapes that are added to the vertices before skinning, each times its weight.
     pub morphs: Vec<Morph>,
     /// Lights that hang on bones.
@@ -128,9 +135,12 @@ pub struct PaletteEntry {
 /// A coarser level of detail: fewer triangles over a subset of the model's vertices.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Lod {
-    /// Largest distance of its surface from the full detail's, metres in mesh space, as the simplifier estimates it.
+    /// Largest distance of its surface from the full detail's, metres in model space, as measured between the surfaces
+    /// in the rest pose and in poses of the clips. At least the length of an edge over the texels of the largest block,
+    /// where edges are longer than in the full detail.
     pub error_m: f32,
     /// Three per triangle, into [`Model::vertices`].
+    #[serde(with = "bulk")]
     pub indices: Vec<u32>,
     /// Ranges of `indices`, one for each of [`Model::primitives`] in their order; a range may be empty.
     pub primitives: Vec<Primitive>,
@@ -144,11 +154,13 @@ pub struct Morph {
     /// The weight where no clip moves it.
     pub rest_weight: f32,
     /// The vertices that it moves, ascending.
+    #[serde(with = "bulk")]
     pub deltas: Vec<MorphDelta>,
 }
 
 /// What a morph target adds to one vertex, in mesh space.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Pod, Zeroable)]
+#[repr(C)]
 pub struct MorphDelta {
     /// Index into [`Model::vertices`].
     pub vertex: u32,
@@ -161,7 +173,8 @@ pub struct MorphDelta {
 }
 
 /// A vertex in mesh space with its (at most four) influences.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Pod, Zeroable)]
+#[repr(C)]
 pub struct Vertex {
     /// Mesh space, metres.
     pub position: Vec3,
@@ -393,6 +406,7 @@ pub struct Texture {
     /// Width and height in texels, both at least 1.
     pub extent_texels: [u32; 2],
     /// `4 * width * height` bytes, RGBA.
+    #[serde(with = "bulk")]
     pub rgba8: Vec<u8>,
     /// Whether rgb is sRGB-coded (base colour, emissive) or linear (everything else).
     pub srgb: bool,
@@ -432,10 +446,12 @@ pub struct MorphTrack {
     /// Number of morphs, at least one.
     pub morph_count: u32,
     /// Seconds, strictly rising, at least one.
+    #[serde(with = "bulk")]
     pub times_s: Vec<f32>,
     /// How to go from key to key.
     pub interpolation: Interpolation,
     /// `morph_count` weights per key; for CUBICSPLINE three times as many: in-tangents, weights, out-tangents.
+    #[serde(with = "bulk")]
     pub weights: Vec<f32>,
 }
 
@@ -445,6 +461,7 @@ pub struct Track {
     /// Index into [`Model::bones`].
     pub bone: u32,
     /// Seconds, strictly rising, at least one.
+    #[serde(with = "bulk")]
     pub times_s: Vec<f32>,
     /// How to go from key to key.
     pub interpolation: Interpolation,
@@ -467,10 +484,13 @@ pub enum Interpolation {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum TrackValues {
     /// Metres.
+    #[serde(with = "bulk")]
     Translation(Vec<Vec3>),
     /// Quaternions.
+    #[serde(with = "bulk")]
     Rotation(Vec<Quat>),
     /// Factors.
+    #[serde(with = "bulk")]
     Scale(Vec<Vec3>),
 }
 

@@ -1,10 +1,11 @@
 //! Patches: groups of 1 to 3 adjacent triangles of one material, each mapped to a rectangle of the atlas.
 //!
-//! Built once per model, greedily, cheapest group first; the cost of a group is the area of its rectangle over the
+//! Built once per model and level of detail, greedily, cheapest group first; the cost of a group is the area of its rectangle over the
 //! area of its triangles (waste), so that a single triangle costs at least 2 and a square quad costs 1.
 
-use crate::Model;
+use crate::{Material, Model, Primitive, Vertex};
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 use shadecast_protocol::atlas::PatchKind;
 use std::collections::HashMap;
 
@@ -28,13 +29,28 @@ pub struct Patch {
     pub double_sided: bool,
 }
 
-/// All patches of a model.
-#[derive(Clone, Debug, Default)]
+/// All patches of one level of detail of a model.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Patches {
     /// In the order of their first triangle.
+    #[serde(with = "rows")]
     pub patches: Vec<Patch>,
-    /// For each triangle of the model's index list the patch that holds it.
+    /// For each triangle of the level's index list the patch that holds it.
+    #[serde(with = "crate::bulk")]
     pub patch_of_triangle: Vec<u32>,
+}
+
+/// What patches are built of: the triangles of one level of detail.
+#[derive(Clone, Copy, Debug)]
+pub struct Triangles<'a> {
+    /// The model's.
+    pub vertices: &'a [Vertex],
+    /// Three per triangle, all in range.
+    pub indices: &'a [u32],
+    /// Ranges of `indices`.
+    pub primitives: &'a [Primitive],
+    /// The model's.
+    pub materials: &'a [Material],
 }
 
 /// How well patches turned out.
@@ -44,6 +60,34 @@ pub struct PatchReport {
     pub count_by_kind: [usize; 3],
     /// Rectangle area over triangle area, weighted by area; 1 is perfect.
     pub mean_waste: f32,
+    /// Longest over shortest of a patch's opposite sides, the mean of both pairs, weighted by area; 1 is perfect. Patches
+    /// of one triangle have no opposite sides and count as 1.
+    pub mean_stretch: f32,
+}
+
+/// Patches as rows of words, for [`crate::bulk`].
+mod rows {
+    use super::{Patch, PatchKind};
+    use crate::bulk;
+    use serde::de::{Deserializer, Error};
+    use serde::ser::Serializer;
+
+    pub fn serialize<S: Serializer>(patches: &[Patch], serializer: S) -> Result<S::Ok, S::Error> {
+        let row = |p: &Patch| {
+            let [a, b, c, d, e] = p.vertices;
+            [a, b, c, d, e, p.kind as u32, p.material, u32::from(p.double_sided)]
+        };
+        bulk::serialize(&patches.iter().map(row).collect::<Vec<[u32; 8]>>(), serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Patch>, D::Error> {
+        let patch = |[a, b, c, d, e, kind, material, double_sided]: [u32; 8]| {
+            let kind = u8::try_from(kind).ok().and_then(PatchKind::from_triangle_count);
+            let kind = kind.ok_or_else(|| D::Error::custom("unknown kind of patch"))?;
+            Ok(Patch { vertices: [a, b, c, d, e], kind, material, double_sided: double_sided != 0 })
+        };
+        bulk::deserialize::<[u32; 8], D>(deserializer)?.into_iter().map(patch).collect()
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -55,9 +99,9 @@ struct Candidate {
 }
 
 impl Patches {
-    /// Groups the triangles of `model`, which has only valid indices.
-    pub fn build(model: &Model) -> Self {
-        let mut builder = Builder::new(model);
+    /// Groups the triangles of one level of detail.
+    pub fn build(triangles: Triangles) -> Self {
+        let mut builder = Builder::new(triangles);
         let strips = builder.strips();
         builder.take(strips);
         let pairs = builder.pairs();
@@ -65,18 +109,42 @@ impl Patches {
         builder.finish()
     }
 
-    /// Counts and mean waste.
-    pub fn report(&self, model: &Model) -> PatchReport {
+    /// Counts, mean waste and mean stretch; `vertices` are the model's.
+    pub fn report(&self, vertices: &[Vertex]) -> PatchReport {
         let mut count_by_kind = [0; 3];
-        let (mut rectangles, mut triangles) = (0.0, 0.0);
+        let (mut rectangles, mut triangles, mut stretch) = (0.0f64, 0.0f64, 0.0f64);
         for patch in &self.patches {
             count_by_kind[patch.kind.triangle_count() - 1] += 1;
-            let p = patch.vertices.map(|v| model.vertices[v as usize].position);
-            rectangles += rectangle_area(patch.kind, &p);
-            triangles += patch.kind.triangles().iter().map(|t| area(t.map(|c| p[c as usize]))).sum::<f32>();
+            let p = patch.vertices.map(|v| vertices[v as usize].position);
+            let covered: f32 = patch.kind.triangles().iter().map(|t| area(t.map(|c| p[c as usize]))).sum();
+            rectangles += f64::from(rectangle_area(patch.kind, &p));
+            triangles += f64::from(covered);
+            stretch += f64::from(covered * side_ratio(patch.kind, &p));
         }
-        PatchReport { count_by_kind, mean_waste: if triangles > 0.0 { rectangles / triangles } else { 1.0 } }
+        let mean = |sum: f64| if triangles > 0.0 { (sum / triangles) as f32 } else { 1.0 };
+        PatchReport { count_by_kind, mean_waste: mean(rectangles), mean_stretch: mean(stretch) }
     }
+}
+
+impl Model {
+    /// The triangles of a level of detail: 0 is the full one, `n` is `lods[n - 1]`.
+    pub fn triangles(&self, level: usize) -> Triangles<'_> {
+        let (indices, primitives) = match level.checked_sub(1).map(|lod| &self.lods[lod]) {
+            None => (&self.indices, &self.primitives),
+            Some(lod) => (&lod.indices, &lod.primitives),
+        };
+        Triangles { vertices: &self.vertices, indices, primitives, materials: &self.materials }
+    }
+}
+
+/// How much longer opposite sides of a patch are than each other, on average.
+fn side_ratio(kind: PatchKind, p: &[Vec3; 5]) -> f32 {
+    if kind == PatchKind::One {
+        return 1.0;
+    }
+    let ratio = |a: f32, b: f32| a.max(b) / a.min(b).max(1e-3 * a.max(b)).max(f32::MIN_POSITIVE);
+    let across = ratio(p[0].distance(p[1]), p[3].distance(p[2]));
+    (across + ratio(p[0].distance(p[3]), p[1].distance(p[2]))) * 0.5
 }
 
 fn area([a, b, c]: [Vec3; 3]) -> f32 {
@@ -95,7 +163,7 @@ fn rectangle_area(kind: PatchKind, p: &[Vec3; 5]) -> f32 {
 }
 
 struct Builder<'a> {
-    model: &'a Model,
+    source: Triangles<'a>,
     triangles: Vec<[u32; 3]>,
     material: Vec<u32>,
     normal: Vec<Vec3>,
@@ -106,14 +174,14 @@ struct Builder<'a> {
 }
 
 impl<'a> Builder<'a> {
-    fn new(model: &'a Model) -> Self {
-        let triangles: Vec<[u32; 3]> = model.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
+    fn new(source: Triangles<'a>) -> Self {
+        let triangles: Vec<[u32; 3]> = source.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
         let mut material = vec![0; triangles.len()];
-        for primitive in &model.primitives {
+        for primitive in source.primitives {
             let first = primitive.first_index as usize / 3;
             material[first..first + primitive.index_count as usize / 3].fill(primitive.material);
         }
-        let position = |v: u32| model.vertices[v as usize].position;
+        let position = |v: u32| source.vertices[v as usize].position;
         let normal = triangles
             .iter()
             .map(|t| {
@@ -128,7 +196,7 @@ impl<'a> Builder<'a> {
         }
         let count = triangles.len();
         let (groups, taken) = (vec![None; count], vec![false; count]);
-        Self { model, triangles, material, normal, edges, groups, taken }
+        Self { source, triangles, material, normal, edges, groups, taken }
     }
 
     /// The triangle across the edge `from -> to` of `triangle`, of the same material and about the same direction.
@@ -147,7 +215,7 @@ impl<'a> Builder<'a> {
 
     /// Waste of a group: 1 is a perfect rectangle.
     fn cost(&self, kind: PatchKind, vertices: [u32; 5]) -> f32 {
-        let p = vertices.map(|v| self.model.vertices[v as usize].position);
+        let p = vertices.map(|v| self.source.vertices[v as usize].position);
         let covered: f32 = kind.triangles().iter().map(|t| area(t.map(|c| p[c as usize]))).sum();
         if covered <= 0.0 { f32::INFINITY } else { rectangle_area(kind, &p) / covered }
     }
@@ -195,7 +263,7 @@ impl<'a> Builder<'a> {
 
     /// 1 where v4 lies on the middle of the edge v0-v1, more where the edge bends or v4 is off the middle.
     fn bend(&self, v0: u32, v4: u32, v1: u32) -> f32 {
-        let [a, m, b] = [v0, v4, v1].map(|v| self.model.vertices[v as usize].position);
+        let [a, m, b] = [v0, v4, v1].map(|v| self.source.vertices[v as usize].position);
         let (left, right) = (a.distance(m), m.distance(b));
         let uneven = left.max(right) / left.min(right).max(1e-9);
         (left + right) / a.distance(b).max(1e-9) * uneven.sqrt()
@@ -233,7 +301,7 @@ impl<'a> Builder<'a> {
             }
             let kind = PatchKind::ALL[group.count - 1];
             let material = self.material[triangle as usize];
-            let double_sided = self.model.materials.get(material as usize).is_some_and(|m| m.double_sided);
+            let double_sided = self.source.materials.get(material as usize).is_some_and(|m| m.double_sided);
             result.patches.push(Patch { vertices: group.vertices, kind, material, double_sided });
         }
         result
@@ -253,7 +321,6 @@ impl<'a> Builder<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Primitive, Vertex};
     use std::collections::HashSet;
 
     /// A wavy grid of `side` x `side` quads.
@@ -287,7 +354,7 @@ mod tests {
     #[test]
     fn every_triangle_is_in_exactly_one_patch_with_its_own_winding() {
         let model = wavy_grid(9);
-        let patches = Patches::build(&model);
+        let patches = Patches::build(model.triangles(0));
         let mut of_patches = HashSet::new();
         for patch in &patches.patches {
             assert_eq!(patch.material, 3);
@@ -314,7 +381,7 @@ mod tests {
     #[test]
     fn patch_of_triangle_names_the_patch_that_holds_it() {
         let model = wavy_grid(5);
-        let patches = Patches::build(&model);
+        let patches = Patches::build(model.triangles(0));
         for (triangle, corners) in model.indices.chunks_exact(3).enumerate() {
             let patch = patches.patches[patches.patch_of_triangle[triangle] as usize];
             assert!(corners.iter().all(|v| patch.vertices.contains(v)));
@@ -324,7 +391,7 @@ mod tests {
     #[test]
     fn a_regular_grid_becomes_nearly_square_quads() {
         let model = wavy_grid(12);
-        let report = Patches::build(&model).report(&model);
+        let report = Patches::build(model.triangles(0)).report(&model.vertices);
         let [singles, pairs, strips] = report.count_by_kind;
         assert!(pairs * 2 + strips * 3 >= singles * 10, "{report:?}");
         assert!(report.mean_waste < 1.3, "{report:?}");

@@ -5,8 +5,9 @@
 //! across a seam where they share no vertex, and no T-junction can open a crack.
 
 use super::influences::reduce_to_four;
-use super::{Model, Primitive, Vertex};
+use super::{Model, Morph, MorphDelta, Primitive, Vertex};
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
 /// The longest edge that a patch may have, metres in the world: design section 5.
@@ -16,7 +17,7 @@ pub const MAX_EDGE_M: f32 = 0.5;
 const MAX_INDICES: usize = 12 << 20;
 
 /// What splitting did.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SplitStats {
     /// Triangles before.
     pub triangles_before: usize,
@@ -27,12 +28,17 @@ pub struct SplitStats {
 }
 
 /// Splits edges at their middle until none is longer than `max_edge_m` in mesh space (for an asset that is placed
-/// with a scale, pass the limit divided by that scale). New vertices interpolate all attributes; influences are
-/// blended and reduced to the four largest. Primitives keep their order and materials.
+/// with a scale, pass the limit divided by that scale). New vertices interpolate all attributes and morph targets;
+/// influences are blended and reduced to the four largest. Primitives keep their order and materials.
 pub fn split_long_edges(model: &mut Model, max_edge_m: f32) -> SplitStats {
     assert!(max_edge_m > 0.0, "longest edge {max_edge_m} m");
     let triangles_before = model.indices.len() / 3;
-    let mut splitter = Splitter { limit_squared: max_edge_m * max_edge_m, vertices: &mut model.vertices };
+    let mut splitter = Splitter {
+        limit_squared: max_edge_m * max_edge_m,
+        first_middle: model.vertices.len() as u32,
+        vertices: &mut model.vertices,
+        ends: Vec::new(),
+    };
     let mut parts: Vec<Vec<u32>> =
         model.primitives.iter().map(|primitive| slice(&model.indices, primitive)).collect();
     // Each pass halves the long edges; a length that 64 halvings do not bring below the limit is not finite.
@@ -50,6 +56,8 @@ pub fn split_long_edges(model: &mut Model, max_edge_m: f32) -> SplitStats {
             *part = splitter.split_pass(part, &mut middles);
         }
     }
+    let (first_middle, ends) = (splitter.first_middle, splitter.ends);
+    model.morphs.iter_mut().for_each(|morph| add_middles(morph, first_middle, &ends));
     store(model, &parts);
     SplitStats { triangles_before, triangles_after: model.indices.len() / 3, complete }
 }
@@ -67,9 +75,34 @@ fn store(model: &mut Model, parts: &[Vec<u32>]) {
     }
 }
 
+/// The middle of an edge moves by the mean of its ends. Ends of later middles may be earlier ones.
+fn add_middles(morph: &mut Morph, first_middle: u32, ends: &[[u32; 2]]) {
+    let mut delta_of_vertex: HashMap<u32, usize> =
+        morph.deltas.iter().enumerate().map(|(number, delta)| (delta.vertex, number)).collect();
+    for (vertex, ends) in (first_middle..).zip(ends) {
+        let moved = ends.map(|end| delta_of_vertex.get(&end).map(|number| morph.deltas[*number]));
+        if moved == [None, None] {
+            continue;
+        }
+        let still = MorphDelta { vertex, position: Vec3::ZERO, normal: Vec3::ZERO, tangent: Vec3::ZERO };
+        let [a, b] = moved.map(|delta| delta.unwrap_or(still));
+        delta_of_vertex.insert(vertex, morph.deltas.len());
+        morph.deltas.push(MorphDelta {
+            vertex,
+            position: (a.position + b.position) * 0.5,
+            normal: (a.normal + b.normal) * 0.5,
+            tangent: (a.tangent + b.tangent) * 0.5,
+        });
+    }
+}
+
 struct Splitter<'a> {
     limit_squared: f32,
+    /// Vertices from here on are middles.
+    first_middle: u32,
     vertices: &'a mut Vec<Vertex>,
+    /// Of each middle the ends of its edge.
+    ends: Vec<[u32; 2]>,
 }
 
 impl Splitter<'_> {
@@ -128,8 +161,9 @@ impl Splitter<'_> {
     }
 
     fn middle(&mut self, a: u32, b: u32, middles: &mut HashMap<(u32, u32), u32>) -> u32 {
-        let vertices = &mut *self.vertices;
+        let (vertices, ends) = (&mut *self.vertices, &mut self.ends);
         *middles.entry((a.min(b), a.max(b))).or_insert_with(|| {
+            ends.push([a, b]);
             vertices.push(halfway(&vertices[a as usize], &vertices[b as usize]));
             (vertices.len() - 1) as u32
         })
@@ -166,6 +200,8 @@ fn halfway(a: &Vertex, b: &Vertex) -> Vertex {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::animation::pose;
+    use crate::surface::Surface;
     use rand::{Rng, SeedableRng, rngs::SmallRng};
 
     fn vertex(position: Vec3, joint: u16) -> Vertex {
@@ -280,6 +316,39 @@ mod tests {
                 seen.entry(vertex.position.to_array().map(f32::to_bits)).or_insert(influences.clone());
             assert_eq!(*first, influences, "seed 32, at {}", vertex.position);
             assert!((vertex.weights.iter().sum::<f32>() - 1.0).abs() < 1e-5, "seed 32");
+        }
+    }
+
+    #[test]
+    fn a_morphed_model_splits_into_the_same_surface_as_a_split_one_morphs_into() {
+        let mut rng = SmallRng::seed_from_u64(36);
+        let mut model = sheet(&mut rng, 3, false);
+        let delta = |vertex: u32| MorphDelta {
+            vertex,
+            position: Vec3::new(0.0, 0.3 * vertex as f32, 0.1),
+            normal: Vec3::X * 0.1,
+            tangent: Vec3::ZERO,
+        };
+        let deltas = (0..model.vertices.len() as u32).step_by(3).map(delta).collect();
+        model.morphs = vec![Morph { name: "m".into(), rest_weight: 0.0, deltas }];
+        let whole = pose::morphed(&model, &[1.0]).into_owned();
+        let first_middle = model.vertices.len();
+        split_long_edges(&mut model, 0.5);
+        let deltas = &model.morphs[0].deltas;
+        assert!(deltas.windows(2).all(|pair| pair[0].vertex < pair[1].vertex), "seed 36");
+        let after = pose::morphed(&model, &[1.0]);
+        let xz = |v: &Vertex| (v.uv[0], v.uv[1]);
+        assert_eq!(
+            whole.iter().map(xz).collect::<Vec<_>>(),
+            model.vertices[..first_middle].iter().map(xz).collect::<Vec<_>>()
+        );
+        // Splitting is linear interpolation: every middle lies on the morphed surface of the unsplit model.
+        let corners: Vec<[Vec3; 3]> = corners(&sheet(&mut SmallRng::seed_from_u64(36), 3, false).indices)
+            .map(|t| t.map(|v| whole[v as usize].position))
+            .collect();
+        let surface = Surface::new(corners);
+        for vertex in &after[first_middle..] {
+            assert!(surface.distance(vertex.position) < 1e-4, "seed 36: {}", vertex.position);
         }
     }
 

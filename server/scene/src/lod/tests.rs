@@ -34,7 +34,7 @@ fn measure() {
     let _b = pose::bounds(model, Some(0), 16);
     println!("bounds {:?}", start.elapsed());
     let start = std::time::Instant::now();
-    let _b = crate::patches::Patches::build(model);
+    let _b = crate::patches::Patches::build(model.triangles(0));
     println!("patches {:?}", start.elapsed());
     let start = std::time::Instant::now();
     for t in &model.textures {

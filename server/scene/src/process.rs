@@ -1,0 +1,280 @@
+//! From an asset to a model that is ready to be shown, each expensive step through the [`Cache`].
+//!
+//! Two steps, since the second depends on how large the scene shows the model: the import (files to curves, vertices
+//! and texels), and its [refinement](refine) (long edges split, coarser levels, patches).
+
+use crate::cache::{Cache, Key};
+use crate::error::SceneError;
+use crate::limits::{self, Note};
+use crate::patches::Patches;
+use crate::split::{SplitStats, split_long_edges};
+use crate::{Bone, Clip, Lod, Material, Model, Morph, PaletteEntry, Primitive, Vertex, bulk, gltf, lod};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// How scenes are loaded.
+#[derive(Debug)]
+pub struct Loading {
+    /// Where expensive results are kept.
+    pub cache: Cache,
+    /// Whether coarser levels of detail are made.
+    pub lods: bool,
+}
+
+impl Loading {
+    /// Nothing is kept, and no coarser levels are made: for tests, and for programs that need only the full detail.
+    pub fn plain() -> Self {
+        Self { cache: Cache::disabled(), lods: false }
+    }
+
+    /// Everything, kept in `cache`.
+    pub fn complete(cache: Cache) -> Self {
+        Self { cache, lods: true }
+    }
+}
+
+/// The generated dragon.
+///
+/// # Errors
+/// None, unless the generator and the importer disagree.
+pub fn built_in_dragon(cache: &Cache) -> Result<Model, SceneError> {
+    let import = || gltf::from_slice(&crate::generate::dragon(), "built-in dragon");
+    cache.try_get_or_compute(&Key::new("dragon", 1), import)
+}
+
+/// The model that an importer makes of a file and of those that the file refers to.
+///
+/// # Errors
+/// The importer's.
+pub fn import(
+    cache: &Cache,
+    path: &Path,
+    importer: impl FnOnce(&Path) -> Result<Model, SceneError>,
+) -> Result<Model, SceneError> {
+    // A file that cannot be read is the importer's to complain about.
+    let Some(asset) = Asset::read(path).filter(|_| cache.folder().is_some()) else { return importer(path) };
+    let known: Option<Vec<PathBuf>> = cache.find(&asset.files_key());
+    let key = known
+        .map(|files| asset.key(files.iter().map(|file| (file.as_path(), hash(&asset.folder.join(file))))));
+    if let Some(model) = key.and_then(|key| cache.find(&key)) {
+        cache.count_hit();
+        return Ok(model);
+    }
+    let (imported, notes) = limits::noting_files(|| importer(path));
+    let model = imported?;
+    cache.count_miss();
+    asset.keep(cache, notes, &model);
+    Ok(model)
+}
+
+/// A file to be imported.
+struct Asset {
+    path: PathBuf,
+    folder: PathBuf,
+    hash: [u8; 32],
+}
+
+impl Asset {
+    fn read(path: &Path) -> Option<Self> {
+        let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+        Some(Self { path: path.to_owned(), folder, hash: hash(path)? })
+    }
+
+    /// Of the list of files that the asset refers to.
+    fn files_key(&self) -> Key {
+        Key::new("files", 1).bytes(&self.hash).value(&self.name())
+    }
+
+    /// The file's name is the model's, and says which importer it takes.
+    fn name(&self) -> String {
+        self.path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+    }
+
+    fn key<'a>(&self, files: impl Iterator<Item = (&'a Path, Option<[u8; 32]>)>) -> Key {
+        let key = Key::new("asset", 1).bytes(&self.hash).value(&self.name());
+        files.fold(key, |key, file| key.value(&file))
+    }
+
+    /// Keeps the model under the hashes of what the importer read, whatever the files hold by now.
+    fn keep(&self, cache: &Cache, notes: Vec<Note>, model: &Model) {
+        let (own, others): (Vec<Note>, Vec<Note>) =
+            notes.into_iter().partition(|(path, _)| *path == self.path);
+        if own.iter().any(|(_, hash)| *hash != Some(self.hash)) {
+            return; // it changed while it was read
+        }
+        let inside = |path: PathBuf| path.strip_prefix(&self.folder).map(Path::to_owned).unwrap_or(path);
+        let others: Vec<Note> = others.into_iter().map(|(path, hash)| (inside(path), hash)).collect();
+        let files: Vec<&Path> = others.iter().map(|(path, _)| path.as_path()).collect();
+        cache.keep(&self.files_key(), &files);
+        cache.keep(&self.key(others.iter().map(|(path, hash)| (path.as_path(), *hash))), model);
+    }
+}
+
+fn hash(path: &Path) -> Option<[u8; 32]> {
+    limits::read_limited(path).ok().map(|bytes| *blake3::hash(&bytes).as_bytes())
+}
+
+/// What [`refine`] looks at.
+#[derive(Serialize)]
+struct Unrefined<'a> {
+    #[serde(serialize_with = "bulk::serialize")]
+    vertices: &'a [Vertex],
+    #[serde(serialize_with = "bulk::serialize")]
+    indices: &'a [u32],
+    primitives: &'a [Primitive],
+    morphs: &'a [Morph],
+    materials: &'a [Material],
+    bones: &'a [Bone],
+    palette: &'a [PaletteEntry],
+    clips: &'a [Clip],
+}
+
+/// What [`refine`] makes.
+#[derive(Serialize, Deserialize)]
+struct Refined {
+    #[serde(with = "bulk")]
+    vertices: Vec<Vertex>,
+    #[serde(with = "bulk")]
+    indices: Vec<u32>,
+    primitives: Vec<Primitive>,
+    morphs: Vec<Morph>,
+    lods: Vec<Lod>,
+    patches: Vec<Patches>,
+    split: Option<SplitStats>,
+}
+
+/// Splits edges longer than `longest_edge_m` in mesh space, `None` leaves them; makes coarser levels, where they are
+/// wanted, and the patches of all levels.
+pub fn refine(model: &mut Model, longest_edge_m: Option<f32>, loading: &Loading) -> Option<SplitStats> {
+    let mut source = std::mem::take(model);
+    let unrefined = Unrefined {
+        vertices: &source.vertices,
+        indices: &source.indices,
+        primitives: &source.primitives,
+        morphs: &source.morphs,
+        materials: &source.materials,
+        bones: &source.bones,
+        palette: &source.palette,
+        clips: &source.clips,
+    };
+    let is_worth_it = loading.cache.folder().is_some();
+    let refined = if is_worth_it {
+        let key = Key::new("refined", 1).value(&(longest_edge_m, loading.lods)).value(&unrefined);
+        loading.cache.get_or_compute(&key, || compute(&source, longest_edge_m, loading.lods))
+    } else {
+        compute(&source, longest_edge_m, loading.lods)
+    };
+    (source.vertices, source.indices) = (refined.vertices, refined.indices);
+    (source.primitives, source.morphs) = (refined.primitives, refined.morphs);
+    (source.lods, source.patches) = (refined.lods, refined.patches);
+    *model = source;
+    refined.split
+}
+
+fn compute(source: &Model, longest_edge_m: Option<f32>, lods: bool) -> Refined {
+    // Textures and clips are the largest part; the first are not needed.
+    let mut model = Model { textures: Vec::new(), ..source.clone() };
+    let split = longest_edge_m.map(|longest_m| split_long_edges(&mut model, longest_m));
+    model.lods = if lods { lod::build(&model) } else { Vec::new() };
+    let patches = (0..=model.lods.len()).map(|level| Patches::build(model.triangles(level))).collect();
+    let Model { vertices, indices, primitives, morphs, lods, .. } = model;
+    Refined { vertices, indices, primitives, morphs, lods, patches, split }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ground;
+    use std::cell::Cell;
+
+    /// An "asset": a file of the names of others; the model's bones are what all of them hold.
+    fn importer(calls: &Cell<u32>) -> impl Fn(&Path) -> Result<Model, SceneError> + '_ {
+        move |path| {
+            calls.set(calls.get() + 1);
+            let read =
+                |path: &Path| limits::read_limited(path).map(|bytes| String::from_utf8(bytes).unwrap());
+            let own = read(path).map_err(|source| SceneError::Read { file: "own".into(), source })?;
+            let others = own.lines().map(|name| read(&path.with_file_name(name)).unwrap_or("missing".into()));
+            Ok(Model { name: [own.clone(), others.collect()].concat(), ..Model::default() })
+        }
+    }
+
+    struct Folder {
+        folder: tempfile::TempDir,
+        cache: Cache,
+        calls: Cell<u32>,
+    }
+
+    impl Folder {
+        fn new() -> Self {
+            let folder = tempfile::tempdir().unwrap();
+            let cache = Cache::new(folder.path().join("cache"));
+            let this = Self { folder, cache, calls: Cell::new(0) };
+            this.write("a.asset", "b\nc");
+            this.write("b", "first");
+            this
+        }
+
+        fn write(&self, name: &str, text: &str) {
+            std::fs::write(self.folder.path().join(name), text).unwrap();
+        }
+
+        /// What the import says, and whether the importer had to be asked.
+        fn import(&self) -> (String, bool) {
+            let before = self.calls.get();
+            let path = self.folder.path().join("a.asset");
+            let model = import(&self.cache, &path, importer(&self.calls)).unwrap();
+            (model.name, self.calls.get() > before)
+        }
+    }
+
+    #[test]
+    fn an_asset_is_imported_once() {
+        let folder = Folder::new();
+        assert_eq!(folder.import(), ("b\ncfirstmissing".into(), true));
+        assert_eq!(folder.import(), ("b\ncfirstmissing".into(), false));
+        assert_eq!(folder.cache.hits_and_misses(), (1, 1));
+    }
+
+    #[test]
+    fn a_change_of_the_asset_or_of_a_file_beside_it_is_noticed_and_undone() {
+        let folder = Folder::new();
+        folder.import();
+        folder.write("b", "second");
+        assert_eq!(folder.import(), ("b\ncsecondmissing".into(), true));
+        folder.write("c", "there now");
+        assert_eq!(folder.import(), ("b\ncsecondthere now".into(), true));
+        folder.write("b", "first");
+        std::fs::remove_file(folder.folder.path().join("c")).unwrap();
+        assert_eq!(folder.import(), ("b\ncfirstmissing".into(), false));
+        folder.write("a.asset", "b");
+        assert_eq!(folder.import(), ("bfirst".into(), true));
+    }
+
+    #[test]
+    fn a_missing_asset_is_the_importers_to_complain_about() {
+        let folder = tempfile::tempdir().unwrap();
+        let (cache, calls) = (Cache::new(folder.path()), Cell::new(0));
+        let missing = folder.path().join("missing.asset");
+        assert!(import(&cache, &missing, importer(&calls)).is_err());
+        assert_eq!((calls.get(), cache.hits_and_misses()), (1, (0, 0)));
+    }
+
+    #[test]
+    fn a_refined_model_is_the_same_from_the_cache() {
+        let folder = tempfile::tempdir().unwrap();
+        let refined = |cache: Cache, longest_edge_m| {
+            let mut model = ground::ground(8.0);
+            model.name = "ground".into();
+            let loading = Loading::complete(cache);
+            refine(&mut model, longest_edge_m, &loading).expect("asked for");
+            (postcard::to_stdvec(&model).unwrap(), loading.cache.hits_and_misses())
+        };
+        let cached = || Cache::new(folder.path());
+        let (plain, _) = refined(Cache::disabled(), Some(0.4));
+        assert_eq!(refined(cached(), Some(0.4)), (plain.clone(), (0, 1)));
+        assert_eq!(refined(cached(), Some(0.4)), (plain.clone(), (1, 0)));
+        let (coarser, figures) = refined(cached(), Some(0.6));
+        assert!(coarser.len() < plain.len() && figures == (0, 1));
+    }
+}
