@@ -48,7 +48,7 @@ pub fn from_slice(bytes: &[u8], name: &str) -> Result<Model, SceneError> {
     import::from_slice(bytes, name, import)
 }
 
-fn import(bytes: &[u8], name: &str, folder: Option<&Path>) -> Result<(Model, Warnings), Fault> {
+pub(crate) fn import(bytes: &[u8], name: &str, folder: Option<&Path>) -> Result<(Model, Warnings), Fault> {
     let scene = parse(bytes)?;
     let mut warnings = Warnings::new();
     note_what_is_left_out(&scene, &mut warnings);

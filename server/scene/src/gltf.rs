@@ -42,7 +42,7 @@ pub fn from_slice(bytes: &[u8], name: &str) -> Result<Model, SceneError> {
     super::import::from_slice(bytes, name, import)
 }
 
-fn import(bytes: &[u8], name: &str, folder: Option<&Path>) -> Result<(Model, Warnings), Fault> {
+pub(crate) fn import(bytes: &[u8], name: &str, folder: Option<&Path>) -> Result<(Model, Warnings), Fault> {
     let mut warnings = Warnings::new();
     let container = container::open(bytes, folder, &mut warnings)?;
     let container::Container { document, buffers, decoded } = &container;

@@ -21,13 +21,11 @@ pub mod identity;
 pub mod influences;
 mod limits;
 pub mod load;
+pub mod lod;
 mod path;
+pub mod process;
 #[cfg(any(test, feature = "checks"))]
 pub mod sound;
-pub mod lod;
-pub mod process;
-#[cfg(test)]
-mod sound;
 pub mod split;
 pub mod suggest;
 mod surface;

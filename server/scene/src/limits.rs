@@ -55,7 +55,6 @@ pub(crate) fn read_limited(path: &Path) -> std::io::Result<Vec<u8>> {
 }
 
 /// Whether there is a regular file. One that is missing counts as asked for too: it may come later.
-#[allow(dead_code)]
 pub(crate) fn is_file(path: &Path) -> bool {
     let found = path.is_file();
     if !found {

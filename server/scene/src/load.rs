@@ -3,13 +3,14 @@
 
 use super::error::SceneError;
 use super::file::{self, ClipChoice, ModelEntry, ModelFile, SceneFile};
-use super::split::{MAX_EDGE_M, split_long_edges};
+use super::split::MAX_EDGE_M;
 use super::suggest::{did_you_mean, did_you_mean_or_list};
 use crate::animation::clip::{morph_track_varies, track_varies};
 use crate::animation::pose;
 use crate::limits::read_limited;
+use crate::process::{self, Loading};
 use crate::views::find_head_path;
-use crate::{Clip, HeadPath, Instance, Model, Scene, fbx, gltf, ground};
+use crate::{Clip, HeadPath, Instance, Model, Scene, fbx, gltf, ground, import};
 use glam::{Affine3A, Quat, Vec3};
 use shadecast_protocol::pose::Pose;
 use std::fmt;
@@ -83,15 +84,20 @@ impl fmt::Display for SceneSource {
     }
 }
 
+/// Loads a scene [plainly](Loading::plain): nothing is kept, and no coarser levels are made.
+pub fn load_scene(source: &SceneSource) -> Result<Scene, SceneError> {
+    load_scene_with(source, &Loading::plain())
+}
+
 /// Loads everything that a scene needs. Edges are split so that none is longer than [`MAX_EDGE_M`] in the world,
 /// except the diagonals of the ground's cells.
-pub fn load_scene(source: &SceneSource) -> Result<Scene, SceneError> {
+pub fn load_scene_with(source: &SceneSource, loading: &Loading) -> Result<Scene, SceneError> {
     match source {
-        SceneSource::Dragons(count) => dragons(*count),
-        SceneSource::DragonGrid(count) => dragon_grid(*count),
+        SceneSource::Dragons(count) => dragons(*count, loading),
+        SceneSource::DragonGrid(count) => dragon_grid(*count, loading),
         SceneSource::File(path) => match extension(path).as_str() {
-            "toml" => scene_file(path),
-            _ if is_asset(path) => asset(path),
+            "toml" => scene_file(path, loading),
+            _ if is_asset(path) => asset(path, loading),
             other => Err(unknown_kind(path, other)),
         },
     }
@@ -117,11 +123,13 @@ fn is_asset(path: &Path) -> bool {
 }
 
 /// The one way by which models come into a scene.
-fn load_model(file: &ModelFile) -> Result<Model, SceneError> {
+fn load_model(file: &ModelFile, loading: &Loading) -> Result<Model, SceneError> {
     match file {
-        ModelFile::BuiltInDragon => gltf::from_slice(&crate::generate::dragon(), "built-in dragon"),
-        ModelFile::Path(path) if extension(path) == "fbx" => fbx::load(path),
-        ModelFile::Path(path) => gltf::load(path),
+        ModelFile::BuiltInDragon => process::built_in_dragon(&loading.cache),
+        ModelFile::Path(path) => {
+            let importer = if extension(path) == "fbx" { fbx::import } else { gltf::import };
+            process::import(&loading.cache, path, |path| import::read(path, importer))
+        }
     }
 }
 
@@ -134,7 +142,7 @@ fn first_moving_clip(model: &Model) -> Option<usize> {
 }
 
 /// A scene with default light, ground and stage.
-fn around(models: Vec<Model>, instances: Vec<Instance>) -> Scene {
+fn around(models: Vec<Model>, instances: Vec<Instance>, loading: &Loading) -> Scene {
     let (sun, environment) = file::default_light();
     let scene = Scene {
         models,
@@ -146,15 +154,16 @@ fn around(models: Vec<Model>, instances: Vec<Instance>) -> Scene {
         cameras: Vec::new(),
         head_paths: file::built_in_head_paths(),
     };
-    finished(scene, Some(ground::DEFAULT_SIZE_M))
+    finished(scene, Some(ground::DEFAULT_SIZE_M), loading)
 }
 
-/// Splits long edges, then adds the ground, which needs no splitting: its cells are half a metre, and their diagonals
+/// Refines the models, then adds the ground, which needs no splitting: its cells are half a metre, and their diagonals
 /// do not make its patches larger.
-fn finished(mut scene: Scene, ground_size_m: Option<f32>) -> Scene {
-    split_models(&mut scene);
+fn finished(mut scene: Scene, ground_size_m: Option<f32>, loading: &Loading) -> Scene {
+    refine_models(&mut scene, loading);
     if let Some(size_m) = ground_size_m {
         add_ground(&mut scene, size_m);
+        process::refine(scene.models.last_mut().expect("the ground"), None, loading);
     }
     scene
 }
@@ -172,8 +181,8 @@ const ASSET_DISTANCE_M: f32 = 2.5;
 /// An asset's largest extent, metres, may be in this range; others are scaled to the third number.
 const ASSET_EXTENT_M: (f32, f32, f32) = (0.9, 2.0, 1.6);
 
-fn asset(path: &Path) -> Result<Scene, SceneError> {
-    let model = load_model(&ModelFile::Path(path.to_owned()))?;
+fn asset(path: &Path, loading: &Loading) -> Result<Scene, SceneError> {
+    let model = load_model(&ModelFile::Path(path.to_owned()), loading)?;
     let clip = first_moving_clip(&model);
     let placement = place_asset(&model, clip).map_err(|problem| SceneError::Asset {
         file: path.display().to_string(),
@@ -182,7 +191,7 @@ fn asset(path: &Path) -> Result<Scene, SceneError> {
     })?;
     let name = model.name.clone();
     let instance = Instance { placement, clip, ..Instance::new(name, 0) };
-    Ok(around(vec![model], vec![instance]))
+    Ok(around(vec![model], vec![instance], loading))
 }
 
 /// Stands the model on the ground in front of the user, facing them: glTF's front is +z, the user looks along -z.
@@ -214,24 +223,25 @@ fn finite_bounds(model: &Model, clip: Option<usize>) -> Result<(Vec3, Vec3), Str
 /// Distance from the user to the middle of the group, metres, for few dragons.
 const GROUP_DISTANCE_M: f32 = 3.3;
 
-fn dragons(count: u32) -> Result<Scene, SceneError> {
+fn dragons(count: u32, loading: &Loading) -> Result<Scene, SceneError> {
     let place = |index, low, high| dragon_place(index, count, low, high);
-    placed_dragons((0..count).map(|index| format!("dragon {index}")).collect(), place)
+    placed_dragons((0..count).map(|index| format!("dragon {index}")).collect(), place, loading)
 }
 
 /// The paper's arrangement: a three-dimensional grid, the lowest layer on the ground, x before y before z.
-fn dragon_grid(count: [u32; 3]) -> Result<Scene, SceneError> {
+fn dragon_grid(count: [u32; 3], loading: &Loading) -> Result<Scene, SceneError> {
     let cells: Vec<[u32; 3]> = file::cells(count).collect();
     let names = cells.iter().map(|[x, y, z]| format!("dragon {x},{y},{z}")).collect();
-    placed_dragons(names, |index, low, high| grid_place(cells[index as usize], count, low, high))
+    placed_dragons(names, |index, low, high| grid_place(cells[index as usize], count, low, high), loading)
 }
 
 /// Dragons of these names, each where `place` puts the one of its number, given the bounds of its flight.
 fn placed_dragons(
     names: Vec<String>,
     place: impl Fn(u32, Vec3, Vec3) -> Affine3A,
+    loading: &Loading,
 ) -> Result<Scene, SceneError> {
-    let model = load_model(&ModelFile::BuiltInDragon)?;
+    let model = load_model(&ModelFile::BuiltInDragon, loading)?;
     let clip = first_moving_clip(&model);
     let fault =
         |problem| SceneError::Asset { file: "built-in dragon".into(), element: "scene".into(), problem };
@@ -244,7 +254,7 @@ fn placed_dragons(
         ..Instance::new(name, 0)
     };
     let instances = (0..).zip(names).map(instance).collect();
-    Ok(around(vec![model], instances))
+    Ok(around(vec![model], instances, loading))
 }
 
 /// Distance of neighbours in a grid of dragons, in parts of a dragon's extent.
@@ -282,9 +292,9 @@ fn dragon_place(index: u32, count: u32, low: Vec3, high: Vec3) -> Affine3A {
 
 // ---- a scene file ----
 
-fn scene_file(path: &Path) -> Result<Scene, SceneError> {
+fn scene_file(path: &Path, loading: &Loading) -> Result<Scene, SceneError> {
     let (name, text) = read_scene_file(path)?;
-    scene_from_text(&text, &name, path.parent().unwrap_or(Path::new("")))
+    read_scene(&text, &name, path.parent().unwrap_or(Path::new("")), loading)
 }
 
 /// Name, for messages, and text.
@@ -313,25 +323,37 @@ pub fn load_head_path(source: &SceneSource, name: &str) -> Result<HeadPath, Scen
     find_head_path(&head_paths, name).cloned()
 }
 
-/// The scene that a file of this text in this folder describes.
+/// The scene that a file of this text in this folder describes, loaded [plainly](Loading::plain).
 pub fn scene_from_text(text: &str, name: &str, folder: &Path) -> Result<Scene, SceneError> {
+    read_scene(text, name, folder, &Loading::plain())
+}
+
+fn read_scene(text: &str, name: &str, folder: &Path, loading: &Loading) -> Result<Scene, SceneError> {
     let file = file::parse(text, name)?;
-    let models =
-        file.models.iter().map(|entry| named_model(entry, name, folder)).collect::<Result<Vec<_>, _>>()?;
+    let models = file
+        .models
+        .iter()
+        .map(|entry| named_model(entry, name, folder, loading))
+        .collect::<Result<Vec<_>, _>>()?;
     let instances = instances(&file, &models, name)?;
     let SceneFile { sun, lights, environment, ground_size_m, world_from_stage, cameras, head_paths, .. } =
         file;
     let scene = Scene { models, instances, sun, lights, environment, world_from_stage, cameras, head_paths };
-    Ok(finished(scene, ground_size_m))
+    Ok(finished(scene, ground_size_m, loading))
 }
 
-fn named_model(entry: &ModelEntry, name: &str, folder: &Path) -> Result<Model, SceneError> {
+fn named_model(
+    entry: &ModelEntry,
+    name: &str,
+    folder: &Path,
+    loading: &Loading,
+) -> Result<Model, SceneError> {
     let fault = |problem: String| SceneError::SceneFile { file: name.to_owned(), line: entry.line, problem };
     let mut model = match &entry.file {
-        ModelFile::BuiltInDragon => load_model(&ModelFile::BuiltInDragon)?,
+        ModelFile::BuiltInDragon => load_model(&ModelFile::BuiltInDragon, loading)?,
         ModelFile::Path(path) if is_asset(path) => {
             // The reason in the scene's terms: the line that names the file.
-            load_model(&ModelFile::Path(folder.join(path)))
+            load_model(&ModelFile::Path(folder.join(path)), loading)
                 .map_err(|error| fault(format!("model \"{}\": {error}", entry.name)))?
         }
         ModelFile::Path(path) => {
@@ -379,17 +401,15 @@ fn choose_clip(choice: &ClipChoice, model: &Model, name: &str) -> Result<Option<
 
 // ---- long edges ----
 
-fn split_models(scene: &mut Scene) {
+fn refine_models(scene: &mut Scene, loading: &Loading) {
     for index in 0..scene.models.len() {
         let placed = scene.instances.iter().filter(|instance| instance.model == index);
         let scale = placed.map(largest_world_scale).fold(0.0, f32::max);
         let model = &mut scene.models[index];
         let limit = MAX_EDGE_M / (scale * rest_scale(model));
-        if !(limit.is_finite() && limit > 0.0) {
-            continue;
-        }
-        let stats = split_long_edges(model, limit);
-        if !stats.complete {
+        let limit = Some(limit).filter(|limit| limit.is_finite() && *limit > 0.0);
+        let split = process::refine(model, limit, loading);
+        if split.is_some_and(|stats| !stats.complete) {
             tracing::warn!(
                 "{}: edges stay longer than {MAX_EDGE_M} m; split it in a modelling tool",
                 model.name
@@ -418,7 +438,7 @@ fn largest_scale(transform: Affine3A) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::split::SplitStats;
+    use crate::split::{SplitStats, split_long_edges};
 
     fn shared_asset(name: &str) -> Option<PathBuf> {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/assets").join(name);
@@ -617,7 +637,7 @@ mod tests {
             ..Instance::new("i", 0)
         };
         let split = |scale: f32| {
-            let scene = around(vec![small.clone()], vec![instance(0.1), instance(scale)]);
+            let scene = around(vec![small.clone()], vec![instance(0.1), instance(scale)], &Loading::plain());
             (scene.models[0].indices.len() / 3, longest_edge_m(&scene, 1))
         };
         let SplitStats { triangles_before, .. } = split_long_edges(&mut small.clone(), 100.0);
@@ -627,7 +647,7 @@ mod tests {
             "[[model]]\nname = \"d\"\nfile = \"dragon\"\n[[instance]]\nmodel = \"d\"\npath = {{ key = [{keys}] }}\n"
         );
         let growing = scene_from_text(&text, "s.toml", Path::new("")).expect("good").instances.remove(0);
-        let scene = around(vec![small.clone()], vec![Instance { model: 0, ..growing }]);
+        let scene = around(vec![small.clone()], vec![Instance { model: 0, ..growing }], &Loading::plain());
         assert!(scene.models[0].indices.len() / 3 > triangles_before, "a path that grows it counts");
         let (triangles, longest_m) = split(4.0);
         assert!(

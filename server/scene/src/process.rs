@@ -5,6 +5,7 @@
 
 use crate::cache::{Cache, Key};
 use crate::error::SceneError;
+use crate::import::{self, Warnings};
 use crate::limits::{self, Note};
 use crate::patches::Patches;
 use crate::split::{SplitStats, split_long_edges};
@@ -42,29 +43,43 @@ pub fn built_in_dragon(cache: &Cache) -> Result<Model, SceneError> {
     cache.try_get_or_compute(&Key::new("dragon", 1), import)
 }
 
+/// What an importer makes, with what it has to say about it at every start.
+type Imported = (Model, Warnings);
+
 /// The model that an importer makes of a file and of those that the file refers to.
 ///
 /// # Errors
 /// The importer's.
-pub fn import(
+pub(crate) fn import(
     cache: &Cache,
     path: &Path,
-    importer: impl FnOnce(&Path) -> Result<Model, SceneError>,
+    importer: impl FnOnce(&Path) -> Result<Imported, SceneError>,
 ) -> Result<Model, SceneError> {
+    let (model, warnings) = imported(cache, path, importer)?;
+    import::tell(&warnings, &path.display().to_string());
+    Ok(model)
+}
+
+fn imported(
+    cache: &Cache,
+    path: &Path,
+    importer: impl FnOnce(&Path) -> Result<Imported, SceneError>,
+) -> Result<Imported, SceneError> {
     // A file that cannot be read is the importer's to complain about.
-    let Some(asset) = Asset::read(path).filter(|_| cache.folder().is_some()) else { return importer(path) };
+    let readable = if cache.folder().is_some() { Asset::read(path) } else { None };
+    let Some(asset) = readable else { return importer(path) };
     let known: Option<Vec<PathBuf>> = cache.find(&asset.files_key());
     let key = known
         .map(|files| asset.key(files.iter().map(|file| (file.as_path(), hash(&asset.folder.join(file))))));
-    if let Some(model) = key.and_then(|key| cache.find(&key)) {
+    if let Some(known) = key.and_then(|key| cache.find(&key)) {
         cache.count_hit();
-        return Ok(model);
+        return Ok(known);
     }
-    let (imported, notes) = limits::noting_files(|| importer(path));
-    let model = imported?;
+    let (result, notes) = limits::noting_files(|| importer(path));
+    let imported = result?;
     cache.count_miss();
-    asset.keep(cache, notes, &model);
-    Ok(model)
+    asset.keep(cache, notes, &imported);
+    Ok(imported)
 }
 
 /// A file to be imported.
@@ -96,7 +111,7 @@ impl Asset {
     }
 
     /// Keeps the model under the hashes of what the importer read, whatever the files hold by now.
-    fn keep(&self, cache: &Cache, notes: Vec<Note>, model: &Model) {
+    fn keep(&self, cache: &Cache, notes: Vec<Note>, imported: &Imported) {
         let (own, others): (Vec<Note>, Vec<Note>) =
             notes.into_iter().partition(|(path, _)| *path == self.path);
         if own.iter().any(|(_, hash)| *hash != Some(self.hash)) {
@@ -106,7 +121,7 @@ impl Asset {
         let others: Vec<Note> = others.into_iter().map(|(path, hash)| (inside(path), hash)).collect();
         let files: Vec<&Path> = others.iter().map(|(path, _)| path.as_path()).collect();
         cache.keep(&self.files_key(), &files);
-        cache.keep(&self.key(others.iter().map(|(path, hash)| (path.as_path(), *hash))), model);
+        cache.keep(&self.key(others.iter().map(|(path, hash)| (path.as_path(), *hash))), imported);
     }
 }
 
@@ -188,14 +203,16 @@ mod tests {
     use std::cell::Cell;
 
     /// An "asset": a file of the names of others; the model's bones are what all of them hold.
-    fn importer(calls: &Cell<u32>) -> impl Fn(&Path) -> Result<Model, SceneError> + '_ {
+    fn importer(calls: &Cell<u32>) -> impl Fn(&Path) -> Result<Imported, SceneError> + '_ {
         move |path| {
             calls.set(calls.get() + 1);
             let read =
                 |path: &Path| limits::read_limited(path).map(|bytes| String::from_utf8(bytes).unwrap());
             let own = read(path).map_err(|source| SceneError::Read { file: "own".into(), source })?;
-            let others = own.lines().map(|name| read(&path.with_file_name(name)).unwrap_or("missing".into()));
-            Ok(Model { name: [own.clone(), others.collect()].concat(), ..Model::default() })
+            let others =
+                own.lines().map(|name| read(&path.with_file_name(name)).unwrap_or_else(|_| "missing".into()));
+            let name = [own.clone(), others.collect()].concat();
+            Ok((Model { name, ..Model::default() }, Warnings::new()))
         }
     }
 

@@ -9,7 +9,7 @@ use crate::error::Fault;
 use crate::gltf::material::{check_factors, clamped};
 use crate::image::{self, Pixels};
 use crate::import::Warnings;
-use crate::limits::read_limited;
+use crate::limits::{is_file, read_limited};
 use crate::{Material, Texture, TextureSlot, Wrap};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -244,7 +244,7 @@ fn read(source: &ufbx::Texture, folder: Option<&Path>) -> Result<Vec<u8>, String
     let Some(folder) = folder else {
         return Err(format!("refers to the file '{name}', but the asset is not in a folder"));
     };
-    let found = candidates.iter().map(|path| folder.join(path)).find(|path| path.is_file());
+    let found = candidates.iter().map(|path| folder.join(path)).find(|path| is_file(path));
     let path = found.ok_or_else(|| format!("file '{name}' is not beside the asset"))?;
     read_limited(&path).map_err(|error| format!("file '{name}': {error}"))
 }
