@@ -15,6 +15,7 @@ use shadecast_protocol::limits::MAX_LIGHTS;
 use shadecast_scene::animation::bounds::{self, Bounds};
 use shadecast_scene::animation::pose;
 use shadecast_scene::animation::sampling::Sampling;
+use shadecast_scene::cache::Cache;
 use shadecast_scene::identity::{ContentHash, mesh_hash, texture_hash};
 use shadecast_scene::influences::units_of_weight;
 use shadecast_scene::patches::{Patch, Patches};
@@ -208,7 +209,20 @@ impl SceneGpu {
     /// # Errors
     /// Memory, or more textures than [`SCENE_TEXTURES`].
     pub fn new(gpu: &Arc<Gpu>, scene: Scene, options: &SceneOptions) -> Result<Self, GpuError> {
-        let manager = AnimationManager::new(&scene, options.sampling);
+        Self::cached(gpu, scene, options, &Cache::disabled())
+    }
+
+    /// As [`Self::new`], with clips that were sampled before taken from the cache.
+    ///
+    /// # Errors
+    /// Those of [`Self::new`].
+    pub fn cached(
+        gpu: &Arc<Gpu>,
+        scene: Scene,
+        options: &SceneOptions,
+        cache: &Cache,
+    ) -> Result<Self, GpuError> {
+        let manager = AnimationManager::new(&scene, options.sampling, cache);
         let mut arrays = Arrays::default();
         let mut textures = UniqueTextures::default();
         let models: Vec<ModelGpu> = scene

@@ -3,6 +3,7 @@
 //! Two steps, since the second depends on how large the scene shows the model: the import (files to curves, vertices
 //! and texels), and its [refinement](refine) (long edges split, coarser levels, patches).
 
+use crate::animation::sampling::{SampledClip, Sampling, sample};
 use crate::cache::{Cache, Key};
 use crate::error::SceneError;
 use crate::import::{self, Warnings};
@@ -186,9 +187,37 @@ pub fn refine(model: &mut Model, longest_edge_m: Option<f32>, loading: &Loading)
     refined.split
 }
 
+/// What sampling a clip looks at.
+#[derive(Serialize)]
+struct Unsampled<'a> {
+    #[serde(serialize_with = "bulk::serialize")]
+    vertices: &'a [Vertex],
+    morphs: &'a [Morph],
+    bones: &'a [Bone],
+    palette: &'a [PaletteEntry],
+    clip: Option<&'a Clip>,
+    sampling: Sampling,
+}
+
+/// A clip of the model (`None`: its rest pose) as [`sample`] makes it, through the cache.
+pub fn sampled(model: &Model, clip: Option<usize>, sampling: Sampling, cache: &Cache) -> SampledClip {
+    // A rest pose takes no time.
+    if cache.folder().is_none() || clip.is_none() {
+        return sample(model, clip, sampling);
+    }
+    let unsampled = Unsampled {
+        vertices: &model.vertices,
+        morphs: &model.morphs,
+        bones: &model.bones,
+        palette: &model.palette,
+        clip: clip.map(|clip| &model.clips[clip]),
+        sampling,
+    };
+    cache.get_or_compute(&Key::new("clip", 1).value(&unsampled), || sample(model, clip, sampling))
+}
+
 fn compute(source: &Model, longest_edge_m: Option<f32>, lods: bool) -> Refined {
-    // Textures and clips are the largest part; the first are not needed.
-    let mut model = Model { textures: Vec::new(), ..source.clone() };
+    let mut model = source.clone();
     let split = longest_edge_m.map(|longest_m| split_long_edges(&mut model, longest_m));
     model.lods = if lods { lod::build(&model) } else { Vec::new() };
     let patches = (0..=model.lods.len()).map(|level| Patches::build(model.triangles(level))).collect();

@@ -60,6 +60,7 @@ impl Surface {
     }
 
     /// Distance of a point, infinite where there is no triangle.
+    #[cfg(test)]
     pub fn distance(&self, point: Vec3) -> f32 {
         self.distance_above(point, 0.0)
     }

@@ -2,8 +2,10 @@
 //! and instances use it, as the arrays that the GPU reads. Pure; [`super::gpu`] owns the buffers.
 
 use glam::Affine3A;
-use shadecast_scene::animation::sampling::{KeyInterpolation, SampledClip, SampledTrack, Sampling, sample};
+use shadecast_scene::animation::sampling::{KeyInterpolation, SampledClip, SampledTrack, Sampling};
+use shadecast_scene::cache::Cache;
 use shadecast_scene::identity::{ContentHash, clip_hash, skeleton_hash};
+use shadecast_scene::process::sampled;
 use shadecast_scene::{Instance, Model, Scene};
 use shadecast_shaders::generated::{EntryGpu, PoseGpu, TrackGpu};
 use std::collections::HashMap;
@@ -81,8 +83,8 @@ pub struct PoseKey {
 }
 
 impl AnimationManager {
-    /// Samples every clip of the scene.
-    pub fn new(scene: &Scene, sampling: Sampling) -> Self {
+    /// Samples every clip of the scene, through the cache.
+    pub fn new(scene: &Scene, sampling: Sampling, cache: &Cache) -> Self {
         let mut manager = Self::default();
         let mut skeletons: HashMap<ContentHash, (usize, BoneOrder)> = HashMap::new();
         let mut clips: HashMap<(usize, ContentHash), usize> = HashMap::new();
@@ -94,7 +96,7 @@ impl AnimationManager {
             let stored = all.map(|clip| {
                 *clips
                     .entry((*skeleton, clip_hash(model, clip)))
-                    .or_insert_with(|| manager.add_clip(&sample(model, clip, sampling), order))
+                    .or_insert_with(|| manager.add_clip(&sampled(model, clip, sampling, cache), order))
             });
             let clips = stored.collect();
             manager.materials.push(AnimationMaterial { skeleton: *skeleton, clips });
