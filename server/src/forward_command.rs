@@ -112,7 +112,8 @@ fn samples(args: &ForwardArgs) -> vk::SampleCountFlags {
 }
 
 fn in_window(args: &ForwardArgs) -> anyhow::Result<()> {
-    let scene = load(&args.scene, &args.device)?;
+    let cache = args.device.cache.open();
+    let scene = load(&args.scene, &args.device, &cache)?;
     let viewpoint = Viewpoint::of(args, &scene)?;
     let stage_from_eye = viewpoint.stage_from_eye(args.start);
     let fov_deg = match (args.fov, &viewpoint) {
@@ -132,6 +133,7 @@ fn in_window(args: &ForwardArgs) -> anyhow::Result<()> {
         figures: !args.no_figures,
         screenshot: args.screenshot.clone(),
         scene: scene_options(&args.device),
+        cache,
         gpu: gpu_options(&args.device),
     };
     let stats = window::run(scene, options)?;
@@ -163,7 +165,7 @@ impl Output<'_> {
 
 fn to_files(args: &ForwardArgs, out: &Path) -> anyhow::Result<()> {
     let (extent, frames) = (args.size.unwrap_or(HEADLESS_EXTENT), args.frames.unwrap_or(1));
-    let (gpu, scene) = open(&args.scene, &args.device)?;
+    let (gpu, scene, start_up) = open(&args.scene, &args.device)?;
     let viewpoint = Viewpoint::of(args, &scene.scene)?;
     let mut output = if Video::is_asked_for(out) {
         Output::Video(Video::create(out, extent, args.fps, args.qp)?)
@@ -172,6 +174,7 @@ fn to_files(args: &ForwardArgs, out: &Path) -> anyhow::Result<()> {
         Output::Folder(out)
     };
     let mut renderer = Forward::with_samples(&gpu, &scene, extent, samples(args))?;
+    start_up.done("pipelines and buffers");
     let fov = viewpoint.fov(args.fov, extent);
     for frame in 0..frames {
         let time_s = args.start + f64::from(frame) / args.fps;

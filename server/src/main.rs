@@ -1,6 +1,7 @@
 //! The command line of the server.
 
 mod forward_command;
+mod start_up;
 
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
@@ -9,13 +10,16 @@ use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_protocol::limits::{ATLAS_DEFAULT_EXTENT, ATLAS_MAX_EXTENT};
 use shadecast_scene::Scene;
 use shadecast_scene::animation::sampling::Sampling;
+use shadecast_scene::cache::Cache;
 use shadecast_scene::generate;
-use shadecast_scene::load::{SceneSource, load_scene};
+use shadecast_scene::load::{SceneSource, load_scene_with};
+use shadecast_scene::process::Loading;
 use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
 use shadecast_server::stages::skin::Skinning;
 use shadecast_server::stream::{StreamOptions, run};
 use shadecast_transport::{LinkProfile, LinkSchedule};
+use start_up::{CacheArgs, StartUp};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -43,6 +47,7 @@ struct Cli {
 }
 
 #[derive(Subcommand)]
+#[expect(clippy::large_enum_variant, reason = "there is one, for a moment")]
 enum Command {
     /// Serves a scene to a client
     Stream(StreamArgs),
@@ -75,6 +80,8 @@ struct DeviceArgs {
     /// The sun casts no shadows, whatever the scene says
     #[arg(long)]
     no_shadows: bool,
+    #[command(flatten)]
+    cache: CacheArgs,
 }
 
 #[derive(Args)]
@@ -152,8 +159,8 @@ fn main() {
 }
 
 /// The scene as it is to be lit.
-fn load(scene: &str, args: &DeviceArgs) -> anyhow::Result<Scene> {
-    let mut scene = load_scene(&scene.parse::<SceneSource>()?)?;
+fn load(scene: &str, args: &DeviceArgs, cache: &Cache) -> anyhow::Result<Scene> {
+    let mut scene = load_scene_with(&scene.parse::<SceneSource>()?, &Loading::complete(cache.clone()))?;
     scene.sun.casts_shadows &= !args.no_shadows;
     Ok(scene)
 }
@@ -166,16 +173,20 @@ fn scene_options(args: &DeviceArgs) -> SceneOptions {
     SceneOptions { sampling: args.sampling, skinning: args.skinning }
 }
 
-fn open(scene: &str, args: &DeviceArgs) -> anyhow::Result<(Arc<Gpu>, Arc<SceneGpu>)> {
-    let scene = load(scene, args)?;
+fn open(scene: &str, args: &DeviceArgs) -> anyhow::Result<(Arc<Gpu>, Arc<SceneGpu>, StartUp)> {
+    let mut start_up = StartUp::new(args.cache.open());
+    let scene = load(scene, args, start_up.cache())?;
+    start_up.ended("scene");
     let gpu = Gpu::open(&gpu_options(args), &DesktopDevice)?;
     // Standard output may be where a video goes.
     eprintln!("Vulkan device: {}", gpu.device_name());
     if gpu.is_cpu() {
         eprintln!("warning: this device is a CPU; pictures are right, but slow");
     }
-    let scene = SceneGpu::new(&gpu, scene, &scene_options(args))?;
-    Ok((gpu, Arc::new(scene)))
+    start_up.ended("device");
+    let scene = SceneGpu::cached(&gpu, scene, &scene_options(args), start_up.cache())?;
+    start_up.ended("upload");
+    Ok((gpu, Arc::new(scene), start_up))
 }
 
 fn stream(args: &StreamArgs) -> anyhow::Result<()> {
@@ -197,7 +208,7 @@ fn stream(args: &StreamArgs) -> anyhow::Result<()> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("catching signals")?;
-    let (gpu, scene) = open(&args.scene, &args.device)?;
+    let (gpu, scene, _) = open(&args.scene, &args.device)?;
     let options = StreamOptions {
         listen: args.listen,
         identity: args.identity.clone(),

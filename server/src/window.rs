@@ -14,6 +14,7 @@ use shadecast_gpu::{
 };
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::Scene;
+use shadecast_scene::cache::Cache;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -56,6 +57,8 @@ pub struct WindowOptions {
     pub screenshot: Option<PathBuf>,
     /// How the scene is brought to the GPU.
     pub scene: SceneOptions,
+    /// Where sampled clips are kept.
+    pub cache: Cache,
     /// The device.
     pub gpu: GpuOptions,
 }
@@ -202,7 +205,7 @@ impl Shown {
         let gpu = Gpu::open(&options.gpu, &WindowDevice { display })?;
         // SAFETY: the window and, through the event loop, its display outlive the swapchain: fields drop in order.
         let swapchain = unsafe { Swapchain::new(&gpu, display, handle)? };
-        let scene = Arc::new(SceneGpu::new(&gpu, scene, &options.scene)?);
+        let scene = Arc::new(SceneGpu::cached(&gpu, scene, &options.scene, &options.cache)?);
         let forward = Forward::with_samples(&gpu, &scene, options.extent, options.samples)?;
         let mut present = Present::new(&gpu, swapchain.pass(), !swapchain.codes_srgb())?;
         present.show(forward.image())?;

@@ -11,6 +11,7 @@ use std::convert::Infallible;
 use std::ffi::OsString;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, SystemTime};
 
@@ -76,11 +77,16 @@ impl Key {
     }
 }
 
-/// A folder of results, or none at all.
-#[derive(Debug)]
+/// A folder of results, or none at all. Clones share their counts.
+#[derive(Clone, Debug)]
 pub struct Cache {
     folder: Option<PathBuf>,
     limit_bytes: u64,
+    counts: Arc<Counts>,
+}
+
+#[derive(Debug, Default)]
+struct Counts {
     hits: AtomicU32,
     misses: AtomicU32,
     /// Whether it was said that nothing can be written.
@@ -104,8 +110,7 @@ impl Cache {
     }
 
     fn with(folder: Option<PathBuf>, limit_bytes: u64) -> Self {
-        let count = || AtomicU32::new(0);
-        Self { folder, limit_bytes, hits: count(), misses: count(), has_warned: AtomicBool::new(false) }
+        Self { folder, limit_bytes, counts: Arc::default() }
     }
 
     /// Where the entries are.
@@ -115,7 +120,7 @@ impl Cache {
 
     /// Results so far that were found, and those that had to be computed.
     pub fn hits_and_misses(&self) -> (u32, u32) {
-        (self.hits.load(Ordering::Relaxed), self.misses.load(Ordering::Relaxed))
+        (self.counts.hits.load(Ordering::Relaxed), self.counts.misses.load(Ordering::Relaxed))
     }
 
     /// The result of this key: from the folder, or computed and then kept. Large arrays in it should be marked with
@@ -149,11 +154,11 @@ impl Cache {
     }
 
     pub(crate) fn count_hit(&self) {
-        self.hits.fetch_add(1, Ordering::Relaxed);
+        self.counts.hits.fetch_add(1, Ordering::Relaxed);
     }
 
     pub(crate) fn count_miss(&self) {
-        self.misses.fetch_add(1, Ordering::Relaxed);
+        self.counts.misses.fetch_add(1, Ordering::Relaxed);
     }
 
     /// The entry of this key, if it is whole.
@@ -187,7 +192,7 @@ impl Cache {
         let Some(folder) = &self.folder else { return };
         let written = write_entry(folder, key, value).and_then(|path| self.make_room(folder, &path));
         if let Err(error) = written
-            && !self.has_warned.swap(true, Ordering::Relaxed)
+            && !self.counts.has_warned.swap(true, Ordering::Relaxed)
         {
             let folder = folder.display();
             tracing::warn!("cache {folder}: {error}; the next start computes again what this one did");
