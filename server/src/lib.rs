@@ -6,6 +6,7 @@ pub mod camera;
 pub mod culling;
 pub mod encode;
 pub mod frame;
+pub mod inspect;
 pub mod levels;
 pub mod lights;
 pub mod picture;

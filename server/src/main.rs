@@ -15,6 +15,7 @@ use shadecast_scene::generate;
 use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
 use shadecast_server::encode::openh264::DEFAULT_QP;
+use shadecast_server::inspect::{self, InspectArgs};
 use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
 use shadecast_server::stages::skin::Skinning;
 use shadecast_server::stream::{StreamOptions, run};
@@ -37,6 +38,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
   shadecast-server forward dragon --out pictures --frames 8 --fps 8
   shadecast-server forward dragons:3 --out dragons.mp4 --frames 120 --size 1280x720
   shadecast-server forward dragons:3 --window
+  shadecast-server inspect dragon
+  shadecast-server inspect error fox.glb --spacing-ms 100
   shadecast-server generate dragon --out dragon.glb
 
 SCENE is dragon, dragons:N, dragons:NxMxK (a grid), a .glb, .gltf or .fbx file, or a scene description (.toml)."
@@ -53,6 +56,8 @@ enum Command {
     Stream(StreamArgs),
     /// Renders a scene with the ground-truth renderer: to PNG files, to a video, or in a window
     Forward(Box<forward_command::ForwardArgs>),
+    /// Says what is in a scene, what it takes, and how exact its animation is; needs no GPU
+    Inspect(InspectArgs),
     /// Writes a generated model
     Generate {
         /// What to generate: dragon
@@ -150,6 +155,7 @@ fn main() {
     let result = match Cli::parse().command {
         Command::Stream(args) => stream(&args),
         Command::Forward(args) => forward_command::forward(&args),
+        Command::Inspect(args) => inspect::run(&args).map(|text| print!("{text}")),
         Command::Generate { what, out } => generate_model(&what, &out),
     };
     if let Err(error) = result {

@@ -2,9 +2,11 @@
 //! and instances use it, as the arrays that the GPU reads. Pure; [`super::gpu`] owns the buffers.
 
 use glam::Affine3A;
-use shadecast_scene::animation::sampling::{KeyInterpolation, SampledClip, SampledTrack, Sampling};
+use shadecast_scene::animation::sampling::{
+    KeyInterpolation, SampledClip, SampledTrack, Sampling, world_scale,
+};
 use shadecast_scene::cache::Cache;
-use shadecast_scene::identity::{ContentHash, clip_hash, skeleton_hash};
+use shadecast_scene::identity::{ContentHash, clip_hash, mesh_hash, skeleton_hash};
 use shadecast_scene::process::sampled;
 use shadecast_scene::{Instance, Model, Scene};
 use shadecast_shaders::generated::{EntryGpu, PoseGpu, TrackGpu};
@@ -87,15 +89,18 @@ impl AnimationManager {
     pub fn new(scene: &Scene, sampling: Sampling, cache: &Cache) -> Self {
         let mut manager = Self::default();
         let mut skeletons: HashMap<ContentHash, (usize, BoneOrder)> = HashMap::new();
-        let mut clips: HashMap<(usize, ContentHash), usize> = HashMap::new();
-        for model in &scene.models {
+        let mut clips: HashMap<(usize, ContentHash, ContentHash, u32), usize> = HashMap::new();
+        for (index, model) in scene.models.iter().enumerate() {
+            // How exact a clip must be depends on the mesh that it moves and on the size at which that is drawn.
+            let (scale, mesh) = (world_scale(scene, index), mesh_hash(model));
+            let sampling = sampling.in_model(scale);
             let (skeleton, order) = skeletons
                 .entry(skeleton_hash(model))
                 .or_insert_with(|| (manager.skeletons.len(), manager.add_skeleton(model)));
             let all = std::iter::once(None).chain((0..model.clips.len()).map(Some));
             let stored = all.map(|clip| {
                 *clips
-                    .entry((*skeleton, clip_hash(model, clip)))
+                    .entry((*skeleton, clip_hash(model, clip), mesh, scale.to_bits()))
                     .or_insert_with(|| manager.add_clip(&sampled(model, clip, sampling, cache), order))
             });
             let clips = stored.collect();

@@ -2,6 +2,7 @@
 
 pub mod bounds;
 pub mod clip;
+pub mod error;
 pub mod pose;
 pub mod sampling;
 #[cfg(test)]

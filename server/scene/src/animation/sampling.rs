@@ -14,8 +14,9 @@ pub(crate) mod source;
 pub use parse::SamplingError;
 use source::Source;
 
-use crate::{Model, Path, Trs};
-use glam::{Quat, Vec4};
+use crate::cache::{Cache, Key};
+use crate::{Model, Path, Scene, Trs};
+use glam::{Affine3A, Quat, Vec3A, Vec4};
 use serde::{Deserialize, Serialize};
 
 /// Interval of constant sampling where none is given, seconds: the paper's.
@@ -48,6 +49,18 @@ pub enum Sampling {
 }
 
 impl Sampling {
+    /// The same for a model that is drawn so many times as large as it is: distances in the world become distances in
+    /// the model.
+    #[must_use]
+    pub fn in_model(self, world_scale: f32) -> Self {
+        match self {
+            Self::ErrorBounded { bound_m, range_share } if world_scale > 0.0 && world_scale.is_finite() => {
+                Self::ErrorBounded { bound_m: bound_m / world_scale, range_share }
+            }
+            other => other,
+        }
+    }
+
     /// Error-bounded by vertices alone.
     pub fn bounded(bound_m: f32) -> Self {
         Self::ErrorBounded { bound_m, range_share: 1.0 }
@@ -207,6 +220,28 @@ pub fn sample(model: &Model, clip: Option<usize>, sampling: Sampling) -> Sampled
         Sampling::Constant { interval_s } => constant(model, clip, interval_s),
         Sampling::ErrorBounded { bound_m, range_share } => bounded::sample(model, clip, bound_m, range_share),
     }
+}
+
+/// The scale at which a model's largest instance is drawn; 1 for a model without instances.
+pub fn world_scale(scene: &Scene, model: usize) -> f32 {
+    let placed = scene.instances.iter().filter(|instance| instance.model == model);
+    let largest = placed.map(|instance| longest_axis(&instance.placement)).fold(0.0, f32::max);
+    if largest > 0.0 { largest } else { 1.0 }
+}
+
+/// The length of a transform's longest axis.
+pub(crate) fn longest_axis(matrix: &Affine3A) -> f32 {
+    let m = matrix.matrix3;
+    [m.x_axis, m.y_axis, m.z_axis].map(Vec3A::length).into_iter().fold(0.0, f32::max)
+}
+
+/// As [`sample`], found in the cache where it was made before: error-bounded sampling may take seconds.
+pub fn sample_cached(cache: &Cache, model: &Model, clip: Option<usize>, sampling: Sampling) -> SampledClip {
+    let vertices: Vec<_> = model.vertices.iter().map(|v| (v.position, v.joints, v.weights)).collect();
+    let clips = clip.map(|clip| &model.clips[clip]);
+    let key = Key::new("clip", 1).value(&sampling).value(&clips);
+    let key = key.value(&model.bones).value(&model.palette).value(&model.morphs).value(&vertices);
+    cache.get_or_compute(&key, || sample(model, clip, sampling))
 }
 
 /// Samples the movement of something whose largest distance from the path's origin is `reach_m`: a clip of one bone.

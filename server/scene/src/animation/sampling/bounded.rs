@@ -16,10 +16,10 @@ use super::curve::Curve;
 use super::fit::fit;
 use super::probe::{Moment, distances};
 use super::source::{Source, Sources};
-use super::{SampledClip, SampledTrack};
+use super::{SampledClip, SampledTrack, longest_axis};
 use crate::animation::pose;
 use crate::{Model, Morph, MorphDelta, Trs, Vertex};
-use glam::{Affine3A, Vec3, Vec3A};
+use glam::{Affine3A, Vec3};
 use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
 
@@ -473,10 +473,11 @@ impl<'a> ArmFinder<'a> {
         let mut largest_scale = 0.0f32;
         for (locals, globals, palette) in &self.poses {
             let blended = pose::blend(palette, vertex.joints, vertex.weights);
-            largest_scale = largest_scale.max(stretch(&blended));
+            largest_scale = largest_scale.max(longest_axis(&blended));
             let place = blended.transform_point3a(vertex.position.into());
             for ((bone, share), arms_m) in shares.iter().zip(&mut arms_m) {
-                let parent = self.model.bones[*bone].parent.map_or(1.0, |p| stretch(&globals[p as usize]));
+                let parent =
+                    self.model.bones[*bone].parent.map_or(1.0, |p| longest_axis(&globals[p as usize]));
                 let arm_m = share * place.distance(globals[*bone].translation);
                 let scale = locals[*bone].scale.abs().min_element().max(1e-3);
                 let now_m = [share * parent, arm_m, arm_m / scale];
@@ -510,12 +511,6 @@ fn shares(model: &Model, vertex: &Vertex) -> Vec<(usize, f32)> {
         }
     }
     shares
-}
-
-/// The longest of the axes.
-fn stretch(matrix: &Affine3A) -> f32 {
-    let m = matrix.matrix3;
-    [m.x_axis, m.y_axis, m.z_axis].map(Vec3A::length).into_iter().fold(0.0, f32::max)
 }
 
 #[cfg(test)]

@@ -165,3 +165,21 @@ fn wrong_sampling_says_what_is_accepted() {
     let error = "constnt".parse::<Sampling>().expect_err("misspelt").to_string();
     assert!(error.contains("did you mean"), "{error}");
 }
+
+#[test]
+fn model_drawn_small_may_err_more_and_the_cache_remembers() {
+    let bound = |sampling: Sampling| match sampling {
+        Sampling::ErrorBounded { bound_m, .. } => bound_m,
+        Sampling::Constant { .. } => 0.0,
+    };
+    assert_eq!(bound(Sampling::bounded(1e-4).in_model(0.01)), 1e-2);
+    let mut rng = SmallRng::seed_from_u64(6);
+    let model = one_bone(random_track(&mut rng, 0, Interpolation::Linear, 1));
+    let folder = tempfile::tempdir().expect("a folder");
+    let cache = Cache::new(folder.path());
+    let sampled = [0, 1].map(|_| sample_cached(&cache, &model, Some(0), Sampling::default()));
+    assert_eq!(sampled[0], sampled[1]);
+    assert_eq!(cache.hits_and_misses(), (1, 1));
+    sample_cached(&cache, &model, Some(0), Sampling::bounded(1e-3));
+    assert_eq!(cache.hits_and_misses(), (1, 2));
+}
