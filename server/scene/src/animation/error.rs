@@ -18,7 +18,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 
 /// Most times at which vertices are compared; evenly fewer keys where there are more.
-const MAX_VERTEX_TIMES: usize = 256;
+const MAX_VERTEX_TIMES: usize = 1024;
 /// Where the grid of the client's samples may lie, in parts of its spacing.
 const PHASES: [f64; 4] = [0.0, 0.25, 0.5, 0.75];
 /// Distance at which millimetres become pixels, metres.
@@ -289,15 +289,12 @@ impl Grid {
 
     fn value(&self, entry: &Entry, t_s: f64) -> Option<Vec4> {
         let (first, weights) = self.place(t_s);
-        let mut sum = Vec4::ZERO;
-        for (_, at_s, weight) in self.used(first, weights)? {
-            let value = entry.track.evaluate(at_s);
-            let is_far = entry.curve.is_rotation && value.dot(sum) * weight < 0.0;
-            sum += value * if is_far { -weight } else { weight };
-        }
-        // Which of its two signs a rotation has is of no account.
+        // Which of its two signs a rotation has is of no account: that of the truth.
         let truth = entry.curve.values[entry.curve.times_s.partition_point(|t| f64::from(*t) < t_s)];
-        Some(if entry.curve.is_rotation && sum.dot(truth) < 0.0 { -sum } else { sum })
+        let aligned =
+            |value: Vec4| if entry.curve.is_rotation && value.dot(truth) < 0.0 { -value } else { value };
+        let used = self.used(first, weights)?;
+        Some(used.into_iter().map(|(_, at_s, weight)| aligned(entry.track.evaluate(at_s)) * weight).sum())
     }
 }
 
