@@ -9,9 +9,10 @@ use clap::{Args, Subcommand};
 use serde::Serialize;
 use shadecast_protocol::limits::SAMPLE_RING;
 use shadecast_scene::animation::sampling::{self, Sampling};
+use shadecast_scene::cache::Cache;
 use shadecast_scene::identity::{mesh_hash, texture_hash};
-use shadecast_scene::load::{SceneSource, load_scene};
-use shadecast_scene::patches::{PatchReport, Patches};
+use shadecast_scene::load::{SceneSource, load_scene_with};
+use shadecast_scene::process::Loading;
 use shadecast_scene::{Model, Scene, Texture, mips};
 use shadecast_shaders::generated::{FrameGpu, MaterialGpu, MorphDeltaGpu, PatchGpu, PoseGpu, VertexGpu};
 use std::collections::HashSet;
@@ -68,7 +69,9 @@ fn load(argument: &str) -> anyhow::Result<(Scene, Vec<String>)> {
     let source = argument.parse::<SceneSource>()?;
     let collector = Collector::default();
     let subscriber = tracing_subscriber::registry().with(collector.clone());
-    let scene = tracing::subscriber::with_default(subscriber, || load_scene(&source))?;
+    let scene = tracing::subscriber::with_default(subscriber, || {
+        load_scene_with(&source, &Loading::complete(Cache::of_user()))
+    })?;
     let warnings = collector.0.lock().expect("no panic while loading").clone();
     Ok((scene, warnings))
 }
@@ -148,14 +151,16 @@ struct ClipReport {
 struct LodReport {
     triangles: usize,
     error_m: f32,
+    patches: PatchesReport,
 }
 
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 struct PatchesReport {
     single: usize,
     pairs: usize,
     triples: usize,
     mean_waste: f32,
+    mean_stretch: f32,
 }
 
 #[derive(Serialize)]
@@ -224,14 +229,30 @@ fn named(what: &str, names: &[String]) -> String {
     if names.is_empty() { String::new() } else { format!("{what}: {}\n", names.join(", ")) }
 }
 
+impl PatchesReport {
+    fn new(model: &Model, level: usize) -> Self {
+        let report = model.patches_of(level).report(&model.vertices);
+        let [single, pairs, triples] = report.count_by_kind;
+        Self { single, pairs, triples, mean_waste: report.mean_waste, mean_stretch: report.mean_stretch }
+    }
+
+    fn text(&self) -> String {
+        let Self { single, pairs, triples, mean_waste, mean_stretch } = self;
+        format!(
+            "{single} of one triangle, {pairs} of two, {triples} of three; area {mean_waste:.2} times the triangles', stretch {mean_stretch:.2}"
+        )
+    }
+}
+
 impl ModelReport {
     fn new(scene: &Scene, index: usize, sampling: Sampling) -> Self {
         let model = &scene.models[index];
         let own = sampling.in_model(sampling::world_scale(scene, index));
-        let PatchReport { count_by_kind: [single, pairs, triples], mean_waste } =
-            Patches::build(model).report(model);
-        let lod =
-            |lod: &shadecast_scene::Lod| LodReport { triangles: lod.indices.len() / 3, error_m: lod.error_m };
+        let lod = |(level, lod): (usize, &shadecast_scene::Lod)| LodReport {
+            triangles: lod.indices.len() / 3,
+            error_m: lod.error_m,
+            patches: PatchesReport::new(model, level + 1),
+        };
         Self {
             name: model.name.clone(),
             instances: scene.instances.iter().filter(|instance| instance.model == index).count(),
@@ -241,8 +262,8 @@ impl ModelReport {
             palette_entries: model.palette.len(),
             morphs: model.morphs.len(),
             clips: (0..model.clips.len()).map(|clip| ClipReport::new(model, clip, own)).collect(),
-            lods: model.lods.iter().map(lod).collect(),
-            patches: PatchesReport { single, pairs, triples, mean_waste },
+            lods: model.lods.iter().enumerate().map(lod).collect(),
+            patches: PatchesReport::new(model, 0),
             materials: model.materials.iter().map(|material| material.name.clone()).collect(),
             textures: model.textures.iter().map(TextureReport::new).collect(),
             lights: model.lights.iter().map(|placed| placed.light.name.clone()).collect(),
@@ -260,12 +281,14 @@ impl ModelReport {
             self.palette_entries,
             self.morphs
         );
-        let PatchesReport { single, pairs, triples, mean_waste } = &self.patches;
-        text += &format!(
-            "  patches: {single} of one triangle, {pairs} of two, {triples} of three; area {mean_waste:.2} times the triangles'\n"
-        );
+        text += &format!("  patches: {}\n", self.patches.text());
         for (level, lod) in (1..).zip(&self.lods) {
-            text += &format!("  level {level}: {} triangles, {:.2} mm\n", lod.triangles, lod.error_m * 1e3);
+            let LodReport { triangles, error_m, patches } = lod;
+            let patches = patches.text();
+            text += &format!(
+                "  level {level}: {triangles} triangles, {:.2} mm; patches: {patches}\n",
+                error_m * 1e3
+            );
         }
         for texture in &self.textures {
             let TextureReport { name, width, height, bytes: size, .. } = texture;
@@ -360,7 +383,7 @@ fn memory(scene: &Scene, sampling: Sampling) -> Vec<MemoryPart> {
         scene.instances.iter().map(|instance| (size * count(&scene.models[instance.model])) as u64).sum()
     };
     let deltas = |model: &Model| model.morphs.iter().map(|morph| morph.deltas.len()).sum();
-    let patches: usize = meshes.iter().map(|model| Patches::build(model).patches.len()).sum();
+    let patches: usize = meshes.iter().map(|model| model.patches_of(0).patches.len()).sum();
     let materials: usize = scene.models.iter().map(|model| model.materials.len()).sum();
     let part = |part, shared, bytes| MemoryPart { part, shared, bytes };
     let ring = SAMPLE_RING as usize;
@@ -372,7 +395,11 @@ fn memory(scene: &Scene, sampling: Sampling) -> Vec<MemoryPart> {
         part("morph targets", true, total(size_of::<MorphDeltaGpu>(), &deltas)),
         part("materials", true, (size_of::<MaterialGpu>() * materials) as u64),
         part("textures", true, textures.map(texture_bytes).sum()),
-        part("skeletons and clips", true, AnimationManager::new(scene, sampling).arrays.bytes()),
+        part(
+            "skeletons and clips",
+            true,
+            AnimationManager::new(scene, sampling, &Cache::of_user()).arrays.bytes(),
+        ),
         part("poses", false, (size_of::<PoseGpu>() * scene.instances.len()) as u64),
         part("bone transforms", false, instanced(48, &|model| model.bones.len())),
         part("palettes", false, instanced(48, &|model| model.palette.len())),

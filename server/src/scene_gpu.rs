@@ -18,7 +18,7 @@ use shadecast_scene::animation::sampling::Sampling;
 use shadecast_scene::cache::Cache;
 use shadecast_scene::identity::{ContentHash, mesh_hash, texture_hash};
 use shadecast_scene::influences::units_of_weight;
-use shadecast_scene::patches::{Patch, Patches};
+use shadecast_scene::patches::Patch;
 use shadecast_scene::{Instance, Material, Model, Scene, Texture, TextureSlot, Vertex, Wrap};
 use shadecast_shaders::generated::{MaterialGpu, MorphDeltaGpu, PackedVertexGpu, PatchGpu, VertexGpu};
 use std::collections::HashMap;
@@ -340,8 +340,7 @@ impl Arrays {
     }
 
     fn add_mesh(&mut self, model: &Model, skinning: Skinning) -> MeshGpu {
-        // Models that did not come through the loader have none yet.
-        let patches = model.patches.first().cloned().unwrap_or_else(|| Patches::build(model.triangles(0)));
+        let patches = model.patches_of(0).into_owned();
         let (packed_base, packed_ends) = match skinning {
             Skinning::Packed => self.add_packed(model),
             _ => (0, [0; 4]),

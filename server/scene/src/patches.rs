@@ -7,6 +7,7 @@ use crate::{Material, Model, Primitive, Vertex};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use shadecast_protocol::atlas::PatchKind;
+use std::borrow::Cow;
 use std::collections::HashMap;
 
 /// Groups that bend more than this (cosine between face normals) stay apart: one rectangle cannot stand for them.
@@ -127,6 +128,14 @@ impl Patches {
 }
 
 impl Model {
+    /// The patches of a level of detail: those made at load, or made now for a model that did not come through it.
+    pub fn patches_of(&self, level: usize) -> Cow<'_, Patches> {
+        match self.patches.get(level) {
+            Some(patches) => Cow::Borrowed(patches),
+            None => Cow::Owned(Patches::build(self.triangles(level))),
+        }
+    }
+
     /// The triangles of a level of detail: 0 is the full one, `n` is `lods[n - 1]`.
     pub fn triangles(&self, level: usize) -> Triangles<'_> {
         let (indices, primitives) = match level.checked_sub(1).map(|lod| &self.lods[lod]) {

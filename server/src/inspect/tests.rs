@@ -64,7 +64,7 @@ fn documented_keys_of_inspect_are_those_emitted() {
         Sampling::Constant { interval_s: 0.5 },
         vec!["a warning".into()],
     );
-    report.models[0].lods.push(LodReport { triangles: 1, error_m: 0.1 });
+    report.models[0].lods.push(LodReport { triangles: 1, error_m: 0.1, patches: PatchesReport::default() });
     let mut found = BTreeSet::new();
     keys(&serde_json::to_value(&report).expect("JSON"), &mut found);
     assert_eq!(found, documented(1));
