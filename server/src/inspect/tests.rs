@@ -1,6 +1,7 @@
 use super::*;
 use clap::Parser;
 use serde_json::Value;
+use shadecast_scene::load::load_scene;
 use std::collections::BTreeSet;
 
 #[derive(Parser)]

@@ -4,12 +4,11 @@ use glam::Vec3;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
-use shadecast_scene::animation::clip;
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_scene::{
     Bone, Instance, Material, Model, PaletteEntry, Primitive, Texture, TextureSlot, Trs, Vertex, Wrap,
 };
-use shadecast_server::scene_gpu::SceneGpu;
+use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
 use shadecast_server::stages::forward::{Forward, Truth};
 use std::sync::Arc;
 
@@ -61,7 +60,7 @@ fn picture(model: Model) -> Truth {
     let mut scene = load_scene(&SceneSource::Dragons(1)).unwrap();
     scene.instances = vec![Instance::new("square", 0)];
     scene.models = vec![model];
-    let scene = SceneGpu::new(&gpu, scene, clip::DEFAULT_RESAMPLE_INTERVAL_S).unwrap();
+    let scene = SceneGpu::new(&gpu, scene, &SceneOptions::default()).unwrap();
     let mut forward = Forward::new(&gpu, &Arc::new(scene), [SIDE; 2]).unwrap();
     let eye = Pose { position: Vec3::new(0.3, 0.2, 1.6), ..Pose::IDENTITY };
     let truth = forward.render(eye, Fov::symmetric_degrees(90.0), ServerTime(0)).unwrap();
