@@ -50,7 +50,6 @@ struct Cli {
 }
 
 #[derive(Subcommand)]
-#[expect(clippy::large_enum_variant, reason = "there is one, for a moment")]
 enum Command {
     /// Serves a scene to a client
     Stream(StreamArgs),
