@@ -1,6 +1,7 @@
 //! What every importer's models are held to in tests and by fuzz targets, whatever the file was.
 
-use crate::animation::{clip, pose};
+use crate::animation::pose;
+use crate::animation::sampling::{Sampling, sample};
 use crate::{Interpolation, Model, TrackValues};
 use glam::{Affine3A, Vec3};
 
@@ -126,10 +127,9 @@ fn assert_morphs_sound(model: &Model, context: &str) {
 pub fn exercise(model: &Model) {
     for clip in (0..model.clips.len()).map(Some).chain([None]) {
         let duration_s = clip.map_or(1.0, |clip| model.clips[clip].duration_s);
-        let resampled = clip::resample(model, clip, (duration_s / 4.0).max(1e-3));
-        let locals = pose::local_pose(&resampled, model.bones.len(), 0.3);
-        let palette = pose::palette(model, &pose::global_pose(model, &locals));
-        let vertices = pose::morphed(model, &pose::source_morph_weights(model, clip, 0.3));
+        let sampled = sample(model, clip, Sampling::Constant { interval_s: (duration_s / 4.0).max(1e-3) });
+        let palette = pose::palette(model, &pose::global_pose(model, &sampled.local_pose(0.3)));
+        let vertices = pose::morphed(model, &sampled.morph_weights(0.3));
         assert_eq!(pose::skin(&vertices, &palette, Affine3A::IDENTITY).len(), model.vertices.len());
         pose::animated_vertices(model, clip);
     }

@@ -1,30 +1,7 @@
-//! Source curves evaluated exactly, and clips resampled at a constant interval, which is what the GPU reads.
+//! Source curves, evaluated exactly as their formats define them.
 
 use crate::{Interpolation, Model, MorphTrack, Repetition, Track, TrackValues, Trs};
 use glam::{Quat, Vec3, Vec4};
-
-/// Default spacing of resampled keys, seconds. Linear interpolation over an interval `h` misses the top of a sine of
-/// frequency `f` by `(1 - cos(pi f h)) / 2` of its range: 2.45 % for 1 Hz at 100 ms (the paper's interval), 0.07 % at
-/// 1/60 s, which is below a quarter pixel at arm's length. 1/60 s is also the interval of most authored clips, so
-/// that their keys are hit. A 4 s clip of 136 bones is then 1.3 MB.
-pub const DEFAULT_RESAMPLE_INTERVAL_S: f32 = 1.0 / 60.0;
-
-/// Most transforms in one resampled clip (40 bytes each). Longer clips get a longer interval instead.
-pub const MAX_RESAMPLED_TRANSFORMS: usize = 1 << 24;
-
-/// A clip of one model at a constant interval, every bone at every sample.
-#[derive(Clone, Debug)]
-pub struct ResampledClip {
-    /// Seconds between samples: the interval asked for, shortened so that a whole number fits the duration.
-    pub interval_s: f32,
-    /// Number of samples, at least 2. Sample 0 is the clip's start, sample `count - 1` its end.
-    pub count: u32,
-    /// Sample-major: `sample * bone_count + bone`. A bone's rotations at neighbouring samples have a dot product of
-    /// at least zero, so that they can be interpolated componentwise.
-    pub samples: Vec<Trs>,
-    /// Length of the clip in seconds, `interval_s * (count - 1)`; 0 for a rest pose.
-    pub duration_s: f32,
-}
 
 /// The value of a curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,54 +33,6 @@ pub fn clip_phase(time_s: f64, duration_s: f32, repetition: Repetition) -> f64 {
         Repetition::PingPong => {
             let phase = wrapped(2.0 * duration_s);
             if phase <= duration_s { phase } else { 2.0 * duration_s - phase }
-        }
-    }
-}
-
-/// Resamples a clip of the model, or its rest pose for `None`. `interval_s` must be positive; the interval used is
-/// shorter, unless the clip is so long that [`MAX_RESAMPLED_TRANSFORMS`] makes it longer.
-pub fn resample(model: &Model, clip: Option<usize>, interval_s: f32) -> ResampledClip {
-    assert!(interval_s > 0.0, "resampling interval {interval_s} s");
-    let duration_s = model.duration_s(clip);
-    if duration_s <= 0.0 {
-        let pose = source_pose(model, clip, 0.0);
-        return ResampledClip {
-            interval_s,
-            count: 2,
-            samples: [pose.clone(), pose].concat(),
-            duration_s: 0.0,
-        };
-    }
-    let intervals = interval_count(duration_s, interval_s, model.bones.len());
-    let step_s = f64::from(duration_s) / f64::from(intervals);
-    let mut samples = Vec::with_capacity((intervals as usize + 1) * model.bones.len());
-    for sample in 0..=intervals {
-        // The last sample is the clip's end, not the start that looping would make of it.
-        samples.extend(source_pose(model, clip, f64::from(sample) * step_s));
-    }
-    align_hemispheres(&mut samples, model.bones.len());
-    ResampledClip { interval_s: step_s as f32, count: intervals + 1, samples, duration_s }
-}
-
-fn interval_count(duration_s: f32, interval_s: f32, bone_count: usize) -> u32 {
-    // A thousandth of an interval of slack: 4 s are 240 sixtieths, not 241, whatever f32 makes of 1/60.
-    let wanted = (f64::from(duration_s) / f64::from(interval_s) - 1e-3).ceil().max(1.0);
-    let limit = (MAX_RESAMPLED_TRANSFORMS / bone_count.max(1)).saturating_sub(1).max(1);
-    if wanted > limit as f64 {
-        tracing::warn!(
-            "clip of {duration_s} s is resampled at {} s instead of {interval_s} s",
-            duration_s / limit as f32
-        );
-    }
-    wanted.min(limit as f64) as u32
-}
-
-fn align_hemispheres(samples: &mut [Trs], bone_count: usize) {
-    for index in bone_count..samples.len() {
-        let previous = samples[index - bone_count].rotation;
-        let rotation = &mut samples[index].rotation;
-        if previous.dot(*rotation) < 0.0 {
-            *rotation = -*rotation;
         }
     }
 }
@@ -269,9 +198,8 @@ pub fn morph_track_varies(track: &MorphTrack) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::animation::test_models::{INTERPOLATIONS, one_bone, random_track};
+    use crate::animation::test_models::{INTERPOLATIONS, random_track};
     use rand::{SeedableRng, rngs::SmallRng};
-    use std::f64::consts::{PI, TAU};
 
     /// The stored value of a key.
     fn key_value(track: &Track, key: usize) -> TrackValue {
@@ -355,65 +283,6 @@ mod tests {
     }
 
     #[test]
-    fn resampled_neighbours_lie_in_one_hemisphere() {
-        let mut rng = SmallRng::seed_from_u64(2);
-        for case in 0..100 {
-            let model = one_bone(random_track(&mut rng, 0, INTERPOLATIONS[case % 3], 1));
-            let clip = resample(&model, Some(0), 0.03);
-            for pair in clip.samples.windows(2) {
-                assert!(pair[0].rotation.dot(pair[1].rotation) >= 0.0, "seed 2, case {case}");
-            }
-        }
-    }
-
-    #[test]
-    fn samples_lie_on_the_source_curve_and_the_last_is_the_clips_end() {
-        let mut rng = SmallRng::seed_from_u64(3);
-        for case in 0..100 {
-            let model = one_bone(random_track(&mut rng, 0, INTERPOLATIONS[case % 3], 0));
-            let clip = resample(&model, Some(0), 0.05);
-            assert!(clip.interval_s <= 0.05 * 1.01, "seed 3, case {case}");
-            let end = f64::from(clip.interval_s) * f64::from(clip.count - 1);
-            assert!((end - f64::from(clip.duration_s)).abs() < 1e-4, "seed 3, case {case}: {end}");
-            for (sample, trs) in clip.samples.iter().enumerate() {
-                let t = f64::from(clip.duration_s) / f64::from(clip.count - 1) * sample as f64;
-                assert_eq!(*trs, source_pose(&model, Some(0), t)[0], "seed 3, case {case}, sample {sample}");
-            }
-        }
-    }
-
-    #[test]
-    fn four_seconds_are_240_sixtieths() {
-        let values = TrackValues::Translation(vec![Vec3::ZERO, Vec3::X]);
-        let track = Track { bone: 0, times_s: vec![0.0, 4.0], interpolation: Interpolation::Linear, values };
-        let clip = resample(&one_bone(track), Some(0), DEFAULT_RESAMPLE_INTERVAL_S);
-        assert_eq!((clip.count, clip.samples.len()), (241, 241));
-    }
-
-    #[test]
-    fn rest_pose_and_clip_without_duration_have_two_equal_samples() {
-        let values = TrackValues::Translation(vec![Vec3::X]);
-        let track = Track { bone: 0, times_s: vec![0.0], interpolation: Interpolation::Step, values };
-        let model = one_bone(track);
-        for (clip, expected) in [(None, Vec3::ZERO), (Some(0), Vec3::X)] {
-            let clip = resample(&model, clip, 0.1);
-            assert_eq!((clip.count, clip.duration_s), (2, 0.0));
-            assert!(clip.samples.iter().all(|trs| trs.translation == expected));
-        }
-    }
-
-    #[test]
-    fn very_long_clip_is_resampled_more_coarsely_instead_of_filling_memory() {
-        let values = TrackValues::Translation(vec![Vec3::ZERO, Vec3::X]);
-        let track =
-            Track { bone: 0, times_s: vec![0.0, 86_400.0], interpolation: Interpolation::Linear, values };
-        let mut model = one_bone(track);
-        model.bones = vec![model.bones[0].clone(); 4096];
-        let clip = resample(&model, Some(0), 1e-3);
-        assert!(clip.samples.len() <= MAX_RESAMPLED_TRANSFORMS);
-    }
-
-    #[test]
     fn once_holds_its_ends_and_ping_pong_comes_back() {
         let at = |time_s, repetition| clip_phase(time_s, 4.0, repetition);
         assert_eq!([-1.0, 1.0, 9.0].map(|t| at(t, Repetition::Once)), [0.0, 1.0, 4.0]);
@@ -432,40 +301,6 @@ mod tests {
         assert_eq!(clip_phase(5.0, 0.0, Repetition::Loop), 0.0);
         assert_eq!(clip_phase(f64::NAN, 4.0, Repetition::Loop), 0.0);
         assert!((clip_phase(604_800.0 + 1.25, 4.0, Repetition::Loop) - 1.25).abs() < 1e-6);
-    }
-
-    /// Largest error of linear interpolation of `40 sin(2 pi t)` degrees between samples, in parts of its range.
-    fn sine_error(interval_s: f32) -> f64 {
-        let angle = |t: f64| 40f64.to_radians() * (TAU * t).sin();
-        // Source keys 64 times denser than the samples: what they miss is 1/4096 of what is measured.
-        let keys = (64.0 * 4.0 / f64::from(interval_s)).round() as u32;
-        let times_s: Vec<f32> = (0..=keys).map(|key| 4.0 * key as f32 / keys as f32).collect();
-        let turn = |time: &f32| Quat::from_rotation_x(angle(f64::from(*time)) as f32);
-        let values = TrackValues::Rotation(times_s.iter().map(turn).collect());
-        let model = one_bone(Track { bone: 0, times_s, interpolation: Interpolation::Linear, values });
-        let clip = resample(&model, Some(0), interval_s);
-        let error = |step: i32| {
-            let t = f64::from(step) * 1e-3;
-            let found = super::super::pose::local_pose(&clip, 1, t)[0].rotation;
-            let found = 2.0 * f64::from(found.x).atan2(f64::from(found.w));
-            (found - angle(t)).abs()
-        };
-        (0..4000).map(error).fold(0.0, f64::max) / 80f64.to_radians()
-    }
-
-    #[test]
-    fn resampling_a_sine_errs_by_what_the_formula_says() {
-        for interval_s in [0.1, 1.0 / 30.0, DEFAULT_RESAMPLE_INTERVAL_S] {
-            let predicted = (1.0 - (PI * f64::from(interval_s)).cos()) / 2.0;
-            let measured = sine_error(interval_s);
-            eprintln!(
-                "1 Hz, +-40 degrees, every {:.1} ms: {:.4} % of range measured, {:.4} % predicted",
-                interval_s * 1e3,
-                measured * 100.0,
-                predicted * 100.0
-            );
-            assert!((measured / predicted - 1.0).abs() < 0.03, "{measured} instead of {predicted}");
-        }
     }
 
     #[test]

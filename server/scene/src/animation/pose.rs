@@ -1,11 +1,7 @@
-//! CPU twin of the GPU's animation stages: local pose, bone palette, skinning; and the same from the source curves,
-//! which is the truth that both are measured against.
-//!
-//! Rotations between samples are interpolated componentwise and normalised (nlerp). Against the true arc of angle `a`
-//! this errs by at most `0.0040 a^3` radians: at the default interval a joint that swings +-40 degrees at 1 Hz turns
-//! by at most 4.2 degrees between samples, and the error is 0.0001 degrees.
+//! CPU twin of the GPU's animation stages: bone palette, morph targets, skinning; and the same from the source curves,
+//! which is the truth that both are measured against. Local poses come from [`super::sampling`] or [`source_pose`].
 
-use super::clip::{self, ResampledClip};
+use super::clip;
 use crate::{Model, Trs, Vertex};
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
 use std::borrow::Cow;
@@ -21,32 +17,6 @@ pub struct SkinnedVertex {
     pub normal: Vec3,
     /// xyz unit length, w the sign of the bitangent.
     pub tangent: [f32; 4],
-}
-
-/// The local transforms of all bones `t_s` seconds into the clip, clamped: translation and scale linear, rotation
-/// nlerp along the shorter arc.
-pub fn local_pose(clip: &ResampledClip, bone_count: usize, t_s: f64) -> Vec<Trs> {
-    let (sample, fraction) = sample_at(clip, t_s);
-    let from = &clip.samples[sample * bone_count..][..bone_count];
-    let to = &clip.samples[(sample + 1) * bone_count..][..bone_count];
-    from.iter().zip(to).map(|(from, to)| interpolate(from, to, fraction)).collect()
-}
-
-/// The sample before a time, never the last one, and the fraction of an interval since, 0 to 1.
-pub fn sample_at(clip: &ResampledClip, t_s: f64) -> (usize, f32) {
-    let position = t_s.clamp(0.0, f64::from(clip.duration_s)) / f64::from(clip.interval_s);
-    let sample = (position.floor() as usize).min(clip.count as usize - 2);
-    (sample, (position - sample as f64).clamp(0.0, 1.0) as f32)
-}
-
-/// Between two neighbouring samples.
-pub fn interpolate(from: &Trs, to: &Trs, fraction: f32) -> Trs {
-    Trs {
-        translation: from.translation.lerp(to.translation, fraction),
-        // glam's lerp for quaternions turns to the shorter arc and normalises: nlerp.
-        rotation: from.rotation.lerp(to.rotation, fraction),
-        scale: from.scale.lerp(to.scale, fraction),
-    }
 }
 
 /// `model_from_bone` of every bone. One pass, since parents precede their children.
@@ -256,56 +226,6 @@ mod tests {
                 let (found, expected) = (Mat4::from(globals[bone as usize]), chain(&model, &locals, bone));
                 let size = expected.to_cols_array().into_iter().map(f32::abs).fold(1.0, f32::max);
                 assert!(found.abs_diff_eq(expected, 1e-4 * size), "seed 21, case {case}, bone {bone}");
-            }
-        }
-    }
-
-    #[test]
-    fn pose_hits_its_samples() {
-        let mut rng = SmallRng::seed_from_u64(22);
-        let model = random_model(&mut rng, 9);
-        let clip = clip::resample(&model, Some(0), 0.07);
-        for sample in 0..clip.count - 1 {
-            let t = f64::from(clip.interval_s) * f64::from(sample);
-            for (bone, found) in local_pose(&clip, 9, t).iter().enumerate() {
-                let expected = clip.samples[sample as usize * 9 + bone];
-                let close = found.translation.abs_diff_eq(expected.translation, 1e-4)
-                    && found.rotation.dot(expected.rotation).abs() > 1.0 - 1e-4
-                    && found.scale.abs_diff_eq(expected.scale, 1e-4);
-                assert!(close, "seed 22, sample {sample}, bone {bone}: {found:?} {expected:?}");
-            }
-        }
-    }
-
-    #[test]
-    fn nlerp_errs_by_no_more_than_documented() {
-        for angle in [0.073f32, 0.3, 1.0, 1.5] {
-            let (from, to) = (Trs::IDENTITY, Trs { rotation: Quat::from_rotation_z(angle), ..Trs::IDENTITY });
-            let mut largest = 0.0f64;
-            for step in 0..=1000 {
-                let fraction = step as f32 / 1000.0;
-                let found = interpolate(&from, &to, fraction).rotation;
-                let found = 2.0 * f64::from(found.z).atan2(f64::from(found.w));
-                largest = largest.max((found - f64::from(angle) * f64::from(fraction)).abs());
-            }
-            let bound = 0.0040 * f64::from(angle).powi(3);
-            // f32 rounding is of the order of 1e-7; the bound is the leading term of a series.
-            assert!(largest < bound * 1.2 + 5e-7, "{angle} rad: {largest} > {bound}");
-            assert!(largest > bound * 0.5 - 5e-7, "{angle} rad: {largest} << {bound}");
-        }
-    }
-
-    #[test]
-    fn resampled_pose_follows_the_source_within_the_interval_error() {
-        let mut rng = SmallRng::seed_from_u64(23);
-        let model = random_model(&mut rng, 20);
-        let clip = clip::resample(&model, Some(0), clip::DEFAULT_RESAMPLE_INTERVAL_S);
-        for step in 0..500 {
-            let t = f64::from(step) * 0.002;
-            let truth = source_pose(&model, Some(0), t);
-            for (bone, (found, truth)) in local_pose(&clip, 20, t).iter().zip(&truth).enumerate() {
-                // Keys at 0.4 s lie on no sample: up to half an interval of a turn of up to 180 degrees in 0.4 s.
-                assert!(found.rotation.angle_between(truth.rotation) < 0.1, "seed 23, bone {bone} at {t} s");
             }
         }
     }
