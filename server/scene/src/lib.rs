@@ -1,6 +1,6 @@
 //! The scene as every renderer sees it: models with their bones, clips and materials, and placed instances.
 //!
-//! Importers ([`gltf`], [`fbx`](crate::load)) and the scene file ([`mod@file`]) produce it; [`animation`] evaluates and
+//! Importers ([`gltf`], [`fbx`]) and the scene file ([`mod@file`]) produce it; [`animation`] evaluates and
 //! samples its curves. A crate of its own, so that nothing in here can know of Vulkan, sockets or clocks, and so that
 //! what reads strangers' files can be fuzzed without building a renderer.
 
@@ -84,7 +84,7 @@ pub struct Model {
     pub primitives: Vec<Primitive>,
     /// Coarser levels, each coarser than the one before; empty where there is nothing to gain.
     pub lods: Vec<Lod>,
-    /// Patches of the full detail, then of each of `lods`; empty until [`process`](crate::process) has made them.
+    /// Patches of the full detail, then of each of `lods`; empty until [`process`] has made them.
     pub patches: Vec<Patches>,
     /// Shapes that are added to the vertices before skinning, each times its weight.
     pub morphs: Vec<Morph>,
