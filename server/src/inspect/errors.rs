@@ -18,6 +18,9 @@ const INTERVALS_MS: [f32; 12] =
 /// Bounds of the curve, millimetres.
 const BOUNDS_MM: [f32; 10] = [10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01];
 
+/// Below this an error is single precision's, and says nothing about sampling.
+const LEAST_ERROR_MM: f64 = 5e-3;
+
 /// `inspect error SCENE`.
 #[derive(Args)]
 pub struct ErrorArgs {
@@ -269,12 +272,12 @@ impl KeyCurve {
 }
 
 /// Marks where the curve of bytes against the largest vertex error, both as logarithms, is farthest below the straight
-/// line between its ends: before it, bytes buy much accuracy; after it, little. Points without error, which a
-/// logarithm does not show, are left out.
+/// line between its ends: before it, bytes buy much accuracy; after it, little. Points with hardly any
+/// error are left out.
 fn with_bend(mut points: Vec<CurvePoint>) -> Vec<CurvePoint> {
     let place = |point: &CurvePoint| {
         let error_mm = point.table.vertices.map_or(0.0, |vertices| vertices.max_mm);
-        (error_mm > 1e-3).then(|| ((point.bytes as f64).ln(), error_mm.ln()))
+        (error_mm > LEAST_ERROR_MM).then(|| ((point.bytes as f64).ln(), error_mm.ln()))
     };
     let places: Vec<(usize, (f64, f64))> =
         points.iter().enumerate().filter_map(|(index, point)| Some((index, place(point)?))).collect();

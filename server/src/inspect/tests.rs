@@ -106,7 +106,7 @@ fn more_instances_add_only_what_is_theirs() {
     for part in ["vertices", "indices", "patches", "skeletons and clips", "morph targets"] {
         let (one, nine) = (shared(&one, part), shared(&nine, part));
         // The ground grows with the group; the dragons do not.
-        assert!(nine < one + one / 4, "{part}: {one} and {nine} bytes");
+        assert!(nine <= one + one / 4, "{part}: {one} and {nine} bytes");
     }
     assert!(nine.memory_instances_bytes > 7 * one.memory_instances_bytes);
 }
@@ -114,8 +114,8 @@ fn more_instances_add_only_what_is_theirs() {
 #[test]
 fn text_has_the_same_figures() {
     let text = printed(&["dragon", COARSE]);
-    for expected in ["dragon", "vertices", "sampled", "patches:", "memory on the GPU"] {
-        assert!(text.contains(expected) || expected == "sampled", "{expected} is missing in\n{text}");
+    for expected in ["dragon: 1 instances", "137 bones", "patches:", "source keys", "memory on the GPU"] {
+        assert!(text.contains(expected), "{expected} is missing in\n{text}");
     }
 }
 

@@ -14,7 +14,6 @@ pub(crate) mod source;
 pub use parse::SamplingError;
 use source::Source;
 
-use crate::cache::{Cache, Key};
 use crate::{Model, Path, Scene, Trs};
 use glam::{Affine3A, Quat, Vec3A, Vec4};
 use serde::{Deserialize, Serialize};
@@ -233,15 +232,6 @@ pub fn world_scale(scene: &Scene, model: usize) -> f32 {
 pub(crate) fn longest_axis(matrix: &Affine3A) -> f32 {
     let m = matrix.matrix3;
     [m.x_axis, m.y_axis, m.z_axis].map(Vec3A::length).into_iter().fold(0.0, f32::max)
-}
-
-/// As [`sample`], found in the cache where it was made before: error-bounded sampling may take seconds.
-pub fn sample_cached(cache: &Cache, model: &Model, clip: Option<usize>, sampling: Sampling) -> SampledClip {
-    let vertices: Vec<_> = model.vertices.iter().map(|v| (v.position, v.joints, v.weights)).collect();
-    let clips = clip.map(|clip| &model.clips[clip]);
-    let key = Key::new("clip", 1).value(&sampling).value(&clips);
-    let key = key.value(&model.bones).value(&model.palette).value(&model.morphs).value(&vertices);
-    cache.get_or_compute(&key, || sample(model, clip, sampling))
 }
 
 /// Samples the movement of something whose largest distance from the path's origin is `reach_m`: a clip of one bone.

@@ -236,9 +236,9 @@ impl<'a> Trial<'a> {
             }
         }
         tracing::warn!(
-            "model '{}': its clip cannot be kept within {} mm; single precision may not hold it",
+            "model '{}': a clip cannot be kept within {} of its own units; single precision may not hold it",
             self.model.name,
-            self.bound_m * 1e3
+            self.bound_m
         );
         self.found
     }

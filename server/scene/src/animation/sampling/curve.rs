@@ -45,8 +45,12 @@ impl Curve {
         } else {
             2
         };
-        let (times_s, own_keys) = dense_times(source.times_s(), duration_s, parts);
-        let values = source.aligned(&times_s);
+        let (mut times_s, mut own_keys) = dense_times(source.times_s(), duration_s, parts);
+        let mut values = source.aligned(&times_s);
+        if parts == 2 && source.is_rotation() && turns_far(&values) {
+            (times_s, own_keys) = dense_times(source.times_s(), duration_s, 4);
+            values = source.aligned(&times_s);
+        }
         // Between the keys of a linear source there is no more to learn about its slope.
         let slopes = if is_cubic {
             parabola_slopes(&times_s, &values, &(0..times_s.len()).collect::<Vec<_>>())
@@ -92,6 +96,12 @@ impl Curve {
     pub fn range(&self) -> f32 {
         range(&self.values, self.is_rotation)
     }
+}
+
+/// Whether the turn of half a span between keys is such that spherical and componentwise interpolation, which agree in
+/// the middle, differ before and after it: `0.0040 a^3`, here 4 microradians.
+fn turns_far(values: &[Vec4]) -> bool {
+    values.windows(2).any(|pair| angle(pair[0], pair[1]) > 0.05)
 }
 
 /// A tolerance in the forms that make comparisons cheap.

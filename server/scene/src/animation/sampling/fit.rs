@@ -28,8 +28,17 @@ pub(super) fn fit(curve: &Curve, tolerance: f32) -> SampledTrack {
     }
     let linear = fewest(curve, tolerance, KeyInterpolation::Linear);
     let cubic = fewest(curve, tolerance, KeyInterpolation::Cubic);
-    let [linear, cubic] = [linear, cubic].map(with_interval);
-    if cubic.byte_count() < linear.byte_count() { cubic } else { linear }
+    let all = own_keys(curve, tolerance).into_iter().chain([linear, cubic]);
+    let smallest = all.map(with_interval).min_by_key(SampledTrack::byte_count);
+    smallest.expect("there are two at least")
+}
+
+/// All of the source's keys with straight lines between them, if that will do: at a constant interval a few keys less
+/// would take more bytes.
+fn own_keys(curve: &Curve, tolerance: f32) -> Option<SampledTrack> {
+    let (keys, linear) = (&curve.own_keys, KeyInterpolation::Linear);
+    let fits = |pair: &[usize]| span_fits(curve, pair[0], pair[1], Tolerance::new(tolerance), linear);
+    keys.windows(2).all(fits).then(|| track(curve, keys, linear))
 }
 
 /// Keys that happen to stand at a constant interval need no times.

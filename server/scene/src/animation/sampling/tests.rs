@@ -167,19 +167,8 @@ fn wrong_sampling_says_what_is_accepted() {
 }
 
 #[test]
-fn model_drawn_small_may_err_more_and_the_cache_remembers() {
-    let bound = |sampling: Sampling| match sampling {
-        Sampling::ErrorBounded { bound_m, .. } => bound_m,
-        Sampling::Constant { .. } => 0.0,
-    };
-    assert_eq!(bound(Sampling::bounded(1e-4).in_model(0.01)), 1e-2);
-    let mut rng = SmallRng::seed_from_u64(6);
-    let model = one_bone(random_track(&mut rng, 0, Interpolation::Linear, 1));
-    let folder = tempfile::tempdir().expect("a folder");
-    let cache = Cache::new(folder.path());
-    let sampled = [0, 1].map(|_| sample_cached(&cache, &model, Some(0), Sampling::default()));
-    assert_eq!(sampled[0], sampled[1]);
-    assert_eq!(cache.hits_and_misses(), (1, 1));
-    sample_cached(&cache, &model, Some(0), Sampling::bounded(1e-3));
-    assert_eq!(cache.hits_and_misses(), (1, 2));
+fn model_drawn_small_may_err_more_in_its_own_units() {
+    assert_eq!(Sampling::bounded(1e-4).in_model(0.01), Sampling::bounded(1e-2));
+    assert_eq!(TWENTIETH.in_model(0.01), TWENTIETH);
+    assert_eq!(Sampling::bounded(1e-4).in_model(0.0), Sampling::bounded(1e-4));
 }

@@ -146,6 +146,19 @@ fn interpolation_with_the_fewest_keys_is_chosen() {
 }
 
 #[test]
+fn wide_turns_between_keys_are_followed_in_every_quarter() {
+    let turns = [0.0, 2.5, 0.3, 2.9].map(Quat::from_rotation_z);
+    let values = TrackValues::Rotation(turns.to_vec());
+    let times_s = vec![0.0, 1.0, 2.0, 3.0];
+    let mut model = one_bone(Track { bone: 0, times_s, interpolation: Interpolation::Linear, values });
+    model.palette = vec![PaletteEntry { bone: 0, bone_from_mesh: Affine3A::IDENTITY }];
+    model.vertices = vec![Vertex { position: Vec3::X, ..Vertex::default() }];
+    let clip = sample(&model, Some(0), 1e-4, 1.0);
+    let error = largest_error(&model, &clip, (0..=3000).map(|ms| f64::from(ms) * 1e-3));
+    assert!(error <= 1.05e-4, "{error} m");
+}
+
+#[test]
 fn share_of_range_bounds_curves_that_hardly_move_a_vertex() {
     let mut rng = SmallRng::seed_from_u64(34);
     let mut model = one_bone(swinging(&mut rng, 0));
