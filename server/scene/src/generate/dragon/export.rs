@@ -8,6 +8,7 @@ use super::rig::Rig;
 use crate::generate::glb::{Buffer, Target};
 use glam::{Mat4, Quat, Vec2, Vec3, Vec4};
 use serde_json::{Value, json};
+use std::ops::{Add, Mul, Sub};
 
 /// Curves that stay closer than this to their first key are left out.
 const STILL: f32 = 1e-6;
@@ -159,7 +160,7 @@ fn animation(rig: &Rig, buffer: &mut Buffer) -> Value {
     let (mut samplers, mut channels) = (Vec::new(), Vec::new());
     let mut track = |joint: usize, path: &str, output: usize| {
         channels.push(json!({"sampler": samplers.len(), "target": {"node": node(joint), "path": path}}));
-        samplers.push(json!({"input": input, "output": output, "interpolation": "LINEAR"}));
+        samplers.push(json!({"input": input, "output": output, "interpolation": "CUBICSPLINE"}));
     };
     for joint in 0..rig.joints.len() {
         let keys = poses.iter().map(|pose| local(rig, joint, &pose[joint]));
@@ -167,16 +168,34 @@ fn animation(rig: &Rig, buffer: &mut Buffer) -> Value {
             keys.map(|(t, r, s)| (t, (r, s))).unzip();
         let rotations = on_shortest_arc(rotations);
         if translations.iter().any(|key| key.distance(translations[0]) > STILL) {
-            track(joint, "translation", buffer.vec3s(&translations, Target::None));
+            let keys = with_tangents(&translations);
+            track(joint, "translation", buffer.vec3s(&keys, Target::None));
         }
         if rotations.iter().any(|key| (*key - rotations[0]).length() > STILL) {
-            track(joint, "rotation", buffer.quats(&rotations));
+            track(joint, "rotation", buffer.quats(&with_tangents(&rotations)));
         }
         if scales.iter().any(|key| key.distance(scales[0]) > STILL) {
-            track(joint, "scale", buffer.vec3s(&scales, Target::None));
+            track(joint, "scale", buffer.vec3s(&with_tangents(&scales), Target::None));
         }
     }
     json!({"name": "fly", "samplers": samplers, "channels": channels})
+}
+
+/// Each key between its tangents, as glTF's cubic splines have them: straight lines between 60 keys a second would leave
+/// the tip of a wing, which moves by 2 m, a millimetre and more beside its way. A fourth-order difference; keys repeat.
+fn with_tangents<T>(keys: &[T]) -> Vec<T>
+where
+    T: Copy + Add<Output = T> + Sub<Output = T> + Mul<f32, Output = T>,
+{
+    let period = keys.len() - 1;
+    let at = |key: usize, step: usize| keys[(key + step) % period];
+    let triple = |key: usize| {
+        let near = at(key, 1) - at(key, period - 1);
+        let far = at(key, 2) - at(key, period - 2);
+        let tangent = (near * 8.0 - far) * (KEYS_PER_S as f32 / 12.0);
+        [tangent, keys[key], tangent]
+    };
+    (0..keys.len()).flat_map(triple).collect()
 }
 
 /// A quaternion and its negative are one rotation; neighbours take the sign that is nearer.

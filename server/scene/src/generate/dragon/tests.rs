@@ -80,15 +80,20 @@ fn read_primitive(
     triangles.extend(indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]));
 }
 
+/// Without the tangents before and after each.
+fn values<T>(keys: impl Iterator<Item = T>) -> Vec<T> {
+    keys.skip(1).step_by(3).collect()
+}
+
 fn read_track(channel: &gltf::animation::Channel, blob: &[u8]) -> Track {
     let reader = channel.reader(|_| Some(blob));
     let values = match reader.read_outputs().unwrap() {
-        ReadOutputs::Translations(keys) => Values::Translation(keys.map(Vec3::from).collect()),
-        ReadOutputs::Rotations(keys) => Values::Rotation(keys.into_f32().map(Quat::from_array).collect()),
-        ReadOutputs::Scales(keys) => Values::Scale(keys.map(Vec3::from).collect()),
+        ReadOutputs::Translations(keys) => Values::Translation(values(keys.map(Vec3::from))),
+        ReadOutputs::Rotations(keys) => Values::Rotation(values(keys.into_f32().map(Quat::from_array))),
+        ReadOutputs::Scales(keys) => Values::Scale(values(keys.map(Vec3::from))),
         ReadOutputs::MorphTargetWeights(_) => panic!("the dragon has no morph targets"),
     };
-    assert_eq!(channel.sampler().interpolation(), gltf::animation::Interpolation::Linear);
+    assert_eq!(channel.sampler().interpolation(), gltf::animation::Interpolation::CubicSpline);
     Track { node: channel.target().node().index(), times_s: reader.read_inputs().unwrap().collect(), values }
 }
 
