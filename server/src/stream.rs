@@ -443,6 +443,9 @@ impl<'a> Pipeline<'a> {
             self.stats.samples += sizes.samples as u64;
         }
         self.stats.updates += 1;
+        if self.stats.updates == 1 {
+            println!("First update sent");
+        }
         self.stats.coarsened = client.frame.layout().coarsened();
         let now_ns = monotonic_now_ns();
         self.first_ns.get_or_insert(now_ns);

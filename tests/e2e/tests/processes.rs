@@ -161,6 +161,7 @@ fn a_killed_server_comes_back_and_the_client_goes_on() {
     stage.shows_the_scene("a"); // the last frame stays
     let mut second = stage.server("second.json");
     second.says("Client connected");
+    second.says("First update sent"); // until then the client still shows the first server's
     stage.shows_the_scene("a");
     client.signal("-INT");
     client.ends_well();
