@@ -49,12 +49,13 @@ layout(std430, binding = POSE_BINDING + 3) readonly buffer Keys { vec4 keys[]; }
 layout(std430, binding = POSE_BINDING + 4) readonly buffer KeyTimes { float key_times[]; };
 layout(std430, binding = POSE_BINDING + 5) readonly buffer Entries { EntryGpu entries[]; };
 
-// translate * rotate * scale; q need not be of unit length.
+// translate * rotate * scale; q need not be of unit length. Divided by its square instead of normalised: a device's
+// inverse square root may be good to a few parts in a million only, and errors add up along a chain of bones.
 Rows transform_of(vec3 t, vec4 q, vec3 s) {
-    q = normalize(q);
-    vec3 x = vec3(1 - 2 * (q.y * q.y + q.z * q.z), 2 * (q.x * q.y + q.w * q.z), 2 * (q.x * q.z - q.w * q.y)) * s.x;
-    vec3 y = vec3(2 * (q.x * q.y - q.w * q.z), 1 - 2 * (q.x * q.x + q.z * q.z), 2 * (q.y * q.z + q.w * q.x)) * s.y;
-    vec3 z = vec3(2 * (q.x * q.z + q.w * q.y), 2 * (q.y * q.z - q.w * q.x), 1 - 2 * (q.x * q.x + q.y * q.y)) * s.z;
+    float k = 2.0 / dot(q, q);
+    vec3 x = vec3(1 - k * (q.y * q.y + q.z * q.z), k * (q.x * q.y + q.w * q.z), k * (q.x * q.z - q.w * q.y)) * s.x;
+    vec3 y = vec3(k * (q.x * q.y - q.w * q.z), 1 - k * (q.x * q.x + q.z * q.z), k * (q.y * q.z + q.w * q.x)) * s.y;
+    vec3 z = vec3(k * (q.x * q.z + q.w * q.y), k * (q.y * q.z - q.w * q.x), 1 - k * (q.x * q.x + q.y * q.y)) * s.z;
     return Rows(vec4[3](vec4(x.x, y.x, z.x, t.x), vec4(x.y, y.y, z.y, t.y), vec4(x.z, y.z, z.z, t.z)));
 }
 

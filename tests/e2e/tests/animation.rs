@@ -172,6 +172,7 @@ fn read<T: bytemuck::Pod>(gpu: &Arc<Gpu>, buffer: &Buffer) -> Vec<T> {
 fn twin(scene: &Scene, index: usize, sampling: sampling::Sampling, time_s: f64) -> Vec<pose::SkinnedVertex> {
     let instance = &scene.instances[index];
     let model = &scene.models[instance.model];
+    let sampling = sampling.in_model(sampling::world_scale(scene, instance.model));
     let clip = sampling::sample(model, instance.clip, sampling);
     let phase_s = instance.clip_phase_s(clip.duration_s, time_s);
     let palette = pose::palette(model, &pose::global_pose(model, &clip.local_pose(phase_s)));
