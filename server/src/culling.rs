@@ -5,6 +5,7 @@
 //! drawn.
 
 use crate::levels::HOLD_UPDATES;
+use crate::lights::caster_reach;
 use crate::predict::View;
 use glam::{Vec3, Vec4};
 use shadecast_scene::animation::bounds::Bounds;
@@ -12,34 +13,22 @@ use shadecast_scene::animation::bounds::Bounds;
 /// Remembers when each instance was last in view.
 #[derive(Clone, Debug)]
 pub struct Culling {
-    /// The boxes that instances never leave, those of casters drawn out along the sun's rays.
-    reach: Vec<Reach>,
+    /// By instance: points whose hull holds it and its shadow; none for what shows nothing.
+    reach: Vec<Vec<Vec3>>,
     /// By instance: the update that needed it last; 0: none.
     last_needed: Vec<u32>,
     needed: Vec<bool>,
     update: u32,
 }
 
-/// What an instance can be seen by: itself, or its shadow.
-#[derive(Clone, Copy, Debug)]
-struct Reach {
-    bounds: Bounds,
-    /// From the box to where its shadow can end; zero for what casts none.
-    shadow: Vec3,
-}
-
 impl Culling {
     /// `bounds` and `casts_shadow` by instance; `to_sun` is `None` where the sun casts no shadows.
     pub fn new(bounds: &[Bounds], casts_shadow: impl Fn(usize) -> bool, to_sun: Option<Vec3>) -> Self {
         let all = bounds.iter().copied().fold(Bounds::EMPTY, Bounds::union);
-        let shadow = match to_sun {
-            // No shadow in the scene is longer than the scene.
-            Some(to_sun) if !all.is_empty() => -to_sun * all.low.distance(all.high),
-            _ => Vec3::ZERO,
-        };
-        let reach = |(index, bounds): (usize, &Bounds)| Reach {
-            bounds: *bounds,
-            shadow: if casts_shadow(index) { shadow } else { Vec3::ZERO },
+        let reach = |(index, bounds): (usize, &Bounds)| match to_sun {
+            _ if bounds.is_empty() => Vec::new(),
+            Some(to_sun) if casts_shadow(index) => caster_reach(*bounds, to_sun, all).to_vec(),
+            _ => bounds.corners().to_vec(),
         };
         Self {
             reach: bounds.iter().enumerate().map(reach).collect(),
@@ -53,7 +42,7 @@ impl Culling {
     pub fn update(&mut self, views: impl Iterator<Item = View> + Clone) -> &[bool] {
         self.update += 1;
         for (index, reach) in self.reach.iter().enumerate() {
-            if views.clone().any(|view| reach.is_in(&view)) {
+            if views.clone().any(|view| is_in_view(reach, &view)) {
                 self.last_needed[index] = self.update;
             }
             let last = self.last_needed[index];
@@ -69,22 +58,12 @@ impl Culling {
     }
 }
 
-impl Reach {
-    /// Conservative: outside only if all of it lies on the far side of one of the view's planes.
-    fn is_in(&self, view: &View) -> bool {
-        if self.bounds.is_empty() {
-            return false;
-        }
-        let eye_from_world = view.world_from_eye.inverse().matrix();
-        let corners = self.bounds.corners().map(|corner| eye_from_world.transform_point3(corner));
-        let shadow = eye_from_world.transform_vector3(self.shadow);
-        let planes = side_planes(view);
-        planes.iter().all(|plane| {
-            corners
-                .iter()
-                .any(|c| plane.dot(c.extend(1.0)) >= 0.0 || plane.dot((*c + shadow).extend(1.0)) >= 0.0)
-        })
-    }
+/// Conservative: outside only if all points lie on the far side of one of the view's planes.
+fn is_in_view(points: &[Vec3], view: &View) -> bool {
+    let eye_from_world = view.world_from_eye.inverse().matrix();
+    side_planes(view).iter().all(|plane| {
+        points.iter().any(|point| plane.dot(eye_from_world.transform_point3(*point).extend(1.0)) >= 0.0)
+    })
 }
 
 /// The planes of a view through the eye, and the one behind it, in the eye's frame (looking along -z); positive inside.

@@ -134,3 +134,28 @@ pub fn exercise(model: &Model) {
         pose::animated_vertices(model, clip);
     }
 }
+
+/// Whether a damaged file that calls itself `name` was loaded all the same, to something sound and usable; else it was
+/// refused with an error that names it and the element. A panic fails the test and shows `context`.
+#[cfg(test)]
+pub fn is_sound_or_refused(loaded: Result<Model, crate::SceneError>, name: &str, context: &str) -> bool {
+    match loaded {
+        Ok(model) => {
+            assert_sound(&model, context);
+            exercise(&model);
+            true
+        }
+        Err(error) => {
+            let text = error.to_string();
+            let names_both = text.starts_with(&format!("{name}: ")) && text.matches(": ").count() >= 2;
+            assert!(names_both, "{context}: '{text}'");
+            false
+        }
+    }
+}
+
+/// `SHADECAST_MUTATIONS=100 cargo test ...` tries a hundred times as many.
+#[cfg(test)]
+pub fn effort() -> u32 {
+    std::env::var("SHADECAST_MUTATIONS").ok().and_then(|factor| factor.parse().ok()).unwrap_or(1)
+}

@@ -15,6 +15,8 @@ use std::collections::HashMap;
 /// What one model needs to be animated: its parts in the scene-wide arrays.
 #[derive(Clone, Debug)]
 pub struct AnimationMaterial {
+    /// The mesh that is animated; equal meshes have equal hashes.
+    pub mesh: ContentHash,
     /// Index into [`AnimationManager::skeletons`].
     pub skeleton: usize,
     /// Indices into [`AnimationManager::clips`]: the rest pose first, then the model's clips.
@@ -104,7 +106,7 @@ impl AnimationManager {
                     .or_insert_with(|| manager.add_clip(&sampled(model, clip, sampling, cache), order))
             });
             let clips = stored.collect();
-            manager.materials.push(AnimationMaterial { skeleton: *skeleton, clips });
+            manager.materials.push(AnimationMaterial { mesh, skeleton: *skeleton, clips });
         }
         manager
     }

@@ -4,7 +4,7 @@ mod ascii;
 
 use super::*;
 use crate::animation::pose;
-use crate::sound::{assert_sound, exercise};
+use crate::sound::{assert_sound, effort, exercise, is_sound_or_refused};
 use crate::{Interpolation, LightKind, TrackValues};
 use ascii::{Ascii, integer, list, moved_by, number, vector};
 use glam::{Affine3A, Vec3};
@@ -598,28 +598,8 @@ fn faults_name_the_element_and_what_to_do() {
     assert!(found.contains("animation 'wave': lasts 299999 s; 0 to 86400 s are supported"), "{found}");
 }
 
-/// Loads a damaged file; a panic fails the test and shows the seed.
 fn load_damaged(bytes: &[u8], context: &str) -> bool {
-    match from_slice(bytes, "damaged.fbx") {
-        Ok(model) => {
-            assert_sound(&model, context);
-            exercise(&model);
-            true
-        }
-        Err(error) => {
-            let text = error.to_string();
-            assert!(
-                text.starts_with("damaged.fbx: ") && text.matches(": ").count() >= 2,
-                "{context}: '{text}'"
-            );
-            false
-        }
-    }
-}
-
-/// `SHADECAST_MUTATIONS=100 cargo test ...` tries a hundred times as many.
-fn effort() -> u32 {
-    std::env::var("SHADECAST_MUTATIONS").ok().and_then(|factor| factor.parse().ok()).unwrap_or(1)
+    is_sound_or_refused(from_slice(bytes, "damaged.fbx"), "damaged.fbx", context)
 }
 
 fn mutate_bytes(bytes: &[u8], count: u32, seed: u64) -> (u32, u32) {

@@ -3,7 +3,7 @@
 use super::super::{Model, Wrap};
 use super::*;
 use crate::animation::pose;
-use crate::sound::{assert_sound, exercise};
+use crate::sound::{assert_sound, effort, exercise, is_sound_or_refused};
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 use serde_json::{Value, json};
 
@@ -497,28 +497,8 @@ fn every_truncation_of_a_file_is_an_error() {
     }
 }
 
-/// Loads a damaged file; a panic fails the test and shows the seed.
 fn load_damaged(bytes: &[u8], context: &str) -> bool {
-    match from_slice(bytes, "damaged.glb") {
-        Ok(model) => {
-            assert_sound(&model, context);
-            exercise(&model);
-            true
-        }
-        Err(error) => {
-            let text = error.to_string();
-            assert!(
-                text.starts_with("damaged.glb: ") && text.matches(": ").count() >= 2,
-                "{context}: '{text}'"
-            );
-            false
-        }
-    }
-}
-
-/// `SHADECAST_MUTATIONS=100 cargo test ...` tries a hundred times as many.
-fn effort() -> u32 {
-    std::env::var("SHADECAST_MUTATIONS").ok().and_then(|factor| factor.parse().ok()).unwrap_or(1)
+    is_sound_or_refused(from_slice(bytes, "damaged.glb"), "damaged.glb", context)
 }
 
 fn mutate_bytes(bytes: &[u8], count: u32, seed: u64) -> (u32, u32) {
