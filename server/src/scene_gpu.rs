@@ -6,7 +6,7 @@
 use crate::animation::manager::AnimationManager;
 use crate::culling::Culling;
 use crate::lights::{self, SunView};
-use crate::stages::skin::{GROUP, Skinning};
+use crate::stages::skin::Skinning;
 use ash::vk;
 use shadecast_gpu::{
     Access, Bind, Buffer, Gpu, GpuError, Image, ImageDesc, Memory, SCENE_TEXTURES, Sampler, SamplerDesc,
@@ -16,12 +16,13 @@ use shadecast_scene::animation::bounds::{self, Bounds};
 use shadecast_scene::animation::pose;
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_scene::cache::Cache;
-use shadecast_scene::identity::{ContentHash, mesh_hash, texture_hash};
+use shadecast_scene::identity::{ContentHash, texture_hash};
 use shadecast_scene::influences::units_of_weight;
 use shadecast_scene::patches::Patch;
 use shadecast_scene::{Instance, Material, Model, Scene, Texture, TextureSlot, Vertex, Wrap};
 use shadecast_shaders::generated::{MaterialGpu, MorphDeltaGpu, PackedVertexGpu, PatchGpu, VertexGpu};
 use std::collections::HashMap;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// A model's place in the shared buffers.
@@ -56,10 +57,8 @@ pub struct MeshGpu {
     pub patches: Arc<[Patch]>,
     /// Whether any morph target moves its vertices.
     pub has_morphs: bool,
-    /// First entry in the packed vertices.
-    pub packed_base: u32,
-    /// Where its packed vertices of 1, 2, 3 and 4 influences end, counted from `packed_base`; multiples of 64.
-    pub packed_ends: [u32; 4],
+    /// Entries in the packed vertices, those of 1, 2, 3 and 4 influences.
+    pub packed: [Range<u32>; 4],
 }
 
 /// An instance's place in the shared buffers.
@@ -228,7 +227,10 @@ impl SceneGpu {
         let models: Vec<ModelGpu> = scene
             .models
             .iter()
-            .map(|model| arrays.add(model, &textures.add(&model.textures), options.skinning))
+            .zip(&manager.materials)
+            .map(|(model, material)| {
+                arrays.add(model, material.mesh, &textures.add(&model.textures), options.skinning)
+            })
             .collect();
         let count = textures.unique.len();
         if count > SCENE_TEXTURES as usize {
@@ -327,10 +329,9 @@ impl SceneGpu {
 }
 
 impl Arrays {
-    fn add(&mut self, model: &Model, textures: &[u32], skinning: Skinning) -> ModelGpu {
+    fn add(&mut self, model: &Model, hash: ContentHash, textures: &[u32], skinning: Skinning) -> ModelGpu {
         let material_base = self.materials.len() as u32;
         self.materials.extend(model.materials.iter().map(|m| material(m, model, textures)));
-        let hash = mesh_hash(model);
         let mesh = match self.meshes.get(&hash) {
             Some(known) => known.clone(),
             None => self.add_mesh(model, skinning),
@@ -341,18 +342,14 @@ impl Arrays {
 
     fn add_mesh(&mut self, model: &Model, skinning: Skinning) -> MeshGpu {
         let patches = model.patches_of(0).into_owned();
-        let (packed_base, packed_ends) = match skinning {
-            Skinning::Packed => self.add_packed(model),
-            _ => (0, [0; 4]),
-        };
+        let packed = if skinning == Skinning::Packed { self.add_packed(model) } else { Default::default() };
         let mesh = MeshGpu {
             vertex_base: self.vertices.len() as u32,
             vertex_count: model.vertices.len() as u32,
             index_base: self.indices.len() as u32,
             patch_base: self.patches.len() as u32,
             has_morphs: !model.morphs.is_empty(),
-            packed_base,
-            packed_ends,
+            packed,
             patches: patches.patches.into(),
         };
         let morphs = self.add_morphs(model);
@@ -392,36 +389,32 @@ impl Arrays {
         of_vertex.into_iter().map(place).collect()
     }
 
-    /// Positions with their influences, sorted by the number of influences, each number filled up to whole workgroups.
-    fn add_packed(&mut self, model: &Model) -> (u32, [u32; 4]) {
-        let base = self.packed.len() as u32;
-        let mut ends = [0; 4];
-        for count in 1..=4 {
-            let has_count =
-                |v: &&(u32, &Vertex)| v.1.weights.iter().filter(|w| **w > 0.0).count().max(1) == count;
-            let vertices = (0..).zip(&model.vertices);
-            self.packed.extend(vertices.filter(|v| has_count(&v)).map(|(index, v)| packed(index, v)));
-            let filled = (self.packed.len() as u32 - base).next_multiple_of(GROUP);
-            let filler = PackedVertexGpu { index: u32::MAX, ..bytemuck::Zeroable::zeroed() };
-            self.packed.resize((base + filled) as usize, filler);
-            ends[count - 1] = filled;
-        }
-        (base, ends)
+    /// Positions with their influences, sorted by the number of influences.
+    fn add_packed(&mut self, model: &Model) -> [Range<u32>; 4] {
+        [1, 2, 3, 4].map(|count| {
+            let first = self.packed.len() as u32;
+            let vertices = (0..).zip(&model.vertices).filter(|(_, v)| v.influences().max(1) == count);
+            self.packed.extend(vertices.map(|(index, v)| packed(index, v)));
+            first..self.packed.len() as u32
+        })
     }
 }
 
 fn packed(index: u32, v: &Vertex) -> PackedVertexGpu {
-    // Those that count first; the sort is stable, so that the largest stays in front.
+    let (joints, weights) = used_first(v);
+    let units = weights.map(units_of_weight);
+    let first_joints = f32::from_bits(pair(joints[0], joints[1]));
+    PackedVertexGpu {
+        position_joints: v.position.extend(first_joints).to_array(),
+        influences: [pair(joints[2], joints[3]), pair(units[0], units[1]), pair(units[2], units[3]), index],
+    }
+}
+
+/// A vertex's influences in their order, those of weight 0 last: shaders stop at the first one.
+fn used_first(v: &Vertex) -> ([u16; 4], [f32; 4]) {
     let mut slots = [0, 1, 2, 3];
     slots.sort_by_key(|slot| v.weights[*slot] <= 0.0);
-    let units = slots.map(|slot| units_of_weight(v.weights[slot]));
-    let joints = slots.map(|slot| v.joints[slot]);
-    PackedVertexGpu {
-        position: v.position.to_array(),
-        index,
-        joints: [pair(joints[0], joints[1]), pair(joints[2], joints[3])],
-        weights: [pair(units[0], units[1]), pair(units[2], units[3])],
-    }
+    (slots.map(|slot| v.joints[slot]), slots.map(|slot| v.weights[slot]))
 }
 
 fn pair(low: u16, high: u16) -> u32 {
@@ -429,12 +422,13 @@ fn pair(low: u16, high: u16) -> u32 {
 }
 
 fn vertex(v: &Vertex) -> VertexGpu {
+    let (joints, weights) = used_first(v);
     VertexGpu {
         position_u: v.position.extend(v.uv[0]).to_array(),
         normal_v: v.normal.extend(v.uv[1]).to_array(),
         tangent: v.tangent,
-        weights: v.weights,
-        joints: [pair(v.joints[0], v.joints[1]), pair(v.joints[2], v.joints[3])],
+        weights,
+        joints: [pair(joints[0], joints[1]), pair(joints[2], joints[3])],
         morphs: [0; 2],
         uv1: v.uv1,
         color: u32::from_le_bytes(v.color),

@@ -2,7 +2,8 @@
 #extension GL_GOOGLE_include_directive : require
 // Bone palettes, model_from_mesh: every bone of every pose once, parents first, level by level; one workgroup a pose.
 // Twin: scene/src/animation/pose.rs.
-layout(local_size_x = 64) in;
+const uint GROUP = 32;
+layout(local_size_x = GROUP) in;
 
 #include "pose.glsl"
 
@@ -17,20 +18,30 @@ Rows load_global(uint index) {
     return Rows(vec4[3](globals[index * 3], globals[index * 3 + 1], globals[index * 3 + 2]));
 }
 
+void store_global(uint index, Rows m) {
+    for (int i = 0; i < 3; i++) globals[index * 3 + i] = m.r[i];
+}
+
 void main() {
     PoseGpu pose = poses[pose_base + gl_WorkGroupID.x];
-    for (uint level = 0; level < pose.level_count; level++) {
-        uint first = level_starts[pose.level_base + level], end = level_starts[pose.level_base + level + 1];
-        for (uint bone = first + gl_LocalInvocationID.x; bone < end; bone += 64) {
-            Rows local = local_transform(pose, bone);
-            int parent = parents[pose.bone_base + bone];
-            Rows global = parent < 0 ? local : multiply(load_global(pose.global_base + uint(parent)), local);
-            for (int i = 0; i < 3; i++) globals[(pose.global_base + bone) * 3 + i] = global.r[i];
-        }
+    uint bone_count = level_starts[pose.level_base + pose.level_count];
+    // Curves do not depend on parents: all of them first, with every invocation at work.
+    for (uint bone = gl_LocalInvocationID.x; bone < bone_count; bone += GROUP) {
+        store_global(pose.global_base + bone, local_transform(pose, bone));
+    }
+    // The roots are done already.
+    for (uint level = 1; level < pose.level_count; level++) {
         memoryBarrierBuffer();
         barrier();
+        uint first = level_starts[pose.level_base + level], end = level_starts[pose.level_base + level + 1];
+        for (uint bone = first + gl_LocalInvocationID.x; bone < end; bone += GROUP) {
+            uint place = pose.global_base + bone, parent = pose.global_base + uint(parents[pose.bone_base + bone]);
+            store_global(place, multiply(load_global(parent), load_global(place)));
+        }
     }
-    for (uint i = gl_LocalInvocationID.x; i < pose.entry_count; i += 64) {
+    memoryBarrierBuffer();
+    barrier();
+    for (uint i = gl_LocalInvocationID.x; i < pose.entry_count; i += GROUP) {
         EntryGpu entry = entries[pose.entry_base + i];
         Rows model_from_mesh = multiply(load_global(pose.global_base + entry.bone.x), Rows(entry.bone_from_mesh));
         for (int r = 0; r < 3; r++) palettes[(pose.palette_base + i) * 3 + r] = model_from_mesh.r[r];

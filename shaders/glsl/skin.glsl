@@ -1,65 +1,55 @@
-// Skinning of one vertex, whatever its influences' matrices come from: the includer defines `Rows influence(SkinJobGpu
-// job, uint joint)`, model_from_mesh of a palette entry.
+// Skinning of one vertex, whatever its influences' matrices come from: the includer blends them.
+//
+// Every member is read where it is needed and no structure is copied: what a vertex costs is what it reads.
 #ifndef SKIN_GLSL
 #define SKIN_GLSL
 #include "rows.glsl"
 
-SkinJobGpu job_of_group(uint group) {
-    uint low = 0, high = job_count - 1;
-    while (low < high) {
-        uint middle = (low + high + 1) / 2;
-        if (jobs[job_base + middle].first_group <= group) low = middle; else high = middle - 1;
+// Where a morph delta's members go, by its target's weight.
+vec3 morphed(uint vertex, uint member, vec3 value) {
+    if (job.weight_base == NO_MORPHS) return value;
+    uvec2 range = vertices[vertex].morphs;
+    for (uint i = range.x; i < range.x + range.y; i++) {
+        float weight = morph_weights[job.weight_base + morph_deltas[i].morph];
+        vec3 delta = member == POSITION ? morph_deltas[i].position
+            : member == NORMAL ? morph_deltas[i].normal : morph_deltas[i].tangent;
+        value += weight * delta;
     }
-    return jobs[job_base + low];
-}
-
-// Number of this workgroup among those of all jobs.
-uint group_number() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x; }
-
-// Adds the morph targets that move the vertex.
-void add_morphs(inout VertexGpu v, SkinJobGpu job) {
-    if (job.weight_base == NO_MORPHS) return;
-    for (uint i = 0; i < v.morphs.y; i++) {
-        MorphDeltaGpu delta = morph_deltas[v.morphs.x + i];
-        float weight = morph_weights[job.weight_base + delta.morph];
-        v.position_u.xyz += weight * delta.position;
-        v.normal_v.xyz += weight * delta.normal;
-        v.tangent.xyz += weight * delta.tangent;
-    }
+    return value;
 }
 
 vec4 transform(Rows m, vec4 p) { return vec4(dot(m.r[0], p), dot(m.r[1], p), dot(m.r[2], p), 1.0); }
 
-void save_position(SkinJobGpu job, uint index, Rows model_from_mesh, vec3 position) {
+// The position in the world to saved_vertices.
+void skin_position(uint index, vec3 position, Rows model_from_mesh) {
     vec4 in_model = transform(model_from_mesh, vec4(position, 1.0));
     saved_vertices[job.output_base + index] = transform(Rows(job.world_from_model), in_model);
 }
 
-// The position to saved_vertices, or normal and tangent to saved_frames, in the world.
-void skin_vertex(SkinJobGpu job, uint index) {
-    VertexGpu v = vertices[job.vertex_base + index];
-    add_morphs(v, job);
-    uint joints[4] = uint[4](v.joints.x & 0xffff, v.joints.x >> 16, v.joints.y & 0xffff, v.joints.y >> 16);
-    Rows sum = Rows(vec4[3](vec4(0), vec4(0), vec4(0)));
-    for (int i = 0; i < 4; i++) {
-        if (v.weights[i] <= 0.0) continue;
-        Rows matrix = influence(job, joints[i]);
-        for (int r = 0; r < 3; r++) sum.r[r] += v.weights[i] * matrix.r[r];
-    }
-    Rows world = Rows(job.world_from_model);
-    if (writes_frames == 0) {
-        save_position(job, index, sum, v.position_u.xyz);
-        return;
-    }
+// Normal and tangent in the world to saved_frames.
+void skin_frame(uint index, Rows model_from_mesh) {
+    uint vertex = job.vertex_base + index;
+    vec3 normal = morphed(vertex, NORMAL, vertices[vertex].normal_v.xyz);
+    vec4 tangent = vertices[vertex].tangent;
+    tangent.xyz = morphed(vertex, TANGENT, tangent.xyz);
     // Normals go through the cofactors of the matrix, which stay right under non-uniform scale.
-    Rows whole = multiply(world, sum);
+    Rows whole = multiply(Rows(job.world_from_model), model_from_mesh);
     mat3 m = transpose(mat3(whole.r[0].xyz, whole.r[1].xyz, whole.r[2].xyz));
     mat3 cofactors = mat3(cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1]));
     // With the determinant's sign, from the very product that the cofactors came from.
     float side = dot(m[0], cofactors[0]) < 0.0 ? -1.0 : 1.0;
-    vec3 normal = cofactors * v.normal_v.xyz * side, tangent = m * v.tangent.xyz;
+    normal = cofactors * normal * side;
+    tangent.xyz = m * tangent.xyz;
     saved_frames[job.output_base + index].normal = vec4(normal / max(length(normal), 1e-20), 0.0);
-    saved_frames[job.output_base + index].tangent = vec4(tangent / max(length(tangent), 1e-20), v.tangent.w);
+    saved_frames[job.output_base + index].tangent = vec4(tangent.xyz / max(length(tangent.xyz), 1e-20), tangent.w);
+}
+
+void skin_vertex(uint index, vec3 position, Rows model_from_mesh) {
+    if (job.writes_frames == 0) {
+        skin_position(index, morphed(job.vertex_base + index, POSITION, position), model_from_mesh);
+    } else {
+        skin_frame(index, model_from_mesh);
+    }
 }
 
 #endif

@@ -192,6 +192,13 @@ pub struct Vertex {
     pub weights: [f32; 4],
 }
 
+impl Vertex {
+    /// Number of influences, those of weight 0 not counted.
+    pub fn influences(&self) -> usize {
+        self.weights.iter().filter(|weight| **weight > 0.0).count()
+    }
+}
+
 impl Default for Vertex {
     /// At the origin, facing +z, white, following palette entry 0.
     fn default() -> Self {

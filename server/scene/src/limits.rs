@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 pub(crate) const MAX_FILE_BYTES: u64 = 1 << 30;
 
 /// Most vertices and indices of a whole asset.
-pub(crate) const MAX_VERTICES: usize = 1 << 22;
+pub(crate) const MAX_VERTICES: usize = 4_000_000;
 
 /// Most palette entries of a whole asset: vertices name them with 16 bits.
 pub(crate) const MAX_PALETTE: usize = 1 << 16;

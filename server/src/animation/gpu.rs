@@ -4,15 +4,15 @@
 use super::manager::{PoseKey, rows};
 use crate::scene_gpu::{InstanceGpu, SceneGpu};
 use crate::stages::palette::Palette;
-use crate::stages::skin::{Skin, Skinning};
+use crate::stages::skin::{Skin, SkinJobs, Skinning};
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::time::ServerTime;
-use shadecast_shaders::generated::{PoseGpu, SkinJobGpu};
+use shadecast_shaders::generated::{PoseGpu, SkinJob};
 use std::collections::HashMap;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// `SkinJobGpu::weight_base` of a mesh without morph targets.
+/// `SkinJob::weight_base` of a mesh without morph targets.
 const NO_MORPHS: u32 = u32::MAX;
 
 /// An instance to be skinned at a sample time.
@@ -47,7 +47,7 @@ pub struct Animation {
     morph_weights: Buffer,
     slots: Vec<Slot>,
     statics_done: bool,
-    jobs: Vec<SkinJobGpu>,
+    jobs: SkinJobs,
     counts: AnimationCounts,
 }
 
@@ -85,7 +85,7 @@ impl Animation {
             morph_weights,
             slots: vec![empty; slots as usize],
             statics_done: false,
-            jobs: Vec::new(),
+            jobs: SkinJobs::default(),
             counts: AnimationCounts::default(),
         })
     }
@@ -103,13 +103,12 @@ impl Animation {
         let still = |instance: &usize| !self.statics_done && !self.scene.instances[*instance].is_animated;
         let still: Vec<SampleJob> =
             all.filter(still).map(|instance| SampleJob { instance, ..statics }).collect();
-        let mut jobs = std::mem::take(&mut self.jobs);
+        let mut jobs = self.no_jobs();
         let mut poses: Vec<Range<u32>> = Vec::new();
-        jobs.clear();
         for sample in samples.iter().chain(&still) {
             let pose = self.pose(*sample, &mut poses);
             let base = self.skin.position_base(&self.scene.instances[sample.instance], sample.slot);
-            jobs.push(self.job(*sample, pose, base));
+            self.push_job(&mut jobs, *sample, pose, base, false);
         }
         // The slots' palettes and vertices may still be read by the last samples.
         recorder.barrier(Access::COMPUTE, Access::COMPUTE);
@@ -117,9 +116,10 @@ impl Animation {
             recorder.scope("palette", |r| poses.into_iter().for_each(|range| self.palette.record(r, range)));
             recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
         }
-        recorder.scope("skin", |r| self.skin.record_positions(r, &self.scene, &mut jobs));
-        self.counts.instance_samples += jobs.len() as u64;
-        self.counts.vertices += jobs.iter().map(|job| u64::from(job.vertex_count)).sum::<u64>();
+        recorder.scope("skin", |r| self.skin.record(r, &jobs));
+        let skinned = samples.iter().chain(&still);
+        self.counts.instance_samples += skinned.clone().count() as u64;
+        self.counts.vertices += skinned.map(|sample| self.vertex_count(sample.instance)).sum::<u64>();
         self.jobs = jobs;
         self.statics_done = true;
         if !still.is_empty() {
@@ -144,14 +144,14 @@ impl Animation {
     }
 
     fn record_frames_of(&mut self, recorder: &mut Recorder, samples: &[SampleJob]) {
-        let mut jobs = std::mem::take(&mut self.jobs);
-        jobs.clear();
+        let mut jobs = self.no_jobs();
         for sample in samples {
             let pose = self.slots[sample.slot as usize].pose_of_instance[sample.instance];
             let base = self.skin.frame_base(&self.scene.instances[sample.instance]);
-            jobs.push(self.job(*sample, pose.expect("posed before its frames are wanted"), base));
+            let pose = pose.expect("posed before its frames are wanted");
+            self.push_job(&mut jobs, *sample, pose, base, true);
         }
-        recorder.scope("skin frames", |r| self.skin.record_frames(r, &mut jobs));
+        recorder.scope("skin frames", |r| self.skin.record(r, &jobs));
         self.jobs = jobs;
     }
 
@@ -195,21 +195,45 @@ impl Animation {
         found
     }
 
-    fn job(&self, sample: SampleJob, pose: PoseRef, output_base: u32) -> SkinJobGpu {
+    fn vertex_count(&self, instance: usize) -> u64 {
+        u64::from(self.scene.models[self.scene.instances[instance].model].vertex_count)
+    }
+
+    /// An empty list with the room of the last one.
+    fn no_jobs(&mut self) -> SkinJobs {
+        let mut jobs = std::mem::take(&mut self.jobs);
+        jobs.clear();
+        jobs
+    }
+
+    fn push_job(
+        &self,
+        jobs: &mut SkinJobs,
+        sample: SampleJob,
+        pose: PoseRef,
+        output_base: u32,
+        writes_frames: bool,
+    ) {
         let (place, instance) =
             (&self.scene.instances[sample.instance], &self.scene.scene.instances[sample.instance]);
         let model = &self.scene.models[place.model];
-        SkinJobGpu {
+        let whole = SkinJob {
             world_from_model: rows(instance.world_from_model(sample.time.seconds())),
-            first_group: 0,
             vertex_base: model.vertex_base,
             vertex_count: model.vertex_count,
             palette_base: pose.palette_base,
             output_base,
             weight_base: if model.has_morphs { pose.weight_base } else { NO_MORPHS },
             pose: pose.pose,
-            packed_base: model.packed_base,
-            packed_ends: model.packed_ends,
+            writes_frames: u32::from(writes_frames),
+            packed_base: 0,
+        };
+        if self.scene.skinning != Skinning::Packed {
+            jobs.whole.push(whole);
+            return;
+        }
+        for (list, run) in jobs.packed.iter_mut().zip(&model.packed).filter(|(_, run)| !run.is_empty()) {
+            list.push(SkinJob { vertex_count: run.len() as u32, packed_base: run.start, ..whole });
         }
     }
 

@@ -61,11 +61,21 @@ fn module(gpu: &Gpu, shader: &Shader) -> Result<vk::ShaderModule, GpuError> {
 impl ComputePipeline {
     /// A pipeline of one compute shader.
     pub fn new(gpu: &Arc<Gpu>, shader: &Shader) -> Result<Self, GpuError> {
+        Self::specialised(gpu, shader, &[])
+    }
+
+    /// The same with specialisation constants, numbered as they stand.
+    pub fn specialised(gpu: &Arc<Gpu>, shader: &Shader, constants: &[u32]) -> Result<Self, GpuError> {
         let layout = Layout::new(gpu, &[shader])?;
         let module = module(gpu, shader)?;
+        let entry = |id: u32| vk::SpecializationMapEntry { constant_id: id, offset: id * 4, size: 4 };
+        let entries: Vec<_> = (0..constants.len() as u32).map(entry).collect();
+        let specialisation =
+            vk::SpecializationInfo::default().map_entries(&entries).data(bytemuck::cast_slice(constants));
         let stage = vk::PipelineShaderStageCreateInfo::default()
             .stage(vk::ShaderStageFlags::COMPUTE)
             .module(module)
+            .specialization_info(&specialisation)
             .name(c"main");
         let infos = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(layout.handle)];
         // SAFETY: module and layout are alive; the module is not needed after creation.

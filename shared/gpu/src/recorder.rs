@@ -273,16 +273,27 @@ impl Recorder {
         push: &P,
         groups: [u32; 3],
     ) {
-        let (device, commands) = (&self.gpu.device, self.commands());
-        let layout = pipeline.layout();
-        self.push(layout, push);
+        self.dispatch_each(pipeline, group, std::iter::once((push, groups)));
+    }
+
+    /// Dispatches as many workgroups as each item says, with its push constants; nothing waits in between.
+    pub fn dispatch_each<'a, P: bytemuck::Pod>(
+        &mut self,
+        pipeline: &ComputePipeline,
+        group: &BindGroup,
+        items: impl Iterator<Item = (&'a P, [u32; 3])>,
+    ) {
+        let (device, commands, layout) = (&self.gpu.device, self.commands(), pipeline.layout());
         // SAFETY: pipeline and set are alive and of one layout.
         unsafe {
             device.cmd_bind_pipeline(commands, vk::PipelineBindPoint::COMPUTE, pipeline.handle);
-            let sets = [group.set];
-            let point = vk::PipelineBindPoint::COMPUTE;
+            let (sets, point) = ([group.set], vk::PipelineBindPoint::COMPUTE);
             device.cmd_bind_descriptor_sets(commands, point, layout.handle, 0, &sets, &[]);
-            device.cmd_dispatch(commands, groups[0], groups[1], groups[2]);
+        }
+        for (push, groups) in items {
+            self.push(layout, push);
+            // SAFETY: pipeline, set and push constants are those of the layout.
+            unsafe { device.cmd_dispatch(commands, groups[0], groups[1], groups[2]) };
         }
     }
 

@@ -12,24 +12,24 @@ use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_scene::{Model, Scene};
 use shadecast_server::animation::gpu::Animation;
 use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
-use shadecast_server::stages::skin::{GROUP, Skinning};
-use shadecast_shaders::generated::{BENCH_BLEND_COMP, BenchBlendPush, FrameGpu, PackedVertexGpu, VertexGpu};
+use shadecast_server::stages::skin::Skinning;
+use shadecast_shaders::generated::{BENCH_FETCH_COMP, BenchFetchPush};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 
-/// Times measured of every variant and of every rate. The shortest counts, of both alike: others use the machine too, and
-/// a ratio of unlike statistics would be theirs.
-const REPEATS: usize = 9;
-/// Seconds of the scene between two measured times; no two of them are at the same phase of a 4 s clip.
+/// Rounds. In each one every rate and every variant is measured, one after the other: a machine that is shared changes its
+/// speed by a factor of two for seconds, so only ratios within a round mean something. Their median is reported.
+const ROUNDS: usize = 41;
+/// Seconds of the scene between two rounds; no two of them are at the same phase of a 4 s clip.
 const STEP_S: f64 = 0.137;
 /// Bytes copied to measure the copy rate.
 const COPY_BYTES: u64 = 64 << 20;
-/// Invocations and fetches of each that measure the blend rate.
-const BLEND_INVOCATIONS: u32 = 1 << 16;
-const BLEND_FETCHES: u32 = 256;
+/// Invocations and fetches of each that measure the fetch rate.
+const FETCH_INVOCATIONS: u32 = 1 << 18;
+const FETCHES: u32 = 8;
 /// Entries of the table that is fetched from: as large as the palettes of a few dragons.
-const BLEND_TABLE: u32 = 4096;
+const FETCH_TABLE: u32 = 4096;
 
 /// What was measured.
 #[derive(Clone, Debug, Serialize)]
@@ -50,19 +50,19 @@ pub struct SkinningReport {
     pub rates: Rates,
     /// By variant.
     pub variants: Vec<VariantReport>,
-    /// Time of per-vertex-chain divided by palette's: poses and positions.
+    /// Time of per-vertex-chain divided by palette's, poses and positions; median of the rounds.
     pub chain_over_palette: f64,
     /// Matrix products of per-vertex-chain divided by palette's.
     pub products_chain_over_palette: f64,
 }
 
-/// What the device can do at most, measured in the same run.
+/// What the device can do at most, medians of the same rounds.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Rates {
     /// Bytes read and written per second by a buffer copy.
     pub copy_bytes_per_s: f64,
     /// vec4 fetched from a storage buffer at a lane's own place, multiplied and added, per second.
-    pub blends_per_s: f64,
+    pub fetches_per_s: f64,
 }
 
 /// One way of skinning.
@@ -76,18 +76,27 @@ pub struct VariantReport {
     pub local_transforms: u64,
     /// Matrices weighted and added for one sample time.
     pub blended_matrices: u64,
-    /// Shortest milliseconds by stage for one sample time.
-    pub stage_ms: BTreeMap<String, f64>,
-    /// Sum of palette and skin, positions of one sample time.
+    /// By stage for one sample time.
+    pub stages: BTreeMap<String, StageReport>,
+    /// All stages.
+    pub all: StageReport,
+    /// Milliseconds of palette and skin, positions of one sample time.
     pub position_ms: f64,
-    /// The least that positions can take at the measured rates.
+}
+
+/// A stage, or several, for one sample time.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct StageReport {
+    /// Median.
+    pub ms: f64,
+    /// The least that it can take at the rates of its round; median.
     pub floor_ms: f64,
-    /// `position_ms / floor_ms`.
+    /// Time divided by the floor of its round; median.
     pub over_floor: f64,
-    /// Bytes that positions must move.
+    /// Bytes that cannot but be moved.
     pub floor_bytes: u64,
-    /// vec4 that positions must fetch or compute.
-    pub floor_blends: u64,
+    /// vec4 that cannot but be fetched or stored, four scalars for one.
+    pub floor_fetches: u64,
 }
 
 /// What a scene's animated instances consist of.
@@ -100,7 +109,6 @@ struct Counts {
     entries: u64,
     /// Sum over all influences of the length of the bone's parent chain, itself included.
     chain_bones: u64,
-    packed_vertices: u64,
 }
 
 /// Measures all variants on `scene`.
@@ -111,17 +119,28 @@ pub fn measure(source: &SceneSource, sampling: Sampling) -> anyhow::Result<Skinn
     let options = GpuOptions { needs: Needs::Server, validation: false, device_name: None };
     let gpu = Gpu::open(&options, &DesktopDevice)?;
     let scene = load_scene(source)?;
-    let rates = Rates { copy_bytes_per_s: copy_rate(&gpu)?, blends_per_s: blend_rate(&gpu)? };
-    let all = [Skinning::PerVertexChain, Skinning::Palette, Skinning::Packed];
+    let rates = RateBench::new(&gpu)?;
     let mut variants = Vec::new();
-    let mut counts = Counts::default();
-    for skinning in all {
+    for skinning in [Skinning::PerVertexChain, Skinning::Palette, Skinning::Packed] {
         let options = SceneOptions { sampling, skinning };
-        let scene = Arc::new(SceneGpu::new(&gpu, scene.clone(), &options)?);
-        counts = Counts::of(&scene);
-        variants.push(measure_one(&gpu, &scene, &counts, &rates)?);
+        variants.push(Variant::new(&gpu, Arc::new(SceneGpu::new(&gpu, scene.clone(), &options)?))?);
     }
-    let [chain, palette, _] = &variants[..] else { unreachable!("three variants") };
+    let mut rates_of_rounds = Vec::new();
+    // The first round also does the static instances, and warms everything up.
+    for round in 0..=ROUNDS {
+        let measured = rates.measure(&gpu)?;
+        for variant in &mut variants {
+            variant.measure(&gpu, round as f64 * STEP_S, &measured)?;
+        }
+        rates_of_rounds.push(measured);
+    }
+    for variant in &mut variants {
+        variant.rounds.remove(0);
+    }
+    let [chain, palette, packed] = &variants[..] else { unreachable!("three variants") };
+    let ratio = |round: usize| chain.rounds[round].position_ms() / palette.rounds[round].position_ms();
+    let reports = [chain, palette, packed].map(Variant::report);
+    let counts = Counts::of(&palette.scene);
     Ok(SkinningReport {
         device: gpu.device_name(),
         scene: source.to_string(),
@@ -129,56 +148,95 @@ pub fn measure(source: &SceneSource, sampling: Sampling) -> anyhow::Result<Skinn
         instances: counts.instances,
         vertices: counts.vertices,
         influences: counts.influences,
-        rates,
-        chain_over_palette: chain.position_ms / palette.position_ms,
-        products_chain_over_palette: chain.matrix_products as f64 / palette.matrix_products as f64,
-        variants,
+        rates: Rates {
+            copy_bytes_per_s: median(rates_of_rounds.iter().map(|rates| rates.copy_bytes_per_s)),
+            fetches_per_s: median(rates_of_rounds.iter().map(|rates| rates.fetches_per_s)),
+        },
+        chain_over_palette: median((0..ROUNDS).map(ratio)),
+        products_chain_over_palette: reports[0].matrix_products as f64 / reports[1].matrix_products as f64,
+        variants: reports.to_vec(),
     })
 }
 
-fn measure_one(
-    gpu: &Arc<Gpu>,
-    scene: &Arc<SceneGpu>,
-    counts: &Counts,
-    rates: &Rates,
-) -> anyhow::Result<VariantReport> {
-    let mut animation = Animation::new(gpu, scene, 1)?;
-    let mut times: BTreeMap<String, Vec<f64>> = BTreeMap::new();
-    // The first one also does the static instances, and warms everything up.
-    for repeat in 0..=REPEATS {
+/// A way of skinning with what was measured of it.
+struct Variant {
+    scene: Arc<SceneGpu>,
+    animation: Animation,
+    floors: BTreeMap<&'static str, Floor>,
+    rounds: Vec<Round>,
+}
+
+/// Milliseconds of each stage and its floor at the rates of the round.
+#[derive(Clone, Debug, Default)]
+struct Round {
+    stages: BTreeMap<&'static str, (f64, f64)>,
+}
+
+impl Round {
+    fn position_ms(&self) -> f64 {
+        let of = |stage: &str| self.stages.get(stage).map_or(0.0, |(ms, _)| *ms);
+        of("palette") + of("skin")
+    }
+
+    /// Time and floor of the stages that `is_wanted` names.
+    fn sum(&self, is_wanted: impl Fn(&str) -> bool) -> (f64, f64) {
+        let wanted = self.stages.iter().filter(|(stage, _)| is_wanted(stage));
+        wanted.fold((0.0, 0.0), |sum, (_, stage)| (sum.0 + stage.0, sum.1 + stage.1))
+    }
+}
+
+impl Variant {
+    fn new(gpu: &Arc<Gpu>, scene: Arc<SceneGpu>) -> anyhow::Result<Self> {
+        let animation = Animation::new(gpu, &scene, 1)?;
+        let floors = Counts::of(&scene).floors(scene.skinning);
+        Ok(Self { scene, animation, floors, rounds: Vec::new() })
+    }
+
+    fn measure(&mut self, gpu: &Arc<Gpu>, time_s: f64, rates: &Rates) -> anyhow::Result<()> {
         let mut recorder = gpu.record()?;
-        let time = ServerTime((repeat as f64 * STEP_S * 1e9) as i64);
-        animation.record_sample(&mut recorder, 0, time);
-        animation.record_frames(&mut recorder, 0, |_| true);
+        self.animation.record_sample(&mut recorder, 0, ServerTime((time_s * 1e9) as i64));
+        self.animation.record_frames(&mut recorder, 0, |_| true);
         gpu.wait(recorder.submit()?)?;
+        let mut round = Round::default();
         for (stage, ms) in gpu.take_timings_ms() {
-            if repeat > 0 {
-                times.entry(stage.to_owned()).or_default().push(ms);
+            if let Some(floor) = self.floors.get(stage) {
+                round.stages.insert(stage, (ms, floor.ms(rates)));
             }
         }
+        self.rounds.push(round);
+        Ok(())
     }
-    let stage_ms: BTreeMap<String, f64> =
-        times.into_iter().map(|(stage, times)| (stage, shortest(&times))).collect();
-    let of = |stage: &str| stage_ms.get(stage).copied().unwrap_or(0.0);
-    let position_ms = of("palette") + of("skin");
-    let skinning = scene.skinning;
-    let (floor_bytes, floor_blends) = counts.floor(skinning);
-    let by_bytes = floor_bytes as f64 / rates.copy_bytes_per_s;
-    let by_blends = floor_blends as f64 / rates.blends_per_s;
-    let floor_ms = by_bytes.max(by_blends) * 1e3;
-    let is_chain = skinning == Skinning::PerVertexChain;
-    Ok(VariantReport {
-        name: name_of(skinning),
-        matrix_products: if is_chain { counts.chain_bones } else { counts.bones + counts.entries },
-        local_transforms: if is_chain { counts.chain_bones } else { counts.bones },
-        blended_matrices: counts.influences,
-        stage_ms,
-        position_ms,
-        floor_ms,
-        over_floor: position_ms / floor_ms,
-        floor_bytes,
-        floor_blends,
-    })
+
+    fn report(&self) -> VariantReport {
+        let skinning = self.scene.skinning;
+        let counts = Counts::of(&self.scene);
+        let is_chain = skinning == Skinning::PerVertexChain;
+        let one = |stage: &&'static str| ((*stage).to_owned(), self.stage(|name| name == *stage));
+        VariantReport {
+            name: name_of(skinning),
+            matrix_products: if is_chain { counts.chain_bones } else { counts.bones + counts.entries },
+            local_transforms: if is_chain { counts.chain_bones } else { counts.bones },
+            blended_matrices: counts.influences,
+            stages: self.floors.keys().map(one).collect(),
+            all: self.stage(|_| true),
+            position_ms: median(self.rounds.iter().map(Round::position_ms)),
+        }
+    }
+
+    fn stage(&self, is_wanted: impl Fn(&str) -> bool) -> StageReport {
+        let of = |value: fn((f64, f64)) -> f64| {
+            median(self.rounds.iter().map(|round| value(round.sum(&is_wanted))))
+        };
+        let floors = self.floors.iter().filter(|(stage, _)| is_wanted(stage)).map(|(_, floor)| floor);
+        let (bytes, scalars) = floors.fold((0, 0), |sum, f| (sum.0 + f.bytes, sum.1 + f.scalars));
+        StageReport {
+            ms: of(|(ms, _)| ms),
+            floor_ms: of(|(_, floor_ms)| floor_ms),
+            over_floor: of(|(ms, floor_ms)| ms / floor_ms),
+            floor_bytes: bytes,
+            floor_fetches: scalars / 4,
+        }
+    }
 }
 
 fn name_of(skinning: Skinning) -> String {
@@ -200,12 +258,10 @@ impl Counts {
     fn add(&mut self, scene: &Scene, model: usize) {
         let model = &scene.models[model];
         let depths = depths(model);
-        let mut by_count = [0u64; 5];
         for vertex in &model.vertices {
             let used = vertex.joints.iter().zip(vertex.weights).filter(|(_, weight)| *weight > 0.0);
             let chains = used.map(|(joint, _)| depths[model.palette[usize::from(*joint)].bone as usize]);
             let lengths: Vec<u64> = chains.collect();
-            by_count[lengths.len()] += 1;
             self.influences += lengths.len() as u64;
             self.chain_bones += lengths.iter().sum::<u64>();
         }
@@ -213,29 +269,59 @@ impl Counts {
         self.vertices += model.vertices.len() as u64;
         self.bones += model.bones.len() as u64;
         self.entries += model.palette.len() as u64;
-        self.packed_vertices +=
-            by_count.iter().map(|count| count.next_multiple_of(u64::from(GROUP))).sum::<u64>();
     }
 
-    /// Bytes and blends that positions of one sample time cannot do without.
-    ///
-    /// Bytes: what a vertex is read from, once, and the 16 that are written. Blends: three rows for each influence, the
-    /// vec4 of the vertex that are read, three for each of the two transforms, and one that is written; for the
-    /// chain, 16 for each bone of a chain (nine of key values, three of a product, four of the matrix) instead of three.
-    fn floor(&self, skinning: Skinning) -> (u64, u64) {
-        const TRANSFORMS: u64 = 7;
-        let written = 16 * self.vertices;
-        let whole = 56 * self.vertices; // position, weights, joints, morphs
-        match skinning {
+    /// What the stages of one sample time cannot do without: each member that a vertex is made from is read once, each
+    /// influence's matrix once, and what comes out is written once. Nothing is counted for arithmetic, for finding out
+    /// what to do, or for members that are read beside those wanted.
+    fn floors(&self, skinning: Skinning) -> BTreeMap<&'static str, Floor> {
+        const MATRIX: u64 = 12;
+        const INFLUENCES: u64 = 4 + 2; // weights, joints
+        const PACKED: u64 = 2 + 2 + 1; // weights, joints, the vertex's number
+        const POSITION: u64 = 3 + 4; // read, written
+        const FRAME: u64 = 3 + 4 + 8; // normal and tangent read, both written
+        const KEYS: u64 = 3 + 4 + 3; // of one key, translation, rotation, scale
+        let vertices = |scalars: u64| scalars * self.vertices;
+        let blends = MATRIX * self.influences;
+        // A bone's matrix is written and read by a child; an entry's is made from two.
+        let palette = (KEYS + 2 * MATRIX) * self.bones + 3 * MATRIX * self.entries;
+        let chain = (KEYS + 1) * self.chain_bones;
+        // Matrices of bones and keys are few and stay in a cache: of these, only fetches count.
+        let stage = |streamed: u64, cached: u64| Floor { bytes: 4 * streamed, scalars: streamed + cached };
+        let (position, frame) = (vertices(INFLUENCES + POSITION), vertices(INFLUENCES + FRAME));
+        let stages = match skinning {
             Skinning::PerVertexChain => {
-                (written + whole, 16 * self.chain_bones + (4 + TRANSFORMS) * self.vertices)
+                vec![("skin", stage(position, chain)), ("skin frames", stage(frame, chain))]
             }
-            Skinning::Palette => (written + whole, 3 * self.influences + (4 + TRANSFORMS) * self.vertices),
-            Skinning::Packed => {
-                let packed = size_of::<PackedVertexGpu>() as u64 * self.packed_vertices;
-                (written + packed, 3 * self.influences + (2 + TRANSFORMS) * self.vertices)
-            }
-        }
+            Skinning::Palette => vec![
+                ("palette", stage(0, palette)),
+                ("skin", stage(position, blends)),
+                ("skin frames", stage(frame, blends)),
+            ],
+            Skinning::Packed => vec![
+                ("palette", stage(0, palette)),
+                ("skin", stage(vertices(PACKED + POSITION), blends)),
+                ("skin frames", stage(vertices(PACKED + FRAME), blends)),
+            ],
+        };
+        stages.into_iter().collect()
+    }
+}
+
+/// What a stage cannot do without.
+#[derive(Clone, Copy, Debug)]
+struct Floor {
+    /// Bytes from and to memory.
+    bytes: u64,
+    /// Numbers fetched from and stored to buffers.
+    scalars: u64,
+}
+
+impl Floor {
+    fn ms(&self, rates: &Rates) -> f64 {
+        let by_bytes = self.bytes as f64 / rates.copy_bytes_per_s;
+        let by_fetches = self.scalars as f64 / 4.0 / rates.fetches_per_s;
+        by_bytes.max(by_fetches) * 1e3
     }
 }
 
@@ -248,49 +334,52 @@ fn depths(model: &Model) -> Vec<u64> {
     depths
 }
 
-fn shortest(times: &[f64]) -> f64 {
-    times.iter().copied().fold(f64::INFINITY, f64::min)
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
-fn copy_rate(gpu: &Arc<Gpu>) -> anyhow::Result<f64> {
-    let buffer = |name| Buffer::new(gpu, name, COPY_BYTES, Memory::Device);
-    let (from, to) = (buffer("copied from")?, buffer("copied to")?);
-    let ms = timed(gpu, |recorder| recorder.copy_buffer(&from, 0, &to, 0, COPY_BYTES))?;
-    Ok(2.0 * COPY_BYTES as f64 / (ms * 1e-3))
+/// What measures the device's rates.
+struct RateBench {
+    from: Buffer,
+    to: Buffer,
+    pipeline: ComputePipeline,
+    group: BindGroup,
+    _table: Buffer,
+    _sums: Buffer,
 }
 
-fn blend_rate(gpu: &Arc<Gpu>) -> anyhow::Result<f64> {
-    let pipeline = ComputePipeline::new(gpu, &BENCH_BLEND_COMP)?;
-    let table = Buffer::device_local(gpu, "table", &vec![[0.5f32; 4]; BLEND_TABLE as usize])?;
-    let sums = Buffer::new(gpu, "sums", u64::from(BLEND_INVOCATIONS) * 16, Memory::Device)?;
-    let binds = [("Table", Bind::Buffer(&table)), ("Sums", Bind::Buffer(&sums))];
-    let group = BindGroup::new(pipeline.layout(), &binds)?;
-    let push = BenchBlendPush { fetches: BLEND_FETCHES, mask: BLEND_TABLE - 1 };
-    let ms = timed(gpu, |recorder| {
-        recorder.dispatch(&pipeline, &group, &push, [BLEND_INVOCATIONS / 64, 1, 1]);
-    })?;
-    Ok(f64::from(BLEND_INVOCATIONS) * f64::from(BLEND_FETCHES) / (ms * 1e-3))
-}
-
-/// Shortest of a few runs in milliseconds.
-fn timed(gpu: &Arc<Gpu>, record: impl Fn(&mut shadecast_gpu::Recorder)) -> anyhow::Result<f64> {
-    let mut best = f64::INFINITY;
-    for _ in 0..REPEATS {
-        gpu.take_timings_ms();
-        let mut recorder = gpu.record()?;
-        recorder.scope("rate", |r| record(r));
-        recorder.barrier(Access::COMPUTE, Access::COMPUTE);
-        gpu.wait(recorder.submit()?)?;
-        let times = gpu.take_timings_ms();
-        let (_, ms) =
-            times.iter().find(|(name, _)| *name == "rate").context("the device has no timestamps")?;
-        best = best.min(*ms);
+impl RateBench {
+    fn new(gpu: &Arc<Gpu>) -> anyhow::Result<Self> {
+        let buffer = |name, bytes| Buffer::new(gpu, name, bytes, Memory::Device);
+        let pipeline = ComputePipeline::new(gpu, &BENCH_FETCH_COMP)?;
+        let table = Buffer::device_local(gpu, "table", &vec![[0.5f32; 4]; FETCH_TABLE as usize])?;
+        let sums = buffer("sums", u64::from(FETCH_INVOCATIONS) * 16)?;
+        let binds = [("Table", Bind::Buffer(&table)), ("Sums", Bind::Buffer(&sums))];
+        let group = BindGroup::new(pipeline.layout(), &binds)?;
+        let (from, to) = (buffer("copied from", COPY_BYTES)?, buffer("copied to", COPY_BYTES)?);
+        Ok(Self { from, to, pipeline, group, _table: table, _sums: sums })
     }
-    Ok(best)
-}
 
-/// Sizes of the records that floors are computed from.
-const _: () = assert!(size_of::<VertexGpu>() >= 56 && size_of::<FrameGpu>() == 32);
+    fn measure(&self, gpu: &Arc<Gpu>) -> anyhow::Result<Rates> {
+        let push = BenchFetchPush { fetches: FETCHES, mask: FETCH_TABLE - 1 };
+        let mut recorder = gpu.record()?;
+        recorder.scope("copy", |r| r.copy_buffer(&self.from, 0, &self.to, 0, COPY_BYTES));
+        recorder.barrier(Access::COMPUTE, Access::COMPUTE);
+        recorder.scope("fetch", |r| {
+            r.dispatch(&self.pipeline, &self.group, &push, [FETCH_INVOCATIONS / 128, 1, 1]);
+        });
+        gpu.wait(recorder.submit()?)?;
+        let times: BTreeMap<_, _> = gpu.take_timings_ms().into_iter().collect();
+        let seconds =
+            |scope: &str| times.get(scope).map(|ms| ms * 1e-3).context("the device has no timestamps");
+        Ok(Rates {
+            copy_bytes_per_s: 2.0 * COPY_BYTES as f64 / seconds("copy")?,
+            fetches_per_s: f64::from(FETCH_INVOCATIONS) * f64::from(FETCHES + 1) / seconds("fetch")?,
+        })
+    }
+}
 
 impl fmt::Display for SkinningReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -304,26 +393,33 @@ impl fmt::Display for SkinningReport {
         )?;
         writeln!(
             out,
-            "rates: copy {:.1} GB/s, {:.0} million vec4 fetched and blended a second",
+            "rates: copy {:.1} GB/s, {:.0} million vec4 fetched a second",
             self.rates.copy_bytes_per_s * 1e-9,
-            self.rates.blends_per_s * 1e-6
+            self.rates.fetches_per_s * 1e-6
         )?;
         writeln!(
             out,
-            "{:<17} {:>12} {:>10} {:>9} {:>9} {:>11}",
-            "", "products", "blends", "ms", "floor", "over floor"
+            "{:<17} {:<12} {:>10} {:>9} {:>9} {:>9} {:>11}",
+            "", "", "products", "blends", "ms", "floor", "over floor"
         )?;
         for v in &self.variants {
-            writeln!(
-                out,
-                "{:<17} {:>12} {:>10} {:>9.3} {:>9.3} {:>10.2}x",
-                v.name, v.matrix_products, v.blended_matrices, v.position_ms, v.floor_ms, v.over_floor
-            )?;
+            let (name, products, blends) = (&v.name, v.matrix_products, v.blended_matrices);
+            write!(out, "{name:<17} {:<12} {products:>10} {blends:>9} ", "all")?;
+            writeln!(out, "{}", v.all)?;
+            for (stage, report) in &v.stages {
+                writeln!(out, "{:<17} {stage:<12} {:>10} {:>9} {report}", "", "", "")?;
+            }
         }
         write!(
             out,
-            "per-vertex-chain takes {:.1}x as long as palette, with {:.0}x the matrix products",
+            "positions by per-vertex-chain take {:.1}x as long as by palette, with {:.0}x the matrix products",
             self.chain_over_palette, self.products_chain_over_palette
         )
+    }
+}
+
+impl fmt::Display for StageReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{:>9.3} {:>9.3} {:>10.2}x", self.ms, self.floor_ms, self.over_floor)
     }
 }

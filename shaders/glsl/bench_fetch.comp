@@ -2,11 +2,11 @@
 #extension GL_GOOGLE_include_directive : require
 // What skinning is made of, for measuring the device's rate: a vec4 fetched from a storage buffer at a place that every
 // lane has for itself, multiplied and added to a sum.
-layout(local_size_x = 64) in;
+layout(local_size_x = 128) in;
 
 layout(std430, binding = 0) readonly buffer Table { vec4 table[]; };
 layout(std430, binding = 1) writeonly buffer Sums { vec4 sums[]; };
-layout(push_constant) uniform BenchBlendPush {
+layout(push_constant) uniform BenchFetchPush {
     uint fetches; // of each invocation
     uint mask;    // length of the table less one, a power of two
 };
