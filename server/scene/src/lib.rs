@@ -538,7 +538,8 @@ impl Instance {
         }
     }
 
-    /// `path * placement` at a time of the scene, by the path's source curves.
+    /// `path * placement` at a time of the scene, by the path's source curves; by its sampled ones:
+    /// [`SampledPaths`](animation::sampling::SampledPaths).
     pub fn world_from_model(&self, scene_time_s: f64) -> Affine3A {
         self.path.as_ref().map_or(self.placement, |path| path.transform(scene_time_s) * self.placement)
     }
@@ -554,9 +555,13 @@ impl Instance {
 impl Path {
     /// The transform at a time of the scene.
     pub fn transform(&self, scene_time_s: f64) -> Affine3A {
+        clip::transform_of_tracks(&self.clip.tracks, Trs::IDENTITY, self.phase_s(scene_time_s)).affine()
+    }
+
+    /// How far into its clip the path is at a time of the scene, as [`Instance::clip_phase_s`].
+    pub fn phase_s(&self, scene_time_s: f64) -> f64 {
         let time_s = (scene_time_s + f64::from(self.time_shift_s)) * f64::from(self.speed);
-        let phase_s = clip::clip_phase(time_s, self.clip.duration_s, self.repetition);
-        clip::transform_of_tracks(&self.clip.tracks, Trs::IDENTITY, phase_s).affine()
+        clip::clip_phase(time_s, self.clip.duration_s, self.repetition)
     }
 }
 

@@ -214,11 +214,12 @@ impl Animation {
         output_base: u32,
         writes_frames: bool,
     ) {
-        let (place, instance) =
-            (&self.scene.instances[sample.instance], &self.scene.scene.instances[sample.instance]);
-        let model = &self.scene.models[place.model];
+        let model = &self.scene.models[self.scene.instances[sample.instance].model];
+        let paths = &self.scene.animation.manager.paths;
+        let world_from_model =
+            paths.world_from_model(&self.scene.scene, sample.instance, sample.time.seconds());
         let whole = SkinJob {
-            world_from_model: rows(instance.world_from_model(sample.time.seconds())),
+            world_from_model: rows(world_from_model),
             vertex_base: model.vertex_base,
             vertex_count: model.vertex_count,
             palette_base: pose.palette_base,

@@ -3,7 +3,7 @@
 
 use glam::Affine3A;
 use shadecast_scene::animation::sampling::{
-    KeyInterpolation, SampledClip, SampledTrack, Sampling, world_scale,
+    KeyInterpolation, SampledClip, SampledPaths, SampledTrack, Sampling, world_scale,
 };
 use shadecast_scene::cache::Cache;
 use shadecast_scene::identity::{ContentHash, clip_hash, mesh_hash, skeleton_hash};
@@ -57,6 +57,8 @@ pub struct AnimationManager {
     pub skeletons: Vec<Skeleton>,
     /// Each different one (for its skeleton) once.
     pub clips: Vec<StoredClip>,
+    /// The instances' paths.
+    pub paths: SampledPaths,
     /// What goes to the GPU.
     pub arrays: Arrays,
 }
@@ -87,9 +89,9 @@ pub struct PoseKey {
 }
 
 impl AnimationManager {
-    /// Samples every clip of the scene, through the cache.
+    /// Samples every clip of the scene, through the cache, and every path.
     pub fn new(scene: &Scene, sampling: Sampling, cache: &Cache) -> Self {
-        let mut manager = Self::default();
+        let mut manager = Self { paths: SampledPaths::new(scene, sampling), ..Self::default() };
         let mut skeletons: HashMap<ContentHash, (usize, BoneOrder)> = HashMap::new();
         let mut clips: HashMap<(usize, ContentHash, ContentHash, u32), usize> = HashMap::new();
         for (index, model) in scene.models.iter().enumerate() {

@@ -168,16 +168,17 @@ fn read<T: bytemuck::Pod>(gpu: &Arc<Gpu>, buffer: &Buffer) -> Vec<T> {
     target.values::<T>().to_vec()
 }
 
-/// What the twin makes of an instance: the clip as sampled, the path from its source.
+/// What the twin makes of an instance: clip and path as sampled.
 fn twin(scene: &Scene, index: usize, sampling: sampling::Sampling, time_s: f64) -> Vec<pose::SkinnedVertex> {
     let instance = &scene.instances[index];
     let model = &scene.models[instance.model];
+    let paths = sampling::SampledPaths::new(scene, sampling);
     let sampling = sampling.in_model(sampling::world_scale(scene, instance.model));
     let clip = sampling::sample(model, instance.clip, sampling);
     let phase_s = instance.clip_phase_s(clip.duration_s, time_s);
     let palette = pose::palette(model, &pose::global_pose(model, &clip.local_pose(phase_s)));
     let vertices = pose::morphed(model, &clip.morph_weights(phase_s));
-    pose::skin(&vertices, &palette, instance.world_from_model(time_s))
+    pose::skin(&vertices, &palette, paths.world_from_model(scene, index, time_s))
 }
 
 fn compare_with_twin(gpu: &Arc<Gpu>, scene: &Scene, options: SceneOptions, times_s: &[f64]) {

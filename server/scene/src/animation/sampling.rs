@@ -8,13 +8,15 @@ mod bounded;
 pub(crate) mod curve;
 mod fit;
 mod parse;
+mod paths;
 pub(crate) mod probe;
 pub(crate) mod source;
 
 pub use parse::SamplingError;
+pub use paths::SampledPaths;
 use source::Source;
 
-use crate::{Model, Path, Scene, Trs};
+use crate::{Model, Scene, Trs};
 use glam::{Affine3A, Quat, Vec3A, Vec4};
 use serde::{Deserialize, Serialize};
 
@@ -232,11 +234,6 @@ pub fn world_scale(scene: &Scene, model: usize) -> f32 {
 pub(crate) fn longest_axis(matrix: &Affine3A) -> f32 {
     let m = matrix.matrix3;
     [m.x_axis, m.y_axis, m.z_axis].map(Vec3A::length).into_iter().fold(0.0, f32::max)
-}
-
-/// Samples the movement of something whose largest distance from the path's origin is `reach_m`: a clip of one bone.
-pub fn sample_path(path: &Path, reach_m: f32, sampling: Sampling) -> SampledClip {
-    sample(&source::path_model(path, reach_m), Some(0), sampling)
 }
 
 fn constant(model: &Model, clip: Option<usize>, interval_s: f32) -> SampledClip {

@@ -1,7 +1,8 @@
 use super::*;
 use crate::animation::clip::source_pose;
 use crate::animation::test_models::{INTERPOLATIONS, one_bone, random_track};
-use crate::{Interpolation, MorphTrack, Repetition, Track, TrackValues};
+use crate::load::{SceneSource, load_scene};
+use crate::{Instance, Interpolation, MorphTrack, Path, Repetition, Track, TrackValues};
 use glam::Vec3;
 use rand::{SeedableRng, rngs::SmallRng};
 
@@ -123,16 +124,45 @@ fn morph_weights_are_sampled_and_others_rest() {
     assert_eq!(sample(&model, Some(0), TWENTIETH).morph_weights(0.75), [0.5, 0.75]);
 }
 
-#[test]
-fn path_is_sampled_as_a_clip_of_one_bone() {
+/// Instances of a small model, each on the same path and twice as large as the one before.
+fn scene_on_a_path(count: usize) -> Scene {
+    let values = TrackValues::Rotation([0.0f32, 1.5, 3.0].map(Quat::from_rotation_y).to_vec());
+    let turns = Track { bone: 0, times_s: vec![0.0, 1.0, 2.0], interpolation: Interpolation::Linear, values };
     let values = TrackValues::Translation(vec![Vec3::ZERO, Vec3::X * 4.0]);
-    let track = Track { bone: 0, times_s: vec![0.0, 2.0], interpolation: Interpolation::Linear, values };
-    let clip = one_bone(track).clips.remove(0);
-    let path = Path { clip, repetition: Repetition::Loop, time_shift_s: 0.0, speed: 1.0 };
-    for sampling in [TWENTIETH, Sampling::default()] {
-        let found = sample_path(&path, 2.0, sampling).local_pose(0.5)[0].translation;
-        assert!(found.abs_diff_eq(Vec3::X, 1e-5), "{sampling}: {found}");
-    }
+    let moves = Track { bone: 0, times_s: vec![0.0, 2.0], interpolation: Interpolation::Linear, values };
+    let mut clip = one_bone(turns).clips.remove(0);
+    clip.tracks.push(moves);
+    let path = Path { clip, repetition: Repetition::Loop, time_shift_s: 0.25, speed: 0.5 };
+    let mut scene = load_scene(&SceneSource::Dragons(1)).expect("the built-in scene loads");
+    let instance = |index: usize| Instance {
+        placement: Affine3A::from_scale(Vec3::splat(2f32.powi(index as i32))),
+        path: Some(path.clone()),
+        ..Instance::new("i", 0)
+    };
+    scene.instances = (0..count).map(instance).collect();
+    scene
+}
+
+#[test]
+fn paths_are_sampled_like_clips_and_each_once() {
+    let mut scene = scene_on_a_path(2);
+    let farthest = |scene: &Scene, sampling: Sampling| {
+        let paths = SampledPaths::new(scene, sampling);
+        let corner = crate::animation::bounds::model_bounds(&scene.models[0], None).high;
+        let distance = |step: u32| {
+            let t_s = f64::from(step) * 0.0313;
+            let source = scene.instances[1].world_from_model(t_s).transform_point3(corner);
+            paths.world_from_model(scene, 1, t_s).transform_point3(corner).distance(source)
+        };
+        (0..200).map(distance).fold(0.0, f32::max)
+    };
+    let bounded = farthest(&scene, Sampling::default());
+    assert!(bounded < 1.2e-4, "{bounded} m"); // 0.1 mm, and roundings at 4 m
+    let constant = farthest(&scene, Sampling::Constant { interval_s: 0.5 });
+    assert!(constant > 1e-3, "chords of arcs are off: {constant} m");
+    assert_eq!(SampledPaths::new(&scene, TWENTIETH).unique(), 2, "one for each size");
+    scene.instances[1].placement = scene.instances[0].placement;
+    assert_eq!(SampledPaths::new(&scene, TWENTIETH).unique(), 1);
 }
 
 #[test]
