@@ -96,9 +96,9 @@ impl Skin {
         };
         let is_chain = scene.skinning == Skinning::PerVertexChain;
         let whole = variant(if is_chain { &SKIN_CHAIN_COMP } else { &SKIN_COMP }, &[])?;
-        let influences = if scene.skinning == Skinning::Packed { 1..=4 } else { 1..=0 };
+        let most = if scene.skinning == Skinning::Packed { 4 } else { 0 };
         let packed =
-            influences.map(|count| variant(&SKIN_PACKED_COMP, &[count])).collect::<Result<_, _>>()?;
+            (1..=most).map(|count| variant(&SKIN_PACKED_COMP, &[count])).collect::<Result<_, _>>()?;
         Ok(Self {
             whole,
             packed,
