@@ -403,9 +403,9 @@ impl Arrays {
 fn packed(index: u32, v: &Vertex) -> PackedVertexGpu {
     let (joints, weights) = used_first(v);
     let units = weights.map(units_of_weight);
-    let first_joints = f32::from_bits(pair(joints[0], joints[1]));
+    let [x, y, z] = v.position.to_array().map(f32::to_bits);
     PackedVertexGpu {
-        position_joints: v.position.extend(first_joints).to_array(),
+        position_joints: [x, y, z, pair(joints[0], joints[1])],
         influences: [pair(joints[2], joints[3]), pair(units[0], units[1]), pair(units[2], units[3]), index],
     }
 }

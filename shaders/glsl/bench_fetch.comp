@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
-// What skinning is made of, for measuring the device's rate: a vec4 fetched from a storage buffer at a place that every
-// lane has for itself, multiplied and added to a sum.
+// What skinning is made of, for measuring the device's rate: a few vec4 for each invocation, fetched from a storage buffer
+// at places that it has for itself, multiplied and added to a sum, which is stored.
 layout(local_size_x = 128) in;
 
 layout(std430, binding = 0) readonly buffer Table { vec4 table[]; };

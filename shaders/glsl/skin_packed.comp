@@ -8,8 +8,8 @@ layout(constant_id = 0) const uint INFLUENCES = 4;
 #include "skin.glsl"
 
 struct PackedVertexGpu {
-    vec4 position_joints; // xyz metres, w the bits of the first two joints, 16 each
-    uvec4 influences;     // x the other two joints, y and z weights of 16 bits, 65535 for 1, w the index in the mesh
+    uvec4 position_joints; // xyz bits of metres, w the first two joints, 16 bits each
+    uvec4 influences;      // x the other two joints, y and z weights of 16 bits, 65535 for 1, w the index in the mesh
 };
 
 layout(std430, binding = 5) readonly buffer Palettes { vec4 palettes[]; };
@@ -18,14 +18,14 @@ layout(std430, binding = 6) readonly buffer PackedVertices { PackedVertexGpu pac
 void main() {
     if (gl_GlobalInvocationID.x >= job.vertex_count) return;
     uint place = job.packed_base + gl_GlobalInvocationID.x;
-    vec4 first = packed_vertices[place].position_joints;
+    uvec4 first = packed_vertices[place].position_joints;
     uvec4 influences = packed_vertices[place].influences;
-    uvec2 joints = uvec2(floatBitsToUint(first.w), influences.x);
+    uvec2 joints = uvec2(first.w, influences.x);
     vec4 weights = vec4(unpackUnorm2x16(influences.y), unpackUnorm2x16(influences.z));
     Rows sum = Rows(vec4[3](vec4(0), vec4(0), vec4(0)));
     for (uint i = 0; i < INFLUENCES; i++) {
         uint at = (job.palette_base + joint_of(joints, i)) * 3;
         for (int r = 0; r < 3; r++) sum.r[r] += weights[i] * palettes[at + r];
     }
-    skin_vertex(influences.w, first.xyz, sum);
+    skin_vertex(influences.w, uintBitsToFloat(first.xyz), sum);
 }

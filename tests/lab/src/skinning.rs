@@ -25,7 +25,8 @@ const ROUNDS: usize = 41;
 const STEP_S: f64 = 0.137;
 /// Bytes copied to measure the copy rate.
 const COPY_BYTES: u64 = 64 << 20;
-/// Invocations and fetches of each that measure the fetch rate.
+/// Invocations that measure the fetch rate, and fetches of each: about as many as a vertex needs, so that the rate holds what
+/// starting an invocation costs.
 const FETCH_INVOCATIONS: u32 = 1 << 18;
 const FETCHES: u32 = 8;
 /// Entries of the table that is fetched from: as large as the palettes of a few dragons.
