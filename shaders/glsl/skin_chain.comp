@@ -19,20 +19,6 @@ Rows influence(uint joint) {
     }
     return chain;
 }
+#include "skin_whole.glsl"
 
-Rows blend(uvec2 joints, vec4 weights) {
-    Rows sum = Rows(vec4[3](vec4(0), vec4(0), vec4(0)));
-    for (uint i = 0; i < 4; i++) {
-        if (weights[i] <= 0.0) break;
-        Rows matrix = influence(joint_of(joints, i));
-        for (int r = 0; r < 3; r++) sum.r[r] += weights[i] * matrix.r[r];
-    }
-    return sum;
-}
-
-void main() {
-    uint index = gl_GlobalInvocationID.x, vertex = job.vertex_base + index;
-    if (index >= job.vertex_count) return;
-    Rows model_from_mesh = blend(vertices[vertex].joints, vertices[vertex].weights);
-    skin_vertex(index, vertices[vertex].position_u.xyz, model_from_mesh);
-}
+void main() { skin_whole_vertex(); }

@@ -1,0 +1,24 @@
+// Skins a vertex from the buffer that holds all of it: the includer defines `Rows influence(uint joint)`, model_from_mesh of
+// a palette entry.
+#ifndef SKIN_WHOLE_GLSL
+#define SKIN_WHOLE_GLSL
+
+// Influences of weight 0 come last.
+Rows blend(uvec2 joints, vec4 weights) {
+    Rows sum = Rows(vec4[3](vec4(0), vec4(0), vec4(0)));
+    for (uint i = 0; i < 4; i++) {
+        if (weights[i] <= 0.0) break;
+        Rows matrix = influence(joint_of(joints, i));
+        for (int r = 0; r < 3; r++) sum.r[r] += weights[i] * matrix.r[r];
+    }
+    return sum;
+}
+
+void skin_whole_vertex() {
+    uint index = gl_GlobalInvocationID.x, vertex = job.vertex_base + index;
+    if (index >= job.vertex_count) return;
+    Rows model_from_mesh = blend(vertices[vertex].joints, vertices[vertex].weights);
+    skin_vertex(index, vertices[vertex].position_u.xyz, model_from_mesh);
+}
+
+#endif
