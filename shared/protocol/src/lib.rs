@@ -11,6 +11,7 @@ pub mod message;
 pub mod pose;
 pub mod samples;
 pub mod session;
+pub mod text;
 pub mod time;
 pub mod wire;
 

@@ -60,6 +60,8 @@ pub const MAX_STREAM_BYTES: usize = MAX_DELTA_BYTES + 64;
 pub const MAX_DATAGRAM_BYTES: usize = 1100;
 /// Bytes of a text that a peer sends to be shown or logged.
 pub const MAX_TEXT_BYTES: usize = 1024;
+/// Characters of a stranger's text that are shown; see [`crate::text::printable`].
+pub const MAX_PRINTED_CHARS: usize = 200;
 /// Codecs that a client may list.
 pub const MAX_CODECS: usize = 8;
 /// Deltas and early pictures that a client holds while one before them is still on its way.
