@@ -7,12 +7,13 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::fs;
 use std::io::{self, Write};
-use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer};
 
+use crate::files::PendingFile;
 use crate::rng;
 
 /// File of a server's private key inside its identity directory.
@@ -224,30 +225,14 @@ fn create_private_directory(directory: &Path) -> Result<(), IdentityError> {
     builder.create(directory).map_err(file_error("creating the directory", directory))
 }
 
-/// Writes `text` to a file of mode 0600 beside `path`.
-fn write_beside(path: &Path, text: &str) -> Result<PathBuf, IdentityError> {
-    let mut name = path.as_os_str().to_owned();
-    name.push(format!(".{}.new", std::process::id()));
-    let beside = PathBuf::from(name);
-    let _ = fs::remove_file(&beside);
-    let write = || -> io::Result<()> {
-        let mut file = fs::OpenOptions::new().write(true).create_new(true).mode(0o600).open(&beside)?;
-        file.write_all(text.as_bytes())?;
-        file.sync_all()
-    };
-    write().map_err(file_error("writing", &beside))?;
-    Ok(beside)
-}
-
 /// Puts a new key at `path`, whole or not at all. When two servers start at once, the first one's key stays.
 fn write_new_key(path: &Path, pem: &str) -> Result<(), IdentityError> {
-    let beside = write_beside(path, pem)?;
-    let linked = fs::hard_link(&beside, path);
-    let _ = fs::remove_file(&beside);
-    match linked {
-        Err(e) if e.kind() != io::ErrorKind::AlreadyExists => Err(file_error("writing", path)(e)),
-        _ => Ok(()),
-    }
+    let write = || {
+        let mut file = PendingFile::create_private(path)?;
+        file.write_all(pem.as_bytes())?;
+        file.commit_new()
+    };
+    write().map(|_| ()).map_err(file_error("writing", path))
 }
 
 /// `text` as a basic string of TOML.
@@ -327,8 +312,12 @@ impl KnownServers {
         for (address, fingerprint) in &self.servers {
             text += &format!("{} = \"{fingerprint}\"\n", toml_string(address));
         }
-        let beside = write_beside(&self.path, &text)?;
-        fs::rename(&beside, &self.path).map_err(file_error("writing", &self.path))
+        let write = || {
+            let mut file = PendingFile::create_private(&self.path)?;
+            file.write_all(text.as_bytes())?;
+            file.commit()
+        };
+        write().map_err(file_error("writing", &self.path))
     }
 }
 

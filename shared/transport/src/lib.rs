@@ -4,10 +4,11 @@
 //! - [`endpoint`] is the connection as messages, without sockets and without a clock;
 //! - [`link`] is a seeded network with latency, jitter, loss, a bottleneck and reordering, and [`pair`] joins two
 //!   endpoints with it in virtual time;
-//! - [`mio`] and [`identity`] are the only modules that touch sockets and files.
+//! - [`mio`], [`identity`] and [`files`] are the only modules that touch sockets and files.
 
 pub mod congestion;
 pub mod endpoint;
+pub mod files;
 pub mod identity;
 pub mod link;
 pub mod mio;
@@ -20,6 +21,7 @@ pub use endpoint::{
     CloseKind, Congestion, Counters, Endpoint, EndpointConfig, Event, PeerId, PeerStats, SendError, StreamId,
     Transmit,
 };
+pub use files::{PendingFile, write_atomically};
 pub use identity::{ExpectedIdentity, Fingerprint, IdentityError, KnownServers, ServerIdentity};
 pub use link::{Direction, Link, LinkError, LinkProfile, LinkSchedule};
 pub use mio::{Driver, Events, Handle, monotonic_now_ns, spawn};
