@@ -294,11 +294,11 @@ impl Client {
         self.connection = Some(Connection { serial: self.serial, session, decoding: None });
     }
 
-    /// Takes bytes of the server's control stream.
-    pub fn receive_control(&mut self, now: DisplayTime, bytes: &[u8]) -> Result<(), ClientError> {
+    /// Takes one message of the server's control stream.
+    pub fn receive_control(&mut self, now: DisplayTime, message: &[u8]) -> Result<(), ClientError> {
         self.now = now;
         if let Some(connection) = &mut self.connection {
-            connection.session.on_control(bytes);
+            connection.session.on_control(message);
         }
         self.take_events()
     }

@@ -294,7 +294,7 @@ impl Connector {
         while let Some(out) = client.poll_out() {
             let Some(peer) = self.peer else { continue };
             let sent = match out {
-                Out::Control(bytes) => self.handle.send_control(peer, bytes),
+                Out::Control(message) => self.handle.send_control(peer, message),
                 Out::Datagram(bytes) => self.handle.send_datagram(peer, bytes),
                 Out::Stream { bytes, priority } => self.handle.send_stream(peer, bytes, priority).map(|_| ()),
             };

@@ -150,7 +150,7 @@ impl Served {
         let result = body(&mut active.session);
         while let Some(out) = active.session.poll_out() {
             let sent = match out {
-                Out::Control(bytes) => self.handle.send_control(peer, bytes),
+                Out::Control(message) => self.handle.send_control(peer, message),
                 Out::Stream { bytes, priority } => self.handle.send_stream(peer, bytes, priority).map(|_| ()),
                 Out::Datagram(bytes) => self.handle.send_datagram(peer, bytes),
             };

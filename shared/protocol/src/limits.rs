@@ -50,6 +50,8 @@ pub const MAX_SPEED: f32 = 1e4;
 
 /// Bytes of one message on the control stream.
 pub const MAX_CONTROL_BYTES: usize = 1 << 20;
+/// Empty messages on a control stream: the one that makes the stream known to the server.
+pub const MAX_EMPTY_CONTROL_MESSAGES: usize = 1;
 /// Bytes of one geometry delta.
 pub const MAX_DELTA_BYTES: usize = 40 << 20;
 /// Bytes of one coded picture.

@@ -1,8 +1,8 @@
 //! The two ends of a session as state machines without I/O: bytes and time go in, bytes and events come out.
 //!
-//! Whoever drives them carries three kinds of bytes: one control stream each way (in order, any pieces),
-//! unidirectional streams from the server (each whole), and datagrams (lossy). What they do not know is sockets, QUIC,
-//! clocks, pictures and GPUs.
+//! Whoever drives them carries three kinds of messages: control messages each way (in order, each whole),
+//! unidirectional streams from the server (each whole), and datagrams (lossy). What they do not know is framing, sockets,
+//! QUIC, clocks, pictures and GPUs.
 //!
 //! An error ends a session: after [`ClientEvent::Failed`] or [`ServerEvent::Failed`] nothing more comes out.
 
@@ -16,8 +16,7 @@ use crate::message::{
 };
 use crate::time::{DisplayTime, ServerTime};
 use crate::wire::{
-    ControlReader, PictureHeader, StreamMessage, WireError, encode_geometry, encode_picture, frame_control,
-    invalid, parse_stream,
+    PictureHeader, StreamMessage, WireError, encode_geometry, encode_picture, invalid, parse_stream,
 };
 use std::collections::{BTreeMap, VecDeque};
 
@@ -35,7 +34,7 @@ const PING_NS: i64 = 25_000_000;
 /// Bytes to be carried to the other end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Out {
-    /// Append to the control stream.
+    /// One message for the control stream, without framing.
     Control(Vec<u8>),
     /// Send as one unidirectional stream, then finish it.
     Stream {
@@ -109,7 +108,6 @@ enum Phase {
 #[derive(Debug)]
 pub struct ClientSession {
     phase: Phase,
-    control: ControlReader,
     clock: ClockEstimator,
     pings: u32,
     next_ping: DisplayTime,
@@ -144,7 +142,6 @@ impl ClientSession {
     pub fn start(hello: ClientHello, now: DisplayTime) -> Self {
         let mut session = Self {
             phase: Phase::Greeting,
-            control: ControlReader::default(),
             clock: ClockEstimator::new(),
             pings: 0,
             next_ping: now,
@@ -158,9 +155,9 @@ impl ClientSession {
         session
     }
 
-    /// Takes bytes of the server's control stream.
-    pub fn on_control(&mut self, bytes: &[u8]) {
-        let result = self.try_control(bytes);
+    /// Takes one message of the server's control stream.
+    pub fn on_control(&mut self, message: &[u8]) {
+        let result = self.try_control(message);
         self.end_on_error(result);
     }
 
@@ -248,7 +245,7 @@ impl ClientSession {
     }
 
     fn say(&mut self, message: &ClientMessage) {
-        self.out.push_back(Out::Control(frame_control(&message.encode())));
+        self.out.push_back(Out::Control(message.encode()));
     }
 
     fn end_on_error(&mut self, result: Result<(), WireError>) {
@@ -259,20 +256,15 @@ impl ClientSession {
         }
     }
 
-    fn try_control(&mut self, bytes: &[u8]) -> Result<(), WireError> {
+    fn try_control(&mut self, message: &[u8]) -> Result<(), WireError> {
         if self.phase == Phase::Ended {
             return Ok(());
         }
-        for message in self.control.push(bytes)? {
-            match (ServerMessage::decode(&message)?, self.phase) {
-                (ServerMessage::Welcome(welcome), Phase::Greeting) => self.begin(welcome)?,
-                (ServerMessage::Welcome(_), _) => return Err(invalid("a welcome", "it comes a second time")),
-                (ServerMessage::Refused(refused), _) => self.end_with(ClientEvent::Refused(refused)),
-                (ServerMessage::Goodbye, _) => self.end_with(ClientEvent::Goodbye),
-            }
-            if self.phase == Phase::Ended {
-                break;
-            }
+        match (ServerMessage::decode(message)?, self.phase) {
+            (ServerMessage::Welcome(welcome), Phase::Greeting) => self.begin(welcome)?,
+            (ServerMessage::Welcome(_), _) => return Err(invalid("a welcome", "it comes a second time")),
+            (ServerMessage::Refused(refused), _) => self.end_with(ClientEvent::Refused(refused)),
+            (ServerMessage::Goodbye, _) => self.end_with(ClientEvent::Goodbye),
         }
         Ok(())
     }
@@ -354,7 +346,6 @@ impl ClientSession {
 pub struct ServerSession {
     phase: Phase,
     offer: ServerOffer,
-    control: ControlReader,
     coder: Option<SampleCoder>,
     next_delta: FrameId,
     newest_pose: Option<u32>,
@@ -368,7 +359,6 @@ impl ServerSession {
         Self {
             phase: Phase::Greeting,
             offer,
-            control: ControlReader::default(),
             coder: None,
             next_delta: FrameId(0),
             newest_pose: None,
@@ -377,9 +367,9 @@ impl ServerSession {
         }
     }
 
-    /// Takes bytes of the client's control stream.
-    pub fn on_control(&mut self, bytes: &[u8]) {
-        if let Err(error) = self.try_control(bytes) {
+    /// Takes one message of the client's control stream.
+    pub fn on_control(&mut self, message: &[u8]) {
+        if let Err(error) = self.try_control(message) {
             self.end_with(ServerEvent::Failed(error));
         }
     }
@@ -450,7 +440,7 @@ impl ServerSession {
     }
 
     fn say(&mut self, message: &ServerMessage) {
-        self.out.push_back(Out::Control(frame_control(&message.encode())));
+        self.out.push_back(Out::Control(message.encode()));
     }
 
     fn end_with(&mut self, event: ServerEvent) {
@@ -458,18 +448,12 @@ impl ServerSession {
         self.events.push_back(event);
     }
 
-    fn try_control(&mut self, bytes: &[u8]) -> Result<(), WireError> {
-        if self.phase == Phase::Ended {
-            return Ok(());
+    fn try_control(&mut self, message: &[u8]) -> Result<(), WireError> {
+        match self.phase {
+            Phase::Greeting => self.greet(message),
+            Phase::Running => self.hear(ClientMessage::decode(message)?),
+            Phase::Ended => Ok(()),
         }
-        for bytes in self.control.push(bytes)? {
-            match self.phase {
-                Phase::Greeting => self.greet(&bytes)?,
-                Phase::Running => self.hear(ClientMessage::decode(&bytes)?)?,
-                Phase::Ended => break,
-            }
-        }
-        Ok(())
     }
 
     /// Judges the versions first: a hello of another version need not be readable beyond them.
@@ -564,7 +548,7 @@ mod tests {
             pair
         }
 
-        /// Carries control bytes and datagrams both ways until none are left; keeps streams back.
+        /// Carries control messages and datagrams both ways until none are left; keeps streams back.
         fn carry(&mut self, now: ServerTime) {
             loop {
                 if let Some(out) = self.client.poll_out() {
@@ -667,7 +651,7 @@ mod tests {
     fn a_hello_of_the_far_future_is_refused_by_its_versions_alone() {
         let mut server = ServerSession::new(offer());
         let hello = [vec![0, 40, 39, 3], b"9.0".to_vec(), vec![0xee; 30]].concat();
-        server.on_control(&frame_control(&hello));
+        server.on_control(&hello);
         let Some(ServerEvent::Refused(refused)) = server.poll_event() else { panic!("not refused") };
         assert_eq!(refused.remedy, "update the server to one that speaks protocol 39");
     }

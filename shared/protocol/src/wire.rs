@@ -2,7 +2,7 @@
 
 use crate::delta;
 use crate::ids::FrameId;
-use crate::limits::{MAX_ACCESS_UNIT_BYTES, MAX_CONTROL_BYTES, MAX_DELTA_BYTES};
+use crate::limits::{MAX_ACCESS_UNIT_BYTES, MAX_CONTROL_BYTES, MAX_DELTA_BYTES, MAX_EMPTY_CONTROL_MESSAGES};
 use crate::time::ServerTime;
 use thiserror::Error;
 
@@ -135,47 +135,65 @@ fn parse_picture(mut reader: Reader<'_>) -> Result<StreamMessage<'_>, WireError>
 }
 
 /// A control message with its length before it, as it goes on the control stream.
-pub fn frame_control(payload: &[u8]) -> Vec<u8> {
-    assert!(payload.len() <= MAX_CONTROL_BYTES, "control message of {} bytes", payload.len());
-    let mut out = Vec::with_capacity(CONTROL_PREFIX + payload.len());
-    out.extend_from_slice(&(payload.len() as u32).to_le_bytes());
-    out.extend_from_slice(payload);
+///
+/// # Panics
+/// If the message is longer than `MAX_CONTROL_BYTES`.
+pub fn frame_control(message: &[u8]) -> Vec<u8> {
+    assert!(message.len() <= MAX_CONTROL_BYTES, "control message of {} bytes", message.len());
+    let mut out = Vec::with_capacity(CONTROL_PREFIX + message.len());
+    out.extend_from_slice(&(message.len() as u32).to_le_bytes());
+    out.extend_from_slice(message);
     out
 }
 
-/// Cuts the control stream, which arrives in arbitrary pieces, into messages. Holds at most one unfinished message.
+/// Cuts the control stream, which arrives in arbitrary pieces, into messages. Holds at most one unfinished message, and
+/// moves each byte once.
 #[derive(Clone, Debug, Default)]
 pub struct ControlReader {
+    /// The beginning of the message under way, its length included.
     pending: Vec<u8>,
+    empty_messages: usize,
 }
 
 impl ControlReader {
-    /// Takes the next bytes of the stream; gives the messages that are now whole. After an error the stream has lost
-    /// its framing and is of no further use.
+    /// Takes the next bytes of the stream; gives the messages that are now whole. Empty messages only open the stream: they
+    /// are left out, and no more than `MAX_EMPTY_CONTROL_MESSAGES` are taken. After an error the stream has lost its framing
+    /// and is of no further use.
     pub fn push(&mut self, mut bytes: &[u8]) -> Result<Vec<Vec<u8>>, WireError> {
         let mut messages = Vec::new();
-        loop {
-            if self.fill(&mut bytes, CONTROL_PREFIX) {
-                return Ok(messages);
+        while let Some(message) = self.next(&mut bytes)? {
+            if message.is_empty() {
+                self.empty_messages += 1;
+                let what = "the number of empty control messages";
+                check_count(what, self.empty_messages, MAX_EMPTY_CONTROL_MESSAGES)?;
+            } else {
+                messages.push(message);
             }
-            let prefix = [self.pending[0], self.pending[1], self.pending[2], self.pending[3]];
-            let length = u32::from_le_bytes(prefix) as usize;
-            check_count("a control message's length in bytes", length, MAX_CONTROL_BYTES)?;
-            if self.fill(&mut bytes, CONTROL_PREFIX + length) {
-                return Ok(messages);
-            }
-            messages.push(self.pending.split_off(CONTROL_PREFIX));
-            self.pending.clear();
         }
+        Ok(messages)
     }
 
-    /// Moves bytes over until `target` are pending; true where they do not suffice.
-    fn fill(&mut self, bytes: &mut &[u8], target: usize) -> bool {
+    /// The next whole message; `None` where `bytes`, which are then used up, do not suffice.
+    fn next(&mut self, bytes: &mut &[u8]) -> Result<Option<Vec<u8>>, WireError> {
+        self.fill(bytes, CONTROL_PREFIX);
+        let Some((prefix, _)) = self.pending.split_first_chunk() else { return Ok(None) };
+        let length = u32::from_le_bytes(*prefix) as usize;
+        check_count("a control message's length in bytes", length, MAX_CONTROL_BYTES)?;
+        self.fill(bytes, CONTROL_PREFIX + length);
+        if self.pending.len() < CONTROL_PREFIX + length {
+            return Ok(None);
+        }
+        let message = self.pending.split_off(CONTROL_PREFIX);
+        self.pending.clear();
+        Ok(Some(message))
+    }
+
+    /// Moves bytes over until `target` are pending, or none are left.
+    fn fill(&mut self, bytes: &mut &[u8], target: usize) {
         let wanted = target.saturating_sub(self.pending.len()).min(bytes.len());
         let (now, later) = bytes.split_at(wanted);
         self.pending.extend_from_slice(now);
         *bytes = later;
-        self.pending.len() < target
     }
 }
 
@@ -353,16 +371,50 @@ mod tests {
     fn the_control_stream_is_cut_right_in_whatever_pieces_it_comes() {
         for seed in 0..50 {
             let mut dice = Dice::new(seed);
-            let messages: Vec<Vec<u8>> = (0..20).map(|i| vec![i; dice.below(300) as usize]).collect();
-            let stream: Vec<u8> = messages.iter().flat_map(|message| frame_control(message)).collect();
+            let messages: Vec<Vec<u8>> =
+                (0..20).map(|i| vec![i; dice.below(300) as usize + 1]).chain([vec![7; 70_000]]).collect();
+            let framed = messages.iter().flat_map(|message| frame_control(message));
+            let stream: Vec<u8> = frame_control(&[]).into_iter().chain(framed).collect();
             let (mut reader, mut rest, mut got) = (ControlReader::default(), &stream[..], Vec::new());
             while !rest.is_empty() {
-                let (piece, later) = rest.split_at((dice.below(40) as usize + 1).min(rest.len()));
+                let (piece, later) = rest.split_at((dice.below(400) as usize + 1).min(rest.len()));
                 got.extend(reader.push(piece).unwrap());
                 rest = later;
             }
             assert_eq!(got, messages, "seed {seed}");
         }
+    }
+
+    #[test]
+    fn only_so_many_empty_messages_are_taken_and_the_rest_not_even_looked_at() {
+        let flood = vec![0; 15 << 20];
+        let mut reader = ControlReader::default();
+        assert!(matches!(reader.push(&flood), Err(WireError::TooMany { .. })));
+        assert_eq!(reader.empty_messages, MAX_EMPTY_CONTROL_MESSAGES + 1);
+        let mut reader = ControlReader::default();
+        let opening = frame_control(&[]).repeat(MAX_EMPTY_CONTROL_MESSAGES);
+        assert_eq!(reader.push(&opening), Ok(Vec::new()));
+        assert!(
+            reader.push(&frame_control(&[])).is_err(),
+            "counted over the whole stream, not over one push"
+        );
+    }
+
+    #[test]
+    fn every_byte_is_moved_once_however_many_messages_a_push_brings() {
+        // 15 MB of the smallest messages: a reader that moves the rest for each of them moves 23 TB.
+        let flood = frame_control(b"x").repeat(3 << 20);
+        let (mut reader, mut rest, mut moved, mut messages) = (ControlReader::default(), &flood[..], 0, 0);
+        loop {
+            let (before, held) = (rest.len(), reader.pending.len());
+            let message = reader.next(&mut rest).unwrap();
+            moved += before - rest.len();
+            assert!(held + before - rest.len() <= CONTROL_PREFIX + 1, "a call takes one message and no more");
+            let Some(message) = message else { break };
+            assert_eq!(message, b"x");
+            messages += 1;
+        }
+        assert_eq!((moved, messages), (flood.len(), 3 << 20));
     }
 
     #[test]

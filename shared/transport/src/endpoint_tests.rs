@@ -448,8 +448,14 @@ fn send_raw_control(seed: u64, bytes: &[u8]) -> (Vec<Event>, Vec<Event>) {
 #[test]
 fn an_oversized_control_message_closes_the_connection_with_an_error() {
     let (on_server, on_client) = send_raw_control(17, &(MAX_CONTROL_BYTES as u32 + 1).to_le_bytes());
-    assert_closed(&on_server, CloseKind::Error, &["control message of 1048577 bytes"]);
+    assert_closed(&on_server, CloseKind::Error, &["control message's length", "1048577"]);
     assert_closed(&on_client, CloseKind::Peer(u64::from(CODE_VIOLATION)), &["1048577"]);
+}
+
+#[test]
+fn fifteen_megabytes_of_empty_messages_end_the_connection_at_once() {
+    let (on_server, _) = send_raw_control(17, &vec![0; 15 << 20]);
+    assert_closed(&on_server, CloseKind::Error, &["empty control messages"]);
 }
 
 #[test]

@@ -11,6 +11,7 @@ use bytes::Bytes;
 use quinn_proto as proto;
 use quinn_proto::{Connection, ConnectionHandle, Dir, VarInt};
 use shadecast_protocol::limits::MAX_CONTROL_BYTES;
+use shadecast_protocol::wire::{ControlReader, WireError, frame_control};
 
 use crate::endpoint::{Event, PeerId, SendError, StreamId};
 use crate::tls::PinVerifier;
@@ -29,36 +30,9 @@ const CANCELLED: VarInt = VarInt::from_u32(1);
 /// What the peer did that ends the connection.
 pub(crate) struct Violation(pub(crate) String);
 
-/// Splits the control stream's bytes into messages: `u32` little-endian length, then the message.
-#[derive(Default)]
-pub(crate) struct FrameReader {
-    buffer: Vec<u8>,
-}
-
-impl FrameReader {
-    pub(crate) fn push(&mut self, bytes: &[u8]) {
-        self.buffer.extend_from_slice(bytes);
-    }
-
-    /// The next whole message. Empty messages only open the stream, and are skipped.
-    pub(crate) fn next(&mut self) -> Result<Option<Vec<u8>>, Violation> {
-        loop {
-            let Some((length, rest)) = self.buffer.split_first_chunk::<4>() else { return Ok(None) };
-            let length = u32::from_le_bytes(*length) as usize;
-            if length > MAX_CONTROL_BYTES {
-                return Err(Violation(format!(
-                    "a control message of {length} bytes; the limit is {MAX_CONTROL_BYTES}"
-                )));
-            }
-            if rest.len() < length {
-                return Ok(None);
-            }
-            let message = rest[..length].to_vec();
-            self.buffer.drain(..4 + length);
-            if !message.is_empty() {
-                return Ok(Some(message));
-            }
-        }
+impl From<WireError> for Violation {
+    fn from(error: WireError) -> Self {
+        Self(error.to_string())
     }
 }
 
@@ -85,7 +59,7 @@ pub(crate) struct Peer {
     /// Largest stream that this side accepts, bytes.
     max_stream_bytes: usize,
     control: Option<proto::StreamId>,
-    control_in: FrameReader,
+    control_in: ControlReader,
     control_out: VecDeque<Bytes>,
     outgoing: BTreeMap<StreamId, Outgoing>,
     by_quic: BTreeMap<proto::StreamId, StreamId>,
@@ -114,7 +88,7 @@ impl Peer {
             closed: false,
             max_stream_bytes,
             control: None,
-            control_in: FrameReader::default(),
+            control_in: ControlReader::default(),
             control_out: VecDeque::new(),
             outgoing: BTreeMap::new(),
             by_quic: BTreeMap::new(),
@@ -143,8 +117,9 @@ impl Peer {
         {
             self.set_control(id);
             // An empty message makes the stream known to the server, so that it can speak first.
-            self.control_out.push_front(Bytes::from_static(&[0; 4]));
-            self.queued_bytes += 4;
+            let opening = frame_control(&[]);
+            self.queued_bytes += opening.len();
+            self.control_out.push_front(opening.into());
         }
         self.write_control();
         self.open_waiting();
@@ -160,10 +135,8 @@ impl Peer {
         if message.is_empty() || message.len() > MAX_CONTROL_BYTES {
             return Err(SendError::Size { bytes: message.len(), limit: MAX_CONTROL_BYTES });
         }
-        self.reserve(message.len() + 4)?;
-        let mut frame = Vec::with_capacity(message.len() + 4);
-        frame.extend((message.len() as u32).to_le_bytes());
-        frame.extend(message);
+        let frame = frame_control(message);
+        self.reserve(frame.len())?;
         self.control_out.push_back(frame.into());
         self.write_control();
         Ok(())
@@ -330,14 +303,14 @@ impl Peer {
         let mut stream = self.conn.recv_stream(id);
         let Ok(mut chunks) = stream.read(true) else { return Ok(()) };
         loop {
-            match chunks.next(MAX_CONTROL_BYTES) {
-                Ok(Some(chunk)) => self.control_in.push(&chunk.bytes),
+            let chunk = match chunks.next(MAX_CONTROL_BYTES) {
+                Ok(Some(chunk)) => chunk,
                 Ok(None) | Err(proto::ReadError::Reset(_)) => {
                     return Err(Violation("the control stream was ended".into()));
                 }
                 Err(proto::ReadError::Blocked) => break,
-            }
-            while let Some(message) = self.control_in.next()? {
+            };
+            for message in self.control_in.push(&chunk.bytes)? {
                 emit(Event::Control { peer: self.id, message, at_ns });
             }
         }
@@ -401,50 +374,5 @@ impl Peer {
         let id = self.conn.streams().open(Dir::Uni).expect("a free stream");
         let written = self.conn.send_stream(id).write(bytes).expect("room in the window");
         assert_eq!(written, bytes.len());
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::rng;
-
-    fn frame(message: &[u8]) -> Vec<u8> {
-        [&(message.len() as u32).to_le_bytes(), message].concat()
-    }
-
-    fn read_all(reader: &mut FrameReader) -> Vec<Vec<u8>> {
-        std::iter::from_fn(|| reader.next().ok().flatten()).collect()
-    }
-
-    #[test]
-    fn messages_come_out_whole_however_the_bytes_are_cut() {
-        let messages: Vec<Vec<u8>> = [1, 2, 5, 300, 70_000].map(|n| vec![n as u8; n]).into();
-        let bytes: Vec<u8> = messages.iter().flat_map(|m| frame(m)).collect();
-        for seed in 0..20 {
-            let mut state = seed;
-            let (mut reader, mut rest, mut out) = (FrameReader::default(), &bytes[..], Vec::new());
-            while !rest.is_empty() {
-                let cut = (rng::next(&mut state) as usize % 3000 + 1).min(rest.len());
-                reader.push(&rest[..cut]);
-                out.extend(read_all(&mut reader));
-                rest = &rest[cut..];
-            }
-            assert_eq!(out, messages, "seed {seed}");
-        }
-    }
-
-    #[test]
-    fn an_empty_message_opens_the_stream_and_nothing_more() {
-        let mut reader = FrameReader::default();
-        reader.push(&[frame(b""), frame(b"a"), frame(b"")].concat());
-        assert_eq!(read_all(&mut reader), [b"a"]);
-    }
-
-    #[test]
-    fn a_message_over_the_limit_is_refused_before_it_is_collected() {
-        let mut reader = FrameReader::default();
-        reader.push(&(MAX_CONTROL_BYTES as u32 + 1).to_le_bytes());
-        assert!(reader.next().is_err());
     }
 }

@@ -339,14 +339,14 @@ impl Lab {
         let (Some(client), Some(server)) = (self.client_peer, self.server.peer) else { return Ok(()) };
         while let Some(out) = self.client.poll_out() {
             match out {
-                Out::Control(bytes) => self.pair.client.send_control(client, &bytes)?,
+                Out::Control(message) => self.pair.client.send_control(client, &message)?,
                 Out::Datagram(bytes) => drop(self.pair.client.send_datagram(client, &bytes)),
                 Out::Stream { .. } => bail!("the client opened a stream"),
             }
         }
         while let Some(out) = self.server.session.poll_out() {
             match out {
-                Out::Control(bytes) => self.pair.server.send_control(server, &bytes)?,
+                Out::Control(message) => self.pair.server.send_control(server, &message)?,
                 Out::Datagram(bytes) => drop(self.pair.server.send_datagram(server, &bytes)),
                 Out::Stream { bytes, priority } => {
                     self.pair.server.send_stream(server, bytes, priority)?;
