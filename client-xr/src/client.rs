@@ -18,7 +18,9 @@ use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::delta::GeometryDelta;
 use shadecast_protocol::ids::{DiscontinuityId, FrameId};
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
-use shadecast_protocol::message::{Capabilities, ClientHello, Codec, Displayed, HeadState, Refused, Welcome};
+use shadecast_protocol::message::{
+    Capabilities, ClientHello, Codec, Displayed, HeadState, Refused, ResumeSecret, Welcome,
+};
 use shadecast_protocol::pose::{Eye, Pose};
 use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
 use shadecast_protocol::time::{DisplayTime, ServerTime};
@@ -79,7 +81,7 @@ impl ClientError {
             Self::Xr(XrError::Gpu(gpu)) | Self::Gpu(gpu) => gpu,
             Self::Xr(_) => return false,
         };
-        matches!(gpu, GpuError::Vulkan { result: vk::Result::ERROR_DEVICE_LOST, .. })
+        gpu.is_lost()
     }
 }
 
@@ -180,6 +182,8 @@ pub struct Client {
     spare: Vec<ArrivedPicture>,
     /// The driver is connected; the session begins when the eyes are known, since the hello names them.
     is_connected: bool,
+    /// What lets this client come back to its place at the server.
+    resume: Option<ResumeSecret>,
     serial: u64,
     eyes: Option<([Eye; 2], i64)>,
     head: Option<HeadState>,
@@ -213,6 +217,7 @@ impl Client {
             connection: None,
             spare: Vec::with_capacity(8),
             is_connected: false,
+            resume: None,
             serial: 0,
             eyes: None,
             head: None,
@@ -288,6 +293,7 @@ impl Client {
                 eye_extent_pixels: self.xr.swapchain.extent_pixels(),
                 display_period_ns,
             },
+            resume: self.resume,
         };
         self.serial += 1;
         let session = ClientSession::start(hello, self.now);
@@ -405,6 +411,7 @@ impl Client {
             }
         }
         self.counters.connections += 1;
+        self.resume = Some(welcome.resume);
         let clock = SceneClock::Connection;
         let scene = Scene::new(&self.gpu, &self.stages, welcome.clone(), connection.serial, clock)?;
         self.next = Some(scene);

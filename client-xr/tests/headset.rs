@@ -10,7 +10,7 @@ use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch};
 use shadecast_protocol::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
-use shadecast_protocol::message::{Codec, Environment, ServerOffer, Welcome};
+use shadecast_protocol::message::{Codec, Environment, ResumeSecret, ServerOffer, Welcome};
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::session::{Out, ServerEvent, ServerSession};
 use shadecast_protocol::time::{DEFAULT_GRID, DisplayTime, GridIndex, ServerTime};
@@ -40,6 +40,7 @@ fn terms() -> Welcome {
         environment: environment(),
         world_from_stage: Pose::IDENTITY,
         update_period_ns: 33_333_333,
+        resume: ResumeSecret([1; 16]),
     }
 }
 
@@ -307,6 +308,7 @@ impl Line {
             environment: environment(),
             world_from_stage: Pose { position: [10.0, 0.0, 0.0].into(), ..Pose::IDENTITY },
             update_period_ns: 33_333_333,
+            resume: ResumeSecret([2; 16]),
         });
         Self { server, frames: 0, events: Vec::new(), lost_pictures: Vec::new() }
     }

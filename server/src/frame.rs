@@ -8,18 +8,19 @@ use crate::levels::Layout;
 use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES};
 use crate::residency::{Residency, UpdateWindow};
 use crate::samples::{RING, SampleWindow};
-use crate::scene_gpu::SceneGpu;
+use crate::scene_gpu::{SceneGpu, Totals, check_room};
 use crate::stages::forward::view_gpu;
 use crate::stages::id_buffer::IdBuffer;
 use crate::stages::level_selection::LevelSelection;
 use crate::stages::mark::Mark;
 use crate::stages::shading::Shading;
 use crate::stages::shadow::Shadow;
+use crate::stages::skin::Skin;
 use crate::stages::ycbcr::Ycbcr;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory};
 use shadecast_protocol::delta::GeometryDelta;
 use shadecast_protocol::ids::FrameId;
-use shadecast_protocol::limits::MAX_VIEWS;
+use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_VIEWS};
 use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
 use shadecast_protocol::pose::Fov;
 use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
@@ -30,6 +31,12 @@ use std::sync::Arc;
 
 /// Updates remembered until their display is reported.
 const REMEMBERED_UPDATES: usize = 256;
+/// Pixels of the ID buffer, each eye: as many as the largest atlas has texels. Two images of 4 bytes a pixel and eye.
+const MAX_ID_BUFFER_PIXELS: u32 = ATLAS_MAX_EXTENT[0] * ATLAS_MAX_EXTENT[1];
+/// Pixels of a side of the ID buffer: every device draws to as many.
+const MAX_ID_BUFFER_SIDE: f32 = 8192.0;
+/// Bytes of a bone's transform in a palette.
+const BONE_BYTES: u64 = 48;
 
 /// The pipeline of one client.
 pub struct Frame {
@@ -277,9 +284,73 @@ impl EyeSize {
         [0, 1].map(|axis| self.extent_pixels[axis] as f32 * wide[axis] / own[axis])
     }
 
-    /// Large enough for the widest field of view that a steady head needs; a wider one is seen more coarsely.
+    /// Large enough for the widest field of view that a steady head needs; a wider one is seen more coarsely, and so is one
+    /// that would need more than [`MAX_ID_BUFFER_PIXELS`].
     fn id_buffer_extent(&self) -> [u32; 2] {
         let widest = self.fovs.map(|fov| self.extent_at(fov, fov.widened(crate::predict::MIN_MARGIN)));
-        [0, 1].map(|axis| (widest[0][axis].max(widest[1][axis]).ceil() as u32).next_multiple_of(8))
+        let side = |axis: usize| widest[0][axis].max(widest[1][axis]);
+        let sides =
+            [side(0), side(1)].map(|side| if side > 1.0 { side.min(MAX_ID_BUFFER_SIDE) } else { 1.0 });
+        let most = MAX_ID_BUFFER_PIXELS as f32;
+        // Each side by the same factor; a long and narrow buffer is bounded by its sides already.
+        let scale = (most / (sides[0] * sides[1])).sqrt().min(1.0);
+        sides.map(|side| ((side * scale).ceil() as u32).next_multiple_of(8))
+    }
+}
+
+/// That the device can hold what updates of this scene need.
+///
+/// # Errors
+/// It cannot; the text names what is too large, what the device binds, and what to do.
+pub fn check_device(gpu: &Gpu, scene: &SceneGpu) -> Result<(), GpuError> {
+    needs(scene.totals).into_iter().try_for_each(|(what, bytes)| check_room(gpu, what, bytes))
+}
+
+/// What the stages bind at once, in bytes, as far as it grows with the scene.
+fn needs(totals: Totals) -> Vec<(&'static str, u64)> {
+    let mut needs = Skin::needs(totals, RING).to_vec();
+    let of_ring = |count: u32, bytes: u64| u64::from(RING) * u64::from(count) * bytes;
+    needs.push(("bones of all instances and sample times", of_ring(totals.bones, BONE_BYTES)));
+    needs.push(("palettes of all instances and sample times", of_ring(totals.palette, BONE_BYTES)));
+    needs.push(("patches of all instances", u64::from(totals.patches) * size_of::<u32>() as u64));
+    needs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn eye(extent_pixels: [u32; 2], left: f32, right: f32) -> EyeSize {
+        EyeSize { extent_pixels, fovs: [Fov { left, right, up: right, down: left }; 2] }
+    }
+
+    #[test]
+    fn a_usual_eye_has_an_id_buffer_of_its_own_density() {
+        let [width, height] = eye([1024, 1024], -0.785, 0.785).id_buffer_extent();
+        assert!((1130..1152).contains(&width) && width == height, "{width}x{height}");
+    }
+
+    #[test]
+    fn the_id_buffer_is_bounded_whatever_a_client_says_of_its_eyes() {
+        let angles = [-1.55f32, -1.2, -0.7, -0.02, -1e-40, 0.0, 1e-40, 0.02, 0.7, 1.2, 1.55, f32::NAN];
+        for (left, right) in angles.into_iter().flat_map(|left| angles.map(|right| (left, right))) {
+            for extent in [[1, 1], [8192, 8192], [1, 8192], [8192, 1]] {
+                let [width, height] = eye(extent, left, right).id_buffer_extent();
+                let pixels = u64::from(width) * u64::from(height);
+                let most = u64::from(MAX_ID_BUFFER_PIXELS) + 8 * 2 * MAX_ID_BUFFER_SIDE as u64;
+                assert!(
+                    width > 0 && height > 0 && pixels <= most,
+                    "{left} {right} {extent:?}: {width}x{height}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn what_a_scene_needs_of_the_device_is_known_before_a_client_comes() {
+        let dragons = |count: u32| Totals { animated_vertices: count * 20_000, ..Totals::default() };
+        let most = |count| needs(dragons(count)).into_iter().map(|(_, bytes)| bytes).max();
+        assert!(most(3) < Some(128 << 20), "three dragons fit what every device binds");
+        assert!(most(169) > Some(128 << 20));
     }
 }

@@ -196,6 +196,7 @@ impl AnimationBuffers {
 
 /// A device-local buffer of an array that may be empty; Vulkan has no empty buffers.
 fn filled<T: bytemuck::Pod>(gpu: &Arc<Gpu>, name: &str, data: &[T]) -> Result<Buffer, GpuError> {
+    check_room(gpu, name, size_of_val(data) as u64)?;
     match data.is_empty() {
         true => Buffer::new(gpu, name, 64, Memory::Device),
         false => Buffer::device_local(gpu, name, data),
@@ -234,7 +235,7 @@ impl SceneGpu {
             .collect();
         let count = textures.unique.len();
         if count > SCENE_TEXTURES as usize {
-            return Err(GpuError::NoDevice(format!(
+            return Err(GpuError::TooLarge(format!(
                 "the scene has {count} textures, at most {SCENE_TEXTURES} can be bound; use fewer"
             )));
         }
@@ -245,7 +246,10 @@ impl SceneGpu {
             tracing::warn!("{surplus} lights are left out: a scene has at most {MAX_LIGHTS} beside the sun");
         }
         let (textures, samplers, sampler_of_texture) = upload_textures(gpu, &textures.unique)?;
-        let local = |name, bytes: &[u8]| Buffer::device_local(gpu, name, bytes);
+        let local = |name, bytes: &[u8]| {
+            check_room(gpu, name, bytes.len() as u64)?;
+            Buffer::device_local(gpu, name, bytes)
+        };
         Ok(Self {
             vertices: local("vertices", bytemuck::cast_slice(&arrays.vertices))?,
             indices: local("indices", bytemuck::cast_slice(&arrays.indices))?,
@@ -265,22 +269,6 @@ impl SceneGpu {
             samplers,
             sampler_of_texture,
         })
-    }
-
-    /// That the device can bind so many bytes of `what` as one buffer.
-    ///
-    /// # Errors
-    /// It cannot; the text says what to do.
-    pub fn check_room(&self, gpu: &Gpu, what: &str, bytes: u64) -> Result<(), GpuError> {
-        let most = gpu.max_storage_buffer_bytes();
-        if bytes <= most {
-            return Ok(());
-        }
-        Err(GpuError::NoDevice(format!(
-            "{} MiB are needed for the {what}, this device binds at most {} MiB at once; use fewer or smaller models",
-            bytes >> 20,
-            most >> 20
-        )))
     }
 
     /// Every texture with its sampler, in scene-wide order.
@@ -326,6 +314,25 @@ impl SceneGpu {
     pub fn textures_bind<'a>(binds: &'a [(&'a Image, &'a Sampler)]) -> (&'static str, Bind<'a>) {
         ("textures", Bind::Textures(binds))
     }
+}
+
+/// That the device can bind so many bytes of `what` as one buffer.
+///
+/// # Errors
+/// It cannot; the text says what to do.
+pub fn check_room(gpu: &Gpu, what: &str, bytes: u64) -> Result<(), GpuError> {
+    check_room_within(gpu.max_storage_buffer_bytes(), what, bytes)
+}
+
+fn check_room_within(most: u64, what: &str, bytes: u64) -> Result<(), GpuError> {
+    if bytes <= most {
+        return Ok(());
+    }
+    Err(GpuError::TooLarge(format!(
+        "{} MiB are needed for the {what}, this device binds at most {} MiB at once; use fewer or smaller models",
+        bytes.div_ceil(1 << 20),
+        most >> 20
+    )))
 }
 
 impl Arrays {

@@ -13,7 +13,9 @@ use serde::Serialize;
 use shadecast_gpu::Gpu;
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
-use shadecast_protocol::message::{Codec, Displayed, Environment, HeadState, ServerOffer, Welcome};
+use shadecast_protocol::message::{
+    Codec, Displayed, Environment, HeadState, ResumeSecret, ServerOffer, Welcome,
+};
 use shadecast_protocol::session::{Out, ServerEvent, ServerSession};
 use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
 use shadecast_transport::endpoint::{Endpoint, EndpointConfig, Event, PeerId};
@@ -86,7 +88,7 @@ pub struct StreamStats {
     pub validation_messages: u32,
 }
 
-/// The terms that a server with this scene offers.
+/// The terms that a server with this scene offers; who has more than one client puts a random secret into them.
 pub fn offer(scene: &SceneGpu, atlas_extent_texels: [u32; 2], rate_hz: f64, session: u64) -> ServerOffer {
     let environment = scene.scene.environment;
     ServerOffer {
@@ -106,6 +108,7 @@ pub fn offer(scene: &SceneGpu, atlas_extent_texels: [u32; 2], rate_hz: f64, sess
         },
         world_from_stage: scene.scene.world_from_stage,
         update_period_ns: (1e9 / rate_hz) as i64,
+        resume: ResumeSecret([0; 16]),
     }
 }
 

@@ -1,7 +1,7 @@
 //! Skinning: each vertex once per sample time into `saved_vertices`, each frame once per update into `saved_frames`.
 //! Three ways, to be measured side by side.
 
-use crate::scene_gpu::{InstanceGpu, SceneGpu};
+use crate::scene_gpu::{InstanceGpu, SceneGpu, Totals, check_room};
 use crate::stages::palette::Palette;
 use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
 use shadecast_shaders::generated::{FrameGpu, SKIN_CHAIN_COMP, SKIN_COMP, SKIN_PACKED_COMP, SkinJob};
@@ -71,12 +71,9 @@ impl Skin {
         slots: u32,
     ) -> Result<Self, GpuError> {
         let totals = scene.totals;
-        let positions =
-            u64::from(totals.static_vertices) + u64::from(slots) * u64::from(totals.animated_vertices);
-        let frames_bytes = u64::from(totals.vertices) * size_of::<FrameGpu>() as u64;
-        scene.check_room(gpu, "skinned vertices of all instances and sample times", positions * 16)?;
-        scene.check_room(gpu, "normals and tangents of all instances", frames_bytes)?;
-        let saved_vertices = Buffer::new(gpu, "saved vertices", positions * 16, Memory::Device)?;
+        let [(_, positions_bytes), (_, frames_bytes)] = Self::needs(totals, slots);
+        Self::needs(totals, slots).into_iter().try_for_each(|(what, bytes)| check_room(gpu, what, bytes))?;
+        let saved_vertices = Buffer::new(gpu, "saved vertices", positions_bytes, Memory::Device)?;
         let saved_frames = Buffer::new(gpu, "saved frames", frames_bytes, Memory::Device)?;
         let mut binds = scene.animation.binds();
         binds.extend([
@@ -107,6 +104,17 @@ impl Skin {
             static_vertices: totals.static_vertices,
             animated_vertices: totals.animated_vertices,
         })
+    }
+
+    /// What it binds at once, in bytes.
+    pub fn needs(totals: Totals, slots: u32) -> [(&'static str, u64); 2] {
+        let positions =
+            u64::from(totals.static_vertices) + u64::from(slots) * u64::from(totals.animated_vertices);
+        let frames_bytes = u64::from(totals.vertices) * size_of::<FrameGpu>() as u64;
+        [
+            ("skinned vertices of all instances and sample times", positions * 16),
+            ("normals and tangents of all instances", frames_bytes),
+        ]
     }
 
     /// First saved vertex of an instance at a slot's time.

@@ -32,6 +32,9 @@ pub enum GpuError {
     /// No device does what is needed.
     #[error("no Vulkan device can be used: {0}")]
     NoDevice(String),
+    /// More than the device can hold or bind at once; the text says what, and what to do.
+    #[error("{0}")]
+    TooLarge(String),
     /// A Vulkan call failed.
     #[error("{doing}: {result}")]
     Vulkan {
@@ -50,6 +53,13 @@ pub enum GpuError {
         /// The allocator's answer.
         reason: String,
     },
+}
+
+impl GpuError {
+    /// True where the device is gone: only opening it anew, and all that was on it, helps.
+    pub fn is_lost(&self) -> bool {
+        matches!(self, Self::Vulkan { result: vk::Result::ERROR_DEVICE_LOST, .. })
+    }
 }
 
 /// Turns a Vulkan result into an error that says what was being done.

@@ -72,6 +72,9 @@ pub const MAX_QUEUED_STREAMS: usize = 128;
 pub const MAX_QUEUED_STREAM_BYTES: usize = 2 * MAX_DELTA_BYTES;
 /// Pixels per eye and side that a client may ask for.
 pub const MAX_EYE_EXTENT_PIXELS: u32 = 8192;
+/// Pixels per eye that a client may ask for: twice the texels of the largest atlas, since an atlas that shows much less than
+/// the eye resolves is no picture for it.
+pub const MAX_EYE_PIXELS: u32 = 2 * ATLAS_MAX_EXTENT[0] * ATLAS_MAX_EXTENT[1];
 
 /// The word of a placement that takes a patch's block away.
 pub const NO_BLOCK: u32 = u32::MAX;

@@ -7,7 +7,7 @@ use crate::PROTOCOL_VERSION;
 use crate::ids::{DiscontinuityId, FrameId};
 use crate::limits::{
     ATLAS_MAX_EXTENT, BLOCK_MAX_LOG2, MAX_CODECS, MAX_CONTROL_BYTES, MAX_COORDINATE_M, MAX_DATAGRAM_BYTES,
-    MAX_EYE_EXTENT_PIXELS, MAX_PATCH_SLOTS, MAX_SPEED, MAX_TEXT_BYTES, MAX_VERTEX_SLOTS,
+    MAX_EYE_EXTENT_PIXELS, MAX_EYE_PIXELS, MAX_PATCH_SLOTS, MAX_SPEED, MAX_TEXT_BYTES, MAX_VERTEX_SLOTS,
 };
 use crate::pose::{Eye, Pose};
 use crate::time::{DisplayTime, Grid, ServerTime};
@@ -62,6 +62,19 @@ pub struct ClientHello {
     pub app_version: String,
     /// What the client can hold and decode.
     pub capabilities: Capabilities,
+    /// From the welcome of the client's last session with this server, if it had one.
+    pub resume: Option<ResumeSecret>,
+}
+
+/// Lets a client that was served come back to its place before others: random, and new with every welcome.
+#[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ResumeSecret(pub [u8; 16]);
+
+impl std::fmt::Debug for ResumeSecret {
+    /// Without the bytes: logs are read by others.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("ResumeSecret(..)")
+    }
 }
 
 /// What a client can hold and decode.
@@ -113,6 +126,8 @@ pub struct Welcome {
     pub world_from_stage: Pose,
     /// Nanoseconds from one update to the next.
     pub update_period_ns: i64,
+    /// What to say in the next hello, to come back to the same place.
+    pub resume: ResumeSecret,
 }
 
 /// A vertical gradient at infinite distance, in linear radiance (red, green, blue).
@@ -147,6 +162,23 @@ pub struct Displayed {
     pub decode_to_display_ns: i64,
 }
 
+impl Displayed {
+    /// One report of two: what is on display by that of the later frame, the counters summed.
+    #[must_use]
+    pub fn merged(self, other: Self) -> Self {
+        let newest = if other.frame >= self.frame { other } else { self };
+        let sum = |count: fn(&Self) -> u32| count(&self).saturating_add(count(&other));
+        Self {
+            display_frames: sum(|report| report.display_frames),
+            frames_without_bundle: sum(|report| report.frames_without_bundle),
+            frozen_vertices: sum(|report| report.frozen_vertices),
+            withheld_patches: sum(|report| report.withheld_patches),
+            lost_pictures: sum(|report| report.lost_pictures),
+            ..newest
+        }
+    }
+}
+
 /// What a server has to offer; [`negotiate`] makes a [`Welcome`] of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ServerOffer {
@@ -174,6 +206,8 @@ pub struct ServerOffer {
     pub world_from_stage: Pose,
     /// Nanoseconds from one update to the next.
     pub update_period_ns: i64,
+    /// What lets this client come back.
+    pub resume: ResumeSecret,
 }
 
 /// What a client sends unreliably.
@@ -353,6 +387,8 @@ impl Capabilities {
             "an eye's extent in pixels",
             || format!("{:?} is not within 1..={MAX_EYE_EXTENT_PIXELS}", self.eye_extent_pixels),
         )?;
+        let [width, height] = self.eye_extent_pixels;
+        check_count("an eye's number of pixels", width as usize * height as usize, MAX_EYE_PIXELS as usize)?;
         check_slots("the vertex slots of a client", self.max_vertex_slots, MAX_VERTEX_SLOTS)?;
         check_slots("the patch slots of a client", self.max_patch_slots, MAX_PATCH_SLOTS)?;
         check_period("the display period", self.display_period_ns)
@@ -431,6 +467,7 @@ pub fn negotiate(hello: &ClientHello, offer: &ServerOffer) -> Result<Welcome, Re
         environment: offer.environment,
         world_from_stage: offer.world_from_stage,
         update_period_ns: offer.update_period_ns,
+        resume: offer.resume,
     })
 }
 
@@ -525,12 +562,18 @@ fn check_pose(what: &'static str, pose: &Pose) -> Result<(), WireError> {
 
 fn check_eye(eye: &Eye) -> Result<(), WireError> {
     check_pose("an eye's pose", &eye.head_from_eye)?;
-    require(eye.fov.is_valid(), "an eye's field of view", || format!("{:?} is not a frustum", eye.fov))
+    require(eye.fov.is_valid(), "an eye's field of view", || {
+        format!(
+            "{:?} is not a frustum of 2 degrees or more that begins within 60 degrees of straight ahead",
+            eye.fov
+        )
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pose::Fov;
     use crate::testing::{damaged, displayed, head, hello, offer, welcome};
 
     fn client_messages() -> Vec<ClientMessage> {
@@ -635,6 +678,7 @@ mod tests {
         assert_pose_refused(|head| head.linear_velocity.x = f32::INFINITY, "a head's velocity");
         assert_pose_refused(|head| head.angular_velocity.x = 1e5, "a head's velocity");
         assert_pose_refused(|head| head.eyes[1].fov.left = 1.0, "an eye's field of view");
+        assert_pose_refused(|head| head.eyes[0].fov.up = f32::NAN, "an eye's field of view");
         assert_pose_refused(|head| head.eyes[0].head_from_eye.position.z = f32::NAN, "an eye's pose");
     }
 
@@ -654,7 +698,54 @@ mod tests {
         assert_hello_refused(|hello| hello.capabilities.max_vertex_slots = 0, "vertex slots");
         assert_hello_refused(|hello| hello.capabilities.max_patch_slots = MAX_PATCH_SLOTS + 1, "patch slots");
         assert_hello_refused(|hello| hello.capabilities.eye_extent_pixels[1] = 0, "extent in pixels");
+        assert_hello_refused(|hello| hello.capabilities.eye_extent_pixels = [8192, 8192], "number of pixels");
         assert_hello_refused(|hello| hello.capabilities.display_period_ns = 0, "display period");
+    }
+
+    #[test]
+    fn views_that_no_pipeline_can_be_made_for_are_refused() {
+        let fov = |left, right, up, down| Fov { left, right, up, down };
+        let tiny = f32::MIN_POSITIVE / 2.0;
+        let bad = [
+            fov(-tiny, tiny, tiny, -tiny),
+            fov(-0.0005, 0.0005, 0.0005, -0.0005),
+            fov(1.1, 1.5, 0.5, -0.5),
+            fov(-1.5, -1.1, 0.5, -0.5),
+            fov(-0.5, 0.5, 1.5, 1.1),
+            fov(-0.5, 0.5, -1.1, -1.5),
+            fov(-0.5, 0.5, 1e-3, 0.0),
+            fov(0.5, -0.5, 0.5, -0.5),
+            fov(-0.5, 0.5, -0.5, 0.5),
+            fov(f32::NEG_INFINITY, 0.5, 0.5, -0.5),
+        ];
+        for fov in bad {
+            assert_hello_refused(|hello| hello.capabilities.eyes[1].fov = fov, "an eye's field of view");
+        }
+        for fov in [fov(-0.02, 0.02, 0.02, -0.02), fov(0.9, 1.5, 0.5, -0.5), fov(-1.55, 1.55, 1.55, -1.55)] {
+            let mut good = hello();
+            good.capabilities.eyes = good.capabilities.eyes.map(|eye| Eye { fov, ..eye });
+            assert_eq!(good.check(), Ok(()), "{fov:?}");
+        }
+    }
+
+    #[test]
+    fn two_reports_of_what_is_on_display_are_one_of_the_later_frame_with_the_counts_of_both() {
+        let (early, late) = (displayed(3), Displayed { display_time: ServerTime(9), ..displayed(4) });
+        let both = Displayed {
+            frame: FrameId(4),
+            display_time: ServerTime(9),
+            display_frames: 144,
+            frames_without_bundle: 2,
+            frozen_vertices: 400,
+            withheld_patches: 6,
+            ..late
+        };
+        assert_eq!((early.merged(late), late.merged(early)), (both, both));
+    }
+
+    #[test]
+    fn a_secret_is_not_logged() {
+        assert_eq!(format!("{:?}", ResumeSecret([7; 16])), "ResumeSecret(..)");
     }
 
     #[track_caller]

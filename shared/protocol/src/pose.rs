@@ -35,6 +35,11 @@ pub struct Eye {
     pub fov: Fov,
 }
 
+/// Narrowest field of view in radians, 2 degrees: what is narrower is no display, and its density has no bound.
+pub const MIN_VIEW_SPAN: f32 = 0.034_906_585;
+/// Angle to a side up to which views are rendered, radians: 60 degrees.
+pub const MAX_VIEW_ANGLE: f32 = 1.047_197_6;
+
 /// Near plane in metres, the same for server, client and ground truth.
 pub const NEAR_M: f32 = 0.05;
 
@@ -81,15 +86,13 @@ impl Fov {
         Self { left: -half, right: half, up: half, down: -half }
     }
 
-    /// Widened by `margin` radians on each side, kept under 120 degrees in all (60 a side).
+    /// Widened by `margin` radians on each side, kept under 120 degrees in all ([`MAX_VIEW_ANGLE`] a side), and no narrower
+    /// than [`MIN_VIEW_SPAN`].
     pub fn widened(self, margin: f32) -> Self {
-        let limit = 60f32.to_radians();
-        Self {
-            left: (self.left - margin).max(-limit),
-            right: (self.right + margin).min(limit),
-            up: (self.up + margin).min(limit),
-            down: (self.down - margin).max(-limit),
-        }
+        let low = |angle: f32| (angle - margin).clamp(-MAX_VIEW_ANGLE, MAX_VIEW_ANGLE - MIN_VIEW_SPAN);
+        let high = |angle: f32, low: f32| (angle + margin).min(MAX_VIEW_ANGLE).max(low + MIN_VIEW_SPAN);
+        let (left, down) = (low(self.left), low(self.down));
+        Self { left, right: high(self.right, left), up: high(self.up, down), down }
     }
 
     /// Clip from eye: reversed depth (1 at [`NEAR_M`], 0 at infinity), Vulkan's y down.
@@ -118,12 +121,15 @@ impl Fov {
         ])
     }
 
-    /// True where the four angles are finite, ordered, and inside (-90, 90) degrees.
+    /// True where the four angles are finite, inside (-90, 90) degrees, span at least [`MIN_VIEW_SPAN`] in both directions,
+    /// and as much of that lies within [`MAX_VIEW_ANGLE`].
     pub fn is_valid(self) -> bool {
         let limit = 89f32.to_radians();
+        let within = |angle: f32| angle.clamp(-MAX_VIEW_ANGLE, MAX_VIEW_ANGLE);
+        let is_wide = |low: f32, high: f32| within(high) - within(low) >= MIN_VIEW_SPAN;
         [self.left, self.right, self.up, self.down].iter().all(|a| a.is_finite() && a.abs() <= limit)
-            && self.left < self.right
-            && self.down < self.up
+            && is_wide(self.left, self.right)
+            && is_wide(self.down, self.up)
     }
 }
 
@@ -139,6 +145,22 @@ mod tests {
         assert!((corner.x / corner.w - 1.0).abs() < 1e-5, "{corner}");
         assert!((corner.y / corner.w + 1.0).abs() < 1e-5, "up is -1 in Vulkan: {corner}");
         assert!((corner.z / corner.w - NEAR_M / 3.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_widened_view_is_never_turned_inside_out() {
+        let angles = [-1.55, -1.2, -0.9, -1e-40, 0.0, 1e-40, 0.01, 0.9, 1.2, 1.55];
+        for (left, right) in angles.into_iter().flat_map(|left| angles.map(|right| (left, right))) {
+            for margin in [0.0, 0.052, 0.35] {
+                let wide = Fov { left, right, up: right, down: left }.widened(margin);
+                let span = wide.right - wide.left;
+                assert!(
+                    span >= 0.99 * MIN_VIEW_SPAN && span <= 2.0 * MAX_VIEW_ANGLE,
+                    "{left} {right}: {wide:?}"
+                );
+                assert!(wide.clip_from_eye().is_finite());
+            }
+        }
     }
 
     #[test]

@@ -2,7 +2,8 @@
 
 use crate::ids::{DiscontinuityId, FrameId};
 use crate::message::{
-    Capabilities, ClientHello, Codec, Displayed, Environment, HeadState, ServerOffer, Welcome, negotiate,
+    Capabilities, ClientHello, Codec, Displayed, Environment, HeadState, ResumeSecret, ServerOffer, Welcome,
+    negotiate,
 };
 use crate::pose::{Eye, Fov, Pose};
 use crate::time::{DEFAULT_GRID, ServerTime};
@@ -30,6 +31,7 @@ pub(crate) fn hello() -> ClientHello {
             eye_extent_pixels: [1832, 1920],
             display_period_ns: 13_888_888,
         },
+        resume: Some(ResumeSecret([9; 16])),
     }
 }
 
@@ -47,6 +49,7 @@ pub(crate) fn offer() -> ServerOffer {
         environment: Environment { zenith: [0.25, 0.5, 1.0], horizon: [0.5, 0.75, 1.0], nadir: [0.125; 3] },
         world_from_stage: Pose { position: Vec3::new(0.0, 0.0, 3.5), orientation: Quat::IDENTITY },
         update_period_ns: 33_333_333,
+        resume: ResumeSecret(std::array::from_fn(|i| i as u8)),
     }
 }
 

@@ -339,6 +339,13 @@ impl ConnectionIdGenerator for CidGenerator {
     }
 }
 
+/// Bytes that nobody can guess, from the system's random numbers.
+pub fn random_bytes<const N: usize>() -> [u8; N] {
+    let mut bytes = [0; N];
+    fill_random(&mut bytes);
+    bytes
+}
+
 fn fill_random(bytes: &mut [u8]) {
     let filled = ring::rand::SystemRandom::new().fill(bytes);
     assert!(filled.is_ok(), "the system has no random numbers");

@@ -19,7 +19,7 @@ mod tls;
 
 pub use endpoint::{
     CloseKind, Congestion, Counters, Endpoint, EndpointConfig, Event, PeerId, PeerStats, SendError, StreamId,
-    Transmit,
+    Transmit, random_bytes,
 };
 pub use files::{PendingFile, write_atomically};
 pub use identity::{ExpectedIdentity, Fingerprint, IdentityError, KnownServers, ServerIdentity};

@@ -233,6 +233,7 @@ impl Lab {
                 eye_extent_pixels: self.client.eye_extent_pixels(),
                 display_period_ns: (1e9 / self.refresh_hz) as i64,
             },
+            resume: None,
         }
     }
 
