@@ -8,7 +8,7 @@
 use shadecast_protocol::atlas::{Block, PatchKind};
 use shadecast_protocol::delta::{GeometryDelta, Motion, NewPatch};
 use shadecast_protocol::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
-use shadecast_protocol::limits::MAX_INSTANCES;
+use shadecast_protocol::limits::{MAX_INSTANCES, PATCH_MAX_VERTICES};
 use shadecast_protocol::time::GridIndex;
 use shadecast_shaders::generated::{CornerGpu, VertexWriteGpu};
 use shadecast_shaders::twin::interpolate::{sample_write, sampled_entry, static_entry};
@@ -19,7 +19,7 @@ const MAX_PENDING: usize = 256;
 /// Decoded pictures that wait for their delta; beyond it the oldest is dropped.
 const MAX_PICTURES: usize = 3;
 /// Corners of a patch of three triangles, and its indices.
-pub const MAX_CORNERS_PER_PATCH: usize = 5;
+pub const MAX_CORNERS_PER_PATCH: usize = PATCH_MAX_VERTICES as usize;
 /// Indices of a patch of three triangles, both sides.
 pub const MAX_INDICES_PER_PATCH: usize = 18;
 

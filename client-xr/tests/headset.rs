@@ -7,7 +7,7 @@ use shadecast_client::decode::Picture as Planes;
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
 use shadecast_mock_runtime::record::Side;
 use shadecast_protocol::PROTOCOL_VERSION;
-use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize, PatchKind};
+use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch};
 use shadecast_protocol::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
 use shadecast_protocol::message::{Codec, Environment, ResumeSecret, ServerOffer, Welcome};
@@ -17,7 +17,7 @@ use shadecast_protocol::time::{DEFAULT_GRID, DisplayTime, GridIndex, ServerTime}
 use shadecast_protocol::wire::{PictureHeader, StreamMessage, parse_stream};
 use support::{Run, SIDE, at, coded, finish, frame, pixel};
 
-const ATLAS: [u32; 2] = [512, 512];
+const ATLAS: AtlasExtent = AtlasExtent::MIN;
 /// sRGB values of the two patches, and their full-range BT.709 planes.
 const RED: ([u8; 3], [u8; 3]) = ([200, 40, 40], [74, 110, 208]);
 const BLUE: ([u8; 3], [u8; 3]) = ([40, 60, 220], [67, 210, 111]);
@@ -50,7 +50,7 @@ fn block(x: u16) -> Block {
 
 /// Left half red, right half blue, elsewhere green so that a wrong lookup is seen.
 fn planes(blocks: [u16; 2]) -> Planes {
-    let [w, h] = ATLAS.map(|side| side as usize);
+    let [w, h] = ATLAS.texels().map(|side| side as usize);
     let ycbcr = |x: usize, y: usize| {
         let inside = |from: u16| (usize::from(from)..usize::from(from) + 64).contains(&x) && y < 64;
         if inside(blocks[0]) {
@@ -65,7 +65,7 @@ fn planes(blocks: [u16; 2]) -> Planes {
         let texels = (0..h / step).flat_map(|y| (0..w / step).map(move |x| (x, y)));
         texels.map(|(x, y)| ycbcr(x * step, y * step)[component]).collect()
     };
-    Planes { extent_texels: ATLAS, y: plane(1, 0), cb: plane(2, 1), cr: plane(2, 2) }
+    Planes { extent_texels: ATLAS.texels(), y: plane(1, 0), cb: plane(2, 1), cr: plane(2, 2) }
 }
 
 /// Where the moving edge is at a server time.
@@ -420,7 +420,10 @@ fn updates_of_a_session_are_shown_after_decoding_and_reported() {
     assert_eq!((displayed.frame, displayed.frames_without_bundle), (FrameId(0), 12));
     assert_eq!(Some(displayed.display_time), reports[1].server_time);
     let stats = client.stats();
-    assert_eq!((stats.bundles, stats.atlas_bytes), (1, u64::from(ATLAS[0] * ATLAS[1]) * 3 / 2 + 1));
+    assert_eq!(
+        (stats.bundles, stats.atlas_bytes),
+        (1, u64::from(ATLAS.width() * ATLAS.height()) * 3 / 2 + 1)
+    );
     finish(&run, client);
     let [x, y] = pixel([-0.25, 1.6, -2.0], -1.0).map(|p| p as u32);
     assert_close(run.picture(stats.frames - 1, Side::Left).at(x, y), RED.0, "the left square");

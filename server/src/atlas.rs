@@ -3,7 +3,7 @@
 //! Blocks keep their address while patch and size stay. The allocator is deterministic: the lowest free address
 //! wins. It knows nothing of patches, levels or time.
 
-use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize};
+use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize};
 use shadecast_protocol::limits::{BLOCK_MAX_LOG2, SUPERBLOCK_MIN_LOG2};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,7 +15,7 @@ const MAX_SLOTS_WORDS: usize = 4;
 /// Which blocks of an atlas are free.
 #[derive(Clone, Debug)]
 pub struct Atlas {
-    extent_texels: [u32; 2],
+    extent: AtlasExtent,
     /// Free superblock corners (y, x) by size: 64, 128, 256, 512.
     free: [BTreeSet<(u32, u32)>; LEVELS],
     /// Superblocks in use, by corner (y, x).
@@ -51,22 +51,21 @@ impl Superblock {
 }
 
 impl Atlas {
-    /// An empty atlas; both sides are multiples of 512 texels.
-    pub fn new(extent_texels: [u32; 2]) -> Self {
+    /// An empty atlas.
+    pub fn new(extent: AtlasExtent) -> Self {
         let largest = 1 << BLOCK_MAX_LOG2;
-        assert!(extent_texels.iter().all(|side| *side > 0 && side % largest == 0), "{extent_texels:?}");
         let mut free: [BTreeSet<_>; LEVELS] = Default::default();
-        for y in (0..extent_texels[1]).step_by(largest as usize) {
-            for x in (0..extent_texels[0]).step_by(largest as usize) {
+        for y in (0..extent.height()).step_by(largest) {
+            for x in (0..extent.width()).step_by(largest) {
                 free[LEVELS - 1].insert((y, x));
             }
         }
-        Self { extent_texels, free, used: BTreeMap::new(), open: BTreeMap::new(), used_texels: 0 }
+        Self { extent, free, used: BTreeMap::new(), open: BTreeMap::new(), used_texels: 0 }
     }
 
     /// Width and height in texels.
     pub fn extent_texels(&self) -> [u32; 2] {
-        self.extent_texels
+        self.extent.texels()
     }
 
     /// Texels inside blocks that are in use.
@@ -221,7 +220,7 @@ mod tests {
 
     #[test]
     fn blocks_never_overlap_and_free_plus_used_is_the_atlas_under_churn() {
-        let extent = [1024, 512];
+        let extent = AtlasExtent::new(1024, 512).unwrap();
         let (mut atlas, mut live, mut random) = (Atlas::new(extent), Vec::new(), Random(7));
         for step in 0..500 {
             for _ in 0..20 {
@@ -234,7 +233,7 @@ mod tests {
             }
             assert_eq!(atlas.free_texels() + atlas.used_texels(), 1024 * 512, "seed 7, step {step}");
             if step % 25 == 0 {
-                assert_no_overlap(&live, extent);
+                assert_no_overlap(&live, extent.texels());
             }
         }
         live.drain(..).for_each(|block| atlas.free(block));
@@ -244,7 +243,7 @@ mod tests {
     #[test]
     fn the_same_calls_give_the_same_addresses() {
         let run = || {
-            let (mut atlas, mut random) = (Atlas::new([512, 512]), Random(11));
+            let (mut atlas, mut random) = (Atlas::new(AtlasExtent::MIN), Random(11));
             (0..300).map(|_| atlas.allocate(random.size())).collect::<Vec<_>>()
         };
         assert_eq!(run(), run());
@@ -254,7 +253,7 @@ mod tests {
     fn one_size_fills_the_atlas_to_the_last_texel() {
         for log2 in [2, 5, 9] {
             let size = BlockSize::new(log2, log2).unwrap();
-            let mut atlas = Atlas::new([1024, 1024]);
+            let mut atlas = Atlas::new(AtlasExtent::new(1024, 1024).unwrap());
             let mut count = 0;
             while atlas.allocate(size).is_some() {
                 count += 1;

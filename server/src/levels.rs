@@ -2,7 +2,7 @@
 //! resulting blocks in the atlas. Pure and total: a full atlas coarsens, it never fails.
 
 use crate::atlas::Atlas;
-use shadecast_protocol::atlas::{Block, BlockSize};
+use shadecast_protocol::atlas::{AtlasExtent, Block, BlockSize};
 use shadecast_protocol::limits::{BLOCK_INSET_TEXELS, BLOCK_MAX_LOG2, BLOCK_MIN_LOG2, MAX_PATCH_SLOTS};
 
 /// A patch that was seen stays for this many updates, so that what flickers at the limit of the ID buffer's sampling
@@ -52,9 +52,9 @@ struct State {
 
 impl Layout {
     /// For `patches` patches in an empty atlas.
-    pub fn new(atlas_extent_texels: [u32; 2], patches: usize) -> Self {
+    pub fn new(atlas_extent: AtlasExtent, patches: usize) -> Self {
         Self {
-            atlas: Atlas::new(atlas_extent_texels),
+            atlas: Atlas::new(atlas_extent),
             states: vec![State::default(); patches],
             live: Vec::new(),
             density: 1.0,
@@ -243,7 +243,7 @@ mod tests {
 
     #[test]
     fn unchanged_patch_and_level_keep_their_block() {
-        let mut layout = Layout::new([512, 512], 200);
+        let mut layout = Layout::new(AtlasExtent::MIN, 200);
         let mut extents = random_extents(3, 200, 20);
         layout.place(&extents);
         let before: Vec<_> = layout.live().filter(|(patch, _)| *patch != 7).collect();
@@ -254,7 +254,7 @@ mod tests {
 
     #[test]
     fn a_full_atlas_coarsens_and_places_everything_that_is_visible() {
-        let mut layout = Layout::new([512, 512], 3000);
+        let mut layout = Layout::new(AtlasExtent::MIN, 3000);
         for seed in 0..12 {
             let extents = random_extents(seed, 3000, 90);
             layout.place(&extents);
@@ -265,7 +265,7 @@ mod tests {
 
     #[test]
     fn the_first_forced_coarsening_finds_the_atlas_well_used() {
-        let mut layout = Layout::new([1024, 1024], 4000);
+        let mut layout = Layout::new(AtlasExtent::new(1024, 1024).unwrap(), 4000);
         let mut share = 0.0;
         for count in (100..4000).step_by(100) {
             let mut extents = random_extents(5, 4000, 40);
@@ -282,7 +282,7 @@ mod tests {
 
     #[test]
     fn a_patch_out_of_sight_stays_for_the_hold_and_then_goes() {
-        let mut layout = Layout::new([512, 512], 3);
+        let mut layout = Layout::new(AtlasExtent::MIN, 3);
         layout.place(&[pack(9, 9), 0, 0]);
         for _ in 0..HOLD_UPDATES {
             assert!(layout.place(&[0, 0, 0]).is_empty());
@@ -293,7 +293,7 @@ mod tests {
 
     #[test]
     fn an_extent_that_trembles_at_a_power_of_two_does_not_change_its_block() {
-        let mut layout = Layout::new([512, 512], 1);
+        let mut layout = Layout::new(AtlasExtent::MIN, 1);
         layout.place(&[pack(14, 15)]);
         for step in 0..20 {
             let extent = if step % 2 == 0 { 14 } else { 13 };
@@ -304,7 +304,7 @@ mod tests {
 
     #[test]
     fn what_changed_is_exactly_what_the_blocks_say() {
-        let mut layout = Layout::new([512, 512], 1500);
+        let mut layout = Layout::new(AtlasExtent::MIN, 1500);
         let mut mirror: std::collections::BTreeMap<u32, Block> = Default::default();
         for seed in 0..40 {
             for change in layout.place(&random_extents(seed, 1500, 60)) {

@@ -7,7 +7,7 @@ use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 use glam::Vec3;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
-use shadecast_protocol::limits::{ATLAS_DEFAULT_EXTENT, ATLAS_MAX_EXTENT};
+use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::Scene;
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_scene::cache::Cache;
@@ -98,9 +98,9 @@ struct StreamArgs {
     /// Folder of the server's key [default: the user's configuration folder]
     #[arg(long)]
     identity: Option<PathBuf>,
-    /// Atlas width and height in texels, multiples of 512
-    #[arg(long, value_parser = parse_size, default_value = "2048x2048")]
-    atlas: [u32; 2],
+    /// Atlas width and height in texels, powers of two from 512x512 to 4096x2048
+    #[arg(long, value_name = "WxH", default_value_t = AtlasExtent::DEFAULT)]
+    atlas: AtlasExtent,
     /// Quantisation of the atlas: 0 (finest) to 51
     #[arg(long, default_value_t = DEFAULT_QP)]
     qp: u8,
@@ -195,18 +195,6 @@ fn open(scene: &str, args: &DeviceArgs) -> anyhow::Result<(Arc<Gpu>, Arc<SceneGp
 }
 
 fn stream(args: &StreamArgs) -> anyhow::Result<()> {
-    let [width, height] = args.atlas;
-    anyhow::ensure!(
-        width % 512 == 0
-            && height % 512 == 0
-            && width <= ATLAS_MAX_EXTENT[0]
-            && height <= ATLAS_MAX_EXTENT[1],
-        "--atlas {width}x{height}: both sides must be multiples of 512, at most {}x{} (usual: {}x{})",
-        ATLAS_MAX_EXTENT[0],
-        ATLAS_MAX_EXTENT[1],
-        ATLAS_DEFAULT_EXTENT[0],
-        ATLAS_DEFAULT_EXTENT[1]
-    );
     anyhow::ensure!((1.0..=60.0).contains(&args.rate), "--rate {} must lie between 1 and 60", args.rate);
     anyhow::ensure!(args.qp <= 51, "--qp {} must lie between 0 and 51", args.qp);
     let link = args.link.as_deref().map(parse_link).transpose()?;

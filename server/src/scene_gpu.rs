@@ -8,10 +8,8 @@ use crate::culling::Culling;
 use crate::lights::{self, SunView};
 use crate::stages::skin::Skinning;
 use ash::vk;
-use shadecast_gpu::{
-    Access, Bind, Buffer, Gpu, GpuError, Image, ImageDesc, Memory, SCENE_TEXTURES, Sampler, SamplerDesc,
-};
-use shadecast_protocol::limits::MAX_LIGHTS;
+use shadecast_gpu::{Access, Bind, Buffer, Gpu, GpuError, Image, ImageDesc, Memory, Sampler, SamplerDesc};
+use shadecast_protocol::limits::{MAX_LIGHTS, SCENE_TEXTURES};
 use shadecast_scene::animation::bounds::{self, Bounds};
 use shadecast_scene::animation::pose;
 use shadecast_scene::animation::sampling::Sampling;

@@ -12,6 +12,7 @@ use anyhow::Context;
 use serde::Serialize;
 use shadecast_gpu::Gpu;
 use shadecast_protocol::PROTOCOL_VERSION;
+use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{
     Codec, Displayed, Environment, HeadState, ResumeSecret, ServerOffer, Welcome,
@@ -42,7 +43,7 @@ pub struct StreamOptions {
     /// Folder of the server's identity; `None` for the user's default.
     pub identity: Option<PathBuf>,
     /// Wanted atlas width and height in texels.
-    pub atlas_extent_texels: [u32; 2],
+    pub atlas_extent_texels: AtlasExtent,
     /// Quantisation of the atlas, 0 (finest) to 51.
     pub qp: u8,
     /// Updates per second.
@@ -89,7 +90,7 @@ pub struct StreamStats {
 }
 
 /// The terms that a server with this scene offers; who has more than one client puts a random secret into them.
-pub fn offer(scene: &SceneGpu, atlas_extent_texels: [u32; 2], rate_hz: f64, session: u64) -> ServerOffer {
+pub fn offer(scene: &SceneGpu, atlas_extent_texels: AtlasExtent, rate_hz: f64, session: u64) -> ServerOffer {
     let environment = scene.scene.environment;
     ServerOffer {
         protocol_version: PROTOCOL_VERSION,
@@ -408,13 +409,13 @@ impl<'a> Pipeline<'a> {
         }
     }
 
-    fn start_encoder(&self, peer: PeerId, frame: Frame, extent_texels: [u32; 2]) -> anyhow::Result<Client> {
+    fn start_encoder(&self, peer: PeerId, frame: Frame, extent: AtlasExtent) -> anyhow::Result<Client> {
         let threads = std::thread::available_parallelism().map_or(1, |n| (n.get() as u32 / 2).clamp(1, 4));
         let settings = EncoderSettings {
             qp: self.options.qp,
             fps: self.options.rate_hz.round() as u32,
             threads,
-            ..EncoderSettings::new(extent_texels)
+            ..EncoderSettings::for_atlas(extent)
         };
         let encoder = OpenH264Encoder::new(settings).context("making the encoder")?;
         let (jobs, jobs_from) = sync_channel(1);

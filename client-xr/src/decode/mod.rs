@@ -8,20 +8,12 @@
 //! Planes are I420, full range, BT.709. Whatever bytes come in, a decoder gives a picture of the agreed extent or an
 //! error; [`sps`] looks at every sequence header before the decoder does.
 
+use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
 use thiserror::Error;
 
 #[cfg(feature = "desktop")]
 pub mod openh264;
 pub mod sps;
-
-/// The smallest width and height of a picture that a decoder accepts, in texels.
-pub const MIN_EXTENT_TEXELS: u32 = 4;
-
-/// The largest width and height of a picture that a decoder accepts, in texels: H.264 level 5.2.
-pub const MAX_EXTENT_TEXELS: [u32; 2] = [4096, 2304];
-
-/// The longest access unit that a decoder looks at, in bytes: more than the largest picture has uncompressed.
-pub const MAX_ACCESS_UNIT_BYTES: usize = 16 << 20;
 
 /// A decoded picture: tightly packed planes, chroma at half resolution in both directions.
 ///
@@ -58,9 +50,9 @@ pub trait Decoder: Send {
 pub enum DecodeError {
     /// An extent outside what decoders take.
     #[error(
-        "cannot decode pictures of {}x{} texels: width and height must be even, at least {MIN_EXTENT_TEXELS} and at \
-         most {}x{}; the server must choose another atlas size",
-        .0[0], .0[1], MAX_EXTENT_TEXELS[0], MAX_EXTENT_TEXELS[1]
+        "cannot decode pictures of {}x{} texels: width and height must be even, at least {MIN_PICTURE_SIDE_TEXELS} and \
+         at most {}x{}; the server must choose another atlas size",
+        .0[0], .0[1], MAX_PICTURE_EXTENT_TEXELS[0], MAX_PICTURE_EXTENT_TEXELS[1]
     )]
     Extent([u32; 2]),
     /// The stream says that it has another size than was agreed.

@@ -16,7 +16,8 @@ use openh264_sys2::{
 };
 
 use super::sps::{self, Sps};
-use super::{DecodeError, Decoder, MAX_ACCESS_UNIT_BYTES, MAX_EXTENT_TEXELS, MIN_EXTENT_TEXELS, Picture};
+use super::{DecodeError, Decoder, Picture};
+use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
 
 /// The library's name for a function missing from its table, in the range of its own result codes.
 const MISSING_FUNCTION: c_long = -1;
@@ -42,12 +43,12 @@ enum State {
 }
 
 impl OpenH264Decoder {
-    /// Makes a decoder for a stream of the agreed extent: even, at least 4 and at most 4096x2304 texels.
+    /// Makes a decoder for a stream of the agreed extent: even, at least 16 and at most 4096x2304 texels.
     pub fn new(extent_texels: [u32; 2]) -> Result<Self, DecodeError> {
         let fits = extent_texels
             .into_iter()
-            .zip(MAX_EXTENT_TEXELS)
-            .all(|(texels, most)| (MIN_EXTENT_TEXELS..=most).contains(&texels) && texels % 2 == 0);
+            .zip(MAX_PICTURE_EXTENT_TEXELS)
+            .all(|(texels, most)| (MIN_PICTURE_SIDE_TEXELS..=most).contains(&texels) && texels % 2 == 0);
         if !fits {
             return Err(DecodeError::Extent(extent_texels));
         }

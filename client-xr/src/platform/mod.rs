@@ -4,6 +4,7 @@
 pub mod requirements;
 
 use crate::decode::{DecodeError, Decoder};
+use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::time::DisplayTime;
 
 /// The system that the client runs on.
@@ -40,19 +41,19 @@ impl Platform {
     }
 }
 
-/// Makes a decoder for pictures of an extent in texels.
-pub type MakeDecoder = fn([u32; 2]) -> Result<Box<dyn Decoder>, DecodeError>;
+/// Makes a decoder for pictures of an atlas.
+pub type MakeDecoder = fn(AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError>;
 
-/// The decoder of this system for pictures of `extent_texels`.
+/// The decoder of this system for pictures of an atlas.
 #[cfg(feature = "desktop")]
-pub fn decoder(extent_texels: [u32; 2]) -> Result<Box<dyn Decoder>, DecodeError> {
-    Ok(Box::new(crate::decode::openh264::OpenH264Decoder::new(extent_texels)?))
+pub fn decoder(extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
+    Ok(Box::new(crate::decode::openh264::OpenH264Decoder::new(extent.texels())?))
 }
 
-/// The decoder of this system for pictures of `extent_texels`. MediaCodec is a later step.
+/// The decoder of this system for pictures of an atlas. MediaCodec is a later step.
 #[cfg(not(feature = "desktop"))]
-pub fn decoder(extent_texels: [u32; 2]) -> Result<Box<dyn Decoder>, DecodeError> {
-    Err(DecodeError::Extent(extent_texels))
+pub fn decoder(extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
+    Err(DecodeError::Extent(extent.texels()))
 }
 
 /// The monotonic clock that OpenXR's times are converted to.

@@ -8,6 +8,7 @@ use shadecast_gpu::{
     Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
     Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc, Sampler, SamplerDesc, Ticket, vk,
 };
+use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_shaders::generated::{CLIENT_ATLAS_FRAG, CLIENT_ATLAS_VERT, CornerGpu, EyesGpu};
 use std::sync::Arc;
 
@@ -136,7 +137,7 @@ impl AtlasDraw {
         gpu: &Arc<Gpu>,
         recorder: &mut Recorder,
         patch_slots: u32,
-        extent_texels: [u32; 2],
+        extent: AtlasExtent,
         memory: &VertexMemory,
         eyes: [&Buffer; FRAMES_IN_FLIGHT],
     ) -> Result<BundleSet, GpuError> {
@@ -145,7 +146,7 @@ impl AtlasDraw {
         let index_bytes = patches * (MAX_INDICES_PER_PATCH * size_of::<u32>()) as u64;
         let corners = Buffer::new(gpu, "corners", corner_bytes, Memory::Upload)?;
         let indices = Buffer::new(gpu, "indices", index_bytes, Memory::Upload)?;
-        let planes = Planes::new(gpu, recorder, extent_texels)?;
+        let planes = Planes::new(gpu, recorder, extent)?;
         let group = |eyes: &Buffer| {
             let binds = [
                 ("Corners", Bind::Buffer(&corners)),

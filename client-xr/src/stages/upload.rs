@@ -2,6 +2,7 @@
 
 use crate::decode::Picture;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, ImageDesc, Memory, Recorder, vk};
+use shadecast_protocol::atlas::AtlasExtent;
 use std::sync::Arc;
 
 /// One picture's planes on the GPU.
@@ -13,8 +14,9 @@ pub struct Planes {
 }
 
 impl Planes {
-    /// Planes for pictures of `extent_texels`; `recorder` makes them readable.
-    pub fn new(gpu: &Arc<Gpu>, recorder: &mut Recorder, extent_texels: [u32; 2]) -> Result<Self, GpuError> {
+    /// Planes for pictures of an atlas; `recorder` makes them readable.
+    pub fn new(gpu: &Arc<Gpu>, recorder: &mut Recorder, extent: AtlasExtent) -> Result<Self, GpuError> {
+        let extent_texels = extent.texels();
         let half = extent_texels.map(|side| side / 2);
         let luma = (extent_texels[0] * extent_texels[1]) as usize;
         // Offsets of a copy are multiples of four.

@@ -57,7 +57,9 @@ impl Run {
             decoding: DecodeTiming::Virtual { delay_ns: 6_000_000 },
             max_vertex_slots: 256,
             max_patch_slots: 64,
-            decoder: |extent_texels| Ok(Box::new(RawDecoder { extent_texels, has_reference: false })),
+            decoder: |extent| {
+                Ok(Box::new(RawDecoder { extent_texels: extent.texels(), has_reference: false }))
+            },
             ..ClientOptions::default()
         };
         Client::new(xr, options).expect("a client")

@@ -6,15 +6,10 @@
 //!
 //! Every picture is I420, full range, BT.709 primaries, transfer and matrix, and the stream says so (VUI).
 
+use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
 use thiserror::Error;
 
 pub mod openh264;
-
-/// The smallest width and height of a picture, in texels: one macroblock.
-pub const MIN_EXTENT_TEXELS: u32 = 16;
-
-/// The largest width and height of a picture, in texels: together 36,864 macroblocks, the limit of H.264 level 5.2.
-pub const MAX_EXTENT_TEXELS: [u32; 2] = [4096, 2304];
 
 /// One picture to encode: tightly packed planes, luma at full and chroma at half resolution in both directions.
 #[derive(Clone, Copy, Debug)]
@@ -78,8 +73,9 @@ pub trait Encoder: Send {
 pub enum EncodeError {
     /// An extent that H.264 or the encoder cannot code.
     #[error(
-        "cannot encode pictures of {}x{} texels: width and height must be even, at least {MIN_EXTENT_TEXELS} \
-         and at most {}x{}; choose another atlas size", .0[0], .0[1], MAX_EXTENT_TEXELS[0], MAX_EXTENT_TEXELS[1]
+        "cannot encode pictures of {}x{} texels: width and height must be even, at least {MIN_PICTURE_SIDE_TEXELS} \
+         and at most {}x{}; choose another size",
+        .0[0], .0[1], MAX_PICTURE_EXTENT_TEXELS[0], MAX_PICTURE_EXTENT_TEXELS[1]
     )]
     Extent([u32; 2]),
     /// A setting outside its range.
@@ -113,6 +109,14 @@ pub enum EncodeError {
         want: usize,
         /// Extent of the picture, in texels.
         extent_texels: [u32; 2],
+    },
+    /// More bytes than a client takes; level 5.2 of H.264 does not allow so many.
+    #[error(
+        "the coded picture has {got} bytes, above the limit of {MAX_ACCESS_UNIT_BYTES}; the next picture starts a new stream"
+    )]
+    TooLong {
+        /// Its length in bytes.
+        got: usize,
     },
     /// The encoder library refused.
     #[error("openh264 failed while {doing} (code {code}); the next picture starts a new stream")]

@@ -20,7 +20,9 @@ use openh264_sys2::{
     source::APILoader, videoFormatI420, videoFrameTypeI, videoFrameTypeIDR, videoFrameTypeP,
 };
 
-use super::{AccessUnit, EncodeError, Encoder, MAX_EXTENT_TEXELS, MIN_EXTENT_TEXELS, Planes};
+use super::{AccessUnit, EncodeError, Encoder, Planes};
+use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
 
 /// The quantisation parameter used unless told otherwise.
 pub const DEFAULT_QP: u8 = 22;
@@ -49,6 +51,11 @@ impl EncoderSettings {
     /// Settings for pictures of this extent: default quantiser, 30 pictures per second, one thread.
     pub fn new(extent_texels: [u32; 2]) -> Self {
         Self { extent_texels, qp: DEFAULT_QP, fps: 30, threads: 1 }
+    }
+
+    /// Settings for an atlas of this extent, which can always be coded.
+    pub fn for_atlas(extent: AtlasExtent) -> Self {
+        Self::new(extent.texels())
     }
 
     fn check(&self) -> Result<(), EncodeError> {
@@ -117,8 +124,8 @@ impl EncoderSettings {
 fn check_extent(extent_texels: [u32; 2]) -> Result<(), EncodeError> {
     let fits = extent_texels
         .into_iter()
-        .zip(MAX_EXTENT_TEXELS)
-        .all(|(texels, most)| (MIN_EXTENT_TEXELS..=most).contains(&texels) && texels % 2 == 0);
+        .zip(MAX_PICTURE_EXTENT_TEXELS)
+        .all(|(texels, most)| (MIN_PICTURE_SIDE_TEXELS..=most).contains(&texels) && texels % 2 == 0);
     if fits { Ok(()) } else { Err(EncodeError::Extent(extent_texels)) }
 }
 
@@ -179,6 +186,10 @@ impl Encoder for OpenH264Encoder {
             library.force_refresh()?;
         }
         let unit = library.encode(picture, timestamp_ns)?;
+        let got = unit.bytes.len();
+        if got > MAX_ACCESS_UNIT_BYTES {
+            return Err(EncodeError::TooLong { got });
+        }
         self.library = Some(library);
         Ok(unit)
     }

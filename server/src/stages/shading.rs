@@ -9,7 +9,7 @@ use shadecast_gpu::{
     Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
     Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc,
 };
-use shadecast_protocol::atlas::Block;
+use shadecast_protocol::atlas::{AtlasExtent, Block};
 use shadecast_protocol::limits::MAX_PATCH_SLOTS;
 use shadecast_shaders::generated::{BlockGpu, SHADING_FRAG, SHADING_VERT, ShadingPush};
 use std::sync::Arc;
@@ -27,15 +27,16 @@ pub struct Shading {
 }
 
 impl Shading {
-    /// For an atlas of `extent` texels.
+    /// For an atlas of this extent.
     pub fn new(
         gpu: &Arc<Gpu>,
         scene: &SceneGpu,
         animation: &Animation,
         shadow: &Shadow,
-        extent: [u32; 2],
+        extent: AtlasExtent,
     ) -> Result<Self, GpuError> {
         let format = vk::Format::R8G8B8A8_UNORM;
+        let extent = extent.texels();
         let atlas = Image::new(
             gpu,
             ImageDesc {

@@ -3,11 +3,9 @@
 use crate::memory::Garbage;
 use crate::{Buffer, Doing, Gpu, GpuError, Image, Sampler};
 use ash::vk;
+use shadecast_protocol::limits::SCENE_TEXTURES;
 use shadecast_shaders::{Binding, BindingKind, Shader, Stage};
 use std::sync::Arc;
-
-/// Length of a texture array whose length GLSL leaves open. Entries may stay unbound.
-pub const SCENE_TEXTURES: u32 = 512;
 
 /// Descriptor set layout and pipeline layout of one or two shaders.
 pub struct Layout {
@@ -121,6 +119,7 @@ fn merged(shaders: &[&Shader]) -> Vec<(Binding, vk::ShaderStageFlags)> {
 }
 
 fn count(binding: &Binding) -> u32 {
+    // GLSL leaves the length of the scene's texture array open; entries may stay unbound.
     if binding.count == 0 { SCENE_TEXTURES } else { binding.count }
 }
 

@@ -12,7 +12,7 @@ mod selftest;
 mod window;
 
 pub use ash::vk;
-pub use bind::{Bind, BindGroup, Layout, SCENE_TEXTURES};
+pub use bind::{Bind, BindGroup, Layout};
 pub use context::{DesktopDevice, DeviceSource, Gpu, GpuOptions, Needs};
 pub use memory::{Buffer, Image, ImageDesc, Memory, Sampler, SamplerDesc};
 pub use pass::{Attachment, Framebuffer, RenderPass, RenderPassDesc};

@@ -3,7 +3,13 @@
 //! Server (shading), client (lookup) and the shaders of both must agree here to the texel. What this module does not
 //! know is which block goes where: that is the server's allocator.
 
-use crate::limits::{ATLAS_MAX_EXTENT, BLOCK_INSET_TEXELS, BLOCK_MAX_LOG2, BLOCK_MIN_LOG2};
+use crate::limits::{
+    ATLAS_DEFAULT_EXTENT, ATLAS_MAX_EXTENT, ATLAS_MIN_SIDE, BLOCK_INSET_TEXELS, BLOCK_MAX_LOG2,
+    BLOCK_MIN_LOG2,
+};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
 use thiserror::Error;
 
 /// Bits of one address coordinate in a packed block, in units of the smallest block side.
@@ -11,6 +17,131 @@ const ADDRESS_BITS: u32 = 10;
 /// Bits of one size exponent in a packed block.
 const SIZE_BITS: u32 = 3;
 const USED_BITS: u32 = 2 * ADDRESS_BITS + 2 * SIZE_BITS;
+
+/// Width and height of a shading atlas: powers of two within the limits.
+///
+/// There is one way to make one, and everything that names an atlas's extent names it by this type: options, offer, terms,
+/// pipeline, encoder and decoder. What one side accepts the other one does too.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(try_from = "[u32; 2]", into = "[u32; 2]")]
+pub struct AtlasExtent {
+    width: u32,
+    height: u32,
+}
+
+/// What cannot be the extent of an atlas.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum AtlasExtentError {
+    /// No two numbers.
+    #[error("\"{0}\" is not WIDTHxHEIGHT in texels, such as {default}", default = AtlasExtent::DEFAULT)]
+    Syntax(String),
+    /// Numbers that no atlas has.
+    #[error(
+        "an atlas cannot be {width}x{height}: its width must be a power of two from {ATLAS_MIN_SIDE} to {max_width}, \
+         its height one from {ATLAS_MIN_SIDE} to {max_height}, such as {default}",
+        max_width = ATLAS_MAX_EXTENT[0], max_height = ATLAS_MAX_EXTENT[1], default = AtlasExtent::DEFAULT
+    )]
+    Sides {
+        /// The width.
+        width: u32,
+        /// The height.
+        height: u32,
+    },
+}
+
+impl AtlasExtent {
+    /// What is taken unless asked otherwise.
+    pub const DEFAULT: Self = Self::of_limit(ATLAS_DEFAULT_EXTENT);
+    /// The largest.
+    pub const MAX: Self = Self::of_limit(ATLAS_MAX_EXTENT);
+    /// The smallest.
+    pub const MIN: Self = Self::of_limit([ATLAS_MIN_SIDE; 2]);
+
+    /// An extent of `width` by `height` texels.
+    ///
+    /// # Errors
+    /// No atlas has such sides.
+    pub fn new(width: u32, height: u32) -> Result<Self, AtlasExtentError> {
+        Self::checked([width, height]).ok_or(AtlasExtentError::Sides { width, height })
+    }
+
+    const fn checked([width, height]: [u32; 2]) -> Option<Self> {
+        let fits = ATLAS_MIN_SIDE <= width
+            && width <= ATLAS_MAX_EXTENT[0]
+            && ATLAS_MIN_SIDE <= height
+            && height <= ATLAS_MAX_EXTENT[1];
+        if fits && width.is_power_of_two() && height.is_power_of_two() {
+            Some(Self { width, height })
+        } else {
+            None
+        }
+    }
+
+    const fn of_limit(sides: [u32; 2]) -> Self {
+        Self::checked(sides).expect("the limits are extents")
+    }
+
+    /// Texels from side to side.
+    pub const fn width(self) -> u32 {
+        self.width
+    }
+
+    /// Texels from top to bottom.
+    pub const fn height(self) -> u32 {
+        self.height
+    }
+
+    /// Width and height, for images and pictures.
+    pub const fn texels(self) -> [u32; 2] {
+        [self.width, self.height]
+    }
+
+    /// With sides halved until they are within `max` texels; `None` where no atlas is that small.
+    pub fn halved_to_fit(self, max: [u32; 2]) -> Option<Self> {
+        let mut sides = self.texels();
+        for (side, max) in sides.iter_mut().zip(max) {
+            while *side > max {
+                *side /= 2;
+            }
+        }
+        Self::try_from(sides).ok()
+    }
+}
+
+impl TryFrom<[u32; 2]> for AtlasExtent {
+    type Error = AtlasExtentError;
+
+    fn try_from([width, height]: [u32; 2]) -> Result<Self, AtlasExtentError> {
+        Self::new(width, height)
+    }
+}
+
+impl From<AtlasExtent> for [u32; 2] {
+    fn from(extent: AtlasExtent) -> Self {
+        extent.texels()
+    }
+}
+
+impl FromStr for AtlasExtent {
+    type Err = AtlasExtentError;
+
+    fn from_str(text: &str) -> Result<Self, AtlasExtentError> {
+        let sides = text.split_once('x').and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
+        sides.map_or_else(|| Err(AtlasExtentError::Syntax(text.to_owned())), Self::try_from)
+    }
+}
+
+impl fmt::Display for AtlasExtent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}x{}", self.width, self.height)
+    }
+}
+
+impl fmt::Debug for AtlasExtent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
 
 /// Corner of a block nearest to the atlas's origin, in texels from the upper left; multiples of 4.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -188,6 +319,60 @@ impl PatchKind {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_atlas_has_powers_of_two_within_the_limits_and_nothing_else() {
+        for [width, height] in [[512, 512], [1024, 512], [2048, 2048], [4096, 2048]] {
+            let extent = AtlasExtent::new(width, height).unwrap();
+            assert_eq!((extent.texels(), extent.to_string()), ([width, height], format!("{width}x{height}")));
+            assert_eq!(extent.to_string().parse(), Ok(extent));
+        }
+        for [width, height] in [
+            [0, 0],
+            [256, 512],
+            [512, 256],
+            [1536, 1536],
+            [2000, 2048],
+            [2048, 4096],
+            [8192, 2048],
+            [u32::MAX; 2],
+        ] {
+            let error = AtlasExtent::new(width, height).unwrap_err();
+            assert_eq!(error, AtlasExtentError::Sides { width, height });
+            assert_eq!(format!("{width}x{height}").parse::<AtlasExtent>(), Err(error));
+        }
+        for text in ["", "2048", "2048x", "x2048", "2048X2048", "2048x-1", " 512x512", "512x512x512"] {
+            assert_eq!(text.parse::<AtlasExtent>(), Err(AtlasExtentError::Syntax(text.to_owned())));
+        }
+    }
+
+    #[test]
+    fn what_is_no_atlas_is_refused_with_what_is() {
+        let words = AtlasExtent::new(1536, 1536).unwrap_err().to_string();
+        for word in ["1536x1536", "power of two", "512 to 4096", "512 to 2048", "2048x2048"] {
+            assert!(words.contains(word), "{words}");
+        }
+    }
+
+    /// As bytes an extent is two numbers, as it was before it had a type; and no bytes make one that cannot be.
+    #[test]
+    fn an_extent_is_checked_as_it_is_read() {
+        let bytes = postcard::to_stdvec(&AtlasExtent::MAX).unwrap();
+        assert_eq!(bytes, postcard::to_stdvec(&[4096u32, 2048]).unwrap());
+        assert_eq!(postcard::from_bytes(&bytes), Ok(AtlasExtent::MAX));
+        let wrong = postcard::to_stdvec(&[1536u32, 1536]).unwrap();
+        assert!(postcard::from_bytes::<AtlasExtent>(&wrong).is_err());
+    }
+
+    #[test]
+    fn an_atlas_is_halved_until_a_client_holds_it() {
+        let halved = |max| AtlasExtent::DEFAULT.halved_to_fit(max).map(AtlasExtent::texels);
+        assert_eq!(halved([4096, 2048]), Some([2048, 2048]));
+        assert_eq!(halved([4096, 1500]), Some([2048, 1024]));
+        assert_eq!(halved([512, 512]), Some([512, 512]));
+        assert_eq!(halved([511, 4096]), None);
+        assert_eq!(halved([0, 0]), None);
+    }
 
     /// Inclusive range of the texels with non-zero weight in a bilinear lookup at `at`, centres at +0.5.
     fn taps(at: f64) -> (i64, i64) {

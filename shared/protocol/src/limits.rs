@@ -18,10 +18,12 @@ pub const MAX_VIEWS: u32 = 6;
 /// Vertices of a patch of three triangles.
 pub const PATCH_MAX_VERTICES: u32 = 5;
 
-/// Atlas width and height in texels unless asked otherwise.
+/// Atlas width and height in texels unless asked otherwise; see [`crate::atlas::AtlasExtent`].
 pub const ATLAS_DEFAULT_EXTENT: [u32; 2] = [2048, 2048];
 /// Largest atlas width and height in texels.
 pub const ATLAS_MAX_EXTENT: [u32; 2] = [4096, 2048];
+/// Smallest atlas side in texels: one of the largest blocks.
+pub const ATLAS_MIN_SIDE: u32 = 1 << BLOCK_MAX_LOG2;
 /// Smallest side of a block is `1 << BLOCK_MIN_LOG2` texels. Addresses are multiples of it.
 pub const BLOCK_MIN_LOG2: u32 = 2;
 /// Largest side of a block is `1 << BLOCK_MAX_LOG2` texels.
@@ -32,6 +34,14 @@ pub const SUPERBLOCK_MIN_LOG2: u32 = 6;
 pub const BLOCK_INSET_TEXELS: u32 = 1;
 /// 16x16 macroblocks in one coded picture: H.264 level 5.2.
 pub const MAX_MACROBLOCKS: u32 = 36_864;
+/// Bytes of one coded macroblock: 3200 bits. Source: ITU-T H.264, A.3.1.
+pub const MAX_MACROBLOCK_BYTES: usize = 400;
+/// Smallest width and height of a coded picture in texels: one macroblock.
+pub const MIN_PICTURE_SIDE_TEXELS: u32 = 16;
+/// Largest width and height of a coded picture in texels.
+pub const MAX_PICTURE_EXTENT_TEXELS: [u32; 2] = [4096, 2304];
+/// Textures of a scene that can be bound at one time.
+pub const SCENE_TEXTURES: u32 = 512;
 
 /// Grid steps for which one delta may carry samples of a vertex that has just become visible.
 pub const MAX_NEW_SAMPLE_GRIDS: u32 = SAMPLE_RING;
@@ -54,8 +64,8 @@ pub const MAX_CONTROL_BYTES: usize = 1 << 20;
 pub const MAX_EMPTY_CONTROL_MESSAGES: usize = 1;
 /// Bytes of one geometry delta.
 pub const MAX_DELTA_BYTES: usize = 40 << 20;
-/// Bytes of one coded picture.
-pub const MAX_ACCESS_UNIT_BYTES: usize = 8 << 20;
+/// Bytes of one coded picture: whatever an encoder can make of the largest.
+pub const MAX_ACCESS_UNIT_BYTES: usize = 16 << 20;
 /// Bytes of one unidirectional stream: a delta or a picture with its framing.
 pub const MAX_STREAM_BYTES: usize = MAX_DELTA_BYTES + 64;
 /// Bytes of one datagram; what every path carries unfragmented inside QUIC.
@@ -98,11 +108,19 @@ const _: () = {
     assert!(BLOCK_MAX_LOG2 - BLOCK_MIN_LOG2 < 8, "3 bits of size");
     assert!(SUPERBLOCK_MIN_LOG2 >= BLOCK_MIN_LOG2 && SUPERBLOCK_MIN_LOG2 <= BLOCK_MAX_LOG2);
     assert!(2 * BLOCK_INSET_TEXELS < 1 << BLOCK_MIN_LOG2, "the smallest block keeps an inside");
-    assert!(ATLAS_MAX_EXTENT[0] / 16 * (ATLAS_MAX_EXTENT[1] / 16) <= MAX_MACROBLOCKS);
-    assert!(ATLAS_DEFAULT_EXTENT[0] <= ATLAS_MAX_EXTENT[0] && ATLAS_DEFAULT_EXTENT[1] <= ATLAS_MAX_EXTENT[1]);
+    assert!(ATLAS_MAX_EXTENT[0].is_power_of_two() && ATLAS_MAX_EXTENT[1].is_power_of_two());
+    assert!(ATLAS_MIN_SIDE <= ATLAS_MAX_EXTENT[0] && ATLAS_MIN_SIDE <= ATLAS_MAX_EXTENT[1]);
     assert!(
-        ATLAS_MAX_EXTENT[0].is_multiple_of(1 << BLOCK_MAX_LOG2)
-            && ATLAS_MAX_EXTENT[1].is_multiple_of(1 << BLOCK_MAX_LOG2)
+        ATLAS_MIN_SIDE.is_multiple_of(1 << BLOCK_MAX_LOG2),
+        "every atlas is whole blocks of the largest size"
+    );
+    assert!(ATLAS_MIN_SIDE >= MIN_PICTURE_SIDE_TEXELS, "every atlas is a picture that can be coded");
+    assert!(ATLAS_MAX_EXTENT[0] <= MAX_PICTURE_EXTENT_TEXELS[0]);
+    assert!(ATLAS_MAX_EXTENT[1] <= MAX_PICTURE_EXTENT_TEXELS[1]);
+    assert!(MAX_PICTURE_EXTENT_TEXELS[0] / 16 * (MAX_PICTURE_EXTENT_TEXELS[1] / 16) <= MAX_MACROBLOCKS);
+    assert!(
+        MAX_MACROBLOCKS as usize * MAX_MACROBLOCK_BYTES + (64 << 10) <= MAX_ACCESS_UNIT_BYTES,
+        "headers and parameter sets beside the worst picture"
     );
     assert!(
         MAX_SAMPLES_PER_DELTA as usize * WORST_SAMPLE_BYTES

@@ -4,9 +4,10 @@
 //! version of the protocol, so that two versions that understand nothing else can still say what to update.
 
 use crate::PROTOCOL_VERSION;
+use crate::atlas::AtlasExtent;
 use crate::ids::{DiscontinuityId, FrameId};
 use crate::limits::{
-    ATLAS_MAX_EXTENT, BLOCK_MAX_LOG2, MAX_CODECS, MAX_CONTROL_BYTES, MAX_COORDINATE_M, MAX_DATAGRAM_BYTES,
+    ATLAS_MIN_SIDE, MAX_CODECS, MAX_CONTROL_BYTES, MAX_COORDINATE_M, MAX_DATAGRAM_BYTES,
     MAX_EYE_EXTENT_PIXELS, MAX_EYE_PIXELS, MAX_PATCH_SLOTS, MAX_SPEED, MAX_TEXT_BYTES, MAX_VERTEX_SLOTS,
 };
 use crate::pose::{Eye, Pose};
@@ -80,7 +81,7 @@ impl std::fmt::Debug for ResumeSecret {
 /// What a client can hold and decode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Capabilities {
-    /// Largest atlas in texels, width and height.
+    /// Largest texture in texels, width and height; an atlas is halved until it fits.
     pub max_atlas_extent: [u32; 2],
     /// Vertices it can keep, 1..=`MAX_VERTEX_SLOTS`.
     pub max_vertex_slots: u32,
@@ -113,7 +114,7 @@ pub struct Welcome {
     /// The sample grid.
     pub grid: Grid,
     /// Atlas width and height in texels.
-    pub atlas_extent_texels: [u32; 2],
+    pub atlas_extent_texels: AtlasExtent,
     /// Vertex slots that the server will use: 0 to this, exclusive.
     pub vertex_slots: u32,
     /// Patch slots that the server will use: 0 to this, exclusive.
@@ -193,7 +194,7 @@ pub struct ServerOffer {
     /// The sample grid.
     pub grid: Grid,
     /// Wanted atlas width and height in texels; halved until the client can hold it.
-    pub atlas_extent_texels: [u32; 2],
+    pub atlas_extent_texels: AtlasExtent,
     /// Vertex slots wanted.
     pub vertex_slots: u32,
     /// Patch slots wanted.
@@ -268,8 +269,6 @@ pub struct HelloVersions {
 
 /// Shortest and longest period, in nanoseconds, that makes sense for a display, an update or the sample grid.
 const PERIOD_NS: std::ops::RangeInclusive<i64> = 1_000_000..=1_000_000_000;
-/// Smallest atlas side in texels: one of the largest blocks.
-const MIN_ATLAS_SIDE: u32 = 1 << BLOCK_MAX_LOG2;
 
 impl ClientMessage {
     /// The message's bytes, without the control stream's framing.
@@ -400,16 +399,6 @@ impl Welcome {
     pub fn check(&self) -> Result<(), WireError> {
         check_period("the sample grid's spacing", self.grid.spacing_ns)?;
         check_period("the update period", self.update_period_ns)?;
-        let side_ok = |i: usize| {
-            let side = self.atlas_extent_texels[i];
-            (MIN_ATLAS_SIDE..=ATLAS_MAX_EXTENT[i]).contains(&side) && side.is_power_of_two()
-        };
-        require(side_ok(0) && side_ok(1), "the atlas's extent in texels", || {
-            format!(
-                "{:?} are not powers of two within {MIN_ATLAS_SIDE}..={ATLAS_MAX_EXTENT:?}",
-                self.atlas_extent_texels
-            )
-        })?;
         check_slots("the vertex slots of a session", self.vertex_slots, MAX_VERTEX_SLOTS)?;
         check_slots("the patch slots of a session", self.patch_slots, MAX_PATCH_SLOTS)?;
         check_pose("where the stage starts", &self.world_from_stage)?;
@@ -501,20 +490,13 @@ fn span(oldest: u32, newest: u32) -> String {
 }
 
 /// The offered extent with its sides halved until the client can hold it.
-fn negotiate_atlas(client_max: [u32; 2], offered: [u32; 2]) -> Result<[u32; 2], Refused> {
-    let mut extent = offered;
-    for (side, max) in extent.iter_mut().zip(client_max) {
-        while *side > max && *side > MIN_ATLAS_SIDE {
-            *side /= 2;
-        }
-        if *side > max {
-            return Err(Refused::new(
-                &format!("the client holds an atlas of at most {}x{} texels", client_max[0], client_max[1]),
-                &format!("use a device with textures of at least {MIN_ATLAS_SIDE}x{MIN_ATLAS_SIDE} texels"),
-            ));
-        }
-    }
-    Ok(extent)
+fn negotiate_atlas(client_max: [u32; 2], offered: AtlasExtent) -> Result<AtlasExtent, Refused> {
+    offered.halved_to_fit(client_max).ok_or_else(|| {
+        Refused::new(
+            &format!("the client holds an atlas of at most {}x{} texels", client_max[0], client_max[1]),
+            &format!("use a device with textures of at least {ATLAS_MIN_SIDE}x{ATLAS_MIN_SIDE} texels"),
+        )
+    })
 }
 
 fn to_bytes<T: Serialize>(value: &T) -> Vec<u8> {
@@ -523,7 +505,11 @@ fn to_bytes<T: Serialize>(value: &T) -> Vec<u8> {
 }
 
 fn from_prefix<T: DeserializeOwned>(what: &'static str, bytes: &[u8]) -> Result<(T, usize), WireError> {
-    let (value, rest) = postcard::take_from_bytes(bytes).map_err(|error| invalid(what, error.to_string()))?;
+    let (value, rest) = postcard::take_from_bytes(bytes).map_err(|error| match error {
+        // A type of ours that checks itself; what it said does not come through.
+        postcard::Error::SerdeDeCustom => invalid(what, "a value in it is outside its range"),
+        error => invalid(what, error.to_string()),
+    })?;
     Ok((value, rest.len()))
 }
 
@@ -760,21 +746,33 @@ mod tests {
     fn welcomes_that_cannot_be_are_refused() {
         assert_welcome_refused(|welcome| welcome.grid.spacing_ns = 0, "grid");
         assert_welcome_refused(|welcome| welcome.update_period_ns = i64::MAX, "update period");
-        assert_welcome_refused(|welcome| welcome.atlas_extent_texels = [2000, 2048], "atlas");
-        assert_welcome_refused(|welcome| welcome.atlas_extent_texels = [2048, 4096], "atlas");
         assert_welcome_refused(|welcome| welcome.vertex_slots = MAX_VERTEX_SLOTS + 1, "vertex slots");
         assert_welcome_refused(|welcome| welcome.environment.nadir[2] = -1.0, "environment");
         assert_welcome_refused(|welcome| welcome.world_from_stage.position.x = f32::NAN, "stage");
+    }
+
+    /// A server of another make may say it all the same: its bytes are not a welcome.
+    #[test]
+    fn a_welcome_with_an_atlas_that_cannot_be_is_refused() {
+        let bytes = ServerMessage::Welcome(welcome()).encode();
+        let extent = postcard::to_stdvec(&AtlasExtent::DEFAULT).unwrap();
+        let at = bytes.windows(extent.len()).position(|window| window == extent).unwrap();
+        for sides in [[1536u32, 1536], [2000, 2048], [2048, 4096]] {
+            let sides = postcard::to_stdvec(&sides).unwrap();
+            let forged = [&bytes[..at], &sides, &bytes[at + extent.len()..]].concat();
+            let error = ServerMessage::decode(&forged).unwrap_err().to_string();
+            assert!(error.contains("outside its range"), "{error}");
+        }
     }
 
     #[test]
     fn negotiation_takes_the_smaller_of_both_capacities() {
         let welcome = welcome();
         assert_eq!((welcome.vertex_slots, welcome.patch_slots), (600, 300));
-        assert_eq!(welcome.atlas_extent_texels, [2048, 2048]);
+        assert_eq!(welcome.atlas_extent_texels, AtlasExtent::DEFAULT);
         let mut small = hello();
         small.capabilities.max_atlas_extent = [4096, 1500];
-        assert_eq!(negotiate(&small, &offer()).unwrap().atlas_extent_texels, [2048, 1024]);
+        assert_eq!(negotiate(&small, &offer()).unwrap().atlas_extent_texels.texels(), [2048, 1024]);
         small.capabilities.max_atlas_extent = [256, 256];
         assert!(negotiate(&small, &offer()).unwrap_err().reason.contains("256x256"));
         small = hello();

@@ -1,5 +1,6 @@
 //! Seeded randomness, mutation of bytes and fixed messages, for this crate's tests.
 
+use crate::atlas::AtlasExtent;
 use crate::ids::{DiscontinuityId, FrameId};
 use crate::message::{
     Capabilities, ClientHello, Codec, Displayed, Environment, HeadState, ResumeSecret, ServerOffer, Welcome,
@@ -42,7 +43,7 @@ pub(crate) fn offer() -> ServerOffer {
         app_version: "0.1.0".to_owned(),
         session: 0x0123_4567_89ab_cdef,
         grid: DEFAULT_GRID,
-        atlas_extent_texels: [2048, 2048],
+        atlas_extent_texels: AtlasExtent::DEFAULT,
         vertex_slots: 131_072,
         patch_slots: 131_072,
         codecs: vec![Codec::H264],

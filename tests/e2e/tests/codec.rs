@@ -602,6 +602,6 @@ fn empty_and_endless_units_are_errors() {
     let mut decoder = decoder([64, 64]);
     let mut decoded = Picture::default();
     assert!(decoder.decode(&[], &mut decoded).is_err());
-    let endless = vec![0x55; shadecast_client::decode::MAX_ACCESS_UNIT_BYTES + 1];
+    let endless = vec![0x55; shadecast_protocol::limits::MAX_ACCESS_UNIT_BYTES + 1];
     assert!(matches!(decoder.decode(&endless, &mut decoded), Err(DecodeError::TooLong { .. })));
 }

@@ -4,6 +4,7 @@
 use shadecast_lab::options::{Renderer, RunOptions};
 use shadecast_lab::run::{Report, run};
 use shadecast_mock_runtime::record::read_frames;
+use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard};
@@ -18,7 +19,7 @@ fn alone() -> MutexGuard<'static, ()> {
 fn small(scene: SceneSource, out: &Path) -> RunOptions {
     RunOptions {
         extent_pixels: [192, 192],
-        atlas_extent_texels: [1024, 1024],
+        atlas_extent_texels: AtlasExtent::new(1024, 1024).expect("an atlas"),
         seconds: 1.6,
         compare_every: 9,
         validation: true,

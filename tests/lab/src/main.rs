@@ -8,6 +8,7 @@ use shadecast_lab::long;
 use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs};
 use shadecast_lab::run::run;
 use shadecast_lab::skinning;
+use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::scene_gpu::SceneOptions;
@@ -99,9 +100,9 @@ struct RunArgs {
     /// Quantisation of the atlas: 0 (finest) to 51
     #[arg(long, default_value_t = DEFAULT_QP)]
     qp: u8,
-    /// Atlas width and height in texels, multiples of 512
-    #[arg(long, value_parser = parse_size, default_value = "2048x2048")]
-    atlas: [u32; 2],
+    /// Atlas width and height in texels, powers of two from 512x512 to 4096x2048
+    #[arg(long, value_name = "WxH", default_value_t = AtlasExtent::DEFAULT)]
+    atlas: AtlasExtent,
     /// How clips become keys: error-bounded[:0.1mm], or the paper's constant[:100ms]
     #[arg(long, default_value_t)]
     sampling: Sampling,
@@ -180,7 +181,6 @@ fn run_one(args: RunArgs) -> anyhow::Result<()> {
     anyhow::ensure!(args.seconds > 0.0, "--seconds {} must be positive", args.seconds);
     anyhow::ensure!(args.compare_every > 0, "--compare-every must be at least 1");
     anyhow::ensure!((10.0..=170.0).contains(&args.fov), "--fov {} must lie between 10 and 170", args.fov);
-    anyhow::ensure!(args.atlas.iter().all(|s| s % 512 == 0), "--atlas: both sides must be multiples of 512");
     let link: LinkSchedule = match args.link.ends_with(".toml") {
         true => LinkSchedule::load(&args.link)?,
         false => args.link.parse::<LinkProfile>()?.into(),

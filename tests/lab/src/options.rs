@@ -1,5 +1,6 @@
 //! What a run in virtual time is made with.
 
+use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::scene_gpu::SceneOptions;
 use shadecast_transport::{LinkProfile, LinkSchedule};
@@ -123,7 +124,7 @@ pub struct RunOptions {
     /// Quantisation of the atlas.
     pub qp: u8,
     /// Atlas width and height in texels.
-    pub atlas_extent_texels: [u32; 2],
+    pub atlas_extent_texels: AtlasExtent,
     /// Updates per second.
     pub rate_hz: f64,
     /// Display frames per second.
@@ -161,7 +162,7 @@ impl RunOptions {
             validation: false,
             device: None,
             qp: shadecast_server::encode::openh264::DEFAULT_QP,
-            atlas_extent_texels: shadecast_protocol::limits::ATLAS_DEFAULT_EXTENT,
+            atlas_extent_texels: AtlasExtent::DEFAULT,
             rate_hz: 30.0,
             refresh_hz: 72.0,
             scene_options: SceneOptions::default(),

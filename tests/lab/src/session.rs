@@ -12,6 +12,7 @@ use shadecast_client::decoding::DecodeTiming;
 use shadecast_client::platform::Platform;
 use shadecast_client::xr::{Xr, XrOptions};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
+use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Capabilities, ClientHello, Codec, Displayed, negotiate};
@@ -68,7 +69,7 @@ pub struct Server {
     refresh: bool,
     qp: u8,
     sessions: u64,
-    atlas_extent_texels: [u32; 2],
+    atlas_extent_texels: AtlasExtent,
     rate_hz: f64,
 }
 
@@ -142,8 +143,10 @@ impl Server {
         while let Some(event) = self.session.poll_event() {
             match event {
                 ServerEvent::Accepted { hello, welcome } => {
-                    let settings =
-                        EncoderSettings { qp: self.qp, ..EncoderSettings::new(welcome.atlas_extent_texels) };
+                    let settings = EncoderSettings {
+                        qp: self.qp,
+                        ..EncoderSettings::for_atlas(welcome.atlas_extent_texels)
+                    };
                     self.encoder = Some(Box::new(OpenH264Encoder::new(settings)?));
                     self.frame = Some(Frame::new(&self.gpu, &self.scene, &welcome, &hello.capabilities)?);
                 }
