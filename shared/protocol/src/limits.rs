@@ -62,6 +62,9 @@ pub const MAX_SPEED: f32 = 1e4;
 pub const MAX_CONTROL_BYTES: usize = 1 << 20;
 /// Empty messages on a control stream: the one that makes the stream known to the server.
 pub const MAX_EMPTY_CONTROL_MESSAGES: usize = 1;
+/// Control messages a second, and at once after a pause: a client reports each update that it shows, and asks for little
+/// else.
+pub const MAX_CONTROL_PER_SECOND: u32 = 1000;
 /// Bytes of one geometry delta.
 pub const MAX_DELTA_BYTES: usize = 40 << 20;
 /// Bytes of one coded picture: whatever an encoder can make of the largest.

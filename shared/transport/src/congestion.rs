@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use quinn_proto::RttEstimator;
-use quinn_proto::congestion::{Controller, ControllerFactory};
+use quinn_proto::congestion::{Controller, ControllerFactory, ControllerMetrics};
 
 /// Window before anything is known of the path, bytes: half of a first picture, which is 70 ms of a 30 Mbit/s link.
 pub const INITIAL_WINDOW_BYTES: u64 = 256 << 10;
@@ -328,6 +328,15 @@ impl Controller for Steady {
     fn window(&self) -> u64 {
         let model = self.model_window();
         self.cap.map_or(model, |cap| model.min(cap as u64)).max(self.min_window())
+    }
+
+    /// The rate is the measured one; the threshold is there once the bottleneck was found.
+    fn metrics(&self) -> ControllerMetrics {
+        let mut metrics = ControllerMetrics::default();
+        metrics.congestion_window = self.window();
+        metrics.ssthresh = (!matches!(self.mode, Mode::Startup { .. })).then(|| self.model_window());
+        metrics.pacing_rate = Some((self.rate() * 8.0) as u64);
+        metrics
     }
 
     fn clone_box(&self) -> Box<dyn Controller> {

@@ -3,7 +3,7 @@
 //! Time and datagrams are arguments, so that the same code runs on real sockets ([`crate::mio`]) and on a virtual
 //! clock ([`crate::pair`]). Between two peers there are
 //! - one control stream of length-prefixed messages, both ways, in order;
-//! - unidirectional streams, each a message of its own, none of which waits for another;
+//! - unidirectional streams from the server, each a message of its own, none of which waits for another;
 //! - datagrams, which may be lost.
 //!
 //! With a seed, two runs that are fed the same times and bytes produce the same sequence of datagrams by time and
@@ -37,6 +37,13 @@
 //!
 //! A peer that falls silent is noticed after [`IDLE_TIMEOUT`]. A server that was restarted with the same identity
 //! answers the packets of connections it does not know with a reset, so that its clients notice at once.
+//!
+//! # Hostile peers
+//!
+//! What a peer may have waiting at the application is bounded for each peer by itself (module `inbox`). A server
+//! allows its clients the control stream and no other, and a window of [`SERVER_WINDOW_BYTES`]. Only connected peers count
+//! as served: a handshake has [`HANDSHAKE_DEADLINE`], and as soon as one is under way every other address must show by a
+//! round trip more that it is its own. A lone client does not pay for that.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::net::{IpAddr, SocketAddr};
@@ -51,11 +58,12 @@ use quinn_proto::{
     TransportConfig, ValidationTokenConfig, VarInt, congestion,
 };
 use ring::rand::SecureRandom;
-use shadecast_protocol::limits::{MAX_DATAGRAM_BYTES, MAX_STREAM_BYTES};
+use shadecast_protocol::limits::{MAX_CONTROL_PER_SECOND, MAX_DATAGRAM_BYTES, MAX_STREAM_BYTES};
 
 use crate::congestion::{INITIAL_WINDOW_BYTES, SteadyConfig};
 use crate::identity::{ExpectedIdentity, Fingerprint, IdentityError, ServerIdentity};
-use crate::peer::{Peer, Violation};
+use crate::inbox::Inbox;
+use crate::peer::{Peer, PeerLimits, Violation};
 use crate::rng;
 use crate::tls::{self, PinVerifier};
 
@@ -65,24 +73,34 @@ pub const IDLE_TIMEOUT: Duration = Duration::from_secs(3);
 pub const KEEP_ALIVE: Duration = Duration::from_millis(500);
 /// Round trip assumed before one was measured: of a home network, not of the Internet.
 const INITIAL_RTT: Duration = Duration::from_millis(100);
-/// Unidirectional streams that a peer may have open at once.
+/// How long a server waits for a handshake to end.
+pub const HANDSHAKE_DEADLINE: Duration = Duration::from_secs(3);
+/// Handshakes that a server has under way at once; beyond that the oldest is given up.
+const MAX_HALF_OPEN: usize = 64;
+/// Handshakes that a server has under way at once with one address.
+const MAX_HALF_OPEN_PER_ADDRESS: usize = 8;
+/// Connections that a server keeps at all, those on their way out included.
+const MAX_CONNECTIONS: usize = 512;
+/// Unidirectional streams that a server may have open at once.
 const MAX_OPEN_STREAMS: u32 = 256;
-/// Bytes that one stream, and the connection, may have under way: never the limit, the congestion window is.
+/// Bytes that one of the server's streams, and all of them, may have under way: never the limit, the congestion window is.
 const STREAM_WINDOW_BYTES: u32 = 16 << 20;
 const CONNECTION_WINDOW_BYTES: u32 = 64 << 20;
+/// Bytes that a client's control stream may have under way: what a server reads ahead.
+pub const SERVER_WINDOW_BYTES: u32 = 256 << 10;
 /// Bytes of datagrams that wait to be sent; the oldest are dropped.
 const DATAGRAM_BUFFER_BYTES: usize = 64 << 10;
-/// Received datagrams that wait for the application; the oldest are dropped.
-const MAX_WAITING_DATAGRAMS: usize = 1024;
-/// Received bytes and messages that wait for the application; beyond them streams are not read on, and the peer's
-/// flow control makes it wait.
-const MAX_WAITING_BYTES: usize = 64 << 20;
-const MAX_WAITING_EVENTS: usize = 4096;
+/// Received bytes of one peer that wait for the application; beyond them its streams are not read on, and its flow control
+/// makes it wait. A server's streams bring much to its client, a client's messages little.
+const CLIENT_WAITING_BYTES: usize = 64 << 20;
+const SERVER_WAITING_BYTES: usize = 256 << 10;
 /// Datagrams that are handed to the kernel at once: together no more than one UDP datagram may have, 65,507 bytes,
 /// at the largest size that path discovery tries, 1452 bytes.
 const MAX_SEGMENTS: usize = 40;
 /// Close code of a peer that broke the rules of this module.
 const CODE_VIOLATION: u32 = 0xbad;
+/// Close code of a peer that does not fit, or did not end its handshake.
+const CODE_REFUSED: u32 = 0xf11;
 
 /// A connection, never used twice by one endpoint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -111,15 +129,23 @@ pub struct EndpointConfig {
     pub seed: Option<u64>,
     /// The congestion controller.
     pub congestion: Congestion,
-    /// Peers that a server accepts at once; the next one is refused.
+    /// Connected peers that a server has at once; the next one is refused.
     pub max_peers: usize,
     /// Largest unidirectional stream accepted, bytes.
     pub max_stream_bytes: usize,
+    /// Control messages a second, and at once after a pause, that a peer may send.
+    pub control_per_s: u32,
 }
 
 impl Default for EndpointConfig {
     fn default() -> Self {
-        Self { seed: None, congestion: Congestion::Steady, max_peers: 8, max_stream_bytes: MAX_STREAM_BYTES }
+        Self {
+            seed: None,
+            congestion: Congestion::Steady,
+            max_peers: 8,
+            max_stream_bytes: MAX_STREAM_BYTES,
+            control_per_s: MAX_CONTROL_PER_SECOND,
+        }
     }
 }
 
@@ -197,16 +223,6 @@ pub enum Event {
     },
 }
 
-impl Event {
-    fn waiting_bytes(&self) -> usize {
-        match self {
-            Self::Control { message, .. } => message.len(),
-            Self::Stream { bytes, .. } => bytes.len(),
-            _ => 0,
-        }
-    }
-}
-
 /// Why something could not be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SendError {
@@ -216,6 +232,9 @@ pub enum SendError {
     /// The network thread has ended.
     #[error("the network thread has ended; its reason is in the log")]
     Stopped,
+    /// Only a server sends streams.
+    #[error("a client sends no streams; use a control message or a datagram")]
+    ClientStream,
     /// The queue is full: the network takes less than is sent.
     #[error("the send queue is full: the network takes less than is sent; send less or cancel old streams")]
     QueueFull,
@@ -274,6 +293,12 @@ pub struct PeerStats {
     pub queued_bytes: u64,
     /// Streams that are not yet acknowledged to their end.
     pub streams_under_way: u64,
+    /// Bytes of these streams, the whole of each.
+    pub unacknowledged_bytes: u64,
+    /// The best rate at which bytes were delivered in the last round trips, bit/s; 0 before anything is known.
+    pub delivered_bit_per_s: u64,
+    /// True once the network, not what there was to send, has set that rate.
+    pub bottleneck_known: bool,
 }
 
 /// What overflowed, since the endpoint was made.
@@ -287,6 +312,10 @@ pub struct Counters {
     pub sends_refused: u64,
     /// Connections refused because there were `max_peers` already.
     pub peers_refused: u64,
+    /// Strangers who were asked to show that their address is their own.
+    pub retries: u64,
+    /// Handshakes given up: too slow, or too many at once.
+    pub handshakes_given_up: u64,
     /// Peers whose connection was closed because they broke the rules.
     pub violations: u64,
 }
@@ -365,17 +394,22 @@ fn key_bytes(seed: Option<u64>, purpose: u64) -> [u8; 32] {
 
 fn transport_config(congestion: Congestion, is_server: bool) -> TransportConfig {
     let mut config = TransportConfig::default();
+    let (stream_window, connection_window) = if is_server {
+        (SERVER_WINDOW_BYTES, SERVER_WINDOW_BYTES)
+    } else {
+        (STREAM_WINDOW_BYTES, CONNECTION_WINDOW_BYTES)
+    };
     // The idle time counts from the last sign of life or, if later, from our next question after it.
     let idle_ms = VarInt::from_u32((IDLE_TIMEOUT - KEEP_ALIVE).as_millis() as u32);
     config
         .max_idle_timeout(Some(idle_ms.into()))
         .keep_alive_interval(Some(KEEP_ALIVE))
         .initial_rtt(INITIAL_RTT)
-        // The control stream, which the client opens.
+        // The control stream, which the client opens, and which is all that it opens.
         .max_concurrent_bidi_streams(VarInt::from_u32(u32::from(is_server)))
-        .max_concurrent_uni_streams(VarInt::from_u32(MAX_OPEN_STREAMS))
-        .stream_receive_window(VarInt::from_u32(STREAM_WINDOW_BYTES))
-        .receive_window(VarInt::from_u32(CONNECTION_WINDOW_BYTES))
+        .max_concurrent_uni_streams(VarInt::from_u32(if is_server { 0 } else { MAX_OPEN_STREAMS }))
+        .stream_receive_window(VarInt::from_u32(stream_window))
+        .receive_window(VarInt::from_u32(connection_window))
         .send_window(u64::from(CONNECTION_WINDOW_BYTES))
         // Of two pictures with the same priority the older one is to arrive first, not both late.
         .send_fairness(false)
@@ -407,36 +441,14 @@ impl IdSource {
     }
 }
 
-/// Events in the order in which they happened, with the datagrams apart, so that the oldest can be dropped.
-#[derive(Default)]
-struct EventQueue {
-    events: VecDeque<(u64, Event)>,
-    datagrams: VecDeque<(u64, Event)>,
-    sequence: u64,
-    waiting_bytes: usize,
-}
-
-impl EventQueue {
-    fn push(&mut self, event: Event) {
-        self.sequence += 1;
-        self.waiting_bytes += event.waiting_bytes();
-        let queue =
-            if matches!(event, Event::Datagram { .. }) { &mut self.datagrams } else { &mut self.events };
-        queue.push_back((self.sequence, event));
-    }
-
-    fn pop(&mut self) -> Option<Event> {
-        let number = |queue: &VecDeque<(u64, Event)>| queue.front().map_or(u64::MAX, |(number, _)| *number);
-        let datagram_first = number(&self.datagrams) < number(&self.events);
-        let (_, event) = if datagram_first { &mut self.datagrams } else { &mut self.events }.pop_front()?;
-        self.waiting_bytes -= event.waiting_bytes();
-        Some(event)
-    }
-
-    /// Whether streams may be read on.
-    fn has_room(&self) -> bool {
-        self.waiting_bytes < MAX_WAITING_BYTES && self.events.len() < MAX_WAITING_EVENTS
-    }
+/// What becomes of a stranger's first packet.
+enum Admission {
+    Accept,
+    /// The address must be shown to be the stranger's own.
+    Retry,
+    /// There are as many peers as there may be.
+    Refuse,
+    Ignore,
 }
 
 /// A QUIC endpoint: a server, or a client of any number of servers.
@@ -447,7 +459,7 @@ pub struct Endpoint {
     transport: Arc<TransportConfig>,
     peers: BTreeMap<PeerId, Peer>,
     by_handle: HashMap<ConnectionHandle, PeerId>,
-    events: EventQueue,
+    inbox: Arc<Inbox>,
     responses: VecDeque<Transmit>,
     /// The peer that may send next, so that none starves the others.
     next_turn: PeerId,
@@ -487,6 +499,7 @@ impl Endpoint {
         server: Option<Arc<proto::ServerConfig>>,
     ) -> Self {
         let is_server = server.is_some();
+        let max_waiting_bytes = if is_server { SERVER_WAITING_BYTES } else { CLIENT_WAITING_BYTES };
         let reset_key = ring::hmac::Key::new(ring::hmac::HMAC_SHA256, &reset_key);
         let mut endpoint = proto::EndpointConfig::new(Arc::new(reset_key));
         let cid_seed = config.seed.map(|seed| seed ^ if is_server { 0x5e } else { 0xc1 });
@@ -500,7 +513,7 @@ impl Endpoint {
             transport,
             peers: BTreeMap::new(),
             by_handle: HashMap::new(),
-            events: EventQueue::default(),
+            inbox: Arc::new(Inbox::new(is_server, max_waiting_bytes)),
             responses: VecDeque::new(),
             next_turn: PeerId(0),
             is_server,
@@ -515,6 +528,10 @@ impl Endpoint {
 
     pub(crate) fn id_sources(&self) -> (IdSource, IdSource) {
         (self.peer_ids.clone(), self.stream_ids.clone())
+    }
+
+    pub(crate) fn inbox(&self) -> Arc<Inbox> {
+        self.inbox.clone()
     }
 
     /// Whether this endpoint accepts connections.
@@ -543,7 +560,7 @@ impl Endpoint {
     ) {
         if let Err(reason) = self.try_connect(now_ns, id, remote, expected) {
             let reason = format!("connecting to {remote}: {reason}");
-            self.events.push(Event::Closed { peer: id, kind: CloseKind::Error, reason });
+            self.inbox.close(id, Event::Closed { peer: id, kind: CloseKind::Error, reason });
         }
     }
 
@@ -565,18 +582,21 @@ impl Endpoint {
             .proto
             .connect(self.clock.instant(now_ns), config, remote, tls::SERVER_NAME)
             .map_err(|e| e.to_string())?;
-        self.add_peer(id, handle, conn, Some(verifier));
+        self.add_peer(now_ns, id, handle, conn, Some(verifier));
         Ok(())
     }
 
     fn add_peer(
         &mut self,
+        now_ns: i64,
         id: PeerId,
         handle: ConnectionHandle,
         conn: proto::Connection,
         verifier: Option<Arc<PinVerifier>>,
     ) {
-        self.peers.insert(id, Peer::new(id, handle, conn, verifier, self.config.max_stream_bytes));
+        let EndpointConfig { max_stream_bytes, control_per_s, .. } = self.config;
+        let limits = PeerLimits { max_stream_bytes, control_per_s };
+        self.peers.insert(id, Peer::new(id, handle, conn, verifier, limits, now_ns));
         self.by_handle.insert(handle, id);
     }
 
@@ -609,16 +629,26 @@ impl Endpoint {
 
     fn accept(&mut self, now_ns: i64, incoming: proto::Incoming) {
         let mut response = Vec::new();
-        let full = self.peers.len() >= self.config.max_peers || !self.events.has_room();
-        if full {
-            self.counters.peers_refused += 1;
-            let transmit = self.proto.refuse(incoming, &mut response);
-            return self.respond(transmit, response);
+        match self.admit(&incoming) {
+            Admission::Accept => self.make_room(now_ns),
+            Admission::Retry => {
+                self.counters.retries += 1;
+                return match self.proto.retry(incoming, &mut response) {
+                    Ok(transmit) => self.respond(transmit, response),
+                    Err(error) => self.proto.ignore(error.into_incoming()),
+                };
+            }
+            Admission::Refuse => {
+                self.counters.peers_refused += 1;
+                let transmit = self.proto.refuse(incoming, &mut response);
+                return self.respond(transmit, response);
+            }
+            Admission::Ignore => return self.proto.ignore(incoming),
         }
         match self.proto.accept(incoming, self.clock.instant(now_ns), &mut response, None) {
             Ok((handle, conn)) => {
                 let id = PeerId(self.peer_ids.next());
-                self.add_peer(id, handle, conn, None);
+                self.add_peer(now_ns, id, handle, conn, None);
                 self.drive(now_ns, id);
             }
             Err(refused) => {
@@ -628,6 +658,47 @@ impl Endpoint {
                 }
             }
         }
+    }
+
+    fn admit(&self, incoming: &proto::Incoming) -> Admission {
+        let half_open = self.peers.values().filter(|peer| peer.is_half_open());
+        let from_there = half_open.clone().filter(|peer| peer.remote.ip() == incoming.remote_address().ip());
+        let is_crowded = self.peers.len().max(self.inbox.waiting_peers()) >= MAX_CONNECTIONS;
+        if self.connected_peers() >= self.config.max_peers {
+            Admission::Refuse
+        } else if !incoming.remote_address_validated() && half_open.clone().next().is_some() {
+            Admission::Retry
+        } else if is_crowded || from_there.count() >= MAX_HALF_OPEN_PER_ADDRESS {
+            Admission::Ignore
+        } else {
+            Admission::Accept
+        }
+    }
+
+    fn connected_peers(&self) -> usize {
+        self.peers.values().filter(|peer| peer.is_in_use()).count()
+    }
+
+    /// Gives up the oldest handshake where there are too many: a lawful one needs a round trip and no more.
+    fn make_room(&mut self, now_ns: i64) {
+        let mut half_open = self.peers.values().filter(|peer| peer.is_half_open());
+        let oldest = half_open.next().map(|peer| peer.id);
+        if half_open.count() + 1 >= MAX_HALF_OPEN
+            && let Some(oldest) = oldest
+        {
+            self.give_up_handshake(now_ns, oldest);
+        }
+    }
+
+    fn give_up_handshake(&mut self, now_ns: i64, id: PeerId) {
+        self.counters.handshakes_given_up += 1;
+        let why = "the handshake took too long";
+        self.end(now_ns, id, CODE_REFUSED, why, CloseKind::Local, why.into());
+    }
+
+    /// When a server gives up the handshake of `peer`, nanoseconds.
+    fn handshake_deadline_ns(&self, peer: &Peer) -> Option<i64> {
+        (self.is_server && peer.is_half_open()).then(|| peer.since_ns + HANDSHAKE_DEADLINE.as_nanos() as i64)
     }
 
     fn respond(&mut self, transmit: proto::Transmit, mut bytes: Vec<u8>) {
@@ -642,6 +713,13 @@ impl Endpoint {
     pub fn handle_timeout(&mut self, now_ns: i64) {
         self.last_now_ns = now_ns;
         let now = self.clock.instant(now_ns);
+        let late = self
+            .peers
+            .values()
+            .filter(|peer| self.handshake_deadline_ns(peer).is_some_and(|at| at <= now_ns));
+        for id in late.map(|peer| peer.id).collect::<Vec<_>>() {
+            self.give_up_handshake(now_ns, id);
+        }
         let due: Vec<PeerId> = self
             .peers
             .iter_mut()
@@ -657,8 +735,9 @@ impl Endpoint {
 
     /// When [`Self::handle_timeout`] wants to be called, nanoseconds.
     pub fn poll_timeout(&mut self) -> Option<i64> {
-        let next = self.peers.values_mut().filter_map(|peer| peer.conn.poll_timeout()).min()?;
-        Some(self.clock.ns(next))
+        let deadline_ns = self.peers.values().filter_map(|peer| self.handshake_deadline_ns(peer)).min();
+        let next = self.peers.values_mut().filter_map(|peer| peer.conn.poll_timeout()).min();
+        next.map(|at| self.clock.ns(at)).into_iter().chain(deadline_ns).min()
     }
 
     /// The next thing to be sent.
@@ -687,15 +766,18 @@ impl Endpoint {
 
     /// The next event.
     pub fn poll_event(&mut self) -> Option<Event> {
-        let event = self.events.pop();
-        if self.events.has_room() {
-            let waiting: Vec<PeerId> =
-                self.peers.values().filter(|peer| peer.has_readable()).map(|peer| peer.id).collect();
-            for id in waiting {
-                self.read(self.last_now_ns, id);
-            }
+        let event = self.inbox.pop();
+        self.read_on();
+        event.or_else(|| self.inbox.pop())
+    }
+
+    /// Reads what was left for want of room.
+    pub(crate) fn read_on(&mut self) {
+        let waiting: Vec<PeerId> =
+            self.peers.values().filter(|peer| peer.has_readable()).map(|peer| peer.id).collect();
+        for id in waiting {
+            self.read(self.last_now_ns, id);
         }
-        event.or_else(|| self.events.pop())
     }
 
     /// Moves events between the connection and the endpoint, and turns those for the application into ours.
@@ -726,17 +808,23 @@ impl Endpoint {
     }
 
     fn on_quic_event(&mut self, now_ns: i64, id: PeerId, event: proto::Event) {
+        let (connected, is_server) = (self.connected_peers(), self.is_server);
         let Some(peer) = self.peers.get_mut(&id).filter(|peer| !peer.closed) else { return };
         match event {
+            proto::Event::Connected if is_server && connected >= self.config.max_peers => {
+                self.counters.peers_refused += 1;
+                let why = "it serves as many clients as it can";
+                self.end(now_ns, id, CODE_REFUSED, why, CloseKind::Local, why.into());
+            }
             proto::Event::Connected => {
                 peer.on_connected();
                 let fingerprint = peer.verifier.as_ref().and_then(|verifier| verifier.verdict().fingerprint);
-                self.events.push(Event::Connected { peer: id, remote: peer.remote, fingerprint });
+                self.inbox.push(id, Event::Connected { peer: id, remote: peer.remote, fingerprint });
             }
             proto::Event::ConnectionLost { reason } => {
                 peer.closed = true;
                 let (kind, reason) = explain(peer, reason);
-                self.events.push(Event::Closed { peer: id, kind, reason });
+                self.tell_closed(id, kind, reason);
             }
             proto::Event::Stream(event) => {
                 if let Err(violation) = peer.on_stream_event(event) {
@@ -751,19 +839,19 @@ impl Endpoint {
     fn read_datagrams(&mut self, at_ns: i64, id: PeerId) {
         let Some(peer) = self.peers.get_mut(&id) else { return };
         while let Some(bytes) = peer.conn.datagrams().recv() {
-            self.events.push(Event::Datagram { peer: id, bytes: bytes.into(), at_ns });
-            if self.events.datagrams.len() > MAX_WAITING_DATAGRAMS {
-                self.events.datagrams.pop_front();
-                self.counters.datagrams_dropped += 1;
-            }
+            let fits = self.inbox.push(id, Event::Datagram { peer: id, bytes: bytes.into(), at_ns });
+            self.counters.datagrams_dropped += u64::from(!fits);
         }
     }
 
     /// Reads the streams of a peer as long as there is room for what they bring.
     fn read(&mut self, at_ns: i64, id: PeerId) {
         let Some(peer) = self.peers.get_mut(&id) else { return };
-        while peer.has_readable() && self.events.has_room() {
-            if let Err(violation) = peer.read(at_ns, &mut |event| self.events.push(event)) {
+        while peer.has_readable() && self.inbox.has_room(id) {
+            let mut emit = |event| {
+                self.inbox.push(id, event);
+            };
+            if let Err(violation) = peer.read(at_ns, &mut emit) {
                 return self.close_violator(at_ns, id, &violation);
             }
         }
@@ -785,7 +873,14 @@ impl Endpoint {
         peer.closed = true;
         let told = Bytes::copy_from_slice(told.as_bytes());
         peer.conn.close(self.clock.instant(now_ns), VarInt::from_u32(code), told);
-        self.events.push(Event::Closed { peer: id, kind, reason });
+        self.tell_closed(id, kind, reason);
+    }
+
+    /// Strangers who never became clients are no news to a server.
+    fn tell_closed(&self, id: PeerId, kind: CloseKind, reason: String) {
+        if !self.is_server || self.peers.get(&id).is_some_and(|peer| peer.connected) {
+            self.inbox.close(id, Event::Closed { peer: id, kind, reason });
+        }
     }
 
     /// Closes all connections.
@@ -852,6 +947,7 @@ impl Endpoint {
     pub fn stats(&self, id: PeerId) -> Option<PeerStats> {
         let peer = self.peers.get(&id)?;
         let stats = peer.conn.stats();
+        let congestion = peer.conn.congestion_state().metrics();
         Some(PeerStats {
             rtt: stats.path.rtt,
             min_rtt: stats.path.min_rtt,
@@ -863,6 +959,9 @@ impl Endpoint {
             mtu_bytes: stats.path.current_mtu,
             queued_bytes: peer.queued_bytes() as u64,
             streams_under_way: peer.streams_under_way() as u64,
+            unacknowledged_bytes: peer.unacknowledged_bytes() as u64,
+            delivered_bit_per_s: congestion.pacing_rate.unwrap_or(0),
+            bottleneck_known: congestion.ssthresh.is_some(),
         })
     }
 

@@ -94,19 +94,24 @@ fn messages_of_all_sizes_arrive_whole_both_ways() {
                 let control = &bytes[..size.min(MAX_CONTROL_BYTES)];
                 pair.server.send_control(on_server, control).unwrap();
                 pair.client.send_control(on_client, control).unwrap();
-                pair.server.send_stream(on_server, bytes.clone(), 0).unwrap();
-                pair.client.send_stream(on_client, bytes, 0).unwrap();
+                pair.server.send_stream(on_server, bytes, 0).unwrap();
             }
-            pair.step_until(pair.now_ns() + 20 * S);
-            for endpoint in [&mut pair.server, &mut pair.client] {
-                check_messages(&events(endpoint), &sizes, &format!("link {link}, seed {seed}"));
+            let (mut on_server, mut on_client) = (Vec::new(), Vec::new());
+            for _ in 0..100 {
+                pair.step_until(pair.now_ns() + 200 * MS);
+                on_server.extend(events(&mut pair.server));
+                on_client.extend(events(&mut pair.client));
             }
+            let context = format!("link {link}, seed {seed}");
+            check_control(&on_server, &sizes, &context);
+            check_control(&on_client, &sizes, &context);
+            check_streams(&on_client, &sizes, &context);
         }
     }
 }
 
-/// All control messages in order, all streams in any.
-fn check_messages(events: &[Event], sizes: &[usize], context: &str) {
+/// All control messages, in order.
+fn check_control(events: &[Event], sizes: &[usize], context: &str) {
     let control: Vec<usize> = events
         .iter()
         .filter_map(|event| match event {
@@ -116,6 +121,10 @@ fn check_messages(events: &[Event], sizes: &[usize], context: &str) {
         .collect();
     let expected: Vec<usize> = sizes.iter().map(|&size| size.min(MAX_CONTROL_BYTES)).collect();
     assert_eq!(control, expected, "{context}");
+}
+
+/// All streams, in any order.
+fn check_streams(events: &[Event], sizes: &[usize], context: &str) {
     let mut streams = 0;
     for event in events {
         if let Event::Stream { bytes, .. } = event {
@@ -153,14 +162,12 @@ fn what_is_sent_before_the_connection_is_ready_waits_for_it() {
     let mut pair = pair("latency=5ms", 2);
     let peer = pair.client.connect(0, SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
     pair.client.send_control(peer, b"hello").unwrap();
-    pair.client.send_stream(peer, vec![5; 10_000], 0).unwrap();
     pair.step_until(S);
     let seen = events(&mut pair.server);
     assert!(
         seen.iter().any(|e| matches!(e, Event::Control { message, .. } if message == b"hello")),
         "{seen:?}"
     );
-    assert!(seen.iter().any(|e| matches!(e, Event::Stream { bytes, .. } if bytes.len() == 10_000)));
 }
 
 #[test]
@@ -178,13 +185,13 @@ fn datagrams_arrive_with_the_time_of_their_arrival() {
 fn datagrams_that_nobody_takes_are_dropped_oldest_first_and_counted() {
     let Connected { mut pair, on_client, .. } = connected("latency=1ms", 3);
     let extra = 50;
-    for n in 0..MAX_WAITING_DATAGRAMS as u32 + extra {
+    for n in 0..crate::inbox::MAX_WAITING_DATAGRAMS as u32 + extra {
         assert!(pair.client.send_datagram(on_client, &n.to_le_bytes()));
         pair.step_until(pair.now_ns() + 2 * MS);
     }
     pair.step_until(pair.now_ns() + S);
     let seen = events(&mut pair.server);
-    assert_eq!(seen.len(), MAX_WAITING_DATAGRAMS);
+    assert_eq!(seen.len(), crate::inbox::MAX_WAITING_DATAGRAMS);
     assert!(matches!(&seen[0], Event::Datagram { bytes, .. } if bytes[..] == extra.to_le_bytes()));
     assert_eq!(pair.server.counters().datagrams_dropped, u64::from(extra));
 }
@@ -302,7 +309,7 @@ fn a_full_send_queue_refuses_and_counts() {
 
 #[test]
 fn an_application_that_takes_nothing_makes_the_peer_wait_and_loses_nothing() {
-    let Connected { mut pair, on_server, .. } = connected("latency=1ms", 9);
+    let Connected { mut pair, on_server, on_client } = connected("latency=1ms", 9);
     let count = 48;
     let mut sent = 0;
     for _ in 0..100 {
@@ -311,7 +318,8 @@ fn an_application_that_takes_nothing_makes_the_peer_wait_and_loses_nothing() {
         }
         pair.step_until(pair.now_ns() + 50 * MS);
     }
-    assert!(pair.client.events.waiting_bytes <= MAX_WAITING_BYTES + (4 << 20), "reading went on");
+    let waiting_bytes = pair.client.inbox.waiting_bytes(on_client);
+    assert!(waiting_bytes <= CLIENT_WAITING_BYTES + (5 << 20), "reading went on: {waiting_bytes} bytes");
     assert!(pair.server.peers().any(|peer| peer == on_server), "waiting is no reason to close");
     let mut received = 0;
     for _ in 0..200 {
@@ -475,29 +483,159 @@ fn garbage_on_the_control_stream_ends_that_connection_only() {
 #[test]
 fn a_stream_larger_than_accepted_closes_the_connection() {
     let config = EndpointConfig { max_stream_bytes: 100_000, ..seeded(19) };
-    let server = Endpoint::server(&ServerIdentity::from_seed(19).unwrap(), config).unwrap();
-    let pair = Pair::new(server, Endpoint::client(seeded(19)), LinkProfile::default(), 19);
-    let Connected { mut pair, on_client, .. } = connect(pair);
-    pair.client.send_stream(on_client, vec![0; 100_000], 0).unwrap();
+    let pair = Pair::new(server(19), Endpoint::client(config), LinkProfile::default(), 19);
+    let Connected { mut pair, on_server, .. } = connect(pair);
+    pair.server.send_stream(on_server, vec![0; 100_000], 0).unwrap();
     pair.step_until(pair.now_ns() + S);
-    assert!(matches!(events(&mut pair.server)[..], [Event::Stream { .. }]));
-    pair.client.send_stream(on_client, vec![0; 100_001], 0).unwrap();
+    assert!(matches!(events(&mut pair.client)[..], [Event::Stream { .. }]));
+    pair.server.send_stream(on_server, vec![0; 100_001], 0).unwrap();
     pair.step_until(pair.now_ns() + S);
-    assert_closed(&events(&mut pair.server), CloseKind::Error, &["a stream of more than 100000 bytes"]);
-    assert_eq!(pair.server.counters().violations, 1);
+    assert_closed(&events(&mut pair.client), CloseKind::Error, &["a stream of more than 100000 bytes"]);
+    assert_eq!(pair.client.counters().violations, 1);
 }
 
 #[test]
 fn many_incomplete_streams_cannot_fill_the_memory() {
     let config = EndpointConfig { max_stream_bytes: 100_000, ..seeded(20) };
-    let server = Endpoint::server(&ServerIdentity::from_seed(20).unwrap(), config).unwrap();
-    let pair = Pair::new(server, Endpoint::client(seeded(20)), LinkProfile::default(), 20);
-    let Connected { mut pair, on_client, .. } = connect(pair);
+    let pair = Pair::new(server(20), Endpoint::client(config), LinkProfile::default(), 20);
+    let Connected { mut pair, on_server, .. } = connect(pair);
     for _ in 0..3 {
-        pair.client.peers.get_mut(&on_client).unwrap().send_unfinished(&[0; 90_000]);
+        pair.server.peers.get_mut(&on_server).unwrap().send_unfinished(&[0; 90_000]);
         pair.step_until(pair.now_ns() + 200 * MS);
     }
-    assert_closed(&events(&mut pair.server), CloseKind::Error, &["incomplete streams"]);
+    assert_closed(&events(&mut pair.client), CloseKind::Error, &["incomplete streams"]);
+}
+
+#[test]
+fn a_client_can_open_no_stream_but_the_control_stream() {
+    let Connected { mut pair, on_client, .. } = connected("latency=2ms", 23);
+    assert_eq!(pair.client.send_stream(on_client, vec![0; 10], 0), Err(SendError::ClientStream));
+    pair.step_until(pair.now_ns() + S);
+    // Neither would its QUIC let a hostile program: the server has granted none.
+    let streams =
+        |pair: &mut Pair, dir| pair.client.peers.get_mut(&on_client).unwrap().conn.streams().open(dir);
+    assert_eq!(streams(&mut pair, proto::Dir::Uni), None);
+    assert_eq!(streams(&mut pair, proto::Dir::Bi), None);
+}
+
+#[test]
+fn a_flood_of_control_messages_ends_its_connection_and_is_forgotten() {
+    let Connected { mut pair, on_server, on_client } = connected("latency=2ms", 24);
+    let flood = shadecast_protocol::wire::frame_control(b"xx").repeat(MAX_CONTROL_PER_SECOND as usize + 1);
+    pair.client.peers.get_mut(&on_client).unwrap().send_raw_control(&flood);
+    pair.step_until(pair.now_ns() + S);
+    let seen = events(&mut pair.server);
+    assert_eq!(seen.len(), 1, "only the end of a peer that has gone remains");
+    assert_closed(&seen, CloseKind::Error, &["more than 1000 control messages a second"]);
+    assert!(!pair.server.peers().any(|peer| peer == on_server));
+}
+
+#[test]
+fn a_client_that_says_something_each_frame_may_go_on_for_ever() {
+    let Connected { mut pair, on_client, .. } = connected("latency=2ms", 25);
+    let mut received = 0;
+    for _ in 0..2000 {
+        (0..5).for_each(|_| pair.client.send_control(on_client, b"displayed").unwrap());
+        pair.step_until(pair.now_ns() + 10 * MS);
+        received += events(&mut pair.server).len();
+    }
+    pair.step_until(pair.now_ns() + S);
+    assert_eq!(received + events(&mut pair.server).len(), 10_000);
+}
+
+#[test]
+fn a_client_whose_server_takes_nothing_waits_and_another_goes_on() {
+    let config = EndpointConfig { control_per_s: 1_000_000, ..seeded(26) };
+    let server = Endpoint::server(&ServerIdentity::from_seed(26).unwrap(), config).unwrap();
+    let pair = Pair::new(server, Endpoint::client(seeded(26)), LinkProfile::default(), 26);
+    let Connected { mut pair, on_server, on_client } = connect(pair);
+    let other = pair.client.connect(pair.now_ns(), SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+    for _ in 0..200 {
+        // 40 MB if it were let.
+        let _ = pair.client.send_control(on_client, &[1; 200_000]);
+        pair.step_until(pair.now_ns() + 5 * MS);
+    }
+    let waiting = pair.server.inbox.waiting_bytes(on_server);
+    assert!(waiting <= SERVER_WAITING_BYTES + SERVER_WINDOW_BYTES as usize, "{waiting} bytes");
+    pair.client.send_control(other, b"lawful").unwrap();
+    pair.step_until(pair.now_ns() + 100 * MS);
+    let first: Vec<Event> = (0..5).filter_map(|_| pair.server.poll_event()).collect();
+    let is_lawful = |event: &Event| matches!(event, Event::Control { message, .. } if message == b"lawful");
+    assert!(first.iter().any(is_lawful), "{} events", first.len());
+}
+
+/// The first packet of a client that nobody answers.
+fn stranger_initial(n: u64, now_ns: i64) -> Vec<u8> {
+    let mut client = Endpoint::client(seeded(1000 + n));
+    client.connect(now_ns, SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+    client.poll_transmit(now_ns).expect("an Initial").bytes
+}
+
+/// 200 first packets a second from as many addresses, for `seconds`; then what the client saw.
+fn half_open_flood(pair: &mut Pair, seconds: i64, address: impl Fn(u64) -> SocketAddr) -> Vec<Event> {
+    for n in 0..200 * seconds as u64 {
+        let initial = stranger_initial(n, pair.now_ns());
+        pair.server.handle_udp(pair.now_ns(), address(n), None, None, BytesMut::from(&initial[..]));
+        if n == 100 {
+            pair.client.connect(pair.now_ns(), SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+        }
+        pair.step_until(pair.now_ns() + 5 * MS);
+    }
+    events(&mut pair.client)
+}
+
+#[test]
+fn a_lawful_client_connects_amid_two_hundred_initials_a_second_from_many_addresses() {
+    let mut pair = pair("latency=20ms", 27);
+    let address = |n: u64| SocketAddr::from(([172, 16, (n >> 8) as u8, n as u8], 1000));
+    let seen = half_open_flood(&mut pair, 4, address);
+    assert!(matches!(seen[..], [Event::Connected { .. }]), "{seen:?}");
+    let counters = pair.server.counters();
+    assert!(counters.retries > 500 && counters.peers_refused == 0, "{counters:?}");
+    assert!(pair.server.peers.len() <= 2, "{} connections", pair.server.peers.len());
+    let told = events(&mut pair.server);
+    assert!(matches!(told[..], [Event::Connected { .. }]), "strangers are no news: {told:?}");
+}
+
+#[test]
+fn a_stranger_who_does_not_end_the_handshake_is_given_up_in_time() {
+    let mut pair = pair("latency=20ms", 28);
+    let address = SocketAddr::from(([172, 16, 0, 1], 1000));
+    // It never sees an answer and asks again and again, so that it does not count as silent.
+    let mut stranger = Endpoint::client(seeded(1000));
+    stranger.connect(0, SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+    while pair.server.counters().handshakes_given_up == 0 && pair.now_ns() < 10 * S {
+        stranger.handle_timeout(pair.now_ns());
+        while let Some(transmit) = stranger.poll_transmit(pair.now_ns()) {
+            let bytes = BytesMut::from(&transmit.bytes[..]);
+            pair.server.handle_udp(pair.now_ns(), address, None, None, bytes);
+        }
+        pair.step_until(pair.now_ns() + 10 * MS);
+    }
+    assert_eq!(pair.server.counters().handshakes_given_up, 1);
+    assert!(pair.now_ns() <= HANDSHAKE_DEADLINE.as_nanos() as i64 + 20 * MS, "{} ns", pair.now_ns());
+    assert!(!pair.server.peers.values().any(Peer::is_half_open));
+}
+
+#[test]
+fn a_lone_client_pays_no_round_trip_for_the_defence() {
+    let Connected { pair, .. } = connected("latency=20ms", 29);
+    assert_eq!(pair.server.counters().retries, 0);
+}
+
+#[test]
+fn a_connection_on_its_way_out_takes_no_place() {
+    let config = EndpointConfig { max_peers: 1, ..seeded(30) };
+    let server = Endpoint::server(&ServerIdentity::from_seed(30).unwrap(), config).unwrap();
+    let profile: LinkProfile = "latency=50ms".parse().unwrap();
+    let Connected { mut pair, on_client, .. } =
+        connect(Pair::new(server, Endpoint::client(seeded(30)), profile, 30));
+    pair.client.close(pair.now_ns(), on_client, 0, "leaving");
+    pair.step_until(pair.now_ns() + MS);
+    pair.client.connect(pair.now_ns(), SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+    pair.step_until(pair.now_ns() + 120 * MS);
+    let seen = events(&mut pair.client);
+    assert!(seen.iter().any(|event| matches!(event, Event::Connected { .. })), "{seen:?}");
 }
 
 #[test]

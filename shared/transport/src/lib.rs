@@ -10,6 +10,7 @@ pub mod congestion;
 pub mod endpoint;
 pub mod files;
 pub mod identity;
+mod inbox;
 pub mod link;
 pub mod mio;
 pub mod pair;

@@ -3,14 +3,16 @@
 //! This is the only module with a socket and a clock. The driver moves datagrams between socket and endpoint in
 //! batches (segmentation offload both ways), sleeps until the socket, a timer or another thread wants something, and
 //! never waits for anything else: what the socket does not take is kept, one piece, and what the application does not
-//! take stays in the endpoint, whose flow control then makes the peer wait.
+//! take stays in the inbox, and flow control then makes the peer wait.
+//!
+//! Reads and writes go through mio, which must see the socket refuse: on Windows it asks the system only then for the next
+//! readiness.
 
 use std::collections::BTreeMap;
 use std::io::{self, IoSliceMut};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, TrySendError, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -23,6 +25,7 @@ use crate::endpoint::{
     Counters, Endpoint, Event, IdSource, PeerId, PeerStats, SendError, StreamId, Transmit,
 };
 use crate::identity::ExpectedIdentity;
+use crate::inbox::{Inbox, Next};
 use crate::link::{Direction, Link, LinkCounts, LinkSchedule};
 
 const SOCKET: Token = Token(0);
@@ -33,12 +36,10 @@ const MAX_DATAGRAM_TRAIN_BYTES: usize = 65_535;
 const SOCKET_BUFFER_BYTES: usize = 4 << 20;
 /// Receive batches handled before timers and sending have their turn.
 const BATCHES_PER_TURN: usize = 16;
-/// Commands and events that wait between the threads.
+/// Commands that wait between the threads.
 const CHANNEL_CAPACITY: usize = 1024;
 /// The thread looks at its channels at least this often.
 const MAX_WAIT: Duration = Duration::from_millis(100);
-/// Statistics are published this often.
-const PUBLISH_INTERVAL_NS: i64 = 50_000_000;
 /// How long a stopping thread tries to tell its peers.
 const FAREWELL: Duration = Duration::from_millis(200);
 
@@ -110,6 +111,8 @@ pub struct Driver {
     waker: Arc<Waker>,
     /// What the socket did not take.
     pending: Option<Transmit>,
+    /// The poll wakes when the socket takes more, which is asked for only while something is pending.
+    waits_to_write: bool,
     link: Option<Link<LinkTag>>,
     receive_buffers: Vec<Vec<u8>>,
     /// The socket may have more than was read.
@@ -125,7 +128,7 @@ impl Driver {
         let _ = state.set_recv_buffer_size(UdpSockRef::from(&socket), SOCKET_BUFFER_BYTES);
         let _ = state.set_send_buffer_size(UdpSockRef::from(&socket), SOCKET_BUFFER_BYTES);
         let poll = Poll::new()?;
-        poll.registry().register(&mut socket, SOCKET, Interest::READABLE | Interest::WRITABLE)?;
+        poll.registry().register(&mut socket, SOCKET, Interest::READABLE)?;
         let waker = Arc::new(Waker::new(poll.registry(), WAKER)?);
         let receive_buffers = vec![vec![0; MAX_DATAGRAM_TRAIN_BYTES]; quinn_udp::BATCH_SIZE];
         Ok(Self {
@@ -136,6 +139,7 @@ impl Driver {
             readiness: ::mio::Events::with_capacity(16),
             waker,
             pending: None,
+            waits_to_write: false,
             link: None,
             receive_buffers,
             more_to_read: false,
@@ -171,6 +175,7 @@ impl Driver {
     /// Sends and receives; waits up to `max_wait` when there is nothing to do.
     pub fn poll(&mut self, max_wait: Duration) -> io::Result<()> {
         self.advance(monotonic_now_ns())?;
+        self.watch_for_room()?;
         let wait = self.wait(max_wait);
         match self.poll.poll(&mut self.readiness, Some(wait)) {
             Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
@@ -178,6 +183,18 @@ impl Driver {
         }
         self.receive()?;
         self.advance(monotonic_now_ns())
+    }
+
+    /// Wants to know that the socket takes more exactly while something is pending: it nearly always does.
+    fn watch_for_room(&mut self) -> io::Result<()> {
+        let waits_to_write = self.pending.is_some();
+        if waits_to_write != self.waits_to_write {
+            let also = if waits_to_write { Some(Interest::WRITABLE) } else { None };
+            let interest = also.map_or(Interest::READABLE, |also| Interest::READABLE | also);
+            self.poll.registry().reregister(&mut self.socket, SOCKET, interest)?;
+            self.waits_to_write = waits_to_write;
+        }
+        Ok(())
     }
 
     fn wait(&mut self, max_wait: Duration) -> Duration {
@@ -216,7 +233,9 @@ impl Driver {
         let mut metas = [RecvMeta::default(); quinn_udp::BATCH_SIZE];
         for _ in 0..BATCHES_PER_TURN {
             let mut slices: Vec<IoSliceMut<'_>> = buffers.iter_mut().map(|b| IoSliceMut::new(b)).collect();
-            let count = match self.state.recv(UdpSockRef::from(&self.socket), &mut slices, &mut metas) {
+            let (socket, state) = (&self.socket, &self.state);
+            let received = socket.try_io(|| state.recv(UdpSockRef::from(socket), &mut slices, &mut metas));
+            let count = match received {
                 Ok(count) => count,
                 Err(e) if e.kind() == io::ErrorKind::WouldBlock => {
                     self.more_to_read = false;
@@ -285,7 +304,7 @@ impl Driver {
             segment_size: transmit.segment_size,
             src_ip: transmit.from_ip,
         };
-        match self.state.send(UdpSockRef::from(&self.socket), &datagrams) {
+        match self.socket.try_io(|| self.state.send(UdpSockRef::from(&self.socket), &datagrams)) {
             Ok(()) => Ok(true),
             Err(e) if e.kind() == io::ErrorKind::WouldBlock => Ok(false),
             Err(e) if is_passing(&e) => Ok(true),
@@ -344,12 +363,70 @@ enum Command {
     Close { peer: PeerId, code: u32, reason: String },
 }
 
-/// What the network thread tells about itself.
-#[derive(Clone, Debug, Default)]
+impl Command {
+    /// What it adds to a peer's queue.
+    fn load(&self) -> Option<(PeerId, Load)> {
+        match self {
+            Self::Control { peer, message } => {
+                Some((*peer, Load { bytes: message.len() as u64, ..Load::default() }))
+            }
+            Self::Stream { peer, bytes, .. } => {
+                let bytes = bytes.len() as u64;
+                Some((*peer, Load { bytes, stream_bytes: bytes, streams: 1 }))
+            }
+            _ => None,
+        }
+    }
+}
+
+/// What waits between the threads for one peer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Load {
+    bytes: u64,
+    /// Of these, those of streams.
+    stream_bytes: u64,
+    streams: u64,
+}
+
+/// What the network thread tells about itself, and what it has not taken yet.
+#[derive(Debug, Default)]
 struct Published {
     stats: BTreeMap<PeerId, PeerStats>,
     counters: Counters,
     link: Option<[LinkCounts; 2]>,
+    loads: BTreeMap<PeerId, Load>,
+}
+
+impl Published {
+    fn add(&mut self, (peer, added): (PeerId, Load)) {
+        let load = self.loads.entry(peer).or_default();
+        load.bytes += added.bytes;
+        load.stream_bytes += added.stream_bytes;
+        load.streams += added.streams;
+    }
+
+    fn remove(&mut self, (peer, taken): (PeerId, Load)) {
+        let Some(load) = self.loads.get_mut(&peer) else { return };
+        load.bytes = load.bytes.saturating_sub(taken.bytes);
+        load.stream_bytes = load.stream_bytes.saturating_sub(taken.stream_bytes);
+        load.streams = load.streams.saturating_sub(taken.streams);
+        if *load == Load::default() {
+            self.loads.remove(&peer);
+        }
+    }
+
+    fn stats(&self, peer: PeerId) -> Option<PeerStats> {
+        let mut stats = *self.stats.get(&peer)?;
+        let load = self.loads.get(&peer).copied().unwrap_or_default();
+        stats.queued_bytes += load.bytes;
+        stats.streams_under_way += load.streams;
+        stats.unacknowledged_bytes += load.stream_bytes;
+        Some(stats)
+    }
+}
+
+fn lock(published: &Mutex<Published>) -> MutexGuard<'_, Published> {
+    published.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 struct Inner {
@@ -385,10 +462,16 @@ pub struct Handle {
 impl Handle {
     fn command(&self, command: Command) -> Result<(), SendError> {
         let commands = self.inner.commands.as_ref().ok_or(SendError::Stopped)?;
-        commands.try_send(command).map_err(|e| match e {
-            TrySendError::Full(_) => SendError::QueueFull,
-            TrySendError::Disconnected(_) => SendError::Stopped,
-        })?;
+        let load = command.load();
+        // Before the thread can have seen it: the count is never short.
+        load.into_iter().for_each(|load| self.published().add(load));
+        if let Err(refused) = commands.try_send(command) {
+            load.into_iter().for_each(|load| self.published().remove(load));
+            return Err(match refused {
+                TrySendError::Full(_) => SendError::QueueFull,
+                TrySendError::Disconnected(_) => SendError::Stopped,
+            });
+        }
         // Failing only means that the thread notices at its next look.
         let _ = self.inner.waker.wake();
         Ok(())
@@ -426,16 +509,17 @@ impl Handle {
         self.command(Command::Close { peer, code, reason: reason.to_owned() })
     }
 
-    fn published(&self) -> std::sync::MutexGuard<'_, Published> {
-        self.inner.published.lock().unwrap_or_else(PoisonError::into_inner)
+    fn published(&self) -> MutexGuard<'_, Published> {
+        lock(&self.inner.published)
     }
 
-    /// What is known of a connection, at most a tenth of a second old.
+    /// What is known of a connection, as of the network thread's last turn. What waits to be sent is exact: it counts from
+    /// the moment in which it was handed over. `None` before the first turn and after the connection's end.
     pub fn stats(&self, peer: PeerId) -> Option<PeerStats> {
-        self.published().stats.get(&peer).copied()
+        self.published().stats(peer)
     }
 
-    /// What overflowed so far, at most a tenth of a second old.
+    /// What overflowed so far, as of the network thread's last turn.
     pub fn counters(&self) -> Counters {
         self.published().counters
     }
@@ -456,34 +540,38 @@ impl Handle {
 
 /// The events of the network thread.
 pub struct Events {
-    receiver: Receiver<Event>,
+    inbox: Arc<Inbox>,
     waker: Arc<Waker>,
-    /// The thread holds back events because the channel is full.
-    held_back: Arc<AtomicBool>,
+}
+
+impl Drop for Events {
+    fn drop(&mut self) {
+        self.inbox.abandon();
+        let _ = self.waker.wake();
+    }
 }
 
 impl Events {
-    fn taken(&self, event: Event) -> Event {
-        if self.held_back.swap(false, Ordering::AcqRel) {
-            let _ = self.waker.wake();
-        }
-        event
-    }
-
     /// The next event, if there is one already.
     pub fn try_next(&self) -> Option<Event> {
-        self.receiver.try_recv().ok().map(|event| self.taken(event))
+        self.next_timeout(Duration::ZERO).ok().flatten()
     }
 
-    /// The next event, waiting up to `timeout` for it.
+    /// The next event, waiting up to `timeout` for it. Peers come in turn.
     ///
     /// # Errors
     /// [`Stopped`] when the network thread has ended and no events are left.
     pub fn next_timeout(&self, timeout: Duration) -> Result<Option<Event>, Stopped> {
-        match self.receiver.recv_timeout(timeout) {
-            Ok(event) => Ok(Some(self.taken(event))),
-            Err(RecvTimeoutError::Timeout) => Ok(None),
-            Err(RecvTimeoutError::Disconnected) => Err(Stopped),
+        match self.inbox.wait(timeout) {
+            Next::Event { event, makes_room } => {
+                if makes_room {
+                    // Failing only means that the thread notices at its next look.
+                    let _ = self.waker.wake();
+                }
+                Ok(Some(event))
+            }
+            Next::Nothing => Ok(None),
+            Next::Ended => Err(Stopped),
         }
     }
 }
@@ -497,19 +585,16 @@ pub struct Stopped;
 pub fn spawn(driver: Driver) -> Result<(Handle, Events), DriverError> {
     let local_addr = driver.local_addr()?;
     let waker = driver.waker();
+    let inbox = driver.endpoint.inbox();
     let (commands, command_receiver) = sync_channel(CHANNEL_CAPACITY);
-    let (event_sender, receiver) = sync_channel(CHANNEL_CAPACITY);
     let (peer_ids, stream_ids) = driver.endpoint.id_sources();
     let published = Arc::new(Mutex::default());
-    let held_back = Arc::new(AtomicBool::new(false));
     let worker = Worker {
         driver,
         commands: command_receiver,
-        events: event_sender,
-        held: None,
-        held_back: held_back.clone(),
+        inbox: inbox.clone(),
         published: published.clone(),
-        published_ns: i64::MIN,
+        taken: Vec::new(),
     };
     let thread = std::thread::Builder::new().name("network".into()).spawn(move || worker.run())?;
     let inner = Inner {
@@ -521,19 +606,24 @@ pub fn spawn(driver: Driver) -> Result<(Handle, Events), DriverError> {
         stream_ids,
         local_addr,
     };
-    Ok((Handle { inner: Arc::new(inner) }, Events { receiver, waker, held_back }))
+    Ok((Handle { inner: Arc::new(inner) }, Events { inbox, waker }))
 }
 
 /// The network thread.
 struct Worker {
     driver: Driver,
     commands: Receiver<Command>,
-    events: SyncSender<Event>,
-    /// An event that the channel did not take.
-    held: Option<Event>,
-    held_back: Arc<AtomicBool>,
+    inbox: Arc<Inbox>,
     published: Arc<Mutex<Published>>,
-    published_ns: i64,
+    /// What was taken over from the handles since it was last published.
+    taken: Vec<(PeerId, Load)>,
+}
+
+/// However the thread ends, nobody waits for its events.
+impl Drop for Worker {
+    fn drop(&mut self) {
+        self.inbox.end();
+    }
 }
 
 /// The application has let go of the thread.
@@ -542,17 +632,24 @@ struct LetGo;
 impl Worker {
     fn run(mut self) {
         let result = loop {
-            if self.take_commands().is_err() || self.hand_out_events().is_err() {
+            if self.take_commands().is_err() || self.inbox.is_abandoned() {
                 break self.driver.farewell();
             }
-            if let Err(e) = self.driver.poll(MAX_WAIT) {
+            self.driver.endpoint.read_on();
+            if let Err(e) = self.turn() {
                 break Err(e);
             }
-            self.publish();
         };
         if let Err(e) = result {
             tracing::error!("the network thread ends: {e}");
         }
+    }
+
+    /// Sends what there is, tells how that went, then waits for more.
+    fn turn(&mut self) -> io::Result<()> {
+        self.driver.advance(monotonic_now_ns())?;
+        self.publish();
+        self.driver.poll(MAX_WAIT)
     }
 
     fn take_commands(&mut self) -> Result<(), LetGo> {
@@ -569,6 +666,7 @@ impl Worker {
 
     fn execute(&mut self, command: Command) {
         let now_ns = monotonic_now_ns();
+        self.taken.extend(command.load());
         let endpoint = self.driver.endpoint();
         let sent = match command {
             Command::Connect { peer, remote, expected } => {
@@ -597,41 +695,13 @@ impl Worker {
         }
     }
 
-    fn hand_out_events(&mut self) -> Result<(), LetGo> {
-        loop {
-            let Some(event) = self.held.take().or_else(|| self.driver.endpoint().poll_event()) else {
-                return Ok(());
-            };
-            // The flag is raised before the second attempt, so that a receiver that drains the channel in between
-            // either makes room for it or sees the flag.
-            let event = match self.events.try_send(event) {
-                Ok(()) => continue,
-                Err(TrySendError::Disconnected(_)) => return Err(LetGo),
-                Err(TrySendError::Full(event)) => event,
-            };
-            self.held_back.store(true, Ordering::Release);
-            match self.events.try_send(event) {
-                Ok(()) => {}
-                Err(TrySendError::Disconnected(_)) => return Err(LetGo),
-                Err(TrySendError::Full(event)) => {
-                    self.held = Some(event);
-                    return Ok(());
-                }
-            }
-        }
-    }
-
     fn publish(&mut self) {
-        let now_ns = monotonic_now_ns();
-        if now_ns < self.published_ns.saturating_add(PUBLISH_INTERVAL_NS) {
-            return;
-        }
-        self.published_ns = now_ns;
         let endpoint = &self.driver.endpoint;
         let stats = endpoint.peers().filter_map(|peer| Some((peer, endpoint.stats(peer)?))).collect();
         let link = self.driver.link.as_ref();
         let link = link.map(|link| [Direction::ToClient, Direction::ToServer].map(|d| link.counts(d)));
-        let news = Published { stats, counters: endpoint.counters(), link };
-        *self.published.lock().unwrap_or_else(PoisonError::into_inner) = news;
+        let mut published = lock(&self.published);
+        self.taken.drain(..).for_each(|load| published.remove(load));
+        (published.stats, published.counters, published.link) = (stats, endpoint.counters(), link);
     }
 }

@@ -134,6 +134,10 @@ impl Pair {
                     Direction::ToServer => &mut self.client,
                 };
                 let Some(transmit) = end.poll_transmit(self.now_ns) else { break };
+                // Nobody lives at any other address.
+                if transmit.to != [CLIENT_ADDR, SERVER_ADDR][usize::from(direction == Direction::ToServer)] {
+                    continue;
+                }
                 for datagram in transmit.datagrams() {
                     if let Some(trace) = &mut self.trace {
                         trace.push((self.now_ns, direction, datagram.len()));

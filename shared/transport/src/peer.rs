@@ -10,7 +10,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use quinn_proto as proto;
 use quinn_proto::{Connection, ConnectionHandle, Dir, VarInt};
-use shadecast_protocol::limits::MAX_CONTROL_BYTES;
+use shadecast_protocol::limits::{MAX_CONTROL_BYTES, MAX_STREAM_BYTES};
 use shadecast_protocol::wire::{ControlReader, WireError, frame_control};
 
 use crate::endpoint::{Event, PeerId, SendError, StreamId};
@@ -36,11 +36,41 @@ impl From<WireError> for Violation {
     }
 }
 
+/// What a peer may do.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PeerLimits {
+    /// Largest stream that this side accepts, bytes.
+    pub(crate) max_stream_bytes: usize,
+    /// Control messages a second, and at once after a pause.
+    pub(crate) control_per_s: u32,
+}
+
+/// How many control messages the peer may still send: a bucket that fills in one second.
+struct ControlAllowance {
+    per_s: u32,
+    /// When the bucket will be full again, nanoseconds.
+    full_ns: i64,
+}
+
+impl ControlAllowance {
+    fn take(&mut self, now_ns: i64) -> Result<(), Violation> {
+        const SECOND_NS: i64 = 1_000_000_000;
+        let full_ns = self.full_ns.max(now_ns) + SECOND_NS / i64::from(self.per_s.max(1));
+        if full_ns - now_ns > SECOND_NS {
+            return Err(Violation(format!("more than {} control messages a second", self.per_s)));
+        }
+        self.full_ns = full_ns;
+        Ok(())
+    }
+}
+
 /// A unidirectional stream that we send.
 struct Outgoing {
     /// `None` while the peer allows no more streams.
     quic: Option<proto::StreamId>,
     priority: i32,
+    /// Of the whole stream.
+    bytes: usize,
     /// What QUIC has not taken yet.
     rest: Bytes,
 }
@@ -54,16 +84,19 @@ pub(crate) struct Peer {
     /// The client's view of the server's identity; `None` on the server.
     pub(crate) verifier: Option<Arc<PinVerifier>>,
     pub(crate) connected: bool,
+    /// When the connection was begun, nanoseconds.
+    pub(crate) since_ns: i64,
     /// A `Closed` event was emitted: nothing more is told about this peer.
     pub(crate) closed: bool,
-    /// Largest stream that this side accepts, bytes.
-    max_stream_bytes: usize,
+    limits: PeerLimits,
     control: Option<proto::StreamId>,
+    allowance: ControlAllowance,
     control_in: ControlReader,
     control_out: VecDeque<Bytes>,
     outgoing: BTreeMap<StreamId, Outgoing>,
     by_quic: BTreeMap<proto::StreamId, StreamId>,
     queued_bytes: usize,
+    unacknowledged_bytes: usize,
     incoming: BTreeMap<proto::StreamId, Vec<u8>>,
     incoming_bytes: usize,
     /// Streams that may have something to read.
@@ -76,7 +109,8 @@ impl Peer {
         handle: ConnectionHandle,
         conn: Connection,
         verifier: Option<Arc<PinVerifier>>,
-        max_stream_bytes: usize,
+        limits: PeerLimits,
+        now_ns: i64,
     ) -> Self {
         Self {
             id,
@@ -85,14 +119,17 @@ impl Peer {
             conn,
             verifier,
             connected: false,
+            since_ns: now_ns,
             closed: false,
-            max_stream_bytes,
+            limits,
             control: None,
+            allowance: ControlAllowance { per_s: limits.control_per_s, full_ns: now_ns },
             control_in: ControlReader::default(),
             control_out: VecDeque::new(),
             outgoing: BTreeMap::new(),
             by_quic: BTreeMap::new(),
             queued_bytes: 0,
+            unacknowledged_bytes: 0,
             incoming: BTreeMap::new(),
             incoming_bytes: 0,
             readable: BTreeSet::new(),
@@ -102,6 +139,21 @@ impl Peer {
     /// Bytes that wait for the network to take them.
     pub(crate) fn queued_bytes(&self) -> usize {
         self.queued_bytes
+    }
+
+    /// Bytes of the streams that are not yet acknowledged to their end.
+    pub(crate) fn unacknowledged_bytes(&self) -> usize {
+        self.unacknowledged_bytes
+    }
+
+    /// Connected and not on the way out.
+    pub(crate) fn is_in_use(&self) -> bool {
+        self.connected && !self.closed
+    }
+
+    /// The handshake is under way.
+    pub(crate) fn is_half_open(&self) -> bool {
+        !self.connected && !self.closed
     }
 
     /// Streams that are not yet acknowledged to their end.
@@ -143,7 +195,10 @@ impl Peer {
     }
 
     pub(crate) fn send_stream(&mut self, id: StreamId, bytes: Bytes, priority: i32) -> Result<(), SendError> {
-        let limit = shadecast_protocol::limits::MAX_STREAM_BYTES;
+        if self.conn.side().is_client() {
+            return Err(SendError::ClientStream);
+        }
+        let limit = MAX_STREAM_BYTES;
         if bytes.len() > limit {
             return Err(SendError::Size { bytes: bytes.len(), limit });
         }
@@ -151,7 +206,8 @@ impl Peer {
             return Err(SendError::QueueFull);
         }
         self.reserve(bytes.len())?;
-        self.outgoing.insert(id, Outgoing { quic: None, priority, rest: bytes });
+        self.unacknowledged_bytes += bytes.len();
+        self.outgoing.insert(id, Outgoing { quic: None, priority, bytes: bytes.len(), rest: bytes });
         self.open_waiting();
         Ok(())
     }
@@ -171,6 +227,7 @@ impl Peer {
     pub(crate) fn cancel_stream(&mut self, id: StreamId) -> bool {
         let Some(outgoing) = self.outgoing.remove(&id) else { return false };
         self.queued_bytes -= outgoing.rest.len();
+        self.unacknowledged_bytes -= outgoing.bytes;
         if let Some(quic) = outgoing.quic {
             self.by_quic.remove(&quic);
             // An already closed stream needs no reset.
@@ -276,6 +333,7 @@ impl Peer {
     fn forget_outgoing(&mut self, quic: proto::StreamId) {
         if let Some(outgoing) = self.by_quic.remove(&quic).and_then(|id| self.outgoing.remove(&id)) {
             self.queued_bytes -= outgoing.rest.len();
+            self.unacknowledged_bytes -= outgoing.bytes;
         }
     }
 
@@ -311,6 +369,7 @@ impl Peer {
                 Err(proto::ReadError::Blocked) => break,
             };
             for message in self.control_in.push(&chunk.bytes)? {
+                self.allowance.take(at_ns)?;
                 emit(Event::Control { peer: self.id, message, at_ns });
             }
         }
@@ -336,8 +395,9 @@ impl Peer {
                 Err(proto::ReadError::Reset(_)) => break Some(false),
                 Err(proto::ReadError::Blocked) => break None,
             }
-            if bytes.len() > self.max_stream_bytes {
-                return Err(Violation(format!("a stream of more than {} bytes", self.max_stream_bytes)));
+            let limit = self.limits.max_stream_bytes;
+            if bytes.len() > limit {
+                return Err(Violation(format!("a stream of more than {limit} bytes")));
             }
         };
         let _ = chunks.finalize();
@@ -353,7 +413,7 @@ impl Peer {
             }
         }
         // As much again as one stream may hold: a large one beside many small ones.
-        let limit = 2 * self.max_stream_bytes;
+        let limit = 2 * self.limits.max_stream_bytes;
         if self.incoming_bytes > limit {
             return Err(Violation(format!("more than {limit} bytes in incomplete streams")));
         }

@@ -90,11 +90,11 @@ fn pattern(size: usize, salt: usize) -> Vec<u8> {
     (0..size).map(|i| (i.wrapping_mul(31) ^ (i >> 8) ^ salt) as u8).collect()
 }
 
-/// Receives `control` messages and `streams` streams and checks that each is as it was sent.
+/// Receives a control message of each size and the first `count` streams, and checks that each is as it was sent.
 #[track_caller]
-fn receive_all(program: &Program, sizes: &[usize]) {
+fn receive_all(program: &Program, sizes: &[usize], count: usize) {
     let (mut control, mut streams) = (0, 0);
-    while control < sizes.len() || streams < sizes.len() {
+    while control < sizes.len() || streams < count {
         match program.next() {
             Event::Control { message, .. } => {
                 assert!(
@@ -119,11 +119,13 @@ fn exchange_all_sizes(both: &Both) {
     for (program, peer) in [(&both.server, both.on_server), (&both.client, both.on_client)] {
         for (salt, &size) in sizes.iter().enumerate() {
             program.handle.send_control(peer, pattern(size.min(1 << 20), salt)).unwrap();
-            program.handle.send_stream(peer, pattern(size, salt), 0).unwrap();
         }
     }
-    receive_all(&both.client, &sizes);
-    receive_all(&both.server, &sizes);
+    for (salt, &size) in sizes.iter().enumerate() {
+        both.server.handle.send_stream(both.on_server, pattern(size, salt), 0).unwrap();
+    }
+    receive_all(&both.client, &sizes, sizes.len());
+    receive_all(&both.server, &sizes, 0);
 }
 
 #[test]
@@ -245,7 +247,9 @@ fn dropping_the_handle_ends_the_thread_and_tells_the_peer() {
 
 #[test]
 fn an_application_that_is_slow_to_take_events_loses_none() {
-    let both = connect(Program::server(7), Program::start(client_driver()));
+    let config = EndpointConfig { control_per_s: u32::MAX, ..EndpointConfig::default() };
+    let client = Driver::bind(Endpoint::client(config), ANY).unwrap();
+    let both = connect(Program::server(7), Program::start(client));
     let count = 6000_u32;
     for n in 0..count {
         while both.server.handle.send_control(both.on_server, n.to_le_bytes().to_vec()).is_err() {
@@ -300,4 +304,28 @@ fn a_second_life_of_the_client_needs_no_new_thread() {
     assert_eq!(kind, CloseKind::Peer(5));
     assert!(reason.contains("switching"), "{reason}");
     exchange_all_sizes(&connect(both.server, both.client));
+}
+
+#[test]
+fn what_waits_to_be_sent_is_known_the_moment_it_is_handed_over() {
+    let link: LinkProfile = "latency=100ms".parse().unwrap();
+    let driver = server_driver(&ServerIdentity::from_seed(10).unwrap(), ANY).with_link(link, 10);
+    let both = connect(Program::start(driver), Program::start(client_driver()));
+    let stats = || both.server.handle.stats(both.on_server);
+    let deadline = Instant::now() + PATIENCE;
+    while stats().is_none() {
+        assert!(Instant::now() < deadline, "nothing was published");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    // A round trip is 200 ms, so that nothing is acknowledged while this is handed over.
+    for n in 1..=3 {
+        both.server.handle.send_stream(both.on_server, vec![0; 1000], 0).unwrap();
+        let stats = stats().expect("connected");
+        assert_eq!((stats.streams_under_way, stats.unacknowledged_bytes), (n, n * 1000));
+    }
+    while stats().is_some_and(|stats| stats.streams_under_way > 0 || stats.unacknowledged_bytes > 0) {
+        assert!(Instant::now() < deadline, "never acknowledged: {:?}", stats());
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert!(stats().is_some_and(|stats| stats.queued_bytes == 0), "{:?}", stats());
 }
