@@ -334,7 +334,7 @@ impl Line {
 
     /// What the server has said reaches the client.
     fn deliver(&mut self, client: &mut Client, now: DisplayTime) {
-        while let Some(out) = self.server.poll_out() {
+        while let Some(out) = self.server.poll_out(ServerTime(now.0 + SERVER_AHEAD_NS)) {
             match out {
                 Out::Control(bytes) => client.receive_control(now, &bytes).expect("control"),
                 Out::Datagram(bytes) => client.receive_datagram(now, &bytes),

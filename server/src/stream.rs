@@ -152,7 +152,7 @@ impl Served {
         let mut active = self.active.lock().expect("not poisoned");
         let active = active.as_mut().filter(|active| active.peer == peer)?;
         let result = body(&mut active.session);
-        while let Some(out) = active.session.poll_out() {
+        while let Some(out) = active.session.poll_out(self.now()) {
             let sent = match out {
                 Out::Control(message) => self.handle.send_control(peer, message),
                 Out::Stream { bytes, priority } => self.handle.send_stream(peer, bytes, priority).map(|_| ()),

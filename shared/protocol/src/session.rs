@@ -30,6 +30,8 @@ pub const PRIORITY_PICTURE: i32 = 0;
 const QUICK_PINGS: u32 = 100;
 const QUICK_PING_NS: i64 = 10_000_000;
 const PING_NS: i64 = 25_000_000;
+/// Pings that wait for their answer, on a server whose driver is late; the oldest are dropped.
+const MAX_WAITING_PINGS: usize = 16;
 
 /// Bytes to be carried to the other end.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -138,7 +140,8 @@ impl Waiting {
 }
 
 impl ClientSession {
-    /// Begins a session: the hello is ready to go out.
+    /// Begins a session: the hello is ready to go out, and the first ping with it, so that the clocks agree when the welcome
+    /// comes.
     pub fn start(hello: ClientHello, now: DisplayTime) -> Self {
         let mut session = Self {
             phase: Phase::Greeting,
@@ -152,6 +155,7 @@ impl ClientSession {
             events: VecDeque::new(),
         };
         session.say(&ClientMessage::Hello(hello));
+        session.on_tick(now);
         session
     }
 
@@ -181,7 +185,7 @@ impl ClientSession {
 
     /// Does what is due at `now`: pings.
     pub fn on_tick(&mut self, now: DisplayTime) {
-        if self.phase != Phase::Running || now < self.next_ping {
+        if self.phase == Phase::Ended || now < self.next_ping {
             return;
         }
         self.pings = self.pings.saturating_add(1);
@@ -192,7 +196,7 @@ impl ClientSession {
 
     /// When [`Self::on_tick`] next has something to do.
     pub fn next_tick(&self) -> Option<DisplayTime> {
-        (self.phase == Phase::Running).then_some(self.next_ping)
+        (self.phase != Phase::Ended).then_some(self.next_ping)
     }
 
     /// Sends the head's state.
@@ -349,6 +353,8 @@ pub struct ServerSession {
     coder: Option<SampleCoder>,
     next_delta: FrameId,
     newest_pose: Option<u32>,
+    /// Pings to be answered: what they say, and when they came.
+    pings: VecDeque<(DisplayTime, ServerTime)>,
     out: VecDeque<Out>,
     events: VecDeque<ServerEvent>,
 }
@@ -362,6 +368,7 @@ impl ServerSession {
             coder: None,
             next_delta: FrameId(0),
             newest_pose: None,
+            pings: VecDeque::new(),
             out: VecDeque::new(),
             events: VecDeque::new(),
         }
@@ -374,18 +381,21 @@ impl ServerSession {
         }
     }
 
-    /// Takes a datagram that came at `now`. Damaged ones are dropped: they carry nothing that is not sent again.
+    /// Takes a datagram that came at `now`. Damaged ones are dropped: they carry nothing that is not sent again. Pings are
+    /// answered before the hello, too, so that the clocks agree a round trip earlier.
     pub fn on_datagram(&mut self, bytes: &[u8], now: ServerTime) {
-        if self.phase != Phase::Running {
+        if self.phase == Phase::Ended {
             return;
         }
         match ClientDatagram::decode(bytes) {
-            Ok(ClientDatagram::Pose(head)) => self.take_pose(head),
+            Ok(ClientDatagram::Pose(head)) if self.phase == Phase::Running => self.take_pose(head),
             Ok(ClientDatagram::ClockPing { client_send }) => {
-                let pong = ServerDatagram::ClockPong { client_send, server_receive: now, server_send: now };
-                self.out.push_back(Out::Datagram(pong.encode()));
+                self.pings.push_back((client_send, now));
+                if self.pings.len() > MAX_WAITING_PINGS {
+                    self.pings.pop_front();
+                }
             }
-            Err(_) => {}
+            Ok(ClientDatagram::Pose(_)) | Err(_) => {}
         }
     }
 
@@ -429,9 +439,11 @@ impl ServerSession {
         self.events.pop_front()
     }
 
-    /// The next bytes to carry.
-    pub fn poll_out(&mut self) -> Option<Out> {
-        self.out.pop_front()
+    /// The next bytes to carry. They are sent at `now`, which answers to pings say.
+    pub fn poll_out(&mut self, now: ServerTime) -> Option<Out> {
+        let Some((client_send, server_receive)) = self.pings.pop_front() else { return self.out.pop_front() };
+        let pong = ServerDatagram::ClockPong { client_send, server_receive, server_send: now };
+        Some(Out::Datagram(pong.encode()))
     }
 
     /// True until the session is refused, failed or left.
@@ -557,7 +569,7 @@ mod tests {
                         Out::Datagram(bytes) => self.server.on_datagram(&bytes, now),
                         Out::Stream { .. } => panic!("a client sends no streams"),
                     }
-                } else if let Some(out) = self.server.poll_out() {
+                } else if let Some(out) = self.server.poll_out(now) {
                     match out {
                         Out::Control(bytes) => self.client.on_control(&bytes),
                         Out::Datagram(bytes) => self.client.on_datagram(&bytes, NOW),
@@ -622,7 +634,7 @@ mod tests {
         let mut pair = Pair::new();
         let Some(Out::Control(hello)) = pair.client.poll_out() else { panic!("no hello") };
         pair.server.on_control(&hello);
-        let Some(Out::Control(welcome)) = pair.server.poll_out() else { panic!("no welcome") };
+        let Some(Out::Control(welcome)) = pair.server.poll_out(ServerTime(0)) else { panic!("no welcome") };
         pair.send_delta();
         pair.server.send_picture(picture(0), b"coded");
         pair.carry(ServerTime(0));
@@ -659,12 +671,55 @@ mod tests {
     #[test]
     fn pings_make_the_clocks_agree() {
         let mut pair = Pair::connected();
-        pair.client.on_tick(NOW);
-        pair.carry(ServerTime(5_000_000));
-        assert_eq!(pair.client.clock().server_time(NOW), Some(ServerTime(5_000_000)));
-        assert_eq!(pair.client.next_tick(), Some(NOW.plus_ns(QUICK_PING_NS)));
+        let later = NOW.plus_ns(QUICK_PING_NS);
+        assert_eq!(pair.client.next_tick(), Some(later));
         pair.client.on_tick(NOW.plus_ns(1));
         assert_eq!(pair.client.poll_out(), None, "not yet due");
+        pair.client.on_tick(later);
+        pair.carry(ServerTime(QUICK_PING_NS));
+        assert_eq!(pair.client.next_tick(), Some(later.plus_ns(QUICK_PING_NS)));
+    }
+
+    #[test]
+    fn the_clocks_agree_when_the_welcome_comes() {
+        let mut pair = Pair::new();
+        pair.carry(ServerTime(5_000_000));
+        let events = pair.client_events();
+        assert!(matches!(events[..], [ClientEvent::Welcome(_)]), "{events:?}");
+        assert_eq!(pair.client.clock().server_time(NOW), Some(ServerTime(5_000_000)));
+    }
+
+    #[test]
+    fn a_ping_that_overtakes_the_hello_is_answered() {
+        let mut server = ServerSession::new(offer());
+        server.on_datagram(&ClientDatagram::ClockPing { client_send: NOW }.encode(), ServerTime(7));
+        assert!(matches!(server.poll_out(ServerTime(7)), Some(Out::Datagram(_))));
+    }
+
+    #[test]
+    fn a_pong_says_when_the_ping_came_and_when_the_pong_left() {
+        let mut pair = Pair::connected();
+        let ping = ClientDatagram::ClockPing { client_send: NOW }.encode();
+        pair.server.on_datagram(&ping, ServerTime(1_000));
+        // The driver was held up.
+        let Some(Out::Datagram(pong)) = pair.server.poll_out(ServerTime(9_000)) else { panic!("no pong") };
+        let expected = ServerDatagram::ClockPong {
+            client_send: NOW,
+            server_receive: ServerTime(1_000),
+            server_send: ServerTime(9_000),
+        };
+        assert_eq!(ServerDatagram::decode(&pong), Ok(expected));
+    }
+
+    #[test]
+    fn pings_that_nobody_answers_are_dropped_oldest_first() {
+        let mut server = ServerSession::new(offer());
+        for n in 0..1000 {
+            let ping = ClientDatagram::ClockPing { client_send: DisplayTime(n) };
+            server.on_datagram(&ping.encode(), ServerTime(n));
+        }
+        assert_eq!(server.pings.len(), MAX_WAITING_PINGS);
+        assert_eq!(server.pings.back(), Some(&(DisplayTime(999), ServerTime(999))));
     }
 
     #[test]
@@ -766,13 +821,13 @@ mod tests {
         let Some(Out::Control(greeting)) = pair.client.poll_out() else { panic!("no hello") };
         damaged(&greeting, 1, 3000, |bytes| ServerSession::new(offer()).on_control(bytes));
         pair.server.on_control(&greeting);
-        let Some(Out::Control(welcome)) = pair.server.poll_out() else { panic!("no welcome") };
+        let Some(Out::Control(welcome)) = pair.server.poll_out(ServerTime(0)) else { panic!("no welcome") };
         damaged(&welcome, 2, 1000, |bytes| ClientSession::start(hello(), NOW).on_control(bytes));
         pair.client.on_control(&welcome);
         let ping = ClientDatagram::ClockPing { client_send: NOW }.encode();
         damaged(&ping, 3, 1000, |bytes| pair.server.on_datagram(bytes, ServerTime(0)));
         pair.server.on_datagram(&ping, ServerTime(0));
-        while let Some(out) = pair.server.poll_out() {
+        while let Some(out) = pair.server.poll_out(ServerTime(0)) {
             let Out::Datagram(pong) = out else { panic!("only pongs") };
             damaged(&pong, 4, 10, |bytes| pair.client.on_datagram(bytes, NOW));
         }

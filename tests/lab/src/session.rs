@@ -348,7 +348,8 @@ impl Lab {
                 Out::Stream { .. } => bail!("the client opened a stream"),
             }
         }
-        while let Some(out) = self.server.session.poll_out() {
+        let now = ServerTime(self.pair.now_ns() - SERVER_EPOCH_NS);
+        while let Some(out) = self.server.session.poll_out(now) {
             match out {
                 Out::Control(message) => self.pair.server.send_control(server, &message)?,
                 Out::Datagram(bytes) => drop(self.pair.server.send_datagram(server, &bytes)),
