@@ -2,6 +2,7 @@
 //! barriers between the stages.
 
 use crate::animation::gpu::Animation;
+use crate::choice::{Notice, Room, Shortage};
 use crate::culling::Culling;
 use crate::encode::{AccessUnit, EncodeError, Encoder, Planes};
 use crate::levels::Layout;
@@ -55,6 +56,8 @@ pub struct Frame {
     extents: Buffer,
     layout: Layout,
     residency: Residency,
+    room: Room,
+    shortage: Shortage,
     shadow: Shadow,
     shading: Shading,
     ycbcr: Ycbcr,
@@ -103,6 +106,7 @@ impl Frame {
         let shadow = Shadow::new(gpu, scene, &animation)?;
         let shading = Shading::new(gpu, scene, &animation, &shadow, welcome.atlas_extent_texels)?;
         let ycbcr = Ycbcr::new(gpu, &shading.atlas)?;
+        let room = Room { patches: welcome.patch_slots, vertices: welcome.vertex_slots };
         Ok(Self {
             extents: Buffer::new(
                 gpu,
@@ -110,8 +114,10 @@ impl Frame {
                 level_selection.extents.size(),
                 Memory::Readback,
             )?,
-            layout: Layout::new(welcome.atlas_extent_texels, scene.totals.patches as usize),
+            layout: Layout::new(welcome.atlas_extent_texels, scene.totals.patches as usize, room),
             residency: Residency::new(&samples, welcome.patch_slots, welcome.vertex_slots),
+            room,
+            shortage: Shortage::default(),
             gpu: gpu.clone(),
             scene: scene.clone(),
             grid: welcome.grid,
@@ -155,7 +161,8 @@ impl Frame {
     pub fn update(&mut self, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
         let Some(views) = self.head.predict(now, self.grid) else { return Ok(None) }; // 1
         self.see(&views)?; // 2 to 4, GPU
-        let changes = self.layout.place(&self.extents.values::<u32>()[..self.scene.totals.patches as usize]); // 4, 5
+        let extents = &self.extents.values::<u32>()[..self.scene.totals.patches as usize];
+        let changes = self.layout.place(&self.samples, extents); // 4, 5
         self.shade(&views)?; // 6, GPU
         let frame = self.next;
         let window = UpdateWindow {
@@ -166,6 +173,7 @@ impl Frame {
             horizon: views.horizon,
         };
         let delta = self.residency.update(&self.samples, &changes, window); // 8
+        self.tell_what_is_missing();
         self.next = frame.next();
         self.update_times.push_back((frame, now));
         if self.update_times.len() > REMEMBERED_UPDATES {
@@ -242,6 +250,27 @@ impl Frame {
     /// The client's memory.
     pub fn residency(&self) -> &Residency {
         &self.residency
+    }
+
+    /// Patches in view that were not shown, for want of a block or of a free slot, summed over all updates.
+    pub fn dropped_patches(&self) -> u64 {
+        self.shortage.total()
+    }
+
+    fn tell_what_is_missing(&mut self) {
+        match self.shortage.update(self.layout.dropped() + self.residency.waiting()) {
+            Some(Notice::Begins(count)) => tracing::warn!(
+                "{count} patches in view are not shown, those smallest on screen: the client holds {} patches and {} vertices at most",
+                self.room.patches,
+                self.room.vertices
+            ),
+            Some(Notice::Ends(worst)) => {
+                tracing::warn!(
+                    "all patches in view are shown again; {worst} were missing in the worst update"
+                );
+            }
+            None => {}
+        }
     }
 
     /// How the head moves and how long the way to the display is.

@@ -3,6 +3,7 @@
 pub mod animation;
 pub mod atlas;
 pub mod camera;
+pub mod choice;
 pub mod culling;
 pub mod encode;
 pub mod frame;

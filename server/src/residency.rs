@@ -6,6 +6,7 @@
 
 use crate::levels::PlacementChange;
 use glam::Vec3;
+use shadecast_protocol::atlas::Block;
 use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch};
 use shadecast_protocol::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
 use shadecast_protocol::samples::quantise;
@@ -18,6 +19,8 @@ const RETAIN_UPDATES: u32 = 300;
 /// Free slots under which retained patches go at once.
 const LOW_WATER: usize = 4096;
 const NONE: u32 = u32::MAX;
+/// Most vertices of a patch.
+pub(crate) const MAX_CORNERS: usize = shadecast_protocol::limits::PATCH_MAX_VERTICES as usize;
 
 /// What the residency must know of one instance; scene-wide numbers.
 #[derive(Clone, Copy, Debug)]
@@ -104,7 +107,8 @@ pub struct Residency {
     sampled: BTreeMap<u32, u32>,
     /// Last grid point sent for every sampled vertex.
     sent_until: Option<GridIndex>,
-    refused: u64,
+    /// Patches with a block that found no slot free; they try again with each update.
+    waiting: BTreeMap<u32, Block>,
 }
 
 impl Residency {
@@ -119,7 +123,7 @@ impl Residency {
             retained: BTreeMap::new(),
             sampled: BTreeMap::new(),
             sent_until: None,
-            refused: 0,
+            waiting: BTreeMap::new(),
         }
     }
 
@@ -142,14 +146,30 @@ impl Residency {
         }
         self.forget_old(geometry, window.frame, &mut delta);
         let mut fresh = Vec::new();
-        for change in changes.iter().filter(|c| c.block.is_some()) {
-            let Some(slot) = self.admit(geometry, change.patch, &mut delta, &mut fresh) else { continue };
-            delta.placements.push((PatchSlot(slot), change.block));
+        for (patch, block) in self.coming(changes) {
+            match self.admit(geometry, patch, &mut delta, &mut fresh) {
+                Some(slot) => delta.placements.push((PatchSlot(slot), Some(block))),
+                None => drop(self.waiting.insert(patch, block)),
+            }
         }
         sort(&mut delta);
         fresh.sort_unstable();
         self.sample(geometry, &fresh, window, &mut delta);
         delta
+    }
+
+    /// Patches that get a block or another one, and those that still wait for a slot: large blocks first.
+    fn coming(&mut self, changes: &[PlacementChange]) -> Vec<(u32, Block)> {
+        let mut waiting = std::mem::take(&mut self.waiting);
+        for PlacementChange { patch, block } in changes {
+            match block {
+                Some(block) => waiting.insert(*patch, *block),
+                None => waiting.remove(patch),
+            };
+        }
+        let mut coming: Vec<(u32, Block)> = waiting.into_iter().collect();
+        coming.sort_by_key(|(_, block)| std::cmp::Reverse(block.size.texels()));
+        coming
     }
 
     fn lose_block(
@@ -161,11 +181,9 @@ impl Residency {
     ) {
         let slot = self.slot_of_patch[patch as usize];
         if slot == NONE {
-            return; // it was refused when it came
+            return; // it waited for a slot
         }
-        let range = geometry.instance(geometry.instance_of_patch(patch));
-        let moves = corners(geometry.patch(patch))
-            .any(|v| geometry.static_position(range.first_vertex + v).is_none());
+        let moves = vertices_of_patch(geometry, patch).any(|v| geometry.static_position(v).is_none());
         if moves {
             self.evict(geometry, patch, frame, delta);
         } else {
@@ -195,9 +213,8 @@ impl Residency {
         let slot = std::mem::replace(&mut self.slot_of_patch[patch as usize], NONE);
         delta.evicted_patches.push(PatchSlot(slot));
         self.patch_slots.leave(frame, slot);
-        let range = geometry.instance(geometry.instance_of_patch(patch));
-        for corner in corners(geometry.patch(patch)) {
-            let (vertex_slot, users) = &mut self.vertices[(range.first_vertex + corner) as usize];
+        for vertex in vertices_of_patch(geometry, patch) {
+            let (vertex_slot, users) = &mut self.vertices[vertex as usize];
             *users -= 1;
             if *users == 0 {
                 delta.evicted_vertices.push(VertexSlot(*vertex_slot));
@@ -209,7 +226,7 @@ impl Residency {
     }
 
     /// The slot of a patch that has a block, after bringing it and its vertices in where they are not there yet.
-    /// `None` where the client's memory is full: the patch is not shown, and counted.
+    /// `None` where the client's memory is full: the patch waits.
     fn admit(
         &mut self,
         geometry: &impl Geometry,
@@ -222,8 +239,9 @@ impl Residency {
         if known != NONE {
             return Some(known);
         }
-        if self.vertex_slots.free.len() < 5 || self.patch_slots.free.is_empty() {
-            self.refused += 1;
+        let lacking =
+            vertices_of_patch(geometry, patch).filter(|v| self.vertices[*v as usize].1 == 0).count();
+        if self.vertex_slots.free.len() < lacking {
             return None;
         }
         let slot = self.patch_slots.take()?;
@@ -264,7 +282,7 @@ impl Residency {
         if *users > 1 {
             return *slot;
         }
-        *slot = self.vertex_slots.take().expect("checked by admit: five are free");
+        *slot = self.vertex_slots.take().expect("checked by admit: there are enough");
         let motion = match geometry.static_position(vertex) {
             Some(position) => Motion::Static { position },
             None => {
@@ -307,14 +325,20 @@ impl Residency {
         self.sampled.iter().map(|(slot, vertex)| (VertexSlot(*slot), *vertex))
     }
 
-    /// Patches that found the client's memory full, summed over all updates.
-    pub fn refused(&self) -> u64 {
-        self.refused
+    /// Patches with a block that are not shown, because the client's memory is full or not yet free again.
+    pub fn waiting(&self) -> usize {
+        self.waiting.len()
     }
 }
 
 fn corners(patch: Patch) -> impl Iterator<Item = u32> {
     patch.vertices.into_iter().take(patch.kind.vertex_count())
+}
+
+/// Scene-wide numbers of a patch's vertices.
+pub(crate) fn vertices_of_patch(geometry: &impl Geometry, patch: u32) -> impl Iterator<Item = u32> {
+    let first = geometry.instance(geometry.instance_of_patch(patch)).first_vertex;
+    corners(geometry.patch(patch)).map(move |corner| first + corner)
 }
 
 fn push_batch(
@@ -344,10 +368,68 @@ fn sort(delta: &mut GeometryDelta) {
     delta.instances.sort_unstable_by_key(|i| i.instance);
 }
 
+/// Static geometry for tests that care for no place.
+#[cfg(test)]
+pub(crate) mod test_geometry {
+    use super::*;
+    use shadecast_protocol::atlas::PatchKind;
+
+    fn triangle(vertices: [u32; 3]) -> Patch {
+        let [a, b, c] = vertices;
+        Patch { vertices: [a, b, c, a, a], kind: PatchKind::One, material: 0, double_sided: false }
+    }
+
+    macro_rules! geometry {
+        ($(#[$doc:meta])* $name:ident, $corners:expr, $vertices:expr) => {
+            $(#[$doc])*
+            pub(crate) struct $name {
+                pub patches: u32,
+            }
+
+            impl Geometry for $name {
+                fn instance_of_patch(&self, _: u32) -> u16 {
+                    0
+                }
+                fn instance(&self, _: u16) -> InstanceRange {
+                    InstanceRange { first_patch: 0, first_vertex: 0 }
+                }
+                fn patch(&self, patch: u32) -> Patch {
+                    triangle($corners(patch))
+                }
+                fn static_position(&self, _: u32) -> Option<Vec3> {
+                    Some(Vec3::ZERO)
+                }
+                fn sample(&self, _: GridIndex, _: u32) -> Vec3 {
+                    Vec3::ZERO
+                }
+                fn vertex_count(&self) -> usize {
+                    $vertices(self.patches) as usize
+                }
+                fn patch_count(&self) -> usize {
+                    self.patches as usize
+                }
+            }
+        };
+    }
+
+    geometry!(
+        /// Triangles with nothing in common.
+        Loose,
+        |patch: u32| [3 * patch, 3 * patch + 1, 3 * patch + 2],
+        |patches: u32| 3 * patches
+    );
+    geometry!(
+        /// Triangles side by side around vertex 0.
+        Fan,
+        |patch: u32| [0, patch + 1, patch + 2],
+        |patches: u32| patches + 2
+    );
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use shadecast_protocol::atlas::{Block, PatchKind};
+    use shadecast_protocol::atlas::{BlockSize, PatchKind};
     use shadecast_protocol::delta::{SampleCoder, SampleDecoder, decode, encode};
     use std::collections::HashMap;
 
@@ -493,7 +575,7 @@ mod tests {
             assert_eq!(blocks, run.live.len(), "seed {SEED}, frame {}", run.frame);
             run.residency.displayed(FrameId(run.frame - 1));
         }
-        assert_eq!(run.residency.refused(), 0);
+        assert_eq!(run.residency.waiting(), 0);
     }
 
     #[test]
@@ -534,13 +616,6 @@ mod tests {
     #[test]
     fn static_geometry_out_of_sight_stays_for_a_while_and_costs_nothing_when_it_returns() {
         let mut residency = Residency::new(&Strip, 8192, 8192);
-        let window = |frame: u32| UpdateWindow {
-            frame: FrameId(frame),
-            time: ServerTime(0),
-            first_sample: GridIndex(0),
-            oldest: GridIndex(0),
-            horizon: GridIndex(3),
-        };
         let change = |block| [PlacementChange { patch: 3, block }];
         residency.update(&Strip, &change(block(3)), window(0));
         let lost = residency.update(&Strip, &change(None), window(1));
@@ -549,20 +624,49 @@ mod tests {
         assert!(back.new_patches.is_empty() && back.new_vertices.is_empty() && back.placements.len() == 1);
     }
 
-    #[test]
-    fn a_full_client_memory_refuses_and_counts_instead_of_failing() {
-        let mut residency = Residency::new(&Strip, 8, 8);
-        let changes: Vec<_> = (0..50).map(|patch| PlacementChange { patch, block: block(patch) }).collect();
-        let window = UpdateWindow {
-            frame: FrameId(0),
+    fn window(frame: u32) -> UpdateWindow {
+        UpdateWindow {
+            frame: FrameId(frame),
             time: ServerTime(0),
             first_sample: GridIndex(0),
             oldest: GridIndex(0),
             horizon: GridIndex(3),
-        };
-        let delta = residency.update(&Strip, &changes, window);
-        assert!(delta.new_vertices.len() <= 8 && residency.refused() > 0);
+        }
+    }
+
+    fn sized(patch: u32, log2: u8) -> PlacementChange {
+        let size = BlockSize::new(log2, log2).expect("in range");
+        PlacementChange { patch, block: Some(Block { size, ..block(patch).expect("a block") }) }
+    }
+
+    #[test]
+    fn a_full_client_memory_takes_the_largest_blocks_and_lets_the_others_wait() {
+        let mut residency = Residency::new(&Strip, 8, 8);
+        let changes: Vec<_> = (0..50).map(|patch| sized(patch, if patch == 40 { 8 } else { 2 })).collect();
+        let delta = residency.update(&Strip, &changes, window(0));
+        assert!(delta.new_vertices.len() <= 8 && residency.waiting() == 50 - delta.new_patches.len());
+        assert!(residency.slot_of_patch[40] != NONE, "the largest is there");
         let gone: Vec<_> = changes.iter().map(|c| PlacementChange { block: None, ..*c }).collect();
-        residency.update(&Strip, &gone, UpdateWindow { frame: FrameId(1), ..window });
+        residency.update(&Strip, &gone, window(1));
+        assert_eq!(residency.waiting(), 0, "what lost its block waits no longer");
+    }
+
+    #[test]
+    fn what_waits_comes_in_as_soon_as_slots_are_free_though_its_block_has_not_changed() {
+        let mut residency = Residency::new(&Strip, 8, 8);
+        residency.update(&Strip, &[sized(0, 4), sized(1, 4), sized(2, 4)], window(0));
+        residency.update(&Strip, &[sized(10, 4)], window(1));
+        assert_eq!(residency.waiting(), 1, "three quads side by side take eight vertices");
+        let lost = [0, 1, 2].map(|patch| PlacementChange { patch, block: None });
+        let mut came = residency.update(&Strip, &lost, window(2));
+        for frame in 3..8 {
+            assert!(came.new_patches.is_empty() || frame > 3);
+            residency.displayed(FrameId(frame - 1));
+            came = residency.update(&Strip, &[], window(frame));
+            if !came.new_patches.is_empty() {
+                break;
+            }
+        }
+        assert_eq!((came.new_patches.len(), came.placements.len(), residency.waiting()), (1, 1, 0));
     }
 }

@@ -81,6 +81,8 @@ pub struct StreamStats {
     pub samples: u64,
     /// How often the atlas was full.
     pub coarsened: u32,
+    /// Patches in view that were not shown for want of room, summed over the updates for the last client.
+    pub dropped_patches: u64,
     /// Clients accepted.
     pub clients: u32,
     /// Mean milliseconds per update by GPU stage.
@@ -451,6 +453,7 @@ impl<'a> Pipeline<'a> {
             println!("First update sent");
         }
         self.stats.coarsened = client.frame.layout().coarsened();
+        self.stats.dropped_patches = client.frame.dropped_patches();
         let now_ns = monotonic_now_ns();
         self.first_ns.get_or_insert(now_ns);
         self.last_ns = now_ns;
