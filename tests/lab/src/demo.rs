@@ -1,11 +1,14 @@
-//! `shadecast-lab demo`: server and client as a user runs them, two processes on loopback in real time, with the mock
-//! runtime behind the system's OpenXR loader; then the same pictures by the ground-truth renderer.
+//! `shadecast-lab demo`: first server and client as a user runs them, two processes on loopback in real time, with the mock
+//! runtime behind the system's OpenXR loader; then the same scene in virtual time, as a fast machine shows it. Both are
+//! compared with the ground truth, and put on one sheet and one page that say which is which.
 
 use crate::compare::Comparer;
 use crate::image::Rgb8Image;
 use crate::metrics::ProbeView;
 use crate::options::RunOptions;
-use crate::run::{compare, mock_config, prepare_runtime, progress, write_pictures};
+use crate::page::Page;
+use crate::run::{compare, mock_config, prepare_runtime, progress, run, write_pictures};
+use crate::sheet::Sheet;
 use crate::stats::{Counted, MbitPerS, Stats, Summary};
 use anyhow::{Context, bail, ensure};
 use serde_json::Value;
@@ -26,6 +29,12 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_secs(120);
 /// Display frames between two that are captured: captures wait for the GPU, so they are few.
 const CAPTURE_EVERY: u32 = 8;
+/// Display frames per second of virtual time: those of a common headset, since no machine is too slow for them.
+const VIRTUAL_REFRESH_HZ: f64 = 72.0;
+/// Moments of virtual time that the page offers.
+const MOMENTS: f64 = 8.0;
+/// Where the real-time half's files are, in the demo's folder.
+const REAL_TIME: &str = "real-time";
 
 /// What to show.
 #[derive(Clone, Debug)]
@@ -36,8 +45,10 @@ pub struct DemoOptions {
     pub out: PathBuf,
     /// Pixels per eye.
     pub extent_pixels: [u32; 2],
-    /// Seconds of display.
+    /// Seconds of display in real time.
     pub seconds: f64,
+    /// Seconds of virtual time.
+    pub virtual_seconds: f64,
     /// Display frames per second.
     pub refresh_hz: f64,
     /// Validation layers in both processes.
@@ -111,41 +122,144 @@ fn program(name: &str) -> anyhow::Result<PathBuf> {
     Ok(path)
 }
 
-/// Runs the demo.
+/// What both halves measured.
+#[derive(Clone, Debug)]
+pub struct DemoReport {
+    /// Two processes, on this machine as fast as it is.
+    pub real_time: Stats,
+    /// The same scene on the virtual clock.
+    pub virtual_time: Stats,
+}
+
+/// Runs the demo: writes `index.html`, `sheet.png`, `stats.json` and pictures into `options.out`, and those of the real-time
+/// half into its folder `real-time`.
 ///
 /// # Errors
 /// A program is missing or fails, or nothing was shown.
-pub fn demo(options: &DemoOptions) -> anyhow::Result<Stats> {
+pub fn demo(options: &DemoOptions) -> anyhow::Result<DemoReport> {
     let out = std::path::absolute(&options.out)?;
     clear(&out)?;
-    std::fs::create_dir_all(&out).with_context(|| format!("making {}", out.display()))?;
+    let real_out = out.join(REAL_TIME);
+    std::fs::create_dir_all(&real_out).with_context(|| format!("making {}", real_out.display()))?;
+    println!("1 of 2: server and client as two processes over loopback, in real time");
+    let real_time = in_real_time(options, &real_out)?;
+    println!(
+        "  the real path works: {:.1} updates/s, {:.1} display frames/s on this machine",
+        real_time.server_fps, real_time.client_fps
+    );
+    println!("2 of 2: the same scene in virtual time, as a fast machine shows it");
+    let run_options = virtual_options(options, &out);
+    let virtual_time = run(&run_options)?.stats;
+    write_sheet(options, &out, &virtual_time, &real_time)?;
+    write_page(options, &out)?;
+    Ok(DemoReport { real_time, virtual_time })
+}
+
+fn in_real_time(options: &DemoOptions, out: &Path) -> anyhow::Result<Stats> {
     let run = RunOptions {
         extent_pixels: options.extent_pixels,
         seconds: 0.0, // the session ends when the client is asked to
         refresh_hz: options.refresh_hz,
-        ..RunOptions::new(options.scene.clone(), out.clone())
+        ..RunOptions::new(options.scene.clone(), out.to_owned())
     };
     let config = mock_config(&run, ClockKind::Real, CAPTURE_EVERY)?;
-    let runtime = prepare_runtime(&config, &out)?;
-    stream(options, &out, &runtime)?;
-    measure(options, &run, &out)
+    let runtime = prepare_runtime(&config, out)?;
+    stream(options, out, &runtime)?;
+    measure(options, &run, out)
+}
+
+fn virtual_options(options: &DemoOptions, out: &Path) -> RunOptions {
+    let frames = options.virtual_seconds * VIRTUAL_REFRESH_HZ;
+    RunOptions {
+        extent_pixels: options.extent_pixels,
+        seconds: options.virtual_seconds,
+        refresh_hz: VIRTUAL_REFRESH_HZ,
+        dump_every: (frames / MOMENTS).floor().max(1.0) as u32,
+        motion: true,
+        validation: options.validation,
+        verbose: true,
+        ..RunOptions::new(options.scene.clone(), out.to_owned())
+    }
 }
 
 /// Takes away what an earlier demo left in `out`, and nothing else.
 fn clear(out: &Path) -> anyhow::Result<()> {
-    for folder in ["capture", "probe"] {
+    for folder in ["capture", "probe", REAL_TIME] {
         let path = out.join(folder);
         if path.exists() {
             std::fs::remove_dir_all(&path).with_context(|| format!("clearing {}", path.display()))?;
         }
     }
-    for file in ["atlas.png", "stats.json", "server.json", "client.json"] {
-        let path = out.join(file);
+    let files = ["atlas.png", "index.html", "motion.json", "sheet.png", "stats.json"];
+    let paths = files.iter().map(|file| out.join(file));
+    for path in paths.chain(dumped(out).into_iter().flat_map(|moment| moment_files(out, moment))) {
         if path.exists() {
             std::fs::remove_file(&path).with_context(|| format!("clearing {}", path.display()))?;
         }
     }
     Ok(())
+}
+
+/// Numbers of the display frames whose pictures lie in `out`, in order.
+fn dumped(out: &Path) -> Vec<u64> {
+    let names = std::fs::read_dir(out).into_iter().flatten().flatten().map(|entry| entry.file_name());
+    let number = |name: &str| name.strip_prefix("client-")?.strip_suffix("-left.png")?.parse().ok();
+    let mut moments: Vec<u64> = names.filter_map(|name| number(name.to_str()?)).collect();
+    moments.sort_unstable();
+    moments
+}
+
+fn moment_files(out: &Path, moment: u64) -> impl Iterator<Item = PathBuf> {
+    let names = ["client", "truth"].into_iter().flat_map(|kind| ["left", "right"].map(|side| (kind, side)));
+    names.map(move |(kind, side)| out.join(format!("{kind}-{moment:06}-{side}.png")))
+}
+
+/// One sheet with both halves, each under its name.
+fn write_sheet(
+    options: &DemoOptions,
+    out: &Path,
+    virtual_time: &Stats,
+    real_time: &Stats,
+) -> anyhow::Result<()> {
+    let cell = options.extent_pixels.map(|side| side.clamp(256, 384));
+    let mut sheet = Sheet::new(&format!("Shadecast: {}", options.scene), 3, cell);
+    let note = "Server, network and client on one simulated clock: what a machine with a fast GPU shows. Link of 20 \u{b1} 5 ms \
+                and 100 Mbit/s, 30 updates and 72 display frames per second.";
+    sheet.section("Virtual time", &format!("{note} {}.", virtual_time.in_words()));
+    add_eyes(&mut sheet, out)?;
+    let atlas = Rgb8Image::read_png(&out.join("atlas.png"))?;
+    sheet.add("Shading atlas", &atlas, "All surfaces in reach, shaded once, sent as video.")?;
+    let note = format!(
+        "Two processes over loopback on this machine ({}): {:.1} updates and {:.1} display frames per second.",
+        real_time.device, real_time.server_fps, real_time.client_fps
+    );
+    sheet.section("Real time", &format!("{note} {}.", real_time.in_words()));
+    add_eyes(&mut sheet, &out.join(REAL_TIME))?;
+    sheet.render()?.write_png(&out.join("sheet.png"))?;
+    Ok(())
+}
+
+/// Client, truth and difference of both eyes, from the files of a run.
+fn add_eyes(sheet: &mut Sheet, folder: &Path) -> anyhow::Result<()> {
+    for (side, name) in [("left", "Left eye"), ("right", "Right eye")] {
+        let [client, truth] =
+            ["client", "truth"].map(|kind| Rgb8Image::read_png(&folder.join(format!("{kind}-{side}.png"))));
+        crate::run::add_eye(sheet, name, &client?, &truth?)?;
+    }
+    Ok(())
+}
+
+fn write_page(options: &DemoOptions, out: &Path) -> anyhow::Result<()> {
+    let page = Page {
+        scene: options.scene.to_string(),
+        moments: dumped(out),
+        refresh_hz: VIRTUAL_REFRESH_HZ,
+        virtual_time: read_json(&out.join("stats.json"))?,
+        real_time: read_json(&out.join(REAL_TIME).join("stats.json"))?,
+        motion: read_json(&out.join("motion.json")).unwrap_or(Value::Null),
+    };
+    let path = out.join("index.html");
+    std::fs::write(&path, page.html()).with_context(|| format!("writing {}", path.display()))
 }
 
 /// Runs both processes to their end.
@@ -274,7 +388,7 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
     });
     stats.write_json(&run.out.join("stats.json"))?;
     let atlas = Rgb8Image::read_png(&out.join("atlas.png")).ok();
-    write_pictures(out, &shown, &truth, atlas.as_ref())?;
+    write_pictures(out, &shown, &truth, atlas.as_ref(), &stats)?;
     Ok(stats)
 }
 

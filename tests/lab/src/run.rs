@@ -2,7 +2,7 @@
 
 use crate::compare::{Comparer, Shown};
 use crate::image::Rgb8Image;
-use crate::metrics::{FrameMetrics, ProbeView};
+use crate::metrics::{FrameMetrics, ProbeView, psnr_db};
 use crate::motion::{Motion, MotionReport};
 use crate::options::{Head, Renderer, RunOptions};
 use crate::session::{Lab, SERVER_EPOCH_NS, START_NS, Server};
@@ -250,7 +250,7 @@ impl Run<'_> {
             None => None,
         };
         if let Some([client, truth]) = &self.last {
-            write_pictures(&self.options.out, client, truth, atlas.as_ref())?;
+            write_pictures(&self.options.out, client, truth, atlas.as_ref(), &stats)?;
         }
         let motion = self.motion.report();
         if let Some(motion) = &motion {
@@ -339,24 +339,42 @@ pub fn write_pictures(
     client: &[Rgb8Image; 2],
     truth: &[Rgb8Image; 2],
     atlas: Option<&Rgb8Image>,
+    stats: &Stats,
 ) -> anyhow::Result<()> {
-    let cell = [client[0].width, client[0].height].map(|side| side.clamp(192, 384));
-    let mut sheet = Sheet::new("SHADECAST", 3, cell);
-    for (eye, side) in ["left", "right"].into_iter().enumerate() {
-        let different = difference(&truth[eye], &client[eye], 4.0);
+    let cell = [client[0].width, client[0].height].map(|side| side.clamp(256, 384));
+    let mut sheet = Sheet::new("Shadecast", 3, cell);
+    sheet.section("", &format!("{}.", stats.in_words()));
+    for (eye, (side, name)) in [("left", "Left eye"), ("right", "Right eye")].into_iter().enumerate() {
         client[eye].write_png(&out.join(format!("client-{side}.png")))?;
         truth[eye].write_png(&out.join(format!("truth-{side}.png")))?;
+        let different = add_eye(&mut sheet, name, &client[eye], &truth[eye])?;
         different.write_png(&out.join(format!("difference-{side}.png")))?;
-        sheet.add(&format!("{side} eye: client"), &client[eye])?;
-        sheet.add(&format!("{side} eye: truth"), &truth[eye])?;
-        sheet.add(&format!("{side} eye: difference x4"), &different)?;
     }
     if let Some(atlas) = atlas {
         atlas.write_png(&out.join("atlas.png"))?;
-        sheet.add("shading atlas", atlas)?;
+        sheet.add("Shading atlas", atlas, "All surfaces in reach, shaded once, sent as video.")?;
     }
     sheet.render()?.write_png(&out.join("sheet.png"))?;
     Ok(())
+}
+
+/// How many times brighter differences are drawn.
+const DIFFERENCE_GAIN: f32 = 4.0;
+
+/// Adds client, truth and their difference, which is given back.
+pub fn add_eye(
+    sheet: &mut Sheet,
+    name: &str,
+    client: &Rgb8Image,
+    truth: &Rgb8Image,
+) -> anyhow::Result<Rgb8Image> {
+    let different = difference(truth, client, DIFFERENCE_GAIN);
+    let psnr_db = psnr_db(truth, client, &vec![true; truth.pixel_count()]);
+    sheet.add(&format!("{name}: client"), client, "What the headset shows.")?;
+    sheet.add(&format!("{name}: truth"), truth, "The same pose and moment, rendered per pixel.")?;
+    let note = format!("This picture, background included: {psnr_db:.1} dB.");
+    sheet.add(&format!("{name}: difference, {DIFFERENCE_GAIN} times amplified"), &different, &note)?;
+    Ok(different)
 }
 
 #[cfg(test)]

@@ -1,69 +1,166 @@
-//! A contact sheet: everything that a run shows, titled, in one picture.
+//! A contact sheet: everything that a run shows, captioned, in one picture, with its figures below the pictures.
 //!
-//! Made for looking, not for measuring: thumbnails are averages of sRGB bytes, and the font knows capitals only.
+//! Made for looking, not for measuring: thumbnails are averages of sRGB bytes.
 
 use crate::image::{ImageError, Rgb8Image};
+use crate::typeface::{Typeface, WIDEST_GLYPH_EM};
 
 const BACKGROUND: [u8; 3] = [24, 24, 28];
 const TEXT: [u8; 3] = [235, 235, 235];
-const MARGIN_PIXELS: u32 = 12;
-/// Pixels of the sheet for one of the font.
-const TEXT_SCALE: u32 = 2;
-const GLYPH_WIDTH: u32 = 5;
-const GLYPH_HEIGHT: u32 = 7;
-/// What a line of text takes, with the space below it.
-const LINE_PIXELS: u32 = (GLYPH_HEIGHT + 3) * TEXT_SCALE;
+const QUIET_TEXT: [u8; 3] = [168, 170, 180];
+const MARGIN_PIXELS: u32 = 16;
+const TITLE_PIXELS: u32 = 30;
+const HEADING_PIXELS: u32 = 21;
+const CAPTION_PIXELS: u32 = 17;
+const NOTE_PIXELS: u32 = 15;
 
-/// Titled pictures in a grid, filled row by row.
+/// Captioned pictures in sections, each a grid that is filled row by row.
 #[derive(Clone, Debug)]
 pub struct Sheet {
     title: String,
     columns: u32,
     cell_extent_pixels: [u32; 2],
-    cells: Vec<(String, Rgb8Image)>,
+    sections: Vec<Section>,
+}
+
+#[derive(Clone, Debug)]
+struct Section {
+    heading: String,
+    note: String,
+    cells: Vec<Cell>,
+}
+
+#[derive(Clone, Debug)]
+struct Cell {
+    caption: String,
+    note: String,
+    image: Rgb8Image,
+}
+
+/// One line of text of the sheet, where it begins.
+#[derive(Clone, Debug, PartialEq)]
+struct Line {
+    left: u32,
+    top: u32,
+    pixels: u32,
+    colour: [u8; 3],
+    text: String,
+}
+
+/// Where everything stands.
+#[derive(Clone, Debug, Default)]
+struct Layout {
+    lines: Vec<Line>,
+    /// Section, cell, left and top.
+    images: Vec<([usize; 2], [u32; 2])>,
+    height: u32,
 }
 
 impl Sheet {
     /// An empty sheet of so many columns (at least 1), with room for pictures of `cell_extent_pixels` each.
     pub fn new(title: &str, columns: u32, cell_extent_pixels: [u32; 2]) -> Self {
-        Self { title: title.to_owned(), columns: columns.max(1), cell_extent_pixels, cells: Vec::new() }
+        Self { title: title.to_owned(), columns: columns.max(1), cell_extent_pixels, sections: Vec::new() }
     }
 
-    /// Adds a picture in the next cell, made smaller if it does not fit.
-    pub fn add(&mut self, title: &str, image: &Rgb8Image) -> Result<(), ImageError> {
-        let thumbnail = thumbnail(image, self.cell_extent_pixels)?;
-        self.cells.push((title.to_owned(), thumbnail));
+    /// Begins a section: pictures that are added from now on stand below its heading and note.
+    pub fn section(&mut self, heading: &str, note: &str) {
+        self.sections.push(Section { heading: heading.into(), note: note.into(), cells: Vec::new() });
+    }
+
+    /// Adds a picture in the next cell, made smaller if it does not fit, with a caption above and a note below it.
+    ///
+    /// # Errors
+    /// The picture is empty or too large.
+    pub fn add(&mut self, caption: &str, image: &Rgb8Image, note: &str) -> Result<(), ImageError> {
+        if self.sections.is_empty() {
+            self.section("", "");
+        }
+        let image = thumbnail(image, self.cell_extent_pixels)?;
+        if let Some(section) = self.sections.last_mut() {
+            section.cells.push(Cell { caption: caption.into(), note: note.into(), image });
+        }
         Ok(())
     }
 
-    /// Leaves the next cell empty.
-    pub fn skip(&mut self) {
-        let nothing = Rgb8Image { width: 0, height: 0, data: Vec::new() };
-        self.cells.push((String::new(), nothing));
-    }
-
     /// Draws the sheet.
+    ///
+    /// # Errors
+    /// The sheet would be too large for a picture.
     pub fn render(&self) -> Result<Rgb8Image, ImageError> {
-        let rows = (self.cells.len() as u32).div_ceil(self.columns);
-        let [pitch_x, pitch_y] = self.pitch_pixels();
-        let width = MARGIN_PIXELS.saturating_add(pitch_x.saturating_mul(self.columns));
-        let top = MARGIN_PIXELS + LINE_PIXELS;
-        let height = top.saturating_add(pitch_y.saturating_mul(rows)).saturating_add(MARGIN_PIXELS);
-        let mut sheet = Rgb8Image::filled(width, height, BACKGROUND)?;
-        draw_text(&mut sheet, MARGIN_PIXELS, MARGIN_PIXELS, &self.title);
-        for (at, (title, image)) in (0u32..).zip(&self.cells) {
-            let left = MARGIN_PIXELS + at % self.columns * pitch_x;
-            let top = top + at / self.columns * pitch_y;
-            draw_text(&mut sheet, left, top, &shortened(title, self.cell_extent_pixels[0]));
-            draw_image(&mut sheet, left, top + LINE_PIXELS, image);
+        let typeface = Typeface::new();
+        let layout = self.layout(&typeface);
+        let mut sheet = Rgb8Image::filled(self.width_pixels(), layout.height, BACKGROUND)?;
+        for ([section, cell], at) in layout.images {
+            draw_image(&mut sheet, at, &self.sections[section].cells[cell].image);
+        }
+        for line in layout.lines {
+            typeface.draw(&mut sheet, [line.left, line.top], line.pixels, line.colour, &line.text);
         }
         Ok(sheet)
     }
 
-    /// The distance between two cells.
-    fn pitch_pixels(&self) -> [u32; 2] {
-        let [width, height] = self.cell_extent_pixels;
-        [width.saturating_add(MARGIN_PIXELS), height.saturating_add(LINE_PIXELS + MARGIN_PIXELS)]
+    fn width_pixels(&self) -> u32 {
+        MARGIN_PIXELS.saturating_add((self.cell_width() + MARGIN_PIXELS).saturating_mul(self.columns))
+    }
+
+    /// Wide enough for one letter at least.
+    fn cell_width(&self) -> u32 {
+        self.cell_extent_pixels[0].max((CAPTION_PIXELS as f32 * WIDEST_GLYPH_EM) as u32)
+    }
+
+    fn layout(&self, typeface: &Typeface) -> Layout {
+        let mut layout = Layout { height: MARGIN_PIXELS, ..Layout::default() };
+        let page = self.width_pixels() - 2 * MARGIN_PIXELS;
+        layout.text(typeface, MARGIN_PIXELS, page, TITLE_PIXELS, TEXT, &self.title);
+        for (number, section) in self.sections.iter().enumerate() {
+            layout.text(typeface, MARGIN_PIXELS, page, HEADING_PIXELS, TEXT, &section.heading);
+            layout.text(typeface, MARGIN_PIXELS, page, NOTE_PIXELS, QUIET_TEXT, &section.note);
+            for (row, cells) in section.cells.chunks(self.columns as usize).enumerate() {
+                layout.height += MARGIN_PIXELS / 2;
+                self.row(typeface, &mut layout, cells, [number, row * self.columns as usize]);
+            }
+            layout.height += MARGIN_PIXELS;
+        }
+        layout
+    }
+
+    /// One row of cells: captions, pictures and notes each begin at one height.
+    fn row(&self, typeface: &Typeface, layout: &mut Layout, cells: &[Cell], [section, first]: [usize; 2]) {
+        let width = self.cell_width();
+        let lefts: Vec<u32> =
+            (0..cells.len() as u32).map(|column| MARGIN_PIXELS + column * (width + MARGIN_PIXELS)).collect();
+        layout.side_by_side(cells.iter().zip(&lefts), |layout, (cell, left)| {
+            layout.text(typeface, *left, width, CAPTION_PIXELS, TEXT, &cell.caption);
+        });
+        let top = layout.height;
+        for (at, left) in lefts.iter().enumerate() {
+            layout.images.push(([section, first + at], [*left, top]));
+        }
+        layout.height += cells.iter().map(|cell| cell.image.height).max().unwrap_or(0) + NOTE_PIXELS / 3;
+        layout.side_by_side(cells.iter().zip(&lefts), |layout, (cell, left)| {
+            layout.text(typeface, *left, width, NOTE_PIXELS, QUIET_TEXT, &cell.note);
+        });
+    }
+}
+
+impl Layout {
+    /// Sets text below what is there, wrapped at spaces to `width` pixels; empty text takes no room.
+    fn text(&mut self, typeface: &Typeface, left: u32, width: u32, pixels: u32, colour: [u8; 3], text: &str) {
+        for line in typeface.wrap(text, pixels, width) {
+            self.lines.push(Line { left, top: self.height, pixels, colour, text: line });
+            self.height += pixels * 4 / 3;
+        }
+    }
+
+    /// Sets every item from the same height on, and goes on below the longest.
+    fn side_by_side<T>(&mut self, items: impl Iterator<Item = T>, mut set: impl FnMut(&mut Self, T)) {
+        let (top, mut bottom) = (self.height, self.height);
+        for item in items {
+            self.height = top;
+            set(self, item);
+            bottom = bottom.max(self.height);
+        }
+        self.height = bottom;
     }
 }
 
@@ -115,108 +212,14 @@ fn average(image: &Rgb8Image, columns: &[(u32, f64)], rows: &[(u32, f64)]) -> [u
     sums.map(|sum: f64| (sum / total).round() as u8)
 }
 
-fn draw_image(sheet: &mut Rgb8Image, left: u32, top: u32, image: &Rgb8Image) {
+/// Copies a picture onto the sheet, its upper left corner at `left`, `top`.
+fn draw_image(sheet: &mut Rgb8Image, [left, top]: [u32; 2], image: &Rgb8Image) {
     for y in 0..image.height {
         for x in 0..image.width {
             sheet.set_pixel(left + x, top + y, image.pixel(x, y));
         }
     }
 }
-
-/// As much of a title as fits beside the next one.
-fn shortened(title: &str, width_pixels: u32) -> String {
-    let most = width_pixels / ((GLYPH_WIDTH + 1) * TEXT_SCALE);
-    title.chars().take(most as usize).collect()
-}
-
-/// Draws a line of text; what does not fit on the sheet is cut off.
-fn draw_text(sheet: &mut Rgb8Image, left: u32, top: u32, text: &str) {
-    for (at, character) in (0u32..).zip(text.chars()) {
-        let left = left + at * (GLYPH_WIDTH + 1) * TEXT_SCALE;
-        for (y, row) in (0u32..).zip(glyph(character)) {
-            for x in (0..GLYPH_WIDTH).filter(|x| row >> (GLYPH_WIDTH - 1 - x) & 1 == 1) {
-                draw_dot(sheet, left + x * TEXT_SCALE, top + y * TEXT_SCALE);
-            }
-        }
-    }
-}
-
-fn draw_dot(sheet: &mut Rgb8Image, left: u32, top: u32) {
-    for y in top..(top + TEXT_SCALE).min(sheet.height) {
-        for x in left..(left + TEXT_SCALE).min(sheet.width) {
-            sheet.set_pixel(x, y, TEXT);
-        }
-    }
-}
-
-/// Seven rows of five pixels, the leftmost in the highest bit. Unknown characters show as a question mark.
-fn glyph(character: char) -> [u8; GLYPH_HEIGHT as usize] {
-    let capital = character.to_ascii_uppercase();
-    let find = |wanted: char| FONT.iter().find(|(known, _)| *known == wanted).map(|(_, rows)| *rows);
-    match capital {
-        ' ' => [0; GLYPH_HEIGHT as usize],
-        _ => find(capital).or_else(|| find('?')).unwrap_or_default(),
-    }
-}
-
-/// Our own letters, five by seven.
-#[rustfmt::skip]
-const FONT: &[(char, [u8; GLYPH_HEIGHT as usize])] = &[
-    ('!', [0b00100, 0b00100, 0b00100, 0b00100, 0b00100, 0b00000, 0b00100]),
-    ('#', [0b01010, 0b01010, 0b11111, 0b01010, 0b11111, 0b01010, 0b01010]),
-    ('%', [0b11000, 0b11001, 0b00010, 0b00100, 0b01000, 0b10011, 0b00011]),
-    ('\'', [0b00100, 0b00100, 0b01000, 0b00000, 0b00000, 0b00000, 0b00000]),
-    ('(', [0b00010, 0b00100, 0b01000, 0b01000, 0b01000, 0b00100, 0b00010]),
-    (')', [0b01000, 0b00100, 0b00010, 0b00010, 0b00010, 0b00100, 0b01000]),
-    ('*', [0b00000, 0b10101, 0b01110, 0b11111, 0b01110, 0b10101, 0b00000]),
-    ('+', [0b00000, 0b00100, 0b00100, 0b11111, 0b00100, 0b00100, 0b00000]),
-    (',', [0b00000, 0b00000, 0b00000, 0b00000, 0b01100, 0b00100, 0b01000]),
-    ('-', [0b00000, 0b00000, 0b00000, 0b11111, 0b00000, 0b00000, 0b00000]),
-    ('.', [0b00000, 0b00000, 0b00000, 0b00000, 0b00000, 0b01100, 0b01100]),
-    ('/', [0b00001, 0b00001, 0b00010, 0b00100, 0b01000, 0b10000, 0b10000]),
-    ('0', [0b01110, 0b10001, 0b10011, 0b10101, 0b11001, 0b10001, 0b01110]),
-    ('1', [0b00100, 0b01100, 0b00100, 0b00100, 0b00100, 0b00100, 0b01110]),
-    ('2', [0b01110, 0b10001, 0b00001, 0b00010, 0b00100, 0b01000, 0b11111]),
-    ('3', [0b01110, 0b10001, 0b00001, 0b00110, 0b00001, 0b10001, 0b01110]),
-    ('4', [0b00010, 0b00110, 0b01010, 0b10010, 0b11111, 0b00010, 0b00010]),
-    ('5', [0b11111, 0b10000, 0b11110, 0b00001, 0b00001, 0b10001, 0b01110]),
-    ('6', [0b01110, 0b10000, 0b10000, 0b11110, 0b10001, 0b10001, 0b01110]),
-    ('7', [0b11111, 0b00001, 0b00010, 0b00100, 0b00100, 0b01000, 0b01000]),
-    ('8', [0b01110, 0b10001, 0b10001, 0b01110, 0b10001, 0b10001, 0b01110]),
-    ('9', [0b01110, 0b10001, 0b10001, 0b01111, 0b00001, 0b00001, 0b01110]),
-    (':', [0b00000, 0b01100, 0b01100, 0b00000, 0b01100, 0b01100, 0b00000]),
-    ('<', [0b00010, 0b00100, 0b01000, 0b10000, 0b01000, 0b00100, 0b00010]),
-    ('=', [0b00000, 0b00000, 0b11111, 0b00000, 0b11111, 0b00000, 0b00000]),
-    ('>', [0b01000, 0b00100, 0b00010, 0b00001, 0b00010, 0b00100, 0b01000]),
-    ('?', [0b01110, 0b10001, 0b00001, 0b00010, 0b00100, 0b00000, 0b00100]),
-    ('A', [0b01110, 0b10001, 0b10001, 0b11111, 0b10001, 0b10001, 0b10001]),
-    ('B', [0b11110, 0b10001, 0b10001, 0b11110, 0b10001, 0b10001, 0b11110]),
-    ('C', [0b01110, 0b10001, 0b10000, 0b10000, 0b10000, 0b10001, 0b01110]),
-    ('D', [0b11110, 0b10001, 0b10001, 0b10001, 0b10001, 0b10001, 0b11110]),
-    ('E', [0b11111, 0b10000, 0b10000, 0b11110, 0b10000, 0b10000, 0b11111]),
-    ('F', [0b11111, 0b10000, 0b10000, 0b11110, 0b10000, 0b10000, 0b10000]),
-    ('G', [0b01110, 0b10001, 0b10000, 0b10111, 0b10001, 0b10001, 0b01111]),
-    ('H', [0b10001, 0b10001, 0b10001, 0b11111, 0b10001, 0b10001, 0b10001]),
-    ('I', [0b01110, 0b00100, 0b00100, 0b00100, 0b00100, 0b00100, 0b01110]),
-    ('J', [0b00111, 0b00010, 0b00010, 0b00010, 0b00010, 0b10010, 0b01100]),
-    ('K', [0b10001, 0b10010, 0b10100, 0b11000, 0b10100, 0b10010, 0b10001]),
-    ('L', [0b10000, 0b10000, 0b10000, 0b10000, 0b10000, 0b10000, 0b11111]),
-    ('M', [0b10001, 0b11011, 0b10101, 0b10101, 0b10001, 0b10001, 0b10001]),
-    ('N', [0b10001, 0b11001, 0b11001, 0b10101, 0b10011, 0b10011, 0b10001]),
-    ('O', [0b01110, 0b10001, 0b10001, 0b10001, 0b10001, 0b10001, 0b01110]),
-    ('P', [0b11110, 0b10001, 0b10001, 0b11110, 0b10000, 0b10000, 0b10000]),
-    ('Q', [0b01110, 0b10001, 0b10001, 0b10001, 0b10101, 0b10010, 0b01101]),
-    ('R', [0b11110, 0b10001, 0b10001, 0b11110, 0b10100, 0b10010, 0b10001]),
-    ('S', [0b01111, 0b10000, 0b10000, 0b01110, 0b00001, 0b00001, 0b11110]),
-    ('T', [0b11111, 0b00100, 0b00100, 0b00100, 0b00100, 0b00100, 0b00100]),
-    ('U', [0b10001, 0b10001, 0b10001, 0b10001, 0b10001, 0b10001, 0b01110]),
-    ('V', [0b10001, 0b10001, 0b10001, 0b10001, 0b10001, 0b01010, 0b00100]),
-    ('W', [0b10001, 0b10001, 0b10001, 0b10101, 0b10101, 0b11011, 0b10001]),
-    ('X', [0b10001, 0b10001, 0b01010, 0b00100, 0b01010, 0b10001, 0b10001]),
-    ('Y', [0b10001, 0b10001, 0b01010, 0b00100, 0b00100, 0b00100, 0b00100]),
-    ('Z', [0b11111, 0b00001, 0b00010, 0b00100, 0b01000, 0b10000, 0b11111]),
-    ('_', [0b00000, 0b00000, 0b00000, 0b00000, 0b00000, 0b00000, 0b11111]),
-];
 
 #[cfg(test)]
 mod tests {
@@ -253,51 +256,57 @@ mod tests {
         assert_eq!((thin.width, thin.height), (20, 1));
     }
 
-    #[test]
-    fn pictures_stand_below_their_titles_in_rows() {
-        let mut sheet = Sheet::new("run", 2, [32, 16]);
-        for (title, grey) in [("a", 60), ("b", 90), ("c", 120)] {
-            sheet.add(title, &Rgb8Image::filled(32, 16, [grey; 3]).expect("a picture")).expect("it fits");
+    fn sheet_of(greys: &[u8]) -> Sheet {
+        let mut sheet = Sheet::new("A run", 2, [64, 16]);
+        sheet.section(
+            "Heading",
+            "A note that is longer than the sheet is wide, so that it takes several lines",
+        );
+        for grey in greys {
+            let picture = Rgb8Image::filled(64, 16, [*grey; 3]).expect("a picture");
+            sheet.add("Caption of several words", &picture, "31.4 dB").expect("it fits");
         }
+        sheet
+    }
+
+    #[test]
+    fn pictures_stand_in_rows_below_their_captions() {
+        let sheet = sheet_of(&[60, 90, 120]);
+        let layout = sheet.layout(&Typeface::new());
         let drawn = sheet.render().expect("a small sheet");
-        let [pitch_x, pitch_y] = sheet.pitch_pixels();
-        assert_eq!([drawn.width, drawn.height], [12 + 2 * pitch_x, 12 + LINE_PIXELS + 2 * pitch_y + 12]);
-        let (left, top) = (MARGIN_PIXELS, MARGIN_PIXELS + 2 * LINE_PIXELS);
-        assert_eq!(drawn.pixel(left, top), [60; 3]);
-        assert_eq!(drawn.pixel(left + pitch_x + 31, top + 15), [90; 3]);
-        assert_eq!(drawn.pixel(left, top + pitch_y), [120; 3]);
-        assert_eq!(drawn.pixel(left + pitch_x, top + pitch_y), BACKGROUND);
-        assert!(drawn.data.chunks_exact(3).any(|pixel| pixel == TEXT));
-    }
-
-    #[test]
-    fn a_skipped_cell_stays_empty() {
-        let mut sheet = Sheet::new("", 2, [32, 16]);
-        sheet.skip();
-        sheet.add("", &Rgb8Image::filled(32, 16, [60; 3]).expect("a picture")).expect("it fits");
-        let drawn = sheet.render().expect("a small sheet");
-        let (left, top) = (MARGIN_PIXELS, MARGIN_PIXELS + 2 * LINE_PIXELS);
-        assert_eq!(drawn.pixel(left, top), BACKGROUND);
-        assert_eq!(drawn.pixel(left + sheet.pitch_pixels()[0], top), [60; 3]);
-    }
-
-    #[test]
-    fn long_titles_are_cut_not_drawn_over_others() {
-        let mut sheet = Sheet::new(&"x".repeat(500), 1, [24, 16]);
-        sheet.add(&"y".repeat(500), &chequers(24, 16)).expect("it fits");
-        sheet.render().expect("a small sheet");
-        assert_eq!(shortened("abcdef", 24), "ab");
-    }
-
-    #[test]
-    fn every_character_of_the_titles_has_a_glyph_of_its_own() {
-        let known = "ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789.,:-+/%()=_#!'*<>";
-        let glyphs: Vec<_> = known.chars().map(glyph).collect();
-        for (at, rows) in glyphs.iter().enumerate() {
-            assert!(!glyphs[..at].contains(rows) && *rows != glyph('?'), "{:?}", known.chars().nth(at));
-            assert!(rows.iter().all(|row| *row < 32));
+        let places: Vec<[u32; 2]> = layout.images.iter().map(|(_, at)| *at).collect();
+        assert_eq!(places[0][1], places[1][1]);
+        assert!(places[1][0] >= places[0][0] + 64 && places[2][1] >= places[0][1] + 16);
+        for ([left, top], grey) in places.into_iter().zip([60, 90, 120]) {
+            assert_eq!(drawn.pixel(left, top), [grey; 3]);
+            assert_eq!(drawn.pixel(left + 63, top + 15), [grey; 3]);
         }
-        assert_eq!(glyph('a'), glyph('A'));
-        assert_eq!(glyph('\u{2603}'), glyph('?'));
+    }
+
+    #[test]
+    fn every_word_stands_on_the_sheet_and_no_line_on_another() {
+        let sheet = sheet_of(&[60, 90, 120]);
+        let typeface = Typeface::new();
+        let layout = sheet.layout(&typeface);
+        let text: Vec<&str> = layout.lines.iter().map(|line| line.text.as_str()).collect();
+        let text = text.join(" ");
+        for words in
+            ["A run", "Heading", "so that it takes several lines", "Caption of several words", "31.4 dB"]
+        {
+            assert!(text.contains(words), "{words:?} is missing in {text:?}");
+        }
+        let boxes: Vec<[u32; 4]> = layout
+            .lines
+            .iter()
+            .map(|l| [l.left, l.top, l.left + typeface.width(&l.text, l.pixels), l.top + l.pixels])
+            .chain(layout.images.iter().map(|(_, [left, top])| [*left, *top, left + 64, top + 16]))
+            .collect();
+        for (at, a) in boxes.iter().enumerate() {
+            assert!(a[2] <= sheet.width_pixels() && a[3] <= layout.height, "{a:?} leaves the sheet");
+            for b in &boxes[at + 1..] {
+                let apart = a[2] <= b[0] || b[2] <= a[0] || a[3] <= b[1] || b[3] <= a[1];
+                assert!(apart, "{a:?} and {b:?} overlap");
+            }
+        }
     }
 }

@@ -193,6 +193,17 @@ impl fmt::Display for Stats {
 }
 
 impl Stats {
+    /// The picture figures as a phrase.
+    pub fn in_words(&self) -> String {
+        format!(
+            "PSNR {}, SSIM {}, FLIP {}, holes {}",
+            figure(self.psnr_db, 1, " dB"),
+            figure(self.ssim, 4, ""),
+            figure(self.flip, 3, ""),
+            figure(self.hole_fraction.map(|fraction| 100.0 * fraction), 3, " %")
+        )
+    }
+
     fn fmt_holes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let percent = |fraction: Option<f64>| figure(fraction.map(|fraction| 100.0 * fraction), 3, " %");
         let beyond = percent(self.hole_fraction_beyond_outlines);
