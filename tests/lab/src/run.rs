@@ -373,7 +373,7 @@ pub fn add_eye(
     sheet.add(&format!("{name}: client"), client, "What the headset shows.")?;
     sheet.add(&format!("{name}: truth"), truth, "The same pose and moment, rendered per pixel.")?;
     let note = format!("This picture, background included: {psnr_db:.1} dB.");
-    sheet.add(&format!("{name}: difference, {DIFFERENCE_GAIN} times amplified"), &different, &note)?;
+    sheet.add(&format!("{name}: difference \u{d7}{DIFFERENCE_GAIN}"), &different, &note)?;
     Ok(different)
 }
 

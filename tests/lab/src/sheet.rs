@@ -172,14 +172,20 @@ pub fn difference(a: &Rgb8Image, b: &Rgb8Image, gain: f32) -> Rgb8Image {
     Rgb8Image { width: a.width, height: a.height, data }
 }
 
-/// The picture in its own proportions, as large as fits, but never larger than it is.
+/// The picture in its own proportions, as large as fits; what is small grows by whole numbers only, pixel by pixel.
 fn thumbnail(image: &Rgb8Image, [width, height]: [u32; 2]) -> Result<Rgb8Image, ImageError> {
     let scale = (f64::from(width) / f64::from(image.width)).min(f64::from(height) / f64::from(image.height));
     if scale >= 1.0 {
-        return Ok(image.clone());
+        return enlarged(image, scale as u32);
     }
     let scaled = |pixels: u32| ((f64::from(pixels) * scale).round() as u32).max(1);
     shrink(image, scaled(image.width), scaled(image.height))
+}
+
+fn enlarged(image: &Rgb8Image, factor: u32) -> Result<Rgb8Image, ImageError> {
+    Rgb8Image::from_fn(image.width * factor, image.height * factor, |x, y| {
+        image.pixel(x / factor, y / factor)
+    })
 }
 
 /// Scales a picture down: every pixel is the average of the area that it covers.
@@ -248,10 +254,13 @@ mod tests {
     }
 
     #[test]
-    fn thumbnails_keep_proportions_and_never_grow() {
+    fn thumbnails_keep_proportions_and_grow_by_whole_numbers() {
         let wide = thumbnail(&chequers(400, 100), [200, 200]).expect("a small picture");
         assert_eq!((wide.width, wide.height), (200, 50));
-        assert_eq!(thumbnail(&chequers(20, 10), [200, 200]).expect("a small picture"), chequers(20, 10));
+        assert_eq!(thumbnail(&chequers(120, 110), [200, 200]).expect("a picture"), chequers(120, 110));
+        let grown = thumbnail(&chequers(60, 20), [200, 200]).expect("a picture");
+        assert_eq!((grown.width, grown.height), (180, 60));
+        assert_eq!([grown.pixel(2, 2), grown.pixel(3, 2)], [[200; 3], [100; 3]]);
         let thin = thumbnail(&chequers(400, 1), [20, 20]).expect("a small picture");
         assert_eq!((thin.width, thin.height), (20, 1));
     }
