@@ -1,6 +1,6 @@
 //! `shadecast-server forward`: the ground truth to files, to a video, or in a window.
 
-use crate::{DeviceArgs, gpu_options, load, open, parse_size, parse_vector, scene_options};
+use crate::{DeviceArgs, gpu_options, load, loading, open, parse_size, parse_vector, scene_options};
 use anyhow::Context;
 use clap::Args;
 use glam::{EulerRot, Quat, Vec3};
@@ -8,7 +8,7 @@ use shadecast_gpu::{Gpu, vk};
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::file::{DEFAULT_FOV_DEG, FOV_RANGE_DEG};
-use shadecast_scene::{Camera, HeadPath, Scene};
+use shadecast_scene::{Camera, Cancel, HeadPath, Scene};
 use shadecast_server::camera::{ViewCamera, fov_of_picture};
 use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::picture;
@@ -92,7 +92,7 @@ fn parse_samples(text: &str) -> Result<u32, String> {
 }
 
 /// Runs the command.
-pub(crate) fn forward(args: &ForwardArgs) -> anyhow::Result<()> {
+pub(crate) fn forward(args: &ForwardArgs, cancel: &Cancel) -> anyhow::Result<()> {
     anyhow::ensure!(
         args.fov.is_none_or(|fov| FOV_RANGE_DEG.contains(&fov)),
         "--fov must lie between {} and {} degrees",
@@ -102,8 +102,8 @@ pub(crate) fn forward(args: &ForwardArgs) -> anyhow::Result<()> {
     anyhow::ensure!(args.fps > 0.0 && args.fps.is_finite(), "--fps {} must be positive", args.fps);
     anyhow::ensure!(args.start.is_finite(), "--start {} must be a number", args.start);
     match &args.out {
-        None => in_window(args),
-        Some(out) => to_files(args, out),
+        None => in_window(args, cancel),
+        Some(out) => to_files(args, out, cancel),
     }
 }
 
@@ -111,9 +111,9 @@ fn samples(args: &ForwardArgs) -> vk::SampleCountFlags {
     if args.msaa == 1 { vk::SampleCountFlags::TYPE_1 } else { vk::SampleCountFlags::TYPE_4 }
 }
 
-fn in_window(args: &ForwardArgs) -> anyhow::Result<()> {
-    let cache = args.device.cache.open();
-    let scene = load(&args.scene, &args.device, &cache)?;
+fn in_window(args: &ForwardArgs, cancel: &Cancel) -> anyhow::Result<()> {
+    let loading = loading(&args.device, cancel);
+    let scene = load(&args.scene, &args.device, &loading)?;
     let viewpoint = Viewpoint::of(args, &scene)?;
     let stage_from_eye = viewpoint.stage_from_eye(args.start);
     let fov_deg = match (args.fov, &viewpoint) {
@@ -133,7 +133,7 @@ fn in_window(args: &ForwardArgs) -> anyhow::Result<()> {
         figures: !args.no_figures,
         screenshot: args.screenshot.clone(),
         scene: scene_options(&args.device),
-        cache,
+        loading,
         gpu: gpu_options(&args.device),
     };
     let stats = window::run(scene, options)?;
@@ -143,7 +143,7 @@ fn in_window(args: &ForwardArgs) -> anyhow::Result<()> {
         "{} Vulkan validation messages",
         stats.validation_messages
     );
-    Ok(())
+    Ok(cancel.check()?)
 }
 
 /// Where pictures go.
@@ -163,9 +163,9 @@ impl Output<'_> {
     }
 }
 
-fn to_files(args: &ForwardArgs, out: &Path) -> anyhow::Result<()> {
+fn to_files(args: &ForwardArgs, out: &Path, cancel: &Cancel) -> anyhow::Result<()> {
     let (extent, frames) = (args.size.unwrap_or(HEADLESS_EXTENT), args.frames.unwrap_or(1));
-    let (gpu, scene, start_up) = open(&args.scene, &args.device)?;
+    let (gpu, scene, start_up) = open(&args.scene, &args.device, cancel)?;
     let viewpoint = Viewpoint::of(args, &scene.scene)?;
     let mut output = if Video::is_asked_for(out) {
         Output::Video(Video::create(out, extent, args.fps, args.qp)?)

@@ -385,6 +385,8 @@ fn memory(scene: &Scene, sampling: Sampling) -> Vec<MemoryPart> {
     let deltas = |model: &Model| model.morphs.iter().map(|morph| morph.deltas.len()).sum();
     let patches: usize = meshes.iter().map(|model| model.patches_of(0).patches.len()).sum();
     let materials: usize = scene.models.iter().map(|model| model.materials.len()).sum();
+    let manager = AnimationManager::new(scene, sampling, &Loading::complete(Cache::of_user()));
+    let manager = manager.expect("nobody asks to end");
     let part = |part, shared, bytes| MemoryPart { part, shared, bytes };
     let ring = SAMPLE_RING as usize;
     vec![
@@ -395,11 +397,7 @@ fn memory(scene: &Scene, sampling: Sampling) -> Vec<MemoryPart> {
         part("morph targets", true, total(size_of::<MorphDeltaGpu>(), &deltas)),
         part("materials", true, (size_of::<MaterialGpu>() * materials) as u64),
         part("textures", true, textures.map(texture_bytes).sum()),
-        part(
-            "skeletons and clips",
-            true,
-            AnimationManager::new(scene, sampling, &Cache::of_user()).arrays.bytes(),
-        ),
+        part("skeletons and clips", true, manager.arrays.bytes()),
         part("poses", false, (size_of::<PoseGpu>() * scene.instances.len()) as u64),
         part("bone transforms", false, instanced(48, &|model| model.bones.len())),
         part("palettes", false, instanced(48, &|model| model.palette.len())),

@@ -1,19 +1,20 @@
 //! The command line of the server.
 
 mod forward_command;
+mod interrupt;
 mod start_up;
 
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 use glam::Vec3;
+use interrupt::FirstSignal;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_scene::Scene;
 use shadecast_scene::animation::sampling::Sampling;
-use shadecast_scene::cache::Cache;
 use shadecast_scene::generate;
 use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
+use shadecast_scene::{Cancel, Scene};
 use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::inspect::{self, InspectArgs};
 use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
@@ -24,7 +25,6 @@ use start_up::{CacheArgs, StartUp};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Streams shaded, animated worlds to a headset that only rasterises and texture-maps.
 #[derive(Parser)]
@@ -151,21 +151,44 @@ fn main() {
         .with(tracing_subscriber::fmt::layer().with_writer(std::io::stderr))
         .with(filter)
         .init();
-    let result = match Cli::parse().command {
-        Command::Stream(args) => stream(&args),
-        Command::Forward(args) => forward_command::forward(&args),
-        Command::Inspect(args) => inspect::run(&args).map(|text| print!("{text}")),
-        Command::Generate { what, out } => generate_model(&what, &out),
-    };
-    if let Err(error) = result {
+    if let Err(error) = run_command(&Cli::parse().command) {
+        if interrupt::is_interruption(&error) {
+            eprintln!("interrupted");
+            std::process::exit(interrupt::EXIT_CODE);
+        }
         eprintln!("error: {error:#}");
         std::process::exit(1);
     }
 }
 
+fn run_command(command: &Command) -> anyhow::Result<()> {
+    match command {
+        Command::Stream(args) => {
+            let cancel = interrupt::install(FirstSignal::Asks)?;
+            // A server is stopped by a signal; that is no failure, at whatever time it comes.
+            stream(args, &cancel)
+                .or_else(|error| interrupt::is_interruption(&error).then_some(()).ok_or(error))
+        }
+        Command::Forward(args) => forward_command::forward(args, &interrupt::install(FirstSignal::Asks)?),
+        // These have nothing to finish.
+        Command::Inspect(args) => {
+            interrupt::install(FirstSignal::Ends)?;
+            inspect::run(args).map(|text| print!("{text}"))
+        }
+        Command::Generate { what, out } => {
+            interrupt::install(FirstSignal::Ends)?;
+            generate_model(what, out)
+        }
+    }
+}
+
+fn loading(args: &DeviceArgs, cancel: &Cancel) -> Loading {
+    Loading::complete(args.cache.open()).until(cancel)
+}
+
 /// The scene as it is to be lit.
-fn load(scene: &str, args: &DeviceArgs, cache: &Cache) -> anyhow::Result<Scene> {
-    let mut scene = load_scene_with(&scene.parse::<SceneSource>()?, &Loading::complete(cache.clone()))?;
+fn load(scene: &str, args: &DeviceArgs, loading: &Loading) -> anyhow::Result<Scene> {
+    let mut scene = load_scene_with(&scene.parse::<SceneSource>()?, loading)?;
     scene.sun.casts_shadows &= !args.no_shadows;
     Ok(scene)
 }
@@ -178,9 +201,14 @@ fn scene_options(args: &DeviceArgs) -> SceneOptions {
     SceneOptions { sampling: args.sampling, skinning: args.skinning }
 }
 
-fn open(scene: &str, args: &DeviceArgs) -> anyhow::Result<(Arc<Gpu>, Arc<SceneGpu>, StartUp)> {
-    let mut start_up = StartUp::new(args.cache.open());
-    let scene = load(scene, args, start_up.cache())?;
+fn open(
+    scene: &str,
+    args: &DeviceArgs,
+    cancel: &Cancel,
+) -> anyhow::Result<(Arc<Gpu>, Arc<SceneGpu>, StartUp)> {
+    let loading = loading(args, cancel);
+    let mut start_up = StartUp::new(loading.cache.clone());
+    let scene = load(scene, args, &loading)?;
     start_up.ended("scene");
     let gpu = Gpu::open(&gpu_options(args), &DesktopDevice)?;
     // Standard output may be where a video goes.
@@ -189,19 +217,16 @@ fn open(scene: &str, args: &DeviceArgs) -> anyhow::Result<(Arc<Gpu>, Arc<SceneGp
         eprintln!("warning: this device is a CPU; pictures are right, but slow");
     }
     start_up.ended("device");
-    let scene = SceneGpu::cached(&gpu, scene, &scene_options(args), start_up.cache())?;
+    let scene = SceneGpu::cached(&gpu, scene, &scene_options(args), &loading)?;
     start_up.ended("upload");
     Ok((gpu, Arc::new(scene), start_up))
 }
 
-fn stream(args: &StreamArgs) -> anyhow::Result<()> {
+fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
     anyhow::ensure!((1.0..=60.0).contains(&args.rate), "--rate {} must lie between 1 and 60", args.rate);
     anyhow::ensure!(args.qp <= 51, "--qp {} must lie between 0 and 51", args.qp);
     let link = args.link.as_deref().map(parse_link).transpose()?;
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = stop.clone();
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("catching signals")?;
-    let (gpu, scene, _) = open(&args.scene, &args.device)?;
+    let (gpu, scene, _) = open(&args.scene, &args.device, cancel)?;
     let options = StreamOptions {
         listen: args.listen,
         identity: args.identity.clone(),
@@ -213,7 +238,7 @@ fn stream(args: &StreamArgs) -> anyhow::Result<()> {
         seconds: args.seconds,
         atlas_png: args.atlas_png.clone(),
     };
-    let stats = run(&gpu, &scene, &options, &stop)?;
+    let stats = run(&gpu, &scene, &options, cancel.flag())?;
     println!("{} updates, {:.1} a second", stats.updates, stats.server_fps);
     if let Some(path) = &args.stats {
         let text = serde_json::to_string_pretty(&stats)?;

@@ -13,11 +13,13 @@ use shadecast_protocol::limits::{MAX_LIGHTS, SCENE_TEXTURES};
 use shadecast_scene::animation::bounds::{self, Bounds};
 use shadecast_scene::animation::pose;
 use shadecast_scene::animation::sampling::Sampling;
-use shadecast_scene::cache::Cache;
 use shadecast_scene::identity::{ContentHash, texture_hash};
 use shadecast_scene::influences::units_of_weight;
 use shadecast_scene::patches::Patch;
-use shadecast_scene::{Instance, Material, Model, Scene, Texture, TextureSlot, Vertex, Wrap};
+use shadecast_scene::process::Loading;
+use shadecast_scene::{
+    Cancel, Cancelled, Instance, Material, Model, Scene, Texture, TextureSlot, Vertex, Wrap,
+};
 use shadecast_shaders::generated::{MaterialGpu, MorphDeltaGpu, PackedVertexGpu, PatchGpu, VertexGpu};
 use std::collections::HashMap;
 use std::ops::Range;
@@ -91,6 +93,17 @@ pub struct Totals {
     pub bones: u32,
     /// Morph targets over all instances.
     pub morphs: u32,
+}
+
+/// Why a scene was not brought to a device.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneGpuError {
+    /// The device, or a scene that is too large for it.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    /// Somebody asked to end.
+    #[error("loading was interrupted")]
+    Cancelled(#[from] Cancelled),
 }
 
 /// All of it.
@@ -205,22 +218,22 @@ impl SceneGpu {
     /// Uploads `scene`, its clips sampled.
     ///
     /// # Errors
-    /// Memory, or more textures than [`SCENE_TEXTURES`].
-    pub fn new(gpu: &Arc<Gpu>, scene: Scene, options: &SceneOptions) -> Result<Self, GpuError> {
-        Self::cached(gpu, scene, options, &Cache::disabled())
+    /// Memory, or more than the device can bind.
+    pub fn new(gpu: &Arc<Gpu>, scene: Scene, options: &SceneOptions) -> Result<Self, SceneGpuError> {
+        Self::cached(gpu, scene, options, &Loading::plain())
     }
 
-    /// As [`Self::new`], with clips that were sampled before taken from the cache.
+    /// As [`Self::new`], with clips that were sampled before taken from the cache, until somebody asks to end.
     ///
     /// # Errors
-    /// Those of [`Self::new`].
+    /// Those of [`Self::new`], and that somebody asked to end.
     pub fn cached(
         gpu: &Arc<Gpu>,
         scene: Scene,
         options: &SceneOptions,
-        cache: &Cache,
-    ) -> Result<Self, GpuError> {
-        let manager = AnimationManager::new(&scene, options.sampling, cache);
+        loading: &Loading,
+    ) -> Result<Self, SceneGpuError> {
+        let manager = AnimationManager::new(&scene, options.sampling, loading)?;
         let mut arrays = Arrays::default();
         let mut textures = UniqueTextures::default();
         let models: Vec<ModelGpu> = scene
@@ -235,15 +248,17 @@ impl SceneGpu {
         if count > SCENE_TEXTURES as usize {
             return Err(GpuError::TooLarge(format!(
                 "the scene has {count} textures, at most {SCENE_TEXTURES} can be bound; use fewer"
-            )));
+            ))
+            .into());
         }
         let (instances, totals) = place_instances(&scene, &models);
-        let world_bounds = world_bounds(&scene);
+        let world_bounds = world_bounds(&scene, &loading.cancel)?;
         let surplus = lights::surplus(&scene);
         if surplus > 0 {
             tracing::warn!("{surplus} lights are left out: a scene has at most {MAX_LIGHTS} beside the sun");
         }
-        let (textures, samplers, sampler_of_texture) = upload_textures(gpu, &textures.unique)?;
+        let (textures, samplers, sampler_of_texture) =
+            upload_textures(gpu, &textures.unique, &loading.cancel)?;
         let local = |name, bytes: &[u8]| {
             check_room(gpu, name, bytes.len() as u64)?;
             Buffer::device_local(gpu, name, bytes)
@@ -526,13 +541,14 @@ fn place_instances(scene: &Scene, models: &[ModelGpu]) -> (Vec<InstanceGpu>, Tot
 }
 
 /// The boxes of all instances; each clip of each model is looked at once.
-fn world_bounds(scene: &Scene) -> Vec<Bounds> {
+fn world_bounds(scene: &Scene, cancel: &Cancel) -> Result<Vec<Bounds>, Cancelled> {
     let mut known = HashMap::new();
     let mut of = |instance: &Instance| {
+        cancel.check()?;
         let of_model = known
             .entry((instance.model, instance.clip))
             .or_insert_with(|| bounds::model_bounds(&scene.models[instance.model], instance.clip));
-        bounds::instance_bounds(instance, *of_model)
+        Ok(bounds::instance_bounds(instance, *of_model))
     };
     scene.instances.iter().map(&mut of).collect()
 }
@@ -559,10 +575,15 @@ impl<'a> UniqueTextures<'a> {
     }
 }
 
-fn upload_textures(gpu: &Arc<Gpu>, textures: &[&Texture]) -> Result<Textures, GpuError> {
+fn upload_textures(
+    gpu: &Arc<Gpu>,
+    textures: &[&Texture],
+    cancel: &Cancel,
+) -> Result<Textures, SceneGpuError> {
     let mut wraps: Vec<[Wrap; 2]> = Vec::new();
     let (mut images, mut samplers, mut sampler_of_texture) = (Vec::new(), Vec::new(), Vec::new());
     for texture in textures.iter().copied() {
+        cancel.check()?;
         let known = wraps.iter().position(|w| *w == texture.wrap);
         sampler_of_texture.push(known.unwrap_or(wraps.len()));
         if known.is_none() {

@@ -41,10 +41,6 @@ impl StartUp {
         Self { begun, last: begun, steps: Vec::new(), cache }
     }
 
-    pub(crate) fn cache(&self) -> &Cache {
-        &self.cache
-    }
-
     /// A step has ended.
     pub(crate) fn ended(&mut self, step: &'static str) {
         let now = Instant::now();

@@ -3,7 +3,7 @@
 
 use crate::camera::{Mode, ViewCamera, fov_of_picture};
 use crate::picture;
-use crate::scene_gpu::{SceneGpu, SceneOptions};
+use crate::scene_gpu::{SceneGpu, SceneGpuError, SceneOptions};
 use crate::stages::forward::Forward;
 use crate::stages::present::Present;
 use ash::vk;
@@ -14,7 +14,7 @@ use shadecast_gpu::{
 };
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::Scene;
-use shadecast_scene::cache::Cache;
+use shadecast_scene::process::Loading;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -57,8 +57,8 @@ pub struct WindowOptions {
     pub screenshot: Option<PathBuf>,
     /// How the scene is brought to the GPU.
     pub scene: SceneOptions,
-    /// Where sampled clips are kept.
-    pub cache: Cache,
+    /// Where sampled clips are kept, and the wish to end, which ends the window too.
+    pub loading: Loading,
     /// The device.
     pub gpu: GpuOptions,
 }
@@ -86,6 +86,9 @@ pub enum WindowError {
     /// The device.
     #[error(transparent)]
     Gpu(#[from] GpuError),
+    /// The scene.
+    #[error(transparent)]
+    Scene(#[from] SceneGpuError),
     /// The screenshot.
     #[error(transparent)]
     Screenshot(#[from] std::io::Error),
@@ -205,7 +208,7 @@ impl Shown {
         let gpu = Gpu::open(&options.gpu, &WindowDevice { display })?;
         // SAFETY: the window and, through the event loop, its display outlive the swapchain: fields drop in order.
         let swapchain = unsafe { Swapchain::new(&gpu, display, handle)? };
-        let scene = Arc::new(SceneGpu::cached(&gpu, scene, &options.scene, &options.cache)?);
+        let scene = Arc::new(SceneGpu::cached(&gpu, scene, &options.scene, &options.loading)?);
         let forward = Forward::with_samples(&gpu, &scene, options.extent, options.samples)?;
         let mut present = Present::new(&gpu, swapchain.pass(), !swapchain.codes_srgb())?;
         present.show(forward.image())?;
@@ -249,7 +252,7 @@ impl Shown {
         let Some(image) = self.swapchain.acquire([size.width, size.height])? else {
             // Minimised, or resized just now: nothing to show, and nothing to burn a core for.
             std::thread::sleep(Duration::from_millis(10));
-            return Ok(self.time_is_up());
+            return Ok(self.is_to_end());
         };
         if self.forward.extent() != self.swapchain.extent() {
             self.forward.resize(self.swapchain.extent())?;
@@ -264,15 +267,17 @@ impl Shown {
         self.window.pre_present_notify();
         self.last = Some(self.swapchain.present(recorder, image)?);
         self.frames += 1;
-        let is_last = self.options.frames.is_some_and(|most| self.frames >= most) || self.time_is_up();
+        let is_last = self.options.frames.is_some_and(|most| self.frames >= most) || self.is_to_end();
         if is_last {
             self.save_screenshot()?;
         }
         Ok(is_last)
     }
 
-    fn time_is_up(&self) -> bool {
-        self.options.seconds.is_some_and(|most| self.clock.first.elapsed().as_secs_f64() >= most)
+    /// Time is up, or somebody asked.
+    fn is_to_end(&self) -> bool {
+        let is_over = |most| self.clock.first.elapsed().as_secs_f64() >= most;
+        self.options.loading.cancel.is_asked() || self.options.seconds.is_some_and(is_over)
     }
 
     /// Moves the camera and the scene's time on.

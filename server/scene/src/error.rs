@@ -1,16 +1,21 @@
 //! What can be wrong with a scene, said so that the person who made the file can mend it: file, element or line,
 //! what is wrong, and where possible what to write instead.
 
+use crate::cancel::Cancelled;
+
 /// Why a scene or an asset cannot be used. The text is complete: print it as it is.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
+    /// Loading was asked to end.
+    #[error("loading was interrupted")]
+    Cancelled(#[from] Cancelled),
     /// The operating system refused the file.
-    #[error("{file}: cannot be read: {source}")]
+    #[error("{file}: cannot be read: {reason}")]
     Read {
         /// The path as the user wrote it.
         file: String,
-        /// The system's reason.
-        source: std::io::Error,
+        /// The system's reason; not called source, since who prints the chain of causes would print it twice.
+        reason: std::io::Error,
     },
     /// An asset is damaged, or uses what is not supported.
     #[error("{file}: {element}: {problem}")]
@@ -57,14 +62,25 @@ pub enum SceneError {
 pub(super) struct Fault {
     pub(super) element: String,
     pub(super) problem: String,
+    /// The asset is not to blame: somebody asked to end.
+    is_interruption: bool,
+}
+
+impl From<Cancelled> for Fault {
+    fn from(cancelled: Cancelled) -> Self {
+        Self { is_interruption: true, ..Self::new("asset", cancelled.to_string()) }
+    }
 }
 
 impl Fault {
     pub(super) fn new(element: impl Into<String>, problem: impl Into<String>) -> Self {
-        Self { element: element.into(), problem: problem.into() }
+        Self { element: element.into(), problem: problem.into(), is_interruption: false }
     }
 
     pub(super) fn in_file(self, file: &str) -> SceneError {
+        if self.is_interruption {
+            return Cancelled.into();
+        }
         SceneError::Asset { file: file.to_owned(), element: self.element, problem: self.problem }
     }
 }

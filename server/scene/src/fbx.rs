@@ -19,9 +19,9 @@ mod skin;
 mod tests;
 
 use super::error::{Fault, SceneError};
-use super::import::{self, Warnings};
+use super::import::{self, Surroundings, Warnings};
 use super::limits::{MAX_PALETTE, MAX_VERTICES};
-use super::{Model, PaletteEntry, Primitive};
+use super::{Cancel, Cancelled, Model, PaletteEntry, Primitive};
 use convert::affine;
 use hierarchy::Hierarchy;
 use material::Materials;
@@ -48,26 +48,27 @@ pub fn from_slice(bytes: &[u8], name: &str) -> Result<Model, SceneError> {
     import::from_slice(bytes, name, import)
 }
 
-pub(crate) fn import(bytes: &[u8], name: &str, folder: Option<&Path>) -> Result<(Model, Warnings), Fault> {
-    let scene = parse(bytes)?;
+pub(crate) fn import(bytes: &[u8], name: &str, around: &Surroundings) -> Result<(Model, Warnings), Fault> {
+    let scene = parse(bytes, &around.cancel)?;
     let mut warnings = Warnings::new();
     note_what_is_left_out(&scene, &mut warnings);
     let hierarchy = Hierarchy::read(&scene)?;
     let mut assembly = Assembly {
         hierarchy: &hierarchy,
-        materials: Materials::new(folder),
+        materials: Materials::new(around),
         morphs: Morphs::default(),
         model: Model { name: name.to_owned(), ..Model::default() },
         shown_skins: HashSet::new(),
         warnings,
     };
     for node in hierarchy.shown(&scene) {
+        around.cancel.check()?;
         assembly.add_node(node)?;
     }
     let Assembly { mut model, materials, morphs, mut warnings, .. } = assembly;
     let (light_bones, lights) = hierarchy.lights(&scene, &mut warnings);
     model.lights = lights;
-    model.clips = animation::read_all(&scene, &hierarchy, &morphs)?;
+    model.clips = animation::read_all(&scene, &hierarchy, &morphs, &around.cancel)?;
     model.morphs = morphs.morphs;
     (model.materials, model.textures) = (materials.materials, materials.textures);
     if model.indices.is_empty() && skeleton::add(&scene, &hierarchy, &mut model) {
@@ -80,7 +81,11 @@ pub(crate) fn import(bytes: &[u8], name: &str, folder: Option<&Path>) -> Result<
 /// Everything in metres, y up, right-handed. Unit scales go into the geometry, so that mesh space is in metres too;
 /// nodes that do not inherit scale as others do are compensated, or get helper nodes where that is not exact; geometry
 /// transforms stay and become part of the palette.
-fn parse(bytes: &[u8]) -> Result<ufbx::SceneRoot, Fault> {
+fn parse(bytes: &[u8], cancel: &Cancel) -> Result<ufbx::SceneRoot, Fault> {
+    let go_on = |_: &ufbx::Progress| match cancel.is_asked() {
+        true => ufbx::ProgressResult::Cancel,
+        false => ufbx::ProgressResult::Continue,
+    };
     let axes = ufbx::CoordinateAxes {
         right: ufbx::CoordinateAxis::PositiveX,
         up: ufbx::CoordinateAxis::PositiveY,
@@ -89,6 +94,7 @@ fn parse(bytes: &[u8]) -> Result<ufbx::SceneRoot, Fault> {
     let options = ufbx::LoadOpts {
         temp_allocator: allocator(),
         result_allocator: allocator(),
+        progress_cb: ufbx::ProgressCb::Ref(&go_on),
         file_format: ufbx::FileFormat::Fbx,
         node_depth_limit: MAX_DEPTH,
         clean_skin_weights: true,
@@ -101,7 +107,10 @@ fn parse(bytes: &[u8]) -> Result<ufbx::SceneRoot, Fault> {
         target_unit_meters: 1.0,
         ..ufbx::LoadOpts::default()
     };
-    ufbx::load_memory(bytes, options).map_err(|error| Fault::new("FBX document", describe(&error)))
+    ufbx::load_memory(bytes, options).map_err(|error| match error.type_ {
+        ufbx::ErrorType::Cancelled => Cancelled.into(),
+        _ => Fault::new("FBX document", describe(&error)),
+    })
 }
 
 /// The C library's own allocator with limits. (The binding's default would panic at sizes that Rust's cannot have.)

@@ -18,7 +18,7 @@ mod shape;
 mod tests;
 
 use super::error::{Fault, SceneError};
-use super::import::{Warnings, label};
+use super::import::{Surroundings, Warnings, label};
 use super::limits::{MAX_DELTAS, MAX_MORPHS, MAX_PALETTE, MAX_VERTICES};
 use super::{Bone, Light, Model, Morph, MorphDelta, PaletteEntry, Primitive, Trs};
 use ::gltf::accessor::Dimensions;
@@ -42,14 +42,14 @@ pub fn from_slice(bytes: &[u8], name: &str) -> Result<Model, SceneError> {
     super::import::from_slice(bytes, name, import)
 }
 
-pub(crate) fn import(bytes: &[u8], name: &str, folder: Option<&Path>) -> Result<(Model, Warnings), Fault> {
+pub(crate) fn import(bytes: &[u8], name: &str, around: &Surroundings) -> Result<(Model, Warnings), Fault> {
     let mut warnings = Warnings::new();
-    let container = container::open(bytes, folder, &mut warnings)?;
+    let container = container::open(bytes, around, &mut warnings)?;
     let container::Container { document, buffers, decoded } = &container;
     let reader = Reader { document, buffers, decoded };
     let hierarchy = Hierarchy::read(document, &mut warnings)?;
     let lights = light::read_all(document)?;
-    let mut assembly = Assembly::new(reader, folder, hierarchy, lights, warnings);
+    let mut assembly = Assembly::new(reader, around, hierarchy, lights, warnings);
     for node in scene_nodes(document) {
         assembly.add_node(&node)?;
     }
@@ -178,6 +178,7 @@ fn rest_transform(node: &::gltf::Node, warnings: &mut Warnings) -> Result<Trs, F
 /// The model under construction.
 struct Assembly<'a> {
     reader: Reader<'a>,
+    around: &'a Surroundings,
     hierarchy: Hierarchy,
     /// All that the file defines.
     lights: Vec<Light>,
@@ -196,17 +197,18 @@ struct Assembly<'a> {
 impl<'a> Assembly<'a> {
     fn new(
         reader: Reader<'a>,
-        folder: Option<&'a Path>,
+        around: &'a Surroundings,
         hierarchy: Hierarchy,
         lights: Vec<Light>,
         warnings: Warnings,
     ) -> Self {
         Self {
             reader,
+            around,
             hierarchy,
             lights,
             warnings,
-            materials: Materials::new(reader, folder),
+            materials: Materials::new(reader, around),
             model: Model::default(),
             morphs_of_node: HashMap::new(),
             delta_count: 0,
@@ -248,7 +250,7 @@ impl<'a> Assembly<'a> {
             bone_of_node: &self.hierarchy.bone_of_node,
             morphs_of_node: &self.morphs_of_node,
         };
-        self.model.clips = animation::read_all(self.reader, moved, &mut self.warnings)?;
+        self.model.clips = animation::read_all(self.reader, moved, &self.around.cancel, &mut self.warnings)?;
         Ok(())
     }
 
@@ -299,6 +301,7 @@ impl<'a> Assembly<'a> {
         }
         let mut parts = Vec::new();
         for primitive in mesh.primitives() {
+            self.around.cancel.check()?;
             let element =
                 format!("{} primitive {}", label("mesh", mesh.index(), mesh.name()), primitive.index());
             parts.push(mesh::read(self.reader, &primitive, &element, &mut self.warnings)?);

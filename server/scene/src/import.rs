@@ -2,36 +2,52 @@
 
 use super::error::{Fault, SceneError};
 use super::limits::read_limited;
-use crate::Model;
+use crate::{Cancel, Model};
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// What was left out of a model, one sentence each, each once.
 pub(crate) type Warnings = BTreeSet<String>;
 
-/// Makes a model of an asset's bytes. The name becomes the model's; files beside the asset are looked up in the
-/// folder, and `None` forbids them.
-pub(crate) type Import = fn(&[u8], &str, Option<&Path>) -> Result<(Model, Warnings), Fault>;
+/// Makes a model of an asset's bytes. The name becomes the model's.
+pub(crate) type Import = fn(&[u8], &str, &Surroundings) -> Result<(Model, Warnings), Fault>;
+
+/// What an importer may look at beside the asset's bytes, and whether it is to stop.
+#[derive(Debug, Default)]
+pub(crate) struct Surroundings {
+    /// Where other files are looked up; `None` forbids them.
+    pub folder: Option<PathBuf>,
+    /// Looked at between meshes, images and clips.
+    pub cancel: Cancel,
+}
+
+impl Surroundings {
+    /// Of a file.
+    pub fn of(path: &Path, cancel: &Cancel) -> Self {
+        let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+        Self { folder: Some(folder), cancel: cancel.clone() }
+    }
+}
 
 /// Loads a file; what it refers to is found relative to it.
 pub(crate) fn load(path: &Path, import: Import) -> Result<Model, SceneError> {
-    let (model, warnings) = read(path, import)?;
+    let (model, warnings) = read(path, import, &Cancel::default())?;
     tell(&warnings, &path.display().to_string());
     Ok(model)
 }
 
 /// As [`load`], with the warnings still to be told.
-pub(crate) fn read(path: &Path, import: Import) -> Result<(Model, Warnings), SceneError> {
+pub(crate) fn read(path: &Path, import: Import, cancel: &Cancel) -> Result<(Model, Warnings), SceneError> {
     let file = path.display().to_string();
-    let bytes = read_limited(path).map_err(|source| SceneError::Read { file: file.clone(), source })?;
-    let folder = path.parent().unwrap_or(Path::new(""));
+    let bytes = read_limited(path).map_err(|reason| SceneError::Read { file: file.clone(), reason })?;
     let name = path.file_stem().map_or_else(|| file.clone(), |stem| stem.to_string_lossy().into_owned());
-    import(&bytes, &name, Some(folder)).map_err(|fault| fault.in_file(&file))
+    import(&bytes, &name, &Surroundings::of(path, cancel)).map_err(|fault| fault.in_file(&file))
 }
 
 /// Loads an asset that lies in memory and refers to no other file. `name` stands for the file in messages.
 pub(crate) fn from_slice(bytes: &[u8], name: &str, import: Import) -> Result<Model, SceneError> {
-    let (model, warnings) = import(bytes, name, None).map_err(|fault| fault.in_file(name))?;
+    let nothing = Surroundings::default();
+    let (model, warnings) = import(bytes, name, &nothing).map_err(|fault| fault.in_file(name))?;
     tell(&warnings, name);
     Ok(model)
 }

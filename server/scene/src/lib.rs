@@ -7,6 +7,7 @@
 pub mod animation;
 pub mod bulk;
 pub mod cache;
+pub mod cancel;
 pub mod generate;
 pub mod mips;
 pub mod patches;
@@ -33,6 +34,7 @@ mod tangent;
 mod views;
 pub mod weld;
 
+pub use cancel::{Cancel, Cancelled};
 pub use error::SceneError;
 pub use load::{SceneSource, load_scene};
 

@@ -10,7 +10,7 @@ use crate::animation::pose;
 use crate::limits::read_limited;
 use crate::process::{self, Loading};
 use crate::views::find_head_path;
-use crate::{Clip, HeadPath, Instance, Model, Scene, fbx, gltf, ground, import};
+use crate::{Cancelled, Clip, HeadPath, Instance, Model, Scene, fbx, gltf, ground, import};
 use glam::{Affine3A, Quat, Vec3};
 use shadecast_protocol::pose::Pose;
 use std::fmt;
@@ -125,10 +125,10 @@ fn is_asset(path: &Path) -> bool {
 /// The one way by which models come into a scene.
 fn load_model(file: &ModelFile, loading: &Loading) -> Result<Model, SceneError> {
     match file {
-        ModelFile::BuiltInDragon => process::built_in_dragon(&loading.cache),
+        ModelFile::BuiltInDragon => process::built_in_dragon(loading),
         ModelFile::Path(path) => {
             let importer = if extension(path) == "fbx" { fbx::import } else { gltf::import };
-            process::import(&loading.cache, path, |path| import::read(path, importer))
+            process::import(&loading.cache, path, |path| import::read(path, importer, &loading.cancel))
         }
     }
 }
@@ -142,7 +142,7 @@ fn first_moving_clip(model: &Model) -> Option<usize> {
 }
 
 /// A scene with default light, ground and stage.
-fn around(models: Vec<Model>, instances: Vec<Instance>, loading: &Loading) -> Scene {
+fn around(models: Vec<Model>, instances: Vec<Instance>, loading: &Loading) -> Result<Scene, SceneError> {
     let (sun, environment) = file::default_light();
     let scene = Scene {
         models,
@@ -159,13 +159,13 @@ fn around(models: Vec<Model>, instances: Vec<Instance>, loading: &Loading) -> Sc
 
 /// Refines the models, then adds the ground, which needs no splitting: its cells are half a metre, and their diagonals
 /// do not make its patches larger.
-fn finished(mut scene: Scene, ground_size_m: Option<f32>, loading: &Loading) -> Scene {
-    refine_models(&mut scene, loading);
+fn finished(mut scene: Scene, ground_size_m: Option<f32>, loading: &Loading) -> Result<Scene, SceneError> {
+    refine_models(&mut scene, loading)?;
     if let Some(size_m) = ground_size_m {
         add_ground(&mut scene, size_m);
-        process::refine(scene.models.last_mut().expect("the ground"), None, loading);
+        process::refine(scene.models.last_mut().expect("the ground"), None, loading)?;
     }
-    scene
+    Ok(scene)
 }
 
 fn add_ground(scene: &mut Scene, size_m: f32) {
@@ -191,7 +191,7 @@ fn asset(path: &Path, loading: &Loading) -> Result<Scene, SceneError> {
     })?;
     let name = model.name.clone();
     let instance = Instance { placement, clip, ..Instance::new(name, 0) };
-    Ok(around(vec![model], vec![instance], loading))
+    around(vec![model], vec![instance], loading)
 }
 
 /// Stands the model on the ground in front of the user, facing them: glTF's front is +z, the user looks along -z.
@@ -254,7 +254,7 @@ fn placed_dragons(
         ..Instance::new(name, 0)
     };
     let instances = (0..).zip(names).map(instance).collect();
-    Ok(around(vec![model], instances, loading))
+    around(vec![model], instances, loading)
 }
 
 /// Distance of neighbours in a grid of dragons, in parts of a dragon's extent.
@@ -304,7 +304,7 @@ fn read_scene_file(path: &Path) -> Result<(String, String), SceneError> {
         .and_then(|bytes| String::from_utf8(bytes).map_err(|_| std::io::Error::other("not UTF-8 text")));
     match text {
         Ok(text) => Ok((name, text)),
-        Err(source) => Err(SceneError::Read { file: name, source }),
+        Err(reason) => Err(SceneError::Read { file: name, reason }),
     }
 }
 
@@ -339,7 +339,7 @@ fn read_scene(text: &str, name: &str, folder: &Path, loading: &Loading) -> Resul
     let SceneFile { sun, lights, environment, ground_size_m, world_from_stage, cameras, head_paths, .. } =
         file;
     let scene = Scene { models, instances, sun, lights, environment, world_from_stage, cameras, head_paths };
-    Ok(finished(scene, ground_size_m, loading))
+    finished(scene, ground_size_m, loading)
 }
 
 fn named_model(
@@ -353,8 +353,10 @@ fn named_model(
         ModelFile::BuiltInDragon => load_model(&ModelFile::BuiltInDragon, loading)?,
         ModelFile::Path(path) if is_asset(path) => {
             // The reason in the scene's terms: the line that names the file.
-            load_model(&ModelFile::Path(folder.join(path)), loading)
-                .map_err(|error| fault(format!("model \"{}\": {error}", entry.name)))?
+            load_model(&ModelFile::Path(folder.join(path)), loading).map_err(|error| match error {
+                SceneError::Cancelled(_) => error,
+                _ => fault(format!("model \"{}\": {error}", entry.name)),
+            })?
         }
         ModelFile::Path(path) => {
             let hint = did_you_mean(&path.to_string_lossy(), [file::BUILT_IN_DRAGON]);
@@ -401,14 +403,14 @@ fn choose_clip(choice: &ClipChoice, model: &Model, name: &str) -> Result<Option<
 
 // ---- long edges ----
 
-fn refine_models(scene: &mut Scene, loading: &Loading) {
+fn refine_models(scene: &mut Scene, loading: &Loading) -> Result<(), Cancelled> {
     for index in 0..scene.models.len() {
         let placed = scene.instances.iter().filter(|instance| instance.model == index);
         let scale = placed.map(largest_world_scale).fold(0.0, f32::max);
         let model = &mut scene.models[index];
         let limit = MAX_EDGE_M / (scale * rest_scale(model));
         let limit = Some(limit).filter(|limit| limit.is_finite() && *limit > 0.0);
-        let split = process::refine(model, limit, loading);
+        let split = process::refine(model, limit, loading)?;
         if split.is_some_and(|stats| !stats.complete) {
             tracing::warn!(
                 "{}: edges stay longer than {MAX_EDGE_M} m; split it in a modelling tool",
@@ -416,6 +418,7 @@ fn refine_models(scene: &mut Scene, loading: &Loading) {
             );
         }
     }
+    Ok(())
 }
 
 /// Largest stretch from mesh to model space among the palette's entries in the rest pose.
@@ -637,7 +640,8 @@ mod tests {
             ..Instance::new("i", 0)
         };
         let split = |scale: f32| {
-            let scene = around(vec![small.clone()], vec![instance(0.1), instance(scale)], &Loading::plain());
+            let scene =
+                around(vec![small.clone()], vec![instance(0.1), instance(scale)], &Loading::plain()).unwrap();
             (scene.models[0].indices.len() / 3, longest_edge_m(&scene, 1))
         };
         let SplitStats { triangles_before, .. } = split_long_edges(&mut small.clone(), 100.0);
@@ -647,7 +651,8 @@ mod tests {
             "[[model]]\nname = \"d\"\nfile = \"dragon\"\n[[instance]]\nmodel = \"d\"\npath = {{ key = [{keys}] }}\n"
         );
         let growing = scene_from_text(&text, "s.toml", Path::new("")).expect("good").instances.remove(0);
-        let scene = around(vec![small.clone()], vec![Instance { model: 0, ..growing }], &Loading::plain());
+        let scene =
+            around(vec![small.clone()], vec![Instance { model: 0, ..growing }], &Loading::plain()).unwrap();
         assert!(scene.models[0].indices.len() / 3 > triangles_before, "a path that grows it counts");
         let (triangles, longest_m) = split(4.0);
         assert!(

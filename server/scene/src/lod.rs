@@ -9,7 +9,7 @@
 mod poses;
 
 use crate::surface::Surface;
-use crate::{Lod, Model, Primitive};
+use crate::{Cancel, Cancelled, Lod, Model, Primitive};
 use glam::{Vec2, Vec3};
 use meshopt::{SimplifyOptions, VertexDataAdapter};
 use poses::PoseSet;
@@ -42,21 +42,25 @@ struct Options {
 }
 
 /// The levels of a model, finest first; none where it is too small or has no finite rest pose.
-pub fn build(model: &Model) -> Vec<Lod> {
-    chain(model, Options { poses: true })
+///
+/// # Errors
+/// Somebody asked to end.
+pub fn build(model: &Model, cancel: &Cancel) -> Result<Vec<Lod>, Cancelled> {
+    chain(model, Options { poses: true }, cancel)
 }
 
-fn chain(model: &Model, options: Options) -> Vec<Lod> {
-    let Some(source) = Source::new(model, options) else { return Vec::new() };
+fn chain(model: &Model, options: Options, cancel: &Cancel) -> Result<Vec<Lod>, Cancelled> {
+    let Some(source) = Source::new(model, options, cancel)? else { return Ok(Vec::new()) };
     let mut lods: Vec<Lod> = Vec::new();
     let (mut triangles, mut error_m) = (model.indices.len() / 3, 0.0f32);
     while triangles >= 2 * MIN_TRIANGLES {
+        cancel.check()?;
         let mut lod = source.simplify(triangles / 2);
         let count = lod.indices.len() / 3;
         if count == 0 || count as f32 > MIN_GAIN * triangles as f32 {
             break;
         }
-        error_m = source.error_m(&lod.indices, error_m);
+        error_m = source.error_m(&lod.indices, error_m)?;
         if error_m > MAX_RELATIVE_ERROR * source.extent_m {
             break;
         }
@@ -64,7 +68,7 @@ fn chain(model: &Model, options: Options) -> Vec<Lod> {
         (triangles, error_m) = (count, lod.error_m);
         lods.push(lod);
     }
-    lods
+    Ok(lods)
 }
 
 /// Corners of the model, one for each primitive that shares a vertex: borders between materials are seams then, which
@@ -84,20 +88,25 @@ struct Source<'a> {
     area_m2: f32,
     longest_edge_m: f32,
     use_poses: bool,
+    cancel: &'a Cancel,
 }
 
 impl<'a> Source<'a> {
-    fn new(model: &'a Model, options: Options) -> Option<Self> {
+    fn new(model: &'a Model, options: Options, cancel: &'a Cancel) -> Result<Option<Self>, Cancelled> {
         if model.indices.len() / 3 < 2 * MIN_TRIANGLES {
-            return None;
+            return Ok(None);
         }
-        let poses = PoseSet::choose(model)?;
+        let Some(poses) = PoseSet::choose(model, cancel)? else { return Ok(None) };
         let (vertex_of_corner, primitive_of_corner, corners) = split_by_primitive(model);
         let rest = &poses.real[0];
         let positions = welded(model, &vertex_of_corner, rest);
         let (low, high) = bounds(&positions);
         let extent_m = (high - low).max_element();
-        let surfaces = poses.real.iter().map(|at| Surface::new(triangles(&model.indices, at))).collect();
+        let surface = |at: &Vec<Vec3>| {
+            cancel.check()?;
+            Ok(Surface::new(triangles(&model.indices, at)))
+        };
+        let surfaces = poses.real.iter().map(surface).collect::<Result<_, _>>()?;
         let area_m2 = triangles(&model.indices, rest).map(area).sum();
         let mut source = Self {
             model,
@@ -111,9 +120,10 @@ impl<'a> Source<'a> {
             area_m2,
             longest_edge_m: 0.0,
             use_poses: options.poses,
+            cancel,
         };
         source.longest_edge_m = source.longest_edge_m(&model.indices);
-        (extent_m > 0.0 && area_m2 > 0.0).then_some(source)
+        Ok((extent_m > 0.0 && area_m2 > 0.0).then_some(source))
     }
 
     fn simplify(&self, target_triangles: usize) -> Lod {
@@ -154,17 +164,19 @@ impl<'a> Source<'a> {
 
     /// Largest distance between the surfaces in any real pose, at least `floor`: of the full detail's vertices from
     /// the level, and of middles of the level's edges and triangles from the full detail (its vertices lie on it).
-    fn error_m(&self, indices: &[u32], floor: f32) -> f32 {
+    fn error_m(&self, indices: &[u32], floor: f32) -> Result<f32, Cancelled> {
+        let go_on = || !self.cancel.is_asked();
         let mut error_m = floor;
         for (positions, full) in self.poses.real.iter().zip(&self.surfaces) {
             let level = Surface::new(triangles(indices, positions));
             let used = self.vertex_of_corner.iter().map(|vertex| positions[*vertex as usize]);
-            error_m = level.largest_distance(used, error_m);
+            error_m = level.largest_distance(used.take_while(|_| go_on()), error_m);
             let middles = triangles(indices, positions)
                 .flat_map(|[a, b, c]| [(a + b) * 0.5, (b + c) * 0.5, (c + a) * 0.5, (a + b + c) / 3.0]);
-            error_m = full.largest_distance(middles, error_m);
+            error_m = full.largest_distance(middles.take_while(|_| go_on()), error_m);
+            self.cancel.check()?;
         }
-        error_m
+        Ok(error_m)
     }
 
     /// 0 where no edge is longer than those of the full detail.

@@ -3,45 +3,59 @@
 //! Two steps, since the second depends on how large the scene shows the model: the import (files to curves, vertices
 //! and texels), and its [refinement](refine) (long edges split, coarser levels, patches).
 
-use crate::animation::sampling::{SampledClip, Sampling, sample};
+use crate::animation::sampling::{SampledClip, Sampling, sample_until};
 use crate::cache::{Cache, Key};
+use crate::cancel::{Cancel, Cancelled};
 use crate::error::SceneError;
 use crate::import::{self, Warnings};
 use crate::limits::{self, Note};
 use crate::patches::Patches;
-use crate::split::{SplitStats, split_long_edges};
+use crate::split::{SplitStats, split_until};
 use crate::{Bone, Clip, Lod, Material, Model, Morph, PaletteEntry, Primitive, Vertex, bulk, gltf, lod};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// How scenes are loaded.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Loading {
     /// Where expensive results are kept.
     pub cache: Cache,
     /// Whether coarser levels of detail are made.
     pub lods: bool,
+    /// Ends loading soon after it was asked, with [`Cancelled`].
+    pub cancel: Cancel,
 }
 
 impl Loading {
     /// Nothing is kept, and no coarser levels are made: for tests, and for programs that need only the full detail.
     pub fn plain() -> Self {
-        Self { cache: Cache::disabled(), lods: false }
+        Self { cache: Cache::disabled(), lods: false, cancel: Cancel::default() }
     }
 
     /// Everything, kept in `cache`.
     pub fn complete(cache: Cache) -> Self {
-        Self { cache, lods: true }
+        Self { cache, lods: true, cancel: Cancel::default() }
+    }
+
+    /// The same until `cancel` is asked.
+    #[must_use]
+    pub fn until(self, cancel: &Cancel) -> Self {
+        Self { cancel: cancel.clone(), ..self }
     }
 }
 
 /// The generated dragon.
 ///
 /// # Errors
-/// None, unless the generator and the importer disagree.
-pub fn built_in_dragon(cache: &Cache) -> Result<Model, SceneError> {
-    let import = || gltf::from_slice(&crate::generate::dragon(), "built-in dragon");
-    cache.try_get_or_compute(&Key::new("dragon", 1), import)
+/// None but [`Cancelled`], unless the generator and the importer disagree.
+pub fn built_in_dragon(loading: &Loading) -> Result<Model, SceneError> {
+    let import = || {
+        let bytes = crate::generate::dragon();
+        loading.cancel.check()?;
+        gltf::from_slice(&bytes, "built-in dragon")
+    };
+    loading.cancel.check()?;
+    loading.cache.try_get_or_compute(&Key::new("dragon", 1), import)
 }
 
 /// What an importer makes, with what it has to say about it at every start.
@@ -161,7 +175,14 @@ struct Refined {
 
 /// Splits edges longer than `longest_edge_m` in mesh space, `None` leaves them; makes coarser levels, where they are
 /// wanted, and the patches of all levels.
-pub fn refine(model: &mut Model, longest_edge_m: Option<f32>, loading: &Loading) -> Option<SplitStats> {
+///
+/// # Errors
+/// Somebody asked to end; the model is then lost.
+pub fn refine(
+    model: &mut Model,
+    longest_edge_m: Option<f32>,
+    loading: &Loading,
+) -> Result<Option<SplitStats>, Cancelled> {
     let mut source = std::mem::take(model);
     let unrefined = Unrefined {
         vertices: &source.vertices,
@@ -176,15 +197,15 @@ pub fn refine(model: &mut Model, longest_edge_m: Option<f32>, loading: &Loading)
     let is_worth_it = loading.cache.folder().is_some();
     let refined = if is_worth_it {
         let key = Key::new("refined", 1).value(&(longest_edge_m, loading.lods)).value(&unrefined);
-        loading.cache.get_or_compute(&key, || compute(&source, longest_edge_m, loading.lods))
+        loading.cache.try_get_or_compute(&key, || compute(&source, longest_edge_m, loading))?
     } else {
-        compute(&source, longest_edge_m, loading.lods)
+        compute(&source, longest_edge_m, loading)?
     };
     (source.vertices, source.indices) = (refined.vertices, refined.indices);
     (source.primitives, source.morphs) = (refined.primitives, refined.morphs);
     (source.lods, source.patches) = (refined.lods, refined.patches);
     *model = source;
-    refined.split
+    Ok(refined.split)
 }
 
 /// What sampling a clip looks at.
@@ -199,11 +220,21 @@ struct Unsampled<'a> {
     sampling: Sampling,
 }
 
-/// A clip of the model (`None`: its rest pose) as [`sample`] makes it, through the cache.
-pub fn sampled(model: &Model, clip: Option<usize>, sampling: Sampling, cache: &Cache) -> SampledClip {
+/// A clip of the model (`None`: its rest pose) as [`sample`](crate::animation::sampling::sample) makes it, through the
+/// cache.
+///
+/// # Errors
+/// Somebody asked to end.
+pub fn sampled(
+    model: &Model,
+    clip: Option<usize>,
+    sampling: Sampling,
+    loading: &Loading,
+) -> Result<SampledClip, Cancelled> {
+    let sample = || sample_until(model, clip, sampling, &loading.cancel);
     // A rest pose takes no time.
-    if cache.folder().is_none() || clip.is_none() {
-        return sample(model, clip, sampling);
+    if loading.cache.folder().is_none() || clip.is_none() {
+        return sample();
     }
     let unsampled = Unsampled {
         vertices: &model.vertices,
@@ -213,22 +244,25 @@ pub fn sampled(model: &Model, clip: Option<usize>, sampling: Sampling, cache: &C
         clip: clip.map(|clip| &model.clips[clip]),
         sampling,
     };
-    cache.get_or_compute(&Key::new("clip", 1).value(&unsampled), || sample(model, clip, sampling))
+    loading.cache.try_get_or_compute(&Key::new("clip", 1).value(&unsampled), sample)
 }
 
-fn compute(source: &Model, longest_edge_m: Option<f32>, lods: bool) -> Refined {
+fn compute(source: &Model, longest_edge_m: Option<f32>, loading: &Loading) -> Result<Refined, Cancelled> {
+    let cancel = &loading.cancel;
     let mut model = source.clone();
-    let split = longest_edge_m.map(|longest_m| split_long_edges(&mut model, longest_m));
-    model.lods = if lods { lod::build(&model) } else { Vec::new() };
-    let patches = (0..=model.lods.len()).map(|level| Patches::build(model.triangles(level))).collect();
+    let split = longest_edge_m.map(|longest_m| split_until(&mut model, longest_m, cancel)).transpose()?;
+    model.lods = if loading.lods { lod::build(&model, cancel)? } else { Vec::new() };
+    let patches = |level: usize| cancel.check().map(|()| Patches::build(model.triangles(level)));
+    let patches = (0..=model.lods.len()).map(patches).collect::<Result<_, _>>()?;
     let Model { vertices, indices, primitives, morphs, lods, .. } = model;
-    Refined { vertices, indices, primitives, morphs, lods, patches, split }
+    Ok(Refined { vertices, indices, primitives, morphs, lods, patches, split })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ground;
+    use crate::{Interpolation, Track, TrackValues, ground};
+    use glam::Quat;
     use std::cell::Cell;
 
     /// An "asset": a file of the names of others; the model's bones are what all of them hold.
@@ -237,7 +271,7 @@ mod tests {
             calls.set(calls.get() + 1);
             let read =
                 |path: &Path| limits::read_limited(path).map(|bytes| String::from_utf8(bytes).unwrap());
-            let own = read(path).map_err(|source| SceneError::Read { file: "own".into(), source })?;
+            let own = read(path).map_err(|reason| SceneError::Read { file: "own".into(), reason })?;
             let others =
                 own.lines().map(|name| read(&path.with_file_name(name)).unwrap_or_else(|_| "missing".into()));
             let name = [own.clone(), others.collect()].concat();
@@ -313,7 +347,7 @@ mod tests {
             let mut model = ground::ground(8.0);
             model.name = "ground".into();
             let loading = Loading::complete(cache);
-            refine(&mut model, longest_edge_m, &loading).expect("asked for");
+            refine(&mut model, longest_edge_m, &loading).expect("nobody asks to end").expect("asked for");
             (postcard::to_stdvec(&model).unwrap(), loading.cache.hits_and_misses())
         };
         let cached = || Cache::new(folder.path());
@@ -322,5 +356,40 @@ mod tests {
         assert_eq!(refined(cached(), Some(0.4)), (plain.clone(), (1, 0)));
         let (coarser, figures) = refined(cached(), Some(0.6));
         assert!(coarser.len() < plain.len() && figures == (0, 1));
+    }
+
+    /// A ground that swings on one bone.
+    fn swinging_ground() -> Model {
+        let mut model = ground::ground(4.0);
+        let turn = |key: u16| Quat::from_rotation_z(0.3 * f32::from(key).sin());
+        let track = Track {
+            bone: 0,
+            times_s: (0..8u16).map(|key| f32::from(key) * 0.25).collect(),
+            interpolation: Interpolation::Linear,
+            values: TrackValues::Rotation((0..8).map(turn).collect()),
+        };
+        model.clips = vec![Clip { duration_s: 1.75, tracks: vec![track], ..Clip::default() }];
+        model
+    }
+
+    #[test]
+    fn work_on_a_model_ends_wherever_it_is_asked_to_and_keeps_nothing_half_done() {
+        let folder = tempfile::tempdir().unwrap();
+        let work = |cancel: &Cancel| {
+            let loading = Loading::complete(Cache::new(folder.path())).until(cancel);
+            let mut model = swinging_ground();
+            refine(&mut model, Some(0.4), &loading)?;
+            sampled(&model, Some(0), Sampling::default(), &loading)
+        };
+        let entries = || std::fs::read_dir(folder.path()).map_or(0, Iterator::count);
+        let (mut look, mut looks) = (0, 0);
+        while let Err(Cancelled) = work(&Cancel::at_look(look)) {
+            // The refined model is kept once it is complete, the sampled clip is not yet.
+            assert!(entries() <= 1, "look {look}");
+            looks += 1;
+            look += 1 + look / 4;
+        }
+        assert!(looks > 10, "looked at {looks} times");
+        assert_eq!(entries(), 2);
     }
 }

@@ -5,7 +5,7 @@
 //! across a seam where they share no vertex, and no T-junction can open a crack.
 
 use super::influences::reduce_to_four;
-use super::{Model, Morph, MorphDelta, Primitive, Vertex};
+use super::{Cancel, Cancelled, Model, Morph, MorphDelta, Primitive, Vertex};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -31,6 +31,15 @@ pub struct SplitStats {
 /// with a scale, pass the limit divided by that scale). New vertices interpolate all attributes and morph targets;
 /// influences are blended and reduced to the four largest. Primitives keep their order and materials.
 pub fn split_long_edges(model: &mut Model, max_edge_m: f32) -> SplitStats {
+    split_until(model, max_edge_m, &Cancel::default()).expect("nobody asks to end")
+}
+
+/// As [`split_long_edges`], until somebody asks to end: the model is then good for nothing.
+pub(crate) fn split_until(
+    model: &mut Model,
+    max_edge_m: f32,
+    cancel: &Cancel,
+) -> Result<SplitStats, Cancelled> {
     assert!(max_edge_m > 0.0, "longest edge {max_edge_m} m");
     let triangles_before = model.indices.len() / 3;
     let mut splitter = Splitter {
@@ -44,6 +53,7 @@ pub fn split_long_edges(model: &mut Model, max_edge_m: f32) -> SplitStats {
     // Each pass halves the long edges; a length that 64 halvings do not bring below the limit is not finite.
     let mut complete = false;
     for _ in 0..64 {
+        cancel.check()?;
         let long = parts.iter().map(|part| splitter.count_long(part)).sum::<usize>();
         complete = long == 0;
         let total: usize = parts.iter().map(Vec::len).sum();
@@ -59,7 +69,7 @@ pub fn split_long_edges(model: &mut Model, max_edge_m: f32) -> SplitStats {
     let (first_middle, ends) = (splitter.first_middle, splitter.ends);
     model.morphs.iter_mut().for_each(|morph| add_middles(morph, first_middle, &ends));
     store(model, &parts);
-    SplitStats { triangles_before, triangles_after: model.indices.len() / 3, complete }
+    Ok(SplitStats { triangles_before, triangles_after: model.indices.len() / 3, complete })
 }
 
 fn slice(indices: &[u32], primitive: &Primitive) -> Vec<u32> {

@@ -5,10 +5,9 @@ use glam::Affine3A;
 use shadecast_scene::animation::sampling::{
     KeyInterpolation, SampledClip, SampledPaths, SampledTrack, Sampling, world_scale,
 };
-use shadecast_scene::cache::Cache;
 use shadecast_scene::identity::{ContentHash, clip_hash, mesh_hash, skeleton_hash};
-use shadecast_scene::process::sampled;
-use shadecast_scene::{Instance, Model, Scene};
+use shadecast_scene::process::{Loading, sampled};
+use shadecast_scene::{Cancelled, Instance, Model, Scene};
 use shadecast_shaders::generated::{EntryGpu, PoseGpu, TrackGpu};
 use std::collections::HashMap;
 
@@ -90,8 +89,12 @@ pub struct PoseKey {
 
 impl AnimationManager {
     /// Samples every clip of the scene, through the cache, and every path.
-    pub fn new(scene: &Scene, sampling: Sampling, cache: &Cache) -> Self {
-        let mut manager = Self { paths: SampledPaths::new(scene, sampling), ..Self::default() };
+    ///
+    /// # Errors
+    /// Somebody asked to end.
+    pub fn new(scene: &Scene, sampling: Sampling, loading: &Loading) -> Result<Self, Cancelled> {
+        let paths = SampledPaths::until(scene, sampling, &loading.cancel)?;
+        let mut manager = Self { paths, ..Self::default() };
         let mut skeletons: HashMap<ContentHash, (usize, BoneOrder)> = HashMap::new();
         let mut clips: HashMap<(usize, ContentHash, ContentHash, u32), usize> = HashMap::new();
         for (index, model) in scene.models.iter().enumerate() {
@@ -103,14 +106,18 @@ impl AnimationManager {
                 .or_insert_with(|| (manager.skeletons.len(), manager.add_skeleton(model)));
             let all = std::iter::once(None).chain((0..model.clips.len()).map(Some));
             let stored = all.map(|clip| {
-                *clips
-                    .entry((*skeleton, clip_hash(model, clip), mesh, scale.to_bits()))
-                    .or_insert_with(|| manager.add_clip(&sampled(model, clip, sampling, cache), order))
+                let key = (*skeleton, clip_hash(model, clip), mesh, scale.to_bits());
+                if let Some(known) = clips.get(&key) {
+                    return Ok(*known);
+                }
+                let number = manager.add_clip(&sampled(model, clip, sampling, loading)?, order);
+                clips.insert(key, number);
+                Ok(number)
             });
-            let clips = stored.collect();
+            let clips = stored.collect::<Result<_, _>>()?;
             manager.materials.push(AnimationMaterial { mesh, skeleton: *skeleton, clips });
         }
-        manager
+        Ok(manager)
     }
 
     fn add_skeleton(&mut self, model: &Model) -> BoneOrder {

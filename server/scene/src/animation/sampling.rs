@@ -16,7 +16,7 @@ pub use parse::SamplingError;
 pub use paths::SampledPaths;
 use source::Source;
 
-use crate::{Model, Scene, Trs};
+use crate::{Cancel, Cancelled, Model, Scene, Trs};
 use glam::{Affine3A, Quat, Vec3A, Vec4};
 use serde::{Deserialize, Serialize};
 
@@ -217,9 +217,25 @@ fn transform([translation, rotation, scale]: &[SampledTrack; 3], t_s: f64) -> Tr
 
 /// Samples a clip of the model, or its rest pose for `None`.
 pub fn sample(model: &Model, clip: Option<usize>, sampling: Sampling) -> SampledClip {
+    sample_until(model, clip, sampling, &Cancel::default()).expect("nobody asks to end")
+}
+
+/// As [`sample`], until somebody asks to end.
+///
+/// # Errors
+/// Somebody asked to end.
+pub fn sample_until(
+    model: &Model,
+    clip: Option<usize>,
+    sampling: Sampling,
+    cancel: &Cancel,
+) -> Result<SampledClip, Cancelled> {
+    cancel.check()?;
     match sampling {
-        Sampling::Constant { interval_s } => constant(model, clip, interval_s),
-        Sampling::ErrorBounded { bound_m, range_share } => bounded::sample(model, clip, bound_m, range_share),
+        Sampling::Constant { interval_s } => Ok(constant(model, clip, interval_s)),
+        Sampling::ErrorBounded { bound_m, range_share } => {
+            bounded::sample(model, clip, [bound_m, range_share], cancel)
+        }
     }
 }
 

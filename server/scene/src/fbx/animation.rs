@@ -10,7 +10,7 @@ use super::hierarchy::Hierarchy;
 use super::morph::{Channel, Morphs};
 use super::{allocator, describe};
 use crate::error::Fault;
-use crate::{Bone, Clip, Interpolation, MorphTrack, Track, TrackValues};
+use crate::{Bone, Cancel, Clip, Interpolation, MorphTrack, Track, TrackValues};
 use glam::{Quat, Vec3};
 
 /// Reads all stacks that move anything; where there are none, the curves that belong to no stack.
@@ -18,15 +18,17 @@ pub(super) fn read_all(
     scene: &ufbx::Scene,
     hierarchy: &Hierarchy,
     morphs: &Morphs,
+    cancel: &Cancel,
 ) -> Result<Vec<Clip>, Fault> {
     let mut clips = Vec::new();
     for stack in &scene.anim_stacks {
         let element = convert::label("animation", &stack.element);
-        let baker = Baker { scene, anim: &stack.anim, hierarchy, morphs, element };
+        let baker = Baker { scene, anim: &stack.anim, hierarchy, morphs, element, cancel };
         clips.push(baker.clip(convert::name("clip", &stack.element))?);
     }
     if scene.anim_stacks.count == 0 && scene.anim_layers.count > 0 {
-        let baker = Baker { scene, anim: &scene.anim, hierarchy, morphs, element: "animation".into() };
+        let element = "animation".into();
+        let baker = Baker { scene, anim: &scene.anim, hierarchy, morphs, element, cancel };
         clips.push(baker.clip("clip 0".into())?);
     }
     clips.retain(|clip| !(clip.tracks.is_empty() && clip.morph_tracks.is_empty()));
@@ -39,6 +41,7 @@ struct Baker<'a> {
     hierarchy: &'a Hierarchy,
     morphs: &'a Morphs,
     element: String,
+    cancel: &'a Cancel,
 }
 
 impl Baker<'_> {
@@ -59,6 +62,7 @@ impl Baker<'_> {
         let range = Range::of(&baked).map_err(|problem| self.fault(problem))?;
         let mut clip = Clip { name, duration_s: range.duration_s(), ..Clip::default() };
         for node in &*baked.nodes {
+            self.cancel.check()?;
             self.add_tracks(node, &range, &mut clip.tracks)?;
         }
         for element in &*baked.elements {
@@ -85,7 +89,7 @@ impl Baker<'_> {
         let vectors = |keys, rest, law, of: fn(ufbx::Transform) -> ufbx::Vec3| {
             let keys = vector_keys(keys).ok_or_else(fault)?;
             let keys = refined(keys, range, law, |time| Some(vec3(of(transform(time)))));
-            Ok(range.curve(&keys, rest, law))
+            Ok::<_, Fault>(range.curve(&keys, rest, law))
         };
         let mut push = |curve: Option<Curve<Vec3>>, values: fn(Vec<Vec3>) -> TrackValues| {
             tracks.extend(curve.map(|curve| curve.into_track(bone, values)));

@@ -8,7 +8,7 @@ use super::convert;
 use crate::error::Fault;
 use crate::gltf::material::{check_factors, clamped};
 use crate::image::{self, Pixels};
-use crate::import::Warnings;
+use crate::import::{Surroundings, Warnings};
 use crate::limits::{is_file, read_limited};
 use crate::{Material, Texture, TextureSlot, Wrap};
 use std::collections::HashMap;
@@ -20,7 +20,7 @@ const ALPHA_CUTOFF: f32 = 0.5;
 
 /// Converts materials as meshes ask for them, so that what no triangle uses is not decoded.
 pub(super) struct Materials<'a> {
-    folder: Option<&'a Path>,
+    around: &'a Surroundings,
     pub(super) materials: Vec<Material>,
     pub(super) textures: Vec<Texture>,
     /// By the material's id and the names of the mesh's texture coordinates, which textures refer to; `None` is the
@@ -47,9 +47,9 @@ enum Use {
 }
 
 impl<'a> Materials<'a> {
-    pub(super) fn new(folder: Option<&'a Path>) -> Self {
+    pub(super) fn new(around: &'a Surroundings) -> Self {
         Self {
-            folder,
+            around,
             materials: Vec::new(),
             textures: Vec::new(),
             known_materials: HashMap::new(),
@@ -86,6 +86,7 @@ impl<'a> Materials<'a> {
         sets: &[String],
         warnings: &mut Warnings,
     ) -> Result<Material, Fault> {
+        self.around.cancel.check()?;
         let (pbr, name) = (&source.pbr, convert::name("material", &source.element));
         let base = self.slot(&pbr.base_color, Use::Color, sets, warnings);
         let emissive = self.slot(&pbr.emission_color, Use::Color, sets, warnings);
@@ -196,7 +197,8 @@ impl<'a> Materials<'a> {
         if let Some(known) = self.images.get(&source.file_index) {
             return known.clone();
         }
-        let pixels = match read(source, self.folder).and_then(|bytes| image::decode(&bytes)) {
+        let pixels = match read(source, self.around.folder.as_deref()).and_then(|bytes| image::decode(&bytes))
+        {
             Ok(pixels) => Some(Rc::new(pixels)),
             Err(problem) => {
                 let element = convert::label("texture", &source.element);

@@ -167,7 +167,8 @@ fn sample() -> Ascii {
 #[track_caller]
 fn load_text(file: &Ascii) -> (Model, Warnings) {
     let text = file.text();
-    let loaded = import(text.as_bytes(), "sample", None).map_err(|fault| fault.in_file("sample"));
+    let loaded =
+        import(text.as_bytes(), "sample", &Surroundings::default()).map_err(|fault| fault.in_file("sample"));
     let (model, warnings) = loaded.unwrap_or_else(|error| panic!("{error}\n{text}"));
     assert_sound(&model, "sample");
     exercise(&model);
@@ -330,7 +331,8 @@ fn curves_skins_and_shapes_in_between_are_what_the_library_evaluates() {
         assert!(file.objects.contains(weight));
         file.objects = file.objects.replace(weight, "0,0");
     }
-    let scene = parse(file.text().as_bytes()).map_err(|fault| fault.problem).expect("parses");
+    let scene =
+        parse(file.text().as_bytes(), &Cancel::default()).map_err(|fault| fault.problem).expect("parses");
     let (model, _) = load_text(&file);
     assert_eq!(model.morphs.len(), 2);
     let moments = (0..=100).map(|moment| f64::from(moment) * 0.02);
@@ -363,7 +365,8 @@ fn layers_and_scale_that_children_do_not_inherit_are_what_the_library_evaluates(
     for weight in ["0.05,0.05", "0.1,0.1"] {
         file.objects = file.objects.replace(weight, "0,0");
     }
-    let scene = parse(file.text().as_bytes()).map_err(|fault| fault.problem).expect("parses");
+    let scene =
+        parse(file.text().as_bytes(), &Cancel::default()).map_err(|fault| fault.problem).expect("parses");
     let (model, _) = load_text(&file);
     let moments = (0..=40).map(|moment| f64::from(moment) * 0.0497);
     let worst = moments.map(|t_s| largest_skinning_error_m(&scene, &model, 0, t_s)).fold(0.0, f32::max);
@@ -471,9 +474,9 @@ fn textures_beside_the_file_are_found_and_missing_ones_cost_a_warning() {
     add_texture(&mut file, 710, "EmissiveColor", "gone.png", "", None);
     std::fs::create_dir(folder.path().join("maps")).expect("create");
     std::fs::write(folder.path().join("maps/a.png"), png(2, [9, 8, 7])).expect("write");
-    let (model, warnings) = import(file.text().as_bytes(), "beside", Some(folder.path()))
-        .map_err(|fault| fault.problem)
-        .expect("loads");
+    let around = Surroundings::of(&folder.path().join("x.fbx"), &Cancel::default());
+    let (model, warnings) =
+        import(file.text().as_bytes(), "beside", &around).map_err(|fault| fault.problem).expect("loads");
     assert_eq!(model.textures[0].rgba8[..3], [9, 8, 7]);
     assert_eq!(model.materials[0].emissive_texture, None);
     let [warning] = &warnings.iter().collect::<Vec<_>>()[..] else { panic!("{warnings:?}") };
@@ -482,8 +485,9 @@ fn textures_beside_the_file_are_found_and_missing_ones_cost_a_warning() {
     std::fs::rename(folder.path().join("maps/a.png"), folder.path().join("a.png")).expect("rename");
     std::fs::write(folder.path().join("x.fbx"), file.text()).expect("write");
     assert_eq!(load(&folder.path().join("x.fbx")).expect("loads").textures.len(), 1);
-    let (_, warnings) =
-        import(file.text().as_bytes(), "memory", None).map_err(|fault| fault.problem).expect("loads");
+    let (_, warnings) = import(file.text().as_bytes(), "memory", &Surroundings::default())
+        .map_err(|fault| fault.problem)
+        .expect("loads");
     assert_eq!(warnings.iter().filter(|warning| warning.contains("not in a folder")).count(), 2);
 }
 
@@ -505,7 +509,8 @@ fn transform_of_texture_coordinates_is_turned_upside_down_like_them() {
     let mut file = plain();
     let moved = "Properties70: {\nP: \"Translation\", \"Vector\", \"\", \"A\",0.25,0.5,0\nP: \"Scaling\", \"Vector\", \"\", \"A\",2,3,1\n}";
     add_texture(&mut file, 700, "DiffuseColor", "a.png", moved, Some(&png(2, [1, 2, 3])));
-    let scene = parse(file.text().as_bytes()).map_err(|fault| fault.problem).expect("parses");
+    let scene =
+        parse(file.text().as_bytes(), &Cancel::default()).map_err(|fault| fault.problem).expect("parses");
     let (model, _) = load_text(&file);
     let [row_u, row_v] = model.materials[0].base_color_texture.expect("base").uv_transform;
     for (u, v) in [(0.0, 0.0), (1.0, 0.0), (0.3, 0.7)] {
@@ -715,8 +720,9 @@ fn real(name: &str) -> Option<Vec<u8>> {
 fn all_real_assets_load() {
     for name in REAL {
         let Some(bytes) = real(name) else { return };
-        let (model, warnings) =
-            import(&bytes, name, None).map_err(|fault| fault.in_file(name)).expect("loads");
+        let (model, warnings) = import(&bytes, name, &Surroundings::default())
+            .map_err(|fault| fault.in_file(name))
+            .expect("loads");
         assert_sound(&model, name);
         exercise(&model);
         print_statistics(&model, &warnings);
@@ -816,8 +822,10 @@ fn largest_skinning_error_m(scene: &ufbx::Scene, model: &Model, clip: usize, t_s
 fn skinned_vertices_are_where_the_library_itself_puts_them() {
     for name in REAL {
         let Some(bytes) = real(name) else { return };
-        let (scene, model) =
-            (parse(&bytes).map_err(|f| f.problem).expect("parses"), from_slice(&bytes, name).expect("loads"));
+        let (scene, model) = (
+            parse(&bytes, &Cancel::default()).map_err(|f| f.problem).expect("parses"),
+            from_slice(&bytes, name).expect("loads"),
+        );
         for (clip, source) in model.clips.iter().enumerate() {
             let (low, high) = pose::bounds(&model, Some(clip), 8).expect("vertices");
             let extent = (high - low).max_element();
@@ -828,4 +836,16 @@ fn skinned_vertices_are_where_the_library_itself_puts_them() {
             assert!(worst < 1e-3 * extent, "{name} '{}': {worst} m of {extent} m", source.name);
         }
     }
+}
+
+#[test]
+fn an_import_ends_wherever_it_is_asked_to() {
+    let text = sample().text();
+    let import_until = |cancel| import(text.as_bytes(), "sample", &Surroundings { folder: None, cancel });
+    let mut looks = 0;
+    while let Err(fault) = import_until(Cancel::at_look(looks)) {
+        assert!(matches!(fault.in_file("x"), SceneError::Cancelled(_)), "look {looks}");
+        looks += 1;
+    }
+    assert!(looks > 5, "looked {looks} times");
 }

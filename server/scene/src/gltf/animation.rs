@@ -2,7 +2,7 @@
 
 use super::super::error::Fault;
 use super::super::limits::MAX_DURATION_S;
-use super::super::{Clip, Interpolation, MorphTrack, Track, TrackValues};
+use super::super::{Cancel, Clip, Interpolation, MorphTrack, Track, TrackValues};
 use super::accessor::Reader;
 use super::{Warnings, label};
 use ::gltf::accessor::Dimensions;
@@ -20,8 +20,17 @@ pub(super) struct Moved<'a> {
 }
 
 /// Reads all animations.
-pub(super) fn read_all(reader: Reader, moved: Moved, warnings: &mut Warnings) -> Result<Vec<Clip>, Fault> {
-    reader.document.animations().map(|animation| read(reader, &animation, moved, warnings)).collect()
+pub(super) fn read_all(
+    reader: Reader,
+    moved: Moved,
+    cancel: &Cancel,
+    warnings: &mut Warnings,
+) -> Result<Vec<Clip>, Fault> {
+    let mut read = |animation| {
+        cancel.check()?;
+        read(reader, &animation, moved, warnings)
+    };
+    reader.document.animations().map(&mut read).collect()
 }
 
 fn read(

@@ -4,6 +4,7 @@
 //! types and its index validation are used.
 
 use super::super::error::Fault;
+use super::super::import::Surroundings;
 use super::super::limits::read_limited;
 use super::compression::{self, Decoded};
 use super::{Warnings, extensions};
@@ -23,8 +24,8 @@ pub(super) struct Container {
     pub(super) decoded: Decoded,
 }
 
-/// Reads a GLB or a glTF JSON text. External files are looked up in `folder`; `None` forbids them.
-pub(super) fn open(bytes: &[u8], folder: Option<&Path>, warnings: &mut Warnings) -> Result<Container, Fault> {
+/// Reads a GLB or a glTF JSON text. External files are looked up in the surroundings' folder.
+pub(super) fn open(bytes: &[u8], around: &Surroundings, warnings: &mut Warnings) -> Result<Container, Fault> {
     let (json_bytes, blob) = if bytes.starts_with(b"glTF") { split_glb(bytes)? } else { (bytes, None) };
     let root = parse(json_bytes, warnings)
         .map_err(|error| Fault::new("JSON", format!("not a glTF document: {error}")))?;
@@ -32,7 +33,7 @@ pub(super) fn open(bytes: &[u8], folder: Option<&Path>, warnings: &mut Warnings)
     extensions::check_required(&root)?;
     extensions::note_ignored(&root, warnings);
     check_indices(&root)?;
-    let buffers = read_buffers(&root, blob, folder)?;
+    let buffers = read_buffers(&root, blob, around)?;
     let decoded = compression::decode_views(&root, &buffers)?;
     let document = ::gltf::Document::from_json_without_validation(root);
     Ok(Container { document, buffers, decoded })
@@ -208,13 +209,14 @@ fn check_image_sources(root: &json::Root) -> Result<(), Fault> {
 fn read_buffers(
     root: &json::Root,
     blob: Option<&[u8]>,
-    folder: Option<&Path>,
+    around: &Surroundings,
 ) -> Result<Vec<Vec<u8>>, Fault> {
     let mut buffers = Vec::with_capacity(root.buffers.len().min(1024));
     for (index, buffer) in root.buffers.iter().enumerate() {
+        around.cancel.check()?;
         let element = format!("buffer {index}");
         let data = match (&buffer.uri, blob) {
-            (Some(uri), _) => resolve_uri(uri, folder, &element)?,
+            (Some(uri), _) => resolve_uri(uri, around.folder.as_deref(), &element)?,
             (None, Some(blob)) if index == 0 => blob.to_vec(),
             (None, _) if compression::is_placeholder(buffer) => {
                 buffers.push(Vec::new());

@@ -5,6 +5,7 @@
 //! material uses become sets 0 and 1 of the vertices that have the material.
 
 use super::super::error::Fault;
+use super::super::import::Surroundings;
 use super::super::limits::MAX_TEXELS;
 use super::super::{Material, Texture, TextureSlot, Wrap, image};
 use super::accessor::Reader;
@@ -15,12 +16,11 @@ use ::gltf::texture::WrappingMode;
 use serde::Deserialize;
 use serde_json::{Map, Value};
 use std::collections::HashMap;
-use std::path::Path;
 
 /// Converts materials as primitives ask for them, so that what no triangle uses is not decoded.
 pub(super) struct Materials<'a> {
     pub(super) reader: Reader<'a>,
-    pub(super) folder: Option<&'a Path>,
+    around: &'a Surroundings,
     pub(super) materials: Vec<Material>,
     pub(super) textures: Vec<Texture>,
     /// By glTF material index; `None` is glTF's default material.
@@ -29,10 +29,10 @@ pub(super) struct Materials<'a> {
 }
 
 impl<'a> Materials<'a> {
-    pub(super) fn new(reader: Reader<'a>, folder: Option<&'a Path>) -> Self {
+    pub(super) fn new(reader: Reader<'a>, around: &'a Surroundings) -> Self {
         Self {
             reader,
-            folder,
+            around,
             materials: Vec::new(),
             textures: Vec::new(),
             known_materials: HashMap::new(),
@@ -117,6 +117,7 @@ impl<'a> Materials<'a> {
     }
 
     fn decode(&self, image: &::gltf::Image, wrap: [Wrap; 2], srgb: bool) -> Result<Texture, Fault> {
+        self.around.cancel.check()?;
         let element = label("image", image.index(), image.name());
         // Decoded already for another use: the pixels are the same.
         let other = self.known_textures.iter().find(|((known, _, _), _)| *known == image.index());
@@ -127,7 +128,9 @@ impl<'a> Materials<'a> {
         }
         let json = &self.reader.document.as_json().images[image.index()];
         let decoded = match (&json.uri, json.buffer_view) {
-            (Some(uri), _) => image::decode(&container::resolve_uri(uri, self.folder, &element)?),
+            (Some(uri), _) => {
+                image::decode(&container::resolve_uri(uri, self.around.folder.as_deref(), &element)?)
+            }
             (None, Some(view)) => {
                 let view = self.reader.document.views().nth(view.value());
                 let view = view.ok_or_else(|| Fault::new(element.clone(), "has no buffer view"))?;

@@ -163,7 +163,7 @@ impl Source<'_> {
         count: usize,
     ) -> Result<Vec<Delta>, Fault> {
         let read = |name: &str, accessor: Option<::gltf::Accessor>| {
-            let Some(accessor) = accessor else { return Ok(vec![Vec3::ZERO; count]) };
+            let Some(accessor) = accessor else { return Ok::<_, Fault>(vec![Vec3::ZERO; count]) };
             let element = format!("{} target {number} {name} (accessor {})", self.element, accessor.index());
             self.check_count(&accessor, count, &element)?;
             let values = self.reader.floats::<3>(&accessor, Dimensions::Vec3, &element)?;

@@ -2,6 +2,7 @@
 
 use super::super::{Model, Wrap};
 use super::*;
+use crate::Cancel;
 use crate::animation::pose;
 use crate::sound::{assert_sound, effort, exercise, is_sound_or_refused};
 use rand::{Rng, SeedableRng, rngs::SmallRng};
@@ -379,6 +380,17 @@ fn buffers_and_images_beside_the_file_and_in_data_uris_are_found() {
     assert!(message.contains("sample.gltf: image 0: file 'red.png'"), "{message}");
 }
 
+#[test]
+fn an_import_ends_wherever_it_is_asked_to() {
+    let import_until = |cancel| import(&features::rich(), "rich", &Surroundings { folder: None, cancel });
+    let mut looks = 0;
+    while let Err(fault) = import_until(Cancel::at_look(looks)) {
+        assert!(matches!(fault.in_file("x"), SceneError::Cancelled(_)), "look {looks}");
+        looks += 1;
+    }
+    assert!(looks > 5, "looked {looks} times");
+}
+
 /// Changes the sample's JSON and returns the message that loading it gives.
 #[track_caller]
 fn message_after(change: impl FnOnce(&mut GlbBuilder)) -> String {
@@ -663,8 +675,9 @@ fn all_real_assets_load_and_move_as_they_should() {
             continue;
         }
         let bytes = std::fs::read(&path).expect("asset");
+        let around = Surroundings::of(&path, &Cancel::default());
         let (model, warnings) =
-            import(&bytes, "asset", path.parent()).map_err(|fault| fault.in_file("x")).expect("loads");
+            import(&bytes, "asset", &around).map_err(|fault| fault.in_file("x")).expect("loads");
         assert_sound(&model, &path.display().to_string());
         exercise(&model);
         let name = path.file_name().expect("name").to_string_lossy().into_owned();

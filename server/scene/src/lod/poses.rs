@@ -1,8 +1,8 @@
 //! In which poses a coarser level has to be good: the rest pose, a few of the clips that differ most, and some in which
 //! every joint is bent, for what no clip shows.
 
-use crate::Model;
 use crate::animation::pose::{self, blend};
+use crate::{Cancel, Cancelled, Model};
 use glam::{Affine3A, Quat, Vec3};
 
 /// From clips.
@@ -31,20 +31,23 @@ struct Moment {
 
 impl PoseSet {
     /// Positions of all vertices in each chosen pose, model space; `None` where the rest pose is not finite.
-    pub fn choose(model: &Model) -> Option<Self> {
+    ///
+    /// # Errors
+    /// Somebody asked to end.
+    pub fn choose(model: &Model, cancel: &Cancel) -> Result<Option<Self>, Cancelled> {
         let rest = Moment::of_clip(model, None, 0.0);
         let at_rest = rest.positions(model);
         if !at_rest.iter().all(|p| p.is_finite()) {
-            return None;
+            return Ok(None);
         }
-        let moments = differing(model, rest);
+        let moments = differing(model, rest, cancel)?;
         let count = if moments.is_empty() { 4 } else { 2 };
         let finite =
             |moment: &Moment| Some(moment.positions(model)).filter(|all| all.iter().all(|p| p.is_finite()));
         let real = std::iter::once(at_rest).chain(moments.iter().filter_map(finite)).collect();
         let bends = if moves(model) { count } else { 0 };
         let bent = (0..bends).map(|number| Moment::bent(model, number, bends));
-        Some(Self { real, bent: bent.filter_map(|moment| finite(&moment)).collect() })
+        Ok(Some(Self { real, bent: bent.filter_map(|moment| finite(&moment)).collect() }))
     }
 }
 
@@ -94,7 +97,7 @@ impl Moment {
 }
 
 /// Moments of the clips, each as different as possible from the rest pose and those before it.
-fn differing(model: &Model, rest: Moment) -> Vec<Moment> {
+fn differing(model: &Model, rest: Moment, cancel: &Cancel) -> Result<Vec<Moment>, Cancelled> {
     let pairs = pairs(model.vertices.len() as u32);
     let reach = |deltas: &[crate::MorphDelta]| deltas.iter().map(|d| d.position.length()).fold(0.0, f32::max);
     let reach_of_morph: Vec<f32> = model.morphs.iter().map(|morph| reach(&morph.deltas)).collect();
@@ -102,6 +105,7 @@ fn differing(model: &Model, rest: Moment) -> Vec<Moment> {
     let at_rest = features(&rest);
     let least = 1e-3 * at_rest.iter().copied().fold(0.0, f32::max);
     let mut candidates: Vec<(Moment, Vec<f32>, f32)> = moments(model)
+        .take_while(|_| !cancel.is_asked())
         .map(|moment| {
             let own = features(&moment);
             let difference = difference(&own, &at_rest);
@@ -109,6 +113,7 @@ fn differing(model: &Model, rest: Moment) -> Vec<Moment> {
         })
         .filter(|(_, _, difference)| difference.is_finite())
         .collect();
+    cancel.check()?;
     let mut chosen = Vec::new();
     while chosen.len() < MAX_CLIP_POSES {
         let best = (0..candidates.len()).max_by(|a, b| candidates[*a].2.total_cmp(&candidates[*b].2));
@@ -119,7 +124,7 @@ fn differing(model: &Model, rest: Moment) -> Vec<Moment> {
         }
         chosen.push(moment);
     }
-    chosen
+    Ok(chosen)
 }
 
 fn moments(model: &Model) -> impl Iterator<Item = Moment> + '_ {

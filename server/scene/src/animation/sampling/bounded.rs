@@ -18,7 +18,7 @@ use super::probe::{Moment, distances};
 use super::source::{Source, Sources};
 use super::{SampledClip, SampledTrack, longest_axis};
 use crate::animation::pose;
-use crate::{Model, Morph, MorphDelta, Trs, Vertex};
+use crate::{Cancel, Cancelled, Model, Morph, MorphDelta, Trs, Vertex};
 use glam::{Affine3A, Vec3};
 use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
@@ -47,16 +47,23 @@ const MAIN_WEIGHT: f32 = 0.05;
 /// Curves that move no vertex (of bones that carry lights) may err by this share of their range.
 const IDLE_SHARE: f32 = 0.01;
 
-pub(super) fn sample(model: &Model, clip: Option<usize>, bound_m: f32, range_share: f32) -> SampledClip {
+pub(super) fn sample(
+    model: &Model,
+    clip: Option<usize>,
+    [bound_m, range_share]: [f32; 2],
+    cancel: &Cancel,
+) -> Result<SampledClip, Cancelled> {
     assert!(bound_m > 0.0 && range_share > 0.0, "bounds {bound_m} m, {range_share}");
     let duration_s = model.duration_s(clip);
     let sources = Sources::new(model, clip);
     let still = sources.map(duration_s, |source| SampledTrack::constant(source.at(0.0)));
     let moving = moving_sources(&sources);
     if duration_s <= 0.0 || moving.is_empty() {
-        return still;
+        return Ok(still);
     }
-    Trial::new(model, clip, bound_m, range_share, &moving, still).run()
+    let mut trial = Trial::new(model, clip, bound_m, &moving, still, cancel);
+    trial.prepare(&moving, range_share)?;
+    trial.run()
 }
 
 /// Which curve of the clip.
@@ -137,6 +144,7 @@ struct Trial<'a> {
     vertices: Vec<u32>,
     arms: ArmFinder<'a>,
     watched: Watched,
+    cancel: &'a Cancel,
 }
 
 /// What trials measure.
@@ -172,31 +180,35 @@ impl<'a> Trial<'a> {
         model: &'a Model,
         clip: Option<usize>,
         bound_m: f32,
-        range_share: f32,
         sources: &[(Place, Source)],
         still: SampledClip,
+        cancel: &'a Cancel,
     ) -> Self {
         let moves = pose::animated_vertices(model, clip);
         let vertices: Vec<u32> = (0..moves.len() as u32).filter(|vertex| moves[*vertex as usize]).collect();
         let arms = ArmFinder::new(model, clip, sources);
         let (found, watched) = (still, Watched::default());
         let (moving, times_s) = (Vec::new(), Vec::new());
-        let mut trial = Self { model, clip, bound_m, moving, found, times_s, vertices, arms, watched };
-        trial.watch_vertices(trial.outermost());
-        trial.add_curves(sources, range_share);
-        trial.times_s = all_times(&trial.moving);
-        let step = trial.times_s.len().div_ceil(WATCHED_TIMES).max(1);
-        let few: Vec<f32> = trial.times_s.iter().step_by(step).copied().collect();
-        trial.watch_times(few);
-        trial
+        Self { model, clip, bound_m, moving, found, times_s, vertices, arms, watched, cancel }
     }
 
-    fn add_curves(&mut self, sources: &[(Place, Source)], range_share: f32) {
+    fn prepare(&mut self, sources: &[(Place, Source)], range_share: f32) -> Result<(), Cancelled> {
+        self.watch_vertices(self.outermost());
+        self.add_curves(sources, range_share)?;
+        self.times_s = all_times(&self.moving);
+        let step = self.times_s.len().div_ceil(WATCHED_TIMES).max(1);
+        let few: Vec<f32> = self.times_s.iter().step_by(step).copied().collect();
+        self.watch_times(few);
+        Ok(())
+    }
+
+    fn add_curves(&mut self, sources: &[(Place, Source)], range_share: f32) -> Result<(), Cancelled> {
         let mut longest_m = vec![0.0f32; sources.len()];
         for (curve, arm_m) in self.watched.arms_m.iter().flatten() {
             longest_m[*curve] = longest_m[*curve].max(*arm_m);
         }
         for ((place, source), arm_m) in sources.iter().zip(longest_m) {
+            self.cancel.check()?;
             let curve = Curve::new(source, self.found.duration_s);
             let share = if arm_m > 0.0 { range_share } else { range_share.min(IDLE_SHARE) };
             let range = curve.range();
@@ -204,6 +216,7 @@ impl<'a> Trial<'a> {
             let ceiling = if range <= curve.still_range() { range } else { share * range };
             self.moving.push(Moving::new(*place, curve, arm_m, self.bound_m, ceiling));
         }
+        Ok(())
     }
 
     fn watch_vertices(&mut self, vertices: Vec<u32>) {
@@ -220,14 +233,14 @@ impl<'a> Trial<'a> {
         }
     }
 
-    fn run(mut self) -> SampledClip {
-        self.find_prices();
+    fn run(mut self) -> Result<SampledClip, Cancelled> {
+        self.find_prices()?;
         for _ in 0..REPAIRS {
-            let mut measured = self.measure_watched();
+            let mut measured = self.measure_watched()?;
             if measured.largest_m() <= self.bound_m {
-                measured = self.measure_all();
+                measured = self.measure_all()?;
                 if measured.largest_m() <= self.bound_m {
-                    return self.found;
+                    return Ok(self.found);
                 }
                 self.watch_what_was_missed(&measured);
             }
@@ -240,19 +253,19 @@ impl<'a> Trial<'a> {
             self.model.name,
             self.bound_m
         );
-        self.found
+        Ok(self.found)
     }
 
     // ---- prices ----
 
     /// Leaves the choice that promises to be the smallest once all is within the bound.
-    fn find_prices(&mut self) {
+    fn find_prices(&mut self) -> Result<(), Cancelled> {
         let price = FIRST_PRICE * self.moving.len() as f32 / self.watched.vertices.len().max(1) as f32;
         self.watched.prices = vec![price; self.watched.vertices.len()];
         let mut best: Option<(f32, Vec<usize>)> = None;
         for round in 0..ROUNDS {
             self.choose();
-            let measured = self.measure_watched();
+            let measured = self.measure_watched()?;
             // Bytes go about with the root of the error.
             let excess = (measured.largest_m() / self.bound_m).max(1.0);
             let promise = self.found.byte_count() as f32 * excess.sqrt();
@@ -265,6 +278,7 @@ impl<'a> Trial<'a> {
             moving.chosen = chosen;
         }
         self.show_chosen();
+        Ok(())
     }
 
     fn choose(&mut self) {
@@ -331,7 +345,7 @@ impl<'a> Trial<'a> {
         changed
     }
 
-    fn measure_watched(&self) -> Measured {
+    fn measure_watched(&self) -> Result<Measured, Cancelled> {
         let Watched { vertices, times_s, truth, .. } = &self.watched;
         self.measure(vertices, times_s, |index| Cow::Borrowed(&truth[index]))
     }
@@ -341,9 +355,10 @@ impl<'a> Trial<'a> {
         vertices: &[u32],
         times_s: &[f32],
         truth: impl Fn(usize) -> Cow<'t, Moment>,
-    ) -> Measured {
+    ) -> Result<Measured, Cancelled> {
         let mut by_vertex_m = vec![0.0f32; self.model.vertices.len()];
         let by_time = times_s.iter().enumerate().map(|(index, time_s)| {
+            self.cancel.check()?;
             let found = Moment::of_samples(self.model, &self.found, f64::from(*time_s));
             let mut largest_m = 0.0f32;
             distances(self.model, &truth(index), &found, vertices, |vertex, distance_m| {
@@ -351,13 +366,13 @@ impl<'a> Trial<'a> {
                 *so_far_m = so_far_m.max(distance_m);
                 largest_m = largest_m.max(distance_m);
             });
-            largest_m
+            Ok(largest_m)
         });
-        let by_time_m = by_time.collect();
-        Measured { by_vertex_m, by_time_m }
+        let by_time_m = by_time.collect::<Result<_, _>>()?;
+        Ok(Measured { by_vertex_m, by_time_m })
     }
 
-    fn measure_all(&self) -> Measured {
+    fn measure_all(&self) -> Result<Measured, Cancelled> {
         let truth = |index: usize| {
             Cow::Owned(Moment::of_source(self.model, self.clip, f64::from(self.times_s[index])))
         };

@@ -1,9 +1,9 @@
 //! Paths of instances, sampled like any clip.
 
-use super::{SampledClip, Sampling, sample, source, transform};
+use super::{SampledClip, Sampling, sample_until, source, transform};
 use crate::animation::bounds::{self, Bounds};
 use crate::identity::{ContentHash, clip_hash};
-use crate::{Instance, Scene};
+use crate::{Cancel, Cancelled, Instance, Scene};
 use glam::Affine3A;
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -17,10 +17,18 @@ pub struct SampledPaths {
 impl SampledPaths {
     /// Each different one is sampled once, for the one who reaches farthest from the path's origin.
     pub fn new(scene: &Scene, sampling: Sampling) -> Self {
+        Self::until(scene, sampling, &Cancel::default()).expect("nobody asks to end")
+    }
+
+    /// As [`Self::new`], until somebody asks to end.
+    ///
+    /// # Errors
+    /// Somebody asked to end.
+    pub fn until(scene: &Scene, sampling: Sampling, cancel: &Cancel) -> Result<Self, Cancelled> {
         let mut reaches: HashMap<(usize, Option<usize>), Bounds> = HashMap::new();
         let mut known: HashMap<(ContentHash, u32), Arc<SampledClip>> = HashMap::new();
         let mut of = |instance: &Instance| {
-            let path = instance.path.as_ref()?;
+            let Some(path) = instance.path.as_ref() else { return Ok(None) };
             let of_model = reaches
                 .entry((instance.model, instance.clip))
                 .or_insert_with(|| bounds::model_bounds(&scene.models[instance.model], instance.clip));
@@ -30,10 +38,14 @@ impl SampledPaths {
             let reach_m = 2f32.powf((lengths.fold(0.01, f32::max).log2() * 8.0).ceil() / 8.0);
             let model = source::path_model(path, reach_m);
             let key = (clip_hash(&model, Some(0)), reach_m.to_bits());
-            let clip = known.entry(key).or_insert_with(|| Arc::new(sample(&model, Some(0), sampling)));
-            Some(clip.clone())
+            if let Some(clip) = known.get(&key) {
+                return Ok(Some(clip.clone()));
+            }
+            let clip = Arc::new(sample_until(&model, Some(0), sampling, cancel)?);
+            known.insert(key, clip.clone());
+            Ok(Some(clip))
         };
-        Self { of_instance: scene.instances.iter().map(&mut of).collect() }
+        Ok(Self { of_instance: scene.instances.iter().map(&mut of).collect::<Result<_, _>>()? })
     }
 
     /// `path * placement` of an instance at a time of the scene.

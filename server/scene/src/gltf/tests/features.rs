@@ -8,7 +8,7 @@ const I16: u32 = 5122;
 
 /// What a file says when it is loaded.
 fn warnings_of(glb: GlbBuilder) -> Warnings {
-    import(&glb.finish(), "features", None).expect("a good file").1
+    import(&glb.finish(), "features", &Surroundings::default()).expect("a good file").1
 }
 
 #[track_caller]
@@ -643,7 +643,8 @@ fn every_filter_of_the_compression_is_undone() {
         let view = view_of(&glb, accessor);
         compress(&mut glb, view, "EXT_meshopt_compression", &data, extension);
         let bytes = finish_compressed(glb, "EXT_meshopt_compression");
-        let container = container::open(&bytes, None, &mut Warnings::new()).expect("opens");
+        let container =
+            container::open(&bytes, &Surroundings::default(), &mut Warnings::new()).expect("opens");
         let container::Container { document, buffers, decoded } = &container;
         let reader = Reader { document, buffers, decoded };
         let accessor = document.accessors().next().expect("one");
@@ -723,7 +724,7 @@ pub(super) fn rich() -> Vec<u8> {
 
 #[test]
 fn the_file_with_everything_loads() {
-    let (model, warnings) = import(&rich(), "rich", None).expect("a good file");
+    let (model, warnings) = import(&rich(), "rich", &Surroundings::default()).expect("a good file");
     assert_sound(&model, "rich");
     assert_eq!((model.lights.len(), model.morphs.len(), model.clips[0].morph_tracks.len()), (1, 4, 1));
     assert_eq!(warnings, Warnings::new());

@@ -8,6 +8,11 @@ use glam::Quat;
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 use std::f32::consts::TAU;
 
+/// The model's first clip.
+fn sampled(model: &Model, bound_m: f32, range_share: f32) -> SampledClip {
+    sample(model, Some(0), [bound_m, range_share], &Cancel::default()).expect("nobody asks to end")
+}
+
 /// The largest distance of any vertex at any of some times, metres.
 fn largest_error(model: &Model, clip: &SampledClip, times_s: impl Iterator<Item = f64>) -> f32 {
     let vertices: Vec<u32> = (0..model.vertices.len() as u32).collect();
@@ -69,7 +74,7 @@ fn no_vertex_of_random_creatures_leaves_the_original_by_more_than_the_bound() {
         let count = rng.random_range(2..14);
         let model = random_creature(&mut rng, count);
         for bound_m in [1e-2, 1e-3, 1e-4] {
-            let clip = sample(&model, Some(0), bound_m, 1.0);
+            let clip = sampled(&model, bound_m, 1.0);
             // Source keys, and between them.
             let error = largest_error(&model, &clip, (0..=480).map(|step| f64::from(step) / 240.0));
             assert!(error <= bound_m * 1.02, "seed 31, case {case}: {error} m beyond {bound_m} m");
@@ -85,7 +90,7 @@ fn random_curves_of_every_interpolation_are_kept_within_the_bound() {
         model.palette = vec![PaletteEntry { bone: 0, bone_from_mesh: Affine3A::IDENTITY }];
         model.vertices =
             (0..8).map(|_| Vertex { position: random_vector(&mut rng), ..Vertex::default() }).collect();
-        let clip = sample(&model, Some(0), 1e-3, 1.0);
+        let clip = sampled(&model, 1e-3, 1.0);
         let times = &model.clips[0].tracks[0].times_s;
         let error = largest_error(&model, &clip, times.iter().map(|time| f64::from(*time)));
         assert!(error <= 1.02e-3, "seed 32, case {case}: {error} m");
@@ -96,7 +101,7 @@ fn random_curves_of_every_interpolation_are_kept_within_the_bound() {
 fn first_and_last_key_are_the_clips_ends_exactly() {
     let mut rng = SmallRng::seed_from_u64(33);
     let model = random_creature(&mut rng, 8);
-    let clip = sample(&model, Some(0), 1e-3, 1.0);
+    let clip = sampled(&model, 1e-3, 1.0);
     let (first, last) = (pose::source_pose(&model, Some(0), 0.0), pose::source_pose(&model, Some(0), 2.0));
     for (bone, [_, rotation, _]) in clip.bones.iter().enumerate() {
         for (key, truth) in [(0, first[bone].rotation), (rotation.values.len() - 1, last[bone].rotation)] {
@@ -116,7 +121,7 @@ fn linear_source_is_reproduced_with_its_own_keys() {
         one_bone(Track { bone: 0, times_s: times_s.clone(), interpolation: Interpolation::Linear, values });
     model.palette = vec![PaletteEntry { bone: 0, bone_from_mesh: Affine3A::IDENTITY }];
     model.vertices = vec![Vertex::default()];
-    let clip = sample(&model, Some(0), 1e-4, 1.0);
+    let clip = sampled(&model, 1e-4, 1.0);
     let track = &clip.bones[0][0];
     assert_eq!((track.interpolation, &track.times_s), (KeyInterpolation::Linear, &times_s));
     let differ = |(a, b): (&glam::Vec4, Vec3)| !a.abs_diff_eq(b.extend(0.0), 1e-6);
@@ -131,7 +136,7 @@ fn interpolation_with_the_fewest_keys_is_chosen() {
         let mut model = one_bone(Track { bone: 0, times_s, interpolation, values });
         model.palette = vec![PaletteEntry { bone: 0, bone_from_mesh: Affine3A::IDENTITY }];
         model.vertices = vec![Vertex::default()];
-        sample(&model, Some(0), 1e-4, 1.0).bones[0][0].clone()
+        sampled(&model, 1e-4, 1.0).bones[0][0].clone()
     };
     // The straight lines between the source's keys are 27 micrometres beside the sine.
     let sine = of(|t| 0.02 * (TAU * t).sin(), Interpolation::Linear);
@@ -153,7 +158,7 @@ fn wide_turns_between_keys_are_followed_in_every_quarter() {
     let mut model = one_bone(Track { bone: 0, times_s, interpolation: Interpolation::Linear, values });
     model.palette = vec![PaletteEntry { bone: 0, bone_from_mesh: Affine3A::IDENTITY }];
     model.vertices = vec![Vertex { position: Vec3::X, ..Vertex::default() }];
-    let clip = sample(&model, Some(0), 1e-4, 1.0);
+    let clip = sampled(&model, 1e-4, 1.0);
     let error = largest_error(&model, &clip, (0..=3000).map(|ms| f64::from(ms) * 1e-3));
     assert!(error <= 1.05e-4, "{error} m");
 }
@@ -165,7 +170,7 @@ fn share_of_range_bounds_curves_that_hardly_move_a_vertex() {
     model.palette = vec![PaletteEntry { bone: 0, bone_from_mesh: Affine3A::IDENTITY }];
     model.vertices = vec![Vertex { position: Vec3::X * 1e-4, ..Vertex::default() }];
     let worst = |share: f32| {
-        let clip = sample(&model, Some(0), 1e-2, share);
+        let clip = sampled(&model, 1e-2, share);
         let angle = |step: u32| {
             let t = f64::from(step) / 120.0;
             pose::source_pose(&model, Some(0), t)[0].rotation.angle_between(clip.local_pose(t)[0].rotation)
