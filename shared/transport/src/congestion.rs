@@ -5,6 +5,12 @@
 //! runs are alike. [`Steady`] keeps BBR's model, the product of the delivery rate measured at the bottleneck and the
 //! shortest round trip, without its random gain cycle, and answers loss only when it is too much for a radio link.
 //! The measurements that decided are in the documentation of [`crate::endpoint`].
+//!
+//! A stream of pictures seldom fills the path, and then says nothing about the bottleneck: what was delivered is what there
+//! was to send. Only packets that were sent while the window was full are evidence for a rate lower than the best one, and
+//! only they end the startup phase. Until then a burst of [`BURST_BYTES`] may leave at [`BURST_RATE`]: a head that starts
+//! to move wants its new geometry now, not after three round trips of growth. On a narrow path the first such burst is
+//! queued or partly lost, once; from then on the bottleneck is known.
 
 use std::any::Any;
 use std::collections::VecDeque;
@@ -14,8 +20,14 @@ use std::time::{Duration, Instant};
 use quinn_proto::RttEstimator;
 use quinn_proto::congestion::{Controller, ControllerFactory, ControllerMetrics};
 
-/// Window before anything is known of the path, bytes: half of a first picture, which is 70 ms of a 30 Mbit/s link.
+/// Window of the other controllers before anything is known of the path, bytes.
 pub const INITIAL_WINDOW_BYTES: u64 = 256 << 10;
+/// Window until the bottleneck is known, bytes: the geometry of a room that comes into view at once, with its picture.
+pub const BURST_BYTES: u64 = 2 << 20;
+/// How fast a burst leaves until the bottleneck is known, bytes per second: 1 MB in 20 ms.
+pub const BURST_RATE: f64 = 50e6;
+/// quinn sends a window in this part of a round trip: its pacer divides by it.
+const PACER_GAIN: f64 = 1.25;
 /// The window never falls below this many packets.
 const MIN_WINDOW_PACKETS: u64 = 16;
 /// Largest window of the startup phase, in products of measured rate and shortest round trip: 2 would double it.
@@ -66,6 +78,8 @@ struct SentBatch {
     delivered_at: Instant,
     /// When the batch was sent whose acknowledgement was the last at that time.
     first_sent: Instant,
+    /// The window was full: what is delivered after it tells of the path, not of the application.
+    is_window_limited: bool,
 }
 
 /// A measured delivery rate.
@@ -96,7 +110,14 @@ pub struct Steady {
     cap: Option<f64>,
     /// The last sample of loss was too much.
     congested: bool,
+    /// Packets sent until then were answered for: one burst that is lost is one reason to send less.
+    backed_off_at: Option<Instant>,
     batches: VecDeque<SentBatch>,
+    /// Sent, and neither acknowledged nor lost. Exact after each acknowledgement.
+    in_flight_bytes: u64,
+    /// The window was full at some time in this round trip.
+    round_is_window_limited: bool,
+    smoothed_rtt: Option<Duration>,
     delivered_bytes: u64,
     delivered_at: Option<Instant>,
     last_acked_sent: Option<Instant>,
@@ -119,10 +140,14 @@ impl Steady {
         Self {
             mtu: u64::from(mtu),
             mode: Mode::Startup { best_rate: 0.0, rounds_without_growth: 0 },
-            startup_window: INITIAL_WINDOW_BYTES,
+            startup_window: BURST_BYTES,
             cap: None,
             congested: false,
+            backed_off_at: None,
             batches: VecDeque::new(),
+            in_flight_bytes: 0,
+            round_is_window_limited: false,
+            smoothed_rtt: None,
             delivered_bytes: 0,
             delivered_at: None,
             last_acked_sent: None,
@@ -176,7 +201,7 @@ impl Steady {
         Some((self.delivered_bytes - batch.delivered_bytes) as f64 / interval.as_secs_f64())
     }
 
-    fn note_rtt(&mut self, now: Instant, rtt: Duration, app_limited: bool) {
+    fn note_rtt(&mut self, now: Instant, rtt: Duration) {
         let expired = self.min_rtt_at.is_some_and(|at| now.saturating_duration_since(at) > MIN_RTT_LIFETIME);
         self.round_min_rtt = Some(self.round_min_rtt.map_or(rtt, |min| min.min(rtt)));
         if self.min_rtt.is_none_or(|min| rtt <= min) {
@@ -184,21 +209,22 @@ impl Steady {
         } else if expired {
             (self.min_rtt, self.min_rtt_at) = (Some(rtt), Some(now));
             // A path that is not full has no queue to drain.
-            if !app_limited && self.mode == Mode::Steady {
+            if self.round_is_window_limited && self.mode == Mode::Steady {
                 self.mode = Mode::Drain { until: now + 2 * rtt };
             }
         }
     }
 
-    fn end_round(&mut self, app_limited: bool) {
+    fn end_round(&mut self) {
         self.round += 1;
+        let is_window_limited = std::mem::take(&mut self.round_is_window_limited);
         let rate = self.rate();
         let queued = match (self.round_min_rtt.take(), self.min_rtt) {
             (Some(now), Some(min)) => now > min.mul_f64(1.5) + STARTUP_QUEUE,
             _ => false,
         };
         if let Mode::Startup { best_rate, rounds_without_growth } = &mut self.mode
-            && !app_limited
+            && is_window_limited
         {
             *rounds_without_growth += 1;
             if rate > *best_rate * 1.25 {
@@ -228,20 +254,44 @@ impl Steady {
         }
     }
 
+    /// What may be under way, bytes.
+    fn limit(&self) -> u64 {
+        let model = self.model_window();
+        self.cap.map_or(model, |cap| model.min(cap as u64)).max(self.min_window())
+    }
+
+    /// The window from which quinn's pacer makes the rate of a burst; `None` where the limit's own rate is right.
+    fn pacing_window(&self) -> Option<u64> {
+        let Mode::Startup { .. } = self.mode else { return None };
+        let rate = BURST_RATE.max(self.rate() * STEADY_GAIN);
+        let round_trip = self.smoothed_rtt?.as_secs_f64();
+        Some((rate * round_trip / PACER_GAIN) as u64)
+    }
+
+    fn is_full(&self) -> bool {
+        // One more packet, and one that is being filled.
+        self.in_flight_bytes + 2 * self.mtu >= self.limit()
+    }
+
     /// Backs off when the last sample's worth of packets lost more than a radio link does.
-    fn judge_loss(&mut self) {
+    fn judge_loss(&mut self, now: Instant) {
         let sampled = self.sampled_acked + self.sampled_lost;
         if sampled < LOSS_SAMPLE_BYTES {
             return;
         }
         self.congested = self.sampled_lost as f64 > CONGESTION_LOSS * sampled as f64;
         if self.congested {
-            self.back_off(self.window() as f64 * BACKOFF);
+            self.back_off(now, self.limit() as f64 * BACKOFF);
         }
         (self.sampled_acked, self.sampled_lost) = (0, 0);
     }
 
-    fn back_off(&mut self, to_bytes: f64) {
+    fn is_answered_for(&self, sent: Instant) -> bool {
+        self.backed_off_at.is_some_and(|at| sent <= at)
+    }
+
+    fn back_off(&mut self, now: Instant, to_bytes: f64) {
+        self.backed_off_at = Some(now);
         if matches!(self.mode, Mode::Startup { .. }) {
             self.mode = Mode::Steady;
         }
@@ -250,8 +300,12 @@ impl Steady {
 }
 
 impl Controller for Steady {
-    fn on_sent(&mut self, now: Instant, _bytes: u64, _last_packet_number: u64) {
-        if self.batches.back().is_some_and(|last| last.sent == now) {
+    fn on_sent(&mut self, now: Instant, bytes: u64, _last_packet_number: u64) {
+        self.in_flight_bytes += bytes;
+        let is_window_limited = self.is_full();
+        self.round_is_window_limited |= is_window_limited;
+        if let Some(last) = self.batches.back_mut().filter(|last| last.sent == now) {
+            last.is_window_limited |= is_window_limited;
             return;
         }
         // After a pause the time without anything under way must not count as slow delivery.
@@ -259,15 +313,25 @@ impl Controller for Steady {
         let delivered_at = self.delivered_at.filter(|_| !idle).unwrap_or(now);
         let first_sent = self.last_acked_sent.filter(|_| !idle).unwrap_or(now);
         let delivered_bytes = self.delivered_bytes;
-        self.batches.push_back(SentBatch { sent: now, delivered_bytes, delivered_at, first_sent });
+        self.batches.push_back(SentBatch {
+            sent: now,
+            delivered_bytes,
+            delivered_at,
+            first_sent,
+            is_window_limited,
+        });
         self.round_end.get_or_insert(now);
     }
 
-    fn on_ack(&mut self, now: Instant, sent: Instant, bytes: u64, app_limited: bool, _rtt: &RttEstimator) {
+    fn on_ack(&mut self, now: Instant, sent: Instant, bytes: u64, _app_limited: bool, rtt: &RttEstimator) {
+        self.in_flight_bytes = self.in_flight_bytes.saturating_sub(bytes);
+        self.smoothed_rtt = Some(rtt.get());
         self.delivered_bytes += bytes;
         self.delivered_at = Some(now);
-        self.sampled_acked += bytes;
-        self.note_rtt(now, now.saturating_duration_since(sent), app_limited);
+        if !self.is_answered_for(sent) {
+            self.sampled_acked += bytes;
+        }
+        self.note_rtt(now, now.saturating_duration_since(sent));
         if self.last_acked_sent.is_none_or(|last| last < sent) {
             self.last_acked_sent = Some(sent);
         }
@@ -276,18 +340,19 @@ impl Controller for Steady {
         {
             self.newest_acked = Some(self.batches[found]);
         }
-        if matches!(self.mode, Mode::Startup { .. }) && !app_limited {
+        if matches!(self.mode, Mode::Startup { .. }) && self.round_is_window_limited {
             let enough = self.path_bytes().map_or(0, |path| (path * STARTUP_GAIN) as u64);
-            let limit = enough.clamp(INITIAL_WINDOW_BYTES, MAX_WINDOW_BYTES);
+            let limit = enough.clamp(BURST_BYTES, MAX_WINDOW_BYTES);
             self.startup_window = self.startup_window.max((self.startup_window + bytes).min(limit));
         }
     }
 
-    fn on_end_acks(&mut self, now: Instant, in_flight: u64, app_limited: bool, _largest_acked: Option<u64>) {
+    fn on_end_acks(&mut self, now: Instant, in_flight: u64, _app_limited: bool, _largest_acked: Option<u64>) {
+        self.in_flight_bytes = in_flight;
         let Some(batch) = self.newest_acked.take() else { return };
         if let Some(bytes_per_s) = self.measured_rate(now, &batch)
-            // An idle application proves a lower bound only.
-            && (!app_limited || bytes_per_s > self.rate())
+            // Less than the path would have taken proves a lower bound only.
+            && (batch.is_window_limited || bytes_per_s > self.rate())
         {
             self.add_rate(RateSample { round: self.round, bytes_per_s });
         }
@@ -297,43 +362,47 @@ impl Controller for Steady {
         }
         if self.round_end.is_some_and(|end| batch.sent >= end) {
             self.round_end = Some(now);
-            self.end_round(app_limited);
+            self.end_round();
         }
         if matches!(self.mode, Mode::Drain { until } if now >= until) {
             self.mode = Mode::Steady;
         }
-        self.judge_loss();
+        self.judge_loss(now);
     }
 
     fn on_congestion_event(
         &mut self,
-        _now: Instant,
-        _sent: Instant,
+        now: Instant,
+        sent: Instant,
         is_persistent_congestion: bool,
         lost_bytes: u64,
     ) {
-        self.sampled_lost += lost_bytes;
+        if !self.is_answered_for(sent) {
+            self.sampled_lost += lost_bytes;
+        }
+        self.in_flight_bytes = self.in_flight_bytes.saturating_sub(lost_bytes);
         if is_persistent_congestion {
-            self.back_off(0.0);
+            self.back_off(now, 0.0);
             self.congested = true;
             (self.sampled_acked, self.sampled_lost) = (0, 0);
         }
-        self.judge_loss();
+        self.judge_loss(now);
     }
 
     fn on_mtu_update(&mut self, new_mtu: u16) {
         self.mtu = u64::from(new_mtu);
     }
 
+    /// quinn takes one number for what may be under way and for the pace. While there is room it is the pace that counts.
     fn window(&self) -> u64 {
-        let model = self.model_window();
-        self.cap.map_or(model, |cap| model.min(cap as u64)).max(self.min_window())
+        let limit = self.limit();
+        if self.is_full() { limit } else { self.pacing_window().map_or(limit, |pacing| pacing.max(limit)) }
     }
 
     /// The rate is the measured one; the threshold is there once the bottleneck was found.
     fn metrics(&self) -> ControllerMetrics {
         let mut metrics = ControllerMetrics::default();
-        metrics.congestion_window = self.window();
+        metrics.congestion_window = self.limit();
         metrics.ssthresh = (!matches!(self.mode, Mode::Startup { .. })).then(|| self.model_window());
         metrics.pacing_rate = Some((self.rate() * 8.0) as u64);
         metrics
@@ -344,7 +413,7 @@ impl Controller for Steady {
     }
 
     fn initial_window(&self) -> u64 {
-        INITIAL_WINDOW_BYTES
+        BURST_BYTES
     }
 
     fn into_any(self: Box<Self>) -> Box<dyn Any> {

@@ -19,13 +19,13 @@
 //!
 //! | link | controller | Mbit/s | round trip | first | p50 | p95 | p99 |
 //! | --- | --- | --- | --- | --- | --- | --- | --- |
-//! | no loss | ours | 95 | 80 | 86 | 25 | 25 | 25 |
+//! | no loss | ours | 95 | 80 | 62 | 25 | 25 | 25 |
 //! | | Cubic | 95 | 203 | 83 | 25 | 25 | 25 |
 //! | | BBR | 95 | 80 | 83 | 25 | 25 | 25 |
-//! | 1 % loss, 5 ms jitter | ours | 93 | 70 | 130 | 33 | 76 | 82 |
+//! | 1 % loss, 5 ms jitter | ours | 93 | 69 | 98 | 29 | 74 | 77 |
 //! | | Cubic | 4 | 45 | 145 | stalls | | |
 //! | | BBR | 89 | 235 | 359 | 36 | 85 | 167 |
-//! | 5 % loss, 5 ms jitter | ours | 86 | 51 | 172 | 72 | 135 | 137 |
+//! | 5 % loss, 5 ms jitter | ours | 89 | 70 | 107 | 71 | 130 | 164 |
 //! | | Cubic | 1 | 39 | 262 | stalls | | |
 //! | | BBR | 83 | 209 | 582 | 72 | 131 | 267 |
 //!
@@ -955,7 +955,7 @@ impl Endpoint {
             received_bytes: stats.udp_rx.bytes,
             sent_packets: stats.path.sent_packets,
             lost_packets: stats.path.lost_packets,
-            window_bytes: stats.path.cwnd,
+            window_bytes: congestion.congestion_window,
             mtu_bytes: stats.path.current_mtu,
             queued_bytes: peer.queued_bytes() as u64,
             streams_under_way: peer.streams_under_way() as u64,

@@ -247,6 +247,84 @@ fn congestion_is_answered_by_sending_less() {
     assert!(mbit < 30.0, "{mbit} Mbit/s");
 }
 
+/// A connection over which pictures of 20 KB have gone at 30 Hz for two seconds.
+fn after_small_traffic(link: &str, seed: u64) -> Connected {
+    let Connected { mut pair, on_server, on_client } = connected(link, seed);
+    for _ in 0..60 {
+        pair.server.send_stream(on_server, vec![0; 20_000], 0).unwrap();
+        pair.step_until(pair.now_ns() + 33 * MS);
+    }
+    pair.step_until(pair.now_ns() + 500 * MS);
+    events(&mut pair.client);
+    Connected { pair, on_server, on_client }
+}
+
+/// Sends 1.5 MB at once, as streams of 100 KB; nanoseconds until all of it has arrived.
+fn burst_ns(Connected { pair, on_server, .. }: &mut Connected) -> i64 {
+    let (start_ns, count) = (pair.now_ns(), 15);
+    for _ in 0..count {
+        pair.server.send_stream(*on_server, vec![1; 100_000], 0).unwrap();
+    }
+    let mut arrived = 0;
+    while arrived < count {
+        let seen = pair.step_to_events(start_ns + 60 * S);
+        assert!(!seen.is_empty(), "{arrived} of {count} after a minute");
+        arrived += seen.iter().filter(|(_, event)| matches!(event, Event::Stream { .. })).count();
+    }
+    pair.now_ns() - start_ns
+}
+
+#[test]
+fn a_burst_after_small_traffic_crosses_a_long_way_without_another_round_trip() {
+    for link in
+        ["latency=110ms,rate=1gbit", "latency=110ms,jitter=10ms,rate=1gbit", "latency=110ms,jitter=10ms"]
+    {
+        let mut connected = after_small_traffic(link, 31);
+        let ms = burst_ns(&mut connected) / MS;
+        assert!(ms < 110 + 10 + 50, "{link}: {ms} ms, where a round trip is 220");
+    }
+}
+
+#[test]
+fn the_first_burst_of_a_connection_crosses_a_long_way_at_once_too() {
+    let mut connected = connected("latency=110ms,rate=1gbit", 32);
+    let ms = burst_ns(&mut connected) / MS;
+    assert!(ms < 110 + 50, "{ms} ms");
+}
+
+#[test]
+fn a_burst_overflows_a_narrow_path_once_and_not_for_ever() {
+    for (link, at_best_ms) in
+        [("latency=20ms,rate=20mbit,queue=50ms", 620), ("latency=110ms,rate=20mbit,queue=50ms", 710)]
+    {
+        let mut connected = after_small_traffic(link, 33);
+        let stats = |connected: &Connected| connected.pair.server.stats(connected.on_server).unwrap();
+        let (sent, lost) = (stats(&connected).sent_packets, stats(&connected).lost_packets);
+        let first_ms = burst_ns(&mut connected) / MS;
+        connected.pair.step_until(connected.pair.now_ns() + S);
+        let first = stats(&connected);
+        // 1.5 MB are some 1,100 packets.
+        assert!(first.lost_packets - lost < 1200, "{link}: {} packets were lost", first.lost_packets - lost);
+        assert!(first.sent_packets - sent < 3000, "{link}: {} packets were sent", first.sent_packets - sent);
+        assert!(first_ms < at_best_ms * 5 / 2, "{link}: {first_ms} ms");
+        let second_ms = burst_ns(&mut connected) / MS;
+        connected.pair.step_until(connected.pair.now_ns() + S);
+        let second = stats(&connected);
+        let (lost, share) = (second.lost_packets - first.lost_packets, first.lost_packets - lost);
+        assert!(lost < share / 2 + 50, "{link}: {lost} of the second burst, {share} of the first");
+        assert!(second_ms < at_best_ms * 3 / 2, "{link}: {second_ms} ms");
+        assert!(second.bottleneck_known, "{link}");
+        let mbit = second.delivered_bit_per_s as f64 * 1e-6;
+        assert!((15.0..25.0).contains(&mbit), "{link}: {mbit} Mbit/s");
+    }
+}
+
+#[test]
+fn little_traffic_says_nothing_about_the_bottleneck() {
+    let Connected { pair, on_server, .. } = after_small_traffic("latency=110ms,rate=1gbit", 34);
+    assert!(!pair.server.stats(on_server).unwrap().bottleneck_known);
+}
+
 #[test]
 fn urgent_streams_overtake() {
     let Connected { mut pair, on_server, .. } = connected("latency=5ms,rate=20mbit", 5);
