@@ -12,9 +12,10 @@ use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewPatch, N
 use shadecast_protocol::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
 use shadecast_protocol::message::{Codec, Environment, ResumeSecret, ServerOffer, Welcome};
 use shadecast_protocol::pose::Pose;
-use shadecast_protocol::session::{Out, ServerEvent, ServerSession};
+use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::{DEFAULT_GRID, DisplayTime, GridIndex, ServerTime};
 use shadecast_protocol::wire::{PictureHeader, StreamMessage, parse_stream};
+use std::collections::VecDeque;
 use support::{Run, SIDE, at, coded, finish, frame, pixel};
 
 const ATLAS: AtlasExtent = AtlasExtent::MIN;
@@ -284,6 +285,10 @@ fn the_newest_picture_goes_with_its_own_placements() {
 /// A server's session and a link of no length, both in the client's virtual time.
 struct Line {
     server: ServerSession,
+    /// The server's sending half, once it has said yes.
+    sender: Option<DeltaSender>,
+    /// What the server sends beside the session.
+    streams: VecDeque<Out>,
     frames: i64,
     events: Vec<ServerEvent>,
     /// Streams whose frame and kind this names are lost: what the client gets is a reset.
@@ -310,7 +315,14 @@ impl Line {
             update_period_ns: 33_333_333,
             resume: ResumeSecret([2; 16]),
         });
-        Self { server, frames: 0, events: Vec::new(), lost_pictures: Vec::new() }
+        Self {
+            server,
+            sender: None,
+            streams: VecDeque::new(),
+            frames: 0,
+            events: Vec::new(),
+            lost_pictures: Vec::new(),
+        }
     }
 
     /// One display frame, and what both ends say meanwhile.
@@ -327,14 +339,20 @@ impl Line {
                 Out::Stream { .. } => panic!("clients send no streams"),
             }
         }
-        self.events.extend(std::iter::from_fn(|| self.server.poll_event()));
+        while let Some(event) = self.server.poll_event() {
+            if matches!(event, ServerEvent::Asked { .. }) {
+                self.sender = self.server.accept();
+            }
+            self.events.push(event);
+        }
         self.deliver(client, now);
         report
     }
 
     /// What the server has said reaches the client.
     fn deliver(&mut self, client: &mut Client, now: DisplayTime) {
-        while let Some(out) = self.server.poll_out(ServerTime(now.0 + SERVER_AHEAD_NS)) {
+        let server_now = ServerTime(now.0 + SERVER_AHEAD_NS);
+        while let Some(out) = self.server.poll_out(server_now).or_else(|| self.streams.pop_front()) {
             match out {
                 Out::Control(bytes) => client.receive_control(now, &bytes).expect("control"),
                 Out::Datagram(bytes) => client.receive_datagram(now, &bytes),
@@ -355,14 +373,15 @@ impl Line {
         for _ in 0..12 {
             line.frame(client);
         }
-        assert!(matches!(line.events[0], ServerEvent::Accepted { .. }), "{:?}", line.events);
+        assert!(matches!(line.events[0], ServerEvent::Asked { .. }), "{:?}", line.events);
         line
     }
 
     fn send(&mut self, delta: &GeometryDelta, planes: &Planes, is_refresh: bool) {
-        self.server.send_delta(delta);
+        let sender = self.sender.as_mut().expect("a session");
+        self.streams.push_back(sender.delta_stream(delta).expect("a small delta").0);
         let header = PictureHeader { frame: delta.frame, time: delta.time, is_refresh };
-        self.server.send_picture(header, &coded(planes, is_refresh));
+        self.streams.push_back(picture_stream(header, &coded(planes, is_refresh)).expect("a small picture"));
     }
 }
 
@@ -383,7 +402,7 @@ fn a_session_is_agreed_on_and_the_server_learns_of_head_and_time() {
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
     let reports: Vec<_> = (0..10).map(|_| line.frame(&mut client)).collect();
-    let ServerEvent::Accepted { hello, .. } = &line.events[0] else { panic!("{:?}", line.events) };
+    let ServerEvent::Asked { hello, .. } = &line.events[0] else { panic!("{:?}", line.events) };
     let capabilities = &hello.capabilities;
     assert_eq!((capabilities.eye_extent_pixels, capabilities.max_vertex_slots), ([SIDE; 2], 256));
     assert!((capabilities.eyes[1].head_from_eye.position.x - 0.0315).abs() < 1e-5);

@@ -157,6 +157,11 @@ impl Frame {
         }
     }
 
+    /// From now on an update brings at most so many bytes of new geometry, about; `None`: as much as there is.
+    pub fn limit_geometry(&mut self, bytes: Option<usize>) {
+        self.residency.limit(bytes);
+    }
+
     /// Steps 1 to 6 and 8. `None` before the first head state: there is nowhere to look from.
     pub fn update(&mut self, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
         let Some(views) = self.head.predict(now, self.grid) else { return Ok(None) }; // 1

@@ -2,12 +2,14 @@
 
 mod forward_command;
 mod interrupt;
+mod output;
 mod start_up;
 
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 use glam::Vec3;
 use interrupt::FirstSignal;
+use output::{Output, note, told};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::animation::sampling::Sampling;
@@ -16,10 +18,11 @@ use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
 use shadecast_scene::{Cancel, Scene};
 use shadecast_server::encode::openh264::DEFAULT_QP;
+use shadecast_server::frame;
 use shadecast_server::inspect::{self, InspectArgs};
 use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
 use shadecast_server::stages::skin::Skinning;
-use shadecast_server::stream::{StreamOptions, run};
+use shadecast_server::stream::{Device, StreamOptions, run};
 use shadecast_transport::{LinkProfile, LinkSchedule};
 use start_up::{CacheArgs, StartUp};
 use std::net::SocketAddr;
@@ -102,10 +105,10 @@ struct StreamArgs {
     #[arg(long, value_name = "WxH", default_value_t = AtlasExtent::DEFAULT)]
     atlas: AtlasExtent,
     /// Quantisation of the atlas: 0 (finest) to 51
-    #[arg(long, default_value_t = DEFAULT_QP)]
+    #[arg(long, default_value_t = DEFAULT_QP, value_parser = clap::value_parser!(u8).range(0..=51))]
     qp: u8,
     /// Updates per second, 1 to 60
-    #[arg(long, default_value_t = 30.0)]
+    #[arg(long, default_value_t = 30.0, value_parser = parse_rate)]
     rate: f64,
     /// Simulates a network on the real socket, such as latency=20ms,jitter=5ms,loss=1%,rate=100mbit, or a .toml file
     #[arg(long)]
@@ -114,7 +117,7 @@ struct StreamArgs {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Ends after so many seconds; 0: runs until stopped
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = parse_seconds)]
     seconds: f64,
     /// Writes figures of the run to this JSON file on leaving
     #[arg(long)]
@@ -133,6 +136,16 @@ fn parse_size(text: &str) -> Result<[u32; 2], String> {
         .ok_or_else(|| format!("\"{text}\" is not WxH with sides from 16 to 8192, such as 512x512"))
 }
 
+fn parse_rate(text: &str) -> Result<f64, String> {
+    let rate = text.parse().ok().filter(|rate| (1.0..=60.0).contains(rate));
+    rate.ok_or_else(|| "it must be a number from 1 to 60".into())
+}
+
+fn parse_seconds(text: &str) -> Result<f64, String> {
+    let seconds = text.parse().ok().filter(|seconds: &f64| seconds.is_finite() && *seconds >= 0.0);
+    seconds.ok_or_else(|| "it must be a number of seconds, or 0 for no end".into())
+}
+
 fn parse_vector(text: &str) -> Result<Vec3, String> {
     let numbers: Vec<f32> = text.split(',').filter_map(|part| part.trim().parse().ok()).collect();
     match numbers[..] {
@@ -148,15 +161,15 @@ fn main() {
     use tracing_subscriber::layer::SubscriberExt;
     use tracing_subscriber::util::SubscriberInitExt;
     tracing_subscriber::registry()
-        .with(tracing_subscriber::fmt::layer().with_writer(std::io::stderr))
+        .with(tracing_subscriber::fmt::layer().with_writer(std::io::stderr).log_internal_errors(false))
         .with(filter)
         .init();
     if let Err(error) = run_command(&Cli::parse().command) {
         if interrupt::is_interruption(&error) {
-            eprintln!("interrupted");
+            note("interrupted");
             std::process::exit(interrupt::EXIT_CODE);
         }
-        eprintln!("error: {error:#}");
+        note(&format!("error: {}", told(&error)));
         std::process::exit(1);
     }
 }
@@ -208,25 +221,31 @@ fn open(
 ) -> anyhow::Result<(Arc<Gpu>, Arc<SceneGpu>, StartUp)> {
     let loading = loading(args, cancel);
     let mut start_up = StartUp::new(loading.cache.clone());
-    let scene = load(scene, args, &loading)?;
-    start_up.ended("scene");
+    // Before the scene, which may take long: without a device it would be loaded for nothing.
     let gpu = Gpu::open(&gpu_options(args), &DesktopDevice)?;
     // Standard output may be where a video goes.
-    eprintln!("Vulkan device: {}", gpu.device_name());
+    note(&format!("Vulkan device: {}", gpu.device_name()));
     if gpu.is_cpu() {
-        eprintln!("warning: this device is a CPU; pictures are right, but slow");
+        note("warning: this device is a CPU; pictures are right, but slow");
     }
     start_up.ended("device");
+    let scene = load(scene, args, &loading)?;
+    start_up.ended("scene");
     let scene = SceneGpu::cached(&gpu, scene, &scene_options(args), &loading)?;
     start_up.ended("upload");
     Ok((gpu, Arc::new(scene), start_up))
 }
 
 fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
-    anyhow::ensure!((1.0..=60.0).contains(&args.rate), "--rate {} must lie between 1 and 60", args.rate);
-    anyhow::ensure!(args.qp <= 51, "--qp {} must lie between 0 and 51", args.qp);
     let link = args.link.as_deref().map(parse_link).transpose()?;
     let (gpu, scene, _) = open(&args.scene, &args.device, cancel)?;
+    frame::check_device(&gpu, &scene).with_context(|| format!("scene {}", args.scene))?;
+    let reopen = |scene: Scene| -> anyhow::Result<Device> {
+        let gpu = Gpu::open(&gpu_options(&args.device), &DesktopDevice)?;
+        let loading = loading(&args.device, cancel);
+        let scene = SceneGpu::cached(&gpu, scene, &scene_options(&args.device), &loading)?;
+        Ok(Device { gpu, scene: Arc::new(scene) })
+    };
     let options = StreamOptions {
         listen: args.listen,
         identity: args.identity.clone(),
@@ -238,11 +257,16 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
         seconds: args.seconds,
         atlas_png: args.atlas_png.clone(),
     };
-    let stats = run(&gpu, &scene, &options, cancel.flag())?;
-    println!("{} updates, {:.1} a second", stats.updates, stats.server_fps);
+    let output = Output::start().context("starting to write")?;
+    let voice = output.voice();
+    let say = |line: &str| voice.say(line);
+    let stats = run(Device { gpu, scene }, &reopen, &options, cancel.flag(), &say)?;
+    voice.say(&format!("{} updates, {:.1} a second", stats.updates, stats.server_fps));
+    output.finish();
     if let Some(path) = &args.stats {
         let text = serde_json::to_string_pretty(&stats)?;
-        std::fs::write(path, text).with_context(|| format!("writing {}", path.display()))?;
+        shadecast_transport::write_atomically(path, text.as_bytes())
+            .with_context(|| format!("writing {}", path.display()))?;
     }
     Ok(())
 }

@@ -19,6 +19,10 @@ const RETAIN_UPDATES: u32 = 300;
 /// Free slots under which retained patches go at once.
 const LOW_WATER: usize = 4096;
 const NONE: u32 = u32::MAX;
+/// What geometry takes on the wire, about, bytes: a patch, a vertex that does not move, a sample of one that does.
+const PATCH_BYTES: usize = 12;
+const STATIC_VERTEX_BYTES: usize = 14;
+const SAMPLE_BYTES: usize = 2;
 /// Most vertices of a patch.
 pub(crate) const MAX_CORNERS: usize = shadecast_protocol::limits::PATCH_MAX_VERTICES as usize;
 
@@ -109,6 +113,10 @@ pub struct Residency {
     sent_until: Option<GridIndex>,
     /// Patches with a block that found no slot free; they try again with each update.
     waiting: BTreeMap<u32, Block>,
+    /// Bytes of new geometry that an update may bring, about.
+    limit_bytes: Option<usize>,
+    /// Of those that wait, how many do so because of that limit alone.
+    held_back: usize,
 }
 
 impl Residency {
@@ -124,6 +132,8 @@ impl Residency {
             sampled: BTreeMap::new(),
             sent_until: None,
             waiting: BTreeMap::new(),
+            limit_bytes: None,
+            held_back: 0,
         }
     }
 
@@ -131,6 +141,11 @@ impl Residency {
     pub fn displayed(&mut self, frame: FrameId) {
         self.patch_slots.displayed(frame);
         self.vertex_slots.displayed(frame);
+    }
+
+    /// From now on an update brings at most so many bytes of new geometry, about, the largest blocks first; the rest waits.
+    pub fn limit(&mut self, bytes: Option<usize>) {
+        self.limit_bytes = bytes;
     }
 
     /// The delta that brings the client from the last update to this one.
@@ -146,7 +161,16 @@ impl Residency {
         }
         self.forget_old(geometry, window.frame, &mut delta);
         let mut fresh = Vec::new();
+        let mut left_bytes = self.limit_bytes.unwrap_or(usize::MAX);
+        self.held_back = 0;
         for (patch, block) in self.coming(changes) {
+            let bytes = self.entry_bytes(geometry, patch, window);
+            if bytes > left_bytes {
+                self.held_back += 1;
+                self.waiting.insert(patch, block);
+                continue;
+            }
+            left_bytes -= bytes;
             match self.admit(geometry, patch, &mut delta, &mut fresh) {
                 Some(slot) => delta.placements.push((PatchSlot(slot), Some(block))),
                 None => drop(self.waiting.insert(patch, block)),
@@ -170,6 +194,21 @@ impl Residency {
         let mut coming: Vec<(u32, Block)> = waiting.into_iter().collect();
         coming.sort_by_key(|(_, block)| std::cmp::Reverse(block.size.texels()));
         coming
+    }
+
+    /// About how many bytes it takes to bring a patch in, with the vertices that are not there yet.
+    fn entry_bytes(&self, geometry: &impl Geometry, patch: u32, window: UpdateWindow) -> usize {
+        if self.slot_of_patch[patch as usize] != NONE {
+            return 0;
+        }
+        let first = window.first_sample.max(window.oldest);
+        let grids = (window.horizon.0 - first.0 + 1).max(0) as usize;
+        let bytes_of = |vertex| match geometry.static_position(vertex) {
+            Some(_) => STATIC_VERTEX_BYTES,
+            None => grids * SAMPLE_BYTES,
+        };
+        let lacking = vertices_of_patch(geometry, patch).filter(|v| self.vertices[*v as usize].1 == 0);
+        PATCH_BYTES + lacking.map(bytes_of).sum::<usize>()
     }
 
     fn lose_block(
@@ -327,7 +366,12 @@ impl Residency {
 
     /// Patches with a block that are not shown, because the client's memory is full or not yet free again.
     pub fn waiting(&self) -> usize {
-        self.waiting.len()
+        self.waiting.len() - self.held_back
+    }
+
+    /// Patches with a block that are not shown yet, because updates may bring only so much.
+    pub fn held_back(&self) -> usize {
+        self.held_back
     }
 }
 
@@ -649,6 +693,27 @@ mod tests {
         let gone: Vec<_> = changes.iter().map(|c| PlacementChange { block: None, ..*c }).collect();
         residency.update(&Strip, &gone, window(1));
         assert_eq!(residency.waiting(), 0, "what lost its block waits no longer");
+    }
+
+    #[test]
+    fn limited_updates_bring_the_largest_blocks_first_and_everything_in_the_end() {
+        let mut residency = Residency::new(&Strip, 8192, 8192);
+        let changes: Vec<_> =
+            (0..PATCHES).map(|patch| sized(patch, if patch >= 390 { 8 } else { 2 })).collect();
+        let mut coder = SampleCoder::new(8192, 8192);
+        residency.limit(Some(600));
+        let first = residency.update(&Strip, &changes, window(0));
+        assert!(first.new_patches.len() >= 10 && residency.held_back() > 300 && residency.waiting() == 0);
+        assert!((390..400).all(|patch| residency.slot_of_patch[patch] != NONE), "the largest are there");
+        assert!(encode(&first, &mut coder).len() < 2 * 600);
+        let mut updates = 1;
+        while residency.held_back() > 0 {
+            let next = residency.update(&Strip, &[], window(updates));
+            assert!(!next.new_patches.is_empty() && next.new_patches.len() == next.placements.len());
+            updates += 1;
+        }
+        assert!((5..200).contains(&updates), "{updates}");
+        assert!(residency.slot_of_patch.iter().all(|slot| *slot != NONE));
     }
 
     #[test]

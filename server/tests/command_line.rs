@@ -93,3 +93,39 @@ fn large_scene(folder: &Path) -> String {
     std::fs::write(&path, text).expect("written");
     path.to_string_lossy().into_owned()
 }
+
+/// What a program that refuses says, and how it ends.
+fn refused(command: &mut Command) -> (ExitStatus, String) {
+    let mut child = command.spawn().expect("the program starts");
+    let status = end_within(&mut child, Duration::from_secs(60));
+    let output = child.wait_with_output().expect("output");
+    (status, String::from_utf8_lossy(&output.stderr).into_owned())
+}
+
+#[test]
+fn numbers_that_are_none_are_refused_with_the_name_of_their_option() {
+    let wrong = [
+        ("seconds", "nan"),
+        ("seconds", "-1"),
+        ("rate", "nan"),
+        ("rate", "inf"),
+        ("rate", "0"),
+        ("qp", "52"),
+    ];
+    for (option, value) in wrong {
+        let (status, said) = refused(program().args(["stream", "dragon"]).arg(format!("--{option}={value}")));
+        assert_eq!(status.code(), Some(2), "{said}");
+        assert!(said.contains(&format!("--{option}")) && said.contains(value), "{said}");
+    }
+}
+
+#[test]
+fn without_a_driver_the_remedy_is_named() {
+    let mut command = program();
+    command.args(["stream", "dragon", "--no-cache", "--listen", "127.0.0.1:0", "--seconds", "60"]);
+    // Both names of the variable: the older one is ignored by newer loaders where the newer one is set.
+    command.env("VK_DRIVER_FILES", "/nowhere.json").env("VK_ICD_FILENAMES", "/nowhere.json");
+    let (status, said) = refused(&mut command);
+    assert_eq!(status.code(), Some(1), "{said}");
+    assert!(said.contains("no Vulkan device") && said.contains("mesa-vulkan-drivers"), "{said}");
+}

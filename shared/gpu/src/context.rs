@@ -11,6 +11,9 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
+/// What to do where there is no device at all.
+const NO_DRIVER: &str =
+    "none is installed; install a driver, or Mesa's software one (package mesa-vulkan-drivers)";
 
 /// Which of the two required feature sets a device must have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -249,7 +252,12 @@ impl DeviceSource for DesktopDevice {
         info: &vk::InstanceCreateInfo<'_>,
     ) -> Result<vk::Instance, GpuError> {
         // SAFETY: `info` and all it points to live through the call.
-        Ok(unsafe { entry.create_instance(info, None) }.doing("creating the Vulkan instance")?.handle())
+        match unsafe { entry.create_instance(info, None) } {
+            Ok(instance) => Ok(instance.handle()),
+            // What the loader says where it finds no driver at all.
+            Err(vk::Result::ERROR_INCOMPATIBLE_DRIVER) => Err(GpuError::NoDevice(NO_DRIVER.into())),
+            refused => Ok(refused.doing("creating the Vulkan instance")?.handle()),
+        }
     }
 
     fn physical_device(
@@ -276,12 +284,7 @@ impl DeviceSource for DesktopDevice {
         }
         usable.sort_by_key(|(rank, _)| *rank);
         usable.first().map(|(_, physical)| *physical).ok_or_else(|| {
-            GpuError::NoDevice(if refused.is_empty() {
-                "none is installed; install a driver, or Mesa's software one (package mesa-vulkan-drivers)"
-                    .into()
-            } else {
-                refused.join("; ")
-            })
+            GpuError::NoDevice(if refused.is_empty() { NO_DRIVER.into() } else { refused.join("; ") })
         })
     }
 

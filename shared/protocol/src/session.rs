@@ -9,21 +9,19 @@
 use crate::clock::ClockEstimator;
 use crate::delta::{self, DeltaSizes, GeometryDelta, SampleCoder, SampleDecoder};
 use crate::ids::FrameId;
-use crate::limits::{MAX_QUEUED_STREAM_BYTES, MAX_QUEUED_STREAMS};
+use crate::limits::{MAX_ACCESS_UNIT_BYTES, MAX_DELTA_BYTES, MAX_QUEUED_STREAM_BYTES, MAX_QUEUED_STREAMS};
 use crate::message::{
     ClientDatagram, ClientHello, ClientMessage, Displayed, HeadState, HelloVersions, Refused, ServerDatagram,
     ServerMessage, ServerOffer, Welcome, negotiate, negotiate_version,
 };
 use crate::time::{DisplayTime, ServerTime};
 use crate::wire::{
-    PictureHeader, StreamMessage, WireError, encode_geometry, encode_picture, invalid, parse_stream,
+    PictureHeader, StreamMessage, WireError, check_count, encode_geometry, encode_picture, invalid,
+    parse_stream,
 };
 use std::collections::{BTreeMap, VecDeque};
-
-/// Priority of a geometry stream: small, and later deltas wait for it.
-pub const PRIORITY_GEOMETRY: i32 = 1;
-/// Priority of a picture's stream.
-pub const PRIORITY_PICTURE: i32 = 0;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Pings: every display frame at the start, then 40 a second. A clock that is off by 1 ms puts a fast wing 0.3 % of its
 /// range off its place, and the envelope of jitter is only as good as it is often sampled.
@@ -74,18 +72,18 @@ pub enum ClientEvent {
 /// What a server learns.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ServerEvent {
-    /// The session stands, under these terms, which the client has been told.
-    Accepted {
+    /// A client asks for a session: answer by [`ServerSession::accept`] or [`ServerSession::refuse`].
+    Asked {
         /// Who is there.
         hello: ClientHello,
-        /// Under which terms.
+        /// Under which terms the session would stand.
         welcome: Welcome,
     },
     /// There will be no session; the client has been told why. Flush, then close.
     Refused(Refused),
     /// The newest head state; older ones that come late are left out.
     Pose(HeadState),
-    /// What the client shows.
+    /// What the client shows: of several reports the latest, with the counts of all.
     Displayed(Displayed),
     /// The client needs a picture that needs no other.
     RefreshRequest {
@@ -133,8 +131,8 @@ impl Waiting {
     fn admit(&mut self, bytes: usize) -> Result<(), WireError> {
         let streams = self.deltas.len() + self.pictures.len() + 1;
         let what = "the queue of streams that wait for an earlier delta";
-        crate::wire::check_count(what, streams, MAX_QUEUED_STREAMS)?;
-        self.bytes = crate::wire::check_count(what, self.bytes + bytes, MAX_QUEUED_STREAM_BYTES)?;
+        check_count(what, streams, MAX_QUEUED_STREAMS)?;
+        self.bytes = check_count(what, self.bytes + bytes, MAX_QUEUED_STREAM_BYTES)?;
         Ok(())
     }
 }
@@ -345,157 +343,237 @@ impl ClientSession {
     }
 }
 
-/// The server's end, for one client.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum ServerPhase {
+    /// The hello is awaited.
+    Greeting,
+    /// It has come, and waits for an answer.
+    Asked,
+    Running,
+    Ended,
+}
+
+/// The server's end, for one client: what is heard and what is said beside updates. What it hears faster than it is asked
+/// for coalesces, so that its size does not depend on the client.
 #[derive(Debug)]
 pub struct ServerSession {
-    phase: Phase,
+    phase: ServerPhase,
     offer: ServerOffer,
-    coder: Option<SampleCoder>,
-    next_delta: FrameId,
+    /// The terms that wait for an answer.
+    asked: Option<Welcome>,
+    /// Deltas sent, counted by the sending half.
+    sent: Arc<AtomicU32>,
+    understood: u64,
     newest_pose: Option<u32>,
     /// Pings to be answered: what they say, and when they came.
     pings: VecDeque<(DisplayTime, ServerTime)>,
-    out: VecDeque<Out>,
-    events: VecDeque<ServerEvent>,
+    control: VecDeque<Out>,
+    heard: Heard,
+}
+
+/// What waits to be asked for, at most one of a kind.
+#[derive(Debug, Default)]
+struct Heard {
+    asked: Option<(ClientHello, Welcome)>,
+    displayed: Option<Displayed>,
+    refresh: Option<Option<FrameId>>,
+    pose: Option<HeadState>,
+    end: Option<ServerEvent>,
+}
+
+/// The sending half of a session, for whoever makes the updates: encoding a delta holds up nobody who listens.
+#[derive(Debug)]
+pub struct DeltaSender {
+    coder: SampleCoder,
+    sent: Arc<AtomicU32>,
+}
+
+impl DeltaSender {
+    fn new(welcome: &Welcome, sent: Arc<AtomicU32>) -> Self {
+        Self { coder: SampleCoder::new(welcome.vertex_slots, welcome.patch_slots), sent }
+    }
+
+    /// The stream of the next frame's delta, and the sizes of its parts. Frames follow each other without a gap from 0.
+    ///
+    /// # Errors
+    /// The delta is larger than the wire allows. It cannot be left out, since later ones build on it: the session is over.
+    pub fn delta_stream(&mut self, delta: &GeometryDelta) -> Result<(Out, DeltaSizes), WireError> {
+        assert_eq!(delta.frame, self.next_delta(), "deltas go out in the order of frames, without a gap");
+        let payload = delta::encode(delta, &mut self.coder);
+        check_count("a delta's length in bytes", payload.len(), MAX_DELTA_BYTES)?;
+        let out = Out::Stream { bytes: encode_geometry(&payload), priority: priority(delta.frame, 1) };
+        self.sent.store(delta.frame.next().0, Ordering::Release);
+        Ok((out, self.coder.last_sizes()))
+    }
+
+    /// The frame that the next delta must have.
+    pub fn next_delta(&self) -> FrameId {
+        FrameId(self.sent.load(Ordering::Acquire))
+    }
+}
+
+/// The stream of a coded picture.
+///
+/// # Errors
+/// The picture is larger than the wire allows.
+pub fn picture_stream(header: PictureHeader, access_unit: &[u8]) -> Result<Out, WireError> {
+    check_count("an access unit's length in bytes", access_unit.len(), MAX_ACCESS_UNIT_BYTES)?;
+    Ok(Out::Stream { bytes: encode_picture(header, access_unit), priority: priority(header.frame, 0) })
+}
+
+/// An update's streams go before those of later ones, so that no flood of geometry starves pictures; within an update
+/// `urgency` 1 goes before 0.
+fn priority(frame: FrameId, urgency: i64) -> i32 {
+    let order = i64::from(i32::MAX) - 2 * (i64::from(frame.0) + 1) + urgency;
+    i32::try_from(order).unwrap_or(i32::MIN) // after a year at 30 updates a second
 }
 
 impl ServerSession {
     /// Waits for a client's hello.
     pub fn new(offer: ServerOffer) -> Self {
         Self {
-            phase: Phase::Greeting,
+            phase: ServerPhase::Greeting,
             offer,
-            coder: None,
-            next_delta: FrameId(0),
+            asked: None,
+            sent: Arc::default(),
+            understood: 0,
             newest_pose: None,
             pings: VecDeque::new(),
-            out: VecDeque::new(),
-            events: VecDeque::new(),
+            control: VecDeque::new(),
+            heard: Heard::default(),
         }
     }
 
     /// Takes one message of the client's control stream.
     pub fn on_control(&mut self, message: &[u8]) {
-        if let Err(error) = self.try_control(message) {
-            self.end_with(ServerEvent::Failed(error));
+        match self.try_control(message) {
+            Ok(()) => self.understood += 1,
+            Err(error) => self.end_with(ServerEvent::Failed(error)),
         }
     }
 
     /// Takes a datagram that came at `now`. Damaged ones are dropped: they carry nothing that is not sent again. Pings are
     /// answered before the hello, too, so that the clocks agree a round trip earlier.
     pub fn on_datagram(&mut self, bytes: &[u8], now: ServerTime) {
-        if self.phase == Phase::Ended {
+        if self.phase == ServerPhase::Ended {
             return;
         }
-        match ClientDatagram::decode(bytes) {
-            Ok(ClientDatagram::Pose(head)) if self.phase == Phase::Running => self.take_pose(head),
-            Ok(ClientDatagram::ClockPing { client_send }) => {
+        let Ok(datagram) = ClientDatagram::decode(bytes) else { return };
+        self.understood += 1;
+        match datagram {
+            ClientDatagram::Pose(head) if self.phase == ServerPhase::Running => self.take_pose(head),
+            ClientDatagram::Pose(_) => {}
+            ClientDatagram::ClockPing { client_send } => {
                 self.pings.push_back((client_send, now));
                 if self.pings.len() > MAX_WAITING_PINGS {
                     self.pings.pop_front();
                 }
             }
-            Ok(ClientDatagram::Pose(_)) | Err(_) => {}
         }
     }
 
-    /// Sends the delta of the next frame; frames follow each other without a gap from 0. Gives the sizes of its parts.
-    /// Before the welcome and after the end it is dropped.
-    pub fn send_delta(&mut self, delta: &GeometryDelta) -> DeltaSizes {
-        let Some(coder) = self.coder.as_mut().filter(|_| self.phase == Phase::Running) else {
-            return DeltaSizes::default();
-        };
-        assert_eq!(delta.frame, self.next_delta, "deltas go out in the order of frames, without a gap");
-        let bytes = encode_geometry(&delta::encode(delta, coder));
-        let sizes = coder.last_sizes();
-        self.next_delta = delta.frame.next();
-        self.out.push_back(Out::Stream { bytes, priority: PRIORITY_GEOMETRY });
-        sizes
+    /// Says yes to the client that [`ServerEvent::Asked`]: the session stands. Gives its sending half; `None` where nobody
+    /// asks any more.
+    pub fn accept(&mut self) -> Option<DeltaSender> {
+        let welcome = self.asked.take()?;
+        self.phase = ServerPhase::Running;
+        let sender = DeltaSender::new(&welcome, self.sent.clone());
+        self.say(&ServerMessage::Welcome(welcome));
+        Some(sender)
     }
 
-    /// Sends a coded picture. Before the welcome and after the end it is dropped.
-    pub fn send_picture(&mut self, header: PictureHeader, access_unit: &[u8]) {
-        if self.phase == Phase::Running {
-            let bytes = encode_picture(header, access_unit);
-            self.out.push_back(Out::Stream { bytes, priority: PRIORITY_PICTURE });
+    /// Tells the client that there is no session, or no longer one, and why; nothing is heard after it. Flush, then close.
+    pub fn refuse(&mut self, refused: Refused) {
+        if self.phase != ServerPhase::Ended {
+            self.say(&ServerMessage::Refused(refused));
+            self.phase = ServerPhase::Ended;
         }
-    }
-
-    /// The frame that the next [`Self::send_delta`] must have.
-    pub fn next_delta(&self) -> FrameId {
-        self.next_delta
     }
 
     /// Ends the session; nothing comes out after it.
     pub fn goodbye(&mut self) {
-        if self.phase != Phase::Ended {
+        if self.phase != ServerPhase::Ended {
             self.say(&ServerMessage::Goodbye);
-            self.phase = Phase::Ended;
+            self.phase = ServerPhase::Ended;
         }
     }
 
     /// The next thing that happened.
     pub fn poll_event(&mut self) -> Option<ServerEvent> {
-        self.events.pop_front()
+        let heard = &mut self.heard;
+        if let Some((hello, welcome)) = heard.asked.take() {
+            return Some(ServerEvent::Asked { hello, welcome });
+        }
+        let displayed = heard.displayed.take().map(ServerEvent::Displayed);
+        let refresh = || heard.refresh.take().map(|after| ServerEvent::RefreshRequest { after });
+        let event = displayed.or_else(refresh);
+        event.or_else(|| heard.pose.take().map(ServerEvent::Pose)).or_else(|| heard.end.take())
     }
 
     /// The next bytes to carry. They are sent at `now`, which answers to pings say.
     pub fn poll_out(&mut self, now: ServerTime) -> Option<Out> {
-        let Some((client_send, server_receive)) = self.pings.pop_front() else { return self.out.pop_front() };
+        let Some((client_send, server_receive)) = self.pings.pop_front() else {
+            return self.control.pop_front();
+        };
         let pong = ServerDatagram::ClockPong { client_send, server_receive, server_send: now };
         Some(Out::Datagram(pong.encode()))
     }
 
     /// True until the session is refused, failed or left.
     pub fn is_alive(&self) -> bool {
-        self.phase != Phase::Ended
+        self.phase != ServerPhase::Ended
+    }
+
+    /// Messages and datagrams that made sense so far: a sign of life that noise does not give.
+    pub fn understood(&self) -> u64 {
+        self.understood
     }
 
     fn say(&mut self, message: &ServerMessage) {
-        self.out.push_back(Out::Control(message.encode()));
+        self.control.push_back(Out::Control(message.encode()));
     }
 
     fn end_with(&mut self, event: ServerEvent) {
-        self.phase = Phase::Ended;
-        self.events.push_back(event);
+        self.phase = ServerPhase::Ended;
+        self.heard.asked = None;
+        self.heard.end = Some(event);
     }
 
     fn try_control(&mut self, message: &[u8]) -> Result<(), WireError> {
         match self.phase {
-            Phase::Greeting => self.greet(message),
-            Phase::Running => self.hear(ClientMessage::decode(message)?),
-            Phase::Ended => Ok(()),
+            ServerPhase::Greeting => self.greet(message),
+            ServerPhase::Asked | ServerPhase::Running => self.hear(ClientMessage::decode(message)?),
+            ServerPhase::Ended => Ok(()),
         }
     }
 
     /// Judges the versions first: a hello of another version need not be readable beyond them.
     fn greet(&mut self, bytes: &[u8]) -> Result<(), WireError> {
-        if let Some(HelloVersions { protocol_version, min_protocol_version, app_version }) =
+        let Some(HelloVersions { protocol_version, min_protocol_version, app_version }) =
             ClientMessage::peek_versions(bytes)
-            && let Err(refused) =
-                negotiate_version(protocol_version, min_protocol_version, &app_version, &self.offer)
-        {
-            self.refuse(refused);
-            return Ok(());
-        }
-        let ClientMessage::Hello(hello) = ClientMessage::decode(bytes)? else {
+        else {
             return Err(invalid("a client's first message", "it is not a hello"));
         };
-        match negotiate(&hello, &self.offer) {
-            Ok(welcome) => self.accept(hello, welcome),
-            Err(refused) => self.refuse(refused),
+        let version = negotiate_version(protocol_version, min_protocol_version, &app_version, &self.offer);
+        let terms = version.and_then(|_| match ClientMessage::decode(bytes) {
+            Ok(ClientMessage::Hello(hello)) => negotiate(&hello, &self.offer).map(|welcome| (hello, welcome)),
+            Ok(_) => Err(Refused::new("the client's first message is not a hello", HELLO_REMEDY)),
+            Err(error) => Err(Refused::new(&error.to_string(), HELLO_REMEDY)),
+        });
+        match terms {
+            Ok((hello, welcome)) => self.ask(hello, welcome),
+            Err(refused) => self.turn_away(refused),
         }
         Ok(())
     }
 
-    fn accept(&mut self, hello: ClientHello, welcome: Welcome) {
-        self.phase = Phase::Running;
-        self.coder = Some(SampleCoder::new(welcome.vertex_slots, welcome.patch_slots));
-        self.say(&ServerMessage::Welcome(welcome.clone()));
-        self.events.push_back(ServerEvent::Accepted { hello, welcome });
+    fn ask(&mut self, hello: ClientHello, welcome: Welcome) {
+        self.phase = ServerPhase::Asked;
+        self.asked = Some(welcome.clone());
+        self.heard.asked = Some((hello, welcome));
     }
 
-    fn refuse(&mut self, refused: Refused) {
+    fn turn_away(&mut self, refused: Refused) {
         self.say(&ServerMessage::Refused(refused.clone()));
         self.end_with(ServerEvent::Refused(refused));
     }
@@ -504,15 +582,14 @@ impl ServerSession {
         match message {
             ClientMessage::Hello(_) => return Err(invalid("a hello", "it comes a second time")),
             ClientMessage::Displayed(displayed) => {
-                if displayed.frame >= self.next_delta {
+                if displayed.frame.0 >= self.sent.load(Ordering::Acquire) {
                     let reason = format!("frame {} has not been sent", displayed.frame.0);
                     return Err(invalid("a report of what is on display", reason));
                 }
-                self.events.push_back(ServerEvent::Displayed(displayed));
+                let earlier = self.heard.displayed.take();
+                self.heard.displayed = Some(earlier.map_or(displayed, |earlier| earlier.merged(displayed)));
             }
-            ClientMessage::RefreshRequest { after } => {
-                self.events.push_back(ServerEvent::RefreshRequest { after })
-            }
+            ClientMessage::RefreshRequest { after } => self.heard.refresh = Some(after),
             ClientMessage::Goodbye => self.end_with(ServerEvent::Goodbye),
         }
         Ok(())
@@ -523,21 +600,26 @@ impl ServerSession {
         let is_newer = self.newest_pose.is_none_or(|newest| head.sequence.wrapping_sub(newest) as i32 > 0);
         if is_newer {
             self.newest_pose = Some(head.sequence);
-            self.events.push_back(ServerEvent::Pose(head));
+            self.heard.pose = Some(head);
         }
     }
 }
 
+/// What to do about a hello that makes no sense.
+const HELLO_REMEDY: &str =
+    "update client and server to the same version; a headset that reports this is not supported";
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::limits::MAX_DELTA_BYTES;
     use crate::testing::{Dice, damaged, displayed, head, hello, offer};
 
     /// Both ends, with what the client has been sent and has not yet been given.
     struct Pair {
         client: ClientSession,
         server: ServerSession,
+        /// The server's sending half, once it has said yes.
+        sender: Option<DeltaSender>,
         streams: Vec<Vec<u8>>,
     }
 
@@ -548,6 +630,7 @@ mod tests {
             Self {
                 client: ClientSession::start(hello(), NOW),
                 server: ServerSession::new(offer()),
+                sender: None,
                 streams: Vec::new(),
             }
         }
@@ -555,9 +638,16 @@ mod tests {
         fn connected() -> Self {
             let mut pair = Self::new();
             pair.carry(ServerTime(0));
+            pair.accept();
+            pair.carry(ServerTime(0));
             assert!(matches!(pair.client.poll_event(), Some(ClientEvent::Welcome(_))));
-            assert!(matches!(pair.server.poll_event(), Some(ServerEvent::Accepted { .. })));
             pair
+        }
+
+        #[track_caller]
+        fn accept(&mut self) {
+            assert!(matches!(self.server.poll_event(), Some(ServerEvent::Asked { .. })));
+            self.sender = self.server.accept();
         }
 
         /// Carries control messages and datagrams both ways until none are left; keeps streams back.
@@ -582,8 +672,20 @@ mod tests {
         }
 
         fn send_delta(&mut self) {
-            let frame = self.server.next_delta();
-            self.server.send_delta(&GeometryDelta { frame, ..Default::default() });
+            let sender = self.sender.as_mut().unwrap();
+            let delta = GeometryDelta { frame: sender.next_delta(), ..Default::default() };
+            let (out, _) = sender.delta_stream(&delta).unwrap();
+            self.keep(out);
+        }
+
+        fn send_picture(&mut self, frame: u32) {
+            let out = picture_stream(picture(frame), b"coded").unwrap();
+            self.keep(out);
+        }
+
+        fn keep(&mut self, out: Out) {
+            let Out::Stream { bytes, .. } = out else { panic!("{out:?}") };
+            self.streams.push(bytes);
         }
 
         fn client_events(&mut self) -> Vec<ClientEvent> {
@@ -622,7 +724,7 @@ mod tests {
     fn pictures_come_out_at_once_though_a_delta_is_late() {
         let mut pair = Pair::connected();
         pair.send_delta();
-        pair.server.send_picture(picture(0), b"coded");
+        pair.send_picture(0);
         pair.carry(ServerTime(0));
         pair.client.on_stream(&pair.streams[1]);
         let expected = ClientEvent::Picture { header: picture(0), access_unit: b"coded".to_vec() };
@@ -634,9 +736,10 @@ mod tests {
         let mut pair = Pair::new();
         let Some(Out::Control(hello)) = pair.client.poll_out() else { panic!("no hello") };
         pair.server.on_control(&hello);
+        pair.accept();
         let Some(Out::Control(welcome)) = pair.server.poll_out(ServerTime(0)) else { panic!("no welcome") };
         pair.send_delta();
-        pair.server.send_picture(picture(0), b"coded");
+        pair.send_picture(0);
         pair.carry(ServerTime(0));
         pair.streams.clone().iter().for_each(|stream| pair.client.on_stream(stream));
         assert_eq!(pair.client_events(), []);
@@ -684,6 +787,8 @@ mod tests {
     fn the_clocks_agree_when_the_welcome_comes() {
         let mut pair = Pair::new();
         pair.carry(ServerTime(5_000_000));
+        pair.accept();
+        pair.carry(ServerTime(5_000_000));
         let events = pair.client_events();
         assert!(matches!(events[..], [ClientEvent::Welcome(_)]), "{events:?}");
         assert_eq!(pair.client.clock().server_time(NOW), Some(ServerTime(5_000_000)));
@@ -725,16 +830,15 @@ mod tests {
     #[test]
     fn late_poses_are_left_out_also_when_the_sequence_wraps() {
         let mut pair = Pair::connected();
+        let mut seen = Vec::new();
         for sequence in [u32::MAX - 1, u32::MAX, 1, 0, u32::MAX, 2] {
             pair.client.send_pose(head(sequence));
-        }
-        pair.carry(ServerTime(0));
-        let seen: Vec<_> = std::iter::from_fn(|| pair.server.poll_event())
-            .map(|event| match event {
+            pair.carry(ServerTime(0));
+            seen.extend(pair.server.poll_event().map(|event| match event {
                 ServerEvent::Pose(head) => head.sequence,
                 other => panic!("{other:?}"),
-            })
-            .collect();
+            }));
+        }
         assert_eq!(seen, [u32::MAX - 1, u32::MAX, 1, 2]);
     }
 
@@ -799,7 +903,6 @@ mod tests {
     fn nothing_is_taken_in_after_the_end() {
         let mut pair = Pair::connected();
         pair.server.goodbye();
-        pair.send_delta_after_the_end();
         pair.carry(ServerTime(0));
         assert_eq!(pair.client_events(), [ClientEvent::Goodbye]);
         pair.client.on_control(b"anything");
@@ -808,11 +911,78 @@ mod tests {
         assert_eq!((pair.client.poll_event(), pair.client.poll_out()), (None, None));
     }
 
-    impl Pair {
-        fn send_delta_after_the_end(&mut self) {
-            let sizes = self.server.send_delta(&GeometryDelta::default());
-            assert_eq!(sizes, DeltaSizes::default());
+    #[test]
+    fn what_a_client_says_faster_than_it_is_heard_coalesces() {
+        let mut pair = Pair::connected();
+        (0..3).for_each(|_| pair.send_delta());
+        for round in 0..10_000 {
+            let frame = displayed(u32::min(round, 2)).frame;
+            pair.client.send_displayed(Displayed { frame, display_frames: 1, ..displayed(0) });
+            pair.client.request_refresh(None);
+            pair.client.send_pose(head(round));
+            pair.client.on_tick(NOW.plus_ns(i64::from(round) * PING_NS));
+            while let Some(out) = pair.client.poll_out() {
+                match out {
+                    Out::Control(message) => pair.server.on_control(&message),
+                    Out::Datagram(bytes) => pair.server.on_datagram(&bytes, ServerTime(0)),
+                    Out::Stream { .. } => panic!("a client sends no streams"),
+                }
+            }
         }
+        assert!(pair.server.pings.len() <= MAX_WAITING_PINGS && pair.server.control.is_empty());
+        assert!(pair.server.understood() > 3 * 10_000);
+        let events: Vec<_> = std::iter::from_fn(|| pair.server.poll_event()).collect();
+        let [ServerEvent::Displayed(shown), ServerEvent::RefreshRequest { .. }, ServerEvent::Pose(pose)] =
+            events[..]
+        else {
+            panic!("{events:?}")
+        };
+        assert_eq!((shown.frame, shown.display_frames, pose.sequence), (FrameId(2), 10_000, 9_999));
+    }
+
+    #[test]
+    fn an_update_goes_before_all_later_ones_and_its_delta_before_its_picture() {
+        let order: Vec<i32> = [(0, 1), (0, 0), (1, 1), (1, 0), (9, 1), (u32::MAX - 1, 0)]
+            .map(|(frame, urgency)| priority(FrameId(frame), urgency))
+            .to_vec();
+        assert!(order.windows(2).all(|pair| pair[0] > pair[1]), "{order:?}");
+        assert!(order[0] < i32::MAX, "control goes before all");
+    }
+
+    #[test]
+    fn a_picture_that_the_wire_does_not_allow_is_an_error_and_no_panic() {
+        let error = picture_stream(picture(0), &vec![0; MAX_ACCESS_UNIT_BYTES + 1]);
+        assert!(matches!(error, Err(WireError::TooMany { .. })));
+    }
+
+    #[test]
+    fn a_client_that_asks_can_be_refused_and_so_can_one_that_is_served() {
+        let refused = Refused::new("another client is being served", "try again later");
+        for is_served in [false, true] {
+            let mut pair = Pair::new();
+            pair.carry(ServerTime(0));
+            if is_served {
+                pair.accept();
+                pair.carry(ServerTime(0));
+                assert!(matches!(pair.client.poll_event(), Some(ClientEvent::Welcome(_))));
+            }
+            pair.server.refuse(refused.clone());
+            pair.carry(ServerTime(0));
+            assert_eq!(pair.client_events(), [ClientEvent::Refused(refused.clone())]);
+            assert!(!pair.server.is_alive());
+        }
+    }
+
+    #[test]
+    fn a_hello_that_cannot_be_served_is_refused_with_its_fault() {
+        let mut bad = hello();
+        bad.capabilities.eye_extent_pixels = [8192, 8192];
+        let mut pair = Pair { client: ClientSession::start(bad, NOW), ..Pair::new() };
+        pair.carry(ServerTime(0));
+        let events = pair.client_events();
+        let [ClientEvent::Refused(refused)] = &events[..] else { panic!("{events:?}") };
+        assert!(refused.reason.contains("number of pixels"), "{refused:?}");
+        assert!(matches!(pair.server.poll_event(), Some(ServerEvent::Refused(_))));
     }
 
     #[test]
@@ -821,6 +991,7 @@ mod tests {
         let Some(Out::Control(greeting)) = pair.client.poll_out() else { panic!("no hello") };
         damaged(&greeting, 1, 3000, |bytes| ServerSession::new(offer()).on_control(bytes));
         pair.server.on_control(&greeting);
+        pair.accept();
         let Some(Out::Control(welcome)) = pair.server.poll_out(ServerTime(0)) else { panic!("no welcome") };
         damaged(&welcome, 2, 1000, |bytes| ClientSession::start(hello(), NOW).on_control(bytes));
         pair.client.on_control(&welcome);

@@ -82,6 +82,12 @@ pub enum IdentityError {
         /// What the system said.
         source: io::Error,
     },
+    /// There is something else in the place of a file.
+    #[error("{path}: this is no file; delete it, or give another folder with --identity DIR")]
+    NotAFile {
+        /// Its place.
+        path: PathBuf,
+    },
     /// The private key can be read by other users.
     #[error("{path}: the private key can be read by others (mode {mode:04o}); run: chmod 600 {path}")]
     Permissions {
@@ -115,6 +121,11 @@ pub enum IdentityError {
 
 fn file_error(doing: &'static str, path: &Path) -> impl FnOnce(io::Error) -> IdentityError {
     move |source| IdentityError::File { doing, path: path.into(), source }
+}
+
+/// Reading a pipe or a device may never end.
+fn check_is_file(metadata: &fs::Metadata, path: &Path) -> Result<(), IdentityError> {
+    if metadata.is_file() { Ok(()) } else { Err(IdentityError::NotAFile { path: path.into() }) }
 }
 
 /// `$XDG_CONFIG_HOME/shadecast`, or `~/.config/shadecast`.
@@ -166,6 +177,7 @@ impl ServerIdentity {
 
     fn load(path: &Path) -> Result<Self, IdentityError> {
         let metadata = fs::metadata(path).map_err(file_error("reading", path))?;
+        check_is_file(&metadata, path)?;
         let mode = metadata.permissions().mode() & 0o777;
         if mode & 0o077 != 0 {
             return Err(IdentityError::Permissions { path: path.into(), mode });
@@ -270,6 +282,9 @@ impl KnownServers {
     /// Reads the list in `directory`; without a file it is empty.
     pub fn load(directory: &Path) -> Result<Self, IdentityError> {
         let path = directory.join(KNOWN_SERVERS_FILE);
+        if let Ok(metadata) = fs::metadata(&path) {
+            check_is_file(&metadata, &path)?;
+        }
         let text = match fs::read_to_string(&path) {
             Err(e) if e.kind() == io::ErrorKind::NotFound => String::new(),
             read => read.map_err(file_error("reading", &path))?,
@@ -338,6 +353,22 @@ mod tests {
         assert_eq!(first.fingerprint(), second.fingerprint());
         assert_eq!(first.certificate(), second.certificate());
         assert_eq!(fs::read_dir(&directory).unwrap().count(), 1, "only the key file is left");
+    }
+
+    #[test]
+    fn a_pipe_in_the_place_of_a_file_is_refused_and_not_waited_for() {
+        let dir = tempfile::tempdir().unwrap();
+        for name in [KEY_FILE, KNOWN_SERVERS_FILE] {
+            let made =
+                std::process::Command::new("mkfifo").arg("-m").arg("600").arg(dir.path().join(name)).status();
+            assert!(made.unwrap().success());
+        }
+        let key = ServerIdentity::load_or_create(dir.path()).unwrap_err();
+        let known = KnownServers::load(dir.path()).unwrap_err();
+        for error in [key, known] {
+            assert!(matches!(error, IdentityError::NotAFile { .. }), "{error}");
+            assert!(error.to_string().contains("this is no file"), "{error}");
+        }
     }
 
     #[test]

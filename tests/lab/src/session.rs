@@ -17,13 +17,14 @@ use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Capabilities, ClientHello, Codec, Displayed, negotiate};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
-use shadecast_protocol::session::{Out, ServerEvent, ServerSession};
+use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::{DisplayTime, ServerTime};
 use shadecast_protocol::wire::PictureHeader;
 use shadecast_scene::load::load_scene;
 use shadecast_server::encode::Encoder;
 use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
 use shadecast_server::frame::{Frame, Shaded};
+use shadecast_server::pacing::{Kind, UpdateGate, WayState};
 use shadecast_server::scene_gpu::SceneGpu;
 use shadecast_server::stream::offer;
 use shadecast_transport::endpoint::{Endpoint, EndpointConfig, Event, PeerId};
@@ -49,6 +50,8 @@ pub struct Sent {
     pub sample_bytes: u64,
     /// Vertex samples in them.
     pub samples: u64,
+    /// Updates that were not made because the link was behind.
+    pub withheld: u64,
 }
 
 /// The server's side.
@@ -64,6 +67,11 @@ pub struct Server {
     /// The last update's planes and their extent, for the atlas picture.
     pub last: Option<Shaded>,
     session: ServerSession,
+    /// The sending half of the session, once it stands.
+    sender: Option<DeltaSender>,
+    gate: UpdateGate,
+    /// What the server sends beside the session.
+    streams: VecDeque<Out>,
     encoder: Option<Box<dyn Encoder>>,
     peer: Option<PeerId>,
     refresh: bool,
@@ -119,6 +127,9 @@ impl Server {
             sent: Sent::default(),
             last: None,
             session,
+            sender: None,
+            gate: UpdateGate::new(period_ns(options.rate_hz)),
+            streams: VecDeque::new(),
             encoder: None,
             peer: None,
             refresh: false,
@@ -136,13 +147,17 @@ impl Server {
         self.frame = None;
         let offer = offer(&self.scene, self.atlas_extent_texels, self.rate_hz, self.sessions);
         self.session = ServerSession::new(offer);
+        self.sender = None;
+        self.gate = UpdateGate::new(period_ns(self.rate_hz));
+        self.streams.clear();
     }
 
     /// Hands what the session learnt to the pipeline.
     fn listen(&mut self) -> anyhow::Result<()> {
         while let Some(event) = self.session.poll_event() {
             match event {
-                ServerEvent::Accepted { hello, welcome } => {
+                ServerEvent::Asked { hello, welcome } => {
+                    self.sender = self.session.accept();
                     let settings = EncoderSettings {
                         qp: self.qp,
                         ..EncoderSettings::for_atlas(welcome.atlas_extent_texels)
@@ -160,6 +175,25 @@ impl Server {
                 ServerEvent::Failed(error) => bail!("the server could not understand the client: {error}"),
             }
         }
+        Ok(())
+    }
+
+    /// A delta of a session that has ended is dropped.
+    fn send_delta(&mut self, shaded: &Shaded, now_ns: i64) -> anyhow::Result<()> {
+        let Some(sender) = self.sender.as_mut().filter(|sender| sender.next_delta() == shaded.frame) else {
+            return Ok(());
+        };
+        let (out, sizes) = sender.delta_stream(&shaded.delta)?;
+        self.gate.sent(shaded.frame, Kind::Delta, stream_bytes(&out), now_ns);
+        self.streams.push_back(out);
+        self.count(sizes);
+        Ok(())
+    }
+
+    fn send_picture(&mut self, header: PictureHeader, unit: &[u8], now_ns: i64) -> anyhow::Result<()> {
+        let out = picture_stream(header, unit)?;
+        self.gate.sent(header.frame, Kind::Picture, stream_bytes(&out), now_ns);
+        self.streams.push_back(out);
         Ok(())
     }
 
@@ -190,7 +224,7 @@ impl Lab {
             client_peer: None,
             leaving: VecDeque::new(),
             next_update_ns: START_NS,
-            update_period_ns: (1e9 / options.rate_hz) as i64,
+            update_period_ns: period_ns(options.rate_hz),
             refresh_hz: options.refresh_hz,
             stages: options.stages,
             fov: Fov::symmetric_degrees(options.fov_degrees),
@@ -349,7 +383,7 @@ impl Lab {
             }
         }
         let now = ServerTime(self.pair.now_ns() - SERVER_EPOCH_NS);
-        while let Some(out) = self.server.session.poll_out(now) {
+        while let Some(out) = self.server.session.poll_out(now).or_else(|| self.server.streams.pop_front()) {
             match out {
                 Out::Control(message) => self.pair.server.send_control(server, &message)?,
                 Out::Datagram(bytes) => drop(self.pair.server.send_datagram(server, &bytes)),
@@ -366,7 +400,16 @@ impl Lab {
         let now_ns = self.next_update_ns;
         self.next_update_ns += self.update_period_ns;
         let server = &mut self.server;
+        let way = server.peer.and_then(|peer| self.pair.server.stats(peer)).map(WayState::from);
         let Some(frame) = &mut server.frame else { return Ok(()) };
+        if way.is_some_and(|way| !server.gate.may_update(&way, now_ns)) {
+            server.sent.withheld += 1;
+            return Ok(());
+        }
+        if let Some(shortfall) = server.gate.shortfall(now_ns) {
+            tracing::warn!("{shortfall}");
+        }
+        frame.limit_geometry(server.gate.geometry_bytes(now_ns));
         let Some(shaded) = frame.update(ServerTime(now_ns - SERVER_EPOCH_NS))? else { return Ok(()) };
         server.sent.updates += 1;
         let shaded_ns = now_ns + self.stages.ns(self.stages.server);
@@ -392,16 +435,25 @@ impl Lab {
         match leaving {
             Leaving::Delta(shaded) => {
                 if self.renderer == Renderer::Stream {
-                    let sizes = self.server.session.send_delta(&shaded.delta);
-                    self.server.count(sizes);
+                    self.server.send_delta(&shaded, now_ns)?;
                 } else {
                     let picture = picture_of(&shaded);
                     self.client.accept_local(DisplayTime(now_ns), shaded.delta, Some(picture));
                 }
             }
-            Leaving::Picture(header, bytes) => self.server.session.send_picture(header, &bytes),
+            Leaving::Picture(header, bytes) => self.server.send_picture(header, &bytes, now_ns)?,
         }
         self.flush()
+    }
+}
+
+fn period_ns(rate_hz: f64) -> i64 {
+    (1e9 / rate_hz) as i64
+}
+
+fn stream_bytes(out: &Out) -> usize {
+    match out {
+        Out::Control(bytes) | Out::Datagram(bytes) | Out::Stream { bytes, .. } => bytes.len(),
     }
 }
 

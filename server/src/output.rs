@@ -1,0 +1,115 @@
+//! What the program says. Nobody who works waits for a reader, and nothing ends because there is none: a closed pipe is the
+//! reader's business.
+
+use std::io::Write;
+use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
+use std::time::Duration;
+
+/// Lines that wait for a slow reader; more are left out.
+const MAX_WAITING_LINES: usize = 256;
+/// How long the program's end waits for a reader that does not read.
+const LAST_LINES: Duration = Duration::from_millis(500);
+
+/// Standard output, written by a thread of its own.
+pub(crate) struct Output {
+    voice: Voice,
+    written: Receiver<()>,
+}
+
+/// Says lines, from any thread.
+#[derive(Clone)]
+pub(crate) struct Voice {
+    /// `None` ends it.
+    lines: SyncSender<Option<String>>,
+}
+
+impl Voice {
+    /// Says a line, soon.
+    pub(crate) fn say(&self, line: &str) {
+        // A reader that is so far behind does not miss it.
+        let _ = self.lines.try_send(Some(line.to_owned()));
+    }
+}
+
+impl Output {
+    /// Begins to write.
+    ///
+    /// # Errors
+    /// The system gives no thread.
+    pub(crate) fn start() -> std::io::Result<Self> {
+        let (lines, to_write) = sync_channel::<Option<String>>(MAX_WAITING_LINES);
+        let (done, written) = channel();
+        std::thread::Builder::new().name("output".into()).spawn(move || {
+            while let Ok(Some(line)) = to_write.recv() {
+                let _ = writeln!(std::io::stdout(), "{line}");
+            }
+            let _ = done.send(());
+        })?;
+        Ok(Self { voice: Voice { lines }, written })
+    }
+
+    /// What says lines.
+    pub(crate) fn voice(&self) -> Voice {
+        self.voice.clone()
+    }
+
+    /// Waits until all is written, but not for a reader that does not read.
+    pub(crate) fn finish(self) {
+        if self.voice.lines.try_send(None).is_ok() {
+            let _ = self.written.recv_timeout(LAST_LINES);
+        }
+    }
+}
+
+/// Says a line on standard error.
+pub(crate) fn note(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// An error with its causes, each said once: some say their cause themselves.
+pub(crate) fn told(error: &anyhow::Error) -> String {
+    let mut text = String::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if text.is_empty() {
+            text = cause;
+        } else if !text.contains(&cause) {
+            text = format!("{text}: {cause}");
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use anyhow::Context;
+
+    #[derive(Debug, thiserror::Error)]
+    #[error("reading /key: {source}")]
+    struct Embeds {
+        source: std::io::Error,
+    }
+
+    #[test]
+    fn a_cause_that_was_said_is_not_said_again() {
+        let source = std::io::Error::from_raw_os_error(13);
+        let error = Err::<(), _>(Embeds { source }).context("starting the server").expect_err("an error");
+        assert_eq!(told(&error), "starting the server: reading /key: Permission denied (os error 13)");
+        let plain =
+            Err::<(), _>(std::io::Error::from_raw_os_error(2)).context("writing x").expect_err("an error");
+        assert_eq!(told(&plain), "writing x: No such file or directory (os error 2)");
+    }
+
+    #[test]
+    fn output_that_nobody_reads_holds_up_nobody() {
+        let (lines, to_write) = sync_channel(2);
+        let (_done, written) = channel();
+        let output = Output { voice: Voice { lines }, written };
+        let voice = output.voice();
+        (0..1000).for_each(|_| voice.say("a line"));
+        assert_eq!(to_write.try_iter().count(), 2, "what nobody reads is left out");
+        drop(to_write);
+        voice.say("a line more");
+        output.finish();
+    }
+}

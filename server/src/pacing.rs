@@ -1,0 +1,338 @@
+//! When the next update may be made, on a link that may be slower than the scene. Pure: what was sent, what the transport
+//! knows and the time come in; decisions come out.
+//!
+//! A link that carries less than the scene needs gets fewer updates, each of them whole. What would wait before the link
+//! is not made at all, since it would be old when it leaves.
+
+use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::limits::SAMPLE_RING;
+use shadecast_protocol::time::DEFAULT_GRID;
+use shadecast_transport::PeerStats;
+use std::collections::VecDeque;
+
+/// Updates that may wait for the link when another one is made.
+const MAX_WAITING_UPDATES: usize = 2;
+/// What waits may take this long to leave, where the link's rate is known, nanoseconds.
+const MAX_WAIT_NS: i64 = 250_000_000;
+/// The link is measured only over at least this long a time in which something waited for it, nanoseconds.
+const MEASURE_NS: i64 = 300_000_000;
+/// A measured rate counts for so long after something last waited, nanoseconds.
+const RATE_LIFETIME_NS: i64 = 10_000_000_000;
+/// On a slow link an update brings new geometry for this part of a second, so that its picture is not far behind.
+const GEOMETRY_S: f64 = 1.0;
+/// New geometry that any update may bring, bytes: the scene must enter even over the slowest link.
+const LEAST_GEOMETRY_BYTES: f64 = 16_384.0;
+/// The person is told of a slow link at most this often, nanoseconds.
+const TELL_NS: i64 = 10_000_000_000;
+/// Weight of the newest update in what an update is taken to need.
+const NEWEST: f64 = 0.25;
+/// Longest time that one update's samples cover, nanoseconds: those of a pause that was longer are left out.
+const LONGEST_COVERED_NS: i64 = SAMPLE_RING as i64 * DEFAULT_GRID.spacing_ns;
+
+/// What the transport knows of the way to a client.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WayState {
+    /// Streams handed over that have not arrived whole.
+    pub streams_under_way: u64,
+    /// Bytes that may be under way at once.
+    pub window_bytes: u64,
+}
+
+impl From<PeerStats> for WayState {
+    fn from(stats: PeerStats) -> Self {
+        Self { streams_under_way: stats.streams_under_way, window_bytes: stats.window_bytes }
+    }
+}
+
+/// What a stream holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A geometry delta.
+    Delta,
+    /// A picture.
+    Picture,
+}
+
+/// The link carries less than the scene needs, Mbit/s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shortfall {
+    /// What it carries.
+    pub carries_mbit_s: f64,
+    /// What updates at the wanted rate would take.
+    pub needs_mbit_s: f64,
+}
+
+impl std::fmt::Display for Shortfall {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { carries_mbit_s, needs_mbit_s } = self;
+        write!(
+            f,
+            "the link carries {carries_mbit_s:.1} of {needs_mbit_s:.1} Mbit/s that the scene needs: fewer updates are sent"
+        )
+    }
+}
+
+/// Decides for one client when an update is made.
+#[derive(Clone, Debug)]
+pub struct UpdateGate {
+    period_ns: i64,
+    /// Not known to have arrived, in the order in which they leave.
+    under_way: VecDeque<Sent>,
+    /// Since when something waits for the link, and the bytes that have arrived since.
+    waiting: Option<(i64, u64)>,
+    /// The link's rate in bytes per second, and when something last waited for it.
+    rate: Option<(f64, i64)>,
+    needs: Needs,
+    withheld: bool,
+    told_ns: Option<i64>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Sent {
+    frame: FrameId,
+    bytes: u64,
+}
+
+/// What updates at the wanted rate take, bytes per second; without the first one, which brings the scene.
+#[derive(Clone, Copy, Debug, Default)]
+struct Needs {
+    geometry: Option<f64>,
+    pictures: Option<f64>,
+    last_delta_ns: i64,
+}
+
+/// What waits before the link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Waiting {
+    updates: usize,
+    bytes: u64,
+}
+
+impl UpdateGate {
+    /// For updates that are wanted once in `period_ns`.
+    pub fn new(period_ns: i64) -> Self {
+        Self {
+            period_ns: period_ns.max(1),
+            under_way: VecDeque::new(),
+            waiting: None,
+            rate: None,
+            needs: Needs::default(),
+            withheld: false,
+            told_ns: None,
+        }
+    }
+
+    /// A stream of an update was handed to the transport.
+    pub fn sent(&mut self, frame: FrameId, kind: Kind, bytes: usize, now_ns: i64) {
+        // An update's streams leave before those of later ones.
+        let place = self.under_way.partition_point(|other| other.frame <= frame);
+        self.under_way.insert(place, Sent { frame, bytes: bytes as u64 });
+        self.needs.note(frame, kind, bytes as f64, now_ns, self.period_ns);
+    }
+
+    /// Whether an update may be made now.
+    pub fn may_update(&mut self, way: &WayState, now_ns: i64) -> bool {
+        self.observe(way, now_ns);
+        let waiting = self.before_the_link(way);
+        let leaves_soon = self
+            .rate_bytes_s(now_ns)
+            .is_none_or(|rate| waiting.bytes as f64 / rate * 1e9 <= MAX_WAIT_NS as f64);
+        let may = waiting.updates <= MAX_WAITING_UPDATES && leaves_soon;
+        self.withheld |= !may;
+        may
+    }
+
+    /// Bytes of new geometry that the next update may bring; `None`: as much as there is.
+    pub fn geometry_bytes(&self, now_ns: i64) -> Option<usize> {
+        self.rate_bytes_s(now_ns).map(|rate| (rate * GEOMETRY_S).max(LEAST_GEOMETRY_BYTES) as usize)
+    }
+
+    /// What to tell the person, now and then, where updates are withheld.
+    pub fn shortfall(&mut self, now_ns: i64) -> Option<Shortfall> {
+        let carries = self.rate_bytes_s(now_ns)?;
+        let needs = self.needs.geometry? + self.needs.pictures?;
+        let is_due = self.told_ns.is_none_or(|told_ns| now_ns - told_ns >= TELL_NS);
+        if !(self.withheld && is_due && needs > carries) {
+            return None;
+        }
+        (self.withheld, self.told_ns) = (false, Some(now_ns));
+        Some(Shortfall { carries_mbit_s: carries * 8e-6, needs_mbit_s: needs * 8e-6 })
+    }
+
+    fn rate_bytes_s(&self, now_ns: i64) -> Option<f64> {
+        self.rate.filter(|(_, at_ns)| now_ns - at_ns <= RATE_LIFETIME_NS).map(|(rate, _)| rate)
+    }
+
+    /// Takes note of what has arrived, and measures the link while something waits for it.
+    fn observe(&mut self, way: &WayState, now_ns: i64) {
+        let arrived = self.under_way.len().saturating_sub(way.streams_under_way as usize);
+        let bytes: u64 = self.under_way.drain(..arrived).map(|sent| sent.bytes).sum();
+        if let Some((since_ns, so_far)) = &mut self.waiting {
+            *so_far += bytes;
+            let elapsed_ns = now_ns - *since_ns;
+            if bytes > 0 && elapsed_ns >= MEASURE_NS {
+                self.rate = Some((*so_far as f64 / (elapsed_ns as f64 * 1e-9), now_ns));
+                if elapsed_ns >= 4 * MEASURE_NS {
+                    (*since_ns, *so_far) = (now_ns, 0); // links change
+                }
+            }
+        }
+        match self.before_the_link(way).bytes {
+            0 => self.waiting = None,
+            _ => drop(self.waiting.get_or_insert((now_ns, 0))),
+        }
+    }
+
+    /// What does not fit into the window any more, the oldest being inside.
+    fn before_the_link(&self, way: &WayState) -> Waiting {
+        let (mut sum, mut updates, mut last) = (0, 0, None);
+        for sent in &self.under_way {
+            sum += sent.bytes;
+            if sum > way.window_bytes && last != Some(sent.frame) {
+                last = Some(sent.frame);
+                updates += 1;
+            }
+        }
+        Waiting { updates, bytes: sum.saturating_sub(way.window_bytes) }
+    }
+}
+
+impl Needs {
+    fn note(&mut self, frame: FrameId, kind: Kind, bytes: f64, now_ns: i64, period_ns: i64) {
+        let (mean, covered_ns) = match kind {
+            Kind::Picture => (&mut self.pictures, period_ns),
+            Kind::Delta => {
+                // After a pause a delta has the samples of all of it.
+                let since_ns = now_ns - std::mem::replace(&mut self.last_delta_ns, now_ns);
+                (&mut self.geometry, since_ns.clamp(period_ns, LONGEST_COVERED_NS.max(period_ns)))
+            }
+        };
+        if frame > FrameId(0) {
+            let newest = bytes / (covered_ns as f64 * 1e-9);
+            *mean = Some(mean.map_or(newest, |mean| mean + NEWEST * (newest - mean)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD_NS: i64 = 33_333_333;
+
+    /// A link in virtual time: so many bytes a second, and so many under way.
+    struct SlowLink {
+        bytes_s: f64,
+        window_bytes: u64,
+        /// Bytes left of each stream, the oldest first.
+        streams: VecDeque<f64>,
+        now_ns: i64,
+    }
+
+    impl SlowLink {
+        fn new(bytes_s: f64) -> Self {
+            Self { bytes_s, window_bytes: 20_000, streams: VecDeque::new(), now_ns: 0 }
+        }
+
+        fn pass(&mut self, ns: i64) {
+            self.now_ns += ns;
+            let mut carried = self.bytes_s * ns as f64 * 1e-9;
+            while let Some(left) = self.streams.front_mut() {
+                if *left > carried {
+                    *left -= carried;
+                    return;
+                }
+                carried -= *left;
+                self.streams.pop_front();
+            }
+        }
+
+        fn way(&self) -> WayState {
+            WayState { streams_under_way: self.streams.len() as u64, window_bytes: self.window_bytes }
+        }
+
+        fn send(&mut self, gate: &mut UpdateGate, frame: u32, bytes: [usize; 2]) {
+            for (kind, bytes) in [Kind::Delta, Kind::Picture].into_iter().zip(bytes) {
+                gate.sent(FrameId(frame), kind, bytes, self.now_ns);
+                self.streams.push_back(bytes as f64);
+            }
+        }
+    }
+
+    /// So many seconds of updates of so many bytes, whenever the gate allows one; gives when each was made.
+    fn run(gate: &mut UpdateGate, link: &mut SlowLink, seconds: i64, bytes: [usize; 2]) -> Vec<i64> {
+        let mut made = Vec::new();
+        for _ in 0..seconds * 1_000_000_000 / PERIOD_NS {
+            if gate.may_update(&link.way(), link.now_ns) {
+                link.send(gate, made.len() as u32, bytes);
+                made.push(link.now_ns);
+            }
+            link.pass(PERIOD_NS);
+        }
+        made
+    }
+
+    #[test]
+    fn a_link_that_carries_the_scene_never_holds_an_update_back() {
+        let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(12.5e6));
+        link.window_bytes = 500_000;
+        assert_eq!(run(&mut gate, &mut link, 10, [20_000, 60_000]).len() as i64, 10_000_000_000 / PERIOD_NS);
+        assert_eq!((gate.geometry_bytes(link.now_ns), gate.shortfall(link.now_ns)), (None, None));
+    }
+
+    #[test]
+    fn a_slow_link_gets_as_many_updates_as_it_carries_and_none_waits_long() {
+        let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(125_000.0));
+        let made = run(&mut gate, &mut link, 30, [40_000, 20_000]);
+        let carried = 30.0 * 125_000.0 / 60_000.0;
+        assert!((made.len() as f64 - carried).abs() < 6.0, "{} updates, {carried} fit", made.len());
+        let queued: f64 = link.streams.iter().sum();
+        assert!(queued < 60_000.0 + 20_000.0 + 0.3 * 125_000.0, "{queued} bytes wait at the end");
+        let longest = made.windows(2).map(|pair| pair[1] - pair[0]).max();
+        assert!(longest < Some(2_000_000_000), "{longest:?}");
+    }
+
+    #[test]
+    fn at_the_start_no_more_than_three_updates_go_before_the_link_is_known() {
+        let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(1000.0));
+        assert_eq!(run(&mut gate, &mut link, 5, [400_000, 100_000]).len(), MAX_WAITING_UPDATES + 1);
+    }
+
+    #[test]
+    fn geometry_is_bounded_only_while_the_link_is_known_to_be_slow() {
+        let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(125_000.0));
+        run(&mut gate, &mut link, 10, [40_000, 20_000]);
+        let budget = gate.geometry_bytes(link.now_ns).expect("known");
+        assert!((100_000..150_000).contains(&budget), "{budget}");
+        link.bytes_s = 50e6;
+        link.window_bytes = 1 << 20;
+        run(&mut gate, &mut link, 12, [40_000, 20_000]);
+        assert_eq!(gate.geometry_bytes(link.now_ns), None, "the link has recovered");
+    }
+
+    #[test]
+    fn the_person_is_told_what_the_link_carries_and_not_more_often_than_they_want_to_hear() {
+        let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(125_000.0));
+        let mut told = Vec::new();
+        for _ in 0..25 {
+            run_from(&mut gate, &mut link);
+            told.extend(gate.shortfall(link.now_ns));
+        }
+        assert!((1..=3).contains(&told.len()), "{told:?}");
+        assert!((0.8..1.2).contains(&told[0].carries_mbit_s) && told[0].needs_mbit_s > 2.0, "{told:?}");
+        let text = Shortfall { carries_mbit_s: 1.0, needs_mbit_s: 6.34 }.to_string();
+        assert_eq!(text, "the link carries 1.0 of 6.3 Mbit/s that the scene needs: fewer updates are sent");
+    }
+
+    /// A second of it, the frames counted on.
+    fn run_from(gate: &mut UpdateGate, link: &mut SlowLink) {
+        let mut frame = (link.now_ns / 1_000_000) as u32;
+        for _ in 0..30 {
+            if gate.may_update(&link.way(), link.now_ns) {
+                link.send(gate, frame, [40_000, 20_000]);
+            }
+            frame += 33;
+            link.pass(PERIOD_NS);
+        }
+    }
+}

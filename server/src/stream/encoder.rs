@@ -1,0 +1,150 @@
+//! The encoder's thread: one picture at a time, so that what leaves is always the newest.
+
+use super::pipeline::Outlet;
+use crate::encode::Encoder;
+use crate::encode::openh264::EncoderSettings;
+use crate::frame::Shaded;
+use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::session::picture_stream;
+use shadecast_transport::PeerId;
+use std::any::Any;
+use std::io;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, SyncSender, TryRecvError, channel, sync_channel};
+use std::thread::JoinHandle;
+
+/// How the encoder of a server is set, here and in virtual time: as many slices as half the cores, and the real rate.
+pub fn settings(extent: AtlasExtent, qp: u8, rate_hz: f64) -> EncoderSettings {
+    let threads = std::thread::available_parallelism().map_or(1, |n| (n.get() as u32 / 2).clamp(1, 4));
+    EncoderSettings { qp, fps: rate_hz.round() as u32, threads, ..EncoderSettings::for_atlas(extent) }
+}
+
+/// A picture to encode and send.
+pub(super) struct Job {
+    /// The update.
+    pub(super) shaded: Shaded,
+    /// The picture shall need no other.
+    pub(super) refresh: bool,
+}
+
+/// What became of a picture.
+pub(super) enum Outcome {
+    /// It was handed to the transport.
+    Sent {
+        /// The update.
+        shaded: Shaded,
+        /// Bytes of its stream.
+        stream_bytes: usize,
+        /// Bytes of its access unit.
+        unit_bytes: usize,
+    },
+    /// The encoder is of no further use: why.
+    Failed(String),
+}
+
+/// An encoder on a thread of its own. Dropping it waits for the picture that is being encoded.
+pub(super) struct EncoderThread {
+    /// `None` while dropping.
+    jobs: Option<SyncSender<Job>>,
+    outcomes: Receiver<Outcome>,
+    is_busy: bool,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl EncoderThread {
+    pub(super) fn start(
+        encoder: Box<dyn Encoder>,
+        outlet: Arc<dyn Outlet>,
+        peer: PeerId,
+    ) -> io::Result<Self> {
+        let (jobs, jobs_from) = sync_channel(1);
+        let (outcomes_to, outcomes) = channel();
+        let thread = std::thread::Builder::new().name("encoder".into()).spawn(move || {
+            run(encoder, outlet.as_ref(), peer, &jobs_from, &outcomes_to);
+        })?;
+        Ok(Self { jobs: Some(jobs), outcomes, is_busy: false, thread: Some(thread) })
+    }
+
+    /// Whether a picture is being encoded.
+    pub(super) fn is_busy(&self) -> bool {
+        self.is_busy
+    }
+
+    /// Hands over a picture. A thread that has ended tells with [`Self::poll`].
+    pub(super) fn give(&mut self, job: Job) {
+        self.is_busy = true;
+        if let Some(jobs) = &self.jobs {
+            // There is room: nothing is given while the thread is busy. Where it has ended, its outcome says so.
+            let _ = jobs.try_send(job);
+        }
+    }
+
+    /// What became of the picture that was handed over, once that is known.
+    pub(super) fn poll(&mut self) -> Option<Outcome> {
+        if !self.is_busy {
+            return None;
+        }
+        let outcome = match self.outcomes.try_recv() {
+            Ok(outcome) => outcome,
+            Err(TryRecvError::Empty) => return None,
+            Err(TryRecvError::Disconnected) => Outcome::Failed("the encoder's thread has ended".into()),
+        };
+        self.is_busy = false;
+        Some(outcome)
+    }
+}
+
+impl Drop for EncoderThread {
+    fn drop(&mut self) {
+        self.jobs = None;
+        if let Some(thread) = self.thread.take() {
+            // Panics were caught in the thread and told as outcomes.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Ends when the pipeline lets go, or with the first picture that fails.
+fn run(
+    mut encoder: Box<dyn Encoder>,
+    outlet: &dyn Outlet,
+    peer: PeerId,
+    jobs: &Receiver<Job>,
+    outcomes: &Sender<Outcome>,
+) {
+    while let Ok(job) = jobs.recv() {
+        // What a panic leaves behind in the encoder is not used again.
+        let worked = AssertUnwindSafe(|| encode(encoder.as_mut(), outlet, peer, job));
+        let outcome = catch_unwind(worked).unwrap_or_else(|panic| Outcome::Failed(words_of(panic.as_ref())));
+        let has_failed = matches!(outcome, Outcome::Failed(_));
+        if outcomes.send(outcome).is_err() || has_failed {
+            return;
+        }
+    }
+}
+
+fn encode(encoder: &mut dyn Encoder, outlet: &dyn Outlet, peer: PeerId, job: Job) -> Outcome {
+    let (header, unit) = match job.shaded.encode(encoder, job.refresh) {
+        Ok(encoded) => encoded,
+        Err(error) => return Outcome::Failed(error.to_string()),
+    };
+    let out = match picture_stream(header, &unit.bytes) {
+        Ok(out) => out,
+        Err(error) => {
+            return Outcome::Failed(format!("{error}; a coarser quantisation (--qp) makes it smaller"));
+        }
+    };
+    let (unit_bytes, stream_bytes) = (unit.bytes.len(), super::pipeline::bytes_of(&out));
+    match outlet.send(peer, out) {
+        Ok(()) => Outcome::Sent { shaded: job.shaded, stream_bytes, unit_bytes },
+        Err(error) => Outcome::Failed(format!("a picture could not be sent: {error}")),
+    }
+}
+
+/// What a panic said.
+pub(super) fn words_of(panic: &(dyn Any + Send)) -> String {
+    let words = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
+    let words = words.or_else(|| panic.downcast_ref::<String>().cloned());
+    format!("a fault of the program: {}", words.as_deref().unwrap_or("no words"))
+}

@@ -1,0 +1,359 @@
+//! `shadecast-server stream`: the pipeline on real sockets and the real clock.
+//!
+//! Three threads that never wait for each other: the network (connections, sessions, answers to pings), the pipeline
+//! (updates at a constant rate) and the encoder (one picture at a time; while it is busy no new update is started, so that
+//! what leaves is always the newest). What the network tells the pipeline is the newest of each kind; what the pipeline
+//! makes goes to the transport without the network's thread.
+
+mod encoder;
+mod mailbox;
+mod network;
+mod pipeline;
+mod place;
+mod rebuild;
+#[cfg(test)]
+mod testing;
+
+pub use encoder::settings as encoder_settings;
+
+use crate::encode::openh264::OpenH264Encoder;
+use crate::encode::{EncodeError, Encoder};
+use crate::frame::{Frame, Shaded};
+use crate::pacing::WayState;
+use crate::scene_gpu::SceneGpu;
+use mailbox::Mailbox;
+use network::Network;
+use pipeline::{Outlet, Pipeline, Studio, Updates};
+use serde::Serialize;
+use shadecast_gpu::{Gpu, GpuError};
+use shadecast_protocol::PROTOCOL_VERSION;
+use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
+use shadecast_protocol::message::{
+    Capabilities, Codec, Displayed, Environment, HeadState, Refused, ResumeSecret, ServerOffer, Welcome,
+};
+use shadecast_protocol::session::Out;
+use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
+use shadecast_scene::Scene;
+use shadecast_transport::endpoint::{Endpoint, EndpointConfig, PeerId, SendError};
+use shadecast_transport::mio::{Driver, Events, Handle, monotonic_now_ns, spawn};
+use shadecast_transport::{LinkSchedule, ServerIdentity};
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+/// How long a thread sleeps at most before it looks whether the program is to end.
+const LOOK_UP: Duration = Duration::from_millis(20);
+
+/// Says a line to the person who started the server. It must not wait.
+pub type Say<'a> = dyn Fn(&str) + Send + Sync + 'a;
+
+/// What to serve, and how.
+#[derive(Clone, Debug)]
+pub struct StreamOptions {
+    /// UDP address.
+    pub listen: SocketAddr,
+    /// Folder of the server's identity; `None` for the user's default.
+    pub identity: Option<PathBuf>,
+    /// Wanted atlas width and height in texels.
+    pub atlas_extent_texels: AtlasExtent,
+    /// Quantisation of the atlas, 0 (finest) to 51.
+    pub qp: u8,
+    /// Updates per second.
+    pub rate_hz: f64,
+    /// A simulated link on the real socket.
+    pub link: Option<LinkSchedule>,
+    /// Seed of the simulated link.
+    pub seed: u64,
+    /// Ends after so many seconds; 0: never.
+    pub seconds: f64,
+    /// Writes the last atlas there on leaving.
+    pub atlas_png: Option<PathBuf>,
+}
+
+/// How a run went.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct StreamStats {
+    /// The Vulkan device.
+    pub device: String,
+    /// Nanoseconds of the monotonic clock at server time 0.
+    pub epoch_monotonic_ns: i64,
+    /// Updates sent.
+    pub updates: u64,
+    /// From the first to the last update.
+    pub seconds: f64,
+    /// Updates per second.
+    pub server_fps: f64,
+    /// Bytes of access units.
+    pub atlas_bytes: u64,
+    /// Bytes of geometry deltas, samples included.
+    pub geometry_bytes: u64,
+    /// Bytes of vertex samples, headers and first samples included.
+    pub sample_bytes: u64,
+    /// Vertex samples.
+    pub samples: u64,
+    /// How often the atlas was full.
+    pub coarsened: u32,
+    /// Patches in view that were not shown for want of room, summed over the updates for the last client.
+    pub dropped_patches: u64,
+    /// Clients accepted.
+    pub clients: u32,
+    /// Sessions that were ended because their pipeline could not be made or failed.
+    pub refused: u32,
+    /// Encoders that failed and were made anew.
+    pub encoder_restarts: u32,
+    /// How often the device was lost and opened again.
+    pub devices_lost: u32,
+    /// Mean milliseconds per update by GPU stage.
+    pub gpu_ms: BTreeMap<String, f64>,
+    /// Vulkan validation warnings and errors.
+    pub validation_messages: u32,
+}
+
+/// A device, and the scene on it.
+pub struct Device {
+    /// The device.
+    pub gpu: Arc<Gpu>,
+    /// The scene.
+    pub scene: Arc<SceneGpu>,
+}
+
+/// Opens the device, and brings the scene to it: again, after it was lost.
+pub type Reopen<'a> = dyn Fn(Scene) -> anyhow::Result<Device> + 'a;
+
+/// The terms that a server with this scene offers; who has more than one client puts a random secret into them.
+pub fn offer(scene: &SceneGpu, atlas_extent_texels: AtlasExtent, rate_hz: f64, session: u64) -> ServerOffer {
+    let environment = scene.scene.environment;
+    ServerOffer {
+        protocol_version: PROTOCOL_VERSION,
+        min_protocol_version: PROTOCOL_VERSION,
+        app_version: env!("CARGO_PKG_VERSION").into(),
+        session,
+        grid: DEFAULT_GRID,
+        atlas_extent_texels,
+        vertex_slots: MAX_VERTEX_SLOTS,
+        patch_slots: MAX_PATCH_SLOTS,
+        codecs: vec![Codec::H264],
+        environment: Environment {
+            zenith: environment.zenith.to_array(),
+            horizon: environment.horizon.to_array(),
+            nadir: environment.nadir.to_array(),
+        },
+        world_from_stage: scene.scene.world_from_stage,
+        update_period_ns: (1e9 / rate_hz) as i64,
+        resume: ResumeSecret([0; 16]),
+    }
+}
+
+/// Sessions that the pipeline wants to end.
+#[derive(Debug, Default)]
+struct Verdicts {
+    refused: Mutex<Vec<(PeerId, Refused)>>,
+}
+
+impl Verdicts {
+    fn refuse(&self, peer: PeerId, refused: Refused) {
+        self.refused.lock().unwrap_or_else(PoisonError::into_inner).push((peer, refused));
+    }
+
+    fn take(&self) -> Vec<(PeerId, Refused)> {
+        std::mem::take(&mut *self.refused.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+/// The transport and the network's thread, as the pipeline sees them.
+struct Way {
+    handle: Handle,
+    verdicts: Arc<Verdicts>,
+}
+
+impl Outlet for Way {
+    fn send(&self, peer: PeerId, out: Out) -> Result<(), SendError> {
+        network::Carrier::send(&self.handle, peer, out)
+    }
+
+    fn way(&self, peer: PeerId) -> Option<WayState> {
+        self.handle.stats(peer).map(WayState::from)
+    }
+
+    fn refuse(&self, peer: PeerId, refused: Refused) {
+        self.verdicts.refuse(peer, refused);
+    }
+}
+
+/// Pipelines on the real device.
+struct GpuStudio<'a> {
+    /// `None` only while it is opened again.
+    device: Option<Device>,
+    /// Kept for that.
+    scene: Option<Scene>,
+    reopen: &'a Reopen<'a>,
+    options: &'a StreamOptions,
+}
+
+impl GpuStudio<'_> {
+    fn device(&self) -> Result<&Device, GpuError> {
+        let closed = || GpuError::NoDevice("it was lost and is not open again yet".into());
+        self.device.as_ref().ok_or_else(closed)
+    }
+}
+
+impl Studio for GpuStudio<'_> {
+    fn updates(
+        &mut self,
+        welcome: &Welcome,
+        capabilities: &Capabilities,
+    ) -> Result<Box<dyn Updates>, GpuError> {
+        let Device { gpu, scene } = self.device()?;
+        Ok(Box::new(Frame::new(gpu, scene, welcome, capabilities)?))
+    }
+
+    fn encoder(&mut self, extent_texels: AtlasExtent) -> Result<Box<dyn Encoder>, EncodeError> {
+        let settings = encoder_settings(extent_texels, self.options.qp, self.options.rate_hz);
+        Ok(Box::new(OpenH264Encoder::new(settings)?))
+    }
+
+    fn take_timings_ms(&mut self) -> Vec<(&'static str, f64)> {
+        self.device.as_ref().map_or(Vec::new(), |device| device.gpu.take_timings_ms())
+    }
+
+    fn reopen(&mut self) -> anyhow::Result<()> {
+        if let Some(Device { scene, .. }) = self.device.take() {
+            self.scene = Some(scene.scene.clone());
+        }
+        let scene = self.scene.clone().ok_or_else(|| anyhow::anyhow!("the scene is gone"))?;
+        self.device = Some((self.reopen)(scene)?);
+        self.scene = None;
+        Ok(())
+    }
+}
+
+impl Updates for Frame {
+    fn head(&mut self, state: HeadState) {
+        Self::head(self, state);
+    }
+
+    fn displayed(&mut self, report: &Displayed) {
+        Self::displayed(self, report);
+    }
+
+    fn limit_geometry(&mut self, bytes: Option<usize>) {
+        Self::limit_geometry(self, bytes);
+    }
+
+    fn update(&mut self, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
+        Self::update(self, now)
+    }
+
+    fn account(&self, stats: &mut StreamStats) {
+        stats.coarsened = self.layout().coarsened();
+        stats.dropped_patches = self.dropped_patches();
+    }
+}
+
+/// Sets a flag when a thread ends, however it ends.
+struct StopOnEnd<'a>(&'a AtomicBool);
+
+impl Drop for StopOnEnd<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Serves until `stop` is set, the time is over, or the network fails.
+///
+/// # Errors
+/// The address cannot be bound, the identity not be read, or the device is lost for good.
+pub fn run(
+    device: Device,
+    reopen: &Reopen<'_>,
+    options: &StreamOptions,
+    stop: &AtomicBool,
+    say: &Say<'_>,
+) -> anyhow::Result<StreamStats> {
+    let (handle, events) = listen(options, say)?;
+    let terms = offer(&device.scene, options.atlas_extent_texels, options.rate_hz, 0);
+    let make_offer = |session| ServerOffer { session, ..terms.clone() };
+    let offers: &(dyn Fn(u64) -> ServerOffer + Sync) = &make_offer;
+    let (mailbox, verdicts, epoch_ns) =
+        (Mailbox::default(), Arc::new(Verdicts::default()), monotonic_now_ns());
+    let mut studio = GpuStudio { device: Some(device), scene: None, reopen, options };
+    let (mut stats, last_atlas) = std::thread::scope(|scope| {
+        let (mailbox, verdicts, carrier) = (&mailbox, &verdicts, handle.clone());
+        let network = std::thread::Builder::new().name("sessions".into()).spawn_scoped(scope, move || {
+            let _stop = StopOnEnd(stop);
+            let network = Network::new(&carrier, mailbox, verdicts, offers, say, epoch_ns);
+            run_network(network, &events, stop);
+        })?;
+        let outlet = Arc::new(Way { handle, verdicts: verdicts.clone() });
+        let _stop = StopOnEnd(stop);
+        let mut pipeline = Pipeline::new(&mut studio, outlet, mailbox, say, options.rate_hz, epoch_ns);
+        let worked = run_pipeline(&mut pipeline, mailbox, options.seconds, stop);
+        stop.store(true, Ordering::Relaxed);
+        let has_panicked = network.join().is_err();
+        worked?;
+        anyhow::ensure!(!has_panicked, "the thread of the sessions has failed; its reason is in the log");
+        anyhow::Ok(pipeline.finish())
+    })?;
+    if let (Some(path), Some(shaded)) = (&options.atlas_png, &last_atlas) {
+        let rgb = crate::picture::rgb_from_planes(shaded.extent_texels, &shaded.planes);
+        crate::picture::write_png(path, shaded.extent_texels, &rgb)?;
+    }
+    if let Ok(device) = studio.device() {
+        stats.device = device.gpu.device_name();
+        stats.validation_messages = device.gpu.validation_messages();
+    }
+    Ok(stats)
+}
+
+/// Opens the socket.
+fn listen(options: &StreamOptions, say: &Say<'_>) -> anyhow::Result<(Handle, Events)> {
+    let identity = match &options.identity {
+        Some(folder) => ServerIdentity::load_or_create(folder)?,
+        None => ServerIdentity::load_or_create(&shadecast_transport::identity::default_directory()?)?,
+    };
+    let endpoint = Endpoint::server(&identity, EndpointConfig::default())?;
+    let mut driver = Driver::bind(endpoint, options.listen)?;
+    if let Some(link) = &options.link {
+        driver = driver.with_link(link.clone(), options.seed);
+    }
+    let (handle, events) = spawn(driver)?;
+    say(&format!("Listening on {} with identity {}", handle.local_addr(), identity.fingerprint()));
+    Ok((handle, events))
+}
+
+fn run_network(mut network: Network<'_>, events: &Events, stop: &AtomicBool) {
+    while !stop.load(Ordering::Relaxed) {
+        match events.next_timeout(LOOK_UP) {
+            Ok(Some(event)) => network.take(event, monotonic_now_ns()),
+            Ok(None) => {}
+            Err(stopped) => {
+                tracing::error!("{stopped}");
+                return;
+            }
+        }
+        network.tick(monotonic_now_ns());
+    }
+    network.goodbye(monotonic_now_ns());
+}
+
+fn run_pipeline(
+    pipeline: &mut Pipeline<'_>,
+    mailbox: &Mailbox,
+    seconds: f64,
+    stop: &AtomicBool,
+) -> anyhow::Result<()> {
+    let start_ns = monotonic_now_ns();
+    while !stop.load(Ordering::Relaxed) {
+        let now_ns = monotonic_now_ns();
+        if seconds > 0.0 && (now_ns - start_ns) as f64 * 1e-9 > seconds {
+            break;
+        }
+        let wait = pipeline.step(now_ns)?;
+        mailbox.wait(wait);
+    }
+    Ok(())
+}

@@ -1,0 +1,534 @@
+//! The network's thread: connections, sessions, pings and who is served. It encodes nothing and draws nothing, so that a
+//! ping is answered when it comes.
+
+use super::mailbox::{Accepted, Mailbox};
+use super::place::{Greeting, Place};
+use super::{Say, Verdicts};
+use shadecast_protocol::message::{ClientHello, Refused, ResumeSecret, ServerOffer, Welcome};
+use shadecast_protocol::session::{Out, ServerEvent, ServerSession};
+use shadecast_protocol::text::printable;
+use shadecast_protocol::time::ServerTime;
+use shadecast_transport::{CloseKind, Event, Handle, PeerId, SendError};
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+
+/// Close code of a client that left, and of a server that ends.
+const CODE_LEAVING: u32 = 0;
+/// Close code of a client that was told why it is refused.
+const CODE_REFUSED: u32 = 1;
+/// Close code of a client whose place has been taken.
+const CODE_DISPLACED: u32 = 2;
+/// Close code of a client that said what makes no sense, or nothing.
+const CODE_NOT_UNDERSTOOD: u32 = 4;
+/// A client that was told why it is refused may close the connection itself within this time, nanoseconds.
+const FAREWELL_NS: i64 = 500_000_000;
+/// Refused clients that are given that time.
+const MAX_LEAVING: usize = 8;
+
+/// What carries bytes to clients.
+pub(super) trait Carrier {
+    /// Sends what a session has to say.
+    fn send(&self, peer: PeerId, out: Out) -> Result<(), SendError>;
+    /// Ends a connection.
+    fn close(&self, peer: PeerId, code: u32, reason: &str);
+}
+
+impl Carrier for Handle {
+    fn send(&self, peer: PeerId, out: Out) -> Result<(), SendError> {
+        match out {
+            Out::Control(message) => self.send_control(peer, message),
+            Out::Stream { bytes, priority } => self.send_stream(peer, bytes, priority).map(|_| ()),
+            Out::Datagram(bytes) => self.send_datagram(peer, bytes),
+        }
+    }
+
+    fn close(&self, peer: PeerId, code: u32, reason: &str) {
+        // A thread that has ended has closed everything.
+        let _ = Self::close(self, peer, code, reason);
+    }
+}
+
+/// All clients that are connected.
+pub(super) struct Network<'a> {
+    carrier: &'a dyn Carrier,
+    mailbox: &'a Mailbox,
+    verdicts: &'a Verdicts,
+    make_offer: &'a (dyn Fn(u64) -> ServerOffer + Sync),
+    say: &'a Say<'a>,
+    epoch_ns: i64,
+    greeting: Greeting,
+    place: Place,
+    guests: BTreeMap<PeerId, Guest>,
+    /// Refused clients, and when their connection is ended if they do not do it.
+    leaving: Vec<(PeerId, i64)>,
+    sessions: u64,
+}
+
+/// A connected client.
+struct Guest {
+    session: ServerSession,
+    remote: SocketAddr,
+}
+
+impl<'a> Network<'a> {
+    pub(super) fn new(
+        carrier: &'a dyn Carrier,
+        mailbox: &'a Mailbox,
+        verdicts: &'a Verdicts,
+        make_offer: &'a (dyn Fn(u64) -> ServerOffer + Sync),
+        say: &'a Say<'a>,
+        epoch_ns: i64,
+    ) -> Self {
+        Self {
+            carrier,
+            mailbox,
+            verdicts,
+            make_offer,
+            say,
+            epoch_ns,
+            greeting: Greeting::default(),
+            place: Place::default(),
+            guests: BTreeMap::new(),
+            leaving: Vec::new(),
+            sessions: 0,
+        }
+    }
+
+    /// Takes an event of the transport.
+    pub(super) fn take(&mut self, event: Event, now_ns: i64) {
+        match event {
+            Event::Connected { peer, remote, .. } => self.connected(peer, remote, now_ns),
+            Event::Control { peer, message, at_ns } => {
+                self.hear(peer, at_ns, now_ns, |session| session.on_control(&message));
+            }
+            Event::Datagram { peer, bytes, at_ns } => {
+                let received = ServerTime(at_ns - self.epoch_ns);
+                self.hear(peer, at_ns, now_ns, |session| session.on_datagram(&bytes, received));
+            }
+            Event::Closed { peer, kind, reason } => self.closed(peer, kind, &reason),
+            // Clients have nothing to send on streams.
+            Event::Stream { .. } | Event::StreamReset { .. } => {}
+        }
+    }
+
+    /// Does what is due: deadlines, and what the pipeline has decided.
+    pub(super) fn tick(&mut self, now_ns: i64) {
+        while let Some(peer) = self.greeting.overdue(now_ns) {
+            self.drop_guest(peer, CODE_NOT_UNDERSTOOD, "no hello came; connect again");
+        }
+        for (peer, refused) in self.verdicts.take() {
+            self.refuse(peer, refused, now_ns);
+        }
+        while let Some(at) = self.leaving.iter().position(|(_, until_ns)| *until_ns <= now_ns) {
+            let (peer, _) = self.leaving.swap_remove(at);
+            self.drop_guest(peer, CODE_REFUSED, "refused; the reason was sent before");
+        }
+    }
+
+    /// Takes leave of the client that is served.
+    pub(super) fn goodbye(&mut self, now_ns: i64) {
+        if let Some(peer) = self.place.served() {
+            if let Some(guest) = self.guests.get_mut(&peer) {
+                guest.session.goodbye();
+            }
+            self.flush(peer, now_ns);
+        }
+    }
+
+    fn connected(&mut self, peer: PeerId, remote: SocketAddr, now_ns: i64) {
+        if let Some(oldest) = self.greeting.connected(peer, now_ns) {
+            self.drop_guest(oldest, CODE_NOT_UNDERSTOOD, "others came and no hello; connect again");
+        }
+        self.sessions += 1;
+        let secret = ResumeSecret(shadecast_transport::random_bytes());
+        let offer = ServerOffer { resume: secret, ..(self.make_offer)(self.sessions) };
+        self.guests.insert(peer, Guest { session: ServerSession::new(offer), remote });
+    }
+
+    /// Hands something to a client's session, and does what comes of it.
+    fn hear(&mut self, peer: PeerId, at_ns: i64, now_ns: i64, tell: impl FnOnce(&mut ServerSession)) {
+        let Some(guest) = self.guests.get_mut(&peer) else { return };
+        let before = guest.session.understood();
+        tell(&mut guest.session);
+        if guest.session.understood() > before {
+            self.place.heard(peer, at_ns);
+        }
+        while let Some(event) = self.guests.get_mut(&peer).and_then(|guest| guest.session.poll_event()) {
+            self.heed(peer, event, now_ns);
+        }
+        self.flush(peer, now_ns);
+    }
+
+    fn heed(&mut self, peer: PeerId, event: ServerEvent, now_ns: i64) {
+        let is_served = self.place.served() == Some(peer);
+        match event {
+            ServerEvent::Asked { hello, welcome } => self.asked(peer, &hello, welcome, now_ns),
+            ServerEvent::Pose(pose) if is_served => self.mailbox.pose(pose),
+            ServerEvent::Displayed(report) if is_served => {
+                self.place.shown(peer);
+                self.mailbox.displayed(report);
+            }
+            ServerEvent::RefreshRequest { .. } if is_served => self.mailbox.refresh(),
+            ServerEvent::Refused(refused) => self.sent_away(peer, &refused, now_ns),
+            ServerEvent::Goodbye => {
+                self.leave(peer, "it said goodbye");
+                self.drop_guest(peer, CODE_LEAVING, "goodbye");
+            }
+            ServerEvent::Failed(error) => {
+                let reason = printable(&error.to_string());
+                self.lose(peer, &reason);
+                self.drop_guest(peer, CODE_NOT_UNDERSTOOD, &reason);
+            }
+            ServerEvent::Pose(_) | ServerEvent::Displayed(_) | ServerEvent::RefreshRequest { .. } => {}
+        }
+    }
+
+    /// A hello that was judged good: the place is given, or not.
+    fn asked(&mut self, peer: PeerId, hello: &ClientHello, welcome: Welcome, now_ns: i64) {
+        let taken = match self.place.ask(peer, hello.resume, welcome.resume, now_ns) {
+            Ok(taken) => taken,
+            Err(refused) => return self.refuse(peer, refused, now_ns),
+        };
+        self.greeting.done(peer);
+        if let Some(old) = taken.displaced {
+            self.drop_guest(old, CODE_DISPLACED, "another connection has taken this place");
+        }
+        let Some(guest) = self.guests.get_mut(&peer) else { return };
+        let Some(sender) = guest.session.accept() else { return };
+        (self.say)(&format!("Client connected from {}", guest.remote));
+        let capabilities = hello.capabilities.clone();
+        self.mailbox.accepted(Accepted { peer, welcome, capabilities, sender });
+    }
+
+    /// Tells a client why it is not served, or no longer, and ends its connection once it knows.
+    fn refuse(&mut self, peer: PeerId, refused: Refused, now_ns: i64) {
+        let Some(guest) = self.guests.get_mut(&peer).filter(|guest| guest.session.is_alive()) else { return };
+        guest.session.refuse(refused.clone());
+        self.sent_away(peer, &refused, now_ns);
+        self.flush(peer, now_ns);
+    }
+
+    /// A client has been told that it is refused.
+    fn sent_away(&mut self, peer: PeerId, refused: &Refused, now_ns: i64) {
+        let Some(guest) = self.guests.get(&peer) else { return };
+        let why = printable(&format!("{}; {}", refused.reason, refused.remedy));
+        (self.say)(&format!("Client refused: {} ({why})", guest.remote));
+        self.greeting.done(peer);
+        if self.place.served() == Some(peer) {
+            self.place.left(peer);
+            self.mailbox.gone();
+        }
+        if self.leaving.len() == MAX_LEAVING {
+            let (first, _) = self.leaving.remove(0);
+            self.drop_guest(first, CODE_REFUSED, "refused; the reason was sent before");
+        }
+        self.leaving.push((peer, now_ns + FAREWELL_NS));
+    }
+
+    fn closed(&mut self, peer: PeerId, kind: CloseKind, reason: &str) {
+        if kind == CloseKind::Peer(u64::from(CODE_LEAVING)) {
+            self.leave(peer, reason);
+        } else {
+            self.lose(peer, reason);
+        }
+        self.forget(peer);
+    }
+
+    /// The client that is served has left of its own will.
+    fn leave(&mut self, peer: PeerId, why: &str) {
+        if self.place.served() == Some(peer) {
+            self.place.left(peer);
+            self.gone(why);
+        }
+    }
+
+    /// The client that is served has vanished, or is no longer understood.
+    fn lose(&mut self, peer: PeerId, why: &str) {
+        if self.place.served() == Some(peer) {
+            self.place.lost(peer);
+            self.gone(why);
+        }
+    }
+
+    fn gone(&mut self, why: &str) {
+        self.mailbox.gone();
+        (self.say)(&format!("Client gone: {}", printable(why)));
+    }
+
+    fn drop_guest(&mut self, peer: PeerId, code: u32, reason: &str) {
+        if self.guests.contains_key(&peer) {
+            self.carrier.close(peer, code, reason);
+            self.forget(peer);
+        }
+    }
+
+    fn forget(&mut self, peer: PeerId) {
+        self.guests.remove(&peer);
+        self.greeting.done(peer);
+        self.leaving.retain(|(other, _)| *other != peer);
+    }
+
+    /// Sends what the session of `peer` has to say, at `now_ns`.
+    fn flush(&mut self, peer: PeerId, now_ns: i64) {
+        let Some(guest) = self.guests.get_mut(&peer) else { return };
+        let mut failure = None;
+        while let Some(out) = guest.session.poll_out(ServerTime(now_ns - self.epoch_ns)) {
+            let is_datagram = matches!(out, Out::Datagram(_));
+            match self.carrier.send(peer, out) {
+                // What is sent unreliably may be lost here as well.
+                Err(error) if !is_datagram => failure = Some(error),
+                _ => {}
+            }
+        }
+        if let Some(error) = failure {
+            let reason = format!("what it must know could not be sent: {error}");
+            self.lose(peer, &reason);
+            self.drop_guest(peer, CODE_NOT_UNDERSTOOD, &reason);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stream::mailbox::Client;
+    use crate::stream::place::HELLO_DEADLINE_NS;
+    use crate::stream::testing::{head, hello, offer};
+    use shadecast_protocol::message::{
+        ClientDatagram, ClientMessage, Displayed, ServerDatagram, ServerMessage,
+    };
+    use shadecast_protocol::time::DisplayTime;
+    use std::cell::RefCell;
+
+    const SECOND: i64 = 1_000_000_000;
+
+    /// What was sent and closed.
+    #[derive(Default)]
+    struct Recorder {
+        messages: RefCell<Vec<(PeerId, ServerMessage)>>,
+        datagrams: RefCell<Vec<(PeerId, ServerDatagram)>>,
+        closed: RefCell<Vec<(PeerId, u32)>>,
+        /// Nothing is taken.
+        is_full: bool,
+    }
+
+    impl Carrier for Recorder {
+        fn send(&self, peer: PeerId, out: Out) -> Result<(), SendError> {
+            if self.is_full {
+                return Err(SendError::QueueFull);
+            }
+            match out {
+                Out::Control(message) => {
+                    let message = ServerMessage::decode(&message).expect("a message");
+                    self.messages.borrow_mut().push((peer, message));
+                }
+                Out::Datagram(bytes) => {
+                    self.datagrams.borrow_mut().push((peer, ServerDatagram::decode(&bytes).expect("a pong")));
+                }
+                Out::Stream { .. } => panic!("the network's thread sends no updates"),
+            }
+            Ok(())
+        }
+
+        fn close(&self, peer: PeerId, code: u32, _: &str) {
+            self.closed.borrow_mut().push((peer, code));
+        }
+    }
+
+    impl Recorder {
+        /// The secret of the last welcome that `peer` got.
+        fn secret(&self, peer: PeerId) -> Option<ResumeSecret> {
+            self.messages.borrow().iter().rev().find_map(|(to, message)| match message {
+                ServerMessage::Welcome(welcome) if *to == peer => Some(welcome.resume),
+                _ => None,
+            })
+        }
+
+        fn refusal(&self, peer: PeerId) -> Option<String> {
+            self.messages.borrow().iter().rev().find_map(|(to, message)| match message {
+                ServerMessage::Refused(refused) if *to == peer => Some(refused.reason.clone()),
+                _ => None,
+            })
+        }
+    }
+
+    struct Desk {
+        carrier: Recorder,
+        mailbox: Mailbox,
+        verdicts: Verdicts,
+    }
+
+    impl Desk {
+        fn new() -> Self {
+            Self { carrier: Recorder::default(), mailbox: Mailbox::default(), verdicts: Verdicts::default() }
+        }
+
+        fn network(&self) -> Network<'_> {
+            Network::new(&self.carrier, &self.mailbox, &self.verdicts, &|_| offer(), &|_| {}, 0)
+        }
+    }
+
+    fn connect(network: &mut Network<'_>, peer: u64, at_ns: i64) -> PeerId {
+        let remote = "127.0.0.1:9".parse().expect("an address");
+        network.take(Event::Connected { peer: PeerId(peer), remote, fingerprint: None }, at_ns);
+        PeerId(peer)
+    }
+
+    fn say(network: &mut Network<'_>, peer: PeerId, message: &ClientMessage, at_ns: i64) {
+        network.take(Event::Control { peer, message: message.encode(), at_ns }, at_ns);
+    }
+
+    /// Connects and says hello.
+    fn greet(network: &mut Network<'_>, peer: u64, resume: Option<ResumeSecret>, at_ns: i64) -> PeerId {
+        let peer = connect(network, peer, at_ns);
+        say(network, peer, &ClientMessage::Hello(ClientHello { resume, ..hello() }), at_ns);
+        peer
+    }
+
+    /// A client that was greeted shows the first update, which the pipeline has sent.
+    fn show_first(network: &mut Network<'_>, desk: &Desk, peer: PeerId, at_ns: i64) {
+        let Client::Accepted(mut accepted) = desk.mailbox.take().client else {
+            panic!("nobody was accepted")
+        };
+        accepted.sender.delta_stream(&Default::default()).expect("a small delta");
+        say(network, peer, &ClientMessage::Displayed(Displayed::default()), at_ns);
+        assert!(desk.mailbox.take().displayed.is_some());
+    }
+
+    #[test]
+    fn a_connection_without_a_hello_holds_nothing_and_ends_after_two_seconds() {
+        let desk = Desk::new();
+        let mut network = desk.network();
+        let idle = connect(&mut network, 1, 0);
+        let served = greet(&mut network, 2, None, SECOND);
+        assert!(desk.carrier.secret(served).is_some(), "the other one does not wait for it");
+        network.tick(HELLO_DEADLINE_NS + 1);
+        assert_eq!(*desk.carrier.closed.borrow(), [(idle, CODE_NOT_UNDERSTOOD)]);
+    }
+
+    #[test]
+    fn junk_neither_takes_nor_keeps_a_place() {
+        let desk = Desk::new();
+        let mut network = desk.network();
+        let junk = greet(&mut network, 1, None, 0);
+        for step in 1..30 {
+            let at_ns = step * SECOND / 5;
+            network.take(Event::Datagram { peer: junk, bytes: vec![0xee], at_ns }, at_ns);
+        }
+        let lawful = greet(&mut network, 2, None, 6 * SECOND);
+        assert!(desk.carrier.secret(lawful).is_some());
+        assert_eq!(*desk.carrier.closed.borrow(), [(junk, CODE_DISPLACED)]);
+        let babbler = connect(&mut network, 3, 6 * SECOND);
+        network.take(Event::Control { peer: babbler, message: vec![9], at_ns: 0 }, 6 * SECOND);
+        assert_eq!(desk.carrier.closed.borrow().last(), Some(&(babbler, CODE_NOT_UNDERSTOOD)));
+    }
+
+    #[test]
+    fn a_second_client_is_told_why_before_its_connection_ends() {
+        let desk = Desk::new();
+        let mut network = desk.network();
+        greet(&mut network, 1, None, 0);
+        let second = greet(&mut network, 2, None, 1);
+        assert_eq!(desk.carrier.refusal(second).as_deref(), Some("another client is being served"));
+        network.tick(FAREWELL_NS);
+        assert!(desk.carrier.closed.borrow().is_empty(), "its reason may still be on its way");
+        network.tick(FAREWELL_NS + 1);
+        assert_eq!(*desk.carrier.closed.borrow(), [(second, CODE_REFUSED)]);
+    }
+
+    #[test]
+    fn a_client_that_was_served_comes_back_before_a_stranger_does() {
+        let desk = Desk::new();
+        let mut network = desk.network();
+        let first = greet(&mut network, 1, None, 0);
+        let secret = desk.carrier.secret(first);
+        show_first(&mut network, &desk, first, SECOND);
+        network.take(
+            Event::Closed { peer: first, kind: CloseKind::TimedOut, reason: "lost".into() },
+            2 * SECOND,
+        );
+        assert!(matches!(desk.mailbox.take().client, Client::Gone));
+        let stranger = greet(&mut network, 2, None, 3 * SECOND);
+        assert!(desk.carrier.refusal(stranger).is_some_and(|reason| reason.contains("kept")));
+        let back = greet(&mut network, 3, secret, 4 * SECOND);
+        assert!(desk.carrier.secret(back).is_some_and(|next| Some(next) != secret));
+        assert!(matches!(desk.mailbox.take().client, Client::Accepted(accepted) if accepted.peer == back));
+    }
+
+    #[test]
+    fn a_client_that_comes_back_ends_its_own_old_connection() {
+        let desk = Desk::new();
+        let mut network = desk.network();
+        let first = greet(&mut network, 1, None, 0);
+        let back = greet(&mut network, 2, desk.carrier.secret(first), 1);
+        assert_eq!(*desk.carrier.closed.borrow(), [(first, CODE_DISPLACED)]);
+        network.take(Event::Closed { peer: first, kind: CloseKind::Local, reason: "closed here".into() }, 2);
+        assert_eq!(network.place.served(), Some(back), "the old one's end is nobody's loss");
+    }
+
+    #[test]
+    fn one_that_left_leaves_its_place_at_once() {
+        let desk = Desk::new();
+        let mut network = desk.network();
+        let first = greet(&mut network, 1, None, 0);
+        show_first(&mut network, &desk, first, 1);
+        say(&mut network, first, &ClientMessage::Goodbye, 2);
+        assert!(matches!(desk.mailbox.take().client, Client::Gone));
+        let next = greet(&mut network, 2, None, 3);
+        assert!(desk.carrier.secret(next).is_some());
+    }
+
+    #[test]
+    fn what_the_pipeline_refuses_is_refused_with_its_reason_and_the_place_is_free() {
+        let desk = Desk::new();
+        let mut network = desk.network();
+        let first = greet(&mut network, 1, None, 0);
+        desk.verdicts.refuse(first, Refused::new("no memory for its eyes", "choose smaller ones"));
+        network.tick(1);
+        assert_eq!(desk.carrier.refusal(first).as_deref(), Some("no memory for its eyes"));
+        let next = greet(&mut network, 2, None, 2);
+        assert!(desk.carrier.secret(next).is_some());
+    }
+
+    #[test]
+    fn pings_are_answered_and_only_the_served_client_reaches_the_pipeline() {
+        let desk = Desk::new();
+        let mut network = desk.network();
+        let first = greet(&mut network, 1, None, 0);
+        desk.mailbox.take();
+        let ping = ClientDatagram::ClockPing { client_send: DisplayTime(5) }.encode();
+        network.take(Event::Datagram { peer: first, bytes: ping, at_ns: 7 }, 8);
+        assert_eq!(desk.carrier.datagrams.borrow().len(), 1);
+        let pose = ClientDatagram::Pose(head(3)).encode();
+        network.take(Event::Datagram { peer: first, bytes: pose.clone(), at_ns: 9 }, 9);
+        assert!(desk.mailbox.take().pose.is_some());
+        let second = greet(&mut network, 2, None, 10);
+        network.take(Event::Datagram { peer: second, bytes: pose, at_ns: 11 }, 11);
+        assert!(desk.mailbox.take().pose.is_none());
+    }
+
+    #[test]
+    fn a_flood_of_connections_and_refusals_is_bounded() {
+        let desk = Desk::new();
+        let mut network = desk.network();
+        greet(&mut network, 0, None, 0);
+        for peer in 1..1000 {
+            if peer % 2 == 0 {
+                greet(&mut network, peer, None, 1)
+            } else {
+                connect(&mut network, peer, 1)
+            };
+        }
+        assert!(network.guests.len() <= 1 + MAX_LEAVING + crate::stream::place::MAX_GREETING);
+        assert!(network.leaving.len() <= MAX_LEAVING);
+    }
+
+    #[test]
+    fn a_welcome_that_cannot_be_sent_ends_the_session() {
+        let desk = Desk { carrier: Recorder { is_full: true, ..Recorder::default() }, ..Desk::new() };
+        let mut network = desk.network();
+        let first = greet(&mut network, 1, None, 0);
+        assert_eq!(*desk.carrier.closed.borrow(), [(first, CODE_NOT_UNDERSTOOD)]);
+        assert!(matches!(desk.mailbox.take().client, Client::Gone));
+    }
+}

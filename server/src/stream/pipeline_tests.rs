@@ -1,0 +1,350 @@
+//! The pipeline with a studio and a way to clients that do what a test wants.
+
+use super::*;
+use crate::encode::{AccessUnit, Planes};
+use crate::stream::testing::{accepted, head};
+use ash::vk;
+use shadecast_protocol::delta::GeometryDelta;
+use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::wire::{StreamMessage, parse_stream};
+use std::cell::RefCell;
+use std::collections::VecDeque;
+use std::rc::Rc;
+use std::sync::Mutex;
+use std::time::Instant;
+
+const PERIOD_NS: i64 = 20_000_000;
+/// Encoders are real threads: they get this long.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+fn lost() -> GpuError {
+    GpuError::Vulkan { doing: "waiting for the GPU", result: vk::Result::ERROR_DEVICE_LOST }
+}
+
+/// What was sent and refused.
+#[derive(Default)]
+struct Recorder {
+    deltas: Mutex<Vec<(PeerId, u32)>>,
+    /// Frame and whether it needs no other.
+    pictures: Mutex<Vec<(u32, bool)>>,
+    refused: Mutex<Vec<(PeerId, Refused)>>,
+    way: Mutex<WayState>,
+    is_full: Mutex<bool>,
+}
+
+impl Outlet for Recorder {
+    fn send(&self, peer: PeerId, out: Out) -> Result<(), SendError> {
+        if *self.is_full.lock().expect("whole") {
+            return Err(SendError::QueueFull);
+        }
+        let Out::Stream { bytes, .. } = out else { panic!("{out:?}") };
+        match parse_stream(&bytes).expect("a stream") {
+            StreamMessage::Geometry { frame, .. } => {
+                self.deltas.lock().expect("whole").push((peer, frame.0));
+            }
+            StreamMessage::Picture { header, .. } => {
+                self.pictures.lock().expect("whole").push((header.frame.0, header.is_refresh));
+            }
+        }
+        Ok(())
+    }
+
+    fn way(&self, _: PeerId) -> Option<WayState> {
+        Some(*self.way.lock().expect("whole"))
+    }
+
+    fn refuse(&self, peer: PeerId, refused: Refused) {
+        self.refused.lock().expect("whole").push((peer, refused));
+    }
+}
+
+/// What one call does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Act {
+    Fail,
+    Panic,
+    Lose,
+}
+
+/// What the next calls do; where nothing stands they succeed.
+#[derive(Clone, Default)]
+struct Script {
+    makes: Rc<RefCell<VecDeque<Option<Act>>>>,
+    updates: Rc<RefCell<VecDeque<Option<Act>>>>,
+    reopens: Rc<RefCell<VecDeque<Option<Act>>>>,
+    encodes: Arc<Mutex<VecDeque<Option<Act>>>>,
+    made: Rc<RefCell<u32>>,
+    encoders: Rc<RefCell<u32>>,
+}
+
+fn act(acts: &Rc<RefCell<VecDeque<Option<Act>>>>) -> Result<(), GpuError> {
+    match acts.borrow_mut().pop_front().flatten() {
+        None => Ok(()),
+        Some(Act::Fail) => Err(GpuError::TooLarge("143 GiB for its eyes".into())),
+        Some(Act::Lose) => Err(lost()),
+        Some(Act::Panic) => panic!("a bug in the pipeline"),
+    }
+}
+
+struct FakeStudio(Script);
+
+impl Studio for FakeStudio {
+    fn updates(&mut self, _: &Welcome, _: &Capabilities) -> Result<Box<dyn Updates>, GpuError> {
+        *self.0.made.borrow_mut() += 1;
+        act(&self.0.makes)?;
+        Ok(Box::new(FakeUpdates { script: self.0.clone(), next: 0, has_head: false }))
+    }
+
+    fn encoder(&mut self, _: AtlasExtent) -> Result<Box<dyn Encoder>, EncodeError> {
+        *self.0.encoders.borrow_mut() += 1;
+        Ok(Box::new(FakeEncoder { acts: self.0.encodes.clone(), is_new: true }))
+    }
+
+    fn take_timings_ms(&mut self) -> Vec<(&'static str, f64)> {
+        Vec::new()
+    }
+
+    fn reopen(&mut self) -> anyhow::Result<()> {
+        Ok(act(&self.0.reopens)?)
+    }
+}
+
+struct FakeUpdates {
+    script: Script,
+    next: u32,
+    has_head: bool,
+}
+
+impl Updates for FakeUpdates {
+    fn head(&mut self, _: HeadState) {
+        self.has_head = true;
+    }
+
+    fn displayed(&mut self, _: &Displayed) {}
+
+    fn limit_geometry(&mut self, _: Option<usize>) {}
+
+    fn update(&mut self, time: ServerTime) -> Result<Option<Shaded>, GpuError> {
+        if !self.has_head {
+            return Ok(None);
+        }
+        act(&self.script.updates)?;
+        let frame = FrameId(self.next);
+        self.next += 1;
+        let delta = GeometryDelta { frame, time, ..GeometryDelta::default() };
+        Ok(Some(Shaded { frame, time, delta, extent_texels: [16, 16], planes: vec![0; 384] }))
+    }
+
+    fn account(&self, _: &mut StreamStats) {}
+}
+
+struct FakeEncoder {
+    acts: Arc<Mutex<VecDeque<Option<Act>>>>,
+    is_new: bool,
+}
+
+impl Encoder for FakeEncoder {
+    fn encode(&mut self, _: &Planes<'_>, _: i64, refresh: bool) -> Result<AccessUnit, EncodeError> {
+        let act = self.acts.lock().expect("whole").pop_front().flatten();
+        match act {
+            None => {}
+            Some(Act::Panic) => panic!("a bug in the encoder"),
+            Some(_) => return Err(EncodeError::Library { doing: "encoding a picture", code: 7 }),
+        }
+        let is_refresh = std::mem::take(&mut self.is_new) || refresh;
+        Ok(AccessUnit { bytes: vec![1, 2, 3], is_refresh })
+    }
+
+    fn set_qp(&mut self, _: u8) -> Result<(), EncodeError> {
+        Ok(())
+    }
+}
+
+/// A pipeline and all around it.
+struct Bench {
+    script: Script,
+    outlet: Arc<Recorder>,
+    mailbox: Mailbox,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let outlet = Arc::new(Recorder::default());
+        outlet.way.lock().expect("whole").window_bytes = 1 << 20;
+        Self { script: Script::default(), outlet, mailbox: Mailbox::default() }
+    }
+
+    fn comes(&self, peer: u64) {
+        self.mailbox.accepted(accepted(PeerId(peer)));
+        self.mailbox.pose(head(0));
+    }
+
+    /// Steps in virtual time until `is_done`; gives what ended the server, if anything did.
+    #[track_caller]
+    fn run(&self, mut is_done: impl FnMut(&Recorder) -> bool) -> (anyhow::Result<()>, StreamStats) {
+        let mut studio = FakeStudio(self.script.clone());
+        let mut pipeline = Pipeline::new(
+            &mut studio,
+            self.outlet.clone(),
+            &self.mailbox,
+            &|_| {},
+            1e9 / PERIOD_NS as f64,
+            0,
+        );
+        let (begun, mut now_ns) = (Instant::now(), 0);
+        loop {
+            if let Err(error) = pipeline.step(now_ns) {
+                return (Err(error), pipeline.finish().0);
+            }
+            if is_done(&self.outlet) {
+                return (Ok(()), pipeline.finish().0);
+            }
+            assert!(begun.elapsed() < PATIENCE, "{:?}", self.outlet.refused.lock().expect("whole"));
+            now_ns += PERIOD_NS / 2;
+            std::thread::sleep(Duration::from_micros(200));
+        }
+    }
+
+    fn refusals(&self) -> Vec<(PeerId, Refused)> {
+        self.outlet.refused.lock().expect("whole").clone()
+    }
+}
+
+fn pictures(recorder: &Recorder) -> usize {
+    recorder.pictures.lock().expect("whole").len()
+}
+
+#[test]
+fn updates_are_made_and_sent_for_the_client_that_is_there() {
+    let bench = Bench::new();
+    bench.comes(1);
+    let (ended, stats) = bench.run(|recorder| pictures(recorder) >= 5);
+    assert!(ended.is_ok() && stats.updates >= 5 && stats.clients == 1);
+    let deltas = bench.outlet.deltas.lock().expect("whole").clone();
+    assert!(deltas.iter().enumerate().all(|(at, delta)| *delta == (PeerId(1), at as u32)), "{deltas:?}");
+    assert_eq!(bench.outlet.pictures.lock().expect("whole")[..2], [(0, true), (1, false)]);
+}
+
+#[test]
+fn a_client_whose_pipeline_cannot_be_made_is_refused_and_the_next_one_is_served() {
+    for fault in [Act::Fail, Act::Panic] {
+        let bench = Bench::new();
+        bench.script.makes.borrow_mut().push_back(Some(fault));
+        bench.comes(1);
+        let (ended, _) = bench.run(|recorder| !recorder.refused.lock().expect("whole").is_empty());
+        assert!(ended.is_ok(), "{ended:?}");
+        let (peer, refused) = bench.refusals().remove(0);
+        let why = if fault == Act::Fail { "143 GiB" } else { "a bug in the pipeline" };
+        assert!(peer == PeerId(1) && refused.reason.contains(why), "{refused:?}");
+        bench.comes(2);
+        let (ended, stats) = bench.run(|recorder| pictures(recorder) >= 2);
+        assert!(ended.is_ok() && stats.updates >= 2);
+    }
+}
+
+#[test]
+fn of_300_clients_that_come_and_go_one_pipeline_is_made() {
+    let bench = Bench::new();
+    for peer in 0..300 {
+        bench.comes(peer);
+        if peer < 299 {
+            bench.mailbox.gone();
+        }
+    }
+    assert!(bench.run(|recorder| pictures(recorder) >= 1).0.is_ok());
+    assert_eq!(*bench.script.made.borrow(), 1);
+    assert_eq!(bench.outlet.deltas.lock().expect("whole")[0].0, PeerId(299));
+}
+
+#[test]
+fn an_update_that_fails_ends_that_session_alone() {
+    for fault in [Act::Fail, Act::Panic] {
+        let bench = Bench::new();
+        bench.script.updates.borrow_mut().extend([None, None, Some(fault)]);
+        bench.comes(1);
+        let (ended, _) = bench.run(|recorder| !recorder.refused.lock().expect("whole").is_empty());
+        assert!(ended.is_ok() && bench.refusals()[0].0 == PeerId(1));
+        bench.comes(2);
+        let before = pictures(&bench.outlet);
+        assert!(bench.run(|recorder| pictures(recorder) > before).0.is_ok());
+    }
+}
+
+#[test]
+fn an_encoder_that_fails_or_panics_is_made_anew_with_a_picture_that_needs_no_other() {
+    for fault in [Act::Fail, Act::Panic] {
+        let bench = Bench::new();
+        bench.script.encodes.lock().expect("whole").extend([None, Some(fault)]);
+        bench.comes(1);
+        let (ended, stats) = bench.run(|recorder| pictures(recorder) >= 3);
+        assert!(ended.is_ok() && bench.refusals().is_empty());
+        assert_eq!((stats.encoder_restarts, *bench.script.encoders.borrow()), (1, 2));
+        assert_eq!(bench.outlet.pictures.lock().expect("whole")[..3], [(0, true), (2, true), (3, false)]);
+    }
+}
+
+#[test]
+fn an_encoder_that_fails_again_and_again_ends_the_session_with_its_reason() {
+    let bench = Bench::new();
+    bench.script.encodes.lock().expect("whole").extend([Some(Act::Fail); 10]);
+    bench.comes(1);
+    let (ended, stats) = bench.run(|recorder| !recorder.refused.lock().expect("whole").is_empty());
+    assert!(ended.is_ok() && pictures(&bench.outlet) == 0);
+    let (peer, refused) = bench.refusals().remove(0);
+    assert!(peer == PeerId(1) && refused.reason.contains("encoding a picture"), "{refused:?}");
+    assert_eq!((stats.encoder_restarts, stats.refused), (MAX_ENCODER_FAILURES + 1, 1));
+}
+
+#[test]
+fn a_lost_device_is_opened_again_and_clients_are_served() {
+    let bench = Bench::new();
+    bench.script.updates.borrow_mut().extend([None, Some(Act::Lose)]);
+    bench.script.reopens.borrow_mut().extend([Some(Act::Fail), None]);
+    bench.comes(1);
+    let mut has_come = false;
+    let (ended, stats) = bench.run(|recorder| {
+        let is_refused = !recorder.refused.lock().expect("whole").is_empty();
+        if is_refused && !std::mem::replace(&mut has_come, true) {
+            bench.comes(2); // while the device is still away
+        }
+        recorder.deltas.lock().expect("whole").iter().any(|(peer, _)| *peer == PeerId(2))
+    });
+    assert!(ended.is_ok(), "{ended:?}");
+    assert!(bench.refusals()[0].1.reason.contains("device was lost"), "{:?}", bench.refusals());
+    assert_eq!(stats.devices_lost, 1);
+}
+
+#[test]
+fn a_device_that_stays_lost_ends_the_server_after_some_attempts() {
+    let bench = Bench::new();
+    bench.script.makes.borrow_mut().push_back(Some(Act::Lose));
+    bench.script.reopens.borrow_mut().extend([Some(Act::Fail); 100]);
+    bench.comes(1);
+    let (ended, _) = bench.run(|_| false);
+    let error = ended.expect_err("it gave up").to_string();
+    assert!(error.contains("again and again"), "{error}");
+    assert!(bench.script.reopens.borrow().len() >= 90, "not more often than it may");
+}
+
+#[test]
+fn a_delta_that_cannot_be_sent_ends_the_session_with_a_reason() {
+    let bench = Bench::new();
+    *bench.outlet.is_full.lock().expect("whole") = true;
+    bench.comes(1);
+    let (ended, _) = bench.run(|recorder| !recorder.refused.lock().expect("whole").is_empty());
+    assert!(ended.is_ok());
+    assert!(bench.refusals()[0].1.reason.contains("queue is full"), "{:?}", bench.refusals());
+}
+
+#[test]
+fn no_update_is_made_while_more_than_two_wait_for_the_link() {
+    let bench = Bench::new();
+    *bench.outlet.way.lock().expect("whole") = WayState { streams_under_way: u64::MAX, window_bytes: 0 };
+    bench.comes(1);
+    let mut steps = 0;
+    let (_, stats) = bench.run(|_| {
+        steps += 1;
+        steps > 400
+    });
+    assert_eq!(stats.updates, 3, "two may wait when another one is made");
+}

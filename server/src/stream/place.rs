@@ -1,0 +1,232 @@
+//! Who may come in, and who holds the one place. Pure: time is an argument.
+//!
+//! A connection alone holds nothing: it has a short time for its hello. The place is taken by a hello that was judged good,
+//! kept by messages that make sense, and kept for a while for a client that was served and vanished: it comes back with the
+//! secret of its last welcome, and before others do.
+
+use shadecast_protocol::message::{Refused, ResumeSecret};
+use shadecast_transport::PeerId;
+use std::collections::VecDeque;
+
+/// How long after its connection a client may take for its hello, nanoseconds.
+pub(super) const HELLO_DEADLINE_NS: i64 = 2_000_000_000;
+/// A client that was served keeps its place for so long after it was last understood, nanoseconds, whether it is connected
+/// or not.
+pub(super) const KEPT_NS: i64 = 5_000_000_000;
+/// Connections without a hello; the oldest goes when another one comes. Fewer than the transport allows peers.
+pub(super) const MAX_GREETING: usize = 6;
+
+/// Connections whose hello is awaited.
+#[derive(Debug, Default)]
+pub(super) struct Greeting {
+    since: VecDeque<(PeerId, i64)>,
+}
+
+impl Greeting {
+    /// A peer has connected; gives the one that must go for it.
+    pub(super) fn connected(&mut self, peer: PeerId, now_ns: i64) -> Option<PeerId> {
+        self.since.push_back((peer, now_ns));
+        let is_full = self.since.len() > MAX_GREETING;
+        if is_full { self.since.pop_front().map(|(oldest, _)| oldest) } else { None }
+    }
+
+    /// A peer has said its hello, or has gone.
+    pub(super) fn done(&mut self, peer: PeerId) {
+        self.since.retain(|(other, _)| *other != peer);
+    }
+
+    /// A peer that took too long.
+    pub(super) fn overdue(&mut self, now_ns: i64) -> Option<PeerId> {
+        let (peer, _) = self.since.pop_front_if(|(_, since_ns)| now_ns - *since_ns > HELLO_DEADLINE_NS)?;
+        Some(peer)
+    }
+}
+
+/// The one place.
+#[derive(Debug, Default)]
+pub(super) struct Place {
+    holder: Option<Holder>,
+}
+
+#[derive(Debug)]
+struct Holder {
+    /// `None` while the client is away.
+    peer: Option<PeerId>,
+    secret: ResumeSecret,
+    heard_ns: i64,
+    /// It has shown something: what never did is not waited for.
+    has_shown: bool,
+}
+
+/// The place is taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Taken {
+    /// Whose place it was until now.
+    pub(super) displaced: Option<PeerId>,
+}
+
+impl Place {
+    /// Gives the place to `peer`, whose next secret will be `secret`, if it is free, its own, or silent for too long.
+    ///
+    /// # Errors
+    /// The place is another's: why, and when to try again.
+    pub(super) fn ask(
+        &mut self,
+        peer: PeerId,
+        resume: Option<ResumeSecret>,
+        secret: ResumeSecret,
+        now_ns: i64,
+    ) -> Result<Taken, Refused> {
+        let displaced = match &self.holder {
+            None => None,
+            Some(holder) if resume == Some(holder.secret) => holder.peer,
+            Some(holder) if now_ns - holder.heard_ns >= KEPT_NS => holder.peer,
+            Some(holder) => return Err(holder.refusal(now_ns)),
+        };
+        self.holder = Some(Holder { peer: Some(peer), secret, heard_ns: now_ns, has_shown: false });
+        Ok(Taken { displaced })
+    }
+
+    /// `peer` has said something that makes sense.
+    pub(super) fn heard(&mut self, peer: PeerId, now_ns: i64) {
+        if let Some(holder) = self.of(peer) {
+            holder.heard_ns = holder.heard_ns.max(now_ns);
+        }
+    }
+
+    /// `peer` shows what it was sent.
+    pub(super) fn shown(&mut self, peer: PeerId) {
+        if let Some(holder) = self.of(peer) {
+            holder.has_shown = true;
+        }
+    }
+
+    /// The connection of `peer` has gone. Its place is kept for a while, if it ever made use of it.
+    pub(super) fn lost(&mut self, peer: PeerId) {
+        match self.of(peer) {
+            Some(holder) if holder.has_shown => holder.peer = None,
+            Some(_) => self.holder = None,
+            None => {}
+        }
+    }
+
+    /// `peer` has left, or cannot be served: the place is free.
+    pub(super) fn left(&mut self, peer: PeerId) {
+        if self.of(peer).is_some() {
+            self.holder = None;
+        }
+    }
+
+    /// Who is served.
+    pub(super) fn served(&self) -> Option<PeerId> {
+        self.holder.as_ref().and_then(|holder| holder.peer)
+    }
+
+    fn of(&mut self, peer: PeerId) -> Option<&mut Holder> {
+        self.holder.as_mut().filter(|holder| holder.peer == Some(peer))
+    }
+}
+
+impl Holder {
+    fn refusal(&self, now_ns: i64) -> Refused {
+        if self.peer.is_some() {
+            return Refused::new("another client is being served", "try again when it has left");
+        }
+        let wait_s = (self.heard_ns + KEPT_NS - now_ns).max(0) / 1_000_000_000 + 1;
+        Refused::new(
+            "the place is kept for a client that was served until a moment ago",
+            &format!("try again in {wait_s} s"),
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: i64 = 1_000_000_000;
+    const FIRST: PeerId = PeerId(1);
+    const OTHER: PeerId = PeerId(2);
+    const BACK: PeerId = PeerId(3);
+
+    fn secret(of: u8) -> ResumeSecret {
+        ResumeSecret([of; 16])
+    }
+
+    /// The first client was served and has shown something, all at time 0.
+    fn served() -> Place {
+        let mut place = Place::default();
+        assert_eq!(place.ask(FIRST, None, secret(1), 0), Ok(Taken { displaced: None }));
+        place.shown(FIRST);
+        place
+    }
+
+    #[test]
+    fn a_stranger_waits_while_the_client_is_heard() {
+        let mut place = served();
+        for second in 1..20 {
+            place.heard(FIRST, second * SECOND);
+            let refused = place.ask(OTHER, None, secret(2), second * SECOND + SECOND / 2).expect_err("taken");
+            assert_eq!(refused.reason, "another client is being served");
+        }
+        assert_eq!(place.served(), Some(FIRST));
+    }
+
+    #[test]
+    fn a_client_that_is_not_understood_loses_its_place_to_whoever_comes_after_the_idle_time() {
+        let mut place = served();
+        assert!(place.ask(OTHER, None, secret(2), KEPT_NS - 1).is_err());
+        assert_eq!(place.ask(OTHER, None, secret(2), KEPT_NS), Ok(Taken { displaced: Some(FIRST) }));
+    }
+
+    #[test]
+    fn a_client_that_comes_back_with_its_secret_takes_over_from_itself_at_once() {
+        let mut place = served();
+        assert!(place.ask(BACK, Some(secret(9)), secret(3), SECOND).is_err(), "a secret that is not its own");
+        let taken = place.ask(BACK, Some(secret(1)), secret(3), SECOND);
+        assert_eq!(taken, Ok(Taken { displaced: Some(FIRST) }));
+        assert!(place.ask(OTHER, Some(secret(1)), secret(4), SECOND).is_err(), "a secret serves once");
+    }
+
+    #[test]
+    fn a_lost_client_finds_its_place_kept_and_strangers_learn_when_to_try_again() {
+        let mut place = served();
+        place.lost(FIRST);
+        assert_eq!(place.served(), None);
+        let refused = place.ask(OTHER, None, secret(2), 2 * SECOND).expect_err("kept");
+        assert_eq!(refused.remedy, "try again in 4 s");
+        assert_eq!(place.ask(BACK, Some(secret(1)), secret(3), 3 * SECOND), Ok(Taken { displaced: None }));
+        place.lost(BACK);
+        assert_eq!(
+            place.ask(OTHER, None, secret(2), 3 * SECOND),
+            Ok(Taken { displaced: None }),
+            "it never showed"
+        );
+    }
+
+    #[test]
+    fn a_kept_place_is_free_after_a_while_and_a_left_one_at_once() {
+        let mut place = served();
+        place.lost(FIRST);
+        assert!(place.ask(OTHER, None, secret(2), KEPT_NS).is_ok());
+        let mut place = served();
+        place.left(FIRST);
+        assert!(place.ask(OTHER, None, secret(2), 1).is_ok());
+        place.left(FIRST);
+        assert_eq!(place.served(), Some(OTHER), "what another leaves does not matter");
+    }
+
+    #[test]
+    fn connections_without_a_hello_are_few_and_their_time_is_short() {
+        let mut greeting = Greeting::default();
+        let peers = MAX_GREETING as u64;
+        for peer in 0..peers {
+            assert_eq!(greeting.connected(PeerId(peer), peer as i64), None);
+        }
+        assert_eq!(greeting.connected(PeerId(peers), 9), Some(PeerId(0)), "the oldest goes");
+        greeting.done(PeerId(2));
+        assert_eq!(greeting.overdue(HELLO_DEADLINE_NS + 1), None);
+        let overdue: Vec<_> = std::iter::from_fn(|| greeting.overdue(HELLO_DEADLINE_NS + 4)).collect();
+        assert_eq!(overdue, [PeerId(1), PeerId(3)]);
+    }
+}
