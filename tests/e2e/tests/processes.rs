@@ -1,11 +1,20 @@
 //! Server and client as users run them: two processes on loopback, killed and started again.
 
 use serde_json::Value;
+use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_lab::demo::read_probe;
 use shadecast_lab::options::RunOptions;
 use shadecast_lab::run::{mock_config, prepare_runtime};
 use shadecast_mock_runtime::config::ClockKind;
+use shadecast_protocol::PROTOCOL_VERSION;
+use shadecast_protocol::limits::ATLAS_MAX_EXTENT;
+use shadecast_protocol::message::{Capabilities, ClientHello, ClientMessage, Codec, ServerMessage};
+use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_scene::load::SceneSource;
+use shadecast_transport::mio::any_address_for;
+use shadecast_transport::{
+    Driver, Endpoint, EndpointConfig, Event, Events, ExpectedIdentity, Handle, PeerId, spawn,
+};
 use std::io::{BufRead, BufReader};
 use std::net::{SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};
@@ -31,11 +40,16 @@ struct Running {
 
 impl Running {
     fn start(command: &mut Command) -> Self {
+        Self::start_reading(command, usize::MAX)
+    }
+
+    /// Reads so many lines of the output, then closes it.
+    fn start_reading(command: &mut Command, most: usize) -> Self {
         let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap();
         let output = child.stdout.take().unwrap();
         let (to, lines) = channel();
         std::thread::spawn(move || {
-            for line in BufReader::new(output).lines().map_while(Result::ok) {
+            for line in BufReader::new(output).lines().map_while(Result::ok).take(most) {
                 println!("{line}");
                 let _ = to.send(line);
             }
@@ -96,10 +110,15 @@ impl Stage {
     }
 
     fn server(&self, stats: &str) -> Running {
+        Running::start(&mut self.server_command("dragon", stats))
+    }
+
+    fn server_command(&self, scene: &str, stats: &str) -> Command {
         let mut command = Command::new(program("shadecast-server"));
-        command.args(["stream", "dragon", "--listen", &self.address.to_string(), "--atlas", "1024x1024"]);
+        command.args(["stream", scene, "--listen", &self.address.to_string(), "--atlas", "1024x1024"]);
         command.args(["--seconds", "300", "--validation"]).arg("--identity").arg(self.path("server"));
-        Running::start(command.arg("--stats").arg(self.path(stats)))
+        command.arg("--stats").arg(self.path(stats));
+        command
     }
 
     /// A client on a runtime of its own.
@@ -197,4 +216,111 @@ fn a_killed_client_is_forgotten_and_the_next_one_is_served() {
     let served = stage.json("server.json");
     assert!(number(&served, "clients") >= 2.0, "{served}");
     assert_eq!(number(&served, "validation_messages"), 0.0, "{served}");
+}
+
+/// A client that is nothing but a connection and the words it is given.
+struct Stranger {
+    handle: Handle,
+    events: Events,
+    peer: PeerId,
+}
+
+impl Stranger {
+    fn connect(address: SocketAddr) -> Self {
+        let endpoint = Endpoint::client(EndpointConfig::default());
+        let (handle, events) = spawn(Driver::bind(endpoint, any_address_for(address)).unwrap()).unwrap();
+        let peer = handle.connect(address, ExpectedIdentity::TrustOnFirstUse).unwrap();
+        Self { handle, events, peer }
+    }
+
+    /// Says hello with these eyes, and gives the answer.
+    #[track_caller]
+    fn greet(&self, eye_extent_pixels: [u32; 2], fov: Fov) -> ServerMessage {
+        let eye = Eye { head_from_eye: Pose::IDENTITY, fov };
+        let hello = ClientHello {
+            protocol_version: PROTOCOL_VERSION,
+            min_protocol_version: PROTOCOL_VERSION,
+            app_version: "stranger".into(),
+            capabilities: Capabilities {
+                max_atlas_extent: ATLAS_MAX_EXTENT,
+                max_vertex_slots: 1000,
+                max_patch_slots: 1000,
+                codecs: vec![Codec::H264],
+                eyes: [eye; 2],
+                eye_extent_pixels,
+                display_period_ns: 13_888_888,
+            },
+            resume: None,
+        };
+        self.handle.send_control(self.peer, ClientMessage::Hello(hello).encode()).unwrap();
+        let deadline = Instant::now() + PATIENCE;
+        while Instant::now() < deadline {
+            if let Ok(Some(Event::Control { message, .. })) =
+                self.events.next_timeout(Duration::from_millis(50))
+            {
+                return ServerMessage::decode(&message).unwrap();
+            }
+        }
+        panic!("no answer to a hello");
+    }
+}
+
+#[test]
+fn eyes_that_no_pipeline_can_be_made_for_are_refused_and_a_lawful_client_is_served() {
+    let stage = Stage::new();
+    let mut server = stage.server("server.json");
+    server.says("Listening");
+    let angle = |a: f32| Fov { left: -a, right: a, up: a, down: -a };
+    let outside = Fov { left: 1.1, right: 1.5, up: 0.5, down: -0.5 };
+    let impossible = [
+        ([8192, 8192], angle(0.0005)),
+        ([1000, 1000], angle(f32::MIN_POSITIVE / 2.0)),
+        ([1000, 1000], outside),
+        ([8192, 8192], angle(0.7)),
+    ];
+    for (extent, fov) in impossible {
+        let answer = Stranger::connect(stage.address).greet(extent, fov);
+        let ServerMessage::Refused(refused) = answer else { panic!("{answer:?}") };
+        assert!(refused.reason.contains("eye") && !refused.remedy.is_empty(), "{refused:?}");
+    }
+    let mut client = stage.client("a");
+    server.says("Client connected");
+    stage.shows_the_scene("a");
+    client.signal("-INT");
+    client.ends_well();
+    server.signal("-INT");
+    server.ends_well();
+}
+
+#[test]
+fn a_server_whose_output_is_closed_goes_on_serving() {
+    let stage = Stage::new();
+    let mut server = Running::start_reading(&mut stage.server_command("dragon", "server.json"), 1);
+    server.says("Listening");
+    let mut client = stage.client("a");
+    stage.shows_the_scene("a");
+    client.signal("-INT");
+    client.ends_well();
+    let answer = Stranger::connect(stage.address).greet([64, 64], Fov::symmetric_degrees(90.0));
+    assert!(matches!(answer, ServerMessage::Welcome(_)), "{answer:?}");
+    server.signal("-INT");
+    server.ends_well();
+    assert!(number(&stage.json("server.json"), "clients") >= 2.0);
+}
+
+#[test]
+fn a_scene_that_is_too_large_for_the_device_is_refused_before_anybody_is_listened_to() {
+    let options = GpuOptions { needs: Needs::Server, validation: false, device_name: None };
+    let most = Gpu::open(&options, &DesktopDevice).unwrap().max_storage_buffer_bytes();
+    // A dragon's skinned vertices take more than 4 MiB over all sample times.
+    let dragons = (most / (4 << 20) + 1).min(1024);
+    let stage = Stage::new();
+    let scene = format!("dragons:{dragons}");
+    let output = stage.server_command(&scene, "server.json").stdin(Stdio::null()).output().unwrap();
+    let (said, failed) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(!output.status.success() && !said.contains("Listening"), "{said}{failed}");
+    for words in [scene.as_str(), "MiB are needed", &format!("at most {} MiB", most >> 20), "use fewer"] {
+        assert!(failed.contains(words), "\"{words}\" in: {failed}");
+    }
+    assert!(!failed.contains("no Vulkan device"), "{failed}");
 }
