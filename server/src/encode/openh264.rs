@@ -27,8 +27,15 @@ use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXEL
 /// The quantisation parameter used unless told otherwise.
 pub const DEFAULT_QP: u8 = 22;
 
+/// Pictures per second that a stream can declare.
+const MAX_FPS: u32 = 60;
+
 /// The most slices, and so threads, that openh264 works on at once.
 const MAX_THREADS: u32 = 4;
+
+/// Slices of a streamed picture. A fixed number, so that the same pictures give the same bytes on every machine; as many as
+/// there are threads for, since slices cost few bits.
+const STREAM_SLICES: u32 = MAX_THREADS;
 
 /// The library's name for a function missing from its table, in the range of its own result codes.
 const MISSING_FUNCTION: i32 = -1;
@@ -53,15 +60,17 @@ impl EncoderSettings {
         Self { extent_texels, qp: DEFAULT_QP, fps: 30, threads: 1 }
     }
 
-    /// Settings for an atlas of this extent, which can always be coded.
-    pub fn for_atlas(extent: AtlasExtent) -> Self {
-        Self::new(extent.texels())
+    /// Settings of a stream that makes so many updates a second: the one place where they are decided, for the server and for
+    /// whoever measures it.
+    pub fn for_stream(extent: AtlasExtent, qp: u8, rate_hz: f64) -> Self {
+        let fps = rate_hz.round().clamp(1.0, MAX_FPS.into()) as u32;
+        Self { extent_texels: extent.texels(), qp, fps, threads: STREAM_SLICES }
     }
 
     fn check(&self) -> Result<(), EncodeError> {
         check_extent(self.extent_texels)?;
         check_qp(self.qp)?;
-        check_setting("fps", self.fps, 1, 60, "1..=60")?;
+        check_setting("fps", self.fps, 1, MAX_FPS, "1..=60")?;
         check_setting("threads", self.threads, 1, MAX_THREADS, "1..=4")
     }
 

@@ -2,9 +2,7 @@
 
 use super::pipeline::Outlet;
 use crate::encode::Encoder;
-use crate::encode::openh264::EncoderSettings;
 use crate::frame::Shaded;
-use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::session::picture_stream;
 use shadecast_transport::PeerId;
 use std::any::Any;
@@ -13,12 +11,6 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, TryRecvError, channel, sync_channel};
 use std::thread::JoinHandle;
-
-/// How the encoder of a server is set, here and in virtual time: as many slices as half the cores, and the real rate.
-pub fn settings(extent: AtlasExtent, qp: u8, rate_hz: f64) -> EncoderSettings {
-    let threads = std::thread::available_parallelism().map_or(1, |n| (n.get() as u32 / 2).clamp(1, 4));
-    EncoderSettings { qp, fps: rate_hz.round() as u32, threads, ..EncoderSettings::for_atlas(extent) }
-}
 
 /// A picture to encode and send.
 pub(super) struct Job {

@@ -14,9 +14,7 @@ mod rebuild;
 #[cfg(test)]
 mod testing;
 
-pub use encoder::settings as encoder_settings;
-
-use crate::encode::openh264::OpenH264Encoder;
+use crate::encode::openh264::{EncoderSettings, OpenH264Encoder};
 use crate::encode::{EncodeError, Encoder};
 use crate::frame::{Frame, Shaded};
 use crate::pacing::WayState;
@@ -212,7 +210,7 @@ impl Studio for GpuStudio<'_> {
     }
 
     fn encoder(&mut self, extent_texels: AtlasExtent) -> Result<Box<dyn Encoder>, EncodeError> {
-        let settings = encoder_settings(extent_texels, self.options.qp, self.options.rate_hz);
+        let settings = EncoderSettings::for_stream(extent_texels, self.options.qp, self.options.rate_hz);
         Ok(Box::new(OpenH264Encoder::new(settings)?))
     }
 

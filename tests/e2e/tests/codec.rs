@@ -3,6 +3,7 @@
 use shadecast_client::decode::openh264::OpenH264Decoder;
 use shadecast_client::decode::sps::{self, Colour, Sps, SpsError};
 use shadecast_client::decode::{DecodeError, Decoder, Picture};
+use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_server::encode::openh264::{DEFAULT_QP, EncoderSettings, OpenH264Encoder};
 use shadecast_server::encode::{AccessUnit, EncodeError, Encoder, Planes};
 
@@ -249,6 +250,27 @@ fn the_same_pictures_give_the_same_bytes() {
         println!("{threads} threads: {bytes} bytes");
         assert!(runs[0] == runs[1] && runs[0] == runs[2], "{threads} threads, seed {SEED:#x}");
     }
+}
+
+/// What a stream is encoded with does not depend on the machine that encodes it.
+#[test]
+fn streams_have_fixed_slices_and_their_own_rate() {
+    let extent = AtlasExtent::new(512, 512).unwrap();
+    let settings = EncoderSettings::for_stream(extent, 30, 72.0);
+    assert_eq!(
+        (settings.qp, settings.fps, settings.threads),
+        (30, 60, 4),
+        "no more than the stream can declare"
+    );
+    assert_eq!(EncoderSettings::for_stream(extent, 22, 0.2).fps, 1);
+    let pictures = changing_pictures(extent.texels(), 12, SEED);
+    let size = |settings| {
+        encode_all(settings, &pictures, |_| false).iter().map(|unit| unit.bytes.len()).sum::<usize>()
+    };
+    let whole = size(EncoderSettings::new(extent.texels()));
+    let sliced = size(EncoderSettings::for_stream(extent, DEFAULT_QP, 30.0));
+    println!("whole {whole}, in slices {sliced} bytes");
+    assert!(sliced as f64 <= whole as f64 * 1.05, "{whole} and {sliced} bytes");
 }
 
 #[test]
