@@ -1,4 +1,5 @@
-//! `inspect error`: the paper's error table of each clip, and keys against error for a range of samplings.
+//! `inspect error`: the paper's error table of each clip, and keys against error for a range of samplings. No client has a
+//! part in it: errors on the time grid are those of interpolation alone, before quantisation and with a perfect clock.
 
 use super::load;
 use super::table::Table;
@@ -92,13 +93,13 @@ struct ClipErrors {
     keys: usize,
     bytes: usize,
     resampling: ErrorTable,
-    client: Vec<ClientErrors>,
+    on_grid: Vec<GridErrors>,
     #[serde(skip_serializing_if = "Option::is_none")]
     curve: Option<KeyCurve>,
 }
 
 #[derive(Serialize)]
-struct ClientErrors {
+struct GridErrors {
     interpolation: ClientInterpolation,
     table: ErrorTable,
 }
@@ -135,7 +136,8 @@ impl ErrorReport {
 
     fn text(&self) -> String {
         let mut text = format!(
-            "sampling {}, client's samples each {:.1} ms\n\
+            "sampling {}, the grid's samples each {:.1} ms, interpolated before quantisation and with a perfect clock: what a \
+             client really shows is measured by shadecast-lab run --motion\n\
              curves: percent of their own range, at the original keys; a pixel at 2 m is {:.3} mm of a picture of 1300 \
              pixels over 90 degrees, {:.3} mm of a headset with 20 pixels a degree\n",
             self.sampling, self.spacing_ms, self.paper_pixel_mm, self.headset_pixel_mm
@@ -154,7 +156,7 @@ impl ClipErrors {
         let subject = Subject { model, clip, sampled: &sampled, world_scale: scale };
         let wanted =
             args.interpolation.map_or(ClientInterpolation::value_variants().to_vec(), |one| vec![one]);
-        let client = wanted.into_iter().map(|interpolation| ClientErrors {
+        let on_grid = wanted.into_iter().map(|interpolation| GridErrors {
             interpolation,
             table: subject.client_side(args.spacing_ms * 1e-3, interpolation.weights()),
         });
@@ -165,7 +167,7 @@ impl ClipErrors {
             keys: sampled.key_count(),
             bytes: sampled.byte_count(),
             resampling: subject.resampling(),
-            client: client.collect(),
+            on_grid: on_grid.collect(),
             curve: args.curve.then(|| KeyCurve::new(model, clip, scale)),
         }
     }
@@ -175,27 +177,27 @@ impl ClipErrors {
         let mut text = format!("\n{model}, clip {clip}: {duration_s:.3} s, {keys} keys, {bytes} bytes\n");
         let mut table = Table::new(&["", "curves", "maximum %", "99th %", "mean %"]);
         add_curves(&mut table, "resampling", &self.resampling);
-        for client in &self.client {
-            add_curves(&mut table, client.name(), &client.table);
+        for grid in &self.on_grid {
+            add_curves(&mut table, grid.name(), &grid.table);
         }
         text += &table.text();
         let heads =
             ["vertices", "maximum mm", "99th mm", "mean mm", "within 0.1 mm %", "pixels", "headset pixels"];
         let mut table = Table::new(&heads);
         add_vertices(&mut table, "resampling", &self.resampling);
-        for client in &self.client {
-            add_vertices(&mut table, client.name(), &client.table);
+        for grid in &self.on_grid {
+            add_vertices(&mut table, grid.name(), &grid.table);
         }
         text += &table.text();
         text + &self.curve.as_ref().map_or(String::new(), KeyCurve::text)
     }
 }
 
-impl ClientErrors {
+impl GridErrors {
     fn name(&self) -> &'static str {
         match self.interpolation {
-            ClientInterpolation::Linear => "client, linear",
-            ClientInterpolation::Cubic => "client, cubic",
+            ClientInterpolation::Linear => "on the grid, linear",
+            ClientInterpolation::Cubic => "on the grid, cubic",
         }
     }
 }
@@ -345,10 +347,10 @@ pub(super) mod tests {
     #[test]
     fn both_interpolations_are_reported_unless_one_is_asked_for() {
         let both = ClipErrors::new(&swinging(), 0, 1.0, &args());
-        assert_eq!(both.client.len(), 2);
-        let max = |index: usize| both.client[index].table.rotation.expect("turns").max_percent;
+        assert_eq!(both.on_grid.len(), 2);
+        let max = |index: usize| both.on_grid[index].table.rotation.expect("turns").max_percent;
         assert!(max(0) > 0.2 && max(1) < 0.1, "linear {} %, cubic {} %", max(0), max(1));
         let one = ErrorArgs { interpolation: Some(ClientInterpolation::Cubic), ..args() };
-        assert_eq!(ClipErrors::new(&swinging(), 0, 1.0, &one).client.len(), 1);
+        assert_eq!(ClipErrors::new(&swinging(), 0, 1.0, &one).on_grid.len(), 1);
     }
 }
