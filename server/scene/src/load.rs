@@ -11,7 +11,7 @@ use crate::limits::read_limited;
 use crate::process::{self, Loading};
 use crate::views::find_head_path;
 use crate::{Cancelled, Clip, HeadPath, Instance, Model, Scene, fbx, gltf, ground, import};
-use glam::{Affine3A, Quat, Vec3};
+use glam::{Affine3A, Quat, Vec2, Vec3};
 use shadecast_protocol::pose::Pose;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -176,8 +176,18 @@ fn add_ground(scene: &mut Scene, size_m: f32) {
 
 // ---- an asset ----
 
-/// Distance from the user to the middle of an asset, metres.
-const ASSET_DISTANCE_M: f32 = 2.5;
+/// The part of a picture's height that an asset takes at the start of the walk, 90 degrees from bottom to top: as much as
+/// leaves room for its surroundings, and so much that it counts.
+const ASSET_PART_OF_HEIGHT: f32 = 1.0 / 3.0;
+/// The part of the way from a picture's middle to its sides, top and bottom within which an asset stays at the start: the
+/// head turns and goes to the sides.
+const ASSET_PART_OF_SIDES: f32 = 0.8;
+/// Distances from the user to the middle of an asset, metres: no nearer, since the walk goes forward, and no farther.
+const ASSET_DISTANCE_M: std::ops::RangeInclusive<f32> = 1.0..=6.0;
+/// Room for the head between the user and the nearest part of an asset, metres.
+const ASSET_ROOM_M: f32 = 0.8;
+/// Moments of a clip at which an asset is looked at.
+const FRAMING_MOMENTS: u32 = 16;
 /// An asset's largest extent, metres, may be in this range; others are scaled to the third number.
 const ASSET_EXTENT_M: (f32, f32, f32) = (0.9, 2.0, 1.6);
 
@@ -194,7 +204,8 @@ fn asset(path: &Path, loading: &Loading) -> Result<Scene, SceneError> {
     around(vec![model], vec![instance], loading)
 }
 
-/// Stands the model on the ground in front of the user, facing them: glTF's front is +z, the user looks along -z.
+/// Stands the model on the ground in front of the user, facing them: glTF's front is +z, the user looks along -z. So far away
+/// that it takes [`ASSET_PART_OF_HEIGHT`] of the picture, or farther, where it would leave the picture.
 fn place_asset(model: &Model, clip: Option<usize>) -> Result<Affine3A, String> {
     let (low, high) = finite_bounds(model, clip)?;
     let extent = (high - low).max_element();
@@ -202,8 +213,60 @@ fn place_asset(model: &Model, clip: Option<usize>) -> Result<Affine3A, String> {
     let scale = if (least..=most).contains(&extent) { 1.0 } else { otherwise / extent };
     let middle = (low + high) * 0.5;
     let foot = Vec3::new(middle.x, low.y, middle.z);
-    let translation = Vec3::new(0.0, 0.0, -ASSET_DISTANCE_M) - foot * scale;
-    Ok(Affine3A::from_scale_rotation_translation(Vec3::splat(scale), Quat::IDENTITY, translation))
+    let at_origin =
+        Affine3A::from_scale_rotation_translation(Vec3::splat(scale), Quat::IDENTITY, -foot * scale);
+    let distance_m = framing_distance_m(&places_over_time(model, clip, at_origin));
+    Ok(Affine3A::from_translation(Vec3::new(0.0, 0.0, -distance_m)) * at_origin)
+}
+
+/// Where the vertices are over a clip.
+fn places_over_time(model: &Model, clip: Option<usize>, placement: Affine3A) -> Vec<Vec3> {
+    let moment = |moment: u32| {
+        let t_s = f64::from(model.duration_s(clip)) * f64::from(moment) / f64::from(FRAMING_MOMENTS);
+        pose::source_skin(model, clip, t_s, placement).into_iter().map(|vertex| vertex.position)
+    };
+    (0..FRAMING_MOMENTS).flat_map(moment).collect()
+}
+
+/// The nearest distance at which places about the origin are framed; the farthest one where none of them does.
+fn framing_distance_m(places: &[Vec3]) -> f32 {
+    let (mut near, mut far) = ASSET_DISTANCE_M.into_inner();
+    if is_framed(places, near) {
+        return near;
+    }
+    // What is farther away is smaller: halve until it is right to a millimetre or two.
+    for _ in 0..12 {
+        let middle = 0.5 * (near + far);
+        if is_framed(places, middle) { far = middle } else { near = middle }
+    }
+    far
+}
+
+fn is_framed(places: &[Vec3], distance_m: f32) -> bool {
+    let Some((low, high, nearest_m)) = seen_at_start(places, distance_m) else { return false };
+    let sides = low.abs().max(high.abs()).max_element();
+    nearest_m >= ASSET_ROOM_M
+        && sides <= ASSET_PART_OF_SIDES
+        && (high.y - low.y) * 0.5 <= ASSET_PART_OF_HEIGHT
+}
+
+/// Where places, moved away by so much, lie in the picture at the start of the walk (-1 to 1 over 90 degrees), and the least
+/// distance of one along the floor; `None` where one lies behind the eyes.
+fn seen_at_start(places: &[Vec3], distance_m: f32) -> Option<(Vec2, Vec2, f32)> {
+    let start = file::built_in_head_paths();
+    let head = find_head_path(&start, "walk").map_or(Pose::IDENTITY, |path| path.stage_from_head(0.0));
+    let eye_from_stage = head.inverse().affine();
+    let (mut low, mut high, mut nearest_m) = (Vec2::INFINITY, Vec2::NEG_INFINITY, f32::INFINITY);
+    for place in places {
+        let away = *place - Vec3::Z * distance_m;
+        let seen = eye_from_stage.transform_point3(away);
+        if seen.z >= -1e-3 {
+            return None;
+        }
+        let at = seen.truncate() / -seen.z;
+        (low, high, nearest_m) = (low.min(at), high.max(at), nearest_m.min(-away.z));
+    }
+    Some((low, high, nearest_m))
 }
 
 /// Bounds over the clip, of a size that can be worked with.
@@ -526,11 +589,57 @@ mod tests {
             assert!((0.85..=2.05).contains(&extent), "{name}: {extent} m");
             assert!(low.y.abs() < 0.02, "{name}: stands at {}", low.y);
             let middle = (low + high) * 0.5;
-            assert!(middle.x.abs() < 0.05 && (middle.z + ASSET_DISTANCE_M).abs() < 0.05, "{name}: {middle}");
+            assert!(middle.x.abs() < 0.05 && ASSET_DISTANCE_M.contains(&-middle.z), "{name}: {middle}");
             assert!(longest_edge_m(&scene, 0) <= MAX_EDGE_M * 1.01, "{name}");
             assert_eq!(scene.instances[1].name, "ground");
             assert_eq!(scene.instances[0].clip.is_some(), name != "DamagedHelmet.glb", "{name} moves");
         }
+    }
+
+    #[test]
+    fn assets_take_a_third_of_the_picture_and_stay_in_it_along_the_walk() {
+        for name in
+            ["CesiumMan.glb", "Fox.glb", "maya_kenney_character_7700_binary.fbx", "MorphStressTest.gltf"]
+        {
+            let Some(path) = shared_asset(name) else { return };
+            let scene = load_scene(&SceneSource::File(path)).expect(name);
+            let instance = &scene.instances[0];
+            let model = &scene.models[0];
+            let places = places_over_time(model, instance.clip, instance.placement);
+            let (low, high, _) = seen_at_start(&places, 0.0).expect("in front");
+            let part = (high.y - low.y) * 0.5;
+            let widest = low.abs().max(high.abs()).max_element();
+            eprintln!("{name}: {part:.3} of the height, {low} to {high}, {}", instance.placement.translation);
+            assert!(part <= ASSET_PART_OF_HEIGHT + 0.005, "{name}: {part}");
+            // What does not take a third would leave the picture if it did.
+            assert!(
+                part > ASSET_PART_OF_HEIGHT - 0.01 || widest > ASSET_PART_OF_SIDES - 0.02,
+                "{name}: {part}"
+            );
+            let walk = scene.head_path("walk").expect("every scene has it");
+            for step in 0..20 {
+                let eye_from_stage = walk.stage_from_head(f64::from(step) * 0.25).inverse().affine();
+                let is_seen = |place: &&Vec3| {
+                    let at = eye_from_stage.transform_point3(**place);
+                    at.z < -0.1 && (at.truncate() / -at.z).abs().max_element() <= 1.0
+                };
+                let seen = places.iter().filter(is_seen).count();
+                assert!(seen * 10 >= places.len() * 9, "{name}, step {step}: {seen} of {}", places.len());
+            }
+        }
+    }
+
+    #[test]
+    fn a_pole_is_framed_by_its_height_and_a_beam_by_its_width() {
+        let pole = [Vec3::ZERO, Vec3::Y * 1.5];
+        let distance_m = framing_distance_m(&pole);
+        let (low, high, _) = seen_at_start(&pole, distance_m).expect("in front");
+        assert!(((high.y - low.y) * 0.5 - ASSET_PART_OF_HEIGHT).abs() < 0.003, "{low} to {high}");
+        let beam = [Vec3::new(-1.5, 1.2, 0.0), Vec3::new(1.5, 1.3, 0.0)];
+        let distance_m = framing_distance_m(&beam);
+        let (low, high, _) = seen_at_start(&beam, distance_m).expect("in front");
+        assert!((high.x - ASSET_PART_OF_SIDES).abs() < 0.003 && low.x == -high.x, "{low} to {high}");
+        assert_eq!(framing_distance_m(&[Vec3::new(0.0, 1.3, 0.0)]), *ASSET_DISTANCE_M.start());
     }
 
     #[test]
