@@ -1,5 +1,5 @@
-//! The ground truth: skins at the exact time of the picture, shades per pixel with the atlas's own shading code,
-//! antialiased by multisampling. A second pass tells what is where, one sample a pixel.
+//! The ground truth: skins at the exact time of the picture, or takes vertices that were posed elsewhere; shades per pixel
+//! with the atlas's own shading code, antialiased by multisampling. A second pass tells what is where, one sample a pixel.
 
 use crate::animation::gpu::Animation;
 use crate::scene_gpu::SceneGpu;
@@ -15,7 +15,7 @@ use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_shaders::generated::{
     BackgroundPush, FORWARD_BACKGROUND_FRAG, FORWARD_BACKGROUND_VERT, FORWARD_FRAG, FORWARD_PROBE_FRAG,
-    FORWARD_PROBE_VERT, FORWARD_VERT, ForwardPush, ViewGpu,
+    FORWARD_PROBE_VERT, FORWARD_VERT, ForwardPush, FrameGpu, ViewGpu,
 };
 use std::sync::Arc;
 
@@ -33,6 +33,16 @@ pub struct Truth {
     pub instance: Vec<u32>,
     /// Distance along the view axis at the pixel's centre, metres; infinite for background.
     pub distance_m: Vec<f32>,
+}
+
+/// Vertices in the world that were posed elsewhere: those of static instances first, then the others, in both as
+/// [`InstanceGpu::saved_base`](crate::scene_gpu::InstanceGpu::saved_base) numbers them.
+#[derive(Clone, Debug, Default)]
+pub struct Posed {
+    /// xyz, metres.
+    pub positions: Vec<[f32; 4]>,
+    /// Normals and tangents.
+    pub frames: Vec<FrameGpu>,
 }
 
 /// The renderer.
@@ -138,13 +148,18 @@ impl Forward {
 
     /// Records what an eye sees at `time`. Nothing submitted still reads the last recording's view.
     pub fn record(&mut self, recorder: &mut Recorder, world_from_eye: Pose, fov: Fov, time: ServerTime) {
+        self.animation.record_sample(recorder, 0, time);
+        self.animation.record_frames(recorder, 0, |_| true);
+        recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
+        self.record_posed(recorder, world_from_eye, fov, time);
+    }
+
+    /// Records what an eye sees of the saved vertices under the light of `time`.
+    fn record_posed(&mut self, recorder: &mut Recorder, world_from_eye: Pose, fov: Fov, time: ServerTime) {
         let clip_from_world = fov.clip_from_eye() * world_from_eye.inverse().matrix();
         let view = view_gpu(clip_from_world, world_from_eye.position, self.targets.extent);
         self.view.write(0, bytemuck::bytes_of(&view));
         self.shadow.write(&self.scene, time);
-        self.animation.record_sample(recorder, 0, time);
-        self.animation.record_frames(recorder, 0, |_| true);
-        recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         recorder.scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, &self.all, 0));
         recorder.barrier(Access::DEPTH_WRITE, Access::FRAGMENT_READ);
         recorder.scope("forward", |r| self.draw_color(r, world_from_eye, fov));
@@ -162,6 +177,38 @@ impl Forward {
     pub fn render(&mut self, world_from_eye: Pose, fov: Fov, time: ServerTime) -> Result<Truth, GpuError> {
         let mut recorder = self.gpu.record()?;
         self.record(&mut recorder, world_from_eye, fov, time);
+        self.probe_and_collect(recorder)
+    }
+
+    /// Renders what an eye sees of vertices posed elsewhere, under the light of `time`, and what is where in it. Nothing of
+    /// the scene's own animation has a part in it.
+    pub fn render_posed(
+        &mut self,
+        world_from_eye: Pose,
+        fov: Fov,
+        time: ServerTime,
+        posed: &Posed,
+    ) -> Result<Truth, GpuError> {
+        let all = (self.scene.totals.static_vertices + self.scene.totals.animated_vertices) as usize;
+        assert_eq!(
+            [posed.positions.len(), posed.frames.len()],
+            [all; 2],
+            "a place for each vertex of the scene"
+        );
+        let positions = Buffer::upload(&self.gpu, "posed positions", &posed.positions)?;
+        let frames = Buffer::upload(&self.gpu, "posed frames", &posed.frames)?;
+        let mut recorder = self.gpu.record()?;
+        for (from, to) in
+            [(&positions, self.animation.saved_vertices()), (&frames, self.animation.saved_frames())]
+        {
+            recorder.copy_buffer(from, 0, to, 0, from.size().min(to.size()));
+        }
+        recorder.barrier(Access::COPY_WRITE, Access::GRAPHICS_READ);
+        self.record_posed(&mut recorder, world_from_eye, fov, time);
+        self.probe_and_collect(recorder)
+    }
+
+    fn probe_and_collect(&self, mut recorder: Recorder) -> Result<Truth, GpuError> {
         recorder.scope("forward probe", |r| {
             r.begin_pass(&self.probe.pass, &self.targets.probe, &[vk::ClearValue::default(); 3]);
             self.probe.draw(r, &self.scene, &self.animation);

@@ -1,11 +1,15 @@
 //! The whole system in virtual time, at the size that a software device can do in a test: quality against the ground
 //! truth, motion between updates, and the same pictures twice. Validation layers are on throughout.
 
+use shadecast_lab::image::Rgb8Image;
+use shadecast_lab::metrics::psnr_db;
 use shadecast_lab::options::{Renderer, RunOptions};
 use shadecast_lab::run::{Report, run};
+use shadecast_lab::stats::RegionStats;
 use shadecast_mock_runtime::record::read_frames;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
+use shadecast_server::scene_gpu::SceneOptions;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard};
 
@@ -53,8 +57,17 @@ fn a_dragon_over_a_simulated_link_looks_like_the_truth_and_moves_between_updates
     assert_good(&report, "dragon, stream");
     let motion = report.motion.expect("vertices were followed");
     assert!(motion.vertices > 50, "{motion:?}");
-    assert!(motion.moved_share > 0.99, "vertices move at every display frame: {motion:?}");
-    assert!(motion.p99_error_percent_of_range <= 0.3, "{motion:?}");
+    assert!(
+        motion.moved_share.is_some_and(|share| share > 0.99),
+        "vertices move at every display frame: {motion:?}"
+    );
+    assert!(motion.p99_error_percent_of_range.is_some_and(|percent| percent <= 0.3), "{motion:?}");
+    assert!(motion.p99_error_mm <= 2.0 && motion.p99_error_px <= 1.0, "{motion:?}");
+    let stats = &report.stats;
+    assert!(stats.animated.views >= 10 && stats.shadowed.views >= 10, "{stats:?}");
+    assert!(stats.animated.share.is_some_and(|share| (0.01..0.5).contains(&share)), "{:?}", stats.animated);
+    assert!(stats.shadowed.share.is_some_and(|share| (0.001..0.5).contains(&share)), "{:?}", stats.shadowed);
+    assert!(stats.clock_error_ms.is_some_and(|worst_ms| worst_ms < 10.0), "{:?}", stats.clock_error_ms);
     assert!(report.stats.bytes_per_animated_vertex_sample.is_some_and(|bytes| bytes < 4.5));
     for name in
         ["stats.json", "sheet.png", "atlas.png", "client-left.png", "truth-right.png", "difference-left.png"]
@@ -74,18 +87,61 @@ fn the_local_renderer_hands_over_in_memory_and_looks_like_the_truth() {
 }
 
 #[test]
-fn the_forward_renderer_compared_with_itself_is_perfect() {
+fn the_forward_renderer_writes_the_truth_and_compares_nothing() {
     let _alone = alone();
-    let out = tempfile::tempdir().unwrap();
-    let options = RunOptions {
-        renderer: Renderer::Forward,
-        seconds: 0.5,
+    let [out, local_out] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let options = |renderer, out: &Path| RunOptions {
+        renderer,
+        extent_pixels: [128, 128],
+        seconds: 0.6,
+        dump_every: 20,
         motion: false,
-        ..small(SceneSource::Dragons(1), out.path())
+        ..small(SceneSource::Dragons(1), out)
     };
-    let stats = run(&options).unwrap().stats;
-    assert_eq!(stats.psnr_db, Some(shadecast_lab::metrics::MAX_PSNR_DB));
-    assert_eq!(stats.flip, Some(0.0));
+    let report = run(&options(Renderer::Forward, out.path())).unwrap();
+    let stats = &report.stats;
+    assert_eq!(
+        (stats.psnr_db, stats.flip, stats.hole_fraction, stats.frames_compared),
+        (None, None, None, 0)
+    );
+    assert_eq!((stats.animated.psnr_db, stats.shadowed.ssim, stats.validation_messages), (None, None, 0));
+    for name in ["truth-left.png", "truth-right.png", "truth-000000-left.png"] {
+        assert!(out.path().join(name).metadata().is_ok_and(|m| m.len() > 0), "{name} is missing");
+    }
+    // The truth that another renderer was compared with, at the same frame, is the same picture.
+    run(&options(Renderer::Local, local_out.path())).unwrap();
+    for side in ["left", "right"] {
+        let read =
+            |folder: &Path| Rgb8Image::read_png(&folder.join(format!("truth-000040-{side}.png"))).unwrap();
+        let (alone, beside) = (read(out.path()), read(local_out.path()));
+        let psnr_db = psnr_db(&alone, &beside, &vec![true; alone.pixel_count()]);
+        assert!(psnr_db > 50.0, "{side}: {psnr_db} dB");
+    }
+}
+
+/// The truth is not made of what it judges: if it were, a coarse sampling would be coarse in both.
+#[test]
+fn coarse_sampling_costs_the_picture_of_what_is_animated() {
+    let _alone = alone();
+    let measure = |sampling: &str| {
+        let out = tempfile::tempdir().unwrap();
+        let options = RunOptions {
+            renderer: Renderer::Local,
+            seconds: 1.2,
+            scene_options: SceneOptions { sampling: sampling.parse().unwrap(), ..SceneOptions::default() },
+            ..small(SceneSource::Dragons(1), out.path())
+        };
+        let report = run(&options).unwrap();
+        println!("{sampling}: {:?} {:?}", report.stats.animated, report.motion);
+        (report.stats, report.motion.unwrap())
+    };
+    let (fine, fine_motion) = measure("error-bounded");
+    let (coarse, coarse_motion) = measure("constant:500ms");
+    let [fine, coarse] = [fine, coarse].map(|stats| stats.animated);
+    let psnr_db = |region: RegionStats| region.psnr_db.unwrap();
+    assert!(psnr_db(coarse) < psnr_db(fine) - 3.0, "{} against {} dB", psnr_db(coarse), psnr_db(fine));
+    assert!(coarse.flip > fine.flip && coarse.ssim < fine.ssim && coarse.hole_fraction > fine.hole_fraction);
+    assert!(coarse_motion.max_error_mm > 300.0 && fine_motion.max_error_mm < 5.0);
 }
 
 #[test]

@@ -1,9 +1,11 @@
 //! Compares what an eye was shown with what the forward renderer shows for the same pose, field of view and time of
-//! display.
+//! display, of vertices that [`crate::truth`] has posed.
 
 use crate::flip::pixels_per_degree;
 use crate::image::Rgb8Image;
-use crate::metrics::{FrameMetrics, ProbeView, View};
+use crate::metrics::{FrameMetrics, ProbeView, Regions, View};
+use crate::truth::SceneTruth;
+use crate::truth::moving_shadow::MovingShadow;
 use anyhow::Context;
 use shadecast_gpu::Gpu;
 use shadecast_protocol::pose::{Fov, Pose};
@@ -28,29 +30,55 @@ pub struct Shown<'a> {
 
 /// Renders truths and measures against them.
 pub struct Comparer {
+    scene: Arc<SceneGpu>,
     forward: Forward,
+    truth: SceneTruth,
+    moving_shadow: MovingShadow,
 }
 
 impl Comparer {
     /// For pictures of `extent_pixels`.
     pub fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>, extent_pixels: [u32; 2]) -> anyhow::Result<Self> {
         let forward = Forward::new(gpu, scene, extent_pixels).context("making the ground-truth renderer")?;
-        Ok(Self { forward })
+        let moves = scene.instances.iter().map(|instance| instance.is_animated).collect();
+        let moving_shadow = MovingShadow::new(&scene.scene, moves, &scene.world_bounds);
+        Ok(Self { scene: scene.clone(), forward, truth: SceneTruth::new(scene), moving_shadow })
+    }
+
+    /// What an eye should see at a time.
+    pub fn picture(&mut self, world_from_eye: Pose, fov: Fov, time: ServerTime) -> anyhow::Result<Rgb8Image> {
+        Ok(self.render(world_from_eye, fov, time)?.0)
     }
 
     /// The truth's picture and what it says of the shown one.
     pub fn measure(&mut self, shown: &Shown<'_>) -> anyhow::Result<(Rgb8Image, FrameMetrics)> {
-        let truth = self.forward.render(shown.world_from_eye, shown.fov, shown.time)?;
-        let (picture, probe) = split(truth)?;
-        let width = shown.picture.width;
+        let &Shown { world_from_eye, fov, time, .. } = shown;
+        let (picture, probe) = self.render(world_from_eye, fov, time)?;
+        let instances = &self.scene.instances;
+        let moves = |instance: &u32| instances.get(*instance as usize).is_some_and(|place| place.is_animated);
+        let regions = Regions {
+            animated: probe.instance.iter().map(moves).collect(),
+            shadowed: self.moving_shadow.mask(&self.scene.scene, &probe, world_from_eye, fov, time),
+        };
         let metrics = FrameMetrics::measure(&View {
             truth: &picture,
             truth_probe: &probe,
             client: shown.picture,
             client_probe: shown.probe,
-            pixels_per_degree: pixels_per_degree(width, shown.fov.left, shown.fov.right),
+            pixels_per_degree: pixels_per_degree(shown.picture.width, fov.left, fov.right),
+            regions: &regions,
         })?;
         Ok((picture, metrics))
+    }
+
+    fn render(
+        &mut self,
+        world_from_eye: Pose,
+        fov: Fov,
+        time: ServerTime,
+    ) -> anyhow::Result<(Rgb8Image, ProbeView)> {
+        let posed = self.truth.posed(time);
+        split(self.forward.render_posed(world_from_eye, fov, time, posed)?)
     }
 }
 

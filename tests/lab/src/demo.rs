@@ -113,7 +113,8 @@ impl Drop for Running {
     }
 }
 
-fn program(name: &str) -> anyhow::Result<PathBuf> {
+/// A program of the project, which lies beside this one.
+pub(crate) fn program(name: &str) -> anyhow::Result<PathBuf> {
     let here = std::env::current_exe().context("finding the programs")?;
     let folder = here.parent().context("finding the programs")?;
     let folder = if folder.ends_with("deps") { folder.parent().unwrap_or(folder) } else { folder };
@@ -355,16 +356,8 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
         }
         let time = ServerTime(record.predicted_display_time_ns - epoch_ns);
         let world_from_stage = scene.scene.world_from_stage;
-        let pictures = compare(
-            &mut comparer,
-            &mut summary,
-            record,
-            &capture,
-            world_from_stage,
-            time,
-            Some(&probes),
-            false,
-        )?;
+        let pictures =
+            compare(&mut comparer, &mut summary, record, &capture, world_from_stage, time, Some(&probes))?;
         last = Some(pictures);
     }
     let [shown, truth] = last.context("the client showed no picture of the scene; give it more --seconds")?;
@@ -385,6 +378,8 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
             + number(&client, "validation_messages") as u64
             + u64::from(gpu.validation_messages()),
         gpu_ms: server.get("gpu_ms").cloned().map(serde_json::from_value).transpose()?.unwrap_or_default(),
+        dropped_patches: number(&server, "dropped_patches") as u64,
+        ..Counted::default()
     });
     stats.write_json(&run.out.join("stats.json"))?;
     let atlas = Rgb8Image::read_png(&out.join("atlas.png")).ok();

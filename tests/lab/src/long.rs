@@ -1,12 +1,30 @@
-//! `shadecast-lab long`: the sizes that the acceptance names, one JSON file each; a file that is there is not made again.
+//! `shadecast-lab long`: the measurements that take long, as a list of named jobs that write a JSON file each. A file that is
+//! there is not made again, so that a run that was broken off goes on where it stopped.
 
-use crate::options::RunOptions;
+use crate::options::{RunOptions, StageMs};
+use crate::robot::robot;
 use crate::run::run;
 use crate::skinning;
-use anyhow::Context;
+use anyhow::{Context, bail, ensure};
+use serde_json::{Value, json};
+use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_scene::animation::sampling::{DEFAULT_INTERVAL_S, Sampling};
-use shadecast_scene::load::SceneSource;
+use shadecast_scene::cache::Cache;
+use shadecast_scene::load::{SceneSource, load_scene_with};
+use shadecast_scene::process::Loading;
+use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
+use shadecast_server::stages::forward::Forward;
 use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Display frames between two that are compared, at 72 a second.
+const COMPARE_EVERY: u32 = 24;
+/// The same for the runs with longer stages.
+const COMPARE_EVERY_SLOW: u32 = 36;
+/// Dragons of the paper's largest group.
+const PAPER_GROUP: u32 = 169;
 
 /// Real models that the runs use where they are there; the project ships none.
 pub fn asset(name: &str) -> Option<PathBuf> {
@@ -14,61 +32,233 @@ pub fn asset(name: &str) -> Option<PathBuf> {
     path.exists().then_some(path)
 }
 
-/// Runs all that is not done yet.
-///
-/// # Errors
-/// A run fails, or the folder cannot be written.
-pub fn run_all(out: &Path) -> anyhow::Result<()> {
-    std::fs::create_dir_all(out).with_context(|| format!("making {}", out.display()))?;
-    skinning_of_nine(out)?;
-    let mut runs = vec![("dragons3-512", SceneSource::Dragons(3))];
-    for (name, file) in [("cesium-man-512", "CesiumMan.glb"), ("fox-512", "Fox.glb")] {
-        match asset(file) {
-            Some(path) => runs.push((name, SceneSource::File(path))),
-            None => println!("left out: {name}, {file} is not there"),
-        }
-    }
-    for (name, scene) in runs {
-        let result = out.join(format!("{name}.json"));
-        if result.exists() {
-            println!("done already: {}", result.display());
-            continue;
-        }
-        println!("running {name}");
-        let work = std::env::temp_dir().join(format!("shadecast-long-{}-{name}", std::process::id()));
-        let options = RunOptions {
-            verbose: true,
-            motion: true,
-            validation: true,
-            compare_every: 10,
-            ..RunOptions::new(scene, work.clone())
-        };
-        let report = run(&options).with_context(|| format!("running {name}"))?;
-        println!("{}", report.stats);
-        let both = serde_json::json!({ "stats": report.stats, "motion": report.motion });
-        std::fs::write(&result, serde_json::to_string_pretty(&both)?)
-            .with_context(|| format!("writing {}", result.display()))?;
-        let _ = std::fs::remove_dir_all(&work);
-    }
-    Ok(())
+/// A measurement: what it is called, and what makes its result. `None` where something that it needs is not there.
+struct Job {
+    name: String,
+    work: Box<dyn Fn(&Path) -> anyhow::Result<Option<Value>>>,
 }
 
-/// The ways of skinning on the paper's smallest group, with the paper's keys and with ours.
-fn skinning_of_nine(out: &Path) -> anyhow::Result<()> {
+impl Job {
+    fn new(name: &str, work: impl Fn(&Path) -> anyhow::Result<Option<Value>> + 'static) -> Self {
+        Self { name: name.to_owned(), work: Box::new(work) }
+    }
+
+    /// Makes `out/NAME.json`, unless it is there.
+    fn run(&self, out: &Path) -> anyhow::Result<()> {
+        let (name, result) = (&self.name, out.join(format!("{}.json", self.name)));
+        if result.exists() {
+            println!("done already: {}", result.display());
+            return Ok(());
+        }
+        println!("running {name}");
+        let started = Instant::now();
+        let folder = std::env::temp_dir().join(format!("shadecast-long-{}-{name}", std::process::id()));
+        std::fs::create_dir_all(&folder).with_context(|| format!("making {}", folder.display()))?;
+        let value = (self.work)(&folder).with_context(|| format!("running {name}"));
+        let _ = std::fs::remove_dir_all(&folder);
+        let Some(value) = value? else { return Ok(()) };
+        write_whole(&result, &(serde_json::to_string_pretty(&value)? + "\n"))?;
+        println!("{name}: {:.0} s", started.elapsed().as_secs_f64());
+        Ok(())
+    }
+}
+
+/// All of them, in their order: what has bars that ordinary assets must reach comes first.
+fn jobs() -> Vec<Job> {
     let paper = Sampling::Constant { interval_s: DEFAULT_INTERVAL_S };
+    let mut jobs = Vec::new();
+    for (suffix, stages, every) in
+        [("", StageMs::default(), COMPARE_EVERY), ("-slow", StageMs::MEASURED, COMPARE_EVERY_SLOW)]
+    {
+        for scene in SCENES {
+            let work = move |folder: &Path| scene_run(scene, folder, stages, every);
+            jobs.push(Job::new(&format!("{}-512{suffix}", scene.name), work));
+        }
+    }
+    jobs.push(Job::new("inspect-error-dragon", |_| inspect_error_of_the_dragon().map(Some)));
+    jobs.push(Job::new("second-start-dragons169", |folder| second_start(folder).map(Some)));
     for (name, sampling) in
         [("skinning-dragons9", Sampling::default()), ("skinning-dragons9-constant", paper)]
     {
-        let result = out.join(format!("{name}.json"));
-        if result.exists() {
-            println!("done already: {}", result.display());
-            continue;
-        }
-        println!("running {name}");
-        let report = skinning::measure(&SceneSource::Dragons(9), sampling)?;
-        println!("{report}");
-        std::fs::write(&result, serde_json::to_string_pretty(&report)?)
-            .with_context(|| format!("writing {}", result.display()))?;
+        let work = move |_: &Path| {
+            let report = skinning::measure(&SceneSource::Dragons(9), sampling)?;
+            println!("{report}");
+            Ok(Some(serde_json::to_value(&report)?))
+        };
+        jobs.push(Job::new(name, work));
     }
-    Ok(())
+    jobs
+}
+
+/// Names of all jobs, which are those of their files.
+pub fn names() -> Vec<String> {
+    jobs().into_iter().map(|job| job.name).collect()
+}
+
+/// Runs all jobs that are not done yet and whose name begins with `only`.
+///
+/// # Errors
+/// A run fails, or the folder cannot be written.
+pub fn run_all(out: &Path, only: &str) -> anyhow::Result<()> {
+    let wanted: Vec<Job> = jobs().into_iter().filter(|job| job.name.starts_with(only)).collect();
+    ensure!(!wanted.is_empty(), "no long run is called \"{only}\"; there are {}", names().join(", "));
+    std::fs::create_dir_all(out).with_context(|| format!("making {}", out.display()))?;
+    wanted.iter().try_for_each(|job| job.run(out))
+}
+
+/// Beside its place, then moved there: a run that is broken off leaves no half result that counts as done.
+fn write_whole(path: &Path, text: &str) -> anyhow::Result<()> {
+    let writing = || format!("writing {}", path.display());
+    shadecast_transport::files::write_atomically(path, text.as_bytes()).with_context(writing)
+}
+
+// ---- scenes in virtual time ----
+
+/// A scene that is run.
+#[derive(Clone, Copy)]
+struct LongScene {
+    /// Of the result.
+    name: &'static str,
+    source: LongSource,
+    clip: Option<&'static str>,
+}
+
+#[derive(Clone, Copy)]
+enum LongSource {
+    Dragons(u32),
+    /// A file of the assets folder.
+    Asset(&'static str),
+    /// Written for the run.
+    Robot,
+}
+
+/// Ordinary assets, the paper's, and the stiff one.
+const SCENES: [LongScene; 8] = [
+    LongScene { name: "dragons3", source: LongSource::Dragons(3), clip: None },
+    LongScene { name: "cesium-man", source: LongSource::Asset("CesiumMan.glb"), clip: None },
+    LongScene { name: "fox-survey", source: LongSource::Asset("Fox.glb"), clip: Some("Survey") },
+    LongScene { name: "fox-walk", source: LongSource::Asset("Fox.glb"), clip: Some("Walk") },
+    LongScene { name: "fox-run", source: LongSource::Asset("Fox.glb"), clip: Some("Run") },
+    LongScene { name: "robot", source: LongSource::Robot, clip: None },
+    LongScene { name: "morph", source: LongSource::Asset("MorphStressTest.gltf"), clip: None },
+    LongScene {
+        name: "kenney-fbx",
+        source: LongSource::Asset("maya_kenney_character_7700_binary.fbx"),
+        clip: None,
+    },
+];
+
+impl LongScene {
+    /// The scene, and what a person writes for it.
+    fn source(&self, folder: &Path) -> anyhow::Result<Option<(SceneSource, String)>> {
+        Ok(match self.source {
+            LongSource::Dragons(count) => Some((SceneSource::Dragons(count), format!("dragons:{count}"))),
+            LongSource::Asset(file) => asset(file).map(|path| (SceneSource::File(path), file.to_owned())),
+            LongSource::Robot => {
+                let path = folder.join("robot.glb");
+                std::fs::write(&path, robot()).with_context(|| format!("writing {}", path.display()))?;
+                Some((SceneSource::File(path), "robot.glb".to_owned()))
+            }
+        })
+    }
+}
+
+/// What the acceptance runs use, measured in full: pictures, every vertex, validation.
+fn scene_run(
+    scene: LongScene,
+    folder: &Path,
+    stages: StageMs,
+    compare_every: u32,
+) -> anyhow::Result<Option<Value>> {
+    let Some((source, shown)) = scene.source(folder)? else {
+        println!("left out: {}, its file is not there", scene.name);
+        return Ok(None);
+    };
+    let options = RunOptions {
+        clip: scene.clip.map(str::to_owned),
+        motion: true,
+        validation: true,
+        compare_every,
+        stages,
+        ..RunOptions::new(source, folder.join("run"))
+    };
+    let report = run(&options)?;
+    println!("{}", report.stats);
+    Ok(Some(json!({
+        "command": options.command_line(&shown),
+        "stage_ms": stages,
+        "stats": report.stats,
+        "motion": report.motion,
+    })))
+}
+
+// ---- others ----
+
+/// The error table, by the program that a user runs.
+fn inspect_error_of_the_dragon() -> anyhow::Result<Value> {
+    let mut command = Command::new(crate::demo::program("shadecast-server")?);
+    let output = command.args(["inspect", "error", "dragon", "--curve", "--json"]).output()?;
+    if !output.status.success() {
+        bail!("inspect error: {}", String::from_utf8_lossy(&output.stderr).trim());
+    }
+    serde_json::from_slice(&output.stdout).context("understanding what inspect error printed")
+}
+
+/// How long the paper's largest group takes to start, first with an empty cache and then with a full one: device, scene and
+/// the pipelines of a picture.
+fn second_start(folder: &Path) -> anyhow::Result<Value> {
+    let start = || -> anyhow::Result<f64> {
+        let started = Instant::now();
+        let loading = Loading::complete(Cache::new(folder.join("cache")));
+        let gpu_options = GpuOptions { needs: Needs::Server, validation: false, device_name: None };
+        let gpu = Gpu::open(&gpu_options, &DesktopDevice)?;
+        let source = SceneSource::Dragons(PAPER_GROUP);
+        let scene = load_scene_with(&source, &loading)?;
+        let scene = Arc::new(SceneGpu::cached(&gpu, scene, &SceneOptions::default(), &loading)?);
+        Forward::new(&gpu, &scene, [512, 512])?;
+        Ok(started.elapsed().as_secs_f64())
+    };
+    Ok(json!({ "scene": format!("dragons:{PAPER_GROUP}"), "first_s": start()?, "second_s": start()? }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+    use std::rc::Rc;
+
+    #[test]
+    fn a_job_whose_file_is_there_is_not_run_again() {
+        let out = tempfile::tempdir().expect("a folder");
+        let runs = Rc::new(Cell::new(0));
+        let counted = runs.clone();
+        let job = Job::new("a-test", move |_| {
+            counted.set(counted.get() + 1);
+            Ok(Some(json!({ "runs": counted.get() })))
+        });
+        job.run(out.path()).expect("it runs");
+        job.run(out.path()).expect("it is done");
+        assert_eq!(runs.get(), 1);
+        assert!(
+            std::fs::read_to_string(out.path().join("a-test.json")).expect("written").contains("\"runs\": 1")
+        );
+    }
+
+    #[test]
+    fn a_job_that_fails_or_cannot_run_leaves_no_file() {
+        let out = tempfile::tempdir().expect("a folder");
+        assert!(Job::new("fails", |_| bail!("broken")).run(out.path()).is_err());
+        Job::new("absent", |_| Ok(None)).run(out.path()).expect("left out");
+        assert_eq!(std::fs::read_dir(out.path()).expect("a folder").count(), 0);
+    }
+
+    #[test]
+    fn every_job_has_a_name_of_its_own() {
+        let mut names = names();
+        let count = names.len();
+        names.sort();
+        names.dedup();
+        assert_eq!(names.len(), count);
+        assert!(run_all(Path::new("/nonexistent/x"), "no such").is_err());
+    }
 }

@@ -3,9 +3,11 @@
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
+use shadecast_lab::bars::{BARS, Bars};
 use shadecast_lab::demo::{DemoOptions, demo};
 use shadecast_lab::long;
 use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs};
+use shadecast_lab::robot::robot;
 use shadecast_lab::run::run;
 use shadecast_lab::skinning;
 use shadecast_protocol::atlas::AtlasExtent;
@@ -14,7 +16,7 @@ use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::scene_gpu::SceneOptions;
 use shadecast_server::stages::skin::Skinning;
 use shadecast_transport::{LinkProfile, LinkSchedule};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// The whole system on one virtual clock: measurements that a slow machine makes as a fast one would.
@@ -44,10 +46,28 @@ enum Command {
     Skinning(SkinningArgs),
     /// Runs server and client as two processes in real time, then the same scene in virtual time; pictures, figures, a page
     Demo(DemoArgs),
-    /// Runs the sizes that take long, one after the other; what is done already is left out
+    /// Runs what takes long, one after the other, and checks the bars; what is done already is left out
     Long {
         /// Folder for the JSON results
         #[arg(long, default_value = "docs/results")]
+        out: PathBuf,
+        /// Runs only those whose name begins so, and checks no bars
+        #[arg(long)]
+        only: Option<String>,
+    },
+    /// Checks the results that are there against their bars, without running anything; fails where one is missed
+    Bars {
+        /// Folder of the JSON results
+        #[arg(long, default_value = "docs/results")]
+        out: PathBuf,
+        /// Another list of bars
+        #[arg(long)]
+        bars: Option<PathBuf>,
+    },
+    /// Writes the stiff character of the long runs: boxes on joints, wide steps between 24 keys a second
+    Robot {
+        /// The .glb file
+        #[arg(long, default_value = "robot.glb")]
         out: PathBuf,
     },
     /// Names the Vulkan device that would be used
@@ -58,7 +78,10 @@ enum Command {
 struct RunArgs {
     /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     scene: String,
-    /// Which renderer makes the pictures
+    /// The clip that animated instances play [default: the scene's own choice]
+    #[arg(long)]
+    clip: Option<String>,
+    /// Which renderer makes the pictures; forward writes the truth's alone, and compares nothing
     #[arg(long, value_enum, default_value = "stream")]
     renderer: Renderer,
     /// The network: latency=20ms,jitter=5ms,loss=1%,rate=100mbit, none, or a .toml file of those with start times
@@ -91,7 +114,7 @@ struct RunArgs {
     /// Compares with the truth every N display frames (with --dump-every: those that are written)
     #[arg(long, default_value_t = 12)]
     compare_every: u32,
-    /// Milliseconds that stages take: server=12,encode=8,decode=6
+    /// Milliseconds that stages take; measured encodes of 2048x2048 texels take 13 to 65
     #[arg(long, default_value = "server=12,encode=8,decode=6")]
     stage_ms: StageMs,
     /// Also follows animated vertices at every display frame and writes motion.json
@@ -170,7 +193,12 @@ fn main() {
     let result = match Cli::parse().command {
         Command::Run(args) => run_one(args),
         Command::Demo(args) => run_demo(args),
-        Command::Long { out } => long::run_all(&out),
+        Command::Long { out, only: Some(only) } => long::run_all(&out, &only),
+        Command::Long { out, only: None } => long::run_all(&out, "").and_then(|()| check_bars(&out, None)),
+        Command::Bars { out, bars } => check_bars(&out, bars.as_deref()),
+        Command::Robot { out } => {
+            std::fs::write(&out, robot()).with_context(|| format!("writing {}", out.display()))
+        }
         Command::Skinning(args) => measure_skinning(&args),
         Command::Device => name_device(),
     };
@@ -190,6 +218,7 @@ fn run_one(args: RunArgs) -> anyhow::Result<()> {
     };
     let options = RunOptions {
         renderer: args.renderer,
+        clip: args.clip,
         link,
         head: match (args.head, args.head_path) {
             (Some(file), _) => Head::File(file),
@@ -215,14 +244,20 @@ fn run_one(args: RunArgs) -> anyhow::Result<()> {
     let report = run(&options)?;
     println!("{}", report.stats);
     if let Some(motion) = report.motion {
-        println!(
-            "  motion          {:.3} % of range at worst, {:.3} % at the 99th percentile, {:.2} mm; moved in {:.1} % of frames",
-            motion.max_error_percent_of_range,
-            motion.p99_error_percent_of_range,
-            motion.max_error_mm,
-            motion.moved_share * 100.0
-        );
+        println!("{motion}");
     }
+    Ok(())
+}
+
+/// Prints every figure beside its bar.
+fn check_bars(results: &Path, bars: Option<&Path>) -> anyhow::Result<()> {
+    let text = match bars {
+        Some(path) => std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?,
+        None => BARS.to_owned(),
+    };
+    let report = Bars::parse(&text)?.check(results);
+    println!("{report}");
+    anyhow::ensure!(report.failures() == 0, "{} bars are missed", report.failures());
     Ok(())
 }
 

@@ -1,7 +1,9 @@
 //! What a displayed frame is worth, measured against the truth: the forward renderer with the same eye pose, field of
 //! view and time of display.
 //!
-//! Every figure is taken over the pixels where the truth shows geometry, since an empty sky would flatter all of them.
+//! Every figure is taken over the pixels where the truth shows geometry, since an empty sky would flatter all of them; and
+//! again over two regions of it, since a still ground flatters what moves: pixels whose truth shows an animated instance,
+//! and still surfaces on which a moving shadow falls or has just fallen.
 //! Pictures are compared after display encoding, as sRGB bytes. Filters of SSIM and FLIP look at neighbours outside
 //! that mask too: only their results are masked.
 //!
@@ -16,6 +18,9 @@ use crate::ssim::ssim_map;
 
 /// The least share of the picture that must show geometry for its figures to count.
 pub const MIN_TRUTH_COVERAGE: f64 = 0.4;
+
+/// A region of a view with fewer pixels gives no figures: they would be those of an outline.
+pub const MIN_REGION_PIXELS: usize = 64;
 
 /// What PSNR is cut at, so that identical pictures do not make means infinite.
 pub const MAX_PSNR_DB: f64 = 99.0;
@@ -122,6 +127,24 @@ pub struct View<'a> {
     pub client_probe: Option<&'a ProbeView>,
     /// Pixels per degree at the centre of the view: FLIP is given for this number too.
     pub pixels_per_degree: f32,
+    /// Parts of the view that are also measured by themselves.
+    pub regions: &'a Regions,
+}
+
+/// Which pixels belong to the parts of a view that are measured by themselves. Only those with geometry count.
+#[derive(Clone, Debug, Default)]
+pub struct Regions {
+    /// The truth shows an animated instance.
+    pub animated: Vec<bool>,
+    /// A moving shadow falls there, or has just fallen.
+    pub shadowed: Vec<bool>,
+}
+
+impl Regions {
+    /// Empty ones, for a view of so many pixels.
+    pub fn none(pixels: usize) -> Self {
+        Self { animated: vec![false; pixels], shadowed: vec![false; pixels] }
+    }
 }
 
 /// How close two pictures are, over the pixels where the truth shows geometry.
@@ -146,6 +169,17 @@ pub struct Holes {
     pub beyond_outlines: f64,
 }
 
+/// The figures of a part of a view.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RegionMetrics {
+    /// How close the pictures are there; none if the part, or the whole view, has too few pixels for figures to count.
+    pub picture: Option<PictureMetrics>,
+    /// What is missing there, as a share of it.
+    pub holes: Holes,
+    /// Pixels of it that show geometry.
+    pub pixels: usize,
+}
+
 /// The figures of one eye's view of one displayed frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameMetrics {
@@ -155,8 +189,14 @@ pub struct FrameMetrics {
     pub holes: Holes,
     /// The share of the picture where the truth shows geometry, 0 to 1.
     pub truth_coverage: f64,
+    /// Pixels where the truth shows geometry.
+    pub pixels: usize,
     /// Whether the client had a bundle to display.
     pub has_bundle: bool,
+    /// Over pixels whose truth shows an animated instance.
+    pub animated: RegionMetrics,
+    /// Over still surfaces on which a moving shadow falls or has just fallen.
+    pub shadowed: RegionMetrics,
 }
 
 impl FrameMetrics {
@@ -164,12 +204,22 @@ impl FrameMetrics {
     pub fn measure(view: &View<'_>) -> Result<Self, MetricsError> {
         check_extents(view)?;
         let truth_coverage = view.truth_probe.coverage();
-        let picture = (truth_coverage >= MIN_TRUTH_COVERAGE).then(|| PictureMetrics::measure(view));
-        let holes = match view.client_probe {
-            Some(client) => Holes::measure(view.truth_probe, client)?,
-            None => Holes::whole(view.truth_probe),
+        let errors = (truth_coverage >= MIN_TRUTH_COVERAGE).then(|| ErrorMaps::new(view));
+        let geometry = view.truth_probe.geometry_mask();
+        let region = |inside: &[bool]| {
+            let mask: Vec<bool> =
+                geometry.iter().zip(inside).map(|(shown, inside)| *shown && *inside).collect();
+            RegionMetrics::measure(view, errors.as_ref(), &mask)
         };
-        Ok(Self { picture, holes, truth_coverage, has_bundle: view.client_probe.is_some() })
+        Ok(Self {
+            picture: errors.as_ref().map(|errors| errors.over(&geometry)),
+            holes: Holes::over(view, &geometry),
+            truth_coverage,
+            pixels: count(&geometry),
+            has_bundle: view.client_probe.is_some(),
+            animated: region(&view.regions.animated),
+            shadowed: region(&view.regions.shadowed),
+        })
     }
 
     /// Whether the figures count.
@@ -193,31 +243,70 @@ fn check_extents(view: &View<'_>) -> Result<(), MetricsError> {
             return Err(MetricsError::Extents { name, truth, got });
         }
     }
+    let pixels = view.truth.pixel_count();
+    let regions = [view.regions.animated.len(), view.regions.shadowed.len()];
+    assert_eq!(regions, [pixels; 2], "a region says something of every pixel");
     Ok(())
 }
 
-impl PictureMetrics {
-    fn measure(view: &View<'_>) -> Self {
-        let mask = view.truth_probe.geometry_mask();
-        let flip =
-            |ppd| masked_mean(flip_map(view.truth, view.client, ppd).into_iter().map(f64::from), &mask);
+fn count(mask: &[bool]) -> usize {
+    mask.iter().filter(|inside| **inside).count()
+}
+
+impl RegionMetrics {
+    fn measure(view: &View<'_>, errors: Option<&ErrorMaps>, mask: &[bool]) -> Self {
+        let pixels = count(mask);
+        let picture = errors.filter(|_| pixels >= MIN_REGION_PIXELS).map(|errors| errors.over(mask));
+        Self { picture, holes: Holes::over(view, mask), pixels }
+    }
+}
+
+/// What two pictures differ by, pixel by pixel; made once for all regions.
+struct ErrorMaps {
+    mean_squares: Vec<f64>,
+    ssim: Vec<f64>,
+    flip: Vec<f32>,
+    flip_at_view: Vec<f32>,
+}
+
+impl ErrorMaps {
+    fn new(view: &View<'_>) -> Self {
+        let flip = |pixels_per_degree| flip_map(view.truth, view.client, pixels_per_degree);
         Self {
-            psnr_db: psnr_db(view.truth, view.client, &mask),
-            ssim: masked_mean(ssim_map(view.truth, view.client), &mask),
+            mean_squares: mean_squares(view.truth, view.client).collect(),
+            ssim: ssim_map(view.truth, view.client),
             flip: flip(DEFAULT_PIXELS_PER_DEGREE),
             flip_at_view: flip(view.pixels_per_degree),
+        }
+    }
+
+    /// The figures of the pixels in the mask, which holds at least one.
+    fn over(&self, mask: &[bool]) -> PictureMetrics {
+        let flip = |map: &[f32]| masked_mean(map.iter().map(|error| f64::from(*error)), mask);
+        PictureMetrics {
+            psnr_db: decibels(masked_mean(self.mean_squares.iter().copied(), mask)),
+            ssim: masked_mean(self.ssim.iter().copied(), mask),
+            flip: flip(&self.flip),
+            flip_at_view: flip(&self.flip_at_view),
         }
     }
 }
 
 /// Peak signal to noise ratio in dB over the bytes of all pixels in the mask, at most [`MAX_PSNR_DB`].
 pub fn psnr_db(a: &Rgb8Image, b: &Rgb8Image, mask: &[bool]) -> f64 {
+    decibels(masked_mean(mean_squares(a, b), mask))
+}
+
+/// By pixel, the mean over the channels of the squared difference.
+fn mean_squares(a: &Rgb8Image, b: &Rgb8Image) -> impl Iterator<Item = f64> {
     let pixels = a.data.chunks_exact(3).zip(b.data.chunks_exact(3));
-    let squares = pixels.map(|(a, b)| {
+    pixels.map(|(a, b)| {
         let squares: u32 = a.iter().zip(b).map(|(&a, &b)| u32::from(a.abs_diff(b)).pow(2)).sum();
         f64::from(squares) / 3.0
-    });
-    let mean_square = masked_mean(squares, mask);
+    })
+}
+
+fn decibels(mean_square: f64) -> f64 {
     (10.0 * (255.0 * 255.0 / mean_square).log10()).min(MAX_PSNR_DB)
 }
 
@@ -237,17 +326,24 @@ impl Holes {
             let [truth, got] = [truth, client].map(|probe| [probe.width, probe.height]);
             return Err(MetricsError::Extents { name: "the client's probe", truth, got });
         }
-        let shown = truth.instance.iter().filter(|&&instance| instance != ProbeView::BACKGROUND).count();
-        let holes: Vec<usize> = (0..truth.instance.len()).filter(|&at| is_hole(truth, client, at)).collect();
-        let beyond = holes.iter().filter(|&&at| !is_shifted_outline(truth, client, at)).count();
-        let share = |count: usize| count as f64 / shown.max(1) as f64;
-        Ok(Self { strict: share(holes.len()), beyond_outlines: share(beyond) })
+        Ok(Self::between(truth, client, &truth.geometry_mask()))
     }
 
-    /// Everything that should be seen is missing.
-    fn whole(truth: &ProbeView) -> Self {
-        let missing = if truth.coverage() > 0.0 { 1.0 } else { 0.0 };
-        Self { strict: missing, beyond_outlines: missing }
+    /// What is missing of the pixels in the mask, all of which show geometry: all, where the client had no bundle.
+    fn over(view: &View<'_>, mask: &[bool]) -> Self {
+        match view.client_probe {
+            Some(client) => Self::between(view.truth_probe, client, mask),
+            None if count(mask) > 0 => Self { strict: 1.0, beyond_outlines: 1.0 },
+            None => Self::default(),
+        }
+    }
+
+    fn between(truth: &ProbeView, client: &ProbeView, mask: &[bool]) -> Self {
+        let holes: Vec<usize> =
+            (0..mask.len()).filter(|&at| mask[at] && is_hole(truth, client, at)).collect();
+        let beyond = holes.iter().filter(|&&at| !is_shifted_outline(truth, client, at)).count();
+        let share = |part: usize| part as f64 / count(mask).max(1) as f64;
+        Self { strict: share(holes.len()), beyond_outlines: share(beyond) }
     }
 }
 
@@ -313,9 +409,27 @@ mod tests {
 
     fn measure(truth: &Rgb8Image, client: &Rgb8Image) -> FrameMetrics {
         let probe = known::probe();
-        let view =
-            View { truth, truth_probe: &probe, client, client_probe: Some(&probe), pixels_per_degree: 11.3 };
-        FrameMetrics::measure(&view).expect("the views fit")
+        let regions = Regions { animated: left_half(), shadowed: right_half() };
+        FrameMetrics::measure(&known_view(truth, client, &probe, Some(&probe), &regions))
+            .expect("the views fit")
+    }
+
+    fn known_view<'a>(
+        truth: &'a Rgb8Image,
+        client: &'a Rgb8Image,
+        truth_probe: &'a ProbeView,
+        client_probe: Option<&'a ProbeView>,
+        regions: &'a Regions,
+    ) -> View<'a> {
+        View { truth, truth_probe, client, client_probe, pixels_per_degree: 11.3, regions }
+    }
+
+    fn left_half() -> Vec<bool> {
+        (0..known::WIDTH * known::HEIGHT).map(|at| at % known::WIDTH < known::WIDTH / 2).collect()
+    }
+
+    fn right_half() -> Vec<bool> {
+        left_half().into_iter().map(|left| !left).collect()
     }
 
     #[track_caller]
@@ -344,6 +458,83 @@ mod tests {
         assert_close(picture.ssim, 0.8302392418750119, 1e-9);
         assert_close(picture.flip, 0.29911329055047897, 1e-4);
         assert_close(picture.flip_at_view, 0.38202180477629705, 1e-4);
+    }
+
+    /// The same maps, averaged over half the disc each: weighted by their pixels, the halves are the whole, whose figures are
+    /// those of the reference tools; and the halves differ, so neither is the whole's.
+    #[test]
+    fn figures_of_two_halves_make_those_of_the_whole() {
+        let FrameMetrics { picture, animated, shadowed, pixels, .. } =
+            measure(&known::truth(), &known::client());
+        let (whole, left, right) = (picture.expect("enough"), animated.picture, shadowed.picture);
+        let (left, right) = (left.expect("enough"), right.expect("enough"));
+        assert_eq!(pixels, 1245);
+        assert_eq!(animated.pixels + shadowed.pixels, pixels);
+        let joined = |of: fn(&PictureMetrics) -> f64| {
+            (of(&left) * animated.pixels as f64 + of(&right) * shadowed.pixels as f64) / pixels as f64
+        };
+        assert_close(joined(|p| p.ssim), whole.ssim, 1e-9);
+        assert_close(joined(|p| p.flip), whole.flip, 1e-9);
+        assert_close(joined(|p| p.flip_at_view), whole.flip_at_view, 1e-9);
+        assert_close(joined(|p| 10f64.powf(-p.psnr_db / 10.0)), 10f64.powf(-whole.psnr_db / 10.0), 1e-12);
+        assert!((left.psnr_db - right.psnr_db).abs() > 0.1 && (left.ssim - right.ssim).abs() > 1e-3);
+    }
+
+    #[test]
+    fn a_difference_in_one_region_is_seen_in_that_region_alone() {
+        let truth = Rgb8Image::filled(64, 48, [100; 3]).expect("a small picture");
+        // Columns 48 to 63 are one brighter; the regions end so far from there that no filter reaches over.
+        let client =
+            Rgb8Image::from_fn(64, 48, |x, _| if x >= 48 { [101; 3] } else { [100; 3] }).expect("small");
+        let everywhere =
+            ProbeView { width: 64, height: 48, instance: vec![3; 64 * 48], depth_m: vec![2.0; 64 * 48] };
+        let column = |from: u32, to: u32| (0..64 * 48).map(|at| (from..to).contains(&(at % 64))).collect();
+        let regions = Regions { animated: column(0, 8), shadowed: column(48, 64) };
+        let view = known_view(&truth, &client, &everywhere, Some(&everywhere), &regions);
+        let metrics = FrameMetrics::measure(&view).expect("the views fit");
+        let (far, here) =
+            (metrics.animated.picture.expect("enough"), metrics.shadowed.picture.expect("enough"));
+        assert_eq!((far.psnr_db, far.flip), (MAX_PSNR_DB, 0.0));
+        assert_close(far.ssim, 1.0, 1e-12);
+        assert_close(here.psnr_db, 20.0 * 255f64.log10(), 1e-12);
+        assert!(here.flip > 0.0 && here.ssim < 1.0);
+        // A quarter of the pixels: 6.02 dB above.
+        assert_close(
+            metrics.picture.expect("enough").psnr_db,
+            20.0 * 255f64.log10() + 10.0 * 4f64.log10(),
+            1e-12,
+        );
+    }
+
+    #[test]
+    fn holes_of_a_region_are_a_share_of_the_region() {
+        let truth = probe(&["1111", "1111", "2222", "2222"]);
+        let client = probe(&["1111", "1111", "2...", "2222"]);
+        let picture = Rgb8Image::filled(4, 4, [0; 3]).expect("a small picture");
+        let regions = Regions {
+            animated: truth.instance.iter().map(|instance| *instance == 2).collect(),
+            shadowed: truth.instance.iter().map(|instance| *instance == 1).collect(),
+        };
+        let metrics = |client: Option<&ProbeView>| {
+            let view = known_view(&picture, &picture, &truth, client, &regions);
+            FrameMetrics::measure(&view).expect("the views fit")
+        };
+        let some = metrics(Some(&client));
+        assert_eq!((some.holes.strict, some.animated.holes.strict), (3.0 / 16.0, 3.0 / 8.0));
+        assert_eq!((some.shadowed.holes.strict, some.animated.pixels), (0.0, 8));
+        assert_eq!(some.animated.picture, None, "eight pixels are too few");
+        assert_eq!(metrics(None).animated.holes.strict, 1.0, "without a bundle all of it is missing");
+    }
+
+    #[test]
+    fn regions_without_geometry_are_empty() {
+        let truth = probe(&["....", "1111"]);
+        let picture = Rgb8Image::filled(4, 2, [0; 3]).expect("a small picture");
+        let first_row: Vec<bool> = (0..8).map(|at| at < 4).collect();
+        let regions = Regions { animated: first_row, ..Regions::none(8) };
+        let view = known_view(&picture, &picture, &truth, None, &regions);
+        let metrics = FrameMetrics::measure(&view).expect("the views fit");
+        assert_eq!((metrics.animated.pixels, metrics.animated.holes), (0, Holes::default()));
     }
 
     #[test]
@@ -396,13 +587,8 @@ mod tests {
         let shown: Vec<usize> = (0..probe.instance.len()).filter(|&at| probe.instance[at] == 7).collect();
         shown[..21].iter().for_each(|&at| probe.instance[at] = ProbeView::BACKGROUND);
         let (truth, client) = (known::truth(), known::client());
-        let view = View {
-            truth: &truth,
-            truth_probe: &probe,
-            client: &client,
-            client_probe: Some(&probe),
-            pixels_per_degree: 20.0,
-        };
+        let regions = Regions::none(probe.instance.len());
+        let view = known_view(&truth, &client, &probe, Some(&probe), &regions);
         let metrics = FrameMetrics::measure(&view).expect("the views fit");
         assert!(!metrics.compared() && metrics.truth_coverage < MIN_TRUTH_COVERAGE);
     }
@@ -410,13 +596,8 @@ mod tests {
     #[test]
     fn a_frame_without_a_bundle_is_all_holes() {
         let (truth, client, probe) = (known::truth(), known::client(), known::probe());
-        let view = View {
-            truth: &truth,
-            truth_probe: &probe,
-            client: &client,
-            client_probe: None,
-            pixels_per_degree: 20.0,
-        };
+        let regions = Regions::none(probe.instance.len());
+        let view = known_view(&truth, &client, &probe, None, &regions);
         let metrics = FrameMetrics::measure(&view).expect("the views fit");
         assert_eq!(metrics.holes, Holes { strict: 1.0, beyond_outlines: 1.0 });
         assert!(metrics.compared() && !metrics.has_bundle);
@@ -426,13 +607,8 @@ mod tests {
     fn views_of_different_extents_are_refused() {
         let (truth, probe) = (known::truth(), known::probe());
         let small = Rgb8Image::filled(48, 64, [0; 3]).expect("a small picture");
-        let view = View {
-            truth: &truth,
-            truth_probe: &probe,
-            client: &small,
-            client_probe: None,
-            pixels_per_degree: 20.0,
-        };
+        let regions = Regions::none(probe.instance.len());
+        let view = known_view(&truth, &small, &probe, None, &regions);
         let error = FrameMetrics::measure(&view).expect_err("the extents differ").to_string();
         assert!(
             error.contains("64x48") && error.contains("48x64") && error.contains("client's picture"),
@@ -518,6 +694,10 @@ mod tests {
     #[test]
     fn an_empty_truth_has_no_holes() {
         assert_holes(&probe(&["...."]), &probe(&["11.."]), 0.0, 0.0);
-        assert_eq!(Holes::whole(&probe(&["...."])), Holes::default());
+        let empty = probe(&["...."]);
+        let picture = Rgb8Image::filled(4, 1, [0; 3]).expect("a small picture");
+        let regions = Regions::none(4);
+        let view = known_view(&picture, &picture, &empty, None, &regions);
+        assert_eq!(FrameMetrics::measure(&view).expect("the views fit").holes, Holes::default());
     }
 }

@@ -1,49 +1,77 @@
-//! How well the client's animated vertices follow the true animation: positions at every display frame against the
-//! source curves at the true time of display.
+//! How well the client's animated vertices follow the true animation: what the client's memory holds at every display frame,
+//! read back, against the source curves at the true time of display.
+//!
+//! Every vertex counts from the first frame on in which it is drawn, so quantisation, clock and whatever the link does are
+//! in the figures.
 
+use crate::percentiles::Percentiles;
 use crate::session::Lab;
-use glam::{Affine3A, Vec3};
+use crate::truth::InstancePose;
+use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
+use shadecast_client::client::FrameReport;
+use shadecast_protocol::ids::FrameId;
 use shadecast_protocol::time::ServerTime;
-use shadecast_scene::animation::pose;
-use std::collections::HashMap;
+use shadecast_scene::Scene;
+use shadecast_server::residency::Residency;
+use shadecast_server::scene_gpu::SceneGpu;
+use std::collections::{HashMap, VecDeque};
+use std::fmt;
 
-/// Every so many vertices one is followed.
-const STRIDE: u32 = 7;
-/// Vertices that travel less than this (metres, diagonal of the box around their path) say nothing about interpolation.
+/// A share of a vertex's range says something of it only where the vertex travels at least this, metres: the diagonal of
+/// the box around its way. Millimetres and pixels count for all.
 const MIN_RANGE_M: f32 = 0.25;
-/// A slot's new vertex is on its way to the client for a while; until so many display frames have passed, the slot is not
-/// looked at.
-const SETTLED_FRAMES: u64 = 30;
-
-/// Times over a clip at which the range of a vertex's motion is looked at.
+/// Times at which the range of a vertex's motion is looked at.
 const RANGE_TIMES: u32 = 48;
+/// Updates of which the lab remembers who lived in which slot.
+const REMEMBERED_UPDATES: usize = 512;
+/// Pixels of the paper's picture, 1300 over 90 degrees, at a distance of as many metres as the error is long.
+const PIXELS_PER_UNIT: f64 = 1300.0 / 2.0;
+/// Distance at which millimetres become the pixels of the bar.
+const BAR_DISTANCE_M: f64 = 2.0;
+/// Nobody looks at anything nearer.
+const LEAST_DISTANCE_M: f64 = 0.05;
 
-/// Positions of some vertices over a run.
+/// Which animated vertex was in which slot of the client's memory, by update: what the client shows belongs to an update
+/// that the server has left behind.
+#[derive(Debug, Default)]
+pub struct Residents {
+    by_frame: VecDeque<(FrameId, Vec<(u32, u32)>)>,
+}
+
+impl Residents {
+    /// Notes how an update leaves the client's memory.
+    pub fn note(&mut self, frame: FrameId, residency: &Residency) {
+        let sampled = residency.sampled().map(|(slot, vertex)| (slot.0, vertex)).collect();
+        self.by_frame.push_back((frame, sampled));
+        if self.by_frame.len() > REMEMBERED_UPDATES {
+            self.by_frame.pop_front();
+        }
+    }
+
+    /// Slots and scene-wide vertices of an update, ascending by slot; forgets the updates before it.
+    fn at(&mut self, frame: FrameId) -> Option<&[(u32, u32)]> {
+        while self.by_frame.front().is_some_and(|(known, _)| *known < frame) {
+            self.by_frame.pop_front();
+        }
+        self.by_frame.front().filter(|(known, _)| *known == frame).map(|(_, sampled)| &sampled[..])
+    }
+}
+
+/// What was seen over a run.
 #[derive(Debug, Default)]
 pub struct Motion {
-    /// By scene-wide vertex number.
-    paths: HashMap<u32, Path>,
     frames: u64,
-    /// By slot: the vertex that the server put there, since which display frame, and until which.
-    tenants: HashMap<u32, Tenant>,
-    /// By instance: palettes spread over its clip.
-    clips: HashMap<usize, Vec<Vec<Affine3A>>>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Tenant {
-    vertex: u32,
-    since: u64,
-    until: u64,
-}
-
-#[derive(Debug)]
-struct Path {
-    /// Diagonal of the box around the vertex's way through the whole clip, metres.
-    range_m: f32,
-    /// Display frame, shown and true position.
-    places: Vec<(u64, Vec3, Vec3)>,
+    /// By scene-wide vertex number: the display frame in which it was drawn last, and where.
+    last: HashMap<u32, (u64, Vec3)>,
+    /// By instance and vertex of its model: diagonal of the box around its way, metres.
+    ranges: HashMap<usize, Vec<f32>>,
+    ranged_vertices: u64,
+    pairs: u64,
+    moved: u64,
+    errors_mm: Percentiles,
+    errors_px: Percentiles,
+    errors_percent: Percentiles,
 }
 
 /// What came of it.
@@ -51,107 +79,164 @@ struct Path {
 pub struct MotionReport {
     /// Display frames looked at.
     pub frames: u64,
-    /// Vertices with enough motion.
+    /// Vertices that were drawn in any of them.
     pub vertices: u64,
-    /// Share of pairs of successive display frames in which a vertex was at another place.
-    pub moved_share: f64,
-    /// Largest distance from the true position, in percent of the vertex's own range.
-    pub max_error_percent_of_range: f64,
-    /// 99th percentile of the same.
-    pub p99_error_percent_of_range: f64,
-    /// Largest distance, millimetres.
+    /// Largest distance from the true position, millimetres.
     pub max_error_mm: f64,
+    /// 99 of 100 are no larger; likewise below.
+    pub p99_error_mm: f64,
+    /// The same in pixels of a picture of 1300 over 90 degrees, at the vertex's true distance from the nearer eye.
+    pub max_error_px: f64,
+    /// The same.
+    pub p99_error_px: f64,
+    /// The largest distance in such pixels, as if it were seen from 2 m.
+    pub max_error_px_at_2m: f64,
+    /// Of those vertices, the ones that travel at least 0.25 m.
+    pub ranged_vertices: u64,
+    /// Their largest distance, in percent of each one's own range; none where none travels so far.
+    pub max_error_percent_of_range: Option<f64>,
+    /// The same.
+    pub p99_error_percent_of_range: Option<f64>,
+    /// Share of pairs of successive display frames in which such a vertex was at another place.
+    pub moved_share: Option<f64>,
 }
 
 impl Motion {
-    /// Notes where the vertices are that both the client and the server's residency hold.
+    /// Compares the vertices that a display frame has just drawn; `time` is the true time of its display.
     ///
     /// # Errors
     /// The client cannot read its memory back.
-    pub fn look(&mut self, lab: &Lab, time: ServerTime) -> anyhow::Result<()> {
-        let Some(frame) = &lab.server.frame else { return Ok(()) };
+    pub fn look(&mut self, lab: &mut Lab, shown: &FrameReport, time: ServerTime) -> anyhow::Result<()> {
+        let (Some(frame), Some(head)) = (shown.frame, lab.client.head_state()) else { return Ok(()) };
+        let Some(residents) = lab.server.residents.at(frame) else { return Ok(()) };
         let positions = lab.client.read_positions()?;
         let scene = &lab.server.scene;
-        let mut palettes: HashMap<usize, Vec<Affine3A>> = HashMap::new();
+        let eyes = head.eyes.map(|eye| head.world_from_head.then(eye.head_from_eye).position.as_dvec3());
+        let mut poses: HashMap<usize, InstancePose> = HashMap::new();
         self.frames += 1;
-        for (slot, vertex) in frame.residency().sampled().filter(|(_, vertex)| vertex % STRIDE == 0) {
-            if !self.has_settled(slot.0, vertex) {
-                continue;
-            }
-            let Some([x, y, z, state]) = positions.get(slot.index()).copied() else { continue };
+        for (slot, vertex) in residents {
+            let Some([x, y, z, state]) = positions.get(*slot as usize).copied() else { continue };
             if state == 0.0 {
-                continue; // on its way
+                continue; // not drawn: its samples are still on their way
             }
-            let index = scene.instance_of_vertex(vertex);
-            let instance = &scene.scene.instances[index];
-            let model = &scene.scene.models[instance.model];
-            let duration_s = model.duration_s(instance.clip);
-            let at = |phase_s: f64| pose::source_palette(model, instance.clip, phase_s);
-            let now_s = instance.clip_phase_s(duration_s, time.seconds());
-            let palette = palettes.entry(index).or_insert_with(|| at(now_s));
-            let v = &model.vertices[(vertex - scene.instances[index].first_vertex) as usize];
-            let place = |palette: &[Affine3A]| {
-                (instance.world_from_model(time.seconds()) * pose::blend(palette, v.joints, v.weights))
-                    .transform_point3(v.position)
-            };
-            let truth = place(palette);
-            let path = self.paths.entry(vertex).or_insert_with(|| {
-                let moment = |i: u32| f64::from(duration_s) * f64::from(i) / f64::from(RANGE_TIMES);
-                let clip = self.clips.entry(index);
-                let clip = clip.or_insert_with(|| (0..RANGE_TIMES).map(|i| at(moment(i))).collect());
-                Path { range_m: range_m(clip.iter().map(|palette| place(palette))), places: Vec::new() }
-            });
-            path.places.push((self.frames, Vec3::new(x, y, z), truth));
+            let index = scene.instance_of_vertex(*vertex);
+            let pose =
+                poses.entry(index).or_insert_with(|| InstancePose::at(&scene.scene, index, time.seconds()));
+            let number = (*vertex - scene.instances[index].first_vertex) as usize;
+            let truth = pose.vertex(&scene.scene.models[scene.instances[index].model], number);
+            let range_m = self.range_m(scene, index, number);
+            self.add(*vertex, Vec3::new(x, y, z), truth, range_m, eyes);
         }
         Ok(())
     }
 
-    /// Whether the vertex has been in the slot for so long that the client has it too.
-    fn has_settled(&mut self, slot: u32, vertex: u32) -> bool {
-        let frames = self.frames;
-        let fresh = Tenant { vertex, since: frames, until: frames };
-        let tenant = self.tenants.entry(slot).or_insert(fresh);
-        if tenant.vertex != vertex || tenant.until + 1 < frames {
-            *tenant = fresh;
+    fn add(&mut self, vertex: u32, shown: Vec3, truth: DVec3, range_m: f32, eyes: [DVec3; 2]) {
+        let error_m = shown.as_dvec3().distance(truth);
+        let nearer_m = eyes.map(|eye| eye.distance(truth)).into_iter().fold(f64::INFINITY, f64::min);
+        self.errors_mm.add(error_m * 1e3);
+        self.errors_px.add(error_m / nearer_m.max(LEAST_DISTANCE_M) * PIXELS_PER_UNIT);
+        let before = self.last.insert(vertex, (self.frames, shown));
+        if range_m < MIN_RANGE_M {
+            return;
         }
-        tenant.until = frames;
-        frames - tenant.since >= SETTLED_FRAMES
+        self.errors_percent.add(error_m / f64::from(range_m) * 100.0);
+        self.ranged_vertices += u64::from(before.is_none());
+        if let Some((_, place)) = before.filter(|(frame, _)| frame + 1 == self.frames) {
+            self.pairs += 1;
+            self.moved += u64::from(place != shown);
+        }
     }
 
-    /// The figures; `None` where nothing moved enough.
+    fn range_m(&mut self, scene: &SceneGpu, index: usize, number: usize) -> f32 {
+        self.ranges.entry(index).or_insert_with(|| ranges_m(&scene.scene, index))[number]
+    }
+
+    /// The figures; `None` where no animated vertex was drawn.
     pub fn report(&self) -> Option<MotionReport> {
-        let mut errors = Vec::new();
-        let (mut pairs, mut moved, mut vertices, mut max_mm) = (0u64, 0u64, 0u64, 0.0f64);
-        for path in self.paths.values() {
-            if path.range_m < MIN_RANGE_M {
-                continue;
-            }
-            vertices += 1;
-            for (_, shown, truth) in &path.places {
-                let error_m = f64::from(shown.distance(*truth));
-                errors.push(error_m / f64::from(path.range_m) * 100.0);
-                max_mm = max_mm.max(error_m * 1000.0);
-            }
-            for pair in path.places.windows(2).filter(|pair| pair[1].0 == pair[0].0 + 1) {
-                pairs += 1;
-                moved += u64::from(pair[0].1 != pair[1].1);
-            }
-        }
-        errors.sort_by(f64::total_cmp);
-        let last = errors.len().checked_sub(1)?;
+        let max_error_mm = self.errors_mm.largest()?;
         Some(MotionReport {
             frames: self.frames,
-            vertices,
-            moved_share: moved as f64 / pairs.max(1) as f64,
-            max_error_percent_of_range: errors[last],
-            p99_error_percent_of_range: errors[last * 99 / 100],
-            max_error_mm: max_mm,
+            vertices: self.last.len() as u64,
+            max_error_mm,
+            p99_error_mm: self.errors_mm.at(99.0)?,
+            max_error_px: self.errors_px.largest()?,
+            p99_error_px: self.errors_px.at(99.0)?,
+            max_error_px_at_2m: max_error_mm * 1e-3 / BAR_DISTANCE_M * PIXELS_PER_UNIT,
+            ranged_vertices: self.ranged_vertices,
+            max_error_percent_of_range: self.errors_percent.largest(),
+            p99_error_percent_of_range: self.errors_percent.at(99.0),
+            moved_share: (self.pairs > 0).then(|| self.moved as f64 / self.pairs as f64),
         })
     }
 }
 
-fn range_m(places: impl Iterator<Item = Vec3>) -> f32 {
-    let (low, high) =
-        places.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
-    (high - low).length()
+impl fmt::Display for MotionReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { max_error_mm, p99_error_mm, max_error_px, p99_error_px, .. } = self;
+        write!(
+            out,
+            "  motion          {max_error_mm:.2} mm at worst ({p99_error_mm:.2} mm in 99 of 100 cases), "
+        )?;
+        write!(out, "{max_error_px:.2} pixels ({p99_error_px:.2}); {} vertices", self.vertices)?;
+        let (Some(max), Some(p99), Some(moved)) =
+            (self.max_error_percent_of_range, self.p99_error_percent_of_range, self.moved_share)
+        else {
+            return Ok(());
+        };
+        let moved = moved * 100.0;
+        write!(out, "; {max:.3} % of range ({p99:.3} %), moved in {moved:.1} % of frames")
+    }
+}
+
+/// How far each vertex of an instance travels over its clip and its path, whichever is longer.
+fn ranges_m(scene: &Scene, index: usize) -> Vec<f32> {
+    let instance = &scene.instances[index];
+    let model = &scene.models[instance.model];
+    let once_s = |duration_s: f32, speed: f32| f64::from(duration_s / speed.abs().max(1e-3));
+    let of_path = instance.path.as_ref().map_or(0.0, |path| once_s(path.clip.duration_s, path.speed));
+    let period_s = once_s(model.duration_s(instance.clip), instance.speed).max(of_path);
+    let mut boxes = vec![(DVec3::INFINITY, DVec3::NEG_INFINITY); model.vertices.len()];
+    for moment in 0..RANGE_TIMES {
+        let pose = InstancePose::at(scene, index, period_s * f64::from(moment) / f64::from(RANGE_TIMES));
+        for (number, (low, high)) in boxes.iter_mut().enumerate() {
+            let at = pose.vertex(model, number);
+            (*low, *high) = (low.min(at), high.max(at));
+        }
+    }
+    boxes.into_iter().map(|(low, high)| (high - low).length() as f32).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shadecast_scene::load::{SceneSource, load_scene};
+
+    #[test]
+    fn an_error_is_counted_in_millimetres_and_pixels_and_where_it_travels_in_percent() {
+        let mut motion = Motion::default();
+        assert_eq!(motion.report(), None);
+        let eyes = [DVec3::ZERO, DVec3::new(0.0, 0.0, 4.0)];
+        motion.frames = 1;
+        motion.add(7, Vec3::new(0.0, 0.001, -2.0), DVec3::new(0.0, 0.0, -2.0), 0.5, eyes);
+        motion.add(8, Vec3::new(0.0, 0.0, -1.0), DVec3::new(0.0, 0.0005, -1.0), 0.01, eyes);
+        motion.frames = 2;
+        motion.add(7, Vec3::new(0.0, 0.001, -2.0), DVec3::new(0.0, 0.0, -2.0), 0.5, eyes);
+        let report = motion.report().expect("vertices");
+        let close =
+            |found: f64, wanted: f64| assert!((found - wanted).abs() < 1e-4 * wanted, "{found} {wanted}");
+        close(report.max_error_mm, 1.0);
+        close(report.max_error_px, 0.001 / 2.0 * 650.0);
+        close(report.max_error_px_at_2m, 0.325);
+        close(report.max_error_percent_of_range.expect("one travels"), 0.2);
+        assert_eq!((report.vertices, report.ranged_vertices, report.frames), (2, 1, 2));
+        assert_eq!(report.moved_share, Some(0.0), "it stayed where it was");
+    }
+
+    #[test]
+    fn wings_travel_and_the_ground_does_not() {
+        let scene = load_scene(&SceneSource::Dragons(1)).expect("built in");
+        let largest = |index| ranges_m(&scene, index).into_iter().fold(0.0, f32::max);
+        assert!((0.5..3.0).contains(&largest(0)), "{}", largest(0));
+        assert_eq!(largest(1), 0.0);
+    }
 }

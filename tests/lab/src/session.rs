@@ -4,6 +4,7 @@
 //! two runs are the same. The client is the one that ships: it draws through the system's OpenXR loader into the mock
 //! runtime, whose clock moves on by one period per `xrWaitFrame`.
 
+use crate::motion::Residents;
 use crate::options::{Renderer, RunOptions, StageMs};
 use anyhow::{Context, bail};
 use shadecast_client::client::{Client, ClientOptions, FrameReport, Step};
@@ -20,7 +21,9 @@ use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::{DisplayTime, ServerTime};
 use shadecast_protocol::wire::PictureHeader;
+use shadecast_scene::Scene;
 use shadecast_scene::load::load_scene;
+use shadecast_scene::suggest::did_you_mean_or_list;
 use shadecast_server::encode::Encoder;
 use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
 use shadecast_server::frame::{Frame, Shaded};
@@ -66,6 +69,8 @@ pub struct Server {
     pub sent: Sent,
     /// The last update's planes and their extent, for the atlas picture.
     pub last: Option<Shaded>,
+    /// Who was in the client's memory at which update.
+    pub residents: Residents,
     session: ServerSession,
     /// The sending half of the session, once it stands.
     sender: Option<DeltaSender>,
@@ -111,7 +116,10 @@ const MAX_IDLE_TURNS: u32 = 100;
 impl Server {
     /// Opens the server's device and loads the scene.
     pub fn new(options: &RunOptions) -> anyhow::Result<Self> {
-        let scene = load_scene(&options.scene)?;
+        let mut scene = load_scene(&options.scene)?;
+        if let Some(clip) = &options.clip {
+            play_clip(&mut scene, clip)?;
+        }
         let gpu_options = GpuOptions {
             needs: Needs::Server,
             validation: options.validation,
@@ -126,6 +134,7 @@ impl Server {
             frame: None,
             sent: Sent::default(),
             last: None,
+            residents: Residents::default(),
             session,
             sender: None,
             gate: UpdateGate::new(period_ns(options.rate_hz)),
@@ -158,10 +167,8 @@ impl Server {
             match event {
                 ServerEvent::Asked { hello, welcome } => {
                     self.sender = self.session.accept();
-                    let settings = EncoderSettings {
-                        qp: self.qp,
-                        ..EncoderSettings::for_atlas(welcome.atlas_extent_texels)
-                    };
+                    let settings =
+                        EncoderSettings::for_stream(welcome.atlas_extent_texels, self.qp, self.rate_hz);
                     self.encoder = Some(Box::new(OpenH264Encoder::new(settings)?));
                     self.frame = Some(Frame::new(&self.gpu, &self.scene, &welcome, &hello.capabilities)?);
                 }
@@ -195,6 +202,11 @@ impl Server {
         self.gate.sent(header.frame, Kind::Picture, stream_bytes(&out), now_ns);
         self.streams.push_back(out);
         Ok(())
+    }
+
+    /// Patches that were visible but had no room, in the atlas or in the client's memory.
+    pub fn dropped_patches(&self) -> u64 {
+        self.frame.as_ref().map_or(0, |frame| frame.dropped_patches())
     }
 
     fn count(&mut self, sizes: DeltaSizes) {
@@ -412,6 +424,7 @@ impl Lab {
         frame.limit_geometry(server.gate.geometry_bytes(now_ns));
         let Some(shaded) = frame.update(ServerTime(now_ns - SERVER_EPOCH_NS))? else { return Ok(()) };
         server.sent.updates += 1;
+        server.residents.note(shaded.frame, frame.residency());
         let shaded_ns = now_ns + self.stages.ns(self.stages.server);
         server.last = Some(shaded.clone());
         if self.renderer == Renderer::Stream {
@@ -455,6 +468,22 @@ fn stream_bytes(out: &Out) -> usize {
     match out {
         Out::Control(bytes) | Out::Datagram(bytes) | Out::Stream { bytes, .. } => bytes.len(),
     }
+}
+
+/// Lets every instance that plays a clip play the one of this name.
+fn play_clip(scene: &mut Scene, name: &str) -> anyhow::Result<()> {
+    let mut found = false;
+    for instance in scene.instances.iter_mut().filter(|instance| instance.clip.is_some()) {
+        let clips = &scene.models[instance.model].clips;
+        if let Some(clip) = clips.iter().position(|clip| clip.name == name) {
+            (instance.clip, found) = (Some(clip), true);
+        }
+    }
+    if !found {
+        let names = scene.models.iter().flat_map(|model| model.clips.iter().map(|clip| clip.name.as_str()));
+        bail!("no animated instance has a clip \"{name}\"{}", did_you_mean_or_list(name, names, "there are"));
+    }
+    Ok(())
 }
 
 /// The planes as a decoder would give them: the renderer without codec and network.

@@ -94,6 +94,10 @@ pub struct StageReport {
     pub floor_ms: f64,
     /// Time divided by the floor of its round; median.
     pub over_floor: f64,
+    /// The least that it can take at the round's plain copy rate alone, whatever invocations cost; median.
+    pub copy_floor_ms: f64,
+    /// Time divided by that; median.
+    pub over_copy_floor: f64,
     /// Bytes that cannot but be moved.
     pub floor_bytes: u64,
     /// vec4 that cannot but be fetched or stored, four scalars for one.
@@ -167,22 +171,34 @@ struct Variant {
     rounds: Vec<Round>,
 }
 
-/// Milliseconds of each stage and its floor at the rates of the round.
+/// Milliseconds of each stage and its floors at the rates of the round.
 #[derive(Clone, Debug, Default)]
 struct Round {
-    stages: BTreeMap<&'static str, (f64, f64)>,
+    stages: BTreeMap<&'static str, Measured>,
+}
+
+/// Milliseconds.
+#[derive(Clone, Copy, Debug, Default)]
+struct Measured {
+    took: f64,
+    floor: f64,
+    copy_floor: f64,
 }
 
 impl Round {
     fn position_ms(&self) -> f64 {
-        let of = |stage: &str| self.stages.get(stage).map_or(0.0, |(ms, _)| *ms);
+        let of = |stage: &str| self.stages.get(stage).map_or(0.0, |stage| stage.took);
         of("palette") + of("skin")
     }
 
-    /// Time and floor of the stages that `is_wanted` names.
-    fn sum(&self, is_wanted: impl Fn(&str) -> bool) -> (f64, f64) {
+    /// Time and floors of the stages that `is_wanted` names.
+    fn sum(&self, is_wanted: impl Fn(&str) -> bool) -> Measured {
         let wanted = self.stages.iter().filter(|(stage, _)| is_wanted(stage));
-        wanted.fold((0.0, 0.0), |sum, (_, stage)| (sum.0 + stage.0, sum.1 + stage.1))
+        wanted.fold(Measured::default(), |sum, (_, stage)| Measured {
+            took: sum.took + stage.took,
+            floor: sum.floor + stage.floor,
+            copy_floor: sum.copy_floor + stage.copy_floor,
+        })
     }
 }
 
@@ -201,7 +217,8 @@ impl Variant {
         let mut round = Round::default();
         for (stage, ms) in gpu.take_timings_ms() {
             if let Some(floor) = self.floors.get(stage) {
-                round.stages.insert(stage, (ms, floor.ms(rates)));
+                let copy_floor = floor.copy_ms(rates);
+                round.stages.insert(stage, Measured { took: ms, floor: floor.ms(rates), copy_floor });
             }
         }
         self.rounds.push(round);
@@ -225,15 +242,16 @@ impl Variant {
     }
 
     fn stage(&self, is_wanted: impl Fn(&str) -> bool) -> StageReport {
-        let of = |value: fn((f64, f64)) -> f64| {
-            median(self.rounds.iter().map(|round| value(round.sum(&is_wanted))))
-        };
+        let of =
+            |value: fn(Measured) -> f64| median(self.rounds.iter().map(|round| value(round.sum(&is_wanted))));
         let floors = self.floors.iter().filter(|(stage, _)| is_wanted(stage)).map(|(_, floor)| floor);
         let (bytes, scalars) = floors.fold((0, 0), |sum, f| (sum.0 + f.bytes, sum.1 + f.scalars));
         StageReport {
-            ms: of(|(ms, _)| ms),
-            floor_ms: of(|(_, floor_ms)| floor_ms),
-            over_floor: of(|(ms, floor_ms)| ms / floor_ms),
+            ms: of(|stage| stage.took),
+            floor_ms: of(|stage| stage.floor),
+            over_floor: of(|stage| stage.took / stage.floor),
+            copy_floor_ms: of(|stage| stage.copy_floor),
+            over_copy_floor: of(|stage| stage.took / stage.copy_floor),
             floor_bytes: bytes,
             floor_fetches: scalars / 4,
         }
@@ -320,9 +338,12 @@ struct Floor {
 
 impl Floor {
     fn ms(&self, rates: &Rates) -> f64 {
-        let by_bytes = self.bytes as f64 / rates.copy_bytes_per_s;
         let by_fetches = self.scalars as f64 / 4.0 / rates.fetches_per_s;
-        by_bytes.max(by_fetches) * 1e3
+        self.copy_ms(rates).max(by_fetches * 1e3)
+    }
+
+    fn copy_ms(&self, rates: &Rates) -> f64 {
+        self.bytes as f64 / rates.copy_bytes_per_s * 1e3
     }
 }
 
@@ -400,8 +421,8 @@ impl fmt::Display for SkinningReport {
         )?;
         writeln!(
             out,
-            "{:<17} {:<12} {:>10} {:>9} {:>9} {:>9} {:>11}",
-            "", "", "products", "blends", "ms", "floor", "over floor"
+            "{:<17} {:<12} {:>10} {:>9} {:>9} {:>9} {:>11} {:>11} {:>10}",
+            "", "", "products", "blends", "ms", "floor", "over floor", "copy floor", "over it"
         )?;
         for v in &self.variants {
             let (name, products, blends) = (&v.name, v.matrix_products, v.blended_matrices);
@@ -421,6 +442,7 @@ impl fmt::Display for SkinningReport {
 
 impl fmt::Display for StageReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{:>9.3} {:>9.3} {:>10.2}x", self.ms, self.floor_ms, self.over_floor)
+        write!(out, "{:>9.3} {:>9.3} {:>10.2}x", self.ms, self.floor_ms, self.over_floor)?;
+        write!(out, " {:>11.3} {:>9.2}x", self.copy_floor_ms, self.over_copy_floor)
     }
 }

@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::metrics::{FrameMetrics, PictureMetrics};
+use crate::metrics::{FrameMetrics, PictureMetrics, RegionMetrics};
+use crate::options::StageMs;
 
 /// Payload rates, in megabits (10^6) per second of the run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -39,6 +40,13 @@ pub struct Counted {
     pub gpu_ms: BTreeMap<String, f64>,
     /// Messages of the validation layers, warnings and errors.
     pub validation_messages: u64,
+    /// Patches that were visible but had no room, summed over all updates.
+    pub dropped_patches: u64,
+    /// Differences of the client's estimate of the server's clock from the truth, milliseconds, one for each display
+    /// frame; empty where there is nothing to estimate.
+    pub clock_errors_ms: Vec<f64>,
+    /// Durations of stages in virtual time; none in real time.
+    pub stage_ms: Option<StageMs>,
 }
 
 /// The contents of `stats.json`. Figures that could not be measured are null.
@@ -74,6 +82,12 @@ pub struct Stats {
     pub psnr_db_worst: Option<f64>,
     /// Share of holes of the worst compared view.
     pub hole_fraction_worst: Option<f64>,
+    /// The same over the pixels whose truth shows an animated instance.
+    #[serde(default)]
+    pub animated: RegionStats,
+    /// The same over still surfaces on which a moving shadow falls, or has fallen within the last second.
+    #[serde(default)]
+    pub shadowed: RegionStats,
     /// Views whose figures are in the means: one for each eye of each dumped frame with enough geometry.
     pub frames_compared: u64,
     /// Views left out, because the truth shows geometry in less than 40 % of the picture.
@@ -84,6 +98,38 @@ pub struct Stats {
     pub validation_messages: u64,
     /// Mean milliseconds per update that each GPU stage of the server took.
     pub gpu_ms: BTreeMap<String, f64>,
+    /// Patches that were visible but had no room in the atlas or the client's memory, summed over all updates.
+    #[serde(default)]
+    pub dropped_patches: u64,
+    /// Largest difference of the client's estimate of the server's clock from the truth at a display frame; null where both
+    /// have one clock, and in real time, where nobody knows.
+    #[serde(default)]
+    pub clock_error_ms: Option<f64>,
+    /// 99 of 100 display frames have no larger difference.
+    #[serde(default)]
+    pub clock_error_p99_ms: Option<f64>,
+    /// Milliseconds that stages took in virtual time; null in real time.
+    #[serde(default)]
+    pub stage_ms: Option<StageMs>,
+}
+
+/// The picture figures of a part of the pixels, means over the compared views that have enough of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RegionStats {
+    /// In dB.
+    pub psnr_db: Option<f64>,
+    /// 1 is identical.
+    pub ssim: Option<f64>,
+    /// At 67 pixels per degree, 0 is identical.
+    pub flip: Option<f64>,
+    /// Share of it that is missing.
+    pub hole_fraction: Option<f64>,
+    /// PSNR of the worst view, in dB.
+    pub psnr_db_worst: Option<f64>,
+    /// Its pixels as a share of all compared pixels.
+    pub share: Option<f64>,
+    /// Views that have enough of it.
+    pub views: u64,
 }
 
 /// Why `stats.json` could not be written.
@@ -131,6 +177,7 @@ impl Summary {
 
     /// Joins the figures of all frames with what was counted beside them.
     pub fn finish(&self, counted: Counted) -> Stats {
+        let (clock_error_ms, clock_error_p99_ms) = worst_and_p99(counted.clock_errors_ms);
         let without_bundle = self.compared.iter().filter(|(_, frame)| !frame.has_bundle).count();
         Stats {
             device: counted.device,
@@ -148,11 +195,37 @@ impl Summary {
             hole_fraction_beyond_outlines: self.mean(|_, frame| frame.holes.beyond_outlines),
             psnr_db_worst: self.values(|picture, _| picture.psnr_db).reduce(f64::min),
             hole_fraction_worst: self.values(|_, frame| frame.holes.strict).reduce(f64::max),
+            animated: self.region(|frame| frame.animated),
+            shadowed: self.region(|frame| frame.shadowed),
             frames_compared: self.frames_compared(),
             frames_too_empty: self.too_empty,
             frames_without_bundle: without_bundle as u64,
             validation_messages: counted.validation_messages,
             gpu_ms: counted.gpu_ms,
+            dropped_patches: counted.dropped_patches,
+            clock_error_ms,
+            clock_error_p99_ms,
+            stage_ms: counted.stage_ms,
+        }
+    }
+
+    fn region(&self, of: fn(&FrameMetrics) -> RegionMetrics) -> RegionStats {
+        let regions = || self.compared.iter().map(|(_, frame)| of(frame));
+        let counted: Vec<(PictureMetrics, f64)> =
+            regions().filter_map(|region| Some((region.picture?, region.holes.strict))).collect();
+        let mean = |figure: fn(&(PictureMetrics, f64)) -> f64| {
+            (!counted.is_empty()).then(|| counted.iter().map(figure).sum::<f64>() / counted.len() as f64)
+        };
+        let all: usize = self.compared.iter().map(|(_, frame)| frame.pixels).sum();
+        RegionStats {
+            psnr_db: mean(|(picture, _)| picture.psnr_db),
+            ssim: mean(|(picture, _)| picture.ssim),
+            flip: mean(|(picture, _)| picture.flip),
+            hole_fraction: mean(|(_, holes)| *holes),
+            psnr_db_worst: counted.iter().map(|(picture, _)| picture.psnr_db).reduce(f64::min),
+            share: (all > 0)
+                .then(|| regions().map(|region| region.pixels).sum::<usize>() as f64 / all as f64),
+            views: counted.len() as u64,
         }
     }
 
@@ -164,6 +237,13 @@ impl Summary {
         let count = self.compared.len();
         (count > 0).then(|| self.values(figure).sum::<f64>() / count as f64)
     }
+}
+
+fn worst_and_p99(mut errors: Vec<f64>) -> (Option<f64>, Option<f64>) {
+    errors.iter_mut().for_each(|error| *error = error.abs());
+    errors.sort_by(f64::total_cmp);
+    let p99 = (errors.len() * 99).div_ceil(100).saturating_sub(1);
+    (errors.last().copied(), errors.get(p99).copied())
 }
 
 /// The short summary that a run prints, one aligned line for each figure.
@@ -185,7 +265,12 @@ impl fmt::Display for Stats {
         let flip = figure(self.flip, 4, "");
         line(f, "FLIP", format_args!("{flip} at 67 pixels per degree, {at_view} at the display's own"))?;
         self.fmt_holes(f)?;
+        self.fmt_region(f, "animated", &self.animated)?;
+        self.fmt_region(f, "moving shadows", &self.shadowed)?;
         self.fmt_compared(f)?;
+        let p99 = figure(self.clock_error_p99_ms, 2, " ms");
+        line(f, "clock error", format_args!("{} (99 %: {p99})", figure(self.clock_error_ms, 2, " ms")))?;
+        line(f, "dropped patches", format_args!("{}", self.dropped_patches))?;
         line(f, "validation", format_args!("{} messages", self.validation_messages))?;
         let stages: Vec<_> = self.gpu_ms.iter().map(|(stage, ms)| format!("{stage} {ms:.1}")).collect();
         line(f, "GPU ms/update", format_args!("{}", stages.join(", ")))
@@ -210,6 +295,14 @@ impl Stats {
         let worst = percent(self.hole_fraction_worst);
         let holes = percent(self.hole_fraction);
         line(f, "holes", format_args!("{holes} of the geometry (worst {worst}; beyond outlines {beyond})"))
+    }
+
+    fn fmt_region(&self, f: &mut fmt::Formatter<'_>, name: &str, region: &RegionStats) -> fmt::Result {
+        let percent = |fraction: Option<f64>| figure(fraction.map(|fraction| 100.0 * fraction), 3, " %");
+        let (psnr, ssim) = (figure(region.psnr_db, 1, " dB"), figure(region.ssim, 4, ""));
+        let (flip, holes, share) =
+            (figure(region.flip, 4, ""), percent(region.hole_fraction), percent(region.share));
+        line(f, name, format_args!("{psnr}, SSIM {ssim}, FLIP {flip}, holes {holes}; {share} of the pixels"))
     }
 
     fn fmt_compared(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -239,7 +332,20 @@ mod tests {
     fn frame(psnr_db: f64, strict: f64, has_bundle: bool) -> FrameMetrics {
         let picture = PictureMetrics { psnr_db, ssim: psnr_db / 100.0, flip: 0.1, flip_at_view: 0.2 };
         let holes = Holes { strict, beyond_outlines: strict / 2.0 };
-        FrameMetrics { picture: Some(picture), holes, truth_coverage: 0.5, has_bundle }
+        let region = |pixels| RegionMetrics {
+            picture: Some(PictureMetrics { psnr_db: psnr_db - 5.0, ..picture }),
+            holes: Holes { strict: strict / 4.0, beyond_outlines: 0.0 },
+            pixels,
+        };
+        FrameMetrics {
+            picture: Some(picture),
+            holes,
+            truth_coverage: 0.5,
+            pixels: 1000,
+            has_bundle,
+            animated: region(100),
+            shadowed: region(50),
+        }
     }
 
     fn counted() -> Counted {
@@ -258,6 +364,36 @@ mod tests {
         assert_eq!((stats.hole_fraction, stats.hole_fraction_beyond_outlines), (Some(0.5), Some(0.25)));
         assert_eq!((stats.psnr_db_worst, stats.hole_fraction_worst), (Some(30.0), Some(1.0)));
         assert_eq!((stats.frames_compared, stats.frames_too_empty, stats.frames_without_bundle), (2, 1, 1));
+    }
+
+    #[test]
+    fn figures_of_a_region_are_means_over_the_views_that_have_it() {
+        let mut summary = Summary::default();
+        summary.add(frame(30.0, 0.0, true));
+        summary.add(frame(40.0, 1.0, true));
+        let few = RegionMetrics { picture: None, holes: Holes::default(), pixels: 10 };
+        summary.add(FrameMetrics { animated: few, ..frame(50.0, 0.0, true) });
+        let RegionStats { psnr_db, ssim, flip, hole_fraction, psnr_db_worst, share, views } =
+            summary.finish(counted()).animated;
+        assert_eq!((psnr_db, psnr_db_worst, views), (Some(30.0), Some(25.0), 2));
+        assert_eq!((ssim, flip, hole_fraction), (Some(0.35), Some(0.1), Some(0.125)));
+        assert_eq!(
+            share,
+            Some(210.0 / 3000.0),
+            "of all compared pixels, those of the views without figures too"
+        );
+        assert_eq!(Summary::default().finish(counted()).animated, RegionStats::default());
+    }
+
+    #[test]
+    fn clock_errors_count_by_their_size() {
+        let of = |clock_errors_ms| {
+            let stats = Summary::default().finish(Counted { clock_errors_ms, ..counted() });
+            (stats.clock_error_ms, stats.clock_error_p99_ms)
+        };
+        assert_eq!(of(vec![]), (None, None));
+        assert_eq!(of(vec![0.5, -2.0, 1.0]), (Some(2.0), Some(2.0)));
+        assert_eq!(of((0..200).map(f64::from).collect()), (Some(199.0), Some(197.0)));
     }
 
     #[test]
@@ -293,8 +429,18 @@ mod tests {
             "hole_fraction",
             "frames_compared",
             "validation_messages",
+            "animated",
+            "shadowed",
+            "dropped_patches",
+            "clock_error_ms",
+            "stage_ms",
         ] {
             assert!(value.get(key).is_some(), "{key} is missing in {json}");
+        }
+        for region in ["animated", "shadowed"] {
+            for key in ["psnr_db", "ssim", "flip", "hole_fraction", "share"] {
+                assert!(value[region].get(key).is_some(), "{region}.{key} is missing in {json}");
+            }
         }
         assert_eq!(value["mbit_per_s"]["atlas"], 12.5);
         assert_eq!(value["mbit_per_s"]["geometry"], 3.25);
