@@ -1,0 +1,195 @@
+//! Two sessions over a simulated link, without pictures and GPUs: how many round trips there are before the first picture.
+
+use glam::Vec3;
+use shadecast_protocol::PROTOCOL_VERSION;
+use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::delta::GeometryDelta;
+use shadecast_protocol::ids::DiscontinuityId;
+use shadecast_protocol::message::{
+    Capabilities, ClientHello, Codec, Environment, HeadState, ResumeSecret, ServerOffer,
+};
+use shadecast_protocol::pose::{Eye, Fov, Pose};
+use shadecast_protocol::session::{ClientEvent, ClientSession, Out, ServerEvent, ServerSession};
+use shadecast_protocol::time::{DEFAULT_GRID, DisplayTime, ServerTime};
+use shadecast_protocol::wire::PictureHeader;
+use shadecast_transport::pair::SERVER_ADDR;
+use shadecast_transport::{
+    Direction, Endpoint, EndpointConfig, Event, ExpectedIdentity, LinkProfile, Pair, PeerId, ServerIdentity,
+};
+
+const MS: i64 = 1_000_000;
+/// A large first picture, bytes.
+const PICTURE_BYTES: usize = 900_000;
+
+fn eyes() -> [Eye; 2] {
+    [-0.032, 0.032].map(|x| Eye {
+        head_from_eye: Pose { position: Vec3::new(x, 0.0, 0.0), ..Pose::IDENTITY },
+        fov: Fov::symmetric_degrees(90.0),
+    })
+}
+
+fn hello() -> ClientHello {
+    ClientHello {
+        protocol_version: PROTOCOL_VERSION,
+        min_protocol_version: PROTOCOL_VERSION,
+        app_version: "test".to_owned(),
+        capabilities: Capabilities {
+            max_atlas_extent: [4096, 2048],
+            max_vertex_slots: 600,
+            max_patch_slots: 300,
+            codecs: vec![Codec::H264],
+            eyes: eyes(),
+            eye_extent_pixels: [512, 512],
+            display_period_ns: 13_888_888,
+        },
+        resume: None,
+    }
+}
+
+fn offer() -> ServerOffer {
+    ServerOffer {
+        protocol_version: PROTOCOL_VERSION,
+        min_protocol_version: PROTOCOL_VERSION,
+        app_version: "test".to_owned(),
+        session: 1,
+        grid: DEFAULT_GRID,
+        atlas_extent_texels: AtlasExtent::DEFAULT,
+        vertex_slots: 600,
+        patch_slots: 300,
+        codecs: vec![Codec::H264],
+        environment: Environment { zenith: [0.5; 3], horizon: [0.5; 3], nadir: [0.5; 3] },
+        world_from_stage: Pose::IDENTITY,
+        update_period_ns: 33_333_333,
+        resume: ResumeSecret([0; 16]),
+    }
+}
+
+/// Both ends of a session and the network between them.
+struct Play {
+    pair: Pair,
+    on_client: PeerId,
+    on_server: Option<PeerId>,
+    client: Option<ClientSession>,
+    server: ServerSession,
+    /// The welcome is here and the head was not told yet.
+    wants_head: bool,
+}
+
+impl Play {
+    fn new(link: &str) -> Self {
+        let profile: LinkProfile = link.parse().unwrap();
+        let config = || EndpointConfig { seed: Some(1), ..EndpointConfig::default() };
+        let server = Endpoint::server(&ServerIdentity::from_seed(1).unwrap(), config()).unwrap();
+        let mut pair = Pair::new(server, Endpoint::client(config()), profile, 1);
+        let on_client = pair.client.connect(0, SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+        let server = ServerSession::new(offer());
+        Self { pair, on_client, on_server: None, client: None, server, wants_head: false }
+    }
+
+    /// Milliseconds until the client has the first update's geometry and picture; nothing takes time but the network.
+    fn first_picture_ms(&mut self) -> i64 {
+        let (mut has_delta, mut has_picture) = (false, false);
+        while !(has_delta && has_picture) {
+            let seen = self.pair.step_to_events(20_000 * MS);
+            assert!(!seen.is_empty(), "nothing comes any more");
+            for (end, event) in seen {
+                match end {
+                    Direction::ToServer => self.server_event(event),
+                    Direction::ToClient => self.client_event(event),
+                }
+            }
+            while let Some(event) = self.client.as_mut().and_then(ClientSession::poll_event) {
+                self.wants_head |= matches!(event, ClientEvent::Welcome(_));
+                has_delta |= matches!(event, ClientEvent::Delta(_));
+                has_picture |= matches!(event, ClientEvent::Picture { .. });
+            }
+            self.tell_head();
+            self.answer();
+            self.flush();
+        }
+        self.pair.now_ns() / MS
+    }
+
+    fn client_event(&mut self, event: Event) {
+        let now = DisplayTime(self.pair.now_ns());
+        match (event, &mut self.client) {
+            (Event::Connected { .. }, client) => *client = Some(ClientSession::start(hello(), now)),
+            (Event::Control { message, .. }, Some(client)) => client.on_control(&message),
+            (Event::Datagram { bytes, .. }, Some(client)) => client.on_datagram(&bytes, now),
+            (Event::Stream { bytes, .. }, Some(client)) => client.on_stream(&bytes),
+            (event, _) => panic!("{event:?}"),
+        }
+    }
+
+    fn server_event(&mut self, event: Event) {
+        match event {
+            Event::Connected { peer, .. } => self.on_server = Some(peer),
+            Event::Control { message, .. } => self.server.on_control(&message),
+            Event::Datagram { bytes, at_ns, .. } => self.server.on_datagram(&bytes, ServerTime(at_ns)),
+            event => panic!("{event:?}"),
+        }
+    }
+
+    /// The head is told as soon as the server's clock is known, which is what its time is on.
+    fn tell_head(&mut self) {
+        let Some(client) = self.client.as_mut().filter(|_| self.wants_head) else { return };
+        let Some(time) = client.clock().server_time(DisplayTime(self.pair.now_ns())) else { return };
+        client.send_pose(HeadState {
+            sequence: 0,
+            time,
+            world_from_head: Pose::IDENTITY,
+            linear_velocity: Vec3::ZERO,
+            angular_velocity: Vec3::ZERO,
+            eyes: eyes(),
+            discontinuity: DiscontinuityId(0),
+        });
+        self.wants_head = false;
+    }
+
+    /// The first update follows the first pose.
+    fn answer(&mut self) {
+        while let Some(event) = self.server.poll_event() {
+            if matches!(event, ServerEvent::Pose(_)) {
+                let frame = self.server.next_delta();
+                self.server.send_delta(&GeometryDelta { frame, ..Default::default() });
+                let header = PictureHeader { frame, time: ServerTime(0), is_refresh: true };
+                self.server.send_picture(header, &vec![7; PICTURE_BYTES]);
+            }
+        }
+    }
+
+    fn flush(&mut self) {
+        while let Some(out) = self.client.as_mut().and_then(ClientSession::poll_out) {
+            match out {
+                Out::Control(message) => self.pair.client.send_control(self.on_client, &message).unwrap(),
+                Out::Datagram(bytes) => assert!(self.pair.client.send_datagram(self.on_client, &bytes)),
+                Out::Stream { .. } => panic!("clients send no streams"),
+            }
+        }
+        let (now, Some(peer)) = (ServerTime(self.pair.now_ns()), self.on_server) else { return };
+        while let Some(out) = self.server.poll_out(now) {
+            match out {
+                Out::Control(message) => self.pair.server.send_control(peer, &message).unwrap(),
+                Out::Datagram(bytes) => assert!(self.pair.server.send_datagram(peer, &bytes)),
+                Out::Stream { bytes, priority } => {
+                    self.pair.server.send_stream(peer, bytes, priority).unwrap();
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_first_picture_comes_after_three_round_trips_however_large() {
+    // Handshake, hello and welcome, pose and picture. A fourth would make it 880 ms.
+    for link in ["latency=110ms", "latency=110ms,rate=1gbit"] {
+        let ms = Play::new(link).first_picture_ms();
+        assert!((660..660 + 50).contains(&ms), "{link}: {ms} ms");
+    }
+}
+
+#[test]
+fn jitter_costs_a_first_picture_no_more_than_itself() {
+    let ms = Play::new("latency=110ms,jitter=10ms").first_picture_ms();
+    assert!(ms < 660 + 6 * 10 + 50, "{ms} ms");
+}
