@@ -38,7 +38,7 @@ pub struct Eye {
 /// Narrowest field of view in radians, 2 degrees: what is narrower is no display, and its density has no bound.
 pub const MIN_VIEW_SPAN: f32 = 0.034_906_585;
 /// Angle to a side up to which views are rendered, radians: 60 degrees.
-pub const MAX_VIEW_ANGLE: f32 = 1.047_197_6;
+pub const MAX_VIEW_ANGLE: f32 = std::f32::consts::FRAC_PI_3;
 
 /// Near plane in metres, the same for server, client and ground truth.
 pub const NEAR_M: f32 = 0.05;
@@ -155,7 +155,7 @@ mod tests {
                 let wide = Fov { left, right, up: right, down: left }.widened(margin);
                 let span = wide.right - wide.left;
                 assert!(
-                    span >= 0.99 * MIN_VIEW_SPAN && span <= 2.0 * MAX_VIEW_ANGLE,
+                    (0.99 * MIN_VIEW_SPAN..=2.0 * MAX_VIEW_ANGLE).contains(&span),
                     "{left} {right}: {wide:?}"
                 );
                 assert!(wide.clip_from_eye().is_finite());
