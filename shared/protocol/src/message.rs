@@ -11,6 +11,7 @@ use crate::limits::{
     MAX_EYE_EXTENT_PIXELS, MAX_EYE_PIXELS, MAX_PATCH_SLOTS, MAX_SPEED, MAX_TEXT_BYTES, MAX_VERTEX_SLOTS,
 };
 use crate::pose::{Eye, Pose};
+use crate::text::printable;
 use crate::time::{DisplayTime, Grid, ServerTime};
 use crate::wire::{WireError, check_count, invalid};
 use glam::Vec3;
@@ -279,8 +280,11 @@ impl ClientMessage {
     /// The message of these bytes. A hello of a later protocol version may be followed by fields unknown here.
     pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
         check_count("a control message's length in bytes", bytes.len(), MAX_CONTROL_BYTES)?;
-        let (message, left) = from_prefix::<Self>("a client's message", bytes)?;
+        let (mut message, left) = from_prefix::<Self>("a client's message", bytes)?;
         message.check()?;
+        if let Self::Hello(hello) = &mut message {
+            hello.app_version = printable(&hello.app_version);
+        }
         let may_be_longer =
             matches!(&message, Self::Hello(hello) if hello.protocol_version > PROTOCOL_VERSION);
         if left > 0 && !may_be_longer {
@@ -296,7 +300,7 @@ impl ClientMessage {
         (variant == 0 && app_version.len() <= MAX_TEXT_BYTES).then_some(HelloVersions {
             protocol_version,
             min_protocol_version,
-            app_version,
+            app_version: printable(&app_version),
         })
     }
 
@@ -317,12 +321,13 @@ impl ServerMessage {
     /// The message of these bytes.
     pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
         check_count("a control message's length in bytes", bytes.len(), MAX_CONTROL_BYTES)?;
-        let message: Self = from_whole("a server's message", bytes)?;
-        match &message {
+        let mut message: Self = from_whole("a server's message", bytes)?;
+        match &mut message {
             Self::Welcome(welcome) => welcome.check()?,
             Self::Refused(refused) => {
                 check_count("a refusal's reason in bytes", refused.reason.len(), MAX_TEXT_BYTES)?;
                 check_count("a refusal's remedy in bytes", refused.remedy.len(), MAX_TEXT_BYTES)?;
+                *refused = Refused::new(&refused.reason, &refused.remedy);
             }
             Self::Goodbye => {}
         }
@@ -361,9 +366,9 @@ impl ServerDatagram {
 }
 
 impl Refused {
-    /// A refusal whose texts are cut to what the wire allows.
+    /// A refusal whose texts can be shown anywhere; see [`printable`].
     pub fn new(reason: &str, remedy: &str) -> Self {
-        Self { reason: clipped(reason), remedy: clipped(remedy) }
+        Self { reason: printable(reason), remedy: printable(remedy) }
     }
 }
 
@@ -518,10 +523,6 @@ fn from_whole<T: DeserializeOwned>(what: &'static str, bytes: &[u8]) -> Result<T
         (value, 0) => Ok(value),
         (_, left) => Err(WireError::Trailing { what, left }),
     }
-}
-
-fn clipped(text: &str) -> String {
-    text[..text.floor_char_boundary(MAX_TEXT_BYTES)].to_owned()
 }
 
 fn require(good: bool, what: &'static str, reason: impl FnOnce() -> String) -> Result<(), WireError> {
@@ -805,10 +806,29 @@ mod tests {
     }
 
     #[test]
-    fn a_refusal_is_cut_to_what_the_wire_allows() {
+    fn a_refusal_is_cut_to_what_is_shown() {
         let refused = Refused::new(&"ä".repeat(MAX_TEXT_BYTES), "");
-        assert_eq!(refused.reason.len(), MAX_TEXT_BYTES);
+        assert!(
+            refused.reason.len() <= MAX_TEXT_BYTES && refused.reason.ends_with('…'),
+            "{}",
+            refused.reason
+        );
         let message = ServerMessage::Refused(refused);
         assert_eq!(ServerMessage::decode(&message.encode()), Ok(message));
+    }
+
+    /// What a stranger wrote is harmless as soon as it has been read.
+    #[test]
+    fn texts_of_peers_come_in_printable() {
+        let raw = "\x1b]0;owned\x07\r\n\u{202e}".to_owned();
+        let refused = Refused { reason: raw.clone(), remedy: raw.clone() };
+        let refused = ServerMessage::decode(&ServerMessage::Refused(refused).encode()).unwrap();
+        let ServerMessage::Refused(refused) = refused else { panic!("{refused:?}") };
+        let hello = ClientMessage::Hello(ClientHello { app_version: raw.clone(), ..hello() }).encode();
+        let versions = ClientMessage::peek_versions(&hello).unwrap();
+        let ClientMessage::Hello(hello) = ClientMessage::decode(&hello).unwrap() else { panic!("a hello") };
+        for text in [refused.reason, refused.remedy, hello.app_version, versions.app_version] {
+            assert_eq!(text, printable(&raw));
+        }
     }
 }

@@ -4,6 +4,7 @@
 //! escapes. This module does not know where a text comes from: it is applied where foreign text enters.
 
 use crate::limits::MAX_PRINTED_CHARS;
+use std::error::Error;
 
 /// What stands for the rest of a text that was cut.
 const ELLIPSIS: char = '…';
@@ -51,6 +52,19 @@ fn shown_chars(character: char) -> usize {
     if is_obeyed(character) { character.escape_default().len() } else { 1 }
 }
 
+/// An error with its causes, as a program says it before it ends. What was said already is not said again: some errors
+/// name their cause themselves.
+pub fn with_causes(error: &(dyn Error + 'static)) -> String {
+    let mut said = error.to_string();
+    for cause in std::iter::successors(error.source(), |&cause| cause.source()) {
+        let text = cause.to_string();
+        if !said.contains(&text) {
+            said = format!("{said}: {text}");
+        }
+    }
+    said
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -61,6 +75,25 @@ mod tests {
         {
             assert_eq!(printable(text), text);
         }
+    }
+
+    #[derive(Debug, thiserror::Error)]
+    enum Nested {
+        #[error("writing stats.json: {source}; choose another place")]
+        NamesItsCause { source: std::io::Error },
+        #[error("opening the scene")]
+        LeavesIt(#[source] Box<Nested>),
+    }
+
+    #[test]
+    fn a_cause_is_said_once() {
+        let full = Nested::NamesItsCause { source: std::io::Error::other("the disk is full") };
+        assert_eq!(with_causes(&full), "writing stats.json: the disk is full; choose another place");
+        let outer = Nested::LeavesIt(Box::new(full));
+        assert_eq!(
+            with_causes(&outer),
+            "opening the scene: writing stats.json: the disk is full; choose another place"
+        );
     }
 
     #[test]

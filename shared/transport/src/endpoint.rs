@@ -59,6 +59,7 @@ use quinn_proto::{
 };
 use ring::rand::SecureRandom;
 use shadecast_protocol::limits::{MAX_CONTROL_PER_SECOND, MAX_DATAGRAM_BYTES, MAX_STREAM_BYTES};
+use shadecast_protocol::text::printable;
 
 use crate::congestion::{INITIAL_WINDOW_BYTES, SteadyConfig};
 use crate::identity::{ExpectedIdentity, Fingerprint, IdentityError, ServerIdentity};
@@ -1018,7 +1019,7 @@ fn explain(peer: &Peer, error: ConnectionError) -> (CloseKind, String) {
         ),
         ConnectionError::ApplicationClosed(close) => (
             CloseKind::Peer(close.error_code.into_inner()),
-            format!("{remote} closed the connection: {}", String::from_utf8_lossy(&close.reason)),
+            format!("{remote} closed the connection: {}", printable(&String::from_utf8_lossy(&close.reason))),
         ),
         ConnectionError::VersionMismatch => (CloseKind::Error, other_protocol()),
         ConnectionError::ConnectionClosed(close)
@@ -1034,7 +1035,8 @@ fn explain(peer: &Peer, error: ConnectionError) -> (CloseKind, String) {
                 format!("{remote} refused the connection: it serves as many clients as it can"),
             )
         }
-        other => (CloseKind::Error, format!("connection to {remote}: {other}")),
+        // It may quote the peer.
+        other => (CloseKind::Error, format!("connection to {remote}: {}", printable(&other.to_string()))),
     }
 }
 

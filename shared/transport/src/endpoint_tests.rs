@@ -481,6 +481,19 @@ fn a_server_with_another_identity_is_refused_with_the_remedy() {
 }
 
 #[test]
+fn a_reason_of_the_peers_is_harmless_to_a_terminal() {
+    let Connected { mut pair, on_server, .. } = connected("latency=10ms", 16);
+    pair.server.close(pair.now_ns(), on_server, 42, "\x1b[2Jgone\r\nerror: \u{202e}");
+    pair.step_until(pair.now_ns() + S);
+    let closed = events(&mut pair.client).into_iter().find_map(|event| match event {
+        Event::Closed { reason, .. } => Some(reason),
+        _ => None,
+    });
+    let reason = closed.expect("closed");
+    assert!(!reason.chars().any(char::is_control) && reason.contains("\\u{1b}[2Jgone\\r\\n"), "{reason}");
+}
+
+#[test]
 fn closing_tells_the_peer_code_and_reason() {
     let Connected { mut pair, on_server, .. } = connected("latency=10ms", 15);
     pair.server.close(pair.now_ns(), on_server, 42, "the scene changed");
