@@ -68,14 +68,15 @@ fn run(app: &AndroidApp, settings: &Settings, data_folder: PathBuf, stop: &Atomi
         identity_dir: data_folder,
         client: ClientOptions::default(),
         xr: XrOptions { validation: false },
+        fingerprint: None,
         seconds: 0.0,
     };
     // SAFETY: the pointer is the process's JavaVM, which never goes away.
     let machine = unsafe { jni::JavaVM::from_raw(app.vm_as_ptr().cast()) };
     machine.attach_current_thread(|_| {
         let platform = Platform { activity: openxr_platform(app) };
-        net::run(&platform, &options, stop, &mut |_, _| Ok(())).context("showing the server's scene")?;
-        Ok(())
+        let outcome = net::run(&platform, &options, stop, &mut |_, _| Ok(()));
+        outcome.ended.context("showing the server's scene")
     })
 }
 

@@ -8,9 +8,15 @@ use shadecast_client::platform::Platform;
 use shadecast_client::stages::interpolate::Interpolation;
 use shadecast_client::stats::ClientStats;
 use shadecast_client::xr::XrOptions;
+use shadecast_protocol::text::with_causes;
+use shadecast_transport::{Fingerprint, write_atomically};
+use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Longest time that a run may be limited to, seconds: eleven days.
+const MAX_SECONDS: f64 = 1e6;
 
 /// Set by SIGINT and SIGTERM.
 static STOP: AtomicBool = AtomicBool::new(false);
@@ -22,7 +28,8 @@ Examples:
   shadecast-client --seconds 10 --stats stats.json --validation
 
 The OpenXR runtime is the system's active one, or the one whose manifest XR_RUNTIME_JSON names.
-The program exits with 0 when the runtime or the user ends the session.";
+A server is trusted at the first connection and known by its identity afterwards; --fingerprint demands one.
+The program exits with 0 when the runtime or the user ends the session. Ctrl-C ends it; a second one at once.";
 
 /// Shows an animated scene that a Shadecast server shades, on an OpenXR headset.
 #[derive(Parser)]
@@ -34,8 +41,11 @@ struct Arguments {
     /// Folder with the fingerprints of known servers [default: ~/.config/shadecast]
     #[arg(long, value_name = "DIR")]
     identity: Option<PathBuf>,
-    /// End the session after so many seconds
-    #[arg(long, value_name = "S", default_value_t = 0.0, hide_default_value = true)]
+    /// Identity that the server must have, as it says when it starts to listen: 64 hexadecimal digits
+    #[arg(long, value_name = "HEX")]
+    fingerprint: Option<Fingerprint>,
+    /// End the session so many seconds after the program's start; 0: never
+    #[arg(long, value_name = "S", default_value = "0", hide_default_value = true, value_parser = seconds)]
     seconds: f64,
     /// Write what was counted to this file
     #[arg(long, value_name = "FILE.json")]
@@ -68,27 +78,52 @@ enum InterpolationArgument {
     Linear,
 }
 
+fn seconds(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|seconds| (0.0..=MAX_SECONDS).contains(seconds));
+    number.ok_or_else(|| format!("not a number of seconds from 0 to {MAX_SECONDS}"))
+}
+
+const SIGNALS: [libc::c_int; 2] = [libc::SIGINT, libc::SIGTERM];
+
+fn on_signals(action: libc::sighandler_t) {
+    for signal in SIGNALS {
+        // SAFETY: the action is the default, or `stop` below, which is safe in a signal handler. So is this call.
+        unsafe { libc::signal(signal, action) };
+    }
+}
+
+/// The first signal asks the program to end; the next one ends it.
 extern "C" fn stop(_: libc::c_int) {
     STOP.store(true, Ordering::Relaxed);
+    on_signals(libc::SIG_DFL);
+}
+
+/// A line for who started the program. Where nobody reads it any more the program goes on.
+fn say(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+fn log_to_stderr(level: tracing::Level) {
+    let is_refused = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    tracing_subscriber::fmt()
+        .with_max_level(level)
+        .with_target(false)
+        .without_time()
+        .with_ansi(std::io::stderr().is_terminal() && !is_refused)
+        .with_writer(std::io::stderr)
+        .log_internal_errors(false)
+        .init();
 }
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let level = if arguments.quiet { tracing::Level::WARN } else { tracing::Level::INFO };
-    tracing_subscriber::fmt()
-        .with_max_level(level)
-        .with_target(false)
-        .without_time()
-        .with_writer(std::io::stderr)
-        .init();
-    for signal in [libc::SIGINT, libc::SIGTERM] {
-        // SAFETY: the handler only stores to an atomic, which is safe in a signal handler.
-        unsafe { libc::signal(signal, stop as *const () as libc::sighandler_t) };
-    }
+    log_to_stderr(level);
+    on_signals(stop as *const () as libc::sighandler_t);
     match run(&arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("shadecast-client: {error:#}");
+            say(&format!("shadecast-client: {}", with_causes(error.as_ref())));
             ExitCode::FAILURE
         }
     }
@@ -101,6 +136,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
     };
     let options = RunOptions {
         server: arguments.connect.clone(),
+        fingerprint: arguments.fingerprint,
         identity_dir,
         client: ClientOptions {
             interpolation: match arguments.interpolation {
@@ -123,34 +159,35 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
             .with_context(|| format!("making {}", probes.folder.display()))?;
     }
     let mut announced = arguments.quiet;
-    let stats = net::run(&Platform, &options, &STOP, &mut |client, report| {
+    let outcome = net::run(&Platform, &options, &STOP, &mut |client, report| {
         if !std::mem::replace(&mut announced, true) {
             announce(client);
         }
         probes.as_mut().map_or(Ok(()), |probes| probes.observe(client, report))
-    })?;
-    if let Some(error) = probes.and_then(|probes| probes.failure) {
-        return Err(error);
-    }
-    if let Some(path) = &arguments.stats {
-        let text = serde_json::to_string_pretty(&stats)? + "\n";
-        std::fs::write(path, text).with_context(|| format!("writing {}", path.display()))?;
-    }
+    });
+    // What was counted is kept however it ended.
+    let written = arguments.stats.as_deref().map_or(Ok(()), |path| write_stats(path, &outcome.stats));
     if !arguments.quiet {
-        summarise(&stats);
+        summarise(&outcome.stats);
     }
-    Ok(())
+    outcome.ended?;
+    probes.and_then(|probes| probes.failure).map_or(written, Err)
+}
+
+fn write_stats(path: &Path, stats: &ClientStats) -> anyhow::Result<()> {
+    let text = serde_json::to_string_pretty(stats)? + "\n";
+    write_atomically(path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))
 }
 
 fn announce(client: &Client) {
     let gpu = client.gpu();
     let slow = if gpu.is_cpu() { " (a CPU: correct, but slow)" } else { "" };
     let [width, height] = client.eye_extent_pixels();
-    eprintln!("{} on {}{slow}, {width}x{height} per eye", client.stats().runtime, gpu.device_name());
+    say(&format!("{} on {}{slow}, {width}x{height} per eye", client.stats().runtime, gpu.device_name()));
 }
 
 fn summarise(stats: &ClientStats) {
-    eprintln!(
+    say(&format!(
         "{:.1} s: {:.1} frames/s, {:.1} bundles/s, {:.1} MB atlas, {:.1} MB geometry, {} vertices frozen, {} pictures lost",
         stats.seconds,
         stats.client_fps,
@@ -159,7 +196,7 @@ fn summarise(stats: &ClientStats) {
         stats.geometry_bytes as f64 * 1e-6,
         stats.frozen_vertices,
         stats.lost_pictures,
-    );
+    ));
 }
 
 /// Writes what the probe sees, every so many display frames.
@@ -184,7 +221,7 @@ impl Probes {
         }
         for (view, side) in client.probe()?.iter().zip(["left", "right"]) {
             let path = self.folder.join(format!("probe-{}-{side}.bin", report.display_time.0));
-            let written = std::fs::write(&path, view.to_bytes());
+            let written = write_atomically(&path, &view.to_bytes());
             if let Err(error) = written.with_context(|| format!("writing {}", path.display())) {
                 self.failure = Some(error);
                 STOP.store(true, Ordering::Relaxed);

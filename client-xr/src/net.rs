@@ -1,49 +1,58 @@
 //! The client in real time: a socket on a thread of its own, the real clock, and connecting again for as long as the user
-//! wants. When the server goes away its last bundle stays on display.
+//! wants. When the server goes away its last bundle stays on display; when the headset goes away it is opened again.
 
-use crate::client::{Client, ClientError, ClientOptions, FrameReport, Notice, Step};
+mod connector;
+mod dialler;
+mod lines;
+
+use crate::client::{Client, ClientError, ClientOptions, FrameReport, Step};
 use crate::platform::{Platform, monotonic_now};
 use crate::stats::ClientStats;
 use crate::xr::{Xr, XrError, XrOptions};
-use shadecast_protocol::session::Out;
+use connector::Connector;
 use shadecast_protocol::time::DisplayTime;
-use shadecast_transport::mio::{DriverError, any_address_for};
-use shadecast_transport::{
-    CloseKind, Driver, Endpoint, EndpointConfig, Event, Events, Handle, IdentityError, KnownServers, PeerId,
-    spawn,
-};
+use shadecast_transport::mio::DriverError;
+use shadecast_transport::{Fingerprint, IdentityError};
 use std::net::{SocketAddr, ToSocketAddrs};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 
-/// Wait before the second attempt to connect; each further one waits twice as long as the one before.
-const FIRST_BACK_OFF_NS: i64 = 250_000_000;
-/// Longest wait between two attempts.
-const LONGEST_BACK_OFF_NS: i64 = 4_000_000_000;
-/// How often the headset is opened again after it was lost, and how long to wait in between.
-const REOPEN_ATTEMPTS: u32 = 30;
-const REOPEN_WAIT: Duration = Duration::from_secs(1);
+/// How long it is tried to open the headset again after it was lost, and how long to wait in between.
+const REOPEN_S: i64 = 30;
+const REOPEN_WAIT_NS: i64 = 1_000_000_000;
 /// How long to sleep where the headset wants no frames.
 const IDLE_WAIT: Duration = Duration::from_millis(10);
-/// Close code of a client that leaves.
-const CODE_LEAVING: u32 = 0;
-/// Close code of a client that cannot make sense of the server.
-const CODE_FAILED: u32 = 1;
+/// How long to sleep at most without looking whether the user wants to leave.
+const LOOK_UP: Duration = Duration::from_millis(50);
+/// How long the runtime may take to end a session that was asked to end.
+const LEAVE_PATIENCE_NS: i64 = 5_000_000_000;
 
 /// What to run.
 #[derive(Clone, Debug)]
 pub struct RunOptions {
     /// The server, as the user writes it: `host:port`.
     pub server: String,
+    /// The only identity that the server may have; `None`: the one that is known, or any at the first meeting.
+    pub fingerprint: Option<Fingerprint>,
     /// Where the fingerprints of known servers are kept.
     pub identity_dir: PathBuf,
     /// How the client behaves.
     pub client: ClientOptions,
     /// How the headset is opened.
     pub xr: XrOptions,
-    /// Seconds after the first display frame at which the session is asked to end; 0: never.
+    /// Seconds from the start at which the session is asked to end; 0: never.
     pub seconds: f64,
+}
+
+/// How a run went, and how it ended.
+#[derive(Debug)]
+pub struct Outcome {
+    /// What was counted, over all headset sessions of the run; there also where the run failed.
+    pub stats: ClientStats,
+    /// The run's end.
+    pub ended: Result<(), RunError>,
 }
 
 /// What ends a run.
@@ -79,238 +88,141 @@ impl From<XrError> for RunError {
 /// Who watches a run: called after each display frame.
 pub type Observer<'a> = dyn FnMut(&mut Client, &FrameReport) -> Result<(), ClientError> + 'a;
 
-/// Runs until the headset's session ends, `stop` is set, or something fails for good. A lost headset is opened anew.
+/// Runs until the headset's session ends, `stop` is set, the time is over, or something fails for good. A lost headset is
+/// opened anew; what was counted before counts on.
 pub fn run(
     platform: &Platform,
     options: &RunOptions,
     stop: &AtomicBool,
     observe: &mut Observer<'_>,
-) -> Result<ClientStats, RunError> {
-    let remote = resolve(&options.server)?;
-    let mut xr = Xr::open(platform, options.xr)?;
-    loop {
-        let error = match run_headset(xr, options, remote, stop, observe) {
-            Err(RunError::Client(error)) if error.is_lost() => error,
-            ended => return ended,
-        };
-        tracing::warn!("{error}; opening the headset again");
-        xr = reopen(platform, options, stop)?;
-    }
+) -> Outcome {
+    let until = (options.seconds > 0.0).then(|| monotonic_now().plus_ns((options.seconds * 1e9) as i64));
+    let mut run = Run { platform, options, stop, until, stats: ClientStats::default() };
+    let ended = run.to_the_end(observe);
+    Outcome { stats: run.stats, ended }
 }
 
-fn resolve(server: &str) -> Result<SocketAddr, RunError> {
-    let wrong = |reason: String| RunError::Address { address: server.to_owned(), reason };
-    let mut addresses = server.to_socket_addrs().map_err(|error| wrong(error.to_string()))?;
-    addresses.next().ok_or_else(|| wrong("it names no machine".to_owned()))
+/// A run under way.
+struct Run<'a> {
+    platform: &'a Platform,
+    options: &'a RunOptions,
+    stop: &'a AtomicBool,
+    /// When it is to end by itself.
+    until: Option<DisplayTime>,
+    /// Of the headset sessions that are over.
+    stats: ClientStats,
 }
 
-fn reopen(platform: &Platform, options: &RunOptions, stop: &AtomicBool) -> Result<Xr, RunError> {
-    let mut attempt = 0;
-    loop {
-        match Xr::open(platform, options.xr) {
-            Ok(xr) => return Ok(xr),
-            Err(error) if attempt == REOPEN_ATTEMPTS || stop.load(Ordering::Relaxed) => {
-                return Err(error.into());
-            }
-            Err(error) => tracing::debug!("{error}"),
-        }
-        attempt += 1;
-        std::thread::sleep(REOPEN_WAIT);
-    }
-}
-
-fn run_headset(
-    xr: Xr,
-    options: &RunOptions,
-    remote: SocketAddr,
-    stop: &AtomicBool,
-    observe: &mut Observer<'_>,
-) -> Result<ClientStats, RunError> {
-    let mut client = Client::new(xr, options.client)?;
-    let mut connector = Connector::new(&options.server, remote, &options.identity_dir)?;
-    client.set_status(&connector.status());
-    let mut first: Option<DisplayTime> = None;
-    let mut leaving = false;
-    loop {
-        match client.step_with(|client| connector.pump(client))? {
-            Step::Frame(report) => {
-                connector.flush(&mut client);
-                observe(&mut client, &report)?;
-                let shown_ns = report.display_time.since(*first.get_or_insert(report.display_time));
-                let is_over = options.seconds > 0.0 && shown_ns as f64 * 1e-9 >= options.seconds;
-                if (is_over || stop.load(Ordering::Relaxed)) && !std::mem::replace(&mut leaving, true) {
-                    client.request_exit();
-                }
-            }
-            Step::Idle => {
-                if stop.load(Ordering::Relaxed) && !std::mem::replace(&mut leaving, true) {
-                    client.request_exit();
-                }
-                connector.flush(&mut client);
-                std::thread::sleep(IDLE_WAIT);
-            }
-            Step::Exit => break,
-        }
-    }
-    connector.leave(&mut client);
-    Ok(client.stats())
-}
-
-/// One server, and the wish to be connected to it.
-struct Connector {
-    handle: Handle,
-    events: Events,
-    known: KnownServers,
-    /// As the user writes it.
-    server: String,
-    remote: SocketAddr,
-    peer: Option<PeerId>,
-    next_attempt: DisplayTime,
-    back_off_ns: i64,
-    /// What the user was last told.
-    told: String,
-}
-
-impl Connector {
-    fn new(server: &str, remote: SocketAddr, identity_dir: &Path) -> Result<Self, RunError> {
-        let known = KnownServers::load(identity_dir)?;
-        let endpoint = Endpoint::client(EndpointConfig::default());
-        let (handle, events) = spawn(Driver::bind(endpoint, any_address_for(remote))?)?;
-        Ok(Self {
-            handle,
-            events,
-            known,
-            server: server.to_owned(),
-            remote,
-            peer: None,
-            next_attempt: DisplayTime(i64::MIN),
-            back_off_ns: FIRST_BACK_OFF_NS,
-            told: String::new(),
-        })
+impl Run<'_> {
+    fn is_over(&self) -> bool {
+        self.stop.load(Ordering::Relaxed) || self.until.is_some_and(|until| monotonic_now() >= until)
     }
 
-    fn status(&self) -> String {
-        format!("Connecting to {}", self.server)
-    }
-
-    /// Hands in what has arrived, connects where it is time to, and lets the client do what is due.
-    fn pump(&mut self, client: &mut Client) -> Result<(), ClientError> {
-        while let Some(event) = self.events.try_next() {
-            self.take(client, event)?;
-        }
-        let now = monotonic_now();
-        if self.peer.is_none() && now >= self.next_attempt {
-            self.connect(client, now);
-        }
-        client.advance(now)?;
-        while let Some(notice) = client.poll_notice() {
-            self.heed(client, notice, now);
-        }
-        self.flush(client);
-        Ok(())
-    }
-
-    fn connect(&mut self, client: &mut Client, now: DisplayTime) {
-        self.next_attempt = now.plus_ns(self.back_off_ns);
-        self.back_off_ns = (self.back_off_ns * 2).min(LONGEST_BACK_OFF_NS);
-        match self.handle.connect(self.remote, self.known.expected(&self.server)) {
-            Ok(peer) => self.peer = Some(peer),
-            Err(error) => self.tell(client, &format!("Cannot connect to {}: {error}", self.server)),
-        }
-    }
-
-    fn take(&mut self, client: &mut Client, event: Event) -> Result<(), ClientError> {
-        match event {
-            Event::Connected { peer, fingerprint, .. } if self.peer == Some(peer) => {
-                let remembered = fingerprint.map_or(Ok(()), |it| self.known.remember(&self.server, it));
-                if let Err(error) = remembered {
-                    tracing::warn!("{error}; the server will not be recognised next time");
-                }
-                client.on_connected(monotonic_now());
-            }
-            Event::Control { peer, message, at_ns } if self.peer == Some(peer) => {
-                client.receive_control(DisplayTime(at_ns), &message)?;
-            }
-            Event::Stream { peer, bytes, at_ns } if self.peer == Some(peer) => {
-                client.receive_stream(DisplayTime(at_ns), &bytes)?;
-            }
-            Event::StreamReset { peer, head } if self.peer == Some(peer) => {
-                client.receive_reset(monotonic_now(), &head);
-            }
-            Event::Datagram { peer, bytes, at_ns } if self.peer == Some(peer) => {
-                client.receive_datagram(DisplayTime(at_ns), &bytes);
-            }
-            Event::Closed { peer, kind, reason } if self.peer == Some(peer) => {
-                self.closed(client, kind, &reason);
-            }
-            _ => {} // of a connection that was given up
-        }
-        Ok(())
-    }
-
-    fn closed(&mut self, client: &mut Client, kind: CloseKind, reason: &str) {
-        self.peer = None;
-        let now = monotonic_now();
-        client.on_closed(now);
-        self.next_attempt = self.next_attempt.max(now);
-        match kind {
-            CloseKind::IdentityChanged => self.tell(client, reason),
-            _ => self.tell(client, &format!("{}: {reason}", self.status())),
-        }
-    }
-
-    fn heed(&mut self, client: &mut Client, notice: Notice, now: DisplayTime) {
-        let text = match notice {
-            Notice::Welcome(_) => {
-                self.back_off_ns = FIRST_BACK_OFF_NS;
-                self.tell(client, &format!("Connected to {}", self.server));
-                return;
-            }
-            Notice::Refused(refused) => format!("{}: {}", refused.reason, refused.remedy),
-            Notice::ServerLeft => format!("{} has ended the session", self.server),
-            Notice::Failed(reason) => reason,
-        };
-        self.tell(client, &text);
-        self.flush(client);
-        if let Some(peer) = self.peer.take() {
-            // A thread that has ended needs no close.
-            let _ = self.handle.close(peer, CODE_FAILED, &text);
-        }
-        client.on_closed(now);
-        self.next_attempt = now.plus_ns(self.back_off_ns);
-    }
-
-    /// Says something in the headset and on stderr, once.
-    fn tell(&mut self, client: &mut Client, text: &str) {
-        if self.told != text {
-            tracing::info!("{text}");
-            client.set_status(text);
-            self.told = text.to_owned();
-        }
-    }
-
-    /// Hands the client's bytes to the network thread. What it cannot take is lost, as on a bad network.
-    fn flush(&mut self, client: &mut Client) {
-        while let Some(out) = client.poll_out() {
-            let Some(peer) = self.peer else { continue };
-            let sent = match out {
-                Out::Control(message) => self.handle.send_control(peer, message),
-                Out::Datagram(bytes) => self.handle.send_datagram(peer, bytes),
-                Out::Stream { bytes, priority } => self.handle.send_stream(peer, bytes, priority).map(|_| ()),
+    fn to_the_end(&mut self, observe: &mut Observer<'_>) -> Result<(), RunError> {
+        let Some(addresses) = self.resolve()? else { return Ok(()) };
+        let mut opened = Some(Xr::open(self.platform, self.options.xr)?);
+        while let Some(xr) = opened.take() {
+            let error = match self.show(xr, &addresses, observe) {
+                Err(RunError::Client(error)) if error.is_lost() => error,
+                ended => return ended,
             };
-            if let Err(error) = sent {
-                tracing::debug!("{error}");
+            tracing::warn!("{error}; the headset is gone; trying again for {REOPEN_S} s");
+            opened = self.reopen()?;
+        }
+        Ok(())
+    }
+
+    /// The addresses that the server's name leads to, in the system's order; `None` where the run is over before they are
+    /// known. Asking for a name can take long, so that a thread does it.
+    fn resolve(&self) -> Result<Option<Vec<SocketAddr>>, RunError> {
+        let server = self.options.server.clone();
+        let (to, found) = channel();
+        std::thread::spawn(move || drop(to.send(resolve(&server))));
+        while !self.is_over() {
+            match found.recv_timeout(LOOK_UP) {
+                Ok(addresses) => return addresses.map(Some),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+        }
+        Ok(None)
+    }
+
+    /// The headset, once it can be opened again; `None` where the run is over before.
+    fn reopen(&self) -> Result<Option<Xr>, RunError> {
+        let give_up = monotonic_now().plus_ns(REOPEN_S * 1_000_000_000);
+        while !self.is_over() {
+            match Xr::open(self.platform, self.options.xr) {
+                Ok(xr) => return Ok(Some(xr)),
+                Err(error) if monotonic_now() >= give_up => return Err(error.into()),
+                Err(error) => tracing::debug!("{error}"),
+            }
+            let next = monotonic_now().plus_ns(REOPEN_WAIT_NS);
+            while monotonic_now() < next && !self.is_over() {
+                std::thread::sleep(LOOK_UP);
+            }
+        }
+        Ok(None)
+    }
+
+    /// One headset session, from its first frame to its end.
+    fn show(&mut self, xr: Xr, addresses: &[SocketAddr], observe: &mut Observer<'_>) -> Result<(), RunError> {
+        let mut client = Client::new(xr, self.options.client)?;
+        let mut connector = Connector::new(self.options, addresses)?;
+        client.set_status(&connector.status());
+        let ended = self.frames(&mut client, &mut connector, observe);
+        self.stats = std::mem::take(&mut self.stats).and(client.stats());
+        connector.leave(&mut client);
+        ended
+    }
+
+    fn frames(
+        &self,
+        client: &mut Client,
+        connector: &mut Connector,
+        observe: &mut Observer<'_>,
+    ) -> Result<(), RunError> {
+        let mut leaving_since = None;
+        loop {
+            match client.step_with(|client| connector.pump(client))? {
+                Step::Frame(report) => {
+                    connector.flush(client);
+                    observe(client, &report)?;
+                }
+                Step::Idle => {
+                    connector.flush(client);
+                    std::thread::sleep(IDLE_WAIT);
+                }
+                Step::Exit => return Ok(()),
+            }
+            match leaving_since {
+                None if self.is_over() => {
+                    client.request_exit();
+                    leaving_since = Some(monotonic_now());
+                }
+                Some(since) if monotonic_now().since(since) > LEAVE_PATIENCE_NS => {
+                    tracing::warn!("the OpenXR runtime does not end the session; leaving without it");
+                    return Ok(());
+                }
+                _ => {}
             }
         }
     }
+}
 
-    fn leave(&mut self, client: &mut Client) {
-        client.say_goodbye();
-        self.flush(client);
-        if let Some(peer) = self.peer.take() {
-            let _ = self.handle.close(peer, CODE_LEAVING, "the user left");
+fn resolve(server: &str) -> Result<Vec<SocketAddr>, RunError> {
+    let wrong = |reason: String| RunError::Address { address: server.to_owned(), reason };
+    let addresses = server.to_socket_addrs().map_err(|error| wrong(error.to_string()))?;
+    let mut found: Vec<SocketAddr> = Vec::new();
+    for address in addresses {
+        if !found.contains(&address) {
+            found.push(address);
         }
     }
+    if found.is_empty() {
+        return Err(wrong("it names no machine".to_owned()));
+    }
+    Ok(found)
 }
 
 #[cfg(test)]
@@ -321,6 +233,9 @@ mod tests {
     fn an_address_without_a_port_is_refused_with_an_example() {
         let error = resolve("192.168.1.5").expect_err("no port").to_string();
         assert!(error.contains("192.168.1.5:7400"), "{error}");
-        assert_eq!(resolve("127.0.0.1:7400").ok(), "127.0.0.1:7400".parse().ok());
+        assert_eq!(
+            resolve("127.0.0.1:7400").ok(),
+            "127.0.0.1:7400".parse().ok().map(|address| vec![address])
+        );
     }
 }

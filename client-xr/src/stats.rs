@@ -50,6 +50,62 @@ pub struct ClientStats {
     pub validation_messages: u32,
 }
 
+impl ClientStats {
+    /// What was counted in this and then in a later headset session, as one.
+    #[must_use]
+    pub fn and(self, later: Self) -> Self {
+        // All fields by name: a new one does not compile until it is added up here.
+        let Self {
+            device,
+            device_is_cpu,
+            runtime,
+            seconds,
+            client_fps,
+            bundles_per_s,
+            frames,
+            rendered_frames,
+            frames_with_bundle,
+            bundles,
+            connections,
+            atlas_bytes,
+            geometry_bytes,
+            vertex_samples,
+            held_vertices,
+            frozen_vertices,
+            withheld_patches,
+            lost_pictures,
+            refresh_requests,
+            validation_messages,
+        } = later;
+        let both_s = self.seconds + seconds;
+        let rate = |a: f64, b: f64| {
+            if both_s > 0.0 { (a * self.seconds + b * seconds) / both_s } else { 0.0 }
+        };
+        Self {
+            device,
+            device_is_cpu,
+            runtime,
+            seconds: both_s,
+            client_fps: rate(self.client_fps, client_fps),
+            bundles_per_s: rate(self.bundles_per_s, bundles_per_s),
+            frames: self.frames + frames,
+            rendered_frames: self.rendered_frames + rendered_frames,
+            frames_with_bundle: self.frames_with_bundle + frames_with_bundle,
+            bundles: self.bundles + bundles,
+            connections: self.connections + connections,
+            atlas_bytes: self.atlas_bytes + atlas_bytes,
+            geometry_bytes: self.geometry_bytes + geometry_bytes,
+            vertex_samples: self.vertex_samples + vertex_samples,
+            held_vertices: self.held_vertices + held_vertices,
+            frozen_vertices: self.frozen_vertices + frozen_vertices,
+            withheld_patches: self.withheld_patches + withheld_patches,
+            lost_pictures: self.lost_pictures + lost_pictures,
+            refresh_requests: self.refresh_requests + refresh_requests,
+            validation_messages: self.validation_messages + validation_messages,
+        }
+    }
+}
+
 /// The counters behind [`ClientStats`].
 pub(crate) struct Counters {
     device: String,
@@ -132,5 +188,33 @@ impl Counters {
             refresh_requests: self.refresh_requests,
             validation_messages: gpu.validation_messages(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_headset_that_was_opened_twice_is_counted_as_one() {
+        let first = ClientStats {
+            runtime: "first".into(),
+            seconds: 3.0,
+            client_fps: 70.0,
+            frames: 211,
+            ..ClientStats::default()
+        };
+        let second = ClientStats {
+            runtime: "second".into(),
+            seconds: 1.0,
+            client_fps: 90.0,
+            frames: 91,
+            connections: 1,
+            ..ClientStats::default()
+        };
+        let both = ClientStats::default().and(first.clone()).and(second);
+        assert_eq!((both.runtime.as_str(), both.seconds, both.client_fps), ("second", 4.0, 75.0));
+        assert_eq!((both.frames, both.connections), (302, 1));
+        assert_eq!(ClientStats::default().and(first.clone()), first);
     }
 }

@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::fs;
 use std::io::{self, Write};
+use std::net::SocketAddr;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -271,11 +272,26 @@ pub enum ExpectedIdentity {
     },
 }
 
-/// The servers a client has met, by address, in `known_servers.toml`.
+/// The servers a client has met, in `known_servers.toml`: a line for each name and address, with the fingerprint of the
+/// server there.
+///
+/// A server is its key. What the user typed and the address that answered are two lines of one server, so that it is
+/// known by either afterwards.
 #[derive(Debug)]
 pub struct KnownServers {
     path: PathBuf,
     servers: BTreeMap<String, Fingerprint>,
+}
+
+/// How a client knows the server that it has reached.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Meeting {
+    /// Under this name or address.
+    Again,
+    /// Under another one: this.
+    KnownAs(String),
+    /// Not at all; from now on it does.
+    First,
 }
 
 impl KnownServers {
@@ -299,33 +315,59 @@ impl KnownServers {
         Ok(Self { path, servers })
     }
 
-    /// Whom to expect at `address` (`host:port`, as the user writes it).
-    pub fn expected(&self, address: &str) -> ExpectedIdentity {
-        match self.servers.get(address) {
-            None => ExpectedIdentity::TrustOnFirstUse,
-            Some(&fingerprint) => ExpectedIdentity::Pinned {
-                fingerprint,
-                remedy: format!(
-                    "if the server was set up anew, delete the line that begins with \"{address}\" from {} and \
-                     connect again",
-                    self.path.display()
-                ),
-            },
+    /// Whom to expect at `address`, to which `name` (`host:port`, as the user writes it) leads. The name's line counts
+    /// before the address's: addresses go from one machine to another.
+    pub fn expected(&self, name: &str, address: SocketAddr) -> ExpectedIdentity {
+        let address = address.to_string();
+        let Some(&fingerprint) = self.servers.get(name).or_else(|| self.servers.get(&address)) else {
+            return ExpectedIdentity::TrustOnFirstUse;
+        };
+        let mut lines = vec![name];
+        if address != name {
+            lines.push(&address);
         }
+        lines.retain(|line| self.servers.get(*line) == Some(&fingerprint));
+        let lines: Vec<String> = lines.iter().map(|line| format!("\"{line}\"")).collect();
+        let (line, begins) = if lines.len() > 1 { ("lines", "begin") } else { ("line", "begins") };
+        let remedy = format!(
+            "if the server was set up anew, delete the {line} that {begins} with {} from {} and connect again",
+            lines.join(" and "),
+            self.path.display()
+        );
+        ExpectedIdentity::Pinned { fingerprint, remedy }
     }
 
-    /// Pins the server at `address` and writes the list, if it is not pinned already.
-    pub fn remember(&mut self, address: &str, fingerprint: Fingerprint) -> Result<(), IdentityError> {
-        if self.servers.get(address) == Some(&fingerprint) {
-            return Ok(());
+    /// Pins the server that answered as `name` at `address`, and writes the list where that is news.
+    pub fn remember(
+        &mut self,
+        name: &str,
+        address: SocketAddr,
+        fingerprint: Fingerprint,
+    ) -> Result<Meeting, IdentityError> {
+        let address = address.to_string();
+        let knows = |line: &str| self.servers.get(line) == Some(&fingerprint);
+        let (by_name, by_address) = (knows(name), knows(&address));
+        if by_name && by_address {
+            return Ok(Meeting::Again);
         }
-        self.servers.insert(address.to_owned(), fingerprint);
+        let other = self.servers.iter().find(|(_, known)| **known == fingerprint);
+        let meeting = match other {
+            _ if by_name => Meeting::Again,
+            Some((line, _)) => Meeting::KnownAs(line.clone()),
+            None => Meeting::First,
+        };
+        self.servers.insert(name.to_owned(), fingerprint);
+        self.servers.insert(address, fingerprint);
+        self.write().map(|()| meeting)
+    }
+
+    fn write(&self) -> Result<(), IdentityError> {
         if let Some(directory) = self.path.parent() {
             create_private_directory(directory)?;
         }
         let mut text = String::from("# Servers this client has met, and the fingerprints of their keys.\n");
-        for (address, fingerprint) in &self.servers {
-            text += &format!("{} = \"{fingerprint}\"\n", toml_string(address));
+        for (line, fingerprint) in &self.servers {
+            text += &format!("{} = \"{fingerprint}\"\n", toml_string(line));
         }
         let write = || {
             let mut file = PendingFile::create_private(&self.path)?;
@@ -415,36 +457,93 @@ mod tests {
         }
     }
 
+    fn at(address: &str) -> SocketAddr {
+        address.parse().unwrap()
+    }
+
+    fn fingerprint(seed: u64) -> Fingerprint {
+        ServerIdentity::from_seed(seed).unwrap().fingerprint()
+    }
+
+    #[track_caller]
+    fn pinned(known: &KnownServers, name: &str, address: &str) -> (Fingerprint, String) {
+        match known.expected(name, at(address)) {
+            ExpectedIdentity::Pinned { fingerprint, remedy } => (fingerprint, remedy),
+            ExpectedIdentity::TrustOnFirstUse => panic!("{name} at {address} is not pinned"),
+        }
+    }
+
     #[test]
     fn a_known_server_is_expected_the_next_time() {
         let dir = tempfile::tempdir().unwrap();
         let directory = dir.path().join("client");
-        let fingerprint = ServerIdentity::from_seed(3).unwrap().fingerprint();
         let mut known = KnownServers::load(&directory).unwrap();
-        assert_eq!(known.expected("pc.local:47800"), ExpectedIdentity::TrustOnFirstUse);
-        known.remember("pc.local:47800", fingerprint).unwrap();
-        known.remember("[::1]:47800", fingerprint).unwrap();
+        let (name, address) = ("pc.local:47800", "192.168.1.5:47800");
+        assert_eq!(known.expected(name, at(address)), ExpectedIdentity::TrustOnFirstUse);
+        assert_eq!(known.remember(name, at(address), fingerprint(3)).unwrap(), Meeting::First);
+        assert_eq!(known.remember(name, at(address), fingerprint(3)).unwrap(), Meeting::Again);
 
         let known = KnownServers::load(&directory).unwrap();
-        for address in ["pc.local:47800", "[::1]:47800"] {
-            let ExpectedIdentity::Pinned { fingerprint: pinned, remedy } = known.expected(address) else {
-                panic!("{address} is not pinned");
-            };
-            assert_eq!(pinned, fingerprint);
-            assert!(remedy.contains(address) && remedy.contains(KNOWN_SERVERS_FILE), "{remedy}");
+        let (expected, remedy) = pinned(&known, name, address);
+        assert_eq!(expected, fingerprint(3));
+        for word in [name, address, KNOWN_SERVERS_FILE] {
+            assert!(remedy.contains(word), "{remedy}");
         }
-        assert_eq!(known.expected("other:1"), ExpectedIdentity::TrustOnFirstUse);
+        assert_eq!(known.expected("other:1", at("10.0.0.1:1")), ExpectedIdentity::TrustOnFirstUse);
         assert_eq!(mode(&known.path), 0o600);
+    }
+
+    #[test]
+    fn a_server_is_its_key_and_not_the_string_that_was_typed() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut known = KnownServers::load(dir.path()).unwrap();
+        let loopback = "127.0.0.1:7400";
+        known.remember("localhost:7400", at(loopback), fingerprint(3)).unwrap();
+        assert_eq!(pinned(&known, loopback, loopback).0, fingerprint(3), "its address is known too");
+        assert_eq!(pinned(&known, "pc.local:7400", loopback).0, fingerprint(3), "whatever leads there");
+        let elsewhere = at("[::1]:7400");
+        assert_eq!(known.expected("[::1]:7400", elsewhere), ExpectedIdentity::TrustOnFirstUse);
+        let meeting = known.remember("[::1]:7400", elsewhere, fingerprint(3)).unwrap();
+        assert_eq!(meeting, Meeting::KnownAs(loopback.to_owned()), "the key is known under another name");
+        assert_eq!(known.remember("[::1]:7400", elsewhere, fingerprint(3)).unwrap(), Meeting::Again);
+    }
+
+    #[test]
+    fn an_address_that_went_to_another_machine_does_not_shut_out_the_one_that_is_meant() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut known = KnownServers::load(dir.path()).unwrap();
+        let address = "192.168.1.5:7400";
+        known.remember("old.local:7400", at(address), fingerprint(1)).unwrap();
+        known.remember("new.local:7400", at("192.168.1.6:7400"), fingerprint(2)).unwrap();
+        let (expected, remedy) = pinned(&known, "new.local:7400", address);
+        assert_eq!(expected, fingerprint(2), "the name counts");
+        assert!(!remedy.contains(address), "the address's line is not to blame: {remedy}");
+        assert_eq!(known.remember("new.local:7400", at(address), fingerprint(2)).unwrap(), Meeting::Again);
+        assert_eq!(pinned(&known, address, address).0, fingerprint(2));
+        assert_eq!(pinned(&known, "old.local:7400", address).0, fingerprint(1), "its name is still its own");
+    }
+
+    #[test]
+    fn a_list_of_an_earlier_version_is_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let text = format!("# Servers this client has met.\n\"pc.local:7400\" = \"{}\"\n", fingerprint(3));
+        fs::write(dir.path().join(KNOWN_SERVERS_FILE), text).unwrap();
+        let mut known = KnownServers::load(dir.path()).unwrap();
+        let address = "192.168.1.5:7400";
+        assert_eq!(pinned(&known, "pc.local:7400", address).0, fingerprint(3));
+        assert_eq!(known.remember("pc.local:7400", at(address), fingerprint(3)).unwrap(), Meeting::Again);
+        assert_eq!(pinned(&known, address, address).0, fingerprint(3));
     }
 
     #[test]
     fn any_address_can_be_remembered() {
         let dir = tempfile::tempdir().unwrap();
         let odd = "a\"b\\c\td\u{1}é = ]:1";
-        let fingerprint = Fingerprint([7; 32]);
-        KnownServers::load(dir.path()).unwrap().remember(odd, fingerprint).unwrap();
+        let address = at("[fe80::1%3]:7400");
+        KnownServers::load(dir.path()).unwrap().remember(odd, address, Fingerprint([7; 32])).unwrap();
         let known = KnownServers::load(dir.path()).unwrap();
-        assert!(matches!(known.expected(odd), ExpectedIdentity::Pinned { .. }));
+        assert!(matches!(known.expected(odd, at("10.0.0.1:1")), ExpectedIdentity::Pinned { .. }));
+        assert!(matches!(known.expected("other:1", address), ExpectedIdentity::Pinned { .. }));
     }
 
     #[test]

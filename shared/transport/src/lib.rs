@@ -23,7 +23,7 @@ pub use endpoint::{
     Transmit, random_bytes,
 };
 pub use files::{PendingFile, write_atomically};
-pub use identity::{ExpectedIdentity, Fingerprint, IdentityError, KnownServers, ServerIdentity};
+pub use identity::{ExpectedIdentity, Fingerprint, IdentityError, KnownServers, Meeting, ServerIdentity};
 pub use link::{Direction, Link, LinkError, LinkProfile, LinkSchedule};
 pub use mio::{Driver, Events, Handle, monotonic_now_ns, spawn};
 pub use pair::Pair;

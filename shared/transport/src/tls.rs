@@ -101,7 +101,7 @@ impl ServerCertVerifier for PinVerifier {
             && found != *fingerprint
         {
             let refusal = format!(
-                "the server has another identity than before (expected {fingerprint}, found {found}): {remedy}"
+                "the server has another identity than expected (expected {fingerprint}, found {found}): {remedy}"
             );
             self.note(Verdict { fingerprint: None, refusal: Some(refusal) });
             return Err(CertificateError::ApplicationVerificationFailure.into());

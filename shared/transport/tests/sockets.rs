@@ -199,7 +199,7 @@ fn a_client_finds_its_restarted_server_again_and_refuses_another_at_its_address(
 
     // Two lives of one server. The first ends without a word.
     for life in 0..2 {
-        client.handle.connect(address, known.expected(&address.to_string())).unwrap();
+        client.handle.connect(address, known.expected(&address.to_string(), address)).unwrap();
         let deadline = Instant::now() + PATIENCE;
         while !matches!(server.endpoint().poll_event(), Some(Event::Connected { .. })) {
             assert!(Instant::now() < deadline, "no connection in life {life}");
@@ -208,7 +208,7 @@ fn a_client_finds_its_restarted_server_again_and_refuses_another_at_its_address(
         let Event::Connected { fingerprint: Some(fingerprint), .. } = client.next() else {
             panic!("the client does not know the server");
         };
-        known.remember(&address.to_string(), fingerprint).unwrap();
+        known.remember(&address.to_string(), address, fingerprint).unwrap();
         drop(server);
         let identity = ServerIdentity::load_or_create(&dir.path().join("server")).unwrap();
         server = server_driver(&identity, address);
@@ -227,7 +227,7 @@ fn a_client_finds_its_restarted_server_again_and_refuses_another_at_its_address(
     let impostor = server_driver(&ServerIdentity::generate().unwrap(), address);
     let _impostor = Program::start(impostor);
     let known = KnownServers::load(&dir.path().join("client")).unwrap();
-    client.handle.connect(address, known.expected(&address.to_string())).unwrap();
+    client.handle.connect(address, known.expected(&address.to_string(), address)).unwrap();
     let (kind, reason) = client.wait_closed();
     assert_eq!(kind, CloseKind::IdentityChanged);
     for word in ["another identity", "delete the line", &address.to_string(), "known_servers.toml"] {
