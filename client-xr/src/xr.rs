@@ -12,6 +12,8 @@ use openxr::sys::platform::VkGetInstanceProcAddr;
 use shadecast_gpu::{DeviceSource, Gpu, GpuError, GpuOptions, Needs};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::time::DisplayTime;
+use std::io::ErrorKind;
+use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
 const VIEW_CONFIGURATION: openxr::ViewConfigurationType = openxr::ViewConfigurationType::PRIMARY_STEREO;
@@ -35,6 +37,18 @@ pub enum XrError {
          XR_RUNTIME_JSON=/usr/share/openxr/1/openxr_monado.json"
     )]
     NoRuntime(sys::Result),
+    /// The environment names a runtime that is not there.
+    #[error(
+        "no OpenXR runtime answers: the environment variable XR_RUNTIME_JSON names {}, which {wrong}; correct it, or unset \
+         it to use the system's active runtime",
+        path.display()
+    )]
+    NoManifest {
+        /// What it names.
+        path: PathBuf,
+        /// What is wrong with that.
+        wrong: &'static str,
+    },
     /// The runtime lacks an extension.
     #[error(
         "the OpenXR runtime \"{runtime}\" lacks {extension}, which this program needs; use another runtime"
@@ -65,6 +79,18 @@ pub enum XrError {
     /// The device failed.
     #[error(transparent)]
     Gpu(#[from] GpuError),
+}
+
+/// Why no runtime answers, as far as that can be seen from here.
+fn no_runtime(result: sys::Result) -> XrError {
+    let named = std::env::var_os("XR_RUNTIME_JSON").filter(|path| !path.is_empty()).map(PathBuf::from);
+    let Some(path) = named else { return XrError::NoRuntime(result) };
+    match std::fs::File::open(&path).map_err(|error| error.kind()) {
+        Err(ErrorKind::NotFound) => XrError::NoManifest { path, wrong: "does not exist" },
+        Err(_) => XrError::NoManifest { path, wrong: "cannot be read" },
+        Ok(_) if path.is_dir() => XrError::NoManifest { path, wrong: "is a folder" },
+        Ok(_) => XrError::NoRuntime(result),
+    }
 }
 
 trait Doing<T> {
@@ -259,7 +285,7 @@ fn open_instance(platform: &Platform) -> Result<openxr::Instance, XrError> {
     // SAFETY: the system's OpenXR loader conforms to the specification.
     let entry = unsafe { openxr::Entry::load(platform.openxr_platform()) };
     let entry = entry.map_err(|error| XrError::NoLoader(error.to_string()))?;
-    let available = entry.enumerate_extensions().map_err(XrError::NoRuntime)?;
+    let available = entry.enumerate_extensions().map_err(no_runtime)?;
     let mut wanted = openxr::ExtensionSet::default();
     wanted.khr_vulkan_enable2 = true;
     wanted.khr_convert_timespec_time = true;
@@ -280,9 +306,7 @@ fn open_instance(platform: &Platform) -> Result<openxr::Instance, XrError> {
     };
     entry.create_instance(&application, &wanted, &[], platform.openxr_platform()).map_err(|result| {
         match result {
-            sys::Result::ERROR_RUNTIME_UNAVAILABLE | sys::Result::ERROR_RUNTIME_FAILURE => {
-                XrError::NoRuntime(result)
-            }
+            sys::Result::ERROR_RUNTIME_UNAVAILABLE | sys::Result::ERROR_RUNTIME_FAILURE => no_runtime(result),
             _ => XrError::Call { doing: "creating the OpenXR instance", result },
         }
     })
@@ -451,10 +475,10 @@ impl Headset {
         let result =
             unsafe { locate(self.session.as_raw(), &info, &mut state, 2, &mut count, views.as_mut_ptr()) };
         succeeded(result).doing("locating the eyes")?;
-        let (location, velocity) = self.head.relate(&self.stage, turn.xr_time).doing("locating the head")?;
+        let (stage_from_head, velocity) = self.locate_head(turn.xr_time)?;
         let valid = sys::ViewStateFlags::ORIENTATION_VALID | sys::ViewStateFlags::POSITION_VALID;
         let mut located = Views {
-            stage_from_head: pose_of(location.pose),
+            stage_from_head,
             linear_velocity: velocity_of(
                 velocity.linear_velocity,
                 velocity.velocity_flags,
@@ -473,6 +497,29 @@ impl Headset {
         }
         self.last_views = Some(located);
         Ok(located)
+    }
+
+    /// The head in the stage, and how it moves. `openxr::Space::relate` would hand over a velocity whose flags are whatever
+    /// lay on the stack, at which the core validation layer ends the program.
+    fn locate_head(&self, time: openxr::Time) -> Result<(Pose, sys::SpaceVelocity), XrError> {
+        let mut velocity = sys::SpaceVelocity {
+            ty: sys::SpaceVelocity::TYPE,
+            next: std::ptr::null_mut(),
+            velocity_flags: sys::SpaceVelocityFlags::EMPTY,
+            linear_velocity: openxr::Vector3f::default(),
+            angular_velocity: openxr::Vector3f::default(),
+        };
+        let mut location = sys::SpaceLocation {
+            ty: sys::SpaceLocation::TYPE,
+            next: (&raw mut velocity).cast(),
+            location_flags: sys::SpaceLocationFlags::EMPTY,
+            pose: openxr::Posef::IDENTITY,
+        };
+        let locate = self.device.instance.fp().locate_space;
+        // SAFETY: both spaces are alive and of one session; the two structs say what they are and live through the call.
+        let result = unsafe { locate(self.head.as_raw(), self.stage.as_raw(), time, &mut location) };
+        succeeded(result).doing("locating the head")?;
+        Ok((pose_of(location.pose), velocity))
     }
 
     /// Ends a frame that shows nothing.

@@ -219,10 +219,23 @@ entry! {
         location.pose = pose_to_xr(pose.unwrap_or(Pose::IDENTITY));
         // SAFETY: the chain of a structure that the application wants filled in.
         if let Some(out) = unsafe { ffi::chained_output::<xr::SpaceVelocity>(location.next) } {
+            check_blank(out)?;
             write_velocity(out, velocity(core, &base, &space, time_ns));
         }
         Ok(xr::Result::SUCCESS)
     }
+}
+
+/// Flags that come in are what lay in memory that nobody set. The core validation layer looks at them on the way in, and
+/// ends the program where it does not know one.
+fn check_blank(velocity: &xr::SpaceVelocity) -> Outcome<()> {
+    let flags = velocity.velocity_flags.into_raw();
+    if flags == 0 {
+        return Ok(());
+    }
+    Err(Fault::usage(format!(
+        "velocityFlags are {flags:#x} before the call: hand over an XrSpaceVelocity set to zero"
+    )))
 }
 
 fn write_velocity(out: &mut xr::SpaceVelocity, velocity: Option<(Vec3, Vec3)>) {

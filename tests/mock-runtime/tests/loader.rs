@@ -547,7 +547,9 @@ fn spaces_and_velocities_follow_the_head_path() {
     let ahead = space(xr::ReferenceSpaceType::VIEW, ahead);
     assert_eq!(state.predicted_display_time.as_nanos(), period_begin_ns(start_ns, 72.0, 1));
     let half = xr::Time::from_nanos(start_ns + 500_000_000);
-    let (place, velocity) = head.relate(&app.stage, half).expect("located");
+    let mut velocity = blank_velocity();
+    let (code, place) = relate(&head, &app.stage, half, &mut velocity);
+    assert_eq!(code, Code::SUCCESS);
     let tracked = xr::SpaceLocationFlags::POSITION_TRACKED | xr::SpaceLocationFlags::ORIENTATION_TRACKED;
     assert!(place.location_flags.contains(tracked));
     assert_vector(place.pose.position, [0.5, 1.7, 0.0]);
@@ -565,6 +567,51 @@ fn spaces_and_velocities_follow_the_head_path() {
     assert_vector(views[1].pose.position, [0.0315, 0.0, 0.0]);
     let zero = head.locate(&app.stage, xr::Time::from_nanos(0));
     assert_eq!(zero.err(), Some(Code::ERROR_TIME_INVALID));
+}
+
+fn blank_velocity() -> xr::sys::SpaceVelocity {
+    xr::sys::SpaceVelocity {
+        ty: xr::sys::SpaceVelocity::TYPE,
+        next: std::ptr::null_mut(),
+        velocity_flags: xr::SpaceVelocityFlags::EMPTY,
+        linear_velocity: xr::Vector3f::default(),
+        angular_velocity: xr::Vector3f::default(),
+    }
+}
+
+/// `openxr::Space::relate` hands over a velocity that nobody has set.
+fn relate(
+    space: &xr::Space,
+    base: &xr::Space,
+    time: xr::Time,
+    velocity: &mut xr::sys::SpaceVelocity,
+) -> (Code, xr::sys::SpaceLocation) {
+    let mut location = xr::sys::SpaceLocation {
+        ty: xr::sys::SpaceLocation::TYPE,
+        next: std::ptr::from_mut(velocity).cast(),
+        location_flags: xr::SpaceLocationFlags::EMPTY,
+        pose: xr::Posef::IDENTITY,
+    };
+    let locate = space.instance().fp().locate_space;
+    // SAFETY: both spaces are alive; the structs say what they are and live through the call.
+    let code = unsafe { locate(space.as_raw(), base.as_raw(), time, &mut location) };
+    (code, location)
+}
+
+/// As the core validation layer of today's SDKs does it.
+#[test]
+fn a_velocity_that_nobody_has_set_is_refused() {
+    let run = Run::new(&virtual_config());
+    let mut app = App::begun();
+    let time = app.empty_frame().predicted_display_time;
+    let head = app.session.create_reference_space(xr::ReferenceSpaceType::VIEW, xr::Posef::IDENTITY);
+    let head = head.expect("space");
+    let left_over = xr::SpaceVelocityFlags::LINEAR_VALID;
+    let mut velocity = xr::sys::SpaceVelocity { velocity_flags: left_over, ..blank_velocity() };
+    assert_eq!(relate(&head, &app.stage, time, &mut velocity).0, Code::ERROR_VALIDATION_FAILURE);
+    assert_eq!(relate(&head, &app.stage, time, &mut blank_velocity()).0, Code::SUCCESS);
+    drop((head, app));
+    assert_eq!(read_summary(&run.captures()).expect("summary").errors, 1);
 }
 
 #[track_caller]
