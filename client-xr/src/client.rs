@@ -12,6 +12,7 @@ use crate::stages::background::{self, Text};
 use crate::stages::interpolate::Interpolation;
 use crate::stages::probe::{Probe, ProbeView};
 use crate::stats::{ClientStats, Counters};
+use crate::stillness::Stillness;
 use crate::xr::{Views, Xr, XrError};
 use shadecast_gpu::{Gpu, GpuError, vk};
 use shadecast_protocol::PROTOCOL_VERSION;
@@ -178,6 +179,9 @@ pub struct Client {
     pub(crate) now: DisplayTime,
     pub(crate) panel: Option<Pose>,
     pub(crate) status: Text,
+    pub(crate) stillness: Stillness,
+    /// Said while the connection stands and brings nothing.
+    pub(crate) waiting: Text,
     pub(crate) connection: Option<Connection>,
     spare: Vec<ArrivedPicture>,
     /// The driver is connected; the session begins when the eyes are known, since the hello names them.
@@ -214,6 +218,8 @@ impl Client {
             now: DisplayTime(0),
             panel: None,
             status: Text::new("Shadecast"),
+            stillness: Stillness::default(),
+            waiting: Text::new("No new pictures from the server"),
             connection: None,
             spare: Vec::with_capacity(8),
             is_connected: false,
@@ -229,7 +235,7 @@ impl Client {
         })
     }
 
-    /// Says `text` in the waiting room, which is seen until the first bundle.
+    /// Says `text` in the waiting room, which is seen until the first bundle, and before a world that stands still.
     pub fn set_status(&mut self, text: &str) {
         self.status = Text::new(text);
     }

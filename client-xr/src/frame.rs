@@ -70,6 +70,12 @@ impl Client {
             }
         };
         self.stages.background.record(&mut recorder, slot, backdrop);
+        let world = self.shown.as_ref().filter(|_| content.frame.is_some());
+        if let Some((scene, stage_from_panel)) = world.zip(self.stillness.panel()) {
+            let world_from_panel = scene.terms.world_from_stage.then(stage_from_panel);
+            let text = if self.connection.is_some() { &self.waiting } else { &self.status };
+            self.stages.notice.record(&mut recorder, slot, world_from_panel, text);
+        }
         recorder.end_pass();
 
         // All is recorded: now the eyes, as late as possible.
@@ -144,6 +150,7 @@ impl Client {
             frozen_vertices: content.scene.motionless.frozen,
             withheld_patches: content.scene.withheld_patches,
         };
+        self.stillness.note(&report, views.stage_from_head);
         self.tell_head(turn.display_time, turn.period_ns, views);
         self.report_frame(&report, content.switched.map(|switched| switched.picture_arrived));
         Step::Frame(report)

@@ -14,4 +14,5 @@ pub mod renderer;
 pub mod scene;
 pub mod stages;
 pub mod stats;
+mod stillness;
 pub mod xr;

@@ -3,6 +3,7 @@
 use crate::stages::atlas_draw::{AtlasDraw, EyeTargets, eye_buffers};
 use crate::stages::background::Background;
 use crate::stages::interpolate::Interpolate;
+use crate::stages::notice::Notice;
 use crate::stages::scatter::Scatter;
 use crate::stages::{FRAMES_IN_FLIGHT, wait_for};
 use crate::xr::Swapchain;
@@ -20,6 +21,8 @@ pub struct Stages {
     pub atlas: AtlasDraw,
     /// What is behind it.
     pub background: Background,
+    /// Words in front of it.
+    pub notice: Notice,
     /// What is drawn to.
     pub targets: EyeTargets,
     /// The eyes of each frame in flight.
@@ -43,6 +46,7 @@ impl Stages {
             interpolate: Interpolate::new(gpu)?,
             atlas: AtlasDraw::new(gpu, &targets.pass)?,
             background: Background::new(gpu, &targets.pass, eyes.each_ref())?,
+            notice: Notice::new(gpu, &targets.pass, eyes.each_ref())?,
             targets,
             eyes,
             last_use: [None; FRAMES_IN_FLIGHT],

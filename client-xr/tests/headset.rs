@@ -501,6 +501,45 @@ fn after_a_reconnect_the_old_bundle_stays_until_the_new_server_has_one() {
     assert_close(run.picture(last, Side::Left).at(x, y), BLUE.0, "the new server's picture");
 }
 
+/// Pixels of the left eye that two frames show differently.
+fn differing(run: &Run, before: u64, after: u64) -> usize {
+    let (before, after) = (run.picture(before, Side::Left), run.picture(after, Side::Left));
+    before.pixels().zip(after.pixels()).filter(|(before, after)| before != after).count()
+}
+
+#[test]
+fn a_world_that_stands_still_says_why_until_pictures_come_again() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    let mut line = Line::connect(&mut client);
+    line.send(&static_patches(), &planes([0, 64]), true);
+    for _ in 0..3 {
+        line.frame(&mut client);
+    }
+    let moving = client.stats().frames - 1;
+    client.on_closed(at(2_000_000_000));
+    client.set_status("Connecting to 192.168.1.5:7400: it did not answer");
+    for _ in 0..100 {
+        frame(&mut client);
+    }
+    let quiet = client.stats().frames - 1;
+    for _ in 0..60 {
+        assert_eq!(frame(&mut client).frame, Some(FrameId(0)), "the last bundle stays");
+    }
+    let told = client.stats().frames - 1;
+    let mut line = Line::connect(&mut client);
+    line.send(&static_patches(), &planes([0, 64]), true);
+    while !line.frame(&mut client).is_new {}
+    line.frame(&mut client);
+    let again = client.stats().frames - 1;
+    finish(&run, client);
+    assert_eq!(differing(&run, moving, quiet), 0, "a second without a picture is not worth a word");
+    assert!(differing(&run, moving, told) > 1000, "a panel is in front of the world");
+    let ink = run.picture(told, Side::Left).pixels().filter(|pixel| pixel.iter().all(|c| *c > 200)).count();
+    assert!(ink > 50, "{ink} bright pixels of text");
+    assert_eq!(differing(&run, moving, again), 0, "the world moves again");
+}
+
 #[test]
 fn the_sessions_end_ends_the_client() {
     let events = vec![ScriptedEvent { frame: 5, kind: EventKind::Stop }];

@@ -17,7 +17,7 @@ use std::sync::Arc;
 /// Columns and rows of text that are shown at most.
 pub const TEXT_CELLS: [usize; 2] = [40, 6];
 /// A character's extent in metres: at 1.75 m about 1.2 by 1.8 degrees.
-const CELL_EXTENT_M: [f32; 2] = [0.036, 0.054];
+pub(super) const CELL_EXTENT_M: [f32; 2] = [0.036, 0.054];
 /// How far ahead of the head the text appears.
 const TEXT_DISTANCE_M: f32 = 1.75;
 /// The waiting room's light: neutral, dim enough for a dark room.
@@ -38,10 +38,20 @@ pub enum Backdrop<'a> {
     },
 }
 
-/// A text as the shader reads it.
+/// A text as the shaders read it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Text {
     words: [u32; TEXT_CELLS[0] * TEXT_CELLS[1] * 2],
+    /// First and last cell, exclusive, that holds a character: left, top, right, bottom.
+    used: [usize; 4],
+}
+
+impl Default for Text {
+    /// Nothing.
+    fn default() -> Self {
+        let [columns, rows] = TEXT_CELLS;
+        Self { words: [0; TEXT_CELLS[0] * TEXT_CELLS[1] * 2], used: [columns, rows, 0, 0] }
+    }
 }
 
 /// The pipeline, and what it reads per frame in flight.
@@ -53,17 +63,32 @@ pub struct Background {
 impl Text {
     /// `text` broken into lines and centred; what does not fit is cut. Characters outside ASCII become boxes.
     pub fn new(text: &str) -> Self {
-        let mut words = [0; TEXT_CELLS[0] * TEXT_CELLS[1] * 2];
+        let mut made = Self::default();
         let lines = wrapped(text, TEXT_CELLS[0]);
         let first_row = (TEXT_CELLS[1] - lines.len().min(TEXT_CELLS[1])) / 2;
         for (row, line) in lines.iter().take(TEXT_CELLS[1]).enumerate() {
-            let indent = (TEXT_CELLS[0] - line.chars().count().min(TEXT_CELLS[0])) / 2;
+            let length = line.chars().count().min(TEXT_CELLS[0]);
+            let indent = (TEXT_CELLS[0] - length) / 2;
+            let [left, top, right, bottom] = made.used;
+            let (this, next) = (first_row + row, first_row + row + 1);
+            made.used = [left.min(indent), top.min(this), right.max(indent + length), bottom.max(next)];
             for (column, character) in line.chars().take(TEXT_CELLS[0]).enumerate() {
-                let cell = (first_row + row) * TEXT_CELLS[0] + indent + column;
-                words[cell * 2..cell * 2 + 2].copy_from_slice(&font::glyph(character));
+                let cell = this * TEXT_CELLS[0] + indent + column;
+                made.words[cell * 2..cell * 2 + 2].copy_from_slice(&font::glyph(character));
             }
         }
-        Self { words }
+        made
+    }
+
+    /// Two words a cell, row by row.
+    pub(super) fn words(&self) -> &[u32] {
+        &self.words
+    }
+
+    /// What a panel behind the text covers: left, top, right, bottom, in cells from the upper left.
+    pub(super) fn box_cells(&self) -> [f32; 4] {
+        let [left, top, right, bottom] = self.used.map(|cell| cell as f32);
+        [left - 1.5, top - 0.75, right + 1.5, bottom + 0.75]
     }
 }
 
@@ -115,7 +140,7 @@ impl Background {
         let pipeline = GraphicsPipeline::new(gpu, &desc)?;
         let slot = |eyes: &Buffer| {
             let backdrop = Buffer::new(gpu, "backdrop", size_of::<BackdropGpu>() as u64, Memory::Upload)?;
-            let text = Buffer::new(gpu, "text", size_of::<Text>() as u64, Memory::Upload)?;
+            let text = Buffer::new(gpu, "text", size_of_val(Text::default().words()) as u64, Memory::Upload)?;
             let binds = [
                 ("Eyes", Bind::Buffer(eyes)),
                 ("Backdrop", Bind::Buffer(&backdrop)),
@@ -178,6 +203,13 @@ mod tests {
         let long = "x".repeat(1000) + "\n\n\n\n\n\n\n\n\nlast";
         Text::new(&long);
         assert_ne!(Text::new("a"), Text::new("b"));
+    }
+
+    #[test]
+    fn a_panel_covers_all_lines_and_not_much_more() {
+        assert_eq!(Text::new("ab\nabcd").used, [18, 2, 22, 4]);
+        let full = Text::new(&"x".repeat(1000));
+        assert_eq!(full.used, [0, 2, TEXT_CELLS[0], 3], "one line, cut");
     }
 
     #[test]

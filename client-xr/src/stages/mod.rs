@@ -4,6 +4,7 @@
 pub mod atlas_draw;
 pub mod background;
 pub mod interpolate;
+pub mod notice;
 pub mod probe;
 pub mod scatter;
 pub mod upload;

@@ -1,7 +1,16 @@
-//! What a person at a terminal is told: wrong options are refused by name before anything is opened.
+//! What a person at a terminal is told, and what becomes of programs that are interrupted.
 
+use serde_json::Value;
+use shadecast_lab::run::prepare_runtime;
+use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
+use shadecast_transport::{Driver, Endpoint, EndpointConfig, Fingerprint, Handle, ServerIdentity, spawn};
+use std::io::{BufRead, BufReader};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
+use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
 
 fn program(name: &str) -> PathBuf {
     let here = std::env::current_exe().expect("this test is a file");
@@ -34,4 +43,198 @@ fn an_atlas_that_no_client_takes_is_refused_at_the_command_line() {
         let said = refused(name, &[arguments, &["1536x1536"]].concat());
         assert!(said.contains("power of two from 512 to 4096"), "{said}");
     }
+}
+
+/// A software device on a busy machine is slow to start.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A client on a mock runtime of its own, with what it says on standard error as lines.
+struct Client {
+    child: Child,
+    lines: Receiver<String>,
+    said: String,
+}
+
+/// Folders and environment of clients.
+struct Stage {
+    folder: tempfile::TempDir,
+}
+
+impl Stage {
+    fn new() -> Self {
+        Self { folder: tempfile::tempdir().expect("a folder") }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn manifest(&self) -> PathBuf {
+        let manifest = std::fs::read_dir(self.path("runtime")).expect("the runtime's folder").flatten();
+        let mut files =
+            manifest.map(|entry| entry.path()).filter(|path| path.extension().is_some_and(|e| e == "json"));
+        files.find(|path| !path.ends_with("mock.json")).expect("a manifest")
+    }
+
+    /// A client that keeps what it knows in `identity`; the runtime loses its instance at these frames.
+    fn client(&self, arguments: &[&str], losses: impl Iterator<Item = u64>) -> Client {
+        let events = losses.map(|frame| ScriptedEvent { frame, kind: EventKind::InstanceLoss }).collect();
+        let config = MockConfig { extent_pixels: [64, 64], events, ..MockConfig::default() };
+        let runtime = prepare_runtime(&config, &self.path("runtime")).expect("a runtime");
+        let mut command = Command::new(program("shadecast-client"));
+        command.args(arguments).arg("--identity").arg(self.path("identity"));
+        command.envs(runtime.iter().map(|(name, value)| (name, value)));
+        Client::start(&mut command)
+    }
+}
+
+impl Client {
+    fn start(command: &mut Command) -> Self {
+        let mut child = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().expect("it starts");
+        let output = child.stderr.take().expect("piped");
+        let (to, lines) = channel();
+        std::thread::spawn(move || {
+            for line in BufReader::new(output).lines().map_while(Result::ok) {
+                println!("{line}");
+                let _ = to.send(line);
+            }
+        });
+        Self { child, lines, said: String::new() }
+    }
+
+    /// Waits until it has said this.
+    #[track_caller]
+    fn says(&mut self, text: &str) {
+        let deadline = Instant::now() + PATIENCE;
+        while !self.said.contains(text) {
+            match self.lines.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+                Ok(line) => self.said += &(line + "\n"),
+                Err(_) => panic!("\"{text}\" was not said, but: {}", self.said),
+            }
+        }
+    }
+
+    fn interrupt(&self) {
+        let killed = Command::new("kill").args(["-INT", &self.child.id().to_string()]).status();
+        assert!(killed.expect("kill runs").success());
+    }
+
+    /// How it ends, and all that it has said.
+    #[track_caller]
+    fn ends(mut self) -> (ExitStatus, String) {
+        let deadline = Instant::now() + PATIENCE;
+        while Instant::now() < deadline {
+            if let Some(status) = self.child.try_wait().expect("a child") {
+                self.said.extend(self.lines.iter().map(|line| line + "\n"));
+                return (status, std::mem::take(&mut self.said));
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        panic!("it did not end in time, and said: {}", self.said);
+    }
+}
+
+impl Drop for Client {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The transport's half of a server: connections stand, and nothing is said over them.
+fn mute_server(seed: u64, address: SocketAddr) -> (SocketAddr, Handle, Fingerprint) {
+    let identity = ServerIdentity::from_seed(seed).expect("an identity");
+    let endpoint = Endpoint::server(&identity, EndpointConfig::default()).expect("an endpoint");
+    let driver = Driver::bind(endpoint, address).expect("a socket");
+    let address = driver.local_addr().expect("an address");
+    (address, spawn(driver).expect("a thread").0, identity.fingerprint())
+}
+
+const ANY: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
+
+#[test]
+fn ctrl_c_while_the_headset_is_gone_ends_well_and_keeps_the_statistics() {
+    let stage = Stage::new();
+    let stats = stage.path("stats.json");
+    let arguments = ["--connect", "127.0.0.1:9", "--stats", stats.to_str().expect("text")];
+    let mut client = stage.client(&arguments, (1..200).map(|n| n * 30));
+    client.says("per eye"); // the first frame was shown
+    std::fs::remove_file(stage.manifest()).expect("the runtime goes away");
+    client.says("the headset is gone; trying again for 30 s");
+    client.interrupt();
+    let (status, said) = client.ends();
+    assert_eq!(status.code(), Some(0), "{said}");
+    assert!(said.contains("frames/s"), "a summary: {said}");
+    let stats: Value = serde_json::from_slice(&std::fs::read(stats).expect("statistics")).expect("JSON");
+    assert!(stats["frames"].as_u64().is_some_and(|frames| frames > 0), "{stats}");
+}
+
+#[test]
+fn what_goes_wrong_is_said_in_plain_text_to_who_wants_quiet_too() {
+    let silent = UdpSocket::bind(ANY).expect("a socket");
+    let address = silent.local_addr().expect("an address").to_string();
+    let mut client = Stage::new().client(&["--quiet", "--connect", &address], std::iter::empty());
+    client.says("did not answer");
+    client.interrupt();
+    let (status, said) = client.ends();
+    assert_eq!(status.code(), Some(0), "{said}");
+    assert!(!said.contains('\x1b'), "no colours where nobody sees them: {said:?}");
+}
+
+#[test]
+fn a_server_is_shown_once_known_by_any_name_and_refused_when_it_is_another() {
+    let stage = Stage::new();
+    let (address, server, fingerprint) = mute_server(1, ANY);
+    let typed = address.to_string();
+    let says = |arguments: &[&str], words: &[&str]| {
+        let mut client = stage.client(arguments, std::iter::empty());
+        words.iter().for_each(|word| client.says(word));
+        client.interrupt();
+        assert_eq!(client.ends().0.code(), Some(0));
+    };
+    says(&["--connect", &typed], &[&format!("first connection to {typed}: its identity is {fingerprint}")]);
+    let by_name = format!("localhost:{}", address.port());
+    says(&["--connect", &by_name], &[&format!("is the server that is known as {typed}")]);
+    let wrong = ServerIdentity::from_seed(2).expect("an identity").fingerprint().to_string();
+    says(&["--quiet", "--connect", &typed, "--fingerprint", &wrong], &["another identity", "--fingerprint"]);
+    drop(server);
+    let (_, _impostor, _) = mute_server(2, address);
+    says(&["--quiet", "--connect", &typed], &["another identity", "delete the line", "known_servers.toml"]);
+}
+
+#[test]
+fn the_second_signal_ends_the_client_at_once() {
+    let stage = Stage::new();
+    let pipe = stage.path("stats.json");
+    assert!(Command::new("mkfifo").arg(&pipe).status().expect("mkfifo runs").success());
+    // Nobody reads the pipe: after the first signal the client waits for ever to write its statistics.
+    let arguments = ["--connect", "127.0.0.1:9", "--stats", pipe.to_str().expect("text")];
+    let mut client = stage.client(&arguments, std::iter::empty());
+    client.says("per eye");
+    client.interrupt();
+    std::thread::sleep(Duration::from_millis(500));
+    client.interrupt();
+    let (status, said) = client.ends();
+    assert_eq!(status.signal(), Some(2), "{said}");
+}
+
+#[test]
+fn a_runtime_that_the_environment_names_and_nobody_has_is_named() {
+    let missing = Stage::new().path("missing.json");
+    let mut command = Command::new(program("shadecast-client"));
+    let output = command.env("XR_RUNTIME_JSON", &missing).output().expect("it starts");
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!output.status.success(), "{said}");
+    let words = format!("XR_RUNTIME_JSON names {}, which does not exist", missing.display());
+    assert!(said.contains(&words), "{said}");
+}
+
+#[test]
+fn durations_that_are_none_are_refused_by_name() {
+    for value in ["nan", "-1", "inf", "1e300", "ten"] {
+        let said = refused("shadecast-client", &[&format!("--seconds={value}")]);
+        assert!(said.contains("--seconds") && said.contains(value), "{said}");
+    }
+    let said = refused("shadecast-client", &["--fingerprint", "12ab"]);
+    assert!(said.contains("--fingerprint") && said.contains("64 hexadecimal digits"), "{said}");
 }

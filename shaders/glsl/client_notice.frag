@@ -1,0 +1,21 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+// Light text on a dark panel through which the world is still guessed.
+#include "client_notice.glsl"
+layout(std430, binding = 2) readonly buffer Text { uint text[]; };
+layout(location = 0) in vec2 cell;
+layout(location = 0) out vec4 color; // linear, blended over; the attachment is sRGB
+
+#include "text.glsl"
+
+const vec3 PANEL = vec3(0.012);
+const vec3 INK = vec3(0.9);
+const float PANEL_COVERAGE = 0.85;
+
+void main() {
+    // Dots are about a pixel: nine lookups spread over it keep them from flickering.
+    vec2 third = fwidth(cell) / 3.0;
+    float share = 0.0;
+    for (int i = 0; i < 9; i++) share += text_dot(cell + third * vec2(i % 3 - 1, i / 3 - 1), notice.text_cells.xy) / 9.0;
+    color = vec4(mix(PANEL, INK, share), mix(PANEL_COVERAGE, 1.0, share));
+}
