@@ -103,13 +103,18 @@ fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-fn log_to_stderr(level: tracing::Level) {
+/// Colour escapes are for terminals: not for files, and not for who sets NO_COLOR.
+fn wants_colour() -> bool {
     let is_refused = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    std::io::stderr().is_terminal() && !is_refused
+}
+
+fn log_to_stderr(level: tracing::Level) {
     tracing_subscriber::fmt()
         .with_max_level(level)
         .with_target(false)
         .without_time()
-        .with_ansi(std::io::stderr().is_terminal() && !is_refused)
+        .with_ansi(wants_colour())
         .with_writer(std::io::stderr)
         .log_internal_errors(false)
         .init();

@@ -9,9 +9,10 @@ use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 use glam::Vec3;
 use interrupt::FirstSignal;
-use output::{Output, note, told};
+use output::{Output, note};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::text::with_causes;
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_scene::generate;
 use shadecast_scene::load::{SceneSource, load_scene_with};
@@ -25,6 +26,7 @@ use shadecast_server::stages::skin::Skinning;
 use shadecast_server::stream::{Device, StreamOptions, run};
 use shadecast_transport::{LinkProfile, LinkSchedule};
 use start_up::{CacheArgs, StartUp};
+use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -154,6 +156,12 @@ fn parse_vector(text: &str) -> Result<Vec3, String> {
     }
 }
 
+/// Colour escapes are for terminals: not for files, and not for who sets NO_COLOR.
+fn wants_colour() -> bool {
+    let is_refused = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    std::io::stderr().is_terminal() && !is_refused
+}
+
 fn main() {
     let filter = tracing_subscriber::filter::Targets::new()
         .with_default(tracing::Level::WARN)
@@ -161,7 +169,12 @@ fn main() {
     use tracing_subscriber::layer::SubscriberExt;
     use tracing_subscriber::util::SubscriberInitExt;
     tracing_subscriber::registry()
-        .with(tracing_subscriber::fmt::layer().with_writer(std::io::stderr).log_internal_errors(false))
+        .with(
+            tracing_subscriber::fmt::layer()
+                .with_ansi(wants_colour())
+                .with_writer(std::io::stderr)
+                .log_internal_errors(false),
+        )
         .with(filter)
         .init();
     if let Err(error) = run_command(&Cli::parse().command) {
@@ -169,7 +182,7 @@ fn main() {
             note("interrupted");
             std::process::exit(interrupt::EXIT_CODE);
         }
-        note(&format!("error: {}", told(&error)));
+        note(&format!("error: {}", with_causes(error.as_ref())));
         std::process::exit(1);
     }
 }

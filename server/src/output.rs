@@ -66,23 +66,11 @@ pub(crate) fn note(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-/// An error with its causes, each said once: some say their cause themselves.
-pub(crate) fn told(error: &anyhow::Error) -> String {
-    let mut text = String::new();
-    for cause in error.chain().map(ToString::to_string) {
-        if text.is_empty() {
-            text = cause;
-        } else if !text.contains(&cause) {
-            text = format!("{text}: {cause}");
-        }
-    }
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use anyhow::Context;
+    use shadecast_protocol::text::with_causes;
 
     #[derive(Debug, thiserror::Error)]
     #[error("reading /key: {source}")]
@@ -94,10 +82,13 @@ mod tests {
     fn a_cause_that_was_said_is_not_said_again() {
         let source = std::io::Error::from_raw_os_error(13);
         let error = Err::<(), _>(Embeds { source }).context("starting the server").expect_err("an error");
-        assert_eq!(told(&error), "starting the server: reading /key: Permission denied (os error 13)");
+        assert_eq!(
+            with_causes(error.as_ref()),
+            "starting the server: reading /key: Permission denied (os error 13)"
+        );
         let plain =
             Err::<(), _>(std::io::Error::from_raw_os_error(2)).context("writing x").expect_err("an error");
-        assert_eq!(told(&plain), "writing x: No such file or directory (os error 2)");
+        assert_eq!(with_causes(plain.as_ref()), "writing x: No such file or directory (os error 2)");
     }
 
     #[test]

@@ -11,11 +11,13 @@ use shadecast_lab::robot::robot;
 use shadecast_lab::run::run;
 use shadecast_lab::skinning;
 use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::text::with_causes;
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::scene_gpu::SceneOptions;
 use shadecast_server::stages::skin::Skinning;
 use shadecast_transport::{LinkProfile, LinkSchedule};
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -184,11 +186,17 @@ fn parse_size(text: &str) -> Result<[u32; 2], String> {
         .ok_or_else(|| format!("\"{text}\" is not WxH with sides from 16 to 4096, such as 512x512"))
 }
 
+/// Colour escapes are for terminals: not for files, and not for who sets NO_COLOR.
+fn wants_colour() -> bool {
+    let is_refused = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    std::io::stderr().is_terminal() && !is_refused
+}
+
 fn main() {
     use tracing_subscriber::layer::SubscriberExt;
     use tracing_subscriber::util::SubscriberInitExt;
     let filter = tracing_subscriber::filter::Targets::new().with_default(tracing::Level::WARN);
-    let layer = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
+    let layer = tracing_subscriber::fmt::layer().with_ansi(wants_colour()).with_writer(std::io::stderr);
     tracing_subscriber::registry().with(layer).with(filter).init();
     let result = match Cli::parse().command {
         Command::Run(args) => run_one(args),
@@ -203,7 +211,7 @@ fn main() {
         Command::Device => name_device(),
     };
     if let Err(error) = result {
-        eprintln!("error: {error:#}");
+        eprintln!("error: {}", with_causes(error.as_ref()));
         std::process::exit(1);
     }
 }
