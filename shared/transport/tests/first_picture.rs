@@ -9,7 +9,9 @@ use shadecast_protocol::message::{
     Capabilities, ClientHello, Codec, Environment, HeadState, ResumeSecret, ServerOffer,
 };
 use shadecast_protocol::pose::{Eye, Fov, Pose};
-use shadecast_protocol::session::{ClientEvent, ClientSession, Out, ServerEvent, ServerSession};
+use shadecast_protocol::session::{
+    ClientEvent, ClientSession, DeltaSender, Out, ServerEvent, ServerSession, picture_stream,
+};
 use shadecast_protocol::time::{DEFAULT_GRID, DisplayTime, ServerTime};
 use shadecast_protocol::wire::PictureHeader;
 use shadecast_transport::pair::SERVER_ADDR;
@@ -71,6 +73,9 @@ struct Play {
     on_server: Option<PeerId>,
     client: Option<ClientSession>,
     server: ServerSession,
+    sender: Option<DeltaSender>,
+    /// The first update's streams.
+    update: Vec<Out>,
     /// The welcome is here and the head was not told yet.
     wants_head: bool,
 }
@@ -83,7 +88,16 @@ impl Play {
         let mut pair = Pair::new(server, Endpoint::client(config()), profile, 1);
         let on_client = pair.client.connect(0, SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
         let server = ServerSession::new(offer());
-        Self { pair, on_client, on_server: None, client: None, server, wants_head: false }
+        Self {
+            pair,
+            on_client,
+            on_server: None,
+            client: None,
+            server,
+            sender: None,
+            update: Vec::new(),
+            wants_head: false,
+        }
     }
 
     /// Milliseconds until the client has the first update's geometry and picture; nothing takes time but the network.
@@ -149,11 +163,16 @@ impl Play {
     /// The first update follows the first pose.
     fn answer(&mut self) {
         while let Some(event) = self.server.poll_event() {
-            if matches!(event, ServerEvent::Pose(_)) {
-                let frame = self.server.next_delta();
-                self.server.send_delta(&GeometryDelta { frame, ..Default::default() });
-                let header = PictureHeader { frame, time: ServerTime(0), is_refresh: true };
-                self.server.send_picture(header, &vec![7; PICTURE_BYTES]);
+            match (event, &mut self.sender) {
+                (ServerEvent::Asked { .. }, sender) => *sender = self.server.accept(),
+                (ServerEvent::Pose(_), Some(sender)) => {
+                    let frame = sender.next_delta();
+                    let delta = GeometryDelta { frame, ..Default::default() };
+                    let header = PictureHeader { frame, time: ServerTime(0), is_refresh: true };
+                    self.update.push(sender.delta_stream(&delta).unwrap().0);
+                    self.update.push(picture_stream(header, &vec![7; PICTURE_BYTES]).unwrap());
+                }
+                (event, _) => panic!("{event:?}"),
             }
         }
     }
@@ -167,7 +186,8 @@ impl Play {
             }
         }
         let (now, Some(peer)) = (ServerTime(self.pair.now_ns()), self.on_server) else { return };
-        while let Some(out) = self.server.poll_out(now) {
+        let update = std::mem::take(&mut self.update);
+        for out in std::iter::from_fn(|| self.server.poll_out(now)).chain(update) {
             match out {
                 Out::Control(message) => self.pair.server.send_control(peer, &message).unwrap(),
                 Out::Datagram(bytes) => assert!(self.pair.server.send_datagram(peer, &bytes)),
