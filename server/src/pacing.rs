@@ -22,8 +22,12 @@ const RATE_LIFETIME_NS: i64 = 10_000_000_000;
 const GEOMETRY_S: f64 = 1.0;
 /// New geometry that any update may bring, bytes: the scene must enter even over the slowest link.
 const LEAST_GEOMETRY_BYTES: f64 = 16_384.0;
-/// The person is told of a slow link at most this often, nanoseconds.
+/// The person is told of a slow link at most this often, and when updates have been withheld for this long, nanoseconds: a
+/// new connection on a long way needs some round trips until it is as fast as it can be.
 const TELL_NS: i64 = 10_000_000_000;
+const TELL_AFTER_NS: i64 = 2_000_000_000;
+/// Updates that are withheld within this time belong together, nanoseconds.
+const TOGETHER_NS: i64 = 1_000_000_000;
 /// Weight of the newest update in what an update is taken to need.
 const NEWEST: f64 = 0.25;
 /// Longest time that one update's samples cover, nanoseconds: those of a pause that was longer are left out.
@@ -83,7 +87,8 @@ pub struct UpdateGate {
     /// The link's rate in bytes per second, and when something last waited for it.
     rate: Option<(f64, i64)>,
     needs: Needs,
-    withheld: bool,
+    /// When updates began to be withheld, and the last one that was.
+    withheld_ns: Option<[i64; 2]>,
     told_ns: Option<i64>,
 }
 
@@ -117,7 +122,7 @@ impl UpdateGate {
             waiting: None,
             rate: None,
             needs: Needs::default(),
-            withheld: false,
+            withheld_ns: None,
             told_ns: None,
         }
     }
@@ -138,7 +143,10 @@ impl UpdateGate {
             .rate_bytes_s(now_ns)
             .is_none_or(|rate| waiting.bytes as f64 / rate * 1e9 <= MAX_WAIT_NS as f64);
         let may = waiting.updates <= MAX_WAITING_UPDATES && leaves_soon;
-        self.withheld |= !may;
+        if !may {
+            let together = self.withheld_ns.filter(|[_, last_ns]| now_ns - last_ns <= TOGETHER_NS);
+            self.withheld_ns = Some([together.map_or(now_ns, |[first_ns, _]| first_ns), now_ns]);
+        }
         may
     }
 
@@ -151,11 +159,13 @@ impl UpdateGate {
     pub fn shortfall(&mut self, now_ns: i64) -> Option<Shortfall> {
         let carries = self.rate_bytes_s(now_ns)?;
         let needs = self.needs.geometry? + self.needs.pictures?;
+        let [first_ns, last_ns] = self.withheld_ns?;
+        let is_lasting = last_ns - first_ns >= TELL_AFTER_NS && now_ns - last_ns <= TOGETHER_NS;
         let is_due = self.told_ns.is_none_or(|told_ns| now_ns - told_ns >= TELL_NS);
-        if !(self.withheld && is_due && needs > carries) {
+        if !(is_lasting && is_due && needs > carries) {
             return None;
         }
-        (self.withheld, self.told_ns) = (false, Some(now_ns));
+        self.told_ns = Some(now_ns);
         Some(Shortfall { carries_mbit_s: carries * 8e-6, needs_mbit_s: needs * 8e-6 })
     }
 
@@ -308,6 +318,13 @@ mod tests {
         link.window_bytes = 1 << 20;
         run(&mut gate, &mut link, 12, [40_000, 20_000]);
         assert_eq!(gate.geometry_bytes(link.now_ns), None, "the link has recovered");
+    }
+
+    #[test]
+    fn nobody_is_told_of_a_link_that_is_behind_for_a_moment() {
+        let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(125_000.0));
+        run(&mut gate, &mut link, 1, [40_000, 20_000]);
+        assert!(gate.withheld_ns.is_some() && gate.shortfall(link.now_ns).is_none());
     }
 
     #[test]

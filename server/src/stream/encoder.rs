@@ -15,7 +15,7 @@ use std::thread::JoinHandle;
 /// A picture to encode and send.
 pub(super) struct Job {
     /// The update.
-    pub(super) shaded: Shaded,
+    pub(super) shaded: Box<Shaded>,
     /// The picture shall need no other.
     pub(super) refresh: bool,
 }
@@ -25,7 +25,7 @@ pub(super) enum Outcome {
     /// It was handed to the transport.
     Sent {
         /// The update.
-        shaded: Shaded,
+        shaded: Box<Shaded>,
         /// Bytes of its stream.
         stream_bytes: usize,
         /// Bytes of its access unit.

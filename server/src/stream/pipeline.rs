@@ -92,7 +92,7 @@ pub(super) struct Pipeline<'a> {
     stats: StreamStats,
     first_ns: Option<i64>,
     last_ns: i64,
-    last_atlas: Option<Shaded>,
+    last_atlas: Option<Box<Shaded>>,
 }
 
 /// The client that is served.
@@ -324,7 +324,7 @@ impl<'a> Pipeline<'a> {
         })?;
         let Some((shaded, sizes)) = made else { return Ok(()) };
         client.updates.account(&mut self.stats);
-        client.encoder.give(Job { shaded, refresh: std::mem::take(&mut client.refresh) });
+        client.encoder.give(Job { shaded: Box::new(shaded), refresh: std::mem::take(&mut client.refresh) });
         self.count(sizes, now_ns);
         Ok(())
     }
@@ -389,7 +389,7 @@ impl<'a> Pipeline<'a> {
     }
 
     /// The figures of the run, and the last picture.
-    pub(super) fn finish(mut self) -> (StreamStats, Option<Shaded>) {
+    pub(super) fn finish(mut self) -> (StreamStats, Option<Box<Shaded>>) {
         self.client = None;
         let updates = self.stats.updates.max(1) as f64;
         self.stats.gpu_ms.values_mut().for_each(|ms| *ms /= updates);

@@ -13,6 +13,8 @@ pub(super) const HELLO_DEADLINE_NS: i64 = 2_000_000_000;
 /// A client that was served keeps its place for so long after it was last understood, nanoseconds, whether it is connected
 /// or not.
 pub(super) const KEPT_NS: i64 = 5_000_000_000;
+/// One that has shown nothing yet keeps it for so long: whoever only takes places shall not keep others out.
+const UNPROVEN_NS: i64 = 3_000_000_000;
 /// Connections without a hello; the oldest goes when another one comes. Fewer than the transport allows peers.
 pub(super) const MAX_GREETING: usize = 6;
 
@@ -80,7 +82,7 @@ impl Place {
         let displaced = match &self.holder {
             None => None,
             Some(holder) if resume == Some(holder.secret) => holder.peer,
-            Some(holder) if now_ns - holder.heard_ns >= KEPT_NS => holder.peer,
+            Some(holder) if now_ns >= holder.kept_until_ns() => holder.peer,
             Some(holder) => return Err(holder.refusal(now_ns)),
         };
         self.holder = Some(Holder { peer: Some(peer), secret, heard_ns: now_ns, has_shown: false });
@@ -128,11 +130,16 @@ impl Place {
 }
 
 impl Holder {
+    /// When its place is free for others, unless it is heard again before.
+    fn kept_until_ns(&self) -> i64 {
+        self.heard_ns + if self.has_shown { KEPT_NS } else { UNPROVEN_NS }
+    }
+
     fn refusal(&self, now_ns: i64) -> Refused {
         if self.peer.is_some() {
             return Refused::new("another client is being served", "try again when it has left");
         }
-        let wait_s = (self.heard_ns + KEPT_NS - now_ns).max(0) / 1_000_000_000 + 1;
+        let wait_s = (self.kept_until_ns() - now_ns).max(0) / 1_000_000_000 + 1;
         Refused::new(
             "the place is kept for a client that was served until a moment ago",
             &format!("try again in {wait_s} s"),
@@ -177,6 +184,9 @@ mod tests {
         let mut place = served();
         assert!(place.ask(OTHER, None, secret(2), KEPT_NS - 1).is_err());
         assert_eq!(place.ask(OTHER, None, secret(2), KEPT_NS), Ok(Taken { displaced: Some(FIRST) }));
+        let late = KEPT_NS + UNPROVEN_NS;
+        assert!(place.ask(BACK, None, secret(3), late - 1).is_err());
+        assert!(place.ask(BACK, None, secret(3), late).is_ok(), "the other one has shown nothing");
     }
 
     #[test]
