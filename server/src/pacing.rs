@@ -9,11 +9,16 @@ use shadecast_protocol::limits::SAMPLE_RING;
 use shadecast_protocol::time::DEFAULT_GRID;
 use shadecast_transport::PeerStats;
 use std::collections::VecDeque;
+use std::time::Duration;
 
 /// Updates that may wait for the link when another one is made.
 const MAX_WAITING_UPDATES: usize = 2;
-/// What waits may take this long to leave, where the link's rate is known, nanoseconds.
+/// What is under way may take this long to arrive, and a round trip, where the link's rate is known, nanoseconds.
 const MAX_WAIT_NS: i64 = 250_000_000;
+/// An update that has not arrived after two round trips and this, nanoseconds, waits: one loss and its repair take less.
+const LATE_NS: i64 = 100_000_000;
+/// A longer round trip is not believed.
+const LONGEST_ROUND_TRIP: Duration = Duration::from_secs(1);
 /// The link is measured only over at least this long a time in which something waited for it, nanoseconds.
 const MEASURE_NS: i64 = 300_000_000;
 /// A measured rate counts for so long after something last waited, nanoseconds.
@@ -38,13 +43,19 @@ const LONGEST_COVERED_NS: i64 = SAMPLE_RING as i64 * DEFAULT_GRID.spacing_ns;
 pub struct WayState {
     /// Streams handed over that have not arrived whole.
     pub streams_under_way: u64,
-    /// Bytes that may be under way at once.
+    /// Bytes that may be under way at once: on a new connection far more than a slow link takes.
     pub window_bytes: u64,
+    /// Shortest round trip so far, nanoseconds.
+    pub round_trip_ns: i64,
 }
 
 impl From<PeerStats> for WayState {
     fn from(stats: PeerStats) -> Self {
-        Self { streams_under_way: stats.streams_under_way, window_bytes: stats.window_bytes }
+        Self {
+            streams_under_way: stats.streams_under_way,
+            window_bytes: stats.window_bytes,
+            round_trip_ns: stats.min_rtt.min(LONGEST_ROUND_TRIP).as_nanos() as i64,
+        }
     }
 }
 
@@ -96,6 +107,7 @@ pub struct UpdateGate {
 struct Sent {
     frame: FrameId,
     bytes: u64,
+    at_ns: i64,
 }
 
 /// What updates at the wanted rate take, bytes per second; without the first one, which brings the scene.
@@ -131,17 +143,17 @@ impl UpdateGate {
     pub fn sent(&mut self, frame: FrameId, kind: Kind, bytes: usize, now_ns: i64) {
         // An update's streams leave before those of later ones.
         let place = self.under_way.partition_point(|other| other.frame <= frame);
-        self.under_way.insert(place, Sent { frame, bytes: bytes as u64 });
+        self.under_way.insert(place, Sent { frame, bytes: bytes as u64, at_ns: now_ns });
         self.needs.note(frame, kind, bytes as f64, now_ns, self.period_ns);
     }
 
     /// Whether an update may be made now.
     pub fn may_update(&mut self, way: &WayState, now_ns: i64) -> bool {
         self.observe(way, now_ns);
-        let waiting = self.before_the_link(way);
-        let leaves_soon = self
-            .rate_bytes_s(now_ns)
-            .is_none_or(|rate| waiting.bytes as f64 / rate * 1e9 <= MAX_WAIT_NS as f64);
+        let waiting = self.before_the_link(way, now_ns);
+        let under_way: u64 = self.under_way.iter().map(|sent| sent.bytes).sum();
+        let most_s = (MAX_WAIT_NS + way.round_trip_ns) as f64 * 1e-9;
+        let leaves_soon = self.rate_bytes_s(now_ns).is_none_or(|rate| under_way as f64 <= rate * most_s);
         let may = waiting.updates <= MAX_WAITING_UPDATES && leaves_soon;
         if !may {
             let together = self.withheld_ns.filter(|[_, last_ns]| now_ns - last_ns <= TOGETHER_NS);
@@ -187,23 +199,26 @@ impl UpdateGate {
                 }
             }
         }
-        match self.before_the_link(way).bytes {
+        match self.before_the_link(way, now_ns).bytes {
             0 => self.waiting = None,
             _ => drop(self.waiting.get_or_insert((now_ns, 0))),
         }
     }
 
-    /// What does not fit into the window any more, the oldest being inside.
-    fn before_the_link(&self, way: &WayState) -> Waiting {
+    /// What does not fit into the window any more, the oldest being inside; all of it where the oldest is late.
+    fn before_the_link(&self, way: &WayState, now_ns: i64) -> Waiting {
+        let late_ns = LATE_NS + 2 * way.round_trip_ns;
+        let is_late = self.under_way.front().is_some_and(|oldest| now_ns - oldest.at_ns > late_ns);
+        let window_bytes = if is_late { 0 } else { way.window_bytes };
         let (mut sum, mut updates, mut last) = (0, 0, None);
         for sent in &self.under_way {
             sum += sent.bytes;
-            if sum > way.window_bytes && last != Some(sent.frame) {
+            if sum > window_bytes && last != Some(sent.frame) {
                 last = Some(sent.frame);
                 updates += 1;
             }
         }
-        Waiting { updates, bytes: sum.saturating_sub(way.window_bytes) }
+        Waiting { updates, bytes: sum.saturating_sub(window_bytes) }
     }
 }
 
@@ -258,7 +273,11 @@ mod tests {
         }
 
         fn way(&self) -> WayState {
-            WayState { streams_under_way: self.streams.len() as u64, window_bytes: self.window_bytes }
+            WayState {
+                streams_under_way: self.streams.len() as u64,
+                window_bytes: self.window_bytes,
+                round_trip_ns: 40_000_000,
+            }
         }
 
         fn send(&mut self, gate: &mut UpdateGate, frame: u32, bytes: [usize; 2]) {
@@ -306,6 +325,16 @@ mod tests {
     fn at_the_start_no_more_than_three_updates_go_before_the_link_is_known() {
         let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(1000.0));
         assert_eq!(run(&mut gate, &mut link, 5, [400_000, 100_000]).len(), MAX_WAITING_UPDATES + 1);
+    }
+
+    #[test]
+    fn a_slow_link_is_noticed_though_the_window_of_a_new_connection_takes_everything() {
+        let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(50_000.0));
+        link.window_bytes = 256 << 10;
+        let made = run(&mut gate, &mut link, 2, [10_000, 5_000]);
+        assert!(made.len() <= 14, "{} updates before the first seconds are over, 6.7 fit", made.len());
+        let queued: f64 = link.streams.iter().sum();
+        assert!(queued < 3.0 * 15_000.0, "{queued} bytes wait");
     }
 
     #[test]

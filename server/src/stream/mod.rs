@@ -285,6 +285,7 @@ pub fn run(
             let _stop = StopOnEnd(stop);
             let network = Network::new(&carrier, mailbox, verdicts, offers, say, epoch_ns);
             run_network(network, &events, stop);
+            events // without them the transport ends, and the pipeline may still be sending
         })?;
         let outlet = Arc::new(Way { handle, verdicts: verdicts.clone() });
         let _stop = StopOnEnd(stop);

@@ -339,7 +339,8 @@ fn a_delta_that_cannot_be_sent_ends_the_session_with_a_reason() {
 #[test]
 fn no_update_is_made_while_more_than_two_wait_for_the_link() {
     let bench = Bench::new();
-    *bench.outlet.way.lock().expect("whole") = WayState { streams_under_way: u64::MAX, window_bytes: 0 };
+    *bench.outlet.way.lock().expect("whole") =
+        WayState { streams_under_way: u64::MAX, ..WayState::default() };
     bench.comes(1);
     let mut steps = 0;
     let (_, stats) = bench.run(|_| {

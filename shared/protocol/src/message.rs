@@ -550,10 +550,7 @@ fn check_pose(what: &'static str, pose: &Pose) -> Result<(), WireError> {
 fn check_eye(eye: &Eye) -> Result<(), WireError> {
     check_pose("an eye's pose", &eye.head_from_eye)?;
     require(eye.fov.is_valid(), "an eye's field of view", || {
-        format!(
-            "{:?} is not a frustum of 2 degrees or more that begins within 60 degrees of straight ahead",
-            eye.fov
-        )
+        format!("{:?} is not a frustum of 2 degrees or more within 60 degrees of straight ahead", eye.fov)
     })
 }
 

@@ -606,8 +606,7 @@ impl ServerSession {
 }
 
 /// What to do about a hello that makes no sense.
-const HELLO_REMEDY: &str =
-    "update client and server to the same version; a headset that reports this is not supported";
+const HELLO_REMEDY: &str = "update client and server to the same version";
 
 #[cfg(test)]
 mod tests {
