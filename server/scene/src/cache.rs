@@ -2,17 +2,21 @@
 //!
 //! An entry is found by a [`Key`]: the hash of everything that the result depends on. So an entry never has to be
 //! invalidated: when an input changes, so does the key, and the old entry ages until it is removed for its space.
-//! The files are nobody's but ours, yet they may be damaged, cut off, or from another version; then they count as
-//! absent. Nothing that goes wrong in here stops a program: at worst it computes again.
+//! The files may be damaged, cut off, or from another version; then they count as absent. Their checksum keeps chance
+//! out, not intent: whoever can write to the folder can write whatever checksum belongs to a change. So the folder is
+//! its owner's alone (one that others can write to is not used), and whatever is read is checked to be something that
+//! can be worked with before anyone sees it. Nothing that goes wrong in here stops a program: at worst it computes again.
 
+use crate::check::Unsound;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use std::convert::Infallible;
 use std::ffi::OsString;
+use std::fs::{DirBuilder, OpenOptions};
 use std::io::{BufWriter, Write};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::{Arc, Once};
 use std::time::{Duration, SystemTime};
 
 /// Largest sum of all entries, bytes; the least recently used go first.
@@ -33,6 +37,8 @@ const HEADER_BYTES: usize = 8 + 4 + 4 + HASH_BYTES + 8 + HASH_BYTES;
 const EXTENSION: &str = "entry";
 /// A file that is still being written, or was when its writer died.
 const TEMPORARY_EXTENSION: &str = "new";
+/// Bits of a folder's mode that let its group or everybody write to it.
+const OTHERS_WRITE: u32 = 0o022;
 const ABANDONED_AFTER: Duration = Duration::from_secs(3600);
 
 /// Says which result is meant: its kind, and a hash of all that it depends on.
@@ -94,7 +100,7 @@ struct Counts {
 }
 
 impl Cache {
-    /// In this folder, which is made when the first entry is written.
+    /// In this folder, which is made when the first entry is written; keeps nothing where others could write to it.
     pub fn new(folder: impl Into<PathBuf>) -> Self {
         Self::with(Some(folder.into()), MAX_CACHE_BYTES)
     }
@@ -110,6 +116,7 @@ impl Cache {
     }
 
     fn with(folder: Option<PathBuf>, limit_bytes: u64) -> Self {
+        let folder = folder.filter(|folder| is_safe(folder));
         Self { folder, limit_bytes, counts: Arc::default() }
     }
 
@@ -123,27 +130,18 @@ impl Cache {
         (self.counts.hits.load(Ordering::Relaxed), self.counts.misses.load(Ordering::Relaxed))
     }
 
-    /// The result of this key: from the folder, or computed and then kept. Large arrays in it should be marked with
-    /// [`bulk`](crate::bulk).
-    pub fn get_or_compute<T: Serialize + DeserializeOwned>(
-        &self,
-        key: &Key,
-        compute: impl FnOnce() -> T,
-    ) -> T {
-        let Ok(value) = self.try_get_or_compute(key, || Ok::<T, Infallible>(compute()));
-        value
-    }
-
-    /// As [`Self::get_or_compute`]; an error is handed on and not kept.
+    /// The result of this key: from the folder if it passes `check`, else computed and then kept. Large arrays in it
+    /// should be marked with [`bulk`](crate::bulk). An error is handed on and not kept.
     ///
     /// # Errors
     /// Those of `compute`; the cache itself has none.
-    pub fn try_get_or_compute<T: Serialize + DeserializeOwned, E>(
+    pub(crate) fn try_get_or_compute<T: Serialize + DeserializeOwned, E>(
         &self,
         key: &Key,
+        check: impl FnOnce(&T) -> Result<(), Unsound>,
         compute: impl FnOnce() -> Result<T, E>,
     ) -> Result<T, E> {
-        if let Some(value) = self.find(key) {
+        if let Some(value) = self.find(key, check) {
             self.count_hit();
             return Ok(value);
         }
@@ -161,10 +159,14 @@ impl Cache {
         self.counts.misses.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// The entry of this key, if it is whole.
-    pub(crate) fn find<T: DeserializeOwned>(&self, key: &Key) -> Option<T> {
+    /// The entry of this key, if it is whole and passes `check`.
+    pub(crate) fn find<T: DeserializeOwned>(
+        &self,
+        key: &Key,
+        check: impl FnOnce(&T) -> Result<(), Unsound>,
+    ) -> Option<T> {
         let path = self.folder.as_ref()?.join(key.file_name());
-        let bytes = match std::fs::read(&path) {
+        let bytes = match read_entry(&path) {
             Ok(bytes) => bytes,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return None,
             Err(error) => {
@@ -176,10 +178,16 @@ impl Cache {
             postcard::from_bytes(payload).map_err(|_| "holds something else than its name says")
         });
         match found {
-            Ok(value) => {
-                mark_used(&path);
-                Some(value)
-            }
+            Ok(value) => match check(&value) {
+                Ok(()) => {
+                    mark_used(&path);
+                    Some(value)
+                }
+                Err(problem) => {
+                    tracing::debug!("{}: {problem}; it is made anew", path.display());
+                    None
+                }
+            },
             Err(problem) => {
                 tracing::warn!("{}: {problem}; it is made anew", path.display());
                 None
@@ -236,6 +244,42 @@ fn user_folder(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
     base.map(|base| base.join("shadecast"))
 }
 
+/// Whether nobody but us (and the system's administrator) can write to a folder, or there is none yet. Said once where
+/// others can.
+fn is_safe(folder: &Path) -> bool {
+    static SAID: Once = Once::new();
+    let Ok(meta) = std::fs::metadata(folder) else { return true };
+    // SAFETY: asks for the number of this process's user; it cannot fail, and takes nothing.
+    let own = unsafe { libc::geteuid() };
+    let is_ours = [own, 0].contains(&meta.uid()) && meta.mode() & OTHERS_WRITE == 0;
+    if !is_ours {
+        let folder = folder.display();
+        SAID.call_once(|| {
+            tracing::warn!(
+                "cache {folder}: others can write to it, so it is not used; run chmod go-w {folder}, \
+                 or choose a folder of your own with --cache-dir"
+            );
+        });
+    }
+    is_ours
+}
+
+/// Makes the folder where there is none, readable for its owner alone.
+fn make_folder(folder: &Path) -> std::io::Result<()> {
+    DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
+    // Somebody else may have been faster.
+    if is_safe(folder) { Ok(()) } else { Err(std::io::Error::other("others can write to it")) }
+}
+
+/// The bytes of an entry. Neither a pipe nor a file without end is waited for.
+fn read_entry(path: &Path) -> std::io::Result<Vec<u8>> {
+    let meta = std::fs::metadata(path)?;
+    if !meta.is_file() || meta.len() > MAX_CACHE_BYTES {
+        return Err(std::io::Error::other("no file of ours"));
+    }
+    std::fs::read(path)
+}
+
 /// The payload of a file that is whole and belongs to the key.
 fn payload<'a>(file: &'a [u8], key: &[u8; HASH_BYTES]) -> Result<&'a [u8], &'static str> {
     let (head, payload) = file.split_at_checked(HEADER_BYTES).ok_or("is cut off")?;
@@ -266,11 +310,15 @@ fn header(key: &[u8; HASH_BYTES], payload: &[u8]) -> [u8; HEADER_BYTES] {
 fn write_entry(folder: &Path, key: &Key, value: &impl Serialize) -> std::io::Result<PathBuf> {
     static COUNTER: AtomicU32 = AtomicU32::new(0);
     let payload = postcard::to_stdvec(value).map_err(std::io::Error::other)?;
-    std::fs::create_dir_all(folder)?;
+    make_folder(folder)?;
     let path = folder.join(key.file_name());
     let number = COUNTER.fetch_add(1, Ordering::Relaxed);
     let temporary = path.with_extension(format!("{}-{number}.{TEMPORARY_EXTENSION}", std::process::id()));
-    let written = std::fs::File::create(&temporary).and_then(|mut file| {
+    // Left by a process of the same number that was killed.
+    let _ = std::fs::remove_file(&temporary);
+    let mut fresh = OpenOptions::new();
+    fresh.write(true).create_new(true).mode(0o600);
+    let written = fresh.open(&temporary).and_then(|mut file| {
         file.write_all(&header(&key.hash(), &payload))?;
         file.write_all(&payload)
     });
@@ -288,11 +336,24 @@ fn mark_used(path: &Path) {
     let _ = file.and_then(|file| file.set_modified(SystemTime::now()));
 }
 
+/// Changes what a kept entry holds, and gives it the checksum that belongs to the change.
+#[cfg(test)]
+pub(crate) fn reseal(path: &Path, edit: impl FnOnce(&mut Vec<u8>)) {
+    let whole = std::fs::read(path).expect("an entry");
+    let (head, payload) = whole.split_at(HEADER_BYTES);
+    let key: [u8; HASH_BYTES] = head[16..16 + HASH_BYTES].try_into().expect("a key");
+    let mut payload = payload.to_vec();
+    edit(&mut payload);
+    std::fs::write(path, [&header(&key, &payload)[..], &payload].concat()).expect("written");
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use serde::Deserialize;
     use std::cell::Cell;
+    use std::convert::Infallible;
+    use std::os::unix::fs::PermissionsExt;
 
     #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
     struct Thing {
@@ -308,10 +369,11 @@ mod tests {
     /// The result, and whether it had to be computed.
     fn ask(cache: &Cache, key: &Key, number: u32) -> (Thing, bool) {
         let computed = Cell::new(false);
-        let value = cache.get_or_compute(key, || {
+        let compute = || {
             computed.set(true);
-            thing(number)
-        });
+            Ok::<_, Infallible>(thing(number))
+        };
+        let Ok(value) = cache.try_get_or_compute(key, |_| Ok(()), compute);
         (value, computed.get())
     }
 
@@ -378,6 +440,53 @@ mod tests {
     }
 
     #[test]
+    fn an_entry_that_fails_its_check_is_made_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let (cache, key) = (Cache::new(folder.path()), Key::new("thing", 1));
+        ask(&cache, &key, 1);
+        let check = |thing: &Thing| if thing.numbers[0] == 1 { Err("one") } else { Ok(()) };
+        let Ok(second) = cache.try_get_or_compute(&key, check, || Ok::<_, Infallible>(thing(2)));
+        assert_eq!(second, thing(2));
+        assert_eq!(ask(&cache, &key, 3), (thing(2), false), "it was kept");
+    }
+
+    fn mode(path: &Path) -> u32 {
+        std::fs::metadata(path).unwrap().permissions().mode() & 0o777
+    }
+
+    #[test]
+    fn folder_and_entries_are_their_owners_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let inner = folder.path().join("a/b");
+        ask(&Cache::new(&inner), &Key::new("thing", 1), 1);
+        assert_eq!((mode(&inner), mode(&only_file(&inner))), (0o700, 0o600));
+    }
+
+    #[test]
+    fn a_folder_that_others_can_write_to_is_not_used() {
+        let folder = tempfile::tempdir().unwrap();
+        let key = Key::new("thing", 1);
+        ask(&Cache::new(folder.path()), &key, 1);
+        for others in [0o777, 0o770, 0o702] {
+            std::fs::set_permissions(folder.path(), std::fs::Permissions::from_mode(others)).unwrap();
+            let cache = Cache::new(folder.path());
+            assert!(cache.folder().is_none(), "mode {others:o}");
+            assert_eq!(ask(&cache, &key, 2), (thing(2), true), "mode {others:o}");
+        }
+        std::fs::set_permissions(folder.path(), std::fs::Permissions::from_mode(0o755)).unwrap();
+        assert_eq!(ask(&Cache::new(folder.path()), &key, 3), (thing(1), false));
+    }
+
+    #[test]
+    fn a_pipe_in_the_place_of_an_entry_is_not_waited_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let key = Key::new("thing", 1);
+        let pipe = folder.path().join(key.file_name());
+        assert!(std::process::Command::new("mkfifo").arg(pipe).status().unwrap().success());
+        assert_eq!(ask(&Cache::new(folder.path()), &key, 1), (thing(1), true));
+    }
+
+    #[test]
     fn an_entry_under_a_wrong_name_or_of_a_wrong_type_is_not_taken() {
         let folder = tempfile::tempdir().unwrap();
         let cache = Cache::new(folder.path());
@@ -385,7 +494,7 @@ mod tests {
         let other = Key::new("thing", 2);
         std::fs::rename(only_file(folder.path()), folder.path().join(other.file_name())).unwrap();
         assert_eq!(ask(&cache, &other, 2), (thing(2), true));
-        cache.get_or_compute(&Key::new("thing", 3), || 7u8);
+        cache.keep(&Key::new("thing", 3), &7u8);
         assert_eq!(ask(&cache, &Key::new("thing", 3), 3), (thing(3), true));
     }
 
@@ -393,7 +502,7 @@ mod tests {
     fn an_error_is_handed_on_and_not_kept() {
         let folder = tempfile::tempdir().unwrap();
         let (cache, key) = (Cache::new(folder.path()), Key::new("thing", 1));
-        assert_eq!(cache.try_get_or_compute::<Thing, _>(&key, || Err("no")), Err("no"));
+        assert_eq!(cache.try_get_or_compute::<Thing, _>(&key, |_| Ok(()), || Err("no")), Err("no"));
         assert!(ask(&cache, &key, 1).1);
     }
 

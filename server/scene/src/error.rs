@@ -2,6 +2,7 @@
 //! what is wrong, and where possible what to write instead.
 
 use crate::cancel::Cancelled;
+use shadecast_protocol::text::printable;
 
 /// Why a scene or an asset cannot be used. The text is complete: print it as it is.
 #[derive(Debug, thiserror::Error)]
@@ -10,7 +11,7 @@ pub enum SceneError {
     #[error("loading was interrupted")]
     Cancelled(#[from] Cancelled),
     /// The operating system refused the file.
-    #[error("{file}: cannot be read: {reason}")]
+    #[error("{}: cannot be read: {reason}", shown(file))]
     Read {
         /// The path as the user wrote it.
         file: String,
@@ -18,7 +19,7 @@ pub enum SceneError {
         reason: std::io::Error,
     },
     /// An asset is damaged, or uses what is not supported.
-    #[error("{file}: {element}: {problem}")]
+    #[error("{}: {}: {}", shown(file), shown(element), shown(problem))]
     Asset {
         /// File name or the name handed to the importer.
         file: String,
@@ -28,7 +29,7 @@ pub enum SceneError {
         problem: String,
     },
     /// A scene file has a wrong line.
-    #[error("{file}:{line}: {problem}")]
+    #[error("{}:{line}: {}", shown(file), shown(problem))]
     SceneFile {
         /// The path as the user wrote it.
         file: String,
@@ -38,7 +39,7 @@ pub enum SceneError {
         problem: String,
     },
     /// A camera or a head path of this name is wanted, and the scene has none.
-    #[error("the scene has no {what} \"{name}\"{hint}")]
+    #[error("the scene has no {what} \"{}\"{}", printable(name), shown(hint))]
     UnknownName {
         /// What is looked for: `camera`.
         what: &'static str,
@@ -48,7 +49,7 @@ pub enum SceneError {
         hint: String,
     },
     /// The SCENE argument itself makes no sense.
-    #[error("scene '{argument}': {problem}")]
+    #[error("scene '{}': {}", shown(argument), shown(problem))]
     Argument {
         /// What the user wrote.
         argument: String,
@@ -83,4 +84,18 @@ impl Fault {
         }
         SceneError::Asset { file: file.to_owned(), element: self.element, problem: self.problem }
     }
+}
+
+/// A sentence of ours as it may reach a terminal, whatever of a file it quotes; only quotes are cut, where they are made.
+pub(crate) fn shown(sentence: &str) -> String {
+    let is_plain = |c: char| c == ' ' || c.is_ascii_graphic();
+    let mut letter = [0; 4];
+    let mut out = String::with_capacity(sentence.len());
+    for character in sentence.chars() {
+        match is_plain(character) {
+            true => out.push(character),
+            false => out += &printable(character.encode_utf8(&mut letter)),
+        }
+    }
+    out
 }

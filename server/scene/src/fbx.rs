@@ -1,6 +1,6 @@
 //! FBX importer, by `ufbx`: binary and ASCII files of any version that it reads to a [`Model`].
 //!
-//! `ufbx` parses, converts axes and units, and bakes FBX's layered Euler curves to keys; this module makes of its scene
+//! `ufbx` opens no file by itself: it is given bytes, and loading external files is left off. It parses, converts axes and units, and bakes FBX's layered Euler curves to keys; this module makes of its scene
 //! what the renderers want, and holds it to what every model must keep. Files come from strangers: whatever they hold,
 //! the result is a sound model or an error that names the file and the element.
 //! Not imported, one warning each: cameras, NURBS, vertex caches, constraints that were not baked into curves,
@@ -20,23 +20,17 @@ mod tests;
 
 use super::error::{Fault, SceneError};
 use super::import::{self, Surroundings, Warnings};
-use super::limits::{MAX_PALETTE, MAX_VERTICES};
+use super::limits::{MAX_FBX_DEPTH, MAX_FBX_MEMORY_BYTES, MAX_PALETTE, MAX_VERTICES};
 use super::{Cancel, Cancelled, Model, PaletteEntry, Primitive};
 use convert::affine;
 use hierarchy::Hierarchy;
 use material::Materials;
 use mesh::Part;
 use morph::Morphs;
+use shadecast_protocol::text::printable;
 use skin::Binding;
 use std::collections::HashSet;
 use std::path::Path;
-
-/// Most bytes that `ufbx` may hold for one file, and as many again while it reads. A compressed array may claim to be
-/// much larger than the file.
-const MAX_MEMORY_BYTES: usize = 1 << 30;
-
-/// Deeper hierarchies are damaged files.
-const MAX_DEPTH: u32 = 4096;
 
 /// Loads a file; images beside it are found relative to it.
 pub fn load(path: &Path) -> Result<Model, SceneError> {
@@ -96,7 +90,7 @@ fn parse(bytes: &[u8], cancel: &Cancel) -> Result<ufbx::SceneRoot, Fault> {
         result_allocator: allocator(),
         progress_cb: ufbx::ProgressCb::Ref(&go_on),
         file_format: ufbx::FileFormat::Fbx,
-        node_depth_limit: MAX_DEPTH,
+        node_depth_limit: MAX_FBX_DEPTH,
         clean_skin_weights: true,
         use_blender_pbr_material: true,
         generate_missing_normals: true,
@@ -117,7 +111,7 @@ fn parse(bytes: &[u8], cancel: &Cancel) -> Result<ufbx::SceneRoot, Fault> {
 fn allocator() -> ufbx::AllocatorOpts {
     ufbx::AllocatorOpts {
         allocator: ufbx::Allocator::Libc,
-        memory_limit: MAX_MEMORY_BYTES,
+        memory_limit: MAX_FBX_MEMORY_BYTES,
         ..ufbx::AllocatorOpts::default()
     }
 }
@@ -134,7 +128,7 @@ fn describe(error: &ufbx::Error) -> String {
         }
         _ => "; export it again as FBX 2014 or later",
     };
-    format!("{}{remedy}", if reason.is_empty() { error.description.as_ref() } else { reason })
+    format!("{}{remedy}", printable(if reason.is_empty() { error.description.as_ref() } else { reason }))
 }
 
 fn note_what_is_left_out(scene: &ufbx::Scene, warnings: &mut Warnings) {
@@ -153,7 +147,7 @@ fn note_what_is_left_out(scene: &ufbx::Scene, warnings: &mut Warnings) {
         }
     }
     for warning in &*scene.metadata.warnings {
-        warnings.insert(warning.description.to_string());
+        warnings.insert(printable(&warning.description));
     }
 }
 

@@ -27,6 +27,7 @@ use glam::{Affine3A, Mat4, Quat, Vec3};
 use material::Materials;
 use mesh::Part;
 use serde::Deserialize;
+use shadecast_protocol::text::printable;
 use std::collections::HashMap;
 use std::ops::Range;
 use std::path::Path;
@@ -45,8 +46,8 @@ pub fn from_slice(bytes: &[u8], name: &str) -> Result<Model, SceneError> {
 pub(crate) fn import(bytes: &[u8], name: &str, around: &Surroundings) -> Result<(Model, Warnings), Fault> {
     let mut warnings = Warnings::new();
     let container = container::open(bytes, around, &mut warnings)?;
-    let container::Container { document, buffers, decoded } = &container;
-    let reader = Reader { document, buffers, decoded };
+    let container::Container { document, buffers, data_bytes, decoded } = &container;
+    let reader = Reader { document, buffers, data_bytes: *data_bytes, decoded };
     let hierarchy = Hierarchy::read(document, &mut warnings)?;
     let lights = light::read_all(document)?;
     let mut assembly = Assembly::new(reader, around, hierarchy, lights, warnings);
@@ -60,7 +61,7 @@ pub(crate) fn import(bytes: &[u8], name: &str, around: &Surroundings) -> Result<
 }
 
 fn node_label(node: &::gltf::Node) -> String {
-    let name = node.name().map(|name| format!(" '{}'", name.escape_debug())).unwrap_or_default();
+    let name = node.name().map(|name| format!(" '{}'", printable(name))).unwrap_or_default();
     format!("node {}{name}", node.index())
 }
 
@@ -105,7 +106,7 @@ impl Hierarchy {
         for index in order {
             let node = &nodes[index];
             let rest = rest_transform(node, warnings)?;
-            let name = node.name().map_or_else(|| format!("node {index}"), str::to_owned);
+            let name = node.name().map_or_else(|| format!("node {index}"), printable);
             bones.push(Bone { name, parent: parents[index].map(|parent| bone_of_node[parent]), rest });
             let flips = rest.scale.x * rest.scale.y * rest.scale.z < 0.0;
             mirrored[index] = flips ^ parents[index].is_some_and(|parent| mirrored[parent]);
@@ -272,7 +273,7 @@ impl<'a> Assembly<'a> {
         }
         let names = target_names(mesh);
         self.model.morphs.extend((0..count).map(|at| Morph {
-            name: names.get(at).cloned().unwrap_or_else(|| format!("morph {at}")),
+            name: names.get(at).map(|name| printable(name)).unwrap_or_else(|| format!("morph {at}")),
             rest_weight: weights.get(at).copied().unwrap_or(0.0),
             deltas: Vec::new(),
         }));

@@ -1,10 +1,8 @@
 //! PNG and JPEG to 8-bit RGBA. The kind is told by the first bytes, not by the MIME type, which files get wrong.
 
+use crate::limits::MAX_IMAGE_SIDE as MAX_SIDE;
 use std::io::Cursor;
 use zune_jpeg::zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
-
-/// Largest side of an image, texels: 8192 x 8192 RGBA are 256 MiB, already more than a streamed view can use.
-const MAX_SIDE: u32 = 8192;
 
 /// A decoded image, rows from the top.
 #[derive(Debug, PartialEq)]

@@ -1,10 +1,12 @@
 //! What every importer does around its format: reading the file, naming elements, and telling warnings and faults.
 
-use super::error::{Fault, SceneError};
+use super::error::{Fault, SceneError, shown};
 use super::limits::read_limited;
+use super::references::Folder;
 use crate::{Cancel, Model};
+use shadecast_protocol::text::printable;
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// What was left out of a model, one sentence each, each once.
 pub(crate) type Warnings = BTreeSet<String>;
@@ -16,7 +18,7 @@ pub(crate) type Import = fn(&[u8], &str, &Surroundings) -> Result<(Model, Warnin
 #[derive(Debug, Default)]
 pub(crate) struct Surroundings {
     /// Where other files are looked up; `None` forbids them.
-    pub folder: Option<PathBuf>,
+    pub folder: Option<Folder>,
     /// Looked at between meshes, images and clips.
     pub cancel: Cancel,
 }
@@ -24,8 +26,7 @@ pub(crate) struct Surroundings {
 impl Surroundings {
     /// Of a file.
     pub fn of(path: &Path, cancel: &Cancel) -> Self {
-        let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        Self { folder: Some(folder), cancel: cancel.clone() }
+        Self { folder: Some(Folder::of(path)), cancel: cancel.clone() }
     }
 }
 
@@ -40,7 +41,7 @@ pub(crate) fn load(path: &Path, import: Import) -> Result<Model, SceneError> {
 pub(crate) fn read(path: &Path, import: Import, cancel: &Cancel) -> Result<(Model, Warnings), SceneError> {
     let file = path.display().to_string();
     let bytes = read_limited(path).map_err(|reason| SceneError::Read { file: file.clone(), reason })?;
-    let name = path.file_stem().map_or_else(|| file.clone(), |stem| stem.to_string_lossy().into_owned());
+    let name = path.file_stem().map_or_else(|| file.clone(), |stem| printable(&stem.to_string_lossy()));
     import(&bytes, &name, &Surroundings::of(path, cancel)).map_err(|fault| fault.in_file(&file))
 }
 
@@ -55,11 +56,11 @@ pub(crate) fn from_slice(bytes: &[u8], name: &str, import: Import) -> Result<Mod
 /// Says what was left out.
 pub(crate) fn tell(warnings: &Warnings, file: &str) {
     for warning in warnings {
-        tracing::warn!("{file}: {warning}");
+        tracing::warn!("{}: {}", shown(file), shown(warning));
     }
 }
 
 /// `mesh 'x'` where it has a name, `mesh 3` where not.
 pub(crate) fn label(kind: &str, index: usize, name: Option<&str>) -> String {
-    name.map_or_else(|| format!("{kind} {index}"), |name| format!("{kind} '{}'", name.escape_debug()))
+    name.map_or_else(|| format!("{kind} {index}"), |name| format!("{kind} '{}'", printable(name)))
 }

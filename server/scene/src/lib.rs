@@ -8,6 +8,7 @@ pub mod animation;
 pub mod bulk;
 pub mod cache;
 pub mod cancel;
+mod check;
 pub mod generate;
 pub mod mips;
 pub mod patches;
@@ -24,6 +25,7 @@ mod limits;
 pub mod load;
 pub mod lod;
 mod path;
+mod references;
 pub mod process;
 #[cfg(any(test, feature = "checks"))]
 pub mod sound;

@@ -13,6 +13,7 @@ use crate::views::find_head_path;
 use crate::{Cancelled, Clip, HeadPath, Instance, Model, Scene, fbx, gltf, ground, import};
 use glam::{Affine3A, Quat, Vec2, Vec3};
 use shadecast_protocol::pose::Pose;
+use shadecast_protocol::text::printable;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -418,7 +419,7 @@ fn named_model(
             // The reason in the scene's terms: the line that names the file.
             load_model(&ModelFile::Path(folder.join(path)), loading).map_err(|error| match error {
                 SceneError::Cancelled(_) => error,
-                _ => fault(format!("model \"{}\": {error}", entry.name)),
+                _ => fault(format!("model \"{}\": {error}", printable(&entry.name))),
             })?
         }
         ModelFile::Path(path) => {
@@ -456,10 +457,12 @@ fn choose_clip(choice: &ClipChoice, model: &Model, name: &str) -> Result<Option<
         ClipChoice::Named(wanted, line) => (wanted, *line),
     };
     let names = || model.clips.iter().map(|clip| clip.name.as_str());
-    let found = names().position(|clip| clip == wanted);
+    // Importers keep names as they can be shown.
+    let found = names().position(|clip| clip == wanted || clip == printable(wanted));
     found.map(Some).ok_or_else(|| {
         let hint = did_you_mean_or_list(wanted, names(), "it has");
-        let problem = format!("model \"{}\" has no clip \"{wanted}\"{hint}", model.name);
+        let problem =
+            format!("model \"{}\" has no clip \"{}\"{hint}", printable(&model.name), printable(wanted));
         SceneError::SceneFile { file: name.to_owned(), line, problem }
     })
 }
@@ -477,7 +480,7 @@ fn refine_models(scene: &mut Scene, loading: &Loading) -> Result<(), Cancelled> 
         if split.is_some_and(|stats| !stats.complete) {
             tracing::warn!(
                 "{}: edges stay longer than {MAX_EDGE_M} m; split it in a modelling tool",
-                model.name
+                printable(&model.name)
             );
         }
     }

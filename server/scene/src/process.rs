@@ -6,10 +6,12 @@
 use crate::animation::sampling::{SampledClip, Sampling, sample_until};
 use crate::cache::{Cache, Key};
 use crate::cancel::{Cancel, Cancelled};
+use crate::check::{self, Unsound};
 use crate::error::SceneError;
 use crate::import::{self, Warnings};
 use crate::limits::{self, Note};
 use crate::patches::Patches;
+use crate::references::Folder;
 use crate::split::{SplitStats, split_until};
 use crate::{Bone, Clip, Lod, Material, Model, Morph, PaletteEntry, Primitive, Vertex, bulk, gltf, lod};
 use serde::{Deserialize, Serialize};
@@ -55,7 +57,7 @@ pub fn built_in_dragon(loading: &Loading) -> Result<Model, SceneError> {
         gltf::from_slice(&bytes, "built-in dragon")
     };
     loading.cancel.check()?;
-    loading.cache.try_get_or_compute(&Key::new("dragon", 1), import)
+    loading.cache.try_get_or_compute(&Key::new("dragon", 1), check::model, import)
 }
 
 /// What an importer makes, with what it has to say about it at every start.
@@ -83,10 +85,9 @@ fn imported(
     // A file that cannot be read is the importer's to complain about.
     let readable = if cache.folder().is_some() { Asset::read(path) } else { None };
     let Some(asset) = readable else { return importer(path) };
-    let known: Option<Vec<PathBuf>> = cache.find(&asset.files_key());
-    let key = known
-        .map(|files| asset.key(files.iter().map(|file| (file.as_path(), hash(&asset.folder.join(file))))));
-    if let Some(known) = key.and_then(|key| cache.find(&key)) {
+    let known: Option<Vec<Reference>> = cache.find(&asset.files_key(), |_| Ok(()));
+    let key = known.map(|files| asset.key(files.iter().map(|file| (file, asset.hash_of(file)))));
+    if let Some(known) = key.and_then(|key| cache.find(&key, check_imported)) {
         cache.count_hit();
         return Ok(known);
     }
@@ -100,14 +101,17 @@ fn imported(
 /// A file to be imported.
 struct Asset {
     path: PathBuf,
-    folder: PathBuf,
+    folder: Folder,
     hash: [u8; 32],
 }
 
+/// A file that an asset asked for, by its name in the asset's folder, and how much of it.
+type Reference = (PathBuf, u64);
+
 impl Asset {
     fn read(path: &Path) -> Option<Self> {
-        let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        Some(Self { path: path.to_owned(), folder, hash: hash(path)? })
+        let hash = limits::hash_start(path, limits::MAX_FILE_BYTES)?;
+        Some(Self { path: path.to_owned(), folder: Folder::of(path), hash })
     }
 
     /// Of the list of files that the asset refers to.
@@ -120,7 +124,13 @@ impl Asset {
         self.path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
     }
 
-    fn key<'a>(&self, files: impl Iterator<Item = (&'a Path, Option<[u8; 32]>)>) -> Key {
+    /// Of what a file holds now, found by the rule by which the importer finds it.
+    fn hash_of(&self, (name, most_bytes): &Reference) -> Option<[u8; 32]> {
+        let found = self.folder.find(name.to_str()?).ok()?;
+        limits::hash_start(&found.real, *most_bytes)
+    }
+
+    fn key<'a>(&self, files: impl Iterator<Item = (&'a Reference, Option<[u8; 32]>)>) -> Key {
         let key = Key::new("asset", 1).bytes(&self.hash).value(&self.name());
         files.fold(key, |key, file| key.value(&file))
     }
@@ -128,20 +138,22 @@ impl Asset {
     /// Keeps the model under the hashes of what the importer read, whatever the files hold by now.
     fn keep(&self, cache: &Cache, notes: Vec<Note>, imported: &Imported) {
         let (own, others): (Vec<Note>, Vec<Note>) =
-            notes.into_iter().partition(|(path, _)| *path == self.path);
-        if own.iter().any(|(_, hash)| *hash != Some(self.hash)) {
+            notes.into_iter().partition(|note| note.path == self.path);
+        if own.iter().any(|note| note.hash != Some(self.hash)) {
             return; // it changed while it was read
         }
-        let inside = |path: PathBuf| path.strip_prefix(&self.folder).map(Path::to_owned).unwrap_or(path);
-        let others: Vec<Note> = others.into_iter().map(|(path, hash)| (inside(path), hash)).collect();
-        let files: Vec<&Path> = others.iter().map(|(path, _)| path.as_path()).collect();
+        let inside =
+            |path: PathBuf| path.strip_prefix(self.folder.path()).map(Path::to_owned).unwrap_or(path);
+        let (files, hashes): (Vec<Reference>, Vec<_>) =
+            others.into_iter().map(|note| ((inside(note.path), note.most_bytes), note.hash)).unzip();
         cache.keep(&self.files_key(), &files);
-        cache.keep(&self.key(others.iter().map(|(path, hash)| (path.as_path(), *hash))), imported);
+        cache.keep(&self.key(files.iter().zip(hashes)), imported);
     }
 }
 
-fn hash(path: &Path) -> Option<[u8; 32]> {
-    limits::read_limited(path).ok().map(|bytes| *blake3::hash(&bytes).as_bytes())
+/// Whether a model that was kept is one that an importer could have made.
+fn check_imported((model, _): &Imported) -> Result<(), Unsound> {
+    check::model(model)
 }
 
 /// What [`refine`] looks at.
@@ -173,6 +185,25 @@ struct Refined {
     split: Option<SplitStats>,
 }
 
+impl Refined {
+    /// Whether it is something that could have been made of `source`.
+    fn check(&self, source: &Model) -> Result<(), Unsound> {
+        check::Geometry {
+            vertices: &self.vertices,
+            indices: &self.indices,
+            primitives: &self.primitives,
+            lods: &self.lods,
+            patches: &self.patches,
+            morphs: &self.morphs,
+            palette: source.palette.len(),
+            materials: source.materials.len(),
+        }
+        .check()?;
+        check::same_count(self.morphs.len(), source.morphs.len(), "morph targets")?;
+        check::same_count(self.primitives.len(), source.primitives.len(), "primitives")
+    }
+}
+
 /// Splits edges longer than `longest_edge_m` in mesh space, `None` leaves them; makes coarser levels, where they are
 /// wanted, and the patches of all levels.
 ///
@@ -197,7 +228,8 @@ pub fn refine(
     let is_worth_it = loading.cache.folder().is_some();
     let refined = if is_worth_it {
         let key = Key::new("refined", 1).value(&(longest_edge_m, loading.lods)).value(&unrefined);
-        loading.cache.try_get_or_compute(&key, || compute(&source, longest_edge_m, loading))?
+        let check = |refined: &Refined| refined.check(&source);
+        loading.cache.try_get_or_compute(&key, check, || compute(&source, longest_edge_m, loading))?
     } else {
         compute(&source, longest_edge_m, loading)?
     };
@@ -244,7 +276,8 @@ pub fn sampled(
         clip: clip.map(|clip| &model.clips[clip]),
         sampling,
     };
-    loading.cache.try_get_or_compute(&Key::new("clip", 1).value(&unsampled), sample)
+    let check = |sampled: &SampledClip| check::sampled_clip(sampled, model, clip);
+    loading.cache.try_get_or_compute(&Key::new("clip", 1).value(&unsampled), check, sample)
 }
 
 fn compute(source: &Model, longest_edge_m: Option<f32>, loading: &Loading) -> Result<Refined, Cancelled> {
@@ -261,8 +294,14 @@ fn compute(source: &Model, longest_edge_m: Option<f32>, loading: &Loading) -> Re
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Interpolation, Track, TrackValues, ground};
-    use glam::Quat;
+    use crate::cache::reseal;
+    use crate::sound::{effort, exercise};
+    use crate::{
+        Interpolation, Light, LightKind, ModelLight, MorphDelta, MorphTrack, Texture, Track, TrackValues,
+        Wrap, ground,
+    };
+    use glam::{Quat, Vec3};
+    use rand::{Rng, SeedableRng, rngs::SmallRng};
     use std::cell::Cell;
 
     /// An "asset": a file of the names of others; the model's bones are what all of them hold.
@@ -274,7 +313,7 @@ mod tests {
             let own = read(path).map_err(|reason| SceneError::Read { file: "own".into(), reason })?;
             let others =
                 own.lines().map(|name| read(&path.with_file_name(name)).unwrap_or_else(|_| "missing".into()));
-            let name = [own.clone(), others.collect()].concat();
+            let name = [own.replace('\n', " "), others.collect()].concat();
             Ok((Model { name, ..Model::default() }, Warnings::new()))
         }
     }
@@ -311,8 +350,8 @@ mod tests {
     #[test]
     fn an_asset_is_imported_once() {
         let folder = Folder::new();
-        assert_eq!(folder.import(), ("b\ncfirstmissing".into(), true));
-        assert_eq!(folder.import(), ("b\ncfirstmissing".into(), false));
+        assert_eq!(folder.import(), ("b cfirstmissing".into(), true));
+        assert_eq!(folder.import(), ("b cfirstmissing".into(), false));
         assert_eq!(folder.cache.hits_and_misses(), (1, 1));
     }
 
@@ -321,12 +360,12 @@ mod tests {
         let folder = Folder::new();
         folder.import();
         folder.write("b", "second");
-        assert_eq!(folder.import(), ("b\ncsecondmissing".into(), true));
+        assert_eq!(folder.import(), ("b csecondmissing".into(), true));
         folder.write("c", "there now");
-        assert_eq!(folder.import(), ("b\ncsecondthere now".into(), true));
+        assert_eq!(folder.import(), ("b csecondthere now".into(), true));
         folder.write("b", "first");
         std::fs::remove_file(folder.folder.path().join("c")).unwrap();
-        assert_eq!(folder.import(), ("b\ncfirstmissing".into(), false));
+        assert_eq!(folder.import(), ("b cfirstmissing".into(), false));
         folder.write("a.asset", "b");
         assert_eq!(folder.import(), ("bfirst".into(), true));
     }
@@ -391,5 +430,99 @@ mod tests {
         }
         assert!(looks > 10, "looked at {looks} times");
         assert_eq!(entries(), 2);
+    }
+
+    /// Everything that a model can have, in small.
+    fn rich() -> Model {
+        let mut model = swinging_ground();
+        let delta = MorphDelta { vertex: 3, position: Vec3::Y, normal: Vec3::ZERO, tangent: Vec3::ZERO };
+        let rest_weight = 0.25;
+        model.morphs = vec![Morph { name: "up".into(), rest_weight, deltas: vec![delta] }];
+        model.clips[0].morph_tracks = vec![MorphTrack {
+            first_morph: 0,
+            morph_count: 1,
+            times_s: vec![0.0, 1.5],
+            interpolation: Interpolation::CubicSpline,
+            weights: vec![0.0, 0.0, 1.0, 0.0, 1.0, 0.0],
+        }];
+        let wrap = [Wrap::Repeat; 2];
+        let texture =
+            Texture { name: "t".into(), extent_texels: [2, 2], rgba8: vec![9; 16], srgb: true, wrap };
+        model.textures = vec![texture];
+        model.materials[0].base_color_texture = Some(0.into());
+        let kind = LightKind::Spot { inner_cone_rad: 0.1, outer_cone_rad: 0.5 };
+        let light = Light { name: "l".into(), kind, intensity: Vec3::ONE, range_m: Some(3.0) };
+        model.lights = vec![ModelLight { bone: 0, light }];
+        model
+    }
+
+    /// Import, refinement and sampling, through the cache, and then a use of what came of it.
+    fn load_rich(asset: &Path, cache: Cache) -> (Model, SampledClip) {
+        let loading = Loading::complete(cache);
+        let importer = |path: &Path| {
+            limits::read_limited(path).map_err(|reason| SceneError::Read { file: "own".into(), reason })?;
+            Ok((rich(), Warnings::new()))
+        };
+        let mut model = import(&loading.cache, asset, importer).expect("it imports");
+        refine(&mut model, Some(0.7), &loading).expect("nobody asks to end");
+        let clip = sampled(&model, Some(0), Sampling::default(), &loading).expect("nobody asks to end");
+        (model, clip)
+    }
+
+    fn entries(folder: &Path) -> Vec<PathBuf> {
+        let mut found: Vec<PathBuf> =
+            std::fs::read_dir(folder).unwrap().map(|item| item.unwrap().path()).collect();
+        found.sort();
+        found
+    }
+
+    /// A few bytes changed, taken out or put in.
+    fn edit(rng: &mut SmallRng, payload: &mut Vec<u8>) {
+        for _ in 0..rng.random_range(1..4) {
+            payload.resize(payload.len().max(1), 0);
+            let at = rng.random_range(0..payload.len());
+            match rng.random_range(0..6) {
+                0 => payload[at] ^= 1 << rng.random_range(0..8),
+                1 => payload[at] = rng.random(),
+                2 => payload[at] = 0xff,
+                3 => payload[at] = 0,
+                4 => drop(payload.remove(at)),
+                _ => payload.insert(at, rng.random()),
+            }
+        }
+    }
+
+    #[test]
+    fn edited_entries_with_their_checksum_made_to_fit_are_sound_or_made_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let (asset, cache) = (folder.path().join("a.asset"), folder.path().join("cache"));
+        std::fs::write(&asset, "a").unwrap();
+        let uncached = load_rich(&asset, Cache::disabled());
+        assert_eq!(load_rich(&asset, Cache::new(&cache)).1, uncached.1);
+        let whole: Vec<(PathBuf, Vec<u8>)> =
+            entries(&cache).into_iter().map(|path| (path.clone(), std::fs::read(path).unwrap())).collect();
+        assert_eq!(whole.len(), 4, "files, asset, refined, clip");
+        let mut made_anew = 0;
+        for seed in 0..150 * u64::from(effort()) {
+            let mut rng = SmallRng::seed_from_u64(seed);
+            for path in entries(&cache) {
+                std::fs::remove_file(path).unwrap();
+            }
+            whole.iter().for_each(|(path, bytes)| std::fs::write(path, bytes).unwrap());
+            let (path, bytes) = &whole[rng.random_range(0..whole.len())];
+            reseal(path, |payload| edit(&mut rng, payload));
+            let damaged = std::fs::read(path).unwrap();
+            let (model, clip) = load_rich(&asset, Cache::new(&cache));
+            let context = format!("seed {seed}, {}", path.display());
+            assert_eq!(check::model(&model), Ok(()), "{context}");
+            assert_eq!(check::sampled_clip(&clip, &model, Some(0)), Ok(()), "{context}");
+            exercise(&model);
+            let now = std::fs::read(path).unwrap();
+            if now != damaged {
+                assert_eq!(now, *bytes, "{context}: what was made anew is what there was");
+                made_anew += 1;
+            }
+        }
+        assert!(made_anew > 30, "{made_anew} entries were refused");
     }
 }

@@ -14,7 +14,7 @@ use std::collections::HashMap;
 pub const MAX_EDGE_M: f32 = 0.5;
 
 /// Splitting stops before a model would grow beyond this many indices.
-const MAX_INDICES: usize = 12 << 20;
+pub(crate) const MAX_INDICES: usize = 12 << 20;
 
 /// What splitting did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -1,5 +1,7 @@
 //! "Did you mean": the known word nearest to a mistyped one.
 
+use shadecast_protocol::text::printable;
+
 /// The candidate within a third of the word's length in edits (at least one), the nearest first; `None` if all
 /// are further away, since a wild guess helps nobody.
 pub fn closest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
@@ -14,7 +16,9 @@ pub fn closest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) ->
 
 /// `; did you mean "x"?`, or nothing; to be appended to a message.
 pub fn did_you_mean<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> String {
-    closest(word, candidates).map(|best| format!("; did you mean \"{best}\"?")).unwrap_or_default()
+    closest(word, candidates)
+        .map(|best| format!("; did you mean \"{}\"?", printable(best)))
+        .unwrap_or_default()
 }
 
 /// As [`did_you_mean`], or where nothing is near: `; {lead} "a", "b"`.
@@ -27,7 +31,7 @@ pub fn did_you_mean_or_list<'a>(
     if !hint.is_empty() {
         return hint;
     }
-    let list: Vec<String> = candidates.map(|name| format!("\"{name}\"")).collect();
+    let list: Vec<String> = candidates.map(|name| format!("\"{}\"", printable(name))).collect();
     format!("; {lead} {}", if list.is_empty() { "none".into() } else { list.join(", ") })
 }
 

@@ -84,7 +84,7 @@ impl Baker<'_> {
         let bone = self.hierarchy.bone_of(source.typed_id);
         let Bone { name, rest, .. } = &self.hierarchy.bones[bone as usize];
         let node = &self.scene.nodes[source.typed_id as usize];
-        let fault = || self.fault(format!("a key of node '{}' is not finite", name.escape_debug()));
+        let fault = || self.fault(format!("a key of node '{name}' is not finite"));
         let transform = |time: f64| ufbx::evaluate_transform(self.anim, node, time);
         let vectors = |keys, rest, law, of: fn(ufbx::Transform) -> ufbx::Vec3| {
             let keys = vector_keys(keys).ok_or_else(fault)?;

@@ -2,6 +2,7 @@
 
 use crate::import;
 use glam::{Affine3A, Quat, Vec3};
+use shadecast_protocol::text::printable;
 
 pub(super) fn vec3(v: ufbx::Vec3) -> Vec3 {
     Vec3::new(v.x as f32, v.y as f32, v.z as f32)
@@ -36,6 +37,6 @@ pub(super) fn label(kind: &str, element: &ufbx::Element) -> String {
 pub(super) fn name(kind: &str, element: &ufbx::Element) -> String {
     match element.name.as_ref() {
         "" => format!("{kind} {}", element.typed_id),
-        name => name.to_owned(),
+        name => printable(name),
     }
 }

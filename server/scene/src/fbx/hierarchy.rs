@@ -5,6 +5,7 @@ use crate::error::Fault;
 use crate::import::Warnings;
 use crate::{Bone, Light, LightKind, ModelLight, Trs};
 use glam::{Quat, Vec3};
+use shadecast_protocol::text::printable;
 
 /// All nodes of a file as bones, the file's own root included, which carries what could not be converted otherwise.
 pub(super) struct Hierarchy {
@@ -96,7 +97,7 @@ impl Hierarchy {
 
 /// `node 3 'x'`.
 pub(super) fn label(node: &ufbx::Node) -> String {
-    format!("node {} '{}'", node.element.typed_id, node.element.name.escape_debug())
+    format!("node {} '{}'", node.element.typed_id, printable(&node.element.name))
 }
 
 fn rest(node: &ufbx::Node) -> Result<Trs, Fault> {

@@ -9,10 +9,11 @@ use crate::error::Fault;
 use crate::gltf::material::{check_factors, clamped};
 use crate::image::{self, Pixels};
 use crate::import::{Surroundings, Warnings};
-use crate::limits::{is_file, read_limited};
+use crate::limits::MAX_TEXELS;
+use crate::references::Folder;
 use crate::{Material, Texture, TextureSlot, Wrap};
+use shadecast_protocol::text::printable;
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
 /// Alpha below this is not drawn where a texture carries its own transparency.
@@ -29,6 +30,8 @@ pub(super) struct Materials<'a> {
     known_textures: HashMap<TextureKey, u32>,
     /// By file; `None` where it could not be had.
     images: HashMap<u32, Option<Rc<Pixels>>>,
+    /// Of all decoded pictures and of the textures made of them.
+    held_texels: usize,
 }
 
 #[derive(PartialEq, Eq, Hash)]
@@ -55,6 +58,7 @@ impl<'a> Materials<'a> {
             known_materials: HashMap::new(),
             known_textures: HashMap::new(),
             images: HashMap::new(),
+            held_texels: 0,
         }
     }
 
@@ -141,6 +145,7 @@ impl<'a> Materials<'a> {
             return Some(slot(*known, source, sets, warnings));
         }
         let pixels = self.pixels(source, warnings)?;
+        self.note_room(pixels.extent_texels, source, warnings)?;
         let texture = Texture {
             name: convert::name("texture", &source.element),
             extent_texels: pixels.extent_texels,
@@ -149,6 +154,17 @@ impl<'a> Materials<'a> {
             wrap: wrap(source),
         };
         Some(slot(self.push(texture, key), source, sets, warnings))
+    }
+
+    /// `None`, and a warning, where there is no room for one more texture.
+    fn note_room(
+        &mut self,
+        extent_texels: [u32; 2],
+        source: &ufbx::Texture,
+        warnings: &mut Warnings,
+    ) -> Option<()> {
+        let room = self.take_room(extent_texels);
+        room.map_err(|problem| warnings.insert(left_out(source, &problem))).ok()
     }
 
     fn push(&mut self, texture: Texture, key: TextureKey) -> u32 {
@@ -187,6 +203,7 @@ impl<'a> Materials<'a> {
         }
         let (extent_texels, rgba8) =
             combine(rough.flatten().as_deref(), metal.flatten().as_deref(), inverted);
+        self.note_room(extent_texels, leading, warnings)?;
         let name = convert::name("texture", &leading.element);
         let texture = Texture { name, extent_texels, rgba8, srgb: false, wrap: wrap(leading) };
         Some(slot(self.push(texture, key), leading, sets, warnings))
@@ -197,18 +214,37 @@ impl<'a> Materials<'a> {
         if let Some(known) = self.images.get(&source.file_index) {
             return known.clone();
         }
-        let pixels = match read(source, self.around.folder.as_deref()).and_then(|bytes| image::decode(&bytes))
-        {
+        let pixels = match self.decode(source) {
             Ok(pixels) => Some(Rc::new(pixels)),
             Err(problem) => {
-                let element = convert::label("texture", &source.element);
-                warnings.insert(format!("{element}: {problem}; the material is drawn without it"));
+                warnings.insert(left_out(source, &problem));
                 None
             }
         };
         self.images.insert(source.file_index, pixels.clone());
         pixels
     }
+
+    fn decode(&mut self, source: &ufbx::Texture) -> Result<Pixels, String> {
+        let pixels = image::decode(&read(source, self.around.folder.as_ref())?)?;
+        self.take_room(pixels.extent_texels)?;
+        Ok(pixels)
+    }
+
+    /// A few bytes can use one picture in many ways, each of which is a texture of its own.
+    fn take_room(&mut self, [width, height]: [u32; 2]) -> Result<(), String> {
+        let held = self.held_texels + width as usize * height as usize;
+        if held > 2 * MAX_TEXELS {
+            return Err(format!("brings the textures over {MAX_TEXELS} texels; use fewer or smaller ones"));
+        }
+        self.held_texels = held;
+        Ok(())
+    }
+}
+
+fn left_out(source: &ufbx::Texture, problem: &str) -> String {
+    let element = convert::label("texture", &source.element);
+    format!("{element}: {problem}; the material is drawn without it")
 }
 
 fn enabled(map: &ufbx::MaterialMap) -> Option<&ufbx::Texture> {
@@ -235,29 +271,38 @@ fn file_texture<'a>(texture: &'a ufbx::Texture, warnings: &mut Warnings) -> Opti
 }
 
 /// The bytes of a texture's file: embedded, or beside the asset at its relative path or by its mere name.
-fn read(source: &ufbx::Texture, folder: Option<&Path>) -> Result<Vec<u8>, String> {
+fn read(source: &ufbx::Texture, folder: Option<&Folder>) -> Result<Vec<u8>, String> {
     let video = source.video.as_deref().map_or(&[][..], |video| &video.content);
     let embedded = if source.content.is_empty() { video } else { &source.content };
     if !embedded.is_empty() {
         return Ok(embedded.to_vec());
     }
     let candidates = candidates(source);
-    let name = candidates.last().map(|path| path.display().to_string()).unwrap_or_default();
+    let first = candidates.first().ok_or("names no file")?;
     let Some(folder) = folder else {
-        return Err(format!("refers to the file '{name}', but the asset is not in a folder"));
+        return Err(format!("refers to the file '{}', but the asset is not in a folder", printable(first)));
     };
-    let found = candidates.iter().map(|path| folder.join(path)).find(|path| is_file(path));
-    let path = found.ok_or_else(|| format!("file '{name}' is not beside the asset"))?;
-    read_limited(&path).map_err(|error| format!("file '{name}': {error}"))
+    let mut problem = String::new();
+    for name in &candidates {
+        match folder.find(name) {
+            Ok(found) => return found.read(),
+            // The first name is the one that the file means.
+            Err(why) if problem.is_empty() => problem = why,
+            Err(_) => {}
+        }
+    }
+    Err(problem)
 }
 
-/// Never an absolute path: a stranger's file does not choose among all files of this machine.
-fn candidates(source: &ufbx::Texture) -> Vec<PathBuf> {
+/// Names as the file has them, then their last parts alone: exporters write where a picture was on their own machine,
+/// and it usually travels beside the asset. Which of them may be read is the folder's to say.
+fn candidates(source: &ufbx::Texture) -> Vec<String> {
     let names = [&source.relative_filename, &source.filename, &source.absolute_filename];
-    let paths: Vec<PathBuf> = names.map(|name| PathBuf::from(name.replace('\\', "/"))).to_vec();
-    let mut found: Vec<PathBuf> = paths.iter().filter(|path| path.is_relative()).cloned().collect();
-    found.extend(paths.iter().filter_map(|path| path.file_name()).map(PathBuf::from));
-    found.retain(|path| path.file_name().is_some() && !path.to_string_lossy().contains(':'));
+    let names = names.map(|name| name.replace('\\', "/"));
+    let last = |name: &String| name.rsplit('/').next().unwrap_or_default().to_owned();
+    let mut found: Vec<String> = names.to_vec();
+    found.extend(names.iter().map(last));
+    found.retain(|name| !name.is_empty());
     found
 }
 

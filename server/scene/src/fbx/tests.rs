@@ -480,7 +480,7 @@ fn textures_beside_the_file_are_found_and_missing_ones_cost_a_warning() {
     assert_eq!(model.textures[0].rgba8[..3], [9, 8, 7]);
     assert_eq!(model.materials[0].emissive_texture, None);
     let [warning] = &warnings.iter().collect::<Vec<_>>()[..] else { panic!("{warnings:?}") };
-    assert!(warning.contains("'gone.png'") && warning.contains("drawn without it"), "{warning}");
+    assert!(warning.contains("gone.png'") && warning.contains("drawn without it"), "{warning}");
     // At its mere name too.
     std::fs::rename(folder.path().join("maps/a.png"), folder.path().join("a.png")).expect("rename");
     std::fs::write(folder.path().join("x.fbx"), file.text()).expect("write");
@@ -489,6 +489,31 @@ fn textures_beside_the_file_are_found_and_missing_ones_cost_a_warning() {
         .map_err(|fault| fault.problem)
         .expect("loads");
     assert_eq!(warnings.iter().filter(|warning| warning.contains("not in a folder")).count(), 2);
+}
+
+/// A picture that lies outside the asset's folder is not read, by whatever name; beside it is.
+#[test]
+fn textures_outside_the_assets_folder_are_not_read() {
+    let top = tempfile::tempdir().expect("a folder");
+    let asset = top.path().join("asset");
+    std::fs::create_dir(&asset).expect("made");
+    std::fs::write(top.path().join("secret.png"), png(2, [1, 2, 3])).expect("written");
+    std::os::unix::fs::symlink("../secret.png", asset.join("link.png")).expect("linked");
+    let around = Surroundings::of(&asset.join("x.fbx"), &Cancel::default());
+    let load_with = |name: &str| {
+        let mut file = plain();
+        add_texture(&mut file, 700, "DiffuseColor", "placeholder.png", "", None);
+        let text = file.text().replace("placeholder.png", name).replace("maps\\", "").replace("maps/", "");
+        import(text.as_bytes(), "outside", &around).map_err(|fault| fault.problem).expect("loads")
+    };
+    let absolute = top.path().join("secret.png").to_string_lossy().into_owned();
+    for name in [&absolute, "../secret.png", "..\\secret.png", "../asset/../secret.png", "link.png"] {
+        let (model, warnings) = load_with(name);
+        assert_eq!(model.textures.len(), 0, "{name}");
+        assert!(warnings.iter().any(|warning| warning.contains("drawn without it")), "{name}: {warnings:?}");
+    }
+    std::fs::copy(top.path().join("secret.png"), asset.join("secret.png")).expect("copied");
+    assert_eq!(load_with("../secret.png").0.textures.len(), 1, "its mere name is beside the asset");
 }
 
 #[test]

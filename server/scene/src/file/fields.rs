@@ -4,6 +4,7 @@ use crate::SceneError;
 use crate::suggest::{did_you_mean, did_you_mean_or_list};
 use glam::Vec3;
 use shadecast_protocol::limits::MAX_COORDINATE_M;
+use shadecast_protocol::text::printable;
 use std::ops::RangeInclusive;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -59,7 +60,10 @@ impl<'a> Fields<'a> {
         let Some(key) = unknown.first() else { return Ok(Self { source, what, table, line }) };
         let hint = did_you_mean(key.get_ref(), known.iter().copied());
         let hint = if hint.is_empty() { format!("; it can have {}", known.join(", ")) } else { hint };
-        Err(source.error(source.line(key.span().start), format!("{what} has no \"{}\"{hint}", key.get_ref())))
+        Err(source.error(
+            source.line(key.span().start),
+            format!("{what} has no \"{}\"{hint}", printable(key.get_ref())),
+        ))
     }
 
     pub(super) fn get(&self, key: &str) -> Option<&'a DeValue<'a>> {
@@ -130,7 +134,9 @@ impl<'a> Fields<'a> {
     ) -> Result<String, SceneError> {
         let (name, line) = self.required_string("name")?;
         match taken.any(|other| other == name) {
-            true => Err(self.source.error(line, format!("there are two {kind} of the name \"{name}\""))),
+            true => Err(self
+                .source
+                .error(line, format!("there are two {kind} of the name \"{}\"", printable(&name)))),
             false => Ok(name),
         }
     }
@@ -142,7 +148,8 @@ impl<'a> Fields<'a> {
         let found = choices.iter().find(|(known, _)| *known == word).map(|(_, choice)| *choice);
         found.map(Some).ok_or_else(|| {
             let hint = did_you_mean_or_list(&word, words, "it can be");
-            self.source.error(line, format!("\"{key}\" of {} cannot be \"{word}\"{hint}", self.what))
+            self.source
+                .error(line, format!("\"{key}\" of {} cannot be \"{}\"{hint}", self.what, printable(&word)))
         })
     }
 

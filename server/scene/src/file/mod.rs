@@ -2,6 +2,8 @@
 //! (a model that is not there, a clip that it does not have) can still be shown where it stands.
 //!
 //! Read by hand rather than through serde: its errors name the key, but not what the user may have meant.
+//! A scene file is its user's own: it names models wherever they are on this machine. What it names, an asset of a
+//! stranger's, may name files of its own folder only (`references`).
 //! `docs/scene.example.toml` shows everything that a scene file can say.
 
 mod fields;
@@ -23,6 +25,7 @@ use fields::{Fields, Source};
 use glam::Affine3A;
 use placement::Named;
 use shadecast_protocol::pose::Pose;
+use shadecast_protocol::text::printable;
 use std::path::PathBuf;
 use toml::de::DeTable;
 
@@ -68,7 +71,7 @@ pub struct ModelEntry {
 pub enum ModelFile {
     /// The generated dragon.
     BuiltInDragon,
-    /// A path, relative to the scene file.
+    /// A path to anywhere, relative to the scene file.
     Path(PathBuf),
 }
 
@@ -166,7 +169,7 @@ const ROOT_KEYS: [&str; 12] = [
 fn read_toml<'a>(source: &Source<'a>) -> Result<DeTable<'a>, SceneError> {
     let document = DeTable::parse(source.text).map_err(|error| {
         let at = error.span().map_or(0, |span| span.start);
-        source.error(source.line(at), error.message().trim().replace('\n', "; "))
+        source.error(source.line(at), printable(&error.message().trim().replace('\n', "; ")))
     })?;
     Ok(document.into_inner())
 }

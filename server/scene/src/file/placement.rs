@@ -8,6 +8,7 @@ use crate::suggest::did_you_mean_or_list;
 use crate::{Path, SceneError};
 use glam::{Affine3A, Mat4, Quat, Vec3};
 use shadecast_protocol::limits::MAX_INSTANCES;
+use shadecast_protocol::text::printable;
 
 /// Most placed models of a scene file: one number of an instance is left for the ground.
 pub const MAX_PLACED: u32 = MAX_INSTANCES - 1;
@@ -115,7 +116,7 @@ fn position_of<'n>(
     let all = names.clone();
     names.position(|name| name == wanted).ok_or_else(|| {
         let hint = did_you_mean_or_list(wanted, all, "there is");
-        fields.source.error(line, format!("{what} \"{wanted}\" is not defined{hint}"))
+        fields.source.error(line, format!("{what} \"{}\" is not defined{hint}", printable(wanted)))
     })
 }
 

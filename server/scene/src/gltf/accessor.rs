@@ -2,18 +2,19 @@
 //! looking).
 
 use super::super::error::Fault;
+use super::super::limits::MAX_ELEMENTS;
 use super::compression::Decoded;
+use super::container::Buffer;
 use ::gltf::accessor::{DataType, Dimensions};
 use ::gltf::json::accessor::ComponentType;
-
-/// Most elements of one accessor.
-const MAX_ELEMENTS: usize = 1 << 22;
 
 /// The buffers of a document.
 #[derive(Clone, Copy)]
 pub(super) struct Reader<'a> {
     pub(super) document: &'a ::gltf::Document,
-    pub(super) buffers: &'a [Vec<u8>],
+    pub(super) buffers: &'a [Buffer],
+    /// Bytes in all buffers, decompressed ones included.
+    pub(super) data_bytes: usize,
     /// What compressed buffer views hold.
     pub(super) decoded: &'a Decoded,
 }
@@ -83,7 +84,8 @@ impl<'a> Reader<'a> {
         if let Some(bytes) = self.decoded.get(&view.index()) {
             return Ok(bytes);
         }
-        let buffer = self.buffers.get(view.buffer().index()).map(Vec::as_slice).unwrap_or_default();
+        let buffer =
+            self.buffers.get(view.buffer().index()).map(|buffer| buffer.as_slice()).unwrap_or_default();
         let end = view.offset().checked_add(view.length());
         end.and_then(|end| buffer.get(view.offset()..end)).ok_or_else(|| {
             let (offset, length) = (view.offset(), view.length());
@@ -137,17 +139,12 @@ impl<'a> Reader<'a> {
             return Err(Fault::new(element, problem));
         }
         // Zeros for nothing: a few bytes of JSON must not claim gigabytes.
-        if accessor.view().is_none() && accessor.count() > self.data_bytes() {
-            let (count, bytes) = (accessor.count(), self.data_bytes());
+        if accessor.view().is_none() && accessor.count() > self.data_bytes {
+            let (count, bytes) = (accessor.count(), self.data_bytes);
             let problem = format!("has {count} elements without data, more than the file's {bytes} bytes");
             return Err(Fault::new(element, problem));
         }
         Ok(())
-    }
-
-    /// Bytes in all buffers, decompressed ones included.
-    fn data_bytes(&self) -> usize {
-        self.buffers.iter().chain(self.decoded.values()).map(Vec::len).sum()
     }
 
     fn elements(

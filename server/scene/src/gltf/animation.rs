@@ -8,6 +8,7 @@ use super::{Warnings, label};
 use ::gltf::accessor::Dimensions;
 use ::gltf::animation::Property;
 use glam::{Quat, Vec3};
+use shadecast_protocol::text::printable;
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 
@@ -41,7 +42,7 @@ fn read(
 ) -> Result<Clip, Fault> {
     let element = label("animation", animation.index(), animation.name());
     let mut clip = Clip {
-        name: animation.name().map_or_else(|| format!("clip {}", animation.index()), str::to_owned),
+        name: animation.name().map_or_else(|| format!("clip {}", animation.index()), printable),
         ..Clip::default()
     };
     let mut seen = HashSet::new();

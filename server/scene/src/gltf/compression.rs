@@ -1,16 +1,14 @@
 //! `EXT_meshopt_compression`: buffer views whose bytes are compressed. They are decoded once, before anything reads
 //! them, so that the rest of the importer does not know of compression.
 
+use super::container::Buffer;
 use super::extensions::{self, COMPRESSION};
 use crate::error::Fault;
+use crate::limits::MAX_DECODED_BYTES;
 use ::gltf::json;
 use serde::Deserialize;
 use serde_json::{Map, Value};
 use std::collections::HashMap;
-
-/// Most bytes that all views of a file may decode to. The codec can repeat a byte a thousand times for nothing, so
-/// that the size of the file is no bound.
-const MAX_DECODED_BYTES: usize = 1 << 28;
 
 /// By buffer view.
 pub(super) type Decoded = HashMap<usize, Vec<u8>>;
@@ -57,7 +55,7 @@ pub(super) fn is_placeholder(buffer: &json::Buffer) -> bool {
 }
 
 /// Decodes all compressed views.
-pub(super) fn decode_views(root: &json::Root, buffers: &[Vec<u8>]) -> Result<Decoded, Fault> {
+pub(super) fn decode_views(root: &json::Root, buffers: &[Buffer]) -> Result<Decoded, Fault> {
     let (mut decoded, mut total) = (Decoded::new(), 0usize);
     for (index, view) in root.buffer_views.iter().enumerate() {
         let others = view.extensions.as_ref().map(|extensions| &extensions.others);
@@ -116,7 +114,7 @@ impl Compressed {
         count.checked_mul(stride).ok_or_else(|| format!("count {count} is too large"))
     }
 
-    fn decode(&self, buffers: &[Vec<u8>]) -> Result<Vec<u8>, String> {
+    fn decode(&self, buffers: &[Buffer]) -> Result<Vec<u8>, String> {
         let buffer =
             buffers.get(self.buffer).ok_or_else(|| format!("buffer {} does not exist", self.buffer))?;
         let end = self.byte_offset.checked_add(self.byte_length);

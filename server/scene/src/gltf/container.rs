@@ -5,21 +5,29 @@
 
 use super::super::error::Fault;
 use super::super::import::Surroundings;
-use super::super::limits::read_limited;
+use super::super::limits::MAX_BUFFER_BYTES;
+use super::super::references::{Found, percent_decode};
 use super::compression::{self, Decoded};
 use super::{Warnings, extensions};
 use ::gltf::json;
 use ::gltf::json::validation::{Error as Invalid, Validate};
 use serde::Deserialize;
 use serde_json::Value;
-use std::collections::BTreeMap;
-use std::path::Path;
+use shadecast_protocol::text::printable;
+use std::collections::{BTreeMap, HashMap};
+use std::path::PathBuf;
+use std::rc::Rc;
+
+/// A buffer's bytes; those of one file are there once, however many buffers name it.
+pub(super) type Buffer = Rc<Vec<u8>>;
 
 /// A document whose indices are all in range, with its buffers.
 pub(super) struct Container {
     pub(super) document: ::gltf::Document,
     /// By buffer index, each at least as long as its `byteLength`.
-    pub(super) buffers: Vec<Vec<u8>>,
+    pub(super) buffers: Vec<Buffer>,
+    /// Bytes of all buffers, each file counted once, decompressed views included.
+    pub(super) data_bytes: usize,
     /// What compressed buffer views hold.
     pub(super) decoded: Decoded,
 }
@@ -27,16 +35,24 @@ pub(super) struct Container {
 /// Reads a GLB or a glTF JSON text. External files are looked up in the surroundings' folder.
 pub(super) fn open(bytes: &[u8], around: &Surroundings, warnings: &mut Warnings) -> Result<Container, Fault> {
     let (json_bytes, blob) = if bytes.starts_with(b"glTF") { split_glb(bytes)? } else { (bytes, None) };
-    let root = parse(json_bytes, warnings)
-        .map_err(|error| Fault::new("JSON", format!("not a glTF document: {error}")))?;
+    let root = parse(json_bytes, warnings).map_err(|error| {
+        Fault::new("JSON", format!("not a glTF document: {}", printable(&error.to_string())))
+    })?;
     check_version(&root)?;
     extensions::check_required(&root)?;
     extensions::note_ignored(&root, warnings);
     check_indices(&root)?;
     let buffers = read_buffers(&root, blob, around)?;
     let decoded = compression::decode_views(&root, &buffers)?;
+    let data_bytes = data_bytes(&buffers, &decoded);
     let document = ::gltf::Document::from_json_without_validation(root);
-    Ok(Container { document, buffers, decoded })
+    Ok(Container { document, buffers, data_bytes, decoded })
+}
+
+fn data_bytes(buffers: &[Buffer], decoded: &Decoded) -> usize {
+    let unique: HashMap<*const Vec<u8>, usize> =
+        buffers.iter().map(|buffer| (Rc::as_ptr(buffer), buffer.len())).collect();
+    unique.values().sum::<usize>() + decoded.values().map(Vec::len).sum::<usize>()
 }
 
 /// What the `gltf` crate's types pass over or cannot hold.
@@ -133,7 +149,7 @@ fn check_version(root: &json::Root) -> Result<(), Fault> {
     if root.asset.version.starts_with("2.") {
         return Ok(());
     }
-    Err(Fault::new("asset", format!("is glTF {}; only 2.x is supported", root.asset.version)))
+    Err(Fault::new("asset", format!("is glTF {}; only 2.x is supported", printable(&root.asset.version))))
 }
 
 /// The crate's validation, which makes its accessors safe to call, less what this importer can do without; plus what
@@ -145,7 +161,7 @@ fn check_indices(root: &json::Root) -> Result<(), Fault> {
     faults.retain(|(path, error)| !is_tolerable(path, *error));
     if let Some((path, error)) = faults.first() {
         let more = if faults.len() > 1 { format!(" (and {} more)", faults.len() - 1) } else { String::new() };
-        return Err(Fault::new(path.clone(), format!("{}{more}", describe(*error))));
+        return Err(Fault::new(printable(path), format!("{}{more}", describe(*error))));
     }
     check_animation_targets(root)?;
     check_image_sources(root)
@@ -206,54 +222,115 @@ fn check_image_sources(root: &json::Root) -> Result<(), Fault> {
     }
 }
 
-fn read_buffers(
-    root: &json::Root,
-    blob: Option<&[u8]>,
-    around: &Surroundings,
-) -> Result<Vec<Vec<u8>>, Fault> {
-    let mut buffers = Vec::with_capacity(root.buffers.len().min(1024));
+/// Where a buffer's bytes come from.
+enum Origin {
+    File(Found),
+    Data(Vec<u8>),
+    Chunk,
+    /// It only stands for what its compressed views decode to.
+    Nowhere,
+}
+
+fn read_buffers(root: &json::Root, blob: Option<&[u8]>, around: &Surroundings) -> Result<Vec<Buffer>, Fault> {
+    let mut origins = Vec::with_capacity(root.buffers.len().min(1024));
     for (index, buffer) in root.buffers.iter().enumerate() {
+        origins.push(origin(index, buffer, blob, around)?);
+    }
+    let wanted = wanted_of_files(root, &origins)?;
+    let chunk: Buffer = Rc::new(blob.unwrap_or_default().to_vec());
+    let mut files: HashMap<PathBuf, Buffer> = HashMap::new();
+    let mut buffers = Vec::with_capacity(origins.len());
+    for (index, origin) in origins.into_iter().enumerate() {
         around.cancel.check()?;
-        let element = format!("buffer {index}");
-        let data = match (&buffer.uri, blob) {
-            (Some(uri), _) => resolve_uri(uri, around.folder.as_deref(), &element)?,
-            (None, Some(blob)) if index == 0 => blob.to_vec(),
-            (None, _) if compression::is_placeholder(buffer) => {
-                buffers.push(Vec::new());
-                continue;
-            }
-            (None, _) => return Err(Fault::new(element, "has no URI, and there is no binary chunk for it")),
-        };
-        if (data.len() as u64) < buffer.byte_length.0 {
-            let problem = format!("should have {} bytes, but has {}", buffer.byte_length.0, data.len());
-            return Err(Fault::new(element, problem));
-        }
-        buffers.push(data);
+        let element = || format!("buffer {index}");
+        buffers.push(match origin {
+            Origin::Nowhere => Buffer::default(),
+            Origin::Chunk => with_length(root, index, chunk.clone())?,
+            Origin::Data(bytes) => with_length(root, index, Rc::new(bytes))?,
+            Origin::File(found) => match files.get(&found.real) {
+                Some(known) => known.clone(),
+                None => {
+                    let bytes = found.read_start(wanted[&found.real]);
+                    let bytes = bytes.map_err(|problem| Fault::new(element(), problem))?;
+                    let read = with_length(root, index, Rc::new(bytes))?;
+                    files.insert(found.real, read.clone());
+                    read
+                }
+            },
+        });
     }
     Ok(buffers)
 }
 
-/// The bytes behind a URI: embedded, or in a file relative to `folder`.
-pub(super) fn resolve_uri(uri: &str, folder: Option<&Path>, element: &str) -> Result<Vec<u8>, Fault> {
-    if let Some(rest) = uri.strip_prefix("data:") {
-        return decode_data_uri(rest).map_err(|problem| Fault::new(element, problem));
+fn origin(
+    index: usize,
+    buffer: &json::Buffer,
+    blob: Option<&[u8]>,
+    around: &Surroundings,
+) -> Result<Origin, Fault> {
+    let fault = |problem: String| Fault::new(format!("buffer {index}"), problem);
+    match &buffer.uri {
+        Some(uri) => match uri.strip_prefix("data:") {
+            Some(data) => decode_data_uri(data).map(Origin::Data).map_err(fault),
+            None => find(uri, around).map(Origin::File).map_err(fault),
+        },
+        None if index == 0 && blob.is_some() => Ok(Origin::Chunk),
+        None if compression::is_placeholder(buffer) => Ok(Origin::Nowhere),
+        None => Err(fault("has no URI, and there is no binary chunk for it".into())),
     }
-    if uri.contains("://") {
-        return Err(Fault::new(element, format!("'{uri}' is on the network; put the file beside the asset")));
+}
+
+/// How much of each file is needed. A few bytes of JSON can ask for any number of gigabytes, so that the sum is looked
+/// at before anything is read.
+fn wanted_of_files(root: &json::Root, origins: &[Origin]) -> Result<HashMap<PathBuf, u64>, Fault> {
+    let mut wanted: HashMap<PathBuf, u64> = HashMap::new();
+    for (index, (buffer, origin)) in root.buffers.iter().zip(origins).enumerate() {
+        let Origin::File(found) = origin else { continue };
+        let bytes = buffer.byte_length.0;
+        if found.length < bytes {
+            let problem = format!("should have {bytes} bytes, but has {}", found.length);
+            return Err(Fault::new(format!("buffer {index}"), problem));
+        }
+        let most = wanted.entry(found.real.clone()).or_default();
+        *most = bytes.max(*most);
+        if wanted.values().fold(0u64, |sum, bytes| sum.saturating_add(*bytes)) > MAX_BUFFER_BYTES {
+            let limit = MAX_BUFFER_BYTES >> 20;
+            let problem = format!("brings the buffers together over {limit} MiB; reduce the asset");
+            return Err(Fault::new(format!("buffer {index}"), problem));
+        }
     }
-    let name = percent_decode(uri);
-    let Some(folder) = folder else {
-        return Err(Fault::new(
-            element,
-            format!("refers to the file '{name}', but the asset is not in a folder"),
-        ));
-    };
-    read_limited(&folder.join(&name)).map_err(|error| Fault::new(element, format!("file '{name}': {error}")))
+    Ok(wanted)
+}
+
+/// The bytes, where there are as many as the document says.
+fn with_length(root: &json::Root, index: usize, bytes: Buffer) -> Result<Buffer, Fault> {
+    let length = root.buffers[index].byte_length.0;
+    if bytes.len() as u64 >= length {
+        return Ok(bytes);
+    }
+    let problem = format!("should have {length} bytes, but has {}", bytes.len());
+    Err(Fault::new(format!("buffer {index}"), problem))
+}
+
+/// The file behind a URI that is not embedded data.
+fn find(uri: &str, around: &Surroundings) -> Result<Found, String> {
+    match &around.folder {
+        Some(folder) => folder.find_uri(uri),
+        None => Err(format!("refers to the file '{}', but the asset is not in a folder", printable(uri))),
+    }
+}
+
+/// The bytes of an image's URI: embedded, or in a file beside the asset.
+pub(super) fn read_uri(uri: &str, around: &Surroundings) -> Result<Vec<u8>, String> {
+    match uri.strip_prefix("data:") {
+        Some(data) => decode_data_uri(data),
+        None => find(uri, around)?.read(),
+    }
 }
 
 fn decode_data_uri(after_scheme: &str) -> Result<Vec<u8>, String> {
     let (meta, data) = after_scheme.split_once(',').ok_or("data URI without a comma")?;
-    if meta.ends_with(";base64") { decode_base64(data) } else { Ok(percent_decode(data).into_bytes()) }
+    if meta.ends_with(";base64") { decode_base64(data) } else { Ok(percent_decode(data)) }
 }
 
 /// Base64 as in RFC 4648 section 4; the URL-safe letters are accepted too, padding is optional.
@@ -280,28 +357,6 @@ fn decode_base64(text: &str) -> Result<Vec<u8>, String> {
     if count == 6 { Err("base64 data ends in the middle of a byte".into()) } else { Ok(out) }
 }
 
-/// `%20` and its like; what is not such a sequence stays as it is.
-fn percent_decode(text: &str) -> String {
-    let bytes = text.as_bytes();
-    let (mut out, mut at) = (Vec::with_capacity(bytes.len()), 0);
-    while at < bytes.len() {
-        let hex = bytes.get(at + 1..at + 3).filter(|hex| hex.iter().all(u8::is_ascii_hexdigit));
-        let code =
-            hex.and_then(|hex| std::str::from_utf8(hex).ok()).and_then(|h| u8::from_str_radix(h, 16).ok());
-        match code {
-            Some(code) if bytes[at] == b'%' => {
-                out.push(code);
-                at += 3;
-            }
-            _ => {
-                out.push(bytes[at]);
-                at += 1;
-            }
-        }
-    }
-    String::from_utf8_lossy(&out).into_owned()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -323,24 +378,11 @@ mod tests {
     }
 
     #[test]
-    fn percent_sequences_are_decoded_and_others_kept() {
-        assert_eq!(percent_decode("a%20b%2Fc"), "a b/c");
-        assert_eq!(percent_decode("100%"), "100%");
-        assert_eq!(percent_decode("%zz%4"), "%zz%4");
-    }
-
-    #[test]
     fn glb_whose_chunk_passes_its_end_is_refused() {
         let mut glb = b"glTF\x02\0\0\0\x14\0\0\0\xff\xff\xff\xffJSON".to_vec();
         let fault = split_glb(&glb).expect_err("chunk too long");
         assert!(fault.problem.contains("chunk at byte 12"), "{}", fault.problem);
         glb.truncate(9);
         assert!(split_glb(&glb).is_err());
-    }
-
-    #[test]
-    fn file_of_another_machine_is_not_fetched() {
-        let fault = resolve_uri("https://example.com/a.bin", Some(Path::new(".")), "buffer 0").err();
-        assert!(fault.expect("network").problem.contains("network"));
     }
 }

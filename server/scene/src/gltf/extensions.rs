@@ -8,6 +8,7 @@ use crate::error::Fault;
 use ::gltf::json;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
+use shadecast_protocol::text::printable;
 
 pub(super) const LIGHTS: &str = "KHR_lights_punctual";
 pub(super) const UNLIT: &str = "KHR_materials_unlit";
@@ -27,7 +28,7 @@ fn is_read(name: &str) -> bool {
 pub(super) fn check_required(root: &json::Root) -> Result<(), Fault> {
     let Some(name) = root.extensions_required.iter().find(|name| !is_read(name)) else { return Ok(()) };
     let problem = format!("is required by the file, but not supported; {}", remedy(name));
-    Err(Fault::new(format!("extension {}", name.escape_debug()), problem))
+    Err(Fault::new(format!("extension {}", printable(name)), problem))
 }
 
 fn remedy(name: &str) -> &'static str {
@@ -47,7 +48,7 @@ fn remedy(name: &str) -> &'static str {
 /// One warning for each extension that is used and not read.
 pub(super) fn note_ignored(root: &json::Root, warnings: &mut Warnings) {
     for name in root.extensions_used.iter().filter(|name| !is_read(name)) {
-        warnings.insert(format!("extension {} is ignored", name.escape_debug()));
+        warnings.insert(format!("extension {} is ignored", printable(name)));
     }
 }
 
@@ -58,6 +59,7 @@ pub(super) fn read<T: DeserializeOwned>(
     element: &str,
 ) -> Result<Option<T>, Fault> {
     let Some(value) = extensions.and_then(|all| all.get(name)) else { return Ok(None) };
-    let fault = |error| Fault::new(element, format!("{name}: {error}"));
+    let fault =
+        |error: serde_json::Error| Fault::new(element, format!("{name}: {}", printable(&error.to_string())));
     T::deserialize(value).map(Some).map_err(fault)
 }

@@ -6,6 +6,7 @@ use crate::error::Fault;
 use crate::{Light, LightKind, ModelLight};
 use glam::Vec3;
 use serde::Deserialize;
+use shadecast_protocol::text::printable;
 use std::f32::consts::{FRAC_PI_2, FRAC_PI_4};
 
 /// Narrowest edge of a spot light's beam, radians: the inner angle stays below the outer one, as shading divides by
@@ -104,7 +105,7 @@ fn convert(index: usize, source: Source) -> Result<Light, Fault> {
         },
     };
     let range_m = source.range.filter(|_| kind != LightKind::Directional);
-    let name = source.name.unwrap_or_else(|| format!("light {index}"));
+    let name = source.name.map_or_else(|| format!("light {index}"), |name| printable(&name));
     Ok(Light { name, kind, intensity, range_m })
 }
 

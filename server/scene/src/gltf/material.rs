@@ -15,6 +15,7 @@ use ::gltf::material::AlphaMode;
 use ::gltf::texture::WrappingMode;
 use serde::Deserialize;
 use serde_json::{Map, Value};
+use shadecast_protocol::text::printable;
 use std::collections::HashMap;
 
 /// Converts materials as primitives ask for them, so that what no triangle uses is not decoded.
@@ -53,7 +54,7 @@ impl<'a> Materials<'a> {
     }
 
     fn convert(&mut self, source: &::gltf::Material, warnings: &mut Warnings) -> Result<Material, Fault> {
-        let name = source.name().map_or_else(|| default_name(source), str::to_owned);
+        let name = source.name().map_or_else(|| default_name(source), printable);
         let element = element(source);
         let pbr = source.pbr_metallic_roughness();
         let used = References::read(source)?;
@@ -128,9 +129,7 @@ impl<'a> Materials<'a> {
         }
         let json = &self.reader.document.as_json().images[image.index()];
         let decoded = match (&json.uri, json.buffer_view) {
-            (Some(uri), _) => {
-                image::decode(&container::resolve_uri(uri, self.around.folder.as_deref(), &element)?)
-            }
+            (Some(uri), _) => container::read_uri(uri, self.around).and_then(|bytes| image::decode(&bytes)),
             (None, Some(view)) => {
                 let view = self.reader.document.views().nth(view.value());
                 let view = view.ok_or_else(|| Fault::new(element.clone(), "has no buffer view"))?;
@@ -140,7 +139,7 @@ impl<'a> Materials<'a> {
         };
         let pixels = decoded.map_err(|problem| Fault::new(element.clone(), problem))?;
         self.check_room(pixels.extent_texels, &element)?;
-        let name = image.name().map_or(element, str::to_owned);
+        let name = image.name().map_or(element, printable);
         Ok(Texture { name, extent_texels: pixels.extent_texels, rgba8: pixels.rgba8, srgb, wrap })
     }
 }

@@ -381,6 +381,102 @@ fn buffers_and_images_beside_the_file_and_in_data_uris_are_found() {
 }
 
 #[test]
+fn what_lies_outside_the_assets_folder_is_not_read() {
+    let top = tempfile::tempdir().expect("a folder");
+    let asset = top.path().join("asset");
+    std::fs::create_dir(&asset).expect("made");
+    let (mut root, bin) = parts(&sample().finish());
+    std::fs::write(top.path().join("secret.bin"), &bin).expect("written");
+    std::fs::write(top.path().join("secret.png"), png([1, 2, 3])).expect("written");
+    std::os::unix::fs::symlink("../secret.bin", asset.join("link.bin")).expect("linked");
+    let absolute = top.path().join("secret.bin").to_string_lossy().into_owned();
+    let file = asset.join("sample.gltf");
+    for uri in [&absolute, "../secret.bin", "%2e%2e%2fsecret.bin", "..%5csecret.bin", "link.bin"] {
+        root["buffers"][0]["uri"] = json!(uri);
+        std::fs::write(&file, root.to_string()).expect("written");
+        let message = load(&file).expect_err(uri).to_string();
+        assert!(message.contains("buffer 0: '") && message.contains(uri), "{message}");
+        assert!(message.contains("put the file into the asset's folder"), "{message}");
+    }
+    std::fs::write(asset.join("own.bin"), &bin).expect("written");
+    root["buffers"][0]["uri"] = json!("own.bin");
+    root["images"][0] = json!({ "uri": "../secret.png" });
+    std::fs::write(&file, root.to_string()).expect("written");
+    let message = load(&file).expect_err("an image outside").to_string();
+    assert!(message.contains("image 0: '../secret.png' leads out"), "{message}");
+}
+
+/// The buffers of a document that has nothing else.
+fn buffers_of(folder: &Path, buffers: &Value) -> Result<Vec<container::Buffer>, String> {
+    let text = json!({ "asset": { "version": "2.0" }, "buffers": buffers }).to_string();
+    assert!(text.len() < 4096);
+    let around = Surroundings::of(&folder.join("x.gltf"), &Cancel::default());
+    let opened = container::open(text.as_bytes(), &around, &mut Warnings::new());
+    opened.map(|container| container.buffers).map_err(|fault| fault.problem)
+}
+
+fn sparse_file(path: &Path, bytes: u64) {
+    std::fs::File::create(path).and_then(|file| file.set_len(bytes)).expect("a sparse file");
+}
+
+#[test]
+fn of_a_large_file_only_what_is_asked_for_is_read_and_once() {
+    let folder = tempfile::tempdir().expect("a folder");
+    sparse_file(&folder.path().join("large.bin"), 900 << 20);
+    let uris = ["large.bin", "./large.bin", "%6carge.bin"].into_iter().cycle();
+    let named: Vec<Value> = uris.take(25).map(|uri| json!({ "uri": uri, "byteLength": 4096 })).collect();
+    let (buffers, notes) = super::super::limits::noting_files(|| buffers_of(folder.path(), &json!(named)));
+    let buffers = buffers.expect("they fit");
+    assert!(buffers.iter().all(|buffer| buffer.len() == 4096 && Rc::ptr_eq(buffer, &buffers[0])));
+    assert_eq!(notes.len(), 1, "{notes:?}");
+}
+
+#[test]
+fn buffers_are_bounded_together_before_any_is_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let named = |number: u32| {
+        let name = format!("{number}.bin");
+        sparse_file(&folder.path().join(&name), 64 << 20);
+        json!({ "uri": name, "byteLength": 64 << 20 })
+    };
+    let named: Vec<Value> = (0..25).map(named).collect();
+    let (buffers, notes) = super::super::limits::noting_files(|| buffers_of(folder.path(), &json!(named)));
+    let problem = buffers.expect_err("1.6 GB");
+    assert!(problem.contains("together over 1024 MiB"), "{problem}");
+    assert!(notes.is_empty(), "{notes:?}");
+}
+
+#[test]
+fn names_of_a_file_reach_no_terminal_as_they_are() {
+    let wild = "\u{1b}]0;x\u{7}\r\n\u{202e}";
+    let is_wild = |text: &str| text.chars().any(|c| c.is_control() || c == '\u{202e}');
+    let wild_sample = || {
+        let mut glb = sample();
+        glb.root["materials"][0]["name"] = json!(wild);
+        glb.root["nodes"][0]["name"] = json!(wild);
+        glb.root["extensionsUsed"] = json!([wild]);
+        glb
+    };
+    let (model, warnings) = import(&wild_sample().finish(), "wild", &Surroundings::default())
+        .map_err(|fault| fault.problem)
+        .expect("loads");
+    let names = model.bones.iter().map(|bone| &bone.name).chain(model.materials.iter().map(|m| &m.name));
+    assert!(!names.chain(&warnings).any(|text| is_wild(text)), "{warnings:?}");
+    let breaks: [fn(&mut Value, &str); 4] = [
+        |root, wild| root["extensionsRequired"] = json!([wild]),
+        |root, wild| root["asset"]["version"] = json!(wild),
+        |root, wild| root["asset"]["minVersion"] = json!({ wild: wild }),
+        |root, wild| root["images"][0] = json!({ "uri": wild }),
+    ];
+    for (number, break_it) in breaks.into_iter().enumerate() {
+        let mut glb = wild_sample();
+        break_it(&mut glb.root, wild);
+        let error = from_slice(&glb.finish(), wild).expect_err("broken").to_string();
+        assert!(!is_wild(&error) && error.contains("\\u{202e}"), "{number}: {error:?}");
+    }
+}
+
+#[test]
 fn an_import_ends_wherever_it_is_asked_to() {
     let import_until = |cancel| import(&features::rich(), "rich", &Surroundings { folder: None, cancel });
     let mut looks = 0;

@@ -31,7 +31,9 @@ impl Raw {
         let blob = file.blob.clone();
         let bytes = |buffer: ::gltf::Buffer| match buffer.source() {
             ::gltf::buffer::Source::Bin => blob.clone().expect("a binary chunk"),
-            ::gltf::buffer::Source::Uri(uri) => container::resolve_uri(uri, None, "x").expect("embedded"),
+            ::gltf::buffer::Source::Uri(uri) => {
+                container::read_uri(uri, &Surroundings::default()).expect("embedded")
+            }
         };
         let buffers = file.buffers().map(bytes).collect();
         Self { document: file.document, buffers }

@@ -645,8 +645,8 @@ fn every_filter_of_the_compression_is_undone() {
         let bytes = finish_compressed(glb, "EXT_meshopt_compression");
         let container =
             container::open(&bytes, &Surroundings::default(), &mut Warnings::new()).expect("opens");
-        let container::Container { document, buffers, decoded } = &container;
-        let reader = Reader { document, buffers, decoded };
+        let container::Container { document, buffers, data_bytes, decoded } = &container;
+        let reader = Reader { document, buffers, data_bytes: *data_bytes, decoded };
         let accessor = document.accessors().next().expect("one");
         let found = reader.floats::<4>(&accessor, Dimensions::Vec4, "x").expect("decodes");
         let expected = if filter == "OCTAHEDRAL" { &normals } else { &turns };
