@@ -2,7 +2,7 @@
 
 use crate::{DeviceArgs, gpu_options, load, loading, open, parse_size, parse_vector, scene_options};
 use anyhow::Context;
-use clap::Args;
+use clap::{Args, value_parser};
 use glam::{EulerRot, Quat, Vec3};
 use shadecast_gpu::{Gpu, vk};
 use shadecast_protocol::pose::{Fov, Pose};
@@ -11,6 +11,7 @@ use shadecast_scene::file::{DEFAULT_FOV_DEG, FOV_RANGE_DEG};
 use shadecast_scene::{Camera, Cancel, HeadPath, Scene};
 use shadecast_server::camera::{ViewCamera, fov_of_picture};
 use shadecast_server::encode::openh264::DEFAULT_QP;
+use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::picture;
 use shadecast_server::stages::forward::Forward;
 use shadecast_server::video::Video;
@@ -32,25 +33,25 @@ pub(crate) struct ForwardArgs {
     #[arg(long, value_parser = parse_size)]
     size: Option<[u32; 2]>,
     /// Vertical field of view in degrees [default: the camera's; 90 without one]
-    #[arg(long)]
+    #[arg(long, value_parser = number(FOV_RANGE_DEG, "degrees"))]
     fov: Option<f32>,
     /// Samples a pixel: 1 or 4
     #[arg(long, default_value_t = 4, value_parser = parse_samples)]
     msaa: u32,
     /// Pictures to render [default: 1; of a window: until it is closed]
-    #[arg(long)]
+    #[arg(long, value_parser = value_parser!(u32).range(1..=MAX_FRAMES))]
     frames: Option<u32>,
     /// Pictures per second of the scene's time
-    #[arg(long, default_value_t = 30.0)]
+    #[arg(long, default_value_t = 30.0, value_parser = number(0.001..=1000.0, "pictures a second"))]
     fps: f64,
     /// Scene time of the first picture, seconds
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true, value_parser = number(-MOST_S..=MOST_S, "seconds"))]
     start: f64,
     /// Quantisation of an .mp4: 0 (finest) to 51
-    #[arg(long, default_value_t = DEFAULT_QP)]
+    #[arg(long, default_value_t = DEFAULT_QP, value_parser = value_parser!(u8).range(0..=51))]
     qp: u8,
     /// Closes the window after so many seconds
-    #[arg(long, requires = "window")]
+    #[arg(long, requires = "window", value_parser = number(0.001..=MOST_S, "seconds"))]
     seconds: Option<f64>,
     /// Writes the window's last frame to this PNG file
     #[arg(long, requires = "window")]
@@ -69,15 +70,17 @@ pub(crate) struct ForwardArgs {
     #[arg(long, value_parser = parse_vector, default_value = "0,1.6,0", allow_hyphen_values = true)]
     position: Vec3,
     /// Camera turned left by so many degrees
-    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true, value_parser = number(-360.0..=360.0, "degrees"))]
     yaw: f32,
     /// Camera turned up by so many degrees
-    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true, value_parser = number(-360.0..=360.0, "degrees"))]
     pitch: f32,
     #[command(flatten)]
     device: DeviceArgs,
 }
 
+/// A day of pictures at the highest rate that an MP4 has here, and more.
+const MAX_FRAMES: i64 = 10_000_000;
 const HEADLESS_EXTENT: [u32; 2] = [1300, 1300];
 const WINDOW_EXTENT: [u32; 2] = [1280, 800];
 /// From the camera to what it orbits around in a scene of nothing, metres.
@@ -93,14 +96,6 @@ fn parse_samples(text: &str) -> Result<u32, String> {
 
 /// Runs the command.
 pub(crate) fn forward(args: &ForwardArgs, cancel: &Cancel) -> anyhow::Result<()> {
-    anyhow::ensure!(
-        args.fov.is_none_or(|fov| FOV_RANGE_DEG.contains(&fov)),
-        "--fov must lie between {} and {} degrees",
-        FOV_RANGE_DEG.start(),
-        FOV_RANGE_DEG.end()
-    );
-    anyhow::ensure!(args.fps > 0.0 && args.fps.is_finite(), "--fps {} must be positive", args.fps);
-    anyhow::ensure!(args.start.is_finite(), "--start {} must be a number", args.start);
     match &args.out {
         None => in_window(args, cancel),
         Some(out) => to_files(args, out, cancel),
@@ -176,17 +171,32 @@ fn to_files(args: &ForwardArgs, out: &Path, cancel: &Cancel) -> anyhow::Result<(
     let mut renderer = Forward::with_samples(&gpu, &scene, extent, samples(args))?;
     start_up.done("pipelines and buffers");
     let fov = viewpoint.fov(args.fov, extent);
+    let mut made = 0;
     for frame in 0..frames {
+        if cancel.is_asked() {
+            break;
+        }
         let time_s = args.start + f64::from(frame) / args.fps;
         let world_from_eye = scene.scene.world_from_stage.then(viewpoint.stage_from_eye(time_s));
         let rgb8 = renderer.picture(world_from_eye, fov, ServerTime((time_s * 1e9) as i64))?;
         output.add(frame, extent, &rgb8)?;
+        made += 1;
     }
-    if let Output::Video(video) = output {
-        video.finish()?;
+    finish(output, made)?;
+    if made < frames {
+        eprintln!("{made} of {frames} pictures in {}", out.display());
+        cancel.check()?;
     }
     eprintln!("{frames} pictures in {}", out.display());
     no_messages(&gpu)
+}
+
+/// What was made before an interruption is kept; a video without pictures is none.
+fn finish(output: Output, made: u32) -> anyhow::Result<()> {
+    match output {
+        Output::Video(video) if made > 0 => Ok(video.finish()?),
+        Output::Video(_) | Output::Folder(_) => Ok(()),
+    }
 }
 
 fn no_messages(gpu: &Gpu) -> anyhow::Result<()> {

@@ -8,6 +8,7 @@ use crate::animation::manager::AnimationManager;
 use clap::{Args, Subcommand};
 use serde::Serialize;
 use shadecast_protocol::limits::SAMPLE_RING;
+use shadecast_protocol::text::printable;
 use shadecast_scene::animation::sampling::{self, Sampling};
 use shadecast_scene::cache::Cache;
 use shadecast_scene::identity::{mesh_hash, texture_hash};
@@ -190,9 +191,9 @@ impl Report {
             sampling: sampling.to_string(),
             instances: scene.instances.len(),
             models,
-            lights: scene.lights.iter().map(|placed| placed.light.name.clone()).collect(),
-            cameras: scene.cameras.iter().map(|camera| camera.name.clone()).collect(),
-            head_paths: scene.head_paths.iter().map(|path| path.name.clone()).collect(),
+            lights: scene.lights.iter().map(|placed| printable(&placed.light.name)).collect(),
+            cameras: scene.cameras.iter().map(|camera| printable(&camera.name)).collect(),
+            head_paths: scene.head_paths.iter().map(|path| printable(&path.name)).collect(),
             memory_shared_bytes: sum(true),
             memory_instances_bytes: sum(false),
             memory,
@@ -254,7 +255,7 @@ impl ModelReport {
             patches: PatchesReport::new(model, level + 1),
         };
         Self {
-            name: model.name.clone(),
+            name: printable(&model.name),
             instances: scene.instances.iter().filter(|instance| instance.model == index).count(),
             vertices: model.vertices.len(),
             triangles: model.indices.len() / 3,

@@ -34,6 +34,7 @@ pub(crate) fn install(first: FirstSignal) -> anyhow::Result<Cancel> {
 
 /// Without the clean-up of the libraries, which may wait for what hangs.
 fn end_at_once() -> ! {
+    shadecast_transport::remove_pending_files();
     // SAFETY: ends the process; nothing runs after it that could see anything broken.
     unsafe { libc::_exit(EXIT_CODE) }
 }

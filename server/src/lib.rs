@@ -6,6 +6,7 @@ pub mod camera;
 pub mod choice;
 pub mod culling;
 pub mod encode;
+pub mod flags;
 pub mod frame;
 pub mod inspect;
 pub mod levels;

@@ -6,12 +6,13 @@ mod output;
 mod start_up;
 
 use anyhow::Context;
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, value_parser};
 use glam::Vec3;
 use interrupt::FirstSignal;
 use output::{Output, note};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::limits::MAX_COORDINATE_M;
 use shadecast_protocol::text::with_causes;
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_scene::generate;
@@ -19,12 +20,13 @@ use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
 use shadecast_scene::{Cancel, Scene};
 use shadecast_server::encode::openh264::DEFAULT_QP;
+use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::frame;
 use shadecast_server::inspect::{self, InspectArgs};
 use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
 use shadecast_server::stages::skin::Skinning;
 use shadecast_server::stream::{Device, StreamOptions, run};
-use shadecast_transport::{LinkProfile, LinkSchedule};
+use shadecast_transport::{LinkProfile, LinkSchedule, write_atomically};
 use start_up::{CacheArgs, StartUp};
 use std::io::IsTerminal;
 use std::net::SocketAddr;
@@ -107,10 +109,10 @@ struct StreamArgs {
     #[arg(long, value_name = "WxH", default_value_t = AtlasExtent::DEFAULT)]
     atlas: AtlasExtent,
     /// Quantisation of the atlas: 0 (finest) to 51
-    #[arg(long, default_value_t = DEFAULT_QP, value_parser = clap::value_parser!(u8).range(0..=51))]
+    #[arg(long, default_value_t = DEFAULT_QP, value_parser = value_parser!(u8).range(0..=51))]
     qp: u8,
     /// Updates per second, 1 to 60
-    #[arg(long, default_value_t = 30.0, value_parser = parse_rate)]
+    #[arg(long, default_value_t = 30.0, value_parser = number(1.0..=60.0, "updates a second"))]
     rate: f64,
     /// Simulates a network on the real socket, such as latency=20ms,jitter=5ms,loss=1%,rate=100mbit, or a .toml file
     #[arg(long)]
@@ -119,7 +121,7 @@ struct StreamArgs {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Ends after so many seconds; 0: runs until stopped
-    #[arg(long, default_value_t = 0.0, value_parser = parse_seconds)]
+    #[arg(long, default_value_t = 0.0, value_parser = number(0.0..=MOST_S, "seconds"))]
     seconds: f64,
     /// Writes figures of the run to this JSON file on leaving
     #[arg(long)]
@@ -138,21 +140,13 @@ fn parse_size(text: &str) -> Result<[u32; 2], String> {
         .ok_or_else(|| format!("\"{text}\" is not WxH with sides from 16 to 8192, such as 512x512"))
 }
 
-fn parse_rate(text: &str) -> Result<f64, String> {
-    let rate = text.parse().ok().filter(|rate| (1.0..=60.0).contains(rate));
-    rate.ok_or_else(|| "it must be a number from 1 to 60".into())
-}
-
-fn parse_seconds(text: &str) -> Result<f64, String> {
-    let seconds = text.parse().ok().filter(|seconds: &f64| seconds.is_finite() && *seconds >= 0.0);
-    seconds.ok_or_else(|| "it must be a number of seconds, or 0 for no end".into())
-}
-
 fn parse_vector(text: &str) -> Result<Vec3, String> {
-    let numbers: Vec<f32> = text.split(',').filter_map(|part| part.trim().parse().ok()).collect();
-    match numbers[..] {
-        [x, y, z] if Vec3::new(x, y, z).is_finite() => Ok(Vec3::new(x, y, z)),
-        _ => Err(format!("\"{text}\" is not x,y,z, such as 0,1.6,0")),
+    let numbers: Option<Vec<f32>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[x, y, z]) if [x, y, z].iter().all(|part| part.abs() <= MAX_COORDINATE_M) => {
+            Ok(Vec3::new(x, y, z))
+        }
+        _ => Err(format!("must be x,y,z, such as 0,1.6,0, each within {MAX_COORDINATE_M} m")),
     }
 }
 
@@ -278,8 +272,7 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
     output.finish();
     if let Some(path) = &args.stats {
         let text = serde_json::to_string_pretty(&stats)?;
-        shadecast_transport::write_atomically(path, text.as_bytes())
-            .with_context(|| format!("writing {}", path.display()))?;
+        write_atomically(path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
     }
     Ok(())
 }
@@ -294,7 +287,7 @@ fn parse_link(text: &str) -> anyhow::Result<LinkSchedule> {
 fn generate_model(what: &str, out: &Path) -> anyhow::Result<()> {
     anyhow::ensure!(what == "dragon", "\"{what}\" cannot be generated; what can: dragon");
     let bytes = generate::dragon();
-    std::fs::write(out, &bytes).with_context(|| format!("writing {}", out.display()))?;
+    write_atomically(out, &bytes).with_context(|| format!("writing {}", out.display()))?;
     println!("{}: {} bytes", out.display(), bytes.len());
     Ok(())
 }

@@ -1,5 +1,7 @@
 //! Pictures to video files: Y4M, which is the planes themselves, and MP4 around the embedded encoder's H.264.
 //!
+//! A video to a file is there once it is finished; until then, and where it is given up, nothing is.
+//!
 //! Both hold the atlas's own colour coding, full-range BT.709 4:2:0 with chroma in the middle of its four pixels, and say
 //! so: Y4M by its tags, H.264 by its VUI.
 
@@ -7,8 +9,8 @@ use crate::encode::openh264::{EncoderSettings, OpenH264Encoder};
 use crate::encode::{EncodeError, Encoder, Planes};
 use mp4::{AvcConfig, MediaConfig, Mp4Config, Mp4Sample, Mp4Writer, TrackConfig, TrackType};
 use shadecast_shaders::twin::ycbcr;
-use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use shadecast_transport::PendingFile;
+use std::io::{self, BufWriter, StdoutLock, Write};
 use std::path::{Path, PathBuf};
 
 /// Units of time in an MP4 second: whole frames at every usual rate.
@@ -21,12 +23,12 @@ pub enum VideoError {
     #[error("a video of {}x{} pixels cannot be written: both sides must be even; choose another --size", .0[0], .0[1])]
     OddExtent([u32; 2]),
     /// The file.
-    #[error("writing {}: {source}", file.display())]
+    #[error("writing {}: {reason}", file.display())]
     File {
         /// Which.
         file: PathBuf,
-        /// What was wrong.
-        source: io::Error,
+        /// What was wrong; not called source, since who prints the chain of causes would print it twice.
+        reason: io::Error,
     },
     /// The container.
     #[error("writing {}: {problem}", file.display())]
@@ -41,10 +43,10 @@ pub enum VideoError {
     Encode(#[from] EncodeError),
 }
 
-/// A video being written. [`Video::finish`] completes it.
+/// A video being written. [`Video::finish`] completes it; dropped without, a file is not left behind.
 pub enum Video {
     /// Y4M to a file or a pipe.
-    Y4m(Y4m<Box<dyn Write>>),
+    Y4m(Y4m<Y4mOutput>),
     /// H.264 in MP4.
     Mp4(Box<Mp4>),
 }
@@ -63,10 +65,10 @@ impl Video {
         if extension(path) == "mp4" {
             return Ok(Self::Mp4(Box::new(Mp4::create(path, extent, fps, qp)?)));
         }
-        let named = |source| VideoError::File { file: path.to_owned(), source };
-        let output: Box<dyn Write> = match is_standard_output(path) {
-            true => Box::new(io::stdout().lock()),
-            false => Box::new(BufWriter::new(File::create(path).map_err(named)?)),
+        let named = |reason| VideoError::File { file: path.to_owned(), reason };
+        let output = match is_standard_output(path) {
+            true => Y4mOutput::Pipe(io::stdout().lock()),
+            false => Y4mOutput::File(BufWriter::new(PendingFile::create(path).map_err(named)?)),
         };
         Ok(Self::Y4m(Y4m::new(output, extent, fps).map_err(named)?))
     }
@@ -75,7 +77,7 @@ impl Video {
     pub fn add(&mut self, rgb8: &[u8]) -> Result<(), VideoError> {
         match self {
             Self::Y4m(y4m) => {
-                y4m.add(rgb8).map_err(|source| VideoError::File { file: "the video".into(), source })
+                y4m.add(rgb8).map_err(|reason| VideoError::File { file: "the video".into(), reason })
             }
             Self::Mp4(mp4) => mp4.add(rgb8),
         }
@@ -84,10 +86,43 @@ impl Video {
     /// Writes what is left.
     pub fn finish(self) -> Result<(), VideoError> {
         match self {
-            Self::Y4m(mut y4m) => {
-                y4m.output.flush().map_err(|source| VideoError::File { file: "the video".into(), source })
+            Self::Y4m(y4m) => {
+                y4m.output.finish().map_err(|reason| VideoError::File { file: "the video".into(), reason })
             }
             Self::Mp4(mp4) => mp4.finish(),
+        }
+    }
+}
+
+/// Where a Y4M goes.
+pub enum Y4mOutput {
+    /// To whoever reads standard output.
+    Pipe(StdoutLock<'static>),
+    /// To a file, once it is finished.
+    File(BufWriter<PendingFile>),
+}
+
+impl Y4mOutput {
+    fn finish(self) -> io::Result<()> {
+        match self {
+            Self::Pipe(mut pipe) => pipe.flush(),
+            Self::File(file) => file.into_inner().map_err(io::IntoInnerError::into_error)?.commit(),
+        }
+    }
+}
+
+impl Write for Y4mOutput {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self {
+            Self::Pipe(pipe) => pipe.write(bytes),
+            Self::File(file) => file.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match self {
+            Self::Pipe(pipe) => pipe.flush(),
+            Self::File(file) => file.flush(),
         }
     }
 }
@@ -140,7 +175,7 @@ fn rational(fps: f64) -> (u32, u32) {
 /// H.264 in MP4. The track begins with the first picture, whose parameter sets it needs.
 pub struct Mp4 {
     file: PathBuf,
-    writer: Mp4Writer<BufWriter<File>>,
+    writer: Mp4Writer<BufWriter<PendingFile>>,
     encoder: OpenH264Encoder,
     extent: [u32; 2],
     fps: f64,
@@ -153,7 +188,7 @@ impl Mp4 {
         let encoder =
             OpenH264Encoder::new(EncoderSettings { qp, fps: rate, ..EncoderSettings::new(extent) })?;
         let output =
-            File::create(path).map_err(|source| VideoError::File { file: path.to_owned(), source })?;
+            PendingFile::create(path).map_err(|reason| VideoError::File { file: path.to_owned(), reason })?;
         let brand = |name: &[u8; 4]| mp4::FourCC::from(*name);
         let config = Mp4Config {
             major_brand: brand(b"isom"),
@@ -214,8 +249,9 @@ impl Mp4 {
 
     fn finish(mut self) -> Result<(), VideoError> {
         self.writer.write_end().map_err(|e| container(&self.file, &e))?;
-        let named = |source| VideoError::File { file: self.file.clone(), source };
-        self.writer.into_writer().flush().map_err(named)
+        let named = |reason| VideoError::File { file: self.file.clone(), reason };
+        let file = self.writer.into_writer().into_inner().map_err(|error| named(error.into_error()))?;
+        file.commit().map_err(named)
     }
 }
 
@@ -289,6 +325,33 @@ mod tests {
             let worst =
                 back.iter().zip(&rgb(n as u8)).map(|(a, b)| a.abs_diff(*b)).filter(|d| *d > 12).count();
             assert!(worst * 20 < back.len(), "frame {n}: {worst} values are off");
+        }
+    }
+
+    #[test]
+    fn a_video_is_there_once_it_is_finished_and_not_before() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let names = || -> Vec<_> {
+            let items = std::fs::read_dir(folder.path()).expect("a folder");
+            items
+                .map(|item| item.expect("an item").file_name())
+                .filter(|n| !n.as_encoded_bytes().starts_with(b"."))
+                .collect()
+        };
+        for name in ["a.mp4", "a.y4m"] {
+            let path = folder.path().join(name);
+            let begin = || {
+                let mut video = Video::create(&path, EXTENT, 30.0, 30).expect("begun");
+                video.add(&rgb(0)).expect("added");
+                video
+            };
+            drop(begin());
+            assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0, "{name} is given up");
+            let video = begin();
+            assert!(names().is_empty(), "{name} is not there yet");
+            video.finish().expect("finished");
+            assert!(std::fs::metadata(&path).expect("there").len() > 100, "{name}");
+            std::fs::remove_file(&path).expect("removed");
         }
     }
 

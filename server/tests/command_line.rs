@@ -33,11 +33,29 @@ fn end_within(child: &mut Child, most: Duration) -> ExitStatus {
     panic!("it did not end within {most:?}");
 }
 
-/// Interrupts the program a while after its start, when it is at work but far from done.
+/// Waits for something that the program does.
 #[track_caller]
-fn interrupted(command: &mut Command, after: Duration) -> (ExitStatus, String) {
+fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
+    let deadline = Instant::now() + Duration::from_secs(120);
+    while !is_so() {
+        assert!(Instant::now() < deadline, "{what}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// Whether the process has a handler for Ctrl-C: bit 1 of the mask of caught signals (proc(5)).
+fn catches_signals(child: &Child) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+    mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 2 != 0)
+}
+
+/// Interrupts the program when it is at work but far from done.
+#[track_caller]
+fn interrupted(command: &mut Command) -> (ExitStatus, String) {
     let mut child = command.spawn().expect("the program starts");
-    std::thread::sleep(after);
+    wait_until("it catches signals", || catches_signals(&child));
+    std::thread::sleep(Duration::from_millis(500));
     assert!(child.try_wait().expect("a child can be asked").is_none(), "it is still at work");
     signal(&child);
     let status = end_within(&mut child, SOON);
@@ -61,7 +79,7 @@ fn a_server_that_is_stopped_while_it_loads_ends_at_once_and_well() {
         "60",
         "--identity",
     ]);
-    let (status, said) = interrupted(command.arg(folder.path()), Duration::from_millis(1500));
+    let (status, said) = interrupted(command.arg(folder.path()));
     assert!(status.success(), "{status}: {said}");
     assert!(!said.contains("Listening") && !said.contains("error"), "{said}");
 }
@@ -75,7 +93,7 @@ fn commands_that_are_interrupted_say_so_by_their_exit_code() {
     for arguments in [&["inspect", &*scene][..], &["forward", &scene, "--no-cache", "--out", &out]] {
         let mut command = program();
         command.args(arguments).env("XDG_CACHE_HOME", folder.path());
-        let (status, said) = interrupted(&mut command, Duration::from_millis(1500));
+        let (status, said) = interrupted(&mut command);
         assert_eq!(status.code(), Some(130), "{arguments:?}: {said}");
         assert!(!said.contains("error"), "{arguments:?}: {said}");
     }
@@ -116,6 +134,101 @@ fn numbers_that_are_none_are_refused_with_the_name_of_their_option() {
         let (status, said) = refused(program().args(["stream", "dragon"]).arg(format!("--{option}={value}")));
         assert_eq!(status.code(), Some(2), "{said}");
         assert!(said.contains(&format!("--{option}")) && said.contains(value), "{said}");
+    }
+}
+
+#[test]
+fn numbers_of_the_other_commands_are_looked_at_too() {
+    let wrong = [
+        ("forward dragon --out x", "frames", "0"),
+        ("forward dragon --out x", "frames", "-1"),
+        ("forward dragon --out x", "fps", "nan"),
+        ("forward dragon --out x", "fps", "0"),
+        ("forward dragon --out x", "fov", "inf"),
+        ("forward dragon --out x", "fov", "180"),
+        ("forward dragon --out x", "start", "nan"),
+        ("forward dragon --out x", "yaw", "inf"),
+        ("forward dragon --out x", "pitch", "nan"),
+        ("forward dragon --out x", "position", "1,x,2,3"),
+        ("forward dragon --out x", "position", "1,nan,2"),
+        ("forward dragon --out x", "qp", "52"),
+        ("forward dragon --out x", "size", "0x0"),
+        ("forward dragon --out x", "msaa", "3"),
+        ("forward dragon --window", "seconds", "nan"),
+        ("inspect error dragon", "spacing-ms", "nan"),
+        ("inspect error dragon", "spacing-ms", "0"),
+    ];
+    for (arguments, option, value) in wrong {
+        let (status, said) = refused(program().args(arguments.split(' ')).arg(format!("--{option}={value}")));
+        assert_eq!(status.code(), Some(2), "{arguments} --{option}={value}: {said}");
+        assert!(said.contains(&format!("--{option}")) && said.contains(value), "{said}");
+    }
+}
+
+#[test]
+fn what_the_system_says_is_said_once() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = triangle(folder.path());
+    let missing = folder.path().join("missing/there");
+    let missing = missing.to_string_lossy();
+    for arguments in [
+        &["inspect", &format!("{missing}.glb")][..],
+        &["inspect", &format!("{missing}.toml")],
+        &["generate", "dragon", "--out", &missing],
+        &["stream", &scene, "--link", &format!("{missing}.toml")],
+        &["forward", &scene, "--no-cache", "--out", &format!("{missing}.mp4")],
+        &["forward", &scene, "--no-cache", "--out", &format!("{missing}.y4m")],
+    ] {
+        let (status, said) = refused(program().args(arguments));
+        assert_eq!(status.code(), Some(1), "{arguments:?}: {said}");
+        assert_eq!(said.matches("No such file").count(), 1, "{arguments:?}: {said}");
+        assert!(said.contains(&*missing), "{arguments:?}: {said}");
+    }
+}
+
+/// An asset of one triangle.
+fn triangle(folder: &Path) -> String {
+    let text = r#"{ "asset": { "version": "2.0" }, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
+        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 } }] }],
+        "accessors": [{ "bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3" }],
+        "bufferViews": [{ "buffer": 0, "byteLength": 36 }],
+        "buffers": [{ "byteLength": 36, "uri": "data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA" }] }"#;
+    let path = folder.join("triangle.gltf");
+    std::fs::write(&path, text).expect("written");
+    path.to_string_lossy().into_owned()
+}
+
+/// Names in a folder, hidden ones too.
+fn names(folder: &Path) -> Vec<String> {
+    let items = std::fs::read_dir(folder).expect("a folder");
+    items.map(|item| item.expect("an item").file_name().to_string_lossy().into_owned()).collect()
+}
+
+#[test]
+fn a_video_that_is_interrupted_is_whole_or_not_there() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = triangle(folder.path());
+    for (name, signals) in [("a.mp4", 1), ("a.y4m", 1), ("b.mp4", 2)] {
+        let videos = folder.path().join(name.replace('.', "-"));
+        std::fs::create_dir(&videos).expect("made");
+        let out = videos.join(name);
+        let mut command = program();
+        command.args(["forward", &scene, "--no-cache", "--size", "64x64", "--msaa", "1"]);
+        let mut child =
+            command.args(["--frames", "9999999", "--out"]).arg(&out).spawn().expect("the program starts");
+        wait_until("it writes", || !names(&videos).is_empty());
+        assert!(!out.exists(), "{name}: it is not there before it is finished");
+        (0..signals).for_each(|_| signal(&child));
+        let status = end_within(&mut child, Duration::from_secs(60));
+        assert_eq!(status.code(), Some(130), "{name}");
+        assert!(names(&videos).iter().all(|left| left == name), "{name}: {:?}", names(&videos));
+        if let Ok(bytes) = std::fs::read(&out) {
+            let is_whole = match name.ends_with("mp4") {
+                true => bytes.windows(4).any(|four| four == b"moov"),
+                false => bytes.len() > 64 * 64,
+            };
+            assert!(is_whole, "{name}: {} bytes", bytes.len());
+        }
     }
 }
 

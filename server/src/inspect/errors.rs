@@ -3,9 +3,10 @@
 
 use super::load;
 use super::table::Table;
-use anyhow::ensure;
+use crate::flags::number;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
+use shadecast_protocol::text::printable;
 use shadecast_scene::animation::error::{
     CurveError, ErrorTable, HEADSET_PIXEL_MM, PAPER_PIXEL_MM, Subject, VertexError, Weights, linear_weights,
 };
@@ -31,7 +32,7 @@ pub struct ErrorArgs {
     #[arg(long)]
     json: bool,
     /// Milliseconds between the samples that the client gets
-    #[arg(long, default_value_t = 100.0 / 3.0)]
+    #[arg(long, default_value_t = 100.0 / 3.0, value_parser = number(1.0..=2000.0, "milliseconds"))]
     spacing_ms: f64,
     /// How the client interpolates [default: both]
     #[arg(long, value_enum)]
@@ -65,11 +66,6 @@ impl ClientInterpolation {
 
 /// Runs the command; returns what it prints.
 pub(super) fn run(args: &ErrorArgs) -> anyhow::Result<String> {
-    ensure!(
-        (1.0..=2000.0).contains(&args.spacing_ms),
-        "--spacing-ms {} must lie between 1 and 2000",
-        args.spacing_ms
-    );
     let (scene, _) = load(&args.scene)?;
     let report = ErrorReport::new(&scene, args);
     Ok(if args.json { serde_json::to_string_pretty(&report)? + "\n" } else { report.text() })
@@ -161,7 +157,7 @@ impl ClipErrors {
             table: subject.client_side(args.spacing_ms * 1e-3, interpolation.weights()),
         });
         Self {
-            model: model.name.clone(),
+            model: printable(&model.name),
             clip: model.clips[clip].name.clone(),
             duration_s: sampled.duration_s,
             keys: sampled.key_count(),

@@ -12,8 +12,8 @@ use std::sync::{Arc, Mutex};
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 /// What to do where there is no device at all.
-const NO_DRIVER: &str =
-    "none is installed; install a driver, or Mesa's software one (package mesa-vulkan-drivers)";
+const NO_DRIVER: &str = "there is no driver; install the one of the graphics card's maker, or Mesa's (Debian and Ubuntu: package \
+     mesa-vulkan-drivers, which also has one that needs no graphics card), or run ./shadecast setup";
 
 /// Which of the two required feature sets a device must have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -266,7 +266,9 @@ impl DeviceSource for DesktopDevice {
         options: &GpuOptions,
     ) -> Result<vk::PhysicalDevice, GpuError> {
         // SAFETY: the instance is alive.
-        let all = unsafe { instance.enumerate_physical_devices() }.doing("listing Vulkan devices")?;
+        let listed = unsafe { instance.enumerate_physical_devices() };
+        // A driver without its hardware fails instead of listing nothing.
+        let all = listed.map_err(|_| GpuError::NoDevice(NO_DRIVER.into()))?;
         let mut usable = Vec::new();
         let mut refused = Vec::new();
         for physical in all {

@@ -7,6 +7,7 @@ use std::io::{self, Seek, SeekFrom, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 /// Permissions of a file that everybody may read, before the user's mask.
 const COMMON_MODE: u32 = 0o666;
@@ -15,6 +16,18 @@ const PRIVATE_MODE: u32 = 0o600;
 
 /// Numbers the files of this process, so that two threads that write the same file do not meet.
 static COUNTER: AtomicU32 = AtomicU32::new(0);
+
+/// Files that are being written beside their places now.
+static PENDING: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+fn with_pending<R>(body: impl FnOnce(&mut Vec<PathBuf>) -> R) -> R {
+    body(&mut PENDING.lock().unwrap_or_else(PoisonError::into_inner))
+}
+
+/// Removes what is being written beside its place: for a process that ends at once and drops nothing.
+pub fn remove_pending_files() {
+    with_pending(|pending| pending.drain(..).for_each(|beside| drop(fs::remove_file(beside))));
+}
 
 /// Puts `bytes` at `path`, whole or not at all.
 ///
@@ -72,6 +85,7 @@ impl PendingFile {
         // Left by a process of the same number that was killed.
         let _ = fs::remove_file(&beside);
         let file = OpenOptions::new().read(true).write(true).create_new(true).mode(mode).open(&beside)?;
+        with_pending(|pending| pending.push(beside.clone()));
         Ok(Self { file, moves: Some((beside, place.to_owned())) })
     }
 
@@ -83,6 +97,7 @@ impl PendingFile {
         self.file.flush()?;
         if let Some((beside, place)) = &self.moves {
             fs::rename(beside, place)?;
+            with_pending(|pending| pending.retain(|other| other != beside));
             self.moves = None;
         }
         Ok(())
@@ -103,6 +118,7 @@ impl Drop for PendingFile {
     fn drop(&mut self) {
         if let Some((beside, _)) = &self.moves {
             let _ = fs::remove_file(beside);
+            with_pending(|pending| pending.retain(|other| other != beside));
         }
     }
 }

@@ -74,14 +74,14 @@ pub enum IdentityError {
     )]
     NoDirectory,
     /// A file or directory could not be read or written.
-    #[error("{doing} {path}: {source}")]
+    #[error("{doing} {path}: {reason}")]
     File {
         /// What was being done.
         doing: &'static str,
         /// The file or directory.
         path: PathBuf,
-        /// What the system said.
-        source: io::Error,
+        /// What the system said; not called source, since who prints the chain of causes would print it twice.
+        reason: io::Error,
     },
     /// There is something else in the place of a file.
     #[error("{path}: this is no file; delete it, or give another folder with --identity DIR")]
@@ -121,7 +121,7 @@ pub enum IdentityError {
 }
 
 fn file_error(doing: &'static str, path: &Path) -> impl FnOnce(io::Error) -> IdentityError {
-    move |source| IdentityError::File { doing, path: path.into(), source }
+    move |reason| IdentityError::File { doing, path: path.into(), reason }
 }
 
 /// Reading a pipe or a device may never end.

@@ -110,12 +110,12 @@ pub enum LinkError {
         example: &'static str,
     },
     /// The schedule file could not be read.
-    #[error("reading the link schedule {path}: {source}")]
+    #[error("reading the link schedule {path}: {reason}")]
     Read {
         /// The file.
         path: PathBuf,
         /// What the system said.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// The schedule file is not what it should be.
     #[error(
@@ -328,7 +328,7 @@ impl LinkSchedule {
     pub fn load(path: impl AsRef<Path>) -> Result<Self, LinkError> {
         let path = path.as_ref();
         let text =
-            std::fs::read_to_string(path).map_err(|source| LinkError::Read { path: path.into(), source })?;
+            std::fs::read_to_string(path).map_err(|reason| LinkError::Read { path: path.into(), reason })?;
         Self::parse(&text).map_err(|wrong| LinkError::Schedule { path: path.into(), wrong })
     }
 

@@ -65,12 +65,12 @@ pub fn any_address_for(remote: SocketAddr) -> SocketAddr {
 #[derive(Debug, thiserror::Error)]
 pub enum DriverError {
     /// The socket could not be opened.
-    #[error("opening UDP socket {address}: {source}{hint}")]
+    #[error("opening UDP socket {address}: {reason}{hint}")]
     Bind {
         /// The address asked for.
         address: SocketAddr,
         /// What the system said.
-        source: io::Error,
+        reason: io::Error,
         /// What to do.
         hint: &'static str,
     },
@@ -79,8 +79,8 @@ pub enum DriverError {
     SetUp(#[from] io::Error),
 }
 
-fn bind_error(address: SocketAddr, source: io::Error) -> DriverError {
-    let hint = match source.kind() {
+fn bind_error(address: SocketAddr, reason: io::Error) -> DriverError {
+    let hint = match reason.kind() {
         io::ErrorKind::AddrInUse => {
             "; another program uses this port: stop it, or choose another with --listen"
         }
@@ -90,7 +90,7 @@ fn bind_error(address: SocketAddr, source: io::Error) -> DriverError {
         io::ErrorKind::PermissionDenied => "; ports below 1024 need privileges: choose a higher one",
         _ => "",
     };
-    DriverError::Bind { address, source, hint }
+    DriverError::Bind { address, reason, hint }
 }
 
 /// Where a datagram on the simulated link goes to or comes from.

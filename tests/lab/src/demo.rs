@@ -260,7 +260,8 @@ fn write_page(options: &DemoOptions, out: &Path) -> anyhow::Result<()> {
         motion: read_json(&out.join("motion.json")).unwrap_or(Value::Null),
     };
     let path = out.join("index.html");
-    std::fs::write(&path, page.html()).with_context(|| format!("writing {}", path.display()))
+    shadecast_transport::write_atomically(&path, page.html().as_bytes())
+        .with_context(|| format!("writing {}", path.display()))
 }
 
 /// Runs both processes to their end.

@@ -1,5 +1,6 @@
 //! Pictures as metrics and reports see them: sRGB bytes, no alpha, and PNG files in and out.
 
+use shadecast_transport::PendingFile;
 use std::fs::File;
 use std::io::{BufReader, BufWriter};
 use std::path::{Path, PathBuf};
@@ -44,28 +45,28 @@ pub enum ImageError {
         got: usize,
     },
     /// The file could not be opened or created.
-    #[error("cannot open {path}: {source}")]
+    #[error("cannot open {path}: {reason}")]
     Open {
         /// The file.
         path: PathBuf,
         /// What the system says.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// The file is no usable PNG.
-    #[error("cannot read {path} as a PNG: {source}")]
+    #[error("cannot read {path} as a PNG: {reason}")]
     Decode {
         /// The file.
         path: PathBuf,
         /// What the PNG reader says.
-        source: png::DecodingError,
+        reason: png::DecodingError,
     },
     /// The file could not be written.
-    #[error("cannot write {path} as a PNG: {source}")]
+    #[error("cannot write {path} as a PNG: {reason}")]
     Encode {
         /// The file.
         path: PathBuf,
         /// What the PNG writer says.
-        source: png::EncodingError,
+        reason: png::EncodingError,
     },
 }
 
@@ -129,9 +130,9 @@ impl Rgb8Image {
 
     /// Reads a PNG of any kind: grey and palettes become colour, 16 bits become 8, alpha is dropped.
     pub fn read_png(path: &Path) -> Result<Self, ImageError> {
-        let file = File::open(path).map_err(|source| ImageError::Open { path: path.into(), source })?;
+        let file = File::open(path).map_err(|reason| ImageError::Open { path: path.into(), reason })?;
         let (info, bytes) =
-            decode(file).map_err(|source| ImageError::Decode { path: path.into(), source })?;
+            decode(file).map_err(|reason| ImageError::Decode { path: path.into(), reason })?;
         let channels = info.color_type.samples();
         let rgb = |pixel: &[u8]| match *pixel {
             [r, g, b, ..] => [r, g, b],
@@ -144,11 +145,13 @@ impl Rgb8Image {
 
     /// Writes the picture as a PNG that says it is sRGB.
     pub fn write_png(&self, path: &Path) -> Result<(), ImageError> {
-        let file = File::create(path).map_err(|source| ImageError::Open { path: path.into(), source })?;
-        self.encode(file).map_err(|source| ImageError::Encode { path: path.into(), source })
+        let open = |reason| ImageError::Open { path: path.into(), reason };
+        let mut file = PendingFile::create(path).map_err(open)?;
+        self.encode(&mut file).map_err(|reason| ImageError::Encode { path: path.into(), reason })?;
+        file.commit().map_err(open)
     }
 
-    fn encode(&self, file: File) -> Result<(), png::EncodingError> {
+    fn encode(&self, file: &mut PendingFile) -> Result<(), png::EncodingError> {
         let mut encoder = png::Encoder::new(BufWriter::new(file), self.width, self.height);
         encoder.set_color(png::ColorType::Rgb);
         encoder.set_depth(png::BitDepth::Eight);

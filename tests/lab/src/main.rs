@@ -1,7 +1,7 @@
 //! The command line of the lab.
 
 use anyhow::Context;
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, value_parser};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_lab::bars::{BARS, Bars};
 use shadecast_lab::demo::{DemoOptions, demo};
@@ -14,6 +14,7 @@ use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::text::with_causes;
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_server::encode::openh264::DEFAULT_QP;
+use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::scene_gpu::SceneOptions;
 use shadecast_server::stages::skin::Skinning;
 use shadecast_transport::{LinkProfile, LinkSchedule};
@@ -96,13 +97,13 @@ struct RunArgs {
     #[arg(long, conflicts_with = "head")]
     head_path: Option<String>,
     /// Virtual seconds
-    #[arg(long, default_value_t = 5.0)]
+    #[arg(long, default_value_t = 5.0, value_parser = number(0.01..=MOST_S, "seconds"))]
     seconds: f64,
     /// Pixels per eye
     #[arg(long, value_parser = parse_size, default_value = "512x512")]
     size: [u32; 2],
     /// Field of view in degrees
-    #[arg(long, default_value_t = 90.0)]
+    #[arg(long, default_value_t = 90.0, value_parser = number(10.0..=170.0, "degrees"))]
     fov: f32,
     /// Seed of link and connection
     #[arg(long, default_value_t = 1)]
@@ -114,7 +115,7 @@ struct RunArgs {
     #[arg(long, default_value_t = 0)]
     dump_every: u32,
     /// Compares with the truth every N display frames (with --dump-every: those that are written)
-    #[arg(long, default_value_t = 12)]
+    #[arg(long, default_value_t = 12, value_parser = value_parser!(u32).range(1..))]
     compare_every: u32,
     /// Milliseconds that stages take; measured encodes of 2048x2048 texels take 13 to 65
     #[arg(long, default_value = "server=12,encode=8,decode=6")]
@@ -123,7 +124,7 @@ struct RunArgs {
     #[arg(long)]
     motion: bool,
     /// Quantisation of the atlas: 0 (finest) to 51
-    #[arg(long, default_value_t = DEFAULT_QP)]
+    #[arg(long, default_value_t = DEFAULT_QP, value_parser = value_parser!(u8).range(0..=51))]
     qp: u8,
     /// Atlas width and height in texels, powers of two from 512x512 to 4096x2048
     #[arg(long, value_name = "WxH", default_value_t = AtlasExtent::DEFAULT)]
@@ -166,10 +167,10 @@ struct DemoArgs {
     #[arg(long, value_parser = parse_size)]
     size: Option<[u32; 2]>,
     /// Display frames per second in real time [default: 72; 15 on a CPU]
-    #[arg(long)]
+    #[arg(long, value_parser = number(5.0..=240.0, "frames a second"))]
     refresh: Option<f64>,
     /// Seconds of streaming in real time
-    #[arg(long, default_value_t = 6.0)]
+    #[arg(long, default_value_t = 6.0, value_parser = number(0.01..=MOST_S, "seconds"))]
     seconds: f64,
     /// Seconds of virtual time
     #[arg(long, default_value_t = 2.5)]
@@ -217,9 +218,6 @@ fn main() {
 }
 
 fn run_one(args: RunArgs) -> anyhow::Result<()> {
-    anyhow::ensure!(args.seconds > 0.0, "--seconds {} must be positive", args.seconds);
-    anyhow::ensure!(args.compare_every > 0, "--compare-every must be at least 1");
-    anyhow::ensure!((10.0..=170.0).contains(&args.fov), "--fov {} must lie between 10 and 170", args.fov);
     let link: LinkSchedule = match args.link.ends_with(".toml") {
         true => LinkSchedule::load(&args.link)?,
         false => args.link.parse::<LinkProfile>()?.into(),
@@ -275,7 +273,6 @@ fn run_demo(args: DemoArgs) -> anyhow::Result<()> {
         if gpu.is_cpu() { ("dragon", [256, 256], 15.0) } else { ("dragons:3", [1024, 1024], 72.0) };
     drop(gpu);
     let refresh_hz = args.refresh.unwrap_or(defaults.2);
-    anyhow::ensure!((5.0..=240.0).contains(&refresh_hz), "--refresh {refresh_hz} must lie between 5 and 240");
     for (flag, seconds) in [("--seconds", args.seconds), ("--virtual-seconds", args.virtual_seconds)] {
         anyhow::ensure!((0.5..=3600.0).contains(&seconds), "{flag} {seconds} must lie between 0.5 and 3600");
     }
@@ -302,7 +299,7 @@ fn measure_skinning(args: &SkinningArgs) -> anyhow::Result<()> {
     let report = skinning::measure(&args.scene.parse()?, args.sampling)?;
     println!("{report}");
     if let Some(path) = &args.out {
-        std::fs::write(path, serde_json::to_string_pretty(&report)?)
+        shadecast_transport::write_atomically(path, serde_json::to_string_pretty(&report)?.as_bytes())
             .with_context(|| format!("writing {}", path.display()))?;
     }
     Ok(())

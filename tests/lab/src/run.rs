@@ -84,7 +84,8 @@ pub fn mock_config(options: &RunOptions, clock: ClockKind, capture_every: u32) -
 fn write_head_path(options: &RunOptions, file: &str, text: &str) -> anyhow::Result<PathBuf> {
     std::fs::create_dir_all(&options.out).with_context(|| format!("making {}", options.out.display()))?;
     let path = options.out.join(file);
-    std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()))?;
+    shadecast_transport::write_atomically(&path, text.as_bytes())
+        .with_context(|| format!("writing {}", path.display()))?;
     Ok(path.canonicalize()?)
 }
 
@@ -270,7 +271,10 @@ impl Run<'_> {
         }
         let motion = self.motion.report();
         if let Some(motion) = &motion {
-            std::fs::write(self.options.out.join("motion.json"), serde_json::to_string_pretty(motion)?)?;
+            shadecast_transport::write_atomically(
+                &self.options.out.join("motion.json"),
+                serde_json::to_string_pretty(motion)?.as_bytes(),
+            )?;
         }
         let runtime_errors =
             shadecast_mock_runtime::record::read_summary(&self.capture).map_or(0, |s| s.errors);

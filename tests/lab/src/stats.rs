@@ -134,12 +134,12 @@ pub struct RegionStats {
 
 /// Why `stats.json` could not be written.
 #[derive(Debug, Error)]
-#[error("cannot write {path}: {source}")]
+#[error("cannot write {path}: {reason}")]
 pub struct WriteStatsError {
     /// The file.
     pub path: PathBuf,
     /// What is wrong.
-    pub source: std::io::Error,
+    pub reason: std::io::Error,
 }
 
 impl Stats {
@@ -148,9 +148,9 @@ impl Stats {
         let write = || {
             let mut json = serde_json::to_string_pretty(self)?;
             json.push('\n');
-            std::fs::write(path, json)
+            shadecast_transport::write_atomically(path, json.as_bytes())
         };
-        write().map_err(|source| WriteStatsError { path: path.into(), source })
+        write().map_err(|reason| WriteStatsError { path: path.into(), reason })
     }
 }
 
