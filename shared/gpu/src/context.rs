@@ -29,7 +29,7 @@ pub enum Needs {
 pub struct GpuOptions {
     /// Feature set.
     pub needs: Needs,
-    /// Validation layers on; every message is counted and logged.
+    /// Validation layers on, missing barriers looked for too; every message is counted and logged.
     pub validation: bool,
     /// Part of the wanted device's name; `None` takes the best one (discrete, integrated, CPU).
     pub device_name: Option<String>,
@@ -161,6 +161,11 @@ impl Gpu {
     /// Validation warnings and errors since the device was opened; 0 with validation off.
     pub fn validation_messages(&self) -> u32 {
         self.validation.count.load(Ordering::Relaxed)
+    }
+
+    /// Whether validation is on and looks for missing barriers: some layers cannot be asked to.
+    pub fn checks_synchronisation(&self) -> bool {
+        self.messenger.is_some() && can_check_synchronisation(&self.entry).unwrap_or(false)
     }
 
     /// The first validation messages, for a failing test's text.
@@ -356,20 +361,40 @@ fn create_instance(
 ) -> Result<ash::Instance, GpuError> {
     let api = if options.needs == Needs::Server { vk::API_VERSION_1_2 } else { vk::API_VERSION_1_1 };
     let application = vk::ApplicationInfo::default().application_name(c"Shadecast").api_version(api);
-    let layers: Vec<*const c_char> =
-        if options.validation { vec![VALIDATION_LAYER.as_ptr()] } else { Vec::new() };
-    let extensions: Vec<*const c_char> =
-        if options.validation { vec![ext::debug_utils::NAME.as_ptr()] } else { Vec::new() };
-    if options.validation {
+    let info = vk::InstanceCreateInfo::default().application_info(&application);
+    let handle = if options.validation {
         require_validation_layer(entry)?;
-    }
-    let info = vk::InstanceCreateInfo::default()
-        .application_info(&application)
-        .enabled_layer_names(&layers)
-        .enabled_extension_names(&extensions);
-    let handle = source.create_instance(entry, &info)?;
+        create_validated_instance(entry, info, source)?
+    } else {
+        source.create_instance(entry, &info)?
+    };
     // SAFETY: `handle` was created with this entry's functions.
     Ok(unsafe { ash::Instance::load(entry.static_fn(), handle) })
+}
+
+fn create_validated_instance(
+    entry: &ash::Entry,
+    info: vk::InstanceCreateInfo<'_>,
+    source: &dyn DeviceSource,
+) -> Result<vk::Instance, GpuError> {
+    let layers: [*const c_char; 1] = [VALIDATION_LAYER.as_ptr()];
+    let mut extensions: Vec<*const c_char> = vec![ext::debug_utils::NAME.as_ptr()];
+    let features = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
+    let mut synchronisation = vk::ValidationFeaturesEXT::default().enabled_validation_features(&features);
+    let mut info = info.enabled_layer_names(&layers);
+    if can_check_synchronisation(entry)? {
+        extensions.push(ext::validation_features::NAME.as_ptr());
+        info = info.push_next(&mut synchronisation);
+    }
+    source.create_instance(entry, &info.enabled_extension_names(&extensions))
+}
+
+/// Whether the installed validation layer can be asked by this program to look for missing barriers.
+fn can_check_synchronisation(entry: &ash::Entry) -> Result<bool, GpuError> {
+    // SAFETY: the layer's name ends in NUL.
+    let offered = unsafe { entry.enumerate_instance_extension_properties(Some(VALIDATION_LAYER)) }
+        .doing("listing the validation layer's extensions")?;
+    Ok(offered.iter().any(|e| e.extension_name_as_c_str() == Ok(ext::validation_features::NAME)))
 }
 
 fn require_validation_layer(entry: &ash::Entry) -> Result<(), GpuError> {
