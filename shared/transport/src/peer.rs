@@ -19,7 +19,7 @@ use crate::tls::PinVerifier;
 /// Bytes of messages and streams that wait for the network to take them, per peer.
 const MAX_QUEUED_BYTES: usize = 96 << 20;
 /// Streams that wait for the network to take them, per peer.
-const MAX_QUEUED_STREAMS: usize = 1024;
+const MAX_OUTGOING_STREAMS: usize = 1024;
 /// Of a stream that the sender gave up, this many bytes are handed on, so that its header can be read.
 const RESET_HEAD_BYTES: usize = 64;
 /// The control stream goes before all other streams.
@@ -202,7 +202,7 @@ impl Peer {
         if bytes.len() > limit {
             return Err(SendError::Size { bytes: bytes.len(), limit });
         }
-        if self.outgoing.len() >= MAX_QUEUED_STREAMS {
+        if self.outgoing.len() >= MAX_OUTGOING_STREAMS {
             return Err(SendError::QueueFull);
         }
         self.reserve(bytes.len())?;
