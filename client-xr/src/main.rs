@@ -172,7 +172,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
     });
     // What was counted is kept however it ended.
     let written = arguments.stats.as_deref().map_or(Ok(()), |path| write_stats(path, &outcome.stats));
-    if !arguments.quiet {
+    if !arguments.quiet && outcome.stats.frames > 0 {
         summarise(&outcome.stats);
     }
     outcome.ended?;
