@@ -27,3 +27,4 @@ pub use identity::{ExpectedIdentity, Fingerprint, IdentityError, KnownServers, M
 pub use link::{Direction, Link, LinkError, LinkProfile, LinkSchedule};
 pub use mio::{Driver, Events, Handle, monotonic_now_ns, spawn};
 pub use pair::Pair;
+pub use tls::ALPN;

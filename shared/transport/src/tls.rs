@@ -17,7 +17,7 @@ use crate::identity::{ExpectedIdentity, Fingerprint, IdentityError, ServerIdenti
 
 /// The protocol inside TLS, so that nothing else on the port is mistaken for it. The number rises with the framing of the
 /// control stream, which two peers must share before they can say which versions they speak.
-const ALPN: &[u8] = b"shadecast/2";
+pub const ALPN: &[u8] = b"shadecast/2";
 /// The name in every server's certificate. Identity is the key, not the name.
 pub(crate) const SERVER_NAME: &str = "shadecast";
 

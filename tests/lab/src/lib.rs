@@ -5,6 +5,7 @@ pub mod compare;
 pub mod demo;
 pub mod flip;
 mod forward_run;
+pub mod hostile;
 pub mod image;
 pub mod long;
 pub mod metrics;

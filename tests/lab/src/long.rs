@@ -23,6 +23,8 @@ use std::time::Instant;
 const COMPARE_EVERY: u32 = 24;
 /// The same for the runs with longer stages.
 const COMPARE_EVERY_SLOW: u32 = 36;
+/// Seconds that each attack lasts.
+const HOSTILE_SECONDS: f64 = 20.0;
 /// Dragons of the paper's largest group.
 const PAPER_GROUP: u32 = 169;
 
@@ -87,7 +89,15 @@ fn jobs() -> Vec<Job> {
         };
         jobs.push(Job::new(name, work));
     }
+    jobs.push(Job::new("hostile", |_| hostile_peers().map(Some)));
     jobs
+}
+
+/// Every attack for as long as the acceptance asks, with what missed its bar.
+fn hostile_peers() -> anyhow::Result<Value> {
+    let report = crate::hostile::run_all(HOSTILE_SECONDS)?;
+    let misses = report.misses();
+    Ok(json!({ "missed_bars": misses.len(), "misses": misses, "report": report }))
 }
 
 /// Names of all jobs, which are those of their files.

@@ -5,6 +5,7 @@ use clap::{Args, Parser, Subcommand, value_parser};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_lab::bars::{BARS, Bars};
 use shadecast_lab::demo::{DemoOptions, demo};
+use shadecast_lab::hostile::{self, HostileOptions};
 use shadecast_lab::long;
 use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs};
 use shadecast_lab::robot::robot;
@@ -73,6 +74,8 @@ enum Command {
         #[arg(long, default_value = "robot.glb")]
         out: PathBuf,
     },
+    /// Attacks a server of its own on loopback, and says what becomes of a lawful client meanwhile and afterwards
+    Hostile(HostileArgs),
     /// Names the Vulkan device that would be used
     Device,
 }
@@ -180,6 +183,22 @@ struct DemoArgs {
     validation: bool,
 }
 
+#[derive(Args)]
+struct HostileArgs {
+    /// Which attack; may be given more than once
+    #[arg(long, default_value = "all")]
+    attack: Vec<String>,
+    /// Seconds that each lasts
+    #[arg(long, default_value_t = 20.0)]
+    seconds: f64,
+    /// What is served: dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml [default: one turning cube]
+    #[arg(long)]
+    scene: Option<String>,
+    /// Writes the figures to this JSON file
+    #[arg(long)]
+    json: Option<PathBuf>,
+}
+
 fn parse_size(text: &str) -> Result<[u32; 2], String> {
     let parsed = text.split_once('x').and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
     parsed
@@ -209,6 +228,7 @@ fn main() {
             std::fs::write(&out, robot()).with_context(|| format!("writing {}", out.display()))
         }
         Command::Skinning(args) => measure_skinning(&args),
+        Command::Hostile(args) => attack(args),
         Command::Device => name_device(),
     };
     if let Err(error) = result {
@@ -302,6 +322,28 @@ fn measure_skinning(args: &SkinningArgs) -> anyhow::Result<()> {
         shadecast_transport::write_atomically(path, serde_json::to_string_pretty(&report)?.as_bytes())
             .with_context(|| format!("writing {}", path.display()))?;
     }
+    Ok(())
+}
+
+fn attack(args: HostileArgs) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        (0.1..=600.0).contains(&args.seconds),
+        "--seconds {} must lie between 0.1 and 600",
+        args.seconds
+    );
+    let options = HostileOptions {
+        attacks: args.attack,
+        scene: args.scene,
+        verbose: true,
+        ..HostileOptions::all(args.seconds)
+    };
+    let report = hostile::run(&options)?;
+    if let Some(path) = &args.json {
+        std::fs::write(path, serde_json::to_string_pretty(&report)?)
+            .with_context(|| format!("writing {}", path.display()))?;
+    }
+    let misses = report.misses();
+    anyhow::ensure!(misses.is_empty(), "{} of the bars were missed", misses.len());
     Ok(())
 }
 

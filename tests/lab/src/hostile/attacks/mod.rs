@@ -1,0 +1,223 @@
+//! What strangers do to a server, one file each. Every attack is bounded in count and in time, and goes to an address of
+//! this machine only.
+
+mod empty_messages;
+mod garbage;
+mod half_open;
+mod hellos;
+mod holding;
+mod reconnects;
+mod small_messages;
+mod streams;
+
+use crate::hostile::lawful;
+use crate::hostile::stranger::Stranger;
+use serde::Serialize;
+use shadecast_protocol::message::{ClientHello, ClientMessage};
+use shadecast_protocol::wire::frame_control;
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+
+/// Connections that one attack makes at most.
+const MAX_CONNECTIONS: u64 = 20_000;
+/// How long an attacker waits for a handshake before it tries another.
+const HANDSHAKE_PATIENCE: Duration = Duration::from_secs(2);
+/// A refusal costs an attacker next to nothing: without a pause it would only measure how fast it can be refused.
+const REFUSED_PAUSE: Duration = Duration::from_millis(5);
+
+/// One way to be hostile.
+#[derive(Clone, Copy, Debug)]
+pub struct Attack {
+    /// What it is called on the command line.
+    pub name: &'static str,
+    /// What it does.
+    pub what: &'static str,
+    /// Whether a lawful client that comes during the attack must be served: the attackers have no claim to the place.
+    pub leaves_place: bool,
+    run: fn(&Target) -> anyhow::Result<Effort>,
+}
+
+/// All of them.
+pub const ATTACKS: &[Attack] = &[
+    Attack {
+        name: "hellos",
+        what: "hellos and heads whose numbers cannot be served",
+        leaves_place: false,
+        run: hellos::attack,
+    },
+    Attack {
+        name: "empty-messages",
+        what: "15 MB of empty control messages before any hello",
+        leaves_place: true,
+        run: empty_messages::attack,
+    },
+    Attack {
+        name: "small-messages",
+        what: "control messages of a few bytes at full speed, instead of a hello",
+        leaves_place: true,
+        run: small_messages::before_hello,
+    },
+    Attack {
+        name: "small-messages-after-hello",
+        what: "control messages of a few bytes at full speed, after a lawful hello",
+        leaves_place: false,
+        run: small_messages::after_hello,
+    },
+    Attack {
+        name: "holding",
+        what: "connections without a hello that say one byte every 200 ms",
+        leaves_place: true,
+        run: holding::attack,
+    },
+    Attack {
+        name: "half-open",
+        what: "200 handshakes a second that are never finished",
+        leaves_place: true,
+        run: half_open::unproven,
+    },
+    Attack {
+        name: "half-open-proven",
+        what: "200 handshakes a second that prove their address and are never finished",
+        leaves_place: false,
+        run: half_open::proven,
+    },
+    Attack {
+        name: "reconnects",
+        what: "lawful hellos on one connection after the other, each left at once",
+        leaves_place: false,
+        run: reconnects::attack,
+    },
+    Attack {
+        name: "streams",
+        what: "256 large streams that a client has no business to send",
+        leaves_place: false,
+        run: streams::attack,
+    },
+    Attack {
+        name: "garbage",
+        what: "datagrams that are no QUIC, or pretend to be",
+        leaves_place: true,
+        run: garbage::attack,
+    },
+];
+
+/// Whom to attack, and until when.
+pub(crate) struct Target {
+    pub(crate) server: SocketAddr,
+    pub(crate) until: Instant,
+}
+
+/// What an attacker did, and how it fared.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Effort {
+    /// Connections begun.
+    pub connections: u64,
+    /// Connections whose handshake was done.
+    pub established: u64,
+    /// Connections on which the server said something on the control stream.
+    pub answered: u64,
+    /// Connections that the server ended.
+    pub ended_by_server: u64,
+    /// Bytes on streams and in datagrams that the server's flow control took.
+    pub bytes: u64,
+    /// Datagrams that are no part of a connection.
+    pub datagrams: u64,
+    /// Why the server ended the last connection.
+    pub last_word: String,
+}
+
+impl Attack {
+    /// Attacks until the target's time is over.
+    pub(crate) fn run(&self, target: &Target) -> anyhow::Result<Effort> {
+        (self.run)(target)
+    }
+}
+
+impl Target {
+    fn is_over(&self) -> bool {
+        Instant::now() >= self.until
+    }
+
+    fn sleep(&self, wait: Duration) {
+        std::thread::sleep(wait.min(self.until.saturating_duration_since(Instant::now())));
+    }
+}
+
+impl Effort {
+    fn note(&mut self, stranger: &Stranger) {
+        self.established += u64::from(stranger.was_connected());
+        self.answered += u64::from(!stranger.heard().is_empty());
+        if let Some(reason) = stranger.ended() {
+            self.ended_by_server += 1;
+            reason.clone_into(&mut self.last_word);
+        }
+    }
+}
+
+/// Whether an attacker goes on with its connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Then {
+    GoOn,
+    /// Vanish without a word, and begin another.
+    Leave,
+}
+
+/// Makes one connection after the other. `begin` gives, for each that stands, what is called between two turns of the
+/// network for as long as it does; that says whether to go on, and how many bytes were taken.
+fn one_after_the_other<Act>(target: &Target, mut begin: impl FnMut() -> Act) -> anyhow::Result<Effort>
+where
+    Act: FnMut(&mut Stranger) -> (Then, u64),
+{
+    let mut effort = Effort::default();
+    while !target.is_over() && effort.connections < MAX_CONNECTIONS {
+        let mut stranger = Stranger::connect(target.server)?;
+        effort.connections += 1;
+        let deadline = target.until.min(Instant::now() + HANDSHAKE_PATIENCE);
+        stranger.pump_until(deadline, |it| it.is_connected() || it.ended().is_some())?;
+        let mut act = begin();
+        while stranger.is_connected() && !target.is_over() {
+            let (then, bytes) = act(&mut stranger);
+            effort.bytes += bytes;
+            stranger.pump()?;
+            if then == Then::Leave {
+                break;
+            }
+        }
+        effort.note(&stranger);
+        if !stranger.was_connected() {
+            target.sleep(REFUSED_PAUSE);
+        }
+    }
+    Ok(effort)
+}
+
+/// A client's message as the bytes of the control stream.
+fn control_bytes(message: &ClientMessage) -> Vec<u8> {
+    frame_control(&message.encode())
+}
+
+/// A hello as the bytes of the control stream, lawful or not.
+fn hello_bytes(change: impl FnOnce(&mut ClientHello)) -> Vec<u8> {
+    let mut hello = lawful::hello();
+    change(&mut hello);
+    control_bytes(&ClientMessage::Hello(hello))
+}
+
+/// The same message again and again.
+struct Repeated {
+    unit: Vec<u8>,
+    at: usize,
+}
+
+impl Repeated {
+    fn new(message: &[u8]) -> Self {
+        Self { unit: message.repeat((64 << 10) / message.len() + 1), at: 0 }
+    }
+
+    /// Writes as much as is taken at once, some 64 kB at most, and gives its size.
+    fn write(&mut self, stranger: &mut Stranger) -> u64 {
+        let taken = stranger.write_control(&self.unit[self.at..]);
+        self.at = (self.at + taken) % self.unit.len();
+        taken as u64
+    }
+}

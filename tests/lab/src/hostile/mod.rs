@@ -1,0 +1,118 @@
+//! `shadecast-lab hostile`: the real programs on loopback, strangers that attack them, and what becomes of those who keep
+//! to the rules.
+//!
+//! [`server`] has a server serve a lawful client while strangers attack it from other sockets: does the client keep its
+//! picture, is the next one served soon after, does memory stay where it was. Everything here is in real time and sends
+//! to this machine only. [`client`] has a client shown things by a server that breaks the rules.
+
+pub mod attacks;
+pub mod client;
+mod lawful;
+mod process;
+mod report;
+mod rogue;
+mod scene;
+pub mod server;
+mod stranger;
+
+pub use report::{AttackReport, Bars, ClientReport, HostileReport};
+
+use std::path::PathBuf;
+
+/// What to attack with, and for how long.
+#[derive(Clone, Debug)]
+pub struct HostileOptions {
+    /// Names of attacks; empty: all. Those on clients are among them.
+    pub attacks: Vec<String>,
+    /// Whether attacks that leave the place to others are made while nobody is served, too.
+    pub always_alone: bool,
+    /// Seconds that each attack lasts.
+    pub seconds: f64,
+    /// What is served; `None`: one turning cube.
+    pub scene: Option<String>,
+    /// What is still good.
+    pub bars: Bars,
+    /// Folder for identities and the scene; `None`: one that goes away.
+    pub work: Option<PathBuf>,
+    /// Says what is done, as it is done.
+    pub verbose: bool,
+}
+
+impl HostileOptions {
+    /// Every attack for so many seconds, judged by the bars of a machine that does nothing else.
+    pub fn all(seconds: f64) -> Self {
+        Self {
+            attacks: Vec::new(),
+            always_alone: true,
+            seconds,
+            scene: None,
+            bars: Bars::STRICT,
+            work: None,
+            verbose: false,
+        }
+    }
+}
+
+/// Every attack for so many seconds: for the long runs.
+///
+/// # Errors
+/// A program is missing or does not start. What the attacks do is no error: it stands in the report.
+pub fn run_all(seconds: f64) -> anyhow::Result<HostileReport> {
+    run(&HostileOptions { verbose: true, ..HostileOptions::all(seconds) })
+}
+
+/// Runs the attacks that were asked for.
+///
+/// # Errors
+/// An attack is unknown, or a program is missing or does not start.
+pub fn run(options: &HostileOptions) -> anyhow::Result<HostileReport> {
+    check_names(&options.attacks)?;
+    let is_wanted =
+        |name: &str| options.attacks.is_empty() || options.attacks.iter().any(|it| it == "all" || it == name);
+    let folder = match &options.work {
+        Some(path) => Work::Kept(path.clone()),
+        None => Work::Passing(std::env::temp_dir().join(format!("shadecast-hostile-{}", std::process::id()))),
+    };
+    std::fs::create_dir_all(folder.path())?;
+    let on_server: Vec<_> =
+        attacks::ATTACKS.iter().filter(|attack| is_wanted(attack.name)).copied().collect();
+    let (seconds, work) = (options.seconds, folder.path());
+    Ok(HostileReport {
+        seconds,
+        attacks: server::attack_all(options, &on_server, work)?,
+        client_attacks: client::attack_all(&is_wanted, seconds, &options.bars, work, options.verbose)?,
+    })
+}
+
+/// The names of all attacks.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    attacks::ATTACKS.iter().map(|attack| attack.name).chain(client::ATTACKS.iter().map(|(name, ..)| *name))
+}
+
+fn check_names(wanted: &[String]) -> anyhow::Result<()> {
+    let unknown = wanted.iter().find(|name| *name != "all" && names().all(|known| known != *name));
+    let Some(unknown) = unknown else { return Ok(()) };
+    anyhow::bail!("\"{unknown}\" is no attack; there are all, {}", names().collect::<Vec<_>>().join(", "))
+}
+
+/// A folder, and whether it stays.
+enum Work {
+    Kept(PathBuf),
+    Passing(PathBuf),
+}
+
+impl Work {
+    fn path(&self) -> &std::path::Path {
+        match self {
+            Self::Kept(path) | Self::Passing(path) => path,
+        }
+    }
+}
+
+impl Drop for Work {
+    fn drop(&mut self) {
+        if let Self::Passing(path) = self {
+            let _ = std::fs::remove_dir_all(path); // temporary files are nobody's loss
+        }
+    }
+}
