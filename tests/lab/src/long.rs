@@ -34,10 +34,13 @@ pub fn asset(name: &str) -> Option<PathBuf> {
     path.exists().then_some(path)
 }
 
+/// Makes a result in a folder for what it needs meanwhile.
+type Work = dyn Fn(&Path) -> anyhow::Result<Option<Value>>;
+
 /// A measurement: what it is called, and what makes its result. `None` where something that it needs is not there.
 struct Job {
     name: String,
-    work: Box<dyn Fn(&Path) -> anyhow::Result<Option<Value>>>,
+    work: Box<Work>,
 }
 
 impl Job {
