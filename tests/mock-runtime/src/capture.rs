@@ -8,6 +8,7 @@ use crate::gpu::ReadBack;
 use crate::layers::{Submitted, SubmittedView};
 use crate::record::{FrameRecord, Side, ViewRecord};
 use crate::runtime::{Core, Session};
+use crate::space;
 
 /// Logs a frame that ended, with its pictures where they are due.
 pub(crate) fn log_and_capture(
@@ -43,7 +44,7 @@ struct FrameKind {
 }
 
 fn log(core: &mut Core, frame: &Frame, kind: FrameKind, views: Vec<ViewRecord>) -> Outcome<()> {
-    let stage_from_head = core.head_path.pose_at(core.path_time_s(frame.display_time_ns));
+    let stage_from_head = space::stage_from_head(core, frame.display_time_ns);
     let Some(recorder) = &mut core.recorder else { return Ok(()) };
     let record = FrameRecord {
         frame: frame.index,

@@ -16,6 +16,9 @@ pub const CONFIG_VARIABLE: &str = "SHADECAST_MOCK_CONFIG";
 /// Largest width or height of a swapchain image, pixels.
 pub const MAX_EXTENT_PIXELS: u32 = 8192;
 
+/// From the wish to recentre to the change, nanoseconds.
+pub const RECENTRE_NOTICE_NS: i64 = 100_000_000;
+
 /// Configuration of one run. Every field has a default, and an unknown field is an error.
 /// Relative paths are relative to the folder of the configuration file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -91,6 +94,26 @@ pub enum EventKind {
     FocusLoss,
     /// VISIBLE to FOCUSED.
     FocusGain,
+    /// Something else is shown: SYNCHRONIZED, frames go on and are not to be rendered.
+    Hide,
+    /// The end of [`EventKind::Hide`]: VISIBLE again, and FOCUSED unless the focus is lost.
+    Show,
+    /// The session is asked to stop; once the application has ended it, it is IDLE for so long, and then READY again.
+    Pause {
+        /// Milliseconds from its end to READY. On the virtual clock each `xrPollEvent` that finds nothing meanwhile lets one
+        /// display period pass.
+        ms: u32,
+    },
+    /// The user recentres: [`RECENTRE_NOTICE_NS`] later STAGE and LOCAL have their origin at this place of the
+    /// STAGE before.
+    Recentre {
+        /// To the right, millimetres.
+        x_mm: i32,
+        /// Backward, millimetres.
+        z_mm: i32,
+        /// Turned to the left, degrees.
+        yaw_degrees: i32,
+    },
     /// The session is asked to stop, and exits once the application has ended it.
     Stop,
     /// The instance will be lost in one second: the application must destroy it and may create another.

@@ -12,6 +12,7 @@ use crate::ffi::{self, entry};
 use crate::head_path::HeadPath;
 use crate::record::Recorder;
 use crate::runtime::{self, Core, Event, Extensions, InstanceState, Resume, Runtime};
+use crate::space::pose_to_xr;
 use crate::{names, session};
 
 /// Name of the runtime and of its system.
@@ -164,6 +165,7 @@ fn new_core(
         tally,
         recorder,
         events: Default::default(),
+        path_from_stage: Vec::new(),
         paths: Default::default(),
         actions: Default::default(),
         messengers: Vec::new(),
@@ -219,7 +221,12 @@ entry! {
         event_data: slot xr::EventDataBuffer,
     ) {
         let mut runtime = runtime::lock();
-        let Some(event) = runtime.core(instance)?.events.pop_front() else {
+        runtime.core(instance)?;
+        let InstanceState { core, session } = runtime.instance_even_lost(instance)?;
+        if let (true, Some(session)) = (core.events.is_empty(), session) {
+            session::rest(core, session);
+        }
+        let Some(event) = core.events.pop_front() else {
             return Ok(xr::Result::EVENT_UNAVAILABLE);
         };
         write_event(event_data, event);
@@ -249,6 +256,19 @@ fn write_event(buffer: &mut xr::EventDataBuffer, event: Event) {
             };
             // SAFETY: as above.
             unsafe { buffer.cast::<xr::EventDataInstanceLossPending>().write(data) };
+        }
+        Event::SpaceChange { session, space, change_time_ns, previous_from_new } => {
+            let data = xr::EventDataReferenceSpaceChangePending {
+                ty: xr::EventDataReferenceSpaceChangePending::TYPE,
+                next: std::ptr::null(),
+                session: xr::Session::from_raw(session),
+                reference_space_type: space,
+                change_time: xr::Time::from_nanos(change_time_ns),
+                pose_valid: xr::TRUE,
+                pose_in_previous_space: pose_to_xr(previous_from_new),
+            };
+            // SAFETY: as above.
+            unsafe { buffer.cast::<xr::EventDataReferenceSpaceChangePending>().write(data) };
         }
     }
 }

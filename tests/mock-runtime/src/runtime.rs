@@ -21,6 +21,7 @@ use crate::space::Space;
 use crate::swapchain::Swapchain;
 use crate::vulkan::Vulkan;
 use crate::{clock, record};
+use shadecast_protocol::pose::Pose;
 
 /// The runtime's memory.
 #[derive(Default)]
@@ -54,6 +55,8 @@ pub(crate) struct Core {
     pub(crate) tally: Tally,
     pub(crate) recorder: Option<Recorder>,
     pub(crate) events: VecDeque<Event>,
+    /// From when on the stage has which origin, in the frame of the head path.
+    pub(crate) path_from_stage: Vec<(i64, Pose)>,
     pub(crate) paths: Paths,
     pub(crate) actions: Actions,
     pub(crate) messengers: Vec<Messenger>,
@@ -77,6 +80,8 @@ pub(crate) struct Session {
     pub(crate) handle: u64,
     pub(crate) state: SessionState,
     pub(crate) frames: FrameLoop,
+    /// When a session that rests is READY again, nanoseconds of `XrTime`.
+    pub(crate) ready_ns: Option<i64>,
     pub(crate) gpu: Gpu,
     pub(crate) swapchains: HashMap<u64, Swapchain>,
     pub(crate) spaces: HashMap<u64, Space>,
@@ -84,10 +89,11 @@ pub(crate) struct Session {
 }
 
 /// An event that waits for `xrPollEvent`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Event {
     SessionState { session: u64, state: xr::SessionState, time_ns: i64 },
     InstanceLossPending { loss_time_ns: i64 },
+    SpaceChange { session: u64, space: xr::ReferenceSpaceType, change_time_ns: i64, previous_from_new: Pose },
 }
 
 /// How far the display's clock has come.
@@ -234,6 +240,13 @@ impl Core {
                     self.timeline.last_period.unwrap_or(0),
                 )
             }
+        }
+    }
+
+    /// One period without a frame, on the virtual clock; the real one needs no help.
+    pub(crate) fn let_period_pass(&mut self) {
+        if self.config.clock == ClockKind::Virtual {
+            self.timeline.last_period = Some(self.timeline.last_period.map_or(0, |last| last + 1));
         }
     }
 

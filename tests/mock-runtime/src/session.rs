@@ -10,24 +10,31 @@ use crate::frame::FrameLoop;
 use crate::gpu::Gpu;
 use crate::instance::{check_system, check_view_configuration};
 use crate::runtime::{self, Core, Event, Session};
+use crate::space;
 
 type State = xr::SessionState;
 
 /// Where the session stands. Every method that moves it gives the states that it passes through, to be announced.
 ///
 /// IDLE and READY are announced at creation. SYNCHRONIZED, VISIBLE and FOCUSED follow the first `xrEndFrame`, so the
-/// first frame is never rendered. A stop passes VISIBLE, SYNCHRONIZED and STOPPING; `xrEndSession` leads to EXITING.
+/// first frame is never rendered. A stop passes VISIBLE, SYNCHRONIZED and STOPPING; `xrEndSession` leads to EXITING, or in
+/// a pause to IDLE and, when it is over, to READY.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SessionState {
     current: State,
     running: bool,
     /// False while something else has the focus.
     focus: bool,
+    /// False while something else is shown.
+    shown: bool,
+    /// Milliseconds that the session rests once it is ended, where it is to go on after that.
+    pause_ms: Option<u32>,
 }
 
 impl SessionState {
     pub(crate) fn new() -> (Self, Vec<State>) {
-        (Self { current: State::READY, running: false, focus: true }, vec![State::IDLE, State::READY])
+        let state = Self { current: State::READY, running: false, focus: true, shown: true, pause_ms: None };
+        (state, vec![State::IDLE, State::READY])
     }
 
     fn pass(&mut self, states: &[State]) -> Vec<State> {
@@ -79,15 +86,51 @@ impl SessionState {
             return Err(Fault::application(xr::Result::ERROR_SESSION_NOT_STOPPING, message));
         }
         self.running = false;
-        Ok(self.pass(&[State::IDLE, State::EXITING]))
+        match self.pause_ms {
+            Some(_) => Ok(self.pass(&[State::IDLE])),
+            None => Ok(self.pass(&[State::IDLE, State::EXITING])),
+        }
+    }
+
+    /// The rest is over.
+    fn resume(&mut self) -> Vec<State> {
+        self.pause_ms = None;
+        self.pass(&[State::READY])
     }
 
     pub(crate) fn frame_ended(&mut self) -> Vec<State> {
-        match (self.current, self.focus) {
-            (State::READY, true) => self.pass(&[State::SYNCHRONIZED, State::VISIBLE, State::FOCUSED]),
-            (State::READY, false) => self.pass(&[State::SYNCHRONIZED, State::VISIBLE]),
+        match self.current {
+            State::READY => self.pass(&[&[State::SYNCHRONIZED], self.seen()].concat()),
             _ => Vec::new(),
         }
+    }
+
+    /// The states that a synchronised session passes.
+    fn seen(&self) -> &'static [State] {
+        match (self.shown, self.focus) {
+            (false, _) => &[],
+            (true, false) => &[State::VISIBLE],
+            (true, true) => &[State::VISIBLE, State::FOCUSED],
+        }
+    }
+
+    fn set_shown(&mut self, shown: bool) -> Vec<State> {
+        self.shown = shown;
+        match (self.current, shown) {
+            (State::FOCUSED, false) => self.pass(&[State::VISIBLE, State::SYNCHRONIZED]),
+            (State::VISIBLE, false) => self.pass(&[State::SYNCHRONIZED]),
+            (State::SYNCHRONIZED, true) => self.pass(self.seen()),
+            _ => Vec::new(),
+        }
+    }
+
+    /// A stop after which the session goes on.
+    fn pause(&mut self, ms: u32) -> Vec<State> {
+        let states = self.stop();
+        if !states.is_empty() {
+            self.pause_ms = Some(ms);
+        }
+        states
     }
 
     fn set_focus(&mut self, focus: bool) -> Vec<State> {
@@ -125,6 +168,13 @@ pub(crate) fn happen(core: &mut Core, session: &mut Session, kind: EventKind) {
     let states = match kind {
         EventKind::FocusLoss => session.state.set_focus(false),
         EventKind::FocusGain => session.state.set_focus(true),
+        EventKind::Hide => session.state.set_shown(false),
+        EventKind::Show => session.state.set_shown(true),
+        EventKind::Pause { ms } => session.state.pause(ms),
+        EventKind::Recentre { x_mm, z_mm, yaw_degrees } => {
+            space::recentre(core, session.handle, [x_mm, z_mm], yaw_degrees);
+            Vec::new()
+        }
         EventKind::Stop => session.state.stop(),
         EventKind::InstanceLoss => {
             let loss_time_ns = core.now_ns() + LOSS_NOTICE_NS;
@@ -133,6 +183,19 @@ pub(crate) fn happen(core: &mut Core, session: &mut Session, kind: EventKind) {
             Vec::new()
         }
     };
+    announce(core, session.handle, states);
+}
+
+/// While a session rests, time passes: on the virtual clock one period, since no frame moves it on. READY is announced when
+/// the rest is over.
+pub(crate) fn rest(core: &mut Core, session: &mut Session) {
+    let Some(ready_ns) = session.ready_ns else { return };
+    if core.now_ns() < ready_ns {
+        core.let_period_pass();
+        return;
+    }
+    session.ready_ns = None;
+    let states = session.state.resume();
     announce(core, session.handle, states);
 }
 
@@ -177,6 +240,7 @@ entry! {
             handle,
             state,
             frames: FrameLoop::default(),
+            ready_ns: None,
             gpu,
             swapchains: Default::default(),
             spaces: Default::default(),
@@ -222,6 +286,7 @@ entry! {
         let mut runtime = runtime::lock();
         let (core, session) = runtime.session(session)?;
         let states = session.state.end()?;
+        session.ready_ns = session.state.pause_ms.map(|ms| core.now_ns() + i64::from(ms) * 1_000_000);
         session.frames = FrameLoop::default();
         announce(core, session.handle, states);
         core.write_summary();
@@ -275,6 +340,29 @@ mod tests {
         assert_eq!(state.stop(), [], "a second stop changes nothing");
         assert_eq!(state.end().expect("STOPPING"), [State::IDLE, State::EXITING]);
         assert_eq!(code(state.begin()), xr::Result::ERROR_SESSION_NOT_READY);
+    }
+
+    #[test]
+    fn a_hidden_session_is_synchronised_and_not_to_be_rendered() {
+        let mut state = focused();
+        assert_eq!(state.set_shown(false), [State::VISIBLE, State::SYNCHRONIZED]);
+        assert!(!state.should_render());
+        assert_eq!(state.frame_ended(), []);
+        assert_eq!(state.set_shown(true), [State::VISIBLE, State::FOCUSED]);
+        assert!(state.should_render());
+    }
+
+    #[test]
+    fn a_paused_session_is_ready_again_and_begins_anew() {
+        let mut state = focused();
+        assert_eq!(state.pause(500), [State::VISIBLE, State::SYNCHRONIZED, State::STOPPING]);
+        assert_eq!(state.end().expect("STOPPING"), [State::IDLE]);
+        assert_eq!(code(state.begin()), xr::Result::ERROR_SESSION_NOT_READY);
+        assert_eq!(state.resume(), [State::READY]);
+        state.begin().expect("READY");
+        assert_eq!(state.frame_ended(), [State::SYNCHRONIZED, State::VISIBLE, State::FOCUSED]);
+        assert_eq!(state.stop(), [State::VISIBLE, State::SYNCHRONIZED, State::STOPPING]);
+        assert_eq!(state.end().expect("STOPPING"), [State::IDLE, State::EXITING]);
     }
 
     #[test]

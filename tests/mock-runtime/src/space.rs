@@ -1,6 +1,6 @@
 //! Spaces, and where things are in them at a time.
 //!
-//! STAGE is the frame of the head path: its floor is y = 0. VIEW is the head. LOCAL has its origin where the head
+//! STAGE is the frame of the head path until the user recentres: its floor is y = 0. VIEW is the head. LOCAL has its origin where the head
 //! begins (head path time 0, at the head's height) and turns with the head's first heading, level with the floor, as
 //! the specification wants it. An action space is never located: there are no controllers.
 
@@ -9,11 +9,12 @@ use openxr_sys as xr;
 use shadecast_protocol::pose::Pose;
 use xr::Handle as _;
 
+use crate::config::RECENTRE_NOTICE_NS;
 use crate::fault::{Fault, Outcome};
 use crate::ffi::{self, entry};
 use crate::instance::check_view_configuration;
 use crate::layers::checked_pose;
-use crate::runtime::{self, Core, Session};
+use crate::runtime::{self, Core, Event, Session};
 
 /// A space of the application's.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,6 +34,30 @@ enum SpaceKind {
 
 /// Reach of the central difference that gives velocities, to each side, nanoseconds.
 const DIFFERENCE_NS: i64 = 5_000_000;
+
+/// Moves the origins of STAGE and LOCAL, and announces it.
+pub(crate) fn recentre(core: &mut Core, session: u64, [x_mm, z_mm]: [i32; 2], yaw_degrees: i32) {
+    let change_time_ns = core.now_ns() + RECENTRE_NOTICE_NS;
+    let previous_from_new = Pose {
+        position: Vec3::new(x_mm as f32, 0.0, z_mm as f32) * 0.001,
+        orientation: Quat::from_rotation_y((yaw_degrees as f32).to_radians()),
+    };
+    let path_from_new = path_from_stage(core, change_time_ns).then(previous_from_new);
+    core.path_from_stage.push((change_time_ns, path_from_new));
+    let spaces = [xr::ReferenceSpaceType::LOCAL, xr::ReferenceSpaceType::STAGE];
+    core.events.extend(spaces.map(|space| Event::SpaceChange {
+        session,
+        space,
+        change_time_ns,
+        previous_from_new,
+    }));
+}
+
+/// Where the stage is in the frame of the head path.
+fn path_from_stage(core: &Core, time_ns: i64) -> Pose {
+    let mut changes = core.path_from_stage.iter().rev();
+    changes.find(|(since_ns, _)| *since_ns <= time_ns).map_or(Pose::IDENTITY, |(_, pose)| *pose)
+}
 
 /// OpenXR's pose in our terms.
 pub(crate) fn pose_from_xr(pose: &xr::Posef) -> Pose {
@@ -54,8 +79,14 @@ fn vector_to_xr(v: Vec3) -> xr::Vector3f {
 }
 
 /// Where the head is in the stage.
-fn stage_from_head(core: &Core, time_ns: i64) -> Pose {
-    core.head_path.pose_at(core.path_time_s(time_ns))
+pub(crate) fn stage_from_head(core: &Core, time_ns: i64) -> Pose {
+    head_in_stage_of(core, time_ns, time_ns)
+}
+
+/// Where the head is at `time_ns` in the stage as it is at `stage_ns`.
+fn head_in_stage_of(core: &Core, time_ns: i64, stage_ns: i64) -> Pose {
+    let path_from_head = core.head_path.pose_at(core.path_time_s(time_ns));
+    path_from_stage(core, stage_ns).inverse().then(path_from_head)
 }
 
 /// Where LOCAL is in the stage: at the head's first pose, with its heading only.
@@ -69,23 +100,29 @@ fn stage_from_local(core: &Core) -> Pose {
 
 /// Where a space is in the stage; none for an action space.
 pub(crate) fn stage_from_space(core: &Core, space: &Space, time_ns: i64) -> Option<Pose> {
+    space_in_stage_of(core, space, time_ns, time_ns)
+}
+
+/// Where a space is at `time_ns` in the stage as it is at `stage_ns`.
+fn space_in_stage_of(core: &Core, space: &Space, time_ns: i64, stage_ns: i64) -> Option<Pose> {
     let stage_from_reference = match space.kind {
         SpaceKind::Stage => Pose::IDENTITY,
         SpaceKind::Local => stage_from_local(core),
-        SpaceKind::View => stage_from_head(core, time_ns),
+        SpaceKind::View => head_in_stage_of(core, time_ns, stage_ns),
         SpaceKind::Action => return None,
     };
     Some(stage_from_reference.then(space.reference_from_space))
 }
 
-fn base_from_space(core: &Core, base: &Space, space: &Space, time_ns: i64) -> Option<Pose> {
-    Some(stage_from_space(core, base, time_ns)?.inverse().then(stage_from_space(core, space, time_ns)?))
+fn base_from_space(core: &Core, base: &Space, space: &Space, time_ns: i64, stage_ns: i64) -> Option<Pose> {
+    let stage_from_base = space_in_stage_of(core, base, time_ns, stage_ns)?;
+    Some(stage_from_base.inverse().then(space_in_stage_of(core, space, time_ns, stage_ns)?))
 }
 
-/// Linear (m/s) and angular (rad/s) velocity of `space` relative to and expressed in `base`.
+/// Linear (m/s) and angular (rad/s) velocity of `space` relative to and expressed in `base`. Recentring is no motion.
 fn velocity(core: &Core, base: &Space, space: &Space, time_ns: i64) -> Option<(Vec3, Vec3)> {
-    let before = base_from_space(core, base, space, time_ns - DIFFERENCE_NS)?;
-    let after = base_from_space(core, base, space, time_ns + DIFFERENCE_NS)?;
+    let before = base_from_space(core, base, space, time_ns - DIFFERENCE_NS, time_ns)?;
+    let after = base_from_space(core, base, space, time_ns + DIFFERENCE_NS, time_ns)?;
     let seconds = 2.0 * DIFFERENCE_NS as f32 * 1e-9;
     let linear = (after.position - before.position) / seconds;
     Some((linear, rotation_vector(after.orientation * before.orientation.conjugate()) / seconds))
@@ -208,7 +245,7 @@ entry! {
         let (core, session) = runtime.session_of_space(space)?;
         let time_ns = check_time(time)?;
         let (space, base) = (space_of(session, space)?, space_of(session, base_space)?);
-        let pose = base_from_space(core, &base, &space, time_ns);
+        let pose = base_from_space(core, &base, &space, time_ns, time_ns);
         location.location_flags = match pose {
             Some(_) => xr::SpaceLocationFlags::ORIENTATION_VALID
                 | xr::SpaceLocationFlags::POSITION_VALID

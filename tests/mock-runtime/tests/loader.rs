@@ -473,6 +473,79 @@ fn scripted_focus_changes_and_the_stop_arrive_at_their_frames() {
 }
 
 #[test]
+fn a_hidden_session_goes_on_without_being_rendered_until_it_is_shown() {
+    type State = xr::SessionState;
+    let events = vec![event(3, EventKind::Hide), event(6, EventKind::Show)];
+    let _run = Run::new(&MockConfig { events, ..virtual_config() });
+    let mut app = App::begun();
+    for frame in 0..9 {
+        let expected: &[State] = match frame {
+            0 => &[State::SYNCHRONIZED, State::VISIBLE, State::FOCUSED],
+            3 => &[State::VISIBLE, State::SYNCHRONIZED],
+            6 => &[State::VISIBLE, State::FOCUSED],
+            _ => &[],
+        };
+        let state = app.empty_frame();
+        assert_eq!(app.states(), expected, "frame {frame}");
+        assert_eq!(state.should_render, frame > 0 && !(3..6).contains(&frame), "frame {frame}");
+    }
+}
+
+#[test]
+fn a_paused_session_rests_and_then_is_ready_again() {
+    type State = xr::SessionState;
+    let events = vec![event(2, EventKind::Pause { ms: 125 })];
+    let _run = Run::new(&MockConfig { events, ..virtual_config() });
+    let mut app = App::begun();
+    let mut last = 0;
+    for _ in 0..3 {
+        last = app.empty_frame().predicted_display_time.as_nanos();
+    }
+    let states = app.states();
+    assert_eq!(states[states.len() - 3..], [State::VISIBLE, State::SYNCHRONIZED, State::STOPPING]);
+    app.session.end().expect("STOPPING");
+    assert_eq!(app.states(), [State::IDLE]);
+    let looks = (1..100).find(|_| app.states() == [State::READY]).expect("READY again");
+    assert_eq!(looks, 9, "125 ms are nine periods, and one passes with each look that finds nothing");
+    app.session.begin(STEREO).expect("READY");
+    let first = app.empty_frame();
+    assert!(!first.should_render);
+    assert_eq!(app.states(), [State::SYNCHRONIZED, State::VISIBLE, State::FOCUSED]);
+    let periods = (first.predicted_display_time.as_nanos() - last) / period_ns(72.0);
+    assert_eq!(periods, 10, "the clock went on");
+    assert!(app.empty_frame().should_render);
+}
+
+#[test]
+fn recentring_is_announced_and_moves_the_stages_origin_at_its_time() {
+    let kind = EventKind::Recentre { x_mm: 2000, z_mm: -500, yaw_degrees: 0 };
+    let _run = Run::new(&MockConfig { events: vec![event(3, kind)], ..virtual_config() });
+    let mut app = App::begun();
+    for _ in 0..4 {
+        app.empty_frame();
+    }
+    let mut storage = xr::EventDataBuffer::new();
+    let mut changes = Vec::new();
+    while let Some(event) = app.instance.poll_event(&mut storage).expect("poll") {
+        if let xr::Event::ReferenceSpaceChangePending(change) = event {
+            let origin = change.pose_in_previous_space().position;
+            assert_eq!([origin.x, origin.y, origin.z], [2.0, 0.0, -0.5]);
+            changes.push((change.reference_space_type(), change.change_time().as_nanos()));
+        }
+    }
+    let types: Vec<_> = changes.iter().map(|(ty, _)| *ty).collect();
+    assert_eq!(types, [xr::ReferenceSpaceType::LOCAL, xr::ReferenceSpaceType::STAGE]);
+    let change_ns = changes[1].1;
+    let head = app
+        .session
+        .create_reference_space(xr::ReferenceSpaceType::VIEW, xr::Posef::IDENTITY)
+        .expect("the head");
+    let at = |ns: i64| head.locate(&app.stage, xr::Time::from_nanos(ns)).expect("located").pose.position;
+    let (before, after) = (at(change_ns - 1), at(change_ns));
+    assert!((after.x - before.x + 2.0).abs() < 1e-3 && (after.z - before.z - 0.5).abs() < 1e-3);
+}
+
+#[test]
 fn the_session_is_asked_to_stop_after_the_configured_time() {
     let _run = Run::new(&MockConfig { seconds: 0.125, ..virtual_config() });
     let mut app = App::begun();
