@@ -143,6 +143,11 @@ impl Frame {
         self.head.head(state);
     }
 
+    /// Updates pause or go on: how long the last one stays on display says nothing about the way.
+    pub fn interrupted(&mut self) {
+        self.head.interrupted();
+    }
+
     /// The client shows an update: frees slots, and teaches the prediction how long the way is.
     pub fn displayed(&mut self, report: &Displayed) {
         self.residency.displayed(report.frame);

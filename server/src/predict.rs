@@ -96,6 +96,12 @@ impl HeadTrack {
         self.on_display = Some((update, displayed));
     }
 
+    /// Updates pause, or go on after a pause: what was promised, and how long the last update stays, count no more.
+    pub fn interrupted(&mut self) {
+        self.promised.clear();
+        self.on_display = None;
+    }
+
     /// Whether a head has been reported at all.
     pub fn is_known(&self) -> bool {
         self.latest.is_some()
@@ -242,6 +248,32 @@ mod tests {
         let jumped = HeadState { discontinuity: DiscontinuityId(1), ..state(6, 2.0, 50.0, 0.0) };
         track.head(jumped);
         assert!(track.errors.is_empty() && track.promised.is_empty());
+    }
+
+    #[test]
+    fn a_jump_is_no_error_of_the_prediction() {
+        let margin_after = |jump: DiscontinuityId| {
+            let mut track = HeadTrack::default();
+            track.head(state(0, 1.0, 0.0, 0.0));
+            track.predict(ServerTime(1_000_000_000), DEFAULT_GRID);
+            track.head(HeadState { discontinuity: jump, ..state(1, 1.5, 50.0, 0.0) });
+            track.margin()
+        };
+        assert!(margin_after(DiscontinuityId(0)) > MIN_MARGIN);
+        assert_eq!(margin_after(DiscontinuityId(1)), MIN_MARGIN);
+    }
+
+    #[test]
+    fn a_pause_does_not_count_as_time_on_display() {
+        let mut track = HeadTrack::default();
+        let shown = |track: &mut HeadTrack, update_ms: i64| {
+            let start = ServerTime(update_ms * 1_000_000);
+            track.displayed(start, start.plus_ns(70_000_000));
+        };
+        (0..5).for_each(|update| shown(&mut track, update * 33));
+        track.interrupted();
+        (0..5).for_each(|update| shown(&mut track, 20_000 + update * 33));
+        assert_eq!(track.delays_ns(), [70_000_000, 103_000_000]);
     }
 
     #[test]

@@ -43,6 +43,8 @@ pub struct News {
     pub displayed: Option<Displayed>,
     /// A picture that needs no other is wanted.
     pub refresh: bool,
+    /// Whether somebody looks, where that was told.
+    pub watching: Option<bool>,
 }
 
 /// From the network's thread to the pipeline's.
@@ -79,6 +81,11 @@ impl Mailbox {
     /// A picture that needs no other is wanted.
     pub fn refresh(&self) {
         self.put(|news| news.refresh = true);
+    }
+
+    /// Whether somebody looks.
+    pub fn watching(&self, is_watched: bool) {
+        self.put(|news| news.watching = Some(is_watched));
     }
 
     /// All that is new, without waiting.

@@ -238,6 +238,10 @@ impl Updates for Frame {
         Self::displayed(self, report);
     }
 
+    fn interrupted(&mut self) {
+        Self::interrupted(self);
+    }
+
     fn limit_geometry(&mut self, bytes: Option<usize>) {
         Self::limit_geometry(self, bytes);
     }

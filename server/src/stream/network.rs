@@ -169,6 +169,7 @@ impl<'a> Network<'a> {
                 self.mailbox.displayed(report);
             }
             ServerEvent::RefreshRequest { .. } if is_served => self.mailbox.refresh(),
+            ServerEvent::Watching(is_watched) if is_served => self.mailbox.watching(is_watched),
             ServerEvent::Refused(refused) => self.sent_away(peer, &refused, now_ns),
             ServerEvent::Goodbye => {
                 self.leave(peer, "it said goodbye");
@@ -179,7 +180,10 @@ impl<'a> Network<'a> {
                 self.lose(peer, &reason);
                 self.drop_guest(peer, CODE_NOT_UNDERSTOOD, &reason);
             }
-            ServerEvent::Pose(_) | ServerEvent::Displayed(_) | ServerEvent::RefreshRequest { .. } => {}
+            ServerEvent::Pose(_)
+            | ServerEvent::Displayed(_)
+            | ServerEvent::Watching(_)
+            | ServerEvent::RefreshRequest { .. } => {}
         }
     }
 

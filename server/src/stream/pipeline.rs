@@ -46,6 +46,8 @@ pub trait Updates {
     fn head(&mut self, state: HeadState);
     /// What the client shows.
     fn displayed(&mut self, report: &Displayed);
+    /// Updates pause, or go on after a pause.
+    fn interrupted(&mut self);
     /// The next update may bring so many bytes of new geometry; `None`: as much as there is.
     fn limit_geometry(&mut self, bytes: Option<usize>);
     /// The next update; `None` before the first head state.
@@ -105,6 +107,8 @@ struct Served {
     encoder_failures: u32,
     gate: UpdateGate,
     refresh: bool,
+    /// False while nobody looks: nothing is shaded then.
+    is_watched: bool,
     due_ns: i64,
 }
 
@@ -191,14 +195,16 @@ impl<'a> Pipeline<'a> {
         if let Err(fault) = worked {
             self.end(fault, now_ns)?;
         }
-        let Some(client) = &self.client else { return Ok(IDLE_WAIT) };
+        let Some(client) = self.client.as_ref().filter(|client| client.is_watched) else {
+            return Ok(IDLE_WAIT);
+        };
         let wait_ns = (client.due_ns - now_ns).clamp(SHORTEST_WAIT_NS, LONGEST_WAIT_NS);
         Ok(Duration::from_nanos(wait_ns as u64))
     }
 
     /// Takes what is new, then makes a pipeline for the client that is there now, if it is another one.
     fn listen(&mut self, now_ns: i64) -> Result<(), Fault> {
-        let News { client, pose, displayed, refresh } = self.mailbox.take();
+        let News { client, pose, displayed, refresh, watching } = self.mailbox.take();
         match client {
             Client::Unchanged => {}
             Client::Gone => self.client = None,
@@ -212,6 +218,7 @@ impl<'a> Pipeline<'a> {
             pose.into_iter().for_each(|pose| client.updates.head(pose));
             displayed.iter().for_each(|report| client.updates.displayed(report));
             client.refresh |= refresh;
+            watching.into_iter().for_each(|is_watched| client.watch(is_watched, now_ns));
             Ok(())
         })
     }
@@ -237,6 +244,7 @@ impl<'a> Pipeline<'a> {
                     encoder_failures: 0,
                     gate: UpdateGate::new(self.period_ns),
                     refresh: false,
+                    is_watched: true,
                     due_ns: now_ns,
                 });
                 Ok(())
@@ -265,7 +273,7 @@ impl<'a> Pipeline<'a> {
     fn serve(&mut self, now_ns: i64) -> Result<(), Fault> {
         self.look_at_encoder(now_ns)?;
         let Some(client) = &mut self.client else { return Ok(()) };
-        if now_ns < client.due_ns || client.encoder.is_busy() {
+        if !client.is_watched || now_ns < client.due_ns || client.encoder.is_busy() {
             return Ok(());
         }
         let way = self.outlet.way(client.peer);
@@ -402,6 +410,15 @@ impl<'a> Pipeline<'a> {
 }
 
 impl Served {
+    /// Nothing is shaded for nobody; when somebody looks again, updates begin at once, with a picture that needs no other.
+    fn watch(&mut self, is_watched: bool, now_ns: i64) {
+        if std::mem::replace(&mut self.is_watched, is_watched) != is_watched {
+            self.updates.interrupted();
+            self.refresh |= is_watched;
+            self.due_ns = now_ns;
+        }
+    }
+
     /// Encodes and sends what changes in the client's memory. A delta cannot be left out: what cannot be sent is the end.
     fn send_delta(
         &mut self,

@@ -122,6 +122,8 @@ impl Updates for FakeUpdates {
 
     fn displayed(&mut self, _: &Displayed) {}
 
+    fn interrupted(&mut self) {}
+
     fn limit_geometry(&mut self, _: Option<usize>) {}
 
     fn update(&mut self, time: ServerTime) -> Result<Option<Shaded>, GpuError> {
@@ -223,6 +225,32 @@ fn updates_are_made_and_sent_for_the_client_that_is_there() {
     let deltas = bench.outlet.deltas.lock().expect("whole").clone();
     assert!(deltas.iter().enumerate().all(|(at, delta)| *delta == (PeerId(1), at as u32)), "{deltas:?}");
     assert_eq!(bench.outlet.pictures.lock().expect("whole")[..2], [(0, true), (1, false)]);
+}
+
+#[test]
+fn nothing_is_shaded_while_nobody_looks_and_then_at_once_a_picture_that_needs_no_other() {
+    let bench = Bench::new();
+    bench.comes(1);
+    let (mut looks, mut before, mut after) = (0, 0, 0);
+    let (ended, _) = bench.run(|recorder| {
+        let deltas = recorder.deltas.lock().expect("whole").len();
+        looks += u32::from(pictures(recorder) >= 3);
+        match looks {
+            1 => bench.mailbox.watching(false),
+            3 => before = deltas,
+            200 => {
+                after = deltas;
+                bench.mailbox.watching(true);
+            }
+            _ => {}
+        }
+        let newest = recorder.pictures.lock().expect("whole").last().map_or(0, |(frame, _)| *frame);
+        looks > 200 && newest as usize >= after
+    });
+    assert!(ended.is_ok() && before == after, "{before} updates, and {after} after two seconds");
+    let pictures = bench.outlet.pictures.lock().expect("whole");
+    let back = pictures.iter().find(|(frame, _)| *frame as usize >= after);
+    assert_eq!(back, Some(&(after as u32, true)), "it needs no other");
 }
 
 #[test]

@@ -40,6 +40,8 @@ const MAX_CLOCK_NS: i64 = 1 << 62;
 pub struct ClockEstimator {
     exchanges: VecDeque<Exchange>,
     mapping: Option<Mapping>,
+    /// Exchanges have come that the mapping does not know.
+    is_behind: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -75,9 +77,22 @@ impl ClockEstimator {
         Self::default()
     }
 
-    /// Takes in one exchange: a ping that left at `client_send`, was received and answered by the server's clock, and
-    /// whose answer came at `client_receive`. Exchanges that contradict themselves are ignored.
+    /// Takes in one exchange, and follows it; see [`Self::note_pong`].
     pub fn on_pong(
+        &mut self,
+        client_send: DisplayTime,
+        server_receive: ServerTime,
+        server_send: ServerTime,
+        client_receive: DisplayTime,
+    ) {
+        self.note_pong(client_send, server_receive, server_send, client_receive);
+        self.settle();
+    }
+
+    /// Takes in one exchange: a ping that left at `client_send`, was received and answered by the server's clock, and
+    /// whose answer came at `client_receive`. Exchanges that contradict themselves are ignored. The first counts at once,
+    /// later ones when [`Self::settle`] is called: a fit costs so much that one a display frame must do.
+    pub fn note_pong(
         &mut self,
         client_send: DisplayTime,
         server_receive: ServerTime,
@@ -99,7 +114,18 @@ impl ClockEstimator {
             up_ns: server_receive.0 - client_send.0,
             down_ns: client_receive.0 - server_send.0,
         });
-        self.follow(client_receive);
+        self.is_behind = true;
+        if self.mapping.is_none() {
+            self.settle();
+        }
+    }
+
+    /// Follows the exchanges taken in since the last call.
+    pub fn settle(&mut self) {
+        let newest = self.exchanges.back().map(|exchange| exchange.client_receive);
+        if let (true, Some(now)) = (std::mem::take(&mut self.is_behind), newest) {
+            self.follow(now);
+        }
     }
 
     fn remember(&mut self, exchange: Exchange) {

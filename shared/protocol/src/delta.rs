@@ -7,7 +7,7 @@
 use crate::atlas::{Block, PatchKind};
 use crate::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
 use crate::limits::{
-    MAX_COORDINATE_M, MAX_DELTA_BYTES, MAX_INSTANCES, MAX_SAMPLE_BATCHES, MAX_SAMPLES_PER_DELTA, NO_BLOCK,
+    MAX_COORDINATE_M, MAX_DELTA_BYTES, MAX_INSTANCES, MAX_NEW_SAMPLE_GRIDS, MAX_SAMPLE_BATCHES, NO_BLOCK,
 };
 use crate::samples::{SampleEncoder, SampleHistory, SlotSet, decode_batch};
 use crate::time::{GridIndex, ServerTime};
@@ -46,6 +46,15 @@ pub struct GeometryDelta {
     pub placements: Vec<(PatchSlot, Option<Block>)>,
     /// New samples of animated vertices. They count from arrival on, not from the update's display.
     pub samples: Vec<SampleBatch>,
+}
+
+impl GeometryDelta {
+    /// How much there is to take in: samples, vertices, patches and placements.
+    pub fn records(&self) -> usize {
+        let samples: usize = self.samples.iter().map(|batch| batch.values.len()).sum();
+        let patches = self.new_patches.len() + self.evicted_patches.len() + self.placements.len();
+        samples + self.new_vertices.len() + self.evicted_vertices.len() + patches
+    }
 }
 
 /// An instance, as far as a client needs to know it.
@@ -562,6 +571,8 @@ fn take_samples(
     let mut reader = Reader::new("batches of samples", section);
     let count = reader.count(MAX_SAMPLE_BATCHES as usize, 2)?;
     let active = history.active_slots();
+    // Samples can be coded in no bits at all: what they grow to is bounded, not what they come in.
+    let most = (history.vertex_slots() * MAX_NEW_SAMPLE_GRIDS) as usize;
     let mut batches = Vec::with_capacity(count);
     let (mut previous, mut total) = (BEFORE_FIRST, 0);
     for _ in 0..count {
@@ -576,7 +587,7 @@ fn take_samples(
             }
             other => return Err(invalid("a batch's coverage", format!("{other} is none"))),
         };
-        total = check_count("samples of a delta", total + slots.len(), MAX_SAMPLES_PER_DELTA as usize)?;
+        total = check_count("samples of a delta", total + slots.len(), most)?;
         let bytes = reader.rest();
         let (values, used) = decode_batch(grid, history, slots, bytes)?;
         reader = Reader::new("batches of samples", &bytes[used..]);
@@ -868,6 +879,31 @@ mod tests {
         let header = GeometryDelta::default();
         let sections = [section, vec![0], vec![0], vec![0], vec![0], vec![0], vec![0]];
         assert_refused(&put_header_and(&header, &sections), "slot 3 is free");
+    }
+
+    #[test]
+    fn samples_that_take_no_bits_grow_to_no_more_than_the_agreed_memory_holds() {
+        let new_vertices: Vec<_> = (0..VERTEX_SLOTS)
+            .map(|slot| NewVertex {
+                slot: VertexSlot(slot),
+                instance: InstanceId(0),
+                motion: Motion::Sampled,
+            })
+            .collect();
+        let instances = vec![InstanceInfo { instance: InstanceId(0), step_m: 0.001 }];
+        let batch = |grid| SampleBatch {
+            grid: GridIndex(grid),
+            values: (0..VERTEX_SLOTS).map(|slot| (VertexSlot(slot), [0; 3])).collect(),
+        };
+        let with = |steps: u32| GeometryDelta {
+            instances: instances.clone(),
+            new_vertices: new_vertices.clone(),
+            samples: (0..steps as i32).map(batch).collect(),
+            ..GeometryDelta::default()
+        };
+        let mut decoder = SampleDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+        assert!(decode(&bytes_of(with(MAX_NEW_SAMPLE_GRIDS)), &mut decoder).is_ok());
+        assert_refused(&bytes_of(with(MAX_NEW_SAMPLE_GRIDS + 1)), "samples of a delta is 10200");
     }
 
     #[test]

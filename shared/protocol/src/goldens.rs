@@ -95,6 +95,7 @@ fn control_messages_keep_their_bytes() {
     assert_pinned(&ClientMessage::Displayed(displayed(300)).encode(), "01ac02094801c801030080d1ca08");
     assert_pinned(&ClientMessage::RefreshRequest { after: Some(FrameId(8)) }.encode(), "020108");
     assert_pinned(&ClientMessage::Goodbye.encode(), "03");
+    assert_pinned(&ClientMessage::Watching { is_watched: true }.encode(), "0401");
     assert_pinned(
         &ServerMessage::Welcome(welcome()).encode(),
         "0001ef9bafcdf8acd19101aa81e51f80108010d804ac02000000803e0000003f0000803f0000003f0000403f0000803f \

@@ -1,5 +1,6 @@
 //! Names for what must not be mixed up.
 
+use crate::limits::MAX_FRAMES_AHEAD;
 use serde::{Deserialize, Serialize};
 
 macro_rules! id {
@@ -24,8 +25,13 @@ id!(/** One placed model of the scene. */ InstanceId(u16));
 id!(/** Changes with every jump of the head or stage; prediction restarts when it does. */ DiscontinuityId(u32));
 
 impl FrameId {
-    /// The update after this one.
+    /// The update after this one; the last that there can be (at 30 Hz after four years) has none.
     pub fn next(self) -> Self {
-        Self(self.0 + 1)
+        Self(self.0.saturating_add(1))
+    }
+
+    /// True where this update is so far after `due`, the next to come, that it is nonsense.
+    pub fn is_too_far_after(self, due: Self) -> bool {
+        self.0 > due.0.saturating_add(MAX_FRAMES_AHEAD)
     }
 }

@@ -83,6 +83,11 @@ pub const MAX_CODECS: usize = 8;
 pub const MAX_QUEUED_STREAMS: usize = 128;
 /// Bytes that a client holds while an earlier delta is still on its way.
 pub const MAX_QUEUED_STREAM_BYTES: usize = 2 * MAX_DELTA_BYTES;
+/// Frames by which a delta or a picture may be ahead of the next delta due. What is further ahead is nonsense.
+pub const MAX_FRAMES_AHEAD: u32 = 256;
+/// Samples, vertices, patches and placements per agreed vertex slot that a client takes in between two display frames; deltas
+/// beyond it wait. A delta is taken in whole. No update but the first brings as many.
+pub const RECORDS_PER_SLOT_AND_TURN: u32 = 4;
 /// Pixels per eye and side that a client may ask for.
 pub const MAX_EYE_EXTENT_PIXELS: u32 = 8192;
 /// Pixels per eye that a client may ask for: twice the texels of the largest atlas, since an atlas that shows much less than
@@ -132,6 +137,7 @@ const _: () = {
             <= MAX_DELTA_BYTES,
         "whatever the server may have to say in one delta fits in one"
     );
+    assert!(MAX_FRAMES_AHEAD as usize >= MAX_QUEUED_STREAMS, "what may wait may come");
     assert!(MAX_ACCESS_UNIT_BYTES + 64 <= MAX_STREAM_BYTES && MAX_STREAM_BYTES <= MAX_QUEUED_STREAM_BYTES);
 };
 

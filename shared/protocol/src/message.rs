@@ -31,6 +31,11 @@ pub enum ClientMessage {
     },
     /// The user left.
     Goodbye,
+    /// Whether somebody looks at the display; taken to be so until said otherwise. Nothing is shaded for nobody.
+    Watching {
+        /// False while the headset is off, or shows something else.
+        is_watched: bool,
+    },
 }
 
 /// What a server says on the control stream.
@@ -307,7 +312,9 @@ impl ClientMessage {
     fn check(&self) -> Result<(), WireError> {
         match self {
             Self::Hello(hello) => hello.check(),
-            Self::Displayed(_) | Self::RefreshRequest { .. } | Self::Goodbye => Ok(()),
+            Self::Displayed(_) | Self::RefreshRequest { .. } | Self::Goodbye | Self::Watching { .. } => {
+                Ok(())
+            }
         }
     }
 }

@@ -9,7 +9,10 @@
 use crate::clock::ClockEstimator;
 use crate::delta::{self, DeltaSizes, GeometryDelta, SampleCoder, SampleDecoder};
 use crate::ids::FrameId;
-use crate::limits::{MAX_ACCESS_UNIT_BYTES, MAX_DELTA_BYTES, MAX_QUEUED_STREAM_BYTES, MAX_QUEUED_STREAMS};
+use crate::limits::{
+    MAX_ACCESS_UNIT_BYTES, MAX_DELTA_BYTES, MAX_FRAMES_AHEAD, MAX_QUEUED_STREAM_BYTES, MAX_QUEUED_STREAMS,
+    RECORDS_PER_SLOT_AND_TURN,
+};
 use crate::message::{
     ClientDatagram, ClientHello, ClientMessage, Displayed, HeadState, HelloVersions, Refused, ServerDatagram,
     ServerMessage, ServerOffer, Welcome, negotiate, negotiate_version,
@@ -30,6 +33,8 @@ const QUICK_PING_NS: i64 = 10_000_000;
 const PING_NS: i64 = 25_000_000;
 /// Pings that wait for their answer, on a server whose driver is late; the oldest are dropped.
 const MAX_WAITING_PINGS: usize = 16;
+/// Pings whose answers are awaited: those of more than two seconds.
+const MAX_OUTSTANDING_PINGS: usize = 256;
 
 /// Bytes to be carried to the other end.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -90,6 +95,8 @@ pub enum ServerEvent {
         /// The last frame whose picture decoded, if any.
         after: Option<FrameId>,
     },
+    /// Whether somebody looks; before it is said, somebody does.
+    Watching(bool),
     /// The user left.
     Goodbye,
     /// The client said what makes no sense: drop the connection.
@@ -111,9 +118,15 @@ pub struct ClientSession {
     clock: ClockEstimator,
     pings: u32,
     next_ping: DisplayTime,
+    /// When the pings left that have not been answered, in order.
+    outstanding: VecDeque<DisplayTime>,
     decoder: Option<SampleDecoder>,
     next_delta: FrameId,
     waiting: Waiting,
+    /// What may still be decoded before the next [`Self::on_tick`].
+    records_left: usize,
+    records_per_turn: usize,
+    is_held_back: bool,
     out: VecDeque<Out>,
     events: VecDeque<ClientEvent>,
 }
@@ -146,9 +159,13 @@ impl ClientSession {
             clock: ClockEstimator::new(),
             pings: 0,
             next_ping: now,
+            outstanding: VecDeque::new(),
             decoder: None,
             next_delta: FrameId(0),
             waiting: Waiting::default(),
+            records_left: 0,
+            records_per_turn: 0,
+            is_held_back: false,
             out: VecDeque::new(),
             events: VecDeque::new(),
         };
@@ -169,27 +186,63 @@ impl ClientSession {
         self.end_on_error(result);
     }
 
-    /// Takes a datagram that came at `now`. Damaged ones are dropped: they carry nothing that is not sent again.
+    /// Takes a datagram that came at `now`. Damaged ones are dropped: they carry nothing that is not sent again. So are
+    /// answers to what was not asked, or that come a second time.
     pub fn on_datagram(&mut self, bytes: &[u8], now: DisplayTime) {
         if self.phase == Phase::Ended {
             return;
         }
-        if let Ok(ServerDatagram::ClockPong { client_send, server_receive, server_send }) =
+        let Ok(ServerDatagram::ClockPong { client_send, server_receive, server_send }) =
             ServerDatagram::decode(bytes)
-        {
-            self.clock.on_pong(client_send, server_receive, server_send, now);
+        else {
+            return;
+        };
+        if let Ok(place) = self.outstanding.binary_search(&client_send) {
+            self.outstanding.remove(place);
+            self.clock.note_pong(client_send, server_receive, server_send, now);
         }
     }
 
-    /// Does what is due at `now`: pings.
+    /// Does what is due at `now`, once a display frame: follows the clock, hands on what has waited, pings.
     pub fn on_tick(&mut self, now: DisplayTime) {
-        if self.phase == Phase::Ended || now < self.next_ping {
+        if self.phase == Phase::Ended {
             return;
         }
+        self.clock.settle();
+        self.records_left = if self.is_held_back { 0 } else { self.records_per_turn };
+        let result = self.hand_on_deltas();
+        self.end_on_error(result);
+        if self.phase != Phase::Ended && now >= self.next_ping {
+            self.ping(now);
+        }
+    }
+
+    fn ping(&mut self, now: DisplayTime) {
+        if self.outstanding.len() == MAX_OUTSTANDING_PINGS {
+            self.outstanding.pop_front();
+        }
+        self.outstanding.push_back(now);
         self.pings = self.pings.saturating_add(1);
         let period_ns = if self.pings < QUICK_PINGS { QUICK_PING_NS } else { PING_NS };
         self.next_ping = now.plus_ns(period_ns);
         self.out.push_back(Out::Datagram(ClientDatagram::ClockPing { client_send: now }.encode()));
+    }
+
+    /// While it is true, deltas wait undecoded: what came of the last ones has yet to be taken in.
+    pub fn hold_back(&mut self, is_held_back: bool) {
+        self.is_held_back = is_held_back;
+    }
+
+    /// Bytes of the streams that wait.
+    pub fn waiting_bytes(&self) -> usize {
+        self.waiting.bytes
+    }
+
+    /// Ends the session, because what the server said contradicts what is on display.
+    pub fn fail(&mut self, error: WireError) {
+        if self.phase != Phase::Ended {
+            self.end_on_error(Err(error));
+        }
     }
 
     /// When [`Self::on_tick`] next has something to do.
@@ -215,6 +268,13 @@ impl ClientSession {
     pub fn request_refresh(&mut self, after: Option<FrameId>) {
         if self.phase == Phase::Running {
             self.say(&ClientMessage::RefreshRequest { after });
+        }
+    }
+
+    /// Tells whether somebody looks.
+    pub fn tell_watching(&mut self, is_watched: bool) {
+        if self.phase == Phase::Running {
+            self.say(&ClientMessage::Watching { is_watched });
         }
     }
 
@@ -281,6 +341,8 @@ impl ClientSession {
     fn begin(&mut self, welcome: Welcome) -> Result<(), WireError> {
         self.phase = Phase::Running;
         self.decoder = Some(SampleDecoder::new(welcome.vertex_slots, welcome.patch_slots));
+        self.records_per_turn = (welcome.vertex_slots * RECORDS_PER_SLOT_AND_TURN) as usize;
+        self.records_left = self.records_per_turn;
         self.events.push_back(ClientEvent::Welcome(welcome));
         for (header, access_unit) in std::mem::take(&mut self.waiting.pictures) {
             self.waiting.bytes -= access_unit.len();
@@ -300,6 +362,7 @@ impl ClientSession {
     }
 
     fn take_picture(&mut self, header: PictureHeader, access_unit: &[u8]) -> Result<(), WireError> {
+        self.check_distance("a picture", header.frame)?;
         if self.phase == Phase::Running {
             self.events.push_back(ClientEvent::Picture { header, access_unit: access_unit.to_vec() });
             return Ok(());
@@ -316,7 +379,8 @@ impl ClientSession {
                 format!("that of frame {} comes a second time", frame.0),
             ));
         }
-        if frame == self.next_delta && self.decoder.is_some() {
+        self.check_distance("a geometry delta", frame)?;
+        if frame == self.next_delta && self.decoder.is_some() && self.records_left > 0 {
             self.hand_on(payload)?;
             return self.hand_on_deltas();
         }
@@ -325,9 +389,25 @@ impl ClientSession {
         Ok(())
     }
 
-    /// Hands on the waiting deltas whose turn it is.
+    /// Refuses a frame that is too far after the next one due.
+    fn check_distance(&self, what: &'static str, frame: FrameId) -> Result<(), WireError> {
+        match frame.is_too_far_after(self.next_delta) {
+            true => Err(invalid(
+                what,
+                format!(
+                    "its frame {} is more than {MAX_FRAMES_AHEAD} after frame {}, which is the next due",
+                    frame.0, self.next_delta.0
+                ),
+            )),
+            false => Ok(()),
+        }
+    }
+
+    /// Hands on the waiting deltas whose turn it is, as far as what may be decoded now reaches.
     fn hand_on_deltas(&mut self) -> Result<(), WireError> {
-        while let Some(payload) = self.waiting.deltas.remove(&self.next_delta) {
+        while self.records_left > 0
+            && let Some(payload) = self.waiting.deltas.remove(&self.next_delta)
+        {
             self.waiting.bytes -= payload.len();
             self.hand_on(&payload)?;
         }
@@ -336,7 +416,9 @@ impl ClientSession {
 
     fn hand_on(&mut self, payload: &[u8]) -> Result<(), WireError> {
         if let Some(decoder) = &mut self.decoder {
-            self.events.push_back(ClientEvent::Delta(delta::decode(payload, decoder)?));
+            let delta = delta::decode(payload, decoder)?;
+            self.records_left = self.records_left.saturating_sub(delta.records());
+            self.events.push_back(ClientEvent::Delta(delta));
             self.next_delta = self.next_delta.next();
         }
         Ok(())
@@ -377,6 +459,7 @@ struct Heard {
     asked: Option<(ClientHello, Welcome)>,
     displayed: Option<Displayed>,
     refresh: Option<Option<FrameId>>,
+    watching: Option<bool>,
     pose: Option<HeadState>,
     end: Option<ServerEvent>,
 }
@@ -506,7 +589,8 @@ impl ServerSession {
         }
         let displayed = heard.displayed.take().map(ServerEvent::Displayed);
         let refresh = || heard.refresh.take().map(|after| ServerEvent::RefreshRequest { after });
-        let event = displayed.or_else(refresh);
+        let watching = || heard.watching.take().map(ServerEvent::Watching);
+        let event = displayed.or_else(refresh).or_else(watching);
         event.or_else(|| heard.pose.take().map(ServerEvent::Pose)).or_else(|| heard.end.take())
     }
 
@@ -590,6 +674,7 @@ impl ServerSession {
                 self.heard.displayed = Some(earlier.map_or(displayed, |earlier| earlier.merged(displayed)));
             }
             ClientMessage::RefreshRequest { after } => self.heard.refresh = Some(after),
+            ClientMessage::Watching { is_watched } => self.heard.watching = Some(is_watched),
             ClientMessage::Goodbye => self.end_with(ServerEvent::Goodbye),
         }
         Ok(())
@@ -611,6 +696,8 @@ const HELLO_REMEDY: &str = "update client and server to the same version";
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::delta::{Motion, NewVertex};
+    use crate::ids::{InstanceId, VertexSlot};
     use crate::testing::{Dice, damaged, displayed, head, hello, offer};
 
     /// Both ends, with what the client has been sent and has not yet been given.
@@ -847,12 +934,14 @@ mod tests {
         pair.send_delta();
         pair.client.send_displayed(displayed(0));
         pair.client.request_refresh(Some(FrameId(0)));
+        pair.client.tell_watching(false);
         pair.client.goodbye();
         pair.carry(ServerTime(0));
         let events: Vec<_> = std::iter::from_fn(|| pair.server.poll_event()).collect();
         let expected = [
             ServerEvent::Displayed(displayed(0)),
             ServerEvent::RefreshRequest { after: Some(FrameId(0)) },
+            ServerEvent::Watching(false),
             ServerEvent::Goodbye,
         ];
         assert_eq!(events, expected);
@@ -874,6 +963,132 @@ mod tests {
         pair.carry(ServerTime(0));
         (0..2).for_each(|_| pair.client.on_stream(&pair.streams[0]));
         assert_failed(&mut pair, "a second time");
+    }
+
+    #[test]
+    fn frames_far_ahead_end_the_session_and_near_ones_do_not() {
+        let mut pair = Pair::connected();
+        pair.client.on_stream(&encode_picture(picture(MAX_FRAMES_AHEAD), b"coded"));
+        assert!(pair.client.is_alive());
+        for far in [MAX_FRAMES_AHEAD + 1, 4_000_000_000, u32::MAX] {
+            let mut pair = Pair::connected();
+            pair.client.on_stream(&encode_picture(picture(far), b"coded"));
+            assert_failed(&mut pair, "more than 256 after frame 0");
+            let mut pair = Pair::connected();
+            let mut coder = SampleCoder::new(600, 300);
+            let delta = GeometryDelta { frame: FrameId(far), ..Default::default() };
+            pair.client.on_stream(&encode_geometry(&delta::encode(&delta, &mut coder)));
+            assert_failed(&mut pair, "more than 256 after frame 0");
+        }
+    }
+
+    #[test]
+    fn the_last_frame_that_there_can_be_overflows_nothing() {
+        let mut pair = Pair::connected();
+        pair.client.next_delta = FrameId(u32::MAX - 1);
+        let mut coder = SampleCoder::new(600, 300);
+        for frame in [u32::MAX - 1, u32::MAX] {
+            let delta = GeometryDelta { frame: FrameId(frame), ..Default::default() };
+            pair.client.on_stream(&encode_geometry(&delta::encode(&delta, &mut coder)));
+            pair.client.on_stream(&encode_picture(picture(frame), b"coded"));
+        }
+        assert_eq!(pair.client_events().len(), 4);
+    }
+
+    #[test]
+    fn deltas_wait_while_what_came_before_is_too_much_for_one_turn() {
+        let mut pair = Pair::connected();
+        pair.client.hold_back(true);
+        pair.client.on_tick(NOW);
+        (0..10).for_each(|_| pair.send_delta());
+        pair.carry(ServerTime(0));
+        pair.streams.clone().iter().for_each(|stream| pair.client.on_stream(stream));
+        assert_eq!((pair.client_events().len(), pair.client.waiting_bytes() > 0), (0, true));
+        pair.client.hold_back(false);
+        pair.client.on_tick(NOW.plus_ns(1));
+        assert_eq!((pair.client_events().len(), pair.client.waiting_bytes()), (10, 0));
+    }
+
+    #[test]
+    fn a_turn_takes_in_so_many_records_and_a_delta_always_whole() {
+        let mut pair = Pair::connected();
+        pair.client.records_left = 3;
+        for frame in 0..4 {
+            let vertex = |slot| NewVertex {
+                slot: VertexSlot(slot),
+                instance: InstanceId(0),
+                motion: Motion::Static { position: glam::Vec3::ONE },
+            };
+            let new_vertices = (frame * 2..frame * 2 + 2).map(vertex).collect();
+            let delta = GeometryDelta { frame: FrameId(frame), new_vertices, ..Default::default() };
+            let (out, _) = pair.sender.as_mut().unwrap().delta_stream(&delta).unwrap();
+            pair.keep(out);
+        }
+        pair.carry(ServerTime(0));
+        pair.streams.clone().iter().for_each(|stream| pair.client.on_stream(stream));
+        assert_eq!(pair.client_events().len(), 2, "three records: one delta and a whole second one");
+        pair.client.on_tick(NOW);
+        assert_eq!(pair.client_events().len(), 2);
+    }
+
+    #[test]
+    fn answers_to_what_was_not_asked_do_not_count_nor_do_second_ones() {
+        let mut pair = Pair::connected();
+        let pong = |client_send, server_ns| {
+            let server = ServerTime(server_ns);
+            let (server_receive, server_send) = (server, server);
+            ServerDatagram::ClockPong { client_send, server_receive, server_send }.encode()
+        };
+        let known = pair.client.clock().server_time(NOW).expect("the hello's ping was answered");
+        let flood = |pair: &mut Pair, at: DisplayTime| {
+            for i in 1..1000 {
+                pair.client.on_datagram(&pong(at.plus_ns(-i), 77_000_000), at.plus_ns(i));
+                pair.client.on_datagram(&pong(NOW, 77_000_000), at.plus_ns(i));
+            }
+        };
+        flood(&mut pair, NOW);
+        let later = NOW.plus_ns(PING_NS);
+        pair.client.on_tick(later);
+        assert_eq!(pair.client.clock().server_time(NOW), Some(known));
+        // The one that was asked counts, and counts once.
+        pair.client.on_datagram(&pong(later, later.0 - NOW.0), later);
+        let asked = pair.client.outstanding.len();
+        flood(&mut pair, later);
+        pair.client.on_tick(later.plus_ns(PING_NS));
+        assert_eq!((asked, pair.client.outstanding.len()), (0, 1));
+        let seen = pair.client.clock().server_time(NOW).expect("known");
+        assert!(seen.since(known).abs() < 1_000_000, "{seen:?} instead of {known:?}");
+    }
+
+    #[test]
+    fn however_many_answers_come_the_clock_is_fitted_once_a_turn() {
+        let mut pair = Pair::connected();
+        let ping = |pair: &mut Pair, i: i64| pair.client.on_tick(NOW.plus_ns(i * PING_NS));
+        (0..4).for_each(|i| ping(&mut pair, i));
+        let sent: Vec<_> = pair.client.outstanding.iter().copied().collect();
+        let far = NOW.plus_ns(4 * PING_NS);
+        let seen: Vec<_> = sent
+            .iter()
+            .zip([9_000_000, 2_000_000, 1_000_000, 3_000_000])
+            .map(|(client_send, off_ns)| {
+                let server = ServerTime(client_send.0 + off_ns);
+                let (server_receive, server_send, client_send) = (server, server, *client_send);
+                let pong = ServerDatagram::ClockPong { client_send, server_receive, server_send };
+                pair.client.on_datagram(&pong.encode(), client_send.plus_ns(10_000_000));
+                pair.client.clock().server_time(far)
+            })
+            .collect();
+        assert!(seen.iter().all(|time| *time == seen[0]), "only the first counts at once: {seen:?}");
+        ping(&mut pair, 4);
+        assert_ne!(pair.client.clock().server_time(far.plus_ns(1_000_000_000)), seen[0]);
+        assert!(pair.client.clock().server_time(far) < seen[0].map(|t| t.plus_ns(1)));
+    }
+
+    #[test]
+    fn pings_without_answers_are_remembered_up_to_a_bound() {
+        let mut pair = Pair::connected();
+        (0..10_000).for_each(|i| pair.client.on_tick(NOW.plus_ns(i * PING_NS)));
+        assert_eq!(pair.client.outstanding.len(), MAX_OUTSTANDING_PINGS);
     }
 
     #[test]

@@ -108,6 +108,9 @@ struct RunArgs {
     /// Field of view in degrees
     #[arg(long, default_value_t = 90.0, value_parser = number(10.0..=170.0, "degrees"))]
     fov: f32,
+    /// Updates of the server per second
+    #[arg(long, default_value_t = 30.0, value_parser = number(1.0..=1000.0, "updates a second"))]
+    rate: f64,
     /// Seed of link and connection
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -254,6 +257,7 @@ fn run_one(args: RunArgs) -> anyhow::Result<()> {
         seconds: args.seconds,
         extent_pixels: args.size,
         fov_degrees: args.fov,
+        rate_hz: args.rate,
         seed: args.seed,
         dump_every: args.dump_every,
         compare_every: args.compare_every,

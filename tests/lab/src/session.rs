@@ -80,6 +80,8 @@ pub struct Server {
     encoder: Option<Box<dyn Encoder>>,
     peer: Option<PeerId>,
     refresh: bool,
+    /// False while nobody looks.
+    is_watched: bool,
     qp: u8,
     sessions: u64,
     atlas_extent_texels: AtlasExtent,
@@ -110,8 +112,9 @@ pub struct Lab {
     frame: u64,
 }
 
-/// Turns of the runtime without a frame that are taken for a start-up; more are a runtime that never starts.
-const MAX_IDLE_TURNS: u32 = 100;
+/// Turns of the runtime without a frame that are taken for a start-up or a rest, one display period each; more are a runtime
+/// that never starts.
+const MAX_IDLE_TURNS: u32 = 100_000;
 
 impl Server {
     /// Opens the server's device and loads the scene.
@@ -142,6 +145,7 @@ impl Server {
             encoder: None,
             peer: None,
             refresh: false,
+            is_watched: true,
             qp: options.qp,
             sessions: 1,
             atlas_extent_texels: options.atlas_extent_texels,
@@ -154,6 +158,7 @@ impl Server {
         self.sessions += 1;
         self.peer = Some(peer);
         self.frame = None;
+        self.is_watched = true;
         let offer = offer(&self.scene, self.atlas_extent_texels, self.rate_hz, self.sessions);
         self.session = ServerSession::new(offer);
         self.sender = None;
@@ -175,6 +180,7 @@ impl Server {
                 ServerEvent::Pose(state) => self.frame.iter_mut().for_each(|f| f.head(state)),
                 ServerEvent::Displayed(report) => self.frame.iter_mut().for_each(|f| f.displayed(&report)),
                 ServerEvent::RefreshRequest { .. } => self.refresh = true,
+                ServerEvent::Watching(is_watched) => self.watching(is_watched),
                 ServerEvent::Refused(refused) => {
                     bail!("the server refused: {} {}", refused.reason, refused.remedy)
                 }
@@ -207,6 +213,14 @@ impl Server {
     /// Patches that were visible but had no room, in the atlas or in the client's memory.
     pub fn dropped_patches(&self) -> u64 {
         self.frame.as_ref().map_or(0, |frame| frame.dropped_patches())
+    }
+
+    /// Nothing is shaded for nobody; when somebody looks again, the first picture needs no other.
+    fn watching(&mut self, is_watched: bool) {
+        if std::mem::replace(&mut self.is_watched, is_watched) != is_watched {
+            self.frame.iter_mut().for_each(Frame::interrupted);
+            self.refresh |= is_watched;
+        }
     }
 
     fn count(&mut self, sizes: DeltaSizes) {
@@ -292,20 +306,34 @@ impl Lab {
     }
 
     /// Plays everything up to the next display frame, then shows it.
+    ///
+    /// # Errors
+    /// Anything that keeps the run from going on, and a session that never starts.
     pub fn step(&mut self) -> anyhow::Result<Step> {
-        let frame_ns = self.next_frame_ns();
-        self.play_until(frame_ns)?;
         for _ in 0..MAX_IDLE_TURNS {
-            let step = self.client.step_with(|client| client.advance(DisplayTime(frame_ns)))?;
-            match &step {
+            match self.turn()? {
                 Step::Idle => continue,
-                Step::Frame(report) => self.frame_shown(report),
-                Step::Exit => {}
+                step => return Ok(step),
             }
-            self.flush()?;
-            return Ok(step);
         }
         bail!("the OpenXR runtime does not start the session")
+    }
+
+    /// Plays everything up to the runtime's next turn, then lets the client have it: a frame, or a period without one.
+    ///
+    /// # Errors
+    /// Anything that keeps the run from going on.
+    pub fn turn(&mut self) -> anyhow::Result<Step> {
+        let frame_ns = self.next_frame_ns();
+        self.play_until(frame_ns)?;
+        let step = self.client.step_with(|client| client.advance(DisplayTime(frame_ns)))?;
+        match &step {
+            Step::Idle => self.frame += 1,
+            Step::Frame(report) => self.frame_shown(report),
+            Step::Exit => {}
+        }
+        self.flush()?;
+        Ok(step)
     }
 
     /// In memory there are no messages: the server looks at the client itself.
@@ -413,7 +441,7 @@ impl Lab {
         self.next_update_ns += self.update_period_ns;
         let server = &mut self.server;
         let way = server.peer.and_then(|peer| self.pair.server.stats(peer)).map(WayState::from);
-        let Some(frame) = &mut server.frame else { return Ok(()) };
+        let Some(frame) = server.frame.as_mut().filter(|_| server.is_watched) else { return Ok(()) };
         if way.is_some_and(|way| !server.gate.may_update(&way, now_ns)) {
             server.sent.withheld += 1;
             return Ok(());
