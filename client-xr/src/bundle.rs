@@ -5,10 +5,13 @@
 //! the bundle on display still needs. What it says about patches waits until the picture of its frame, or of a later
 //! one, is there. A delta whose picture never came applies all the same. Knows nothing of GPUs and networks.
 
+use crate::pace::Span;
 use shadecast_protocol::atlas::{Block, PatchKind};
 use shadecast_protocol::delta::{GeometryDelta, Motion, NewPatch};
 use shadecast_protocol::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
-use shadecast_protocol::limits::{MAX_INSTANCES, PATCH_MAX_VERTICES};
+use shadecast_protocol::limits::{
+    MAX_INSTANCES, MAX_PATCH_SLOTS, PATCH_MAX_VERTICES, RECORDS_PER_SLOT_AND_TURN, SAMPLE_RING,
+};
 use shadecast_protocol::time::GridIndex;
 use shadecast_shaders::generated::{CornerGpu, VertexWriteGpu};
 use shadecast_shaders::twin::interpolate::{sample_write, sampled_entry, static_entry};
@@ -16,6 +19,8 @@ use std::collections::VecDeque;
 
 /// Deltas whose patches wait for a picture; beyond it the oldest are applied, and their pictures are not shown.
 const MAX_PENDING: usize = 256;
+/// The same, by what they say: every patch comes, gets a block, loses it and goes.
+const MAX_PENDING_RECORDS: usize = 4 * MAX_PATCH_SLOTS as usize;
 /// Decoded pictures that wait for their delta; beyond it the oldest is dropped.
 const MAX_PICTURES: usize = 3;
 /// Corners of a patch of three triangles, and its indices.
@@ -30,6 +35,8 @@ pub struct Bundler<P> {
     step_m_of_instance: Vec<f32>,
     patches: Vec<Option<Patch>>,
     pending: VecDeque<PatchChanges>,
+    /// What all of `pending` says.
+    pending_records: usize,
     pictures: VecDeque<(FrameId, P)>,
     writes: VertexWrites,
     /// The newest delta taken in.
@@ -45,7 +52,10 @@ pub struct Bundler<P> {
     /// Of each vertex slot, the draw list that last used it.
     used_by: Vec<u32>,
     draw_lists: u32,
-    min_last_used: GridIndex,
+    /// Steps at which all of the draw list can be evaluated that is drawn.
+    span: Span,
+    /// A slot that was given anew while it was on display.
+    contradiction: Option<VertexSlot>,
     late: Vec<(GridIndex, PatchSlot)>,
 }
 
@@ -53,9 +63,27 @@ pub struct Bundler<P> {
 struct Vertex {
     instance: InstanceId,
     is_sampled: bool,
-    /// Grid steps for which there are samples, both ends included; `first > last` before the first.
+    /// Grid steps for which the ring holds samples without a gap, both ends included; `first > last` before the first.
     first: GridIndex,
     last: GridIndex,
+}
+
+impl Vertex {
+    fn has_samples(&self) -> bool {
+        self.first <= self.last
+    }
+
+    /// Takes in a sample. One that follows the last lengthens the run, and pushes out what the ring cannot hold; one after
+    /// a gap begins another; earlier ones change none.
+    fn take_sample(&mut self, grid: GridIndex) {
+        if !self.has_samples() || grid > self.last.plus(1) {
+            self.first = grid;
+        }
+        if !self.has_samples() || grid > self.last {
+            self.last = grid;
+        }
+        self.first = self.first.max(self.last.plus(1 - SAMPLE_RING as i32));
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,6 +102,12 @@ struct PatchChanges {
     evicted: Vec<PatchSlot>,
     new: Vec<NewPatch>,
     placements: Vec<(PatchSlot, Option<Block>)>,
+}
+
+impl PatchChanges {
+    fn records(&self) -> usize {
+        1 + self.evicted.len() + self.new.len() + self.placements.len()
+    }
 }
 
 /// Records for the GPU's vertex memory, in the order in which they must be written.
@@ -97,7 +131,7 @@ struct Segment {
 }
 
 /// What a draw list holds.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DrawList {
     /// Corners written.
     pub corners: u32,
@@ -105,6 +139,8 @@ pub struct DrawList {
     pub indices: u32,
     /// Patches of `indices`.
     pub patches: u32,
+    /// The first grid step at which all of `indices` can be drawn.
+    pub ready: GridIndex,
     /// Patches whose vertices have no samples before a grid step, in order of it: step, and indices up to the patch's
     /// end. They lie behind `indices`.
     pub late: Vec<(GridIndex, u32)>,
@@ -117,6 +153,12 @@ pub struct Motionless {
     pub held: u32,
     /// Vertices that have stopped.
     pub frozen: u32,
+}
+
+impl Default for DrawList {
+    fn default() -> Self {
+        Self { corners: 0, indices: 0, patches: 0, ready: GridIndex(i32::MIN), late: Vec::new() }
+    }
 }
 
 impl DrawList {
@@ -142,6 +184,7 @@ impl<P> Bundler<P> {
             step_m_of_instance: vec![0.0; MAX_INSTANCES as usize],
             patches: vec![None; patch_slots as usize],
             pending: VecDeque::new(),
+            pending_records: 0,
             pictures: VecDeque::new(),
             writes: VertexWrites::default(),
             newest_delta: None,
@@ -151,7 +194,8 @@ impl<P> Bundler<P> {
             used: Vec::with_capacity(vertex_slots as usize),
             used_by: vec![0; vertex_slots as usize],
             draw_lists: 0,
-            min_last_used: GridIndex(i32::MAX),
+            span: Span { first: GridIndex(i32::MIN), last: GridIndex(i32::MAX) },
+            contradiction: None,
             late: Vec::with_capacity(patch_slots as usize),
         }
     }
@@ -183,15 +227,48 @@ impl<P> Bundler<P> {
         self.take_vertices(&delta);
         self.take_samples(&delta);
         self.writes.end_frame(delta.frame);
-        self.pending.push_back(PatchChanges {
+        let changes = PatchChanges {
             frame: delta.frame,
             evicted: delta.evicted_patches,
             new: delta.new_patches,
             placements: delta.placements,
-        });
-        if self.pending.len() > MAX_PENDING {
+        };
+        self.pending_records += changes.records();
+        self.pending.push_back(changes);
+        while self.pending.len() > MAX_PENDING || self.pending_records > MAX_PENDING_RECORDS {
             self.apply_next();
         }
+    }
+
+    /// True where the GPU's vertex memory has yet to be told something.
+    pub fn has_writes(&self) -> bool {
+        !self.writes.segments.is_empty()
+    }
+
+    /// True while so much waits for the GPU's vertex memory that no more should be taken in.
+    pub fn is_full(&self) -> bool {
+        self.writes.waiting() > self.vertices.len() * RECORDS_PER_SLOT_AND_TURN as usize
+    }
+
+    /// Bytes that wait: for the GPU's vertex memory, and for pictures.
+    pub fn waiting_bytes(&self) -> usize {
+        let writes = self.writes.records.capacity() * size_of::<VertexWriteGpu>();
+        writes + self.pending_records * size_of::<NewPatch>()
+    }
+
+    /// The slot that the server gave anew while it was on display, if it did: what is seen is then not what it means.
+    pub fn take_contradiction(&mut self) -> Option<VertexSlot> {
+        self.contradiction.take()
+    }
+
+    /// Steps at which everything that is drawn can be evaluated.
+    pub fn span(&self) -> Span {
+        self.span
+    }
+
+    /// True where the draw list on display uses the slot.
+    fn is_on_display(&self, slot: VertexSlot) -> bool {
+        self.draw_lists > 0 && self.used_by[slot.index()] == self.draw_lists
     }
 
     fn take_vertices(&mut self, delta: &GeometryDelta) {
@@ -201,6 +278,9 @@ impl<P> Bundler<P> {
             }
         }
         for new in &delta.new_vertices {
+            if new.slot.index() < self.vertices.len() && self.is_on_display(new.slot) {
+                self.contradiction.get_or_insert(new.slot);
+            }
             let Some(vertex) = self.vertices.get_mut(new.slot.index()) else { continue };
             *vertex = Vertex {
                 instance: new.instance,
@@ -218,17 +298,27 @@ impl<P> Bundler<P> {
     }
 
     fn take_samples(&mut self, delta: &GeometryDelta) {
-        for batch in &delta.samples {
-            for (slot, value) in &batch.values {
-                let Some(vertex) = self.vertices.get_mut(slot.index()) else { continue };
-                let step_m = self.step_m_of_instance.get(vertex.instance.index()).copied().unwrap_or(0.0);
-                vertex.first = vertex.first.min(batch.grid);
-                vertex.last = vertex.last.max(batch.grid);
-                self.writes.push(sample_write(slot.0, batch.grid, value.map(|v| v as f32 * step_m)));
-            }
+        let newest = delta.samples.iter().map(|batch| batch.grid).max().unwrap_or_default();
+        // Steps that share a place in the ring with a later one of the same delta could be seen by nobody, nor could
+        // the step whose tag means that there is no sample.
+        let oldest = newest.plus(1 - SAMPLE_RING as i32).max(GridIndex(i32::MIN + 1));
+        for batch in delta.samples.iter().filter(|batch| batch.grid >= oldest) {
+            batch.values.iter().for_each(|(slot, value)| self.take_sample(*slot, batch.grid, *value));
         }
         if !delta.samples.is_empty() {
-            self.min_last_used = self.min_last();
+            self.span.last = self.min_last();
+        }
+    }
+
+    fn take_sample(&mut self, slot: VertexSlot, grid: GridIndex, value: [i32; 3]) {
+        let Some(vertex) = self.vertices.get_mut(slot.index()) else { return };
+        let step_m = self.step_m_of_instance.get(vertex.instance.index()).copied().unwrap_or(0.0);
+        let before = *vertex;
+        vertex.take_sample(grid);
+        let first = vertex.first;
+        self.writes.push(sample_write(slot.0, grid, value.map(|v| v as f32 * step_m)));
+        if before.has_samples() && first > before.first && self.is_on_display(slot) {
+            self.span.first = self.span.first.max(first);
         }
     }
 
@@ -268,6 +358,7 @@ impl<P> Bundler<P> {
 
     fn apply_next(&mut self) {
         let Some(changes) = self.pending.pop_front() else { return };
+        self.pending_records -= changes.records();
         self.applied = Some(changes.frame);
         for slot in changes.evicted {
             if let Some(patch) = self.patches.get_mut(slot.index()) {
@@ -301,7 +392,7 @@ impl<P> Bundler<P> {
         self.used.clear();
         self.late.clear();
         let mut writer = ListWriter { corners, indices, corner_count: 0, index_count: 0 };
-        list.patches = 0;
+        (list.patches, list.ready) = (0, GridIndex(i32::MIN));
         for slot in 0..self.patches.len() {
             let Some(patch) = self.patches[slot].filter(|patch| patch.block.is_some()) else { continue };
             let first = self.first_drawable(&patch);
@@ -309,6 +400,7 @@ impl<P> Bundler<P> {
             if first <= grid {
                 writer.write(&patch);
                 list.patches += 1;
+                list.ready = list.ready.max(first);
             } else {
                 self.late.push((first, PatchSlot(slot as u32)));
             }
@@ -323,7 +415,7 @@ impl<P> Bundler<P> {
             }
         }
         list.corners = writer.corner_count as u32;
-        self.min_last_used = self.min_last();
+        self.span = Span { first: list.ready, last: self.min_last() };
     }
 
     fn first_drawable(&self, patch: &Patch) -> GridIndex {
@@ -336,15 +428,18 @@ impl<P> Bundler<P> {
     fn note_use(&mut self, patch: &Patch) {
         for slot in &patch.vertices[..patch.kind.vertex_count()] {
             let used_by = &mut self.used_by[slot.index()];
-            if *used_by != self.draw_lists && self.vertices[slot.index()].is_sampled {
-                *used_by = self.draw_lists;
+            if std::mem::replace(used_by, self.draw_lists) != self.draw_lists
+                && self.vertices[slot.index()].is_sampled
+            {
                 self.used.push(slot.0);
             }
         }
     }
 
+    /// The last step that all vertices of the draw list have which have any: what has none is not drawn.
     fn min_last(&self) -> GridIndex {
-        let lasts = self.used.iter().map(|slot| self.vertices[*slot as usize].last);
+        let used = self.used.iter().map(|slot| self.vertices[*slot as usize]);
+        let lasts = used.filter(Vertex::has_samples).map(|vertex| vertex.last);
         lasts.min().unwrap_or(GridIndex(i32::MAX))
     }
 
@@ -352,13 +447,13 @@ impl<P> Bundler<P> {
     /// time is `grid`.
     pub fn motionless(&self, grid: GridIndex) -> Motionless {
         let mut counts = Motionless::default();
-        if grid < self.min_last_used {
+        if grid < self.span.last {
             return counts;
         }
         for slot in &self.used {
             let vertex = self.vertices[*slot as usize];
             match grid.cmp(&vertex.last) {
-                _ if vertex.first > vertex.last => {} // withheld
+                _ if !vertex.has_samples() => {} // withheld
                 std::cmp::Ordering::Less => {}
                 std::cmp::Ordering::Equal => counts.held += 1,
                 std::cmp::Ordering::Greater => counts.frozen += 1,
@@ -443,7 +538,7 @@ impl VertexWrites {
             self.taken += count;
             used += count;
             if self.taken < next.end {
-                return;
+                return self.forget_taken();
             }
             self.segments.pop_front();
             if next.ends_frame {
@@ -451,7 +546,20 @@ impl VertexWrites {
             }
         }
         self.records.clear();
+        self.records.shrink_to(staging.len());
         self.taken = 0;
+    }
+
+    /// Frees the place of what is on its way, so that a queue which never gets empty does not grow for that.
+    fn forget_taken(&mut self) {
+        self.records.drain(..self.taken);
+        self.segments.iter_mut().for_each(|segment| segment.end -= self.taken);
+        self.taken = 0;
+    }
+
+    /// Records that have not been handed on.
+    fn waiting(&self) -> usize {
+        self.records.len() - self.taken
     }
 
     /// The last frame all of whose vertices have been handed on.

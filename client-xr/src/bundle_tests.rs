@@ -2,8 +2,11 @@
 //! update.
 
 use super::*;
+use crate::pace::Pace;
+use crate::stages::interpolate::{GridTime, Interpolation, push};
 use shadecast_protocol::atlas::{BlockAddress, BlockSize};
 use shadecast_protocol::delta::{InstanceInfo, NewVertex, SampleBatch};
+use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
 use shadecast_shaders::twin::interpolate::{VertexMemory, tag};
 use std::collections::BTreeMap;
 
@@ -190,6 +193,11 @@ struct Bench {
     seed: u64,
     bundler: Bundler<u32>,
     memory: VertexMemory,
+    /// The same memory, with positions at the times of display.
+    moved: VertexMemory,
+    pace: Pace,
+    now: ServerTime,
+    frozen_frames: usize,
     corners: Vec<CornerGpu>,
     indices: Vec<u32>,
     list: DrawList,
@@ -201,6 +209,10 @@ impl Bench {
             seed,
             bundler: Bundler::new(VERTEX_SLOTS, PATCH_SLOTS),
             memory: VertexMemory::new(VERTEX_SLOTS),
+            moved: VertexMemory::new(VERTEX_SLOTS),
+            pace: Pace::default(),
+            now: ServerTime(i64::MIN),
+            frozen_frames: 0,
             corners: vec![bytemuck::Zeroable::zeroed(); PATCH_SLOTS as usize * MAX_CORNERS_PER_PATCH],
             indices: vec![0; PATCH_SLOTS as usize * MAX_INDICES_PER_PATCH],
             list: DrawList::default(),
@@ -213,14 +225,52 @@ impl Bench {
         let mut ranges = Vec::new();
         self.bundler.writes().drain_into(&mut staging, |range| ranges.push(range));
         for range in ranges {
-            self.memory.scatter(&staging[range.start as usize..range.end as usize]);
+            let range = range.start as usize..range.end as usize;
+            self.memory.scatter(&staging[range.clone()]);
+            self.moved.scatter(&staging[range]);
         }
-        if let Some((frame, picture)) = self.bundler.take_newest_complete(|_| {}) {
+        let newest = self.bundler.take_newest_complete(|_| {});
+        if let Some((frame, picture)) = newest {
             assert_eq!(frame.0, picture, "seed {}: the picture of another frame", self.seed);
             let grid = GridIndex(grid);
             self.bundler.write_draw_list(grid, &mut self.corners, &mut self.indices, &mut self.list);
         }
+        assert_eq!(self.bundler.take_contradiction(), None, "seed {}", self.seed);
         self.bundler.current()
+    }
+
+    /// The same with vertices moved to a time within step `grid`, as the scene does it.
+    fn display_moving(&mut self, records: usize, grid: i32, fraction: f64) -> Option<FrameId> {
+        let before = self.bundler.current();
+        let shown = self.display(records, grid)?;
+        let into_step_ns = (fraction * DEFAULT_GRID.spacing_ns as f64) as i64;
+        self.now = self.now.max(DEFAULT_GRID.time_of(GridIndex(grid)).plus_ns(into_step_ns));
+        let (span, has_switched) = (self.bundler.span(), before != Some(shown));
+        let evaluation = self.pace.advance(DEFAULT_GRID, self.now, span, has_switched);
+        self.frozen_frames += usize::from(evaluation.is_none());
+        if let Some(evaluation) = evaluation {
+            let slots = [VERTEX_SLOTS, VERTEX_SLOTS];
+            self.moved.interpolate(&push(DEFAULT_GRID, evaluation, slots, Interpolation::Cubic));
+        }
+        self.assert_whole();
+        Some(shown)
+    }
+
+    /// Every vertex drawn has a position that is a number, and those of a triangle are of one time: y is the grid step.
+    #[track_caller]
+    fn assert_whole(&self) {
+        let step = GridTime::of(DEFAULT_GRID, self.pace.shown().expect("shown")).step;
+        let (count, _) = self.list.at(step);
+        for triangle in self.indices[..count as usize].chunks(3) {
+            let slots = [0, 1, 2].map(|i| self.corners[triangle[i] as usize].vertex_slot as usize);
+            let positions = slots.map(|slot| self.moved.positions[slot]);
+            let drawable = positions.iter().all(|p| p[3] > 0.0 && p.iter().all(|c| c.is_finite()));
+            assert!(drawable, "seed {}: {slots:?} at {positions:?}", self.seed);
+            let is_sampled = |slot: usize| self.moved.blends[slot][3] >= 0.0;
+            let steps = slots.iter().zip(positions).filter(|(slot, _)| is_sampled(**slot)).map(|(_, p)| p[1]);
+            let [low, high] = steps.fold([f32::MAX, f32::MIN], |[l, h], y| [l.min(y), h.max(y)]);
+            assert!(high - low < 1e-2 || high < low, "seed {}: torn from {low} to {high}", self.seed);
+        }
     }
 
     /// What the draw list shows, by what the vertex memory holds now.
@@ -316,6 +366,86 @@ fn check(bench: &mut Bench, server: &mut Server, records: usize) -> Option<Frame
         server.acknowledged = Some(frame.0);
     }
     shown
+}
+
+/// Updates at a tenth of the display's rate, pictures that come late or never: the draw list on display is older than the
+/// samples, and some of its vertices get none any more. Gives the frames that stood still.
+fn run_slowly(seed: u64) -> usize {
+    let (mut dice, mut server, mut bench) = (Dice(seed), Server::default(), Bench::new(seed));
+    let mut pictures = VecDeque::new();
+    for frame in 0..400 {
+        if frame % 10 == 0 {
+            let delta = server.update(&mut dice);
+            pictures.push_back((frame + dice.below(25), delta.frame));
+            bench.bundler.add_delta(delta);
+        }
+        while pictures.front().is_some_and(|(at, _)| *at <= frame) {
+            let (_, id) = pictures.pop_front().expect("there is one");
+            if !dice.once_in(4) {
+                bench.bundler.add_picture(id, id.0);
+            }
+        }
+        // The newest samples reach a step beyond the display.
+        let (step, fraction) = (frame as i32 / 10, (frame % 10) as f64 / 10.0);
+        server.acknowledged = bench.display_moving(1000, step, fraction).map(|frame| frame.0);
+    }
+    bench.frozen_frames
+}
+
+#[test]
+fn no_triangle_has_corners_of_two_times_however_late_pictures_are() {
+    let frozen: usize = (0..200).map(run_slowly).sum();
+    assert!(frozen > 1000, "{frozen}: samples never ran short");
+}
+
+#[test]
+fn a_slot_given_anew_while_it_is_on_display_is_told() {
+    let mut bench = Bench::new(0);
+    bench.bundler.add_delta(triangle(0, 0..=4));
+    bench.bundler.add_picture(FrameId(0), 0);
+    bench.display(100, 1);
+    bench.bundler.add_delta(triangle(1, 0..=4));
+    assert_eq!(bench.bundler.take_contradiction(), Some(VertexSlot(0)));
+}
+
+#[test]
+fn vertex_records_that_are_on_their_way_are_forgotten_though_the_queue_is_never_empty() {
+    let mut bench = Bench::new(0);
+    bench.bundler.add_delta(triangle(0, 0..=4));
+    for frame in 1..2000 {
+        let samples = (0..4)
+            .map(|step| SampleBatch {
+                grid: GridIndex(5 + frame * 4 + step),
+                values: (0..3).map(|slot| (VertexSlot(slot), [1, 2, 3])).collect(),
+            })
+            .collect();
+        bench.bundler.add_delta(GeometryDelta { samples, ..delta(frame as u32) });
+        bench.display(12, 0);
+        assert!(bench.bundler.writes.waiting() > 0, "the first delta's are always ahead");
+        assert!(bench.bundler.writes.records.len() < 100, "{}", bench.bundler.writes.records.len());
+    }
+}
+
+#[test]
+fn more_vertex_records_than_a_turn_may_bring_are_too_much() {
+    let mut bundler = Bundler::<u32>::new(VERTEX_SLOTS, PATCH_SLOTS);
+    bundler.add_delta(triangle(0, 0..=15));
+    for frame in 1..4 {
+        assert!(!bundler.is_full(), "{} records", bundler.writes.waiting());
+        bundler.add_delta(GeometryDelta { samples: triangle(0, 0..=15).samples, ..delta(frame) });
+    }
+    assert!(bundler.is_full(), "{} records", bundler.writes.waiting());
+}
+
+#[test]
+fn changes_of_patches_that_wait_for_pictures_are_bounded_by_what_they_say() {
+    let mut bundler = Bundler::<u32>::new(1, MAX_PATCH_SLOTS);
+    let placements: Vec<_> = (0..MAX_PATCH_SLOTS).map(|slot| (PatchSlot(slot), None)).collect();
+    for frame in 0..20 {
+        bundler.add_delta(GeometryDelta { placements: placements.clone(), ..delta(frame) });
+        assert!(bundler.pending_records <= MAX_PENDING_RECORDS, "{}", bundler.pending_records);
+    }
+    assert!(bundler.pending.len() >= 3);
 }
 
 #[test]

@@ -13,6 +13,7 @@ use crate::stages::interpolate::Interpolation;
 use crate::stages::probe::{Probe, ProbeView};
 use crate::stats::{ClientStats, Counters};
 use crate::stillness::Stillness;
+use crate::watch::Watch;
 use crate::xr::{Views, Xr, XrError};
 use shadecast_gpu::{Gpu, GpuError, vk};
 use shadecast_protocol::PROTOCOL_VERSION;
@@ -25,7 +26,7 @@ use shadecast_protocol::message::{
 use shadecast_protocol::pose::{Eye, Pose};
 use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
 use shadecast_protocol::time::{DisplayTime, ServerTime};
-use shadecast_protocol::wire::{self, StreamMessage};
+use shadecast_protocol::wire::{self, StreamMessage, WireError};
 use shadecast_shaders::generated::EyesGpu;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -117,6 +118,9 @@ pub struct FrameReport {
     pub display_time: DisplayTime,
     /// The same on the server's clock, once that is known.
     pub server_time: Option<ServerTime>,
+    /// The time, on the server's clock, at which all animated vertices drawn are; the same as `server_time` unless samples
+    /// are short.
+    pub motion_time: Option<ServerTime>,
     /// False where the runtime wanted no picture.
     pub is_rendered: bool,
     /// The update on display; `None`: no bundle yet, the waiting room is seen.
@@ -183,6 +187,7 @@ pub struct Client {
     /// Said while the connection stands and brings nothing.
     pub(crate) waiting: Text,
     pub(crate) connection: Option<Connection>,
+    watch: Watch,
     spare: Vec<ArrivedPicture>,
     /// The driver is connected; the session begins when the eyes are known, since the hello names them.
     is_connected: bool,
@@ -221,6 +226,7 @@ impl Client {
             stillness: Stillness::default(),
             waiting: Text::new("No new pictures from the server"),
             connection: None,
+            watch: Watch::default(),
             spare: Vec::with_capacity(8),
             is_connected: false,
             resume: None,
@@ -351,6 +357,8 @@ impl Client {
         self.now = now;
         self.begin_session();
         let Some(connection) = &mut self.connection else { return Ok(()) };
+        let is_full = |scene: &Option<Scene>| scene.as_ref().is_some_and(|scene| scene.bundler.is_full());
+        connection.session.hold_back(is_full(&self.shown) || is_full(&self.next));
         connection.session.on_tick(now);
         if let Some(decoding) = &mut connection.decoding {
             let spare = &mut self.spare;
@@ -368,7 +376,7 @@ impl Client {
                 connection.session.request_refresh(after);
             }
             let lost = decoding.take_lost();
-            self.report.lost_pictures += lost;
+            self.report.lost_pictures = self.report.lost_pictures.saturating_add(lost);
             self.counters.lost_pictures += u64::from(lost);
         }
         self.take_events()
@@ -416,6 +424,7 @@ impl Client {
                 return Ok(());
             }
         }
+        self.watch.begin_session();
         self.counters.connections += 1;
         self.resume = Some(welcome.resume);
         let clock = SceneClock::Connection;
@@ -428,8 +437,14 @@ impl Client {
     fn take_delta(&mut self, delta: GeometryDelta) {
         self.counters.vertex_samples +=
             delta.samples.iter().map(|batch| batch.values.len() as u64).sum::<u64>();
-        if let Some(scene) = self.next.as_mut().or(self.shown.as_mut()) {
-            scene.bundler.add_delta(delta);
+        let Some(scene) = self.next.as_mut().or(self.shown.as_mut()) else { return };
+        scene.bundler.add_delta(delta);
+        let (contradiction, is_full) = (scene.bundler.take_contradiction(), scene.bundler.is_full());
+        let Some(connection) = &mut self.connection else { return };
+        connection.session.hold_back(is_full);
+        if let Some(slot) = contradiction {
+            let reason = format!("vertex slot {} is given anew while it is on display", slot.0);
+            connection.session.fail(WireError::Invalid { what: "a geometry delta", reason });
         }
     }
 
@@ -463,6 +478,14 @@ impl Client {
         }
     }
 
+    /// Notes whether this turn of the runtime is seen, and tells the server where it must know.
+    pub(crate) fn watch(&mut self, is_seen: bool) {
+        let Some(connection) = self.connection.as_mut().filter(|c| c.decoding.is_some()) else { return };
+        if let Some(is_watched) = self.watch.turn(is_seen, self.now) {
+            connection.session.tell_watching(is_watched);
+        }
+    }
+
     /// Notes where the head will be at `display_time`, and tells the server.
     pub(crate) fn tell_head(&mut self, display_time: DisplayTime, period_ns: i64, views: &Views) {
         self.eyes = Some((views.eyes(), period_ns));
@@ -479,7 +502,7 @@ impl Client {
             linear_velocity: world_from_stage.orientation * views.linear_velocity,
             angular_velocity: world_from_stage.orientation * views.angular_velocity,
             eyes: views.eyes(),
-            discontinuity: DiscontinuityId(0),
+            discontinuity: DiscontinuityId(views.jumps),
         };
         let serial = scene.serial;
         self.head = Some(head);
@@ -531,6 +554,21 @@ impl Client {
             none => none.insert(Probe::new(&self.gpu, extent)?),
         };
         Ok(scene.probe(probe, &drawn.eyes, drawn.index_count)?)
+    }
+
+    /// Bytes of what has come and waits: for an earlier one, for its picture, for the GPU's vertex memory.
+    pub fn waiting_bytes(&self) -> usize {
+        let scenes = self.shown.iter().chain(&self.next).map(|scene| scene.bundler.waiting_bytes());
+        let connection = self.connection.as_ref();
+        let streams = connection.map_or(0, |c| c.session.waiting_bytes());
+        let pictures = connection.and_then(|c| c.decoding.as_ref()).map_or(0, Decoding::waiting_bytes);
+        scenes.sum::<usize>() + streams + pictures
+    }
+
+    /// For tests: the vertex slots of every triangle that the last rendered frame drew.
+    pub fn drawn_triangles(&self) -> Vec<[u32; 3]> {
+        let drawn = self.shown.as_ref().zip(self.last_drawn);
+        drawn.map_or(Vec::new(), |(scene, drawn)| scene.drawn_triangles(drawn.index_count))
     }
 
     /// For tests: position and state of every vertex slot as the last display frame had them; empty without a bundle.

@@ -6,6 +6,7 @@
 
 use crate::decode::{DecodeError, Decoder, Picture};
 use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::limits::MAX_ACCESS_UNIT_BYTES;
 use shadecast_protocol::time::{DisplayTime, ServerTime};
 use shadecast_protocol::wire::{PictureHeader, encode_picture};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -19,6 +20,8 @@ const GIVE_UP_NS: i64 = 600_000_000;
 const ASK_AGAIN_NS: i64 = 500_000_000;
 /// Coded pictures that wait for one before them; beyond it the missing one is lost.
 const MAX_WAITING: usize = 64;
+/// Bytes of coded pictures that wait for one before them; as above.
+const MAX_WAITING_BYTES: usize = 4 * MAX_ACCESS_UNIT_BYTES;
 /// Coded pictures that wait for the decoding thread.
 const THREAD_QUEUE: usize = 8;
 /// Decoded pictures kept for reuse.
@@ -86,6 +89,7 @@ pub struct Decoding {
 struct PictureOrder {
     next: FrameId,
     waiting: BTreeMap<FrameId, Coded>,
+    waiting_bytes: usize,
     /// Given up by the server, later than `next`.
     dead: BTreeSet<FrameId>,
 }
@@ -123,28 +127,55 @@ impl PictureOrder {
             return 0;
         }
         let is_refresh = coded.header.is_refresh;
-        self.waiting.insert(frame, coded);
-        if !is_refresh || frame == self.next {
-            return 0;
+        self.waiting_bytes += coded.access_unit.len();
+        let replaced = self.waiting.insert(frame, coded);
+        self.waiting_bytes -= replaced.map_or(0, |coded| coded.access_unit.len());
+        if is_refresh { self.skip_to(frame) } else { 0 }
+    }
+
+    /// Awaits nothing before `frame` any more. Gives the number of pictures that are missing for it.
+    fn skip_to(&mut self, frame: FrameId) -> u32 {
+        let skipped = frame.0.saturating_sub(self.next.0);
+        if skipped > 0 {
+            self.waiting = self.waiting.split_off(&frame);
+            self.waiting_bytes = self.waiting.values().map(|coded| coded.access_unit.len()).sum();
+            self.dead = self.dead.split_off(&frame);
+            self.next = frame;
         }
-        let skipped = frame.0 - self.next.0;
-        self.waiting = self.waiting.split_off(&frame);
-        self.dead = self.dead.split_off(&frame);
-        self.next = frame;
         skipped
+    }
+
+    /// Awaits nothing before the oldest picture that is there.
+    fn skip_to_oldest(&mut self) -> u32 {
+        let oldest = self.waiting.first_key_value().map_or(self.next, |(frame, _)| *frame);
+        self.skip_to(oldest)
     }
 
     /// The next picture in order, if it is there.
     fn pop(&mut self) -> Option<Coded> {
         let coded = self.waiting.remove(&self.next)?;
+        self.waiting_bytes -= coded.access_unit.len();
         self.next = self.next.next();
         Some(coded)
+    }
+
+    /// The server gave up the picture of `frame`.
+    fn give_up(&mut self, frame: FrameId) {
+        let is_due = frame >= self.next && !frame.is_too_far_after(self.next);
+        if is_due && self.dead.len() < MAX_WAITING {
+            self.dead.insert(frame);
+        }
+    }
+
+    /// Whether more waits than may.
+    fn is_overfull(&self) -> bool {
+        self.waiting.len() > MAX_WAITING || self.waiting_bytes > MAX_WAITING_BYTES
     }
 
     /// Whether the picture that is awaited must be given up.
     fn is_hopeless(&self, now: DisplayTime) -> bool {
         let oldest = self.waiting.values().map(|coded| coded.arrived).min();
-        self.waiting.len() > MAX_WAITING || oldest.is_some_and(|arrived| now.since(arrived) > GIVE_UP_NS)
+        oldest.is_some_and(|arrived| now.since(arrived) > GIVE_UP_NS)
     }
 }
 
@@ -179,25 +210,31 @@ impl Decoding {
             self.lose(skipped);
         }
         self.pump();
+        while self.order.is_overfull() {
+            self.give_up_to_oldest();
+        }
+    }
+
+    /// Bytes of coded pictures that wait for one before them.
+    pub fn waiting_bytes(&self) -> usize {
+        self.order.waiting_bytes
     }
 
     /// The server gave up the picture of `frame`; unknown where not a byte of it came: then it is the one awaited.
     pub fn given_up(&mut self, frame: Option<FrameId>) {
-        let frame = frame.unwrap_or(self.order.next);
-        if frame >= self.order.next && self.order.dead.len() < MAX_WAITING {
-            self.order.dead.insert(frame);
-        }
+        self.order.give_up(frame.unwrap_or(self.order.next));
         self.pump();
     }
 
-    fn give_up_next(&mut self) {
-        self.order.next = self.order.next.next();
-        self.lose(1);
+    /// What is missing before the oldest picture that waits will not come: one step, however many are missing.
+    fn give_up_to_oldest(&mut self) {
+        let skipped = self.order.skip_to_oldest();
+        self.lose(skipped);
         self.pump();
     }
 
     fn lose(&mut self, count: u32) {
-        self.lost += count;
+        self.lost = self.lost.saturating_add(count);
         self.needs_refresh = true;
         self.engine.start(Job::UnitLost);
     }
@@ -224,7 +261,7 @@ impl Decoding {
     /// Does what is due at `now`, and hands on what is decoded by then.
     pub fn advance(&mut self, now: DisplayTime, mut decoded: impl FnMut(Decoded)) {
         while self.order.is_hopeless(now) {
-            self.give_up_next();
+            self.give_up_to_oldest();
         }
         while let Some(Outcome { frame, arrived, result }) = self.engine.finished(now) {
             match result {
@@ -234,7 +271,7 @@ impl Decoding {
                 }
                 Err(error) => {
                     tracing::debug!("picture of frame {}: {error}", frame.0);
-                    self.lost += 1;
+                    self.lost = self.lost.saturating_add(1);
                     // A refresh that is on its way heals what failed before it.
                     self.needs_refresh |= self.last_refresh.is_none_or(|refresh| refresh <= frame);
                 }
@@ -497,6 +534,38 @@ mod tests {
         bench.add(1, 0, 1);
         bench.advance(1);
         assert_eq!(bench.decoding.refresh_request(DisplayTime(MS)), Some(Some(FrameId(0))));
+    }
+
+    #[test]
+    fn one_picture_of_the_far_future_costs_one_step_and_not_one_for_each_that_is_missing() {
+        for far in [4_000_000_000, u32::MAX] {
+            let mut bench = Bench::new(0);
+            bench.add(0, 1, 0);
+            bench.add(far, 4, 1);
+            bench.advance(700);
+            bench.add(far, 6, 701);
+            bench.advance(1400);
+            assert_eq!(bench.seen, [(0, 1)], "it needs one that never came");
+            assert!(bench.asks(1400));
+            assert!(bench.decoding.take_lost() >= far - 1);
+        }
+    }
+
+    #[test]
+    fn pictures_that_wait_are_bounded_in_bytes_and_number() {
+        let mut decoding = Decoding::new(Box::<Toy>::default(), DecodeTiming::Virtual { delay_ns: 0 });
+        let mut add = |frame: u32, bytes: usize| {
+            let header = PictureHeader { frame: FrameId(frame), time: ServerTime(0), is_refresh: false };
+            decoding.add(header, vec![4; bytes], DisplayTime(0));
+            (decoding.waiting_bytes(), decoding.order.waiting.len())
+        };
+        for frame in 0..30 {
+            let (bytes, count) = add(2 + 2 * frame, MAX_ACCESS_UNIT_BYTES);
+            assert!(bytes <= MAX_WAITING_BYTES && count <= 8, "{bytes} bytes in {count}");
+        }
+        for frame in 0..1000 {
+            assert!(add(1000 + 2 * frame, 1).1 <= MAX_WAITING);
+        }
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //! stages are here and nowhere else.
 
 use crate::client::{Client, ClientError, FrameReport, LastDrawn, Step};
-use crate::scene::{SceneReport, Switched};
+use crate::scene::{Scene, SceneReport, Switched};
 use crate::stages::background::Backdrop;
 use crate::stages::{VERTEX_MEMORY_USE, eyes_gpu};
 use crate::xr::{Activity, FrameTurn, Views};
@@ -36,16 +36,22 @@ impl Client {
     ) -> Result<Step, ClientError> {
         match self.xr.headset.poll_events()? {
             Activity::Running => {}
-            Activity::Idle => return poll_inbox(self).map(|()| Step::Idle),
+            Activity::Idle => {
+                poll_inbox(self)?;
+                self.watch(false);
+                return self.take_in_arrivals().map(|()| Step::Idle);
+            }
             Activity::Exit => return Ok(Step::Exit),
         }
         let turn = self.xr.headset.wait_frame()?;
         poll_inbox(self)?;
+        self.watch(turn.should_render);
         if turn.should_render { self.render(turn) } else { self.skip(turn) }
     }
 
     /// A frame that nobody sees. The head goes on to be told.
     fn skip(&mut self, turn: FrameTurn) -> Result<Step, ClientError> {
+        self.take_in_arrivals()?;
         let views = self.xr.headset.locate_views(&turn)?;
         let report = self.finish(&turn, &views, Content::default(), false);
         self.xr.headset.end_empty_frame(turn)?;
@@ -96,13 +102,21 @@ impl Client {
         Ok(report)
     }
 
-    /// What has arrived, the switch to the newest complete bundle, and motion up to the frame's display time.
-    fn record_scene(
-        &mut self,
-        recorder: &mut Recorder,
-        slot: usize,
-        turn: &FrameTurn,
-    ) -> Result<Content, ClientError> {
+    /// What arrives while nothing is drawn is written all the same: memory must not grow with the time that nobody looks.
+    fn take_in_arrivals(&mut self) -> Result<(), ClientError> {
+        let has_arrivals = |scene: &Option<Scene>| scene.as_ref().is_some_and(Scene::has_arrivals);
+        if !has_arrivals(&self.shown) && !has_arrivals(&self.next) {
+            return Ok(());
+        }
+        let slot = self.stages.next_slot(&self.gpu)?;
+        let mut recorder = self.gpu.record()?;
+        self.record_arrivals(&mut recorder, slot);
+        let ticket = recorder.submit()?;
+        self.stages.used_by(slot, ticket);
+        Ok(())
+    }
+
+    fn record_arrivals(&mut self, recorder: &mut Recorder, slot: usize) {
         recorder.barrier(VERTEX_MEMORY_USE, Access::COMPUTE); // the frame before reads and writes what arrivals write
         if let Some(scene) = &mut self.shown {
             recorder.scope("arrivals", |r| scene.record_arrivals(r, &self.stages, slot));
@@ -110,6 +124,16 @@ impl Client {
         if let Some(scene) = &mut self.next {
             scene.record_arrivals(recorder, &self.stages, slot);
         }
+    }
+
+    /// What has arrived, the switch to the newest complete bundle, and motion up to the frame's display time.
+    fn record_scene(
+        &mut self,
+        recorder: &mut Recorder,
+        slot: usize,
+        turn: &FrameTurn,
+    ) -> Result<Content, ClientError> {
+        self.record_arrivals(recorder, slot);
         let switched = recorder.scope("switch", |r| self.switch(r, turn))?;
         let time = self.shown.as_ref().and_then(|scene| self.server_time(scene, turn.display_time));
         let Some((scene, now)) = self.shown.as_mut().zip(time) else { return Ok(Content::default()) };
@@ -143,6 +167,7 @@ impl Client {
         let report = FrameReport {
             display_time: turn.display_time,
             server_time: content.time,
+            motion_time: content.scene.motion_time,
             is_rendered,
             frame: content.frame,
             is_new: content.switched.is_some(),

@@ -4,6 +4,7 @@
 use crate::bundle::{Bundler, Motionless};
 use crate::client::ClientError;
 use crate::decode::Picture;
+use crate::pace::Pace;
 use crate::renderer::Stages;
 use crate::stages::atlas_draw::BundleSet;
 use crate::stages::interpolate::{self, GridTime, Interpolation};
@@ -13,7 +14,7 @@ use shadecast_gpu::{Access, BindGroup, Gpu, GpuError, Recorder};
 use shadecast_protocol::clock::ClockEstimator;
 use shadecast_protocol::ids::FrameId;
 use shadecast_protocol::message::Welcome;
-use shadecast_protocol::time::{DisplayTime, ServerTime};
+use shadecast_protocol::time::{DisplayTime, GridIndex, ServerTime};
 use shadecast_shaders::generated::{CornerGpu, EyesGpu};
 use std::sync::Arc;
 
@@ -53,8 +54,9 @@ pub struct Scene {
     sets: [BundleSet; 3],
     /// The set on display.
     shown: usize,
-    /// The server's time at the last display frame.
-    last_time: Option<ServerTime>,
+    /// The time at which its vertices are.
+    pace: Pace,
+    has_switched: bool,
 }
 
 /// A bundle that has just come on display.
@@ -75,6 +77,8 @@ pub struct SceneReport {
     pub withheld_patches: u32,
     /// Vertices that have run out of samples.
     pub motionless: Motionless,
+    /// The time at which all vertices drawn are.
+    pub motion_time: Option<ServerTime>,
 }
 
 impl Scene {
@@ -104,13 +108,30 @@ impl Scene {
         let sets = [set()?, set()?, set()?];
         recorder.submit()?;
         let bundler = Bundler::new(terms.vertex_slots, terms.patch_slots);
-        let (shown, last_time) = (0, None);
-        Ok(Self { serial, terms, bundler, clock, memory, staging, interpolate_group, sets, shown, last_time })
+        let (shown, pace, has_switched) = (0, Pace::default(), false);
+        Ok(Self {
+            serial,
+            terms,
+            bundler,
+            clock,
+            memory,
+            staging,
+            interpolate_group,
+            sets,
+            shown,
+            pace,
+            has_switched,
+        })
     }
 
     /// Whether a bundle of it can be drawn.
     pub fn is_drawable(&self) -> bool {
         self.bundler.current().is_some()
+    }
+
+    /// Whether anything has arrived about vertices that is not written.
+    pub fn has_arrivals(&self) -> bool {
+        self.bundler.has_writes()
     }
 
     /// Writes what has arrived about vertices. Needs a barrier before, and has one after it.
@@ -134,15 +155,21 @@ impl Scene {
         let set = &mut self.sets[self.shown];
         wait_for(gpu, &mut set.last_use)?;
         set.planes.record(recorder, &arrived.picture);
-        let grid = GridTime::of(self.terms.grid, time).step;
-        let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(set.corners.bytes_mut());
-        let indices: &mut [u32] = bytemuck::cast_slice_mut(set.indices.bytes_mut());
-        self.bundler.write_draw_list(grid, corners, indices, &mut set.list);
         recycle(arrived.picture);
+        self.write_list(GridTime::of(self.terms.grid, time).step);
+        self.has_switched = true;
         Ok(Some(Switched { frame, picture_arrived: arrived.arrived }))
     }
 
-    /// Moves the animated vertices to where they are at `time`.
+    /// Writes the draw list of the set on display, for times from `step` on.
+    fn write_list(&mut self, step: GridIndex) {
+        let set = &mut self.sets[self.shown];
+        let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(set.corners.bytes_mut());
+        let indices: &mut [u32] = bytemuck::cast_slice_mut(set.indices.bytes_mut());
+        self.bundler.write_draw_list(step, corners, indices, &mut set.list);
+    }
+
+    /// Moves the animated vertices to where they are at `time`, or all of them to where all can be.
     pub fn record_motion(
         &mut self,
         recorder: &mut Recorder,
@@ -150,13 +177,22 @@ impl Scene {
         time: ServerTime,
         interpolation: Interpolation,
     ) -> SceneReport {
-        let vertices = [self.bundler.vertex_count(), self.memory.vertex_slots];
-        let push = interpolate::push(self.terms.grid, time, self.last_time, vertices, interpolation);
-        self.last_time = Some(time);
-        stages.interpolate.record(recorder, &self.interpolate_group, &push);
-        let step = GridTime::of(self.terms.grid, time).step;
+        let grid = self.terms.grid;
+        let has_switched = std::mem::take(&mut self.has_switched);
+        if let Some(evaluation) = self.pace.advance(grid, time, self.bundler.span(), has_switched) {
+            let vertices = [self.bundler.vertex_count(), self.memory.vertex_slots];
+            let push = interpolate::push(grid, evaluation, vertices, interpolation);
+            stages.interpolate.record(recorder, &self.interpolate_group, &push);
+        }
+        let motion_time = self.pace.shown();
+        let step = GridTime::of(grid, motion_time.unwrap_or(time)).step;
+        if has_switched && step < self.sets[self.shown].list.ready {
+            // A server that sends samples with holes: what has none at this time is not drawn yet.
+            self.write_list(step);
+        }
         let (index_count, withheld_patches) = self.sets[self.shown].list.at(step);
-        SceneReport { index_count, withheld_patches, motionless: self.bundler.motionless(step) }
+        let motionless = self.bundler.motionless(GridTime::of(grid, time).step);
+        SceneReport { index_count, withheld_patches, motionless, motion_time }
     }
 
     /// Draws the bundle on display.
@@ -177,6 +213,14 @@ impl Scene {
         index_count: u32,
     ) -> Result<[crate::stages::probe::ProbeView; 2], GpuError> {
         probe.run(&self.sets[self.shown], &self.memory.positions, eyes, index_count)
+    }
+
+    /// The vertex slots of every triangle that the first `index_count` indices draw; for tests.
+    pub fn drawn_triangles(&self, index_count: u32) -> Vec<[u32; 3]> {
+        let set = &self.sets[self.shown];
+        let corners: &[CornerGpu] = set.corners.values();
+        let indices = &set.indices.values::<u32>()[..index_count as usize];
+        indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]].map(|c| corners[c as usize].vertex_slot)).collect()
     }
 
     /// Positions and states of all vertex slots as the last display frame left them. Waits for the GPU; for tests.

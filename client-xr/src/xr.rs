@@ -140,6 +140,7 @@ pub struct Headset {
     phase: Phase,
     exit_requested: bool,
     last_views: Option<Views>,
+    jumps: Jumps,
     gpu: Arc<Gpu>,
     device: XrDevice,
     runtime_name: String,
@@ -154,6 +155,38 @@ enum Phase {
     Running,
     /// The runtime is done with us.
     Exiting,
+}
+
+/// Jumps of the stage: those that have happened by the times asked for, and those that are announced.
+#[derive(Debug, Default)]
+struct Jumps {
+    count: u32,
+    announced_ns: Vec<i64>,
+}
+
+impl Jumps {
+    /// Announcements kept; a runtime that makes more than that at once has no use for their times.
+    const MAX_ANNOUNCED: usize = 16;
+
+    fn announce(&mut self, change_ns: i64) {
+        if self.announced_ns.len() == Self::MAX_ANNOUNCED {
+            self.happen();
+        } else {
+            self.announced_ns.push(change_ns);
+        }
+    }
+
+    fn happen(&mut self) {
+        self.count = self.count.wrapping_add(1);
+    }
+
+    /// The jumps up to `time_ns`.
+    fn until(&mut self, time_ns: i64) -> u32 {
+        let announced = self.announced_ns.len();
+        self.announced_ns.retain(|change_ns| *change_ns > time_ns);
+        self.count = self.count.wrapping_add((announced - self.announced_ns.len()) as u32);
+        self.count
+    }
 }
 
 /// What to do next.
@@ -193,6 +226,9 @@ pub struct Views {
     pub stage_from_eye: [Pose; 2],
     /// Left and right frustum.
     pub fov: [Fov; 2],
+    /// Rises whenever the stage has got another origin, or the session has begun anew: poses before and after it are not of
+    /// one motion.
+    pub jumps: u32,
 }
 
 /// The array swapchain of both eyes.
@@ -344,6 +380,7 @@ impl Xr {
             phase: Phase::Idle,
             exit_requested: false,
             last_views: None,
+            jumps: Jumps::default(),
             gpu,
             device,
             runtime_name,
@@ -378,6 +415,10 @@ impl Headset {
         while let Some(event) = instance.poll_event(&mut buffer).doing("polling events")? {
             match event {
                 openxr::Event::SessionStateChanged(change) => self.change_state(change.state())?,
+                openxr::Event::ReferenceSpaceChangePending(change) => {
+                    // LOCAL and STAGE change together or alone; a jump too many only costs the prediction's past.
+                    self.jumps.announce(change.change_time().as_nanos());
+                }
                 openxr::Event::InstanceLossPending(_) => return Err(XrError::Lost("polling events")),
                 _ => {}
             }
@@ -403,6 +444,7 @@ impl Headset {
         match state {
             openxr::SessionState::READY => {
                 self.session.begin(VIEW_CONFIGURATION).doing("beginning the session")?;
+                self.jumps.happen();
                 self.phase = Phase::Running;
             }
             openxr::SessionState::STOPPING => {
@@ -491,9 +533,11 @@ impl Headset {
             ),
             stage_from_eye: views.map(|view| pose_of(view.pose)),
             fov: views.map(|view| fov_of(view.fov)),
+            jumps: self.jumps.until(turn.xr_time.as_nanos()),
         };
         if count != 2 || !state.view_state_flags.contains(valid) || !located.is_valid() {
-            located = self.last_views.unwrap_or_else(|| located.without_tracking());
+            let jumps = located.jumps;
+            located = Views { jumps, ..self.last_views.unwrap_or_else(|| located.without_tracking()) };
         }
         self.last_views = Some(located);
         Ok(located)
@@ -693,6 +737,7 @@ impl Views {
             angular_velocity: Vec3::ZERO,
             stage_from_eye: [head; 2],
             fov,
+            jumps: self.jumps,
         }
     }
 }

@@ -2,7 +2,7 @@
 
 mod support;
 
-use shadecast_client::client::{Client, FrameReport, Step};
+use shadecast_client::client::{Client, FrameReport, Notice, Step};
 use shadecast_client::decode::Picture as Planes;
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
 use shadecast_mock_runtime::record::Side;
@@ -10,7 +10,7 @@ use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch};
 use shadecast_protocol::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
-use shadecast_protocol::message::{Codec, Environment, ResumeSecret, ServerOffer, Welcome};
+use shadecast_protocol::message::{Codec, Environment, HeadState, ResumeSecret, ServerOffer, Welcome};
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::{DEFAULT_GRID, DisplayTime, GridIndex, ServerTime};
@@ -282,6 +282,101 @@ fn the_newest_picture_goes_with_its_own_placements() {
     }
 }
 
+/// Two squares beside each other that share an edge and both move to the right; x tells the time.
+fn moving_strip(samples: Vec<SampleBatch>) -> GeometryDelta {
+    let moving =
+        |slot| NewVertex { slot: VertexSlot(slot), instance: InstanceId(7), motion: Motion::Sampled };
+    let patch = |slot: u32, first: u32| NewPatch {
+        slot: PatchSlot(slot),
+        instance: InstanceId(7),
+        kind: PatchKind::Two,
+        vertices: [first, first + 2, first + 3, first + 1, first].map(VertexSlot),
+        double_sided: true,
+    };
+    GeometryDelta {
+        instances: vec![InstanceInfo { instance: InstanceId(7), step_m: 0.0001 }],
+        new_vertices: (0..6).map(moving).collect(),
+        new_patches: vec![patch(0, 0), patch(1, 2)],
+        placements: vec![(PatchSlot(0), Some(block(0))), (PatchSlot(1), Some(block(64)))],
+        samples,
+        ..GeometryDelta::default()
+    }
+}
+
+/// Where a vertex of the strip is when the stage's clock reads `seconds`.
+fn strip_x(slot: u32, seconds: f32) -> f32 {
+    f32::from(slot as u8 / 2) * 0.5 - 0.5 + SPEED * (seconds - 1.0)
+}
+
+fn strip_samples(slots: std::ops::Range<u32>, steps: std::ops::RangeInclusive<i32>) -> Vec<SampleBatch> {
+    let place = |slot: u32, grid: i32| {
+        let x = strip_x(slot, DEFAULT_GRID.time_of(GridIndex(grid)).seconds() as f32);
+        let y = if slot.is_multiple_of(2) { 2.1 } else { 1.1 };
+        [x, y, -2.0].map(|metres| (metres / 0.0001f32).round() as i32)
+    };
+    let batch = |grid| SampleBatch {
+        grid: GridIndex(grid),
+        values: slots.clone().map(|slot| (VertexSlot(slot), place(slot, grid))).collect(),
+    };
+    steps.map(batch).collect()
+}
+
+/// The time of each vertex of each triangle drawn, as its place tells it; the largest difference within a triangle.
+fn torn_s(client: &Client) -> f32 {
+    let positions = client.read_positions().expect("positions");
+    let seconds = |slot: u32| (positions[slot as usize][0] - strip_x(slot, 1.0)) / SPEED + 1.0;
+    let triangles = client.drawn_triangles();
+    assert!(!triangles.is_empty(), "something is drawn");
+    let spread = |triangle: [u32; 3]| {
+        let times = triangle.map(seconds);
+        times.into_iter().fold(f32::MIN, f32::max) - times.into_iter().fold(f32::MAX, f32::min)
+    };
+    triangles.into_iter().map(spread).fold(0.0, f32::max)
+}
+
+#[test]
+fn samples_of_the_next_update_do_not_tear_what_is_on_display_and_its_picture_sets_it_going() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    client.start_local(terms(), 0).expect("a scene");
+    client.accept_local(at(1), moving_strip(strip_samples(0..6, 29..=33)), Some(planes([0, 64])));
+    frame(&mut client);
+    // The next update has lost sight of the right square; its samples come before its picture.
+    let lost = GeometryDelta {
+        frame: FrameId(1),
+        evicted_patches: vec![PatchSlot(1)],
+        evicted_vertices: vec![VertexSlot(4), VertexSlot(5)],
+        samples: strip_samples(0..4, 34..=49),
+        ..GeometryDelta::default()
+    };
+    let (mut stood_still, mut largest, mut last) = (0, 0f32, None);
+    for index in 0..45 {
+        match index {
+            8 => client.accept_local(at(2), lost.clone(), None),
+            20 => {
+                let next = GeometryDelta { frame: FrameId(2), ..GeometryDelta::default() };
+                client.accept_local(at(3), next, Some(planes([0, 64])));
+            }
+            _ => {}
+        }
+        let report = frame(&mut client);
+        let torn = torn_s(&client);
+        assert!(torn < 0.002, "frame {index}: corners of a triangle are {torn} s apart");
+        stood_still += u32::from(report.motion_time < report.server_time);
+        let x = client.read_positions().expect("positions")[0][0];
+        if let Some(last) = last.replace(x) {
+            largest = largest.max((x - last).abs());
+        }
+        if index >= 36 {
+            assert_eq!(report.motion_time, report.server_time, "frame {index}: caught up after 200 ms");
+        }
+    }
+    assert!(stood_still > 5, "{stood_still} frames behind the display's time");
+    let frame_m = SPEED / 72.0;
+    assert!(largest < 2.5 * frame_m, "moved by {largest} m in a frame, the motion by {frame_m}");
+    finish(&run, client);
+}
+
 /// A server's session and a link of no length, both in the client's virtual time.
 struct Line {
     server: ServerSession,
@@ -327,11 +422,21 @@ impl Line {
 
     /// One display frame, and what both ends say meanwhile.
     fn frame(&mut self, client: &mut Client) -> FrameReport {
+        for _ in 0..10 {
+            if let Step::Frame(report) = self.turn(client) {
+                return report;
+            }
+        }
+        panic!("no frame");
+    }
+
+    /// One turn of the runtime, and what both ends say meanwhile.
+    fn turn(&mut self, client: &mut Client) -> Step {
         let now = at(1_000_000_000 + self.frames * 13_888_889);
         self.frames += 1;
         self.deliver(client, now);
         client.advance(now).expect("time passes");
-        let report = frame(client);
+        let step = client.step().expect("a step");
         while let Some(out) = client.poll_out() {
             match out {
                 Out::Control(bytes) => self.server.on_control(&bytes),
@@ -346,7 +451,24 @@ impl Line {
             self.events.push(event);
         }
         self.deliver(client, now);
-        report
+        step
+    }
+
+    /// What the client has said of being watched.
+    fn watching(&self) -> Vec<bool> {
+        let said = self.events.iter().filter_map(|event| match event {
+            ServerEvent::Watching(is_watched) => Some(*is_watched),
+            _ => None,
+        });
+        said.collect()
+    }
+
+    fn poses(&self) -> Vec<HeadState> {
+        let said = self.events.iter().filter_map(|event| match event {
+            ServerEvent::Pose(head) => Some(*head),
+            _ => None,
+        });
+        said.collect()
     }
 
     /// What the server has said reaches the client.
@@ -538,6 +660,157 @@ fn a_world_that_stands_still_says_why_until_pictures_come_again() {
     let ink = run.picture(told, Side::Left).pixels().filter(|pixel| pixel.iter().all(|c| *c > 200)).count();
     assert!(ink > 50, "{ink} bright pixels of text");
     assert_eq!(differing(&run, moving, again), 0, "the world moves again");
+}
+
+/// Steps of the grid for the moving strip at the client's time; the server's clock is ahead.
+fn strip_steps(line: &Line) -> std::ops::RangeInclusive<i32> {
+    let now = ServerTime(1_000_000_000 + line.frames * 13_888_889 + SERVER_AHEAD_NS);
+    let step = DEFAULT_GRID.floor(now).0;
+    step..=step + 5
+}
+
+/// An update every other turn, from a server that goes on though nobody looks. Gives the bytes that wait in the client.
+fn absence(line: &mut Line, client: &mut Client, turns: u32, frame: &mut u32) -> usize {
+    let planes = planes([0, 64]);
+    for turn in 0..turns {
+        if turn % 2 == 0 {
+            *frame += 1;
+            let samples = strip_samples(0..6, strip_steps(line));
+            line.send(
+                &GeometryDelta { frame: FrameId(*frame), samples, ..GeometryDelta::default() },
+                &planes,
+                true,
+            );
+        }
+        line.turn(client);
+    }
+    client.waiting_bytes()
+}
+
+#[test]
+fn while_nobody_looks_arrivals_are_taken_in_and_the_picture_is_there_when_somebody_does() {
+    let events = vec![
+        ScriptedEvent { frame: 20, kind: EventKind::Hide },
+        ScriptedEvent { frame: 1460, kind: EventKind::Show },
+    ];
+    let run = Run::new(MockConfig { events, capture_every: 0, ..MockConfig::default() });
+    let mut client = run.client();
+    let mut line = Line::connect(&mut client);
+    line.send(&moving_strip(strip_samples(0..6, strip_steps(&line))), &planes([0, 64]), true);
+    let mut newest = 0;
+    absence(&mut line, &mut client, 8, &mut newest);
+    assert!(line.watching().is_empty(), "somebody looks");
+    let early = absence(&mut line, &mut client, 700, &mut newest);
+    assert_eq!(line.watching(), [false], "told once");
+    let late = absence(&mut line, &mut client, 720, &mut newest);
+    assert!(late <= early, "{early} bytes wait after 10 s, {late} after 20 s");
+    let back: Vec<_> = (0..30).map(|_| line.frame(&mut client)).collect();
+    assert_eq!(line.watching(), [false, true]);
+    let first = back.iter().find(|report| report.is_rendered).expect("seen again");
+    assert_eq!(first.frame, Some(FrameId(newest)), "the newest, and at once");
+    finish(&run, client);
+}
+
+#[test]
+fn a_session_that_rests_and_begins_again_goes_on_with_the_same_server() {
+    let events = vec![ScriptedEvent { frame: 20, kind: EventKind::Pause { ms: 10_000 } }];
+    let run = Run::new(MockConfig { events, capture_every: 0, ..MockConfig::default() });
+    let mut client = run.client();
+    let mut line = Line::connect(&mut client);
+    line.send(&moving_strip(strip_samples(0..6, strip_steps(&line))), &planes([0, 64]), true);
+    let mut newest = 0;
+    absence(&mut line, &mut client, 20, &mut newest);
+    let jump = line.poses().last().expect("poses").discontinuity;
+    let early = absence(&mut line, &mut client, 540, &mut newest);
+    assert_eq!(client.step().expect("a step"), Step::Idle);
+    let late = absence(&mut line, &mut client, 120, &mut newest);
+    assert!(late <= early, "{early} bytes wait at first, {late} in the end");
+    assert_eq!(line.watching(), [false]);
+    let turns = (0..130).map(|_| line.turn(&mut client));
+    let back: Vec<_> = turns
+        .filter_map(|step| match step {
+            Step::Frame(report) => Some(report),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(line.watching(), [false, true]);
+    let first = back.iter().find(|report| report.is_rendered).expect("seen again");
+    assert_eq!(first.frame, Some(FrameId(newest)));
+    assert_ne!(line.poses().last().expect("poses").discontinuity, jump, "another session of the headset");
+    assert_eq!(client.stats().connections, 1);
+    finish(&run, client);
+}
+
+#[test]
+fn recentring_is_told_from_motion_from_the_frame_on_in_which_it_happens() {
+    let kind = EventKind::Recentre { x_mm: 2000, z_mm: 500, yaw_degrees: 30 };
+    let events = vec![ScriptedEvent { frame: 20, kind }];
+    let run = Run::new(MockConfig { events, ..MockConfig::default() });
+    let mut client = run.client();
+    let mut line = Line::connect(&mut client);
+    for _ in 0..30 {
+        line.frame(&mut client);
+    }
+    let poses = line.poses();
+    let mut jumps = 0;
+    for pair in poses.windows(2) {
+        let moved_m = pair[0].world_from_head.position.distance(pair[1].world_from_head.position);
+        assert_eq!(moved_m > 1.0, pair[0].discontinuity != pair[1].discontinuity, "{pair:?}");
+        assert!(pair[1].linear_velocity.length() < 0.1, "a jump is no velocity: {pair:?}");
+        jumps += u32::from(moved_m > 1.0);
+    }
+    assert_eq!(jumps, 1);
+    finish(&run, client);
+}
+
+#[test]
+fn a_picture_of_the_far_future_ends_the_session_and_not_the_frame_loop() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    let mut line = Line::connect(&mut client);
+    while client.poll_notice().is_some() {}
+    let header = PictureHeader { frame: FrameId(4_000_000_000), time: ServerTime(0), is_refresh: false };
+    line.streams.push_back(picture_stream(header, &coded(&planes([0, 64]), false)).expect("small"));
+    for _ in 0..60 {
+        line.frame(&mut client);
+    }
+    let Some(Notice::Failed(reason)) = client.poll_notice() else { panic!("no word") };
+    assert!(reason.contains("frame 4000000000"), "{reason}");
+    finish(&run, client);
+}
+
+#[test]
+fn a_flood_of_samples_that_take_no_bits_waits_coded_and_then_ends_the_session() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    let mut line = Line::connect(&mut client);
+    while client.poll_notice().is_some() {}
+    let still = |slot| NewVertex { slot: VertexSlot(slot), instance: InstanceId(7), motion: Motion::Sampled };
+    let batch = |grid| SampleBatch {
+        grid: GridIndex(grid),
+        values: (0..256).map(|slot| (VertexSlot(slot), [0; 3])).collect(),
+    };
+    for frame in 0..250 {
+        let enters = frame == 0;
+        let delta = GeometryDelta {
+            frame: FrameId(frame),
+            instances: enters
+                .then_some(InstanceInfo { instance: InstanceId(7), step_m: 0.001 })
+                .into_iter()
+                .collect(),
+            new_vertices: (0..if enters { 256 } else { 0 }).map(still).collect(),
+            samples: (0..16).map(batch).collect(),
+            ..GeometryDelta::default()
+        };
+        let sender = line.sender.as_mut().expect("a session");
+        line.streams.push_back(sender.delta_stream(&delta).expect("a small delta").0);
+    }
+    line.deliver(&mut client, at(2_000_000_000));
+    // One delta of 4096 samples is more than a turn takes in; records of 20 bytes, twice for the vector's growth.
+    assert!(client.waiting_bytes() < 400_000, "{} bytes wait", client.waiting_bytes());
+    let Some(Notice::Failed(reason)) = client.poll_notice() else { panic!("no word") };
+    assert!(reason.contains("above the limit of 128"), "{reason}");
+    finish(&run, client);
 }
 
 #[test]

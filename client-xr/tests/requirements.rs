@@ -69,6 +69,32 @@ fn the_shaders_declare_the_capabilities_of_the_list_and_no_other() {
     assert_eq!(declared.len(), REQUIRED.spirv_capabilities.len(), "{declared:?}");
 }
 
+/// What a driver does with a position that is no number is its own choice.
+#[test]
+fn no_vertex_shader_of_the_client_writes_what_is_no_number() {
+    for shader in [&shaders::CLIENT_ATLAS_VERT, &shaders::CLIENT_PROBE_VERT, &shaders::CLIENT_BACKGROUND_VERT]
+    {
+        for constant in constants(shader.words) {
+            assert!(!f32::from_bits(constant).is_nan(), "{}: constant {constant:#x}", shader.name);
+        }
+    }
+}
+
+/// Values of the `OpConstant` instructions of one word each.
+fn constants(words: &[u32]) -> Vec<u32> {
+    let mut found = Vec::new();
+    let mut at = 5;
+    while at < words.len() {
+        let (length, opcode) = ((words[at] >> 16) as usize, words[at] & 0xffff);
+        if (opcode, length) == (43, 4) {
+            found.push(words[at + 3]);
+        }
+        at += length.max(1);
+    }
+    assert!(!found.is_empty(), "a module without constants was not read right");
+    found
+}
+
 /// `OpCapability` instructions of a module. Source: SPIR-V 1.3, sections 2.3 and 3.31.
 fn capabilities(words: &[u32]) -> Vec<&'static str> {
     let mut found = Vec::new();

@@ -14,9 +14,11 @@ struct EyesGpu {
     vec4 space_eye[2];                 // xyz in the backdrop's space, metres
 };
 
-// A vertex without samples takes its triangles along: one NaN corner leaves nothing to rasterise.
+// No triangle is drawn whose vertices have no samples: the draw list leaves its patch out, and the time at which vertices
+// are evaluated never leaves the samples of what it holds. There is no position that drops a triangle for one corner's
+// sake: clipping keeps a part, and what a NaN does is for each driver to choose.
 vec4 clip_position(mat4 clip_from_world, vec4 position) {
-    return position.w > 0.0 ? clip_from_world * vec4(position.xyz, 1.0) : vec4(uintBitsToFloat(0x7fc00000u));
+    return clip_from_world * vec4(position.xyz, 1.0);
 }
 
 #endif

@@ -1,6 +1,7 @@
 //! Positions of animated vertices at the display time (`client_interpolate.comp`), once per display frame for both eyes.
 
 use super::scatter::{GROUP, VertexMemory};
+use crate::pace::Evaluation;
 use shadecast_gpu::{Bind, BindGroup, ComputePipeline, Gpu, GpuError, Recorder};
 use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
 use shadecast_shaders::generated::{CLIENT_INTERPOLATE_COMP, InterpolatePush};
@@ -43,16 +44,14 @@ impl GridTime {
     }
 }
 
-/// What the shader is told for a display frame at `now`, after one at `before`.
+/// What the shader is told for a display frame.
 pub fn push(
     grid: Grid,
-    now: ServerTime,
-    before: Option<ServerTime>,
+    evaluation: Evaluation,
     vertices: [u32; 2],
     interpolation: Interpolation,
 ) -> InterpolatePush {
-    let before = before.unwrap_or(now);
-    let (at, was) = (GridTime::of(grid, now), GridTime::of(grid, before));
+    let (at, was) = (GridTime::of(grid, evaluation.at), GridTime::of(grid, evaluation.before));
     let [vertex_count, vertex_slots] = vertices;
     InterpolatePush {
         vertex_count,
@@ -61,7 +60,7 @@ pub fn push(
         fraction: at.fraction,
         tag_before: tag(was.step),
         fraction_before: was.fraction,
-        blend_step: (now.since(before) as f64 / BLEND_NS as f64).clamp(0.0, 1.0) as f32,
+        blend_step: (evaluation.elapsed_ns as f64 / BLEND_NS as f64).clamp(0.0, 1.0) as f32,
         cubic: u32::from(interpolation == Interpolation::Cubic),
     }
 }

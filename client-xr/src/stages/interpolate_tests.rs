@@ -88,7 +88,7 @@ fn compare(gpu: &Arc<Gpu>, seed: u64, interpolation: Interpolation) {
             on_gpu.add_delta(delta.clone());
             on_cpu.add_delta(delta);
         }
-        let push = push(GRID, time, before.replace(time), [SLOTS, SLOTS], interpolation);
+        let push = push(GRID, evaluation(time, before.replace(time)), [SLOTS, SLOTS], interpolation);
         let mut recorder = gpu.record().unwrap();
         scatter.record(&mut recorder, &mut staging, frame as usize % 3, SLOTS, on_gpu.writes());
         interpolate.record(&mut recorder, &group, &push);
@@ -101,6 +101,7 @@ fn compare(gpu: &Arc<Gpu>, seed: u64, interpolation: Interpolation) {
         let seen = &readback.values::<[f32; 4]>()[..SLOTS as usize];
         for (slot, (gpu, cpu)) in seen.iter().zip(&twin.positions).enumerate() {
             let is_close = gpu.iter().zip(cpu).all(|(a, b)| (a - b).abs() <= 1e-5 * (1.0 + b.abs()));
+            assert!(gpu.iter().chain(cpu).all(|c| c.is_finite()), "slot {slot}: {gpu:?}, twin {cpu:?}");
             assert!(
                 is_close && gpu[3] == cpu[3],
                 "seed {seed}, frame {frame}, slot {slot}: {gpu:?}, twin {cpu:?}"
@@ -131,9 +132,14 @@ fn a_time_is_split_into_a_step_and_a_fraction_also_before_zero() {
 fn blending_is_over_after_its_time() {
     let step = |ns| {
         let now = ServerTime(1_000_000_000);
-        push(GRID, now.plus_ns(ns), Some(now), [1, 1], Interpolation::Cubic).blend_step
+        push(GRID, evaluation(now.plus_ns(ns), Some(now)), [1, 1], Interpolation::Cubic).blend_step
     };
     assert_eq!(step(BLEND_NS), 1.0);
     assert!((step(BLEND_NS / 4) - 0.25).abs() < 1e-6);
     assert_eq!(step(-5), 0.0, "a clock that is corrected backwards does not undo it");
+}
+
+fn evaluation(at: ServerTime, before: Option<ServerTime>) -> Evaluation {
+    let before = before.unwrap_or(at);
+    Evaluation { at, before, elapsed_ns: at.since(before) }
 }
