@@ -1,6 +1,7 @@
 //! The whole system in virtual time, at the size that a software device can do in a test: quality against the ground
 //! truth, motion between updates, and the same pictures twice. Validation layers are on throughout.
 
+use shadecast_lab::headset_off::{Absence, measure};
 use shadecast_lab::image::Rgb8Image;
 use shadecast_lab::metrics::psnr_db;
 use shadecast_lab::options::{Renderer, RunOptions};
@@ -188,4 +189,40 @@ fn real_models_look_like_the_truth() {
         let options = RunOptions { motion: false, ..small(SceneSource::File(path), out.path()) };
         assert_good(&run(&options).unwrap(), file);
     }
+}
+
+/// Off for 20 seconds, by either way that runtimes have; the long form is `shadecast_lab::headset_off` with more seconds.
+#[test]
+fn a_headset_taken_off_costs_no_memory_and_no_updates_and_its_picture_is_back_within_a_second() {
+    let _alone = alone();
+    for absence in [Absence::Hidden, Absence::Resting] {
+        let out = tempfile::tempdir().unwrap();
+        let options = RunOptions { extent_pixels: [96, 96], ..small(SceneSource::Dragons(1), out.path()) };
+        let report = measure(&options, absence, 20.0).unwrap();
+        println!("{absence:?}: {report}");
+        assert_eq!(report.updates_while_off, 0, "{absence:?}: nothing is shaded for nobody");
+        assert!(report.most_waiting_bytes < 10_000_000, "{absence:?}: {report}");
+        assert!(report.rss_after_mb - report.rss_before_mb < 20.0, "{absence:?}: {report}");
+        assert!(report.picture_back_s <= 1.0, "{absence:?}: {report}");
+    }
+}
+
+/// Corners of a triangle that are evaluated at different times lie apart by as much as a wing moves meanwhile.
+#[test]
+fn no_triangle_is_torn_at_two_updates_a_second() {
+    let _alone = alone();
+    let out = tempfile::tempdir().unwrap();
+    let options = RunOptions {
+        rate_hz: 2.0,
+        extent_pixels: [96, 96],
+        seconds: 4.0,
+        motion: false,
+        ..small(SceneSource::Dragons(1), out.path())
+    };
+    let report = shadecast_lab::tearing::measure(&options).unwrap();
+    println!("{report:?}");
+    assert!(report.frames > 100 && report.triangles > 100_000, "{report:?}");
+    assert!(report.frames_behind > 10, "updates came in time, so that nothing could tear: {report:?}");
+    // A step at the last velocity is up to 0.15 m off on the wings; corners of two updates are half a wing beat apart.
+    assert!(report.max_error_m < 0.3, "{report:?}");
 }
