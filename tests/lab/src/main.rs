@@ -76,6 +76,12 @@ enum Command {
     },
     /// Attacks a server of its own on loopback, and says what becomes of a lawful client meanwhile and afterwards
     Hostile(HostileArgs),
+    /// Records what a server and a client say to each other, as seeds for the fuzz targets
+    RecordTraffic {
+        /// Folder of the seeds
+        #[arg(long, default_value = "tests/fuzz/seeds")]
+        out: PathBuf,
+    },
     /// Names the Vulkan device that would be used
     Device,
 }
@@ -232,6 +238,7 @@ fn main() {
         }
         Command::Skinning(args) => measure_skinning(&args),
         Command::Hostile(args) => attack(args),
+        Command::RecordTraffic { out } => hostile::traffic::record(&out),
         Command::Device => name_device(),
     };
     if let Err(error) = result {

@@ -14,6 +14,7 @@ mod rogue;
 mod scene;
 pub mod server;
 mod stranger;
+pub mod traffic;
 
 pub use report::{AttackReport, Bars, ClientReport, HostileReport};
 

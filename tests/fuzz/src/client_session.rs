@@ -1,0 +1,146 @@
+//! The client's session: whatever a server sends, and whenever.
+
+use crate::script::{number, steps};
+use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::message::{ClientDatagram, ClientHello, ClientMessage, Displayed, ServerDatagram};
+use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
+use shadecast_protocol::time::{DisplayTime, ServerTime};
+
+/// The hello that this client said; only as the first step.
+pub const HELLO: u8 = 0;
+/// A control message of the server.
+pub const CONTROL: u8 = 1;
+/// A unidirectional stream of the server.
+pub const STREAM: u8 = 2;
+/// A datagram of the server.
+pub const DATAGRAM: u8 = 3;
+/// A datagram that this client sent: a head, or nothing of interest.
+pub const OWN_DATAGRAM: u8 = 4;
+/// A control message that this client said: a report, or a request.
+pub const OWN_MESSAGE: u8 = 5;
+/// The newest ping is answered, this many microseconds after it left: a recorded answer would belong to another clock.
+pub const PONG: u8 = 6;
+/// Time passes: microseconds, at most ten seconds.
+pub const WAIT: u8 = 7;
+
+/// From one operation to the next, nanoseconds.
+const STEP_NS: i64 = 500_000;
+/// Where the client's clock begins; recorded pongs belong to it only by chance.
+const START_NS: i64 = 1 << 40;
+
+/// The number of deltas and pictures that the session handed on.
+pub fn check(script: &[u8]) -> usize {
+    let mut steps = steps(script);
+    let Some(hello) = steps.next().filter(|step| step.operation == HELLO) else { return 0 };
+    let Ok(ClientMessage::Hello(hello)) = ClientMessage::decode(hello.bytes) else { return 0 };
+    let mut run = Run::new(hello);
+    for step in steps {
+        run.step(step.operation, step.bytes);
+        run.settle();
+    }
+    run.handed_on
+}
+
+struct Run {
+    session: ClientSession,
+    now: DisplayTime,
+    newest_ping: Option<DisplayTime>,
+    next_delta: FrameId,
+    welcomed: bool,
+    ended: bool,
+    handed_on: usize,
+}
+
+impl Run {
+    fn new(hello: ClientHello) -> Self {
+        // A peer may say less than it can hold; many slots would only make each run slow.
+        let mut hello = hello;
+        let capabilities = &mut hello.capabilities;
+        capabilities.max_vertex_slots = capabilities.max_vertex_slots.min(crate::deltas::VERTEX_SLOTS);
+        capabilities.max_patch_slots = capabilities.max_patch_slots.min(crate::deltas::PATCH_SLOTS);
+        let now = DisplayTime(START_NS);
+        Self {
+            session: ClientSession::start(hello, now),
+            now,
+            newest_ping: None,
+            next_delta: FrameId(0),
+            welcomed: false,
+            ended: false,
+            handed_on: 0,
+        }
+    }
+
+    fn step(&mut self, operation: u8, bytes: &[u8]) {
+        self.now = self.now.plus_ns(STEP_NS);
+        let session = &mut self.session;
+        match operation {
+            CONTROL => session.on_control(bytes),
+            STREAM => session.on_stream(bytes),
+            DATAGRAM => session.on_datagram(bytes, self.now),
+            OWN_DATAGRAM => {
+                if let Ok(ClientDatagram::Pose(head)) = ClientDatagram::decode(bytes) {
+                    session.send_pose(head);
+                }
+            }
+            OWN_MESSAGE => match ClientMessage::decode(bytes) {
+                Ok(ClientMessage::Displayed(displayed)) => session.send_displayed(displayed),
+                Ok(ClientMessage::RefreshRequest { after }) => session.request_refresh(after),
+                Ok(ClientMessage::Goodbye) => session.goodbye(),
+                _ => session.send_displayed(Displayed::default()),
+            },
+            PONG => self.answer(number(bytes) % 100_000),
+            _ => self.now = self.now.plus_ns((number(bytes) % 10_000_000) as i64 * 1000),
+        }
+        self.session.on_tick(self.now);
+    }
+
+    fn answer(&mut self, after_us: u64) {
+        let Some(client_send) = self.newest_ping else { return };
+        let server_receive = ServerTime(client_send.0 / 2 + after_us as i64 * 300);
+        let server_send = ServerTime(server_receive.0 + 1000);
+        let pong = ServerDatagram::ClockPong { client_send, server_receive, server_send };
+        self.session.on_datagram(&pong.encode(), client_send.plus_ns(after_us as i64 * 1000));
+    }
+
+    /// Takes what came out, and holds it against what a client relies on.
+    fn settle(&mut self) {
+        while let Some(event) = self.session.poll_event() {
+            assert!(!self.ended, "after the end: {event:?}");
+            match event {
+                ClientEvent::Welcome(welcome) => {
+                    assert!(!std::mem::replace(&mut self.welcomed, true), "welcome twice");
+                    welcome.check().expect("a welcome is checked");
+                }
+                ClientEvent::Delta(delta) => {
+                    assert!(self.welcomed && delta.frame == self.next_delta, "{:?}", delta.frame);
+                    self.next_delta = self.next_delta.next();
+                    self.handed_on += 1;
+                }
+                ClientEvent::Picture { .. } => {
+                    assert!(self.welcomed, "a picture before the welcome");
+                    self.handed_on += 1;
+                }
+                ClientEvent::Refused(_) | ClientEvent::Goodbye | ClientEvent::Failed(_) => {
+                    self.ended = true;
+                    assert!(!self.session.is_alive());
+                }
+            }
+        }
+        while let Some(out) = self.session.poll_out() {
+            match out {
+                Out::Control(message) => drop(ClientMessage::decode(&message).expect("it is well-formed")),
+                Out::Datagram(datagram) => {
+                    let datagram = ClientDatagram::decode(&datagram).expect("it is well-formed");
+                    if let ClientDatagram::ClockPing { client_send } = datagram {
+                        self.newest_ping = Some(client_send);
+                    }
+                }
+                Out::Stream { .. } => panic!("a client sends no streams"),
+            }
+        }
+        if let Some(time) = self.session.clock().server_time(self.now) {
+            let later = self.session.clock().server_time(self.now.plus_ns(1_000_000_000));
+            assert!(later.is_some_and(|later| later.0 > time.0), "the server's clock runs backwards");
+        }
+    }
+}

@@ -1,0 +1,53 @@
+//! Messages and datagrams of both sides, and the heads of streams: what can be read can be written and read again.
+
+use crate::script::steps;
+use shadecast_protocol::message::{ClientDatagram, ClientMessage, ServerDatagram, ServerMessage};
+use shadecast_protocol::wire::{StreamMessage, encode_geometry, encode_picture, parse_stream};
+
+/// A client's control message.
+pub const CLIENT_MESSAGE: u8 = 0;
+/// A server's control message.
+pub const SERVER_MESSAGE: u8 = 1;
+/// A client's datagram.
+pub const CLIENT_DATAGRAM: u8 = 2;
+/// A server's datagram.
+pub const SERVER_DATAGRAM: u8 = 3;
+/// A unidirectional stream of the server.
+pub const STREAM: u8 = 4;
+
+/// The number of steps that could be read.
+pub fn check(script: &[u8]) -> usize {
+    steps(script).filter(|step| read(step.operation, step.bytes)).count()
+}
+
+fn read(operation: u8, bytes: &[u8]) -> bool {
+    match operation {
+        CLIENT_MESSAGE => {
+            // Read from any bytes, whether they are a hello or not.
+            ClientMessage::peek_versions(bytes);
+            let Ok(message) = ClientMessage::decode(bytes) else { return false };
+            assert_eq!(ClientMessage::decode(&message.encode()), Ok(message));
+        }
+        SERVER_MESSAGE => {
+            let Ok(message) = ServerMessage::decode(bytes) else { return false };
+            assert_eq!(ServerMessage::decode(&message.encode()), Ok(message));
+        }
+        CLIENT_DATAGRAM => {
+            let Ok(datagram) = ClientDatagram::decode(bytes) else { return false };
+            assert_eq!(ClientDatagram::decode(&datagram.encode()), Ok(datagram));
+        }
+        SERVER_DATAGRAM => {
+            let Ok(datagram) = ServerDatagram::decode(bytes) else { return false };
+            assert_eq!(ServerDatagram::decode(&datagram.encode()), Ok(datagram));
+        }
+        _ => {
+            let Ok(message) = parse_stream(bytes) else { return false };
+            let written = match message {
+                StreamMessage::Geometry { payload, .. } => encode_geometry(payload),
+                StreamMessage::Picture { header, access_unit } => encode_picture(header, access_unit),
+            };
+            assert_eq!(parse_stream(&written), Ok(message));
+        }
+    }
+    true
+}

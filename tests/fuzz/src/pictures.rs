@@ -1,0 +1,85 @@
+//! Pictures in any order, lost, and given up: what is decoded comes in order, and nothing is decoded that needs a picture
+//! that is missing.
+
+use crate::script::{number, steps};
+use shadecast_client::decode::{DecodeError, Decoder, Picture};
+use shadecast_client::decoding::{DecodeTiming, Decoding};
+use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::time::DisplayTime;
+use shadecast_protocol::wire::{StreamMessage, parse_stream};
+
+/// A picture's stream.
+pub const PICTURE: u8 = 0;
+/// A picture that the server gave up: its frame, or nothing where that is not known.
+pub const GIVEN_UP: u8 = 1;
+/// Time passes: microseconds, at most a second.
+pub const WAIT: u8 = 2;
+
+/// From one operation to the next, nanoseconds.
+const STEP_NS: i64 = 1_000_000;
+/// What decoding takes, nanoseconds.
+const DELAY_NS: i64 = 3_000_000;
+
+/// Decodes nothing, and insists on the contract of decoders. The last byte of a unit says whether it is a refresh.
+struct Toy {
+    needs_refresh: bool,
+}
+
+impl Decoder for Toy {
+    fn decode(&mut self, access_unit: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
+        match access_unit.last() {
+            Some(kind) if kind % 4 == 3 => {
+                self.needs_refresh = true;
+                return Err(DecodeError::Corrupt { state: 1 });
+            }
+            Some(kind) if kind % 4 == 1 => self.needs_refresh = false,
+            _ if self.needs_refresh => return Err(DecodeError::NeedsRefresh),
+            _ => {}
+        }
+        picture.extent_texels = [16, 16];
+        Ok(())
+    }
+
+    fn unit_lost(&mut self) {
+        self.needs_refresh = true;
+    }
+
+    fn needs_refresh(&self) -> bool {
+        self.needs_refresh
+    }
+}
+
+/// The number of pictures that were decoded.
+pub fn check(script: &[u8]) -> usize {
+    let mut decoding =
+        Decoding::new(Box::new(Toy { needs_refresh: true }), DecodeTiming::Virtual { delay_ns: DELAY_NS });
+    let mut now = DisplayTime(0);
+    let mut frames: Vec<FrameId> = Vec::new();
+    for step in steps(script) {
+        now = now.plus_ns(STEP_NS);
+        match step.operation {
+            PICTURE => {
+                if let Ok(StreamMessage::Picture { header, access_unit }) = parse_stream(step.bytes) {
+                    // As it says itself: the toy has no other way to know.
+                    let unit = [access_unit, &[u8::from(header.is_refresh)]].concat();
+                    decoding.add(header, unit, now);
+                }
+            }
+            GIVEN_UP => {
+                let frame = (!step.bytes.is_empty()).then(|| FrameId(number(step.bytes) as u32));
+                decoding.given_up(frame);
+            }
+            _ => now = now.plus_ns((number(step.bytes) % 1_000_000) as i64 * 1000),
+        }
+        let mut unused = Vec::new();
+        decoding.advance(now, |decoded| {
+            frames.push(decoded.frame);
+            unused.push(decoded.picture);
+        });
+        unused.into_iter().for_each(|picture| decoding.recycle(picture));
+        decoding.refresh_request(now);
+        decoding.take_lost();
+    }
+    assert!(frames.is_sorted_by(|a, b| a < b), "pictures came out of order: {frames:?}");
+    frames.len()
+}
