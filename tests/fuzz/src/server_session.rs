@@ -24,7 +24,7 @@ pub const WAIT: u8 = 5;
 /// From one operation to the next, nanoseconds.
 const STEP_NS: i64 = 500_000;
 /// Events of one message or datagram: more would grow without bound.
-const MAX_EVENTS: usize = 4;
+const MAX_EVENTS: usize = 5;
 
 /// The number of events of an accepted client.
 pub fn check(script: &[u8]) -> usize {
@@ -147,7 +147,7 @@ impl Run {
                 let sent = self.sender.as_ref().map(DeltaSender::next_delta);
                 assert!(sent > Some(displayed.frame), "{displayed:?} of {sent:?}");
             }
-            ServerEvent::RefreshRequest { .. } => assert!(self.sender.is_some()),
+            ServerEvent::RefreshRequest { .. } | ServerEvent::Watching(_) => assert!(self.sender.is_some()),
             ServerEvent::Refused(_) | ServerEvent::Goodbye | ServerEvent::Failed(_) => {
                 self.ended = true;
                 assert!(!self.session.is_alive());
