@@ -70,10 +70,10 @@ pub(crate) struct ForwardArgs {
     #[arg(long, value_parser = parse_vector, default_value = "0,1.6,0", allow_hyphen_values = true)]
     position: Vec3,
     /// Camera turned left by so many degrees
-    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true, value_parser = number(-360.0..=360.0, "degrees"))]
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true, value_parser = number(-360.0_f32..=360.0, "degrees"))]
     yaw: f32,
     /// Camera turned up by so many degrees
-    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true, value_parser = number(-360.0..=360.0, "degrees"))]
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true, value_parser = number(-360.0_f32..=360.0, "degrees"))]
     pitch: f32,
     #[command(flatten)]
     device: DeviceArgs,

@@ -112,7 +112,7 @@ struct RunArgs {
     #[arg(long, value_parser = parse_size, default_value = "512x512")]
     size: [u32; 2],
     /// Field of view in degrees
-    #[arg(long, default_value_t = 90.0, value_parser = number(10.0..=170.0, "degrees"))]
+    #[arg(long, default_value_t = 90.0, value_parser = number(10.0_f32..=170.0, "degrees"))]
     fov: f32,
     /// Updates of the server per second
     #[arg(long, default_value_t = 30.0, value_parser = number(1.0..=1000.0, "updates a second"))]
