@@ -6,6 +6,7 @@
 
 mod bounded;
 pub(crate) mod curve;
+mod exchange;
 mod fit;
 mod parse;
 mod paths;
@@ -205,14 +206,18 @@ impl SampledClip {
 }
 
 fn transform([translation, rotation, scale]: &[SampledTrack; 3], t_s: f64) -> Trs {
-    let quaternion = rotation.evaluate(t_s);
-    // Opposite keys half a turn apart may meet at zero.
-    let unit = quaternion.try_normalize().unwrap_or(rotation.values[rotation.place(t_s).0]);
     Trs {
         translation: translation.evaluate(t_s).truncate(),
-        rotation: Quat::from_vec4(unit),
+        rotation: unit_rotation(rotation, t_s),
         scale: scale.evaluate(t_s).truncate(),
     }
+}
+
+/// The rotation of a track, of unit length.
+fn unit_rotation(track: &SampledTrack, t_s: f64) -> Quat {
+    // Opposite keys half a turn apart may meet at zero.
+    let unit = track.evaluate(t_s).try_normalize().unwrap_or(track.values[track.place(t_s).0]);
+    Quat::from_vec4(unit)
 }
 
 /// Samples a clip of the model, or its rest pose for `None`.

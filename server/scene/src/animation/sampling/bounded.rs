@@ -13,14 +13,15 @@
 //! the keys of all sources, the keys that were made, and at least three points between them.
 
 use super::curve::Curve;
+use super::exchange::{Exchange, Watch};
 use super::fit::fit;
 use super::probe::{Moment, distances};
 use super::source::{Source, Sources};
 use super::{SampledClip, SampledTrack, longest_axis};
+use crate::animation::bounds::Bounds;
 use crate::animation::pose;
 use crate::{Cancel, Cancelled, Model, Morph, MorphDelta, Trs, Vertex};
-use glam::{Affine3A, Vec3};
-use std::borrow::Cow;
+use glam::{Affine3A, Vec3, Vec3A};
 use std::collections::{HashMap, HashSet};
 
 /// Most times at which the bound is verified.
@@ -41,7 +42,11 @@ const ROUNDS: usize = 20;
 /// Trials of finer curves at most, before a clip is given up: each makes at least one curve finer.
 const REPAIRS: usize = 400;
 /// Of the bound, what trials aim at.
-const AIM: f32 = 0.99;
+const AIM: f32 = 0.985;
+/// Of the bound, what watched vertices may use up: the others need a little more.
+const COARSE_AIM: f32 = 0.97;
+/// How far a single curve may move a vertex at first where all are made coarser, in parts of the bound.
+const FINE_START: f32 = 0.06;
 /// Outermost are looked for among vertices with at least this share in a palette entry.
 const MAIN_WEIGHT: f32 = 0.05;
 /// Curves that move no vertex (of bones that carry lights) may err by this share of their range.
@@ -50,16 +55,39 @@ const IDLE_SHARE: f32 = 0.01;
 pub(super) fn sample(
     model: &Model,
     clip: Option<usize>,
-    [bound_m, range_share]: [f32; 2],
+    bounds: [f32; 2],
     cancel: &Cancel,
 ) -> Result<SampledClip, Cancelled> {
+    let Found { clip, is_kept } = find(model, clip, bounds, cancel)?;
+    if !is_kept {
+        tracing::warn!(
+            "model '{}': a clip cannot be kept within {} of its own units; single precision may not hold it",
+            model.name,
+            bounds[0]
+        );
+    }
+    Ok(clip)
+}
+
+/// What was found, and whether it is within the bound: if not, it is the closest.
+struct Found {
+    clip: SampledClip,
+    is_kept: bool,
+}
+
+fn find(
+    model: &Model,
+    clip: Option<usize>,
+    [bound_m, range_share]: [f32; 2],
+    cancel: &Cancel,
+) -> Result<Found, Cancelled> {
     assert!(bound_m > 0.0 && range_share > 0.0, "bounds {bound_m} m, {range_share}");
     let duration_s = model.duration_s(clip);
     let sources = Sources::new(model, clip);
     let still = sources.map(duration_s, |source| SampledTrack::constant(source.at(0.0)));
     let moving = moving_sources(&sources);
     if duration_s <= 0.0 || moving.is_empty() {
-        return Ok(still);
+        return Ok(Found { clip: still, is_kept: true });
     }
     let mut trial = Trial::new(model, clip, bound_m, &moving, still, cancel);
     trial.prepare(&moving, range_share)?;
@@ -68,7 +96,7 @@ pub(super) fn sample(
 
 /// Which curve of the clip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-enum Place {
+pub(super) enum Place {
     /// A bone's translation (0), rotation (1) or scale (2).
     Bone(usize, usize),
     Morph(usize),
@@ -83,20 +111,21 @@ fn moving_sources<'a>(sources: &Sources<'a>) -> Vec<(Place, Source<'a>)> {
 }
 
 /// A curve that moves.
-struct Moving {
-    place: Place,
+pub(super) struct Moving {
+    pub place: Place,
     /// Times at which the curve was looked at, seconds.
     times_s: Vec<f32>,
-    /// From the coarsest to the finest.
-    fits: Vec<Fit>,
+    /// From the coarsest to the finest: each takes more bytes than the one before.
+    pub fits: Vec<Fit>,
     /// Which of them is used.
-    chosen: usize,
+    pub chosen: usize,
+    arm_m: f32,
 }
 
-struct Fit {
-    tolerance: f32,
-    byte_count: f32,
-    track: SampledTrack,
+pub(super) struct Fit {
+    pub tolerance: f32,
+    pub byte_count: f32,
+    pub track: SampledTrack,
 }
 
 impl Moving {
@@ -107,10 +136,26 @@ impl Moving {
             let tolerance = (level * bound_m / arm_m.max(1e-12)).min(ceiling);
             if fits.last().is_none_or(|fit| fit.tolerance != tolerance) {
                 let track = fit(&curve, tolerance);
-                fits.push(Fit { tolerance, byte_count: track.byte_count() as f32, track });
+                let byte_count = track.byte_count() as f32;
+                // What errs more and takes as much is of no use.
+                while fits.pop_if(|coarser| coarser.byte_count >= byte_count).is_some() {}
+                fits.push(Fit { tolerance, byte_count, track });
             }
         }
-        Self { place, times_s: curve.times_s, fits, chosen: 0 }
+        Self { place, times_s: curve.times_s, fits, chosen: 0, arm_m }
+    }
+
+    /// The coarsest fit that alone moves no vertex by more than this.
+    fn start_at(&mut self, error_m: f32) {
+        let fine = self.fits.iter().position(|fit| fit.tolerance * self.arm_m <= error_m);
+        self.chosen = fine.unwrap_or(self.fits.len() - 1);
+    }
+
+    /// Bytes that the next coarser fit saves for each metre that it may err more; `None` for the coarsest.
+    pub fn saving(&self) -> Option<f32> {
+        let (now, coarser) = (&self.fits[self.chosen], &self.fits[self.chosen.checked_sub(1)?]);
+        let error_m = (coarser.tolerance - now.tolerance) * self.arm_m;
+        Some((now.byte_count - coarser.byte_count) / error_m.max(1e-12))
     }
 
     /// Takes the fit of which bytes, and what is charged per unit of error, are least.
@@ -142,6 +187,8 @@ struct Trial<'a> {
     times_s: Vec<f32>,
     /// Vertices that the clip moves.
     vertices: Vec<u32>,
+    /// By palette entry: corners of the box around the vertices that follow it, in mesh space.
+    boxes: Vec<[Vec3; 8]>,
     arms: ArmFinder<'a>,
     watched: Watched,
     cancel: &'a Cancel,
@@ -189,7 +236,8 @@ impl<'a> Trial<'a> {
         let arms = ArmFinder::new(model, clip, sources);
         let (found, watched) = (still, Watched::default());
         let (moving, times_s) = (Vec::new(), Vec::new());
-        Self { model, clip, bound_m, moving, found, times_s, vertices, arms, watched, cancel }
+        let boxes = boxes(model, &vertices);
+        Self { model, clip, bound_m, moving, found, times_s, vertices, boxes, arms, watched, cancel }
     }
 
     fn prepare(&mut self, sources: &[(Place, Source)], range_share: f32) -> Result<(), Cancelled> {
@@ -233,27 +281,74 @@ impl<'a> Trial<'a> {
         }
     }
 
-    fn run(mut self) -> Result<SampledClip, Cancelled> {
-        self.find_prices()?;
+    fn run(mut self) -> Result<Found, Cancelled> {
+        self.find_start()?;
         for _ in 0..REPAIRS {
             let mut measured = self.measure_watched()?;
             if measured.largest_m() <= self.bound_m {
                 measured = self.measure_all()?;
                 if measured.largest_m() <= self.bound_m {
-                    return Ok(self.found);
+                    return Ok(Found { clip: self.found, is_kept: true });
                 }
                 self.watch_what_was_missed(&measured);
             }
-            if !self.make_finer(&measured) {
+            if !self.mend() && !self.make_finer(&measured) {
                 break;
             }
         }
-        tracing::warn!(
-            "model '{}': a clip cannot be kept within {} of its own units; single precision may not hold it",
-            self.model.name,
-            self.bound_m
-        );
-        Ok(self.found)
+        Ok(Found { clip: self.found, is_kept: false })
+    }
+
+    // ---- exchanges ----
+
+    /// The smaller of what two ways find: from prices, and from fine curves that are made coarser one by one.
+    fn find_start(&mut self) -> Result<(), Cancelled> {
+        self.find_prices()?;
+        let Some((bytes, chosen)) = self.use_up_the_bound()? else { return Ok(()) };
+        for moving in &mut self.moving {
+            moving.start_at(FINE_START * self.bound_m);
+        }
+        self.show_chosen();
+        if self.use_up_the_bound()?.is_none_or(|(from_fine, _)| bytes <= from_fine) {
+            self.take(&chosen);
+        }
+        Ok(())
+    }
+
+    /// Makes curves coarser for as long as the watched vertices are within what is aimed at. Bytes and choice after
+    /// that; `None` where there is too much to watch for it.
+    fn use_up_the_bound(&mut self) -> Result<Option<(usize, Vec<usize>)>, Cancelled> {
+        let Some(mut exchange) = self.exchange(COARSE_AIM) else { return Ok(None) };
+        exchange.mend(&mut self.moving);
+        exchange.coarsen(&mut self.moving, self.cancel)?;
+        self.show_chosen();
+        let chosen = self.moving.iter().map(|moving| moving.chosen).collect();
+        Ok(Some((self.found.byte_count(), chosen)))
+    }
+
+    fn take(&mut self, chosen: &[usize]) {
+        for (moving, chosen) in self.moving.iter_mut().zip(chosen) {
+            moving.chosen = *chosen;
+        }
+        self.show_chosen();
+    }
+
+    /// Makes curves finer where watched vertices are beyond the bound; whether all are within by that.
+    fn mend(&mut self) -> bool {
+        let Some(mut exchange) = self.exchange(AIM) else { return false };
+        let is_mended = exchange.mend(&mut self.moving);
+        self.show_chosen();
+        is_mended
+    }
+
+    fn exchange(&self, aim: f32) -> Option<Exchange> {
+        let Watched { vertices, times_s, truth, .. } = &self.watched;
+        let now: Vec<Moment> = times_s
+            .iter()
+            .map(|time_s| Moment::of_samples(self.model, &self.found, f64::from(*time_s)))
+            .collect();
+        let watch = Watch { model: self.model, clip: self.clip, vertices, times_s, truth };
+        Exchange::new(&watch, &now, &self.moving, aim * self.bound_m)
     }
 
     // ---- prices ----
@@ -274,10 +369,9 @@ impl<'a> Trial<'a> {
             }
             self.change_prices(&measured, round);
         }
-        for (moving, chosen) in self.moving.iter_mut().zip(best.into_iter().flat_map(|(_, chosen)| chosen)) {
-            moving.chosen = chosen;
+        if let Some((_, chosen)) = best {
+            self.take(&chosen);
         }
-        self.show_chosen();
         Ok(())
     }
 
@@ -347,21 +441,12 @@ impl<'a> Trial<'a> {
 
     fn measure_watched(&self) -> Result<Measured, Cancelled> {
         let Watched { vertices, times_s, truth, .. } = &self.watched;
-        self.measure(vertices, times_s, |index| Cow::Borrowed(&truth[index]))
-    }
-
-    fn measure<'t>(
-        &self,
-        vertices: &[u32],
-        times_s: &[f32],
-        truth: impl Fn(usize) -> Cow<'t, Moment>,
-    ) -> Result<Measured, Cancelled> {
         let mut by_vertex_m = vec![0.0f32; self.model.vertices.len()];
-        let by_time = times_s.iter().enumerate().map(|(index, time_s)| {
+        let by_time = times_s.iter().zip(truth).map(|(time_s, truth)| {
             self.cancel.check()?;
             let found = Moment::of_samples(self.model, &self.found, f64::from(*time_s));
             let mut largest_m = 0.0f32;
-            distances(self.model, &truth(index), &found, vertices, |vertex, distance_m| {
+            distances(self.model, truth, &found, vertices, |vertex, distance_m| {
                 let so_far_m = &mut by_vertex_m[vertex as usize];
                 *so_far_m = so_far_m.max(distance_m);
                 largest_m = largest_m.max(distance_m);
@@ -372,11 +457,50 @@ impl<'a> Trial<'a> {
         Ok(Measured { by_vertex_m, by_time_m })
     }
 
+    /// All vertices at all times; those that cannot be beyond the bound are left out.
     fn measure_all(&self) -> Result<Measured, Cancelled> {
-        let truth = |index: usize| {
-            Cow::Owned(Moment::of_source(self.model, self.clip, f64::from(self.times_s[index])))
+        let mut measured =
+            Measured { by_vertex_m: vec![0.0; self.model.vertices.len()], by_time_m: Vec::new() };
+        for time_s in &self.times_s {
+            self.cancel.check()?;
+            let t_s = f64::from(*time_s);
+            let truth = Moment::of_source(self.model, self.clip, t_s);
+            let found = Moment::of_samples(self.model, &self.found, t_s);
+            let mut largest_m = 0.0f32;
+            distances(self.model, &truth, &found, &self.suspects(&truth, &found), |vertex, distance_m| {
+                let so_far_m = &mut measured.by_vertex_m[vertex as usize];
+                *so_far_m = so_far_m.max(distance_m);
+                largest_m = largest_m.max(distance_m);
+            });
+            measured.by_time_m.push(largest_m);
+        }
+        Ok(measured)
+    }
+
+    /// Vertices that might be beyond the bound: those of palette entries that move a corner of the box around their
+    /// vertices so far. What moves a vertex is a mean of what its entries do to it, and that is largest at corners.
+    fn suspects(&self, truth: &Moment, found: &Moment) -> Vec<u32> {
+        if !self.model.morphs.is_empty() {
+            return self.vertices.clone(); // morph targets move them beside that
+        }
+        let moves_far = |(corners, (a, b)): (&[Vec3; 8], (&Affine3A, &Affine3A))| {
+            let offset = |corner: &Vec3| {
+                (b.matrix3 - a.matrix3) * Vec3A::from(*corner) + (b.translation - a.translation)
+            };
+            // Roundings of the corner's and of the vertex's offset may differ.
+            corners.iter().any(|corner| offset(corner).length() > 0.99 * self.bound_m)
         };
-        self.measure(&self.vertices, &self.times_s, truth)
+        let palettes = truth.palette.iter().zip(&found.palette);
+        let is_far: Vec<bool> = self.boxes.iter().zip(palettes).map(moves_far).collect();
+        if !is_far.contains(&true) {
+            return Vec::new();
+        }
+        let is_suspect = |index: &u32| {
+            let vertex = &self.model.vertices[*index as usize];
+            let joints = vertex.joints.iter().zip(vertex.weights);
+            joints.filter(|(_, weight)| *weight > 0.0).any(|(joint, _)| is_far[usize::from(*joint)])
+        };
+        self.vertices.iter().copied().filter(is_suspect).collect()
     }
 
     /// Vertices beyond the bound and times at which there are any are watched from now on.
@@ -423,6 +547,22 @@ impl<'a> Trial<'a> {
         watched.dedup();
         watched
     }
+}
+
+fn boxes(model: &Model, vertices: &[u32]) -> Vec<[Vec3; 8]> {
+    let mut points: Vec<Vec<Vec3>> = vec![Vec::new(); model.palette.len()];
+    for vertex in vertices.iter().map(|index| &model.vertices[*index as usize]) {
+        for (joint, weight) in vertex.joints.into_iter().zip(vertex.weights) {
+            if weight > 0.0 {
+                points[usize::from(joint)].push(vertex.position);
+            }
+        }
+    }
+    let corners = |points: Vec<Vec3>| match points.is_empty() {
+        true => [Vec3::ZERO; 8],
+        false => Bounds::around(points).corners(),
+    };
+    points.into_iter().map(corners).collect()
 }
 
 /// Along the axes and to the corners of a cube.

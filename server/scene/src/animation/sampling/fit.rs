@@ -27,10 +27,15 @@ pub(super) fn fit(curve: &Curve, tolerance: f32) -> SampledTrack {
         return step(curve, tolerance);
     }
     let linear = fewest(curve, tolerance, KeyInterpolation::Linear);
-    let cubic = fewest(curve, tolerance, KeyInterpolation::Cubic);
-    let all = own_keys(curve, tolerance).into_iter().chain([linear, cubic]);
+    let all = own_keys(curve, tolerance).into_iter().chain(linear).chain(cubic(curve, tolerance));
     let smallest = all.map(with_interval).min_by_key(SampledTrack::byte_count);
-    smallest.expect("there are two at least")
+    smallest.expect("straight lines from point to point always do")
+}
+
+/// A cubic may leave a straight source between two points at which it meets it: there it is looked at twice as often.
+fn cubic(curve: &Curve, tolerance: f32) -> Option<SampledTrack> {
+    let cubic = |curve: &Curve| fewest(curve, tolerance, KeyInterpolation::Cubic);
+    if curve.is_straight { cubic(&curve.halved()) } else { cubic(curve) }
 }
 
 /// All of the source's keys with straight lines between them, if that will do: at a constant interval a few keys less
@@ -85,19 +90,20 @@ fn track(curve: &Curve, keys: &[usize], interpolation: KeyInterpolation) -> Samp
     }
 }
 
-fn fewest(curve: &Curve, tolerance: f32, interpolation: KeyInterpolation) -> SampledTrack {
-    let on_curve = greedy(curve, tolerance, interpolation);
+/// `None` where the interpolation cannot follow the curve.
+fn fewest(curve: &Curve, tolerance: f32, interpolation: KeyInterpolation) -> Option<SampledTrack> {
+    let on_curve = greedy(curve, tolerance, interpolation)?;
     for relaxation in RELAXATIONS {
-        let keys = greedy(curve, tolerance * relaxation, interpolation);
+        let keys = greedy(curve, tolerance * relaxation, interpolation)?;
         if keys.len() >= on_curve.len() {
             break;
         }
         let moved = least_squares(curve, &keys, track(curve, &keys, interpolation));
         if is_aligned(curve, &moved.values) && is_within(curve, &keys, &moved, Tolerance::new(tolerance)) {
-            return moved;
+            return Some(moved);
         }
     }
-    track(curve, &on_curve, interpolation)
+    Some(track(curve, &on_curve, interpolation))
 }
 
 /// Whether neighbouring quaternions lie in one hemisphere.
@@ -107,15 +113,19 @@ fn is_aligned(curve: &Curve, values: &[Vec4]) -> bool {
 
 // ---- keys on the curve ----
 
-fn greedy(curve: &Curve, tolerance: f32, interpolation: KeyInterpolation) -> Vec<usize> {
+fn greedy(curve: &Curve, tolerance: f32, interpolation: KeyInterpolation) -> Option<Vec<usize>> {
     let last = curve.values.len() - 1;
     let tolerance = Tolerance::new(tolerance);
     let mut keys = vec![0];
     while keys[keys.len() - 1] < last {
         let from = keys[keys.len() - 1];
-        keys.push(furthest(curve, from, |to| span_fits(curve, from, to, tolerance, interpolation)));
+        let to = furthest(curve, from, |to| span_fits(curve, from, to, tolerance, interpolation));
+        if to == from + 1 && curve.is_straight && interpolation == KeyInterpolation::Cubic {
+            return None; // nothing says that it is straight in between, too
+        }
+        keys.push(to);
     }
-    keys
+    Some(keys)
 }
 
 /// The furthest time to which a span may reach: one of the source's keys if any will do.

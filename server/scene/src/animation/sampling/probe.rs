@@ -28,6 +28,29 @@ impl Moment {
         let globals = pose::global_pose(model, &clip.local_pose(t_s));
         Self { palette: pose::palette(model, &globals), weights: clip.morph_weights(t_s) }
     }
+
+    /// A vertex before it is skinned.
+    pub fn morphed_point(&self, model: &Model, vertex: u32) -> Vec3A {
+        let mut point = model.vertices[vertex as usize].position;
+        for (morph, weight) in model.morphs.iter().zip(&self.weights).filter(|(_, weight)| **weight != 0.0) {
+            let deltas = morph.deltas.iter().filter(|delta| delta.vertex == vertex);
+            point += deltas.map(|delta| *weight * delta.position).sum::<Vec3>();
+        }
+        point.into()
+    }
+}
+
+/// From where the truth has a vertex to where it was found.
+pub(crate) fn offset(model: &Model, truth: &Moment, found: &Moment, vertex: u32) -> Vec3A {
+    let Vertex { joints, weights, .. } = model.vertices[vertex as usize];
+    let (from, to) = (truth.morphed_point(model, vertex), found.morphed_point(model, vertex));
+    let joints = joints.into_iter().zip(weights).filter(|(_, weight)| *weight > 0.0);
+    let offset = |(joint, weight): (u16, f32)| {
+        let (a, b) = (truth.palette[usize::from(joint)], found.palette[usize::from(joint)]);
+        // Differences first: they are small, and places are not.
+        weight * ((b.matrix3 - a.matrix3) * to + (b.translation - a.translation) + a.matrix3 * (to - from))
+    };
+    joints.map(offset).sum()
 }
 
 /// Calls with each of `vertices` (indices) and the distance of its two places.
