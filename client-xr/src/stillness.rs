@@ -68,6 +68,7 @@ mod tests {
         FrameReport {
             display_time: DisplayTime(ms * MS),
             server_time: None,
+            motion_time: None,
             is_rendered: true,
             frame: Some(FrameId(0)),
             is_new,
