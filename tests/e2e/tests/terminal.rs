@@ -3,7 +3,9 @@
 use serde_json::Value;
 use shadecast_lab::run::prepare_runtime;
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
-use shadecast_transport::{Driver, Endpoint, EndpointConfig, Fingerprint, Handle, ServerIdentity, spawn};
+use shadecast_transport::{
+    Driver, Endpoint, EndpointConfig, Events, Fingerprint, Handle, ServerIdentity, spawn,
+};
 use std::io::{BufRead, BufReader};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::os::unix::process::ExitStatusExt;
@@ -142,12 +144,12 @@ impl Drop for Client {
 }
 
 /// The transport's half of a server: connections stand, and nothing is said over them.
-fn mute_server(seed: u64, address: SocketAddr) -> (SocketAddr, Handle, Fingerprint) {
+fn mute_server(seed: u64, address: SocketAddr) -> (SocketAddr, (Handle, Events), Fingerprint) {
     let identity = ServerIdentity::from_seed(seed).expect("an identity");
     let endpoint = Endpoint::server(&identity, EndpointConfig::default()).expect("an endpoint");
     let driver = Driver::bind(endpoint, address).expect("a socket");
     let address = driver.local_addr().expect("an address");
-    (address, spawn(driver).expect("a thread").0, identity.fingerprint())
+    (address, spawn(driver).expect("a thread"), identity.fingerprint())
 }
 
 const ANY: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
@@ -173,7 +175,8 @@ fn ctrl_c_while_the_headset_is_gone_ends_well_and_keeps_the_statistics() {
 fn what_goes_wrong_is_said_in_plain_text_to_who_wants_quiet_too() {
     let silent = UdpSocket::bind(ANY).expect("a socket");
     let address = silent.local_addr().expect("an address").to_string();
-    let mut client = Stage::new().client(&["--quiet", "--connect", &address], std::iter::empty());
+    let stage = Stage::new();
+    let mut client = stage.client(&["--quiet", "--connect", &address], std::iter::empty());
     client.says("did not answer");
     client.interrupt();
     let (status, said) = client.ends();
