@@ -98,7 +98,7 @@ pub fn run(
 ) -> Outcome {
     let until = (options.seconds > 0.0).then(|| monotonic_now().plus_ns((options.seconds * 1e9) as i64));
     let mut run = Run { platform, options, stop, until, stats: ClientStats::default() };
-    let ended = run.to_the_end(observe);
+    let ended = run.play_out(observe);
     Outcome { stats: run.stats, ended }
 }
 
@@ -118,7 +118,7 @@ impl Run<'_> {
         self.stop.load(Ordering::Relaxed) || self.until.is_some_and(|until| monotonic_now() >= until)
     }
 
-    fn to_the_end(&mut self, observe: &mut Observer<'_>) -> Result<(), RunError> {
+    fn play_out(&mut self, observe: &mut Observer<'_>) -> Result<(), RunError> {
         let Some(addresses) = self.resolve()? else { return Ok(()) };
         let mut opened = Some(Xr::open(self.platform, self.options.xr)?);
         while let Some(xr) = opened.take() {

@@ -20,7 +20,11 @@ pub struct Cancelled;
 impl Cancel {
     /// Asked when this flag is set.
     pub fn on(flag: Arc<AtomicBool>) -> Self {
-        Self { flag, ..Self::default() }
+        Self {
+            flag,
+            #[cfg(test)]
+            looks: None,
+        }
     }
 
     /// The flag, for what knows of no more.

@@ -77,7 +77,7 @@ impl Folder {
         let own = if self.0.as_os_str().is_empty() { Path::new(".") } else { &self.0 };
         let (own, real) = (own.canonicalize()?, named.canonicalize()?);
         let meta = real.metadata()?;
-        Ok((real.starts_with(own) && meta.is_file()).then(|| (real, meta.len())))
+        Ok((real.starts_with(own) && meta.is_file()).then_some((real, meta.len())))
     }
 }
 

@@ -33,7 +33,11 @@ fn damaged(bytes: &[u8], state: &mut u64) -> Vec<u8> {
     for _ in 0..=next(state) % 4 {
         let at = next(state) as usize % copy.len().max(1);
         if let Some(byte) = copy.get_mut(at) {
-            *byte = if next(state) % 2 == 0 { *byte ^ 1 << (next(state) % 8) } else { next(state) as u8 };
+            *byte = if next(state).is_multiple_of(2) {
+                *byte ^ 1 << (next(state) % 8)
+            } else {
+                next(state) as u8
+            };
         }
     }
     let (from, length) = (next(state) as usize % copy.len().max(1), next(state) as usize % 64);

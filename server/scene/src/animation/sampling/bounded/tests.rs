@@ -206,7 +206,7 @@ fn cubic_through_points_of_straight_lines_is_not_taken_for_them() {
     let mut rng = SmallRng::seed_from_u64(35);
     for case in 0..40 {
         let times_s: Vec<f32> = (0..=24).map(|key| key as f32 / 24.0).collect();
-        let height = |key: usize| if key % 2 == 0 { 0.0 } else { rng.random_range(0.8..1.0f32) };
+        let height = |key: u32| if key.is_multiple_of(2) { 0.0 } else { rng.random_range(0.8..1.0f32) };
         let values = TrackValues::Translation((0..=24).map(height).map(|y| Vec3::Y * y).collect());
         let mut model = one_bone(Track { bone: 0, times_s, interpolation: Interpolation::Linear, values });
         model.palette = vec![PaletteEntry { bone: 0, bone_from_mesh: Affine3A::IDENTITY }];
