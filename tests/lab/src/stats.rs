@@ -280,13 +280,21 @@ impl fmt::Display for Stats {
 impl Stats {
     /// The picture figures as a phrase.
     pub fn in_words(&self) -> String {
-        format!(
-            "PSNR {}, SSIM {}, FLIP {}, holes {}",
-            figure(self.psnr_db, 1, " dB"),
-            figure(self.ssim, 4, ""),
-            figure(self.flip, 3, ""),
-            figure(self.hole_fraction.map(|fraction| 100.0 * fraction), 3, " %")
-        )
+        let figures = |psnr_db, ssim, flip, holes: Option<f64>| {
+            format!(
+                "PSNR {}, SSIM {}, FLIP {}, holes {}",
+                figure(psnr_db, 1, " dB"),
+                figure(ssim, 4, ""),
+                figure(flip, 3, ""),
+                figure(holes.map(|fraction| 100.0 * fraction), 3, " %")
+            )
+        };
+        let all = figures(self.psnr_db, self.ssim, self.flip, self.hole_fraction);
+        let RegionStats { psnr_db, ssim, flip, hole_fraction, .. } = self.animated;
+        match psnr_db {
+            Some(_) => format!("Animated: {}. All: {all}", figures(psnr_db, ssim, flip, hole_fraction)),
+            None => all,
+        }
     }
 
     fn fmt_holes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
