@@ -7,17 +7,18 @@ use crate::culling::Culling;
 use crate::encode::{AccessUnit, EncodeError, Encoder, Planes};
 use crate::levels::Layout;
 use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES};
-use crate::residency::{Residency, UpdateWindow};
+use crate::residency::{Budget, Residency, UpdateWindow};
 use crate::samples::{RING, SampleWindow};
 use crate::scene_gpu::{SceneGpu, Totals, check_room};
 use crate::stages::forward::view_gpu;
-use crate::stages::id_buffer::IdBuffer;
+use crate::stages::id_buffer::{IdBuffer, shift_ndc};
 use crate::stages::level_selection::LevelSelection;
 use crate::stages::mark::Mark;
 use crate::stages::shading::Shading;
 use crate::stages::shadow::Shadow;
 use crate::stages::skin::Skin;
 use crate::stages::ycbcr::Ycbcr;
+use glam::{Mat4, Vec3};
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory};
 use shadecast_protocol::delta::GeometryDelta;
 use shadecast_protocol::ids::FrameId;
@@ -162,9 +163,9 @@ impl Frame {
         }
     }
 
-    /// From now on an update brings at most so many bytes of new geometry, about; `None`: as much as there is.
-    pub fn limit_geometry(&mut self, bytes: Option<usize>) {
-        self.residency.limit(bytes);
+    /// What each update may take on the wire from now on.
+    pub fn set_budget(&mut self, budget: Budget) {
+        self.residency.set_budget(budget);
     }
 
     /// Steps 1 to 6 and 8. `None` before the first head state: there is nowhere to look from.
@@ -243,8 +244,11 @@ impl Frame {
 
     fn write_views(&mut self, views: &PredictedViews) {
         let eyes = views.eyes.iter().flat_map(|pair| pair.iter().enumerate());
+        let id_extent = self.id_buffer.image.desc().extent.map(|side| side as f32);
         for (index, (side, view)) in eyes.enumerate() {
-            let clip_from_world = view.fov.clip_from_eye() * view.world_from_eye.inverse().matrix();
+            let [x, y] = shift_ndc(self.next.0, index as u32, MAX_VIEWS, id_extent);
+            let shift = Mat4::from_translation(Vec3::new(x, y, 0.0));
+            let clip_from_world = shift * view.fov.clip_from_eye() * view.world_from_eye.inverse().matrix();
             let mut gpu = view_gpu(clip_from_world, view.world_from_eye.position, [0, 0]);
             let extent = self.eye.extent_at(self.eye.fovs[side], view.fov);
             gpu.extent_pixels = [extent[0], extent[1], 0.0, 0.0];
@@ -289,7 +293,7 @@ impl Frame {
     }
 
     /// World position of a scene-wide vertex at a grid point of the current window.
-    pub fn sample(&self, grid: GridIndex, vertex: u32) -> glam::Vec3 {
+    pub fn sample(&self, grid: GridIndex, vertex: u32) -> Vec3 {
         use crate::residency::Geometry;
         self.samples.sample(grid, vertex)
     }

@@ -4,6 +4,7 @@
 //! A link that carries less than the scene needs gets fewer updates, each of them whole. What would wait before the link
 //! is not made at all, since it would be old when it leaves.
 
+use crate::residency::Budget;
 use shadecast_protocol::ids::FrameId;
 use shadecast_protocol::limits::SAMPLE_RING;
 use shadecast_protocol::time::DEFAULT_GRID;
@@ -25,6 +26,11 @@ const MEASURE_NS: i64 = 300_000_000;
 const RATE_LIFETIME_NS: i64 = 10_000_000_000;
 /// On a slow link an update brings new geometry for this part of a second, so that its picture is not far behind.
 const GEOMETRY_S: f64 = 1.0;
+/// The same for samples of what is there: they are shown for less time than it takes to send them.
+const SAMPLES_S: f64 = 0.25;
+/// New geometry that an update may bring until the first one has arrived, bytes: over a slow link the first picture would
+/// have to wait for the whole scene.
+const FIRST_GEOMETRY_BYTES: usize = 131_072;
 /// New geometry that any update may bring, bytes: the scene must enter even over the slowest link.
 const LEAST_GEOMETRY_BYTES: f64 = 16_384.0;
 /// The person is told of a slow link at most this often, and when updates have been withheld for this long, nanoseconds: a
@@ -93,6 +99,8 @@ pub struct UpdateGate {
     period_ns: i64,
     /// Not known to have arrived, in the order in which they leave.
     under_way: VecDeque<Sent>,
+    /// Something has arrived whole.
+    has_arrived: bool,
     /// Since when something waits for the link, and the bytes that have arrived since.
     waiting: Option<(i64, u64)>,
     /// The link's rate in bytes per second, and when something last waited for it.
@@ -131,6 +139,7 @@ impl UpdateGate {
         Self {
             period_ns: period_ns.max(1),
             under_way: VecDeque::new(),
+            has_arrived: false,
             waiting: None,
             rate: None,
             needs: Needs::default(),
@@ -162,9 +171,16 @@ impl UpdateGate {
         may
     }
 
-    /// Bytes of new geometry that the next update may bring; `None`: as much as there is.
-    pub fn geometry_bytes(&self, now_ns: i64) -> Option<usize> {
-        self.rate_bytes_s(now_ns).map(|rate| (rate * GEOMETRY_S).max(LEAST_GEOMETRY_BYTES) as usize)
+    /// What the next update may take.
+    pub fn budget(&self, now_ns: i64) -> Budget {
+        match self.rate_bytes_s(now_ns) {
+            Some(rate) => Budget {
+                geometry_bytes: (rate * GEOMETRY_S).max(LEAST_GEOMETRY_BYTES) as usize,
+                sample_bytes: (rate * SAMPLES_S) as usize,
+            },
+            None if !self.has_arrived => Budget { geometry_bytes: FIRST_GEOMETRY_BYTES, ..Budget::UNLIMITED },
+            None => Budget::UNLIMITED,
+        }
     }
 
     /// What to tell the person, now and then, where updates are withheld.
@@ -188,6 +204,7 @@ impl UpdateGate {
     /// Takes note of what has arrived, and measures the link while something waits for it.
     fn observe(&mut self, way: &WayState, now_ns: i64) {
         let arrived = self.under_way.len().saturating_sub(way.streams_under_way as usize);
+        self.has_arrived |= arrived > 0;
         let bytes: u64 = self.under_way.drain(..arrived).map(|sent| sent.bytes).sum();
         if let Some((since_ns, so_far)) = &mut self.waiting {
             *so_far += bytes;
@@ -306,7 +323,7 @@ mod tests {
         let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(12.5e6));
         link.window_bytes = 500_000;
         assert_eq!(run(&mut gate, &mut link, 10, [20_000, 60_000]).len() as i64, 10_000_000_000 / PERIOD_NS);
-        assert_eq!((gate.geometry_bytes(link.now_ns), gate.shortfall(link.now_ns)), (None, None));
+        assert_eq!((gate.budget(link.now_ns), gate.shortfall(link.now_ns)), (Budget::UNLIMITED, None));
     }
 
     #[test]
@@ -338,15 +355,29 @@ mod tests {
     }
 
     #[test]
+    fn the_first_picture_does_not_wait_for_the_whole_scene() {
+        let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(12.5e6));
+        link.window_bytes = 500_000;
+        assert!(gate.may_update(&link.way(), link.now_ns));
+        let first = gate.budget(link.now_ns);
+        assert!(first.geometry_bytes < 200_000 && first.sample_bytes == usize::MAX, "{first:?}");
+        link.send(&mut gate, 0, [first.geometry_bytes, 20_000]);
+        link.pass(PERIOD_NS);
+        assert!(gate.may_update(&link.way(), link.now_ns));
+        assert_eq!(gate.budget(link.now_ns), Budget::UNLIMITED, "it has arrived");
+    }
+
+    #[test]
     fn geometry_is_bounded_only_while_the_link_is_known_to_be_slow() {
         let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(125_000.0));
         run(&mut gate, &mut link, 10, [40_000, 20_000]);
-        let budget = gate.geometry_bytes(link.now_ns).expect("known");
-        assert!((100_000..150_000).contains(&budget), "{budget}");
+        let Budget { geometry_bytes, sample_bytes } = gate.budget(link.now_ns);
+        assert!((100_000..150_000).contains(&geometry_bytes), "{geometry_bytes}");
+        assert!((25_000..37_500).contains(&sample_bytes), "{sample_bytes}");
         link.bytes_s = 50e6;
         link.window_bytes = 1 << 20;
         run(&mut gate, &mut link, 12, [40_000, 20_000]);
-        assert_eq!(gate.geometry_bytes(link.now_ns), None, "the link has recovered");
+        assert_eq!(gate.budget(link.now_ns), Budget::UNLIMITED, "the link has recovered");
     }
 
     #[test]

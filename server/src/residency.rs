@@ -23,6 +23,8 @@ const NONE: u32 = u32::MAX;
 const PATCH_BYTES: usize = 12;
 const STATIC_VERTEX_BYTES: usize = 14;
 const SAMPLE_BYTES: usize = 2;
+/// Steps of the grid for which samples are sent, whatever the budget.
+const LEAST_STEPS: usize = 2;
 /// Most vertices of a patch.
 pub(crate) const MAX_CORNERS: usize = shadecast_protocol::limits::PATCH_MAX_VERTICES as usize;
 
@@ -66,6 +68,21 @@ pub struct UpdateWindow {
     pub oldest: GridIndex,
     /// Last grid point to send.
     pub horizon: GridIndex,
+}
+
+/// What an update may take on the wire, about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Budget {
+    /// Bytes of patches and vertices that the client does not have; the largest blocks come first, the rest waits.
+    pub geometry_bytes: usize,
+    /// Bytes of samples of the vertices that it has; the last steps of the grid that fit, since after a pause the first
+    /// are those of the pause.
+    pub sample_bytes: usize,
+}
+
+impl Budget {
+    /// As much as there is.
+    pub const UNLIMITED: Self = Self { geometry_bytes: usize::MAX, sample_bytes: usize::MAX };
 }
 
 /// Slots handed out from the lowest on, and taken back once a frame has been displayed.
@@ -113,9 +130,9 @@ pub struct Residency {
     sent_until: Option<GridIndex>,
     /// Patches with a block that found no slot free; they try again with each update.
     waiting: BTreeMap<u32, Block>,
-    /// Bytes of new geometry that an update may bring, about.
-    limit_bytes: Option<usize>,
-    /// Of those that wait, how many do so because of that limit alone.
+    /// What an update may take.
+    budget: Budget,
+    /// Of those that wait, how many do so because of it alone.
     held_back: usize,
 }
 
@@ -132,7 +149,7 @@ impl Residency {
             sampled: BTreeMap::new(),
             sent_until: None,
             waiting: BTreeMap::new(),
-            limit_bytes: None,
+            budget: Budget::UNLIMITED,
             held_back: 0,
         }
     }
@@ -143,9 +160,9 @@ impl Residency {
         self.vertex_slots.displayed(frame);
     }
 
-    /// From now on an update brings at most so many bytes of new geometry, about, the largest blocks first; the rest waits.
-    pub fn limit(&mut self, bytes: Option<usize>) {
-        self.limit_bytes = bytes;
+    /// What each update may take from now on.
+    pub fn set_budget(&mut self, budget: Budget) {
+        self.budget = budget;
     }
 
     /// The delta that brings the client from the last update to this one.
@@ -155,13 +172,14 @@ impl Residency {
         changes: &[PlacementChange],
         window: UpdateWindow,
     ) -> GeometryDelta {
+        let window = UpdateWindow { oldest: window.oldest.max(self.first_step_that_fits(window)), ..window };
         let mut delta = GeometryDelta { frame: window.frame, time: window.time, ..GeometryDelta::default() };
         for change in changes.iter().filter(|c| c.block.is_none()) {
             self.lose_block(geometry, change.patch, window.frame, &mut delta);
         }
         self.forget_old(geometry, window.frame, &mut delta);
         let mut fresh = Vec::new();
-        let mut left_bytes = self.limit_bytes.unwrap_or(usize::MAX);
+        let mut left_bytes = self.budget.geometry_bytes;
         self.held_back = 0;
         for (patch, block) in self.coming(changes) {
             let bytes = self.entry_bytes(geometry, patch, window);
@@ -180,6 +198,13 @@ impl Residency {
         fresh.sort_unstable();
         self.sample(geometry, &fresh, window, &mut delta);
         delta
+    }
+
+    fn first_step_that_fits(&self, window: UpdateWindow) -> GridIndex {
+        let step_bytes = (self.sampled.len() * SAMPLE_BYTES).max(1);
+        let most = (window.horizon.0 - window.oldest.0).max(0) as usize + 1;
+        let steps = (self.budget.sample_bytes / step_bytes).max(LEAST_STEPS).min(most);
+        window.horizon.plus(1 - steps as i32)
     }
 
     /// Patches that get a block or another one, and those that still wait for a slot: large blocks first.
@@ -701,7 +726,7 @@ mod tests {
         let changes: Vec<_> =
             (0..PATCHES).map(|patch| sized(patch, if patch >= 390 { 8 } else { 2 })).collect();
         let mut coder = SampleCoder::new(8192, 8192);
-        residency.limit(Some(600));
+        residency.set_budget(Budget { geometry_bytes: 600, ..Budget::UNLIMITED });
         let first = residency.update(&Strip, &changes, window(0));
         assert!(first.new_patches.len() >= 10 && residency.held_back() > 300 && residency.waiting() == 0);
         assert!((390..400).all(|patch| residency.slot_of_patch[patch] != NONE), "the largest are there");
@@ -714,6 +739,28 @@ mod tests {
         }
         assert!((5..200).contains(&updates), "{updates}");
         assert!(residency.slot_of_patch.iter().all(|slot| *slot != NONE));
+    }
+
+    #[test]
+    fn limited_updates_bring_the_last_samples_of_a_pause_and_no_more_than_fit() {
+        let moving: Vec<_> = (200..400).map(|patch| sized(patch, 4)).collect();
+        let after_a_pause = |sample_bytes| {
+            let mut residency = Residency::new(&Strip, 8192, 8192);
+            residency.update(&Strip, &moving, window(0));
+            residency.set_budget(Budget { sample_bytes, ..Budget::UNLIMITED });
+            let later = UpdateWindow {
+                first_sample: GridIndex(25),
+                oldest: GridIndex(15),
+                horizon: GridIndex(30),
+                ..window(1)
+            };
+            let delta = residency.update(&Strip, &[], later);
+            delta.samples.iter().map(|batch| batch.grid.0).collect::<Vec<_>>()
+        };
+        assert_eq!(after_a_pause(usize::MAX), (15..=30).collect::<Vec<_>>());
+        assert_eq!(after_a_pause(100), [29, 30]);
+        let step_bytes = (PATCHES as usize + 2) * SAMPLE_BYTES;
+        assert_eq!(after_a_pause(5 * step_bytes), [26, 27, 28, 29, 30]);
     }
 
     #[test]

@@ -11,6 +11,20 @@ use shadecast_gpu::{
 use shadecast_shaders::generated::{ID_BUFFER_FRAG, ID_BUFFER_VERT, IdBufferPush};
 use std::sync::Arc;
 
+/// Updates after which the places of samples within a pixel repeat: what any of them sees is held for longer.
+const SAMPLE_PLACES: u32 = 8;
+const _: () = assert!(SAMPLE_PLACES <= crate::levels::HOLD_UPDATES);
+
+/// By how much an update's views are shifted, in normalised device coordinates of an image of `extent_pixels`: half a
+/// pixel at most to each side, another place for each of the `views` and in each of several updates. A head that stands
+/// still would see the same samples for ever, and never a triangle that lies between them.
+pub fn shift_ndc(update: u32, view: u32, views: u32, extent_pixels: [f32; 2]) -> [f32; 2] {
+    // R2, a sequence of low discrepancy (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018).
+    const STEPS: [f32; 2] = [0.754_877_7, 0.569_840_3];
+    let place = (update % SAMPLE_PLACES * views + view) as f32;
+    [0, 1].map(|axis| ((0.5 + STEPS[axis] * place).fract() - 0.5) * 2.0 / extent_pixels[axis].max(1.0))
+}
+
 /// The stage with its output; both eyes of one time at once.
 pub struct IdBuffer {
     pass: RenderPass,
@@ -126,4 +140,27 @@ pub(crate) fn depth_image(gpu: &Arc<Gpu>, extent: [u32; 2], layers: u32) -> Resu
             usage: vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT,
         },
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_lie_everywhere_in_a_pixel_and_come_back_before_what_they_see_is_given_up() {
+        const VIEWS: u32 = 6;
+        let places = |updates: std::ops::Range<u32>| -> Vec<[f32; 2]> {
+            let of_update = |update| (0..VIEWS).map(move |view| shift_ndc(update, view, VIEWS, [2.0, 2.0]));
+            updates.flat_map(of_update).collect()
+        };
+        let seen = places(0..SAMPLE_PLACES);
+        assert_eq!(seen, places(SAMPLE_PLACES..2 * SAMPLE_PLACES));
+        assert!(seen.iter().flatten().all(|shift| shift.abs() <= 0.5), "pixels of this image are 1 wide");
+        for (x, y) in (0..16).flat_map(|x| (0..16).map(move |y| (x, y))) {
+            let at = [x, y].map(|place| (place as f32 + 0.5) / 16.0 - 0.5);
+            let nearest = seen.iter().map(|[x, y]| (x - at[0]).hypot(y - at[1])).fold(f32::MAX, f32::min);
+            assert!(nearest < 0.15, "{at:?}: {nearest} of a pixel to the nearest sample");
+        }
+        assert_eq!(shift_ndc(0, 0, VIEWS, [2.0, 2.0]), [0.0, 0.0], "the first sample is the pixel's middle");
+    }
 }

@@ -18,6 +18,7 @@ use crate::encode::openh264::{EncoderSettings, OpenH264Encoder};
 use crate::encode::{EncodeError, Encoder};
 use crate::frame::{Frame, Shaded};
 use crate::pacing::WayState;
+use crate::residency::Budget;
 use crate::scene_gpu::SceneGpu;
 use mailbox::Mailbox;
 use network::Network;
@@ -242,8 +243,8 @@ impl Updates for Frame {
         Self::interrupted(self);
     }
 
-    fn limit_geometry(&mut self, bytes: Option<usize>) {
-        Self::limit_geometry(self, bytes);
+    fn set_budget(&mut self, budget: Budget) {
+        Self::set_budget(self, budget);
     }
 
     fn update(&mut self, now: ServerTime) -> Result<Option<Shaded>, GpuError> {

@@ -10,6 +10,7 @@ use super::{Say, StreamStats};
 use crate::encode::{EncodeError, Encoder};
 use crate::frame::Shaded;
 use crate::pacing::{Kind, UpdateGate, WayState};
+use crate::residency::Budget;
 use anyhow::Context;
 use shadecast_gpu::GpuError;
 use shadecast_protocol::atlas::AtlasExtent;
@@ -48,8 +49,8 @@ pub trait Updates {
     fn displayed(&mut self, report: &Displayed);
     /// Updates pause, or go on after a pause.
     fn interrupted(&mut self);
-    /// The next update may bring so many bytes of new geometry; `None`: as much as there is.
-    fn limit_geometry(&mut self, bytes: Option<usize>);
+    /// What the next update may take on the wire.
+    fn set_budget(&mut self, budget: Budget);
     /// The next update; `None` before the first head state.
     fn update(&mut self, now: ServerTime) -> Result<Option<Shaded>, GpuError>;
     /// Adds what it knows to the figures of the run.
@@ -325,7 +326,7 @@ impl<'a> Pipeline<'a> {
         let Some(client) = &mut self.client else { return Ok(()) };
         let (outlet, now) = (&self.outlet, ServerTime(now_ns - self.epoch_ns));
         let made = guarded(|| {
-            client.updates.limit_geometry(client.gate.geometry_bytes(now_ns));
+            client.updates.set_budget(client.gate.budget(now_ns));
             let shaded =
                 client.updates.update(now).map_err(|error| Fault::of(&error, "shading an update"))?;
             shaded.map(|shaded| client.send_delta(outlet.as_ref(), shaded, now_ns)).transpose()

@@ -124,7 +124,7 @@ impl Updates for FakeUpdates {
 
     fn interrupted(&mut self) {}
 
-    fn limit_geometry(&mut self, _: Option<usize>) {}
+    fn set_budget(&mut self, _: Budget) {}
 
     fn update(&mut self, time: ServerTime) -> Result<Option<Shaded>, GpuError> {
         if !self.has_head {

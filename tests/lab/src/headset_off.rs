@@ -23,6 +23,8 @@ pub enum Absence {
 pub struct HeadsetOffReport {
     /// How long nobody looked.
     pub off_s: f64,
+    /// What the memory grew by meanwhile, MB: the difference of the next two.
+    pub grown_mb: f64,
     /// Resident memory of the process (server, link and client) a second into the absence, MB.
     pub rss_before_mb: f64,
     /// The same at its end.
@@ -40,11 +42,7 @@ impl fmt::Display for HeadsetOffReport {
         write!(
             f,
             "  headset off     {:.0} s: memory {:+.1} MB, {} bytes waited at most, {} updates, picture back after {:.3} s",
-            self.off_s,
-            self.rss_after_mb - self.rss_before_mb,
-            self.most_waiting_bytes,
-            self.updates_while_off,
-            self.picture_back_s
+            self.off_s, self.grown_mb, self.most_waiting_bytes, self.updates_while_off, self.picture_back_s
         )
     }
 }
@@ -80,6 +78,7 @@ pub fn measure(options: &RunOptions, absence: Absence, off_s: f64) -> anyhow::Re
         report.most_waiting_bytes = report.most_waiting_bytes.max(lab.client.waiting_bytes());
     }
     report.rss_after_mb = rss_mb()?;
+    report.grown_mb = report.rss_after_mb - report.rss_before_mb;
     report.updates_while_off = lab.server.sent.updates - updates;
     report.picture_back_s = until_picture(&mut lab, turns(PATIENCE_S))?;
     Ok(report)

@@ -1,13 +1,16 @@
 //! Server, link and client on one virtual clock; metrics and reports.
 
+pub mod abrupt;
 pub mod bars;
 pub mod compare;
 pub mod demo;
+pub mod figures;
 pub mod flip;
 mod forward_run;
 pub mod hostile;
 pub mod headset_off;
 pub mod image;
+pub mod keys;
 pub mod long;
 pub mod metrics;
 pub mod motion;
@@ -15,10 +18,12 @@ pub mod options;
 pub mod page;
 mod percentiles;
 pub mod robot;
+pub mod room;
 pub mod run;
 pub mod session;
-pub mod skinning;
 pub mod sheet;
+pub mod skinning;
+pub mod slow_link;
 pub mod ssim;
 pub mod stats;
 pub mod tearing;

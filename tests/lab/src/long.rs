@@ -1,10 +1,14 @@
 //! `shadecast-lab long`: the measurements that take long, as a list of named jobs that write a JSON file each. A file that is
 //! there is not made again, so that a run that was broken off goes on where it stopped.
 
-use crate::options::{RunOptions, StageMs};
+use crate::abrupt;
+use crate::headset_off::{self, Absence};
+use crate::options::{Renderer, RunOptions, StageMs};
 use crate::robot::robot;
+use crate::room::write_room;
 use crate::run::run;
 use crate::skinning;
+use crate::slow_link;
 use anyhow::{Context, bail, ensure};
 use serde_json::{Value, json};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
@@ -14,6 +18,7 @@ use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
 use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
 use shadecast_server::stages::forward::Forward;
+use shadecast_transport::LinkProfile;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
@@ -25,6 +30,12 @@ const COMPARE_EVERY: u32 = 24;
 const COMPARE_EVERY_SLOW: u32 = 36;
 /// Seconds that each attack lasts.
 const HOSTILE_SECONDS: f64 = 20.0;
+/// Seconds for which the headset is off.
+const HEADSET_OFF_SECONDS: f64 = 600.0;
+/// Seconds of a link that is slower than its scene.
+const SLOW_LINK_SECONDS: f64 = 25.0;
+/// Milliseconds one way of the link for the head that starts abruptly.
+const ABRUPT_WAY_MS: f64 = 110.0;
 /// Dragons of the paper's largest group.
 const PAPER_GROUP: u32 = 169;
 
@@ -88,12 +99,78 @@ fn jobs() -> Vec<Job> {
         let work = move |_: &Path| {
             let report = skinning::measure(&SceneSource::Dragons(9), sampling)?;
             println!("{report}");
-            Ok(Some(serde_json::to_value(&report)?))
+            Ok(Some(serde_json::to_value(report)?))
         };
         jobs.push(Job::new(name, work));
     }
+    jobs.push(Job::new("abrupt-room", |folder| abrupt_room(folder).map(Some)));
+    jobs.push(Job::new("slow-link", |folder| slow_links(folder).map(Some)));
+    jobs.push(Job::new("headset-off", |folder| headset_off(folder).map(Some)));
     jobs.push(Job::new("hostile", |_| hostile_peers().map(Some)));
     jobs
+}
+
+/// The abrupt head over a long way at two rates, and beside it the same delay without a link.
+fn abrupt_room(folder: &Path) -> anyhow::Result<Value> {
+    let scene = SceneSource::File(write_room(folder)?);
+    let usual = RunOptions {
+        extent_pixels: [256, 256],
+        validation: true,
+        ..RunOptions::new(scene, folder.join("run"))
+    };
+    let StageMs { server, encode, decode } = usual.stages;
+    let at_once =
+        StageMs { server: 2.0 * ABRUPT_WAY_MS + server + encode + decode, encode: 0.0, decode: 0.0 };
+    let measured = |what: &str, options: &RunOptions| -> anyhow::Result<Value> {
+        let report = abrupt::measure(options)?;
+        println!("{what}: {report}");
+        Ok(serde_json::to_value(report)?)
+    };
+    let stream = |rate: &str| -> anyhow::Result<Value> {
+        let link: LinkProfile = format!("latency={ABRUPT_WAY_MS}ms,rate={rate}").parse()?;
+        measured(rate, &RunOptions { link: link.into(), ..usual.clone() })
+    };
+    let local = RunOptions { renderer: Renderer::Local, stages: at_once, ..usual.clone() };
+    Ok(json!({
+        "one_way_ms": ABRUPT_WAY_MS,
+        "stream_100_mbit": stream("100mbit")?,
+        "stream_1_gbit": stream("1gbit")?,
+        "local": measured("local", &local)?,
+    }))
+}
+
+/// Links that carry a small part of what their scene needs.
+fn slow_links(folder: &Path) -> anyhow::Result<Value> {
+    let measured = |scene: SceneSource, rate: &str| -> anyhow::Result<Value> {
+        let link: LinkProfile = format!("latency=20ms,rate={rate}").parse()?;
+        let options = RunOptions {
+            seconds: SLOW_LINK_SECONDS,
+            extent_pixels: [128, 128],
+            link: link.into(),
+            ..RunOptions::new(scene, folder.join("run"))
+        };
+        let report = slow_link::measure(&options)?;
+        println!("{rate}: {report}");
+        Ok(serde_json::to_value(report)?)
+    };
+    Ok(json!({
+        "dragon_0_4_mbit": measured(SceneSource::Dragons(1), "0.4mbit")?,
+        "dragons3_1_mbit": measured(SceneSource::Dragons(3), "1mbit")?,
+    }))
+}
+
+/// One dragon, and the headset taken off by either way that runtimes have.
+fn headset_off(folder: &Path) -> anyhow::Result<Value> {
+    let options = RunOptions {
+        extent_pixels: [128, 128],
+        ..RunOptions::new(SceneSource::Dragons(1), folder.join("run"))
+    };
+    let measured = |absence| -> anyhow::Result<Value> {
+        let report = headset_off::measure(&options, absence, HEADSET_OFF_SECONDS)?;
+        println!("{absence:?}: {report}");
+        Ok(serde_json::to_value(report)?)
+    };
+    Ok(json!({ "hidden": measured(Absence::Hidden)?, "resting": measured(Absence::Resting)? }))
 }
 
 /// Every attack for as long as the acceptance asks, with what missed its bar.

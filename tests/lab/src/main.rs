@@ -5,10 +5,12 @@ use clap::{Args, Parser, Subcommand, value_parser};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_lab::bars::{BARS, Bars};
 use shadecast_lab::demo::{DemoOptions, demo};
+use shadecast_lab::figures;
 use shadecast_lab::hostile::{self, HostileOptions};
 use shadecast_lab::long;
 use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs};
 use shadecast_lab::robot::robot;
+use shadecast_lab::room::write_room;
 use shadecast_lab::run::run;
 use shadecast_lab::skinning;
 use shadecast_protocol::atlas::AtlasExtent;
@@ -68,10 +70,22 @@ enum Command {
         #[arg(long)]
         bars: Option<PathBuf>,
     },
+    /// Writes the tables of README and docs anew from the committed results, and the curve of keys
+    Figures {
+        /// The project's folder
+        #[arg(long, default_value = ".")]
+        root: PathBuf,
+    },
     /// Writes the stiff character of the long runs: boxes on joints, wide steps between 24 keys a second
     Robot {
         /// The .glb file
         #[arg(long, default_value = "robot.glb")]
+        out: PathBuf,
+    },
+    /// Writes the room of the long runs, in which the head starts abruptly: room.glb, and room.toml to stand in it
+    Room {
+        /// The folder
+        #[arg(long, default_value = ".")]
         out: PathBuf,
     },
     /// Attacks a server of its own on loopback, and says what becomes of a lawful client meanwhile and afterwards
@@ -233,8 +247,12 @@ fn main() {
         Command::Long { out, only: Some(only) } => long::run_all(&out, &only),
         Command::Long { out, only: None } => long::run_all(&out, "").and_then(|()| check_bars(&out, None)),
         Command::Bars { out, bars } => check_bars(&out, bars.as_deref()),
+        Command::Figures { root } => figures::write(&root),
         Command::Robot { out } => {
             std::fs::write(&out, robot()).with_context(|| format!("writing {}", out.display()))
+        }
+        Command::Room { out } => {
+            write_room(&out).map(|_| ()).with_context(|| format!("writing into {}", out.display()))
         }
         Command::Skinning(args) => measure_skinning(&args),
         Command::Hostile(args) => attack(args),

@@ -28,6 +28,7 @@ use shadecast_server::encode::Encoder;
 use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
 use shadecast_server::frame::{Frame, Shaded};
 use shadecast_server::pacing::{Kind, UpdateGate, WayState};
+use shadecast_server::residency::Budget;
 use shadecast_server::scene_gpu::SceneGpu;
 use shadecast_server::stream::offer;
 use shadecast_transport::endpoint::{Endpoint, EndpointConfig, Event, PeerId};
@@ -449,7 +450,7 @@ impl Lab {
         if let Some(shortfall) = server.gate.shortfall(now_ns) {
             tracing::warn!("{shortfall}");
         }
-        frame.limit_geometry(server.gate.geometry_bytes(now_ns));
+        frame.set_budget(way.map_or(Budget::UNLIMITED, |_| server.gate.budget(now_ns)));
         let Some(shaded) = frame.update(ServerTime(now_ns - SERVER_EPOCH_NS))? else { return Ok(()) };
         server.sent.updates += 1;
         server.residents.note(shaded.frame, frame.residency());

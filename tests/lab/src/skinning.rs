@@ -96,8 +96,8 @@ pub struct StageReport {
     pub over_floor: f64,
     /// The least that it can take at the round's plain copy rate alone, whatever invocations cost; median.
     pub copy_floor_ms: f64,
-    /// Time divided by that; median.
-    pub over_copy_floor: f64,
+    /// Time divided by that; median. `None` where nothing has to be copied.
+    pub over_copy_floor: Option<f64>,
     /// Bytes that cannot but be moved.
     pub floor_bytes: u64,
     /// vec4 that cannot but be fetched or stored, four scalars for one.
@@ -251,7 +251,7 @@ impl Variant {
             floor_ms: of(|stage| stage.floor),
             over_floor: of(|stage| stage.took / stage.floor),
             copy_floor_ms: of(|stage| stage.copy_floor),
-            over_copy_floor: of(|stage| stage.took / stage.copy_floor),
+            over_copy_floor: (bytes > 0).then(|| of(|stage| stage.took / stage.copy_floor)),
             floor_bytes: bytes,
             floor_fetches: scalars / 4,
         }
@@ -443,6 +443,9 @@ impl fmt::Display for SkinningReport {
 impl fmt::Display for StageReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "{:>9.3} {:>9.3} {:>10.2}x", self.ms, self.floor_ms, self.over_floor)?;
-        write!(out, " {:>11.3} {:>9.2}x", self.copy_floor_ms, self.over_copy_floor)
+        match self.over_copy_floor {
+            Some(over) => write!(out, " {:>11.3} {over:>9.2}x", self.copy_floor_ms),
+            None => write!(out, " {:>11} {:>10}", "-", "-"),
+        }
     }
 }

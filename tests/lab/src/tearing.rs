@@ -6,7 +6,8 @@ use crate::session::{Lab, Server};
 use glam::{Affine3A, Vec3};
 use shadecast_client::client::Step;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
+use shadecast_scene::Vertex;
 use shadecast_scene::animation::pose;
 use std::collections::{BTreeSet, HashMap};
 
@@ -21,6 +22,9 @@ pub struct TearingReport {
     pub triangles: u64,
     /// How far a drawn vertex was at most from its place at the one time of its frame, metres.
     pub max_error_m: f32,
+    /// How far one grid step at the last velocity leads from the curves at most, metres: vertices that have run out of
+    /// samples go on for so long.
+    pub last_step_error_m: f32,
 }
 
 /// Runs `options` in virtual time, and looks at every vertex drawn. To be called where [`crate::run::run`] may be.
@@ -35,7 +39,10 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<TearingReport> {
     let server = Server::new(options)?;
     let mut lab = Lab::new(options, server)?;
     lab.connect()?;
-    let mut report = TearingReport::default();
+    let mut report = TearingReport {
+        last_step_error_m: last_step_error_m(&lab, options.seconds),
+        ..TearingReport::default()
+    };
     let mut vertex_of_slot = HashMap::new();
     while let Step::Frame(frame) = lab.step()? {
         // Slots that have left the server's list may still be on display: their last vertex counts.
@@ -66,6 +73,35 @@ fn look(
         report.max_error_m = report.max_error_m.max(error_m);
     }
     Ok(())
+}
+
+/// The largest second difference of any vertex's way, in steps of the time grid, over a run of so many seconds of the
+/// scene's first instance.
+fn last_step_error_m(lab: &Lab, seconds: f64) -> f32 {
+    let scene = &lab.server.scene.scene;
+    let instance = &scene.instances[0];
+    let model = &scene.models[instance.model];
+    let step_s = DEFAULT_GRID.spacing_ns as f64 * 1e-9;
+    let places = |step: u32| -> Vec<Vec3> {
+        let time_s = f64::from(step) * step_s;
+        let phase_s = instance.clip_phase_s(model.duration_s(instance.clip), time_s);
+        let palette = pose::source_palette(model, instance.clip, phase_s);
+        let world_from_model = instance.world_from_model(time_s);
+        let place = |v: &Vertex| {
+            (world_from_model * pose::blend(&palette, v.joints, v.weights)).transform_point3(v.position)
+        };
+        model.vertices.iter().map(place).collect()
+    };
+    let steps = ((seconds + 1.0) / step_s).ceil() as u32;
+    let (mut before, mut now, mut worst_m) = (places(0), places(1), 0.0f32);
+    for step in 2..=steps {
+        let next = places(step);
+        for ((a, b), c) in before.iter().zip(&now).zip(&next) {
+            worst_m = worst_m.max((2.0 * *b - *a).distance(*c));
+        }
+        (before, now) = (now, next);
+    }
+    worst_m
 }
 
 /// Where the source's curves have a scene-wide vertex at a time.

@@ -1,0 +1,293 @@
+//! `shadecast-lab figures`: the tables of README and docs, made of the results that are committed. A table stands between two
+//! comments, `<!-- figures NAME -->` and `<!-- /figures -->`; a test holds that each is what the results say.
+
+use crate::bars::{BARS, Bars};
+use anyhow::{Context, bail};
+use serde_json::Value;
+use std::fmt::Write;
+use std::path::Path;
+
+const BEGIN: &str = "<!-- figures ";
+const BEGIN_END: &str = " -->\n";
+const END: &str = "<!-- /figures -->";
+/// The documents with tables, from the project's root, and where the results are.
+const DOCUMENTS: [&str; 2] = ["README.md", "docs/figures.md"];
+const RESULTS: &str = "docs/results";
+const KEYS: &str = "docs/keys.svg";
+const KEYS_RESULT: &str = "inspect-error-dragon";
+
+/// Results and what people call them.
+const SCENES: [(&str, &str); 8] = [
+    ("dragons3", "three dragons"),
+    ("cesium-man", "`CesiumMan.glb`"),
+    ("fox-survey", "`Fox.glb`, Survey"),
+    ("fox-walk", "`Fox.glb`, Walk"),
+    ("fox-run", "`Fox.glb`, Run"),
+    ("robot", "stiff robot of 22 boxes"),
+    ("morph", "`MorphStressTest.gltf`"),
+    ("kenney-fbx", "`maya_kenney_character_7700_binary.fbx`"),
+];
+
+/// Writes all tables anew, and the curve of keys; `root` is the project's.
+///
+/// # Errors
+/// A file cannot be read or written, or names a table that does not exist.
+pub fn write(root: &Path) -> anyhow::Result<()> {
+    for document in DOCUMENTS {
+        let path = root.join(document);
+        let text = std::fs::read_to_string(&path).with_context(|| format!("reading {}", path.display()))?;
+        replace(&path, &filled(&text, &root.join(RESULTS)).with_context(|| document.to_owned())?)?;
+    }
+    let inspected = read(&root.join(RESULTS), KEYS_RESULT).context("the error table has not been made")?;
+    replace(&root.join(KEYS), &crate::keys::svg(&inspected)?)
+}
+
+fn replace(path: &Path, text: &str) -> anyhow::Result<()> {
+    shadecast_transport::write_atomically(path, text.as_bytes())
+        .with_context(|| format!("writing {}", path.display()))
+}
+
+/// `text` with what stands between the comments made of `results`.
+fn filled(text: &str, results: &Path) -> anyhow::Result<String> {
+    let (mut out, mut rest) = (String::new(), text);
+    while let Some((before, after)) = rest.split_once(BEGIN) {
+        let (name, after) = after.split_once(BEGIN_END).context("a comment for figures is not closed")?;
+        let (_, after) = after.split_once(END).with_context(|| format!("{name}: {END} is missing"))?;
+        write!(out, "{before}{BEGIN}{name}{BEGIN_END}{}{END}", table(name, results)?)?;
+        rest = after;
+    }
+    Ok(out + rest)
+}
+
+fn table(name: &str, results: &Path) -> anyhow::Result<String> {
+    Ok(match name {
+        "scenes-short" => scenes(&SHORT, "", results),
+        "scenes" => scenes(&LONG, "", results),
+        "scenes-slow" => scenes(&LONG, "-slow", results),
+        "abrupt" => abrupt(results),
+        "slow-link" => slow_link(results),
+        "headset-off" => headset_off(results),
+        "hostile" => hostile(results),
+        "skinning" => skinning(results),
+        "bars" => format!("```text\n{}\n```\n", Bars::parse(BARS)?.check(results)),
+        other => bail!("there is no table \"{other}\""),
+    })
+}
+
+fn read(results: &Path, name: &str) -> Option<Value> {
+    let text = std::fs::read_to_string(results.join(format!("{name}.json"))).ok()?;
+    serde_json::from_str(&text).ok()
+}
+
+/// A number at a way of keys, with so many decimals; `-` where there is none.
+fn number(value: &Value, way: &str, factor: f64, decimals: usize) -> String {
+    let found = way.split('.').fold(value, |value, key| &value[key]);
+    found.as_f64().map_or_else(|| "-".to_owned(), |found| format!("{:.decimals$}", found * factor))
+}
+
+/// A table of Markdown.
+fn markdown(heads: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String {
+    let line = |cells: String| format!("|{cells}\n");
+    let mut out = line(heads.iter().map(|head| format!(" {head} |")).collect());
+    out += &line(heads.iter().map(|_| " --- |").collect());
+    for row in rows {
+        out += &line(row.iter().map(|cell| format!(" {cell} |")).collect());
+    }
+    out
+}
+
+// ---- scenes ----
+
+/// A column: its head, and what stands in it, with numbers as `{way,factor,decimals}`.
+type Column = (&'static str, &'static str);
+
+const SHORT: [Column; 7] = [
+    (
+        "animated: PSNR, SSIM, FLIP",
+        "{stats.animated.psnr_db,1,1} dB, {stats.animated.ssim,1,3}, {stats.animated.flip,1,3}",
+    ),
+    ("moving shadows: PSNR", "{stats.shadowed.psnr_db,1,1} dB"),
+    ("all: PSNR, FLIP", "{stats.psnr_db,1,1} dB, {stats.flip,1,3}"),
+    ("holes", "{stats.hole_fraction,100,3} %"),
+    ("motion: worst, 99th percentile", "{motion.max_error_mm,1,1} mm, {motion.p99_error_mm,1,2} mm"),
+    ("worst in pixels", "{motion.max_error_px,1,1}"),
+    ("atlas + geometry", "{stats.mbit_per_s.atlas,1,1} + {stats.mbit_per_s.geometry,1,1} Mbit/s"),
+];
+
+const LONG: [Column; 12] = [
+    ("animated: PSNR, dB", "{stats.animated.psnr_db,1,1}"),
+    ("SSIM", "{stats.animated.ssim,1,4}"),
+    ("FLIP", "{stats.animated.flip,1,3}"),
+    ("moving shadows: PSNR, dB", "{stats.shadowed.psnr_db,1,1}"),
+    ("all: PSNR, dB", "{stats.psnr_db,1,1}"),
+    ("FLIP", "{stats.flip,1,3}"),
+    ("holes, %", "{stats.hole_fraction,100,3}"),
+    ("motion, worst / 99th percentile, mm", "{motion.max_error_mm,1,1} / {motion.p99_error_mm,1,2}"),
+    ("worst, pixels", "{motion.max_error_px,1,2}"),
+    ("worst, % of range", "{motion.max_error_percent_of_range,1,2}"),
+    ("atlas + geometry, Mbit/s", "{stats.mbit_per_s.atlas,1,1} + {stats.mbit_per_s.geometry,1,1}"),
+    ("bytes a vertex and sample", "{stats.bytes_per_animated_vertex_sample,1,2}"),
+];
+
+fn scenes(columns: &[Column], suffix: &str, results: &Path) -> String {
+    let heads: Vec<&str> = std::iter::once("scene").chain(columns.iter().map(|(head, _)| *head)).collect();
+    let row = |(file, label): &(&str, &str)| {
+        let value = read(results, &format!("{file}-512{suffix}"))?;
+        let cells = columns.iter().map(|(_, cell)| cell_of(cell, &value));
+        Some(std::iter::once((*label).to_owned()).chain(cells).collect())
+    };
+    markdown(&heads, SCENES.iter().filter_map(row))
+}
+
+fn cell_of(pattern: &str, value: &Value) -> String {
+    let (mut out, mut rest) = (String::new(), pattern);
+    while let Some((before, after)) = rest.split_once('{') {
+        let (what, after) = after.split_once('}').expect("columns are constants");
+        let mut parts = what.split(',');
+        let mut part = || parts.next().expect("way, factor and decimals");
+        let (way, factor, decimals) = (part(), part(), part());
+        let factor = factor.parse().expect("a factor");
+        out += before;
+        out += &number(value, way, factor, decimals.parse().expect("a count"));
+        rest = after;
+    }
+    out + rest
+}
+
+// ---- the others ----
+
+/// Rows of one result, each made of one of its objects.
+fn rows(results: &Path, file: &str, rows: &[(&str, &str)], columns: &[Column]) -> String {
+    let heads: Vec<&str> = std::iter::once("").chain(columns.iter().map(|(head, _)| *head)).collect();
+    let result = read(results, file).unwrap_or_default();
+    let row = |(key, label): &(&str, &str)| {
+        let cells = columns.iter().map(|(_, cell)| cell_of(cell, &result[*key]));
+        std::iter::once((*label).to_owned()).chain(cells).collect()
+    };
+    markdown(&heads, rows.iter().map(row))
+}
+
+fn abrupt(results: &Path) -> String {
+    let ways = [
+        ("stream_100_mbit", "link of 110 ms one way, 100 Mbit/s"),
+        ("stream_1_gbit", "link of 110 ms one way, 1 Gbit/s"),
+        ("local", "no link, an update takes 246 ms"),
+    ];
+    let columns = [
+        ("whole after", "{whole_after_s,1,2} s"),
+        ("missing at worst", "{worst_hole_fraction,100,1} %"),
+        ("missing while still", "{still_hole_fraction,100,2} %"),
+        ("first picture", "{first_picture_s,1,2} s"),
+    ];
+    rows(results, "abrupt-room", &ways, &columns)
+}
+
+fn slow_link(results: &Path) -> String {
+    let links =
+        [("dragon_0_4_mbit", "one dragon, 0.4 Mbit/s"), ("dragons3_1_mbit", "three dragons, 1 Mbit/s")];
+    let columns = [
+        ("first picture", "{first_picture_s,1,1} s"),
+        ("longest pause", "{longest_pause_s,1,1} s"),
+        ("updates made", "{updates,1,0}"),
+        ("sent", "{sent_mbit_s,1,2} Mbit/s"),
+    ];
+    rows(results, "slow-link", &links, &columns)
+}
+
+fn headset_off(results: &Path) -> String {
+    let absences = [("hidden", "frames go on, not rendered"), ("resting", "session ended, begun again")];
+    let columns = [
+        ("off", "{off_s,1,0} s"),
+        ("memory", "{grown_mb,1,1} MB more"),
+        ("updates meanwhile", "{updates_while_off,1,0}"),
+        ("picture back", "{picture_back_s,1,2} s"),
+    ];
+    rows(results, "headset-off", &absences, &columns)
+}
+
+fn skinning(results: &Path) -> String {
+    let result = read(results, "skinning-dragons9").unwrap_or_default();
+    let variants = result["variants"].as_array().cloned().unwrap_or_default();
+    let columns = [
+        ("positions of vertices", "{position_ms,1,1} ms"),
+        ("all animation stages", "{all.ms,1,1} ms"),
+        ("over the floor shaped like the stage", "{all.over_floor,1,2}x"),
+        ("over the rate of plain copies", "{all.over_copy_floor,1,2}x"),
+    ];
+    let heads: Vec<&str> = std::iter::once("variant").chain(columns.iter().map(|(head, _)| *head)).collect();
+    let row = |variant: &Value| {
+        let name = variant["name"].as_str().unwrap_or("?").to_owned();
+        std::iter::once(name).chain(columns.iter().map(|(_, cell)| cell_of(cell, variant))).collect()
+    };
+    markdown(&heads, variants.iter().map(row))
+}
+
+/// Of each attack what was worst.
+fn hostile(results: &Path) -> String {
+    let result = read(results, "hostile").unwrap_or_default();
+    let report = &result["report"];
+    let ms = |value: &Value| value.as_u64().map_or_else(|| "-".to_owned(), |ms| format!("{ms} ms"));
+    let grown = |value: &Value| {
+        let of = |key: &str| value[key].as_f64().unwrap_or(0.0) * 1e-6;
+        format!("{:.0} MB", (of("memory_peak_bytes") - of("memory_before_bytes")).max(0.0))
+    };
+    let name = |value: &Value, who: &str| format!("{}, {who}", value["attack"].as_str().unwrap_or("?"));
+    let list = |key: &str| report[key].as_array().cloned().unwrap_or_default();
+    let on_server = list("attacks").into_iter().map(|attack| {
+        let is_serving = attack["while_serving"] == true;
+        let who = if is_serving { "client served" } else { "nobody served" };
+        vec![name(&attack, who), ms(&attack["attacked_pause_ms"]), ms(&attack["newcomer_ms"]), grown(&attack)]
+    });
+    let on_client = list("client_attacks").into_iter().map(|attack| {
+        vec![
+            name(&attack, "on a client"),
+            ms(&attack["attacked_pause_ms"]),
+            ms(&attack["back_ms"]),
+            grown(&attack),
+        ]
+    });
+    markdown(&["attack", "longest pause", "served afterwards within", "memory"], on_server.chain(on_client))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn root() -> std::path::PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+    }
+
+    #[test]
+    fn the_tables_of_readme_and_docs_are_what_the_results_say() {
+        for document in DOCUMENTS {
+            let text = std::fs::read_to_string(root().join(document)).expect("it is there");
+            assert!(text.contains(BEGIN), "{document} has no table of figures");
+            let filled = filled(&text, &root().join(RESULTS)).expect(document);
+            assert!(text == filled, "{document} says other than the results: run `shadecast-lab figures`");
+        }
+        let inspected = read(&root().join(RESULTS), KEYS_RESULT).expect("the error table");
+        let keys = std::fs::read_to_string(root().join(KEYS)).expect("the curve");
+        assert!(
+            keys == crate::keys::svg(&inspected).expect("a curve"),
+            "{KEYS}: run `shadecast-lab figures`"
+        );
+    }
+
+    #[test]
+    fn a_table_is_made_anew_between_its_comments_and_nothing_else_is_touched() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let result = r#"{"stats": {"psnr_db": 31.25, "hole_fraction": 0.001}, "motion": null}"#;
+        std::fs::write(folder.path().join("robot-512.json"), result).expect("written");
+        let text = "before\n<!-- figures scenes-short -->\nold\n<!-- /figures -->\nafter";
+        let filled = filled(text, folder.path()).expect("filled");
+        assert!(filled.starts_with("before\n<!-- figures scenes-short -->\n| scene |"), "{filled}");
+        assert!(
+            filled.contains("| stiff robot of 22 boxes | - dB, -, - | - dB | 31.2 dB, - | 0.100 % |"),
+            "{filled}"
+        );
+        assert!(filled.ends_with("\n<!-- /figures -->\nafter") && !filled.contains("old"), "{filled}");
+        assert_eq!(super::filled(&filled, folder.path()).expect("again"), filled);
+        assert!(super::filled("<!-- figures nothing -->\n<!-- /figures -->", folder.path()).is_err());
+        assert!(super::filled("<!-- figures bars -->\n", folder.path()).is_err());
+    }
+}
