@@ -1,7 +1,6 @@
-//! One update of the server, from the head's pose to what is sent: the design's steps 1 to 9 on one page, with the
-//! barriers between the stages.
+//! One update for one viewer, from the head's pose to what is sent: the design's steps 1 to 9 on one page, with the barriers
+//! between the stages. What does not depend on who looks is the [`World`]'s.
 
-use crate::animation::gpu::Animation;
 use crate::choice::{Notice, Room, Shortage};
 use crate::culling::Culling;
 use crate::encode::{AccessUnit, EncodeError, Encoder, Planes};
@@ -15,9 +14,9 @@ use crate::stages::id_buffer::{IdBuffer, shift_ndc};
 use crate::stages::level_selection::LevelSelection;
 use crate::stages::mark::Mark;
 use crate::stages::shading::Shading;
-use crate::stages::shadow::Shadow;
 use crate::stages::skin::Skin;
 use crate::stages::ycbcr::Ycbcr;
+use crate::world::{ViewerId, World};
 use glam::{Mat4, Vec3};
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory};
 use shadecast_protocol::delta::GeometryDelta;
@@ -25,11 +24,10 @@ use shadecast_protocol::ids::FrameId;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_VIEWS};
 use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
 use shadecast_protocol::pose::Fov;
-use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
+use shadecast_protocol::time::{GridIndex, ServerTime};
 use shadecast_protocol::wire::PictureHeader;
 use shadecast_shaders::generated::ViewGpu;
 use std::collections::VecDeque;
-use std::sync::Arc;
 
 /// Updates remembered until their display is reported.
 const REMEMBERED_UPDATES: usize = 256;
@@ -40,15 +38,11 @@ const MAX_ID_BUFFER_SIDE: f32 = 8192.0;
 /// Bytes of a bone's transform in a palette.
 const BONE_BYTES: u64 = 48;
 
-/// The pipeline of one client.
+/// The pipeline of one viewer.
 pub struct Frame {
-    gpu: Arc<Gpu>,
-    scene: Arc<SceneGpu>,
-    grid: Grid,
+    id: ViewerId,
     eye: EyeSize,
     head: HeadTrack,
-    animation: Animation,
-    samples: SampleWindow,
     culling: Culling,
     views: Buffer,
     id_buffer: IdBuffer,
@@ -59,7 +53,6 @@ pub struct Frame {
     residency: Residency,
     room: Room,
     shortage: Shortage,
-    shadow: Shadow,
     shading: Shading,
     ycbcr: Ycbcr,
     next: FrameId,
@@ -89,23 +82,21 @@ pub struct Shaded {
 }
 
 impl Frame {
-    /// For a client that agreed to `welcome` and has told its `capabilities`.
+    /// For a viewer of `world` that agreed to `welcome` and has told its `capabilities`.
     pub fn new(
-        gpu: &Arc<Gpu>,
-        scene: &Arc<SceneGpu>,
+        world: &World,
+        id: ViewerId,
         welcome: &Welcome,
         capabilities: &Capabilities,
     ) -> Result<Self, GpuError> {
+        let (gpu, scene, animation) = (world.gpu(), world.scene(), &world.animation);
         let eye = EyeSize::of(capabilities);
-        let animation = Animation::new(gpu, scene, RING)?;
-        let samples = SampleWindow::new(gpu, scene, &animation)?;
         let views =
             Buffer::new(gpu, "views", u64::from(MAX_VIEWS) * size_of::<ViewGpu>() as u64, Memory::Upload)?;
-        let id_buffer = IdBuffer::new(gpu, scene, &animation, &views, eye.id_buffer_extent())?;
+        let id_buffer = IdBuffer::new(gpu, scene, animation, &views, eye.id_buffer_extent())?;
         let mark = Mark::new(gpu, &id_buffer.image, scene.totals.patches)?;
-        let level_selection = LevelSelection::new(gpu, scene, &animation, &views, &mark.visible)?;
-        let shadow = Shadow::new(gpu, scene, &animation)?;
-        let shading = Shading::new(gpu, scene, &animation, &shadow, welcome.atlas_extent_texels)?;
+        let level_selection = LevelSelection::new(gpu, scene, animation, &views, &mark.visible)?;
+        let shading = Shading::new(gpu, scene, animation, &world.shadow, welcome.atlas_extent_texels)?;
         let ycbcr = Ycbcr::new(gpu, &shading.atlas)?;
         let room = Room { patches: welcome.patch_slots, vertices: welcome.vertex_slots };
         Ok(Self {
@@ -116,27 +107,27 @@ impl Frame {
                 Memory::Readback,
             )?,
             layout: Layout::new(welcome.atlas_extent_texels, scene.totals.patches as usize, room),
-            residency: Residency::new(&samples, welcome.patch_slots, welcome.vertex_slots),
+            residency: Residency::new(&world.samples, welcome.patch_slots, welcome.vertex_slots),
             room,
             shortage: Shortage::default(),
-            gpu: gpu.clone(),
-            scene: scene.clone(),
-            grid: welcome.grid,
+            id,
             eye,
             head: HeadTrack::default(),
-            animation,
-            samples,
             culling: scene.culling(),
             views,
             id_buffer,
             mark,
             level_selection,
-            shadow,
             shading,
             ycbcr,
             next: FrameId(0),
             update_times: VecDeque::new(),
         })
+    }
+
+    /// Who looks.
+    pub fn id(&self) -> ViewerId {
+        self.id
     }
 
     /// The client's head, as reported.
@@ -169,22 +160,22 @@ impl Frame {
     }
 
     /// Steps 1 to 6 and 8. `None` before the first head state: there is nowhere to look from.
-    pub fn update(&mut self, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
-        let Some(views) = self.head.predict(now, self.grid) else { return Ok(None) }; // 1
-        self.see(&views)?; // 2 to 4, GPU
-        let extents = &self.extents.values::<u32>()[..self.scene.totals.patches as usize];
-        let changes = self.layout.place(&self.samples, extents); // 4, 5
-        self.shade(&views)?; // 6, GPU
+    pub fn update(&mut self, world: &mut World, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
+        let Some(views) = self.head.predict(now, world.grid()) else { return Ok(None) }; // 1
+        let oldest = self.look(world, &views)?; // 2 to 4, GPU
+        let extents = &self.extents.values::<u32>()[..world.scene().totals.patches as usize];
+        let changes = self.layout.place(&world.samples, extents); // 4, 5
+        self.shade(world, &views)?; // 6, GPU
         let frame = self.next;
         let window = UpdateWindow {
             frame,
             time: now,
             first_sample: views.first_sample,
-            oldest: self.samples.oldest(),
+            oldest,
             horizon: views.horizon,
         };
-        let delta = self.residency.update(&self.samples, &changes, window); // 8
-        self.tell_what_is_missing();
+        let delta = self.residency.update(&world.samples, &changes, window); // 8
+        self.report_shortage();
         self.next = frame.next();
         self.update_times.push_back((frame, now));
         if self.update_times.len() > REMEMBERED_UPDATES {
@@ -195,19 +186,21 @@ impl Frame {
         Ok(Some(Shaded { frame, time: now, delta, extent_texels, planes }))
     }
 
-    /// Animates the new grid points of what can be in view, rasterises every predicted view at its time, and measures what is visible.
-    fn see(&mut self, views: &PredictedViews) -> Result<(), GpuError> {
+    /// Animates the new grid points of what can be in view, rasterises every predicted view at its time, and measures what is
+    /// visible. Gives the oldest grid point whose positions are known.
+    fn look(&mut self, world: &mut World, views: &PredictedViews) -> Result<GridIndex, GpuError> {
         self.write_views(views);
         let needed = self.culling.update(views.eyes.iter().flatten().copied());
         let slots = views.times.map(SampleWindow::slot);
-        let mut recorder = self.gpu.record()?;
-        self.samples.record(&mut recorder, &mut self.animation, self.grid, views, needed);
+        let mut recorder = world.gpu().record()?;
+        let oldest = world.animate(&mut recorder, self.id, views, needed);
+        let (scene, animation) = (world.scene(), &world.animation);
         recorder.fill(&self.mark.visible, 0);
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         for (time, slot) in slots.into_iter().enumerate() {
             recorder.scope("id buffer", |r| {
-                self.id_buffer.record(r, &self.scene, &self.animation, needed, slot, 2 * time as u32);
+                self.id_buffer.record(r, scene, animation, needed, slot, 2 * time as u32);
             });
             recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
             recorder.scope("mark", |r| self.mark.record(r));
@@ -215,31 +208,27 @@ impl Frame {
         }
         recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
         recorder.scope("level selection", |r| {
-            self.level_selection.record(r, &self.scene, &self.animation, slots);
+            self.level_selection.record(r, scene, animation, slots);
         });
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         recorder.copy_buffer(&self.level_selection.extents, 0, &self.extents, 0, self.extents.size());
         recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
-        self.gpu.wait(recorder.submit()?)
+        world.gpu().wait(recorder.submit()?)?;
+        Ok(oldest)
     }
 
     /// Fills every live block as it is in the middle of the update's time on display, and converts the atlas.
-    fn shade(&mut self, views: &PredictedViews) -> Result<(), GpuError> {
+    fn shade(&mut self, world: &mut World, views: &PredictedViews) -> Result<(), GpuError> {
         let middle = views.times[VIEW_TIMES / 2];
         let slot = SampleWindow::slot(middle);
-        self.shadow.write(&self.scene, self.grid.time_of(middle));
-        self.shading.write_blocks(&self.scene, &self.animation, slot, self.layout.live());
-        let mut recorder = self.gpu.record()?;
-        let needed = self.culling.needed();
-        self.animation.record_frames(&mut recorder, slot, |instance| needed[instance]);
-        recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
-        recorder.scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, needed, slot));
-        recorder.barrier(Access::DEPTH_WRITE, Access::FRAGMENT_READ);
+        self.shading.write_blocks(world.scene(), &world.animation, slot, self.layout.live());
+        let mut recorder = world.gpu().record()?;
+        world.light(&mut recorder, middle);
         recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the last conversion has read the atlas
         recorder.scope("shading", |r| self.shading.record(r, views.world_from_head.position));
         recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
         recorder.scope("ycbcr", |r| self.ycbcr.record(r));
-        self.gpu.wait(recorder.submit()?)
+        world.gpu().wait(recorder.submit()?)
     }
 
     fn write_views(&mut self, views: &PredictedViews) {
@@ -271,7 +260,7 @@ impl Frame {
         self.shortage.total()
     }
 
-    fn tell_what_is_missing(&mut self) {
+    fn report_shortage(&mut self) {
         match self.shortage.update(self.layout.dropped() + self.residency.waiting()) {
             Some(Notice::Begins(count)) => tracing::warn!(
                 "{count} patches in view are not shown, those smallest on screen: the client holds {} patches and {} vertices at most",
@@ -290,12 +279,6 @@ impl Frame {
     /// How the head moves and how long the way to the display is.
     pub fn head_track(&self) -> &HeadTrack {
         &self.head
-    }
-
-    /// World position of a scene-wide vertex at a grid point of the current window.
-    pub fn sample(&self, grid: GridIndex, vertex: u32) -> Vec3 {
-        use crate::residency::Geometry;
-        self.samples.sample(grid, vertex)
     }
 }
 

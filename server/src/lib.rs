@@ -20,4 +20,6 @@ pub mod scene_gpu;
 pub mod stages;
 pub mod stream;
 pub mod video;
+pub mod viewer;
 pub mod window;
+pub mod world;

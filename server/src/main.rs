@@ -58,7 +58,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Serves a scene to a client
+    /// Serves a scene to clients
     Stream(StreamArgs),
     /// Renders a scene with the ground-truth renderer: to PNG files, to a video, or in a window
     Forward(Box<forward_command::ForwardArgs>),
@@ -114,6 +114,9 @@ struct StreamArgs {
     /// Updates per second, 1 to 60
     #[arg(long, default_value_t = 30.0, value_parser = number(1.0..=60.0, "updates a second"))]
     rate: f64,
+    /// Clients that are served at once, 1 to 16; all see the same moment of the same world
+    #[arg(long, default_value_t = 4, value_parser = value_parser!(u8).range(1..=16))]
+    viewers: u8,
     /// Simulates a network on the real socket, such as latency=20ms,jitter=5ms,loss=1%,rate=100mbit, or a .toml file
     #[arg(long)]
     link: Option<String>,
@@ -259,6 +262,7 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
         atlas_extent_texels: args.atlas,
         qp: args.qp,
         rate_hz: args.rate,
+        viewers: usize::from(args.viewers),
         link,
         seed: args.seed,
         seconds: args.seconds,
@@ -269,6 +273,14 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
     let say = |line: &str| voice.say(line);
     let stats = run(Device { gpu, scene }, &reopen, &options, cancel.flag(), &say)?;
     voice.say(&format!("{} updates, {:.1} a second", stats.updates, stats.server_fps));
+    let busy_s: f64 = stats.viewers.iter().map(|viewer| viewer.busy_s).sum();
+    for viewer in stats.viewers.iter().filter(|_| stats.viewers.len() > 1) {
+        let (number, share) = (viewer.viewer, 100.0 * viewer.busy_s / busy_s.max(1e-9));
+        voice.say(&format!(
+            "  client {number}: {:.1} updates a second for {:.1} s, {share:.0} % of the work",
+            viewer.server_fps, viewer.seconds
+        ));
+    }
     output.finish();
     if let Some(path) = &args.stats {
         let text = serde_json::to_string_pretty(&stats)?;

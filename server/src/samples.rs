@@ -23,7 +23,6 @@ pub struct SampleWindow {
     /// By instance: which grid point each slot holds.
     held: Vec<[Option<GridIndex>; RING as usize]>,
     jobs: Vec<SampleJob>,
-    oldest: GridIndex,
     is_first: bool,
 }
 
@@ -43,7 +42,6 @@ impl SampleWindow {
             scene: scene.clone(),
             mirror,
             places,
-            oldest: GridIndex(0),
             is_first: true,
         })
     }
@@ -53,13 +51,14 @@ impl SampleWindow {
         g.0.rem_euclid(RING as i32) as u32
     }
 
-    /// Oldest grid point that is computed and not overwritten.
-    pub fn oldest(&self) -> GridIndex {
-        self.oldest
+    /// Nothing that was computed is believed any more.
+    pub fn forget(&mut self) {
+        self.held.iter_mut().for_each(|slots| slots.fill(None));
+        self.is_first = true;
     }
 
     /// Records the samples that `views` need of the `needed` instances and the window lacks: of an instance that was
-    /// needed before, the newest; of one that comes into view, all of the window.
+    /// needed before, the newest; of one that comes into view, all of the window. Gives the oldest grid point that is there.
     pub fn record(
         &mut self,
         recorder: &mut Recorder,
@@ -67,10 +66,9 @@ impl SampleWindow {
         grid: Grid,
         views: &PredictedViews,
         needed: &[bool],
-    ) {
+    ) -> GridIndex {
         // A server that fell behind skips the grid points that nobody can display any more.
         let earliest = views.horizon.plus(1 - RING as i32).max(views.first_sample.min(views.times[0]));
-        self.oldest = earliest;
         self.list_jobs(earliest, views.horizon, grid, needed);
         let statics =
             SampleJob { instance: 0, slot: Self::slot(views.horizon), time: grid.time_of(views.horizon) };
@@ -82,6 +80,7 @@ impl SampleWindow {
         }
         self.copy_back(recorder, animation);
         recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
+        earliest
     }
 
     fn list_jobs(&mut self, earliest: GridIndex, horizon: GridIndex, grid: Grid, needed: &[bool]) {

@@ -238,6 +238,12 @@ impl Animation {
         }
     }
 
+    /// Nothing that was computed is believed any more.
+    pub fn forget(&mut self) {
+        self.slots.iter_mut().for_each(Slot::forget);
+        self.statics_done = false;
+    }
+
     /// First saved vertex of an instance at a slot's time.
     pub fn position_base(&self, instance: &InstanceGpu, slot: u32) -> u32 {
         self.skin.position_base(instance, slot)
@@ -270,5 +276,9 @@ impl Slot {
         self.poses.clear();
         self.pose_of_instance.fill(None);
         (self.bones, self.entries, self.weights) = (0, 0, 0);
+    }
+
+    fn forget(&mut self) {
+        self.time = None;
     }
 }

@@ -81,7 +81,7 @@ impl Shadow {
         self.light.write(0, bytemuck::bytes_of(&light));
     }
 
-    /// Draws the `needed` casters as they are in `slot`; once and all where none of them moves.
+    /// Draws the `needed` casters as they are in `slot`; once and all where none of them moves. Gives whether it did.
     pub fn record(
         &mut self,
         recorder: &mut Recorder,
@@ -89,9 +89,9 @@ impl Shadow {
         animation: &Animation,
         needed: &[bool],
         slot: u32,
-    ) {
+    ) -> bool {
         if self.is_drawn && !(self.is_animated && self.view.is_some()) {
-            return;
+            return false;
         }
         self.is_drawn = true;
         recorder.begin_pass(&self.pass, &self.target, &[vk::ClearValue::default()]); // 0: far from the sun
@@ -105,6 +105,12 @@ impl Shadow {
             });
         }
         recorder.end_pass();
+        true
+    }
+
+    /// The map is drawn anew.
+    pub fn forget(&mut self) {
+        self.is_drawn = false;
     }
 
     /// What shading binds to see by: the light, and the map.

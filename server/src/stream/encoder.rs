@@ -127,7 +127,7 @@ fn encode(encoder: &mut dyn Encoder, outlet: &dyn Outlet, peer: PeerId, job: Job
             return Outcome::Failed(format!("{error}; a coarser quantisation (--qp) makes it smaller"));
         }
     };
-    let (unit_bytes, stream_bytes) = (unit.bytes.len(), super::pipeline::bytes_of(&out));
+    let (unit_bytes, stream_bytes) = (unit.bytes.len(), crate::viewer::bytes_of(&out));
     match outlet.send(peer, out) {
         Ok(()) => Outcome::Sent { shaded: job.shaded, stream_bytes, unit_bytes },
         Err(error) => Outcome::Failed(format!("a picture could not be sent: {error}")),

@@ -1,17 +1,17 @@
-//! What the network tells the pipeline: at most one of a kind, the newest, so that a client cannot make it grow and a
-//! pipeline that was busy is never behind.
+//! What the network tells the pipeline: of each client at most one of a kind, the newest, so that no client can make it grow
+//! and a pipeline that was busy is never behind.
 
-use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
-use shadecast_protocol::session::DeltaSender;
+use crate::viewer::Told;
+use shadecast_protocol::message::{Capabilities, Welcome};
+use shadecast_protocol::session::{DeltaSender, ServerEvent};
 use shadecast_transport::PeerId;
+use std::collections::BTreeMap;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// A client that was welcomed.
 #[derive(Debug)]
 pub struct Accepted {
-    /// Its connection.
-    pub peer: PeerId,
     /// What was agreed.
     pub welcome: Welcome,
     /// What it has told of itself.
@@ -20,76 +20,58 @@ pub struct Accepted {
     pub sender: DeltaSender,
 }
 
-/// Who is to be served.
+/// Whether a client is to be served.
 #[derive(Debug, Default)]
 pub enum Client {
-    /// Whoever was.
+    /// As before.
     #[default]
     Unchanged,
-    /// Nobody.
+    /// No longer.
     Gone,
-    /// This one, and nobody else any more.
+    /// From now on.
     Accepted(Box<Accepted>),
 }
 
-/// All that has happened since the pipeline looked last.
+/// All that has happened to a client since the pipeline looked last.
 #[derive(Debug, Default)]
 pub struct News {
-    /// Who is to be served. The rest is that client's.
+    /// Whether it is to be served.
     pub client: Client,
-    /// The newest head state.
-    pub pose: Option<HeadState>,
-    /// What is on display.
-    pub displayed: Option<Displayed>,
-    /// A picture that needs no other is wanted.
-    pub refresh: bool,
-    /// Whether somebody looks, where that was told.
-    pub watching: Option<bool>,
+    /// What it has told.
+    pub told: Told,
 }
 
 /// From the network's thread to the pipeline's.
 #[derive(Debug, Default)]
 pub struct Mailbox {
-    news: Mutex<News>,
+    news: Mutex<BTreeMap<PeerId, News>>,
     arrived: Condvar,
 }
 
 impl Mailbox {
-    /// A client was welcomed: what came from an earlier one is void.
-    pub fn accepted(&self, accepted: Accepted) {
-        self.put(|news| *news = News { client: Client::Accepted(Box::new(accepted)), ..News::default() });
+    /// A client was welcomed.
+    pub fn accepted(&self, peer: PeerId, accepted: Accepted) {
+        let client = Client::Accepted(Box::new(accepted));
+        self.put(|news| drop(news.insert(peer, News { client, told: Told::default() })));
     }
 
-    /// The client has gone, or what served it is to be forgotten.
-    pub fn gone(&self) {
-        self.put(|news| *news = News { client: Client::Gone, ..News::default() });
-    }
-
-    /// Where the head is.
-    pub fn pose(&self, pose: HeadState) {
-        self.put(|news| news.pose = Some(pose));
-    }
-
-    /// What is on display.
-    pub fn displayed(&self, report: Displayed) {
-        self.put(|news| {
-            let earlier = news.displayed.take();
-            news.displayed = Some(earlier.map_or(report, |earlier| earlier.merged(report)));
+    /// A client has gone, or what served it is to be forgotten.
+    pub fn gone(&self, peer: PeerId) {
+        self.put(|news| match news.remove(&peer) {
+            // The pipeline has never heard of it.
+            Some(News { client: Client::Accepted(_), .. }) => {}
+            _ => drop(news.insert(peer, News { client: Client::Gone, told: Told::default() })),
         });
     }
 
-    /// A picture that needs no other is wanted.
-    pub fn refresh(&self) {
-        self.put(|news| news.refresh = true);
-    }
-
-    /// Whether somebody looks.
-    pub fn watching(&self, is_watched: bool) {
-        self.put(|news| news.watching = Some(is_watched));
+    /// A client that is served has said something.
+    pub fn told(&self, peer: PeerId, event: ServerEvent) {
+        // What is no viewer's affair does not come here.
+        self.put(|news| drop(news.entry(peer).or_default().told.take(event)));
     }
 
     /// All that is new, without waiting.
-    pub fn take(&self) -> News {
+    pub fn take(&self) -> BTreeMap<PeerId, News> {
         std::mem::take(&mut *self.lock())
     }
 
@@ -100,13 +82,13 @@ impl Mailbox {
         drop(self.arrived.wait_timeout(guard, at_most));
     }
 
-    fn put(&self, change: impl FnOnce(&mut News)) {
+    fn put(&self, change: impl FnOnce(&mut BTreeMap<PeerId, News>)) {
         change(&mut self.lock());
         self.arrived.notify_one();
     }
 
-    fn lock(&self) -> MutexGuard<'_, News> {
-        // News is whole after every statement: a thread that panicked leaves nothing half done.
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<PeerId, News>> {
+        // News are whole after every statement: a thread that panicked leaves nothing half done.
         self.news.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -116,23 +98,25 @@ mod tests {
     use super::*;
     use crate::stream::testing::{accepted, head};
     use shadecast_protocol::ids::FrameId;
+    use shadecast_protocol::message::Displayed;
     use std::sync::Arc;
 
     #[test]
-    fn of_many_clients_that_come_and_go_only_the_newest_is_told_of() {
+    fn of_clients_that_come_and_go_before_the_pipeline_looks_nothing_is_told() {
         let mailbox = Mailbox::default();
         for peer in 0..300 {
-            mailbox.accepted(accepted(PeerId(peer)));
-            mailbox.pose(head(peer as u32));
-            if peer % 2 == 0 {
-                mailbox.gone();
+            mailbox.accepted(PeerId(peer), accepted());
+            mailbox.told(PeerId(peer), ServerEvent::Pose(head(peer as u32)));
+            if peer < 298 {
+                mailbox.gone(PeerId(peer));
             }
         }
         let news = mailbox.take();
-        assert!(matches!(&news.client, Client::Accepted(last) if last.peer == PeerId(299)), "{news:?}");
-        assert_eq!(news.pose.map(|pose| pose.sequence), Some(299));
-        mailbox.gone();
-        assert!(matches!(mailbox.take(), News { client: Client::Gone, pose: None, .. }));
+        assert_eq!(news.keys().copied().collect::<Vec<_>>(), [PeerId(298), PeerId(299)]);
+        assert!(matches!(news[&PeerId(299)].client, Client::Accepted(_)), "{news:?}");
+        assert_eq!(news[&PeerId(299)].told.pose.map(|pose| pose.sequence), Some(299));
+        mailbox.gone(PeerId(299));
+        assert!(matches!(mailbox.take()[&PeerId(299)], News { client: Client::Gone, .. }));
     }
 
     #[test]
@@ -140,13 +124,13 @@ mod tests {
         let mailbox = Mailbox::default();
         for frame in 0..1000 {
             let counted = Displayed { frame: FrameId(frame), display_frames: 2, ..Displayed::default() };
-            mailbox.displayed(counted);
-            mailbox.refresh();
+            mailbox.told(PeerId(1), ServerEvent::Displayed(counted));
+            mailbox.told(PeerId(1), ServerEvent::RefreshRequest { after: None });
         }
-        let news = mailbox.take();
-        let report = news.displayed.expect("one");
-        assert_eq!((report.frame, report.display_frames, news.refresh), (FrameId(999), 2000, true));
-        assert!(mailbox.take().displayed.is_none());
+        let told = mailbox.take()[&PeerId(1)].told;
+        let report = told.displayed.expect("one");
+        assert_eq!((report.frame, report.display_frames, told.refresh), (FrameId(999), 2000, true));
+        assert!(mailbox.take().is_empty());
     }
 
     #[test]
@@ -155,7 +139,7 @@ mod tests {
         let poisoner = mailbox.clone();
         let panicked = std::thread::spawn(move || poisoner.put(|_| panic!("while holding the lock"))).join();
         assert!(panicked.is_err());
-        mailbox.refresh();
-        assert!(mailbox.take().refresh);
+        mailbox.gone(PeerId(1));
+        assert_eq!(mailbox.take().len(), 1);
     }
 }

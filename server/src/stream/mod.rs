@@ -1,8 +1,8 @@
 //! `shadecast-server stream`: the pipeline on real sockets and the real clock.
 //!
-//! Three threads that never wait for each other: the network (connections, sessions, answers to pings), the pipeline
-//! (updates at a constant rate) and the encoder (one picture at a time; while it is busy no new update is started, so that
-//! what leaves is always the newest). What the network tells the pipeline is the newest of each kind; what the pipeline
+//! Threads that never wait for each other: the network (connections, sessions, answers to pings), the pipeline (updates for
+//! every viewer of the one world) and an encoder a viewer (one picture at a time; while it is busy no new update is started,
+//! so that what leaves is always the newest). What the network tells the pipeline is the newest of each kind; what the pipeline
 //! makes goes to the transport without the network's thread.
 
 mod encoder;
@@ -20,9 +20,11 @@ use crate::frame::{Frame, Shaded};
 use crate::pacing::WayState;
 use crate::residency::Budget;
 use crate::scene_gpu::SceneGpu;
+use crate::viewer::Updates;
+use crate::world::{ViewerId, World};
 use mailbox::Mailbox;
 use network::Network;
-use pipeline::{Outlet, Pipeline, Studio, Updates};
+use pipeline::{Outlet, Pipeline, Studio};
 use serde::Serialize;
 use shadecast_gpu::{Gpu, GpuError};
 use shadecast_protocol::PROTOCOL_VERSION;
@@ -63,6 +65,8 @@ pub struct StreamOptions {
     pub qp: u8,
     /// Updates per second.
     pub rate_hz: f64,
+    /// Clients that are served at once.
+    pub viewers: usize,
     /// A simulated link on the real socket.
     pub link: Option<LinkSchedule>,
     /// Seed of the simulated link.
@@ -98,6 +102,8 @@ pub struct StreamStats {
     pub coarsened: u32,
     /// Patches in view that were not shown for want of room, summed over the updates for the last client.
     pub dropped_patches: u64,
+    /// Each client that was served, in the order in which they went.
+    pub viewers: Vec<ViewerStats>,
     /// Clients accepted.
     pub clients: u32,
     /// Sessions that were ended because their pipeline could not be made or failed.
@@ -110,6 +116,29 @@ pub struct StreamStats {
     pub gpu_ms: BTreeMap<String, f64>,
     /// Vulkan validation warnings and errors.
     pub validation_messages: u32,
+}
+
+/// How it went for one client.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ViewerStats {
+    /// Its number, in the order in which clients came; the first is 1.
+    pub viewer: u32,
+    /// How long it was served.
+    pub seconds: f64,
+    /// Updates sent.
+    pub updates: u64,
+    /// Updates per second.
+    pub server_fps: f64,
+    /// How long the pipeline worked for it, seconds: its share of the device.
+    pub busy_s: f64,
+    /// Bytes of access units.
+    pub atlas_bytes: u64,
+    /// Bytes of geometry deltas.
+    pub geometry_bytes: u64,
+    /// How often its atlas was full.
+    pub coarsened: u32,
+    /// Patches in its view that were not shown for want of room, summed over its updates.
+    pub dropped_patches: u64,
 }
 
 /// A device, and the scene on it.
@@ -187,6 +216,10 @@ impl Outlet for Way {
 struct GpuStudio<'a> {
     /// `None` only while it is opened again.
     device: Option<Device>,
+    /// While somebody looks.
+    world: Option<World>,
+    viewers: u64,
+    looking: usize,
     /// Kept for that.
     scene: Option<Scene>,
     reopen: &'a Reopen<'a>,
@@ -201,13 +234,41 @@ impl GpuStudio<'_> {
 }
 
 impl Studio for GpuStudio<'_> {
-    fn updates(
-        &mut self,
-        welcome: &Welcome,
-        capabilities: &Capabilities,
-    ) -> Result<Box<dyn Updates>, GpuError> {
-        let Device { gpu, scene } = self.device()?;
-        Ok(Box::new(Frame::new(gpu, scene, welcome, capabilities)?))
+    type Updates = Frame;
+
+    fn open(&mut self, welcome: &Welcome, capabilities: &Capabilities) -> Result<Frame, GpuError> {
+        let world = match self.world.take() {
+            Some(world) => world,
+            None => World::new(&self.device()?.gpu, &self.device()?.scene)?,
+        };
+        self.viewers += 1;
+        let frame = Frame::new(&world, ViewerId(self.viewers), welcome, capabilities);
+        if self.looking > 0 || frame.is_ok() {
+            self.world = Some(world);
+        }
+        self.looking += usize::from(frame.is_ok());
+        frame
+    }
+
+    fn update(&mut self, frame: &mut Frame, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
+        self.world.as_mut().map_or(Ok(None), |world| frame.update(world, now))
+    }
+
+    fn close(&mut self, frame: Frame, has_failed: bool) {
+        self.looking -= 1;
+        let Some(world) = &mut self.world else { return };
+        world.leave(frame.id());
+        if has_failed {
+            world.forget();
+        }
+        if self.looking == 0 {
+            self.world = None;
+        }
+    }
+
+    fn account(&self, frame: &Frame, stats: &mut ViewerStats) {
+        stats.coarsened = frame.layout().coarsened();
+        stats.dropped_patches = frame.dropped_patches();
     }
 
     fn encoder(&mut self, extent_texels: AtlasExtent) -> Result<Box<dyn Encoder>, EncodeError> {
@@ -220,6 +281,7 @@ impl Studio for GpuStudio<'_> {
     }
 
     fn reopen(&mut self) -> anyhow::Result<()> {
+        (self.world, self.looking) = (None, 0);
         if let Some(Device { scene, .. }) = self.device.take() {
             self.scene = Some(scene.scene.clone());
         }
@@ -245,15 +307,6 @@ impl Updates for Frame {
 
     fn set_budget(&mut self, budget: Budget) {
         Self::set_budget(self, budget);
-    }
-
-    fn update(&mut self, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
-        Self::update(self, now)
-    }
-
-    fn account(&self, stats: &mut StreamStats) {
-        stats.coarsened = self.layout().coarsened();
-        stats.dropped_patches = self.dropped_patches();
     }
 }
 
@@ -283,12 +336,13 @@ pub fn run(
     let offers: &(dyn Fn(u64) -> ServerOffer + Sync) = &make_offer;
     let (mailbox, verdicts, epoch_ns) =
         (Mailbox::default(), Arc::new(Verdicts::default()), monotonic_now_ns());
-    let mut studio = GpuStudio { device: Some(device), scene: None, reopen, options };
+    let mut studio =
+        GpuStudio { device: Some(device), world: None, viewers: 0, looking: 0, scene: None, reopen, options };
     let (mut stats, last_atlas) = std::thread::scope(|scope| {
         let (mailbox, verdicts, carrier) = (&mailbox, &verdicts, handle.clone());
         let network = std::thread::Builder::new().name("sessions".into()).spawn_scoped(scope, move || {
             let _stop = StopOnEnd(stop);
-            let network = Network::new(&carrier, mailbox, verdicts, offers, say, epoch_ns);
+            let network = Network::new(&carrier, mailbox, verdicts, offers, say, options.viewers, epoch_ns);
             run_network(network, &events, stop);
             events // without them the transport ends, and the pipeline may still be sending
         })?;
@@ -300,7 +354,7 @@ pub fn run(
         let has_panicked = network.join().is_err();
         worked?;
         anyhow::ensure!(!has_panicked, "the thread of the sessions has failed; its reason is in the log");
-        anyhow::Ok(pipeline.finish())
+        anyhow::Ok(pipeline.finish(monotonic_now_ns()))
     })?;
     if let (Some(path), Some(shaded)) = (&options.atlas_png, &last_atlas) {
         let rgb = crate::picture::rgb_from_planes(shaded.extent_texels, &shaded.planes);
@@ -319,7 +373,9 @@ fn listen(options: &StreamOptions, say: &Say<'_>) -> anyhow::Result<(Handle, Eve
         Some(folder) => ServerIdentity::load_or_create(folder)?,
         None => ServerIdentity::load_or_create(&shadecast_transport::identity::default_directory()?)?,
     };
-    let endpoint = Endpoint::server(&identity, EndpointConfig::default())?;
+    let usual = EndpointConfig::default();
+    let max_peers = usual.max_peers - 1 + options.viewers;
+    let endpoint = Endpoint::server(&identity, EndpointConfig { max_peers, ..usual })?;
     let mut driver = Driver::bind(endpoint, options.listen)?;
     if let Some(link) = &options.link {
         driver = driver.with_link(link.clone(), options.seed);
@@ -344,8 +400,8 @@ fn run_network(mut network: Network<'_>, events: &Events, stop: &AtomicBool) {
     network.goodbye(monotonic_now_ns());
 }
 
-fn run_pipeline(
-    pipeline: &mut Pipeline<'_>,
+fn run_pipeline<S: Studio>(
+    pipeline: &mut Pipeline<'_, S>,
     mailbox: &Mailbox,
     seconds: f64,
     stop: &AtomicBool,

@@ -2,7 +2,7 @@
 //! ping is answered when it comes.
 
 use super::mailbox::{Accepted, Mailbox};
-use super::place::{Greeting, Place};
+use super::place::{Greeting, Places};
 use super::{Say, Verdicts};
 use shadecast_protocol::message::{ClientHello, Refused, ResumeSecret, ServerOffer, Welcome};
 use shadecast_protocol::session::{Out, ServerEvent, ServerSession};
@@ -57,7 +57,7 @@ pub(super) struct Network<'a> {
     say: &'a Say<'a>,
     epoch_ns: i64,
     greeting: Greeting,
-    place: Place,
+    places: Places,
     guests: BTreeMap<PeerId, Guest>,
     /// Refused clients, and when their connection is ended if they do not do it.
     leaving: Vec<(PeerId, i64)>,
@@ -77,6 +77,7 @@ impl<'a> Network<'a> {
         verdicts: &'a Verdicts,
         make_offer: &'a (dyn Fn(u64) -> ServerOffer + Sync),
         say: &'a Say<'a>,
+        viewers: usize,
         epoch_ns: i64,
     ) -> Self {
         Self {
@@ -87,7 +88,7 @@ impl<'a> Network<'a> {
             say,
             epoch_ns,
             greeting: Greeting::default(),
-            place: Place::default(),
+            places: Places::new(viewers),
             guests: BTreeMap::new(),
             leaving: Vec::new(),
             sessions: 0,
@@ -125,9 +126,9 @@ impl<'a> Network<'a> {
         }
     }
 
-    /// Takes leave of the client that is served.
+    /// Takes leave of the clients that are served.
     pub(super) fn goodbye(&mut self, now_ns: i64) {
-        if let Some(peer) = self.place.served() {
+        for peer in self.places.served().collect::<Vec<_>>() {
             if let Some(guest) = self.guests.get_mut(&peer) {
                 guest.session.goodbye();
             }
@@ -146,30 +147,22 @@ impl<'a> Network<'a> {
     }
 
     /// Hands something to a client's session, and does what comes of it.
-    fn hear(&mut self, peer: PeerId, at_ns: i64, now_ns: i64, tell: impl FnOnce(&mut ServerSession)) {
+    fn hear(&mut self, peer: PeerId, at_ns: i64, now_ns: i64, say: impl FnOnce(&mut ServerSession)) {
         let Some(guest) = self.guests.get_mut(&peer) else { return };
         let before = guest.session.understood();
-        tell(&mut guest.session);
+        say(&mut guest.session);
         if guest.session.understood() > before {
-            self.place.heard(peer, at_ns);
+            self.places.heard(peer, at_ns);
         }
         while let Some(event) = self.guests.get_mut(&peer).and_then(|guest| guest.session.poll_event()) {
-            self.heed(peer, event, now_ns);
+            self.happened(peer, event, now_ns);
         }
         self.flush(peer, now_ns);
     }
 
-    fn heed(&mut self, peer: PeerId, event: ServerEvent, now_ns: i64) {
-        let is_served = self.place.served() == Some(peer);
+    fn happened(&mut self, peer: PeerId, event: ServerEvent, now_ns: i64) {
         match event {
             ServerEvent::Asked { hello, welcome } => self.asked(peer, &hello, welcome, now_ns),
-            ServerEvent::Pose(pose) if is_served => self.mailbox.pose(pose),
-            ServerEvent::Displayed(report) if is_served => {
-                self.place.shown(peer);
-                self.mailbox.displayed(report);
-            }
-            ServerEvent::RefreshRequest { .. } if is_served => self.mailbox.refresh(),
-            ServerEvent::Watching(is_watched) if is_served => self.mailbox.watching(is_watched),
             ServerEvent::Refused(refused) => self.sent_away(peer, &refused, now_ns),
             ServerEvent::Goodbye => {
                 self.leave(peer, "it said goodbye");
@@ -180,28 +173,32 @@ impl<'a> Network<'a> {
                 self.lose(peer, &reason);
                 self.drop_guest(peer, CODE_NOT_UNDERSTOOD, &reason);
             }
-            ServerEvent::Pose(_)
-            | ServerEvent::Displayed(_)
-            | ServerEvent::Watching(_)
-            | ServerEvent::RefreshRequest { .. } => {}
+            told if self.places.has(peer) => {
+                if matches!(told, ServerEvent::Displayed(_)) {
+                    self.places.shown(peer);
+                }
+                self.mailbox.told(peer, told);
+            }
+            _ => {}
         }
     }
 
     /// A hello that was judged good: the place is given, or not.
     fn asked(&mut self, peer: PeerId, hello: &ClientHello, welcome: Welcome, now_ns: i64) {
-        let taken = match self.place.ask(peer, hello.resume, welcome.resume, now_ns) {
+        let taken = match self.places.ask(peer, hello.resume, welcome.resume, now_ns) {
             Ok(taken) => taken,
             Err(refused) => return self.refuse(peer, refused, now_ns),
         };
         self.greeting.done(peer);
         if let Some(old) = taken.displaced {
+            self.mailbox.gone(old);
             self.drop_guest(old, CODE_DISPLACED, "another connection has taken this place");
         }
         let Some(guest) = self.guests.get_mut(&peer) else { return };
         let Some(sender) = guest.session.accept() else { return };
         (self.say)(&format!("Client connected from {}", guest.remote));
         let capabilities = hello.capabilities.clone();
-        self.mailbox.accepted(Accepted { peer, welcome, capabilities, sender });
+        self.mailbox.accepted(peer, Accepted { welcome, capabilities, sender });
     }
 
     /// Tells a client why it is not served, or no longer, and ends its connection once it knows.
@@ -218,9 +215,9 @@ impl<'a> Network<'a> {
         let why = printable(&format!("{}; {}", refused.reason, refused.remedy));
         (self.say)(&format!("Client refused: {} ({why})", guest.remote));
         self.greeting.done(peer);
-        if self.place.served() == Some(peer) {
-            self.place.left(peer);
-            self.mailbox.gone();
+        if self.places.has(peer) {
+            self.places.left(peer);
+            self.mailbox.gone(peer);
         }
         if self.leaving.len() == MAX_LEAVING {
             let (first, _) = self.leaving.remove(0);
@@ -238,24 +235,24 @@ impl<'a> Network<'a> {
         self.forget(peer);
     }
 
-    /// The client that is served has left of its own will.
+    /// A client has left of its own will.
     fn leave(&mut self, peer: PeerId, why: &str) {
-        if self.place.served() == Some(peer) {
-            self.place.left(peer);
-            self.gone(why);
+        if self.places.has(peer) {
+            self.places.left(peer);
+            self.gone(peer, why);
         }
     }
 
-    /// The client that is served has vanished, or is no longer understood.
+    /// A client has vanished, or is no longer understood.
     fn lose(&mut self, peer: PeerId, why: &str) {
-        if self.place.served() == Some(peer) {
-            self.place.lost(peer);
-            self.gone(why);
+        if self.places.has(peer) {
+            self.places.lost(peer);
+            self.gone(peer, why);
         }
     }
 
-    fn gone(&mut self, why: &str) {
-        self.mailbox.gone();
+    fn gone(&mut self, peer: PeerId, why: &str) {
+        self.mailbox.gone(peer);
         (self.say)(&format!("Client gone: {}", printable(why)));
     }
 
@@ -295,7 +292,7 @@ impl<'a> Network<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::mailbox::Client;
+    use crate::stream::mailbox::{Client, News};
     use crate::stream::place::HELLO_DEADLINE_NS;
     use crate::stream::testing::{head, hello, offer};
     use shadecast_protocol::message::{
@@ -367,8 +364,21 @@ mod tests {
             Self { carrier: Recorder::default(), mailbox: Mailbox::default(), verdicts: Verdicts::default() }
         }
 
+        /// What is new of a client; of others it is forgotten.
+        fn news(&self, peer: PeerId) -> Option<News> {
+            self.mailbox.take().remove(&peer)
+        }
+
+        fn is_gone(&self, peer: PeerId) -> bool {
+            self.news(peer).is_some_and(|news| matches!(news.client, Client::Gone))
+        }
+
         fn network(&self) -> Network<'_> {
-            Network::new(&self.carrier, &self.mailbox, &self.verdicts, &|_| offer(), &|_| {}, 0)
+            self.network_for(1)
+        }
+
+        fn network_for(&self, viewers: usize) -> Network<'_> {
+            Network::new(&self.carrier, &self.mailbox, &self.verdicts, &|_| offer(), &|_| {}, viewers, 0)
         }
     }
 
@@ -391,12 +401,12 @@ mod tests {
 
     /// A client that was greeted shows the first update, which the pipeline has sent.
     fn show_first(network: &mut Network<'_>, desk: &Desk, peer: PeerId, at_ns: i64) {
-        let Client::Accepted(mut accepted) = desk.mailbox.take().client else {
+        let Some(Client::Accepted(mut accepted)) = desk.news(peer).map(|news| news.client) else {
             panic!("nobody was accepted")
         };
         accepted.sender.delta_stream(&Default::default()).expect("a small delta");
         say(network, peer, &ClientMessage::Displayed(Displayed::default()), at_ns);
-        assert!(desk.mailbox.take().displayed.is_some());
+        assert!(desk.news(peer).is_some_and(|news| news.told.displayed.is_some()));
     }
 
     #[test]
@@ -451,12 +461,12 @@ mod tests {
             Event::Closed { peer: first, kind: CloseKind::TimedOut, reason: "lost".into() },
             2 * SECOND,
         );
-        assert!(matches!(desk.mailbox.take().client, Client::Gone));
+        assert!(desk.is_gone(first));
         let stranger = greet(&mut network, 2, None, 3 * SECOND);
         assert!(desk.carrier.refusal(stranger).is_some_and(|reason| reason.contains("kept")));
         let back = greet(&mut network, 3, secret, 4 * SECOND);
         assert!(desk.carrier.secret(back).is_some_and(|next| Some(next) != secret));
-        assert!(matches!(desk.mailbox.take().client, Client::Accepted(accepted) if accepted.peer == back));
+        assert!(desk.news(back).is_some_and(|news| matches!(news.client, Client::Accepted(_))));
     }
 
     #[test]
@@ -467,7 +477,7 @@ mod tests {
         let back = greet(&mut network, 2, desk.carrier.secret(first), 1);
         assert_eq!(*desk.carrier.closed.borrow(), [(first, CODE_DISPLACED)]);
         network.take(Event::Closed { peer: first, kind: CloseKind::Local, reason: "closed here".into() }, 2);
-        assert_eq!(network.place.served(), Some(back), "the old one's end is nobody's loss");
+        assert!(network.places.has(back), "the old one's end is nobody's loss");
     }
 
     #[test]
@@ -477,7 +487,7 @@ mod tests {
         let first = greet(&mut network, 1, None, 0);
         show_first(&mut network, &desk, first, 1);
         say(&mut network, first, &ClientMessage::Goodbye, 2);
-        assert!(matches!(desk.mailbox.take().client, Client::Gone));
+        assert!(desk.is_gone(first));
         let next = greet(&mut network, 2, None, 3);
         assert!(desk.carrier.secret(next).is_some());
     }
@@ -505,10 +515,10 @@ mod tests {
         assert_eq!(desk.carrier.datagrams.borrow().len(), 1);
         let pose = ClientDatagram::Pose(head(3)).encode();
         network.take(Event::Datagram { peer: first, bytes: pose.clone(), at_ns: 9 }, 9);
-        assert!(desk.mailbox.take().pose.is_some());
+        assert!(desk.news(first).is_some_and(|news| news.told.pose.is_some()));
         let second = greet(&mut network, 2, None, 10);
         network.take(Event::Datagram { peer: second, bytes: pose, at_ns: 11 }, 11);
-        assert!(desk.mailbox.take().pose.is_none());
+        assert!(desk.news(second).is_none());
     }
 
     #[test]
@@ -533,6 +543,30 @@ mod tests {
         let mut network = desk.network();
         let first = greet(&mut network, 1, None, 0);
         assert_eq!(*desk.carrier.closed.borrow(), [(first, CODE_NOT_UNDERSTOOD)]);
-        assert!(matches!(desk.mailbox.take().client, Client::Gone));
+        assert!(desk.news(first).is_none(), "the pipeline never hears of it");
+    }
+
+    #[test]
+    fn several_clients_are_served_at_once_and_one_more_is_refused() {
+        let desk = Desk::new();
+        let mut network = desk.network_for(2);
+        let (first, second) = (greet(&mut network, 1, None, 0), greet(&mut network, 2, None, 1));
+        let third = greet(&mut network, 3, None, 2);
+        assert!(desk.carrier.refusal(third).is_some_and(|reason| reason.contains("2 other clients")));
+        desk.mailbox.take();
+        let pose = ClientDatagram::Pose(head(3)).encode();
+        for peer in [first, second, third] {
+            network.take(Event::Datagram { peer, bytes: pose.clone(), at_ns: 9 }, 9);
+        }
+        assert_eq!(desk.mailbox.take().into_keys().collect::<Vec<_>>(), [first, second]);
+        network.goodbye(10);
+        let said = |peer| {
+            desk.carrier
+                .messages
+                .borrow()
+                .iter()
+                .any(|(to, message)| *to == peer && *message == ServerMessage::Goodbye)
+        };
+        assert!(said(first) && said(second));
     }
 }

@@ -1,33 +1,37 @@
-//! The pipeline's thread: updates for the client that is served, at a constant rate or as often as the link takes them.
+//! The pipeline's thread: updates for the clients that are served, each at a constant rate or as often as its link takes them.
 //!
 //! Whatever fails while one client's pipeline is made or run is that client's end, with a reason, and the server goes on.
-//! Only a lost device stops all of it; then it is opened again from the top.
+//! Only a lost device stops all of it; then it is opened again from the top. Where the device is slower than all updates
+//! together, who has waited longest is next.
 
 use super::encoder::{EncoderThread, Job, Outcome, words_of};
 use super::mailbox::{Accepted, Client, Mailbox, News};
 use super::rebuild::Rebuild;
-use super::{Say, StreamStats};
+use super::{Say, StreamStats, ViewerStats};
 use crate::encode::{EncodeError, Encoder};
 use crate::frame::Shaded;
-use crate::pacing::{Kind, UpdateGate, WayState};
-use crate::residency::Budget;
+use crate::pacing::{Kind, WayState};
+use crate::viewer::{Update, Updates, Viewer, bytes_of};
 use anyhow::Context;
 use shadecast_gpu::GpuError;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::delta::DeltaSizes;
-use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Refused, Welcome};
-use shadecast_protocol::session::{DeltaSender, Out};
+use shadecast_protocol::message::{Capabilities, Refused, Welcome};
+use shadecast_protocol::session::Out;
 use shadecast_protocol::time::ServerTime;
 use shadecast_transport::{PeerId, SendError};
+use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Encoders that may fail one after the other, without a picture between them, before the session ends.
 const MAX_ENCODER_FAILURES: u32 = 3;
 /// How long the pipeline sleeps at least and at most before it looks again; news from the network wakes it.
 const SHORTEST_WAIT_NS: i64 = 500_000;
 const LONGEST_WAIT_NS: i64 = 5_000_000;
+/// Clients that have gone whose figures are kept.
+const MAX_VIEWERS_REMEMBERED: usize = 64;
 /// How long it sleeps while nobody is served.
 const IDLE_WAIT: Duration = Duration::from_millis(50);
 
@@ -41,30 +45,18 @@ pub trait Outlet: Send + Sync {
     fn refuse(&self, peer: PeerId, refused: Refused);
 }
 
-/// What makes one client's updates.
-pub trait Updates {
-    /// The client's head.
-    fn head(&mut self, state: HeadState);
-    /// What the client shows.
-    fn displayed(&mut self, report: &Displayed);
-    /// Updates pause, or go on after a pause.
-    fn interrupted(&mut self);
-    /// What the next update may take on the wire.
-    fn set_budget(&mut self, budget: Budget);
-    /// The next update; `None` before the first head state.
-    fn update(&mut self, now: ServerTime) -> Result<Option<Shaded>, GpuError>;
-    /// Adds what it knows to the figures of the run.
-    fn account(&self, stats: &mut StreamStats);
-}
-
-/// What makes pipelines: the device and the scene on it.
+/// What makes updates: the device and the scene on it.
 pub trait Studio {
-    /// The pipeline of a client.
-    fn updates(
-        &mut self,
-        welcome: &Welcome,
-        capabilities: &Capabilities,
-    ) -> Result<Box<dyn Updates>, GpuError>;
+    /// What makes one client's updates.
+    type Updates: Updates;
+    /// For a client that has come.
+    fn open(&mut self, welcome: &Welcome, capabilities: &Capabilities) -> Result<Self::Updates, GpuError>;
+    /// The next update; `None` before the first head state.
+    fn update(&mut self, updates: &mut Self::Updates, now: ServerTime) -> Result<Option<Shaded>, GpuError>;
+    /// A client has gone. `has_failed`: in the middle of an update, of which nothing is to be believed.
+    fn close(&mut self, updates: Self::Updates, has_failed: bool);
+    /// What is known of a client's pictures.
+    fn account(&self, updates: &Self::Updates, stats: &mut ViewerStats);
     /// An encoder for pictures of an extent.
     fn encoder(&mut self, extent_texels: AtlasExtent) -> Result<Box<dyn Encoder>, EncodeError>;
     /// Milliseconds that each stage of the finished updates took on the device, since the last call.
@@ -73,22 +65,15 @@ pub trait Studio {
     fn reopen(&mut self) -> anyhow::Result<()>;
 }
 
-/// Bytes of what is sent.
-pub(super) fn bytes_of(out: &Out) -> usize {
-    match out {
-        Out::Control(bytes) | Out::Datagram(bytes) | Out::Stream { bytes, .. } => bytes.len(),
-    }
-}
-
 /// Updates for whoever is served.
-pub(super) struct Pipeline<'a> {
-    studio: &'a mut dyn Studio,
+pub(super) struct Pipeline<'a, S: Studio> {
+    studio: &'a mut S,
     outlet: Arc<dyn Outlet>,
     mailbox: &'a Mailbox,
     say: &'a Say<'a>,
     period_ns: i64,
     epoch_ns: i64,
-    client: Option<Served>,
+    clients: BTreeMap<PeerId, Served<S::Updates>>,
     rebuild: Rebuild,
     /// When the device is opened again; `None` while it is open.
     reopen_ns: Option<i64>,
@@ -98,19 +83,14 @@ pub(super) struct Pipeline<'a> {
     last_atlas: Option<Box<Shaded>>,
 }
 
-/// The client that is served.
-struct Served {
-    peer: PeerId,
-    updates: Box<dyn Updates>,
-    sender: DeltaSender,
+/// A client that is served.
+struct Served<U> {
+    viewer: Viewer<U>,
     extent_texels: AtlasExtent,
     encoder: EncoderThread,
     encoder_failures: u32,
-    gate: UpdateGate,
-    refresh: bool,
-    /// False while nobody looks: nothing is shaded then.
-    is_watched: bool,
-    due_ns: i64,
+    stats: ViewerStats,
+    since_ns: i64,
 }
 
 /// What ends a client's session.
@@ -152,9 +132,9 @@ fn guarded<T>(body: impl FnOnce() -> Result<T, Fault>) -> Result<T, Fault> {
     catch_unwind(AssertUnwindSafe(body)).unwrap_or_else(|panic| Err(Fault::of_panic(panic.as_ref())))
 }
 
-impl<'a> Pipeline<'a> {
+impl<'a, S: Studio> Pipeline<'a, S> {
     pub(super) fn new(
-        studio: &'a mut dyn Studio,
+        studio: &'a mut S,
         outlet: Arc<dyn Outlet>,
         mailbox: &'a Mailbox,
         say: &'a Say<'a>,
@@ -168,7 +148,7 @@ impl<'a> Pipeline<'a> {
             say,
             period_ns: (1e9 / rate_hz) as i64,
             epoch_ns,
-            client: None,
+            clients: BTreeMap::new(),
             rebuild: Rebuild::default(),
             reopen_ns: None,
             stats: StreamStats { epoch_monotonic_ns: epoch_ns, ..StreamStats::default() },
@@ -178,7 +158,7 @@ impl<'a> Pipeline<'a> {
         }
     }
 
-    /// Does what is due; gives how long nothing will be.
+    /// Does what is due, one client's update at most; gives how long nothing will be.
     ///
     /// # Errors
     /// The device is lost, and cannot be opened again.
@@ -192,75 +172,64 @@ impl<'a> Pipeline<'a> {
                 return Ok(Duration::from_nanos(LONGEST_WAIT_NS as u64));
             }
         }
-        let worked = self.listen(now_ns).and_then(|()| self.serve(now_ns));
-        if let Err(fault) = worked {
-            self.end(fault, now_ns)?;
+        for (peer, news) in self.mailbox.take() {
+            self.listen(peer, news, now_ns)?;
         }
-        let Some(client) = self.client.as_ref().filter(|client| client.is_watched) else {
+        for peer in self.clients.keys().copied().collect::<Vec<_>>() {
+            let looked = self.look_at_encoder(peer, now_ns);
+            self.settle(peer, looked, now_ns)?;
+        }
+        if let Some(peer) = self.next_to_serve(now_ns) {
+            let served = self.update(peer, now_ns);
+            self.settle(peer, served, now_ns)?;
+        }
+        let Some(due_ns) = self.clients.values().filter_map(|client| client.viewer.due_ns()).min() else {
             return Ok(IDLE_WAIT);
         };
-        let wait_ns = (client.due_ns - now_ns).clamp(SHORTEST_WAIT_NS, LONGEST_WAIT_NS);
+        let wait_ns = (due_ns - now_ns).clamp(SHORTEST_WAIT_NS, LONGEST_WAIT_NS);
         Ok(Duration::from_nanos(wait_ns as u64))
     }
 
-    /// Takes what is new, then makes a pipeline for the client that is there now, if it is another one.
-    fn listen(&mut self, now_ns: i64) -> Result<(), Fault> {
-        let News { client, pose, displayed, refresh, watching } = self.mailbox.take();
+    /// Takes what is new of a client; makes its pipeline where it has just come.
+    fn listen(&mut self, peer: PeerId, News { client, told }: News, now_ns: i64) -> anyhow::Result<()> {
         match client {
             Client::Unchanged => {}
-            Client::Gone => self.client = None,
+            Client::Gone => self.close(peer, false, now_ns),
             Client::Accepted(accepted) => {
-                self.client = None; // its memory goes before the next one's is asked for
-                self.accept(*accepted, now_ns)?;
+                self.close(peer, false, now_ns);
+                let accepted = self.accept(peer, *accepted, now_ns);
+                self.settle(peer, accepted, now_ns)?;
             }
         }
-        let Some(client) = &mut self.client else { return Ok(()) };
-        guarded(|| {
-            pose.into_iter().for_each(|pose| client.updates.head(pose));
-            displayed.iter().for_each(|report| client.updates.displayed(report));
-            client.refresh |= refresh;
-            watching.into_iter().for_each(|is_watched| client.watch(is_watched, now_ns));
+        let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
+        let heard = guarded(|| {
+            client.viewer.hear(told, now_ns);
             Ok(())
-        })
+        });
+        self.settle(peer, heard, now_ns)
     }
 
-    fn accept(&mut self, accepted: Accepted, now_ns: i64) -> Result<(), Fault> {
+    fn accept(&mut self, peer: PeerId, accepted: Accepted, now_ns: i64) -> Result<(), Fault> {
         self.stats.clients += 1;
-        let Accepted { peer, welcome, capabilities, sender } = accepted;
+        let Accepted { welcome, capabilities, sender } = accepted;
         let extent_texels = welcome.atlas_extent_texels;
-        let made = guarded(|| {
-            let updates = self.studio.updates(&welcome, &capabilities);
-            let updates =
-                updates.map_err(|error| Fault::of(&error, "making the pipeline for this client"))?;
-            Ok((updates, self.start_encoder(peer, extent_texels)?))
-        });
-        match made {
-            Ok((updates, encoder)) => {
-                self.client = Some(Served {
-                    peer,
-                    updates,
-                    sender,
-                    extent_texels,
-                    encoder,
-                    encoder_failures: 0,
-                    gate: UpdateGate::new(self.period_ns),
-                    refresh: false,
-                    is_watched: true,
-                    due_ns: now_ns,
-                });
-                Ok(())
-            }
-            Err(Fault::Client(refused)) => {
-                tracing::warn!("a client is refused: {}", refused.reason);
-                self.outlet.refuse(peer, refused);
-                self.stats.refused += 1;
-                Ok(())
-            }
-            Err(lost) => {
-                self.outlet.refuse(peer, device_lost());
-                Err(lost)
-            }
-        }
+        let encoder = guarded(|| self.start_encoder(peer, extent_texels))?;
+        let updates = guarded(|| {
+            let updates = self.studio.open(&welcome, &capabilities);
+            updates.map_err(|error| Fault::of(&error, "making the pipeline for this client"))
+        })?;
+        self.clients.insert(
+            peer,
+            Served {
+                viewer: Viewer::new(updates, sender, self.period_ns, now_ns),
+                extent_texels,
+                encoder,
+                encoder_failures: 0,
+                stats: ViewerStats { viewer: self.stats.clients, ..ViewerStats::default() },
+                since_ns: now_ns,
+            },
+        );
+        Ok(())
     }
 
     fn start_encoder(&mut self, peer: PeerId, extent_texels: AtlasExtent) -> Result<EncoderThread, Fault> {
@@ -270,70 +239,73 @@ impl<'a> Pipeline<'a> {
             .map_err(|error| Fault::of_encoder(&error.to_string()))
     }
 
-    /// Does what the client's picture and the time ask for.
-    fn serve(&mut self, now_ns: i64) -> Result<(), Fault> {
-        self.look_at_encoder(now_ns)?;
-        let Some(client) = &mut self.client else { return Ok(()) };
-        if !client.is_watched || now_ns < client.due_ns || client.encoder.is_busy() {
-            return Ok(());
+    /// Of the clients whose update is due, whose last picture is encoded and whose way is open, the one that waits longest.
+    fn next_to_serve(&mut self, now_ns: i64) -> Option<PeerId> {
+        let mut next: Option<(i64, PeerId)> = None;
+        for (peer, client) in &mut self.clients {
+            let Some(due_ns) = client.viewer.due_ns().filter(|due_ns| *due_ns <= now_ns) else { continue };
+            if client.encoder.is_busy() {
+                continue;
+            }
+            let is_open = client.viewer.is_open(self.outlet.way(*peer).as_ref(), now_ns);
+            if let Some(shortfall) = client.viewer.shortfall(now_ns) {
+                tracing::warn!("{shortfall}");
+            }
+            if is_open && next.is_none_or(|(earliest_ns, _)| due_ns < earliest_ns) {
+                next = Some((due_ns, *peer));
+            }
         }
-        let way = self.outlet.way(client.peer);
-        let may_update = way.is_none_or(|way| client.gate.may_update(&way, now_ns));
-        if let Some(shortfall) = client.gate.shortfall(now_ns) {
-            tracing::warn!("{shortfall}");
-        }
-        if !may_update {
-            return Ok(());
-        }
-        // A late update does not make the next ones hurry.
-        client.due_ns = (client.due_ns + self.period_ns).max(now_ns - self.period_ns);
-        self.update(now_ns)
+        next.map(|(_, peer)| peer)
     }
 
-    fn look_at_encoder(&mut self, now_ns: i64) -> Result<(), Fault> {
-        let Some(client) = &mut self.client else { return Ok(()) };
+    fn look_at_encoder(&mut self, peer: PeerId, now_ns: i64) -> Result<(), Fault> {
+        let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
         match client.encoder.poll() {
             None => {}
             Some(Outcome::Sent { shaded, stream_bytes, unit_bytes }) => {
                 client.encoder_failures = 0;
-                client.gate.sent(shaded.frame, Kind::Picture, stream_bytes, now_ns);
+                client.viewer.sent(shaded.frame, Kind::Picture, stream_bytes, now_ns);
+                client.stats.atlas_bytes += unit_bytes as u64;
                 self.stats.atlas_bytes += unit_bytes as u64;
                 self.last_atlas = Some(shaded);
             }
-            Some(Outcome::Failed(reason)) => return self.restart_encoder(&reason),
+            Some(Outcome::Failed(reason)) => return self.restart_encoder(peer, &reason),
         }
         Ok(())
     }
 
     /// A fresh encoder, whose first picture needs no other; not again and again.
-    fn restart_encoder(&mut self, reason: &str) -> Result<(), Fault> {
-        let Some(client) = &mut self.client else { return Ok(()) };
+    fn restart_encoder(&mut self, peer: PeerId, reason: &str) -> Result<(), Fault> {
+        let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
         tracing::error!("the encoder is started anew: {reason}");
         self.stats.encoder_restarts += 1;
         client.encoder_failures += 1;
         if client.encoder_failures > MAX_ENCODER_FAILURES {
             return Err(Fault::of_encoder(reason));
         }
-        let (peer, extent_texels) = (client.peer, client.extent_texels);
+        let extent_texels = client.extent_texels;
         let encoder = guarded(|| self.start_encoder(peer, extent_texels))?;
-        if let Some(client) = &mut self.client {
-            (client.encoder, client.refresh) = (encoder, true);
+        if let Some(client) = self.clients.get_mut(&peer) {
+            client.encoder = encoder;
+            client.viewer.refresh();
         }
         Ok(())
     }
 
-    fn update(&mut self, now_ns: i64) -> Result<(), Fault> {
-        let Some(client) = &mut self.client else { return Ok(()) };
-        let (outlet, now) = (&self.outlet, ServerTime(now_ns - self.epoch_ns));
+    fn update(&mut self, peer: PeerId, now_ns: i64) -> Result<(), Fault> {
+        let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
+        let (studio, outlet, now) = (&mut *self.studio, &self.outlet, ServerTime(now_ns - self.epoch_ns));
+        let begun = Instant::now();
         let made = guarded(|| {
-            client.updates.set_budget(client.gate.budget(now_ns));
+            let updates = client.viewer.begin(outlet.way(peer).as_ref(), now_ns);
             let shaded =
-                client.updates.update(now).map_err(|error| Fault::of(&error, "shading an update"))?;
-            shaded.map(|shaded| client.send_delta(outlet.as_ref(), shaded, now_ns)).transpose()
+                studio.update(updates, now).map_err(|error| Fault::of(&error, "shading an update"))?;
+            shaded.map(|shaded| client.send_delta(outlet.as_ref(), peer, shaded, now_ns)).transpose()
         })?;
-        let Some((shaded, sizes)) = made else { return Ok(()) };
-        client.updates.account(&mut self.stats);
-        client.encoder.give(Job { shaded: Box::new(shaded), refresh: std::mem::take(&mut client.refresh) });
+        client.stats.busy_s += begun.elapsed().as_secs_f64();
+        let Some(Update { shaded, sizes, refresh }) = made else { return Ok(()) };
+        client.count(sizes, now_ns);
+        client.encoder.give(Job { shaded, refresh });
         self.count(sizes, now_ns);
         Ok(())
     }
@@ -353,22 +325,44 @@ impl<'a> Pipeline<'a> {
         }
     }
 
-    /// Ends the client's session, and everything on the device where that is lost.
-    fn end(&mut self, fault: Fault, now_ns: i64) -> anyhow::Result<()> {
-        let peer = self.client.take().map(|client| client.peer);
-        let refused = match fault {
-            Fault::Client(refused) => {
+    /// Ends the session of a client whose turn has failed, and everything on the device where that is lost.
+    fn settle(&mut self, peer: PeerId, turn: Result<(), Fault>, now_ns: i64) -> anyhow::Result<()> {
+        match turn {
+            Ok(()) => {}
+            Err(Fault::Client(refused)) => {
                 tracing::warn!("a session ends: {}", refused.reason);
                 self.stats.refused += 1;
-                refused
+                self.close(peer, true, now_ns);
+                self.outlet.refuse(peer, refused);
             }
-            Fault::Lost(reason) => {
+            Err(Fault::Lost(reason)) => {
+                let others = self.clients.keys().copied().filter(|other| *other != peer);
+                let all: Vec<PeerId> = others.chain([peer]).collect();
+                for peer in all {
+                    self.close(peer, true, now_ns);
+                    self.outlet.refuse(peer, device_lost());
+                }
                 self.lost(&reason, now_ns)?;
-                device_lost()
             }
-        };
-        peer.into_iter().for_each(|peer| self.outlet.refuse(peer, refused.clone()));
+        }
         Ok(())
+    }
+
+    /// Forgets a client; what its figures were stays.
+    fn close(&mut self, peer: PeerId, has_failed: bool, now_ns: i64) {
+        let Some(client) = self.clients.remove(&peer) else { return };
+        let Served { viewer, mut stats, since_ns, encoder, .. } = client;
+        drop(encoder);
+        let updates = viewer.into_updates();
+        self.studio.account(&updates, &mut stats);
+        stats.seconds = (now_ns - since_ns) as f64 * 1e-9;
+        self.stats.coarsened = stats.coarsened;
+        self.stats.dropped_patches = stats.dropped_patches;
+        self.stats.viewers.push(stats);
+        if self.stats.viewers.len() > MAX_VIEWERS_REMEMBERED {
+            self.stats.viewers.remove(0);
+        }
+        self.studio.close(updates, has_failed);
     }
 
     fn lost(&mut self, reason: &str, now_ns: i64) -> anyhow::Result<()> {
@@ -383,7 +377,6 @@ impl<'a> Pipeline<'a> {
     }
 
     fn reopen(&mut self, now_ns: i64) -> anyhow::Result<()> {
-        self.client = None;
         self.last_atlas = None;
         match self.studio.reopen() {
             Ok(()) => {
@@ -398,8 +391,10 @@ impl<'a> Pipeline<'a> {
     }
 
     /// The figures of the run, and the last picture.
-    pub(super) fn finish(mut self) -> (StreamStats, Option<Box<Shaded>>) {
-        self.client = None;
+    pub(super) fn finish(mut self, now_ns: i64) -> (StreamStats, Option<Box<Shaded>>) {
+        for peer in self.clients.keys().copied().collect::<Vec<_>>() {
+            self.close(peer, false, now_ns);
+        }
         let updates = self.stats.updates.max(1) as f64;
         self.stats.gpu_ms.values_mut().for_each(|ms| *ms /= updates);
         self.stats.seconds = (self.last_ns - self.first_ns.unwrap_or(self.last_ns)) as f64 * 1e-9;
@@ -410,32 +405,33 @@ impl<'a> Pipeline<'a> {
     }
 }
 
-impl Served {
-    /// Nothing is shaded for nobody; when somebody looks again, updates begin at once, with a picture that needs no other.
-    fn watch(&mut self, is_watched: bool, now_ns: i64) {
-        if std::mem::replace(&mut self.is_watched, is_watched) != is_watched {
-            self.updates.interrupted();
-            self.refresh |= is_watched;
-            self.due_ns = now_ns;
-        }
-    }
-
-    /// Encodes and sends what changes in the client's memory. A delta cannot be left out: what cannot be sent is the end.
+impl<U: Updates> Served<U> {
+    /// Sends what changes in the client's memory. A delta cannot be left out: what cannot be sent is the end.
     fn send_delta(
         &mut self,
         outlet: &dyn Outlet,
+        peer: PeerId,
         shaded: Shaded,
         now_ns: i64,
-    ) -> Result<(Shaded, DeltaSizes), Fault> {
+    ) -> Result<Update, Fault> {
         let remedy = "connect again; over a slow link choose a smaller scene";
         let fault = |error: &dyn std::fmt::Display| {
             Fault::Client(Refused::new(&format!("an update's geometry could not be sent: {error}"), remedy))
         };
-        let (out, sizes) = self.sender.delta_stream(&shaded.delta).map_err(|error| fault(&error))?;
-        let bytes = bytes_of(&out);
-        outlet.send(self.peer, out).map_err(|error| fault(&error))?;
-        self.gate.sent(shaded.frame, Kind::Delta, bytes, now_ns);
-        Ok((shaded, sizes))
+        let frame = shaded.frame;
+        let (delta, update) = self.viewer.finish(shaded).map_err(|error| fault(&error))?;
+        let bytes = bytes_of(&delta);
+        outlet.send(peer, delta).map_err(|error| fault(&error))?;
+        self.viewer.sent(frame, Kind::Delta, bytes, now_ns);
+        Ok(update)
+    }
+
+    fn count(&mut self, sizes: DeltaSizes, now_ns: i64) {
+        let stats = &mut self.stats;
+        stats.updates += 1;
+        stats.geometry_bytes += sizes.total_bytes as u64;
+        let seconds = (now_ns - self.since_ns) as f64 * 1e-9;
+        stats.server_fps = if seconds > 0.0 { stats.updates.saturating_sub(1) as f64 / seconds } else { 0.0 };
     }
 }
 

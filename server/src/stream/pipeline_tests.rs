@@ -2,10 +2,13 @@
 
 use super::*;
 use crate::encode::{AccessUnit, Planes};
+use crate::residency::Budget;
 use crate::stream::testing::{accepted, head};
 use ash::vk;
 use shadecast_protocol::delta::GeometryDelta;
 use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::message::{Displayed, HeadState};
+use shadecast_protocol::session::ServerEvent;
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -74,6 +77,8 @@ struct Script {
     reopens: Rc<RefCell<VecDeque<Option<Act>>>>,
     encodes: Arc<Mutex<VecDeque<Option<Act>>>>,
     made: Rc<RefCell<u32>>,
+    /// How many there are.
+    open: Rc<RefCell<u32>>,
     encoders: Rc<RefCell<u32>>,
 }
 
@@ -89,11 +94,31 @@ fn act(acts: &Rc<RefCell<VecDeque<Option<Act>>>>) -> Result<(), GpuError> {
 struct FakeStudio(Script);
 
 impl Studio for FakeStudio {
-    fn updates(&mut self, _: &Welcome, _: &Capabilities) -> Result<Box<dyn Updates>, GpuError> {
+    type Updates = FakeUpdates;
+
+    fn open(&mut self, _: &Welcome, _: &Capabilities) -> Result<FakeUpdates, GpuError> {
         *self.0.made.borrow_mut() += 1;
         act(&self.0.makes)?;
-        Ok(Box::new(FakeUpdates { script: self.0.clone(), next: 0, has_head: false }))
+        *self.0.open.borrow_mut() += 1;
+        Ok(FakeUpdates { next: 0, has_head: false })
     }
+
+    fn update(&mut self, updates: &mut FakeUpdates, time: ServerTime) -> Result<Option<Shaded>, GpuError> {
+        if !updates.has_head {
+            return Ok(None);
+        }
+        act(&self.0.updates)?;
+        let frame = FrameId(updates.next);
+        updates.next += 1;
+        let delta = GeometryDelta { frame, time, ..GeometryDelta::default() };
+        Ok(Some(Shaded { frame, time, delta, extent_texels: [16, 16], planes: vec![0; 384] }))
+    }
+
+    fn close(&mut self, _: FakeUpdates, _: bool) {
+        *self.0.open.borrow_mut() -= 1;
+    }
+
+    fn account(&self, _: &FakeUpdates, _: &mut ViewerStats) {}
 
     fn encoder(&mut self, _: AtlasExtent) -> Result<Box<dyn Encoder>, EncodeError> {
         *self.0.encoders.borrow_mut() += 1;
@@ -110,7 +135,6 @@ impl Studio for FakeStudio {
 }
 
 struct FakeUpdates {
-    script: Script,
     next: u32,
     has_head: bool,
 }
@@ -125,19 +149,6 @@ impl Updates for FakeUpdates {
     fn interrupted(&mut self) {}
 
     fn set_budget(&mut self, _: Budget) {}
-
-    fn update(&mut self, time: ServerTime) -> Result<Option<Shaded>, GpuError> {
-        if !self.has_head {
-            return Ok(None);
-        }
-        act(&self.script.updates)?;
-        let frame = FrameId(self.next);
-        self.next += 1;
-        let delta = GeometryDelta { frame, time, ..GeometryDelta::default() };
-        Ok(Some(Shaded { frame, time, delta, extent_texels: [16, 16], planes: vec![0; 384] }))
-    }
-
-    fn account(&self, _: &mut StreamStats) {}
 }
 
 struct FakeEncoder {
@@ -177,8 +188,8 @@ impl Bench {
     }
 
     fn comes(&self, peer: u64) {
-        self.mailbox.accepted(accepted(PeerId(peer)));
-        self.mailbox.pose(head(0));
+        self.mailbox.accepted(PeerId(peer), accepted());
+        self.mailbox.told(PeerId(peer), ServerEvent::Pose(head(0)));
     }
 
     /// Steps in virtual time until `is_done`; gives what ended the server, if anything did.
@@ -196,10 +207,10 @@ impl Bench {
         let (begun, mut now_ns) = (Instant::now(), 0);
         loop {
             if let Err(error) = pipeline.step(now_ns) {
-                return (Err(error), pipeline.finish().0);
+                return (Err(error), pipeline.finish(now_ns).0);
             }
             if is_done(&self.outlet) {
-                return (Ok(()), pipeline.finish().0);
+                return (Ok(()), pipeline.finish(now_ns).0);
             }
             assert!(begun.elapsed() < PATIENCE, "{:?}", self.outlet.refused.lock().expect("whole"));
             now_ns += PERIOD_NS / 2;
@@ -236,11 +247,11 @@ fn nothing_is_shaded_while_nobody_looks_and_then_at_once_a_picture_that_needs_no
         let deltas = recorder.deltas.lock().expect("whole").len();
         looks += u32::from(pictures(recorder) >= 3);
         match looks {
-            1 => bench.mailbox.watching(false),
+            1 => bench.mailbox.told(PeerId(1), ServerEvent::Watching(false)),
             3 => before = deltas,
             200 => {
                 after = deltas;
-                bench.mailbox.watching(true);
+                bench.mailbox.told(PeerId(1), ServerEvent::Watching(true));
             }
             _ => {}
         }
@@ -251,6 +262,45 @@ fn nothing_is_shaded_while_nobody_looks_and_then_at_once_a_picture_that_needs_no
     let pictures = bench.outlet.pictures.lock().expect("whole");
     let back = pictures.iter().find(|(frame, _)| *frame as usize >= after);
     assert_eq!(back, Some(&(after as u32, true)), "it needs no other");
+}
+
+#[test]
+fn several_clients_get_updates_in_turn_and_the_end_of_one_is_nothing_to_the_others() {
+    let bench = Bench::new();
+    (1..=3).for_each(|peer| bench.comes(peer));
+    let counts = |recorder: &Recorder| {
+        let deltas = recorder.deltas.lock().expect("whole");
+        [1, 2, 3].map(|peer| deltas.iter().filter(|(to, _)| *to == PeerId(peer)).count())
+    };
+    let (mut is_gone, mut before) = (false, [0; 3]);
+    let (ended, stats) = bench.run(|recorder| {
+        // Encoders are real threads: each step finds them idle, so that only whose turn it is decides.
+        while pictures(recorder) < recorder.deltas.lock().expect("whole").len() {
+            std::thread::sleep(Duration::from_micros(200));
+        }
+        let counts = counts(recorder);
+        if !is_gone && counts.iter().all(|count| *count >= 10) {
+            assert!(counts.iter().max() <= counts.iter().min().map(|least| least + 2).as_ref(), "{counts:?}");
+            bench.mailbox.gone(PeerId(2));
+            (is_gone, before) = (true, counts);
+        }
+        is_gone && counts[0] >= before[0] + 10 && counts[2] >= before[2] + 10
+    });
+    assert!(ended.is_ok() && counts(&bench.outlet)[1] <= before[1] + 1);
+    assert_eq!((stats.clients, stats.viewers.len(), *bench.script.open.borrow()), (3, 3, 0));
+    assert_eq!(stats.viewers.iter().map(|viewer| viewer.viewer).collect::<Vec<_>>(), [2, 1, 3]);
+}
+
+#[test]
+fn an_update_that_fails_for_one_client_ends_its_session_and_the_others_go_on() {
+    let bench = Bench::new();
+    (1..=2).for_each(|peer| bench.comes(peer));
+    bench.script.updates.borrow_mut().extend([None, None, None, None, Some(Act::Panic)]);
+    let (ended, stats) = bench.run(|recorder| pictures(recorder) >= 20);
+    let refused = bench.refusals();
+    assert!(ended.is_ok() && refused.len() == 1 && stats.refused == 1, "{refused:?}");
+    let deltas = bench.outlet.deltas.lock().expect("whole").clone();
+    assert!(deltas.iter().rev().take(10).all(|(peer, _)| *peer != refused[0].0), "{deltas:?}");
 }
 
 #[test]
@@ -276,7 +326,7 @@ fn of_300_clients_that_come_and_go_one_pipeline_is_made() {
     for peer in 0..300 {
         bench.comes(peer);
         if peer < 299 {
-            bench.mailbox.gone();
+            bench.mailbox.gone(PeerId(peer));
         }
     }
     assert!(bench.run(|recorder| pictures(recorder) >= 1).0.is_ok());

@@ -1,6 +1,6 @@
-//! Who may come in, and who holds the one place. Pure: time is an argument.
+//! Who may come in, and who holds a place. Pure: time is an argument.
 //!
-//! A connection alone holds nothing: it has a short time for its hello. The place is taken by a hello that was judged good,
+//! A connection alone holds nothing: it has a short time for its hello. A place is taken by a hello that was judged good,
 //! kept by messages that make sense, and kept for a while for a client that was served and vanished: it comes back with the
 //! secret of its last welcome, and before others do.
 
@@ -44,10 +44,11 @@ impl Greeting {
     }
 }
 
-/// The one place.
-#[derive(Debug, Default)]
-pub(super) struct Place {
-    holder: Option<Holder>,
+/// The places.
+#[derive(Debug)]
+pub(super) struct Places {
+    most: usize,
+    holders: Vec<Holder>,
 }
 
 #[derive(Debug)]
@@ -60,18 +61,23 @@ struct Holder {
     has_shown: bool,
 }
 
-/// The place is taken.
+/// A place is taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Taken {
     /// Whose place it was until now.
     pub(super) displaced: Option<PeerId>,
 }
 
-impl Place {
-    /// Gives the place to `peer`, whose next secret will be `secret`, if it is free, its own, or silent for too long.
+impl Places {
+    /// As many as that, at least one.
+    pub(super) fn new(most: usize) -> Self {
+        Self { most: most.max(1), holders: Vec::new() }
+    }
+
+    /// Gives a place to `peer`, whose next secret will be `secret`: its own, a free one, or that of who was silent for too long.
     ///
     /// # Errors
-    /// The place is another's: why, and when to try again.
+    /// All are others': why, and when to try again.
     pub(super) fn ask(
         &mut self,
         peer: PeerId,
@@ -79,14 +85,38 @@ impl Place {
         secret: ResumeSecret,
         now_ns: i64,
     ) -> Result<Taken, Refused> {
-        let displaced = match &self.holder {
-            None => None,
-            Some(holder) if resume == Some(holder.secret) => holder.peer,
-            Some(holder) if now_ns >= holder.kept_until_ns() => holder.peer,
-            Some(holder) => return Err(holder.refusal(now_ns)),
-        };
-        self.holder = Some(Holder { peer: Some(peer), secret, heard_ns: now_ns, has_shown: false });
-        Ok(Taken { displaced })
+        let own = self.holders.iter().position(|holder| resume == Some(holder.secret));
+        let silent = || self.holders.iter().position(|holder| now_ns >= holder.kept_until_ns());
+        let next = Holder { peer: Some(peer), secret, heard_ns: now_ns, has_shown: false };
+        match own.or_else(|| if self.holders.len() < self.most { None } else { silent() }) {
+            Some(place) => {
+                let displaced = std::mem::replace(&mut self.holders[place], next).peer;
+                Ok(Taken { displaced })
+            }
+            None if self.holders.len() < self.most => {
+                self.holders.push(next);
+                Ok(Taken { displaced: None })
+            }
+            None => Err(self.refusal(now_ns)),
+        }
+    }
+
+    fn refusal(&self, now_ns: i64) -> Refused {
+        let kept = self.holders.iter().filter(|holder| holder.peer.is_none());
+        match kept.map(Holder::kept_until_ns).min() {
+            Some(until_ns) => {
+                let wait_s = (until_ns - now_ns).max(0) / 1_000_000_000 + 1;
+                let reason = "the place is kept for a client that was served until a moment ago";
+                Refused::new(reason, &format!("try again in {wait_s} s"))
+            }
+            None if self.most == 1 => {
+                Refused::new("another client is being served", "try again when it has left")
+            }
+            None => {
+                let reason = format!("{} other clients are being served, and more are not", self.most);
+                Refused::new(&reason, "try again when one has left, or start the server with --viewers")
+            }
+        }
     }
 
     /// `peer` has said something that makes sense.
@@ -107,25 +137,28 @@ impl Place {
     pub(super) fn lost(&mut self, peer: PeerId) {
         match self.of(peer) {
             Some(holder) if holder.has_shown => holder.peer = None,
-            Some(_) => self.holder = None,
+            Some(_) => self.left(peer),
             None => {}
         }
     }
 
-    /// `peer` has left, or cannot be served: the place is free.
+    /// `peer` has left, or cannot be served: its place is free.
     pub(super) fn left(&mut self, peer: PeerId) {
-        if self.of(peer).is_some() {
-            self.holder = None;
-        }
+        self.holders.retain(|holder| holder.peer != Some(peer));
+    }
+
+    /// Whether `peer` is served.
+    pub(super) fn has(&self, peer: PeerId) -> bool {
+        self.served().any(|served| served == peer)
     }
 
     /// Who is served.
-    pub(super) fn served(&self) -> Option<PeerId> {
-        self.holder.as_ref().and_then(|holder| holder.peer)
+    pub(super) fn served(&self) -> impl Iterator<Item = PeerId> + '_ {
+        self.holders.iter().filter_map(|holder| holder.peer)
     }
 
     fn of(&mut self, peer: PeerId) -> Option<&mut Holder> {
-        self.holder.as_mut().filter(|holder| holder.peer == Some(peer))
+        self.holders.iter_mut().find(|holder| holder.peer == Some(peer))
     }
 }
 
@@ -133,17 +166,6 @@ impl Holder {
     /// When its place is free for others, unless it is heard again before.
     fn kept_until_ns(&self) -> i64 {
         self.heard_ns + if self.has_shown { KEPT_NS } else { UNPROVEN_NS }
-    }
-
-    fn refusal(&self, now_ns: i64) -> Refused {
-        if self.peer.is_some() {
-            return Refused::new("another client is being served", "try again when it has left");
-        }
-        let wait_s = (self.kept_until_ns() - now_ns).max(0) / 1_000_000_000 + 1;
-        Refused::new(
-            "the place is kept for a client that was served until a moment ago",
-            &format!("try again in {wait_s} s"),
-        )
     }
 }
 
@@ -161,8 +183,8 @@ mod tests {
     }
 
     /// The first client was served and has shown something, all at time 0.
-    fn served() -> Place {
-        let mut place = Place::default();
+    fn served() -> Places {
+        let mut place = Places::new(1);
         assert_eq!(place.ask(FIRST, None, secret(1), 0), Ok(Taken { displaced: None }));
         place.shown(FIRST);
         place
@@ -176,7 +198,28 @@ mod tests {
             let refused = place.ask(OTHER, None, secret(2), second * SECOND + SECOND / 2).expect_err("taken");
             assert_eq!(refused.reason, "another client is being served");
         }
-        assert_eq!(place.served(), Some(FIRST));
+        assert!(place.has(FIRST));
+    }
+
+    #[test]
+    fn several_are_served_and_who_comes_back_takes_over_from_itself_alone() {
+        let mut places = Places::new(2);
+        let taken = Ok(Taken { displaced: None });
+        assert_eq!(places.ask(FIRST, None, secret(1), 0), taken);
+        assert_eq!(places.ask(OTHER, None, secret(2), 0), taken);
+        [FIRST, OTHER].into_iter().for_each(|peer| places.shown(peer));
+        let refused = places.ask(BACK, None, secret(3), SECOND).expect_err("both are taken");
+        assert!(refused.reason.contains("2 other clients") && refused.remedy.contains("--viewers"));
+        assert_eq!(
+            places.ask(BACK, Some(secret(2)), secret(3), SECOND),
+            Ok(Taken { displaced: Some(OTHER) })
+        );
+        assert_eq!(places.served().collect::<Vec<_>>(), [FIRST, BACK]);
+        places.heard(FIRST, KEPT_NS);
+        let silent = places.ask(OTHER, None, secret(4), KEPT_NS + SECOND);
+        assert_eq!(silent, Ok(Taken { displaced: Some(BACK) }), "the one that was heard keeps its place");
+        places.left(FIRST);
+        assert_eq!(places.ask(FIRST, None, secret(5), KEPT_NS + SECOND), taken);
     }
 
     #[test]
@@ -202,7 +245,7 @@ mod tests {
     fn a_lost_client_finds_its_place_kept_and_strangers_learn_when_to_try_again() {
         let mut place = served();
         place.lost(FIRST);
-        assert_eq!(place.served(), None);
+        assert_eq!(place.served().next(), None);
         let refused = place.ask(OTHER, None, secret(2), 2 * SECOND).expect_err("kept");
         assert_eq!(refused.remedy, "try again in 4 s");
         assert_eq!(place.ask(BACK, Some(secret(1)), secret(3), 3 * SECOND), Ok(Taken { displaced: None }));
@@ -223,7 +266,7 @@ mod tests {
         place.left(FIRST);
         assert!(place.ask(OTHER, None, secret(2), 1).is_ok());
         place.left(FIRST);
-        assert_eq!(place.served(), Some(OTHER), "what another leaves does not matter");
+        assert!(place.has(OTHER), "what another leaves does not matter");
     }
 
     #[test]

@@ -10,7 +10,6 @@ use shadecast_protocol::message::{
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::session::{ServerEvent, ServerSession};
 use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
-use shadecast_transport::PeerId;
 
 fn eyes() -> [Eye; 2] {
     [Eye { head_from_eye: Pose::IDENTITY, fov: Fov::symmetric_degrees(90.0) }; 2]
@@ -65,10 +64,10 @@ pub(super) fn head(sequence: u32) -> HeadState {
 }
 
 /// A client whose session has just been accepted.
-pub(super) fn accepted(peer: PeerId) -> Accepted {
+pub(super) fn accepted() -> Accepted {
     let mut session = ServerSession::new(offer());
     session.on_control(&ClientMessage::Hello(hello()).encode());
     let Some(ServerEvent::Asked { hello, welcome }) = session.poll_event() else { panic!("not asked") };
     let sender = session.accept().expect("it asks");
-    Accepted { peer, welcome, capabilities: hello.capabilities, sender }
+    Accepted { welcome, capabilities: hello.capabilities, sender }
 }

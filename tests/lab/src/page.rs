@@ -225,7 +225,7 @@ fn pair(name: &str, [client, truth]: [&str; 2], patterns: Option<[&str; 2]>) -> 
         "<figure><div class=\"pair\"><img src=\"{truth}\"{} alt=\"Ground truth, {name}\">\
          <img class=\"top\" src=\"{client}\"{} alt=\"Client, {name}\"></div>\
          <input type=\"range\" min=\"0\" max=\"100\" value=\"50\" aria-label=\"Client or truth, {name}\">\
-         <div class=\"ends\"><span>truth</span><span>client</span></div>\
+         <div class=\"ends\"><span>all truth</span><span>all client</span></div>\
          <figcaption>{name}</figcaption></figure>\n",
         moments(1),
         moments(0),

@@ -15,10 +15,11 @@ use shadecast_client::xr::{Xr, XrOptions};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::delta::DeltaSizes;
+use shadecast_protocol::ids::FrameId;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
-use shadecast_protocol::message::{Capabilities, ClientHello, Codec, Displayed, negotiate};
+use shadecast_protocol::message::{Capabilities, ClientHello, ClientMessage, Codec, Displayed, Welcome};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
-use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
+use shadecast_protocol::session::{Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::{DisplayTime, ServerTime};
 use shadecast_protocol::wire::PictureHeader;
 use shadecast_scene::Scene;
@@ -27,10 +28,11 @@ use shadecast_scene::suggest::did_you_mean_or_list;
 use shadecast_server::encode::Encoder;
 use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
 use shadecast_server::frame::{Frame, Shaded};
-use shadecast_server::pacing::{Kind, UpdateGate, WayState};
-use shadecast_server::residency::Budget;
+use shadecast_server::pacing::{Kind, WayState};
 use shadecast_server::scene_gpu::SceneGpu;
 use shadecast_server::stream::offer;
+use shadecast_server::viewer::{Told, Update, Viewer, bytes_of};
+use shadecast_server::world::{ViewerId, World};
 use shadecast_transport::endpoint::{Endpoint, EndpointConfig, Event, PeerId};
 use shadecast_transport::{Direction, ExpectedIdentity, Pair, ServerIdentity};
 use std::collections::VecDeque;
@@ -64,8 +66,10 @@ pub struct Server {
     pub gpu: Arc<Gpu>,
     /// Its scene.
     pub scene: Arc<SceneGpu>,
-    /// The pipeline of the client, once there is one.
-    pub frame: Option<Frame>,
+    /// What every viewer looks at.
+    pub world: World,
+    /// The client, once it was accepted.
+    pub viewer: Option<Viewer<Frame>>,
     /// What it sent.
     pub sent: Sent,
     /// The last update's planes and their extent, for the atlas picture.
@@ -73,16 +77,10 @@ pub struct Server {
     /// Who was in the client's memory at which update.
     pub residents: Residents,
     session: ServerSession,
-    /// The sending half of the session, once it stands.
-    sender: Option<DeltaSender>,
-    gate: UpdateGate,
     /// What the server sends beside the session.
     streams: VecDeque<Out>,
     encoder: Option<Box<dyn Encoder>>,
     peer: Option<PeerId>,
-    refresh: bool,
-    /// False while nobody looks.
-    is_watched: bool,
     qp: u8,
     sessions: u64,
     atlas_extent_texels: AtlasExtent,
@@ -90,9 +88,20 @@ pub struct Server {
 }
 
 /// What leaves the server when its stages are done.
-enum Leaving {
-    Delta(Box<Shaded>),
+struct Leaving {
+    at_ns: i64,
+    /// The session that it is of.
+    session: u64,
+    frame: FrameId,
+    what: Departure,
+}
+
+enum Departure {
+    /// The stream of a delta.
+    Delta(Out, DeltaSizes),
     Picture(PictureHeader, Vec<u8>),
+    /// In memory there are no streams.
+    Local(Box<Shaded>),
 }
 
 /// Server, link and client.
@@ -104,7 +113,7 @@ pub struct Lab {
     renderer: Renderer,
     pair: Pair,
     client_peer: Option<PeerId>,
-    leaving: VecDeque<(i64, Leaving)>,
+    leaving: VecDeque<Leaving>,
     next_update_ns: i64,
     update_period_ns: i64,
     refresh_hz: f64,
@@ -133,20 +142,17 @@ impl Server {
         let scene = Arc::new(SceneGpu::new(&gpu, scene, &options.scene_options)?);
         let session = ServerSession::new(offer(&scene, options.atlas_extent_texels, options.rate_hz, 1));
         Ok(Self {
+            world: World::new(&gpu, &scene)?,
             gpu,
             scene,
-            frame: None,
+            viewer: None,
             sent: Sent::default(),
             last: None,
             residents: Residents::default(),
             session,
-            sender: None,
-            gate: UpdateGate::new(period_ns(options.rate_hz)),
             streams: VecDeque::new(),
             encoder: None,
             peer: None,
-            refresh: false,
-            is_watched: true,
             qp: options.qp,
             sessions: 1,
             atlas_extent_texels: options.atlas_extent_texels,
@@ -158,70 +164,62 @@ impl Server {
     fn connected(&mut self, peer: PeerId) {
         self.sessions += 1;
         self.peer = Some(peer);
-        self.frame = None;
-        self.is_watched = true;
+        self.part();
         let offer = offer(&self.scene, self.atlas_extent_texels, self.rate_hz, self.sessions);
         self.session = ServerSession::new(offer);
-        self.sender = None;
-        self.gate = UpdateGate::new(period_ns(self.rate_hz));
         self.streams.clear();
     }
 
-    /// Hands what the session learnt to the pipeline.
-    fn listen(&mut self) -> anyhow::Result<()> {
+    /// Nobody is served any more.
+    fn part(&mut self) {
+        if let Some(viewer) = self.viewer.take() {
+            self.world.leave(viewer.into_updates().id());
+        }
+    }
+
+    /// Hands what the session learnt to the viewer. Gives the terms of a session that begins.
+    fn listen(&mut self, now_ns: i64) -> anyhow::Result<Option<Welcome>> {
+        let (mut told, mut begins) = (Told::default(), None);
         while let Some(event) = self.session.poll_event() {
-            match event {
-                ServerEvent::Asked { hello, welcome } => {
-                    self.sender = self.session.accept();
-                    let settings =
-                        EncoderSettings::for_stream(welcome.atlas_extent_texels, self.qp, self.rate_hz);
-                    self.encoder = Some(Box::new(OpenH264Encoder::new(settings)?));
-                    self.frame = Some(Frame::new(&self.gpu, &self.scene, &welcome, &hello.capabilities)?);
+            match told.take(event) {
+                None => {}
+                Some(ServerEvent::Asked { hello, welcome }) => {
+                    self.accept(&welcome, &hello.capabilities, now_ns)?;
+                    begins = Some(welcome);
                 }
-                ServerEvent::Pose(state) => self.frame.iter_mut().for_each(|f| f.head(state)),
-                ServerEvent::Displayed(report) => self.frame.iter_mut().for_each(|f| f.displayed(&report)),
-                ServerEvent::RefreshRequest { .. } => self.refresh = true,
-                ServerEvent::Watching(is_watched) => self.watching(is_watched),
-                ServerEvent::Refused(refused) => {
+                Some(ServerEvent::Refused(refused)) => {
                     bail!("the server refused: {} {}", refused.reason, refused.remedy)
                 }
-                ServerEvent::Goodbye => self.frame = None,
-                ServerEvent::Failed(error) => bail!("the server could not understand the client: {error}"),
+                Some(ServerEvent::Goodbye) => self.part(),
+                Some(ServerEvent::Failed(error)) => {
+                    bail!("the server could not understand the client: {error}")
+                }
+                Some(event) => unreachable!("what a client tells is taken in: {event:?}"),
             }
         }
+        self.viewer.iter_mut().for_each(|viewer| viewer.hear(told, now_ns));
+        Ok(begins)
+    }
+
+    fn accept(&mut self, welcome: &Welcome, capabilities: &Capabilities, now_ns: i64) -> anyhow::Result<()> {
+        let sender = self.session.accept().context("who asked has gone")?;
+        let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, self.qp, self.rate_hz);
+        self.encoder = Some(Box::new(OpenH264Encoder::new(settings)?));
+        let frame = Frame::new(&self.world, ViewerId(self.sessions), welcome, capabilities)?;
+        self.viewer = Some(Viewer::new(frame, sender, period_ns(self.rate_hz), now_ns));
         Ok(())
     }
 
-    /// A delta of a session that has ended is dropped.
-    fn send_delta(&mut self, shaded: &Shaded, now_ns: i64) -> anyhow::Result<()> {
-        let Some(sender) = self.sender.as_mut().filter(|sender| sender.next_delta() == shaded.frame) else {
-            return Ok(());
-        };
-        let (out, sizes) = sender.delta_stream(&shaded.delta)?;
-        self.gate.sent(shaded.frame, Kind::Delta, stream_bytes(&out), now_ns);
+    /// A stream leaves.
+    fn send(&mut self, frame: FrameId, kind: Kind, out: Out, now_ns: i64) {
+        let Some(viewer) = &mut self.viewer else { return };
+        viewer.sent(frame, kind, bytes_of(&out), now_ns);
         self.streams.push_back(out);
-        self.count(sizes);
-        Ok(())
-    }
-
-    fn send_picture(&mut self, header: PictureHeader, unit: &[u8], now_ns: i64) -> anyhow::Result<()> {
-        let out = picture_stream(header, unit)?;
-        self.gate.sent(header.frame, Kind::Picture, stream_bytes(&out), now_ns);
-        self.streams.push_back(out);
-        Ok(())
     }
 
     /// Patches that were visible but had no room, in the atlas or in the client's memory.
     pub fn dropped_patches(&self) -> u64 {
-        self.frame.as_ref().map_or(0, |frame| frame.dropped_patches())
-    }
-
-    /// Nothing is shaded for nobody; when somebody looks again, the first picture needs no other.
-    fn watching(&mut self, is_watched: bool) {
-        if std::mem::replace(&mut self.is_watched, is_watched) != is_watched {
-            self.frame.iter_mut().for_each(Frame::interrupted);
-            self.refresh |= is_watched;
-        }
+        self.viewer.as_ref().map_or(0, |viewer| viewer.updates().dropped_patches())
     }
 
     fn count(&mut self, sizes: DeltaSizes) {
@@ -270,11 +268,9 @@ impl Lab {
             self.client_peer = Some(peer);
             return Ok(());
         }
-        let hello = self.local_hello();
-        let server = &mut self.server;
-        let offer = offer(&server.scene, server.atlas_extent_texels, server.rate_hz, 1);
-        let terms = negotiate(&hello, &offer).map_err(|refused| anyhow::anyhow!("{}", refused.reason))?;
-        server.frame = Some(Frame::new(&server.gpu, &server.scene, &terms, &hello.capabilities)?);
+        let hello = ClientMessage::Hello(self.local_hello()).encode();
+        self.server.session.on_control(&hello);
+        let terms = self.server.listen(START_NS)?.context("the server does not agree")?;
         Ok(self.client.start_local(terms, -SERVER_EPOCH_NS)?)
     }
 
@@ -340,19 +336,21 @@ impl Lab {
     /// In memory there are no messages: the server looks at the client itself.
     fn frame_shown(&mut self, report: &FrameReport) {
         self.frame += 1;
-        let Some(frame) = self.server.frame.as_mut().filter(|_| self.renderer != Renderer::Stream) else {
+        if self.renderer == Renderer::Stream {
             return;
-        };
-        self.client.head_state().into_iter().for_each(|state| frame.head(state));
-        if let (true, Some(id), Some(time)) = (report.is_new, report.frame, report.server_time) {
-            frame.displayed(&Displayed { frame: id, display_time: time, ..Displayed::default() });
         }
+        let mut told = Told { pose: self.client.head_state(), ..Told::default() };
+        if let (true, Some(id), Some(time)) = (report.is_new, report.frame, report.server_time) {
+            told.displayed = Some(Displayed { frame: id, display_time: time, ..Displayed::default() });
+        }
+        let now_ns = self.next_frame_ns();
+        self.server.viewer.iter_mut().for_each(|viewer| viewer.hear(told, now_ns));
     }
 
     /// Updates, departures and arrivals in the order of time.
     fn play_until(&mut self, until_ns: i64) -> anyhow::Result<()> {
         loop {
-            let departure_ns = self.leaving.front().map_or(i64::MAX, |(at_ns, _)| *at_ns);
+            let departure_ns = self.leaving.front().map_or(i64::MAX, |leaving| leaving.at_ns);
             let next_ns = departure_ns.min(self.next_update_ns).min(until_ns);
             self.play_link(next_ns)?;
             if departure_ns <= next_ns {
@@ -391,10 +389,10 @@ impl Lab {
             Event::Datagram { bytes, at_ns, .. } => {
                 self.server.session.on_datagram(&bytes, ServerTime(at_ns - SERVER_EPOCH_NS));
             }
-            Event::Closed { .. } => self.server.frame = None,
+            Event::Closed { .. } => self.server.part(),
             Event::Stream { .. } | Event::StreamReset { .. } => {}
         }
-        self.server.listen()
+        self.server.listen(self.pair.now_ns()).map(drop)
     }
 
     fn client_event(&mut self, event: Event) -> anyhow::Result<()> {
@@ -442,48 +440,61 @@ impl Lab {
         self.next_update_ns += self.update_period_ns;
         let server = &mut self.server;
         let way = server.peer.and_then(|peer| self.pair.server.stats(peer)).map(WayState::from);
-        let Some(frame) = server.frame.as_mut().filter(|_| server.is_watched) else { return Ok(()) };
-        if way.is_some_and(|way| !server.gate.may_update(&way, now_ns)) {
+        let Some(viewer) = server.viewer.as_mut().filter(|viewer| viewer.due_ns().is_some()) else {
+            return Ok(());
+        };
+        if !viewer.is_open(way.as_ref(), now_ns) {
             server.sent.withheld += 1;
             return Ok(());
         }
-        if let Some(shortfall) = server.gate.shortfall(now_ns) {
+        if let Some(shortfall) = viewer.shortfall(now_ns) {
             tracing::warn!("{shortfall}");
         }
-        frame.set_budget(way.map_or(Budget::UNLIMITED, |_| server.gate.budget(now_ns)));
-        let Some(shaded) = frame.update(ServerTime(now_ns - SERVER_EPOCH_NS))? else { return Ok(()) };
+        let frame = viewer.begin(way.as_ref(), now_ns);
+        let Some(shaded) = frame.update(&mut server.world, ServerTime(now_ns - SERVER_EPOCH_NS))? else {
+            return Ok(());
+        };
         server.sent.updates += 1;
         server.residents.note(shaded.frame, frame.residency());
+        let (delta, Update { shaded, sizes, refresh }) = viewer.finish(shaded)?;
+        let frame = shaded.frame;
+        server.last = Some((*shaded).clone());
         let shaded_ns = now_ns + self.stages.ns(self.stages.server);
-        server.last = Some(shaded.clone());
-        if self.renderer == Renderer::Stream {
-            let encoder = server.encoder.as_mut().context("an encoder comes with the pipeline")?;
-            let (header, unit) = shaded.encode(encoder.as_mut(), std::mem::take(&mut server.refresh))?;
-            server.sent.atlas_bytes += unit.bytes.len() as u64;
-            let encoded_ns = shaded_ns + self.stages.ns(self.stages.encode);
-            self.leave(encoded_ns, Leaving::Picture(header, unit.bytes));
+        if self.renderer != Renderer::Stream {
+            self.leave(shaded_ns, frame, Departure::Local(shaded));
+            return Ok(());
         }
-        self.leave(shaded_ns, Leaving::Delta(Box::new(shaded)));
+        let encoder = server.encoder.as_mut().context("an encoder comes with the viewer")?;
+        let (header, unit) = shaded.encode(encoder.as_mut(), refresh)?;
+        server.sent.atlas_bytes += unit.bytes.len() as u64;
+        let encoded_ns = shaded_ns + self.stages.ns(self.stages.encode);
+        self.leave(encoded_ns, frame, Departure::Picture(header, unit.bytes));
+        self.leave(shaded_ns, frame, Departure::Delta(delta, sizes));
         Ok(())
     }
 
-    fn leave(&mut self, at_ns: i64, what: Leaving) {
-        let place = self.leaving.partition_point(|(other, _)| *other <= at_ns);
-        self.leaving.insert(place, (at_ns, what));
+    fn leave(&mut self, at_ns: i64, frame: FrameId, what: Departure) {
+        let place = self.leaving.partition_point(|other| other.at_ns <= at_ns);
+        self.leaving.insert(place, Leaving { at_ns, session: self.server.sessions, frame, what });
     }
 
+    /// What is ready leaves; what belongs to a session that has ended is dropped.
     fn depart(&mut self, now_ns: i64) -> anyhow::Result<()> {
-        let Some((_, leaving)) = self.leaving.pop_front() else { return Ok(()) };
-        match leaving {
-            Leaving::Delta(shaded) => {
-                if self.renderer == Renderer::Stream {
-                    self.server.send_delta(&shaded, now_ns)?;
-                } else {
-                    let picture = picture_of(&shaded);
-                    self.client.accept_local(DisplayTime(now_ns), shaded.delta, Some(picture));
-                }
+        let server = &mut self.server;
+        let next = self.leaving.pop_front().filter(|leaving| leaving.session == server.sessions);
+        let Some(Leaving { frame, what, .. }) = next else { return Ok(()) };
+        match what {
+            Departure::Local(shaded) => {
+                let picture = picture_of(&shaded);
+                self.client.accept_local(DisplayTime(now_ns), shaded.delta, Some(picture));
             }
-            Leaving::Picture(header, bytes) => self.server.send_picture(header, &bytes, now_ns)?,
+            Departure::Delta(out, sizes) => {
+                server.count(sizes);
+                server.send(frame, Kind::Delta, out, now_ns);
+            }
+            Departure::Picture(header, bytes) => {
+                server.send(frame, Kind::Picture, picture_stream(header, &bytes)?, now_ns);
+            }
         }
         self.flush()
     }
@@ -491,12 +502,6 @@ impl Lab {
 
 fn period_ns(rate_hz: f64) -> i64 {
     (1e9 / rate_hz) as i64
-}
-
-fn stream_bytes(out: &Out) -> usize {
-    match out {
-        Out::Control(bytes) | Out::Datagram(bytes) | Out::Stream { bytes, .. } => bytes.len(),
-    }
 }
 
 /// Lets every instance that plays a clip play the one of this name.

@@ -1,0 +1,168 @@
+//! A client that is served, from its acceptance on: what it tells, when its next update is made, what leaves with it. Without
+//! I/O, threads and clocks: the server's threads and the lab drive the same.
+
+use crate::frame::Shaded;
+use crate::pacing::{Kind, Shortfall, UpdateGate, WayState};
+use crate::residency::Budget;
+use shadecast_protocol::delta::DeltaSizes;
+use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::message::{Displayed, HeadState};
+use shadecast_protocol::session::{DeltaSender, Out, ServerEvent};
+use shadecast_protocol::wire::WireError;
+
+/// What makes a viewer's updates.
+pub trait Updates {
+    /// The client's head.
+    fn head(&mut self, state: HeadState);
+    /// What the client shows.
+    fn displayed(&mut self, report: &Displayed);
+    /// Updates pause, or go on after a pause.
+    fn interrupted(&mut self);
+    /// What the next update may take on the wire.
+    fn set_budget(&mut self, budget: Budget);
+}
+
+/// What a client has told since it was asked last: the newest of each kind.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Told {
+    /// Its head.
+    pub pose: Option<HeadState>,
+    /// What is on display.
+    pub displayed: Option<Displayed>,
+    /// A picture that needs no other is wanted.
+    pub refresh: bool,
+    /// Whether somebody looks, where that was told.
+    pub watching: Option<bool>,
+}
+
+impl Told {
+    /// Takes in what a served client's session says; gives back what is no viewer's affair.
+    pub fn take(&mut self, event: ServerEvent) -> Option<ServerEvent> {
+        match event {
+            ServerEvent::Pose(pose) => self.pose = Some(pose),
+            ServerEvent::Displayed(report) => {
+                let earlier = self.displayed.take();
+                self.displayed = Some(earlier.map_or(report, |earlier| earlier.merged(report)));
+            }
+            ServerEvent::RefreshRequest { .. } => self.refresh = true,
+            ServerEvent::Watching(is_watched) => self.watching = Some(is_watched),
+            other => return Some(other),
+        }
+        None
+    }
+}
+
+/// An update whose delta leaves; its picture follows when it is encoded.
+#[derive(Debug)]
+pub struct Update {
+    /// What is to be encoded.
+    pub shaded: Box<Shaded>,
+    /// Of what the delta consists.
+    pub sizes: DeltaSizes,
+    /// Its picture must need no other.
+    pub refresh: bool,
+}
+
+/// See the module. `U` makes its updates.
+pub struct Viewer<U> {
+    updates: U,
+    sender: DeltaSender,
+    gate: UpdateGate,
+    refresh: bool,
+    /// False while nobody looks: nothing is shaded then.
+    is_watched: bool,
+    period_ns: i64,
+    due_ns: i64,
+}
+
+impl<U: Updates> Viewer<U> {
+    /// A client that has just been accepted and wants an update in each `period_ns`.
+    pub fn new(updates: U, sender: DeltaSender, period_ns: i64, now_ns: i64) -> Self {
+        Self {
+            updates,
+            sender,
+            gate: UpdateGate::new(period_ns),
+            refresh: false,
+            is_watched: true,
+            period_ns,
+            due_ns: now_ns,
+        }
+    }
+
+    /// What makes its updates.
+    pub fn updates(&self) -> &U {
+        &self.updates
+    }
+
+    /// Ends it; what made its updates is given back.
+    pub fn into_updates(self) -> U {
+        self.updates
+    }
+
+    /// What its client has told.
+    pub fn hear(&mut self, told: Told, now_ns: i64) {
+        told.pose.into_iter().for_each(|pose| self.updates.head(pose));
+        told.displayed.iter().for_each(|report| self.updates.displayed(report));
+        self.refresh |= told.refresh;
+        told.watching.into_iter().for_each(|is_watched| self.watch(is_watched, now_ns));
+    }
+
+    /// Nothing is shaded for nobody; when somebody looks again, updates begin at once, with a picture that needs no other.
+    fn watch(&mut self, is_watched: bool, now_ns: i64) {
+        if std::mem::replace(&mut self.is_watched, is_watched) != is_watched {
+            self.updates.interrupted();
+            self.refresh |= is_watched;
+            self.due_ns = now_ns;
+        }
+    }
+
+    /// The next picture must need no other: its encoder is a new one.
+    pub fn refresh(&mut self) {
+        self.refresh = true;
+    }
+
+    /// When its next update is due, nanoseconds; `None` while nobody looks.
+    pub fn due_ns(&self) -> Option<i64> {
+        self.is_watched.then_some(self.due_ns)
+    }
+
+    /// Whether the way to the client takes another update now, as far as anything is known of it.
+    pub fn is_open(&mut self, way: Option<&WayState>, now_ns: i64) -> bool {
+        way.is_none_or(|way| self.gate.may_update(way, now_ns))
+    }
+
+    /// What to tell the person of a slow link, now and then.
+    pub fn shortfall(&mut self, now_ns: i64) -> Option<Shortfall> {
+        self.gate.shortfall(now_ns)
+    }
+
+    /// An update is to be made now, by what is given back. Over a way of which nothing is known it may take what it wants.
+    pub fn begin(&mut self, way: Option<&WayState>, now_ns: i64) -> &mut U {
+        // A late update does not make the next ones hurry.
+        self.due_ns = (self.due_ns + self.period_ns).max(now_ns - self.period_ns);
+        self.updates.set_budget(way.map_or(Budget::UNLIMITED, |_| self.gate.budget(now_ns)));
+        &mut self.updates
+    }
+
+    /// The update was shaded: the stream of its delta, and what is still to be done.
+    ///
+    /// # Errors
+    /// The delta is larger than the wire allows. It cannot be left out, since later ones build on it: the session is over.
+    pub fn finish(&mut self, shaded: Shaded) -> Result<(Out, Update), WireError> {
+        let (delta, sizes) = self.sender.delta_stream(&shaded.delta)?;
+        let refresh = std::mem::take(&mut self.refresh);
+        Ok((delta, Update { shaded: Box::new(shaded), sizes, refresh }))
+    }
+
+    /// A stream of an update was handed to the transport.
+    pub fn sent(&mut self, frame: FrameId, kind: Kind, bytes: usize, now_ns: i64) {
+        self.gate.sent(frame, kind, bytes, now_ns);
+    }
+}
+
+/// Bytes of what is sent.
+pub fn bytes_of(out: &Out) -> usize {
+    match out {
+        Out::Control(bytes) | Out::Datagram(bytes) | Out::Stream { bytes, .. } => bytes.len(),
+    }
+}
