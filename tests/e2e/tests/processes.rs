@@ -198,7 +198,7 @@ fn a_killed_server_comes_back_and_the_client_goes_on() {
 #[test]
 fn a_killed_client_is_forgotten_and_the_next_one_is_served() {
     let stage = Stage::new();
-    let mut server = stage.server("server.json");
+    let mut server = Running::start(stage.server_command("dragon", "server.json").args(["--viewers", "1"]));
     server.says("Listening");
     let first = stage.client("a");
     server.says("Client connected");
@@ -216,6 +216,35 @@ fn a_killed_client_is_forgotten_and_the_next_one_is_served() {
     let served = stage.json("server.json");
     assert!(number(&served, "clients") >= 2.0, "{served}");
     assert_eq!(number(&served, "validation_messages"), 0.0, "{served}");
+}
+
+#[test]
+fn two_clients_are_served_at_once_and_one_that_is_killed_is_nothing_to_the_other() {
+    let stage = Stage::new();
+    let mut server = stage.server("server.json");
+    server.says("Listening");
+    let first = stage.client("a");
+    server.says("Client connected");
+    let mut second = stage.client("b");
+    server.says("Client connected");
+    stage.shows_the_scene("a");
+    stage.shows_the_scene("b");
+    first.signal("-KILL");
+    drop(first);
+    stage.shows_the_scene("b");
+    server.says("Client gone");
+    stage.shows_the_scene("b");
+    second.signal("-INT");
+    second.ends_well();
+    server.signal("-INT");
+    server.ends_well();
+    let (shown, served) = (stage.json("b/client.json"), stage.json("server.json"));
+    assert_eq!(number(&shown, "connections"), 1.0, "the other one's end is nothing to it: {shown}");
+    let viewers = served["viewers"].as_array().unwrap();
+    assert!(viewers.len() == 2 && viewers.iter().all(|viewer| number(viewer, "updates") > 0.0), "{served}");
+    for stats in [&shown, &served] {
+        assert_eq!(number(stats, "validation_messages"), 0.0, "{stats}");
+    }
 }
 
 /// A client that is nothing but a connection and the words it is given.
