@@ -8,7 +8,7 @@
 use crate::pace::Span;
 use shadecast_protocol::atlas::{Block, PatchKind};
 use shadecast_protocol::delta::{GeometryDelta, Motion, NewPatch};
-use shadecast_protocol::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
+use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::limits::{
     MAX_INSTANCES, MAX_PATCH_SLOTS, PATCH_MAX_VERTICES, RECORDS_PER_SLOT_AND_TURN, SAMPLE_RING,
 };
@@ -37,14 +37,14 @@ pub struct Bundler<P> {
     pending: VecDeque<PatchChanges>,
     /// What all of `pending` says.
     pending_records: usize,
-    pictures: VecDeque<(FrameId, P)>,
+    pictures: VecDeque<(UpdateId, P)>,
     writes: VertexWrites,
     /// The newest delta taken in.
-    newest_delta: Option<FrameId>,
+    newest_delta: Option<UpdateId>,
     /// The frame whose patches `patches` holds.
-    applied: Option<FrameId>,
+    applied: Option<UpdateId>,
     /// The frame on display.
-    current: Option<FrameId>,
+    current: Option<UpdateId>,
     /// Slots below this have been used.
     vertex_count: u32,
     /// Sampled vertices of the draw list, each once.
@@ -98,7 +98,7 @@ struct Patch {
 /// The patch half of a delta.
 #[derive(Debug)]
 struct PatchChanges {
-    frame: FrameId,
+    frame: UpdateId,
     evicted: Vec<PatchSlot>,
     new: Vec<NewPatch>,
     placements: Vec<(PatchSlot, Option<Block>)>,
@@ -118,13 +118,13 @@ pub struct VertexWrites {
     /// Records at the front that are already on their way.
     taken: usize,
     /// The last frame all of whose records are on their way.
-    complete: Option<FrameId>,
+    complete: Option<UpdateId>,
 }
 
 /// Records that do not depend on each other; a barrier lies between two segments.
 #[derive(Clone, Copy, Debug)]
 struct Segment {
-    frame: FrameId,
+    frame: UpdateId,
     /// Into `records`, exclusive.
     end: usize,
     ends_frame: bool,
@@ -201,12 +201,12 @@ impl<P> Bundler<P> {
     }
 
     /// The frame on display.
-    pub fn current(&self) -> Option<FrameId> {
+    pub fn current(&self) -> Option<UpdateId> {
         self.current
     }
 
     /// The newest delta taken in.
-    pub fn newest_delta(&self) -> Option<FrameId> {
+    pub fn newest_delta(&self) -> Option<UpdateId> {
         self.newest_delta
     }
 
@@ -323,7 +323,7 @@ impl<P> Bundler<P> {
     }
 
     /// Takes in a decoded picture. Gives back one that will not be shown, for reuse.
-    pub fn add_picture(&mut self, frame: FrameId, picture: P) -> Option<P> {
+    pub fn add_picture(&mut self, frame: UpdateId, picture: P) -> Option<P> {
         if self.shown_or_past(frame) {
             return Some(picture);
         }
@@ -335,13 +335,13 @@ impl<P> Bundler<P> {
         None
     }
 
-    fn shown_or_past(&self, frame: FrameId) -> bool {
+    fn shown_or_past(&self, frame: UpdateId) -> bool {
         self.applied.is_some_and(|applied| frame <= applied)
     }
 
     /// Switches to the newest frame that has its picture, its delta, and its vertices in the GPU's memory. Pictures
     /// that it makes superfluous go to `drop_picture`.
-    pub fn take_newest_complete(&mut self, mut drop_picture: impl FnMut(P)) -> Option<(FrameId, P)> {
+    pub fn take_newest_complete(&mut self, mut drop_picture: impl FnMut(P)) -> Option<(UpdateId, P)> {
         let complete = self.writes.complete?;
         while self.pictures.front().is_some_and(|(frame, _)| self.shown_or_past(*frame)) {
             self.pictures.pop_front().into_iter().for_each(|(_, picture)| drop_picture(picture));
@@ -505,14 +505,14 @@ impl VertexWrites {
         self.records.push(record);
     }
 
-    fn end_segment(&mut self, frame: FrameId) {
+    fn end_segment(&mut self, frame: UpdateId) {
         let start = self.segments.back().map_or(self.taken, |segment| segment.end);
         if self.records.len() > start {
             self.segments.push_back(Segment { frame, end: self.records.len(), ends_frame: false });
         }
     }
 
-    fn end_frame(&mut self, frame: FrameId) {
+    fn end_frame(&mut self, frame: UpdateId) {
         self.end_segment(frame);
         match self.segments.back_mut() {
             Some(segment) if segment.frame == frame => segment.ends_frame = true,
@@ -563,7 +563,7 @@ impl VertexWrites {
     }
 
     /// The last frame all of whose vertices have been handed on.
-    pub fn complete(&self) -> Option<FrameId> {
+    pub fn complete(&self) -> Option<UpdateId> {
         self.complete
     }
 }

@@ -86,7 +86,7 @@ impl Server {
     fn update(&mut self, dice: &mut Dice) -> GeometryDelta {
         let frame = self.next_frame;
         self.next_frame += 1;
-        let mut delta = GeometryDelta { frame: FrameId(frame), ..GeometryDelta::default() };
+        let mut delta = GeometryDelta { frame: UpdateId(frame), ..GeometryDelta::default() };
         if frame == 0 {
             delta.instances =
                 (0..INSTANCES).map(|i| InstanceInfo { instance: InstanceId(i), step_m: 1.0 }).collect();
@@ -220,7 +220,7 @@ impl Bench {
     }
 
     /// One display frame with room for `records` vertex records. Gives the frame on display.
-    fn display(&mut self, records: usize, grid: i32) -> Option<FrameId> {
+    fn display(&mut self, records: usize, grid: i32) -> Option<UpdateId> {
         let mut staging = vec![bytemuck::Zeroable::zeroed(); records];
         let mut ranges = Vec::new();
         self.bundler.writes().drain_into(&mut staging, |range| ranges.push(range));
@@ -240,7 +240,7 @@ impl Bench {
     }
 
     /// The same with vertices moved to a time within step `grid`, as the scene does it.
-    fn display_moving(&mut self, records: usize, grid: i32, fraction: f64) -> Option<FrameId> {
+    fn display_moving(&mut self, records: usize, grid: i32, fraction: f64) -> Option<UpdateId> {
         let before = self.bundler.current();
         let shown = self.display(records, grid)?;
         let into_step_ns = (fraction * DEFAULT_GRID.spacing_ns as f64) as i64;
@@ -357,7 +357,7 @@ fn run(seed: u64) -> usize {
     patches_seen
 }
 
-fn check(bench: &mut Bench, server: &mut Server, records: usize) -> Option<FrameId> {
+fn check(bench: &mut Bench, server: &mut Server, records: usize) -> Option<UpdateId> {
     let before = bench.bundler.current();
     let shown = bench.display(records, server.grid);
     assert!(shown >= before, "seed {}: back from {before:?} to {shown:?}", bench.seed);
@@ -402,7 +402,7 @@ fn no_triangle_has_corners_of_two_times_however_late_pictures_are() {
 fn a_slot_given_anew_while_it_is_on_display_is_told() {
     let mut bench = Bench::new(0);
     bench.bundler.add_delta(triangle(0, 0..=4));
-    bench.bundler.add_picture(FrameId(0), 0);
+    bench.bundler.add_picture(UpdateId(0), 0);
     bench.display(100, 1);
     bench.bundler.add_delta(triangle(1, 0..=4));
     assert_eq!(bench.bundler.take_contradiction(), Some(VertexSlot(0)));
@@ -455,7 +455,7 @@ fn what_is_drawn_is_always_one_update_whatever_arrives_when() {
 }
 
 fn delta(frame: u32) -> GeometryDelta {
-    GeometryDelta { frame: FrameId(frame), ..GeometryDelta::default() }
+    GeometryDelta { frame: UpdateId(frame), ..GeometryDelta::default() }
 }
 
 /// A patch of one triangle of sampled vertices 0, 1, 2, placed.
@@ -487,30 +487,30 @@ fn triangle(frame: u32, samples: std::ops::RangeInclusive<i32>) -> GeometryDelta
 #[test]
 fn a_picture_without_its_delta_is_not_shown_nor_a_delta_without_a_picture() {
     let mut bench = Bench::new(0);
-    bench.bundler.add_picture(FrameId(0), 0);
+    bench.bundler.add_picture(UpdateId(0), 0);
     assert_eq!(bench.display(100, 0), None);
     bench.bundler.add_delta(delta(0));
     bench.bundler.add_delta(delta(1));
-    assert_eq!(bench.display(100, 0), Some(FrameId(0)));
-    assert_eq!(bench.display(100, 0), Some(FrameId(0)), "frame 1 has no picture");
-    bench.bundler.add_picture(FrameId(1), 1);
-    assert_eq!(bench.display(100, 0), Some(FrameId(1)));
+    assert_eq!(bench.display(100, 0), Some(UpdateId(0)));
+    assert_eq!(bench.display(100, 0), Some(UpdateId(0)), "frame 1 has no picture");
+    bench.bundler.add_picture(UpdateId(1), 1);
+    assert_eq!(bench.display(100, 0), Some(UpdateId(1)));
 }
 
 #[test]
 fn a_picture_that_comes_after_a_later_one_was_shown_is_given_back() {
     let mut bench = Bench::new(0);
     (0..2).for_each(|frame| bench.bundler.add_delta(delta(frame)));
-    assert_eq!(bench.bundler.add_picture(FrameId(1), 1), None);
+    assert_eq!(bench.bundler.add_picture(UpdateId(1), 1), None);
     bench.display(100, 0);
-    assert_eq!(bench.bundler.add_picture(FrameId(0), 0), Some(0));
+    assert_eq!(bench.bundler.add_picture(UpdateId(0), 0), Some(0));
 }
 
 #[test]
 fn corners_lie_in_the_blocks_lookup_rectangle_and_carry_slot_and_instance() {
     let mut bench = Bench::new(0);
     bench.bundler.add_delta(triangle(0, 0..=4));
-    bench.bundler.add_picture(FrameId(0), 0);
+    bench.bundler.add_picture(UpdateId(0), 0);
     bench.display(100, 1);
     assert_eq!((bench.list.corners, bench.list.indices, bench.list.patches), (3, 3, 1));
     let texels: Vec<_> = bench.corners[..3].iter().map(|corner| corner.atlas_texel).collect();
@@ -532,7 +532,7 @@ fn samples_are_in_metres_and_count_before_the_picture_is_there() {
 fn a_patch_is_withheld_until_the_first_step_that_all_its_vertices_have() {
     let mut bench = Bench::new(0);
     bench.bundler.add_delta(triangle(0, 5..=8));
-    bench.bundler.add_picture(FrameId(0), 0);
+    bench.bundler.add_picture(UpdateId(0), 0);
     bench.display(100, 3);
     assert_eq!(bench.list.at(GridIndex(4)), (0, 1));
     assert_eq!(bench.list.at(GridIndex(5)), (3, 0));
@@ -542,7 +542,7 @@ fn a_patch_is_withheld_until_the_first_step_that_all_its_vertices_have() {
 fn vertices_past_their_last_sample_are_held_for_one_step_and_then_frozen() {
     let mut bench = Bench::new(0);
     bench.bundler.add_delta(triangle(0, 0..=4));
-    bench.bundler.add_picture(FrameId(0), 0);
+    bench.bundler.add_picture(UpdateId(0), 0);
     bench.display(100, 0);
     let at = |grid| bench.bundler.motionless(GridIndex(grid));
     assert_eq!(at(3), Motionless::default());
@@ -555,17 +555,17 @@ fn pictures_that_never_come_do_not_pile_up_deltas() {
     let mut bench = Bench::new(0);
     (0..1000).for_each(|frame| bench.bundler.add_delta(delta(frame)));
     assert!(bench.bundler.pending.len() <= MAX_PENDING);
-    bench.bundler.add_picture(FrameId(1), 1);
+    bench.bundler.add_picture(UpdateId(1), 1);
     assert_eq!(bench.display(100, 0), None, "too late for it");
-    bench.bundler.add_picture(FrameId(999), 999);
-    assert_eq!(bench.display(100, 0), Some(FrameId(999)));
+    bench.bundler.add_picture(UpdateId(999), 999);
+    assert_eq!(bench.display(100, 0), Some(UpdateId(999)));
 }
 
 #[test]
 fn a_bundle_waits_until_its_vertices_are_in_the_gpus_memory() {
     let mut bench = Bench::new(0);
     bench.bundler.add_delta(triangle(0, 0..=4));
-    bench.bundler.add_picture(FrameId(0), 0);
+    bench.bundler.add_picture(UpdateId(0), 0);
     assert_eq!(bench.display(10, 0), None);
-    assert_eq!(bench.display(10, 0), Some(FrameId(0)), "3 entries and 15 samples");
+    assert_eq!(bench.display(10, 0), Some(UpdateId(0)), "3 entries and 15 samples");
 }

@@ -18,14 +18,14 @@ use crate::xr::{Views, Xr, XrError};
 use shadecast_gpu::{Gpu, GpuError, vk};
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::delta::GeometryDelta;
-use shadecast_protocol::ids::{DiscontinuityId, FrameId};
+use shadecast_protocol::ids::{DiscontinuityId, UpdateId};
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{
     Capabilities, ClientHello, Codec, Displayed, HeadState, Refused, ResumeSecret, Welcome,
 };
 use shadecast_protocol::pose::{Eye, Pose};
 use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
-use shadecast_protocol::time::{DisplayTime, ServerTime};
+use shadecast_protocol::time::{ClientTime, ServerTime};
 use shadecast_protocol::wire::{self, StreamMessage, WireError};
 use shadecast_shaders::generated::EyesGpu;
 use std::collections::VecDeque;
@@ -115,7 +115,7 @@ pub enum Step {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameReport {
     /// When it is seen.
-    pub display_time: DisplayTime,
+    pub display_time: ClientTime,
     /// The same on the server's clock, once that is known.
     pub server_time: Option<ServerTime>,
     /// The time, on the server's clock, at which all animated vertices drawn are; the same as `server_time` unless samples
@@ -124,7 +124,7 @@ pub struct FrameReport {
     /// False where the runtime wanted no picture.
     pub is_rendered: bool,
     /// The update on display; `None`: no bundle yet, the waiting room is seen.
-    pub frame: Option<FrameId>,
+    pub frame: Option<UpdateId>,
     /// True where the bundle is on display for the first time.
     pub is_new: bool,
     /// Animated vertices that go on at their last velocity for want of samples.
@@ -180,7 +180,7 @@ pub struct Client {
     pub(crate) gpu: Arc<Gpu>,
     pub(crate) xr: Xr,
     pub(crate) counters: Counters,
-    pub(crate) now: DisplayTime,
+    pub(crate) now: ClientTime,
     pub(crate) panel: Option<Pose>,
     pub(crate) status: Text,
     pub(crate) stillness: Stillness,
@@ -198,7 +198,7 @@ pub struct Client {
     head: Option<HeadState>,
     sequence: u32,
     report: Displayed,
-    reported: Option<DisplayTime>,
+    reported: Option<ClientTime>,
     out: VecDeque<Out>,
     notices: VecDeque<Notice>,
 }
@@ -220,7 +220,7 @@ impl Client {
             counters: Counters::new(&gpu, xr.headset.runtime_name()),
             gpu,
             xr,
-            now: DisplayTime(0),
+            now: ClientTime(0),
             panel: None,
             status: Text::new("Shadecast"),
             stillness: Stillness::default(),
@@ -262,14 +262,14 @@ impl Client {
     }
 
     /// Bytes can flow from `now` on. The session begins once the eyes have been located.
-    pub fn on_connected(&mut self, now: DisplayTime) {
+    pub fn on_connected(&mut self, now: ClientTime) {
         self.on_closed(now);
         self.is_connected = true;
         self.begin_session();
     }
 
     /// The connection is gone. What was on display stays there.
-    pub fn on_closed(&mut self, now: DisplayTime) {
+    pub fn on_closed(&mut self, now: ClientTime) {
         self.now = now;
         self.is_connected = false;
         self.next = None;
@@ -313,7 +313,7 @@ impl Client {
     }
 
     /// Takes one message of the server's control stream.
-    pub fn receive_control(&mut self, now: DisplayTime, message: &[u8]) -> Result<(), ClientError> {
+    pub fn receive_control(&mut self, now: ClientTime, message: &[u8]) -> Result<(), ClientError> {
         self.now = now;
         if let Some(connection) = &mut self.connection {
             connection.session.on_control(message);
@@ -322,7 +322,7 @@ impl Client {
     }
 
     /// Takes one whole unidirectional stream.
-    pub fn receive_stream(&mut self, now: DisplayTime, bytes: &[u8]) -> Result<(), ClientError> {
+    pub fn receive_stream(&mut self, now: ClientTime, bytes: &[u8]) -> Result<(), ClientError> {
         self.now = now;
         match wire::parse_stream(bytes) {
             Ok(StreamMessage::Picture { access_unit, .. }) => {
@@ -337,7 +337,7 @@ impl Client {
     }
 
     /// The server gave up a stream of which `head` had come: a picture that will not be shown in time.
-    pub fn receive_reset(&mut self, now: DisplayTime, head: &[u8]) {
+    pub fn receive_reset(&mut self, now: ClientTime, head: &[u8]) {
         self.now = now;
         if let Some(decoding) = self.connection.as_mut().and_then(|connection| connection.decoding.as_mut()) {
             decoding.given_up(decoding::frame_of_head(head));
@@ -345,7 +345,7 @@ impl Client {
     }
 
     /// Takes a datagram.
-    pub fn receive_datagram(&mut self, now: DisplayTime, bytes: &[u8]) {
+    pub fn receive_datagram(&mut self, now: ClientTime, bytes: &[u8]) {
         self.now = now;
         if let Some(connection) = &mut self.connection {
             connection.session.on_datagram(bytes, now);
@@ -353,7 +353,7 @@ impl Client {
     }
 
     /// Does what is due at `now`: pings, decoded pictures, requests.
-    pub fn advance(&mut self, now: DisplayTime) -> Result<(), ClientError> {
+    pub fn advance(&mut self, now: ClientTime) -> Result<(), ClientError> {
         self.now = now;
         self.begin_session();
         let Some(connection) = &mut self.connection else { return Ok(()) };
@@ -383,7 +383,7 @@ impl Client {
     }
 
     /// When [`Client::advance`] next has something to do by itself.
-    pub fn next_tick(&self) -> Option<DisplayTime> {
+    pub fn next_tick(&self) -> Option<ClientTime> {
         self.connection.as_ref().and_then(|connection| connection.session.next_tick())
     }
 
@@ -459,7 +459,7 @@ impl Client {
     }
 
     /// Takes an update of a server of the same process, handed over by memory copy: no codec, no network.
-    pub fn accept_local(&mut self, now: DisplayTime, delta: GeometryDelta, picture: Option<Picture>) {
+    pub fn accept_local(&mut self, now: ClientTime, delta: GeometryDelta, picture: Option<Picture>) {
         self.now = now;
         let frame = delta.frame;
         self.take_delta(delta);
@@ -470,7 +470,7 @@ impl Client {
     }
 
     /// `at` on the clock of the server that made `scene`.
-    pub(crate) fn server_time(&self, scene: &Scene, at: DisplayTime) -> Option<ServerTime> {
+    pub(crate) fn server_time(&self, scene: &Scene, at: ClientTime) -> Option<ServerTime> {
         match &scene.clock {
             SceneClock::Connection => self.connection.as_ref()?.session.clock().server_time(at),
             SceneClock::Ended(clock) => clock.server_time(at),
@@ -487,7 +487,7 @@ impl Client {
     }
 
     /// Notes where the head will be at `display_time`, and tells the server.
-    pub(crate) fn tell_head(&mut self, display_time: DisplayTime, period_ns: i64, views: &Views) {
+    pub(crate) fn tell_head(&mut self, display_time: ClientTime, period_ns: i64, views: &Views) {
         self.eyes = Some((views.eyes(), period_ns));
         if self.panel.is_none() {
             self.panel = Some(background::panel_ahead(views.stage_from_head));
@@ -518,7 +518,7 @@ impl Client {
     }
 
     /// Counts a display frame, and reports what is on display where that is new or due.
-    pub(crate) fn report_frame(&mut self, frame: &FrameReport, picture_arrived: Option<DisplayTime>) {
+    pub(crate) fn report_frame(&mut self, frame: &FrameReport, picture_arrived: Option<ClientTime>) {
         self.counters.count(frame);
         self.report.display_frames += u32::from(frame.is_rendered);
         self.report.frames_without_bundle += u32::from(frame.is_rendered && frame.frame.is_none());

@@ -5,9 +5,9 @@
 //! long as it is told to; in real time a thread of its own does it.
 
 use crate::decode::{DecodeError, Decoder, Picture};
-use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::MAX_ACCESS_UNIT_BYTES;
-use shadecast_protocol::time::{DisplayTime, ServerTime};
+use shadecast_protocol::time::{ClientTime, ServerTime};
 use shadecast_protocol::wire::{PictureHeader, encode_picture};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
@@ -43,9 +43,9 @@ pub enum DecodeTiming {
 #[derive(Debug)]
 pub struct Decoded {
     /// Its frame.
-    pub frame: FrameId,
+    pub frame: UpdateId,
     /// When its last byte came.
-    pub arrived: DisplayTime,
+    pub arrived: ClientTime,
     /// Its planes.
     pub picture: Picture,
 }
@@ -54,7 +54,7 @@ pub struct Decoded {
 struct Coded {
     header: PictureHeader,
     access_unit: Vec<u8>,
-    arrived: DisplayTime,
+    arrived: ClientTime,
 }
 
 /// What the decoder is told.
@@ -66,8 +66,8 @@ enum Job {
 
 /// What became of a picture.
 struct Outcome {
-    frame: FrameId,
-    arrived: DisplayTime,
+    frame: UpdateId,
+    arrived: ClientTime,
     result: Result<Picture, DecodeError>,
 }
 
@@ -75,31 +75,31 @@ struct Outcome {
 pub struct Decoding {
     order: PictureOrder,
     engine: Engine,
-    last_decoded: Option<FrameId>,
+    last_decoded: Option<UpdateId>,
     /// When a refresh was last asked for, while one is needed.
-    asked: Option<DisplayTime>,
+    asked: Option<ClientTime>,
     needs_refresh: bool,
     /// The last refresh handed to the decoder.
-    last_refresh: Option<FrameId>,
+    last_refresh: Option<UpdateId>,
     lost: u32,
 }
 
 /// Puts pictures in order.
 #[derive(Default)]
 struct PictureOrder {
-    next: FrameId,
-    waiting: BTreeMap<FrameId, Coded>,
+    next: UpdateId,
+    waiting: BTreeMap<UpdateId, Coded>,
     waiting_bytes: usize,
     /// Given up by the server, later than `next`.
-    dead: BTreeSet<FrameId>,
+    dead: BTreeSet<UpdateId>,
 }
 
 enum Engine {
     Virtual {
         decoder: Box<dyn Decoder>,
         delay_ns: i64,
-        busy_until: DisplayTime,
-        done: VecDeque<(DisplayTime, Outcome)>,
+        busy_until: ClientTime,
+        done: VecDeque<(ClientTime, Outcome)>,
         spare: Vec<Picture>,
     },
     Thread {
@@ -112,11 +112,11 @@ enum Engine {
 }
 
 /// The frame of a picture of whose stream `head` has come; `None` where that is too little, or no picture.
-pub fn frame_of_head(head: &[u8]) -> Option<FrameId> {
-    let header = PictureHeader { frame: FrameId(0), time: ServerTime(0), is_refresh: false };
+pub fn frame_of_head(head: &[u8]) -> Option<UpdateId> {
+    let header = PictureHeader { frame: UpdateId(0), time: ServerTime(0), is_refresh: false };
     let kind = encode_picture(header, &[])[0];
     let frame = head.get(1..5)?.try_into().ok().map(u32::from_le_bytes)?;
-    (head[0] == kind).then_some(FrameId(frame))
+    (head[0] == kind).then_some(UpdateId(frame))
 }
 
 impl PictureOrder {
@@ -134,7 +134,7 @@ impl PictureOrder {
     }
 
     /// Awaits nothing before `frame` any more. Gives the number of pictures that are missing for it.
-    fn skip_to(&mut self, frame: FrameId) -> u32 {
+    fn skip_to(&mut self, frame: UpdateId) -> u32 {
         let skipped = frame.0.saturating_sub(self.next.0);
         if skipped > 0 {
             self.waiting = self.waiting.split_off(&frame);
@@ -160,7 +160,7 @@ impl PictureOrder {
     }
 
     /// The server gave up the picture of `frame`.
-    fn give_up(&mut self, frame: FrameId) {
+    fn give_up(&mut self, frame: UpdateId) {
         let is_due = frame >= self.next && !frame.is_too_far_after(self.next);
         if is_due && self.dead.len() < MAX_WAITING {
             self.dead.insert(frame);
@@ -173,7 +173,7 @@ impl PictureOrder {
     }
 
     /// Whether the picture that is awaited must be given up.
-    fn is_hopeless(&self, now: DisplayTime) -> bool {
+    fn is_hopeless(&self, now: ClientTime) -> bool {
         let oldest = self.waiting.values().map(|coded| coded.arrived).min();
         oldest.is_some_and(|arrived| now.since(arrived) > GIVE_UP_NS)
     }
@@ -187,7 +187,7 @@ impl Decoding {
             DecodeTiming::Virtual { delay_ns } => Engine::Virtual {
                 decoder,
                 delay_ns,
-                busy_until: DisplayTime(i64::MIN),
+                busy_until: ClientTime(i64::MIN),
                 done: VecDeque::new(),
                 spare: Vec::new(),
             },
@@ -204,7 +204,7 @@ impl Decoding {
     }
 
     /// Takes in a coded picture that came at `now`.
-    pub fn add(&mut self, header: PictureHeader, access_unit: Vec<u8>, now: DisplayTime) {
+    pub fn add(&mut self, header: PictureHeader, access_unit: Vec<u8>, now: ClientTime) {
         let skipped = self.order.add(Coded { header, access_unit, arrived: now });
         if skipped > 0 {
             self.lose(skipped);
@@ -221,7 +221,7 @@ impl Decoding {
     }
 
     /// The server gave up the picture of `frame`; unknown where not a byte of it came: then it is the one awaited.
-    pub fn given_up(&mut self, frame: Option<FrameId>) {
+    pub fn given_up(&mut self, frame: Option<UpdateId>) {
         self.order.give_up(frame.unwrap_or(self.order.next));
         self.pump();
     }
@@ -259,7 +259,7 @@ impl Decoding {
     }
 
     /// Does what is due at `now`, and hands on what is decoded by then.
-    pub fn advance(&mut self, now: DisplayTime, mut decoded: impl FnMut(Decoded)) {
+    pub fn advance(&mut self, now: ClientTime, mut decoded: impl FnMut(Decoded)) {
         while self.order.is_hopeless(now) {
             self.give_up_to_oldest();
         }
@@ -283,7 +283,7 @@ impl Decoding {
     }
 
     /// The request that is due at `now`: the last frame that decoded, if only a refresh helps.
-    pub fn refresh_request(&mut self, now: DisplayTime) -> Option<Option<FrameId>> {
+    pub fn refresh_request(&mut self, now: ClientTime) -> Option<Option<UpdateId>> {
         let is_due = self.asked.is_none_or(|asked| now.since(asked) >= ASK_AGAIN_NS);
         if !self.needs_refresh || !is_due {
             return None;
@@ -344,7 +344,7 @@ impl Engine {
         }
     }
 
-    fn finished(&mut self, now: DisplayTime) -> Option<Outcome> {
+    fn finished(&mut self, now: ClientTime) -> Option<Outcome> {
         match self {
             Self::Virtual { done, .. } => {
                 done.pop_front_if(|(ready, _)| *ready <= now).map(|(_, outcome)| outcome)
@@ -440,25 +440,25 @@ mod tests {
 
         fn add(&mut self, frame: u32, unit: u8, at_ms: i64) {
             let header =
-                PictureHeader { frame: FrameId(frame), time: ServerTime(0), is_refresh: unit % 2 == 1 };
-            self.decoding.add(header, vec![unit], DisplayTime(at_ms * MS));
+                PictureHeader { frame: UpdateId(frame), time: ServerTime(0), is_refresh: unit % 2 == 1 };
+            self.decoding.add(header, vec![unit], ClientTime(at_ms * MS));
         }
 
         fn advance(&mut self, at_ms: i64) {
             let seen = &mut self.seen;
-            self.decoding.advance(DisplayTime(at_ms * MS), |d| seen.push((d.frame.0, d.picture.y[0])));
+            self.decoding.advance(ClientTime(at_ms * MS), |d| seen.push((d.frame.0, d.picture.y[0])));
         }
 
         fn asks(&mut self, at_ms: i64) -> bool {
-            self.decoding.refresh_request(DisplayTime(at_ms * MS)).is_some()
+            self.decoding.refresh_request(ClientTime(at_ms * MS)).is_some()
         }
     }
 
     #[test]
     fn a_pictures_frame_is_told_from_the_head_of_its_stream() {
-        let header = PictureHeader { frame: FrameId(0x0403_0201), time: ServerTime(9), is_refresh: true };
+        let header = PictureHeader { frame: UpdateId(0x0403_0201), time: ServerTime(9), is_refresh: true };
         let stream = encode_picture(header, &[1, 2, 3]);
-        assert_eq!(frame_of_head(&stream[..5]), Some(FrameId(0x0403_0201)));
+        assert_eq!(frame_of_head(&stream[..5]), Some(UpdateId(0x0403_0201)));
         assert_eq!(frame_of_head(&stream[..4]), None);
         assert_eq!(frame_of_head(&encode_geometry(&[0; 8])), None);
     }
@@ -492,7 +492,7 @@ mod tests {
         let mut bench = Bench::new(0);
         bench.add(0, 1, 0);
         bench.add(2, 4, 1);
-        bench.decoding.given_up(Some(FrameId(1)));
+        bench.decoding.given_up(Some(UpdateId(1)));
         bench.advance(2);
         assert_eq!(bench.seen, [(0, 1)]);
         assert!(bench.asks(2) && !bench.asks(3));
@@ -533,7 +533,7 @@ mod tests {
         bench.add(0, 1, 0);
         bench.add(1, 0, 1);
         bench.advance(1);
-        assert_eq!(bench.decoding.refresh_request(DisplayTime(MS)), Some(Some(FrameId(0))));
+        assert_eq!(bench.decoding.refresh_request(ClientTime(MS)), Some(Some(UpdateId(0))));
     }
 
     #[test]
@@ -555,8 +555,8 @@ mod tests {
     fn pictures_that_wait_are_bounded_in_bytes_and_number() {
         let mut decoding = Decoding::new(Box::<Toy>::default(), DecodeTiming::Virtual { delay_ns: 0 });
         let mut add = |frame: u32, bytes: usize| {
-            let header = PictureHeader { frame: FrameId(frame), time: ServerTime(0), is_refresh: false };
-            decoding.add(header, vec![4; bytes], DisplayTime(0));
+            let header = PictureHeader { frame: UpdateId(frame), time: ServerTime(0), is_refresh: false };
+            decoding.add(header, vec![4; bytes], ClientTime(0));
             (decoding.waiting_bytes(), decoding.order.waiting.len())
         };
         for frame in 0..30 {
@@ -573,12 +573,12 @@ mod tests {
         let mut decoding = Decoding::new(Box::<Toy>::default(), DecodeTiming::Thread);
         for (frame, unit) in [(0, 1), (1, 2), (2, 4)] {
             let header =
-                PictureHeader { frame: FrameId(frame), time: ServerTime(0), is_refresh: unit % 2 == 1 };
-            decoding.add(header, vec![unit], DisplayTime(0));
+                PictureHeader { frame: UpdateId(frame), time: ServerTime(0), is_refresh: unit % 2 == 1 };
+            decoding.add(header, vec![unit], ClientTime(0));
         }
         let mut seen = Vec::new();
         while seen.len() < 3 {
-            decoding.advance(DisplayTime(0), |d| seen.push((d.frame.0, d.picture.y[0])));
+            decoding.advance(ClientTime(0), |d| seen.push((d.frame.0, d.picture.y[0])));
             std::thread::yield_now();
         }
         assert_eq!(seen, [(0, 1), (1, 2), (2, 4)]);

@@ -7,7 +7,7 @@ use crate::stages::background::Backdrop;
 use crate::stages::{VERTEX_MEMORY_USE, eyes_gpu};
 use crate::xr::{Activity, FrameTurn, Views};
 use shadecast_gpu::{Access, Recorder};
-use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::time::ServerTime;
 
@@ -17,7 +17,7 @@ struct Content {
     /// The server's time at which it is seen.
     time: Option<ServerTime>,
     /// The bundle on display.
-    frame: Option<FrameId>,
+    frame: Option<UpdateId>,
     switched: Option<Switched>,
     scene: SceneReport,
 }

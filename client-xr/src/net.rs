@@ -10,7 +10,7 @@ use crate::platform::{Platform, monotonic_now};
 use crate::stats::ClientStats;
 use crate::xr::{Xr, XrError, XrOptions};
 use connector::Connector;
-use shadecast_protocol::time::DisplayTime;
+use shadecast_protocol::time::ClientTime;
 use shadecast_transport::mio::DriverError;
 use shadecast_transport::{Fingerprint, IdentityError};
 use std::net::{SocketAddr, ToSocketAddrs};
@@ -108,7 +108,7 @@ struct Run<'a> {
     options: &'a RunOptions,
     stop: &'a AtomicBool,
     /// When it is to end by itself.
-    until: Option<DisplayTime>,
+    until: Option<ClientTime>,
     /// Of the headset sessions that are over.
     stats: ClientStats,
 }

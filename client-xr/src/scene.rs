@@ -12,9 +12,9 @@ use crate::stages::scatter::{ScatterStaging, VertexMemory};
 use crate::stages::wait_for;
 use shadecast_gpu::{Access, BindGroup, Gpu, GpuError, Recorder};
 use shadecast_protocol::clock::ClockEstimator;
-use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::Welcome;
-use shadecast_protocol::time::{DisplayTime, GridIndex, ServerTime};
+use shadecast_protocol::time::{ClientTime, GridIndex, ServerTime};
 use shadecast_shaders::generated::{CornerGpu, EyesGpu};
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub struct ArrivedPicture {
     /// When its last byte came.
-    pub arrived: DisplayTime,
+    pub arrived: ClientTime,
     /// Its planes.
     pub picture: Picture,
 }
@@ -63,9 +63,9 @@ pub struct Scene {
 #[derive(Clone, Copy, Debug)]
 pub struct Switched {
     /// Its frame.
-    pub frame: FrameId,
+    pub frame: UpdateId,
     /// When the last byte of its picture came.
-    pub picture_arrived: DisplayTime,
+    pub picture_arrived: ClientTime,
 }
 
 /// How a scene stands at a display time.

@@ -3,7 +3,7 @@
 use crate::client::FrameReport;
 use serde::Serialize;
 use shadecast_gpu::Gpu;
-use shadecast_protocol::time::DisplayTime;
+use shadecast_protocol::time::ClientTime;
 
 /// How a client fared, for `--stats` and the lab.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -111,7 +111,7 @@ pub(crate) struct Counters {
     device: String,
     device_is_cpu: bool,
     runtime: String,
-    span: Option<(DisplayTime, DisplayTime)>,
+    span: Option<(ClientTime, ClientTime)>,
     frames: u64,
     rendered_frames: u64,
     frames_with_bundle: u64,

@@ -5,7 +5,7 @@ use crate::client::FrameReport;
 use crate::stages::background::panel_ahead;
 use glam::Vec3;
 use shadecast_protocol::pose::Pose;
-use shadecast_protocol::time::DisplayTime;
+use shadecast_protocol::time::ClientTime;
 
 /// A world without a new picture for this long stands still: updates come many times a second.
 const STILL_AFTER_NS: i64 = 2_000_000_000;
@@ -17,15 +17,15 @@ const FOLLOW_COS: f32 = 0.7;
 /// Watches display frames for news.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stillness {
-    last: DisplayTime,
+    last: ClientTime,
     /// The last display frame that showed something new, or that nobody saw.
-    fresh: DisplayTime,
+    fresh: ClientTime,
     stage_from_panel: Option<Pose>,
 }
 
 impl Default for Stillness {
     fn default() -> Self {
-        let long_ago = DisplayTime(i64::MIN);
+        let long_ago = ClientTime(i64::MIN);
         Self { last: long_ago, fresh: long_ago, stage_from_panel: None }
     }
 }
@@ -60,17 +60,17 @@ fn is_ahead(stage_from_panel: Pose, stage_from_head: Pose) -> bool {
 mod tests {
     use super::*;
     use glam::Quat;
-    use shadecast_protocol::ids::FrameId;
+    use shadecast_protocol::ids::UpdateId;
 
     const MS: i64 = 1_000_000;
 
     fn shown(ms: i64, is_new: bool) -> FrameReport {
         FrameReport {
-            display_time: DisplayTime(ms * MS),
+            display_time: ClientTime(ms * MS),
             server_time: None,
             motion_time: None,
             is_rendered: true,
-            frame: Some(FrameId(0)),
+            frame: Some(UpdateId(0)),
             is_new,
             held_vertices: 0,
             frozen_vertices: 0,

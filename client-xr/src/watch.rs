@@ -1,7 +1,7 @@
 //! Whether somebody looks: a headset that was taken off, or shows something else, needs no updates. A state that lasts only a
 //! moment is not worth telling.
 
-use shadecast_protocol::time::DisplayTime;
+use shadecast_protocol::time::ClientTime;
 
 /// The server is told that nobody looks once no frame was seen for this long.
 pub const UNWATCHED_AFTER_NS: i64 = 250_000_000;
@@ -9,7 +9,7 @@ pub const UNWATCHED_AFTER_NS: i64 = 250_000_000;
 /// What the server has been told, and since when nothing was seen.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Watch {
-    unseen_since: Option<DisplayTime>,
+    unseen_since: Option<ClientTime>,
     is_unwatched: bool,
 }
 
@@ -20,7 +20,7 @@ impl Watch {
     }
 
     /// A turn of the runtime whose frame is seen, or not. Gives what the server must be told, if anything.
-    pub fn turn(&mut self, is_seen: bool, now: DisplayTime) -> Option<bool> {
+    pub fn turn(&mut self, is_seen: bool, now: ClientTime) -> Option<bool> {
         let is_unwatched = if is_seen {
             self.unseen_since = None;
             false
@@ -40,7 +40,7 @@ mod tests {
     const MS: i64 = 1_000_000;
 
     fn turn(watch: &mut Watch, is_seen: bool, at_ms: i64) -> Option<bool> {
-        watch.turn(is_seen, DisplayTime(at_ms * MS))
+        watch.turn(is_seen, ClientTime(at_ms * MS))
     }
 
     #[test]

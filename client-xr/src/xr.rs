@@ -11,7 +11,7 @@ use openxr::sys;
 use openxr::sys::platform::VkGetInstanceProcAddr;
 use shadecast_gpu::{DeviceSource, Gpu, GpuError, GpuOptions, Needs};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
-use shadecast_protocol::time::DisplayTime;
+use shadecast_protocol::time::ClientTime;
 use std::io::ErrorKind;
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
@@ -206,7 +206,7 @@ pub enum Activity {
 pub struct FrameTurn {
     xr_time: openxr::Time,
     /// When it will be seen, on `CLOCK_MONOTONIC`.
-    pub display_time: DisplayTime,
+    pub display_time: ClientTime,
     /// How long it will be seen, nanoseconds.
     pub period_ns: i64,
     /// False where nobody sees it, so that drawing it is a waste.
@@ -471,7 +471,7 @@ impl Headset {
     }
 
     /// `XrTime` on the client's monotonic clock.
-    fn monotonic(&self, time: openxr::Time) -> Result<DisplayTime, XrError> {
+    fn monotonic(&self, time: openxr::Time) -> Result<ClientTime, XrError> {
         let instance = &self.device.instance;
         let Some(convert) = &instance.exts().khr_convert_timespec_time else {
             return Err(XrError::NoExtension {
@@ -486,7 +486,7 @@ impl Headset {
             succeeded(convert(instance.as_raw(), time, timespec.as_mut_ptr())).doing("converting a time")?;
             timespec.assume_init()
         };
-        Ok(DisplayTime(timespec.tv_sec * 1_000_000_000 + timespec.tv_nsec))
+        Ok(ClientTime(timespec.tv_sec * 1_000_000_000 + timespec.tv_nsec))
     }
 
     /// Where head and eyes will be when the frame is seen. Call it as late as possible. Tracking that is lost leaves the

@@ -9,11 +9,11 @@ use shadecast_mock_runtime::record::Side;
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch};
-use shadecast_protocol::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
+use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::message::{Codec, Environment, HeadState, ResumeSecret, ServerOffer, Welcome};
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
-use shadecast_protocol::time::{DEFAULT_GRID, DisplayTime, GridIndex, ServerTime};
+use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime};
 use shadecast_protocol::wire::{PictureHeader, StreamMessage, parse_stream};
 use std::collections::VecDeque;
 use support::{Run, SIDE, at, coded, finish, frame, pixel};
@@ -108,7 +108,7 @@ fn two_patches() -> GeometryDelta {
         double_sided: true,
     };
     GeometryDelta {
-        frame: FrameId(0),
+        frame: UpdateId(0),
         time: ServerTime(1_000_000_000),
         instances: vec![InstanceInfo { instance: InstanceId(7), step_m: 0.0001 }],
         new_vertices: (0..).zip(statics).map(fixed).chain((4..8).map(moving)).collect(),
@@ -153,7 +153,7 @@ fn patches_are_seen_where_they_are_and_in_the_atlas_colours_by_both_eyes() {
     client.accept_local(at(1), two_patches(), Some(planes([0, 64])));
     frame(&mut client); // not seen: the session is not visible yet
     let report = frame(&mut client);
-    assert_eq!((report.frame, report.is_new, report.withheld_patches), (Some(FrameId(0)), true, 0));
+    assert_eq!((report.frame, report.is_new, report.withheld_patches), (Some(UpdateId(0)), true, 0));
     assert!(!frame(&mut client).is_new);
     let probe = client.probe().expect("a probe");
     finish(&run, client);
@@ -220,7 +220,7 @@ fn a_vertex_that_runs_out_of_samples_stops_and_is_counted_and_returns_without_a_
     for index in 0..50 {
         if index == 16 {
             let late =
-                GeometryDelta { frame: FrameId(1), samples: samples(34, 49), ..GeometryDelta::default() };
+                GeometryDelta { frame: UpdateId(1), samples: samples(34, 49), ..GeometryDelta::default() };
             client.accept_local(at(2), late, None);
         }
         let report = frame(&mut client);
@@ -266,13 +266,13 @@ fn the_newest_picture_goes_with_its_own_placements() {
     let swapped = vec![(PatchSlot(0), Some(block(64))), (PatchSlot(1), Some(block(0)))];
     let moved = vec![(PatchSlot(0), Some(block(128)))];
     let next =
-        |frame, placements| GeometryDelta { frame: FrameId(frame), placements, ..GeometryDelta::default() };
+        |frame, placements| GeometryDelta { frame: UpdateId(frame), placements, ..GeometryDelta::default() };
     frame(&mut client);
     frame(&mut client);
     client.accept_local(at(2), next(1, swapped), None);
-    assert_eq!(frame(&mut client).frame, Some(FrameId(0)), "no picture, no switch");
+    assert_eq!(frame(&mut client).frame, Some(UpdateId(0)), "no picture, no switch");
     client.accept_local(at(3), next(2, moved), Some(planes([128, 0])));
-    assert_eq!(frame(&mut client).frame, Some(FrameId(2)));
+    assert_eq!(frame(&mut client).frame, Some(UpdateId(2)));
     finish(&run, client);
     for index in [1, 2, 3] {
         let picture = run.picture(index, Side::Right);
@@ -343,7 +343,7 @@ fn samples_of_the_next_update_do_not_tear_what_is_on_display_and_its_picture_set
     frame(&mut client);
     // The next update has lost sight of the right square; its samples come before its picture.
     let lost = GeometryDelta {
-        frame: FrameId(1),
+        frame: UpdateId(1),
         evicted_patches: vec![PatchSlot(1)],
         evicted_vertices: vec![VertexSlot(4), VertexSlot(5)],
         samples: strip_samples(0..4, 34..=49),
@@ -354,7 +354,7 @@ fn samples_of_the_next_update_do_not_tear_what_is_on_display_and_its_picture_set
         match index {
             8 => client.accept_local(at(2), lost.clone(), None),
             20 => {
-                let next = GeometryDelta { frame: FrameId(2), ..GeometryDelta::default() };
+                let next = GeometryDelta { frame: UpdateId(2), ..GeometryDelta::default() };
                 client.accept_local(at(3), next, Some(planes([0, 64])));
             }
             _ => {}
@@ -472,7 +472,7 @@ impl Line {
     }
 
     /// What the server has said reaches the client.
-    fn deliver(&mut self, client: &mut Client, now: DisplayTime) {
+    fn deliver(&mut self, client: &mut Client, now: ClientTime) {
         let server_now = ServerTime(now.0 + SERVER_AHEAD_NS);
         while let Some(out) = self.server.poll_out(server_now).or_else(|| self.streams.pop_front()) {
             match out {
@@ -551,14 +551,14 @@ fn updates_of_a_session_are_shown_after_decoding_and_reported() {
     // 6 ms of decoding: the first frame is too early.
     assert_eq!(
         reports.iter().map(|report| report.frame).collect::<Vec<_>>(),
-        [None, Some(FrameId(0)), Some(FrameId(0))]
+        [None, Some(UpdateId(0)), Some(UpdateId(0))]
     );
     let displayed = line.events.iter().find_map(|event| match event {
         ServerEvent::Displayed(displayed) => Some(*displayed),
         _ => None,
     });
     let displayed = displayed.expect("a report");
-    assert_eq!((displayed.frame, displayed.frames_without_bundle), (FrameId(0), 12));
+    assert_eq!((displayed.frame, displayed.frames_without_bundle), (UpdateId(0), 12));
     assert_eq!(Some(displayed.display_time), reports[1].server_time);
     let stats = client.stats();
     assert_eq!(
@@ -580,16 +580,16 @@ fn a_lost_picture_leaves_the_last_bundle_on_display_until_a_refresh_that_is_aske
     line.frame(&mut client);
     for frame in 1..4 {
         let placements = vec![(PatchSlot(0), Some(block(64 * frame as u16)))];
-        let delta = GeometryDelta { frame: FrameId(frame), placements, ..GeometryDelta::default() };
+        let delta = GeometryDelta { frame: UpdateId(frame), placements, ..GeometryDelta::default() };
         line.send(&delta, &planes([64 * frame as u16, 0]), frame == 3);
         let shown = line.frame(&mut client).frame;
         assert_eq!(
             shown,
-            Some(FrameId(0)),
+            Some(UpdateId(0)),
             "update {frame} is not shown: it needs the lost one, or is being decoded"
         );
     }
-    assert_eq!(line.frame(&mut client).frame, Some(FrameId(3)));
+    assert_eq!(line.frame(&mut client).frame, Some(UpdateId(3)));
     let asked =
         line.events.iter().filter(|event| matches!(event, ServerEvent::RefreshRequest { .. })).count();
     assert_eq!((asked, client.stats().lost_pictures), (1, 2));
@@ -607,10 +607,10 @@ fn after_a_reconnect_the_old_bundle_stays_until_the_new_server_has_one() {
     }
     client.on_closed(at(2_000_000_000));
     for _ in 0..3 {
-        assert_eq!(frame(&mut client).frame, Some(FrameId(0)), "without a server the last bundle stays");
+        assert_eq!(frame(&mut client).frame, Some(UpdateId(0)), "without a server the last bundle stays");
     }
     let mut line = Line::connect(&mut client);
-    assert_eq!(line.frame(&mut client).frame, Some(FrameId(0)), "connected, but there is no new one yet");
+    assert_eq!(line.frame(&mut client).frame, Some(UpdateId(0)), "connected, but there is no new one yet");
     // The new server has the squares' colours exchanged.
     line.send(&static_patches(), &planes([64, 0]), true);
     line.frame(&mut client);
@@ -646,7 +646,7 @@ fn a_world_that_stands_still_says_why_until_pictures_come_again() {
     }
     let quiet = client.stats().frames - 1;
     for _ in 0..60 {
-        assert_eq!(frame(&mut client).frame, Some(FrameId(0)), "the last bundle stays");
+        assert_eq!(frame(&mut client).frame, Some(UpdateId(0)), "the last bundle stays");
     }
     let told = client.stats().frames - 1;
     let mut line = Line::connect(&mut client);
@@ -677,7 +677,7 @@ fn absence(line: &mut Line, client: &mut Client, turns: u32, frame: &mut u32) ->
             *frame += 1;
             let samples = strip_samples(0..6, strip_steps(line));
             line.send(
-                &GeometryDelta { frame: FrameId(*frame), samples, ..GeometryDelta::default() },
+                &GeometryDelta { frame: UpdateId(*frame), samples, ..GeometryDelta::default() },
                 &planes,
                 true,
             );
@@ -707,7 +707,7 @@ fn while_nobody_looks_arrivals_are_taken_in_and_the_picture_is_there_when_somebo
     let back: Vec<_> = (0..30).map(|_| line.frame(&mut client)).collect();
     assert_eq!(line.watching(), [false, true]);
     let first = back.iter().find(|report| report.is_rendered).expect("seen again");
-    assert_eq!(first.frame, Some(FrameId(newest)), "the newest, and at once");
+    assert_eq!(first.frame, Some(UpdateId(newest)), "the newest, and at once");
     finish(&run, client);
 }
 
@@ -735,7 +735,7 @@ fn a_session_that_rests_and_begins_again_goes_on_with_the_same_server() {
         .collect();
     assert_eq!(line.watching(), [false, true]);
     let first = back.iter().find(|report| report.is_rendered).expect("seen again");
-    assert_eq!(first.frame, Some(FrameId(newest)));
+    assert_eq!(first.frame, Some(UpdateId(newest)));
     assert_ne!(line.poses().last().expect("poses").discontinuity, jump, "another session of the headset");
     assert_eq!(client.stats().connections, 1);
     finish(&run, client);
@@ -769,7 +769,7 @@ fn a_picture_of_the_far_future_ends_the_session_and_not_the_frame_loop() {
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
     while client.poll_notice().is_some() {}
-    let header = PictureHeader { frame: FrameId(4_000_000_000), time: ServerTime(0), is_refresh: false };
+    let header = PictureHeader { frame: UpdateId(4_000_000_000), time: ServerTime(0), is_refresh: false };
     line.streams.push_back(picture_stream(header, &coded(&planes([0, 64]), false)).expect("small"));
     for _ in 0..60 {
         line.frame(&mut client);
@@ -793,7 +793,7 @@ fn a_flood_of_samples_that_take_no_bits_waits_coded_and_then_ends_the_session() 
     for frame in 0..250 {
         let enters = frame == 0;
         let delta = GeometryDelta {
-            frame: FrameId(frame),
+            frame: UpdateId(frame),
             instances: enters
                 .then_some(InstanceInfo { instance: InstanceId(7), step_m: 0.001 })
                 .into_iter()

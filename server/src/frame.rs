@@ -20,7 +20,7 @@ use crate::world::{ViewerId, World};
 use glam::{Mat4, Vec3};
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory};
 use shadecast_protocol::delta::GeometryDelta;
-use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_VIEWS};
 use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
 use shadecast_protocol::pose::Fov;
@@ -55,8 +55,8 @@ pub struct Frame {
     shortage: Shortage,
     shading: Shading,
     ycbcr: Ycbcr,
-    next: FrameId,
-    update_times: VecDeque<(FrameId, ServerTime)>,
+    next: UpdateId,
+    update_times: VecDeque<(UpdateId, ServerTime)>,
 }
 
 /// The client's eyes, for densities.
@@ -70,7 +70,7 @@ struct EyeSize {
 #[derive(Clone, Debug)]
 pub struct Shaded {
     /// The update.
-    pub frame: FrameId,
+    pub frame: UpdateId,
     /// When it started.
     pub time: ServerTime,
     /// What changes in the client's memory.
@@ -120,7 +120,7 @@ impl Frame {
             level_selection,
             shading,
             ycbcr,
-            next: FrameId(0),
+            next: UpdateId(0),
             update_times: VecDeque::new(),
         })
     }

@@ -15,7 +15,7 @@ use shadecast_scene::identity::{mesh_hash, texture_hash};
 use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
 use shadecast_scene::{Model, Scene, Texture, mips};
-use shadecast_shaders::generated::{FrameGpu, MaterialGpu, MorphDeltaGpu, PatchGpu, PoseGpu, VertexGpu};
+use shadecast_shaders::generated::{MaterialGpu, MorphDeltaGpu, PatchGpu, PoseGpu, TangentGpu, VertexGpu};
 use std::collections::HashSet;
 use std::sync::{Arc, Mutex};
 use table::{Table, bytes};
@@ -403,7 +403,11 @@ fn memory(scene: &Scene, sampling: Sampling) -> Vec<MemoryPart> {
         part("bone transforms", false, instanced(48, &|model| model.bones.len())),
         part("palettes", false, instanced(48, &|model| model.palette.len())),
         part("skinned vertices, all sample times", false, saved_bytes(scene, ring)),
-        part("normals and tangents", false, instanced(size_of::<FrameGpu>(), &|model| model.vertices.len())),
+        part(
+            "normals and tangents",
+            false,
+            instanced(size_of::<TangentGpu>(), &|model| model.vertices.len()),
+        ),
     ]
 }
 

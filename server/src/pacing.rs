@@ -5,7 +5,7 @@
 //! is not made at all, since it would be old when it leaves.
 
 use crate::residency::Budget;
-use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::SAMPLE_RING;
 use shadecast_protocol::time::DEFAULT_GRID;
 use shadecast_transport::PeerStats;
@@ -113,7 +113,7 @@ pub struct UpdateGate {
 
 #[derive(Clone, Copy, Debug)]
 struct Sent {
-    frame: FrameId,
+    frame: UpdateId,
     bytes: u64,
     at_ns: i64,
 }
@@ -149,7 +149,7 @@ impl UpdateGate {
     }
 
     /// A stream of an update was handed to the transport.
-    pub fn sent(&mut self, frame: FrameId, kind: Kind, bytes: usize, now_ns: i64) {
+    pub fn sent(&mut self, frame: UpdateId, kind: Kind, bytes: usize, now_ns: i64) {
         // An update's streams leave before those of later ones.
         let place = self.under_way.partition_point(|other| other.frame <= frame);
         self.under_way.insert(place, Sent { frame, bytes: bytes as u64, at_ns: now_ns });
@@ -240,7 +240,7 @@ impl UpdateGate {
 }
 
 impl Needs {
-    fn note(&mut self, frame: FrameId, kind: Kind, bytes: f64, now_ns: i64, period_ns: i64) {
+    fn note(&mut self, frame: UpdateId, kind: Kind, bytes: f64, now_ns: i64, period_ns: i64) {
         let (mean, covered_ns) = match kind {
             Kind::Picture => (&mut self.pictures, period_ns),
             Kind::Delta => {
@@ -249,7 +249,7 @@ impl Needs {
                 (&mut self.geometry, since_ns.clamp(period_ns, LONGEST_COVERED_NS.max(period_ns)))
             }
         };
-        if frame > FrameId(0) {
+        if frame > UpdateId(0) {
             let newest = bytes / (covered_ns as f64 * 1e-9);
             *mean = Some(mean.map_or(newest, |mean| mean + NEWEST * (newest - mean)));
         }
@@ -299,7 +299,7 @@ mod tests {
 
         fn send(&mut self, gate: &mut UpdateGate, frame: u32, bytes: [usize; 2]) {
             for (kind, bytes) in [Kind::Delta, Kind::Picture].into_iter().zip(bytes) {
-                gate.sent(FrameId(frame), kind, bytes, self.now_ns);
+                gate.sent(UpdateId(frame), kind, bytes, self.now_ns);
                 self.streams.push_back(bytes as f64);
             }
         }

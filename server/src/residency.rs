@@ -8,7 +8,7 @@ use crate::levels::PlacementChange;
 use glam::Vec3;
 use shadecast_protocol::atlas::Block;
 use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch};
-use shadecast_protocol::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
+use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::samples::quantise;
 use shadecast_protocol::time::{GridIndex, ServerTime};
 use shadecast_scene::patches::Patch;
@@ -59,7 +59,7 @@ pub trait Geometry {
 #[derive(Clone, Copy, Debug)]
 pub struct UpdateWindow {
     /// The update.
-    pub frame: FrameId,
+    pub frame: UpdateId,
     /// Its time.
     pub time: ServerTime,
     /// Earliest grid point that a vertex which enters now can be displayed with.
@@ -89,7 +89,7 @@ impl Budget {
 #[derive(Debug)]
 struct Slots {
     free: BTreeSet<u32>,
-    leaving: VecDeque<(FrameId, u32)>,
+    leaving: VecDeque<(UpdateId, u32)>,
 }
 
 impl Slots {
@@ -101,11 +101,11 @@ impl Slots {
         self.free.pop_first()
     }
 
-    fn leave(&mut self, frame: FrameId, slot: u32) {
+    fn leave(&mut self, frame: UpdateId, slot: u32) {
         self.leaving.push_back((frame, slot));
     }
 
-    fn displayed(&mut self, frame: FrameId) {
+    fn displayed(&mut self, frame: UpdateId) {
         while self.leaving.front().is_some_and(|(left, _)| *left <= frame) {
             self.free.extend(self.leaving.pop_front().map(|(_, slot)| slot));
         }
@@ -155,7 +155,7 @@ impl Residency {
     }
 
     /// The client has displayed `frame`: slots freed up to it can be used again.
-    pub fn displayed(&mut self, frame: FrameId) {
+    pub fn displayed(&mut self, frame: UpdateId) {
         self.patch_slots.displayed(frame);
         self.vertex_slots.displayed(frame);
     }
@@ -240,7 +240,7 @@ impl Residency {
         &mut self,
         geometry: &impl Geometry,
         patch: u32,
-        frame: FrameId,
+        frame: UpdateId,
         delta: &mut GeometryDelta,
     ) {
         let slot = self.slot_of_patch[patch as usize];
@@ -257,7 +257,7 @@ impl Residency {
     }
 
     /// Evicts retained patches that are too old, or the oldest while slots are short.
-    fn forget_old(&mut self, geometry: &impl Geometry, frame: FrameId, delta: &mut GeometryDelta) {
+    fn forget_old(&mut self, geometry: &impl Geometry, frame: UpdateId, delta: &mut GeometryDelta) {
         let short = self.patch_slots.free.len() < LOW_WATER || self.vertex_slots.free.len() < LOW_WATER;
         let newest_kept = frame.0.saturating_sub(if short { 0 } else { RETAIN_UPDATES });
         // Those that lost their block only now are in the delta as placements; they go next time.
@@ -273,7 +273,7 @@ impl Residency {
         }
     }
 
-    fn evict(&mut self, geometry: &impl Geometry, patch: u32, frame: FrameId, delta: &mut GeometryDelta) {
+    fn evict(&mut self, geometry: &impl Geometry, patch: u32, frame: UpdateId, delta: &mut GeometryDelta) {
         let slot = std::mem::replace(&mut self.slot_of_patch[patch as usize], NONE);
         delta.evicted_patches.push(PatchSlot(slot));
         self.patch_slots.leave(frame, slot);
@@ -499,7 +499,7 @@ pub(crate) mod test_geometry {
 mod tests {
     use super::*;
     use shadecast_protocol::atlas::{BlockSize, PatchKind};
-    use shadecast_protocol::delta::{SampleCoder, SampleDecoder, decode, encode};
+    use shadecast_protocol::delta::{DeltaDecoder, DeltaEncoder, decode, encode};
     use std::collections::HashMap;
 
     const PATCHES: u32 = 400;
@@ -579,8 +579,8 @@ mod tests {
 
     struct Run {
         residency: Residency,
-        coder: SampleCoder,
-        decoder: SampleDecoder,
+        coder: DeltaEncoder,
+        decoder: DeltaDecoder,
         mirror: Mirror,
         live: BTreeSet<u32>,
         random: u64,
@@ -591,8 +591,8 @@ mod tests {
         fn new() -> Self {
             Self {
                 residency: Residency::new(&Strip, 1024, 1024),
-                coder: SampleCoder::new(1024, 1024),
-                decoder: SampleDecoder::new(1024, 1024),
+                coder: DeltaEncoder::new(1024, 1024),
+                decoder: DeltaDecoder::new(1024, 1024),
                 mirror: Mirror::default(),
                 live: BTreeSet::new(),
                 random: SEED,
@@ -619,7 +619,7 @@ mod tests {
             let changes: Vec<_> =
                 changes.into_iter().map(|(patch, block)| PlacementChange { patch, block }).collect();
             let window = UpdateWindow {
-                frame: FrameId(self.frame),
+                frame: UpdateId(self.frame),
                 time: ServerTime(i64::from(self.frame) * 33),
                 first_sample: GridIndex(self.frame as i32),
                 oldest: GridIndex(self.frame as i32 - 5),
@@ -642,7 +642,7 @@ mod tests {
             run.step();
             let blocks = run.mirror.patches.values().filter(|(_, block)| block.is_some()).count();
             assert_eq!(blocks, run.live.len(), "seed {SEED}, frame {}", run.frame);
-            run.residency.displayed(FrameId(run.frame - 1));
+            run.residency.displayed(UpdateId(run.frame - 1));
         }
         assert_eq!(run.residency.waiting(), 0);
     }
@@ -658,7 +658,7 @@ mod tests {
                 let complete = (now..=now + 5).all(|g| samples.contains_key(&g));
                 assert!(complete, "seed {SEED}, frame {now}: {vertex:?} has {:?}", samples.keys());
             }
-            run.residency.displayed(FrameId(run.frame - 1));
+            run.residency.displayed(UpdateId(run.frame - 1));
         }
     }
 
@@ -677,7 +677,7 @@ mod tests {
             freed.extend(delta.evicted_vertices.iter().map(|slot| (*slot, frame)));
             if frame % 7 == 6 {
                 displayed = frame - 3;
-                run.residency.displayed(FrameId(displayed));
+                run.residency.displayed(UpdateId(displayed));
             }
         }
     }
@@ -695,7 +695,7 @@ mod tests {
 
     fn window(frame: u32) -> UpdateWindow {
         UpdateWindow {
-            frame: FrameId(frame),
+            frame: UpdateId(frame),
             time: ServerTime(0),
             first_sample: GridIndex(0),
             oldest: GridIndex(0),
@@ -725,7 +725,7 @@ mod tests {
         let mut residency = Residency::new(&Strip, 8192, 8192);
         let changes: Vec<_> =
             (0..PATCHES).map(|patch| sized(patch, if patch >= 390 { 8 } else { 2 })).collect();
-        let mut coder = SampleCoder::new(8192, 8192);
+        let mut coder = DeltaEncoder::new(8192, 8192);
         residency.set_budget(Budget { geometry_bytes: 600, ..Budget::UNLIMITED });
         let first = residency.update(&Strip, &changes, window(0));
         assert!(first.new_patches.len() >= 10 && residency.held_back() > 300 && residency.waiting() == 0);
@@ -773,7 +773,7 @@ mod tests {
         let mut came = residency.update(&Strip, &lost, window(2));
         for frame in 3..8 {
             assert!(came.new_patches.is_empty() || frame > 3);
-            residency.displayed(FrameId(frame - 1));
+            residency.displayed(UpdateId(frame - 1));
             came = residency.update(&Strip, &[], window(frame));
             if !came.new_patches.is_empty() {
                 break;

@@ -5,7 +5,7 @@ use crate::frame::Shaded;
 use crate::pacing::{Kind, Shortfall, UpdateGate, WayState};
 use crate::residency::Budget;
 use shadecast_protocol::delta::DeltaSizes;
-use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Displayed, HeadState};
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent};
 use shadecast_protocol::wire::WireError;
@@ -155,7 +155,7 @@ impl<U: Updates> Viewer<U> {
     }
 
     /// A stream of an update was handed to the transport.
-    pub fn sent(&mut self, frame: FrameId, kind: Kind, bytes: usize, now_ns: i64) {
+    pub fn sent(&mut self, frame: UpdateId, kind: Kind, bytes: usize, now_ns: i64) {
         self.gate.sent(frame, kind, bytes, now_ns);
     }
 }

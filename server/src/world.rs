@@ -128,7 +128,7 @@ impl World {
         }
         let slot = SampleWindow::slot(at);
         self.shadow.write(&self.scene, self.grid.time_of(at));
-        self.animation.record_frames(recorder, slot, |instance| self.needed[instance]);
+        self.animation.record_tangents(recorder, slot, |instance| self.needed[instance]);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         let is_drawn = recorder
             .scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, &self.needed, slot));

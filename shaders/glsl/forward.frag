@@ -15,7 +15,7 @@ layout(binding = 7) uniform sampler2D shadow_map;
 layout(push_constant) uniform ForwardPush {
     uint vertex_base;
     uint position_base;
-    uint frame_base;
+    uint tangent_base;
     uint material;
     uint instance;
 };

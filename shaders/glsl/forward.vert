@@ -5,12 +5,12 @@
 
 layout(std430, binding = 0) readonly buffer Vertices { VertexGpu vertices[]; };
 layout(std430, binding = 1) readonly buffer SavedVertices { vec4 saved_vertices[]; };
-layout(std430, binding = 2) readonly buffer SavedFrames { FrameGpu saved_frames[]; };
+layout(std430, binding = 2) readonly buffer Tangents { TangentGpu tangents[]; };
 layout(std140, binding = 3) uniform View { ViewGpu view; };
 layout(push_constant) uniform ForwardPush {
     uint vertex_base;
     uint position_base;
-    uint frame_base;
+    uint tangent_base;
     uint material;
     uint instance;
 };
@@ -22,7 +22,7 @@ layout(location = 4) out vec4 vertex_color;
 
 void main() {
     VertexGpu v = vertices[vertex_base + gl_VertexIndex];
-    FrameGpu f = saved_frames[frame_base + gl_VertexIndex];
+    TangentGpu f = tangents[tangent_base + gl_VertexIndex];
     world_position = saved_vertices[position_base + gl_VertexIndex].xyz;
     world_normal = f.normal.xyz;
     world_tangent = f.tangent;

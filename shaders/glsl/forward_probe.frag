@@ -9,7 +9,7 @@ layout(binding = 6) uniform sampler2D textures[];
 layout(push_constant) uniform ForwardPush {
     uint vertex_base;
     uint position_base;
-    uint frame_base;
+    uint tangent_base;
     uint material;
     uint instance;
 };

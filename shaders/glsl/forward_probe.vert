@@ -10,7 +10,7 @@ layout(std140, binding = 3) uniform View { ViewGpu view; };
 layout(push_constant) uniform ForwardPush {
     uint vertex_base;
     uint position_base;
-    uint frame_base;
+    uint tangent_base;
     uint material;
     uint instance;
 };

@@ -68,7 +68,7 @@ vec3 alpha_lookup(MaterialGpu m, VertexGpu v) {
 }
 
 // Position and frame of one vertex at shading time.
-struct FrameGpu {
+struct TangentGpu {
     vec4 normal;
     vec4 tangent;
 };

@@ -13,7 +13,7 @@ struct BlockGpu {
     uint extent_texels;
     uint vertex_base;
     uint position_base;
-    uint frame_base;
+    uint tangent_base;
     uint material_base;
     uint reserved;
 };
@@ -21,7 +21,7 @@ layout(std430, binding = 0) readonly buffer Blocks { BlockGpu blocks[]; };
 layout(std430, binding = 1) readonly buffer Patches { PatchGpu patches[]; };
 layout(std430, binding = 2) readonly buffer Vertices { VertexGpu vertices[]; };
 layout(std430, binding = 3) readonly buffer SavedVertices { vec4 saved_vertices[]; };
-layout(std430, binding = 4) readonly buffer SavedFrames { FrameGpu saved_frames[]; };
+layout(std430, binding = 4) readonly buffer Tangents { TangentGpu tangents[]; };
 layout(std430, binding = 5) readonly buffer Materials { MaterialGpu materials[]; };
 layout(std140, binding = 6) uniform Light { LightGpu light; };
 layout(binding = 7) uniform sampler2D textures[];
@@ -71,7 +71,7 @@ void main() {
     for (int i = 0; i < 3; i++) {
         uint index = p.vertices[corners[i]];
         VertexGpu v = vertices[b.vertex_base + index];
-        FrameGpu f = saved_frames[b.frame_base + index];
+        TangentGpu f = tangents[b.tangent_base + index];
         vec2 vertex_uv = vec2(v.position_u.w, v.normal_v.w);
         at[i] = saved_vertices[b.position_base + index].xyz;
         s.world_position += weights[0][i] * at[i];

@@ -10,7 +10,7 @@ struct BlockGpu {
     uint extent_texels;  // width | height << 16
     uint vertex_base;
     uint position_base;
-    uint frame_base;
+    uint tangent_base;
     uint material_base;
     uint reserved;
 };

@@ -26,7 +26,7 @@ void skin_position(uint index, vec3 position, Rows model_from_mesh) {
     saved_vertices[job.output_base + index] = transform(Rows(job.world_from_model), in_model);
 }
 
-// Normal and tangent in the world to saved_frames.
+// Normal and tangent in the world to tangents.
 void skin_frame(uint index, Rows model_from_mesh) {
     uint vertex = job.vertex_base + index;
     vec3 normal = morphed(vertex, NORMAL, vertices[vertex].normal_v.xyz);
@@ -40,12 +40,12 @@ void skin_frame(uint index, Rows model_from_mesh) {
     float side = dot(m[0], cofactors[0]) < 0.0 ? -1.0 : 1.0;
     normal = cofactors * normal * side;
     tangent.xyz = m * tangent.xyz;
-    saved_frames[job.output_base + index].normal = vec4(normal / max(length(normal), 1e-20), 0.0);
-    saved_frames[job.output_base + index].tangent = vec4(tangent.xyz / max(length(tangent.xyz), 1e-20), tangent.w);
+    tangents[job.output_base + index].normal = vec4(normal / max(length(normal), 1e-20), 0.0);
+    tangents[job.output_base + index].tangent = vec4(tangent.xyz / max(length(tangent.xyz), 1e-20), tangent.w);
 }
 
 void skin_vertex(uint index, vec3 position, Rows model_from_mesh) {
-    if (job.writes_frames == 0) {
+    if (job.writes_tangents == 0) {
         skin_position(index, morphed(job.vertex_base + index, POSITION, position), model_from_mesh);
     } else {
         skin_frame(index, model_from_mesh);

@@ -21,7 +21,7 @@ layout(std430, binding = 0) readonly buffer Vertices { VertexGpu vertices[]; };
 layout(std430, binding = 1) readonly buffer MorphDeltas { MorphDeltaGpu morph_deltas[]; };
 layout(std430, binding = 2) readonly buffer MorphWeights { float morph_weights[]; };
 layout(std430, binding = 3) writeonly buffer SavedVertices { vec4 saved_vertices[]; };
-layout(std430, binding = 4) writeonly buffer SavedFrames { FrameGpu saved_frames[]; };
+layout(std430, binding = 4) writeonly buffer Tangents { TangentGpu tangents[]; };
 
 // One instance at one sample time: a dispatch of its own. Read from a buffer, it would cost every invocation as much as
 // an influence does.
@@ -30,10 +30,10 @@ layout(push_constant) uniform SkinJob {
     uint vertex_base;
     uint vertex_count;
     uint palette_base;        // of its pose, into palettes
-    uint output_base;         // into saved_vertices or saved_frames
+    uint output_base;         // into saved_vertices or tangents
     uint weight_base;         // of its pose, into morph_weights; NO_MORPHS
     uint pose;                // into poses
-    uint writes_frames;       // 0: positions, 1: normals and tangents
+    uint writes_tangents;       // 0: positions, 1: normals and tangents
     uint packed_base;         // into packed_vertices
 } job;
 

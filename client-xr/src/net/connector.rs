@@ -7,7 +7,7 @@ use crate::client::{Client, ClientError, Notice};
 use crate::platform::monotonic_now;
 use shadecast_protocol::session::Out;
 use shadecast_protocol::text::printable;
-use shadecast_protocol::time::DisplayTime;
+use shadecast_protocol::time::ClientTime;
 use shadecast_transport::{CloseKind, Event, ExpectedIdentity, Fingerprint, KnownServers, Meeting};
 use std::collections::VecDeque;
 use std::net::SocketAddr;
@@ -115,7 +115,7 @@ impl Connector {
         }
     }
 
-    fn heed(&mut self, client: &mut Client, notice: Notice, now: DisplayTime) {
+    fn heed(&mut self, client: &mut Client, notice: Notice, now: ClientTime) {
         let text = match notice {
             Notice::Welcome(_) => {
                 self.lines.succeeded();
@@ -188,10 +188,10 @@ fn expected(
 
 fn arrived(client: &mut Client, event: Event) -> Result<(), ClientError> {
     match event {
-        Event::Control { message, at_ns, .. } => client.receive_control(DisplayTime(at_ns), &message)?,
-        Event::Stream { bytes, at_ns, .. } => client.receive_stream(DisplayTime(at_ns), &bytes)?,
+        Event::Control { message, at_ns, .. } => client.receive_control(ClientTime(at_ns), &message)?,
+        Event::Stream { bytes, at_ns, .. } => client.receive_stream(ClientTime(at_ns), &bytes)?,
         Event::StreamReset { head, .. } => client.receive_reset(monotonic_now(), &head),
-        Event::Datagram { bytes, at_ns, .. } => client.receive_datagram(DisplayTime(at_ns), &bytes),
+        Event::Datagram { bytes, at_ns, .. } => client.receive_datagram(ClientTime(at_ns), &bytes),
         Event::Connected { .. } | Event::Closed { .. } => {} // told by the lines
     }
     Ok(())

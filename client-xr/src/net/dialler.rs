@@ -1,6 +1,6 @@
 //! In which order, and when, the addresses of one server are tried. Knows the time as an argument, and no socket.
 
-use shadecast_protocol::time::DisplayTime;
+use shadecast_protocol::time::ClientTime;
 use std::net::SocketAddr;
 
 /// An address that has not answered for this long is not waited for any more: the next one is tried beside it.
@@ -17,16 +17,16 @@ pub(super) struct Dialler {
     addresses: Vec<SocketAddr>,
     /// Which one is next; their number where the round is over.
     next: usize,
-    not_before: DisplayTime,
+    not_before: ClientTime,
     /// When the next round may begin.
-    next_round: DisplayTime,
+    next_round: ClientTime,
     back_off_ns: i64,
 }
 
 impl Dialler {
     /// For a server with these addresses; without any it never dials.
     pub(super) fn new(addresses: Vec<SocketAddr>) -> Self {
-        let long_ago = DisplayTime(i64::MIN);
+        let long_ago = ClientTime(i64::MIN);
         Self {
             addresses,
             next: 0,
@@ -37,7 +37,7 @@ impl Dialler {
     }
 
     /// The address to try now, if it is time for one while `under_way` others have not answered yet.
-    pub(super) fn dial(&mut self, now: DisplayTime, under_way: usize) -> Option<SocketAddr> {
+    pub(super) fn dial(&mut self, now: ClientTime, under_way: usize) -> Option<SocketAddr> {
         if self.next >= self.addresses.len() && under_way == 0 {
             self.next = 0;
             self.not_before = self.next_round;
@@ -56,7 +56,7 @@ impl Dialler {
     }
 
     /// An address said no: the next one of the round need not wait.
-    pub(super) fn failed(&mut self, now: DisplayTime) {
+    pub(super) fn failed(&mut self, now: ClientTime) {
         self.not_before = self.not_before.min(now);
     }
 
@@ -78,7 +78,7 @@ impl Dialler {
     }
 
     /// The server was reached and wants nothing to do with us: a new round, but not at once.
-    pub(super) fn refused(&mut self, now: DisplayTime) {
+    pub(super) fn refused(&mut self, now: ClientTime) {
         self.next_round = now.plus_ns(self.back_off_ns);
         self.lost();
     }
@@ -98,8 +98,8 @@ mod tests {
         Dialler::new((1..=count).map(address).collect())
     }
 
-    fn at(ns: i64) -> DisplayTime {
-        DisplayTime(ns)
+    fn at(ns: i64) -> ClientTime {
+        ClientTime(ns)
     }
 
     #[test]

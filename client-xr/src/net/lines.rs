@@ -4,7 +4,7 @@
 //! `127.0.0.1`. They are tried as the [`Dialler`] says; who answers first is kept.
 
 use super::dialler::Dialler;
-use shadecast_protocol::time::DisplayTime;
+use shadecast_protocol::time::ClientTime;
 use shadecast_transport::mio::{DriverError, any_address_for};
 use shadecast_transport::{
     CloseKind, Driver, Endpoint, EndpointConfig, Event, Events, ExpectedIdentity, Fingerprint, Handle,
@@ -78,7 +78,7 @@ impl Lines {
     }
 
     /// What has happened next, until there is nothing more.
-    pub(super) fn poll(&mut self, now: DisplayTime) -> Option<LineEvent> {
+    pub(super) fn poll(&mut self, now: ClientTime) -> Option<LineEvent> {
         for socket in 0..self.sockets.len() {
             while let Some(event) = self.sockets[socket].events.try_next() {
                 if let Some(event) = self.sort(now, socket, event) {
@@ -92,7 +92,7 @@ impl Lines {
     /// Tries the next address where it is time to. `expected` says who is to answer there.
     pub(super) fn dial(
         &mut self,
-        now: DisplayTime,
+        now: ClientTime,
         expected: impl FnOnce(SocketAddr) -> ExpectedIdentity,
     ) -> Option<LineEvent> {
         if self.live.is_some() {
@@ -130,7 +130,7 @@ impl Lines {
     }
 
     /// What an event means for who uses the connection; `None` where it belongs to a line that was given up.
-    fn sort(&mut self, now: DisplayTime, socket: usize, event: Event) -> Option<LineEvent> {
+    fn sort(&mut self, now: ClientTime, socket: usize, event: Event) -> Option<LineEvent> {
         match event {
             Event::Connected { peer, fingerprint, .. } => {
                 let line = self.take_attempt(socket, peer)?;
@@ -165,7 +165,7 @@ impl Lines {
 
     fn closed(
         &mut self,
-        now: DisplayTime,
+        now: ClientTime,
         (socket, peer): (usize, PeerId),
         kind: CloseKind,
         reason: String,
@@ -186,7 +186,7 @@ impl Lines {
     }
 
     /// Ends the connection, to try again after a while.
-    pub(super) fn give_up(&mut self, now: DisplayTime, code: u32, reason: &str) {
+    pub(super) fn give_up(&mut self, now: ClientTime, code: u32, reason: &str) {
         self.close(code, reason);
         self.dialler.refused(now);
     }
@@ -214,7 +214,7 @@ mod tests {
 
     const PATIENCE: Duration = Duration::from_secs(60);
 
-    fn now() -> DisplayTime {
+    fn now() -> ClientTime {
         crate::platform::monotonic_now()
     }
 

@@ -5,7 +5,7 @@ pub mod requirements;
 
 use crate::decode::{DecodeError, Decoder};
 use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_protocol::time::DisplayTime;
+use shadecast_protocol::time::ClientTime;
 
 /// The system that the client runs on.
 #[cfg(not(target_os = "android"))]
@@ -57,6 +57,6 @@ pub fn decoder(extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
 }
 
 /// The monotonic clock that OpenXR's times are converted to.
-pub fn monotonic_now() -> DisplayTime {
-    DisplayTime(shadecast_transport::monotonic_now_ns())
+pub fn monotonic_now() -> ClientTime {
+    ClientTime(shadecast_transport::monotonic_now_ns())
 }

@@ -5,7 +5,7 @@ use crate::bundle::Bundler;
 use crate::stages::scatter::Scatter;
 use shadecast_gpu::{Access, Buffer, DesktopDevice, GpuOptions, Memory, Needs};
 use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewVertex, SampleBatch};
-use shadecast_protocol::ids::{FrameId, InstanceId, VertexSlot};
+use shadecast_protocol::ids::{InstanceId, UpdateId, VertexSlot};
 use shadecast_shaders::twin::interpolate::VertexMemory as Twin;
 
 const SLOTS: u32 = 300;
@@ -48,7 +48,7 @@ fn random_delta(dice: &mut Dice, frame: u32, grid: i32) -> GeometryDelta {
         .map(|grid| SampleBatch { grid: GridIndex(grid), values: values(dice) })
         .collect();
     GeometryDelta {
-        frame: FrameId(frame),
+        frame: UpdateId(frame),
         instances: vec![InstanceInfo { instance: InstanceId(0), step_m: 0.001 }],
         new_vertices,
         samples,

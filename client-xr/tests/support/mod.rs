@@ -9,7 +9,7 @@ use shadecast_gpu::Gpu;
 use shadecast_mock_runtime::config::{CONFIG_VARIABLE, ClockKind, MockConfig};
 use shadecast_mock_runtime::manifest;
 use shadecast_mock_runtime::record::{Side, picture_path};
-use shadecast_protocol::time::DisplayTime;
+use shadecast_protocol::time::ClientTime;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -126,8 +126,8 @@ pub fn pixel(point: [f32; 3], eye: f32) -> [f32; 2] {
     [half + x / depth * half, half - y / depth * half]
 }
 
-pub fn at(ns: i64) -> DisplayTime {
-    DisplayTime(ns)
+pub fn at(ns: i64) -> ClientTime {
+    ClientTime(ns)
 }
 
 /// Decodes what [`coded`] makes: planes as they are, behind a byte that says whether an earlier picture is needed.

@@ -123,12 +123,12 @@ impl Animation {
         self.jobs = jobs;
         self.statics_done = true;
         if !still.is_empty() {
-            self.record_frames_of(recorder, &still);
+            self.record_tangents_of(recorder, &still);
         }
     }
 
     /// Skins normals and tangents of the animated instances that are in `slot` and that `is_wanted` names.
-    pub fn record_frames(&mut self, recorder: &mut Recorder, slot: u32, is_wanted: impl Fn(usize) -> bool) {
+    pub fn record_tangents(&mut self, recorder: &mut Recorder, slot: u32, is_wanted: impl Fn(usize) -> bool) {
         let Some(time) = self.slots[slot as usize].time else { return };
         let scene = self.scene.clone();
         let there = |instance: &usize| {
@@ -140,14 +140,14 @@ impl Animation {
             .filter(there)
             .map(|instance| SampleJob { instance, slot, time })
             .collect();
-        self.record_frames_of(recorder, &samples);
+        self.record_tangents_of(recorder, &samples);
     }
 
-    fn record_frames_of(&mut self, recorder: &mut Recorder, samples: &[SampleJob]) {
+    fn record_tangents_of(&mut self, recorder: &mut Recorder, samples: &[SampleJob]) {
         let mut jobs = self.no_jobs();
         for sample in samples {
             let pose = self.slots[sample.slot as usize].pose_of_instance[sample.instance];
-            let base = self.skin.frame_base(&self.scene.instances[sample.instance]);
+            let base = self.skin.tangent_base(&self.scene.instances[sample.instance]);
             let pose = pose.expect("posed before its frames are wanted");
             self.push_job(&mut jobs, *sample, pose, base, true);
         }
@@ -212,7 +212,7 @@ impl Animation {
         sample: SampleJob,
         pose: PoseRef,
         output_base: u32,
-        writes_frames: bool,
+        writes_tangents: bool,
     ) {
         let model = &self.scene.models[self.scene.instances[sample.instance].model];
         let paths = &self.scene.animation.manager.paths;
@@ -226,7 +226,7 @@ impl Animation {
             output_base,
             weight_base: if model.has_morphs { pose.weight_base } else { NO_MORPHS },
             pose: pose.pose,
-            writes_frames: u32::from(writes_frames),
+            writes_tangents: u32::from(writes_tangents),
             packed_base: 0,
         };
         if self.scene.skinning != Skinning::Packed {
@@ -250,8 +250,8 @@ impl Animation {
     }
 
     /// First saved frame of an instance.
-    pub fn frame_base(&self, instance: &InstanceGpu) -> u32 {
-        self.skin.frame_base(instance)
+    pub fn tangent_base(&self, instance: &InstanceGpu) -> u32 {
+        self.skin.tangent_base(instance)
     }
 
     /// World positions, vec4: static instances first, then one run of the animated ones per slot.
@@ -260,8 +260,8 @@ impl Animation {
     }
 
     /// Normals and tangents, static instances first.
-    pub fn saved_frames(&self) -> &Buffer {
-        &self.skin.saved_frames
+    pub fn tangents(&self) -> &Buffer {
+        &self.skin.tangents
     }
 
     /// Work done so far.

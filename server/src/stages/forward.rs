@@ -15,7 +15,7 @@ use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_shaders::generated::{
     BackgroundPush, FORWARD_BACKGROUND_FRAG, FORWARD_BACKGROUND_VERT, FORWARD_FRAG, FORWARD_PROBE_FRAG,
-    FORWARD_PROBE_VERT, FORWARD_VERT, ForwardPush, FrameGpu, ViewGpu,
+    FORWARD_PROBE_VERT, FORWARD_VERT, ForwardPush, TangentGpu, ViewGpu,
 };
 use std::sync::Arc;
 
@@ -42,7 +42,7 @@ pub struct Posed {
     /// xyz, metres.
     pub positions: Vec<[f32; 4]>,
     /// Normals and tangents.
-    pub frames: Vec<FrameGpu>,
+    pub frames: Vec<TangentGpu>,
 }
 
 /// The renderer.
@@ -149,7 +149,7 @@ impl Forward {
     /// Records what an eye sees at `time`. Nothing submitted still reads the last recording's view.
     pub fn record(&mut self, recorder: &mut Recorder, world_from_eye: Pose, fov: Fov, time: ServerTime) {
         self.animation.record_sample(recorder, 0, time);
-        self.animation.record_frames(recorder, 0, |_| true);
+        self.animation.record_tangents(recorder, 0, |_| true);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         self.record_posed(recorder, world_from_eye, fov, time);
     }
@@ -199,7 +199,7 @@ impl Forward {
         let frames = Buffer::upload(&self.gpu, "posed frames", &posed.frames)?;
         let mut recorder = self.gpu.record()?;
         for (from, to) in
-            [(&positions, self.animation.saved_vertices()), (&frames, self.animation.saved_frames())]
+            [(&positions, self.animation.saved_vertices()), (&frames, self.animation.tangents())]
         {
             recorder.copy_buffer(from, 0, to, 0, from.size().min(to.size()));
         }
@@ -398,7 +398,7 @@ impl Pass {
             SceneGpu::textures_bind(&textures),
         ];
         if let Some(shadow) = shaded {
-            binds.push(("SavedFrames", Bind::Buffer(animation.saved_frames())));
+            binds.push(("Tangents", Bind::Buffer(animation.tangents())));
             binds.extend(shadow.binds());
         }
         let group = BindGroup::new(geometry.layout(), &binds)?;
@@ -409,7 +409,7 @@ impl Pass {
         self.geometry.record(recorder, &self.group, scene, |draw| ForwardPush {
             vertex_base: draw.model.vertex_base,
             position_base: animation.position_base(draw.instance, 0),
-            frame_base: animation.frame_base(draw.instance),
+            tangent_base: animation.tangent_base(draw.instance),
             material: draw.model.material_base + draw.primitive.material,
             instance: draw.number as u32,
         });

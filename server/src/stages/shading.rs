@@ -94,7 +94,7 @@ impl Shading {
                 ("Patches", Bind::Buffer(&scene.patches)),
                 ("Vertices", Bind::Buffer(&scene.vertices)),
                 ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
-                ("SavedFrames", Bind::Buffer(animation.saved_frames())),
+                ("Tangents", Bind::Buffer(animation.tangents())),
                 ("Materials", Bind::Buffer(&scene.materials)),
                 light,
                 shadow_map,
@@ -129,7 +129,7 @@ impl Shading {
                 extent_texels: block.size.width() | block.size.height() << 16,
                 vertex_base: model.vertex_base,
                 position_base: animation.position_base(instance, slot),
-                frame_base: animation.frame_base(instance),
+                tangent_base: animation.tangent_base(instance),
                 material_base: model.material_base,
                 reserved: 0,
             };

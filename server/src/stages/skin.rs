@@ -1,10 +1,10 @@
-//! Skinning: each vertex once per sample time into `saved_vertices`, each frame once per update into `saved_frames`.
+//! Skinning: each vertex once per sample time into `saved_vertices`, each frame once per update into `tangents`.
 //! Three ways, to be measured side by side.
 
 use crate::scene_gpu::{InstanceGpu, SceneGpu, Totals, check_room};
 use crate::stages::palette::Palette;
 use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
-use shadecast_shaders::generated::{FrameGpu, SKIN_CHAIN_COMP, SKIN_COMP, SKIN_PACKED_COMP, SkinJob};
+use shadecast_shaders::generated::{SKIN_CHAIN_COMP, SKIN_COMP, SKIN_PACKED_COMP, SkinJob, TangentGpu};
 use std::sync::Arc;
 
 /// Vertices in a workgroup.
@@ -31,7 +31,7 @@ pub struct Skin {
     /// World positions, vec4.
     pub saved_vertices: Buffer,
     /// Normals and tangents at shading time, static ones first.
-    pub saved_frames: Buffer,
+    pub tangents: Buffer,
     static_vertices: u32,
     animated_vertices: u32,
 }
@@ -71,10 +71,10 @@ impl Skin {
         slots: u32,
     ) -> Result<Self, GpuError> {
         let totals = scene.totals;
-        let [(_, positions_bytes), (_, frames_bytes)] = Self::needs(totals, slots);
+        let [(_, positions_bytes), (_, tangents_bytes)] = Self::needs(totals, slots);
         Self::needs(totals, slots).into_iter().try_for_each(|(what, bytes)| check_room(gpu, what, bytes))?;
         let saved_vertices = Buffer::new(gpu, "saved vertices", positions_bytes, Memory::Device)?;
-        let saved_frames = Buffer::new(gpu, "saved frames", frames_bytes, Memory::Device)?;
+        let tangents = Buffer::new(gpu, "tangents", tangents_bytes, Memory::Device)?;
         let mut binds = scene.animation.binds();
         binds.extend([
             ("Vertices", Bind::Buffer(&scene.vertices)),
@@ -82,7 +82,7 @@ impl Skin {
             ("MorphDeltas", Bind::Buffer(&scene.morph_deltas)),
             ("MorphWeights", Bind::Buffer(morph_weights)),
             ("SavedVertices", Bind::Buffer(&saved_vertices)),
-            ("SavedFrames", Bind::Buffer(&saved_frames)),
+            ("Tangents", Bind::Buffer(&tangents)),
             ("Palettes", Bind::Buffer(&palette.palettes)),
             ("Poses", Bind::Buffer(&palette.poses)),
         ]);
@@ -100,7 +100,7 @@ impl Skin {
             whole,
             packed,
             saved_vertices,
-            saved_frames,
+            tangents,
             static_vertices: totals.static_vertices,
             animated_vertices: totals.animated_vertices,
         })
@@ -110,10 +110,10 @@ impl Skin {
     pub fn needs(totals: Totals, slots: u32) -> [(&'static str, u64); 2] {
         let positions =
             u64::from(totals.static_vertices) + u64::from(slots) * u64::from(totals.animated_vertices);
-        let frames_bytes = u64::from(totals.vertices) * size_of::<FrameGpu>() as u64;
+        let tangents_bytes = u64::from(totals.vertices) * size_of::<TangentGpu>() as u64;
         [
             ("skinned vertices of all instances and sample times", positions * 16),
-            ("normals and tangents of all instances", frames_bytes),
+            ("normals and tangents of all instances", tangents_bytes),
         ]
     }
 
@@ -126,7 +126,7 @@ impl Skin {
     }
 
     /// First saved frame of an instance.
-    pub fn frame_base(&self, instance: &InstanceGpu) -> u32 {
+    pub fn tangent_base(&self, instance: &InstanceGpu) -> u32 {
         if instance.is_animated { self.static_vertices + instance.saved_base } else { instance.saved_base }
     }
 

@@ -298,7 +298,7 @@ mod tests {
     use shadecast_protocol::message::{
         ClientDatagram, ClientMessage, Displayed, ServerDatagram, ServerMessage,
     };
-    use shadecast_protocol::time::DisplayTime;
+    use shadecast_protocol::time::ClientTime;
     use std::cell::RefCell;
 
     const SECOND: i64 = 1_000_000_000;
@@ -510,7 +510,7 @@ mod tests {
         let mut network = desk.network();
         let first = greet(&mut network, 1, None, 0);
         desk.mailbox.take();
-        let ping = ClientDatagram::ClockPing { client_send: DisplayTime(5) }.encode();
+        let ping = ClientDatagram::ClockPing { client_send: ClientTime(5) }.encode();
         network.take(Event::Datagram { peer: first, bytes: ping, at_ns: 7 }, 8);
         assert_eq!(desk.carrier.datagrams.borrow().len(), 1);
         let pose = ClientDatagram::Pose(head(3)).encode();

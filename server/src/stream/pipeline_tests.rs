@@ -6,7 +6,7 @@ use crate::residency::Budget;
 use crate::stream::testing::{accepted, head};
 use ash::vk;
 use shadecast_protocol::delta::GeometryDelta;
-use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Displayed, HeadState};
 use shadecast_protocol::session::ServerEvent;
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
@@ -108,7 +108,7 @@ impl Studio for FakeStudio {
             return Ok(None);
         }
         act(&self.0.updates)?;
-        let frame = FrameId(updates.next);
+        let frame = UpdateId(updates.next);
         updates.next += 1;
         let delta = GeometryDelta { frame, time, ..GeometryDelta::default() };
         Ok(Some(Shaded { frame, time, delta, extent_texels: [16, 16], planes: vec![0; 384] }))

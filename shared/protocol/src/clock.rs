@@ -8,7 +8,7 @@
 //!
 //! What callers see follows the estimate smoothly, so that animation never jumps because of a better one.
 
-use crate::time::{DisplayTime, ServerTime};
+use crate::time::{ClientTime, ServerTime};
 use std::collections::VecDeque;
 
 /// Exchanges kept, at most.
@@ -46,8 +46,8 @@ pub struct ClockEstimator {
 
 #[derive(Clone, Copy, Debug)]
 struct Exchange {
-    client_send: DisplayTime,
-    client_receive: DisplayTime,
+    client_send: ClientTime,
+    client_receive: ClientTime,
     /// Offset plus the delay of the way to the server.
     up_ns: i64,
     /// Delay of the way back less the offset.
@@ -57,7 +57,7 @@ struct Exchange {
 /// `server = display + offset + drift * (display - origin)`.
 #[derive(Clone, Copy, Debug)]
 struct Line {
-    origin: DisplayTime,
+    origin: ClientTime,
     offset_ns: i64,
     drift: f64,
 }
@@ -66,7 +66,7 @@ struct Line {
 #[derive(Clone, Copy, Debug)]
 struct Mapping {
     line: Line,
-    since: DisplayTime,
+    since: ClientTime,
     /// Added to the line at `since`, nothing `SLEW_NS` later.
     error_ns: i64,
 }
@@ -80,10 +80,10 @@ impl ClockEstimator {
     /// Takes in one exchange, and follows it; see [`Self::note_pong`].
     pub fn on_pong(
         &mut self,
-        client_send: DisplayTime,
+        client_send: ClientTime,
         server_receive: ServerTime,
         server_send: ServerTime,
-        client_receive: DisplayTime,
+        client_receive: ClientTime,
     ) {
         self.note_pong(client_send, server_receive, server_send, client_receive);
         self.settle();
@@ -94,10 +94,10 @@ impl ClockEstimator {
     /// later ones when [`Self::settle`] is called: a fit costs so much that one a display frame must do.
     pub fn note_pong(
         &mut self,
-        client_send: DisplayTime,
+        client_send: ClientTime,
         server_receive: ServerTime,
         server_send: ServerTime,
-        client_receive: DisplayTime,
+        client_receive: ClientTime,
     ) {
         let clocks = [client_send.0, server_receive.0, server_send.0, client_receive.0];
         if clocks.iter().any(|clock| clock.unsigned_abs() > MAX_CLOCK_NS as u64 / 4) {
@@ -143,7 +143,7 @@ impl ClockEstimator {
     }
 
     /// Fits a new line and turns towards it.
-    fn follow(&mut self, now: DisplayTime) {
+    fn follow(&mut self, now: ClientTime) {
         let Some(line) = self.fit() else { return };
         let error_ns = self.mapping.map_or(0, |old| old.offset_at(now).saturating_sub(line.offset_at(now)));
         let error_ns = if (-JUMP_NS..=JUMP_NS).contains(&error_ns) { error_ns } else { 0 };
@@ -176,18 +176,18 @@ impl ClockEstimator {
     }
 
     /// The server's clock when the client's reads `at`; `None` before the first exchange.
-    pub fn server_time(&self, at: DisplayTime) -> Option<ServerTime> {
+    pub fn server_time(&self, at: ClientTime) -> Option<ServerTime> {
         let mapping = self.mapping?;
         Some(ServerTime(at.0.saturating_add(mapping.offset_at(at))))
     }
 
     /// The client's clock when the server's reads `at`; `None` before the first exchange.
-    pub fn display_time(&self, at: ServerTime) -> Option<DisplayTime> {
+    pub fn display_time(&self, at: ServerTime) -> Option<ClientTime> {
         let mapping = self.mapping?;
-        let mut display = DisplayTime(at.0.saturating_sub(mapping.line.offset_ns));
+        let mut display = ClientTime(at.0.saturating_sub(mapping.line.offset_ns));
         // The offset changes by less than a third of a nanosecond per nanosecond, so that each step gains half a digit.
         for _ in 0..32 {
-            let next = DisplayTime(at.0.saturating_sub(mapping.offset_at(display)));
+            let next = ClientTime(at.0.saturating_sub(mapping.offset_at(display)));
             if next == display {
                 break;
             }
@@ -256,14 +256,14 @@ impl Line {
             || exchange.down_ns.saturating_add(self.offset_at(exchange.client_receive)) < -CONTRADICTION_NS
     }
 
-    fn offset_at(&self, at: DisplayTime) -> i64 {
+    fn offset_at(&self, at: ClientTime) -> i64 {
         let drifted = self.drift * at.since(self.origin) as f64;
         self.offset_ns.saturating_add(drifted as i64)
     }
 }
 
 impl Mapping {
-    fn offset_at(&self, at: DisplayTime) -> i64 {
+    fn offset_at(&self, at: ClientTime) -> i64 {
         let left_ns = SLEW_NS - at.since(self.since).clamp(0, SLEW_NS);
         self.line.offset_at(at).saturating_add(self.error_ns * left_ns / SLEW_NS)
     }
@@ -299,13 +299,13 @@ mod tests {
                 let up = self.one_way_ns + dice.below(self.jitter_up_ns as u64 + 1) as i64;
                 let down = self.one_way_ns + dice.below(self.jitter_down_ns as u64 + 1) as i64;
                 let received = ServerTime(self.server_clock(now + up));
-                clock.on_pong(DisplayTime(now), received, received, DisplayTime(now + up + down));
+                clock.on_pong(ClientTime(now), received, received, ClientTime(now + up + down));
                 pings += 1;
                 now += if pings < 40 { 50 * MS } else { 100 * MS };
                 if now > settle_s * 1000 * MS {
                     for ahead in [0, 25, 50] {
                         let at = now + ahead * MS;
-                        let seen = clock.server_time(DisplayTime(at)).unwrap().0;
+                        let seen = clock.server_time(ClientTime(at)).unwrap().0;
                         worst = worst.max((seen - self.server_clock(at)).abs());
                     }
                 }
@@ -372,9 +372,9 @@ mod tests {
                 if frame % 5 == 0 {
                     let (up, down) = (dice.below(20) as i64 * MS, dice.below(20) as i64 * MS);
                     let server = ServerTime(now - down + 500 * MS);
-                    clock.on_pong(DisplayTime(now - up - down), server, server, DisplayTime(now));
+                    clock.on_pong(ClientTime(now - up - down), server, server, ClientTime(now));
                 }
-                let seen = clock.server_time(DisplayTime(now + 30 * MS)).unwrap();
+                let seen = clock.server_time(ClientTime(now + 30 * MS)).unwrap();
                 if let Some(last) = last {
                     let step = seen.since(last);
                     assert!(
@@ -392,11 +392,11 @@ mod tests {
         let mut clock = ClockEstimator::new();
         let exchange = |clock: &mut ClockEstimator, at_ms: i64, offset_ms: i64| {
             let server = ServerTime((at_ms + 10 + offset_ms) * MS);
-            clock.on_pong(DisplayTime(at_ms * MS), server, server, DisplayTime((at_ms + 20) * MS));
+            clock.on_pong(ClientTime(at_ms * MS), server, server, ClientTime((at_ms + 20) * MS));
         };
         exchange(&mut clock, 0, 0);
         (0..100).for_each(|i| exchange(&mut clock, 1000 + i * 50, 1000));
-        let seen = clock.server_time(DisplayTime(6000 * MS)).unwrap();
+        let seen = clock.server_time(ClientTime(6000 * MS)).unwrap();
         assert!((seen.0 - 7000 * MS).abs() < 25 * MS, "{seen:?}");
     }
 
@@ -407,9 +407,9 @@ mod tests {
         for i in 0..40 {
             let now = i * 100 * MS;
             let server = ServerTime(now + 3_000_000 * MS + dice.below(40) as i64 * MS);
-            clock.on_pong(DisplayTime(now), server, server, DisplayTime(now + 60 * MS));
+            clock.on_pong(ClientTime(now), server, server, ClientTime(now + 60 * MS));
             for ahead in [-50, 0, 30, 150, 500] {
-                let at = DisplayTime(now + ahead * MS);
+                let at = ClientTime(now + ahead * MS);
                 let back = clock.display_time(clock.server_time(at).unwrap()).unwrap();
                 assert!(back.since(at).abs() <= 2, "{} ns", back.since(at));
             }
@@ -424,9 +424,9 @@ mod tests {
             for b in extremes {
                 for c in extremes {
                     for d in extremes {
-                        clock.on_pong(DisplayTime(a), ServerTime(b), ServerTime(c), DisplayTime(d));
+                        clock.on_pong(ClientTime(a), ServerTime(b), ServerTime(c), ClientTime(d));
                         for at in extremes {
-                            clock.server_time(DisplayTime(at));
+                            clock.server_time(ClientTime(at));
                             clock.display_time(ServerTime(at));
                         }
                     }
@@ -434,9 +434,9 @@ mod tests {
             }
         }
         let mut fresh = ClockEstimator::new();
-        fresh.on_pong(DisplayTime(10), ServerTime(0), ServerTime(0), DisplayTime(5));
-        fresh.on_pong(DisplayTime(0), ServerTime(5), ServerTime(4), DisplayTime(10));
-        assert_eq!(fresh.server_time(DisplayTime(0)), None);
+        fresh.on_pong(ClientTime(10), ServerTime(0), ServerTime(0), ClientTime(5));
+        fresh.on_pong(ClientTime(0), ServerTime(5), ServerTime(4), ClientTime(10));
+        assert_eq!(fresh.server_time(ClientTime(0)), None);
         assert_eq!((fresh.rtt_ns(), fresh.jitter_ns()), (None, None));
     }
 }

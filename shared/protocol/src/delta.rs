@@ -1,11 +1,11 @@
 //! The geometry delta: what a client must learn and forget with one update, and its bytes.
 //!
 //! A delta's bytes are a header with the lengths of seven sections, then the sections: explicit little-endian blocks
-//! and varints, small because slots come in runs. Both sides keep a mirror of the client's memory ([`SampleCoder`],
-//! [`SampleDecoder`]), so that samples need no slots, and so that a delta which contradicts the memory is refused.
+//! and varints, small because slots come in runs. Both sides keep a mirror of the client's memory ([`DeltaEncoder`],
+//! [`DeltaDecoder`]), so that samples need no slots, and so that a delta which contradicts the memory is refused.
 
 use crate::atlas::{Block, PatchKind};
-use crate::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
+use crate::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use crate::limits::{
     MAX_COORDINATE_M, MAX_DELTA_BYTES, MAX_INSTANCES, MAX_NEW_SAMPLE_GRIDS, MAX_SAMPLE_BATCHES, NO_BLOCK,
 };
@@ -29,7 +29,7 @@ const COVER_LIST: u8 = 2;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GeometryDelta {
     /// The update.
-    pub frame: FrameId,
+    pub frame: UpdateId,
     /// The time for which the update was made.
     pub time: ServerTime,
     /// Instances seen for the first time, or with a new quantisation step.
@@ -118,7 +118,7 @@ pub struct SampleBatch {
 
 /// The encoder's mirror of one client's memory.
 #[derive(Clone, Debug)]
-pub struct SampleCoder {
+pub struct DeltaEncoder {
     mirror: Mirror,
     encoder: SampleEncoder,
     sizes: DeltaSizes,
@@ -126,7 +126,7 @@ pub struct SampleCoder {
 
 /// The decoder's mirror of its own memory, as the deltas so far have made it.
 #[derive(Clone, Debug)]
-pub struct SampleDecoder {
+pub struct DeltaDecoder {
     mirror: Mirror,
     /// True after a delta failed half-way: nothing after it can be understood.
     broken: bool,
@@ -157,7 +157,7 @@ struct Mirror {
     patches: SlotSet,
 }
 
-impl SampleCoder {
+impl DeltaEncoder {
     /// For the capacities of [`crate::message::Welcome`], with an empty memory.
     pub fn new(vertex_slots: u32, patch_slots: u32) -> Self {
         Self {
@@ -178,7 +178,7 @@ impl SampleCoder {
     }
 }
 
-impl SampleDecoder {
+impl DeltaDecoder {
     /// For the capacities of [`crate::message::Welcome`], with an empty memory.
     pub fn new(vertex_slots: u32, patch_slots: u32) -> Self {
         Self { mirror: Mirror::new(vertex_slots, patch_slots), broken: false }
@@ -238,7 +238,7 @@ impl Mirror {
 
 /// The delta's bytes; brings the coder's mirror up to date. A delta that contradicts the mirror or a limit is a bug of
 /// the caller and panics.
-pub fn encode(delta: &GeometryDelta, coder: &mut SampleCoder) -> Vec<u8> {
+pub fn encode(delta: &GeometryDelta, coder: &mut DeltaEncoder) -> Vec<u8> {
     let fresh = coder.mirror.apply(delta).unwrap_or_else(|error| panic!("delta {}: {error}", delta.frame.0));
     let mut sections: [Vec<u8>; SECTIONS] = Default::default();
     put_evictions(&mut sections[0], delta.evicted_patches.iter().map(|slot| slot.0));
@@ -263,17 +263,17 @@ pub fn encode(delta: &GeometryDelta, coder: &mut SampleCoder) -> Vec<u8> {
 }
 
 /// The frame of a delta's bytes.
-pub fn peek_frame(bytes: &[u8]) -> Result<FrameId, WireError> {
+pub fn peek_frame(bytes: &[u8]) -> Result<UpdateId, WireError> {
     let mut reader = Reader::new("a delta's header", bytes);
     if reader.take(MAGIC.len())? != MAGIC {
         return Err(invalid("a delta's header", "its first bytes are not SCG1"));
     }
-    Ok(FrameId(reader.u32()?))
+    Ok(UpdateId(reader.u32()?))
 }
 
 /// The delta of these bytes; brings the decoder's mirror up to date. Deltas must come in order. After an error the
 /// decoder refuses everything: the connection has to be made anew.
-pub fn decode(bytes: &[u8], decoder: &mut SampleDecoder) -> Result<GeometryDelta, WireError> {
+pub fn decode(bytes: &[u8], decoder: &mut DeltaDecoder) -> Result<GeometryDelta, WireError> {
     if decoder.broken {
         return Err(invalid("a delta", "one before it could not be applied; connect again"));
     }
@@ -317,7 +317,7 @@ fn put_header_and(delta: &GeometryDelta, sections: &[Vec<u8>; SECTIONS]) -> Vec<
     out
 }
 
-fn split_sections(bytes: &[u8]) -> Result<(FrameId, ServerTime, [&[u8]; SECTIONS]), WireError> {
+fn split_sections(bytes: &[u8]) -> Result<(UpdateId, ServerTime, [&[u8]; SECTIONS]), WireError> {
     let frame = peek_frame(bytes)?;
     let mut reader = Reader::new("a delta's header", bytes);
     reader.take(MAGIC.len() + size_of::<u32>())?;
@@ -530,7 +530,7 @@ fn take_placements(section: &[u8], patch_slots: usize) -> Result<Vec<(PatchSlot,
 }
 
 /// Batches: grid step, which vertices, the coded samples.
-fn put_samples(out: &mut Vec<u8>, batches: &[SampleBatch], fresh: &[VertexSlot], coder: &mut SampleCoder) {
+fn put_samples(out: &mut Vec<u8>, batches: &[SampleBatch], fresh: &[VertexSlot], coder: &mut DeltaEncoder) {
     assert!(batches.len() <= MAX_SAMPLE_BATCHES as usize, "{} batches of samples", batches.len());
     put_varint(out, batches.len() as u32);
     let active = coder.mirror.history.active_slots();
@@ -651,7 +651,7 @@ mod tests {
 
         fn delta(&mut self) -> GeometryDelta {
             let mut delta = GeometryDelta {
-                frame: FrameId(self.frame),
+                frame: UpdateId(self.frame),
                 time: ServerTime(i64::from(self.frame) * 33_333_333 - 7),
                 ..GeometryDelta::default()
             };
@@ -790,8 +790,8 @@ mod tests {
     fn both_sides_stay_in_step_through_random_sessions() {
         for seed in 0..30 {
             let mut chaos = Chaos::new(seed);
-            let mut coder = SampleCoder::new(VERTEX_SLOTS, PATCH_SLOTS);
-            let mut decoder = SampleDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+            let mut coder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+            let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
             for _ in 0..60 {
                 let delta = chaos.delta();
                 let bytes = encode(&delta, &mut coder);
@@ -807,8 +807,8 @@ mod tests {
     fn damaged_deltas_give_values_or_errors() {
         for seed in 0..4 {
             let mut chaos = Chaos::new(seed);
-            let mut coder = SampleCoder::new(VERTEX_SLOTS, PATCH_SLOTS);
-            let mut decoder = SampleDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+            let mut coder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+            let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
             for _ in 0..5 {
                 let bytes = encode(&chaos.delta(), &mut coder);
                 damaged(&bytes, seed, 400, |bytes| {
@@ -831,14 +831,13 @@ mod tests {
 
     fn bytes_of(delta: GeometryDelta) -> Vec<u8> {
         // A coder that allows more than the decoder under test.
-        let mut coder = SampleCoder::new(4 * VERTEX_SLOTS, 4 * PATCH_SLOTS);
+        let mut coder = DeltaEncoder::new(4 * VERTEX_SLOTS, 4 * PATCH_SLOTS);
         encode(&delta, &mut coder)
     }
 
     #[track_caller]
     fn assert_refused(bytes: &[u8], words: &str) {
-        let error =
-            decode(bytes, &mut SampleDecoder::new(VERTEX_SLOTS, PATCH_SLOTS)).unwrap_err().to_string();
+        let error = decode(bytes, &mut DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS)).unwrap_err().to_string();
         assert!(error.contains(words), "{error}");
     }
 
@@ -870,7 +869,7 @@ mod tests {
     fn a_slot_in_use_is_not_given_again_and_a_free_one_not_taken_back() {
         let delta = GeometryDelta { new_vertices: vec![static_vertex(7)], ..Default::default() };
         let bytes = bytes_of(delta);
-        let mut decoder = SampleDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+        let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
         decode(&bytes, &mut decoder).unwrap();
         assert!(decode(&bytes, &mut decoder).unwrap_err().to_string().contains("slot 7 is taken"));
 
@@ -901,7 +900,7 @@ mod tests {
             samples: (0..steps as i32).map(batch).collect(),
             ..GeometryDelta::default()
         };
-        let mut decoder = SampleDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+        let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
         assert!(decode(&bytes_of(with(MAX_NEW_SAMPLE_GRIDS)), &mut decoder).is_ok());
         assert_refused(&bytes_of(with(MAX_NEW_SAMPLE_GRIDS + 1)), "samples of a delta is 10200");
     }
@@ -945,7 +944,7 @@ mod tests {
             })
             .collect();
         let instances = vec![InstanceInfo { instance: InstanceId(0), step_m: 0.001 }];
-        let mut coder = SampleCoder::new(1000, 1);
+        let mut coder = DeltaEncoder::new(1000, 1);
         encode(&GeometryDelta { instances, new_vertices, ..Default::default() }, &mut coder);
         assert!(coder.last_sizes().vertex_bytes < 20, "{:?}", coder.last_sizes());
     }

@@ -5,12 +5,12 @@
 
 use crate::atlas::{Block, BlockAddress, BlockSize, PatchKind};
 use crate::delta::{
-    GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch, SampleCoder, encode,
+    DeltaEncoder, GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch, encode,
 };
-use crate::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
+use crate::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use crate::message::{ClientDatagram, ClientMessage, Refused, ServerDatagram, ServerMessage};
 use crate::testing::{displayed, head, hello, welcome};
-use crate::time::{DisplayTime, GridIndex, ServerTime};
+use crate::time::{ClientTime, GridIndex, ServerTime};
 use crate::wire::{PictureHeader, encode_geometry, encode_picture, frame_control};
 use glam::Vec3;
 
@@ -50,7 +50,7 @@ fn deltas() -> [Vec<u8>; 2] {
     let mut new_vertices: Vec<_> = (0..40).map(|slot| vertex(slot, near, Motion::Sampled)).collect();
     new_vertices.extend((100..103).map(|slot| vertex(slot, far, still)));
     let enters = GeometryDelta {
-        frame: FrameId(0),
+        frame: UpdateId(0),
         time: ServerTime(1_000_000_000),
         instances: vec![
             InstanceInfo { instance: near, step_m: 0.0005 },
@@ -67,7 +67,7 @@ fn deltas() -> [Vec<u8>; 2] {
         ..Default::default()
     };
     let moves = GeometryDelta {
-        frame: FrameId(1),
+        frame: UpdateId(1),
         time: ServerTime(1_033_333_333),
         evicted_patches: vec![PatchSlot(1)],
         evicted_vertices: vec![VertexSlot(5), VertexSlot(6)],
@@ -75,7 +75,7 @@ fn deltas() -> [Vec<u8>; 2] {
         samples: vec![batch(32, 10..13), batch(35, 0..0)],
         ..Default::default()
     };
-    let mut coder = SampleCoder::new(200, 20);
+    let mut coder = DeltaEncoder::new(200, 20);
     [encode(&enters, &mut coder), encode(&moves, &mut coder)]
 }
 
@@ -93,7 +93,7 @@ fn control_messages_keep_their_bytes() {
          0040bf0000403f0000003f000060bfa80e800ff0b59f0d0109090909090909090909090909090909",
     );
     assert_pinned(&ClientMessage::Displayed(displayed(300)).encode(), "01ac02094801c801030080d1ca08");
-    assert_pinned(&ClientMessage::RefreshRequest { after: Some(FrameId(8)) }.encode(), "020108");
+    assert_pinned(&ClientMessage::RefreshRequest { after: Some(UpdateId(8)) }.encode(), "020108");
     assert_pinned(&ClientMessage::Goodbye.encode(), "03");
     assert_pinned(&ClientMessage::Watching { is_watched: true }.encode(), "0401");
     assert_pinned(
@@ -116,10 +116,10 @@ fn datagrams_keep_their_bytes() {
          00003f000060bf6f12033d00000000000000000000000000000000000000000000803f000040bf0000403f0000003f00 \
          0060bf03",
     );
-    let ping = ClientDatagram::ClockPing { client_send: DisplayTime(123_456_789) };
+    let ping = ClientDatagram::ClockPing { client_send: ClientTime(123_456_789) };
     assert_pinned(&ping.encode(), "01aab4de75");
     let pong = ServerDatagram::ClockPong {
-        client_send: DisplayTime(123_456_789),
+        client_send: ClientTime(123_456_789),
         server_receive: ServerTime(1_000),
         server_send: ServerTime(2_000),
     };
@@ -128,7 +128,7 @@ fn datagrams_keep_their_bytes() {
 
 #[test]
 fn streams_keep_their_bytes() {
-    let header = PictureHeader { frame: FrameId(5), time: ServerTime(-1), is_refresh: true };
+    let header = PictureHeader { frame: UpdateId(5), time: ServerTime(-1), is_refresh: true };
     assert_pinned(
         &encode_picture(header, &[0, 0, 0, 1, 0x67]),
         "0205000000ffffffffffffffff01050000000000000167",

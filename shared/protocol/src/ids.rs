@@ -18,13 +18,13 @@ macro_rules! id {
     };
 }
 
-id!(/** One update of the server. Rises by one per update within a session; 0 is the first. */ FrameId(u32));
+id!(/** One update of the server. Rises by one per update within a session; 0 is the first. */ UpdateId(u32));
 id!(/** A vertex place in the client's memory, assigned by the server. */ VertexSlot(u32));
 id!(/** A patch place in the client's memory, assigned by the server. */ PatchSlot(u32));
 id!(/** One placed model of the scene. */ InstanceId(u16));
 id!(/** Changes with every jump of the head or stage; prediction restarts when it does. */ DiscontinuityId(u32));
 
-impl FrameId {
+impl UpdateId {
     /// The update after this one; the last that there can be (at 30 Hz after four years) has none.
     pub fn next(self) -> Self {
         Self(self.0.saturating_add(1))

@@ -5,14 +5,14 @@
 
 use crate::PROTOCOL_VERSION;
 use crate::atlas::AtlasExtent;
-use crate::ids::{DiscontinuityId, FrameId};
+use crate::ids::{DiscontinuityId, UpdateId};
 use crate::limits::{
     ATLAS_MIN_SIDE, MAX_CODECS, MAX_CONTROL_BYTES, MAX_COORDINATE_M, MAX_DATAGRAM_BYTES,
     MAX_EYE_EXTENT_PIXELS, MAX_EYE_PIXELS, MAX_PATCH_SLOTS, MAX_SPEED, MAX_TEXT_BYTES, MAX_VERTEX_SLOTS,
 };
 use crate::pose::{Eye, Pose};
 use crate::text::printable;
-use crate::time::{DisplayTime, Grid, ServerTime};
+use crate::time::{ClientTime, Grid, ServerTime};
 use crate::wire::{WireError, check_count, invalid};
 use glam::Vec3;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
@@ -27,7 +27,7 @@ pub enum ClientMessage {
     /// The picture stream is broken: send one that needs no other.
     RefreshRequest {
         /// The last frame whose picture decoded, if any.
-        after: Option<FrameId>,
+        after: Option<UpdateId>,
     },
     /// The user left.
     Goodbye,
@@ -152,7 +152,7 @@ pub struct Environment {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Displayed {
     /// The update on display. No earlier one will be shown again.
-    pub frame: FrameId,
+    pub frame: UpdateId,
     /// When it was first on display, by the client's estimate of the server's clock.
     pub display_time: ServerTime,
     /// Display frames since the last report.
@@ -225,7 +225,7 @@ pub enum ClientDatagram {
     /// Asks for a [`ServerDatagram::ClockPong`].
     ClockPing {
         /// The client's clock on sending.
-        client_send: DisplayTime,
+        client_send: ClientTime,
     },
 }
 
@@ -235,7 +235,7 @@ pub enum ServerDatagram {
     /// Answers a ping.
     ClockPong {
         /// From the ping.
-        client_send: DisplayTime,
+        client_send: ClientTime,
         /// The server's clock when the ping came.
         server_receive: ServerTime,
         /// The server's clock when this was sent.
@@ -572,7 +572,7 @@ mod tests {
             ClientMessage::Hello(hello()),
             ClientMessage::Displayed(displayed(300)),
             ClientMessage::RefreshRequest { after: None },
-            ClientMessage::RefreshRequest { after: Some(FrameId(u32::MAX)) },
+            ClientMessage::RefreshRequest { after: Some(UpdateId(u32::MAX)) },
             ClientMessage::Goodbye,
         ]
     }
@@ -585,13 +585,13 @@ mod tests {
     fn client_datagrams() -> Vec<ClientDatagram> {
         vec![
             ClientDatagram::Pose(head(u32::MAX)),
-            ClientDatagram::ClockPing { client_send: DisplayTime(i64::MIN) },
+            ClientDatagram::ClockPing { client_send: ClientTime(i64::MIN) },
         ]
     }
 
     fn pong() -> ServerDatagram {
         ServerDatagram::ClockPong {
-            client_send: DisplayTime(i64::MAX),
+            client_send: ClientTime(i64::MAX),
             server_receive: ServerTime(-1),
             server_send: ServerTime(1 << 40),
         }
@@ -723,7 +723,7 @@ mod tests {
     fn two_reports_of_what_is_on_display_are_one_of_the_later_frame_with_the_counts_of_both() {
         let (early, late) = (displayed(3), Displayed { display_time: ServerTime(9), ..displayed(4) });
         let both = Displayed {
-            frame: FrameId(4),
+            frame: UpdateId(4),
             display_time: ServerTime(9),
             display_frames: 144,
             frames_without_bundle: 2,

@@ -7,8 +7,8 @@
 //! An error ends a session: after [`ClientEvent::Failed`] or [`ServerEvent::Failed`] nothing more comes out.
 
 use crate::clock::ClockEstimator;
-use crate::delta::{self, DeltaSizes, GeometryDelta, SampleCoder, SampleDecoder};
-use crate::ids::FrameId;
+use crate::delta::{self, DeltaDecoder, DeltaEncoder, DeltaSizes, GeometryDelta};
+use crate::ids::UpdateId;
 use crate::limits::{
     MAX_ACCESS_UNIT_BYTES, MAX_DELTA_BYTES, MAX_FRAMES_AHEAD, MAX_QUEUED_STREAM_BYTES, MAX_QUEUED_STREAMS,
     RECORDS_PER_SLOT_AND_TURN,
@@ -17,7 +17,7 @@ use crate::message::{
     ClientDatagram, ClientHello, ClientMessage, Displayed, HeadState, HelloVersions, Refused, ServerDatagram,
     ServerMessage, ServerOffer, Welcome, negotiate, negotiate_version,
 };
-use crate::time::{DisplayTime, ServerTime};
+use crate::time::{ClientTime, ServerTime};
 use crate::wire::{
     PictureHeader, StreamMessage, WireError, check_count, encode_geometry, encode_picture, invalid,
     parse_stream,
@@ -93,7 +93,7 @@ pub enum ServerEvent {
     /// The client needs a picture that needs no other.
     RefreshRequest {
         /// The last frame whose picture decoded, if any.
-        after: Option<FrameId>,
+        after: Option<UpdateId>,
     },
     /// Whether somebody looks; before it is said, somebody does.
     Watching(bool),
@@ -117,11 +117,11 @@ pub struct ClientSession {
     phase: Phase,
     clock: ClockEstimator,
     pings: u32,
-    next_ping: DisplayTime,
+    next_ping: ClientTime,
     /// When the pings left that have not been answered, in order.
-    outstanding: VecDeque<DisplayTime>,
-    decoder: Option<SampleDecoder>,
-    next_delta: FrameId,
+    outstanding: VecDeque<ClientTime>,
+    decoder: Option<DeltaDecoder>,
+    next_delta: UpdateId,
     waiting: Waiting,
     /// What may still be decoded before the next [`Self::on_tick`].
     records_left: usize,
@@ -134,7 +134,7 @@ pub struct ClientSession {
 /// Streams that cannot be handed on yet.
 #[derive(Debug, Default)]
 struct Waiting {
-    deltas: BTreeMap<FrameId, Vec<u8>>,
+    deltas: BTreeMap<UpdateId, Vec<u8>>,
     /// Pictures that came before the welcome.
     pictures: Vec<(PictureHeader, Vec<u8>)>,
     bytes: usize,
@@ -153,7 +153,7 @@ impl Waiting {
 impl ClientSession {
     /// Begins a session: the hello is ready to go out, and the first ping with it, so that the clocks agree when the welcome
     /// comes.
-    pub fn start(hello: ClientHello, now: DisplayTime) -> Self {
+    pub fn start(hello: ClientHello, now: ClientTime) -> Self {
         let mut session = Self {
             phase: Phase::Greeting,
             clock: ClockEstimator::new(),
@@ -161,7 +161,7 @@ impl ClientSession {
             next_ping: now,
             outstanding: VecDeque::new(),
             decoder: None,
-            next_delta: FrameId(0),
+            next_delta: UpdateId(0),
             waiting: Waiting::default(),
             records_left: 0,
             records_per_turn: 0,
@@ -188,7 +188,7 @@ impl ClientSession {
 
     /// Takes a datagram that came at `now`. Damaged ones are dropped: they carry nothing that is not sent again. So are
     /// answers to what was not asked, or that come a second time.
-    pub fn on_datagram(&mut self, bytes: &[u8], now: DisplayTime) {
+    pub fn on_datagram(&mut self, bytes: &[u8], now: ClientTime) {
         if self.phase == Phase::Ended {
             return;
         }
@@ -204,7 +204,7 @@ impl ClientSession {
     }
 
     /// Does what is due at `now`, once a display frame: follows the clock, hands on what has waited, pings.
-    pub fn on_tick(&mut self, now: DisplayTime) {
+    pub fn on_tick(&mut self, now: ClientTime) {
         if self.phase == Phase::Ended {
             return;
         }
@@ -217,7 +217,7 @@ impl ClientSession {
         }
     }
 
-    fn ping(&mut self, now: DisplayTime) {
+    fn ping(&mut self, now: ClientTime) {
         if self.outstanding.len() == MAX_OUTSTANDING_PINGS {
             self.outstanding.pop_front();
         }
@@ -246,7 +246,7 @@ impl ClientSession {
     }
 
     /// When [`Self::on_tick`] next has something to do.
-    pub fn next_tick(&self) -> Option<DisplayTime> {
+    pub fn next_tick(&self) -> Option<ClientTime> {
         (self.phase != Phase::Ended).then_some(self.next_ping)
     }
 
@@ -265,7 +265,7 @@ impl ClientSession {
     }
 
     /// Asks for a picture that needs no other.
-    pub fn request_refresh(&mut self, after: Option<FrameId>) {
+    pub fn request_refresh(&mut self, after: Option<UpdateId>) {
         if self.phase == Phase::Running {
             self.say(&ClientMessage::RefreshRequest { after });
         }
@@ -340,7 +340,7 @@ impl ClientSession {
     /// The welcome is here: streams that overtook it can be handed on.
     fn begin(&mut self, welcome: Welcome) -> Result<(), WireError> {
         self.phase = Phase::Running;
-        self.decoder = Some(SampleDecoder::new(welcome.vertex_slots, welcome.patch_slots));
+        self.decoder = Some(DeltaDecoder::new(welcome.vertex_slots, welcome.patch_slots));
         self.records_per_turn = (welcome.vertex_slots * RECORDS_PER_SLOT_AND_TURN) as usize;
         self.records_left = self.records_per_turn;
         self.events.push_back(ClientEvent::Welcome(welcome));
@@ -372,7 +372,7 @@ impl ClientSession {
         Ok(())
     }
 
-    fn take_geometry(&mut self, frame: FrameId, payload: &[u8]) -> Result<(), WireError> {
+    fn take_geometry(&mut self, frame: UpdateId, payload: &[u8]) -> Result<(), WireError> {
         if frame < self.next_delta || self.waiting.deltas.contains_key(&frame) {
             return Err(invalid(
                 "a geometry delta",
@@ -390,7 +390,7 @@ impl ClientSession {
     }
 
     /// Refuses a frame that is too far after the next one due.
-    fn check_distance(&self, what: &'static str, frame: FrameId) -> Result<(), WireError> {
+    fn check_distance(&self, what: &'static str, frame: UpdateId) -> Result<(), WireError> {
         match frame.is_too_far_after(self.next_delta) {
             true => Err(invalid(
                 what,
@@ -448,7 +448,7 @@ pub struct ServerSession {
     understood: u64,
     newest_pose: Option<u32>,
     /// Pings to be answered: what they say, and when they came.
-    pings: VecDeque<(DisplayTime, ServerTime)>,
+    pings: VecDeque<(ClientTime, ServerTime)>,
     control: VecDeque<Out>,
     heard: Heard,
 }
@@ -458,7 +458,7 @@ pub struct ServerSession {
 struct Heard {
     asked: Option<(ClientHello, Welcome)>,
     displayed: Option<Displayed>,
-    refresh: Option<Option<FrameId>>,
+    refresh: Option<Option<UpdateId>>,
     watching: Option<bool>,
     pose: Option<HeadState>,
     end: Option<ServerEvent>,
@@ -467,13 +467,13 @@ struct Heard {
 /// The sending half of a session, for whoever makes the updates: encoding a delta holds up nobody who listens.
 #[derive(Debug)]
 pub struct DeltaSender {
-    coder: SampleCoder,
+    coder: DeltaEncoder,
     sent: Arc<AtomicU32>,
 }
 
 impl DeltaSender {
     fn new(welcome: &Welcome, sent: Arc<AtomicU32>) -> Self {
-        Self { coder: SampleCoder::new(welcome.vertex_slots, welcome.patch_slots), sent }
+        Self { coder: DeltaEncoder::new(welcome.vertex_slots, welcome.patch_slots), sent }
     }
 
     /// The stream of the next frame's delta, and the sizes of its parts. Frames follow each other without a gap from 0.
@@ -490,8 +490,8 @@ impl DeltaSender {
     }
 
     /// The frame that the next delta must have.
-    pub fn next_delta(&self) -> FrameId {
-        FrameId(self.sent.load(Ordering::Acquire))
+    pub fn next_delta(&self) -> UpdateId {
+        UpdateId(self.sent.load(Ordering::Acquire))
     }
 }
 
@@ -506,7 +506,7 @@ pub fn picture_stream(header: PictureHeader, access_unit: &[u8]) -> Result<Out, 
 
 /// An update's streams go before those of later ones, so that no flood of geometry starves pictures; within an update
 /// `urgency` 1 goes before 0.
-fn priority(frame: FrameId, urgency: i64) -> i32 {
+fn priority(frame: UpdateId, urgency: i64) -> i32 {
     let order = i64::from(i32::MAX) - 2 * (i64::from(frame.0) + 1) + urgency;
     i32::try_from(order).unwrap_or(i32::MIN) // after a year at 30 updates a second
 }
@@ -709,7 +709,7 @@ mod tests {
         streams: Vec<Vec<u8>>,
     }
 
-    const NOW: DisplayTime = DisplayTime(1_000);
+    const NOW: ClientTime = ClientTime(1_000);
 
     impl Pair {
         fn new() -> Self {
@@ -780,7 +780,7 @@ mod tests {
     }
 
     fn picture(frame: u32) -> PictureHeader {
-        PictureHeader { frame: FrameId(frame), time: ServerTime(1), is_refresh: frame == 0 }
+        PictureHeader { frame: UpdateId(frame), time: ServerTime(1), is_refresh: frame == 0 }
     }
 
     #[test]
@@ -906,11 +906,11 @@ mod tests {
     fn pings_that_nobody_answers_are_dropped_oldest_first() {
         let mut server = ServerSession::new(offer());
         for n in 0..1000 {
-            let ping = ClientDatagram::ClockPing { client_send: DisplayTime(n) };
+            let ping = ClientDatagram::ClockPing { client_send: ClientTime(n) };
             server.on_datagram(&ping.encode(), ServerTime(n));
         }
         assert_eq!(server.pings.len(), MAX_WAITING_PINGS);
-        assert_eq!(server.pings.back(), Some(&(DisplayTime(999), ServerTime(999))));
+        assert_eq!(server.pings.back(), Some(&(ClientTime(999), ServerTime(999))));
     }
 
     #[test]
@@ -933,14 +933,14 @@ mod tests {
         let mut pair = Pair::connected();
         pair.send_delta();
         pair.client.send_displayed(displayed(0));
-        pair.client.request_refresh(Some(FrameId(0)));
+        pair.client.request_refresh(Some(UpdateId(0)));
         pair.client.tell_watching(false);
         pair.client.goodbye();
         pair.carry(ServerTime(0));
         let events: Vec<_> = std::iter::from_fn(|| pair.server.poll_event()).collect();
         let expected = [
             ServerEvent::Displayed(displayed(0)),
-            ServerEvent::RefreshRequest { after: Some(FrameId(0)) },
+            ServerEvent::RefreshRequest { after: Some(UpdateId(0)) },
             ServerEvent::Watching(false),
             ServerEvent::Goodbye,
         ];
@@ -975,8 +975,8 @@ mod tests {
             pair.client.on_stream(&encode_picture(picture(far), b"coded"));
             assert_failed(&mut pair, "more than 256 after frame 0");
             let mut pair = Pair::connected();
-            let mut coder = SampleCoder::new(600, 300);
-            let delta = GeometryDelta { frame: FrameId(far), ..Default::default() };
+            let mut coder = DeltaEncoder::new(600, 300);
+            let delta = GeometryDelta { frame: UpdateId(far), ..Default::default() };
             pair.client.on_stream(&encode_geometry(&delta::encode(&delta, &mut coder)));
             assert_failed(&mut pair, "more than 256 after frame 0");
         }
@@ -985,10 +985,10 @@ mod tests {
     #[test]
     fn the_last_frame_that_there_can_be_overflows_nothing() {
         let mut pair = Pair::connected();
-        pair.client.next_delta = FrameId(u32::MAX - 1);
-        let mut coder = SampleCoder::new(600, 300);
+        pair.client.next_delta = UpdateId(u32::MAX - 1);
+        let mut coder = DeltaEncoder::new(600, 300);
         for frame in [u32::MAX - 1, u32::MAX] {
-            let delta = GeometryDelta { frame: FrameId(frame), ..Default::default() };
+            let delta = GeometryDelta { frame: UpdateId(frame), ..Default::default() };
             pair.client.on_stream(&encode_geometry(&delta::encode(&delta, &mut coder)));
             pair.client.on_stream(&encode_picture(picture(frame), b"coded"));
         }
@@ -1020,7 +1020,7 @@ mod tests {
                 motion: Motion::Static { position: glam::Vec3::ONE },
             };
             let new_vertices = (frame * 2..frame * 2 + 2).map(vertex).collect();
-            let delta = GeometryDelta { frame: FrameId(frame), new_vertices, ..Default::default() };
+            let delta = GeometryDelta { frame: UpdateId(frame), new_vertices, ..Default::default() };
             let (out, _) = pair.sender.as_mut().unwrap().delta_stream(&delta).unwrap();
             pair.keep(out);
         }
@@ -1040,7 +1040,7 @@ mod tests {
             ServerDatagram::ClockPong { client_send, server_receive, server_send }.encode()
         };
         let known = pair.client.clock().server_time(NOW).expect("the hello's ping was answered");
-        let flood = |pair: &mut Pair, at: DisplayTime| {
+        let flood = |pair: &mut Pair, at: ClientTime| {
             for i in 1..1000 {
                 pair.client.on_datagram(&pong(at.plus_ns(-i), 77_000_000), at.plus_ns(i));
                 pair.client.on_datagram(&pong(NOW, 77_000_000), at.plus_ns(i));
@@ -1151,13 +1151,13 @@ mod tests {
         else {
             panic!("{events:?}")
         };
-        assert_eq!((shown.frame, shown.display_frames, pose.sequence), (FrameId(2), 10_000, 9_999));
+        assert_eq!((shown.frame, shown.display_frames, pose.sequence), (UpdateId(2), 10_000, 9_999));
     }
 
     #[test]
     fn an_update_goes_before_all_later_ones_and_its_delta_before_its_picture() {
         let order: Vec<i32> = [(0, 1), (0, 0), (1, 1), (1, 0), (9, 1), (u32::MAX - 1, 0)]
-            .map(|(frame, urgency)| priority(FrameId(frame), urgency))
+            .map(|(frame, urgency)| priority(UpdateId(frame), urgency))
             .to_vec();
         assert!(order.windows(2).all(|pair| pair[0] > pair[1]), "{order:?}");
         assert!(order[0] < i32::MAX, "control goes before all");

@@ -1,7 +1,7 @@
 //! Seeded randomness, mutation of bytes and fixed messages, for this crate's tests.
 
 use crate::atlas::AtlasExtent;
-use crate::ids::{DiscontinuityId, FrameId};
+use crate::ids::{DiscontinuityId, UpdateId};
 use crate::message::{
     Capabilities, ClientHello, Codec, Displayed, Environment, HeadState, ResumeSecret, ServerOffer, Welcome,
     negotiate,
@@ -75,7 +75,7 @@ pub(crate) fn head(sequence: u32) -> HeadState {
 
 pub(crate) fn displayed(frame: u32) -> Displayed {
     Displayed {
-        frame: FrameId(frame),
+        frame: UpdateId(frame),
         display_time: ServerTime(-5),
         display_frames: 72,
         frames_without_bundle: 1,

@@ -10,7 +10,7 @@ pub struct ServerTime(pub i64);
 
 /// Nanoseconds on the client's monotonic clock (on Linux and Android `CLOCK_MONOTONIC`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-pub struct DisplayTime(pub i64);
+pub struct ClientTime(pub i64);
 
 /// Number of a sample on the absolute grid: sample `g` is the pose at `g * spacing`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -43,7 +43,7 @@ impl ServerTime {
     }
 }
 
-impl DisplayTime {
+impl ClientTime {
     /// This time, moved by `ns` nanoseconds.
     pub fn plus_ns(self, ns: i64) -> Self {
         Self(self.0.saturating_add(ns))

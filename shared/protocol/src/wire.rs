@@ -1,7 +1,7 @@
 //! Framing, the one error type of all decoders, and the reader that they share.
 
 use crate::delta;
-use crate::ids::FrameId;
+use crate::ids::UpdateId;
 use crate::limits::{MAX_ACCESS_UNIT_BYTES, MAX_CONTROL_BYTES, MAX_DELTA_BYTES, MAX_EMPTY_CONTROL_MESSAGES};
 use crate::time::ServerTime;
 use thiserror::Error;
@@ -58,7 +58,7 @@ pub enum WireError {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PictureHeader {
     /// The update; its placements belong to this picture.
-    pub frame: FrameId,
+    pub frame: UpdateId,
     /// The time for which the update was made.
     pub time: ServerTime,
     /// True where the picture needs no earlier one.
@@ -71,7 +71,7 @@ pub enum StreamMessage<'a> {
     /// A geometry delta, for [`crate::delta::decode`] in the order of frames.
     Geometry {
         /// The delta's frame.
-        frame: FrameId,
+        frame: UpdateId,
         /// The delta's bytes.
         payload: &'a [u8],
     },
@@ -121,7 +121,7 @@ pub fn parse_stream(bytes: &[u8]) -> Result<StreamMessage<'_>, WireError> {
 
 fn parse_picture(mut reader: Reader<'_>) -> Result<StreamMessage<'_>, WireError> {
     reader.what = "a picture";
-    let frame = FrameId(reader.u32()?);
+    let frame = UpdateId(reader.u32()?);
     let time = ServerTime(reader.i64()?);
     let is_refresh = match reader.u8()? {
         flag @ 0..=1 => flag == 1,
@@ -335,11 +335,11 @@ pub(crate) fn unzigzag(value: u32) -> i32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::delta::{GeometryDelta, SampleCoder};
+    use crate::delta::{DeltaEncoder, GeometryDelta};
     use crate::testing::{Dice, damaged};
 
     const HEADER: PictureHeader =
-        PictureHeader { frame: FrameId(77), time: ServerTime(-12_345), is_refresh: true };
+        PictureHeader { frame: UpdateId(77), time: ServerTime(-12_345), is_refresh: true };
 
     #[test]
     fn streams_come_back_as_what_they_were() {
@@ -348,12 +348,12 @@ mod tests {
             parse_stream(&picture),
             Ok(StreamMessage::Picture { header: HEADER, access_unit: b"coded" })
         );
-        let delta = GeometryDelta { frame: FrameId(9), ..Default::default() };
-        let payload = delta::encode(&delta, &mut SampleCoder::new(1, 1));
+        let delta = GeometryDelta { frame: UpdateId(9), ..Default::default() };
+        let payload = delta::encode(&delta, &mut DeltaEncoder::new(1, 1));
         let stream = encode_geometry(&payload);
         assert_eq!(
             parse_stream(&stream),
-            Ok(StreamMessage::Geometry { frame: FrameId(9), payload: &payload })
+            Ok(StreamMessage::Geometry { frame: UpdateId(9), payload: &payload })
         );
     }
 

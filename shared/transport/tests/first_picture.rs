@@ -12,7 +12,7 @@ use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::session::{
     ClientEvent, ClientSession, DeltaSender, Out, ServerEvent, ServerSession, picture_stream,
 };
-use shadecast_protocol::time::{DEFAULT_GRID, DisplayTime, ServerTime};
+use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, ServerTime};
 use shadecast_protocol::wire::PictureHeader;
 use shadecast_transport::pair::SERVER_ADDR;
 use shadecast_transport::{
@@ -125,7 +125,7 @@ impl Play {
     }
 
     fn client_event(&mut self, event: Event) {
-        let now = DisplayTime(self.pair.now_ns());
+        let now = ClientTime(self.pair.now_ns());
         match (event, &mut self.client) {
             (Event::Connected { .. }, client) => *client = Some(ClientSession::start(hello(), now)),
             (Event::Control { message, .. }, Some(client)) => client.on_control(&message),
@@ -147,7 +147,7 @@ impl Play {
     /// The head is told as soon as the server's clock is known, which is what its time is on.
     fn tell_head(&mut self) {
         let Some(client) = self.client.as_mut().filter(|_| self.wants_head) else { return };
-        let Some(time) = client.clock().server_time(DisplayTime(self.pair.now_ns())) else { return };
+        let Some(time) = client.clock().server_time(ClientTime(self.pair.now_ns())) else { return };
         client.send_pose(HeadState {
             sequence: 0,
             time,

@@ -189,17 +189,17 @@ fn compare_with_twin(gpu: &Arc<Gpu>, scene: &Scene, options: SceneOptions, times
         let mut recorder = gpu.record().unwrap();
         animation.record_sample(&mut recorder, 1, time);
         recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE);
-        animation.record_frames(&mut recorder, 1, |_| true);
+        animation.record_tangents(&mut recorder, 1, |_| true);
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         gpu.wait(recorder.submit().unwrap()).unwrap();
         let positions: Vec<[f32; 4]> = read(gpu, animation.saved_vertices());
-        let frames: Vec<[[f32; 4]; 2]> = read(gpu, animation.saved_frames());
+        let frames: Vec<[[f32; 4]; 2]> = read(gpu, animation.tangents());
         for (index, place) in gpu_scene.instances.iter().enumerate() {
             let name = format!("{options:?}, {} at {time_s} s, seed {SEED}", scene.instances[index].name);
             let twin = twin(scene, index, options.sampling, time.seconds());
             let size = twin.iter().map(|v| v.position.length()).fold(1.0, f32::max);
             let at = animation.position_base(place, 1) as usize;
-            let frames_at = animation.frame_base(place) as usize;
+            let frames_at = animation.tangent_base(place) as usize;
             for (v, expected) in twin.iter().enumerate() {
                 let [x, y, z, _] = positions[at + v];
                 let error = Vec3::new(x, y, z).distance(expected.position) / size;

@@ -1,10 +1,10 @@
 //! The client's session: whatever a server sends, and whenever.
 
 use crate::script::{number, steps};
-use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{ClientDatagram, ClientHello, ClientMessage, Displayed, ServerDatagram};
 use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
-use shadecast_protocol::time::{DisplayTime, ServerTime};
+use shadecast_protocol::time::{ClientTime, ServerTime};
 
 /// The hello that this client said; only as the first step.
 pub const HELLO: u8 = 0;
@@ -43,9 +43,9 @@ pub fn check(script: &[u8]) -> usize {
 
 struct Run {
     session: ClientSession,
-    now: DisplayTime,
-    newest_ping: Option<DisplayTime>,
-    next_delta: FrameId,
+    now: ClientTime,
+    newest_ping: Option<ClientTime>,
+    next_delta: UpdateId,
     welcomed: bool,
     ended: bool,
     handed_on: usize,
@@ -58,12 +58,12 @@ impl Run {
         let capabilities = &mut hello.capabilities;
         capabilities.max_vertex_slots = capabilities.max_vertex_slots.min(crate::deltas::VERTEX_SLOTS);
         capabilities.max_patch_slots = capabilities.max_patch_slots.min(crate::deltas::PATCH_SLOTS);
-        let now = DisplayTime(START_NS);
+        let now = ClientTime(START_NS);
         Self {
             session: ClientSession::start(hello, now),
             now,
             newest_ping: None,
-            next_delta: FrameId(0),
+            next_delta: UpdateId(0),
             welcomed: false,
             ended: false,
             handed_on: 0,

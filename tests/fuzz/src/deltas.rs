@@ -1,7 +1,7 @@
 //! Sequences of geometry deltas: whatever decodes can be encoded again by a coder with the same past, and is the same.
 
 use crate::script::steps;
-use shadecast_protocol::delta::{SampleCoder, SampleDecoder, decode, encode};
+use shadecast_protocol::delta::{DeltaDecoder, DeltaEncoder, decode, encode};
 use shadecast_protocol::limits::{MAX_SAMPLE_BATCHES, MAX_SAMPLES_PER_DELTA};
 use shadecast_protocol::samples::StepTable;
 
@@ -14,9 +14,9 @@ pub const DELTA: u8 = 0;
 
 /// The number of deltas that decoded.
 pub fn check(script: &[u8]) -> usize {
-    let mut decoder = SampleDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+    let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
     let mut again = decoder.clone();
-    let mut coder = SampleCoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+    let mut coder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS);
     let mut table = StepTable::new(VERTEX_SLOTS);
     let mut decoded = 0;
     for step in steps(script) {

@@ -4,8 +4,8 @@
 use crate::script::{number, steps};
 use shadecast_client::decode::{DecodeError, Decoder, Picture};
 use shadecast_client::decoding::{DecodeTiming, Decoding};
-use shadecast_protocol::ids::FrameId;
-use shadecast_protocol::time::DisplayTime;
+use shadecast_protocol::ids::UpdateId;
+use shadecast_protocol::time::ClientTime;
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
 
 /// A picture's stream.
@@ -53,8 +53,8 @@ impl Decoder for Toy {
 pub fn check(script: &[u8]) -> usize {
     let mut decoding =
         Decoding::new(Box::new(Toy { needs_refresh: true }), DecodeTiming::Virtual { delay_ns: DELAY_NS });
-    let mut now = DisplayTime(0);
-    let mut frames: Vec<FrameId> = Vec::new();
+    let mut now = ClientTime(0);
+    let mut frames: Vec<UpdateId> = Vec::new();
     for step in steps(script) {
         now = now.plus_ns(STEP_NS);
         match step.operation {
@@ -66,7 +66,7 @@ pub fn check(script: &[u8]) -> usize {
                 }
             }
             GIVEN_UP => {
-                let frame = (!step.bytes.is_empty()).then(|| FrameId(number(step.bytes) as u32));
+                let frame = (!step.bytes.is_empty()).then(|| UpdateId(number(step.bytes) as u32));
                 decoding.given_up(frame);
             }
             _ => now = now.plus_ns((number(step.bytes) % 1_000_000) as i64 * 1000),

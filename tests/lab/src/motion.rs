@@ -10,7 +10,7 @@ use crate::truth::InstancePose;
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 use shadecast_client::client::FrameReport;
-use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::Scene;
 use shadecast_server::residency::Residency;
@@ -36,12 +36,12 @@ const LEAST_DISTANCE_M: f64 = 0.05;
 /// that the server has left behind.
 #[derive(Debug, Default)]
 pub struct Residents {
-    by_frame: VecDeque<(FrameId, Vec<(u32, u32)>)>,
+    by_frame: VecDeque<(UpdateId, Vec<(u32, u32)>)>,
 }
 
 impl Residents {
     /// Notes how an update leaves the client's memory.
-    pub fn note(&mut self, frame: FrameId, residency: &Residency) {
+    pub fn note(&mut self, frame: UpdateId, residency: &Residency) {
         let sampled = residency.sampled().map(|(slot, vertex)| (slot.0, vertex)).collect();
         self.by_frame.push_back((frame, sampled));
         if self.by_frame.len() > REMEMBERED_UPDATES {
@@ -50,7 +50,7 @@ impl Residents {
     }
 
     /// Slots and scene-wide vertices of an update, ascending by slot; forgets the updates before it.
-    fn at(&mut self, frame: FrameId) -> Option<&[(u32, u32)]> {
+    fn at(&mut self, frame: UpdateId) -> Option<&[(u32, u32)]> {
         while self.by_frame.front().is_some_and(|(known, _)| *known < frame) {
             self.by_frame.pop_front();
         }

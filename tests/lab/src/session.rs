@@ -15,12 +15,12 @@ use shadecast_client::xr::{Xr, XrOptions};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::delta::DeltaSizes;
-use shadecast_protocol::ids::FrameId;
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Capabilities, ClientHello, ClientMessage, Codec, Displayed, Welcome};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::session::{Out, ServerEvent, ServerSession, picture_stream};
-use shadecast_protocol::time::{DisplayTime, ServerTime};
+use shadecast_protocol::time::{ClientTime, ServerTime};
 use shadecast_protocol::wire::PictureHeader;
 use shadecast_scene::Scene;
 use shadecast_scene::load::load_scene;
@@ -92,7 +92,7 @@ struct Leaving {
     at_ns: i64,
     /// The session that it is of.
     session: u64,
-    frame: FrameId,
+    frame: UpdateId,
     what: Departure,
 }
 
@@ -211,7 +211,7 @@ impl Server {
     }
 
     /// A stream leaves.
-    fn send(&mut self, frame: FrameId, kind: Kind, out: Out, now_ns: i64) {
+    fn send(&mut self, frame: UpdateId, kind: Kind, out: Out, now_ns: i64) {
         let Some(viewer) = &mut self.viewer else { return };
         viewer.sent(frame, kind, bytes_of(&out), now_ns);
         self.streams.push_back(out);
@@ -323,7 +323,7 @@ impl Lab {
     pub fn turn(&mut self) -> anyhow::Result<Step> {
         let frame_ns = self.next_frame_ns();
         self.play_until(frame_ns)?;
-        let step = self.client.step_with(|client| client.advance(DisplayTime(frame_ns)))?;
+        let step = self.client.step_with(|client| client.advance(ClientTime(frame_ns)))?;
         match &step {
             Step::Idle => self.frame += 1,
             Step::Frame(report) => self.frame_shown(report),
@@ -397,14 +397,14 @@ impl Lab {
 
     fn client_event(&mut self, event: Event) -> anyhow::Result<()> {
         match event {
-            Event::Connected { .. } => self.client.on_connected(DisplayTime(self.pair.now_ns())),
+            Event::Connected { .. } => self.client.on_connected(ClientTime(self.pair.now_ns())),
             Event::Control { message, at_ns, .. } => {
-                self.client.receive_control(DisplayTime(at_ns), &message)?
+                self.client.receive_control(ClientTime(at_ns), &message)?
             }
-            Event::Datagram { bytes, at_ns, .. } => self.client.receive_datagram(DisplayTime(at_ns), &bytes),
-            Event::Stream { bytes, at_ns, .. } => self.client.receive_stream(DisplayTime(at_ns), &bytes)?,
+            Event::Datagram { bytes, at_ns, .. } => self.client.receive_datagram(ClientTime(at_ns), &bytes),
+            Event::Stream { bytes, at_ns, .. } => self.client.receive_stream(ClientTime(at_ns), &bytes)?,
             Event::StreamReset { head, .. } => {
-                self.client.receive_reset(DisplayTime(self.pair.now_ns()), &head)
+                self.client.receive_reset(ClientTime(self.pair.now_ns()), &head)
             }
             Event::Closed { reason, .. } => bail!("the connection ended: {reason}"),
         }
@@ -473,7 +473,7 @@ impl Lab {
         Ok(())
     }
 
-    fn leave(&mut self, at_ns: i64, frame: FrameId, what: Departure) {
+    fn leave(&mut self, at_ns: i64, frame: UpdateId, what: Departure) {
         let place = self.leaving.partition_point(|other| other.at_ns <= at_ns);
         self.leaving.insert(place, Leaving { at_ns, session: self.server.sessions, frame, what });
     }
@@ -486,7 +486,7 @@ impl Lab {
         match what {
             Departure::Local(shaded) => {
                 let picture = picture_of(&shaded);
-                self.client.accept_local(DisplayTime(now_ns), shaded.delta, Some(picture));
+                self.client.accept_local(ClientTime(now_ns), shaded.delta, Some(picture));
             }
             Departure::Delta(out, sizes) => {
                 server.count(sizes);

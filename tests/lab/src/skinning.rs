@@ -212,7 +212,7 @@ impl Variant {
     fn measure(&mut self, gpu: &Arc<Gpu>, time_s: f64, rates: &Rates) -> anyhow::Result<()> {
         let mut recorder = gpu.record()?;
         self.animation.record_sample(&mut recorder, 0, ServerTime((time_s * 1e9) as i64));
-        self.animation.record_frames(&mut recorder, 0, |_| true);
+        self.animation.record_tangents(&mut recorder, 0, |_| true);
         gpu.wait(recorder.submit()?)?;
         let mut round = Round::default();
         for (stage, ms) in gpu.take_timings_ms() {

@@ -4,12 +4,12 @@
 use anyhow::Context;
 use glam::{Quat, Vec3};
 use shadecast_protocol::PROTOCOL_VERSION;
-use shadecast_protocol::ids::{DiscontinuityId, FrameId};
+use shadecast_protocol::ids::{DiscontinuityId, UpdateId};
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Capabilities, ClientHello, Codec, Displayed, HeadState, ResumeSecret};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
-use shadecast_protocol::time::DisplayTime;
+use shadecast_protocol::time::ClientTime;
 use shadecast_transport::{
     Driver, Endpoint, EndpointConfig, Event, Events, ExpectedIdentity, Handle, PeerId, monotonic_now_ns,
     spawn,
@@ -222,9 +222,9 @@ fn locked(log: &Mutex<Log>) -> MutexGuard<'_, Log> {
 /// The newest of what has come, as far as reports need it.
 #[derive(Default)]
 struct Newest {
-    delta: Option<FrameId>,
-    picture: Option<FrameId>,
-    displayed: Option<FrameId>,
+    delta: Option<UpdateId>,
+    picture: Option<UpdateId>,
+    displayed: Option<UpdateId>,
 }
 
 struct Run {
@@ -285,7 +285,7 @@ impl Run {
             Event::Connected { peer, .. } if self.peer == Some(peer) => {
                 self.newest = Newest::default();
                 let hello = ClientHello { resume: self.secret, ..self.hello.clone() };
-                self.session = Some(ClientSession::start(hello, DisplayTime(monotonic_now_ns())));
+                self.session = Some(ClientSession::start(hello, ClientTime(monotonic_now_ns())));
             }
             Event::Closed { peer, reason, .. } if self.peer == Some(peer) => self.lose(reason),
             Event::Control { peer, message, .. } if self.peer == Some(peer) => {
@@ -298,7 +298,7 @@ impl Run {
             }
             Event::Datagram { peer, bytes, at_ns } if self.peer == Some(peer) => {
                 self.note(Recorded::ServerDatagram(bytes.clone()));
-                self.with_session(|session| session.on_datagram(&bytes, DisplayTime(at_ns)));
+                self.with_session(|session| session.on_datagram(&bytes, ClientTime(at_ns)));
             }
             _ => {}
         }
@@ -348,12 +348,12 @@ impl Run {
     fn frame(&mut self) {
         let now_ns = monotonic_now_ns();
         let Some(session) = &mut self.session else { return };
-        session.on_tick(DisplayTime(now_ns));
+        session.on_tick(ClientTime(now_ns));
         if now_ns < self.next_frame_ns {
             return;
         }
         self.next_frame_ns = (self.next_frame_ns + DISPLAY_PERIOD_NS).max(now_ns);
-        let Some(time) = session.clock().server_time(DisplayTime(now_ns + AHEAD_NS)) else { return };
+        let Some(time) = session.clock().server_time(ClientTime(now_ns + AHEAD_NS)) else { return };
         let stage = head(self.sequence, (now_ns % 1_000_000_000_000) as f32 * 1e-9);
         let world_from_head = self.world_from_stage.then(stage.world_from_head);
         session.send_pose(HeadState { time, world_from_head, ..stage });

@@ -6,14 +6,14 @@ use glam::{Quat, Vec3};
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::delta::{
-    GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch, SampleCoder, encode,
+    DeltaEncoder, GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch, encode,
 };
-use shadecast_protocol::ids::{FrameId, InstanceId, PatchSlot, VertexSlot};
+use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS, SAMPLE_RING};
 use shadecast_protocol::message::{Codec, Environment, ResumeSecret, ServerDatagram, ServerOffer, Welcome};
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
-use shadecast_protocol::time::{DEFAULT_GRID, DisplayTime, GridIndex, ServerTime};
+use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime};
 use shadecast_protocol::wire::{PictureHeader, encode_geometry, encode_picture};
 use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
 use shadecast_server::encode::{Encoder, Planes};
@@ -359,7 +359,7 @@ fn triangle() -> GeometryDelta {
 /// As many animated vertices as there may be, all in one place for as many grid steps as there may be: the samples have
 /// no bits. The second delta says the same again.
 fn hollow_deltas(slots: u32) -> [Vec<u8>; 2] {
-    let mut coder = SampleCoder::new(slots, 1);
+    let mut coder = DeltaEncoder::new(slots, 1);
     let values: Vec<_> = (0..slots).map(|slot| (VertexSlot(slot), [0; 3])).collect();
     let samples: Vec<_> = (0..SAMPLE_RING as i32)
         .map(|grid| SampleBatch { grid: GridIndex(grid), values: values.clone() })
@@ -377,7 +377,7 @@ fn hollow_deltas(slots: u32) -> [Vec<u8>; 2] {
 }
 
 fn picture(frame: u32, is_refresh: bool) -> Vec<u8> {
-    let header = PictureHeader { frame: FrameId(frame), time: ServerTime(0), is_refresh };
+    let header = PictureHeader { frame: UpdateId(frame), time: ServerTime(0), is_refresh };
     encode_picture(header, &[0, 0, 0, 1, 0x65, 0x88, 0x84])
 }
 
@@ -386,7 +386,7 @@ fn pongs(turn: u64) -> Vec<Vec<u8>> {
     let now_ns = monotonic_now_ns();
     let pong = |n: i64| {
         let server = ServerTime(now_ns / 2 + n * 7_919 + turn as i64 * 100_003);
-        let client_send = DisplayTime(now_ns - n * 50_000);
+        let client_send = ClientTime(now_ns - n * 50_000);
         ServerDatagram::ClockPong { client_send, server_receive: server, server_send: server }.encode()
     };
     (0..PONGS).map(pong).collect()
@@ -401,7 +401,8 @@ fn broken(turn: u64) -> Vec<u8> {
         2 => Vec::new(),
         // An access unit of start codes, as long as a slow decoder would like it least.
         3 => {
-            let header = PictureHeader { frame: FrameId(turn as u32), time: ServerTime(0), is_refresh: true };
+            let header =
+                PictureHeader { frame: UpdateId(turn as u32), time: ServerTime(0), is_refresh: true };
             encode_picture(header, &[0, 0, 1, 0x67].repeat(1 << 18))
         }
         4 => encode_geometry(&[b"SCG1", &[0xff; 60][..]].concat()),

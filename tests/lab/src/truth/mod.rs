@@ -13,7 +13,7 @@ use shadecast_protocol::time::ServerTime;
 use shadecast_scene::{Instance, Model, Scene, Vertex};
 use shadecast_server::scene_gpu::SceneGpu;
 use shadecast_server::stages::forward::Posed;
-use shadecast_shaders::generated::FrameGpu;
+use shadecast_shaders::generated::TangentGpu;
 use std::sync::Arc;
 
 /// Where a scene's vertices are.
@@ -54,7 +54,7 @@ impl SceneTruth {
 fn pose_scene(scene: &SceneGpu, time: ServerTime) -> Posed {
     let statics = scene.totals.static_vertices as usize;
     let all = statics + scene.totals.animated_vertices as usize;
-    let none = FrameGpu { normal: [0.0; 4], tangent: [0.0; 4] };
+    let none = TangentGpu { normal: [0.0; 4], tangent: [0.0; 4] };
     let mut posed = Posed { positions: vec![[0.0; 4]; all], frames: vec![none; all] };
     for (index, place) in scene.instances.iter().enumerate() {
         let instance = &scene.scene.instances[index];
@@ -107,12 +107,12 @@ impl InstancePose {
         self.blend(vertex).transform_point3(self.mesh(vertex, number).position)
     }
 
-    fn vertex_and_frame(&self, model: &Model, number: usize) -> (DVec3, FrameGpu) {
+    fn vertex_and_frame(&self, model: &Model, number: usize) -> (DVec3, TangentGpu) {
         let vertex = &model.vertices[number];
         let (matrix, mesh) = (self.blend(vertex), self.mesh(vertex, number));
         let normal = perpendicular(matrix.matrix3, mesh.normal);
         let tangent = (matrix.matrix3 * mesh.tangent).normalize_or_zero();
-        let frame = FrameGpu {
+        let frame = TangentGpu {
             normal: normal.as_vec3().extend(0.0).to_array(),
             tangent: tangent.as_vec3().extend(vertex.tangent[3]).to_array(),
         };
