@@ -1,16 +1,20 @@
 //! The whole system in virtual time, at the size that a software device can do in a test: quality against the ground
 //! truth, motion between updates, and the same pictures twice. Validation layers are on throughout.
 
+use shadecast_client::client::Step;
 use shadecast_lab::headset_off::{Absence, measure};
 use shadecast_lab::image::Rgb8Image;
 use shadecast_lab::metrics::psnr_db;
-use shadecast_lab::options::{Renderer, RunOptions};
-use shadecast_lab::run::{Report, run};
+use shadecast_lab::options::{Renderer, RunOptions, ViewerOptions};
+use shadecast_lab::run::{Report, mock_config, prepare_runtime, run, set_runtime};
+use shadecast_lab::session::{Lab, Server};
 use shadecast_lab::stats::RegionStats;
+use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_mock_runtime::record::read_frames;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::scene_gpu::SceneOptions;
+use shadecast_server::world::WorldCounts;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard};
 
@@ -225,4 +229,69 @@ fn no_triangle_is_torn_at_two_updates_a_second() {
     assert!(report.frames_behind > 10, "updates came in time, so that nothing could tear: {report:?}");
     // Beyond that only quantisation and the clock: corners of two updates are half a wing beat apart.
     assert!(report.max_error_m < report.last_step_error_m + 0.01, "{report:?}");
+}
+
+fn other(link: &str) -> ViewerOptions {
+    format!("link={link}").parse().unwrap()
+}
+
+/// What the world has made for a viewer and these others beside it, and the updates that each was sent.
+fn counts(others: Vec<ViewerOptions>) -> (WorldCounts, Vec<u64>) {
+    let out = tempfile::tempdir().unwrap();
+    let options = RunOptions {
+        extent_pixels: [96, 96],
+        seconds: 1.0,
+        link: other("latency=20ms").link,
+        others,
+        ..small(SceneSource::Dragons(1), out.path())
+    };
+    let config = MockConfig { capture_dir: None, ..mock_config(&options, ClockKind::Virtual, 0).unwrap() };
+    let runtime = prepare_runtime(&config, out.path()).unwrap();
+    // SAFETY: the lock is held.
+    unsafe { set_runtime(&runtime) };
+    let mut lab = Lab::new(&options, Server::new(&options).unwrap()).unwrap();
+    lab.connect().unwrap();
+    while let Step::Frame(_) = lab.step().unwrap() {}
+    assert_eq!(lab.server.gpu.validation_messages(), 0);
+    for (number, (_, ghost)) in lab.ghosts().enumerate() {
+        assert!(ghost.shown().is_some() && ghost.clock_error_ms() < 1.0, "viewer {}", number + 2);
+    }
+    let updates =
+        std::iter::once(lab.seat()).chain(lab.ghosts().map(|(seat, _)| seat)).map(|seat| seat.sent.updates);
+    (lab.server.world.counts(), updates.collect())
+}
+
+#[test]
+fn what_does_not_depend_on_who_looks_is_made_once_for_a_time() {
+    let _alone = alone();
+    let (alone, updates) = counts(Vec::new());
+    let (together, of_each) = counts(vec![other("latency=20ms"); 2]);
+    println!("{alone:?}, {updates:?} updates; {together:?}, {of_each:?}");
+    assert!(updates[0] > 20 && of_each == [updates[0]; 3], "each gets as many updates as it would alone");
+    assert_eq!(together.animation.vertices, alone.animation.vertices, "each vertex once for a time");
+    assert_eq!(together.animation.poses, alone.animation.poses);
+    assert_eq!((together.shadow_maps, together.tangents), (alone.shadow_maps, alone.tangents));
+    // On a longer way other times are needed, and those of both ways once.
+    let (_, of_each) = counts(vec![other("latency=110ms")]);
+    assert!(of_each.iter().all(|updates| *updates > 15), "{of_each:?}");
+}
+
+#[test]
+fn a_viewer_among_others_has_the_picture_that_it_has_alone() {
+    let _alone = alone();
+    let measured = |others: Vec<ViewerOptions>| {
+        let out = tempfile::tempdir().unwrap();
+        let link = other("latency=50ms,jitter=5ms,rate=100mbit").link;
+        let options = RunOptions { link, others, ..small(SceneSource::Dragons(1), out.path()) };
+        run(&options).unwrap()
+    };
+    let one = measured(Vec::new());
+    let among = measured(vec![
+        other("latency=5ms"),
+        other("latency=110ms,jitter=10ms"),
+        other("latency=20ms,rate=1mbit"),
+    ]);
+    assert_good(&among, "among others");
+    let db = |report: &Report| report.stats.psnr_db.unwrap();
+    assert!((db(&one) - db(&among)).abs() <= 0.3, "{} dB alone, {} dB among others", db(&one), db(&among));
 }

@@ -71,7 +71,7 @@ pub fn measure(options: &RunOptions, absence: Absence, off_s: f64) -> anyhow::Re
     let turns = |seconds: f64| (seconds * options.refresh_hz).round() as u64;
     (0..turns(ON_S + SETTLED_S)).try_for_each(|_| lab.turn().map(|_| ()))?;
     let mut report = HeadsetOffReport { off_s, rss_before_mb: rss_mb()?, ..HeadsetOffReport::default() };
-    let updates = lab.server.sent.updates;
+    let updates = lab.seat().sent.updates;
     ensure!(updates > 0, "there was no picture before the headset was taken off");
     for _ in 0..turns(off_s - SETTLED_S) {
         lab.turn()?;
@@ -79,7 +79,7 @@ pub fn measure(options: &RunOptions, absence: Absence, off_s: f64) -> anyhow::Re
     }
     report.rss_after_mb = rss_mb()?;
     report.grown_mb = report.rss_after_mb - report.rss_before_mb;
-    report.updates_while_off = lab.server.sent.updates - updates;
+    report.updates_while_off = lab.seat().sent.updates - updates;
     report.picture_back_s = until_picture(&mut lab, turns(PATIENCE_S))?;
     Ok(report)
 }
@@ -103,7 +103,7 @@ fn until_picture(lab: &mut Lab, turns: u64) -> anyhow::Result<f64> {
         if !frame.is_rendered {
             continue;
         }
-        let (since, made) = *back.get_or_insert((frame.display_time, lab.server.sent.updates));
+        let (since, made) = *back.get_or_insert((frame.display_time, lab.seat().sent.updates));
         if frame.frame.is_some_and(|id| u64::from(id.0) >= made) {
             return Ok(frame.display_time.since(since) as f64 * 1e-9);
         }

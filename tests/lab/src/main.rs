@@ -8,11 +8,12 @@ use shadecast_lab::demo::{DemoOptions, demo};
 use shadecast_lab::figures;
 use shadecast_lab::hostile::{self, HostileOptions};
 use shadecast_lab::long;
-use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs};
+use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs, USUAL_LINK, ViewerOptions};
 use shadecast_lab::robot::robot;
 use shadecast_lab::room::write_room;
-use shadecast_lab::run::run;
+use shadecast_lab::run::{Report, run};
 use shadecast_lab::skinning;
+use shadecast_lab::viewers::run_each;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::text::with_causes;
 use shadecast_scene::animation::sampling::Sampling;
@@ -111,8 +112,11 @@ struct RunArgs {
     #[arg(long, value_enum, default_value = "stream")]
     renderer: Renderer,
     /// The network: latency=20ms,jitter=5ms,loss=1%,rate=100mbit, none, or a .toml file of those with start times
-    #[arg(long, default_value = "latency=20ms,jitter=5ms,rate=100mbit")]
+    #[arg(long, default_value = USUAL_LINK)]
     link: String,
+    /// Several viewers of one world instead of one: link=LINK,head=PATH, each given once more; results in OUT/viewer-1 and so on
+    #[arg(long, value_name = "link=LINK,head=PATH", conflicts_with_all = ["link", "head", "head_path"])]
+    viewer: Vec<ViewerOptions>,
     /// Head path (CSV) [default: a short walk]
     #[arg(long)]
     head: Option<PathBuf>,
@@ -296,12 +300,23 @@ fn run_one(args: RunArgs) -> anyhow::Result<()> {
         verbose: true,
         ..RunOptions::new(args.scene.parse()?, args.out)
     };
-    let report = run(&options)?;
-    println!("{}", report.stats);
-    if let Some(motion) = report.motion {
-        println!("{motion}");
+    if args.viewer.is_empty() {
+        say(&run(&options)?);
+        return Ok(());
+    }
+    anyhow::ensure!(args.renderer == Renderer::Stream, "several viewers need --renderer stream");
+    for (report, number) in run_each(&options, &args.viewer)?.iter().zip(1..) {
+        println!("viewer {number}");
+        say(report);
     }
     Ok(())
+}
+
+fn say(report: &Report) {
+    println!("{}", report.stats);
+    if let Some(motion) = &report.motion {
+        println!("{motion}");
+    }
 }
 
 /// Prints every figure beside its bar.

@@ -108,13 +108,13 @@ impl Motion {
     /// The client cannot read its memory back.
     pub fn look(&mut self, lab: &mut Lab, shown: &FrameReport, time: ServerTime) -> anyhow::Result<()> {
         let (Some(frame), Some(head)) = (shown.frame, lab.client.head_state()) else { return Ok(()) };
-        let Some(residents) = lab.server.residents.at(frame) else { return Ok(()) };
         let positions = lab.client.read_positions()?;
+        let Some(residents) = lab.seat_mut().residents.at(frame).map(<[_]>::to_vec) else { return Ok(()) };
         let scene = &lab.server.scene;
         let eyes = head.eyes.map(|eye| head.world_from_head.then(eye.head_from_eye).position.as_dvec3());
         let mut poses: HashMap<usize, InstancePose> = HashMap::new();
         self.frames += 1;
-        for (slot, vertex) in residents {
+        for (slot, vertex) in &residents {
             let Some([x, y, z, state]) = positions.get(*slot as usize).copied() else { continue };
             if state == 0.0 {
                 continue; // not drawn: its samples are still on their way

@@ -94,6 +94,40 @@ pub enum Head {
     Named(String),
 }
 
+/// One of several viewers of one world.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ViewerOptions {
+    /// Its network.
+    pub link: LinkSchedule,
+    /// Its head path, a CSV file; `None`: a short walk.
+    pub head: Option<PathBuf>,
+}
+
+impl FromStr for ViewerOptions {
+    type Err = String;
+
+    /// `link=LINK,head=PATH`; each is optional, and what is neither is a part of the link.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (mut link, mut head) = (Vec::new(), None);
+        for part in text.split(',') {
+            match part.split_once('=') {
+                Some(("head", path)) => head = Some(PathBuf::from(path)),
+                Some(("link", first)) => link.push(first),
+                _ => link.push(part),
+            }
+        }
+        let link = if link.is_empty() { USUAL_LINK.to_owned() } else { link.join(",") };
+        let link: LinkSchedule = match link.ends_with(".toml") {
+            true => LinkSchedule::load(&link).map_err(|error| error.to_string())?,
+            false => link.parse::<LinkProfile>().map_err(|error| error.to_string())?.into(),
+        };
+        Ok(Self { link, head })
+    }
+}
+
+/// The network of runs that name none.
+pub const USUAL_LINK: &str = "latency=20ms,jitter=5ms,rate=100mbit";
+
 /// A run.
 #[derive(Clone, Debug)]
 pub struct RunOptions {
@@ -107,6 +141,8 @@ pub struct RunOptions {
     pub link: LinkSchedule,
     /// Where the head goes.
     pub head: Head,
+    /// Who looks at the same world meanwhile: as busy as the one that is measured, but nothing is drawn for them.
+    pub others: Vec<ViewerOptions>,
     /// Virtual seconds.
     pub seconds: f64,
     /// Pixels per eye.
@@ -158,6 +194,7 @@ impl RunOptions {
             renderer: Renderer::Stream,
             link: link.into(),
             head: Head::Walk,
+            others: Vec::new(),
             seconds: 5.0,
             extent_pixels: [512, 512],
             fov_degrees: 90.0,
@@ -205,5 +242,23 @@ impl RunOptions {
             line = format!("shadecast-lab robot --out robot.glb && {line}");
         }
         line
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_viewer_is_a_link_and_a_head_path_in_any_order() {
+        let of = |text: &str| text.parse::<ViewerOptions>();
+        let link: LinkSchedule = "latency=5ms,jitter=1ms".parse::<LinkProfile>().expect("a link").into();
+        let head = Some(PathBuf::from("walk.csv"));
+        for text in ["link=latency=5ms,jitter=1ms,head=walk.csv", "head=walk.csv,link=latency=5ms,jitter=1ms"]
+        {
+            assert_eq!(of(text), Ok(ViewerOptions { link: link.clone(), head: head.clone() }), "{text}");
+        }
+        assert_eq!(of("link=none").expect("good").head, None);
+        assert!(of("head=walk.csv").is_ok() && of("link=fast").is_err() && of("").is_err());
     }
 }

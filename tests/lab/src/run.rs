@@ -237,7 +237,7 @@ impl Run<'_> {
     }
 
     fn finish(self, lab: &Lab) -> anyhow::Result<Report> {
-        let (server, sent) = (&lab.server, lab.server.sent);
+        let (server, seat, sent) = (&lab.server, lab.seat(), lab.seat().sent);
         ensure!(self.with_bundle > 0, "the client showed no bundle in {} s", self.options.seconds);
         let mbit = |bytes: u64| bytes as f64 * 8e-6 / self.options.seconds;
         let validation_messages =
@@ -257,12 +257,12 @@ impl Run<'_> {
                 .iter()
                 .map(|(stage, ms)| ((*stage).to_owned(), ms / sent.updates.max(1) as f64))
                 .collect(),
-            dropped_patches: server.dropped_patches(),
+            dropped_patches: seat.dropped_patches(),
             clock_errors_ms: self.clock_errors_ms,
             stage_ms: Some(self.options.stages),
         });
         stats.write_json(&self.options.out.join("stats.json"))?;
-        let atlas = match &server.last {
+        let atlas = match &seat.last {
             Some(shaded) => Some(atlas_picture(shaded.extent_texels, &shaded.planes)?),
             None => None,
         };

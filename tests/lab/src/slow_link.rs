@@ -55,7 +55,7 @@ pub fn measure(options: &RunOptions) -> Result<SlowLinkReport> {
             report.shown_s.push(f64::from(frames) / options.refresh_hz);
         }
     }
-    let sent = lab.server.sent;
+    let sent = lab.seat().sent;
     (report.updates, report.withheld) = (sent.updates, sent.withheld);
     report.sent_mbit_s = (sent.atlas_bytes + sent.geometry_bytes) as f64 * 8e-6 / options.seconds;
     report.first_picture_s = report.shown_s.first().copied().unwrap_or(options.seconds);

@@ -1,0 +1,418 @@
+//! The whole system in one process on one virtual clock: server, links and clients, stepped in the order of time.
+//!
+//! Durations of stages are parameters, never measured, so that a slow machine shows exactly what a fast one would and
+//! two runs are the same. The client is the one that ships: it draws through the system's OpenXR loader into the mock
+//! runtime, whose clock moves on by one period per `xrWaitFrame`. Further viewers are [`ghost::Ghost`]s.
+
+pub mod ghost;
+pub mod seat;
+
+use crate::options::{Renderer, RunOptions, StageMs, ViewerOptions};
+use crate::run::BUILT_IN_WALK;
+use anyhow::{Context, bail};
+use ghost::Ghost;
+use seat::Seat;
+use shadecast_client::client::{Client, ClientOptions, FrameReport, Step};
+use shadecast_client::decode::Picture;
+use shadecast_client::decoding::DecodeTiming;
+use shadecast_client::platform::Platform;
+use shadecast_client::xr::{Xr, XrOptions};
+use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
+use shadecast_mock_runtime::clock::period_begin_ns;
+use shadecast_mock_runtime::head_path::HeadPath;
+use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
+use shadecast_protocol::message::{Capabilities, ClientHello, ClientMessage, Codec, Displayed, ServerOffer};
+use shadecast_protocol::pose::{Eye, Fov, Pose};
+use shadecast_protocol::session::Out;
+use shadecast_protocol::time::ClientTime;
+use shadecast_scene::Scene;
+use shadecast_scene::load::load_scene;
+use shadecast_scene::suggest::did_you_mean_or_list;
+use shadecast_server::frame::Shaded;
+use shadecast_server::pacing::WayState;
+use shadecast_server::scene_gpu::SceneGpu;
+use shadecast_server::stream::offer;
+use shadecast_server::viewer::Told;
+use shadecast_server::world::World;
+use shadecast_transport::endpoint::{Endpoint, EndpointConfig, Event, PeerId};
+use shadecast_transport::{Direction, ExpectedIdentity, LinkSchedule, Pair, ServerIdentity};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Server time 0 on the virtual clock: the client's estimate of it has something to find out.
+pub const SERVER_EPOCH_NS: i64 = 700_000_000;
+/// The first `xrWaitFrame` on the virtual clock.
+pub const START_NS: i64 = 1_000_000_000;
+
+/// What the server has for all its viewers.
+pub struct Server {
+    /// Its device.
+    pub gpu: Arc<Gpu>,
+    /// Its scene.
+    pub scene: Arc<SceneGpu>,
+    /// What every viewer looks at.
+    pub world: World,
+    qp: u8,
+    sessions: u64,
+    atlas_extent_texels: AtlasExtent,
+    rate_hz: f64,
+}
+
+/// A link with a client at its end, and the server's side of it.
+struct Line {
+    seat: Seat,
+    pair: Pair,
+    client_peer: Option<PeerId>,
+    /// `None`: the client that ships.
+    ghost: Option<Ghost>,
+}
+
+/// Server, links and clients.
+pub struct Lab {
+    /// The server.
+    pub server: Server,
+    /// The client that ships, which is the first viewer.
+    pub client: Client,
+    renderer: Renderer,
+    lines: Vec<Line>,
+    next_update_ns: i64,
+    /// What clients say of themselves.
+    hello: ClientHello,
+    refresh_hz: f64,
+    stages: StageMs,
+    frame: u64,
+}
+
+/// Turns of the runtime without a frame that are taken for a start-up or a rest, one display period each; more are a runtime
+/// that never starts.
+const MAX_IDLE_TURNS: u32 = 100_000;
+
+impl Server {
+    /// Opens the server's device and loads the scene.
+    pub fn new(options: &RunOptions) -> anyhow::Result<Self> {
+        let mut scene = load_scene(&options.scene)?;
+        if let Some(clip) = &options.clip {
+            play_clip(&mut scene, clip)?;
+        }
+        let gpu_options = GpuOptions {
+            needs: Needs::Server,
+            validation: options.validation,
+            device_name: options.device.clone(),
+        };
+        let gpu = Gpu::open(&gpu_options, &DesktopDevice)?;
+        let scene = Arc::new(SceneGpu::new(&gpu, scene, &options.scene_options)?);
+        Ok(Self {
+            world: World::new(&gpu, &scene)?,
+            gpu,
+            scene,
+            qp: options.qp,
+            sessions: 0,
+            atlas_extent_texels: options.atlas_extent_texels,
+            rate_hz: options.rate_hz,
+        })
+    }
+
+    fn next_session(&mut self) -> u64 {
+        self.sessions += 1;
+        self.sessions
+    }
+
+    fn offer(&self, session: u64) -> ServerOffer {
+        offer(&self.scene, self.atlas_extent_texels, self.rate_hz, session)
+    }
+
+    fn period_ns(&self) -> i64 {
+        (1e9 / self.rate_hz) as i64
+    }
+}
+
+impl Line {
+    fn new(
+        server: &mut Server,
+        link: &LinkSchedule,
+        seed: u64,
+        ghost: Option<Ghost>,
+    ) -> anyhow::Result<Self> {
+        let identity = ServerIdentity::from_seed(seed)?;
+        let config = |salt| EndpointConfig { seed: Some(seed ^ salt), ..EndpointConfig::default() };
+        let server_end = Endpoint::server(&identity, config(1))?;
+        let pair = Pair::new(server_end, Endpoint::client(config(2)), link.clone(), seed);
+        Ok(Self { seat: Seat::new(server), pair, client_peer: None, ghost })
+    }
+
+    fn connect(&mut self) {
+        let expected = ExpectedIdentity::TrustOnFirstUse;
+        let peer = self.pair.client.connect(START_NS, shadecast_transport::pair::SERVER_ADDR, expected);
+        self.client_peer = Some(peer);
+    }
+
+    fn way(&self) -> Option<WayState> {
+        self.seat.peer.and_then(|peer| self.pair.server.stats(peer)).map(WayState::from)
+    }
+
+    fn play(&mut self, server: &mut Server, client: &mut Client, until_ns: i64) -> anyhow::Result<()> {
+        loop {
+            let events = self.pair.step_to_events(until_ns);
+            if events.is_empty() {
+                return Ok(());
+            }
+            let now_ns = self.pair.now_ns();
+            for (end, event) in events {
+                match (end, &mut self.ghost) {
+                    (Direction::ToServer, _) => self.seat.take(server, event, now_ns)?,
+                    (Direction::ToClient, Some(ghost)) => ghost.take(event, now_ns)?,
+                    (Direction::ToClient, None) => client_event(client, event, now_ns)?,
+                }
+            }
+            self.flush(client)?;
+        }
+    }
+
+    /// Hands what both sides want to send to the link.
+    fn flush(&mut self, client: &mut Client) -> anyhow::Result<()> {
+        let (Some(client_peer), Some(server_peer)) = (self.client_peer, self.seat.peer) else {
+            return Ok(());
+        };
+        let mut next = || self.ghost.as_mut().map_or_else(|| client.poll_out(), Ghost::poll_out);
+        while let Some(out) = next() {
+            match out {
+                Out::Control(message) => self.pair.client.send_control(client_peer, &message)?,
+                Out::Datagram(bytes) => drop(self.pair.client.send_datagram(client_peer, &bytes)),
+                Out::Stream { .. } => bail!("the client opened a stream"),
+            }
+        }
+        while let Some(out) = self.seat.poll_out(self.pair.now_ns()) {
+            match out {
+                Out::Control(message) => self.pair.server.send_control(server_peer, &message)?,
+                Out::Datagram(bytes) => drop(self.pair.server.send_datagram(server_peer, &bytes)),
+                Out::Stream { bytes, priority } => {
+                    self.pair.server.send_stream(server_peer, bytes, priority)?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn client_event(client: &mut Client, event: Event, now_ns: i64) -> anyhow::Result<()> {
+    match event {
+        Event::Connected { .. } => client.on_connected(ClientTime(now_ns)),
+        Event::Control { message, at_ns, .. } => client.receive_control(ClientTime(at_ns), &message)?,
+        Event::Datagram { bytes, at_ns, .. } => client.receive_datagram(ClientTime(at_ns), &bytes),
+        Event::Stream { bytes, at_ns, .. } => client.receive_stream(ClientTime(at_ns), &bytes)?,
+        Event::StreamReset { head, .. } => client.receive_reset(ClientTime(now_ns), &head),
+        Event::Closed { reason, .. } => bail!("the connection ended: {reason}"),
+    }
+    Ok(())
+}
+
+impl Lab {
+    /// Opens both sides; the mock runtime must be set up in the environment.
+    pub fn new(options: &RunOptions, mut server: Server) -> anyhow::Result<Self> {
+        let xr = Xr::open(&Platform, XrOptions { validation: options.validation })
+            .context("opening the OpenXR runtime")?;
+        let decode_ns = options.stages.ns(options.stages.decode);
+        let decoding = DecodeTiming::Virtual { delay_ns: decode_ns };
+        let client = Client::new(xr, ClientOptions { decoding, ..ClientOptions::default() })
+            .context("making the client")?;
+        let hello = hello(options, client.eye_extent_pixels());
+        let mut lines = vec![Line::new(&mut server, &options.link, options.seed, None)?];
+        for (other, seed) in options.others.iter().zip(options.seed + 1..) {
+            let ViewerOptions { link, head } = other;
+            let ghost = Ghost::new(hello.clone(), read_head_path(head.as_deref())?, START_NS, decode_ns);
+            lines.push(Line::new(&mut server, link, seed, Some(ghost))?);
+        }
+        Ok(Self {
+            server,
+            client,
+            renderer: options.renderer,
+            lines,
+            hello,
+            next_update_ns: START_NS,
+            refresh_hz: options.refresh_hz,
+            stages: options.stages,
+            frame: 0,
+        })
+    }
+
+    /// The server's side of the client that ships.
+    pub fn seat(&self) -> &Seat {
+        &self.lines[0].seat
+    }
+
+    /// The same.
+    pub fn seat_mut(&mut self) -> &mut Seat {
+        &mut self.lines[0].seat
+    }
+
+    /// The other viewers.
+    pub fn ghosts(&self) -> impl Iterator<Item = (&Seat, &Ghost)> {
+        self.lines.iter().filter_map(|line| Some((&line.seat, line.ghost.as_ref()?)))
+    }
+
+    /// Connects all clients over their links, or the one in memory.
+    ///
+    /// # Errors
+    /// The two do not agree, or memory is short.
+    pub fn connect(&mut self) -> anyhow::Result<()> {
+        if self.renderer == Renderer::Stream {
+            self.lines.iter_mut().for_each(Line::connect);
+            return Ok(());
+        }
+        let hello = ClientMessage::Hello(self.hello.clone()).encode();
+        let terms = self.lines[0].seat.greet(&mut self.server, &hello, START_NS)?;
+        Ok(self.client.start_local(terms, -SERVER_EPOCH_NS)?)
+    }
+
+    /// When the next display frame begins, nanoseconds of the virtual clock.
+    pub fn next_frame_ns(&self) -> i64 {
+        period_begin_ns(START_NS, self.refresh_hz, self.frame)
+    }
+
+    /// Plays everything up to the next display frame, then shows it.
+    ///
+    /// # Errors
+    /// Anything that keeps the run from going on, and a session that never starts.
+    pub fn step(&mut self) -> anyhow::Result<Step> {
+        for _ in 0..MAX_IDLE_TURNS {
+            match self.turn()? {
+                Step::Idle => continue,
+                step => return Ok(step),
+            }
+        }
+        bail!("the OpenXR runtime does not start the session")
+    }
+
+    /// Plays everything up to the runtime's next turn, then lets the client have it: a frame, or a period without one.
+    ///
+    /// # Errors
+    /// Anything that keeps the run from going on.
+    pub fn turn(&mut self) -> anyhow::Result<Step> {
+        let frame_ns = self.next_frame_ns();
+        self.play_until(frame_ns)?;
+        let step = self.client.step_with(|client| client.advance(ClientTime(frame_ns)))?;
+        match &step {
+            Step::Idle => self.frame += 1,
+            Step::Frame(report) => self.frame_shown(report),
+            Step::Exit => {}
+        }
+        let display_ns = self.next_frame_ns();
+        for line in &mut self.lines {
+            if let Some(ghost) = &mut line.ghost {
+                ghost.display(frame_ns, display_ns)?;
+            }
+            line.flush(&mut self.client)?;
+        }
+        Ok(step)
+    }
+
+    /// In memory there are no messages: the server looks at the client itself.
+    fn frame_shown(&mut self, report: &FrameReport) {
+        self.frame += 1;
+        if self.renderer == Renderer::Stream {
+            return;
+        }
+        let mut told = Told { pose: self.client.head_state(), ..Told::default() };
+        if let (true, Some(id), Some(time)) = (report.is_new, report.frame, report.server_time) {
+            told.displayed = Some(Displayed { frame: id, display_time: time, ..Displayed::default() });
+        }
+        let now_ns = self.next_frame_ns();
+        self.lines[0].seat.hear(told, now_ns);
+    }
+
+    /// Updates, departures and arrivals in the order of time.
+    fn play_until(&mut self, until_ns: i64) -> anyhow::Result<()> {
+        loop {
+            let departures = self.lines.iter().filter_map(|line| line.seat.next_departure_ns());
+            let departure_ns = departures.min().unwrap_or(i64::MAX);
+            let next_ns = departure_ns.min(self.next_update_ns).min(until_ns);
+            if self.renderer == Renderer::Stream {
+                for line in &mut self.lines {
+                    line.play(&mut self.server, &mut self.client, next_ns)?;
+                }
+            }
+            if departure_ns <= next_ns {
+                self.depart(departure_ns)?;
+            } else if self.next_update_ns <= next_ns {
+                self.update()?;
+            } else {
+                return Ok(());
+            }
+        }
+    }
+
+    /// An update for every viewer.
+    fn update(&mut self) -> anyhow::Result<()> {
+        let now_ns = self.next_update_ns;
+        self.next_update_ns += self.server.period_ns();
+        for line in &mut self.lines {
+            let way = line.way();
+            line.seat.update(&mut self.server, way, self.stages, now_ns)?;
+        }
+        Ok(())
+    }
+
+    fn depart(&mut self, now_ns: i64) -> anyhow::Result<()> {
+        let is_due = |line: &&mut Line| line.seat.next_departure_ns() == Some(now_ns);
+        let Some(line) = self.lines.iter_mut().find(is_due) else { return Ok(()) };
+        if let Some((delta, picture)) = line.seat.depart(now_ns)? {
+            self.client.accept_local(ClientTime(now_ns), delta, Some(picture));
+        }
+        line.flush(&mut self.client)
+    }
+}
+
+/// What a client says of itself.
+fn hello(options: &RunOptions, eye_extent_pixels: [u32; 2]) -> ClientHello {
+    let eye = |x| Eye {
+        head_from_eye: Pose { position: glam::Vec3::new(x, 0.0, 0.0), ..Pose::IDENTITY },
+        fov: Fov::symmetric_degrees(options.fov_degrees),
+    };
+    ClientHello {
+        protocol_version: shadecast_protocol::PROTOCOL_VERSION,
+        min_protocol_version: shadecast_protocol::PROTOCOL_VERSION,
+        app_version: env!("CARGO_PKG_VERSION").into(),
+        capabilities: Capabilities {
+            max_atlas_extent: ATLAS_MAX_EXTENT,
+            max_vertex_slots: MAX_VERTEX_SLOTS,
+            max_patch_slots: MAX_PATCH_SLOTS,
+            codecs: vec![Codec::H264],
+            eyes: [eye(-0.0315), eye(0.0315)],
+            eye_extent_pixels,
+            display_period_ns: (1e9 / options.refresh_hz) as i64,
+        },
+        resume: None,
+    }
+}
+
+/// The head path in a file; without one, a short walk.
+fn read_head_path(path: Option<&Path>) -> anyhow::Result<HeadPath> {
+    let Some(path) = path else { return Ok(HeadPath::parse(BUILT_IN_WALK, "the built-in walk")?) };
+    let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
+    Ok(HeadPath::parse(&text, &path.display().to_string())?)
+}
+
+/// Lets every instance that plays a clip play the one of this name.
+fn play_clip(scene: &mut Scene, name: &str) -> anyhow::Result<()> {
+    let mut found = false;
+    for instance in scene.instances.iter_mut().filter(|instance| instance.clip.is_some()) {
+        let clips = &scene.models[instance.model].clips;
+        if let Some(clip) = clips.iter().position(|clip| clip.name == name) {
+            (instance.clip, found) = (Some(clip), true);
+        }
+    }
+    if !found {
+        let names = scene.models.iter().flat_map(|model| model.clips.iter().map(|clip| clip.name.as_str()));
+        bail!("no animated instance has a clip \"{name}\"{}", did_you_mean_or_list(name, names, "there are"));
+    }
+    Ok(())
+}
+
+/// The planes as a decoder would give them: the renderer without codec and network.
+fn picture_of(shaded: &Shaded) -> Picture {
+    let luma = shaded.extent_texels[0] as usize * shaded.extent_texels[1] as usize;
+    let (y, chroma) = shaded.planes.split_at(luma);
+    let (cb, cr) = chroma.split_at(luma / 4);
+    Picture { extent_texels: shaded.extent_texels, y: y.to_vec(), cb: cb.to_vec(), cr: cr.to_vec() }
+}

@@ -1,0 +1,270 @@
+//! The server's side of one viewer on the virtual clock: its session, the product's [`Viewer`], and what is on its way out.
+
+use super::{SERVER_EPOCH_NS, Server, picture_of};
+use crate::motion::Residents;
+use crate::options::StageMs;
+use anyhow::{Context, bail};
+use shadecast_client::decode::Picture;
+use shadecast_protocol::delta::{DeltaSizes, GeometryDelta};
+use shadecast_protocol::ids::UpdateId;
+use shadecast_protocol::message::{Capabilities, Welcome};
+use shadecast_protocol::session::{Out, ServerEvent, ServerSession, picture_stream};
+use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::wire::PictureHeader;
+use shadecast_server::encode::Encoder;
+use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
+use shadecast_server::frame::{Frame, Shaded};
+use shadecast_server::pacing::{Kind, WayState};
+use shadecast_server::viewer::{Told, Update, Viewer, bytes_of};
+use shadecast_server::world::ViewerId;
+use shadecast_transport::{Event, PeerId};
+use std::collections::VecDeque;
+
+/// What crossed from server to client.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Sent {
+    /// Updates made.
+    pub updates: u64,
+    /// Bytes of access units.
+    pub atlas_bytes: u64,
+    /// Bytes of geometry deltas.
+    pub geometry_bytes: u64,
+    /// Bytes of vertex samples in them.
+    pub sample_bytes: u64,
+    /// Vertex samples in them.
+    pub samples: u64,
+    /// Updates that were not made because the link was behind.
+    pub withheld: u64,
+}
+
+/// See the module.
+pub struct Seat {
+    /// The client, once it was accepted.
+    pub viewer: Option<Viewer<Frame>>,
+    /// What was sent to it.
+    pub sent: Sent,
+    /// The last update's planes and their extent, for the atlas picture.
+    pub last: Option<Shaded>,
+    /// Who was in the client's memory at which update.
+    pub residents: Residents,
+    session: ServerSession,
+    /// What goes out beside the session.
+    streams: VecDeque<Out>,
+    encoder: Option<Box<dyn Encoder>>,
+    pub(super) peer: Option<PeerId>,
+    leaving: VecDeque<Leaving>,
+    number: u64,
+}
+
+/// What leaves when its stages are done.
+struct Leaving {
+    at_ns: i64,
+    /// The session that it is of.
+    session: u64,
+    frame: UpdateId,
+    what: Departure,
+}
+
+enum Departure {
+    /// The stream of a delta.
+    Delta(Out, DeltaSizes),
+    Picture(PictureHeader, Vec<u8>),
+    /// In memory there are no streams.
+    Local(Box<Shaded>),
+}
+
+impl Seat {
+    pub(super) fn new(server: &mut Server) -> Self {
+        let number = server.next_session();
+        Self {
+            viewer: None,
+            sent: Sent::default(),
+            last: None,
+            residents: Residents::default(),
+            session: ServerSession::new(server.offer(number)),
+            streams: VecDeque::new(),
+            encoder: None,
+            peer: None,
+            leaving: VecDeque::new(),
+            number,
+        }
+    }
+
+    /// Takes an event of the server's end of the link.
+    pub(super) fn take(&mut self, server: &mut Server, event: Event, now_ns: i64) -> anyhow::Result<()> {
+        match event {
+            Event::Connected { peer, .. } => self.connected(server, peer),
+            Event::Control { message, .. } => self.session.on_control(&message),
+            Event::Datagram { bytes, at_ns, .. } => {
+                self.session.on_datagram(&bytes, ServerTime(at_ns - SERVER_EPOCH_NS));
+            }
+            Event::Closed { .. } => self.part(server),
+            Event::Stream { .. } | Event::StreamReset { .. } => {}
+        }
+        self.listen(server, now_ns).map(drop)
+    }
+
+    /// A client came: a new session, and nothing kept of the last one.
+    fn connected(&mut self, server: &mut Server, peer: PeerId) {
+        self.part(server);
+        self.number = server.next_session();
+        self.peer = Some(peer);
+        self.session = ServerSession::new(server.offer(self.number));
+        self.streams.clear();
+    }
+
+    /// Nobody is served any more.
+    fn part(&mut self, server: &mut Server) {
+        if let Some(viewer) = self.viewer.take() {
+            server.world.leave(viewer.into_updates().id());
+        }
+    }
+
+    /// A hello that crossed no link. Gives the terms.
+    pub(super) fn greet(
+        &mut self,
+        server: &mut Server,
+        hello: &[u8],
+        now_ns: i64,
+    ) -> anyhow::Result<Welcome> {
+        self.session.on_control(hello);
+        self.listen(server, now_ns)?.context("the server does not agree")
+    }
+
+    /// Hands what the session learnt to the viewer. Gives the terms of a session that begins.
+    fn listen(&mut self, server: &mut Server, now_ns: i64) -> anyhow::Result<Option<Welcome>> {
+        let (mut told, mut begins) = (Told::default(), None);
+        while let Some(event) = self.session.poll_event() {
+            match told.take(event) {
+                None => {}
+                Some(ServerEvent::Asked { hello, welcome }) => {
+                    self.accept(server, &welcome, &hello.capabilities, now_ns)?;
+                    begins = Some(welcome);
+                }
+                Some(ServerEvent::Refused(refused)) => {
+                    bail!("the server refused: {} {}", refused.reason, refused.remedy)
+                }
+                Some(ServerEvent::Goodbye) => self.part(server),
+                Some(ServerEvent::Failed(error)) => {
+                    bail!("the server could not understand the client: {error}")
+                }
+                Some(event) => unreachable!("what a client tells is taken in: {event:?}"),
+            }
+        }
+        self.hear(told, now_ns);
+        Ok(begins)
+    }
+
+    /// What the client tells, where it crosses no link.
+    pub(super) fn hear(&mut self, told: Told, now_ns: i64) {
+        self.viewer.iter_mut().for_each(|viewer| viewer.hear(told, now_ns));
+    }
+
+    fn accept(
+        &mut self,
+        server: &mut Server,
+        welcome: &Welcome,
+        capabilities: &Capabilities,
+        now_ns: i64,
+    ) -> anyhow::Result<()> {
+        let sender = self.session.accept().context("who asked has gone")?;
+        let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, server.qp, server.rate_hz);
+        self.encoder = Some(Box::new(OpenH264Encoder::new(settings)?));
+        let frame = Frame::new(&server.world, ViewerId(self.number), welcome, capabilities)?;
+        self.viewer = Some(Viewer::new(frame, sender, server.period_ns(), now_ns));
+        Ok(())
+    }
+
+    /// One update; what it makes leaves when its stages are done. `way`: that to the client, where there is a link.
+    pub(super) fn update(
+        &mut self,
+        server: &mut Server,
+        way: Option<WayState>,
+        stages: StageMs,
+        now_ns: i64,
+    ) -> anyhow::Result<()> {
+        let Some(viewer) = self.viewer.as_mut().filter(|viewer| viewer.due_ns().is_some()) else {
+            return Ok(());
+        };
+        if !viewer.is_open(way.as_ref(), now_ns) {
+            self.sent.withheld += 1;
+            return Ok(());
+        }
+        if let Some(shortfall) = viewer.shortfall(now_ns) {
+            tracing::warn!("{shortfall}");
+        }
+        let frame = viewer.begin(way.as_ref(), now_ns);
+        let Some(shaded) = frame.update(&mut server.world, ServerTime(now_ns - SERVER_EPOCH_NS))? else {
+            return Ok(());
+        };
+        self.sent.updates += 1;
+        self.residents.note(shaded.frame, frame.residency());
+        let (delta, Update { shaded, sizes, refresh }) = viewer.finish(shaded)?;
+        let frame = shaded.frame;
+        self.last = Some((*shaded).clone());
+        let shaded_ns = now_ns + stages.ns(stages.server);
+        if way.is_none() {
+            self.leave(shaded_ns, frame, Departure::Local(shaded));
+            return Ok(());
+        }
+        let encoder = self.encoder.as_mut().context("an encoder comes with the viewer")?;
+        let (header, unit) = shaded.encode(encoder.as_mut(), refresh)?;
+        self.sent.atlas_bytes += unit.bytes.len() as u64;
+        self.leave(shaded_ns + stages.ns(stages.encode), frame, Departure::Picture(header, unit.bytes));
+        self.leave(shaded_ns, frame, Departure::Delta(delta, sizes));
+        Ok(())
+    }
+
+    fn leave(&mut self, at_ns: i64, frame: UpdateId, what: Departure) {
+        let place = self.leaving.partition_point(|other| other.at_ns <= at_ns);
+        self.leaving.insert(place, Leaving { at_ns, session: self.number, frame, what });
+    }
+
+    /// When something leaves next.
+    pub(super) fn next_departure_ns(&self) -> Option<i64> {
+        self.leaving.front().map(|leaving| leaving.at_ns)
+    }
+
+    /// What is ready leaves; what belongs to a session that has ended is dropped. Gives what crosses no link.
+    pub(super) fn depart(&mut self, now_ns: i64) -> anyhow::Result<Option<(GeometryDelta, Picture)>> {
+        let next = self.leaving.pop_front().filter(|leaving| leaving.session == self.number);
+        let Some(Leaving { frame, what, .. }) = next else { return Ok(None) };
+        match what {
+            Departure::Local(shaded) => {
+                let picture = picture_of(&shaded);
+                return Ok(Some((shaded.delta, picture)));
+            }
+            Departure::Delta(out, sizes) => {
+                self.count(sizes);
+                self.send(frame, Kind::Delta, out, now_ns);
+            }
+            Departure::Picture(header, bytes) => {
+                self.send(frame, Kind::Picture, picture_stream(header, &bytes)?, now_ns);
+            }
+        }
+        Ok(None)
+    }
+
+    fn send(&mut self, frame: UpdateId, kind: Kind, out: Out, now_ns: i64) {
+        let Some(viewer) = &mut self.viewer else { return };
+        viewer.sent(frame, kind, bytes_of(&out), now_ns);
+        self.streams.push_back(out);
+    }
+
+    fn count(&mut self, sizes: DeltaSizes) {
+        self.sent.geometry_bytes += sizes.total_bytes as u64;
+        self.sent.sample_bytes += sizes.sample_bytes as u64;
+        self.sent.samples += sizes.samples as u64;
+    }
+
+    /// Bytes to carry, sent at `now_ns`.
+    pub(super) fn poll_out(&mut self, now_ns: i64) -> Option<Out> {
+        let now = ServerTime(now_ns - SERVER_EPOCH_NS);
+        self.session.poll_out(now).or_else(|| self.streams.pop_front())
+    }
+
+    /// Patches that were visible but had no room, in the atlas or in the client's memory.
+    pub fn dropped_patches(&self) -> u64 {
+        self.viewer.as_ref().map_or(0, |viewer| viewer.updates().dropped_patches())
+    }
+}
