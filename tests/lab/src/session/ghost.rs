@@ -23,6 +23,7 @@ pub struct Ghost {
     head: HeadPath,
     start_ns: i64,
     decode_ns: i64,
+    is_connected: bool,
     session: Option<ClientSession>,
     terms: Option<Welcome>,
     sequence: u32,
@@ -44,6 +45,7 @@ impl Ghost {
             head,
             start_ns,
             decode_ns,
+            is_connected: false,
             session: None,
             terms: None,
             sequence: 0,
@@ -72,9 +74,7 @@ impl Ghost {
     /// The session or the connection has ended.
     pub fn take(&mut self, event: Event, now_ns: i64) -> anyhow::Result<()> {
         match (event, &mut self.session) {
-            (Event::Connected { .. }, session) => {
-                *session = Some(ClientSession::start(self.hello.clone(), ClientTime(now_ns)));
-            }
+            (Event::Connected { .. }, _) => self.is_connected = true,
             (Event::Control { message, .. }, Some(session)) => session.on_control(&message),
             (Event::Datagram { bytes, at_ns, .. }, Some(session)) => {
                 session.on_datagram(&bytes, ClientTime(at_ns));
@@ -112,8 +112,12 @@ impl Ghost {
     /// # Errors
     /// The session has ended.
     pub fn display(&mut self, now_ns: i64, display_ns: i64) -> anyhow::Result<()> {
-        let Some(session) = &mut self.session else { return Ok(()) };
-        session.on_tick(ClientTime(now_ns));
+        if !self.is_connected {
+            return Ok(());
+        }
+        // A session begins with a frame, as the real client's.
+        let begin = || ClientSession::start(self.hello.clone(), ClientTime(now_ns));
+        self.session.get_or_insert_with(begin).on_tick(ClientTime(now_ns));
         self.listen(now_ns)?;
         self.look(display_ns);
         let newest = self.newest_delta;
