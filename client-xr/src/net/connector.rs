@@ -5,6 +5,7 @@ use super::lines::{LineEvent, Lines};
 use super::{RunError, RunOptions};
 use crate::client::{Client, ClientError, Notice};
 use crate::platform::monotonic_now;
+use shadecast_protocol::close::CloseCode;
 use shadecast_protocol::session::Out;
 use shadecast_protocol::text::printable;
 use shadecast_protocol::time::ClientTime;
@@ -12,8 +13,6 @@ use shadecast_transport::{CloseKind, Event, ExpectedIdentity, Fingerprint, Known
 use std::collections::VecDeque;
 use std::net::SocketAddr;
 
-/// Close code of a client that cannot make sense of the server.
-const CODE_FAILED: u32 = 1;
 /// Sentences that are not said again until the session stands: a round of attempts says the same as the one before.
 const REMEMBERED_SENTENCES: usize = 8;
 
@@ -129,7 +128,7 @@ impl Connector {
         };
         self.tell(client, Tone::Trouble, &text);
         self.flush(client);
-        self.lines.give_up(now, CODE_FAILED, &text);
+        self.lines.give_up(now, CloseCode::NotUnderstood, &text);
         client.on_closed(now);
     }
 

@@ -4,6 +4,7 @@
 //! `127.0.0.1`. They are tried as the [`Dialler`] says; who answers first is kept.
 
 use super::dialler::Dialler;
+use shadecast_protocol::close::CloseCode;
 use shadecast_protocol::time::ClientTime;
 use shadecast_transport::mio::{DriverError, any_address_for};
 use shadecast_transport::{
@@ -11,9 +12,6 @@ use shadecast_transport::{
     PeerId, spawn,
 };
 use std::net::SocketAddr;
-
-/// Close code of a client that leaves.
-const CODE_LEAVING: u32 = 0;
 
 /// What has happened on the lines.
 #[derive(Debug)]
@@ -157,7 +155,7 @@ impl Lines {
         for other in std::mem::take(&mut self.attempts) {
             // A thread that has ended needs no close.
             let handle = &self.sockets[other.socket].handle;
-            let _ = handle.close(other.peer, CODE_LEAVING, "another address answered first");
+            let _ = handle.close(other.peer, CloseCode::Leaving.code(), "another address answered first");
         }
         self.live = Some(line);
         self.dialler.answered(line.address);
@@ -186,20 +184,20 @@ impl Lines {
     }
 
     /// Ends the connection, to try again after a while.
-    pub(super) fn give_up(&mut self, now: ClientTime, code: u32, reason: &str) {
+    pub(super) fn give_up(&mut self, now: ClientTime, code: CloseCode, reason: &str) {
         self.close(code, reason);
         self.dialler.refused(now);
     }
 
     /// Ends the connection for good.
     pub(super) fn leave(&mut self) {
-        self.close(CODE_LEAVING, "the user left");
+        self.close(CloseCode::Leaving, "the user left");
     }
 
-    fn close(&mut self, code: u32, reason: &str) {
+    fn close(&mut self, code: CloseCode, reason: &str) {
         if let Some((handle, peer)) = self.live() {
             // A thread that has ended needs no close.
-            let _ = handle.close(peer, code, reason);
+            let _ = handle.close(peer, code.code(), reason);
         }
         self.live = None;
     }

@@ -4,6 +4,7 @@
 use super::mailbox::{Accepted, Mailbox};
 use super::place::{Greeting, Places};
 use super::{Say, Verdicts};
+use shadecast_protocol::close::CloseCode;
 use shadecast_protocol::message::{ClientHello, Refused, ResumeSecret, ServerOffer, Welcome};
 use shadecast_protocol::session::{Out, ServerEvent, ServerSession};
 use shadecast_protocol::text::printable;
@@ -12,14 +13,6 @@ use shadecast_transport::{CloseKind, Event, Handle, PeerId, SendError};
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 
-/// Close code of a client that left, and of a server that ends.
-const CODE_LEAVING: u32 = 0;
-/// Close code of a client that was told why it is refused.
-const CODE_REFUSED: u32 = 1;
-/// Close code of a client whose place has been taken.
-const CODE_DISPLACED: u32 = 2;
-/// Close code of a client that said what makes no sense, or nothing.
-const CODE_NOT_UNDERSTOOD: u32 = 4;
 /// A client that was told why it is refused may close the connection itself within this time, nanoseconds.
 const FAREWELL_NS: i64 = 500_000_000;
 /// Refused clients that are given that time.
@@ -30,7 +23,7 @@ pub(super) trait Carrier {
     /// Sends what a session has to say.
     fn send(&self, peer: PeerId, out: Out) -> Result<(), SendError>;
     /// Ends a connection.
-    fn close(&self, peer: PeerId, code: u32, reason: &str);
+    fn close(&self, peer: PeerId, code: CloseCode, reason: &str);
 }
 
 impl Carrier for Handle {
@@ -42,9 +35,9 @@ impl Carrier for Handle {
         }
     }
 
-    fn close(&self, peer: PeerId, code: u32, reason: &str) {
+    fn close(&self, peer: PeerId, code: CloseCode, reason: &str) {
         // A thread that has ended has closed everything.
-        let _ = Self::close(self, peer, code, reason);
+        let _ = Self::close(self, peer, code.code(), reason);
     }
 }
 
@@ -115,14 +108,14 @@ impl<'a> Network<'a> {
     /// Does what is due: deadlines, and what the pipeline has decided.
     pub(super) fn tick(&mut self, now_ns: i64) {
         while let Some(peer) = self.greeting.overdue(now_ns) {
-            self.drop_guest(peer, CODE_NOT_UNDERSTOOD, "no hello came; connect again");
+            self.drop_guest(peer, CloseCode::NotUnderstood, "no hello came; connect again");
         }
         for (peer, refused) in self.verdicts.take() {
             self.refuse(peer, refused, now_ns);
         }
         while let Some(at) = self.leaving.iter().position(|(_, until_ns)| *until_ns <= now_ns) {
             let (peer, _) = self.leaving.swap_remove(at);
-            self.drop_guest(peer, CODE_REFUSED, "refused; the reason was sent before");
+            self.drop_guest(peer, CloseCode::Refused, "refused; the reason was sent before");
         }
     }
 
@@ -138,7 +131,7 @@ impl<'a> Network<'a> {
 
     fn connected(&mut self, peer: PeerId, remote: SocketAddr, now_ns: i64) {
         if let Some(oldest) = self.greeting.connected(peer, now_ns) {
-            self.drop_guest(oldest, CODE_NOT_UNDERSTOOD, "others came and no hello; connect again");
+            self.drop_guest(oldest, CloseCode::NotUnderstood, "others came and no hello; connect again");
         }
         self.sessions += 1;
         let secret = ResumeSecret(shadecast_transport::random_bytes());
@@ -166,12 +159,12 @@ impl<'a> Network<'a> {
             ServerEvent::Refused(refused) => self.sent_away(peer, &refused, now_ns),
             ServerEvent::Goodbye => {
                 self.leave(peer, "it said goodbye");
-                self.drop_guest(peer, CODE_LEAVING, "goodbye");
+                self.drop_guest(peer, CloseCode::Leaving, "goodbye");
             }
             ServerEvent::Failed(error) => {
                 let reason = printable(&error.to_string());
                 self.lose(peer, &reason);
-                self.drop_guest(peer, CODE_NOT_UNDERSTOOD, &reason);
+                self.drop_guest(peer, CloseCode::NotUnderstood, &reason);
             }
             told if self.places.has(peer) => {
                 if matches!(told, ServerEvent::Displayed(_)) {
@@ -192,7 +185,7 @@ impl<'a> Network<'a> {
         self.greeting.done(peer);
         if let Some(old) = taken.displaced {
             self.mailbox.gone(old);
-            self.drop_guest(old, CODE_DISPLACED, "another connection has taken this place");
+            self.drop_guest(old, CloseCode::Displaced, "another connection has taken this place");
         }
         let Some(guest) = self.guests.get_mut(&peer) else { return };
         let Some(sender) = guest.session.accept() else { return };
@@ -221,13 +214,13 @@ impl<'a> Network<'a> {
         }
         if self.leaving.len() == MAX_LEAVING {
             let (first, _) = self.leaving.remove(0);
-            self.drop_guest(first, CODE_REFUSED, "refused; the reason was sent before");
+            self.drop_guest(first, CloseCode::Refused, "refused; the reason was sent before");
         }
         self.leaving.push((peer, now_ns + FAREWELL_NS));
     }
 
     fn closed(&mut self, peer: PeerId, kind: CloseKind, reason: &str) {
-        if kind == CloseKind::Peer(u64::from(CODE_LEAVING)) {
+        if kind == CloseKind::Peer(u64::from(CloseCode::Leaving.code())) {
             self.leave(peer, reason);
         } else {
             self.lose(peer, reason);
@@ -256,7 +249,7 @@ impl<'a> Network<'a> {
         (self.say)(&format!("Client gone: {}", printable(why)));
     }
 
-    fn drop_guest(&mut self, peer: PeerId, code: u32, reason: &str) {
+    fn drop_guest(&mut self, peer: PeerId, code: CloseCode, reason: &str) {
         if self.guests.contains_key(&peer) {
             self.carrier.close(peer, code, reason);
             self.forget(peer);
@@ -284,7 +277,7 @@ impl<'a> Network<'a> {
         if let Some(error) = failure {
             let reason = format!("what it must know could not be sent: {error}");
             self.lose(peer, &reason);
-            self.drop_guest(peer, CODE_NOT_UNDERSTOOD, &reason);
+            self.drop_guest(peer, CloseCode::NotUnderstood, &reason);
         }
     }
 }
@@ -308,7 +301,7 @@ mod tests {
     struct Recorder {
         messages: RefCell<Vec<(PeerId, ServerMessage)>>,
         datagrams: RefCell<Vec<(PeerId, ServerDatagram)>>,
-        closed: RefCell<Vec<(PeerId, u32)>>,
+        closed: RefCell<Vec<(PeerId, CloseCode)>>,
         /// Nothing is taken.
         is_full: bool,
     }
@@ -331,7 +324,7 @@ mod tests {
             Ok(())
         }
 
-        fn close(&self, peer: PeerId, code: u32, _: &str) {
+        fn close(&self, peer: PeerId, code: CloseCode, _: &str) {
             self.closed.borrow_mut().push((peer, code));
         }
     }
@@ -417,7 +410,7 @@ mod tests {
         let served = greet(&mut network, 2, None, SECOND);
         assert!(desk.carrier.secret(served).is_some(), "the other one does not wait for it");
         network.tick(HELLO_DEADLINE_NS + 1);
-        assert_eq!(*desk.carrier.closed.borrow(), [(idle, CODE_NOT_UNDERSTOOD)]);
+        assert_eq!(*desk.carrier.closed.borrow(), [(idle, CloseCode::NotUnderstood)]);
     }
 
     #[test]
@@ -431,10 +424,10 @@ mod tests {
         }
         let lawful = greet(&mut network, 2, None, 6 * SECOND);
         assert!(desk.carrier.secret(lawful).is_some());
-        assert_eq!(*desk.carrier.closed.borrow(), [(junk, CODE_DISPLACED)]);
+        assert_eq!(*desk.carrier.closed.borrow(), [(junk, CloseCode::Displaced)]);
         let babbler = connect(&mut network, 3, 6 * SECOND);
         network.take(Event::Control { peer: babbler, message: vec![9], at_ns: 0 }, 6 * SECOND);
-        assert_eq!(desk.carrier.closed.borrow().last(), Some(&(babbler, CODE_NOT_UNDERSTOOD)));
+        assert_eq!(desk.carrier.closed.borrow().last(), Some(&(babbler, CloseCode::NotUnderstood)));
     }
 
     #[test]
@@ -447,7 +440,7 @@ mod tests {
         network.tick(FAREWELL_NS);
         assert!(desk.carrier.closed.borrow().is_empty(), "its reason may still be on its way");
         network.tick(FAREWELL_NS + 1);
-        assert_eq!(*desk.carrier.closed.borrow(), [(second, CODE_REFUSED)]);
+        assert_eq!(*desk.carrier.closed.borrow(), [(second, CloseCode::Refused)]);
     }
 
     #[test]
@@ -475,7 +468,7 @@ mod tests {
         let mut network = desk.network();
         let first = greet(&mut network, 1, None, 0);
         let back = greet(&mut network, 2, desk.carrier.secret(first), 1);
-        assert_eq!(*desk.carrier.closed.borrow(), [(first, CODE_DISPLACED)]);
+        assert_eq!(*desk.carrier.closed.borrow(), [(first, CloseCode::Displaced)]);
         network.take(Event::Closed { peer: first, kind: CloseKind::Local, reason: "closed here".into() }, 2);
         assert!(network.places.has(back), "the old one's end is nobody's loss");
     }
@@ -542,7 +535,7 @@ mod tests {
         let desk = Desk { carrier: Recorder { is_full: true, ..Recorder::default() }, ..Desk::new() };
         let mut network = desk.network();
         let first = greet(&mut network, 1, None, 0);
-        assert_eq!(*desk.carrier.closed.borrow(), [(first, CODE_NOT_UNDERSTOOD)]);
+        assert_eq!(*desk.carrier.closed.borrow(), [(first, CloseCode::NotUnderstood)]);
         assert!(desk.news(first).is_none(), "the pipeline never hears of it");
     }
 

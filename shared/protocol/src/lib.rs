@@ -4,6 +4,7 @@
 
 pub mod atlas;
 pub mod clock;
+pub mod close;
 pub mod delta;
 pub mod ids;
 pub mod limits;

@@ -58,6 +58,7 @@ use quinn_proto::{
     TransportConfig, ValidationTokenConfig, VarInt, congestion,
 };
 use ring::rand::SecureRandom;
+use shadecast_protocol::close::CloseCode;
 use shadecast_protocol::limits::{MAX_CONTROL_PER_SECOND, MAX_DATAGRAM_BYTES, MAX_STREAM_BYTES};
 use shadecast_protocol::text::printable;
 
@@ -98,10 +99,6 @@ const SERVER_WAITING_BYTES: usize = 256 << 10;
 /// Datagrams that are handed to the kernel at once: together no more than one UDP datagram may have, 65,507 bytes,
 /// at the largest size that path discovery tries, 1452 bytes.
 const MAX_SEGMENTS: usize = 40;
-/// Close code of a peer that broke the rules of this module.
-const CODE_VIOLATION: u32 = 0xbad;
-/// Close code of a peer that does not fit, or did not end its handshake.
-const CODE_REFUSED: u32 = 0xf11;
 
 /// A connection, never used twice by one endpoint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -694,7 +691,7 @@ impl Endpoint {
     fn give_up_handshake(&mut self, now_ns: i64, id: PeerId) {
         self.counters.handshakes_given_up += 1;
         let why = "the handshake took too long";
-        self.end(now_ns, id, CODE_REFUSED, why, CloseKind::Local, why.into());
+        self.end(now_ns, id, CloseCode::Full.code(), why, CloseKind::Local, why.into());
     }
 
     /// When a server gives up the handshake of `peer`, nanoseconds.
@@ -815,7 +812,7 @@ impl Endpoint {
             proto::Event::Connected if is_server && connected >= self.config.max_peers => {
                 self.counters.peers_refused += 1;
                 let why = "it serves as many clients as it can";
-                self.end(now_ns, id, CODE_REFUSED, why, CloseKind::Local, why.into());
+                self.end(now_ns, id, CloseCode::Full.code(), why, CloseKind::Local, why.into());
             }
             proto::Event::Connected => {
                 peer.on_connected();
@@ -861,7 +858,14 @@ impl Endpoint {
     fn close_violator(&mut self, now_ns: i64, id: PeerId, Violation(what): &Violation) {
         self.counters.violations += 1;
         let reason = format!("the peer broke the protocol: {what}");
-        self.end(now_ns, id, CODE_VIOLATION, &format!("protocol broken: {what}"), CloseKind::Error, reason);
+        self.end(
+            now_ns,
+            id,
+            CloseCode::Violation.code(),
+            &format!("protocol broken: {what}"),
+            CloseKind::Error,
+            reason,
+        );
     }
 
     /// Closes a connection; the peer learns `code` and `reason`. `Closed` follows here too.

@@ -548,7 +548,7 @@ fn send_raw_control(seed: u64, bytes: &[u8]) -> (Vec<Event>, Vec<Event>) {
 fn an_oversized_control_message_closes_the_connection_with_an_error() {
     let (on_server, on_client) = send_raw_control(17, &(MAX_CONTROL_BYTES as u32 + 1).to_le_bytes());
     assert_closed(&on_server, CloseKind::Error, &["control message's length", "1048577"]);
-    assert_closed(&on_client, CloseKind::Peer(u64::from(CODE_VIOLATION)), &["1048577"]);
+    assert_closed(&on_client, CloseKind::Peer(u64::from(CloseCode::Violation.code())), &["1048577"]);
 }
 
 #[test]

@@ -66,6 +66,7 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "scenes-slow" => scenes(&LONG, "-slow", results),
         "abrupt" => abrupt(results),
         "slow-link" => slow_link(results),
+        "viewers" => viewers(results),
         "headset-off" => headset_off(results),
         "hostile" => hostile(results),
         "skinning" => skinning(results),
@@ -192,6 +193,25 @@ fn slow_link(results: &Path) -> String {
         ("sent", "{sent_mbit_s,1,2} Mbit/s"),
     ];
     rows(results, "slow-link", &links, &columns)
+}
+
+fn viewers(results: &Path) -> String {
+    let result = read(results, "viewers-4").unwrap_or_default();
+    let links = ["5 ms", "20 ms", "50 ms", "110 ms"];
+    let viewers = result["viewers"].as_array().cloned().unwrap_or_default();
+    let row = |(link, viewer): (&str, &Value)| {
+        vec![
+            link.to_owned(),
+            cell_of("{alone_psnr_db,1,2} dB, {alone_updates_s,1,1} a second", viewer),
+            cell_of("{among_psnr_db,1,2} dB, {among_updates_s,1,1} a second", viewer),
+            cell_of("{clock_error_ms,1,2} ms", viewer),
+        ]
+    };
+    let heads = ["link, one way", "alone: PSNR, updates", "beside the others", "clock"];
+    let table = markdown(&heads, links.into_iter().zip(&viewers).map(row));
+    let second = read(results, "second-viewer-dragons9").unwrap_or_default();
+    let cost = cell_of("{one_ms,1,0} ms, of two {two_ms,1,0} ms: {two_over_one,1,2}x", &second);
+    format!("{table}\nAn update of one viewer of nine dragons, 512x512 per eye: {cost}.\n")
 }
 
 fn headset_off(results: &Path) -> String {

@@ -3,12 +3,13 @@
 
 use crate::abrupt;
 use crate::headset_off::{self, Absence};
-use crate::options::{Renderer, RunOptions, StageMs};
+use crate::options::{Renderer, RunOptions, StageMs, ViewerOptions};
 use crate::robot::robot;
 use crate::room::write_room;
 use crate::run::run;
 use crate::skinning;
 use crate::slow_link;
+use crate::viewers::among_others;
 use anyhow::{Context, bail, ensure};
 use serde_json::{Value, json};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
@@ -32,6 +33,8 @@ const COMPARE_EVERY_SLOW: u32 = 36;
 const HOSTILE_SECONDS: f64 = 20.0;
 /// Seconds for which the headset is off.
 const HEADSET_OFF_SECONDS: f64 = 600.0;
+/// Rounds in which updates of one and of two viewers are measured.
+const SECOND_VIEWER_ROUNDS: usize = 11;
 /// Seconds of a link that is slower than its scene.
 const SLOW_LINK_SECONDS: f64 = 25.0;
 /// Milliseconds one way of the link for the head that starts abruptly.
@@ -105,6 +108,8 @@ fn jobs() -> Vec<Job> {
     }
     jobs.push(Job::new("abrupt-room", |folder| abrupt_room(folder).map(Some)));
     jobs.push(Job::new("slow-link", |folder| slow_links(folder).map(Some)));
+    jobs.push(Job::new("viewers-4", |folder| four_viewers(folder).map(Some)));
+    jobs.push(Job::new("second-viewer-dragons9", |folder| second_viewer(folder).map(Some)));
     jobs.push(Job::new("headset-off", |folder| headset_off(folder).map(Some)));
     jobs.push(Job::new("hostile", |_| hostile_peers().map(Some)));
     jobs
@@ -137,6 +142,41 @@ fn abrupt_room(folder: &Path) -> anyhow::Result<Value> {
         "stream_1_gbit": stream("1gbit")?,
         "local": measured("local", &local)?,
     }))
+}
+
+/// Four viewers of one dragon over ways of different length, each alone and beside the others.
+fn four_viewers(folder: &Path) -> anyhow::Result<Value> {
+    let link = |ms: &str| format!("link=latency={ms}ms,jitter=2ms,rate=100mbit").parse::<ViewerOptions>();
+    let viewers: Result<Vec<ViewerOptions>, String> =
+        ["5", "20", "50", "110"].map(link).into_iter().collect();
+    let viewers = viewers.map_err(anyhow::Error::msg)?;
+    let options = RunOptions {
+        extent_pixels: [256, 256],
+        seconds: 3.0,
+        validation: true,
+        ..RunOptions::new(SceneSource::Dragons(1), folder.join("run"))
+    };
+    let found = among_others(&options, &viewers)?;
+    let differences = found.iter().map(|one| (one.among_psnr_db - one.alone_psnr_db).abs());
+    let mut clocks: Vec<f64> = found.iter().map(|one| one.clock_error_ms).collect();
+    clocks.sort_by(f64::total_cmp);
+    Ok(json!({
+        "worst_psnr_difference_db": differences.fold(0.0, f64::max),
+        // No two are further apart than the two worst together.
+        "clocks_apart_ms": clocks.iter().rev().take(2).sum::<f64>(),
+        "viewers": found,
+    }))
+}
+
+/// What a second viewer of nine dragons costs.
+fn second_viewer(folder: &Path) -> anyhow::Result<Value> {
+    let options = RunOptions {
+        extent_pixels: [512, 512],
+        ..RunOptions::new(SceneSource::Dragons(9), folder.join("run"))
+    };
+    let report = crate::viewers::second_viewer(&options, SECOND_VIEWER_ROUNDS)?;
+    println!("{report:?}");
+    Ok(serde_json::to_value(report)?)
 }
 
 /// Links that carry a small part of what their scene needs.

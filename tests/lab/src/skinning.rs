@@ -1,6 +1,7 @@
 //! `shadecast-lab skinning`: the three ways of skinning side by side on one device in one run, with the matrix products
 //! that each needs, and with the floor that the device's own measured rates set.
 
+use crate::percentiles::median;
 use anyhow::Context;
 use serde::Serialize;
 use shadecast_gpu::{
@@ -354,12 +355,6 @@ fn depths(model: &Model) -> Vec<u64> {
         depths.push(1 + bone.parent.map_or(0, |parent| depths[parent as usize]));
     }
     depths
-}
-
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// What measures the device's rates.

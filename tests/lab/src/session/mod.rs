@@ -118,7 +118,8 @@ impl Server {
         self.sessions
     }
 
-    fn offer(&self, session: u64) -> ServerOffer {
+    /// The terms of a session of this number.
+    pub fn offer(&self, session: u64) -> ServerOffer {
         offer(&self.scene, self.atlas_extent_texels, self.rate_hz, session)
     }
 
@@ -364,7 +365,7 @@ impl Lab {
 }
 
 /// What a client says of itself.
-fn hello(options: &RunOptions, eye_extent_pixels: [u32; 2]) -> ClientHello {
+pub fn hello(options: &RunOptions, eye_extent_pixels: [u32; 2]) -> ClientHello {
     let eye = |x| Eye {
         head_from_eye: Pose { position: glam::Vec3::new(x, 0.0, 0.0), ..Pose::IDENTITY },
         fov: Fov::symmetric_degrees(options.fov_degrees),
