@@ -9,13 +9,13 @@ use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::file::{DEFAULT_FOV_DEG, FOV_RANGE_DEG};
 use shadecast_scene::{Camera, Cancel, HeadPath, Scene};
-use shadecast_server::camera::{ViewCamera, fov_of_picture};
 use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::picture;
-use shadecast_server::stages::forward::Forward;
-use shadecast_server::video::Video;
-use shadecast_server::window::{self, WindowOptions};
+use shadecast_server::truth::camera::{ViewCamera, fov_of_picture};
+use shadecast_server::truth::forward::Forward;
+use shadecast_server::truth::video::Video;
+use shadecast_server::truth::window::{self, WindowOptions};
 use std::path::{Path, PathBuf};
 
 #[derive(Args)]

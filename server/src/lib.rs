@@ -2,7 +2,6 @@
 
 pub mod animation;
 pub mod atlas;
-pub mod camera;
 pub mod choice;
 pub mod culling;
 pub mod encode;
@@ -19,7 +18,6 @@ pub mod samples;
 pub mod scene_gpu;
 pub mod stages;
 pub mod stream;
-pub mod video;
+pub mod truth;
 pub mod viewer;
-pub mod window;
 pub mod world;

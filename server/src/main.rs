@@ -10,12 +10,12 @@ use clap::{Args, Parser, Subcommand, value_parser};
 use glam::Vec3;
 use interrupt::FirstSignal;
 use output::{Output, note};
+use shadecast_dragon::dragon;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::limits::MAX_COORDINATE_M;
 use shadecast_protocol::text::with_causes;
 use shadecast_scene::animation::sampling::Sampling;
-use shadecast_scene::generate;
 use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
 use shadecast_scene::{Cancel, Scene};
@@ -298,7 +298,7 @@ fn parse_link(text: &str) -> anyhow::Result<LinkSchedule> {
 
 fn generate_model(what: &str, out: &Path) -> anyhow::Result<()> {
     anyhow::ensure!(what == "dragon", "\"{what}\" cannot be generated; what can: dragon");
-    let bytes = generate::dragon();
+    let bytes = dragon();
     write_atomically(out, &bytes).with_context(|| format!("writing {}", out.display()))?;
     println!("{}: {} bytes", out.display(), bytes.len());
     Ok(())

@@ -9,7 +9,6 @@ pub mod bulk;
 pub mod cache;
 pub mod cancel;
 mod check;
-pub mod generate;
 pub mod mips;
 pub mod patches;
 pub mod error;

@@ -52,7 +52,7 @@ impl Loading {
 /// None but [`Cancelled`], unless the generator and the importer disagree.
 pub fn built_in_dragon(loading: &Loading) -> Result<Model, SceneError> {
     let import = || {
-        let bytes = crate::generate::dragon();
+        let bytes = shadecast_dragon::dragon();
         loading.cancel.check()?;
         gltf::from_slice(&bytes, "built-in dragon")
     };

@@ -45,7 +45,7 @@ const COARSE: &str = "--sampling=constant:200ms";
 
 fn scene_with_everything() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
-    std::fs::write(folder.path().join("dragon.glb"), shadecast_scene::generate::dragon()).expect("written");
+    std::fs::write(folder.path().join("dragon.glb"), shadecast_dragon::dragon()).expect("written");
     let scene = "
         [[model]]
         name = \"dragon\"

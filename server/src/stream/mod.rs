@@ -11,40 +11,34 @@ mod network;
 mod pipeline;
 mod place;
 mod rebuild;
+mod stats;
+mod studio;
 #[cfg(test)]
 mod testing;
 
-use crate::encode::openh264::{EncoderSettings, OpenH264Encoder};
-use crate::encode::{EncodeError, Encoder};
-use crate::frame::{Frame, Shaded};
+pub use stats::{StreamStats, ViewerStats};
+pub use studio::{Device, Reopen};
+
 use crate::pacing::WayState;
-use crate::residency::Budget;
 use crate::scene_gpu::SceneGpu;
-use crate::viewer::Updates;
-use crate::world::{ViewerId, World};
 use mailbox::Mailbox;
 use network::Network;
 use pipeline::{Outlet, Pipeline, Studio};
-use serde::Serialize;
-use shadecast_gpu::{Gpu, GpuError};
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
-use shadecast_protocol::message::{
-    Capabilities, Codec, Displayed, Environment, HeadState, Refused, ResumeSecret, ServerOffer, Welcome,
-};
+use shadecast_protocol::message::{Codec, Environment, Refused, ResumeSecret, ServerOffer};
 use shadecast_protocol::session::Out;
-use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
-use shadecast_scene::Scene;
+use shadecast_protocol::time::DEFAULT_GRID;
 use shadecast_transport::endpoint::{Endpoint, EndpointConfig, PeerId, SendError};
 use shadecast_transport::mio::{Driver, Events, Handle, monotonic_now_ns, spawn};
 use shadecast_transport::{LinkSchedule, ServerIdentity};
-use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
+use studio::GpuStudio;
 
 /// How long a thread sleeps at most before it looks whether the program is to end.
 const LOOK_UP: Duration = Duration::from_millis(20);
@@ -76,81 +70,6 @@ pub struct StreamOptions {
     /// Writes the last atlas there on leaving.
     pub atlas_png: Option<PathBuf>,
 }
-
-/// How a run went.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct StreamStats {
-    /// The Vulkan device.
-    pub device: String,
-    /// Nanoseconds of the monotonic clock at server time 0.
-    pub epoch_monotonic_ns: i64,
-    /// Updates sent.
-    pub updates: u64,
-    /// From the first to the last update.
-    pub seconds: f64,
-    /// Updates per second.
-    pub server_fps: f64,
-    /// Bytes of access units.
-    pub atlas_bytes: u64,
-    /// Bytes of geometry deltas, samples included.
-    pub geometry_bytes: u64,
-    /// Bytes of vertex samples, headers and first samples included.
-    pub sample_bytes: u64,
-    /// Vertex samples.
-    pub samples: u64,
-    /// How often the atlas was full.
-    pub coarsened: u32,
-    /// Patches in view that were not shown for want of room, summed over the updates for the last client.
-    pub dropped_patches: u64,
-    /// Each client that was served, in the order in which they went.
-    pub viewers: Vec<ViewerStats>,
-    /// Clients accepted.
-    pub clients: u32,
-    /// Sessions that were ended because their pipeline could not be made or failed.
-    pub refused: u32,
-    /// Encoders that failed and were made anew.
-    pub encoder_restarts: u32,
-    /// How often the device was lost and opened again.
-    pub devices_lost: u32,
-    /// Mean milliseconds per update by GPU stage.
-    pub gpu_ms: BTreeMap<String, f64>,
-    /// Vulkan validation warnings and errors.
-    pub validation_messages: u32,
-}
-
-/// How it went for one client.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct ViewerStats {
-    /// Its number, in the order in which clients came; the first is 1.
-    pub viewer: u32,
-    /// How long it was served.
-    pub seconds: f64,
-    /// Updates sent.
-    pub updates: u64,
-    /// Updates per second.
-    pub server_fps: f64,
-    /// How long the pipeline worked for it, seconds: its share of the device.
-    pub busy_s: f64,
-    /// Bytes of access units.
-    pub atlas_bytes: u64,
-    /// Bytes of geometry deltas.
-    pub geometry_bytes: u64,
-    /// How often its atlas was full.
-    pub coarsened: u32,
-    /// Patches in its view that were not shown for want of room, summed over its updates.
-    pub dropped_patches: u64,
-}
-
-/// A device, and the scene on it.
-pub struct Device {
-    /// The device.
-    pub gpu: Arc<Gpu>,
-    /// The scene.
-    pub scene: Arc<SceneGpu>,
-}
-
-/// Opens the device, and brings the scene to it: again, after it was lost.
-pub type Reopen<'a> = dyn Fn(Scene) -> anyhow::Result<Device> + 'a;
 
 /// The terms that a server with this scene offers; who has more than one client puts a random secret into them.
 pub fn offer(scene: &SceneGpu, atlas_extent_texels: AtlasExtent, rate_hz: f64, session: u64) -> ServerOffer {
@@ -212,104 +131,6 @@ impl Outlet for Way {
     }
 }
 
-/// Pipelines on the real device.
-struct GpuStudio<'a> {
-    /// `None` only while it is opened again.
-    device: Option<Device>,
-    /// While somebody looks.
-    world: Option<World>,
-    viewers: u64,
-    looking: usize,
-    /// Kept for that.
-    scene: Option<Scene>,
-    reopen: &'a Reopen<'a>,
-    options: &'a StreamOptions,
-}
-
-impl GpuStudio<'_> {
-    fn device(&self) -> Result<&Device, GpuError> {
-        let closed = || GpuError::NoDevice("it was lost and is not open again yet".into());
-        self.device.as_ref().ok_or_else(closed)
-    }
-}
-
-impl Studio for GpuStudio<'_> {
-    type Updates = Frame;
-
-    fn open(&mut self, welcome: &Welcome, capabilities: &Capabilities) -> Result<Frame, GpuError> {
-        let world = match self.world.take() {
-            Some(world) => world,
-            None => World::new(&self.device()?.gpu, &self.device()?.scene)?,
-        };
-        self.viewers += 1;
-        let frame = Frame::new(&world, ViewerId(self.viewers), welcome, capabilities);
-        if self.looking > 0 || frame.is_ok() {
-            self.world = Some(world);
-        }
-        self.looking += usize::from(frame.is_ok());
-        frame
-    }
-
-    fn update(&mut self, frame: &mut Frame, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
-        self.world.as_mut().map_or(Ok(None), |world| frame.update(world, now))
-    }
-
-    fn close(&mut self, frame: Frame, has_failed: bool) {
-        self.looking -= 1;
-        let Some(world) = &mut self.world else { return };
-        world.leave(frame.id());
-        if has_failed {
-            world.forget();
-        }
-        if self.looking == 0 {
-            self.world = None;
-        }
-    }
-
-    fn account(&self, frame: &Frame, stats: &mut ViewerStats) {
-        stats.coarsened = frame.layout().coarsened();
-        stats.dropped_patches = frame.dropped_patches();
-    }
-
-    fn encoder(&mut self, extent_texels: AtlasExtent) -> Result<Box<dyn Encoder>, EncodeError> {
-        let settings = EncoderSettings::for_stream(extent_texels, self.options.qp, self.options.rate_hz);
-        Ok(Box::new(OpenH264Encoder::new(settings)?))
-    }
-
-    fn take_timings_ms(&mut self) -> Vec<(&'static str, f64)> {
-        self.device.as_ref().map_or(Vec::new(), |device| device.gpu.take_timings_ms())
-    }
-
-    fn reopen(&mut self) -> anyhow::Result<()> {
-        (self.world, self.looking) = (None, 0);
-        if let Some(Device { scene, .. }) = self.device.take() {
-            self.scene = Some(scene.scene.clone());
-        }
-        let scene = self.scene.clone().ok_or_else(|| anyhow::anyhow!("the scene is gone"))?;
-        self.device = Some((self.reopen)(scene)?);
-        self.scene = None;
-        Ok(())
-    }
-}
-
-impl Updates for Frame {
-    fn head(&mut self, state: HeadState) {
-        Self::head(self, state);
-    }
-
-    fn displayed(&mut self, report: &Displayed) {
-        Self::displayed(self, report);
-    }
-
-    fn interrupted(&mut self) {
-        Self::interrupted(self);
-    }
-
-    fn set_budget(&mut self, budget: Budget) {
-        Self::set_budget(self, budget);
-    }
-}
-
 /// Sets a flag when a thread ends, however it ends.
 struct StopOnEnd<'a>(&'a AtomicBool);
 
@@ -336,8 +157,7 @@ pub fn run(
     let offers: &(dyn Fn(u64) -> ServerOffer + Sync) = &make_offer;
     let (mailbox, verdicts, epoch_ns) =
         (Mailbox::default(), Arc::new(Verdicts::default()), monotonic_now_ns());
-    let mut studio =
-        GpuStudio { device: Some(device), world: None, viewers: 0, looking: 0, scene: None, reopen, options };
+    let mut studio = GpuStudio::new(device, reopen, options);
     let (mut stats, last_atlas) = std::thread::scope(|scope| {
         let (mailbox, verdicts, carrier) = (&mailbox, &verdicts, handle.clone());
         let network = std::thread::Builder::new().name("sessions".into()).spawn_scoped(scope, move || {

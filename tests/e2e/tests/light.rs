@@ -10,7 +10,7 @@ use shadecast_scene::{
     Environment, Instance, Light, LightKind, Material, Model, PlacedLight, Scene, Texture, Wrap, ground,
 };
 use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
-use shadecast_server::stages::forward::{Forward, Truth};
+use shadecast_server::truth::forward::{Forward, Truth};
 use std::sync::Arc;
 
 const SIDE: u32 = 160;

@@ -9,7 +9,7 @@ use shadecast_scene::{
     Bone, Instance, Material, Model, PaletteEntry, Primitive, Texture, TextureSlot, Trs, Vertex, Wrap,
 };
 use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
-use shadecast_server::stages::forward::{Forward, Truth};
+use shadecast_server::truth::forward::{Forward, Truth};
 use std::sync::Arc;
 
 const SIDE: u32 = 96;

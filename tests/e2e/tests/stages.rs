@@ -8,10 +8,11 @@ use shadecast_scene::animation::{pose, sampling};
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_server::animation::gpu::Animation;
 use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
-use shadecast_server::stages::forward::{Forward, view_gpu};
 use shadecast_server::stages::id_buffer::IdBuffer;
 use shadecast_server::stages::level_selection::LevelSelection;
 use shadecast_server::stages::mark::Mark;
+use shadecast_server::stages::view_gpu;
+use shadecast_server::truth::forward::Forward;
 use shadecast_shaders::twin;
 use std::sync::Arc;
 

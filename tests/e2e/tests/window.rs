@@ -6,7 +6,7 @@ use shadecast_client::decode::openh264::OpenH264Decoder;
 use shadecast_client::decode::{Decoder, Picture};
 use shadecast_lab::image::Rgb8Image;
 use shadecast_server::picture::rgb_from_planes;
-use shadecast_server::video::Video;
+use shadecast_server::truth::video::Video;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};

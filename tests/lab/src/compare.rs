@@ -11,7 +11,7 @@ use shadecast_gpu::Gpu;
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_server::scene_gpu::SceneGpu;
-use shadecast_server::stages::forward::{Forward, Truth};
+use shadecast_server::truth::forward::{Forward, Truth};
 use std::sync::Arc;
 
 /// One eye of one displayed frame.

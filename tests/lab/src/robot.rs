@@ -3,7 +3,7 @@
 
 use glam::{Mat4, Quat, Vec3, Vec4};
 use serde_json::{Value, json};
-use shadecast_scene::generate::glb::{Buffer, Target};
+use shadecast_dragon::glb::{Buffer, Target};
 
 /// Keys per second.
 const KEYS_PER_S: f32 = 24.0;

@@ -3,7 +3,7 @@
 
 use glam::Vec3;
 use serde_json::{Value, json};
-use shadecast_scene::generate::glb::{Buffer, Target};
+use shadecast_dragon::glb::{Buffer, Target};
 use std::f32::consts::TAU;
 use std::path::{Path, PathBuf};
 

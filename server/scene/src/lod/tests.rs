@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 
 fn dragon() -> &'static Model {
     static DRAGON: OnceLock<Model> = OnceLock::new();
-    DRAGON.get_or_init(|| gltf::from_slice(&crate::generate::dragon(), "dragon").expect("our own file"))
+    DRAGON.get_or_init(|| gltf::from_slice(&shadecast_dragon::dragon(), "dragon").expect("our own file"))
 }
 
 fn built(model: &Model) -> Vec<Lod> {

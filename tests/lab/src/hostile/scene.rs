@@ -4,7 +4,7 @@
 use anyhow::Context;
 use glam::{Quat, Vec3};
 use serde_json::json;
-use shadecast_scene::generate::glb::Buffer;
+use shadecast_dragon::glb::Buffer;
 use std::f32::consts::TAU;
 use std::path::{Path, PathBuf};
 

@@ -12,7 +12,7 @@ use glam::{Affine3A, DAffine3, DMat3, DVec3};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::{Instance, Model, Scene, Vertex};
 use shadecast_server::scene_gpu::SceneGpu;
-use shadecast_server::stages::forward::Posed;
+use shadecast_server::truth::forward::Posed;
 use shadecast_shaders::generated::TangentGpu;
 use std::sync::Arc;
 

@@ -189,7 +189,7 @@ fn share_of_range_bounds_curves_that_hardly_move_a_vertex() {
 
 #[test]
 fn dragon_keeps_its_bound_with_a_third_of_the_bytes_of_its_source() {
-    let model = crate::gltf::from_slice(&crate::generate::dragon(), "dragon").expect("built in");
+    let model = crate::gltf::from_slice(&shadecast_dragon::dragon(), "dragon").expect("built in");
     let clip = super::super::sample(&model, Some(0), Sampling::default());
     let error = largest_error(&model, &clip, (0..=68).map(|step| f64::from(step) / 17.0));
     assert!(error <= 1.02e-4, "{error} m");

@@ -5,7 +5,7 @@ use super::bake::{self, Canvas};
 use super::clip::{self, KEYS, KEYS_PER_S, Motion};
 use super::mesh::{Mesh, Skin, Vertex};
 use super::rig::Rig;
-use crate::generate::glb::{Buffer, Target};
+use crate::glb::{Buffer, Target};
 use glam::{Mat4, Quat, Vec2, Vec3, Vec4};
 use serde_json::{Value, json};
 use std::ops::{Add, Mul, Sub};

@@ -5,8 +5,9 @@ use crate::animation::gpu::Animation;
 use crate::scene_gpu::SceneGpu;
 use crate::stages::geometry::Geometry;
 use crate::stages::shadow::Shadow;
+use crate::stages::view_gpu;
 use ash::vk;
-use glam::{Mat4, Vec3};
+use glam::Mat4;
 use shadecast_gpu::{
     Access, Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline,
     GraphicsPipelineDesc, Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc,
@@ -305,15 +306,6 @@ impl Targets {
 
 fn rgb8(rgba8: &[u8]) -> Vec<u8> {
     rgba8.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect()
-}
-
-/// A view as the shaders have it.
-pub fn view_gpu(clip_from_world: Mat4, world_eye: Vec3, extent_pixels: [u32; 2]) -> ViewGpu {
-    ViewGpu {
-        clip_from_world: clip_from_world.to_cols_array_2d(),
-        world_eye: world_eye.extend(1.0).to_array(),
-        extent_pixels: [extent_pixels[0] as f32, extent_pixels[1] as f32, 0.0, 0.0],
-    }
 }
 
 /// Takes (ndc x, ndc y, 1, 0) to the direction in the world that is seen there.

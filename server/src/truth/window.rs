@@ -1,11 +1,11 @@
 //! The ground truth in a window: a driver, with a clock and an event loop of its own. One frame is in flight: what a
 //! frame writes for the GPU is written when the last one is over.
 
-use crate::camera::{Mode, ViewCamera, fov_of_picture};
 use crate::picture;
 use crate::scene_gpu::{SceneGpu, SceneGpuError, SceneOptions};
-use crate::stages::forward::Forward;
-use crate::stages::present::Present;
+use crate::truth::camera::{Mode, ViewCamera, fov_of_picture};
+use crate::truth::forward::Forward;
+use crate::truth::present::Present;
 use ash::vk;
 use glam::Vec3;
 use shadecast_gpu::{

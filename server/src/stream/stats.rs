@@ -1,0 +1,68 @@
+//! The figures of a run.
+
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// How a run went.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct StreamStats {
+    /// The Vulkan device.
+    pub device: String,
+    /// Nanoseconds of the monotonic clock at server time 0.
+    pub epoch_monotonic_ns: i64,
+    /// Updates sent.
+    pub updates: u64,
+    /// From the first to the last update.
+    pub seconds: f64,
+    /// Updates per second.
+    pub server_fps: f64,
+    /// Bytes of access units.
+    pub atlas_bytes: u64,
+    /// Bytes of geometry deltas, samples included.
+    pub geometry_bytes: u64,
+    /// Bytes of vertex samples, headers and first samples included.
+    pub sample_bytes: u64,
+    /// Vertex samples.
+    pub samples: u64,
+    /// How often the atlas was full.
+    pub coarsened: u32,
+    /// Patches in view that were not shown for want of room, summed over the updates for the last client.
+    pub dropped_patches: u64,
+    /// Each client that was served, in the order in which they went.
+    pub viewers: Vec<ViewerStats>,
+    /// Clients accepted.
+    pub clients: u32,
+    /// Sessions that were ended because their pipeline could not be made or failed.
+    pub refused: u32,
+    /// Encoders that failed and were made anew.
+    pub encoder_restarts: u32,
+    /// How often the device was lost and opened again.
+    pub devices_lost: u32,
+    /// Mean milliseconds per update by GPU stage.
+    pub gpu_ms: BTreeMap<String, f64>,
+    /// Vulkan validation warnings and errors.
+    pub validation_messages: u32,
+}
+
+/// How it went for one client.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ViewerStats {
+    /// Its number, in the order in which clients came; the first is 1.
+    pub viewer: u32,
+    /// How long it was served.
+    pub seconds: f64,
+    /// Updates sent.
+    pub updates: u64,
+    /// Updates per second.
+    pub server_fps: f64,
+    /// How long the pipeline worked for it, seconds: its share of the device.
+    pub busy_s: f64,
+    /// Bytes of access units.
+    pub atlas_bytes: u64,
+    /// Bytes of geometry deltas.
+    pub geometry_bytes: u64,
+    /// How often its atlas was full.
+    pub coarsened: u32,
+    /// Patches in its view that were not shown for want of room, summed over its updates.
+    pub dropped_patches: u64,
+}

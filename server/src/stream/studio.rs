@@ -1,0 +1,132 @@
+//! The pipeline's studio on the real device: the world while somebody looks, and a [`Frame`] a viewer.
+
+use super::pipeline::Studio;
+use super::{StreamOptions, ViewerStats};
+use crate::encode::openh264::{EncoderSettings, OpenH264Encoder};
+use crate::encode::{EncodeError, Encoder};
+use crate::frame::{Frame, Shaded};
+use crate::residency::Budget;
+use crate::scene_gpu::SceneGpu;
+use crate::viewer::Updates;
+use crate::world::{ViewerId, World};
+use shadecast_gpu::{Gpu, GpuError};
+use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
+use shadecast_protocol::time::ServerTime;
+use shadecast_scene::Scene;
+use std::sync::Arc;
+
+/// A device, and the scene on it.
+pub struct Device {
+    /// The device.
+    pub gpu: Arc<Gpu>,
+    /// The scene.
+    pub scene: Arc<SceneGpu>,
+}
+
+/// Opens the device, and brings the scene to it: again, after it was lost.
+pub type Reopen<'a> = dyn Fn(Scene) -> anyhow::Result<Device> + 'a;
+
+/// Pipelines on the real device.
+pub(super) struct GpuStudio<'a> {
+    /// `None` only while it is opened again.
+    device: Option<Device>,
+    /// While somebody looks.
+    world: Option<World>,
+    viewers: u64,
+    looking: usize,
+    /// Kept for that.
+    scene: Option<Scene>,
+    reopen: &'a Reopen<'a>,
+    options: &'a StreamOptions,
+}
+
+impl<'a> GpuStudio<'a> {
+    /// Before anybody looks.
+    pub(super) fn new(device: Device, reopen: &'a Reopen<'a>, options: &'a StreamOptions) -> Self {
+        Self { device: Some(device), world: None, viewers: 0, looking: 0, scene: None, reopen, options }
+    }
+
+    /// What it works on.
+    pub(super) fn device(&self) -> Result<&Device, GpuError> {
+        let closed = || GpuError::NoDevice("it was lost and is not open again yet".into());
+        self.device.as_ref().ok_or_else(closed)
+    }
+}
+
+impl Studio for GpuStudio<'_> {
+    type Updates = Frame;
+
+    fn open(&mut self, welcome: &Welcome, capabilities: &Capabilities) -> Result<Frame, GpuError> {
+        let world = match self.world.take() {
+            Some(world) => world,
+            None => World::new(&self.device()?.gpu, &self.device()?.scene)?,
+        };
+        self.viewers += 1;
+        let frame = Frame::new(&world, ViewerId(self.viewers), welcome, capabilities);
+        if self.looking > 0 || frame.is_ok() {
+            self.world = Some(world);
+        }
+        self.looking += usize::from(frame.is_ok());
+        frame
+    }
+
+    fn update(&mut self, frame: &mut Frame, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
+        self.world.as_mut().map_or(Ok(None), |world| frame.update(world, now))
+    }
+
+    fn close(&mut self, frame: Frame, has_failed: bool) {
+        self.looking -= 1;
+        let Some(world) = &mut self.world else { return };
+        world.leave(frame.id());
+        if has_failed {
+            world.forget();
+        }
+        if self.looking == 0 {
+            self.world = None;
+        }
+    }
+
+    fn account(&self, frame: &Frame, stats: &mut ViewerStats) {
+        stats.coarsened = frame.layout().coarsened();
+        stats.dropped_patches = frame.dropped_patches();
+    }
+
+    fn encoder(&mut self, extent_texels: AtlasExtent) -> Result<Box<dyn Encoder>, EncodeError> {
+        let settings = EncoderSettings::for_stream(extent_texels, self.options.qp, self.options.rate_hz);
+        Ok(Box::new(OpenH264Encoder::new(settings)?))
+    }
+
+    fn take_timings_ms(&mut self) -> Vec<(&'static str, f64)> {
+        self.device.as_ref().map_or(Vec::new(), |device| device.gpu.take_timings_ms())
+    }
+
+    fn reopen(&mut self) -> anyhow::Result<()> {
+        (self.world, self.looking) = (None, 0);
+        if let Some(Device { scene, .. }) = self.device.take() {
+            self.scene = Some(scene.scene.clone());
+        }
+        let scene = self.scene.clone().ok_or_else(|| anyhow::anyhow!("the scene is gone"))?;
+        self.device = Some((self.reopen)(scene)?);
+        self.scene = None;
+        Ok(())
+    }
+}
+
+impl Updates for Frame {
+    fn head(&mut self, state: HeadState) {
+        Self::head(self, state);
+    }
+
+    fn displayed(&mut self, report: &Displayed) {
+        Self::displayed(self, report);
+    }
+
+    fn interrupted(&mut self) {
+        Self::interrupted(self);
+    }
+
+    fn set_budget(&mut self, budget: Budget) {
+        Self::set_budget(self, budget);
+    }
+}
