@@ -610,13 +610,13 @@ fn upload_texture(gpu: &Arc<Gpu>, texture: &Texture) -> Result<Image, GpuError> 
     let image = Image::new(
         gpu,
         ImageDesc {
-            name: "texture",
-            extent: texture.extent_texels,
-            layers: 1,
             mips: levels.len() as u32,
-            samples: vk::SampleCountFlags::TYPE_1,
-            format: if texture.srgb { vk::Format::R8G8B8A8_SRGB } else { vk::Format::R8G8B8A8_UNORM },
-            usage: vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::TRANSFER_DST,
+            ..ImageDesc::new(
+                "texture",
+                texture.extent_texels,
+                if texture.srgb { vk::Format::R8G8B8A8_SRGB } else { vk::Format::R8G8B8A8_UNORM },
+                vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::TRANSFER_DST,
+            )
         },
     )?;
     let staging = Buffer::upload(gpu, "texture staging", &levels.concat())?;

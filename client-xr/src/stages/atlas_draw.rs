@@ -68,14 +68,19 @@ impl EyeTargets {
             true => (vec![color(vk::AttachmentStoreOp::DONT_CARE)], vec![shown]),
             false => (vec![shown], vec![]),
         };
-        let desc =
-            RenderPassDesc { colors, resolves, depth: Some(DEPTH_FORMAT), samples, view_mask: BOTH_EYES };
+        let desc = RenderPassDesc {
+            resolves,
+            depth: Some(DEPTH_FORMAT),
+            samples,
+            view_mask: BOTH_EYES,
+            ..RenderPassDesc::new(colors)
+        };
         let pass = RenderPass::new(gpu, &desc)?;
         let attachment = |name, format, usage| {
             let usage = usage | vk::ImageUsageFlags::TRANSIENT_ATTACHMENT;
             Image::new(
                 gpu,
-                ImageDesc { name, extent: extent_pixels, layers: 2, mips: 1, samples, format, usage },
+                ImageDesc { layers: 2, samples, ..ImageDesc::new(name, extent_pixels, format, usage) },
             )
         };
         let mut transient = Vec::new();
@@ -85,13 +90,8 @@ impl EyeTargets {
         transient.push(attachment("eye depth", DEPTH_FORMAT, vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT)?);
         let views: Vec<_> = transient.iter().map(Image::view).collect();
         let desc = ImageDesc {
-            name: "swapchain image",
-            extent: extent_pixels,
             layers: 2,
-            mips: 1,
-            samples: vk::SampleCountFlags::TYPE_1,
-            format,
-            usage: vk::ImageUsageFlags::COLOR_ATTACHMENT,
+            ..ImageDesc::new("swapchain image", extent_pixels, format, vk::ImageUsageFlags::COLOR_ATTACHMENT)
         };
         let foreign = usize::from(multisampled);
         let framebuffers = images
@@ -116,14 +116,9 @@ impl AtlasDraw {
     /// The pipeline for `pass`.
     pub fn new(gpu: &Arc<Gpu>, pass: &RenderPass) -> Result<Self, GpuError> {
         let desc = GraphicsPipelineDesc {
-            vertex: &CLIENT_ATLAS_VERT,
-            fragment: &CLIENT_ATLAS_FRAG,
-            pass,
-            topology: vk::PrimitiveTopology::TRIANGLE_LIST,
             cull: vk::CullModeFlags::BACK,
             depth_write: Some(true),
-            blend: false,
-            vertex_input: None,
+            ..GraphicsPipelineDesc::new(&CLIENT_ATLAS_VERT, &CLIENT_ATLAS_FRAG, pass)
         };
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
         let sampler =

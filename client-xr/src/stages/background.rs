@@ -6,7 +6,7 @@ use super::FRAMES_IN_FLIGHT;
 use glam::{Mat4, Quat, Vec3};
 use shadecast_gpu::{
     Bind, BindGroup, Buffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Memory, Recorder,
-    RenderPass, vk,
+    RenderPass,
 };
 use shadecast_protocol::message::Environment;
 use shadecast_protocol::pose::Pose;
@@ -128,14 +128,8 @@ impl Background {
         eyes: [&Buffer; FRAMES_IN_FLIGHT],
     ) -> Result<Self, GpuError> {
         let desc = GraphicsPipelineDesc {
-            vertex: &CLIENT_BACKGROUND_VERT,
-            fragment: &CLIENT_BACKGROUND_FRAG,
-            pass,
-            topology: vk::PrimitiveTopology::TRIANGLE_LIST,
-            cull: vk::CullModeFlags::NONE,
             depth_write: Some(false),
-            blend: false,
-            vertex_input: None,
+            ..GraphicsPipelineDesc::new(&CLIENT_BACKGROUND_VERT, &CLIENT_BACKGROUND_FRAG, pass)
         };
         let pipeline = GraphicsPipeline::new(gpu, &desc)?;
         let slot = |eyes: &Buffer| {

@@ -25,14 +25,9 @@ impl Notice {
         eyes: [&Buffer; FRAMES_IN_FLIGHT],
     ) -> Result<Self, GpuError> {
         let desc = GraphicsPipelineDesc {
-            vertex: &CLIENT_NOTICE_VERT,
-            fragment: &CLIENT_NOTICE_FRAG,
-            pass,
             topology: vk::PrimitiveTopology::TRIANGLE_STRIP,
-            cull: vk::CullModeFlags::NONE,
-            depth_write: None,
             blend: true,
-            vertex_input: None,
+            ..GraphicsPipelineDesc::new(&CLIENT_NOTICE_VERT, &CLIENT_NOTICE_FRAG, pass)
         };
         let pipeline = GraphicsPipeline::new(gpu, &desc)?;
         let slot = |eyes: &Buffer| {

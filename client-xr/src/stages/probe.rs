@@ -70,25 +70,16 @@ impl Probe {
         let samples = vk::SampleCountFlags::TYPE_1;
         let colors = formats.map(target).to_vec();
         let desc = RenderPassDesc {
-            colors,
-            resolves: vec![],
             depth: Some(DEPTH_FORMAT),
             samples,
             view_mask: BOTH_EYES,
+            ..RenderPassDesc::new(colors)
         };
         let pass = RenderPass::new(gpu, &desc)?;
         let image = |format, usage| {
             Image::new(
                 gpu,
-                ImageDesc {
-                    name: "probe",
-                    extent: extent_pixels,
-                    layers: 2,
-                    mips: 1,
-                    samples,
-                    format,
-                    usage,
-                },
+                ImageDesc { layers: 2, samples, ..ImageDesc::new("probe", extent_pixels, format, usage) },
             )
         };
         let read = vk::ImageUsageFlags::COLOR_ATTACHMENT | vk::ImageUsageFlags::TRANSFER_SRC;
@@ -99,14 +90,9 @@ impl Probe {
         let pipeline = GraphicsPipeline::new(
             gpu,
             &GraphicsPipelineDesc {
-                vertex: &CLIENT_PROBE_VERT,
-                fragment: &CLIENT_PROBE_FRAG,
-                pass: &pass,
-                topology: vk::PrimitiveTopology::TRIANGLE_LIST,
                 cull: vk::CullModeFlags::BACK,
                 depth_write: Some(true),
-                blend: false,
-                vertex_input: None,
+                ..GraphicsPipelineDesc::new(&CLIENT_PROBE_VERT, &CLIENT_PROBE_FRAG, &pass)
             },
         )?;
         let eyes = Buffer::new(gpu, "probe eyes", size_of::<EyesGpu>() as u64, Memory::Upload)?;

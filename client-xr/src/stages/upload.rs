@@ -52,14 +52,11 @@ impl Planes {
 }
 
 fn plane(gpu: &Arc<Gpu>, name: &'static str, extent: [u32; 2]) -> Result<Image, GpuError> {
-    let desc = ImageDesc {
+    let desc = ImageDesc::new(
         name,
         extent,
-        layers: 1,
-        mips: 1,
-        samples: vk::SampleCountFlags::TYPE_1,
-        format: vk::Format::R8_UNORM,
-        usage: vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::TRANSFER_DST,
-    };
+        vk::Format::R8_UNORM,
+        vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::TRANSFER_DST,
+    );
     Image::new(gpu, desc)
 }

@@ -38,14 +38,9 @@ impl Geometry {
     ) -> Result<Self, GpuError> {
         let pipeline = |cull| {
             let desc = GraphicsPipelineDesc {
-                vertex,
-                fragment,
-                pass,
-                topology: vk::PrimitiveTopology::TRIANGLE_LIST,
                 cull,
                 depth_write: Some(true),
-                blend: false,
-                vertex_input: None,
+                ..GraphicsPipelineDesc::new(vertex, fragment, pass)
             };
             GraphicsPipeline::new(gpu, &desc)
         };

@@ -49,17 +49,15 @@ impl IdBuffer {
         let pass = RenderPass::new(
             gpu,
             &RenderPassDesc {
-                colors: vec![Attachment {
+                depth: Some(vk::Format::D32_SFLOAT),
+                view_mask: 0b11,
+                ..RenderPassDesc::new(vec![Attachment {
                     format: vk::Format::R32_UINT,
                     load: vk::AttachmentLoadOp::CLEAR,
                     store: vk::AttachmentStoreOp::STORE,
                     before: vk::ImageLayout::UNDEFINED,
                     after: vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
-                }],
-                resolves: vec![],
-                depth: Some(vk::Format::D32_SFLOAT),
-                samples: vk::SampleCountFlags::TYPE_1,
-                view_mask: 0b11,
+                }])
             },
         )?;
         let geometry = Geometry::new(gpu, &ID_BUFFER_VERT, &ID_BUFFER_FRAG, &pass)?;
@@ -113,15 +111,15 @@ fn id_image(gpu: &Arc<Gpu>, extent: [u32; 2]) -> Result<Image, GpuError> {
     Image::new(
         gpu,
         ImageDesc {
-            name: "ID buffer",
-            extent,
             layers: 2,
-            mips: 1,
-            samples: vk::SampleCountFlags::TYPE_1,
-            format: vk::Format::R32_UINT,
-            usage: vk::ImageUsageFlags::COLOR_ATTACHMENT
-                | vk::ImageUsageFlags::SAMPLED
-                | vk::ImageUsageFlags::TRANSFER_SRC,
+            ..ImageDesc::new(
+                "ID buffer",
+                extent,
+                vk::Format::R32_UINT,
+                vk::ImageUsageFlags::COLOR_ATTACHMENT
+                    | vk::ImageUsageFlags::SAMPLED
+                    | vk::ImageUsageFlags::TRANSFER_SRC,
+            )
         },
     )
 }
@@ -131,13 +129,13 @@ pub(crate) fn depth_image(gpu: &Arc<Gpu>, extent: [u32; 2], layers: u32) -> Resu
     Image::new(
         gpu,
         ImageDesc {
-            name: "depth",
-            extent,
             layers,
-            mips: 1,
-            samples: vk::SampleCountFlags::TYPE_1,
-            format: vk::Format::D32_SFLOAT,
-            usage: vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT,
+            ..ImageDesc::new(
+                "depth",
+                extent,
+                vk::Format::D32_SFLOAT,
+                vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT,
+            )
         },
     )
 }

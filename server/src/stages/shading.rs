@@ -39,48 +39,33 @@ impl Shading {
         let extent = extent.texels();
         let atlas = Image::new(
             gpu,
-            ImageDesc {
-                name: "shading atlas",
+            ImageDesc::new(
+                "shading atlas",
                 extent,
-                layers: 1,
-                mips: 1,
-                samples: vk::SampleCountFlags::TYPE_1,
                 format,
-                usage: vk::ImageUsageFlags::COLOR_ATTACHMENT
+                vk::ImageUsageFlags::COLOR_ATTACHMENT
                     | vk::ImageUsageFlags::SAMPLED
                     | vk::ImageUsageFlags::TRANSFER_SRC
                     | vk::ImageUsageFlags::TRANSFER_DST,
-            },
+            ),
         )?;
         clear(gpu, &atlas)?;
         let read = vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL;
         let pass = RenderPass::new(
             gpu,
-            &RenderPassDesc {
-                colors: vec![Attachment {
-                    format,
-                    load: vk::AttachmentLoadOp::LOAD,
-                    store: vk::AttachmentStoreOp::STORE,
-                    before: read,
-                    after: read,
-                }],
-                resolves: vec![],
-                depth: None,
-                samples: vk::SampleCountFlags::TYPE_1,
-                view_mask: 0,
-            },
+            &RenderPassDesc::new(vec![Attachment {
+                format,
+                load: vk::AttachmentLoadOp::LOAD,
+                store: vk::AttachmentStoreOp::STORE,
+                before: read,
+                after: read,
+            }]),
         )?;
         let pipeline = GraphicsPipeline::new(
             gpu,
             &GraphicsPipelineDesc {
-                vertex: &SHADING_VERT,
-                fragment: &SHADING_FRAG,
-                pass: &pass,
                 topology: vk::PrimitiveTopology::TRIANGLE_STRIP,
-                cull: vk::CullModeFlags::NONE,
-                depth_write: None,
-                blend: false,
-                vertex_input: None,
+                ..GraphicsPipelineDesc::new(&SHADING_VERT, &SHADING_FRAG, &pass)
             },
         )?;
         let bytes = u64::from(MAX_PATCH_SLOTS.min(scene.totals.patches)) * size_of::<BlockGpu>() as u64;

@@ -37,15 +37,12 @@ impl Shadow {
         let format = vk::Format::D32_SFLOAT;
         let map = Image::new(
             gpu,
-            ImageDesc {
-                name: "shadow map",
-                extent: [side; 2],
-                layers: 1,
-                mips: 1,
-                samples: vk::SampleCountFlags::TYPE_1,
+            ImageDesc::new(
+                "shadow map",
+                [side; 2],
                 format,
-                usage: vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT | vk::ImageUsageFlags::SAMPLED,
-            },
+                vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT | vk::ImageUsageFlags::SAMPLED,
+            ),
         )?;
         let pass = RenderPass::depth_map(gpu, format)?;
         let geometry = Geometry::new(gpu, &SHADOW_VERT, &SHADOW_FRAG, &pass)?;

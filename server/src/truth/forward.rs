@@ -102,14 +102,8 @@ impl Forward {
         let background = GraphicsPipeline::new(
             gpu,
             &GraphicsPipelineDesc {
-                vertex: &FORWARD_BACKGROUND_VERT,
-                fragment: &FORWARD_BACKGROUND_FRAG,
-                pass: &color_pass,
-                topology: vk::PrimitiveTopology::TRIANGLE_LIST,
-                cull: vk::CullModeFlags::NONE,
                 depth_write: Some(false),
-                blend: false,
-                vertex_input: None,
+                ..GraphicsPipelineDesc::new(&FORWARD_BACKGROUND_VERT, &FORWARD_BACKGROUND_FRAG, &color_pass)
             },
         )?;
         let background_group = BindGroup::new(background.layout(), &shadow.binds()[..1])?;
@@ -253,7 +247,7 @@ impl Targets {
         samples: vk::SampleCountFlags,
     ) -> Result<Self, GpuError> {
         let image = |format, samples, usage| {
-            Image::new(gpu, ImageDesc { name: "forward", extent, layers: 1, mips: 1, samples, format, usage })
+            Image::new(gpu, ImageDesc { samples, ..ImageDesc::new("forward", extent, format, usage) })
         };
         let attachment = vk::ImageUsageFlags::COLOR_ATTACHMENT;
         let readable = attachment | vk::ImageUsageFlags::TRANSFER_SRC;
@@ -348,7 +342,7 @@ fn color_desc(format: vk::Format, samples: vk::SampleCountFlags) -> RenderPassDe
     let resolve = Attachment { load: vk::AttachmentLoadOp::DONT_CARE, ..shown };
     let (colors, resolves) =
         if samples == ONE { (vec![shown], vec![]) } else { (vec![multisampled], vec![resolve]) };
-    RenderPassDesc { colors, resolves, depth: Some(vk::Format::D32_SFLOAT), samples, view_mask: 0 }
+    RenderPassDesc { resolves, depth: Some(vk::Format::D32_SFLOAT), samples, ..RenderPassDesc::new(colors) }
 }
 
 fn probe_desc() -> RenderPassDesc {
@@ -360,11 +354,9 @@ fn probe_desc() -> RenderPassDesc {
         after: vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
     };
     RenderPassDesc {
-        colors: vec![attachment(vk::Format::R32_UINT), attachment(vk::Format::R32_SFLOAT)],
-        resolves: vec![],
         depth: Some(vk::Format::D32_SFLOAT),
         samples: ONE,
-        view_mask: 0,
+        ..RenderPassDesc::new(vec![attachment(vk::Format::R32_UINT), attachment(vk::Format::R32_SFLOAT)])
     }
 }
 

@@ -25,16 +25,7 @@ pub struct Present {
 impl Present {
     /// For a window's pass; `codes_srgb` where its format does not.
     pub fn new(gpu: &Arc<Gpu>, pass: &RenderPass, codes_srgb: bool) -> Result<Self, GpuError> {
-        let desc = GraphicsPipelineDesc {
-            vertex: &PRESENT_VERT,
-            fragment: &PRESENT_FRAG,
-            pass,
-            topology: vk::PrimitiveTopology::TRIANGLE_LIST,
-            cull: vk::CullModeFlags::NONE,
-            depth_write: None,
-            blend: false,
-            vertex_input: None,
-        };
+        let desc = GraphicsPipelineDesc::new(&PRESENT_VERT, &PRESENT_FRAG, pass);
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
         let nearest =
             SamplerDesc { filter: vk::Filter::NEAREST, wrap: [edge; 2], mips: false, anisotropy: 1.0 };

@@ -417,15 +417,12 @@ impl Shown {
             self.gpu.wait(ticket)?;
         }
         let (extent, format) = (self.swapchain.extent(), self.swapchain.format());
-        let desc = ImageDesc {
-            name: "screenshot",
+        let desc = ImageDesc::new(
+            "screenshot",
             extent,
-            layers: 1,
-            mips: 1,
-            samples: vk::SampleCountFlags::TYPE_1,
             format,
-            usage: vk::ImageUsageFlags::COLOR_ATTACHMENT | vk::ImageUsageFlags::TRANSFER_SRC,
-        };
+            vk::ImageUsageFlags::COLOR_ATTACHMENT | vk::ImageUsageFlags::TRANSFER_SRC,
+        );
         let image = Image::new(&self.gpu, desc)?;
         let target = Framebuffer::new(&self.gpu, self.swapchain.pass(), extent, &[image.view()])?;
         let bytes = u64::from(extent[0]) * u64::from(extent[1]) * 4;

@@ -44,6 +44,13 @@ pub struct ImageDesc {
     pub usage: vk::ImageUsageFlags,
 }
 
+impl ImageDesc {
+    /// One layer, one mip level, one sample.
+    pub fn new(name: &'static str, extent: [u32; 2], format: vk::Format, usage: vk::ImageUsageFlags) -> Self {
+        Self { name, extent, layers: 1, mips: 1, samples: vk::SampleCountFlags::TYPE_1, format, usage }
+    }
+}
+
 /// An image with its memory and one view of all of it (a 2D view for one layer, an array view for more).
 pub struct Image {
     gpu: Arc<Gpu>,

@@ -35,6 +35,19 @@ pub struct RenderPassDesc {
     pub view_mask: u32,
 }
 
+impl RenderPassDesc {
+    /// Colour alone, one sample, one view.
+    pub fn new(colors: Vec<Attachment>) -> Self {
+        Self {
+            colors,
+            resolves: Vec::new(),
+            depth: None,
+            samples: vk::SampleCountFlags::TYPE_1,
+            view_mask: 0,
+        }
+    }
+}
+
 /// A render pass.
 pub struct RenderPass {
     gpu: Arc<Gpu>,
@@ -60,13 +73,7 @@ impl RenderPass {
 
     /// A pass that leaves depth alone, ready to be sampled; it begins with the cleared depth.
     pub fn depth_map(gpu: &Arc<Gpu>, format: vk::Format) -> Result<Self, GpuError> {
-        let desc = RenderPassDesc {
-            colors: vec![],
-            resolves: vec![],
-            depth: Some(format),
-            samples: vk::SampleCountFlags::TYPE_1,
-            view_mask: 0,
-        };
+        let desc = RenderPassDesc { depth: Some(format), ..RenderPassDesc::new(vec![]) };
         Self::create(gpu, &desc, vk::AttachmentStoreOp::STORE)
     }
 

@@ -45,6 +45,22 @@ pub struct GraphicsPipelineDesc<'a> {
     pub vertex_input: Option<VertexInput<'a>>,
 }
 
+impl<'a> GraphicsPipelineDesc<'a> {
+    /// Triangles, none of them culled; no depth, no blending, no vertex buffer.
+    pub fn new(vertex: &'a Shader, fragment: &'a Shader, pass: &'a RenderPass) -> Self {
+        Self {
+            vertex,
+            fragment,
+            pass,
+            topology: vk::PrimitiveTopology::TRIANGLE_LIST,
+            cull: vk::CullModeFlags::NONE,
+            depth_write: None,
+            blend: false,
+            vertex_input: None,
+        }
+    }
+}
+
 /// A graphics pipeline with its layout.
 pub struct GraphicsPipeline {
     gpu: Arc<Gpu>,

@@ -26,13 +26,13 @@ fn draw_two_views(gpu: &Arc<Gpu>) -> Result<[u32; 2], GpuError> {
     let image = Image::new(
         gpu,
         ImageDesc {
-            name: "self-test",
-            extent: [4, 4],
             layers: 2,
-            mips: 1,
-            samples: vk::SampleCountFlags::TYPE_1,
-            format,
-            usage: vk::ImageUsageFlags::COLOR_ATTACHMENT | vk::ImageUsageFlags::TRANSFER_SRC,
+            ..ImageDesc::new(
+                "self-test",
+                [4, 4],
+                format,
+                vk::ImageUsageFlags::COLOR_ATTACHMENT | vk::ImageUsageFlags::TRANSFER_SRC,
+            )
         },
     )?;
     let color = Attachment {
@@ -42,30 +42,10 @@ fn draw_two_views(gpu: &Arc<Gpu>) -> Result<[u32; 2], GpuError> {
         before: vk::ImageLayout::UNDEFINED,
         after: vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
     };
-    let pass = RenderPass::new(
-        gpu,
-        &RenderPassDesc {
-            colors: vec![color],
-            resolves: vec![],
-            depth: None,
-            samples: vk::SampleCountFlags::TYPE_1,
-            view_mask: 0b11,
-        },
-    )?;
+    let pass = RenderPass::new(gpu, &RenderPassDesc { view_mask: 0b11, ..RenderPassDesc::new(vec![color]) })?;
     let target = Framebuffer::new(gpu, &pass, [4, 4], &[image.view()])?;
-    let pipeline = GraphicsPipeline::new(
-        gpu,
-        &GraphicsPipelineDesc {
-            vertex: &SELFTEST_VERT,
-            fragment: &SELFTEST_FRAG,
-            pass: &pass,
-            topology: vk::PrimitiveTopology::TRIANGLE_LIST,
-            cull: vk::CullModeFlags::NONE,
-            depth_write: None,
-            blend: false,
-            vertex_input: None,
-        },
-    )?;
+    let pipeline =
+        GraphicsPipeline::new(gpu, &GraphicsPipelineDesc::new(&SELFTEST_VERT, &SELFTEST_FRAG, &pass))?;
     let readback = Buffer::new(gpu, "self-test", 128, Memory::Readback)?;
     let mut recorder: Recorder = gpu.record()?;
     recorder.begin_pass(&pass, &target, &[vk::ClearValue::default()]);

@@ -236,15 +236,8 @@ impl Swapchain {
         self.handle = made;
         // SAFETY: the swapchain was just made.
         let images = unsafe { self.functions.get_swapchain_images(made) };
-        let desc = ImageDesc {
-            name: "window",
-            extent,
-            layers: 1,
-            mips: 1,
-            samples: vk::SampleCountFlags::TYPE_1,
-            format: self.format.format,
-            usage: vk::ImageUsageFlags::COLOR_ATTACHMENT,
-        };
+        let desc =
+            ImageDesc::new("window", extent, self.format.format, vk::ImageUsageFlags::COLOR_ATTACHMENT);
         for image in images.doing("listing the swapchain's images")? {
             let target = Framebuffer::around_foreign_image(&self.gpu, &self.pass, image, &desc, 0, &[])?;
             self.targets.push(target);
@@ -329,17 +322,11 @@ fn extent_of(capabilities: &vk::SurfaceCapabilitiesKHR, wanted: [u32; 2]) -> [u3
 }
 
 fn present_pass(format: vk::Format) -> RenderPassDesc {
-    RenderPassDesc {
-        colors: vec![Attachment {
-            format,
-            load: vk::AttachmentLoadOp::DONT_CARE,
-            store: vk::AttachmentStoreOp::STORE,
-            before: vk::ImageLayout::UNDEFINED,
-            after: vk::ImageLayout::PRESENT_SRC_KHR,
-        }],
-        resolves: vec![],
-        depth: None,
-        samples: vk::SampleCountFlags::TYPE_1,
-        view_mask: 0,
-    }
+    RenderPassDesc::new(vec![Attachment {
+        format,
+        load: vk::AttachmentLoadOp::DONT_CARE,
+        store: vk::AttachmentStoreOp::STORE,
+        before: vk::ImageLayout::UNDEFINED,
+        after: vk::ImageLayout::PRESENT_SRC_KHR,
+    }])
 }

@@ -179,7 +179,7 @@ fn the_forward_renderer_shows_the_dragon_in_front_of_the_sky_and_the_same_twice(
 
 #[test]
 fn atlas_planes_equal_the_cpu_twin_within_one_code_value() {
-    use shadecast_gpu::vk::{Format, ImageLayout, ImageUsageFlags, SampleCountFlags};
+    use shadecast_gpu::vk::{Format, ImageLayout, ImageUsageFlags};
     use shadecast_gpu::{Image, ImageDesc};
     use shadecast_server::stages::ycbcr::Ycbcr;
     let gpu = gpu();
@@ -191,15 +191,12 @@ fn atlas_planes_equal_the_cpu_twin_within_one_code_value() {
             (state >> 24) as u8
         })
         .collect();
-    let desc = ImageDesc {
-        name: "atlas",
+    let desc = ImageDesc::new(
+        "atlas",
         extent,
-        layers: 1,
-        mips: 1,
-        samples: SampleCountFlags::TYPE_1,
-        format: Format::R8G8B8A8_UNORM,
-        usage: ImageUsageFlags::SAMPLED | ImageUsageFlags::TRANSFER_DST,
-    };
+        Format::R8G8B8A8_UNORM,
+        ImageUsageFlags::SAMPLED | ImageUsageFlags::TRANSFER_DST,
+    );
     let atlas = Image::new(&gpu, desc).unwrap();
     let staging = Buffer::upload(&gpu, "texels", &rgba8).unwrap();
     let ycbcr = Ycbcr::new(&gpu, &atlas).unwrap();
