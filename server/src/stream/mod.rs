@@ -15,6 +15,7 @@ mod stats;
 mod studio;
 #[cfg(test)]
 mod testing;
+mod turns;
 
 pub use stats::{StreamStats, ViewerStats};
 pub use studio::{Device, Reopen};

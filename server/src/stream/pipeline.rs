@@ -2,11 +2,12 @@
 //!
 //! Whatever fails while one client's pipeline is made or run is that client's end, with a reason, and the server goes on.
 //! Only a lost device stops all of it; then it is opened again from the top. Where the device is slower than all updates
-//! together, who has waited longest is next.
+//! together, who has had least of it is next.
 
 use super::encoder::{EncoderThread, Job, Outcome, words_of};
 use super::mailbox::{Accepted, Client, Mailbox, News};
 use super::rebuild::Rebuild;
+use super::turns::{Share, Turns};
 use super::{Say, StreamStats, ViewerStats};
 use crate::encode::{EncodeError, Encoder};
 use crate::frame::Shaded;
@@ -74,6 +75,7 @@ pub(super) struct Pipeline<'a, S: Studio> {
     period_ns: i64,
     epoch_ns: i64,
     clients: BTreeMap<PeerId, Served<S::Updates>>,
+    turns: Turns,
     rebuild: Rebuild,
     /// When the device is opened again; `None` while it is open.
     reopen_ns: Option<i64>,
@@ -89,6 +91,7 @@ struct Served<U> {
     extent_texels: AtlasExtent,
     encoder: EncoderThread,
     encoder_failures: u32,
+    share: Share,
     stats: ViewerStats,
     since_ns: i64,
 }
@@ -149,6 +152,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             period_ns: (1e9 / rate_hz) as i64,
             epoch_ns,
             clients: BTreeMap::new(),
+            turns: Turns::default(),
             rebuild: Rebuild::default(),
             reopen_ns: None,
             stats: StreamStats { epoch_monotonic_ns: epoch_ns, ..StreamStats::default() },
@@ -225,6 +229,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
                 extent_texels,
                 encoder,
                 encoder_failures: 0,
+                share: self.turns.join(),
                 stats: ViewerStats { viewer: self.stats.clients, ..ViewerStats::default() },
                 since_ns: now_ns,
             },
@@ -239,9 +244,10 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             .map_err(|error| Fault::of_encoder(&error.to_string()))
     }
 
-    /// Of the clients whose update is due, whose last picture is encoded and whose way is open, the one that waits longest.
+    /// Of the clients whose update is due, whose last picture is encoded and whose way is open, the one that has had least of
+    /// the device; of equals the one that waits longest.
     fn next_to_serve(&mut self, now_ns: i64) -> Option<PeerId> {
-        let mut next: Option<(i64, PeerId)> = None;
+        let mut next: Option<([i64; 2], PeerId)> = None;
         for (peer, client) in &mut self.clients {
             let Some(due_ns) = client.viewer.due_ns().filter(|due_ns| *due_ns <= now_ns) else { continue };
             if client.encoder.is_busy() {
@@ -251,8 +257,9 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             if let Some(shortfall) = client.viewer.shortfall(now_ns) {
                 tracing::warn!("{shortfall}");
             }
-            if is_open && next.is_none_or(|(earliest_ns, _)| due_ns < earliest_ns) {
-                next = Some((due_ns, *peer));
+            let order = [self.turns.order(client.share), due_ns];
+            if is_open && next.is_none_or(|(least, _)| order < least) {
+                next = Some((order, *peer));
             }
         }
         next.map(|(_, peer)| peer)
@@ -302,7 +309,9 @@ impl<'a, S: Studio> Pipeline<'a, S> {
                 studio.update(updates, now).map_err(|error| Fault::of(&error, "shading an update"))?;
             shaded.map(|shaded| client.send_delta(outlet.as_ref(), peer, shaded, now_ns)).transpose()
         })?;
-        client.stats.busy_s += begun.elapsed().as_secs_f64();
+        let took = begun.elapsed();
+        client.stats.busy_s += took.as_secs_f64();
+        self.turns.served(&mut client.share, took.as_nanos() as i64);
         let Some(Update { shaded, sizes, refresh }) = made else { return Ok(()) };
         client.count(sizes, now_ns);
         client.encoder.give(Job { shaded, refresh });
