@@ -63,11 +63,11 @@ use shadecast_protocol::limits::{MAX_CONTROL_PER_SECOND, MAX_DATAGRAM_BYTES, MAX
 use shadecast_protocol::text::printable;
 
 use crate::congestion::{INITIAL_WINDOW_BYTES, SteadyConfig};
+use crate::identity::tls::{self, PinVerifier};
 use crate::identity::{ExpectedIdentity, Fingerprint, IdentityError, ServerIdentity};
 use crate::inbox::Inbox;
 use crate::peer::{Peer, PeerLimits, Violation};
 use crate::rng;
-use crate::tls::{self, PinVerifier};
 
 /// A peer from which nothing was heard for this long is given up.
 pub const IDLE_TIMEOUT: Duration = Duration::from_secs(3);

@@ -16,15 +16,14 @@ pub mod mio;
 pub mod pair;
 mod peer;
 mod rng;
-mod tls;
 
 pub use endpoint::{
     CloseKind, Congestion, Counters, Endpoint, EndpointConfig, Event, PeerId, PeerStats, SendError, StreamId,
     Transmit, random_bytes,
 };
 pub use files::{PendingFile, remove_pending_files, write_atomically};
+pub use identity::tls::ALPN;
 pub use identity::{ExpectedIdentity, Fingerprint, IdentityError, KnownServers, Meeting, ServerIdentity};
 pub use link::{Direction, Link, LinkError, LinkProfile, LinkSchedule};
 pub use mio::{Driver, Events, Handle, monotonic_now_ns, spawn};
 pub use pair::Pair;
-pub use tls::ALPN;

@@ -14,7 +14,7 @@ use shadecast_protocol::limits::{MAX_CONTROL_BYTES, MAX_STREAM_BYTES};
 use shadecast_protocol::wire::{ControlReader, WireError, frame_control};
 
 use crate::endpoint::{Event, PeerId, SendError, StreamId};
-use crate::tls::PinVerifier;
+use crate::identity::tls::PinVerifier;
 
 /// Bytes of messages and streams that wait for the network to take them, per peer.
 const MAX_QUEUED_BYTES: usize = 96 << 20;

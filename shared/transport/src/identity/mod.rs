@@ -3,67 +3,16 @@
 //! There is no certificate authority between a PC and a headset in one home. The server makes a key pair once; the
 //! client pins the fingerprint of its public key at the first connection and refuses another one later.
 
-use std::collections::BTreeMap;
-use std::fmt;
+mod key;
+mod known;
+pub(crate) mod tls;
+
+pub use key::{Fingerprint, ServerIdentity};
+pub use known::{ExpectedIdentity, KnownServers, Meeting};
+
 use std::fs;
-use std::io::{self, Write};
-use std::net::SocketAddr;
-use std::os::unix::fs::PermissionsExt;
+use std::io;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
-
-use rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer};
-
-use crate::files::PendingFile;
-use crate::rng;
-
-/// File of a server's private key inside its identity directory.
-const KEY_FILE: &str = "server-key.pem";
-/// File of the pinned servers inside a client's configuration directory.
-const KNOWN_SERVERS_FILE: &str = "known_servers.toml";
-/// What comes before the 32 bytes of an Ed25519 key in a PKCS #8 version 1 document (RFC 8410, section 7).
-const ED25519_PKCS8_PREFIX: [u8; 16] =
-    [0x30, 0x2e, 0x02, 0x01, 0x00, 0x30, 0x05, 0x06, 0x03, 0x2b, 0x65, 0x70, 0x04, 0x22, 0x04, 0x20];
-
-/// SHA-256 of a server's public key (its `SubjectPublicKeyInfo`); written as 64 hexadecimal digits.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Fingerprint(pub [u8; 32]);
-
-impl Fingerprint {
-    pub(crate) fn of_public_key(spki_der: &[u8]) -> Self {
-        let digest = ring::digest::digest(&ring::digest::SHA256, spki_der);
-        let mut bytes = [0; 32];
-        bytes.copy_from_slice(digest.as_ref());
-        Self(bytes)
-    }
-}
-
-impl fmt::Display for Fingerprint {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
-    }
-}
-
-impl fmt::Debug for Fingerprint {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Fingerprint({self})")
-    }
-}
-
-impl FromStr for Fingerprint {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        if text.len() != 64 || !text.bytes().all(|b| b.is_ascii_hexdigit()) {
-            return Err(format!("\"{text}\" is not a fingerprint of 64 hexadecimal digits"));
-        }
-        let mut bytes = [0; 32];
-        for (i, byte) in bytes.iter_mut().enumerate() {
-            *byte = u8::from_str_radix(&text[2 * i..2 * i + 2], 16).map_err(|e| e.to_string())?;
-        }
-        Ok(Self(bytes))
-    }
-}
 
 /// Why an identity or the list of known servers could not be used.
 #[derive(Debug, thiserror::Error)]
@@ -138,99 +87,6 @@ pub fn default_directory() -> Result<PathBuf, IdentityError> {
         .ok_or(IdentityError::NoDirectory)
 }
 
-/// A server's key pair and the self-signed certificate that carries it.
-pub struct ServerIdentity {
-    key: rcgen::KeyPair,
-    certificate: CertificateDer<'static>,
-    fingerprint: Fingerprint,
-}
-
-impl fmt::Debug for ServerIdentity {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ServerIdentity({})", self.fingerprint)
-    }
-}
-
-impl ServerIdentity {
-    /// A new identity from the system's random numbers, kept nowhere.
-    pub fn generate() -> Result<Self, IdentityError> {
-        let key = rcgen::KeyPair::generate_for(&rcgen::PKCS_ED25519);
-        Self::from_key(key.map_err(|e| IdentityError::Generate(e.to_string()))?)
-    }
-
-    /// The identity that belongs to `seed`: for tests and virtual time, never for a server that others reach.
-    pub fn from_seed(seed: u64) -> Result<Self, IdentityError> {
-        let mut der = ED25519_PKCS8_PREFIX.to_vec();
-        der.extend(rng::bytes32(seed, 0x1d));
-        Self::from_pkcs8(der).map_err(IdentityError::Generate)
-    }
-
-    /// Reads the identity in `directory`, or makes one there at the first start (key file of mode 0600).
-    pub fn load_or_create(directory: &Path) -> Result<Self, IdentityError> {
-        let path = directory.join(KEY_FILE);
-        if !path.exists() {
-            create_private_directory(directory)?;
-            let fresh = Self::generate()?;
-            write_new_key(&path, &fresh.key.serialize_pem())?;
-        }
-        Self::load(&path)
-    }
-
-    fn load(path: &Path) -> Result<Self, IdentityError> {
-        let metadata = fs::metadata(path).map_err(file_error("reading", path))?;
-        check_is_file(&metadata, path)?;
-        let mode = metadata.permissions().mode() & 0o777;
-        if mode & 0o077 != 0 {
-            return Err(IdentityError::Permissions { path: path.into(), mode });
-        }
-        let wrong = |wrong: String| IdentityError::Key { path: path.into(), wrong };
-        let bytes = fs::read(path).map_err(file_error("reading", path))?;
-        let pem = String::from_utf8(bytes).map_err(|e| wrong(e.to_string()))?;
-        let key = rcgen::KeyPair::from_pkcs8_pem_and_sign_algo(&pem, &rcgen::PKCS_ED25519);
-        Self::from_key(key.map_err(|e| wrong(e.to_string()))?)
-    }
-
-    fn from_pkcs8(der: Vec<u8>) -> Result<Self, String> {
-        let der = PrivatePkcs8KeyDer::from(der);
-        let key = rcgen::KeyPair::from_pkcs8_der_and_sign_algo(&der, &rcgen::PKCS_ED25519);
-        Self::from_key(key.map_err(|e| e.to_string())?).map_err(|e| e.to_string())
-    }
-
-    fn from_key(key: rcgen::KeyPair) -> Result<Self, IdentityError> {
-        let generate = |e: rcgen::Error| IdentityError::Generate(e.to_string());
-        let mut params =
-            rcgen::CertificateParams::new(vec![crate::tls::SERVER_NAME.to_owned()]).map_err(generate)?;
-        params.distinguished_name = rcgen::DistinguishedName::new();
-        params.distinguished_name.push(rcgen::DnType::CommonName, "Shadecast server");
-        // A fixed serial number: one derived from the key would change the certificate's length from key to key.
-        params.serial_number = Some(rcgen::SerialNumber::from_slice(&[1]));
-        let certificate = params.self_signed(&key).map_err(generate)?.der().clone();
-        let fingerprint = Fingerprint::of_public_key(&rcgen::PublicKeyData::subject_public_key_info(&key));
-        Ok(Self { key, certificate, fingerprint })
-    }
-
-    /// SHA-256 of the public key: what clients pin.
-    pub fn fingerprint(&self) -> Fingerprint {
-        self.fingerprint
-    }
-
-    pub(crate) fn certificate(&self) -> CertificateDer<'static> {
-        self.certificate.clone()
-    }
-
-    pub(crate) fn private_key(&self) -> PrivateKeyDer<'static> {
-        PrivatePkcs8KeyDer::from(self.key.serialize_der()).into()
-    }
-
-    /// A key for `purpose` that only the owner of this identity can compute, the same after each restart.
-    pub(crate) fn derived_key(&self, purpose: &str) -> [u8; 32] {
-        let key = ring::hmac::Key::new(ring::hmac::HMAC_SHA256, self.key.serialized_der());
-        let mut out = [0; 32];
-        out.copy_from_slice(ring::hmac::sign(&key, purpose.as_bytes()).as_ref());
-        out
-    }
-}
-
 fn create_private_directory(directory: &Path) -> Result<(), IdentityError> {
     use std::os::unix::fs::DirBuilderExt;
     let mut builder = fs::DirBuilder::new();
@@ -238,149 +94,14 @@ fn create_private_directory(directory: &Path) -> Result<(), IdentityError> {
     builder.create(directory).map_err(file_error("creating the directory", directory))
 }
 
-/// Puts a new key at `path`, whole or not at all. When two servers start at once, the first one's key stays.
-fn write_new_key(path: &Path, pem: &str) -> Result<(), IdentityError> {
-    let write = || {
-        let mut file = PendingFile::create_private(path)?;
-        file.write_all(pem.as_bytes())?;
-        file.commit_new()
-    };
-    write().map(|_| ()).map_err(file_error("writing", path))
-}
-
-/// `text` as a basic string of TOML.
-fn toml_string(text: &str) -> String {
-    let escape = |c: char| match c {
-        '"' | '\\' => format!("\\{c}"),
-        c if c.is_control() => format!("\\u{:04x}", u32::from(c)),
-        c => c.to_string(),
-    };
-    format!("\"{}\"", text.chars().map(escape).collect::<String>())
-}
-
-/// Which server a client is willing to talk to.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum ExpectedIdentity {
-    /// Any: it is the first meeting. The fingerprint comes with the `Connected` event and is then to be kept.
-    TrustOnFirstUse,
-    /// The one with this fingerprint.
-    Pinned {
-        /// The fingerprint of its public key.
-        fingerprint: Fingerprint,
-        /// What a user does to accept another server, as the end of a sentence.
-        remedy: String,
-    },
-}
-
-/// The servers a client has met, in `known_servers.toml`: a line for each name and address, with the fingerprint of the
-/// server there.
-///
-/// A server is its key. What the user typed and the address that answered are two lines of one server, so that it is
-/// known by either afterwards.
-#[derive(Debug)]
-pub struct KnownServers {
-    path: PathBuf,
-    servers: BTreeMap<String, Fingerprint>,
-}
-
-/// How a client knows the server that it has reached.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Meeting {
-    /// Under this name or address.
-    Again,
-    /// Under another one: this.
-    KnownAs(String),
-    /// Not at all; from now on it does.
-    First,
-}
-
-impl KnownServers {
-    /// Reads the list in `directory`; without a file it is empty.
-    pub fn load(directory: &Path) -> Result<Self, IdentityError> {
-        let path = directory.join(KNOWN_SERVERS_FILE);
-        if let Ok(metadata) = fs::metadata(&path) {
-            check_is_file(&metadata, &path)?;
-        }
-        let text = match fs::read_to_string(&path) {
-            Err(e) if e.kind() == io::ErrorKind::NotFound => String::new(),
-            read => read.map_err(file_error("reading", &path))?,
-        };
-        let wrong = |wrong: String| IdentityError::KnownServers { path: path.clone(), wrong };
-        let lines: BTreeMap<String, String> = toml::from_str(&text).map_err(|e| wrong(e.to_string()))?;
-        let parse = |(address, text): (String, String)| match text.parse() {
-            Ok(fingerprint) => Ok((address, fingerprint)),
-            Err(e) => Err(wrong(format!("\"{address}\": {e}"))),
-        };
-        let servers = lines.into_iter().map(parse).collect::<Result<_, _>>()?;
-        Ok(Self { path, servers })
-    }
-
-    /// Whom to expect at `address`, to which `name` (`host:port`, as the user writes it) leads. The name's line counts
-    /// before the address's: addresses go from one machine to another.
-    pub fn expected(&self, name: &str, address: SocketAddr) -> ExpectedIdentity {
-        let address = address.to_string();
-        let Some(&fingerprint) = self.servers.get(name).or_else(|| self.servers.get(&address)) else {
-            return ExpectedIdentity::TrustOnFirstUse;
-        };
-        let mut lines = vec![name];
-        if address != name {
-            lines.push(&address);
-        }
-        lines.retain(|line| self.servers.get(*line) == Some(&fingerprint));
-        let lines: Vec<String> = lines.iter().map(|line| format!("\"{line}\"")).collect();
-        let (line, begins) = if lines.len() > 1 { ("lines", "begin") } else { ("line", "begins") };
-        let remedy = format!(
-            "if the server was set up anew, delete the {line} that {begins} with {} from {} and connect again",
-            lines.join(" and "),
-            self.path.display()
-        );
-        ExpectedIdentity::Pinned { fingerprint, remedy }
-    }
-
-    /// Pins the server that answered as `name` at `address`, and writes the list where that is news.
-    pub fn remember(
-        &mut self,
-        name: &str,
-        address: SocketAddr,
-        fingerprint: Fingerprint,
-    ) -> Result<Meeting, IdentityError> {
-        let address = address.to_string();
-        let knows = |line: &str| self.servers.get(line) == Some(&fingerprint);
-        let (by_name, by_address) = (knows(name), knows(&address));
-        if by_name && by_address {
-            return Ok(Meeting::Again);
-        }
-        let other = self.servers.iter().find(|(_, known)| **known == fingerprint);
-        let meeting = match other {
-            _ if by_name => Meeting::Again,
-            Some((line, _)) => Meeting::KnownAs(line.clone()),
-            None => Meeting::First,
-        };
-        self.servers.insert(name.to_owned(), fingerprint);
-        self.servers.insert(address, fingerprint);
-        self.write().map(|()| meeting)
-    }
-
-    fn write(&self) -> Result<(), IdentityError> {
-        if let Some(directory) = self.path.parent() {
-            create_private_directory(directory)?;
-        }
-        let mut text = String::from("# Servers this client has met, and the fingerprints of their keys.\n");
-        for (line, fingerprint) in &self.servers {
-            text += &format!("{} = \"{fingerprint}\"\n", toml_string(line));
-        }
-        let write = || {
-            let mut file = PendingFile::create_private(&self.path)?;
-            file.write_all(text.as_bytes())?;
-            file.commit()
-        };
-        write().map_err(file_error("writing", &self.path))
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use super::key::KEY_FILE;
+    use super::known::KNOWN_SERVERS_FILE;
     use super::*;
+    use crate::rng;
+    use std::net::SocketAddr;
+    use std::os::unix::fs::PermissionsExt;
 
     fn mode(path: &Path) -> u32 {
         fs::metadata(path).unwrap().permissions().mode() & 0o777
