@@ -60,8 +60,9 @@ void main() {
         return;
     }
     if (before.w == PAST_THE_END && now.w == ON_CURVE) {
+        // After a gap the curve at that time is not known, and the samples that were gone on from may have left the ring.
         vec4 then = curve(slot, tag_before, fraction_before);
-        blend = then.w == NOT_DRAWABLE ? vec4(0.0) : vec4(before.xyz - then.xyz, 1.0);
+        blend = then.w == ON_CURVE ? vec4(before.xyz - then.xyz, 1.0) : vec4(0.0);
     }
     blend.w = max(blend.w - blend_step, 0.0);
     blends[slot] = blend;

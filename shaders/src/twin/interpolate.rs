@@ -112,9 +112,12 @@ impl VertexMemory {
             return;
         };
         if before[3] == PAST_THE_END && state == ON_CURVE {
+            // After a gap the curve at that time is not known, and the samples that were gone on from may have left the ring.
             blend = match self.curve(slot, push.tag_before, push.fraction_before, cubic) {
-                Some((then, _)) => [before[0] - then[0], before[1] - then[1], before[2] - then[2], 1.0],
-                None => [0.0; 4],
+                Some((then, ON_CURVE)) => {
+                    [before[0] - then[0], before[1] - then[1], before[2] - then[2], 1.0]
+                }
+                _ => [0.0; 4],
             };
         }
         blend[3] = (blend[3] - push.blend_step).max(0.0);
@@ -214,6 +217,24 @@ mod tests {
     fn cubic_follows_a_sine_of_one_hertz_within_a_hundredth_of_a_percent() {
         let error = sine_error(true);
         assert!(error < 1e-4, "{error}");
+    }
+
+    #[test]
+    fn after_a_gap_a_vertex_is_where_its_samples_are_though_the_ring_has_lost_what_it_went_on_from() {
+        let at = |g: i32| 0.1 * g as f32;
+        let mut memory = with_samples(25..=30, at);
+        memory.interpolate(&push(31, 0.0, true));
+        assert_eq!(memory.positions[0][3], PAST_THE_END);
+        // A ring of samples later: 45 takes the place of 29.
+        assert_eq!(SAMPLE_RING, 16);
+        let writes: Vec<_> = (38..=45).map(|g| sample_write(0, GridIndex(g), [at(g), 0.0, 0.0])).collect();
+        memory.scatter(&writes);
+        memory.interpolate(&InterpolatePush {
+            tag_before: tag(GridIndex(31)),
+            fraction_before: 0.0,
+            ..push(39, 0.0, true)
+        });
+        assert!((memory.positions[0][0] - at(39)).abs() < 1e-5, "{:?}", memory.positions[0]);
     }
 
     #[test]
