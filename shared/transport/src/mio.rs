@@ -705,3 +705,28 @@ impl Worker {
         (published.stats, published.counters, published.link) = (stats, endpoint.counters(), link);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::endpoint::EndpointConfig;
+
+    /// Whether the poll wakes because the socket takes more.
+    fn wakes_for_room(driver: &mut Driver) -> bool {
+        driver.watch_for_room().expect("registered");
+        driver.poll.poll(&mut driver.readiness, Some(Duration::from_millis(20))).expect("polled");
+        driver.readiness.iter().any(|event| event.token() == SOCKET && event.is_writable())
+    }
+
+    #[test]
+    fn the_socket_is_watched_for_room_only_while_something_is_pending() {
+        let any = "127.0.0.1:0".parse().expect("an address");
+        let mut driver = Driver::bind(Endpoint::client(EndpointConfig::default()), any).expect("bound");
+        assert!(!wakes_for_room(&mut driver), "an idle socket nearly always has room");
+        let to = driver.local_addr().expect("bound");
+        driver.pending = Some(Transmit { to, from_ip: None, bytes: vec![0], segment_size: None, ecn: None });
+        assert!(wakes_for_room(&mut driver));
+        driver.pending = None;
+        assert!(!wakes_for_room(&mut driver));
+    }
+}
