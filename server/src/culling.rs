@@ -51,11 +51,6 @@ impl Culling {
         }
         &self.needed
     }
-
-    /// The last update's answer.
-    pub fn needed(&self) -> &[bool] {
-        &self.needed
-    }
 }
 
 /// Conservative: outside only if all points lie on the far side of one of the view's planes.

@@ -8,7 +8,7 @@ use shadecast_lab::demo::{DemoOptions, demo};
 use shadecast_lab::figures;
 use shadecast_lab::hostile::{self, HostileOptions};
 use shadecast_lab::long;
-use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs, USUAL_LINK, ViewerOptions};
+use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs, USUAL_LINK, ViewerOptions, parse_link};
 use shadecast_lab::robot::robot;
 use shadecast_lab::room::write_room;
 use shadecast_lab::run::{Report, run};
@@ -21,7 +21,6 @@ use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::scene_gpu::SceneOptions;
 use shadecast_server::stages::skin::Skinning;
-use shadecast_transport::{LinkProfile, LinkSchedule};
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -270,14 +269,10 @@ fn main() {
 }
 
 fn run_one(args: RunArgs) -> anyhow::Result<()> {
-    let link: LinkSchedule = match args.link.ends_with(".toml") {
-        true => LinkSchedule::load(&args.link)?,
-        false => args.link.parse::<LinkProfile>()?.into(),
-    };
     let options = RunOptions {
         renderer: args.renderer,
         clip: args.clip,
-        link,
+        link: parse_link(&args.link)?,
         head: match (args.head, args.head_path) {
             (Some(file), _) => Head::File(file),
             (None, Some(name)) => Head::Named(name),

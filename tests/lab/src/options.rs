@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::scene_gpu::SceneOptions;
-use shadecast_transport::{LinkProfile, LinkSchedule};
+use shadecast_transport::{LinkError, LinkProfile, LinkSchedule};
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -117,11 +117,19 @@ impl FromStr for ViewerOptions {
             }
         }
         let link = if link.is_empty() { USUAL_LINK.to_owned() } else { link.join(",") };
-        let link: LinkSchedule = match link.ends_with(".toml") {
-            true => LinkSchedule::load(&link).map_err(|error| error.to_string())?,
-            false => link.parse::<LinkProfile>().map_err(|error| error.to_string())?.into(),
-        };
+        let link = parse_link(&link).map_err(|error| error.to_string())?;
         Ok(Self { link, head })
+    }
+}
+
+/// A network as a person writes it: its figures, or a `.toml` file of those with start times.
+///
+/// # Errors
+/// It is neither, or the file cannot be read.
+pub fn parse_link(text: &str) -> Result<LinkSchedule, LinkError> {
+    match text.ends_with(".toml") {
+        true => LinkSchedule::load(text),
+        false => Ok(text.parse::<LinkProfile>()?.into()),
     }
 }
 
@@ -182,17 +190,11 @@ pub struct RunOptions {
 impl RunOptions {
     /// What the acceptance runs use: 512x512 per eye, 20 +- 5 ms, 100 Mbit/s, 30 and 72 Hz.
     pub fn new(scene: SceneSource, out: PathBuf) -> Self {
-        let link = LinkProfile {
-            latency_ns: 20_000_000,
-            jitter_ns: 5_000_000,
-            rate_bit_per_s: Some(100_000_000),
-            ..LinkProfile::default()
-        };
         Self {
             scene,
             clip: None,
             renderer: Renderer::Stream,
-            link: link.into(),
+            link: parse_link(USUAL_LINK).expect("the usual link is one"),
             head: Head::Walk,
             others: Vec::new(),
             seconds: 5.0,
