@@ -2,11 +2,18 @@
 //! update.
 
 use super::*;
-use crate::pace::Pace;
+use crate::draw_list::{DrawList, ListScratch, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
+use crate::motion::pace::Pace;
+use crate::motion::{Motion, Motionless};
 use crate::stages::interpolate::{GridTime, Interpolation, push};
-use shadecast_protocol::atlas::{BlockAddress, BlockSize};
-use shadecast_protocol::delta::{InstanceInfo, NewVertex, SampleBatch};
-use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
+use glam::Vec3;
+use shadecast_protocol::atlas::{BlockAddress, BlockSize, PatchKind};
+use shadecast_protocol::delta::ReceivedDelta;
+use shadecast_protocol::geometry::{self, NewVertex};
+use shadecast_protocol::ids::{InstanceId, VertexSlot};
+use shadecast_protocol::motion::PositionBatch;
+use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime};
+use shadecast_shaders::generated::CornerGpu;
 use shadecast_shaders::twin::interpolate::{VertexMemory, tag};
 use std::collections::BTreeMap;
 
@@ -83,21 +90,17 @@ impl Server {
         (0..slots).find(|slot| !used(*slot) && !is_blocked(*slot))
     }
 
-    fn update(&mut self, dice: &mut Dice) -> GeometryDelta {
+    fn update(&mut self, dice: &mut Dice) -> ReceivedDelta {
         let frame = self.next_frame;
         self.next_frame += 1;
         let mut delta = GeometryDelta { frame: UpdateId(frame), ..GeometryDelta::default() };
-        if frame == 0 {
-            delta.instances =
-                (0..INSTANCES).map(|i| InstanceInfo { instance: InstanceId(i), step_m: 1.0 }).collect();
-        }
         self.evict(dice, &mut delta);
         self.grid += 1;
         let entering = (0..dice.below(3)).filter_map(|_| self.enter(dice, &mut delta)).collect::<Vec<_>>();
         self.place(dice, &mut delta);
-        self.sample(&mut delta, &entering.concat());
+        let positions = self.sample(&entering.concat());
         self.seen_at.insert(frame, self.seen());
-        delta
+        ReceivedDelta { geometry: delta, positions }
     }
 
     fn evict(&mut self, dice: &mut Dice, delta: &mut GeometryDelta) {
@@ -132,8 +135,8 @@ impl Server {
             let vertex = ModelVertex { identity: self.identities, instance, is_sampled: instance == 0 };
             self.vertices.insert(*slot, vertex);
             let motion = match vertex.is_sampled {
-                true => Motion::Sampled,
-                false => Motion::Static { position: glam::Vec3::new(self.identities as f32, 0.0, 0.0) },
+                true => geometry::Motion::Sampled,
+                false => geometry::Motion::Static { position: Vec3::new(self.identities as f32, 0.0, 0.0) },
             };
             delta.new_vertices.push(NewVertex {
                 slot: VertexSlot(*slot),
@@ -166,13 +169,15 @@ impl Server {
     }
 
     /// Every animated vertex gets the next step; one that enters gets the three before it too.
-    fn sample(&mut self, delta: &mut GeometryDelta, entering: &[u32]) {
-        for grid in self.grid - 3..=self.grid {
+    fn sample(&self, entering: &[u32]) -> Vec<PositionBatch> {
+        let batch = |grid: i32| {
             let sampled = self.vertices.iter().filter(|(_, vertex)| vertex.is_sampled);
             let due = sampled.filter(|(slot, _)| grid == self.grid || entering.contains(slot));
-            let values: Vec<_> = due.map(|(slot, v)| (VertexSlot(*slot), [v.identity, grid, 0])).collect();
-            delta.samples.push(SampleBatch { grid: GridIndex(grid), values });
-        }
+            let position = |v: &ModelVertex| Vec3::new(v.identity as f32, grid as f32, 0.0);
+            let positions = due.map(|(slot, v)| (VertexSlot(*slot), position(v))).collect();
+            PositionBatch { grid: GridIndex(grid), positions }
+        };
+        (self.grid - 3..=self.grid).map(batch).collect()
     }
 
     fn seen(&self) -> Seen {
@@ -192,6 +197,8 @@ impl Server {
 struct Bench {
     seed: u64,
     bundler: Bundler<u32>,
+    motion: Motion,
+    scratch: ListScratch,
     memory: VertexMemory,
     /// The same memory, with positions at the times of display.
     moved: VertexMemory,
@@ -207,7 +214,9 @@ impl Bench {
     fn new(seed: u64) -> Self {
         Self {
             seed,
-            bundler: Bundler::new(VERTEX_SLOTS, PATCH_SLOTS),
+            bundler: Bundler::new(PATCH_SLOTS),
+            motion: Motion::new(VERTEX_SLOTS),
+            scratch: ListScratch::new(PATCH_SLOTS),
             memory: VertexMemory::new(VERTEX_SLOTS),
             moved: VertexMemory::new(VERTEX_SLOTS),
             pace: Pace::default(),
@@ -219,23 +228,29 @@ impl Bench {
         }
     }
 
+    fn add_delta(&mut self, delta: ReceivedDelta) {
+        self.motion.take(delta.geometry.frame, &delta.geometry.new_vertices, &delta.positions);
+        self.bundler.add_delta(delta.geometry);
+    }
+
     /// One display frame with room for `records` vertex records. Gives the frame on display.
     fn display(&mut self, records: usize, grid: i32) -> Option<UpdateId> {
         let mut staging = vec![bytemuck::Zeroable::zeroed(); records];
         let mut ranges = Vec::new();
-        self.bundler.writes().drain_into(&mut staging, |range| ranges.push(range));
+        self.motion.writes().drain_into(&mut staging, |range| ranges.push(range));
         for range in ranges {
             let range = range.start as usize..range.end as usize;
             self.memory.scatter(&staging[range.clone()]);
             self.moved.scatter(&staging[range]);
         }
-        let newest = self.bundler.take_newest_complete(|_| {});
+        let complete = self.motion.complete();
+        let newest = complete.and_then(|complete| self.bundler.take_newest_complete(complete, |_| {}));
         if let Some((frame, picture)) = newest {
             assert_eq!(frame.0, picture, "seed {}: the picture of another frame", self.seed);
-            let grid = GridIndex(grid);
-            self.bundler.write_draw_list(grid, &mut self.corners, &mut self.indices, &mut self.list);
+            let (patches, memory) = (self.bundler.patches(), (&mut self.corners[..], &mut self.indices[..]));
+            self.list.write(patches, &mut self.motion, GridIndex(grid), memory, &mut self.scratch);
         }
-        assert_eq!(self.bundler.take_contradiction(), None, "seed {}", self.seed);
+        assert_eq!(self.motion.take_contradiction(), None, "seed {}", self.seed);
         self.bundler.current()
     }
 
@@ -245,7 +260,7 @@ impl Bench {
         let shown = self.display(records, grid)?;
         let into_step_ns = (fraction * DEFAULT_GRID.spacing_ns as f64) as i64;
         self.now = self.now.max(DEFAULT_GRID.time_of(GridIndex(grid)).plus_ns(into_step_ns));
-        let (span, has_switched) = (self.bundler.span(), before != Some(shown));
+        let (span, has_switched) = (self.motion.span(), before != Some(shown));
         let evaluation = self.pace.advance(DEFAULT_GRID, self.now, span, has_switched);
         self.frozen_frames += usize::from(evaluation.is_none());
         if let Some(evaluation) = evaluation {
@@ -327,10 +342,10 @@ fn run(seed: u64) -> usize {
         match dice.below(5) {
             0 => {
                 let delta = server.update(&mut dice);
-                pictures.push(delta.frame);
+                pictures.push(delta.geometry.frame);
                 deltas.push_back(delta);
             }
-            1 | 2 => deltas.pop_front().into_iter().for_each(|delta| bench.bundler.add_delta(delta)),
+            1 | 2 => deltas.pop_front().into_iter().for_each(|delta| bench.add_delta(delta)),
             3 if !pictures.is_empty() => {
                 let frame = pictures.swap_remove(dice.below(pictures.len() as u64) as usize);
                 if !dice.once_in(4) {
@@ -344,10 +359,10 @@ fn run(seed: u64) -> usize {
             }
         }
     }
-    deltas.into_iter().for_each(|delta| bench.bundler.add_delta(delta));
+    deltas.into_iter().for_each(|delta| bench.add_delta(delta));
     let last = server.update(&mut dice);
-    let frame = last.frame;
-    bench.bundler.add_delta(last);
+    let frame = last.geometry.frame;
+    bench.add_delta(last);
     bench.bundler.add_picture(frame, frame.0);
     assert_eq!(
         check(&mut bench, &mut server, 100_000),
@@ -376,8 +391,8 @@ fn run_slowly(seed: u64) -> usize {
     for frame in 0..400 {
         if frame % 10 == 0 {
             let delta = server.update(&mut dice);
-            pictures.push_back((frame + dice.below(25), delta.frame));
-            bench.bundler.add_delta(delta);
+            pictures.push_back((frame + dice.below(25), delta.geometry.frame));
+            bench.add_delta(delta);
         }
         while pictures.front().is_some_and(|(at, _)| *at <= frame) {
             let (_, id) = pictures.pop_front().expect("there is one");
@@ -401,48 +416,22 @@ fn no_triangle_has_corners_of_two_times_however_late_pictures_are() {
 #[test]
 fn a_slot_given_anew_while_it_is_on_display_is_told() {
     let mut bench = Bench::new(0);
-    bench.bundler.add_delta(triangle(0, 0..=4));
+    bench.add_delta(triangle(0, 0..=4));
     bench.bundler.add_picture(UpdateId(0), 0);
     bench.display(100, 1);
-    bench.bundler.add_delta(triangle(1, 0..=4));
-    assert_eq!(bench.bundler.take_contradiction(), Some(VertexSlot(0)));
-}
-
-#[test]
-fn vertex_records_that_are_on_their_way_are_forgotten_though_the_queue_is_never_empty() {
-    let mut bench = Bench::new(0);
-    bench.bundler.add_delta(triangle(0, 0..=4));
-    for frame in 1..2000 {
-        let samples = (0..4)
-            .map(|step| SampleBatch {
-                grid: GridIndex(5 + frame * 4 + step),
-                values: (0..3).map(|slot| (VertexSlot(slot), [1, 2, 3])).collect(),
-            })
-            .collect();
-        bench.bundler.add_delta(GeometryDelta { samples, ..delta(frame as u32) });
-        bench.display(12, 0);
-        assert!(bench.bundler.writes.waiting() > 0, "the first delta's are always ahead");
-        assert!(bench.bundler.writes.records.len() < 100, "{}", bench.bundler.writes.records.len());
-    }
-}
-
-#[test]
-fn more_vertex_records_than_a_turn_may_bring_are_too_much() {
-    let mut bundler = Bundler::<u32>::new(VERTEX_SLOTS, PATCH_SLOTS);
-    bundler.add_delta(triangle(0, 0..=15));
-    for frame in 1..4 {
-        assert!(!bundler.is_full(), "{} records", bundler.writes.waiting());
-        bundler.add_delta(GeometryDelta { samples: triangle(0, 0..=15).samples, ..delta(frame) });
-    }
-    assert!(bundler.is_full(), "{} records", bundler.writes.waiting());
+    bench.add_delta(triangle(1, 0..=4));
+    assert_eq!(bench.motion.take_contradiction(), Some(VertexSlot(0)));
 }
 
 #[test]
 fn changes_of_patches_that_wait_for_pictures_are_bounded_by_what_they_say() {
-    let mut bundler = Bundler::<u32>::new(1, MAX_PATCH_SLOTS);
-    let placements: Vec<_> = (0..MAX_PATCH_SLOTS).map(|slot| (PatchSlot(slot), None)).collect();
-    for frame in 0..20 {
-        bundler.add_delta(GeometryDelta { placements: placements.clone(), ..delta(frame) });
+    let mut bundler = Bundler::<u32>::new(MAX_PATCH_SLOTS);
+    let all = || (0..MAX_PATCH_SLOTS).map(PatchSlot);
+    let enters = |slot| NewPatch { slot, ..one_triangle() };
+    bundler.add_delta(GeometryDelta { new_patches: all().map(enters).collect(), ..delta(0).geometry });
+    let placements: Vec<_> = all().map(|slot| (slot, None)).collect();
+    for frame in 1..20 {
+        bundler.add_delta(GeometryDelta { placements: placements.clone(), ..delta(frame).geometry });
         assert!(bundler.pending_records <= MAX_PENDING_RECORDS, "{}", bundler.pending_records);
     }
     assert!(bundler.pending.len() >= 3);
@@ -454,34 +443,41 @@ fn what_is_drawn_is_always_one_update_whatever_arrives_when() {
     assert!(patches_seen > 50_000, "{patches_seen}: the scenes are too empty to show anything");
 }
 
-fn delta(frame: u32) -> GeometryDelta {
-    GeometryDelta { frame: UpdateId(frame), ..GeometryDelta::default() }
+fn delta(frame: u32) -> ReceivedDelta {
+    let geometry = GeometryDelta { frame: UpdateId(frame), ..GeometryDelta::default() };
+    ReceivedDelta { geometry, positions: Vec::new() }
 }
 
-/// A patch of one triangle of sampled vertices 0, 1, 2, placed.
-fn triangle(frame: u32, samples: std::ops::RangeInclusive<i32>) -> GeometryDelta {
-    let vertex =
-        |slot| NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion: Motion::Sampled };
-    let block = Block { address: BlockAddress { x: 8, y: 4 }, size: BlockSize::new(3, 2).expect("a size") };
-    let vertices = [0, 1, 2, 0, 0].map(VertexSlot);
-    let batch = |grid| SampleBatch {
-        grid: GridIndex(grid),
-        values: (0..3).map(|slot| (VertexSlot(slot), [1, 2, 3])).collect(),
-    };
-    GeometryDelta {
-        instances: vec![InstanceInfo { instance: InstanceId(0), step_m: 0.5 }],
-        new_vertices: (0..3).map(vertex).collect(),
-        new_patches: vec![NewPatch {
-            slot: PatchSlot(0),
-            instance: InstanceId(0),
-            kind: PatchKind::One,
-            vertices,
-            double_sided: false,
-        }],
-        placements: vec![(PatchSlot(0), Some(block))],
-        samples: samples.map(batch).collect(),
-        ..delta(frame)
+/// A patch of sampled vertices 0, 1, 2.
+fn one_triangle() -> NewPatch {
+    NewPatch {
+        slot: PatchSlot(0),
+        instance: InstanceId(0),
+        kind: PatchKind::One,
+        vertices: [0, 1, 2, 0, 0].map(VertexSlot),
+        double_sided: false,
     }
+}
+
+/// The same, placed, with its vertices.
+fn triangle(frame: u32, steps: std::ops::RangeInclusive<i32>) -> ReceivedDelta {
+    let vertex = |slot| NewVertex {
+        slot: VertexSlot(slot),
+        instance: InstanceId(0),
+        motion: geometry::Motion::Sampled,
+    };
+    let block = Block { address: BlockAddress { x: 8, y: 4 }, size: BlockSize::new(3, 2).expect("a size") };
+    let batch = |grid| PositionBatch {
+        grid: GridIndex(grid),
+        positions: (0..3).map(|slot| (VertexSlot(slot), Vec3::new(0.5, 1.0, 1.5))).collect(),
+    };
+    let geometry = GeometryDelta {
+        new_vertices: (0..3).map(vertex).collect(),
+        new_patches: vec![one_triangle()],
+        placements: vec![(PatchSlot(0), Some(block))],
+        ..delta(frame).geometry
+    };
+    ReceivedDelta { geometry, positions: steps.map(batch).collect() }
 }
 
 #[test]
@@ -489,8 +485,8 @@ fn a_picture_without_its_delta_is_not_shown_nor_a_delta_without_a_picture() {
     let mut bench = Bench::new(0);
     bench.bundler.add_picture(UpdateId(0), 0);
     assert_eq!(bench.display(100, 0), None);
-    bench.bundler.add_delta(delta(0));
-    bench.bundler.add_delta(delta(1));
+    bench.add_delta(delta(0));
+    bench.add_delta(delta(1));
     assert_eq!(bench.display(100, 0), Some(UpdateId(0)));
     assert_eq!(bench.display(100, 0), Some(UpdateId(0)), "frame 1 has no picture");
     bench.bundler.add_picture(UpdateId(1), 1);
@@ -500,7 +496,7 @@ fn a_picture_without_its_delta_is_not_shown_nor_a_delta_without_a_picture() {
 #[test]
 fn a_picture_that_comes_after_a_later_one_was_shown_is_given_back() {
     let mut bench = Bench::new(0);
-    (0..2).for_each(|frame| bench.bundler.add_delta(delta(frame)));
+    (0..2).for_each(|frame| bench.add_delta(delta(frame)));
     assert_eq!(bench.bundler.add_picture(UpdateId(1), 1), None);
     bench.display(100, 0);
     assert_eq!(bench.bundler.add_picture(UpdateId(0), 0), Some(0));
@@ -509,7 +505,7 @@ fn a_picture_that_comes_after_a_later_one_was_shown_is_given_back() {
 #[test]
 fn corners_lie_in_the_blocks_lookup_rectangle_and_carry_slot_and_instance() {
     let mut bench = Bench::new(0);
-    bench.bundler.add_delta(triangle(0, 0..=4));
+    bench.add_delta(triangle(0, 0..=4));
     bench.bundler.add_picture(UpdateId(0), 0);
     bench.display(100, 1);
     assert_eq!((bench.list.corners, bench.list.indices, bench.list.patches), (3, 3, 1));
@@ -522,7 +518,7 @@ fn corners_lie_in_the_blocks_lookup_rectangle_and_carry_slot_and_instance() {
 #[test]
 fn samples_are_in_metres_and_count_before_the_picture_is_there() {
     let mut bench = Bench::new(0);
-    bench.bundler.add_delta(triangle(0, 0..=4));
+    bench.add_delta(triangle(0, 0..=4));
     bench.display(100, 0);
     let [x, y, z, known] = bench.memory.samples[(4 * VERTEX_SLOTS) as usize];
     assert_eq!(([x, y, z].map(f32::from_bits), known), ([0.5, 1.0, 1.5], tag(GridIndex(4))));
@@ -531,7 +527,7 @@ fn samples_are_in_metres_and_count_before_the_picture_is_there() {
 #[test]
 fn a_patch_is_withheld_until_the_first_step_that_all_its_vertices_have() {
     let mut bench = Bench::new(0);
-    bench.bundler.add_delta(triangle(0, 5..=8));
+    bench.add_delta(triangle(0, 5..=8));
     bench.bundler.add_picture(UpdateId(0), 0);
     bench.display(100, 3);
     assert_eq!(bench.list.at(GridIndex(4)), (0, 1));
@@ -541,10 +537,10 @@ fn a_patch_is_withheld_until_the_first_step_that_all_its_vertices_have() {
 #[test]
 fn vertices_past_their_last_sample_are_held_for_one_step_and_then_frozen() {
     let mut bench = Bench::new(0);
-    bench.bundler.add_delta(triangle(0, 0..=4));
+    bench.add_delta(triangle(0, 0..=4));
     bench.bundler.add_picture(UpdateId(0), 0);
     bench.display(100, 0);
-    let at = |grid| bench.bundler.motionless(GridIndex(grid));
+    let at = |grid| bench.motion.motionless(GridIndex(grid));
     assert_eq!(at(3), Motionless::default());
     assert_eq!(at(4), Motionless { held: 3, frozen: 0 });
     assert_eq!(at(5), Motionless { held: 0, frozen: 3 });
@@ -553,7 +549,7 @@ fn vertices_past_their_last_sample_are_held_for_one_step_and_then_frozen() {
 #[test]
 fn pictures_that_never_come_do_not_pile_up_deltas() {
     let mut bench = Bench::new(0);
-    (0..1000).for_each(|frame| bench.bundler.add_delta(delta(frame)));
+    (0..1000).for_each(|frame| bench.add_delta(delta(frame)));
     assert!(bench.bundler.pending.len() <= MAX_PENDING);
     bench.bundler.add_picture(UpdateId(1), 1);
     assert_eq!(bench.display(100, 0), None, "too late for it");
@@ -564,7 +560,7 @@ fn pictures_that_never_come_do_not_pile_up_deltas() {
 #[test]
 fn a_bundle_waits_until_its_vertices_are_in_the_gpus_memory() {
     let mut bench = Bench::new(0);
-    bench.bundler.add_delta(triangle(0, 0..=4));
+    bench.add_delta(triangle(0, 0..=4));
     bench.bundler.add_picture(UpdateId(0), 0);
     assert_eq!(bench.display(10, 0), None);
     assert_eq!(bench.display(10, 0), Some(UpdateId(0)), "3 entries and 15 samples");

@@ -17,7 +17,7 @@ use crate::watch::Watch;
 use crate::xr::{Views, Xr, XrError};
 use shadecast_gpu::{Gpu, GpuError, vk};
 use shadecast_protocol::PROTOCOL_VERSION;
-use shadecast_protocol::delta::GeometryDelta;
+use shadecast_protocol::delta::ReceivedDelta;
 use shadecast_protocol::ids::{DiscontinuityId, UpdateId};
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{
@@ -357,7 +357,7 @@ impl Client {
         self.now = now;
         self.begin_session();
         let Some(connection) = &mut self.connection else { return Ok(()) };
-        let is_full = |scene: &Option<Scene>| scene.as_ref().is_some_and(|scene| scene.bundler.is_full());
+        let is_full = |scene: &Option<Scene>| scene.as_ref().is_some_and(|scene| scene.motion.is_full());
         connection.session.hold_back(is_full(&self.shown) || is_full(&self.next));
         connection.session.on_tick(now);
         if let Some(decoding) = &mut connection.decoding {
@@ -434,12 +434,12 @@ impl Client {
         Ok(())
     }
 
-    fn take_delta(&mut self, delta: GeometryDelta) {
+    fn take_delta(&mut self, delta: ReceivedDelta) {
         self.counters.vertex_samples +=
-            delta.samples.iter().map(|batch| batch.values.len() as u64).sum::<u64>();
+            delta.positions.iter().map(|batch| batch.positions.len() as u64).sum::<u64>();
         let Some(scene) = self.next.as_mut().or(self.shown.as_mut()) else { return };
-        scene.bundler.add_delta(delta);
-        let (contradiction, is_full) = (scene.bundler.take_contradiction(), scene.bundler.is_full());
+        scene.take_delta(delta);
+        let (contradiction, is_full) = (scene.motion.take_contradiction(), scene.motion.is_full());
         let Some(connection) = &mut self.connection else { return };
         connection.session.hold_back(is_full);
         if let Some(slot) = contradiction {
@@ -459,9 +459,9 @@ impl Client {
     }
 
     /// Takes an update of a server of the same process, handed over by memory copy: no codec, no network.
-    pub fn accept_local(&mut self, now: ClientTime, delta: GeometryDelta, picture: Option<Picture>) {
+    pub fn accept_local(&mut self, now: ClientTime, delta: ReceivedDelta, picture: Option<Picture>) {
         self.now = now;
-        let frame = delta.frame;
+        let frame = delta.geometry.frame;
         self.take_delta(delta);
         let scene = self.next.as_mut().or(self.shown.as_mut());
         if let (Some(scene), Some(picture)) = (scene, picture) {
@@ -558,7 +558,7 @@ impl Client {
 
     /// Bytes of what has come and waits: for an earlier one, for its picture, for the GPU's vertex memory.
     pub fn waiting_bytes(&self) -> usize {
-        let scenes = self.shown.iter().chain(&self.next).map(|scene| scene.bundler.waiting_bytes());
+        let scenes = self.shown.iter().chain(&self.next).map(Scene::waiting_bytes);
         let connection = self.connection.as_ref();
         let streams = connection.map_or(0, |c| c.session.waiting_bytes());
         let pictures = connection.and_then(|c| c.decoding.as_ref()).map_or(0, Decoding::waiting_bytes);

@@ -1,10 +1,12 @@
 //! What one connection shows: the terms it was made under, the bundles, and their place on the GPU. A new connection has a
 //! new one; the old one stays on display until the new one has its first complete bundle.
 
-use crate::bundle::{Bundler, Motionless};
+use crate::bundle::Bundler;
 use crate::client::ClientError;
 use crate::decode::Picture;
-use crate::pace::Pace;
+use crate::draw_list::ListScratch;
+use crate::motion::pace::Pace;
+use crate::motion::{Motion, Motionless};
 use crate::renderer::Stages;
 use crate::stages::atlas_draw::BundleSet;
 use crate::stages::interpolate::{self, GridTime, Interpolation};
@@ -12,6 +14,7 @@ use crate::stages::scatter::{ScatterStaging, VertexMemory};
 use crate::stages::wait_for;
 use shadecast_gpu::{Access, BindGroup, Gpu, GpuError, Recorder};
 use shadecast_protocol::clock::ClockEstimator;
+use shadecast_protocol::delta::ReceivedDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::Welcome;
 use shadecast_protocol::time::{ClientTime, GridIndex, ServerTime};
@@ -46,12 +49,15 @@ pub struct Scene {
     pub terms: Welcome,
     /// What may be drawn.
     pub bundler: Bundler<ArrivedPicture>,
+    /// How its vertices move.
+    pub motion: Motion,
     /// How its times are converted.
     pub clock: SceneClock,
     memory: VertexMemory,
     staging: ScatterStaging,
     interpolate_group: BindGroup,
     sets: [BundleSet; 3],
+    list_scratch: ListScratch,
     /// The set on display.
     shown: usize,
     /// The time at which its vertices are.
@@ -107,17 +113,20 @@ impl Scene {
         };
         let sets = [set()?, set()?, set()?];
         recorder.submit()?;
-        let bundler = Bundler::new(terms.vertex_slots, terms.patch_slots);
+        let (bundler, motion) = (Bundler::new(terms.patch_slots), Motion::new(terms.vertex_slots));
+        let list_scratch = ListScratch::new(terms.patch_slots);
         let (shown, pace, has_switched) = (0, Pace::default(), false);
         Ok(Self {
             serial,
             terms,
             bundler,
+            motion,
             clock,
             memory,
             staging,
             interpolate_group,
             sets,
+            list_scratch,
             shown,
             pace,
             has_switched,
@@ -129,14 +138,25 @@ impl Scene {
         self.bundler.current().is_some()
     }
 
+    /// Takes in the next delta: its vertices and samples count at once, its patches with a picture.
+    pub fn take_delta(&mut self, delta: ReceivedDelta) {
+        self.motion.take(delta.geometry.frame, &delta.geometry.new_vertices, &delta.positions);
+        self.bundler.add_delta(delta.geometry);
+    }
+
+    /// Bytes that wait: for the GPU's vertex memory, and for pictures.
+    pub fn waiting_bytes(&self) -> usize {
+        self.motion.waiting_bytes() + self.bundler.waiting_bytes()
+    }
+
     /// Whether anything has arrived about vertices that is not written.
     pub fn has_arrivals(&self) -> bool {
-        self.bundler.has_writes()
+        self.motion.has_writes()
     }
 
     /// Writes what has arrived about vertices. Needs a barrier before, and has one after it.
     pub fn record_arrivals(&mut self, recorder: &mut Recorder, stages: &Stages, frame_slot: usize) {
-        let (slots, writes) = (self.memory.vertex_slots, self.bundler.writes());
+        let (slots, writes) = (self.memory.vertex_slots, self.motion.writes());
         stages.scatter.record(recorder, &mut self.staging, frame_slot, slots, writes);
     }
 
@@ -149,7 +169,8 @@ impl Scene {
         time: ServerTime,
         mut recycle: impl FnMut(Picture),
     ) -> Result<Option<Switched>, ClientError> {
-        let newest = self.bundler.take_newest_complete(|dropped| recycle(dropped.picture));
+        let Some(complete) = self.motion.complete() else { return Ok(None) };
+        let newest = self.bundler.take_newest_complete(complete, |dropped| recycle(dropped.picture));
         let Some((frame, arrived)) = newest else { return Ok(None) };
         self.shown = (self.shown + 1) % self.sets.len();
         let set = &mut self.sets[self.shown];
@@ -166,7 +187,8 @@ impl Scene {
         let set = &mut self.sets[self.shown];
         let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(set.corners.bytes_mut());
         let indices: &mut [u32] = bytemuck::cast_slice_mut(set.indices.bytes_mut());
-        self.bundler.write_draw_list(step, corners, indices, &mut set.list);
+        let patches = self.bundler.patches();
+        set.list.write(patches, &mut self.motion, step, (corners, indices), &mut self.list_scratch);
     }
 
     /// Moves the animated vertices to where they are at `time`, or all of them to where all can be.
@@ -179,8 +201,8 @@ impl Scene {
     ) -> SceneReport {
         let grid = self.terms.grid;
         let has_switched = std::mem::take(&mut self.has_switched);
-        if let Some(evaluation) = self.pace.advance(grid, time, self.bundler.span(), has_switched) {
-            let vertices = [self.bundler.vertex_count(), self.memory.vertex_slots];
+        if let Some(evaluation) = self.pace.advance(grid, time, self.motion.span(), has_switched) {
+            let vertices = [self.motion.vertex_count(), self.memory.vertex_slots];
             let push = interpolate::push(grid, evaluation, vertices, interpolation);
             stages.interpolate.record(recorder, &self.interpolate_group, &push);
         }
@@ -191,7 +213,7 @@ impl Scene {
             self.write_list(step);
         }
         let (index_count, withheld_patches) = self.sets[self.shown].list.at(step);
-        let motionless = self.bundler.motionless(GridTime::of(grid, time).step);
+        let motionless = self.motion.motionless(GridTime::of(grid, time).step);
         SceneReport { index_count, withheld_patches, motionless, motion_time }
     }
 

@@ -8,9 +8,12 @@ use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
 use shadecast_mock_runtime::record::Side;
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
-use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch};
+use shadecast_protocol::delta::{Delta, DeltaEncoder, ReceivedDelta};
+use shadecast_protocol::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex};
 use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
+use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Codec, Environment, HeadState, ResumeSecret, ServerOffer, Welcome};
+use shadecast_protocol::motion::{PositionBatch, SampleBatch, dequantise};
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime};
@@ -90,7 +93,7 @@ fn samples(from: i32, to: i32) -> Vec<SampleBatch> {
 }
 
 /// Two squares of a metre two metres ahead: the left one static and red, the right one animated and blue.
-fn two_patches() -> GeometryDelta {
+fn two_patches() -> Delta {
     let statics = [[-0.5, 2.1], [-0.5, 1.1], [-0.02, 2.1], [-0.02, 1.1]];
     let fixed = |(slot, [x, y]): (u32, [f32; 2])| NewVertex {
         slot: VertexSlot(slot),
@@ -107,16 +110,26 @@ fn two_patches() -> GeometryDelta {
         vertices: [first, first + 2, first + 3, first + 1, first].map(VertexSlot),
         double_sided: true,
     };
-    GeometryDelta {
+    let geometry = GeometryDelta {
         frame: UpdateId(0),
         time: ServerTime(1_000_000_000),
         instances: vec![InstanceInfo { instance: InstanceId(7), step_m: 0.0001 }],
         new_vertices: (0..).zip(statics).map(fixed).chain((4..8).map(moving)).collect(),
         new_patches: vec![patch(0, 3, 0), patch(1, 7, 4)],
         placements: vec![(PatchSlot(0), Some(block(0))), (PatchSlot(1), Some(block(64)))],
-        samples: samples(29, 45),
         ..GeometryDelta::default()
-    }
+    };
+    Delta { geometry, samples: samples(29, 45) }
+}
+
+/// As a client's decoder gives it.
+fn received(delta: impl Into<Delta>) -> ReceivedDelta {
+    let Delta { geometry, samples } = delta.into();
+    let metres = |batch: SampleBatch| PositionBatch {
+        grid: batch.grid,
+        positions: batch.values.into_iter().map(|(slot, value)| (slot, dequantise(value, 0.0001))).collect(),
+    };
+    ReceivedDelta { geometry, positions: samples.into_iter().map(metres).collect() }
 }
 
 #[track_caller]
@@ -150,7 +163,7 @@ fn patches_are_seen_where_they_are_and_in_the_atlas_colours_by_both_eyes() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     client.start_local(terms(), 0).expect("a scene");
-    client.accept_local(at(1), two_patches(), Some(planes([0, 64])));
+    client.accept_local(at(1), received(two_patches()), Some(planes([0, 64])));
     frame(&mut client); // not seen: the session is not visible yet
     let report = frame(&mut client);
     assert_eq!((report.frame, report.is_new, report.withheld_patches), (Some(UpdateId(0)), true, 0));
@@ -189,7 +202,7 @@ fn an_animated_edge_moves_with_every_display_frame_and_follows_its_motion() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     client.start_local(terms(), 0).expect("a scene");
-    client.accept_local(at(1), two_patches(), Some(planes([0, 64])));
+    client.accept_local(at(1), received(two_patches()), Some(planes([0, 64])));
     frame(&mut client);
     let mut last = None;
     for _ in 0..20 {
@@ -213,15 +226,15 @@ fn a_vertex_that_runs_out_of_samples_stops_and_is_counted_and_returns_without_a_
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     client.start_local(terms(), 0).expect("a scene");
-    let first = GeometryDelta { samples: samples(29, 33), ..two_patches() };
-    client.accept_local(at(1), first, Some(planes([0, 64])));
+    let first = Delta { samples: samples(29, 33), ..two_patches() };
+    client.accept_local(at(1), received(first), Some(planes([0, 64])));
     frame(&mut client);
     let (mut frozen, mut largest, mut last) = (0, 0f32, None);
     for index in 0..50 {
         if index == 16 {
-            let late =
-                GeometryDelta { frame: UpdateId(1), samples: samples(34, 49), ..GeometryDelta::default() };
-            client.accept_local(at(2), late, None);
+            let geometry = GeometryDelta { frame: UpdateId(1), ..GeometryDelta::default() };
+            let late = Delta { geometry, samples: samples(34, 49) };
+            client.accept_local(at(2), received(late), None);
         }
         let report = frame(&mut client);
         frozen += report.frozen_vertices;
@@ -241,8 +254,8 @@ fn a_patch_without_samples_is_withheld_and_the_rest_is_seen() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     client.start_local(terms(), 0).expect("a scene");
-    let late = GeometryDelta { samples: samples(40, 45), ..two_patches() };
-    client.accept_local(at(1), late, Some(planes([0, 64])));
+    let late = Delta { samples: samples(40, 45), ..two_patches() };
+    client.accept_local(at(1), received(late), Some(planes([0, 64])));
     frame(&mut client);
     assert_eq!(frame(&mut client).withheld_patches, 1);
     let picture = |frame| run.picture(frame, Side::Left);
@@ -261,7 +274,7 @@ fn the_newest_picture_goes_with_its_own_placements() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     client.start_local(terms(), 0).expect("a scene");
-    client.accept_local(at(1), two_patches(), Some(planes([0, 64])));
+    client.accept_local(at(1), received(two_patches()), Some(planes([0, 64])));
     // The blocks change places; the picture of that update never comes, that of the next has them elsewhere again.
     let swapped = vec![(PatchSlot(0), Some(block(64))), (PatchSlot(1), Some(block(0)))];
     let moved = vec![(PatchSlot(0), Some(block(128)))];
@@ -269,9 +282,9 @@ fn the_newest_picture_goes_with_its_own_placements() {
         |frame, placements| GeometryDelta { frame: UpdateId(frame), placements, ..GeometryDelta::default() };
     frame(&mut client);
     frame(&mut client);
-    client.accept_local(at(2), next(1, swapped), None);
+    client.accept_local(at(2), received(next(1, swapped)), None);
     assert_eq!(frame(&mut client).frame, Some(UpdateId(0)), "no picture, no switch");
-    client.accept_local(at(3), next(2, moved), Some(planes([128, 0])));
+    client.accept_local(at(3), received(next(2, moved)), Some(planes([128, 0])));
     assert_eq!(frame(&mut client).frame, Some(UpdateId(2)));
     finish(&run, client);
     for index in [1, 2, 3] {
@@ -283,7 +296,7 @@ fn the_newest_picture_goes_with_its_own_placements() {
 }
 
 /// Two squares beside each other that share an edge and both move to the right; x tells the time.
-fn moving_strip(samples: Vec<SampleBatch>) -> GeometryDelta {
+fn moving_strip(samples: Vec<SampleBatch>) -> Delta {
     let moving =
         |slot| NewVertex { slot: VertexSlot(slot), instance: InstanceId(7), motion: Motion::Sampled };
     let patch = |slot: u32, first: u32| NewPatch {
@@ -293,14 +306,14 @@ fn moving_strip(samples: Vec<SampleBatch>) -> GeometryDelta {
         vertices: [first, first + 2, first + 3, first + 1, first].map(VertexSlot),
         double_sided: true,
     };
-    GeometryDelta {
+    let geometry = GeometryDelta {
         instances: vec![InstanceInfo { instance: InstanceId(7), step_m: 0.0001 }],
         new_vertices: (0..6).map(moving).collect(),
         new_patches: vec![patch(0, 0), patch(1, 2)],
         placements: vec![(PatchSlot(0), Some(block(0))), (PatchSlot(1), Some(block(64)))],
-        samples,
         ..GeometryDelta::default()
-    }
+    };
+    Delta { geometry, samples }
 }
 
 /// Where a vertex of the strip is when the stage's clock reads `seconds`.
@@ -339,23 +352,23 @@ fn samples_of_the_next_update_do_not_tear_what_is_on_display_and_its_picture_set
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     client.start_local(terms(), 0).expect("a scene");
-    client.accept_local(at(1), moving_strip(strip_samples(0..6, 29..=33)), Some(planes([0, 64])));
+    client.accept_local(at(1), received(moving_strip(strip_samples(0..6, 29..=33))), Some(planes([0, 64])));
     frame(&mut client);
     // The next update has lost sight of the right square; its samples come before its picture.
     let lost = GeometryDelta {
         frame: UpdateId(1),
         evicted_patches: vec![PatchSlot(1)],
         evicted_vertices: vec![VertexSlot(4), VertexSlot(5)],
-        samples: strip_samples(0..4, 34..=49),
         ..GeometryDelta::default()
     };
+    let lost = Delta { geometry: lost, samples: strip_samples(0..4, 34..=49) };
     let (mut stood_still, mut largest, mut last) = (0, 0f32, None);
     for index in 0..45 {
         match index {
-            8 => client.accept_local(at(2), lost.clone(), None),
+            8 => client.accept_local(at(2), received(lost.clone()), None),
             20 => {
                 let next = GeometryDelta { frame: UpdateId(2), ..GeometryDelta::default() };
-                client.accept_local(at(3), next, Some(planes([0, 64])));
+                client.accept_local(at(3), received(next), Some(planes([0, 64])));
             }
             _ => {}
         }
@@ -382,6 +395,7 @@ struct Line {
     server: ServerSession,
     /// The server's sending half, once it has said yes.
     sender: Option<DeltaSender>,
+    encoder: DeltaEncoder,
     /// What the server sends beside the session.
     streams: VecDeque<Out>,
     frames: i64,
@@ -413,6 +427,7 @@ impl Line {
         Self {
             server,
             sender: None,
+            encoder: DeltaEncoder::new(MAX_VERTEX_SLOTS, MAX_PATCH_SLOTS),
             streams: VecDeque::new(),
             frames: 0,
             events: Vec::new(),
@@ -499,17 +514,22 @@ impl Line {
         line
     }
 
-    fn send(&mut self, delta: &GeometryDelta, planes: &Planes, is_refresh: bool) {
+    fn send_delta(&mut self, delta: &Delta) {
         let sender = self.sender.as_mut().expect("a session");
-        self.streams.push_back(sender.delta_stream(delta).expect("a small delta").0);
-        let header = PictureHeader { frame: delta.frame, time: delta.time, is_refresh };
+        self.streams.push_back(sender.stream(&self.encoder.encode(delta)));
+    }
+
+    fn send(&mut self, delta: impl Into<Delta>, planes: &Planes, is_refresh: bool) {
+        let delta = delta.into();
+        self.send_delta(&delta);
+        let header = PictureHeader { frame: delta.geometry.frame, time: delta.geometry.time, is_refresh };
         self.streams.push_back(picture_stream(header, &coded(planes, is_refresh)).expect("a small picture"));
     }
 }
 
 /// The two squares around the client's head, whose stage begins at x = 10 m, both static.
 fn static_patches() -> GeometryDelta {
-    let mut delta = GeometryDelta { samples: vec![], ..two_patches() };
+    let mut delta = two_patches().geometry;
     for (index, vertex) in delta.new_vertices.iter_mut().enumerate() {
         let x = [9.5, 9.5, 9.98, 9.98, 10.02, 10.02, 10.5, 10.5][index];
         let y = if index % 2 == 0 { 2.1 } else { 1.1 };
@@ -546,7 +566,7 @@ fn updates_of_a_session_are_shown_after_decoding_and_reported() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
-    line.send(&static_patches(), &planes([0, 64]), true);
+    line.send(static_patches(), &planes([0, 64]), true);
     let reports: Vec<_> = (0..3).map(|_| line.frame(&mut client)).collect();
     // 6 ms of decoding: the first frame is too early.
     assert_eq!(
@@ -576,12 +596,12 @@ fn a_lost_picture_leaves_the_last_bundle_on_display_until_a_refresh_that_is_aske
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
     line.lost_pictures = vec![1];
-    line.send(&static_patches(), &planes([0, 64]), true);
+    line.send(static_patches(), &planes([0, 64]), true);
     line.frame(&mut client);
     for frame in 1..4 {
         let placements = vec![(PatchSlot(0), Some(block(64 * frame as u16)))];
         let delta = GeometryDelta { frame: UpdateId(frame), placements, ..GeometryDelta::default() };
-        line.send(&delta, &planes([64 * frame as u16, 0]), frame == 3);
+        line.send(delta, &planes([64 * frame as u16, 0]), frame == 3);
         let shown = line.frame(&mut client).frame;
         assert_eq!(
             shown,
@@ -601,7 +621,7 @@ fn after_a_reconnect_the_old_bundle_stays_until_the_new_server_has_one() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
-    line.send(&static_patches(), &planes([0, 64]), true);
+    line.send(static_patches(), &planes([0, 64]), true);
     for _ in 0..2 {
         line.frame(&mut client);
     }
@@ -612,7 +632,7 @@ fn after_a_reconnect_the_old_bundle_stays_until_the_new_server_has_one() {
     let mut line = Line::connect(&mut client);
     assert_eq!(line.frame(&mut client).frame, Some(UpdateId(0)), "connected, but there is no new one yet");
     // The new server has the squares' colours exchanged.
-    line.send(&static_patches(), &planes([64, 0]), true);
+    line.send(static_patches(), &planes([64, 0]), true);
     line.frame(&mut client);
     assert!(line.frame(&mut client).is_new);
     let last = client.stats().frames - 1;
@@ -634,7 +654,7 @@ fn a_world_that_stands_still_says_why_until_pictures_come_again() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
-    line.send(&static_patches(), &planes([0, 64]), true);
+    line.send(static_patches(), &planes([0, 64]), true);
     for _ in 0..3 {
         line.frame(&mut client);
     }
@@ -650,7 +670,7 @@ fn a_world_that_stands_still_says_why_until_pictures_come_again() {
     }
     let told = client.stats().frames - 1;
     let mut line = Line::connect(&mut client);
-    line.send(&static_patches(), &planes([0, 64]), true);
+    line.send(static_patches(), &planes([0, 64]), true);
     while !line.frame(&mut client).is_new {}
     line.frame(&mut client);
     let again = client.stats().frames - 1;
@@ -676,11 +696,8 @@ fn absence(line: &mut Line, client: &mut Client, turns: u32, frame: &mut u32) ->
         if turn % 2 == 0 {
             *frame += 1;
             let samples = strip_samples(0..6, strip_steps(line));
-            line.send(
-                &GeometryDelta { frame: UpdateId(*frame), samples, ..GeometryDelta::default() },
-                &planes,
-                true,
-            );
+            let geometry = GeometryDelta { frame: UpdateId(*frame), ..GeometryDelta::default() };
+            line.send(Delta { geometry, samples }, &planes, true);
         }
         line.turn(client);
     }
@@ -696,7 +713,7 @@ fn while_nobody_looks_arrivals_are_taken_in_and_the_picture_is_there_when_somebo
     let run = Run::new(MockConfig { events, capture_every: 0, ..MockConfig::default() });
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
-    line.send(&moving_strip(strip_samples(0..6, strip_steps(&line))), &planes([0, 64]), true);
+    line.send(moving_strip(strip_samples(0..6, strip_steps(&line))), &planes([0, 64]), true);
     let mut newest = 0;
     absence(&mut line, &mut client, 8, &mut newest);
     assert!(line.watching().is_empty(), "somebody looks");
@@ -717,7 +734,7 @@ fn a_session_that_rests_and_begins_again_goes_on_with_the_same_server() {
     let run = Run::new(MockConfig { events, capture_every: 0, ..MockConfig::default() });
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
-    line.send(&moving_strip(strip_samples(0..6, strip_steps(&line))), &planes([0, 64]), true);
+    line.send(moving_strip(strip_samples(0..6, strip_steps(&line))), &planes([0, 64]), true);
     let mut newest = 0;
     absence(&mut line, &mut client, 20, &mut newest);
     let jump = line.poses().last().expect("poses").discontinuity;
@@ -792,18 +809,16 @@ fn a_flood_of_samples_that_take_no_bits_waits_coded_and_then_ends_the_session() 
     };
     for frame in 0..250 {
         let enters = frame == 0;
-        let delta = GeometryDelta {
+        let geometry = GeometryDelta {
             frame: UpdateId(frame),
             instances: enters
                 .then_some(InstanceInfo { instance: InstanceId(7), step_m: 0.001 })
                 .into_iter()
                 .collect(),
             new_vertices: (0..if enters { 256 } else { 0 }).map(still).collect(),
-            samples: (0..16).map(batch).collect(),
             ..GeometryDelta::default()
         };
-        let sender = line.sender.as_mut().expect("a session");
-        line.streams.push_back(sender.delta_stream(&delta).expect("a small delta").0);
+        line.send_delta(&Delta { geometry, samples: (0..16).map(batch).collect() });
     }
     line.deliver(&mut client, at(2_000_000_000));
     // One delta of 4096 samples is more than a turn takes in; records of 20 bytes, twice for the vector's growth.

@@ -19,7 +19,7 @@ use crate::stages::ycbcr::Ycbcr;
 use crate::world::{ViewerId, World};
 use glam::{Mat4, Vec3};
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory};
-use shadecast_protocol::delta::GeometryDelta;
+use shadecast_protocol::delta::EncodedDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_VIEWS};
 use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
@@ -74,7 +74,7 @@ pub struct Shaded {
     /// When it started.
     pub time: ServerTime,
     /// What changes in the client's memory.
-    pub delta: GeometryDelta,
+    pub delta: EncodedDelta,
     /// Atlas width and height in texels.
     pub extent_texels: [u32; 2],
     /// Luma, blue and red difference, one after the other, tight.

@@ -10,6 +10,7 @@ pub mod frame;
 pub mod inspect;
 pub mod levels;
 pub mod lights;
+pub mod motion;
 pub mod pacing;
 pub mod picture;
 pub mod predict;

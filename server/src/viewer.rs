@@ -4,11 +4,9 @@
 use crate::frame::Shaded;
 use crate::pacing::{Kind, Shortfall, UpdateGate, WayState};
 use crate::residency::Budget;
-use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Displayed, HeadState};
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent};
-use shadecast_protocol::wire::WireError;
 
 /// What makes a viewer's updates.
 pub trait Updates {
@@ -57,8 +55,6 @@ impl Told {
 pub struct Update {
     /// What is to be encoded.
     pub shaded: Box<Shaded>,
-    /// Of what the delta consists.
-    pub sizes: DeltaSizes,
     /// Its picture must need no other.
     pub refresh: bool,
 }
@@ -145,13 +141,10 @@ impl<U: Updates> Viewer<U> {
     }
 
     /// The update was shaded: the stream of its delta, and what is still to be done.
-    ///
-    /// # Errors
-    /// The delta is larger than the wire allows. It cannot be left out, since later ones build on it: the session is over.
-    pub fn finish(&mut self, shaded: Shaded) -> Result<(Out, Update), WireError> {
-        let (delta, sizes) = self.sender.delta_stream(&shaded.delta)?;
+    pub fn finish(&mut self, shaded: Shaded) -> (Out, Update) {
+        let delta = self.sender.stream(&shaded.delta);
         let refresh = std::mem::take(&mut self.refresh);
-        Ok((delta, Update { shaded: Box::new(shaded), sizes, refresh }))
+        (delta, Update { shaded: Box::new(shaded), refresh })
     }
 
     /// A stream of an update was handed to the transport.

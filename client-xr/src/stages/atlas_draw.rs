@@ -3,7 +3,7 @@
 use super::FRAMES_IN_FLIGHT;
 use super::scatter::VertexMemory;
 use super::upload::Planes;
-use crate::bundle::{DrawList, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
+use crate::draw_list::{DrawList, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
 use shadecast_gpu::{
     Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
     Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc, Sampler, SamplerDesc, Ticket, vk,

@@ -1,7 +1,7 @@
 //! Positions of animated vertices at the display time (`client_interpolate.comp`), once per display frame for both eyes.
 
 use super::scatter::{GROUP, VertexMemory};
-use crate::pace::Evaluation;
+use crate::motion::pace::Evaluation;
 use shadecast_gpu::{Bind, BindGroup, ComputePipeline, Gpu, GpuError, Recorder};
 use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
 use shadecast_shaders::generated::{CLIENT_INTERPOLATE_COMP, InterpolatePush};

@@ -1,11 +1,13 @@
 //! The vertex memory on the GPU against its twin, on random deltas and display times. Validation is on; any message fails.
 
 use super::*;
-use crate::bundle::Bundler;
+use crate::motion::Motion;
 use crate::stages::scatter::Scatter;
+use glam::Vec3;
 use shadecast_gpu::{Access, Buffer, DesktopDevice, GpuOptions, Memory, Needs};
-use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewVertex, SampleBatch};
+use shadecast_protocol::geometry::{self, NewVertex};
 use shadecast_protocol::ids::{InstanceId, UpdateId, VertexSlot};
+use shadecast_protocol::motion::PositionBatch;
 use shadecast_shaders::twin::interpolate::VertexMemory as Twin;
 
 const SLOTS: u32 = 300;
@@ -28,32 +30,26 @@ impl Dice {
 }
 
 /// Some vertices enter, some animated ones get samples: new, missing, and sent again.
-fn random_delta(dice: &mut Dice, frame: u32, grid: i32) -> GeometryDelta {
-    let motion = |dice: &mut Dice| match dice.below(4) {
-        0 => Motion::Static { position: glam::Vec3::splat(dice.below(1000) as f32 * 0.01) },
-        _ => Motion::Sampled,
+fn random_news(dice: &mut Dice, update: u32, step: i32) -> (Vec<NewVertex>, Vec<PositionBatch>) {
+    let how = |dice: &mut Dice| match dice.below(4) {
+        0 => geometry::Motion::Static { position: Vec3::splat(dice.below(1000) as f32 * 0.01) },
+        _ => geometry::Motion::Sampled,
     };
-    let enters = |dice: &mut Dice| frame == 0 || dice.below(20) == 0;
-    let new_vertices = (0..SLOTS)
+    let enters = |dice: &mut Dice| update == 0 || dice.below(20) == 0;
+    let entering = (0..SLOTS)
         .filter_map(|slot| {
-            let vertex = NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion: motion(dice) };
+            let vertex = NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion: how(dice) };
             enters(dice).then_some(vertex)
         })
         .collect();
-    let values = |dice: &mut Dice| {
+    let somewhere =
+        |dice: &mut Dice| Vec3::from_array([0; 3].map(|_| (dice.below(4000) as i32 - 2000) as f32 * 0.001));
+    let positions = |dice: &mut Dice| {
         let slots = (0..SLOTS).map(VertexSlot).filter(|_| dice.below(3) > 0).collect::<Vec<_>>();
-        slots.into_iter().map(|slot| (slot, [0; 3].map(|_| dice.below(4000) as i32 - 2000))).collect()
+        slots.into_iter().map(|slot| (slot, somewhere(dice))).collect()
     };
-    let samples = (grid - 2..=grid + 3)
-        .map(|grid| SampleBatch { grid: GridIndex(grid), values: values(dice) })
-        .collect();
-    GeometryDelta {
-        frame: UpdateId(frame),
-        instances: vec![InstanceInfo { instance: InstanceId(0), step_m: 0.001 }],
-        new_vertices,
-        samples,
-        ..GeometryDelta::default()
-    }
+    let batch = |step| PositionBatch { grid: GridIndex(step), positions: positions(dice) };
+    (entering, (step - 2..=step + 3).map(batch).collect())
 }
 
 fn open() -> Arc<Gpu> {
@@ -79,14 +75,14 @@ fn compare(gpu: &Arc<Gpu>, seed: u64, interpolation: Interpolation) {
     let group = interpolate.bind(&memory).unwrap();
     let readback = Buffer::new(gpu, "positions", memory.positions.size(), Memory::Readback).unwrap();
     let (mut dice, mut twin) = (Dice(seed), Twin::new(SLOTS));
-    let [mut on_gpu, mut on_cpu] = [Bundler::<()>::new(SLOTS, 1), Bundler::<()>::new(SLOTS, 1)];
+    let [mut on_gpu, mut on_cpu] = [Motion::new(SLOTS), Motion::new(SLOTS)];
     let (mut time, mut before) = (ServerTime(-200_000_000), None);
     for frame in 0..60 {
         if dice.below(3) > 0 {
             let late = dice.below(3) as i32;
-            let delta = random_delta(&mut dice, frame, GRID.floor(time).0 - late);
-            on_gpu.add_delta(delta.clone());
-            on_cpu.add_delta(delta);
+            let (entering, positions) = random_news(&mut dice, frame, GRID.floor(time).0 - late);
+            on_gpu.take(UpdateId(frame), &entering, &positions);
+            on_cpu.take(UpdateId(frame), &entering, &positions);
         }
         let push = push(GRID, evaluation(time, before.replace(time)), [SLOTS, SLOTS], interpolation);
         let mut recorder = gpu.record().unwrap();
@@ -113,10 +109,10 @@ fn compare(gpu: &Arc<Gpu>, seed: u64, interpolation: Interpolation) {
     assert!(states.len() > 1, "the deltas reach more than one state: {states:?}");
 }
 
-fn scatter_on(twin: &mut Twin, bundler: &mut Bundler<()>) {
+fn scatter_on(twin: &mut Twin, motion: &mut Motion) {
     let mut records = vec![bytemuck::Zeroable::zeroed(); 100_000];
     let mut ranges = Vec::new();
-    bundler.writes().drain_into(&mut records, |range| ranges.push(range));
+    motion.writes().drain_into(&mut records, |range| ranges.push(range));
     ranges.into_iter().for_each(|range| twin.scatter(&records[range.start as usize..range.end as usize]));
 }
 

@@ -1,7 +1,7 @@
 //! The client's vertex memory on the GPU, and what writes deltas into it (`client_scatter.comp`).
 
 use super::FRAMES_IN_FLIGHT;
-use crate::bundle::VertexWrites;
+use crate::motion::arrivals::VertexWrites;
 use shadecast_gpu::{Access, Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::limits::SAMPLE_RING;
 use shadecast_shaders::generated::{CLIENT_SCATTER_COMP, ScatterPush, VertexWriteGpu};

@@ -288,6 +288,7 @@ mod tests {
     use crate::stream::mailbox::{Client, News};
     use crate::stream::place::HELLO_DEADLINE_NS;
     use crate::stream::testing::{head, hello, offer};
+    use shadecast_protocol::delta::DeltaEncoder;
     use shadecast_protocol::message::{
         ClientDatagram, ClientMessage, Displayed, ServerDatagram, ServerMessage,
     };
@@ -397,7 +398,7 @@ mod tests {
         let Some(Client::Accepted(mut accepted)) = desk.news(peer).map(|news| news.client) else {
             panic!("nobody was accepted")
         };
-        accepted.sender.delta_stream(&Default::default()).expect("a small delta");
+        accepted.sender.stream(&DeltaEncoder::new(1, 1).encode(&Default::default()));
         say(network, peer, &ClientMessage::Displayed(Displayed::default()), at_ns);
         assert!(desk.news(peer).is_some_and(|news| news.told.displayed.is_some()));
     }

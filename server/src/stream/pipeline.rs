@@ -312,7 +312,8 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         let took = begun.elapsed();
         client.stats.busy_s += took.as_secs_f64();
         self.turns.served(&mut client.share, took.as_nanos() as i64);
-        let Some(Update { shaded, sizes, refresh }) = made else { return Ok(()) };
+        let Some(Update { shaded, refresh }) = made else { return Ok(()) };
+        let sizes = shaded.delta.sizes;
         client.count(sizes, now_ns);
         client.encoder.give(Job { shaded, refresh });
         self.count(sizes, now_ns);
@@ -423,14 +424,13 @@ impl<U: Updates> Served<U> {
         shaded: Shaded,
         now_ns: i64,
     ) -> Result<Update, Fault> {
-        let remedy = "connect again; over a slow link choose a smaller scene";
-        let fault = |error: &dyn std::fmt::Display| {
-            Fault::Client(Refused::new(&format!("an update's geometry could not be sent: {error}"), remedy))
-        };
         let frame = shaded.frame;
-        let (delta, update) = self.viewer.finish(shaded).map_err(|error| fault(&error))?;
+        let (delta, update) = self.viewer.finish(shaded);
         let bytes = bytes_of(&delta);
-        outlet.send(peer, delta).map_err(|error| fault(&error))?;
+        outlet.send(peer, delta).map_err(|error| {
+            let reason = format!("an update's geometry could not be sent: {error}");
+            Fault::Client(Refused::new(&reason, "connect again; over a slow link choose a smaller scene"))
+        })?;
         self.viewer.sent(frame, Kind::Delta, bytes, now_ns);
         Ok(update)
     }

@@ -5,7 +5,8 @@ use crate::encode::{AccessUnit, Planes};
 use crate::residency::Budget;
 use crate::stream::testing::{accepted, head};
 use ash::vk;
-use shadecast_protocol::delta::GeometryDelta;
+use shadecast_protocol::delta::DeltaEncoder;
+use shadecast_protocol::geometry::GeometryDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Displayed, HeadState};
 use shadecast_protocol::session::ServerEvent;
@@ -111,6 +112,7 @@ impl Studio for FakeStudio {
         let frame = UpdateId(updates.next);
         updates.next += 1;
         let delta = GeometryDelta { frame, time, ..GeometryDelta::default() };
+        let delta = DeltaEncoder::new(1, 1).encode(&delta.into());
         Ok(Some(Shaded { frame, time, delta, extent_texels: [16, 16], planes: vec![0; 384] }))
     }
 

@@ -4,11 +4,11 @@
 //! new bytes over from the failure's message.
 
 use crate::atlas::{Block, BlockAddress, BlockSize, PatchKind};
-use crate::delta::{
-    DeltaEncoder, GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch, encode,
-};
+use crate::delta::{Delta, DeltaEncoder};
+use crate::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex};
 use crate::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use crate::message::{ClientDatagram, ClientMessage, Refused, ServerDatagram, ServerMessage};
+use crate::motion::SampleBatch;
 use crate::testing::{displayed, head, hello, welcome};
 use crate::time::{ClientTime, GridIndex, ServerTime};
 use crate::wire::{PictureHeader, encode_geometry, encode_picture, frame_control};
@@ -63,20 +63,20 @@ fn deltas() -> [Vec<u8>; 2] {
             patch(9, far, PatchKind::One, [100, 101, 102, 100, 100]),
         ],
         placements: vec![(PatchSlot(0), block(0, 0, 2, 9)), (PatchSlot(9), block(2044, 1020, 2, 2))],
-        samples: (29..33).map(|grid| batch(grid, 0..40)).collect(),
         ..Default::default()
     };
+    let enters = Delta { geometry: enters, samples: (29..33).map(|grid| batch(grid, 0..40)).collect() };
     let moves = GeometryDelta {
         frame: UpdateId(1),
         time: ServerTime(1_033_333_333),
         evicted_patches: vec![PatchSlot(1)],
         evicted_vertices: vec![VertexSlot(5), VertexSlot(6)],
         placements: vec![(PatchSlot(0), None)],
-        samples: vec![batch(32, 10..13), batch(35, 0..0)],
         ..Default::default()
     };
+    let moves = Delta { geometry: moves, samples: vec![batch(32, 10..13), batch(35, 0..0)] };
     let mut coder = DeltaEncoder::new(200, 20);
-    [encode(&enters, &mut coder), encode(&moves, &mut coder)]
+    [coder.encode(&enters).bytes, coder.encode(&moves).bytes]
 }
 
 #[test]

@@ -7,10 +7,10 @@
 //! An error ends a session: after [`ClientEvent::Failed`] or [`ServerEvent::Failed`] nothing more comes out.
 
 use crate::clock::ClockEstimator;
-use crate::delta::{self, DeltaDecoder, DeltaEncoder, DeltaSizes, GeometryDelta};
+use crate::delta::{DeltaDecoder, EncodedDelta, ReceivedDelta};
 use crate::ids::UpdateId;
 use crate::limits::{
-    MAX_ACCESS_UNIT_BYTES, MAX_DELTA_BYTES, MAX_FRAMES_AHEAD, MAX_QUEUED_STREAM_BYTES, MAX_QUEUED_STREAMS,
+    MAX_ACCESS_UNIT_BYTES, MAX_FRAMES_AHEAD, MAX_QUEUED_STREAM_BYTES, MAX_QUEUED_STREAMS,
     RECORDS_PER_SLOT_AND_TURN,
 };
 use crate::message::{
@@ -60,7 +60,7 @@ pub enum ClientEvent {
     /// There will be no session.
     Refused(Refused),
     /// The next delta, in order of frames.
-    Delta(GeometryDelta),
+    Delta(ReceivedDelta),
     /// A picture, in order of arrival.
     Picture {
         /// Which one.
@@ -416,7 +416,7 @@ impl ClientSession {
 
     fn hand_on(&mut self, payload: &[u8]) -> Result<(), WireError> {
         if let Some(decoder) = &mut self.decoder {
-            let delta = delta::decode(payload, decoder)?;
+            let delta = decoder.receive(payload)?;
             self.records_left = self.records_left.saturating_sub(delta.records());
             self.events.push_back(ClientEvent::Delta(delta));
             self.next_delta = self.next_delta.next();
@@ -464,29 +464,19 @@ struct Heard {
     end: Option<ServerEvent>,
 }
 
-/// The sending half of a session, for whoever makes the updates: encoding a delta holds up nobody who listens.
+/// The sending half of a session, for whoever makes the updates: making them holds up nobody who listens.
 #[derive(Debug)]
 pub struct DeltaSender {
-    coder: DeltaEncoder,
     sent: Arc<AtomicU32>,
 }
 
 impl DeltaSender {
-    fn new(welcome: &Welcome, sent: Arc<AtomicU32>) -> Self {
-        Self { coder: DeltaEncoder::new(welcome.vertex_slots, welcome.patch_slots), sent }
-    }
-
-    /// The stream of the next frame's delta, and the sizes of its parts. Frames follow each other without a gap from 0.
-    ///
-    /// # Errors
-    /// The delta is larger than the wire allows. It cannot be left out, since later ones build on it: the session is over.
-    pub fn delta_stream(&mut self, delta: &GeometryDelta) -> Result<(Out, DeltaSizes), WireError> {
-        assert_eq!(delta.frame, self.next_delta(), "deltas go out in the order of frames, without a gap");
-        let payload = delta::encode(delta, &mut self.coder);
-        check_count("a delta's length in bytes", payload.len(), MAX_DELTA_BYTES)?;
-        let out = Out::Stream { bytes: encode_geometry(&payload), priority: priority(delta.frame, 1) };
-        self.sent.store(delta.frame.next().0, Ordering::Release);
-        Ok((out, self.coder.last_sizes()))
+    /// The stream of the next update's delta. Updates follow each other without a gap from 0.
+    pub fn stream(&mut self, delta: &EncodedDelta) -> Out {
+        assert_eq!(delta.update, self.next_delta(), "deltas go out in the order of updates, without a gap");
+        let bytes = encode_geometry(&delta.bytes);
+        self.sent.store(delta.update.next().0, Ordering::Release);
+        Out::Stream { bytes, priority: priority(delta.update, 1) }
     }
 
     /// The frame that the next delta must have.
@@ -560,7 +550,7 @@ impl ServerSession {
     pub fn accept(&mut self) -> Option<DeltaSender> {
         let welcome = self.asked.take()?;
         self.phase = ServerPhase::Running;
-        let sender = DeltaSender::new(&welcome, self.sent.clone());
+        let sender = DeltaSender { sent: self.sent.clone() };
         self.say(&ServerMessage::Welcome(welcome));
         Some(sender)
     }
@@ -696,8 +686,10 @@ const HELLO_REMEDY: &str = "update client and server to the same version";
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::delta::{Motion, NewVertex};
+    use crate::delta::{Delta, DeltaEncoder};
+    use crate::geometry::{GeometryDelta, Motion, NewVertex};
     use crate::ids::{InstanceId, VertexSlot};
+    use crate::limits::MAX_DELTA_BYTES;
     use crate::testing::{Dice, damaged, displayed, head, hello, offer};
 
     /// Both ends, with what the client has been sent and has not yet been given.
@@ -710,6 +702,11 @@ mod tests {
     }
 
     const NOW: ClientTime = ClientTime(1_000);
+
+    /// A delta that says nothing.
+    fn encoded(frame: UpdateId) -> EncodedDelta {
+        DeltaEncoder::new(1, 1).encode(&GeometryDelta { frame, ..Default::default() }.into())
+    }
 
     impl Pair {
         fn new() -> Self {
@@ -759,8 +756,7 @@ mod tests {
 
         fn send_delta(&mut self) {
             let sender = self.sender.as_mut().unwrap();
-            let delta = GeometryDelta { frame: sender.next_delta(), ..Default::default() };
-            let (out, _) = sender.delta_stream(&delta).unwrap();
+            let out = sender.stream(&encoded(sender.next_delta()));
             self.keep(out);
         }
 
@@ -797,7 +793,7 @@ mod tests {
                 .client_events()
                 .into_iter()
                 .map(|event| match event {
-                    ClientEvent::Delta(delta) => delta.frame.0,
+                    ClientEvent::Delta(delta) => delta.geometry.frame.0,
                     other => panic!("seed {seed}: {other:?}"),
                 })
                 .collect();
@@ -975,9 +971,7 @@ mod tests {
             pair.client.on_stream(&encode_picture(picture(far), b"coded"));
             assert_failed(&mut pair, "more than 256 after frame 0");
             let mut pair = Pair::connected();
-            let mut coder = DeltaEncoder::new(600, 300);
-            let delta = GeometryDelta { frame: UpdateId(far), ..Default::default() };
-            pair.client.on_stream(&encode_geometry(&delta::encode(&delta, &mut coder)));
+            pair.client.on_stream(&encode_geometry(&encoded(UpdateId(far)).bytes));
             assert_failed(&mut pair, "more than 256 after frame 0");
         }
     }
@@ -986,10 +980,8 @@ mod tests {
     fn the_last_frame_that_there_can_be_overflows_nothing() {
         let mut pair = Pair::connected();
         pair.client.next_delta = UpdateId(u32::MAX - 1);
-        let mut coder = DeltaEncoder::new(600, 300);
         for frame in [u32::MAX - 1, u32::MAX] {
-            let delta = GeometryDelta { frame: UpdateId(frame), ..Default::default() };
-            pair.client.on_stream(&encode_geometry(&delta::encode(&delta, &mut coder)));
+            pair.client.on_stream(&encode_geometry(&encoded(UpdateId(frame)).bytes));
             pair.client.on_stream(&encode_picture(picture(frame), b"coded"));
         }
         assert_eq!(pair.client_events().len(), 4);
@@ -1013,6 +1005,7 @@ mod tests {
     fn a_turn_takes_in_so_many_records_and_a_delta_always_whole() {
         let mut pair = Pair::connected();
         pair.client.records_left = 3;
+        let mut encoder = DeltaEncoder::new(600, 300);
         for frame in 0..4 {
             let vertex = |slot| NewVertex {
                 slot: VertexSlot(slot),
@@ -1020,8 +1013,9 @@ mod tests {
                 motion: Motion::Static { position: glam::Vec3::ONE },
             };
             let new_vertices = (frame * 2..frame * 2 + 2).map(vertex).collect();
-            let delta = GeometryDelta { frame: UpdateId(frame), new_vertices, ..Default::default() };
-            let (out, _) = pair.sender.as_mut().unwrap().delta_stream(&delta).unwrap();
+            let delta =
+                Delta::from(GeometryDelta { frame: UpdateId(frame), new_vertices, ..Default::default() });
+            let out = pair.sender.as_mut().unwrap().stream(&encoder.encode(&delta));
             pair.keep(out);
         }
         pair.carry(ServerTime(0));

@@ -68,7 +68,7 @@ pub struct PictureHeader {
 /// What one unidirectional stream holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StreamMessage<'a> {
-    /// A geometry delta, for [`crate::delta::decode`] in the order of frames.
+    /// A geometry delta, for [`crate::delta::DeltaDecoder::decode`] in the order of frames.
     Geometry {
         /// The delta's frame.
         frame: UpdateId,
@@ -84,7 +84,7 @@ pub enum StreamMessage<'a> {
     },
 }
 
-/// The bytes of a stream that holds this geometry delta, as [`delta::encode`] made it.
+/// The bytes of a stream that holds this geometry delta, as [`crate::delta::DeltaEncoder::encode`] made it.
 pub fn encode_geometry(payload: &[u8]) -> Vec<u8> {
     let mut out = Vec::with_capacity(1 + payload.len());
     out.push(KIND_GEOMETRY);
@@ -112,7 +112,7 @@ pub fn parse_stream(bytes: &[u8]) -> Result<StreamMessage<'_>, WireError> {
         KIND_GEOMETRY => {
             let payload = reader.rest();
             check_count("a delta's length in bytes", payload.len(), MAX_DELTA_BYTES)?;
-            Ok(StreamMessage::Geometry { frame: delta::peek_frame(payload)?, payload })
+            Ok(StreamMessage::Geometry { frame: delta::peek_update(payload)?, payload })
         }
         KIND_PICTURE => parse_picture(reader),
         kind => Err(invalid("a stream's kind", format!("{kind} is neither geometry (1) nor a picture (2)"))),
@@ -335,7 +335,8 @@ pub(crate) fn unzigzag(value: u32) -> i32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::delta::{DeltaEncoder, GeometryDelta};
+    use crate::delta::DeltaEncoder;
+    use crate::geometry::GeometryDelta;
     use crate::testing::{Dice, damaged};
 
     const HEADER: PictureHeader =
@@ -349,7 +350,7 @@ mod tests {
             Ok(StreamMessage::Picture { header: HEADER, access_unit: b"coded" })
         );
         let delta = GeometryDelta { frame: UpdateId(9), ..Default::default() };
-        let payload = delta::encode(&delta, &mut DeltaEncoder::new(1, 1));
+        let payload = DeltaEncoder::new(1, 1).encode(&delta.into()).bytes;
         let stream = encode_geometry(&payload);
         assert_eq!(
             parse_stream(&stream),

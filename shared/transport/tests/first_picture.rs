@@ -3,7 +3,8 @@
 use glam::Vec3;
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_protocol::delta::GeometryDelta;
+use shadecast_protocol::delta::DeltaEncoder;
+use shadecast_protocol::geometry::GeometryDelta;
 use shadecast_protocol::ids::DiscontinuityId;
 use shadecast_protocol::message::{
     Capabilities, ClientHello, Codec, Environment, HeadState, ResumeSecret, ServerOffer,
@@ -169,7 +170,7 @@ impl Play {
                     let frame = sender.next_delta();
                     let delta = GeometryDelta { frame, ..Default::default() };
                     let header = PictureHeader { frame, time: ServerTime(0), is_refresh: true };
-                    self.update.push(sender.delta_stream(&delta).unwrap().0);
+                    self.update.push(sender.stream(&DeltaEncoder::new(1, 1).encode(&delta.into())));
                     self.update.push(picture_stream(header, &vec![7; PICTURE_BYTES]).unwrap());
                 }
                 (event, _) => panic!("{event:?}"),

@@ -112,7 +112,11 @@ impl Run {
                     welcome.check().expect("a welcome is checked");
                 }
                 ClientEvent::Delta(delta) => {
-                    assert!(self.welcomed && delta.frame == self.next_delta, "{:?}", delta.frame);
+                    assert!(
+                        self.welcomed && delta.geometry.frame == self.next_delta,
+                        "{:?}",
+                        delta.geometry.frame
+                    );
                     self.next_delta = self.next_delta.next();
                     self.handed_on += 1;
                 }

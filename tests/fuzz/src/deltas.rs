@@ -1,9 +1,8 @@
 //! Sequences of geometry deltas: whatever decodes can be encoded again by a coder with the same past, and is the same.
 
 use crate::script::steps;
-use shadecast_protocol::delta::{DeltaDecoder, DeltaEncoder, decode, encode};
+use shadecast_protocol::delta::{DeltaDecoder, DeltaEncoder};
 use shadecast_protocol::limits::{MAX_SAMPLE_BATCHES, MAX_SAMPLES_PER_DELTA};
-use shadecast_protocol::samples::StepTable;
 
 /// Slots of the client whose traffic was recorded: few, so that a run is short.
 pub const VERTEX_SLOTS: u32 = 4096;
@@ -16,24 +15,24 @@ pub const DELTA: u8 = 0;
 pub fn check(script: &[u8]) -> usize {
     let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
     let mut again = decoder.clone();
-    let mut coder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS);
-    let mut table = StepTable::new(VERTEX_SLOTS);
+    let mut encoder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS);
     let mut decoded = 0;
     for step in steps(script) {
-        let Ok(delta) = decode(step.bytes, &mut decoder) else {
-            assert!(decode(step.bytes, &mut decoder).is_err(), "a decoder that has lost its way goes on");
+        let Ok(delta) = decoder.decode(step.bytes) else {
+            assert!(decoder.decode(step.bytes).is_err(), "a decoder that has lost its way goes on");
             break;
         };
         let samples: usize = delta.samples.iter().map(|batch| batch.values.len()).sum();
         assert!(
             samples <= MAX_SAMPLES_PER_DELTA as usize && delta.samples.len() <= MAX_SAMPLE_BATCHES as usize
         );
-        table.apply(&delta);
-        for (slot, value) in delta.samples.iter().flat_map(|batch| &batch.values) {
-            assert!(table.position(*slot, *value).is_finite(), "{slot:?} {value:?}");
+        for (slot, position) in
+            decoder.memory().positions(&delta.samples).iter().flat_map(|batch| &batch.positions)
+        {
+            assert!(position.is_finite(), "{slot:?} {position}");
         }
-        let bytes = encode(&delta, &mut coder);
-        assert_eq!(decode(&bytes, &mut again).as_ref(), Ok(&delta));
+        let bytes = encoder.encode(&delta).bytes;
+        assert_eq!(again.decode(&bytes).as_ref(), Ok(&delta));
         decoded += 1;
     }
     decoded

@@ -2,7 +2,8 @@
 
 use crate::script::{number, steps};
 use shadecast_protocol::PROTOCOL_VERSION;
-use shadecast_protocol::delta::GeometryDelta;
+use shadecast_protocol::delta::DeltaEncoder;
+use shadecast_protocol::geometry::GeometryDelta;
 use shadecast_protocol::message::{ServerDatagram, ServerMessage, ServerOffer, Welcome};
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::ServerTime;
@@ -96,7 +97,7 @@ impl Run {
         let frame = sender.next_delta();
         let delta = GeometryDelta { frame, time: self.now, ..GeometryDelta::default() };
         let header = PictureHeader { frame, time: self.now, is_refresh: frame.0 == 0 };
-        let (geometry, _) = sender.delta_stream(&delta).expect("an empty delta is small");
+        let geometry = sender.stream(&DeltaEncoder::new(1, 1).encode(&delta.into()));
         let picture = picture_stream(header, access_unit).expect("scripts are shorter than a picture may be");
         for out in [geometry, picture] {
             let Out::Stream { bytes, .. } = out else { panic!("{out:?} is no stream") };

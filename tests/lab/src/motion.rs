@@ -42,7 +42,7 @@ pub struct Residents {
 impl Residents {
     /// Notes how an update leaves the client's memory.
     pub fn note(&mut self, frame: UpdateId, residency: &Residency) {
-        let sampled = residency.sampled().map(|(slot, vertex)| (slot.0, vertex)).collect();
+        let sampled = residency.motion().vertices().map(|(slot, vertex)| (slot.0, vertex)).collect();
         self.by_frame.push_back((frame, sampled));
         if self.by_frame.len() > REMEMBERED_UPDATES {
             self.by_frame.pop_front();

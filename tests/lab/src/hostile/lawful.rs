@@ -320,7 +320,7 @@ impl Run {
                 self.back_off = FIRST_BACK_OFF;
                 locked(&self.log).welcomes += 1;
             }
-            ClientEvent::Delta(delta) => self.newest.delta = Some(delta.frame),
+            ClientEvent::Delta(delta) => self.newest.delta = Some(delta.geometry.frame),
             ClientEvent::Picture { header, .. } => {
                 self.newest.picture = self.newest.picture.max(Some(header.frame));
                 locked(&self.log).pictures.push(Instant::now());

@@ -5,12 +5,12 @@ use anyhow::Context;
 use glam::{Quat, Vec3};
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
-use shadecast_protocol::delta::{
-    DeltaEncoder, GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch, encode,
-};
+use shadecast_protocol::delta::{Delta, DeltaEncoder};
+use shadecast_protocol::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex};
 use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS, SAMPLE_RING};
 use shadecast_protocol::message::{Codec, Environment, ResumeSecret, ServerDatagram, ServerOffer, Welcome};
+use shadecast_protocol::motion::SampleBatch;
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime};
@@ -146,6 +146,7 @@ struct Client {
     session: ServerSession,
     welcome: Option<Welcome>,
     sender: Option<DeltaSender>,
+    deltas: DeltaEncoder,
     /// Turns since the welcome.
     turn: u64,
     encoder: Option<OpenH264Encoder>,
@@ -176,6 +177,7 @@ impl Run {
                     session,
                     welcome: None,
                     sender: None,
+                    deltas: DeltaEncoder::new(3, 1),
                     turn: 0,
                     encoder: None,
                     hollow: None,
@@ -266,7 +268,8 @@ impl Client {
         let sender = self.sender.as_mut().context("nobody is accepted")?;
         let frame = sender.next_delta();
         let geometry = if frame.0 == 0 { triangle() } else { GeometryDelta::default() };
-        let (geometry, _) = sender.delta_stream(&GeometryDelta { frame, time, ..geometry })?;
+        let geometry = self.deltas.encode(&GeometryDelta { frame, time, ..geometry }.into());
+        let geometry = sender.stream(&geometry);
         let encoder = match &mut self.encoder {
             Some(encoder) => encoder,
             none => none.insert(OpenH264Encoder::new(EncoderSettings::new(AtlasExtent::MIN.texels()))?),
@@ -369,11 +372,11 @@ fn hollow_deltas(slots: u32) -> [Vec<u8>; 2] {
     let first = GeometryDelta {
         instances: vec![InstanceInfo { instance: InstanceId(0), step_m: 1e-3 }],
         new_vertices: (0..slots).map(vertex).collect(),
-        samples: samples.clone(),
         ..GeometryDelta::default()
     };
-    let other = GeometryDelta { samples, ..GeometryDelta::default() };
-    [encode(&first, &mut coder), encode(&other, &mut coder)]
+    let first = Delta { geometry: first, samples: samples.clone() };
+    let other = Delta { samples, ..Delta::default() };
+    [coder.encode(&first).bytes, coder.encode(&other).bytes]
 }
 
 fn picture(frame: u32, is_refresh: bool) -> Vec<u8> {

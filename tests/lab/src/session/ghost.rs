@@ -90,7 +90,7 @@ impl Ghost {
         while let Some(event) = self.session.as_mut().and_then(ClientSession::poll_event) {
             match event {
                 ClientEvent::Welcome(welcome) => self.terms = Some(welcome),
-                ClientEvent::Delta(delta) => self.newest_delta = Some(delta.frame),
+                ClientEvent::Delta(delta) => self.newest_delta = Some(delta.geometry.frame),
                 ClientEvent::Picture { header, .. } => {
                     self.pictures.push_back((now_ns + self.decode_ns, header.frame));
                 }

@@ -5,7 +5,7 @@ use crate::motion::Residents;
 use crate::options::StageMs;
 use anyhow::{Context, bail};
 use shadecast_client::decode::Picture;
-use shadecast_protocol::delta::{DeltaSizes, GeometryDelta};
+use shadecast_protocol::delta::{DeltaDecoder, DeltaSizes, ReceivedDelta};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Capabilities, Welcome};
 use shadecast_protocol::session::{Out, ServerEvent, ServerSession, picture_stream};
@@ -51,6 +51,8 @@ pub struct Seat {
     /// What goes out beside the session.
     streams: VecDeque<Out>,
     encoder: Option<Box<dyn Encoder>>,
+    /// Decodes what crosses no link.
+    local: Option<DeltaDecoder>,
     pub(super) peer: Option<PeerId>,
     leaving: VecDeque<Leaving>,
     number: u64,
@@ -84,6 +86,7 @@ impl Seat {
             session: ServerSession::new(server.offer(number)),
             streams: VecDeque::new(),
             encoder: None,
+            local: None,
             peer: None,
             leaving: VecDeque::new(),
             number,
@@ -170,6 +173,7 @@ impl Seat {
         let sender = self.session.accept().context("who asked has gone")?;
         let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, server.qp, server.rate_hz);
         self.encoder = Some(Box::new(OpenH264Encoder::new(settings)?));
+        self.local = Some(DeltaDecoder::new(welcome.vertex_slots, welcome.patch_slots));
         let frame = Frame::new(&server.world, ViewerId(self.number), welcome, capabilities)?;
         self.viewer = Some(Viewer::new(frame, sender, server.period_ns(), now_ns));
         Ok(())
@@ -199,8 +203,8 @@ impl Seat {
         };
         self.sent.updates += 1;
         self.residents.note(shaded.frame, frame.residency());
-        let (delta, Update { shaded, sizes, refresh }) = viewer.finish(shaded)?;
-        let frame = shaded.frame;
+        let (delta, Update { shaded, refresh }) = viewer.finish(shaded);
+        let (frame, sizes) = (shaded.frame, shaded.delta.sizes);
         self.last = Some((*shaded).clone());
         let shaded_ns = now_ns + stages.ns(stages.server);
         if way.is_none() {
@@ -226,13 +230,14 @@ impl Seat {
     }
 
     /// What is ready leaves; what belongs to a session that has ended is dropped. Gives what crosses no link.
-    pub(super) fn depart(&mut self, now_ns: i64) -> anyhow::Result<Option<(GeometryDelta, Picture)>> {
+    pub(super) fn depart(&mut self, now_ns: i64) -> anyhow::Result<Option<(ReceivedDelta, Picture)>> {
         let next = self.leaving.pop_front().filter(|leaving| leaving.session == self.number);
         let Some(Leaving { frame, what, .. }) = next else { return Ok(None) };
         match what {
             Departure::Local(shaded) => {
                 let picture = picture_of(&shaded);
-                return Ok(Some((shaded.delta, picture)));
+                let decoder = self.local.as_mut().context("a decoder comes with the viewer")?;
+                return Ok(Some((decoder.receive(&shaded.delta.bytes)?, picture)));
             }
             Departure::Delta(out, sizes) => {
                 self.count(sizes);

@@ -1,0 +1,298 @@
+//! How vertices move on the client: what has arrived of their samples ([`arrivals`]), which times can be evaluated, and the one
+//! time that is shown ([`pace`]). Counts from arrival on, whatever bundle is on display: the server never reuses a slot that
+//! the bundle on display still needs. Knows nothing of pictures, GPUs and networks.
+
+pub mod arrivals;
+pub mod pace;
+
+use arrivals::VertexWrites;
+use pace::Span;
+use shadecast_protocol::geometry::{self, NewVertex};
+use shadecast_protocol::ids::{UpdateId, VertexSlot};
+use shadecast_protocol::limits::{RECORDS_PER_SLOT_AND_TURN, SAMPLE_RING};
+use shadecast_protocol::motion::PositionBatch;
+use shadecast_protocol::time::GridIndex;
+use shadecast_shaders::twin::interpolate::{sample_write, sampled_entry, static_entry};
+
+/// See the module.
+#[derive(Debug)]
+pub struct Motion {
+    /// By vertex slot.
+    vertices: Vec<Availability>,
+    /// Slots below this have been used.
+    vertex_count: u32,
+    writes: VertexWrites,
+    /// Vertices with samples of the draw list, each once.
+    used: Vec<u32>,
+    /// Of each vertex slot, the draw list that last used it.
+    used_by: Vec<u32>,
+    draw_lists: u32,
+    /// Steps at which all of the draw list can be evaluated that is drawn.
+    span: Span,
+    /// A slot that was given anew while it was on display.
+    contradiction: Option<VertexSlot>,
+}
+
+/// Which samples of a vertex are there.
+#[derive(Clone, Copy, Debug)]
+struct Availability {
+    is_sampled: bool,
+    /// Grid steps for which the ring holds samples without a gap, both ends included; `first > last` before the first.
+    first: GridIndex,
+    last: GridIndex,
+}
+
+/// How a display frame stands with samples.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Motionless {
+    /// Vertices that go on at their last velocity, for at most one grid step.
+    pub held: u32,
+    /// Vertices that have stopped.
+    pub frozen: u32,
+}
+
+/// Notes which vertices a draw list uses.
+pub struct Users<'a>(&'a mut Motion);
+
+impl Availability {
+    /// Of a vertex that has just entered.
+    fn none(is_sampled: bool) -> Self {
+        Self { is_sampled, first: GridIndex(i32::MAX), last: GridIndex(i32::MIN) }
+    }
+
+    fn has_samples(&self) -> bool {
+        self.first <= self.last
+    }
+
+    /// Takes in a sample. One that follows the last lengthens the run, and pushes out what the ring cannot hold; one after
+    /// a gap begins another; earlier ones change none.
+    fn take_sample(&mut self, grid: GridIndex) {
+        if !self.has_samples() || grid > self.last.plus(1) {
+            self.first = grid;
+        }
+        if !self.has_samples() || grid > self.last {
+            self.last = grid;
+        }
+        self.first = self.first.max(self.last.plus(1 - SAMPLE_RING as i32));
+    }
+}
+
+impl Motion {
+    /// For the agreed capacity.
+    pub fn new(vertex_slots: u32) -> Self {
+        Self {
+            vertices: vec![Availability::none(false); vertex_slots as usize],
+            vertex_count: 0,
+            writes: VertexWrites::default(),
+            used: Vec::with_capacity(vertex_slots as usize),
+            used_by: vec![0; vertex_slots as usize],
+            draw_lists: 0,
+            span: Span { first: GridIndex(i32::MIN), last: GridIndex(i32::MAX) },
+            contradiction: None,
+        }
+    }
+
+    /// Vertex slots from 0 on that have ever been used.
+    pub fn vertex_count(&self) -> u32 {
+        self.vertex_count
+    }
+
+    /// What the GPU's vertex memory has yet to be told.
+    pub fn writes(&mut self) -> &mut VertexWrites {
+        &mut self.writes
+    }
+
+    /// True where the GPU's vertex memory has yet to be told something.
+    pub fn has_writes(&self) -> bool {
+        !self.writes.is_empty()
+    }
+
+    /// The last update all of whose vertices are on their way to the GPU's memory.
+    pub fn complete(&self) -> Option<UpdateId> {
+        self.writes.complete()
+    }
+
+    /// True while so much waits for the GPU's vertex memory that no more should be taken in.
+    pub fn is_full(&self) -> bool {
+        self.writes.waiting() > self.vertices.len() * RECORDS_PER_SLOT_AND_TURN as usize
+    }
+
+    /// Bytes that wait for the GPU's vertex memory.
+    pub fn waiting_bytes(&self) -> usize {
+        self.writes.capacity_bytes()
+    }
+
+    /// The slot that the server gave anew while it was on display, if it did: what is seen is then not what it means.
+    pub fn take_contradiction(&mut self) -> Option<VertexSlot> {
+        self.contradiction.take()
+    }
+
+    /// Steps at which everything that is drawn can be evaluated.
+    pub fn span(&self) -> Span {
+        self.span
+    }
+
+    /// Takes in what the next update says of vertices and their samples. It comes from a decoder that has checked it against
+    /// the client's memory.
+    pub fn take(&mut self, update: UpdateId, entering: &[NewVertex], positions: &[PositionBatch]) {
+        entering.iter().for_each(|vertex| self.enter(vertex));
+        self.writes.end_segment(update);
+        self.take_positions(positions);
+        self.writes.end_frame(update);
+    }
+
+    fn enter(&mut self, vertex: &NewVertex) {
+        let NewVertex { slot, motion, .. } = *vertex;
+        if self.is_on_display(slot) {
+            self.contradiction.get_or_insert(slot);
+        }
+        let is_sampled = motion == geometry::Motion::Sampled;
+        self.vertices[slot.index()] = Availability::none(is_sampled);
+        self.vertex_count = self.vertex_count.max(slot.0 + 1);
+        self.writes.push(match motion {
+            geometry::Motion::Static { position } => static_entry(slot.0, position.to_array()),
+            geometry::Motion::Sampled => sampled_entry(slot.0),
+        });
+    }
+
+    fn take_positions(&mut self, batches: &[PositionBatch]) {
+        let newest = batches.iter().map(|batch| batch.grid).max().unwrap_or_default();
+        // Steps that share a place in the ring with a later one of the same delta could be seen by nobody, nor could
+        // the step whose tag means that there is no sample.
+        let oldest = newest.plus(1 - SAMPLE_RING as i32).max(GridIndex(i32::MIN + 1));
+        for batch in batches.iter().filter(|batch| batch.grid >= oldest) {
+            for (slot, position) in &batch.positions {
+                self.take_position(*slot, batch.grid, position.to_array());
+            }
+        }
+        if !batches.is_empty() {
+            self.span.last = self.min_last();
+        }
+    }
+
+    fn take_position(&mut self, slot: VertexSlot, grid: GridIndex, position_m: [f32; 3]) {
+        let vertex = &mut self.vertices[slot.index()];
+        let before = *vertex;
+        vertex.take_sample(grid);
+        let first = vertex.first;
+        self.writes.push(sample_write(slot.0, grid, position_m));
+        if before.has_samples() && first > before.first && self.is_on_display(slot) {
+            self.span.first = self.span.first.max(first);
+        }
+    }
+
+    /// True where the draw list on display uses the slot.
+    fn is_on_display(&self, slot: VertexSlot) -> bool {
+        self.draw_lists > 0 && self.used_by[slot.index()] == self.draw_lists
+    }
+
+    /// A draw list comes on display.
+    pub fn begin_list(&mut self) -> Users<'_> {
+        self.draw_lists += 1;
+        self.used.clear();
+        Users(self)
+    }
+
+    /// The last step that all vertices of the draw list have which have any: what has none is not drawn.
+    fn min_last(&self) -> GridIndex {
+        let used = self.used.iter().map(|slot| self.vertices[*slot as usize]);
+        let lasts = used.filter(Availability::has_samples).map(|vertex| vertex.last);
+        lasts.min().unwrap_or(GridIndex(i32::MAX))
+    }
+
+    /// Sampled vertices of the draw list that have run out of samples when the last grid step at or before the display
+    /// time is `grid`.
+    pub fn motionless(&self, grid: GridIndex) -> Motionless {
+        let mut counts = Motionless::default();
+        if grid < self.span.last {
+            return counts;
+        }
+        for slot in &self.used {
+            let vertex = self.vertices[*slot as usize];
+            match grid.cmp(&vertex.last) {
+                _ if !vertex.has_samples() => {} // withheld
+                std::cmp::Ordering::Less => {}
+                std::cmp::Ordering::Equal => counts.held += 1,
+                std::cmp::Ordering::Greater => counts.frozen += 1,
+            }
+        }
+        counts
+    }
+}
+
+impl Users<'_> {
+    /// A patch with these vertices is on the list. Gives the first step at which all of them can be evaluated.
+    pub fn note(&mut self, vertices: &[VertexSlot]) -> GridIndex {
+        let motion = &mut *self.0;
+        let mut ready = GridIndex(i32::MIN);
+        for slot in vertices {
+            let vertex = motion.vertices[slot.index()];
+            let list = std::mem::replace(&mut motion.used_by[slot.index()], motion.draw_lists);
+            if !vertex.is_sampled {
+                continue;
+            }
+            ready = ready.max(vertex.first);
+            if list != motion.draw_lists {
+                motion.used.push(slot.0);
+            }
+        }
+        ready
+    }
+
+    /// The list is complete. What is drawn of it at once can be evaluated from step `ready` on.
+    pub fn end(self, ready: GridIndex) {
+        self.0.span = Span { first: ready, last: self.0.min_last() };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+    use shadecast_protocol::ids::InstanceId;
+
+    const SLOTS: u32 = 40;
+
+    fn enter_three(motion: &mut Motion) {
+        let vertex = |slot| NewVertex {
+            slot: VertexSlot(slot),
+            instance: InstanceId(0),
+            motion: geometry::Motion::Sampled,
+        };
+        motion.take(UpdateId(0), &[0, 1, 2].map(vertex), &positions(0..16));
+    }
+
+    /// Of vertices 0, 1, 2.
+    fn positions(steps: std::ops::Range<i32>) -> Vec<PositionBatch> {
+        let at = |slot| (VertexSlot(slot), Vec3::ONE);
+        steps
+            .map(|step| PositionBatch { grid: GridIndex(step), positions: [0, 1, 2].map(at).to_vec() })
+            .collect()
+    }
+
+    #[test]
+    fn vertex_records_that_are_on_their_way_are_forgotten_though_the_queue_is_never_empty() {
+        let mut motion = Motion::new(SLOTS);
+        enter_three(&mut motion);
+        let mut staging = [bytemuck::Zeroable::zeroed(); 12];
+        for update in 1..2000 {
+            let first = 12 + update as i32 * 4;
+            motion.take(UpdateId(update), &[], &positions(first..first + 4));
+            motion.writes.drain_into(&mut staging, |_| {});
+            assert!(motion.writes.waiting() > 0, "the first delta's are always ahead");
+            let bytes = motion.waiting_bytes() / size_of_val(&staging[0]);
+            assert!(bytes < 200, "{bytes}");
+        }
+    }
+
+    #[test]
+    fn more_vertex_records_than_a_turn_may_bring_are_too_much() {
+        let mut motion = Motion::new(SLOTS);
+        enter_three(&mut motion);
+        for update in 1..4 {
+            assert!(!motion.is_full(), "{} records", motion.writes.waiting());
+            motion.take(UpdateId(update), &[], &positions(0..16));
+        }
+        assert!(motion.is_full(), "{} records", motion.writes.waiting());
+    }
+}

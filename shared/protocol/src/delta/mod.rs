@@ -1,0 +1,256 @@
+//! The bytes of what an update tells the client: geometry ([`crate::geometry`]) and samples ([`crate::motion`]).
+//!
+//! A header with the lengths of seven sections, then the sections: explicit little-endian blocks and varints, small because
+//! slots come in runs. Both sides keep the client's memory and the pasts of its samples, so that samples need no slots, and so
+//! that a delta which contradicts the memory is refused.
+
+mod batches;
+mod sections;
+
+use crate::geometry::GeometryDelta;
+use crate::ids::{PatchSlot, UpdateId, VertexSlot};
+use crate::limits::MAX_DELTA_BYTES;
+use crate::memory::ClientMemory;
+use crate::motion::samples::{SampleEncoder, SampleHistory};
+use crate::motion::{PositionBatch, SampleBatch};
+use crate::time::ServerTime;
+use crate::wire::{Reader, WireError, check_count, invalid};
+use batches::{put_samples, take_samples};
+use sections::{
+    put_evictions, put_instances, put_patches, put_placements, put_vertices, take_evictions, take_instances,
+    take_patches, take_placements, take_vertices,
+};
+
+/// First bytes of a delta: "Shadecast geometry", layout 1.
+const MAGIC: [u8; 4] = *b"SCG1";
+const SECTIONS: usize = 7;
+
+/// What one update tells the client beside its picture.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Delta {
+    /// What changes in its memory.
+    pub geometry: GeometryDelta,
+    /// New samples. They count from arrival on, not from the update's display.
+    pub samples: Vec<SampleBatch>,
+}
+
+impl Delta {
+    /// How much there is to take in: samples, vertices, patches and placements.
+    pub fn records(&self) -> usize {
+        self.samples.iter().map(|batch| batch.values.len()).sum::<usize>() + self.geometry.records()
+    }
+}
+
+impl From<GeometryDelta> for Delta {
+    fn from(geometry: GeometryDelta) -> Self {
+        Self { geometry, samples: Vec::new() }
+    }
+}
+
+/// A delta in the order of updates, as the client takes it in.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ReceivedDelta {
+    /// What changes in its memory.
+    pub geometry: GeometryDelta,
+    /// New samples, in metres.
+    pub positions: Vec<PositionBatch>,
+}
+
+impl ReceivedDelta {
+    /// As [`Delta::records`].
+    pub fn records(&self) -> usize {
+        self.positions.iter().map(|batch| batch.positions.len()).sum::<usize>() + self.geometry.records()
+    }
+}
+
+/// A delta's bytes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct EncodedDelta {
+    /// The update.
+    pub update: UpdateId,
+    /// For [`DeltaDecoder::decode`].
+    pub bytes: Vec<u8>,
+    /// Where they went.
+    pub sizes: DeltaSizes,
+}
+
+/// Where the bytes of a delta went.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DeltaSizes {
+    /// All bytes.
+    pub total_bytes: usize,
+    /// New vertices and evictions of vertices.
+    pub vertex_bytes: usize,
+    /// New patches and evictions of patches.
+    pub patch_bytes: usize,
+    /// Placements.
+    pub placement_bytes: usize,
+    /// Samples, first ones included.
+    pub sample_bytes: usize,
+    /// Vertex samples coded in `sample_bytes`.
+    pub samples: usize,
+}
+
+/// The server's side of one client's memory.
+#[derive(Clone, Debug)]
+pub struct DeltaEncoder {
+    memory: ClientMemory,
+    history: SampleHistory,
+    encoder: SampleEncoder,
+}
+
+/// The client's side of its memory, as the deltas so far have made it.
+#[derive(Clone, Debug)]
+pub struct DeltaDecoder {
+    memory: ClientMemory,
+    history: SampleHistory,
+    /// True after a delta failed half-way: nothing after it can be understood.
+    broken: bool,
+}
+
+impl DeltaEncoder {
+    /// For the capacities of [`crate::message::Welcome`], with an empty memory.
+    pub fn new(vertex_slots: u32, patch_slots: u32) -> Self {
+        Self {
+            memory: ClientMemory::new(vertex_slots, patch_slots),
+            history: SampleHistory::new(vertex_slots),
+            encoder: SampleEncoder::new(),
+        }
+    }
+
+    /// The client's memory after all deltas so far.
+    pub fn memory(&self) -> &ClientMemory {
+        &self.memory
+    }
+
+    /// The delta's bytes; brings the memory up to date. A delta that contradicts it or a limit is a bug of the caller and
+    /// panics.
+    pub fn encode(&mut self, delta: &Delta) -> EncodedDelta {
+        let Delta { geometry, samples } = delta;
+        let update = geometry.frame;
+        let entered =
+            self.memory.apply(geometry).unwrap_or_else(|error| panic!("delta {}: {error}", update.0));
+        self.history.follow(&entered);
+        let mut sections: [Vec<u8>; SECTIONS] = Default::default();
+        put_evictions(&mut sections[0], geometry.evicted_patches.iter().map(|slot| slot.0));
+        put_evictions(&mut sections[1], geometry.evicted_vertices.iter().map(|slot| slot.0));
+        put_instances(&mut sections[2], &geometry.instances);
+        put_vertices(&mut sections[3], &geometry.new_vertices);
+        put_patches(&mut sections[4], &geometry.new_patches);
+        put_placements(&mut sections[5], &geometry.placements);
+        let code = |batch: &SampleBatch, out: &mut Vec<u8>| {
+            self.encoder.encode_batch(batch, &mut self.history, out);
+        };
+        put_samples(&mut sections[6], samples, &entered.sampled, &self.memory.sampled_slots(), code);
+        let bytes = put_header_and(geometry, &sections);
+        assert!(bytes.len() <= MAX_DELTA_BYTES, "delta {} has {} bytes", update.0, bytes.len());
+        let length = |indices: &[usize]| indices.iter().map(|&index| sections[index].len()).sum();
+        let sizes = DeltaSizes {
+            total_bytes: bytes.len(),
+            vertex_bytes: length(&[1, 2, 3]),
+            patch_bytes: length(&[0, 4]),
+            placement_bytes: length(&[5]),
+            sample_bytes: length(&[6]),
+            samples: samples.iter().map(|batch| batch.values.len()).sum(),
+        };
+        EncodedDelta { update, bytes, sizes }
+    }
+}
+
+/// The update of a delta's bytes.
+pub fn peek_update(bytes: &[u8]) -> Result<UpdateId, WireError> {
+    let mut reader = Reader::new("a delta's header", bytes);
+    if reader.take(MAGIC.len())? != MAGIC {
+        return Err(invalid("a delta's header", "its first bytes are not SCG1"));
+    }
+    Ok(UpdateId(reader.u32()?))
+}
+
+impl DeltaDecoder {
+    /// For the capacities of [`crate::message::Welcome`], with an empty memory.
+    pub fn new(vertex_slots: u32, patch_slots: u32) -> Self {
+        Self {
+            memory: ClientMemory::new(vertex_slots, patch_slots),
+            history: SampleHistory::new(vertex_slots),
+            broken: false,
+        }
+    }
+
+    /// The client's memory after all deltas so far.
+    pub fn memory(&self) -> &ClientMemory {
+        &self.memory
+    }
+
+    /// The delta of these bytes; brings the memory up to date. Deltas must come in order. After an error the decoder refuses
+    /// everything: the connection has to be made anew.
+    pub fn decode(&mut self, bytes: &[u8]) -> Result<Delta, WireError> {
+        if self.broken {
+            return Err(invalid("a delta", "one before it could not be applied; connect again"));
+        }
+        self.broken = true;
+        let delta = self.decode_next(bytes)?;
+        self.broken = false;
+        Ok(delta)
+    }
+
+    /// The same, with samples in metres.
+    pub fn receive(&mut self, bytes: &[u8]) -> Result<ReceivedDelta, WireError> {
+        let Delta { geometry, samples } = self.decode(bytes)?;
+        Ok(ReceivedDelta { geometry, positions: self.memory.positions(&samples) })
+    }
+
+    fn decode_next(&mut self, bytes: &[u8]) -> Result<Delta, WireError> {
+        check_count("a delta's length in bytes", bytes.len(), MAX_DELTA_BYTES)?;
+        let (frame, time, sections) = split_sections(bytes)?;
+        let [patches_out, vertices_out, instances, vertices, patches, placements, samples] = sections;
+        let vertex_slots = self.memory.vertex_slots() as usize;
+        let patch_slots = self.memory.patch_slots() as usize;
+        let geometry = GeometryDelta {
+            frame,
+            time,
+            evicted_patches: take_evictions("evicted patches", patches_out, patch_slots, PatchSlot)?,
+            evicted_vertices: take_evictions("evicted vertices", vertices_out, vertex_slots, VertexSlot)?,
+            instances: take_instances(instances)?,
+            new_vertices: take_vertices(vertices, vertex_slots)?,
+            new_patches: take_patches(patches, patch_slots)?,
+            placements: take_placements(placements, patch_slots)?,
+        };
+        let entered = self.memory.apply(&geometry)?;
+        self.history.follow(&entered);
+        let samples = take_samples(samples, &entered.sampled, &self.memory, &mut self.history)?;
+        Ok(Delta { geometry, samples })
+    }
+}
+
+fn put_header_and(geometry: &GeometryDelta, sections: &[Vec<u8>; SECTIONS]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(64 + sections.iter().map(Vec::len).sum::<usize>());
+    out.extend_from_slice(&MAGIC);
+    out.extend_from_slice(&geometry.frame.0.to_le_bytes());
+    out.extend_from_slice(&geometry.time.0.to_le_bytes());
+    for section in sections {
+        out.extend_from_slice(&(section.len() as u32).to_le_bytes());
+    }
+    sections.iter().for_each(|section| out.extend_from_slice(section));
+    out
+}
+
+fn split_sections(bytes: &[u8]) -> Result<(UpdateId, ServerTime, [&[u8]; SECTIONS]), WireError> {
+    let frame = peek_update(bytes)?;
+    let mut reader = Reader::new("a delta's header", bytes);
+    reader.take(MAGIC.len() + size_of::<u32>())?;
+    let time = ServerTime(reader.i64()?);
+    let mut lengths = [0; SECTIONS];
+    for length in &mut lengths {
+        *length = reader.u32()? as usize;
+    }
+    reader.what = "a delta's sections";
+    let mut sections: [&[u8]; SECTIONS] = [&[]; SECTIONS];
+    for (section, length) in sections.iter_mut().zip(lengths) {
+        *section = reader.take(length)?;
+    }
+    reader.finish()?;
+    Ok((frame, time, sections))
+}
+
+#[cfg(test)]
+mod tests;

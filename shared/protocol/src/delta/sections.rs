@@ -1,0 +1,205 @@
+//! The sections of geometry.
+
+use crate::atlas::{Block, PatchKind};
+use crate::geometry::{InstanceInfo, Motion, NewPatch, NewVertex};
+use crate::ids::{InstanceId, PatchSlot, VertexSlot};
+use crate::limits::{MAX_COORDINATE_M, MAX_INSTANCES, NO_BLOCK};
+use crate::wire::{Reader, WireError, check_count, invalid, put_varint, put_zigzag};
+use glam::Vec3;
+
+/// Appends `value` as its distance from what follows `previous`; runs of successors are zeros.
+pub(super) fn put_successor(out: &mut Vec<u8>, previous: &mut u32, value: u32) {
+    put_zigzag(out, value.wrapping_sub(*previous).wrapping_sub(1) as i32);
+    *previous = value;
+}
+
+pub(super) fn take_successor(reader: &mut Reader<'_>, previous: &mut u32) -> Result<u32, WireError> {
+    *previous = previous.wrapping_add(1).wrapping_add(reader.zigzag()? as u32);
+    Ok(*previous)
+}
+
+/// Before the first of a list: its successor is 0.
+pub(super) const BEFORE_FIRST: u32 = u32::MAX;
+
+pub(super) fn put_evictions(out: &mut Vec<u8>, slots: impl ExactSizeIterator<Item = u32>) {
+    put_varint(out, slots.len() as u32);
+    let mut previous = BEFORE_FIRST;
+    slots.for_each(|slot| put_successor(out, &mut previous, slot));
+}
+
+pub(super) fn take_evictions<T>(
+    what: &'static str,
+    section: &[u8],
+    slots: usize,
+    new: impl Fn(u32) -> T,
+) -> Result<Vec<T>, WireError> {
+    let mut reader = Reader::new(what, section);
+    let count = reader.count(slots, 1)?;
+    let mut previous = BEFORE_FIRST;
+    let evicted =
+        (0..count).map(|_| take_successor(&mut reader, &mut previous).map(&new)).collect::<Result<_, _>>()?;
+    reader.finish()?;
+    Ok(evicted)
+}
+
+pub(super) fn put_instances(out: &mut Vec<u8>, instances: &[InstanceInfo]) {
+    put_varint(out, instances.len() as u32);
+    for info in instances {
+        put_varint(out, u32::from(info.instance.0));
+        out.extend_from_slice(&info.step_m.to_le_bytes());
+    }
+}
+
+pub(super) fn take_instances(section: &[u8]) -> Result<Vec<InstanceInfo>, WireError> {
+    let mut reader = Reader::new("instances", section);
+    let count = reader.count(MAX_INSTANCES as usize, 5)?;
+    let instances = (0..count)
+        .map(|_| Ok(InstanceInfo { instance: take_instance(&mut reader)?, step_m: reader.f32()? }))
+        .collect::<Result<_, WireError>>()?;
+    reader.finish()?;
+    Ok(instances)
+}
+
+fn take_instance(reader: &mut Reader<'_>) -> Result<InstanceId, WireError> {
+    let number =
+        check_count("the number of an instance", reader.varint()? as usize, MAX_INSTANCES as usize - 1)?;
+    Ok(InstanceId(number as u16))
+}
+
+/// True where `next` can join the run that ends with `last`: next slot, same instance, same way of moving.
+fn continues(last: &NewVertex, next: &NewVertex) -> bool {
+    next.slot.0 == last.slot.0.wrapping_add(1)
+        && next.instance == last.instance
+        && (next.motion == Motion::Sampled) == (last.motion == Motion::Sampled)
+}
+
+/// Runs of successive slots that share instance and motion: first slot, length and motion, instance, positions.
+pub(super) fn put_vertices(out: &mut Vec<u8>, vertices: &[NewVertex]) {
+    put_varint(out, vertices.len() as u32);
+    let mut previous = BEFORE_FIRST;
+    for run in vertices.chunk_by(continues) {
+        put_successor(out, &mut previous, run[0].slot.0);
+        previous = run[run.len() - 1].slot.0;
+        put_varint(out, (run.len() as u32 - 1) << 1 | u32::from(run[0].motion == Motion::Sampled));
+        put_varint(out, u32::from(run[0].instance.0));
+        for vertex in run {
+            if let Motion::Static { position } = vertex.motion {
+                position.to_array().iter().for_each(|c| out.extend_from_slice(&c.to_le_bytes()));
+            }
+        }
+    }
+}
+
+pub(super) fn take_vertices(section: &[u8], vertex_slots: usize) -> Result<Vec<NewVertex>, WireError> {
+    let mut reader = Reader::new("new vertices", section);
+    let count = check_count("new vertices", reader.varint()? as usize, vertex_slots)?;
+    let mut vertices = Vec::with_capacity(count);
+    let mut previous = BEFORE_FIRST;
+    while vertices.len() < count {
+        take_vertex_run(&mut reader, &mut previous, count, &mut vertices)?;
+    }
+    reader.finish()?;
+    Ok(vertices)
+}
+
+fn take_vertex_run(
+    reader: &mut Reader<'_>,
+    previous: &mut u32,
+    count: usize,
+    vertices: &mut Vec<NewVertex>,
+) -> Result<(), WireError> {
+    let first = take_successor(reader, previous)?;
+    let run = reader.varint()?;
+    let (length, sampled) = ((run >> 1) as usize + 1, run & 1 == 1);
+    check_count("a run of new vertices", length, count - vertices.len())?;
+    let instance = take_instance(reader)?;
+    for slot in (0..length as u32).map(|i| VertexSlot(first.wrapping_add(i))) {
+        let motion =
+            if sampled { Motion::Sampled } else { Motion::Static { position: take_position(reader)? } };
+        vertices.push(NewVertex { slot, instance, motion });
+    }
+    *previous = first.wrapping_add(length as u32 - 1);
+    Ok(())
+}
+
+fn take_position(reader: &mut Reader<'_>) -> Result<Vec3, WireError> {
+    let position = Vec3::new(reader.f32()?, reader.f32()?, reader.f32()?);
+    // Written so that a NaN fails too.
+    if position.to_array().iter().all(|c| c.abs() <= MAX_COORDINATE_M) {
+        return Ok(position);
+    }
+    Err(invalid("a vertex's position", format!("{position} is not within {MAX_COORDINATE_M} m")))
+}
+
+/// Slot, kind and whether the instance changes, instance, vertices as distances from the vertex before.
+pub(super) fn put_patches(out: &mut Vec<u8>, patches: &[NewPatch]) {
+    put_varint(out, patches.len() as u32);
+    let (mut previous, mut instance, mut vertex) = (BEFORE_FIRST, InstanceId(0), BEFORE_FIRST);
+    for patch in patches {
+        put_successor(out, &mut previous, patch.slot.0);
+        let changes = patch.instance != instance;
+        out.push(patch.kind as u8 | u8::from(changes) << 2 | u8::from(patch.double_sided) << 3);
+        if changes {
+            put_varint(out, u32::from(patch.instance.0));
+            instance = patch.instance;
+        }
+        for slot in &patch.vertices[..patch.kind.vertex_count()] {
+            put_successor(out, &mut vertex, slot.0);
+        }
+    }
+}
+
+pub(super) fn take_patches(section: &[u8], patch_slots: usize) -> Result<Vec<NewPatch>, WireError> {
+    let mut reader = Reader::new("new patches", section);
+    let count = reader.count(patch_slots, 5)?;
+    let mut patches = Vec::with_capacity(count);
+    let (mut previous, mut instance, mut vertex) = (BEFORE_FIRST, InstanceId(0), BEFORE_FIRST);
+    for _ in 0..count {
+        let slot = PatchSlot(take_successor(&mut reader, &mut previous)?);
+        let flags = reader.u8()?;
+        let kind = PatchKind::from_triangle_count(flags & 3)
+            .filter(|_| flags < 16)
+            .ok_or_else(|| invalid("a patch's kind", format!("{flags:#x} is none")))?;
+        if flags & 4 != 0 {
+            instance = take_instance(&mut reader)?;
+        }
+        let mut vertices = [VertexSlot(0); 5];
+        for place in &mut vertices[..kind.vertex_count()] {
+            *place = VertexSlot(take_successor(&mut reader, &mut vertex)?);
+        }
+        let first = vertices[0];
+        vertices[kind.vertex_count()..].fill(first);
+        patches.push(NewPatch { slot, instance, kind, vertices, double_sided: flags & 8 != 0 });
+    }
+    reader.finish()?;
+    Ok(patches)
+}
+
+pub(super) fn put_placements(out: &mut Vec<u8>, placements: &[(PatchSlot, Option<Block>)]) {
+    put_varint(out, placements.len() as u32);
+    let mut previous = BEFORE_FIRST;
+    for (slot, block) in placements {
+        put_successor(out, &mut previous, slot.0);
+        out.extend_from_slice(&block.map_or(NO_BLOCK, Block::pack).to_le_bytes());
+    }
+}
+
+pub(super) fn take_placements(
+    section: &[u8],
+    patch_slots: usize,
+) -> Result<Vec<(PatchSlot, Option<Block>)>, WireError> {
+    let mut reader = Reader::new("placements", section);
+    let count = reader.count(patch_slots, 5)?;
+    let mut placements = Vec::with_capacity(count);
+    let mut previous = BEFORE_FIRST;
+    for _ in 0..count {
+        let slot = PatchSlot(take_successor(&mut reader, &mut previous)?);
+        let block = match reader.u32()? {
+            NO_BLOCK => None,
+            word => Some(Block::unpack(word).map_err(|error| invalid("a placement", error.to_string()))?),
+        };
+        placements.push((slot, block));
+    }
+    reader.finish()?;
+    Ok(placements)
+}

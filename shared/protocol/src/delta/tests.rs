@@ -1,0 +1,330 @@
+use super::sections::put_evictions;
+use super::*;
+use crate::atlas::{Block, BlockAddress, BlockSize, PatchKind};
+use crate::geometry::{InstanceInfo, Motion, NewPatch, NewVertex};
+use crate::ids::InstanceId;
+use crate::limits::{MAX_INSTANCES, MAX_NEW_SAMPLE_GRIDS};
+use crate::testing::{Dice, damaged};
+use crate::time::GridIndex;
+use glam::Vec3;
+use std::collections::BTreeMap;
+
+const VERTEX_SLOTS: u32 = 600;
+const PATCH_SLOTS: u32 = 300;
+
+/// A server that does random but lawful things, and so makes deltas of every kind.
+struct Chaos {
+    dice: Dice,
+    frame: u32,
+    grid: i32,
+    instances: Vec<InstanceId>,
+    vertices: BTreeMap<u32, Motion>,
+    patches: BTreeMap<u32, NewPatch>,
+    curve: BTreeMap<u32, ([f64; 3], [f64; 3])>,
+}
+
+impl Chaos {
+    fn new(seed: u64) -> Self {
+        Self {
+            dice: Dice::new(seed),
+            frame: 0,
+            grid: -5,
+            instances: Vec::new(),
+            vertices: BTreeMap::new(),
+            patches: BTreeMap::new(),
+            curve: BTreeMap::new(),
+        }
+    }
+
+    fn delta(&mut self) -> Delta {
+        let mut delta = GeometryDelta {
+            frame: UpdateId(self.frame),
+            time: ServerTime(i64::from(self.frame) * 33_333_333 - 7),
+            ..GeometryDelta::default()
+        };
+        self.frame += 1;
+        self.evict(&mut delta);
+        self.announce(&mut delta);
+        self.add_vertices(&mut delta);
+        self.add_patches(&mut delta);
+        self.place(&mut delta);
+        let samples = self.sample(&delta);
+        Delta { geometry: delta, samples }
+    }
+
+    fn evict(&mut self, delta: &mut GeometryDelta) {
+        let gone: Vec<u32> = self.patches.keys().copied().filter(|_| self.dice.once_in(9)).collect();
+        self.patches.retain(|slot, _| !gone.contains(slot));
+        delta.evicted_patches = gone.into_iter().map(PatchSlot).collect();
+        let used: Vec<u32> =
+            self.patches.values().flat_map(|patch| patch.vertices).map(|slot| slot.0).collect();
+        let unused = self.vertices.keys().copied().filter(|slot| !used.contains(slot));
+        let gone: Vec<u32> = unused.filter(|_| self.dice.once_in(3)).collect();
+        for slot in &gone {
+            self.vertices.remove(slot);
+            self.curve.remove(slot);
+        }
+        delta.evicted_vertices = gone.into_iter().rev().map(VertexSlot).collect();
+    }
+
+    fn announce(&mut self, delta: &mut GeometryDelta) {
+        if self.instances.is_empty() || self.dice.once_in(4) {
+            let instance = InstanceId(self.dice.below(u64::from(MAX_INSTANCES)) as u16);
+            self.instances.push(instance);
+            let step_m = 0.0001 * (1 + self.dice.below(20)) as f32;
+            delta.instances.push(InstanceInfo { instance, step_m });
+        }
+        if self.dice.once_in(7) {
+            let instance = self.instances[self.dice.below(self.instances.len() as u64) as usize];
+            delta.instances.push(InstanceInfo { instance, step_m: 0.003 });
+        }
+    }
+
+    fn add_vertices(&mut self, delta: &mut GeometryDelta) {
+        let first = self.dice.below(u64::from(VERTEX_SLOTS)) as u32;
+        let last = (first + self.dice.below(90) as u32).min(VERTEX_SLOTS);
+        let instance = self.instances[self.dice.below(self.instances.len() as u64) as usize];
+        for slot in first..last {
+            if self.vertices.contains_key(&slot) || self.dice.once_in(10) {
+                continue;
+            }
+            let mut at = || self.dice.signed_unit() * 3.0;
+            let (position, velocity) = ([at(), at(), at()], [at(), at(), at()]);
+            let motion = if self.dice.once_in(3) {
+                Motion::Static { position: Vec3::from_array(position.map(|c| c as f32)) }
+            } else {
+                self.curve.insert(slot, (position, velocity));
+                Motion::Sampled
+            };
+            self.vertices.insert(slot, motion);
+            delta.new_vertices.push(NewVertex { slot: VertexSlot(slot), instance, motion });
+        }
+    }
+
+    fn add_patches(&mut self, delta: &mut GeometryDelta) {
+        let vertices: Vec<u32> = self.vertices.keys().copied().collect();
+        for _ in 0..self.dice.below(20) {
+            let slot = self.dice.below(u64::from(PATCH_SLOTS)) as u32;
+            if vertices.is_empty() || self.patches.contains_key(&slot) {
+                continue;
+            }
+            let kind = PatchKind::ALL[self.dice.below(3) as usize];
+            let mut any = || VertexSlot(vertices[self.dice.below(vertices.len() as u64) as usize]);
+            let mut corners = [any(), any(), any(), any(), any()];
+            let first = corners[0];
+            corners[kind.vertex_count()..].fill(first);
+            let instance = self.instances[self.dice.below(self.instances.len() as u64) as usize];
+            let double_sided = self.dice.once_in(3);
+            let patch = NewPatch { slot: PatchSlot(slot), instance, kind, vertices: corners, double_sided };
+            self.patches.insert(slot, patch);
+            delta.new_patches.push(patch);
+        }
+    }
+
+    fn place(&mut self, delta: &mut GeometryDelta) {
+        for &slot in self.patches.keys() {
+            if self.dice.once_in(2) {
+                let address =
+                    BlockAddress { x: self.dice.below(500) as u16 * 4, y: self.dice.below(300) as u16 * 4 };
+                let (width_log2, height_log2) = (2 + self.dice.below(6) as u8, 2 + self.dice.below(6) as u8);
+                let block = Block { address, size: BlockSize { width_log2, height_log2 } };
+                let block = (!self.dice.once_in(5)).then_some(block);
+                delta.placements.push((PatchSlot(slot), block));
+            }
+        }
+    }
+
+    fn sample(&mut self, delta: &GeometryDelta) -> Vec<SampleBatch> {
+        let mut samples = Vec::new();
+        let fresh: Vec<u32> = delta.new_vertices.iter().map(|vertex| vertex.slot.0).collect();
+        let is_fresh = |slot: &u32| fresh.contains(slot);
+        let earlier = self.grid - self.dice.below(4) as i32;
+        (earlier..self.grid).for_each(|grid| self.batch(&mut samples, grid, is_fresh));
+        if self.dice.once_in(6) {
+            // The future changed for some: a few steps are sent again.
+            let odd = self.dice.below(5) as u32;
+            (self.grid - 2..self.grid)
+                .for_each(|grid| self.batch(&mut samples, grid, |slot| slot % 5 == odd));
+        }
+        if self.dice.once_in(8) {
+            self.grid += 1; // A step that nobody gets.
+        }
+        (0..self.dice.below(3)).for_each(|_| {
+            self.batch(&mut samples, self.grid, |_| true);
+            self.grid += 1;
+        });
+        samples
+    }
+
+    fn batch(&mut self, samples: &mut Vec<SampleBatch>, grid: i32, wanted: impl Fn(&u32) -> bool) {
+        let dice = &mut self.dice;
+        let mut value =
+            |c: f64, v: f64| ((c + v * f64::from(grid) * 0.033) * 2000.0) as i32 + dice.below(3) as i32;
+        let values = self
+            .curve
+            .iter()
+            .filter(|(slot, _)| wanted(slot))
+            .map(|(slot, (c, v))| (VertexSlot(*slot), std::array::from_fn(|axis| value(c[axis], v[axis]))))
+            .collect();
+        samples.push(SampleBatch { grid: GridIndex(grid), values });
+    }
+}
+
+#[test]
+fn both_sides_stay_in_step_through_random_sessions() {
+    for seed in 0..30 {
+        let mut chaos = Chaos::new(seed);
+        let mut coder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+        let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+        for _ in 0..60 {
+            let delta = chaos.delta();
+            let encoded = coder.encode(&delta);
+            assert_eq!(peek_update(&encoded.bytes), Ok(delta.geometry.frame));
+            assert_eq!(decoder.decode(&encoded.bytes).as_ref(), Ok(&delta), "seed {seed}");
+            assert!(coder.memory() == decoder.memory(), "seed {seed}");
+            assert_eq!(encoded.sizes.total_bytes, encoded.bytes.len());
+        }
+    }
+}
+
+#[test]
+fn damaged_deltas_give_values_or_errors() {
+    for seed in 0..4 {
+        let mut chaos = Chaos::new(seed);
+        let mut coder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+        let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+        for _ in 0..5 {
+            let bytes = coder.encode(&chaos.delta()).bytes;
+            damaged(&bytes, seed, 400, |bytes| {
+                let mut victim = decoder.clone();
+                if victim.decode(bytes).is_err() {
+                    assert!(victim.decode(bytes).is_err(), "a broken decoder stays so");
+                }
+            });
+            for length in 0..bytes.len() {
+                assert!(decoder.clone().decode(&bytes[..length]).is_err(), "{length} of {}", bytes.len());
+            }
+            decoder.decode(&bytes).unwrap();
+        }
+    }
+}
+
+fn bytes_of(delta: impl Into<Delta>) -> Vec<u8> {
+    // A coder that allows more than the decoder under test.
+    let mut coder = DeltaEncoder::new(4 * VERTEX_SLOTS, 4 * PATCH_SLOTS);
+    coder.encode(&delta.into()).bytes
+}
+
+#[track_caller]
+fn assert_refused(bytes: &[u8], words: &str) {
+    let error = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS).decode(bytes).unwrap_err().to_string();
+    assert!(error.contains(words), "{error}");
+}
+
+fn static_vertex(slot: u32) -> NewVertex {
+    let motion = Motion::Static { position: Vec3::ONE };
+    NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion }
+}
+
+#[test]
+fn slots_beyond_the_agreed_capacity_are_refused() {
+    let vertex = GeometryDelta { new_vertices: vec![static_vertex(VERTEX_SLOTS)], ..Default::default() };
+    assert_refused(&bytes_of(vertex), "slot 600 of 600 does not exist");
+    let patch = NewPatch {
+        slot: PatchSlot(PATCH_SLOTS),
+        instance: InstanceId(0),
+        kind: PatchKind::One,
+        vertices: [VertexSlot(0); 5],
+        double_sided: false,
+    };
+    let delta = GeometryDelta {
+        new_vertices: vec![static_vertex(0)],
+        new_patches: vec![patch],
+        ..GeometryDelta::default()
+    };
+    assert_refused(&bytes_of(delta), "slot 300 of 300 does not exist");
+}
+
+#[test]
+fn a_slot_in_use_is_not_given_again_and_a_free_one_not_taken_back() {
+    let delta = GeometryDelta { new_vertices: vec![static_vertex(7)], ..Default::default() };
+    let bytes = bytes_of(delta);
+    let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+    decoder.decode(&bytes).unwrap();
+    assert!(decoder.decode(&bytes).unwrap_err().to_string().contains("slot 7 is taken"));
+
+    let mut section = Vec::new();
+    put_evictions(&mut section, [3].into_iter());
+    let header = GeometryDelta::default();
+    let sections = [section, vec![0], vec![0], vec![0], vec![0], vec![0], vec![0]];
+    assert_refused(&put_header_and(&header, &sections), "slot 3 is free");
+}
+
+#[test]
+fn samples_that_take_no_bits_grow_to_no_more_than_the_agreed_memory_holds() {
+    let new_vertices: Vec<_> = (0..VERTEX_SLOTS)
+        .map(|slot| NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion: Motion::Sampled })
+        .collect();
+    let instances = vec![InstanceInfo { instance: InstanceId(0), step_m: 0.001 }];
+    let batch = |grid| SampleBatch {
+        grid: GridIndex(grid),
+        values: (0..VERTEX_SLOTS).map(|slot| (VertexSlot(slot), [0; 3])).collect(),
+    };
+    let with = |steps: u32| Delta {
+        geometry: GeometryDelta {
+            instances: instances.clone(),
+            new_vertices: new_vertices.clone(),
+            ..GeometryDelta::default()
+        },
+        samples: (0..steps as i32).map(batch).collect(),
+    };
+    let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+    assert!(decoder.decode(&bytes_of(with(MAX_NEW_SAMPLE_GRIDS))).is_ok());
+    assert_refused(&bytes_of(with(MAX_NEW_SAMPLE_GRIDS + 1)), "samples of a delta is 10200");
+}
+
+#[test]
+fn huge_counts_are_refused_before_anything_is_allocated() {
+    for (section, words) in [
+        (0, "evicted patches"),
+        (1, "evicted vertices"),
+        (2, "instances"),
+        (3, "new vertices"),
+        (4, "new patches"),
+        (5, "placements"),
+        (6, "batches of samples"),
+    ] {
+        let mut sections: [Vec<u8>; SECTIONS] = std::array::from_fn(|_| vec![0]);
+        sections[section] = vec![0xff, 0xff, 0xff, 0xff, 0x0f];
+        assert_refused(&put_header_and(&GeometryDelta::default(), &sections), words);
+    }
+}
+
+#[test]
+fn positions_that_are_no_numbers_are_refused() {
+    for bad in [f32::NAN, f32::INFINITY, -2e6] {
+        let motion = Motion::Static { position: Vec3::new(0.0, bad, 0.0) };
+        let vertex = NewVertex { slot: VertexSlot(0), instance: InstanceId(0), motion };
+        assert_refused(
+            &bytes_of(GeometryDelta { new_vertices: vec![vertex], ..Default::default() }),
+            "a vertex's position is not valid",
+        );
+    }
+}
+
+#[test]
+fn runs_of_slots_cost_nothing_per_vertex() {
+    let new_vertices = (0..1000)
+        .map(|slot| NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion: Motion::Sampled })
+        .collect();
+    let instances = vec![InstanceInfo { instance: InstanceId(0), step_m: 0.001 }];
+    let mut coder = DeltaEncoder::new(1000, 1);
+    let encoded = coder.encode(&GeometryDelta { instances, new_vertices, ..Default::default() }.into());
+    assert!(encoded.sizes.vertex_bytes < 20, "{:?}", encoded.sizes);
+}
+
+#[test]
+#[should_panic(expected = "slot 9 is free")]
+fn a_server_that_contradicts_itself_is_a_bug() {
+    bytes_of(GeometryDelta { evicted_vertices: vec![VertexSlot(9)], ..Default::default() });
+}

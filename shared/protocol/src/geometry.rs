@@ -1,0 +1,84 @@
+//! What a client is told of geometry: which vertices and patches enter its memory and leave it, and where patches lie in the
+//! atlas. Motion is [`crate::motion`]'s; the bytes are [`crate::delta`]'s.
+
+use crate::atlas::{Block, PatchKind};
+use crate::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
+use crate::time::ServerTime;
+use glam::Vec3;
+
+/// What one update changes in the client's memory. Applied in the order: patch evictions, vertex evictions, instances,
+/// new vertices, new patches, placements. Deltas follow each other without a gap, starting at update 0.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GeometryDelta {
+    /// The update.
+    pub frame: UpdateId,
+    /// The time for which the update was made.
+    pub time: ServerTime,
+    /// Instances seen for the first time, or with a new quantisation step.
+    pub instances: Vec<InstanceInfo>,
+    /// Vertices that enter; their slots are free.
+    pub new_vertices: Vec<NewVertex>,
+    /// Patches that enter; their slots are free, their vertices present.
+    pub new_patches: Vec<NewPatch>,
+    /// Patches to forget.
+    pub evicted_patches: Vec<PatchSlot>,
+    /// Vertices to forget; no patch uses them any more.
+    pub evicted_vertices: Vec<VertexSlot>,
+    /// Patches whose block changes with this update's picture; `None`: it has none, do not draw it.
+    pub placements: Vec<(PatchSlot, Option<Block>)>,
+}
+
+impl GeometryDelta {
+    /// How much there is to take in: vertices, patches and placements.
+    pub fn records(&self) -> usize {
+        let patches = self.new_patches.len() + self.evicted_patches.len() + self.placements.len();
+        self.new_vertices.len() + self.evicted_vertices.len() + patches
+    }
+}
+
+/// An instance, as far as a client needs to know it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InstanceInfo {
+    /// The instance.
+    pub instance: InstanceId,
+    /// Quantisation step of its vertices' samples in metres, `MIN_STEP_M..=MAX_STEP_M`.
+    pub step_m: f32,
+}
+
+/// A vertex that enters the client's memory.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NewVertex {
+    /// Its place.
+    pub slot: VertexSlot,
+    /// Whose it is.
+    pub instance: InstanceId,
+    /// How it moves.
+    pub motion: Motion,
+}
+
+/// How a vertex moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Motion {
+    /// Not at all.
+    Static {
+        /// In the world, metres.
+        position: Vec3,
+    },
+    /// By samples on the grid: see [`crate::motion`].
+    Sampled,
+}
+
+/// A patch that enters the client's memory. It has no block until a placement gives it one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NewPatch {
+    /// Its place.
+    pub slot: PatchSlot,
+    /// Whose it is.
+    pub instance: InstanceId,
+    /// Number and arrangement of its triangles.
+    pub kind: PatchKind,
+    /// Its vertices; entries that the kind does not use repeat the first.
+    pub vertices: [VertexSlot; 5],
+    /// Seen from behind too. Others are not drawn from there: behind a thin surface lies its other side.
+    pub double_sided: bool,
+}
