@@ -3,7 +3,8 @@
 use crate::animation::gpu::{Animation, SampleJob};
 use crate::predict::PredictedViews;
 use crate::residency::{Geometry, InstanceRange};
-use crate::scene_gpu::SceneGpu;
+use crate::scene::SceneGpu;
+use crate::scene::numbering::{ScenePatch, SceneVertex};
 use glam::Vec3;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::time::{Grid, GridIndex};
@@ -31,13 +32,13 @@ impl SampleWindow {
     pub fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>, animation: &Animation) -> Result<Self, GpuError> {
         let mirror =
             Buffer::new(gpu, "positions for the CPU", animation.saved_vertices().size(), Memory::Readback)?;
-        let mut places = Vec::with_capacity(scene.totals.vertices as usize);
-        for instance in &scene.instances {
+        let mut places = Vec::with_capacity(scene.numbering.totals.vertices as usize);
+        for instance in &scene.numbering.instances {
             let count = scene.models[instance.model].vertex_count;
             places.extend((0..count).map(|v| (instance.saved_base + v, instance.is_animated)));
         }
         Ok(Self {
-            held: vec![[None; RING as usize]; scene.instances.len()],
+            held: vec![[None; RING as usize]; scene.numbering.instances.len()],
             jobs: Vec::new(),
             scene: scene.clone(),
             mirror,
@@ -75,7 +76,7 @@ impl SampleWindow {
         animation.record(recorder, &self.jobs, statics);
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         if std::mem::take(&mut self.is_first) {
-            let statics = u64::from(self.scene.totals.static_vertices) * 16;
+            let statics = u64::from(self.scene.numbering.totals.static_vertices) * 16;
             recorder.copy_buffer(animation.saved_vertices(), 0, &self.mirror, 0, statics);
         }
         self.copy_back(recorder, animation);
@@ -87,7 +88,7 @@ impl SampleWindow {
         self.jobs.clear();
         for g in (earliest.0..=horizon.0).map(GridIndex) {
             let slot = Self::slot(g);
-            for (instance, place) in self.scene.instances.iter().enumerate() {
+            for (instance, place) in self.scene.numbering.instances.iter().enumerate() {
                 let held = &mut self.held[instance][slot as usize];
                 if place.is_animated && needed[instance] && *held != Some(g) {
                     *held = Some(g);
@@ -108,7 +109,7 @@ impl SampleWindow {
             recorder.copy_buffer(animation.saved_vertices(), run.start, &self.mirror, run.start, size);
         };
         for job in &self.jobs {
-            let place = &self.scene.instances[job.instance];
+            let place = &self.scene.numbering.instances[job.instance];
             let first = u64::from(animation.position_base(place, job.slot)) * 16;
             let size = u64::from(self.scene.models[place.model].vertex_count) * 16;
             if first != run.end {
@@ -128,17 +129,16 @@ impl SampleWindow {
 
 impl Geometry for SampleWindow {
     fn instance_of_patch(&self, patch: u32) -> u16 {
-        self.scene.instance_of_patch(patch) as u16
+        self.scene.numbering.instance_of_patch(ScenePatch(patch)) as u16
     }
 
     fn instance(&self, instance: u16) -> InstanceRange {
-        let place = &self.scene.instances[usize::from(instance)];
-        InstanceRange { first_patch: place.first_patch, first_vertex: place.first_vertex }
+        let place = &self.scene.numbering.instances[usize::from(instance)];
+        InstanceRange { first_patch: place.drawn.first.0, first_vertex: place.first_vertex.0 }
     }
 
     fn patch(&self, patch: u32) -> Patch {
-        let place = &self.scene.instances[self.scene.instance_of_patch(patch)];
-        self.scene.models[place.model].mesh.patches[(patch - place.first_patch) as usize]
+        self.scene.patch(ScenePatch(patch))
     }
 
     fn static_position(&self, vertex: u32) -> Option<Vec3> {
@@ -150,11 +150,12 @@ impl Geometry for SampleWindow {
 
     fn sample(&self, grid: GridIndex, vertex: u32) -> Vec3 {
         debug_assert_eq!(
-            self.held[self.scene.instance_of_vertex(vertex)][Self::slot(grid) as usize],
+            self.held[self.scene.numbering.instance_of_vertex(SceneVertex(vertex))]
+                [Self::slot(grid) as usize],
             Some(grid),
             "vertex {vertex} is not skinned at this time"
         );
-        let totals = self.scene.totals;
+        let totals = self.scene.numbering.totals;
         let (place, _) = self.places[vertex as usize];
         self.saved(totals.static_vertices + Self::slot(grid) * totals.animated_vertices + place)
     }
@@ -164,6 +165,6 @@ impl Geometry for SampleWindow {
     }
 
     fn patch_count(&self) -> usize {
-        self.scene.totals.patches as usize
+        self.scene.numbering.totals.patches as usize
     }
 }

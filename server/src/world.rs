@@ -3,7 +3,7 @@
 use crate::animation::gpu::{Animation, AnimationCounts};
 use crate::predict::PredictedViews;
 use crate::samples::{RING, SampleWindow};
-use crate::scene_gpu::SceneGpu;
+use crate::scene::SceneGpu;
 use crate::stages::shadow::Shadow;
 use shadecast_gpu::{Access, Gpu, GpuError, Recorder};
 use shadecast_protocol::time::{DEFAULT_GRID, Grid, GridIndex};
@@ -57,7 +57,7 @@ impl World {
             animation,
             grid: DEFAULT_GRID,
             needs: BTreeMap::new(),
-            needed: vec![false; scene.instances.len()],
+            needed: vec![false; scene.numbering.instances.len()],
             lit: None,
             shadow_maps: 0,
             tangents: 0,

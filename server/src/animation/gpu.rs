@@ -2,9 +2,11 @@
 //! all updates that cover its time. Instances with the same skeleton, clip and phase share a palette.
 
 use super::manager::{PoseKey, rows};
-use crate::scene_gpu::{InstanceGpu, SceneGpu};
+use super::skinning::Skinning;
+use crate::scene::SceneGpu;
+use crate::scene::numbering::InstancePlace;
 use crate::stages::palette::Palette;
-use crate::stages::skin::{Skin, SkinJobs, Skinning};
+use crate::stages::skin::{Skin, SkinJobs};
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::time::ServerTime;
 use shadecast_shaders::generated::{PoseGpu, SkinJob};
@@ -74,10 +76,10 @@ impl Animation {
     /// With room for `slots` sample times.
     pub fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>, slots: u32) -> Result<Self, GpuError> {
         let palette = Palette::new(gpu, scene, slots)?;
-        let weights_bytes = u64::from(slots) * u64::from(scene.totals.morphs.max(1)) * 4;
+        let weights_bytes = u64::from(slots) * u64::from(scene.numbering.totals.morphs.max(1)) * 4;
         let morph_weights = Buffer::new(gpu, "morph weights", weights_bytes, Memory::Upload)?;
         let skin = Skin::new(gpu, scene, &palette, &morph_weights, slots)?;
-        let empty = Slot { pose_of_instance: vec![None; scene.instances.len()], ..Slot::default() };
+        let empty = Slot { pose_of_instance: vec![None; scene.numbering.instances.len()], ..Slot::default() };
         Ok(Self {
             scene: scene.clone(),
             palette,
@@ -92,22 +94,24 @@ impl Animation {
 
     /// Poses and skins all animated instances at `time` into `slot`; the static ones with the first call.
     pub fn record_sample(&mut self, recorder: &mut Recorder, slot: u32, time: ServerTime) {
-        let animated = self.scene.instances.iter().enumerate().filter(|(_, instance)| instance.is_animated);
+        let animated =
+            self.scene.numbering.instances.iter().enumerate().filter(|(_, instance)| instance.is_animated);
         let jobs: Vec<SampleJob> = animated.map(|(instance, _)| SampleJob { instance, slot, time }).collect();
         self.record(recorder, &jobs, SampleJob { instance: 0, slot, time });
     }
 
     /// Poses and skins the instances of `samples`; the static ones with the first call, posed at `statics`.
     pub fn record(&mut self, recorder: &mut Recorder, samples: &[SampleJob], statics: SampleJob) {
-        let all = 0..self.scene.instances.len();
-        let still = |instance: &usize| !self.statics_done && !self.scene.instances[*instance].is_animated;
+        let all = 0..self.scene.numbering.instances.len();
+        let still =
+            |instance: &usize| !self.statics_done && !self.scene.numbering.instances[*instance].is_animated;
         let still: Vec<SampleJob> =
             all.filter(still).map(|instance| SampleJob { instance, ..statics }).collect();
         let mut jobs = self.no_jobs();
         let mut poses: Vec<Range<u32>> = Vec::new();
         for sample in samples.iter().chain(&still) {
             let pose = self.pose(*sample, &mut poses);
-            let base = self.skin.position_base(&self.scene.instances[sample.instance], sample.slot);
+            let base = self.skin.position_base(&self.scene.numbering.instances[sample.instance], sample.slot);
             self.push_job(&mut jobs, *sample, pose, base, false);
         }
         // The slots' palettes and vertices may still be read by the last samples.
@@ -132,11 +136,11 @@ impl Animation {
         let Some(time) = self.slots[slot as usize].time else { return };
         let scene = self.scene.clone();
         let there = |instance: &usize| {
-            scene.instances[*instance].is_animated
+            scene.numbering.instances[*instance].is_animated
                 && is_wanted(*instance)
                 && self.slots[slot as usize].pose_of_instance[*instance].is_some()
         };
-        let samples: Vec<SampleJob> = (0..scene.instances.len())
+        let samples: Vec<SampleJob> = (0..scene.numbering.instances.len())
             .filter(there)
             .map(|instance| SampleJob { instance, slot, time })
             .collect();
@@ -147,7 +151,7 @@ impl Animation {
         let mut jobs = self.no_jobs();
         for sample in samples {
             let pose = self.slots[sample.slot as usize].pose_of_instance[sample.instance];
-            let base = self.skin.tangent_base(&self.scene.instances[sample.instance]);
+            let base = self.skin.tangent_base(&self.scene.numbering.instances[sample.instance]);
             let pose = pose.expect("posed before its frames are wanted");
             self.push_job(&mut jobs, *sample, pose, base, true);
         }
@@ -170,8 +174,8 @@ impl Animation {
             self.counts.shared_poses += 1;
             return known;
         }
-        let (skeleton, totals) = (manager.skeleton(key), scene.totals);
-        let pose = sample.slot * scene.instances.len() as u32 + slot.poses.len() as u32;
+        let (skeleton, totals) = (manager.skeleton(key), scene.numbering.totals);
+        let pose = sample.slot * scene.numbering.instances.len() as u32 + slot.poses.len() as u32;
         let global_base = sample.slot * totals.bones + slot.bones;
         let palette_base = sample.slot * totals.palette + slot.entries;
         let weight_base = sample.slot * totals.morphs + slot.weights;
@@ -196,7 +200,7 @@ impl Animation {
     }
 
     fn vertex_count(&self, instance: usize) -> u64 {
-        u64::from(self.scene.models[self.scene.instances[instance].model].vertex_count)
+        u64::from(self.scene.models[self.scene.numbering.instances[instance].model].vertex_count)
     }
 
     /// An empty list with the room of the last one.
@@ -214,7 +218,7 @@ impl Animation {
         output_base: u32,
         writes_tangents: bool,
     ) {
-        let model = &self.scene.models[self.scene.instances[sample.instance].model];
+        let model = &self.scene.models[self.scene.numbering.instances[sample.instance].model];
         let paths = &self.scene.animation.manager.paths;
         let world_from_model =
             paths.world_from_model(&self.scene.scene, sample.instance, sample.time.seconds());
@@ -224,7 +228,7 @@ impl Animation {
             vertex_count: model.vertex_count,
             palette_base: pose.palette_base,
             output_base,
-            weight_base: if model.has_morphs { pose.weight_base } else { NO_MORPHS },
+            weight_base: if model.skin.has_morphs { pose.weight_base } else { NO_MORPHS },
             pose: pose.pose,
             writes_tangents: u32::from(writes_tangents),
             packed_base: 0,
@@ -233,7 +237,7 @@ impl Animation {
             jobs.whole.push(whole);
             return;
         }
-        for (list, run) in jobs.packed.iter_mut().zip(&model.packed).filter(|(_, run)| !run.is_empty()) {
+        for (list, run) in jobs.packed.iter_mut().zip(&model.skin.packed).filter(|(_, run)| !run.is_empty()) {
             list.push(SkinJob { vertex_count: run.len() as u32, packed_base: run.start, ..whole });
         }
     }
@@ -245,12 +249,12 @@ impl Animation {
     }
 
     /// First saved vertex of an instance at a slot's time.
-    pub fn position_base(&self, instance: &InstanceGpu, slot: u32) -> u32 {
+    pub fn position_base(&self, instance: &InstancePlace, slot: u32) -> u32 {
         self.skin.position_base(instance, slot)
     }
 
     /// First saved frame of an instance.
-    pub fn tangent_base(&self, instance: &InstanceGpu) -> u32 {
+    pub fn tangent_base(&self, instance: &InstancePlace) -> u32 {
         self.skin.tangent_base(instance)
     }
 

@@ -1,6 +1,6 @@
 //! Bone palettes: every bone of every pose once.
 
-use crate::scene_gpu::SceneGpu;
+use crate::scene::SceneGpu;
 use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
 use shadecast_shaders::generated::{PALETTE_COMP, PalettePush, PoseGpu};
 use std::ops::Range;
@@ -22,10 +22,12 @@ impl Palette {
     pub fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, slots: u32) -> Result<Self, GpuError> {
         let pipeline = ComputePipeline::new(gpu, &PALETTE_COMP)?;
         let bytes = |count: u32, size: usize| u64::from(slots) * u64::from(count) * size as u64;
-        let poses_bytes = bytes(scene.instances.len() as u32, size_of::<PoseGpu>());
+        let poses_bytes = bytes(scene.numbering.instances.len() as u32, size_of::<PoseGpu>());
         let poses = Buffer::new(gpu, "poses", poses_bytes, Memory::Upload)?;
-        let globals = Buffer::new(gpu, "bone transforms", bytes(scene.totals.bones, 48), Memory::Device)?;
-        let palettes = Buffer::new(gpu, "palettes", bytes(scene.totals.palette, 48), Memory::Device)?;
+        let globals =
+            Buffer::new(gpu, "bone transforms", bytes(scene.numbering.totals.bones, 48), Memory::Device)?;
+        let palettes =
+            Buffer::new(gpu, "palettes", bytes(scene.numbering.totals.palette, 48), Memory::Device)?;
         let mut binds = scene.animation.binds();
         binds.extend([
             ("Poses", Bind::Buffer(&poses)),

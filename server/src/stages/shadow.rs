@@ -3,7 +3,7 @@
 
 use crate::animation::gpu::Animation;
 use crate::lights::{self, SHADOW_EXTENT_TEXELS, SunView};
-use crate::scene_gpu::SceneGpu;
+use crate::scene::SceneGpu;
 use crate::stages::geometry::Geometry;
 use ash::vk;
 use shadecast_gpu::{
@@ -47,13 +47,13 @@ impl Shadow {
         let pass = RenderPass::depth_map(gpu, format)?;
         let geometry = Geometry::new(gpu, &SHADOW_VERT, &SHADOW_FRAG, &pass)?;
         let light = Buffer::new(gpu, "light", size_of::<LightGpu>() as u64, Memory::Upload)?;
-        let textures = scene.texture_binds();
+        let textures = scene.materials.texture_binds();
         let binds = [
-            ("Vertices", Bind::Buffer(&scene.vertices)),
+            ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
             ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
             ("Light", Bind::Buffer(&light)),
-            ("Materials", Bind::Buffer(&scene.materials)),
-            SceneGpu::textures_bind(&textures),
+            ("Materials", Bind::Buffer(&scene.materials.buffer)),
+            ("textures", Bind::Textures(&textures)),
         ];
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
         let nearest =

@@ -21,7 +21,7 @@ pub use stats::{StreamStats, ViewerStats};
 pub use studio::{Device, Reopen};
 
 use crate::pacing::WayState;
-use crate::scene_gpu::SceneGpu;
+use crate::scene::SceneGpu;
 use mailbox::Mailbox;
 use network::Network;
 use pipeline::{Outlet, Pipeline, Studio};

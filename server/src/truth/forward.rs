@@ -2,7 +2,7 @@
 //! with the atlas's own shading code, antialiased by multisampling. A second pass tells what is where, one sample a pixel.
 
 use crate::animation::gpu::Animation;
-use crate::scene_gpu::SceneGpu;
+use crate::scene::SceneGpu;
 use crate::stages::geometry::Geometry;
 use crate::stages::shadow::Shadow;
 use crate::stages::view_gpu;
@@ -37,7 +37,7 @@ pub struct Truth {
 }
 
 /// Vertices in the world that were posed elsewhere: those of static instances first, then the others, in both as
-/// [`InstanceGpu::saved_base`](crate::scene_gpu::InstanceGpu::saved_base) numbers them.
+/// [`InstancePlace::saved_base`](crate::scene::numbering::InstancePlace::saved_base) numbers them.
 #[derive(Clone, Debug, Default)]
 pub struct Posed {
     /// xyz, metres.
@@ -117,7 +117,7 @@ impl Forward {
             scene: scene.clone(),
             animation,
             shadow,
-            all: vec![true; scene.instances.len()],
+            all: vec![true; scene.numbering.instances.len()],
             background,
             background_group,
             view,
@@ -184,7 +184,8 @@ impl Forward {
         time: ServerTime,
         posed: &Posed,
     ) -> Result<Truth, GpuError> {
-        let all = (self.scene.totals.static_vertices + self.scene.totals.animated_vertices) as usize;
+        let all = (self.scene.numbering.totals.static_vertices
+            + self.scene.numbering.totals.animated_vertices) as usize;
         assert_eq!(
             [posed.positions.len(), posed.frames.len()],
             [all; 2],
@@ -373,13 +374,13 @@ impl Pass {
             None => Geometry::new(gpu, &FORWARD_PROBE_VERT, &FORWARD_PROBE_FRAG, &pass)?,
             Some(_) => Geometry::new(gpu, &FORWARD_VERT, &FORWARD_FRAG, &pass)?,
         };
-        let textures = scene.texture_binds();
+        let textures = scene.materials.texture_binds();
         let mut binds = vec![
-            ("Vertices", Bind::Buffer(&scene.vertices)),
+            ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
             ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
             ("View", Bind::Buffer(view)),
-            ("Materials", Bind::Buffer(&scene.materials)),
-            SceneGpu::textures_bind(&textures),
+            ("Materials", Bind::Buffer(&scene.materials.buffer)),
+            ("textures", Bind::Textures(&textures)),
         ];
         if let Some(shadow) = shaded {
             binds.push(("Tangents", Bind::Buffer(animation.tangents())));

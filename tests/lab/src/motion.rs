@@ -14,7 +14,8 @@ use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::Scene;
 use shadecast_server::residency::Residency;
-use shadecast_server::scene_gpu::SceneGpu;
+use shadecast_server::scene::SceneGpu;
+use shadecast_server::scene::numbering::SceneVertex;
 use std::collections::{HashMap, VecDeque};
 use std::fmt;
 
@@ -119,11 +120,11 @@ impl Motion {
             if state == 0.0 {
                 continue; // not drawn: its samples are still on their way
             }
-            let index = scene.instance_of_vertex(*vertex);
+            let index = scene.numbering.instance_of_vertex(SceneVertex(*vertex));
             let pose =
                 poses.entry(index).or_insert_with(|| InstancePose::at(&scene.scene, index, time.seconds()));
-            let number = (*vertex - scene.instances[index].first_vertex) as usize;
-            let truth = pose.vertex(&scene.scene.models[scene.instances[index].model], number);
+            let number = (*vertex - scene.numbering.instances[index].first_vertex.0) as usize;
+            let truth = pose.vertex(&scene.scene.models[scene.numbering.instances[index].model], number);
             let range_m = self.range_m(scene, index, number);
             self.add(*vertex, Vec3::new(x, y, z), truth, range_m, eyes);
         }

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
-use shadecast_server::scene_gpu::SceneOptions;
+use shadecast_server::scene::SceneOptions;
 use shadecast_transport::{LinkError, LinkProfile, LinkSchedule};
 use std::path::PathBuf;
 use std::str::FromStr;

@@ -12,8 +12,8 @@ use shadecast_scene::animation::sampling::Sampling;
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_scene::{Model, Scene};
 use shadecast_server::animation::gpu::Animation;
-use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
-use shadecast_server::stages::skin::Skinning;
+use shadecast_server::animation::skinning::Skinning;
+use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_shaders::generated::{BENCH_FETCH_COMP, BenchFetchPush};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -267,7 +267,7 @@ fn name_of(skinning: Skinning) -> String {
 impl Counts {
     fn of(scene: &SceneGpu) -> Self {
         let mut counts = Self::default();
-        for (place, instance) in scene.instances.iter().zip(&scene.scene.instances) {
+        for (place, instance) in scene.numbering.instances.iter().zip(&scene.scene.instances) {
             if place.is_animated {
                 counts.add(&scene.scene, instance.model);
             }

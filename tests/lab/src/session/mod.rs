@@ -31,7 +31,7 @@ use shadecast_scene::load::load_scene;
 use shadecast_scene::suggest::did_you_mean_or_list;
 use shadecast_server::frame::Shaded;
 use shadecast_server::pacing::WayState;
-use shadecast_server::scene_gpu::SceneGpu;
+use shadecast_server::scene::SceneGpu;
 use shadecast_server::stream::offer;
 use shadecast_server::viewer::Told;
 use shadecast_server::world::World;
