@@ -128,35 +128,34 @@ impl SampleWindow {
 }
 
 impl Geometry for SampleWindow {
-    fn instance_of_patch(&self, patch: u32) -> u16 {
-        self.scene.numbering.instance_of_patch(ScenePatch(patch)) as u16
+    fn instance_of_patch(&self, patch: ScenePatch) -> u16 {
+        self.scene.numbering.instance_of_patch(patch) as u16
     }
 
     fn instance(&self, instance: u16) -> InstanceRange {
         let place = &self.scene.numbering.instances[usize::from(instance)];
-        InstanceRange { first_patch: place.drawn.first.0, first_vertex: place.first_vertex.0 }
+        InstanceRange { first_patch: place.drawn.first, first_vertex: place.first_vertex }
     }
 
-    fn patch(&self, patch: u32) -> Patch {
-        self.scene.patch(ScenePatch(patch))
+    fn patch(&self, patch: ScenePatch) -> Patch {
+        self.scene.patch(patch)
     }
 
-    fn static_position(&self, vertex: u32) -> Option<Vec3> {
-        match self.places[vertex as usize] {
+    fn static_position(&self, vertex: SceneVertex) -> Option<Vec3> {
+        match self.places[vertex.index()] {
             (_, true) => None,
             (place, false) => Some(self.saved(place)),
         }
     }
 
-    fn sample(&self, grid: GridIndex, vertex: u32) -> Vec3 {
+    fn sample(&self, grid: GridIndex, vertex: SceneVertex) -> Vec3 {
         debug_assert_eq!(
-            self.held[self.scene.numbering.instance_of_vertex(SceneVertex(vertex))]
-                [Self::slot(grid) as usize],
+            self.held[self.scene.numbering.instance_of_vertex(vertex)][Self::slot(grid) as usize],
             Some(grid),
-            "vertex {vertex} is not skinned at this time"
+            "{vertex:?} is not skinned at this time"
         );
         let totals = self.scene.numbering.totals;
-        let (place, _) = self.places[vertex as usize];
+        let (place, _) = self.places[vertex.index()];
         self.saved(totals.static_vertices + Self::slot(grid) * totals.animated_vertices + place)
     }
 

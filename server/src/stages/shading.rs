@@ -2,6 +2,7 @@
 
 use crate::animation::gpu::Animation;
 use crate::scene::SceneGpu;
+use crate::scene::numbering::ScenePatch;
 use crate::stages::shadow::Shadow;
 use ash::vk;
 use glam::Vec3;
@@ -97,20 +98,20 @@ impl Shading {
         scene: &SceneGpu,
         animation: &Animation,
         slot: u32,
-        live: impl Iterator<Item = (u32, Block)>,
+        live: impl Iterator<Item = (ScenePatch, Block)>,
     ) {
         let list: &mut [BlockGpu] = bytemuck::cast_slice_mut(self.blocks.bytes_mut());
         self.count = 0;
         // Live patches come in ascending order, so the instance only ever moves on.
         let mut index = 0;
         for (place, (patch, block)) in list.iter_mut().zip(live) {
-            while scene.numbering.instances.get(index + 1).is_some_and(|next| next.drawn.first.0 <= patch) {
+            while scene.numbering.instances.get(index + 1).is_some_and(|next| next.drawn.first <= patch) {
                 index += 1;
             }
             let instance = &scene.numbering.instances[index];
             let model = &scene.models[instance.model];
             *place = BlockGpu {
-                patch_index: model.patch_base + patch - instance.drawn.first.0,
+                patch_index: model.patch_base + instance.drawn.model_number(patch),
                 address_texels: u32::from(block.address.x) | u32::from(block.address.y) << 16,
                 extent_texels: block.size.width() | block.size.height() << 16,
                 vertex_base: model.vertex_base,
