@@ -193,16 +193,16 @@ impl Frame {
     fn look(&mut self, world: &mut World, views: &PredictedViews) -> Result<GridIndex, GpuError> {
         self.write_views(views);
         let needed = self.culling.update(views.eyes.iter().flatten().copied());
-        let slots = views.times.map(SampleWindow::slot);
+        let places = views.times.map(SampleWindow::ring_place);
         let mut recorder = world.gpu().record()?;
         let oldest = world.animate(&mut recorder, self.id, views, needed);
         let (scene, animation) = (world.scene(), &world.animation);
         recorder.fill(&self.mark.visible, 0);
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
-        for (time, slot) in slots.into_iter().enumerate() {
+        for (time, place) in places.into_iter().enumerate() {
             recorder.scope("id buffer", |r| {
-                self.id_buffer.record(r, scene, animation, needed, slot, 2 * time as u32);
+                self.id_buffer.record(r, scene, animation, needed, place, 2 * time as u32);
             });
             recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
             recorder.scope("mark", |r| self.mark.record(r));
@@ -210,7 +210,7 @@ impl Frame {
         }
         recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
         recorder.scope("level selection", |r| {
-            self.level_selection.record(r, scene, animation, slots);
+            self.level_selection.record(r, scene, animation, places);
         });
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         recorder.copy_buffer(&self.level_selection.extents, 0, &self.extents, 0, self.extents.size());
@@ -222,8 +222,8 @@ impl Frame {
     /// Fills every live block as it is in the middle of the update's time on display, and converts the atlas.
     fn shade(&mut self, world: &mut World, views: &PredictedViews) -> Result<(), GpuError> {
         let middle = views.times[VIEW_TIMES / 2];
-        let slot = SampleWindow::slot(middle);
-        self.shading.write_blocks(world.scene(), &world.animation, slot, self.layout.live());
+        let place = SampleWindow::ring_place(middle);
+        self.shading.write_blocks(world.scene(), &world.animation, place, self.layout.live());
         let mut recorder = world.gpu().record()?;
         world.light(&mut recorder, middle);
         recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the last conversion has read the atlas

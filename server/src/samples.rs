@@ -1,5 +1,6 @@
 //! The window of grid samples: which grid points are computed, and their positions where the CPU can read them.
 
+use crate::animation::RingPlace;
 use crate::animation::gpu::{Animation, SampleJob};
 use crate::predict::PredictedViews;
 use crate::residency::{Geometry, InstanceRange};
@@ -14,14 +15,14 @@ use std::sync::Arc;
 /// Grid points kept on the server: as many as on the client.
 pub const RING: u32 = shadecast_protocol::limits::SAMPLE_RING;
 
-/// Samples `oldest..=newest`, each in the slot of its number modulo [`RING`].
+/// Samples `oldest..=newest`, each in the ring at its number modulo [`RING`].
 pub struct SampleWindow {
     scene: Arc<SceneGpu>,
     /// A mirror of the animation's saved vertices.
     mirror: Buffer,
     /// By scene-wide vertex number: its place among the static or the animated saved vertices, and which of them.
     places: Vec<(u32, bool)>,
-    /// By instance: which grid point each slot holds.
+    /// By instance: which grid point each place of the ring holds.
     held: Vec<[Option<GridIndex>; RING as usize]>,
     jobs: Vec<SampleJob>,
     is_first: bool,
@@ -47,14 +48,14 @@ impl SampleWindow {
         })
     }
 
-    /// The slot of a grid point.
-    pub fn slot(g: GridIndex) -> u32 {
-        g.0.rem_euclid(RING as i32) as u32
+    /// Where in the ring a grid point is.
+    pub fn ring_place(g: GridIndex) -> RingPlace {
+        RingPlace(g.0.rem_euclid(RING as i32) as u32)
     }
 
     /// Nothing that was computed is believed any more.
     pub fn forget(&mut self) {
-        self.held.iter_mut().for_each(|slots| slots.fill(None));
+        self.held.iter_mut().for_each(|of_instance| of_instance.fill(None));
         self.is_first = true;
     }
 
@@ -71,8 +72,11 @@ impl SampleWindow {
         // A server that fell behind skips the grid points that nobody can display any more.
         let earliest = views.horizon.plus(1 - RING as i32).max(views.first_sample.min(views.times[0]));
         self.list_jobs(earliest, views.horizon, grid, needed);
-        let statics =
-            SampleJob { instance: 0, slot: Self::slot(views.horizon), time: grid.time_of(views.horizon) };
+        let statics = SampleJob {
+            instance: 0,
+            place: Self::ring_place(views.horizon),
+            time: grid.time_of(views.horizon),
+        };
         animation.record(recorder, &self.jobs, statics);
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         if std::mem::take(&mut self.is_first) {
@@ -87,12 +91,12 @@ impl SampleWindow {
     fn list_jobs(&mut self, earliest: GridIndex, horizon: GridIndex, grid: Grid, needed: &[bool]) {
         self.jobs.clear();
         for g in (earliest.0..=horizon.0).map(GridIndex) {
-            let slot = Self::slot(g);
+            let ring_place = Self::ring_place(g);
             for (instance, place) in self.scene.numbering.instances.iter().enumerate() {
-                let held = &mut self.held[instance][slot as usize];
+                let held = &mut self.held[instance][ring_place.index()];
                 if place.is_animated && needed[instance] && *held != Some(g) {
                     *held = Some(g);
-                    self.jobs.push(SampleJob { instance, slot, time: grid.time_of(g) });
+                    self.jobs.push(SampleJob { instance, place: ring_place, time: grid.time_of(g) });
                 }
             }
         }
@@ -110,7 +114,7 @@ impl SampleWindow {
         };
         for job in &self.jobs {
             let place = &self.scene.numbering.instances[job.instance];
-            let first = u64::from(animation.position_base(place, job.slot)) * 16;
+            let first = u64::from(animation.position_base(place, job.place)) * 16;
             let size = u64::from(self.scene.models[place.model].vertex_count) * 16;
             if first != run.end {
                 copy(&run);
@@ -150,13 +154,13 @@ impl Geometry for SampleWindow {
 
     fn sample(&self, grid: GridIndex, vertex: SceneVertex) -> Vec3 {
         debug_assert_eq!(
-            self.held[self.scene.numbering.instance_of_vertex(vertex)][Self::slot(grid) as usize],
+            self.held[self.scene.numbering.instance_of_vertex(vertex)][Self::ring_place(grid).index()],
             Some(grid),
             "{vertex:?} is not skinned at this time"
         );
         let totals = self.scene.numbering.totals;
         let (place, _) = self.places[vertex.index()];
-        self.saved(totals.static_vertices + Self::slot(grid) * totals.animated_vertices + place)
+        self.saved(totals.static_vertices + Self::ring_place(grid).0 * totals.animated_vertices + place)
     }
 
     fn vertex_count(&self) -> usize {

@@ -111,9 +111,9 @@ fn packed(index: u32, v: &Vertex) -> PackedVertexGpu {
 
 /// A vertex's influences in their order, those of weight 0 last: shaders stop at the first one.
 pub(crate) fn used_first(v: &Vertex) -> ([u16; 4], [f32; 4]) {
-    let mut slots = [0, 1, 2, 3];
-    slots.sort_by_key(|slot| v.weights[*slot] <= 0.0);
-    (slots.map(|slot| v.joints[slot]), slots.map(|slot| v.weights[slot]))
+    let mut order = [0, 1, 2, 3];
+    order.sort_by_key(|influence| v.weights[*influence] <= 0.0);
+    (order.map(|influence| v.joints[influence]), order.map(|influence| v.weights[influence]))
 }
 
 /// Two halves of a word.

@@ -1,5 +1,6 @@
 //! Visibility's first half: which patch each pixel of the predicted views shows.
 
+use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
 use crate::scene::SceneGpu;
 use crate::stages::geometry::Geometry;
@@ -77,14 +78,14 @@ impl IdBuffer {
         Ok(Self { pass, geometry, group, target, image, _depth: depth })
     }
 
-    /// Draws the `needed` instances as they are in `slot` into the two views from `first_view` on.
+    /// Draws the `needed` instances as they are in `place` into the two views from `first_view` on.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         scene: &SceneGpu,
         animation: &Animation,
         needed: &[bool],
-        slot: u32,
+        place: RingPlace,
         first_view: u32,
     ) {
         let clears = [vk::ClearValue::default(), vk::ClearValue::default()]; // no patch; far, which is 0
@@ -96,7 +97,7 @@ impl IdBuffer {
             |number| needed[number],
             |draw| IdBufferPush {
                 vertex_base: draw.model.vertex_base,
-                position_base: animation.position_base(draw.instance, slot),
+                position_base: animation.position_base(draw.instance, place),
                 triangle_base: (draw.model.index_base + draw.primitive.first_index) / 3,
                 patch_base: draw.instance.drawn.first.0,
                 material: draw.model.material_base + draw.primitive.material,

@@ -1,5 +1,6 @@
 //! Level selection's first half: the largest projected extent of every visible patch.
 
+use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
 use crate::predict::VIEW_TIMES;
 use crate::scene::SceneGpu;
@@ -42,17 +43,17 @@ impl LevelSelection {
         Ok(Self { pipeline, group, extents })
     }
 
-    /// Measures every visible patch with geometry as it is in each view time's slot.
+    /// Measures every visible patch with geometry as it is at the place of each view time.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         scene: &SceneGpu,
         animation: &Animation,
-        slots: [u32; VIEW_TIMES],
+        places: [RingPlace; VIEW_TIMES],
     ) {
         for instance in &scene.numbering.instances {
             let model = &scene.models[instance.model];
-            let base = slots.map(|slot| animation.position_base(instance, slot));
+            let base = places.map(|place| animation.position_base(instance, place));
             let patch_count = instance.drawn.count;
             let push = LevelSelectionPush {
                 vertex_base: model.vertex_base,

@@ -1,5 +1,6 @@
 //! Object-space shading: one quad per live block, gutter included, into the atlas.
 
+use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
 use crate::scene::SceneGpu;
 use crate::scene::numbering::ScenePatch;
@@ -92,30 +93,30 @@ impl Shading {
         Ok(Self { pass, pipeline, group, target, blocks, count: 0, atlas })
     }
 
-    /// Writes the list of blocks to shade, with geometry as it is in `slot`. No submitted work still reads the list.
+    /// Writes the list of blocks to shade, with geometry as it is in `place`. No submitted work still reads the list.
     pub fn write_blocks(
         &mut self,
         scene: &SceneGpu,
         animation: &Animation,
-        slot: u32,
+        place: RingPlace,
         live: impl Iterator<Item = (ScenePatch, Block)>,
     ) {
         let list: &mut [BlockGpu] = bytemuck::cast_slice_mut(self.blocks.bytes_mut());
         self.count = 0;
         // Live patches come in ascending order, so the instance only ever moves on.
         let mut index = 0;
-        for (place, (patch, block)) in list.iter_mut().zip(live) {
+        for (entry, (patch, block)) in list.iter_mut().zip(live) {
             while scene.numbering.instances.get(index + 1).is_some_and(|next| next.drawn.first <= patch) {
                 index += 1;
             }
             let instance = &scene.numbering.instances[index];
             let model = &scene.models[instance.model];
-            *place = BlockGpu {
+            *entry = BlockGpu {
                 patch_index: model.patch_base + instance.drawn.model_number(patch),
                 address_texels: u32::from(block.address.x) | u32::from(block.address.y) << 16,
                 extent_texels: block.size.width() | block.size.height() << 16,
                 vertex_base: model.vertex_base,
-                position_base: animation.position_base(instance, slot),
+                position_base: animation.position_base(instance, place),
                 tangent_base: animation.tangent_base(instance),
                 material_base: model.material_base,
                 reserved: 0,

@@ -1,6 +1,7 @@
 //! Skinning: each vertex once per sample time into `saved_vertices`, each frame once per update into `tangents`.
 //! Three ways ([`Skinning`]), to be measured side by side.
 
+use crate::animation::RingPlace;
 use crate::animation::skinning::Skinning;
 use crate::scene::SceneGpu;
 use crate::scene::numbering::{InstancePlace, Totals};
@@ -13,7 +14,7 @@ use std::sync::Arc;
 /// Vertices in a workgroup.
 const GROUP: u32 = 128;
 
-/// The stage with its outputs: static instances first, then one run of the animated ones per slot.
+/// The stage with its outputs: static instances first, then one run of the animated ones a place of the ring.
 pub struct Skin {
     /// Of vertices as they are; per-vertex-chain where that is asked for.
     whole: Variant,
@@ -50,7 +51,7 @@ impl SkinJobs {
 }
 
 impl Skin {
-    /// With room for `slots` sample times. `morph_weights` holds those of each pose.
+    /// With room for `times` sample times. `morph_weights` holds those of each pose.
     ///
     /// # Errors
     /// More skinned vertices than the device can bind as one buffer.
@@ -59,11 +60,11 @@ impl Skin {
         scene: &SceneGpu,
         palette: &Palette,
         morph_weights: &Buffer,
-        slots: u32,
+        times: u32,
     ) -> Result<Self, GpuError> {
         let totals = scene.numbering.totals;
-        let [(_, positions_bytes), (_, tangents_bytes)] = Self::needs(totals, slots);
-        Self::needs(totals, slots).into_iter().try_for_each(|(what, bytes)| check_room(gpu, what, bytes))?;
+        let [(_, positions_bytes), (_, tangents_bytes)] = Self::needs(totals, times);
+        Self::needs(totals, times).into_iter().try_for_each(|(what, bytes)| check_room(gpu, what, bytes))?;
         let saved_vertices = Buffer::new(gpu, "saved vertices", positions_bytes, Memory::Device)?;
         let tangents = Buffer::new(gpu, "tangents", tangents_bytes, Memory::Device)?;
         let mut binds = scene.animation.binds();
@@ -98,9 +99,9 @@ impl Skin {
     }
 
     /// What it binds at once, in bytes.
-    pub fn needs(totals: Totals, slots: u32) -> [(&'static str, u64); 2] {
+    pub fn needs(totals: Totals, times: u32) -> [(&'static str, u64); 2] {
         let positions =
-            u64::from(totals.static_vertices) + u64::from(slots) * u64::from(totals.animated_vertices);
+            u64::from(totals.static_vertices) + u64::from(times) * u64::from(totals.animated_vertices);
         let tangents_bytes = u64::from(totals.vertices) * size_of::<TangentGpu>() as u64;
         [
             ("skinned vertices of all instances and sample times", positions * 16),
@@ -108,10 +109,10 @@ impl Skin {
         ]
     }
 
-    /// First saved vertex of an instance at a slot's time.
-    pub fn position_base(&self, instance: &InstancePlace, slot: u32) -> u32 {
+    /// First saved vertex of an instance at the time of a place.
+    pub fn position_base(&self, instance: &InstancePlace, place: RingPlace) -> u32 {
         match instance.is_animated {
-            true => self.static_vertices + slot * self.animated_vertices + instance.saved_base,
+            true => self.static_vertices + place.0 * self.animated_vertices + instance.saved_base,
             false => instance.saved_base,
         }
     }

@@ -1,6 +1,7 @@
 //! The ground truth: skins at the exact time of the picture, or takes vertices that were posed elsewhere; shades per pixel
 //! with the atlas's own shading code, antialiased by multisampling. A second pass tells what is where, one sample a pixel.
 
+use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
 use crate::scene::SceneGpu;
 use crate::stages::geometry::Geometry;
@@ -35,6 +36,9 @@ pub struct Truth {
     /// Distance along the view axis at the pixel's centre, metres; infinite for background.
     pub distance_m: Vec<f32>,
 }
+
+/// Of a ring for one time.
+const ONLY: RingPlace = RingPlace(0);
 
 /// Vertices in the world that were posed elsewhere: those of static instances first, then the others, in both as
 /// [`InstancePlace::saved_base`](crate::scene::numbering::InstancePlace::saved_base) numbers them.
@@ -143,8 +147,8 @@ impl Forward {
 
     /// Records what an eye sees at `time`. Nothing submitted still reads the last recording's view.
     pub fn record(&mut self, recorder: &mut Recorder, world_from_eye: Pose, fov: Fov, time: ServerTime) {
-        self.animation.record_sample(recorder, 0, time);
-        self.animation.record_tangents(recorder, 0, |_| true);
+        self.animation.record_sample(recorder, ONLY, time);
+        self.animation.record_tangents(recorder, ONLY, |_| true);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         self.record_posed(recorder, world_from_eye, fov, time);
     }
@@ -155,7 +159,7 @@ impl Forward {
         let view = view_gpu(clip_from_world, world_from_eye.position, self.targets.extent);
         self.view.write(0, bytemuck::bytes_of(&view));
         self.shadow.write(&self.scene, time);
-        recorder.scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, &self.all, 0));
+        recorder.scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, &self.all, ONLY));
         recorder.barrier(Access::DEPTH_WRITE, Access::FRAGMENT_READ);
         recorder.scope("forward", |r| self.draw_color(r, world_from_eye, fov));
     }
@@ -393,7 +397,7 @@ impl Pass {
     fn draw(&self, recorder: &mut Recorder, scene: &SceneGpu, animation: &Animation) {
         self.geometry.record(recorder, &self.group, scene, |draw| ForwardPush {
             vertex_base: draw.model.vertex_base,
-            position_base: animation.position_base(draw.instance, 0),
+            position_base: animation.position_base(draw.instance, ONLY),
             tangent_base: animation.tangent_base(draw.instance),
             material: draw.model.material_base + draw.primitive.material,
             instance: draw.number as u32,

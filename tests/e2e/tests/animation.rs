@@ -13,6 +13,7 @@ use shadecast_scene::{
     Bone, Clip, Instance, Interpolation, Material, Model, Morph, MorphDelta, MorphTrack, PaletteEntry, Path,
     Primitive, Repetition, Scene, Track, TrackValues, Trs, Vertex,
 };
+use shadecast_server::animation::RingPlace;
 use shadecast_server::animation::gpu::{Animation, AnimationCounts};
 use shadecast_server::animation::skinning::Skinning;
 use shadecast_server::predict::{PredictedViews, View};
@@ -187,9 +188,9 @@ fn compare_with_twin(gpu: &Arc<Gpu>, scene: &Scene, options: SceneOptions, times
     for time_s in times_s {
         let time = ServerTime((time_s * 1e9) as i64);
         let mut recorder = gpu.record().unwrap();
-        animation.record_sample(&mut recorder, 1, time);
+        animation.record_sample(&mut recorder, RingPlace(1), time);
         recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE);
-        animation.record_tangents(&mut recorder, 1, |_| true);
+        animation.record_tangents(&mut recorder, RingPlace(1), |_| true);
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         gpu.wait(recorder.submit().unwrap()).unwrap();
         let positions: Vec<[f32; 4]> = read(gpu, animation.saved_vertices());
@@ -198,7 +199,7 @@ fn compare_with_twin(gpu: &Arc<Gpu>, scene: &Scene, options: SceneOptions, times
             let name = format!("{options:?}, {} at {time_s} s, seed {SEED}", scene.instances[index].name);
             let twin = twin(scene, index, options.sampling, time.seconds());
             let size = twin.iter().map(|v| v.position.length()).fold(1.0, f32::max);
-            let at = animation.position_base(place, 1) as usize;
+            let at = animation.position_base(place, RingPlace(1)) as usize;
             let frames_at = animation.tangent_base(place) as usize;
             for (v, expected) in twin.iter().enumerate() {
                 let [x, y, z, _] = positions[at + v];
@@ -306,7 +307,7 @@ fn instances_in_the_same_pose_share_a_palette() {
     let gpu_scene = Arc::new(SceneGpu::new(&gpu, scene, &SceneOptions::default()).expect("the scene fits"));
     let mut animation = Animation::new(&gpu, &gpu_scene, 1).unwrap();
     let mut recorder = gpu.record().unwrap();
-    animation.record_sample(&mut recorder, 0, ServerTime(0));
+    animation.record_sample(&mut recorder, RingPlace(0), ServerTime(0));
     gpu.wait(recorder.submit().unwrap()).unwrap();
     let AnimationCounts { poses, shared_poses, instance_samples, .. } = animation.counts();
     assert_eq!((poses, shared_poses, instance_samples), (2, 3, 5));

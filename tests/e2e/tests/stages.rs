@@ -6,6 +6,7 @@ use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::animation::{pose, sampling};
 use shadecast_scene::load::{SceneSource, load_scene};
+use shadecast_server::animation::RingPlace;
 use shadecast_server::animation::gpu::Animation;
 use shadecast_server::scene::numbering::ScenePatch;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
@@ -56,7 +57,7 @@ fn skinned_vertices_equal_the_cpu_twin_within_a_hundred_thousandth_of_the_models
     for time_s in [0.0, 0.731, 3.999] {
         let time = ServerTime((time_s * 1e9) as i64);
         let mut recorder = gpu.record().unwrap();
-        animation.record_sample(&mut recorder, 1, time);
+        animation.record_sample(&mut recorder, RingPlace(1), time);
         gpu.wait(recorder.submit().unwrap()).unwrap();
         let saved: Vec<[f32; 4]> = read(&gpu, animation.saved_vertices(), |_| {});
         for (index, instance) in scene.scene.instances.iter().enumerate() {
@@ -66,7 +67,7 @@ fn skinned_vertices_equal_the_cpu_twin_within_a_hundred_thousandth_of_the_models
             let locals = clip.local_pose(phase_s);
             let palette = pose::palette(model, &pose::global_pose(model, &locals));
             let twin = pose::skin(&model.vertices, &palette, instance.world_from_model(time.seconds()));
-            let base = animation.position_base(&scene.numbering.instances[index], 1) as usize;
+            let base = animation.position_base(&scene.numbering.instances[index], RingPlace(1)) as usize;
             let size = twin.iter().map(|v| v.position.length()).fold(1.0, f32::max);
             for (v, expected) in twin.iter().enumerate() {
                 let [x, y, z, _] = saved[base + v];
@@ -98,17 +99,24 @@ fn marks_and_extents_equal_their_cpu_twins() {
     let pixels = (extent[0] * extent[1]) as usize;
     let ids = Buffer::new(&gpu, "ids", pixels as u64 * 8, Memory::Readback).unwrap();
     let mut recorder = gpu.record().unwrap();
-    for slot in 0..3 {
-        animation.record_sample(&mut recorder, slot, ServerTime(i64::from(slot) * 33_000_000));
+    for place in 0..3 {
+        animation.record_sample(&mut recorder, RingPlace(place), ServerTime(i64::from(place) * 33_000_000));
     }
     recorder.fill(&mark.visible, 0);
     recorder.barrier(Access::COPY_WRITE, Access::COMPUTE);
     recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
-    id_buffer.record(&mut recorder, &scene, &animation, &vec![true; scene.numbering.instances.len()], 1, 2);
+    id_buffer.record(
+        &mut recorder,
+        &scene,
+        &animation,
+        &vec![true; scene.numbering.instances.len()],
+        RingPlace(1),
+        2,
+    );
     recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
     mark.record(&mut recorder);
     recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
-    levels.record(&mut recorder, &scene, &animation, [0, 1, 2]);
+    levels.record(&mut recorder, &scene, &animation, [0, 1, 2].map(RingPlace));
     let layouts = [
         shadecast_gpu::vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
         shadecast_gpu::vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
@@ -142,7 +150,7 @@ fn marks_and_extents_equal_their_cpu_twins() {
         let shape = scene.patch(number);
         let world: Vec<[Vec4; 5]> = (0..6)
             .map(|view| {
-                let base = animation.position_base(instance, view / 2);
+                let base = animation.position_base(instance, RingPlace(view / 2));
                 shape.vertices.map(|v| Vec4::from_array(saved[(base + v) as usize]))
             })
             .collect();
