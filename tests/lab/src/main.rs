@@ -8,7 +8,7 @@ use shadecast_lab::demo::{DemoOptions, demo};
 use shadecast_lab::figures;
 use shadecast_lab::hostile::{self, HostileOptions};
 use shadecast_lab::long;
-use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs, USUAL_LINK, ViewerOptions, parse_link};
+use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs, USUAL_LINK, ViewerOptions};
 use shadecast_lab::robot::robot;
 use shadecast_lab::room::write_room;
 use shadecast_lab::run::{Report, run};
@@ -272,7 +272,7 @@ fn run_one(args: RunArgs) -> anyhow::Result<()> {
     let options = RunOptions {
         renderer: args.renderer,
         clip: args.clip,
-        link: parse_link(&args.link)?,
+        link: args.link.parse()?,
         head: match (args.head, args.head_path) {
             (Some(file), _) => Head::File(file),
             (None, Some(name)) => Head::Named(name),
