@@ -38,15 +38,15 @@ impl Superblock {
         1 << (self.side_log2 - u32::from(self.size.width_log2))
     }
 
-    fn slots(&self) -> u32 {
+    fn places(&self) -> u32 {
         self.columns() << (self.side_log2 - u32::from(self.size.height_log2))
     }
 
     fn take_lowest(&mut self) -> Option<u32> {
-        let slot = (0..self.slots()).find(|s| self.taken[*s as usize / 64] >> (s % 64) & 1 == 0)?;
-        self.taken[slot as usize / 64] |= 1 << (slot % 64);
+        let place = (0..self.places()).find(|s| self.taken[*s as usize / 64] >> (s % 64) & 1 == 0)?;
+        self.taken[place as usize / 64] |= 1 << (place % 64);
         self.count += 1;
-        Some(slot)
+        Some(place)
     }
 }
 
@@ -80,11 +80,11 @@ impl Atlas {
             None => self.open_superblock(size)?,
         };
         let superblock = self.used.get_mut(&corner).expect("open superblocks are in use");
-        let slot = superblock.take_lowest().expect("open superblocks have a block free");
-        if superblock.count == superblock.slots() {
+        let place = superblock.take_lowest().expect("open superblocks have a block free");
+        if superblock.count == superblock.places() {
             self.open.get_mut(&size).expect("it was open").remove(&corner);
         }
-        let (column, row) = (slot % superblock.columns(), slot / superblock.columns());
+        let (column, row) = (place % superblock.columns(), place / superblock.columns());
         self.used_texels += u64::from(size.texels());
         let address = BlockAddress {
             x: (corner.1 + column * size.width()) as u16,
@@ -103,8 +103,8 @@ impl Atlas {
         assert_eq!(superblock.size, block.size, "freed with the size it was allocated with");
         let column = (u32::from(block.address.x) - corner.1) >> block.size.width_log2;
         let row = (u32::from(block.address.y) - corner.0) >> block.size.height_log2;
-        let slot = row * superblock.columns() + column;
-        let (word, bit) = (slot as usize / 64, 1 << (slot % 64));
+        let place = row * superblock.columns() + column;
+        let (word, bit) = (place as usize / 64, 1 << (place % 64));
         assert!(superblock.taken[word] & bit != 0, "{block:?} is freed twice");
         superblock.taken[word] &= !bit;
         superblock.count -= 1;
@@ -170,7 +170,7 @@ impl Atlas {
             .map(|level| (self.free[level].len() as u64) << (2 * (CELL_LOG2 as usize + level)))
             .sum();
         let partial: u64 =
-            self.used.values().map(|s| u64::from(s.slots() - s.count) * u64::from(s.size.texels())).sum();
+            self.used.values().map(|s| u64::from(s.places() - s.count) * u64::from(s.size.texels())).sum();
         whole + partial
     }
 }

@@ -2,6 +2,7 @@
 //! most on screen. Pure; what is left out is counted, and told when it begins and when it ends.
 
 use crate::residency::{Geometry, vertices_of_patch};
+use crate::scene::numbering::{ScenePatch, SceneVertex};
 use std::cmp::Reverse;
 
 /// A patch that is shown counts as so many times larger than it is, so that two of about the same size do not take
@@ -22,8 +23,8 @@ pub struct Room {
 /// A patch that could be shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Candidate {
-    /// Scene-wide patch number.
-    pub patch: u32,
+    /// The patch.
+    pub patch: ScenePatch,
     /// Whether a view shows it, or did so a moment ago. Those go before what is only held.
     pub is_in_view: bool,
     /// Its projected extent: width times height in texels.
@@ -34,7 +35,7 @@ pub struct Candidate {
 
 impl Candidate {
     /// Ascending from what matters most; ties go in patch order.
-    fn rank(&self) -> (bool, Reverse<u64>, u32) {
+    fn rank(&self) -> (bool, Reverse<u64>, ScenePatch) {
         let bonus = if self.is_shown { SHOWN_BONUS } else { 1 };
         (!self.is_in_view, Reverse(u64::from(self.area_texels) * bonus), self.patch)
     }
@@ -94,14 +95,15 @@ impl Chooser {
     }
 
     /// Vertices of a patch that this count has not met.
-    fn uncounted(&self, geometry: &impl Geometry, patch: u32) -> u32 {
-        vertices_of_patch(geometry, patch).filter(|v| self.counted[*v as usize] != self.count).count() as u32
+    fn uncounted(&self, geometry: &impl Geometry, patch: ScenePatch) -> u32 {
+        vertices_of_patch(geometry, patch).filter(|v| self.counted[v.index()] != self.count).count() as u32
     }
 
     /// Meets the vertices of a patch; how many were new.
-    fn count_vertices(&mut self, geometry: &impl Geometry, patch: u32) -> u32 {
+    fn count_vertices(&mut self, geometry: &impl Geometry, patch: ScenePatch) -> u32 {
         let count = self.count;
-        let mut is_new = |vertex: u32| std::mem::replace(&mut self.counted[vertex as usize], count) != count;
+        let mut is_new =
+            |vertex: SceneVertex| std::mem::replace(&mut self.counted[vertex.index()], count) != count;
         vertices_of_patch(geometry, patch).map(|vertex| u32::from(is_new(vertex))).sum()
     }
 }
@@ -158,11 +160,11 @@ mod tests {
     use crate::residency::test_geometry::Fan;
 
     fn candidate(patch: u32, area_texels: u32) -> Candidate {
-        Candidate { patch, is_in_view: true, area_texels, is_shown: false }
+        Candidate { patch: ScenePatch(patch), is_in_view: true, area_texels, is_shown: false }
     }
 
     fn chosen(chooser: &mut Chooser, candidates: &[Candidate]) -> Vec<u32> {
-        chooser.choose(&Fan { patches: 100 }, candidates.to_vec()).iter().map(|c| c.patch).collect()
+        chooser.choose(&Fan { patches: 100 }, candidates.to_vec()).iter().map(|c| c.patch.0).collect()
     }
 
     #[test]

@@ -8,7 +8,8 @@ use crate::levels::Layout;
 use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES};
 use crate::residency::{Budget, Residency, UpdateWindow};
 use crate::samples::{RING, SampleWindow};
-use crate::scene_gpu::{SceneGpu, Totals, check_room};
+use crate::scene::SceneGpu;
+use crate::scene::numbering::Totals;
 use crate::stages::id_buffer::{IdBuffer, shift_ndc};
 use crate::stages::level_selection::LevelSelection;
 use crate::stages::mark::Mark;
@@ -16,6 +17,7 @@ use crate::stages::shading::Shading;
 use crate::stages::skin::Skin;
 use crate::stages::view_gpu;
 use crate::stages::ycbcr::Ycbcr;
+use crate::upload::check_room;
 use crate::world::{ViewerId, World};
 use glam::{Mat4, Vec3};
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory};
@@ -94,7 +96,7 @@ impl Frame {
         let views =
             Buffer::new(gpu, "views", u64::from(MAX_VIEWS) * size_of::<ViewGpu>() as u64, Memory::Upload)?;
         let id_buffer = IdBuffer::new(gpu, scene, animation, &views, eye.id_buffer_extent())?;
-        let mark = Mark::new(gpu, &id_buffer.image, scene.totals.patches)?;
+        let mark = Mark::new(gpu, &id_buffer.image, scene.numbering.totals.patches)?;
         let level_selection = LevelSelection::new(gpu, scene, animation, &views, &mark.visible)?;
         let shading = Shading::new(gpu, scene, animation, &world.shadow, welcome.atlas_extent_texels)?;
         let ycbcr = Ycbcr::new(gpu, &shading.atlas)?;
@@ -106,14 +108,14 @@ impl Frame {
                 level_selection.extents.size(),
                 Memory::Readback,
             )?,
-            layout: Layout::new(welcome.atlas_extent_texels, scene.totals.patches as usize, room),
+            layout: Layout::new(welcome.atlas_extent_texels, scene.numbering.totals.patches as usize, room),
             residency: Residency::new(&world.samples, welcome.patch_slots, welcome.vertex_slots),
             room,
             shortage: Shortage::default(),
             id,
             eye,
             head: HeadTrack::default(),
-            culling: scene.culling(),
+            culling: culling(scene),
             views,
             id_buffer,
             mark,
@@ -163,7 +165,7 @@ impl Frame {
     pub fn update(&mut self, world: &mut World, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
         let Some(views) = self.head.predict(now, world.grid()) else { return Ok(None) }; // 1
         let oldest = self.look(world, &views)?; // 2 to 4, GPU
-        let extents = &self.extents.values::<u32>()[..world.scene().totals.patches as usize];
+        let extents = &self.extents.values::<u32>()[..world.scene().numbering.totals.patches as usize];
         let changes = self.layout.place(&world.samples, extents); // 4, 5
         self.shade(world, &views)?; // 6, GPU
         let frame = self.next;
@@ -191,16 +193,16 @@ impl Frame {
     fn look(&mut self, world: &mut World, views: &PredictedViews) -> Result<GridIndex, GpuError> {
         self.write_views(views);
         let needed = self.culling.update(views.eyes.iter().flatten().copied());
-        let slots = views.times.map(SampleWindow::slot);
+        let places = views.times.map(SampleWindow::ring_place);
         let mut recorder = world.gpu().record()?;
         let oldest = world.animate(&mut recorder, self.id, views, needed);
         let (scene, animation) = (world.scene(), &world.animation);
         recorder.fill(&self.mark.visible, 0);
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
-        for (time, slot) in slots.into_iter().enumerate() {
+        for (time, place) in places.into_iter().enumerate() {
             recorder.scope("id buffer", |r| {
-                self.id_buffer.record(r, scene, animation, needed, slot, 2 * time as u32);
+                self.id_buffer.record(r, scene, animation, needed, place, 2 * time as u32);
             });
             recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
             recorder.scope("mark", |r| self.mark.record(r));
@@ -208,7 +210,7 @@ impl Frame {
         }
         recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
         recorder.scope("level selection", |r| {
-            self.level_selection.record(r, scene, animation, slots);
+            self.level_selection.record(r, scene, animation, places);
         });
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         recorder.copy_buffer(&self.level_selection.extents, 0, &self.extents, 0, self.extents.size());
@@ -220,8 +222,8 @@ impl Frame {
     /// Fills every live block as it is in the middle of the update's time on display, and converts the atlas.
     fn shade(&mut self, world: &mut World, views: &PredictedViews) -> Result<(), GpuError> {
         let middle = views.times[VIEW_TIMES / 2];
-        let slot = SampleWindow::slot(middle);
-        self.shading.write_blocks(world.scene(), &world.animation, slot, self.layout.live());
+        let place = SampleWindow::ring_place(middle);
+        self.shading.write_blocks(world.scene(), &world.animation, place, self.layout.live());
         let mut recorder = world.gpu().record()?;
         world.light(&mut recorder, middle);
         recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the last conversion has read the atlas
@@ -324,12 +326,19 @@ impl EyeSize {
     }
 }
 
+/// Which instances the views of a viewer need.
+fn culling(scene: &SceneGpu) -> Culling {
+    let sun = scene.scene.sun;
+    let casts_shadow = |index: usize| scene.scene.instances[index].casts_shadow;
+    Culling::new(&scene.world_bounds, casts_shadow, sun.casts_shadows.then_some(sun.to_sun))
+}
+
 /// That the device can hold what updates of this scene need.
 ///
 /// # Errors
 /// It cannot; the text names what is too large, what the device binds, and what to do.
 pub fn check_device(gpu: &Gpu, scene: &SceneGpu) -> Result<(), GpuError> {
-    needs(scene.totals).into_iter().try_for_each(|(what, bytes)| check_room(gpu, what, bytes))
+    needs(scene.numbering.totals).into_iter().try_for_each(|(what, bytes)| check_room(gpu, what, bytes))
 }
 
 /// What the stages bind at once, in bytes, as far as it grows with the scene.

@@ -4,6 +4,7 @@
 use crate::atlas::Atlas;
 use crate::choice::{Candidate, Chooser, Room};
 use crate::residency::Geometry;
+use crate::scene::numbering::ScenePatch;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockSize};
 use shadecast_protocol::limits::{BLOCK_INSET_TEXELS, BLOCK_MAX_LOG2, BLOCK_MIN_LOG2};
 
@@ -35,8 +36,8 @@ const TRIAL_UPDATES: u32 = 60;
 /// A block that changed with this update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlacementChange {
-    /// Scene-wide patch number.
-    pub patch: u32,
+    /// The patch.
+    pub patch: ScenePatch,
     /// Its block now; `None`: it has none any more.
     pub block: Option<Block>,
 }
@@ -48,7 +49,7 @@ pub struct Layout {
     chooser: Chooser,
     states: Vec<State>,
     /// Patches with a block, ascending.
-    live: Vec<u32>,
+    live: Vec<ScenePatch>,
     density: f32,
     /// What part of the atlas the blocks would have taken that found no place when density fell last.
     overflow_share: f32,
@@ -78,7 +79,7 @@ enum Sizes {
 
 /// Blocks that must be placed, and the texels of all blocks after that.
 struct Plan {
-    waiting: Vec<(u32, BlockSize)>,
+    waiting: Vec<(ScenePatch, BlockSize)>,
     texels: u64,
 }
 
@@ -108,9 +109,9 @@ impl Layout {
     pub fn place(&mut self, geometry: &impl Geometry, extents: &[u32]) -> Vec<PlacementChange> {
         assert_eq!(extents.len(), self.states.len(), "one extent per patch");
         self.update += 1;
-        let before: Vec<u32> = std::mem::take(&mut self.live);
-        let before: Vec<(u32, Option<Block>)> =
-            before.into_iter().map(|patch| (patch, self.states[patch as usize].block)).collect();
+        let before: Vec<ScenePatch> = std::mem::take(&mut self.live);
+        let before: Vec<(ScenePatch, Option<Block>)> =
+            before.into_iter().map(|patch| (patch, self.states[patch.index()].block)).collect();
         self.see(geometry, extents);
         self.release_unseen(&before);
         if !self.recover() {
@@ -130,7 +131,7 @@ impl Layout {
             let unseen_updates = self.update - state.last_seen;
             if state.last_seen > 0 && unseen_updates <= HOLD_UPDATES {
                 candidates.push(Candidate {
-                    patch: patch as u32,
+                    patch: ScenePatch::at(patch),
                     is_in_view: unseen_updates < IN_VIEW_UPDATES,
                     area_texels: u32::from(state.extent[0]) * u32::from(state.extent[1]),
                     is_shown: state.block.is_some(),
@@ -140,13 +141,13 @@ impl Layout {
         let visible = extents.iter().filter(|packed| **packed != 0).count();
         let chosen = self.chooser.choose(geometry, candidates);
         self.live = chosen.iter().map(|candidate| candidate.patch).collect();
-        self.dropped = visible - self.live.iter().filter(|patch| extents[**patch as usize] != 0).count();
+        self.dropped = visible - self.live.iter().filter(|patch| extents[patch.index()] != 0).count();
     }
 
-    fn release_unseen(&mut self, before: &[(u32, Option<Block>)]) {
+    fn release_unseen(&mut self, before: &[(ScenePatch, Option<Block>)]) {
         for (patch, block) in before {
             if self.live.binary_search(patch).is_err() {
-                self.states[*patch as usize].block = None;
+                self.states[patch.index()].block = None;
                 block.iter().for_each(|b| self.atlas.free(*b));
             }
         }
@@ -199,7 +200,7 @@ impl Layout {
     fn plan(&self, density: f32, sizes: Sizes) -> Plan {
         let mut plan = Plan { waiting: Vec::new(), texels: 0 };
         for patch in &self.live {
-            let State { block, extent, .. } = self.states[*patch as usize];
+            let State { block, extent, .. } = self.states[patch.index()];
             let now = block.map(|b| b.size);
             let size = wanted_size(extent, now.filter(|_| sizes == Sizes::Kept), density);
             plan.texels += u64::from(size.texels());
@@ -219,19 +220,19 @@ impl Layout {
         if fits { Ok(()) } else { Err(share) }
     }
 
-    fn try_allocate(&mut self, mut waiting: Vec<(u32, BlockSize)>) -> bool {
+    fn try_allocate(&mut self, mut waiting: Vec<(ScenePatch, BlockSize)>) -> bool {
         // Large ones first: they are the hardest to place. Ties go in patch order, neighbours side by side.
         waiting.sort_unstable_by_key(|(patch, size)| (std::cmp::Reverse(size.texels()), *size, *patch));
         let before = self.atlas.clone();
-        let old: Vec<_> = waiting.iter().map(|(patch, _)| self.states[*patch as usize].block).collect();
+        let old: Vec<_> = waiting.iter().map(|(patch, _)| self.states[patch.index()].block).collect();
         old.iter().flatten().for_each(|block| self.atlas.free(*block));
         for (patch, size) in &waiting {
             let block = self.atlas.allocate(*size);
-            self.states[*patch as usize].block = block;
+            self.states[patch.index()].block = block;
             if block.is_none() {
                 self.atlas = before;
                 for ((patch, _), block) in waiting.iter().zip(old) {
-                    self.states[*patch as usize].block = block;
+                    self.states[patch.index()].block = block;
                 }
                 return false;
             }
@@ -239,8 +240,8 @@ impl Layout {
         true
     }
 
-    fn changes(&self, before: &[(u32, Option<Block>)]) -> Vec<PlacementChange> {
-        let old = |patch: u32| {
+    fn changes(&self, before: &[(ScenePatch, Option<Block>)]) -> Vec<PlacementChange> {
+        let old = |patch: ScenePatch| {
             before.binary_search_by_key(&patch, |(p, _)| *p).ok().and_then(|index| before[index].1)
         };
         let gone = before
@@ -250,7 +251,7 @@ impl Layout {
         let moved = self
             .live
             .iter()
-            .map(|patch| PlacementChange { patch: *patch, block: self.states[*patch as usize].block })
+            .map(|patch| PlacementChange { patch: *patch, block: self.states[patch.index()].block })
             .filter(|change| old(change.patch) != change.block);
         let mut changes: Vec<_> = gone.chain(moved).collect();
         changes.sort_by_key(|change| change.patch);
@@ -258,8 +259,8 @@ impl Layout {
     }
 
     /// Patches with their blocks, ascending.
-    pub fn live(&self) -> impl Iterator<Item = (u32, Block)> + '_ {
-        self.live.iter().filter_map(|patch| Some((*patch, self.states[*patch as usize].block?)))
+    pub fn live(&self) -> impl Iterator<Item = (ScenePatch, Block)> + '_ {
+        self.live.iter().filter_map(|patch| Some((*patch, self.states[patch.index()].block?)))
     }
 
     /// Patches with a block.
@@ -354,7 +355,7 @@ mod tests {
         let blocks: Vec<_> = layout.live().collect();
         assert_eq!(blocks.len(), layout.live_count(), "every live patch has a block");
         for (patch, packed) in extents.iter().enumerate() {
-            let has = blocks.binary_search_by_key(&(patch as u32), |(p, _)| *p).is_ok();
+            let has = blocks.binary_search_by_key(&ScenePatch::at(patch), |(p, _)| *p).is_ok();
             assert!(*packed == 0 || has, "patch {patch} is visible and has no block");
         }
         let used: u64 = blocks.iter().map(|(_, b)| u64::from(b.size.texels())).sum();
@@ -366,7 +367,7 @@ mod tests {
         let mut layout = layout([512, 512], 200);
         let mut extents = random_extents(3, 200, 20);
         place(&mut layout, &extents);
-        let before: Vec<_> = layout.live().filter(|(patch, _)| *patch != 7).collect();
+        let before: Vec<_> = layout.live().filter(|(patch, _)| *patch != ScenePatch(7)).collect();
         extents[7] = pack(60, 3);
         place(&mut layout, &extents);
         assert!(before.iter().all(|b| layout.live().any(|now| now == *b)));
@@ -407,7 +408,7 @@ mod tests {
         for _ in 0..HOLD_UPDATES {
             assert!(place(&mut layout, &[0, 0, 0]).is_empty());
         }
-        assert_eq!(place(&mut layout, &[0, 0, 0]), [PlacementChange { patch: 0, block: None }]);
+        assert_eq!(place(&mut layout, &[0, 0, 0]), [PlacementChange { patch: ScenePatch(0), block: None }]);
         assert_eq!(layout.live_count(), 0);
     }
 
@@ -425,7 +426,7 @@ mod tests {
     #[test]
     fn what_changed_is_exactly_what_the_blocks_say() {
         let mut layout = layout([512, 512], 1500);
-        let mut mirror: std::collections::BTreeMap<u32, Block> = Default::default();
+        let mut mirror: std::collections::BTreeMap<ScenePatch, Block> = Default::default();
         for seed in 0..40 {
             for change in place(&mut layout, &random_extents(seed, 1500, 60)) {
                 match change.block {
@@ -450,7 +451,7 @@ mod tests {
         base.iter().enumerate().map(one).collect()
     }
 
-    fn sizes(layout: &Layout) -> Vec<(u32, Block)> {
+    fn sizes(layout: &Layout) -> Vec<(ScenePatch, Block)> {
         layout.live().collect()
     }
 
@@ -483,10 +484,10 @@ mod tests {
             place(&mut layout, &trembling(&base, update));
         }
         let (patch, _) = layout.live().next().expect("some are live");
-        let before = layout.states[patch as usize].block.expect("it is live").size;
-        base[patch as usize] = pack(1, 400);
+        let before = layout.states[patch.index()].block.expect("it is live").size;
+        base[patch.index()] = pack(1, 400);
         let changes = place(&mut layout, &trembling(&base, 40));
-        let after = layout.states[patch as usize].block.expect("it is live").size;
+        let after = layout.states[patch.index()].block.expect("it is live").size;
         assert!(layout.density() < 1.0 && after.height() > before.height(), "{before:?} {after:?}");
         assert!(changes.iter().any(|change| change.patch == patch));
     }
@@ -522,7 +523,7 @@ mod tests {
             let before = sizes(&layout);
             place(&mut layout, &random_extents(seed, 3000, 20 + 4 * seed));
             for (patch, block) in before {
-                let now = layout.states[patch as usize].block;
+                let now = layout.states[patch.index()].block;
                 assert!(now.is_none_or(|now| now.size != block.size || now == block), "seed {seed}");
             }
             coarsened = layout.coarsened();
@@ -555,7 +556,9 @@ mod tests {
         extents[0] = pack(300, 200);
         place(&mut layout, &extents);
         assert_eq!((layout.live_count(), layout.dropped()), (20, 80));
-        assert!(layout.live().any(|(patch, _)| patch == 0) && !layout.live().any(|(patch, _)| patch == 1));
+        assert!(
+            layout.live().any(|(patch, _)| patch.0 == 0) && !layout.live().any(|(patch, _)| patch.0 == 1)
+        );
         place(&mut layout, &[vec![extents[0]], vec![0; 99]].concat());
         assert_eq!(layout.dropped(), 0);
     }

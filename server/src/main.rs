@@ -19,14 +19,14 @@ use shadecast_scene::animation::sampling::Sampling;
 use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
 use shadecast_scene::{Cancel, Scene};
+use shadecast_server::animation::skinning::Skinning;
 use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::frame;
 use shadecast_server::inspect::{self, InspectArgs};
-use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
-use shadecast_server::stages::skin::Skinning;
+use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::stream::{Device, StreamOptions, run};
-use shadecast_transport::{LinkProfile, LinkSchedule, write_atomically};
+use shadecast_transport::write_atomically;
 use start_up::{CacheArgs, StartUp};
 use std::io::IsTerminal;
 use std::net::SocketAddr;
@@ -247,7 +247,7 @@ fn open(
 }
 
 fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
-    let link = args.link.as_deref().map(parse_link).transpose()?;
+    let link = args.link.as_deref().map(str::parse).transpose()?;
     let (gpu, scene, _) = open(&args.scene, &args.device, cancel)?;
     frame::check_device(&gpu, &scene).with_context(|| format!("scene {}", args.scene))?;
     let reopen = |scene: Scene| -> anyhow::Result<Device> {
@@ -287,13 +287,6 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
         write_atomically(path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
     }
     Ok(())
-}
-
-fn parse_link(text: &str) -> anyhow::Result<LinkSchedule> {
-    if text.ends_with(".toml") {
-        return Ok(LinkSchedule::load(text)?);
-    }
-    Ok(text.parse::<LinkProfile>()?.into())
 }
 
 fn generate_model(what: &str, out: &Path) -> anyhow::Result<()> {

@@ -1,6 +1,7 @@
 //! What a client is sent of how its vertices move: samples on the time grid, for every animated vertex in its memory.
 
 use crate::residency::{Geometry, UpdateWindow};
+use crate::scene::numbering::SceneVertex;
 use shadecast_protocol::ids::VertexSlot;
 use shadecast_protocol::motion::{SampleBatch, quantise};
 use shadecast_protocol::time::GridIndex;
@@ -16,8 +17,8 @@ const LEAST_STEPS: usize = 2;
 /// The animated vertices in one client's memory, and how far their samples were sent.
 #[derive(Debug, Default)]
 pub struct SampledMotion {
-    /// By slot: the scene-wide number of the vertex there.
-    vertices: BTreeMap<VertexSlot, u32>,
+    /// By slot: the vertex there.
+    vertices: BTreeMap<VertexSlot, SceneVertex>,
     /// Vertices that enter with the update in the making.
     fresh: Vec<VertexSlot>,
     /// Last grid point sent for every one of them.
@@ -26,7 +27,7 @@ pub struct SampledMotion {
 
 impl SampledMotion {
     /// An animated vertex enters the client's memory.
-    pub fn enter(&mut self, slot: VertexSlot, vertex: u32) {
+    pub fn enter(&mut self, slot: VertexSlot, vertex: SceneVertex) {
         self.vertices.insert(slot, vertex);
         self.fresh.push(slot);
     }
@@ -37,7 +38,7 @@ impl SampledMotion {
     }
 
     /// All of them: slot and scene-wide number, ascending by slot.
-    pub fn vertices(&self) -> impl ExactSizeIterator<Item = (VertexSlot, u32)> + '_ {
+    pub fn vertices(&self) -> impl ExactSizeIterator<Item = (VertexSlot, SceneVertex)> + '_ {
         self.vertices.iter().map(|(slot, vertex)| (*slot, *vertex))
     }
 
@@ -79,7 +80,7 @@ impl SampledMotion {
 fn batch(
     geometry: &impl Geometry,
     grid: GridIndex,
-    vertices: impl Iterator<Item = (VertexSlot, u32)>,
+    vertices: impl Iterator<Item = (VertexSlot, SceneVertex)>,
 ) -> SampleBatch {
     let value = |vertex| quantise(geometry.sample(grid, vertex), STEP_M);
     SampleBatch { grid, values: vertices.map(|(slot, vertex)| (slot, value(vertex))).collect() }

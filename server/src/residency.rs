@@ -7,6 +7,7 @@
 
 use crate::levels::PlacementChange;
 use crate::motion::{STEP_M, SampledMotion};
+use crate::scene::numbering::{ScenePatch, SceneVertex};
 use glam::Vec3;
 use shadecast_protocol::atlas::Block;
 use shadecast_protocol::delta::{Delta, DeltaEncoder, EncodedDelta};
@@ -32,23 +33,23 @@ pub(crate) const MAX_CORNERS: usize = shadecast_protocol::limits::PATCH_MAX_VERT
 #[derive(Clone, Copy, Debug)]
 pub struct InstanceRange {
     /// First scene-wide patch number.
-    pub first_patch: u32,
+    pub first_patch: ScenePatch,
     /// First scene-wide vertex number.
-    pub first_vertex: u32,
+    pub first_vertex: SceneVertex,
 }
 
 /// The scene as far as the client's memory goes.
 pub trait Geometry {
     /// The instance that a scene-wide patch number belongs to.
-    fn instance_of_patch(&self, patch: u32) -> u16;
+    fn instance_of_patch(&self, patch: ScenePatch) -> u16;
     /// Its ranges.
     fn instance(&self, instance: u16) -> InstanceRange;
     /// The patch; its vertices are indices within the model.
-    fn patch(&self, patch: u32) -> Patch;
+    fn patch(&self, patch: ScenePatch) -> Patch;
     /// The world position of a static vertex, `None` for one that moves.
-    fn static_position(&self, vertex: u32) -> Option<Vec3>;
+    fn static_position(&self, vertex: SceneVertex) -> Option<Vec3>;
     /// The world position of an animated vertex at a grid point of the current window.
-    fn sample(&self, grid: GridIndex, vertex: u32) -> Vec3;
+    fn sample(&self, grid: GridIndex, vertex: SceneVertex) -> Vec3;
     /// Scene-wide count of vertices.
     fn vertex_count(&self) -> usize;
     /// Scene-wide count of patches.
@@ -125,9 +126,9 @@ pub struct Residency {
     /// By scene-wide vertex number: slot and number of resident patches that use it.
     vertices: Vec<(u32, u32)>,
     /// Resident patches without a block, by the update since when.
-    retained: BTreeMap<u32, u32>,
+    retained: BTreeMap<ScenePatch, u32>,
     /// Patches with a block that found no slot free; they try again with each update.
-    waiting: BTreeMap<u32, Block>,
+    waiting: BTreeMap<ScenePatch, Block>,
     /// What an update may take.
     budget: Budget,
     /// Of those that wait, how many do so because of it alone.
@@ -206,7 +207,7 @@ impl Residency {
     }
 
     /// Patches that get a block or another one, and those that still wait for a slot: large blocks first.
-    fn coming(&mut self, changes: &[PlacementChange]) -> Vec<(u32, Block)> {
+    fn coming(&mut self, changes: &[PlacementChange]) -> Vec<(ScenePatch, Block)> {
         let mut waiting = std::mem::take(&mut self.waiting);
         for PlacementChange { patch, block } in changes {
             match block {
@@ -214,32 +215,32 @@ impl Residency {
                 None => waiting.remove(patch),
             };
         }
-        let mut coming: Vec<(u32, Block)> = waiting.into_iter().collect();
+        let mut coming: Vec<(ScenePatch, Block)> = waiting.into_iter().collect();
         coming.sort_by_key(|(_, block)| std::cmp::Reverse(block.size.texels()));
         coming
     }
 
     /// About how many bytes it takes to bring a patch in, with the vertices that are not there yet.
-    fn entry_bytes(&self, geometry: &impl Geometry, patch: u32, window: UpdateWindow) -> usize {
-        if self.slot_of_patch[patch as usize] != NONE {
+    fn entry_bytes(&self, geometry: &impl Geometry, patch: ScenePatch, window: UpdateWindow) -> usize {
+        if self.slot_of_patch[patch.index()] != NONE {
             return 0;
         }
         let bytes_of = |vertex| match geometry.static_position(vertex) {
             Some(_) => STATIC_VERTEX_BYTES,
             None => SampledMotion::entry_bytes(window),
         };
-        let lacking = vertices_of_patch(geometry, patch).filter(|v| self.vertices[*v as usize].1 == 0);
+        let lacking = vertices_of_patch(geometry, patch).filter(|v| self.vertices[v.index()].1 == 0);
         PATCH_BYTES + lacking.map(bytes_of).sum::<usize>()
     }
 
     fn lose_block(
         &mut self,
         geometry: &impl Geometry,
-        patch: u32,
+        patch: ScenePatch,
         frame: UpdateId,
         delta: &mut GeometryDelta,
     ) {
-        let slot = self.slot_of_patch[patch as usize];
+        let slot = self.slot_of_patch[patch.index()];
         if slot == NONE {
             return; // it waited for a slot
         }
@@ -257,7 +258,7 @@ impl Residency {
         let short = self.patch_slots.free.len() < LOW_WATER || self.vertex_slots.free.len() < LOW_WATER;
         let newest_kept = frame.0.saturating_sub(if short { 0 } else { RETAIN_UPDATES });
         // Those that lost their block only now are in the delta as placements; they go next time.
-        let old: Vec<u32> = self
+        let old: Vec<ScenePatch> = self
             .retained
             .iter()
             .filter(|(_, since)| **since < newest_kept)
@@ -269,12 +270,18 @@ impl Residency {
         }
     }
 
-    fn evict(&mut self, geometry: &impl Geometry, patch: u32, frame: UpdateId, delta: &mut GeometryDelta) {
-        let slot = std::mem::replace(&mut self.slot_of_patch[patch as usize], NONE);
+    fn evict(
+        &mut self,
+        geometry: &impl Geometry,
+        patch: ScenePatch,
+        frame: UpdateId,
+        delta: &mut GeometryDelta,
+    ) {
+        let slot = std::mem::replace(&mut self.slot_of_patch[patch.index()], NONE);
         delta.evicted_patches.push(PatchSlot(slot));
         self.patch_slots.leave(frame, slot);
         for vertex in vertices_of_patch(geometry, patch) {
-            let (vertex_slot, users) = &mut self.vertices[vertex as usize];
+            let (vertex_slot, users) = &mut self.vertices[vertex.index()];
             *users -= 1;
             if *users == 0 {
                 delta.evicted_vertices.push(VertexSlot(*vertex_slot));
@@ -287,19 +294,18 @@ impl Residency {
 
     /// The slot of a patch that has a block, after bringing it and its vertices in where they are not there yet.
     /// `None` where the client's memory is full: the patch waits.
-    fn admit(&mut self, geometry: &impl Geometry, patch: u32, delta: &mut GeometryDelta) -> Option<u32> {
+    fn admit(&mut self, geometry: &impl Geometry, patch: ScenePatch, delta: &mut GeometryDelta) -> Option<u32> {
         self.retained.remove(&patch);
-        let known = self.slot_of_patch[patch as usize];
+        let known = self.slot_of_patch[patch.index()];
         if known != NONE {
             return Some(known);
         }
-        let lacking =
-            vertices_of_patch(geometry, patch).filter(|v| self.vertices[*v as usize].1 == 0).count();
+        let lacking = vertices_of_patch(geometry, patch).filter(|v| self.vertices[v.index()].1 == 0).count();
         if self.vertex_slots.free.len() < lacking {
             return None;
         }
         let slot = self.patch_slots.take()?;
-        self.slot_of_patch[patch as usize] = slot;
+        self.slot_of_patch[patch.index()] = slot;
         let instance = geometry.instance_of_patch(patch);
         let range = geometry.instance(instance);
         if self.encoder.memory().step_m(InstanceId(instance)).is_none() {
@@ -308,7 +314,7 @@ impl Residency {
         let shape = geometry.patch(patch);
         let mut vertices = [VertexSlot(0); 5];
         for (place, corner) in vertices.iter_mut().zip(shape.vertices).take(shape.kind.vertex_count()) {
-            let vertex = range.first_vertex + corner;
+            let vertex = range.first_vertex.plus(corner);
             *place = VertexSlot(self.admit_vertex(geometry, vertex, instance, delta));
         }
         let first = vertices[0];
@@ -326,11 +332,11 @@ impl Residency {
     fn admit_vertex(
         &mut self,
         geometry: &impl Geometry,
-        vertex: u32,
+        vertex: SceneVertex,
         instance: u16,
         delta: &mut GeometryDelta,
     ) -> u32 {
-        let (slot, users) = &mut self.vertices[vertex as usize];
+        let (slot, users) = &mut self.vertices[vertex.index()];
         *users += 1;
         if *users > 1 {
             return *slot;
@@ -377,9 +383,12 @@ fn corners(patch: Patch) -> impl Iterator<Item = u32> {
 }
 
 /// Scene-wide numbers of a patch's vertices.
-pub(crate) fn vertices_of_patch(geometry: &impl Geometry, patch: u32) -> impl Iterator<Item = u32> {
+pub(crate) fn vertices_of_patch(
+    geometry: &impl Geometry,
+    patch: ScenePatch,
+) -> impl Iterator<Item = SceneVertex> {
     let first = geometry.instance(geometry.instance_of_patch(patch)).first_vertex;
-    corners(geometry.patch(patch)).map(move |corner| first + corner)
+    corners(geometry.patch(patch)).map(move |corner| first.plus(corner))
 }
 
 /// The wire wants each list in ascending order of slots.
@@ -412,19 +421,19 @@ pub(crate) mod test_geometry {
             }
 
             impl Geometry for $name {
-                fn instance_of_patch(&self, _: u32) -> u16 {
+                fn instance_of_patch(&self, _: ScenePatch) -> u16 {
                     0
                 }
                 fn instance(&self, _: u16) -> InstanceRange {
-                    InstanceRange { first_patch: 0, first_vertex: 0 }
+                    InstanceRange { first_patch: ScenePatch(0), first_vertex: SceneVertex(0) }
                 }
-                fn patch(&self, patch: u32) -> Patch {
-                    triangle($corners(patch))
+                fn patch(&self, patch: ScenePatch) -> Patch {
+                    triangle($corners(patch.0))
                 }
-                fn static_position(&self, _: u32) -> Option<Vec3> {
+                fn static_position(&self, _: SceneVertex) -> Option<Vec3> {
                     Some(Vec3::ZERO)
                 }
-                fn sample(&self, _: GridIndex, _: u32) -> Vec3 {
+                fn sample(&self, _: GridIndex, _: SceneVertex) -> Vec3 {
                     Vec3::ZERO
                 }
                 fn vertex_count(&self) -> usize {
@@ -465,15 +474,15 @@ mod tests {
     struct Strip;
 
     impl Geometry for Strip {
-        fn instance_of_patch(&self, patch: u32) -> u16 {
-            u16::from(patch >= PATCHES / 2)
+        fn instance_of_patch(&self, patch: ScenePatch) -> u16 {
+            u16::from(patch.0 >= PATCHES / 2)
         }
         fn instance(&self, instance: u16) -> InstanceRange {
-            let first_patch = u32::from(instance) * PATCHES / 2;
-            InstanceRange { first_patch, first_vertex: u32::from(instance) * (PATCHES + 2) }
+            let first_patch = ScenePatch(u32::from(instance) * PATCHES / 2);
+            InstanceRange { first_patch, first_vertex: SceneVertex(u32::from(instance) * (PATCHES + 2)) }
         }
-        fn patch(&self, patch: u32) -> Patch {
-            let v = 2 * (patch % (PATCHES / 2));
+        fn patch(&self, patch: ScenePatch) -> Patch {
+            let v = 2 * (patch.0 % (PATCHES / 2));
             Patch {
                 vertices: [v, v + 1, v + 3, v + 2, v],
                 kind: PatchKind::Two,
@@ -481,11 +490,11 @@ mod tests {
                 double_sided: false,
             }
         }
-        fn static_position(&self, vertex: u32) -> Option<Vec3> {
-            (vertex < PATCHES + 2).then(|| Vec3::new(vertex as f32, 0.0, 0.0))
+        fn static_position(&self, vertex: SceneVertex) -> Option<Vec3> {
+            (vertex.0 < PATCHES + 2).then(|| Vec3::new(vertex.0 as f32, 0.0, 0.0))
         }
-        fn sample(&self, grid: GridIndex, vertex: u32) -> Vec3 {
-            Vec3::new(vertex as f32 * 0.01, (grid.0 as f32 * 0.2).sin(), 1.0)
+        fn sample(&self, grid: GridIndex, vertex: SceneVertex) -> Vec3 {
+            Vec3::new(vertex.0 as f32 * 0.01, (grid.0 as f32 * 0.2).sin(), 1.0)
         }
         fn vertex_count(&self) -> usize {
             2 * (PATCHES as usize + 2)
@@ -517,6 +526,10 @@ mod tests {
                 }
             }
         }
+    }
+
+    fn change(patch: u32, block: Option<Block>) -> PlacementChange {
+        PlacementChange { patch: ScenePatch(patch), block }
     }
 
     fn block(patch: u32) -> Option<Block> {
@@ -560,8 +573,7 @@ mod tests {
                 };
                 changes.insert(patch, if comes { block(patch) } else { None });
             }
-            let changes: Vec<_> =
-                changes.into_iter().map(|(patch, block)| PlacementChange { patch, block }).collect();
+            let changes: Vec<_> = changes.into_iter().map(|(patch, block)| change(patch, block)).collect();
             let window = UpdateWindow {
                 frame: UpdateId(self.frame),
                 time: ServerTime(i64::from(self.frame) * 33),
@@ -635,7 +647,7 @@ mod tests {
     #[test]
     fn static_geometry_out_of_sight_stays_for_a_while_and_costs_nothing_when_it_returns() {
         let mut residency = Residency::new(&Strip, 8192, 8192);
-        let change = |block| [PlacementChange { patch: 3, block }];
+        let change = |block| [change(3, block)];
         residency.delta(&Strip, &change(block(3)), window(0));
         let lost = residency.delta(&Strip, &change(None), window(1)).geometry;
         assert!(lost.evicted_patches.is_empty() && lost.placements.len() == 1);
@@ -655,7 +667,7 @@ mod tests {
 
     fn sized(patch: u32, log2: u8) -> PlacementChange {
         let size = BlockSize::new(log2, log2).expect("in range");
-        PlacementChange { patch, block: Some(Block { size, ..block(patch).expect("a block") }) }
+        change(patch, Some(Block { size, ..block(patch).expect("a block") }))
     }
 
     #[test]
@@ -720,7 +732,7 @@ mod tests {
         residency.delta(&Strip, &[sized(0, 4), sized(1, 4), sized(2, 4)], window(0));
         residency.delta(&Strip, &[sized(10, 4)], window(1));
         assert_eq!(residency.waiting(), 1, "three quads side by side take eight vertices");
-        let lost = [0, 1, 2].map(|patch| PlacementChange { patch, block: None });
+        let lost = [0, 1, 2].map(|patch| change(patch, None));
         let mut came = residency.delta(&Strip, &lost, window(2)).geometry;
         for frame in 3..8 {
             assert!(came.new_patches.is_empty() || frame > 3);

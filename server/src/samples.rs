@@ -1,9 +1,11 @@
 //! The window of grid samples: which grid points are computed, and their positions where the CPU can read them.
 
+use crate::animation::RingPlace;
 use crate::animation::gpu::{Animation, SampleJob};
 use crate::predict::PredictedViews;
 use crate::residency::{Geometry, InstanceRange};
-use crate::scene_gpu::SceneGpu;
+use crate::scene::SceneGpu;
+use crate::scene::numbering::{ScenePatch, SceneVertex};
 use glam::Vec3;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::time::{Grid, GridIndex};
@@ -13,14 +15,14 @@ use std::sync::Arc;
 /// Grid points kept on the server: as many as on the client.
 pub const RING: u32 = shadecast_protocol::limits::SAMPLE_RING;
 
-/// Samples `oldest..=newest`, each in the slot of its number modulo [`RING`].
+/// Samples `oldest..=newest`, each in the ring at its number modulo [`RING`].
 pub struct SampleWindow {
     scene: Arc<SceneGpu>,
     /// A mirror of the animation's saved vertices.
     mirror: Buffer,
     /// By scene-wide vertex number: its place among the static or the animated saved vertices, and which of them.
     places: Vec<(u32, bool)>,
-    /// By instance: which grid point each slot holds.
+    /// By instance: which grid point each place of the ring holds.
     held: Vec<[Option<GridIndex>; RING as usize]>,
     jobs: Vec<SampleJob>,
     is_first: bool,
@@ -31,13 +33,13 @@ impl SampleWindow {
     pub fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>, animation: &Animation) -> Result<Self, GpuError> {
         let mirror =
             Buffer::new(gpu, "positions for the CPU", animation.saved_vertices().size(), Memory::Readback)?;
-        let mut places = Vec::with_capacity(scene.totals.vertices as usize);
-        for instance in &scene.instances {
+        let mut places = Vec::with_capacity(scene.numbering.totals.vertices as usize);
+        for instance in &scene.numbering.instances {
             let count = scene.models[instance.model].vertex_count;
             places.extend((0..count).map(|v| (instance.saved_base + v, instance.is_animated)));
         }
         Ok(Self {
-            held: vec![[None; RING as usize]; scene.instances.len()],
+            held: vec![[None; RING as usize]; scene.numbering.instances.len()],
             jobs: Vec::new(),
             scene: scene.clone(),
             mirror,
@@ -46,14 +48,14 @@ impl SampleWindow {
         })
     }
 
-    /// The slot of a grid point.
-    pub fn slot(g: GridIndex) -> u32 {
-        g.0.rem_euclid(RING as i32) as u32
+    /// Where in the ring a grid point is.
+    pub fn ring_place(g: GridIndex) -> RingPlace {
+        RingPlace(g.0.rem_euclid(RING as i32) as u32)
     }
 
     /// Nothing that was computed is believed any more.
     pub fn forget(&mut self) {
-        self.held.iter_mut().for_each(|slots| slots.fill(None));
+        self.held.iter_mut().for_each(|of_instance| of_instance.fill(None));
         self.is_first = true;
     }
 
@@ -70,12 +72,15 @@ impl SampleWindow {
         // A server that fell behind skips the grid points that nobody can display any more.
         let earliest = views.horizon.plus(1 - RING as i32).max(views.first_sample.min(views.times[0]));
         self.list_jobs(earliest, views.horizon, grid, needed);
-        let statics =
-            SampleJob { instance: 0, slot: Self::slot(views.horizon), time: grid.time_of(views.horizon) };
+        let statics = SampleJob {
+            instance: 0,
+            place: Self::ring_place(views.horizon),
+            time: grid.time_of(views.horizon),
+        };
         animation.record(recorder, &self.jobs, statics);
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         if std::mem::take(&mut self.is_first) {
-            let statics = u64::from(self.scene.totals.static_vertices) * 16;
+            let statics = u64::from(self.scene.numbering.totals.static_vertices) * 16;
             recorder.copy_buffer(animation.saved_vertices(), 0, &self.mirror, 0, statics);
         }
         self.copy_back(recorder, animation);
@@ -86,12 +91,12 @@ impl SampleWindow {
     fn list_jobs(&mut self, earliest: GridIndex, horizon: GridIndex, grid: Grid, needed: &[bool]) {
         self.jobs.clear();
         for g in (earliest.0..=horizon.0).map(GridIndex) {
-            let slot = Self::slot(g);
-            for (instance, place) in self.scene.instances.iter().enumerate() {
-                let held = &mut self.held[instance][slot as usize];
+            let ring_place = Self::ring_place(g);
+            for (instance, place) in self.scene.numbering.instances.iter().enumerate() {
+                let held = &mut self.held[instance][ring_place.index()];
                 if place.is_animated && needed[instance] && *held != Some(g) {
                     *held = Some(g);
-                    self.jobs.push(SampleJob { instance, slot, time: grid.time_of(g) });
+                    self.jobs.push(SampleJob { instance, place: ring_place, time: grid.time_of(g) });
                 }
             }
         }
@@ -108,8 +113,8 @@ impl SampleWindow {
             recorder.copy_buffer(animation.saved_vertices(), run.start, &self.mirror, run.start, size);
         };
         for job in &self.jobs {
-            let place = &self.scene.instances[job.instance];
-            let first = u64::from(animation.position_base(place, job.slot)) * 16;
+            let place = &self.scene.numbering.instances[job.instance];
+            let first = u64::from(animation.position_base(place, job.place)) * 16;
             let size = u64::from(self.scene.models[place.model].vertex_count) * 16;
             if first != run.end {
                 copy(&run);
@@ -127,36 +132,35 @@ impl SampleWindow {
 }
 
 impl Geometry for SampleWindow {
-    fn instance_of_patch(&self, patch: u32) -> u16 {
-        self.scene.instance_of_patch(patch) as u16
+    fn instance_of_patch(&self, patch: ScenePatch) -> u16 {
+        self.scene.numbering.instance_of_patch(patch) as u16
     }
 
     fn instance(&self, instance: u16) -> InstanceRange {
-        let place = &self.scene.instances[usize::from(instance)];
-        InstanceRange { first_patch: place.first_patch, first_vertex: place.first_vertex }
+        let place = &self.scene.numbering.instances[usize::from(instance)];
+        InstanceRange { first_patch: place.drawn.first, first_vertex: place.first_vertex }
     }
 
-    fn patch(&self, patch: u32) -> Patch {
-        let place = &self.scene.instances[self.scene.instance_of_patch(patch)];
-        self.scene.models[place.model].mesh.patches[(patch - place.first_patch) as usize]
+    fn patch(&self, patch: ScenePatch) -> Patch {
+        self.scene.patch(patch)
     }
 
-    fn static_position(&self, vertex: u32) -> Option<Vec3> {
-        match self.places[vertex as usize] {
+    fn static_position(&self, vertex: SceneVertex) -> Option<Vec3> {
+        match self.places[vertex.index()] {
             (_, true) => None,
             (place, false) => Some(self.saved(place)),
         }
     }
 
-    fn sample(&self, grid: GridIndex, vertex: u32) -> Vec3 {
+    fn sample(&self, grid: GridIndex, vertex: SceneVertex) -> Vec3 {
         debug_assert_eq!(
-            self.held[self.scene.instance_of_vertex(vertex)][Self::slot(grid) as usize],
+            self.held[self.scene.numbering.instance_of_vertex(vertex)][Self::ring_place(grid).index()],
             Some(grid),
-            "vertex {vertex} is not skinned at this time"
+            "{vertex:?} is not skinned at this time"
         );
-        let totals = self.scene.totals;
-        let (place, _) = self.places[vertex as usize];
-        self.saved(totals.static_vertices + Self::slot(grid) * totals.animated_vertices + place)
+        let totals = self.scene.numbering.totals;
+        let (place, _) = self.places[vertex.index()];
+        self.saved(totals.static_vertices + Self::ring_place(grid).0 * totals.animated_vertices + place)
     }
 
     fn vertex_count(&self) -> usize {
@@ -164,6 +168,6 @@ impl Geometry for SampleWindow {
     }
 
     fn patch_count(&self) -> usize {
-        self.scene.totals.patches as usize
+        self.scene.numbering.totals.patches as usize
     }
 }

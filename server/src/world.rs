@@ -3,7 +3,7 @@
 use crate::animation::gpu::{Animation, AnimationCounts};
 use crate::predict::PredictedViews;
 use crate::samples::{RING, SampleWindow};
-use crate::scene_gpu::SceneGpu;
+use crate::scene::SceneGpu;
 use crate::stages::shadow::Shadow;
 use shadecast_gpu::{Access, Gpu, GpuError, Recorder};
 use shadecast_protocol::time::{DEFAULT_GRID, Grid, GridIndex};
@@ -57,7 +57,7 @@ impl World {
             animation,
             grid: DEFAULT_GRID,
             needs: BTreeMap::new(),
-            needed: vec![false; scene.instances.len()],
+            needed: vec![false; scene.numbering.instances.len()],
             lit: None,
             shadow_maps: 0,
             tangents: 0,
@@ -126,12 +126,12 @@ impl World {
         if self.lit.as_ref().is_some_and(is_lit) {
             return;
         }
-        let slot = SampleWindow::slot(at);
+        let place = SampleWindow::ring_place(at);
         self.shadow.write(&self.scene, self.grid.time_of(at));
-        self.animation.record_tangents(recorder, slot, |instance| self.needed[instance]);
+        self.animation.record_tangents(recorder, place, |instance| self.needed[instance]);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         let is_drawn = recorder
-            .scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, &self.needed, slot));
+            .scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, &self.needed, place));
         recorder.barrier(Access::DEPTH_WRITE, Access::FRAGMENT_READ);
         self.shadow_maps += u64::from(is_drawn);
         self.tangents += 1;

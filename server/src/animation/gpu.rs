@@ -1,10 +1,13 @@
-//! Samples of the whole scene on the time grid, each computed once on the GPU and kept in a ring of slots, shared by
+//! Samples of the whole scene on the time grid, each computed once on the GPU and kept in a ring, shared by
 //! all updates that cover its time. Instances with the same skeleton, clip and phase share a palette.
 
+use super::RingPlace;
 use super::manager::{PoseKey, rows};
-use crate::scene_gpu::{InstanceGpu, SceneGpu};
+use super::skinning::Skinning;
+use crate::scene::SceneGpu;
+use crate::scene::numbering::InstancePlace;
 use crate::stages::palette::Palette;
-use crate::stages::skin::{Skin, SkinJobs, Skinning};
+use crate::stages::skin::{Skin, SkinJobs};
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::time::ServerTime;
 use shadecast_shaders::generated::{PoseGpu, SkinJob};
@@ -20,9 +23,9 @@ const NO_MORPHS: u32 = u32::MAX;
 pub struct SampleJob {
     /// Index into the scene's instances.
     pub instance: usize,
-    /// Slot of the ring.
-    pub slot: u32,
-    /// The slot's time; the same for all jobs of a slot until it is used for another time.
+    /// Where its samples are kept.
+    pub place: RingPlace,
+    /// That place's time; the same for all jobs of a place until it is used for another time.
     pub time: ServerTime,
 }
 
@@ -45,21 +48,22 @@ pub struct Animation {
     palette: Palette,
     skin: Skin,
     morph_weights: Buffer,
-    slots: Vec<Slot>,
+    /// By place of the ring.
+    poses: Vec<Poses>,
     statics_done: bool,
     jobs: SkinJobs,
     counts: AnimationCounts,
 }
 
-/// What is in a slot: the poses of its time, and which of them an instance has.
+/// The poses of a sample time, and which of them an instance has.
 #[derive(Clone, Debug, Default)]
-struct Slot {
+struct Poses {
     time: Option<ServerTime>,
-    poses: HashMap<PoseKey, PoseRef>,
+    by_key: HashMap<PoseKey, PoseRef>,
     bones: u32,
     entries: u32,
     weights: u32,
-    pose_of_instance: Vec<Option<PoseRef>>,
+    of_instance: Vec<Option<PoseRef>>,
 }
 
 /// Where a pose's parts lie.
@@ -71,46 +75,50 @@ struct PoseRef {
 }
 
 impl Animation {
-    /// With room for `slots` sample times.
-    pub fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>, slots: u32) -> Result<Self, GpuError> {
-        let palette = Palette::new(gpu, scene, slots)?;
-        let weights_bytes = u64::from(slots) * u64::from(scene.totals.morphs.max(1)) * 4;
+    /// With room for `times` sample times.
+    pub fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>, times: u32) -> Result<Self, GpuError> {
+        let palette = Palette::new(gpu, scene, times)?;
+        let weights_bytes = u64::from(times) * u64::from(scene.numbering.totals.morphs.max(1)) * 4;
         let morph_weights = Buffer::new(gpu, "morph weights", weights_bytes, Memory::Upload)?;
-        let skin = Skin::new(gpu, scene, &palette, &morph_weights, slots)?;
-        let empty = Slot { pose_of_instance: vec![None; scene.instances.len()], ..Slot::default() };
+        let skin = Skin::new(gpu, scene, &palette, &morph_weights, times)?;
+        let empty = Poses { of_instance: vec![None; scene.numbering.instances.len()], ..Poses::default() };
         Ok(Self {
             scene: scene.clone(),
             palette,
             skin,
             morph_weights,
-            slots: vec![empty; slots as usize],
+            poses: vec![empty; times as usize],
             statics_done: false,
             jobs: SkinJobs::default(),
             counts: AnimationCounts::default(),
         })
     }
 
-    /// Poses and skins all animated instances at `time` into `slot`; the static ones with the first call.
-    pub fn record_sample(&mut self, recorder: &mut Recorder, slot: u32, time: ServerTime) {
-        let animated = self.scene.instances.iter().enumerate().filter(|(_, instance)| instance.is_animated);
-        let jobs: Vec<SampleJob> = animated.map(|(instance, _)| SampleJob { instance, slot, time }).collect();
-        self.record(recorder, &jobs, SampleJob { instance: 0, slot, time });
+    /// Poses and skins all animated instances at `time` into `place`; the static ones with the first call.
+    pub fn record_sample(&mut self, recorder: &mut Recorder, place: RingPlace, time: ServerTime) {
+        let animated =
+            self.scene.numbering.instances.iter().enumerate().filter(|(_, instance)| instance.is_animated);
+        let jobs: Vec<SampleJob> =
+            animated.map(|(instance, _)| SampleJob { instance, place, time }).collect();
+        self.record(recorder, &jobs, SampleJob { instance: 0, place, time });
     }
 
     /// Poses and skins the instances of `samples`; the static ones with the first call, posed at `statics`.
     pub fn record(&mut self, recorder: &mut Recorder, samples: &[SampleJob], statics: SampleJob) {
-        let all = 0..self.scene.instances.len();
-        let still = |instance: &usize| !self.statics_done && !self.scene.instances[*instance].is_animated;
+        let all = 0..self.scene.numbering.instances.len();
+        let still =
+            |instance: &usize| !self.statics_done && !self.scene.numbering.instances[*instance].is_animated;
         let still: Vec<SampleJob> =
             all.filter(still).map(|instance| SampleJob { instance, ..statics }).collect();
         let mut jobs = self.no_jobs();
         let mut poses: Vec<Range<u32>> = Vec::new();
         for sample in samples.iter().chain(&still) {
             let pose = self.pose(*sample, &mut poses);
-            let base = self.skin.position_base(&self.scene.instances[sample.instance], sample.slot);
+            let base =
+                self.skin.position_base(&self.scene.numbering.instances[sample.instance], sample.place);
             self.push_job(&mut jobs, *sample, pose, base, false);
         }
-        // The slots' palettes and vertices may still be read by the last samples.
+        // The palettes and vertices of these places may still be read by the last samples.
         recorder.barrier(Access::COMPUTE, Access::COMPUTE);
         if self.scene.skinning != Skinning::PerVertexChain {
             recorder.scope("palette", |r| poses.into_iter().for_each(|range| self.palette.record(r, range)));
@@ -127,18 +135,23 @@ impl Animation {
         }
     }
 
-    /// Skins normals and tangents of the animated instances that are in `slot` and that `is_wanted` names.
-    pub fn record_tangents(&mut self, recorder: &mut Recorder, slot: u32, is_wanted: impl Fn(usize) -> bool) {
-        let Some(time) = self.slots[slot as usize].time else { return };
+    /// Skins normals and tangents of the animated instances that are in `place` and that `is_wanted` names.
+    pub fn record_tangents(
+        &mut self,
+        recorder: &mut Recorder,
+        place: RingPlace,
+        is_wanted: impl Fn(usize) -> bool,
+    ) {
+        let Some(time) = self.poses[place.index()].time else { return };
         let scene = self.scene.clone();
         let there = |instance: &usize| {
-            scene.instances[*instance].is_animated
+            scene.numbering.instances[*instance].is_animated
                 && is_wanted(*instance)
-                && self.slots[slot as usize].pose_of_instance[*instance].is_some()
+                && self.poses[place.index()].of_instance[*instance].is_some()
         };
-        let samples: Vec<SampleJob> = (0..scene.instances.len())
+        let samples: Vec<SampleJob> = (0..scene.numbering.instances.len())
             .filter(there)
-            .map(|instance| SampleJob { instance, slot, time })
+            .map(|instance| SampleJob { instance, place, time })
             .collect();
         self.record_tangents_of(recorder, &samples);
     }
@@ -146,8 +159,8 @@ impl Animation {
     fn record_tangents_of(&mut self, recorder: &mut Recorder, samples: &[SampleJob]) {
         let mut jobs = self.no_jobs();
         for sample in samples {
-            let pose = self.slots[sample.slot as usize].pose_of_instance[sample.instance];
-            let base = self.skin.tangent_base(&self.scene.instances[sample.instance]);
+            let pose = self.poses[sample.place.index()].of_instance[sample.instance];
+            let base = self.skin.tangent_base(&self.scene.numbering.instances[sample.instance]);
             let pose = pose.expect("posed before its frames are wanted");
             self.push_job(&mut jobs, *sample, pose, base, true);
         }
@@ -158,33 +171,33 @@ impl Animation {
     /// The pose of an instance at a sample time: that of another one in the same pose, or a new one, which is added to
     /// `fresh`.
     fn pose(&mut self, sample: SampleJob, fresh: &mut Vec<Range<u32>>) -> PoseRef {
-        let (scene, number) = (self.scene.clone(), sample.slot as usize);
+        let (scene, RingPlace(place)) = (self.scene.clone(), sample.place);
         let (manager, instance) = (&scene.animation.manager, &scene.scene.instances[sample.instance]);
         let key = manager.pose_key(instance, sample.time.seconds());
-        let slot = &mut self.slots[number];
-        if slot.time != Some(sample.time) {
-            slot.start(sample.time);
+        let poses = &mut self.poses[sample.place.index()];
+        if poses.time != Some(sample.time) {
+            poses.start(sample.time);
         }
-        if let Some(known) = slot.poses.get(&key).copied() {
-            slot.pose_of_instance[sample.instance] = Some(known);
+        if let Some(known) = poses.by_key.get(&key).copied() {
+            poses.of_instance[sample.instance] = Some(known);
             self.counts.shared_poses += 1;
             return known;
         }
-        let (skeleton, totals) = (manager.skeleton(key), scene.totals);
-        let pose = sample.slot * scene.instances.len() as u32 + slot.poses.len() as u32;
-        let global_base = sample.slot * totals.bones + slot.bones;
-        let palette_base = sample.slot * totals.palette + slot.entries;
-        let weight_base = sample.slot * totals.morphs + slot.weights;
-        slot.bones += skeleton.bone_count;
-        slot.entries += skeleton.entry_count;
+        let (skeleton, totals) = (manager.skeleton(key), scene.numbering.totals);
+        let pose = place * scene.numbering.instances.len() as u32 + poses.by_key.len() as u32;
+        let global_base = place * totals.bones + poses.bones;
+        let palette_base = place * totals.palette + poses.entries;
+        let weight_base = place * totals.morphs + poses.weights;
+        poses.bones += skeleton.bone_count;
+        poses.entries += skeleton.entry_count;
         for weight in manager.morph_weights(key) {
-            let at = sample.slot * totals.morphs + slot.weights;
+            let at = place * totals.morphs + poses.weights;
             self.morph_weights.write(at as usize * 4, bytemuck::bytes_of(&weight));
-            slot.weights += 1;
+            poses.weights += 1;
         }
         let found = PoseRef { pose, palette_base, weight_base };
-        slot.poses.insert(key, found);
-        slot.pose_of_instance[sample.instance] = Some(found);
+        poses.by_key.insert(key, found);
+        poses.of_instance[sample.instance] = Some(found);
         let gpu = manager.pose(key, global_base, palette_base);
         self.palette.poses.write(pose as usize * size_of::<PoseGpu>(), bytemuck::bytes_of(&gpu));
         self.counts.poses += 1;
@@ -196,7 +209,7 @@ impl Animation {
     }
 
     fn vertex_count(&self, instance: usize) -> u64 {
-        u64::from(self.scene.models[self.scene.instances[instance].model].vertex_count)
+        u64::from(self.scene.models[self.scene.numbering.instances[instance].model].vertex_count)
     }
 
     /// An empty list with the room of the last one.
@@ -214,7 +227,7 @@ impl Animation {
         output_base: u32,
         writes_tangents: bool,
     ) {
-        let model = &self.scene.models[self.scene.instances[sample.instance].model];
+        let model = &self.scene.models[self.scene.numbering.instances[sample.instance].model];
         let paths = &self.scene.animation.manager.paths;
         let world_from_model =
             paths.world_from_model(&self.scene.scene, sample.instance, sample.time.seconds());
@@ -224,7 +237,7 @@ impl Animation {
             vertex_count: model.vertex_count,
             palette_base: pose.palette_base,
             output_base,
-            weight_base: if model.has_morphs { pose.weight_base } else { NO_MORPHS },
+            weight_base: if model.skin.has_morphs { pose.weight_base } else { NO_MORPHS },
             pose: pose.pose,
             writes_tangents: u32::from(writes_tangents),
             packed_base: 0,
@@ -233,28 +246,28 @@ impl Animation {
             jobs.whole.push(whole);
             return;
         }
-        for (list, run) in jobs.packed.iter_mut().zip(&model.packed).filter(|(_, run)| !run.is_empty()) {
+        for (list, run) in jobs.packed.iter_mut().zip(&model.skin.packed).filter(|(_, run)| !run.is_empty()) {
             list.push(SkinJob { vertex_count: run.len() as u32, packed_base: run.start, ..whole });
         }
     }
 
     /// Nothing that was computed is believed any more.
     pub fn forget(&mut self) {
-        self.slots.iter_mut().for_each(Slot::forget);
+        self.poses.iter_mut().for_each(Poses::forget);
         self.statics_done = false;
     }
 
-    /// First saved vertex of an instance at a slot's time.
-    pub fn position_base(&self, instance: &InstanceGpu, slot: u32) -> u32 {
-        self.skin.position_base(instance, slot)
+    /// First saved vertex of an instance at the time of a place.
+    pub fn position_base(&self, instance: &InstancePlace, place: RingPlace) -> u32 {
+        self.skin.position_base(instance, place)
     }
 
     /// First saved frame of an instance.
-    pub fn tangent_base(&self, instance: &InstanceGpu) -> u32 {
+    pub fn tangent_base(&self, instance: &InstancePlace) -> u32 {
         self.skin.tangent_base(instance)
     }
 
-    /// World positions, vec4: static instances first, then one run of the animated ones per slot.
+    /// World positions, vec4: static instances first, then one run of the animated ones a place of the ring.
     pub fn saved_vertices(&self) -> &Buffer {
         &self.skin.saved_vertices
     }
@@ -270,11 +283,11 @@ impl Animation {
     }
 }
 
-impl Slot {
+impl Poses {
     fn start(&mut self, time: ServerTime) {
         self.time = Some(time);
-        self.poses.clear();
-        self.pose_of_instance.fill(None);
+        self.by_key.clear();
+        self.of_instance.fill(None);
         (self.bones, self.entries, self.weights) = (0, 0, 0);
     }
 

@@ -1,7 +1,8 @@
 //! What every stage that rasterises the scene shares: a pipeline for each kind of side, and the walk over instances and
 //! primitives.
 
-use crate::scene_gpu::{InstanceGpu, ModelGpu, SceneGpu};
+use crate::scene::numbering::InstancePlace;
+use crate::scene::{ModelGpu, SceneGpu};
 use ash::vk;
 use shadecast_gpu::{
     BindGroup, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Layout, Recorder, RenderPass,
@@ -21,7 +22,7 @@ pub(crate) struct Draw<'a> {
     /// Number of the instance in the scene.
     pub(crate) number: usize,
     /// The instance.
-    pub(crate) instance: &'a InstanceGpu,
+    pub(crate) instance: &'a InstancePlace,
     /// Its model.
     pub(crate) model: &'a ModelGpu,
     /// The primitive, in the model's own numbers.
@@ -75,10 +76,11 @@ impl Geometry {
         wanted: impl Fn(usize) -> bool,
         push: impl Fn(&Draw<'_>) -> P,
     ) {
-        recorder.bind_indices(&scene.indices, 0);
+        recorder.bind_indices(&scene.meshes.indices, 0);
         for (pipeline, double_sided) in [(&self.culled, false), (&self.double_sided, true)] {
             recorder.bind(pipeline, group);
-            for (number, instance) in scene.instances.iter().enumerate().filter(|(n, _)| wanted(*n)) {
+            for (number, instance) in scene.numbering.instances.iter().enumerate().filter(|(n, _)| wanted(*n))
+            {
                 let (model, source) = (&scene.models[instance.model], &scene.scene.models[instance.model]);
                 let is_so =
                     |p: &&Primitive| source.materials[p.material as usize].double_sided == double_sided;

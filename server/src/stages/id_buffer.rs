@@ -1,7 +1,8 @@
 //! Visibility's first half: which patch each pixel of the predicted views shows.
 
+use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
-use crate::scene_gpu::SceneGpu;
+use crate::scene::SceneGpu;
 use crate::stages::geometry::Geometry;
 use ash::vk;
 use shadecast_gpu::{
@@ -61,30 +62,30 @@ impl IdBuffer {
             },
         )?;
         let geometry = Geometry::new(gpu, &ID_BUFFER_VERT, &ID_BUFFER_FRAG, &pass)?;
-        let textures = scene.texture_binds();
+        let textures = scene.materials.texture_binds();
         let group = BindGroup::new(
             geometry.layout(),
             &[
-                ("Vertices", Bind::Buffer(&scene.vertices)),
+                ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
                 ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
                 ("Views", Bind::Buffer(views)),
-                ("PatchOfTriangle", Bind::Buffer(&scene.patch_of_triangle)),
-                ("Materials", Bind::Buffer(&scene.materials)),
-                SceneGpu::textures_bind(&textures),
+                ("PatchOfTriangle", Bind::Buffer(&scene.meshes.patch_of_triangle)),
+                ("Materials", Bind::Buffer(&scene.materials.buffer)),
+                ("textures", Bind::Textures(&textures)),
             ],
         )?;
         let target = Framebuffer::new(gpu, &pass, extent, &[image.view(), depth.view()])?;
         Ok(Self { pass, geometry, group, target, image, _depth: depth })
     }
 
-    /// Draws the `needed` instances as they are in `slot` into the two views from `first_view` on.
+    /// Draws the `needed` instances as they are in `place` into the two views from `first_view` on.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         scene: &SceneGpu,
         animation: &Animation,
         needed: &[bool],
-        slot: u32,
+        place: RingPlace,
         first_view: u32,
     ) {
         let clears = [vk::ClearValue::default(), vk::ClearValue::default()]; // no patch; far, which is 0
@@ -96,9 +97,9 @@ impl IdBuffer {
             |number| needed[number],
             |draw| IdBufferPush {
                 vertex_base: draw.model.vertex_base,
-                position_base: animation.position_base(draw.instance, slot),
+                position_base: animation.position_base(draw.instance, place),
                 triangle_base: (draw.model.index_base + draw.primitive.first_index) / 3,
-                patch_base: draw.instance.first_patch,
+                patch_base: draw.instance.drawn.first.0,
                 material: draw.model.material_base + draw.primitive.material,
                 first_view,
             },

@@ -1,8 +1,9 @@
 //! Level selection's first half: the largest projected extent of every visible patch.
 
+use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
 use crate::predict::VIEW_TIMES;
-use crate::scene_gpu::SceneGpu;
+use crate::scene::SceneGpu;
 use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
 use shadecast_shaders::generated::{LEVEL_SELECTION_COMP, LevelSelectionPush};
 use std::sync::Arc;
@@ -25,15 +26,16 @@ impl LevelSelection {
         visible: &Buffer,
     ) -> Result<Self, GpuError> {
         let pipeline = ComputePipeline::new(gpu, &LEVEL_SELECTION_COMP)?;
-        let extents = Buffer::new(gpu, "patch extents", u64::from(scene.totals.patches) * 4, Memory::Device)?;
+        let extents =
+            Buffer::new(gpu, "patch extents", u64::from(scene.numbering.totals.patches) * 4, Memory::Device)?;
         let group = BindGroup::new(
             pipeline.layout(),
             &[
-                ("Vertices", Bind::Buffer(&scene.vertices)),
+                ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
                 ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
                 ("Views", Bind::Buffer(views)),
-                ("Patches", Bind::Buffer(&scene.patches)),
-                ("Materials", Bind::Buffer(&scene.materials)),
+                ("Patches", Bind::Buffer(&scene.meshes.patches)),
+                ("Materials", Bind::Buffer(&scene.materials.buffer)),
                 ("Visible", Bind::Buffer(visible)),
                 ("Extents", Bind::Buffer(&extents)),
             ],
@@ -41,22 +43,22 @@ impl LevelSelection {
         Ok(Self { pipeline, group, extents })
     }
 
-    /// Measures every visible patch with geometry as it is in each view time's slot.
+    /// Measures every visible patch with geometry as it is at the place of each view time.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         scene: &SceneGpu,
         animation: &Animation,
-        slots: [u32; VIEW_TIMES],
+        places: [RingPlace; VIEW_TIMES],
     ) {
-        for instance in &scene.instances {
+        for instance in &scene.numbering.instances {
             let model = &scene.models[instance.model];
-            let base = slots.map(|slot| animation.position_base(instance, slot));
-            let patch_count = model.patches.len() as u32;
+            let base = places.map(|place| animation.position_base(instance, place));
+            let patch_count = instance.drawn.count;
             let push = LevelSelectionPush {
                 vertex_base: model.vertex_base,
                 patch_base: model.patch_base,
-                scene_patch_base: instance.first_patch,
+                scene_patch_base: instance.drawn.first.0,
                 patch_count,
                 view_count: 2 * VIEW_TIMES as u32,
                 position_base0: base[0],

@@ -1,6 +1,6 @@
 //! Bone palettes: every bone of every pose once.
 
-use crate::scene_gpu::SceneGpu;
+use crate::scene::SceneGpu;
 use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
 use shadecast_shaders::generated::{PALETTE_COMP, PalettePush, PoseGpu};
 use std::ops::Range;
@@ -10,7 +10,7 @@ use std::sync::Arc;
 pub struct Palette {
     pipeline: ComputePipeline,
     group: BindGroup,
-    /// `PoseGpu`, written by whoever records, at most as many a slot as there are instances.
+    /// `PoseGpu`, written by whoever records, at most as many a sample time as there are instances.
     pub poses: Buffer,
     _globals: Buffer,
     /// Rows of `model_from_mesh`, three vec4 an entry.
@@ -18,14 +18,16 @@ pub struct Palette {
 }
 
 impl Palette {
-    /// With room for `slots` sample times at which no two instances share a pose.
-    pub fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, slots: u32) -> Result<Self, GpuError> {
+    /// With room for `times` sample times at which no two instances share a pose.
+    pub fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, times: u32) -> Result<Self, GpuError> {
         let pipeline = ComputePipeline::new(gpu, &PALETTE_COMP)?;
-        let bytes = |count: u32, size: usize| u64::from(slots) * u64::from(count) * size as u64;
-        let poses_bytes = bytes(scene.instances.len() as u32, size_of::<PoseGpu>());
+        let bytes = |count: u32, size: usize| u64::from(times) * u64::from(count) * size as u64;
+        let poses_bytes = bytes(scene.numbering.instances.len() as u32, size_of::<PoseGpu>());
         let poses = Buffer::new(gpu, "poses", poses_bytes, Memory::Upload)?;
-        let globals = Buffer::new(gpu, "bone transforms", bytes(scene.totals.bones, 48), Memory::Device)?;
-        let palettes = Buffer::new(gpu, "palettes", bytes(scene.totals.palette, 48), Memory::Device)?;
+        let globals =
+            Buffer::new(gpu, "bone transforms", bytes(scene.numbering.totals.bones, 48), Memory::Device)?;
+        let palettes =
+            Buffer::new(gpu, "palettes", bytes(scene.numbering.totals.palette, 48), Memory::Device)?;
         let mut binds = scene.animation.binds();
         binds.extend([
             ("Poses", Bind::Buffer(&poses)),

@@ -1,7 +1,9 @@
 //! Object-space shading: one quad per live block, gutter included, into the atlas.
 
+use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
-use crate::scene_gpu::SceneGpu;
+use crate::scene::SceneGpu;
+use crate::scene::numbering::ScenePatch;
 use crate::stages::shadow::Shadow;
 use ash::vk;
 use glam::Vec3;
@@ -68,52 +70,53 @@ impl Shading {
                 ..GraphicsPipelineDesc::new(&SHADING_VERT, &SHADING_FRAG, &pass)
             },
         )?;
-        let bytes = u64::from(MAX_PATCH_SLOTS.min(scene.totals.patches)) * size_of::<BlockGpu>() as u64;
+        let bytes =
+            u64::from(MAX_PATCH_SLOTS.min(scene.numbering.totals.patches)) * size_of::<BlockGpu>() as u64;
         let blocks = Buffer::new(gpu, "live blocks", bytes, Memory::Upload)?;
-        let textures = scene.texture_binds();
+        let textures = scene.materials.texture_binds();
         let [light, shadow_map] = shadow.binds();
         let group = BindGroup::new(
             pipeline.layout(),
             &[
                 ("Blocks", Bind::Buffer(&blocks)),
-                ("Patches", Bind::Buffer(&scene.patches)),
-                ("Vertices", Bind::Buffer(&scene.vertices)),
+                ("Patches", Bind::Buffer(&scene.meshes.patches)),
+                ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
                 ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
                 ("Tangents", Bind::Buffer(animation.tangents())),
-                ("Materials", Bind::Buffer(&scene.materials)),
+                ("Materials", Bind::Buffer(&scene.materials.buffer)),
                 light,
                 shadow_map,
-                SceneGpu::textures_bind(&textures),
+                ("textures", Bind::Textures(&textures)),
             ],
         )?;
         let target = Framebuffer::new(gpu, &pass, extent, &[atlas.view()])?;
         Ok(Self { pass, pipeline, group, target, blocks, count: 0, atlas })
     }
 
-    /// Writes the list of blocks to shade, with geometry as it is in `slot`. No submitted work still reads the list.
+    /// Writes the list of blocks to shade, with geometry as it is in `place`. No submitted work still reads the list.
     pub fn write_blocks(
         &mut self,
         scene: &SceneGpu,
         animation: &Animation,
-        slot: u32,
-        live: impl Iterator<Item = (u32, Block)>,
+        place: RingPlace,
+        live: impl Iterator<Item = (ScenePatch, Block)>,
     ) {
         let list: &mut [BlockGpu] = bytemuck::cast_slice_mut(self.blocks.bytes_mut());
         self.count = 0;
         // Live patches come in ascending order, so the instance only ever moves on.
         let mut index = 0;
-        for (place, (patch, block)) in list.iter_mut().zip(live) {
-            while scene.instances.get(index + 1).is_some_and(|next| next.first_patch <= patch) {
+        for (entry, (patch, block)) in list.iter_mut().zip(live) {
+            while scene.numbering.instances.get(index + 1).is_some_and(|next| next.drawn.first <= patch) {
                 index += 1;
             }
-            let instance = &scene.instances[index];
+            let instance = &scene.numbering.instances[index];
             let model = &scene.models[instance.model];
-            *place = BlockGpu {
-                patch_index: model.patch_base + patch - instance.first_patch,
+            *entry = BlockGpu {
+                patch_index: model.patch_base + instance.drawn.model_number(patch),
                 address_texels: u32::from(block.address.x) | u32::from(block.address.y) << 16,
                 extent_texels: block.size.width() | block.size.height() << 16,
                 vertex_base: model.vertex_base,
-                position_base: animation.position_base(instance, slot),
+                position_base: animation.position_base(instance, place),
                 tangent_base: animation.tangent_base(instance),
                 material_base: model.material_base,
                 reserved: 0,

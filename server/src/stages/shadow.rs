@@ -1,9 +1,10 @@
 //! The sun's shadows: the depth of all casters as the sun sees them, and the buffer of all light, which the map's lookup
 //! belongs to.
 
+use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
 use crate::lights::{self, SHADOW_EXTENT_TEXELS, SunView};
-use crate::scene_gpu::SceneGpu;
+use crate::scene::SceneGpu;
 use crate::stages::geometry::Geometry;
 use ash::vk;
 use shadecast_gpu::{
@@ -47,13 +48,13 @@ impl Shadow {
         let pass = RenderPass::depth_map(gpu, format)?;
         let geometry = Geometry::new(gpu, &SHADOW_VERT, &SHADOW_FRAG, &pass)?;
         let light = Buffer::new(gpu, "light", size_of::<LightGpu>() as u64, Memory::Upload)?;
-        let textures = scene.texture_binds();
+        let textures = scene.materials.texture_binds();
         let binds = [
-            ("Vertices", Bind::Buffer(&scene.vertices)),
+            ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
             ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
             ("Light", Bind::Buffer(&light)),
-            ("Materials", Bind::Buffer(&scene.materials)),
-            SceneGpu::textures_bind(&textures),
+            ("Materials", Bind::Buffer(&scene.materials.buffer)),
+            ("textures", Bind::Textures(&textures)),
         ];
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
         let nearest =
@@ -78,14 +79,14 @@ impl Shadow {
         self.light.write(0, bytemuck::bytes_of(&light));
     }
 
-    /// Draws the `needed` casters as they are in `slot`; once and all where none of them moves. Gives whether it did.
+    /// Draws the `needed` casters as they are in `place`; once and all where none of them moves. Gives whether it did.
     pub fn record(
         &mut self,
         recorder: &mut Recorder,
         scene: &SceneGpu,
         animation: &Animation,
         needed: &[bool],
-        slot: u32,
+        place: RingPlace,
     ) -> bool {
         if self.is_drawn && !(self.is_animated && self.view.is_some()) {
             return false;
@@ -97,7 +98,7 @@ impl Shadow {
             let casts = |number: usize| (all || needed[number]) && scene.scene.instances[number].casts_shadow;
             self.geometry.record_some(recorder, &self.group, scene, casts, |draw| ShadowPush {
                 vertex_base: draw.model.vertex_base,
-                position_base: animation.position_base(draw.instance, slot),
+                position_base: animation.position_base(draw.instance, place),
                 material: draw.model.material_base + draw.primitive.material,
             });
         }

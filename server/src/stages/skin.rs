@@ -1,8 +1,12 @@
 //! Skinning: each vertex once per sample time into `saved_vertices`, each frame once per update into `tangents`.
-//! Three ways, to be measured side by side.
+//! Three ways ([`Skinning`]), to be measured side by side.
 
-use crate::scene_gpu::{InstanceGpu, SceneGpu, Totals, check_room};
+use crate::animation::RingPlace;
+use crate::animation::skinning::Skinning;
+use crate::scene::SceneGpu;
+use crate::scene::numbering::{InstancePlace, Totals};
 use crate::stages::palette::Palette;
+use crate::upload::check_room;
 use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
 use shadecast_shaders::generated::{SKIN_CHAIN_COMP, SKIN_COMP, SKIN_PACKED_COMP, SkinJob, TangentGpu};
 use std::sync::Arc;
@@ -10,19 +14,7 @@ use std::sync::Arc;
 /// Vertices in a workgroup.
 const GROUP: u32 = 128;
 
-/// How vertices get their matrices.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
-pub enum Skinning {
-    /// The paper's: each vertex walks the whole parent chain of each of its bones
-    PerVertexChain,
-    /// Each bone once into a palette, then each vertex once
-    #[default]
-    Palette,
-    /// As palette, from compact vertices, each number of influences by itself
-    Packed,
-}
-
-/// The stage with its outputs: static instances first, then one run of the animated ones per slot.
+/// The stage with its outputs: static instances first, then one run of the animated ones a place of the ring.
 pub struct Skin {
     /// Of vertices as they are; per-vertex-chain where that is asked for.
     whole: Variant,
@@ -59,7 +51,7 @@ impl SkinJobs {
 }
 
 impl Skin {
-    /// With room for `slots` sample times. `morph_weights` holds those of each pose.
+    /// With room for `times` sample times. `morph_weights` holds those of each pose.
     ///
     /// # Errors
     /// More skinned vertices than the device can bind as one buffer.
@@ -68,18 +60,18 @@ impl Skin {
         scene: &SceneGpu,
         palette: &Palette,
         morph_weights: &Buffer,
-        slots: u32,
+        times: u32,
     ) -> Result<Self, GpuError> {
-        let totals = scene.totals;
-        let [(_, positions_bytes), (_, tangents_bytes)] = Self::needs(totals, slots);
-        Self::needs(totals, slots).into_iter().try_for_each(|(what, bytes)| check_room(gpu, what, bytes))?;
+        let totals = scene.numbering.totals;
+        let [(_, positions_bytes), (_, tangents_bytes)] = Self::needs(totals, times);
+        Self::needs(totals, times).into_iter().try_for_each(|(what, bytes)| check_room(gpu, what, bytes))?;
         let saved_vertices = Buffer::new(gpu, "saved vertices", positions_bytes, Memory::Device)?;
         let tangents = Buffer::new(gpu, "tangents", tangents_bytes, Memory::Device)?;
         let mut binds = scene.animation.binds();
         binds.extend([
-            ("Vertices", Bind::Buffer(&scene.vertices)),
-            ("PackedVertices", Bind::Buffer(&scene.packed_vertices)),
-            ("MorphDeltas", Bind::Buffer(&scene.morph_deltas)),
+            ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
+            ("PackedVertices", Bind::Buffer(&scene.skins.packed_vertices)),
+            ("MorphDeltas", Bind::Buffer(&scene.skins.morph_deltas)),
             ("MorphWeights", Bind::Buffer(morph_weights)),
             ("SavedVertices", Bind::Buffer(&saved_vertices)),
             ("Tangents", Bind::Buffer(&tangents)),
@@ -107,9 +99,9 @@ impl Skin {
     }
 
     /// What it binds at once, in bytes.
-    pub fn needs(totals: Totals, slots: u32) -> [(&'static str, u64); 2] {
+    pub fn needs(totals: Totals, times: u32) -> [(&'static str, u64); 2] {
         let positions =
-            u64::from(totals.static_vertices) + u64::from(slots) * u64::from(totals.animated_vertices);
+            u64::from(totals.static_vertices) + u64::from(times) * u64::from(totals.animated_vertices);
         let tangents_bytes = u64::from(totals.vertices) * size_of::<TangentGpu>() as u64;
         [
             ("skinned vertices of all instances and sample times", positions * 16),
@@ -117,16 +109,16 @@ impl Skin {
         ]
     }
 
-    /// First saved vertex of an instance at a slot's time.
-    pub fn position_base(&self, instance: &InstanceGpu, slot: u32) -> u32 {
+    /// First saved vertex of an instance at the time of a place.
+    pub fn position_base(&self, instance: &InstancePlace, place: RingPlace) -> u32 {
         match instance.is_animated {
-            true => self.static_vertices + slot * self.animated_vertices + instance.saved_base,
+            true => self.static_vertices + place.0 * self.animated_vertices + instance.saved_base,
             false => instance.saved_base,
         }
     }
 
     /// First saved frame of an instance.
-    pub fn tangent_base(&self, instance: &InstanceGpu) -> u32 {
+    pub fn tangent_base(&self, instance: &InstancePlace) -> u32 {
         if instance.is_animated { self.static_vertices + instance.saved_base } else { instance.saved_base }
     }
 

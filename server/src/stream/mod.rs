@@ -21,7 +21,7 @@ pub use stats::{StreamStats, ViewerStats};
 pub use studio::{Device, Reopen};
 
 use crate::pacing::WayState;
-use crate::scene_gpu::SceneGpu;
+use crate::scene::SceneGpu;
 use mailbox::Mailbox;
 use network::Network;
 use pipeline::{Outlet, Pipeline, Studio};
@@ -31,7 +31,8 @@ use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Codec, Environment, Refused, ResumeSecret, ServerOffer};
 use shadecast_protocol::session::Out;
 use shadecast_protocol::time::DEFAULT_GRID;
-use shadecast_transport::endpoint::{Endpoint, EndpointConfig, PeerId, SendError};
+use shadecast_transport::endpoint::{Endpoint, EndpointConfig};
+use shadecast_transport::event::{PeerId, SendError};
 use shadecast_transport::mio::{Driver, Events, Handle, monotonic_now_ns, spawn};
 use shadecast_transport::{LinkSchedule, ServerIdentity};
 use std::net::SocketAddr;

@@ -6,7 +6,7 @@ use crate::encode::openh264::{EncoderSettings, OpenH264Encoder};
 use crate::encode::{EncodeError, Encoder};
 use crate::frame::{Frame, Shaded};
 use crate::residency::Budget;
-use crate::scene_gpu::SceneGpu;
+use crate::scene::SceneGpu;
 use crate::viewer::Updates;
 use crate::world::{ViewerId, World};
 use shadecast_gpu::{Gpu, GpuError};

@@ -1,8 +1,9 @@
 //! The ground truth: skins at the exact time of the picture, or takes vertices that were posed elsewhere; shades per pixel
 //! with the atlas's own shading code, antialiased by multisampling. A second pass tells what is where, one sample a pixel.
 
+use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
-use crate::scene_gpu::SceneGpu;
+use crate::scene::SceneGpu;
 use crate::stages::geometry::Geometry;
 use crate::stages::shadow::Shadow;
 use crate::stages::view_gpu;
@@ -36,8 +37,11 @@ pub struct Truth {
     pub distance_m: Vec<f32>,
 }
 
+/// Of a ring for one time.
+const ONLY: RingPlace = RingPlace(0);
+
 /// Vertices in the world that were posed elsewhere: those of static instances first, then the others, in both as
-/// [`InstanceGpu::saved_base`](crate::scene_gpu::InstanceGpu::saved_base) numbers them.
+/// [`InstancePlace::saved_base`](crate::scene::numbering::InstancePlace::saved_base) numbers them.
 #[derive(Clone, Debug, Default)]
 pub struct Posed {
     /// xyz, metres.
@@ -117,7 +121,7 @@ impl Forward {
             scene: scene.clone(),
             animation,
             shadow,
-            all: vec![true; scene.instances.len()],
+            all: vec![true; scene.numbering.instances.len()],
             background,
             background_group,
             view,
@@ -143,8 +147,8 @@ impl Forward {
 
     /// Records what an eye sees at `time`. Nothing submitted still reads the last recording's view.
     pub fn record(&mut self, recorder: &mut Recorder, world_from_eye: Pose, fov: Fov, time: ServerTime) {
-        self.animation.record_sample(recorder, 0, time);
-        self.animation.record_tangents(recorder, 0, |_| true);
+        self.animation.record_sample(recorder, ONLY, time);
+        self.animation.record_tangents(recorder, ONLY, |_| true);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         self.record_posed(recorder, world_from_eye, fov, time);
     }
@@ -155,7 +159,7 @@ impl Forward {
         let view = view_gpu(clip_from_world, world_from_eye.position, self.targets.extent);
         self.view.write(0, bytemuck::bytes_of(&view));
         self.shadow.write(&self.scene, time);
-        recorder.scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, &self.all, 0));
+        recorder.scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, &self.all, ONLY));
         recorder.barrier(Access::DEPTH_WRITE, Access::FRAGMENT_READ);
         recorder.scope("forward", |r| self.draw_color(r, world_from_eye, fov));
     }
@@ -184,7 +188,8 @@ impl Forward {
         time: ServerTime,
         posed: &Posed,
     ) -> Result<Truth, GpuError> {
-        let all = (self.scene.totals.static_vertices + self.scene.totals.animated_vertices) as usize;
+        let all = (self.scene.numbering.totals.static_vertices
+            + self.scene.numbering.totals.animated_vertices) as usize;
         assert_eq!(
             [posed.positions.len(), posed.frames.len()],
             [all; 2],
@@ -373,13 +378,13 @@ impl Pass {
             None => Geometry::new(gpu, &FORWARD_PROBE_VERT, &FORWARD_PROBE_FRAG, &pass)?,
             Some(_) => Geometry::new(gpu, &FORWARD_VERT, &FORWARD_FRAG, &pass)?,
         };
-        let textures = scene.texture_binds();
+        let textures = scene.materials.texture_binds();
         let mut binds = vec![
-            ("Vertices", Bind::Buffer(&scene.vertices)),
+            ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
             ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
             ("View", Bind::Buffer(view)),
-            ("Materials", Bind::Buffer(&scene.materials)),
-            SceneGpu::textures_bind(&textures),
+            ("Materials", Bind::Buffer(&scene.materials.buffer)),
+            ("textures", Bind::Textures(&textures)),
         ];
         if let Some(shadow) = shaded {
             binds.push(("Tangents", Bind::Buffer(animation.tangents())));
@@ -392,7 +397,7 @@ impl Pass {
     fn draw(&self, recorder: &mut Recorder, scene: &SceneGpu, animation: &Animation) {
         self.geometry.record(recorder, &self.group, scene, |draw| ForwardPush {
             vertex_base: draw.model.vertex_base,
-            position_base: animation.position_base(draw.instance, 0),
+            position_base: animation.position_base(draw.instance, ONLY),
             tangent_base: animation.tangent_base(draw.instance),
             material: draw.model.material_base + draw.primitive.material,
             instance: draw.number as u32,

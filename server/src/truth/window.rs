@@ -2,7 +2,7 @@
 //! frame writes for the GPU is written when the last one is over.
 
 use crate::picture;
-use crate::scene_gpu::{SceneGpu, SceneGpuError, SceneOptions};
+use crate::scene::{SceneGpu, SceneGpuError, SceneOptions};
 use crate::truth::camera::{Mode, ViewCamera, fov_of_picture};
 use crate::truth::forward::Forward;
 use crate::truth::present::Present;
@@ -331,12 +331,12 @@ impl Shown {
         let at = self.camera.position;
         let mode = if self.camera.mode == Mode::Orbit { "orbit" } else { "fly" };
         let paused = if self.is_paused { " paused" } else { "" };
-        let totals = self.scene.totals;
+        let totals = self.scene.numbering.totals;
         let mut lines = vec![
             self.gpu.device_name(),
             format!("{fps:.1} fps   scene {:.3} s{paused}", self.scene_time_s),
             format!("{mode} camera {:.2} {:.2} {:.2}", at.x, at.y, at.z),
-            format!("{} instances", self.scene.instances.len()),
+            format!("{} instances", self.scene.numbering.instances.len()),
             format!("{} vertices, {} moving", totals.vertices, totals.animated_vertices),
         ];
         let mut stages: Vec<(&str, f64)> = Vec::new();

@@ -63,8 +63,9 @@ use shadecast_protocol::limits::{MAX_CONTROL_PER_SECOND, MAX_DATAGRAM_BYTES, MAX
 use shadecast_protocol::text::printable;
 
 use crate::congestion::{INITIAL_WINDOW_BYTES, SteadyConfig};
+use crate::event::{CloseKind, Event, PeerId, SendError, StreamId};
 use crate::identity::tls::{self, PinVerifier};
-use crate::identity::{ExpectedIdentity, Fingerprint, IdentityError, ServerIdentity};
+use crate::identity::{ExpectedIdentity, IdentityError, ServerIdentity};
 use crate::inbox::Inbox;
 use crate::peer::{Peer, PeerLimits, Violation};
 use crate::rng;
@@ -99,14 +100,6 @@ const SERVER_WAITING_BYTES: usize = 256 << 10;
 /// Datagrams that are handed to the kernel at once: together no more than one UDP datagram may have, 65,507 bytes,
 /// at the largest size that path discovery tries, 1452 bytes.
 const MAX_SEGMENTS: usize = 40;
-
-/// A connection, never used twice by one endpoint.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct PeerId(pub u64);
-
-/// A unidirectional stream that this endpoint sends, never used twice.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct StreamId(pub u64);
 
 /// Which congestion controller to use. The module [`crate::congestion`] says why there is one of our own.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -145,105 +138,6 @@ impl Default for EndpointConfig {
             control_per_s: MAX_CONTROL_PER_SECOND,
         }
     }
-}
-
-/// Why a connection ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CloseKind {
-    /// This side closed it.
-    Local,
-    /// The peer's application closed it, with this code.
-    Peer(u64),
-    /// Nothing was heard from the peer for [`IDLE_TIMEOUT`].
-    TimedOut,
-    /// The peer does not know the connection: it was restarted.
-    Restarted,
-    /// The server is not the one that was pinned.
-    IdentityChanged,
-    /// The peer broke the rules, or the two speak different protocols.
-    Error,
-}
-
-/// What happened.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Event {
-    /// A connection is ready for use.
-    Connected {
-        /// The peer.
-        peer: PeerId,
-        /// Its address.
-        remote: SocketAddr,
-        /// The server's identity, on the client; the server does not know its clients.
-        fingerprint: Option<Fingerprint>,
-    },
-    /// A message on the control stream; never empty.
-    Control {
-        /// The peer.
-        peer: PeerId,
-        /// The message.
-        message: Vec<u8>,
-        /// When its last byte was received, nanoseconds on the endpoint's clock.
-        at_ns: i64,
-    },
-    /// A unidirectional stream, complete.
-    Stream {
-        /// The peer.
-        peer: PeerId,
-        /// All of its bytes.
-        bytes: Vec<u8>,
-        /// When its last byte was received, nanoseconds on the endpoint's clock.
-        at_ns: i64,
-    },
-    /// The peer gave up a stream before it was complete.
-    StreamReset {
-        /// The peer.
-        peer: PeerId,
-        /// The first bytes of it, as far as they had come and at most 64.
-        head: Vec<u8>,
-    },
-    /// A datagram.
-    Datagram {
-        /// The peer.
-        peer: PeerId,
-        /// Its bytes.
-        bytes: Vec<u8>,
-        /// When it was received, nanoseconds on the endpoint's clock.
-        at_ns: i64,
-    },
-    /// A connection ended, or could not be made. Nothing more is told about the peer.
-    Closed {
-        /// The peer.
-        peer: PeerId,
-        /// Why, for programs.
-        kind: CloseKind,
-        /// Why, for users.
-        reason: String,
-    },
-}
-
-/// Why something could not be sent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum SendError {
-    /// The peer is unknown or its connection has ended.
-    #[error("sending to a peer that is not connected (any more)")]
-    NotConnected,
-    /// The network thread has ended.
-    #[error("the network thread has ended; its reason is in the log")]
-    Stopped,
-    /// Only a server sends streams.
-    #[error("a client sends no streams; use a control message or a datagram")]
-    ClientStream,
-    /// The queue is full: the network takes less than is sent.
-    #[error("the send queue is full: the network takes less than is sent; send less or cancel old streams")]
-    QueueFull,
-    /// The message is empty or too large.
-    #[error("a message of {bytes} bytes; it must have 1 to {limit}")]
-    Size {
-        /// Its size.
-        bytes: usize,
-        /// The largest allowed.
-        limit: usize,
-    },
 }
 
 /// One or more datagrams to be sent to one address.

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use crate::endpoint::{Event, PeerId};
+use crate::event::{Event, PeerId};
 
 /// Received datagrams of one peer that wait for the application; the oldest are dropped.
 pub(crate) const MAX_WAITING_DATAGRAMS: usize = 256;
@@ -203,7 +203,7 @@ impl Inbox {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::endpoint::CloseKind;
+    use crate::event::CloseKind;
 
     const LIMIT: usize = 10_000;
 

@@ -1,13 +1,14 @@
 //! QUIC on mio, server identity and the simulated link.
 //!
 //! Three layers, so that the same connection runs on real sockets and on a virtual clock:
-//! - [`endpoint`] is the connection as messages, without sockets and without a clock;
+//! - [`endpoint`] is the connection as messages, without sockets and without a clock, and [`event`] what it tells;
 //! - [`link`] is a seeded network with latency, jitter, loss, a bottleneck and reordering, and [`pair`] joins two
 //!   endpoints with it in virtual time;
 //! - [`mio`], [`identity`] and [`files`] are the only modules that touch sockets and files.
 
 pub mod congestion;
 pub mod endpoint;
+pub mod event;
 pub mod files;
 pub mod identity;
 mod inbox;
@@ -17,12 +18,10 @@ pub mod pair;
 mod peer;
 mod rng;
 
-pub use endpoint::{
-    CloseKind, Congestion, Counters, Endpoint, EndpointConfig, Event, PeerId, PeerStats, SendError, StreamId,
-    Transmit, random_bytes,
-};
+pub use endpoint::{Congestion, Counters, Endpoint, EndpointConfig, PeerStats, Transmit, random_bytes};
+pub use event::{CloseKind, Event, PeerId, SendError, StreamId};
 pub use files::{PendingFile, remove_pending_files, write_atomically};
-pub use identity::tls::ALPN;
+pub use identity::tls::{SERVER_NAME, believing_client_crypto};
 pub use identity::{ExpectedIdentity, Fingerprint, IdentityError, KnownServers, Meeting, ServerIdentity};
 pub use link::{Direction, Link, LinkError, LinkProfile, LinkSchedule};
 pub use mio::{Driver, Events, Handle, monotonic_now_ns, spawn};

@@ -21,9 +21,8 @@ use ::mio::{Interest, Poll, Token, Waker};
 use bytes::BytesMut;
 use quinn_udp::{RecvMeta, UdpSockRef, UdpSocketState};
 
-use crate::endpoint::{
-    Counters, Endpoint, Event, IdSource, PeerId, PeerStats, SendError, StreamId, Transmit,
-};
+use crate::endpoint::{Counters, Endpoint, IdSource, PeerStats, Transmit};
+use crate::event::{Event, PeerId, SendError, StreamId};
 use crate::identity::ExpectedIdentity;
 use crate::inbox::{Inbox, Next};
 use crate::link::{Direction, Link, LinkCounts, LinkSchedule};

@@ -7,7 +7,8 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use bytes::BytesMut;
 
-use crate::endpoint::{Endpoint, Event};
+use crate::endpoint::Endpoint;
+use crate::event::Event;
 use crate::link::{Direction, Link, LinkSchedule};
 
 /// The server's address in every pair.

@@ -13,7 +13,7 @@ use quinn_proto::{Connection, ConnectionHandle, Dir, VarInt};
 use shadecast_protocol::limits::{MAX_CONTROL_BYTES, MAX_STREAM_BYTES};
 use shadecast_protocol::wire::{ControlReader, WireError, frame_control};
 
-use crate::endpoint::{Event, PeerId, SendError, StreamId};
+use crate::event::{Event, PeerId, SendError, StreamId};
 use crate::identity::tls::PinVerifier;
 
 /// Bytes of messages and streams that wait for the network to take them, per peer.

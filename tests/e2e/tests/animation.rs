@@ -13,11 +13,12 @@ use shadecast_scene::{
     Bone, Clip, Instance, Interpolation, Material, Model, Morph, MorphDelta, MorphTrack, PaletteEntry, Path,
     Primitive, Repetition, Scene, Track, TrackValues, Trs, Vertex,
 };
+use shadecast_server::animation::RingPlace;
 use shadecast_server::animation::gpu::{Animation, AnimationCounts};
+use shadecast_server::animation::skinning::Skinning;
 use shadecast_server::predict::{PredictedViews, View};
 use shadecast_server::samples::SampleWindow;
-use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
-use shadecast_server::stages::skin::Skinning;
+use shadecast_server::scene::{SceneGpu, SceneOptions};
 use std::sync::Arc;
 
 const SEED: u64 = 41;
@@ -187,18 +188,18 @@ fn compare_with_twin(gpu: &Arc<Gpu>, scene: &Scene, options: SceneOptions, times
     for time_s in times_s {
         let time = ServerTime((time_s * 1e9) as i64);
         let mut recorder = gpu.record().unwrap();
-        animation.record_sample(&mut recorder, 1, time);
+        animation.record_sample(&mut recorder, RingPlace(1), time);
         recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE);
-        animation.record_tangents(&mut recorder, 1, |_| true);
+        animation.record_tangents(&mut recorder, RingPlace(1), |_| true);
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         gpu.wait(recorder.submit().unwrap()).unwrap();
         let positions: Vec<[f32; 4]> = read(gpu, animation.saved_vertices());
         let frames: Vec<[[f32; 4]; 2]> = read(gpu, animation.tangents());
-        for (index, place) in gpu_scene.instances.iter().enumerate() {
+        for (index, place) in gpu_scene.numbering.instances.iter().enumerate() {
             let name = format!("{options:?}, {} at {time_s} s, seed {SEED}", scene.instances[index].name);
             let twin = twin(scene, index, options.sampling, time.seconds());
             let size = twin.iter().map(|v| v.position.length()).fold(1.0, f32::max);
-            let at = animation.position_base(place, 1) as usize;
+            let at = animation.position_base(place, RingPlace(1)) as usize;
             let frames_at = animation.tangent_base(place) as usize;
             for (v, expected) in twin.iter().enumerate() {
                 let [x, y, z, _] = positions[at + v];
@@ -244,14 +245,14 @@ fn the_dragon_equals_the_cpu_twin_however_it_is_skinned() {
 /// Bytes of what is stored once for the whole scene.
 fn shared_bytes(scene: &SceneGpu) -> Vec<u64> {
     let buffers = [
-        &scene.vertices,
-        &scene.packed_vertices,
-        &scene.indices,
-        &scene.patches,
-        &scene.patch_of_triangle,
-        &scene.morph_deltas,
+        &scene.meshes.vertices,
+        &scene.skins.packed_vertices,
+        &scene.meshes.indices,
+        &scene.meshes.patches,
+        &scene.meshes.patch_of_triangle,
+        &scene.skins.morph_deltas,
     ];
-    let textures = scene.texture_binds().len() as u64;
+    let textures = scene.materials.texture_binds().len() as u64;
     buffers.iter().map(|b| b.size()).chain([scene.animation.bytes, textures]).collect()
 }
 
@@ -264,9 +265,9 @@ fn a_hundred_and_sixty_nine_instances_add_only_what_is_per_instance() {
     many.instances
         .extend((1..169).map(|index| Instance { time_shift_s: index as f32, ..one.instances[0].clone() }));
     let [one, many] = [one, many].map(|scene| SceneGpu::new(&gpu, scene, &options).expect("the scene fits"));
-    assert_eq!(many.instances.len(), one.instances.len() + 168);
+    assert_eq!(many.numbering.instances.len(), one.numbering.instances.len() + 168);
     assert_eq!(shared_bytes(&one), shared_bytes(&many));
-    assert_eq!(one.materials.size(), many.materials.size());
+    assert_eq!(one.materials.buffer.size(), many.materials.buffer.size());
 }
 
 #[test]
@@ -282,7 +283,11 @@ fn equal_models_of_different_files_are_stored_once() {
     let two = scene_of(vec![model, renamed], vec![instance(0), instance(1)]);
     let [one, two] = [one, two].map(|scene| SceneGpu::new(&gpu, scene, &options).expect("the scene fits"));
     assert_eq!(shared_bytes(&one), shared_bytes(&two));
-    assert_eq!(two.materials.size(), 2 * one.materials.size(), "materials differ and are the model's own");
+    assert_eq!(
+        two.materials.buffer.size(),
+        2 * one.materials.buffer.size(),
+        "materials differ and are the model's own"
+    );
     assert_eq!(two.animation.manager.skeletons.len(), 1);
     assert_eq!(two.animation.manager.clips.len(), 2, "the rest pose and the clip");
 }
@@ -302,7 +307,7 @@ fn instances_in_the_same_pose_share_a_palette() {
     let gpu_scene = Arc::new(SceneGpu::new(&gpu, scene, &SceneOptions::default()).expect("the scene fits"));
     let mut animation = Animation::new(&gpu, &gpu_scene, 1).unwrap();
     let mut recorder = gpu.record().unwrap();
-    animation.record_sample(&mut recorder, 0, ServerTime(0));
+    animation.record_sample(&mut recorder, RingPlace(0), ServerTime(0));
     gpu.wait(recorder.submit().unwrap()).unwrap();
     let AnimationCounts { poses, shared_poses, instance_samples, .. } = animation.counts();
     assert_eq!((poses, shared_poses, instance_samples), (2, 3, 5));

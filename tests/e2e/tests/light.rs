@@ -9,7 +9,7 @@ use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_scene::{
     Environment, Instance, Light, LightKind, Material, Model, PlacedLight, Scene, Texture, Wrap, ground,
 };
-use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
+use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::truth::forward::{Forward, Truth};
 use std::sync::Arc;
 

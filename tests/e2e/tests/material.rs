@@ -8,7 +8,7 @@ use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_scene::{
     Bone, Instance, Material, Model, PaletteEntry, Primitive, Texture, TextureSlot, Trs, Vertex, Wrap,
 };
-use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
+use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::truth::forward::{Forward, Truth};
 use std::sync::Arc;
 

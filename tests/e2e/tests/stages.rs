@@ -6,8 +6,10 @@ use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::animation::{pose, sampling};
 use shadecast_scene::load::{SceneSource, load_scene};
+use shadecast_server::animation::RingPlace;
 use shadecast_server::animation::gpu::Animation;
-use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
+use shadecast_server::scene::numbering::ScenePatch;
+use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::stages::id_buffer::IdBuffer;
 use shadecast_server::stages::level_selection::LevelSelection;
 use shadecast_server::stages::mark::Mark;
@@ -55,7 +57,7 @@ fn skinned_vertices_equal_the_cpu_twin_within_a_hundred_thousandth_of_the_models
     for time_s in [0.0, 0.731, 3.999] {
         let time = ServerTime((time_s * 1e9) as i64);
         let mut recorder = gpu.record().unwrap();
-        animation.record_sample(&mut recorder, 1, time);
+        animation.record_sample(&mut recorder, RingPlace(1), time);
         gpu.wait(recorder.submit().unwrap()).unwrap();
         let saved: Vec<[f32; 4]> = read(&gpu, animation.saved_vertices(), |_| {});
         for (index, instance) in scene.scene.instances.iter().enumerate() {
@@ -65,7 +67,7 @@ fn skinned_vertices_equal_the_cpu_twin_within_a_hundred_thousandth_of_the_models
             let locals = clip.local_pose(phase_s);
             let palette = pose::palette(model, &pose::global_pose(model, &locals));
             let twin = pose::skin(&model.vertices, &palette, instance.world_from_model(time.seconds()));
-            let base = animation.position_base(&scene.instances[index], 1) as usize;
+            let base = animation.position_base(&scene.numbering.instances[index], RingPlace(1)) as usize;
             let size = twin.iter().map(|v| v.position.length()).fold(1.0, f32::max);
             for (v, expected) in twin.iter().enumerate() {
                 let [x, y, z, _] = saved[base + v];
@@ -92,22 +94,29 @@ fn marks_and_extents_equal_their_cpu_twins() {
         matrices.iter().zip(&world_eyes).map(|(m, e)| view_gpu(*m, e.position, extent)).collect();
     let views = Buffer::upload(&gpu, "views", &views).unwrap();
     let id_buffer = IdBuffer::new(&gpu, &scene, &animation, &views, extent).unwrap();
-    let mark = Mark::new(&gpu, &id_buffer.image, scene.totals.patches).unwrap();
+    let mark = Mark::new(&gpu, &id_buffer.image, scene.numbering.totals.patches).unwrap();
     let levels = LevelSelection::new(&gpu, &scene, &animation, &views, &mark.visible).unwrap();
     let pixels = (extent[0] * extent[1]) as usize;
     let ids = Buffer::new(&gpu, "ids", pixels as u64 * 8, Memory::Readback).unwrap();
     let mut recorder = gpu.record().unwrap();
-    for slot in 0..3 {
-        animation.record_sample(&mut recorder, slot, ServerTime(i64::from(slot) * 33_000_000));
+    for place in 0..3 {
+        animation.record_sample(&mut recorder, RingPlace(place), ServerTime(i64::from(place) * 33_000_000));
     }
     recorder.fill(&mark.visible, 0);
     recorder.barrier(Access::COPY_WRITE, Access::COMPUTE);
     recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
-    id_buffer.record(&mut recorder, &scene, &animation, &vec![true; scene.instances.len()], 1, 2);
+    id_buffer.record(
+        &mut recorder,
+        &scene,
+        &animation,
+        &vec![true; scene.numbering.instances.len()],
+        RingPlace(1),
+        2,
+    );
     recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
     mark.record(&mut recorder);
     recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
-    levels.record(&mut recorder, &scene, &animation, [0, 1, 2]);
+    levels.record(&mut recorder, &scene, &animation, [0, 1, 2].map(RingPlace));
     let layouts = [
         shadecast_gpu::vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
         shadecast_gpu::vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
@@ -119,7 +128,7 @@ fn marks_and_extents_equal_their_cpu_twins() {
     recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
     gpu.wait(recorder.submit().unwrap()).unwrap();
 
-    let patches = scene.totals.patches as usize;
+    let patches = scene.numbering.totals.patches as usize;
     let visible: Vec<u32> = read(&gpu, &mark.visible, |_| {});
     let twin = twin::mark::mark(&ids.values::<u32>()[..2 * pixels], patches);
     assert_eq!(visible[..patches], twin[..]);
@@ -136,11 +145,12 @@ fn marks_and_extents_equal_their_cpu_twins() {
         .collect();
     let mut compared = 0;
     for patch in (0..patches as u32).filter(|p| twin[*p as usize] != 0) {
-        let instance = &scene.instances[scene.instance_of_patch(patch)];
-        let shape = scene.models[instance.model].patches[(patch - instance.first_patch) as usize];
+        let number = ScenePatch(patch);
+        let instance = &scene.numbering.instances[scene.numbering.instance_of_patch(number)];
+        let shape = scene.patch(number);
         let world: Vec<[Vec4; 5]> = (0..6)
             .map(|view| {
-                let base = animation.position_base(instance, view / 2);
+                let base = animation.position_base(instance, RingPlace(view / 2));
                 shape.vertices.map(|v| Vec4::from_array(saved[(base + v) as usize]))
             })
             .collect();

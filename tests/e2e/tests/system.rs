@@ -13,7 +13,7 @@ use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_mock_runtime::record::read_frames;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
-use shadecast_server::scene_gpu::SceneOptions;
+use shadecast_server::scene::SceneOptions;
 use shadecast_server::world::WorldCounts;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard};

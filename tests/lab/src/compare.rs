@@ -10,7 +10,7 @@ use anyhow::Context;
 use shadecast_gpu::Gpu;
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
-use shadecast_server::scene_gpu::SceneGpu;
+use shadecast_server::scene::SceneGpu;
 use shadecast_server::truth::forward::{Forward, Truth};
 use std::sync::Arc;
 
@@ -40,7 +40,7 @@ impl Comparer {
     /// For pictures of `extent_pixels`.
     pub fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>, extent_pixels: [u32; 2]) -> anyhow::Result<Self> {
         let forward = Forward::new(gpu, scene, extent_pixels).context("making the ground-truth renderer")?;
-        let moves = scene.instances.iter().map(|instance| instance.is_animated).collect();
+        let moves = scene.numbering.instances.iter().map(|instance| instance.is_animated).collect();
         let moving_shadow = MovingShadow::new(&scene.scene, moves, &scene.world_bounds);
         Ok(Self { scene: scene.clone(), forward, truth: SceneTruth::new(scene), moving_shadow })
     }
@@ -54,7 +54,7 @@ impl Comparer {
     pub fn measure(&mut self, shown: &Shown<'_>) -> anyhow::Result<(Rgb8Image, FrameMetrics)> {
         let &Shown { world_from_eye, fov, time, .. } = shown;
         let (picture, probe) = self.render(world_from_eye, fov, time)?;
-        let instances = &self.scene.instances;
+        let instances = &self.scene.numbering.instances;
         let moves = |instance: &u32| instances.get(*instance as usize).is_some_and(|place| place.is_animated);
         let regions = Regions {
             animated: probe.instance.iter().map(moves).collect(),

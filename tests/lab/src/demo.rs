@@ -17,7 +17,7 @@ use shadecast_mock_runtime::config::ClockKind;
 use shadecast_mock_runtime::record::{FrameRecord, read_frames};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::load::{SceneSource, load_scene};
-use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
+use shadecast_server::scene::{SceneGpu, SceneOptions};
 use std::io::{BufRead, BufReader};
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};

@@ -17,7 +17,7 @@ use shadecast_scene::animation::sampling::{DEFAULT_INTERVAL_S, Sampling};
 use shadecast_scene::cache::Cache;
 use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
-use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
+use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::truth::forward::Forward;
 use shadecast_transport::LinkProfile;
 use std::path::{Path, PathBuf};

@@ -8,7 +8,7 @@ use shadecast_lab::demo::{DemoOptions, demo};
 use shadecast_lab::figures;
 use shadecast_lab::hostile::{self, HostileOptions};
 use shadecast_lab::long;
-use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs, USUAL_LINK, ViewerOptions, parse_link};
+use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs, USUAL_LINK, ViewerOptions};
 use shadecast_lab::robot::robot;
 use shadecast_lab::room::write_room;
 use shadecast_lab::run::{Report, run};
@@ -17,10 +17,10 @@ use shadecast_lab::viewers::run_each;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::text::with_causes;
 use shadecast_scene::animation::sampling::Sampling;
+use shadecast_server::animation::skinning::Skinning;
 use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::flags::{MOST_S, number};
-use shadecast_server::scene_gpu::SceneOptions;
-use shadecast_server::stages::skin::Skinning;
+use shadecast_server::scene::SceneOptions;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -272,7 +272,7 @@ fn run_one(args: RunArgs) -> anyhow::Result<()> {
     let options = RunOptions {
         renderer: args.renderer,
         clip: args.clip,
-        link: parse_link(&args.link)?,
+        link: args.link.parse()?,
         head: match (args.head, args.head_path) {
             (Some(file), _) => Head::File(file),
             (None, Some(name)) => Head::Named(name),

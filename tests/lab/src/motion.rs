@@ -14,7 +14,8 @@ use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::Scene;
 use shadecast_server::residency::Residency;
-use shadecast_server::scene_gpu::SceneGpu;
+use shadecast_server::scene::SceneGpu;
+use shadecast_server::scene::numbering::SceneVertex;
 use std::collections::{HashMap, VecDeque};
 use std::fmt;
 
@@ -36,7 +37,7 @@ const LEAST_DISTANCE_M: f64 = 0.05;
 /// that the server has left behind.
 #[derive(Debug, Default)]
 pub struct Residents {
-    by_frame: VecDeque<(UpdateId, Vec<(u32, u32)>)>,
+    by_frame: VecDeque<(UpdateId, Vec<(u32, SceneVertex)>)>,
 }
 
 impl Residents {
@@ -50,7 +51,7 @@ impl Residents {
     }
 
     /// Slots and scene-wide vertices of an update, ascending by slot; forgets the updates before it.
-    fn at(&mut self, frame: UpdateId) -> Option<&[(u32, u32)]> {
+    fn at(&mut self, frame: UpdateId) -> Option<&[(u32, SceneVertex)]> {
         while self.by_frame.front().is_some_and(|(known, _)| *known < frame) {
             self.by_frame.pop_front();
         }
@@ -63,7 +64,7 @@ impl Residents {
 pub struct Motion {
     frames: u64,
     /// By scene-wide vertex number: the display frame in which it was drawn last, and where.
-    last: HashMap<u32, (u64, Vec3)>,
+    last: HashMap<SceneVertex, (u64, Vec3)>,
     /// By instance and vertex of its model: diagonal of the box around its way, metres.
     ranges: HashMap<usize, Vec<f32>>,
     ranged_vertices: u64,
@@ -119,18 +120,18 @@ impl Motion {
             if state == 0.0 {
                 continue; // not drawn: its samples are still on their way
             }
-            let index = scene.instance_of_vertex(*vertex);
+            let index = scene.numbering.instance_of_vertex(*vertex);
             let pose =
                 poses.entry(index).or_insert_with(|| InstancePose::at(&scene.scene, index, time.seconds()));
-            let number = (*vertex - scene.instances[index].first_vertex) as usize;
-            let truth = pose.vertex(&scene.scene.models[scene.instances[index].model], number);
+            let number = (vertex.0 - scene.numbering.instances[index].first_vertex.0) as usize;
+            let truth = pose.vertex(&scene.scene.models[scene.numbering.instances[index].model], number);
             let range_m = self.range_m(scene, index, number);
             self.add(*vertex, Vec3::new(x, y, z), truth, range_m, eyes);
         }
         Ok(())
     }
 
-    fn add(&mut self, vertex: u32, shown: Vec3, truth: DVec3, range_m: f32, eyes: [DVec3; 2]) {
+    fn add(&mut self, vertex: SceneVertex, shown: Vec3, truth: DVec3, range_m: f32, eyes: [DVec3; 2]) {
         let error_m = shown.as_dvec3().distance(truth);
         let nearer_m = eyes.map(|eye| eye.distance(truth)).into_iter().fold(f64::INFINITY, f64::min);
         self.errors_mm.add(error_m * 1e3);
@@ -217,10 +218,10 @@ mod tests {
         assert_eq!(motion.report(), None);
         let eyes = [DVec3::ZERO, DVec3::new(0.0, 0.0, 4.0)];
         motion.frames = 1;
-        motion.add(7, Vec3::new(0.0, 0.001, -2.0), DVec3::new(0.0, 0.0, -2.0), 0.5, eyes);
-        motion.add(8, Vec3::new(0.0, 0.0, -1.0), DVec3::new(0.0, 0.0005, -1.0), 0.01, eyes);
+        motion.add(SceneVertex(7), Vec3::new(0.0, 0.001, -2.0), DVec3::new(0.0, 0.0, -2.0), 0.5, eyes);
+        motion.add(SceneVertex(8), Vec3::new(0.0, 0.0, -1.0), DVec3::new(0.0, 0.0005, -1.0), 0.01, eyes);
         motion.frames = 2;
-        motion.add(7, Vec3::new(0.0, 0.001, -2.0), DVec3::new(0.0, 0.0, -2.0), 0.5, eyes);
+        motion.add(SceneVertex(7), Vec3::new(0.0, 0.001, -2.0), DVec3::new(0.0, 0.0, -2.0), 0.5, eyes);
         let report = motion.report().expect("vertices");
         let close =
             |found: f64, wanted: f64| assert!((found - wanted).abs() < 1e-4 * wanted, "{found} {wanted}");

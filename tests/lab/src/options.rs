@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
-use shadecast_server::scene_gpu::SceneOptions;
-use shadecast_transport::{LinkError, LinkProfile, LinkSchedule};
+use shadecast_server::scene::SceneOptions;
+use shadecast_transport::{LinkError, LinkSchedule};
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -117,19 +117,8 @@ impl FromStr for ViewerOptions {
             }
         }
         let link = if link.is_empty() { USUAL_LINK.to_owned() } else { link.join(",") };
-        let link = parse_link(&link).map_err(|error| error.to_string())?;
+        let link = link.parse().map_err(|error: LinkError| error.to_string())?;
         Ok(Self { link, head })
-    }
-}
-
-/// A network as a person writes it: its figures, or a `.toml` file of those with start times.
-///
-/// # Errors
-/// It is neither, or the file cannot be read.
-pub fn parse_link(text: &str) -> Result<LinkSchedule, LinkError> {
-    match text.ends_with(".toml") {
-        true => LinkSchedule::load(text),
-        false => Ok(text.parse::<LinkProfile>()?.into()),
     }
 }
 
@@ -194,7 +183,7 @@ impl RunOptions {
             scene,
             clip: None,
             renderer: Renderer::Stream,
-            link: parse_link(USUAL_LINK).expect("the usual link is one"),
+            link: USUAL_LINK.parse().expect("the usual link is one"),
             head: Head::Walk,
             others: Vec::new(),
             seconds: 5.0,
@@ -254,7 +243,7 @@ mod tests {
     #[test]
     fn a_viewer_is_a_link_and_a_head_path_in_any_order() {
         let of = |text: &str| text.parse::<ViewerOptions>();
-        let link: LinkSchedule = "latency=5ms,jitter=1ms".parse::<LinkProfile>().expect("a link").into();
+        let link: LinkSchedule = "latency=5ms,jitter=1ms".parse().expect("a link");
         let head = Some(PathBuf::from("walk.csv"));
         for text in ["link=latency=5ms,jitter=1ms,head=walk.csv", "head=walk.csv,link=latency=5ms,jitter=1ms"]
         {

@@ -11,9 +11,10 @@ use shadecast_protocol::time::ServerTime;
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_scene::{Model, Scene};
+use shadecast_server::animation::RingPlace;
 use shadecast_server::animation::gpu::Animation;
-use shadecast_server::scene_gpu::{SceneGpu, SceneOptions};
-use shadecast_server::stages::skin::Skinning;
+use shadecast_server::animation::skinning::Skinning;
+use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_shaders::generated::{BENCH_FETCH_COMP, BenchFetchPush};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -212,8 +213,8 @@ impl Variant {
 
     fn measure(&mut self, gpu: &Arc<Gpu>, time_s: f64, rates: &Rates) -> anyhow::Result<()> {
         let mut recorder = gpu.record()?;
-        self.animation.record_sample(&mut recorder, 0, ServerTime((time_s * 1e9) as i64));
-        self.animation.record_tangents(&mut recorder, 0, |_| true);
+        self.animation.record_sample(&mut recorder, RingPlace(0), ServerTime((time_s * 1e9) as i64));
+        self.animation.record_tangents(&mut recorder, RingPlace(0), |_| true);
         gpu.wait(recorder.submit()?)?;
         let mut round = Round::default();
         for (stage, ms) in gpu.take_timings_ms() {
@@ -267,7 +268,7 @@ fn name_of(skinning: Skinning) -> String {
 impl Counts {
     fn of(scene: &SceneGpu) -> Self {
         let mut counts = Self::default();
-        for (place, instance) in scene.instances.iter().zip(&scene.scene.instances) {
+        for (place, instance) in scene.numbering.instances.iter().zip(&scene.scene.instances) {
             if place.is_animated {
                 counts.add(&scene.scene, instance.model);
             }

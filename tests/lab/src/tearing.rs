@@ -9,6 +9,7 @@ use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
 use shadecast_scene::Vertex;
 use shadecast_scene::animation::pose;
+use shadecast_server::scene::numbering::SceneVertex;
 use std::collections::{BTreeSet, HashMap};
 
 /// What was found.
@@ -59,7 +60,7 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<TearingReport> {
 
 fn look(
     lab: &Lab,
-    vertex_of_slot: &HashMap<u32, u32>,
+    vertex_of_slot: &HashMap<u32, SceneVertex>,
     time: ServerTime,
     report: &mut TearingReport,
 ) -> anyhow::Result<()> {
@@ -106,15 +107,20 @@ fn last_step_error_m(lab: &Lab, seconds: f64) -> f32 {
 }
 
 /// Where the source's curves have a scene-wide vertex at a time.
-fn place(lab: &Lab, vertex: u32, time: ServerTime, palettes: &mut HashMap<usize, Vec<Affine3A>>) -> Vec3 {
+fn place(
+    lab: &Lab,
+    vertex: SceneVertex,
+    time: ServerTime,
+    palettes: &mut HashMap<usize, Vec<Affine3A>>,
+) -> Vec3 {
     let scene = &lab.server.scene;
-    let index = scene.instance_of_vertex(vertex);
+    let index = scene.numbering.instance_of_vertex(vertex);
     let instance = &scene.scene.instances[index];
     let model = &scene.scene.models[instance.model];
     let phase_s = instance.clip_phase_s(model.duration_s(instance.clip), time.seconds());
     let palette =
         palettes.entry(index).or_insert_with(|| pose::source_palette(model, instance.clip, phase_s));
-    let v = &model.vertices[(vertex - scene.instances[index].first_vertex) as usize];
+    let v = &model.vertices[(vertex.0 - scene.numbering.instances[index].first_vertex.0) as usize];
     let world_from_vertex =
         instance.world_from_model(time.seconds()) * pose::blend(palette, v.joints, v.weights);
     world_from_vertex.transform_point3(v.position)

@@ -17,9 +17,9 @@ use crate::identity::{ExpectedIdentity, Fingerprint, IdentityError, ServerIdenti
 
 /// The protocol inside TLS, so that nothing else on the port is mistaken for it. The number rises with the framing of the
 /// control stream, which two peers must share before they can say which versions they speak.
-pub const ALPN: &[u8] = b"shadecast/2";
+const ALPN: &[u8] = b"shadecast/2";
 /// The name in every server's certificate. Identity is the key, not the name.
-pub(crate) const SERVER_NAME: &str = "shadecast";
+pub const SERVER_NAME: &str = "shadecast";
 
 fn provider() -> Arc<CryptoProvider> {
     Arc::new(rustls::crypto::ring::default_provider())
@@ -53,6 +53,14 @@ pub(crate) fn client_config(verifier: Arc<PinVerifier>) -> Result<Arc<QuicClient
     config.alpn_protocols = vec![ALPN.to_vec()];
     config.resumption = Resumption::disabled();
     Ok(Arc::new(QuicClientConfig::try_from(config).map_err(tls_error)?))
+}
+
+/// The cryptography of a client that believes whoever answers, for what speaks QUIC to a server by itself.
+///
+/// # Errors
+/// The provider lacks what QUIC needs.
+pub fn believing_client_crypto() -> Result<Arc<QuicClientConfig>, IdentityError> {
+    client_config(PinVerifier::new(ExpectedIdentity::TrustOnFirstUse))
 }
 
 /// What a verifier found out about the server of its connection.

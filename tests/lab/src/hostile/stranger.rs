@@ -1,24 +1,19 @@
 //! A stranger on the network: QUIC on a socket of its own, with whatever bytes an attack wants on its streams.
 //!
 //! It speaks `quinn-proto` itself, because the project's own transport would not send what is wrong. It believes any
-//! certificate, and it never sends to another machine than this one.
+//! server, and it never sends to another machine than this one.
 
 use anyhow::{Context, ensure};
 use bytes::{Bytes, BytesMut};
 use quinn_proto as proto;
 use quinn_proto::crypto::rustls::QuicClientConfig;
 use quinn_proto::{ConnectionHandle, DatagramEvent, Dir, VarInt};
-use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
-use rustls::pki_types::{CertificateDer, ServerName, UnixTime};
-use rustls::{DigitallySignedStruct, SignatureScheme};
-use shadecast_transport::ALPN;
+use shadecast_transport::{SERVER_NAME, believing_client_crypto};
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
-/// The name in every server's certificate.
-const SERVER_NAME: &str = "shadecast";
 /// Datagrams received in one go before others have their turn.
 const RECEIVE_TURN: usize = 64;
 /// Datagrams sent in one go before others have their turn.
@@ -30,50 +25,14 @@ const SEND_WINDOW_BYTES: u64 = 256 << 10;
 /// The longest sleep of a wait, so that what comes is answered soon.
 const NAP: Duration = Duration::from_micros(500);
 
-/// Believes every certificate.
-#[derive(Debug)]
-struct AnyServer;
-
-impl ServerCertVerifier for AnyServer {
-    fn verify_server_cert(
-        &self,
-        _end_entity: &CertificateDer<'_>,
-        _intermediates: &[CertificateDer<'_>],
-        _server_name: &ServerName<'_>,
-        _ocsp_response: &[u8],
-        _now: UnixTime,
-    ) -> Result<ServerCertVerified, rustls::Error> {
-        Ok(ServerCertVerified::assertion())
-    }
-
-    fn verify_tls12_signature(
-        &self,
-        _message: &[u8],
-        _cert: &CertificateDer<'_>,
-        _dss: &DigitallySignedStruct,
-    ) -> Result<HandshakeSignatureValid, rustls::Error> {
-        Ok(HandshakeSignatureValid::assertion())
-    }
-
-    fn verify_tls13_signature(
-        &self,
-        _message: &[u8],
-        _cert: &CertificateDer<'_>,
-        _dss: &DigitallySignedStruct,
-    ) -> Result<HandshakeSignatureValid, rustls::Error> {
-        Ok(HandshakeSignatureValid::assertion())
-    }
-
-    fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
-        vec![SignatureScheme::ED25519]
-    }
-}
-
 fn client_config() -> anyhow::Result<proto::ClientConfig> {
-    static CONFIG: OnceLock<Arc<QuicClientConfig>> = OnceLock::new();
-    let crypto = match CONFIG.get() {
+    static CRYPTO: OnceLock<Arc<QuicClientConfig>> = OnceLock::new();
+    let crypto = match CRYPTO.get() {
         Some(crypto) => crypto.clone(),
-        None => CONFIG.get_or_init(|| Arc::new(AnyServer::quic_config())).clone(),
+        None => {
+            let made = believing_client_crypto()?;
+            CRYPTO.get_or_init(|| made).clone()
+        }
     };
     let mut transport = proto::TransportConfig::default();
     // Never idle, and with little buffered here, so that what was taken was sent.
@@ -81,21 +40,6 @@ fn client_config() -> anyhow::Result<proto::ClientConfig> {
     let mut config = proto::ClientConfig::new(crypto);
     config.transport_config(Arc::new(transport));
     Ok(config)
-}
-
-impl AnyServer {
-    fn quic_config() -> QuicClientConfig {
-        let provider = Arc::new(rustls::crypto::ring::default_provider());
-        let mut config = rustls::ClientConfig::builder_with_provider(provider)
-            .with_protocol_versions(&[&rustls::version::TLS13])
-            .expect("ring has the suites of TLS 1.3")
-            .dangerous()
-            .with_custom_certificate_verifier(Arc::new(Self))
-            .with_no_client_auth();
-        config.alpn_protocols = vec![ALPN.to_vec()];
-        config.resumption = rustls::client::Resumption::disabled();
-        QuicClientConfig::try_from(config).expect("TLS 1.3 has the initial suite of QUIC")
-    }
 }
 
 /// One connection from a socket of its own.

@@ -11,7 +11,7 @@ use curves::{Local, clip_phase_s, path_transform, weight};
 use glam::{Affine3A, DAffine3, DMat3, DVec3};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::{Instance, Model, Scene, Vertex};
-use shadecast_server::scene_gpu::SceneGpu;
+use shadecast_server::scene::SceneGpu;
 use shadecast_server::truth::forward::Posed;
 use shadecast_shaders::generated::TangentGpu;
 use std::sync::Arc;
@@ -50,13 +50,13 @@ impl SceneTruth {
     }
 }
 
-/// Static instances first, then those that move, as `InstanceGpu` numbers them.
+/// Static instances first, then those that move, as `InstancePlace` numbers them.
 fn pose_scene(scene: &SceneGpu, time: ServerTime) -> Posed {
-    let statics = scene.totals.static_vertices as usize;
-    let all = statics + scene.totals.animated_vertices as usize;
+    let statics = scene.numbering.totals.static_vertices as usize;
+    let all = statics + scene.numbering.totals.animated_vertices as usize;
     let none = TangentGpu { normal: [0.0; 4], tangent: [0.0; 4] };
     let mut posed = Posed { positions: vec![[0.0; 4]; all], frames: vec![none; all] };
-    for (index, place) in scene.instances.iter().enumerate() {
+    for (index, place) in scene.numbering.instances.iter().enumerate() {
         let instance = &scene.scene.instances[index];
         let model = &scene.scene.models[instance.model];
         let pose = InstancePose::at(&scene.scene, index, time.seconds());

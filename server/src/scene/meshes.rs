@@ -1,0 +1,95 @@
+//! Vertices, triangles and patches of all models, at the level of detail that is drawn; equal meshes are there once.
+
+use super::numbering::DRAWN_LEVEL;
+use crate::animation::skinning::{pair, used_first};
+use crate::upload;
+use shadecast_gpu::{Buffer, Gpu, GpuError};
+use shadecast_scene::patches::Patch;
+use shadecast_scene::{Model, Vertex};
+use shadecast_shaders::generated::{PatchGpu, VertexGpu};
+use std::sync::Arc;
+
+/// A mesh's place in the shared buffers.
+#[derive(Clone, Debug)]
+pub struct Mesh {
+    /// First entry in the vertex buffer.
+    pub vertex_base: u32,
+    /// Vertices.
+    pub vertex_count: u32,
+    /// First entry in the index buffer; a third of it is the first entry in `patch_of_triangle`.
+    pub index_base: u32,
+    /// First entry in the patch buffer.
+    pub patch_base: u32,
+    /// The patches, for the CPU.
+    pub patches: Arc<[Patch]>,
+}
+
+/// The meshes of all models.
+pub struct Meshes {
+    /// `VertexGpu`.
+    pub vertices: Buffer,
+    /// Three a triangle, numbers within the mesh.
+    pub indices: Buffer,
+    /// `PatchGpu`.
+    pub patches: Buffer,
+    /// Number of the patch within the mesh, by triangle.
+    pub patch_of_triangle: Buffer,
+}
+
+/// What goes into [`Meshes`], collected mesh by mesh.
+#[derive(Default)]
+pub(super) struct MeshArrays {
+    vertices: Vec<VertexGpu>,
+    indices: Vec<u32>,
+    patches: Vec<PatchGpu>,
+    patch_of_triangle: Vec<u32>,
+}
+
+impl MeshArrays {
+    /// Adds a model's mesh; `morphs` says by vertex which morph deltas move it.
+    pub(super) fn add(&mut self, model: &Model, morphs: &[[u32; 2]]) -> Mesh {
+        let patches = model.patches_of(DRAWN_LEVEL).into_owned();
+        let mesh = Mesh {
+            vertex_base: self.vertices.len() as u32,
+            vertex_count: model.vertices.len() as u32,
+            index_base: self.indices.len() as u32,
+            patch_base: self.patches.len() as u32,
+            patches: patches.patches.into(),
+        };
+        self.vertices.extend(model.vertices.iter().zip(morphs).map(|(v, morphs)| vertex(v, *morphs)));
+        self.indices.extend(model.triangles(DRAWN_LEVEL).indices);
+        self.patches.extend(mesh.patches.iter().map(|p| PatchGpu {
+            vertices: p.vertices,
+            kind: p.kind as u32,
+            material: p.material,
+            reserved: 0,
+        }));
+        self.patch_of_triangle.extend(&patches.patch_of_triangle);
+        mesh
+    }
+
+    /// Brings all to the device.
+    pub(super) fn upload(&self, gpu: &Arc<Gpu>) -> Result<Meshes, GpuError> {
+        Ok(Meshes {
+            vertices: upload::array(gpu, "vertices", &self.vertices)?,
+            indices: upload::array(gpu, "indices", &self.indices)?,
+            patches: upload::array(gpu, "patches", &self.patches)?,
+            patch_of_triangle: upload::array(gpu, "patch of triangle", &self.patch_of_triangle)?,
+        })
+    }
+}
+
+fn vertex(v: &Vertex, morphs: [u32; 2]) -> VertexGpu {
+    let (joints, weights) = used_first(v);
+    VertexGpu {
+        position_u: v.position.extend(v.uv[0]).to_array(),
+        normal_v: v.normal.extend(v.uv[1]).to_array(),
+        tangent: v.tangent,
+        weights,
+        joints: [pair(joints[0], joints[1]), pair(joints[2], joints[3])],
+        morphs,
+        uv1: v.uv1,
+        color: u32::from_le_bytes(v.color),
+        reserved: 0,
+    }
+}

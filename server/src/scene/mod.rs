@@ -1,0 +1,213 @@
+//! The scene in GPU memory, each thing once however many models and instances use it, and the numbers of its parts.
+
+pub mod materials;
+pub mod meshes;
+pub mod numbering;
+
+use crate::animation::buffers::AnimationBuffers;
+use crate::animation::manager::AnimationManager;
+use crate::animation::skinning::{SkinnedMesh, Skinning, SkinningArrays, SkinningBuffers};
+use crate::lights::{self, SunView};
+use materials::{MaterialArrays, Materials};
+use meshes::{Mesh, MeshArrays, Meshes};
+use numbering::{InstanceSize, Numbering, ScenePatch};
+use shadecast_gpu::{Gpu, GpuError};
+use shadecast_protocol::limits::MAX_LIGHTS;
+use shadecast_scene::animation::bounds::{self, Bounds};
+use shadecast_scene::animation::pose;
+use shadecast_scene::animation::sampling::Sampling;
+use shadecast_scene::identity::ContentHash;
+use shadecast_scene::patches::Patch;
+use shadecast_scene::process::Loading;
+use shadecast_scene::{Cancel, Cancelled, Instance, Model, Scene};
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// A model's place in the shared buffers.
+#[derive(Debug)]
+pub struct ModelGpu {
+    /// Its mesh, which other models may share.
+    pub mesh: Mesh,
+    /// What moves the mesh's vertices.
+    pub skin: SkinnedMesh,
+    /// First entry in the material buffer.
+    pub material_base: u32,
+}
+
+impl std::ops::Deref for ModelGpu {
+    type Target = Mesh;
+
+    fn deref(&self) -> &Mesh {
+        &self.mesh
+    }
+}
+
+/// How a scene is brought to the GPU.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SceneOptions {
+    /// How clips become keys.
+    pub sampling: Sampling,
+    /// How vertices are skinned.
+    pub skinning: Skinning,
+}
+
+/// Why a scene was not brought to a device.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneGpuError {
+    /// The device, or a scene that is too large for it.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    /// Somebody asked to end.
+    #[error("loading was interrupted")]
+    Cancelled(#[from] Cancelled),
+}
+
+/// All of it.
+pub struct SceneGpu {
+    /// The scene it was made from.
+    pub scene: Scene,
+    /// By model.
+    pub models: Vec<ModelGpu>,
+    /// Numbers of patches and vertices, and the instances' places among them.
+    pub numbering: Numbering,
+    /// By instance: a box in the world that it never leaves, over its clip and its path; empty without vertices.
+    pub world_bounds: Vec<Bounds>,
+    /// Vertices, triangles and patches.
+    pub meshes: Meshes,
+    /// Materials and textures.
+    pub materials: Materials,
+    /// How vertices are skinned.
+    pub skinning: Skinning,
+    /// What skinning reads beside the vertices.
+    pub skins: SkinningBuffers,
+    /// Skeletons and clips.
+    pub animation: AnimationBuffers,
+}
+
+impl SceneGpu {
+    /// Uploads `scene`, its clips sampled.
+    ///
+    /// # Errors
+    /// Memory, or more than the device can bind.
+    pub fn new(gpu: &Arc<Gpu>, scene: Scene, options: &SceneOptions) -> Result<Self, SceneGpuError> {
+        Self::cached(gpu, scene, options, &Loading::plain())
+    }
+
+    /// As [`Self::new`], with clips that were sampled before taken from the cache, until somebody asks to end.
+    ///
+    /// # Errors
+    /// Those of [`Self::new`], and that somebody asked to end.
+    pub fn cached(
+        gpu: &Arc<Gpu>,
+        scene: Scene,
+        options: &SceneOptions,
+        loading: &Loading,
+    ) -> Result<Self, SceneGpuError> {
+        let manager = AnimationManager::new(&scene, options.sampling, loading)?;
+        let mut arrays = Arrays::new(options.skinning);
+        let with_mesh = scene.models.iter().zip(&manager.materials);
+        let models: Vec<_> = with_mesh.map(|(model, material)| arrays.add(model, material.mesh)).collect();
+        let numbering = number(&scene, &models);
+        let world_bounds = world_bounds(&scene, &loading.cancel)?;
+        let surplus = lights::surplus(&scene);
+        if surplus > 0 {
+            tracing::warn!("{surplus} lights are left out: a scene has at most {MAX_LIGHTS} beside the sun");
+        }
+        Ok(Self {
+            materials: arrays.materials.upload(gpu, &loading.cancel)?,
+            meshes: arrays.meshes.upload(gpu)?,
+            skinning: options.skinning,
+            skins: arrays.skins.upload(gpu)?,
+            animation: AnimationBuffers::new(gpu, manager)?,
+            scene,
+            models,
+            numbering,
+            world_bounds,
+        })
+    }
+
+    /// A patch that is drawn; its vertices are indices within the model.
+    pub fn patch(&self, patch: ScenePatch) -> Patch {
+        let place = &self.numbering.instances[self.numbering.instance_of_patch(patch)];
+        self.models[place.model].patches[place.drawn.model_number(patch) as usize]
+    }
+
+    /// The instances that cast shadows.
+    pub fn casters(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.numbering.instances.len()).filter(|index| self.scene.instances[*index].casts_shadow)
+    }
+
+    /// Whether an instance is ever elsewhere than at first.
+    pub fn moves(&self, index: usize) -> bool {
+        self.numbering.instances[index].is_animated
+    }
+
+    /// The sun's view of the casters; `None` where it casts no shadows.
+    pub fn sun_view(&self) -> Option<SunView> {
+        let sun = self.scene.sun;
+        let casters = self.casters().map(|index| self.world_bounds[index]);
+        if sun.casts_shadows { SunView::around(sun.to_sun, casters) } else { None }
+    }
+}
+
+/// What goes into the shared buffers, collected model by model.
+struct Arrays<'a> {
+    meshes: MeshArrays,
+    skins: SkinningArrays,
+    materials: MaterialArrays<'a>,
+    /// Meshes that are there already.
+    known: HashMap<ContentHash, (Mesh, SkinnedMesh)>,
+}
+
+impl<'a> Arrays<'a> {
+    fn new(skinning: Skinning) -> Self {
+        Self {
+            meshes: MeshArrays::default(),
+            skins: SkinningArrays::new(skinning),
+            materials: MaterialArrays::default(),
+            known: HashMap::new(),
+        }
+    }
+
+    fn add(&mut self, model: &'a Model, hash: ContentHash) -> ModelGpu {
+        let material_base = self.materials.add(model);
+        let new = || {
+            let (skin, morphs) = self.skins.add(model);
+            (self.meshes.add(model, &morphs), skin)
+        };
+        let (mesh, skin) = self.known.entry(hash).or_insert_with(new).clone();
+        ModelGpu { mesh, skin, material_base }
+    }
+}
+
+fn number(scene: &Scene, models: &[ModelGpu]) -> Numbering {
+    let size = |instance: &Instance| {
+        let (source, model) = (&scene.models[instance.model], &models[instance.model]);
+        let coarser = source.patches.iter().skip(1).map(|level| level.patches.len());
+        let is_animated = instance.path.is_some()
+            || pose::animated_vertices(source, instance.clip).iter().any(|moves| *moves);
+        InstanceSize {
+            model: instance.model,
+            patches: [model.patches.len()].into_iter().chain(coarser).map(|count| count as u32).collect(),
+            vertices: model.vertex_count,
+            is_animated,
+            palette: source.palette.len() as u32,
+            bones: source.bones.len() as u32,
+            morphs: source.morphs.len() as u32,
+        }
+    };
+    Numbering::new(&scene.instances.iter().map(size).collect::<Vec<_>>())
+}
+
+/// The boxes of all instances; each clip of each model is looked at once.
+fn world_bounds(scene: &Scene, cancel: &Cancel) -> Result<Vec<Bounds>, Cancelled> {
+    let mut known = HashMap::new();
+    let mut of = |instance: &Instance| {
+        cancel.check()?;
+        let of_model = known
+            .entry((instance.model, instance.clip))
+            .or_insert_with(|| bounds::model_bounds(&scene.models[instance.model], instance.clip));
+        Ok(bounds::instance_bounds(instance, *of_model))
+    };
+    scene.instances.iter().map(&mut of).collect()
+}
