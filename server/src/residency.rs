@@ -22,7 +22,6 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 const RETAIN_UPDATES: u32 = 300;
 /// Free slots under which retained patches go at once.
 const LOW_WATER: usize = 4096;
-const NONE: u32 = u32::MAX;
 /// What geometry takes on the wire, about, bytes: a patch, and a vertex that does not move.
 const PATCH_BYTES: usize = 12;
 const STATIC_VERTEX_BYTES: usize = 14;
@@ -88,21 +87,21 @@ impl Budget {
 
 /// Slots handed out from the lowest on, and taken back once a frame has been displayed.
 #[derive(Debug)]
-struct Slots {
-    free: BTreeSet<u32>,
-    leaving: VecDeque<(UpdateId, u32)>,
+struct Slots<T> {
+    free: BTreeSet<T>,
+    leaving: VecDeque<(UpdateId, T)>,
 }
 
-impl Slots {
-    fn new(count: u32) -> Self {
-        Self { free: (0..count).collect(), leaving: VecDeque::new() }
+impl<T: Copy + Ord> Slots<T> {
+    fn new(all: impl Iterator<Item = T>) -> Self {
+        Self { free: all.collect(), leaving: VecDeque::new() }
     }
 
-    fn take(&mut self) -> Option<u32> {
+    fn take(&mut self) -> Option<T> {
         self.free.pop_first()
     }
 
-    fn leave(&mut self, frame: UpdateId, slot: u32) {
+    fn leave(&mut self, frame: UpdateId, slot: T) {
         self.leaving.push_back((frame, slot));
     }
 
@@ -113,18 +112,26 @@ impl Slots {
     }
 }
 
+/// Where a vertex of the scene lies.
+#[derive(Clone, Copy, Debug)]
+struct Resident {
+    slot: VertexSlot,
+    /// Resident patches that use it.
+    users: u32,
+}
+
 /// See the module.
 #[derive(Debug)]
 pub struct Residency {
     /// The client's memory, and the pasts of its samples.
     encoder: DeltaEncoder,
     motion: SampledMotion,
-    patch_slots: Slots,
-    vertex_slots: Slots,
-    /// By scene-wide patch number.
-    slot_of_patch: Vec<u32>,
-    /// By scene-wide vertex number: slot and number of resident patches that use it.
-    vertices: Vec<(u32, u32)>,
+    patch_slots: Slots<PatchSlot>,
+    vertex_slots: Slots<VertexSlot>,
+    /// By [`ScenePatch`].
+    slot_of_patch: Vec<Option<PatchSlot>>,
+    /// By [`SceneVertex`].
+    vertices: Vec<Option<Resident>>,
     /// Resident patches without a block, by the update since when.
     retained: BTreeMap<ScenePatch, u32>,
     /// Patches with a block that found no slot free; they try again with each update.
@@ -141,10 +148,10 @@ impl Residency {
         Self {
             encoder: DeltaEncoder::new(vertex_slots, patch_slots),
             motion: SampledMotion::default(),
-            patch_slots: Slots::new(patch_slots),
-            vertex_slots: Slots::new(vertex_slots),
-            slot_of_patch: vec![NONE; geometry.patch_count()],
-            vertices: vec![(NONE, 0); geometry.vertex_count()],
+            patch_slots: Slots::new((0..patch_slots).map(PatchSlot)),
+            vertex_slots: Slots::new((0..vertex_slots).map(VertexSlot)),
+            slot_of_patch: vec![None; geometry.patch_count()],
+            vertices: vec![None; geometry.vertex_count()],
             retained: BTreeMap::new(),
             waiting: BTreeMap::new(),
             budget: Budget::UNLIMITED,
@@ -197,7 +204,7 @@ impl Residency {
             }
             left_bytes -= bytes;
             match self.admit(geometry, patch, &mut delta) {
-                Some(slot) => delta.placements.push((PatchSlot(slot), Some(block))),
+                Some(slot) => delta.placements.push((slot, Some(block))),
                 None => drop(self.waiting.insert(patch, block)),
             }
         }
@@ -222,14 +229,14 @@ impl Residency {
 
     /// About how many bytes it takes to bring a patch in, with the vertices that are not there yet.
     fn entry_bytes(&self, geometry: &impl Geometry, patch: ScenePatch, window: UpdateWindow) -> usize {
-        if self.slot_of_patch[patch.index()] != NONE {
+        if self.slot_of_patch[patch.index()].is_some() {
             return 0;
         }
         let bytes_of = |vertex| match geometry.static_position(vertex) {
             Some(_) => STATIC_VERTEX_BYTES,
             None => SampledMotion::entry_bytes(window),
         };
-        let lacking = vertices_of_patch(geometry, patch).filter(|v| self.vertices[v.index()].1 == 0);
+        let lacking = vertices_of_patch(geometry, patch).filter(|v| self.vertices[v.index()].is_none());
         PATCH_BYTES + lacking.map(bytes_of).sum::<usize>()
     }
 
@@ -240,16 +247,14 @@ impl Residency {
         frame: UpdateId,
         delta: &mut GeometryDelta,
     ) {
-        let slot = self.slot_of_patch[patch.index()];
-        if slot == NONE {
-            return; // it waited for a slot
-        }
+        // Without one it waited for a slot.
+        let Some(slot) = self.slot_of_patch[patch.index()] else { return };
         let moves = vertices_of_patch(geometry, patch).any(|v| geometry.static_position(v).is_none());
         if moves {
             self.evict(geometry, patch, frame, delta);
         } else {
             self.retained.insert(patch, frame.0);
-            delta.placements.push((PatchSlot(slot), None));
+            delta.placements.push((slot, None));
         }
     }
 
@@ -277,35 +282,41 @@ impl Residency {
         frame: UpdateId,
         delta: &mut GeometryDelta,
     ) {
-        let slot = std::mem::replace(&mut self.slot_of_patch[patch.index()], NONE);
-        delta.evicted_patches.push(PatchSlot(slot));
+        let Some(slot) = self.slot_of_patch[patch.index()].take() else { return };
+        delta.evicted_patches.push(slot);
         self.patch_slots.leave(frame, slot);
         for vertex in vertices_of_patch(geometry, patch) {
-            let (vertex_slot, users) = &mut self.vertices[vertex.index()];
+            let place = &mut self.vertices[vertex.index()];
+            let Some(Resident { slot, users }) = place else { continue };
             *users -= 1;
             if *users == 0 {
-                delta.evicted_vertices.push(VertexSlot(*vertex_slot));
-                self.vertex_slots.leave(frame, *vertex_slot);
-                self.motion.leave(VertexSlot(*vertex_slot));
-                *vertex_slot = NONE;
+                delta.evicted_vertices.push(*slot);
+                self.vertex_slots.leave(frame, *slot);
+                self.motion.leave(*slot);
+                *place = None;
             }
         }
     }
 
     /// The slot of a patch that has a block, after bringing it and its vertices in where they are not there yet.
     /// `None` where the client's memory is full: the patch waits.
-    fn admit(&mut self, geometry: &impl Geometry, patch: ScenePatch, delta: &mut GeometryDelta) -> Option<u32> {
+    fn admit(
+        &mut self,
+        geometry: &impl Geometry,
+        patch: ScenePatch,
+        delta: &mut GeometryDelta,
+    ) -> Option<PatchSlot> {
         self.retained.remove(&patch);
-        let known = self.slot_of_patch[patch.index()];
-        if known != NONE {
+        if let Some(known) = self.slot_of_patch[patch.index()] {
             return Some(known);
         }
-        let lacking = vertices_of_patch(geometry, patch).filter(|v| self.vertices[v.index()].1 == 0).count();
+        let lacking =
+            vertices_of_patch(geometry, patch).filter(|v| self.vertices[v.index()].is_none()).count();
         if self.vertex_slots.free.len() < lacking {
             return None;
         }
         let slot = self.patch_slots.take()?;
-        self.slot_of_patch[patch.index()] = slot;
+        self.slot_of_patch[patch.index()] = Some(slot);
         let instance = geometry.instance_of_patch(patch);
         let range = geometry.instance(instance);
         if self.encoder.memory().step_m(InstanceId(instance)).is_none() {
@@ -315,12 +326,12 @@ impl Residency {
         let mut vertices = [VertexSlot(0); 5];
         for (place, corner) in vertices.iter_mut().zip(shape.vertices).take(shape.kind.vertex_count()) {
             let vertex = range.first_vertex.plus(corner);
-            *place = VertexSlot(self.admit_vertex(geometry, vertex, instance, delta));
+            *place = self.admit_vertex(geometry, vertex, instance, delta);
         }
         let first = vertices[0];
         vertices[shape.kind.vertex_count()..].fill(first);
         delta.new_patches.push(NewPatch {
-            slot: PatchSlot(slot),
+            slot,
             instance: InstanceId(instance),
             kind: shape.kind,
             vertices,
@@ -335,26 +346,22 @@ impl Residency {
         vertex: SceneVertex,
         instance: u16,
         delta: &mut GeometryDelta,
-    ) -> u32 {
-        let (slot, users) = &mut self.vertices[vertex.index()];
-        *users += 1;
-        if *users > 1 {
+    ) -> VertexSlot {
+        if let Some(Resident { slot, users }) = &mut self.vertices[vertex.index()] {
+            *users += 1;
             return *slot;
         }
-        *slot = self.vertex_slots.take().expect("checked by admit: there are enough");
+        let slot = self.vertex_slots.take().expect("checked by admit: there are enough");
+        self.vertices[vertex.index()] = Some(Resident { slot, users: 1 });
         let motion = match geometry.static_position(vertex) {
             Some(position) => Motion::Static { position },
             None => {
-                self.motion.enter(VertexSlot(*slot), vertex);
+                self.motion.enter(slot, vertex);
                 Motion::Sampled
             }
         };
-        delta.new_vertices.push(NewVertex {
-            slot: VertexSlot(*slot),
-            instance: InstanceId(instance),
-            motion,
-        });
-        *slot
+        delta.new_vertices.push(NewVertex { slot, instance: InstanceId(instance), motion });
+        slot
     }
 
     /// The client's memory as of the last update.
@@ -599,9 +606,14 @@ mod tests {
             let blocks = patches.iter().filter(|(_, patch)| patch.block.is_some()).count();
             assert_eq!(blocks, run.live.len(), "seed {SEED}, frame {}", run.frame);
             for patch in &run.live {
-                let lies_there = patches.get(PatchSlot(run.residency.slot_of_patch[*patch as usize]));
+                let slot = run.residency.slot_of_patch[*patch as usize];
+                let lies_there = slot.and_then(|slot| patches.get(slot));
                 let lies_there = lies_there.expect("the index says so");
-                assert_eq!(lies_there.instance.0, Strip.instance_of_patch(*patch), "seed {SEED}: {patch}");
+                assert_eq!(
+                    lies_there.instance.0,
+                    Strip.instance_of_patch(ScenePatch(*patch)),
+                    "seed {SEED}: {patch}"
+                );
                 assert_eq!(lies_there.block, block(*patch), "seed {SEED}: {patch}");
             }
             run.residency.displayed(UpdateId(run.frame - 1));
@@ -676,7 +688,7 @@ mod tests {
         let changes: Vec<_> = (0..50).map(|patch| sized(patch, if patch == 40 { 8 } else { 2 })).collect();
         let delta = residency.delta(&Strip, &changes, window(0)).geometry;
         assert!(delta.new_vertices.len() <= 8 && residency.waiting() == 50 - delta.new_patches.len());
-        assert!(residency.slot_of_patch[40] != NONE, "the largest is there");
+        assert!(residency.slot_of_patch[40].is_some(), "the largest is there");
         let gone: Vec<_> = changes.iter().map(|c| PlacementChange { block: None, ..*c }).collect();
         residency.delta(&Strip, &gone, window(1));
         assert_eq!(residency.waiting(), 0, "what lost its block waits no longer");
@@ -692,7 +704,7 @@ mod tests {
         let bytes = residency.encoder.encode(&first).bytes.len();
         let first = first.geometry;
         assert!(first.new_patches.len() >= 10 && residency.held_back() > 300 && residency.waiting() == 0);
-        assert!((390..400).all(|patch| residency.slot_of_patch[patch] != NONE), "the largest are there");
+        assert!((390..400).all(|patch| residency.slot_of_patch[patch].is_some()), "the largest are there");
         assert!(bytes < 2 * 600);
         let mut updates = 1;
         while residency.held_back() > 0 {
@@ -701,7 +713,7 @@ mod tests {
             updates += 1;
         }
         assert!((5..200).contains(&updates), "{updates}");
-        assert!(residency.slot_of_patch.iter().all(|slot| *slot != NONE));
+        assert!(residency.slot_of_patch.iter().all(Option::is_some));
     }
 
     #[test]
