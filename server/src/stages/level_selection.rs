@@ -64,7 +64,7 @@ impl LevelSelection {
                 position_base2: base[2],
                 material_base: model.material_base,
             };
-            recorder.dispatch(&self.pipeline, &self.group, &push, [patch_count.div_ceil(64), 1, 1]);
+            recorder.dispatch(&self.pipeline, &self.group, &push, [patch_count, 1, 1]);
         }
     }
 }

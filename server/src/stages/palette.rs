@@ -41,7 +41,9 @@ impl Palette {
     pub fn record(&self, recorder: &mut Recorder, poses: Range<u32>) {
         if !poses.is_empty() {
             let push = PalettePush { pose_base: poses.start };
-            recorder.dispatch(&self.pipeline, &self.group, &push, [poses.len() as u32, 1, 1]);
+            // A workgroup for each pose.
+            let invocations = poses.len() as u32 * self.pipeline.workgroup()[0];
+            recorder.dispatch(&self.pipeline, &self.group, &push, [invocations, 1, 1]);
         }
     }
 }

@@ -7,9 +7,6 @@ use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Mem
 use shadecast_shaders::generated::{SKIN_CHAIN_COMP, SKIN_COMP, SKIN_PACKED_COMP, SkinJob, TangentGpu};
 use std::sync::Arc;
 
-/// Vertices in a workgroup.
-const GROUP: u32 = 128;
-
 /// How vertices get their matrices.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Skinning {
@@ -134,7 +131,7 @@ impl Skin {
     pub fn record(&self, recorder: &mut Recorder, jobs: &SkinJobs) {
         let lists = [(&self.whole, &jobs.whole)].into_iter().chain(self.packed.iter().zip(&jobs.packed));
         for (variant, jobs) in lists.filter(|(_, jobs)| !jobs.is_empty()) {
-            let dispatches = jobs.iter().map(|job| (job, [job.vertex_count.div_ceil(GROUP), 1, 1]));
+            let dispatches = jobs.iter().map(|job| (job, [job.vertex_count, 1, 1]));
             recorder.dispatch_each(&variant.pipeline, &variant.group, dispatches);
         }
     }

@@ -265,23 +265,23 @@ impl Recorder {
         unsafe { self.gpu.device.cmd_write_timestamp(slot.commands, stage, slot.queries, query) };
     }
 
-    /// Dispatches `groups` workgroups.
+    /// Dispatches an invocation for each of `items` in x, y and z; the last workgroups may have more.
     pub fn dispatch<P: bytemuck::Pod>(
         &mut self,
         pipeline: &ComputePipeline,
         group: &BindGroup,
         push: &P,
-        groups: [u32; 3],
+        items: [u32; 3],
     ) {
-        self.dispatch_each(pipeline, group, std::iter::once((push, groups)));
+        self.dispatch_each(pipeline, group, std::iter::once((push, items)));
     }
 
-    /// Dispatches as many workgroups as each item says, with its push constants; nothing waits in between.
+    /// A dispatch for each push constants with its items, see [`Self::dispatch`]; nothing waits in between.
     pub fn dispatch_each<'a, P: bytemuck::Pod>(
         &mut self,
         pipeline: &ComputePipeline,
         group: &BindGroup,
-        items: impl Iterator<Item = (&'a P, [u32; 3])>,
+        dispatches: impl Iterator<Item = (&'a P, [u32; 3])>,
     ) {
         let (device, commands, layout) = (&self.gpu.device, self.commands(), pipeline.layout());
         // SAFETY: pipeline and set are alive and of one layout.
@@ -290,10 +290,11 @@ impl Recorder {
             let (sets, point) = ([group.set], vk::PipelineBindPoint::COMPUTE);
             device.cmd_bind_descriptor_sets(commands, point, layout.handle, 0, &sets, &[]);
         }
-        for (push, groups) in items {
+        for (push, items) in dispatches {
             self.push(layout, push);
+            let [x, y, z] = pipeline.groups(items);
             // SAFETY: pipeline, set and push constants are those of the layout.
-            unsafe { device.cmd_dispatch(commands, groups[0], groups[1], groups[2]) };
+            unsafe { device.cmd_dispatch(commands, x, y, z) };
         }
     }
 

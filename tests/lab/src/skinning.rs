@@ -385,7 +385,7 @@ impl RateBench {
         recorder.scope("copy", |r| r.copy_buffer(&self.from, 0, &self.to, 0, COPY_BYTES));
         recorder.barrier(Access::COMPUTE, Access::COMPUTE);
         recorder.scope("fetch", |r| {
-            r.dispatch(&self.pipeline, &self.group, &push, [FETCH_INVOCATIONS / 128, 1, 1]);
+            r.dispatch(&self.pipeline, &self.group, &push, [FETCH_INVOCATIONS, 1, 1]);
         });
         gpu.wait(recorder.submit()?)?;
         let times: BTreeMap<_, _> = gpu.take_timings_ms().into_iter().collect();
