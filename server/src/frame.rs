@@ -18,7 +18,7 @@ use crate::stages::view_gpu;
 use crate::stages::ycbcr::Ycbcr;
 use crate::world::{ViewerId, World};
 use glam::{Mat4, Vec3};
-use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory};
+use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Timings};
 use shadecast_protocol::delta::GeometryDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_VIEWS};
@@ -79,6 +79,8 @@ pub struct Shaded {
     pub extent_texels: [u32; 2],
     /// Luma, blue and red difference, one after the other, tight.
     pub planes: Vec<u8>,
+    /// What its stages took on the device.
+    pub timings: Timings,
 }
 
 impl Frame {
@@ -162,10 +164,10 @@ impl Frame {
     /// Steps 1 to 6 and 8. `None` before the first head state: there is nowhere to look from.
     pub fn update(&mut self, world: &mut World, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
         let Some(views) = self.head.predict(now, world.grid()) else { return Ok(None) }; // 1
-        let oldest = self.look(world, &views)?; // 2 to 4, GPU
+        let (oldest, mut timings) = self.look(world, &views)?; // 2 to 4, GPU
         let extents = &self.extents.values::<u32>()[..world.scene().totals.patches as usize];
         let changes = self.layout.place(&world.samples, extents); // 4, 5
-        self.shade(world, &views)?; // 6, GPU
+        timings.append(self.shade(world, &views)?); // 6, GPU
         let frame = self.next;
         let window = UpdateWindow {
             frame,
@@ -183,12 +185,12 @@ impl Frame {
         }
         let planes = self.ycbcr.planes().concat();
         let extent_texels = self.shading.atlas.desc().extent;
-        Ok(Some(Shaded { frame, time: now, delta, extent_texels, planes }))
+        Ok(Some(Shaded { frame, time: now, delta, extent_texels, planes, timings }))
     }
 
     /// Animates the new grid points of what can be in view, rasterises every predicted view at its time, and measures what is
     /// visible. Gives the oldest grid point whose positions are known.
-    fn look(&mut self, world: &mut World, views: &PredictedViews) -> Result<GridIndex, GpuError> {
+    fn look(&mut self, world: &mut World, views: &PredictedViews) -> Result<(GridIndex, Timings), GpuError> {
         self.write_views(views);
         let needed = self.culling.update(views.eyes.iter().flatten().copied());
         let slots = views.times.map(SampleWindow::slot);
@@ -213,12 +215,11 @@ impl Frame {
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         recorder.copy_buffer(&self.level_selection.extents, 0, &self.extents, 0, self.extents.size());
         recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
-        world.gpu().wait(recorder.submit()?)?;
-        Ok(oldest)
+        Ok((oldest, world.gpu().wait_timed(recorder.submit()?)?))
     }
 
     /// Fills every live block as it is in the middle of the update's time on display, and converts the atlas.
-    fn shade(&mut self, world: &mut World, views: &PredictedViews) -> Result<(), GpuError> {
+    fn shade(&mut self, world: &mut World, views: &PredictedViews) -> Result<Timings, GpuError> {
         let middle = views.times[VIEW_TIMES / 2];
         let slot = SampleWindow::slot(middle);
         self.shading.write_blocks(world.scene(), &world.animation, slot, self.layout.live());
@@ -228,7 +229,7 @@ impl Frame {
         recorder.scope("shading", |r| self.shading.record(r, views.world_from_head.position));
         recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
         recorder.scope("ycbcr", |r| self.ycbcr.record(r));
-        world.gpu().wait(recorder.submit()?)
+        world.gpu().wait_timed(recorder.submit()?)
     }
 
     fn write_views(&mut self, views: &PredictedViews) {

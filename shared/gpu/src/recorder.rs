@@ -3,7 +3,7 @@
 use crate::bind::BindGroup;
 use crate::pass::{Framebuffer, RenderPass};
 use crate::pipeline::{ComputePipeline, GraphicsPipeline};
-use crate::{Buffer, Doing, Gpu, GpuError, Image};
+use crate::{Buffer, Doing, Gpu, GpuError, Image, Timings};
 use ash::vk;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -121,14 +121,11 @@ impl CommandSlot {
         if read.is_err() {
             return;
         }
-        let period = f64::from(gpu.properties.limits.timestamp_period) * 1e-6;
-        let mut timings = gpu.timings_ms.lock().expect("not poisoned");
-        if timings.len() > 4096 {
-            timings.clear(); // nobody asks for them
-        }
-        for (scope, pair) in self.scopes.iter().zip(stamps.chunks_exact(2)) {
-            timings.push((scope, pair[1].saturating_sub(pair[0]) as f64 * period));
-        }
+        let period_ms = f64::from(gpu.properties.limits.timestamp_period) * 1e-6;
+        let took_ms = |pair: &[u64]| pair[1].saturating_sub(pair[0]) as f64 * period_ms;
+        let scopes = self.scopes.iter().zip(stamps.chunks_exact(2));
+        let mut timings = gpu.timings.lock().expect("not poisoned");
+        timings.keep(self.serial, scopes.map(|(scope, pair)| (*scope, took_ms(pair))));
     }
 }
 
@@ -168,6 +165,13 @@ impl Gpu {
             self.reclaim()?;
         }
         Ok(())
+    }
+
+    /// Waits as [`Self::wait`] does. Gives how long the scopes of the recording behind `ticket` took: once, and only while
+    /// it is among the newest.
+    pub fn wait_timed(&self, ticket: Ticket) -> Result<Timings, GpuError> {
+        self.wait(ticket)?;
+        Ok(self.timings.lock().expect("not poisoned").take(ticket.0))
     }
 
     /// Whether the recording behind `ticket` has finished.
@@ -244,7 +248,7 @@ impl Recorder {
         Ok(ticket)
     }
 
-    /// Times what `body` records under `name`.
+    /// Times what `body` records under `name`; see [`Gpu::wait_timed`].
     pub fn scope<R>(&mut self, name: &'static str, body: impl FnOnce(&mut Self) -> R) -> R {
         let index = self.slot().scopes.len() as u32;
         let timed = index < MAX_TIMED_SCOPES;

@@ -32,8 +32,23 @@ fn copies_arrive_and_buffers_dropped_while_in_use_outlive_the_work() {
     drop(source);
     gpu.wait(ticket).unwrap();
     assert_eq!(&target.values::<u32>()[..1000], &data[..]);
-    assert_eq!(gpu.take_timings_ms().len(), 1);
     assert_eq!(gpu.validation_messages(), 0, "{:?}", gpu.validation_texts());
+}
+
+#[test]
+fn who_waits_for_a_recording_sees_its_timings_and_no_others() {
+    let gpu = open(Needs::Client);
+    let target = Buffer::new(&gpu, "target", 4096, Memory::Device).unwrap();
+    let submit = |scopes: &[&'static str]| {
+        let mut recorder = gpu.record().unwrap();
+        scopes.iter().for_each(|name| recorder.scope(name, |r| r.fill(&target, 0)));
+        recorder.submit().unwrap()
+    };
+    let (first, silent, second) = (submit(&["a", "b"]), submit(&[]), submit(&["c"]));
+    let seen = |ticket| gpu.wait_timed(ticket).unwrap().iter().map(|(name, _)| name).collect::<Vec<_>>();
+    assert_eq!(seen(second), ["c"]);
+    assert_eq!(seen(first), ["a", "b"]);
+    assert_eq!(seen(silent), [""; 0]);
 }
 
 #[test]
