@@ -14,7 +14,7 @@ use shadecast_protocol::limits::{
 };
 use shadecast_protocol::time::GridIndex;
 use shadecast_shaders::generated::{CornerGpu, VertexWriteGpu};
-use shadecast_shaders::twin::interpolate::{sample_write, sampled_entry, static_entry};
+use shadecast_shaders::records::{sample_write, sampled_entry, static_entry};
 use std::collections::VecDeque;
 
 /// Deltas whose patches wait for a picture; beyond it the oldest are applied, and their pictures are not shown.

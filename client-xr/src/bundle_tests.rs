@@ -7,7 +7,8 @@ use crate::stages::interpolate::{GridTime, Interpolation, push};
 use shadecast_protocol::atlas::{BlockAddress, BlockSize};
 use shadecast_protocol::delta::{InstanceInfo, NewVertex, SampleBatch};
 use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
-use shadecast_shaders::twin::interpolate::{VertexMemory, tag};
+use shadecast_shaders::records::tag;
+use shadecast_shaders::twin::interpolate::VertexMemory;
 use std::collections::BTreeMap;
 
 const VERTEX_SLOTS: u32 = 40;

@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 // Atlas colour to full-range BT.709 4:2:0 planes, four samples to a word. One invocation converts YCBCR_TEXELS, 8x2.
-// Chroma is the mean of its four texels (centre-sited). Twin: twin/ycbcr.rs.
+// Chroma is the mean of its four texels (centre-sited). Twin: color.rs.
 layout(local_size_x = 8, local_size_y = 8) in;
 #include "environment.glsl"
 

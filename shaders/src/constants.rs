@@ -12,6 +12,12 @@ impl Literal for u32 {
     }
 }
 
+impl Literal for f32 {
+    fn literal(&self) -> String {
+        format!("{self:?}")
+    }
+}
+
 impl Literal for [u32; 2] {
     fn literal(&self) -> String {
         format!("uvec2({}u, {}u)", self[0], self[1])
@@ -31,6 +37,16 @@ macro_rules! shared {
 }
 
 shared! {
+    /// Tag of a place in the sample ring that holds no sample. Samples have tags above it.
+    NO_SAMPLE: u32 = 0;
+    /// Bit of [`VertexWriteGpu::slot`](crate::generated::VertexWriteGpu::slot) for a static vertex that enters.
+    STATIC_BIT: u32 = 1 << 31;
+    /// State of a vertex's position, its `w`: no samples around the display time.
+    NOT_DRAWABLE: f32 = 0.0;
+    /// State of a position: interpolated, or static.
+    ON_CURVE: f32 = 1.0;
+    /// State of a position: past the last sample, or the future has changed; the next curve is blended to.
+    PAST_THE_END: f32 = 2.0;
     /// Texels across and down that an invocation of `ycbcr.comp` converts.
     YCBCR_TEXELS: [u32; 2] = [8, 2];
 }

@@ -2,8 +2,11 @@
 //! reference twins of the GPU stages. No Vulkan in here.
 #![forbid(unsafe_code)]
 
+pub mod color;
 pub mod constants;
+pub mod curve;
 pub mod font;
+pub mod records;
 pub mod twin;
 
 /// Compiled GLSL with what reflection found in it.

@@ -5,7 +5,7 @@ use crate::pace::Evaluation;
 use shadecast_gpu::{Bind, BindGroup, ComputePipeline, Gpu, GpuError, Recorder};
 use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
 use shadecast_shaders::generated::{CLIENT_INTERPOLATE_COMP, InterpolatePush};
-use shadecast_shaders::twin::interpolate::tag;
+use shadecast_shaders::records::tag;
 use std::sync::Arc;
 
 /// A jump is blended away within this time.
