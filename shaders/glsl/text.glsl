@@ -13,4 +13,12 @@ float text_dot(vec2 at, uvec2 cells) {
     return float(word >> (dot_at.x % 4 * 8 + dot_at.y) & 1);
 }
 
+// How much of a pixel is covered by dots. They are about as large: nine lookups spread over it, `third` of a pixel apart,
+// keep them from flickering.
+float text_coverage(vec2 at, vec2 third, uvec2 cells) {
+    float share = 0.0;
+    for (int i = 0; i < 9; i++) share += text_dot(at + third * vec2(i % 3 - 1, i / 3 - 1), cells) / 9.0;
+    return share;
+}
+
 #endif
