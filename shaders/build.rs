@@ -1,6 +1,7 @@
 //! Compiles `glsl/*.{vert,frag,comp}` with glslangValidator and turns the reflection of the SPIR-V into Rust:
 //! one module per shader (words, bindings, push constant size, workgroup size) and one `#[repr(C)]` struct per GLSL struct that
 //! a buffer or push constant holds. Nothing about a binding or a layout is typed by hand in Rust.
+//! The other way round, GLSL gets its macros from Rust: see `src/constants.rs`.
 
 #[path = "src/constants.rs"]
 mod constants;
@@ -44,13 +45,9 @@ fn compile(file: &Path, out: &Path) -> Vec<u32> {
     let spv = out.join(file.file_name().expect("a file")).with_extension(format!("{}.spv", extension(file)));
     let mut command = Command::new("glslangValidator");
     command.args(["-V", "--target-env", "vulkan1.1", "--quiet"]);
-    for (name, value) in shadecast_protocol::limits::glsl_defines() {
+    for (name, value) in constants::glsl_macros() {
         command.arg(format!("-D{name}={value}"));
     }
-    for (name, value) in constants::glsl_defines() {
-        command.arg(format!("-D{name}={value}"));
-    }
-    command.arg(format!("-DNEAR_UM={}", (shadecast_protocol::pose::NEAR_M * 1e6).round()));
     command.arg("-o").arg(&spv).arg(file);
     let output = command.output().unwrap_or_else(|error| {
         panic!("cannot run glslangValidator ({error}): install it (Debian and Ubuntu: package glslang-tools)")

@@ -12,6 +12,7 @@ use crate::scene_gpu::{SceneGpu, Totals, check_room};
 use crate::stages::id_buffer::{IdBuffer, shift_ndc};
 use crate::stages::level_selection::LevelSelection;
 use crate::stages::mark::Mark;
+use crate::stages::palette::BONE_BYTES;
 use crate::stages::shading::Shading;
 use crate::stages::skin::Skin;
 use crate::stages::view_gpu;
@@ -26,6 +27,7 @@ use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
 use shadecast_protocol::pose::Fov;
 use shadecast_protocol::time::{GridIndex, ServerTime};
 use shadecast_protocol::wire::PictureHeader;
+use shadecast_shaders::constants::EYES;
 use shadecast_shaders::generated::ViewGpu;
 use std::collections::VecDeque;
 
@@ -35,8 +37,6 @@ const REMEMBERED_UPDATES: usize = 256;
 const MAX_ID_BUFFER_PIXELS: u32 = ATLAS_MAX_EXTENT[0] * ATLAS_MAX_EXTENT[1];
 /// Pixels of a side of the ID buffer: every device draws to as many.
 const MAX_ID_BUFFER_SIDE: f32 = 8192.0;
-/// Bytes of a bone's transform in a palette.
-const BONE_BYTES: u64 = 48;
 
 /// The pipeline of one viewer.
 pub struct Frame {
@@ -202,7 +202,7 @@ impl Frame {
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         for (time, slot) in slots.into_iter().enumerate() {
             recorder.scope("id buffer", |r| {
-                self.id_buffer.record(r, scene, animation, needed, slot, 2 * time as u32);
+                self.id_buffer.record(r, scene, animation, needed, slot, EYES * time as u32);
             });
             recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
             recorder.scope("mark", |r| self.mark.record(r));

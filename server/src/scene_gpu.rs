@@ -20,6 +20,10 @@ use shadecast_scene::process::Loading;
 use shadecast_scene::{
     Cancel, Cancelled, Instance, Material, Model, Scene, Texture, TextureSlot, Vertex, Wrap,
 };
+use shadecast_shaders::constants::{
+    BASE_COLOR_SLOT, EMISSIVE_SLOT, MAX_INFLUENCES, METALLIC_ROUGHNESS_SLOT, NO_ALPHA_CUTOFF, NO_TEXTURE,
+    NORMAL_SLOT, OCCLUSION_SLOT, TEXTURE_SLOTS,
+};
 use shadecast_shaders::generated::{MaterialGpu, MorphDeltaGpu, PackedVertexGpu, PatchGpu, VertexGpu};
 use std::collections::HashMap;
 use std::ops::Range;
@@ -58,7 +62,7 @@ pub struct MeshGpu {
     /// Whether any morph target moves its vertices.
     pub has_morphs: bool,
     /// Entries in the packed vertices, those of 1, 2, 3 and 4 influences.
-    pub packed: [Range<u32>; 4],
+    pub packed: [Range<u32>; MAX_INFLUENCES as usize],
 }
 
 /// An instance's place in the shared buffers.
@@ -410,7 +414,7 @@ impl Arrays {
     }
 
     /// Positions with their influences, sorted by the number of influences.
-    fn add_packed(&mut self, model: &Model) -> [Range<u32>; 4] {
+    fn add_packed(&mut self, model: &Model) -> [Range<u32>; MAX_INFLUENCES as usize] {
         [1, 2, 3, 4].map(|count| {
             let first = self.packed.len() as u32;
             let vertices = (0..).zip(&model.vertices).filter(|(_, v)| v.influences().max(1) == count);
@@ -456,15 +460,23 @@ fn vertex(v: &Vertex) -> VertexGpu {
     }
 }
 
+/// A material's textures by slot.
+type TextureSlots = [Option<TextureSlot>; SLOTS];
+const SLOTS: usize = TEXTURE_SLOTS as usize;
+
+fn texture_slots(m: &Material) -> TextureSlots {
+    let mut slots = [None; SLOTS];
+    slots[BASE_COLOR_SLOT as usize] = m.base_color_texture;
+    slots[METALLIC_ROUGHNESS_SLOT as usize] = m.metallic_roughness_texture;
+    slots[NORMAL_SLOT as usize] = m.normal_texture;
+    slots[OCCLUSION_SLOT as usize] = m.occlusion_texture;
+    slots[EMISSIVE_SLOT as usize] = m.emissive_texture;
+    slots
+}
+
 fn material(m: &Material, model: &Model, textures: &[u32]) -> MaterialGpu {
-    let index = |slot: Option<TextureSlot>| slot.map_or(-1, |s| textures[s.texture as usize] as i32);
-    let all = [
-        m.base_color_texture,
-        m.metallic_roughness_texture,
-        m.normal_texture,
-        m.occlusion_texture,
-        m.emissive_texture,
-    ];
+    let index = |slot: Option<TextureSlot>| slot.map_or(NO_TEXTURE, |s| textures[s.texture as usize] as i32);
+    let all = texture_slots(m);
     let texels = |set: u32| {
         let of_set = all.iter().flatten().filter(|slot| slot.set == set);
         of_set.map(|slot| texels_per_unit(slot, &model.textures)).fold(0.0, f32::max)
@@ -476,12 +488,12 @@ fn material(m: &Material, model: &Model, textures: &[u32]) -> MaterialGpu {
         roughness: m.roughness,
         normal_scale: m.normal_scale,
         occlusion_strength: m.occlusion_strength,
-        alpha_cutoff: m.alpha_cutoff.unwrap_or(-1.0),
-        base_color_texture: index(all[0]),
-        metallic_roughness_texture: index(all[1]),
-        normal_texture: index(all[2]),
-        occlusion_texture: index(all[3]),
-        emissive_texture: index(all[4]),
+        alpha_cutoff: m.alpha_cutoff.unwrap_or(NO_ALPHA_CUTOFF),
+        base_color_texture: index(m.base_color_texture),
+        metallic_roughness_texture: index(m.metallic_roughness_texture),
+        normal_texture: index(m.normal_texture),
+        occlusion_texture: index(m.occlusion_texture),
+        emissive_texture: index(m.emissive_texture),
         double_sided: u32::from(m.double_sided),
         texture_extent_texels: texels(0),
         texture_extent1_texels: texels(1),
@@ -502,8 +514,8 @@ fn texels_per_unit(slot: &TextureSlot, textures: &[Texture]) -> f32 {
 }
 
 /// By slot the rows of its matrix; the first row's w is its set.
-fn uv_rows(slots: [Option<TextureSlot>; 5]) -> [[f32; 4]; 10] {
-    let mut rows = [[0.0; 4]; 10];
+fn uv_rows(slots: TextureSlots) -> [[f32; 4]; 2 * SLOTS] {
+    let mut rows = [[0.0; 4]; 2 * SLOTS];
     for (at, slot) in slots.into_iter().enumerate() {
         let slot = slot.unwrap_or_else(|| 0.into());
         let [[a, b, x], [c, d, y]] = slot.uv_transform;

@@ -52,7 +52,7 @@ void main() {
     uint slot = gl_GlobalInvocationID.x;
     if (slot >= vertex_count) return;
     vec4 blend = blends[slot];
-    if (blend.w < 0.0) return; // static
+    if (blend.w == STATIC_BLEND) return;
     vec4 before = positions[slot];
     vec4 now = curve(slot, tag, fraction);
     if (now.w == NOT_DRAWABLE) {

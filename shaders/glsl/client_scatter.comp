@@ -39,5 +39,5 @@ void main() {
     bool is_static = (write.slot & STATIC_BIT) != 0;
     for (uint i = 0; i < SAMPLE_RING; i++) samples[i * vertex_slots + slot] = uvec4(0);
     positions[slot] = is_static ? vec4(uintBitsToFloat(place), ON_CURVE) : vec4(0.0);
-    blends[slot] = vec4(0.0, 0.0, 0.0, is_static ? -1.0 : 0.0);
+    blends[slot] = vec4(0.0, 0.0, 0.0, is_static ? STATIC_BLEND : 0.0);
 }

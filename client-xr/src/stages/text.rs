@@ -7,7 +7,7 @@ use shadecast_gpu::{
     Bind, BindGroup, Buffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Memory, Recorder,
 };
 use shadecast_protocol::pose::Pose;
-use shadecast_shaders::font;
+use shadecast_shaders::font::{self, Glyph};
 use std::marker::PhantomData;
 use std::sync::Arc;
 
@@ -20,8 +20,8 @@ const TEXT_DISTANCE_M: f32 = 1.75;
 /// A text as the shaders read it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Text {
-    /// Two words a cell, row by row.
-    words: [u32; TEXT_CELLS[0] * TEXT_CELLS[1] * 2],
+    /// Row by row.
+    glyphs: [Glyph; TEXT_CELLS[0] * TEXT_CELLS[1]],
     /// First and last cell, exclusive, that holds a character: left, top, right, bottom.
     used: [usize; 4],
 }
@@ -30,7 +30,7 @@ impl Default for Text {
     /// Nothing.
     fn default() -> Self {
         let [columns, rows] = TEXT_CELLS;
-        Self { words: [0; TEXT_CELLS[0] * TEXT_CELLS[1] * 2], used: [columns, rows, 0, 0] }
+        Self { glyphs: [Glyph::default(); TEXT_CELLS[0] * TEXT_CELLS[1]], used: [columns, rows, 0, 0] }
     }
 }
 
@@ -44,7 +44,7 @@ pub(super) struct TextDraw<U> {
 /// What the CPU writes for a frame, and its bindings.
 struct Slot {
     uniform: Buffer,
-    words: Buffer,
+    glyphs: Buffer,
     group: BindGroup,
 }
 
@@ -62,7 +62,7 @@ impl Text {
             made.used = [left.min(indent), top.min(this), right.max(indent + length), bottom.max(next)];
             for (column, character) in line.chars().take(TEXT_CELLS[0]).enumerate() {
                 let cell = this * TEXT_CELLS[0] + indent + column;
-                made.words[cell * 2..cell * 2 + 2].copy_from_slice(&font::glyph(character));
+                made.glyphs[cell] = font::glyph(character);
             }
         }
         made
@@ -114,15 +114,15 @@ impl<U: bytemuck::Pod> TextDraw<U> {
         let pipeline = GraphicsPipeline::new(gpu, desc)?;
         let slot = |eyes: &Buffer| {
             let uniform = Buffer::new(gpu, block, size_of::<U>() as u64, Memory::Upload)?;
-            let bytes = size_of_val(&Text::default().words) as u64;
-            let words = Buffer::new(gpu, "text", bytes, Memory::Upload)?;
+            let bytes = size_of_val(&Text::default().glyphs) as u64;
+            let glyphs = Buffer::new(gpu, "text", bytes, Memory::Upload)?;
             let binds = [
                 ("Eyes", Bind::Buffer(eyes)),
                 (block, Bind::Buffer(&uniform)),
-                ("Text", Bind::Buffer(&words)),
+                ("Text", Bind::Buffer(&glyphs)),
             ];
             let group = BindGroup::new(pipeline.layout(), &binds)?;
-            Ok::<_, GpuError>(Slot { uniform, words, group })
+            Ok::<_, GpuError>(Slot { uniform, glyphs, group })
         };
         let slots = [slot(eyes[0])?, slot(eyes[1])?, slot(eyes[2])?];
         Ok(Self { pipeline, slots, block: PhantomData })
@@ -141,7 +141,7 @@ impl<U: bytemuck::Pod> TextDraw<U> {
         let slot = &mut self.slots[frame_slot];
         slot.uniform.write(0, bytemuck::bytes_of(uniform));
         if let Some(text) = text {
-            slot.words.write(0, bytemuck::cast_slice(&text.words));
+            slot.glyphs.write(0, bytemuck::cast_slice(&text.glyphs));
         }
         recorder.bind(&self.pipeline, &slot.group);
         recorder.draw(vertices, 1);

@@ -4,6 +4,7 @@ use crate::animation::gpu::Animation;
 use crate::predict::VIEW_TIMES;
 use crate::scene_gpu::SceneGpu;
 use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
+use shadecast_protocol::limits::MAX_VIEWS;
 use shadecast_shaders::generated::{LEVEL_SELECTION_COMP, LevelSelectionPush};
 use std::sync::Arc;
 
@@ -51,17 +52,14 @@ impl LevelSelection {
     ) {
         for instance in &scene.instances {
             let model = &scene.models[instance.model];
-            let base = slots.map(|slot| animation.position_base(instance, slot));
             let patch_count = model.patches.len() as u32;
             let push = LevelSelectionPush {
                 vertex_base: model.vertex_base,
                 patch_base: model.patch_base,
                 scene_patch_base: instance.first_patch,
                 patch_count,
-                view_count: 2 * VIEW_TIMES as u32,
-                position_base0: base[0],
-                position_base1: base[1],
-                position_base2: base[2],
+                view_count: MAX_VIEWS,
+                position_base: slots.map(|slot| animation.position_base(instance, slot)),
                 material_base: model.material_base,
             };
             recorder.dispatch(&self.pipeline, &self.group, &push, [patch_count, 1, 1]);

@@ -4,6 +4,7 @@
 use crate::scene_gpu::{InstanceGpu, SceneGpu, Totals, check_room};
 use crate::stages::palette::Palette;
 use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
+use shadecast_shaders::constants::MAX_INFLUENCES;
 use shadecast_shaders::generated::{SKIN_CHAIN_COMP, SKIN_COMP, SKIN_PACKED_COMP, SkinJob, TangentGpu};
 use std::sync::Arc;
 
@@ -44,7 +45,7 @@ pub struct SkinJobs {
     /// Of vertices as they are.
     pub whole: Vec<SkinJob>,
     /// Of packed vertices, by the number of their influences.
-    pub packed: [Vec<SkinJob>; 4],
+    pub packed: [Vec<SkinJob>; MAX_INFLUENCES as usize],
 }
 
 impl SkinJobs {
@@ -90,7 +91,7 @@ impl Skin {
         };
         let is_chain = scene.skinning == Skinning::PerVertexChain;
         let whole = variant(if is_chain { &SKIN_CHAIN_COMP } else { &SKIN_COMP }, &[])?;
-        let most = if scene.skinning == Skinning::Packed { 4 } else { 0 };
+        let most = if scene.skinning == Skinning::Packed { MAX_INFLUENCES } else { 0 };
         let packed =
             (1..=most).map(|count| variant(&SKIN_PACKED_COMP, &[count])).collect::<Result<_, _>>()?;
         Ok(Self {

@@ -1,7 +1,7 @@
 //! Twin of `client_scatter.comp` and `client_interpolate.comp`: the client's vertex memory, and the positions of animated
 //! vertices at a display time.
 
-use crate::constants::{NO_SAMPLE, ON_CURVE, PAST_THE_END, STATIC_BIT};
+use crate::constants::{NO_SAMPLE, ON_CURVE, PAST_THE_END, STATIC_BIT, STATIC_BLEND};
 use crate::curve::cubic_weights;
 use crate::generated::{InterpolatePush, VertexWriteGpu};
 use shadecast_protocol::limits::SAMPLE_RING;
@@ -15,7 +15,7 @@ pub struct VertexMemory {
     pub samples: Vec<[u32; 4]>,
     /// By slot: position in the world and state.
     pub positions: Vec<[f32; 4]>,
-    /// By slot: what is left to blend away, and its share; negative for a static vertex.
+    /// By slot: what is left to blend away, and its share; [`STATIC_BLEND`] for a static vertex.
     pub blends: Vec<[f32; 4]>,
 }
 
@@ -58,7 +58,7 @@ impl VertexMemory {
         }
         let [x, y, z] = [write.x, write.y, write.z].map(f32::from_bits);
         self.positions[slot] = if is_static { [x, y, z, ON_CURVE] } else { [0.0; 4] };
-        self.blends[slot] = [0.0, 0.0, 0.0, if is_static { -1.0 } else { 0.0 }];
+        self.blends[slot] = [0.0, 0.0, 0.0, if is_static { STATIC_BLEND } else { 0.0 }];
     }
 
     /// One dispatch of `client_interpolate.comp`.
@@ -70,7 +70,7 @@ impl VertexMemory {
 
     fn interpolate_vertex(&mut self, slot: u32, push: &InterpolatePush) {
         let mut blend = self.blends[slot as usize];
-        if blend[3] < 0.0 {
+        if blend[3] == STATIC_BLEND {
             return;
         }
         let before = self.positions[slot as usize];
