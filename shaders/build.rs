@@ -1,8 +1,13 @@
 //! Compiles `glsl/*.{vert,frag,comp}` with glslangValidator and turns the reflection of the SPIR-V into Rust:
-//! one module per shader (words, bindings, push constant size) and one `#[repr(C)]` struct per GLSL struct that
+//! one module per shader (words, bindings, push constant size, workgroup size) and one `#[repr(C)]` struct per GLSL struct that
 //! a buffer or push constant holds. Nothing about a binding or a layout is typed by hand in Rust.
+//! The other way round, GLSL gets its macros from Rust: see `src/constants.rs`.
+
+#[path = "src/constants.rs"]
+mod constants;
 
 use spirq::prelude::*;
+use spirq::spirv::ExecutionMode;
 use spirq::ty::{DescriptorType, ScalarType, StructType, Type};
 use spirq::var::Variable;
 use std::collections::BTreeMap;
@@ -15,6 +20,7 @@ fn main() {
     let out = PathBuf::from(std::env::var_os("OUT_DIR").expect("set by cargo"));
     println!("cargo:rerun-if-changed={}", glsl.display());
     println!("cargo:rerun-if-changed=build.rs");
+    println!("cargo:rerun-if-changed=src/constants.rs");
     let mut files: Vec<_> = std::fs::read_dir(&glsl)
         .expect("shaders/glsl can be read")
         .map(|entry| entry.expect("shaders/glsl can be listed").path())
@@ -39,10 +45,9 @@ fn compile(file: &Path, out: &Path) -> Vec<u32> {
     let spv = out.join(file.file_name().expect("a file")).with_extension(format!("{}.spv", extension(file)));
     let mut command = Command::new("glslangValidator");
     command.args(["-V", "--target-env", "vulkan1.1", "--quiet"]);
-    for (name, value) in shadecast_protocol::limits::glsl_defines() {
+    for (name, value) in constants::glsl_macros() {
         command.arg(format!("-D{name}={value}"));
     }
-    command.arg(format!("-DNEAR_UM={}", (shadecast_protocol::pose::NEAR_M * 1e6).round()));
     command.arg("-o").arg(&spv).arg(file);
     let output = command.output().unwrap_or_else(|error| {
         panic!("cannot run glslangValidator ({error}): install it (Debian and Ubuntu: package glslang-tools)")
@@ -86,7 +91,14 @@ fn describe(file: &Path, words: &[u32], structs: &mut BTreeMap<String, String>, 
     let (stage, constant) = (extension(file), stem.replace('.', "_").to_uppercase());
     let words: Vec<_> = words.iter().map(|w| format!("{w:#x}")).collect();
     writeln!(modules, "/// `{stem}`, compiled and reflected.\npub static {constant}: Shader = Shader {{ name: \"{stem}\", stage: Stage::{},", stage_name(stage)).unwrap();
-    writeln!(modules, "push_bytes: {push_bytes}, words: &[{}], bindings: &[", words.join(",")).unwrap();
+    let workgroup = workgroup(&entry);
+    assert_eq!(workgroup.is_some(), stage == "comp", "{stem}: compute shaders have a workgroup size");
+    writeln!(
+        modules,
+        "push_bytes: {push_bytes}, workgroup: {workgroup:?}, words: &[{}], bindings: &[",
+        words.join(",")
+    )
+    .unwrap();
     for (index, kind, count, name) in bindings {
         writeln!(
             modules,
@@ -95,6 +107,16 @@ fn describe(file: &Path, words: &[u32], structs: &mut BTreeMap<String, String>, 
         .unwrap();
     }
     modules.push_str("] };\n");
+}
+
+/// The local size as compiled. None of our shaders specialises it.
+fn workgroup(entry: &EntryPoint) -> Option<[u32; 3]> {
+    let size = entry.exec_modes.iter().find(|mode| mode.exec_mode == ExecutionMode::LocalSize)?;
+    let sides = size.operands.iter().map(|side| match side.value {
+        ConstantValue::U32(side) => side,
+        ref other => panic!("{}: {other:?} is no side of a workgroup", entry.name),
+    });
+    Some(sides.collect::<Vec<_>>().try_into().expect("a workgroup has three sides"))
 }
 
 fn stage_name(extension: &str) -> &'static str {

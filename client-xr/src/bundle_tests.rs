@@ -14,7 +14,8 @@ use shadecast_protocol::ids::{InstanceId, VertexSlot};
 use shadecast_protocol::motion::PositionBatch;
 use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime};
 use shadecast_shaders::generated::CornerGpu;
-use shadecast_shaders::twin::interpolate::{VertexMemory, tag};
+use shadecast_shaders::records::tag;
+use shadecast_shaders::twin::interpolate::VertexMemory;
 use std::collections::BTreeMap;
 
 const VERTEX_SLOTS: u32 = 40;

@@ -8,9 +8,9 @@ use crate::decoding::{self, DecodeTiming, Decoding};
 use crate::platform::{self, MakeDecoder};
 use crate::renderer::Stages;
 use crate::scene::{ArrivedPicture, Scene, SceneClock};
-use crate::stages::background::{self, Text};
 use crate::stages::interpolate::Interpolation;
 use crate::stages::probe::{Probe, ProbeView};
+use crate::stages::text::{Text, panel_ahead};
 use crate::stats::{ClientStats, Counters};
 use crate::stillness::Stillness;
 use crate::watch::Watch;
@@ -490,7 +490,7 @@ impl Client {
     pub(crate) fn tell_head(&mut self, display_time: ClientTime, period_ns: i64, views: &Views) {
         self.eyes = Some((views.eyes(), period_ns));
         if self.panel.is_none() {
-            self.panel = Some(background::panel_ahead(views.stage_from_head));
+            self.panel = Some(panel_ahead(views.stage_from_head));
         }
         let Some(scene) = self.next.as_ref().or(self.shown.as_ref()) else { return };
         let Some(time) = self.server_time(scene, display_time) else { return };

@@ -2,7 +2,7 @@
 //! is a world in which nothing moves any more, and nobody says why.
 
 use crate::client::FrameReport;
-use crate::stages::background::panel_ahead;
+use crate::stages::text::panel_ahead;
 use glam::Vec3;
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::time::ClientTime;

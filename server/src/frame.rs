@@ -13,6 +13,7 @@ use crate::scene::numbering::Totals;
 use crate::stages::id_buffer::{IdBuffer, shift_ndc};
 use crate::stages::level_selection::LevelSelection;
 use crate::stages::mark::Mark;
+use crate::stages::palette::BONE_BYTES;
 use crate::stages::shading::Shading;
 use crate::stages::skin::Skin;
 use crate::stages::view_gpu;
@@ -20,7 +21,7 @@ use crate::stages::ycbcr::Ycbcr;
 use crate::upload::check_room;
 use crate::world::{ViewerId, World};
 use glam::{Mat4, Vec3};
-use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory};
+use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Timings};
 use shadecast_protocol::delta::EncodedDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_VIEWS};
@@ -28,6 +29,7 @@ use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
 use shadecast_protocol::pose::Fov;
 use shadecast_protocol::time::{GridIndex, ServerTime};
 use shadecast_protocol::wire::PictureHeader;
+use shadecast_shaders::constants::EYES;
 use shadecast_shaders::generated::ViewGpu;
 use std::collections::VecDeque;
 
@@ -37,8 +39,6 @@ const REMEMBERED_UPDATES: usize = 256;
 const MAX_ID_BUFFER_PIXELS: u32 = ATLAS_MAX_EXTENT[0] * ATLAS_MAX_EXTENT[1];
 /// Pixels of a side of the ID buffer: every device draws to as many.
 const MAX_ID_BUFFER_SIDE: f32 = 8192.0;
-/// Bytes of a bone's transform in a palette.
-const BONE_BYTES: u64 = 48;
 
 /// The pipeline of one viewer.
 pub struct Frame {
@@ -81,6 +81,8 @@ pub struct Shaded {
     pub extent_texels: [u32; 2],
     /// Luma, blue and red difference, one after the other, tight.
     pub planes: Vec<u8>,
+    /// What its stages took on the device.
+    pub timings: Timings,
 }
 
 impl Frame {
@@ -164,10 +166,10 @@ impl Frame {
     /// Steps 1 to 6 and 8. `None` before the first head state: there is nowhere to look from.
     pub fn update(&mut self, world: &mut World, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
         let Some(views) = self.head.predict(now, world.grid()) else { return Ok(None) }; // 1
-        let oldest = self.look(world, &views)?; // 2 to 4, GPU
+        let (oldest, mut timings) = self.look(world, &views)?; // 2 to 4, GPU
         let extents = &self.extents.values::<u32>()[..world.scene().numbering.totals.patches as usize];
         let changes = self.layout.place(&world.samples, extents); // 4, 5
-        self.shade(world, &views)?; // 6, GPU
+        timings.append(self.shade(world, &views)?); // 6, GPU
         let frame = self.next;
         let window = UpdateWindow {
             frame,
@@ -185,12 +187,12 @@ impl Frame {
         }
         let planes = self.ycbcr.planes().concat();
         let extent_texels = self.shading.atlas.desc().extent;
-        Ok(Some(Shaded { frame, time: now, delta, extent_texels, planes }))
+        Ok(Some(Shaded { frame, time: now, delta, extent_texels, planes, timings }))
     }
 
     /// Animates the new grid points of what can be in view, rasterises every predicted view at its time, and measures what is
     /// visible. Gives the oldest grid point whose positions are known.
-    fn look(&mut self, world: &mut World, views: &PredictedViews) -> Result<GridIndex, GpuError> {
+    fn look(&mut self, world: &mut World, views: &PredictedViews) -> Result<(GridIndex, Timings), GpuError> {
         self.write_views(views);
         let needed = self.culling.update(views.eyes.iter().flatten().copied());
         let places = views.times.map(SampleWindow::ring_place);
@@ -202,7 +204,7 @@ impl Frame {
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         for (time, place) in places.into_iter().enumerate() {
             recorder.scope("id buffer", |r| {
-                self.id_buffer.record(r, scene, animation, needed, place, 2 * time as u32);
+                self.id_buffer.record(r, scene, animation, needed, place, EYES * time as u32);
             });
             recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
             recorder.scope("mark", |r| self.mark.record(r));
@@ -215,12 +217,11 @@ impl Frame {
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         recorder.copy_buffer(&self.level_selection.extents, 0, &self.extents, 0, self.extents.size());
         recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
-        world.gpu().wait(recorder.submit()?)?;
-        Ok(oldest)
+        Ok((oldest, world.gpu().wait_timed(recorder.submit()?)?))
     }
 
     /// Fills every live block as it is in the middle of the update's time on display, and converts the atlas.
-    fn shade(&mut self, world: &mut World, views: &PredictedViews) -> Result<(), GpuError> {
+    fn shade(&mut self, world: &mut World, views: &PredictedViews) -> Result<Timings, GpuError> {
         let middle = views.times[VIEW_TIMES / 2];
         let place = SampleWindow::ring_place(middle);
         self.shading.write_blocks(world.scene(), &world.animation, place, self.layout.live());
@@ -230,7 +231,7 @@ impl Frame {
         recorder.scope("shading", |r| self.shading.record(r, views.world_from_head.position));
         recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
         recorder.scope("ycbcr", |r| self.ycbcr.record(r));
-        world.gpu().wait(recorder.submit()?)
+        world.gpu().wait_timed(recorder.submit()?)
     }
 
     fn write_views(&mut self, views: &PredictedViews) {

@@ -5,6 +5,7 @@ pub mod errors;
 mod table;
 
 use crate::animation::manager::AnimationManager;
+use crate::stages::palette::BONE_BYTES;
 use clap::{Args, Subcommand};
 use serde::Serialize;
 use shadecast_protocol::limits::SAMPLE_RING;
@@ -400,8 +401,8 @@ fn memory(scene: &Scene, sampling: Sampling) -> Vec<MemoryPart> {
         part("textures", true, textures.map(texture_bytes).sum()),
         part("skeletons and clips", true, manager.arrays.bytes()),
         part("poses", false, (size_of::<PoseGpu>() * scene.instances.len()) as u64),
-        part("bone transforms", false, instanced(48, &|model| model.bones.len())),
-        part("palettes", false, instanced(48, &|model| model.palette.len())),
+        part("bone transforms", false, instanced(BONE_BYTES as usize, &|model| model.bones.len())),
+        part("palettes", false, instanced(BONE_BYTES as usize, &|model| model.palette.len())),
         part("skinned vertices, all sample times", false, saved_bytes(scene, ring)),
         part(
             "normals and tangents",

@@ -2,14 +2,15 @@
 
 use glam::{Quat, Vec3};
 use shadecast_protocol::ids::DiscontinuityId;
-use shadecast_protocol::limits::SAMPLE_RING;
+use shadecast_protocol::limits::{MAX_VIEWS, SAMPLE_RING};
 use shadecast_protocol::message::HeadState;
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::time::{DEFAULT_GRID, Grid, GridIndex, ServerTime};
+use shadecast_shaders::constants::EYES;
 use std::collections::VecDeque;
 
 /// View times per update.
-pub const VIEW_TIMES: usize = 3;
+pub const VIEW_TIMES: usize = (MAX_VIEWS / EYES) as usize;
 /// Start values until displays are reported: from an update's start to its first and last moment on display.
 const START_FIRST_NS: i64 = 50_000_000;
 const START_LAST_NS: i64 = 100_000_000;

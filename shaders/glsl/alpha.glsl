@@ -5,9 +5,9 @@
 
 // `lookup` is what alpha_lookup gave the vertices, interpolated.
 bool is_cut_out(MaterialGpu m, vec3 lookup) {
-    if (m.alpha_cutoff < 0.0) return false;
+    if (m.alpha_cutoff == NO_ALPHA_CUTOFF) return false;
     float alpha = m.base_color.a * lookup.z;
-    if (m.base_color_texture >= 0) alpha *= texture(textures[nonuniformEXT(m.base_color_texture)], lookup.xy).a;
+    if (m.base_color_texture != NO_TEXTURE) alpha *= texture(textures[nonuniformEXT(m.base_color_texture)], lookup.xy).a;
     return alpha < m.alpha_cutoff;
 }
 

@@ -21,8 +21,7 @@ layout(location = 0) out vec4 color; // linear; the attachment is sRGB
 
 #include "text.glsl"
 
-// Dots are about a pixel: nine lookups spread over it keep them from flickering.
-float text_coverage(vec3 eye, vec3 direction) {
+float panel_coverage(vec3 eye, vec3 direction) {
     vec3 origin = (backdrop.panel_from_space * vec4(eye, 1.0)).xyz;
     vec3 along = (backdrop.panel_from_space * vec4(direction, 0.0)).xyz;
     float t = -origin.z / along.z;
@@ -30,9 +29,7 @@ float text_coverage(vec3 eye, vec3 direction) {
     vec2 at = (origin.xy + along.xy * t) / backdrop.cell_extent_m.xy * vec2(1.0, -1.0) + cells * 0.5;
     vec2 third = fwidth(at) / 3.0;
     if (!(t > 0.0) || any(lessThan(at, -third)) || any(greaterThan(at, cells + third))) return 0.0;
-    float share = 0.0;
-    for (int i = 0; i < 9; i++) share += text_dot(at + third * vec2(i % 3 - 1, i / 3 - 1), backdrop.text_cells.xy) / 9.0;
-    return share;
+    return text_coverage(at, third, backdrop.text_cells.xy);
 }
 
 // Lines a metre apart on the stage's floor, as wide as a pixel at least, fading out with distance.
@@ -53,6 +50,6 @@ void main() {
     if (backdrop.zenith.w > 0.0) {
         vec3 eye = eyes.space_eye[gl_ViewIndex].xyz;
         color.rgb = mix(color.rgb, vec3(0.45), floor_coverage(eye, direction) * 0.6);
-        color.rgb = mix(color.rgb, vec3(0.9), text_coverage(eye, direction));
+        color.rgb = mix(color.rgb, vec3(0.9), panel_coverage(eye, direction));
     }
 }

@@ -9,9 +9,9 @@ struct CornerGpu {
 };
 
 struct EyesGpu {
-    mat4 clip_from_world[2];
-    mat4 space_from_clip_direction[2]; // (ndc, 1, 0) to a direction in the backdrop's space
-    vec4 space_eye[2];                 // xyz in the backdrop's space, metres
+    mat4 clip_from_world[EYES];
+    mat4 space_from_clip_direction[EYES]; // (ndc, 1, 0) to a direction in the backdrop's space
+    vec4 space_eye[EYES];                 // xyz in the backdrop's space, metres
 };
 
 // No triangle is drawn whose vertices have no samples: the draw list leaves its patch out, and the time at which vertices

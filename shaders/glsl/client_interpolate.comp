@@ -19,7 +19,7 @@ layout(push_constant) uniform InterpolatePush {
     uint cubic;           // 0: linear
 };
 
-uvec4 sample_at(uint slot, uint at) { return samples[(at % SAMPLE_RING) * vertex_slots + slot]; }
+uvec4 sample_at(uint slot, uint at) { return samples[ring_place(slot, at, vertex_slots)]; }
 vec3 place(uvec4 s) { return uintBitsToFloat(s.xyz); }
 
 // Past the last sample the vertex goes on for one grid step at its last velocity, and then stays.
@@ -52,7 +52,7 @@ void main() {
     uint slot = gl_GlobalInvocationID.x;
     if (slot >= vertex_count) return;
     vec4 blend = blends[slot];
-    if (blend.w < 0.0) return; // static
+    if (blend.w == STATIC_BLEND) return;
     vec4 before = positions[slot];
     vec4 now = curve(slot, tag, fraction);
     if (now.w == NOT_DRAWABLE) {

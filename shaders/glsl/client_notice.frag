@@ -13,9 +13,6 @@ const vec3 INK = vec3(0.9);
 const float PANEL_COVERAGE = 0.85;
 
 void main() {
-    // Dots are about a pixel: nine lookups spread over it keep them from flickering.
-    vec2 third = fwidth(cell) / 3.0;
-    float share = 0.0;
-    for (int i = 0; i < 9; i++) share += text_dot(cell + third * vec2(i % 3 - 1, i / 3 - 1), notice.text_cells.xy) / 9.0;
+    float share = text_coverage(cell, fwidth(cell) / 3.0, notice.text_cells.xy);
     color = vec4(mix(PANEL, INK, share), mix(PANEL_COVERAGE, 1.0, share));
 }

@@ -5,7 +5,7 @@
 layout(local_size_x = 64) in;
 #include "client_vertices.glsl"
 
-// tag 0: a vertex enters, static (highest bit of slot, with its position) or sampled. Otherwise: one sample.
+// NO_SAMPLE as tag: a vertex enters, static (STATIC_BIT in slot, with its position) or sampled. Otherwise: one sample.
 struct VertexWriteGpu {
     uint slot;
     uint tag;
@@ -26,18 +26,18 @@ layout(push_constant) uniform ScatterPush {
 void main() {
     if (gl_GlobalInvocationID.x >= count) return;
     VertexWriteGpu write = writes[first + gl_GlobalInvocationID.x];
-    uint slot = write.slot & 0x7fffffffu;
+    uint slot = write.slot & ~STATIC_BIT;
     if (slot >= vertex_slots) return;
     uvec3 place = uvec3(write.x, write.y, write.z);
     if (write.tag != NO_SAMPLE) {
-        uint at = (write.tag % SAMPLE_RING) * vertex_slots + slot;
+        uint at = ring_place(slot, write.tag, vertex_slots);
         bool revised = samples[at].w == write.tag;
         samples[at] = uvec4(place, write.tag);
         if (revised && positions[slot].w == ON_CURVE) positions[slot].w = PAST_THE_END;
         return;
     }
-    bool is_static = write.slot != slot;
+    bool is_static = (write.slot & STATIC_BIT) != 0;
     for (uint i = 0; i < SAMPLE_RING; i++) samples[i * vertex_slots + slot] = uvec4(0);
     positions[slot] = is_static ? vec4(uintBitsToFloat(place), ON_CURVE) : vec4(0.0);
-    blends[slot] = vec4(0.0, 0.0, 0.0, is_static ? -1.0 : 0.0);
+    blends[slot] = vec4(0.0, 0.0, 0.0, is_static ? STATIC_BLEND : 0.0);
 }

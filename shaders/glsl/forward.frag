@@ -33,6 +33,6 @@ void main() {
     Surface s = Surface(world_position, world_normal * side, world_tangent.xyz, world_tangent.w,
         uvs.xy, dx.xy, dy.xy, uvs.zw, dx.zw, dy.zw, vertex_color);
     vec4 shown = display_color(m, s, view.world_eye.xyz);
-    if (m.alpha_cutoff >= 0.0 && shown.a < m.alpha_cutoff) discard;
+    if (m.alpha_cutoff != NO_ALPHA_CUTOFF && shown.a < m.alpha_cutoff) discard;
     color = vec4(shown.rgb, 1.0);
 }

@@ -14,11 +14,11 @@ layout(push_constant) uniform ForwardPush {
     uint instance;
 };
 layout(location = 0) in vec3 lookup;
-layout(location = 0) out uint instance_number; // + 1; 0 is background
+layout(location = 0) out uint id; // FIRST_ID and up; 0 is background
 layout(location = 1) out float distance_m;
 
 void main() {
     if (is_cut_out(materials[material], lookup)) discard;
-    instance_number = instance + 1;
+    id = FIRST_ID + instance;
     distance_m = 1.0 / gl_FragCoord.w;
 }

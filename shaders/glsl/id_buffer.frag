@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_nonuniform_qualifier : require
-// Writes the scene-wide patch number + 1; 0 is background.
+// Writes the scene-wide patch number from FIRST_ID on; 0 is background.
 #include "scene.glsl"
 
 layout(std430, binding = 3) readonly buffer PatchOfTriangle { uint patch_of_triangle[]; };
@@ -17,9 +17,9 @@ layout(push_constant) uniform IdBufferPush {
     uint first_view;
 };
 layout(location = 0) in vec3 lookup;
-layout(location = 0) out uint patch_number;
+layout(location = 0) out uint id;
 
 void main() {
     if (is_cut_out(materials[material], lookup)) discard;
-    patch_number = patch_base + patch_of_triangle[triangle_base + gl_PrimitiveID] + 1;
+    id = FIRST_ID + patch_base + patch_of_triangle[triangle_base + gl_PrimitiveID];
 }

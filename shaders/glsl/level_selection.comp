@@ -18,24 +18,21 @@ layout(push_constant) uniform LevelSelectionPush {
     uint scene_patch_base; // of the instance, into visible and extents
     uint patch_count;
     uint view_count;
-    uint position_base0;   // of the instance at the time of views 0-1, 2-3, 4-5
-    uint position_base1;
-    uint position_base2;
+    uint position_base[MAX_VIEWS / EYES]; // of the instance at the time of views 0-1, 2-3, 4-5
     uint material_base;
 };
 
 // Length in pixels of the part of an edge in front of the near plane (w = distance along the view axis).
 float projected_length(vec4 a, vec4 b, vec2 half_extent) {
-    float near = NEAR_UM * 1e-6;
-    if (a.w < near && b.w < near) return 0.0;
-    if (a.w < near) a = mix(a, b, (near - a.w) / (b.w - a.w));
-    if (b.w < near) b = mix(b, a, (near - b.w) / (a.w - b.w));
+    if (a.w < NEAR_M && b.w < NEAR_M) return 0.0;
+    if (a.w < NEAR_M) a = mix(a, b, (NEAR_M - a.w) / (b.w - a.w));
+    if (b.w < NEAR_M) b = mix(b, a, (NEAR_M - b.w) / (a.w - b.w));
     return length((a.xy / a.w - b.xy / b.w) * half_extent);
 }
 
-bool outside_one_side(vec4 c[5]) {
+bool outside_one_side(vec4 c[PATCH_MAX_VERTICES]) {
     bvec4 out_all = bvec4(true);
-    for (int i = 0; i < 5; i++) {
+    for (int i = 0; i < PATCH_MAX_VERTICES; i++) {
         out_all.x = out_all.x && c[i].x < -c[i].w;
         out_all.y = out_all.y && c[i].x > c[i].w;
         out_all.z = out_all.z && c[i].y < -c[i].w;
@@ -58,8 +55,8 @@ float texels_along(vec4 from, vec4 to, MaterialGpu m) {
 // What the source textures hold, with half a step to spare; unbounded where there is none.
 vec2 texture_cap(PatchGpu p) {
     MaterialGpu m = materials[material_base + p.material];
-    if (m.texture_extent_texels <= 0.0 && m.texture_extent1_texels <= 0.0) return vec2(65535.0);
-    uint height_corner = p.kind == 1 ? 2 : 3;
+    if (m.texture_extent_texels <= 0.0 && m.texture_extent1_texels <= 0.0) return vec2(MAX_PATCH_EXTENT_TEXELS);
+    uint height_corner = p.kind == PATCH_ONE ? 2 : 3;
     vec4 origin = vertex_uvs(p.vertices[0]);
     vec2 cap = vec2(texels_along(origin, vertex_uvs(p.vertices[1]), m),
         texels_along(origin, vertex_uvs(p.vertices[height_corner]), m));
@@ -74,23 +71,22 @@ void main() {
         return;
     }
     PatchGpu p = patches[patch_base + index];
-    uint bases[3] = uint[3](position_base0, position_base1, position_base2);
     vec2 extent = vec2(1.0);
     for (uint view = 0; view < view_count; view++) {
-        vec4 c[5];
-        for (int i = 0; i < 5; i++) {
-            c[i] = views[view].clip_from_world * saved_vertices[bases[view / 2] + p.vertices[i]];
+        vec4 c[PATCH_MAX_VERTICES];
+        for (int i = 0; i < PATCH_MAX_VERTICES; i++) {
+            c[i] = views[view].clip_from_world * saved_vertices[position_base[view / EYES] + p.vertices[i]];
         }
         if (outside_one_side(c)) continue;
         vec2 half_extent = views[view].extent_pixels.xy * 0.5;
         float width = projected_length(c[0], c[1], half_extent);
-        float height = projected_length(c[0], c[p.kind == 1 ? 2 : 3], half_extent);
-        if (p.kind != 1) {
+        float height = projected_length(c[0], c[p.kind == PATCH_ONE ? 2 : 3], half_extent);
+        if (p.kind != PATCH_ONE) {
             width = max(width, projected_length(c[3], c[2], half_extent));
             height = max(height, projected_length(c[1], c[2], half_extent));
         }
         extent = max(extent, vec2(width, height));
     }
-    uvec2 texels = uvec2(clamp(ceil(min(extent, texture_cap(p))), 1.0, 65535.0));
+    uvec2 texels = uvec2(clamp(ceil(min(extent, texture_cap(p))), 1.0, MAX_PATCH_EXTENT_TEXELS));
     extents[scene_patch_base + index] = texels.x | texels.y << 16;
 }

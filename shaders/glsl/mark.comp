@@ -9,6 +9,6 @@ layout(std430, binding = 1) writeonly buffer Visible { uint visible[]; };
 void main() {
     ivec3 at = ivec3(gl_GlobalInvocationID);
     if (any(greaterThanEqual(at, textureSize(id_buffer, 0)))) return;
-    uint number = texelFetch(id_buffer, at, 0).x;
-    if (number > 0) visible[number - 1] = 1;
+    uint id = texelFetch(id_buffer, at, 0).x;
+    if (id >= FIRST_ID) visible[id - FIRST_ID] = 1;
 }

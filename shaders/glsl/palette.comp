@@ -15,11 +15,12 @@ layout(push_constant) uniform PalettePush {
 };
 
 Rows load_global(uint index) {
-    return Rows(vec4[3](globals[index * 3], globals[index * 3 + 1], globals[index * 3 + 2]));
+    uint at = index * AFFINE_ROWS;
+    return Rows(vec4[](globals[at], globals[at + 1], globals[at + 2]));
 }
 
 void store_global(uint index, Rows m) {
-    for (int i = 0; i < 3; i++) globals[index * 3 + i] = m.r[i];
+    for (int i = 0; i < AFFINE_ROWS; i++) globals[index * AFFINE_ROWS + i] = m.r[i];
 }
 
 void main() {
@@ -44,6 +45,6 @@ void main() {
     for (uint i = gl_LocalInvocationID.x; i < pose.entry_count; i += GROUP) {
         EntryGpu entry = entries[pose.entry_base + i];
         Rows model_from_mesh = multiply(load_global(pose.global_base + entry.bone.x), Rows(entry.bone_from_mesh));
-        for (int r = 0; r < 3; r++) palettes[(pose.palette_base + i) * 3 + r] = model_from_mesh.r[r];
+        for (int r = 0; r < AFFINE_ROWS; r++) palettes[(pose.palette_base + i) * AFFINE_ROWS + r] = model_from_mesh.r[r];
     }
 }

@@ -20,7 +20,7 @@ struct Surface {
 };
 
 vec4 fetch(MaterialGpu m, uint slot, int texture_index, Surface s, vec4 absent) {
-    if (texture_index < 0) return absent;
+    if (texture_index == NO_TEXTURE) return absent;
     vec2 uv = slot_uv(m, slot, s.uv, s.uv1, 1.0);
     vec2 dx = slot_uv(m, slot, s.uv_dx, s.uv1_dx, 0.0), dy = slot_uv(m, slot, s.uv_dy, s.uv1_dy, 0.0);
     return textureGrad(textures[nonuniformEXT(texture_index)], uv, dx, dy);
@@ -32,7 +32,7 @@ vec4 base_color(MaterialGpu m, Surface s) {
 
 vec3 mapped_normal(MaterialGpu m, Surface s) {
     vec3 n = normalize(s.world_normal);
-    if (m.normal_texture < 0) return n;
+    if (m.normal_texture == NO_TEXTURE) return n;
     vec3 t = s.world_tangent - n * dot(n, s.world_tangent);
     if (dot(t, t) < 1e-12) return n;
     t = normalize(t);

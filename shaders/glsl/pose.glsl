@@ -10,7 +10,7 @@ struct TrackGpu {
     uint first_key;  // into keys; for cubic curves value and tangent alternate
     uint first_time; // into key_times
     uint key_count;
-    uint kind;       // 0 step, 1 linear, 2 cubic
+    uint kind;       // STEP_TRACK, LINEAR_TRACK or CUBIC_TRACK
     float interval_s;
     uint reserved0;
     uint reserved1;
@@ -35,7 +35,7 @@ struct PoseGpu {
 
 // bone_from_mesh as rows.
 struct EntryGpu {
-    vec4 bone_from_mesh[3];
+    vec4 bone_from_mesh[AFFINE_ROWS];
     uvec4 bone;
 };
 
@@ -76,10 +76,10 @@ vec4 sample_track(TrackGpu track, float phase_s, float phase_low_s) {
     if (track.key_count == 1) return keys[track.first_key];
     uint key = key_before(track, phase_s, phase_low_s);
     float from = key_times[track.first_time + key], to = key_times[track.first_time + key + 1], span = to - from;
-    if (track.kind == 0) return keys[track.first_key + key + (to - phase_s <= phase_low_s ? 1 : 0)];
+    if (track.kind == STEP_TRACK) return keys[track.first_key + key + (to - phase_s <= phase_low_s ? 1 : 0)];
     // Subtracted before the low part is added: exact where phase and key are close.
     float f = clamp(((phase_s - from) + phase_low_s) / span, 0.0, 1.0);
-    if (track.kind == 1) return mix(keys[track.first_key + key], keys[track.first_key + key + 1], f);
+    if (track.kind == LINEAR_TRACK) return mix(keys[track.first_key + key], keys[track.first_key + key + 1], f);
     uint at = track.first_key + 2 * key;
     float f2 = f * f, f3 = f2 * f;
     return keys[at] * (2.0 * f3 - 3.0 * f2 + 1.0) + keys[at + 1] * (span * (f3 - 2.0 * f2 + f))

@@ -17,14 +17,14 @@ struct VertexGpu {
 
 // A patch of 1 to 3 triangles; vertices are indices within the model. Unused entries repeat the first.
 struct PatchGpu {
-    uint vertices[5];
+    uint vertices[PATCH_MAX_VERTICES];
     uint kind;
     uint material; // of its model
     uint reserved;
 };
 
-// glTF 2.0 section 3.9; a texture index of -1 means none. alpha_cutoff below 0 means opaque. Slots are numbered as
-// the texture indices stand.
+// glTF 2.0 section 3.9; a texture index may be NO_TEXTURE, alpha_cutoff NO_ALPHA_CUTOFF. Slots are numbered as the
+// texture indices stand.
 struct MaterialGpu {
     vec4 base_color;
     vec4 emissive_metallic; // rgb, metallic
@@ -43,16 +43,10 @@ struct MaterialGpu {
     float texture_extent_texels;
     float texture_extent1_texels;
     // By slot two rows of a 2x3 matrix for the texture coordinates; the first row's w is the set, 0 or 1.
-    vec4 uv_rows[10];
+    vec4 uv_rows[2 * TEXTURE_SLOTS];
     uint unlit;
     uint reserved[3];
 };
-
-const uint BASE_COLOR_SLOT = 0;
-const uint METALLIC_ROUGHNESS_SLOT = 1;
-const uint NORMAL_SLOT = 2;
-const uint OCCLUSION_SLOT = 3;
-const uint EMISSIVE_SLOT = 4;
 
 // What a slot looks up, from a vertex's or a pixel's coordinates; with `one` 0, changes of them are turned alike.
 vec2 slot_uv(MaterialGpu m, uint slot, vec2 uv, vec2 uv1, float one) {
@@ -79,16 +73,5 @@ struct ViewGpu {
     vec4 world_eye;       // xyz
     vec4 extent_pixels;   // xy
 };
-
-// Corners of a patch's triangles, three per triangle: as shadecast_protocol::atlas::PatchKind has them.
-const uint PATCH_TRIANGLES[3][9] = uint[3][9](
-    uint[9](0, 1, 2, 0, 0, 0, 0, 0, 0),
-    uint[9](0, 1, 2, 0, 2, 3, 0, 0, 0),
-    uint[9](0, 4, 3, 4, 2, 3, 4, 1, 2));
-
-vec2 patch_corner_uv(uint kind, uint corner) {
-    if (kind == 1) return vec2[3](vec2(0, 0), vec2(1, 0), vec2(0, 1))[min(corner, 2)];
-    return vec2[5](vec2(0, 0), vec2(1, 0), vec2(1, 1), vec2(0, 1), vec2(0.5, 0))[corner];
-}
 
 #endif

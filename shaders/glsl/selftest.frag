@@ -2,4 +2,4 @@
 #extension GL_EXT_multiview : require
 // Each view gets its own number, so that a driver that draws one view only is found out.
 layout(location = 0) out uint number;
-void main() { number = 7 + gl_ViewIndex; }
+void main() { number = SELFTEST_NUMBER + gl_ViewIndex; }

@@ -35,9 +35,13 @@ layout(location = 0) flat in uint block_index;
 layout(location = 1) in vec2 texel;
 layout(location = 0) out vec4 color;
 
+// By kind less one: the corners of its triangles, three each, and the places of its vertices in the unit square.
+const uint TRIANGLE_CORNERS[PATCH_KINDS][3 * PATCH_KINDS] = PATCH_TRIANGLES;
+const vec2 CORNER_UVS[PATCH_KINDS][PATCH_MAX_VERTICES] = PATCH_CORNERS;
+
 uint triangle_at(uint kind, vec2 uv) {
-    if (kind == 1) return 0;
-    if (kind == 2) return uv.y <= uv.x ? 0 : 1;
+    if (kind == PATCH_ONE) return 0;
+    if (kind == PATCH_TWO) return uv.y <= uv.x ? 0 : 1;
     // Edges from (0.5, 0) to (0, 1) and to (1, 1).
     if (2.0 * uv.x + uv.y <= 1.0) return 0;
     return 2.0 * uv.x - uv.y >= 1.0 ? 2 : 1;
@@ -60,9 +64,9 @@ void main() {
     vec2 uv = (texel - BLOCK_INSET_TEXELS) / inner;
     uint t = triangle_at(p.kind, uv) * 3;
     uint corners[3] = uint[3](
-        PATCH_TRIANGLES[p.kind - 1][t], PATCH_TRIANGLES[p.kind - 1][t + 1], PATCH_TRIANGLES[p.kind - 1][t + 2]);
-    mat3 weights = barycentric(patch_corner_uv(p.kind, corners[0]), patch_corner_uv(p.kind, corners[1]),
-        patch_corner_uv(p.kind, corners[2]), uv);
+        TRIANGLE_CORNERS[p.kind - 1][t], TRIANGLE_CORNERS[p.kind - 1][t + 1], TRIANGLE_CORNERS[p.kind - 1][t + 2]);
+    mat3 weights = barycentric(CORNER_UVS[p.kind - 1][corners[0]], CORNER_UVS[p.kind - 1][corners[1]],
+        CORNER_UVS[p.kind - 1][corners[2]], uv);
     Surface s;
     s.world_position = s.world_normal = s.world_tangent = vec3(0.0);
     s.uv = s.uv_dx = s.uv_dy = s.uv1 = s.uv1_dx = s.uv1_dy = vec2(0.0);

@@ -8,8 +8,8 @@ layout(local_size_x = 128) in;
 layout(std430, binding = 5) readonly buffer Palettes { vec4 palettes[]; };
 
 Rows influence(uint joint) {
-    uint at = (job.palette_base + joint) * 3;
-    return Rows(vec4[3](palettes[at], palettes[at + 1], palettes[at + 2]));
+    uint at = (job.palette_base + joint) * AFFINE_ROWS;
+    return Rows(vec4[](palettes[at], palettes[at + 1], palettes[at + 2]));
 }
 #include "skin_whole.glsl"
 

@@ -3,7 +3,6 @@
 #define SKIN_BUFFERS_GLSL
 #include "scene.glsl"
 
-const uint NO_MORPHS = 0xffffffffu;
 const uint POSITION = 0, NORMAL = 1, TANGENT = 2; // members that morph
 
 uint joint_of(uvec2 joints, uint i) { return (joints[i / 2] >> (16 * (i & 1))) & 0xffff; }
@@ -26,7 +25,7 @@ layout(std430, binding = 4) writeonly buffer Tangents { TangentGpu tangents[]; }
 // One instance at one sample time: a dispatch of its own. Read from a buffer, it would cost every invocation as much as
 // an influence does.
 layout(push_constant) uniform SkinJob {
-    vec4 world_from_model[3]; // rows
+    vec4 world_from_model[AFFINE_ROWS]; // rows
     uint vertex_base;
     uint vertex_count;
     uint palette_base;        // of its pose, into palettes

@@ -13,7 +13,7 @@ Rows influence(uint joint) {
     EntryGpu entry = entries[pose.entry_base + joint];
     int bone = int(entry.bone.x);
     Rows chain = Rows(entry.bone_from_mesh);
-    while (bone >= 0) {
+    while (bone != NO_PARENT) {
         chain = multiply(local_transform(pose, uint(bone)), chain);
         bone = parents[pose.bone_base + uint(bone)];
     }

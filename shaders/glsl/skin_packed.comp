@@ -3,7 +3,7 @@
 // Skins from a stream of its own, 32 bytes a vertex, sorted by the number of influences, with a pipeline for each number:
 // no invocation waits for one that has more. Twin: scene/src/animation/pose.rs.
 layout(local_size_x = 128) in;
-layout(constant_id = 0) const uint INFLUENCES = 4;
+layout(constant_id = 0) const uint INFLUENCES = MAX_INFLUENCES;
 #include "skin_buffers.glsl"
 #include "skin.glsl"
 
@@ -24,8 +24,8 @@ void main() {
     vec4 weights = vec4(unpackUnorm2x16(influences.y), unpackUnorm2x16(influences.z));
     Rows sum = Rows(vec4[3](vec4(0), vec4(0), vec4(0)));
     for (uint i = 0; i < INFLUENCES; i++) {
-        uint at = (job.palette_base + joint_of(joints, i)) * 3;
-        for (int r = 0; r < 3; r++) sum.r[r] += weights[i] * palettes[at + r];
+        uint at = (job.palette_base + joint_of(joints, i)) * AFFINE_ROWS;
+        for (int r = 0; r < AFFINE_ROWS; r++) sum.r[r] += weights[i] * palettes[at + r];
     }
     skin_vertex(influences.w, uintBitsToFloat(first.xyz), sum);
 }

@@ -6,10 +6,10 @@
 // Influences of weight 0 come last.
 Rows blend(uvec2 joints, vec4 weights) {
     Rows sum = Rows(vec4[3](vec4(0), vec4(0), vec4(0)));
-    for (uint i = 0; i < 4; i++) {
+    for (uint i = 0; i < MAX_INFLUENCES; i++) {
         if (weights[i] <= 0.0) break;
         Rows matrix = influence(joint_of(joints, i));
-        for (int r = 0; r < 3; r++) sum.r[r] += weights[i] * matrix.r[r];
+        for (int r = 0; r < AFFINE_ROWS; r++) sum.r[r] += weights[i] * matrix.r[r];
     }
     return sum;
 }

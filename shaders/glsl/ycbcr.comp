@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
-// Atlas colour to full-range BT.709 4:2:0 planes, four samples to a word. One invocation converts 8x2 texels.
-// Chroma is the mean of its four texels (centre-sited). Twin: twin/ycbcr.rs.
+// Atlas colour to full-range BT.709 4:2:0 planes, four samples to a word. One invocation converts YCBCR_TEXELS, 8x2.
+// Chroma is the mean of its four texels (centre-sited). Twin: color.rs.
 layout(local_size_x = 8, local_size_y = 8) in;
 #include "environment.glsl"
 
@@ -13,12 +13,12 @@ layout(push_constant) uniform YcbcrPush {
 };
 
 void main() {
-    uvec2 at = gl_GlobalInvocationID.xy * uvec2(8, 2);
+    uvec2 at = gl_GlobalInvocationID.xy * YCBCR_TEXELS;
     if (at.x >= width_texels || at.y >= height_texels) return;
     vec2 chroma[4] = vec2[4](vec2(0), vec2(0), vec2(0), vec2(0));
-    for (uint row = 0; row < 2; row++) {
+    for (uint row = 0; row < YCBCR_TEXELS.y; row++) {
         vec4 luma[2];
-        for (uint i = 0; i < 8; i++) {
+        for (uint i = 0; i < YCBCR_TEXELS.x; i++) {
             vec3 c = ycbcr_from_rgb(texelFetch(atlas, ivec2(at + uvec2(i, row)), 0).rgb);
             luma[i / 4][i % 4] = c.x;
             chroma[i / 2] += c.yz * 0.25;
@@ -28,7 +28,8 @@ void main() {
         planes[word + 1] = packUnorm4x8(luma[1]);
     }
     uint luma_words = width_texels * height_texels / 4;
-    uint word = at.y / 2 * (width_texels / 8) + at.x / 8;
+    // Each invocation has one word of either chroma plane.
+    uint word = gl_GlobalInvocationID.y * (width_texels / YCBCR_TEXELS.x) + gl_GlobalInvocationID.x;
     planes[luma_words + word] = packUnorm4x8(vec4(chroma[0].x, chroma[1].x, chroma[2].x, chroma[3].x));
     planes[luma_words + luma_words / 4 + word] =
         packUnorm4x8(vec4(chroma[0].y, chroma[1].y, chroma[2].y, chroma[3].y));

@@ -1,8 +1,10 @@
 //! A 5x7 dot font for the few lines of text that renderers draw themselves; `text.glsl` reads its words.
 
+use crate::constants::{GLYPH_DOTS, GLYPH_WORDS};
+
 /// Five columns per character from the space on; the lowest bit of a column is the topmost dot.
 #[rustfmt::skip]
-const COLUMNS: [[u8; 5]; 95] = [
+const COLUMNS: [[u8; GLYPH_DOTS[0] as usize]; 95] = [
     [0x00, 0x00, 0x00, 0x00, 0x00], [0x00, 0x00, 0x5f, 0x00, 0x00], [0x00, 0x07, 0x00, 0x07, 0x00], // space ! "
     [0x14, 0x7f, 0x14, 0x7f, 0x14], [0x24, 0x2a, 0x7f, 0x2a, 0x12], [0x23, 0x13, 0x08, 0x64, 0x62], // # $ %
     [0x36, 0x49, 0x56, 0x20, 0x50], [0x00, 0x00, 0x07, 0x00, 0x00], [0x00, 0x1c, 0x22, 0x41, 0x00], // & ' (
@@ -37,10 +39,13 @@ const COLUMNS: [[u8; 5]; 95] = [
     [0x00, 0x41, 0x36, 0x08, 0x00], [0x08, 0x04, 0x08, 0x10, 0x08],                                 // } ~
 ];
 /// A box, for what the font lacks.
-const UNKNOWN: [u8; 5] = [0x7f, 0x41, 0x41, 0x41, 0x7f];
+const UNKNOWN: [u8; GLYPH_DOTS[0] as usize] = [0x7f, 0x41, 0x41, 0x41, 0x7f];
 
-/// A character's dots: columns 0 to 3 in the first word's bytes, column 4 in the second's first.
-pub fn glyph(character: char) -> [u32; 2] {
+/// A character's dots.
+pub type Glyph = [u32; GLYPH_WORDS as usize];
+
+/// Those of a character: columns 0 to 3 in the first word's bytes, column 4 in the second's first.
+pub fn glyph(character: char) -> Glyph {
     let known = (character as usize).checked_sub(0x20).and_then(|index| COLUMNS.get(index));
     let [a, b, c, d, e] = *known.unwrap_or(&UNKNOWN);
     [u32::from_le_bytes([a, b, c, d]), u32::from(e)]

@@ -2,7 +2,11 @@
 //! reference twins of the GPU stages. No Vulkan in here.
 #![forbid(unsafe_code)]
 
+pub mod color;
+pub mod constants;
+pub mod curve;
 pub mod font;
+pub mod records;
 pub mod twin;
 
 /// Compiled GLSL with what reflection found in it.
@@ -14,6 +18,8 @@ pub struct Shader {
     pub stage: Stage,
     /// Size of the push constant block; 0 where there is none.
     pub push_bytes: u32,
+    /// Invocations of a workgroup in x, y and z; `None` where the stage is not compute.
+    pub workgroup: Option<[u32; 3]>,
     /// SPIR-V.
     pub words: &'static [u32],
     /// Bindings of descriptor set 0, by index.
@@ -62,4 +68,32 @@ pub mod generated {
     #![allow(clippy::unreadable_literal, unused_qualifications)]
     use super::{Binding, BindingKind, Shader, Stage};
     include!(concat!(env!("OUT_DIR"), "/generated.rs"));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::generated::{CLIENT_SCATTER_COMP, MARK_COMP, PALETTE_COMP, SHADING_VERT, SKIN_PACKED_COMP};
+
+    /// Operands of `OpExecutionMode LocalSize` (SPIR-V 1.6, 3.52.7 and 3.6).
+    fn local_size(words: &[u32]) -> Option<[u32; 3]> {
+        const HEADER_WORDS: usize = 5;
+        let mut rest = &words[HEADER_WORDS..];
+        while let [first, ..] = rest {
+            let (operation, length) = (first & 0xffff, (first >> 16) as usize);
+            if let (16, [_, _, 17, x, y, z]) = (operation, &rest[..length]) {
+                return Some([*x, *y, *z]);
+            }
+            rest = &rest[length..];
+        }
+        None
+    }
+
+    #[test]
+    fn workgroup_sizes_are_those_that_were_compiled() {
+        for shader in [&CLIENT_SCATTER_COMP, &MARK_COMP, &PALETTE_COMP, &SKIN_PACKED_COMP] {
+            assert!(shader.workgroup.is_some_and(|size| size[0] > 1), "{}", shader.name);
+            assert_eq!(shader.workgroup, local_size(shader.words), "{}", shader.name);
+        }
+        assert_eq!([SHADING_VERT.workgroup, local_size(SHADING_VERT.words)], [None, None]);
+    }
 }

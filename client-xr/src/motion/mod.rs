@@ -12,7 +12,7 @@ use shadecast_protocol::ids::{UpdateId, VertexSlot};
 use shadecast_protocol::limits::{RECORDS_PER_SLOT_AND_TURN, SAMPLE_RING};
 use shadecast_protocol::motion::PositionBatch;
 use shadecast_protocol::time::GridIndex;
-use shadecast_shaders::twin::interpolate::{sample_write, sampled_entry, static_entry};
+use shadecast_shaders::records::{sample_write, sampled_entry, static_entry};
 
 /// See the module.
 #[derive(Debug)]

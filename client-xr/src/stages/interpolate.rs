@@ -1,11 +1,11 @@
 //! Positions of animated vertices at the display time (`client_interpolate.comp`), once per display frame for both eyes.
 
-use super::scatter::{GROUP, VertexMemory};
+use super::scatter::VertexMemory;
 use crate::motion::pace::Evaluation;
 use shadecast_gpu::{Bind, BindGroup, ComputePipeline, Gpu, GpuError, Recorder};
 use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
 use shadecast_shaders::generated::{CLIENT_INTERPOLATE_COMP, InterpolatePush};
-use shadecast_shaders::twin::interpolate::tag;
+use shadecast_shaders::records::tag;
 use std::sync::Arc;
 
 /// A jump is blended away within this time.
@@ -84,7 +84,7 @@ impl Interpolate {
     /// Interpolates the first `push.vertex_count` slots.
     pub fn record(&self, recorder: &mut Recorder, group: &BindGroup, push: &InterpolatePush) {
         if push.vertex_count > 0 {
-            recorder.dispatch(&self.pipeline, group, push, [push.vertex_count.div_ceil(GROUP), 1, 1]);
+            recorder.dispatch(&self.pipeline, group, push, [push.vertex_count, 1, 1]);
         }
     }
 }

@@ -7,6 +7,7 @@ pub mod interpolate;
 pub mod notice;
 pub mod probe;
 pub mod scatter;
+pub mod text;
 pub mod upload;
 
 use glam::{Mat4, Vec3, Vec4};

@@ -7,6 +7,7 @@ use shadecast_gpu::{
     Access, Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline,
     GraphicsPipelineDesc, Image, ImageDesc, Memory, RenderPass, RenderPassDesc, vk,
 };
+use shadecast_shaders::constants::FIRST_ID;
 use shadecast_shaders::generated::{CLIENT_PROBE_FRAG, CLIENT_PROBE_VERT, EyesGpu};
 use std::sync::Arc;
 
@@ -157,13 +158,13 @@ impl Probe {
         let plane = self.readback.size() as usize / 4;
         let bytes = self.readback.bytes();
         let part = |index: usize| &bytes[(index * 2 + eye) * plane..][..pixels * 4];
-        let numbers: &[u32] = bytemuck::cast_slice(part(0));
+        let ids: &[u32] = bytemuck::cast_slice(part(0));
         let distances: &[f32] = bytemuck::cast_slice(part(1));
-        let is_hit = |index: usize| numbers[index] != 0;
+        let is_hit = |index: usize| ids[index] >= FIRST_ID;
         ProbeView {
             width,
             height,
-            instance: numbers.iter().map(|number| number.wrapping_sub(1)).collect(),
+            instance: ids.iter().map(|id| id.wrapping_sub(FIRST_ID)).collect(),
             distance_m: (0..pixels).map(|i| if is_hit(i) { distances[i] } else { f32::INFINITY }).collect(),
         }
     }

@@ -9,8 +9,6 @@ use std::sync::Arc;
 
 /// Records that one display frame can write; what is more waits for the next.
 const STAGING_RECORDS: u32 = 400_000;
-/// Invocations of a workgroup in the vertex shaders.
-pub(super) const GROUP: u32 = 64;
 
 /// Samples, positions and blends of all vertex slots: see `client_vertices.glsl`.
 pub struct VertexMemory {
@@ -91,7 +89,7 @@ impl Scatter {
         writes.drain_into(records, |range| {
             let count = range.end - range.start;
             let push = ScatterPush { first: range.start, count, vertex_slots };
-            recorder.dispatch(&self.pipeline, group, &push, [count.div_ceil(GROUP), 1, 1]);
+            recorder.dispatch(&self.pipeline, group, &push, [count, 1, 1]);
             recorder.barrier(Access::COMPUTE, Access::COMPUTE);
         });
     }

@@ -10,13 +10,11 @@ use crate::stages::palette::Palette;
 use crate::stages::skin::{Skin, SkinJobs};
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::time::ServerTime;
+use shadecast_shaders::constants::NO_MORPHS;
 use shadecast_shaders::generated::{PoseGpu, SkinJob};
 use std::collections::HashMap;
 use std::ops::Range;
 use std::sync::Arc;
-
-/// `SkinJob::weight_base` of a mesh without morph targets.
-const NO_MORPHS: u32 = u32::MAX;
 
 /// An instance to be skinned at a sample time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

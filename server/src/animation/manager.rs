@@ -8,6 +8,7 @@ use shadecast_scene::animation::sampling::{
 use shadecast_scene::identity::{ContentHash, clip_hash, mesh_hash, skeleton_hash};
 use shadecast_scene::process::{Loading, sampled};
 use shadecast_scene::{Cancelled, Instance, Model, Scene};
+use shadecast_shaders::constants::{AFFINE_ROWS, CUBIC_TRACK, LINEAR_TRACK, NO_PARENT, STEP_TRACK};
 use shadecast_shaders::generated::{EntryGpu, PoseGpu, TrackGpu};
 use std::collections::HashMap;
 
@@ -65,7 +66,7 @@ pub struct AnimationManager {
 /// The scene-wide arrays.
 #[derive(Debug, Default)]
 pub struct Arrays {
-    /// Bone hierarchy meta: parent in the skeleton's own order, -1 for a root.
+    /// Bone hierarchy meta: parent in the skeleton's own order, [`NO_PARENT`] for a root.
     pub parents: Vec<i32>,
     /// First bone of each level of each skeleton, and the count at its end.
     pub level_starts: Vec<u32>,
@@ -199,7 +200,7 @@ impl Arrays {
             first_key: self.keys.len() as u32,
             first_time: self.key_times.len() as u32,
             key_count: track.values.len() as u32,
-            kind: track.interpolation as u32,
+            kind: track_kind(track.interpolation),
             interval_s: track.interval_s,
             reserved0: 0,
             reserved1: 0,
@@ -228,8 +229,16 @@ impl Arrays {
     }
 }
 
+fn track_kind(interpolation: KeyInterpolation) -> u32 {
+    match interpolation {
+        KeyInterpolation::Step => STEP_TRACK,
+        KeyInterpolation::Linear => LINEAR_TRACK,
+        KeyInterpolation::Cubic => CUBIC_TRACK,
+    }
+}
+
 /// An affine transform as rows.
-pub fn rows(transform: Affine3A) -> [[f32; 4]; 3] {
+pub fn rows(transform: Affine3A) -> [[f32; 4]; AFFINE_ROWS as usize] {
     let (m, t) = (transform.matrix3, transform.translation);
     [0, 1, 2].map(|r| [m.x_axis[r], m.y_axis[r], m.z_axis[r], t[r]])
 }
@@ -238,7 +247,7 @@ pub fn rows(transform: Affine3A) -> [[f32; 4]; 3] {
 struct BoneOrder {
     old_of_new: Vec<u32>,
     new_of_old: Vec<u32>,
-    /// In the new order; -1 for a root.
+    /// In the new order; [`NO_PARENT`] for a root.
     parents: Vec<i32>,
     /// First bone of each level, and the count at the end.
     level_starts: Vec<u32>,
@@ -256,8 +265,9 @@ impl BoneOrder {
         for (new, old) in old_of_new.iter().enumerate() {
             new_of_old[*old as usize] = new as u32;
         }
-        let parent =
-            |old: &u32| model.bones[*old as usize].parent.map_or(-1, |p| new_of_old[p as usize] as i32);
+        let parent = |old: &u32| {
+            model.bones[*old as usize].parent.map_or(NO_PARENT, |p| new_of_old[p as usize] as i32)
+        };
         let parents = old_of_new.iter().map(parent).collect();
         let levels = depth.iter().max().map_or(0, |deepest| deepest + 1);
         let level_starts = (0..=levels)

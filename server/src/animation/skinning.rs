@@ -4,6 +4,7 @@ use crate::upload;
 use shadecast_gpu::{Buffer, Gpu, GpuError};
 use shadecast_scene::influences::units_of_weight;
 use shadecast_scene::{Model, Vertex};
+use shadecast_shaders::constants::MAX_INFLUENCES;
 use shadecast_shaders::generated::{MorphDeltaGpu, PackedVertexGpu};
 use std::ops::Range;
 use std::sync::Arc;
@@ -26,7 +27,7 @@ pub struct SkinnedMesh {
     /// Whether any morph target moves its vertices.
     pub has_morphs: bool,
     /// Entries in the packed vertices, those of 1, 2, 3 and 4 influences; empty where [`Skinning`] does not use them.
-    pub packed: [Range<u32>; 4],
+    pub packed: [Range<u32>; MAX_INFLUENCES as usize],
 }
 
 /// Of all meshes.
@@ -89,7 +90,7 @@ impl SkinningArrays {
     }
 
     /// Positions with their influences, sorted by the number of influences.
-    fn add_packed(&mut self, model: &Model) -> [Range<u32>; 4] {
+    fn add_packed(&mut self, model: &Model) -> [Range<u32>; MAX_INFLUENCES as usize] {
         [1, 2, 3, 4].map(|count| {
             let first = self.packed.len() as u32;
             let vertices = (0..).zip(&model.vertices).filter(|(_, v)| v.influences().max(1) == count);

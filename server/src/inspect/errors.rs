@@ -12,7 +12,7 @@ use shadecast_scene::animation::error::{
 };
 use shadecast_scene::animation::sampling::{Sampling, sample, world_scale};
 use shadecast_scene::{Model, Scene};
-use shadecast_shaders::twin::interpolate::cubic_weights;
+use shadecast_shaders::curve::cubic_weights;
 
 /// Intervals of the curve, milliseconds.
 const INTERVALS_MS: [f32; 12] =

@@ -7,6 +7,10 @@ use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, ImageDesc, Sampler, Sa
 use shadecast_protocol::limits::SCENE_TEXTURES;
 use shadecast_scene::identity::{ContentHash, texture_hash};
 use shadecast_scene::{Cancel, Material, Model, Texture, TextureSlot, Wrap};
+use shadecast_shaders::constants::{
+    BASE_COLOR_SLOT, EMISSIVE_SLOT, METALLIC_ROUGHNESS_SLOT, NO_ALPHA_CUTOFF, NO_TEXTURE, NORMAL_SLOT,
+    OCCLUSION_SLOT, TEXTURE_SLOTS,
+};
 use shadecast_shaders::generated::MaterialGpu;
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -90,15 +94,23 @@ impl<'a> UniqueTextures<'a> {
     }
 }
 
+/// A material's textures by slot.
+type TextureSlots = [Option<TextureSlot>; SLOTS];
+const SLOTS: usize = TEXTURE_SLOTS as usize;
+
+fn texture_slots(m: &Material) -> TextureSlots {
+    let mut slots = [None; SLOTS];
+    slots[BASE_COLOR_SLOT as usize] = m.base_color_texture;
+    slots[METALLIC_ROUGHNESS_SLOT as usize] = m.metallic_roughness_texture;
+    slots[NORMAL_SLOT as usize] = m.normal_texture;
+    slots[OCCLUSION_SLOT as usize] = m.occlusion_texture;
+    slots[EMISSIVE_SLOT as usize] = m.emissive_texture;
+    slots
+}
+
 fn material(m: &Material, model: &Model, textures: &[u32]) -> MaterialGpu {
-    let index = |slot: Option<TextureSlot>| slot.map_or(-1, |s| textures[s.texture as usize] as i32);
-    let all = [
-        m.base_color_texture,
-        m.metallic_roughness_texture,
-        m.normal_texture,
-        m.occlusion_texture,
-        m.emissive_texture,
-    ];
+    let index = |slot: Option<TextureSlot>| slot.map_or(NO_TEXTURE, |s| textures[s.texture as usize] as i32);
+    let all = texture_slots(m);
     let texels = |set: u32| {
         let of_set = all.iter().flatten().filter(|slot| slot.set == set);
         of_set.map(|slot| texels_per_unit(slot, &model.textures)).fold(0.0, f32::max)
@@ -110,12 +122,12 @@ fn material(m: &Material, model: &Model, textures: &[u32]) -> MaterialGpu {
         roughness: m.roughness,
         normal_scale: m.normal_scale,
         occlusion_strength: m.occlusion_strength,
-        alpha_cutoff: m.alpha_cutoff.unwrap_or(-1.0),
-        base_color_texture: index(all[0]),
-        metallic_roughness_texture: index(all[1]),
-        normal_texture: index(all[2]),
-        occlusion_texture: index(all[3]),
-        emissive_texture: index(all[4]),
+        alpha_cutoff: m.alpha_cutoff.unwrap_or(NO_ALPHA_CUTOFF),
+        base_color_texture: index(m.base_color_texture),
+        metallic_roughness_texture: index(m.metallic_roughness_texture),
+        normal_texture: index(m.normal_texture),
+        occlusion_texture: index(m.occlusion_texture),
+        emissive_texture: index(m.emissive_texture),
         double_sided: u32::from(m.double_sided),
         texture_extent_texels: texels(0),
         texture_extent1_texels: texels(1),
@@ -136,8 +148,8 @@ fn texels_per_unit(slot: &TextureSlot, textures: &[Texture]) -> f32 {
 }
 
 /// By slot the rows of its matrix; the first row's w is its set.
-fn uv_rows(slots: [Option<TextureSlot>; 5]) -> [[f32; 4]; 10] {
-    let mut rows = [[0.0; 4]; 10];
+fn uv_rows(slots: TextureSlots) -> [[f32; 4]; 2 * SLOTS] {
+    let mut rows = [[0.0; 4]; 2 * SLOTS];
     for (at, slot) in slots.into_iter().enumerate() {
         let slot = slot.unwrap_or_else(|| 0.into());
         let [[a, b, x], [c, d, y]] = slot.uv_transform;

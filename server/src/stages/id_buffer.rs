@@ -32,7 +32,7 @@ pub struct IdBuffer {
     geometry: Geometry,
     group: BindGroup,
     target: Framebuffer,
-    /// R32_UINT, two layers: scene-wide patch number + 1, 0 for background.
+    /// R32_UINT, two layers: scene-wide patch number from `FIRST_ID` on, 0 for background.
     pub image: Image,
     _depth: Image,
 }

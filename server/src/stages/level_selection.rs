@@ -5,6 +5,7 @@ use crate::animation::gpu::Animation;
 use crate::predict::VIEW_TIMES;
 use crate::scene::SceneGpu;
 use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
+use shadecast_protocol::limits::MAX_VIEWS;
 use shadecast_shaders::generated::{LEVEL_SELECTION_COMP, LevelSelectionPush};
 use std::sync::Arc;
 
@@ -53,20 +54,17 @@ impl LevelSelection {
     ) {
         for instance in &scene.numbering.instances {
             let model = &scene.models[instance.model];
-            let base = places.map(|place| animation.position_base(instance, place));
             let patch_count = instance.drawn.count;
             let push = LevelSelectionPush {
                 vertex_base: model.vertex_base,
                 patch_base: model.patch_base,
                 scene_patch_base: instance.drawn.first.0,
                 patch_count,
-                view_count: 2 * VIEW_TIMES as u32,
-                position_base0: base[0],
-                position_base1: base[1],
-                position_base2: base[2],
+                view_count: MAX_VIEWS,
+                position_base: places.map(|place| animation.position_base(instance, place)),
                 material_base: model.material_base,
             };
-            recorder.dispatch(&self.pipeline, &self.group, &push, [patch_count.div_ceil(64), 1, 1]);
+            recorder.dispatch(&self.pipeline, &self.group, &push, [patch_count, 1, 1]);
         }
     }
 }

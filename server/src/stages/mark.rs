@@ -32,8 +32,8 @@ impl Mark {
 
     /// Marks what both layers of the ID buffer show.
     pub fn record(&self, recorder: &mut Recorder) {
-        let [x, y] = self.extent.map(|side| side.div_ceil(8));
-        recorder.dispatch(&self.pipeline, &self.group, &[0u32; 0], [x, y, 2]);
+        let [width, height] = self.extent;
+        recorder.dispatch(&self.pipeline, &self.group, &[0u32; 0], [width, height, 2]);
     }
 }
 

@@ -2,9 +2,13 @@
 
 use crate::scene::SceneGpu;
 use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
+use shadecast_shaders::constants::AFFINE_ROWS;
 use shadecast_shaders::generated::{PALETTE_COMP, PalettePush, PoseGpu};
 use std::ops::Range;
 use std::sync::Arc;
+
+/// Bytes of a bone's transform: rows of a `vec4`.
+pub const BONE_BYTES: u64 = AFFINE_ROWS as u64 * 16;
 
 /// The stage with its inputs and outputs.
 pub struct Palette {
@@ -21,13 +25,17 @@ impl Palette {
     /// With room for `times` sample times at which no two instances share a pose.
     pub fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, times: u32) -> Result<Self, GpuError> {
         let pipeline = ComputePipeline::new(gpu, &PALETTE_COMP)?;
-        let bytes = |count: u32, size: usize| u64::from(times) * u64::from(count) * size as u64;
-        let poses_bytes = bytes(scene.numbering.instances.len() as u32, size_of::<PoseGpu>());
+        let bytes = |count: u32, size: u64| u64::from(times) * u64::from(count) * size;
+        let poses_bytes = bytes(scene.numbering.instances.len() as u32, size_of::<PoseGpu>() as u64);
         let poses = Buffer::new(gpu, "poses", poses_bytes, Memory::Upload)?;
-        let globals =
-            Buffer::new(gpu, "bone transforms", bytes(scene.numbering.totals.bones, 48), Memory::Device)?;
+        let globals = Buffer::new(
+            gpu,
+            "bone transforms",
+            bytes(scene.numbering.totals.bones, BONE_BYTES),
+            Memory::Device,
+        )?;
         let palettes =
-            Buffer::new(gpu, "palettes", bytes(scene.numbering.totals.palette, 48), Memory::Device)?;
+            Buffer::new(gpu, "palettes", bytes(scene.numbering.totals.palette, BONE_BYTES), Memory::Device)?;
         let mut binds = scene.animation.binds();
         binds.extend([
             ("Poses", Bind::Buffer(&poses)),
@@ -43,7 +51,9 @@ impl Palette {
     pub fn record(&self, recorder: &mut Recorder, poses: Range<u32>) {
         if !poses.is_empty() {
             let push = PalettePush { pose_base: poses.start };
-            recorder.dispatch(&self.pipeline, &self.group, &push, [poses.len() as u32, 1, 1]);
+            // A workgroup for each pose.
+            let invocations = poses.len() as u32 * self.pipeline.workgroup()[0];
+            recorder.dispatch(&self.pipeline, &self.group, &push, [invocations, 1, 1]);
         }
     }
 }

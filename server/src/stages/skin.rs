@@ -8,11 +8,9 @@ use crate::scene::numbering::{InstancePlace, Totals};
 use crate::stages::palette::Palette;
 use crate::upload::check_room;
 use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
+use shadecast_shaders::constants::MAX_INFLUENCES;
 use shadecast_shaders::generated::{SKIN_CHAIN_COMP, SKIN_COMP, SKIN_PACKED_COMP, SkinJob, TangentGpu};
 use std::sync::Arc;
-
-/// Vertices in a workgroup.
-const GROUP: u32 = 128;
 
 /// The stage with its outputs: static instances first, then one run of the animated ones a place of the ring.
 pub struct Skin {
@@ -39,7 +37,7 @@ pub struct SkinJobs {
     /// Of vertices as they are.
     pub whole: Vec<SkinJob>,
     /// Of packed vertices, by the number of their influences.
-    pub packed: [Vec<SkinJob>; 4],
+    pub packed: [Vec<SkinJob>; MAX_INFLUENCES as usize],
 }
 
 impl SkinJobs {
@@ -85,7 +83,7 @@ impl Skin {
         };
         let is_chain = scene.skinning == Skinning::PerVertexChain;
         let whole = variant(if is_chain { &SKIN_CHAIN_COMP } else { &SKIN_COMP }, &[])?;
-        let most = if scene.skinning == Skinning::Packed { 4 } else { 0 };
+        let most = if scene.skinning == Skinning::Packed { MAX_INFLUENCES } else { 0 };
         let packed =
             (1..=most).map(|count| variant(&SKIN_PACKED_COMP, &[count])).collect::<Result<_, _>>()?;
         Ok(Self {
@@ -126,7 +124,7 @@ impl Skin {
     pub fn record(&self, recorder: &mut Recorder, jobs: &SkinJobs) {
         let lists = [(&self.whole, &jobs.whole)].into_iter().chain(self.packed.iter().zip(&jobs.packed));
         for (variant, jobs) in lists.filter(|(_, jobs)| !jobs.is_empty()) {
-            let dispatches = jobs.iter().map(|job| (job, [job.vertex_count.div_ceil(GROUP), 1, 1]));
+            let dispatches = jobs.iter().map(|job| (job, [job.vertex_count, 1, 1]));
             recorder.dispatch_each(&variant.pipeline, &variant.group, dispatches);
         }
     }

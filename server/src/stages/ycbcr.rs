@@ -4,6 +4,7 @@ use crate::stages::mark::nearest;
 use shadecast_gpu::{
     Access, Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Image, Memory, Recorder, Sampler,
 };
+use shadecast_shaders::constants::YCBCR_TEXELS;
 use shadecast_shaders::generated::{YCBCR_COMP, YcbcrPush};
 use std::sync::Arc;
 
@@ -37,7 +38,9 @@ impl Ycbcr {
     pub fn record(&self, recorder: &mut Recorder) {
         let [width, height] = self.extent;
         let push = YcbcrPush { width_texels: width, height_texels: height };
-        recorder.dispatch(&self.pipeline, &self.group, &push, [width.div_ceil(64), height.div_ceil(16), 1]);
+        let [across, down] = YCBCR_TEXELS;
+        let items = [width.div_ceil(across), height.div_ceil(down), 1];
+        recorder.dispatch(&self.pipeline, &self.group, &push, items);
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         recorder.copy_buffer(&self.planes, 0, &self.readback, 0, self.readback.size());
         recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);

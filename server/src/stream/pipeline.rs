@@ -60,8 +60,6 @@ pub trait Studio {
     fn account(&self, updates: &Self::Updates, stats: &mut ViewerStats);
     /// An encoder for pictures of an extent.
     fn encoder(&mut self, extent_texels: AtlasExtent) -> Result<Box<dyn Encoder>, EncodeError>;
-    /// Milliseconds that each stage of the finished updates took on the device, since the last call.
-    fn take_timings_ms(&mut self) -> Vec<(&'static str, f64)>;
     /// Opens the device again, after it was lost, and brings the scene to it.
     fn reopen(&mut self) -> anyhow::Result<()>;
 }
@@ -315,6 +313,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         let Some(Update { shaded, refresh }) = made else { return Ok(()) };
         let sizes = shaded.delta.sizes;
         client.count(sizes, now_ns);
+        self.stats.add_gpu(&shaded.timings);
         client.encoder.give(Job { shaded, refresh });
         self.count(sizes, now_ns);
         Ok(())
@@ -330,9 +329,6 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         }
         self.first_ns.get_or_insert(now_ns);
         self.last_ns = now_ns;
-        for (scope, ms) in self.studio.take_timings_ms() {
-            *self.stats.gpu_ms.entry(scope.to_owned()).or_default() += ms;
-        }
     }
 
     /// Ends the session of a client whose turn has failed, and everything on the device where that is lost.

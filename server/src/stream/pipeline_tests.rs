@@ -5,6 +5,7 @@ use crate::encode::{AccessUnit, Planes};
 use crate::residency::Budget;
 use crate::stream::testing::{accepted, head};
 use ash::vk;
+use shadecast_gpu::Timings;
 use shadecast_protocol::delta::DeltaEncoder;
 use shadecast_protocol::geometry::GeometryDelta;
 use shadecast_protocol::ids::UpdateId;
@@ -113,7 +114,8 @@ impl Studio for FakeStudio {
         updates.next += 1;
         let delta = GeometryDelta { frame, time, ..GeometryDelta::default() };
         let delta = DeltaEncoder::new(1, 1).encode(&delta.into());
-        Ok(Some(Shaded { frame, time, delta, extent_texels: [16, 16], planes: vec![0; 384] }))
+        let (extent_texels, planes, timings) = ([16, 16], vec![0; 384], Timings::default());
+        Ok(Some(Shaded { frame, time, delta, extent_texels, planes, timings }))
     }
 
     fn close(&mut self, _: FakeUpdates, _: bool) {
@@ -125,10 +127,6 @@ impl Studio for FakeStudio {
     fn encoder(&mut self, _: AtlasExtent) -> Result<Box<dyn Encoder>, EncodeError> {
         *self.0.encoders.borrow_mut() += 1;
         Ok(Box::new(FakeEncoder { acts: self.0.encodes.clone(), is_new: true }))
-    }
-
-    fn take_timings_ms(&mut self) -> Vec<(&'static str, f64)> {
-        Vec::new()
     }
 
     fn reopen(&mut self) -> anyhow::Result<()> {

@@ -1,6 +1,7 @@
 //! The figures of a run.
 
 use serde::Serialize;
+use shadecast_gpu::Timings;
 use std::collections::BTreeMap;
 
 /// How a run went.
@@ -42,6 +43,15 @@ pub struct StreamStats {
     pub gpu_ms: BTreeMap<String, f64>,
     /// Vulkan validation warnings and errors.
     pub validation_messages: u32,
+}
+
+impl StreamStats {
+    /// Adds what an update's stages took on the device.
+    pub(super) fn add_gpu(&mut self, timings: &Timings) {
+        for (stage, ms) in timings.iter() {
+            *self.gpu_ms.entry(stage.to_owned()).or_default() += ms;
+        }
+    }
 }
 
 /// How it went for one client.

@@ -97,10 +97,6 @@ impl Studio for GpuStudio<'_> {
         Ok(Box::new(OpenH264Encoder::new(settings)?))
     }
 
-    fn take_timings_ms(&mut self) -> Vec<(&'static str, f64)> {
-        self.device.as_ref().map_or(Vec::new(), |device| device.gpu.take_timings_ms())
-    }
-
     fn reopen(&mut self) -> anyhow::Result<()> {
         (self.world, self.looking) = (None, 0);
         if let Some(Device { scene, .. }) = self.device.take() {

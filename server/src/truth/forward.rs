@@ -15,6 +15,7 @@ use shadecast_gpu::{
 };
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
+use shadecast_shaders::constants::FIRST_ID;
 use shadecast_shaders::generated::{
     BackgroundPush, FORWARD_BACKGROUND_FRAG, FORWARD_BACKGROUND_VERT, FORWARD_FRAG, FORWARD_PROBE_FRAG,
     FORWARD_PROBE_VERT, FORWARD_VERT, ForwardPush, TangentGpu, ViewGpu,
@@ -293,11 +294,11 @@ impl Targets {
         Truth {
             extent_pixels: self.extent,
             rgb8: rgb8(&bytes[..plane]),
-            instance: ids.iter().map(|id| id.wrapping_sub(1)).collect(),
+            instance: ids.iter().map(|id| id.wrapping_sub(FIRST_ID)).collect(),
             distance_m: ids
                 .iter()
                 .zip(distances)
-                .map(|(id, d)| if *id == 0 { f32::INFINITY } else { *d })
+                .map(|(id, d)| if *id < FIRST_ID { f32::INFINITY } else { *d })
                 .collect(),
         }
     }

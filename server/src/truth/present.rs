@@ -5,7 +5,7 @@ use shadecast_gpu::{
     Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Image,
     Memory, Recorder, RenderPass, Sampler, SamplerDesc,
 };
-use shadecast_shaders::font;
+use shadecast_shaders::font::{self, Glyph};
 use shadecast_shaders::generated::{PRESENT_FRAG, PRESENT_VERT, PresentPush};
 use std::sync::Arc;
 
@@ -29,12 +29,12 @@ impl Present {
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
         let nearest =
             SamplerDesc { filter: vk::Filter::NEAREST, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
-        let words = u64::from(MAX_CELLS[0] * MAX_CELLS[1]) * 2;
+        let bytes = u64::from(MAX_CELLS[0] * MAX_CELLS[1]) * size_of::<Glyph>() as u64;
         Ok(Self {
             pipeline: GraphicsPipeline::new(gpu, &desc)?,
             sampler: Sampler::new(gpu, nearest)?,
             group: None,
-            text: Buffer::new(gpu, "figures", words * 4, Memory::Upload)?,
+            text: Buffer::new(gpu, "figures", bytes, Memory::Upload)?,
             cells: [0, 0],
             codes_srgb,
         })
@@ -52,12 +52,12 @@ impl Present {
         let columns = lines.iter().map(|line| line.chars().count() as u32).max().unwrap_or(0);
         let [columns, rows] = [columns.min(MAX_CELLS[0]), (lines.len() as u32).min(MAX_CELLS[1])];
         self.cells = [columns, rows];
-        let words: &mut [u32] = bytemuck::cast_slice_mut(self.text.bytes_mut());
+        let glyphs: &mut [Glyph] = bytemuck::cast_slice_mut(self.text.bytes_mut());
         for (row, line) in lines.iter().take(rows as usize).enumerate() {
-            let cells = &mut words[row * columns as usize * 2..][..columns as usize * 2];
+            let cells = &mut glyphs[row * columns as usize..][..columns as usize];
             let padded = line.chars().chain(std::iter::repeat(' '));
-            for (cell, character) in cells.chunks_exact_mut(2).zip(padded) {
-                cell.copy_from_slice(&font::glyph(character));
+            for (cell, character) in cells.iter_mut().zip(padded) {
+                *cell = font::glyph(character);
             }
         }
     }

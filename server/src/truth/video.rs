@@ -8,7 +8,7 @@
 use crate::encode::openh264::{EncoderSettings, OpenH264Encoder};
 use crate::encode::{EncodeError, Encoder, Planes};
 use mp4::{AvcConfig, MediaConfig, Mp4Config, Mp4Sample, Mp4Writer, TrackConfig, TrackType};
-use shadecast_shaders::twin::ycbcr;
+use shadecast_shaders::color;
 use shadecast_transport::PendingFile;
 use std::io::{self, BufWriter, StdoutLock, Write};
 use std::path::{Path, PathBuf};
@@ -138,7 +138,7 @@ fn extension(path: &Path) -> String {
 /// Planes of a picture, one after the other.
 fn planes(rgb8: &[u8], extent: [u32; 2]) -> Vec<u8> {
     let rgba8: Vec<u8> = rgb8.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
-    ycbcr::planes(&rgba8, extent)
+    color::planes(&rgba8, extent)
 }
 
 /// YUV4MPEG2 4:2:0.

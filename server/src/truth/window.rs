@@ -10,7 +10,7 @@ use ash::vk;
 use glam::Vec3;
 use shadecast_gpu::{
     Access, Buffer, Framebuffer, Gpu, GpuError, GpuOptions, Image, ImageDesc, Memory, Recorder, Swapchain,
-    Ticket, WindowDevice,
+    Ticket, Timings, WindowDevice,
 };
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::Scene;
@@ -184,6 +184,8 @@ struct Shown {
     is_dragging: bool,
     pointer: [f32; 2],
     last: Option<Ticket>,
+    /// Of the frame before.
+    timings: Timings,
     frames: u32,
     clock: Clock,
 }
@@ -228,6 +230,7 @@ impl Shown {
             is_dragging: false,
             pointer: [0.0; 2],
             last: None,
+            timings: Timings::default(),
             frames: 0,
             clock: Clock { first: now, last: now, figures: now, figures_frame: 0 },
             options,
@@ -245,7 +248,7 @@ impl Shown {
     /// Draws and presents a frame. True when the options say that it was the last.
     fn frame(&mut self) -> Result<bool, WindowError> {
         if let Some(ticket) = self.last.take() {
-            self.gpu.wait(ticket)?;
+            self.timings = self.gpu.wait_timed(ticket)?;
         }
         self.advance();
         let size = self.window.inner_size();
@@ -324,7 +327,6 @@ impl Shown {
             self.present.write(&lines);
             (self.clock.figures, self.clock.figures_frame) = (now, self.frames);
         }
-        self.gpu.take_timings_ms();
     }
 
     fn figures(&self, fps: f64) -> Vec<String> {
@@ -340,7 +342,7 @@ impl Shown {
             format!("{} vertices, {} moving", totals.vertices, totals.animated_vertices),
         ];
         let mut stages: Vec<(&str, f64)> = Vec::new();
-        for (name, ms) in self.gpu.take_timings_ms() {
+        for (name, ms) in self.timings.iter() {
             match stages.iter_mut().find(|(known, _)| *known == name) {
                 Some((_, sum)) => *sum += ms,
                 None => stages.push((name, ms)),

@@ -1,42 +1,10 @@
 //! Twin of `client_scatter.comp` and `client_interpolate.comp`: the client's vertex memory, and the positions of animated
 //! vertices at a display time.
 
+use crate::constants::{NO_SAMPLE, ON_CURVE, PAST_THE_END, STATIC_BIT, STATIC_BLEND};
+use crate::curve::cubic_weights;
 use crate::generated::{InterpolatePush, VertexWriteGpu};
 use shadecast_protocol::limits::SAMPLE_RING;
-use shadecast_protocol::time::GridIndex;
-
-/// State of a position (its `w`): no samples around the display time.
-pub const NOT_DRAWABLE: f32 = 0.0;
-/// State of a position: interpolated, or static.
-pub const ON_CURVE: f32 = 1.0;
-/// State of a position: past the last sample, or the future has changed; the next curve is blended to.
-pub const PAST_THE_END: f32 = 2.0;
-/// Bit of [`VertexWriteGpu::slot`] for a static vertex that enters.
-pub const STATIC_BIT: u32 = 1 << 31;
-
-const NO_SAMPLE: u32 = 0;
-
-/// The tag of a grid step: tags order like grid indices, and 0 is no sample.
-pub fn tag(grid: GridIndex) -> u32 {
-    (grid.0 as u32) ^ STATIC_BIT
-}
-
-/// The record of a sample.
-pub fn sample_write(slot: u32, grid: GridIndex, position: [f32; 3]) -> VertexWriteGpu {
-    let [x, y, z] = position.map(f32::to_bits);
-    VertexWriteGpu { slot, tag: tag(grid), x, y, z }
-}
-
-/// The record of an animated vertex that enters a slot: what the slot held is forgotten.
-pub fn sampled_entry(slot: u32) -> VertexWriteGpu {
-    VertexWriteGpu { slot, tag: NO_SAMPLE, x: 0, y: 0, z: 0 }
-}
-
-/// The record of a static vertex that enters a slot.
-pub fn static_entry(slot: u32, position: [f32; 3]) -> VertexWriteGpu {
-    let [x, y, z] = position.map(f32::to_bits);
-    VertexWriteGpu { slot: slot | STATIC_BIT, tag: NO_SAMPLE, x, y, z }
-}
 
 /// The client's vertex memory: see `client_vertices.glsl`.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,7 +15,7 @@ pub struct VertexMemory {
     pub samples: Vec<[u32; 4]>,
     /// By slot: position in the world and state.
     pub positions: Vec<[f32; 4]>,
-    /// By slot: what is left to blend away, and its share; negative for a static vertex.
+    /// By slot: what is left to blend away, and its share; [`STATIC_BLEND`] for a static vertex.
     pub blends: Vec<[f32; 4]>,
 }
 
@@ -90,7 +58,7 @@ impl VertexMemory {
         }
         let [x, y, z] = [write.x, write.y, write.z].map(f32::from_bits);
         self.positions[slot] = if is_static { [x, y, z, ON_CURVE] } else { [0.0; 4] };
-        self.blends[slot] = [0.0, 0.0, 0.0, if is_static { -1.0 } else { 0.0 }];
+        self.blends[slot] = [0.0, 0.0, 0.0, if is_static { STATIC_BLEND } else { 0.0 }];
     }
 
     /// One dispatch of `client_interpolate.comp`.
@@ -102,7 +70,7 @@ impl VertexMemory {
 
     fn interpolate_vertex(&mut self, slot: u32, push: &InterpolatePush) {
         let mut blend = self.blends[slot as usize];
-        if blend[3] < 0.0 {
+        if blend[3] == STATIC_BLEND {
             return;
         }
         let before = self.positions[slot as usize];
@@ -160,19 +128,12 @@ impl VertexMemory {
     }
 }
 
-/// Lagrange's polynomial through samples at -1, 0, 1, 2, at `f` in 0..=1.
-pub fn cubic_weights(f: f32) -> [f32; 4] {
-    [
-        -f * (f - 1.0) * (f - 2.0) / 6.0,
-        (f + 1.0) * (f - 1.0) * (f - 2.0) / 2.0,
-        -(f + 1.0) * f * (f - 2.0) / 2.0,
-        (f + 1.0) * f * (f - 1.0) / 6.0,
-    ]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::constants::NOT_DRAWABLE;
+    use crate::records::{sample_write, sampled_entry, static_entry, tag};
+    use shadecast_protocol::time::GridIndex;
 
     const STEP_S: f64 = 1.0 / 30.0;
 

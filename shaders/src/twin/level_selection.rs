@@ -1,7 +1,11 @@
 //! Twin of `level_selection.comp`: the largest projected extent of a patch over all predicted views.
 
+use crate::constants::{MAX_PATCH_EXTENT_TEXELS, PATCH_ONE};
 use glam::{Mat4, Vec2, Vec4};
+use shadecast_protocol::limits::PATCH_MAX_VERTICES;
 use shadecast_protocol::pose::NEAR_M;
+
+const CORNERS: usize = PATCH_MAX_VERTICES as usize;
 
 /// A view: its projection, and the pixels that its whole field of view would have on the display.
 #[derive(Clone, Copy, Debug)]
@@ -14,7 +18,7 @@ pub struct View {
 
 /// Width and height in texels of a patch of `kind` triangles, before any cap by its textures. `world[view]` holds its
 /// five vertices (unused ones repeat the first) at the view's time.
-pub fn extent_texels(kind: u32, views: &[View], world: &[[Vec4; 5]]) -> [u32; 2] {
+pub fn extent_texels(kind: u32, views: &[View], world: &[[Vec4; CORNERS]]) -> [u32; 2] {
     let mut extent = Vec2::ONE;
     for (view, corners) in views.iter().zip(world) {
         let c = corners.map(|p| view.clip_from_world * p);
@@ -23,16 +27,16 @@ pub fn extent_texels(kind: u32, views: &[View], world: &[[Vec4; 5]]) -> [u32; 2]
         }
         let half = view.extent_pixels * 0.5;
         let mut size =
-            Vec2::new(length(c[0], c[1], half), length(c[0], c[if kind == 1 { 2 } else { 3 }], half));
-        if kind != 1 {
+            Vec2::new(length(c[0], c[1], half), length(c[0], c[if kind == PATCH_ONE { 2 } else { 3 }], half));
+        if kind != PATCH_ONE {
             size = size.max(Vec2::new(length(c[3], c[2], half), length(c[1], c[2], half)));
         }
         extent = extent.max(size);
     }
-    extent.to_array().map(|side| side.ceil().clamp(1.0, 65535.0) as u32)
+    extent.to_array().map(|side| side.ceil().clamp(1.0, MAX_PATCH_EXTENT_TEXELS) as u32)
 }
 
-fn outside_one_side(c: &[Vec4; 5]) -> bool {
+fn outside_one_side(c: &[Vec4; CORNERS]) -> bool {
     let all = |outside: fn(&Vec4) -> bool| c.iter().all(outside);
     all(|p| p.x < -p.w) || all(|p| p.x > p.w) || all(|p| p.y < -p.w) || all(|p| p.y > p.w)
 }
@@ -64,7 +68,7 @@ mod tests {
         }
     }
 
-    fn quad(z: f32) -> [Vec4; 5] {
+    fn quad(z: f32) -> [Vec4; CORNERS] {
         let p = |x: f32, y: f32, z: f32| Vec4::new(x, y, z, 1.0);
         [p(-0.5, 0.0, z), p(0.5, 0.0, z), p(0.5, 0.25, z), p(-0.5, 0.25, z), p(-0.5, 0.0, z)]
     }

@@ -1,5 +1,29 @@
-//! CPU reference twins: what each GPU stage must compute, in plain Rust, one file per shader stem.
+//! CPU reference twins: what each GPU stage must compute, in plain Rust, one file per shader stem. For tests alone: what the
+//! product needs too is elsewhere in this crate (of `ycbcr.comp` in [`crate::color`]).
 pub mod interpolate;
 pub mod level_selection;
 pub mod mark;
-pub mod ycbcr;
+
+#[cfg(test)]
+mod tests {
+    use std::path::{Path, PathBuf};
+
+    fn sources(folder: &Path) -> Vec<PathBuf> {
+        let items = std::fs::read_dir(folder).expect("a folder of the workspace");
+        let paths = items.map(|item| item.expect("can be listed").path());
+        paths.flat_map(|path| if path.is_dir() { sources(&path) } else { vec![path] }).collect()
+    }
+
+    #[test]
+    fn the_product_uses_no_twin() {
+        let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let product = ["server/src", "server/scene/src", "client-xr/src", "android/src", "shared/gpu/src"];
+        let is_of_tests = |path: &PathBuf| path.to_string_lossy().ends_with("tests.rs");
+        let sources: Vec<_> = product.iter().flat_map(|folder| sources(&workspace.join(folder))).collect();
+        assert!(sources.len() > 50, "{sources:?}");
+        for path in sources.iter().filter(|path| !is_of_tests(path)) {
+            let text = std::fs::read_to_string(path).expect("a source file");
+            assert!(!text.contains("shaders::twin"), "{}: a twin is for tests", path.display());
+        }
+    }
+}

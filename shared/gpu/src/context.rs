@@ -2,6 +2,7 @@
 
 use crate::memory::Garbage;
 use crate::recorder::CommandSlot;
+use crate::timings::KeptTimings;
 use crate::{Doing, GpuError};
 use ash::{ext, vk};
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
@@ -73,7 +74,7 @@ pub struct Gpu {
     pub(crate) submitted: AtomicU64,
     pub(crate) completed: AtomicU64,
     pub(crate) garbage: Mutex<VecDeque<(u64, Garbage)>>,
-    pub(crate) timings_ms: Mutex<Vec<(&'static str, f64)>>,
+    pub(crate) timings: Mutex<KeptTimings>,
     pub(crate) properties: vk::PhysicalDeviceProperties,
     physical: vk::PhysicalDevice,
     messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
@@ -131,7 +132,7 @@ impl Gpu {
             submitted: AtomicU64::new(0),
             completed: AtomicU64::new(0),
             garbage: Mutex::default(),
-            timings_ms: Mutex::default(),
+            timings: Mutex::default(),
             properties,
             physical,
             messenger,
@@ -196,11 +197,6 @@ impl Gpu {
     /// Family of the one queue; its index within the family is 0.
     pub fn queue_family(&self) -> u32 {
         self.queue_family
-    }
-
-    /// Milliseconds that each scope of the finished recordings took on the GPU, in order, since the last call.
-    pub fn take_timings_ms(&self) -> Vec<(&'static str, f64)> {
-        std::mem::take(&mut self.timings_ms.lock().expect("not poisoned"))
     }
 
     /// Waits until everything submitted has finished: for shutdown only, before others destroy what the GPU may still use.

@@ -8,6 +8,7 @@ mod pass;
 mod pipeline;
 mod recorder;
 mod selftest;
+mod timings;
 #[cfg(feature = "window")]
 mod window;
 
@@ -18,6 +19,7 @@ pub use memory::{Buffer, Image, ImageDesc, Memory, Sampler, SamplerDesc};
 pub use pass::{Attachment, Framebuffer, RenderPass, RenderPassDesc};
 pub use pipeline::{ComputePipeline, GraphicsPipeline, GraphicsPipelineDesc, VertexInput};
 pub use recorder::{Access, Recorder, Ticket};
+pub use timings::Timings;
 #[cfg(feature = "window")]
 pub use window::{Swapchain, WindowDevice, WindowImage};
 

@@ -13,6 +13,7 @@ pub struct ComputePipeline {
     gpu: Arc<Gpu>,
     pub(crate) handle: vk::Pipeline,
     layout: Arc<Layout>,
+    workgroup: [u32; 3],
 }
 
 /// A vertex buffer's content, one attribute per entry, tight, in location order.
@@ -82,6 +83,7 @@ impl ComputePipeline {
 
     /// The same with specialisation constants, numbered as they stand.
     pub fn specialised(gpu: &Arc<Gpu>, shader: &Shader, constants: &[u32]) -> Result<Self, GpuError> {
+        let workgroup = shader.workgroup.expect("a compute shader");
         let layout = Layout::new(gpu, &[shader])?;
         let module = module(gpu, shader)?;
         let entry = |id: u32| vk::SpecializationMapEntry { constant_id: id, offset: id * 4, size: 4 };
@@ -101,12 +103,22 @@ impl ComputePipeline {
             made
         };
         let handle = made.map_err(|(_, e)| e).doing("creating a compute pipeline")?[0];
-        Ok(Self { gpu: gpu.clone(), handle, layout })
+        Ok(Self { gpu: gpu.clone(), handle, layout, workgroup })
     }
 
     /// Layout, for bind groups.
     pub fn layout(&self) -> &Arc<Layout> {
         &self.layout
+    }
+
+    /// Invocations of a workgroup in x, y and z.
+    pub fn workgroup(&self) -> [u32; 3] {
+        self.workgroup
+    }
+
+    /// Workgroups that have an invocation for each of `items`.
+    pub(crate) fn groups(&self, items: [u32; 3]) -> [u32; 3] {
+        std::array::from_fn(|axis| items[axis].div_ceil(self.workgroup[axis]))
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::bind::BindGroup;
 use crate::pass::{Framebuffer, RenderPass};
 use crate::pipeline::{ComputePipeline, GraphicsPipeline};
-use crate::{Buffer, Doing, Gpu, GpuError, Image};
+use crate::{Buffer, Doing, Gpu, GpuError, Image, Timings};
 use ash::vk;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -121,14 +121,11 @@ impl CommandSlot {
         if read.is_err() {
             return;
         }
-        let period = f64::from(gpu.properties.limits.timestamp_period) * 1e-6;
-        let mut timings = gpu.timings_ms.lock().expect("not poisoned");
-        if timings.len() > 4096 {
-            timings.clear(); // nobody asks for them
-        }
-        for (scope, pair) in self.scopes.iter().zip(stamps.chunks_exact(2)) {
-            timings.push((scope, pair[1].saturating_sub(pair[0]) as f64 * period));
-        }
+        let period_ms = f64::from(gpu.properties.limits.timestamp_period) * 1e-6;
+        let took_ms = |pair: &[u64]| pair[1].saturating_sub(pair[0]) as f64 * period_ms;
+        let scopes = self.scopes.iter().zip(stamps.chunks_exact(2));
+        let mut timings = gpu.timings.lock().expect("not poisoned");
+        timings.keep(self.serial, scopes.map(|(scope, pair)| (*scope, took_ms(pair))));
     }
 }
 
@@ -168,6 +165,13 @@ impl Gpu {
             self.reclaim()?;
         }
         Ok(())
+    }
+
+    /// Waits as [`Self::wait`] does. Gives how long the scopes of the recording behind `ticket` took: once, and only while
+    /// it is among the newest.
+    pub fn wait_timed(&self, ticket: Ticket) -> Result<Timings, GpuError> {
+        self.wait(ticket)?;
+        Ok(self.timings.lock().expect("not poisoned").take(ticket.0))
     }
 
     /// Whether the recording behind `ticket` has finished.
@@ -244,7 +248,7 @@ impl Recorder {
         Ok(ticket)
     }
 
-    /// Times what `body` records under `name`.
+    /// Times what `body` records under `name`; see [`Gpu::wait_timed`].
     pub fn scope<R>(&mut self, name: &'static str, body: impl FnOnce(&mut Self) -> R) -> R {
         let index = self.slot().scopes.len() as u32;
         let timed = index < MAX_TIMED_SCOPES;
@@ -265,23 +269,23 @@ impl Recorder {
         unsafe { self.gpu.device.cmd_write_timestamp(slot.commands, stage, slot.queries, query) };
     }
 
-    /// Dispatches `groups` workgroups.
+    /// Dispatches an invocation for each of `items` in x, y and z; the last workgroups may have more.
     pub fn dispatch<P: bytemuck::Pod>(
         &mut self,
         pipeline: &ComputePipeline,
         group: &BindGroup,
         push: &P,
-        groups: [u32; 3],
+        items: [u32; 3],
     ) {
-        self.dispatch_each(pipeline, group, std::iter::once((push, groups)));
+        self.dispatch_each(pipeline, group, std::iter::once((push, items)));
     }
 
-    /// Dispatches as many workgroups as each item says, with its push constants; nothing waits in between.
+    /// A dispatch for each push constants with its items, see [`Self::dispatch`]; nothing waits in between.
     pub fn dispatch_each<'a, P: bytemuck::Pod>(
         &mut self,
         pipeline: &ComputePipeline,
         group: &BindGroup,
-        items: impl Iterator<Item = (&'a P, [u32; 3])>,
+        dispatches: impl Iterator<Item = (&'a P, [u32; 3])>,
     ) {
         let (device, commands, layout) = (&self.gpu.device, self.commands(), pipeline.layout());
         // SAFETY: pipeline and set are alive and of one layout.
@@ -290,10 +294,11 @@ impl Recorder {
             let (sets, point) = ([group.set], vk::PipelineBindPoint::COMPUTE);
             device.cmd_bind_descriptor_sets(commands, point, layout.handle, 0, &sets, &[]);
         }
-        for (push, groups) in items {
+        for (push, items) in dispatches {
             self.push(layout, push);
+            let [x, y, z] = pipeline.groups(items);
             // SAFETY: pipeline, set and push constants are those of the layout.
-            unsafe { device.cmd_dispatch(commands, groups[0], groups[1], groups[2]) };
+            unsafe { device.cmd_dispatch(commands, x, y, z) };
         }
     }
 

@@ -5,17 +5,19 @@ use crate::{
     Buffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Image, ImageDesc, Memory, Recorder,
 };
 use ash::vk;
+use shadecast_shaders::constants::SELFTEST_NUMBER;
 use shadecast_shaders::generated::{SELFTEST_FRAG, SELFTEST_VERT};
 use std::sync::Arc;
 
 /// Draws a number into each of two views and reads both back.
 pub(crate) fn multiview(gpu: &Arc<Gpu>) -> Result<(), GpuError> {
     let seen = draw_two_views(gpu)?;
-    if seen == [7, 8] {
+    let expected = [SELFTEST_NUMBER, SELFTEST_NUMBER + 1];
+    if seen == expected {
         return Ok(());
     }
     Err(GpuError::NoDevice(format!(
-        "{} fails the multiview self-test (views show {seen:?} instead of [7, 8]); update the driver \
+        "{} fails the multiview self-test (views show {seen:?} instead of {expected:?}); update the driver \
          (Debian 12's own Mesa 22 has this fault, Mesa from bookworm-backports does not)",
         gpu.device_name()
     )))

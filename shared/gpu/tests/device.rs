@@ -32,8 +32,23 @@ fn copies_arrive_and_buffers_dropped_while_in_use_outlive_the_work() {
     drop(source);
     gpu.wait(ticket).unwrap();
     assert_eq!(&target.values::<u32>()[..1000], &data[..]);
-    assert_eq!(gpu.take_timings_ms().len(), 1);
     assert_eq!(gpu.validation_messages(), 0, "{:?}", gpu.validation_texts());
+}
+
+#[test]
+fn who_waits_for_a_recording_sees_its_timings_and_no_others() {
+    let gpu = open(Needs::Client);
+    let target = Buffer::new(&gpu, "target", 4096, Memory::Device).unwrap();
+    let submit = |scopes: &[&'static str]| {
+        let mut recorder = gpu.record().unwrap();
+        scopes.iter().for_each(|name| recorder.scope(name, |r| r.fill(&target, 0)));
+        recorder.submit().unwrap()
+    };
+    let (first, silent, second) = (submit(&["a", "b"]), submit(&[]), submit(&["c"]));
+    let seen = |ticket| gpu.wait_timed(ticket).unwrap().iter().map(|(name, _)| name).collect::<Vec<_>>();
+    assert_eq!(seen(second), ["c"]);
+    assert_eq!(seen(first), ["a", "b"]);
+    assert_eq!(seen(silent), [""; 0]);
 }
 
 #[test]
@@ -44,10 +59,32 @@ fn an_unknown_device_name_is_an_error_that_lists_what_there_is() {
     assert!(error.contains("not the one asked for"), "{error}");
 }
 
+#[test]
+fn a_dispatch_has_an_invocation_for_each_item_and_no_workgroup_more() {
+    let gpu = open(Needs::Client);
+    let pipeline = ComputePipeline::new(&gpu, &BENCH_FETCH_COMP).unwrap();
+    let [workgroup, ..] = pipeline.workgroup();
+    let table = Buffer::upload(&gpu, "table", &[[1.0f32; 4]; 4]).unwrap();
+    let sums = Buffer::new(&gpu, "sums", u64::from(4 * workgroup) * 16, Memory::Readback).unwrap();
+    let binds = [("Table", Bind::Buffer(&table)), ("Sums", Bind::Buffer(&sums))];
+    let group = BindGroup::new(pipeline.layout(), &binds).unwrap();
+    for (items, groups) in [(1, 1), (workgroup, 1), (workgroup + 1, 2), (3 * workgroup - 1, 3)] {
+        let mut recorder = gpu.record().unwrap();
+        recorder.fill(&sums, 0);
+        recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
+        recorder.dispatch(&pipeline, &group, &BenchFetchPush { fetches: 4, mask: 3 }, [items, 1, 1]);
+        recorder.barrier(Access::COMPUTE_WRITE, Access::HOST_READ);
+        gpu.wait(recorder.submit().unwrap()).unwrap();
+        let written = sums.values::<[f32; 4]>().iter().filter(|sum| sum[0] != 0.0).count();
+        assert_eq!(written, (groups * workgroup) as usize, "{items} items");
+    }
+}
+
 /// Validation messages of two dispatches of which the second reads what the first writes.
 fn messages_of_two_dispatches(gpu: &Arc<Gpu>, barrier: bool) -> u32 {
     let pipeline = ComputePipeline::new(gpu, &BENCH_FETCH_COMP).unwrap();
     let data = vec![[0.0f32; 4]; 128];
+    let items = [data.len() as u32, 1, 1];
     let buffers = ["a", "b", "c"].map(|name| Buffer::upload(gpu, name, &data).unwrap());
     let group = |table: usize, sums: usize| {
         let binds = [("Table", Bind::Buffer(&buffers[table])), ("Sums", Bind::Buffer(&buffers[sums]))];
@@ -57,11 +94,11 @@ fn messages_of_two_dispatches(gpu: &Arc<Gpu>, barrier: bool) -> u32 {
     let push = BenchFetchPush { fetches: 4, mask: 127 };
     let before = gpu.validation_messages();
     let mut recorder = gpu.record().unwrap();
-    recorder.dispatch(&pipeline, &first, &push, [1, 1, 1]);
+    recorder.dispatch(&pipeline, &first, &push, items);
     if barrier {
         recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
     }
-    recorder.dispatch(&pipeline, &second, &push, [1, 1, 1]);
+    recorder.dispatch(&pipeline, &second, &push, items);
     let ticket = recorder.submit().unwrap();
     gpu.wait(ticket).unwrap();
     gpu.validation_messages() - before

@@ -1,7 +1,7 @@
 //! Every capacity of the system as a named constant, so that an overflow has one place to be defined in.
 //!
-//! Decoders check counts against these before they allocate. [`glsl_defines`] hands the ones that shaders read to
-//! the shader build. The asserts at the end hold the relations between them.
+//! Decoders check counts against these before they allocate. Shaders read some of them. The asserts at the end hold the
+//! relations between them.
 
 /// Vertices that a client keeps at most. Slots are numbered from 0.
 pub const MAX_VERTEX_SLOTS: u32 = 131_072;
@@ -140,20 +140,3 @@ const _: () = {
     assert!(MAX_FRAMES_AHEAD as usize >= MAX_QUEUED_STREAMS, "what may wait may come");
     assert!(MAX_ACCESS_UNIT_BYTES + 64 <= MAX_STREAM_BYTES && MAX_STREAM_BYTES <= MAX_QUEUED_STREAM_BYTES);
 };
-
-/// The limits that shaders read, as `#define` names and values.
-pub fn glsl_defines() -> Vec<(&'static str, u32)> {
-    vec![
-        ("MAX_VERTEX_SLOTS", MAX_VERTEX_SLOTS),
-        ("MAX_PATCH_SLOTS", MAX_PATCH_SLOTS),
-        ("MAX_INSTANCES", MAX_INSTANCES),
-        ("MAX_LIGHTS", MAX_LIGHTS),
-        ("SAMPLE_RING", SAMPLE_RING),
-        ("MAX_VIEWS", MAX_VIEWS),
-        ("PATCH_MAX_VERTICES", PATCH_MAX_VERTICES),
-        ("BLOCK_MIN_LOG2", BLOCK_MIN_LOG2),
-        ("BLOCK_MAX_LOG2", BLOCK_MAX_LOG2),
-        ("BLOCK_INSET_TEXELS", BLOCK_INSET_TEXELS),
-        ("NO_BLOCK", NO_BLOCK),
-    ]
-}

@@ -15,7 +15,7 @@ use shadecast_server::stages::level_selection::LevelSelection;
 use shadecast_server::stages::mark::Mark;
 use shadecast_server::stages::view_gpu;
 use shadecast_server::truth::forward::Forward;
-use shadecast_shaders::twin;
+use shadecast_shaders::{color, twin};
 use std::sync::Arc;
 
 fn gpu() -> Arc<Gpu> {
@@ -218,7 +218,7 @@ fn atlas_planes_equal_the_cpu_twin_within_one_code_value() {
     recorder.transition(&atlas, [written, read], Access::COPY_WRITE, Access::COMPUTE_READ);
     ycbcr.record(&mut recorder);
     gpu.wait(recorder.submit().unwrap()).unwrap();
-    let twin = twin::ycbcr::planes(&rgba8, extent);
+    let twin = color::planes(&rgba8, extent);
     let planes = ycbcr.planes().concat();
     assert_eq!(planes.len(), twin.len());
     let worst = planes.iter().zip(&twin).map(|(a, b)| a.abs_diff(*b)).max();

@@ -20,7 +20,6 @@ use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::HeadPath;
 use shadecast_scene::load::load_head_path;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// A walk of a few steps to the side and forward, turning the head: 5 s, then it goes back the same way.
@@ -150,14 +149,10 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
         last: None,
         motion: Motion::default(),
         clock_errors_ms: Vec::new(),
-        gpu_ms: BTreeMap::new(),
     };
     let frames = (options.seconds * options.refresh_hz).round() as u64;
     let bar = progress(options.verbose, frames);
     while let Step::Frame(shown) = lab.step()? {
-        for (stage, ms) in lab.server.gpu.take_timings_ms() {
-            *run.gpu_ms.entry(stage).or_default() += ms;
-        }
         let time = ServerTime(shown.display_time.0 - SERVER_EPOCH_NS);
         if options.motion {
             run.motion.look(&mut lab, &shown, time)?;
@@ -197,8 +192,6 @@ struct Run<'a> {
     motion: Motion,
     /// The client's clock less the server's at each display frame with a bundle.
     clock_errors_ms: Vec<f64>,
-    /// Milliseconds by the server's GPU stage, summed.
-    gpu_ms: BTreeMap<&'static str, f64>,
 }
 
 impl Run<'_> {
@@ -228,7 +221,6 @@ impl Run<'_> {
             time,
             probes.as_ref(),
         )?;
-        lab.server.gpu.take_timings_ms(); // the ground truth's own
         if self.options.dump_every > 0 {
             dump(&self.options.out, record.frame, &pictures)?;
         }
@@ -252,7 +244,7 @@ impl Run<'_> {
             bytes_per_animated_vertex_sample: (sent.samples > 0)
                 .then(|| sent.sample_bytes as f64 / sent.samples as f64),
             validation_messages,
-            gpu_ms: self
+            gpu_ms: seat
                 .gpu_ms
                 .iter()
                 .map(|(stage, ms)| ((*stage).to_owned(), ms / sent.updates.max(1) as f64))

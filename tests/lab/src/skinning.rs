@@ -215,9 +215,9 @@ impl Variant {
         let mut recorder = gpu.record()?;
         self.animation.record_sample(&mut recorder, RingPlace(0), ServerTime((time_s * 1e9) as i64));
         self.animation.record_tangents(&mut recorder, RingPlace(0), |_| true);
-        gpu.wait(recorder.submit()?)?;
+        let timings = gpu.wait_timed(recorder.submit()?)?;
         let mut round = Round::default();
-        for (stage, ms) in gpu.take_timings_ms() {
+        for (stage, ms) in timings.iter() {
             if let Some(floor) = self.floors.get(stage) {
                 let copy_floor = floor.copy_ms(rates);
                 round.stages.insert(stage, Measured { took: ms, floor: floor.ms(rates), copy_floor });
@@ -386,10 +386,9 @@ impl RateBench {
         recorder.scope("copy", |r| r.copy_buffer(&self.from, 0, &self.to, 0, COPY_BYTES));
         recorder.barrier(Access::COMPUTE, Access::COMPUTE);
         recorder.scope("fetch", |r| {
-            r.dispatch(&self.pipeline, &self.group, &push, [FETCH_INVOCATIONS / 128, 1, 1]);
+            r.dispatch(&self.pipeline, &self.group, &push, [FETCH_INVOCATIONS, 1, 1]);
         });
-        gpu.wait(recorder.submit()?)?;
-        let times: BTreeMap<_, _> = gpu.take_timings_ms().into_iter().collect();
+        let times: BTreeMap<_, _> = gpu.wait_timed(recorder.submit()?)?.iter().collect();
         let seconds =
             |scope: &str| times.get(scope).map(|ms| ms * 1e-3).context("the device has no timestamps");
         Ok(Rates {

@@ -18,7 +18,7 @@ use shadecast_server::pacing::{Kind, WayState};
 use shadecast_server::viewer::{Told, Update, Viewer, bytes_of};
 use shadecast_server::world::ViewerId;
 use shadecast_transport::{Event, PeerId};
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 /// What crossed from server to client.
 #[derive(Clone, Copy, Debug, Default)]
@@ -43,6 +43,8 @@ pub struct Seat {
     pub viewer: Option<Viewer<Frame>>,
     /// What was sent to it.
     pub sent: Sent,
+    /// Milliseconds by GPU stage, summed over its updates.
+    pub gpu_ms: BTreeMap<&'static str, f64>,
     /// The last update's planes and their extent, for the atlas picture.
     pub last: Option<Shaded>,
     /// Who was in the client's memory at which update.
@@ -81,6 +83,7 @@ impl Seat {
         Self {
             viewer: None,
             sent: Sent::default(),
+            gpu_ms: BTreeMap::new(),
             last: None,
             residents: Residents::default(),
             session: ServerSession::new(server.offer(number)),
@@ -202,6 +205,7 @@ impl Seat {
             return Ok(());
         };
         self.sent.updates += 1;
+        shaded.timings.iter().for_each(|(stage, ms)| *self.gpu_ms.entry(stage).or_default() += ms);
         self.residents.note(shaded.frame, frame.residency());
         let (delta, Update { shaded, refresh }) = viewer.finish(shaded);
         let (frame, sizes) = (shaded.frame, shaded.delta.sizes);

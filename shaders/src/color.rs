@@ -1,4 +1,5 @@
-//! Twin of `ycbcr.comp`: full-range BT.709 (ITU-R BT.709-6, item 3), 4:2:0, chroma centre-sited.
+//! Colours as a picture's planes: full-range BT.709 (ITU-R BT.709-6, item 3), 4:2:0, chroma centre-sited. On the CPU for
+//! pictures that never were on the device, and the twin of `ycbcr.comp`.
 
 /// `rgba8` (tight rows, sides even) as luma, blue and red difference planes, one after the other.
 pub fn planes(rgba8: &[u8], [width, height]: [u32; 2]) -> Vec<u8> {

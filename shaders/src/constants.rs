@@ -1,0 +1,169 @@
+//! Constants that GLSL and Rust share. Rust is the source of all of them: the build script, which includes this file, gives
+//! them and what shaders read of `shadecast_protocol` to the compiler as macros of the same names. GLSL repeats none, and
+//! Rust repeats none of GLSL's.
+
+use shadecast_protocol::atlas::PatchKind;
+use shadecast_protocol::limits::{
+    BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_VIEWS, PATCH_MAX_VERTICES, SAMPLE_RING,
+};
+use shadecast_protocol::pose::NEAR_M;
+
+/// A value as GLSL writes it.
+trait Literal {
+    fn literal(&self) -> String;
+}
+
+impl Literal for u32 {
+    fn literal(&self) -> String {
+        format!("{self}u")
+    }
+}
+
+impl Literal for i32 {
+    fn literal(&self) -> String {
+        format!("({self})")
+    }
+}
+
+impl Literal for f32 {
+    fn literal(&self) -> String {
+        format!("({self:?})")
+    }
+}
+
+impl Literal for [u32; 2] {
+    fn literal(&self) -> String {
+        format!("uvec2({}u, {}u)", self[0], self[1])
+    }
+}
+
+/// Defines constants; [`glsl_macros`] gives them and those of elsewhere.
+macro_rules! shared {
+    ({ $($known:ident),* $(,)? } $($(#[$doc:meta])* $name:ident: $type:ty = $value:expr;)*) => {
+        $($(#[$doc])* pub const $name: $type = $value;)*
+
+        /// Names and values of the macros that shaders are compiled with.
+        pub fn glsl_macros() -> Vec<(&'static str, String)> {
+            vec![
+                $((stringify!($known), $known.literal()),)*
+                $((stringify!($name), $name.literal()),)*
+                ("PATCH_TRIANGLES", patch_triangles()),
+                ("PATCH_CORNERS", patch_corners()),
+            ]
+        }
+    };
+}
+
+shared! {
+    { BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_VIEWS, NEAR_M, PATCH_MAX_VERTICES, SAMPLE_RING }
+
+    /// Views that are drawn at once.
+    EYES: u32 = 2;
+    /// What an image of numbers holds for number 0. What is less, 0, is background.
+    FIRST_ID: u32 = 1;
+    /// The first view's number in the self-test; the others' follow.
+    SELFTEST_NUMBER: u32 = 7;
+
+    /// Tag of a place in the sample ring that holds no sample. Samples have tags above it.
+    NO_SAMPLE: u32 = 0;
+    /// Bit of [`VertexWriteGpu::slot`](crate::generated::VertexWriteGpu::slot) for a static vertex that enters.
+    STATIC_BIT: u32 = 1 << 31;
+    /// Share of a static vertex's blend; others have none below 0.
+    STATIC_BLEND: f32 = -1.0;
+    /// State of a vertex's position, its `w`: no samples around the display time.
+    NOT_DRAWABLE: f32 = 0.0;
+    /// State of a position: interpolated, or static.
+    ON_CURVE: f32 = 1.0;
+    /// State of a position: past the last sample, or the future has changed; the next curve is blended to.
+    PAST_THE_END: f32 = 2.0;
+
+    /// Kinds of patches, which are numbers of triangles: 1 to this.
+    PATCH_KINDS: u32 = PatchKind::ALL.len() as u32;
+    /// The kind of a patch of one triangle.
+    PATCH_ONE: u32 = PatchKind::One as u32;
+    /// The kind of a patch of two triangles.
+    PATCH_TWO: u32 = PatchKind::Two as u32;
+    /// Largest projected extent that level selection tells.
+    MAX_PATCH_EXTENT_TEXELS: f32 = 65535.0;
+    /// Texels across and down that an invocation of `ycbcr.comp` converts.
+    YCBCR_TEXELS: [u32; 2] = [8, 2];
+
+    /// Slots of a material for textures.
+    TEXTURE_SLOTS: u32 = 5;
+    /// Slot of the base colour.
+    BASE_COLOR_SLOT: u32 = 0;
+    /// Slot of metalness and roughness.
+    METALLIC_ROUGHNESS_SLOT: u32 = 1;
+    /// Slot of the normal map.
+    NORMAL_SLOT: u32 = 2;
+    /// Slot of occlusion.
+    OCCLUSION_SLOT: u32 = 3;
+    /// Slot of emitted light.
+    EMISSIVE_SLOT: u32 = 4;
+    /// A material's texture index where a slot is empty.
+    NO_TEXTURE: i32 = -1;
+    /// A material's `alpha_cutoff` where it is opaque.
+    NO_ALPHA_CUTOFF: f32 = -1.0;
+
+    /// Rows of an affine transform; in memory a `vec4` each.
+    AFFINE_ROWS: u32 = 3;
+    /// Parent of a root bone.
+    NO_PARENT: i32 = -1;
+    /// Bones that move a vertex at most.
+    MAX_INFLUENCES: u32 = 4;
+    /// `SkinJob::weight_base` of a mesh without morph targets.
+    NO_MORPHS: u32 = u32::MAX;
+    /// Kind of a track: the earlier key holds.
+    STEP_TRACK: u32 = 0;
+    /// Kind of a track: a straight line from key to key.
+    LINEAR_TRACK: u32 = 1;
+    /// Kind of a track: Hermite's cubic of both keys' values and tangents.
+    CUBIC_TRACK: u32 = 2;
+
+    /// Columns and rows of a glyph's dots; a column is a byte.
+    GLYPH_DOTS: [u32; 2] = [5, 8];
+    /// Words of a glyph.
+    GLYPH_WORDS: u32 = 2;
+}
+
+/// By kind of patch the corners of its triangles, three each; what is left is 0.
+fn patch_triangles() -> String {
+    let most = PATCH_KINDS as usize * 3;
+    table(&format!("uint[{PATCH_KINDS}][{most}]"), &format!("uint[{most}]"), |kind| {
+        let corners = kind.triangles().as_flattened().iter().map(|corner| u32::from(*corner).literal());
+        corners.chain(std::iter::repeat("0u".to_owned())).take(most).collect()
+    })
+}
+
+/// By kind of patch the places of its vertices in the unit square; what is left is the origin.
+fn patch_corners() -> String {
+    let most = PATCH_MAX_VERTICES as usize;
+    table(&format!("vec2[{PATCH_KINDS}][{most}]"), &format!("vec2[{most}]"), |kind| {
+        let corners = kind.corner_uv().iter().map(|[u, v]| format!("vec2({u:?}, {v:?})"));
+        corners.chain(std::iter::repeat("vec2(0.0)".to_owned())).take(most).collect()
+    })
+}
+
+/// An array of arrays, one a kind of patch.
+fn table(outer: &str, inner: &str, row: impl Fn(PatchKind) -> Vec<String>) -> String {
+    let rows = PatchKind::ALL.map(|kind| format!("{inner}({})", row(kind).join(", ")));
+    format!("{outer}({})", rows.join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_macro_is_read_by_some_shader_and_none_defines_it_again() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/glsl");
+        let files = std::fs::read_dir(folder).expect("shaders/glsl").flatten();
+        let text: String = files.map(|file| std::fs::read_to_string(file.path()).expect("GLSL")).collect();
+        let is_part = |c: char| c.is_ascii_alphanumeric() || c == '_';
+        let words: Vec<&str> = text.split(|c| !is_part(c)).collect();
+        for (name, _) in glsl_macros() {
+            assert!(words.contains(&name), "{name} is shared for nobody");
+            assert!(!text.contains(&format!(" {name} =")), "{name} has two definitions");
+        }
+    }
+}
