@@ -31,6 +31,8 @@ const COMPARE_EVERY: u32 = 24;
 const COMPARE_EVERY_SLOW: u32 = 36;
 /// Seconds that each attack lasts.
 const HOSTILE_SECONDS: f64 = 20.0;
+/// Seconds for which each neighbour is beside a lawful client, in each round.
+const NEIGHBOUR_SECONDS: f64 = 10.0;
 /// Seconds for which the headset is off.
 const HEADSET_OFF_SECONDS: f64 = 600.0;
 /// Rounds in which updates of one and of two viewers are measured.
@@ -111,6 +113,11 @@ fn jobs() -> Vec<Job> {
     jobs.push(Job::new("viewers-4", |folder| four_viewers(folder).map(Some)));
     jobs.push(Job::new("second-viewer-dragons9", |folder| second_viewer(folder).map(Some)));
     jobs.push(Job::new("headset-off", |folder| headset_off(folder).map(Some)));
+    jobs.push(Job::new("neighbours", |_| {
+        let report = crate::hostile::neighbours::measure(NEIGHBOUR_SECONDS)?;
+        println!("{report}");
+        Ok(Some(serde_json::to_value(report)?))
+    }));
     jobs.push(Job::new("hostile", |_| hostile_peers().map(Some)));
     jobs
 }

@@ -90,6 +90,15 @@ enum Command {
     },
     /// Attacks a server of its own on loopback, and says what becomes of a lawful client meanwhile and afterwards
     Hostile(HostileArgs),
+    /// Has a lawful client served beside others that behave badly, and says how many pictures it gets
+    Neighbours {
+        /// Seconds that each is beside it, in each of three rounds
+        #[arg(long, default_value_t = 10.0)]
+        seconds: f64,
+        /// Writes the figures to this JSON file
+        #[arg(long)]
+        json: Option<PathBuf>,
+    },
     /// Records what a server and a client say to each other, as seeds for the fuzz targets
     RecordTraffic {
         /// Folder of the seeds
@@ -259,6 +268,7 @@ fn main() {
         }
         Command::Skinning(args) => measure_skinning(&args),
         Command::Hostile(args) => attack(args),
+        Command::Neighbours { seconds, json } => neighbours(seconds, json.as_deref()),
         Command::RecordTraffic { out } => hostile::traffic::record(&out),
         Command::Device => name_device(),
     };
@@ -383,6 +393,17 @@ fn attack(args: HostileArgs) -> anyhow::Result<()> {
     }
     let misses = report.misses();
     anyhow::ensure!(misses.is_empty(), "{} of the bars were missed", misses.len());
+    Ok(())
+}
+
+fn neighbours(seconds: f64, json: Option<&Path>) -> anyhow::Result<()> {
+    anyhow::ensure!((0.5..=600.0).contains(&seconds), "--seconds {seconds} must lie between 0.5 and 600");
+    let report = hostile::neighbours::measure(seconds)?;
+    println!("{report}");
+    if let Some(path) = json {
+        std::fs::write(path, serde_json::to_string_pretty(&report)?)
+            .with_context(|| format!("writing {}", path.display()))?;
+    }
     Ok(())
 }
 

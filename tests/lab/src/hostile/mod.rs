@@ -3,11 +3,13 @@
 //!
 //! [`server`] has a server serve a lawful client while strangers attack it from other sockets: does the client keep its
 //! picture, is the next one served soon after, does memory stay where it was. Everything here is in real time and sends
-//! to this machine only. [`client`] has a client shown things by a server that breaks the rules.
+//! to this machine only. [`client`] has a client shown things by a server that breaks the rules. [`neighbours`] measures what a
+//! viewer that behaves badly costs the others.
 
 pub mod attacks;
 pub mod client;
 mod lawful;
+pub mod neighbours;
 mod process;
 mod report;
 mod rogue;

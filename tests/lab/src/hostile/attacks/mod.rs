@@ -134,7 +134,7 @@ impl Attack {
 }
 
 impl Target {
-    fn is_over(&self) -> bool {
+    pub(crate) fn is_over(&self) -> bool {
         Instant::now() >= self.until
     }
 
@@ -192,12 +192,12 @@ where
 }
 
 /// A client's message as the bytes of the control stream.
-fn control_bytes(message: &ClientMessage) -> Vec<u8> {
+pub(crate) fn control_bytes(message: &ClientMessage) -> Vec<u8> {
     frame_control(&message.encode())
 }
 
 /// A hello as the bytes of the control stream, lawful or not.
-fn hello_bytes(change: impl FnOnce(&mut ClientHello)) -> Vec<u8> {
+pub(crate) fn hello_bytes(change: impl FnOnce(&mut ClientHello)) -> Vec<u8> {
     let mut hello = lawful::hello();
     change(&mut hello);
     control_bytes(&ClientMessage::Hello(hello))
