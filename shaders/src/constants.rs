@@ -155,7 +155,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_macro_is_read_by_some_shader_and_none_defines_it_again() {
+    fn every_macro_is_named_by_some_shader_and_defined_by_none() {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/glsl");
         let files = std::fs::read_dir(folder).expect("shaders/glsl").flatten();
         let text: String = files.map(|file| std::fs::read_to_string(file.path()).expect("GLSL")).collect();
