@@ -35,9 +35,14 @@ layout(location = 0) flat in uint block_index;
 layout(location = 1) in vec2 texel;
 layout(location = 0) out vec4 color;
 
-// By kind less one: the corners of its triangles, three each, and the places of its vertices in the unit square.
+// By kind less one: the corners of its triangles, three each.
 const uint TRIANGLE_CORNERS[PATCH_KINDS][3 * PATCH_KINDS] = PATCH_TRIANGLES;
-const vec2 CORNER_UVS[PATCH_KINDS][PATCH_MAX_VERTICES] = PATCH_CORNERS;
+
+// Place of a vertex in the unit square.
+vec2 patch_corner_uv(uint kind, uint corner) {
+    if (kind == PATCH_ONE) return PATCH_ONE_CORNERS[min(corner, 2)];
+    return PATCH_CORNERS[corner];
+}
 
 uint triangle_at(uint kind, vec2 uv) {
     if (kind == PATCH_ONE) return 0;
@@ -65,8 +70,8 @@ void main() {
     uint t = triangle_at(p.kind, uv) * 3;
     uint corners[3] = uint[3](
         TRIANGLE_CORNERS[p.kind - 1][t], TRIANGLE_CORNERS[p.kind - 1][t + 1], TRIANGLE_CORNERS[p.kind - 1][t + 2]);
-    mat3 weights = barycentric(CORNER_UVS[p.kind - 1][corners[0]], CORNER_UVS[p.kind - 1][corners[1]],
-        CORNER_UVS[p.kind - 1][corners[2]], uv);
+    mat3 weights = barycentric(patch_corner_uv(p.kind, corners[0]), patch_corner_uv(p.kind, corners[1]),
+        patch_corner_uv(p.kind, corners[2]), uv);
     Surface s;
     s.world_position = s.world_normal = s.world_tangent = vec3(0.0);
     s.uv = s.uv_dx = s.uv_dy = s.uv1 = s.uv1_dx = s.uv1_dy = vec2(0.0);

@@ -48,7 +48,9 @@ macro_rules! shared {
                 $((stringify!($known), $known.literal()),)*
                 $((stringify!($name), $name.literal()),)*
                 ("PATCH_TRIANGLES", patch_triangles()),
-                ("PATCH_CORNERS", patch_corners()),
+                ("PATCH_ONE_CORNERS", patch_corners(PatchKind::One)),
+                // Those of two triangles are the first of them.
+                ("PATCH_CORNERS", patch_corners(PatchKind::Three)),
             ]
         }
     };
@@ -129,25 +131,18 @@ shared! {
 /// By kind of patch the corners of its triangles, three each; what is left is 0.
 fn patch_triangles() -> String {
     let most = PATCH_KINDS as usize * 3;
-    table(&format!("uint[{PATCH_KINDS}][{most}]"), &format!("uint[{most}]"), |kind| {
+    let rows = PatchKind::ALL.map(|kind| {
         let corners = kind.triangles().as_flattened().iter().map(|corner| u32::from(*corner).literal());
-        corners.chain(std::iter::repeat("0u".to_owned())).take(most).collect()
-    })
+        let row: Vec<_> = corners.chain(std::iter::repeat("0u".to_owned())).take(most).collect();
+        format!("uint[{most}]({})", row.join(", "))
+    });
+    format!("uint[{PATCH_KINDS}][{most}]({})", rows.join(", "))
 }
 
-/// By kind of patch the places of its vertices in the unit square; what is left is the origin.
-fn patch_corners() -> String {
-    let most = PATCH_MAX_VERTICES as usize;
-    table(&format!("vec2[{PATCH_KINDS}][{most}]"), &format!("vec2[{most}]"), |kind| {
-        let corners = kind.corner_uv().iter().map(|[u, v]| format!("vec2({u:?}, {v:?})"));
-        corners.chain(std::iter::repeat("vec2(0.0)".to_owned())).take(most).collect()
-    })
-}
-
-/// An array of arrays, one a kind of patch.
-fn table(outer: &str, inner: &str, row: impl Fn(PatchKind) -> Vec<String>) -> String {
-    let rows = PatchKind::ALL.map(|kind| format!("{inner}({})", row(kind).join(", ")));
-    format!("{outer}({})", rows.join(", "))
+/// The places of a patch's vertices in the unit square.
+fn patch_corners(kind: PatchKind) -> String {
+    let corners: Vec<_> = kind.corner_uv().iter().map(|[u, v]| format!("vec2({u:?}, {v:?})")).collect();
+    format!("vec2[{}]({})", corners.len(), corners.join(", "))
 }
 
 #[cfg(test)]
@@ -155,7 +150,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_macro_is_read_by_some_shader_and_none_defines_it_again() {
+    fn the_corners_of_two_triangles_are_the_first_of_three() {
+        assert!(PatchKind::Three.corner_uv().starts_with(PatchKind::Two.corner_uv()));
+    }
+
+    #[test]
+    fn every_macro_is_named_by_some_shader_and_defined_by_none() {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/glsl");
         let files = std::fs::read_dir(folder).expect("shaders/glsl").flatten();
         let text: String = files.map(|file| std::fs::read_to_string(file.path()).expect("GLSL")).collect();
