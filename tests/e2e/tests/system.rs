@@ -6,8 +6,8 @@ use shadecast_lab::headset_off::{Absence, measure};
 use shadecast_lab::image::Rgb8Image;
 use shadecast_lab::metrics::psnr_db;
 use shadecast_lab::options::{Renderer, RunOptions, ViewerOptions};
-use shadecast_lab::run::{Report, mock_config, prepare_runtime, run, set_runtime};
-use shadecast_lab::session::{Lab, Server};
+use shadecast_lab::run::{Report, mock_config, run};
+use shadecast_lab::session::Lab;
 use shadecast_lab::stats::RegionStats;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_mock_runtime::record::read_frames;
@@ -246,11 +246,8 @@ fn counts(others: Vec<ViewerOptions>) -> (WorldCounts, Vec<u64>) {
         ..small(SceneSource::Dragons(1), out.path())
     };
     let config = MockConfig { capture_dir: None, ..mock_config(&options, ClockKind::Virtual, 0).unwrap() };
-    let runtime = prepare_runtime(&config, out.path()).unwrap();
     // SAFETY: the lock is held.
-    unsafe { set_runtime(&runtime) };
-    let mut lab = Lab::new(&options, Server::new(&options).unwrap()).unwrap();
-    lab.connect().unwrap();
+    let mut lab = unsafe { Lab::open(&options, &config) }.unwrap();
     while let Step::Frame(_) = lab.step().unwrap() {}
     assert_eq!(lab.server.gpu.validation_messages(), 0);
     for (number, (_, ghost)) in lab.ghosts().enumerate() {
