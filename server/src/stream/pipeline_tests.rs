@@ -2,15 +2,17 @@
 
 use super::*;
 use crate::encode::{AccessUnit, Planes};
+use crate::pacing::WayState;
 use crate::residency::Budget;
 use crate::stream::testing::accepted;
 use ash::vk;
 use shadecast_protocol::delta::GeometryDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Displayed, HeadState};
-use shadecast_protocol::session::ServerEvent;
+use shadecast_protocol::session::{Out, ServerEvent};
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
 use shadecast_test_support::peers::head;
+use shadecast_transport::SendError;
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::rc::Rc;
