@@ -18,6 +18,7 @@ use shadecast_protocol::pose::Pose;
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime};
 use shadecast_protocol::wire::{PictureHeader, StreamMessage, parse_stream};
+use shadecast_test_support::peers::offer;
 use std::collections::VecDeque;
 use support::{Run, SIDE, at, coded, finish, frame, pixel};
 
@@ -410,19 +411,12 @@ const SERVER_AHEAD_NS: i64 = 5_000_000_000;
 impl Line {
     fn new() -> Self {
         let server = ServerSession::new(ServerOffer {
-            protocol_version: PROTOCOL_VERSION,
-            min_protocol_version: PROTOCOL_VERSION,
-            app_version: "test".into(),
             session: 5,
-            grid: DEFAULT_GRID,
             atlas_extent_texels: ATLAS,
-            vertex_slots: 1000,
-            patch_slots: 1000,
-            codecs: vec![Codec::H264],
             environment: environment(),
             world_from_stage: Pose { position: [10.0, 0.0, 0.0].into(), ..Pose::IDENTITY },
-            update_period_ns: 33_333_333,
             resume: ResumeSecret([2; 16]),
+            ..offer()
         });
         Self {
             server,

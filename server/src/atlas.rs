@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 const CELL_LOG2: u32 = SUPERBLOCK_MIN_LOG2;
 const LEVELS: usize = (BLOCK_MAX_LOG2 - SUPERBLOCK_MIN_LOG2 + 1) as usize;
 /// Blocks of the smallest size in the smallest superblock: 16 x 16.
-const MAX_SLOTS_WORDS: usize = 4;
+const MAX_PLACES_WORDS: usize = 4;
 
 /// Which blocks of an atlas are free.
 #[derive(Clone, Debug)]
@@ -29,7 +29,7 @@ pub struct Atlas {
 struct Superblock {
     side_log2: u32,
     size: BlockSize,
-    taken: [u64; MAX_SLOTS_WORDS],
+    taken: [u64; MAX_PLACES_WORDS],
     count: u32,
 }
 
@@ -128,7 +128,7 @@ impl Atlas {
     fn open_superblock(&mut self, size: BlockSize) -> Option<(u32, u32)> {
         let side_log2 = side_log2(size);
         let corner = self.take_superblock((side_log2 - CELL_LOG2) as usize)?;
-        self.used.insert(corner, Superblock { side_log2, size, taken: [0; MAX_SLOTS_WORDS], count: 0 });
+        self.used.insert(corner, Superblock { side_log2, size, taken: [0; MAX_PLACES_WORDS], count: 0 });
         self.open.entry(size).or_default().insert(corner);
         Some(corner)
     }

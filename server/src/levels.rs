@@ -3,7 +3,7 @@
 
 use crate::atlas::Atlas;
 use crate::choice::{Candidate, Chooser, Room};
-use crate::residency::Geometry;
+use crate::residency::{Geometry, PlacementChange};
 use crate::scene::numbering::ScenePatch;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockSize};
 use shadecast_protocol::limits::{BLOCK_INSET_TEXELS, BLOCK_MAX_LOG2, BLOCK_MIN_LOG2};
@@ -32,15 +32,6 @@ const LEAST_OVERFLOW_SHARE: f32 = 0.8;
 const RECOVER_AFTER_UPDATES: u32 = 15;
 /// Density that falls within this many updates after it rose should not have risen: the next rise needs more room.
 const TRIAL_UPDATES: u32 = 60;
-
-/// A block that changed with this update.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PlacementChange {
-    /// The patch.
-    pub patch: ScenePatch,
-    /// Its block now; `None`: it has none any more.
-    pub block: Option<Block>,
-}
 
 /// Which patch has which block.
 #[derive(Clone, Debug)]

@@ -5,7 +5,6 @@
 //! come back; animated geometry leaves with its block, because every sample of it costs bytes. A freed slot is used
 //! again only after the client has displayed the frame that freed it.
 
-use crate::levels::PlacementChange;
 use crate::motion::{STEP_M, SampledMotion};
 use crate::scene::numbering::{ScenePatch, SceneVertex};
 use glam::Vec3;
@@ -53,6 +52,15 @@ pub trait Geometry {
     fn vertex_count(&self) -> usize;
     /// Scene-wide count of patches.
     fn patch_count(&self) -> usize;
+}
+
+/// A block that changed with this update.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PlacementChange {
+    /// The patch.
+    pub patch: ScenePatch,
+    /// Its block now; `None`: it has none any more.
+    pub block: Option<Block>,
 }
 
 /// What one update gives the residency.

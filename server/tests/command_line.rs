@@ -1,8 +1,9 @@
 //! The server's program as a person meets it: signals, messages, and what it leaves behind.
 
+use shadecast_test_support::programs::{end_within, signal, wait_until};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// What "at once" means on such a machine: far less than the work that is interrupted takes there.
 const SOON: Duration = Duration::from_secs(10);
@@ -11,36 +12,6 @@ fn program() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_shadecast-server"));
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     command
-}
-
-fn signal(child: &Child) {
-    let status = Command::new("kill").args(["-INT", &child.id().to_string()]).status();
-    assert!(status.is_ok_and(|status| status.success()), "the process is there");
-}
-
-/// Waits for the end; kills and fails after `most`.
-#[track_caller]
-fn end_within(child: &mut Child, most: Duration) -> ExitStatus {
-    let deadline = Instant::now() + most;
-    while Instant::now() < deadline {
-        if let Some(status) = child.try_wait().expect("a child can be asked") {
-            return status;
-        }
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    let _ = child.kill();
-    let _ = child.wait();
-    panic!("it did not end within {most:?}");
-}
-
-/// Waits for something that the program does.
-#[track_caller]
-fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
-    let deadline = Instant::now() + Duration::from_secs(120);
-    while !is_so() {
-        assert!(Instant::now() < deadline, "{what}");
-        std::thread::sleep(Duration::from_millis(20));
-    }
 }
 
 /// Whether the process has a handler for Ctrl-C: bit 1 of the mask of caught signals (proc(5)).
@@ -57,7 +28,7 @@ fn interrupted(command: &mut Command) -> (ExitStatus, String) {
     wait_until("it catches signals", || catches_signals(&child));
     std::thread::sleep(Duration::from_millis(500));
     assert!(child.try_wait().expect("a child can be asked").is_none(), "it is still at work");
-    signal(&child);
+    signal(&child, "-INT");
     let status = end_within(&mut child, SOON);
     let Output { stdout, stderr, .. } = child.wait_with_output().expect("output");
     (status, [stdout, stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat())
@@ -218,7 +189,7 @@ fn a_video_that_is_interrupted_is_whole_or_not_there() {
             command.args(["--frames", "9999999", "--out"]).arg(&out).spawn().expect("the program starts");
         wait_until("it writes", || !names(&videos).is_empty());
         assert!(!out.exists(), "{name}: it is not there before it is finished");
-        (0..signals).for_each(|_| signal(&child));
+        (0..signals).for_each(|_| signal(&child, "-INT"));
         let status = end_within(&mut child, Duration::from_secs(60));
         assert_eq!(status.code(), Some(130), "{name}");
         assert!(names(&videos).iter().all(|left| left == name), "{name}: {:?}", names(&videos));

@@ -6,49 +6,27 @@ use shadecast_client::decoding::DecodeTiming;
 use shadecast_client::platform::Platform;
 use shadecast_client::xr::{Xr, XrOptions};
 use shadecast_gpu::Gpu;
-use shadecast_mock_runtime::config::{CONFIG_VARIABLE, ClockKind, MockConfig};
-use shadecast_mock_runtime::manifest;
+use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_mock_runtime::record::{Side, picture_path};
 use shadecast_protocol::time::ClientTime;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 /// Pixels of one eye, both ways; 90 degrees.
 pub const SIDE: u32 = 256;
 
-/// One run of the runtime: its folder, and the right to be the only one in the process.
-pub struct Run {
-    folder: tempfile::TempDir,
-    _turn: MutexGuard<'static, ()>,
-}
+/// A run of the runtime in virtual time, captured.
+pub struct Run(shadecast_test_support::headset::Run);
 
 impl Run {
     pub fn new(config: MockConfig) -> Self {
-        static TURN: Mutex<()> = Mutex::new(());
-        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let library = manifest::find_library().expect("the mock runtime is built beside the tests");
-        let manifest = manifest::write(folder.path(), &library).expect("write the manifest");
-        let run = Self { folder, _turn: turn };
-        let path = run.folder.path().join("mock.json");
-        let config = MockConfig {
-            extent_pixels: [SIDE; 2],
-            clock: ClockKind::Virtual,
-            capture_dir: Some(run.captures()),
-            capture_every: 1,
-            ..config
-        };
-        config.write(&path).expect("write the configuration");
-        // SAFETY: the turn makes this the only test of the process that runs or reads the environment.
-        unsafe {
-            std::env::set_var("XR_RUNTIME_JSON", manifest);
-            std::env::set_var(CONFIG_VARIABLE, path);
-        }
-        run
+        let config =
+            MockConfig { extent_pixels: [SIDE; 2], clock: ClockKind::Virtual, capture_every: 1, ..config };
+        Self(shadecast_test_support::headset::Run::new(&config))
     }
 
     pub fn captures(&self) -> PathBuf {
-        self.folder.path().join("captures")
+        self.0.captures()
     }
 
     pub fn client(&self) -> Client {

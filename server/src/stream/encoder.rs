@@ -1,6 +1,6 @@
 //! The encoder's thread: one picture at a time, so that what leaves is always the newest.
 
-use super::pipeline::Outlet;
+use super::outlet::Outlet;
 use crate::encode::Encoder;
 use crate::frame::Shaded;
 use shadecast_protocol::session::picture_stream;

@@ -96,9 +96,11 @@ impl Mailbox {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::testing::{accepted, head};
+    use crate::stream::testing::accepted;
     use shadecast_protocol::ids::UpdateId;
     use shadecast_protocol::message::Displayed;
+    use shadecast_protocol::time::ServerTime;
+    use shadecast_test_support::peers::head;
     use std::sync::Arc;
 
     #[test]
@@ -106,7 +108,7 @@ mod tests {
         let mailbox = Mailbox::default();
         for peer in 0..300 {
             mailbox.accepted(PeerId(peer), accepted());
-            mailbox.told(PeerId(peer), ServerEvent::Pose(head(peer as u32)));
+            mailbox.told(PeerId(peer), ServerEvent::Pose(head(peer as u32, ServerTime(0))));
             if peer < 298 {
                 mailbox.gone(PeerId(peer));
             }

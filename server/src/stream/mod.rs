@@ -8,6 +8,7 @@
 mod encoder;
 mod mailbox;
 mod network;
+mod outlet;
 mod pipeline;
 mod place;
 mod rebuild;
@@ -24,7 +25,8 @@ use crate::pacing::WayState;
 use crate::scene::SceneGpu;
 use mailbox::Mailbox;
 use network::Network;
-use pipeline::{Outlet, Pipeline, Studio};
+use outlet::Outlet;
+use pipeline::{Pipeline, Studio};
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};

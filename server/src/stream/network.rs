@@ -287,12 +287,12 @@ mod tests {
     use super::*;
     use crate::stream::mailbox::{Client, News};
     use crate::stream::place::HELLO_DEADLINE_NS;
-    use crate::stream::testing::{head, hello, offer};
     use shadecast_protocol::delta::DeltaEncoder;
     use shadecast_protocol::message::{
         ClientDatagram, ClientMessage, Displayed, ServerDatagram, ServerMessage,
     };
     use shadecast_protocol::time::ClientTime;
+    use shadecast_test_support::peers::{head, hello, offer};
     use std::cell::RefCell;
 
     const SECOND: i64 = 1_000_000_000;
@@ -507,7 +507,7 @@ mod tests {
         let ping = ClientDatagram::ClockPing { client_send: ClientTime(5) }.encode();
         network.take(Event::Datagram { peer: first, bytes: ping, at_ns: 7 }, 8);
         assert_eq!(desk.carrier.datagrams.borrow().len(), 1);
-        let pose = ClientDatagram::Pose(head(3)).encode();
+        let pose = ClientDatagram::Pose(head(3, ServerTime(0))).encode();
         network.take(Event::Datagram { peer: first, bytes: pose.clone(), at_ns: 9 }, 9);
         assert!(desk.news(first).is_some_and(|news| news.told.pose.is_some()));
         let second = greet(&mut network, 2, None, 10);
@@ -548,7 +548,7 @@ mod tests {
         let third = greet(&mut network, 3, None, 2);
         assert!(desk.carrier.refusal(third).is_some_and(|reason| reason.contains("2 other clients")));
         desk.mailbox.take();
-        let pose = ClientDatagram::Pose(head(3)).encode();
+        let pose = ClientDatagram::Pose(head(3, ServerTime(0))).encode();
         for peer in [first, second, third] {
             network.take(Event::Datagram { peer, bytes: pose.clone(), at_ns: 9 }, 9);
         }

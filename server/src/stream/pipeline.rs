@@ -6,21 +6,21 @@
 
 use super::encoder::{EncoderThread, Job, Outcome, words_of};
 use super::mailbox::{Accepted, Client, Mailbox, News};
+use super::outlet::Outlet;
 use super::rebuild::Rebuild;
 use super::turns::{Share, Turns};
 use super::{Say, StreamStats, ViewerStats};
 use crate::encode::{EncodeError, Encoder};
 use crate::frame::Shaded;
-use crate::pacing::{Kind, WayState};
+use crate::pacing::Kind;
 use crate::viewer::{Update, Updates, Viewer, bytes_of};
 use anyhow::Context;
 use shadecast_gpu::GpuError;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::message::{Capabilities, Refused, Welcome};
-use shadecast_protocol::session::Out;
 use shadecast_protocol::time::ServerTime;
-use shadecast_transport::{PeerId, SendError};
+use shadecast_transport::PeerId;
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -35,16 +35,6 @@ const LONGEST_WAIT_NS: i64 = 5_000_000;
 const MAX_VIEWERS_REMEMBERED: usize = 64;
 /// How long it sleeps while nobody is served.
 const IDLE_WAIT: Duration = Duration::from_millis(50);
-
-/// The way to the clients.
-pub trait Outlet: Send + Sync {
-    /// Sends a stream.
-    fn send(&self, peer: PeerId, out: Out) -> Result<(), SendError>;
-    /// What is known of the way to a client; `None` where nothing is yet.
-    fn way(&self, peer: PeerId) -> Option<WayState>;
-    /// Ends a session; the client learns why.
-    fn refuse(&self, peer: PeerId, refused: Refused);
-}
 
 /// What makes updates: the device and the scene on it.
 pub trait Studio {

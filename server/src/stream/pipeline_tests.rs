@@ -2,16 +2,19 @@
 
 use super::*;
 use crate::encode::{AccessUnit, Planes};
+use crate::pacing::WayState;
 use crate::residency::Budget;
-use crate::stream::testing::{accepted, head};
+use crate::stream::testing::accepted;
 use ash::vk;
 use shadecast_gpu::Timings;
 use shadecast_protocol::delta::DeltaEncoder;
 use shadecast_protocol::geometry::GeometryDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Displayed, HeadState};
-use shadecast_protocol::session::ServerEvent;
+use shadecast_protocol::session::{Out, ServerEvent};
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
+use shadecast_test_support::peers::head;
+use shadecast_transport::SendError;
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::rc::Rc;
@@ -189,7 +192,7 @@ impl Bench {
 
     fn comes(&self, peer: u64) {
         self.mailbox.accepted(PeerId(peer), accepted());
-        self.mailbox.told(PeerId(peer), ServerEvent::Pose(head(0)));
+        self.mailbox.told(PeerId(peer), ServerEvent::Pose(head(0, ServerTime(0))));
     }
 
     /// Steps in virtual time until `is_done`; gives what ended the server, if anything did.

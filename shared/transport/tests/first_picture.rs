@@ -1,20 +1,13 @@
 //! Two sessions over a simulated link, without pictures and GPUs: how many round trips there are before the first picture.
 
-use glam::Vec3;
-use shadecast_protocol::PROTOCOL_VERSION;
-use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::delta::DeltaEncoder;
 use shadecast_protocol::geometry::GeometryDelta;
-use shadecast_protocol::ids::DiscontinuityId;
-use shadecast_protocol::message::{
-    Capabilities, ClientHello, Codec, Environment, HeadState, ResumeSecret, ServerOffer,
-};
-use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::session::{
     ClientEvent, ClientSession, DeltaSender, Out, ServerEvent, ServerSession, picture_stream,
 };
-use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, ServerTime};
+use shadecast_protocol::time::{ClientTime, ServerTime};
 use shadecast_protocol::wire::PictureHeader;
+use shadecast_test_support::peers::{head, hello, offer};
 use shadecast_transport::pair::SERVER_ADDR;
 use shadecast_transport::{
     Direction, Endpoint, EndpointConfig, Event, ExpectedIdentity, LinkProfile, Pair, PeerId, ServerIdentity,
@@ -23,49 +16,6 @@ use shadecast_transport::{
 const MS: i64 = 1_000_000;
 /// A large first picture, bytes.
 const PICTURE_BYTES: usize = 900_000;
-
-fn eyes() -> [Eye; 2] {
-    [-0.032, 0.032].map(|x| Eye {
-        head_from_eye: Pose { position: Vec3::new(x, 0.0, 0.0), ..Pose::IDENTITY },
-        fov: Fov::symmetric_degrees(90.0),
-    })
-}
-
-fn hello() -> ClientHello {
-    ClientHello {
-        protocol_version: PROTOCOL_VERSION,
-        min_protocol_version: PROTOCOL_VERSION,
-        app_version: "test".to_owned(),
-        capabilities: Capabilities {
-            max_atlas_extent: [4096, 2048],
-            max_vertex_slots: 600,
-            max_patch_slots: 300,
-            codecs: vec![Codec::H264],
-            eyes: eyes(),
-            eye_extent_pixels: [512, 512],
-            display_period_ns: 13_888_888,
-        },
-        resume: None,
-    }
-}
-
-fn offer() -> ServerOffer {
-    ServerOffer {
-        protocol_version: PROTOCOL_VERSION,
-        min_protocol_version: PROTOCOL_VERSION,
-        app_version: "test".to_owned(),
-        session: 1,
-        grid: DEFAULT_GRID,
-        atlas_extent_texels: AtlasExtent::DEFAULT,
-        vertex_slots: 600,
-        patch_slots: 300,
-        codecs: vec![Codec::H264],
-        environment: Environment { zenith: [0.5; 3], horizon: [0.5; 3], nadir: [0.5; 3] },
-        world_from_stage: Pose::IDENTITY,
-        update_period_ns: 33_333_333,
-        resume: ResumeSecret([0; 16]),
-    }
-}
 
 /// Both ends of a session and the network between them.
 struct Play {
@@ -149,15 +99,7 @@ impl Play {
     fn tell_head(&mut self) {
         let Some(client) = self.client.as_mut().filter(|_| self.wants_head) else { return };
         let Some(time) = client.clock().server_time(ClientTime(self.pair.now_ns())) else { return };
-        client.send_pose(HeadState {
-            sequence: 0,
-            time,
-            world_from_head: Pose::IDENTITY,
-            linear_velocity: Vec3::ZERO,
-            angular_velocity: Vec3::ZERO,
-            eyes: eyes(),
-            discontinuity: DiscontinuityId(0),
-        });
+        client.send_pose(head(0, time));
         self.wants_head = false;
     }
 

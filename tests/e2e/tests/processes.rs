@@ -6,93 +6,19 @@ use shadecast_lab::demo::read_probe;
 use shadecast_lab::options::RunOptions;
 use shadecast_lab::run::{mock_config, prepare_runtime};
 use shadecast_mock_runtime::config::ClockKind;
-use shadecast_protocol::PROTOCOL_VERSION;
-use shadecast_protocol::limits::ATLAS_MAX_EXTENT;
-use shadecast_protocol::message::{Capabilities, ClientHello, ClientMessage, Codec, ServerMessage};
+use shadecast_protocol::message::{Capabilities, ClientHello, ClientMessage, ServerMessage};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_scene::load::SceneSource;
+use shadecast_test_support::peers::hello;
+use shadecast_test_support::programs::{PATIENCE, Program, Voice, program};
 use shadecast_transport::mio::any_address_for;
 use shadecast_transport::{
     Driver, Endpoint, EndpointConfig, Event, Events, ExpectedIdentity, Handle, PeerId, spawn,
 };
-use std::io::{BufRead, BufReader};
 use std::net::{SocketAddr, UdpSocket};
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, channel};
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
-
-/// A software device on a busy machine is slow to start.
-const PATIENCE: Duration = Duration::from_secs(120);
-
-fn program(name: &str) -> PathBuf {
-    let here = std::env::current_exe().unwrap();
-    let path = here.parent().and_then(Path::parent).unwrap().join(name);
-    assert!(path.exists(), "{} is not built; `./shadecast test` builds it first", path.display());
-    path
-}
-
-/// A process with its output as lines, ended by pid when the test is over.
-struct Running {
-    child: Child,
-    lines: Receiver<String>,
-}
-
-impl Running {
-    fn start(command: &mut Command) -> Self {
-        Self::start_reading(command, usize::MAX)
-    }
-
-    /// Reads so many lines of the output, then closes it.
-    fn start_reading(command: &mut Command, most: usize) -> Self {
-        let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap();
-        let output = child.stdout.take().unwrap();
-        let (to, lines) = channel();
-        std::thread::spawn(move || {
-            for line in BufReader::new(output).lines().map_while(Result::ok).take(most) {
-                println!("{line}");
-                let _ = to.send(line);
-            }
-        });
-        Self { child, lines }
-    }
-
-    #[track_caller]
-    fn says(&self, text: &str) {
-        let deadline = Instant::now() + PATIENCE;
-        while let Ok(line) = self.lines.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
-            if line.contains(text) {
-                return;
-            }
-        }
-        panic!("\"{text}\" was not said in time");
-    }
-
-    fn signal(&self, signal: &str) {
-        let killed = Command::new("kill").args([signal, &self.child.id().to_string()]).status().unwrap();
-        assert!(killed.success());
-    }
-
-    #[track_caller]
-    fn ends_well(&mut self) {
-        let deadline = Instant::now() + PATIENCE;
-        while Instant::now() < deadline {
-            if let Some(status) = self.child.try_wait().unwrap() {
-                assert!(status.success(), "{status}");
-                return;
-            }
-            std::thread::sleep(Duration::from_millis(50));
-        }
-        panic!("it did not end in time");
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
 
 struct Stage {
     folder: tempfile::TempDir,
@@ -109,8 +35,8 @@ impl Stage {
         self.folder.path().join(name)
     }
 
-    fn server(&self, stats: &str) -> Running {
-        Running::start(&mut self.server_command("dragon", stats))
+    fn server(&self, stats: &str) -> Program {
+        Program::start(&mut self.server_command("dragon", stats), Voice::Output)
     }
 
     fn server_command(&self, scene: &str, stats: &str) -> Command {
@@ -122,7 +48,7 @@ impl Stage {
     }
 
     /// A client on a runtime of its own.
-    fn client(&self, name: &str) -> Running {
+    fn client(&self, name: &str) -> Program {
         let out = self.path(name);
         let options = RunOptions {
             extent_pixels: [96, 96],
@@ -136,7 +62,7 @@ impl Stage {
         command.arg("--probe-dir").arg(out.join("probe"));
         command.arg("--identity").arg(self.path("client")).arg("--stats").arg(out.join("client.json"));
         command.envs(runtime.iter().map(|(name, value)| (name, value)));
-        Running::start(&mut command)
+        Program::start(&mut command, Voice::Output)
     }
 
     /// Waits until the client shows geometry in a frame that is not there yet: one of its probes holds an instance.
@@ -170,9 +96,9 @@ fn number(value: &Value, key: &str) -> f64 {
 #[test]
 fn a_killed_server_comes_back_and_the_client_goes_on() {
     let stage = Stage::new();
-    let first = stage.server("first.json");
+    let mut first = stage.server("first.json");
     first.says("Listening");
-    let mut client = stage.client("a");
+    let client = stage.client("a");
     first.says("Client connected");
     stage.shows_the_scene("a");
     first.signal("-KILL");
@@ -198,14 +124,15 @@ fn a_killed_server_comes_back_and_the_client_goes_on() {
 #[test]
 fn a_killed_client_is_forgotten_and_the_next_one_is_served() {
     let stage = Stage::new();
-    let mut server = Running::start(stage.server_command("dragon", "server.json").args(["--viewers", "1"]));
+    let mut server =
+        Program::start(stage.server_command("dragon", "server.json").args(["--viewers", "1"]), Voice::Output);
     server.says("Listening");
     let first = stage.client("a");
     server.says("Client connected");
     stage.shows_the_scene("a");
     first.signal("-KILL");
     drop(first);
-    let mut next = stage.client("b");
+    let next = stage.client("b");
     server.says("Client connected");
     stage.shows_the_scene("b");
     next.signal("-INT");
@@ -225,7 +152,7 @@ fn two_clients_are_served_at_once_and_one_that_is_killed_is_nothing_to_the_other
     server.says("Listening");
     let first = stage.client("a");
     server.says("Client connected");
-    let mut second = stage.client("b");
+    let second = stage.client("b");
     server.says("Client connected");
     stage.shows_the_scene("a");
     stage.shows_the_scene("b");
@@ -266,21 +193,9 @@ impl Stranger {
     #[track_caller]
     fn greet(&self, eye_extent_pixels: [u32; 2], fov: Fov) -> ServerMessage {
         let eye = Eye { head_from_eye: Pose::IDENTITY, fov };
-        let hello = ClientHello {
-            protocol_version: PROTOCOL_VERSION,
-            min_protocol_version: PROTOCOL_VERSION,
-            app_version: "stranger".into(),
-            capabilities: Capabilities {
-                max_atlas_extent: ATLAS_MAX_EXTENT,
-                max_vertex_slots: 1000,
-                max_patch_slots: 1000,
-                codecs: vec![Codec::H264],
-                eyes: [eye; 2],
-                eye_extent_pixels,
-                display_period_ns: 13_888_888,
-            },
-            resume: None,
-        };
+        let hello = hello();
+        let capabilities = Capabilities { eyes: [eye; 2], eye_extent_pixels, ..hello.capabilities };
+        let hello = ClientHello { capabilities, ..hello };
         self.handle.send_control(self.peer, ClientMessage::Hello(hello).encode()).unwrap();
         let deadline = Instant::now() + PATIENCE;
         while Instant::now() < deadline {
@@ -312,7 +227,7 @@ fn eyes_that_no_pipeline_can_be_made_for_are_refused_and_a_lawful_client_is_serv
         let ServerMessage::Refused(refused) = answer else { panic!("{answer:?}") };
         assert!(refused.reason.contains("eye") && !refused.remedy.is_empty(), "{refused:?}");
     }
-    let mut client = stage.client("a");
+    let client = stage.client("a");
     server.says("Client connected");
     stage.shows_the_scene("a");
     client.signal("-INT");
@@ -324,9 +239,10 @@ fn eyes_that_no_pipeline_can_be_made_for_are_refused_and_a_lawful_client_is_serv
 #[test]
 fn a_server_whose_output_is_closed_goes_on_serving() {
     let stage = Stage::new();
-    let mut server = Running::start_reading(&mut stage.server_command("dragon", "server.json"), 1);
+    let mut server =
+        Program::start_reading(&mut stage.server_command("dragon", "server.json"), Voice::Output, 1);
     server.says("Listening");
-    let mut client = stage.client("a");
+    let client = stage.client("a");
     stage.shows_the_scene("a");
     client.signal("-INT");
     client.ends_well();

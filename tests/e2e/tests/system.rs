@@ -6,8 +6,8 @@ use shadecast_lab::headset_off::{Absence, measure};
 use shadecast_lab::image::Rgb8Image;
 use shadecast_lab::metrics::psnr_db;
 use shadecast_lab::options::{Renderer, RunOptions, ViewerOptions};
-use shadecast_lab::run::{Report, mock_config, prepare_runtime, run, set_runtime};
-use shadecast_lab::session::{Lab, Server};
+use shadecast_lab::run::{Report, mock_config, run};
+use shadecast_lab::session::Lab;
 use shadecast_lab::stats::RegionStats;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_mock_runtime::record::read_frames;
@@ -15,15 +15,8 @@ use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::scene::SceneOptions;
 use shadecast_server::world::WorldCounts;
+use shadecast_test_support::headset::turn;
 use std::path::Path;
-use std::sync::{Mutex, MutexGuard};
-
-/// The OpenXR loader and the mock runtime read the process's environment: one run at a time.
-static ENVIRONMENT: Mutex<()> = Mutex::new(());
-
-fn alone() -> MutexGuard<'static, ()> {
-    ENVIRONMENT.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
-}
 
 fn small(scene: SceneSource, out: &Path) -> RunOptions {
     RunOptions {
@@ -56,7 +49,7 @@ fn assert_good(report: &Report, what: &str) {
 
 #[test]
 fn a_dragon_over_a_simulated_link_looks_like_the_truth_and_moves_between_updates() {
-    let _alone = alone();
+    let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let report = run(&small(SceneSource::Dragons(1), out.path())).unwrap();
     assert_good(&report, "dragon, stream");
@@ -83,7 +76,7 @@ fn a_dragon_over_a_simulated_link_looks_like_the_truth_and_moves_between_updates
 
 #[test]
 fn the_local_renderer_hands_over_in_memory_and_looks_like_the_truth() {
-    let _alone = alone();
+    let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let options = RunOptions { renderer: Renderer::Local, ..small(SceneSource::Dragons(1), out.path()) };
     let report = run(&options).unwrap();
@@ -93,7 +86,7 @@ fn the_local_renderer_hands_over_in_memory_and_looks_like_the_truth() {
 
 #[test]
 fn the_forward_renderer_writes_the_truth_and_compares_nothing() {
-    let _alone = alone();
+    let _turn = turn();
     let [out, local_out] = [(); 2].map(|()| tempfile::tempdir().unwrap());
     let options = |renderer, out: &Path| RunOptions {
         renderer,
@@ -127,7 +120,7 @@ fn the_forward_renderer_writes_the_truth_and_compares_nothing() {
 /// The truth is not made of what it judges: if it were, a coarse sampling would be coarse in both.
 #[test]
 fn coarse_sampling_costs_the_picture_of_what_is_animated() {
-    let _alone = alone();
+    let _turn = turn();
     let measure = |sampling: &str| {
         let out = tempfile::tempdir().unwrap();
         let options = RunOptions {
@@ -151,7 +144,7 @@ fn coarse_sampling_costs_the_picture_of_what_is_animated() {
 
 #[test]
 fn two_runs_in_virtual_time_give_identical_pictures() {
-    let _alone = alone();
+    let _turn = turn();
     let run_once = || {
         let out = tempfile::tempdir().unwrap();
         let options = RunOptions {
@@ -183,7 +176,7 @@ fn two_runs_in_virtual_time_give_identical_pictures() {
 
 #[test]
 fn real_models_look_like_the_truth() {
-    let _alone = alone();
+    let _turn = turn();
     for file in ["CesiumMan.glb", "Fox.glb"] {
         let Some(path) = shadecast_lab::long::asset(file) else {
             eprintln!("SKIPPED: {file} is not there; the project ships no models of others");
@@ -198,7 +191,7 @@ fn real_models_look_like_the_truth() {
 /// Off for 20 seconds, by either way that runtimes have; the long form is `shadecast_lab::headset_off` with more seconds.
 #[test]
 fn a_headset_taken_off_costs_no_memory_and_no_updates_and_its_picture_is_back_within_a_second() {
-    let _alone = alone();
+    let _turn = turn();
     for absence in [Absence::Hidden, Absence::Resting] {
         let out = tempfile::tempdir().unwrap();
         let options = RunOptions { extent_pixels: [96, 96], ..small(SceneSource::Dragons(1), out.path()) };
@@ -214,7 +207,7 @@ fn a_headset_taken_off_costs_no_memory_and_no_updates_and_its_picture_is_back_wi
 /// Corners of a triangle that are evaluated at different times lie apart by as much as a wing moves meanwhile.
 #[test]
 fn no_triangle_is_torn_at_two_updates_a_second() {
-    let _alone = alone();
+    let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let options = RunOptions {
         rate_hz: 2.0,
@@ -246,11 +239,8 @@ fn counts(others: Vec<ViewerOptions>) -> (WorldCounts, Vec<u64>) {
         ..small(SceneSource::Dragons(1), out.path())
     };
     let config = MockConfig { capture_dir: None, ..mock_config(&options, ClockKind::Virtual, 0).unwrap() };
-    let runtime = prepare_runtime(&config, out.path()).unwrap();
-    // SAFETY: the lock is held.
-    unsafe { set_runtime(&runtime) };
-    let mut lab = Lab::new(&options, Server::new(&options).unwrap()).unwrap();
-    lab.connect().unwrap();
+    // SAFETY: it is the caller's turn.
+    let mut lab = unsafe { Lab::open(&options, &config) }.unwrap();
     while let Step::Frame(_) = lab.step().unwrap() {}
     assert_eq!(lab.server.gpu.validation_messages(), 0);
     for (number, (_, ghost)) in lab.ghosts().enumerate() {
@@ -268,7 +258,7 @@ fn counts(others: Vec<ViewerOptions>) -> (WorldCounts, Vec<u64>) {
 
 #[test]
 fn what_does_not_depend_on_who_looks_is_made_once_for_a_time() {
-    let _alone = alone();
+    let _turn = turn();
     let (alone, updates) = counts(Vec::new());
     let (together, of_each) = counts(vec![other("latency=20ms"); 2]);
     println!("{alone:?}, {updates:?} updates; {together:?}, {of_each:?}");
@@ -284,7 +274,7 @@ fn what_does_not_depend_on_who_looks_is_made_once_for_a_time() {
 
 #[test]
 fn a_viewer_among_others_has_the_picture_that_it_has_alone() {
-    let _alone = alone();
+    let _turn = turn();
     let measured = |others: Vec<ViewerOptions>| {
         let out = tempfile::tempdir().unwrap();
         let link = other("latency=50ms,jitter=5ms,rate=100mbit").link;

@@ -3,23 +3,15 @@
 use serde_json::Value;
 use shadecast_lab::run::prepare_runtime;
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
+use shadecast_test_support::programs::{Program, Voice, program};
 use shadecast_transport::{
     Driver, Endpoint, EndpointConfig, Events, Fingerprint, Handle, ServerIdentity, spawn,
 };
-use std::io::{BufRead, BufReader};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::os::unix::process::ExitStatusExt;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::mpsc::{Receiver, channel};
-use std::time::{Duration, Instant};
-
-fn program(name: &str) -> PathBuf {
-    let here = std::env::current_exe().expect("this test is a file");
-    let path = here.parent().and_then(Path::parent).expect("the folder of programs").join(name);
-    assert!(path.exists(), "{} is not built; `./shadecast test` builds it first", path.display());
-    path
-}
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::time::Duration;
 
 /// The program ends by itself, unsuccessfully; what it says on standard error.
 #[track_caller]
@@ -47,16 +39,6 @@ fn an_atlas_that_no_client_takes_is_refused_at_the_command_line() {
     }
 }
 
-/// A software device on a busy machine is slow to start.
-const PATIENCE: Duration = Duration::from_secs(120);
-
-/// A client on a mock runtime of its own, with what it says on standard error as lines.
-struct Client {
-    child: Child,
-    lines: Receiver<String>,
-    said: String,
-}
-
 /// Folders and environment of clients.
 struct Stage {
     folder: tempfile::TempDir,
@@ -79,67 +61,14 @@ impl Stage {
     }
 
     /// A client that keeps what it knows in `identity`; the runtime loses its instance at these frames.
-    fn client(&self, arguments: &[&str], losses: impl Iterator<Item = u64>) -> Client {
+    fn client(&self, arguments: &[&str], losses: impl Iterator<Item = u64>) -> Program {
         let events = losses.map(|frame| ScriptedEvent { frame, kind: EventKind::InstanceLoss }).collect();
         let config = MockConfig { extent_pixels: [64, 64], events, ..MockConfig::default() };
         let runtime = prepare_runtime(&config, &self.path("runtime")).expect("a runtime");
         let mut command = Command::new(program("shadecast-client"));
         command.args(arguments).arg("--identity").arg(self.path("identity"));
         command.envs(runtime.iter().map(|(name, value)| (name, value)));
-        Client::start(&mut command)
-    }
-}
-
-impl Client {
-    fn start(command: &mut Command) -> Self {
-        let mut child = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().expect("it starts");
-        let output = child.stderr.take().expect("piped");
-        let (to, lines) = channel();
-        std::thread::spawn(move || {
-            for line in BufReader::new(output).lines().map_while(Result::ok) {
-                println!("{line}");
-                let _ = to.send(line);
-            }
-        });
-        Self { child, lines, said: String::new() }
-    }
-
-    /// Waits until it has said this.
-    #[track_caller]
-    fn says(&mut self, text: &str) {
-        let deadline = Instant::now() + PATIENCE;
-        while !self.said.contains(text) {
-            match self.lines.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
-                Ok(line) => self.said += &(line + "\n"),
-                Err(_) => panic!("\"{text}\" was not said, but: {}", self.said),
-            }
-        }
-    }
-
-    fn interrupt(&self) {
-        let killed = Command::new("kill").args(["-INT", &self.child.id().to_string()]).status();
-        assert!(killed.expect("kill runs").success());
-    }
-
-    /// How it ends, and all that it has said.
-    #[track_caller]
-    fn ends(mut self) -> (ExitStatus, String) {
-        let deadline = Instant::now() + PATIENCE;
-        while Instant::now() < deadline {
-            if let Some(status) = self.child.try_wait().expect("a child") {
-                self.said.extend(self.lines.iter().map(|line| line + "\n"));
-                return (status, std::mem::take(&mut self.said));
-            }
-            std::thread::sleep(Duration::from_millis(50));
-        }
-        panic!("it did not end in time, and said: {}", self.said);
-    }
-}
-
-impl Drop for Client {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        Program::start(&mut command, Voice::Errors)
     }
 }
 
@@ -160,10 +89,10 @@ fn ctrl_c_while_the_headset_is_gone_ends_well_and_keeps_the_statistics() {
     let stats = stage.path("stats.json");
     let arguments = ["--connect", "127.0.0.1:9", "--stats", stats.to_str().expect("text")];
     let mut client = stage.client(&arguments, (1..200).map(|n| n * 30));
-    client.says("per eye"); // the first frame was shown
+    client.has_said("per eye"); // the first frame was shown
     std::fs::remove_file(stage.manifest()).expect("the runtime goes away");
-    client.says("the headset is gone; trying again for 30 s");
-    client.interrupt();
+    client.has_said("the headset is gone; trying again for 30 s");
+    client.signal("-INT");
     let (status, said) = client.ends();
     assert_eq!(status.code(), Some(0), "{said}");
     assert!(said.contains("frames/s"), "a summary: {said}");
@@ -177,8 +106,8 @@ fn what_goes_wrong_is_said_in_plain_text_to_who_wants_quiet_too() {
     let address = silent.local_addr().expect("an address").to_string();
     let stage = Stage::new();
     let mut client = stage.client(&["--quiet", "--connect", &address], std::iter::empty());
-    client.says("did not answer");
-    client.interrupt();
+    client.has_said("did not answer");
+    client.signal("-INT");
     let (status, said) = client.ends();
     assert_eq!(status.code(), Some(0), "{said}");
     assert!(!said.contains('\x1b'), "no colours where nobody sees them: {said:?}");
@@ -191,8 +120,8 @@ fn a_server_is_shown_once_known_by_any_name_and_refused_when_it_is_another() {
     let typed = address.to_string();
     let says = |arguments: &[&str], words: &[&str]| {
         let mut client = stage.client(arguments, std::iter::empty());
-        words.iter().for_each(|word| client.says(word));
-        client.interrupt();
+        words.iter().for_each(|word| client.has_said(word));
+        client.signal("-INT");
         assert_eq!(client.ends().0.code(), Some(0));
     };
     says(&["--connect", &typed], &[&format!("first connection to {typed}: its identity is {fingerprint}")]);
@@ -213,10 +142,10 @@ fn the_second_signal_ends_the_client_at_once() {
     // Nobody reads the pipe: after the first signal the client waits for ever to write its statistics.
     let arguments = ["--connect", "127.0.0.1:9", "--stats", pipe.to_str().expect("text")];
     let mut client = stage.client(&arguments, std::iter::empty());
-    client.says("per eye");
-    client.interrupt();
+    client.has_said("per eye");
+    client.signal("-INT");
     std::thread::sleep(Duration::from_millis(500));
-    client.interrupt();
+    client.signal("-INT");
     let (status, said) = client.ends();
     assert_eq!(status.signal(), Some(2), "{said}");
 }

@@ -7,22 +7,17 @@ use shadecast_client::decode::{Decoder, Picture};
 use shadecast_lab::image::Rgb8Image;
 use shadecast_server::picture::rgb_from_planes;
 use shadecast_server::truth::video::Video;
+use shadecast_test_support::programs::{PATIENCE, end_within, program, wait_until};
 use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Child, Command, Output, Stdio};
-use std::time::{Duration, Instant};
 use support::x11::{self, Connection};
 
-/// A software device on a busy machine is slow to start.
-const PATIENCE: Duration = Duration::from_secs(120);
 const SIZE: &str = "160x120";
 const SCREEN: [u32; 2] = [320, 240];
 
 fn server() -> Command {
-    let here = std::env::current_exe().unwrap();
-    let path = here.parent().and_then(Path::parent).unwrap().join("shadecast-server");
-    assert!(path.exists(), "{} is not built; `./shadecast test` builds it first", path.display());
-    let mut command = Command::new(path);
+    let mut command = Command::new(program("shadecast-server"));
     command.args(["forward", "dragon", "--size", SIZE, "--start", "0.4", "--fps", "10", "--validation"]);
     command.env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET").env_remove("DISPLAY");
     command
@@ -76,12 +71,6 @@ impl Drop for Display {
     }
 }
 
-fn until(deadline: Instant, is_so: impl Fn() -> bool) {
-    while !is_so() && Instant::now() < deadline {
-        std::thread::sleep(Duration::from_millis(100));
-    }
-}
-
 #[track_caller]
 fn succeeds(output: &Output) {
     assert!(output.status.success(), "{}: {}", output.status, String::from_utf8_lossy(&output.stderr));
@@ -114,32 +103,24 @@ fn picture_reaches_the_screen_follows_the_windows_size_and_escape_ends_the_progr
     let mut window = server();
     window.args(["--window", "--seconds", "300"]).env("DISPLAY", display.name());
     let mut child = window.stdout(Stdio::null()).spawn().unwrap();
-    let deadline = Instant::now() + PATIENCE;
     let colours = |screen: &[u8]| {
         let seen: std::collections::BTreeSet<&[u8]> = screen.chunks_exact(4).collect();
         seen.len()
     };
-    until(deadline, || colours(&display.screen()) >= 500);
-    assert!(colours(&before) < 10 && colours(&display.screen()) >= 500, "the window stays empty");
+    assert!(colours(&before) < 10, "there is something on the screen before the window");
+    wait_until("the window shows a picture", || colours(&display.screen()) >= 500);
     let mut user = Connection::open(display.number).unwrap();
     for extent in [[300, 200], [120, 90], [310, 220]] {
         user.resize(extent).unwrap();
     }
     let corner = (210 * SCREEN[0] + 300) as usize * 4;
     let is_drawn = || display.screen()[corner..][..3] != before[corner..][..3];
-    until(deadline, is_drawn);
-    assert!(is_drawn(), "what the larger window has won stays empty");
+    wait_until("what the larger window has won is drawn", is_drawn);
     user.focus().unwrap();
     user.press(x11::KEY_F).unwrap();
     user.press(x11::KEY_ESCAPE).unwrap();
-    let ended = loop {
-        match child.try_wait().unwrap() {
-            None if Instant::now() < deadline => std::thread::sleep(Duration::from_millis(50)),
-            ended => break ended,
-        }
-    };
-    let _ = child.kill();
-    assert!(ended.is_some_and(|status| status.success()), "Escape was pressed, and: {ended:?}");
+    let status = end_within(&mut child, PATIENCE);
+    assert!(status.success(), "Escape was pressed, and: {status}");
 }
 
 #[test]

@@ -4,8 +4,8 @@
 use crate::compare::{Comparer, Shown};
 use crate::image::Rgb8Image;
 use crate::options::{Head, RunOptions};
-use crate::run::{into_probe, mock_config, prepare_runtime, set_runtime};
-use crate::session::{Lab, SERVER_EPOCH_NS, START_NS, Server};
+use crate::run::{into_probe, mock_config};
+use crate::session::{Lab, SERVER_EPOCH_NS, START_NS};
 use anyhow::{Context, ensure};
 use serde::{Deserialize, Serialize};
 use shadecast_client::client::Step;
@@ -66,13 +66,9 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<AbruptReport> {
     std::fs::write(&head, head_csv()).with_context(|| format!("writing {}", head.display()))?;
     let options = RunOptions { head: Head::File(head), seconds: STILL_S + MOVING_S, ..options.clone() };
     let config = MockConfig { seconds: 0.0, ..mock_config(&options, ClockKind::Virtual, 1)? };
-    let variables = prepare_runtime(&config, &options.out)?;
     // SAFETY: the caller's promise, as for `run`.
-    unsafe { set_runtime(&variables) };
-    let server = Server::new(&options)?;
-    let mut comparer = Comparer::new(&server.gpu, &server.scene, options.extent_pixels)?;
-    let mut lab = Lab::new(&options, server)?;
-    lab.connect()?;
+    let mut lab = unsafe { Lab::open(&options, &config) }?;
+    let mut comparer = Comparer::new(&lab.server.gpu, &lab.server.scene, options.extent_pixels)?;
     let mut report = AbruptReport::default();
     let mut still = Vec::new();
     let mut first_ns = None;

@@ -1,8 +1,8 @@
 //! A headset that is taken off for a while: what memory that costs, and how soon the picture is back.
 
 use crate::options::{Renderer, RunOptions};
-use crate::run::{mock_config, prepare_runtime, set_runtime};
-use crate::session::{Lab, Server};
+use crate::run::mock_config;
+use crate::session::Lab;
 use anyhow::{Context, bail, ensure};
 use serde::{Deserialize, Serialize};
 use shadecast_client::client::Step;
@@ -62,12 +62,8 @@ pub fn measure(options: &RunOptions, absence: Absence, off_s: f64) -> anyhow::Re
     ensure!(options.renderer == Renderer::Stream, "the headset is taken off a server behind a link");
     ensure!(off_s > SETTLED_S, "{off_s} s are too short an absence");
     let config = script(options, absence, off_s)?;
-    let variables = prepare_runtime(&config, &options.out)?;
     // SAFETY: the caller's promise, as for `run`.
-    unsafe { set_runtime(&variables) };
-    let server = Server::new(options)?;
-    let mut lab = Lab::new(options, server)?;
-    lab.connect()?;
+    let mut lab = unsafe { Lab::open(options, &config) }?;
     let turns = |seconds: f64| (seconds * options.refresh_hz).round() as u64;
     (0..turns(ON_S + SETTLED_S)).try_for_each(|_| lab.turn().map(|_| ()))?;
     let mut report = HeadsetOffReport { off_s, rss_before_mb: rss_mb()?, ..HeadsetOffReport::default() };

@@ -6,7 +6,7 @@ use crate::image::Rgb8Image;
 use crate::metrics::{FrameMetrics, ProbeView, psnr_db};
 use crate::motion::{Motion, MotionReport};
 use crate::options::{Head, Renderer, RunOptions};
-use crate::session::{Lab, SERVER_EPOCH_NS, START_NS, Server};
+use crate::session::{Lab, SERVER_EPOCH_NS, START_NS};
 use crate::sheet::{Sheet, difference};
 use crate::stats::{Counted, MbitPerS, Stats, Summary};
 use anyhow::{Context, ensure};
@@ -130,14 +130,10 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
     if options.renderer == Renderer::Forward {
         return forward_run::run(options, &config);
     }
-    let variables = prepare_runtime(&config, &options.out)?;
     // SAFETY: this is called from the main thread of the program, or from tests that hold the lab's lock, before the
     // client's threads start.
-    unsafe { set_runtime(&variables) };
-    let server = Server::new(options)?;
-    let mut comparer = Comparer::new(&server.gpu, &server.scene, options.extent_pixels)?;
-    let mut lab = Lab::new(options, server)?;
-    lab.connect()?;
+    let mut lab = unsafe { Lab::open(options, &config) }?;
+    let mut comparer = Comparer::new(&lab.server.gpu, &lab.server.scene, options.extent_pixels)?;
     let mut run = Run {
         options,
         capture,

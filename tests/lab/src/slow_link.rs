@@ -1,8 +1,8 @@
 //! A link that carries less than the scene needs: when there is a picture, and how it goes on.
 
 use crate::options::RunOptions;
-use crate::run::{mock_config, prepare_runtime, set_runtime};
-use crate::session::{Lab, Server};
+use crate::run::mock_config;
+use crate::session::Lab;
 use anyhow::Result;
 use serde::{Deserialize, Serialize};
 use shadecast_client::client::Step;
@@ -42,11 +42,8 @@ impl fmt::Display for SlowLinkReport {
 /// Anything that keeps the run from going on.
 pub fn measure(options: &RunOptions) -> Result<SlowLinkReport> {
     let config = MockConfig { capture_dir: None, ..mock_config(options, ClockKind::Virtual, 0)? };
-    let runtime = prepare_runtime(&config, &options.out)?;
     // SAFETY: the caller's promise, as for `run`.
-    unsafe { set_runtime(&runtime) };
-    let mut lab = Lab::new(options, Server::new(options)?)?;
-    lab.connect()?;
+    let mut lab = unsafe { Lab::open(options, &config) }?;
     let mut report = SlowLinkReport::default();
     let mut frames = 0;
     while let Step::Frame(shown) = lab.step()? {

@@ -1,14 +1,13 @@
 //! Whether triangles on display are whole: all corners where their vertices are at one time.
 
 use crate::options::RunOptions;
-use crate::run::{mock_config, prepare_runtime, set_runtime};
-use crate::session::{Lab, Server};
-use glam::{Affine3A, Vec3};
+use crate::run::mock_config;
+use crate::session::Lab;
+use crate::truth::InstancePose;
+use glam::{DVec3, Vec3};
 use shadecast_client::client::Step;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
-use shadecast_scene::Vertex;
-use shadecast_scene::animation::pose;
 use shadecast_server::scene::numbering::SceneVertex;
 use std::collections::{BTreeSet, HashMap};
 
@@ -34,12 +33,8 @@ pub struct TearingReport {
 /// Anything that keeps the run from going on.
 pub fn measure(options: &RunOptions) -> anyhow::Result<TearingReport> {
     let config = MockConfig { capture_dir: None, ..mock_config(options, ClockKind::Virtual, 0)? };
-    let variables = prepare_runtime(&config, &options.out)?;
     // SAFETY: the caller's promise, as for `run`.
-    unsafe { set_runtime(&variables) };
-    let server = Server::new(options)?;
-    let mut lab = Lab::new(options, server)?;
-    lab.connect()?;
+    let mut lab = unsafe { Lab::open(options, &config) }?;
     let mut report = TearingReport {
         last_step_error_m: last_step_error_m(&lab, options.seconds),
         ..TearingReport::default()
@@ -68,11 +63,17 @@ fn look(
     let triangles = lab.client.drawn_triangles();
     report.triangles += triangles.len() as u64;
     let slots: BTreeSet<u32> = triangles.into_iter().flatten().collect();
-    let mut palettes = HashMap::new();
+    let scene = &lab.server.scene;
+    let mut poses: HashMap<usize, InstancePose> = HashMap::new();
     for (slot, vertex) in slots.into_iter().filter_map(|slot| Some((slot, *vertex_of_slot.get(&slot)?))) {
         let [x, y, z, _] = positions[slot as usize];
-        let error_m = Vec3::new(x, y, z).distance(place(lab, vertex, time, &mut palettes));
-        report.max_error_m = report.max_error_m.max(error_m);
+        let index = scene.numbering.instance_of_vertex(vertex);
+        let pose =
+            poses.entry(index).or_insert_with(|| InstancePose::at(&scene.scene, index, time.seconds()));
+        let place = &scene.numbering.instances[index];
+        let number = (vertex.0 - place.first_vertex.0) as usize;
+        let truth = pose.vertex(&scene.scene.models[place.model], number).as_vec3();
+        report.max_error_m = report.max_error_m.max(Vec3::new(x, y, z).distance(truth));
     }
     Ok(())
 }
@@ -81,21 +82,14 @@ fn look(
 /// scene's first instance.
 fn last_step_error_m(lab: &Lab, seconds: f64) -> f32 {
     let scene = &lab.server.scene.scene;
-    let instance = &scene.instances[0];
-    let model = &scene.models[instance.model];
+    let model = &scene.models[scene.instances[0].model];
     let step_s = DEFAULT_GRID.spacing_ns as f64 * 1e-9;
-    let places = |step: u32| -> Vec<Vec3> {
-        let time_s = f64::from(step) * step_s;
-        let phase_s = instance.clip_phase_s(model.duration_s(instance.clip), time_s);
-        let palette = pose::source_palette(model, instance.clip, phase_s);
-        let world_from_model = instance.world_from_model(time_s);
-        let place = |v: &Vertex| {
-            (world_from_model * pose::blend(&palette, v.joints, v.weights)).transform_point3(v.position)
-        };
-        model.vertices.iter().map(place).collect()
+    let places = |step: u32| -> Vec<DVec3> {
+        let pose = InstancePose::at(scene, 0, f64::from(step) * step_s);
+        (0..model.vertices.len()).map(|number| pose.vertex(model, number)).collect()
     };
     let steps = ((seconds + 1.0) / step_s).ceil() as u32;
-    let (mut before, mut now, mut worst_m) = (places(0), places(1), 0.0f32);
+    let (mut before, mut now, mut worst_m) = (places(0), places(1), 0.0f64);
     for step in 2..=steps {
         let next = places(step);
         for ((a, b), c) in before.iter().zip(&now).zip(&next) {
@@ -103,25 +97,5 @@ fn last_step_error_m(lab: &Lab, seconds: f64) -> f32 {
         }
         (before, now) = (now, next);
     }
-    worst_m
-}
-
-/// Where the source's curves have a scene-wide vertex at a time.
-fn place(
-    lab: &Lab,
-    vertex: SceneVertex,
-    time: ServerTime,
-    palettes: &mut HashMap<usize, Vec<Affine3A>>,
-) -> Vec3 {
-    let scene = &lab.server.scene;
-    let index = scene.numbering.instance_of_vertex(vertex);
-    let instance = &scene.scene.instances[index];
-    let model = &scene.scene.models[instance.model];
-    let phase_s = instance.clip_phase_s(model.duration_s(instance.clip), time.seconds());
-    let palette =
-        palettes.entry(index).or_insert_with(|| pose::source_palette(model, instance.clip, phase_s));
-    let v = &model.vertices[(vertex.0 - scene.numbering.instances[index].first_vertex.0) as usize];
-    let world_from_vertex =
-        instance.world_from_model(time.seconds()) * pose::blend(palette, v.joints, v.weights);
-    world_from_vertex.transform_point3(v.position)
+    worst_m as f32
 }

@@ -13,7 +13,8 @@ use shadecast_mock_runtime::clock::{period_begin_ns, period_ns};
 use shadecast_mock_runtime::config::{ClockKind, EventKind, FovDegrees, MockConfig, ScriptedEvent};
 use shadecast_mock_runtime::head_path::HeadPath;
 use shadecast_mock_runtime::record::{FrameRecord, PoseRecord, Side, read_frames, read_summary};
-use support::{App, Run, STEREO, create_instance, load, picture, rect, validation_messages, view};
+use shadecast_test_support::headset::Run;
+use support::{App, STEREO, create_instance, load, picture, rect, validation_messages, view};
 use xr::sys::{Handle as _, Result as Code};
 
 const SIZE: [u32; 2] = [48, 32];
@@ -27,7 +28,7 @@ fn virtual_config() -> MockConfig {
 }
 
 fn with_walk(run: &Run, config: &MockConfig) {
-    let path = run.folder.path().join("walk.csv");
+    let path = run.folder().join("walk.csv");
     std::fs::write(&path, WALK).expect("write the head path");
     let config = MockConfig { head_path: Some(path), capture_dir: Some(run.captures()), ..config.clone() };
     config.write(&run.config_path()).expect("write the configuration");
@@ -844,7 +845,7 @@ fn a_bad_configuration_is_refused_with_file_line_and_remedy() {
     let run = Run::unconfigured();
     let printed = refused_in_a_process(&run, "{\n\"refresh\": 72\n}");
     assert!(printed.contains("xrCreateInstance") && printed.contains("mock.json:2:"), "{printed}");
-    std::fs::write(run.folder.path().join("walk.csv"), "t_s,x,y,z,qx,qy,qz,qw\n0,0,1,0,0,0,0,1\n1,2,3\n")
+    std::fs::write(run.folder().join("walk.csv"), "t_s,x,y,z,qx,qy,qz,qw\n0,0,1,0,0,0,0,1\n1,2,3\n")
         .expect("write the head path");
     let printed = refused_in_a_process(&run, r#"{"head_path": "walk.csv"}"#);
     assert!(printed.contains("walk.csv:3: 3 columns where 8 are needed; write t_s,x,y,z"), "{printed}");

@@ -1,10 +1,11 @@
 //! The server under attack: the real program on loopback, with its memory and its last words.
 
-use anyhow::{Context, bail, ensure};
+use crate::demo::program;
+use anyhow::{Context, bail};
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -27,16 +28,6 @@ pub(crate) struct Program {
     child: Child,
     lines: Lines,
     heard: Receiver<String>,
-}
-
-/// The path of one of the project's programs, beside this one.
-pub(crate) fn program(name: &str) -> anyhow::Result<PathBuf> {
-    let here = std::env::current_exe().context("finding the programs")?;
-    let folder = here.parent().context("finding the programs")?;
-    let folder = if folder.ends_with("deps") { folder.parent().unwrap_or(folder) } else { folder };
-    let path = folder.join(name);
-    ensure!(path.exists(), "{} is not built; run `cargo build -p {name}`", path.display());
-    Ok(path)
 }
 
 impl Program {

@@ -8,7 +8,7 @@ pub mod ghost;
 pub mod seat;
 
 use crate::options::{Renderer, RunOptions, StageMs, ViewerOptions};
-use crate::run::BUILT_IN_WALK;
+use crate::run::{BUILT_IN_WALK, prepare_runtime, set_runtime};
 use anyhow::{Context, bail};
 use ghost::Ghost;
 use seat::Seat;
@@ -19,6 +19,7 @@ use shadecast_client::platform::Platform;
 use shadecast_client::xr::{Xr, XrOptions};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_mock_runtime::clock::period_begin_ns;
+use shadecast_mock_runtime::config::MockConfig;
 use shadecast_mock_runtime::head_path::HeadPath;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
@@ -210,8 +211,24 @@ fn client_event(client: &mut Client, event: Event, now_ns: i64) -> anyhow::Resul
 }
 
 impl Lab {
-    /// Opens both sides; the mock runtime must be set up in the environment.
-    pub fn new(options: &RunOptions, mut server: Server) -> anyhow::Result<Self> {
+    /// Points the process's OpenXR loader to a mock runtime of this configuration, opens server and clients, and connects
+    /// them.
+    ///
+    /// # Errors
+    /// No device, no runtime, no memory, a file, or two that do not agree.
+    ///
+    /// # Safety
+    /// No other thread may read or write the environment meanwhile.
+    pub unsafe fn open(options: &RunOptions, config: &MockConfig) -> anyhow::Result<Self> {
+        let variables = prepare_runtime(config, &options.out)?;
+        // SAFETY: the caller's promise.
+        unsafe { set_runtime(&variables) };
+        let mut lab = Self::new(options, Server::new(options)?)?;
+        lab.connect()?;
+        Ok(lab)
+    }
+
+    fn new(options: &RunOptions, mut server: Server) -> anyhow::Result<Self> {
         let xr = Xr::open(&Platform, XrOptions { validation: options.validation })
             .context("opening the OpenXR runtime")?;
         let decode_ns = options.stages.ns(options.stages.decode);
@@ -254,10 +271,7 @@ impl Lab {
     }
 
     /// Connects all clients over their links, or the one in memory.
-    ///
-    /// # Errors
-    /// The two do not agree, or memory is short.
-    pub fn connect(&mut self) -> anyhow::Result<()> {
+    fn connect(&mut self) -> anyhow::Result<()> {
         if self.renderer == Renderer::Stream {
             self.lines.iter_mut().for_each(Line::connect);
             return Ok(());

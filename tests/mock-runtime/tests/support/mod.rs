@@ -2,14 +2,11 @@
 //! and images filled byte by byte, so that captures can be compared exactly.
 
 use std::ffi::{CStr, c_void};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use ash::vk::{self, Handle as _};
 use openxr as xr;
-use shadecast_mock_runtime::config::{CONFIG_VARIABLE, MockConfig};
-use shadecast_mock_runtime::manifest;
 use shadecast_mock_runtime::record::{Side, picture_path};
 
 /// The stereo views.
@@ -17,46 +14,6 @@ pub const STEREO: xr::ViewConfigurationType = xr::ViewConfigurationType::PRIMARY
 
 /// Messages of the validation layers, of all applications of the process.
 static VALIDATION_MESSAGES: AtomicU32 = AtomicU32::new(0);
-
-/// One run of the runtime: its folder, its environment, and the right to be the only one in the process.
-pub struct Run {
-    pub folder: tempfile::TempDir,
-    _turn: MutexGuard<'static, ()>,
-}
-
-impl Run {
-    /// Sets the environment up for `config`, whose capture folder becomes `captures` in the run's folder.
-    pub fn new(config: &MockConfig) -> Self {
-        let run = Self::unconfigured();
-        let config = MockConfig { capture_dir: Some(run.captures()), ..config.clone() };
-        config.write(&run.config_path()).expect("write the configuration");
-        run
-    }
-
-    /// Sets the environment up, without a configuration file yet.
-    pub fn unconfigured() -> Self {
-        static TURN: Mutex<()> = Mutex::new(());
-        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let library = manifest::find_library().expect("the runtime library is built beside the tests");
-        let manifest = manifest::write(folder.path(), &library).expect("write the manifest");
-        let run = Self { folder, _turn: turn };
-        // SAFETY: the turn makes this the only test that runs, and nothing else reads the environment meanwhile.
-        unsafe {
-            std::env::set_var("XR_RUNTIME_JSON", manifest);
-            std::env::set_var(CONFIG_VARIABLE, run.config_path());
-        }
-        run
-    }
-
-    pub fn config_path(&self) -> PathBuf {
-        self.folder.path().join("mock.json")
-    }
-
-    pub fn captures(&self) -> PathBuf {
-        self.folder.path().join("captures")
-    }
-}
 
 /// The loader's entry points.
 pub fn load() -> xr::Entry {
