@@ -17,8 +17,44 @@ pub struct Culling {
     reach: Vec<Vec<Vec3>>,
     /// By instance: the update that needed it last; 0: none.
     last_needed: Vec<u32>,
-    needed: Vec<bool>,
     update: u32,
+}
+
+/// The instances that an update needs, or that several do.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Needed(Vec<bool>);
+
+impl FromIterator<bool> for Needed {
+    fn from_iter<T: IntoIterator<Item = bool>>(by_instance: T) -> Self {
+        Self(by_instance.into_iter().collect())
+    }
+}
+
+impl Needed {
+    /// None of so many instances.
+    pub fn none(instances: usize) -> Self {
+        Self(vec![false; instances])
+    }
+
+    /// All of them.
+    pub fn all(instances: usize) -> Self {
+        Self(vec![true; instances])
+    }
+
+    /// Whether an instance is needed.
+    pub fn has(&self, instance: usize) -> bool {
+        self.0[instance]
+    }
+
+    /// Adds what others need.
+    pub fn add(&mut self, others: &Self) {
+        self.0.iter_mut().zip(&others.0).for_each(|(has, other)| *has |= *other);
+    }
+
+    /// Whether all that others need is needed here.
+    pub fn covers(&self, others: &Self) -> bool {
+        self.0.iter().zip(&others.0).all(|(has, other)| *has || !other)
+    }
 }
 
 impl Culling {
@@ -33,23 +69,23 @@ impl Culling {
         Self {
             reach: bounds.iter().enumerate().map(reach).collect(),
             last_needed: vec![0; bounds.len()],
-            needed: vec![false; bounds.len()],
             update: 0,
         }
     }
 
-    /// By instance, whether an update with these views needs it.
-    pub fn update(&mut self, views: impl Iterator<Item = View> + Clone) -> &[bool] {
+    /// What the next update needs, with these views.
+    pub fn needs(&mut self, views: impl Iterator<Item = View> + Clone) -> Needed {
         self.update += 1;
+        let mut needs = Needed::none(self.reach.len());
         for (index, reach) in self.reach.iter().enumerate() {
             if views.clone().any(|view| is_in_view(reach, &view)) {
                 self.last_needed[index] = self.update;
             }
             let last = self.last_needed[index];
             // One update more than the layout holds a patch: it decides after this.
-            self.needed[index] = last > 0 && self.update - last <= HOLD_UPDATES + 1;
+            needs.0[index] = last > 0 && self.update - last <= HOLD_UPDATES + 1;
         }
-        &self.needed
+        needs
     }
 }
 
@@ -104,7 +140,7 @@ mod tests {
                 let at = clip * p.extend(1.0);
                 at.w > 0.1 && at.x.abs() <= at.w && at.y.abs() <= at.w
             });
-            let needed = Culling::new(&[bounds], |_| false, None).update([view].into_iter())[0];
+            let needed = Culling::new(&[bounds], |_| false, None).needs([view].into_iter()).has(0);
             assert!(needed || !visible, "seed 31, case {case}");
             outside += u32::from(!needed);
         }
@@ -118,7 +154,7 @@ mod tests {
         let to_sun = Vec3::new(0.0, 0.3, 1.0).normalize();
         let needed = |sun| {
             let mut culling = Culling::new(&bounds, |index| index == 0, sun);
-            culling.update([view(Vec3::new(0.0, 1.6, 0.0), 0.0)].into_iter())[0]
+            culling.needs([view(Vec3::new(0.0, 1.6, 0.0), 0.0)].into_iter()).has(0)
         };
         assert!(needed(Some(to_sun)));
         assert!(!needed(None));
@@ -129,10 +165,10 @@ mod tests {
     fn what_leaves_the_view_is_needed_as_long_as_the_layout_may_hold_it() {
         let mut culling = Culling::new(&[cube(Vec3::new(0.0, 0.0, -5.0))], |_| false, None);
         let (towards, away) = (view(Vec3::ZERO, 0.0), view(Vec3::ZERO, 3.1));
-        assert!(culling.update([towards].into_iter())[0]);
-        let after = (0..20).take_while(|_| culling.update([away].into_iter())[0]).count();
+        assert!(culling.needs([towards].into_iter()).has(0));
+        let after = (0..20).take_while(|_| culling.needs([away].into_iter()).has(0)).count();
         assert_eq!(after as u32, HOLD_UPDATES + 1);
-        assert!(!culling.update([away].into_iter())[0]);
-        assert!(!Culling::new(&[Bounds::EMPTY], |_| false, None).update([towards].into_iter())[0]);
+        assert!(!culling.needs([away].into_iter()).has(0));
+        assert!(!Culling::new(&[Bounds::EMPTY], |_| false, None).needs([towards].into_iter()).has(0));
     }
 }

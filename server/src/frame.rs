@@ -2,12 +2,12 @@
 //! between the stages. What does not depend on who looks is the [`World`]'s.
 
 use crate::choice::{Notice, Room, Shortage};
-use crate::culling::Culling;
+use crate::culling::{Culling, Needed};
 use crate::encode::{AccessUnit, EncodeError, Encoder, Planes};
-use crate::levels::Layout;
+use crate::levels::{Layout, Visible};
 use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES};
-use crate::residency::{Budget, Residency, UpdateWindow};
-use crate::samples::{RING, SampleWindow};
+use crate::residency::{Budget, PlacementChange, Residency, UpdateWindow};
+use crate::samples::RING;
 use crate::scene::SceneGpu;
 use crate::scene::numbering::Totals;
 use crate::stages::id_buffer::{IdBuffer, shift_ndc};
@@ -19,15 +19,15 @@ use crate::stages::skin::Skin;
 use crate::stages::view_gpu;
 use crate::stages::ycbcr::Ycbcr;
 use crate::upload::check_room;
-use crate::world::{ViewerId, World};
+use crate::world::{Sampled, ViewerId, World};
 use glam::{Mat4, Vec3};
-use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Timings};
+use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Recorder, Timings};
 use shadecast_protocol::delta::EncodedDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_VIEWS};
 use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
 use shadecast_protocol::pose::Fov;
-use shadecast_protocol::time::{GridIndex, ServerTime};
+use shadecast_protocol::time::ServerTime;
 use shadecast_protocol::wire::PictureHeader;
 use shadecast_shaders::constants::EYES;
 use shadecast_shaders::generated::ViewGpu;
@@ -166,45 +166,56 @@ impl Frame {
     /// Steps 1 to 6 and 8. `None` before the first head state: there is nowhere to look from.
     pub fn update(&mut self, world: &mut World, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
         let Some(views) = self.head.predict(now, world.grid()) else { return Ok(None) }; // 1
-        let (oldest, mut timings) = self.look(world, &views)?; // 2 to 4, GPU
-        let extents = &self.extents.values::<u32>()[..world.scene().numbering.totals.patches as usize];
-        let changes = self.layout.place(&world.samples, extents); // 4, 5
-        timings.append(self.shade(world, &views)?); // 6, GPU
-        let frame = self.next;
-        let window = UpdateWindow {
-            frame,
-            time: now,
-            first_sample: views.first_sample,
-            oldest,
-            horizon: views.horizon,
-        };
-        let delta = self.residency.update(&world.samples, &changes, window); // 8
+        let needs: Needed = self.culling.needs(views.eyes.iter().flatten().copied());
+        let mut recorder = world.gpu().record()?;
+        let sampled: Sampled = world.animate(&mut recorder, self.id, &views, needs); // 2
+        let mut timings = self.look(recorder, world, &views, &sampled)?; // 3, 4 on the GPU
+        let visible = Visible(&self.extents.values()[..world.scene().numbering.totals.patches as usize]);
+        let changes: Vec<PlacementChange> = self.layout.place(&world.samples, visible); // 4, 5
+        timings.append(self.shade(world, &views, &sampled)?); // 6
+        let window = self.window(now, &views, &sampled);
+        let delta: EncodedDelta = self.residency.update(&world.samples, &changes, window); // 8
         self.report_shortage();
-        self.next = frame.next();
-        self.update_times.push_back((frame, now));
-        if self.update_times.len() > REMEMBERED_UPDATES {
-            self.update_times.pop_front();
-        }
+        let frame = self.begin_next(now);
         let planes = self.ycbcr.planes().concat();
         let extent_texels = self.shading.atlas.desc().extent;
         Ok(Some(Shaded { frame, time: now, delta, extent_texels, planes, timings }))
     }
 
-    /// Animates the new grid points of what can be in view, rasterises every predicted view at its time, and measures what is
-    /// visible. Gives the oldest grid point whose positions are known.
-    fn look(&mut self, world: &mut World, views: &PredictedViews) -> Result<(GridIndex, Timings), GpuError> {
+    /// Which samples the update that is being made may send.
+    fn window(&self, time: ServerTime, views: &PredictedViews, sampled: &Sampled) -> UpdateWindow {
+        let PredictedViews { first_sample, horizon, .. } = *views;
+        UpdateWindow { frame: self.next, time, first_sample, oldest: sampled.oldest, horizon }
+    }
+
+    /// The update that is being made has been; gives it.
+    fn begin_next(&mut self, now: ServerTime) -> UpdateId {
+        let made = self.next;
+        self.next = made.next();
+        self.update_times.push_back((made, now));
+        if self.update_times.len() > REMEMBERED_UPDATES {
+            self.update_times.pop_front();
+        }
+        made
+    }
+
+    /// Rasterises every predicted view at its time, and measures what is visible.
+    fn look(
+        &mut self,
+        mut recorder: Recorder,
+        world: &World,
+        views: &PredictedViews,
+        sampled: &Sampled,
+    ) -> Result<Timings, GpuError> {
         self.write_views(views);
-        let needed = self.culling.update(views.eyes.iter().flatten().copied());
-        let places = views.times.map(SampleWindow::ring_place);
-        let mut recorder = world.gpu().record()?;
-        let oldest = world.animate(&mut recorder, self.id, views, needed);
+        let Some(needs) = world.needs(self.id) else { return Ok(Timings::default()) };
         let (scene, animation) = (world.scene(), &world.animation);
         recorder.fill(&self.mark.visible, 0);
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
-        for (time, place) in places.into_iter().enumerate() {
+        for (time, place) in sampled.places.into_iter().enumerate() {
             recorder.scope("id buffer", |r| {
-                self.id_buffer.record(r, scene, animation, needed, place, EYES * time as u32);
+                self.id_buffer.record(r, scene, animation, needs, place, EYES * time as u32);
             });
             recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
             recorder.scope("mark", |r| self.mark.record(r));
@@ -212,18 +223,22 @@ impl Frame {
         }
         recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
         recorder.scope("level selection", |r| {
-            self.level_selection.record(r, scene, animation, places);
+            self.level_selection.record(r, scene, animation, sampled.places);
         });
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         recorder.copy_buffer(&self.level_selection.extents, 0, &self.extents, 0, self.extents.size());
         recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
-        Ok((oldest, world.gpu().wait_timed(recorder.submit()?)?))
+        world.gpu().wait_timed(recorder.submit()?)
     }
 
     /// Fills every live block as it is in the middle of the update's time on display, and converts the atlas.
-    fn shade(&mut self, world: &mut World, views: &PredictedViews) -> Result<Timings, GpuError> {
-        let middle = views.times[VIEW_TIMES / 2];
-        let place = SampleWindow::ring_place(middle);
+    fn shade(
+        &mut self,
+        world: &mut World,
+        views: &PredictedViews,
+        sampled: &Sampled,
+    ) -> Result<Timings, GpuError> {
+        let (middle, place) = (views.times[VIEW_TIMES / 2], sampled.places[VIEW_TIMES / 2]);
         self.shading.write_blocks(world.scene(), &world.animation, place, self.layout.live());
         let mut recorder = world.gpu().record()?;
         world.light(&mut recorder, middle);

@@ -74,6 +74,11 @@ struct Plan {
     texels: u64,
 }
 
+/// What the predicted views show: by scene-wide patch its largest extent, width | height << 16 in texels, 0 where it is not
+/// visible.
+#[derive(Clone, Copy, Debug)]
+pub struct Visible<'a>(pub &'a [u32]);
+
 impl Layout {
     /// For `patches` patches in an empty atlas, of which a client has room for some at one time.
     pub fn new(atlas_extent: AtlasExtent, patches: usize, room: Room) -> Self {
@@ -94,16 +99,17 @@ impl Layout {
         }
     }
 
-    /// Places the patches whose packed extents (see `level_selection.comp`) are not 0, and those seen within the last
+    /// Places the patches that are visible, and those seen within the last
     /// [`HOLD_UPDATES`]; where these are too many, those that matter most on screen. Returns what changed, in patch
     /// order.
-    pub fn place(&mut self, geometry: &impl Geometry, extents: &[u32]) -> Vec<PlacementChange> {
+    pub fn place(&mut self, geometry: &impl Geometry, visible: Visible<'_>) -> Vec<PlacementChange> {
+        let extents = visible.0;
         assert_eq!(extents.len(), self.states.len(), "one extent per patch");
         self.update += 1;
         let before: Vec<ScenePatch> = std::mem::take(&mut self.live);
         let before: Vec<(ScenePatch, Option<Block>)> =
             before.into_iter().map(|patch| (patch, self.states[patch.index()].block)).collect();
-        self.see(geometry, extents);
+        self.choose(geometry, extents);
         self.release_unseen(&before);
         if !self.recover() {
             self.place_live();
@@ -111,7 +117,8 @@ impl Layout {
         self.changes(&before)
     }
 
-    fn see(&mut self, geometry: &impl Geometry, extents: &[u32]) {
+    /// Chooses who is to have a block.
+    fn choose(&mut self, geometry: &impl Geometry, extents: &[u32]) {
         let mut candidates = Vec::new();
         for (patch, packed) in extents.iter().enumerate() {
             let state = &mut self.states[patch];
@@ -323,7 +330,7 @@ mod tests {
     }
 
     fn place(layout: &mut Layout, extents: &[u32]) -> Vec<PlacementChange> {
-        layout.place(&Loose { patches: extents.len() as u32 }, extents)
+        layout.place(&Loose { patches: extents.len() as u32 }, Visible(extents))
     }
 
     fn pack(width: u32, height: u32) -> u32 {

@@ -2,6 +2,7 @@
 
 use crate::animation::RingPlace;
 use crate::animation::gpu::{Animation, SampleJob};
+use crate::culling::Needed;
 use crate::predict::PredictedViews;
 use crate::residency::{Geometry, InstanceRange};
 use crate::scene::SceneGpu;
@@ -59,7 +60,7 @@ impl SampleWindow {
         self.is_first = true;
     }
 
-    /// Records the samples that `views` need of the `needed` instances and the window lacks: of an instance that was
+    /// Records the samples that `views` need of the instances in `needed` and the window lacks: of an instance that was
     /// needed before, the newest; of one that comes into view, all of the window. Gives the oldest grid point that is there.
     pub fn record(
         &mut self,
@@ -67,7 +68,7 @@ impl SampleWindow {
         animation: &mut Animation,
         grid: Grid,
         views: &PredictedViews,
-        needed: &[bool],
+        needed: &Needed,
     ) -> GridIndex {
         // A server that fell behind skips the grid points that nobody can display any more.
         let earliest = views.horizon.plus(1 - RING as i32).max(views.first_sample.min(views.times[0]));
@@ -88,13 +89,13 @@ impl SampleWindow {
         earliest
     }
 
-    fn list_jobs(&mut self, earliest: GridIndex, horizon: GridIndex, grid: Grid, needed: &[bool]) {
+    fn list_jobs(&mut self, earliest: GridIndex, horizon: GridIndex, grid: Grid, needed: &Needed) {
         self.jobs.clear();
         for g in (earliest.0..=horizon.0).map(GridIndex) {
             let ring_place = Self::ring_place(g);
             for (instance, place) in self.scene.numbering.instances.iter().enumerate() {
                 let held = &mut self.held[instance][ring_place.index()];
-                if place.is_animated && needed[instance] && *held != Some(g) {
+                if place.is_animated && needed.has(instance) && *held != Some(g) {
                     *held = Some(g);
                     self.jobs.push(SampleJob { instance, place: ring_place, time: grid.time_of(g) });
                 }

@@ -1,7 +1,9 @@
 //! The world that all viewers look at: the scene in motion and under its light, each thing once for a time, however many look.
 
+use crate::animation::RingPlace;
 use crate::animation::gpu::{Animation, AnimationCounts};
-use crate::predict::PredictedViews;
+use crate::culling::Needed;
+use crate::predict::{PredictedViews, VIEW_TIMES};
 use crate::samples::{RING, SampleWindow};
 use crate::scene::SceneGpu;
 use crate::stages::shadow::Shadow;
@@ -13,6 +15,15 @@ use std::sync::Arc;
 /// Who looks at the world.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct ViewerId(pub u64);
+
+/// The samples that an update works with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sampled {
+    /// Where those of each predicted time are in the ring.
+    pub places: [RingPlace; VIEW_TIMES],
+    /// The oldest grid point that is there.
+    pub oldest: GridIndex,
+}
 
 /// What the world has done so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -37,12 +48,12 @@ pub struct World {
     pub samples: SampleWindow,
     /// Light and the sun's map.
     pub shadow: Shadow,
-    /// By instance, what each viewer needs.
-    needs: BTreeMap<ViewerId, Vec<bool>>,
-    /// By instance, whether any viewer needs it.
-    needed: Vec<bool>,
+    /// What each viewer needs.
+    needs: BTreeMap<ViewerId, Needed>,
+    /// What any of them needs.
+    needed: Needed,
     /// Whose time light, shadow map and tangents are, and for which instances.
-    lit: Option<(GridIndex, Vec<bool>)>,
+    lit: Option<(GridIndex, Needed)>,
     shadow_maps: u64,
     tangents: u64,
 }
@@ -57,7 +68,7 @@ impl World {
             animation,
             grid: DEFAULT_GRID,
             needs: BTreeMap::new(),
-            needed: vec![false; scene.numbering.instances.len()],
+            needed: Needed::none(scene.numbering.instances.len()),
             lit: None,
             shadow_maps: 0,
             tangents: 0,
@@ -105,30 +116,33 @@ impl World {
     }
 
     /// Records the samples that an update for `views` lacks, of the instances that `viewer` needs and those that others do.
-    /// Gives the oldest grid point that is there afterwards.
     pub fn animate(
         &mut self,
         recorder: &mut Recorder,
         viewer: ViewerId,
         views: &PredictedViews,
-        needs: &[bool],
-    ) -> GridIndex {
-        self.needs.insert(viewer, needs.to_vec());
+        needs: Needed,
+    ) -> Sampled {
+        self.needs.insert(viewer, needs);
         self.unite();
-        self.samples.record(recorder, &mut self.animation, self.grid, views, &self.needed)
+        let oldest = self.samples.record(recorder, &mut self.animation, self.grid, views, &self.needed);
+        Sampled { places: views.times.map(SampleWindow::ring_place), oldest }
+    }
+
+    /// What a viewer needs, as it has told with its last update.
+    pub fn needs(&self, viewer: ViewerId) -> Option<&Needed> {
+        self.needs.get(&viewer)
     }
 
     /// Records light, shadow map and tangents as they are at `at`, which [`Self::animate`] has sampled, unless they are.
     pub fn light(&mut self, recorder: &mut Recorder, at: GridIndex) {
-        let is_lit = |(lit, of): &(GridIndex, Vec<bool>)| {
-            *lit == at && of.iter().zip(&self.needed).all(|(is_there, is_needed)| *is_there || !is_needed)
-        };
+        let is_lit = |(lit, of): &(GridIndex, Needed)| *lit == at && of.covers(&self.needed);
         if self.lit.as_ref().is_some_and(is_lit) {
             return;
         }
         let place = SampleWindow::ring_place(at);
         self.shadow.write(&self.scene, self.grid.time_of(at));
-        self.animation.record_tangents(recorder, place, |instance| self.needed[instance]);
+        self.animation.record_tangents(recorder, place, |instance| self.needed.has(instance));
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         let is_drawn = recorder
             .scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, &self.needed, place));
@@ -139,9 +153,7 @@ impl World {
     }
 
     fn unite(&mut self) {
-        self.needed.fill(false);
-        for needs in self.needs.values() {
-            self.needed.iter_mut().zip(needs).for_each(|(all, one)| *all |= *one);
-        }
+        self.needed = Needed::none(self.scene.numbering.instances.len());
+        self.needs.values().for_each(|needs| self.needed.add(needs));
     }
 }

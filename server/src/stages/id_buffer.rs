@@ -2,6 +2,7 @@
 
 use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
+use crate::culling::Needed;
 use crate::scene::SceneGpu;
 use crate::stages::geometry::Geometry;
 use ash::vk;
@@ -78,13 +79,13 @@ impl IdBuffer {
         Ok(Self { pass, geometry, group, target, image, _depth: depth })
     }
 
-    /// Draws the `needed` instances as they are in `place` into the two views from `first_view` on.
+    /// Draws the instances in `needs` as they are in `place` into the two views from `first_view` on.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         scene: &SceneGpu,
         animation: &Animation,
-        needed: &[bool],
+        needs: &Needed,
         place: RingPlace,
         first_view: u32,
     ) {
@@ -94,7 +95,7 @@ impl IdBuffer {
             recorder,
             &self.group,
             scene,
-            |number| needed[number],
+            |number| needs.has(number),
             |draw| IdBufferPush {
                 vertex_base: draw.model.vertex_base,
                 position_base: animation.position_base(draw.instance, place),

@@ -3,6 +3,7 @@
 
 use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
+use crate::culling::Needed;
 use crate::lights::{self, SHADOW_EXTENT_TEXELS, SunView};
 use crate::scene::SceneGpu;
 use crate::stages::geometry::Geometry;
@@ -79,13 +80,13 @@ impl Shadow {
         self.light.write(0, bytemuck::bytes_of(&light));
     }
 
-    /// Draws the `needed` casters as they are in `place`; once and all where none of them moves. Gives whether it did.
+    /// Draws the casters in `needs` as they are in `place`; once and all where none of them moves. Gives whether it did.
     pub fn record(
         &mut self,
         recorder: &mut Recorder,
         scene: &SceneGpu,
         animation: &Animation,
-        needed: &[bool],
+        needs: &Needed,
         place: RingPlace,
     ) -> bool {
         if self.is_drawn && !(self.is_animated && self.view.is_some()) {
@@ -95,7 +96,8 @@ impl Shadow {
         recorder.begin_pass(&self.pass, &self.target, &[vk::ClearValue::default()]); // 0: far from the sun
         if self.view.is_some() {
             let all = !self.is_animated;
-            let casts = |number: usize| (all || needed[number]) && scene.scene.instances[number].casts_shadow;
+            let casts =
+                |number: usize| (all || needs.has(number)) && scene.scene.instances[number].casts_shadow;
             self.geometry.record_some(recorder, &self.group, scene, casts, |draw| ShadowPush {
                 vertex_base: draw.model.vertex_base,
                 position_base: animation.position_base(draw.instance, place),

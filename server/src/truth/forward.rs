@@ -3,6 +3,7 @@
 
 use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
+use crate::culling::Needed;
 use crate::scene::SceneGpu;
 use crate::stages::geometry::Geometry;
 use crate::stages::shadow::Shadow;
@@ -58,7 +59,7 @@ pub struct Forward {
     animation: Animation,
     shadow: Shadow,
     /// Every instance is needed: the eye may be anywhere in the next picture.
-    all: Vec<bool>,
+    all: Needed,
     color: Pass,
     probe: Pass,
     background: GraphicsPipeline,
@@ -122,7 +123,7 @@ impl Forward {
             scene: scene.clone(),
             animation,
             shadow,
-            all: vec![true; scene.numbering.instances.len()],
+            all: Needed::all(scene.numbering.instances.len()),
             background,
             background_group,
             view,

@@ -16,6 +16,7 @@ use shadecast_scene::{
 use shadecast_server::animation::RingPlace;
 use shadecast_server::animation::gpu::{Animation, AnimationCounts};
 use shadecast_server::animation::skinning::Skinning;
+use shadecast_server::culling::Needed;
 use shadecast_server::predict::{PredictedViews, View};
 use shadecast_server::samples::SampleWindow;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
@@ -339,7 +340,13 @@ fn samples_are_computed_once_and_only_for_what_is_needed() {
     let mut computed = |first: i32, needed: [bool; 2]| {
         let before = animation.counts().instance_samples;
         let mut recorder = gpu.record().unwrap();
-        window.record(&mut recorder, &mut animation, DEFAULT_GRID, &views(first, first + 6), &needed);
+        window.record(
+            &mut recorder,
+            &mut animation,
+            DEFAULT_GRID,
+            &views(first, first + 6),
+            &Needed::from_iter(needed),
+        );
         gpu.wait(recorder.submit().unwrap()).unwrap();
         animation.counts().instance_samples - before
     };

@@ -8,6 +8,7 @@ use shadecast_scene::animation::{pose, sampling};
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_server::animation::RingPlace;
 use shadecast_server::animation::gpu::Animation;
+use shadecast_server::culling::Needed;
 use shadecast_server::scene::numbering::ScenePatch;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::stages::id_buffer::IdBuffer;
@@ -109,7 +110,7 @@ fn marks_and_extents_equal_their_cpu_twins() {
         &mut recorder,
         &scene,
         &animation,
-        &vec![true; scene.numbering.instances.len()],
+        &Needed::all(scene.numbering.instances.len()),
         RingPlace(1),
         2,
     );
