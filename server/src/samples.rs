@@ -21,8 +21,8 @@ pub struct SampleWindow {
     scene: Arc<SceneGpu>,
     /// A mirror of the animation's saved vertices.
     mirror: Buffer,
-    /// By scene-wide vertex number: its place among the static or the animated saved vertices, and which of them.
-    places: Vec<(u32, bool)>,
+    /// By scene-wide vertex number: its index among the static or the animated saved vertices, and which of them.
+    saved_indices: Vec<(u32, bool)>,
     /// By instance: which grid point each place of the ring holds.
     held: Vec<[Option<GridIndex>; RING as usize]>,
     jobs: Vec<SampleJob>,
@@ -34,17 +34,17 @@ impl SampleWindow {
     pub fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>, animation: &Animation) -> Result<Self, GpuError> {
         let mirror =
             Buffer::new(gpu, "positions for the CPU", animation.saved_vertices().size(), Memory::Readback)?;
-        let mut places = Vec::with_capacity(scene.numbering.totals.vertices as usize);
+        let mut saved_indices = Vec::with_capacity(scene.numbering.totals.vertices as usize);
         for instance in &scene.numbering.instances {
             let count = scene.models[instance.model].vertex_count;
-            places.extend((0..count).map(|v| (instance.saved_base + v, instance.is_animated)));
+            saved_indices.extend((0..count).map(|v| (instance.saved_base + v, instance.is_animated)));
         }
         Ok(Self {
             held: vec![[None; RING as usize]; scene.numbering.instances.len()],
             jobs: Vec::new(),
             scene: scene.clone(),
             mirror,
-            places,
+            saved_indices,
             is_first: true,
         })
     }
@@ -147,9 +147,9 @@ impl Geometry for SampleWindow {
     }
 
     fn static_position(&self, vertex: SceneVertex) -> Option<Vec3> {
-        match self.places[vertex.index()] {
+        match self.saved_indices[vertex.index()] {
             (_, true) => None,
-            (place, false) => Some(self.saved(place)),
+            (index, false) => Some(self.saved(index)),
         }
     }
 
@@ -160,12 +160,12 @@ impl Geometry for SampleWindow {
             "{vertex:?} is not skinned at this time"
         );
         let totals = self.scene.numbering.totals;
-        let (place, _) = self.places[vertex.index()];
-        self.saved(totals.static_vertices + Self::ring_place(grid).0 * totals.animated_vertices + place)
+        let (index, _) = self.saved_indices[vertex.index()];
+        self.saved(totals.static_vertices + Self::ring_place(grid).0 * totals.animated_vertices + index)
     }
 
     fn vertex_count(&self) -> usize {
-        self.places.len()
+        self.saved_indices.len()
     }
 
     fn patch_count(&self) -> usize {
