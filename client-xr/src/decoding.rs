@@ -4,9 +4,10 @@
 //! Every frame has a picture, and each needs the one before it, unless it is a refresh. In virtual time decoding takes as
 //! long as it is told to; in real time a thread of its own does it.
 
-use crate::decode::{DecodeError, Decoder, Picture};
+use crate::decode::{DecodeError, Decoder};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::MAX_ACCESS_UNIT_BYTES;
+use shadecast_protocol::picture::I420;
 use shadecast_protocol::time::{ClientTime, ServerTime};
 use shadecast_protocol::wire::{PictureHeader, encode_picture};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -47,7 +48,7 @@ pub struct Decoded {
     /// When its last byte came.
     pub arrived: ClientTime,
     /// Its planes.
-    pub picture: Picture,
+    pub picture: I420,
 }
 
 /// A coded picture.
@@ -68,7 +69,7 @@ enum Job {
 struct Outcome {
     frame: UpdateId,
     arrived: ClientTime,
-    result: Result<Picture, DecodeError>,
+    result: Result<I420, DecodeError>,
 }
 
 /// The decoding of one connection.
@@ -100,12 +101,12 @@ enum Engine {
         delay_ns: i64,
         busy_until: ClientTime,
         done: VecDeque<(ClientTime, Outcome)>,
-        spare: Vec<Picture>,
+        spare: Vec<I420>,
     },
     Thread {
         jobs: Option<SyncSender<Job>>,
         outcomes: Receiver<Outcome>,
-        spare: SyncSender<Picture>,
+        spare: SyncSender<I420>,
         thread: Option<JoinHandle<()>>,
         overflowed: bool,
     },
@@ -298,7 +299,7 @@ impl Decoding {
     }
 
     /// Gives a picture back for reuse.
-    pub fn recycle(&mut self, picture: Picture) {
+    pub fn recycle(&mut self, picture: I420) {
         match &mut self.engine {
             Engine::Virtual { spare, .. } if spare.len() < MAX_SPARE => spare.push(picture),
             Engine::Virtual { .. } => {}
@@ -369,7 +370,7 @@ fn decode_all(
     mut decoder: Box<dyn Decoder>,
     jobs: &Receiver<Job>,
     outcomes: &SyncSender<Outcome>,
-    spare: &Receiver<Picture>,
+    spare: &Receiver<I420>,
 ) {
     while let Ok(job) = jobs.recv() {
         let outcome = run(decoder.as_mut(), job, || spare.try_recv().ok());
@@ -379,7 +380,7 @@ fn decode_all(
     }
 }
 
-fn run(decoder: &mut dyn Decoder, job: Job, spare: impl FnOnce() -> Option<Picture>) -> Option<Outcome> {
+fn run(decoder: &mut dyn Decoder, job: Job, spare: impl FnOnce() -> Option<I420>) -> Option<Outcome> {
     let Job::Decode(Coded { header, access_unit, arrived }) = job else {
         decoder.unit_lost();
         return None;
@@ -403,7 +404,7 @@ mod tests {
     }
 
     impl Decoder for Toy {
-        fn decode(&mut self, access_unit: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
+        fn decode(&mut self, access_unit: &[u8], picture: &mut I420) -> Result<(), DecodeError> {
             let unit = access_unit[0];
             let is_refresh = unit % 2 == 1;
             if unit == 0 {
@@ -414,7 +415,7 @@ mod tests {
                 return Err(DecodeError::NeedsRefresh);
             }
             self.last = Some(unit);
-            picture.y = vec![unit];
+            picture.refill([2, 2], |bytes| bytes.extend([unit; 6])).expect("a picture");
             Ok(())
         }
 
@@ -446,7 +447,7 @@ mod tests {
 
         fn advance(&mut self, at_ms: i64) {
             let seen = &mut self.seen;
-            self.decoding.advance(ClientTime(at_ms * MS), |d| seen.push((d.frame.0, d.picture.y[0])));
+            self.decoding.advance(ClientTime(at_ms * MS), |d| seen.push((d.frame.0, d.picture.bytes()[0])));
         }
 
         fn asks(&mut self, at_ms: i64) -> bool {
@@ -578,7 +579,7 @@ mod tests {
         }
         let mut seen = Vec::new();
         while seen.len() < 3 {
-            decoding.advance(ClientTime(0), |d| seen.push((d.frame.0, d.picture.y[0])));
+            decoding.advance(ClientTime(0), |d| seen.push((d.frame.0, d.picture.bytes()[0])));
             std::thread::yield_now();
         }
         assert_eq!(seen, [(0, 1), (1, 2), (2, 4)]);

@@ -3,7 +3,6 @@
 mod support;
 
 use shadecast_client::client::{Client, FrameReport, Notice, Step};
-use shadecast_client::decode::Picture as Planes;
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
 use shadecast_mock_runtime::record::Side;
 use shadecast_protocol::PROTOCOL_VERSION;
@@ -11,6 +10,7 @@ use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, Pat
 use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch};
 use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::message::{Codec, Environment, HeadState, ResumeSecret, ServerOffer, Welcome};
+use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime};
@@ -50,7 +50,7 @@ fn block(x: u16) -> Block {
 }
 
 /// Left half red, right half blue, elsewhere green so that a wrong lookup is seen.
-fn planes(blocks: [u16; 2]) -> Planes {
+fn planes(blocks: [u16; 2]) -> I420 {
     let [w, h] = ATLAS.texels().map(|side| side as usize);
     let ycbcr = |x: usize, y: usize| {
         let inside = |from: u16| (usize::from(from)..usize::from(from) + 64).contains(&x) && y < 64;
@@ -62,11 +62,11 @@ fn planes(blocks: [u16; 2]) -> Planes {
             [150, 40, 20]
         }
     };
-    let plane = |step: usize, component: usize| {
+    let plane = |step: usize, component: usize| -> Vec<u8> {
         let texels = (0..h / step).flat_map(|y| (0..w / step).map(move |x| (x, y)));
         texels.map(|(x, y)| ycbcr(x * step, y * step)[component]).collect()
     };
-    Planes { extent_texels: ATLAS.texels(), y: plane(1, 0), cb: plane(2, 1), cr: plane(2, 2) }
+    I420::new(ATLAS.texels(), [plane(1, 0), plane(2, 1), plane(2, 2)].concat()).expect("a picture")
 }
 
 /// Where the moving edge is at a server time.
@@ -499,7 +499,7 @@ impl Line {
         line
     }
 
-    fn send(&mut self, delta: &GeometryDelta, planes: &Planes, is_refresh: bool) {
+    fn send(&mut self, delta: &GeometryDelta, planes: &I420, is_refresh: bool) {
         let sender = self.sender.as_mut().expect("a session");
         self.streams.push_back(sender.delta_stream(delta).expect("a small delta").0);
         let header = PictureHeader { frame: delta.frame, time: delta.time, is_refresh };

@@ -3,7 +3,7 @@
 
 use crate::choice::{Notice, Room, Shortage};
 use crate::culling::Culling;
-use crate::encode::{AccessUnit, EncodeError, Encoder, Planes};
+use crate::encode::{AccessUnit, EncodeError, Encoder};
 use crate::levels::Layout;
 use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES};
 use crate::residency::{Budget, Residency, UpdateWindow};
@@ -23,6 +23,7 @@ use shadecast_protocol::delta::GeometryDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_VIEWS};
 use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
+use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::Fov;
 use shadecast_protocol::time::{GridIndex, ServerTime};
 use shadecast_protocol::wire::PictureHeader;
@@ -75,10 +76,8 @@ pub struct Shaded {
     pub time: ServerTime,
     /// What changes in the client's memory.
     pub delta: GeometryDelta,
-    /// Atlas width and height in texels.
-    pub extent_texels: [u32; 2],
-    /// Luma, blue and red difference, one after the other, tight.
-    pub planes: Vec<u8>,
+    /// The atlas.
+    pub picture: I420,
 }
 
 impl Frame {
@@ -181,9 +180,9 @@ impl Frame {
         if self.update_times.len() > REMEMBERED_UPDATES {
             self.update_times.pop_front();
         }
-        let planes = self.ycbcr.planes().concat();
-        let extent_texels = self.shading.atlas.desc().extent;
-        Ok(Some(Shaded { frame, time: now, delta, extent_texels, planes }))
+        let mut picture = I420::default();
+        self.ycbcr.read(&mut picture);
+        Ok(Some(Shaded { frame, time: now, delta, picture }))
     }
 
     /// Animates the new grid points of what can be in view, rasterises every predicted view at its time, and measures what is
@@ -289,11 +288,7 @@ impl Shaded {
         encoder: &mut dyn Encoder,
         refresh: bool,
     ) -> Result<(PictureHeader, AccessUnit), EncodeError> {
-        let luma = self.extent_texels[0] as usize * self.extent_texels[1] as usize;
-        let (y, chroma) = self.planes.split_at(luma);
-        let (cb, cr) = chroma.split_at(luma / 4);
-        let planes = Planes { extent_texels: self.extent_texels, y, cb, cr };
-        let unit = encoder.encode(&planes, self.time.0, refresh)?;
+        let unit = encoder.encode(&self.picture, self.time.0, refresh)?;
         Ok((PictureHeader { frame: self.frame, time: self.time, is_refresh: unit.is_refresh }, unit))
     }
 }

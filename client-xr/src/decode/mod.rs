@@ -5,30 +5,15 @@
 //! unit the picture on display stays, and the decoder refuses everything but a refresh, because a picture that
 //! refers to one that is missing would look plausible and be wrong.
 //!
-//! Planes are I420, full range, BT.709. Whatever bytes come in, a decoder gives a picture of the agreed extent or an
-//! error; [`sps`] looks at every sequence header before the decoder does.
+//! Whatever bytes come in, a decoder gives a picture of the agreed extent or an error; [`sps`] looks at every sequence header before the decoder does.
 
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
+use shadecast_protocol::picture::I420;
 use thiserror::Error;
 
 #[cfg(feature = "desktop")]
 pub mod openh264;
 pub mod sps;
-
-/// A decoded picture: tightly packed planes, chroma at half resolution in both directions.
-///
-/// Meant to be used again and again: a decoder of the same extent reuses the memory.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Picture {
-    /// Width and height of the luma plane in texels.
-    pub extent_texels: [u32; 2],
-    /// Luma, 0 (black) to 255 (white): `width * height` bytes, rows from the top.
-    pub y: Vec<u8>,
-    /// Blue difference, 128 is grey: `width / 2 * height / 2` bytes.
-    pub cb: Vec<u8>,
-    /// Red difference, 128 is grey: `width / 2 * height / 2` bytes.
-    pub cr: Vec<u8>,
-}
 
 /// Turns access units into pictures, one for one and in order, without delay.
 pub trait Decoder: Send {
@@ -36,7 +21,7 @@ pub trait Decoder: Send {
     ///
     /// On an error `picture` is unchanged, and every further unit gives [`DecodeError::NeedsRefresh`] until one with
     /// a refresh decodes without error.
-    fn decode(&mut self, access_unit: &[u8], picture: &mut Picture) -> Result<(), DecodeError>;
+    fn decode(&mut self, access_unit: &[u8], picture: &mut I420) -> Result<(), DecodeError>;
 
     /// Tells the decoder that a unit was lost on the way: it then waits for a refresh, as after an error.
     fn unit_lost(&mut self);

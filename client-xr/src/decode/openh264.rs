@@ -16,8 +16,9 @@ use openh264_sys2::{
 };
 
 use super::sps::{self, Sps};
-use super::{DecodeError, Decoder, Picture};
+use super::{DecodeError, Decoder};
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
+use shadecast_protocol::picture::I420;
 
 /// The library's name for a function missing from its table, in the range of its own result codes.
 const MISSING_FUNCTION: c_long = -1;
@@ -55,7 +56,7 @@ impl OpenH264Decoder {
         Ok(Self { extent_texels, library: Library::new()?, state: State::Fresh })
     }
 
-    fn try_decode(&mut self, access_unit: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
+    fn try_decode(&mut self, access_unit: &[u8], picture: &mut I420) -> Result<(), DecodeError> {
         let is_refresh = inspect(access_unit, self.extent_texels)?;
         if self.needs_refresh() && !is_refresh {
             return Err(DecodeError::NeedsRefresh);
@@ -69,7 +70,7 @@ impl OpenH264Decoder {
 }
 
 impl Decoder for OpenH264Decoder {
-    fn decode(&mut self, access_unit: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
+    fn decode(&mut self, access_unit: &[u8], picture: &mut I420) -> Result<(), DecodeError> {
         let result = self.try_decode(access_unit, picture);
         self.state = match &result {
             Ok(()) => State::Clean,
@@ -234,22 +235,22 @@ impl Decoded<'_> {
         Ok(Self { extent_texels, planes, strides: [luma_stride, chroma_stride, chroma_stride] })
     }
 
-    fn copy_to(&self, want: [u32; 2], picture: &mut Picture) -> Result<(), DecodeError> {
+    fn copy_to(&self, want: [u32; 2], picture: &mut I420) -> Result<(), DecodeError> {
         if self.extent_texels != want {
             return Err(DecodeError::ExtentMismatch { want, got: self.extent_texels });
         }
         let width = want[0] as usize;
-        picture.extent_texels = want;
-        pack(&mut picture.y, self.planes[0], self.strides[0], width);
-        pack(&mut picture.cb, self.planes[1], self.strides[1], width / 2);
-        pack(&mut picture.cr, self.planes[2], self.strides[2], width / 2);
-        Ok(())
+        let packed = picture.refill(want, |bytes| {
+            for (plane, width) in [width, width / 2, width / 2].into_iter().enumerate() {
+                pack(bytes, self.planes[plane], self.strides[plane], width);
+            }
+        });
+        packed.map_err(|_| DecodeError::Corrupt { state: NO_PICTURE })
     }
 }
 
-/// Copies rows of `width` bytes, `stride` apart, into one piece.
+/// Appends rows of `width` bytes, `stride` apart, without what is between them.
 fn pack(to: &mut Vec<u8>, from: &[u8], stride: usize, width: usize) {
-    to.clear();
     for row in from.chunks(stride) {
         to.extend_from_slice(&row[..width]);
     }

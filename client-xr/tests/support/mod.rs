@@ -1,7 +1,7 @@
 //! A client on the mock runtime in virtual time, behind the system's OpenXR loader, with validation on.
 
 use shadecast_client::client::{Client, ClientOptions, FrameReport, Step};
-use shadecast_client::decode::{self, DecodeError, Decoder};
+use shadecast_client::decode::{DecodeError, Decoder};
 use shadecast_client::decoding::DecodeTiming;
 use shadecast_client::platform::Platform;
 use shadecast_client::xr::{Xr, XrOptions};
@@ -9,6 +9,7 @@ use shadecast_gpu::Gpu;
 use shadecast_mock_runtime::config::{CONFIG_VARIABLE, ClockKind, MockConfig};
 use shadecast_mock_runtime::manifest;
 use shadecast_mock_runtime::record::{Side, picture_path};
+use shadecast_protocol::picture::I420;
 use shadecast_protocol::time::ClientTime;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -137,25 +138,19 @@ struct RawDecoder {
 }
 
 /// A picture as the raw decoder takes it.
-pub fn coded(picture: &decode::Picture, is_refresh: bool) -> Vec<u8> {
-    [&[u8::from(is_refresh)][..], &picture.y, &picture.cb, &picture.cr].concat()
+pub fn coded(picture: &I420, is_refresh: bool) -> Vec<u8> {
+    [&[u8::from(is_refresh)][..], picture.bytes()].concat()
 }
 
 impl Decoder for RawDecoder {
-    fn decode(&mut self, access_unit: &[u8], picture: &mut decode::Picture) -> Result<(), DecodeError> {
+    fn decode(&mut self, access_unit: &[u8], picture: &mut I420) -> Result<(), DecodeError> {
         if access_unit[0] == 0 && !self.has_reference {
             return Err(DecodeError::NeedsRefresh);
         }
         self.has_reference = true;
-        let luma = (self.extent_texels[0] * self.extent_texels[1]) as usize;
-        let (y, chroma) = access_unit[1..].split_at(luma);
-        let (cb, cr) = chroma.split_at(luma / 4);
-        *picture = decode::Picture {
-            extent_texels: self.extent_texels,
-            y: y.to_vec(),
-            cb: cb.to_vec(),
-            cr: cr.to_vec(),
-        };
+        picture
+            .refill(self.extent_texels, |bytes| bytes.extend_from_slice(&access_unit[1..]))
+            .expect("a picture of the agreed extent");
         Ok(())
     }
 

@@ -4,44 +4,13 @@
 //! What is below knows neither frames nor sockets, and has no clock: timestamps come in as arguments, so that the
 //! same pictures always give the same bytes. [`openh264`] is the embedded encoder; a hardware one goes beside it.
 //!
-//! Every picture is I420, full range, BT.709 primaries, transfer and matrix, and the stream says so (VUI).
+//! Every picture is an [`I420`], and the stream says what that is (VUI).
 
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
+use shadecast_protocol::picture::I420;
 use thiserror::Error;
 
 pub mod openh264;
-
-/// One picture to encode: tightly packed planes, luma at full and chroma at half resolution in both directions.
-#[derive(Clone, Copy, Debug)]
-pub struct Planes<'a> {
-    /// Width and height of the luma plane in texels; both even.
-    pub extent_texels: [u32; 2],
-    /// Luma, 0 (black) to 255 (white): `width * height` bytes, rows from the top.
-    pub y: &'a [u8],
-    /// Blue difference, 128 is grey: `width / 2 * height / 2` bytes.
-    pub cb: &'a [u8],
-    /// Red difference, 128 is grey: `width / 2 * height / 2` bytes.
-    pub cr: &'a [u8],
-}
-
-impl Planes<'_> {
-    /// Whether every plane holds exactly the texels that the extent promises.
-    fn check(&self) -> Result<(), EncodeError> {
-        let luma = byte_count(self.extent_texels);
-        for (plane, got, want) in
-            [("y", self.y.len(), luma), ("cb", self.cb.len(), luma / 4), ("cr", self.cr.len(), luma / 4)]
-        {
-            if got != want {
-                return Err(EncodeError::PlaneSize { plane, got, want, extent_texels: self.extent_texels });
-            }
-        }
-        Ok(())
-    }
-}
-
-fn byte_count([width, height]: [u32; 2]) -> usize {
-    width as usize * height as usize
-}
 
 /// The coded form of one picture.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -57,12 +26,8 @@ pub trait Encoder: Send {
     /// Encodes one picture. The first one, and one with `refresh`, depends on no picture before it.
     ///
     /// `timestamp_ns` is the picture's time on any monotonic clock. After an error the next picture is a refresh.
-    fn encode(
-        &mut self,
-        picture: &Planes<'_>,
-        timestamp_ns: i64,
-        refresh: bool,
-    ) -> Result<AccessUnit, EncodeError>;
+    fn encode(&mut self, picture: &I420, timestamp_ns: i64, refresh: bool)
+    -> Result<AccessUnit, EncodeError>;
 
     /// Changes the quantisation parameter, 0 (finest) to 51 (coarsest), from the next picture on.
     fn set_qp(&mut self, qp: u8) -> Result<(), EncodeError>;
@@ -96,19 +61,6 @@ pub enum EncodeError {
         want: [u32; 2],
         /// Extent of the picture, in texels.
         got: [u32; 2],
-    },
-    /// A plane whose length does not fit the picture's extent.
-    #[error("plane {plane} of a {}x{} picture has {got} bytes instead of {want}: planes are tightly packed I420",
-            .extent_texels[0], .extent_texels[1])]
-    PlaneSize {
-        /// Which plane: y, cb or cr.
-        plane: &'static str,
-        /// Its length in bytes.
-        got: usize,
-        /// The length that the extent demands.
-        want: usize,
-        /// Extent of the picture, in texels.
-        extent_texels: [u32; 2],
     },
     /// More bytes than a client takes; level 5.2 of H.264 does not allow so many.
     #[error(

@@ -20,9 +20,10 @@ use openh264_sys2::{
     source::APILoader, videoFormatI420, videoFrameTypeI, videoFrameTypeIDR, videoFrameTypeP,
 };
 
-use super::{AccessUnit, EncodeError, Encoder, Planes};
+use super::{AccessUnit, EncodeError, Encoder};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
+use shadecast_protocol::picture::I420;
 
 /// The quantisation parameter used unless told otherwise.
 pub const DEFAULT_QP: u8 = 22;
@@ -166,12 +167,9 @@ impl OpenH264Encoder {
         Ok(Self { settings, library: Some(Library::new(&settings)?) })
     }
 
-    fn check_picture(&self, picture: &Planes<'_>) -> Result<(), EncodeError> {
-        let want = self.settings.extent_texels;
-        if picture.extent_texels != want {
-            return Err(EncodeError::ExtentChanged { want, got: picture.extent_texels });
-        }
-        picture.check()
+    fn check_picture(&self, picture: &I420) -> Result<(), EncodeError> {
+        let (want, got) = (self.settings.extent_texels, picture.extent_texels());
+        if got == want { Ok(()) } else { Err(EncodeError::ExtentChanged { want, got }) }
     }
 
     fn library(&mut self) -> Result<Library, EncodeError> {
@@ -185,7 +183,7 @@ impl OpenH264Encoder {
 impl Encoder for OpenH264Encoder {
     fn encode(
         &mut self,
-        picture: &Planes<'_>,
+        picture: &I420,
         timestamp_ns: i64,
         refresh: bool,
     ) -> Result<AccessUnit, EncodeError> {
@@ -291,13 +289,13 @@ impl Library {
         check(unsafe { force(self.encoder, true) }, doing)
     }
 
-    fn encode(&mut self, picture: &Planes<'_>, timestamp_ns: i64) -> Result<AccessUnit, EncodeError> {
+    fn encode(&mut self, picture: &I420, timestamp_ns: i64) -> Result<AccessUnit, EncodeError> {
         let doing = "encoding a picture";
         let source = source_picture(picture, timestamp_ns);
         let encode = required(self.table().EncodeFrame, doing)?;
         *self.written = SFrameBSInfo::default();
-        // SAFETY: the encoder is alive and initialised for this extent; the planes have been checked to hold all
-        // texels of it, outlive the call, and are only read; `written` is a valid place.
+        // SAFETY: the encoder is alive and initialised for this extent, which was checked to be the picture's; its
+        // planes hold all texels of it, outlive the call, and are only read; `written` is a valid place.
         check(unsafe { encode(self.encoder, &source, &mut *self.written) }, doing)?;
         self.collect()
     }
@@ -346,18 +344,14 @@ unsafe fn layer_bytes(layer: &SLayerBSInfo) -> &[u8] {
     }
 }
 
-fn source_picture(picture: &Planes<'_>, timestamp_ns: i64) -> SSourcePicture {
-    let [width, height] = picture.extent_texels.map(|texels| texels as c_int);
+fn source_picture(picture: &I420, timestamp_ns: i64) -> SSourcePicture {
+    let [width, height] = picture.extent_texels().map(|texels| texels as c_int);
+    let [y, cb, cr] = picture.planes().map(|plane| plane.as_ptr().cast_mut());
     SSourcePicture {
         iColorFormat: videoFormatI420,
         iStride: [width, width / 2, width / 2, 0],
         // The library takes mutable pointers, but only reads: it copies the picture before it works on it.
-        pData: [
-            picture.y.as_ptr().cast_mut(),
-            picture.cb.as_ptr().cast_mut(),
-            picture.cr.as_ptr().cast_mut(),
-            ptr::null_mut(),
-        ],
+        pData: [y, cb, cr, ptr::null_mut()],
         iPicWidth: width,
         iPicHeight: height,
         uiTimeStamp: timestamp_ns / 1_000_000,

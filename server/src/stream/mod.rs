@@ -178,8 +178,8 @@ pub fn run(
         anyhow::Ok(pipeline.finish(monotonic_now_ns()))
     })?;
     if let (Some(path), Some(shaded)) = (&options.atlas_png, &last_atlas) {
-        let rgb = crate::picture::rgb_from_planes(shaded.extent_texels, &shaded.planes);
-        crate::picture::write_png(path, shaded.extent_texels, &rgb)?;
+        let rgb = crate::picture::rgb_of(&shaded.picture);
+        crate::picture::write_png(path, shaded.picture.extent_texels(), &rgb)?;
     }
     if let Ok(device) = studio.device() {
         stats.device = device.gpu.device_name();

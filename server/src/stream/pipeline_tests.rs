@@ -1,13 +1,14 @@
 //! The pipeline with a studio and a way to clients that do what a test wants.
 
 use super::*;
-use crate::encode::{AccessUnit, Planes};
+use crate::encode::AccessUnit;
 use crate::residency::Budget;
 use crate::stream::testing::{accepted, head};
 use ash::vk;
 use shadecast_protocol::delta::GeometryDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Displayed, HeadState};
+use shadecast_protocol::picture::I420;
 use shadecast_protocol::session::ServerEvent;
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
 use std::cell::RefCell;
@@ -111,7 +112,8 @@ impl Studio for FakeStudio {
         let frame = UpdateId(updates.next);
         updates.next += 1;
         let delta = GeometryDelta { frame, time, ..GeometryDelta::default() };
-        Ok(Some(Shaded { frame, time, delta, extent_texels: [16, 16], planes: vec![0; 384] }))
+        let picture = I420::new([16, 16], vec![0; 384]).expect("a picture");
+        Ok(Some(Shaded { frame, time, delta, picture }))
     }
 
     fn close(&mut self, _: FakeUpdates, _: bool) {
@@ -157,7 +159,7 @@ struct FakeEncoder {
 }
 
 impl Encoder for FakeEncoder {
-    fn encode(&mut self, _: &Planes<'_>, _: i64, refresh: bool) -> Result<AccessUnit, EncodeError> {
+    fn encode(&mut self, _: &I420, _: i64, refresh: bool) -> Result<AccessUnit, EncodeError> {
         let act = self.acts.lock().expect("whole").pop_front().flatten();
         match act {
             None => {}

@@ -9,6 +9,7 @@ pub mod delta;
 pub mod ids;
 pub mod limits;
 pub mod message;
+pub mod picture;
 pub mod pose;
 pub mod samples;
 pub mod session;

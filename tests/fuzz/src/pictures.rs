@@ -2,9 +2,10 @@
 //! that is missing.
 
 use crate::script::{number, steps};
-use shadecast_client::decode::{DecodeError, Decoder, Picture};
+use shadecast_client::decode::{DecodeError, Decoder};
 use shadecast_client::decoding::{DecodeTiming, Decoding};
 use shadecast_protocol::ids::UpdateId;
+use shadecast_protocol::picture::I420;
 use shadecast_protocol::time::ClientTime;
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
 
@@ -26,7 +27,7 @@ struct Toy {
 }
 
 impl Decoder for Toy {
-    fn decode(&mut self, access_unit: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
+    fn decode(&mut self, access_unit: &[u8], picture: &mut I420) -> Result<(), DecodeError> {
         match access_unit.last() {
             Some(kind) if kind % 4 == 3 => {
                 self.needs_refresh = true;
@@ -36,7 +37,7 @@ impl Decoder for Toy {
             _ if self.needs_refresh => return Err(DecodeError::NeedsRefresh),
             _ => {}
         }
-        picture.extent_texels = [16, 16];
+        picture.refill([2, 2], |bytes| bytes.extend([128; 6])).expect("a picture");
         Ok(())
     }
 

@@ -16,6 +16,7 @@ use shadecast_mock_runtime::config::{ClockKind, FovDegrees, MockConfig};
 use shadecast_mock_runtime::head_path::COLUMNS;
 use shadecast_mock_runtime::manifest;
 use shadecast_mock_runtime::record::{FrameRecord, Side, picture_path, read_frames};
+use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::HeadPath;
@@ -263,7 +264,7 @@ impl Run<'_> {
         });
         stats.write_json(&self.options.out.join("stats.json"))?;
         let atlas = match &seat.last {
-            Some(shaded) => Some(atlas_picture(shaded.extent_texels, &shaded.planes)?),
+            Some(shaded) => Some(atlas_picture(&shaded.picture)?),
             None => None,
         };
         if let Some([client, truth]) = &self.last {
@@ -288,10 +289,10 @@ impl Run<'_> {
     }
 }
 
-/// Planes as a picture.
-pub fn atlas_picture(extent_texels: [u32; 2], planes: &[u8]) -> anyhow::Result<Rgb8Image> {
-    let rgb = shadecast_server::picture::rgb_from_planes(extent_texels, planes);
-    Ok(Rgb8Image::new(extent_texels[0], extent_texels[1], rgb)?)
+/// An atlas as it looks.
+fn atlas_picture(atlas: &I420) -> anyhow::Result<Rgb8Image> {
+    let [width, height] = atlas.extent_texels();
+    Ok(Rgb8Image::new(width, height, shadecast_server::picture::rgb_of(atlas))?)
 }
 
 /// A client's probe as the metrics want it.

@@ -13,7 +13,6 @@ use anyhow::{Context, bail};
 use ghost::Ghost;
 use seat::Seat;
 use shadecast_client::client::{Client, ClientOptions, FrameReport, Step};
-use shadecast_client::decode::Picture;
 use shadecast_client::decoding::DecodeTiming;
 use shadecast_client::platform::Platform;
 use shadecast_client::xr::{Xr, XrOptions};
@@ -29,7 +28,6 @@ use shadecast_protocol::time::ClientTime;
 use shadecast_scene::Scene;
 use shadecast_scene::load::load_scene;
 use shadecast_scene::suggest::did_you_mean_or_list;
-use shadecast_server::frame::Shaded;
 use shadecast_server::pacing::WayState;
 use shadecast_server::scene_gpu::SceneGpu;
 use shadecast_server::stream::offer;
@@ -408,12 +406,4 @@ fn play_clip(scene: &mut Scene, name: &str) -> anyhow::Result<()> {
         bail!("no animated instance has a clip \"{name}\"{}", did_you_mean_or_list(name, names, "there are"));
     }
     Ok(())
-}
-
-/// The planes as a decoder would give them: the renderer without codec and network.
-fn picture_of(shaded: &Shaded) -> Picture {
-    let luma = shaded.extent_texels[0] as usize * shaded.extent_texels[1] as usize;
-    let (y, chroma) = shaded.planes.split_at(luma);
-    let (cb, cr) = chroma.split_at(luma / 4);
-    Picture { extent_texels: shaded.extent_texels, y: y.to_vec(), cb: cb.to_vec(), cr: cr.to_vec() }
 }

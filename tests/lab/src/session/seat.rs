@@ -1,13 +1,13 @@
 //! The server's side of one viewer on the virtual clock: its session, the product's [`Viewer`], and what is on its way out.
 
-use super::{SERVER_EPOCH_NS, Server, picture_of};
+use super::{SERVER_EPOCH_NS, Server};
 use crate::motion::Residents;
 use crate::options::StageMs;
 use anyhow::{Context, bail};
-use shadecast_client::decode::Picture;
 use shadecast_protocol::delta::{DeltaSizes, GeometryDelta};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Capabilities, Welcome};
+use shadecast_protocol::picture::I420;
 use shadecast_protocol::session::{Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::ServerTime;
 use shadecast_protocol::wire::PictureHeader;
@@ -226,13 +226,12 @@ impl Seat {
     }
 
     /// What is ready leaves; what belongs to a session that has ended is dropped. Gives what crosses no link.
-    pub(super) fn depart(&mut self, now_ns: i64) -> anyhow::Result<Option<(GeometryDelta, Picture)>> {
+    pub(super) fn depart(&mut self, now_ns: i64) -> anyhow::Result<Option<(GeometryDelta, I420)>> {
         let next = self.leaving.pop_front().filter(|leaving| leaving.session == self.number);
         let Some(Leaving { frame, what, .. }) = next else { return Ok(None) };
         match what {
             Departure::Local(shaded) => {
-                let picture = picture_of(&shaded);
-                return Ok(Some((shaded.delta, picture)));
+                return Ok(Some((shaded.delta, shaded.picture)));
             }
             Departure::Delta(out, sizes) => {
                 self.count(sizes);
