@@ -3,6 +3,7 @@
 //! Two drivers use it: [`crate::net`] with a socket and the real clock, and the lab, which steps it in virtual time beside a
 //! server. What it does not know is sockets and who waits for whom.
 
+use crate::decode::Picture;
 use crate::decoding::{self, DecodeTiming, Decoding};
 use crate::platform::{self, MakeDecoder};
 use crate::renderer::Stages;
@@ -22,7 +23,6 @@ use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_S
 use shadecast_protocol::message::{
     Capabilities, ClientHello, Codec, Displayed, HeadState, Refused, ResumeSecret, Welcome,
 };
-use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::{Eye, Pose};
 use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
 use shadecast_protocol::time::{ClientTime, ServerTime};
@@ -155,7 +155,7 @@ impl Drop for Client {
 
 impl Connection {
     /// A picture that is not needed any more goes back to the decoder.
-    pub(crate) fn recycle(&mut self, picture: I420) {
+    pub(crate) fn recycle(&mut self, picture: Picture) {
         if let Some(decoding) = &mut self.decoding {
             decoding.recycle(picture);
         }
@@ -459,7 +459,7 @@ impl Client {
     }
 
     /// Takes an update of a server of the same process, handed over by memory copy: no codec, no network.
-    pub fn accept_local(&mut self, now: ClientTime, delta: GeometryDelta, picture: Option<I420>) {
+    pub fn accept_local(&mut self, now: ClientTime, delta: GeometryDelta, picture: Option<Picture>) {
         self.now = now;
         let frame = delta.frame;
         self.take_delta(delta);

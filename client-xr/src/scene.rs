@@ -3,6 +3,7 @@
 
 use crate::bundle::{Bundler, Motionless};
 use crate::client::ClientError;
+use crate::decode::Picture;
 use crate::pace::Pace;
 use crate::renderer::Stages;
 use crate::stages::atlas_draw::BundleSet;
@@ -13,7 +14,6 @@ use shadecast_gpu::{Access, BindGroup, Gpu, GpuError, Recorder};
 use shadecast_protocol::clock::ClockEstimator;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::Welcome;
-use shadecast_protocol::picture::I420;
 use shadecast_protocol::time::{ClientTime, GridIndex, ServerTime};
 use shadecast_shaders::generated::{CornerGpu, EyesGpu};
 use std::sync::Arc;
@@ -23,8 +23,8 @@ use std::sync::Arc;
 pub struct ArrivedPicture {
     /// When its last byte came.
     pub arrived: ClientTime,
-    /// Its planes.
-    pub picture: I420,
+    /// The picture.
+    pub picture: Picture,
 }
 
 /// How the server's clock is known to a scene.
@@ -147,7 +147,7 @@ impl Scene {
         gpu: &Gpu,
         recorder: &mut Recorder,
         time: ServerTime,
-        mut recycle: impl FnMut(I420),
+        mut recycle: impl FnMut(Picture),
     ) -> Result<Option<Switched>, ClientError> {
         let newest = self.bundler.take_newest_complete(|dropped| recycle(dropped.picture));
         let Some((frame, arrived)) = newest else { return Ok(None) };

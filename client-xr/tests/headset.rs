@@ -3,6 +3,7 @@
 mod support;
 
 use shadecast_client::client::{Client, FrameReport, Notice, Step};
+use shadecast_client::decode::Picture;
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
 use shadecast_mock_runtime::record::Side;
 use shadecast_protocol::PROTOCOL_VERSION;
@@ -150,7 +151,7 @@ fn patches_are_seen_where_they_are_and_in_the_atlas_colours_by_both_eyes() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     client.start_local(terms(), 0).expect("a scene");
-    client.accept_local(at(1), two_patches(), Some(planes([0, 64])));
+    client.accept_local(at(1), two_patches(), Some(Picture::Planes(planes([0, 64]))));
     frame(&mut client); // not seen: the session is not visible yet
     let report = frame(&mut client);
     assert_eq!((report.frame, report.is_new, report.withheld_patches), (Some(UpdateId(0)), true, 0));
@@ -189,7 +190,7 @@ fn an_animated_edge_moves_with_every_display_frame_and_follows_its_motion() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     client.start_local(terms(), 0).expect("a scene");
-    client.accept_local(at(1), two_patches(), Some(planes([0, 64])));
+    client.accept_local(at(1), two_patches(), Some(Picture::Planes(planes([0, 64]))));
     frame(&mut client);
     let mut last = None;
     for _ in 0..20 {
@@ -214,7 +215,7 @@ fn a_vertex_that_runs_out_of_samples_stops_and_is_counted_and_returns_without_a_
     let mut client = run.client();
     client.start_local(terms(), 0).expect("a scene");
     let first = GeometryDelta { samples: samples(29, 33), ..two_patches() };
-    client.accept_local(at(1), first, Some(planes([0, 64])));
+    client.accept_local(at(1), first, Some(Picture::Planes(planes([0, 64]))));
     frame(&mut client);
     let (mut frozen, mut largest, mut last) = (0, 0f32, None);
     for index in 0..50 {
@@ -242,7 +243,7 @@ fn a_patch_without_samples_is_withheld_and_the_rest_is_seen() {
     let mut client = run.client();
     client.start_local(terms(), 0).expect("a scene");
     let late = GeometryDelta { samples: samples(40, 45), ..two_patches() };
-    client.accept_local(at(1), late, Some(planes([0, 64])));
+    client.accept_local(at(1), late, Some(Picture::Planes(planes([0, 64]))));
     frame(&mut client);
     assert_eq!(frame(&mut client).withheld_patches, 1);
     let picture = |frame| run.picture(frame, Side::Left);
@@ -261,7 +262,7 @@ fn the_newest_picture_goes_with_its_own_placements() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     client.start_local(terms(), 0).expect("a scene");
-    client.accept_local(at(1), two_patches(), Some(planes([0, 64])));
+    client.accept_local(at(1), two_patches(), Some(Picture::Planes(planes([0, 64]))));
     // The blocks change places; the picture of that update never comes, that of the next has them elsewhere again.
     let swapped = vec![(PatchSlot(0), Some(block(64))), (PatchSlot(1), Some(block(0)))];
     let moved = vec![(PatchSlot(0), Some(block(128)))];
@@ -271,7 +272,7 @@ fn the_newest_picture_goes_with_its_own_placements() {
     frame(&mut client);
     client.accept_local(at(2), next(1, swapped), None);
     assert_eq!(frame(&mut client).frame, Some(UpdateId(0)), "no picture, no switch");
-    client.accept_local(at(3), next(2, moved), Some(planes([128, 0])));
+    client.accept_local(at(3), next(2, moved), Some(Picture::Planes(planes([128, 0]))));
     assert_eq!(frame(&mut client).frame, Some(UpdateId(2)));
     finish(&run, client);
     for index in [1, 2, 3] {
@@ -339,7 +340,11 @@ fn samples_of_the_next_update_do_not_tear_what_is_on_display_and_its_picture_set
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     client.start_local(terms(), 0).expect("a scene");
-    client.accept_local(at(1), moving_strip(strip_samples(0..6, 29..=33)), Some(planes([0, 64])));
+    client.accept_local(
+        at(1),
+        moving_strip(strip_samples(0..6, 29..=33)),
+        Some(Picture::Planes(planes([0, 64]))),
+    );
     frame(&mut client);
     // The next update has lost sight of the right square; its samples come before its picture.
     let lost = GeometryDelta {
@@ -355,7 +360,7 @@ fn samples_of_the_next_update_do_not_tear_what_is_on_display_and_its_picture_set
             8 => client.accept_local(at(2), lost.clone(), None),
             20 => {
                 let next = GeometryDelta { frame: UpdateId(2), ..GeometryDelta::default() };
-                client.accept_local(at(3), next, Some(planes([0, 64])));
+                client.accept_local(at(3), next, Some(Picture::Planes(planes([0, 64]))));
             }
             _ => {}
         }

@@ -3,7 +3,7 @@
 
 use crate::choice::{Notice, Room, Shortage};
 use crate::culling::Culling;
-use crate::encode::{AccessUnit, EncodeError, Encoder};
+use crate::encode::Source;
 use crate::levels::Layout;
 use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES};
 use crate::residency::{Budget, Residency, UpdateWindow};
@@ -26,7 +26,6 @@ use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::Fov;
 use shadecast_protocol::time::{GridIndex, ServerTime};
-use shadecast_protocol::wire::PictureHeader;
 use shadecast_shaders::generated::ViewGpu;
 use std::collections::VecDeque;
 
@@ -56,6 +55,8 @@ pub struct Frame {
     shortage: Shortage,
     shading: Shading,
     ycbcr: Ycbcr,
+    /// Memory for the next update's picture.
+    spare: I420,
     next: UpdateId,
     update_times: VecDeque<(UpdateId, ServerTime)>,
 }
@@ -76,8 +77,8 @@ pub struct Shaded {
     pub time: ServerTime,
     /// What changes in the client's memory.
     pub delta: GeometryDelta,
-    /// The atlas.
-    pub picture: I420,
+    /// The atlas; of no texels while an encoder has it.
+    pub picture: Source,
 }
 
 impl Frame {
@@ -119,6 +120,7 @@ impl Frame {
             level_selection,
             shading,
             ycbcr,
+            spare: I420::default(),
             next: UpdateId(0),
             update_times: VecDeque::new(),
         })
@@ -158,6 +160,12 @@ impl Frame {
         self.residency.set_budget(budget);
     }
 
+    /// A picture that is not needed any more.
+    pub fn recycle(&mut self, picture: Source) {
+        let Source::Planes(picture) = picture;
+        self.spare = picture;
+    }
+
     /// Steps 1 to 6 and 8. `None` before the first head state: there is nowhere to look from.
     pub fn update(&mut self, world: &mut World, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
         let Some(views) = self.head.predict(now, world.grid()) else { return Ok(None) }; // 1
@@ -180,9 +188,9 @@ impl Frame {
         if self.update_times.len() > REMEMBERED_UPDATES {
             self.update_times.pop_front();
         }
-        let mut picture = I420::default();
+        let mut picture = std::mem::take(&mut self.spare);
         self.ycbcr.read(&mut picture);
-        Ok(Some(Shaded { frame, time: now, delta, picture }))
+        Ok(Some(Shaded { frame, time: now, delta, picture: Source::Planes(picture) }))
     }
 
     /// Animates the new grid points of what can be in view, rasterises every predicted view at its time, and measures what is
@@ -278,18 +286,6 @@ impl Frame {
     /// How the head moves and how long the way to the display is.
     pub fn head_track(&self) -> &HeadTrack {
         &self.head
-    }
-}
-
-impl Shaded {
-    /// Step 7: the picture as an access unit, with the header that binds it to its delta.
-    pub fn encode(
-        &self,
-        encoder: &mut dyn Encoder,
-        refresh: bool,
-    ) -> Result<(PictureHeader, AccessUnit), EncodeError> {
-        let unit = encoder.encode(&self.picture, self.time.0, refresh)?;
-        Ok((PictureHeader { frame: self.frame, time: self.time, is_refresh: unit.is_refresh }, unit))
     }
 }
 

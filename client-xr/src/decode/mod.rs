@@ -1,7 +1,7 @@
 //! The seam between the video stream and the atlas texture.
 //!
-//! What is above (the bundle) hands in access units in the order they were encoded and gets planes; what is below is
-//! [`openh264`] on desktops and the platform's decoder on Android. A decoder never conceals: after a broken or lost
+//! What is above ([`crate::decoding`]) hands in access units in the order they were encoded and gets pictures; what is below
+//! is [`openh264`] on desktops and the platform's decoder on Android. A decoder never conceals: after a broken or lost
 //! unit the picture on display stays, and the decoder refuses everything but a refresh, because a picture that
 //! refers to one that is missing would look plausible and be wrong.
 //!
@@ -9,25 +9,63 @@
 
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
 use shadecast_protocol::picture::I420;
+use std::time::Duration;
 use thiserror::Error;
 
 #[cfg(feature = "desktop")]
 pub mod openh264;
 pub mod sps;
 
-/// Turns access units into pictures, one for one and in order, without delay.
-pub trait Decoder: Send {
-    /// Decodes one access unit (Annex B) into `picture`.
-    ///
-    /// On an error `picture` is unchanged, and every further unit gives [`DecodeError::NeedsRefresh`] until one with
-    /// a refresh decodes without error.
-    fn decode(&mut self, access_unit: &[u8], picture: &mut I420) -> Result<(), DecodeError>;
+/// Decoded pictures that a decoder keeps at most to use their memory again.
+const MAX_SPARE: usize = 4;
 
-    /// Tells the decoder that a unit was lost on the way: it then waits for a refresh, as after an error.
+/// A decoded picture.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Picture {
+    /// In the CPU's memory.
+    Planes(I420),
+}
+
+/// Turns access units into pictures.
+///
+/// Each unit that is submitted comes out of [`Decoder::poll`] once, in the order of submission, as a picture or as an error. How
+/// long that takes is the decoder's affair: it may even wait for later units. What came out is the caller's, for as long as it
+/// likes.
+///
+/// After an error every unit gives [`DecodeError::NeedsRefresh`], until one that is a refresh decodes without error.
+pub trait Decoder: Send {
+    /// Hands over the next access unit, which is read before this returns.
+    fn submit(&mut self, access_unit: &[u8]);
+
+    /// What became of the next unit, for which it waits at most for `timeout`; `None` where that is not known yet.
+    fn poll(&mut self, timeout: Duration) -> Option<Result<Picture, DecodeError>>;
+
+    /// Takes back a picture that came out, to use its memory again. Others that came out before may come back later, or never.
+    fn recycle(&mut self, picture: Picture);
+
+    /// The unit after the last one that was submitted is lost: the decoder then waits for a refresh, as after an error.
     fn unit_lost(&mut self);
 
-    /// Whether only a refresh can be decoded now.
+    /// Whether only a refresh can be submitted now.
     fn needs_refresh(&self) -> bool;
+}
+
+/// Memory of pictures that came back.
+#[derive(Debug, Default)]
+pub(crate) struct Spare(Vec<I420>);
+
+impl Spare {
+    /// Memory for a picture.
+    pub(crate) fn take(&mut self) -> I420 {
+        self.0.pop().unwrap_or_default()
+    }
+
+    /// Keeps a picture's memory, unless there is enough.
+    pub(crate) fn give(&mut self, picture: I420) {
+        if self.0.len() < MAX_SPARE {
+            self.0.push(picture);
+        }
+    }
 }
 
 /// Why an access unit gave no picture, or a decoder could not be made.

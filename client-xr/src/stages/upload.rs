@@ -1,8 +1,8 @@
 //! Decoded planes into images. Three sets exist, so that the one on display is never overwritten and no copy is waited for.
 
+use crate::decode::Picture;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, ImageDesc, Memory, Recorder, vk};
 use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_protocol::picture::I420;
 use std::sync::Arc;
 
 /// One picture's planes on the GPU.
@@ -31,7 +31,8 @@ impl Planes {
     }
 
     /// Copies `picture`, which has the extent these planes were made for. No submitted work reads the staging buffer.
-    pub fn record(&mut self, recorder: &mut Recorder, picture: &I420) {
+    pub fn record(&mut self, recorder: &mut Recorder, picture: &Picture) {
+        let Picture::Planes(picture) = picture;
         for (index, plane) in picture.planes().into_iter().enumerate() {
             let image = &self.images[index];
             let [width, height] = image.desc().extent;

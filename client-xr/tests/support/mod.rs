@@ -1,7 +1,7 @@
 //! A client on the mock runtime in virtual time, behind the system's OpenXR loader, with validation on.
 
 use shadecast_client::client::{Client, ClientOptions, FrameReport, Step};
-use shadecast_client::decode::{DecodeError, Decoder};
+use shadecast_client::decode::{self, DecodeError, Decoder};
 use shadecast_client::decoding::DecodeTiming;
 use shadecast_client::platform::Platform;
 use shadecast_client::xr::{Xr, XrOptions};
@@ -11,8 +11,10 @@ use shadecast_mock_runtime::manifest;
 use shadecast_mock_runtime::record::{Side, picture_path};
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::time::ClientTime;
+use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 /// Pixels of one eye, both ways; 90 degrees.
 pub const SIDE: u32 = 256;
@@ -59,7 +61,11 @@ impl Run {
             max_vertex_slots: 256,
             max_patch_slots: 64,
             decoder: |extent| {
-                Ok(Box::new(RawDecoder { extent_texels: extent.texels(), has_reference: false }))
+                Ok(Box::new(RawDecoder {
+                    extent_texels: extent.texels(),
+                    has_reference: false,
+                    done: VecDeque::new(),
+                }))
             },
             ..ClientOptions::default()
         };
@@ -135,6 +141,7 @@ pub fn at(ns: i64) -> ClientTime {
 struct RawDecoder {
     extent_texels: [u32; 2],
     has_reference: bool,
+    done: VecDeque<Result<decode::Picture, DecodeError>>,
 }
 
 /// A picture as the raw decoder takes it.
@@ -142,17 +149,28 @@ pub fn coded(picture: &I420, is_refresh: bool) -> Vec<u8> {
     [&[u8::from(is_refresh)][..], picture.bytes()].concat()
 }
 
-impl Decoder for RawDecoder {
-    fn decode(&mut self, access_unit: &[u8], picture: &mut I420) -> Result<(), DecodeError> {
+impl RawDecoder {
+    fn decode(&mut self, access_unit: &[u8]) -> Result<decode::Picture, DecodeError> {
         if access_unit[0] == 0 && !self.has_reference {
             return Err(DecodeError::NeedsRefresh);
         }
         self.has_reference = true;
-        picture
-            .refill(self.extent_texels, |bytes| bytes.extend_from_slice(&access_unit[1..]))
-            .expect("a picture of the agreed extent");
-        Ok(())
+        let picture = I420::new(self.extent_texels, access_unit[1..].to_vec());
+        Ok(decode::Picture::Planes(picture.expect("a picture of the agreed extent")))
     }
+}
+
+impl Decoder for RawDecoder {
+    fn submit(&mut self, access_unit: &[u8]) {
+        let result = self.decode(access_unit);
+        self.done.push_back(result);
+    }
+
+    fn poll(&mut self, _: Duration) -> Option<Result<decode::Picture, DecodeError>> {
+        self.done.pop_front()
+    }
+
+    fn recycle(&mut self, _: decode::Picture) {}
 
     fn unit_lost(&mut self) {
         self.has_reference = false;

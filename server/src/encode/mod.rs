@@ -1,6 +1,6 @@
 //! The seam between the shading atlas and its video stream.
 //!
-//! What is above (the frame) hands over planes and gets an access unit; it does not know which encoder made it.
+//! What is above ([`crate::encoding`]) hands over pictures and gets access units; it does not know which encoder made them.
 //! What is below knows neither frames nor sockets, and has no clock: timestamps come in as arguments, so that the
 //! same pictures always give the same bytes. [`openh264`] is the embedded encoder; a hardware one goes beside it.
 //!
@@ -8,9 +8,13 @@
 
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
 use shadecast_protocol::picture::I420;
+use std::time::Duration;
 use thiserror::Error;
 
 pub mod openh264;
+
+/// An encoder that gives nothing for so long is broken.
+pub const PATIENCE: Duration = Duration::from_secs(2);
 
 /// The coded form of one picture.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -21,16 +25,62 @@ pub struct AccessUnit {
     pub is_refresh: bool,
 }
 
-/// Turns pictures into access units, one for one and in order, without delay.
-pub trait Encoder: Send {
-    /// Encodes one picture. The first one, and one with `refresh`, depends on no picture before it.
-    ///
-    /// `timestamp_ns` is the picture's time on any monotonic clock. After an error the next picture is a refresh.
-    fn encode(&mut self, picture: &I420, timestamp_ns: i64, refresh: bool)
-    -> Result<AccessUnit, EncodeError>;
+/// A picture for an encoder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// In the CPU's memory.
+    Planes(I420),
+}
 
-    /// Changes the quantisation parameter, 0 (finest) to 51 (coarsest), from the next picture on.
+impl Default for Source {
+    /// A picture of no texels.
+    fn default() -> Self {
+        Self::Planes(I420::default())
+    }
+}
+
+/// What became of a picture that was submitted.
+#[derive(Debug)]
+pub struct Encoded {
+    /// The picture, whose memory can be used again.
+    pub source: Source,
+    /// Its coded form, or why there is none.
+    pub result: Result<AccessUnit, EncodeError>,
+}
+
+/// Turns pictures into access units.
+///
+/// Each picture that is submitted comes out of [`Encoder::poll`] once, in the order of submission, coded or with the reason why
+/// it is not. It comes out by itself, however long that takes: an encoder waits for no later picture. Until then the picture is
+/// the encoder's.
+///
+/// No access unit depends on a picture that failed. The first one that can be decoded after a failure may therefore be a
+/// refresh that nobody asked for.
+pub trait Encoder: Send {
+    /// Hands over a picture. The first one, and one with `refresh`, will depend on no picture before it.
+    ///
+    /// `timestamp_ns` is the picture's time on any monotonic clock.
+    fn submit(&mut self, source: Source, timestamp_ns: i64, refresh: bool);
+
+    /// The next picture that is done, for which it waits at most for `timeout`; `None` where none is.
+    fn poll(&mut self, timeout: Duration) -> Option<Encoded>;
+
+    /// Changes the quantisation parameter, 0 (finest) to 51 (coarsest), from the next picture on that is submitted.
     fn set_qp(&mut self, qp: u8) -> Result<(), EncodeError>;
+}
+
+/// Encodes one picture with an encoder that has no other, and waits for it.
+///
+/// # Errors
+/// The picture's own, or the encoder gives nothing.
+pub fn encode_one(
+    encoder: &mut dyn Encoder,
+    source: Source,
+    timestamp_ns: i64,
+    refresh: bool,
+) -> Result<AccessUnit, EncodeError> {
+    encoder.submit(source, timestamp_ns, refresh);
+    encoder.poll(PATIENCE).map_or(Err(EncodeError::Stalled), |encoded| encoded.result)
 }
 
 /// Why a picture could not be encoded, or an encoder not be made.
@@ -70,6 +120,9 @@ pub enum EncodeError {
         /// Its length in bytes.
         got: usize,
     },
+    /// Nothing came out.
+    #[error("no picture came out of the encoder within {} s", PATIENCE.as_secs())]
+    Stalled,
     /// The encoder library refused.
     #[error("openh264 failed while {doing} (code {code}); the next picture starts a new stream")]
     Library {

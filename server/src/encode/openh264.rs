@@ -9,8 +9,10 @@
 //! The library is built from source, and without `nasm` on the build machine it silently loses all its assembly and
 //! becomes several times slower: the set-up installs it.
 
+use std::collections::VecDeque;
 use std::ffi::{c_int, c_void};
 use std::ptr;
+use std::time::Duration;
 
 use openh264_sys2::{
     CAMERA_VIDEO_REAL_TIME, CM_BT709, CONSTANT_ID, CP_BT709, DEBLOCKING_IDC_1, ENCODER_OPTION,
@@ -20,7 +22,7 @@ use openh264_sys2::{
     source::APILoader, videoFormatI420, videoFrameTypeI, videoFrameTypeIDR, videoFrameTypeP,
 };
 
-use super::{AccessUnit, EncodeError, Encoder};
+use super::{AccessUnit, EncodeError, Encoded, Encoder, Source};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
 use shadecast_protocol::picture::I420;
@@ -153,18 +155,19 @@ fn check_setting(
     if (least..=most).contains(&value) { Ok(()) } else { Err(EncodeError::Setting { name, value, range }) }
 }
 
-/// An [`Encoder`] that runs openh264 on the CPU.
+/// An [`Encoder`] that runs openh264 on the CPU: while a picture is submitted, so that it can be polled at once.
 pub struct OpenH264Encoder {
     settings: EncoderSettings,
     /// Gone after a failure, since the library may have torn itself down; made anew for the next picture.
     library: Option<Library>,
+    done: VecDeque<Encoded>,
 }
 
 impl OpenH264Encoder {
     /// Makes an encoder for pictures of one extent.
     pub fn new(settings: EncoderSettings) -> Result<Self, EncodeError> {
         settings.check()?;
-        Ok(Self { settings, library: Some(Library::new(&settings)?) })
+        Ok(Self { settings, library: Some(Library::new(&settings)?), done: VecDeque::new() })
     }
 
     fn check_picture(&self, picture: &I420) -> Result<(), EncodeError> {
@@ -178,9 +181,7 @@ impl OpenH264Encoder {
             None => Library::new(&self.settings),
         }
     }
-}
 
-impl Encoder for OpenH264Encoder {
     fn encode(
         &mut self,
         picture: &I420,
@@ -199,6 +200,18 @@ impl Encoder for OpenH264Encoder {
         }
         self.library = Some(library);
         Ok(unit)
+    }
+}
+
+impl Encoder for OpenH264Encoder {
+    fn submit(&mut self, source: Source, timestamp_ns: i64, refresh: bool) {
+        let Source::Planes(picture) = &source;
+        let result = self.encode(picture, timestamp_ns, refresh);
+        self.done.push_back(Encoded { source, result });
+    }
+
+    fn poll(&mut self, _: Duration) -> Option<Encoded> {
+        self.done.pop_front()
     }
 
     fn set_qp(&mut self, qp: u8) -> Result<(), EncodeError> {

@@ -20,6 +20,7 @@ mod turns;
 pub use stats::{StreamStats, ViewerStats};
 pub use studio::{Device, Reopen};
 
+use crate::encode::Source;
 use crate::pacing::WayState;
 use crate::scene_gpu::SceneGpu;
 use mailbox::Mailbox;
@@ -178,8 +179,8 @@ pub fn run(
         anyhow::Ok(pipeline.finish(monotonic_now_ns()))
     })?;
     if let (Some(path), Some(shaded)) = (&options.atlas_png, &last_atlas) {
-        let rgb = crate::picture::rgb_of(&shaded.picture);
-        crate::picture::write_png(path, shaded.picture.extent_texels(), &rgb)?;
+        let Source::Planes(atlas) = &shaded.picture;
+        crate::picture::write_png(path, atlas.extent_texels(), &crate::picture::rgb_of(atlas))?;
     }
     if let Ok(device) = studio.device() {
         stats.device = device.gpu.device_name();

@@ -274,7 +274,9 @@ impl<'a, S: Studio> Pipeline<'a, S> {
                 client.viewer.sent(shaded.frame, Kind::Picture, stream_bytes, now_ns);
                 client.stats.atlas_bytes += unit_bytes as u64;
                 self.stats.atlas_bytes += unit_bytes as u64;
-                self.last_atlas = Some(shaded);
+                if let Some(earlier) = self.last_atlas.replace(shaded) {
+                    client.viewer.recycle(earlier.picture);
+                }
             }
             Some(Outcome::Failed(reason)) => return self.restart_encoder(peer, &reason),
         }

@@ -1,14 +1,13 @@
 //! The pipeline with a studio and a way to clients that do what a test wants.
 
 use super::*;
-use crate::encode::AccessUnit;
+use crate::encode::{AccessUnit, Encoded, Source};
 use crate::residency::Budget;
 use crate::stream::testing::{accepted, head};
 use ash::vk;
 use shadecast_protocol::delta::GeometryDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Displayed, HeadState};
-use shadecast_protocol::picture::I420;
 use shadecast_protocol::session::ServerEvent;
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
 use std::cell::RefCell;
@@ -112,8 +111,7 @@ impl Studio for FakeStudio {
         let frame = UpdateId(updates.next);
         updates.next += 1;
         let delta = GeometryDelta { frame, time, ..GeometryDelta::default() };
-        let picture = I420::new([16, 16], vec![0; 384]).expect("a picture");
-        Ok(Some(Shaded { frame, time, delta, picture }))
+        Ok(Some(Shaded { frame, time, delta, picture: Source::default() }))
     }
 
     fn close(&mut self, _: FakeUpdates, _: bool) {
@@ -124,7 +122,7 @@ impl Studio for FakeStudio {
 
     fn encoder(&mut self, _: AtlasExtent) -> Result<Box<dyn Encoder>, EncodeError> {
         *self.0.encoders.borrow_mut() += 1;
-        Ok(Box::new(FakeEncoder { acts: self.0.encodes.clone(), is_new: true }))
+        Ok(Box::new(FakeEncoder { acts: self.0.encodes.clone(), is_new: true, done: VecDeque::new() }))
     }
 
     fn take_timings_ms(&mut self) -> Vec<(&'static str, f64)> {
@@ -151,15 +149,18 @@ impl Updates for FakeUpdates {
     fn interrupted(&mut self) {}
 
     fn set_budget(&mut self, _: Budget) {}
+
+    fn recycle(&mut self, _: Source) {}
 }
 
 struct FakeEncoder {
     acts: Arc<Mutex<VecDeque<Option<Act>>>>,
     is_new: bool,
+    done: VecDeque<Encoded>,
 }
 
-impl Encoder for FakeEncoder {
-    fn encode(&mut self, _: &I420, _: i64, refresh: bool) -> Result<AccessUnit, EncodeError> {
+impl FakeEncoder {
+    fn encode(&mut self, refresh: bool) -> Result<AccessUnit, EncodeError> {
         let act = self.acts.lock().expect("whole").pop_front().flatten();
         match act {
             None => {}
@@ -168,6 +169,17 @@ impl Encoder for FakeEncoder {
         }
         let is_refresh = std::mem::take(&mut self.is_new) || refresh;
         Ok(AccessUnit { bytes: vec![1, 2, 3], is_refresh })
+    }
+}
+
+impl Encoder for FakeEncoder {
+    fn submit(&mut self, source: Source, _: i64, refresh: bool) {
+        let result = self.encode(refresh);
+        self.done.push_back(Encoded { source, result });
+    }
+
+    fn poll(&mut self, _: Duration) -> Option<Encoded> {
+        self.done.pop_front()
     }
 
     fn set_qp(&mut self, _: u8) -> Result<(), EncodeError> {

@@ -3,7 +3,7 @@
 use super::pipeline::Studio;
 use super::{StreamOptions, ViewerStats};
 use crate::encode::openh264::{EncoderSettings, OpenH264Encoder};
-use crate::encode::{EncodeError, Encoder};
+use crate::encode::{EncodeError, Encoder, Source};
 use crate::frame::{Frame, Shaded};
 use crate::residency::Budget;
 use crate::scene_gpu::SceneGpu;
@@ -128,5 +128,9 @@ impl Updates for Frame {
 
     fn set_budget(&mut self, budget: Budget) {
         Self::set_budget(self, budget);
+    }
+
+    fn recycle(&mut self, picture: Source) {
+        Self::recycle(self, picture);
     }
 }

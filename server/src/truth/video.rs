@@ -6,7 +6,7 @@
 //! so: Y4M by its tags, H.264 by its VUI.
 
 use crate::encode::openh264::{EncoderSettings, OpenH264Encoder};
-use crate::encode::{EncodeError, Encoder};
+use crate::encode::{EncodeError, Source, encode_one};
 use mp4::{AvcConfig, MediaConfig, Mp4Config, Mp4Sample, Mp4Writer, TrackConfig, TrackType};
 use shadecast_protocol::picture::I420;
 use shadecast_shaders::twin::ycbcr;
@@ -208,9 +208,9 @@ impl Mp4 {
     }
 
     fn add(&mut self, rgb8: &[u8]) -> Result<(), VideoError> {
-        let picture = i420_of(rgb8, self.extent);
+        let picture = Source::Planes(i420_of(rgb8, self.extent));
         let time_ns = (f64::from(self.pictures) / self.fps * 1e9) as i64;
-        let unit = self.encoder.encode(&picture, time_ns, self.pictures == 0)?;
+        let unit = encode_one(&mut self.encoder, picture, time_ns, self.pictures == 0)?;
         let nals = nal_units(&unit.bytes);
         if self.pictures == 0 {
             self.add_track(&nals)?;

@@ -2,11 +2,12 @@
 
 use shadecast_client::decode::openh264::OpenH264Decoder;
 use shadecast_client::decode::sps::{self, Colour, Sps, SpsError};
-use shadecast_client::decode::{DecodeError, Decoder};
+use shadecast_client::decode::{DecodeError, Decoder, Picture};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::picture::I420;
 use shadecast_server::encode::openh264::{DEFAULT_QP, EncoderSettings, OpenH264Encoder};
-use shadecast_server::encode::{AccessUnit, EncodeError, Encoder};
+use shadecast_server::encode::{self, AccessUnit, EncodeError, Encoder, Source};
+use std::time::Duration;
 
 const SEED: u64 = 0x5ade_ca57;
 const UPDATE_NS: i64 = 33_333_333;
@@ -141,7 +142,7 @@ fn encode_one(
     timestamp_ns: i64,
     refresh: bool,
 ) -> Result<AccessUnit, EncodeError> {
-    encoder.encode(picture, timestamp_ns, refresh)
+    encode::encode_one(encoder, Source::Planes(picture.clone()), timestamp_ns, refresh)
 }
 
 /// Decodes a unit into `picture`, which an error leaves as it is.
@@ -150,7 +151,10 @@ fn decode_one(
     access_unit: &[u8],
     picture: &mut I420,
 ) -> Result<(), DecodeError> {
-    decoder.decode(access_unit, picture)
+    decoder.submit(access_unit);
+    let Picture::Planes(decoded) = decoder.poll(Duration::ZERO).expect("done at once")?;
+    decoder.recycle(Picture::Planes(std::mem::replace(picture, decoded)));
+    Ok(())
 }
 
 /// Encodes pictures at 30 Hz; a refresh is asked for where `refresh` says so.

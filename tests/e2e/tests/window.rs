@@ -2,8 +2,8 @@
 
 mod support;
 
-use shadecast_client::decode::Decoder;
 use shadecast_client::decode::openh264::OpenH264Decoder;
+use shadecast_client::decode::{Decoder, Picture};
 use shadecast_lab::image::Rgb8Image;
 use shadecast_protocol::picture::I420;
 use shadecast_server::picture::rgb_of;
@@ -190,8 +190,8 @@ fn mp4_decodes_to_the_pictures_that_went_in() {
         let sample = reader.read_sample(1, n as u32 + 1).unwrap().unwrap();
         assert_eq!(sample.is_sync, n == 0);
         stream.extend(units(&sample.bytes).flat_map(annex_b));
-        let mut picture = I420::default();
-        decoder.decode(&stream, &mut picture).unwrap();
+        decoder.submit(&stream);
+        let Picture::Planes(picture) = decoder.poll(Duration::ZERO).unwrap().unwrap();
         assert_close(&rgb_of(&picture), expected, 34.0);
         stream.clear();
     }

@@ -16,11 +16,11 @@ use shadecast_mock_runtime::config::{ClockKind, FovDegrees, MockConfig};
 use shadecast_mock_runtime::head_path::COLUMNS;
 use shadecast_mock_runtime::manifest;
 use shadecast_mock_runtime::record::{FrameRecord, Side, picture_path, read_frames};
-use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::HeadPath;
 use shadecast_scene::load::load_head_path;
+use shadecast_server::encode::Source;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -290,7 +290,8 @@ impl Run<'_> {
 }
 
 /// An atlas as it looks.
-fn atlas_picture(atlas: &I420) -> anyhow::Result<Rgb8Image> {
+fn atlas_picture(atlas: &Source) -> anyhow::Result<Rgb8Image> {
+    let Source::Planes(atlas) = atlas;
     let [width, height] = atlas.extent_texels();
     Ok(Rgb8Image::new(width, height, shadecast_server::picture::rgb_of(atlas))?)
 }

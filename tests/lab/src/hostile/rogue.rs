@@ -16,8 +16,8 @@ use shadecast_protocol::pose::Pose;
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime};
 use shadecast_protocol::wire::{PictureHeader, encode_geometry, encode_picture};
-use shadecast_server::encode::Encoder;
 use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
+use shadecast_server::encode::{Source, encode_one};
 use shadecast_transport::{
     Driver, Endpoint, EndpointConfig, Event, Events, Handle, PeerId, ServerIdentity, monotonic_now_ns, spawn,
 };
@@ -274,7 +274,7 @@ impl Client {
         };
         let extent_texels = AtlasExtent::MIN.texels();
         let grey = I420::new(extent_texels, vec![128; I420::byte_count(extent_texels) as usize])?;
-        let unit = encoder.encode(&grey, time.0, frame.0 == 0)?;
+        let unit = encode_one(encoder, Source::Planes(grey), time.0, frame.0 == 0)?;
         let header = PictureHeader { frame, time, is_refresh: unit.is_refresh };
         Ok([geometry, picture_stream(header, &unit.bytes)?])
     }

@@ -13,6 +13,7 @@ use anyhow::{Context, bail};
 use ghost::Ghost;
 use seat::Seat;
 use shadecast_client::client::{Client, ClientOptions, FrameReport, Step};
+use shadecast_client::decode::Picture;
 use shadecast_client::decoding::DecodeTiming;
 use shadecast_client::platform::Platform;
 use shadecast_client::xr::{Xr, XrOptions};
@@ -356,7 +357,7 @@ impl Lab {
         let is_due = |line: &&mut Line| line.seat.next_departure_ns() == Some(now_ns);
         let Some(line) = self.lines.iter_mut().find(is_due) else { return Ok(()) };
         if let Some((delta, picture)) = line.seat.depart(now_ns)? {
-            self.client.accept_local(ClientTime(now_ns), delta, Some(picture));
+            self.client.accept_local(ClientTime(now_ns), delta, Some(Picture::Planes(picture)));
         }
         line.flush(&mut self.client)
     }

@@ -11,14 +11,16 @@ use shadecast_protocol::picture::I420;
 use shadecast_protocol::session::{Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::ServerTime;
 use shadecast_protocol::wire::PictureHeader;
-use shadecast_server::encode::Encoder;
+use shadecast_server::encode::Source;
 use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
+use shadecast_server::encoding::{Coded, Encoding};
 use shadecast_server::frame::{Frame, Shaded};
 use shadecast_server::pacing::{Kind, WayState};
 use shadecast_server::viewer::{Told, Update, Viewer, bytes_of};
 use shadecast_server::world::ViewerId;
 use shadecast_transport::{Event, PeerId};
 use std::collections::VecDeque;
+use std::time::Duration;
 
 /// What crossed from server to client.
 #[derive(Clone, Copy, Debug, Default)]
@@ -44,13 +46,13 @@ pub struct Seat {
     /// What was sent to it.
     pub sent: Sent,
     /// The last update's planes and their extent, for the atlas picture.
-    pub last: Option<Shaded>,
+    pub last: Option<Box<Shaded>>,
     /// Who was in the client's memory at which update.
     pub residents: Residents,
     session: ServerSession,
     /// What goes out beside the session.
     streams: VecDeque<Out>,
-    encoder: Option<Box<dyn Encoder>>,
+    encoding: Option<Encoding>,
     pub(super) peer: Option<PeerId>,
     leaving: VecDeque<Leaving>,
     number: u64,
@@ -83,7 +85,7 @@ impl Seat {
             residents: Residents::default(),
             session: ServerSession::new(server.offer(number)),
             streams: VecDeque::new(),
-            encoder: None,
+            encoding: None,
             peer: None,
             leaving: VecDeque::new(),
             number,
@@ -169,7 +171,7 @@ impl Seat {
     ) -> anyhow::Result<()> {
         let sender = self.session.accept().context("who asked has gone")?;
         let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, server.qp, server.rate_hz);
-        self.encoder = Some(Box::new(OpenH264Encoder::new(settings)?));
+        self.encoding = Some(Encoding::new(Box::new(OpenH264Encoder::new(settings)?)));
         let frame = Frame::new(&server.world, ViewerId(self.number), welcome, capabilities)?;
         self.viewer = Some(Viewer::new(frame, sender, server.period_ns(), now_ns));
         Ok(())
@@ -201,17 +203,30 @@ impl Seat {
         self.residents.note(shaded.frame, frame.residency());
         let (delta, Update { shaded, sizes, refresh }) = viewer.finish(shaded)?;
         let frame = shaded.frame;
-        self.last = Some((*shaded).clone());
         let shaded_ns = now_ns + stages.ns(stages.server);
         if way.is_none() {
+            self.last = Some(shaded.clone());
             self.leave(shaded_ns, frame, Departure::Local(shaded));
             return Ok(());
         }
-        let encoder = self.encoder.as_mut().context("an encoder comes with the viewer")?;
-        let (header, unit) = shaded.encode(encoder.as_mut(), refresh)?;
-        self.sent.atlas_bytes += unit.bytes.len() as u64;
-        self.leave(shaded_ns + stages.ns(stages.encode), frame, Departure::Picture(header, unit.bytes));
+        self.encode(shaded, refresh, shaded_ns + stages.ns(stages.encode))?;
         self.leave(shaded_ns, frame, Departure::Delta(delta, sizes));
+        Ok(())
+    }
+
+    /// Hands a picture to the encoder; what it has then leaves at `done_ns`.
+    fn encode(&mut self, shaded: Box<Shaded>, refresh: bool, done_ns: i64) -> anyhow::Result<()> {
+        let encoding = self.encoding.as_mut().context("an encoder comes with the viewer")?;
+        encoding.submit(shaded, refresh);
+        while let Some(coded) = self.encoding.as_mut().and_then(|encoding| encoding.poll(Duration::ZERO)) {
+            let Coded { shaded, header, unit } = coded?;
+            self.sent.atlas_bytes += unit.bytes.len() as u64;
+            self.leave(done_ns, header.frame, Departure::Picture(header, unit.bytes));
+            let earlier = self.last.replace(shaded);
+            if let Some((viewer, earlier)) = self.viewer.as_mut().zip(earlier) {
+                viewer.recycle(earlier.picture);
+            }
+        }
         Ok(())
     }
 
@@ -231,7 +246,8 @@ impl Seat {
         let Some(Leaving { frame, what, .. }) = next else { return Ok(None) };
         match what {
             Departure::Local(shaded) => {
-                return Ok(Some((shaded.delta, shaded.picture)));
+                let Source::Planes(picture) = shaded.picture;
+                return Ok(Some((shaded.delta, picture)));
             }
             Departure::Delta(out, sizes) => {
                 self.count(sizes);
