@@ -7,7 +7,7 @@ use crate::decode::Picture;
 use crate::decoding::{self, DecodeTiming, Decoding};
 use crate::platform::{self, MakeDecoder};
 use crate::renderer::Stages;
-use crate::scene::{ArrivedPicture, Scene, SceneClock};
+use crate::scene::{ArrivedPicture, Scene};
 use crate::stages::background::{self, Text};
 use crate::stages::interpolate::Interpolation;
 use crate::stages::probe::{Probe, ProbeView};
@@ -43,7 +43,9 @@ pub struct ClientOptions {
     pub msaa: u32,
     /// How decoding takes time.
     pub decoding: DecodeTiming,
-    /// Makes a decoder for pictures of an extent in texels.
+    /// What is announced to the server, best first.
+    pub codecs: &'static [Codec],
+    /// Makes a decoder for what was agreed.
     pub decoder: MakeDecoder,
     /// Vertices that the client offers to keep.
     pub max_vertex_slots: u32,
@@ -57,6 +59,7 @@ impl Default for ClientOptions {
             interpolation: Interpolation::Cubic,
             msaa: 4,
             decoding: DecodeTiming::Thread,
+            codecs: &[Codec::H264],
             decoder: platform::decoder,
             max_vertex_slots: MAX_VERTEX_SLOTS,
             max_patch_slots: MAX_PATCH_SLOTS,
@@ -276,7 +279,7 @@ impl Client {
         self.out.clear();
         let Some(connection) = self.connection.take() else { return };
         if let Some(shown) = self.shown.as_mut().filter(|shown| shown.serial == connection.serial) {
-            shown.clock = SceneClock::Ended(Box::new(connection.session.clock().clone()));
+            shown.ended_clock = Some(Box::new(connection.session.clock().clone()));
         }
     }
 
@@ -300,7 +303,7 @@ impl Client {
                 max_atlas_extent: ATLAS_MAX_EXTENT,
                 max_vertex_slots: self.options.max_vertex_slots.min(MAX_VERTEX_SLOTS),
                 max_patch_slots: self.options.max_patch_slots.min(MAX_PATCH_SLOTS),
-                codecs: vec![Codec::H264],
+                codecs: self.options.codecs.to_vec(),
                 eyes,
                 eye_extent_pixels: self.xr.swapchain.extent_pixels(),
                 display_period_ns,
@@ -417,7 +420,7 @@ impl Client {
 
     fn welcome(&mut self, welcome: Welcome) -> Result<(), ClientError> {
         let Some(connection) = &mut self.connection else { return Ok(()) };
-        match (self.options.decoder)(welcome.atlas_extent_texels) {
+        match (self.options.decoder)(welcome.codec, welcome.atlas_extent_texels) {
             Ok(decoder) => connection.decoding = Some(Decoding::new(decoder, self.options.decoding)),
             Err(error) => {
                 self.notices.push_back(Notice::Failed(error.to_string()));
@@ -427,8 +430,7 @@ impl Client {
         self.watch.begin_session();
         self.counters.connections += 1;
         self.resume = Some(welcome.resume);
-        let clock = SceneClock::Connection;
-        let scene = Scene::new(&self.gpu, &self.stages, welcome.clone(), connection.serial, clock)?;
+        let scene = Scene::new(&self.gpu, &self.stages, welcome.clone(), connection.serial)?;
         self.next = Some(scene);
         self.notices.push_back(Notice::Welcome(welcome));
         Ok(())
@@ -448,34 +450,10 @@ impl Client {
         }
     }
 
-    /// Begins to show a server of the same process: `server_offset_ns` is its clock less the client's. Deltas and pictures
-    /// come by [`Client::accept_local`].
-    pub fn start_local(&mut self, terms: Welcome, server_offset_ns: i64) -> Result<(), ClientError> {
-        self.on_closed(self.now);
-        self.serial += 1;
-        let clock = SceneClock::Offset(server_offset_ns);
-        self.next = Some(Scene::new(&self.gpu, &self.stages, terms, self.serial, clock)?);
-        Ok(())
-    }
-
-    /// Takes an update of a server of the same process, handed over by memory copy: no codec, no network.
-    pub fn accept_local(&mut self, now: ClientTime, delta: GeometryDelta, picture: Option<Picture>) {
-        self.now = now;
-        let frame = delta.frame;
-        self.take_delta(delta);
-        let scene = self.next.as_mut().or(self.shown.as_mut());
-        if let (Some(scene), Some(picture)) = (scene, picture) {
-            scene.bundler.add_picture(frame, ArrivedPicture { arrived: now, picture });
-        }
-    }
-
     /// `at` on the clock of the server that made `scene`.
     pub(crate) fn server_time(&self, scene: &Scene, at: ClientTime) -> Option<ServerTime> {
-        match &scene.clock {
-            SceneClock::Connection => self.connection.as_ref()?.session.clock().server_time(at),
-            SceneClock::Ended(clock) => clock.server_time(at),
-            SceneClock::Offset(offset_ns) => Some(ServerTime(at.0.saturating_add(*offset_ns))),
-        }
+        let live = || self.connection.as_ref().map(|connection| connection.session.clock());
+        scene.ended_clock.as_deref().or_else(live)?.server_time(at)
     }
 
     /// Notes whether this turn of the runtime is seen, and tells the server where it must know.

@@ -27,17 +27,6 @@ pub struct ArrivedPicture {
     pub picture: Picture,
 }
 
-/// How the server's clock is known to a scene.
-#[derive(Clone, Debug)]
-pub enum SceneClock {
-    /// By the live connection.
-    Connection,
-    /// As a connection that has ended knew it.
-    Ended(Box<ClockEstimator>),
-    /// Server and client are one process; the difference is known.
-    Offset(i64),
-}
-
 /// One connection's scene.
 pub struct Scene {
     /// Which connection made it.
@@ -46,8 +35,8 @@ pub struct Scene {
     pub terms: Welcome,
     /// What may be drawn.
     pub bundler: Bundler<ArrivedPicture>,
-    /// How its times are converted.
-    pub clock: SceneClock,
+    /// The server's clock as a connection knew it that has ended; while it lives, it is the connection's.
+    pub ended_clock: Option<Box<ClockEstimator>>,
     memory: VertexMemory,
     staging: ScatterStaging,
     interpolate_group: BindGroup,
@@ -83,13 +72,7 @@ pub struct SceneReport {
 
 impl Scene {
     /// Allocates everything that a connection under these terms can need.
-    pub fn new(
-        gpu: &Arc<Gpu>,
-        stages: &Stages,
-        terms: Welcome,
-        serial: u64,
-        clock: SceneClock,
-    ) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Arc<Gpu>, stages: &Stages, terms: Welcome, serial: u64) -> Result<Self, GpuError> {
         let mut recorder = gpu.record()?;
         let memory = VertexMemory::new(gpu, &mut recorder, terms.vertex_slots)?;
         let staging = stages.scatter.staging(gpu, &memory)?;
@@ -113,7 +96,7 @@ impl Scene {
             serial,
             terms,
             bundler,
-            clock,
+            ended_clock: None,
             memory,
             staging,
             interpolate_group,

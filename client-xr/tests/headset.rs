@@ -3,14 +3,13 @@
 mod support;
 
 use shadecast_client::client::{Client, FrameReport, Notice, Step};
-use shadecast_client::decode::Picture;
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
 use shadecast_mock_runtime::record::Side;
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::delta::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, SampleBatch};
 use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
-use shadecast_protocol::message::{Codec, Environment, HeadState, ResumeSecret, ServerOffer, Welcome};
+use shadecast_protocol::message::{Codec, Environment, HeadState, ResumeSecret, ServerOffer};
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
@@ -28,22 +27,6 @@ const SPEED: f32 = 0.3;
 
 fn environment() -> Environment {
     Environment { zenith: [0.1, 0.3, 0.9], horizon: [0.5, 0.5, 0.5], nadir: [0.1, 0.1, 0.1] }
-}
-
-fn terms() -> Welcome {
-    Welcome {
-        protocol_version: PROTOCOL_VERSION,
-        session: 1,
-        grid: DEFAULT_GRID,
-        atlas_extent_texels: ATLAS,
-        vertex_slots: 256,
-        patch_slots: 64,
-        codec: Codec::H264,
-        environment: environment(),
-        world_from_stage: Pose::IDENTITY,
-        update_period_ns: 33_333_333,
-        resume: ResumeSecret([1; 16]),
-    }
 }
 
 fn block(x: u16) -> Block {
@@ -150,16 +133,17 @@ fn before_the_first_bundle_there_is_a_gradient_a_floor_and_a_text_in_both_eyes()
 fn patches_are_seen_where_they_are_and_in_the_atlas_colours_by_both_eyes() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
-    client.start_local(terms(), 0).expect("a scene");
-    client.accept_local(at(1), two_patches(), Some(Picture::Planes(planes([0, 64]))));
-    frame(&mut client); // not seen: the session is not visible yet
-    let report = frame(&mut client);
+    let mut line = Line::in_step(&mut client);
+    line.send(&two_patches(), &planes([0, 64]), true);
+    line.frame(&mut client); // its picture is being decoded
+    let report = line.frame(&mut client);
     assert_eq!((report.frame, report.is_new, report.withheld_patches), (Some(UpdateId(0)), true, 0));
-    assert!(!frame(&mut client).is_new);
+    let shown = client.stats().frames - 1;
+    assert!(!line.frame(&mut client).is_new);
     let probe = client.probe().expect("a probe");
     finish(&run, client);
     for (side, eye) in [(Side::Left, -1.0), (Side::Right, 1.0)] {
-        let picture = run.picture(1, side);
+        let picture = run.picture(shown, side);
         let see = |point: [f32; 3]| {
             let [x, y] = pixel(point, eye);
             picture.at(x as u32, y as u32)
@@ -189,12 +173,13 @@ fn patches_are_seen_where_they_are_and_in_the_atlas_colours_by_both_eyes() {
 fn an_animated_edge_moves_with_every_display_frame_and_follows_its_motion() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
-    client.start_local(terms(), 0).expect("a scene");
-    client.accept_local(at(1), two_patches(), Some(Picture::Planes(planes([0, 64]))));
-    frame(&mut client);
+    let mut line = Line::in_step(&mut client);
+    line.send(&two_patches(), &planes([0, 64]), true);
+    line.frame(&mut client);
+    let first = client.stats().frames;
     let mut last = None;
     for _ in 0..20 {
-        let report = frame(&mut client);
+        let report = line.frame(&mut client);
         let time = report.server_time.expect("a clock");
         let [x, y, z, _] = client.read_positions().expect("positions")[6];
         assert!((x - edge_x(time)).abs() < 2e-4, "{x} instead of {} at {time:?}", edge_x(time));
@@ -205,26 +190,26 @@ fn an_animated_edge_moves_with_every_display_frame_and_follows_its_motion() {
     finish(&run, client);
     // The pictures move too: where the edge was at the first frame, the last one shows the square.
     let beyond = pixel([0.53, 1.6, -2.0], -1.0).map(|p| p as u32);
-    assert_ne!(run.picture(1, Side::Left).at(beyond[0], beyond[1]), BLUE.0);
-    assert_close(run.picture(20, Side::Left).at(beyond[0], beyond[1]), BLUE.0, "the edge has passed");
+    assert_ne!(run.picture(first, Side::Left).at(beyond[0], beyond[1]), BLUE.0);
+    assert_close(run.picture(first + 19, Side::Left).at(beyond[0], beyond[1]), BLUE.0, "the edge has passed");
 }
 
 #[test]
 fn a_vertex_that_runs_out_of_samples_stops_and_is_counted_and_returns_without_a_jump() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
-    client.start_local(terms(), 0).expect("a scene");
+    let mut line = Line::in_step(&mut client);
     let first = GeometryDelta { samples: samples(29, 33), ..two_patches() };
-    client.accept_local(at(1), first, Some(Picture::Planes(planes([0, 64]))));
-    frame(&mut client);
+    line.send(&first, &planes([0, 64]), true);
+    line.frame(&mut client);
     let (mut frozen, mut largest, mut last) = (0, 0f32, None);
     for index in 0..50 {
         if index == 16 {
             let late =
                 GeometryDelta { frame: UpdateId(1), samples: samples(34, 49), ..GeometryDelta::default() };
-            client.accept_local(at(2), late, None);
+            line.send_delta(&late);
         }
-        let report = frame(&mut client);
+        let report = line.frame(&mut client);
         frozen += report.frozen_vertices;
         let x = client.read_positions().expect("positions")[6][0];
         if let Some(last) = last.replace(x) {
@@ -241,17 +226,18 @@ fn a_vertex_that_runs_out_of_samples_stops_and_is_counted_and_returns_without_a_
 fn a_patch_without_samples_is_withheld_and_the_rest_is_seen() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
-    client.start_local(terms(), 0).expect("a scene");
+    let mut line = Line::in_step(&mut client);
     let late = GeometryDelta { samples: samples(40, 45), ..two_patches() };
-    client.accept_local(at(1), late, Some(Picture::Planes(planes([0, 64]))));
-    frame(&mut client);
-    assert_eq!(frame(&mut client).withheld_patches, 1);
+    line.send(&late, &planes([0, 64]), true);
+    line.frame(&mut client);
+    assert_eq!(line.frame(&mut client).withheld_patches, 1);
+    let first = client.stats().frames - 1;
     let picture = |frame| run.picture(frame, Side::Left);
     let [x, y] = pixel([0.25, 1.6, -2.0], -1.0).map(|p| p as u32);
-    assert_ne!(picture(1).at(x, y), BLUE.0);
+    assert_ne!(picture(first).at(x, y), BLUE.0);
     let [red_x, red_y] = pixel([-0.25, 1.6, -2.0], -1.0).map(|p| p as u32);
-    assert_close(picture(1).at(red_x, red_y), RED.0, "the static patch");
-    while frame(&mut client).withheld_patches > 0 {}
+    assert_close(picture(first).at(red_x, red_y), RED.0, "the static patch");
+    while line.frame(&mut client).withheld_patches > 0 {}
     let seen = client.stats().frames - 1;
     finish(&run, client);
     assert_close(picture(seen).at(x, y), BLUE.0, "drawn as soon as it can be");
@@ -261,21 +247,23 @@ fn a_patch_without_samples_is_withheld_and_the_rest_is_seen() {
 fn the_newest_picture_goes_with_its_own_placements() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
-    client.start_local(terms(), 0).expect("a scene");
-    client.accept_local(at(1), two_patches(), Some(Picture::Planes(planes([0, 64]))));
+    let mut line = Line::in_step(&mut client);
+    line.send(&two_patches(), &planes([0, 64]), true);
     // The blocks change places; the picture of that update never comes, that of the next has them elsewhere again.
     let swapped = vec![(PatchSlot(0), Some(block(64))), (PatchSlot(1), Some(block(0)))];
     let moved = vec![(PatchSlot(0), Some(block(128)))];
     let next =
         |frame, placements| GeometryDelta { frame: UpdateId(frame), placements, ..GeometryDelta::default() };
-    frame(&mut client);
-    frame(&mut client);
-    client.accept_local(at(2), next(1, swapped), None);
-    assert_eq!(frame(&mut client).frame, Some(UpdateId(0)), "no picture, no switch");
-    client.accept_local(at(3), next(2, moved), Some(Picture::Planes(planes([128, 0]))));
-    assert_eq!(frame(&mut client).frame, Some(UpdateId(2)));
+    line.frame(&mut client);
+    line.frame(&mut client);
+    let first = client.stats().frames - 1;
+    line.send_delta(&next(1, swapped));
+    assert_eq!(line.frame(&mut client).frame, Some(UpdateId(0)), "no picture, no switch");
+    line.send(&next(2, moved), &planes([128, 0]), true);
+    line.frame(&mut client);
+    assert_eq!(line.frame(&mut client).frame, Some(UpdateId(2)));
     finish(&run, client);
-    for index in [1, 2, 3] {
+    for index in first..first + 4 {
         let picture = run.picture(index, Side::Right);
         let see = |x: f32| pixel([x, 1.6, -2.0], 1.0).map(|p| p as u32);
         assert_close(picture.at(see(-0.25)[0], see(-0.25)[1]), RED.0, &format!("left in frame {index}"));
@@ -339,13 +327,9 @@ fn torn_s(client: &Client) -> f32 {
 fn samples_of_the_next_update_do_not_tear_what_is_on_display_and_its_picture_sets_it_going() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
-    client.start_local(terms(), 0).expect("a scene");
-    client.accept_local(
-        at(1),
-        moving_strip(strip_samples(0..6, 29..=33)),
-        Some(Picture::Planes(planes([0, 64]))),
-    );
-    frame(&mut client);
+    let mut line = Line::in_step(&mut client);
+    line.send(&moving_strip(strip_samples(0..6, 29..=33)), &planes([0, 64]), true);
+    line.frame(&mut client);
     // The next update has lost sight of the right square; its samples come before its picture.
     let lost = GeometryDelta {
         frame: UpdateId(1),
@@ -357,14 +341,14 @@ fn samples_of_the_next_update_do_not_tear_what_is_on_display_and_its_picture_set
     let (mut stood_still, mut largest, mut last) = (0, 0f32, None);
     for index in 0..45 {
         match index {
-            8 => client.accept_local(at(2), lost.clone(), None),
-            20 => {
+            8 => line.send_delta(&lost),
+            19 => {
                 let next = GeometryDelta { frame: UpdateId(2), ..GeometryDelta::default() };
-                client.accept_local(at(3), next, Some(Picture::Planes(planes([0, 64]))));
+                line.send(&next, &planes([0, 64]), true);
             }
             _ => {}
         }
-        let report = frame(&mut client);
+        let report = line.frame(&mut client);
         let torn = torn_s(&client);
         assert!(torn < 0.002, "frame {index}: corners of a triangle are {torn} s apart");
         stood_still += u32::from(report.motion_time < report.server_time);
@@ -393,13 +377,19 @@ struct Line {
     events: Vec<ServerEvent>,
     /// Streams whose frame and kind this names are lost: what the client gets is a reset.
     lost_pictures: Vec<u32>,
+    /// The server's clock is ahead of the client's by this.
+    ahead_ns: i64,
 }
 
-/// The server's clock is ahead of the client's by this.
+/// The server's clock is usually ahead of the client's by this.
 const SERVER_AHEAD_NS: i64 = 5_000_000_000;
+/// From one turn of the runtime to the next.
+const PERIOD_NS: i64 = 13_888_889;
+/// Turns in which a session comes to stand, and the client knows the server's clock.
+const CONNECTING_TURNS: i64 = 13;
 
 impl Line {
-    fn new() -> Self {
+    fn new(world_from_stage: Pose, ahead_ns: i64) -> Self {
         let server = ServerSession::new(ServerOffer {
             protocol_version: PROTOCOL_VERSION,
             min_protocol_version: PROTOCOL_VERSION,
@@ -411,7 +401,7 @@ impl Line {
             patch_slots: 1000,
             codecs: vec![Codec::H264],
             environment: environment(),
-            world_from_stage: Pose { position: [10.0, 0.0, 0.0].into(), ..Pose::IDENTITY },
+            world_from_stage,
             update_period_ns: 33_333_333,
             resume: ResumeSecret([2; 16]),
         });
@@ -422,6 +412,7 @@ impl Line {
             frames: 0,
             events: Vec::new(),
             lost_pictures: Vec::new(),
+            ahead_ns,
         }
     }
 
@@ -437,7 +428,7 @@ impl Line {
 
     /// One turn of the runtime, and what both ends say meanwhile.
     fn turn(&mut self, client: &mut Client) -> Step {
-        let now = at(1_000_000_000 + self.frames * 13_888_889);
+        let now = at(1_000_000_000 + self.frames * PERIOD_NS);
         self.frames += 1;
         self.deliver(client, now);
         client.advance(now).expect("time passes");
@@ -445,7 +436,7 @@ impl Line {
         while let Some(out) = client.poll_out() {
             match out {
                 Out::Control(bytes) => self.server.on_control(&bytes),
-                Out::Datagram(bytes) => self.server.on_datagram(&bytes, ServerTime(now.0 + SERVER_AHEAD_NS)),
+                Out::Datagram(bytes) => self.server.on_datagram(&bytes, ServerTime(now.0 + self.ahead_ns)),
                 Out::Stream { .. } => panic!("clients send no streams"),
             }
         }
@@ -478,7 +469,7 @@ impl Line {
 
     /// What the server has said reaches the client.
     fn deliver(&mut self, client: &mut Client, now: ClientTime) {
-        let server_now = ServerTime(now.0 + SERVER_AHEAD_NS);
+        let server_now = ServerTime(now.0 + self.ahead_ns);
         while let Some(out) = self.server.poll_out(server_now).or_else(|| self.streams.pop_front()) {
             match out {
                 Out::Control(bytes) => client.receive_control(now, &bytes).expect("control"),
@@ -495,7 +486,8 @@ impl Line {
 
     /// Display frames until the session stands and the client knows the server's clock.
     fn connect(client: &mut Client) -> Self {
-        let mut line = Self::new();
+        let ten_metres_on = Pose { position: [10.0, 0.0, 0.0].into(), ..Pose::IDENTITY };
+        let mut line = Self::new(ten_metres_on, SERVER_AHEAD_NS);
         client.on_connected(at(1_000_000_000));
         for _ in 0..12 {
             line.frame(client);
@@ -504,9 +496,23 @@ impl Line {
         line
     }
 
-    fn send(&mut self, delta: &GeometryDelta, planes: &I420, is_refresh: bool) {
+    /// A session that stands, with a server whose world is the stage, and whose clock reads a second now.
+    fn in_step(client: &mut Client) -> Self {
+        let mut line = Self::new(Pose::IDENTITY, -CONNECTING_TURNS * PERIOD_NS);
+        client.on_connected(at(1_000_000_000));
+        for _ in 0..CONNECTING_TURNS {
+            line.turn(client);
+        }
+        line
+    }
+
+    fn send_delta(&mut self, delta: &GeometryDelta) {
         let sender = self.sender.as_mut().expect("a session");
         self.streams.push_back(sender.delta_stream(delta).expect("a small delta").0);
+    }
+
+    fn send(&mut self, delta: &GeometryDelta, planes: &I420, is_refresh: bool) {
+        self.send_delta(delta);
         let header = PictureHeader { frame: delta.frame, time: delta.time, is_refresh };
         self.streams.push_back(picture_stream(header, &coded(planes, is_refresh)).expect("a small picture"));
     }
@@ -669,7 +675,7 @@ fn a_world_that_stands_still_says_why_until_pictures_come_again() {
 
 /// Steps of the grid for the moving strip at the client's time; the server's clock is ahead.
 fn strip_steps(line: &Line) -> std::ops::RangeInclusive<i32> {
-    let now = ServerTime(1_000_000_000 + line.frames * 13_888_889 + SERVER_AHEAD_NS);
+    let now = ServerTime(1_000_000_000 + line.frames * PERIOD_NS + line.ahead_ns);
     let step = DEFAULT_GRID.floor(now).0;
     step..=step + 5
 }

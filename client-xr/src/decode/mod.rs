@@ -1,19 +1,20 @@
 //! The seam between the video stream and the atlas texture.
 //!
 //! What is above ([`crate::decoding`]) hands in access units in the order they were encoded and gets pictures; what is below
-//! is [`openh264`] on desktops and the platform's decoder on Android. A decoder never conceals: after a broken or lost
+//! is [`openh264`] on desktops, the platform's decoder on Android, and [`raw`] for what was not coded. A decoder never conceals: after a broken or lost
 //! unit the picture on display stays, and the decoder refuses everything but a refresh, because a picture that
 //! refers to one that is missing would look plausible and be wrong.
 //!
 //! Whatever bytes come in, a decoder gives a picture of the agreed extent or an error; [`sps`] looks at every sequence header before the decoder does.
 
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
-use shadecast_protocol::picture::I420;
+use shadecast_protocol::picture::{I420, I420Error};
 use std::time::Duration;
 use thiserror::Error;
 
 #[cfg(feature = "desktop")]
 pub mod openh264;
+pub mod raw;
 pub mod sps;
 
 /// Decoded pictures that a decoder keeps at most to use their memory again.
@@ -113,6 +114,9 @@ pub enum DecodeError {
     /// The unit depends on a picture that is missing.
     #[error("waiting for a refresh: this access unit depends on a picture that is missing")]
     NeedsRefresh,
+    /// A unit that is no picture as it is.
+    #[error("an access unit is no picture: {0}")]
+    NotRaw(#[from] I420Error),
     /// The decoder library refused.
     #[error("openh264 failed while {doing} (code {code})")]
     Library {

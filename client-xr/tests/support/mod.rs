@@ -60,8 +60,8 @@ impl Run {
             decoding: DecodeTiming::Virtual { delay_ns: 6_000_000 },
             max_vertex_slots: 256,
             max_patch_slots: 64,
-            decoder: |extent| {
-                Ok(Box::new(RawDecoder {
+            decoder: |_, extent| {
+                Ok(Box::new(ToyDecoder {
                     extent_texels: extent.texels(),
                     has_reference: false,
                     done: VecDeque::new(),
@@ -138,18 +138,18 @@ pub fn at(ns: i64) -> ClientTime {
 }
 
 /// Decodes what [`coded`] makes: planes as they are, behind a byte that says whether an earlier picture is needed.
-struct RawDecoder {
+struct ToyDecoder {
     extent_texels: [u32; 2],
     has_reference: bool,
     done: VecDeque<Result<decode::Picture, DecodeError>>,
 }
 
-/// A picture as the raw decoder takes it.
+/// A picture as the decoder takes it.
 pub fn coded(picture: &I420, is_refresh: bool) -> Vec<u8> {
     [&[u8::from(is_refresh)][..], picture.bytes()].concat()
 }
 
-impl RawDecoder {
+impl ToyDecoder {
     fn decode(&mut self, access_unit: &[u8]) -> Result<decode::Picture, DecodeError> {
         if access_unit[0] == 0 && !self.has_reference {
             return Err(DecodeError::NeedsRefresh);
@@ -160,7 +160,7 @@ impl RawDecoder {
     }
 }
 
-impl Decoder for RawDecoder {
+impl Decoder for ToyDecoder {
     fn submit(&mut self, access_unit: &[u8]) {
         let result = self.decode(access_unit);
         self.done.push_back(result);

@@ -2,16 +2,21 @@
 //!
 //! What is above ([`crate::encoding`]) hands over pictures and gets access units; it does not know which encoder made them.
 //! What is below knows neither frames nor sockets, and has no clock: timestamps come in as arguments, so that the
-//! same pictures always give the same bytes. [`openh264`] is the embedded encoder; a hardware one goes beside it.
+//! same pictures always give the same bytes. [`openh264`] is the embedded encoder, [`raw`] codes nothing; a hardware one goes
+//! beside them.
 //!
 //! Every picture is an [`I420`], and the stream says what that is (VUI).
 
+use openh264::{EncoderSettings, OpenH264Encoder};
+use raw::RawEncoder;
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
+use shadecast_protocol::message::Codec;
 use shadecast_protocol::picture::I420;
 use std::time::Duration;
 use thiserror::Error;
 
 pub mod openh264;
+pub mod raw;
 
 /// An encoder that gives nothing for so long is broken.
 pub const PATIENCE: Duration = Duration::from_secs(2);
@@ -19,9 +24,9 @@ pub const PATIENCE: Duration = Duration::from_secs(2);
 /// The coded form of one picture.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AccessUnit {
-    /// An H.264 byte stream (Annex B, with start codes); parameter sets come with every refresh.
+    /// As the codec has it: of H.264 a byte stream (Annex B, with start codes), with parameter sets in every refresh.
     pub bytes: Vec<u8>,
-    /// Whether a decoder can start here, without anything that came before (IDR).
+    /// Whether a decoder can start here, without anything that came before (of H.264 an IDR).
     pub is_refresh: bool,
 }
 
@@ -67,6 +72,17 @@ pub trait Encoder: Send {
 
     /// Changes the quantisation parameter, 0 (finest) to 51 (coarsest), from the next picture on that is submitted.
     fn set_qp(&mut self, qp: u8) -> Result<(), EncodeError>;
+}
+
+/// An encoder of the agreed codec.
+///
+/// # Errors
+/// The settings are outside of their ranges, or the encoder cannot be made.
+pub fn encoder(codec: Codec, settings: EncoderSettings) -> Result<Box<dyn Encoder>, EncodeError> {
+    Ok(match codec {
+        Codec::H264 => Box::new(OpenH264Encoder::new(settings)?),
+        Codec::Raw => Box::new(RawEncoder::new(settings.extent_texels)),
+    })
 }
 
 /// Encodes one picture with an encoder that has no other, and waits for it.

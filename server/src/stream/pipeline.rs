@@ -15,7 +15,6 @@ use crate::pacing::{Kind, WayState};
 use crate::viewer::{Update, Updates, Viewer, bytes_of};
 use anyhow::Context;
 use shadecast_gpu::GpuError;
-use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::message::{Capabilities, Refused, Welcome};
 use shadecast_protocol::session::Out;
@@ -58,8 +57,8 @@ pub trait Studio {
     fn close(&mut self, updates: Self::Updates, has_failed: bool);
     /// What is known of a client's pictures.
     fn account(&self, updates: &Self::Updates, stats: &mut ViewerStats);
-    /// An encoder for pictures of an extent.
-    fn encoder(&mut self, extent_texels: AtlasExtent) -> Result<Box<dyn Encoder>, EncodeError>;
+    /// An encoder for the pictures of a session.
+    fn encoder(&mut self, welcome: &Welcome) -> Result<Box<dyn Encoder>, EncodeError>;
     /// Milliseconds that each stage of the finished updates took on the device, since the last call.
     fn take_timings_ms(&mut self) -> Vec<(&'static str, f64)>;
     /// Opens the device again, after it was lost, and brings the scene to it.
@@ -88,7 +87,7 @@ pub(super) struct Pipeline<'a, S: Studio> {
 /// A client that is served.
 struct Served<U> {
     viewer: Viewer<U>,
-    extent_texels: AtlasExtent,
+    welcome: Welcome,
     encoder: EncoderThread,
     encoder_failures: u32,
     share: Share,
@@ -216,8 +215,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
     fn accept(&mut self, peer: PeerId, accepted: Accepted, now_ns: i64) -> Result<(), Fault> {
         self.stats.clients += 1;
         let Accepted { welcome, capabilities, sender } = accepted;
-        let extent_texels = welcome.atlas_extent_texels;
-        let encoder = guarded(|| self.start_encoder(peer, extent_texels))?;
+        let encoder = guarded(|| self.start_encoder(peer, &welcome))?;
         let updates = guarded(|| {
             let updates = self.studio.open(&welcome, &capabilities);
             updates.map_err(|error| Fault::of(&error, "making the pipeline for this client"))
@@ -226,7 +224,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             peer,
             Served {
                 viewer: Viewer::new(updates, sender, self.period_ns, now_ns),
-                extent_texels,
+                welcome,
                 encoder,
                 encoder_failures: 0,
                 share: self.turns.join(),
@@ -237,9 +235,8 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         Ok(())
     }
 
-    fn start_encoder(&mut self, peer: PeerId, extent_texels: AtlasExtent) -> Result<EncoderThread, Fault> {
-        let encoder =
-            self.studio.encoder(extent_texels).map_err(|error| Fault::of_encoder(&error.to_string()))?;
+    fn start_encoder(&mut self, peer: PeerId, welcome: &Welcome) -> Result<EncoderThread, Fault> {
+        let encoder = self.studio.encoder(welcome).map_err(|error| Fault::of_encoder(&error.to_string()))?;
         EncoderThread::start(encoder, self.outlet.clone(), peer)
             .map_err(|error| Fault::of_encoder(&error.to_string()))
     }
@@ -292,8 +289,8 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         if client.encoder_failures > MAX_ENCODER_FAILURES {
             return Err(Fault::of_encoder(reason));
         }
-        let extent_texels = client.extent_texels;
-        let encoder = guarded(|| self.start_encoder(peer, extent_texels))?;
+        let welcome = client.welcome.clone();
+        let encoder = guarded(|| self.start_encoder(peer, &welcome))?;
         if let Some(client) = self.clients.get_mut(&peer) {
             client.encoder = encoder;
             client.viewer.refresh();

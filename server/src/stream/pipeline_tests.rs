@@ -120,7 +120,7 @@ impl Studio for FakeStudio {
 
     fn account(&self, _: &FakeUpdates, _: &mut ViewerStats) {}
 
-    fn encoder(&mut self, _: AtlasExtent) -> Result<Box<dyn Encoder>, EncodeError> {
+    fn encoder(&mut self, _: &Welcome) -> Result<Box<dyn Encoder>, EncodeError> {
         *self.0.encoders.borrow_mut() += 1;
         Ok(Box::new(FakeEncoder { acts: self.0.encodes.clone(), is_new: true, done: VecDeque::new() }))
     }

@@ -67,7 +67,7 @@ impl I420 {
     /// Bytes of a picture of this extent, whose sides are even.
     pub fn byte_count([width, height]: [u32; 2]) -> u64 {
         let luma = u64::from(width) * u64::from(height);
-        luma + luma / 2
+        luma.saturating_add(luma / 2)
     }
 
     /// Width and height of luma in texels; both are even.

@@ -67,7 +67,7 @@ pub fn measure(options: &RunOptions, absence: Absence, off_s: f64) -> anyhow::Re
     unsafe { set_runtime(&variables) };
     let server = Server::new(options)?;
     let mut lab = Lab::new(options, server)?;
-    lab.connect()?;
+    lab.connect();
     let turns = |seconds: f64| (seconds * options.refresh_hz).round() as u64;
     (0..turns(ON_S + SETTLED_S)).try_for_each(|_| lab.turn().map(|_| ()))?;
     let mut report = HeadsetOffReport { off_s, rss_before_mb: rss_mb()?, ..HeadsetOffReport::default() };

@@ -139,7 +139,7 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
     let server = Server::new(options)?;
     let mut comparer = Comparer::new(&server.gpu, &server.scene, options.extent_pixels)?;
     let mut lab = Lab::new(options, server)?;
-    lab.connect()?;
+    lab.connect();
     let mut run = Run {
         options,
         capture,
@@ -163,9 +163,7 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
         if options.motion {
             run.motion.look(&mut lab, &shown, time)?;
         }
-        if let (Some(_), Some(estimate), Renderer::Stream) =
-            (shown.frame, shown.server_time, options.renderer)
-        {
+        if let (Some(_), Some(estimate)) = (shown.frame, shown.server_time) {
             run.clock_errors_ms.push(estimate.since(time) as f64 * 1e-6);
         }
         run.look(&mut lab, &mut comparer, shown.frame.is_some())?;
@@ -260,7 +258,7 @@ impl Run<'_> {
                 .collect(),
             dropped_patches: seat.dropped_patches(),
             clock_errors_ms: self.clock_errors_ms,
-            stage_ms: Some(self.options.stages),
+            stage_ms: Some(lab.stages()),
         });
         stats.write_json(&self.options.out.join("stats.json"))?;
         let atlas = match &seat.last {

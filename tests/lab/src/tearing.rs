@@ -38,7 +38,7 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<TearingReport> {
     unsafe { set_runtime(&variables) };
     let server = Server::new(options)?;
     let mut lab = Lab::new(options, server)?;
-    lab.connect()?;
+    lab.connect();
     let mut report = TearingReport {
         last_step_error_m: last_step_error_m(&lab, options.seconds),
         ..TearingReport::default()

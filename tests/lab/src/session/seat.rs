@@ -4,15 +4,14 @@ use super::{SERVER_EPOCH_NS, Server};
 use crate::motion::Residents;
 use crate::options::StageMs;
 use anyhow::{Context, bail};
-use shadecast_protocol::delta::{DeltaSizes, GeometryDelta};
+use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Capabilities, Welcome};
-use shadecast_protocol::picture::I420;
 use shadecast_protocol::session::{Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::ServerTime;
 use shadecast_protocol::wire::PictureHeader;
-use shadecast_server::encode::Source;
-use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
+use shadecast_server::encode;
+use shadecast_server::encode::openh264::EncoderSettings;
 use shadecast_server::encoding::{Coded, Encoding};
 use shadecast_server::frame::{Frame, Shaded};
 use shadecast_server::pacing::{Kind, WayState};
@@ -71,8 +70,6 @@ enum Departure {
     /// The stream of a delta.
     Delta(Out, DeltaSizes),
     Picture(PictureHeader, Vec<u8>),
-    /// In memory there are no streams.
-    Local(Box<Shaded>),
 }
 
 impl Seat {
@@ -103,7 +100,7 @@ impl Seat {
             Event::Closed { .. } => self.part(server),
             Event::Stream { .. } | Event::StreamReset { .. } => {}
         }
-        self.listen(server, now_ns).map(drop)
+        self.listen(server, now_ns)
     }
 
     /// A client came: a new session, and nothing kept of the last one.
@@ -122,26 +119,14 @@ impl Seat {
         }
     }
 
-    /// A hello that crossed no link. Gives the terms.
-    pub(super) fn greet(
-        &mut self,
-        server: &mut Server,
-        hello: &[u8],
-        now_ns: i64,
-    ) -> anyhow::Result<Welcome> {
-        self.session.on_control(hello);
-        self.listen(server, now_ns)?.context("the server does not agree")
-    }
-
-    /// Hands what the session learnt to the viewer. Gives the terms of a session that begins.
-    fn listen(&mut self, server: &mut Server, now_ns: i64) -> anyhow::Result<Option<Welcome>> {
-        let (mut told, mut begins) = (Told::default(), None);
+    /// Hands what the session learnt to the viewer.
+    fn listen(&mut self, server: &mut Server, now_ns: i64) -> anyhow::Result<()> {
+        let mut told = Told::default();
         while let Some(event) = self.session.poll_event() {
             match told.take(event) {
                 None => {}
                 Some(ServerEvent::Asked { hello, welcome }) => {
                     self.accept(server, &welcome, &hello.capabilities, now_ns)?;
-                    begins = Some(welcome);
                 }
                 Some(ServerEvent::Refused(refused)) => {
                     bail!("the server refused: {} {}", refused.reason, refused.remedy)
@@ -153,13 +138,8 @@ impl Seat {
                 Some(event) => unreachable!("what a client tells is taken in: {event:?}"),
             }
         }
-        self.hear(told, now_ns);
-        Ok(begins)
-    }
-
-    /// What the client tells, where it crosses no link.
-    pub(super) fn hear(&mut self, told: Told, now_ns: i64) {
         self.viewer.iter_mut().for_each(|viewer| viewer.hear(told, now_ns));
+        Ok(())
     }
 
     fn accept(
@@ -171,13 +151,13 @@ impl Seat {
     ) -> anyhow::Result<()> {
         let sender = self.session.accept().context("who asked has gone")?;
         let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, server.qp, server.rate_hz);
-        self.encoding = Some(Encoding::new(Box::new(OpenH264Encoder::new(settings)?)));
+        self.encoding = Some(Encoding::new(encode::encoder(welcome.codec, settings)?));
         let frame = Frame::new(&server.world, ViewerId(self.number), welcome, capabilities)?;
         self.viewer = Some(Viewer::new(frame, sender, server.period_ns(), now_ns));
         Ok(())
     }
 
-    /// One update; what it makes leaves when its stages are done. `way`: that to the client, where there is a link.
+    /// One update; what it makes leaves when its stages are done. `way`: that to the client.
     pub(super) fn update(
         &mut self,
         server: &mut Server,
@@ -204,11 +184,6 @@ impl Seat {
         let (delta, Update { shaded, sizes, refresh }) = viewer.finish(shaded)?;
         let frame = shaded.frame;
         let shaded_ns = now_ns + stages.ns(stages.server);
-        if way.is_none() {
-            self.last = Some(shaded.clone());
-            self.leave(shaded_ns, frame, Departure::Local(shaded));
-            return Ok(());
-        }
         self.encode(shaded, refresh, shaded_ns + stages.ns(stages.encode))?;
         self.leave(shaded_ns, frame, Departure::Delta(delta, sizes));
         Ok(())
@@ -240,15 +215,11 @@ impl Seat {
         self.leaving.front().map(|leaving| leaving.at_ns)
     }
 
-    /// What is ready leaves; what belongs to a session that has ended is dropped. Gives what crosses no link.
-    pub(super) fn depart(&mut self, now_ns: i64) -> anyhow::Result<Option<(GeometryDelta, I420)>> {
+    /// What is ready leaves; what belongs to a session that has ended is dropped.
+    pub(super) fn depart(&mut self, now_ns: i64) -> anyhow::Result<()> {
         let next = self.leaving.pop_front().filter(|leaving| leaving.session == self.number);
-        let Some(Leaving { frame, what, .. }) = next else { return Ok(None) };
+        let Some(Leaving { frame, what, .. }) = next else { return Ok(()) };
         match what {
-            Departure::Local(shaded) => {
-                let Source::Planes(picture) = shaded.picture;
-                return Ok(Some((shaded.delta, picture)));
-            }
             Departure::Delta(out, sizes) => {
                 self.count(sizes);
                 self.send(frame, Kind::Delta, out, now_ns);
@@ -257,7 +228,7 @@ impl Seat {
                 self.send(frame, Kind::Picture, picture_stream(header, &bytes)?, now_ns);
             }
         }
-        Ok(None)
+        Ok(())
     }
 
     fn send(&mut self, frame: UpdateId, kind: Kind, out: Out, now_ns: i64) {
