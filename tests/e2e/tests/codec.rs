@@ -3,7 +3,9 @@
 use shadecast_client::decode::openh264::OpenH264Decoder;
 use shadecast_client::decode::sps::{self, Colour, Sps, SpsError};
 use shadecast_client::decode::{DecodeError, Decoder, Picture};
+use shadecast_client::platform;
 use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::message::Codec;
 use shadecast_protocol::picture::I420;
 use shadecast_server::encode::openh264::{DEFAULT_QP, EncoderSettings, OpenH264Encoder};
 use shadecast_server::encode::{self, AccessUnit, EncodeError, Encoder, Source};
@@ -650,4 +652,22 @@ fn empty_and_endless_units_are_errors() {
     assert!(decode_one(&mut decoder, &[], &mut decoded).is_err());
     let endless = vec![0x55; shadecast_protocol::limits::MAX_ACCESS_UNIT_BYTES + 1];
     assert!(matches!(decode_one(&mut decoder, &endless, &mut decoded), Err(DecodeError::TooLong { .. })));
+}
+
+#[test]
+fn raw_pictures_come_back_as_they_were_and_each_is_a_refresh() {
+    let extent = AtlasExtent::MIN;
+    let mut encoder = encode::encoder(Codec::Raw, EncoderSettings::new(extent.texels())).unwrap();
+    let mut decoder = platform::decoder(Codec::Raw, extent).unwrap();
+    for picture in changing_pictures(extent.texels(), 3, SEED) {
+        let source = Source::Planes(picture.clone());
+        let unit = encode::encode_one(encoder.as_mut(), source, 0, false).expect("it fits");
+        assert!(unit.is_refresh);
+        decoder.submit(&unit.bytes);
+        let decoded = decoder.poll(Duration::ZERO).expect("done at once").expect("a picture");
+        assert_eq!(decoded, Picture::Planes(picture));
+    }
+    let other = Source::Planes(flat_picture([64, 32], 90));
+    let result = encode::encode_one(encoder.as_mut(), other, 0, false);
+    assert!(matches!(result, Err(EncodeError::ExtentChanged { .. })), "{result:?}");
 }
