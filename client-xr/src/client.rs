@@ -3,36 +3,26 @@
 //! Two drivers use it: [`crate::net`] with a socket and the real clock, and the lab, which steps it in virtual time beside a
 //! server. What it does not know is sockets and who waits for whom.
 
-use crate::decode::Picture;
-use crate::decoding::{self, DecodeTiming, Decoding};
+use crate::decoding::{DecodeTiming, Decoded};
+use crate::link::Link;
 use crate::platform::{self, MakeDecoder};
-use crate::renderer::Stages;
-use crate::scene::{ArrivedPicture, Scene, SceneClock};
+use crate::renderer::Renderer;
+use crate::scene::{ArrivedPicture, Scene};
+use crate::scenes::{Scenes, server_time};
 use crate::stages::interpolate::Interpolation;
-use crate::stages::probe::{Probe, ProbeView};
-use crate::stages::text::{Text, panel_ahead};
+use crate::stages::probe::ProbeView;
 use crate::stats::{ClientStats, Counters};
-use crate::stillness::Stillness;
-use crate::watch::Watch;
 use crate::xr::{Views, Xr, XrError};
-use shadecast_gpu::{Gpu, GpuError, vk};
-use shadecast_protocol::PROTOCOL_VERSION;
+use shadecast_gpu::{Gpu, GpuError};
 use shadecast_protocol::delta::ReceivedDelta;
-use shadecast_protocol::ids::{DiscontinuityId, UpdateId};
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
-use shadecast_protocol::message::{
-    Capabilities, ClientHello, Codec, Displayed, HeadState, Refused, ResumeSecret, Welcome,
-};
-use shadecast_protocol::pose::{Eye, Pose};
-use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
+use shadecast_protocol::message::{Capabilities, Codec, HeadState, Refused, Welcome};
+use shadecast_protocol::session::{ClientEvent, Out};
 use shadecast_protocol::time::{ClientTime, ServerTime};
 use shadecast_protocol::wire::{self, StreamMessage, WireError};
-use shadecast_shaders::generated::EyesGpu;
 use std::collections::VecDeque;
 use std::sync::Arc;
-
-/// What is on display is reported at least this often.
-const REPORT_NS: i64 = 250_000_000;
 
 /// How a client behaves.
 #[derive(Clone, Copy, Debug)]
@@ -43,7 +33,9 @@ pub struct ClientOptions {
     pub msaa: u32,
     /// How decoding takes time.
     pub decoding: DecodeTiming,
-    /// Makes a decoder for pictures of an extent in texels.
+    /// What is announced to the server, best first.
+    pub codecs: &'static [Codec],
+    /// Makes a decoder for what was agreed.
     pub decoder: MakeDecoder,
     /// Vertices that the client offers to keep.
     pub max_vertex_slots: u32,
@@ -57,6 +49,7 @@ impl Default for ClientOptions {
             interpolation: Interpolation::Cubic,
             msaa: 4,
             decoding: DecodeTiming::Thread,
+            codecs: &[Codec::H264],
             decoder: platform::decoder,
             max_vertex_slots: MAX_VERTEX_SLOTS,
             max_patch_slots: MAX_PATCH_SLOTS,
@@ -135,188 +128,99 @@ pub struct FrameReport {
     pub withheld_patches: u32,
 }
 
-/// A connection, from the moment that bytes can flow.
-pub(crate) struct Connection {
-    serial: u64,
-    session: ClientSession,
-    decoding: Option<Decoding>,
+/// The client. Fields are dropped in this order: scenes go before the device that made them.
+pub struct Client {
+    pub(crate) scenes: Scenes,
+    pub(crate) renderer: Renderer,
+    pub(crate) link: Link,
+    pub(crate) options: ClientOptions,
+    pub(crate) now: ClientTime,
+    counters: Counters,
+    notices: VecDeque<Notice>,
 }
 
 impl Drop for Client {
     fn drop(&mut self) {
         // The session goes with its images: the GPU must be done with them. A device that is lost is done.
-        let idle =
-            self.gpu.record().and_then(|recorder| recorder.submit()).and_then(|last| self.gpu.wait(last));
-        if let Err(error) = idle {
+        if let Err(error) = self.renderer.wait_idle() {
             tracing::debug!("waiting for the GPU before the session's end: {error}");
         }
     }
 }
 
-impl Connection {
-    /// A picture that is not needed any more goes back to the decoder.
-    pub(crate) fn recycle(&mut self, picture: Picture) {
-        if let Some(decoding) = &mut self.decoding {
-            decoding.recycle(picture);
-        }
-    }
-}
-
-/// What the last rendered frame showed, for the probe.
-#[derive(Clone, Copy)]
-pub(crate) struct LastDrawn {
-    pub(crate) eyes: EyesGpu,
-    pub(crate) index_count: u32,
-}
-
-/// The client. Fields are dropped in this order: what the device made goes before the session.
-pub struct Client {
-    pub(crate) shown: Option<Scene>,
-    pub(crate) next: Option<Scene>,
-    pub(crate) stages: Stages,
-    pub(crate) probe: Option<Probe>,
-    pub(crate) last_drawn: Option<LastDrawn>,
-    pub(crate) options: ClientOptions,
-    pub(crate) gpu: Arc<Gpu>,
-    pub(crate) xr: Xr,
-    pub(crate) counters: Counters,
-    pub(crate) now: ClientTime,
-    pub(crate) panel: Option<Pose>,
-    pub(crate) status: Text,
-    pub(crate) stillness: Stillness,
-    /// Said while the connection stands and brings nothing.
-    pub(crate) waiting: Text,
-    pub(crate) connection: Option<Connection>,
-    watch: Watch,
-    spare: Vec<ArrivedPicture>,
-    /// The driver is connected; the session begins when the eyes are known, since the hello names them.
-    is_connected: bool,
-    /// What lets this client come back to its place at the server.
-    resume: Option<ResumeSecret>,
-    serial: u64,
-    eyes: Option<([Eye; 2], i64)>,
-    head: Option<HeadState>,
-    sequence: u32,
-    report: Displayed,
-    reported: Option<ClientTime>,
-    out: VecDeque<Out>,
-    notices: VecDeque<Notice>,
-}
-
 impl Client {
     /// A client on an open headset, not connected.
     pub fn new(xr: Xr, options: ClientOptions) -> Result<Self, ClientError> {
-        let gpu = xr.headset.gpu().clone();
-        let samples =
-            if options.msaa > 1 { vk::SampleCountFlags::TYPE_4 } else { vk::SampleCountFlags::TYPE_1 };
-        let stages = Stages::new(&gpu, &xr.swapchain, samples)?;
+        let counters = Counters::new(xr.headset.gpu(), xr.headset.runtime_name());
         Ok(Self {
-            shown: None,
-            next: None,
-            stages,
-            probe: None,
-            last_drawn: None,
+            scenes: Scenes::default(),
+            renderer: Renderer::new(xr, options.msaa)?,
+            link: Link::default(),
             options,
-            counters: Counters::new(&gpu, xr.headset.runtime_name()),
-            gpu,
-            xr,
             now: ClientTime(0),
-            panel: None,
-            status: Text::new("Shadecast"),
-            stillness: Stillness::default(),
-            waiting: Text::new("No new pictures from the server"),
-            connection: None,
-            watch: Watch::default(),
-            spare: Vec::with_capacity(8),
-            is_connected: false,
-            resume: None,
-            serial: 0,
-            eyes: None,
-            head: None,
-            sequence: 0,
-            report: Displayed::default(),
-            reported: None,
-            out: VecDeque::new(),
+            counters,
             notices: VecDeque::new(),
         })
     }
 
     /// Says `text` in the waiting room, which is seen until the first bundle, and before a world that stands still.
     pub fn set_status(&mut self, text: &str) {
-        self.status = Text::new(text);
+        self.renderer.set_status(text);
     }
 
     /// Asks the runtime to end the session; [`Step::Exit`] follows.
     pub fn request_exit(&mut self) {
-        self.xr.headset.request_exit();
+        self.renderer.xr.headset.request_exit();
     }
 
     /// The device.
     pub fn gpu(&self) -> &Arc<Gpu> {
-        &self.gpu
+        &self.renderer.gpu
     }
 
     /// Pixels per eye, width and height.
     pub fn eye_extent_pixels(&self) -> [u32; 2] {
-        self.xr.swapchain.extent_pixels()
+        self.renderer.eye_extent_pixels()
     }
 
     /// Bytes can flow from `now` on. The session begins once the eyes have been located.
     pub fn on_connected(&mut self, now: ClientTime) {
         self.on_closed(now);
-        self.is_connected = true;
+        self.link.open();
         self.begin_session();
     }
 
     /// The connection is gone. What was on display stays there.
     pub fn on_closed(&mut self, now: ClientTime) {
         self.now = now;
-        self.is_connected = false;
-        self.next = None;
-        self.out.clear();
-        let Some(connection) = self.connection.take() else { return };
-        if let Some(shown) = self.shown.as_mut().filter(|shown| shown.serial == connection.serial) {
-            shown.clock = SceneClock::Ended(Box::new(connection.session.clock().clone()));
-        }
+        self.scenes.end(self.link.close());
     }
 
     /// Takes leave of the server: the last bytes come out of [`Client::poll_out`].
     pub fn say_goodbye(&mut self) {
-        if let Some(connection) = &mut self.connection {
-            connection.session.goodbye();
+        if let Some(session) = self.link.session() {
+            session.goodbye();
         }
     }
 
     fn begin_session(&mut self) {
-        let (Some((eyes, display_period_ns)), true, None) = (self.eyes, self.is_connected, &self.connection)
-        else {
-            return;
-        };
-        let hello = ClientHello {
-            protocol_version: PROTOCOL_VERSION,
-            min_protocol_version: PROTOCOL_VERSION,
-            app_version: env!("CARGO_PKG_VERSION").to_owned(),
-            capabilities: Capabilities {
-                max_atlas_extent: ATLAS_MAX_EXTENT,
-                max_vertex_slots: self.options.max_vertex_slots.min(MAX_VERTEX_SLOTS),
-                max_patch_slots: self.options.max_patch_slots.min(MAX_PATCH_SLOTS),
-                codecs: vec![Codec::H264],
-                eyes,
-                eye_extent_pixels: self.xr.swapchain.extent_pixels(),
-                display_period_ns,
-            },
-            resume: self.resume,
-        };
-        self.serial += 1;
-        let session = ClientSession::start(hello, self.now);
-        self.connection = Some(Connection { serial: self.serial, session, decoding: None });
+        let (options, eye_extent_pixels) = (&self.options, self.renderer.eye_extent_pixels());
+        self.link.begin(self.now, |eyes, display_period_ns| Capabilities {
+            max_atlas_extent: ATLAS_MAX_EXTENT,
+            max_vertex_slots: options.max_vertex_slots.min(MAX_VERTEX_SLOTS),
+            max_patch_slots: options.max_patch_slots.min(MAX_PATCH_SLOTS),
+            codecs: options.codecs.to_vec(),
+            eyes,
+            eye_extent_pixels,
+            display_period_ns,
+        });
     }
 
     /// Takes one message of the server's control stream.
     pub fn receive_control(&mut self, now: ClientTime, message: &[u8]) -> Result<(), ClientError> {
         self.now = now;
-        if let Some(connection) = &mut self.connection {
-            connection.session.on_control(message);
+        if let Some(session) = self.link.session() {
+            session.on_control(message);
         }
         self.take_events()
     }
@@ -330,8 +234,8 @@ impl Client {
             }
             _ => self.counters.geometry_bytes += bytes.len() as u64,
         }
-        if let Some(connection) = &mut self.connection {
-            connection.session.on_stream(bytes);
+        if let Some(session) = self.link.session() {
+            session.on_stream(bytes);
         }
         self.take_events()
     }
@@ -339,16 +243,14 @@ impl Client {
     /// The server gave up a stream of which `head` had come: a picture that will not be shown in time.
     pub fn receive_reset(&mut self, now: ClientTime, head: &[u8]) {
         self.now = now;
-        if let Some(decoding) = self.connection.as_mut().and_then(|connection| connection.decoding.as_mut()) {
-            decoding.given_up(decoding::frame_of_head(head));
-        }
+        self.link.stream_was_reset(head);
     }
 
     /// Takes a datagram.
     pub fn receive_datagram(&mut self, now: ClientTime, bytes: &[u8]) {
         self.now = now;
-        if let Some(connection) = &mut self.connection {
-            connection.session.on_datagram(bytes, now);
+        if let Some(session) = self.link.session() {
+            session.on_datagram(bytes, now);
         }
     }
 
@@ -356,40 +258,36 @@ impl Client {
     pub fn advance(&mut self, now: ClientTime) -> Result<(), ClientError> {
         self.now = now;
         self.begin_session();
-        let Some(connection) = &mut self.connection else { return Ok(()) };
-        let is_full = |scene: &Option<Scene>| scene.as_ref().is_some_and(|scene| scene.motion.is_full());
-        connection.session.hold_back(is_full(&self.shown) || is_full(&self.next));
-        connection.session.on_tick(now);
-        if let Some(decoding) = &mut connection.decoding {
-            let spare = &mut self.spare;
-            let scene = self.next.as_mut().or(self.shown.as_mut());
-            let scene = scene.filter(|scene| scene.serial == connection.serial);
-            if let Some(scene) = scene {
-                decoding.advance(now, |decoded| {
-                    let picture = ArrivedPicture { arrived: decoded.arrived, picture: decoded.picture };
-                    spare.extend(scene.bundler.add_picture(decoded.frame, picture));
-                });
-            }
-            spare.drain(..).for_each(|unused| decoding.recycle(unused.picture));
-            if let Some(after) = decoding.refresh_request(now) {
-                self.counters.refresh_requests += 1;
-                connection.session.request_refresh(after);
-            }
-            let lost = decoding.take_lost();
-            self.report.lost_pictures = self.report.lost_pictures.saturating_add(lost);
-            self.counters.lost_pictures += u64::from(lost);
+        if let Some(session) = self.link.session() {
+            session.hold_back(self.scenes.is_full());
+            session.on_tick(now);
         }
+        self.take_pictures();
         self.take_events()
+    }
+
+    /// What is decoded goes to the scene of its connection.
+    fn take_pictures(&mut self) {
+        let Some(scene) = self.scenes.arriving_mut() else { return };
+        let (lost, has_asked) = self.link.decode(self.now, |serial, Decoded { frame, arrived, picture }| {
+            if scene.serial != serial {
+                return Some(picture);
+            }
+            let unused = scene.bundler.add_picture(frame, ArrivedPicture { arrived, picture });
+            unused.map(|unused| unused.picture)
+        });
+        self.counters.lost_pictures += u64::from(lost);
+        self.counters.refresh_requests += u64::from(has_asked);
     }
 
     /// When [`Client::advance`] next has something to do by itself.
     pub fn next_tick(&self) -> Option<ClientTime> {
-        self.connection.as_ref().and_then(|connection| connection.session.next_tick())
+        self.link.next_tick()
     }
 
     /// The next bytes to carry to the server.
     pub fn poll_out(&mut self) -> Option<Out> {
-        self.connection.as_mut().and_then(|connection| connection.session.poll_out())
+        self.link.poll_out()
     }
 
     /// What became of the connection.
@@ -398,12 +296,12 @@ impl Client {
     }
 
     fn take_events(&mut self) -> Result<(), ClientError> {
-        while let Some(event) = self.connection.as_mut().and_then(|c| c.session.poll_event()) {
+        while let Some(event) = self.link.poll_event() {
             match event {
                 ClientEvent::Welcome(welcome) => self.welcome(welcome)?,
                 ClientEvent::Delta(delta) => self.take_delta(delta),
                 ClientEvent::Picture { header, access_unit } => {
-                    if let Some(decoding) = self.connection.as_mut().and_then(|c| c.decoding.as_mut()) {
+                    if let Some(decoding) = self.link.decoding() {
                         decoding.add(header, access_unit, self.now);
                     }
                 }
@@ -416,20 +314,19 @@ impl Client {
     }
 
     fn welcome(&mut self, welcome: Welcome) -> Result<(), ClientError> {
-        let Some(connection) = &mut self.connection else { return Ok(()) };
-        match (self.options.decoder)(welcome.atlas_extent_texels) {
-            Ok(decoder) => connection.decoding = Some(Decoding::new(decoder, self.options.decoding)),
+        let decoder = match (self.options.decoder)(welcome.codec, welcome.atlas_extent_texels) {
+            Ok(decoder) => decoder,
             Err(error) => {
                 self.notices.push_back(Notice::Failed(error.to_string()));
                 return Ok(());
             }
-        }
-        self.watch.begin_session();
+        };
+        let Some(serial) = self.link.welcomed(&welcome, decoder, self.options.decoding) else {
+            return Ok(());
+        };
         self.counters.connections += 1;
-        self.resume = Some(welcome.resume);
-        let clock = SceneClock::Connection;
-        let scene = Scene::new(&self.gpu, &self.stages, welcome.clone(), connection.serial, clock)?;
-        self.next = Some(scene);
+        let Renderer { gpu, stages, .. } = &self.renderer;
+        self.scenes.begin(Scene::new(gpu, stages, welcome.clone(), serial)?);
         self.notices.push_back(Notice::Welcome(welcome));
         Ok(())
     }
@@ -437,147 +334,67 @@ impl Client {
     fn take_delta(&mut self, delta: ReceivedDelta) {
         self.counters.vertex_samples +=
             delta.positions.iter().map(|batch| batch.positions.len() as u64).sum::<u64>();
-        let Some(scene) = self.next.as_mut().or(self.shown.as_mut()) else { return };
+        let Some(scene) = self.scenes.arriving_mut() else { return };
         scene.take_delta(delta);
         let (contradiction, is_full) = (scene.motion.take_contradiction(), scene.motion.is_full());
-        let Some(connection) = &mut self.connection else { return };
-        connection.session.hold_back(is_full);
+        if let Some(session) = self.link.session() {
+            session.hold_back(is_full);
+        }
         if let Some(slot) = contradiction {
             let reason = format!("vertex slot {} is given anew while it is on display", slot.0);
-            connection.session.fail(WireError::Invalid { what: "a geometry delta", reason });
+            self.link.fail(WireError::Invalid { what: "a geometry delta", reason });
         }
     }
 
-    /// Begins to show a server of the same process: `server_offset_ns` is its clock less the client's. Deltas and pictures
-    /// come by [`Client::accept_local`].
-    pub fn start_local(&mut self, terms: Welcome, server_offset_ns: i64) -> Result<(), ClientError> {
-        self.on_closed(self.now);
-        self.serial += 1;
-        let clock = SceneClock::Offset(server_offset_ns);
-        self.next = Some(Scene::new(&self.gpu, &self.stages, terms, self.serial, clock)?);
-        Ok(())
-    }
-
-    /// Takes an update of a server of the same process, handed over by memory copy: no codec, no network.
-    pub fn accept_local(&mut self, now: ClientTime, delta: ReceivedDelta, picture: Option<Picture>) {
-        self.now = now;
-        let frame = delta.geometry.frame;
-        self.take_delta(delta);
-        let scene = self.next.as_mut().or(self.shown.as_mut());
-        if let (Some(scene), Some(picture)) = (scene, picture) {
-            scene.bundler.add_picture(frame, ArrivedPicture { arrived: now, picture });
+    /// Takes note of a display frame, and tells the server.
+    pub(crate) fn note_frame(
+        &mut self,
+        frame: &FrameReport,
+        picture_arrived: Option<ClientTime>,
+        views: &Views,
+        period_ns: i64,
+    ) {
+        self.counters.count(frame);
+        self.renderer.note(frame, views.stage_from_head);
+        self.link.note_eyes(views, period_ns);
+        if let Some(scene) = self.scenes.arriving()
+            && let Some(time) = server_time(scene, &self.link, frame.display_time)
+        {
+            self.link.tell_head(scene.serial, time, scene.terms.world_from_stage, views);
         }
-    }
-
-    /// `at` on the clock of the server that made `scene`.
-    pub(crate) fn server_time(&self, scene: &Scene, at: ClientTime) -> Option<ServerTime> {
-        match &scene.clock {
-            SceneClock::Connection => self.connection.as_ref()?.session.clock().server_time(at),
-            SceneClock::Ended(clock) => clock.server_time(at),
-            SceneClock::Offset(offset_ns) => Some(ServerTime(at.0.saturating_add(*offset_ns))),
-        }
-    }
-
-    /// Notes whether this turn of the runtime is seen, and tells the server where it must know.
-    pub(crate) fn watch(&mut self, is_seen: bool) {
-        let Some(connection) = self.connection.as_mut().filter(|c| c.decoding.is_some()) else { return };
-        if let Some(is_watched) = self.watch.turn(is_seen, self.now) {
-            connection.session.tell_watching(is_watched);
-        }
-    }
-
-    /// Notes where the head will be at `display_time`, and tells the server.
-    pub(crate) fn tell_head(&mut self, display_time: ClientTime, period_ns: i64, views: &Views) {
-        self.eyes = Some((views.eyes(), period_ns));
-        if self.panel.is_none() {
-            self.panel = Some(panel_ahead(views.stage_from_head));
-        }
-        let Some(scene) = self.next.as_ref().or(self.shown.as_ref()) else { return };
-        let Some(time) = self.server_time(scene, display_time) else { return };
-        let world_from_stage = scene.terms.world_from_stage;
-        let head = HeadState {
-            sequence: self.sequence,
-            time,
-            world_from_head: world_from_stage.then(views.stage_from_head),
-            linear_velocity: world_from_stage.orientation * views.linear_velocity,
-            angular_velocity: world_from_stage.orientation * views.angular_velocity,
-            eyes: views.eyes(),
-            discontinuity: DiscontinuityId(views.jumps),
-        };
-        let serial = scene.serial;
-        self.head = Some(head);
-        self.sequence = self.sequence.wrapping_add(1);
-        if let Some(connection) = self.connection.as_mut().filter(|connection| connection.serial == serial) {
-            connection.session.send_pose(head);
-        }
+        self.link.report(self.scenes.shown().map(|scene| scene.serial), frame, picture_arrived);
     }
 
     /// The head's state at the last display frame, once the server's clock is known.
     pub fn head_state(&self) -> Option<HeadState> {
-        self.head
-    }
-
-    /// Counts a display frame, and reports what is on display where that is new or due.
-    pub(crate) fn report_frame(&mut self, frame: &FrameReport, picture_arrived: Option<ClientTime>) {
-        self.counters.count(frame);
-        self.report.display_frames += u32::from(frame.is_rendered);
-        self.report.frames_without_bundle += u32::from(frame.is_rendered && frame.frame.is_none());
-        self.report.frozen_vertices = self.report.frozen_vertices.saturating_add(frame.frozen_vertices);
-        self.report.withheld_patches = self.report.withheld_patches.saturating_add(frame.withheld_patches);
-        let Some(shown) = self.shown.as_ref() else { return };
-        let (Some(id), Some(time)) = (frame.frame, frame.server_time) else { return };
-        if frame.is_new {
-            self.report.frame = id;
-            self.report.display_time = time;
-            let since = picture_arrived.map_or(0, |arrived| frame.display_time.since(arrived));
-            self.report.decode_to_display_ns = since;
-        }
-        let is_due = self.reported.is_none_or(|reported| frame.display_time.since(reported) >= REPORT_NS);
-        let live = self.connection.as_mut().filter(|connection| connection.serial == shown.serial);
-        if let Some(connection) = live.filter(|_| frame.is_new || is_due) {
-            connection.session.send_displayed(self.report);
-            self.reported = Some(frame.display_time);
-            let Displayed { frame, display_time, decode_to_display_ns, .. } = self.report;
-            self.report = Displayed { frame, display_time, decode_to_display_ns, ..Displayed::default() };
-        }
+        self.link.head_state()
     }
 
     /// For measurements: instance and distance of what the last rendered frame showed, left and right eye. Waits for the
     /// GPU.
     pub fn probe(&mut self) -> Result<[ProbeView; 2], ClientError> {
-        let extent = self.xr.swapchain.extent_pixels();
-        let (Some(scene), Some(drawn)) = (&self.shown, self.last_drawn) else {
-            return Ok([ProbeView::empty(extent), ProbeView::empty(extent)]);
-        };
-        let probe = match &mut self.probe {
-            Some(probe) => probe,
-            none => none.insert(Probe::new(&self.gpu, extent)?),
-        };
-        Ok(scene.probe(probe, &drawn.eyes, drawn.index_count)?)
+        Ok(self.renderer.probe(self.scenes.shown())?)
     }
 
     /// Bytes of what has come and waits: for an earlier one, for its picture, for the GPU's vertex memory.
     pub fn waiting_bytes(&self) -> usize {
-        let scenes = self.shown.iter().chain(&self.next).map(Scene::waiting_bytes);
-        let connection = self.connection.as_ref();
-        let streams = connection.map_or(0, |c| c.session.waiting_bytes());
-        let pictures = connection.and_then(|c| c.decoding.as_ref()).map_or(0, Decoding::waiting_bytes);
-        scenes.sum::<usize>() + streams + pictures
+        self.scenes.waiting_bytes() + self.link.waiting_bytes()
     }
 
     /// For tests: the vertex slots of every triangle that the last rendered frame drew.
     pub fn drawn_triangles(&self) -> Vec<[u32; 3]> {
-        let drawn = self.shown.as_ref().zip(self.last_drawn);
-        drawn.map_or(Vec::new(), |(scene, drawn)| scene.drawn_triangles(drawn.index_count))
+        let drawn = self.scenes.shown().zip(self.renderer.drawn_indices());
+        drawn.map_or(Vec::new(), |(scene, index_count)| scene.drawn_triangles(index_count))
     }
 
     /// For tests: position and state of every vertex slot as the last display frame had them; empty without a bundle.
     pub fn read_positions(&self) -> Result<Vec<[f32; 4]>, ClientError> {
-        Ok(self.shown.as_ref().map_or(Ok(Vec::new()), |scene| scene.read_positions(&self.gpu))?)
+        let shown = self.scenes.shown();
+        Ok(shown.map_or(Ok(Vec::new()), |scene| scene.read_positions(&self.renderer.gpu))?)
     }
 
     /// How it went so far.
     pub fn stats(&self) -> ClientStats {
-        self.counters.stats(&self.gpu)
+        self.counters.stats(&self.renderer.gpu)
     }
 }

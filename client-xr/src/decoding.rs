@@ -10,8 +10,9 @@ use shadecast_protocol::limits::MAX_ACCESS_UNIT_BYTES;
 use shadecast_protocol::time::{ClientTime, ServerTime};
 use shadecast_protocol::wire::{PictureHeader, encode_picture};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 /// A picture that is awaited this long since a later one came is lost: longer than the server tries (250 ms or three round
 /// trips), so that its word counts where it comes.
@@ -24,8 +25,10 @@ const MAX_WAITING: usize = 64;
 const MAX_WAITING_BYTES: usize = 4 * MAX_ACCESS_UNIT_BYTES;
 /// Coded pictures that wait for the decoding thread.
 const THREAD_QUEUE: usize = 8;
-/// Decoded pictures kept for reuse.
-const MAX_SPARE: usize = 4;
+/// Decoded pictures on their way back to the decoding thread.
+const SPARE_QUEUE: usize = 4;
+/// While a decoder has units, its thread looks for others so often.
+const LOOK_UP: Duration = Duration::from_millis(2);
 
 /// How decoding takes time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,7 +49,7 @@ pub struct Decoded {
     pub frame: UpdateId,
     /// When its last byte came.
     pub arrived: ClientTime,
-    /// Its planes.
+    /// The picture.
     pub picture: Picture,
 }
 
@@ -94,13 +97,19 @@ struct PictureOrder {
     dead: BTreeSet<UpdateId>,
 }
 
+/// A decoder with the pictures that are in it.
+struct Work {
+    decoder: Box<dyn Decoder>,
+    /// Frame and arrival of each, in order.
+    under_way: VecDeque<(UpdateId, ClientTime)>,
+}
+
 enum Engine {
     Virtual {
-        decoder: Box<dyn Decoder>,
+        work: Work,
         delay_ns: i64,
         busy_until: ClientTime,
         done: VecDeque<(ClientTime, Outcome)>,
-        spare: Vec<Picture>,
     },
     Thread {
         jobs: Option<SyncSender<Job>>,
@@ -182,15 +191,12 @@ impl PictureOrder {
 impl Decoding {
     /// For a connection whose pictures `decoder` can decode.
     pub fn new(decoder: Box<dyn Decoder>, timing: DecodeTiming) -> Self {
+        let work = Work { decoder, under_way: VecDeque::new() };
         let engine = match timing {
-            DecodeTiming::Thread => Engine::thread(decoder),
-            DecodeTiming::Virtual { delay_ns } => Engine::Virtual {
-                decoder,
-                delay_ns,
-                busy_until: ClientTime(i64::MIN),
-                done: VecDeque::new(),
-                spare: Vec::new(),
-            },
+            DecodeTiming::Thread => Engine::thread(work),
+            DecodeTiming::Virtual { delay_ns } => {
+                Engine::Virtual { work, delay_ns, busy_until: ClientTime(i64::MIN), done: VecDeque::new() }
+            }
         };
         Self {
             order: PictureOrder::default(),
@@ -300,8 +306,7 @@ impl Decoding {
     /// Gives a picture back for reuse.
     pub fn recycle(&mut self, picture: Picture) {
         match &mut self.engine {
-            Engine::Virtual { spare, .. } if spare.len() < MAX_SPARE => spare.push(picture),
-            Engine::Virtual { .. } => {}
+            Engine::Virtual { work, .. } => work.decoder.recycle(picture),
             // A full or closed channel only means that the picture is freed.
             Engine::Thread { spare, .. } => drop(spare.try_send(picture)),
         }
@@ -309,13 +314,13 @@ impl Decoding {
 }
 
 impl Engine {
-    fn thread(decoder: Box<dyn Decoder>) -> Self {
+    fn thread(work: Work) -> Self {
         let (jobs, job_receiver) = sync_channel(THREAD_QUEUE);
         let (outcome_sender, outcomes) = sync_channel(THREAD_QUEUE);
-        let (spare, spare_receiver) = sync_channel(MAX_SPARE);
+        let (spare, spare_receiver) = sync_channel(SPARE_QUEUE);
         let thread = std::thread::Builder::new()
             .name("decode".into())
-            .spawn(move || decode_all(decoder, &job_receiver, &outcome_sender, &spare_receiver));
+            .spawn(move || decode_all(work, &job_receiver, &outcome_sender, &spare_receiver));
         if let Err(error) = &thread {
             tracing::error!("the decoding thread could not be started: {error}");
         }
@@ -325,11 +330,8 @@ impl Engine {
     /// Starts a job. False where the queue is full: the picture is lost, and the decoder will be told.
     fn start(&mut self, job: Job) -> bool {
         match self {
-            Self::Virtual { decoder, delay_ns, busy_until, done, spare } => {
-                if let Some(outcome) = run(decoder.as_mut(), job, || spare.pop()) {
-                    *busy_until = (*busy_until).max(outcome.arrived).plus_ns(*delay_ns);
-                    done.push_back((*busy_until, outcome));
-                }
+            Self::Virtual { work, .. } => {
+                work.start(&job);
                 true
             }
             Self::Thread { jobs: Some(jobs), overflowed, .. } => {
@@ -346,7 +348,11 @@ impl Engine {
 
     fn finished(&mut self, now: ClientTime) -> Option<Outcome> {
         match self {
-            Self::Virtual { done, .. } => {
+            Self::Virtual { work, delay_ns, busy_until, done } => {
+                while let Some(outcome) = work.poll(Duration::ZERO) {
+                    *busy_until = (*busy_until).max(outcome.arrived).plus_ns(*delay_ns);
+                    done.push_back((*busy_until, outcome));
+                }
                 done.pop_front_if(|(ready, _)| *ready <= now).map(|(_, outcome)| outcome)
             }
             Self::Thread { outcomes, .. } => outcomes.try_recv().ok(),
@@ -365,33 +371,56 @@ impl Drop for Engine {
     }
 }
 
+impl Work {
+    fn start(&mut self, job: &Job) {
+        match job {
+            Job::Decode(Coded { header, access_unit, arrived }) => {
+                self.decoder.submit(access_unit);
+                self.under_way.push_back((header.frame, *arrived));
+            }
+            Job::UnitLost => self.decoder.unit_lost(),
+        }
+    }
+
+    /// What became of the oldest picture, for which it waits at most for `timeout`.
+    fn poll(&mut self, timeout: Duration) -> Option<Outcome> {
+        let (frame, arrived) = *self.under_way.front()?;
+        let result = self.decoder.poll(timeout)?;
+        self.under_way.pop_front();
+        Some(Outcome { frame, arrived, result })
+    }
+}
+
+/// Ends when the connection does.
 fn decode_all(
-    mut decoder: Box<dyn Decoder>,
+    mut work: Work,
     jobs: &Receiver<Job>,
     outcomes: &SyncSender<Outcome>,
     spare: &Receiver<Picture>,
 ) {
-    while let Ok(job) = jobs.recv() {
-        let outcome = run(decoder.as_mut(), job, || spare.try_recv().ok());
-        if outcome.is_some_and(|outcome| outcomes.send(outcome).is_err()) {
-            return;
+    loop {
+        let job = match work.under_way.is_empty() {
+            true => jobs.recv().map_err(|_| TryRecvError::Disconnected),
+            false => jobs.try_recv(),
+        };
+        spare.try_iter().for_each(|picture| work.decoder.recycle(picture));
+        match job {
+            Ok(job) => work.start(&job),
+            Err(TryRecvError::Empty) => {}
+            Err(TryRecvError::Disconnected) => return,
+        }
+        while let Some(outcome) = work.poll(LOOK_UP) {
+            if outcomes.send(outcome).is_err() {
+                return;
+            }
         }
     }
-}
-
-fn run(decoder: &mut dyn Decoder, job: Job, spare: impl FnOnce() -> Option<Picture>) -> Option<Outcome> {
-    let Job::Decode(Coded { header, access_unit, arrived }) = job else {
-        decoder.unit_lost();
-        return None;
-    };
-    let mut picture = spare().unwrap_or_default();
-    let result = decoder.decode(&access_unit, &mut picture).map(|()| picture);
-    Some(Outcome { frame: header.frame, arrived, result })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use shadecast_protocol::picture::I420;
     use shadecast_protocol::wire::encode_geometry;
 
     const MS: i64 = 1_000_000;
@@ -400,11 +429,13 @@ mod tests {
     #[derive(Default)]
     struct Toy {
         last: Option<u8>,
+        done: VecDeque<Result<Picture, DecodeError>>,
+        /// Pictures that it keeps back until later units come.
+        kept_back: usize,
     }
 
-    impl Decoder for Toy {
-        fn decode(&mut self, access_unit: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
-            let unit = access_unit[0];
+    impl Toy {
+        fn decode(&mut self, unit: u8) -> Result<Picture, DecodeError> {
             let is_refresh = unit % 2 == 1;
             if unit == 0 {
                 self.last = None;
@@ -414,9 +445,21 @@ mod tests {
                 return Err(DecodeError::NeedsRefresh);
             }
             self.last = Some(unit);
-            picture.y = vec![unit];
-            Ok(())
+            Ok(Picture::Planes(I420::new([2, 2], vec![unit; 6]).expect("a picture")))
         }
+    }
+
+    impl Decoder for Toy {
+        fn submit(&mut self, access_unit: &[u8]) {
+            let result = self.decode(access_unit[0]);
+            self.done.push_back(result);
+        }
+
+        fn poll(&mut self, _: Duration) -> Option<Result<Picture, DecodeError>> {
+            if self.done.len() > self.kept_back { self.done.pop_front() } else { None }
+        }
+
+        fn recycle(&mut self, _: Picture) {}
 
         fn unit_lost(&mut self) {
             self.last = None;
@@ -425,6 +468,11 @@ mod tests {
         fn needs_refresh(&self) -> bool {
             self.last.is_none()
         }
+    }
+
+    fn shown(decoded: &Decoded) -> (u32, u8) {
+        let Picture::Planes(picture) = &decoded.picture;
+        (decoded.frame.0, picture.bytes()[0])
     }
 
     struct Bench {
@@ -446,7 +494,7 @@ mod tests {
 
         fn advance(&mut self, at_ms: i64) {
             let seen = &mut self.seen;
-            self.decoding.advance(ClientTime(at_ms * MS), |d| seen.push((d.frame.0, d.picture.y[0])));
+            self.decoding.advance(ClientTime(at_ms * MS), |d| seen.push(shown(&d)));
         }
 
         fn asks(&mut self, at_ms: i64) -> bool {
@@ -569,18 +617,41 @@ mod tests {
     }
 
     #[test]
+    fn a_decoder_that_keeps_pictures_back_is_waited_for() {
+        let timing = DecodeTiming::Virtual { delay_ns: 0 };
+        let toy = Toy { kept_back: 2, ..Toy::default() };
+        let mut bench = Bench { decoding: Decoding::new(Box::new(toy), timing), seen: Vec::new() };
+        for (frame, unit) in [(0, 1), (1, 2), (2, 4), (3, 6)] {
+            bench.add(frame, unit, frame.into());
+            bench.advance(frame.into());
+        }
+        assert_eq!(bench.seen, [(0, 1), (1, 2)]);
+    }
+
+    #[test]
     fn the_thread_decodes_the_same() {
-        let mut decoding = Decoding::new(Box::<Toy>::default(), DecodeTiming::Thread);
-        for (frame, unit) in [(0, 1), (1, 2), (2, 4)] {
+        assert_eq!(seen_of_thread(Toy::default()), [(0, 1), (1, 2), (2, 4)]);
+    }
+
+    #[test]
+    fn the_thread_takes_later_units_while_a_decoder_keeps_pictures_back() {
+        assert_eq!(seen_of_thread(Toy { kept_back: 1, ..Toy::default() }), [(0, 1), (1, 2), (2, 4)]);
+    }
+
+    /// The first three of four pictures.
+    fn seen_of_thread(toy: Toy) -> Vec<(u32, u8)> {
+        let mut decoding = Decoding::new(Box::new(toy), DecodeTiming::Thread);
+        for (frame, unit) in [(0, 1), (1, 2), (2, 4), (3, 6)] {
             let header =
                 PictureHeader { frame: UpdateId(frame), time: ServerTime(0), is_refresh: unit % 2 == 1 };
             decoding.add(header, vec![unit], ClientTime(0));
         }
         let mut seen = Vec::new();
         while seen.len() < 3 {
-            decoding.advance(ClientTime(0), |d| seen.push((d.frame.0, d.picture.y[0])));
+            decoding.advance(ClientTime(0), |d| seen.push(shown(&d)));
             std::thread::yield_now();
         }
-        assert_eq!(seen, [(0, 1), (1, 2), (2, 4)]);
+        seen.truncate(3);
+        seen
     }
 }

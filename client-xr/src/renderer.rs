@@ -1,15 +1,49 @@
-//! The stages of a display frame with what they share: one per headset session, whatever connections come and go.
+//! What draws: the headset's images, the stages with what they share, and the words that are seen. One per headset session,
+//! whatever connections come and go.
 
+use crate::client::FrameReport;
+use crate::scene::Scene;
 use crate::stages::atlas_draw::{AtlasDraw, EyeTargets, eye_buffers};
-use crate::stages::background::Background;
+use crate::stages::background::{Backdrop, Background};
 use crate::stages::interpolate::Interpolate;
 use crate::stages::notice::Notice;
+use crate::stages::probe::{Probe, ProbeView};
 use crate::stages::scatter::Scatter;
+use crate::stages::text::{Text, panel_ahead};
 use crate::stages::{FRAMES_IN_FLIGHT, wait_for};
-use crate::xr::Swapchain;
-use shadecast_gpu::{Buffer, Gpu, GpuError, Ticket, vk};
+use crate::stillness::Stillness;
+use crate::xr::{Swapchain, Xr};
+use shadecast_gpu::{Buffer, Gpu, GpuError, Recorder, Ticket, vk};
+use shadecast_protocol::pose::Pose;
 use shadecast_shaders::generated::EyesGpu;
 use std::sync::Arc;
+
+/// What draws. Fields are dropped in this order: what the device made goes before the session.
+pub(crate) struct Renderer {
+    pub(crate) stages: Stages,
+    probe: Option<Probe>,
+    pub(crate) last_drawn: Option<LastDrawn>,
+    pub(crate) gpu: Arc<Gpu>,
+    pub(crate) xr: Xr,
+    pub(crate) words: Words,
+}
+
+/// What the last rendered frame showed, for the probe.
+#[derive(Clone, Copy)]
+pub(crate) struct LastDrawn {
+    pub(crate) eyes: EyesGpu,
+    pub(crate) index_count: u32,
+}
+
+/// What is said in the waiting room, and before a world that stands still.
+pub(crate) struct Words {
+    /// Where they are in the waiting room, once the head has been seen.
+    stage_from_panel: Option<Pose>,
+    status: Text,
+    /// Said while the connection stands and brings nothing.
+    waiting: Text,
+    stillness: Stillness,
+}
 
 /// All stages, in order.
 pub struct Stages {
@@ -29,6 +63,97 @@ pub struct Stages {
     pub eyes: [Buffer; FRAMES_IN_FLIGHT],
     last_use: [Option<Ticket>; FRAMES_IN_FLIGHT],
     next_slot: usize,
+}
+
+impl Renderer {
+    /// On an open headset, with so many samples a pixel.
+    pub(crate) fn new(xr: Xr, msaa: u32) -> Result<Self, GpuError> {
+        let gpu = xr.headset.gpu().clone();
+        let samples = if msaa > 1 { vk::SampleCountFlags::TYPE_4 } else { vk::SampleCountFlags::TYPE_1 };
+        let words = Words {
+            stage_from_panel: None,
+            status: Text::new("Shadecast"),
+            waiting: Text::new("No new pictures from the server"),
+            stillness: Stillness::default(),
+        };
+        let stages = Stages::new(&gpu, &xr.swapchain, samples)?;
+        Ok(Self { stages, probe: None, last_drawn: None, gpu, xr, words })
+    }
+
+    /// Says `text` in the waiting room, and before a world that stands still without a connection.
+    pub(crate) fn set_status(&mut self, text: &str) {
+        self.words.status = Text::new(text);
+    }
+
+    /// Pixels per eye, width and height.
+    pub(crate) fn eye_extent_pixels(&self) -> [u32; 2] {
+        self.xr.swapchain.extent_pixels()
+    }
+
+    /// Notes what a display frame showed to a head.
+    pub(crate) fn note(&mut self, frame: &FrameReport, stage_from_head: Pose) {
+        self.words.stillness.note(frame, stage_from_head);
+        self.words.stage_from_panel.get_or_insert_with(|| panel_ahead(stage_from_head));
+    }
+
+    /// Indices that the last rendered frame drew; `None` where it showed no scene.
+    pub(crate) fn drawn_indices(&self) -> Option<u32> {
+        self.last_drawn.map(|drawn| drawn.index_count)
+    }
+
+    /// Instance and distance of what the last rendered frame showed of `scene`, left and right eye. Waits for the GPU.
+    pub(crate) fn probe(&mut self, scene: Option<&Scene>) -> Result<[ProbeView; 2], GpuError> {
+        let extent = self.eye_extent_pixels();
+        let (Some(scene), Some(drawn)) = (scene, self.last_drawn) else {
+            return Ok([ProbeView::empty(extent), ProbeView::empty(extent)]);
+        };
+        let probe = match &mut self.probe {
+            Some(probe) => probe,
+            none => none.insert(Probe::new(&self.gpu, extent)?),
+        };
+        scene.probe(probe, &drawn.eyes, drawn.index_count)
+    }
+
+    /// Waits until the device is done with all that was submitted.
+    pub(crate) fn wait_idle(&self) -> Result<(), GpuError> {
+        let last = self.gpu.record()?.submit()?;
+        self.gpu.wait(last)
+    }
+}
+
+impl Words {
+    /// What is behind the world, or the waiting room where there is none.
+    pub(crate) fn record_backdrop(
+        &self,
+        recorder: &mut Recorder,
+        stages: &mut Stages,
+        slot: usize,
+        world: Option<&Scene>,
+    ) {
+        let backdrop = match world {
+            Some(scene) => Backdrop::Environment(&scene.terms.environment),
+            None => Backdrop::WaitingRoom {
+                stage_from_panel: self.stage_from_panel.unwrap_or(Pose::IDENTITY),
+                text: &self.status,
+            },
+        };
+        stages.background.record(recorder, slot, backdrop);
+    }
+
+    /// Why the world stands still, where it does.
+    pub(crate) fn record_notice(
+        &self,
+        recorder: &mut Recorder,
+        stages: &mut Stages,
+        slot: usize,
+        world: Option<&Scene>,
+        has_session: bool,
+    ) {
+        let Some((scene, stage_from_panel)) = world.zip(self.stillness.panel()) else { return };
+        let world_from_panel = scene.terms.world_from_stage.then(stage_from_panel);
+        let text = if has_session { &self.waiting } else { &self.status };
+        stages.notice.record(recorder, slot, world_from_panel, text);
+    }
 }
 
 impl Stages {

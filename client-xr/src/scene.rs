@@ -26,19 +26,8 @@ use std::sync::Arc;
 pub struct ArrivedPicture {
     /// When its last byte came.
     pub arrived: ClientTime,
-    /// Its planes.
+    /// The picture.
     pub picture: Picture,
-}
-
-/// How the server's clock is known to a scene.
-#[derive(Clone, Debug)]
-pub enum SceneClock {
-    /// By the live connection.
-    Connection,
-    /// As a connection that has ended knew it.
-    Ended(Box<ClockEstimator>),
-    /// Server and client are one process; the difference is known.
-    Offset(i64),
 }
 
 /// One connection's scene.
@@ -51,8 +40,8 @@ pub struct Scene {
     pub bundler: Bundler<ArrivedPicture>,
     /// How its vertices move.
     pub motion: Motion,
-    /// How its times are converted.
-    pub clock: SceneClock,
+    /// The server's clock as a connection knew it that has ended; while it lives, it is the connection's.
+    pub ended_clock: Option<Box<ClockEstimator>>,
     memory: VertexMemory,
     staging: ScatterStaging,
     interpolate_group: BindGroup,
@@ -89,13 +78,7 @@ pub struct SceneReport {
 
 impl Scene {
     /// Allocates everything that a connection under these terms can need.
-    pub fn new(
-        gpu: &Arc<Gpu>,
-        stages: &Stages,
-        terms: Welcome,
-        serial: u64,
-        clock: SceneClock,
-    ) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Arc<Gpu>, stages: &Stages, terms: Welcome, serial: u64) -> Result<Self, GpuError> {
         let mut recorder = gpu.record()?;
         let memory = VertexMemory::new(gpu, &mut recorder, terms.vertex_slots)?;
         let staging = stages.scatter.staging(gpu, &memory)?;
@@ -121,7 +104,7 @@ impl Scene {
             terms,
             bundler,
             motion,
-            clock,
+            ended_clock: None,
             memory,
             staging,
             interpolate_group,

@@ -3,17 +3,16 @@
 mod support;
 
 use shadecast_client::client::{Client, FrameReport, Notice, Step};
-use shadecast_client::decode::Picture as Planes;
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
 use shadecast_mock_runtime::record::Side;
-use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
-use shadecast_protocol::delta::{Delta, DeltaEncoder, ReceivedDelta};
+use shadecast_protocol::delta::{Delta, DeltaEncoder};
 use shadecast_protocol::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex};
 use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
-use shadecast_protocol::message::{Codec, Environment, HeadState, ResumeSecret, ServerOffer, Welcome};
-use shadecast_protocol::motion::{PositionBatch, SampleBatch, dequantise};
+use shadecast_protocol::message::{Environment, HeadState, ResumeSecret, ServerOffer};
+use shadecast_protocol::motion::SampleBatch;
+use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime};
@@ -33,28 +32,12 @@ fn environment() -> Environment {
     Environment { zenith: [0.1, 0.3, 0.9], horizon: [0.5, 0.5, 0.5], nadir: [0.1, 0.1, 0.1] }
 }
 
-fn terms() -> Welcome {
-    Welcome {
-        protocol_version: PROTOCOL_VERSION,
-        session: 1,
-        grid: DEFAULT_GRID,
-        atlas_extent_texels: ATLAS,
-        vertex_slots: 256,
-        patch_slots: 64,
-        codec: Codec::H264,
-        environment: environment(),
-        world_from_stage: Pose::IDENTITY,
-        update_period_ns: 33_333_333,
-        resume: ResumeSecret([1; 16]),
-    }
-}
-
 fn block(x: u16) -> Block {
     Block { address: BlockAddress { x, y: 0 }, size: BlockSize::new(6, 6).expect("a size") }
 }
 
 /// Left half red, right half blue, elsewhere green so that a wrong lookup is seen.
-fn planes(blocks: [u16; 2]) -> Planes {
+fn planes(blocks: [u16; 2]) -> I420 {
     let [w, h] = ATLAS.texels().map(|side| side as usize);
     let ycbcr = |x: usize, y: usize| {
         let inside = |from: u16| (usize::from(from)..usize::from(from) + 64).contains(&x) && y < 64;
@@ -66,11 +49,11 @@ fn planes(blocks: [u16; 2]) -> Planes {
             [150, 40, 20]
         }
     };
-    let plane = |step: usize, component: usize| {
+    let plane = |step: usize, component: usize| -> Vec<u8> {
         let texels = (0..h / step).flat_map(|y| (0..w / step).map(move |x| (x, y)));
         texels.map(|(x, y)| ycbcr(x * step, y * step)[component]).collect()
     };
-    Planes { extent_texels: ATLAS.texels(), y: plane(1, 0), cb: plane(2, 1), cr: plane(2, 2) }
+    I420::new(ATLAS.texels(), [plane(1, 0), plane(2, 1), plane(2, 2)].concat()).expect("a picture")
 }
 
 /// Where the moving edge is at a server time.
@@ -123,16 +106,6 @@ fn two_patches() -> Delta {
     Delta { geometry, samples: samples(29, 45) }
 }
 
-/// As a client's decoder gives it.
-fn received(delta: impl Into<Delta>) -> ReceivedDelta {
-    let Delta { geometry, samples } = delta.into();
-    let metres = |batch: SampleBatch| PositionBatch {
-        grid: batch.grid,
-        positions: batch.values.into_iter().map(|(slot, value)| (slot, dequantise(value, 0.0001))).collect(),
-    };
-    ReceivedDelta { geometry, positions: samples.into_iter().map(metres).collect() }
-}
-
 #[track_caller]
 fn assert_close(got: [u8; 3], want: [u8; 3], what: &str) {
     let is_close = got.iter().zip(want).all(|(got, want)| got.abs_diff(want) <= 3);
@@ -163,16 +136,17 @@ fn before_the_first_bundle_there_is_a_gradient_a_floor_and_a_text_in_both_eyes()
 fn patches_are_seen_where_they_are_and_in_the_atlas_colours_by_both_eyes() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
-    client.start_local(terms(), 0).expect("a scene");
-    client.accept_local(at(1), received(two_patches()), Some(planes([0, 64])));
-    frame(&mut client); // not seen: the session is not visible yet
-    let report = frame(&mut client);
+    let mut line = Line::in_step(&mut client);
+    line.send(two_patches(), &planes([0, 64]), true);
+    line.frame(&mut client); // its picture is being decoded
+    let report = line.frame(&mut client);
     assert_eq!((report.frame, report.is_new, report.withheld_patches), (Some(UpdateId(0)), true, 0));
-    assert!(!frame(&mut client).is_new);
+    let shown = client.stats().frames - 1;
+    assert!(!line.frame(&mut client).is_new);
     let probe = client.probe().expect("a probe");
     finish(&run, client);
     for (side, eye) in [(Side::Left, -1.0), (Side::Right, 1.0)] {
-        let picture = run.picture(1, side);
+        let picture = run.picture(shown, side);
         let see = |point: [f32; 3]| {
             let [x, y] = pixel(point, eye);
             picture.at(x as u32, y as u32)
@@ -202,12 +176,13 @@ fn patches_are_seen_where_they_are_and_in_the_atlas_colours_by_both_eyes() {
 fn an_animated_edge_moves_with_every_display_frame_and_follows_its_motion() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
-    client.start_local(terms(), 0).expect("a scene");
-    client.accept_local(at(1), received(two_patches()), Some(planes([0, 64])));
-    frame(&mut client);
+    let mut line = Line::in_step(&mut client);
+    line.send(two_patches(), &planes([0, 64]), true);
+    line.frame(&mut client);
+    let first = client.stats().frames;
     let mut last = None;
     for _ in 0..20 {
-        let report = frame(&mut client);
+        let report = line.frame(&mut client);
         let time = report.server_time.expect("a clock");
         let [x, y, z, _] = client.read_positions().expect("positions")[6];
         assert!((x - edge_x(time)).abs() < 2e-4, "{x} instead of {} at {time:?}", edge_x(time));
@@ -218,26 +193,25 @@ fn an_animated_edge_moves_with_every_display_frame_and_follows_its_motion() {
     finish(&run, client);
     // The pictures move too: where the edge was at the first frame, the last one shows the square.
     let beyond = pixel([0.53, 1.6, -2.0], -1.0).map(|p| p as u32);
-    assert_ne!(run.picture(1, Side::Left).at(beyond[0], beyond[1]), BLUE.0);
-    assert_close(run.picture(20, Side::Left).at(beyond[0], beyond[1]), BLUE.0, "the edge has passed");
+    assert_ne!(run.picture(first, Side::Left).at(beyond[0], beyond[1]), BLUE.0);
+    assert_close(run.picture(first + 19, Side::Left).at(beyond[0], beyond[1]), BLUE.0, "the edge has passed");
 }
 
 #[test]
 fn a_vertex_that_runs_out_of_samples_stops_and_is_counted_and_returns_without_a_jump() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
-    client.start_local(terms(), 0).expect("a scene");
+    let mut line = Line::in_step(&mut client);
     let first = Delta { samples: samples(29, 33), ..two_patches() };
-    client.accept_local(at(1), received(first), Some(planes([0, 64])));
-    frame(&mut client);
+    line.send(first, &planes([0, 64]), true);
+    line.frame(&mut client);
     let (mut frozen, mut largest, mut last) = (0, 0f32, None);
     for index in 0..50 {
         if index == 16 {
             let geometry = GeometryDelta { frame: UpdateId(1), ..GeometryDelta::default() };
-            let late = Delta { geometry, samples: samples(34, 49) };
-            client.accept_local(at(2), received(late), None);
+            line.send_delta(Delta { geometry, samples: samples(34, 49) });
         }
-        let report = frame(&mut client);
+        let report = line.frame(&mut client);
         frozen += report.frozen_vertices;
         let x = client.read_positions().expect("positions")[6][0];
         if let Some(last) = last.replace(x) {
@@ -254,17 +228,18 @@ fn a_vertex_that_runs_out_of_samples_stops_and_is_counted_and_returns_without_a_
 fn a_patch_without_samples_is_withheld_and_the_rest_is_seen() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
-    client.start_local(terms(), 0).expect("a scene");
+    let mut line = Line::in_step(&mut client);
     let late = Delta { samples: samples(40, 45), ..two_patches() };
-    client.accept_local(at(1), received(late), Some(planes([0, 64])));
-    frame(&mut client);
-    assert_eq!(frame(&mut client).withheld_patches, 1);
+    line.send(late, &planes([0, 64]), true);
+    line.frame(&mut client);
+    assert_eq!(line.frame(&mut client).withheld_patches, 1);
+    let first = client.stats().frames - 1;
     let picture = |frame| run.picture(frame, Side::Left);
     let [x, y] = pixel([0.25, 1.6, -2.0], -1.0).map(|p| p as u32);
-    assert_ne!(picture(1).at(x, y), BLUE.0);
+    assert_ne!(picture(first).at(x, y), BLUE.0);
     let [red_x, red_y] = pixel([-0.25, 1.6, -2.0], -1.0).map(|p| p as u32);
-    assert_close(picture(1).at(red_x, red_y), RED.0, "the static patch");
-    while frame(&mut client).withheld_patches > 0 {}
+    assert_close(picture(first).at(red_x, red_y), RED.0, "the static patch");
+    while line.frame(&mut client).withheld_patches > 0 {}
     let seen = client.stats().frames - 1;
     finish(&run, client);
     assert_close(picture(seen).at(x, y), BLUE.0, "drawn as soon as it can be");
@@ -274,21 +249,23 @@ fn a_patch_without_samples_is_withheld_and_the_rest_is_seen() {
 fn the_newest_picture_goes_with_its_own_placements() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
-    client.start_local(terms(), 0).expect("a scene");
-    client.accept_local(at(1), received(two_patches()), Some(planes([0, 64])));
+    let mut line = Line::in_step(&mut client);
+    line.send(two_patches(), &planes([0, 64]), true);
     // The blocks change places; the picture of that update never comes, that of the next has them elsewhere again.
     let swapped = vec![(PatchSlot(0), Some(block(64))), (PatchSlot(1), Some(block(0)))];
     let moved = vec![(PatchSlot(0), Some(block(128)))];
     let next =
         |frame, placements| GeometryDelta { frame: UpdateId(frame), placements, ..GeometryDelta::default() };
-    frame(&mut client);
-    frame(&mut client);
-    client.accept_local(at(2), received(next(1, swapped)), None);
-    assert_eq!(frame(&mut client).frame, Some(UpdateId(0)), "no picture, no switch");
-    client.accept_local(at(3), received(next(2, moved)), Some(planes([128, 0])));
-    assert_eq!(frame(&mut client).frame, Some(UpdateId(2)));
+    line.frame(&mut client);
+    line.frame(&mut client);
+    let first = client.stats().frames - 1;
+    line.send_delta(next(1, swapped));
+    assert_eq!(line.frame(&mut client).frame, Some(UpdateId(0)), "no picture, no switch");
+    line.send(next(2, moved), &planes([128, 0]), true);
+    line.frame(&mut client);
+    assert_eq!(line.frame(&mut client).frame, Some(UpdateId(2)));
     finish(&run, client);
-    for index in [1, 2, 3] {
+    for index in first..first + 4 {
         let picture = run.picture(index, Side::Right);
         let see = |x: f32| pixel([x, 1.6, -2.0], 1.0).map(|p| p as u32);
         assert_close(picture.at(see(-0.25)[0], see(-0.25)[1]), RED.0, &format!("left in frame {index}"));
@@ -352,9 +329,9 @@ fn torn_s(client: &Client) -> f32 {
 fn samples_of_the_next_update_do_not_tear_what_is_on_display_and_its_picture_sets_it_going() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
-    client.start_local(terms(), 0).expect("a scene");
-    client.accept_local(at(1), received(moving_strip(strip_samples(0..6, 29..=33))), Some(planes([0, 64])));
-    frame(&mut client);
+    let mut line = Line::in_step(&mut client);
+    line.send(moving_strip(strip_samples(0..6, 29..=33)), &planes([0, 64]), true);
+    line.frame(&mut client);
     // The next update has lost sight of the right square; its samples come before its picture.
     let lost = GeometryDelta {
         frame: UpdateId(1),
@@ -366,14 +343,14 @@ fn samples_of_the_next_update_do_not_tear_what_is_on_display_and_its_picture_set
     let (mut stood_still, mut largest, mut last) = (0, 0f32, None);
     for index in 0..45 {
         match index {
-            8 => client.accept_local(at(2), received(lost.clone()), None),
-            20 => {
+            8 => line.send_delta(lost.clone()),
+            19 => {
                 let next = GeometryDelta { frame: UpdateId(2), ..GeometryDelta::default() };
-                client.accept_local(at(3), received(next), Some(planes([0, 64])));
+                line.send(next, &planes([0, 64]), true);
             }
             _ => {}
         }
-        let report = frame(&mut client);
+        let report = line.frame(&mut client);
         let torn = torn_s(&client);
         assert!(torn < 0.002, "frame {index}: corners of a triangle are {torn} s apart");
         stood_still += u32::from(report.motion_time < report.server_time);
@@ -403,18 +380,24 @@ struct Line {
     events: Vec<ServerEvent>,
     /// Streams whose frame and kind this names are lost: what the client gets is a reset.
     lost_pictures: Vec<u32>,
+    /// The server's clock is ahead of the client's by this.
+    ahead_ns: i64,
 }
 
-/// The server's clock is ahead of the client's by this.
+/// The server's clock is usually ahead of the client's by this.
 const SERVER_AHEAD_NS: i64 = 5_000_000_000;
+/// From one turn of the runtime to the next.
+const PERIOD_NS: i64 = 13_888_889;
+/// Turns in which a session comes to stand, and the client knows the server's clock.
+const CONNECTING_TURNS: i64 = 13;
 
 impl Line {
-    fn new() -> Self {
+    fn new(world_from_stage: Pose, ahead_ns: i64) -> Self {
         let server = ServerSession::new(ServerOffer {
             session: 5,
             atlas_extent_texels: ATLAS,
             environment: environment(),
-            world_from_stage: Pose { position: [10.0, 0.0, 0.0].into(), ..Pose::IDENTITY },
+            world_from_stage,
             resume: ResumeSecret([2; 16]),
             ..offer()
         });
@@ -426,6 +409,7 @@ impl Line {
             frames: 0,
             events: Vec::new(),
             lost_pictures: Vec::new(),
+            ahead_ns,
         }
     }
 
@@ -441,7 +425,7 @@ impl Line {
 
     /// One turn of the runtime, and what both ends say meanwhile.
     fn turn(&mut self, client: &mut Client) -> Step {
-        let now = at(1_000_000_000 + self.frames * 13_888_889);
+        let now = at(1_000_000_000 + self.frames * PERIOD_NS);
         self.frames += 1;
         self.deliver(client, now);
         client.advance(now).expect("time passes");
@@ -449,7 +433,7 @@ impl Line {
         while let Some(out) = client.poll_out() {
             match out {
                 Out::Control(bytes) => self.server.on_control(&bytes),
-                Out::Datagram(bytes) => self.server.on_datagram(&bytes, ServerTime(now.0 + SERVER_AHEAD_NS)),
+                Out::Datagram(bytes) => self.server.on_datagram(&bytes, ServerTime(now.0 + self.ahead_ns)),
                 Out::Stream { .. } => panic!("clients send no streams"),
             }
         }
@@ -482,7 +466,7 @@ impl Line {
 
     /// What the server has said reaches the client.
     fn deliver(&mut self, client: &mut Client, now: ClientTime) {
-        let server_now = ServerTime(now.0 + SERVER_AHEAD_NS);
+        let server_now = ServerTime(now.0 + self.ahead_ns);
         while let Some(out) = self.server.poll_out(server_now).or_else(|| self.streams.pop_front()) {
             match out {
                 Out::Control(bytes) => client.receive_control(now, &bytes).expect("control"),
@@ -499,7 +483,8 @@ impl Line {
 
     /// Display frames until the session stands and the client knows the server's clock.
     fn connect(client: &mut Client) -> Self {
-        let mut line = Self::new();
+        let ten_metres_on = Pose { position: [10.0, 0.0, 0.0].into(), ..Pose::IDENTITY };
+        let mut line = Self::new(ten_metres_on, SERVER_AHEAD_NS);
         client.on_connected(at(1_000_000_000));
         for _ in 0..12 {
             line.frame(client);
@@ -508,15 +493,25 @@ impl Line {
         line
     }
 
-    fn send_delta(&mut self, delta: &Delta) {
-        let sender = self.sender.as_mut().expect("a session");
-        self.streams.push_back(sender.stream(&self.encoder.encode(delta)));
+    /// A session that stands, with a server whose world is the stage, and whose clock reads a second now.
+    fn in_step(client: &mut Client) -> Self {
+        let mut line = Self::new(Pose::IDENTITY, -CONNECTING_TURNS * PERIOD_NS);
+        client.on_connected(at(1_000_000_000));
+        for _ in 0..CONNECTING_TURNS {
+            line.turn(client);
+        }
+        line
     }
 
-    fn send(&mut self, delta: impl Into<Delta>, planes: &Planes, is_refresh: bool) {
+    fn send_delta(&mut self, delta: impl Into<Delta>) {
+        let sender = self.sender.as_mut().expect("a session");
+        self.streams.push_back(sender.stream(&self.encoder.encode(&delta.into())));
+    }
+
+    fn send(&mut self, delta: impl Into<Delta>, planes: &I420, is_refresh: bool) {
         let delta = delta.into();
-        self.send_delta(&delta);
         let header = PictureHeader { frame: delta.geometry.frame, time: delta.geometry.time, is_refresh };
+        self.send_delta(delta);
         self.streams.push_back(picture_stream(header, &coded(planes, is_refresh)).expect("a small picture"));
     }
 }
@@ -678,7 +673,7 @@ fn a_world_that_stands_still_says_why_until_pictures_come_again() {
 
 /// Steps of the grid for the moving strip at the client's time; the server's clock is ahead.
 fn strip_steps(line: &Line) -> std::ops::RangeInclusive<i32> {
-    let now = ServerTime(1_000_000_000 + line.frames * 13_888_889 + SERVER_AHEAD_NS);
+    let now = ServerTime(1_000_000_000 + line.frames * PERIOD_NS + line.ahead_ns);
     let step = DEFAULT_GRID.floor(now).0;
     step..=step + 5
 }
@@ -812,7 +807,7 @@ fn a_flood_of_samples_that_take_no_bits_waits_coded_and_then_ends_the_session() 
             new_vertices: (0..if enters { 256 } else { 0 }).map(still).collect(),
             ..GeometryDelta::default()
         };
-        line.send_delta(&Delta { geometry, samples: (0..16).map(batch).collect() });
+        line.send_delta(Delta { geometry, samples: (0..16).map(batch).collect() });
     }
     line.deliver(&mut client, at(2_000_000_000));
     // One delta of 4096 samples is more than a turn takes in; records of 20 bytes, twice for the vector's growth.

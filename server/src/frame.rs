@@ -3,7 +3,7 @@
 
 use crate::choice::{Notice, Room, Shortage};
 use crate::culling::{Culling, Needed};
-use crate::encode::{AccessUnit, EncodeError, Encoder, Planes};
+use crate::encode::Source;
 use crate::levels::{Layout, Visible};
 use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES};
 use crate::residency::{Budget, PlacementChange, Residency, UpdateWindow};
@@ -26,9 +26,9 @@ use shadecast_protocol::delta::EncodedDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_VIEWS};
 use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
+use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::Fov;
 use shadecast_protocol::time::ServerTime;
-use shadecast_protocol::wire::PictureHeader;
 use shadecast_shaders::constants::EYES;
 use shadecast_shaders::generated::ViewGpu;
 use std::collections::VecDeque;
@@ -57,6 +57,8 @@ pub struct Frame {
     shortage: Shortage,
     shading: Shading,
     ycbcr: Ycbcr,
+    /// Memory for the next update's picture.
+    spare: I420,
     next: UpdateId,
     update_times: VecDeque<(UpdateId, ServerTime)>,
 }
@@ -77,10 +79,8 @@ pub struct Shaded {
     pub time: ServerTime,
     /// What changes in the client's memory.
     pub delta: EncodedDelta,
-    /// Atlas width and height in texels.
-    pub extent_texels: [u32; 2],
-    /// Luma, blue and red difference, one after the other, tight.
-    pub planes: Vec<u8>,
+    /// The atlas; of no texels while an encoder has it.
+    pub picture: Source,
     /// What its stages took on the device.
     pub timings: Timings,
 }
@@ -124,6 +124,7 @@ impl Frame {
             level_selection,
             shading,
             ycbcr,
+            spare: I420::default(),
             next: UpdateId(0),
             update_times: VecDeque::new(),
         })
@@ -163,6 +164,12 @@ impl Frame {
         self.residency.set_budget(budget);
     }
 
+    /// A picture that is not needed any more.
+    pub fn recycle(&mut self, picture: Source) {
+        let Source::Planes(picture) = picture;
+        self.spare = picture;
+    }
+
     /// Steps 1 to 6 and 8. `None` before the first head state: there is nowhere to look from.
     pub fn update(&mut self, world: &mut World, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
         let Some(views) = self.head.predict(now, world.grid()) else { return Ok(None) }; // 1
@@ -177,9 +184,9 @@ impl Frame {
         let delta: EncodedDelta = self.residency.update(&world.samples, &changes, window); // 8
         self.report_shortage();
         let frame = self.begin_next(now);
-        let planes = self.ycbcr.planes().concat();
-        let extent_texels = self.shading.atlas.desc().extent;
-        Ok(Some(Shaded { frame, time: now, delta, extent_texels, planes, timings }))
+        let mut picture = std::mem::take(&mut self.spare);
+        self.ycbcr.read(&mut picture);
+        Ok(Some(Shaded { frame, time: now, delta, picture: Source::Planes(picture), timings }))
     }
 
     /// Which samples the update that is being made may send.
@@ -297,22 +304,6 @@ impl Frame {
     /// How the head moves and how long the way to the display is.
     pub fn head_track(&self) -> &HeadTrack {
         &self.head
-    }
-}
-
-impl Shaded {
-    /// Step 7: the picture as an access unit, with the header that binds it to its delta.
-    pub fn encode(
-        &self,
-        encoder: &mut dyn Encoder,
-        refresh: bool,
-    ) -> Result<(PictureHeader, AccessUnit), EncodeError> {
-        let luma = self.extent_texels[0] as usize * self.extent_texels[1] as usize;
-        let (y, chroma) = self.planes.split_at(luma);
-        let (cb, cr) = chroma.split_at(luma / 4);
-        let planes = Planes { extent_texels: self.extent_texels, y, cb, cr };
-        let unit = encoder.encode(&planes, self.time.0, refresh)?;
-        Ok((PictureHeader { frame: self.frame, time: self.time, is_refresh: unit.is_refresh }, unit))
     }
 }
 

@@ -5,6 +5,7 @@ pub mod atlas;
 pub mod choice;
 pub mod culling;
 pub mod encode;
+pub mod encoding;
 pub mod flags;
 pub mod frame;
 pub mod inspect;

@@ -1,5 +1,6 @@
 //! Pictures to files.
 
+use shadecast_protocol::picture::I420;
 use shadecast_transport::PendingFile;
 use std::io::{self, BufWriter};
 use std::path::Path;
@@ -25,17 +26,17 @@ pub fn write_png(path: &Path, [width, height]: [u32; 2], rgb8: &[u8]) -> io::Res
     file.commit().map_err(named)
 }
 
-/// Full-range BT.709 4:2:0 planes (one after the other, tight) to RGB, chroma repeated.
-pub fn rgb_from_planes([width, height]: [u32; 2], planes: &[u8]) -> Vec<u8> {
-    let (w, luma) = (width as usize, width as usize * height as usize);
-    let (cb, cr) = planes[luma..].split_at(luma / 4);
+/// A picture as tight rows of RGB, chroma repeated.
+pub fn rgb_of(picture: &I420) -> Vec<u8> {
+    let w = picture.extent_texels()[0] as usize;
+    let [luma, cb, cr] = picture.planes();
     let texel = |i: usize| {
         let chroma = (i / w / 2) * (w / 2) + i % w / 2;
-        let y = f32::from(planes[i]);
+        let y = f32::from(luma[i]);
         let (b, r) = (f32::from(cb[chroma]) - 128.0, f32::from(cr[chroma]) - 128.0);
         // ITU-R BT.709-6, item 3, solved for red, green and blue.
         [y + 1.5748 * r, y - 0.1873 * b - 0.4681 * r, y + 1.8556 * b]
             .map(|c| c.round().clamp(0.0, 255.0) as u8)
     };
-    (0..luma).flat_map(texel).collect()
+    (0..luma.len()).flat_map(texel).collect()
 }

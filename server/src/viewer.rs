@@ -1,6 +1,7 @@
 //! A client that is served, from its acceptance on: what it tells, when its next update is made, what leaves with it. Without
 //! I/O, threads and clocks: the server's threads and the lab drive the same.
 
+use crate::encode::Source;
 use crate::frame::Shaded;
 use crate::pacing::{Kind, Shortfall, UpdateGate, WayState};
 use crate::residency::Budget;
@@ -18,6 +19,8 @@ pub trait Updates {
     fn interrupted(&mut self);
     /// What the next update may take on the wire.
     fn set_budget(&mut self, budget: Budget);
+    /// A picture of any update is not needed any more.
+    fn recycle(&mut self, picture: Source);
 }
 
 /// What a client has told since it was asked last: the newest of each kind.
@@ -145,6 +148,11 @@ impl<U: Updates> Viewer<U> {
         let delta = self.sender.stream(&shaded.delta);
         let refresh = std::mem::take(&mut self.refresh);
         (delta, Update { shaded: Box::new(shaded), refresh })
+    }
+
+    /// A picture of any update is not needed any more: its memory is used for the next.
+    pub fn recycle(&mut self, picture: Source) {
+        self.updates.recycle(picture);
     }
 
     /// A stream of an update was handed to the transport.

@@ -1,8 +1,10 @@
 //! Colours as a picture's planes: full-range BT.709 (ITU-R BT.709-6, item 3), 4:2:0, chroma centre-sited. On the CPU for
 //! pictures that never were on the device, and the twin of `ycbcr.comp`.
 
-/// `rgba8` (tight rows, sides even) as luma, blue and red difference planes, one after the other.
-pub fn planes(rgba8: &[u8], [width, height]: [u32; 2]) -> Vec<u8> {
+use shadecast_protocol::picture::I420;
+
+/// The picture of `rgba8` (tight rows, sides even).
+pub fn picture(rgba8: &[u8], [width, height]: [u32; 2]) -> I420 {
     let (w, h) = (width as usize, height as usize);
     let (mut luma, mut blue, mut red) = (Vec::new(), Vec::new(), Vec::new());
     let at = |x: usize, y: usize| ycbcr(&rgba8[(y * w + x) * 4..][..3]);
@@ -17,7 +19,7 @@ pub fn planes(rgba8: &[u8], [width, height]: [u32; 2]) -> Vec<u8> {
             red.push(byte(mean(2)));
         }
     }
-    [luma, blue, red].concat()
+    I420::new([width, height], [luma, blue, red].concat()).expect("sides are even")
 }
 
 fn ycbcr(rgb8: &[u8]) -> [f32; 3] {
@@ -36,7 +38,8 @@ mod tests {
 
     #[test]
     fn grey_has_no_chroma_and_primaries_have_their_weights() {
-        let solid = |rgb: [u8; 3]| planes(&[[rgb[0], rgb[1], rgb[2], 255]; 4].concat(), [2, 2]);
+        let solid =
+            |rgb: [u8; 3]| picture(&[[rgb[0], rgb[1], rgb[2], 255]; 4].concat(), [2, 2]).bytes().to_vec();
         assert_eq!(solid([77; 3]), [77, 77, 77, 77, 128, 128]);
         assert_eq!(solid([255, 0, 0]), [54, 54, 54, 54, 99, 255]);
         assert_eq!(solid([0, 255, 0]), [182, 182, 182, 182, 30, 12]);

@@ -1,48 +1,72 @@
 //! The seam between the video stream and the atlas texture.
 //!
-//! What is above (the bundle) hands in access units in the order they were encoded and gets planes; what is below is
-//! [`openh264`] on desktops and the platform's decoder on Android. A decoder never conceals: after a broken or lost
+//! What is above ([`crate::decoding`]) hands in access units in the order they were encoded and gets pictures; what is below
+//! is [`openh264`] on desktops, the platform's decoder on Android, and [`raw`] for what was not coded. A decoder never conceals: after a broken or lost
 //! unit the picture on display stays, and the decoder refuses everything but a refresh, because a picture that
 //! refers to one that is missing would look plausible and be wrong.
 //!
-//! Planes are I420, full range, BT.709. Whatever bytes come in, a decoder gives a picture of the agreed extent or an
-//! error; [`sps`] looks at every sequence header before the decoder does.
+//! Whatever bytes come in, a decoder gives a picture of the agreed extent or an error; [`sps`] looks at every sequence header before the decoder does.
 
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
+use shadecast_protocol::picture::{I420, I420Error};
+use std::time::Duration;
 use thiserror::Error;
 
 #[cfg(feature = "desktop")]
 pub mod openh264;
+pub mod raw;
 pub mod sps;
 
-/// A decoded picture: tightly packed planes, chroma at half resolution in both directions.
-///
-/// Meant to be used again and again: a decoder of the same extent reuses the memory.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Picture {
-    /// Width and height of the luma plane in texels.
-    pub extent_texels: [u32; 2],
-    /// Luma, 0 (black) to 255 (white): `width * height` bytes, rows from the top.
-    pub y: Vec<u8>,
-    /// Blue difference, 128 is grey: `width / 2 * height / 2` bytes.
-    pub cb: Vec<u8>,
-    /// Red difference, 128 is grey: `width / 2 * height / 2` bytes.
-    pub cr: Vec<u8>,
+/// Decoded pictures that a decoder keeps at most to use their memory again.
+const MAX_SPARE: usize = 4;
+
+/// A decoded picture.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Picture {
+    /// In the CPU's memory.
+    Planes(I420),
 }
 
-/// Turns access units into pictures, one for one and in order, without delay.
+/// Turns access units into pictures.
+///
+/// Each unit that is submitted comes out of [`Decoder::poll`] once, in the order of submission, as a picture or as an error. How
+/// long that takes is the decoder's affair: it may even wait for later units. What came out is the caller's, for as long as it
+/// likes.
+///
+/// After an error every unit gives [`DecodeError::NeedsRefresh`], until one that is a refresh decodes without error.
 pub trait Decoder: Send {
-    /// Decodes one access unit (Annex B) into `picture`.
-    ///
-    /// On an error `picture` is unchanged, and every further unit gives [`DecodeError::NeedsRefresh`] until one with
-    /// a refresh decodes without error.
-    fn decode(&mut self, access_unit: &[u8], picture: &mut Picture) -> Result<(), DecodeError>;
+    /// Hands over the next access unit, which is read before this returns.
+    fn submit(&mut self, access_unit: &[u8]);
 
-    /// Tells the decoder that a unit was lost on the way: it then waits for a refresh, as after an error.
+    /// What became of the next unit, for which it waits at most for `timeout`; `None` where that is not known yet.
+    fn poll(&mut self, timeout: Duration) -> Option<Result<Picture, DecodeError>>;
+
+    /// Takes back a picture that came out, to use its memory again. Others that came out before may come back later, or never.
+    fn recycle(&mut self, picture: Picture);
+
+    /// The unit after the last one that was submitted is lost: the decoder then waits for a refresh, as after an error.
     fn unit_lost(&mut self);
 
-    /// Whether only a refresh can be decoded now.
+    /// Whether only a refresh can be submitted now.
     fn needs_refresh(&self) -> bool;
+}
+
+/// Memory of pictures that came back.
+#[derive(Debug, Default)]
+pub(crate) struct Spare(Vec<I420>);
+
+impl Spare {
+    /// Memory for a picture.
+    pub(crate) fn take(&mut self) -> I420 {
+        self.0.pop().unwrap_or_default()
+    }
+
+    /// Keeps a picture's memory, unless there is enough.
+    pub(crate) fn give(&mut self, picture: I420) {
+        if self.0.len() < MAX_SPARE {
+            self.0.push(picture);
+        }
+    }
 }
 
 /// Why an access unit gave no picture, or a decoder could not be made.
@@ -90,6 +114,9 @@ pub enum DecodeError {
     /// The unit depends on a picture that is missing.
     #[error("waiting for a refresh: this access unit depends on a picture that is missing")]
     NeedsRefresh,
+    /// A unit that is no picture as it is.
+    #[error("an access unit is no picture: {0}")]
+    NotRaw(#[from] I420Error),
     /// The decoder library refused.
     #[error("openh264 failed while {doing} (code {code})")]
     Library {

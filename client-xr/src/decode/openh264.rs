@@ -7,8 +7,10 @@
 //! The library keeps a picture back in case a later one should come before it. Ours never do, so each unit is flushed
 //! and its picture comes out at once.
 
+use std::collections::VecDeque;
 use std::ffi::{c_int, c_long, c_void};
 use std::ptr;
+use std::time::Duration;
 
 use openh264_sys2::{
     DECODER_OPTION, DECODER_OPTION_TRACE_LEVEL, ERROR_CON_DISABLE, ISVCDecoder, ISVCDecoderVtbl, SBufferInfo,
@@ -16,8 +18,9 @@ use openh264_sys2::{
 };
 
 use super::sps::{self, Sps};
-use super::{DecodeError, Decoder, Picture};
+use super::{DecodeError, Decoder, Picture, Spare};
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
+use shadecast_protocol::picture::I420;
 
 /// The library's name for a function missing from its table, in the range of its own result codes.
 const MISSING_FUNCTION: c_long = -1;
@@ -25,11 +28,13 @@ const MISSING_FUNCTION: c_long = -1;
 /// Decoder state for a unit that decoded without complaint, but gave no picture.
 const NO_PICTURE: i32 = 0;
 
-/// A [`Decoder`] that runs openh264 on the CPU.
+/// A [`Decoder`] that runs openh264 on the CPU: while a unit is submitted, so that it can be polled at once.
 pub struct OpenH264Decoder {
     extent_texels: [u32; 2],
     library: Library,
     state: State,
+    done: VecDeque<Result<Picture, DecodeError>>,
+    spare: Spare,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,10 +57,16 @@ impl OpenH264Decoder {
         if !fits {
             return Err(DecodeError::Extent(extent_texels));
         }
-        Ok(Self { extent_texels, library: Library::new()?, state: State::Fresh })
+        Ok(Self {
+            extent_texels,
+            library: Library::new()?,
+            state: State::Fresh,
+            done: VecDeque::new(),
+            spare: Spare::default(),
+        })
     }
 
-    fn try_decode(&mut self, access_unit: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
+    fn decode(&mut self, access_unit: &[u8], picture: &mut I420) -> Result<(), DecodeError> {
         let is_refresh = inspect(access_unit, self.extent_texels)?;
         if self.needs_refresh() && !is_refresh {
             return Err(DecodeError::NeedsRefresh);
@@ -69,14 +80,30 @@ impl OpenH264Decoder {
 }
 
 impl Decoder for OpenH264Decoder {
-    fn decode(&mut self, access_unit: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
-        let result = self.try_decode(access_unit, picture);
+    fn submit(&mut self, access_unit: &[u8]) {
+        let mut picture = self.spare.take();
+        let result = self.decode(access_unit, &mut picture);
         self.state = match &result {
             Ok(()) => State::Clean,
             Err(DecodeError::NeedsRefresh) => self.state,
             Err(_) => State::Broken,
         };
-        result
+        self.done.push_back(match result {
+            Ok(()) => Ok(Picture::Planes(picture)),
+            Err(error) => {
+                self.spare.give(picture);
+                Err(error)
+            }
+        });
+    }
+
+    fn poll(&mut self, _: Duration) -> Option<Result<Picture, DecodeError>> {
+        self.done.pop_front()
+    }
+
+    fn recycle(&mut self, picture: Picture) {
+        let Picture::Planes(picture) = picture;
+        self.spare.give(picture);
     }
 
     fn unit_lost(&mut self) {
@@ -234,22 +261,22 @@ impl Decoded<'_> {
         Ok(Self { extent_texels, planes, strides: [luma_stride, chroma_stride, chroma_stride] })
     }
 
-    fn copy_to(&self, want: [u32; 2], picture: &mut Picture) -> Result<(), DecodeError> {
+    fn copy_to(&self, want: [u32; 2], picture: &mut I420) -> Result<(), DecodeError> {
         if self.extent_texels != want {
             return Err(DecodeError::ExtentMismatch { want, got: self.extent_texels });
         }
         let width = want[0] as usize;
-        picture.extent_texels = want;
-        pack(&mut picture.y, self.planes[0], self.strides[0], width);
-        pack(&mut picture.cb, self.planes[1], self.strides[1], width / 2);
-        pack(&mut picture.cr, self.planes[2], self.strides[2], width / 2);
-        Ok(())
+        let packed = picture.refill(want, |bytes| {
+            for (plane, width) in [width, width / 2, width / 2].into_iter().enumerate() {
+                pack(bytes, self.planes[plane], self.strides[plane], width);
+            }
+        });
+        packed.map_err(|_| DecodeError::Corrupt { state: NO_PICTURE })
     }
 }
 
-/// Copies rows of `width` bytes, `stride` apart, into one piece.
+/// Appends rows of `width` bytes, `stride` apart, without what is between them.
 fn pack(to: &mut Vec<u8>, from: &[u8], stride: usize, width: usize) {
-    to.clear();
     for row in from.chunks(stride) {
         to.extend_from_slice(&row[..width]);
     }

@@ -3,8 +3,10 @@
 
 pub mod requirements;
 
+use crate::decode::raw::RawDecoder;
 use crate::decode::{DecodeError, Decoder};
 use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::message::Codec;
 use shadecast_protocol::time::ClientTime;
 
 /// The system that the client runs on.
@@ -41,18 +43,25 @@ impl Platform {
     }
 }
 
-/// Makes a decoder for pictures of an atlas.
-pub type MakeDecoder = fn(AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError>;
+/// Makes a decoder of a codec for pictures of an atlas.
+pub type MakeDecoder = fn(Codec, AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError>;
 
 /// The decoder of this system for pictures of an atlas.
+pub fn decoder(codec: Codec, extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
+    match codec {
+        Codec::H264 => h264_decoder(extent),
+        Codec::Raw => Ok(Box::new(RawDecoder::new(extent.texels()))),
+    }
+}
+
 #[cfg(feature = "desktop")]
-pub fn decoder(extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
+fn h264_decoder(extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
     Ok(Box::new(crate::decode::openh264::OpenH264Decoder::new(extent.texels())?))
 }
 
-/// The decoder of this system for pictures of an atlas. MediaCodec is a later step.
+/// MediaCodec is a later step.
 #[cfg(not(feature = "desktop"))]
-pub fn decoder(extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
+fn h264_decoder(extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
     Err(DecodeError::Extent(extent.texels()))
 }
 

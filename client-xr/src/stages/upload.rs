@@ -32,8 +32,8 @@ impl Planes {
 
     /// Copies `picture`, which has the extent these planes were made for. No submitted work reads the staging buffer.
     pub fn record(&mut self, recorder: &mut Recorder, picture: &Picture) {
-        let planes = [&picture.y, &picture.cb, &picture.cr];
-        for (index, plane) in planes.into_iter().enumerate() {
+        let Picture::Planes(picture) = picture;
+        for (index, plane) in picture.planes().into_iter().enumerate() {
             let image = &self.images[index];
             let [width, height] = image.desc().extent;
             assert_eq!(

@@ -8,9 +8,12 @@ use shadecast_client::xr::{Xr, XrOptions};
 use shadecast_gpu::Gpu;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_mock_runtime::record::{Side, picture_path};
+use shadecast_protocol::picture::I420;
 use shadecast_protocol::time::ClientTime;
+use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Pixels of one eye, both ways; 90 degrees.
 pub const SIDE: u32 = 256;
@@ -35,8 +38,12 @@ impl Run {
             decoding: DecodeTiming::Virtual { delay_ns: 6_000_000 },
             max_vertex_slots: 256,
             max_patch_slots: 64,
-            decoder: |extent| {
-                Ok(Box::new(RawDecoder { extent_texels: extent.texels(), has_reference: false }))
+            decoder: |_, extent| {
+                Ok(Box::new(ToyDecoder {
+                    extent_texels: extent.texels(),
+                    has_reference: false,
+                    done: VecDeque::new(),
+                }))
             },
             ..ClientOptions::default()
         };
@@ -109,33 +116,39 @@ pub fn at(ns: i64) -> ClientTime {
 }
 
 /// Decodes what [`coded`] makes: planes as they are, behind a byte that says whether an earlier picture is needed.
-struct RawDecoder {
+struct ToyDecoder {
     extent_texels: [u32; 2],
     has_reference: bool,
+    done: VecDeque<Result<decode::Picture, DecodeError>>,
 }
 
-/// A picture as the raw decoder takes it.
-pub fn coded(picture: &decode::Picture, is_refresh: bool) -> Vec<u8> {
-    [&[u8::from(is_refresh)][..], &picture.y, &picture.cb, &picture.cr].concat()
+/// A picture as the decoder takes it.
+pub fn coded(picture: &I420, is_refresh: bool) -> Vec<u8> {
+    [&[u8::from(is_refresh)][..], picture.bytes()].concat()
 }
 
-impl Decoder for RawDecoder {
-    fn decode(&mut self, access_unit: &[u8], picture: &mut decode::Picture) -> Result<(), DecodeError> {
+impl ToyDecoder {
+    fn decode(&mut self, access_unit: &[u8]) -> Result<decode::Picture, DecodeError> {
         if access_unit[0] == 0 && !self.has_reference {
             return Err(DecodeError::NeedsRefresh);
         }
         self.has_reference = true;
-        let luma = (self.extent_texels[0] * self.extent_texels[1]) as usize;
-        let (y, chroma) = access_unit[1..].split_at(luma);
-        let (cb, cr) = chroma.split_at(luma / 4);
-        *picture = decode::Picture {
-            extent_texels: self.extent_texels,
-            y: y.to_vec(),
-            cb: cb.to_vec(),
-            cr: cr.to_vec(),
-        };
-        Ok(())
+        let picture = I420::new(self.extent_texels, access_unit[1..].to_vec());
+        Ok(decode::Picture::Planes(picture.expect("a picture of the agreed extent")))
     }
+}
+
+impl Decoder for ToyDecoder {
+    fn submit(&mut self, access_unit: &[u8]) {
+        let result = self.decode(access_unit);
+        self.done.push_back(result);
+    }
+
+    fn poll(&mut self, _: Duration) -> Option<Result<decode::Picture, DecodeError>> {
+        self.done.pop_front()
+    }
+
+    fn recycle(&mut self, _: decode::Picture) {}
 
     fn unit_lost(&mut self) {
         self.has_reference = false;

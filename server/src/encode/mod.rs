@@ -1,71 +1,102 @@
 //! The seam between the shading atlas and its video stream.
 //!
-//! What is above (the frame) hands over planes and gets an access unit; it does not know which encoder made it.
+//! What is above ([`crate::encoding`]) hands over pictures and gets access units; it does not know which encoder made them.
 //! What is below knows neither frames nor sockets, and has no clock: timestamps come in as arguments, so that the
-//! same pictures always give the same bytes. [`openh264`] is the embedded encoder; a hardware one goes beside it.
+//! same pictures always give the same bytes. [`openh264`] is the embedded encoder, [`raw`] codes nothing; a hardware one goes
+//! beside them.
 //!
-//! Every picture is I420, full range, BT.709 primaries, transfer and matrix, and the stream says so (VUI).
+//! Every picture is an [`I420`], and the stream says what that is (VUI).
 
+use openh264::{EncoderSettings, OpenH264Encoder};
+use raw::RawEncoder;
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
+use shadecast_protocol::message::Codec;
+use shadecast_protocol::picture::I420;
+use std::time::Duration;
 use thiserror::Error;
 
 pub mod openh264;
+pub mod raw;
 
-/// One picture to encode: tightly packed planes, luma at full and chroma at half resolution in both directions.
-#[derive(Clone, Copy, Debug)]
-pub struct Planes<'a> {
-    /// Width and height of the luma plane in texels; both even.
-    pub extent_texels: [u32; 2],
-    /// Luma, 0 (black) to 255 (white): `width * height` bytes, rows from the top.
-    pub y: &'a [u8],
-    /// Blue difference, 128 is grey: `width / 2 * height / 2` bytes.
-    pub cb: &'a [u8],
-    /// Red difference, 128 is grey: `width / 2 * height / 2` bytes.
-    pub cr: &'a [u8],
-}
-
-impl Planes<'_> {
-    /// Whether every plane holds exactly the texels that the extent promises.
-    fn check(&self) -> Result<(), EncodeError> {
-        let luma = byte_count(self.extent_texels);
-        for (plane, got, want) in
-            [("y", self.y.len(), luma), ("cb", self.cb.len(), luma / 4), ("cr", self.cr.len(), luma / 4)]
-        {
-            if got != want {
-                return Err(EncodeError::PlaneSize { plane, got, want, extent_texels: self.extent_texels });
-            }
-        }
-        Ok(())
-    }
-}
-
-fn byte_count([width, height]: [u32; 2]) -> usize {
-    width as usize * height as usize
-}
+/// An encoder that gives nothing for so long is broken.
+pub const PATIENCE: Duration = Duration::from_secs(2);
 
 /// The coded form of one picture.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AccessUnit {
-    /// An H.264 byte stream (Annex B, with start codes); parameter sets come with every refresh.
+    /// As the codec has it: of H.264 a byte stream (Annex B, with start codes), with parameter sets in every refresh.
     pub bytes: Vec<u8>,
-    /// Whether a decoder can start here, without anything that came before (IDR).
+    /// Whether a decoder can start here, without anything that came before (of H.264 an IDR).
     pub is_refresh: bool,
 }
 
-/// Turns pictures into access units, one for one and in order, without delay.
-pub trait Encoder: Send {
-    /// Encodes one picture. The first one, and one with `refresh`, depends on no picture before it.
-    ///
-    /// `timestamp_ns` is the picture's time on any monotonic clock. After an error the next picture is a refresh.
-    fn encode(
-        &mut self,
-        picture: &Planes<'_>,
-        timestamp_ns: i64,
-        refresh: bool,
-    ) -> Result<AccessUnit, EncodeError>;
+/// A picture for an encoder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// In the CPU's memory.
+    Planes(I420),
+}
 
-    /// Changes the quantisation parameter, 0 (finest) to 51 (coarsest), from the next picture on.
+impl Default for Source {
+    /// A picture of no texels.
+    fn default() -> Self {
+        Self::Planes(I420::default())
+    }
+}
+
+/// What became of a picture that was submitted.
+#[derive(Debug)]
+pub struct Encoded {
+    /// The picture, whose memory can be used again.
+    pub source: Source,
+    /// Its coded form, or why there is none.
+    pub result: Result<AccessUnit, EncodeError>,
+}
+
+/// Turns pictures into access units.
+///
+/// Each picture that is submitted comes out of [`Encoder::poll`] once, in the order of submission, coded or with the reason why
+/// it is not. It comes out by itself, however long that takes: an encoder waits for no later picture. Until then the picture is
+/// the encoder's.
+///
+/// No access unit depends on a picture that failed. The first one that can be decoded after a failure may therefore be a
+/// refresh that nobody asked for.
+pub trait Encoder: Send {
+    /// Hands over a picture. The first one, and one with `refresh`, will depend on no picture before it.
+    ///
+    /// `timestamp_ns` is the picture's time on any monotonic clock.
+    fn submit(&mut self, source: Source, timestamp_ns: i64, refresh: bool);
+
+    /// The next picture that is done, for which it waits at most for `timeout`; `None` where none is.
+    fn poll(&mut self, timeout: Duration) -> Option<Encoded>;
+
+    /// Changes the quantisation parameter, 0 (finest) to 51 (coarsest), from the next picture on that is submitted.
     fn set_qp(&mut self, qp: u8) -> Result<(), EncodeError>;
+}
+
+/// An encoder of the agreed codec.
+///
+/// # Errors
+/// The settings are outside of their ranges, or the encoder cannot be made.
+pub fn encoder(codec: Codec, settings: EncoderSettings) -> Result<Box<dyn Encoder>, EncodeError> {
+    Ok(match codec {
+        Codec::H264 => Box::new(OpenH264Encoder::new(settings)?),
+        Codec::Raw => Box::new(RawEncoder::new(settings.extent_texels)),
+    })
+}
+
+/// Encodes one picture with an encoder that has no other, and waits for it.
+///
+/// # Errors
+/// The picture's own, or the encoder gives nothing.
+pub fn encode_one(
+    encoder: &mut dyn Encoder,
+    source: Source,
+    timestamp_ns: i64,
+    refresh: bool,
+) -> Result<AccessUnit, EncodeError> {
+    encoder.submit(source, timestamp_ns, refresh);
+    encoder.poll(PATIENCE).map_or(Err(EncodeError::Stalled), |encoded| encoded.result)
 }
 
 /// Why a picture could not be encoded, or an encoder not be made.
@@ -97,19 +128,6 @@ pub enum EncodeError {
         /// Extent of the picture, in texels.
         got: [u32; 2],
     },
-    /// A plane whose length does not fit the picture's extent.
-    #[error("plane {plane} of a {}x{} picture has {got} bytes instead of {want}: planes are tightly packed I420",
-            .extent_texels[0], .extent_texels[1])]
-    PlaneSize {
-        /// Which plane: y, cb or cr.
-        plane: &'static str,
-        /// Its length in bytes.
-        got: usize,
-        /// The length that the extent demands.
-        want: usize,
-        /// Extent of the picture, in texels.
-        extent_texels: [u32; 2],
-    },
     /// More bytes than a client takes; level 5.2 of H.264 does not allow so many.
     #[error(
         "the coded picture has {got} bytes, above the limit of {MAX_ACCESS_UNIT_BYTES}; the next picture starts a new stream"
@@ -118,6 +136,9 @@ pub enum EncodeError {
         /// Its length in bytes.
         got: usize,
     },
+    /// Nothing came out.
+    #[error("no picture came out of the encoder within {} s", PATIENCE.as_secs())]
+    Stalled,
     /// The encoder library refused.
     #[error("openh264 failed while {doing} (code {code}); the next picture starts a new stream")]
     Library {

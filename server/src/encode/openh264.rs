@@ -9,8 +9,10 @@
 //! The library is built from source, and without `nasm` on the build machine it silently loses all its assembly and
 //! becomes several times slower: the set-up installs it.
 
+use std::collections::VecDeque;
 use std::ffi::{c_int, c_void};
 use std::ptr;
+use std::time::Duration;
 
 use openh264_sys2::{
     CAMERA_VIDEO_REAL_TIME, CM_BT709, CONSTANT_ID, CP_BT709, DEBLOCKING_IDC_1, ENCODER_OPTION,
@@ -20,9 +22,10 @@ use openh264_sys2::{
     source::APILoader, videoFormatI420, videoFrameTypeI, videoFrameTypeIDR, videoFrameTypeP,
 };
 
-use super::{AccessUnit, EncodeError, Encoder, Planes};
+use super::{AccessUnit, EncodeError, Encoded, Encoder, Source};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
+use shadecast_protocol::picture::I420;
 
 /// The quantisation parameter used unless told otherwise.
 pub const DEFAULT_QP: u8 = 22;
@@ -152,26 +155,24 @@ fn check_setting(
     if (least..=most).contains(&value) { Ok(()) } else { Err(EncodeError::Setting { name, value, range }) }
 }
 
-/// An [`Encoder`] that runs openh264 on the CPU.
+/// An [`Encoder`] that runs openh264 on the CPU: while a picture is submitted, so that it can be polled at once.
 pub struct OpenH264Encoder {
     settings: EncoderSettings,
     /// Gone after a failure, since the library may have torn itself down; made anew for the next picture.
     library: Option<Library>,
+    done: VecDeque<Encoded>,
 }
 
 impl OpenH264Encoder {
     /// Makes an encoder for pictures of one extent.
     pub fn new(settings: EncoderSettings) -> Result<Self, EncodeError> {
         settings.check()?;
-        Ok(Self { settings, library: Some(Library::new(&settings)?) })
+        Ok(Self { settings, library: Some(Library::new(&settings)?), done: VecDeque::new() })
     }
 
-    fn check_picture(&self, picture: &Planes<'_>) -> Result<(), EncodeError> {
-        let want = self.settings.extent_texels;
-        if picture.extent_texels != want {
-            return Err(EncodeError::ExtentChanged { want, got: picture.extent_texels });
-        }
-        picture.check()
+    fn check_picture(&self, picture: &I420) -> Result<(), EncodeError> {
+        let (want, got) = (self.settings.extent_texels, picture.extent_texels());
+        if got == want { Ok(()) } else { Err(EncodeError::ExtentChanged { want, got }) }
     }
 
     fn library(&mut self) -> Result<Library, EncodeError> {
@@ -180,12 +181,10 @@ impl OpenH264Encoder {
             None => Library::new(&self.settings),
         }
     }
-}
 
-impl Encoder for OpenH264Encoder {
     fn encode(
         &mut self,
-        picture: &Planes<'_>,
+        picture: &I420,
         timestamp_ns: i64,
         refresh: bool,
     ) -> Result<AccessUnit, EncodeError> {
@@ -201,6 +200,18 @@ impl Encoder for OpenH264Encoder {
         }
         self.library = Some(library);
         Ok(unit)
+    }
+}
+
+impl Encoder for OpenH264Encoder {
+    fn submit(&mut self, source: Source, timestamp_ns: i64, refresh: bool) {
+        let Source::Planes(picture) = &source;
+        let result = self.encode(picture, timestamp_ns, refresh);
+        self.done.push_back(Encoded { source, result });
+    }
+
+    fn poll(&mut self, _: Duration) -> Option<Encoded> {
+        self.done.pop_front()
     }
 
     fn set_qp(&mut self, qp: u8) -> Result<(), EncodeError> {
@@ -291,13 +302,13 @@ impl Library {
         check(unsafe { force(self.encoder, true) }, doing)
     }
 
-    fn encode(&mut self, picture: &Planes<'_>, timestamp_ns: i64) -> Result<AccessUnit, EncodeError> {
+    fn encode(&mut self, picture: &I420, timestamp_ns: i64) -> Result<AccessUnit, EncodeError> {
         let doing = "encoding a picture";
         let source = source_picture(picture, timestamp_ns);
         let encode = required(self.table().EncodeFrame, doing)?;
         *self.written = SFrameBSInfo::default();
-        // SAFETY: the encoder is alive and initialised for this extent; the planes have been checked to hold all
-        // texels of it, outlive the call, and are only read; `written` is a valid place.
+        // SAFETY: the encoder is alive and initialised for this extent, which was checked to be the picture's; its
+        // planes hold all texels of it, outlive the call, and are only read; `written` is a valid place.
         check(unsafe { encode(self.encoder, &source, &mut *self.written) }, doing)?;
         self.collect()
     }
@@ -346,18 +357,14 @@ unsafe fn layer_bytes(layer: &SLayerBSInfo) -> &[u8] {
     }
 }
 
-fn source_picture(picture: &Planes<'_>, timestamp_ns: i64) -> SSourcePicture {
-    let [width, height] = picture.extent_texels.map(|texels| texels as c_int);
+fn source_picture(picture: &I420, timestamp_ns: i64) -> SSourcePicture {
+    let [width, height] = picture.extent_texels().map(|texels| texels as c_int);
+    let [y, cb, cr] = picture.planes().map(|plane| plane.as_ptr().cast_mut());
     SSourcePicture {
         iColorFormat: videoFormatI420,
         iStride: [width, width / 2, width / 2, 0],
         // The library takes mutable pointers, but only reads: it copies the picture before it works on it.
-        pData: [
-            picture.y.as_ptr().cast_mut(),
-            picture.cb.as_ptr().cast_mut(),
-            picture.cr.as_ptr().cast_mut(),
-            ptr::null_mut(),
-        ],
+        pData: [y, cb, cr, ptr::null_mut()],
         iPicWidth: width,
         iPicHeight: height,
         uiTimeStamp: timestamp_ns / 1_000_000,

@@ -4,6 +4,7 @@ use crate::stages::mark::nearest;
 use shadecast_gpu::{
     Access, Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Image, Memory, Recorder, Sampler,
 };
+use shadecast_protocol::picture::I420;
 use shadecast_shaders::constants::YCBCR_TEXELS;
 use shadecast_shaders::generated::{YCBCR_COMP, YcbcrPush};
 use std::sync::Arc;
@@ -22,7 +23,7 @@ impl Ycbcr {
     /// Converts `atlas`, whose width is a multiple of 8 and height of 2.
     pub fn new(gpu: &Arc<Gpu>, atlas: &Image) -> Result<Self, GpuError> {
         let extent = atlas.desc().extent;
-        let bytes = u64::from(extent[0]) * u64::from(extent[1]) * 3 / 2;
+        let bytes = I420::byte_count(extent);
         let pipeline = ComputePipeline::new(gpu, &YCBCR_COMP)?;
         let sampler = Sampler::new(gpu, nearest())?;
         let planes = Buffer::new(gpu, "planes", bytes, Memory::Device)?;
@@ -46,12 +47,10 @@ impl Ycbcr {
         recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
     }
 
-    /// Luma, blue and red difference, tight, once the recording has finished.
-    pub fn planes(&self) -> [&[u8]; 3] {
-        let luma = self.extent[0] as usize * self.extent[1] as usize;
-        let bytes = &self.readback.bytes()[..luma * 3 / 2];
-        let (y, chroma) = bytes.split_at(luma);
-        let (cb, cr) = chroma.split_at(luma / 4);
-        [y, cb, cr]
+    /// Copies the picture to `picture`, once the recording has finished.
+    pub fn read(&self, picture: &mut I420) {
+        let bytes = &self.readback.bytes()[..I420::byte_count(self.extent) as usize];
+        let read = picture.refill(self.extent, |planes| planes.extend_from_slice(bytes));
+        read.expect("an atlas has even sides");
     }
 }

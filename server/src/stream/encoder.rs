@@ -1,7 +1,8 @@
 //! The encoder's thread: one picture at a time, so that what leaves is always the newest.
 
 use super::outlet::Outlet;
-use crate::encode::Encoder;
+use crate::encode::{EncodeError, Encoder, PATIENCE};
+use crate::encoding::{Coded, Encoding};
 use crate::frame::Shaded;
 use shadecast_protocol::session::picture_stream;
 use shadecast_transport::PeerId;
@@ -53,7 +54,7 @@ impl EncoderThread {
         let (jobs, jobs_from) = sync_channel(1);
         let (outcomes_to, outcomes) = channel();
         let thread = std::thread::Builder::new().name("encoder".into()).spawn(move || {
-            run(encoder, outlet.as_ref(), peer, &jobs_from, &outcomes_to);
+            run(Encoding::new(encoder), outlet.as_ref(), peer, &jobs_from, &outcomes_to);
         })?;
         Ok(Self { jobs: Some(jobs), outcomes, is_busy: false, thread: Some(thread) })
     }
@@ -99,7 +100,7 @@ impl Drop for EncoderThread {
 
 /// Ends when the pipeline lets go, or with the first picture that fails.
 fn run(
-    mut encoder: Box<dyn Encoder>,
+    mut encoding: Encoding,
     outlet: &dyn Outlet,
     peer: PeerId,
     jobs: &Receiver<Job>,
@@ -107,7 +108,7 @@ fn run(
 ) {
     while let Ok(job) = jobs.recv() {
         // What a panic leaves behind in the encoder is not used again.
-        let worked = AssertUnwindSafe(|| encode(encoder.as_mut(), outlet, peer, job));
+        let worked = AssertUnwindSafe(|| encode(&mut encoding, outlet, peer, job));
         let outcome = catch_unwind(worked).unwrap_or_else(|panic| Outcome::Failed(words_of(panic.as_ref())));
         let has_failed = matches!(outcome, Outcome::Failed(_));
         if outcomes.send(outcome).is_err() || has_failed {
@@ -116,9 +117,10 @@ fn run(
     }
 }
 
-fn encode(encoder: &mut dyn Encoder, outlet: &dyn Outlet, peer: PeerId, job: Job) -> Outcome {
-    let (header, unit) = match job.shaded.encode(encoder, job.refresh) {
-        Ok(encoded) => encoded,
+fn encode(encoding: &mut Encoding, outlet: &dyn Outlet, peer: PeerId, job: Job) -> Outcome {
+    encoding.submit(job.shaded, job.refresh);
+    let Coded { shaded, header, unit } = match encoding.poll(PATIENCE).unwrap_or(Err(EncodeError::Stalled)) {
+        Ok(coded) => coded,
         Err(error) => return Outcome::Failed(error.to_string()),
     };
     let out = match picture_stream(header, &unit.bytes) {
@@ -129,7 +131,7 @@ fn encode(encoder: &mut dyn Encoder, outlet: &dyn Outlet, peer: PeerId, job: Job
     };
     let (unit_bytes, stream_bytes) = (unit.bytes.len(), crate::viewer::bytes_of(&out));
     match outlet.send(peer, out) {
-        Ok(()) => Outcome::Sent { shaded: job.shaded, stream_bytes, unit_bytes },
+        Ok(()) => Outcome::Sent { shaded, stream_bytes, unit_bytes },
         Err(error) => Outcome::Failed(format!("a picture could not be sent: {error}")),
     }
 }

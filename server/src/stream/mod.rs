@@ -21,6 +21,7 @@ mod turns;
 pub use stats::{StreamStats, ViewerStats};
 pub use studio::{Device, Reopen};
 
+use crate::encode::Source;
 use crate::pacing::WayState;
 use crate::scene::SceneGpu;
 use mailbox::Mailbox;
@@ -181,8 +182,8 @@ pub fn run(
         anyhow::Ok(pipeline.finish(monotonic_now_ns()))
     })?;
     if let (Some(path), Some(shaded)) = (&options.atlas_png, &last_atlas) {
-        let rgb = crate::picture::rgb_from_planes(shaded.extent_texels, &shaded.planes);
-        crate::picture::write_png(path, shaded.extent_texels, &rgb)?;
+        let Source::Planes(atlas) = &shaded.picture;
+        crate::picture::write_png(path, atlas.extent_texels(), &crate::picture::rgb_of(atlas))?;
     }
     if let Ok(device) = studio.device() {
         stats.device = device.gpu.device_name();

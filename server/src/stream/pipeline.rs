@@ -16,7 +16,6 @@ use crate::pacing::Kind;
 use crate::viewer::{Update, Updates, Viewer, bytes_of};
 use anyhow::Context;
 use shadecast_gpu::GpuError;
-use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::message::{Capabilities, Refused, Welcome};
 use shadecast_protocol::time::ServerTime;
@@ -48,8 +47,8 @@ pub trait Studio {
     fn close(&mut self, updates: Self::Updates, has_failed: bool);
     /// What is known of a client's pictures.
     fn account(&self, updates: &Self::Updates, stats: &mut ViewerStats);
-    /// An encoder for pictures of an extent.
-    fn encoder(&mut self, extent_texels: AtlasExtent) -> Result<Box<dyn Encoder>, EncodeError>;
+    /// An encoder for the pictures of a session.
+    fn encoder(&mut self, welcome: &Welcome) -> Result<Box<dyn Encoder>, EncodeError>;
     /// Opens the device again, after it was lost, and brings the scene to it.
     fn reopen(&mut self) -> anyhow::Result<()>;
 }
@@ -76,7 +75,7 @@ pub(super) struct Pipeline<'a, S: Studio> {
 /// A client that is served.
 struct Served<U> {
     viewer: Viewer<U>,
-    extent_texels: AtlasExtent,
+    welcome: Welcome,
     encoder: EncoderThread,
     encoder_failures: u32,
     share: Share,
@@ -204,8 +203,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
     fn accept(&mut self, peer: PeerId, accepted: Accepted, now_ns: i64) -> Result<(), Fault> {
         self.stats.clients += 1;
         let Accepted { welcome, capabilities, sender } = accepted;
-        let extent_texels = welcome.atlas_extent_texels;
-        let encoder = guarded(|| self.start_encoder(peer, extent_texels))?;
+        let encoder = guarded(|| self.start_encoder(peer, &welcome))?;
         let updates = guarded(|| {
             let updates = self.studio.open(&welcome, &capabilities);
             updates.map_err(|error| Fault::of(&error, "making the pipeline for this client"))
@@ -214,7 +212,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             peer,
             Served {
                 viewer: Viewer::new(updates, sender, self.period_ns, now_ns),
-                extent_texels,
+                welcome,
                 encoder,
                 encoder_failures: 0,
                 share: self.turns.join(),
@@ -225,9 +223,8 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         Ok(())
     }
 
-    fn start_encoder(&mut self, peer: PeerId, extent_texels: AtlasExtent) -> Result<EncoderThread, Fault> {
-        let encoder =
-            self.studio.encoder(extent_texels).map_err(|error| Fault::of_encoder(&error.to_string()))?;
+    fn start_encoder(&mut self, peer: PeerId, welcome: &Welcome) -> Result<EncoderThread, Fault> {
+        let encoder = self.studio.encoder(welcome).map_err(|error| Fault::of_encoder(&error.to_string()))?;
         EncoderThread::start(encoder, self.outlet.clone(), peer)
             .map_err(|error| Fault::of_encoder(&error.to_string()))
     }
@@ -262,7 +259,9 @@ impl<'a, S: Studio> Pipeline<'a, S> {
                 client.viewer.sent(shaded.frame, Kind::Picture, stream_bytes, now_ns);
                 client.stats.atlas_bytes += unit_bytes as u64;
                 self.stats.atlas_bytes += unit_bytes as u64;
-                self.last_atlas = Some(shaded);
+                if let Some(earlier) = self.last_atlas.replace(shaded) {
+                    client.viewer.recycle(earlier.picture);
+                }
             }
             Some(Outcome::Failed(reason)) => return self.restart_encoder(peer, &reason),
         }
@@ -278,8 +277,8 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         if client.encoder_failures > MAX_ENCODER_FAILURES {
             return Err(Fault::of_encoder(reason));
         }
-        let extent_texels = client.extent_texels;
-        let encoder = guarded(|| self.start_encoder(peer, extent_texels))?;
+        let welcome = client.welcome.clone();
+        let encoder = guarded(|| self.start_encoder(peer, &welcome))?;
         if let Some(client) = self.clients.get_mut(&peer) {
             client.encoder = encoder;
             client.viewer.refresh();

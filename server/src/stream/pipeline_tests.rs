@@ -1,7 +1,7 @@
 //! The pipeline with a studio and a way to clients that do what a test wants.
 
 use super::*;
-use crate::encode::{AccessUnit, Planes};
+use crate::encode::{AccessUnit, Encoded, Source};
 use crate::pacing::WayState;
 use crate::residency::Budget;
 use crate::stream::testing::accepted;
@@ -117,8 +117,8 @@ impl Studio for FakeStudio {
         updates.next += 1;
         let delta = GeometryDelta { frame, time, ..GeometryDelta::default() };
         let delta = DeltaEncoder::new(1, 1).encode(&delta.into());
-        let (extent_texels, planes, timings) = ([16, 16], vec![0; 384], Timings::default());
-        Ok(Some(Shaded { frame, time, delta, extent_texels, planes, timings }))
+        let (picture, timings) = (Source::default(), Timings::default());
+        Ok(Some(Shaded { frame, time, delta, picture, timings }))
     }
 
     fn close(&mut self, _: FakeUpdates, _: bool) {
@@ -127,9 +127,9 @@ impl Studio for FakeStudio {
 
     fn account(&self, _: &FakeUpdates, _: &mut ViewerStats) {}
 
-    fn encoder(&mut self, _: AtlasExtent) -> Result<Box<dyn Encoder>, EncodeError> {
+    fn encoder(&mut self, _: &Welcome) -> Result<Box<dyn Encoder>, EncodeError> {
         *self.0.encoders.borrow_mut() += 1;
-        Ok(Box::new(FakeEncoder { acts: self.0.encodes.clone(), is_new: true }))
+        Ok(Box::new(FakeEncoder { acts: self.0.encodes.clone(), is_new: true, done: VecDeque::new() }))
     }
 
     fn reopen(&mut self) -> anyhow::Result<()> {
@@ -152,15 +152,18 @@ impl Updates for FakeUpdates {
     fn interrupted(&mut self) {}
 
     fn set_budget(&mut self, _: Budget) {}
+
+    fn recycle(&mut self, _: Source) {}
 }
 
 struct FakeEncoder {
     acts: Arc<Mutex<VecDeque<Option<Act>>>>,
     is_new: bool,
+    done: VecDeque<Encoded>,
 }
 
-impl Encoder for FakeEncoder {
-    fn encode(&mut self, _: &Planes<'_>, _: i64, refresh: bool) -> Result<AccessUnit, EncodeError> {
+impl FakeEncoder {
+    fn encode(&mut self, refresh: bool) -> Result<AccessUnit, EncodeError> {
         let act = self.acts.lock().expect("whole").pop_front().flatten();
         match act {
             None => {}
@@ -169,6 +172,17 @@ impl Encoder for FakeEncoder {
         }
         let is_refresh = std::mem::take(&mut self.is_new) || refresh;
         Ok(AccessUnit { bytes: vec![1, 2, 3], is_refresh })
+    }
+}
+
+impl Encoder for FakeEncoder {
+    fn submit(&mut self, source: Source, _: i64, refresh: bool) {
+        let result = self.encode(refresh);
+        self.done.push_back(Encoded { source, result });
+    }
+
+    fn poll(&mut self, _: Duration) -> Option<Encoded> {
+        self.done.pop_front()
     }
 
     fn set_qp(&mut self, _: u8) -> Result<(), EncodeError> {

@@ -2,15 +2,14 @@
 
 use super::pipeline::Studio;
 use super::{StreamOptions, ViewerStats};
-use crate::encode::openh264::{EncoderSettings, OpenH264Encoder};
-use crate::encode::{EncodeError, Encoder};
+use crate::encode::openh264::EncoderSettings;
+use crate::encode::{self, EncodeError, Encoder, Source};
 use crate::frame::{Frame, Shaded};
 use crate::residency::Budget;
 use crate::scene::SceneGpu;
 use crate::viewer::Updates;
 use crate::world::{ViewerId, World};
 use shadecast_gpu::{Gpu, GpuError};
-use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::Scene;
@@ -92,9 +91,10 @@ impl Studio for GpuStudio<'_> {
         stats.dropped_patches = frame.dropped_patches();
     }
 
-    fn encoder(&mut self, extent_texels: AtlasExtent) -> Result<Box<dyn Encoder>, EncodeError> {
-        let settings = EncoderSettings::for_stream(extent_texels, self.options.qp, self.options.rate_hz);
-        Ok(Box::new(OpenH264Encoder::new(settings)?))
+    fn encoder(&mut self, welcome: &Welcome) -> Result<Box<dyn Encoder>, EncodeError> {
+        let StreamOptions { qp, rate_hz, .. } = self.options;
+        let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, *qp, *rate_hz);
+        encode::encoder(welcome.codec, settings)
     }
 
     fn reopen(&mut self) -> anyhow::Result<()> {
@@ -124,5 +124,9 @@ impl Updates for Frame {
 
     fn set_budget(&mut self, budget: Budget) {
         Self::set_budget(self, budget);
+    }
+
+    fn recycle(&mut self, picture: Source) {
+        Self::recycle(self, picture);
     }
 }

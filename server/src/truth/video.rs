@@ -6,8 +6,9 @@
 //! so: Y4M by its tags, H.264 by its VUI.
 
 use crate::encode::openh264::{EncoderSettings, OpenH264Encoder};
-use crate::encode::{EncodeError, Encoder, Planes};
+use crate::encode::{EncodeError, Source, encode_one};
 use mp4::{AvcConfig, MediaConfig, Mp4Config, Mp4Sample, Mp4Writer, TrackConfig, TrackType};
+use shadecast_protocol::picture::I420;
 use shadecast_shaders::color;
 use shadecast_transport::PendingFile;
 use std::io::{self, BufWriter, StdoutLock, Write};
@@ -135,10 +136,10 @@ fn extension(path: &Path) -> String {
     path.extension().map_or_else(String::new, |e| e.to_string_lossy().to_lowercase())
 }
 
-/// Planes of a picture, one after the other.
-fn planes(rgb8: &[u8], extent: [u32; 2]) -> Vec<u8> {
+/// Tight RGB rows as the formats have them.
+fn i420_of(rgb8: &[u8], extent: [u32; 2]) -> I420 {
     let rgba8: Vec<u8> = rgb8.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
-    color::planes(&rgba8, extent)
+    color::picture(&rgba8, extent)
 }
 
 /// YUV4MPEG2 4:2:0.
@@ -163,7 +164,7 @@ impl<W: Write> Y4m<W> {
     /// Adds a picture: tight RGB rows, sRGB-coded.
     pub fn add(&mut self, rgb8: &[u8]) -> io::Result<()> {
         self.output.write_all(b"FRAME\n")?;
-        self.output.write_all(&planes(rgb8, self.extent))
+        self.output.write_all(i420_of(rgb8, self.extent).bytes())
     }
 }
 
@@ -207,13 +208,9 @@ impl Mp4 {
     }
 
     fn add(&mut self, rgb8: &[u8]) -> Result<(), VideoError> {
-        let planes = planes(rgb8, self.extent);
-        let luma = planes.len() * 2 / 3;
-        let (y, chroma) = planes.split_at(luma);
-        let (cb, cr) = chroma.split_at(luma / 4);
-        let picture = Planes { extent_texels: self.extent, y, cb, cr };
+        let picture = Source::Planes(i420_of(rgb8, self.extent));
         let time_ns = (f64::from(self.pictures) / self.fps * 1e9) as i64;
-        let unit = self.encoder.encode(&picture, time_ns, self.pictures == 0)?;
+        let unit = encode_one(&mut self.encoder, picture, time_ns, self.pictures == 0)?;
         let nals = nal_units(&unit.bytes);
         if self.pictures == 0 {
             self.add_track(&nals)?;
@@ -320,7 +317,8 @@ mod tests {
         assert_eq!(frames.len(), 2);
         for (n, frame) in frames.into_iter().enumerate() {
             assert_eq!(&frame[..6], b"FRAME\n");
-            let back = crate::picture::rgb_from_planes(EXTENT, &frame[6..]);
+            let picture = I420::new(EXTENT, frame[6..].to_vec()).expect("a whole picture");
+            let back = crate::picture::rgb_of(&picture);
             // Inside the flat halves of blue, chroma is exact up to its rounding; red and green are slow ramps.
             let worst =
                 back.iter().zip(&rgb(n as u8)).map(|(a, b)| a.abs_diff(*b)).filter(|d| *d > 12).count();

@@ -7,7 +7,7 @@ use crate::atlas::{Block, BlockAddress, BlockSize, PatchKind};
 use crate::delta::{Delta, DeltaEncoder};
 use crate::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex};
 use crate::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
-use crate::message::{ClientDatagram, ClientMessage, Refused, ServerDatagram, ServerMessage};
+use crate::message::{ClientDatagram, ClientMessage, Codec, Refused, ServerDatagram, ServerMessage, Welcome};
 use crate::motion::SampleBatch;
 use crate::testing::{displayed, head, hello, welcome};
 use crate::time::{ClientTime, GridIndex, ServerTime};
@@ -101,6 +101,10 @@ fn control_messages_keep_their_bytes() {
         "0001ef9bafcdf8acd19101aa81e51f80108010d804ac02000000803e0000003f0000803f0000003f0000403f0000803f \
          0000003e0000003e0000003e0000000000000000000060400000000000000000000000000000803faa81e51f0001020304 \
          05060708090a0b0c0d0e0f",
+    );
+    assert_pinned(
+        &ServerMessage::Welcome(Welcome { codec: Codec::Raw, ..welcome() }).encode()[..24],
+        "0001ef9bafcdf8acd19101aa81e51f80108010d804ac0201",
     );
     let refused = Refused::new("too old", "update");
     assert_pinned(&ServerMessage::Refused(refused).encode(), "0107746f6f206f6c6406757064617465");

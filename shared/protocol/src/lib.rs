@@ -12,6 +12,7 @@ pub mod limits;
 pub mod memory;
 pub mod message;
 pub mod motion;
+pub mod picture;
 pub mod pose;
 pub mod session;
 pub mod text;

@@ -67,7 +67,7 @@ pub const MAX_EMPTY_CONTROL_MESSAGES: usize = 1;
 pub const MAX_CONTROL_PER_SECOND: u32 = 1000;
 /// Bytes of one geometry delta.
 pub const MAX_DELTA_BYTES: usize = 40 << 20;
-/// Bytes of one coded picture: whatever an encoder can make of the largest.
+/// Bytes of one coded picture: whatever an encoder can make of the largest, or leaves as it is.
 pub const MAX_ACCESS_UNIT_BYTES: usize = 16 << 20;
 /// Bytes of one unidirectional stream: a delta or a picture with its framing.
 pub const MAX_STREAM_BYTES: usize = MAX_DELTA_BYTES + 64;
@@ -129,6 +129,10 @@ const _: () = {
     assert!(
         MAX_MACROBLOCKS as usize * MAX_MACROBLOCK_BYTES + (64 << 10) <= MAX_ACCESS_UNIT_BYTES,
         "headers and parameter sets beside the worst picture"
+    );
+    assert!(
+        ATLAS_MAX_EXTENT[0] as usize * ATLAS_MAX_EXTENT[1] as usize * 3 / 2 <= MAX_ACCESS_UNIT_BYTES,
+        "every atlas as it is"
     );
     assert!(
         MAX_SAMPLES_PER_DELTA as usize * WORST_SAMPLE_BYTES

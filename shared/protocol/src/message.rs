@@ -108,6 +108,8 @@ pub struct Capabilities {
 pub enum Codec {
     /// H.264 byte stream (Annex B), full-range BT.709, 4:2:0 with centre-sited chroma.
     H264,
+    /// The bytes of an [`I420`](crate::picture::I420), each picture a refresh: for links that carry anything.
+    Raw,
 }
 
 /// The terms of a session.
@@ -781,6 +783,10 @@ mod tests {
         small.capabilities.max_atlas_extent = [256, 256];
         assert!(negotiate(&small, &offer()).unwrap_err().reason.contains("256x256"));
         small = hello();
+        small.capabilities.codecs = vec![Codec::Raw];
+        assert!(negotiate(&small, &offer()).is_err(), "a server that was not asked to offers it not");
+        let raw = ServerOffer { codecs: vec![Codec::Raw, Codec::H264], ..offer() };
+        assert_eq!(negotiate(&small, &raw).unwrap().codec, Codec::Raw);
         small.capabilities.codecs.clear();
         assert!(negotiate(&small, &offer()).unwrap_err().remedy.contains("codec"));
     }

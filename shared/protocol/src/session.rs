@@ -14,8 +14,8 @@ use crate::limits::{
     RECORDS_PER_SLOT_AND_TURN,
 };
 use crate::message::{
-    ClientDatagram, ClientHello, ClientMessage, Displayed, HeadState, HelloVersions, Refused, ServerDatagram,
-    ServerMessage, ServerOffer, Welcome, negotiate, negotiate_version,
+    ClientDatagram, ClientHello, ClientMessage, Codec, Displayed, HeadState, HelloVersions, Refused,
+    ServerDatagram, ServerMessage, ServerOffer, Welcome, negotiate, negotiate_version,
 };
 use crate::time::{ClientTime, ServerTime};
 use crate::wire::{
@@ -115,6 +115,8 @@ enum Phase {
 #[derive(Debug)]
 pub struct ClientSession {
     phase: Phase,
+    /// What was announced.
+    codecs: Vec<Codec>,
     clock: ClockEstimator,
     pings: u32,
     next_ping: ClientTime,
@@ -156,6 +158,7 @@ impl ClientSession {
     pub fn start(hello: ClientHello, now: ClientTime) -> Self {
         let mut session = Self {
             phase: Phase::Greeting,
+            codecs: hello.capabilities.codecs.clone(),
             clock: ClockEstimator::new(),
             pings: 0,
             next_ping: now,
@@ -339,6 +342,10 @@ impl ClientSession {
 
     /// The welcome is here: streams that overtook it can be handed on.
     fn begin(&mut self, welcome: Welcome) -> Result<(), WireError> {
+        if !self.codecs.contains(&welcome.codec) {
+            let reason = format!("its codec {:?} was not announced", welcome.codec);
+            return Err(invalid("a welcome", reason));
+        }
         self.phase = Phase::Running;
         self.decoder = Some(DeltaDecoder::new(welcome.vertex_slots, welcome.patch_slots));
         self.records_per_turn = (welcome.vertex_slots * RECORDS_PER_SLOT_AND_TURN) as usize;
@@ -1096,6 +1103,14 @@ mod tests {
         let mut waiting = Waiting::default();
         assert!(waiting.admit(MAX_DELTA_BYTES).is_ok() && waiting.admit(MAX_DELTA_BYTES).is_ok());
         assert!(waiting.admit(1).is_err());
+    }
+
+    #[test]
+    fn a_codec_that_was_not_announced_ends_the_session() {
+        let mut pair = Pair::new();
+        let welcome = Welcome { codec: Codec::Raw, ..crate::testing::welcome() };
+        pair.client.on_control(&ServerMessage::Welcome(welcome).encode());
+        assert_failed(&mut pair, "was not announced");
     }
 
     #[test]

@@ -3,9 +3,13 @@
 use shadecast_client::decode::openh264::OpenH264Decoder;
 use shadecast_client::decode::sps::{self, Colour, Sps, SpsError};
 use shadecast_client::decode::{DecodeError, Decoder, Picture};
+use shadecast_client::platform;
 use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::message::Codec;
+use shadecast_protocol::picture::I420;
 use shadecast_server::encode::openh264::{DEFAULT_QP, EncoderSettings, OpenH264Encoder};
-use shadecast_server::encode::{AccessUnit, EncodeError, Encoder, Planes};
+use shadecast_server::encode::{self, AccessUnit, EncodeError, Encoder, Source};
+use std::time::Duration;
 
 const SEED: u64 = 0x5ade_ca57;
 const UPDATE_NS: i64 = 33_333_333;
@@ -27,18 +31,19 @@ impl Random {
     }
 }
 
-fn planes(picture: &Picture) -> Planes<'_> {
-    Planes { extent_texels: picture.extent_texels, y: &picture.y, cb: &picture.cb, cr: &picture.cr }
+fn flat_picture(extent_texels: [u32; 2], luma: u8) -> I420 {
+    let mut picture = I420::new(extent_texels, vec![128; I420::byte_count(extent_texels) as usize])
+        .expect("the sides are even");
+    picture.planes_mut()[0].fill(luma);
+    picture
 }
 
-fn flat_picture([width, height]: [u32; 2], luma: u8) -> Picture {
-    let texels = (width * height) as usize;
-    let grey = vec![128; texels / 4];
-    Picture { extent_texels: [width, height], y: vec![luma; texels], cb: grey.clone(), cr: grey }
+fn luma(picture: &I420) -> &[u8] {
+    picture.planes()[0]
 }
 
 /// Like an atlas: 16x16 blocks that have nothing to do with each other, each a gradient with some grain.
-fn atlas_picture([width, height]: [u32; 2], random: &mut Random) -> Picture {
+fn atlas_picture([width, height]: [u32; 2], random: &mut Random) -> I420 {
     let mut picture = flat_picture([width, height], 0);
     for block_y in 0..height.div_ceil(16) {
         for block_x in 0..width.div_ceil(16) {
@@ -48,16 +53,17 @@ fn atlas_picture([width, height]: [u32; 2], random: &mut Random) -> Picture {
     picture
 }
 
-fn paint_block(picture: &mut Picture, [left, top]: [u32; 2], random: &mut Random) {
-    let [width, height] = picture.extent_texels;
+fn paint_block(picture: &mut I420, [left, top]: [u32; 2], random: &mut Random) {
+    let [width, height] = picture.extent_texels();
+    let [luma_plane, cb_plane, cr_plane] = picture.planes_mut();
     let (base, slope_x, slope_y) = (40 + random.below(120), random.below(5), random.below(5));
     let (cb, cr) = (64 + random.below(128) as u8, 64 + random.below(128) as u8);
     for y in top..(top + 16).min(height) {
         for x in left..(left + 16).min(width) {
             let luma = base + slope_x * (x - left) as usize + slope_y * (y - top) as usize + random.below(8);
-            picture.y[(y * width + x) as usize] = luma.min(255) as u8;
+            luma_plane[(y * width + x) as usize] = luma.min(255) as u8;
             let chroma = (y / 2 * (width / 2) + x / 2) as usize;
-            (picture.cb[chroma], picture.cr[chroma]) = (cb, cr);
+            (cb_plane[chroma], cr_plane[chroma]) = (cb, cr);
         }
     }
 }
@@ -89,30 +95,32 @@ const BARS: [[f64; 3]; 8] = [
 
 const BAR_WIDTH: usize = 32;
 
-fn colour_bars() -> Picture {
+fn colour_bars() -> I420 {
     let mut picture = flat_picture([8 * BAR_WIDTH as u32, 64], 0);
     let width = 8 * BAR_WIDTH;
-    for (at, y) in picture.y.iter_mut().enumerate() {
+    let [luma, cb_plane, cr_plane] = picture.planes_mut();
+    for (at, y) in luma.iter_mut().enumerate() {
         *y = ycbcr_from_rgb(BARS[at % width / BAR_WIDTH])[0].round() as u8;
     }
-    for at in 0..picture.cb.len() {
+    for at in 0..cb_plane.len() {
         let [_, cb, cr] = ycbcr_from_rgb(BARS[at % (width / 2) * 2 / BAR_WIDTH]);
-        (picture.cb[at], picture.cr[at]) = (cb.round().min(255.0) as u8, cr.round().min(255.0) as u8);
+        (cb_plane[at], cr_plane[at]) = (cb.round().min(255.0) as u8, cr.round().min(255.0) as u8);
     }
     picture
 }
 
 /// The largest difference of any channel inside the bars, at least `margin` texels from their edges.
-fn worst_bar_error(picture: &Picture, margin: usize) -> f64 {
+fn worst_bar_error(picture: &I420, margin: usize) -> f64 {
     let width = 8 * BAR_WIDTH;
+    let [luma, cb, cr] = picture.planes();
     let mut worst: f64 = 0.0;
-    for at in 0..picture.y.len() {
+    for (at, luma) in luma.iter().copied().enumerate() {
         let (x, y) = (at % width, at / width);
         if !(margin..BAR_WIDTH - margin).contains(&(x % BAR_WIDTH)) {
             continue;
         }
         let chroma = y / 2 * (width / 2) + x / 2;
-        let sample = [picture.y[at], picture.cb[chroma], picture.cr[chroma]].map(f64::from);
+        let sample = [luma, cb[chroma], cr[chroma]].map(f64::from);
         let rgb = rgb_from_ycbcr(sample).map(f64::round);
         let errors = rgb.into_iter().zip(BARS[x / BAR_WIDTH]).map(|(got, want)| (got - want).abs());
         worst = errors.fold(worst, f64::max);
@@ -130,23 +138,44 @@ fn decoder(extent_texels: [u32; 2]) -> OpenH264Decoder {
     OpenH264Decoder::new(extent_texels).expect("the extent is valid")
 }
 
+fn encode_one(
+    encoder: &mut OpenH264Encoder,
+    picture: &I420,
+    timestamp_ns: i64,
+    refresh: bool,
+) -> Result<AccessUnit, EncodeError> {
+    encode::encode_one(encoder, Source::Planes(picture.clone()), timestamp_ns, refresh)
+}
+
+/// Decodes a unit into `picture`, which an error leaves as it is.
+fn decode_one(
+    decoder: &mut OpenH264Decoder,
+    access_unit: &[u8],
+    picture: &mut I420,
+) -> Result<(), DecodeError> {
+    decoder.submit(access_unit);
+    let Picture::Planes(decoded) = decoder.poll(Duration::ZERO).expect("done at once")?;
+    decoder.recycle(Picture::Planes(std::mem::replace(picture, decoded)));
+    Ok(())
+}
+
 /// Encodes pictures at 30 Hz; a refresh is asked for where `refresh` says so.
 #[track_caller]
 fn encode_all(
     settings: EncoderSettings,
-    pictures: &[Picture],
+    pictures: &[I420],
     refresh: impl Fn(usize) -> bool,
 ) -> Vec<AccessUnit> {
     let mut encoder = encoder(settings);
-    let encode = |(at, picture): (usize, &Picture)| {
-        let unit = encoder.encode(&planes(picture), at as i64 * UPDATE_NS, refresh(at));
+    let encode = |(at, picture): (usize, &I420)| {
+        let unit = encode_one(&mut encoder, picture, at as i64 * UPDATE_NS, refresh(at));
         unit.expect("a valid picture encodes")
     };
     pictures.iter().enumerate().map(encode).collect()
 }
 
 /// Every picture is the one before with a few blocks painted anew.
-fn changing_pictures(extent_texels: [u32; 2], count: usize, seed: u64) -> Vec<Picture> {
+fn changing_pictures(extent_texels: [u32; 2], count: usize, seed: u64) -> Vec<I420> {
     let mut random = Random(seed);
     let mut picture = atlas_picture(extent_texels, &mut random);
     let change = |_| {
@@ -172,12 +201,12 @@ fn colour_bars_survive_within_three_of_255() {
     // Rounding to bytes alone costs this much; coding may add the rest.
     let rounding = worst_bar_error(&bars, 0);
     for (qp, bound) in [(DEFAULT_QP, 3.0), (DEFAULT_QP + 4, f64::INFINITY), (DEFAULT_QP + 8, f64::INFINITY)] {
-        let settings = EncoderSettings { qp, ..EncoderSettings::new(bars.extent_texels) };
-        let mut decoder = decoder(bars.extent_texels);
-        let mut decoded = Picture::default();
+        let settings = EncoderSettings { qp, ..EncoderSettings::new(bars.extent_texels()) };
+        let mut decoder = decoder(bars.extent_texels());
+        let mut decoded = I420::default();
         // A refresh and the picture after it, which is coded in another way.
         for (at, unit) in encode_all(settings, &[bars.clone(), bars.clone()], |_| false).iter().enumerate() {
-            decoder.decode(&unit.bytes, &mut decoded).expect("a clean stream decodes");
+            decode_one(&mut decoder, &unit.bytes, &mut decoded).expect("a clean stream decodes");
             let (worst, whole) = (worst_bar_error(&decoded, 8), worst_bar_error(&decoded, 0));
             println!("QP {qp} picture {at}: worst {worst} flat, {whole} anywhere, {rounding} before coding");
             assert!(worst <= bound, "QP {qp}, picture {at}: a flat area is off by {worst}");
@@ -188,7 +217,8 @@ fn colour_bars_survive_within_three_of_255() {
 #[test]
 fn exchanged_chroma_planes_do_not_pass_as_colour_bars() {
     let mut bars = colour_bars();
-    std::mem::swap(&mut bars.cb, &mut bars.cr);
+    let [_, cb, cr] = bars.planes_mut();
+    cb.swap_with_slice(cr);
     assert!(worst_bar_error(&bars, 8) > 100.0);
 }
 
@@ -196,13 +226,14 @@ fn exchanged_chroma_planes_do_not_pass_as_colour_bars() {
 fn atlas_content_decodes_close_to_what_was_encoded() {
     let pictures = changing_pictures([256, 192], 10, SEED);
     let mut decoder = decoder([256, 192]);
-    let mut decoded = Picture::default();
+    let mut decoded = I420::default();
     for (unit, picture) in
         encode_all(EncoderSettings::new([256, 192]), &pictures, |_| false).iter().zip(&pictures)
     {
-        decoder.decode(&unit.bytes, &mut decoded).expect("a clean stream decodes");
-        let luma_db = psnr_db(&decoded.y, &picture.y);
-        let chroma_db = psnr_db(&decoded.cb, &picture.cb).min(psnr_db(&decoded.cr, &picture.cr));
+        decode_one(&mut decoder, &unit.bytes, &mut decoded).expect("a clean stream decodes");
+        let [luma_db, cb_db, cr_db] =
+            [0, 1, 2].map(|plane| psnr_db(decoded.planes()[plane], picture.planes()[plane]));
+        let chroma_db = cb_db.min(cr_db);
         println!("{} bytes, luma {luma_db:.1} dB, chroma {chroma_db:.1} dB", unit.bytes.len());
         assert!(luma_db > 38.0 && chroma_db > 38.0, "seed {SEED:#x}: {luma_db:.1} dB, {chroma_db:.1} dB");
     }
@@ -284,11 +315,11 @@ fn sliced_pictures_decode_as_well_as_whole_ones() {
             .count()
     };
     let mut decoder = decoder([256, 256]);
-    let mut decoded = Picture::default();
+    let mut decoded = I420::default();
     for (unit, picture) in units.iter().zip(&pictures) {
         assert_eq!(slices(unit), 4);
-        decoder.decode(&unit.bytes, &mut decoded).expect("a clean stream decodes");
-        assert!(psnr_db(&decoded.y, &picture.y) > 38.0);
+        decode_one(&mut decoder, &unit.bytes, &mut decoded).expect("a clean stream decodes");
+        assert!(psnr_db(luma(&decoded), luma(picture)) > 38.0);
     }
 }
 
@@ -297,11 +328,12 @@ fn every_unit_gives_its_own_picture_at_once() {
     let lumas = [16, 250, 90, 91, 0, 128, 255, 60, 200, 30];
     let pictures = lumas.map(|luma| flat_picture([64, 64], luma));
     let mut decoder = decoder([64, 64]);
-    let mut decoded = Picture::default();
+    let mut decoded = I420::default();
     for (unit, luma) in encode_all(EncoderSettings::new([64, 64]), &pictures, |at| at == 6).iter().zip(lumas)
     {
-        decoder.decode(&unit.bytes, &mut decoded).expect("a clean stream decodes");
-        assert!(decoded.y.iter().all(|got| got.abs_diff(luma) <= 3), "wanted {luma}, got {}", decoded.y[0]);
+        decode_one(&mut decoder, &unit.bytes, &mut decoded).expect("a clean stream decodes");
+        let got = decoded.planes()[0];
+        assert!(got.iter().all(|got| got.abs_diff(luma) <= 3), "wanted {luma}, got {}", got[0]);
     }
 }
 
@@ -310,13 +342,13 @@ fn extents_that_macroblocks_do_not_divide_come_back_whole() {
     for extent in [[16, 16], [18, 16], [100, 52], [66, 130], [1000, 62]] {
         let pictures = changing_pictures(extent, 3, SEED);
         let mut decoder = decoder(extent);
-        let mut decoded = Picture::default();
+        let mut decoded = I420::default();
         for (unit, picture) in
             encode_all(EncoderSettings::new(extent), &pictures, |_| false).iter().zip(&pictures)
         {
-            decoder.decode(&unit.bytes, &mut decoded).expect("a clean stream decodes");
-            assert_eq!(decoded.extent_texels, extent);
-            let db = psnr_db(&decoded.y, &picture.y);
+            decode_one(&mut decoder, &unit.bytes, &mut decoded).expect("a clean stream decodes");
+            assert_eq!(decoded.extent_texels(), extent);
+            let db = psnr_db(luma(&decoded), luma(picture));
             assert!(db > 36.0, "{extent:?}: {db:.1} dB, seed {SEED:#x}");
         }
     }
@@ -328,12 +360,12 @@ fn the_largest_atlas_goes_through() {
         let picture = atlas_picture(extent, &mut Random(SEED));
         let units = encode_all(EncoderSettings::new(extent), &[picture.clone(), picture.clone()], |_| false);
         let mut decoder = decoder(extent);
-        let mut decoded = Picture::default();
+        let mut decoded = I420::default();
         for unit in &units {
-            decoder.decode(&unit.bytes, &mut decoded).expect("a clean stream decodes");
+            decode_one(&mut decoder, &unit.bytes, &mut decoded).expect("a clean stream decodes");
         }
         println!("{extent:?}: {:?} bytes", units.iter().map(|unit| unit.bytes.len()).collect::<Vec<_>>());
-        assert!(psnr_db(&decoded.y, &picture.y) > 38.0);
+        assert!(psnr_db(luma(&decoded), luma(&picture)) > 38.0);
     }
 }
 
@@ -379,12 +411,12 @@ fn a_broken_unit_is_an_error_until_the_next_refresh() {
     let pictures = changing_pictures([128, 128], 12, SEED);
     let units = encode_all(EncoderSettings::new([128, 128]), &pictures, |at| at == 8);
     let (mut clean, mut hurt) = (decoder([128, 128]), decoder([128, 128]));
-    let (mut want, mut got) = (Picture::default(), Picture::default());
+    let (mut want, mut got) = (I420::default(), I420::default());
     for (at, unit) in units.iter().enumerate() {
-        clean.decode(&unit.bytes, &mut want).expect("a clean stream decodes");
+        decode_one(&mut clean, &unit.bytes, &mut want).expect("a clean stream decodes");
         let before = got.clone();
         let cut = if at == 4 { unit.bytes.len() / 2 } else { unit.bytes.len() };
-        let result = hurt.decode(&unit.bytes[..cut], &mut got);
+        let result = decode_one(&mut hurt, &unit.bytes[..cut], &mut got);
         match at {
             0..4 | 8.. => assert!(result.is_ok() && got == want, "picture {at}: {result:?}"),
             4 => assert!(matches!(result, Err(DecodeError::Corrupt { .. })) && got == before, "{result:?}"),
@@ -399,13 +431,13 @@ fn after_a_lost_unit_only_a_refresh_is_decoded() {
     let pictures = changing_pictures([128, 128], 8, SEED);
     let units = encode_all(EncoderSettings::new([128, 128]), &pictures, |at| at == 5);
     let mut decoder = decoder([128, 128]);
-    let mut decoded = Picture::default();
+    let mut decoded = I420::default();
     for (at, unit) in units.iter().enumerate() {
         if at == 3 {
             decoder.unit_lost();
             continue;
         }
-        let result = decoder.decode(&unit.bytes, &mut decoded);
+        let result = decode_one(&mut decoder, &unit.bytes, &mut decoded);
         assert_eq!(result.is_ok(), at != 4, "picture {at}: {result:?}");
     }
 }
@@ -415,9 +447,9 @@ fn a_gap_that_nobody_reported_is_noticed() {
     let pictures = changing_pictures([128, 128], 5, SEED);
     let units = encode_all(EncoderSettings::new([128, 128]), &pictures, |_| false);
     let mut decoder = decoder([128, 128]);
-    let mut decoded = Picture::default();
+    let mut decoded = I420::default();
     for at in [0, 1, 3] {
-        let result = decoder.decode(&units[at].bytes, &mut decoded);
+        let result = decode_one(&mut decoder, &units[at].bytes, &mut decoded);
         assert_eq!(result.is_ok(), at != 3, "picture {at}: {result:?}");
     }
     assert!(decoder.needs_refresh());
@@ -428,25 +460,25 @@ fn a_stream_joined_in_the_middle_waits_for_a_refresh() {
     let pictures = changing_pictures([64, 64], 4, SEED);
     let units = encode_all(EncoderSettings::new([64, 64]), &pictures, |at| at == 3);
     let mut decoder = decoder([64, 64]);
-    let mut decoded = Picture::default();
+    let mut decoded = I420::default();
     for unit in &units[1..3] {
-        let result = decoder.decode(&unit.bytes, &mut decoded);
+        let result = decode_one(&mut decoder, &unit.bytes, &mut decoded);
         assert!(matches!(result, Err(DecodeError::NeedsRefresh)), "{result:?}");
     }
-    decoder.decode(&units[3].bytes, &mut decoded).expect("a refresh decodes on its own");
+    decode_one(&mut decoder, &units[3].bytes, &mut decoded).expect("a refresh decodes on its own");
 }
 
 #[test]
 fn a_stream_of_another_extent_is_refused() {
     let units = encode_all(EncoderSettings::new([128, 64]), &[flat_picture([128, 64], 50)], |_| false);
     let mut decoder = decoder([64, 128]);
-    let mut decoded = Picture::default();
-    let result = decoder.decode(&units[0].bytes, &mut decoded);
+    let mut decoded = I420::default();
+    let result = decode_one(&mut decoder, &units[0].bytes, &mut decoded);
     assert!(
         matches!(result, Err(DecodeError::ExtentMismatch { want: [64, 128], got: [128, 64] })),
         "{result:?}"
     );
-    assert_eq!(decoded, Picture::default());
+    assert_eq!(decoded, I420::default());
 }
 
 #[test]
@@ -482,17 +514,11 @@ fn settings_out_of_range_are_refused_by_name() {
 fn pictures_that_do_not_fit_are_refused_and_the_stream_goes_on() {
     let mut encoder = encoder(EncoderSettings::new([64, 64]));
     let good = flat_picture([64, 64], 90);
-    encoder.encode(&planes(&good), 0, false).expect("a valid picture encodes");
+    encode_one(&mut encoder, &good, 0, false).expect("a valid picture encodes");
     let other = flat_picture([64, 32], 90);
-    let result = encoder.encode(&planes(&other), 1, false);
+    let result = encode_one(&mut encoder, &other, 1, false);
     assert!(matches!(result, Err(EncodeError::ExtentChanged { .. })), "{result:?}");
-    let short = Planes { cr: &good.cr[1..], ..planes(&good) };
-    let result = encoder.encode(&short, 2, false);
-    assert!(
-        matches!(result, Err(EncodeError::PlaneSize { plane: "cr", got: 1023, want: 1024, .. })),
-        "{result:?}"
-    );
-    let unit = encoder.encode(&planes(&good), 3, false).expect("a valid picture encodes");
+    let unit = encode_one(&mut encoder, &good, 3, false).expect("a valid picture encodes");
     assert!(!unit.is_refresh, "refused pictures must leave the stream alone");
 }
 
@@ -502,13 +528,13 @@ fn the_quantiser_changes_without_a_refresh() {
         let pictures: Vec<_> = (0..9).map(|at| atlas_picture(extent, &mut Random(SEED + at))).collect();
         let mut encoder = encoder(EncoderSettings::new(extent));
         let mut decoder = decoder(extent);
-        let mut decoded = Picture::default();
+        let mut decoded = I420::default();
         let mut sizes = Vec::new();
         for (at, picture) in pictures.iter().enumerate() {
             encoder.set_qp([22, 34, 22][at / 3]).expect("the quantiser is in range");
-            let unit = encoder.encode(&planes(picture), at as i64 * UPDATE_NS, false).expect("it encodes");
+            let unit = encode_one(&mut encoder, picture, at as i64 * UPDATE_NS, false).expect("it encodes");
             assert_eq!(unit.is_refresh, at == 0, "picture {at}");
-            decoder.decode(&unit.bytes, &mut decoded).expect("it decodes");
+            decode_one(&mut decoder, &unit.bytes, &mut decoded).expect("it decodes");
             sizes.push(unit.bytes.len());
         }
         println!("{extent:?}, QP 22, 34, 22: {sizes:?} bytes");
@@ -520,25 +546,25 @@ fn the_quantiser_changes_without_a_refresh() {
 fn noise_at_the_finest_quantiser_gives_a_picture_or_an_error() {
     let mut random = Random(SEED);
     let mut noise = flat_picture([256, 256], 0);
-    for plane in [&mut noise.y, &mut noise.cb, &mut noise.cr] {
+    for plane in noise.planes_mut() {
         plane.fill_with(|| random.next() as u8);
     }
     let mut encoder = encoder(EncoderSettings { qp: 0, ..EncoderSettings::new([256, 256]) });
     let mut decoder = decoder([256, 256]);
-    let mut decoded = Picture::default();
+    let mut decoded = I420::default();
     for at in 0..4 {
-        match encoder.encode(&planes(&noise), at, at == 2) {
+        match encode_one(&mut encoder, &noise, at, at == 2) {
             Ok(unit) => {
                 println!("noise at QP 0: {} bytes", unit.bytes.len());
-                decoder.decode(&unit.bytes, &mut decoded).expect("what encodes, decodes");
-                assert!(psnr_db(&decoded.y, &noise.y) > 45.0);
+                decode_one(&mut decoder, &unit.bytes, &mut decoded).expect("what encodes, decodes");
+                assert!(psnr_db(luma(&decoded), luma(&noise)) > 45.0);
             }
             Err(error) => println!("noise at QP 0: {error}"),
         }
     }
     encoder.set_qp(22).expect("the quantiser is in range");
-    let unit = encoder.encode(&planes(&noise), 9, true).expect("an ordinary quantiser encodes anything");
-    decoder.decode(&unit.bytes, &mut decoded).expect("it decodes");
+    let unit = encode_one(&mut encoder, &noise, 9, true).expect("an ordinary quantiser encodes anything");
+    decode_one(&mut decoder, &unit.bytes, &mut decoded).expect("it decodes");
 }
 
 /// Damages a unit in one of five ways.
@@ -576,16 +602,15 @@ fn damaged_units_give_a_picture_or_an_error() {
     let units = encode_all(settings, &changing_pictures(EXTENT, 24, SEED), |at| at % 2 == 0);
     let mut random = Random(SEED);
     let mut decoder = decoder(EXTENT);
-    let mut decoded = Picture::default();
+    let mut decoded = I420::default();
     let (mut pictures, mut errors) = (0, 0);
     for round in 0..ROUNDS {
         let at = round % units.len();
         recover(&mut decoder, &units[at & !1], round);
-        match decoder.decode(&mutate(&units[at].bytes, &mut random), &mut decoded) {
+        match decode_one(&mut decoder, &mutate(&units[at].bytes, &mut random), &mut decoded) {
             Ok(()) => {
                 pictures += 1;
-                assert_eq!(decoded.extent_texels, EXTENT, "round {round}, seed {SEED:#x}");
-                assert_eq!((decoded.y.len(), decoded.cb.len(), decoded.cr.len()), (7680, 1920, 1920));
+                assert_eq!(decoded.extent_texels(), EXTENT, "round {round}, seed {SEED:#x}");
             }
             Err(_) => errors += 1,
         }
@@ -597,11 +622,12 @@ fn damaged_units_give_a_picture_or_an_error() {
 /// An intact refresh must decode, and to what it always decodes to, whatever came before.
 #[track_caller]
 fn recover(hurt: &mut OpenH264Decoder, refresh: &AccessUnit, round: usize) {
-    let (mut got, mut want) = (Picture::default(), Picture::default());
-    let result = hurt.decode(&refresh.bytes, &mut got);
+    let (mut got, mut want) = (I420::default(), I420::default());
+    let result = decode_one(hurt, &refresh.bytes, &mut got);
     assert!(result.is_ok(), "round {round}, seed {SEED:#x}: {result:?}");
     if round.is_multiple_of(100) {
-        decoder(got.extent_texels).decode(&refresh.bytes, &mut want).expect("an intact refresh decodes");
+        decode_one(&mut decoder(got.extent_texels()), &refresh.bytes, &mut want)
+            .expect("an intact refresh decodes");
         assert!(got == want, "round {round}, seed {SEED:#x}");
     }
 }
@@ -609,9 +635,9 @@ fn recover(hurt: &mut OpenH264Decoder, refresh: &AccessUnit, round: usize) {
 #[test]
 fn foreign_kinds_of_units_never_reach_the_library() {
     let mut decoder = decoder([64, 64]);
-    let mut decoded = Picture::default();
+    let mut decoded = I420::default();
     for nal_type in (0..32).filter(|nal_type| ![1, 5, 6, 7, 8, 9, 12].contains(nal_type)) {
-        let result = decoder.decode(&[0, 0, 0, 1, 0x60 | nal_type, 0x42, 0x80], &mut decoded);
+        let result = decode_one(&mut decoder, &[0, 0, 0, 1, 0x60 | nal_type, 0x42, 0x80], &mut decoded);
         assert!(
             matches!(result, Err(DecodeError::UnexpectedUnit { nal_type: t }) if t == nal_type),
             "{result:?}"
@@ -622,8 +648,26 @@ fn foreign_kinds_of_units_never_reach_the_library() {
 #[test]
 fn empty_and_endless_units_are_errors() {
     let mut decoder = decoder([64, 64]);
-    let mut decoded = Picture::default();
-    assert!(decoder.decode(&[], &mut decoded).is_err());
+    let mut decoded = I420::default();
+    assert!(decode_one(&mut decoder, &[], &mut decoded).is_err());
     let endless = vec![0x55; shadecast_protocol::limits::MAX_ACCESS_UNIT_BYTES + 1];
-    assert!(matches!(decoder.decode(&endless, &mut decoded), Err(DecodeError::TooLong { .. })));
+    assert!(matches!(decode_one(&mut decoder, &endless, &mut decoded), Err(DecodeError::TooLong { .. })));
+}
+
+#[test]
+fn raw_pictures_come_back_as_they_were_and_each_is_a_refresh() {
+    let extent = AtlasExtent::MIN;
+    let mut encoder = encode::encoder(Codec::Raw, EncoderSettings::new(extent.texels())).unwrap();
+    let mut decoder = platform::decoder(Codec::Raw, extent).unwrap();
+    for picture in changing_pictures(extent.texels(), 3, SEED) {
+        let source = Source::Planes(picture.clone());
+        let unit = encode::encode_one(encoder.as_mut(), source, 0, false).expect("it fits");
+        assert!(unit.is_refresh);
+        decoder.submit(&unit.bytes);
+        let decoded = decoder.poll(Duration::ZERO).expect("done at once").expect("a picture");
+        assert_eq!(decoded, Picture::Planes(picture));
+    }
+    let other = Source::Planes(flat_picture([64, 32], 90));
+    let result = encode::encode_one(encoder.as_mut(), other, 0, false);
+    assert!(matches!(result, Err(EncodeError::ExtentChanged { .. })), "{result:?}");
 }

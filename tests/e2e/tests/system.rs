@@ -75,13 +75,17 @@ fn a_dragon_over_a_simulated_link_looks_like_the_truth_and_moves_between_updates
 }
 
 #[test]
-fn the_local_renderer_hands_over_in_memory_and_looks_like_the_truth() {
+fn the_local_renderer_leaves_codec_and_link_out_and_looks_like_the_truth() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let options = RunOptions { renderer: Renderer::Local, ..small(SceneSource::Dragons(1), out.path()) };
     let report = run(&options).unwrap();
     assert_good(&report, "dragon, local");
-    assert_eq!(report.stats.mbit_per_s.atlas, 0.0, "nothing is encoded");
+    let [width, height] = options.atlas_extent_texels.texels();
+    let raw_mbit = f64::from(width * height) * 1.5 * 8e-6 * report.stats.server_fps;
+    let mbit = report.stats.mbit_per_s.atlas;
+    assert!((mbit - raw_mbit).abs() < 1e-6 * raw_mbit, "nothing is encoded: {mbit} and {raw_mbit} Mbit/s");
+    assert!(report.stats.clock_error_ms.is_some_and(|worst_ms| worst_ms < 0.01), "nothing delays a clock");
 }
 
 #[test]

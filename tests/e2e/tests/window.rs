@@ -5,12 +5,14 @@ mod support;
 use shadecast_client::decode::openh264::OpenH264Decoder;
 use shadecast_client::decode::{Decoder, Picture};
 use shadecast_lab::image::Rgb8Image;
-use shadecast_server::picture::rgb_from_planes;
+use shadecast_protocol::picture::I420;
+use shadecast_server::picture::rgb_of;
 use shadecast_server::truth::video::Video;
 use shadecast_test_support::programs::{PATIENCE, end_within, program, wait_until};
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 use std::process::{Child, Command, Output, Stdio};
+use std::time::Duration;
 use support::x11::{self, Connection};
 
 const SIZE: &str = "160x120";
@@ -145,7 +147,8 @@ fn y4m_on_standard_output_is_the_headless_pictures_in_planes() {
     for (n, frame) in frames.into_iter().enumerate() {
         assert!(frame.starts_with(b"FRAME\n"));
         let still = image(folder.path().join(format!("forward-{n:06}.png")));
-        assert_close(&rgb_from_planes([160, 120], &frame[6..]), &still.data, 32.0);
+        let picture = I420::new([160, 120], frame[6..].to_vec()).unwrap();
+        assert_close(&rgb_of(&picture), &still.data, 32.0);
     }
 }
 
@@ -169,10 +172,9 @@ fn mp4_decodes_to_the_pictures_that_went_in() {
         let sample = reader.read_sample(1, n as u32 + 1).unwrap().unwrap();
         assert_eq!(sample.is_sync, n == 0);
         stream.extend(units(&sample.bytes).flat_map(annex_b));
-        let mut picture = Picture::default();
-        decoder.decode(&stream, &mut picture).unwrap();
-        let decoded = rgb_from_planes(EXTENT, &[picture.y, picture.cb, picture.cr].concat());
-        assert_close(&decoded, expected, 34.0);
+        decoder.submit(&stream);
+        let Picture::Planes(picture) = decoder.poll(Duration::ZERO).unwrap().unwrap();
+        assert_close(&rgb_of(&picture), expected, 34.0);
         stream.clear();
     }
     std::fs::remove_dir_all(path.parent().unwrap()).unwrap();

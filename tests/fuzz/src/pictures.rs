@@ -5,8 +5,11 @@ use crate::script::{number, steps};
 use shadecast_client::decode::{DecodeError, Decoder, Picture};
 use shadecast_client::decoding::{DecodeTiming, Decoding};
 use shadecast_protocol::ids::UpdateId;
+use shadecast_protocol::picture::I420;
 use shadecast_protocol::time::ClientTime;
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
+use std::collections::VecDeque;
+use std::time::Duration;
 
 /// A picture's stream.
 pub const PICTURE: u8 = 0;
@@ -21,38 +24,51 @@ const STEP_NS: i64 = 1_000_000;
 const DELAY_NS: i64 = 3_000_000;
 
 /// Decodes nothing, and insists on the contract of decoders. The last byte of a unit says whether it is a refresh.
+#[derive(Default)]
 struct Toy {
-    needs_refresh: bool,
+    has_reference: bool,
+    done: VecDeque<Result<Picture, DecodeError>>,
+}
+
+impl Toy {
+    fn decode(&mut self, access_unit: &[u8]) -> Result<Picture, DecodeError> {
+        match access_unit.last() {
+            Some(kind) if kind % 4 == 3 => {
+                self.has_reference = false;
+                return Err(DecodeError::Corrupt { state: 1 });
+            }
+            Some(kind) if kind % 4 == 1 => self.has_reference = true,
+            _ if !self.has_reference => return Err(DecodeError::NeedsRefresh),
+            _ => {}
+        }
+        Ok(Picture::Planes(I420::default()))
+    }
 }
 
 impl Decoder for Toy {
-    fn decode(&mut self, access_unit: &[u8], picture: &mut Picture) -> Result<(), DecodeError> {
-        match access_unit.last() {
-            Some(kind) if kind % 4 == 3 => {
-                self.needs_refresh = true;
-                return Err(DecodeError::Corrupt { state: 1 });
-            }
-            Some(kind) if kind % 4 == 1 => self.needs_refresh = false,
-            _ if self.needs_refresh => return Err(DecodeError::NeedsRefresh),
-            _ => {}
-        }
-        picture.extent_texels = [16, 16];
-        Ok(())
+    fn submit(&mut self, access_unit: &[u8]) {
+        let result = self.decode(access_unit);
+        self.done.push_back(result);
     }
 
+    fn poll(&mut self, _: Duration) -> Option<Result<Picture, DecodeError>> {
+        self.done.pop_front()
+    }
+
+    fn recycle(&mut self, _: Picture) {}
+
     fn unit_lost(&mut self) {
-        self.needs_refresh = true;
+        self.has_reference = false;
     }
 
     fn needs_refresh(&self) -> bool {
-        self.needs_refresh
+        !self.has_reference
     }
 }
 
 /// The number of pictures that were decoded.
 pub fn check(script: &[u8]) -> usize {
-    let mut decoding =
-        Decoding::new(Box::new(Toy { needs_refresh: true }), DecodeTiming::Virtual { delay_ns: DELAY_NS });
+    let mut decoding = Decoding::new(Box::<Toy>::default(), DecodeTiming::Virtual { delay_ns: DELAY_NS });
     let mut now = ClientTime(0);
     let mut frames: Vec<UpdateId> = Vec::new();
     for step in steps(script) {

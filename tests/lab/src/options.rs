@@ -2,9 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::message::Codec;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::scene::SceneOptions;
-use shadecast_transport::{LinkError, LinkSchedule};
+use shadecast_transport::{LinkError, LinkProfile, LinkSchedule};
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -13,9 +14,9 @@ use std::str::FromStr;
 pub enum Renderer {
     /// The ground truth: its pictures, with nothing to compare.
     Forward,
-    /// The atlas pipeline, handed over in memory.
+    /// The atlas pipeline over a link that carries anything at once, and without a codec.
     Local,
-    /// The atlas pipeline over codec, encryption and the simulated link.
+    /// The atlas pipeline over codec and simulated link.
     Stream,
 }
 
@@ -80,6 +81,20 @@ impl FromStr for StageMs {
         }
         Ok(stages)
     }
+}
+
+/// A way that is as good as none, nanoseconds: QUIC's pace divides by the round trip, and stands still where that is zero.
+const SHORT_WAY_NS: i64 = 100_000;
+
+/// What an update passes through from the server to the client that ships.
+#[derive(Clone, Debug)]
+pub struct Medium {
+    /// What both sides can code pictures by.
+    pub codecs: &'static [Codec],
+    /// The simulated network.
+    pub link: LinkSchedule,
+    /// Durations of stages.
+    pub stages: StageMs,
 }
 
 /// Where the head goes in a run.
@@ -203,6 +218,20 @@ impl RunOptions {
             scene_options: SceneOptions::default(),
             motion: false,
             verbose: false,
+        }
+    }
+
+    /// What updates pass through: as the options say, unless the renderer leaves codec and link out.
+    pub fn medium(&self) -> Medium {
+        match self.renderer {
+            Renderer::Local => Medium {
+                codecs: &[Codec::Raw],
+                link: LinkProfile { latency_ns: SHORT_WAY_NS, ..LinkProfile::default() }.into(),
+                stages: StageMs { encode: 0.0, decode: 0.0, ..self.stages },
+            },
+            Renderer::Forward | Renderer::Stream => {
+                Medium { codecs: &[Codec::H264], link: self.link.clone(), stages: self.stages }
+            }
         }
     }
 

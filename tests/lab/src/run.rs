@@ -20,6 +20,7 @@ use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::HeadPath;
 use shadecast_scene::load::load_head_path;
+use shadecast_server::encode::Source;
 use std::path::{Path, PathBuf};
 
 /// A walk of a few steps to the side and forward, turning the head: 5 s, then it goes back the same way.
@@ -153,9 +154,7 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
         if options.motion {
             run.motion.look(&mut lab, &shown, time)?;
         }
-        if let (Some(_), Some(estimate), Renderer::Stream) =
-            (shown.frame, shown.server_time, options.renderer)
-        {
+        if let (Some(_), Some(estimate)) = (shown.frame, shown.server_time) {
             run.clock_errors_ms.push(estimate.since(time) as f64 * 1e-6);
         }
         run.look(&mut lab, &mut comparer, shown.frame.is_some())?;
@@ -247,11 +246,11 @@ impl Run<'_> {
                 .collect(),
             dropped_patches: seat.dropped_patches(),
             clock_errors_ms: self.clock_errors_ms,
-            stage_ms: Some(self.options.stages),
+            stage_ms: Some(lab.stages()),
         });
         stats.write_json(&self.options.out.join("stats.json"))?;
         let atlas = match &seat.last {
-            Some(shaded) => Some(atlas_picture(shaded.extent_texels, &shaded.planes)?),
+            Some(shaded) => Some(atlas_picture(&shaded.picture)?),
             None => None,
         };
         if let Some([client, truth]) = &self.last {
@@ -276,10 +275,11 @@ impl Run<'_> {
     }
 }
 
-/// Planes as a picture.
-pub fn atlas_picture(extent_texels: [u32; 2], planes: &[u8]) -> anyhow::Result<Rgb8Image> {
-    let rgb = shadecast_server::picture::rgb_from_planes(extent_texels, planes);
-    Ok(Rgb8Image::new(extent_texels[0], extent_texels[1], rgb)?)
+/// An atlas as it looks.
+fn atlas_picture(atlas: &Source) -> anyhow::Result<Rgb8Image> {
+    let Source::Planes(atlas) = atlas;
+    let [width, height] = atlas.extent_texels();
+    Ok(Rgb8Image::new(width, height, shadecast_server::picture::rgb_of(atlas))?)
 }
 
 /// A client's probe as the metrics want it.

@@ -11,12 +11,13 @@ use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS, SAMPLE_RING};
 use shadecast_protocol::message::{Codec, Environment, ResumeSecret, ServerDatagram, ServerOffer, Welcome};
 use shadecast_protocol::motion::SampleBatch;
+use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime};
 use shadecast_protocol::wire::{PictureHeader, encode_geometry, encode_picture};
 use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
-use shadecast_server::encode::{Encoder, Planes};
+use shadecast_server::encode::{Source, encode_one};
 use shadecast_transport::{
     Driver, Endpoint, EndpointConfig, Event, Events, Handle, PeerId, ServerIdentity, monotonic_now_ns, spawn,
 };
@@ -275,10 +276,8 @@ impl Client {
             none => none.insert(OpenH264Encoder::new(EncoderSettings::new(AtlasExtent::MIN.texels()))?),
         };
         let extent_texels = AtlasExtent::MIN.texels();
-        let grey = vec![128; extent_texels[0] as usize * extent_texels[1] as usize];
-        let chroma = &grey[..grey.len() / 4];
-        let planes = Planes { extent_texels, y: &grey, cb: chroma, cr: chroma };
-        let unit = encoder.encode(&planes, time.0, frame.0 == 0)?;
+        let grey = I420::new(extent_texels, vec![128; I420::byte_count(extent_texels) as usize])?;
+        let unit = encode_one(encoder, Source::Planes(grey), time.0, frame.0 == 0)?;
         let header = PictureHeader { frame, time, is_refresh: unit.is_refresh };
         Ok([geometry, picture_stream(header, &unit.bytes)?])
     }

@@ -7,13 +7,12 @@
 pub mod ghost;
 pub mod seat;
 
-use crate::options::{Renderer, RunOptions, StageMs, ViewerOptions};
+use crate::options::{Medium, RunOptions, StageMs, ViewerOptions};
 use crate::run::{BUILT_IN_WALK, prepare_runtime, set_runtime};
 use anyhow::{Context, bail};
 use ghost::Ghost;
 use seat::Seat;
-use shadecast_client::client::{Client, ClientOptions, FrameReport, Step};
-use shadecast_client::decode::Picture;
+use shadecast_client::client::{Client, ClientOptions, Step};
 use shadecast_client::decoding::DecodeTiming;
 use shadecast_client::platform::Platform;
 use shadecast_client::xr::{Xr, XrOptions};
@@ -23,18 +22,16 @@ use shadecast_mock_runtime::config::MockConfig;
 use shadecast_mock_runtime::head_path::HeadPath;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
-use shadecast_protocol::message::{Capabilities, ClientHello, ClientMessage, Codec, Displayed, ServerOffer};
+use shadecast_protocol::message::{Capabilities, ClientHello, Codec, ServerOffer};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::session::Out;
 use shadecast_protocol::time::ClientTime;
 use shadecast_scene::Scene;
 use shadecast_scene::load::load_scene;
 use shadecast_scene::suggest::did_you_mean_or_list;
-use shadecast_server::frame::Shaded;
 use shadecast_server::pacing::WayState;
 use shadecast_server::scene::SceneGpu;
 use shadecast_server::stream::offer;
-use shadecast_server::viewer::Told;
 use shadecast_server::world::World;
 use shadecast_transport::endpoint::{Endpoint, EndpointConfig};
 use shadecast_transport::event::{Event, PeerId};
@@ -55,6 +52,7 @@ pub struct Server {
     pub scene: Arc<SceneGpu>,
     /// What every viewer looks at.
     pub world: World,
+    codecs: &'static [Codec],
     qp: u8,
     sessions: u64,
     atlas_extent_texels: AtlasExtent,
@@ -76,11 +74,8 @@ pub struct Lab {
     pub server: Server,
     /// The client that ships, which is the first viewer.
     pub client: Client,
-    renderer: Renderer,
     lines: Vec<Line>,
     next_update_ns: i64,
-    /// What clients say of themselves.
-    hello: ClientHello,
     refresh_hz: f64,
     stages: StageMs,
     frame: u64,
@@ -108,6 +103,7 @@ impl Server {
             world: World::new(&gpu, &scene)?,
             gpu,
             scene,
+            codecs: options.medium().codecs,
             qp: options.qp,
             sessions: 0,
             atlas_extent_texels: options.atlas_extent_texels,
@@ -122,7 +118,8 @@ impl Server {
 
     /// The terms of a session of this number.
     pub fn offer(&self, session: u64) -> ServerOffer {
-        offer(&self.scene, self.atlas_extent_texels, self.rate_hz, session)
+        let usual = offer(&self.scene, self.atlas_extent_texels, self.rate_hz, session);
+        ServerOffer { codecs: self.codecs.to_vec(), ..usual }
     }
 
     fn period_ns(&self) -> i64 {
@@ -224,19 +221,23 @@ impl Lab {
         // SAFETY: the caller's promise.
         unsafe { set_runtime(&variables) };
         let mut lab = Self::new(options, Server::new(options)?)?;
-        lab.connect()?;
+        lab.connect();
         Ok(lab)
     }
 
     fn new(options: &RunOptions, mut server: Server) -> anyhow::Result<Self> {
         let xr = Xr::open(&Platform, XrOptions { validation: options.validation })
             .context("opening the OpenXR runtime")?;
-        let decode_ns = options.stages.ns(options.stages.decode);
-        let decoding = DecodeTiming::Virtual { delay_ns: decode_ns };
-        let client = Client::new(xr, ClientOptions { decoding, ..ClientOptions::default() })
-            .context("making the client")?;
+        let Medium { codecs, link, stages } = options.medium();
+        let decode_ns = stages.ns(stages.decode);
+        let client_options = ClientOptions {
+            decoding: DecodeTiming::Virtual { delay_ns: decode_ns },
+            codecs,
+            ..ClientOptions::default()
+        };
+        let client = Client::new(xr, client_options).context("making the client")?;
         let hello = hello(options, client.eye_extent_pixels());
-        let mut lines = vec![Line::new(&mut server, &options.link, options.seed, None)?];
+        let mut lines = vec![Line::new(&mut server, &link, options.seed, None)?];
         for (other, seed) in options.others.iter().zip(options.seed + 1..) {
             let ViewerOptions { link, head } = other;
             let ghost = Ghost::new(hello.clone(), read_head_path(head.as_deref())?, START_NS, decode_ns);
@@ -245,12 +246,10 @@ impl Lab {
         Ok(Self {
             server,
             client,
-            renderer: options.renderer,
             lines,
-            hello,
             next_update_ns: START_NS,
             refresh_hz: options.refresh_hz,
-            stages: options.stages,
+            stages,
             frame: 0,
         })
     }
@@ -270,15 +269,14 @@ impl Lab {
         self.lines.iter().filter_map(|line| Some((&line.seat, line.ghost.as_ref()?)))
     }
 
-    /// Connects all clients over their links, or the one in memory.
-    fn connect(&mut self) -> anyhow::Result<()> {
-        if self.renderer == Renderer::Stream {
-            self.lines.iter_mut().for_each(Line::connect);
-            return Ok(());
-        }
-        let hello = ClientMessage::Hello(self.hello.clone()).encode();
-        let terms = self.lines[0].seat.greet(&mut self.server, &hello, START_NS)?;
-        Ok(self.client.start_local(terms, -SERVER_EPOCH_NS)?)
+    /// Connects all clients over their links.
+    fn connect(&mut self) {
+        self.lines.iter_mut().for_each(Line::connect);
+    }
+
+    /// Durations of stages in this run.
+    pub fn stages(&self) -> StageMs {
+        self.stages
     }
 
     /// When the next display frame begins, nanoseconds of the virtual clock.
@@ -308,11 +306,7 @@ impl Lab {
         let frame_ns = self.next_frame_ns();
         self.play_until(frame_ns)?;
         let step = self.client.step_with(|client| client.advance(ClientTime(frame_ns)))?;
-        match &step {
-            Step::Idle => self.frame += 1,
-            Step::Frame(report) => self.frame_shown(report),
-            Step::Exit => {}
-        }
+        self.frame += u64::from(step != Step::Exit);
         let display_ns = self.next_frame_ns();
         for line in &mut self.lines {
             if let Some(ghost) = &mut line.ghost {
@@ -323,30 +317,14 @@ impl Lab {
         Ok(step)
     }
 
-    /// In memory there are no messages: the server looks at the client itself.
-    fn frame_shown(&mut self, report: &FrameReport) {
-        self.frame += 1;
-        if self.renderer == Renderer::Stream {
-            return;
-        }
-        let mut told = Told { pose: self.client.head_state(), ..Told::default() };
-        if let (true, Some(id), Some(time)) = (report.is_new, report.frame, report.server_time) {
-            told.displayed = Some(Displayed { frame: id, display_time: time, ..Displayed::default() });
-        }
-        let now_ns = self.next_frame_ns();
-        self.lines[0].seat.hear(told, now_ns);
-    }
-
     /// Updates, departures and arrivals in the order of time.
     fn play_until(&mut self, until_ns: i64) -> anyhow::Result<()> {
         loop {
             let departures = self.lines.iter().filter_map(|line| line.seat.next_departure_ns());
             let departure_ns = departures.min().unwrap_or(i64::MAX);
             let next_ns = departure_ns.min(self.next_update_ns).min(until_ns);
-            if self.renderer == Renderer::Stream {
-                for line in &mut self.lines {
-                    line.play(&mut self.server, &mut self.client, next_ns)?;
-                }
+            for line in &mut self.lines {
+                line.play(&mut self.server, &mut self.client, next_ns)?;
             }
             if departure_ns <= next_ns {
                 self.depart(departure_ns)?;
@@ -372,9 +350,7 @@ impl Lab {
     fn depart(&mut self, now_ns: i64) -> anyhow::Result<()> {
         let is_due = |line: &&mut Line| line.seat.next_departure_ns() == Some(now_ns);
         let Some(line) = self.lines.iter_mut().find(is_due) else { return Ok(()) };
-        if let Some((delta, picture)) = line.seat.depart(now_ns)? {
-            self.client.accept_local(ClientTime(now_ns), delta, Some(picture));
-        }
+        line.seat.depart(now_ns)?;
         line.flush(&mut self.client)
     }
 }
@@ -393,7 +369,7 @@ pub fn hello(options: &RunOptions, eye_extent_pixels: [u32; 2]) -> ClientHello {
             max_atlas_extent: ATLAS_MAX_EXTENT,
             max_vertex_slots: MAX_VERTEX_SLOTS,
             max_patch_slots: MAX_PATCH_SLOTS,
-            codecs: vec![Codec::H264],
+            codecs: options.medium().codecs.to_vec(),
             eyes: [eye(-0.0315), eye(0.0315)],
             eye_extent_pixels,
             display_period_ns: (1e9 / options.refresh_hz) as i64,
@@ -423,12 +399,4 @@ fn play_clip(scene: &mut Scene, name: &str) -> anyhow::Result<()> {
         bail!("no animated instance has a clip \"{name}\"{}", did_you_mean_or_list(name, names, "there are"));
     }
     Ok(())
-}
-
-/// The planes as a decoder would give them: the renderer without codec and network.
-fn picture_of(shaded: &Shaded) -> Picture {
-    let luma = shaded.extent_texels[0] as usize * shaded.extent_texels[1] as usize;
-    let (y, chroma) = shaded.planes.split_at(luma);
-    let (cb, cr) = chroma.split_at(luma / 4);
-    Picture { extent_texels: shaded.extent_texels, y: y.to_vec(), cb: cb.to_vec(), cr: cr.to_vec() }
 }

@@ -1,24 +1,25 @@
 //! The server's side of one viewer on the virtual clock: its session, the product's [`Viewer`], and what is on its way out.
 
-use super::{SERVER_EPOCH_NS, Server, picture_of};
+use super::{SERVER_EPOCH_NS, Server};
 use crate::motion::Residents;
 use crate::options::StageMs;
 use anyhow::{Context, bail};
-use shadecast_client::decode::Picture;
-use shadecast_protocol::delta::{DeltaDecoder, DeltaSizes, ReceivedDelta};
+use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Capabilities, Welcome};
 use shadecast_protocol::session::{Out, ServerEvent, ServerSession, picture_stream};
 use shadecast_protocol::time::ServerTime;
 use shadecast_protocol::wire::PictureHeader;
-use shadecast_server::encode::Encoder;
-use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
+use shadecast_server::encode;
+use shadecast_server::encode::openh264::EncoderSettings;
+use shadecast_server::encoding::{Coded, Encoding};
 use shadecast_server::frame::{Frame, Shaded};
 use shadecast_server::pacing::{Kind, WayState};
 use shadecast_server::viewer::{Told, Update, Viewer, bytes_of};
 use shadecast_server::world::ViewerId;
 use shadecast_transport::{Event, PeerId};
 use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
 
 /// What crossed from server to client.
 #[derive(Clone, Copy, Debug, Default)]
@@ -46,15 +47,13 @@ pub struct Seat {
     /// Milliseconds by GPU stage, summed over its updates.
     pub gpu_ms: BTreeMap<&'static str, f64>,
     /// The last update's planes and their extent, for the atlas picture.
-    pub last: Option<Shaded>,
+    pub last: Option<Box<Shaded>>,
     /// Who was in the client's memory at which update.
     pub residents: Residents,
     session: ServerSession,
     /// What goes out beside the session.
     streams: VecDeque<Out>,
-    encoder: Option<Box<dyn Encoder>>,
-    /// Decodes what crosses no link.
-    local: Option<DeltaDecoder>,
+    encoding: Option<Encoding>,
     pub(super) peer: Option<PeerId>,
     leaving: VecDeque<Leaving>,
     number: u64,
@@ -73,8 +72,6 @@ enum Departure {
     /// The stream of a delta.
     Delta(Out, DeltaSizes),
     Picture(PictureHeader, Vec<u8>),
-    /// In memory there are no streams.
-    Local(Box<Shaded>),
 }
 
 impl Seat {
@@ -88,8 +85,7 @@ impl Seat {
             residents: Residents::default(),
             session: ServerSession::new(server.offer(number)),
             streams: VecDeque::new(),
-            encoder: None,
-            local: None,
+            encoding: None,
             peer: None,
             leaving: VecDeque::new(),
             number,
@@ -107,7 +103,7 @@ impl Seat {
             Event::Closed { .. } => self.part(server),
             Event::Stream { .. } | Event::StreamReset { .. } => {}
         }
-        self.listen(server, now_ns).map(drop)
+        self.listen(server, now_ns)
     }
 
     /// A client came: a new session, and nothing kept of the last one.
@@ -126,26 +122,14 @@ impl Seat {
         }
     }
 
-    /// A hello that crossed no link. Gives the terms.
-    pub(super) fn greet(
-        &mut self,
-        server: &mut Server,
-        hello: &[u8],
-        now_ns: i64,
-    ) -> anyhow::Result<Welcome> {
-        self.session.on_control(hello);
-        self.listen(server, now_ns)?.context("the server does not agree")
-    }
-
-    /// Hands what the session learnt to the viewer. Gives the terms of a session that begins.
-    fn listen(&mut self, server: &mut Server, now_ns: i64) -> anyhow::Result<Option<Welcome>> {
-        let (mut told, mut begins) = (Told::default(), None);
+    /// Hands what the session learnt to the viewer.
+    fn listen(&mut self, server: &mut Server, now_ns: i64) -> anyhow::Result<()> {
+        let mut told = Told::default();
         while let Some(event) = self.session.poll_event() {
             match told.take(event) {
                 None => {}
                 Some(ServerEvent::Asked { hello, welcome }) => {
                     self.accept(server, &welcome, &hello.capabilities, now_ns)?;
-                    begins = Some(welcome);
                 }
                 Some(ServerEvent::Refused(refused)) => {
                     bail!("the server refused: {} {}", refused.reason, refused.remedy)
@@ -157,13 +141,8 @@ impl Seat {
                 Some(event) => unreachable!("what a client tells is taken in: {event:?}"),
             }
         }
-        self.hear(told, now_ns);
-        Ok(begins)
-    }
-
-    /// What the client tells, where it crosses no link.
-    pub(super) fn hear(&mut self, told: Told, now_ns: i64) {
         self.viewer.iter_mut().for_each(|viewer| viewer.hear(told, now_ns));
+        Ok(())
     }
 
     fn accept(
@@ -175,14 +154,13 @@ impl Seat {
     ) -> anyhow::Result<()> {
         let sender = self.session.accept().context("who asked has gone")?;
         let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, server.qp, server.rate_hz);
-        self.encoder = Some(Box::new(OpenH264Encoder::new(settings)?));
-        self.local = Some(DeltaDecoder::new(welcome.vertex_slots, welcome.patch_slots));
+        self.encoding = Some(Encoding::new(encode::encoder(welcome.codec, settings)?));
         let frame = Frame::new(&server.world, ViewerId(self.number), welcome, capabilities)?;
         self.viewer = Some(Viewer::new(frame, sender, server.period_ns(), now_ns));
         Ok(())
     }
 
-    /// One update; what it makes leaves when its stages are done. `way`: that to the client, where there is a link.
+    /// One update; what it makes leaves when its stages are done. `way`: that to the client.
     pub(super) fn update(
         &mut self,
         server: &mut Server,
@@ -209,17 +187,25 @@ impl Seat {
         self.residents.note(shaded.frame, frame.residency());
         let (delta, Update { shaded, refresh }) = viewer.finish(shaded);
         let (frame, sizes) = (shaded.frame, shaded.delta.sizes);
-        self.last = Some((*shaded).clone());
         let shaded_ns = now_ns + stages.ns(stages.server);
-        if way.is_none() {
-            self.leave(shaded_ns, frame, Departure::Local(shaded));
-            return Ok(());
-        }
-        let encoder = self.encoder.as_mut().context("an encoder comes with the viewer")?;
-        let (header, unit) = shaded.encode(encoder.as_mut(), refresh)?;
-        self.sent.atlas_bytes += unit.bytes.len() as u64;
-        self.leave(shaded_ns + stages.ns(stages.encode), frame, Departure::Picture(header, unit.bytes));
+        self.encode(shaded, refresh, shaded_ns + stages.ns(stages.encode))?;
         self.leave(shaded_ns, frame, Departure::Delta(delta, sizes));
+        Ok(())
+    }
+
+    /// Hands a picture to the encoder; what it has then leaves at `done_ns`.
+    fn encode(&mut self, shaded: Box<Shaded>, refresh: bool, done_ns: i64) -> anyhow::Result<()> {
+        let encoding = self.encoding.as_mut().context("an encoder comes with the viewer")?;
+        encoding.submit(shaded, refresh);
+        while let Some(coded) = self.encoding.as_mut().and_then(|encoding| encoding.poll(Duration::ZERO)) {
+            let Coded { shaded, header, unit } = coded?;
+            self.sent.atlas_bytes += unit.bytes.len() as u64;
+            self.leave(done_ns, header.frame, Departure::Picture(header, unit.bytes));
+            let earlier = self.last.replace(shaded);
+            if let Some((viewer, earlier)) = self.viewer.as_mut().zip(earlier) {
+                viewer.recycle(earlier.picture);
+            }
+        }
         Ok(())
     }
 
@@ -233,16 +219,11 @@ impl Seat {
         self.leaving.front().map(|leaving| leaving.at_ns)
     }
 
-    /// What is ready leaves; what belongs to a session that has ended is dropped. Gives what crosses no link.
-    pub(super) fn depart(&mut self, now_ns: i64) -> anyhow::Result<Option<(ReceivedDelta, Picture)>> {
+    /// What is ready leaves; what belongs to a session that has ended is dropped.
+    pub(super) fn depart(&mut self, now_ns: i64) -> anyhow::Result<()> {
         let next = self.leaving.pop_front().filter(|leaving| leaving.session == self.number);
-        let Some(Leaving { frame, what, .. }) = next else { return Ok(None) };
+        let Some(Leaving { frame, what, .. }) = next else { return Ok(()) };
         match what {
-            Departure::Local(shaded) => {
-                let picture = picture_of(&shaded);
-                let decoder = self.local.as_mut().context("a decoder comes with the viewer")?;
-                return Ok(Some((decoder.receive(&shaded.delta.bytes)?, picture)));
-            }
             Departure::Delta(out, sizes) => {
                 self.count(sizes);
                 self.send(frame, Kind::Delta, out, now_ns);
@@ -251,7 +232,7 @@ impl Seat {
                 self.send(frame, Kind::Picture, picture_stream(header, &bytes)?, now_ns);
             }
         }
-        Ok(None)
+        Ok(())
     }
 
     fn send(&mut self, frame: UpdateId, kind: Kind, out: Out, now_ns: i64) {

@@ -1,0 +1,115 @@
+//! Step 7 of an update: its picture through an encoder, which may have several and give each when it is done.
+
+use crate::encode::{AccessUnit, EncodeError, Encoded, Encoder};
+use crate::frame::Shaded;
+use shadecast_protocol::wire::PictureHeader;
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// One viewer's encoder with the updates whose pictures are in it.
+pub struct Encoding {
+    encoder: Box<dyn Encoder>,
+    /// In the order of submission, without their pictures.
+    under_way: VecDeque<Box<Shaded>>,
+}
+
+/// An update whose picture is encoded.
+pub struct Coded {
+    /// The update, with its picture again.
+    pub shaded: Box<Shaded>,
+    /// What binds the access unit to the update's delta.
+    pub header: PictureHeader,
+    /// The picture as it is sent.
+    pub unit: AccessUnit,
+}
+
+impl Encoding {
+    /// By an encoder that has no picture.
+    pub fn new(encoder: Box<dyn Encoder>) -> Self {
+        Self { encoder, under_way: VecDeque::new() }
+    }
+
+    /// Hands an update's picture to the encoder. With `refresh` it will need no other.
+    pub fn submit(&mut self, mut shaded: Box<Shaded>, refresh: bool) {
+        let source = std::mem::take(&mut shaded.picture);
+        self.encoder.submit(source, shaded.time.0, refresh);
+        self.under_way.push_back(shaded);
+    }
+
+    /// The next update that is done, for which it waits at most for `timeout`.
+    pub fn poll(&mut self, timeout: Duration) -> Option<Result<Coded, EncodeError>> {
+        let Encoded { source, result } = self.encoder.poll(timeout)?;
+        let mut shaded = self.under_way.pop_front().expect("an encoder gives what it was handed");
+        shaded.picture = source;
+        let coded = |unit: AccessUnit| {
+            let header =
+                PictureHeader { frame: shaded.frame, time: shaded.time, is_refresh: unit.is_refresh };
+            Coded { shaded, header, unit }
+        };
+        Some(result.map(coded))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::encode::Source;
+    use shadecast_gpu::Timings;
+    use shadecast_protocol::delta::DeltaEncoder;
+    use shadecast_protocol::ids::UpdateId;
+    use shadecast_protocol::picture::I420;
+    use shadecast_protocol::time::ServerTime;
+
+    /// Gives each picture when so many others were polled for in vain; every third fails.
+    struct Late {
+        polls_left: u32,
+        sources: VecDeque<(Source, i64)>,
+    }
+
+    impl Encoder for Late {
+        fn submit(&mut self, source: Source, timestamp_ns: i64, _: bool) {
+            self.sources.push_back((source, timestamp_ns));
+        }
+
+        fn poll(&mut self, _: Duration) -> Option<Encoded> {
+            if self.polls_left > 0 {
+                self.polls_left -= 1;
+                return None;
+            }
+            let (source, at) = self.sources.pop_front()?;
+            let unit = AccessUnit { bytes: vec![at as u8], is_refresh: at == 0 };
+            let result = if at % 3 == 2 { Err(EncodeError::Stalled) } else { Ok(unit) };
+            Some(Encoded { source, result })
+        }
+
+        fn set_qp(&mut self, _: u8) -> Result<(), EncodeError> {
+            Ok(())
+        }
+    }
+
+    fn shaded(number: u8) -> Box<Shaded> {
+        let picture = Source::Planes(I420::new([2, 2], vec![number; 6]).expect("a picture"));
+        let (frame, time) = (UpdateId(number.into()), ServerTime(number.into()));
+        let delta = DeltaEncoder::new(1, 1).encode(&Default::default());
+        Box::new(Shaded { frame, time, delta, picture, timings: Timings::default() })
+    }
+
+    #[test]
+    fn pictures_that_come_late_are_those_of_their_updates() {
+        let mut encoding = Encoding::new(Box::new(Late { polls_left: 2, sources: VecDeque::new() }));
+        (0..4).for_each(|number| encoding.submit(shaded(number), false));
+        assert!((0..2).all(|_| encoding.poll(Duration::ZERO).is_none()));
+        for number in 0..4 {
+            let result = encoding.poll(Duration::ZERO).expect("done");
+            if number == 2 {
+                assert!(result.is_err());
+                continue;
+            }
+            let coded = result.expect("coded");
+            assert_eq!(coded.header.frame, UpdateId(number.into()));
+            assert_eq!((coded.unit.bytes, coded.header.is_refresh), (vec![number], number == 0));
+            assert_eq!(coded.shaded.picture, shaded(number).picture, "its memory comes back");
+        }
+        assert!(encoding.poll(Duration::ZERO).is_none());
+    }
+}
