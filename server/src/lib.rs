@@ -18,6 +18,7 @@ pub mod predict;
 pub mod residency;
 pub mod samples;
 pub mod scene;
+pub mod sessions;
 pub mod stages;
 pub mod stream;
 pub mod truth;

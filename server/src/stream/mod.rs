@@ -6,16 +6,11 @@
 //! makes goes to the transport without the network's thread.
 
 mod encoder;
-mod mailbox;
-mod network;
 mod outlet;
 mod pipeline;
-mod place;
 mod rebuild;
 mod stats;
 mod studio;
-#[cfg(test)]
-mod testing;
 mod turns;
 
 pub use stats::{StreamStats, ViewerStats};
@@ -24,8 +19,8 @@ pub use studio::{Device, Reopen};
 use crate::encode::Source;
 use crate::pacing::WayState;
 use crate::scene::SceneGpu;
-use mailbox::Mailbox;
-use network::Network;
+use crate::sessions::mailbox::Mailbox;
+use crate::sessions::{Carrier, Say, Sessions, Surroundings, Verdicts};
 use outlet::Outlet;
 use pipeline::{Pipeline, Studio};
 use shadecast_protocol::PROTOCOL_VERSION;
@@ -40,16 +35,13 @@ use shadecast_transport::mio::{Driver, Events, Handle, monotonic_now_ns, spawn};
 use shadecast_transport::{LinkSchedule, ServerIdentity};
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use studio::GpuStudio;
 
 /// How long a thread sleeps at most before it looks whether the program is to end.
 const LOOK_UP: Duration = Duration::from_millis(20);
-
-/// Says a line to the person who started the server. It must not wait.
-pub type Say<'a> = dyn Fn(&str) + Send + Sync + 'a;
 
 /// What to serve, and how.
 #[derive(Clone, Debug)]
@@ -76,7 +68,7 @@ pub struct StreamOptions {
     pub atlas_png: Option<PathBuf>,
 }
 
-/// The terms that a server with this scene offers; who has more than one client puts a random secret into them.
+/// The terms that a server with this scene offers; one with strangers among its clients puts a random secret into them.
 pub fn offer(scene: &SceneGpu, atlas_extent_texels: AtlasExtent, rate_hz: f64, session: u64) -> ServerOffer {
     let environment = scene.scene.environment;
     ServerOffer {
@@ -100,22 +92,6 @@ pub fn offer(scene: &SceneGpu, atlas_extent_texels: AtlasExtent, rate_hz: f64, s
     }
 }
 
-/// Sessions that the pipeline wants to end.
-#[derive(Debug, Default)]
-struct Verdicts {
-    refused: Mutex<Vec<(PeerId, Refused)>>,
-}
-
-impl Verdicts {
-    fn refuse(&self, peer: PeerId, refused: Refused) {
-        self.refused.lock().unwrap_or_else(PoisonError::into_inner).push((peer, refused));
-    }
-
-    fn take(&self) -> Vec<(PeerId, Refused)> {
-        std::mem::take(&mut *self.refused.lock().unwrap_or_else(PoisonError::into_inner))
-    }
-}
-
 /// The transport and the network's thread, as the pipeline sees them.
 struct Way {
     handle: Handle,
@@ -124,7 +100,7 @@ struct Way {
 
 impl Outlet for Way {
     fn send(&self, peer: PeerId, out: Out) -> Result<(), SendError> {
-        network::Carrier::send(&self.handle, peer, out)
+        Carrier::send(&self.handle, peer, out)
     }
 
     fn way(&self, peer: PeerId) -> Option<WayState> {
@@ -158,8 +134,10 @@ pub fn run(
 ) -> anyhow::Result<StreamStats> {
     let (handle, events) = listen(options, say)?;
     let terms = offer(&device.scene, options.atlas_extent_texels, options.rate_hz, 0);
-    let make_offer = |session| ServerOffer { session, ..terms.clone() };
-    let offers: &(dyn Fn(u64) -> ServerOffer + Sync) = &make_offer;
+    let terms = move |session| {
+        let resume = ResumeSecret(shadecast_transport::random_bytes());
+        ServerOffer { session, resume, ..terms.clone() }
+    };
     let (mailbox, verdicts, epoch_ns) =
         (Mailbox::default(), Arc::new(Verdicts::default()), monotonic_now_ns());
     let mut studio = GpuStudio::new(device, reopen, options);
@@ -167,8 +145,13 @@ pub fn run(
         let (mailbox, verdicts, carrier) = (&mailbox, &verdicts, handle.clone());
         let network = std::thread::Builder::new().name("sessions".into()).spawn_scoped(scope, move || {
             let _stop = StopOnEnd(stop);
-            let network = Network::new(&carrier, mailbox, verdicts, offers, say, options.viewers, epoch_ns);
-            run_network(network, &events, stop);
+            let sessions = Sessions::new(Box::new(terms), options.viewers, epoch_ns);
+            run_sessions(
+                sessions,
+                &Surroundings { carrier: &carrier, mailbox, verdicts, say },
+                &events,
+                stop,
+            );
             events // without them the transport ends, and the pipeline may still be sending
         })?;
         let outlet = Arc::new(Way { handle, verdicts: verdicts.clone() });
@@ -210,19 +193,19 @@ fn listen(options: &StreamOptions, say: &Say<'_>) -> anyhow::Result<(Handle, Eve
     Ok((handle, events))
 }
 
-fn run_network(mut network: Network<'_>, events: &Events, stop: &AtomicBool) {
+fn run_sessions(mut sessions: Sessions, around: &Surroundings<'_>, events: &Events, stop: &AtomicBool) {
     while !stop.load(Ordering::Relaxed) {
         match events.next_timeout(LOOK_UP) {
-            Ok(Some(event)) => network.take(event, monotonic_now_ns()),
+            Ok(Some(event)) => sessions.take(event, monotonic_now_ns(), around),
             Ok(None) => {}
             Err(stopped) => {
                 tracing::error!("{stopped}");
                 return;
             }
         }
-        network.tick(monotonic_now_ns());
+        sessions.tick(monotonic_now_ns(), around);
     }
-    network.goodbye(monotonic_now_ns());
+    sessions.goodbye(monotonic_now_ns(), around);
 }
 
 fn run_pipeline<S: Studio>(

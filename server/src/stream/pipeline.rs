@@ -5,14 +5,15 @@
 //! together, who has had least of it is next.
 
 use super::encoder::{EncoderThread, Job, Outcome, words_of};
-use super::mailbox::{Accepted, Client, Mailbox, News};
 use super::outlet::Outlet;
 use super::rebuild::Rebuild;
 use super::turns::{Share, Turns};
-use super::{Say, StreamStats, ViewerStats};
+use super::{StreamStats, ViewerStats};
 use crate::encode::{EncodeError, Encoder};
 use crate::frame::Shaded;
 use crate::pacing::Kind;
+use crate::sessions::Say;
+use crate::sessions::mailbox::{Accepted, Client, Mailbox, News};
 use crate::viewer::{Update, Updates, Viewer, bytes_of};
 use anyhow::Context;
 use shadecast_gpu::GpuError;

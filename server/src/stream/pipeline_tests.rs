@@ -4,7 +4,7 @@ use super::*;
 use crate::encode::{AccessUnit, Encoded, Source};
 use crate::pacing::WayState;
 use crate::residency::Budget;
-use crate::stream::testing::accepted;
+use crate::sessions::testing::accepted;
 use ash::vk;
 use shadecast_gpu::Timings;
 use shadecast_protocol::delta::DeltaEncoder;

@@ -93,7 +93,7 @@ const WARM_UP: u32 = 3;
 pub fn second_viewer(options: &RunOptions, rounds: usize) -> anyhow::Result<SecondViewer> {
     let mut server = Server::new(options)?;
     let hello = hello(options, options.extent_pixels);
-    let offer = server.offer(1);
+    let offer = server.offer();
     let terms = negotiate(&hello, &offer).map_err(|refused| anyhow::anyhow!("{}", refused.reason))?;
     let frame = |number| Frame::new(&server.world, ViewerId(number), &terms, &hello.capabilities);
     let mut frames = [frame(1)?, frame(2)?];

@@ -54,7 +54,7 @@ pub struct Server {
     pub world: World,
     codecs: &'static [Codec],
     qp: u8,
-    sessions: u64,
+    viewers: u64,
     atlas_extent_texels: AtlasExtent,
     rate_hz: f64,
 }
@@ -105,20 +105,20 @@ impl Server {
             scene,
             codecs: options.medium().codecs,
             qp: options.qp,
-            sessions: 0,
+            viewers: 0,
             atlas_extent_texels: options.atlas_extent_texels,
             rate_hz: options.rate_hz,
         })
     }
 
-    fn next_session(&mut self) -> u64 {
-        self.sessions += 1;
-        self.sessions
+    fn next_viewer(&mut self) -> u64 {
+        self.viewers += 1;
+        self.viewers
     }
 
-    /// The terms of a session of this number.
-    pub fn offer(&self, session: u64) -> ServerOffer {
-        let usual = offer(&self.scene, self.atlas_extent_texels, self.rate_hz, session);
+    /// The terms of its sessions.
+    pub fn offer(&self) -> ServerOffer {
+        let usual = offer(&self.scene, self.atlas_extent_texels, self.rate_hz, 0);
         ServerOffer { codecs: self.codecs.to_vec(), ..usual }
     }
 
@@ -182,7 +182,7 @@ impl Line {
                 Out::Stream { .. } => bail!("the client opened a stream"),
             }
         }
-        while let Some(out) = self.seat.poll_out(self.pair.now_ns()) {
+        while let Some(out) = self.seat.poll_out() {
             match out {
                 Out::Control(message) => self.pair.server.send_control(server_peer, &message)?,
                 Out::Datagram(bytes) => drop(self.pair.server.send_datagram(server_peer, &bytes)),

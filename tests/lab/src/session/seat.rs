@@ -1,13 +1,14 @@
-//! The server's side of one viewer on the virtual clock: its session, the product's [`Viewer`], and what is on its way out.
+//! The server's side of one viewer on the virtual clock: the product's [`Sessions`] and [`Viewer`], and what is on its way out.
 
 use super::{SERVER_EPOCH_NS, Server};
 use crate::motion::Residents;
 use crate::options::StageMs;
 use anyhow::{Context, bail};
+use shadecast_protocol::close::CloseCode;
 use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::ids::UpdateId;
-use shadecast_protocol::message::{Capabilities, Welcome};
-use shadecast_protocol::session::{Out, ServerEvent, ServerSession, picture_stream};
+use shadecast_protocol::message::ServerOffer;
+use shadecast_protocol::session::{Out, picture_stream};
 use shadecast_protocol::time::ServerTime;
 use shadecast_protocol::wire::PictureHeader;
 use shadecast_server::encode;
@@ -15,9 +16,12 @@ use shadecast_server::encode::openh264::EncoderSettings;
 use shadecast_server::encoding::{Coded, Encoding};
 use shadecast_server::frame::{Frame, Shaded};
 use shadecast_server::pacing::{Kind, WayState};
-use shadecast_server::viewer::{Told, Update, Viewer, bytes_of};
+use shadecast_server::sessions::mailbox::{Accepted, Client, Mailbox, News};
+use shadecast_server::sessions::{Carrier, Sessions, Surroundings, Verdicts};
+use shadecast_server::viewer::{Update, Viewer, bytes_of};
 use shadecast_server::world::ViewerId;
-use shadecast_transport::{Event, PeerId};
+use shadecast_transport::{Event, PeerId, SendError};
+use std::cell::RefCell;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
@@ -50,7 +54,8 @@ pub struct Seat {
     pub last: Option<Box<Shaded>>,
     /// Who was in the client's memory at which update.
     pub residents: Residents,
-    session: ServerSession,
+    sessions: Sessions,
+    desk: Desk,
     /// What goes out beside the session.
     streams: VecDeque<Out>,
     encoding: Option<Encoding>,
@@ -62,8 +67,8 @@ pub struct Seat {
 /// What leaves when its stages are done.
 struct Leaving {
     at_ns: i64,
-    /// The session that it is of.
-    session: u64,
+    /// The viewer that it is for.
+    viewer: u64,
     frame: UpdateId,
     what: Departure,
 }
@@ -74,45 +79,87 @@ enum Departure {
     Picture(PictureHeader, Vec<u8>),
 }
 
+/// What the sessions work with: a carrier that keeps everything until it is fetched.
+#[derive(Default)]
+struct Desk {
+    carrier: Kept,
+    mailbox: Mailbox,
+    verdicts: Verdicts,
+}
+
+impl Desk {
+    fn surroundings(&self) -> Surroundings<'_> {
+        let Self { carrier, mailbox, verdicts } = self;
+        Surroundings { carrier, mailbox, verdicts, say: &|_| {} }
+    }
+}
+
+/// What sessions have to say, and why the server has sent the client away.
+#[derive(Default)]
+struct Kept {
+    out: RefCell<VecDeque<Out>>,
+    ended: RefCell<Option<String>>,
+}
+
+impl Carrier for Kept {
+    fn send(&self, _: PeerId, out: Out) -> Result<(), SendError> {
+        self.out.borrow_mut().push_back(out);
+        Ok(())
+    }
+
+    fn close(&self, _: PeerId, code: CloseCode, reason: &str) {
+        if code != CloseCode::Leaving {
+            *self.ended.borrow_mut() = Some(reason.to_owned());
+        }
+    }
+}
+
 impl Seat {
-    pub(super) fn new(server: &mut Server) -> Self {
-        let number = server.next_session();
+    pub(super) fn new(server: &Server) -> Self {
+        let terms = server.offer();
+        let offer = move |session| ServerOffer { session, ..terms.clone() };
         Self {
             viewer: None,
             sent: Sent::default(),
             gpu_ms: BTreeMap::new(),
             last: None,
             residents: Residents::default(),
-            session: ServerSession::new(server.offer(number)),
+            sessions: Sessions::new(Box::new(offer), 1, SERVER_EPOCH_NS),
+            desk: Desk::default(),
             streams: VecDeque::new(),
             encoding: None,
             peer: None,
             leaving: VecDeque::new(),
-            number,
+            number: 0,
         }
     }
 
-    /// Takes an event of the server's end of the link.
+    /// Takes an event of the server's end of the link, and does what comes of it.
+    ///
+    /// # Errors
+    /// The server has sent the client away.
     pub(super) fn take(&mut self, server: &mut Server, event: Event, now_ns: i64) -> anyhow::Result<()> {
-        match event {
-            Event::Connected { peer, .. } => self.connected(server, peer),
-            Event::Control { message, .. } => self.session.on_control(&message),
-            Event::Datagram { bytes, at_ns, .. } => {
-                self.session.on_datagram(&bytes, ServerTime(at_ns - SERVER_EPOCH_NS));
-            }
-            Event::Closed { .. } => self.part(server),
-            Event::Stream { .. } | Event::StreamReset { .. } => {}
+        if let Event::Connected { peer, .. } = event {
+            self.peer = Some(peer);
+            self.streams.clear();
         }
-        self.listen(server, now_ns)
-    }
-
-    /// A client came: a new session, and nothing kept of the last one.
-    fn connected(&mut self, server: &mut Server, peer: PeerId) {
-        self.part(server);
-        self.number = server.next_session();
-        self.peer = Some(peer);
-        self.session = ServerSession::new(server.offer(self.number));
-        self.streams.clear();
+        self.sessions.take(event, now_ns, &self.desk.surroundings());
+        self.sessions.tick(now_ns, &self.desk.surroundings());
+        for (_, News { client, told }) in self.desk.mailbox.take() {
+            match client {
+                Client::Unchanged => {}
+                Client::Gone => self.part(server),
+                Client::Accepted(accepted) => {
+                    self.part(server);
+                    self.accept(server, *accepted, now_ns)?;
+                }
+            }
+            self.viewer.iter_mut().for_each(|viewer| viewer.hear(told, now_ns));
+        }
+        match self.desk.carrier.ended.take() {
+            Some(reason) => bail!("the server has ended the session: {reason}"),
+            None => Ok(()),
+        }
     }
 
     /// Nobody is served any more.
@@ -122,40 +169,12 @@ impl Seat {
         }
     }
 
-    /// Hands what the session learnt to the viewer.
-    fn listen(&mut self, server: &mut Server, now_ns: i64) -> anyhow::Result<()> {
-        let mut told = Told::default();
-        while let Some(event) = self.session.poll_event() {
-            match told.take(event) {
-                None => {}
-                Some(ServerEvent::Asked { hello, welcome }) => {
-                    self.accept(server, &welcome, &hello.capabilities, now_ns)?;
-                }
-                Some(ServerEvent::Refused(refused)) => {
-                    bail!("the server refused: {} {}", refused.reason, refused.remedy)
-                }
-                Some(ServerEvent::Goodbye) => self.part(server),
-                Some(ServerEvent::Failed(error)) => {
-                    bail!("the server could not understand the client: {error}")
-                }
-                Some(event) => unreachable!("what a client tells is taken in: {event:?}"),
-            }
-        }
-        self.viewer.iter_mut().for_each(|viewer| viewer.hear(told, now_ns));
-        Ok(())
-    }
-
-    fn accept(
-        &mut self,
-        server: &mut Server,
-        welcome: &Welcome,
-        capabilities: &Capabilities,
-        now_ns: i64,
-    ) -> anyhow::Result<()> {
-        let sender = self.session.accept().context("who asked has gone")?;
+    fn accept(&mut self, server: &mut Server, accepted: Accepted, now_ns: i64) -> anyhow::Result<()> {
+        let Accepted { welcome, capabilities, sender } = accepted;
+        self.number = server.next_viewer();
         let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, server.qp, server.rate_hz);
         self.encoding = Some(Encoding::new(encode::encoder(welcome.codec, settings)?));
-        let frame = Frame::new(&server.world, ViewerId(self.number), welcome, capabilities)?;
+        let frame = Frame::new(&server.world, ViewerId(self.number), &welcome, &capabilities)?;
         self.viewer = Some(Viewer::new(frame, sender, server.period_ns(), now_ns));
         Ok(())
     }
@@ -211,7 +230,7 @@ impl Seat {
 
     fn leave(&mut self, at_ns: i64, frame: UpdateId, what: Departure) {
         let place = self.leaving.partition_point(|other| other.at_ns <= at_ns);
-        self.leaving.insert(place, Leaving { at_ns, session: self.number, frame, what });
+        self.leaving.insert(place, Leaving { at_ns, viewer: self.number, frame, what });
     }
 
     /// When something leaves next.
@@ -219,9 +238,9 @@ impl Seat {
         self.leaving.front().map(|leaving| leaving.at_ns)
     }
 
-    /// What is ready leaves; what belongs to a session that has ended is dropped.
+    /// What is ready leaves; what is for a viewer that has left is dropped.
     pub(super) fn depart(&mut self, now_ns: i64) -> anyhow::Result<()> {
-        let next = self.leaving.pop_front().filter(|leaving| leaving.session == self.number);
+        let next = self.leaving.pop_front().filter(|leaving| leaving.viewer == self.number);
         let Some(Leaving { frame, what, .. }) = next else { return Ok(()) };
         match what {
             Departure::Delta(out, sizes) => {
@@ -247,10 +266,9 @@ impl Seat {
         self.sent.samples += sizes.samples as u64;
     }
 
-    /// Bytes to carry, sent at `now_ns`.
-    pub(super) fn poll_out(&mut self, now_ns: i64) -> Option<Out> {
-        let now = ServerTime(now_ns - SERVER_EPOCH_NS);
-        self.session.poll_out(now).or_else(|| self.streams.pop_front())
+    /// Bytes to carry.
+    pub(super) fn poll_out(&mut self) -> Option<Out> {
+        self.desk.carrier.out.get_mut().pop_front().or_else(|| self.streams.pop_front())
     }
 
     /// Patches that were visible but had no room, in the atlas or in the client's memory.

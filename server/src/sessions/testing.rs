@@ -6,7 +6,7 @@ use shadecast_protocol::session::{ServerEvent, ServerSession};
 use shadecast_test_support::peers::{hello, offer};
 
 /// A client whose session has just been accepted.
-pub(super) fn accepted() -> Accepted {
+pub(crate) fn accepted() -> Accepted {
     let mut session = ServerSession::new(offer());
     session.on_control(&ClientMessage::Hello(hello()).encode());
     let Some(ServerEvent::Asked { hello, welcome }) = session.poll_event() else { panic!("not asked") };

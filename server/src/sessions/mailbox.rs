@@ -96,7 +96,7 @@ impl Mailbox {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::testing::accepted;
+    use crate::sessions::testing::accepted;
     use shadecast_protocol::ids::UpdateId;
     use shadecast_protocol::message::Displayed;
     use shadecast_protocol::time::ServerTime;

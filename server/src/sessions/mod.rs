@@ -1,25 +1,50 @@
-//! The network's thread: connections, sessions, pings and who is served. It encodes nothing and draws nothing, so that a
-//! ping is answered when it comes.
+//! Connections, their sessions, pings, and who is served. Without I/O and clocks; it encodes nothing and draws nothing, so
+//! that a ping is answered when it comes. The server's network thread and the lab drive the same.
 
-use super::mailbox::{Accepted, Mailbox};
-use super::place::{Greeting, Places};
-use super::{Say, Verdicts};
+pub mod mailbox;
+mod place;
+#[cfg(test)]
+pub(crate) mod testing;
+
+use mailbox::{Accepted, Mailbox};
+use place::{Greeting, Places};
 use shadecast_protocol::close::CloseCode;
-use shadecast_protocol::message::{ClientHello, Refused, ResumeSecret, ServerOffer, Welcome};
+use shadecast_protocol::message::{ClientHello, Refused, ServerOffer, Welcome};
 use shadecast_protocol::session::{Out, ServerEvent, ServerSession};
 use shadecast_protocol::text::printable;
 use shadecast_protocol::time::ServerTime;
 use shadecast_transport::{CloseKind, Event, Handle, PeerId, SendError};
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
+use std::sync::{Mutex, PoisonError};
 
 /// A client that was told why it is refused may close the connection itself within this time, nanoseconds.
 const FAREWELL_NS: i64 = 500_000_000;
 /// Refused clients that are given that time.
 const MAX_LEAVING: usize = 8;
 
+/// Says a line to the person who started the server. It must not wait.
+pub type Say<'a> = dyn Fn(&str) + Send + Sync + 'a;
+
+/// Sessions that whoever makes the updates wants to end.
+#[derive(Debug, Default)]
+pub struct Verdicts {
+    refused: Mutex<Vec<(PeerId, Refused)>>,
+}
+
+impl Verdicts {
+    /// Ends a session; the client is told why.
+    pub fn refuse(&self, peer: PeerId, refused: Refused) {
+        self.refused.lock().unwrap_or_else(PoisonError::into_inner).push((peer, refused));
+    }
+
+    fn take(&self) -> Vec<(PeerId, Refused)> {
+        std::mem::take(&mut *self.refused.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
 /// What carries bytes to clients.
-pub(super) trait Carrier {
+pub trait Carrier {
     /// Sends what a session has to say.
     fn send(&self, peer: PeerId, out: Out) -> Result<(), SendError>;
     /// Ends a connection.
@@ -41,13 +66,22 @@ impl Carrier for Handle {
     }
 }
 
+/// Where sessions send to, and whom they tell.
+pub struct Surroundings<'a> {
+    /// The way to the clients.
+    pub carrier: &'a dyn Carrier,
+    /// What is new of clients that are served.
+    pub mailbox: &'a Mailbox,
+    /// Sessions that are to be ended.
+    pub verdicts: &'a Verdicts,
+    /// The person who started the server.
+    pub say: &'a Say<'a>,
+}
+
 /// All clients that are connected.
-pub(super) struct Network<'a> {
-    carrier: &'a dyn Carrier,
-    mailbox: &'a Mailbox,
-    verdicts: &'a Verdicts,
-    make_offer: &'a (dyn Fn(u64) -> ServerOffer + Sync),
-    say: &'a Say<'a>,
+pub struct Sessions {
+    /// The terms of the session of a number, with a secret of its own.
+    offer: Box<dyn Fn(u64) -> ServerOffer + Send>,
     epoch_ns: i64,
     greeting: Greeting,
     places: Places,
@@ -63,22 +97,12 @@ struct Guest {
     remote: SocketAddr,
 }
 
-impl<'a> Network<'a> {
-    pub(super) fn new(
-        carrier: &'a dyn Carrier,
-        mailbox: &'a Mailbox,
-        verdicts: &'a Verdicts,
-        make_offer: &'a (dyn Fn(u64) -> ServerOffer + Sync),
-        say: &'a Say<'a>,
-        viewers: usize,
-        epoch_ns: i64,
-    ) -> Self {
+impl Sessions {
+    /// Nobody is connected; `viewers` are served at once. `offer` gives the terms of a session by its number. The server's
+    /// clock reads 0 at `epoch_ns`.
+    pub fn new(offer: Box<dyn Fn(u64) -> ServerOffer + Send>, viewers: usize, epoch_ns: i64) -> Self {
         Self {
-            carrier,
-            mailbox,
-            verdicts,
-            make_offer,
-            say,
+            offer,
             epoch_ns,
             greeting: Greeting::default(),
             places: Places::new(viewers),
@@ -89,58 +113,68 @@ impl<'a> Network<'a> {
     }
 
     /// Takes an event of the transport.
-    pub(super) fn take(&mut self, event: Event, now_ns: i64) {
+    pub fn take(&mut self, event: Event, now_ns: i64, around: &Surroundings<'_>) {
         match event {
-            Event::Connected { peer, remote, .. } => self.connected(peer, remote, now_ns),
+            Event::Connected { peer, remote, .. } => self.connected(peer, remote, now_ns, around),
             Event::Control { peer, message, at_ns } => {
-                self.hear(peer, at_ns, now_ns, |session| session.on_control(&message));
+                self.hear(peer, [at_ns, now_ns], around, |session| session.on_control(&message));
             }
             Event::Datagram { peer, bytes, at_ns } => {
                 let received = ServerTime(at_ns - self.epoch_ns);
-                self.hear(peer, at_ns, now_ns, |session| session.on_datagram(&bytes, received));
+                self.hear(peer, [at_ns, now_ns], around, |session| session.on_datagram(&bytes, received));
             }
-            Event::Closed { peer, kind, reason } => self.closed(peer, kind, &reason),
+            Event::Closed { peer, kind, reason } => self.closed(peer, kind, &reason, around),
             // Clients have nothing to send on streams.
             Event::Stream { .. } | Event::StreamReset { .. } => {}
         }
     }
 
     /// Does what is due: deadlines, and what the pipeline has decided.
-    pub(super) fn tick(&mut self, now_ns: i64) {
+    pub fn tick(&mut self, now_ns: i64, around: &Surroundings<'_>) {
         while let Some(peer) = self.greeting.overdue(now_ns) {
-            self.drop_guest(peer, CloseCode::NotUnderstood, "no hello came; connect again");
+            self.drop_guest(peer, CloseCode::NotUnderstood, "no hello came; connect again", around);
         }
-        for (peer, refused) in self.verdicts.take() {
-            self.refuse(peer, refused, now_ns);
+        for (peer, refused) in around.verdicts.take() {
+            self.refuse(peer, refused, now_ns, around);
         }
         while let Some(at) = self.leaving.iter().position(|(_, until_ns)| *until_ns <= now_ns) {
             let (peer, _) = self.leaving.swap_remove(at);
-            self.drop_guest(peer, CloseCode::Refused, "refused; the reason was sent before");
+            self.drop_guest(peer, CloseCode::Refused, "refused; the reason was sent before", around);
         }
     }
 
     /// Takes leave of the clients that are served.
-    pub(super) fn goodbye(&mut self, now_ns: i64) {
+    pub fn goodbye(&mut self, now_ns: i64, around: &Surroundings<'_>) {
         for peer in self.places.served().collect::<Vec<_>>() {
             if let Some(guest) = self.guests.get_mut(&peer) {
                 guest.session.goodbye();
             }
-            self.flush(peer, now_ns);
+            self.flush(peer, now_ns, around);
         }
     }
 
-    fn connected(&mut self, peer: PeerId, remote: SocketAddr, now_ns: i64) {
+    fn connected(&mut self, peer: PeerId, remote: SocketAddr, now_ns: i64, around: &Surroundings<'_>) {
         if let Some(oldest) = self.greeting.connected(peer, now_ns) {
-            self.drop_guest(oldest, CloseCode::NotUnderstood, "others came and no hello; connect again");
+            self.drop_guest(
+                oldest,
+                CloseCode::NotUnderstood,
+                "others came and no hello; connect again",
+                around,
+            );
         }
         self.sessions += 1;
-        let secret = ResumeSecret(shadecast_transport::random_bytes());
-        let offer = ServerOffer { resume: secret, ..(self.make_offer)(self.sessions) };
-        self.guests.insert(peer, Guest { session: ServerSession::new(offer), remote });
+        let session = ServerSession::new((self.offer)(self.sessions));
+        self.guests.insert(peer, Guest { session, remote });
     }
 
     /// Hands something to a client's session, and does what comes of it.
-    fn hear(&mut self, peer: PeerId, at_ns: i64, now_ns: i64, say: impl FnOnce(&mut ServerSession)) {
+    fn hear(
+        &mut self,
+        peer: PeerId,
+        [at_ns, now_ns]: [i64; 2],
+        around: &Surroundings<'_>,
+        say: impl FnOnce(&mut ServerSession),
+    ) {
         let Some(guest) = self.guests.get_mut(&peer) else { return };
         let before = guest.session.understood();
         say(&mut guest.session);
@@ -148,110 +182,117 @@ impl<'a> Network<'a> {
             self.places.heard(peer, at_ns);
         }
         while let Some(event) = self.guests.get_mut(&peer).and_then(|guest| guest.session.poll_event()) {
-            self.happened(peer, event, now_ns);
+            self.happened(peer, event, now_ns, around);
         }
-        self.flush(peer, now_ns);
+        self.flush(peer, now_ns, around);
     }
 
-    fn happened(&mut self, peer: PeerId, event: ServerEvent, now_ns: i64) {
+    fn happened(&mut self, peer: PeerId, event: ServerEvent, now_ns: i64, around: &Surroundings<'_>) {
         match event {
-            ServerEvent::Asked { hello, welcome } => self.asked(peer, &hello, welcome, now_ns),
-            ServerEvent::Refused(refused) => self.sent_away(peer, &refused, now_ns),
+            ServerEvent::Asked { hello, welcome } => self.asked(peer, &hello, welcome, now_ns, around),
+            ServerEvent::Refused(refused) => self.sent_away(peer, &refused, now_ns, around),
             ServerEvent::Goodbye => {
-                self.leave(peer, "it said goodbye");
-                self.drop_guest(peer, CloseCode::Leaving, "goodbye");
+                self.leave(peer, "it said goodbye", around);
+                self.drop_guest(peer, CloseCode::Leaving, "goodbye", around);
             }
             ServerEvent::Failed(error) => {
                 let reason = printable(&error.to_string());
-                self.lose(peer, &reason);
-                self.drop_guest(peer, CloseCode::NotUnderstood, &reason);
+                self.lose(peer, &reason, around);
+                self.drop_guest(peer, CloseCode::NotUnderstood, &reason, around);
             }
             told if self.places.has(peer) => {
                 if matches!(told, ServerEvent::Displayed(_)) {
                     self.places.shown(peer);
                 }
-                self.mailbox.told(peer, told);
+                around.mailbox.told(peer, told);
             }
             _ => {}
         }
     }
 
     /// A hello that was judged good: the place is given, or not.
-    fn asked(&mut self, peer: PeerId, hello: &ClientHello, welcome: Welcome, now_ns: i64) {
+    fn asked(
+        &mut self,
+        peer: PeerId,
+        hello: &ClientHello,
+        welcome: Welcome,
+        now_ns: i64,
+        around: &Surroundings<'_>,
+    ) {
         let taken = match self.places.ask(peer, hello.resume, welcome.resume, now_ns) {
             Ok(taken) => taken,
-            Err(refused) => return self.refuse(peer, refused, now_ns),
+            Err(refused) => return self.refuse(peer, refused, now_ns, around),
         };
         self.greeting.done(peer);
         if let Some(old) = taken.displaced {
-            self.mailbox.gone(old);
-            self.drop_guest(old, CloseCode::Displaced, "another connection has taken this place");
+            around.mailbox.gone(old);
+            self.drop_guest(old, CloseCode::Displaced, "another connection has taken this place", around);
         }
         let Some(guest) = self.guests.get_mut(&peer) else { return };
         let Some(sender) = guest.session.accept() else { return };
-        (self.say)(&format!("Client connected from {}", guest.remote));
+        (around.say)(&format!("Client connected from {}", guest.remote));
         let capabilities = hello.capabilities.clone();
-        self.mailbox.accepted(peer, Accepted { welcome, capabilities, sender });
+        around.mailbox.accepted(peer, Accepted { welcome, capabilities, sender });
     }
 
     /// Tells a client why it is not served, or no longer, and ends its connection once it knows.
-    fn refuse(&mut self, peer: PeerId, refused: Refused, now_ns: i64) {
+    fn refuse(&mut self, peer: PeerId, refused: Refused, now_ns: i64, around: &Surroundings<'_>) {
         let Some(guest) = self.guests.get_mut(&peer).filter(|guest| guest.session.is_alive()) else { return };
         guest.session.refuse(refused.clone());
-        self.sent_away(peer, &refused, now_ns);
-        self.flush(peer, now_ns);
+        self.sent_away(peer, &refused, now_ns, around);
+        self.flush(peer, now_ns, around);
     }
 
     /// A client has been told that it is refused.
-    fn sent_away(&mut self, peer: PeerId, refused: &Refused, now_ns: i64) {
+    fn sent_away(&mut self, peer: PeerId, refused: &Refused, now_ns: i64, around: &Surroundings<'_>) {
         let Some(guest) = self.guests.get(&peer) else { return };
         let why = printable(&format!("{}; {}", refused.reason, refused.remedy));
-        (self.say)(&format!("Client refused: {} ({why})", guest.remote));
+        (around.say)(&format!("Client refused: {} ({why})", guest.remote));
         self.greeting.done(peer);
         if self.places.has(peer) {
             self.places.left(peer);
-            self.mailbox.gone(peer);
+            around.mailbox.gone(peer);
         }
         if self.leaving.len() == MAX_LEAVING {
             let (first, _) = self.leaving.remove(0);
-            self.drop_guest(first, CloseCode::Refused, "refused; the reason was sent before");
+            self.drop_guest(first, CloseCode::Refused, "refused; the reason was sent before", around);
         }
         self.leaving.push((peer, now_ns + FAREWELL_NS));
     }
 
-    fn closed(&mut self, peer: PeerId, kind: CloseKind, reason: &str) {
+    fn closed(&mut self, peer: PeerId, kind: CloseKind, reason: &str, around: &Surroundings<'_>) {
         if kind == CloseKind::Peer(u64::from(CloseCode::Leaving.code())) {
-            self.leave(peer, reason);
+            self.leave(peer, reason, around);
         } else {
-            self.lose(peer, reason);
+            self.lose(peer, reason, around);
         }
         self.forget(peer);
     }
 
     /// A client has left of its own will.
-    fn leave(&mut self, peer: PeerId, why: &str) {
+    fn leave(&mut self, peer: PeerId, why: &str, around: &Surroundings<'_>) {
         if self.places.has(peer) {
             self.places.left(peer);
-            self.gone(peer, why);
+            self.gone(peer, why, around);
         }
     }
 
     /// A client has vanished, or is no longer understood.
-    fn lose(&mut self, peer: PeerId, why: &str) {
+    fn lose(&mut self, peer: PeerId, why: &str, around: &Surroundings<'_>) {
         if self.places.has(peer) {
             self.places.lost(peer);
-            self.gone(peer, why);
+            self.gone(peer, why, around);
         }
     }
 
-    fn gone(&mut self, peer: PeerId, why: &str) {
-        self.mailbox.gone(peer);
-        (self.say)(&format!("Client gone: {}", printable(why)));
+    fn gone(&mut self, peer: PeerId, why: &str, around: &Surroundings<'_>) {
+        around.mailbox.gone(peer);
+        (around.say)(&format!("Client gone: {}", printable(why)));
     }
 
-    fn drop_guest(&mut self, peer: PeerId, code: CloseCode, reason: &str) {
+    fn drop_guest(&mut self, peer: PeerId, code: CloseCode, reason: &str, around: &Surroundings<'_>) {
         if self.guests.contains_key(&peer) {
-            self.carrier.close(peer, code, reason);
+            around.carrier.close(peer, code, reason);
             self.forget(peer);
         }
     }
@@ -263,12 +304,12 @@ impl<'a> Network<'a> {
     }
 
     /// Sends what the session of `peer` has to say, at `now_ns`.
-    fn flush(&mut self, peer: PeerId, now_ns: i64) {
+    fn flush(&mut self, peer: PeerId, now_ns: i64, around: &Surroundings<'_>) {
         let Some(guest) = self.guests.get_mut(&peer) else { return };
         let mut failure = None;
         while let Some(out) = guest.session.poll_out(ServerTime(now_ns - self.epoch_ns)) {
             let is_datagram = matches!(out, Out::Datagram(_));
-            match self.carrier.send(peer, out) {
+            match around.carrier.send(peer, out) {
                 // What is sent unreliably may be lost here as well.
                 Err(error) if !is_datagram => failure = Some(error),
                 _ => {}
@@ -276,20 +317,20 @@ impl<'a> Network<'a> {
         }
         if let Some(error) = failure {
             let reason = format!("what it must know could not be sent: {error}");
-            self.lose(peer, &reason);
-            self.drop_guest(peer, CloseCode::NotUnderstood, &reason);
+            self.lose(peer, &reason, around);
+            self.drop_guest(peer, CloseCode::NotUnderstood, &reason, around);
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::mailbox::{Client, News};
+    use super::place::HELLO_DEADLINE_NS;
     use super::*;
-    use crate::stream::mailbox::{Client, News};
-    use crate::stream::place::HELLO_DEADLINE_NS;
     use shadecast_protocol::delta::DeltaEncoder;
     use shadecast_protocol::message::{
-        ClientDatagram, ClientMessage, Displayed, ServerDatagram, ServerMessage,
+        ClientDatagram, ClientMessage, Displayed, ResumeSecret, ServerDatagram, ServerMessage,
     };
     use shadecast_protocol::time::ClientTime;
     use shadecast_test_support::peers::{head, hello, offer};
@@ -367,12 +408,34 @@ mod tests {
             self.news(peer).is_some_and(|news| matches!(news.client, Client::Gone))
         }
 
+        fn surroundings(&self) -> Surroundings<'_> {
+            let Self { carrier, mailbox, verdicts } = self;
+            Surroundings { carrier, mailbox, verdicts, say: &|_| {} }
+        }
+
         fn network(&self) -> Network<'_> {
             self.network_for(1)
         }
 
         fn network_for(&self, viewers: usize) -> Network<'_> {
-            Network::new(&self.carrier, &self.mailbox, &self.verdicts, &|_| offer(), &|_| {}, viewers, 0)
+            let terms = |session| ServerOffer { resume: ResumeSecret([session as u8; 16]), ..offer() };
+            Network { sessions: Sessions::new(Box::new(terms), viewers, 0), desk: self }
+        }
+    }
+
+    /// Sessions, and the desk that they work at.
+    struct Network<'a> {
+        sessions: Sessions,
+        desk: &'a Desk,
+    }
+
+    impl Network<'_> {
+        fn take(&mut self, event: Event, now_ns: i64) {
+            self.sessions.take(event, now_ns, &self.desk.surroundings());
+        }
+
+        fn tick(&mut self, now_ns: i64) {
+            self.sessions.tick(now_ns, &self.desk.surroundings());
         }
     }
 
@@ -471,7 +534,7 @@ mod tests {
         let back = greet(&mut network, 2, desk.carrier.secret(first), 1);
         assert_eq!(*desk.carrier.closed.borrow(), [(first, CloseCode::Displaced)]);
         network.take(Event::Closed { peer: first, kind: CloseKind::Local, reason: "closed here".into() }, 2);
-        assert!(network.places.has(back), "the old one's end is nobody's loss");
+        assert!(network.sessions.places.has(back), "the old one's end is nobody's loss");
     }
 
     #[test]
@@ -527,8 +590,8 @@ mod tests {
                 connect(&mut network, peer, 1)
             };
         }
-        assert!(network.guests.len() <= 1 + MAX_LEAVING + crate::stream::place::MAX_GREETING);
-        assert!(network.leaving.len() <= MAX_LEAVING);
+        assert!(network.sessions.guests.len() <= 1 + MAX_LEAVING + place::MAX_GREETING);
+        assert!(network.sessions.leaving.len() <= MAX_LEAVING);
     }
 
     #[test]
@@ -553,7 +616,7 @@ mod tests {
             network.take(Event::Datagram { peer, bytes: pose.clone(), at_ns: 9 }, 9);
         }
         assert_eq!(desk.mailbox.take().into_keys().collect::<Vec<_>>(), [first, second]);
-        network.goodbye(10);
+        network.sessions.goodbye(10, &desk.surroundings());
         let said = |peer| {
             desk.carrier
                 .messages
