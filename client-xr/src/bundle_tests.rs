@@ -3,9 +3,9 @@
 
 use super::*;
 use crate::draw_list::{DrawList, ListScratch, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
-use crate::motion::pace::Pace;
+use crate::motion::pace::{GridTime, Pace};
 use crate::motion::{Motion, Motionless};
-use crate::stages::interpolate::{GridTime, Interpolation, push};
+use crate::stages::interpolate::{Interpolation, push};
 use glam::Vec3;
 use shadecast_protocol::atlas::{BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::delta::ReceivedDelta;

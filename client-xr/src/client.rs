@@ -3,6 +3,8 @@
 //! Two drivers use it: [`crate::net`] with a socket and the real clock, and the lab, which steps it in virtual time beside a
 //! server. What it does not know is sockets and who waits for whom.
 
+pub use crate::report::{ClientError, FrameReport, Step};
+
 use crate::decoding::{DecodeTiming, Decoded};
 use crate::link::Link;
 use crate::platform::{self, MakeDecoder};
@@ -12,14 +14,13 @@ use crate::scenes::{Scenes, server_time};
 use crate::stages::interpolate::Interpolation;
 use crate::stages::probe::ProbeView;
 use crate::stats::{ClientStats, Counters};
-use crate::xr::{Views, Xr, XrError};
-use shadecast_gpu::{Gpu, GpuError};
+use crate::xr::{Views, Xr};
+use shadecast_gpu::Gpu;
 use shadecast_protocol::delta::ReceivedDelta;
-use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Capabilities, Codec, HeadState, Refused, Welcome};
 use shadecast_protocol::session::{ClientEvent, Out};
-use shadecast_protocol::time::{ClientTime, ServerTime};
+use shadecast_protocol::time::ClientTime;
 use shadecast_protocol::wire::{self, StreamMessage, WireError};
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -57,29 +58,6 @@ impl Default for ClientOptions {
     }
 }
 
-/// What ends a client.
-#[derive(Debug, thiserror::Error)]
-pub enum ClientError {
-    /// The headset.
-    #[error(transparent)]
-    Xr(#[from] XrError),
-    /// The device.
-    #[error(transparent)]
-    Gpu(#[from] GpuError),
-}
-
-impl ClientError {
-    /// True where device or session are gone, and opening the headset anew helps.
-    pub fn is_lost(&self) -> bool {
-        let gpu = match self {
-            Self::Xr(XrError::Lost(_)) => return true,
-            Self::Xr(XrError::Gpu(gpu)) | Self::Gpu(gpu) => gpu,
-            Self::Xr(_) => return false,
-        };
-        gpu.is_lost()
-    }
-}
-
 /// What became of a connection, for who drives it.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Notice {
@@ -91,41 +69,6 @@ pub enum Notice {
     ServerLeft,
     /// What the server said makes no sense, or cannot be shown: close, and connect again.
     Failed(String),
-}
-
-/// What came of one call of [`Client::step`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Step {
-    /// A display frame.
-    Frame(FrameReport),
-    /// The headset shows nothing of ours now; step again soon.
-    Idle,
-    /// The session has ended for good.
-    Exit,
-}
-
-/// One display frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FrameReport {
-    /// When it is seen.
-    pub display_time: ClientTime,
-    /// The same on the server's clock, once that is known.
-    pub server_time: Option<ServerTime>,
-    /// The time, on the server's clock, at which all animated vertices drawn are; the same as `server_time` unless samples
-    /// are short.
-    pub motion_time: Option<ServerTime>,
-    /// False where the runtime wanted no picture.
-    pub is_rendered: bool,
-    /// The update on display; `None`: no bundle yet, the waiting room is seen.
-    pub frame: Option<UpdateId>,
-    /// True where the bundle is on display for the first time.
-    pub is_new: bool,
-    /// Animated vertices that go on at their last velocity for want of samples.
-    pub held_vertices: u32,
-    /// Animated vertices that have stopped for want of samples.
-    pub frozen_vertices: u32,
-    /// Patches not drawn for want of samples.
-    pub withheld_patches: u32,
 }
 
 /// The client. Fields are dropped in this order: scenes go before the device that made them.

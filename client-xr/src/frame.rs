@@ -1,8 +1,9 @@
 //! One display frame, from the runtime's wish to its picture: the client's half of the design, step 11. The barriers between
 //! stages are here and nowhere else.
 
-use crate::client::{Client, ClientError, FrameReport, Step};
+use crate::client::Client;
 use crate::renderer::LastDrawn;
+use crate::report::{ClientError, FrameReport, Step};
 use crate::scene::{SceneReport, Switched};
 use crate::scenes::server_time;
 use crate::stages::{VERTEX_MEMORY_USE, eyes_gpu};

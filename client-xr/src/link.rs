@@ -2,9 +2,9 @@
 //!
 //! It knows neither scenes nor the GPU. A connection that has ended leaves nothing here but what the next one begins with.
 
-use crate::client::FrameReport;
 use crate::decode::{Decoder, Picture};
 use crate::decoding::{self, DecodeTiming, Decoded, Decoding};
+use crate::report::FrameReport;
 use crate::watch::Watch;
 use crate::xr::Views;
 use shadecast_protocol::PROTOCOL_VERSION;

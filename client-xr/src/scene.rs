@@ -2,16 +2,15 @@
 //! new one; the old one stays on display until the new one has its first complete bundle.
 
 use crate::bundle::Bundler;
-use crate::client::ClientError;
 use crate::decode::Picture;
 use crate::draw_list::ListScratch;
-use crate::motion::pace::Pace;
+use crate::motion::pace::{GridTime, Pace};
 use crate::motion::{Motion, Motionless};
-use crate::renderer::Stages;
+use crate::report::ClientError;
 use crate::stages::atlas_draw::BundleSet;
-use crate::stages::interpolate::{self, GridTime, Interpolation};
+use crate::stages::interpolate::{self, Interpolation};
 use crate::stages::scatter::{ScatterStaging, VertexMemory};
-use crate::stages::wait_for;
+use crate::stages::{Stages, wait_for};
 use shadecast_gpu::{Access, BindGroup, Gpu, GpuError, Recorder};
 use shadecast_protocol::clock::ClockEstimator;
 use shadecast_protocol::delta::ReceivedDelta;

@@ -1,10 +1,10 @@
 //! The scene on display and the one that takes its place: a new connection's is drawn only when it has a whole bundle.
 
-use crate::client::ClientError;
 use crate::decode::Picture;
 use crate::link::{Ended, Link};
-use crate::renderer::Stages;
+use crate::report::ClientError;
 use crate::scene::{Scene, Switched};
+use crate::stages::Stages;
 use shadecast_gpu::{Gpu, Recorder};
 use shadecast_protocol::time::{ClientTime, ServerTime};
 

@@ -1,6 +1,6 @@
 //! What a client counts, and how it is reported.
 
-use crate::client::FrameReport;
+use crate::report::FrameReport;
 use serde::Serialize;
 use shadecast_gpu::Gpu;
 use shadecast_protocol::time::ClientTime;

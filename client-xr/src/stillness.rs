@@ -1,7 +1,7 @@
 //! When a person must be told that the world stands still, and where the words are. Without them a server that has gone
 //! is a world in which nothing moves any more, and nobody says why.
 
-use crate::client::FrameReport;
+use crate::report::FrameReport;
 use crate::stages::text::panel_ahead;
 use glam::Vec3;
 use shadecast_protocol::pose::Pose;

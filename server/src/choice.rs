@@ -1,7 +1,7 @@
 //! Which patches are shown where the client's memory or the atlas cannot hold all that are in view: those that matter
 //! most on screen. Pure; what is left out is counted, and told when it begins and when it ends.
 
-use crate::residency::{Geometry, vertices_of_patch};
+use crate::geometry::{Geometry, MAX_CORNERS, vertices_of_patch};
 use crate::scene::numbering::{ScenePatch, SceneVertex};
 use std::cmp::Reverse;
 
@@ -81,7 +81,7 @@ impl Chooser {
         if candidates.len() > self.room.patches as usize {
             return false;
         }
-        if candidates.len() * crate::residency::MAX_CORNERS <= self.room.vertices as usize {
+        if candidates.len() * MAX_CORNERS <= self.room.vertices as usize {
             return true; // without counting
         }
         self.start_count(geometry);
@@ -157,7 +157,7 @@ impl Shortage {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::residency::test_geometry::Fan;
+    use crate::geometry::test_geometry::Fan;
 
     fn candidate(patch: u32, area_texels: u32) -> Candidate {
         Candidate { patch: ScenePatch(patch), is_in_view: true, area_texels, is_shown: false }

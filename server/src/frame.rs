@@ -4,9 +4,10 @@
 use crate::choice::{Notice, Room, Shortage};
 use crate::culling::{Culling, Needed};
 use crate::encode::Source;
+use crate::geometry::UpdateWindow;
 use crate::levels::{Layout, Visible};
 use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES};
-use crate::residency::{Budget, PlacementChange, Residency, UpdateWindow};
+use crate::residency::{Budget, PlacementChange, Residency};
 use crate::samples::RING;
 use crate::scene::SceneGpu;
 use crate::scene::numbering::Totals;

@@ -3,7 +3,8 @@
 
 use crate::atlas::Atlas;
 use crate::choice::{Candidate, Chooser, Room};
-use crate::residency::{Geometry, PlacementChange};
+use crate::geometry::Geometry;
+use crate::residency::PlacementChange;
 use crate::scene::numbering::ScenePatch;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockSize};
 use shadecast_protocol::limits::{BLOCK_INSET_TEXELS, BLOCK_MAX_LOG2, BLOCK_MIN_LOG2};
@@ -321,7 +322,7 @@ fn side_log2(needed_texels: f32) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::residency::test_geometry::Loose;
+    use crate::geometry::test_geometry::Loose;
 
     const ROOM: Room = Room { patches: 100_000, vertices: 100_000 };
 

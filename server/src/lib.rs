@@ -8,6 +8,7 @@ pub mod encode;
 pub mod encoding;
 pub mod flags;
 pub mod frame;
+pub mod geometry;
 pub mod inspect;
 pub mod levels;
 pub mod lights;

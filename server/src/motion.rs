@@ -1,6 +1,6 @@
 //! What a client is sent of how its vertices move: samples on the time grid, for every animated vertex in its memory.
 
-use crate::residency::{Geometry, UpdateWindow};
+use crate::geometry::{Geometry, UpdateWindow};
 use crate::scene::numbering::SceneVertex;
 use shadecast_protocol::ids::VertexSlot;
 use shadecast_protocol::motion::{SampleBatch, quantise};

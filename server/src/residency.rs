@@ -5,16 +5,14 @@
 //! come back; animated geometry leaves with its block, because every sample of it costs bytes. A freed slot is used
 //! again only after the client has displayed the frame that freed it.
 
+use crate::geometry::{Geometry, UpdateWindow, vertices_of_patch};
 use crate::motion::{STEP_M, SampledMotion};
 use crate::scene::numbering::{ScenePatch, SceneVertex};
-use glam::Vec3;
 use shadecast_protocol::atlas::Block;
 use shadecast_protocol::delta::{Delta, DeltaEncoder, EncodedDelta};
 use shadecast_protocol::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex};
 use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::memory::ClientMemory;
-use shadecast_protocol::time::{GridIndex, ServerTime};
-use shadecast_scene::patches::Patch;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// A static patch without a block is forgotten after this many updates.
@@ -24,35 +22,6 @@ const LOW_WATER: usize = 4096;
 /// What geometry takes on the wire, about, bytes: a patch, and a vertex that does not move.
 const PATCH_BYTES: usize = 12;
 const STATIC_VERTEX_BYTES: usize = 14;
-/// Most vertices of a patch.
-pub(crate) const MAX_CORNERS: usize = shadecast_protocol::limits::PATCH_MAX_VERTICES as usize;
-
-/// What the residency must know of one instance; scene-wide numbers.
-#[derive(Clone, Copy, Debug)]
-pub struct InstanceRange {
-    /// First scene-wide patch number.
-    pub first_patch: ScenePatch,
-    /// First scene-wide vertex number.
-    pub first_vertex: SceneVertex,
-}
-
-/// The scene as far as the client's memory goes.
-pub trait Geometry {
-    /// The instance that a scene-wide patch number belongs to.
-    fn instance_of_patch(&self, patch: ScenePatch) -> u16;
-    /// Its ranges.
-    fn instance(&self, instance: u16) -> InstanceRange;
-    /// The patch; its vertices are indices within the model.
-    fn patch(&self, patch: ScenePatch) -> Patch;
-    /// The world position of a static vertex, `None` for one that moves.
-    fn static_position(&self, vertex: SceneVertex) -> Option<Vec3>;
-    /// The world position of an animated vertex at a grid point of the current window.
-    fn sample(&self, grid: GridIndex, vertex: SceneVertex) -> Vec3;
-    /// Scene-wide count of vertices.
-    fn vertex_count(&self) -> usize;
-    /// Scene-wide count of patches.
-    fn patch_count(&self) -> usize;
-}
 
 /// A block that changed with this update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,21 +30,6 @@ pub struct PlacementChange {
     pub patch: ScenePatch,
     /// Its block now; `None`: it has none any more.
     pub block: Option<Block>,
-}
-
-/// What one update gives the residency.
-#[derive(Clone, Copy, Debug)]
-pub struct UpdateWindow {
-    /// The update.
-    pub frame: UpdateId,
-    /// Its time.
-    pub time: ServerTime,
-    /// Earliest grid point that a vertex which enters now can be displayed with.
-    pub first_sample: GridIndex,
-    /// Oldest grid point whose positions are still known.
-    pub oldest: GridIndex,
-    /// Last grid point to send.
-    pub horizon: GridIndex,
 }
 
 /// What an update may take on the wire, about.
@@ -326,14 +280,14 @@ impl Residency {
         let slot = self.patch_slots.take()?;
         self.slot_of_patch[patch.index()] = Some(slot);
         let instance = geometry.instance_of_patch(patch);
-        let range = geometry.instance(instance);
+        let first_vertex = geometry.first_vertex(instance);
         if self.encoder.memory().step_m(InstanceId(instance)).is_none() {
             delta.instances.push(InstanceInfo { instance: InstanceId(instance), step_m: STEP_M });
         }
         let shape = geometry.patch(patch);
         let mut vertices = [VertexSlot(0); 5];
         for (place, corner) in vertices.iter_mut().zip(shape.vertices).take(shape.kind.vertex_count()) {
-            let vertex = range.first_vertex.plus(corner);
+            let vertex = first_vertex.plus(corner);
             *place = self.admit_vertex(geometry, vertex, instance, delta);
         }
         let first = vertices[0];
@@ -393,19 +347,6 @@ impl Residency {
     }
 }
 
-fn corners(patch: Patch) -> impl Iterator<Item = u32> {
-    patch.vertices.into_iter().take(patch.kind.vertex_count())
-}
-
-/// Scene-wide numbers of a patch's vertices.
-pub(crate) fn vertices_of_patch(
-    geometry: &impl Geometry,
-    patch: ScenePatch,
-) -> impl Iterator<Item = SceneVertex> {
-    let first = geometry.instance(geometry.instance_of_patch(patch)).first_vertex;
-    corners(geometry.patch(patch)).map(move |corner| first.plus(corner))
-}
-
 /// The wire wants each list in ascending order of slots.
 fn sort(delta: &mut GeometryDelta) {
     delta.evicted_patches.sort_unstable();
@@ -417,69 +358,15 @@ fn sort(delta: &mut GeometryDelta) {
     delta.instances.dedup_by_key(|i| i.instance);
 }
 
-/// Static geometry for tests that care for no place.
-#[cfg(test)]
-pub(crate) mod test_geometry {
-    use super::*;
-    use shadecast_protocol::atlas::PatchKind;
-
-    fn triangle(vertices: [u32; 3]) -> Patch {
-        let [a, b, c] = vertices;
-        Patch { vertices: [a, b, c, a, a], kind: PatchKind::One, material: 0, double_sided: false }
-    }
-
-    macro_rules! geometry {
-        ($(#[$doc:meta])* $name:ident, $corners:expr, $vertices:expr) => {
-            $(#[$doc])*
-            pub(crate) struct $name {
-                pub patches: u32,
-            }
-
-            impl Geometry for $name {
-                fn instance_of_patch(&self, _: ScenePatch) -> u16 {
-                    0
-                }
-                fn instance(&self, _: u16) -> InstanceRange {
-                    InstanceRange { first_patch: ScenePatch(0), first_vertex: SceneVertex(0) }
-                }
-                fn patch(&self, patch: ScenePatch) -> Patch {
-                    triangle($corners(patch.0))
-                }
-                fn static_position(&self, _: SceneVertex) -> Option<Vec3> {
-                    Some(Vec3::ZERO)
-                }
-                fn sample(&self, _: GridIndex, _: SceneVertex) -> Vec3 {
-                    Vec3::ZERO
-                }
-                fn vertex_count(&self) -> usize {
-                    $vertices(self.patches) as usize
-                }
-                fn patch_count(&self) -> usize {
-                    self.patches as usize
-                }
-            }
-        };
-    }
-
-    geometry!(
-        /// Triangles with nothing in common.
-        Loose,
-        |patch: u32| [3 * patch, 3 * patch + 1, 3 * patch + 2],
-        |patches: u32| 3 * patches
-    );
-    geometry!(
-        /// Triangles side by side around vertex 0.
-        Fan,
-        |patch: u32| [0, patch + 1, patch + 2],
-        |patches: u32| patches + 2
-    );
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::numbering::SceneVertex;
+    use glam::Vec3;
     use shadecast_protocol::atlas::{BlockSize, PatchKind};
     use shadecast_protocol::delta::DeltaDecoder;
+    use shadecast_protocol::time::{GridIndex, ServerTime};
+    use shadecast_scene::patches::Patch;
     use std::collections::HashMap;
 
     const PATCHES: u32 = 400;
@@ -492,9 +379,8 @@ mod tests {
         fn instance_of_patch(&self, patch: ScenePatch) -> u16 {
             u16::from(patch.0 >= PATCHES / 2)
         }
-        fn instance(&self, instance: u16) -> InstanceRange {
-            let first_patch = ScenePatch(u32::from(instance) * PATCHES / 2);
-            InstanceRange { first_patch, first_vertex: SceneVertex(u32::from(instance) * (PATCHES + 2)) }
+        fn first_vertex(&self, instance: u16) -> SceneVertex {
+            SceneVertex(u32::from(instance) * (PATCHES + 2))
         }
         fn patch(&self, patch: ScenePatch) -> Patch {
             let v = 2 * (patch.0 % (PATCHES / 2));

@@ -3,8 +3,8 @@
 use crate::animation::RingPlace;
 use crate::animation::gpu::{Animation, SampleJob};
 use crate::culling::Needed;
+use crate::geometry::Geometry;
 use crate::predict::PredictedViews;
-use crate::residency::{Geometry, InstanceRange};
 use crate::scene::SceneGpu;
 use crate::scene::numbering::{ScenePatch, SceneVertex};
 use glam::Vec3;
@@ -137,9 +137,8 @@ impl Geometry for SampleWindow {
         self.scene.numbering.instance_of_patch(patch) as u16
     }
 
-    fn instance(&self, instance: u16) -> InstanceRange {
-        let place = &self.scene.numbering.instances[usize::from(instance)];
-        InstanceRange { first_patch: place.drawn.first, first_vertex: place.first_vertex }
+    fn first_vertex(&self, instance: u16) -> SceneVertex {
+        self.scene.numbering.instances[usize::from(instance)].first_vertex
     }
 
     fn patch(&self, patch: ScenePatch) -> Patch {

@@ -4,8 +4,19 @@
 //! When some run out of samples, all stay, until those get theirs too or another list comes on display. Then the time catches
 //! up with the display's, without a jump as far as samples reach back.
 
-use crate::stages::interpolate::{BLEND_NS, GridTime};
 use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
+
+/// A jump is blended away within this time.
+pub const BLEND_NS: i64 = 200_000_000;
+
+/// A time on the sample grid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GridTime {
+    /// The last step at or before the time.
+    pub step: GridIndex,
+    /// The way from there to the next step, 0..=1.
+    pub fraction: f32,
+}
 
 /// Grid steps, both ends included, at which every vertex drawn can be evaluated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,6 +45,15 @@ pub struct Pace {
     shown: Option<(ServerTime, ServerTime)>,
     /// When the display's time is to be caught up with.
     caught_up: ServerTime,
+}
+
+impl GridTime {
+    /// Where `time` lies on `grid`.
+    pub fn of(grid: Grid, time: ServerTime) -> Self {
+        let step = grid.floor(time);
+        let since_ns = time.since(grid.time_of(step));
+        Self { step, fraction: (since_ns as f64 / grid.spacing_ns as f64).clamp(0.0, 1.0) as f32 }
+    }
 }
 
 impl Pace {

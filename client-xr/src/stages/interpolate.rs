@@ -1,15 +1,12 @@
 //! Positions of animated vertices at the display time (`client_interpolate.comp`), once per display frame for both eyes.
 
 use super::scatter::VertexMemory;
-use crate::motion::pace::Evaluation;
+use crate::motion::pace::{BLEND_NS, Evaluation, GridTime};
 use shadecast_gpu::{Bind, BindGroup, ComputePipeline, Gpu, GpuError, Recorder};
-use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
+use shadecast_protocol::time::Grid;
 use shadecast_shaders::generated::{CLIENT_INTERPOLATE_COMP, InterpolatePush};
 use shadecast_shaders::records::tag;
 use std::sync::Arc;
-
-/// A jump is blended away within this time.
-pub const BLEND_NS: i64 = 200_000_000;
 
 /// How positions between samples are found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -21,27 +18,9 @@ pub enum Interpolation {
     Linear,
 }
 
-/// A time on the sample grid.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GridTime {
-    /// The last step at or before the time.
-    pub step: GridIndex,
-    /// The way from there to the next step, 0..=1.
-    pub fraction: f32,
-}
-
 /// The pipeline.
 pub struct Interpolate {
     pipeline: ComputePipeline,
-}
-
-impl GridTime {
-    /// Where `time` lies on `grid`.
-    pub fn of(grid: Grid, time: ServerTime) -> Self {
-        let step = grid.floor(time);
-        let since_ns = time.since(grid.time_of(step));
-        Self { step, fraction: (since_ns as f64 / grid.spacing_ns as f64).clamp(0.0, 1.0) as f32 }
-    }
 }
 
 /// What the shader is told for a display frame.

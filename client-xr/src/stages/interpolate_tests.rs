@@ -8,6 +8,7 @@ use shadecast_gpu::{Access, Buffer, DesktopDevice, GpuOptions, Memory, Needs};
 use shadecast_protocol::geometry::{self, NewVertex};
 use shadecast_protocol::ids::{InstanceId, UpdateId, VertexSlot};
 use shadecast_protocol::motion::PositionBatch;
+use shadecast_protocol::time::{GridIndex, ServerTime};
 use shadecast_shaders::twin::interpolate::VertexMemory as Twin;
 
 const SLOTS: u32 = 300;

@@ -1,6 +1,5 @@
 //! Framing, the one error type of all decoders, and the reader that they share.
 
-use crate::delta;
 use crate::ids::UpdateId;
 use crate::limits::{MAX_ACCESS_UNIT_BYTES, MAX_CONTROL_BYTES, MAX_DELTA_BYTES, MAX_EMPTY_CONTROL_MESSAGES};
 use crate::time::ServerTime;
@@ -84,6 +83,18 @@ pub enum StreamMessage<'a> {
     },
 }
 
+/// First bytes of a delta: "Shadecast geometry", layout 1.
+pub(crate) const GEOMETRY_MAGIC: [u8; 4] = *b"SCG1";
+
+/// The update of a delta's bytes.
+pub fn peek_update(bytes: &[u8]) -> Result<UpdateId, WireError> {
+    let mut reader = Reader::new("a delta's header", bytes);
+    if reader.take(GEOMETRY_MAGIC.len())? != GEOMETRY_MAGIC {
+        return Err(invalid("a delta's header", "its first bytes are not SCG1"));
+    }
+    Ok(UpdateId(reader.u32()?))
+}
+
 /// The bytes of a stream that holds this geometry delta, as [`crate::delta::DeltaEncoder::encode`] made it.
 pub fn encode_geometry(payload: &[u8]) -> Vec<u8> {
     let mut out = Vec::with_capacity(1 + payload.len());
@@ -112,7 +123,7 @@ pub fn parse_stream(bytes: &[u8]) -> Result<StreamMessage<'_>, WireError> {
         KIND_GEOMETRY => {
             let payload = reader.rest();
             check_count("a delta's length in bytes", payload.len(), MAX_DELTA_BYTES)?;
-            Ok(StreamMessage::Geometry { frame: delta::peek_update(payload)?, payload })
+            Ok(StreamMessage::Geometry { frame: peek_update(payload)?, payload })
         }
         KIND_PICTURE => parse_picture(reader),
         kind => Err(invalid("a stream's kind", format!("{kind} is neither geometry (1) nor a picture (2)"))),

@@ -14,15 +14,13 @@ use crate::memory::ClientMemory;
 use crate::motion::samples::{SampleEncoder, SampleHistory};
 use crate::motion::{PositionBatch, SampleBatch};
 use crate::time::ServerTime;
-use crate::wire::{Reader, WireError, check_count, invalid};
+use crate::wire::{GEOMETRY_MAGIC, Reader, WireError, check_count, invalid, peek_update};
 use batches::{put_samples, take_samples};
 use sections::{
     put_evictions, put_instances, put_patches, put_placements, put_vertices, take_evictions, take_instances,
     take_patches, take_placements, take_vertices,
 };
 
-/// First bytes of a delta: "Shadecast geometry", layout 1.
-const MAGIC: [u8; 4] = *b"SCG1";
 const SECTIONS: usize = 7;
 
 /// What one update tells the client beside its picture.
@@ -157,15 +155,6 @@ impl DeltaEncoder {
     }
 }
 
-/// The update of a delta's bytes.
-pub fn peek_update(bytes: &[u8]) -> Result<UpdateId, WireError> {
-    let mut reader = Reader::new("a delta's header", bytes);
-    if reader.take(MAGIC.len())? != MAGIC {
-        return Err(invalid("a delta's header", "its first bytes are not SCG1"));
-    }
-    Ok(UpdateId(reader.u32()?))
-}
-
 impl DeltaDecoder {
     /// For the capacities of [`crate::message::Welcome`], with an empty memory.
     pub fn new(vertex_slots: u32, patch_slots: u32) -> Self {
@@ -224,7 +213,7 @@ impl DeltaDecoder {
 
 fn put_header_and(geometry: &GeometryDelta, sections: &[Vec<u8>; SECTIONS]) -> Vec<u8> {
     let mut out = Vec::with_capacity(64 + sections.iter().map(Vec::len).sum::<usize>());
-    out.extend_from_slice(&MAGIC);
+    out.extend_from_slice(&GEOMETRY_MAGIC);
     out.extend_from_slice(&geometry.frame.0.to_le_bytes());
     out.extend_from_slice(&geometry.time.0.to_le_bytes());
     for section in sections {
@@ -237,7 +226,7 @@ fn put_header_and(geometry: &GeometryDelta, sections: &[Vec<u8>; SECTIONS]) -> V
 fn split_sections(bytes: &[u8]) -> Result<(UpdateId, ServerTime, [&[u8]; SECTIONS]), WireError> {
     let frame = peek_update(bytes)?;
     let mut reader = Reader::new("a delta's header", bytes);
-    reader.take(MAGIC.len() + size_of::<u32>())?;
+    reader.take(GEOMETRY_MAGIC.len() + size_of::<u32>())?;
     let time = ServerTime(reader.i64()?);
     let mut lengths = [0; SECTIONS];
     for length in &mut lengths {

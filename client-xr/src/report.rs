@@ -1,0 +1,64 @@
+//! What a client tells whoever drives it, of its display frames and of its end.
+
+use crate::xr::XrError;
+use shadecast_gpu::GpuError;
+use shadecast_protocol::ids::UpdateId;
+use shadecast_protocol::time::{ClientTime, ServerTime};
+
+/// What ends a client.
+#[derive(Debug, thiserror::Error)]
+pub enum ClientError {
+    /// The headset.
+    #[error(transparent)]
+    Xr(#[from] XrError),
+    /// The device.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+}
+
+impl ClientError {
+    /// True where device or session are gone, and opening the headset anew helps.
+    pub fn is_lost(&self) -> bool {
+        let gpu = match self {
+            Self::Xr(XrError::Lost(_)) => return true,
+            Self::Xr(XrError::Gpu(gpu)) | Self::Gpu(gpu) => gpu,
+            Self::Xr(_) => return false,
+        };
+        gpu.is_lost()
+    }
+}
+
+/// What came of one call of [`crate::client::Client::step`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Step {
+    /// A display frame.
+    Frame(FrameReport),
+    /// The headset shows nothing of ours now; step again soon.
+    Idle,
+    /// The session has ended for good.
+    Exit,
+}
+
+/// One display frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameReport {
+    /// When it is seen.
+    pub display_time: ClientTime,
+    /// The same on the server's clock, once that is known.
+    pub server_time: Option<ServerTime>,
+    /// The time, on the server's clock, at which all animated vertices drawn are; the same as `server_time` unless samples
+    /// are short.
+    pub motion_time: Option<ServerTime>,
+    /// False where the runtime wanted no picture.
+    pub is_rendered: bool,
+    /// The update on display; `None`: no bundle yet, the waiting room is seen.
+    pub frame: Option<UpdateId>,
+    /// True where the bundle is on display for the first time.
+    pub is_new: bool,
+    /// Animated vertices that go on at their last velocity for want of samples.
+    pub held_vertices: u32,
+    /// Animated vertices that have stopped for want of samples.
+    pub frozen_vertices: u32,
+    /// Patches not drawn for want of samples.
+    pub withheld_patches: u32,
+}
