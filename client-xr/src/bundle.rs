@@ -82,7 +82,7 @@ impl<P> Bundler<P> {
     /// Takes in the next delta. It comes from a decoder that has checked it against the client's memory.
     pub fn add_delta(&mut self, delta: GeometryDelta) {
         let changes = PatchChanges {
-            update: delta.frame,
+            update: delta.update,
             evicted: delta.evicted_patches,
             new: delta.new_patches,
             placements: delta.placements,

@@ -94,7 +94,7 @@ impl Server {
     fn update(&mut self, dice: &mut Dice) -> ReceivedDelta {
         let frame = self.next_frame;
         self.next_frame += 1;
-        let mut delta = GeometryDelta { frame: UpdateId(frame), ..GeometryDelta::default() };
+        let mut delta = GeometryDelta { update: UpdateId(frame), ..GeometryDelta::default() };
         self.evict(dice, &mut delta);
         self.grid += 1;
         let entering = (0..dice.below(3)).filter_map(|_| self.enter(dice, &mut delta)).collect::<Vec<_>>();
@@ -108,14 +108,14 @@ impl Server {
         let leaving: Vec<_> = self.patches.keys().copied().filter(|_| dice.once_in(5)).collect();
         for slot in leaving {
             self.patches.remove(&slot);
-            self.freed_patches.push((delta.frame.0, slot));
+            self.freed_patches.push((delta.update.0, slot));
             delta.evicted_patches.push(PatchSlot(slot));
         }
         let is_used = |slot: &u32| self.patches.values().any(|patch| patch.slots.contains(slot));
         let idle: Vec<_> = self.vertices.keys().copied().filter(|slot| !is_used(slot)).collect();
         for slot in idle {
             self.vertices.remove(&slot);
-            self.freed_vertices.push((delta.frame.0, slot));
+            self.freed_vertices.push((delta.update.0, slot));
             delta.evicted_vertices.push(VertexSlot(slot));
         }
     }
@@ -230,7 +230,7 @@ impl Bench {
     }
 
     fn add_delta(&mut self, delta: ReceivedDelta) {
-        self.motion.take(delta.geometry.frame, &delta.geometry.new_vertices, &delta.positions);
+        self.motion.take(delta.geometry.update, &delta.geometry.new_vertices, &delta.positions);
         self.bundler.add_delta(delta.geometry);
     }
 
@@ -343,7 +343,7 @@ fn run(seed: u64) -> usize {
         match dice.below(5) {
             0 => {
                 let delta = server.update(&mut dice);
-                pictures.push(delta.geometry.frame);
+                pictures.push(delta.geometry.update);
                 deltas.push_back(delta);
             }
             1 | 2 => deltas.pop_front().into_iter().for_each(|delta| bench.add_delta(delta)),
@@ -362,7 +362,7 @@ fn run(seed: u64) -> usize {
     }
     deltas.into_iter().for_each(|delta| bench.add_delta(delta));
     let last = server.update(&mut dice);
-    let frame = last.geometry.frame;
+    let frame = last.geometry.update;
     bench.add_delta(last);
     bench.bundler.add_picture(frame, frame.0);
     assert_eq!(
@@ -392,7 +392,7 @@ fn run_slowly(seed: u64) -> usize {
     for frame in 0..400 {
         if frame % 10 == 0 {
             let delta = server.update(&mut dice);
-            pictures.push_back((frame + dice.below(25), delta.geometry.frame));
+            pictures.push_back((frame + dice.below(25), delta.geometry.update));
             bench.add_delta(delta);
         }
         while pictures.front().is_some_and(|(at, _)| *at <= frame) {
@@ -445,7 +445,7 @@ fn what_is_drawn_is_always_one_update_whatever_arrives_when() {
 }
 
 fn delta(frame: u32) -> ReceivedDelta {
-    let geometry = GeometryDelta { frame: UpdateId(frame), ..GeometryDelta::default() };
+    let geometry = GeometryDelta { update: UpdateId(frame), ..GeometryDelta::default() };
     ReceivedDelta { geometry, positions: Vec::new() }
 }
 

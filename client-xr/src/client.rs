@@ -212,13 +212,14 @@ impl Client {
     /// What is decoded goes to the scene of its connection.
     fn take_pictures(&mut self) {
         let Some(scene) = self.scenes.arriving_mut() else { return };
-        let (lost, has_asked) = self.link.decode(self.now, |serial, Decoded { frame, arrived, picture }| {
-            if scene.serial != serial {
-                return Some(picture);
-            }
-            let unused = scene.bundler.add_picture(frame, ArrivedPicture { arrived, picture });
-            unused.map(|unused| unused.picture)
-        });
+        let (lost, has_asked) =
+            self.link.decode(self.now, |serial, Decoded { update: frame, arrived, picture }| {
+                if scene.serial != serial {
+                    return Some(picture);
+                }
+                let unused = scene.bundler.add_picture(frame, ArrivedPicture { arrived, picture });
+                unused.map(|unused| unused.picture)
+            });
         self.counters.lost_pictures += u64::from(lost);
         self.counters.refresh_requests += u64::from(has_asked);
     }

@@ -46,7 +46,7 @@ pub enum DecodeTiming {
 #[derive(Debug)]
 pub struct Decoded {
     /// Its frame.
-    pub frame: UpdateId,
+    pub update: UpdateId,
     /// When its last byte came.
     pub arrived: ClientTime,
     /// The picture.
@@ -69,7 +69,7 @@ enum Job {
 
 /// What became of a picture.
 struct Outcome {
-    frame: UpdateId,
+    update: UpdateId,
     arrived: ClientTime,
     result: Result<Picture, DecodeError>,
 }
@@ -122,7 +122,7 @@ enum Engine {
 
 /// The frame of a picture of whose stream `head` has come; `None` where that is too little, or no picture.
 pub fn frame_of_head(head: &[u8]) -> Option<UpdateId> {
-    let header = PictureHeader { frame: UpdateId(0), time: ServerTime(0), is_refresh: false };
+    let header = PictureHeader { update: UpdateId(0), time: ServerTime(0), is_refresh: false };
     let kind = encode_picture(header, &[])[0];
     let frame = head.get(1..5)?.try_into().ok().map(u32::from_le_bytes)?;
     (head[0] == kind).then_some(UpdateId(frame))
@@ -131,7 +131,7 @@ pub fn frame_of_head(head: &[u8]) -> Option<UpdateId> {
 impl PictureOrder {
     /// Takes a picture in. Gives the number of missing ones that it makes superfluous, because it needs none of them.
     fn add(&mut self, coded: Coded) -> u32 {
-        let frame = coded.header.frame;
+        let frame = coded.header.update;
         if frame < self.next {
             return 0;
         }
@@ -143,13 +143,13 @@ impl PictureOrder {
     }
 
     /// Awaits nothing before `frame` any more. Gives the number of pictures that are missing for it.
-    fn skip_to(&mut self, frame: UpdateId) -> u32 {
-        let skipped = frame.0.saturating_sub(self.next.0);
+    fn skip_to(&mut self, update: UpdateId) -> u32 {
+        let skipped = update.0.saturating_sub(self.next.0);
         if skipped > 0 {
-            self.waiting = self.waiting.split_off(&frame);
+            self.waiting = self.waiting.split_off(&update);
             self.waiting_bytes = self.waiting.values().map(|coded| coded.access_unit.len()).sum();
-            self.dead = self.dead.split_off(&frame);
-            self.next = frame;
+            self.dead = self.dead.split_off(&update);
+            self.next = update;
         }
         skipped
     }
@@ -169,10 +169,10 @@ impl PictureOrder {
     }
 
     /// The server gave up the picture of `frame`.
-    fn give_up(&mut self, frame: UpdateId) {
-        let is_due = frame >= self.next && !frame.is_too_far_after(self.next);
+    fn give_up(&mut self, update: UpdateId) {
+        let is_due = update >= self.next && !update.is_too_far_after(self.next);
         if is_due && self.dead.len() < MAX_WAITING {
-            self.dead.insert(frame);
+            self.dead.insert(update);
         }
     }
 
@@ -227,8 +227,8 @@ impl Decoding {
     }
 
     /// The server gave up the picture of `frame`; unknown where not a byte of it came: then it is the one awaited.
-    pub fn given_up(&mut self, frame: Option<UpdateId>) {
-        self.order.give_up(frame.unwrap_or(self.order.next));
+    pub fn given_up(&mut self, update: Option<UpdateId>) {
+        self.order.give_up(update.unwrap_or(self.order.next));
         self.pump();
     }
 
@@ -256,7 +256,7 @@ impl Decoding {
             let Some(coded) = self.order.pop() else { return };
             if coded.header.is_refresh {
                 self.needs_refresh = false;
-                self.last_refresh = Some(coded.header.frame);
+                self.last_refresh = Some(coded.header.update);
             }
             if !self.engine.start(Job::Decode(coded)) {
                 self.lose(1);
@@ -269,11 +269,11 @@ impl Decoding {
         while self.order.is_hopeless(now) {
             self.give_up_to_oldest();
         }
-        while let Some(Outcome { frame, arrived, result }) = self.engine.finished(now) {
+        while let Some(Outcome { update: frame, arrived, result }) = self.engine.finished(now) {
             match result {
                 Ok(picture) => {
                     self.last_decoded = Some(frame);
-                    decoded(Decoded { frame, arrived, picture });
+                    decoded(Decoded { update: frame, arrived, picture });
                 }
                 Err(error) => {
                     tracing::debug!("picture of frame {}: {error}", frame.0);
@@ -376,7 +376,7 @@ impl Work {
         match job {
             Job::Decode(Coded { header, access_unit, arrived }) => {
                 self.decoder.submit(access_unit);
-                self.under_way.push_back((header.frame, *arrived));
+                self.under_way.push_back((header.update, *arrived));
             }
             Job::UnitLost => self.decoder.unit_lost(),
         }
@@ -387,7 +387,7 @@ impl Work {
         let (frame, arrived) = *self.under_way.front()?;
         let result = self.decoder.poll(timeout)?;
         self.under_way.pop_front();
-        Some(Outcome { frame, arrived, result })
+        Some(Outcome { update: frame, arrived, result })
     }
 }
 
@@ -472,7 +472,7 @@ mod tests {
 
     fn shown(decoded: &Decoded) -> (u32, u8) {
         let Picture::Planes(picture) = &decoded.picture;
-        (decoded.frame.0, picture.bytes()[0])
+        (decoded.update.0, picture.bytes()[0])
     }
 
     struct Bench {
@@ -488,7 +488,7 @@ mod tests {
 
         fn add(&mut self, frame: u32, unit: u8, at_ms: i64) {
             let header =
-                PictureHeader { frame: UpdateId(frame), time: ServerTime(0), is_refresh: unit % 2 == 1 };
+                PictureHeader { update: UpdateId(frame), time: ServerTime(0), is_refresh: unit % 2 == 1 };
             self.decoding.add(header, vec![unit], ClientTime(at_ms * MS));
         }
 
@@ -504,7 +504,7 @@ mod tests {
 
     #[test]
     fn a_pictures_frame_is_told_from_the_head_of_its_stream() {
-        let header = PictureHeader { frame: UpdateId(0x0403_0201), time: ServerTime(9), is_refresh: true };
+        let header = PictureHeader { update: UpdateId(0x0403_0201), time: ServerTime(9), is_refresh: true };
         let stream = encode_picture(header, &[1, 2, 3]);
         assert_eq!(frame_of_head(&stream[..5]), Some(UpdateId(0x0403_0201)));
         assert_eq!(frame_of_head(&stream[..4]), None);
@@ -603,7 +603,7 @@ mod tests {
     fn pictures_that_wait_are_bounded_in_bytes_and_number() {
         let mut decoding = Decoding::new(Box::<Toy>::default(), DecodeTiming::Virtual { delay_ns: 0 });
         let mut add = |frame: u32, bytes: usize| {
-            let header = PictureHeader { frame: UpdateId(frame), time: ServerTime(0), is_refresh: false };
+            let header = PictureHeader { update: UpdateId(frame), time: ServerTime(0), is_refresh: false };
             decoding.add(header, vec![4; bytes], ClientTime(0));
             (decoding.waiting_bytes(), decoding.order.waiting.len())
         };
@@ -643,7 +643,7 @@ mod tests {
         let mut decoding = Decoding::new(Box::new(toy), DecodeTiming::Thread);
         for (frame, unit) in [(0, 1), (1, 2), (2, 4), (3, 6)] {
             let header =
-                PictureHeader { frame: UpdateId(frame), time: ServerTime(0), is_refresh: unit % 2 == 1 };
+                PictureHeader { update: UpdateId(frame), time: ServerTime(0), is_refresh: unit % 2 == 1 };
             decoding.add(header, vec![unit], ClientTime(0));
         }
         let mut seen = Vec::new();

@@ -19,7 +19,7 @@ struct Content {
     /// The server's time at which it is seen.
     time: Option<ServerTime>,
     /// The bundle on display.
-    frame: Option<UpdateId>,
+    update: Option<UpdateId>,
     switched: Option<Switched>,
     scene: SceneReport,
 }
@@ -67,7 +67,7 @@ impl Client {
 
         let image = self.renderer.xr.swapchain.acquire()?;
         self.renderer.stages.targets.begin(&mut recorder, image.index());
-        let world = self.scenes.shown().filter(|_| content.frame.is_some());
+        let world = self.scenes.shown().filter(|_| content.update.is_some());
         if let Some(scene) = world {
             scene.record_draw(&mut recorder, &self.renderer.stages, slot, content.scene.index_count);
         }
@@ -89,7 +89,7 @@ impl Client {
         }
         image.release()?;
         let index_count = content.scene.index_count;
-        self.renderer.last_drawn = content.frame.map(|_| LastDrawn { eyes, index_count });
+        self.renderer.last_drawn = content.update.map(|_| LastDrawn { eyes, index_count });
         let report = self.finish(&turn, &views, content, true);
         self.renderer.xr.headset.end_frame(turn, &views, &self.renderer.xr.swapchain)?;
         Ok(report)
@@ -130,7 +130,7 @@ impl Client {
         let report =
             recorder.scope("motion", |r| scene.record_motion(r, &renderer.stages, now, interpolation));
         recorder.barrier(Access::COMPUTE_WRITE, Access::VERTEX_READ); // positions, for the one draw
-        Ok(Content { time, frame: scene.bundler.current(), switched, scene: report })
+        Ok(Content { time, update: scene.bundler.current(), switched, scene: report })
     }
 
     fn finish(&mut self, turn: &FrameTurn, views: &Views, content: Content, is_rendered: bool) -> Step {
@@ -139,7 +139,7 @@ impl Client {
             server_time: content.time,
             motion_time: content.scene.motion_time,
             is_rendered,
-            frame: content.frame,
+            update: content.update,
             is_new: content.switched.is_some(),
             held_vertices: content.scene.motionless.held,
             frozen_vertices: content.scene.motionless.frozen,

@@ -243,12 +243,12 @@ impl Link {
     ) {
         let next = &mut self.reports.next;
         next.display_frames += u32::from(frame.is_rendered);
-        next.frames_without_bundle += u32::from(frame.is_rendered && frame.frame.is_none());
+        next.frames_without_bundle += u32::from(frame.is_rendered && frame.update.is_none());
         next.frozen_vertices = next.frozen_vertices.saturating_add(frame.frozen_vertices);
         next.withheld_patches = next.withheld_patches.saturating_add(frame.withheld_patches);
-        let (Some(serial), Some(id), Some(time)) = (shown, frame.frame, frame.server_time) else { return };
+        let (Some(serial), Some(id), Some(time)) = (shown, frame.update, frame.server_time) else { return };
         if frame.is_new {
-            next.frame = id;
+            next.update = id;
             next.display_time = time;
             next.decode_to_display_ns =
                 picture_arrived.map_or(0, |arrived| frame.display_time.since(arrived));
@@ -263,8 +263,8 @@ impl Link {
         let report = self.reports.next;
         let Some(connection) = self.of_serial(serial) else { return };
         connection.session.send_displayed(report);
-        let Displayed { frame, display_time, decode_to_display_ns, .. } = report;
-        let next = Displayed { frame, display_time, decode_to_display_ns, ..Displayed::default() };
+        let Displayed { update: frame, display_time, decode_to_display_ns, .. } = report;
+        let next = Displayed { update: frame, display_time, decode_to_display_ns, ..Displayed::default() };
         self.reports = Reports { next, sent: Some(now) };
     }
 

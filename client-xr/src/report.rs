@@ -52,7 +52,7 @@ pub struct FrameReport {
     /// False where the runtime wanted no picture.
     pub is_rendered: bool,
     /// The update on display; `None`: no bundle yet, the waiting room is seen.
-    pub frame: Option<UpdateId>,
+    pub update: Option<UpdateId>,
     /// True where the bundle is on display for the first time.
     pub is_new: bool,
     /// Animated vertices that go on at their last velocity for want of samples.

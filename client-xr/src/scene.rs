@@ -57,7 +57,7 @@ pub struct Scene {
 #[derive(Clone, Copy, Debug)]
 pub struct Switched {
     /// Its frame.
-    pub frame: UpdateId,
+    pub update: UpdateId,
     /// When the last byte of its picture came.
     pub picture_arrived: ClientTime,
 }
@@ -122,7 +122,7 @@ impl Scene {
 
     /// Takes in the next delta: its vertices and samples count at once, its patches with a picture.
     pub fn take_delta(&mut self, delta: ReceivedDelta) {
-        self.motion.take(delta.geometry.frame, &delta.geometry.new_vertices, &delta.positions);
+        self.motion.take(delta.geometry.update, &delta.geometry.new_vertices, &delta.positions);
         self.bundler.add_delta(delta.geometry);
     }
 
@@ -161,7 +161,7 @@ impl Scene {
         recycle(arrived.picture);
         self.write_list(GridTime::of(self.terms.grid, time).step);
         self.has_switched = true;
-        Ok(Some(Switched { frame, picture_arrived: arrived.arrived }))
+        Ok(Some(Switched { update: frame, picture_arrived: arrived.arrived }))
     }
 
     /// Writes the draw list of the set on display, for times from `step` on.

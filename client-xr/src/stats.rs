@@ -155,7 +155,7 @@ impl Counters {
         self.span = Some((first, frame.display_time));
         self.frames += 1;
         self.rendered_frames += u64::from(frame.is_rendered);
-        self.frames_with_bundle += u64::from(frame.is_rendered && frame.frame.is_some());
+        self.frames_with_bundle += u64::from(frame.is_rendered && frame.update.is_some());
         self.bundles += u64::from(frame.is_new);
         self.held_vertices += u64::from(frame.held_vertices);
         self.frozen_vertices += u64::from(frame.frozen_vertices);

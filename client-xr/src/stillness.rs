@@ -36,7 +36,7 @@ impl Stillness {
         let now = frame.display_time;
         let was_away = now.since(self.last) > GAP_NS;
         self.last = now;
-        if was_away || !frame.is_rendered || frame.is_new || frame.frame.is_none() {
+        if was_away || !frame.is_rendered || frame.is_new || frame.update.is_none() {
             self.fresh = now;
         }
         let is_still = now.since(self.fresh) >= STILL_AFTER_NS;
@@ -70,7 +70,7 @@ mod tests {
             server_time: None,
             motion_time: None,
             is_rendered: true,
-            frame: Some(UpdateId(0)),
+            update: Some(UpdateId(0)),
             is_new,
             held_vertices: 0,
             frozen_vertices: 0,
@@ -108,7 +108,7 @@ mod tests {
     fn in_the_waiting_room_there_is_a_text_already() {
         let mut stillness = Stillness::default();
         for ms in (0..5000).step_by(10) {
-            stillness.note(&FrameReport { frame: None, ..shown(ms, false) }, Pose::IDENTITY);
+            stillness.note(&FrameReport { update: None, ..shown(ms, false) }, Pose::IDENTITY);
         }
         assert!(stillness.panel().is_none());
     }

@@ -95,7 +95,7 @@ fn two_patches() -> Delta {
         double_sided: true,
     };
     let geometry = GeometryDelta {
-        frame: UpdateId(0),
+        update: UpdateId(0),
         time: ServerTime(1_000_000_000),
         instances: vec![InstanceInfo { instance: InstanceId(7), step_m: 0.0001 }],
         new_vertices: (0..).zip(statics).map(fixed).chain((4..8).map(moving)).collect(),
@@ -119,7 +119,7 @@ fn before_the_first_bundle_there_is_a_gradient_a_floor_and_a_text_in_both_eyes()
     client.set_status("Connecting to 192.168.1.5:7400");
     for _ in 0..4 {
         let report = frame(&mut client);
-        assert_eq!(report.frame, None);
+        assert_eq!(report.update, None);
     }
     finish(&run, client);
     let (left, right) = (run.picture(3, Side::Left), run.picture(3, Side::Right));
@@ -140,7 +140,7 @@ fn patches_are_seen_where_they_are_and_in_the_atlas_colours_by_both_eyes() {
     line.send(two_patches(), &planes([0, 64]), true);
     line.frame(&mut client); // its picture is being decoded
     let report = line.frame(&mut client);
-    assert_eq!((report.frame, report.is_new, report.withheld_patches), (Some(UpdateId(0)), true, 0));
+    assert_eq!((report.update, report.is_new, report.withheld_patches), (Some(UpdateId(0)), true, 0));
     let shown = client.stats().frames - 1;
     assert!(!line.frame(&mut client).is_new);
     let probe = client.probe().expect("a probe");
@@ -208,7 +208,7 @@ fn a_vertex_that_runs_out_of_samples_stops_and_is_counted_and_returns_without_a_
     let (mut frozen, mut largest, mut last) = (0, 0f32, None);
     for index in 0..50 {
         if index == 16 {
-            let geometry = GeometryDelta { frame: UpdateId(1), ..GeometryDelta::default() };
+            let geometry = GeometryDelta { update: UpdateId(1), ..GeometryDelta::default() };
             line.send_delta(Delta { geometry, samples: samples(34, 49) });
         }
         let report = line.frame(&mut client);
@@ -255,15 +255,15 @@ fn the_newest_picture_goes_with_its_own_placements() {
     let swapped = vec![(PatchSlot(0), Some(block(64))), (PatchSlot(1), Some(block(0)))];
     let moved = vec![(PatchSlot(0), Some(block(128)))];
     let next =
-        |frame, placements| GeometryDelta { frame: UpdateId(frame), placements, ..GeometryDelta::default() };
+        |frame, placements| GeometryDelta { update: UpdateId(frame), placements, ..GeometryDelta::default() };
     line.frame(&mut client);
     line.frame(&mut client);
     let first = client.stats().frames - 1;
     line.send_delta(next(1, swapped));
-    assert_eq!(line.frame(&mut client).frame, Some(UpdateId(0)), "no picture, no switch");
+    assert_eq!(line.frame(&mut client).update, Some(UpdateId(0)), "no picture, no switch");
     line.send(next(2, moved), &planes([128, 0]), true);
     line.frame(&mut client);
-    assert_eq!(line.frame(&mut client).frame, Some(UpdateId(2)));
+    assert_eq!(line.frame(&mut client).update, Some(UpdateId(2)));
     finish(&run, client);
     for index in first..first + 4 {
         let picture = run.picture(index, Side::Right);
@@ -334,7 +334,7 @@ fn samples_of_the_next_update_do_not_tear_what_is_on_display_and_its_picture_set
     line.frame(&mut client);
     // The next update has lost sight of the right square; its samples come before its picture.
     let lost = GeometryDelta {
-        frame: UpdateId(1),
+        update: UpdateId(1),
         evicted_patches: vec![PatchSlot(1)],
         evicted_vertices: vec![VertexSlot(4), VertexSlot(5)],
         ..GeometryDelta::default()
@@ -345,7 +345,7 @@ fn samples_of_the_next_update_do_not_tear_what_is_on_display_and_its_picture_set
         match index {
             8 => line.send_delta(lost.clone()),
             19 => {
-                let next = GeometryDelta { frame: UpdateId(2), ..GeometryDelta::default() };
+                let next = GeometryDelta { update: UpdateId(2), ..GeometryDelta::default() };
                 line.send(next, &planes([0, 64]), true);
             }
             _ => {}
@@ -472,7 +472,9 @@ impl Line {
                 Out::Control(bytes) => client.receive_control(now, &bytes).expect("control"),
                 Out::Datagram(bytes) => client.receive_datagram(now, &bytes),
                 Out::Stream { bytes, .. } => match parse_stream(&bytes).expect("a stream") {
-                    StreamMessage::Picture { header, .. } if self.lost_pictures.contains(&header.frame.0) => {
+                    StreamMessage::Picture { header, .. }
+                        if self.lost_pictures.contains(&header.update.0) =>
+                    {
                         client.receive_reset(now, &bytes[..20]);
                     }
                     _ => client.receive_stream(now, &bytes).expect("a stream"),
@@ -510,7 +512,7 @@ impl Line {
 
     fn send(&mut self, delta: impl Into<Delta>, planes: &I420, is_refresh: bool) {
         let delta = delta.into();
-        let header = PictureHeader { frame: delta.geometry.frame, time: delta.geometry.time, is_refresh };
+        let header = PictureHeader { update: delta.geometry.update, time: delta.geometry.time, is_refresh };
         self.send_delta(delta);
         self.streams.push_back(picture_stream(header, &coded(planes, is_refresh)).expect("a small picture"));
     }
@@ -559,7 +561,7 @@ fn updates_of_a_session_are_shown_after_decoding_and_reported() {
     let reports: Vec<_> = (0..3).map(|_| line.frame(&mut client)).collect();
     // 6 ms of decoding: the first frame is too early.
     assert_eq!(
-        reports.iter().map(|report| report.frame).collect::<Vec<_>>(),
+        reports.iter().map(|report| report.update).collect::<Vec<_>>(),
         [None, Some(UpdateId(0)), Some(UpdateId(0))]
     );
     let displayed = line.events.iter().find_map(|event| match event {
@@ -567,7 +569,7 @@ fn updates_of_a_session_are_shown_after_decoding_and_reported() {
         _ => None,
     });
     let displayed = displayed.expect("a report");
-    assert_eq!((displayed.frame, displayed.frames_without_bundle), (UpdateId(0), 12));
+    assert_eq!((displayed.update, displayed.frames_without_bundle), (UpdateId(0), 12));
     assert_eq!(Some(displayed.display_time), reports[1].server_time);
     let stats = client.stats();
     assert_eq!(
@@ -589,16 +591,16 @@ fn a_lost_picture_leaves_the_last_bundle_on_display_until_a_refresh_that_is_aske
     line.frame(&mut client);
     for frame in 1..4 {
         let placements = vec![(PatchSlot(0), Some(block(64 * frame as u16)))];
-        let delta = GeometryDelta { frame: UpdateId(frame), placements, ..GeometryDelta::default() };
+        let delta = GeometryDelta { update: UpdateId(frame), placements, ..GeometryDelta::default() };
         line.send(delta, &planes([64 * frame as u16, 0]), frame == 3);
-        let shown = line.frame(&mut client).frame;
+        let shown = line.frame(&mut client).update;
         assert_eq!(
             shown,
             Some(UpdateId(0)),
             "update {frame} is not shown: it needs the lost one, or is being decoded"
         );
     }
-    assert_eq!(line.frame(&mut client).frame, Some(UpdateId(3)));
+    assert_eq!(line.frame(&mut client).update, Some(UpdateId(3)));
     let asked =
         line.events.iter().filter(|event| matches!(event, ServerEvent::RefreshRequest { .. })).count();
     assert_eq!((asked, client.stats().lost_pictures), (1, 2));
@@ -616,10 +618,10 @@ fn after_a_reconnect_the_old_bundle_stays_until_the_new_server_has_one() {
     }
     client.on_closed(at(2_000_000_000));
     for _ in 0..3 {
-        assert_eq!(frame(&mut client).frame, Some(UpdateId(0)), "without a server the last bundle stays");
+        assert_eq!(frame(&mut client).update, Some(UpdateId(0)), "without a server the last bundle stays");
     }
     let mut line = Line::connect(&mut client);
-    assert_eq!(line.frame(&mut client).frame, Some(UpdateId(0)), "connected, but there is no new one yet");
+    assert_eq!(line.frame(&mut client).update, Some(UpdateId(0)), "connected, but there is no new one yet");
     // The new server has the squares' colours exchanged.
     line.send(static_patches(), &planes([64, 0]), true);
     line.frame(&mut client);
@@ -655,7 +657,7 @@ fn a_world_that_stands_still_says_why_until_pictures_come_again() {
     }
     let quiet = client.stats().frames - 1;
     for _ in 0..60 {
-        assert_eq!(frame(&mut client).frame, Some(UpdateId(0)), "the last bundle stays");
+        assert_eq!(frame(&mut client).update, Some(UpdateId(0)), "the last bundle stays");
     }
     let told = client.stats().frames - 1;
     let mut line = Line::connect(&mut client);
@@ -685,7 +687,7 @@ fn absence(line: &mut Line, client: &mut Client, turns: u32, frame: &mut u32) ->
         if turn % 2 == 0 {
             *frame += 1;
             let samples = strip_samples(0..6, strip_steps(line));
-            let geometry = GeometryDelta { frame: UpdateId(*frame), ..GeometryDelta::default() };
+            let geometry = GeometryDelta { update: UpdateId(*frame), ..GeometryDelta::default() };
             line.send(Delta { geometry, samples }, &planes, true);
         }
         line.turn(client);
@@ -713,7 +715,7 @@ fn while_nobody_looks_arrivals_are_taken_in_and_the_picture_is_there_when_somebo
     let back: Vec<_> = (0..30).map(|_| line.frame(&mut client)).collect();
     assert_eq!(line.watching(), [false, true]);
     let first = back.iter().find(|report| report.is_rendered).expect("seen again");
-    assert_eq!(first.frame, Some(UpdateId(newest)), "the newest, and at once");
+    assert_eq!(first.update, Some(UpdateId(newest)), "the newest, and at once");
     finish(&run, client);
 }
 
@@ -741,7 +743,7 @@ fn a_session_that_rests_and_begins_again_goes_on_with_the_same_server() {
         .collect();
     assert_eq!(line.watching(), [false, true]);
     let first = back.iter().find(|report| report.is_rendered).expect("seen again");
-    assert_eq!(first.frame, Some(UpdateId(newest)));
+    assert_eq!(first.update, Some(UpdateId(newest)));
     assert_ne!(line.poses().last().expect("poses").discontinuity, jump, "another session of the headset");
     assert_eq!(client.stats().connections, 1);
     finish(&run, client);
@@ -775,7 +777,7 @@ fn a_picture_of_the_far_future_ends_the_session_and_not_the_frame_loop() {
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
     while client.poll_notice().is_some() {}
-    let header = PictureHeader { frame: UpdateId(4_000_000_000), time: ServerTime(0), is_refresh: false };
+    let header = PictureHeader { update: UpdateId(4_000_000_000), time: ServerTime(0), is_refresh: false };
     line.streams.push_back(picture_stream(header, &coded(&planes([0, 64]), false)).expect("small"));
     for _ in 0..60 {
         line.frame(&mut client);
@@ -799,7 +801,7 @@ fn a_flood_of_samples_that_take_no_bits_waits_coded_and_then_ends_the_session() 
     for frame in 0..250 {
         let enters = frame == 0;
         let geometry = GeometryDelta {
-            frame: UpdateId(frame),
+            update: UpdateId(frame),
             instances: enters
                 .then_some(InstanceInfo { instance: InstanceId(7), step_m: 0.001 })
                 .into_iter()

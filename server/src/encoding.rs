@@ -43,7 +43,7 @@ impl Encoding {
         shaded.picture = source;
         let coded = |unit: AccessUnit| {
             let header =
-                PictureHeader { frame: shaded.frame, time: shaded.time, is_refresh: unit.is_refresh };
+                PictureHeader { update: shaded.update, time: shaded.time, is_refresh: unit.is_refresh };
             Coded { shaded, header, unit }
         };
         Some(result.map(coded))
@@ -91,7 +91,7 @@ mod tests {
         let picture = Source::Planes(I420::new([2, 2], vec![number; 6]).expect("a picture"));
         let (frame, time) = (UpdateId(number.into()), ServerTime(number.into()));
         let delta = DeltaEncoder::new(1, 1).encode(&Default::default());
-        Box::new(Shaded { frame, time, delta, picture, timings: Timings::default() })
+        Box::new(Shaded { update: frame, time, delta, picture, timings: Timings::default() })
     }
 
     #[test]
@@ -106,7 +106,7 @@ mod tests {
                 continue;
             }
             let coded = result.expect("coded");
-            assert_eq!(coded.header.frame, UpdateId(number.into()));
+            assert_eq!(coded.header.update, UpdateId(number.into()));
             assert_eq!((coded.unit.bytes, coded.header.is_refresh), (vec![number], number == 0));
             assert_eq!(coded.shaded.picture, shaded(number).picture, "its memory comes back");
         }

@@ -75,7 +75,7 @@ struct EyeSize {
 #[derive(Clone, Debug)]
 pub struct Shaded {
     /// The update.
-    pub frame: UpdateId,
+    pub update: UpdateId,
     /// When it started.
     pub time: ServerTime,
     /// What changes in the client's memory.
@@ -148,12 +148,12 @@ impl Frame {
 
     /// The client shows an update: frees slots, and teaches the prediction how long the way is.
     pub fn displayed(&mut self, report: &Displayed) {
-        self.residency.displayed(report.frame);
-        while self.update_times.front().is_some_and(|(frame, _)| *frame < report.frame) {
+        self.residency.displayed(report.update);
+        while self.update_times.front().is_some_and(|(frame, _)| *frame < report.update) {
             self.update_times.pop_front();
         }
         if let Some((frame, started)) = self.update_times.front().copied()
-            && frame == report.frame
+            && frame == report.update
         {
             self.update_times.pop_front();
             self.head.displayed(started, report.display_time);
@@ -187,13 +187,13 @@ impl Frame {
         let frame = self.begin_next(now);
         let mut picture = std::mem::take(&mut self.spare);
         self.ycbcr.read(&mut picture);
-        Ok(Some(Shaded { frame, time: now, delta, picture: Source::Planes(picture), timings }))
+        Ok(Some(Shaded { update: frame, time: now, delta, picture: Source::Planes(picture), timings }))
     }
 
     /// Which samples the update that is being made may send.
     fn window(&self, time: ServerTime, views: &PredictedViews, sampled: &Sampled) -> UpdateWindow {
         let PredictedViews { first_sample, horizon, .. } = *views;
-        UpdateWindow { frame: self.next, time, first_sample, oldest: sampled.oldest, horizon }
+        UpdateWindow { update: self.next, time, first_sample, oldest: sampled.oldest, horizon }
     }
 
     /// The update that is being made has been; gives it.

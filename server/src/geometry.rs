@@ -31,7 +31,7 @@ pub trait Geometry {
 #[derive(Clone, Copy, Debug)]
 pub struct UpdateWindow {
     /// The update.
-    pub frame: UpdateId,
+    pub update: UpdateId,
     /// Its time.
     pub time: ServerTime,
     /// Earliest grid point that a vertex which enters now can be displayed with.

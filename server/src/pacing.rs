@@ -113,7 +113,7 @@ pub struct UpdateGate {
 
 #[derive(Clone, Copy, Debug)]
 struct Sent {
-    frame: UpdateId,
+    update: UpdateId,
     bytes: u64,
     at_ns: i64,
 }
@@ -149,11 +149,11 @@ impl UpdateGate {
     }
 
     /// A stream of an update was handed to the transport.
-    pub fn sent(&mut self, frame: UpdateId, kind: Kind, bytes: usize, now_ns: i64) {
+    pub fn sent(&mut self, update: UpdateId, kind: Kind, bytes: usize, now_ns: i64) {
         // An update's streams leave before those of later ones.
-        let place = self.under_way.partition_point(|other| other.frame <= frame);
-        self.under_way.insert(place, Sent { frame, bytes: bytes as u64, at_ns: now_ns });
-        self.needs.note(frame, kind, bytes as f64, now_ns, self.period_ns);
+        let place = self.under_way.partition_point(|other| other.update <= update);
+        self.under_way.insert(place, Sent { update, bytes: bytes as u64, at_ns: now_ns });
+        self.needs.note(update, kind, bytes as f64, now_ns, self.period_ns);
     }
 
     /// Whether an update may be made now.
@@ -230,8 +230,8 @@ impl UpdateGate {
         let (mut sum, mut updates, mut last) = (0, 0, None);
         for sent in &self.under_way {
             sum += sent.bytes;
-            if sum > window_bytes && last != Some(sent.frame) {
-                last = Some(sent.frame);
+            if sum > window_bytes && last != Some(sent.update) {
+                last = Some(sent.update);
                 updates += 1;
             }
         }
@@ -240,7 +240,7 @@ impl UpdateGate {
 }
 
 impl Needs {
-    fn note(&mut self, frame: UpdateId, kind: Kind, bytes: f64, now_ns: i64, period_ns: i64) {
+    fn note(&mut self, update: UpdateId, kind: Kind, bytes: f64, now_ns: i64, period_ns: i64) {
         let (mean, covered_ns) = match kind {
             Kind::Picture => (&mut self.pictures, period_ns),
             Kind::Delta => {
@@ -249,7 +249,7 @@ impl Needs {
                 (&mut self.geometry, since_ns.clamp(period_ns, LONGEST_COVERED_NS.max(period_ns)))
             }
         };
-        if frame > UpdateId(0) {
+        if update > UpdateId(0) {
             let newest = bytes / (covered_ns as f64 * 1e-9);
             *mean = Some(mean.map_or(newest, |mean| mean + NEWEST * (newest - mean)));
         }

@@ -63,12 +63,12 @@ impl<T: Copy + Ord> Slots<T> {
         self.free.pop_first()
     }
 
-    fn leave(&mut self, frame: UpdateId, slot: T) {
-        self.leaving.push_back((frame, slot));
+    fn leave(&mut self, update: UpdateId, slot: T) {
+        self.leaving.push_back((update, slot));
     }
 
-    fn displayed(&mut self, frame: UpdateId) {
-        while self.leaving.front().is_some_and(|(left, _)| *left <= frame) {
+    fn displayed(&mut self, update: UpdateId) {
+        while self.leaving.front().is_some_and(|(left, _)| *left <= update) {
             self.free.extend(self.leaving.pop_front().map(|(_, slot)| slot));
         }
     }
@@ -122,9 +122,9 @@ impl Residency {
     }
 
     /// The client has displayed `frame`: slots freed up to it can be used again.
-    pub fn displayed(&mut self, frame: UpdateId) {
-        self.patch_slots.displayed(frame);
-        self.vertex_slots.displayed(frame);
+    pub fn displayed(&mut self, update: UpdateId) {
+        self.patch_slots.displayed(update);
+        self.vertex_slots.displayed(update);
     }
 
     /// What each update may take from now on.
@@ -150,11 +150,12 @@ impl Residency {
         window: UpdateWindow,
     ) -> Delta {
         let window = self.motion.within(window, self.budget.sample_bytes);
-        let mut delta = GeometryDelta { frame: window.frame, time: window.time, ..GeometryDelta::default() };
+        let mut delta =
+            GeometryDelta { update: window.update, time: window.time, ..GeometryDelta::default() };
         for change in changes.iter().filter(|c| c.block.is_none()) {
-            self.lose_block(geometry, change.patch, window.frame, &mut delta);
+            self.lose_block(geometry, change.patch, window.update, &mut delta);
         }
-        self.forget_old(geometry, window.frame, &mut delta);
+        self.forget_old(geometry, window.update, &mut delta);
         let mut left_bytes = self.budget.geometry_bytes;
         self.held_back = 0;
         for (patch, block) in self.coming(changes) {
@@ -206,24 +207,24 @@ impl Residency {
         &mut self,
         geometry: &impl Geometry,
         patch: ScenePatch,
-        frame: UpdateId,
+        update: UpdateId,
         delta: &mut GeometryDelta,
     ) {
         // Without one it waited for a slot.
         let Some(slot) = self.slot_of_patch[patch.index()] else { return };
         let moves = vertices_of_patch(geometry, patch).any(|v| geometry.static_position(v).is_none());
         if moves {
-            self.evict(geometry, patch, frame, delta);
+            self.evict(geometry, patch, update, delta);
         } else {
-            self.retained.insert(patch, frame.0);
+            self.retained.insert(patch, update.0);
             delta.placements.push((slot, None));
         }
     }
 
     /// Evicts retained patches that are too old, or the oldest while slots are short.
-    fn forget_old(&mut self, geometry: &impl Geometry, frame: UpdateId, delta: &mut GeometryDelta) {
+    fn forget_old(&mut self, geometry: &impl Geometry, update: UpdateId, delta: &mut GeometryDelta) {
         let short = self.patch_slots.free.len() < LOW_WATER || self.vertex_slots.free.len() < LOW_WATER;
-        let newest_kept = frame.0.saturating_sub(if short { 0 } else { RETAIN_UPDATES });
+        let newest_kept = update.0.saturating_sub(if short { 0 } else { RETAIN_UPDATES });
         // Those that lost their block only now are in the delta as placements; they go next time.
         let old: Vec<ScenePatch> = self
             .retained
@@ -233,7 +234,7 @@ impl Residency {
             .collect();
         for patch in old {
             self.retained.remove(&patch);
-            self.evict(geometry, patch, frame, delta);
+            self.evict(geometry, patch, update, delta);
         }
     }
 
@@ -241,19 +242,19 @@ impl Residency {
         &mut self,
         geometry: &impl Geometry,
         patch: ScenePatch,
-        frame: UpdateId,
+        update: UpdateId,
         delta: &mut GeometryDelta,
     ) {
         let Some(slot) = self.slot_of_patch[patch.index()].take() else { return };
         delta.evicted_patches.push(slot);
-        self.patch_slots.leave(frame, slot);
+        self.patch_slots.leave(update, slot);
         for vertex in vertices_of_patch(geometry, patch) {
             let place = &mut self.vertices[vertex.index()];
             let Some(Resident { slot, users }) = place else { continue };
             *users -= 1;
             if *users == 0 {
                 delta.evicted_vertices.push(*slot);
-                self.vertex_slots.leave(frame, *slot);
+                self.vertex_slots.leave(update, *slot);
                 self.motion.leave(*slot);
                 *place = None;
             }
@@ -476,7 +477,7 @@ mod tests {
             }
             let changes: Vec<_> = changes.into_iter().map(|(patch, block)| change(patch, block)).collect();
             let window = UpdateWindow {
-                frame: UpdateId(self.frame),
+                update: UpdateId(self.frame),
                 time: ServerTime(i64::from(self.frame) * 33),
                 first_sample: GridIndex(self.frame as i32),
                 oldest: GridIndex(self.frame as i32 - 5),
@@ -563,7 +564,7 @@ mod tests {
 
     fn window(frame: u32) -> UpdateWindow {
         UpdateWindow {
-            frame: UpdateId(frame),
+            update: UpdateId(frame),
             time: ServerTime(0),
             first_sample: GridIndex(0),
             oldest: GridIndex(0),

@@ -156,8 +156,8 @@ impl<U: Updates> Viewer<U> {
     }
 
     /// A stream of an update was handed to the transport.
-    pub fn sent(&mut self, frame: UpdateId, kind: Kind, bytes: usize, now_ns: i64) {
-        self.gate.sent(frame, kind, bytes, now_ns);
+    pub fn sent(&mut self, update: UpdateId, kind: Kind, bytes: usize, now_ns: i64) {
+        self.gate.sent(update, kind, bytes, now_ns);
     }
 }
 

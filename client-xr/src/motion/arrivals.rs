@@ -18,7 +18,7 @@ pub struct VertexWrites {
 /// Records that do not depend on each other; a barrier lies between two segments.
 #[derive(Clone, Copy, Debug)]
 struct Segment {
-    frame: UpdateId,
+    update: UpdateId,
     /// Into `records`, exclusive.
     end: usize,
     ends_frame: bool,
@@ -29,19 +29,19 @@ impl VertexWrites {
         self.records.push(record);
     }
 
-    pub(super) fn end_segment(&mut self, frame: UpdateId) {
+    pub(super) fn end_segment(&mut self, update: UpdateId) {
         let start = self.segments.back().map_or(self.taken, |segment| segment.end);
         if self.records.len() > start {
-            self.segments.push_back(Segment { frame, end: self.records.len(), ends_frame: false });
+            self.segments.push_back(Segment { update, end: self.records.len(), ends_frame: false });
         }
     }
 
-    pub(super) fn end_frame(&mut self, frame: UpdateId) {
-        self.end_segment(frame);
+    pub(super) fn end_frame(&mut self, update: UpdateId) {
+        self.end_segment(update);
         match self.segments.back_mut() {
-            Some(segment) if segment.frame == frame => segment.ends_frame = true,
+            Some(segment) if segment.update == update => segment.ends_frame = true,
             // Nothing to write: complete as soon as all before it is.
-            _ => self.segments.push_back(Segment { frame, end: self.records.len(), ends_frame: true }),
+            _ => self.segments.push_back(Segment { update, end: self.records.len(), ends_frame: true }),
         }
     }
 
@@ -66,7 +66,7 @@ impl VertexWrites {
             }
             self.segments.pop_front();
             if next.ends_frame {
-                self.complete = Some(next.frame);
+                self.complete = Some(next.update);
             }
         }
         self.records.clear();

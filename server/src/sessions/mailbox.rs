@@ -125,13 +125,13 @@ mod tests {
     fn reports_are_one_report() {
         let mailbox = Mailbox::default();
         for frame in 0..1000 {
-            let counted = Displayed { frame: UpdateId(frame), display_frames: 2, ..Displayed::default() };
+            let counted = Displayed { update: UpdateId(frame), display_frames: 2, ..Displayed::default() };
             mailbox.told(PeerId(1), ServerEvent::Displayed(counted));
             mailbox.told(PeerId(1), ServerEvent::RefreshRequest { after: None });
         }
         let told = mailbox.take()[&PeerId(1)].told;
         let report = told.displayed.expect("one");
-        assert_eq!((report.frame, report.display_frames, told.refresh), (UpdateId(999), 2000, true));
+        assert_eq!((report.update, report.display_frames, told.refresh), (UpdateId(999), 2000, true));
         assert!(mailbox.take().is_empty());
     }
 

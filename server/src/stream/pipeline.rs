@@ -257,7 +257,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             None => {}
             Some(Outcome::Sent { shaded, stream_bytes, unit_bytes }) => {
                 client.encoder_failures = 0;
-                client.viewer.sent(shaded.frame, Kind::Picture, stream_bytes, now_ns);
+                client.viewer.sent(shaded.update, Kind::Picture, stream_bytes, now_ns);
                 client.stats.atlas_bytes += unit_bytes as u64;
                 self.stats.atlas_bytes += unit_bytes as u64;
                 if let Some(earlier) = self.last_atlas.replace(shaded) {
@@ -410,7 +410,7 @@ impl<U: Updates> Served<U> {
         shaded: Shaded,
         now_ns: i64,
     ) -> Result<Update, Fault> {
-        let frame = shaded.frame;
+        let frame = shaded.update;
         let (delta, update) = self.viewer.finish(shaded);
         let bytes = bytes_of(&delta);
         outlet.send(peer, delta).map_err(|error| {

@@ -47,11 +47,11 @@ impl Outlet for Recorder {
         }
         let Out::Stream { bytes, .. } = out else { panic!("{out:?}") };
         match parse_stream(&bytes).expect("a stream") {
-            StreamMessage::Geometry { frame, .. } => {
+            StreamMessage::Geometry { update: frame, .. } => {
                 self.deltas.lock().expect("whole").push((peer, frame.0));
             }
             StreamMessage::Picture { header, .. } => {
-                self.pictures.lock().expect("whole").push((header.frame.0, header.is_refresh));
+                self.pictures.lock().expect("whole").push((header.update.0, header.is_refresh));
             }
         }
         Ok(())
@@ -115,10 +115,10 @@ impl Studio for FakeStudio {
         act(&self.0.updates)?;
         let frame = UpdateId(updates.next);
         updates.next += 1;
-        let delta = GeometryDelta { frame, time, ..GeometryDelta::default() };
+        let delta = GeometryDelta { update: frame, time, ..GeometryDelta::default() };
         let delta = DeltaEncoder::new(1, 1).encode(&delta.into());
         let (picture, timings) = (Source::default(), Timings::default());
-        Ok(Some(Shaded { frame, time, delta, picture, timings }))
+        Ok(Some(Shaded { update: frame, time, delta, picture, timings }))
     }
 
     fn close(&mut self, _: FakeUpdates, _: bool) {

@@ -11,7 +11,7 @@ use glam::Vec3;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GeometryDelta {
     /// The update.
-    pub frame: UpdateId,
+    pub update: UpdateId,
     /// The time for which the update was made.
     pub time: ServerTime,
     /// Instances seen for the first time, or with a new quantisation step.

@@ -50,7 +50,7 @@ fn deltas() -> [Vec<u8>; 2] {
     let mut new_vertices: Vec<_> = (0..40).map(|slot| vertex(slot, near, Motion::Sampled)).collect();
     new_vertices.extend((100..103).map(|slot| vertex(slot, far, still)));
     let enters = GeometryDelta {
-        frame: UpdateId(0),
+        update: UpdateId(0),
         time: ServerTime(1_000_000_000),
         instances: vec![
             InstanceInfo { instance: near, step_m: 0.0005 },
@@ -67,7 +67,7 @@ fn deltas() -> [Vec<u8>; 2] {
     };
     let enters = Delta { geometry: enters, samples: (29..33).map(|grid| batch(grid, 0..40)).collect() };
     let moves = GeometryDelta {
-        frame: UpdateId(1),
+        update: UpdateId(1),
         time: ServerTime(1_033_333_333),
         evicted_patches: vec![PatchSlot(1)],
         evicted_vertices: vec![VertexSlot(5), VertexSlot(6)],
@@ -132,7 +132,7 @@ fn datagrams_keep_their_bytes() {
 
 #[test]
 fn streams_keep_their_bytes() {
-    let header = PictureHeader { frame: UpdateId(5), time: ServerTime(-1), is_refresh: true };
+    let header = PictureHeader { update: UpdateId(5), time: ServerTime(-1), is_refresh: true };
     assert_pinned(
         &encode_picture(header, &[0, 0, 0, 1, 0x67]),
         "0205000000ffffffffffffffff01050000000000000167",

@@ -154,7 +154,7 @@ pub struct Environment {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Displayed {
     /// The update on display. No earlier one will be shown again.
-    pub frame: UpdateId,
+    pub update: UpdateId,
     /// When it was first on display, by the client's estimate of the server's clock.
     pub display_time: ServerTime,
     /// Display frames since the last report.
@@ -175,7 +175,7 @@ impl Displayed {
     /// One report of two: what is on display by that of the later frame, the counters summed.
     #[must_use]
     pub fn merged(self, other: Self) -> Self {
-        let newest = if other.frame >= self.frame { other } else { self };
+        let newest = if other.update >= self.update { other } else { self };
         let sum = |count: fn(&Self) -> u32| count(&self).saturating_add(count(&other));
         Self {
             display_frames: sum(|report| report.display_frames),
@@ -725,7 +725,7 @@ mod tests {
     fn two_reports_of_what_is_on_display_are_one_of_the_later_frame_with_the_counts_of_both() {
         let (early, late) = (displayed(3), Displayed { display_time: ServerTime(9), ..displayed(4) });
         let both = Displayed {
-            frame: UpdateId(4),
+            update: UpdateId(4),
             display_time: ServerTime(9),
             display_frames: 144,
             frames_without_bundle: 2,

@@ -364,12 +364,12 @@ impl ClientSession {
         }
         match parse_stream(bytes)? {
             StreamMessage::Picture { header, access_unit } => self.take_picture(header, access_unit),
-            StreamMessage::Geometry { frame, payload } => self.take_geometry(frame, payload),
+            StreamMessage::Geometry { update: frame, payload } => self.take_geometry(frame, payload),
         }
     }
 
     fn take_picture(&mut self, header: PictureHeader, access_unit: &[u8]) -> Result<(), WireError> {
-        self.check_distance("a picture", header.frame)?;
+        self.check_distance("a picture", header.update)?;
         if self.phase == Phase::Running {
             self.events.push_back(ClientEvent::Picture { header, access_unit: access_unit.to_vec() });
             return Ok(());
@@ -379,31 +379,31 @@ impl ClientSession {
         Ok(())
     }
 
-    fn take_geometry(&mut self, frame: UpdateId, payload: &[u8]) -> Result<(), WireError> {
-        if frame < self.next_delta || self.waiting.deltas.contains_key(&frame) {
+    fn take_geometry(&mut self, update: UpdateId, payload: &[u8]) -> Result<(), WireError> {
+        if update < self.next_delta || self.waiting.deltas.contains_key(&update) {
             return Err(invalid(
                 "a geometry delta",
-                format!("that of frame {} comes a second time", frame.0),
+                format!("that of frame {} comes a second time", update.0),
             ));
         }
-        self.check_distance("a geometry delta", frame)?;
-        if frame == self.next_delta && self.decoder.is_some() && self.records_left > 0 {
+        self.check_distance("a geometry delta", update)?;
+        if update == self.next_delta && self.decoder.is_some() && self.records_left > 0 {
             self.hand_on(payload)?;
             return self.hand_on_deltas();
         }
         self.waiting.admit(payload.len())?;
-        self.waiting.deltas.insert(frame, payload.to_vec());
+        self.waiting.deltas.insert(update, payload.to_vec());
         Ok(())
     }
 
     /// Refuses a frame that is too far after the next one due.
-    fn check_distance(&self, what: &'static str, frame: UpdateId) -> Result<(), WireError> {
-        match frame.is_too_far_after(self.next_delta) {
+    fn check_distance(&self, what: &'static str, update: UpdateId) -> Result<(), WireError> {
+        match update.is_too_far_after(self.next_delta) {
             true => Err(invalid(
                 what,
                 format!(
                     "its frame {} is more than {MAX_FRAMES_AHEAD} after frame {}, which is the next due",
-                    frame.0, self.next_delta.0
+                    update.0, self.next_delta.0
                 ),
             )),
             false => Ok(()),
@@ -498,13 +498,13 @@ impl DeltaSender {
 /// The picture is larger than the wire allows.
 pub fn picture_stream(header: PictureHeader, access_unit: &[u8]) -> Result<Out, WireError> {
     check_count("an access unit's length in bytes", access_unit.len(), MAX_ACCESS_UNIT_BYTES)?;
-    Ok(Out::Stream { bytes: encode_picture(header, access_unit), priority: priority(header.frame, 0) })
+    Ok(Out::Stream { bytes: encode_picture(header, access_unit), priority: priority(header.update, 0) })
 }
 
 /// An update's streams go before those of later ones, so that no flood of geometry starves pictures; within an update
 /// `urgency` 1 goes before 0.
-fn priority(frame: UpdateId, urgency: i64) -> i32 {
-    let order = i64::from(i32::MAX) - 2 * (i64::from(frame.0) + 1) + urgency;
+fn priority(update: UpdateId, urgency: i64) -> i32 {
+    let order = i64::from(i32::MAX) - 2 * (i64::from(update.0) + 1) + urgency;
     i32::try_from(order).unwrap_or(i32::MIN) // after a year at 30 updates a second
 }
 
@@ -663,8 +663,8 @@ impl ServerSession {
         match message {
             ClientMessage::Hello(_) => return Err(invalid("a hello", "it comes a second time")),
             ClientMessage::Displayed(displayed) => {
-                if displayed.frame.0 >= self.sent.load(Ordering::Acquire) {
-                    let reason = format!("frame {} has not been sent", displayed.frame.0);
+                if displayed.update.0 >= self.sent.load(Ordering::Acquire) {
+                    let reason = format!("frame {} has not been sent", displayed.update.0);
                     return Err(invalid("a report of what is on display", reason));
                 }
                 let earlier = self.heard.displayed.take();
@@ -711,8 +711,8 @@ mod tests {
     const NOW: ClientTime = ClientTime(1_000);
 
     /// A delta that says nothing.
-    fn encoded(frame: UpdateId) -> EncodedDelta {
-        DeltaEncoder::new(1, 1).encode(&GeometryDelta { frame, ..Default::default() }.into())
+    fn encoded(update: UpdateId) -> EncodedDelta {
+        DeltaEncoder::new(1, 1).encode(&GeometryDelta { update, ..Default::default() }.into())
     }
 
     impl Pair {
@@ -783,7 +783,7 @@ mod tests {
     }
 
     fn picture(frame: u32) -> PictureHeader {
-        PictureHeader { frame: UpdateId(frame), time: ServerTime(1), is_refresh: frame == 0 }
+        PictureHeader { update: UpdateId(frame), time: ServerTime(1), is_refresh: frame == 0 }
     }
 
     #[test]
@@ -800,7 +800,7 @@ mod tests {
                 .client_events()
                 .into_iter()
                 .map(|event| match event {
-                    ClientEvent::Delta(delta) => delta.geometry.frame.0,
+                    ClientEvent::Delta(delta) => delta.geometry.update.0,
                     other => panic!("seed {seed}: {other:?}"),
                 })
                 .collect();
@@ -1021,7 +1021,7 @@ mod tests {
             };
             let new_vertices = (frame * 2..frame * 2 + 2).map(vertex).collect();
             let delta =
-                Delta::from(GeometryDelta { frame: UpdateId(frame), new_vertices, ..Default::default() });
+                Delta::from(GeometryDelta { update: UpdateId(frame), new_vertices, ..Default::default() });
             let out = pair.sender.as_mut().unwrap().stream(&encoder.encode(&delta));
             pair.keep(out);
         }
@@ -1139,8 +1139,8 @@ mod tests {
         let mut pair = Pair::connected();
         (0..3).for_each(|_| pair.send_delta());
         for round in 0..10_000 {
-            let frame = displayed(u32::min(round, 2)).frame;
-            pair.client.send_displayed(Displayed { frame, display_frames: 1, ..displayed(0) });
+            let frame = displayed(u32::min(round, 2)).update;
+            pair.client.send_displayed(Displayed { update: frame, display_frames: 1, ..displayed(0) });
             pair.client.request_refresh(None);
             pair.client.send_pose(head(round));
             pair.client.on_tick(NOW.plus_ns(i64::from(round) * PING_NS));
@@ -1160,7 +1160,7 @@ mod tests {
         else {
             panic!("{events:?}")
         };
-        assert_eq!((shown.frame, shown.display_frames, pose.sequence), (UpdateId(2), 10_000, 9_999));
+        assert_eq!((shown.update, shown.display_frames, pose.sequence), (UpdateId(2), 10_000, 9_999));
     }
 
     #[test]

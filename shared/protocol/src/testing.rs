@@ -75,7 +75,7 @@ pub(crate) fn head(sequence: u32) -> HeadState {
 
 pub(crate) fn displayed(frame: u32) -> Displayed {
     Displayed {
-        frame: UpdateId(frame),
+        update: UpdateId(frame),
         display_time: ServerTime(-5),
         display_frames: 72,
         frames_without_bundle: 1,

@@ -57,7 +57,7 @@ pub enum WireError {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PictureHeader {
     /// The update; its placements belong to this picture.
-    pub frame: UpdateId,
+    pub update: UpdateId,
     /// The time for which the update was made.
     pub time: ServerTime,
     /// True where the picture needs no earlier one.
@@ -70,7 +70,7 @@ pub enum StreamMessage<'a> {
     /// A geometry delta, for [`crate::delta::DeltaDecoder::decode`] in the order of frames.
     Geometry {
         /// The delta's frame.
-        frame: UpdateId,
+        update: UpdateId,
         /// The delta's bytes.
         payload: &'a [u8],
     },
@@ -108,7 +108,7 @@ pub fn encode_picture(header: PictureHeader, access_unit: &[u8]) -> Vec<u8> {
     assert!(access_unit.len() <= MAX_ACCESS_UNIT_BYTES, "access unit of {} bytes", access_unit.len());
     let mut out = Vec::with_capacity(18 + access_unit.len());
     out.push(KIND_PICTURE);
-    out.extend_from_slice(&header.frame.0.to_le_bytes());
+    out.extend_from_slice(&header.update.0.to_le_bytes());
     out.extend_from_slice(&header.time.0.to_le_bytes());
     out.push(u8::from(header.is_refresh));
     out.extend_from_slice(&(access_unit.len() as u32).to_le_bytes());
@@ -123,7 +123,7 @@ pub fn parse_stream(bytes: &[u8]) -> Result<StreamMessage<'_>, WireError> {
         KIND_GEOMETRY => {
             let payload = reader.rest();
             check_count("a delta's length in bytes", payload.len(), MAX_DELTA_BYTES)?;
-            Ok(StreamMessage::Geometry { frame: peek_update(payload)?, payload })
+            Ok(StreamMessage::Geometry { update: peek_update(payload)?, payload })
         }
         KIND_PICTURE => parse_picture(reader),
         kind => Err(invalid("a stream's kind", format!("{kind} is neither geometry (1) nor a picture (2)"))),
@@ -142,7 +142,7 @@ fn parse_picture(mut reader: Reader<'_>) -> Result<StreamMessage<'_>, WireError>
     check_count("an access unit's length in bytes", length, MAX_ACCESS_UNIT_BYTES)?;
     let access_unit = reader.take(length)?;
     reader.finish()?;
-    Ok(StreamMessage::Picture { header: PictureHeader { frame, time, is_refresh }, access_unit })
+    Ok(StreamMessage::Picture { header: PictureHeader { update: frame, time, is_refresh }, access_unit })
 }
 
 /// A control message with its length before it, as it goes on the control stream.
@@ -351,7 +351,7 @@ mod tests {
     use crate::testing::{Dice, damaged};
 
     const HEADER: PictureHeader =
-        PictureHeader { frame: UpdateId(77), time: ServerTime(-12_345), is_refresh: true };
+        PictureHeader { update: UpdateId(77), time: ServerTime(-12_345), is_refresh: true };
 
     #[test]
     fn streams_come_back_as_what_they_were() {
@@ -360,12 +360,12 @@ mod tests {
             parse_stream(&picture),
             Ok(StreamMessage::Picture { header: HEADER, access_unit: b"coded" })
         );
-        let delta = GeometryDelta { frame: UpdateId(9), ..Default::default() };
+        let delta = GeometryDelta { update: UpdateId(9), ..Default::default() };
         let payload = DeltaEncoder::new(1, 1).encode(&delta.into()).bytes;
         let stream = encode_geometry(&payload);
         assert_eq!(
             parse_stream(&stream),
-            Ok(StreamMessage::Geometry { frame: UpdateId(9), payload: &payload })
+            Ok(StreamMessage::Geometry { update: UpdateId(9), payload: &payload })
         );
     }
 

@@ -110,8 +110,8 @@ impl Play {
                 (ServerEvent::Asked { .. }, sender) => *sender = self.server.accept(),
                 (ServerEvent::Pose(_), Some(sender)) => {
                     let frame = sender.next_delta();
-                    let delta = GeometryDelta { frame, ..Default::default() };
-                    let header = PictureHeader { frame, time: ServerTime(0), is_refresh: true };
+                    let delta = GeometryDelta { update: frame, ..Default::default() };
+                    let header = PictureHeader { update: frame, time: ServerTime(0), is_refresh: true };
                     self.update.push(sender.stream(&DeltaEncoder::new(1, 1).encode(&delta.into())));
                     self.update.push(picture_stream(header, &vec![7; PICTURE_BYTES]).unwrap());
                 }

@@ -113,9 +113,9 @@ impl Run {
                 }
                 ClientEvent::Delta(delta) => {
                     assert!(
-                        self.welcomed && delta.geometry.frame == self.next_delta,
+                        self.welcomed && delta.geometry.update == self.next_delta,
                         "{:?}",
-                        delta.geometry.frame
+                        delta.geometry.update
                     );
                     self.next_delta = self.next_delta.next();
                     self.handed_on += 1;

@@ -89,7 +89,7 @@ pub fn check(script: &[u8]) -> usize {
         }
         let mut unused = Vec::new();
         decoding.advance(now, |decoded| {
-            frames.push(decoded.frame);
+            frames.push(decoded.update);
             unused.push(decoded.picture);
         });
         unused.into_iter().for_each(|picture| decoding.recycle(picture));

@@ -95,8 +95,8 @@ impl Run {
     fn update(&mut self, access_unit: &[u8]) {
         let Some(sender) = &mut self.sender else { return };
         let frame = sender.next_delta();
-        let delta = GeometryDelta { frame, time: self.now, ..GeometryDelta::default() };
-        let header = PictureHeader { frame, time: self.now, is_refresh: frame.0 == 0 };
+        let delta = GeometryDelta { update: frame, time: self.now, ..GeometryDelta::default() };
+        let header = PictureHeader { update: frame, time: self.now, is_refresh: frame.0 == 0 };
         let geometry = sender.stream(&DeltaEncoder::new(1, 1).encode(&delta.into()));
         let picture = picture_stream(header, access_unit).expect("scripts are shorter than a picture may be");
         for out in [geometry, picture] {
@@ -146,7 +146,7 @@ impl Run {
             }
             ServerEvent::Displayed(displayed) => {
                 let sent = self.sender.as_ref().map(DeltaSender::next_delta);
-                assert!(sent > Some(displayed.frame), "{displayed:?} of {sent:?}");
+                assert!(sent > Some(displayed.update), "{displayed:?} of {sent:?}");
             }
             ServerEvent::RefreshRequest { .. } | ServerEvent::Watching(_) => assert!(self.sender.is_some()),
             ServerEvent::Refused(_) | ServerEvent::Goodbye | ServerEvent::Failed(_) => {

@@ -74,7 +74,7 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<AbruptReport> {
     let mut first_ns = None;
     while let Step::Frame(shown) = lab.step()? {
         let at_ns = shown.display_time.0 - START_NS;
-        if shown.frame.is_some() {
+        if shown.update.is_some() {
             first_ns.get_or_insert(at_ns);
         }
         let since_s = at_ns as f64 * 1e-9 - STILL_S;
@@ -84,7 +84,7 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<AbruptReport> {
         if since_s < -SETTLED_S {
             continue;
         }
-        ensure!(shown.frame.is_some(), "no picture {since_s:.3} s after the start of the head");
+        ensure!(shown.update.is_some(), "no picture {since_s:.3} s after the start of the head");
         let missing = missing(&options, &mut lab, &mut comparer)?;
         if since_s < 0.0 { still.push(missing) } else { report.holes.push([since_s, missing]) }
     }

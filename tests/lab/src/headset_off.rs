@@ -100,7 +100,7 @@ fn until_picture(lab: &mut Lab, turns: u64) -> anyhow::Result<f64> {
             continue;
         }
         let (since, made) = *back.get_or_insert((frame.display_time, lab.seat().sent.updates));
-        if frame.frame.is_some_and(|id| u64::from(id.0) >= made) {
+        if frame.update.is_some_and(|id| u64::from(id.0) >= made) {
             return Ok(frame.display_time.since(since) as f64 * 1e-9);
         }
     }

@@ -42,20 +42,20 @@ pub struct Residents {
 
 impl Residents {
     /// Notes how an update leaves the client's memory.
-    pub fn note(&mut self, frame: UpdateId, residency: &Residency) {
+    pub fn note(&mut self, update: UpdateId, residency: &Residency) {
         let sampled = residency.motion().vertices().map(|(slot, vertex)| (slot.0, vertex)).collect();
-        self.by_frame.push_back((frame, sampled));
+        self.by_frame.push_back((update, sampled));
         if self.by_frame.len() > REMEMBERED_UPDATES {
             self.by_frame.pop_front();
         }
     }
 
     /// Slots and scene-wide vertices of an update, ascending by slot; forgets the updates before it.
-    fn at(&mut self, frame: UpdateId) -> Option<&[(u32, SceneVertex)]> {
-        while self.by_frame.front().is_some_and(|(known, _)| *known < frame) {
+    fn at(&mut self, update: UpdateId) -> Option<&[(u32, SceneVertex)]> {
+        while self.by_frame.front().is_some_and(|(known, _)| *known < update) {
             self.by_frame.pop_front();
         }
-        self.by_frame.front().filter(|(known, _)| *known == frame).map(|(_, sampled)| &sampled[..])
+        self.by_frame.front().filter(|(known, _)| *known == update).map(|(_, sampled)| &sampled[..])
     }
 }
 
@@ -108,7 +108,7 @@ impl Motion {
     /// # Errors
     /// The client cannot read its memory back.
     pub fn look(&mut self, lab: &mut Lab, shown: &FrameReport, time: ServerTime) -> anyhow::Result<()> {
-        let (Some(frame), Some(head)) = (shown.frame, lab.client.head_state()) else { return Ok(()) };
+        let (Some(frame), Some(head)) = (shown.update, lab.client.head_state()) else { return Ok(()) };
         let positions = lab.client.read_positions()?;
         let Some(residents) = lab.seat_mut().residents.at(frame).map(<[_]>::to_vec) else { return Ok(()) };
         let scene = &lab.server.scene;

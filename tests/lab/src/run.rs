@@ -154,10 +154,10 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
         if options.motion {
             run.motion.look(&mut lab, &shown, time)?;
         }
-        if let (Some(_), Some(estimate)) = (shown.frame, shown.server_time) {
+        if let (Some(_), Some(estimate)) = (shown.update, shown.server_time) {
             run.clock_errors_ms.push(estimate.since(time) as f64 * 1e-6);
         }
-        run.look(&mut lab, &mut comparer, shown.frame.is_some())?;
+        run.look(&mut lab, &mut comparer, shown.update.is_some())?;
         bar.inc(1);
     }
     bar.finish_and_clear();

@@ -45,7 +45,7 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<TearingReport> {
         let sampled =
             lab.seat().viewer.iter().flat_map(|viewer| viewer.updates().residency().motion().vertices());
         vertex_of_slot.extend(sampled.map(|(slot, vertex)| (slot.0, vertex)));
-        let (Some(_), Some(time)) = (frame.frame, frame.motion_time) else { continue };
+        let (Some(_), Some(time)) = (frame.update, frame.motion_time) else { continue };
         report.frames += 1;
         report.frames_behind += u64::from(frame.motion_time < frame.server_time);
         look(&lab, &vertex_of_slot, time, &mut report)?;

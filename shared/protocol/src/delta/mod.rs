@@ -125,7 +125,7 @@ impl DeltaEncoder {
     /// panics.
     pub fn encode(&mut self, delta: &Delta) -> EncodedDelta {
         let Delta { geometry, samples } = delta;
-        let update = geometry.frame;
+        let update = geometry.update;
         let entered =
             self.memory.apply(geometry).unwrap_or_else(|error| panic!("delta {}: {error}", update.0));
         self.history.follow(&entered);
@@ -195,7 +195,7 @@ impl DeltaDecoder {
         let vertex_slots = self.memory.vertex_slots() as usize;
         let patch_slots = self.memory.patch_slots() as usize;
         let geometry = GeometryDelta {
-            frame,
+            update: frame,
             time,
             evicted_patches: take_evictions("evicted patches", patches_out, patch_slots, PatchSlot)?,
             evicted_vertices: take_evictions("evicted vertices", vertices_out, vertex_slots, VertexSlot)?,
@@ -214,7 +214,7 @@ impl DeltaDecoder {
 fn put_header_and(geometry: &GeometryDelta, sections: &[Vec<u8>; SECTIONS]) -> Vec<u8> {
     let mut out = Vec::with_capacity(64 + sections.iter().map(Vec::len).sum::<usize>());
     out.extend_from_slice(&GEOMETRY_MAGIC);
-    out.extend_from_slice(&geometry.frame.0.to_le_bytes());
+    out.extend_from_slice(&geometry.update.0.to_le_bytes());
     out.extend_from_slice(&geometry.time.0.to_le_bytes());
     for section in sections {
         out.extend_from_slice(&(section.len() as u32).to_le_bytes());

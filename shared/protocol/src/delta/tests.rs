@@ -38,7 +38,7 @@ impl Chaos {
 
     fn delta(&mut self) -> Delta {
         let mut delta = GeometryDelta {
-            frame: UpdateId(self.frame),
+            update: UpdateId(self.frame),
             time: ServerTime(i64::from(self.frame) * 33_333_333 - 7),
             ..GeometryDelta::default()
         };
@@ -179,7 +179,7 @@ fn both_sides_stay_in_step_through_random_sessions() {
         for _ in 0..60 {
             let delta = chaos.delta();
             let encoded = coder.encode(&delta);
-            assert_eq!(peek_update(&encoded.bytes), Ok(delta.geometry.frame));
+            assert_eq!(peek_update(&encoded.bytes), Ok(delta.geometry.update));
             assert_eq!(decoder.decode(&encoded.bytes).as_ref(), Ok(&delta), "seed {seed}");
             assert!(coder.memory() == decoder.memory(), "seed {seed}");
             assert_eq!(encoded.sizes.total_bytes, encoded.bytes.len());

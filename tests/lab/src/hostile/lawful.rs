@@ -320,9 +320,9 @@ impl Run {
                 self.back_off = FIRST_BACK_OFF;
                 locked(&self.log).welcomes += 1;
             }
-            ClientEvent::Delta(delta) => self.newest.delta = Some(delta.geometry.frame),
+            ClientEvent::Delta(delta) => self.newest.delta = Some(delta.geometry.update),
             ClientEvent::Picture { header, .. } => {
-                self.newest.picture = self.newest.picture.max(Some(header.frame));
+                self.newest.picture = self.newest.picture.max(Some(header.update));
                 locked(&self.log).pictures.push(Instant::now());
             }
             ClientEvent::Refused(refused) => self.give_up(refused.reason),
@@ -362,7 +362,7 @@ impl Run {
         if shown > self.newest.displayed {
             self.newest.displayed = shown;
             let frame = shown.unwrap_or_default();
-            session.send_displayed(Displayed { frame, display_time: time, ..Displayed::default() });
+            session.send_displayed(Displayed { update: frame, display_time: time, ..Displayed::default() });
         }
     }
 

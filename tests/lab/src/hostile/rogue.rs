@@ -269,7 +269,7 @@ impl Client {
         let sender = self.sender.as_mut().context("nobody is accepted")?;
         let frame = sender.next_delta();
         let geometry = if frame.0 == 0 { triangle() } else { GeometryDelta::default() };
-        let geometry = self.deltas.encode(&GeometryDelta { frame, time, ..geometry }.into());
+        let geometry = self.deltas.encode(&GeometryDelta { update: frame, time, ..geometry }.into());
         let geometry = sender.stream(&geometry);
         let encoder = match &mut self.encoder {
             Some(encoder) => encoder,
@@ -278,7 +278,7 @@ impl Client {
         let extent_texels = AtlasExtent::MIN.texels();
         let grey = I420::new(extent_texels, vec![128; I420::byte_count(extent_texels) as usize])?;
         let unit = encode_one(encoder, Source::Planes(grey), time.0, frame.0 == 0)?;
-        let header = PictureHeader { frame, time, is_refresh: unit.is_refresh };
+        let header = PictureHeader { update: frame, time, is_refresh: unit.is_refresh };
         Ok([geometry, picture_stream(header, &unit.bytes)?])
     }
 
@@ -379,7 +379,7 @@ fn hollow_deltas(slots: u32) -> [Vec<u8>; 2] {
 }
 
 fn picture(frame: u32, is_refresh: bool) -> Vec<u8> {
-    let header = PictureHeader { frame: UpdateId(frame), time: ServerTime(0), is_refresh };
+    let header = PictureHeader { update: UpdateId(frame), time: ServerTime(0), is_refresh };
     encode_picture(header, &[0, 0, 0, 1, 0x65, 0x88, 0x84])
 }
 
@@ -404,7 +404,7 @@ fn broken(turn: u64) -> Vec<u8> {
         // An access unit of start codes, as long as a slow decoder would like it least.
         3 => {
             let header =
-                PictureHeader { frame: UpdateId(turn as u32), time: ServerTime(0), is_refresh: true };
+                PictureHeader { update: UpdateId(turn as u32), time: ServerTime(0), is_refresh: true };
             encode_picture(header, &[0, 0, 1, 0x67].repeat(1 << 18))
         }
         4 => encode_geometry(&[b"SCG1", &[0xff; 60][..]].concat()),

@@ -100,7 +100,7 @@ fn shortened(bytes: &[u8]) -> Vec<u8> {
 fn of_deltas(traffic: &[Recorded]) -> Vec<u8> {
     let mut payloads: Vec<_> = streams(traffic)
         .filter_map(|(_, message)| match message {
-            StreamMessage::Geometry { frame, payload } => Some((frame, payload)),
+            StreamMessage::Geometry { update: frame, payload } => Some((frame, payload)),
             StreamMessage::Picture { .. } => None,
         })
         .collect();

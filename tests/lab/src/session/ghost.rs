@@ -90,9 +90,9 @@ impl Ghost {
         while let Some(event) = self.session.as_mut().and_then(ClientSession::poll_event) {
             match event {
                 ClientEvent::Welcome(welcome) => self.terms = Some(welcome),
-                ClientEvent::Delta(delta) => self.newest_delta = Some(delta.geometry.frame),
+                ClientEvent::Delta(delta) => self.newest_delta = Some(delta.geometry.update),
                 ClientEvent::Picture { header, .. } => {
-                    self.pictures.push_back((now_ns + self.decode_ns, header.frame));
+                    self.pictures.push_back((now_ns + self.decode_ns, header.update));
                 }
                 ClientEvent::Refused(refused) => bail!("a viewer was refused: {}", refused.reason),
                 ClientEvent::Goodbye => bail!("the server took leave of a viewer"),
@@ -159,7 +159,7 @@ impl Ghost {
         self.report.display_frames += 1;
         if let Some(frame) = next {
             self.shown = Some(frame);
-            (self.report.frame, self.report.display_time) = (frame, time);
+            (self.report.update, self.report.display_time) = (frame, time);
         }
         if self.shown.is_none() {
             return;

@@ -69,7 +69,7 @@ struct Leaving {
     at_ns: i64,
     /// The viewer that it is for.
     viewer: u64,
-    frame: UpdateId,
+    update: UpdateId,
     what: Departure,
 }
 
@@ -203,9 +203,9 @@ impl Seat {
         };
         self.sent.updates += 1;
         shaded.timings.iter().for_each(|(stage, ms)| *self.gpu_ms.entry(stage).or_default() += ms);
-        self.residents.note(shaded.frame, frame.residency());
+        self.residents.note(shaded.update, frame.residency());
         let (delta, Update { shaded, refresh }) = viewer.finish(shaded);
-        let (frame, sizes) = (shaded.frame, shaded.delta.sizes);
+        let (frame, sizes) = (shaded.update, shaded.delta.sizes);
         let shaded_ns = now_ns + stages.ns(stages.server);
         self.encode(shaded, refresh, shaded_ns + stages.ns(stages.encode))?;
         self.leave(shaded_ns, frame, Departure::Delta(delta, sizes));
@@ -219,7 +219,7 @@ impl Seat {
         while let Some(coded) = self.encoding.as_mut().and_then(|encoding| encoding.poll(Duration::ZERO)) {
             let Coded { shaded, header, unit } = coded?;
             self.sent.atlas_bytes += unit.bytes.len() as u64;
-            self.leave(done_ns, header.frame, Departure::Picture(header, unit.bytes));
+            self.leave(done_ns, header.update, Departure::Picture(header, unit.bytes));
             let earlier = self.last.replace(shaded);
             if let Some((viewer, earlier)) = self.viewer.as_mut().zip(earlier) {
                 viewer.recycle(earlier.picture);
@@ -228,9 +228,9 @@ impl Seat {
         Ok(())
     }
 
-    fn leave(&mut self, at_ns: i64, frame: UpdateId, what: Departure) {
+    fn leave(&mut self, at_ns: i64, update: UpdateId, what: Departure) {
         let place = self.leaving.partition_point(|other| other.at_ns <= at_ns);
-        self.leaving.insert(place, Leaving { at_ns, viewer: self.number, frame, what });
+        self.leaving.insert(place, Leaving { at_ns, viewer: self.number, update, what });
     }
 
     /// When something leaves next.
@@ -241,7 +241,7 @@ impl Seat {
     /// What is ready leaves; what is for a viewer that has left is dropped.
     pub(super) fn depart(&mut self, now_ns: i64) -> anyhow::Result<()> {
         let next = self.leaving.pop_front().filter(|leaving| leaving.viewer == self.number);
-        let Some(Leaving { frame, what, .. }) = next else { return Ok(()) };
+        let Some(Leaving { update: frame, what, .. }) = next else { return Ok(()) };
         match what {
             Departure::Delta(out, sizes) => {
                 self.count(sizes);
@@ -254,9 +254,9 @@ impl Seat {
         Ok(())
     }
 
-    fn send(&mut self, frame: UpdateId, kind: Kind, out: Out, now_ns: i64) {
+    fn send(&mut self, update: UpdateId, kind: Kind, out: Out, now_ns: i64) {
         let Some(viewer) = &mut self.viewer else { return };
-        viewer.sent(frame, kind, bytes_of(&out), now_ns);
+        viewer.sent(update, kind, bytes_of(&out), now_ns);
         self.streams.push_back(out);
     }
 

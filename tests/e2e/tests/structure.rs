@@ -1,0 +1,211 @@
+//! What `ARCHITECTURE.md` says of the sources, held against them: who may name what, which modules may import from each
+//! other, how long a function may be.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// The crates that are shipped.
+const PRODUCT: [&str; 8] = [
+    "shared/protocol/src",
+    "shared/transport/src",
+    "shared/gpu/src",
+    "shaders/src",
+    "server/src",
+    "server/scene/src",
+    "server/dragon/src",
+    "client-xr/src",
+];
+const MAX_FUNCTION_LINES: usize = 70;
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+/// Rust files below a folder, with their texts up to their tests.
+fn sources(folder: &str) -> Vec<(String, String)> {
+    let mut files = Vec::new();
+    let mut folders = vec![root().join(folder)];
+    while let Some(next) = folders.pop() {
+        for entry in std::fs::read_dir(&next).expect("a folder of the project") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "rs") {
+                let name = path.strip_prefix(root()).expect("below the root").display().to_string();
+                let text = std::fs::read_to_string(&path).expect("a text");
+                let product = text.split("#[cfg(test)]\nmod ").next().unwrap_or_default().to_owned();
+                files.push((name, product));
+            }
+        }
+    }
+    let is_test = |name: &str| name.ends_with("tests.rs") || name.contains("/tests/");
+    files.retain(|(name, _)| !is_test(name));
+    assert!(!files.is_empty(), "{folder} holds sources");
+    files
+}
+
+fn product() -> impl Iterator<Item = (String, String)> {
+    PRODUCT.into_iter().flat_map(sources)
+}
+
+/// Lines that are no comments.
+fn code(text: &str) -> impl Iterator<Item = &str> {
+    text.lines().map(|line| line.split("//").next().unwrap_or_default())
+}
+
+/// Product files that name any of `words` though they are not in `allowed`, which are beginnings of paths.
+#[track_caller]
+fn assert_only(words: &[&str], allowed: &[&str]) {
+    let names_it = |text: &str| code(text).any(|line| words.iter().any(|word| line.contains(word)));
+    let is_allowed = |name: &str| allowed.iter().any(|start| name.starts_with(start));
+    let found: Vec<_> =
+        product().filter(|(name, text)| !is_allowed(name) && names_it(text)).map(|(name, _)| name).collect();
+    assert!(found.is_empty(), "{words:?} in {found:?}");
+    let is_there = product().any(|(name, text)| is_allowed(&name) && names_it(&text));
+    assert!(is_there || allowed.is_empty(), "{words:?} is named nowhere: this test holds nothing");
+}
+
+#[test]
+fn only_the_client_names_openxr() {
+    assert_only(&["openxr::"], &["client-xr/"]);
+}
+
+#[test]
+fn waiting_for_the_whole_device_is_for_its_end_and_no_draw_is_indirect() {
+    assert_only(&["device_wait_idle"], &["shared/gpu/src/context.rs"]);
+    assert_only(&["draw_indirect", "draw_indexed_indirect"], &[]);
+}
+
+#[test]
+fn clocks_and_sockets_are_the_drivers() {
+    let drivers = [
+        "server/src/stream/",
+        "server/src/truth/",
+        "server/src/main.rs",
+        "server/src/forward_command.rs",
+        "server/src/start_up.rs",
+        "server/src/output.rs",
+        "client-xr/src/net",
+        "client-xr/src/platform",
+        "client-xr/src/main.rs",
+        "shared/transport/src/mio.rs",
+    ];
+    assert_only(&["Instant::now", "SystemTime::now", "monotonic_now"], &drivers);
+    assert_only(&["UdpSocket"], &["shared/transport/src/mio.rs"]);
+}
+
+#[test]
+fn session_events_are_understood_in_one_place_of_the_server() {
+    assert_only(
+        &["ServerEvent::"],
+        &["shared/protocol/src/session.rs", "server/src/sessions/", "server/src/viewer.rs"],
+    );
+    for (name, text) in sources("tests/lab/src/session") {
+        assert!(!text.contains("ServerSession") && !text.contains("ServerEvent"), "{name} has session logic");
+    }
+}
+
+#[test]
+fn the_server_and_the_client_do_not_name_each_other() {
+    for (folder, other) in [("server", "shadecast_client"), ("client-xr", "shadecast_server")] {
+        for (name, text) in sources(folder) {
+            assert!(!code(&text).any(|line| line.contains(other)), "{name} names {other}");
+        }
+    }
+}
+
+/// A module's path within its crate.
+fn module(folder: &str, name: &str) -> Vec<String> {
+    let inner = name.strip_prefix(folder).and_then(|inner| inner.strip_suffix(".rs")).expect("a source");
+    let mut path: Vec<String> = inner.split('/').filter(|part| !part.is_empty()).map(str::to_owned).collect();
+    if path.last().is_some_and(|last| ["mod", "lib", "main"].contains(&last.as_str())) {
+        path.pop();
+    }
+    path
+}
+
+/// The modules that a text imports from, of those that there are.
+fn imports(path: &[String], text: &str, modules: &BTreeSet<Vec<String>>) -> BTreeSet<Vec<String>> {
+    let uses = text.split("\nuse ").skip(1).filter_map(|rest| rest.split(';').next());
+    let mut found = BTreeSet::new();
+    for import in uses {
+        let (start, rest) = import.split_once("::").unwrap_or((import, ""));
+        let base = match start.trim() {
+            "crate" => Vec::new(),
+            "super" => path[..path.len().saturating_sub(1)].to_vec(),
+            _ => continue,
+        };
+        // `a::{b, c}` names a::b and a::c.
+        let (stem, group) = rest.split_once('{').unwrap_or((rest, ""));
+        let leaves = group.split([',', '{', '}']).chain([""]);
+        for leaf in leaves {
+            let parts = stem.split("::").chain(leaf.trim().split("::")).map(str::trim);
+            let mut full = base.clone();
+            full.extend(parts.filter(|part| !part.is_empty()).map(str::to_owned));
+            while !full.is_empty() && !modules.contains(&full) {
+                full.pop();
+            }
+            let is_kin = full.starts_with(path) || path.starts_with(&full);
+            if !full.is_empty() && !is_kin {
+                found.insert(full);
+            }
+        }
+    }
+    found
+}
+
+/// The modules that can be reached from one by imports.
+fn reachable(from: &[String], edges: &BTreeMap<Vec<String>, BTreeSet<Vec<String>>>) -> BTreeSet<Vec<String>> {
+    let mut seen = BTreeSet::new();
+    let mut next = vec![from.to_vec()];
+    while let Some(at) = next.pop() {
+        for to in edges.get(&at).into_iter().flatten() {
+            if seen.insert(to.clone()) {
+                next.push(to.clone());
+            }
+        }
+    }
+    seen
+}
+
+#[test]
+fn no_modules_import_from_each_other_in_a_circle() {
+    for folder in PRODUCT {
+        let texts: BTreeMap<_, _> = sources(folder)
+            .into_iter()
+            .filter(|(name, _)| !name.ends_with("/main.rs"))
+            .map(|(name, text)| (module(folder, &name), text))
+            .collect();
+        let modules: BTreeSet<_> = texts.keys().cloned().collect();
+        let edges = texts.iter().map(|(path, text)| (path.clone(), imports(path, text, &modules))).collect();
+        let circles: Vec<_> = modules
+            .iter()
+            .filter(|path| reachable(path, &edges).contains(*path))
+            .map(|path| path.join("::"))
+            .collect();
+        assert!(circles.is_empty(), "{folder}: a circle through {circles:?}");
+    }
+}
+
+#[test]
+fn no_function_is_longer_than_a_page() {
+    let mut longest = 0;
+    for (name, text) in product() {
+        let lines: Vec<&str> = text.lines().collect();
+        for (at, line) in lines.iter().enumerate() {
+            let indent = line.len() - line.trim_start().len();
+            let is_function =
+                ["fn ", "pub fn ", "pub(crate) fn ", "pub(super) fn ", "const fn ", "unsafe fn "]
+                    .iter()
+                    .any(|start| line.trim_start().starts_with(start));
+            if !is_function || line.trim_end().ends_with(';') || line.trim_end().ends_with('}') {
+                continue;
+            }
+            let end = format!("{}}}", " ".repeat(indent));
+            let count = lines[at..].iter().position(|line| *line == end).map_or(0, |end| end + 1);
+            assert!(count <= MAX_FUNCTION_LINES, "{name}:{} has {count} lines", at + 1);
+            longest = longest.max(count);
+        }
+    }
+    assert!(longest > 20, "{longest}: this test sees no functions");
+}
