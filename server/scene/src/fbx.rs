@@ -13,6 +13,7 @@ mod hierarchy;
 mod material;
 mod mesh;
 mod morph;
+mod part;
 mod skeleton;
 mod skin;
 #[cfg(test)]
@@ -25,8 +26,8 @@ use super::{Cancel, Cancelled, Model, PaletteEntry, Primitive};
 use convert::affine;
 use hierarchy::Hierarchy;
 use material::Materials;
-use mesh::Part;
 use morph::Morphs;
+use part::Part;
 use shadecast_protocol::text::printable;
 use skin::Binding;
 use std::collections::HashSet;

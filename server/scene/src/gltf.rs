@@ -7,6 +7,7 @@
 
 mod accessor;
 mod animation;
+mod buffer;
 mod compression;
 mod container;
 mod extensions;

@@ -1,7 +1,7 @@
 //! What a person at a terminal is told, and what becomes of programs that are interrupted.
 
 use serde_json::Value;
-use shadecast_lab::run::prepare_runtime;
+use shadecast_lab::runtime::prepare_runtime;
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
 use shadecast_test_support::programs::{Program, Voice, program};
 use shadecast_transport::{

@@ -1,5 +1,6 @@
 //! A headset that is taken off for a while: what memory that costs, and how soon the picture is back.
 
+use crate::memory::resident_kib;
 use crate::options::{Renderer, RunOptions};
 use crate::run::mock_config;
 use crate::session::Lab;
@@ -109,8 +110,6 @@ fn until_picture(lab: &mut Lab, turns: u64) -> anyhow::Result<f64> {
 
 /// Resident memory of this process.
 fn rss_mb() -> anyhow::Result<f64> {
-    let status = std::fs::read_to_string("/proc/self/status").context("reading this process's memory")?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).context("no VmRSS")?;
-    let kb: f64 = line.trim().trim_end_matches(" kB").parse().context("VmRSS is no number")?;
-    Ok(kb / 1000.0)
+    let kib = resident_kib(std::process::id()).context("reading this process's memory")?;
+    Ok(kib as f64 / 1000.0)
 }

@@ -6,17 +6,15 @@
 
 use crate::percentiles::Percentiles;
 use crate::session::Lab;
-use crate::truth::InstancePose;
+use crate::truth::{InstancePose, TrueVertex, VertexTruth};
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 use shadecast_client::client::FrameReport;
-use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::Scene;
-use shadecast_server::residency::Residency;
 use shadecast_server::scene::SceneGpu;
 use shadecast_server::scene::numbering::SceneVertex;
-use std::collections::{HashMap, VecDeque};
+use std::collections::HashMap;
 use std::fmt;
 
 /// A share of a vertex's range says something of it only where the vertex travels at least this, metres: the diagonal of
@@ -24,40 +22,12 @@ use std::fmt;
 const MIN_RANGE_M: f32 = 0.25;
 /// Times at which the range of a vertex's motion is looked at.
 const RANGE_TIMES: u32 = 48;
-/// Updates of which the lab remembers who lived in which slot.
-const REMEMBERED_UPDATES: usize = 512;
 /// Pixels of the paper's picture, 1300 over 90 degrees, at a distance of as many metres as the error is long.
 const PIXELS_PER_UNIT: f64 = 1300.0 / 2.0;
 /// Distance at which millimetres become the pixels of the bar.
 const BAR_DISTANCE_M: f64 = 2.0;
 /// Nobody looks at anything nearer.
 const LEAST_DISTANCE_M: f64 = 0.05;
-
-/// Which animated vertex was in which slot of the client's memory, by update: what the client shows belongs to an update
-/// that the server has left behind.
-#[derive(Debug, Default)]
-pub struct Residents {
-    by_frame: VecDeque<(UpdateId, Vec<(u32, SceneVertex)>)>,
-}
-
-impl Residents {
-    /// Notes how an update leaves the client's memory.
-    pub fn note(&mut self, update: UpdateId, residency: &Residency) {
-        let sampled = residency.motion().vertices().map(|(slot, vertex)| (slot.0, vertex)).collect();
-        self.by_frame.push_back((update, sampled));
-        if self.by_frame.len() > REMEMBERED_UPDATES {
-            self.by_frame.pop_front();
-        }
-    }
-
-    /// Slots and scene-wide vertices of an update, ascending by slot; forgets the updates before it.
-    fn at(&mut self, update: UpdateId) -> Option<&[(u32, SceneVertex)]> {
-        while self.by_frame.front().is_some_and(|(known, _)| *known < update) {
-            self.by_frame.pop_front();
-        }
-        self.by_frame.front().filter(|(known, _)| *known == update).map(|(_, sampled)| &sampled[..])
-    }
-}
 
 /// What was seen over a run.
 #[derive(Debug, Default)]
@@ -113,20 +83,16 @@ impl Motion {
         let Some(residents) = lab.seat_mut().residents.at(frame).map(<[_]>::to_vec) else { return Ok(()) };
         let scene = &lab.server.scene;
         let eyes = head.eyes.map(|eye| head.world_from_head.then(eye.head_from_eye).position.as_dvec3());
-        let mut poses: HashMap<usize, InstancePose> = HashMap::new();
+        let mut truth = VertexTruth::at(scene, time);
         self.frames += 1;
         for (slot, vertex) in &residents {
             let Some([x, y, z, state]) = positions.get(*slot as usize).copied() else { continue };
             if state == 0.0 {
                 continue; // not drawn: its samples are still on their way
             }
-            let index = scene.numbering.instance_of_vertex(*vertex);
-            let pose =
-                poses.entry(index).or_insert_with(|| InstancePose::at(&scene.scene, index, time.seconds()));
-            let number = (vertex.0 - scene.numbering.instances[index].first_vertex.0) as usize;
-            let truth = pose.vertex(&scene.scene.models[scene.numbering.instances[index].model], number);
-            let range_m = self.range_m(scene, index, number);
-            self.add(*vertex, Vec3::new(x, y, z), truth, range_m, eyes);
+            let TrueVertex { instance, number, position } = truth.vertex(*vertex);
+            let range_m = self.range_m(scene, instance, number);
+            self.add(*vertex, Vec3::new(x, y, z), position, range_m, eyes);
         }
         Ok(())
     }

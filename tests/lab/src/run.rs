@@ -1,11 +1,13 @@
 //! `shadecast-lab run`: one run in virtual time, measured and written down.
 
+mod forward;
+
 use crate::compare::{Comparer, Shown};
-use crate::forward_run;
 use crate::image::Rgb8Image;
 use crate::metrics::{FrameMetrics, ProbeView, psnr_db};
 use crate::motion::{Motion, MotionReport};
 use crate::options::{Head, Renderer, RunOptions};
+use crate::runtime::BUILT_IN_WALK;
 use crate::session::{Lab, SERVER_EPOCH_NS, START_NS};
 use crate::sheet::{Sheet, difference};
 use crate::stats::{Counted, MbitPerS, Stats, Summary};
@@ -14,7 +16,6 @@ use indicatif::{ProgressBar, ProgressStyle};
 use shadecast_client::client::Step;
 use shadecast_mock_runtime::config::{ClockKind, FovDegrees, MockConfig};
 use shadecast_mock_runtime::head_path::COLUMNS;
-use shadecast_mock_runtime::manifest;
 use shadecast_mock_runtime::record::{FrameRecord, Side, picture_path, read_frames};
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
@@ -22,9 +23,6 @@ use shadecast_scene::HeadPath;
 use shadecast_scene::load::load_head_path;
 use shadecast_server::encode::Source;
 use std::path::{Path, PathBuf};
-
-/// A walk of a few steps to the side and forward, turning the head: 5 s, then it goes back the same way.
-pub const BUILT_IN_WALK: &str = include_str!("walk.csv");
 
 /// What a run leaves behind, beside its files.
 #[derive(Clone, Debug)]
@@ -39,20 +37,6 @@ pub struct Report {
     pub runtime_errors: u64,
     /// How vertices moved, where that was asked for.
     pub motion: Option<MotionReport>,
-}
-
-/// Writes the mock runtime's configuration and points the process's OpenXR loader to it.
-///
-/// # Errors
-/// The folder cannot be written, or the runtime library is not built.
-pub fn prepare_runtime(config: &MockConfig, folder: &Path) -> anyhow::Result<[(&'static str, PathBuf); 2]> {
-    std::fs::create_dir_all(folder).with_context(|| format!("making {}", folder.display()))?;
-    let config_path = folder.join("mock.json");
-    config.write(&config_path).with_context(|| format!("writing {}", config_path.display()))?;
-    let library = manifest::find_library()
-        .context("the mock OpenXR runtime is not built; run `cargo build -p shadecast-mock-runtime`")?;
-    let manifest = manifest::write(folder, &library).context("writing the runtime's manifest")?;
-    Ok([("XR_RUNTIME_JSON", manifest), (shadecast_mock_runtime::config::CONFIG_VARIABLE, config_path)])
 }
 
 /// The mock runtime's configuration for a run.
@@ -105,17 +89,6 @@ fn head_path_csv(path: &HeadPath, seconds: f64, refresh_hz: f64) -> String {
     text
 }
 
-/// Sets the variables that the OpenXR loader and the mock runtime read.
-///
-/// # Safety
-/// No other thread may read or write the environment meanwhile.
-pub unsafe fn set_runtime(variables: &[(&'static str, PathBuf)]) {
-    for (name, value) in variables {
-        // SAFETY: the caller's promise.
-        unsafe { std::env::set_var(name, value) };
-    }
-}
-
 /// Runs and measures; writes `stats.json`, the contact sheet and the dumped pictures into `options.out`. The forward renderer
 /// writes its pictures alone.
 ///
@@ -129,7 +102,7 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
     }
     let config = mock_config(options, ClockKind::Virtual, capture_every)?;
     if options.renderer == Renderer::Forward {
-        return forward_run::run(options, &config);
+        return forward::run(options, &config);
     }
     // SAFETY: this is called from the main thread of the program, or from tests that hold the lab's lock, before the
     // client's threads start.

@@ -3,7 +3,7 @@
 use crate::options::RunOptions;
 use crate::run::mock_config;
 use crate::session::Lab;
-use crate::truth::InstancePose;
+use crate::truth::{InstancePose, VertexTruth};
 use glam::{DVec3, Vec3};
 use shadecast_client::client::Step;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
@@ -63,17 +63,11 @@ fn look(
     let triangles = lab.client.drawn_triangles();
     report.triangles += triangles.len() as u64;
     let slots: BTreeSet<u32> = triangles.into_iter().flatten().collect();
-    let scene = &lab.server.scene;
-    let mut poses: HashMap<usize, InstancePose> = HashMap::new();
+    let mut truth = VertexTruth::at(&lab.server.scene, time);
     for (slot, vertex) in slots.into_iter().filter_map(|slot| Some((slot, *vertex_of_slot.get(&slot)?))) {
         let [x, y, z, _] = positions[slot as usize];
-        let index = scene.numbering.instance_of_vertex(vertex);
-        let pose =
-            poses.entry(index).or_insert_with(|| InstancePose::at(&scene.scene, index, time.seconds()));
-        let place = &scene.numbering.instances[index];
-        let number = (vertex.0 - place.first_vertex.0) as usize;
-        let truth = pose.vertex(&scene.scene.models[place.model], number).as_vec3();
-        report.max_error_m = report.max_error_m.max(Vec3::new(x, y, z).distance(truth));
+        let place = truth.vertex(vertex).position.as_vec3();
+        report.max_error_m = report.max_error_m.max(Vec3::new(x, y, z).distance(place));
     }
     Ok(())
 }

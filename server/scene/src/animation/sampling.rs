@@ -8,6 +8,7 @@ mod bounded;
 pub(crate) mod curve;
 mod exchange;
 mod fit;
+mod moving;
 mod parse;
 mod paths;
 pub(crate) mod probe;

@@ -3,22 +3,13 @@
 
 use super::convert::vec3;
 use super::morph::Shapes;
+use super::part::Part;
 use super::skin::{self, Binding};
 use crate::error::Fault;
 use crate::gltf::mesh::replace_zero_normals;
 use crate::import::Warnings;
 use crate::{TextureSlot, Vertex, tangent, weld};
 use glam::Vec3;
-
-/// The triangles of one material of a mesh, in mesh space.
-pub(super) struct Part {
-    pub(super) vertices: Vec<Vertex>,
-    pub(super) indices: Vec<u32>,
-    /// The control point of each vertex, which is what shapes move.
-    pub(super) control_points: Vec<u32>,
-    /// Whether anything reads the tangents.
-    pub(super) tangents: bool,
-}
 
 pub(super) fn note_what_is_left_out(mesh: &ufbx::Mesh, warnings: &mut Warnings) {
     skin::note_what_is_approximate(mesh, warnings);

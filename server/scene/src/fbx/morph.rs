@@ -2,7 +2,7 @@
 //! weights follow the channel's as FBX blends them (see [`Channel::weights`]).
 
 use super::convert::{self, vec3};
-use super::mesh::Part;
+use super::part::Part;
 use crate::error::Fault;
 use crate::import::Warnings;
 use crate::limits::MAX_DELTAS;

@@ -1,7 +1,7 @@
 //! Sun, sky and placed lights of a scene file.
 
 use super::fields::Fields;
-use super::view::turned_to;
+use super::transform::turned_to;
 use crate::{Environment, Light, LightKind, PlacedLight, SceneError, Sun};
 use glam::{Affine3A, Vec3};
 use shadecast_protocol::limits::MAX_LIGHTS;

@@ -10,6 +10,7 @@ mod fields;
 mod light;
 mod path;
 mod placement;
+mod transform;
 mod view;
 
 #[cfg(test)]

@@ -2,8 +2,7 @@
 //! clip has. Smooth paths get their tangents here, so that nothing behind this file knows of a further interpolation.
 
 use super::fields::Fields;
-use super::placement::read_scale;
-use super::view::{read_quaternion, rotation_of};
+use super::transform::{read_quaternion, read_scale, rotation_of};
 use crate::limits::MAX_DURATION_S;
 use crate::{Clip, Interpolation, Path, Repetition, SceneError, Track, TrackValues};
 use glam::{Quat, Vec3, Vec4};

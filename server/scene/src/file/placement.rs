@@ -2,7 +2,7 @@
 
 use super::fields::Fields;
 use super::path::{CURVE_KEYS, REPETITIONS, read_transform_path};
-use super::view::rotation_of;
+use super::transform::{read_scale, rotation_of};
 use super::{ClipChoice, InstanceEntry, ModelEntry, TimeShift};
 use crate::suggest::did_you_mean_or_list;
 use crate::{Path, SceneError};
@@ -179,14 +179,6 @@ fn check_not_flat(fields: &Fields, placement: Affine3A, key: &str) -> Result<(),
 
 fn affine_of(matrix: &Mat4) -> Option<Affine3A> {
     (matrix.row(3) == glam::Vec4::W).then(|| Affine3A::from_mat4(*matrix))
-}
-
-/// One number for all axes, or three.
-pub(super) fn read_scale(fields: &Fields) -> Result<Vec3, SceneError> {
-    match fields.get("scale") {
-        Some(value) if value.is_array() => Ok(Vec3::from_array(fields.numbers("scale")?.unwrap_or([1.0; 3]))),
-        _ => Ok(Vec3::splat(fields.number("scale")?.unwrap_or(1.0))),
-    }
 }
 
 // ---- grids ----

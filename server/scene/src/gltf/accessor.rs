@@ -3,8 +3,8 @@
 
 use super::super::error::Fault;
 use super::super::limits::MAX_ELEMENTS;
+use super::buffer::Buffer;
 use super::compression::Decoded;
-use super::container::Buffer;
 use ::gltf::accessor::{DataType, Dimensions};
 use ::gltf::json::accessor::ComponentType;
 

@@ -1,7 +1,7 @@
 //! `EXT_meshopt_compression`: buffer views whose bytes are compressed. They are decoded once, before anything reads
 //! them, so that the rest of the importer does not know of compression.
 
-use super::container::Buffer;
+use super::buffer::Buffer;
 use super::extensions::{self, COMPRESSION};
 use crate::error::Fault;
 use crate::limits::MAX_DECODED_BYTES;
@@ -44,14 +44,6 @@ enum Filter {
     Quaternion,
     Exponential,
     Color,
-}
-
-/// Whether a buffer only stands for what its compressed views decode to, and so may have no bytes of its own.
-pub(super) fn is_placeholder(buffer: &json::Buffer) -> bool {
-    let others = buffer.extensions.as_ref().map(|extensions| &extensions.others);
-    let is_fallback =
-        |name: &&str| others.and_then(|all| all.get(*name)?.get("fallback")?.as_bool()).unwrap_or(false);
-    COMPRESSION.iter().any(is_fallback)
 }
 
 /// Decodes all compressed views.

@@ -10,7 +10,7 @@ use super::super::limits::MAX_TEXELS;
 use super::super::{Material, Texture, TextureSlot, Wrap, image};
 use super::accessor::Reader;
 use super::extensions::{self, EMISSIVE_STRENGTH, TEXTURE_TRANSFORM, UNLIT};
-use super::{Warnings, container, label};
+use super::{Warnings, buffer, label};
 use ::gltf::material::AlphaMode;
 use ::gltf::texture::WrappingMode;
 use serde::Deserialize;
@@ -129,7 +129,7 @@ impl<'a> Materials<'a> {
         }
         let json = &self.reader.document.as_json().images[image.index()];
         let decoded = match (&json.uri, json.buffer_view) {
-            (Some(uri), _) => container::read_uri(uri, self.around).and_then(|bytes| image::decode(&bytes)),
+            (Some(uri), _) => buffer::read_uri(uri, self.around).and_then(|bytes| image::decode(&bytes)),
             (None, Some(view)) => {
                 let view = self.reader.document.views().nth(view.value());
                 let view = view.ok_or_else(|| Fault::new(element.clone(), "has no buffer view"))?;

@@ -407,7 +407,7 @@ fn what_lies_outside_the_assets_folder_is_not_read() {
 }
 
 /// The buffers of a document that has nothing else.
-fn buffers_of(folder: &Path, buffers: &Value) -> Result<Vec<container::Buffer>, String> {
+fn buffers_of(folder: &Path, buffers: &Value) -> Result<Vec<buffer::Buffer>, String> {
     let text = json!({ "asset": { "version": "2.0" }, "buffers": buffers }).to_string();
     assert!(text.len() < 4096);
     let around = Surroundings::of(&folder.join("x.gltf"), &Cancel::default());

@@ -1,6 +1,7 @@
 //! The server under attack: the real program on loopback, with its memory and its last words.
 
 use crate::demo::program;
+use crate::memory::resident_kib;
 use anyhow::{Context, bail};
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
@@ -70,7 +71,7 @@ impl Program {
 
     /// Its resident memory in bytes; `None` once it has ended.
     pub(crate) fn memory_bytes(&self) -> Option<u64> {
-        resident_bytes(self.child.id())
+        resident_kib(self.child.id()).map(|kib| kib << 10)
     }
 
     /// Watches its memory from now on.
@@ -100,18 +101,6 @@ fn collect(output: impl Read + Send + 'static, lines: Lines, to: Sender<String>)
     });
 }
 
-/// The resident memory of a process of this machine.
-fn resident_bytes(pid: u32) -> Option<u64> {
-    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
-    parse_resident(&status)
-}
-
-fn parse_resident(status: &str) -> Option<u64> {
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
-    let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kilobytes << 10)
-}
-
 /// Looks at a process's memory again and again.
 pub(crate) struct MemoryWatch {
     stop: Arc<AtomicBool>,
@@ -125,7 +114,7 @@ impl MemoryWatch {
         let thread = std::thread::spawn(move || {
             let mut peak = 0;
             loop {
-                peak = peak.max(resident_bytes(pid).unwrap_or(0));
+                peak = peak.max(resident_kib(pid).unwrap_or(0) << 10);
                 if flag.load(Ordering::Relaxed) {
                     return peak;
                 }
@@ -169,19 +158,5 @@ impl Server {
             .and_then(|address| address.parse().ok())
             .with_context(|| format!("no address in \"{line}\""))?;
         Ok(Self { program, address })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn resident_memory_is_read_from_the_status_file() {
-        let status = "Name:\tx\nVmPeak:\t  900 kB\nVmRSS:\t   52340 kB\nThreads:\t3\n";
-        assert_eq!(parse_resident(status), Some(52_340 << 10));
-        assert_eq!(parse_resident("Name:\tx\n"), None);
-        let own = resident_bytes(std::process::id()).expect("this process is there");
-        assert!(own > 1 << 20, "{own}");
     }
 }

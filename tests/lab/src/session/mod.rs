@@ -5,10 +5,11 @@
 //! runtime, whose clock moves on by one period per `xrWaitFrame`. Further viewers are [`ghost::Ghost`]s.
 
 pub mod ghost;
+pub mod residents;
 pub mod seat;
 
 use crate::options::{Medium, RunOptions, StageMs, ViewerOptions};
-use crate::run::{BUILT_IN_WALK, prepare_runtime, set_runtime};
+use crate::runtime::{BUILT_IN_WALK, prepare_runtime, set_runtime};
 use anyhow::{Context, bail};
 use ghost::Ghost;
 use seat::Seat;

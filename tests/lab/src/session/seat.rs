@@ -1,7 +1,7 @@
 //! The server's side of one viewer on the virtual clock: the product's [`Sessions`] and [`Viewer`], and what is on its way out.
 
+use super::residents::Residents;
 use super::{SERVER_EPOCH_NS, Server};
-use crate::motion::Residents;
 use crate::options::StageMs;
 use anyhow::{Context, bail};
 use shadecast_protocol::close::CloseCode;

@@ -12,8 +12,10 @@ use glam::{Affine3A, DAffine3, DMat3, DVec3};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::{Instance, Model, Scene, Vertex};
 use shadecast_server::scene::SceneGpu;
+use shadecast_server::scene::numbering::SceneVertex;
 use shadecast_server::truth::forward::Posed;
 use shadecast_shaders::generated::TangentGpu;
+use std::collections::HashMap;
 use std::sync::Arc;
 
 /// Where a scene's vertices are.
@@ -68,6 +70,41 @@ fn pose_scene(scene: &SceneGpu, time: ServerTime) -> Posed {
         }
     }
     posed
+}
+
+/// Where single vertices of a scene are at one time; an instance is posed when it is first asked for.
+pub struct VertexTruth<'a> {
+    scene: &'a SceneGpu,
+    time: ServerTime,
+    poses: HashMap<usize, InstancePose>,
+}
+
+/// Whose vertex it is, and where.
+pub struct TrueVertex {
+    /// Index into the scene's instances.
+    pub instance: usize,
+    /// Index into the vertices of its model.
+    pub number: usize,
+    /// Where it is in the world, metres.
+    pub position: DVec3,
+}
+
+impl<'a> VertexTruth<'a> {
+    /// Of a scene at a time.
+    pub fn at(scene: &'a SceneGpu, time: ServerTime) -> Self {
+        Self { scene, time, poses: HashMap::new() }
+    }
+
+    /// A vertex by its scene-wide number.
+    pub fn vertex(&mut self, vertex: SceneVertex) -> TrueVertex {
+        let SceneGpu { scene, numbering, .. } = self.scene;
+        let instance = numbering.instance_of_vertex(vertex);
+        let place = &numbering.instances[instance];
+        let number = (vertex.0 - place.first_vertex.0) as usize;
+        let pose = || InstancePose::at(scene, instance, self.time.seconds());
+        let pose = self.poses.entry(instance).or_insert_with(pose);
+        TrueVertex { instance, number, position: pose.vertex(&scene.models[place.model], number) }
+    }
 }
 
 impl InstancePose {

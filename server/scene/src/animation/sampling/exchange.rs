@@ -5,7 +5,7 @@
 //! of that is a product for each vertex that the curve moves, without a pose. That is exact to first order only, so
 //! that whoever asks measures in the end.
 
-use super::bounded::{Moving, Place};
+use super::moving::{Moving, Place};
 use super::probe::{Moment, offset};
 use super::{SampledTrack, unit_rotation};
 use crate::animation::pose;

@@ -32,7 +32,7 @@ impl Raw {
         let bytes = |buffer: ::gltf::Buffer| match buffer.source() {
             ::gltf::buffer::Source::Bin => blob.clone().expect("a binary chunk"),
             ::gltf::buffer::Source::Uri(uri) => {
-                container::read_uri(uri, &Surroundings::default()).expect("embedded")
+                buffer::read_uri(uri, &Surroundings::default()).expect("embedded")
             }
         };
         let buffers = file.buffers().map(bytes).collect();

@@ -1,10 +1,10 @@
 //! `shadecast-lab run --renderer forward`: the truth's pictures at the poses and times at which another renderer's would be
 //! displayed. Nothing is compared: there is nothing to compare it with.
 
+use super::{Report, progress};
 use crate::compare::Comparer;
 use crate::image::Rgb8Image;
 use crate::options::RunOptions;
-use crate::run::{Report, progress};
 use crate::session::{SERVER_EPOCH_NS, START_NS, Server};
 use crate::stats::{Counted, Summary};
 use anyhow::Context;

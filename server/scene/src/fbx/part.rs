@@ -1,0 +1,13 @@
+//! What a mesh is read to, one for each material, and what shapes then move.
+
+use crate::Vertex;
+
+/// The triangles of one material of a mesh, in mesh space.
+pub(super) struct Part {
+    pub(super) vertices: Vec<Vertex>,
+    pub(super) indices: Vec<u32>,
+    /// The control point of each vertex, which is what shapes move.
+    pub(super) control_points: Vec<u32>,
+    /// Whether anything reads the tangents.
+    pub(super) tangents: bool,
+}
