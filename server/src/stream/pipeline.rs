@@ -88,6 +88,8 @@ struct Served<U> {
 enum Fault {
     /// Its own: it is told, and the server goes on.
     Client(Refused),
+    /// The same in the middle of an update: what that has made in the world is not to be believed.
+    Update(Refused),
     /// The device is gone, and with it all pipelines.
     Lost(String),
 }
@@ -101,6 +103,14 @@ impl Fault {
                     "ask for a smaller atlas or eyes of fewer pixels, or free memory of the server's device";
                 Self::Client(Refused::new(&format!("{doing}: {error}"), remedy))
             }
+        }
+    }
+
+    /// The same fault, where it happened while an update was made.
+    fn in_update(self) -> Self {
+        match self {
+            Self::Client(refused) => Self::Update(refused),
+            other => other,
         }
     }
 
@@ -291,10 +301,12 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
         let (studio, outlet, now) = (&mut *self.studio, &self.outlet, ServerTime(now_ns - self.epoch_ns));
         let begun = Instant::now();
-        let made = guarded(|| {
+        let shaded = guarded(|| {
             let updates = client.viewer.begin(outlet.way(peer).as_ref(), now_ns);
-            let shaded =
-                studio.update(updates, now).map_err(|error| Fault::of(&error, "shading an update"))?;
+            studio.update(updates, now).map_err(|error| Fault::of(&error, "shading an update"))
+        });
+        let made = guarded(|| {
+            let shaded = shaded.map_err(Fault::in_update)?;
             shaded.map(|shaded| client.send_delta(outlet.as_ref(), peer, shaded, now_ns)).transpose()
         })?;
         let took = begun.elapsed();
@@ -325,12 +337,8 @@ impl<'a, S: Studio> Pipeline<'a, S> {
     fn settle(&mut self, peer: PeerId, turn: Result<(), Fault>, now_ns: i64) -> anyhow::Result<()> {
         match turn {
             Ok(()) => {}
-            Err(Fault::Client(refused)) => {
-                tracing::warn!("a session ends: {}", refused.reason);
-                self.stats.refused += 1;
-                self.close(peer, true, now_ns);
-                self.outlet.refuse(peer, refused);
-            }
+            Err(Fault::Client(refused)) => self.refuse(peer, refused, false, now_ns),
+            Err(Fault::Update(refused)) => self.refuse(peer, refused, true, now_ns),
             Err(Fault::Lost(reason)) => {
                 let others = self.clients.keys().copied().filter(|other| *other != peer);
                 let all: Vec<PeerId> = others.chain([peer]).collect();
@@ -342,6 +350,14 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             }
         }
         Ok(())
+    }
+
+    /// Ends a session, with a reason. `was_updating`: in the middle of an update.
+    fn refuse(&mut self, peer: PeerId, refused: Refused, was_updating: bool, now_ns: i64) {
+        tracing::warn!("a session ends: {}", refused.reason);
+        self.stats.refused += 1;
+        self.close(peer, was_updating, now_ns);
+        self.outlet.refuse(peer, refused);
     }
 
     /// Forgets a client; what its figures were stays.

@@ -85,6 +85,8 @@ struct Script {
     /// How many there are.
     open: Rc<RefCell<u32>>,
     encoders: Rc<RefCell<u32>>,
+    /// Clients that were closed in the middle of an update.
+    broken: Rc<RefCell<u32>>,
 }
 
 fn act(acts: &Rc<RefCell<VecDeque<Option<Act>>>>) -> Result<(), GpuError> {
@@ -121,7 +123,8 @@ impl Studio for FakeStudio {
         Ok(Some(Shaded { update: frame, time, delta, picture, timings }))
     }
 
-    fn close(&mut self, _: FakeUpdates, _: bool) {
+    fn close(&mut self, _: FakeUpdates, has_failed: bool) {
+        *self.0.broken.borrow_mut() += u32::from(has_failed);
         *self.0.open.borrow_mut() -= 1;
     }
 
@@ -318,6 +321,7 @@ fn an_update_that_fails_for_one_client_ends_its_session_and_the_others_go_on() {
     assert!(ended.is_ok() && refused.len() == 1 && stats.refused == 1, "{refused:?}");
     let deltas = bench.outlet.deltas.lock().expect("whole").clone();
     assert!(deltas.iter().rev().take(10).all(|(peer, _)| *peer != refused[0].0), "{deltas:?}");
+    assert_eq!(*bench.script.broken.borrow(), 1, "what the update had made is not believed");
 }
 
 #[test]
@@ -429,6 +433,7 @@ fn a_delta_that_cannot_be_sent_ends_the_session_with_a_reason() {
     let (ended, _) = bench.run(|recorder| !recorder.refused.lock().expect("whole").is_empty());
     assert!(ended.is_ok());
     assert!(bench.refusals()[0].1.reason.contains("queue is full"), "{:?}", bench.refusals());
+    assert_eq!(*bench.script.broken.borrow(), 0, "the update was whole; the world is as it should be");
 }
 
 #[test]

@@ -92,7 +92,7 @@ enum Command {
     Hostile(HostileArgs),
     /// Has a lawful client served beside others that behave badly, and says how many pictures it gets
     Neighbours {
-        /// Seconds that each is beside it, in each of three rounds
+        /// Seconds that each is beside it, in each of five rounds
         #[arg(long, default_value_t = 10.0)]
         seconds: f64,
         /// Writes the figures to this JSON file

@@ -19,7 +19,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// From the neighbour's coming to the first picture that counts.
 const SETTLING: Duration = Duration::from_millis(1000);
 /// How often each neighbour is measured; machines change their speed, so that the median counts.
-const ROUNDS: usize = 3;
+const ROUNDS: usize = 5;
 /// From one look at the network to the next.
 const NAP: Duration = Duration::from_millis(1);
 /// From one display frame of a stranger to the next.
