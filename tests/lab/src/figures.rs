@@ -68,6 +68,7 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "slow-link" => slow_link(results),
         "viewers" => viewers(results),
         "headset-off" => headset_off(results),
+        "neighbours" => neighbours(results),
         "hostile" => hostile(results),
         "skinning" => skinning(results),
         "bars" => format!("```text\n{}\n```\n", Bars::parse(BARS)?.check(results)),
@@ -223,6 +224,21 @@ fn headset_off(results: &Path) -> String {
         ("picture back", "{picture_back_s,1,2} s"),
     ];
     rows(results, "headset-off", &absences, &columns)
+}
+
+fn neighbours(results: &Path) -> String {
+    let result = read(results, "neighbours").unwrap_or_default();
+    let list = result["neighbours"].as_array().cloned().unwrap_or_default();
+    let row = |neighbour: &Value| {
+        vec![
+            neighbour["neighbour"].as_str().unwrap_or("?").replace('-', " "),
+            cell_of("{pictures_per_s,1,1}", neighbour),
+            cell_of("{share_of_lawful,1,2}x", neighbour),
+            cell_of("{longest_pause_ms,1,0} ms", neighbour),
+        ]
+    };
+    let heads = ["neighbour", "pictures a second", "of those beside a lawful one", "longest pause"];
+    markdown(&heads, list.iter().map(row))
 }
 
 fn skinning(results: &Path) -> String {
