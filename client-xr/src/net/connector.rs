@@ -64,7 +64,7 @@ impl Connector {
         }
         client.advance(now)?;
         while let Some(notice) = client.poll_notice() {
-            self.heed(client, notice, now);
+            self.act_on(client, notice, now);
         }
         self.flush(client);
         Ok(())
@@ -114,7 +114,7 @@ impl Connector {
         }
     }
 
-    fn heed(&mut self, client: &mut Client, notice: Notice, now: ClientTime) {
+    fn act_on(&mut self, client: &mut Client, notice: Notice, now: ClientTime) {
         let text = match notice {
             Notice::Welcome(_) => {
                 self.lines.succeeded();
