@@ -61,19 +61,19 @@ impl Client {
     }
 
     fn render(&mut self, turn: FrameTurn) -> Result<Step, ClientError> {
-        let slot = self.renderer.stages.next_slot(&self.renderer.gpu)?;
+        let flight = self.renderer.stages.next_flight(&self.renderer.gpu)?;
         let mut recorder = self.renderer.gpu.record()?;
-        let content = self.record_scene(&mut recorder, slot, &turn)?;
+        let content = self.record_scene(&mut recorder, flight, &turn)?;
 
         let image = self.renderer.xr.swapchain.acquire()?;
         self.renderer.stages.targets.begin(&mut recorder, image.index());
         let world = self.scenes.shown().filter(|_| content.update.is_some());
         if let Some(scene) = world {
-            scene.record_draw(&mut recorder, &self.renderer.stages, slot, content.scene.index_count);
+            scene.record_draw(&mut recorder, &self.renderer.stages, flight, content.scene.index_count);
         }
         let (stages, words) = (&mut self.renderer.stages, &self.renderer.words);
-        words.record_backdrop(&mut recorder, stages, slot, world);
-        words.record_notice(&mut recorder, stages, slot, world, self.link.has_session());
+        words.record_backdrop(&mut recorder, stages, flight, world);
+        words.record_notice(&mut recorder, stages, flight, world, self.link.has_session());
         let space_from_stage = world.map_or(Pose::IDENTITY, |scene| scene.terms.world_from_stage);
         recorder.end_pass();
 
@@ -81,9 +81,9 @@ impl Client {
         let views = self.renderer.xr.headset.locate_views(&turn)?;
         let space_from_eye = views.stage_from_eye.map(|stage_from_eye| space_from_stage.then(stage_from_eye));
         let eyes = eyes_gpu(space_from_eye, space_from_eye, views.fov);
-        self.renderer.stages.write_eyes(slot, &eyes);
+        self.renderer.stages.write_eyes(flight, &eyes);
         let ticket = recorder.submit()?;
-        self.renderer.stages.used_by(slot, ticket);
+        self.renderer.stages.used_by(flight, ticket);
         if let Some(scene) = self.scenes.shown_mut() {
             scene.used_by(ticket);
         }
@@ -100,27 +100,27 @@ impl Client {
         if !self.scenes.have_arrivals() {
             return Ok(());
         }
-        let slot = self.renderer.stages.next_slot(&self.renderer.gpu)?;
+        let flight = self.renderer.stages.next_flight(&self.renderer.gpu)?;
         let mut recorder = self.renderer.gpu.record()?;
-        self.record_arrivals(&mut recorder, slot);
+        self.record_arrivals(&mut recorder, flight);
         let ticket = recorder.submit()?;
-        self.renderer.stages.used_by(slot, ticket);
+        self.renderer.stages.used_by(flight, ticket);
         Ok(())
     }
 
-    fn record_arrivals(&mut self, recorder: &mut Recorder, slot: usize) {
+    fn record_arrivals(&mut self, recorder: &mut Recorder, flight: usize) {
         recorder.barrier(VERTEX_MEMORY_USE, Access::COMPUTE); // the frame before reads and writes what arrivals write
-        self.scenes.record_arrivals(recorder, &self.renderer.stages, slot);
+        self.scenes.record_arrivals(recorder, &self.renderer.stages, flight);
     }
 
     /// What has arrived, the switch to the newest complete bundle, and motion up to the frame's display time.
     fn record_scene(
         &mut self,
         recorder: &mut Recorder,
-        slot: usize,
+        flight: usize,
         turn: &FrameTurn,
     ) -> Result<Content, ClientError> {
-        self.record_arrivals(recorder, slot);
+        self.record_arrivals(recorder, flight);
         let Self { scenes, renderer, link, .. } = self;
         let at = turn.display_time;
         let switched = recorder.scope("switch", |r| scenes.record_switch(&renderer.gpu, r, link, at))?;

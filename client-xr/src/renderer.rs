@@ -103,7 +103,7 @@ impl Words {
         &self,
         recorder: &mut Recorder,
         stages: &mut Stages,
-        slot: usize,
+        flight: usize,
         world: Option<&Scene>,
     ) {
         let backdrop = match world {
@@ -113,7 +113,7 @@ impl Words {
                 text: &self.status,
             },
         };
-        stages.background.record(recorder, slot, backdrop);
+        stages.background.record(recorder, flight, backdrop);
     }
 
     /// Why the world stands still, where it does.
@@ -121,13 +121,13 @@ impl Words {
         &self,
         recorder: &mut Recorder,
         stages: &mut Stages,
-        slot: usize,
+        flight: usize,
         world: Option<&Scene>,
         has_session: bool,
     ) {
         let Some((scene, stage_from_panel)) = world.zip(self.stillness.panel()) else { return };
         let world_from_panel = scene.terms.world_from_stage.then(stage_from_panel);
         let text = if has_session { &self.waiting } else { &self.status };
-        stages.notice.record(recorder, slot, world_from_panel, text);
+        stages.notice.record(recorder, flight, world_from_panel, text);
     }
 }

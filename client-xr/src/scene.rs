@@ -137,9 +137,9 @@ impl Scene {
     }
 
     /// Writes what has arrived about vertices. Needs a barrier before, and has one after it.
-    pub fn record_arrivals(&mut self, recorder: &mut Recorder, stages: &Stages, frame_slot: usize) {
+    pub fn record_arrivals(&mut self, recorder: &mut Recorder, stages: &Stages, flight: usize) {
         let (slots, writes) = (self.memory.vertex_slots, self.motion.writes());
-        stages.scatter.record(recorder, &mut self.staging, frame_slot, slots, writes);
+        stages.scatter.record(recorder, &mut self.staging, flight, slots, writes);
     }
 
     /// Switches to the newest complete bundle, if there is a newer one: its picture into images, its patches into a draw
@@ -200,8 +200,8 @@ impl Scene {
     }
 
     /// Draws the bundle on display.
-    pub fn record_draw(&self, recorder: &mut Recorder, stages: &Stages, frame_slot: usize, index_count: u32) {
-        stages.atlas.record(recorder, &self.sets[self.shown], frame_slot, index_count);
+    pub fn record_draw(&self, recorder: &mut Recorder, stages: &Stages, flight: usize, index_count: u32) {
+        stages.atlas.record(recorder, &self.sets[self.shown], flight, index_count);
     }
 
     /// Notes that the recording behind `ticket` reads the bundle on display.

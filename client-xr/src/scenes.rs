@@ -70,12 +70,12 @@ impl Scenes {
     }
 
     /// Writes what has arrived about vertices. Needs a barrier before, and has one after it.
-    pub(crate) fn record_arrivals(&mut self, recorder: &mut Recorder, stages: &Stages, frame_slot: usize) {
+    pub(crate) fn record_arrivals(&mut self, recorder: &mut Recorder, stages: &Stages, flight: usize) {
         if let Some(scene) = &mut self.shown {
-            recorder.scope("arrivals", |r| scene.record_arrivals(r, stages, frame_slot));
+            recorder.scope("arrivals", |r| scene.record_arrivals(r, stages, flight));
         }
         if let Some(scene) = &mut self.next {
-            scene.record_arrivals(recorder, stages, frame_slot);
+            scene.record_arrivals(recorder, stages, flight);
         }
     }
 

@@ -159,12 +159,12 @@ impl AtlasDraw {
         Ok(BundleSet { corners, indices, list, planes, last_use: None, groups })
     }
 
-    /// Draws the first `index_count` indices of `set` with the eyes of frame slot `frame_slot`.
-    pub fn record(&self, recorder: &mut Recorder, set: &BundleSet, frame_slot: usize, index_count: u32) {
+    /// Draws the first `index_count` indices of `set` with the eyes of frame in flight `flight`.
+    pub fn record(&self, recorder: &mut Recorder, set: &BundleSet, flight: usize, index_count: u32) {
         if index_count == 0 {
             return;
         }
-        recorder.bind(&self.pipeline, &set.groups[frame_slot]);
+        recorder.bind(&self.pipeline, &set.groups[flight]);
         recorder.bind_indices(&set.indices, 0);
         recorder.draw_indexed(0, index_count);
     }

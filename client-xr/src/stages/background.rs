@@ -47,13 +47,13 @@ impl Background {
         Ok(Self { draw: TextDraw::new(gpu, &desc, "Backdrop", eyes)? })
     }
 
-    /// Draws `backdrop` where nothing nearer is. The last recording of frame slot `frame_slot` has finished.
-    pub fn record(&mut self, recorder: &mut Recorder, frame_slot: usize, backdrop: Backdrop<'_>) {
+    /// Draws `backdrop` where nothing nearer is. The last recording of frame in flight `flight` has finished.
+    pub fn record(&mut self, recorder: &mut Recorder, flight: usize, backdrop: Backdrop<'_>) {
         let text = match backdrop {
             Backdrop::Environment(_) => None,
             Backdrop::WaitingRoom { text, .. } => Some(text),
         };
-        self.draw.record(recorder, frame_slot, &backdrop.gpu(), text, 3);
+        self.draw.record(recorder, flight, &backdrop.gpu(), text, 3);
     }
 }
 

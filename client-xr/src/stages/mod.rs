@@ -50,7 +50,7 @@ pub struct Stages {
     /// The eyes of each frame in flight.
     pub eyes: [Buffer; FRAMES_IN_FLIGHT],
     last_use: [Option<Ticket>; FRAMES_IN_FLIGHT],
-    next_slot: usize,
+    next_flight: usize,
 }
 
 impl Stages {
@@ -72,26 +72,27 @@ impl Stages {
             targets,
             eyes,
             last_use: [None; FRAMES_IN_FLIGHT],
-            next_slot: 0,
+            next_flight: 0,
         })
     }
 
-    /// The frame slot of the next frame, once the GPU has done with its last user. The only wait of a display frame.
-    pub fn next_slot(&mut self, gpu: &Gpu) -> Result<usize, GpuError> {
-        let slot = self.next_slot;
-        self.next_slot = (slot + 1) % FRAMES_IN_FLIGHT;
-        wait_for(gpu, &mut self.last_use[slot])?;
-        Ok(slot)
+    /// Which of the frames in flight the next one is, once the GPU has done with the one before in its place. The only wait of a display
+    /// frame.
+    pub fn next_flight(&mut self, gpu: &Gpu) -> Result<usize, GpuError> {
+        let flight = self.next_flight;
+        self.next_flight = (flight + 1) % FRAMES_IN_FLIGHT;
+        wait_for(gpu, &mut self.last_use[flight])?;
+        Ok(flight)
     }
 
-    /// Writes the eyes that the recording for `frame_slot`, not yet submitted, will read.
-    pub fn write_eyes(&mut self, frame_slot: usize, eyes: &EyesGpu) {
-        self.eyes[frame_slot].write(0, bytemuck::bytes_of(eyes));
+    /// Writes the eyes that the recording for `flight`, not yet submitted, will read.
+    pub fn write_eyes(&mut self, flight: usize, eyes: &EyesGpu) {
+        self.eyes[flight].write(0, bytemuck::bytes_of(eyes));
     }
 
-    /// Notes which recording reads the slot.
-    pub fn used_by(&mut self, frame_slot: usize, ticket: Ticket) {
-        self.last_use[frame_slot] = Some(ticket);
+    /// Notes which recording is in flight there.
+    pub fn used_by(&mut self, flight: usize, ticket: Ticket) {
+        self.last_use[flight] = Some(ticket);
     }
 }
 
@@ -119,7 +120,7 @@ fn direction_from_clip(space_from_eye: Pose, fov: Fov) -> Mat4 {
     )
 }
 
-/// Waits for a frame slot's last user, which was submitted [`FRAMES_IN_FLIGHT`] frames ago.
+/// Waits for what was submitted [`FRAMES_IN_FLIGHT`] frames ago.
 pub fn wait_for(gpu: &Gpu, ticket: &mut Option<Ticket>) -> Result<(), GpuError> {
     ticket.take().map_or(Ok(()), |ticket| gpu.wait(ticket))
 }

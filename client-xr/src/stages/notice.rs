@@ -28,11 +28,11 @@ impl Notice {
         Ok(Self { draw: TextDraw::new(gpu, &desc, "Notice", eyes)? })
     }
 
-    /// Draws `text` over all that was drawn before. The last recording of frame slot `frame_slot` has finished.
+    /// Draws `text` over all that was drawn before. The last recording of frame in flight `flight` has finished.
     pub fn record(
         &mut self,
         recorder: &mut Recorder,
-        frame_slot: usize,
+        flight: usize,
         world_from_panel: Pose,
         text: &Text,
     ) {
@@ -42,6 +42,6 @@ impl Notice {
             cell_extent_m: [CELL_EXTENT_M[0], CELL_EXTENT_M[1], 0.0, 0.0],
             text_cells: [TEXT_CELLS[0] as u32, TEXT_CELLS[1] as u32, 0, 0],
         };
-        self.draw.record(recorder, frame_slot, &notice, Some(text), 4);
+        self.draw.record(recorder, flight, &notice, Some(text), 4);
     }
 }

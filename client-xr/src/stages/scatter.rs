@@ -29,7 +29,7 @@ pub struct Scatter {
 
 /// What one connection needs to write: a staging buffer per frame in flight.
 pub struct ScatterStaging {
-    slots: [(Buffer, BindGroup); FRAMES_IN_FLIGHT],
+    in_flight: [(Buffer, BindGroup); FRAMES_IN_FLIGHT],
     records: usize,
 }
 
@@ -59,7 +59,7 @@ impl Scatter {
     pub fn staging(&self, gpu: &Arc<Gpu>, memory: &VertexMemory) -> Result<ScatterStaging, GpuError> {
         let records = (memory.vertex_slots * (SAMPLE_RING + 1)).min(STAGING_RECORDS) as usize;
         let bytes = (records * size_of::<VertexWriteGpu>()) as u64;
-        let slot = || {
+        let of_frame = || {
             let staging = Buffer::new(gpu, "vertex staging", bytes, Memory::Upload)?;
             let binds = [
                 ("Samples", Bind::Buffer(&memory.samples)),
@@ -70,20 +70,20 @@ impl Scatter {
             let group = BindGroup::new(self.pipeline.layout(), &binds)?;
             Ok::<_, GpuError>((staging, group))
         };
-        Ok(ScatterStaging { slots: [slot()?, slot()?, slot()?], records })
+        Ok(ScatterStaging { in_flight: [of_frame()?, of_frame()?, of_frame()?], records })
     }
 
-    /// Writes what waits in `writes`, as far as the staging buffer of frame slot `frame_slot` reaches. That slot's last
+    /// Writes what waits in `writes`, as far as the staging buffer of frame in flight `flight` reaches. Its last
     /// recording has finished.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         staging: &mut ScatterStaging,
-        frame_slot: usize,
+        flight: usize,
         vertex_slots: u32,
         writes: &mut VertexWrites,
     ) {
-        let (buffer, group) = &mut staging.slots[frame_slot];
+        let (buffer, group) = &mut staging.in_flight[flight];
         let bytes = staging.records * size_of::<VertexWriteGpu>();
         let records: &mut [VertexWriteGpu] = bytemuck::cast_slice_mut(&mut buffer.bytes_mut()[..bytes]);
         writes.drain_into(records, |range| {

@@ -37,12 +37,12 @@ impl Default for Text {
 /// A draw that reads the eyes, a uniform block of type `U` and a text, the last two once per frame in flight.
 pub(super) struct TextDraw<U> {
     pipeline: GraphicsPipeline,
-    slots: [Slot; FRAMES_IN_FLIGHT],
+    in_flight: [InFlight; FRAMES_IN_FLIGHT],
     block: PhantomData<U>,
 }
 
 /// What the CPU writes for a frame, and its bindings.
-struct Slot {
+struct InFlight {
     uniform: Buffer,
     glyphs: Buffer,
     group: BindGroup,
@@ -112,7 +112,7 @@ impl<U: bytemuck::Pod> TextDraw<U> {
         eyes: [&Buffer; FRAMES_IN_FLIGHT],
     ) -> Result<Self, GpuError> {
         let pipeline = GraphicsPipeline::new(gpu, desc)?;
-        let slot = |eyes: &Buffer| {
+        let of_frame = |eyes: &Buffer| {
             let uniform = Buffer::new(gpu, block, size_of::<U>() as u64, Memory::Upload)?;
             let bytes = size_of_val(&Text::default().glyphs) as u64;
             let glyphs = Buffer::new(gpu, "text", bytes, Memory::Upload)?;
@@ -122,28 +122,28 @@ impl<U: bytemuck::Pod> TextDraw<U> {
                 ("Text", Bind::Buffer(&glyphs)),
             ];
             let group = BindGroup::new(pipeline.layout(), &binds)?;
-            Ok::<_, GpuError>(Slot { uniform, glyphs, group })
+            Ok::<_, GpuError>(InFlight { uniform, glyphs, group })
         };
-        let slots = [slot(eyes[0])?, slot(eyes[1])?, slot(eyes[2])?];
-        Ok(Self { pipeline, slots, block: PhantomData })
+        let in_flight = [of_frame(eyes[0])?, of_frame(eyes[1])?, of_frame(eyes[2])?];
+        Ok(Self { pipeline, in_flight, block: PhantomData })
     }
 
-    /// Draws `vertices` vertices with `uniform`, and with `text` where there is one. The last recording of frame slot
-    /// `frame_slot` has finished.
+    /// Draws `vertices` vertices with `uniform`, and with `text` where there is one. The last recording of frame in flight
+    /// `flight` has finished.
     pub(super) fn record(
         &mut self,
         recorder: &mut Recorder,
-        frame_slot: usize,
+        flight: usize,
         uniform: &U,
         text: Option<&Text>,
         vertices: u32,
     ) {
-        let slot = &mut self.slots[frame_slot];
-        slot.uniform.write(0, bytemuck::bytes_of(uniform));
+        let frame = &mut self.in_flight[flight];
+        frame.uniform.write(0, bytemuck::bytes_of(uniform));
         if let Some(text) = text {
-            slot.glyphs.write(0, bytemuck::cast_slice(&text.glyphs));
+            frame.glyphs.write(0, bytemuck::cast_slice(&text.glyphs));
         }
-        recorder.bind(&self.pipeline, &slot.group);
+        recorder.bind(&self.pipeline, &frame.group);
         recorder.draw(vertices, 1);
     }
 }
