@@ -29,13 +29,7 @@ impl Notice {
     }
 
     /// Draws `text` over all that was drawn before. The last recording of frame in flight `flight` has finished.
-    pub fn record(
-        &mut self,
-        recorder: &mut Recorder,
-        flight: usize,
-        world_from_panel: Pose,
-        text: &Text,
-    ) {
+    pub fn record(&mut self, recorder: &mut Recorder, flight: usize, world_from_panel: Pose, text: &Text) {
         let notice = NoticeGpu {
             world_from_panel: world_from_panel.matrix().to_cols_array_2d(),
             box_cells: text.box_cells(),
