@@ -1,5 +1,5 @@
 //! The GPU stages, in pipeline order. A stage is one file with its layout, pipeline and `record`; its shader carries
-//! the same stem. Stages know nothing of each other: the barriers between them stand in `frame.rs`.
+//! the same stem. Stages know nothing of each other: the barriers between them stand in `frame.rs` and `world.rs`.
 
 pub mod palette;
 pub mod skin;
