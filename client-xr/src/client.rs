@@ -278,7 +278,11 @@ impl Client {
     fn take_delta(&mut self, delta: ReceivedDelta) {
         self.counters.vertex_samples +=
             delta.positions.iter().map(|batch| batch.positions.len() as u64).sum::<u64>();
-        let Some(scene) = self.scenes.arriving_mut() else { return };
+        // A session without a scene of its own, for want of a decoder, has nothing to say to that of another.
+        let serial = self.link.serial();
+        let Some(scene) = self.scenes.arriving_mut().filter(|scene| Some(scene.serial) == serial) else {
+            return;
+        };
         scene.take_delta(delta);
         let (contradiction, is_full) = (scene.motion.take_contradiction(), scene.motion.is_full());
         if let Some(session) = self.link.session() {

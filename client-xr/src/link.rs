@@ -120,6 +120,11 @@ impl Link {
         Some(connection.serial)
     }
 
+    /// The connection's serial.
+    pub(crate) fn serial(&self) -> Option<u64> {
+        self.connection.as_ref().map(|connection| connection.serial)
+    }
+
     /// The session, to be given what has come.
     pub(crate) fn session(&mut self) -> Option<&mut ClientSession> {
         self.connection.as_mut().map(|connection| &mut connection.session)

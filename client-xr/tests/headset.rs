@@ -3,6 +3,7 @@
 mod support;
 
 use shadecast_client::client::{Client, FrameReport, Notice, Step};
+use shadecast_client::decode::{DecodeError, Decoder};
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
 use shadecast_mock_runtime::record::Side;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
@@ -10,7 +11,7 @@ use shadecast_protocol::delta::{Delta, DeltaEncoder};
 use shadecast_protocol::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex};
 use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
-use shadecast_protocol::message::{Environment, HeadState, ResumeSecret, ServerOffer};
+use shadecast_protocol::message::{Codec, Environment, HeadState, ResumeSecret, ServerOffer};
 use shadecast_protocol::motion::SampleBatch;
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::Pose;
@@ -19,7 +20,8 @@ use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime};
 use shadecast_protocol::wire::{PictureHeader, StreamMessage, parse_stream};
 use shadecast_test_support::peers::offer;
 use std::collections::VecDeque;
-use support::{Run, SIDE, at, coded, finish, frame, pixel};
+use std::sync::atomic::{AtomicU32, Ordering};
+use support::{Run, SIDE, at, coded, finish, frame, pixel, toy_decoder};
 
 const ATLAS: AtlasExtent = AtlasExtent::MIN;
 /// sRGB values of the two patches, and their full-range BT.709 planes.
@@ -632,6 +634,44 @@ fn after_a_reconnect_the_old_bundle_stays_until_the_new_server_has_one() {
     let [x, y] = pixel([-0.25, 1.6, -2.0], -1.0).map(|p| p as u32);
     assert_close(run.picture(last - 2, Side::Left).at(x, y), RED.0, "the old server's picture");
     assert_close(run.picture(last, Side::Left).at(x, y), BLUE.0, "the new server's picture");
+}
+
+/// A decoder for the first session alone.
+fn decoder_of_the_first(codec: Codec, extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
+    static MADE: AtomicU32 = AtomicU32::new(0);
+    match MADE.fetch_add(1, Ordering::Relaxed) {
+        0 => toy_decoder(codec, extent),
+        _ => Err(DecodeError::Extent(extent.texels())),
+    }
+}
+
+#[test]
+fn deltas_of_a_session_whose_pictures_cannot_be_decoded_leave_the_scene_on_display_alone() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client_with(decoder_of_the_first);
+    let mut line = Line::connect(&mut client);
+    line.send(static_patches(), &planes([0, 64]), true);
+    (0..2).for_each(|_| drop(line.frame(&mut client)));
+    client.on_closed(at(2_000_000_000));
+    frame(&mut client);
+    let mut line = Line::connect(&mut client);
+    // Lawful in an empty memory, and not beside the first session's patches; more than wait for pictures.
+    let geometry = static_patches();
+    let other = |slot: VertexSlot| VertexSlot(slot.0 + 100);
+    let mut enters = geometry.clone();
+    enters.new_vertices.iter_mut().for_each(|vertex| vertex.slot = other(vertex.slot));
+    enters.new_patches.iter_mut().for_each(|patch| patch.vertices = patch.vertices.map(other));
+    line.send_delta(enters);
+    for update in 1..300 {
+        line.send_delta(GeometryDelta { update: UpdateId(update), ..GeometryDelta::default() });
+        if update % 50 == 0 {
+            assert_eq!(line.frame(&mut client).update, Some(UpdateId(0)), "the first one's stays");
+        }
+    }
+    assert_eq!(line.frame(&mut client).update, Some(UpdateId(0)));
+    let failures = std::iter::from_fn(|| client.poll_notice()).filter(|n| matches!(n, Notice::Failed(_)));
+    assert_eq!(failures.count(), 1, "and the driver knows");
+    finish(&run, client);
 }
 
 /// Pixels of the left eye that two frames show differently.

@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 /// Records for the GPU's vertex memory, in the order in which they must be written.
 #[derive(Debug, Default)]
 pub struct VertexWrites {
-    records: Vec<VertexWriteGpu>,
+    pub(super) records: Vec<VertexWriteGpu>,
     segments: VecDeque<Segment>,
     /// Records at the front that are already on their way.
     taken: usize,

@@ -3,11 +3,13 @@
 use shadecast_client::client::{Client, ClientOptions, FrameReport, Step};
 use shadecast_client::decode::{self, DecodeError, Decoder};
 use shadecast_client::decoding::DecodeTiming;
-use shadecast_client::platform::Platform;
+use shadecast_client::platform::{MakeDecoder, Platform};
 use shadecast_client::xr::{Xr, XrOptions};
 use shadecast_gpu::Gpu;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_mock_runtime::record::{Side, picture_path};
+use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::message::Codec;
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::time::ClientTime;
 use std::collections::VecDeque;
@@ -33,18 +35,17 @@ impl Run {
     }
 
     pub fn client(&self) -> Client {
+        self.client_with(toy_decoder)
+    }
+
+    /// The same with another decoder.
+    pub fn client_with(&self, decoder: MakeDecoder) -> Client {
         let xr = Xr::open(&Platform, XrOptions { validation: true }).expect("the mock headset opens");
         let options = ClientOptions {
             decoding: DecodeTiming::Virtual { delay_ns: 6_000_000 },
             max_vertex_slots: 256,
             max_patch_slots: 64,
-            decoder: |_, extent| {
-                Ok(Box::new(ToyDecoder {
-                    extent_texels: extent.texels(),
-                    has_reference: false,
-                    done: VecDeque::new(),
-                }))
-            },
+            decoder,
             ..ClientOptions::default()
         };
         Client::new(xr, options).expect("a client")
@@ -113,6 +114,12 @@ pub fn pixel(point: [f32; 3], eye: f32) -> [f32; 2] {
 
 pub fn at(ns: i64) -> ClientTime {
     ClientTime(ns)
+}
+
+/// A decoder of what [`coded`] makes.
+pub fn toy_decoder(_: Codec, extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
+    let extent_texels = extent.texels();
+    Ok(Box::new(ToyDecoder { extent_texels, has_reference: false, done: VecDeque::new() }))
 }
 
 /// Decodes what [`coded`] makes: planes as they are, behind a byte that says whether an earlier picture is needed.
