@@ -176,8 +176,8 @@ impl Frame {
         let Some(views) = self.head.predict(now, world.grid()) else { return Ok(None) }; // 1
         let needs: Needed = self.culling.needs(views.eyes.iter().flatten().copied());
         let mut recorder = world.gpu().record()?;
-        let sampled: Sampled = world.animate(&mut recorder, self.id, &views, needs); // 2
-        let mut timings = self.look(recorder, world, &views, &sampled)?; // 3, 4 on the GPU
+        let sampled: Sampled = world.animate(&mut recorder, self.id, &views, &needs); // 2
+        let mut timings = self.look(recorder, world, &views, &needs, &sampled)?; // 3, 4 on the GPU
         let visible = Visible(&self.extents.values()[..world.scene().numbering.totals.patches as usize]);
         let changes: Vec<PlacementChange> = self.layout.place(&world.samples, visible); // 4, 5
         timings.append(self.shade(world, &views, &sampled)?); // 6
@@ -213,10 +213,10 @@ impl Frame {
         mut recorder: Recorder,
         world: &World,
         views: &PredictedViews,
+        needs: &Needed,
         sampled: &Sampled,
     ) -> Result<Timings, GpuError> {
         self.write_views(views);
-        let Some(needs) = world.needs(self.id) else { return Ok(Timings::default()) };
         let (scene, animation) = (world.scene(), &world.animation);
         recorder.fill(&self.mark.visible, 0);
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);

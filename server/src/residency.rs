@@ -483,8 +483,10 @@ mod tests {
                 oldest: GridIndex(self.frame as i32 - 5),
                 horizon: GridIndex(self.frame as i32 + 5),
             };
-            let coded = self.residency.update(&Strip, &changes, window);
+            let delta = self.residency.delta(&Strip, &changes, window);
+            let coded = self.residency.encoder.encode(&delta);
             let decoded = self.decoder.decode(&coded.bytes).expect("what the server sends is valid");
+            assert_eq!(decoded, delta, "seed {SEED}, frame {}", self.frame);
             self.mirror.apply(&decoded);
             assert!(self.mirror.memory == *self.residency.memory(), "seed {SEED}, frame {}", self.frame);
             self.frame += 1;

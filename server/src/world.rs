@@ -121,17 +121,12 @@ impl World {
         recorder: &mut Recorder,
         viewer: ViewerId,
         views: &PredictedViews,
-        needs: Needed,
+        needs: &Needed,
     ) -> Sampled {
-        self.needs.insert(viewer, needs);
+        self.needs.insert(viewer, needs.clone());
         self.unite();
         let oldest = self.samples.record(recorder, &mut self.animation, self.grid, views, &self.needed);
         Sampled { places: views.times.map(SampleWindow::ring_place), oldest }
-    }
-
-    /// What a viewer needs, as it has told with its last update.
-    pub fn needs(&self, viewer: ViewerId) -> Option<&Needed> {
-        self.needs.get(&viewer)
     }
 
     /// Records light, shadow map and tangents as they are at `at`, which [`Self::animate`] has sampled, unless they are.
