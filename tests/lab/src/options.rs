@@ -83,7 +83,8 @@ impl FromStr for StageMs {
     }
 }
 
-/// A way that is as good as none, nanoseconds: QUIC's pace divides by the round trip, and stands still where that is zero.
+/// A way that is as good as none, nanoseconds. At a round trip of exactly zero, pictures that are not coded made virtual time
+/// stand still in the transport.
 const SHORT_WAY_NS: i64 = 100_000;
 
 /// What an update passes through from the server to the client that ships.

@@ -72,11 +72,7 @@ pub fn run(options: &HostileOptions) -> anyhow::Result<HostileReport> {
     check_names(&options.attacks)?;
     let is_wanted =
         |name: &str| options.attacks.is_empty() || options.attacks.iter().any(|it| it == "all" || it == name);
-    let folder = match &options.work {
-        Some(path) => Work::Kept(path.clone()),
-        None => Work::Passing(std::env::temp_dir().join(format!("shadecast-hostile-{}", std::process::id()))),
-    };
-    std::fs::create_dir_all(folder.path())?;
+    let folder = Work::open(options.work.as_deref())?;
     let on_server: Vec<_> =
         attacks::ATTACKS.iter().filter(|attack| is_wanted(attack.name)).copied().collect();
     let (seconds, work) = (options.seconds, folder.path());
@@ -105,6 +101,18 @@ enum Work {
 }
 
 impl Work {
+    /// `kept`, or one that goes away.
+    fn open(kept: Option<&std::path::Path>) -> std::io::Result<Self> {
+        let folder = match kept {
+            Some(path) => Self::Kept(path.to_owned()),
+            None => {
+                Self::Passing(std::env::temp_dir().join(format!("shadecast-hostile-{}", std::process::id())))
+            }
+        };
+        std::fs::create_dir_all(folder.path())?;
+        Ok(folder)
+    }
+
     fn path(&self) -> &std::path::Path {
         match self {
             Self::Kept(path) | Self::Passing(path) => path,

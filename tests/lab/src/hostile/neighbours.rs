@@ -1,17 +1,18 @@
 //! What a viewer that behaves badly costs the others of the same server: how many pictures a lawful client gets beside each
 //! kind of neighbour, of those that it gets beside another lawful one.
 
-use crate::hostile::attacks::{Target, control_bytes, hello_bytes};
+use crate::hostile::Work;
+use crate::hostile::attacks::{REFUSED_PAUSE, Repeated, Target, control_bytes, hello_bytes};
 use crate::hostile::lawful::{Lawful, head};
 use crate::hostile::process::Server;
 use crate::hostile::scene;
 use crate::hostile::stranger::Stranger;
+use crate::percentiles::median;
 use anyhow::Context;
 use serde::Serialize;
 use shadecast_protocol::message::{ClientDatagram, ClientMessage};
 use std::fmt;
 use std::net::SocketAddr;
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// How long a lawful client is waited for.
@@ -37,7 +38,7 @@ pub enum Neighbour {
     TakesNothing,
     /// It is served, and says nothing any more, not even what a network does by itself.
     Silent,
-    /// It is served, and asks for refreshes as fast as the network takes it.
+    /// It is served, and asks for refreshes as fast as the network takes it; sent away for that, it comes again.
     Floods,
     /// It is served, and vanishes in the middle; again and again.
     Killed,
@@ -61,6 +62,8 @@ pub struct NeighbourReport {
     pub share_of_lawful: f64,
     /// Longest pause between two of its pictures, milliseconds.
     pub longest_pause_ms: u64,
+    /// How often the neighbour came, over all rounds.
+    pub came: u64,
 }
 
 /// All neighbours.
@@ -79,19 +82,13 @@ pub struct NeighboursReport {
 /// # Errors
 /// The server does not start, or a lawful client is not served.
 pub fn measure(seconds: f64) -> anyhow::Result<NeighboursReport> {
-    let folder = std::env::temp_dir().join(format!("shadecast-neighbours-{}", std::process::id()));
-    std::fs::create_dir_all(&folder)?;
-    let report = measure_in(&folder, seconds);
-    let _ = std::fs::remove_dir_all(&folder); // temporary files are nobody's loss
-    report
-}
-
-fn measure_in(folder: &Path, seconds: f64) -> anyhow::Result<NeighboursReport> {
+    let folder = Work::open(None)?;
+    let folder = folder.path();
     let scene = scene::write(folder)?.display().to_string();
     let whole_s = ROUNDS as f64 * Neighbour::ALL.len() as f64 * (seconds + PATIENCE.as_secs_f64());
-    let mut rounds: Vec<[(f64, Duration); Neighbour::ALL.len()]> = Vec::new();
+    let mut rounds: Vec<[Beside; Neighbour::ALL.len()]> = Vec::new();
     for _ in 0..ROUNDS {
-        let mut round = [(0.0, Duration::ZERO); Neighbour::ALL.len()];
+        let mut round = [Beside::default(); Neighbour::ALL.len()];
         for (measured, neighbour) in round.iter_mut().zip(Neighbour::ALL) {
             // Each has a server of its own: what one leaves behind is not the next one's fault.
             let server = Server::start(&scene, &folder.join("server"), whole_s)?;
@@ -104,15 +101,16 @@ fn measure_in(folder: &Path, seconds: f64) -> anyhow::Result<NeighboursReport> {
         .into_iter()
         .enumerate()
         .map(|(at, neighbour)| {
-            let rates: Vec<f64> = rounds.iter().map(|round| round[at].0).collect();
-            let shares = rounds.iter().map(|round| round[at].0 / round[lawful].0).collect();
-            let longest = rounds.iter().map(|round| round[at].1).max().unwrap_or_default();
+            let rates: Vec<f64> = rounds.iter().map(|round| round[at].pictures_per_s).collect();
+            let shares = rounds.iter().map(|round| round[at].pictures_per_s / round[lawful].pictures_per_s);
+            let longest = rounds.iter().map(|round| round[at].pause).max().unwrap_or_default();
             NeighbourReport {
                 neighbour,
-                pictures_per_s: median(rates.clone()),
+                pictures_per_s: median(rates.iter().copied()),
                 rounds: rates,
                 share_of_lawful: median(shares),
                 longest_pause_ms: longest.as_millis() as u64,
+                came: rounds.iter().map(|round| round[at].came).sum(),
             }
         })
         .collect();
@@ -120,18 +118,22 @@ fn measure_in(folder: &Path, seconds: f64) -> anyhow::Result<NeighboursReport> {
     Ok(NeighboursReport { seconds, least_share, neighbours })
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+/// A lawful client beside a neighbour.
+#[derive(Clone, Copy, Debug, Default)]
+struct Beside {
+    pictures_per_s: f64,
+    /// Longest time without a picture.
+    pause: Duration,
+    /// How often the neighbour came.
+    came: u64,
 }
 
-/// Pictures a second of a lawful client beside a neighbour, and the longest time without one.
-fn beside(server: SocketAddr, neighbour: Neighbour, duration: Duration) -> anyhow::Result<(f64, Duration)> {
+fn beside(server: SocketAddr, neighbour: Neighbour, duration: Duration) -> anyhow::Result<Beside> {
     let client = Lawful::start(server)?;
     client.wait_picture(Instant::now(), PATIENCE).context("a lawful client is not served in peace")?;
     let until = Instant::now() + SETTLING + duration;
     let from = until - duration;
-    std::thread::scope(|scope| {
+    let came = std::thread::scope(|scope| {
         let target = Target { server, until };
         let other = scope.spawn(move || neighbour.behave(&target));
         std::thread::sleep(until.saturating_duration_since(Instant::now()));
@@ -139,11 +141,13 @@ fn beside(server: SocketAddr, neighbour: Neighbour, duration: Duration) -> anyho
     })?;
     let log = client.leave();
     let count = log.pictures.iter().filter(|at| (from..until).contains(*at)).count();
-    Ok((count as f64 / duration.as_secs_f64(), log.longest_pause(from, until)))
+    let pictures_per_s = count as f64 / duration.as_secs_f64();
+    Ok(Beside { pictures_per_s, pause: log.longest_pause(from, until), came })
 }
 
 impl Neighbour {
-    fn behave(self, target: &Target) -> anyhow::Result<()> {
+    /// Gives how often it came.
+    fn behave(self, target: &Target) -> anyhow::Result<u64> {
         match self {
             Self::Nobody => {}
             Self::Lawful => {
@@ -151,28 +155,47 @@ impl Neighbour {
                 std::thread::sleep(target.until.saturating_duration_since(Instant::now()));
                 client.leave();
             }
-            Self::TakesNothing => serve_stranger(target, target.until, |_| {})?,
+            Self::TakesNothing => return again_and_again(target, |_| target.until, || |_: &mut Stranger| {}),
             Self::Silent => {
                 let mut stranger = served(target)?;
                 stranger.pump_until(Instant::now() + POSE_PERIOD, |_| false)?;
-                std::thread::sleep(target.until.saturating_duration_since(Instant::now()));
+                target.sleep(target.until.saturating_duration_since(Instant::now()));
             }
             Self::Floods => {
-                let request = control_bytes(&ClientMessage::RefreshRequest { after: None }).repeat(1000);
-                serve_stranger(target, target.until, |stranger| {
-                    stranger.write_control(&request);
-                })?;
+                let request = control_bytes(&ClientMessage::RefreshRequest { after: None });
+                return again_and_again(
+                    target,
+                    |_| target.until,
+                    || {
+                        let mut requests = Repeated::new(&request);
+                        move |stranger: &mut Stranger| {
+                            requests.write(stranger);
+                        }
+                    },
+                );
             }
             Self::Killed => {
-                while !target.is_over() {
-                    let lives = Instant::now() + target.until.saturating_duration_since(Instant::now()) / 3;
-                    // Dropped without a word.
-                    serve_stranger(target, lives.max(Instant::now() + SETTLING), |_| {})?;
-                }
+                let third = target.until.saturating_duration_since(Instant::now()) / 3;
+                return again_and_again(target, |now| now + third, || |_: &mut Stranger| {});
             }
         }
-        Ok(())
+        Ok(u64::from(self != Self::Nobody))
     }
+}
+
+/// Is served until `until` of its coming, doing what `begin` gives in each turn, and then drops the connection without a word;
+/// comes again whenever that has ended. Gives how often it came.
+fn again_and_again<Act: FnMut(&mut Stranger)>(
+    target: &Target,
+    until: impl Fn(Instant) -> Instant,
+    begin: impl Fn() -> Act,
+) -> anyhow::Result<u64> {
+    let mut came = 0;
+    while !target.is_over() {
+        came += 1;
+        serve_stranger(target, until(Instant::now()).min(target.until), begin())?;
+    }
+    Ok(came)
 }
 
 /// A stranger that has said a lawful hello.
@@ -200,6 +223,9 @@ fn serve_stranger(target: &Target, until: Instant, mut act: impl FnMut(&mut Stra
         stranger.pump()?;
         std::thread::sleep(NAP);
     }
+    if !stranger.is_connected() {
+        target.sleep(REFUSED_PAUSE);
+    }
     Ok(())
 }
 
@@ -209,8 +235,8 @@ impl fmt::Display for NeighboursReport {
             let name = format!("{:?}", it.neighbour);
             writeln!(
                 f,
-                "{name:<14} {:5.1} pictures/s, {:5.2} of beside a lawful one, longest pause {} ms",
-                it.pictures_per_s, it.share_of_lawful, it.longest_pause_ms
+                "{name:<14} {:5.1} pictures/s, {:5.2} of beside a lawful one, longest pause {} ms; it came {} times",
+                it.pictures_per_s, it.share_of_lawful, it.longest_pause_ms, it.came
             )?;
         }
         write!(f, "least share {:.2}", self.least_share)

@@ -23,7 +23,7 @@ const MAX_CONNECTIONS: u64 = 20_000;
 /// How long an attacker waits for a handshake before it tries another.
 const HANDSHAKE_PATIENCE: Duration = Duration::from_secs(2);
 /// A refusal costs an attacker next to nothing: without a pause it would only measure how fast it can be refused.
-const REFUSED_PAUSE: Duration = Duration::from_millis(5);
+pub(crate) const REFUSED_PAUSE: Duration = Duration::from_millis(5);
 
 /// One way to be hostile.
 #[derive(Clone, Copy, Debug)]
@@ -138,7 +138,7 @@ impl Target {
         Instant::now() >= self.until
     }
 
-    fn sleep(&self, wait: Duration) {
+    pub(crate) fn sleep(&self, wait: Duration) {
         std::thread::sleep(wait.min(self.until.saturating_duration_since(Instant::now())));
     }
 }
@@ -204,18 +204,18 @@ pub(crate) fn hello_bytes(change: impl FnOnce(&mut ClientHello)) -> Vec<u8> {
 }
 
 /// The same message again and again.
-struct Repeated {
+pub(crate) struct Repeated {
     unit: Vec<u8>,
     at: usize,
 }
 
 impl Repeated {
-    fn new(message: &[u8]) -> Self {
+    pub(crate) fn new(message: &[u8]) -> Self {
         Self { unit: message.repeat((64 << 10) / message.len() + 1), at: 0 }
     }
 
     /// Writes as much as is taken at once, some 64 kB at most, and gives its size.
-    fn write(&mut self, stranger: &mut Stranger) -> u64 {
+    pub(crate) fn write(&mut self, stranger: &mut Stranger) -> u64 {
         let taken = stranger.write_control(&self.unit[self.at..]);
         self.at = (self.at + taken) % self.unit.len();
         taken as u64
