@@ -32,7 +32,7 @@ const COMPARE_EVERY_SLOW: u32 = 36;
 /// Seconds that each attack lasts.
 const HOSTILE_SECONDS: f64 = 20.0;
 /// Seconds for which each neighbour is beside a lawful client, in each round.
-const NEIGHBOUR_SECONDS: f64 = 10.0;
+const NEIGHBOUR_SECONDS: f64 = 4.0;
 /// Seconds for which the headset is off.
 const HEADSET_OFF_SECONDS: f64 = 600.0;
 /// Rounds in which updates of one and of two viewers are measured.
