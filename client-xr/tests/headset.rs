@@ -651,7 +651,9 @@ fn deltas_of_a_session_whose_pictures_cannot_be_decoded_leave_the_scene_on_displ
     let mut client = run.client_with(decoder_of_the_first);
     let mut line = Line::connect(&mut client);
     line.send(static_patches(), &planes([0, 64]), true);
-    (0..2).for_each(|_| drop(line.frame(&mut client)));
+    for _ in 0..2 {
+        line.frame(&mut client);
+    }
     client.on_closed(at(2_000_000_000));
     frame(&mut client);
     let mut line = Line::connect(&mut client);
