@@ -11,6 +11,7 @@ use shadecast_protocol::atlas::{BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::delta::ReceivedDelta;
 use shadecast_protocol::geometry::{self, NewVertex};
 use shadecast_protocol::ids::{InstanceId, VertexSlot};
+use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::PositionBatch;
 use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime};
 use shadecast_shaders::generated::CornerGpu;
@@ -101,7 +102,7 @@ impl Server {
         self.place(dice, &mut delta);
         let positions = self.sample(&entering.concat());
         self.seen_at.insert(frame, self.seen());
-        ReceivedDelta { geometry: delta, positions }
+        ReceivedDelta { geometry: delta, is_update: true, positions, rests: Vec::new() }
     }
 
     fn evict(&mut self, dice: &mut Dice, delta: &mut GeometryDelta) {
@@ -216,7 +217,7 @@ impl Bench {
         Self {
             seed,
             bundler: Bundler::new(PATCH_SLOTS),
-            motion: Motion::new(VERTEX_SLOTS),
+            motion: Motion::new(VERTEX_SLOTS, MotionMemory::NONE.into()),
             scratch: ListScratch::new(PATCH_SLOTS),
             memory: VertexMemory::new(VERTEX_SLOTS),
             moved: VertexMemory::new(VERTEX_SLOTS),
@@ -230,7 +231,7 @@ impl Bench {
     }
 
     fn add_delta(&mut self, delta: ReceivedDelta) {
-        self.motion.take(delta.geometry.update, &delta.geometry.new_vertices, &delta.positions);
+        self.motion.take_delta(&delta);
         self.bundler.add_delta(delta.geometry);
     }
 
@@ -323,7 +324,8 @@ impl Bench {
         if state != 0.0 {
             return x as i32;
         }
-        let ring = (0..16).map(|ring| self.memory.samples[(ring * VERTEX_SLOTS + slot) as usize]);
+        let ring = (0..shadecast_protocol::limits::SAMPLE_RING)
+            .map(|ring| self.memory.samples[(ring * VERTEX_SLOTS + slot) as usize]);
         let mut known: Vec<_> = ring.filter(|sample| sample[3] != 0).collect();
         known.sort_by_key(|sample| sample[3]);
         known.dedup_by_key(|sample| sample[0]);
@@ -446,7 +448,7 @@ fn what_is_drawn_is_always_one_update_whatever_arrives_when() {
 
 fn delta(frame: u32) -> ReceivedDelta {
     let geometry = GeometryDelta { update: UpdateId(frame), ..GeometryDelta::default() };
-    ReceivedDelta { geometry, positions: Vec::new() }
+    ReceivedDelta { geometry, is_update: true, ..ReceivedDelta::default() }
 }
 
 /// A patch of sampled vertices 0, 1, 2.
@@ -478,7 +480,7 @@ fn triangle(frame: u32, steps: std::ops::RangeInclusive<i32>) -> ReceivedDelta {
         placements: vec![(PatchSlot(0), Some(block))],
         ..delta(frame).geometry
     };
-    ReceivedDelta { geometry, positions: steps.map(batch).collect() }
+    ReceivedDelta { geometry, is_update: true, positions: steps.map(batch).collect(), rests: Vec::new() }
 }
 
 #[test]

@@ -15,10 +15,11 @@ use crate::stages::interpolate::Interpolation;
 use crate::stages::probe::ProbeView;
 use crate::stats::{ClientStats, Counters};
 use crate::xr::{Views, Xr};
-use shadecast_gpu::Gpu;
+use shadecast_gpu::{Gpu, Timings};
 use shadecast_protocol::delta::ReceivedDelta;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
-use shadecast_protocol::message::{Capabilities, Codec, HeadState, Refused, Welcome};
+use shadecast_protocol::message::{Capabilities, Codec, HeadState, MotionMemory, Refused, Welcome};
+use shadecast_protocol::motion::message::MotionMessage;
 use shadecast_protocol::session::{ClientEvent, Out};
 use shadecast_protocol::time::ClientTime;
 use shadecast_protocol::wire::{self, StreamMessage, WireError};
@@ -42,6 +43,8 @@ pub struct ClientOptions {
     pub max_vertex_slots: u32,
     /// Patches that the client offers to keep.
     pub max_patch_slots: u32,
+    /// What the client offers to keep to skin by itself.
+    pub motion: MotionMemory,
 }
 
 impl Default for ClientOptions {
@@ -54,6 +57,7 @@ impl Default for ClientOptions {
             decoder: platform::decoder,
             max_vertex_slots: MAX_VERTEX_SLOTS,
             max_patch_slots: MAX_PATCH_SLOTS,
+            motion: MotionMemory::DEFAULT,
         }
     }
 }
@@ -152,6 +156,7 @@ impl Client {
             max_atlas_extent: ATLAS_MAX_EXTENT,
             max_vertex_slots: options.max_vertex_slots.min(MAX_VERTEX_SLOTS),
             max_patch_slots: options.max_patch_slots.min(MAX_PATCH_SLOTS),
+            motion: options.motion.min(MotionMemory::MAX),
             codecs: options.codecs.to_vec(),
             eyes,
             eye_extent_pixels,
@@ -249,6 +254,7 @@ impl Client {
                         decoding.add(header, access_unit, self.now);
                     }
                 }
+                ClientEvent::Motion(news) => self.take_motion(news),
                 ClientEvent::Refused(refused) => self.notices.push_back(Notice::Refused(refused)),
                 ClientEvent::Goodbye => self.notices.push_back(Notice::ServerLeft),
                 ClientEvent::Failed(error) => self.notices.push_back(Notice::Failed(error.to_string())),
@@ -294,6 +300,13 @@ impl Client {
         }
     }
 
+    fn take_motion(&mut self, news: MotionMessage) {
+        let serial = self.link.serial();
+        if let Some(scene) = self.scenes.arriving_mut().filter(|scene| Some(scene.serial) == serial) {
+            scene.motion.take_motion(news);
+        }
+    }
+
     /// Takes note of a display frame, and tells the server.
     pub(crate) fn note_frame(
         &mut self,
@@ -322,6 +335,12 @@ impl Client {
     /// GPU.
     pub fn probe(&mut self) -> Result<[ProbeView; 2], ClientError> {
         Ok(self.renderer.probe(self.scenes.shown())?)
+    }
+
+    /// For measurements: what the stages of the last rendered frame took on the device, once for each frame. Waits for the
+    /// GPU.
+    pub fn frame_timings(&mut self) -> Result<Timings, ClientError> {
+        Ok(self.renderer.frame_timings()?)
     }
 
     /// Bytes of what has come and waits: for an earlier one, for its picture, for the GPU's vertex memory.

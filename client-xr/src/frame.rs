@@ -5,8 +5,8 @@ use crate::client::Client;
 use crate::renderer::LastDrawn;
 use crate::report::{ClientError, FrameReport, Step};
 use crate::scene::{SceneReport, Switched};
-use crate::scenes::server_time;
-use crate::stages::{VERTEX_MEMORY_USE, eyes_gpu};
+use crate::scenes::{server_clock, server_time};
+use crate::stages::{ARRIVALS, VERTEX_MEMORY_USE, eyes_gpu};
 use crate::xr::{Activity, FrameTurn, Views};
 use shadecast_gpu::{Access, Recorder};
 use shadecast_protocol::ids::UpdateId;
@@ -18,6 +18,8 @@ use shadecast_protocol::time::ServerTime;
 struct Content {
     /// The server's time at which it is seen.
     time: Option<ServerTime>,
+    /// How far that can be off.
+    clock_error_bound_ns: Option<i64>,
     /// The bundle on display.
     update: Option<UpdateId>,
     switched: Option<Switched>,
@@ -66,16 +68,18 @@ impl Client {
         let content = self.record_scene(&mut recorder, flight, &turn)?;
 
         let image = self.renderer.xr.swapchain.acquire()?;
-        self.renderer.stages.targets.begin(&mut recorder, image.index());
         let world = self.scenes.shown().filter(|_| content.update.is_some());
-        if let Some(scene) = world {
-            scene.record_draw(&mut recorder, &self.renderer.stages, flight, content.scene.index_count);
-        }
         let (stages, words) = (&mut self.renderer.stages, &self.renderer.words);
-        words.record_backdrop(&mut recorder, stages, flight, world);
-        words.record_notice(&mut recorder, stages, flight, world, self.link.has_session());
+        recorder.scope("draw", |r| {
+            stages.targets.begin(r, image.index());
+            if let Some(scene) = world {
+                scene.record_draw(r, stages, flight, content.scene.index_count);
+            }
+            words.record_backdrop(r, stages, flight, world);
+            words.record_notice(r, stages, flight, world, self.link.has_session());
+            r.end_pass();
+        });
         let space_from_stage = world.map_or(Pose::IDENTITY, |scene| scene.terms.world_from_stage);
-        recorder.end_pass();
 
         // All is recorded: now the eyes, as late as possible.
         let views = self.renderer.xr.headset.locate_views(&turn)?;
@@ -84,6 +88,7 @@ impl Client {
         self.renderer.stages.write_eyes(flight, &eyes);
         let ticket = recorder.submit()?;
         self.renderer.stages.used_by(flight, ticket);
+        self.renderer.last_ticket = Some(ticket);
         if let Some(scene) = self.scenes.shown_mut() {
             scene.used_by(ticket);
         }
@@ -109,8 +114,9 @@ impl Client {
     }
 
     fn record_arrivals(&mut self, recorder: &mut Recorder, flight: usize) {
-        recorder.barrier(VERTEX_MEMORY_USE, Access::COMPUTE); // the frame before reads and writes what arrivals write
+        recorder.barrier(VERTEX_MEMORY_USE, ARRIVALS); // the frame before reads and writes what arrivals write
         self.scenes.record_arrivals(recorder, &self.renderer.stages, flight);
+        recorder.barrier(ARRIVALS, ARRIVALS); // for what moves vertices, and for the arrivals after these
     }
 
     /// What has arrived, the switch to the newest complete bundle, and motion up to the frame's display time.
@@ -124,26 +130,41 @@ impl Client {
         let Self { scenes, renderer, link, .. } = self;
         let at = turn.display_time;
         let switched = recorder.scope("switch", |r| scenes.record_switch(&renderer.gpu, r, link, at))?;
+        if let Some(scene) = scenes.shown() {
+            link.note_shown(scene.serial, at);
+        }
+        let clock = scenes.shown().and_then(|scene| server_clock(scene, link));
+        let clock_error_bound_ns = clock.and_then(|clock| clock.error_bound_ns(at));
         let time = scenes.shown().and_then(|scene| server_time(scene, link, at));
         let Some((scene, now)) = scenes.shown_mut().zip(time) else { return Ok(Content::default()) };
         let interpolation = self.options.interpolation;
-        let report =
-            recorder.scope("motion", |r| scene.record_motion(r, &renderer.stages, now, interpolation));
+        let stages = &renderer.stages;
+        let report = recorder.scope("motion", |r| {
+            let skinned = scene.record_poses(r, stages, flight, now);
+            let report = scene.record_motion(r, stages, now, interpolation);
+            r.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ); // palettes, for skinning
+            scene.record_skin(r, stages);
+            SceneReport { skinned, ..report }
+        });
         recorder.barrier(Access::COMPUTE_WRITE, Access::VERTEX_READ); // positions, for the one draw
-        Ok(Content { time, update: scene.bundler.current(), switched, scene: report })
+        let update = scene.bundler.current();
+        Ok(Content { time, clock_error_bound_ns, update, switched, scene: report })
     }
 
     fn finish(&mut self, turn: &FrameTurn, views: &Views, content: Content, is_rendered: bool) -> Step {
         let report = FrameReport {
             display_time: turn.display_time,
             server_time: content.time,
+            clock_error_bound_ns: content.clock_error_bound_ns,
             motion_time: content.scene.motion_time,
             is_rendered,
             update: content.update,
             is_new: content.switched.is_some(),
-            held_vertices: content.scene.motionless.held,
-            frozen_vertices: content.scene.motionless.frozen,
+            held_vertices: content.scene.motionless.held + content.scene.skinned.held_vertices,
+            frozen_vertices: content.scene.motionless.frozen + content.scene.skinned.frozen_vertices,
+            withheld_vertices: content.scene.skinned.withheld_vertices,
             withheld_patches: content.scene.withheld_patches,
+            arena_waiting_bytes: content.scene.arena_waiting_bytes,
         };
         let picture_arrived = content.switched.map(|switched| switched.picture_arrived);
         self.note_frame(&report, picture_arrived, views, turn.period_ns);

@@ -197,6 +197,20 @@ impl Link {
         self.connection.as_ref().map(|connection| connection.session.clock())
     }
 
+    /// Notes that a display frame that is seen at `at` shows the scene of connection `serial`.
+    pub(crate) fn note_shown(&mut self, serial: u64, at: ClientTime) {
+        if let Some(connection) = self.of_serial(serial) {
+            connection.session.note_shown(at);
+        }
+    }
+
+    /// Notes that the scene of connection `serial` takes the place of another one, by whose clock it is `seen`.
+    pub(crate) fn go_on_from(&mut self, serial: u64, at: ClientTime, seen: ServerTime) {
+        if let Some(connection) = self.of_serial(serial) {
+            connection.session.go_on_from(at, seen);
+        }
+    }
+
     /// Bytes of what has come and waits for an earlier one.
     pub(crate) fn waiting_bytes(&self) -> usize {
         let Some(Connection { session, decoding, .. }) = &self.connection else { return 0 };

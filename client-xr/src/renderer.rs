@@ -9,7 +9,7 @@ use crate::stages::probe::{Probe, ProbeView};
 use crate::stages::text::{Text, panel_ahead};
 use crate::stillness::Stillness;
 use crate::xr::Xr;
-use shadecast_gpu::{Gpu, GpuError, Recorder, vk};
+use shadecast_gpu::{Gpu, GpuError, Recorder, Ticket, Timings, vk};
 use shadecast_protocol::pose::Pose;
 use shadecast_shaders::generated::EyesGpu;
 use std::sync::Arc;
@@ -19,6 +19,8 @@ pub(crate) struct Renderer {
     pub(crate) stages: Stages,
     probe: Option<Probe>,
     pub(crate) last_drawn: Option<LastDrawn>,
+    /// Of the last rendered frame.
+    pub(crate) last_ticket: Option<Ticket>,
     pub(crate) gpu: Arc<Gpu>,
     pub(crate) xr: Xr,
     pub(crate) words: Words,
@@ -53,7 +55,7 @@ impl Renderer {
             stillness: Stillness::default(),
         };
         let stages = Stages::new(&gpu, &xr.swapchain, samples)?;
-        Ok(Self { stages, probe: None, last_drawn: None, gpu, xr, words })
+        Ok(Self { stages, probe: None, last_drawn: None, last_ticket: None, gpu, xr, words })
     }
 
     /// Says `text` in the waiting room, and before a world that stands still without a connection.
@@ -64,6 +66,14 @@ impl Renderer {
     /// Pixels per eye, width and height.
     pub(crate) fn eye_extent_pixels(&self) -> [u32; 2] {
         self.xr.swapchain.extent_pixels()
+    }
+
+    /// What the stages of the last rendered frame took on the device, once for each frame. Waits for the GPU.
+    pub(crate) fn frame_timings(&mut self) -> Result<Timings, GpuError> {
+        match self.last_ticket.take() {
+            Some(ticket) => self.gpu.wait_timed(ticket),
+            None => Ok(Timings::default()),
+        }
     }
 
     /// Notes what a display frame showed to a head.

@@ -46,6 +46,8 @@ pub struct FrameReport {
     pub display_time: ClientTime,
     /// The same on the server's clock, once that is known.
     pub server_time: Option<ServerTime>,
+    /// How far that can be off, nanoseconds.
+    pub clock_error_bound_ns: Option<i64>,
     /// The time, on the server's clock, at which all animated vertices drawn are; the same as `server_time` unless samples
     /// are short.
     pub motion_time: Option<ServerTime>,
@@ -59,6 +61,10 @@ pub struct FrameReport {
     pub held_vertices: u32,
     /// Animated vertices that have stopped for want of samples.
     pub frozen_vertices: u32,
+    /// Vertices not drawn for want of their skeleton's keys.
+    pub withheld_vertices: u32,
     /// Patches not drawn for want of samples.
     pub withheld_patches: u32,
+    /// Bytes of skeletons, keys and morph targets that wait for the GPU's memory.
+    pub arena_waiting_bytes: u64,
 }

@@ -5,10 +5,13 @@ use crate::bundle::Bundler;
 use crate::decode::Picture;
 use crate::draw_list::ListScratch;
 use crate::motion::pace::{GridTime, Pace};
+use crate::motion::skinned::{SkinCapacity, SkinnedCounts};
 use crate::motion::{Motion, Motionless};
 use crate::report::ClientError;
+use crate::stages::arena::{ArenaStaging, SkinMemory};
 use crate::stages::atlas_draw::BundleSet;
 use crate::stages::interpolate::{self, Interpolation};
+use crate::stages::pose::PoseStaging;
 use crate::stages::scatter::{ScatterStaging, VertexMemory};
 use crate::stages::{Stages, wait_for};
 use shadecast_gpu::{Access, BindGroup, Gpu, GpuError, Recorder};
@@ -44,6 +47,10 @@ pub struct Scene {
     memory: VertexMemory,
     staging: ScatterStaging,
     interpolate_group: BindGroup,
+    skin_memory: SkinMemory,
+    arena_staging: ArenaStaging,
+    pose_staging: PoseStaging,
+    skin_group: BindGroup,
     sets: [BundleSet; 3],
     list_scratch: ListScratch,
     /// The set on display.
@@ -69,9 +76,13 @@ pub struct SceneReport {
     pub index_count: u32,
     /// Patches that cannot be drawn yet for want of samples.
     pub withheld_patches: u32,
+    /// Bytes of skeletons, keys and morph targets that wait for the GPU's memory.
+    pub arena_waiting_bytes: u64,
     /// Vertices that have run out of samples.
     pub motionless: Motionless,
-    /// The time at which all vertices drawn are.
+    /// How instances stand that move by clips or by poses on the grid.
+    pub skinned: SkinnedCounts,
+    /// The time at which all sampled vertices drawn are.
     pub motion_time: Option<ServerTime>,
 }
 
@@ -79,9 +90,14 @@ impl Scene {
     /// Allocates everything that a connection under these terms can need.
     pub fn new(gpu: &Arc<Gpu>, stages: &Stages, terms: Welcome, serial: u64) -> Result<Self, GpuError> {
         let mut recorder = gpu.record()?;
-        let memory = VertexMemory::new(gpu, &mut recorder, terms.vertex_slots)?;
+        let memory = VertexMemory::new(gpu, &mut recorder, terms.vertex_slots, terms.motion.rest_vertices)?;
         let staging = stages.scatter.staging(gpu, &memory)?;
         let interpolate_group = stages.interpolate.bind(&memory)?;
+        let capacity = SkinCapacity::from(terms.motion);
+        let skin_memory = SkinMemory::new(gpu, &mut recorder, capacity)?;
+        let arena_staging = ArenaStaging::new(gpu)?;
+        let pose_staging = stages.pose.staging(gpu, &skin_memory)?;
+        let skin_group = stages.skin.bind(&memory, &skin_memory)?;
         let mut set = || {
             let eyes = stages.eyes.each_ref();
             stages.atlas.bundle_set(
@@ -95,7 +111,7 @@ impl Scene {
         };
         let sets = [set()?, set()?, set()?];
         recorder.submit()?;
-        let (bundler, motion) = (Bundler::new(terms.patch_slots), Motion::new(terms.vertex_slots));
+        let (bundler, motion) = (Bundler::new(terms.patch_slots), Motion::new(terms.vertex_slots, capacity));
         let list_scratch = ListScratch::new(terms.patch_slots);
         let (shown, pace, has_switched) = (0, Pace::default(), false);
         Ok(Self {
@@ -107,6 +123,10 @@ impl Scene {
             memory,
             staging,
             interpolate_group,
+            skin_memory,
+            arena_staging,
+            pose_staging,
+            skin_group,
             sets,
             list_scratch,
             shown,
@@ -122,8 +142,10 @@ impl Scene {
 
     /// Takes in the next delta: its vertices and samples count at once, its patches with a picture.
     pub fn take_delta(&mut self, delta: ReceivedDelta) {
-        self.motion.take(delta.geometry.update, &delta.geometry.new_vertices, &delta.positions);
-        self.bundler.add_delta(delta.geometry);
+        self.motion.take_delta(&delta);
+        if delta.is_update {
+            self.bundler.add_delta(delta.geometry);
+        }
     }
 
     /// Bytes that wait: for the GPU's vertex memory, and for pictures.
@@ -131,13 +153,14 @@ impl Scene {
         self.motion.waiting_bytes() + self.bundler.waiting_bytes()
     }
 
-    /// Whether anything has arrived about vertices that is not written.
+    /// Whether anything has arrived about vertices or skeletons that is not written.
     pub fn has_arrivals(&self) -> bool {
         self.motion.has_writes()
     }
 
-    /// Writes what has arrived about vertices. Needs a barrier before, and has one after it.
+    /// Writes what has arrived about vertices and skeletons. Needs a barrier before and after it.
     pub fn record_arrivals(&mut self, recorder: &mut Recorder, stages: &Stages, flight: usize) {
+        self.arena_staging.record(recorder, flight, &self.skin_memory, self.motion.arena());
         let (slots, writes) = (self.memory.vertex_slots, self.motion.writes());
         stages.scatter.record(recorder, &mut self.staging, flight, slots, writes);
     }
@@ -173,7 +196,28 @@ impl Scene {
         set.list.write(patches, &mut self.motion, step, (corners, indices), &mut self.list_scratch);
     }
 
-    /// Moves the animated vertices to where they are at `time`, or all of them to where all can be.
+    /// Skeletons of the draw list's instances at `time`. Needs a barrier after it, before what reads their palettes.
+    pub fn record_poses(
+        &mut self,
+        recorder: &mut Recorder,
+        stages: &Stages,
+        flight: usize,
+        time: ServerTime,
+    ) -> SkinnedCounts {
+        let poses = self.pose_staging.poses_mut(flight);
+        let counts = self.motion.poses(self.terms.grid, time, poses);
+        stages.pose.record(recorder, &self.pose_staging, flight, counts.instances);
+        counts
+    }
+
+    /// Skins what those instances move.
+    pub fn record_skin(&mut self, recorder: &mut Recorder, stages: &Stages) {
+        if !self.motion.skinned().is_empty() {
+            stages.skin.record(recorder, &self.skin_group, self.motion.vertex_count());
+        }
+    }
+
+    /// Moves the sampled vertices to where they are at `time`, or all of them to where all can be.
     pub fn record_motion(
         &mut self,
         recorder: &mut Recorder,
@@ -196,7 +240,9 @@ impl Scene {
         }
         let (index_count, withheld_patches) = self.sets[self.shown].list.at(step);
         let motionless = self.motion.motionless(GridTime::of(grid, time).step);
-        SceneReport { index_count, withheld_patches, motionless, motion_time }
+        let arena_waiting_bytes = self.motion.arena().waiting_bytes() as u64;
+        let skinned = SkinnedCounts::default();
+        SceneReport { index_count, withheld_patches, arena_waiting_bytes, motionless, skinned, motion_time }
     }
 
     /// Draws the bundle on display.

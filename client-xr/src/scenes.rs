@@ -6,6 +6,7 @@ use crate::report::ClientError;
 use crate::scene::{Scene, Switched};
 use crate::stages::Stages;
 use shadecast_gpu::{Gpu, Recorder};
+use shadecast_protocol::clock::ClockEstimator;
 use shadecast_protocol::time::{ClientTime, ServerTime};
 
 /// See the module.
@@ -69,7 +70,7 @@ impl Scenes {
         self.all().map(Scene::waiting_bytes).sum()
     }
 
-    /// Writes what has arrived about vertices. Needs a barrier before, and has one after it.
+    /// Writes what has arrived about vertices and skeletons. Needs a barrier before and after it.
     pub(crate) fn record_arrivals(&mut self, recorder: &mut Recorder, stages: &Stages, flight: usize) {
         if let Some(scene) = &mut self.shown {
             recorder.scope("arrivals", |r| scene.record_arrivals(r, stages, flight));
@@ -93,13 +94,22 @@ impl Scenes {
         let recycle = |picture: Picture| link.recycle(picture);
         let switched = scene.record_switch(gpu, recorder, time, recycle)?;
         if is_next && switched.is_some() {
+            let seen = self.shown.as_ref().and_then(|ended| server_time(ended, link, display_time));
             self.shown = self.next.take();
+            if let (Some(scene), Some(seen)) = (&self.shown, seen) {
+                link.go_on_from(scene.serial, display_time, seen);
+            }
         }
         Ok(switched)
     }
 }
 
-/// `at` on the clock of the server that made `scene`.
+/// The clock of the server that made `scene`.
+pub(crate) fn server_clock<'a>(scene: &'a Scene, link: &'a Link) -> Option<&'a ClockEstimator> {
+    scene.ended_clock.as_deref().or_else(|| link.clock())
+}
+
+/// `at` on that clock.
 pub(crate) fn server_time(scene: &Scene, link: &Link, at: ClientTime) -> Option<ServerTime> {
-    scene.ended_clock.as_deref().or_else(|| link.clock())?.server_time(at)
+    server_clock(scene, link)?.server_time(at)
 }

@@ -40,12 +40,21 @@ pub struct ClientStats {
     pub held_vertices: u64,
     /// Vertices that had stopped for want of samples, summed over display frames.
     pub frozen_vertices: u64,
+    /// Vertices not drawn for want of their skeleton's keys, summed over display frames.
+    pub withheld_vertices: u64,
     /// Patches not drawn for want of samples, summed over display frames.
     pub withheld_patches: u64,
+    /// Bytes of skeletons, keys and morph targets that waited for the GPU's memory, at most.
+    pub most_arena_waiting_bytes: u64,
     /// Pictures given up or undecodable.
     pub lost_pictures: u64,
     /// Refreshes asked for.
     pub refresh_requests: u64,
+    /// How far the estimate of the server's clock could be off at most, over the display frames that showed a bundle,
+    /// milliseconds; none before the first.
+    pub clock_error_bound_ms: Option<f64>,
+    /// The same at the last of them.
+    pub clock_error_bound_last_ms: Option<f64>,
     /// Validation messages; 0 with validation off.
     pub validation_messages: u32,
 }
@@ -72,9 +81,13 @@ impl ClientStats {
             vertex_samples,
             held_vertices,
             frozen_vertices,
+            withheld_vertices,
             withheld_patches,
+            most_arena_waiting_bytes,
             lost_pictures,
             refresh_requests,
+            clock_error_bound_ms,
+            clock_error_bound_last_ms,
             validation_messages,
         } = later;
         let both_s = self.seconds + seconds;
@@ -98,12 +111,20 @@ impl ClientStats {
             vertex_samples: self.vertex_samples + vertex_samples,
             held_vertices: self.held_vertices + held_vertices,
             frozen_vertices: self.frozen_vertices + frozen_vertices,
+            withheld_vertices: self.withheld_vertices + withheld_vertices,
             withheld_patches: self.withheld_patches + withheld_patches,
+            most_arena_waiting_bytes: self.most_arena_waiting_bytes.max(most_arena_waiting_bytes),
             lost_pictures: self.lost_pictures + lost_pictures,
             refresh_requests: self.refresh_requests + refresh_requests,
+            clock_error_bound_ms: larger(self.clock_error_bound_ms, clock_error_bound_ms),
+            clock_error_bound_last_ms: clock_error_bound_last_ms.or(self.clock_error_bound_last_ms),
             validation_messages: self.validation_messages + validation_messages,
         }
     }
+}
+
+fn larger(a: Option<f64>, b: Option<f64>) -> Option<f64> {
+    a.into_iter().chain(b).reduce(f64::max)
 }
 
 /// The counters behind [`ClientStats`].
@@ -118,7 +139,11 @@ pub(crate) struct Counters {
     bundles: u64,
     held_vertices: u64,
     frozen_vertices: u64,
+    withheld_vertices: u64,
     withheld_patches: u64,
+    most_arena_waiting_bytes: u64,
+    /// Largest and last over the frames that showed a bundle, milliseconds.
+    clock_error_bound_ms: (Option<f64>, Option<f64>),
     pub(crate) connections: u64,
     pub(crate) atlas_bytes: u64,
     pub(crate) geometry_bytes: u64,
@@ -140,7 +165,10 @@ impl Counters {
             bundles: 0,
             held_vertices: 0,
             frozen_vertices: 0,
+            withheld_vertices: 0,
             withheld_patches: 0,
+            most_arena_waiting_bytes: 0,
+            clock_error_bound_ms: (None, None),
             connections: 0,
             atlas_bytes: 0,
             geometry_bytes: 0,
@@ -159,7 +187,13 @@ impl Counters {
         self.bundles += u64::from(frame.is_new);
         self.held_vertices += u64::from(frame.held_vertices);
         self.frozen_vertices += u64::from(frame.frozen_vertices);
+        self.withheld_vertices += u64::from(frame.withheld_vertices);
         self.withheld_patches += u64::from(frame.withheld_patches);
+        self.most_arena_waiting_bytes = self.most_arena_waiting_bytes.max(frame.arena_waiting_bytes);
+        if let (Some(_), Some(bound_ns)) = (frame.update, frame.clock_error_bound_ns) {
+            let bound_ms = Some(bound_ns as f64 * 1e-6);
+            self.clock_error_bound_ms = (larger(self.clock_error_bound_ms.0, bound_ms), bound_ms);
+        }
     }
 
     pub(crate) fn stats(&self, gpu: &Gpu) -> ClientStats {
@@ -183,9 +217,13 @@ impl Counters {
             vertex_samples: self.vertex_samples,
             held_vertices: self.held_vertices,
             frozen_vertices: self.frozen_vertices,
+            withheld_vertices: self.withheld_vertices,
             withheld_patches: self.withheld_patches,
+            most_arena_waiting_bytes: self.most_arena_waiting_bytes,
             lost_pictures: self.lost_pictures,
             refresh_requests: self.refresh_requests,
+            clock_error_bound_ms: self.clock_error_bound_ms.0,
+            clock_error_bound_last_ms: self.clock_error_bound_ms.1,
             validation_messages: gpu.validation_messages(),
         }
     }
@@ -202,6 +240,9 @@ mod tests {
             seconds: 3.0,
             client_fps: 70.0,
             frames: 211,
+            withheld_vertices: 5,
+            most_arena_waiting_bytes: 900,
+            clock_error_bound_ms: Some(7.0),
             ..ClientStats::default()
         };
         let second = ClientStats {
@@ -210,11 +251,17 @@ mod tests {
             client_fps: 90.0,
             frames: 91,
             connections: 1,
+            withheld_vertices: 2,
+            most_arena_waiting_bytes: 300,
+            clock_error_bound_ms: Some(4.0),
+            clock_error_bound_last_ms: Some(2.0),
             ..ClientStats::default()
         };
         let both = ClientStats::default().and(first.clone()).and(second);
         assert_eq!((both.runtime.as_str(), both.seconds, both.client_fps), ("second", 4.0, 75.0));
         assert_eq!((both.frames, both.connections), (302, 1));
+        assert_eq!((both.withheld_vertices, both.most_arena_waiting_bytes), (7, 900));
+        assert_eq!((both.clock_error_bound_ms, both.clock_error_bound_last_ms), (Some(7.0), Some(2.0)));
         assert_eq!(ClientStats::default().and(first.clone()), first);
     }
 }

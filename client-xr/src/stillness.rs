@@ -68,13 +68,16 @@ mod tests {
         FrameReport {
             display_time: ClientTime(ms * MS),
             server_time: None,
+            clock_error_bound_ns: None,
             motion_time: None,
             is_rendered: true,
             update: Some(UpdateId(0)),
             is_new,
             held_vertices: 0,
             frozen_vertices: 0,
+            withheld_vertices: 0,
             withheld_patches: 0,
+            arena_waiting_bytes: 0,
         }
     }
 

@@ -4,6 +4,7 @@
 //! through the function pointers into arrays of two.
 
 use crate::platform::Platform;
+use crate::platform::requirements::REQUIRED;
 use ash::vk;
 use ash::vk::Handle as _;
 use glam::{Quat, Vec3};
@@ -364,6 +365,8 @@ impl Xr {
         let gpu_options =
             GpuOptions { needs: Needs::Client, validation: options.validation, device_name: None };
         let gpu = Gpu::open(&gpu_options, &device)?;
+        let storage_buffers = gpu.max_stage_storage_buffers();
+        REQUIRED.check_buffers(&gpu.device_name(), storage_buffers, gpu.max_storage_buffer_bytes())?;
         let (session, waiter, stream) = open_session(&instance, system, &gpu)?;
         let stage = open_stage(&session)?;
         let head = session

@@ -10,7 +10,7 @@ use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, Pat
 use shadecast_protocol::delta::{Delta, DeltaEncoder};
 use shadecast_protocol::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex};
 use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
-use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
+use shadecast_protocol::limits::{MAX_NEW_SAMPLE_GRIDS, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Codec, Environment, HeadState, ResumeSecret, ServerOffer};
 use shadecast_protocol::motion::SampleBatch;
 use shadecast_protocol::picture::I420;
@@ -105,7 +105,7 @@ fn two_patches() -> Delta {
         placements: vec![(PatchSlot(0), Some(block(0))), (PatchSlot(1), Some(block(64)))],
         ..GeometryDelta::default()
     };
-    Delta { geometry, samples: samples(29, 45) }
+    Delta { geometry, is_update: true, samples: samples(29, 45) }
 }
 
 #[track_caller]
@@ -211,7 +211,7 @@ fn a_vertex_that_runs_out_of_samples_stops_and_is_counted_and_returns_without_a_
     for index in 0..50 {
         if index == 16 {
             let geometry = GeometryDelta { update: UpdateId(1), ..GeometryDelta::default() };
-            line.send_delta(Delta { geometry, samples: samples(34, 49) });
+            line.send_delta(Delta { geometry, is_update: true, samples: samples(34, 49) });
         }
         let report = line.frame(&mut client);
         frozen += report.frozen_vertices;
@@ -293,7 +293,7 @@ fn moving_strip(samples: Vec<SampleBatch>) -> Delta {
         placements: vec![(PatchSlot(0), Some(block(0))), (PatchSlot(1), Some(block(64)))],
         ..GeometryDelta::default()
     };
-    Delta { geometry, samples }
+    Delta { geometry, is_update: true, samples }
 }
 
 /// Where a vertex of the strip is when the stage's clock reads `seconds`.
@@ -341,7 +341,7 @@ fn samples_of_the_next_update_do_not_tear_what_is_on_display_and_its_picture_set
         evicted_vertices: vec![VertexSlot(4), VertexSlot(5)],
         ..GeometryDelta::default()
     };
-    let lost = Delta { geometry: lost, samples: strip_samples(0..4, 34..=49) };
+    let lost = Delta { geometry: lost, is_update: true, samples: strip_samples(0..4, 34..=49) };
     let (mut stood_still, mut largest, mut last) = (0, 0f32, None);
     for index in 0..45 {
         match index {
@@ -730,7 +730,7 @@ fn absence(line: &mut Line, client: &mut Client, turns: u32, frame: &mut u32) ->
             *frame += 1;
             let samples = strip_samples(0..6, strip_steps(line));
             let geometry = GeometryDelta { update: UpdateId(*frame), ..GeometryDelta::default() };
-            line.send(Delta { geometry, samples }, &planes, true);
+            line.send(Delta { geometry, is_update: true, samples }, &planes, true);
         }
         line.turn(client);
     }
@@ -840,6 +840,7 @@ fn a_flood_of_samples_that_take_no_bits_waits_coded_and_then_ends_the_session() 
         grid: GridIndex(grid),
         values: (0..256).map(|slot| (VertexSlot(slot), [0; 3])).collect(),
     };
+    let grids = MAX_NEW_SAMPLE_GRIDS as i32;
     for frame in 0..250 {
         let enters = frame == 0;
         let geometry = GeometryDelta {
@@ -851,10 +852,10 @@ fn a_flood_of_samples_that_take_no_bits_waits_coded_and_then_ends_the_session() 
             new_vertices: (0..if enters { 256 } else { 0 }).map(still).collect(),
             ..GeometryDelta::default()
         };
-        line.send_delta(Delta { geometry, samples: (0..16).map(batch).collect() });
+        line.send_delta(Delta { geometry, is_update: true, samples: (0..grids).map(batch).collect() });
     }
     line.deliver(&mut client, at(2_000_000_000));
-    // One delta of 4096 samples is more than a turn takes in; records of 20 bytes, twice for the vector's growth.
+    // One delta of 2048 samples is more than a turn takes in; records of 20 bytes, twice for the vector's growth.
     assert!(client.waiting_bytes() < 400_000, "{} bytes wait", client.waiting_bytes());
     let Some(Notice::Failed(reason)) = client.poll_notice() else { panic!("no word") };
     assert!(reason.contains("above the limit of 128"), "{reason}");

@@ -3,8 +3,8 @@
 use shadecast_client::platform::requirements::REQUIRED;
 use shadecast_gpu::{DesktopDevice, DeviceSource, Gpu, GpuError, GpuOptions, Needs, vk};
 use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS, SAMPLE_RING};
-use shadecast_shaders::Shader;
 use shadecast_shaders::generated as shaders;
+use shadecast_shaders::{BindingKind, Shader};
 use std::ffi::CStr;
 use std::sync::Mutex;
 
@@ -25,6 +25,8 @@ fn client_shaders() -> Vec<&'static Shader> {
     vec![
         &shaders::CLIENT_SCATTER_COMP,
         &shaders::CLIENT_INTERPOLATE_COMP,
+        &shaders::CLIENT_POSE_COMP,
+        &shaders::CLIENT_SKIN_COMP,
         &shaders::CLIENT_ATLAS_VERT,
         &shaders::CLIENT_ATLAS_FRAG,
         &shaders::CLIENT_BACKGROUND_VERT,
@@ -50,11 +52,26 @@ fn the_list_asks_for_nothing_that_a_first_generation_headset_lacks() {
 }
 
 #[test]
-fn the_largest_buffers_and_push_constants_are_within_the_list() {
+fn the_largest_buffers_the_most_of_them_and_push_constants_are_within_the_list() {
     let largest = [u64::from(MAX_VERTEX_SLOTS * SAMPLE_RING) * 16, u64::from(MAX_PATCH_SLOTS) * 5 * 16];
     assert_eq!(largest.into_iter().max(), Some(REQUIRED.storage_buffer_bytes));
     let push_bytes = client_shaders().iter().map(|shader| shader.push_bytes).max();
     assert_eq!(push_bytes, Some(REQUIRED.push_constant_bytes));
+    let storage = |shader: &Shader| {
+        shader.bindings.iter().filter(|binding| binding.kind == BindingKind::StorageBuffer).count()
+    };
+    assert_eq!(client_shaders().into_iter().map(storage).max(), Some(REQUIRED.storage_buffers));
+}
+
+#[test]
+fn a_device_with_too_few_or_too_small_storage_buffers_is_refused_by_its_name() {
+    let (most, bytes) = (REQUIRED.storage_buffers as u32, REQUIRED.storage_buffer_bytes);
+    assert!(REQUIRED.check_buffers("Adreno", most, bytes).is_ok());
+    let refused = |buffers, bytes| REQUIRED.check_buffers("Adreno", buffers, bytes).unwrap_err().to_string();
+    let few = refused(most - 1, bytes);
+    assert!(few.contains("Adreno has 9 storage buffers a shader") && few.contains("10 are needed"), "{few}");
+    let small = refused(most, bytes - 1);
+    assert!(small.contains("Adreno has storage buffers of at most 67108863 bytes"), "{small}");
 }
 
 #[test]

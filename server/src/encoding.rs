@@ -54,8 +54,8 @@ impl Encoding {
 mod tests {
     use super::*;
     use crate::encode::Source;
+    use crate::geometry::UpdateDelta;
     use shadecast_gpu::Timings;
-    use shadecast_protocol::delta::DeltaEncoder;
     use shadecast_protocol::ids::UpdateId;
     use shadecast_protocol::picture::I420;
     use shadecast_protocol::time::ServerTime;
@@ -90,7 +90,7 @@ mod tests {
     fn shaded(number: u8) -> Box<Shaded> {
         let picture = Source::Planes(I420::new([2, 2], vec![number; 6]).expect("a picture"));
         let (frame, time) = (UpdateId(number.into()), ServerTime(number.into()));
-        let delta = DeltaEncoder::new(1, 1).encode(&Default::default());
+        let delta = UpdateDelta::default();
         Box::new(Shaded { update: frame, time, delta, picture, timings: Timings::default() })
     }
 

@@ -1,14 +1,18 @@
 //! One update for one viewer, from the head's pose to what is sent: the design's steps 1 to 9 on one page, with the barriers
 //! between the stages. What does not depend on who looks is the [`World`]'s.
 
+use crate::animation::RING;
 use crate::choice::{Notice, Room, Shortage};
 use crate::culling::{Culling, Needed};
 use crate::encode::Source;
-use crate::geometry::UpdateWindow;
+use crate::geometry::{UpdateDelta, UpdateStamp};
 use crate::levels::{Layout, Visible};
+use crate::motion::predictions::predictions;
+use crate::motion::skinning::Skinning;
+use crate::motion::steps::wanted_steps_m;
+use crate::pacing::Budget;
 use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES};
-use crate::residency::{Budget, PlacementChange, Residency};
-use crate::samples::RING;
+use crate::residency::{PlacementChange, Residency};
 use crate::scene::SceneGpu;
 use crate::scene::numbering::Totals;
 use crate::stages::id_buffer::{IdBuffer, shift_ndc};
@@ -79,7 +83,7 @@ pub struct Shaded {
     /// When it started.
     pub time: ServerTime,
     /// What changes in the client's memory.
-    pub delta: EncodedDelta,
+    pub delta: UpdateDelta,
     /// The atlas; of no texels while an encoder has it.
     pub picture: Source,
     /// What its stages took on the device.
@@ -112,7 +116,8 @@ impl Frame {
                 Memory::Readback,
             )?,
             layout: Layout::new(welcome.atlas_extent_texels, scene.numbering.totals.patches as usize, room),
-            residency: Residency::new(&world.samples, welcome.patch_slots, welcome.vertex_slots),
+            residency: Residency::new(&world.samples, welcome.patch_slots, welcome.vertex_slots)
+                .with_skinning(Skinning::new(scene, world.timeline(), welcome.motion), welcome.motion),
             room,
             shortage: Shortage::default(),
             id,
@@ -176,13 +181,16 @@ impl Frame {
         let Some(views) = self.head.predict(now, world.grid()) else { return Ok(None) }; // 1
         let needs: Needed = self.culling.needs(views.eyes.iter().flatten().copied());
         let mut recorder = world.gpu().record()?;
+        let began = world.effort.begin();
         let sampled: Sampled = world.animate(&mut recorder, self.id, &views, &needs); // 2
+        world.effort.add_animation(began);
         let mut timings = self.look(recorder, world, &views, &needs, &sampled)?; // 3, 4 on the GPU
         let visible = Visible(&self.extents.values()[..world.scene().numbering.totals.patches as usize]);
         let changes: Vec<PlacementChange> = self.layout.place(&world.samples, visible); // 4, 5
         timings.append(self.shade(world, &views, &sampled)?); // 6
-        let window = self.window(now, &views, &sampled);
-        let delta: EncodedDelta = self.residency.update(&world.samples, &changes, window); // 8
+        let began = world.effort.begin();
+        let delta: UpdateDelta = self.tell(world, &views, &changes, now); // 8
+        world.effort.add_delta(began);
         self.report_shortage();
         let frame = self.begin_next(now);
         let mut picture = std::mem::take(&mut self.spare);
@@ -190,10 +198,28 @@ impl Frame {
         Ok(Some(Shaded { update: frame, time: now, delta, picture: Source::Planes(picture), timings }))
     }
 
-    /// Which samples the update that is being made may send.
-    fn window(&self, time: ServerTime, views: &PredictedViews, sampled: &Sampled) -> UpdateWindow {
-        let PredictedViews { first_sample, horizon, .. } = *views;
-        UpdateWindow { update: self.next, time, first_sample, oldest: sampled.oldest, horizon }
+    /// What the client must learn, of vertices as they are seen from `views`.
+    fn tell(
+        &mut self,
+        world: &World,
+        views: &PredictedViews,
+        changes: &[PlacementChange],
+        now: ServerTime,
+    ) -> UpdateDelta {
+        let (scene, eyes) = (world.scene(), views.eyes.iter().flatten());
+        let wanted_m = wanted_steps_m(&scene.world_bounds, eyes, self.eye.pixels_per_radian());
+        self.residency.want_steps(wanted_m);
+        let stamp = UpdateStamp { update: self.next, time: now };
+        let mut delta = self.residency.update(&world.samples, changes, stamp);
+        if self.residency.predicts() {
+            delta.geometry.predictions = predictions(scene, world.timeline(), now, self.residency.moving());
+        }
+        delta
+    }
+
+    /// The bytes of an update's delta, in the order of updates.
+    pub fn encode(&self, delta: &UpdateDelta) -> EncodedDelta {
+        self.residency.encode(delta)
     }
 
     /// The update that is being made has been; gives it.
@@ -311,6 +337,13 @@ impl Frame {
 impl EyeSize {
     fn of(capabilities: &Capabilities) -> Self {
         Self { extent_pixels: capabilities.eye_extent_pixels, fovs: capabilities.eyes.map(|eye| eye.fov) }
+    }
+
+    /// In the middle of the picture, along the denser side of the denser eye.
+    fn pixels_per_radian(&self) -> f32 {
+        let span = |f: Fov| [f.right.tan() - f.left.tan(), f.up.tan() - f.down.tan()];
+        let of = |f: Fov| [0, 1].map(|axis| self.extent_pixels[axis] as f32 / span(f)[axis]);
+        self.fovs.into_iter().flat_map(of).fold(0.0, f32::max)
     }
 
     /// Pixels that a widened field of view would have at the density of the client's display.

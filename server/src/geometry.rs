@@ -2,8 +2,9 @@
 
 use crate::scene::numbering::{ScenePatch, SceneVertex};
 use glam::Vec3;
-use shadecast_protocol::ids::UpdateId;
-use shadecast_protocol::time::{GridIndex, ServerTime};
+use shadecast_protocol::geometry::GeometryDelta;
+use shadecast_protocol::ids::{UpdateId, VertexSlot};
+use shadecast_protocol::time::ServerTime;
 use shadecast_scene::patches::Patch;
 
 /// Most vertices of a patch.
@@ -19,27 +20,28 @@ pub trait Geometry {
     fn patch(&self, patch: ScenePatch) -> Patch;
     /// The world position of a static vertex, `None` for one that moves.
     fn static_position(&self, vertex: SceneVertex) -> Option<Vec3>;
-    /// The world position of an animated vertex at a grid point of the current window.
-    fn sample(&self, grid: GridIndex, vertex: SceneVertex) -> Vec3;
     /// Scene-wide count of vertices.
     fn vertex_count(&self) -> usize;
     /// Scene-wide count of patches.
     fn patch_count(&self) -> usize;
 }
 
-/// Which samples an update may send.
+/// An update, as far as its delta says.
 #[derive(Clone, Copy, Debug)]
-pub struct UpdateWindow {
+pub struct UpdateStamp {
     /// The update.
     pub update: UpdateId,
     /// Its time.
     pub time: ServerTime,
-    /// Earliest grid point that a vertex which enters now can be displayed with.
-    pub first_sample: GridIndex,
-    /// Oldest grid point whose positions are still known.
-    pub oldest: GridIndex,
-    /// Last grid point to send.
-    pub horizon: GridIndex,
+}
+
+/// What one update changes in a client's memory, before it is coded.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct UpdateDelta {
+    /// What the client is told.
+    pub geometry: GeometryDelta,
+    /// Of the vertices that enter, those with samples.
+    pub sampled: Vec<(VertexSlot, SceneVertex)>,
 }
 
 fn corners(patch: Patch) -> impl Iterator<Item = u32> {
@@ -85,9 +87,6 @@ pub(crate) mod test_geometry {
                 }
                 fn static_position(&self, _: SceneVertex) -> Option<Vec3> {
                     Some(Vec3::ZERO)
-                }
-                fn sample(&self, _: GridIndex, _: SceneVertex) -> Vec3 {
-                    Vec3::ZERO
                 }
                 fn vertex_count(&self) -> usize {
                     $vertices(self.patches) as usize

@@ -414,13 +414,11 @@ fn memory(scene: &Scene, sampling: Sampling) -> Vec<MemoryPart> {
 
 /// Positions: of a moving instance for each sample time, of a still one once.
 fn saved_bytes(scene: &Scene, ring: usize) -> u64 {
-    let of_instance = |instance: &shadecast_scene::Instance| {
-        let model = &scene.models[instance.model];
-        let moves = instance.path.is_some()
-            || shadecast_scene::animation::pose::animated_vertices(model, instance.clip).contains(&true);
-        (16 * model.vertices.len() * if moves { ring } else { 1 }) as u64
+    let of_instance = |(index, instance): (usize, &shadecast_scene::Instance)| {
+        let times = if scene.moves(index) { ring } else { 1 };
+        (16 * scene.models[instance.model].vertices.len() * times) as u64
     };
-    scene.instances.iter().map(of_instance).sum()
+    scene.instances.iter().enumerate().map(of_instance).sum()
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ pub mod animation;
 pub mod atlas;
 pub mod choice;
 pub mod culling;
+pub mod effort;
 pub mod encode;
 pub mod encoding;
 pub mod flags;

@@ -1,11 +1,13 @@
 //! All light of the scene at one time, for the shaders: sun and sky, lamps where their bones are, and the sun's view of
 //! the casters. Pure; the stage that draws the shadow map owns the buffer.
 
+use crate::animation::timeline::Timeline;
 use glam::{Affine3A, Mat4, Vec3};
 use shadecast_protocol::limits::MAX_LIGHTS;
+use shadecast_protocol::time::ServerTime;
 use shadecast_scene::animation::bounds::Bounds;
 use shadecast_scene::animation::pose;
-use shadecast_scene::{Instance, Light, LightKind, Model, Scene};
+use shadecast_scene::{Light, LightKind, Scene};
 use shadecast_shaders::generated::{LightGpu, PunctualGpu};
 
 /// Texels of a shadow map's side.
@@ -71,13 +73,13 @@ pub fn surplus(scene: &Scene) -> usize {
     (scene.lights.len() + hung.sum::<usize>()).saturating_sub(MAX_LIGHTS as usize)
 }
 
-/// Everything at a time of the scene. `sun_view` is `None` where the sun casts no shadows.
-pub fn at(scene: &Scene, sun_view: Option<&SunView>, time_s: f64) -> LightGpu {
+/// Everything at a time of the scene, which moves as `timeline` says. `sun_view` is `None` where the sun casts no shadows.
+pub fn at(scene: &Scene, timeline: &Timeline, sun_view: Option<&SunView>, time: ServerTime) -> LightGpu {
     let environment = scene.environment;
     let wide = |v: Vec3| v.extend(0.0).to_array();
     let mut punctual = [bytemuck::Zeroable::zeroed(); MAX_LIGHTS as usize];
     let mut count = 0;
-    for (place, lamp) in punctual.iter_mut().zip(lamps(scene, time_s)) {
+    for (place, lamp) in punctual.iter_mut().zip(lamps(scene, timeline, time)) {
         *place = lamp;
         count += 1;
     }
@@ -94,23 +96,25 @@ pub fn at(scene: &Scene, sun_view: Option<&SunView>, time_s: f64) -> LightGpu {
     }
 }
 
-fn lamps(scene: &Scene, time_s: f64) -> impl Iterator<Item = PunctualGpu> + '_ {
+fn lamps<'a>(
+    scene: &'a Scene,
+    timeline: &'a Timeline,
+    time: ServerTime,
+) -> impl Iterator<Item = PunctualGpu> + 'a {
     let placed = scene.lights.iter().map(|placed| punctual(placed.world_from_light, &placed.light));
-    let hung = scene.instances.iter().flat_map(move |instance| {
-        let model = &scene.models[instance.model];
-        hung_lamps(instance, model, time_s)
-    });
+    let hung = (0..scene.instances.len()).flat_map(move |index| hung_lamps(scene, timeline, index, time));
     placed.chain(hung)
 }
 
 /// An instance's lamps, which follow their bones by the source curves.
-fn hung_lamps(instance: &Instance, model: &Model, time_s: f64) -> Vec<PunctualGpu> {
+fn hung_lamps(scene: &Scene, timeline: &Timeline, index: usize, time: ServerTime) -> Vec<PunctualGpu> {
+    let instance = &scene.instances[index];
+    let model = &scene.models[instance.model];
     if model.lights.is_empty() {
         return Vec::new();
     }
-    let phase_s = instance.clip_phase_s(model.duration_s(instance.clip), time_s);
-    let globals = pose::global_pose(model, &pose::source_pose(model, instance.clip, phase_s));
-    let world_from_model = instance.world_from_model(time_s);
+    let globals = pose::global_pose(model, &timeline.source_pose(model, index, time));
+    let world_from_model = instance.world_from_model(time.seconds());
     let lamp = |hung: &shadecast_scene::ModelLight| {
         punctual(world_from_model * globals[hung.bone as usize], &hung.light)
     };
@@ -141,7 +145,9 @@ fn punctual(world_from_light: Affine3A, light: &Light) -> PunctualGpu {
 mod tests {
     use super::*;
     use shadecast_scene::load::{SceneSource, load_scene};
-    use shadecast_scene::{Bone, Clip, Interpolation, ModelLight, PlacedLight, Track, TrackValues, Trs};
+    use shadecast_scene::{
+        Bone, Clip, Instance, Interpolation, Model, ModelLight, PlacedLight, Track, TrackValues, Trs,
+    };
 
     const BOX: Bounds = Bounds { low: Vec3::new(-1.0, 0.0, -3.0), high: Vec3::new(2.0, 1.5, -1.0) };
 
@@ -204,7 +210,7 @@ mod tests {
             ..Instance::new("lamp", scene.models.len())
         });
         scene.models.push(model);
-        let found = at(&scene, None, 0.25);
+        let found = at(&scene, &Timeline::new(&scene), None, ServerTime(250_000_000));
         assert_eq!(found.punctual_count[0], 1);
         assert_eq!(found.punctual[0].position_range, [1.0, 0.5, 0.0, 0.25]);
         assert_eq!(found.shadow[2], 0.0, "no shadows without a view of the sun");
@@ -228,6 +234,6 @@ mod tests {
             PlacedLight { world_from_light: Affine3A::IDENTITY, light: lamp(LightKind::Directional) };
         scene.lights = vec![placed; MAX_LIGHTS as usize + 3];
         assert_eq!(surplus(&scene), 3);
-        assert_eq!(at(&scene, None, 0.0).punctual_count[0], MAX_LIGHTS);
+        assert_eq!(at(&scene, &Timeline::new(&scene), None, ServerTime(0)).punctual_count[0], MAX_LIGHTS);
     }
 }

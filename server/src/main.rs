@@ -24,6 +24,7 @@ use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::frame;
 use shadecast_server::inspect::{self, InspectArgs};
+use shadecast_server::motion::MotionOption;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::stream::{Device, StreamOptions, run};
 use shadecast_transport::write_atomically;
@@ -88,6 +89,9 @@ struct DeviceArgs {
     /// How vertices are skinned
     #[arg(long, value_enum, default_value_t)]
     skinning: Skinning,
+    /// How clients are told of motion
+    #[arg(long, value_enum, default_value_t)]
+    motion: MotionOption,
     /// The sun casts no shadows, whatever the scene says
     #[arg(long)]
     no_shadows: bool,
@@ -221,7 +225,7 @@ fn gpu_options(args: &DeviceArgs) -> GpuOptions {
 }
 
 fn scene_options(args: &DeviceArgs) -> SceneOptions {
-    SceneOptions { sampling: args.sampling, skinning: args.skinning }
+    SceneOptions { sampling: args.sampling, skinning: args.skinning, motion: args.motion }
 }
 
 fn open(

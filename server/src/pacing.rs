@@ -4,7 +4,6 @@
 //! A link that carries less than the scene needs gets fewer updates, each of them whole. What would wait before the link
 //! is not made at all, since it would be old when it leaves.
 
-use crate::residency::Budget;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::SAMPLE_RING;
 use shadecast_protocol::time::DEFAULT_GRID;
@@ -26,8 +25,10 @@ const MEASURE_NS: i64 = 300_000_000;
 const RATE_LIFETIME_NS: i64 = 10_000_000_000;
 /// On a slow link an update brings new geometry for this part of a second, so that its picture is not far behind.
 const GEOMETRY_S: f64 = 1.0;
-/// The same for samples of what is there: they are shown for less time than it takes to send them.
-const SAMPLES_S: f64 = 0.25;
+/// The same for samples, in one step of the time grid: three fifths of what the link carries meanwhile.
+const SAMPLES_S: f64 = 0.02;
+/// The same for what is shown later: a tenth of what the link carries meanwhile.
+const LATER_S: f64 = 0.0033;
 /// New geometry that an update may bring until the first one has arrived, bytes: over a slow link the first picture would
 /// have to wait for the whole scene.
 const FIRST_GEOMETRY_BYTES: usize = 131_072;
@@ -44,6 +45,9 @@ const NEWEST: f64 = 0.25;
 /// Longest time that one update's samples cover, nanoseconds: those of a pause that was longer are left out.
 const LONGEST_COVERED_NS: i64 = SAMPLE_RING as i64 * DEFAULT_GRID.spacing_ns;
 
+/// Stands for what leaves after all updates, so that none waits for it.
+pub const AFTER_ALL: UpdateId = UpdateId(u32::MAX);
+
 /// What the transport knows of the way to a client.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct WayState {
@@ -53,6 +57,8 @@ pub struct WayState {
     pub window_bytes: u64,
     /// Shortest round trip so far, nanoseconds.
     pub round_trip_ns: i64,
+    /// The usual one, nanoseconds.
+    pub smoothed_ns: i64,
 }
 
 impl From<PeerStats> for WayState {
@@ -61,8 +67,26 @@ impl From<PeerStats> for WayState {
             streams_under_way: stats.streams_under_way,
             window_bytes: stats.window_bytes,
             round_trip_ns: stats.min_rtt.min(LONGEST_ROUND_TRIP).as_nanos() as i64,
+            smoothed_ns: stats.rtt.min(LONGEST_ROUND_TRIP).as_nanos() as i64,
         }
     }
+}
+
+/// What an update may take on the wire, about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Budget {
+    /// Bytes of patches and vertices that the client does not have; the largest blocks come first, the rest waits.
+    pub geometry_bytes: usize,
+    /// Bytes of samples that one step of motion may bring.
+    pub sample_bytes: usize,
+    /// Bytes that one step of motion may bring of what is shown later.
+    pub later_bytes: usize,
+}
+
+impl Budget {
+    /// As much as there is.
+    pub const UNLIMITED: Self =
+        Self { geometry_bytes: usize::MAX, sample_bytes: usize::MAX, later_bytes: usize::MAX };
 }
 
 /// What a stream holds.
@@ -72,6 +96,8 @@ pub enum Kind {
     Delta,
     /// A picture.
     Picture,
+    /// News of motion.
+    Motion,
 }
 
 /// The link carries less than the scene needs, Mbit/s.
@@ -160,7 +186,7 @@ impl UpdateGate {
     pub fn may_update(&mut self, way: &WayState, now_ns: i64) -> bool {
         self.observe(way, now_ns);
         let waiting = self.before_the_link(way, now_ns);
-        let under_way: u64 = self.under_way.iter().map(|sent| sent.bytes).sum();
+        let under_way: u64 = self.before_updates().map(|sent| sent.bytes).sum();
         let most_s = (MAX_WAIT_NS + way.round_trip_ns) as f64 * 1e-9;
         let leaves_soon = self.rate_bytes_s(now_ns).is_none_or(|rate| under_way as f64 <= rate * most_s);
         let may = waiting.updates <= MAX_WAITING_UPDATES && leaves_soon;
@@ -177,8 +203,11 @@ impl UpdateGate {
             Some(rate) => Budget {
                 geometry_bytes: (rate * GEOMETRY_S).max(LEAST_GEOMETRY_BYTES) as usize,
                 sample_bytes: (rate * SAMPLES_S) as usize,
+                later_bytes: (rate * LATER_S) as usize,
             },
-            None if !self.has_arrived => Budget { geometry_bytes: FIRST_GEOMETRY_BYTES, ..Budget::UNLIMITED },
+            None if !self.has_arrived => {
+                Budget { geometry_bytes: FIRST_GEOMETRY_BYTES, later_bytes: 0, ..Budget::UNLIMITED }
+            }
             None => Budget::UNLIMITED,
         }
     }
@@ -222,13 +251,18 @@ impl UpdateGate {
         }
     }
 
+    /// What updates have to wait for, in the order in which it leaves.
+    fn before_updates(&self) -> impl Iterator<Item = &Sent> {
+        self.under_way.iter().filter(|sent| sent.update != AFTER_ALL)
+    }
+
     /// What does not fit into the window any more, the oldest being inside; all of it where the oldest is late.
     fn before_the_link(&self, way: &WayState, now_ns: i64) -> Waiting {
         let late_ns = LATE_NS + 2 * way.round_trip_ns;
-        let is_late = self.under_way.front().is_some_and(|oldest| now_ns - oldest.at_ns > late_ns);
+        let is_late = self.before_updates().next().is_some_and(|oldest| now_ns - oldest.at_ns > late_ns);
         let window_bytes = if is_late { 0 } else { way.window_bytes };
         let (mut sum, mut updates, mut last) = (0, 0, None);
-        for sent in &self.under_way {
+        for sent in self.before_updates() {
             sum += sent.bytes;
             if sum > window_bytes && last != Some(sent.update) {
                 last = Some(sent.update);
@@ -242,6 +276,8 @@ impl UpdateGate {
 impl Needs {
     fn note(&mut self, update: UpdateId, kind: Kind, bytes: f64, now_ns: i64, period_ns: i64) {
         let (mean, covered_ns) = match kind {
+            // What comes once says nothing of what updates need.
+            Kind::Motion => return,
             Kind::Picture => (&mut self.pictures, period_ns),
             Kind::Delta => {
                 // After a pause a delta has the samples of all of it.
@@ -294,6 +330,7 @@ mod tests {
                 streams_under_way: self.streams.len() as u64,
                 window_bytes: self.window_bytes,
                 round_trip_ns: 40_000_000,
+                smoothed_ns: 40_000_000,
             }
         }
 
@@ -371,9 +408,9 @@ mod tests {
     fn geometry_is_bounded_only_while_the_link_is_known_to_be_slow() {
         let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(125_000.0));
         run(&mut gate, &mut link, 10, [40_000, 20_000]);
-        let Budget { geometry_bytes, sample_bytes } = gate.budget(link.now_ns);
+        let Budget { geometry_bytes, sample_bytes, .. } = gate.budget(link.now_ns);
         assert!((100_000..150_000).contains(&geometry_bytes), "{geometry_bytes}");
-        assert!((25_000..37_500).contains(&sample_bytes), "{sample_bytes}");
+        assert!((2_000..3_000).contains(&sample_bytes), "{sample_bytes}");
         link.bytes_s = 50e6;
         link.window_bytes = 1 << 20;
         run(&mut gate, &mut link, 12, [40_000, 20_000]);

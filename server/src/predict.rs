@@ -1,8 +1,9 @@
 //! Where the headset will look from while an update is on display. Pure: state, measurements and time in, views out.
 
+use crate::animation::RING;
 use glam::{Quat, Vec3};
 use shadecast_protocol::ids::DiscontinuityId;
-use shadecast_protocol::limits::{MAX_VIEWS, SAMPLE_RING};
+use shadecast_protocol::limits::MAX_VIEWS;
 use shadecast_protocol::message::HeadState;
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::time::{DEFAULT_GRID, Grid, GridIndex, ServerTime};
@@ -23,7 +24,7 @@ const MAX_MARGIN: f32 = 0.35;
 /// Velocities beyond these are tracking errors, not heads.
 const MAX_SPEED_M_S: f32 = 10.0;
 const MAX_TURN_RAD_S: f32 = 20.0;
-/// Never predict farther than this, whatever the path looks like: the ring of samples must hold the whole window.
+/// Never predict farther than this, whatever the path looks like: the ring of samples must hold all view times.
 const MAX_HORIZON_NS: i64 = 400_000_000;
 
 /// One predicted eye.
@@ -35,7 +36,7 @@ pub struct View {
     pub fov: Fov,
 }
 
-const _: () = assert!(MAX_HORIZON_NS / DEFAULT_GRID.spacing_ns + 4 <= SAMPLE_RING as i64);
+const _: () = assert!(MAX_HORIZON_NS / DEFAULT_GRID.spacing_ns + 4 <= RING as i64);
 
 /// What an update is made for.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,10 +47,6 @@ pub struct PredictedViews {
     pub eyes: [[View; 2]; VIEW_TIMES],
     /// The head in the middle of the interval; shading looks from there.
     pub world_from_head: Pose,
-    /// First grid point that can be on display, less the one before it that interpolation needs.
-    pub first_sample: GridIndex,
-    /// Last grid point that samples must reach: the interval's end and the one after it that interpolation needs.
-    pub horizon: GridIndex,
     /// What was added to each side of the field of view, radians.
     pub margin: f32,
 }
@@ -138,14 +135,7 @@ impl HeadTrack {
         if self.promised.len() < REPORTS {
             self.promised.push_back((middle, world_from_head));
         }
-        Some(PredictedViews {
-            times,
-            eyes,
-            world_from_head,
-            first_sample: grid.floor(now.plus_ns(first_ns / 2)).plus(-1),
-            horizon: grid.ceil(last).plus(2),
-            margin,
-        })
+        Some(PredictedViews { times, eyes, world_from_head, margin })
     }
 
     /// The 95th percentile of recent prediction errors, within bounds.
@@ -236,7 +226,6 @@ mod tests {
         assert_eq!((first, last), (70_000_000, 103_000_000), "on display until the next one comes");
         assert!(DEFAULT_GRID.time_of(views.times[0]) <= now.plus_ns(first));
         assert!(DEFAULT_GRID.time_of(views.times[2]) >= now.plus_ns(last));
-        assert!(views.horizon > views.times[2] && views.first_sample < views.times[0]);
     }
 
     #[test]

@@ -1,19 +1,25 @@
 //! What of the scene lies in one client's memory: the cache that the server alone writes.
 //!
-//! Produces the delta of each update. What the memory holds is a [`ClientMemory`]'s to say; here is where each patch and vertex
+//! Produces the delta of each update. What the memory holds is a [`ClientMemory`](shadecast_protocol::memory::ClientMemory)'s to say; here is where each patch and vertex
 //! of the scene lies in it, and which slots are free. Eviction of static geometry is lazy, because what was visible tends to
 //! come back; animated geometry leaves with its block, because every sample of it costs bytes. A freed slot is used
 //! again only after the client has displayed the frame that freed it.
 
-use crate::geometry::{Geometry, UpdateWindow, vertices_of_patch};
-use crate::motion::{STEP_M, SampledMotion};
+use crate::geometry::{Geometry, UpdateDelta, UpdateStamp, vertices_of_patch};
+use crate::motion::sampled::{self, Coder, SharedCoder};
+use crate::motion::sender;
+use crate::motion::skinning::Skinning;
+use crate::motion::steps::Steps;
+use crate::pacing::Budget;
 use crate::scene::numbering::{ScenePatch, SceneVertex};
 use shadecast_protocol::atlas::Block;
-use shadecast_protocol::delta::{Delta, DeltaEncoder, EncodedDelta};
-use shadecast_protocol::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex};
+use shadecast_protocol::delta::{DeltaEncoder, EncodedDelta};
+use shadecast_protocol::geometry::{GeometryDelta, Motion, NewPatch, NewVertex};
 use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
-use shadecast_protocol::memory::ClientMemory;
+use shadecast_protocol::message::MotionMemory;
+use shadecast_protocol::motion::predicted::PREDICTED_BYTES;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::{Arc, Mutex};
 
 /// A static patch without a block is forgotten after this many updates.
 const RETAIN_UPDATES: u32 = 300;
@@ -22,6 +28,8 @@ const LOW_WATER: usize = 4096;
 /// What geometry takes on the wire, about, bytes: a patch, and a vertex that does not move.
 const PATCH_BYTES: usize = 12;
 const STATIC_VERTEX_BYTES: usize = 14;
+/// The first samples of a vertex.
+const SAMPLED_VERTEX_BYTES: usize = 30;
 
 /// A block that changed with this update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,21 +38,6 @@ pub struct PlacementChange {
     pub patch: ScenePatch,
     /// Its block now; `None`: it has none any more.
     pub block: Option<Block>,
-}
-
-/// What an update may take on the wire, about.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Budget {
-    /// Bytes of patches and vertices that the client does not have; the largest blocks come first, the rest waits.
-    pub geometry_bytes: usize,
-    /// Bytes of samples of the vertices that it has; the last steps of the grid that fit, since after a pause the first
-    /// are those of the pause.
-    pub sample_bytes: usize,
-}
-
-impl Budget {
-    /// As much as there is.
-    pub const UNLIMITED: Self = Self { geometry_bytes: usize::MAX, sample_bytes: usize::MAX };
 }
 
 /// Slots handed out from the lowest on, and taken back once a frame has been displayed.
@@ -86,8 +79,13 @@ struct Resident {
 #[derive(Debug)]
 pub struct Residency {
     /// The client's memory, and the pasts of its samples.
-    encoder: DeltaEncoder,
-    motion: SampledMotion,
+    coder: SharedCoder,
+    /// Vertices in it that move, by slot.
+    moving: BTreeMap<VertexSlot, SceneVertex>,
+    /// How finely samples are rounded, of instances that the client was told of.
+    steps: Steps,
+    /// What the client skins by itself.
+    skinning: Option<Skinning>,
     patch_slots: Slots<PatchSlot>,
     vertex_slots: Slots<VertexSlot>,
     /// By [`ScenePatch`].
@@ -108,8 +106,10 @@ impl Residency {
     /// An empty client memory.
     pub fn new(geometry: &impl Geometry, patch_slots: u32, vertex_slots: u32) -> Self {
         Self {
-            encoder: DeltaEncoder::new(vertex_slots, patch_slots),
-            motion: SampledMotion::default(),
+            coder: Arc::new(Mutex::new(Coder::new(DeltaEncoder::new(vertex_slots, patch_slots)))),
+            moving: BTreeMap::new(),
+            steps: Steps::default(),
+            skinning: None,
             patch_slots: Slots::new((0..patch_slots).map(PatchSlot)),
             vertex_slots: Slots::new((0..vertex_slots).map(VertexSlot)),
             slot_of_patch: vec![None; geometry.patch_count()],
@@ -121,6 +121,26 @@ impl Residency {
         }
     }
 
+    /// With what the client skins by itself.
+    #[must_use]
+    pub fn with_skinning(mut self, skinning: Skinning, memory: MotionMemory) -> Self {
+        let encoder = sampled::lock(&self.coder).encoder().clone().with_motion(memory);
+        self.coder = Arc::new(Mutex::new(Coder::new(encoder)));
+        sender::lock(skinning.sender()).code_with(&self.coder);
+        self.skinning = Some(skinning);
+        self
+    }
+
+    /// The coarsest steps of samples that will do from the next update on, by instance, metres.
+    pub fn want_steps(&mut self, wanted_m: Vec<f32>) {
+        self.steps.want(wanted_m);
+    }
+
+    /// Whether updates predict the vertices that move.
+    pub fn predicts(&self) -> bool {
+        self.skinning.as_ref().is_some_and(Skinning::predicts_others)
+    }
+
     /// The client has displayed `frame`: slots freed up to it can be used again.
     pub fn displayed(&mut self, update: UpdateId) {
         self.patch_slots.displayed(update);
@@ -130,36 +150,33 @@ impl Residency {
     /// What each update may take from now on.
     pub fn set_budget(&mut self, budget: Budget) {
         self.budget = budget;
+        if let Some(skinning) = &self.skinning {
+            sender::lock(skinning.sender()).set_budget(budget);
+        }
     }
 
-    /// The delta that brings the client from the last update to this one, coded.
+    /// The bytes of what [`Self::update`] gave, in the same order.
+    pub fn encode(&self, delta: &UpdateDelta) -> EncodedDelta {
+        sampled::lock(&self.coder).update(delta)
+    }
+
+    /// What brings the client from the last update to this one.
     pub fn update(
         &mut self,
         geometry: &impl Geometry,
         changes: &[PlacementChange],
-        window: UpdateWindow,
-    ) -> EncodedDelta {
-        let delta = self.delta(geometry, changes, window);
-        self.encoder.encode(&delta)
-    }
-
-    fn delta(
-        &mut self,
-        geometry: &impl Geometry,
-        changes: &[PlacementChange],
-        window: UpdateWindow,
-    ) -> Delta {
-        let window = self.motion.within(window, self.budget.sample_bytes);
-        let mut delta =
-            GeometryDelta { update: window.update, time: window.time, ..GeometryDelta::default() };
+        UpdateStamp { update, time }: UpdateStamp,
+    ) -> UpdateDelta {
+        let mut delta = GeometryDelta { update, time, ..GeometryDelta::default() };
         for change in changes.iter().filter(|c| c.block.is_none()) {
-            self.lose_block(geometry, change.patch, window.update, &mut delta);
+            self.lose_block(geometry, change.patch, update, &mut delta);
         }
-        self.forget_old(geometry, window.update, &mut delta);
+        self.forget_old(geometry, update, &mut delta);
+        delta.instances = self.steps.changes();
         let mut left_bytes = self.budget.geometry_bytes;
         self.held_back = 0;
         for (patch, block) in self.coming(changes) {
-            let bytes = self.entry_bytes(geometry, patch, window);
+            let bytes = self.entry_bytes(geometry, patch);
             if bytes > left_bytes {
                 self.held_back += 1;
                 self.waiting.insert(patch, block);
@@ -172,8 +189,10 @@ impl Residency {
             }
         }
         sort(&mut delta);
-        let samples = self.motion.samples(geometry, window);
-        Delta { geometry: delta, samples }
+        let is_sampled = |vertex: &&NewVertex| vertex.motion == Motion::Sampled;
+        let entering = delta.new_vertices.iter().filter(is_sampled);
+        let sampled = entering.map(|vertex| (vertex.slot, self.moving[&vertex.slot])).collect();
+        UpdateDelta { geometry: delta, sampled }
     }
 
     /// Patches that get a block or another one, and those that still wait for a slot: large blocks first.
@@ -191,13 +210,18 @@ impl Residency {
     }
 
     /// About how many bytes it takes to bring a patch in, with the vertices that are not there yet.
-    fn entry_bytes(&self, geometry: &impl Geometry, patch: ScenePatch, window: UpdateWindow) -> usize {
+    fn entry_bytes(&self, geometry: &impl Geometry, patch: ScenePatch) -> usize {
         if self.slot_of_patch[patch.index()].is_some() {
             return 0;
         }
-        let bytes_of = |vertex| match geometry.static_position(vertex) {
-            Some(_) => STATIC_VERTEX_BYTES,
-            None => SampledMotion::entry_bytes(window),
+        let instance = geometry.instance_of_patch(patch);
+        let first = geometry.first_vertex(instance);
+        let skinning = self.skinning.as_ref().filter(|skinning| skinning.is_skinned(instance));
+        let bytes_of = |vertex: SceneVertex| match (geometry.static_position(vertex), skinning) {
+            (Some(_), _) => STATIC_VERTEX_BYTES,
+            (None, Some(skinning)) => skinning.entry_bytes(instance, vertex.0 - first.0),
+            (None, None) if self.predicts() => PREDICTED_BYTES,
+            (None, None) => SAMPLED_VERTEX_BYTES,
         };
         let lacking = vertices_of_patch(geometry, patch).filter(|v| self.vertices[v.index()].is_none());
         PATCH_BYTES + lacking.map(bytes_of).sum::<usize>()
@@ -212,8 +236,10 @@ impl Residency {
     ) {
         // Without one it waited for a slot.
         let Some(slot) = self.slot_of_patch[patch.index()] else { return };
+        let instance = geometry.instance_of_patch(patch);
+        let is_skinned = self.skinning.as_ref().is_some_and(|skinning| skinning.is_skinned(instance));
         let moves = vertices_of_patch(geometry, patch).any(|v| geometry.static_position(v).is_none());
-        if moves {
+        if moves && !is_skinned {
             self.evict(geometry, patch, update, delta);
         } else {
             self.retained.insert(patch, update.0);
@@ -255,7 +281,7 @@ impl Residency {
             if *users == 0 {
                 delta.evicted_vertices.push(*slot);
                 self.vertex_slots.leave(update, *slot);
-                self.motion.leave(*slot);
+                self.moving.remove(slot);
                 *place = None;
             }
         }
@@ -282,8 +308,10 @@ impl Residency {
         self.slot_of_patch[patch.index()] = Some(slot);
         let instance = geometry.instance_of_patch(patch);
         let first_vertex = geometry.first_vertex(instance);
-        if self.encoder.memory().step_m(InstanceId(instance)).is_none() {
-            delta.instances.push(InstanceInfo { instance: InstanceId(instance), step_m: STEP_M });
+        let is_skinned = self.skinning.as_ref().is_some_and(|skinning| skinning.is_skinned(instance));
+        let is_sampled = !is_skinned && !self.predicts() && geometry.static_position(first_vertex).is_none();
+        if is_sampled {
+            delta.instances.extend(self.steps.announce(InstanceId(instance)));
         }
         let shape = geometry.patch(patch);
         let mut vertices = [VertexSlot(0); 5];
@@ -316,25 +344,36 @@ impl Residency {
         }
         let slot = self.vertex_slots.take().expect("checked by admit: there are enough");
         self.vertices[vertex.index()] = Some(Resident { slot, users: 1 });
-        let motion = match geometry.static_position(vertex) {
-            Some(position) => Motion::Static { position },
-            None => {
-                self.motion.enter(slot, vertex);
-                Motion::Sampled
+        let predicts = self.predicts();
+        let skinning = self.skinning.as_mut().filter(|skinning| skinning.is_skinned(instance));
+        let motion = match (geometry.static_position(vertex), skinning) {
+            (Some(position), _) => Motion::Static { position },
+            (None, Some(skinning)) => {
+                skinning.enter(instance, vertex.0 - geometry.first_vertex(instance).0, delta)
             }
+            (None, None) if predicts => Motion::Predicted,
+            (None, None) => Motion::Sampled,
         };
+        if !matches!(motion, Motion::Static { .. }) {
+            self.moving.insert(slot, vertex);
+        }
         delta.new_vertices.push(NewVertex { slot, instance: InstanceId(instance), motion });
         slot
     }
 
-    /// The client's memory as of the last update.
-    pub fn memory(&self) -> &ClientMemory {
-        self.encoder.memory()
+    /// What codes for the client.
+    pub fn coder(&self) -> &SharedCoder {
+        &self.coder
     }
 
-    /// Its animated vertices.
-    pub fn motion(&self) -> &SampledMotion {
-        &self.motion
+    /// What the client skins by itself.
+    pub fn skinning(&self) -> Option<&Skinning> {
+        self.skinning.as_ref()
+    }
+
+    /// The vertices in the client's memory that move: slot and scene-wide number, ascending by slot.
+    pub fn moving(&self) -> impl ExactSizeIterator<Item = (VertexSlot, SceneVertex)> + '_ {
+        self.moving.iter().map(|(slot, vertex)| (*slot, *vertex))
     }
 
     /// Patches with a block that are not shown, because the client's memory is full or not yet free again.
@@ -355,6 +394,7 @@ fn sort(delta: &mut GeometryDelta) {
     delta.new_vertices.sort_unstable_by_key(|v| v.slot);
     delta.new_patches.sort_unstable_by_key(|p| p.slot);
     delta.placements.sort_unstable_by_key(|(slot, _)| *slot);
+    delta.new_rests.sort_unstable_by_key(|rest| rest.rest);
     delta.instances.sort_unstable_by_key(|i| i.instance);
     delta.instances.dedup_by_key(|i| i.instance);
 }
@@ -362,10 +402,12 @@ fn sort(delta: &mut GeometryDelta) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::motion::sampled::SampleWindow;
     use crate::scene::numbering::SceneVertex;
     use glam::Vec3;
     use shadecast_protocol::atlas::{BlockSize, PatchKind};
-    use shadecast_protocol::delta::DeltaDecoder;
+    use shadecast_protocol::delta::{Delta, DeltaDecoder};
+    use shadecast_protocol::memory::ClientMemory;
     use shadecast_protocol::time::{GridIndex, ServerTime};
     use shadecast_scene::patches::Patch;
     use std::collections::HashMap;
@@ -395,15 +437,16 @@ mod tests {
         fn static_position(&self, vertex: SceneVertex) -> Option<Vec3> {
             (vertex.0 < PATCHES + 2).then(|| Vec3::new(vertex.0 as f32, 0.0, 0.0))
         }
-        fn sample(&self, grid: GridIndex, vertex: SceneVertex) -> Vec3 {
-            Vec3::new(vertex.0 as f32 * 0.01, (grid.0 as f32 * 0.2).sin(), 1.0)
-        }
         fn vertex_count(&self) -> usize {
             2 * (PATCHES as usize + 2)
         }
         fn patch_count(&self) -> usize {
             PATCHES as usize
         }
+    }
+
+    fn position(grid: GridIndex, vertex: SceneVertex) -> Vec3 {
+        Vec3::new(vertex.0 as f32 * 0.01, (grid.0 as f32 * 0.2).sin(), 1.0)
     }
 
     /// What a client is told: its memory, and of each vertex the samples.
@@ -413,7 +456,7 @@ mod tests {
     }
 
     impl Mirror {
-        fn apply(&mut self, Delta { geometry, samples }: &Delta) {
+        fn apply(&mut self, Delta { geometry, samples, .. }: &Delta) {
             let entered = self.memory.apply(geometry).expect("what the server sends is valid");
             for slot in &geometry.evicted_vertices {
                 let is_used = self.memory.patches().iter().any(|(_, patch)| patch.vertices.contains(slot));
@@ -464,7 +507,16 @@ mod tests {
             (self.random >> 33) % n
         }
 
-        /// Random patches come and go; the delta travels over the wire's coding.
+        /// Takes in what travels over the wire's coding.
+        fn decode(&mut self, coded: &EncodedDelta) -> Delta {
+            let decoded = self.decoder.decode(&coded.bytes).expect("what the server sends is valid");
+            self.mirror.apply(&decoded);
+            let coder = sampled::lock(self.residency.coder());
+            assert!(self.mirror.memory == *coder.encoder().memory(), "seed {SEED}, frame {}", self.frame);
+            decoded
+        }
+
+        /// Random patches come and go, then samples follow.
         fn step(&mut self) -> Delta {
             let mut changes: BTreeMap<u32, Option<Block>> = BTreeMap::new();
             for _ in 0..20 {
@@ -476,19 +528,14 @@ mod tests {
                 changes.insert(patch, if comes { block(patch) } else { None });
             }
             let changes: Vec<_> = changes.into_iter().map(|(patch, block)| change(patch, block)).collect();
-            let window = UpdateWindow {
-                update: UpdateId(self.frame),
-                time: ServerTime(i64::from(self.frame) * 33),
-                first_sample: GridIndex(self.frame as i32),
-                oldest: GridIndex(self.frame as i32 - 5),
-                horizon: GridIndex(self.frame as i32 + 5),
-            };
-            let delta = self.residency.delta(&Strip, &changes, window);
-            let coded = self.residency.encoder.encode(&delta);
-            let decoded = self.decoder.decode(&coded.bytes).expect("what the server sends is valid");
-            assert_eq!(decoded, delta, "seed {SEED}, frame {}", self.frame);
-            self.mirror.apply(&decoded);
-            assert!(self.mirror.memory == *self.residency.memory(), "seed {SEED}, frame {}", self.frame);
+            let delta = self.residency.update(&Strip, &changes, stamp(self.frame));
+            let coded = self.residency.encode(&delta);
+            let decoded = self.decode(&coded);
+            assert_eq!(decoded.geometry, delta.geometry, "seed {SEED}, frame {}", self.frame);
+            let now = GridIndex(self.frame as i32);
+            let window = SampleWindow { first: now, oldest: now.plus(-5), horizon: now.plus(5) };
+            let samples = sampled::lock(self.residency.coder()).samples(window, usize::MAX, position);
+            samples.iter().for_each(|samples| drop(self.decode(samples)));
             self.frame += 1;
             decoded
         }
@@ -557,21 +604,54 @@ mod tests {
     fn static_geometry_out_of_sight_stays_for_a_while_and_costs_nothing_when_it_returns() {
         let mut residency = Residency::new(&Strip, 8192, 8192);
         let change = |block| [change(3, block)];
-        residency.delta(&Strip, &change(block(3)), window(0));
-        let lost = residency.delta(&Strip, &change(None), window(1)).geometry;
+        residency.update(&Strip, &change(block(3)), stamp(0));
+        let lost = residency.update(&Strip, &change(None), stamp(1)).geometry;
         assert!(lost.evicted_patches.is_empty() && lost.placements.len() == 1);
-        let back = residency.delta(&Strip, &change(block(3)), window(2)).geometry;
+        let back = residency.update(&Strip, &change(block(3)), stamp(2)).geometry;
         assert!(back.new_patches.is_empty() && back.new_vertices.is_empty() && back.placements.len() == 1);
     }
 
-    fn window(frame: u32) -> UpdateWindow {
-        UpdateWindow {
-            update: UpdateId(frame),
-            time: ServerTime(0),
-            first_sample: GridIndex(0),
-            oldest: GridIndex(0),
-            horizon: GridIndex(3),
+    /// Steps that an instance is told on the way, and the largest distance of a decoded sample from where its vertex was, in steps.
+    fn walk(wanted_m: &[f32]) -> (Vec<f32>, f32) {
+        let mut residency = Residency::new(&Strip, 1024, 1024);
+        let mut decoder = DeltaDecoder::new(1024, 1024);
+        let (mut told_m, mut worst) = (Vec::new(), 0f32);
+        for (frame, wanted_m) in (0..).zip(wanted_m) {
+            residency.want_steps(vec![*wanted_m; 2]);
+            let changes = [change(210 + frame, block(3)), change(20, block(4))];
+            let delta = residency.update(&Strip, &changes, stamp(frame));
+            told_m.extend(delta.geometry.instances.iter().map(|info| info.step_m));
+            assert!(delta.geometry.instances.iter().all(|info| info.instance == InstanceId(1)));
+            decoder.decode(&residency.encode(&delta).bytes).expect("what the server sends is valid");
+            let now = GridIndex(2 * frame as i32);
+            let window = SampleWindow { first: now, oldest: now, horizon: now.plus(4) };
+            let coded = sampled::lock(residency.coder()).samples(window, usize::MAX, position);
+            let vertices: HashMap<VertexSlot, SceneVertex> = residency.moving().collect();
+            for coded in coded {
+                let received = decoder.receive(&coded.bytes).expect("what the server sends is valid");
+                for (grid, (slot, shown)) in received
+                    .positions
+                    .iter()
+                    .flat_map(|batch| batch.positions.iter().map(move |position| (batch.grid, position)))
+                {
+                    let error = (*shown - position(grid, vertices[slot])).abs().max_element();
+                    worst = worst.max(error / told_m.last().expect("told before its samples"));
+                }
+            }
         }
+        (told_m, worst)
+    }
+
+    #[test]
+    fn samples_are_rounded_to_the_step_that_the_client_was_told_and_a_change_disturbs_none() {
+        let (fine, usual) = (1.0 / 8192.0, 1.0 / 2048.0);
+        let (told_m, worst) = walk(&[usual, usual, fine, fine, usual, usual * 0.9, fine]);
+        assert_eq!(told_m, [usual, fine, usual, usual / 2.0, fine]);
+        assert!((0.3..=0.51).contains(&worst), "{worst} steps");
+    }
+
+    fn stamp(frame: u32) -> UpdateStamp {
+        UpdateStamp { update: UpdateId(frame), time: ServerTime(i64::from(frame) * 33) }
     }
 
     fn sized(patch: u32, log2: u8) -> PlacementChange {
@@ -583,11 +663,11 @@ mod tests {
     fn a_full_client_memory_takes_the_largest_blocks_and_lets_the_others_wait() {
         let mut residency = Residency::new(&Strip, 8, 8);
         let changes: Vec<_> = (0..50).map(|patch| sized(patch, if patch == 40 { 8 } else { 2 })).collect();
-        let delta = residency.delta(&Strip, &changes, window(0)).geometry;
+        let delta = residency.update(&Strip, &changes, stamp(0)).geometry;
         assert!(delta.new_vertices.len() <= 8 && residency.waiting() == 50 - delta.new_patches.len());
         assert!(residency.slot_of_patch[40].is_some(), "the largest is there");
         let gone: Vec<_> = changes.iter().map(|c| PlacementChange { block: None, ..*c }).collect();
-        residency.delta(&Strip, &gone, window(1));
+        residency.update(&Strip, &gone, stamp(1));
         assert_eq!(residency.waiting(), 0, "what lost its block waits no longer");
     }
 
@@ -596,16 +676,16 @@ mod tests {
         let mut residency = Residency::new(&Strip, 8192, 8192);
         let changes: Vec<_> =
             (0..PATCHES).map(|patch| sized(patch, if patch >= 390 { 8 } else { 2 })).collect();
-        residency.set_budget(Budget { geometry_bytes: 600, ..Budget::UNLIMITED });
-        let first = residency.delta(&Strip, &changes, window(0));
-        let bytes = residency.encoder.encode(&first).bytes.len();
+        residency.set_budget(Budget { geometry_bytes: 1200, ..Budget::UNLIMITED });
+        let first = residency.update(&Strip, &changes, stamp(0));
+        let bytes = residency.encode(&first).bytes.len();
         let first = first.geometry;
         assert!(first.new_patches.len() >= 10 && residency.held_back() > 300 && residency.waiting() == 0);
         assert!((390..400).all(|patch| residency.slot_of_patch[patch].is_some()), "the largest are there");
-        assert!(bytes < 2 * 600);
+        assert!(bytes < 2 * 1200);
         let mut updates = 1;
         while residency.held_back() > 0 {
-            let next = residency.delta(&Strip, &[], window(updates)).geometry;
+            let next = residency.update(&Strip, &[], stamp(updates)).geometry;
             assert!(!next.new_patches.is_empty() && next.new_patches.len() == next.placements.len());
             updates += 1;
         }
@@ -614,20 +694,22 @@ mod tests {
     }
 
     #[test]
-    fn limited_updates_bring_the_last_samples_of_a_pause_and_no_more_than_fit() {
+    fn what_may_take_so_much_brings_the_last_samples_of_a_pause_and_no_more_than_fit() {
         let moving: Vec<_> = (200..400).map(|patch| sized(patch, 4)).collect();
-        let after_a_pause = |sample_bytes| {
+        let after_a_pause = |budget_bytes| {
             let mut residency = Residency::new(&Strip, 8192, 8192);
-            residency.delta(&Strip, &moving, window(0));
-            residency.set_budget(Budget { sample_bytes, ..Budget::UNLIMITED });
-            let later = UpdateWindow {
-                first_sample: GridIndex(25),
-                oldest: GridIndex(15),
-                horizon: GridIndex(30),
-                ..window(1)
+            let delta = residency.update(&Strip, &moving, stamp(0));
+            let mut decoder = DeltaDecoder::new(8192, 8192);
+            decoder.decode(&residency.encode(&delta).bytes).expect("what the server sends is valid");
+            let mut sent = |window, budget_bytes| {
+                let coded = sampled::lock(residency.coder()).samples(window, budget_bytes, position);
+                let decoded = coded.iter().map(|coded| decoder.decode(&coded.bytes).expect("valid").samples);
+                decoded.flatten().map(|batch| batch.grid.0).collect::<Vec<_>>()
             };
-            let delta = residency.delta(&Strip, &[], later);
-            delta.samples.iter().map(|batch| batch.grid.0).collect::<Vec<_>>()
+            let first = SampleWindow { first: GridIndex(0), oldest: GridIndex(0), horizon: GridIndex(3) };
+            assert_eq!(sent(first, usize::MAX), [0, 1, 2, 3]);
+            let later = SampleWindow { first: GridIndex(25), oldest: GridIndex(15), horizon: GridIndex(30) };
+            sent(later, budget_bytes)
         };
         assert_eq!(after_a_pause(usize::MAX), (15..=30).collect::<Vec<_>>());
         assert_eq!(after_a_pause(100), [29, 30]);
@@ -638,15 +720,15 @@ mod tests {
     #[test]
     fn what_waits_comes_in_as_soon_as_slots_are_free_though_its_block_has_not_changed() {
         let mut residency = Residency::new(&Strip, 8, 8);
-        residency.delta(&Strip, &[sized(0, 4), sized(1, 4), sized(2, 4)], window(0));
-        residency.delta(&Strip, &[sized(10, 4)], window(1));
+        residency.update(&Strip, &[sized(0, 4), sized(1, 4), sized(2, 4)], stamp(0));
+        residency.update(&Strip, &[sized(10, 4)], stamp(1));
         assert_eq!(residency.waiting(), 1, "three quads side by side take eight vertices");
         let lost = [0, 1, 2].map(|patch| change(patch, None));
-        let mut came = residency.delta(&Strip, &lost, window(2)).geometry;
+        let mut came = residency.update(&Strip, &lost, stamp(2)).geometry;
         for frame in 3..8 {
             assert!(came.new_patches.is_empty() || frame > 3);
             residency.displayed(UpdateId(frame - 1));
-            came = residency.delta(&Strip, &[], window(frame)).geometry;
+            came = residency.update(&Strip, &[], stamp(frame)).geometry;
             if !came.new_patches.is_empty() {
                 break;
             }

@@ -3,8 +3,10 @@
 
 use crate::encode::Source;
 use crate::frame::Shaded;
-use crate::pacing::{Kind, Shortfall, UpdateGate, WayState};
-use crate::residency::Budget;
+use crate::geometry::UpdateDelta;
+use crate::motion::sender::{self, SharedMotion};
+use crate::pacing::{AFTER_ALL, Budget, Kind, Shortfall, UpdateGate, WayState};
+use shadecast_protocol::delta::{DeltaSizes, EncodedDelta};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Displayed, HeadState};
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent};
@@ -19,6 +21,10 @@ pub trait Updates {
     fn interrupted(&mut self);
     /// What the next update may take on the wire.
     fn set_budget(&mut self, budget: Budget);
+    /// The bytes of an update's delta, in the order of updates.
+    fn encode(&mut self, delta: &UpdateDelta) -> EncodedDelta;
+    /// What the client is sent of motion between updates, where it is sent any.
+    fn motion(&self) -> Option<SharedMotion>;
     /// A picture of any update is not needed any more.
     fn recycle(&mut self, picture: Source);
 }
@@ -58,6 +64,8 @@ impl Told {
 pub struct Update {
     /// What is to be encoded.
     pub shaded: Box<Shaded>,
+    /// Where the bytes of its delta went.
+    pub sizes: DeltaSizes,
     /// Its picture must need no other.
     pub refresh: bool,
 }
@@ -72,12 +80,16 @@ pub struct Viewer<U> {
     is_watched: bool,
     period_ns: i64,
     due_ns: i64,
+    motion: Option<SharedMotion>,
+    last: UpdateId,
 }
 
 impl<U: Updates> Viewer<U> {
     /// A client that has just been accepted and wants an update in each `period_ns`.
     pub fn new(updates: U, sender: DeltaSender, period_ns: i64, now_ns: i64) -> Self {
         Self {
+            motion: updates.motion(),
+            last: UpdateId(0),
             updates,
             sender,
             gate: UpdateGate::new(period_ns),
@@ -120,6 +132,11 @@ impl<U: Updates> Viewer<U> {
         self.refresh = true;
     }
 
+    /// What it is sent of motion between updates.
+    pub fn motion(&self) -> Option<&SharedMotion> {
+        self.motion.as_ref()
+    }
+
     /// When its next update is due, nanoseconds; `None` while nobody looks.
     pub fn due_ns(&self) -> Option<i64> {
         self.is_watched.then_some(self.due_ns)
@@ -127,6 +144,11 @@ impl<U: Updates> Viewer<U> {
 
     /// Whether the way to the client takes another update now, as far as anything is known of it.
     pub fn is_open(&mut self, way: Option<&WayState>, now_ns: i64) -> bool {
+        let untold = self.motion.as_ref().map_or(Vec::new(), |motion| sender::lock(motion).take_untold());
+        for (bytes, is_urgent) in untold {
+            let update = if is_urgent { self.last } else { AFTER_ALL };
+            self.gate.sent(update, Kind::Motion, bytes, now_ns);
+        }
         way.is_none_or(|way| self.gate.may_update(way, now_ns))
     }
 
@@ -145,9 +167,11 @@ impl<U: Updates> Viewer<U> {
 
     /// The update was shaded: the stream of its delta, and what is still to be done.
     pub fn finish(&mut self, shaded: Shaded) -> (Out, Update) {
-        let delta = self.sender.stream(&shaded.delta);
+        let encoded = self.updates.encode(&shaded.delta);
+        let delta = self.sender.stream(&encoded);
+        self.last = shaded.update;
         let refresh = std::mem::take(&mut self.refresh);
-        (delta, Update { shaded: Box::new(shaded), refresh })
+        (delta, Update { shaded: Box::new(shaded), sizes: encoded.sizes, refresh })
     }
 
     /// A picture of any update is not needed any more: its memory is used for the next.
@@ -158,12 +182,5 @@ impl<U: Updates> Viewer<U> {
     /// A stream of an update was handed to the transport.
     pub fn sent(&mut self, update: UpdateId, kind: Kind, bytes: usize, now_ns: i64) {
         self.gate.sent(update, kind, bytes, now_ns);
-    }
-}
-
-/// Bytes of what is sent.
-pub fn bytes_of(out: &Out) -> usize {
-    match out {
-        Out::Control(bytes) | Out::Datagram(bytes) | Out::Stream { bytes, .. } => bytes.len(),
     }
 }

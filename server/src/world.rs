@@ -1,14 +1,19 @@
 //! The world that all viewers look at: the scene in motion and under its light, each thing once for a time, however many look.
 
+use crate::animation::RING;
 use crate::animation::RingPlace;
 use crate::animation::gpu::{Animation, AnimationCounts};
+use crate::animation::timeline::{SharedTimeline, TimelineError};
 use crate::culling::Needed;
+use crate::effort::Effort;
 use crate::predict::{PredictedViews, VIEW_TIMES};
-use crate::samples::{RING, SampleWindow};
+use crate::samples::SampleWindow;
 use crate::scene::SceneGpu;
 use crate::stages::shadow::Shadow;
 use shadecast_gpu::{Access, Gpu, GpuError, Recorder};
-use shadecast_protocol::time::{DEFAULT_GRID, Grid, GridIndex};
+use shadecast_protocol::time::{DEFAULT_GRID, Grid, GridIndex, ServerTime};
+use shadecast_scene::Trs;
+use shadecast_scene::timeline::Change;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -21,8 +26,6 @@ pub struct ViewerId(pub u64);
 pub struct Sampled {
     /// Where those of each predicted time are in the ring.
     pub places: [RingPlace; VIEW_TIMES],
-    /// The oldest grid point that is there.
-    pub oldest: GridIndex,
 }
 
 /// What the world has done so far.
@@ -48,6 +51,8 @@ pub struct World {
     pub samples: SampleWindow,
     /// Light and the sun's map.
     pub shadow: Shadow,
+    /// What it costs.
+    pub effort: Effort,
     /// What each viewer needs.
     needs: BTreeMap<ViewerId, Needed>,
     /// What any of them needs.
@@ -59,14 +64,24 @@ pub struct World {
 }
 
 impl World {
-    /// The scene before its first update.
+    /// The scene before its first update, moving as it says itself.
     pub fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>) -> Result<Self, GpuError> {
-        let animation = Animation::new(gpu, scene, RING)?;
+        Self::of_timeline(gpu, scene, SharedTimeline::new(&scene.scene))
+    }
+
+    /// The scene before its first update, moving as a timeline says, which may have been another world's before.
+    pub fn of_timeline(
+        gpu: &Arc<Gpu>,
+        scene: &Arc<SceneGpu>,
+        timeline: SharedTimeline,
+    ) -> Result<Self, GpuError> {
+        let animation = Animation::of_timeline(gpu, scene, RING, timeline)?;
         Ok(Self {
-            samples: SampleWindow::new(gpu, scene, &animation)?,
+            samples: SampleWindow::new(scene),
             shadow: Shadow::new(gpu, scene, &animation)?,
             animation,
             grid: DEFAULT_GRID,
+            effort: Effort::default(),
             needs: BTreeMap::new(),
             needed: Needed::none(scene.numbering.instances.len()),
             lit: None,
@@ -90,6 +105,38 @@ impl World {
     /// The times at which vertices are sampled.
     pub fn grid(&self) -> Grid {
         self.grid
+    }
+
+    /// What moves, and how: for an application to change.
+    pub fn timeline(&self) -> &SharedTimeline {
+        self.animation.timeline()
+    }
+
+    /// Changes what an instance plays, in place of all that was to come: not before `earliest`, nor before anything that was
+    /// sampled. Gives when it takes effect.
+    ///
+    /// # Errors
+    /// The scene was not prepared for it, or it is out of range; nothing has changed then.
+    pub fn set_playback(
+        &mut self,
+        instance: usize,
+        change: Change,
+        earliest: ServerTime,
+    ) -> Result<ServerTime, TimelineError> {
+        self.timeline().lock().set_playback(instance, change, earliest)
+    }
+
+    /// Poses a live instance; see [`Timeline::set_pose`](crate::animation::timeline::Timeline::set_pose).
+    ///
+    /// # Errors
+    /// The instance is not live, or the pose is not one of its model that stays within its room.
+    pub fn set_pose(
+        &mut self,
+        instance: usize,
+        time: ServerTime,
+        pose: Vec<Trs>,
+    ) -> Result<ServerTime, TimelineError> {
+        self.timeline().lock().set_pose(instance, time, pose)
     }
 
     /// What was done so far.
@@ -125,8 +172,8 @@ impl World {
     ) -> Sampled {
         self.needs.insert(viewer, needs.clone());
         self.unite();
-        let oldest = self.samples.record(recorder, &mut self.animation, self.grid, views, &self.needed);
-        Sampled { places: views.times.map(SampleWindow::ring_place), oldest }
+        self.samples.record(recorder, &mut self.animation, self.grid, views, &self.needed);
+        Sampled { places: views.times.map(SampleWindow::ring_place) }
     }
 
     /// Records light, shadow map and tangents as they are at `at`, which [`Self::animate`] has sampled, unless they are.
@@ -136,7 +183,7 @@ impl World {
             return;
         }
         let place = SampleWindow::ring_place(at);
-        self.shadow.write(&self.scene, self.grid.time_of(at));
+        self.shadow.write(&self.scene, &self.animation, self.grid.time_of(at));
         self.animation.record_tangents(recorder, place, |instance| self.needed.has(instance));
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         let is_drawn = recorder

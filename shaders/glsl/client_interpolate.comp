@@ -17,6 +17,7 @@ layout(push_constant) uniform InterpolatePush {
     float fraction_before;
     float blend_step;     // share of the blending time that has passed since then
     uint cubic;           // 0: linear
+    uint now;             // the display time as predictions have it in their tags
 };
 
 uvec4 sample_at(uint slot, uint at) { return samples[ring_place(slot, at, vertex_slots)]; }
@@ -48,11 +49,32 @@ vec4 curve(uint slot, uint at, float f) {
     return vec4(w.x * place(a) + w.y * place(b) + w.z * place(c) + w.w * place(d), ON_CURVE);
 }
 
+// How long before the display time a prediction's is, in units of predictions' times.
+int since(uint tag) { return int(now - (tag - tag % SAMPLE_RING)) / int(SAMPLE_RING); }
+
+// The paper's: on the line between the two predictions around the display time, at the first before them, at the last after.
+vec4 predicted(uint slot) {
+    uvec4 before = samples[vertex_slots + slot];
+    if (before.w == NO_SAMPLE) return vec4(0.0);
+    if (since(before.w) <= 0) return vec4(place(before), ON_CURVE);
+    for (uint i = 2; i <= PREDICTIONS; i++) {
+        uvec4 after = samples[i * vertex_slots + slot];
+        int past = since(before.w), left = -since(after.w);
+        if (left >= 0) return vec4(mix(place(before), place(after), float(past) / float(max(past + left, 1))), ON_CURVE);
+        before = after;
+    }
+    return vec4(place(before), PAST_THE_END);
+}
+
 void main() {
     uint slot = gl_GlobalInvocationID.x;
     if (slot >= vertex_count) return;
     vec4 blend = blends[slot];
     if (blend.w == STATIC_BLEND) return;
+    if (blend.w == PREDICTED_BLEND) {
+        positions[slot] = predicted(slot);
+        return;
+    }
     vec4 before = positions[slot];
     vec4 now = curve(slot, tag, fraction);
     if (now.w == NOT_DRAWABLE) {

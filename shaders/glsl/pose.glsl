@@ -17,7 +17,7 @@ struct TrackGpu {
     uint reserved2;
 };
 
-// A skeleton at a phase of a clip. Instances with the same skeleton, clip and phase share it.
+// A skeleton at a phase of a clip, and of another one that is faded out. Instances whose poses are equal share it.
 struct PoseGpu {
     uint bone_base;    // of the skeleton, into parents
     uint level_base;   // into level_starts
@@ -29,6 +29,10 @@ struct PoseGpu {
     uint palette_base; // into palettes
     float phase_s;     // seconds into the clip, and what single precision cannot hold of it
     float phase_low_s;
+    uint fading_track_base; // of the clip that is faded out
+    float fading_phase_s;
+    float fading_phase_low_s;
+    float fading;      // its share; 0: none is
     uint reserved0;
     uint reserved1;
 };
@@ -86,12 +90,26 @@ vec4 sample_track(TrackGpu track, float phase_s, float phase_low_s) {
         + keys[at + 2] * (3.0 * f2 - 2.0 * f3) + keys[at + 3] * (span * (f3 - f2));
 }
 
+// Translation, rotation (not of unit length) or scale of a bone, by the bone's track.
+vec4 sample_pose(PoseGpu pose, uint track) {
+    vec4 value = sample_track(tracks[pose.track_base + track], pose.phase_s, pose.phase_low_s);
+    if (pose.fading <= 0.0) return value;
+    vec4 before = sample_track(tracks[pose.fading_track_base + track], pose.fading_phase_s, pose.fading_phase_low_s);
+    if (track % 3 == 1) {
+        // Rotations along the shorter arc.
+        value /= length(value);
+        before /= length(before);
+        before = dot(value, before) < 0.0 ? -before : before;
+    }
+    return mix(value, before, pose.fading);
+}
+
 // parent_from_bone of the bone at the pose's phase.
 Rows local_transform(PoseGpu pose, uint bone) {
-    uint first = pose.track_base + 3 * bone;
-    vec3 t = sample_track(tracks[first], pose.phase_s, pose.phase_low_s).xyz;
-    vec4 q = sample_track(tracks[first + 1], pose.phase_s, pose.phase_low_s);
-    vec3 s = sample_track(tracks[first + 2], pose.phase_s, pose.phase_low_s).xyz;
+    uint first = 3 * bone;
+    vec3 t = sample_pose(pose, first).xyz;
+    vec4 q = sample_pose(pose, first + 1);
+    vec3 s = sample_pose(pose, first + 2).xyz;
     return transform_of(t, q, s);
 }
 

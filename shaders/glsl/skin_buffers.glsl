@@ -1,11 +1,10 @@
 // What skinning reads and writes.
 #ifndef SKIN_BUFFERS_GLSL
 #define SKIN_BUFFERS_GLSL
+#include "influences.glsl"
 #include "scene.glsl"
 
 const uint POSITION = 0, NORMAL = 1, TANGENT = 2; // members that morph
-
-uint joint_of(uvec2 joints, uint i) { return (joints[i / 2] >> (16 * (i & 1))) & 0xffff; }
 
 struct MorphDeltaGpu {
     vec3 position;

@@ -4,7 +4,7 @@
 
 use shadecast_protocol::atlas::PatchKind;
 use shadecast_protocol::limits::{
-    BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_VIEWS, PATCH_MAX_VERTICES, SAMPLE_RING,
+    BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_VIEWS, PATCH_MAX_VERTICES, PREDICTIONS, SAMPLE_RING,
 };
 use shadecast_protocol::pose::NEAR_M;
 
@@ -57,7 +57,7 @@ macro_rules! shared {
 }
 
 shared! {
-    { BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_VIEWS, NEAR_M, PATCH_MAX_VERTICES, SAMPLE_RING }
+    { BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_VIEWS, NEAR_M, PATCH_MAX_VERTICES, PREDICTIONS, SAMPLE_RING }
 
     /// Views that are drawn at once.
     EYES: u32 = 2;
@@ -70,8 +70,32 @@ shared! {
     NO_SAMPLE: u32 = 0;
     /// Bit of [`VertexWriteGpu::slot`](crate::generated::VertexWriteGpu::slot) for a static vertex that enters.
     STATIC_BIT: u32 = 1 << 31;
-    /// Share of a static vertex's blend; others have none below 0.
+    /// The same for a skinned vertex that enters.
+    SKINNED_BIT: u32 = 1 << 30;
+    /// The same for one half of a rest.
+    REST_BIT: u32 = 1 << 29;
+    /// Beside [`REST_BIT`]: it is the second half.
+    REST_END_BIT: u32 = 1 << 28;
+    /// The same as [`STATIC_BIT`] for a predicted vertex that enters.
+    PREDICTED_BIT: u32 = 1 << 27;
+    /// The bits below these: a vertex slot, or a rest's number.
+    SLOT_MASK: u32 = (1 << 27) - 1;
+    /// In place of a rest's number plus 1: the vertex is not skinned.
+    NO_REST: u32 = 0;
+    /// Bits of a rest's word for its first morph delta; those above say how many there are.
+    MORPH_FIRST_BITS: u32 = 24;
+    /// Flag of an instance's pose: all that it needs is in the arena.
+    POSE_READY: u32 = 1;
+    /// Flag of an instance's pose: a path moves the instance.
+    POSE_HAS_PATH: u32 = 2;
+    /// Flag of an instance's pose: its local transforms come from the time grid.
+    POSE_FROM_GRID: u32 = 4;
+    /// Grid steps around a time that a pose on the grid is made of.
+    GRID_STEPS: u32 = 4;
+    /// Share of the blend of a static or skinned vertex; others have none below 0.
     STATIC_BLEND: f32 = -1.0;
+    /// The same of a predicted vertex.
+    PREDICTED_BLEND: f32 = -2.0;
     /// State of a vertex's position, its `w`: no samples around the display time.
     NOT_DRAWABLE: f32 = 0.0;
     /// State of a position: interpolated, or static.

@@ -1,18 +1,29 @@
 //! How vertices move on the client: what has arrived of their samples ([`arrivals`]), which times can be evaluated, and the one
-//! time that is shown ([`pace`]). Counts from arrival on, whatever bundle is on display: the server never reuses a slot that
-//! the bundle on display still needs. Knows nothing of pictures, GPUs and networks.
+//! time that is shown ([`pace`]); of skeletons, clips and who plays them (`told`, [`arena`], [`skinned`]). Counts from arrival on,
+//! whatever bundle is on display: the server never reuses a slot that the bundle on display still needs. Knows nothing of pictures, GPUs and networks.
 
+pub mod arena;
 pub mod arrivals;
+mod early;
 pub mod pace;
+pub mod skinned;
+mod told;
 
+use arena::ArenaWrites;
 use arrivals::VertexWrites;
 use pace::Span;
 use shadecast_protocol::geometry::{self, NewVertex};
-use shadecast_protocol::ids::{UpdateId, VertexSlot};
+use shadecast_protocol::ids::{InstanceId, UpdateId, VertexSlot};
 use shadecast_protocol::limits::{RECORDS_PER_SLOT_AND_TURN, SAMPLE_RING};
 use shadecast_protocol::motion::PositionBatch;
-use shadecast_protocol::time::GridIndex;
-use shadecast_shaders::records::{sample_write, sampled_entry, static_entry};
+use shadecast_protocol::motion::predicted::PredictedVertex;
+use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
+use shadecast_shaders::generated::PlacedPoseGpu;
+use shadecast_shaders::records::{
+    Rest, RestId, predicted_entry, prediction_write, rest_writes, sample_write, sampled_entry, skinned_entry,
+    static_entry,
+};
+use skinned::{DrawnInstances, Moment, SkinCapacity, Skinned, SkinnedCounts};
 
 /// See the module.
 #[derive(Debug)]
@@ -22,6 +33,12 @@ pub struct Motion {
     /// Slots below this have been used.
     vertex_count: u32,
     writes: VertexWrites,
+    arena: ArenaWrites,
+    skinned: Skinned,
+    told: told::Told,
+    early: early::EarlyPoses,
+    /// Skinned instances of the draw list.
+    drawn: DrawnInstances,
     /// Vertices with samples of the draw list, each once.
     used: Vec<u32>,
     /// Of each vertex slot, the draw list that last used it.
@@ -37,6 +54,8 @@ pub struct Motion {
 #[derive(Clone, Copy, Debug)]
 struct Availability {
     is_sampled: bool,
+    /// The instance whose skeleton moves it, if one does.
+    skinned: Option<InstanceId>,
     /// Grid steps for which the ring holds samples without a gap, both ends included; `first > last` before the first.
     first: GridIndex,
     last: GridIndex,
@@ -57,7 +76,7 @@ pub struct Users<'a>(&'a mut Motion);
 impl Availability {
     /// Of a vertex that has just entered.
     fn none(is_sampled: bool) -> Self {
-        Self { is_sampled, first: GridIndex(i32::MAX), last: GridIndex(i32::MIN) }
+        Self { is_sampled, skinned: None, first: GridIndex(i32::MAX), last: GridIndex(i32::MIN) }
     }
 
     fn has_samples(&self) -> bool {
@@ -78,12 +97,17 @@ impl Availability {
 }
 
 impl Motion {
-    /// For the agreed capacity.
-    pub fn new(vertex_slots: u32) -> Self {
+    /// For the agreed capacities.
+    pub fn new(vertex_slots: u32, capacity: SkinCapacity) -> Self {
         Self {
             vertices: vec![Availability::none(false); vertex_slots as usize],
             vertex_count: 0,
             writes: VertexWrites::default(),
+            arena: ArenaWrites::new(capacity.arena_words),
+            skinned: Skinned::default(),
+            told: told::Told::default(),
+            early: early::EarlyPoses::default(),
+            drawn: DrawnInstances::default(),
             used: Vec::with_capacity(vertex_slots as usize),
             used_by: vec![0; vertex_slots as usize],
             draw_lists: 0,
@@ -102,24 +126,30 @@ impl Motion {
         &mut self.writes
     }
 
-    /// True where the GPU's vertex memory has yet to be told something.
+    /// What the arena has yet to be told.
+    pub fn arena(&mut self) -> &mut ArenaWrites {
+        &mut self.arena
+    }
+
+    /// Skeletons, clips, and the instances that they move.
+    pub fn skinned(&mut self) -> &mut Skinned {
+        &mut self.skinned
+    }
+
+    /// True where the GPU's memory has yet to be told something.
     pub fn has_writes(&self) -> bool {
-        !self.writes.is_empty()
+        !self.writes.is_empty() || !self.arena.is_empty()
     }
 
-    /// The last update all of whose vertices are on their way to the GPU's memory.
-    pub fn complete(&self) -> Option<UpdateId> {
-        self.writes.complete()
-    }
-
-    /// True while so much waits for the GPU's vertex memory that no more should be taken in.
+    /// True while so much waits for the GPU's memory that no more should be taken in.
     pub fn is_full(&self) -> bool {
-        self.writes.waiting() > self.vertices.len() * RECORDS_PER_SLOT_AND_TURN as usize
+        let is_full = self.writes.waiting() > self.vertices.len() * RECORDS_PER_SLOT_AND_TURN as usize;
+        is_full || self.arena.is_full()
     }
 
-    /// Bytes that wait for the GPU's vertex memory.
+    /// Bytes that wait for the GPU's memory.
     pub fn waiting_bytes(&self) -> usize {
-        self.writes.capacity_bytes()
+        self.writes.capacity_bytes() + self.arena.waiting_bytes()
     }
 
     /// The slot that the server gave anew while it was on display, if it did: what is seen is then not what it means.
@@ -134,25 +164,77 @@ impl Motion {
 
     /// Takes in what the next update says of vertices and their samples. It comes from a decoder that has checked it against
     /// the client's memory.
-    pub fn take(&mut self, update: UpdateId, entering: &[NewVertex], positions: &[PositionBatch]) {
+    pub fn take(
+        &mut self,
+        update: UpdateId,
+        entering: &[NewVertex],
+        positions: &[PositionBatch],
+        is_update: bool,
+    ) {
         entering.iter().for_each(|vertex| self.enter(vertex));
         self.writes.end_segment(update);
         self.take_positions(positions);
-        self.writes.end_frame(update);
+        match is_update {
+            true => self.writes.end_frame(update),
+            false => self.writes.end_segment(update),
+        }
     }
 
-    fn enter(&mut self, vertex: &NewVertex) {
-        let NewVertex { slot, motion, .. } = *vertex;
+    /// A rest for skinned vertices. Belongs to the update that is taken next.
+    pub fn write_rest(&mut self, number: RestId, rest: &Rest) {
+        rest_writes(number, rest).into_iter().for_each(|half| self.writes.push(half));
+    }
+
+    /// A vertex enters that an instance's skeleton moves; `None`: the instance is not known. Belongs to the update that is
+    /// taken next.
+    pub fn enter_skinned(&mut self, slot: VertexSlot, instance: InstanceId, rest: RestId) -> Option<()> {
+        let palette_base = self.skinned.palette_base(instance)?;
+        self.occupy(slot, Availability { skinned: Some(instance), ..Availability::none(false) });
+        self.writes.push(skinned_entry(slot.0, rest, palette_base));
+        Some(())
+    }
+
+    /// What the slot held is forgotten.
+    fn occupy(&mut self, slot: VertexSlot, vertex: Availability) {
         if self.is_on_display(slot) {
             self.contradiction.get_or_insert(slot);
         }
-        let is_sampled = motion == geometry::Motion::Sampled;
-        self.vertices[slot.index()] = Availability::none(is_sampled);
+        self.vertices[slot.index()] = vertex;
         self.vertex_count = self.vertex_count.max(slot.0 + 1);
-        self.writes.push(match motion {
-            geometry::Motion::Static { position } => static_entry(slot.0, position.to_array()),
-            geometry::Motion::Sampled => sampled_entry(slot.0),
-        });
+    }
+
+    fn enter(&mut self, vertex: &NewVertex) {
+        let NewVertex { slot, instance, motion } = *vertex;
+        match motion {
+            geometry::Motion::Static { position } => {
+                self.occupy(slot, Availability::none(false));
+                self.writes.push(static_entry(slot.0, position.to_array()));
+            }
+            geometry::Motion::Sampled => {
+                self.occupy(slot, Availability::none(true));
+                self.writes.push(sampled_entry(slot.0));
+            }
+            geometry::Motion::Predicted => {
+                self.occupy(slot, Availability::none(false));
+                self.writes.push(predicted_entry(slot.0));
+            }
+            geometry::Motion::Skinned { rest } => {
+                // The memory that both sides keep knows the instance.
+                let entered = self.enter_skinned(slot, instance, RestId(rest.0));
+                debug_assert!(entered.is_some(), "{instance:?} is not known");
+            }
+        }
+    }
+
+    /// Takes in what an update predicts, after [`Self::take`] has taken in which vertices enter with it.
+    fn predict(&mut self, update: UpdateId, time: ServerTime, vertices: &[PredictedVertex]) {
+        for PredictedVertex { slot, predictions } in vertices {
+            for (number, prediction) in (0..).zip(predictions) {
+                let at = prediction.time(time);
+                self.writes.push(prediction_write(slot.0, number, at, prediction.position_m.to_array()));
+            }
+        }
+        self.writes.end_frame(update);
     }
 
     fn take_positions(&mut self, batches: &[PositionBatch]) {
@@ -190,7 +272,15 @@ impl Motion {
     pub fn begin_list(&mut self) -> Users<'_> {
         self.draw_lists += 1;
         self.used.clear();
+        self.drawn.clear();
         Users(self)
+    }
+
+    /// What the GPU must be told of the skinned instances of the draw list, for a display time, into `out`. After what waits
+    /// for the arena has been handed on.
+    pub fn poses(&mut self, grid: Grid, time: ServerTime, out: &mut [PlacedPoseGpu]) -> SkinnedCounts {
+        let moment = Moment { time, grid, written: self.arena.written() };
+        self.skinned.poses(moment, self.drawn.all(), out)
     }
 
     /// The last step that all vertices of the draw list have which have any: what has none is not drawn.
@@ -228,6 +318,9 @@ impl Users<'_> {
         for slot in vertices {
             let vertex = motion.vertices[slot.index()];
             let list = std::mem::replace(&mut motion.used_by[slot.index()], motion.draw_lists);
+            if let Some(instance) = vertex.skinned.filter(|_| list != motion.draw_lists) {
+                motion.drawn.note_vertex(instance);
+            }
             if !vertex.is_sampled {
                 continue;
             }
@@ -249,7 +342,8 @@ impl Users<'_> {
 mod tests {
     use super::*;
     use glam::Vec3;
-    use shadecast_protocol::ids::InstanceId;
+    use shadecast_protocol::ids::{InstanceId, SkeletonId};
+    use shadecast_protocol::message::MotionMemory;
 
     const SLOTS: u32 = 40;
 
@@ -259,7 +353,7 @@ mod tests {
             instance: InstanceId(0),
             motion: geometry::Motion::Sampled,
         };
-        motion.take(UpdateId(0), &[0, 1, 2].map(vertex), &positions(0..16));
+        motion.take(UpdateId(0), &[0, 1, 2].map(vertex), &positions(0..16), true);
     }
 
     /// Of vertices 0, 1, 2.
@@ -272,12 +366,12 @@ mod tests {
 
     #[test]
     fn vertex_records_that_are_on_their_way_are_forgotten_though_the_queue_is_never_empty() {
-        let mut motion = Motion::new(SLOTS);
+        let mut motion = Motion::new(SLOTS, MotionMemory::DEFAULT.into());
         enter_three(&mut motion);
         let mut staging = [bytemuck::Zeroable::zeroed(); 12];
         for update in 1..2000 {
             let first = 12 + update as i32 * 4;
-            motion.take(UpdateId(update), &[], &positions(first..first + 4));
+            motion.take(UpdateId(update), &[], &positions(first..first + 4), true);
             motion.writes.drain_into(&mut staging, |_| {});
             assert!(motion.writes.waiting() > 0, "the first delta's are always ahead");
             assert!(motion.writes.records.len() < 100, "{}", motion.writes.records.len());
@@ -286,12 +380,65 @@ mod tests {
 
     #[test]
     fn more_vertex_records_than_a_turn_may_bring_are_too_much() {
-        let mut motion = Motion::new(SLOTS);
+        let mut motion = Motion::new(SLOTS, MotionMemory::DEFAULT.into());
         enter_three(&mut motion);
         for update in 1..4 {
             assert!(!motion.is_full(), "{} records", motion.writes.waiting());
-            motion.take(UpdateId(update), &[], &positions(0..16));
+            motion.take(UpdateId(update), &[], &positions(0..16), true);
         }
         assert!(motion.is_full(), "{} records", motion.writes.waiting());
+    }
+
+    /// One instance, number 3, of a skeleton; vertices 0 to 3 are its.
+    fn with_skinned() -> Motion {
+        let mut motion = Motion::new(SLOTS, MotionMemory::DEFAULT.into());
+        let (skeleton, instance) = (SkeletonId(0), InstanceId(3));
+        motion.skinned().set_skeleton(skeleton, skinned::SkeletonPlace::default());
+        let told = skinned::SkinnedInstance {
+            skeleton,
+            placement: [[0.0; 4]; 3],
+            path: None,
+            palette_base: 5,
+            global_base: 0,
+            source: skinned::Source::Grid { first_word: 0, steps: 8 },
+        };
+        motion.skinned().set_instance(instance, told).expect("its skeleton is known");
+        for slot in 0..4 {
+            motion.enter_skinned(VertexSlot(slot), instance, RestId(slot)).expect("the instance is known");
+        }
+        motion.take(UpdateId(0), &[], &[], true);
+        motion
+    }
+
+    #[test]
+    fn vertices_of_an_instance_count_once_however_many_patches_share_them() {
+        let mut motion = with_skinned();
+        for _ in 0..2 {
+            let mut users = motion.begin_list();
+            let first = [[0, 1, 2], [1, 2, 3]].map(|patch| users.note(&patch.map(VertexSlot)));
+            users.end(first[0]);
+            assert_eq!(first, [GridIndex(i32::MIN); 2], "they wait for no samples");
+            assert_eq!(motion.drawn.all(), [skinned::Drawn { instance: InstanceId(3), vertices: 4 }]);
+        }
+        assert_eq!(motion.motionless(GridIndex(i32::MAX)), Motionless::default());
+    }
+
+    #[test]
+    fn a_vertex_of_an_instance_of_which_nothing_was_said_does_not_enter() {
+        let mut motion = with_skinned();
+        assert_eq!(motion.enter_skinned(VertexSlot(9), InstanceId(4), RestId(0)), None);
+        assert_eq!(motion.vertex_count(), 4);
+    }
+
+    #[test]
+    fn a_skinned_slot_that_is_given_anew_while_it_is_seen_is_a_contradiction() {
+        let mut motion = with_skinned();
+        let mut users = motion.begin_list();
+        users.note(&[0, 1, 2].map(VertexSlot));
+        users.end(GridIndex(i32::MIN));
+        motion.enter_skinned(VertexSlot(3), InstanceId(3), RestId(0)).expect("known");
+        assert_eq!(motion.take_contradiction(), None);
+        motion.enter_skinned(VertexSlot(2), InstanceId(3), RestId(0)).expect("known");
+        assert_eq!(motion.take_contradiction(), Some(VertexSlot(2)));
     }
 }

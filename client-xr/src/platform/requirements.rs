@@ -1,6 +1,8 @@
 //! All that the client asks of a headset, in one place. A test holds it against what a first-generation standalone headset
 //! has, and what is really asked for against it.
 
+use shadecast_gpu::GpuError;
+
 /// What must be there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Requirements {
@@ -16,8 +18,36 @@ pub struct Requirements {
     pub openxr_extensions: &'static [&'static str],
     /// Bytes of the largest storage buffer.
     pub storage_buffer_bytes: u64,
+    /// Storage buffers that one shader reads and writes.
+    pub storage_buffers: usize,
     /// Bytes of push constants.
     pub push_constant_bytes: u32,
+}
+
+impl Requirements {
+    /// Whether a device of this name, with so many storage buffers a shader of so many bytes at most, can do.
+    ///
+    /// # Errors
+    /// It cannot; the text says what it lacks.
+    pub fn check_buffers(&self, device: &str, storage_buffers: u32, bytes: u64) -> Result<(), GpuError> {
+        let lacks = |what: String| {
+            let reason = format!("{device} has {what}; the client needs a newer driver, or another device");
+            Err(GpuError::NoDevice(reason))
+        };
+        if (storage_buffers as usize) < self.storage_buffers {
+            let needed = self.storage_buffers;
+            return lacks(format!(
+                "{storage_buffers} storage buffers a shader (maxPerStageDescriptorStorageBuffers), and {needed} are needed"
+            ));
+        }
+        if bytes < self.storage_buffer_bytes {
+            let needed = self.storage_buffer_bytes;
+            return lacks(format!(
+                "storage buffers of at most {bytes} bytes (maxStorageBufferRange), and {needed} are needed"
+            ));
+        }
+        Ok(())
+    }
 }
 
 /// What the client requires.
@@ -31,5 +61,7 @@ pub const REQUIRED: Requirements = Requirements {
     storage_buffer_bytes: shadecast_protocol::limits::MAX_VERTEX_SLOTS as u64
         * shadecast_protocol::limits::SAMPLE_RING as u64
         * 16,
-    push_constant_bytes: 32,
+    // Skeletons: the arena has a binding for each of its views. Vulkan itself guarantees 4, what headsets have is to be measured.
+    storage_buffers: 10,
+    push_constant_bytes: 36,
 };

@@ -5,7 +5,7 @@ use crate::motion::pace::{BLEND_NS, Evaluation, GridTime};
 use shadecast_gpu::{Bind, BindGroup, ComputePipeline, Gpu, GpuError, Recorder};
 use shadecast_protocol::time::Grid;
 use shadecast_shaders::generated::{CLIENT_INTERPOLATE_COMP, InterpolatePush};
-use shadecast_shaders::records::tag;
+use shadecast_shaders::records::{prediction_time, tag};
 use std::sync::Arc;
 
 /// How positions between samples are found.
@@ -41,6 +41,8 @@ pub fn push(
         fraction_before: was.fraction,
         blend_step: (evaluation.elapsed_ns as f64 / BLEND_NS as f64).clamp(0.0, 1.0) as f32,
         cubic: u32::from(interpolation == Interpolation::Cubic),
+        // Whoever is sent predictions is sent no samples: all move at the display time.
+        now: prediction_time(evaluation.at),
     }
 }
 

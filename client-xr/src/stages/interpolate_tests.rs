@@ -7,6 +7,7 @@ use glam::Vec3;
 use shadecast_gpu::{Access, Buffer, DesktopDevice, GpuOptions, Memory, Needs};
 use shadecast_protocol::geometry::{self, NewVertex};
 use shadecast_protocol::ids::{InstanceId, UpdateId, VertexSlot};
+use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::PositionBatch;
 use shadecast_protocol::time::{GridIndex, ServerTime};
 use shadecast_shaders::twin::interpolate::VertexMemory as Twin;
@@ -70,20 +71,20 @@ fn gpu_and_twin_agree_on_random_deltas_and_times() {
 fn compare(gpu: &Arc<Gpu>, seed: u64, interpolation: Interpolation) {
     let (scatter, interpolate) = (Scatter::new(gpu).unwrap(), Interpolate::new(gpu).unwrap());
     let mut recorder = gpu.record().unwrap();
-    let memory = VertexMemory::new(gpu, &mut recorder, SLOTS).unwrap();
+    let memory = VertexMemory::new(gpu, &mut recorder, SLOTS, 1).unwrap();
     gpu.wait(recorder.submit().unwrap()).unwrap();
     let mut staging = scatter.staging(gpu, &memory).unwrap();
     let group = interpolate.bind(&memory).unwrap();
     let readback = Buffer::new(gpu, "positions", memory.positions.size(), Memory::Readback).unwrap();
     let (mut dice, mut twin) = (Dice(seed), Twin::new(SLOTS));
-    let [mut on_gpu, mut on_cpu] = [Motion::new(SLOTS), Motion::new(SLOTS)];
+    let [mut on_gpu, mut on_cpu] = [(); 2].map(|()| Motion::new(SLOTS, MotionMemory::NONE.into()));
     let (mut time, mut before) = (ServerTime(-200_000_000), None);
     for frame in 0..60 {
         if dice.below(3) > 0 {
             let late = dice.below(3) as i32;
             let (entering, positions) = random_news(&mut dice, frame, GRID.floor(time).0 - late);
-            on_gpu.take(UpdateId(frame), &entering, &positions);
-            on_cpu.take(UpdateId(frame), &entering, &positions);
+            on_gpu.take(UpdateId(frame), &entering, &positions, true);
+            on_cpu.take(UpdateId(frame), &entering, &positions, true);
         }
         let push = push(GRID, evaluation(time, before.replace(time)), [SLOTS, SLOTS], interpolation);
         let mut recorder = gpu.record().unwrap();

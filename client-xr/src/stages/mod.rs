@@ -1,12 +1,15 @@
 //! The client's GPU stages, in the order of a display frame. Each is one file: layout, pipeline, `record`; its shader and
 //! twin carry the same stem. Barriers between stages are in `frame.rs`.
 
+pub mod arena;
 pub mod atlas_draw;
 pub mod background;
 pub mod interpolate;
 pub mod notice;
+pub mod pose;
 pub mod probe;
 pub mod scatter;
+pub mod skin;
 pub mod text;
 pub mod upload;
 
@@ -16,10 +19,12 @@ use background::Background;
 use glam::{Mat4, Vec3, Vec4};
 use interpolate::Interpolate;
 use notice::Notice;
+use pose::PoseStage;
 use scatter::Scatter;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Ticket, vk};
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_shaders::generated::EyesGpu;
+use skin::Skin;
 use std::sync::Arc;
 
 /// Display frames that the CPU may be ahead of the GPU. What the CPU writes for a frame exists this often.
@@ -33,12 +38,24 @@ pub const VERTEX_MEMORY_USE: Access = Access(
     vk::AccessFlags::from_raw(vk::AccessFlags::SHADER_READ.as_raw() | vk::AccessFlags::SHADER_WRITE.as_raw()),
 );
 
+/// Everything that what has arrived does with the memory of vertices and skeletons.
+pub const ARRIVALS: Access = Access(
+    vk::PipelineStageFlags::from_raw(
+        vk::PipelineStageFlags::COMPUTE_SHADER.as_raw() | vk::PipelineStageFlags::TRANSFER.as_raw(),
+    ),
+    vk::AccessFlags::from_raw(Access::COMPUTE.1.as_raw() | vk::AccessFlags::TRANSFER_WRITE.as_raw()),
+);
+
 /// All stages, in order.
 pub struct Stages {
     /// Deltas into the vertex memory.
     pub scatter: Scatter,
     /// Positions at the display time.
     pub interpolate: Interpolate,
+    /// Skeletons at the display time.
+    pub pose: PoseStage,
+    /// Skinned positions at the display time.
+    pub skin: Skin,
     /// The one draw.
     pub atlas: AtlasDraw,
     /// What is behind it.
@@ -66,6 +83,8 @@ impl Stages {
         Ok(Self {
             scatter: Scatter::new(gpu)?,
             interpolate: Interpolate::new(gpu)?,
+            pose: PoseStage::new(gpu)?,
+            skin: Skin::new(gpu)?,
             atlas: AtlasDraw::new(gpu, &targets.pass)?,
             background: Background::new(gpu, &targets.pass, eyes.each_ref())?,
             notice: Notice::new(gpu, &targets.pass, eyes.each_ref())?,

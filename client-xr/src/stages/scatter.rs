@@ -4,13 +4,13 @@ use super::FRAMES_IN_FLIGHT;
 use crate::motion::arrivals::VertexWrites;
 use shadecast_gpu::{Access, Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::limits::SAMPLE_RING;
-use shadecast_shaders::generated::{CLIENT_SCATTER_COMP, ScatterPush, VertexWriteGpu};
+use shadecast_shaders::generated::{CLIENT_SCATTER_COMP, RestGpu, ScatterPush, VertexWriteGpu};
 use std::sync::Arc;
 
 /// Records that one display frame can write; what is more waits for the next.
 const STAGING_RECORDS: u32 = 400_000;
 
-/// Samples, positions and blends of all vertex slots: see `client_vertices.glsl`.
+/// Samples, positions, blends and skins of all vertex slots, and the rests of skinned ones: see `client_vertices.glsl`.
 pub struct VertexMemory {
     /// `[ring][slot]`, 16 bytes each.
     pub samples: Buffer,
@@ -18,6 +18,10 @@ pub struct VertexMemory {
     pub positions: Buffer,
     /// By slot, 16 bytes each.
     pub blends: Buffer,
+    /// By slot, 8 bytes each.
+    pub skins: Buffer,
+    /// By number, `RestGpu`.
+    pub rests: Buffer,
     /// Slots.
     pub vertex_slots: u32,
 }
@@ -35,15 +39,24 @@ pub struct ScatterStaging {
 
 impl VertexMemory {
     /// Empty memory; `recorder` clears it.
-    pub fn new(gpu: &Arc<Gpu>, recorder: &mut Recorder, vertex_slots: u32) -> Result<Self, GpuError> {
+    pub fn new(
+        gpu: &Arc<Gpu>,
+        recorder: &mut Recorder,
+        vertex_slots: u32,
+        rest_vertices: u32,
+    ) -> Result<Self, GpuError> {
         let by_slot = u64::from(vertex_slots) * 16;
+        let rest_bytes = u64::from(rest_vertices.max(1)) * size_of::<RestGpu>() as u64;
         let memory = Self {
             samples: Buffer::new(gpu, "vertex samples", by_slot * u64::from(SAMPLE_RING), Memory::Device)?,
             positions: Buffer::new(gpu, "vertex positions", by_slot, Memory::Device)?,
             blends: Buffer::new(gpu, "vertex blends", by_slot, Memory::Device)?,
+            skins: Buffer::new(gpu, "vertex skins", by_slot / 2, Memory::Device)?,
+            rests: Buffer::new(gpu, "vertex rests", rest_bytes, Memory::Device)?,
             vertex_slots,
         };
-        [&memory.samples, &memory.positions, &memory.blends].into_iter().for_each(|b| recorder.fill(b, 0));
+        let Self { samples, positions, blends, skins, rests, .. } = &memory;
+        [samples, positions, blends, skins, rests].into_iter().for_each(|buffer| recorder.fill(buffer, 0));
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE);
         Ok(memory)
     }
@@ -66,6 +79,8 @@ impl Scatter {
                 ("Positions", Bind::Buffer(&memory.positions)),
                 ("Blends", Bind::Buffer(&memory.blends)),
                 ("Writes", Bind::Buffer(&staging)),
+                ("Skins", Bind::Buffer(&memory.skins)),
+                ("Rests", Bind::Buffer(&memory.rests)),
             ];
             let group = BindGroup::new(self.pipeline.layout(), &binds)?;
             Ok::<_, GpuError>((staging, group))

@@ -9,7 +9,7 @@ use shadecast_gpu::Gpu;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_mock_runtime::record::{Side, picture_path};
 use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_protocol::message::Codec;
+use shadecast_protocol::message::{Codec, MotionMemory};
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::time::ClientTime;
 use std::collections::VecDeque;
@@ -45,6 +45,7 @@ impl Run {
             decoding: DecodeTiming::Virtual { delay_ns: 6_000_000 },
             max_vertex_slots: 256,
             max_patch_slots: 64,
+            motion: MotionMemory::DEFAULT,
             decoder,
             ..ClientOptions::default()
         };

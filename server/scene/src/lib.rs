@@ -30,6 +30,7 @@ pub mod process;
 pub mod sound;
 pub mod split;
 pub mod suggest;
+pub mod timeline;
 mod surface;
 mod tangent;
 mod views;
@@ -44,7 +45,10 @@ use bytemuck::{Pod, Zeroable};
 use glam::{Affine3A, Quat, Vec3};
 use patches::Patches;
 use serde::{Deserialize, Serialize};
+use shadecast_protocol::motion::playback;
+pub use shadecast_protocol::motion::playback::Repetition;
 use shadecast_protocol::pose::Pose;
+use timeline::Event;
 
 /// Everything that is rendered.
 #[derive(Clone, Debug)]
@@ -53,6 +57,8 @@ pub struct Scene {
     pub models: Vec<Model>,
     /// Placed models; an index into this list is an `InstanceId`.
     pub instances: Vec<Instance>,
+    /// What changes of what they play as time goes by, in any order; of one instance, none amid the fade of another.
+    pub events: Vec<Event>,
     /// The light that casts shadows.
     pub sun: Sun,
     /// Lights placed by the scene file, at most [`MAX_LIGHTS`](shadecast_protocol::limits::MAX_LIGHTS);
@@ -394,18 +400,6 @@ pub struct Path {
     pub speed: f32,
 }
 
-/// What a clip does outside its own duration.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum Repetition {
-    /// Plays once and holds its end (and, before its start, its start).
-    Once,
-    /// Starts again.
-    #[default]
-    Loop,
-    /// Plays forwards, backwards, forwards.
-    PingPong,
-}
-
 /// An image, rows from the top.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Texture {
@@ -523,6 +517,8 @@ pub struct Instance {
     pub repetition: Repetition,
     /// Whether the sun casts its shadow.
     pub casts_shadow: bool,
+    /// Whether an application may let it play any clip of its model, and pose it, at run time.
+    pub live: bool,
 }
 
 impl Instance {
@@ -538,6 +534,7 @@ impl Instance {
             speed: 1.0,
             repetition: Repetition::Loop,
             casts_shadow: true,
+            live: false,
         }
     }
 
@@ -545,13 +542,6 @@ impl Instance {
     /// [`SampledPaths`](animation::sampling::SampledPaths).
     pub fn world_from_model(&self, scene_time_s: f64) -> Affine3A {
         self.path.as_ref().map_or(self.placement, |path| path.transform(scene_time_s) * self.placement)
-    }
-
-    /// How far into its clip, whose duration is given, the instance is at a time of the scene: the shift is added
-    /// first, then the speed scales, then the clip repeats.
-    pub fn clip_phase_s(&self, duration_s: f32, scene_time_s: f64) -> f64 {
-        let time_s = (scene_time_s + f64::from(self.time_shift_s)) * f64::from(self.speed);
-        clip::clip_phase(time_s, duration_s, self.repetition)
     }
 }
 
@@ -561,10 +551,11 @@ impl Path {
         clip::transform_of_tracks(&self.clip.tracks, Trs::IDENTITY, self.phase_s(scene_time_s)).affine()
     }
 
-    /// How far into its clip the path is at a time of the scene, as [`Instance::clip_phase_s`].
+    /// How far into its clip the path is at a time of the scene: the shift is added first, then the speed scales, then
+    /// the clip repeats.
     pub fn phase_s(&self, scene_time_s: f64) -> f64 {
         let time_s = (scene_time_s + f64::from(self.time_shift_s)) * f64::from(self.speed);
-        clip::clip_phase(time_s, self.clip.duration_s, self.repetition)
+        playback::phase_s(time_s, self.clip.duration_s, self.repetition)
     }
 }
 

@@ -47,6 +47,12 @@ pub(crate) const MAX_TEXELS: usize = 1 << 28;
 /// Longest clip, seconds. A day; longer ones are damaged files, and would be resampled to gigabytes.
 pub(crate) const MAX_DURATION_S: f32 = 86_400.0;
 
+/// Most events of a scene file.
+pub(crate) const MAX_EVENTS: usize = 4096;
+
+/// Longest fade from one clip to another, seconds.
+pub(crate) const MAX_FADE_S: f32 = 60.0;
+
 /// A file that was asked for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Note {

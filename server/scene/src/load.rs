@@ -2,13 +2,14 @@
 //! built-in dragons.
 
 use super::error::SceneError;
-use super::file::{self, ClipChoice, ModelEntry, ModelFile, SceneFile};
+use super::file::{self, ClipChoice, EventEntry, ModelEntry, ModelFile, SceneFile};
 use super::split::MAX_EDGE_M;
 use super::suggest::{did_you_mean, did_you_mean_or_list};
 use crate::animation::clip::{morph_track_varies, track_varies};
 use crate::animation::pose;
 use crate::limits::read_limited;
 use crate::process::{self, Loading};
+use crate::timeline::{Change, Event};
 use crate::views::find_head_path;
 use crate::{Cancelled, Clip, HeadPath, Instance, Model, Scene, fbx, gltf, ground, import};
 use glam::{Affine3A, Quat, Vec2, Vec3};
@@ -142,12 +143,16 @@ fn first_moving_clip(model: &Model) -> Option<usize> {
     model.clips.iter().position(moves)
 }
 
-/// A scene with default light, ground and stage.
-fn around(models: Vec<Model>, instances: Vec<Instance>, loading: &Loading) -> Result<Scene, SceneError> {
+/// A scene with default light, ground and stage around models that an importer, or an application itself, has made.
+///
+/// # Errors
+/// Somebody asked to end.
+pub fn around(models: Vec<Model>, instances: Vec<Instance>, loading: &Loading) -> Result<Scene, SceneError> {
     let (sun, environment) = file::default_light();
     let scene = Scene {
         models,
         instances,
+        events: Vec::new(),
         sun,
         lights: Vec::new(),
         environment,
@@ -400,9 +405,11 @@ fn read_scene(text: &str, name: &str, folder: &Path, loading: &Loading) -> Resul
         .map(|entry| named_model(entry, name, folder, loading))
         .collect::<Result<Vec<_>, _>>()?;
     let instances = instances(&file, &models, name)?;
+    let events = events(&file, &models, name)?;
     let SceneFile { sun, lights, environment, ground_size_m, world_from_stage, cameras, head_paths, .. } =
         file;
-    let scene = Scene { models, instances, sun, lights, environment, world_from_stage, cameras, head_paths };
+    let scene =
+        Scene { models, instances, events, sun, lights, environment, world_from_stage, cameras, head_paths };
     finished(scene, ground_size_m, loading)
 }
 
@@ -445,9 +452,20 @@ fn instances(file: &SceneFile, models: &[Model], name: &str) -> Result<Vec<Insta
             speed: entry.speed,
             repetition: entry.repetition,
             casts_shadow: entry.casts_shadow,
+            live: entry.live,
         })
     };
     file.instances.iter().map(convert).collect()
+}
+
+fn events(file: &SceneFile, models: &[Model], name: &str) -> Result<Vec<Event>, SceneError> {
+    let convert = |entry: &EventEntry| {
+        let model = &models[file.instances[entry.instance].model];
+        let clip = entry.clip.as_ref().map(|choice| choose_clip(choice, model, name)).transpose()?;
+        let EventEntry { at, instance, change, .. } = *entry;
+        Ok(Event { at, instance, change: Change { clip, ..change } })
+    };
+    file.events.iter().map(convert).collect()
 }
 
 fn choose_clip(choice: &ClipChoice, model: &Model, name: &str) -> Result<Option<usize>, SceneError> {
@@ -560,6 +578,20 @@ mod tests {
         for source in ["dragon", "dragons:9", "dragons:13x1x13", "a/b.glb"] {
             assert_eq!(parse(source).expect("good").to_string(), source);
         }
+    }
+
+    #[test]
+    fn a_clip_of_an_event_is_one_of_its_instances_model() {
+        let text = |clip: &str| {
+            format!(
+                "[[model]]\nname = \"d\"\nfile = \"dragon\"\n[[instance]]\nmodel = \"d\"\n\
+                 [[event]]\nat = 1\ninstance = \"d 0\"\nclip = \"{clip}\"\n"
+            )
+        };
+        let own = scene_from_text(&text("fly"), "s.toml", Path::new("")).expect("a clip of the dragon");
+        assert_eq!(own.events[0].change.clip, Some(Some(0)));
+        let error = scene_from_text(&text("fyl"), "s.toml", Path::new("")).expect_err("no such clip");
+        assert_eq!(error.to_string(), "s.toml:9: model \"d\" has no clip \"fyl\"; did you mean \"fly\"?");
     }
 
     #[test]

@@ -14,7 +14,8 @@ pub struct AnimationBuffers {
     pub(crate) level_starts: Buffer,
     parents: Buffer,
     tracks: Buffer,
-    keys: Buffer,
+    /// Of clips, and of live poses.
+    pub(super) keys: Buffer,
     key_times: Buffer,
     entries: Buffer,
 }

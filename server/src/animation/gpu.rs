@@ -2,8 +2,10 @@
 //! all updates that cover its time. Instances with the same skeleton, clip and phase share a palette.
 
 use super::RingPlace;
+use super::live::LivePoses;
 use super::manager::{PoseKey, rows};
 use super::skinning::Skinning;
+use super::timeline::{SharedTimeline, Shown, Timeline};
 use crate::scene::SceneGpu;
 use crate::scene::numbering::InstancePlace;
 use crate::stages::palette::Palette;
@@ -46,6 +48,8 @@ pub struct Animation {
     palette: Palette,
     skin: Skin,
     morph_weights: Buffer,
+    live: LivePoses,
+    timeline: SharedTimeline,
     /// By place of the ring.
     poses: Vec<Poses>,
     statics_done: bool,
@@ -73,8 +77,18 @@ struct PoseRef {
 }
 
 impl Animation {
-    /// With room for `times` sample times.
+    /// With room for `times` sample times, of what the scene says of itself.
     pub fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>, times: u32) -> Result<Self, GpuError> {
+        Self::of_timeline(gpu, scene, times, SharedTimeline::new(&scene.scene))
+    }
+
+    /// With room for `times` sample times, of what a timeline of this scene says.
+    pub fn of_timeline(
+        gpu: &Arc<Gpu>,
+        scene: &Arc<SceneGpu>,
+        times: u32,
+        timeline: SharedTimeline,
+    ) -> Result<Self, GpuError> {
         let palette = Palette::new(gpu, scene, times)?;
         let weights_bytes = u64::from(times) * u64::from(scene.numbering.totals.morphs.max(1)) * 4;
         let morph_weights = Buffer::new(gpu, "morph weights", weights_bytes, Memory::Upload)?;
@@ -85,11 +99,18 @@ impl Animation {
             palette,
             skin,
             morph_weights,
+            live: LivePoses::new(gpu, &scene.animation)?,
+            timeline,
             poses: vec![empty; times as usize],
             statics_done: false,
             jobs: SkinJobs::default(),
             counts: AnimationCounts::default(),
         })
+    }
+
+    /// What it evaluates.
+    pub fn timeline(&self) -> &SharedTimeline {
+        &self.timeline
     }
 
     /// Poses and skins all animated instances at `time` into `place`; the static ones with the first call.
@@ -110,14 +131,19 @@ impl Animation {
             all.filter(still).map(|instance| SampleJob { instance, ..statics }).collect();
         let mut jobs = self.no_jobs();
         let mut poses: Vec<Range<u32>> = Vec::new();
+        let timeline = self.timeline.clone();
+        let mut timeline = timeline.lock();
         for sample in samples.iter().chain(&still) {
-            let pose = self.pose(*sample, &mut poses);
+            let pose = self.pose(*sample, &timeline, &mut poses);
+            timeline.sampled(sample.time);
             let base =
                 self.skin.position_base(&self.scene.numbering.instances[sample.instance], sample.place);
             self.push_job(&mut jobs, *sample, pose, base, false);
         }
+        drop(timeline);
         // The palettes and vertices of these places may still be read by the last samples.
         recorder.barrier(Access::COMPUTE, Access::COMPUTE);
+        self.live.record(recorder, &self.scene.animation);
         if self.scene.skinning != Skinning::PerVertexChain {
             recorder.scope("palette", |r| poses.into_iter().for_each(|range| self.palette.record(r, range)));
             recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
@@ -168,10 +194,11 @@ impl Animation {
 
     /// The pose of an instance at a sample time: that of another one in the same pose, or a new one, which is added to
     /// `fresh`.
-    fn pose(&mut self, sample: SampleJob, fresh: &mut Vec<Range<u32>>) -> PoseRef {
+    fn pose(&mut self, sample: SampleJob, timeline: &Timeline, fresh: &mut Vec<Range<u32>>) -> PoseRef {
         let (scene, RingPlace(place)) = (self.scene.clone(), sample.place);
         let (manager, instance) = (&scene.animation.manager, &scene.scene.instances[sample.instance]);
-        let key = manager.pose_key(instance, sample.time.seconds());
+        let shown = timeline.at(sample.instance, sample.time);
+        let key = manager.pose_key(instance.model, sample.instance, &shown);
         let poses = &mut self.poses[sample.place.index()];
         if poses.time != Some(sample.time) {
             poses.start(sample.time);
@@ -196,7 +223,10 @@ impl Animation {
         let found = PoseRef { pose, palette_base, weight_base };
         poses.by_key.insert(key, found);
         poses.of_instance[sample.instance] = Some(found);
-        let gpu = manager.pose(key, global_base, palette_base);
+        if let Shown::Live(pose) = &shown {
+            self.live.add(manager.keys_of_pose(sample.instance, sample.place, pose));
+        }
+        let gpu = manager.pose(key, sample.place, global_base, palette_base);
         self.palette.poses.write(pose as usize * size_of::<PoseGpu>(), bytemuck::bytes_of(&gpu));
         self.counts.poses += 1;
         match fresh.last_mut() {

@@ -1,16 +1,24 @@
 //! The animation manager: skeletons, clips and morph targets of the whole scene, each stored once however many models
 //! and instances use it, as the arrays that the GPU reads. Pure; [`super::gpu`] owns the buffers.
 
-use glam::Affine3A;
+use super::RingPlace;
+use super::timeline::Shown;
+use crate::animation::RING;
+use glam::{Affine3A, Vec4};
+use shadecast_protocol::motion::playback::{At, Playing};
+use shadecast_scene::animation::playing;
 use shadecast_scene::animation::sampling::{
     KeyInterpolation, SampledClip, SampledPaths, SampledTrack, Sampling, world_scale,
 };
 use shadecast_scene::identity::{ContentHash, clip_hash, mesh_hash, skeleton_hash};
 use shadecast_scene::process::{Loading, sampled};
-use shadecast_scene::{Cancelled, Instance, Model, Scene};
+use shadecast_scene::timeline::ClipIndex;
+use shadecast_scene::{Cancelled, Model, Scene, Trs};
 use shadecast_shaders::constants::{AFFINE_ROWS, CUBIC_TRACK, LINEAR_TRACK, NO_PARENT, STEP_TRACK};
 use shadecast_shaders::generated::{EntryGpu, PoseGpu, TrackGpu};
 use std::collections::HashMap;
+use std::ops::Range;
+use std::sync::Arc;
 
 /// What one model needs to be animated: its parts in the scene-wide arrays.
 #[derive(Clone, Debug)]
@@ -44,8 +52,8 @@ pub struct StoredClip {
     track_base: u32,
     /// Seconds.
     pub duration_s: f32,
-    /// Curves of morph weights: few numbers, evaluated on the CPU.
-    morphs: Vec<SampledTrack>,
+    /// Its curves, by the model's own order of bones.
+    pub sampled: Arc<SampledClip>,
 }
 
 /// Skeletons, clips and who uses them.
@@ -59,8 +67,21 @@ pub struct AnimationManager {
     pub clips: Vec<StoredClip>,
     /// The instances' paths.
     pub paths: SampledPaths,
+    /// Where the poses of live instances lie, by instance.
+    live: HashMap<usize, LiveTracks>,
+    /// The keys of all of them.
+    live_keys: Range<u32>,
     /// What goes to the GPU.
     pub arrays: Arrays,
+}
+
+/// Tracks of a live instance, one set a place of the ring: each of one key, which the pose of that place gives.
+#[derive(Clone, Debug)]
+struct LiveTracks {
+    track_base: u32,
+    key_base: u32,
+    /// By bone in the skeleton's own order: the model's.
+    old_of_new: Vec<u32>,
 }
 
 /// The scene-wide arrays.
@@ -84,8 +105,18 @@ pub struct Arrays {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct PoseKey {
     skeleton: usize,
-    clip: usize,
-    phase_bits: u64,
+    now: Moment,
+    /// What is faded out, and the bits of its share.
+    fading: Option<(Moment, u32)>,
+}
+
+/// What is evaluated of which tracks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Moment {
+    /// A stored clip, and the bits of its phase.
+    Clip(usize, u64),
+    /// As a live instance, of this number, is posed; the rest pose of this stored clip gives its morph weights.
+    Live(usize, usize),
 }
 
 impl AnimationManager {
@@ -111,14 +142,30 @@ impl AnimationManager {
                 if let Some(known) = clips.get(&key) {
                     return Ok(*known);
                 }
-                let number = manager.add_clip(&sampled(model, clip, sampling, loading)?, order);
+                let number = manager.add_clip(sampled(model, clip, sampling, loading)?, order);
                 clips.insert(key, number);
                 Ok(number)
             });
             let clips = stored.collect::<Result<_, _>>()?;
             manager.materials.push(AnimationMaterial { mesh, skeleton: *skeleton, clips });
         }
+        manager.live_keys = manager.arrays.keys.len() as u32..0;
+        for (number, instance) in scene.instances.iter().enumerate().filter(|(_, own)| own.live) {
+            manager.add_live(number, &BoneOrder::new(&scene.models[instance.model]));
+        }
+        manager.live_keys.end = manager.arrays.keys.len() as u32;
         Ok(manager)
+    }
+
+    /// Makes room for the poses of a live instance.
+    fn add_live(&mut self, instance: usize, order: &BoneOrder) {
+        let (track_base, key_base) = (self.arrays.tracks.len() as u32, self.arrays.keys.len() as u32);
+        let tracks = RING as usize * 3 * order.old_of_new.len();
+        // Something of unit length, until there is a pose.
+        let none = SampledTrack::constant(Vec4::ONE);
+        (0..tracks).for_each(|_| self.arrays.add_track(&none));
+        let old_of_new = order.old_of_new.clone();
+        self.live.insert(instance, LiveTracks { track_base, key_base, old_of_new });
     }
 
     fn add_skeleton(&mut self, model: &Model) -> BoneOrder {
@@ -141,44 +188,75 @@ impl AnimationManager {
     }
 
     /// Returns the clip's number.
-    fn add_clip(&mut self, clip: &SampledClip, order: &BoneOrder) -> usize {
+    fn add_clip(&mut self, clip: SampledClip, order: &BoneOrder) -> usize {
         let track_base = self.arrays.tracks.len() as u32;
         for old in &order.old_of_new {
             clip.bones[*old as usize].iter().for_each(|track| self.arrays.add_track(track));
         }
-        let (duration_s, morphs) = (clip.duration_s, clip.morphs.clone());
-        self.clips.push(StoredClip { track_base, duration_s, morphs });
+        self.clips.push(StoredClip { track_base, duration_s: clip.duration_s, sampled: Arc::new(clip) });
         self.clips.len() - 1
     }
 
-    fn clip_of(&self, instance: &Instance) -> usize {
-        self.materials[instance.model].clips[instance.clip.map_or(0, |clip| clip + 1)]
+    /// Which pose an instance of a model is in that shows this.
+    pub fn pose_key(&self, model: usize, instance: usize, shown: &Shown) -> PoseKey {
+        let AnimationMaterial { skeleton, clips, .. } = &self.materials[model];
+        let moment = |at: &At<ClipIndex>| {
+            let clip = clips[at.clip.map_or(0, |clip| clip + 1)];
+            Moment::Clip(clip, at.phase_s(self.clips[clip].duration_s).to_bits())
+        };
+        let (now, fading) = match shown {
+            Shown::Clips(Playing { now, fading }) => {
+                (moment(now), fading.map(|(at, share)| (moment(&at), (share as f32).to_bits())))
+            }
+            Shown::Live(_) => (Moment::Live(instance, clips[0]), None),
+        };
+        PoseKey { skeleton: *skeleton, now, fading }
     }
 
-    /// Which pose the instance is in at a time of the scene.
-    pub fn pose_key(&self, instance: &Instance, scene_time_s: f64) -> PoseKey {
-        let clip = self.clip_of(instance);
-        let phase_s = instance.clip_phase_s(self.clips[clip].duration_s, scene_time_s);
-        let skeleton = self.materials[instance.model].skeleton;
-        PoseKey { skeleton, clip, phase_bits: phase_s.to_bits() }
+    /// First of the tracks that a moment is evaluated by, and the phase, in a place of the ring.
+    fn tracks_of(&self, moment: Moment, place: RingPlace) -> (u32, f64) {
+        match moment {
+            Moment::Clip(clip, phase_bits) => (self.clips[clip].track_base, f64::from_bits(phase_bits)),
+            Moment::Live(instance, _) => {
+                let live = &self.live[&instance];
+                (live.track_base + live.block(place), 0.0)
+            }
+        }
     }
 
-    /// The pose of a key for the GPU, its bones and palette where the caller has room for them.
-    pub fn pose(&self, key: PoseKey, global_base: u32, palette_base: u32) -> PoseGpu {
-        let (skeleton, phase_s) = (&self.skeletons[key.skeleton], f64::from_bits(key.phase_bits));
+    /// The pose of a key for the GPU in a place of the ring, its bones and palette where the caller has room for them.
+    pub fn pose(&self, key: PoseKey, place: RingPlace, global_base: u32, palette_base: u32) -> PoseGpu {
+        let skeleton = &self.skeletons[key.skeleton];
+        let (track_base, phase_s) = self.tracks_of(key.now, place);
+        let fading = key.fading.map(|(moment, share)| (self.tracks_of(moment, place), f32::from_bits(share)));
+        let ((fading_track_base, fading_phase_s), fading) = fading.unwrap_or(((0, 0.0), 0.0));
         PoseGpu {
             bone_base: skeleton.bone_base,
             level_base: skeleton.level_base,
             level_count: skeleton.level_count,
-            track_base: self.clips[key.clip].track_base,
+            track_base,
             entry_base: skeleton.entry_base,
             entry_count: skeleton.entry_count,
             global_base,
             palette_base,
             phase_s: phase_s as f32,
-            phase_low_s: (phase_s - f64::from(phase_s as f32)) as f32,
+            phase_low_s: low_part(phase_s),
+            fading_track_base,
+            fading_phase_s: fading_phase_s as f32,
+            fading_phase_low_s: low_part(fading_phase_s),
+            fading,
             reserved0: 0,
             reserved1: 0,
+        }
+    }
+
+    /// The local transforms of a model's bones, in the model's own order, that shows this.
+    pub fn local_pose(&self, model: usize, shown: &Shown) -> Vec<Trs> {
+        let clips = &self.materials[model].clips;
+        let sampled = |clip: ClipIndex| &*self.clips[clips[clip.map_or(0, |clip| clip + 1)]].sampled;
+        match shown {
+            Shown::Clips(playing) => playing::sampled_pose(sampled, playing),
+            Shown::Live(pose) => pose.clone(),
         }
     }
 
@@ -189,9 +267,52 @@ impl AnimationManager {
 
     /// The morph weights of a pose.
     pub fn morph_weights(&self, key: PoseKey) -> impl Iterator<Item = f32> + '_ {
-        let phase_s = f64::from_bits(key.phase_bits);
-        self.clips[key.clip].morphs.iter().map(move |track| track.evaluate(phase_s).x)
+        let of = |moment: Moment| {
+            let (clip, phase_s) = match moment {
+                Moment::Clip(clip, phase_bits) => (clip, f64::from_bits(phase_bits)),
+                Moment::Live(_, rest) => (rest, 0.0),
+            };
+            self.clips[clip].sampled.morphs.iter().map(move |track| track.evaluate(phase_s).x)
+        };
+        let (moment, share) =
+            key.fading.map_or((key.now, 0.0), |(moment, share)| (moment, f32::from_bits(share)));
+        of(key.now)
+            .zip(of(moment))
+            .map(move |(now, before)| if share > 0.0 { now + (before - now) * share } else { now })
     }
+
+    /// The keys that live poses give.
+    pub(super) fn live_key_range(&self) -> Range<u32> {
+        self.live_keys.clone()
+    }
+
+    /// The keys of a live instance's pose, local transforms in the model's order, and where in the keys they belong for a
+    /// place of the ring.
+    pub(super) fn keys_of_pose(
+        &self,
+        instance: usize,
+        place: RingPlace,
+        pose: &[Trs],
+    ) -> (u32, Vec<[f32; 4]>) {
+        let live = &self.live[&instance];
+        let keys = live.old_of_new.iter().flat_map(|old| {
+            let Trs { translation, rotation, scale } = pose[*old as usize];
+            [translation.extend(0.0), rotation.into(), scale.extend(0.0)].map(|key| key.to_array())
+        });
+        (live.key_base + live.block(place), keys.collect())
+    }
+}
+
+impl LiveTracks {
+    /// First track, and first key, of a place, from the instance's first.
+    fn block(&self, place: RingPlace) -> u32 {
+        3 * self.old_of_new.len() as u32 * place.0
+    }
+}
+
+/// What single precision cannot hold of a number.
+fn low_part(number: f64) -> f32 {
+    (number - f64::from(number as f32)) as f32
 }
 
 impl Arrays {
@@ -244,17 +365,17 @@ pub fn rows(transform: Affine3A) -> [[f32; 4]; AFFINE_ROWS as usize] {
 }
 
 /// Bones sorted by depth in the hierarchy, so that one level after the other can be evaluated in parallel.
-struct BoneOrder {
-    old_of_new: Vec<u32>,
-    new_of_old: Vec<u32>,
+pub(crate) struct BoneOrder {
+    pub(crate) old_of_new: Vec<u32>,
+    pub(crate) new_of_old: Vec<u32>,
     /// In the new order; [`NO_PARENT`] for a root.
-    parents: Vec<i32>,
+    pub(crate) parents: Vec<i32>,
     /// First bone of each level, and the count at the end.
-    level_starts: Vec<u32>,
+    pub(crate) level_starts: Vec<u32>,
 }
 
 impl BoneOrder {
-    fn new(model: &Model) -> Self {
+    pub(crate) fn new(model: &Model) -> Self {
         let mut depth = vec![0u32; model.bones.len()];
         for (index, bone) in model.bones.iter().enumerate() {
             depth[index] = bone.parent.map_or(0, |parent| depth[parent as usize] + 1);

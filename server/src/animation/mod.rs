@@ -2,8 +2,14 @@
 
 pub mod buffers;
 pub mod gpu;
+mod live;
 pub mod manager;
+pub mod posing;
 pub mod skinning;
+pub mod timeline;
+
+/// Grid points kept on the GPU: those of a few updates.
+pub const RING: u32 = 16;
 
 /// A place of the ring in which samples are kept: that of a grid point until another one takes it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -133,7 +133,7 @@ impl ErrorReport {
     fn text(&self) -> String {
         let mut text = format!(
             "sampling {}, the grid's samples each {:.1} ms, interpolated before quantisation and with a perfect clock: what a \
-             client really shows is measured by shadecast-lab run --motion\n\
+             client really shows is measured by shadecast-lab run --measure-motion\n\
              curves: percent of their own range, at the original keys; a pixel at 2 m is {:.3} mm of a picture of 1300 \
              pixels over 90 degrees, {:.3} mm of a headset with 20 pixels a degree\n",
             self.sampling, self.spacing_ms, self.paper_pixel_mm, self.headset_pixel_mm

@@ -8,13 +8,15 @@ use crate::animation::buffers::AnimationBuffers;
 use crate::animation::manager::AnimationManager;
 use crate::animation::skinning::{SkinnedMesh, Skinning, SkinningArrays, SkinningBuffers};
 use crate::lights::{self, SunView};
+use crate::motion::MotionOption;
+use crate::motion::library::MotionLibrary;
 use materials::{MaterialArrays, Materials};
 use meshes::{Mesh, MeshArrays, Meshes};
 use numbering::{InstanceSize, Numbering, ScenePatch};
 use shadecast_gpu::{Gpu, GpuError};
 use shadecast_protocol::limits::MAX_LIGHTS;
 use shadecast_scene::animation::bounds::{self, Bounds};
-use shadecast_scene::animation::pose;
+use shadecast_scene::animation::played::PlayedBounds;
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_scene::identity::ContentHash;
 use shadecast_scene::patches::Patch;
@@ -49,6 +51,8 @@ pub struct SceneOptions {
     pub sampling: Sampling,
     /// How vertices are skinned.
     pub skinning: Skinning,
+    /// How clients are told of motion.
+    pub motion: MotionOption,
 }
 
 /// Why a scene was not brought to a device.
@@ -70,7 +74,7 @@ pub struct SceneGpu {
     pub models: Vec<ModelGpu>,
     /// Numbers of patches and vertices, and the instances' places among them.
     pub numbering: Numbering,
-    /// By instance: a box in the world that it never leaves, over its clip and its path; empty without vertices.
+    /// By instance: a box in the world that it never leaves, whatever it plays and over its path; empty without vertices.
     pub world_bounds: Vec<Bounds>,
     /// Vertices, triangles and patches.
     pub meshes: Meshes,
@@ -82,6 +86,8 @@ pub struct SceneGpu {
     pub skins: SkinningBuffers,
     /// Skeletons and clips.
     pub animation: AnimationBuffers,
+    /// What clients can be told of its motion.
+    pub motion: MotionLibrary,
 }
 
 impl SceneGpu {
@@ -118,6 +124,7 @@ impl SceneGpu {
             meshes: arrays.meshes.upload(gpu)?,
             skinning: options.skinning,
             skins: arrays.skins.upload(gpu)?,
+            motion: MotionLibrary::new(&scene, &manager, &numbering, options.motion),
             animation: AnimationBuffers::new(gpu, manager)?,
             scene,
             models,
@@ -181,33 +188,28 @@ impl<'a> Arrays<'a> {
 }
 
 fn number(scene: &Scene, models: &[ModelGpu]) -> Numbering {
-    let size = |instance: &Instance| {
+    let size = |(index, instance): (usize, &Instance)| {
         let (source, model) = (&scene.models[instance.model], &models[instance.model]);
         let coarser = source.patches.iter().skip(1).map(|level| level.patches.len());
-        let is_animated = instance.path.is_some()
-            || pose::animated_vertices(source, instance.clip).iter().any(|moves| *moves);
         InstanceSize {
             model: instance.model,
             patches: [model.patches.len()].into_iter().chain(coarser).map(|count| count as u32).collect(),
             vertices: model.vertex_count,
-            is_animated,
+            is_animated: scene.moves(index),
             palette: source.palette.len() as u32,
             bones: source.bones.len() as u32,
             morphs: source.morphs.len() as u32,
         }
     };
-    Numbering::new(&scene.instances.iter().map(size).collect::<Vec<_>>())
+    Numbering::new(&scene.instances.iter().enumerate().map(size).collect::<Vec<_>>())
 }
 
 /// The boxes of all instances; each clip of each model is looked at once.
 fn world_bounds(scene: &Scene, cancel: &Cancel) -> Result<Vec<Bounds>, Cancelled> {
-    let mut known = HashMap::new();
-    let mut of = |instance: &Instance| {
+    let mut played = PlayedBounds::new(scene);
+    let mut of = |(index, instance): (usize, &Instance)| {
         cancel.check()?;
-        let of_model = known
-            .entry((instance.model, instance.clip))
-            .or_insert_with(|| bounds::model_bounds(&scene.models[instance.model], instance.clip));
-        Ok(bounds::instance_bounds(instance, *of_model))
+        Ok(bounds::instance_bounds(instance, played.of(index)))
     };
-    scene.instances.iter().map(&mut of).collect()
+    scene.instances.iter().enumerate().map(&mut of).collect()
 }

@@ -189,7 +189,7 @@ impl Sessions {
 
     fn happened(&mut self, peer: PeerId, event: ServerEvent, now_ns: i64, around: &Surroundings<'_>) {
         match event {
-            ServerEvent::Asked { hello, welcome } => self.asked(peer, &hello, welcome, now_ns, around),
+            ServerEvent::Asked { hello, welcome } => self.asked(peer, &hello, *welcome, now_ns, around),
             ServerEvent::Refused(refused) => self.sent_away(peer, &refused, now_ns, around),
             ServerEvent::Goodbye => {
                 self.leave(peer, "it said goodbye", around);
@@ -461,7 +461,9 @@ mod tests {
         let Some(Client::Accepted(mut accepted)) = desk.news(peer).map(|news| news.client) else {
             panic!("nobody was accepted")
         };
-        accepted.sender.stream(&DeltaEncoder::new(1, 1).encode(&Default::default()));
+        accepted.sender.stream(
+            &DeltaEncoder::new(1, 1).encode(&shadecast_protocol::geometry::GeometryDelta::default().into()),
+        );
         say(network, peer, &ClientMessage::Displayed(Displayed::default()), at_ns);
         assert!(desk.news(peer).is_some_and(|news| news.told.displayed.is_some()));
     }

@@ -11,5 +11,5 @@ pub(crate) fn accepted() -> Accepted {
     session.on_control(&ClientMessage::Hello(hello()).encode());
     let Some(ServerEvent::Asked { hello, welcome }) = session.poll_event() else { panic!("not asked") };
     let sender = session.accept().expect("it asks");
-    Accepted { welcome, capabilities: hello.capabilities, sender }
+    Accepted { welcome: *welcome, capabilities: hello.capabilities, sender }
 }

@@ -74,9 +74,9 @@ impl Shadow {
         })
     }
 
-    /// Writes the light as it is at `time`. No submitted work still reads it.
-    pub fn write(&mut self, scene: &SceneGpu, time: ServerTime) {
-        let light = lights::at(&scene.scene, self.view.as_ref(), time.seconds());
+    /// Writes the light as it is at `time` by the animation's timeline. No submitted work still reads it.
+    pub fn write(&mut self, scene: &SceneGpu, animation: &Animation, time: ServerTime) {
+        let light = lights::at(&scene.scene, &animation.timeline().lock(), self.view.as_ref(), time);
         self.light.write(0, bytemuck::bytes_of(&light));
     }
 

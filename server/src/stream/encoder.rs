@@ -129,7 +129,7 @@ fn encode(encoding: &mut Encoding, outlet: &dyn Outlet, peer: PeerId, job: Job) 
             return Outcome::Failed(format!("{error}; a coarser quantisation (--qp) makes it smaller"));
         }
     };
-    let (unit_bytes, stream_bytes) = (unit.bytes.len(), crate::viewer::bytes_of(&out));
+    let (unit_bytes, stream_bytes) = (unit.bytes.len(), out.bytes());
     match outlet.send(peer, out) {
         Ok(()) => Outcome::Sent { shaded, stream_bytes, unit_bytes },
         Err(error) => Outcome::Failed(format!("a picture could not be sent: {error}")),

@@ -5,6 +5,7 @@
 //! so that what leaves is always the newest). What the network tells the pipeline is the newest of each kind; what the pipeline
 //! makes goes to the transport without the network's thread.
 
+mod cadence;
 mod encoder;
 mod outlet;
 mod pipeline;
@@ -16,11 +17,13 @@ mod turns;
 pub use stats::{StreamStats, ViewerStats};
 pub use studio::{Device, Reopen};
 
+use crate::animation::timeline::SharedTimeline;
 use crate::encode::Source;
 use crate::pacing::WayState;
 use crate::scene::SceneGpu;
 use crate::sessions::mailbox::Mailbox;
 use crate::sessions::{Carrier, Say, Sessions, Surroundings, Verdicts};
+use cadence::Cadence;
 use outlet::Outlet;
 use pipeline::{Pipeline, Studio};
 use shadecast_protocol::PROTOCOL_VERSION;
@@ -28,7 +31,7 @@ use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Codec, Environment, Refused, ResumeSecret, ServerOffer};
 use shadecast_protocol::session::Out;
-use shadecast_protocol::time::DEFAULT_GRID;
+use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
 use shadecast_transport::endpoint::{Endpoint, EndpointConfig};
 use shadecast_transport::event::{PeerId, SendError};
 use shadecast_transport::mio::{Driver, Events, Handle, monotonic_now_ns, spawn};
@@ -80,6 +83,7 @@ pub fn offer(scene: &SceneGpu, atlas_extent_texels: AtlasExtent, rate_hz: f64, s
         atlas_extent_texels,
         vertex_slots: MAX_VERTEX_SLOTS,
         patch_slots: MAX_PATCH_SLOTS,
+        motion: scene.motion.memory(),
         codecs: vec![Codec::H264],
         environment: Environment {
             zenith: environment.zenith.to_array(),
@@ -121,12 +125,28 @@ impl Drop for StopOnEnd<'_> {
     }
 }
 
-/// Serves until `stop` is set, the time is over, or the network fails.
+/// Serves a scene that moves as it says itself, until `stop` is set, the time is over, or the network fails.
 ///
 /// # Errors
 /// The address cannot be bound, the identity not be read, or the device is lost for good.
 pub fn run(
     device: Device,
+    reopen: &Reopen<'_>,
+    options: &StreamOptions,
+    stop: &AtomicBool,
+    say: &Say<'_>,
+) -> anyhow::Result<StreamStats> {
+    let timeline = SharedTimeline::new(&device.scene.scene);
+    run_timeline(device, timeline, reopen, options, stop, say)
+}
+
+/// As [`run`], moving as a timeline of the scene says, which the caller changes meanwhile: it outlives lost devices.
+///
+/// # Errors
+/// Those of [`run`].
+pub fn run_timeline(
+    device: Device,
+    timeline: SharedTimeline,
     reopen: &Reopen<'_>,
     options: &StreamOptions,
     stop: &AtomicBool,
@@ -140,7 +160,8 @@ pub fn run(
     };
     let (mailbox, verdicts, epoch_ns) =
         (Mailbox::default(), Arc::new(Verdicts::default()), monotonic_now_ns());
-    let mut studio = GpuStudio::new(device, reopen, options);
+    let cadence = Cadence::default();
+    let mut studio = GpuStudio::new(device, timeline, reopen, options);
     let (mut stats, last_atlas) = std::thread::scope(|scope| {
         let (mailbox, verdicts, carrier) = (&mailbox, &verdicts, handle.clone());
         let network = std::thread::Builder::new().name("sessions".into()).spawn_scoped(scope, move || {
@@ -154,9 +175,14 @@ pub fn run(
             );
             events // without them the transport ends, and the pipeline may still be sending
         })?;
-        let outlet = Arc::new(Way { handle, verdicts: verdicts.clone() });
+        let outlet: Arc<dyn Outlet> = Arc::new(Way { handle, verdicts: verdicts.clone() });
+        let (cadence, of_motion) = (&cadence, outlet.clone());
+        std::thread::Builder::new()
+            .name("motion".into())
+            .spawn_scoped(scope, move || run_motion(cadence, of_motion.as_ref(), epoch_ns, stop))?;
         let _stop = StopOnEnd(stop);
-        let mut pipeline = Pipeline::new(&mut studio, outlet, mailbox, say, options.rate_hz, epoch_ns);
+        let mut pipeline =
+            Pipeline::new(&mut studio, outlet, cadence, mailbox, say, options.rate_hz, epoch_ns);
         let worked = run_pipeline(&mut pipeline, mailbox, options.seconds, stop);
         stop.store(true, Ordering::Relaxed);
         let has_panicked = network.join().is_err();
@@ -206,6 +232,14 @@ fn run_sessions(mut sessions: Sessions, around: &Surroundings<'_>, events: &Even
         sessions.tick(monotonic_now_ns(), around);
     }
     sessions.goodbye(monotonic_now_ns(), around);
+}
+
+fn run_motion(cadence: &Cadence, outlet: &dyn Outlet, epoch_ns: i64, stop: &AtomicBool) {
+    while !stop.load(Ordering::Relaxed) {
+        let now = ServerTime(monotonic_now_ns() - epoch_ns);
+        cadence.step(outlet, now);
+        std::thread::sleep(Cadence::wait(now));
+    }
 }
 
 fn run_pipeline<S: Studio>(

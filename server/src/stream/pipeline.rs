@@ -4,6 +4,7 @@
 //! Only a lost device stops all of it; then it is opened again from the top. Where the device is slower than all updates
 //! together, who has had least of it is next.
 
+use super::cadence::Cadence;
 use super::encoder::{EncoderThread, Job, Outcome, words_of};
 use super::outlet::Outlet;
 use super::rebuild::Rebuild;
@@ -11,16 +12,17 @@ use super::turns::{Share, Turns};
 use super::{StreamStats, ViewerStats};
 use crate::encode::{EncodeError, Encoder};
 use crate::frame::Shaded;
+use crate::motion::sender;
 use crate::pacing::Kind;
 use crate::sessions::Say;
 use crate::sessions::mailbox::{Accepted, Client, Mailbox, News};
-use crate::viewer::{Update, Updates, Viewer, bytes_of};
+use crate::viewer::{Update, Updates, Viewer};
 use anyhow::Context;
 use shadecast_gpu::GpuError;
 use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::message::{Capabilities, Refused, Welcome};
 use shadecast_protocol::time::ServerTime;
-use shadecast_transport::PeerId;
+use shadecast_transport::{PeerId, SendError};
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -58,6 +60,7 @@ pub trait Studio {
 pub(super) struct Pipeline<'a, S: Studio> {
     studio: &'a mut S,
     outlet: Arc<dyn Outlet>,
+    cadence: &'a Cadence,
     mailbox: &'a Mailbox,
     say: &'a Say<'a>,
     period_ns: i64,
@@ -137,6 +140,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
     pub(super) fn new(
         studio: &'a mut S,
         outlet: Arc<dyn Outlet>,
+        cadence: &'a Cadence,
         mailbox: &'a Mailbox,
         say: &'a Say<'a>,
         rate_hz: f64,
@@ -145,6 +149,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         Self {
             studio,
             outlet,
+            cadence,
             mailbox,
             say,
             period_ns: (1e9 / rate_hz) as i64,
@@ -219,10 +224,12 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             let updates = self.studio.open(&welcome, &capabilities);
             updates.map_err(|error| Fault::of(&error, "making the pipeline for this client"))
         })?;
+        let viewer = Viewer::new(updates, sender, self.period_ns, now_ns);
+        viewer.motion().into_iter().for_each(|motion| self.cadence.join(peer, motion.clone()));
         self.clients.insert(
             peer,
             Served {
-                viewer: Viewer::new(updates, sender, self.period_ns, now_ns),
+                viewer,
                 welcome,
                 encoder,
                 encoder_failures: 0,
@@ -312,8 +319,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         let took = begun.elapsed();
         client.stats.busy_s += took.as_secs_f64();
         self.turns.served(&mut client.share, took.as_nanos() as i64);
-        let Some(Update { shaded, refresh }) = made else { return Ok(()) };
-        let sizes = shaded.delta.sizes;
+        let Some(Update { shaded, sizes, refresh }) = made else { return Ok(()) };
         client.count(sizes, now_ns);
         self.stats.add_gpu(&shaded.timings);
         client.encoder.give(Job { shaded, refresh });
@@ -323,8 +329,6 @@ impl<'a, S: Studio> Pipeline<'a, S> {
 
     fn count(&mut self, sizes: DeltaSizes, now_ns: i64) {
         self.stats.geometry_bytes += sizes.total_bytes as u64;
-        self.stats.sample_bytes += sizes.sample_bytes as u64;
-        self.stats.samples += sizes.samples as u64;
         self.stats.updates += 1;
         if self.stats.updates == 1 {
             (self.say)("First update sent");
@@ -363,8 +367,13 @@ impl<'a, S: Studio> Pipeline<'a, S> {
     /// Forgets a client; what its figures were stays.
     fn close(&mut self, peer: PeerId, has_failed: bool, now_ns: i64) {
         let Some(client) = self.clients.remove(&peer) else { return };
+        self.cadence.leave(peer);
         let Served { viewer, mut stats, since_ns, encoder, .. } = client;
         drop(encoder);
+        let motion = viewer.motion().map(|motion| sender::lock(motion).bytes()).unwrap_or_default();
+        self.stats.sample_bytes += motion.sample_bytes;
+        self.stats.samples += motion.samples;
+        self.stats.motion_bytes += motion.total();
         let updates = viewer.into_updates();
         self.studio.account(&updates, &mut stats);
         stats.seconds = (now_ns - since_ns) as f64 * 1e-9;
@@ -427,13 +436,16 @@ impl<U: Updates> Served<U> {
         now_ns: i64,
     ) -> Result<Update, Fault> {
         let frame = shaded.update;
+        let time = shaded.time;
         let (delta, update) = self.viewer.finish(shaded);
-        let bytes = bytes_of(&delta);
-        outlet.send(peer, delta).map_err(|error| {
-            let reason = format!("an update's geometry could not be sent: {error}");
-            Fault::Client(Refused::new(&reason, "connect again; over a slow link choose a smaller scene"))
-        })?;
+        let bytes = delta.bytes();
+        outlet.send(peer, delta).map_err(|error| unsent(&error))?;
         self.viewer.sent(frame, Kind::Delta, bytes, now_ns);
+        // What it shows first follows at once.
+        if let Some(motion) = self.viewer.motion() {
+            let due = sender::lock(motion).tick(time, outlet.way(peer).as_ref());
+            due.into_iter().try_for_each(|out| outlet.send(peer, out)).map_err(|error| unsent(&error))?;
+        }
         Ok(update)
     }
 
@@ -444,6 +456,11 @@ impl<U: Updates> Served<U> {
         let seconds = (now_ns - self.since_ns) as f64 * 1e-9;
         stats.server_fps = if seconds > 0.0 { stats.updates.saturating_sub(1) as f64 / seconds } else { 0.0 };
     }
+}
+
+fn unsent(error: &SendError) -> Fault {
+    let reason = format!("an update's geometry could not be sent: {error}");
+    Fault::Client(Refused::new(&reason, "connect again; over a slow link choose a smaller scene"))
 }
 
 fn device_lost() -> Refused {

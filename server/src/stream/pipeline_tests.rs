@@ -2,19 +2,20 @@
 
 use super::*;
 use crate::encode::{AccessUnit, Encoded, Source};
+use crate::geometry::UpdateDelta;
+use crate::motion::sender::SharedMotion;
+use crate::pacing::Budget;
 use crate::pacing::WayState;
-use crate::residency::Budget;
 use crate::sessions::testing::accepted;
 use ash::vk;
 use shadecast_gpu::Timings;
-use shadecast_protocol::delta::DeltaEncoder;
+use shadecast_protocol::delta::{DeltaEncoder, EncodedDelta};
 use shadecast_protocol::geometry::GeometryDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Displayed, HeadState};
 use shadecast_protocol::session::{Out, ServerEvent};
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
 use shadecast_test_support::peers::head;
-use shadecast_transport::SendError;
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::rc::Rc;
@@ -47,12 +48,13 @@ impl Outlet for Recorder {
         }
         let Out::Stream { bytes, .. } = out else { panic!("{out:?}") };
         match parse_stream(&bytes).expect("a stream") {
-            StreamMessage::Geometry { update: frame, .. } => {
-                self.deltas.lock().expect("whole").push((peer, frame.0));
+            StreamMessage::Geometry { head, .. } => {
+                self.deltas.lock().expect("whole").push((peer, head.update.0));
             }
             StreamMessage::Picture { header, .. } => {
                 self.pictures.lock().expect("whole").push((header.update.0, header.is_refresh));
             }
+            StreamMessage::Motion(_) => panic!("nothing moves"),
         }
         Ok(())
     }
@@ -118,7 +120,7 @@ impl Studio for FakeStudio {
         let frame = UpdateId(updates.next);
         updates.next += 1;
         let delta = GeometryDelta { update: frame, time, ..GeometryDelta::default() };
-        let delta = DeltaEncoder::new(1, 1).encode(&delta.into());
+        let delta = UpdateDelta { geometry: delta, sampled: Vec::new() };
         let (picture, timings) = (Source::default(), Timings::default());
         Ok(Some(Shaded { update: frame, time, delta, picture, timings }))
     }
@@ -155,6 +157,15 @@ impl Updates for FakeUpdates {
     fn interrupted(&mut self) {}
 
     fn set_budget(&mut self, _: Budget) {}
+
+    fn encode(&mut self, delta: &UpdateDelta) -> EncodedDelta {
+        let mut encoder = DeltaEncoder::new(1, 1).from_delta(delta.geometry.update.0);
+        encoder.encode(&delta.geometry.clone().into())
+    }
+
+    fn motion(&self) -> Option<SharedMotion> {
+        None
+    }
 
     fn recycle(&mut self, _: Source) {}
 }
@@ -216,9 +227,11 @@ impl Bench {
     #[track_caller]
     fn run(&self, mut is_done: impl FnMut(&Recorder) -> bool) -> (anyhow::Result<()>, StreamStats) {
         let mut studio = FakeStudio(self.script.clone());
+        let cadence = Cadence::default();
         let mut pipeline = Pipeline::new(
             &mut studio,
             self.outlet.clone(),
+            &cadence,
             &self.mailbox,
             &|_| {},
             1e9 / PERIOD_NS as f64,

@@ -19,8 +19,10 @@ pub struct StreamStats {
     pub server_fps: f64,
     /// Bytes of access units.
     pub atlas_bytes: u64,
-    /// Bytes of geometry deltas, samples included.
+    /// Bytes of geometry deltas.
     pub geometry_bytes: u64,
+    /// Bytes of motion between updates: clips and samples.
+    pub motion_bytes: u64,
     /// Bytes of vertex samples, headers and first samples included.
     pub sample_bytes: u64,
     /// Vertex samples.

@@ -2,14 +2,18 @@
 
 use super::pipeline::Studio;
 use super::{StreamOptions, ViewerStats};
+use crate::animation::timeline::SharedTimeline;
 use crate::encode::openh264::EncoderSettings;
 use crate::encode::{self, EncodeError, Encoder, Source};
 use crate::frame::{Frame, Shaded};
-use crate::residency::Budget;
+use crate::geometry::UpdateDelta;
+use crate::motion::sender::SharedMotion;
+use crate::pacing::Budget;
 use crate::scene::SceneGpu;
 use crate::viewer::Updates;
 use crate::world::{ViewerId, World};
 use shadecast_gpu::{Gpu, GpuError};
+use shadecast_protocol::delta::EncodedDelta;
 use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::Scene;
@@ -30,6 +34,8 @@ pub type Reopen<'a> = dyn Fn(Scene) -> anyhow::Result<Device> + 'a;
 pub(super) struct GpuStudio<'a> {
     /// `None` only while it is opened again.
     device: Option<Device>,
+    /// How the world moves, whichever device it is on.
+    timeline: SharedTimeline,
     /// While somebody looks.
     world: Option<World>,
     viewers: u64,
@@ -42,8 +48,22 @@ pub(super) struct GpuStudio<'a> {
 
 impl<'a> GpuStudio<'a> {
     /// Before anybody looks.
-    pub(super) fn new(device: Device, reopen: &'a Reopen<'a>, options: &'a StreamOptions) -> Self {
-        Self { device: Some(device), world: None, viewers: 0, looking: 0, scene: None, reopen, options }
+    pub(super) fn new(
+        device: Device,
+        timeline: SharedTimeline,
+        reopen: &'a Reopen<'a>,
+        options: &'a StreamOptions,
+    ) -> Self {
+        Self {
+            device: Some(device),
+            timeline,
+            world: None,
+            viewers: 0,
+            looking: 0,
+            scene: None,
+            reopen,
+            options,
+        }
     }
 
     /// What it works on.
@@ -59,7 +79,10 @@ impl Studio for GpuStudio<'_> {
     fn open(&mut self, welcome: &Welcome, capabilities: &Capabilities) -> Result<Frame, GpuError> {
         let world = match self.world.take() {
             Some(world) => world,
-            None => World::new(&self.device()?.gpu, &self.device()?.scene)?,
+            None => {
+                let Device { gpu, scene } = self.device()?;
+                World::of_timeline(gpu, scene, self.timeline.clone())?
+            }
         };
         self.viewers += 1;
         let frame = Frame::new(&world, ViewerId(self.viewers), welcome, capabilities);
@@ -124,6 +147,14 @@ impl Updates for Frame {
 
     fn set_budget(&mut self, budget: Budget) {
         Self::set_budget(self, budget);
+    }
+
+    fn encode(&mut self, delta: &UpdateDelta) -> EncodedDelta {
+        Self::encode(self, delta)
+    }
+
+    fn motion(&self) -> Option<SharedMotion> {
+        self.residency().skinning().map(|skinning| skinning.sender().clone())
     }
 
     fn recycle(&mut self, picture: Source) {

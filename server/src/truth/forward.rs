@@ -160,7 +160,7 @@ impl Forward {
         let clip_from_world = fov.clip_from_eye() * world_from_eye.inverse().matrix();
         let view = view_gpu(clip_from_world, world_from_eye.position, self.targets.extent);
         self.view.write(0, bytemuck::bytes_of(&view));
-        self.shadow.write(&self.scene, time);
+        self.shadow.write(&self.scene, &self.animation, time);
         recorder.scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, &self.all, ONLY));
         recorder.barrier(Access::DEPTH_WRITE, Access::FRAGMENT_READ);
         recorder.scope("forward", |r| self.draw_color(r, world_from_eye, fov));

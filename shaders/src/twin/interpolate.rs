@@ -1,10 +1,13 @@
 //! Twin of `client_scatter.comp` and `client_interpolate.comp`: the client's vertex memory, and the positions of animated
 //! vertices at a display time.
 
-use crate::constants::{NO_SAMPLE, ON_CURVE, PAST_THE_END, STATIC_BIT, STATIC_BLEND};
+use crate::constants::{
+    NO_REST, NO_SAMPLE, ON_CURVE, PAST_THE_END, PREDICTED_BIT, PREDICTED_BLEND, REST_BIT, REST_END_BIT,
+    SKINNED_BIT, SLOT_MASK, STATIC_BIT, STATIC_BLEND,
+};
 use crate::curve::cubic_weights;
-use crate::generated::{InterpolatePush, VertexWriteGpu};
-use shadecast_protocol::limits::SAMPLE_RING;
+use crate::generated::{InterpolatePush, RestGpu, VertexWriteGpu};
+use shadecast_protocol::limits::{PREDICTIONS, SAMPLE_RING};
 
 /// The client's vertex memory: see `client_vertices.glsl`.
 #[derive(Clone, Debug, PartialEq)]
@@ -15,8 +18,13 @@ pub struct VertexMemory {
     pub samples: Vec<[u32; 4]>,
     /// By slot: position in the world and state.
     pub positions: Vec<[f32; 4]>,
-    /// By slot: what is left to blend away, and its share; [`STATIC_BLEND`] for a static vertex.
+    /// By slot: what is left to blend away, and its share; [`STATIC_BLEND`] for one without samples,
+    /// [`PREDICTED_BLEND`] for one whose samples are predictions.
     pub blends: Vec<[f32; 4]>,
+    /// By slot: the number of its rest plus 1, [`NO_REST`] where it is not skinned, and where its palette begins.
+    pub skins: Vec<[u32; 2]>,
+    /// As many as vertex slots.
+    pub rests: Vec<RestGpu>,
 }
 
 impl VertexMemory {
@@ -28,13 +36,19 @@ impl VertexMemory {
             samples: vec![[0; 4]; slots * SAMPLE_RING as usize],
             positions: vec![[0.0; 4]; slots],
             blends: vec![[0.0; 4]; slots],
+            skins: vec![[NO_REST, 0]; slots],
+            rests: vec![RestGpu { position_joints: [0; 4], influences: [0; 4] }; slots],
         }
     }
 
     /// One dispatch of `client_scatter.comp`.
     pub fn scatter(&mut self, writes: &[VertexWriteGpu]) {
         for write in writes {
-            let slot = write.slot & !STATIC_BIT;
+            if write.slot & REST_BIT != 0 {
+                self.write_rest(write);
+                continue;
+            }
+            let slot = write.slot & SLOT_MASK;
             if slot >= self.vertex_slots {
                 continue;
             }
@@ -51,14 +65,29 @@ impl VertexMemory {
         }
     }
 
+    fn write_rest(&mut self, write: &VertexWriteGpu) {
+        let half = [write.x, write.y, write.z, write.tag];
+        let Some(rest) = self.rests.get_mut((write.slot & SLOT_MASK) as usize) else { return };
+        match write.slot & REST_END_BIT {
+            0 => rest.position_joints = half,
+            _ => rest.influences = half,
+        }
+    }
+
     fn enter(&mut self, slot: usize, write: &VertexWriteGpu) {
-        let is_static = write.slot & STATIC_BIT != 0;
+        let [is_static, is_skinned] = [STATIC_BIT, SKINNED_BIT].map(|bit| write.slot & bit != 0);
         for ring in 0..SAMPLE_RING as usize {
             self.samples[ring * self.vertex_slots as usize + slot] = [0; 4];
         }
         let [x, y, z] = [write.x, write.y, write.z].map(f32::from_bits);
         self.positions[slot] = if is_static { [x, y, z, ON_CURVE] } else { [0.0; 4] };
-        self.blends[slot] = [0.0, 0.0, 0.0, if is_static { STATIC_BLEND } else { 0.0 }];
+        let share = match write.slot & PREDICTED_BIT {
+            0 if is_static || is_skinned => STATIC_BLEND,
+            0 => 0.0,
+            _ => PREDICTED_BLEND,
+        };
+        self.blends[slot] = [0.0, 0.0, 0.0, share];
+        self.skins[slot] = if is_skinned { [write.x, write.y] } else { [NO_REST, 0] };
     }
 
     /// One dispatch of `client_interpolate.comp`.
@@ -71,6 +100,10 @@ impl VertexMemory {
     fn interpolate_vertex(&mut self, slot: u32, push: &InterpolatePush) {
         let mut blend = self.blends[slot as usize];
         if blend[3] == STATIC_BLEND {
+            return;
+        }
+        if blend[3] == PREDICTED_BLEND {
+            self.positions[slot as usize] = self.predicted(slot, push.now);
             return;
         }
         let before = self.positions[slot as usize];
@@ -92,6 +125,29 @@ impl VertexMemory {
         self.blends[slot as usize] = blend;
         let moved = |axis: usize| now[axis] + blend[axis] * blend[3];
         self.positions[slot as usize] = [moved(0), moved(1), moved(2), state];
+    }
+
+    /// Position and state at a time as predictions have it.
+    fn predicted(&self, slot: u32, now: u32) -> [f32; 4] {
+        let all = (1..=PREDICTIONS).map(|place| self.samples[(place * self.vertex_slots + slot) as usize]);
+        let mut known = all.filter(|sample| sample[3] != NO_SAMPLE);
+        let Some(mut before) = known.next() else { return [0.0; 4] };
+        let since = |tag: u32| now.wrapping_sub(tag - tag % SAMPLE_RING) as i32 / SAMPLE_RING as i32;
+        let place = |[x, y, z, _]: [u32; 4]| [x, y, z].map(f32::from_bits);
+        let with = |[x, y, z]: [f32; 3], state: f32| [x, y, z, state];
+        if since(before[3]) <= 0 {
+            return with(place(before), ON_CURVE);
+        }
+        for after in known {
+            let (past, left) = (since(before[3]), -since(after[3]));
+            if left >= 0 {
+                let share = past as f32 / (past + left).max(1) as f32;
+                let (a, b) = (place(before), place(after));
+                return with(std::array::from_fn(|i| a[i] * (1.0 - share) + b[i] * share), ON_CURVE);
+            }
+            before = after;
+        }
+        with(place(before), PAST_THE_END)
     }
 
     /// Position and state at `f` of the way from step `at` to the next.
@@ -132,8 +188,11 @@ impl VertexMemory {
 mod tests {
     use super::*;
     use crate::constants::NOT_DRAWABLE;
-    use crate::records::{sample_write, sampled_entry, static_entry, tag};
-    use shadecast_protocol::time::GridIndex;
+    use crate::records::{
+        MAX_MORPH_WORDS, Rest, RestId, predicted_entry, prediction_time, prediction_write, rest_writes,
+        sample_write, sampled_entry, skinned_entry, static_entry, tag,
+    };
+    use shadecast_protocol::time::{GridIndex, ServerTime};
 
     const STEP_S: f64 = 1.0 / 30.0;
 
@@ -147,7 +206,63 @@ mod tests {
             fraction_before: fraction,
             blend_step: 0.0,
             cubic: u32::from(cubic),
+            now: 0,
         }
+    }
+
+    /// What an update of this time says of slot 0: it moves by 1 m in 10 ms, and is at 0 m at `start_ms`.
+    fn predictions(update_ms: i64, start_ms: i64) -> Vec<VertexWriteGpu> {
+        let write = |number: u32| {
+            let ms = update_ms + 30 * (i64::from(number) + 1);
+            prediction_write(0, number, ServerTime(ms * 1_000_000), [(ms - start_ms) as f32 * 0.1, 0.0, 0.0])
+        };
+        (0..PREDICTIONS).map(write).collect()
+    }
+
+    fn at_ms(memory: &mut VertexMemory, ms: i64) -> [f32; 4] {
+        let now = prediction_time(ServerTime(ms * 1_000_000));
+        memory.interpolate(&InterpolatePush { now, ..push(0, 0.0, true) });
+        memory.positions[0]
+    }
+
+    #[test]
+    fn a_predicted_vertex_is_on_the_line_between_two_and_stays_at_the_ends() {
+        // The second time: tags begin anew between the first and the last.
+        for update_ms in [1000, (1 << 27) / 20 - 45] {
+            let mut memory = VertexMemory::new(1);
+            memory.scatter(&[predicted_entry(0)]);
+            assert_eq!(at_ms(&mut memory, update_ms)[3], NOT_DRAWABLE, "nothing was said of it");
+            memory.scatter(&predictions(update_ms, update_ms));
+            let mut off = |ms: i64| {
+                let [x, _, _, state] = at_ms(&mut memory, update_ms + ms);
+                (x * 10.0, state)
+            };
+            for (ms, expected, expected_state) in [
+                (-400, 30.0, ON_CURVE),
+                (30, 30.0, ON_CURVE),
+                (40, 40.0, ON_CURVE),
+                (60, 60.0, ON_CURVE),
+                (81, 81.0, ON_CURVE),
+                (90, 90.0, ON_CURVE),
+                (91, 90.0, PAST_THE_END),
+                (5000, 90.0, PAST_THE_END),
+            ] {
+                let (found, state) = off(ms);
+                assert!((found - expected).abs() < 1e-3 && state == expected_state, "{ms}: {found}, {state}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_newest_update_alone_says_where_a_predicted_vertex_is() {
+        let mut memory = VertexMemory::new(1);
+        memory.scatter(&[predicted_entry(0)]);
+        memory.scatter(&predictions(1000, 0));
+        assert_eq!(at_ms(&mut memory, 1090), [109.0, 0.0, 0.0, ON_CURVE]);
+        memory.scatter(&predictions(1070, 0));
+        assert_eq!(at_ms(&mut memory, 1090), [110.0, 0.0, 0.0, ON_CURVE], "its first, held");
+        memory.scatter(&[sampled_entry(0)]);
+        assert_eq!(at_ms(&mut memory, 1090)[3], NOT_DRAWABLE);
     }
 
     fn with_samples(grids: std::ops::RangeInclusive<i32>, at: impl Fn(i32) -> f32) -> VertexMemory {
@@ -186,16 +301,17 @@ mod tests {
         let mut memory = with_samples(25..=30, at);
         memory.interpolate(&push(31, 0.0, true));
         assert_eq!(memory.positions[0][3], PAST_THE_END);
-        // A ring of samples later: 45 takes the place of 29.
-        assert_eq!(SAMPLE_RING, 16);
-        let writes: Vec<_> = (38..=45).map(|g| sample_write(0, GridIndex(g), [at(g), 0.0, 0.0])).collect();
+        // A ring of samples later the last of these takes the place of 29.
+        let later = SAMPLE_RING as i32;
+        let steps = 22 + later..=29 + later;
+        let writes: Vec<_> = steps.map(|g| sample_write(0, GridIndex(g), [at(g), 0.0, 0.0])).collect();
         memory.scatter(&writes);
         memory.interpolate(&InterpolatePush {
             tag_before: tag(GridIndex(31)),
             fraction_before: 0.0,
-            ..push(39, 0.0, true)
+            ..push(23 + later, 0.0, true)
         });
-        assert!((memory.positions[0][0] - at(39)).abs() < 1e-5, "{:?}", memory.positions[0]);
+        assert!((memory.positions[0][0] - at(23 + later)).abs() < 1e-5, "{:?}", memory.positions[0]);
     }
 
     #[test]
@@ -247,6 +363,39 @@ mod tests {
         memory.scatter(&[static_entry(0, [1.0, 2.0, 3.0])]);
         memory.interpolate(&push(5, 0.5, true));
         assert_eq!(memory.positions[0], [1.0, 2.0, 3.0, ON_CURVE]);
+    }
+
+    #[test]
+    fn a_skinned_vertex_is_left_to_skinning_until_another_takes_its_slot() {
+        let mut memory = with_samples(0..=9, |_| 100.0);
+        memory.scatter(&[skinned_entry(0, RestId(4), 17)]);
+        memory.interpolate(&push(5, 0.5, true));
+        assert_eq!((memory.positions[0], memory.skins[0]), ([0.0; 4], [5, 17]));
+        for entry in [static_entry(0, [1.0, 2.0, 3.0]), sampled_entry(0)] {
+            memory.scatter(&[skinned_entry(0, RestId(4), 17), entry]);
+            assert_eq!(memory.skins[0][0], NO_REST);
+        }
+    }
+
+    #[test]
+    fn a_rest_is_written_in_halves_and_disturbs_no_vertex() {
+        let rest = Rest {
+            position_m: [1.0, -2.0, 0.5],
+            joints: [1, 2, 3, 0xffff],
+            weights: [4, 5, 6, 7],
+            first_delta: MAX_MORPH_WORDS - 1,
+            delta_count: 255,
+        };
+        let mut memory = with_samples(0..=9, |_| 100.0);
+        let before = memory.clone();
+        memory.scatter(&rest_writes(RestId(0), &rest));
+        assert_eq!(memory.rests[0], rest.gpu());
+        assert_eq!(VertexMemory { rests: before.rests.clone(), ..memory.clone() }, before);
+        memory.scatter(&rest_writes(RestId(1), &rest));
+        assert_eq!(memory.rests, [rest.gpu()], "a number that there is no place for");
+        let RestGpu { position_joints, influences } = rest.gpu();
+        assert_eq!(position_joints, [1f32.to_bits(), (-2f32).to_bits(), 0.5f32.to_bits(), 0x0002_0001]);
+        assert_eq!(influences, [0xffff_0003, 0x0005_0004, 0x0007_0006, u32::MAX]);
     }
 
     #[test]

@@ -3,6 +3,8 @@
 pub mod interpolate;
 pub mod level_selection;
 pub mod mark;
+pub mod pose;
+pub mod skin;
 
 #[cfg(test)]
 mod tests {

@@ -154,6 +154,11 @@ impl Gpu {
         u64::from(self.properties.limits.max_storage_buffer_range)
     }
 
+    /// Most storage buffers that one shader can be given.
+    pub fn max_stage_storage_buffers(&self) -> u32 {
+        self.properties.limits.max_per_stage_descriptor_storage_buffers
+    }
+
     /// Whether the device is a CPU: correct, slow.
     pub fn is_cpu(&self) -> bool {
         self.properties.device_type == vk::PhysicalDeviceType::CPU

@@ -6,7 +6,11 @@
 //! them, as if the fastest packets took equally long both ways. The error so falls with the number of exchanges, where
 //! that of a mean falls with its root. Source: Moon, Skelly and Towsley, INFOCOM 1999, for the envelope.
 //!
-//! What callers see follows the estimate smoothly, so that animation never jumps because of a better one.
+//! How far the estimate can be off is known too: see [`ClockEstimator::error_bound_ns`].
+//!
+//! Until something is on display, the estimate is what callers see. From then on, what they see follows it by at most
+//! [`MAX_STEP_NS`] a display frame, however far apart the two are: time that runs a little fast for a second is not seen, time
+//! that jumps is. Only a clock that was set anew is followed at once.
 
 use crate::time::{ClientTime, ServerTime};
 use std::collections::VecDeque;
@@ -24,11 +28,17 @@ const DRIFT_COST_NS: f64 = 100_000.0;
 const MAX_DRIFT: f64 = 500e-6;
 /// Steps of the search for the drift; each leaves two thirds of the interval, in the end less than 1e-10.
 const DRIFT_STEPS: u32 = 40;
-/// A correction is spread over this time ..
-const SLEW_NS: i64 = 200_000_000;
-/// .. unless it is larger than this: then something broke, and smoothness would only prolong it.
-const JUMP_NS: i64 = 50_000_000;
-/// An estimate that says that a packet travelled this much less than no time is given up.
+/// From one display frame to the next, the server's time goes on by what passes on the client's clock, give or take at most
+/// so many nanoseconds. An estimate that is 3 ms off is caught up with in 0.5 s at 60 Hz.
+pub const MAX_STEP_NS: i64 = 100_000;
+/// Where drift alone takes up more than the other half of a step, in frames of more than 0.1 s, corrections have this.
+const LEAST_STEP_NS: i64 = MAX_STEP_NS / 2;
+/// Corrections are at most one part in so many of the time between two frames, so that frames in quick succession correct no
+/// more than those at 100 Hz.
+const STEP_SHARE: i64 = 100;
+/// Two estimates that are further apart than this are of two clocks.
+const SAME_CLOCK_NS: i64 = 50_000_000;
+/// Exchanges that leave the offset this much less than no room are of different clocks: one was set anew.
 const CONTRADICTION_NS: i64 = 2_000_000;
 /// Exchanges slower than this tell nothing.
 const MAX_RTT_NS: i64 = 10_000_000_000;
@@ -40,8 +50,14 @@ const MAX_CLOCK_NS: i64 = 1 << 62;
 pub struct ClockEstimator {
     exchanges: VecDeque<Exchange>,
     mapping: Option<Mapping>,
+    /// What the exchanges that the mapping knows leave possible.
+    room: Room,
+    /// The display frame that was shown last.
+    shown: Option<ClientTime>,
     /// Exchanges have come that the mapping does not know.
     is_behind: bool,
+    /// They contradict those before.
+    is_set_anew: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -66,9 +82,16 @@ struct Line {
 #[derive(Clone, Copy, Debug)]
 struct Mapping {
     line: Line,
-    since: ClientTime,
-    /// Added to the line at `since`, nothing `SLEW_NS` later.
-    error_ns: i64,
+    /// Added to the line; display frames take it away.
+    left_ns: i64,
+}
+
+/// The offsets that are possible at a time of the client's clock, both ends included.
+#[derive(Clone, Copy, Debug, Default)]
+struct Room {
+    at: ClientTime,
+    low_ns: i64,
+    high_ns: i64,
 }
 
 impl ClockEstimator {
@@ -129,8 +152,9 @@ impl ClockEstimator {
     }
 
     fn remember(&mut self, exchange: Exchange) {
-        if self.mapping.is_some_and(|mapping| mapping.line.contradicts(exchange)) {
+        if self.mapping.is_some() && self.room.contradicts(exchange) {
             self.exchanges.clear();
+            self.is_set_anew = true;
         }
         if self.exchanges.len() == WINDOW {
             self.exchanges.pop_front();
@@ -142,12 +166,52 @@ impl ClockEstimator {
         }
     }
 
-    /// Fits a new line and turns towards it.
+    /// A display frame is shown that is seen at `at`: the correction that is under way goes on by what one frame may.
+    pub fn show(&mut self, at: ClientTime) {
+        let Some(mapping) = &mut self.mapping else { return };
+        let elapsed_ns = at.since(self.shown.unwrap_or(at)).clamp(0, WINDOW_NS);
+        let drifted_ns = (mapping.line.drift.abs() * elapsed_ns as f64).ceil() as i64;
+        let step_ns = (MAX_STEP_NS - drifted_ns).max(LEAST_STEP_NS).min(elapsed_ns / STEP_SHARE);
+        mapping.left_ns -= mapping.left_ns.clamp(-step_ns, step_ns);
+        self.shown = Some(at);
+    }
+
+    /// A display frame that is seen at `at` is the first one that is on this clock. The one before was on another estimate of
+    /// the same clock, by which it is `seen`: what callers see goes on from there, unless that is so far away that it was
+    /// another clock.
+    pub fn go_on_from(&mut self, at: ClientTime, seen: ServerTime) {
+        let Some(mapping) = &mut self.mapping else { return };
+        let left_ns = seen.since(ServerTime(at.0.saturating_add(mapping.line.offset_at(at))));
+        if self.shown.is_none() && left_ns.saturating_abs() <= SAME_CLOCK_NS {
+            mapping.left_ns = left_ns;
+            self.shown = Some(at);
+        }
+    }
+
+    /// Fits a new line, and turns towards it where something is on display.
     fn follow(&mut self, now: ClientTime) {
         let Some(line) = self.fit() else { return };
-        let error_ns = self.mapping.map_or(0, |old| old.offset_at(now).saturating_sub(line.offset_at(now)));
-        let error_ns = if (-JUMP_NS..=JUMP_NS).contains(&error_ns) { error_ns } else { 0 };
-        self.mapping = Some(Mapping { line, since: now, error_ns });
+        let is_free = std::mem::take(&mut self.is_set_anew);
+        let left_ns = match (self.mapping, self.shown) {
+            (Some(old), Some(shown)) if !is_free => {
+                old.offset_at(shown).saturating_sub(line.offset_at(shown))
+            }
+            _ => 0,
+        };
+        self.mapping = Some(Mapping { line, left_ns });
+        self.room = self.room_at(now);
+    }
+
+    /// What the exchanges leave possible at `now`: each bounds the offset by its two ways, less sharply the older it is,
+    /// and all bounds hold at once. Source: Marzullo and Owicki 1983 for the intersection; RFC 5905, section 11.2, for the
+    /// dispersion by age, there with 15 parts per million.
+    fn room_at(&self, now: ClientTime) -> Room {
+        let mut room = Room { at: now, low_ns: i64::MIN, high_ns: i64::MAX };
+        for exchange in &self.exchanges {
+            room.high_ns = room.high_ns.min(exchange.up_ns + dispersion_ns(now, exchange.client_send));
+            room.low_ns = room.low_ns.max(-exchange.down_ns - dispersion_ns(now, exchange.client_receive));
+        }
+        room
     }
 
     /// The drift that leaves the two envelopes furthest apart fits them most tightly; that distance is concave in the
@@ -185,8 +249,8 @@ impl ClockEstimator {
     pub fn display_time(&self, at: ServerTime) -> Option<ClientTime> {
         let mapping = self.mapping?;
         let mut display = ClientTime(at.0.saturating_sub(mapping.line.offset_ns));
-        // The offset changes by less than a third of a nanosecond per nanosecond, so that each step gains half a digit.
-        for _ in 0..32 {
+        // The offset changes by at most `MAX_DRIFT` per nanosecond, so that each step gains three digits.
+        for _ in 0..8 {
             let next = ClientTime(at.0.saturating_sub(mapping.offset_at(display)));
             if next == display {
                 break;
@@ -194,6 +258,19 @@ impl ClockEstimator {
             display = next;
         }
         Some(display)
+    }
+
+    /// How far [`Self::server_time`] can be off at `at`, in nanoseconds; `None` before the first exchange.
+    ///
+    /// No way takes less than no time: an exchange says that the offset is at most what its way up shows and at least what
+    /// its way down shows, give or take `MAX_DRIFT` times its age. The bound is the larger distance from what is seen,
+    /// what is left of a correction included, to the two ends of what all exchanges leave possible. With equal ways both
+    /// there and back, that is half the fastest round trip; nobody can know better from the exchanges alone.
+    pub fn error_bound_ns(&self, at: ClientTime) -> Option<i64> {
+        let offset_ns = self.mapping?.offset_at(at);
+        let Room { at: known, low_ns, high_ns } = self.room;
+        let off_ns = high_ns.saturating_sub(offset_ns).max(offset_ns.saturating_sub(low_ns)).max(0);
+        Some(off_ns.saturating_add(dispersion_ns(at, known)))
     }
 
     /// The fastest round trip of the window in nanoseconds, the server's own time not counted.
@@ -250,12 +327,6 @@ impl Exchange {
 }
 
 impl Line {
-    /// True where a way of the exchange would have taken less than no time: a clock was set anew.
-    fn contradicts(&self, exchange: Exchange) -> bool {
-        exchange.up_ns.saturating_sub(self.offset_at(exchange.client_send)) < -CONTRADICTION_NS
-            || exchange.down_ns.saturating_add(self.offset_at(exchange.client_receive)) < -CONTRADICTION_NS
-    }
-
     fn offset_at(&self, at: ClientTime) -> i64 {
         let drifted = self.drift * at.since(self.origin) as f64;
         self.offset_ns.saturating_add(drifted as i64)
@@ -264,9 +335,23 @@ impl Line {
 
 impl Mapping {
     fn offset_at(&self, at: ClientTime) -> i64 {
-        let left_ns = SLEW_NS - at.since(self.since).clamp(0, SLEW_NS);
-        self.line.offset_at(at).saturating_add(self.error_ns * left_ns / SLEW_NS)
+        self.line.offset_at(at).saturating_add(self.left_ns)
     }
+}
+
+impl Room {
+    /// True where no offset fits the exchange and those before: a clock was set anew. That one way was faster than ever is
+    /// no contradiction; it takes a part of the room away.
+    fn contradicts(&self, exchange: Exchange) -> bool {
+        let slack_ns = |at| dispersion_ns(self.at, at) + CONTRADICTION_NS;
+        exchange.up_ns < self.low_ns.saturating_sub(slack_ns(exchange.client_send))
+            || -exchange.down_ns > self.high_ns.saturating_add(slack_ns(exchange.client_receive))
+    }
+}
+
+/// By how much clocks can part between two times.
+fn dispersion_ns(a: ClientTime, b: ClientTime) -> i64 {
+    (MAX_DRIFT * a.since(b).unsigned_abs() as f64).ceil() as i64
 }
 
 #[cfg(test)]
@@ -361,30 +446,201 @@ mod tests {
         }
     }
 
-    #[test]
-    fn time_never_runs_backwards_nor_jumps_while_corrections_are_small() {
-        for seed in 0..50 {
-            let mut dice = Dice::new(seed);
+    /// A session as a headset has it: answers come over a link that is as uneven as the dice say, every frame is displayed
+    /// some while after it was begun, and there is something on display from some frame on.
+    struct Headset {
+        path: Path,
+        rate_hz: f64,
+        ahead_ns: i64,
+        first_shown: i64,
+    }
+
+    /// One frame of it, on the true clocks.
+    struct Seen {
+        is_displayed: bool,
+        display_ns: i64,
+        server_ns: i64,
+        true_ns: i64,
+        bound_ns: i64,
+    }
+
+    impl Headset {
+        fn throw(dice: &mut Dice, rate_hz: f64) -> Self {
+            let mut ms = |most: u64| dice.below(most * 1000) as i64 * 1000;
+            let path = Path {
+                offset_ns: ms(1_000_000),
+                drift: (ms(1000) - 500 * MS) as f64 / (500 * MS) as f64 * 500e-6,
+                one_way_ns: 1000 + ms(100),
+                jitter_up_ns: ms(40),
+                jitter_down_ns: ms(40),
+            };
+            Self { path, rate_hz, ahead_ns: ms(50), first_shown: ms(2000) / MS / 10 }
+        }
+
+        /// What is seen in `seconds`; later answers may overtake earlier ones.
+        fn see(&self, dice: &mut Dice, seconds: f64) -> Vec<Seen> {
             let mut clock = ClockEstimator::new();
-            let mut last = None;
-            for frame in 0..2000i64 {
-                let now = frame * 11 * MS;
-                if frame % 5 == 0 {
-                    let (up, down) = (dice.below(20) as i64 * MS, dice.below(20) as i64 * MS);
-                    let server = ServerTime(now - down + 500 * MS);
-                    clock.on_pong(ClientTime(now - up - down), server, server, ClientTime(now));
+            let (mut under_way, mut seen) = (Vec::new(), Vec::new());
+            for frame in 0..(seconds * self.rate_hz) as i64 {
+                let now = (frame as f64 * 1e9 / self.rate_hz) as i64;
+                let mut way = |jitter_ns| self.path.one_way_ns + dice.below(jitter_ns as u64 + 1) as i64;
+                let (up, down) = (way(self.path.jitter_up_ns), way(self.path.jitter_down_ns));
+                under_way.push((now + up + down, now, now + up));
+                for (came, sent, received) in under_way.extract_if(.., |(came, ..)| *came <= now) {
+                    let server = ServerTime(self.path.server_clock(received));
+                    clock.note_pong(ClientTime(sent), server, server, ClientTime(came));
                 }
-                let seen = clock.server_time(ClientTime(now + 30 * MS)).unwrap();
-                if let Some(last) = last {
-                    let step = seen.since(last);
-                    assert!(
-                        (5 * MS..=17 * MS).contains(&step),
-                        "seed {seed}, frame {frame}: {step} ns in 11 ms"
-                    );
+                clock.settle();
+                let (display_ns, is_displayed) = (now + self.ahead_ns, frame >= self.first_shown);
+                let display = ClientTime(display_ns);
+                if is_displayed {
+                    clock.show(display);
                 }
-                last = Some(seen);
+                let Some(ServerTime(server_ns)) = clock.server_time(display) else { continue };
+                let bound_ns = clock.error_bound_ns(display).expect("as the time");
+                let true_ns = self.path.server_clock(display_ns);
+                seen.push(Seen { is_displayed, display_ns, server_ns, true_ns, bound_ns });
+            }
+            seen
+        }
+    }
+
+    const RATES_HZ: [f64; 5] = [36.0, 60.0, 72.0, 90.0, 120.0];
+
+    #[test]
+    fn once_something_is_on_display_no_frame_steps_by_more_than_a_tenth_of_a_millisecond() {
+        for (seed, rate_hz) in (0..60).flat_map(|seed| RATES_HZ.map(|rate_hz| (seed, rate_hz))) {
+            let mut dice = Dice::new(seed);
+            let headset = Headset::throw(&mut dice, rate_hz);
+            let seen = headset.see(&mut dice, 6.0);
+            for pair in seen.windows(2).filter(|pair| pair[0].is_displayed) {
+                let period_ns = pair[1].display_ns - pair[0].display_ns;
+                let step_ns = pair[1].server_ns - pair[0].server_ns;
+                let off_ns = (step_ns - period_ns).abs();
+                // Both offsets are rounded to nanoseconds.
+                assert!(off_ns <= MAX_STEP_NS + 2 && step_ns > 0, "seed {seed}, {rate_hz} Hz: {off_ns} ns");
             }
         }
+    }
+
+    #[test]
+    fn the_error_is_never_larger_than_its_bound() {
+        for (seed, rate_hz) in (0..60).flat_map(|seed| RATES_HZ.map(|rate_hz| (seed, rate_hz))) {
+            let mut dice = Dice::new(1000 + seed);
+            let headset = Headset::throw(&mut dice, rate_hz);
+            for Seen { display_ns, server_ns, true_ns, bound_ns, .. } in headset.see(&mut dice, 4.0) {
+                let error_ns = (server_ns - true_ns).abs();
+                // Four clocks were rounded to nanoseconds.
+                assert!(
+                    error_ns <= bound_ns + 4,
+                    "seed {seed}, {rate_hz} Hz, {display_ns} ns: {error_ns} ns, bound {bound_ns} ns"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn between_even_ways_the_bound_is_that_of_one_way() {
+        let path = Path {
+            offset_ns: 5 * MS,
+            drift: 50e-6,
+            one_way_ns: 20 * MS,
+            jitter_up_ns: 10 * MS,
+            jitter_down_ns: 10 * MS,
+        };
+        let headset = Headset { path, rate_hz: 90.0, ahead_ns: 30 * MS, first_shown: 30 };
+        let seen = headset.see(&mut Dice::new(3), 10.0);
+        let last = seen.last().expect("frames");
+        assert!((20 * MS..=21 * MS).contains(&last.bound_ns), "{} ns", last.bound_ns);
+        let worst_ns = seen.iter().filter(|seen| seen.is_displayed).map(|seen| seen.bound_ns).max();
+        assert!(worst_ns < Some(23 * MS), "{worst_ns:?} ns after 30 exchanges");
+    }
+
+    /// A clock on which something is shown at 0, and which then finds out that it was `off_ns` slow.
+    fn slow_clock(off_ns: i64) -> ClockEstimator {
+        let mut clock = ClockEstimator::new();
+        clock.on_pong(ClientTime(-20 * MS), ServerTime(-10 * MS), ServerTime(-10 * MS), ClientTime(0));
+        clock.show(ClientTime(0));
+        // As long a way there, a shorter way back: the middle is larger by half the difference.
+        let server = ServerTime(10 * MS);
+        clock.on_pong(ClientTime(0), server, server, ClientTime(20 * MS - 2 * off_ns));
+        clock
+    }
+
+    #[test]
+    fn an_estimate_that_was_off_by_3_ms_is_caught_up_with_in_half_a_second() {
+        for rate_hz in [60, 90, 120] {
+            let mut clock = slow_clock(3 * MS);
+            let wanted_ns = clock.mapping.expect("known").line.offset_at(ClientTime(0));
+            assert!((2 * MS..4 * MS).contains(&wanted_ns), "{wanted_ns} ns");
+            let seen_ns = |clock: &ClockEstimator| clock.server_time(ClientTime(0)).expect("known").0;
+            assert!(seen_ns(&clock).abs() < 100, "nothing changes between two frames");
+            (1..rate_hz / 2 + 3).for_each(|frame| clock.show(ClientTime(frame * 1000 * MS / rate_hz)));
+            assert_eq!(seen_ns(&clock), wanted_ns, "{rate_hz} Hz");
+        }
+    }
+
+    #[test]
+    fn a_correction_goes_on_while_better_estimates_come() {
+        let mut clock = slow_clock(3 * MS);
+        let mut last_ns = clock.mapping.expect("known").left_ns.abs();
+        for frame in 1..20 {
+            let now = ClientTime(frame * 11 * MS);
+            let server = ServerTime(now.0 - 3 * MS);
+            clock.on_pong(now.plus_ns(-30 * MS), server, server, now.plus_ns(5 * MS));
+            clock.show(now);
+            let left_ns = clock.mapping.expect("known").left_ns.abs();
+            assert!(left_ns < last_ns, "frame {frame}: {left_ns} ns of {last_ns} ns");
+            last_ns = left_ns;
+        }
+    }
+
+    #[test]
+    fn before_anything_is_on_display_an_estimate_counts_at_once() {
+        let mut clock = ClockEstimator::new();
+        for (up_ms, down_ms) in [(40, 10), (10, 40), (10, 10)] {
+            let server = ServerTime(up_ms * MS);
+            clock.on_pong(ClientTime(0), server, server, ClientTime((up_ms + down_ms) * MS));
+        }
+        let off_ns = clock.server_time(ClientTime(0)).expect("known").0;
+        assert!(off_ns.abs() < 100, "{off_ns} ns");
+    }
+
+    #[test]
+    fn another_estimate_of_the_same_clock_is_turned_to_slowly_and_another_clock_at_once() {
+        let seen_ns = |from_ns| {
+            let mut clock = ClockEstimator::new();
+            let server = ServerTime(1000 * MS);
+            clock.on_pong(ClientTime(0), server, server, ClientTime(0));
+            clock.go_on_from(ClientTime(0), ServerTime(from_ns));
+            clock.show(ClientTime(0));
+            let first = clock.server_time(ClientTime(0)).expect("known");
+            clock.show(ClientTime(20 * MS));
+            [first.0, clock.server_time(ClientTime(20 * MS)).expect("known").0 - 20 * MS]
+        };
+        let [first, later] = seen_ns(1003 * MS);
+        assert_eq!(first, 1003 * MS);
+        assert!(
+            (later - (1003 * MS - MAX_STEP_NS)).abs() <= 1,
+            "{later}: less than a nanosecond is rounding"
+        );
+        assert_eq!(seen_ns(3000 * MS), [1000 * MS; 2]);
+    }
+
+    #[test]
+    fn a_way_that_is_faster_than_ever_is_not_taken_for_a_clock_that_was_set_anew() {
+        let mut clock = ClockEstimator::new();
+        let exchange = |clock: &mut ClockEstimator, at_ms: i64, up_ms: i64| {
+            let server = ServerTime((at_ms + up_ms) * MS);
+            clock.on_pong(ClientTime(at_ms * MS), server, server, ClientTime((at_ms + up_ms + 10) * MS));
+        };
+        (0..20).for_each(|i| exchange(&mut clock, i * 25, 150));
+        clock.show(ClientTime(500 * MS));
+        exchange(&mut clock, 510, 10);
+        clock.show(ClientTime(511 * MS));
+        assert_eq!(clock.exchanges.len(), 21);
+        let off_ns = clock.server_time(ClientTime(511 * MS)).expect("known").0 - 511 * MS;
+        assert!((69 * MS..=70 * MS).contains(&off_ns), "it is caught up with: {off_ns} ns");
     }
 
     #[test]
@@ -395,6 +651,7 @@ mod tests {
             clock.on_pong(ClientTime(at_ms * MS), server, server, ClientTime((at_ms + 20) * MS));
         };
         exchange(&mut clock, 0, 0);
+        clock.show(ClientTime(900 * MS));
         (0..100).for_each(|i| exchange(&mut clock, 1000 + i * 50, 1000));
         let seen = clock.server_time(ClientTime(6000 * MS)).unwrap();
         assert!((seen.0 - 7000 * MS).abs() < 25 * MS, "{seen:?}");
@@ -408,6 +665,7 @@ mod tests {
             let now = i * 100 * MS;
             let server = ServerTime(now + 3_000_000 * MS + dice.below(40) as i64 * MS);
             clock.on_pong(ClientTime(now), server, server, ClientTime(now + 60 * MS));
+            clock.show(ClientTime(now + 70 * MS));
             for ahead in [-50, 0, 30, 150, 500] {
                 let at = ClientTime(now + ahead * MS);
                 let back = clock.display_time(clock.server_time(at).unwrap()).unwrap();

@@ -2,12 +2,16 @@
 //! atlas. Motion is [`crate::motion`]'s; the bytes are [`crate::delta`]'s.
 
 use crate::atlas::{Block, PatchKind};
-use crate::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
+use crate::ids::{InstanceId, PatchSlot, RestId, UpdateId, VertexSlot};
+use crate::motion::predicted::PredictedVertex;
+use crate::motion::rest::{MeshInfo, RestVertex};
+use crate::motion::skeleton::{SkeletonInfo, SkinnedInstance};
 use crate::time::ServerTime;
 use glam::Vec3;
 
 /// What one update changes in the client's memory. Applied in the order: patch evictions, vertex evictions, instances,
-/// new vertices, new patches, placements. Deltas follow each other without a gap, starting at update 0.
+/// what is skinned, rest vertices, new vertices, new patches, placements,
+/// predictions. Deltas follow each other without a gap, starting at update 0.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GeometryDelta {
     /// The update.
@@ -16,6 +20,10 @@ pub struct GeometryDelta {
     pub time: ServerTime,
     /// Instances seen for the first time, or with a new quantisation step.
     pub instances: Vec<InstanceInfo>,
+    /// What is skinned by the client, as far as it has not been told.
+    pub skinned: Skinned,
+    /// Vertices before skinning that it has not been told, by rising numbers.
+    pub new_rests: Vec<RestVertex>,
     /// Vertices that enter; their slots are free.
     pub new_vertices: Vec<NewVertex>,
     /// Patches that enter; their slots are free, their vertices present.
@@ -26,17 +34,34 @@ pub struct GeometryDelta {
     pub evicted_vertices: Vec<VertexSlot>,
     /// Patches whose block changes with this update's picture; `None`: it has none, do not draw it.
     pub placements: Vec<(PatchSlot, Option<Block>)>,
+    /// Where predicted vertices will be, ascending by slots; whoever is not among them keeps what was told.
+    pub predictions: Vec<PredictedVertex>,
 }
 
 impl GeometryDelta {
     /// How much there is to take in: vertices, patches and placements.
     pub fn records(&self) -> usize {
         let patches = self.new_patches.len() + self.evicted_patches.len() + self.placements.len();
-        self.new_vertices.len() + self.evicted_vertices.len() + patches
+        self.new_rests.len()
+            + self.new_vertices.len()
+            + self.evicted_vertices.len()
+            + self.predictions.len()
+            + patches
     }
 }
 
-/// An instance, as far as a client needs to know it.
+/// What a client needs to know to skin.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Skinned {
+    /// Skeletons.
+    pub skeletons: Vec<SkeletonInfo>,
+    /// Meshes.
+    pub meshes: Vec<MeshInfo>,
+    /// Instances of them, each once.
+    pub instances: Vec<SkinnedInstance>,
+}
+
+/// An instance with samples, as far as a client needs to know it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InstanceInfo {
     /// The instance.
@@ -66,6 +91,13 @@ pub enum Motion {
     },
     /// By samples on the grid: see [`crate::motion`].
     Sampled,
+    /// By what updates predict: see [`crate::motion::predicted`].
+    Predicted,
+    /// With its instance's skeleton, by the client itself.
+    Skinned {
+        /// Where it is before skinning.
+        rest: RestId,
+    },
 }
 
 /// A patch that enters the client's memory. It has no block until a placement gives it one.

@@ -5,17 +5,24 @@
 
 use crate::atlas::{Block, BlockAddress, BlockSize, PatchKind};
 use crate::delta::{Delta, DeltaEncoder};
-use crate::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex};
-use crate::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
+use crate::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, Skinned};
+use crate::ids::{ClipId, InstanceId, PatchSlot, RestId, SkeletonId, UpdateId, VertexSlot};
 use crate::message::{ClientDatagram, ClientMessage, Codec, Refused, ServerDatagram, ServerMessage, Welcome};
 use crate::motion::SampleBatch;
+use crate::motion::clip::{ChunkTrack, ClipChunk, TrackKind};
+use crate::motion::message::{MotionMessage, MotionNews, NewSchedule};
+use crate::motion::playback::{Playback, Repetition, Schedule};
+use crate::motion::poses::{BonePose, GridPose};
+use crate::motion::predicted::{PredictedVertex, Prediction};
+use crate::motion::rest::{MeshInfo, RestVertex};
+use crate::motion::skeleton::{ClipRef, PoseSource, SkeletonEntry, SkeletonInfo, SkinnedInstance};
 use crate::testing::{displayed, head, hello, welcome};
 use crate::time::{ClientTime, GridIndex, ServerTime};
-use crate::wire::{PictureHeader, encode_geometry, encode_picture, frame_control};
+use crate::wire::{PictureHeader, encode_geometry, encode_motion, encode_picture, frame_control};
 use glam::Vec3;
 
 /// The version whose bytes are pinned below.
-const PINNED_VERSION: u32 = 2;
+const PINNED_VERSION: u32 = 3;
 
 #[track_caller]
 fn assert_pinned(bytes: &[u8], hex: &str) {
@@ -65,7 +72,11 @@ fn deltas() -> [Vec<u8>; 2] {
         placements: vec![(PatchSlot(0), block(0, 0, 2, 9)), (PatchSlot(9), block(2044, 1020, 2, 2))],
         ..Default::default()
     };
-    let enters = Delta { geometry: enters, samples: (29..33).map(|grid| batch(grid, 0..40)).collect() };
+    let enters = Delta {
+        geometry: enters,
+        is_update: true,
+        samples: (29..33).map(|grid| batch(grid, 0..40)).collect(),
+    };
     let moves = GeometryDelta {
         update: UpdateId(1),
         time: ServerTime(1_033_333_333),
@@ -74,7 +85,7 @@ fn deltas() -> [Vec<u8>; 2] {
         placements: vec![(PatchSlot(0), None)],
         ..Default::default()
     };
-    let moves = Delta { geometry: moves, samples: vec![batch(32, 10..13), batch(35, 0..0)] };
+    let moves = Delta { geometry: moves, is_update: true, samples: vec![batch(32, 10..13), batch(35, 0..0)] };
     let mut coder = DeltaEncoder::new(200, 20);
     [coder.encode(&enters).bytes, coder.encode(&moves).bytes]
 }
@@ -88,9 +99,9 @@ fn the_pinned_version_is_the_current_one() {
 fn control_messages_keep_their_bytes() {
     assert_pinned(
         &frame_control(&ClientMessage::Hello(hello()).encode()),
-        "8400000000010105302e312e3080208020d804ac0201006f1203bd000000000000000000000000000000000000000000 \
-         00803f000040bf0000403f0000003f000060bf6f12033d00000000000000000000000000000000000000000000803f00 \
-         0040bf0000403f0000003f000060bfa80e800ff0b59f0d0109090909090909090909090909090909",
+        "8d00000000010105302e312e3080208020d804ac0280802080801080800401006f1203bd0000000000000000000000000000
+         0000000000000000803f000040bf0000403f0000003f000060bf6f12033d0000000000000000000000000000000000000000
+         0000803f000040bf0000403f0000003f000060bfa80e800ff0b59f0d0109090909090909090909090909090909",
     );
     assert_pinned(&ClientMessage::Displayed(displayed(300)).encode(), "01ac02094801c801030080d1ca08");
     assert_pinned(&ClientMessage::RefreshRequest { after: Some(UpdateId(8)) }.encode(), "020108");
@@ -98,13 +109,13 @@ fn control_messages_keep_their_bytes() {
     assert_pinned(&ClientMessage::Watching { is_watched: true }.encode(), "0401");
     assert_pinned(
         &ServerMessage::Welcome(welcome()).encode(),
-        "0001ef9bafcdf8acd19101aa81e51f80108010d804ac02000000803e0000003f0000803f0000003f0000403f0000803f \
-         0000003e0000003e0000003e0000000000000000000060400000000000000000000000000000803faa81e51f0001020304 \
-         05060708090a0b0c0d0e0f",
+        "0001ef9bafcdf8acd19101aa81e51f80108010d804ac0288278407c801000000803e0000003f0000803f0000003f0000403f
+         0000803f0000003e0000003e0000003e0000000000000000000060400000000000000000000000000000803faa81e51f0001
+         02030405060708090a0b0c0d0e0f",
     );
     assert_pinned(
         &ServerMessage::Welcome(Welcome { codec: Codec::Raw, ..welcome() }).encode()[..24],
-        "0001ef9bafcdf8acd19101aa81e51f80108010d804ac0201",
+        "0001ef9bafcdf8acd19101aa81e51f80108010d804ac0288",
     );
     let refused = Refused::new("too old", "update");
     assert_pinned(&ServerMessage::Refused(refused).encode(), "0107746f6f206f6c6406757064617465");
@@ -140,17 +151,117 @@ fn streams_keep_their_bytes() {
     let [enters, moves] = deltas();
     assert_pinned(
         &encode_geometry(&enters),
-        "01534347310000000000ca9a3b0000000001000000010000000b0000002b000000160000000b000000c2000000000002 \
-         036f12033a070000803e2b004f037804070000803f000000bf000010400000803f000000bf000010400000803f000000 \
-         bf000010400300060300000000000303000000000e0507ba01000002000000800310fffd0300043a00b403556bf028cd \
-         bfb600000080daf50100edfa00a0767d0050bb3e00a05d1f00d4ae0f006ad70700b4eb0380daf50140edfa0080767d00 \
-         50bb3e00a85d1f00d0ae0f006ad70700b5eb0300daf50140edfa00a0767d0040bb3e00a85d1f00d4ae0f0068d70700b5 \
-         eb0380daf50100edfa00a0767d0050bb3e00a05d1f00d4ae0f006ad7071c68281b005b000001a5734813012049922401 \
-         1c68281b80360000016575481d01d8b66ddb061c68281b005b000001253748250110141e48029004",
+        "015343473200000000000000000100ca9a3b0000000001000000010000000b00000003000000010000002c00000016000000
+         0b000000c200000001000000000002036f12033a070000803e000000002b009d01037808070000803f000000bf0000104000
+         00803f000000bf000010400000803f000000bf000010400300060300000000000303000000000e0507ba0100000200000080
+         0310fffd0300043a00b403556bf028cdbfb600000080daf50100edfa00a0767d0050bb3e00a05d1f00d4ae0f006ad70700b4
+         eb0380daf50140edfa0080767d0050bb3e00a85d1f00d0ae0f006ad70700b5eb0300daf50140edfa00a0767d0040bb3e00a8
+         5d1f00d4ae0f0068d70700b5eb0380daf50100edfa00a0767d0050bb3e00a05d1f00d4ae0f006ad7071c68281b005b000001
+         a57348130120499224011c68281b80360000016575481d01d8b66ddb061c68281b005b000001253748250110141e48029004
+         00",
     );
     assert_pinned(
         &encode_geometry(&moves),
-        "015343473101000000556a973d000000000200000003000000010000000100000001000000060000000f000000010202 \
-         0a000000000100ffffffff0240020314000082c2034900040401",
+        "0153434732010000000100000001556a973d0000000002000000030000000100000003000000010000000100000001000000
+         060000000f000000010000000102020a00000000000000000100ffffffff0240020314000082c203490004040100",
+    );
+}
+
+/// A chunk, a schedule and a pose.
+fn news_of_motion() -> [MotionNews; 3] {
+    let (clip, instance) = (ClipRef { clip: ClipId(300), duration_s: 4.0 }, InstanceId(7));
+    let still = |values: Vec<[f32; 4]>| ChunkTrack {
+        kind: TrackKind::Step,
+        times_s: vec![0.0],
+        values,
+        tangents: Vec::new(),
+    };
+    let moving = ChunkTrack {
+        kind: TrackKind::Cubic,
+        times_s: vec![0.5, 0.75],
+        values: vec![[0.0, 0.0, 0.0, 1.0], [0.0, 0.5, 0.0, 0.75]],
+        tangents: vec![[0.0; 4], [0.25; 4]],
+    };
+    let tracks = vec![still(vec![[1.0, 2.0, 3.0, 0.0]]), moving, still(vec![[1.0, 1.0, 1.0, 0.0]])];
+    let (from, repetition) = (ServerTime(1_000_000_000), Repetition::PingPong);
+    let playback = Playback { from, clip, start_s: 0.25, speed: -1.5, repetition, fade_ns: 200_000_000 };
+    let bone = BonePose { translation: [0.5, -0.25, 0.125], rotation: [0.0, 0.6, 0.0, 0.8], scale: [1.0; 3] };
+    let pose = GridPose { instance, grid: GridIndex(40), bones: vec![bone; 2], weights: vec![0.5] };
+    [
+        MotionNews::Chunk(ClipChunk { clip: clip.clip, index: 1, first_word: 64, tracks }),
+        MotionNews::Schedule(NewSchedule { instance, schedule: Schedule::new(playback) }),
+        MotionNews::Poses(vec![pose]),
+    ]
+}
+
+#[test]
+fn news_of_motion_keep_their_bytes() {
+    let [chunk, schedule, poses] =
+        news_of_motion().map(|news| encode_motion(&MotionMessage { sequence: 9, news }.encode()));
+    assert_pinned(
+        &chunk,
+        "030900000001ac0201400308010000803f000000400000404002020000003f0000403f0000000000000000000000000000803f000000000000003f000000000000403f000000000000000000000000000000000000803e0000803e0000803e0000803e0c",
+    );
+    assert_pinned(
+        &schedule,
+        "030900000002070180a8d6b907ac0200008040000000000000d03f000000000000f8bf028088debe01",
+    );
+    assert_pinned(
+        &poses,
+        "03090000000301075002011f0000003ffcffff7ffe3fffff7793fdff1fffffff9fffcfffffdd64ffff07",
+    );
+}
+
+#[test]
+fn what_is_told_of_skinning_and_predicted_keeps_its_bytes() {
+    let MotionNews::Schedule(NewSchedule { instance, schedule }) = &news_of_motion()[1] else {
+        unreachable!("the second is a schedule");
+    };
+    let rows = [[1.0, 0.0, 0.0, 0.5], [0.0, 1.0, 0.0, 0.25], [0.0, 0.0, 1.0, -2.0]];
+    let skeleton = SkeletonInfo {
+        skeleton: SkeletonId(2),
+        first_word: 0,
+        parents: vec![None, Some(0)],
+        level_starts: vec![0, 1, 2],
+        entries: vec![SkeletonEntry { bone: 1, bone_from_mesh: rows }],
+        morph_count: 1,
+    };
+    let told = SkinnedInstance {
+        instance: *instance,
+        skeleton: SkeletonId(2),
+        source: PoseSource::Clips,
+        placement: rows,
+        path: None,
+        schedule: schedule.clone(),
+        bone_base: 0,
+        palette_base: 0,
+    };
+    let rest = RestVertex {
+        rest: RestId(3),
+        position: [100, -200, 300],
+        joints: [0; 4],
+        weights: [65_535, 0, 0, 0],
+        morph_word: 32,
+        morphs: vec![(0, [5, -6, 7])],
+    };
+    let vertex = |slot, motion| NewVertex { slot: VertexSlot(slot), instance: *instance, motion };
+    let predictions = [1, 2, 3].map(|step| Prediction {
+        position_m: Vec3::splat(step as f32),
+        since_update_s: step as f32 * 0.03125,
+    });
+    let delta = GeometryDelta {
+        skinned: Skinned {
+            skeletons: vec![skeleton],
+            meshes: vec![MeshInfo { first_rest: RestId(0), count: 8, step: 0.0001 }],
+            instances: vec![told],
+        },
+        new_rests: vec![rest],
+        new_vertices: vec![vertex(4, Motion::Skinned { rest: RestId(3) }), vertex(5, Motion::Predicted)],
+        predictions: vec![PredictedVertex { slot: VertexSlot(5), predictions }],
+        ..GeometryDelta::default()
+    };
+    assert_pinned(
+        &DeltaEncoder::new(200, 20).encode(&delta.into()).bytes,
+        "5343473200000000000000000100000000000000000100000001000000010000009e000000120000000800000001000000010000000100000033000000000000010200010200010300010201010000803f00000000000000000000003f000000000000803f000000000000803e00000000000000000000803f000000c001000817b7d13801580702000000803f00000000000000000000003f000000000000803f000000000000803e00000000000000000000803f000000c0000180a8d6b907ac0200008040000000000000d03f000000000000f8bf028088debe01000001030001002183f418282c090120000a0b0e02080207060003070000000105000000803f0000803f0000803f0000003d0000004000000040000000400000803d0000404000004040000040400000c03d",
     );
 }

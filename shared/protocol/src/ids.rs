@@ -22,6 +22,9 @@ id!(/** One update of the server. Rises by one per update within a session; 0 is
 id!(/** A vertex place in the client's memory, assigned by the server. */ VertexSlot(u32));
 id!(/** A patch place in the client's memory, assigned by the server. */ PatchSlot(u32));
 id!(/** One placed model of the scene. */ InstanceId(u16));
+id!(/** A skeleton of the scene. */ SkeletonId(u16));
+id!(/** A clip of the scene; paths of instances are clips too. */ ClipId(u32));
+id!(/** A vertex of a mesh as it is before skinning, over all meshes of the scene: equal meshes share them. */ RestId(u32));
 id!(/** Changes with every jump of the head or stage; prediction restarts when it does. */ DiscontinuityId(u32));
 
 impl UpdateId {

@@ -12,11 +12,44 @@ pub const MAX_INSTANCES: u32 = 4096;
 /// Lights beside the sun that a scene is lit by at one time.
 pub const MAX_LIGHTS: u32 = 16;
 /// Grid samples that the client keeps per animated vertex: sample `g` lies at `g mod SAMPLE_RING`.
-pub const SAMPLE_RING: u32 = 16;
+pub const SAMPLE_RING: u32 = 32;
+/// Positions that an update predicts for a vertex without samples: the paper's.
+pub const PREDICTIONS: u32 = 3;
 /// Predicted views per update.
 pub const MAX_VIEWS: u32 = 6;
 /// Vertices of a patch of three triangles.
 pub const PATCH_MAX_VERTICES: u32 = 5;
+
+/// Seconds of a clip that travel together.
+pub const CHUNK_S: f64 = 0.5;
+/// Words of 16 bytes that a client's arena has at most: skeletons, clips, morph targets.
+pub const MAX_ARENA_WORDS: u32 = 1 << 22;
+/// Words of a client's arena unless it says otherwise: 8 MiB.
+pub const DEFAULT_ARENA_WORDS: u32 = 1 << 19;
+/// Vertices before skinning that a client keeps unless it says otherwise: 8 MiB.
+pub const DEFAULT_REST_VERTICES: u32 = 1 << 18;
+/// What lies in the arena starts at a multiple of this: every view of it is aligned there.
+pub const ARENA_ALIGNMENT_WORDS: u32 = 4;
+/// Vertices before skinning that a client keeps at most, 32 bytes each.
+pub const MAX_REST_VERTICES: u32 = 1 << 19;
+/// Bones of a skeleton.
+pub const MAX_SKELETON_BONES: u32 = 4096;
+/// Palette entries of a skeleton: what a vertex refers to.
+pub const MAX_SKELETON_ENTRIES: u32 = 4096;
+/// Morph targets of a mesh that a client adds by itself.
+pub const MAX_MORPHS: u32 = 1024;
+/// Morph targets that move one vertex, where a client adds them.
+pub const MAX_VERTEX_MORPHS: u32 = 255;
+/// Bones, and palette entries, of all instances together that a client skins.
+pub const MAX_POSE_PLACES: u32 = 1 << 16;
+/// Playbacks of one instance that a client is told in advance.
+pub const MAX_SCHEDULE: usize = 64;
+/// Curves of a chunk of a clip: translation, rotation and scale of each bone, and morph weights.
+pub const MAX_CHUNK_TRACKS: u32 = 3 * MAX_SKELETON_BONES + MAX_MORPHS;
+/// Keys of a chunk of a clip, over all its curves.
+pub const MAX_CHUNK_KEYS: u32 = 1 << 18;
+/// Bytes of one message about motion.
+pub const MAX_MOTION_BYTES: usize = 16 << 20;
 
 /// Atlas width and height in texels unless asked otherwise; see [`crate::atlas::AtlasExtent`].
 pub const ATLAS_DEFAULT_EXTENT: [u32; 2] = [2048, 2048];
@@ -43,8 +76,8 @@ pub const MAX_PICTURE_EXTENT_TEXELS: [u32; 2] = [4096, 2304];
 /// Textures of a scene that can be bound at one time.
 pub const SCENE_TEXTURES: u32 = 512;
 
-/// Grid steps for which one delta may carry samples of a vertex that has just become visible.
-pub const MAX_NEW_SAMPLE_GRIDS: u32 = SAMPLE_RING;
+/// Grid steps for which one delta may carry samples of as many vertices as there may be.
+pub const MAX_NEW_SAMPLE_GRIDS: u32 = 8;
 /// Batches of samples in one delta: first samples, regular ones, and those sent again after the future changed.
 pub const MAX_SAMPLE_BATCHES: u32 = 2 * SAMPLE_RING;
 /// Vertex samples in one delta, over all its batches.
@@ -101,16 +134,24 @@ pub const NO_BLOCK: u32 = u32::MAX;
 const WORST_SAMPLE_BYTES: usize = 13;
 /// Bytes that a vertex can cost at worst beside its samples: a run of its own, a position, its eviction.
 const WORST_VERTEX_BYTES: usize = 16 + 12 + 5;
+/// Bytes that the predictions of a vertex can cost at worst: a run of its own, positions and times.
+const WORST_PREDICTED_BYTES: usize = 10 + 16 * PREDICTIONS as usize;
 /// Bytes that a patch can cost at worst: slot, instance, kind, five vertices, placement, eviction.
 const WORST_PATCH_BYTES: usize = 5 + 4 + 5 * PATCH_MAX_VERTICES as usize + 5 + 4 + 5;
 
 const _: () = {
     assert!(MAX_VERTEX_SLOTS.is_power_of_two() && MAX_PATCH_SLOTS.is_power_of_two());
     assert!(MAX_INSTANCES <= 1 << 16, "an instance is 16 bits");
+    assert!(MAX_SKELETON_BONES <= u16::MAX as u32 && MAX_SKELETON_ENTRIES <= MAX_POSE_PLACES);
+    assert!(MAX_ARENA_WORDS <= 1 << 24, "a rest vertex names the word of its morphs in 24 bits");
+    assert!(DEFAULT_ARENA_WORDS <= MAX_ARENA_WORDS);
+    assert!(MAX_CHUNK_KEYS as usize * 36 + MAX_CHUNK_TRACKS as usize * 6 + 64 <= MAX_MOTION_BYTES);
+    assert!(MAX_MOTION_BYTES + 64 <= MAX_STREAM_BYTES);
     assert!(
         SAMPLE_RING.is_power_of_two() && SAMPLE_RING >= 8,
         "100 ms ahead, four to interpolate, and some late"
     );
+    assert!(PREDICTIONS < SAMPLE_RING, "a client keeps them in place of samples");
     assert!(ATLAS_MAX_EXTENT[0] <= 1 << (10 + BLOCK_MIN_LOG2), "10 bits of address");
     assert!(ATLAS_MAX_EXTENT[1] <= 1 << (10 + BLOCK_MIN_LOG2), "10 bits of address");
     assert!(BLOCK_MAX_LOG2 - BLOCK_MIN_LOG2 < 8, "3 bits of size");
@@ -140,6 +181,10 @@ const _: () = {
             + MAX_PATCH_SLOTS as usize * WORST_PATCH_BYTES
             <= MAX_DELTA_BYTES,
         "whatever the server may have to say in one delta fits in one"
+    );
+    assert!(
+        WORST_PREDICTED_BYTES <= MAX_NEW_SAMPLE_GRIDS as usize * WORST_SAMPLE_BYTES,
+        "a vertex with predictions has no samples"
     );
     assert!(MAX_FRAMES_AHEAD as usize >= MAX_QUEUED_STREAMS, "what may wait may come");
     assert!(MAX_ACCESS_UNIT_BYTES + 64 <= MAX_STREAM_BYTES && MAX_STREAM_BYTES <= MAX_QUEUED_STREAM_BYTES);

@@ -4,11 +4,17 @@
 //! that contradicts it is refused by both, and leaves it of no further use.
 
 use crate::atlas::{Block, PatchKind};
-use crate::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex};
-use crate::ids::{InstanceId, PatchSlot, VertexSlot};
-use crate::limits::{MAX_INSTANCES, MAX_STEP_M, MIN_STEP_M};
+use crate::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, Skinned};
+use crate::ids::{InstanceId, PatchSlot, RestId, SkeletonId, VertexSlot};
+use crate::limits::{MAX_INSTANCES, MAX_REST_VERTICES, MAX_STEP_M, MIN_STEP_M};
+use crate::message::MotionMemory;
+use crate::motion::clip::ClipChunk;
+use crate::motion::predicted::check_predictions;
+use crate::motion::rest::{MeshInfo, PlacedRest, RestVertex};
+use crate::motion::skeleton::{PoseSource, SkeletonInfo, SkinnedInstance, ring_words};
 use crate::motion::{PositionBatch, SampleBatch, dequantise};
-use crate::wire::{WireError, invalid};
+use crate::wire::{WireError, check_count, invalid};
+use std::collections::BTreeMap;
 
 /// See the module. Sized once, at connection.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,7 +27,37 @@ pub struct ClientMemory {
     occupied: SlotSet,
     /// Slots in use by vertices with samples.
     sampled: SlotSet,
+    /// Slots in use by vertices that updates predict.
+    predicted: SlotSet,
+    /// Instances that are skinned by the client.
+    skinned: BTreeMap<InstanceId, SkeletonSize>,
+    /// Vertices before skinning that were told.
+    rests: SlotSet,
+    /// Their meshes, by rising numbers.
+    meshes: Vec<ToldMesh>,
+    skeletons: BTreeMap<SkeletonId, SkeletonSize>,
+    /// Words of the arena that hold one thing for good: skeletons, morph targets, rings of poses.
+    fixed_words: SlotSet,
+    /// What was agreed.
+    motion: MotionMemory,
     patches: Patches,
+}
+
+/// What a skeleton has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct SkeletonSize {
+    bones: u32,
+    entries: u32,
+    morphs: u32,
+}
+
+/// A mesh, and as far as its vertices that were told reach: the ends of the palette entries and of the morph targets that they
+/// name.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct ToldMesh {
+    info: MeshInfo,
+    entries_end: u32,
+    morphs_end: u32,
 }
 
 /// What a delta has changed, as far as the pasts of samples depend on it.
@@ -60,8 +96,26 @@ impl ClientMemory {
             instances: vec![InstanceId(0); vertex_slots as usize],
             occupied: SlotSet::new(vertex_slots),
             sampled: SlotSet::new(vertex_slots),
+            predicted: SlotSet::new(vertex_slots),
+            skinned: BTreeMap::new(),
+            rests: SlotSet::new(MAX_REST_VERTICES),
+            meshes: Vec::new(),
+            skeletons: BTreeMap::new(),
+            fixed_words: SlotSet::new(MotionMemory::MAX.arena_words),
+            motion: MotionMemory::MAX,
             patches: Patches::new(patch_slots),
         }
+    }
+
+    /// With so much memory to skin.
+    #[must_use]
+    pub fn with_motion(self, motion: MotionMemory) -> Self {
+        Self { motion, fixed_words: SlotSet::new(motion.arena_words), ..self }
+    }
+
+    /// Vertices before skinning in units of their meshes, as of the last delta taken in.
+    pub fn rests(&self, rests: &[RestVertex]) -> Vec<PlacedRest> {
+        rests.iter().filter_map(|rest| Some(PlacedRest::of(rest, self.mesh_of(rest.rest)?))).collect()
     }
 
     /// Vertex slots that exist.
@@ -84,6 +138,11 @@ impl ClientMemory {
         self.sampled.contains(slot.0)
     }
 
+    /// True where a vertex lies in the slot that updates predict.
+    pub fn is_predicted(&self, slot: VertexSlot) -> bool {
+        self.predicted.contains(slot.0)
+    }
+
     /// The slots of all vertices with samples, ascending.
     pub fn sampled_slots(&self) -> Vec<VertexSlot> {
         self.sampled.iter().map(VertexSlot).collect()
@@ -92,6 +151,11 @@ impl ClientMemory {
     /// Quantisation step of an instance's samples in metres, once it was announced.
     pub fn step_m(&self, instance: InstanceId) -> Option<f32> {
         self.steps_m.get(instance.index()).copied().filter(|step_m| *step_m > 0.0)
+    }
+
+    /// Quantisation step of the samples of the vertex in a slot in metres; `None` where its instance has none.
+    pub fn step_of(&self, slot: VertexSlot) -> Option<f32> {
+        self.instances.get(slot.index()).and_then(|instance| self.step_m(*instance))
     }
 
     /// Its patches.
@@ -107,6 +171,8 @@ impl ClientMemory {
         self.patches.evict(&delta.evicted_patches)?;
         delta.evicted_vertices.iter().try_for_each(|slot| self.evict_vertex(*slot))?;
         let rescaled = self.announce(&delta.instances)?;
+        self.learn(&delta.skinned)?;
+        delta.new_rests.iter().try_for_each(|rest| self.insert_rest(rest))?;
         delta.new_vertices.iter().try_for_each(|vertex| self.insert_vertex(vertex))?;
         for patch in &delta.new_patches {
             let free = patch.vertices.iter().find(|slot| !self.is_occupied(**slot));
@@ -116,6 +182,7 @@ impl ClientMemory {
         }
         self.patches.insert(&delta.new_patches)?;
         self.patches.place(&delta.placements)?;
+        check_predictions(&delta.predictions, |slot| self.is_predicted(slot))?;
         let sampled = delta.new_vertices.iter().filter(|vertex| vertex.motion == Motion::Sampled);
         let mut sampled: Vec<_> = sampled.map(|vertex| vertex.slot).collect();
         sampled.sort_unstable();
@@ -136,6 +203,136 @@ impl ClientMemory {
         batches.iter().map(batch).collect()
     }
 
+    /// The mesh of a vertex before skinning.
+    pub fn mesh_of(&self, rest: RestId) -> Option<&MeshInfo> {
+        self.mesh_place(rest).map(|place| &self.meshes[place].info)
+    }
+
+    fn mesh_place(&self, rest: RestId) -> Option<usize> {
+        let after = self.meshes.partition_point(|mesh| mesh.info.first_rest <= rest);
+        after.checked_sub(1).filter(|place| self.meshes[*place].info.has(rest))
+    }
+
+    /// True where an instance was told that is skinned by the client.
+    pub fn is_skinned(&self, instance: InstanceId) -> bool {
+        self.skinned.contains_key(&instance)
+    }
+
+    /// A chunk of a clip lies in the arena, and beside all that stays there for good.
+    ///
+    /// # Errors
+    /// It does not.
+    pub fn check_chunk(&self, chunk: &ClipChunk) -> Result<(), WireError> {
+        self.check_free("a chunk of a clip", chunk.first_word, chunk.words())
+    }
+
+    fn check_free(&self, what: &'static str, first_word: u32, words: u32) -> Result<(), WireError> {
+        let end = first_word as usize + words as usize;
+        check_count(what, end, self.motion.arena_words as usize)?;
+        match (first_word..end as u32).find(|word| self.fixed_words.contains(*word)) {
+            None => Ok(()),
+            Some(word) => Err(invalid(what, format!("word {word} of the arena holds something for good"))),
+        }
+    }
+
+    /// Gives words of the arena away for good.
+    fn fix_words(&mut self, what: &'static str, first_word: u32, words: u32) -> Result<(), WireError> {
+        self.check_free(what, first_word, words)?;
+        for word in first_word..first_word + words {
+            self.fixed_words.insert(word);
+        }
+        Ok(())
+    }
+
+    fn learn(&mut self, skinned: &Skinned) -> Result<(), WireError> {
+        skinned.skeletons.iter().try_for_each(|skeleton| self.learn_skeleton(skeleton))?;
+        skinned.meshes.iter().try_for_each(|mesh| self.learn_mesh(mesh))?;
+        skinned.instances.iter().try_for_each(|instance| self.learn_instance(instance))
+    }
+
+    fn learn_skeleton(&mut self, info: &SkeletonInfo) -> Result<(), WireError> {
+        self.fix_words("a skeleton", info.first_word, info.words())?;
+        let size = SkeletonSize {
+            bones: info.bone_count(),
+            entries: info.entries.len() as u32,
+            morphs: info.morph_count,
+        };
+        match self.skeletons.insert(info.skeleton, size) {
+            None => Ok(()),
+            Some(_) => Err(invalid("a skeleton", format!("{} is told twice", info.skeleton.0))),
+        }
+    }
+
+    fn learn_mesh(&mut self, mesh: &MeshInfo) -> Result<(), WireError> {
+        let end = mesh.first_rest.0 as usize + mesh.count as usize;
+        check_count("the end of a mesh's vertices", end, self.motion.rest_vertices as usize)?;
+        let place = self.meshes.partition_point(|known| known.info.first_rest <= mesh.first_rest);
+        let overlaps = |other: Option<&ToldMesh>| {
+            other.is_some_and(|other| other.info.has(mesh.first_rest) || mesh.has(other.info.first_rest))
+        };
+        let before = place.checked_sub(1).map(|place| &self.meshes[place]);
+        if overlaps(before) || overlaps(self.meshes.get(place)) {
+            let reason = format!("its vertices from {} on are another's", mesh.first_rest.0);
+            return Err(invalid("a mesh", reason));
+        }
+        self.meshes.insert(place, ToldMesh { info: *mesh, entries_end: 0, morphs_end: 0 });
+        Ok(())
+    }
+
+    fn learn_instance(&mut self, told: &SkinnedInstance) -> Result<(), WireError> {
+        const WHAT: &str = "an instance with a skeleton";
+        let Some(size) = self.skeletons.get(&told.skeleton).copied() else {
+            return Err(invalid(WHAT, format!("its skeleton {} was not told", told.skeleton.0)));
+        };
+        let SkeletonSize { bones, entries, morphs } = size;
+        let ends = [told.bone_base + bones, told.palette_base + entries.max(morphs)];
+        if ends.iter().any(|end| *end > self.motion.pose_places) {
+            return Err(invalid(WHAT, format!("its pose ends at {ends:?}, beyond what was agreed")));
+        }
+        if let PoseSource::Grid { first_word } = told.source {
+            self.fix_words("a ring of poses", first_word, ring_words(bones, morphs))?;
+        }
+        let number = u32::from(told.instance.0);
+        match number < MAX_INSTANCES && self.skinned.insert(told.instance, size).is_none() {
+            true => Ok(()),
+            false => Err(invalid(WHAT, format!("{number} is told twice, or there is none"))),
+        }
+    }
+
+    fn insert_rest(&mut self, rest: &RestVertex) -> Result<(), WireError> {
+        const WHAT: &str = "a rest vertex";
+        let Some(place) = self.mesh_place(rest.rest) else {
+            return Err(invalid(WHAT, format!("{} is of no mesh", rest.rest.0)));
+        };
+        if !self.rests.insert(rest.rest.0) {
+            return Err(invalid(WHAT, format!("{} is told twice", rest.rest.0)));
+        }
+        self.fix_words("the morph targets of a vertex", rest.morph_word, rest.morphs.len() as u32)?;
+        let mesh = &mut self.meshes[place];
+        let end = |numbers: &mut dyn Iterator<Item = u16>| numbers.max().map_or(0, |n| u32::from(n) + 1);
+        mesh.entries_end = mesh.entries_end.max(end(&mut rest.joints.iter().copied()));
+        mesh.morphs_end = mesh.morphs_end.max(end(&mut rest.morphs.iter().map(|(morph, _)| *morph)));
+        Ok(())
+    }
+
+    /// A vertex that an instance's skeleton moves.
+    fn check_skinned(&self, instance: InstanceId, rest: RestId) -> Result<(), WireError> {
+        const WHAT: &str = "a skinned vertex";
+        let Some(place) = self.mesh_place(rest).filter(|_| self.rests.contains(rest.0)) else {
+            return Err(invalid(WHAT, format!("its rest vertex {} was not told", rest.0)));
+        };
+        let mesh = &self.meshes[place];
+        match self.skinned.get(&instance) {
+            None => Err(invalid(WHAT, format!("its instance {} was not announced", instance.0))),
+            Some(size) if mesh.entries_end > size.entries || mesh.morphs_end > size.morphs => {
+                let reason =
+                    format!("its mesh names joints or morph targets that instance {} lacks", instance.0);
+                Err(invalid(WHAT, reason))
+            }
+            Some(_) => Ok(()),
+        }
+    }
+
     fn insert_vertex(&mut self, vertex: &NewVertex) -> Result<(), WireError> {
         const WHAT: &str = "a new vertex";
         let NewVertex { slot, instance, motion } = *vertex;
@@ -145,11 +342,14 @@ impl ClientMemory {
         if !self.occupied.insert(slot.0) {
             return Err(invalid(WHAT, format!("slot {} is taken", slot.0)));
         }
-        if motion == Motion::Sampled {
-            if self.step_m(instance).is_none() {
+        match motion {
+            Motion::Static { .. } => {}
+            Motion::Predicted => drop(self.predicted.insert(slot.0)),
+            Motion::Sampled if self.step_m(instance).is_some() => drop(self.sampled.insert(slot.0)),
+            Motion::Sampled => {
                 return Err(invalid(WHAT, format!("its instance {} was not announced", instance.0)));
             }
-            self.sampled.insert(slot.0);
+            Motion::Skinned { rest } => self.check_skinned(instance, rest)?,
         }
         self.instances[slot.index()] = instance;
         Ok(())
@@ -160,6 +360,7 @@ impl ClientMemory {
             return Err(invalid("the eviction of a vertex", format!("slot {} is free", slot.0)));
         }
         self.sampled.remove(slot.0);
+        self.predicted.remove(slot.0);
         Ok(())
     }
 
@@ -300,8 +501,12 @@ impl SlotSet {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ids::ClipId;
+    use crate::motion::clip::{ChunkTrack, TrackKind};
+    use crate::motion::playback::{Playback, Repetition, Schedule};
     use crate::motion::quantise;
-    use crate::time::GridIndex;
+    use crate::motion::skeleton::{ClipRef, SkeletonEntry};
+    use crate::time::{GridIndex, ServerTime};
     use glam::Vec3;
 
     const SLOT: VertexSlot = VertexSlot(5);
@@ -332,6 +537,48 @@ mod tests {
     }
 
     #[test]
+    fn poses_on_the_grid_must_lie_in_the_arena_that_was_agreed() {
+        let playback = Playback {
+            from: ServerTime(0),
+            clip: ClipRef { clip: ClipId(0), duration_s: 0.0 },
+            start_s: 0.0,
+            speed: 1.0,
+            repetition: Repetition::Once,
+            fade_ns: 0,
+        };
+        let skeleton = SkeletonInfo {
+            skeleton: SkeletonId(2),
+            first_word: 0,
+            parents: vec![None],
+            level_starts: vec![0, 1],
+            entries: Vec::new(),
+            morph_count: 5,
+        };
+        let told = |first_word| {
+            let instance = SkinnedInstance {
+                instance: INSTANCE,
+                skeleton: SkeletonId(2),
+                source: PoseSource::Grid { first_word },
+                placement: [[0.0; 4]; 3],
+                path: None,
+                schedule: Schedule::new(playback),
+                bone_base: 0,
+                palette_base: 0,
+            };
+            let skinned = Skinned {
+                skeletons: vec![skeleton.clone()],
+                instances: vec![instance],
+                ..Skinned::default()
+            };
+            let motion = MotionMemory { arena_words: 4 + ring_words(1, 5), ..MotionMemory::MAX };
+            let delta = GeometryDelta { skinned, ..GeometryDelta::default() };
+            ClientMemory::new(8, 1).with_motion(motion).apply(&delta)
+        };
+        assert!(told(4).is_ok());
+        assert!(told(8).is_err() && told(u32::MAX - 3).is_err());
+    }
+
+    #[test]
     fn a_new_step_concerns_the_vertices_that_are_there() {
         let mut memory = ClientMemory::new(8, 1);
         assert_eq!(memory.apply(&enters(0.0005)).unwrap(), Entered { sampled: vec![SLOT], rescaled: vec![] });
@@ -342,6 +589,129 @@ mod tests {
         let entered = memory.apply(&delta).unwrap();
         assert_eq!(entered, Entered { sampled: vec![VertexSlot(6)], rescaled: vec![(SLOT, 2.0)] });
         assert_eq!(memory.step_m(INSTANCE), Some(0.00025));
+    }
+
+    const SKELETON: SkeletonId = SkeletonId(2);
+
+    /// Two bones, an entry each, a morph target; instance 9; a mesh of vertices 10 to 19.
+    fn told() -> GeometryDelta {
+        let clip = ClipRef { clip: ClipId(0), duration_s: 1.0 };
+        let (from, repetition) = (ServerTime(0), Repetition::Loop);
+        let playback = Playback { from, clip, start_s: 0.0, speed: 1.0, repetition, fade_ns: 0 };
+        let entry = |bone| SkeletonEntry { bone, bone_from_mesh: [[0.0; 4]; 3] };
+        let skeleton = SkeletonInfo {
+            skeleton: SKELETON,
+            first_word: 8,
+            parents: vec![None, Some(0)],
+            level_starts: vec![0, 1, 2],
+            entries: vec![entry(0), entry(1)],
+            morph_count: 1,
+        };
+        let instance = SkinnedInstance {
+            instance: INSTANCE,
+            skeleton: SKELETON,
+            source: PoseSource::Clips,
+            placement: [[0.0; 4]; 3],
+            path: None,
+            schedule: Schedule::new(playback),
+            bone_base: 0,
+            palette_base: 0,
+        };
+        let mesh = MeshInfo { first_rest: RestId(10), count: 10, step: 0.001 };
+        let skinned = Skinned { skeletons: vec![skeleton], meshes: vec![mesh], instances: vec![instance] };
+        GeometryDelta { skinned, ..with_rest(|_| {}) }
+    }
+
+    /// A vertex before skinning, changed, and one that it places.
+    fn with_rest(change: fn(&mut RestVertex)) -> GeometryDelta {
+        let mut rest = RestVertex {
+            rest: RestId(10),
+            position: [0; 3],
+            joints: [1, 0, 1, 1],
+            weights: [40_000, 25_535, 0, 0],
+            morph_word: 100,
+            morphs: vec![(0, [1; 3])],
+        };
+        change(&mut rest);
+        let motion = Motion::Skinned { rest: rest.rest };
+        let vertex = NewVertex { slot: SLOT, instance: INSTANCE, motion };
+        GeometryDelta { new_rests: vec![rest], new_vertices: vec![vertex], ..GeometryDelta::default() }
+    }
+
+    fn memory() -> ClientMemory {
+        let motion = MotionMemory { arena_words: 400, rest_vertices: 40, pose_places: 2 };
+        ClientMemory::new(8, 1).with_motion(motion)
+    }
+
+    /// What changes in the first delta is refused for this reason.
+    #[track_caller]
+    fn assert_refused(change: impl Fn(&mut GeometryDelta), reason: &str) {
+        let mut delta = told();
+        change(&mut delta);
+        let error = memory().apply(&delta).expect_err(reason).to_string();
+        assert!(error.contains(reason), "{error}");
+    }
+
+    #[test]
+    fn what_is_told_of_skinning_is_taken() {
+        assert_eq!(memory().apply(&told()), Ok(Entered::default()));
+    }
+
+    #[test]
+    fn a_vertex_names_no_joint_and_no_morph_target_that_its_instance_lacks() {
+        let lacks = "joints or morph targets that instance 9 lacks";
+        assert_refused(|delta| delta.new_rests[0].joints[3] = 2, lacks);
+        assert_refused(|delta| delta.new_rests[0].morphs[0].0 = 1, lacks);
+        assert_refused(|delta| delta.skinned.skeletons[0].morph_count = 0, lacks);
+        assert_refused(|delta| delta.skinned.skeletons[0].entries.truncate(1), lacks);
+    }
+
+    #[test]
+    fn nothing_reaches_beyond_the_arena_or_the_poses() {
+        let morphs = "the morph targets of a vertex";
+        assert_refused(|delta| delta.new_rests[0].morph_word = 400, morphs);
+        assert_refused(|delta| delta.new_rests[0].morph_word = u32::MAX, morphs);
+        assert_refused(|delta| delta.skinned.skeletons[0].first_word = 392, "a skeleton");
+        assert_refused(|delta| delta.skinned.instances[0].bone_base = 1, "beyond what was agreed");
+        assert_refused(|delta| delta.skinned.instances[0].palette_base = 1, "beyond what was agreed");
+        let ring = |first_word| {
+            move |delta: &mut GeometryDelta| {
+                delta.skinned.instances[0].source = PoseSource::Grid { first_word };
+            }
+        };
+        assert_refused(ring(200), "a ring of poses");
+        assert_refused(ring(u32::MAX), "a ring of poses");
+    }
+
+    #[test]
+    fn what_stays_in_the_arena_for_good_is_given_to_nothing_else() {
+        let for_good = "of the arena holds something for good";
+        assert_refused(|delta| delta.new_rests[0].morph_word = 8, for_good);
+        let ring = PoseSource::Grid { first_word: 10 };
+        assert_refused(|delta| delta.skinned.instances[0].source = ring, for_good);
+        let mut memory = memory();
+        memory.apply(&told()).unwrap();
+        let track = |words| ClipChunk { clip: ClipId(0), index: 0, first_word: words, tracks: vec![curve()] };
+        assert_eq!(
+            [0, 4, 8, 96, 100, 104, 396].map(|word| memory.check_chunk(&track(word)).is_ok()),
+            [true, true, false, true, false, true, true]
+        );
+        assert!(memory.check_chunk(&track(400)).is_err(), "beyond the arena");
+    }
+
+    /// Takes four words.
+    fn curve() -> ChunkTrack {
+        let (kind, tangents) = (TrackKind::Step, Vec::new());
+        ChunkTrack { kind, times_s: vec![0.0], values: vec![[0.0; 4]], tangents }
+    }
+
+    #[test]
+    fn a_vertex_before_skinning_is_told_once_and_of_a_mesh() {
+        assert_refused(|delta| delta.new_rests[0].rest = RestId(20), "is of no mesh");
+        let mut memory = memory();
+        memory.apply(&told()).unwrap();
+        let again = GeometryDelta { new_vertices: vec![], ..with_rest(|_| {}) };
+        assert!(memory.apply(&again).unwrap_err().to_string().contains("10 is told twice"));
     }
 
     #[test]

@@ -7,8 +7,9 @@ use crate::PROTOCOL_VERSION;
 use crate::atlas::AtlasExtent;
 use crate::ids::{DiscontinuityId, UpdateId};
 use crate::limits::{
-    ATLAS_MIN_SIDE, MAX_CODECS, MAX_CONTROL_BYTES, MAX_COORDINATE_M, MAX_DATAGRAM_BYTES,
-    MAX_EYE_EXTENT_PIXELS, MAX_EYE_PIXELS, MAX_PATCH_SLOTS, MAX_SPEED, MAX_TEXT_BYTES, MAX_VERTEX_SLOTS,
+    ATLAS_MIN_SIDE, DEFAULT_ARENA_WORDS, DEFAULT_REST_VERTICES, MAX_ARENA_WORDS, MAX_CODECS,
+    MAX_CONTROL_BYTES, MAX_COORDINATE_M, MAX_DATAGRAM_BYTES, MAX_EYE_EXTENT_PIXELS, MAX_EYE_PIXELS,
+    MAX_PATCH_SLOTS, MAX_POSE_PLACES, MAX_REST_VERTICES, MAX_SPEED, MAX_TEXT_BYTES, MAX_VERTEX_SLOTS,
 };
 use crate::pose::{Eye, Pose};
 use crate::text::printable;
@@ -93,6 +94,8 @@ pub struct Capabilities {
     pub max_vertex_slots: u32,
     /// Patches it can keep, 1..=`MAX_PATCH_SLOTS`.
     pub max_patch_slots: u32,
+    /// What it can keep to skin by itself.
+    pub motion: MotionMemory,
     /// What it decodes, best first.
     pub codecs: Vec<Codec>,
     /// Its eyes, left and right.
@@ -101,6 +104,51 @@ pub struct Capabilities {
     pub eye_extent_pixels: [u32; 2],
     /// Nanoseconds from one display frame to the next.
     pub display_period_ns: i64,
+}
+
+/// What a client keeps to skin vertices by itself. The server decides what lies where.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MotionMemory {
+    /// Words of 16 bytes for skeletons, clips and morph targets, at most `MAX_ARENA_WORDS`.
+    pub arena_words: u32,
+    /// Vertices before skinning, at most `MAX_REST_VERTICES`.
+    pub rest_vertices: u32,
+    /// Bones, and palette entries, of all instances together, at most `MAX_POSE_PLACES`.
+    pub pose_places: u32,
+}
+
+impl MotionMemory {
+    /// As much as a client keeps unless it says otherwise.
+    pub const DEFAULT: Self = Self {
+        arena_words: DEFAULT_ARENA_WORDS,
+        rest_vertices: DEFAULT_REST_VERTICES,
+        pose_places: MAX_POSE_PLACES,
+    };
+    /// As much as any client may keep.
+    pub const MAX: Self =
+        Self { arena_words: MAX_ARENA_WORDS, rest_vertices: MAX_REST_VERTICES, ..Self::DEFAULT };
+    /// Nothing: all that moves is sampled.
+    pub const NONE: Self = Self { arena_words: 0, rest_vertices: 0, pose_places: 0 };
+
+    /// The smaller of both, in each.
+    #[must_use]
+    pub fn min(self, other: Self) -> Self {
+        Self {
+            arena_words: self.arena_words.min(other.arena_words),
+            rest_vertices: self.rest_vertices.min(other.rest_vertices),
+            pose_places: self.pose_places.min(other.pose_places),
+        }
+    }
+
+    fn check(self) -> Result<(), WireError> {
+        check_count("the arena of a client", self.arena_words as usize, MAX_ARENA_WORDS as usize)?;
+        check_count(
+            "the rest vertices of a client",
+            self.rest_vertices as usize,
+            MAX_REST_VERTICES as usize,
+        )?;
+        check_count("the poses of a client", self.pose_places as usize, MAX_POSE_PLACES as usize).map(drop)
+    }
 }
 
 /// How the atlas is coded.
@@ -127,6 +175,8 @@ pub struct Welcome {
     pub vertex_slots: u32,
     /// Patch slots that the server will use: 0 to this, exclusive.
     pub patch_slots: u32,
+    /// What the client keeps to skin by itself.
+    pub motion: MotionMemory,
     /// How the atlas is coded.
     pub codec: Codec,
     /// What is seen where no geometry is.
@@ -207,6 +257,8 @@ pub struct ServerOffer {
     pub vertex_slots: u32,
     /// Patch slots wanted.
     pub patch_slots: u32,
+    /// What clients may keep to skin by themselves.
+    pub motion: MotionMemory,
     /// What the server encodes, best first.
     pub codecs: Vec<Codec>,
     /// What is seen where no geometry is.
@@ -404,6 +456,7 @@ impl Capabilities {
         check_count("an eye's number of pixels", width as usize * height as usize, MAX_EYE_PIXELS as usize)?;
         check_slots("the vertex slots of a client", self.max_vertex_slots, MAX_VERTEX_SLOTS)?;
         check_slots("the patch slots of a client", self.max_patch_slots, MAX_PATCH_SLOTS)?;
+        self.motion.check()?;
         check_period("the display period", self.display_period_ns)
     }
 }
@@ -415,6 +468,7 @@ impl Welcome {
         check_period("the update period", self.update_period_ns)?;
         check_slots("the vertex slots of a session", self.vertex_slots, MAX_VERTEX_SLOTS)?;
         check_slots("the patch slots of a session", self.patch_slots, MAX_PATCH_SLOTS)?;
+        self.motion.check()?;
         check_pose("where the stage starts", &self.world_from_stage)?;
         self.environment.check()
     }
@@ -466,6 +520,7 @@ pub fn negotiate(hello: &ClientHello, offer: &ServerOffer) -> Result<Welcome, Re
         atlas_extent_texels: negotiate_atlas(capabilities.max_atlas_extent, offer.atlas_extent_texels)?,
         vertex_slots: offer.vertex_slots.min(capabilities.max_vertex_slots),
         patch_slots: offer.patch_slots.min(capabilities.max_patch_slots),
+        motion: offer.motion.min(capabilities.motion),
         codec: *codec,
         environment: offer.environment,
         world_from_stage: offer.world_from_stage,

@@ -17,10 +17,11 @@ use crate::message::{
     ClientDatagram, ClientHello, ClientMessage, Codec, Displayed, HeadState, HelloVersions, Refused,
     ServerDatagram, ServerMessage, ServerOffer, Welcome, negotiate, negotiate_version,
 };
+use crate::motion::message::{MotionMessage, MotionNews};
 use crate::time::{ClientTime, ServerTime};
 use crate::wire::{
-    PictureHeader, StreamMessage, WireError, check_count, encode_geometry, encode_picture, invalid,
-    parse_stream,
+    DeltaHead, PictureHeader, StreamMessage, WireError, check_count, encode_geometry, encode_motion,
+    encode_picture, invalid, parse_stream,
 };
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -29,6 +30,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 /// Pings: every display frame at the start, then 40 a second. A clock that is off by 1 ms puts a fast wing 0.3 % of its
 /// range off its place, and the envelope of jitter is only as good as it is often sampled.
 const QUICK_PINGS: u32 = 100;
+/// What a message about motion takes while it waits, beside its bytes.
+const MOTION_OVERHEAD_BYTES: usize = 64;
 const QUICK_PING_NS: i64 = 10_000_000;
 const PING_NS: i64 = 25_000_000;
 /// Pings that wait for their answer, on a server whose driver is late; the oldest are dropped.
@@ -52,6 +55,15 @@ pub enum Out {
     Datagram(Vec<u8>),
 }
 
+impl Out {
+    /// Bytes of what is sent.
+    pub fn bytes(&self) -> usize {
+        match self {
+            Self::Control(bytes) | Self::Datagram(bytes) | Self::Stream { bytes, .. } => bytes.len(),
+        }
+    }
+}
+
 /// What a client learns.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ClientEvent {
@@ -61,6 +73,8 @@ pub enum ClientEvent {
     Refused(Refused),
     /// The next delta, in order of frames.
     Delta(ReceivedDelta),
+    /// News of motion, in order of arrival.
+    Motion(MotionMessage),
     /// A picture, in order of arrival.
     Picture {
         /// Which one.
@@ -82,7 +96,7 @@ pub enum ServerEvent {
         /// Who is there.
         hello: ClientHello,
         /// Under which terms the session would stand.
-        welcome: Welcome,
+        welcome: Box<Welcome>,
     },
     /// There will be no session; the client has been told why. Flush, then close.
     Refused(Refused),
@@ -123,11 +137,16 @@ pub struct ClientSession {
     /// When the pings left that have not been answered, in order.
     outstanding: VecDeque<ClientTime>,
     decoder: Option<DeltaDecoder>,
-    next_delta: UpdateId,
+    next_delta: u32,
+    /// The last update's delta that was handed on, and one more.
+    next_update: UpdateId,
     waiting: Waiting,
     /// What may still be decoded before the next [`Self::on_tick`].
     records_left: usize,
     records_per_turn: usize,
+    /// Words of the arena that news of motion may still fill before the next [`Self::on_tick`]; all that it has.
+    motion_words_left: u32,
+    motion_words: u32,
     is_held_back: bool,
     out: VecDeque<Out>,
     events: VecDeque<ClientEvent>,
@@ -136,18 +155,39 @@ pub struct ClientSession {
 /// Streams that cannot be handed on yet.
 #[derive(Debug, Default)]
 struct Waiting {
-    deltas: BTreeMap<UpdateId, Vec<u8>>,
+    /// By sequence.
+    deltas: BTreeMap<u32, Vec<u8>>,
     /// Pictures that came before the welcome.
     pictures: Vec<(PictureHeader, Vec<u8>)>,
+    /// Messages about motion that did, or that are more than can be taken in at once.
+    motion: VecDeque<Vec<u8>>,
     bytes: usize,
 }
 
 impl Waiting {
+    const WHAT: &str = "the queue of streams that wait for an earlier delta";
+
     fn admit(&mut self, bytes: usize) -> Result<(), WireError> {
         let streams = self.deltas.len() + self.pictures.len() + 1;
-        let what = "the queue of streams that wait for an earlier delta";
-        check_count(what, streams, MAX_QUEUED_STREAMS)?;
-        self.bytes = check_count(what, self.bytes + bytes, MAX_QUEUED_STREAM_BYTES)?;
+        check_count(Self::WHAT, streams, MAX_QUEUED_STREAMS)?;
+        self.admit_bytes(bytes)
+    }
+
+    /// News of motion are many and small: their bytes count alone.
+    fn admit_motion(&mut self, message: &[u8]) -> Result<(), WireError> {
+        self.admit_bytes(message.len() + MOTION_OVERHEAD_BYTES)?;
+        self.motion.push_back(message.to_vec());
+        Ok(())
+    }
+
+    fn next_motion(&mut self) -> Option<Vec<u8>> {
+        let message = self.motion.pop_front()?;
+        self.bytes -= message.len() + MOTION_OVERHEAD_BYTES;
+        Some(message)
+    }
+
+    fn admit_bytes(&mut self, bytes: usize) -> Result<(), WireError> {
+        self.bytes = check_count(Self::WHAT, self.bytes + bytes, MAX_QUEUED_STREAM_BYTES)?;
         Ok(())
     }
 }
@@ -164,10 +204,13 @@ impl ClientSession {
             next_ping: now,
             outstanding: VecDeque::new(),
             decoder: None,
-            next_delta: UpdateId(0),
+            next_delta: 0,
+            next_update: UpdateId(0),
             waiting: Waiting::default(),
             records_left: 0,
             records_per_turn: 0,
+            motion_words_left: 0,
+            motion_words: 0,
             is_held_back: false,
             out: VecDeque::new(),
             events: VecDeque::new(),
@@ -213,7 +256,10 @@ impl ClientSession {
         }
         self.clock.settle();
         self.records_left = if self.is_held_back { 0 } else { self.records_per_turn };
-        let result = self.hand_on_deltas();
+        if !self.is_held_back {
+            self.motion_words_left = self.motion_words;
+        }
+        let result = self.hand_on_motion().and_then(|()| self.hand_on_deltas());
         self.end_on_error(result);
         if self.phase != Phase::Ended && now >= self.next_ping {
             self.ping(now);
@@ -304,6 +350,16 @@ impl ClientSession {
         &self.clock
     }
 
+    /// Notes that a display frame that is seen at `at` shows what this session brought; see [`ClockEstimator::show`].
+    pub fn note_shown(&mut self, at: ClientTime) {
+        self.clock.show(at);
+    }
+
+    /// Notes that the first such frame follows one on another estimate of the clock; see [`ClockEstimator::go_on_from`].
+    pub fn go_on_from(&mut self, at: ClientTime, seen: ServerTime) {
+        self.clock.go_on_from(at, seen);
+    }
+
     /// True until the session is refused, failed or left.
     pub fn is_alive(&self) -> bool {
         self.phase != Phase::Ended
@@ -347,15 +403,41 @@ impl ClientSession {
             return Err(invalid("a welcome", reason));
         }
         self.phase = Phase::Running;
-        self.decoder = Some(DeltaDecoder::new(welcome.vertex_slots, welcome.patch_slots));
+        let decoder = DeltaDecoder::new(welcome.vertex_slots, welcome.patch_slots);
+        self.decoder = Some(decoder.with_motion(welcome.motion));
         self.records_per_turn = (welcome.vertex_slots * RECORDS_PER_SLOT_AND_TURN) as usize;
         self.records_left = self.records_per_turn;
+        self.motion_words = welcome.motion.arena_words;
         self.events.push_back(ClientEvent::Welcome(welcome));
         for (header, access_unit) in std::mem::take(&mut self.waiting.pictures) {
             self.waiting.bytes -= access_unit.len();
             self.events.push_back(ClientEvent::Picture { header, access_unit });
         }
+        self.motion_words_left = self.motion_words;
+        self.hand_on_motion()?;
         self.hand_on_deltas()
+    }
+
+    fn take_motion(&mut self, message: &[u8]) -> Result<(), WireError> {
+        self.waiting.admit_motion(message)?;
+        self.hand_on_motion()
+    }
+
+    /// In order of arrival, as many words of the arena as there are, until the next tick.
+    fn hand_on_motion(&mut self) -> Result<(), WireError> {
+        while self.phase == Phase::Running && self.motion_words_left > 0 {
+            let Some(message) = self.waiting.next_motion() else { break };
+            let message = MotionMessage::decode(&message)?;
+            // A schedule takes place too, until it is taken in.
+            let mut words = 1;
+            if let (MotionNews::Chunk(chunk), Some(decoder)) = (&message.news, &self.decoder) {
+                decoder.memory().check_chunk(chunk)?;
+                words = chunk.words().max(1);
+            }
+            self.motion_words_left = self.motion_words_left.saturating_sub(words);
+            self.events.push_back(ClientEvent::Motion(message));
+        }
+        Ok(())
     }
 
     fn try_stream(&mut self, bytes: &[u8]) -> Result<(), WireError> {
@@ -364,7 +446,8 @@ impl ClientSession {
         }
         match parse_stream(bytes)? {
             StreamMessage::Picture { header, access_unit } => self.take_picture(header, access_unit),
-            StreamMessage::Geometry { update: frame, payload } => self.take_geometry(frame, payload),
+            StreamMessage::Motion(message) => self.take_motion(message),
+            StreamMessage::Geometry { head, payload } => self.take_geometry(head, payload),
         }
     }
 
@@ -379,31 +462,32 @@ impl ClientSession {
         Ok(())
     }
 
-    fn take_geometry(&mut self, update: UpdateId, payload: &[u8]) -> Result<(), WireError> {
-        if update < self.next_delta || self.waiting.deltas.contains_key(&update) {
-            return Err(invalid(
-                "a geometry delta",
-                format!("that of frame {} comes a second time", update.0),
-            ));
+    fn take_geometry(&mut self, head: DeltaHead, payload: &[u8]) -> Result<(), WireError> {
+        let DeltaHead { sequence, .. } = head;
+        if sequence < self.next_delta || self.waiting.deltas.contains_key(&sequence) {
+            return Err(invalid("a geometry delta", format!("number {sequence} comes a second time")));
         }
-        self.check_distance("a geometry delta", update)?;
-        if update == self.next_delta && self.decoder.is_some() && self.records_left > 0 {
+        if sequence > self.next_delta.saturating_add(MAX_FRAMES_AHEAD) {
+            let reason = format!("number {sequence} is too far after {}, the next due", self.next_delta);
+            return Err(invalid("a geometry delta", reason));
+        }
+        if sequence == self.next_delta && self.decoder.is_some() && self.records_left > 0 {
             self.hand_on(payload)?;
             return self.hand_on_deltas();
         }
         self.waiting.admit(payload.len())?;
-        self.waiting.deltas.insert(update, payload.to_vec());
+        self.waiting.deltas.insert(sequence, payload.to_vec());
         Ok(())
     }
 
     /// Refuses a frame that is too far after the next one due.
     fn check_distance(&self, what: &'static str, update: UpdateId) -> Result<(), WireError> {
-        match update.is_too_far_after(self.next_delta) {
+        match update.is_too_far_after(self.next_update) {
             true => Err(invalid(
                 what,
                 format!(
                     "its frame {} is more than {MAX_FRAMES_AHEAD} after frame {}, which is the next due",
-                    update.0, self.next_delta.0
+                    update.0, self.next_update.0
                 ),
             )),
             false => Ok(()),
@@ -425,8 +509,16 @@ impl ClientSession {
         if let Some(decoder) = &mut self.decoder {
             let delta = decoder.receive(payload)?;
             self.records_left = self.records_left.saturating_sub(delta.records());
+            self.next_delta = self.next_delta.saturating_add(1);
+            if delta.is_update {
+                if delta.geometry.update != self.next_update {
+                    let reason =
+                        format!("{} comes instead of {}", delta.geometry.update.0, self.next_update.0);
+                    return Err(invalid("the update of a geometry delta", reason));
+                }
+                self.next_update = self.next_update.next();
+            }
             self.events.push_back(ClientEvent::Delta(delta));
-            self.next_delta = self.next_delta.next();
         }
         Ok(())
     }
@@ -478,18 +570,23 @@ pub struct DeltaSender {
 }
 
 impl DeltaSender {
-    /// The stream of the next update's delta. Updates follow each other without a gap from 0.
+    /// The stream of an update's delta. The client may report its display from now on.
     pub fn stream(&mut self, delta: &EncodedDelta) -> Out {
-        assert_eq!(delta.update, self.next_delta(), "deltas go out in the order of updates, without a gap");
-        let bytes = encode_geometry(&delta.bytes);
-        self.sent.store(delta.update.next().0, Ordering::Release);
-        Out::Stream { bytes, priority: priority(delta.update, 1) }
+        let update = delta.update.expect("the delta of an update");
+        assert_eq!(update, self.next_update(), "deltas go out in the order of updates, without a gap");
+        self.sent.store(update.next().0, Ordering::Release);
+        Out::Stream { bytes: encode_geometry(&delta.bytes), priority: priority(update, 1) }
     }
 
-    /// The frame that the next delta must have.
-    pub fn next_delta(&self) -> UpdateId {
+    /// The update that the next delta must have.
+    pub fn next_update(&self) -> UpdateId {
         UpdateId(self.sent.load(Ordering::Acquire))
     }
+}
+
+/// The stream of samples between two updates: they go before all updates.
+pub fn sample_stream(delta: &EncodedDelta) -> Out {
+    Out::Stream { bytes: encode_geometry(&delta.bytes), priority: i32::MAX }
 }
 
 /// The stream of a coded picture.
@@ -499,6 +596,12 @@ impl DeltaSender {
 pub fn picture_stream(header: PictureHeader, access_unit: &[u8]) -> Result<Out, WireError> {
     check_count("an access unit's length in bytes", access_unit.len(), MAX_ACCESS_UNIT_BYTES)?;
     Ok(Out::Stream { bytes: encode_picture(header, access_unit), priority: priority(header.update, 0) })
+}
+
+/// The stream of a message about motion: it goes right after the streams of an update, or after all updates where there is none.
+pub fn motion_stream(message: &MotionMessage, after: Option<UpdateId>) -> Out {
+    let priority = after.map_or(i32::MIN, |update| priority(update, 0) - 1);
+    Out::Stream { bytes: encode_motion(&message.encode()), priority }
 }
 
 /// An update's streams go before those of later ones, so that no flood of geometry starves pictures; within an update
@@ -582,7 +685,7 @@ impl ServerSession {
     pub fn poll_event(&mut self) -> Option<ServerEvent> {
         let heard = &mut self.heard;
         if let Some((hello, welcome)) = heard.asked.take() {
-            return Some(ServerEvent::Asked { hello, welcome });
+            return Some(ServerEvent::Asked { hello, welcome: Box::new(welcome) });
         }
         let displayed = heard.displayed.take().map(ServerEvent::Displayed);
         let refresh = || heard.refresh.take().map(|after| ServerEvent::RefreshRequest { after });
@@ -695,8 +798,10 @@ mod tests {
     use super::*;
     use crate::delta::{Delta, DeltaEncoder};
     use crate::geometry::{GeometryDelta, Motion, NewVertex};
+    use crate::ids::ClipId;
     use crate::ids::{InstanceId, VertexSlot};
     use crate::limits::MAX_DELTA_BYTES;
+    use crate::motion::clip::{ChunkTrack, ClipChunk, TrackKind};
     use crate::testing::{Dice, damaged, displayed, head, hello, offer};
 
     /// Both ends, with what the client has been sent and has not yet been given.
@@ -712,7 +817,8 @@ mod tests {
 
     /// A delta that says nothing.
     fn encoded(update: UpdateId) -> EncodedDelta {
-        DeltaEncoder::new(1, 1).encode(&GeometryDelta { update, ..Default::default() }.into())
+        let encoder = DeltaEncoder::new(1, 1);
+        encoder.from_delta(update.0).encode(&GeometryDelta { update, ..Default::default() }.into())
     }
 
     impl Pair {
@@ -763,7 +869,7 @@ mod tests {
 
         fn send_delta(&mut self) {
             let sender = self.sender.as_mut().unwrap();
-            let out = sender.stream(&encoded(sender.next_delta()));
+            let out = sender.stream(&encoded(sender.next_update()));
             self.keep(out);
         }
 
@@ -979,14 +1085,14 @@ mod tests {
             assert_failed(&mut pair, "more than 256 after frame 0");
             let mut pair = Pair::connected();
             pair.client.on_stream(&encode_geometry(&encoded(UpdateId(far)).bytes));
-            assert_failed(&mut pair, "more than 256 after frame 0");
+            assert_failed(&mut pair, "too far after 0");
         }
     }
 
     #[test]
     fn the_last_frame_that_there_can_be_overflows_nothing() {
         let mut pair = Pair::connected();
-        pair.client.next_delta = UpdateId(u32::MAX - 1);
+        (pair.client.next_update, pair.client.next_delta) = (UpdateId(u32::MAX - 1), u32::MAX - 1);
         for frame in [u32::MAX - 1, u32::MAX] {
             pair.client.on_stream(&encode_geometry(&encoded(UpdateId(frame)).bytes));
             pair.client.on_stream(&encode_picture(picture(frame), b"coded"));
@@ -1006,6 +1112,52 @@ mod tests {
         pair.client.hold_back(false);
         pair.client.on_tick(NOW.plus_ns(1));
         assert_eq!((pair.client_events().len(), pair.client.waiting_bytes()), (10, 0));
+    }
+
+    /// A chunk of four words.
+    fn chunk(sequence: u32) -> Vec<u8> {
+        let (times_s, values) = (vec![0.0], vec![[0.5; 4]]);
+        let track = ChunkTrack { kind: TrackKind::Step, times_s, values, tangents: Vec::new() };
+        let chunk = ClipChunk { clip: ClipId(0), index: 0, first_word: 0, tracks: vec![track] };
+        assert_eq!(chunk.words(), 4);
+        encode_motion(&MotionMessage { sequence, news: MotionNews::Chunk(chunk) }.encode())
+    }
+
+    #[test]
+    fn news_of_motion_wait_where_a_turn_brings_more_than_the_arena_holds() {
+        let mut pair = Pair::connected();
+        (pair.client.motion_words, pair.client.motion_words_left) = (10, 10);
+        pair.client_events();
+        (0..7).for_each(|sequence| pair.client.on_stream(&chunk(sequence)));
+        assert_eq!(pair.client_events().len(), 3, "ten words: two chunks and a whole third one");
+        pair.client.hold_back(true);
+        pair.client.on_tick(NOW);
+        assert_eq!(pair.client_events().len(), 0, "what came before has not been taken in");
+        pair.client.hold_back(false);
+        pair.client.on_tick(NOW);
+        let numbers = pair.client_events().into_iter().map(|event| match event {
+            ClientEvent::Motion(message) => message.sequence,
+            other => panic!("{other:?}"),
+        });
+        assert_eq!(numbers.collect::<Vec<_>>(), [3, 4, 5], "in order of arrival");
+        pair.client.on_tick(NOW);
+        assert_eq!((pair.client_events().len(), pair.client.waiting_bytes()), (1, 0));
+    }
+
+    #[test]
+    fn a_flood_of_news_of_motion_ends_the_session() {
+        let mut pair = Pair::connected();
+        pair.client_events();
+        pair.client.motion_words_left = 0;
+        let chunk = chunk(0);
+        let most = MAX_QUEUED_STREAM_BYTES / MOTION_OVERHEAD_BYTES;
+        let sent = (0..most).take_while(|_| {
+            pair.client.on_stream(&chunk);
+            pair.client.is_alive()
+        });
+        assert!(sent.count() > 1000, "more than streams of other kinds may wait");
+        assert!(!pair.client.is_alive());
+        assert_eq!(pair.client.waiting_bytes(), 0);
     }
 
     #[test]

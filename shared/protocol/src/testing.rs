@@ -3,8 +3,8 @@
 use crate::atlas::AtlasExtent;
 use crate::ids::{DiscontinuityId, UpdateId};
 use crate::message::{
-    Capabilities, ClientHello, Codec, Displayed, Environment, HeadState, ResumeSecret, ServerOffer, Welcome,
-    negotiate,
+    Capabilities, ClientHello, Codec, Displayed, Environment, HeadState, MotionMemory, ResumeSecret,
+    ServerOffer, Welcome, negotiate,
 };
 use crate::pose::{Eye, Fov, Pose};
 use crate::time::{DEFAULT_GRID, ServerTime};
@@ -27,6 +27,7 @@ pub(crate) fn hello() -> ClientHello {
             max_atlas_extent: [4096, 4096],
             max_vertex_slots: 600,
             max_patch_slots: 300,
+            motion: MotionMemory::DEFAULT,
             codecs: vec![Codec::H264],
             eyes: eyes(),
             eye_extent_pixels: [1832, 1920],
@@ -46,6 +47,7 @@ pub(crate) fn offer() -> ServerOffer {
         atlas_extent_texels: AtlasExtent::DEFAULT,
         vertex_slots: 131_072,
         patch_slots: 131_072,
+        motion: MotionMemory { arena_words: 5000, rest_vertices: 900, pose_places: 200 },
         codecs: vec![Codec::H264],
         environment: Environment { zenith: [0.25, 0.5, 1.0], horizon: [0.5, 0.75, 1.0], nadir: [0.125; 3] },
         world_from_stage: Pose { position: Vec3::new(0.0, 0.0, 3.5), orientation: Quat::IDENTITY },

@@ -1,7 +1,9 @@
 //! Framing, the one error type of all decoders, and the reader that they share.
 
 use crate::ids::UpdateId;
-use crate::limits::{MAX_ACCESS_UNIT_BYTES, MAX_CONTROL_BYTES, MAX_DELTA_BYTES, MAX_EMPTY_CONTROL_MESSAGES};
+use crate::limits::{
+    MAX_ACCESS_UNIT_BYTES, MAX_CONTROL_BYTES, MAX_DELTA_BYTES, MAX_EMPTY_CONTROL_MESSAGES, MAX_MOTION_BYTES,
+};
 use crate::time::ServerTime;
 use thiserror::Error;
 
@@ -9,6 +11,8 @@ use thiserror::Error;
 const KIND_GEOMETRY: u8 = 1;
 /// First byte of a stream that holds a picture.
 const KIND_PICTURE: u8 = 2;
+/// First byte of a stream that holds a message about motion.
+const KIND_MOTION: u8 = 3;
 /// Bytes of the length before each control message.
 const CONTROL_PREFIX: usize = 4;
 
@@ -67,13 +71,15 @@ pub struct PictureHeader {
 /// What one unidirectional stream holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StreamMessage<'a> {
-    /// A geometry delta, for [`crate::delta::DeltaDecoder::decode`] in the order of frames.
+    /// A geometry delta, for [`crate::delta::DeltaDecoder::decode`] in their order.
     Geometry {
-        /// The delta's frame.
-        update: UpdateId,
+        /// What it says of itself.
+        head: DeltaHead,
         /// The delta's bytes.
         payload: &'a [u8],
     },
+    /// A message about motion, for [`crate::motion::message::MotionMessage::decode`].
+    Motion(&'a [u8]),
     /// A coded picture.
     Picture {
         /// Which one.
@@ -83,22 +89,51 @@ pub enum StreamMessage<'a> {
     },
 }
 
-/// First bytes of a delta: "Shadecast geometry", layout 1.
-pub(crate) const GEOMETRY_MAGIC: [u8; 4] = *b"SCG1";
+/// First bytes of a delta: "Shadecast geometry", layout 2.
+pub(crate) const GEOMETRY_MAGIC: [u8; 4] = *b"SCG2";
 
-/// The update of a delta's bytes.
-pub fn peek_update(bytes: &[u8]) -> Result<UpdateId, WireError> {
-    let mut reader = Reader::new("a delta's header", bytes);
+/// What a delta says of itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DeltaHead {
+    /// Deltas follow each other without a gap, from 0 on.
+    pub sequence: u32,
+    /// The update; between updates the last one.
+    pub update: UpdateId,
+    /// False between updates.
+    pub is_update: bool,
+}
+
+impl DeltaHead {
+    pub(crate) const BYTES: usize = 13;
+}
+
+/// What the bytes of a delta say of it.
+pub fn peek_delta(bytes: &[u8]) -> Result<DeltaHead, WireError> {
+    const WHAT: &str = "a delta's header";
+    let mut reader = Reader::new(WHAT, bytes);
     if reader.take(GEOMETRY_MAGIC.len())? != GEOMETRY_MAGIC {
-        return Err(invalid("a delta's header", "its first bytes are not SCG1"));
+        return Err(invalid(WHAT, "its first bytes are not SCG2"));
     }
-    Ok(UpdateId(reader.u32()?))
+    let (sequence, update) = (reader.u32()?, UpdateId(reader.u32()?));
+    match reader.u8()? {
+        flag @ 0..=1 => Ok(DeltaHead { sequence, update, is_update: flag == 1 }),
+        flag => Err(invalid(WHAT, format!("its flag {flag} is neither 0 nor 1"))),
+    }
 }
 
 /// The bytes of a stream that holds this geometry delta, as [`crate::delta::DeltaEncoder::encode`] made it.
 pub fn encode_geometry(payload: &[u8]) -> Vec<u8> {
     let mut out = Vec::with_capacity(1 + payload.len());
     out.push(KIND_GEOMETRY);
+    out.extend_from_slice(payload);
+    out
+}
+
+/// The bytes of a stream that holds this message about motion, as
+/// [`crate::motion::message::MotionMessage::encode`] made it.
+pub fn encode_motion(payload: &[u8]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(1 + payload.len());
+    out.push(KIND_MOTION);
     out.extend_from_slice(payload);
     out
 }
@@ -123,10 +158,18 @@ pub fn parse_stream(bytes: &[u8]) -> Result<StreamMessage<'_>, WireError> {
         KIND_GEOMETRY => {
             let payload = reader.rest();
             check_count("a delta's length in bytes", payload.len(), MAX_DELTA_BYTES)?;
-            Ok(StreamMessage::Geometry { update: peek_update(payload)?, payload })
+            Ok(StreamMessage::Geometry { head: peek_delta(payload)?, payload })
         }
         KIND_PICTURE => parse_picture(reader),
-        kind => Err(invalid("a stream's kind", format!("{kind} is neither geometry (1) nor a picture (2)"))),
+        KIND_MOTION => {
+            let payload = reader.rest();
+            check_count("the length in bytes of a message about motion", payload.len(), MAX_MOTION_BYTES)?;
+            Ok(StreamMessage::Motion(payload))
+        }
+        kind => {
+            let reason = format!("{kind} is none of geometry (1), a picture (2), motion (3)");
+            Err(invalid("a stream's kind", reason))
+        }
     }
 }
 
@@ -365,7 +408,10 @@ mod tests {
         let stream = encode_geometry(&payload);
         assert_eq!(
             parse_stream(&stream),
-            Ok(StreamMessage::Geometry { update: UpdateId(9), payload: &payload })
+            Ok(StreamMessage::Geometry {
+                head: DeltaHead { sequence: 0, update: UpdateId(9), is_update: true },
+                payload: &payload
+            })
         );
     }
 
@@ -376,7 +422,7 @@ mod tests {
         (0..picture.len()).for_each(|length| assert!(parse_stream(&picture[..length]).is_err()));
         let longer = [picture, vec![0]].concat();
         assert_eq!(parse_stream(&longer), Err(WireError::Trailing { what: "a picture", left: 1 }));
-        assert!(parse_stream(&[]).is_err() && parse_stream(&[3]).is_err());
+        assert!(parse_stream(&[]).is_err() && parse_stream(&[4]).is_err());
     }
 
     #[test]

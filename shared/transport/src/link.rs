@@ -332,6 +332,12 @@ impl LinkSchedule {
         Self::parse(&text).map_err(|wrong| LinkError::Schedule { path: path.into(), wrong })
     }
 
+    /// A link that carries nothing for `length_ns` nanoseconds from `start_ns` on, both after its first use and more than 0.
+    pub fn interrupted(profile: LinkProfile, start_ns: i64, length_ns: i64) -> Self {
+        let silent = LinkProfile { loss: 1.0, ..profile.clone() };
+        Self { steps: vec![(0, profile.clone()), (start_ns, silent), (start_ns + length_ns, profile)] }
+    }
+
     fn parse(text: &str) -> Result<Self, String> {
         let file: ScheduleFile = toml::from_str(text).map_err(|e| e.to_string())?;
         if file.step.is_empty() {

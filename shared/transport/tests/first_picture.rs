@@ -109,10 +109,12 @@ impl Play {
             match (event, &mut self.sender) {
                 (ServerEvent::Asked { .. }, sender) => *sender = self.server.accept(),
                 (ServerEvent::Pose(_), Some(sender)) => {
-                    let frame = sender.next_delta();
+                    let frame = sender.next_update();
                     let delta = GeometryDelta { update: frame, ..Default::default() };
                     let header = PictureHeader { update: frame, time: ServerTime(0), is_refresh: true };
-                    self.update.push(sender.stream(&DeltaEncoder::new(1, 1).encode(&delta.into())));
+                    self.update.push(
+                        sender.stream(&DeltaEncoder::new(1, 1).from_delta(frame.0).encode(&delta.into())),
+                    );
                     self.update.push(picture_stream(header, &vec![7; PICTURE_BYTES]).unwrap());
                 }
                 (event, _) => panic!("{event:?}"),

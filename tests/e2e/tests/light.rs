@@ -4,7 +4,7 @@ use glam::{Affine3A, Vec3};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
-use shadecast_scene::animation::pose;
+use shadecast_scene::animation::{playing, pose};
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_scene::{
     Environment, Instance, Light, LightKind, Material, Model, PlacedLight, Scene, Texture, Wrap, ground,
@@ -61,16 +61,16 @@ fn hits(from: Vec3, along: Vec3, [a, b, c]: [Vec3; 3]) -> bool {
     u >= 0.0 && v >= 0.0 && u + v <= 1.0 && ac.dot(q) / det > 1e-3
 }
 
-fn triangles(scene: &Scene, index: usize, time_s: f64) -> Vec<[Vec3; 3]> {
+fn triangles(scene: &Scene, index: usize, time: ServerTime) -> Vec<[Vec3; 3]> {
     let instance = &scene.instances[index];
     let model = &scene.models[instance.model];
-    let phase_s = instance.clip_phase_s(model.duration_s(instance.clip), time_s);
-    let palette = pose::source_palette(model, instance.clip, phase_s);
+    let playing = scene.schedules()[index].at(time);
+    let palette = pose::palette(model, &pose::global_pose(model, &playing::source_pose(model, &playing)));
     let corners: Vec<Vec3> = model
         .vertices
         .iter()
         .map(|v| pose::blend(&palette, v.joints, v.weights).transform_point3(v.position))
-        .map(|at| instance.world_from_model(time_s).transform_point3(at))
+        .map(|at| instance.world_from_model(time.seconds()).transform_point3(at))
         .collect();
     model.indices.chunks_exact(3).map(|t| [0, 1, 2].map(|i| corners[t[i] as usize])).collect()
 }
@@ -84,7 +84,7 @@ fn dragon_throws_the_shadow_that_rays_to_the_sun_find() {
     let shaded = picture(&gpu, &scene, eye, time);
     scene.sun.casts_shadows = false;
     let lit = picture(&gpu, &scene, eye, time);
-    let dragon = triangles(&scene, 0, time.seconds());
+    let dragon = triangles(&scene, 0, time);
     let (mut shadowed, mut wrong, mut compared) = (0, 0, 0);
     for pixel in (0..shaded.instance.len()).step_by(7).filter(|p| shaded.instance[*p] == 1) {
         let at = seen_at(&shaded, eye, pixel);

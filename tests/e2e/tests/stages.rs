@@ -5,7 +5,7 @@ use shadecast_gpu::{Access, Buffer, DesktopDevice, Gpu, GpuOptions, Memory, Need
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
-use shadecast_scene::animation::{pose, sampling};
+use shadecast_scene::animation::{playing, pose, sampling};
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_server::animation::RingPlace;
 use shadecast_server::animation::gpu::Animation;
@@ -65,8 +65,8 @@ fn skinned_vertices_equal_the_cpu_twin_within_a_hundred_thousandth_of_the_models
         for (index, instance) in scene.scene.instances.iter().enumerate() {
             let model = &scene.scene.models[instance.model];
             let clip = sampling::sample(model, instance.clip, sampling::Sampling::default());
-            let phase_s = instance.clip_phase_s(clip.duration_s, time.seconds());
-            let locals = clip.local_pose(phase_s);
+            let playing = scene.scene.schedules()[index].at(time);
+            let locals = playing::sampled_pose(|_| &clip, &playing);
             let palette = pose::palette(model, &pose::global_pose(model, &locals));
             let twin = pose::skin(&model.vertices, &palette, instance.world_from_model(time.seconds()));
             let base = animation.position_base(&scene.numbering.instances[index], RingPlace(1)) as usize;

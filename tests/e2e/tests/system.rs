@@ -5,6 +5,7 @@ use shadecast_client::client::Step;
 use shadecast_lab::headset_off::{Absence, measure};
 use shadecast_lab::image::Rgb8Image;
 use shadecast_lab::metrics::psnr_db;
+use shadecast_lab::motion_table::{Condition, KINDS, Kind, MotionTable, measure as measure_motion};
 use shadecast_lab::options::{Renderer, RunOptions, ViewerOptions};
 use shadecast_lab::run::{Report, mock_config, run};
 use shadecast_lab::session::Lab;
@@ -13,6 +14,7 @@ use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_mock_runtime::record::read_frames;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
+use shadecast_server::motion::MotionOption;
 use shadecast_server::scene::SceneOptions;
 use shadecast_server::world::WorldCounts;
 use shadecast_test_support::headset::turn;
@@ -60,13 +62,20 @@ fn a_dragon_over_a_simulated_link_looks_like_the_truth_and_moves_between_updates
         "vertices move at every display frame: {motion:?}"
     );
     assert!(motion.p99_error_percent_of_range.is_some_and(|percent| percent <= 0.3), "{motion:?}");
-    assert!(motion.p99_error_mm <= 2.0 && motion.p99_error_px <= 1.0, "{motion:?}");
     let stats = &report.stats;
+    // The truth is that of the true time. All but one in a hundred vertices are slower than 3 m/s, and a clock that is off moves
+    // each by its speed; what is left is quantisation.
+    let clock_p99_ms = stats.clock_error_p99_ms.expect("there is a clock to find out");
+    assert!(motion.p99_error_mm <= 0.5 + 3.0 * clock_p99_ms && motion.p99_error_px <= 1.0, "{motion:?}");
     assert!(stats.animated.views >= 10 && stats.shadowed.views >= 10, "{stats:?}");
     assert!(stats.animated.share.is_some_and(|share| (0.01..0.5).contains(&share)), "{:?}", stats.animated);
     assert!(stats.shadowed.share.is_some_and(|share| (0.001..0.5).contains(&share)), "{:?}", stats.shadowed);
-    assert!(stats.clock_error_ms.is_some_and(|worst_ms| worst_ms < 10.0), "{:?}", stats.clock_error_ms);
-    assert!(report.stats.bytes_per_animated_vertex_sample.is_some_and(|bytes| bytes < 4.5));
+    assert!(stats.clock_error_ms.is_some_and(|worst_ms| worst_ms < 2.0), "{:?}", stats.clock_error_ms);
+    let bound_ms = stats.clock_error_bound_ms;
+    // Ways of 15 to 25 ms, and no exchange says which of the two was the longer.
+    assert!(bound_ms.is_some_and(|bound_ms| (15.0..30.0).contains(&bound_ms)), "{bound_ms:?}");
+    assert!(stats.clock_error_ms <= bound_ms, "{:?} {bound_ms:?}", stats.clock_error_ms);
+    assert_eq!(report.stats.bytes_per_animated_vertex_sample, None, "a clip needs no samples");
     for name in
         ["stats.json", "sheet.png", "atlas.png", "client-left.png", "truth-right.png", "difference-left.png"]
     {
@@ -212,24 +221,125 @@ fn a_headset_taken_off_costs_no_memory_and_no_updates_and_its_picture_is_back_wi
 #[test]
 fn no_triangle_is_torn_at_two_updates_a_second() {
     let _turn = turn();
-    let out = tempfile::tempdir().unwrap();
-    let options = RunOptions {
-        rate_hz: 2.0,
-        extent_pixels: [96, 96],
-        seconds: 4.0,
-        motion: false,
-        ..small(SceneSource::Dragons(1), out.path())
+    let run = |motion: MotionOption, link: &str| {
+        let out = tempfile::tempdir().unwrap();
+        let options = RunOptions {
+            rate_hz: 2.0,
+            link: link.parse::<Condition>().unwrap().link,
+            extent_pixels: [96, 96],
+            seconds: 4.0,
+            motion: false,
+            scene_options: SceneOptions { motion, ..SceneOptions::default() },
+            ..small(SceneSource::Dragons(1), out.path())
+        };
+        let report = shadecast_lab::tearing::measure(&options).unwrap();
+        println!("{motion:?} over {link}: {report:?}");
+        assert!(report.frames > 100 && report.triangles > 100_000, "{report:?}");
+        report
     };
-    let report = shadecast_lab::tearing::measure(&options).unwrap();
-    println!("{report:?}");
-    assert!(report.frames > 100 && report.triangles > 100_000, "{report:?}");
-    assert!(report.frames_behind > 10, "updates came in time, so that nothing could tear: {report:?}");
-    // Beyond that only quantisation and the clock: corners of two updates are half a wing beat apart.
-    assert!(report.max_error_m < report.last_step_error_m + 0.01, "{report:?}");
+    const LINK: &str = "latency=20ms,jitter=5ms,rate=100mbit";
+    let clips = run(MotionOption::Auto, LINK);
+    assert!(clips.frames_behind == 0 && clips.max_error_m < 2e-4, "{clips:?}");
+    // Motion waits for no update, so that samples are there in time, too.
+    let samples = run(MotionOption::Samples, LINK);
+    assert!(samples.frames_behind == 0 && samples.max_error_m < 1e-3, "{samples:?}");
+    // Where nothing comes for longer than samples reach ahead, all vertices wait together.
+    let cut_off = run(MotionOption::Samples, &format!("{LINK},outage=1.2s"));
+    assert!(cut_off.frames_behind > 10, "samples came in time, so that nothing could tear: {cut_off:?}");
+    assert!(cut_off.max_error_m < cut_off.last_step_error_m + 0.01, "{cut_off:?}");
 }
 
 fn other(link: &str) -> ViewerOptions {
     format!("link={link}").parse().unwrap()
+}
+
+/// The table of motion for one dragon, drawn small.
+fn motion_table(kinds: &[Kind], link: &str, seconds: f64, out: &Path) -> MotionTable {
+    let options = RunOptions {
+        extent_pixels: [64, 64],
+        atlas_extent_texels: AtlasExtent::new(512, 512).expect("an atlas"),
+        seconds,
+        motion: false,
+        ..small(SceneSource::Dragons(1), out)
+    };
+    let table = measure_motion(&options, "dragon", kinds, &[link.parse().unwrap()]).unwrap();
+    println!("{table}");
+    table
+}
+
+#[test]
+fn the_table_of_motion_has_a_row_of_sensible_figures_for_each_kind() {
+    let _turn = turn();
+    let out = tempfile::tempdir().unwrap();
+    let table = motion_table(KINDS, "latency=20ms,jitter=5ms,rate=100mbit", 1.0, out.path());
+    assert_eq!(table.rows.len(), KINDS.len());
+    let samples = table.rows.iter().find(|row| row.kind.name == "samples").expect("a kind");
+    // Rounded to half a millimetre, and curves through it: no vertex of a good link is further off.
+    assert!((0.2..0.8).contains(&samples.max_error_mm) && samples.p99_error_mm <= 0.5, "{samples:?}");
+    assert!((samples.max_error_px - samples.max_error_mm * 0.325).abs() < 1e-9, "{samples:?}");
+    assert_eq!((samples.frozen_vertex_frames, samples.torn_vertex_frames), (0, 0), "{samples:?}");
+    assert!(samples.frames > 50 && samples.vertices > 1000, "{samples:?}");
+    assert!(samples.vertex_frames > samples.vertices * 20, "{samples:?}");
+    // A vertex has a sample for each of 30 steps a second.
+    let bytes_per_sample = samples.motion_bytes as f64 / (samples.vertex_frames as f64 * 30.0 / 72.0);
+    assert!((0.5..4.0).contains(&bytes_per_sample), "{bytes_per_sample}, {samples:?}");
+    assert!(samples.client_gpu_ms > 0.0 && samples.server_cpu_ms > samples.server_animation_cpu_ms);
+    assert!(samples.max_clock_step_ms <= 0.1 + 1e-9, "{samples:?}");
+    assert!(samples.clock_error_bound_ms.is_some_and(|bound_ms| samples.clock_error_ms <= bound_ms));
+    assert_eq!(samples.validation_messages, 0);
+    let json = serde_json::to_value(&table).unwrap();
+    for name in [
+        "kind",
+        "link",
+        "max_error_mm",
+        "p99_error_mm",
+        "max_error_px",
+        "motion_bytes",
+        "frozen_vertex_frames",
+        "torn_vertex_frames",
+        "client_gpu_ms",
+        "server_cpu_ms",
+    ] {
+        assert!(!json["rows"][0][name].is_null(), "{name} is missing in {json}");
+    }
+    assert_eq!((&json["rows"][0]["kind"], &json["scene"]), (&KINDS[0].name.into(), &"dragon".into()));
+}
+
+#[test]
+fn triangles_tear_as_the_paper_says_in_its_own_way_alone() {
+    let _turn = turn();
+    let out = tempfile::tempdir().unwrap();
+    let kinds = ["paper", "samples", "auto"].map(|kind| kind.parse().unwrap());
+    let link = "latency=20ms,jitter=5ms,rate=100mbit,updates=2";
+    let table = motion_table(&kinds, link, 3.0, out.path());
+    let [paper, others @ ..] = &table.rows[..] else { panic!("no rows") };
+    // Section 4, "Animation tearing artifacts": strong where predictions reach less far than to the next update.
+    assert!(
+        paper.torn_vertex_frames > 100 && paper.frozen_vertex_frames > paper.vertex_frames / 4,
+        "{paper:?}"
+    );
+    for row in others {
+        assert_eq!((row.torn_vertex_frames, row.frozen_vertex_frames), (0, 0), "{row:?}");
+        assert_eq!(row.bytes.predictions, row.updates, "each says in a byte that there are none: {row:?}");
+    }
+    assert_eq!(paper.bytes.predictions, paper.motion_bytes, "and nothing between updates: {paper:?}");
+    let bytes_per_vertex_and_update = paper.motion_bytes as f64 / (paper.updates * paper.vertices) as f64;
+    assert!((20.0..=49.0).contains(&bytes_per_vertex_and_update), "{bytes_per_vertex_and_update}, {paper:?}");
+    assert!(table.rows.iter().all(|row| row.validation_messages == 0));
+}
+
+#[test]
+fn after_three_seconds_of_silence_the_world_goes_on_and_no_clock_has_jumped() {
+    let _turn = turn();
+    let out = tempfile::tempdir().unwrap();
+    let kinds = ["samples".parse().unwrap()];
+    let table = motion_table(&kinds, "latency=20ms,jitter=5ms,rate=100mbit,outage=3s", 6.0, out.path());
+    let samples = &table.rows[0];
+    assert_eq!(samples.connections, 2, "the silent one was given up: {samples:?}");
+    assert!(samples.frozen_vertex_frames > samples.vertex_frames / 4, "samples end: {samples:?}");
+    assert!(samples.worst.as_ref().is_some_and(|worst| worst.error_mm > 100.0), "{samples:?}");
+    assert!(samples.max_clock_step_ms <= 0.1 + 1e-9, "{samples:?}");
+    assert_eq!(samples.validation_messages, 0);
 }
 
 /// What the world has made for a viewer and these others beside it, and the updates that each was sent.

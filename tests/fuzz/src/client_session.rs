@@ -1,10 +1,19 @@
 //! The client's session: whatever a server sends, and whenever.
 
 use crate::script::{number, steps};
-use shadecast_protocol::ids::UpdateId;
-use shadecast_protocol::message::{ClientDatagram, ClientHello, ClientMessage, Displayed, ServerDatagram};
+use shadecast_client::motion::Motion;
+use shadecast_client::motion::arena::ArenaCopy;
+use shadecast_client::motion::skinned::SkinCapacity;
+use shadecast_protocol::ids::{UpdateId, VertexSlot};
+use shadecast_protocol::limits::MAX_INSTANCES;
+use shadecast_protocol::message::{
+    ClientDatagram, ClientHello, ClientMessage, Displayed, ServerDatagram, Welcome,
+};
 use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
-use shadecast_protocol::time::{ClientTime, ServerTime};
+use shadecast_protocol::time::{ClientTime, Grid, ServerTime};
+use shadecast_shaders::constants::POSE_READY;
+use shadecast_shaders::generated::PlacedPoseGpu;
+use shadecast_shaders::twin::pose::Arena;
 
 /// The hello that this client said; only as the first step.
 pub const HELLO: u8 = 0;
@@ -25,10 +34,13 @@ pub const WAIT: u8 = 7;
 
 /// From one operation to the next, nanoseconds.
 const STEP_NS: i64 = 500_000;
+/// Bytes of the arena, and records of vertices, that a display frame writes: few, so that what has not arrived is met.
+const STAGING_BYTES: usize = 32 << 10;
+const STAGING_RECORDS: usize = 1 << 14;
 /// Where the client's clock begins; recorded pongs belong to it only by chance.
 const START_NS: i64 = 1 << 40;
 
-/// The number of deltas and pictures that the session handed on.
+/// The number of deltas, pictures and news of motion that the session handed on.
 pub fn check(script: &[u8]) -> usize {
     let mut steps = steps(script);
     let Some(hello) = steps.next().filter(|step| step.operation == HELLO) else { return 0 };
@@ -41,11 +53,63 @@ pub fn check(script: &[u8]) -> usize {
     run.handed_on
 }
 
+/// What moves vertices, and the memory that a GPU would have of it.
+struct Moved {
+    motion: Motion,
+    capacity: SkinCapacity,
+    grid: Grid,
+    arena: Vec<[u32; 4]>,
+    poses: Vec<PlacedPoseGpu>,
+}
+
+impl Moved {
+    fn new(welcome: &Welcome) -> Self {
+        let capacity = SkinCapacity::from(welcome.motion);
+        Self {
+            motion: Motion::new(welcome.vertex_slots, capacity),
+            capacity,
+            grid: welcome.grid,
+            arena: vec![[0; 4]; capacity.arena_words as usize],
+            poses: vec![bytemuck::Zeroable::zeroed(); MAX_INSTANCES as usize],
+        }
+    }
+
+    /// A display frame: a part of what waits is written, and every instance is posed. What a GPU would do beyond its buffers
+    /// panics.
+    fn evaluate(&mut self, time: ServerTime) {
+        let (mut staging, mut copies) = (vec![0; STAGING_BYTES], Vec::new());
+        self.motion.arena().drain_into(&mut staging, |copy| copies.push(copy));
+        let arena: &mut [u8] = bytemuck::cast_slice_mut(&mut self.arena);
+        for ArenaCopy { staged, arena_byte } in copies {
+            let bytes = &staging[staged.start as usize..staged.end as usize];
+            arena[arena_byte as usize..][..bytes.len()].copy_from_slice(bytes);
+        }
+        let mut records = vec![bytemuck::Zeroable::zeroed(); STAGING_RECORDS];
+        self.motion.writes().drain_into(&mut records, |_| {});
+        let slots: Vec<_> = (0..self.motion.vertex_count()).map(VertexSlot).collect();
+        let mut users = self.motion.begin_list();
+        let ready = users.note(&slots);
+        users.end(ready);
+        let counts = self.motion.poses(self.grid, time, &mut self.poses);
+        for pose in &self.poses[..counts.instances as usize] {
+            let posed = Arena(&self.arena).pose(pose);
+            let palette_end =
+                pose.pose.palette_base as usize + posed.palette.len().max(posed.morph_weights.len());
+            assert!(palette_end <= self.capacity.palette_entries as usize, "a palette up to {palette_end}");
+            if pose.flags & POSE_READY != 0 {
+                let bone_end = pose.pose.global_base + Arena(&self.arena).bone_count(&pose.pose);
+                assert!(bone_end <= self.capacity.bones, "bones up to {bone_end}");
+            }
+        }
+    }
+}
+
 struct Run {
     session: ClientSession,
     now: ClientTime,
     newest_ping: Option<ClientTime>,
     next_delta: UpdateId,
+    moved: Option<Moved>,
     welcomed: bool,
     ended: bool,
     handed_on: usize,
@@ -64,6 +128,7 @@ impl Run {
             now,
             newest_ping: None,
             next_delta: UpdateId(0),
+            moved: None,
             welcomed: false,
             ended: false,
             handed_on: 0,
@@ -110,14 +175,20 @@ impl Run {
                 ClientEvent::Welcome(welcome) => {
                     assert!(!std::mem::replace(&mut self.welcomed, true), "welcome twice");
                     welcome.check().expect("a welcome is checked");
+                    self.moved = Some(Moved::new(&welcome));
                 }
                 ClientEvent::Delta(delta) => {
-                    assert!(
-                        self.welcomed && delta.geometry.update == self.next_delta,
-                        "{:?}",
-                        delta.geometry.update
-                    );
-                    self.next_delta = self.next_delta.next();
+                    let update = delta.geometry.update;
+                    assert!(self.welcomed && (!delta.is_update || update == self.next_delta), "{update:?}");
+                    self.moved.iter_mut().for_each(|moved| moved.motion.take_delta(&delta));
+                    if delta.is_update {
+                        self.next_delta = self.next_delta.next();
+                    }
+                    self.handed_on += 1;
+                }
+                ClientEvent::Motion(message) => {
+                    assert!(self.welcomed, "motion before the welcome");
+                    self.moved.iter_mut().for_each(|moved| moved.motion.take_motion(message.clone()));
                     self.handed_on += 1;
                 }
                 ClientEvent::Picture { .. } => {
@@ -141,6 +212,9 @@ impl Run {
                 }
                 Out::Stream { .. } => panic!("a client sends no streams"),
             }
+        }
+        if let Some(moved) = &mut self.moved {
+            moved.evaluate(ServerTime(self.now.0 - START_NS));
         }
         if let Some(time) = self.session.clock().server_time(self.now) {
             let later = self.session.clock().server_time(self.now.plus_ns(1_000_000_000));

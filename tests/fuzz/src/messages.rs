@@ -2,7 +2,8 @@
 
 use crate::script::steps;
 use shadecast_protocol::message::{ClientDatagram, ClientMessage, ServerDatagram, ServerMessage};
-use shadecast_protocol::wire::{StreamMessage, encode_geometry, encode_picture, parse_stream};
+use shadecast_protocol::motion::message::MotionMessage;
+use shadecast_protocol::wire::{StreamMessage, encode_geometry, encode_motion, encode_picture, parse_stream};
 
 /// A client's control message.
 pub const CLIENT_MESSAGE: u8 = 0;
@@ -43,6 +44,15 @@ fn read(operation: u8, bytes: &[u8]) -> bool {
         _ => {
             let Ok(message) = parse_stream(bytes) else { return false };
             let written = match message {
+                StreamMessage::Motion(payload) => {
+                    let Ok(message) = MotionMessage::decode(payload) else { return false };
+                    let written = encode_motion(&message.encode());
+                    let StreamMessage::Motion(again) = parse_stream(&written).expect("just written") else {
+                        panic!("motion comes back as something else");
+                    };
+                    assert_eq!(MotionMessage::decode(again), Ok(message));
+                    return true;
+                }
                 StreamMessage::Geometry { payload, .. } => encode_geometry(payload),
                 StreamMessage::Picture { header, access_unit } => encode_picture(header, access_unit),
             };

@@ -62,6 +62,7 @@ fn offer(welcome: Welcome) -> ServerOffer {
         // Many slots would only make each run slow.
         vertex_slots: welcome.vertex_slots.min(crate::deltas::VERTEX_SLOTS),
         patch_slots: welcome.patch_slots.min(crate::deltas::PATCH_SLOTS),
+        motion: welcome.motion,
         codecs: vec![welcome.codec],
         environment: welcome.environment,
         world_from_stage: welcome.world_from_stage,
@@ -94,10 +95,10 @@ impl Run {
 
     fn update(&mut self, access_unit: &[u8]) {
         let Some(sender) = &mut self.sender else { return };
-        let frame = sender.next_delta();
+        let frame = sender.next_update();
         let delta = GeometryDelta { update: frame, time: self.now, ..GeometryDelta::default() };
         let header = PictureHeader { update: frame, time: self.now, is_refresh: frame.0 == 0 };
-        let geometry = sender.stream(&DeltaEncoder::new(1, 1).encode(&delta.into()));
+        let geometry = sender.stream(&DeltaEncoder::new(1, 1).from_delta(frame.0).encode(&delta.into()));
         let picture = picture_stream(header, access_unit).expect("scripts are shorter than a picture may be");
         for out in [geometry, picture] {
             let Out::Stream { bytes, .. } = out else { panic!("{out:?} is no stream") };
@@ -145,7 +146,7 @@ impl Run {
                 self.newest_pose = Some(head.sequence);
             }
             ServerEvent::Displayed(displayed) => {
-                let sent = self.sender.as_ref().map(DeltaSender::next_delta);
+                let sent = self.sender.as_ref().map(DeltaSender::next_update);
                 assert!(sent > Some(displayed.update), "{displayed:?} of {sent:?}");
             }
             ServerEvent::RefreshRequest { .. } | ServerEvent::Watching(_) => assert!(self.sender.is_some()),

@@ -373,7 +373,7 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
         client_fps: number(&client, "client_fps"),
         mbit_per_s: MbitPerS {
             atlas: number(&server, "atlas_bytes") * 8e-6 / seconds,
-            geometry: number(&server, "geometry_bytes") * 8e-6 / seconds,
+            geometry: (number(&server, "geometry_bytes") + number(&server, "motion_bytes")) * 8e-6 / seconds,
         },
         bytes_per_animated_vertex_sample: (samples > 0.0).then(|| number(&server, "sample_bytes") / samples),
         validation_messages: number(&server, "validation_messages") as u64
@@ -381,6 +381,7 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
             + u64::from(gpu.validation_messages()),
         gpu_ms: server.get("gpu_ms").cloned().map(serde_json::from_value).transpose()?.unwrap_or_default(),
         dropped_patches: number(&server, "dropped_patches") as u64,
+        clock_error_bound_ms: client.get("clock_error_bound_ms").and_then(Value::as_f64),
         ..Counted::default()
     });
     stats.write_json(&run.out.join("stats.json"))?;

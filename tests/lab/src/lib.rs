@@ -3,6 +3,7 @@
 pub mod abrupt;
 pub mod bars;
 pub mod compare;
+mod cpu_clock;
 pub mod demo;
 pub mod figures;
 pub mod flip;
@@ -14,6 +15,7 @@ pub mod long;
 mod memory;
 pub mod metrics;
 pub mod motion;
+pub mod motion_table;
 pub mod options;
 pub mod page;
 mod percentiles;

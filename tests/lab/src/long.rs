@@ -3,6 +3,7 @@
 
 use crate::abrupt;
 use crate::headset_off::{self, Absence};
+use crate::motion_table::{self, Condition, KINDS};
 use crate::options::{Renderer, RunOptions, StageMs, ViewerOptions};
 use crate::robot::robot;
 use crate::room::write_room;
@@ -29,6 +30,8 @@ use std::time::Instant;
 const COMPARE_EVERY: u32 = 24;
 /// The same for the runs with longer stages.
 const COMPARE_EVERY_SLOW: u32 = 36;
+/// Seconds of each run that motion is measured in: an outage from the second to the fifth, and what follows.
+const MOTION_SECONDS: f64 = 6.0;
 /// Seconds that each attack lasts.
 const HOSTILE_SECONDS: f64 = 20.0;
 /// Seconds for which each neighbour is beside a lawful client, in each round.
@@ -95,6 +98,10 @@ fn jobs() -> Vec<Job> {
             let work = move |folder: &Path| scene_run(scene, folder, stages, every);
             jobs.push(Job::new(&format!("{}-512{suffix}", scene.name), work));
         }
+    }
+    for scene in MOVING {
+        let work = move |folder: &Path| motion(scene, folder);
+        jobs.push(Job::new(&format!("motion-{}", scene.name), work));
     }
     jobs.push(Job::new("inspect-error-dragon", |_| inspect_error_of_the_dragon().map(Some)));
     jobs.push(Job::new("second-start-dragons169", |folder| second_start(folder).map(Some)));
@@ -285,6 +292,21 @@ const SCENES: [LongScene; 8] = [
     },
 ];
 
+/// What motion is measured with: one that we made, and ordinary ones of each sort.
+const MOVING: [LongScene; 7] = [
+    LongScene { name: "dragon", source: LongSource::Dragons(1), clip: None },
+    LongScene { name: "fox-survey", source: LongSource::Asset("Fox.glb"), clip: Some("Survey") },
+    LongScene { name: "fox-walk", source: LongSource::Asset("Fox.glb"), clip: Some("Walk") },
+    LongScene { name: "fox-run", source: LongSource::Asset("Fox.glb"), clip: Some("Run") },
+    LongScene { name: "cesium-man", source: LongSource::Asset("CesiumMan.glb"), clip: None },
+    LongScene {
+        name: "kenney-fbx",
+        source: LongSource::Asset("maya_kenney_character_7700_binary.fbx"),
+        clip: None,
+    },
+    LongScene { name: "morph", source: LongSource::Asset("MorphStressTest.gltf"), clip: None },
+];
+
 impl LongScene {
     /// The scene, and what a person writes for it.
     fn source(&self, folder: &Path) -> anyhow::Result<Option<(SceneSource, String)>> {
@@ -327,6 +349,23 @@ fn scene_run(
         "stats": report.stats,
         "motion": report.motion,
     })))
+}
+
+/// Every way in which vertices move, over every link.
+fn motion(scene: LongScene, folder: &Path) -> anyhow::Result<Option<Value>> {
+    let Some((source, shown)) = scene.source(folder)? else {
+        println!("left out: {}, its file is not there", scene.name);
+        return Ok(None);
+    };
+    let options = RunOptions {
+        clip: scene.clip.map(str::to_owned),
+        seconds: MOTION_SECONDS,
+        extent_pixels: [128, 128],
+        ..RunOptions::new(source, folder.join("run"))
+    };
+    let found = motion_table::measure(&options, &shown, KINDS, &Condition::all())?;
+    println!("{found}");
+    Ok(Some(serde_json::to_value(found)?))
 }
 
 // ---- others ----

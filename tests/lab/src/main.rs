@@ -8,6 +8,7 @@ use shadecast_lab::demo::{DemoOptions, demo};
 use shadecast_lab::figures;
 use shadecast_lab::hostile::{self, HostileOptions};
 use shadecast_lab::long;
+use shadecast_lab::motion_table::{self, Condition, KINDS, Kind};
 use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs, USUAL_LINK, ViewerOptions};
 use shadecast_lab::robot::robot;
 use shadecast_lab::room::write_room;
@@ -20,6 +21,7 @@ use shadecast_scene::animation::sampling::Sampling;
 use shadecast_server::animation::skinning::Skinning;
 use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::flags::{MOST_S, number};
+use shadecast_server::motion::MotionOption;
 use shadecast_server::scene::SceneOptions;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -33,6 +35,7 @@ use std::sync::Arc;
     after_help = "Examples:
   shadecast-lab run dragons:3 --renderer stream --link latency=20ms,jitter=5ms,rate=100mbit --out out/run
   shadecast-lab run fox.glb --renderer local --size 256x256 --seconds 3 --dump-every 24 --out out/fox
+  shadecast-lab motion fox.glb --clip Run --link latency=200ms,jitter=10ms --link updates=2 --json motion.json
   shadecast-lab demo --out out/demo
   shadecast-lab device
 
@@ -48,6 +51,8 @@ struct Cli {
 enum Command {
     /// Runs server, link and client in one process on a virtual clock, and measures
     Run(RunArgs),
+    /// Measures how exactly vertices move: every way over several links, in one table
+    Motion(MotionArgs),
     /// Measures the ways of skinning side by side, against the floor that the device's own rates set
     Skinning(SkinningArgs),
     /// Runs server and client as two processes in real time, then the same scene in virtual time; pictures, figures, a page
@@ -160,7 +165,7 @@ struct RunArgs {
     stage_ms: StageMs,
     /// Also follows animated vertices at every display frame and writes motion.json
     #[arg(long)]
-    motion: bool,
+    measure_motion: bool,
     /// Quantisation of the atlas: 0 (finest) to 51
     #[arg(long, default_value_t = DEFAULT_QP, value_parser = value_parser!(u8).range(0..=51))]
     qp: u8,
@@ -173,10 +178,49 @@ struct RunArgs {
     /// How vertices are skinned
     #[arg(long, value_enum, default_value_t)]
     skinning: Skinning,
+    /// How clients are told of motion
+    #[arg(long, value_enum, default_value_t)]
+    motion: MotionOption,
     /// Vulkan validation layers on
     #[arg(long)]
     validation: bool,
     /// Part of the wanted Vulkan device's name
+    #[arg(long)]
+    device: Option<String>,
+}
+
+#[derive(Args)]
+struct MotionArgs {
+    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
+    scene: String,
+    /// The clip that animated instances play [default: the scene's own choice]
+    #[arg(long)]
+    clip: Option<String>,
+    /// Ways in which vertices move, with commas between them [default: all]
+    #[arg(long, value_delimiter = ',')]
+    kinds: Vec<Kind>,
+    /// A network, as of run, with outage=3s and updates=2 (a second) beside; may be given more than once [default: six]
+    #[arg(long)]
+    link: Vec<Condition>,
+    /// Virtual seconds of each run; an outage begins after 2
+    #[arg(long, default_value_t = 6.0, value_parser = number(0.01..=MOST_S, "seconds"))]
+    seconds: f64,
+    /// Pixels per eye
+    #[arg(long, value_parser = parse_size, default_value = "128x128")]
+    size: [u32; 2],
+    /// Atlas width and height in texels, powers of two from 512x512 to 4096x2048
+    #[arg(long, value_name = "WxH", default_value_t = AtlasExtent::DEFAULT)]
+    atlas: AtlasExtent,
+    /// Seed of links and connections
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Writes the table to this JSON file
+    #[arg(long)]
+    json: Option<PathBuf>,
+    /// Vulkan validation layers on
+    #[arg(long)]
+    validation: bool,
+    /// Part of the server's device's name
     #[arg(long)]
     device: Option<String>,
 }
@@ -255,6 +299,7 @@ fn main() {
     tracing_subscriber::registry().with(layer).with(filter).init();
     let result = match Cli::parse().command {
         Command::Run(args) => run_one(args),
+        Command::Motion(args) => measure_motion(args),
         Command::Demo(args) => run_demo(args),
         Command::Long { out, only: Some(only) } => long::run_all(&out, &only),
         Command::Long { out, only: None } => long::run_all(&out, "").and_then(|()| check_bars(&out, None)),
@@ -300,8 +345,8 @@ fn run_one(args: RunArgs) -> anyhow::Result<()> {
         device: args.device,
         qp: args.qp,
         atlas_extent_texels: args.atlas,
-        scene_options: SceneOptions { sampling: args.sampling, skinning: args.skinning },
-        motion: args.motion,
+        scene_options: SceneOptions { sampling: args.sampling, skinning: args.skinning, motion: args.motion },
+        motion: args.measure_motion,
         verbose: true,
         ..RunOptions::new(args.scene.parse()?, args.out)
     };
@@ -361,6 +406,33 @@ fn run_demo(args: DemoArgs) -> anyhow::Result<()> {
         "Open {} in a browser; the pictures alone: sheet.png beside it",
         options.out.join("index.html").display()
     );
+    Ok(())
+}
+
+fn measure_motion(args: MotionArgs) -> anyhow::Result<()> {
+    let kinds = if args.kinds.is_empty() { KINDS.to_vec() } else { args.kinds };
+    let links = if args.link.is_empty() { Condition::all() } else { args.link };
+    let folder = std::env::temp_dir().join(format!("shadecast-motion-{}", std::process::id()));
+    let options = RunOptions {
+        clip: args.clip,
+        seconds: args.seconds,
+        extent_pixels: args.size,
+        atlas_extent_texels: args.atlas,
+        seed: args.seed,
+        validation: args.validation,
+        device: args.device,
+        verbose: true,
+        ..RunOptions::new(args.scene.parse()?, folder.clone())
+    };
+    let found = motion_table::measure(&options, &args.scene, &kinds, &links);
+    let _ = std::fs::remove_dir_all(&folder);
+    let found = found?;
+    println!("{found}");
+    if let Some(path) = &args.json {
+        let text = serde_json::to_string_pretty(&found)? + "\n";
+        shadecast_transport::write_atomically(path, text.as_bytes())
+            .with_context(|| format!("writing {}", path.display()))?;
+    }
     Ok(())
 }
 

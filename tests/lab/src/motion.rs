@@ -29,6 +29,11 @@ const BAR_DISTANCE_M: f64 = 2.0;
 /// Nobody looks at anything nearer.
 const LEAST_DISTANCE_M: f64 = 0.05;
 
+/// Pixels of the paper's picture that a way across the view takes at 2 m.
+pub(crate) fn px_at_2m(way_mm: f64) -> f64 {
+    way_mm * 1e-3 / BAR_DISTANCE_M * PIXELS_PER_UNIT
+}
+
 /// What was seen over a run.
 #[derive(Debug, Default)]
 pub struct Motion {
@@ -128,7 +133,7 @@ impl Motion {
             p99_error_mm: self.errors_mm.at(99.0)?,
             max_error_px: self.errors_px.largest()?,
             p99_error_px: self.errors_px.at(99.0)?,
-            max_error_px_at_2m: max_error_mm * 1e-3 / BAR_DISTANCE_M * PIXELS_PER_UNIT,
+            max_error_px_at_2m: px_at_2m(max_error_mm),
             ranged_vertices: self.ranged_vertices,
             max_error_percent_of_range: self.errors_percent.largest(),
             p99_error_percent_of_range: self.errors_percent.at(99.0),
@@ -162,6 +167,9 @@ fn ranges_m(scene: &Scene, index: usize) -> Vec<f32> {
     let once_s = |duration_s: f32, speed: f32| f64::from(duration_s / speed.abs().max(1e-3));
     let of_path = instance.path.as_ref().map_or(0.0, |path| once_s(path.clip.duration_s, path.speed));
     let period_s = once_s(model.duration_s(instance.clip), instance.speed).max(of_path);
+    let own = scene.events.iter().filter(|event| event.instance == index);
+    let period_s =
+        own.map(|event| event.at.plus_ns(event.change.fade_ns).seconds()).fold(0.0, f64::max) + period_s;
     let mut boxes = vec![(DVec3::INFINITY, DVec3::NEG_INFINITY); model.vertices.len()];
     for moment in 0..RANGE_TIMES {
         let pose = InstancePose::at(scene, index, period_s * f64::from(moment) / f64::from(RANGE_TIMES));

@@ -186,6 +186,8 @@ pub struct RunOptions {
     pub refresh_hz: f64,
     /// Sampling and skinning.
     pub scene_options: SceneOptions,
+    /// A client whose connection ends connects again, as the one in real time does; otherwise the run ends with it.
+    pub reconnects: bool,
     /// Follows animated vertices at every display frame and compares them with the source curves.
     pub motion: bool,
     /// Prints a progress bar and a summary.
@@ -217,6 +219,7 @@ impl RunOptions {
             rate_hz: 30.0,
             refresh_hz: 72.0,
             scene_options: SceneOptions::default(),
+            reconnects: false,
             motion: false,
             verbose: false,
         }
@@ -256,7 +259,7 @@ impl RunOptions {
         if self.seed != usual.seed {
             line += &format!(" --seed {}", self.seed);
         }
-        for (flag, is_on) in [(" --motion", self.motion), (" --validation", self.validation)] {
+        for (flag, is_on) in [(" --measure-motion", self.motion), (" --validation", self.validation)] {
             line += if is_on { flag } else { "" };
         }
         if scene == "robot.glb" {

@@ -127,6 +127,14 @@ const FIGURES: &[Figure] = &[
         " ms",
         "How far the client's idea of the server's time was off, at worst.",
     ),
+    figure(
+        "Clock error, known",
+        "/clock_error_bound_ms",
+        3,
+        1.0,
+        " ms",
+        "How far it could be off, by what the client itself knew, at worst.",
+    ),
 ];
 
 impl Page {

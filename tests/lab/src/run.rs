@@ -208,9 +208,12 @@ impl Run<'_> {
             renderer: self.options.renderer.name().into(),
             server_fps: sent.updates as f64 / self.options.seconds,
             client_fps: lab.client.stats().client_fps,
-            mbit_per_s: MbitPerS { atlas: mbit(sent.atlas_bytes), geometry: mbit(sent.geometry_bytes) },
-            bytes_per_animated_vertex_sample: (sent.samples > 0)
-                .then(|| sent.sample_bytes as f64 / sent.samples as f64),
+            mbit_per_s: MbitPerS {
+                atlas: mbit(sent.atlas_bytes),
+                geometry: mbit(sent.geometry_bytes + sent.motion.total()),
+            },
+            bytes_per_animated_vertex_sample: (sent.motion.samples > 0)
+                .then(|| sent.motion.sample_bytes as f64 / sent.motion.samples as f64),
             validation_messages,
             gpu_ms: seat
                 .gpu_ms
@@ -219,6 +222,7 @@ impl Run<'_> {
                 .collect(),
             dropped_patches: seat.dropped_patches(),
             clock_errors_ms: self.clock_errors_ms,
+            clock_error_bound_ms: lab.client.stats().clock_error_bound_ms,
             stage_ms: Some(lab.stages()),
         });
         stats.write_json(&self.options.out.join("stats.json"))?;

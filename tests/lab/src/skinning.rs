@@ -129,7 +129,7 @@ pub fn measure(source: &SceneSource, sampling: Sampling) -> anyhow::Result<Skinn
     let rates = RateBench::new(&gpu)?;
     let mut variants = Vec::new();
     for skinning in [Skinning::PerVertexChain, Skinning::Palette, Skinning::Packed] {
-        let options = SceneOptions { sampling, skinning };
+        let options = SceneOptions { sampling, skinning, ..SceneOptions::default() };
         variants.push(Variant::new(&gpu, Arc::new(SceneGpu::new(&gpu, scene.clone(), &options)?))?);
     }
     let mut rates_of_rounds = Vec::new();

@@ -54,7 +54,8 @@ pub fn measure(options: &RunOptions) -> Result<SlowLinkReport> {
     }
     let sent = lab.seat().sent;
     (report.updates, report.withheld) = (sent.updates, sent.withheld);
-    report.sent_mbit_s = (sent.atlas_bytes + sent.geometry_bytes) as f64 * 8e-6 / options.seconds;
+    report.sent_mbit_s =
+        (sent.atlas_bytes + sent.geometry_bytes + sent.motion.total()) as f64 * 8e-6 / options.seconds;
     report.first_picture_s = report.shown_s.first().copied().unwrap_or(options.seconds);
     let times: Vec<f64> = report.shown_s.iter().copied().chain([options.seconds]).collect();
     report.longest_pause_s = times.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);

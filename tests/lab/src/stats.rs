@@ -45,6 +45,8 @@ pub struct Counted {
     /// Differences of the client's estimate of the server's clock from the truth, milliseconds, one for each display
     /// frame; empty where there is nothing to estimate.
     pub clock_errors_ms: Vec<f64>,
+    /// How far the client knew that estimate could be off at most, milliseconds; none where it showed nothing.
+    pub clock_error_bound_ms: Option<f64>,
     /// Durations of stages in virtual time; none in real time.
     pub stage_ms: Option<StageMs>,
 }
@@ -108,6 +110,9 @@ pub struct Stats {
     /// 99 of 100 display frames have no larger difference.
     #[serde(default)]
     pub clock_error_p99_ms: Option<f64>,
+    /// How far the client itself knew at worst that its estimate could be off, without knowing the truth.
+    #[serde(default)]
+    pub clock_error_bound_ms: Option<f64>,
     /// Milliseconds that stages took in virtual time; null in real time.
     #[serde(default)]
     pub stage_ms: Option<StageMs>,
@@ -205,6 +210,7 @@ impl Summary {
             dropped_patches: counted.dropped_patches,
             clock_error_ms,
             clock_error_p99_ms,
+            clock_error_bound_ms: counted.clock_error_bound_ms,
             stage_ms: counted.stage_ms,
         }
     }
@@ -269,7 +275,9 @@ impl fmt::Display for Stats {
         self.fmt_region(f, "moving shadows", &self.shadowed)?;
         self.fmt_compared(f)?;
         let p99 = figure(self.clock_error_p99_ms, 2, " ms");
-        line(f, "clock error", format_args!("{} (99 %: {p99})", figure(self.clock_error_ms, 2, " ms")))?;
+        let (worst, bound) =
+            (figure(self.clock_error_ms, 2, " ms"), figure(self.clock_error_bound_ms, 2, " ms"));
+        line(f, "clock error", format_args!("{worst} (99 %: {p99}; known to be below {bound})"))?;
         line(f, "dropped patches", format_args!("{}", self.dropped_patches))?;
         line(f, "validation", format_args!("{} messages", self.validation_messages))?;
         let stages: Vec<_> = self.gpu_ms.iter().map(|(stage, ms)| format!("{stage} {ms:.1}")).collect();
@@ -441,6 +449,7 @@ mod tests {
             "shadowed",
             "dropped_patches",
             "clock_error_ms",
+            "clock_error_bound_ms",
             "stage_ms",
         ] {
             assert!(value.get(key).is_some(), "{key} is missing in {json}");

@@ -42,8 +42,7 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<TearingReport> {
     let mut vertex_of_slot = HashMap::new();
     while let Step::Frame(frame) = lab.step()? {
         // Slots that have left the server's list may still be on display: their last vertex counts.
-        let sampled =
-            lab.seat().viewer.iter().flat_map(|viewer| viewer.updates().residency().motion().vertices());
+        let sampled = lab.seat().viewer.iter().flat_map(|viewer| viewer.updates().residency().moving());
         vertex_of_slot.extend(sampled.map(|(slot, vertex)| (slot.0, vertex)));
         let (Some(_), Some(time)) = (frame.update, frame.motion_time) else { continue };
         report.frames += 1;

@@ -6,7 +6,7 @@ use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::ids::DiscontinuityId;
 use shadecast_protocol::limits::ATLAS_MAX_EXTENT;
 use shadecast_protocol::message::{
-    Capabilities, ClientHello, Codec, Environment, HeadState, ResumeSecret, ServerOffer,
+    Capabilities, ClientHello, Codec, Environment, HeadState, MotionMemory, ResumeSecret, ServerOffer,
 };
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
@@ -29,6 +29,7 @@ pub fn hello() -> ClientHello {
             max_atlas_extent: ATLAS_MAX_EXTENT,
             max_vertex_slots: 1000,
             max_patch_slots: 1000,
+            motion: MotionMemory::DEFAULT,
             codecs: vec![Codec::H264],
             eyes: eyes(),
             eye_extent_pixels: [64, 64],
@@ -49,6 +50,7 @@ pub fn offer() -> ServerOffer {
         atlas_extent_texels: AtlasExtent::MIN,
         vertex_slots: 1000,
         patch_slots: 1000,
+        motion: MotionMemory::DEFAULT,
         codecs: vec![Codec::H264],
         environment: Environment { zenith: [0.5; 3], horizon: [0.5; 3], nadir: [0.5; 3] },
         world_from_stage: Pose::IDENTITY,

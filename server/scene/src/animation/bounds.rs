@@ -5,9 +5,11 @@
 //! the boxes of what each entry moves. Moving 8 corners for each entry is far cheaper than moving every vertex, and
 //! allows as many moments as the display has.
 
-use super::pose;
-use crate::{Instance, Model, Morph, Path};
+use super::{clip, playing, pose};
+use crate::timeline::ClipIndex;
+use crate::{Instance, Model, Morph, Path, Trs};
 use glam::{Affine3A, Vec3};
+use shadecast_protocol::motion::playback::{Playback, Schedule};
 
 /// Moments looked at per second of a curve.
 const MOMENTS_PER_S: f32 = 60.0;
@@ -62,12 +64,79 @@ impl Bounds {
 /// Around the model in model space, over a whole clip; empty for a model without vertices.
 pub fn model_bounds(model: &Model, clip: Option<usize>) -> Bounds {
     let boxes = entry_boxes(model);
-    let moved = |t_s: f64| {
-        let palette = pose::source_palette(model, clip, t_s);
-        let corners = boxes.iter().map(|(entry, corners)| transformed(palette[*entry], corners));
-        corners.collect::<Vec<_>>()
+    over_time(model.duration_s(clip), |t_s| moved(&boxes, &pose::source_palette(model, clip, t_s)))
+}
+
+/// Around the model in model space while one clip is faded into another; empty for a schedule without fades.
+pub fn fade_bounds(model: &Model, schedule: &Schedule<ClipIndex>) -> Bounds {
+    let mut fades = schedule.entries().windows(2).filter(|pair| pair[1].fade_ns > 0).peekable();
+    if fades.peek().is_none() {
+        return Bounds::EMPTY;
+    }
+    let boxes = entry_boxes(model);
+    let of_fade = |pair: &[Playback<ClipIndex>]| {
+        let speed = pair.iter().map(|entry| entry.speed.abs()).fold(1.0, f64::max);
+        let (from, fade_s) = (pair[1].from, pair[1].fade_ns as f64 * 1e-9);
+        // As long as the clips need that are faded: so many moments are looked at.
+        over_time((fade_s * speed) as f32, |t_s| {
+            let playing = schedule.at(from.plus_ns((t_s / speed * 1e9) as i64));
+            let globals = pose::global_pose(model, &playing::source_pose(model, &playing));
+            moved(&boxes, &pose::palette(model, &globals))
+        })
     };
-    over_time(model.duration_s(clip), moved)
+    fades.map(of_fade).fold(Bounds::EMPTY, Bounds::union)
+}
+
+/// How far from a model's origin its poses can take vertices, however their bones are turned.
+#[derive(Clone, Debug)]
+pub struct Reach {
+    parents: Vec<Option<u32>>,
+    /// For each palette entry that moves a vertex: its bone, and how far from there what it moves lies, metres.
+    entries: Vec<(u32, f32)>,
+}
+
+impl Reach {
+    /// Of a model.
+    pub fn new(model: &Model) -> Self {
+        let of_entry = |(number, corners): (usize, [Vec3; 8])| {
+            let entry = &model.palette[number];
+            let from_bone = corners.map(|corner| entry.bone_from_mesh.transform_point3(corner).length());
+            (entry.bone, from_bone.into_iter().fold(0.0, f32::max))
+        };
+        let parents = model.bones.iter().map(|bone| bone.parent).collect();
+        Self { parents, entries: entry_boxes(model).into_iter().map(of_entry).collect() }
+    }
+
+    /// Bones of the model.
+    pub fn bone_count(&self) -> usize {
+        self.parents.len()
+    }
+
+    /// Of a pose, the local transform of each bone: metres of model space.
+    pub fn of_pose_m(&self, locals: &[Trs]) -> f32 {
+        // By bone: how far its origin is at most, and how much it stretches.
+        let mut bones: Vec<(f32, f32)> = Vec::with_capacity(locals.len());
+        for (parent, local) in self.parents.iter().zip(locals) {
+            let (far, scale) = parent.map_or((0.0, 1.0), |parent| bones[parent as usize]);
+            let own = local.scale.abs().max_element();
+            bones.push((far + scale * local.translation.length(), scale * own));
+        }
+        let of_entry = |(bone, from_bone): &(u32, f32)| {
+            let (far, scale) = bones[*bone as usize];
+            far + scale * from_bone
+        };
+        self.entries.iter().map(of_entry).fold(0.0, f32::max)
+    }
+
+    /// Of all of a clip of the model.
+    pub fn of_clip_m(&self, model: &Model, clip: ClipIndex) -> f32 {
+        let reach = |t_s: f64| self.of_pose_m(&clip::source_pose(model, clip, t_s));
+        moments(model.duration_s(clip)).map(reach).fold(0.0, f32::max)
+    }
+}
+
+fn moved(boxes: &EntryBoxes, palette: &[Affine3A]) -> Vec<[Vec3; 8]> {
+    boxes.iter().map(|(entry, corners)| transformed(palette[*entry], corners)).collect()
 }
 
 /// Around an instance in the world, at any time: `of_model` is [`model_bounds`] of its model and clip.
@@ -90,11 +159,11 @@ fn path_bounds(path: &Path, corners: &[Vec3; 8]) -> Bounds {
 
 /// Around all corners at all moments of a curve, and between them.
 fn over_time(duration_s: f32, corners_at: impl Fn(f64) -> Vec<[Vec3; 8]>) -> Bounds {
-    let steps = ((duration_s.max(0.0) * MOMENTS_PER_S).ceil() as u32).min(MAX_MOMENTS);
-    let mut before = corners_at(0.0);
+    let mut moments = moments(duration_s);
+    let mut before = corners_at(moments.next().unwrap_or(0.0));
     let mut found = Bounds::around(before.iter().flatten().copied());
-    for step in 1..=steps {
-        let now = corners_at(f64::from(duration_s) * f64::from(step) / f64::from(steps));
+    for t_s in moments {
+        let now = corners_at(t_s);
         for (from, to) in before.iter().zip(&now) {
             let moved = from.iter().zip(to).map(|(a, b)| a.distance(*b)).fold(0.0, f32::max);
             let swept = Bounds::around(from.iter().chain(to).copied());
@@ -105,12 +174,21 @@ fn over_time(duration_s: f32, corners_at: impl Fn(f64) -> Vec<[Vec3; 8]>) -> Bou
     found
 }
 
+/// The moments of a curve that are looked at, seconds: its start first.
+fn moments(duration_s: f32) -> impl Iterator<Item = f64> {
+    let steps = ((duration_s.max(0.0) * MOMENTS_PER_S).ceil() as u32).min(MAX_MOMENTS);
+    let later = (1..=steps).map(move |step| f64::from(duration_s) * f64::from(step) / f64::from(steps));
+    std::iter::once(0.0).chain(later)
+}
+
 fn transformed(matrix: Affine3A, corners: &[Vec3; 8]) -> [Vec3; 8] {
     corners.map(|corner| matrix.transform_point3(corner))
 }
 
 /// For each palette entry that moves a vertex: its number, and the corners of a box around what it moves.
-fn entry_boxes(model: &Model) -> Vec<(usize, [Vec3; 8])> {
+type EntryBoxes = Vec<(usize, [Vec3; 8])>;
+
+fn entry_boxes(model: &Model) -> EntryBoxes {
     let mut boxes = vec![Bounds::EMPTY; model.palette.len()];
     let reach = morph_reach(model);
     for (index, vertex) in model.vertices.iter().enumerate() {

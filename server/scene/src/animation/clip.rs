@@ -1,6 +1,6 @@
 //! Source curves, evaluated exactly as their formats define them.
 
-use crate::{Interpolation, Model, MorphTrack, Repetition, Track, TrackValues, Trs};
+use crate::{Interpolation, Model, MorphTrack, Track, TrackValues, Trs};
 use glam::{Quat, Vec3, Vec4};
 
 /// The value of a curve.
@@ -12,29 +12,6 @@ pub enum TrackValue {
     Rotation(Quat),
     /// Factors.
     Scale(Vec3),
-}
-
-/// Where a clip stands: `time_s` brought into `[0, duration_s]`; 0 for a clip without duration. A loop never stands
-/// at its very end, which is its start. Double precision, because a session may last for days and a phase must still
-/// be right to the microsecond.
-pub fn clip_phase(time_s: f64, duration_s: f32, repetition: Repetition) -> f64 {
-    let duration_s = f64::from(duration_s);
-    if duration_s <= 0.0 || !time_s.is_finite() {
-        return 0.0;
-    }
-    let wrapped = |period_s: f64| {
-        let phase = time_s.rem_euclid(period_s);
-        // A tiny negative time rounds up to the period itself.
-        if phase < period_s { phase } else { 0.0 }
-    };
-    match repetition {
-        Repetition::Once => time_s.clamp(0.0, duration_s),
-        Repetition::Loop => wrapped(duration_s),
-        Repetition::PingPong => {
-            let phase = wrapped(2.0 * duration_s);
-            if phase <= duration_s { phase } else { 2.0 * duration_s - phase }
-        }
-    }
 }
 
 /// The local transforms of all bones by the source curves, `t_s` seconds into the clip, not wrapped: before the first
@@ -280,27 +257,6 @@ mod tests {
             let TrackValue::Rotation(found) = evaluate_track(&track, 0.25) else { panic!("rotation") };
             assert!(found.angle_between(Quat::from_rotation_y(0.4)) < 1e-3, "{found}");
         }
-    }
-
-    #[test]
-    fn once_holds_its_ends_and_ping_pong_comes_back() {
-        let at = |time_s, repetition| clip_phase(time_s, 4.0, repetition);
-        assert_eq!([-1.0, 1.0, 9.0].map(|t| at(t, Repetition::Once)), [0.0, 1.0, 4.0]);
-        assert_eq!(
-            [1.0, 4.0, 5.0, 9.0, -1.0].map(|t| at(t, Repetition::PingPong)),
-            [1.0, 4.0, 3.0, 1.0, 1.0]
-        );
-    }
-
-    #[test]
-    fn phase_wraps_and_stays_exact_after_a_week() {
-        assert_eq!(clip_phase(9.0, 4.0, Repetition::Loop), 1.0);
-        assert_eq!(clip_phase(-1.0, 4.0, Repetition::Loop), 3.0);
-        assert_eq!(clip_phase(4.0, 4.0, Repetition::Loop), 0.0);
-        assert_eq!(clip_phase(-1e-20, 4.0, Repetition::Loop), 0.0);
-        assert_eq!(clip_phase(5.0, 0.0, Repetition::Loop), 0.0);
-        assert_eq!(clip_phase(f64::NAN, 4.0, Repetition::Loop), 0.0);
-        assert!((clip_phase(604_800.0 + 1.25, 4.0, Repetition::Loop) - 1.25).abs() < 1e-6);
     }
 
     #[test]

@@ -5,7 +5,6 @@
 //! their values, which for a rotation is an angle. Curves that hardly move (below 0.1 mrad, 0.01 mm or 0.00001) have no
 //! range to speak of and are left out. Vertices are compared at the keys of all curves, in millimetres.
 
-use super::clip::clip_phase;
 use super::pose;
 use super::sampling::SampledClip;
 use super::sampling::SampledTrack;
@@ -15,6 +14,7 @@ use super::sampling::source::{Source, Sources};
 use crate::{Model, Repetition};
 use glam::{Vec3A, Vec4};
 use serde::Serialize;
+use shadecast_protocol::motion::playback::phase_s;
 use std::collections::BTreeMap;
 
 /// Most times at which vertices are compared; evenly fewer keys where there are more.
@@ -282,7 +282,7 @@ impl Grid {
     fn time_s(&self, index: i64) -> Option<f64> {
         let time_s = index as f64 * self.spacing_s - self.phase_s;
         if self.is_closed {
-            return Some(clip_phase(time_s, self.duration_s, Repetition::Loop));
+            return Some(phase_s(time_s, self.duration_s, Repetition::Loop));
         }
         (0.0..=f64::from(self.duration_s)).contains(&time_s).then_some(time_s)
     }

@@ -3,6 +3,8 @@
 pub mod bounds;
 pub mod clip;
 pub mod error;
+pub mod played;
+pub mod playing;
 pub mod pose;
 pub mod sampling;
 #[cfg(test)]

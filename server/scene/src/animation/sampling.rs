@@ -253,7 +253,7 @@ pub fn world_scale(scene: &Scene, model: usize) -> f32 {
 }
 
 /// The length of a transform's longest axis.
-pub(crate) fn longest_axis(matrix: &Affine3A) -> f32 {
+pub fn longest_axis(matrix: &Affine3A) -> f32 {
     let m = matrix.matrix3;
     [m.x_axis, m.y_axis, m.z_axis].map(Vec3A::length).into_iter().fold(0.0, f32::max)
 }

@@ -178,6 +178,16 @@ impl<'a> Fields<'a> {
         Err(self.error(key, format!("\"{key}\" must be from {low} to {high} {unit}")))
     }
 
+    /// A time in seconds within a range, as nanoseconds.
+    pub(super) fn nanoseconds(
+        &self,
+        key: &str,
+        range: RangeInclusive<f32>,
+    ) -> Result<Option<i64>, SceneError> {
+        self.number_within(key, range, "seconds")?;
+        Ok(self.get(key).and_then(finite_double).map(|seconds| (seconds * 1e9).round() as i64))
+    }
+
     /// Any number of numbers.
     pub(super) fn number_list(&self, key: &str) -> Result<Option<Vec<f32>>, SceneError> {
         let Some(value) = self.get(key) else { return Ok(None) };
@@ -262,11 +272,15 @@ impl<'a> Fields<'a> {
 }
 
 fn finite_number(value: &DeValue) -> Option<f32> {
+    let number = finite_double(value)? as f32;
+    number.is_finite().then_some(number)
+}
+
+fn finite_double(value: &DeValue) -> Option<f64> {
     let number: f64 = match value {
         DeValue::Float(float) => float.as_str().parse().ok()?,
         DeValue::Integer(integer) => i64::from_str_radix(integer.as_str(), integer.radix()).ok()? as f64,
         _ => return None,
     };
-    let number = number as f32;
     number.is_finite().then_some(number)
 }

@@ -6,6 +6,7 @@
 //! stranger's, may name files of its own folder only (`references`).
 //! `docs/scene.example.toml` shows everything that a scene file can say.
 
+mod event;
 mod fields;
 mod light;
 mod path;
@@ -21,12 +22,14 @@ pub use path::{MAX_PATH_DURATION_S, MAX_PATH_KEYS};
 pub use placement::{MAX_PLACED, cells, spread};
 pub use view::{DEFAULT_FOV_DEG, FOV_RANGE_DEG};
 
+use crate::timeline::Change;
 use crate::{Camera, Environment, HeadPath, Path, PlacedLight, Repetition, SceneError, Sun, ground};
 use fields::{Fields, Source};
 use glam::Affine3A;
 use placement::Named;
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::text::printable;
+use shadecast_protocol::time::ServerTime;
 use std::path::PathBuf;
 use toml::de::DeTable;
 
@@ -40,6 +43,8 @@ pub struct SceneFile {
     pub models: Vec<ModelEntry>,
     /// In the order of the file, cells of grids last; at least one, at most [`MAX_PLACED`].
     pub instances: Vec<InstanceEntry>,
+    /// What changes as time goes by, in order of time; of one instance, none amid the fade of another.
+    pub events: Vec<EventEntry>,
     /// The light that casts shadows.
     pub sun: Sun,
     /// Other lights, at most [`MAX_LIGHTS`](shadecast_protocol::limits::MAX_LIGHTS).
@@ -97,6 +102,21 @@ pub struct InstanceEntry {
     pub clip: ClipChoice,
     /// Whether the sun casts its shadow.
     pub casts_shadow: bool,
+    /// Whether an application may change what it plays, and pose it.
+    pub live: bool,
+}
+
+/// An `[[event]]`.
+#[derive(Clone, Debug)]
+pub struct EventEntry {
+    /// When.
+    pub at: ServerTime,
+    /// Index into [`SceneFile::instances`].
+    pub instance: usize,
+    /// The clip from then on; `None` where it says nothing of that.
+    pub clip: Option<ClipChoice>,
+    /// What else changes.
+    pub change: Change,
 }
 
 /// A shift of time, part of it in units of a clip that is not known yet.
@@ -131,6 +151,17 @@ pub enum ClipChoice {
     Named(String, usize),
 }
 
+impl ClipChoice {
+    /// What a table's "clip" says; `None` where it says nothing.
+    fn read(fields: &Fields) -> Result<Option<Self>, SceneError> {
+        let choice = |(name, line): (String, usize)| match name.is_empty() {
+            true => Self::Rest,
+            false => Self::Named(name, line),
+        };
+        Ok(fields.string("clip")?.map(choice))
+    }
+}
+
 /// Reads the text of a scene file. `file` is its name, for messages.
 pub fn parse(text: &str, file: &str) -> Result<SceneFile, SceneError> {
     let source = Source::new(text, file);
@@ -139,9 +170,11 @@ pub fn parse(text: &str, file: &str) -> Result<SceneFile, SceneError> {
     let models = read_models(&root)?;
     let paths = path::read_paths(&root)?;
     let instances = placement::read_instances(&root, &Named { models: &models, paths: &paths })?;
+    let events = event::read_events(&root, &instances)?;
     Ok(SceneFile {
         models,
         instances,
+        events,
         sun: light::read_sun(&root)?,
         lights: light::read_lights(&root)?,
         environment: light::read_environment(&root)?,
@@ -152,10 +185,11 @@ pub fn parse(text: &str, file: &str) -> Result<SceneFile, SceneError> {
     })
 }
 
-const ROOT_KEYS: [&str; 12] = [
+const ROOT_KEYS: [&str; 13] = [
     "model",
     "instance",
     "grid",
+    "event",
     "path",
     "sun",
     "light",

@@ -14,7 +14,7 @@ use shadecast_protocol::text::printable;
 pub const MAX_PLACED: u32 = MAX_INSTANCES - 1;
 
 /// What instances and grids both have.
-const SHARED_KEYS: [&str; 11] = [
+const SHARED_KEYS: [&str; 12] = [
     "name",
     "model",
     "rotation_euler_deg",
@@ -26,6 +26,7 @@ const SHARED_KEYS: [&str; 11] = [
     "path",
     "path_time_shift_s",
     "casts_shadow",
+    "live",
 ];
 const INSTANCE_KEYS: [&str; 2] = ["translation", "matrix"];
 const GRID_KEYS: [&str; 9] = [
@@ -86,11 +87,7 @@ fn read_shared(fields: &Fields, named: &Named, index: usize) -> Result<InstanceE
     let (model_name, line) = fields.required_string("model")?;
     let names = named.models.iter().map(|model| model.name.as_str());
     let model = position_of(fields, "model", (&model_name, line), names)?;
-    let clip = match fields.string("clip")? {
-        None => ClipChoice::First,
-        Some((name, _)) if name.is_empty() => ClipChoice::Rest,
-        Some((name, line)) => ClipChoice::Named(name, line),
-    };
+    let clip = ClipChoice::read(fields)?.unwrap_or(ClipChoice::First);
     let name = fields.string("name")?.map(|(name, _)| name);
     let seconds = fields.number("time_shift_s")?.unwrap_or(0.0);
     Ok(InstanceEntry {
@@ -103,6 +100,7 @@ fn read_shared(fields: &Fields, named: &Named, index: usize) -> Result<InstanceE
         repetition: fields.choice("repetition", &REPETITIONS)?.unwrap_or_default(),
         clip,
         casts_shadow: fields.flag("casts_shadow")?.unwrap_or(true),
+        live: fields.flag("live")?.unwrap_or(false),
     })
 }
 

@@ -607,6 +607,7 @@ fn viewed(text: &str) -> Scene {
     Scene {
         models: Vec::new(),
         instances: Vec::new(),
+        events: Vec::new(),
         sun,
         lights,
         environment,
@@ -682,4 +683,116 @@ fn extreme_numbers_never_panic_nor_make_a_path_that_is_not_finite() {
             }
         }
     }
+}
+
+// ---- events ----
+
+const EVENTS: &str = r#"
+[[model]]
+name = "dragon"
+file = "dragon"
+
+[[instance]]
+model = "dragon"
+name = "near"
+live = true
+
+[[grid]]
+model = "dragon"
+name = "far"
+count = [2, 1, 1]
+spacing = [2, 0, 0]
+
+[[event]]
+at = 4.1
+instance = "near"
+clip = ""
+seek = -0.5
+fade = 0.25
+
+[[event]]
+at = 2
+instance = "near"
+pause = true
+
+[[event]]
+at = 2
+instance = "far 1,0,0"
+clip = "fly"
+speed = -0.5
+repetition = "once"
+"#;
+
+#[test]
+fn events_arrive_in_order_of_time() {
+    let file = parse(EVENTS, "scene.toml").expect("a good file");
+    assert_eq!(file.instances.iter().map(|i| i.live).collect::<Vec<_>>(), [true, false, false]);
+    let [pause, back, rest] = &file.events[..] else { panic!("three events") };
+    assert_eq!((pause.at, pause.instance, &pause.clip), (ServerTime(2_000_000_000), 0, &None));
+    assert_eq!(pause.change, Change { speed: Some(0.0), ..Change::default() });
+    assert_eq!((back.instance, &back.clip), (2, &Some(ClipChoice::Named("fly".into(), 32))));
+    let backwards = Change { speed: Some(-0.5), repetition: Some(Repetition::Once), ..Change::default() };
+    assert_eq!(back.change, backwards);
+    assert_eq!((rest.at, &rest.clip), (ServerTime(4_100_000_000), &Some(ClipChoice::Rest)));
+    let sought = Change { local_s: Some(-0.5), fade_ns: 250_000_000, ..Change::default() };
+    assert_eq!(rest.change, sought);
+}
+
+#[test]
+fn faults_of_events_are_shown_where_they_stand() {
+    let cases = [
+        (
+            "instance = \"near\"\nclip",
+            "instance = \"nera\"\nclip",
+            "scene.toml:19: instance \"nera\" is not defined; did you mean \"near\"?",
+        ),
+        ("seek = -0.5", "sek = -0.5", "scene.toml:21: event has no \"sek\"; did you mean \"seek\"?"),
+        ("at = 4.1", "at = 0", "scene.toml:18: \"at\" must be from 0.001 to 86400 seconds"),
+        ("at = 4.1", "", "scene.toml:17: event needs \"at\""),
+        ("fade = 0.25", "fade = 61", "scene.toml:22: \"fade\" must be from 0 to 60 seconds"),
+        (
+            "pause = true",
+            "pause = false",
+            "scene.toml:27: \"pause\" can only be true; to go on, give \"speed\"",
+        ),
+        (
+            "pause = true",
+            "pause = true\nspeed = 2",
+            "scene.toml:27: \"pause\" cannot be combined with \"speed\"; keep one",
+        ),
+        (
+            "pause = true",
+            "fade = 1",
+            "scene.toml:24: event changes nothing; give it clip, speed, pause, seek, repetition",
+        ),
+        (
+            "\"once\"",
+            "\"onec\"",
+            "scene.toml:34: \"repetition\" of event cannot be \"onec\"; did you mean \"once\"?",
+        ),
+        (
+            "[[grid]]",
+            "[[instance]]\nmodel = \"dragon\"\nname = \"near\"\n[[grid]]",
+            "scene.toml:22: several instances have the name \"near\"; give each its own",
+        ),
+        (
+            "at = 2\ninstance = \"near\"",
+            "at = 4.2\ninstance = \"near\"",
+            "scene.toml:25: at 4.200 s the instance's event of 4.100 s is not over before 4.350 s; put this one \
+             there or later, or shorten the fade of that one",
+        ),
+        (
+            "at = 2\ninstance = \"near\"",
+            "at = 4.1\ninstance = \"near\"",
+            "scene.toml:25: at 4.100 s the instance's event of 4.100 s is not over before 4.350 s; put this one \
+             there or later, or shorten the fade of that one",
+        ),
+    ];
+    for (from, to, expected) in cases {
+        assert_eq!(EVENTS.matches(from).count(), 1, "{from}");
+        assert_eq!(message(&EVENTS.replace(from, to)), expected, "{from} -> {to}");
+    }
+    let event = "[[event]]\nat = 1\ninstance = \"near\"\npause = true\n";
+    let many = EVENTS.to_owned() + &event.repeat(4094);
+    assert_eq!(message(&many), "scene.toml:16407: a scene can have 4096 events");
 }

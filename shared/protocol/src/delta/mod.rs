@@ -1,6 +1,6 @@
 //! The bytes of what an update tells the client: geometry ([`crate::geometry`]) and samples ([`crate::motion`]).
 //!
-//! A header with the lengths of seven sections, then the sections: explicit little-endian blocks and varints, small because
+//! A header with the lengths of its sections, then the sections: explicit little-endian blocks and varints, small because
 //! slots come in runs. Both sides keep the client's memory and the pasts of its samples, so that samples need no slots, and so
 //! that a delta which contradicts the memory is refused.
 
@@ -11,23 +11,28 @@ use crate::geometry::GeometryDelta;
 use crate::ids::{PatchSlot, UpdateId, VertexSlot};
 use crate::limits::MAX_DELTA_BYTES;
 use crate::memory::ClientMemory;
+use crate::message::MotionMemory;
+use crate::motion::predicted::{put_predictions, take_predictions};
+use crate::motion::rest::{PlacedRest, put_rests, take_rests};
 use crate::motion::samples::{SampleEncoder, SampleHistory};
 use crate::motion::{PositionBatch, SampleBatch};
 use crate::time::ServerTime;
-use crate::wire::{GEOMETRY_MAGIC, Reader, WireError, check_count, invalid, peek_update};
+use crate::wire::{DeltaHead, GEOMETRY_MAGIC, Reader, WireError, check_count, invalid, peek_delta};
 use batches::{put_samples, take_samples};
 use sections::{
-    put_evictions, put_instances, put_patches, put_placements, put_vertices, take_evictions, take_instances,
-    take_patches, take_placements, take_vertices,
+    put_evictions, put_instances, put_patches, put_placements, put_skinned, put_vertices, take_evictions,
+    take_instances, take_patches, take_placements, take_skinned, take_vertices,
 };
 
-const SECTIONS: usize = 7;
+const SECTIONS: usize = 10;
 
-/// What one update tells the client beside its picture.
+/// What an update tells the client beside its picture, or what it is told of samples between two updates.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Delta {
-    /// What changes in its memory.
+    /// What changes in its memory; between updates nothing, and the update is the last one.
     pub geometry: GeometryDelta,
+    /// False between updates.
+    pub is_update: bool,
     /// New samples. They count from arrival on, not from the update's display.
     pub samples: Vec<SampleBatch>,
 }
@@ -41,7 +46,7 @@ impl Delta {
 
 impl From<GeometryDelta> for Delta {
     fn from(geometry: GeometryDelta) -> Self {
-        Self { geometry, samples: Vec::new() }
+        Self { geometry, is_update: true, samples: Vec::new() }
     }
 }
 
@@ -50,8 +55,12 @@ impl From<GeometryDelta> for Delta {
 pub struct ReceivedDelta {
     /// What changes in its memory.
     pub geometry: GeometryDelta,
+    /// False between updates.
+    pub is_update: bool,
     /// New samples, in metres.
     pub positions: Vec<PositionBatch>,
+    /// New vertices before skinning, in units of their meshes.
+    pub rests: Vec<PlacedRest>,
 }
 
 impl ReceivedDelta {
@@ -64,8 +73,8 @@ impl ReceivedDelta {
 /// A delta's bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EncodedDelta {
-    /// The update.
-    pub update: UpdateId,
+    /// The update; between updates `None`.
+    pub update: Option<UpdateId>,
     /// For [`DeltaDecoder::decode`].
     pub bytes: Vec<u8>,
     /// Where they went.
@@ -79,6 +88,10 @@ pub struct DeltaSizes {
     pub total_bytes: usize,
     /// New vertices and evictions of vertices.
     pub vertex_bytes: usize,
+    /// Skeletons, meshes, and instances of them.
+    pub skeleton_bytes: usize,
+    /// Vertices before skinning.
+    pub rest_bytes: usize,
     /// New patches and evictions of patches.
     pub patch_bytes: usize,
     /// Placements.
@@ -87,11 +100,18 @@ pub struct DeltaSizes {
     pub sample_bytes: usize,
     /// Vertex samples coded in `sample_bytes`.
     pub samples: usize,
+    /// Predictions.
+    pub prediction_bytes: usize,
+    /// Vertices that enter.
+    pub new_vertices: usize,
+    /// Vertices before skinning that are told.
+    pub new_rests: usize,
 }
 
 /// The server's side of one client's memory.
 #[derive(Clone, Debug)]
 pub struct DeltaEncoder {
+    next: u32,
     memory: ClientMemory,
     history: SampleHistory,
     encoder: SampleEncoder,
@@ -110,10 +130,25 @@ impl DeltaEncoder {
     /// For the capacities of [`crate::message::Welcome`], with an empty memory.
     pub fn new(vertex_slots: u32, patch_slots: u32) -> Self {
         Self {
+            next: 0,
             memory: ClientMemory::new(vertex_slots, patch_slots),
             history: SampleHistory::new(vertex_slots),
             encoder: SampleEncoder::new(),
         }
+    }
+
+    /// With so much memory to skin.
+    #[must_use]
+    pub fn with_motion(mut self, motion: MotionMemory) -> Self {
+        self.memory = self.memory.with_motion(motion);
+        self
+    }
+
+    /// The next delta is this one of the session.
+    #[must_use]
+    pub fn from_delta(mut self, sequence: u32) -> Self {
+        self.next = sequence;
+        self
     }
 
     /// The client's memory after all deltas so far.
@@ -124,7 +159,7 @@ impl DeltaEncoder {
     /// The delta's bytes; brings the memory up to date. A delta that contradicts it or a limit is a bug of the caller and
     /// panics.
     pub fn encode(&mut self, delta: &Delta) -> EncodedDelta {
-        let Delta { geometry, samples } = delta;
+        let Delta { geometry, is_update, samples } = delta;
         let update = geometry.update;
         let entered =
             self.memory.apply(geometry).unwrap_or_else(|error| panic!("delta {}: {error}", update.0));
@@ -133,25 +168,34 @@ impl DeltaEncoder {
         put_evictions(&mut sections[0], geometry.evicted_patches.iter().map(|slot| slot.0));
         put_evictions(&mut sections[1], geometry.evicted_vertices.iter().map(|slot| slot.0));
         put_instances(&mut sections[2], &geometry.instances);
-        put_vertices(&mut sections[3], &geometry.new_vertices);
-        put_patches(&mut sections[4], &geometry.new_patches);
-        put_placements(&mut sections[5], &geometry.placements);
+        put_skinned(&mut sections[3], &geometry.skinned);
+        put_rests(&mut sections[4], &geometry.new_rests);
+        put_vertices(&mut sections[5], &geometry.new_vertices);
+        put_patches(&mut sections[6], &geometry.new_patches);
+        put_placements(&mut sections[7], &geometry.placements);
         let code = |batch: &SampleBatch, out: &mut Vec<u8>| {
             self.encoder.encode_batch(batch, &mut self.history, out);
         };
-        put_samples(&mut sections[6], samples, &entered.sampled, &self.memory.sampled_slots(), code);
-        let bytes = put_header_and(geometry, &sections);
+        put_samples(&mut sections[8], samples, &entered.sampled, &self.memory.sampled_slots(), code);
+        put_predictions(&mut sections[9], &geometry.predictions);
+        let bytes = put_header_and([self.next, u32::from(*is_update)], geometry, &sections);
+        self.next = self.next.saturating_add(1);
         assert!(bytes.len() <= MAX_DELTA_BYTES, "delta {} has {} bytes", update.0, bytes.len());
         let length = |indices: &[usize]| indices.iter().map(|&index| sections[index].len()).sum();
         let sizes = DeltaSizes {
             total_bytes: bytes.len(),
-            vertex_bytes: length(&[1, 2, 3]),
-            patch_bytes: length(&[0, 4]),
-            placement_bytes: length(&[5]),
-            sample_bytes: length(&[6]),
+            vertex_bytes: length(&[1, 2, 5]),
+            skeleton_bytes: length(&[3]),
+            rest_bytes: length(&[4]),
+            patch_bytes: length(&[0, 6]),
+            placement_bytes: length(&[7]),
+            sample_bytes: length(&[8]),
+            prediction_bytes: length(&[9]),
+            new_vertices: geometry.new_vertices.len(),
+            new_rests: geometry.new_rests.len(),
             samples: samples.iter().map(|batch| batch.values.len()).sum(),
         };
-        EncodedDelta { update, bytes, sizes }
+        EncodedDelta { update: is_update.then_some(update), bytes, sizes }
     }
 }
 
@@ -163,6 +207,13 @@ impl DeltaDecoder {
             history: SampleHistory::new(vertex_slots),
             broken: false,
         }
+    }
+
+    /// With so much memory to skin.
+    #[must_use]
+    pub fn with_motion(mut self, motion: MotionMemory) -> Self {
+        self.memory = self.memory.with_motion(motion);
+        self
     }
 
     /// The client's memory after all deltas so far.
@@ -184,37 +235,58 @@ impl DeltaDecoder {
 
     /// The same, with samples in metres.
     pub fn receive(&mut self, bytes: &[u8]) -> Result<ReceivedDelta, WireError> {
-        let Delta { geometry, samples } = self.decode(bytes)?;
-        Ok(ReceivedDelta { geometry, positions: self.memory.positions(&samples) })
+        let Delta { geometry, is_update, samples } = self.decode(bytes)?;
+        let (positions, rests) = (self.memory.positions(&samples), self.memory.rests(&geometry.new_rests));
+        Ok(ReceivedDelta { geometry, is_update, positions, rests })
     }
 
     fn decode_next(&mut self, bytes: &[u8]) -> Result<Delta, WireError> {
         check_count("a delta's length in bytes", bytes.len(), MAX_DELTA_BYTES)?;
-        let (frame, time, sections) = split_sections(bytes)?;
-        let [patches_out, vertices_out, instances, vertices, patches, placements, samples] = sections;
+        let (head, time, sections) = split_sections(bytes)?;
+        let [
+            patches_out,
+            vertices_out,
+            instances,
+            skinned,
+            rests,
+            vertices,
+            patches,
+            placements,
+            samples,
+            predicted,
+        ] = sections;
         let vertex_slots = self.memory.vertex_slots() as usize;
         let patch_slots = self.memory.patch_slots() as usize;
         let geometry = GeometryDelta {
-            update: frame,
+            update: head.update,
             time,
             evicted_patches: take_evictions("evicted patches", patches_out, patch_slots, PatchSlot)?,
             evicted_vertices: take_evictions("evicted vertices", vertices_out, vertex_slots, VertexSlot)?,
             instances: take_instances(instances)?,
+            skinned: take_skinned(skinned)?,
+            new_rests: take_rests(rests)?,
             new_vertices: take_vertices(vertices, vertex_slots)?,
             new_patches: take_patches(patches, patch_slots)?,
             placements: take_placements(placements, patch_slots)?,
+            predictions: take_predictions(predicted, vertex_slots)?,
         };
         let entered = self.memory.apply(&geometry)?;
         self.history.follow(&entered);
         let samples = take_samples(samples, &entered.sampled, &self.memory, &mut self.history)?;
-        Ok(Delta { geometry, samples })
+        Ok(Delta { geometry, is_update: head.is_update, samples })
     }
 }
 
-fn put_header_and(geometry: &GeometryDelta, sections: &[Vec<u8>; SECTIONS]) -> Vec<u8> {
-    let mut out = Vec::with_capacity(64 + sections.iter().map(Vec::len).sum::<usize>());
+fn put_header_and(
+    [sequence, is_update]: [u32; 2],
+    geometry: &GeometryDelta,
+    sections: &[Vec<u8>; SECTIONS],
+) -> Vec<u8> {
+    let mut out = Vec::with_capacity(80 + sections.iter().map(Vec::len).sum::<usize>());
     out.extend_from_slice(&GEOMETRY_MAGIC);
+    out.extend_from_slice(&sequence.to_le_bytes());
     out.extend_from_slice(&geometry.update.0.to_le_bytes());
+    out.push(is_update as u8);
     out.extend_from_slice(&geometry.time.0.to_le_bytes());
     for section in sections {
         out.extend_from_slice(&(section.len() as u32).to_le_bytes());
@@ -223,10 +295,10 @@ fn put_header_and(geometry: &GeometryDelta, sections: &[Vec<u8>; SECTIONS]) -> V
     out
 }
 
-fn split_sections(bytes: &[u8]) -> Result<(UpdateId, ServerTime, [&[u8]; SECTIONS]), WireError> {
-    let frame = peek_update(bytes)?;
+fn split_sections(bytes: &[u8]) -> Result<(DeltaHead, ServerTime, [&[u8]; SECTIONS]), WireError> {
+    let head = peek_delta(bytes)?;
     let mut reader = Reader::new("a delta's header", bytes);
-    reader.take(GEOMETRY_MAGIC.len() + size_of::<u32>())?;
+    reader.take(DeltaHead::BYTES)?;
     let time = ServerTime(reader.i64()?);
     let mut lengths = [0; SECTIONS];
     for length in &mut lengths {
@@ -238,7 +310,7 @@ fn split_sections(bytes: &[u8]) -> Result<(UpdateId, ServerTime, [&[u8]; SECTION
         *section = reader.take(length)?;
     }
     reader.finish()?;
-    Ok((frame, time, sections))
+    Ok((head, time, sections))
 }
 
 #[cfg(test)]

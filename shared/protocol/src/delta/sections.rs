@@ -1,9 +1,11 @@
 //! The sections of geometry.
 
 use crate::atlas::{Block, PatchKind};
-use crate::geometry::{InstanceInfo, Motion, NewPatch, NewVertex};
-use crate::ids::{InstanceId, PatchSlot, VertexSlot};
+use crate::geometry::{InstanceInfo, Motion, NewPatch, NewVertex, Skinned};
+use crate::ids::{InstanceId, PatchSlot, RestId, VertexSlot};
 use crate::limits::{MAX_COORDINATE_M, MAX_INSTANCES, NO_BLOCK};
+use crate::motion::rest::MeshInfo;
+use crate::motion::skeleton::{SkeletonInfo, SkinnedInstance};
 use crate::wire::{Reader, WireError, check_count, invalid, put_varint, put_zigzag};
 use glam::Vec3;
 
@@ -60,31 +62,75 @@ pub(super) fn take_instances(section: &[u8]) -> Result<Vec<InstanceInfo>, WireEr
     Ok(instances)
 }
 
+/// Skeletons, meshes, and the instances that they make up.
+pub(super) fn put_skinned(out: &mut Vec<u8>, skinned: &Skinned) {
+    put_varint(out, skinned.skeletons.len() as u32);
+    skinned.skeletons.iter().for_each(|skeleton| skeleton.put(out));
+    put_varint(out, skinned.meshes.len() as u32);
+    skinned.meshes.iter().for_each(|mesh| mesh.put(out));
+    put_varint(out, skinned.instances.len() as u32);
+    skinned.instances.iter().for_each(|instance| instance.put(out));
+}
+
+pub(super) fn take_skinned(section: &[u8]) -> Result<Skinned, WireError> {
+    let mut reader = Reader::new("skeletons and what they move", section);
+    let most = MAX_INSTANCES as usize;
+    let skeletons = (0..reader.count(most, 8)?).map(|_| SkeletonInfo::take(&mut reader));
+    let skeletons = skeletons.collect::<Result<_, _>>()?;
+    let meshes = (0..reader.count(most, 6)?).map(|_| MeshInfo::take(&mut reader));
+    let meshes = meshes.collect::<Result<_, _>>()?;
+    let instances = (0..reader.count(most, 8)?).map(|_| SkinnedInstance::take(&mut reader));
+    let instances = instances.collect::<Result<_, _>>()?;
+    reader.finish()?;
+    Ok(Skinned { skeletons, meshes, instances })
+}
+
 fn take_instance(reader: &mut Reader<'_>) -> Result<InstanceId, WireError> {
     let number =
         check_count("the number of an instance", reader.varint()? as usize, MAX_INSTANCES as usize - 1)?;
     Ok(InstanceId(number as u16))
 }
 
+/// Ways of moving, as runs of vertices name them.
+const STATIC: u32 = 0;
+const SAMPLED: u32 = 1;
+const SKINNED: u32 = 2;
+const PREDICTED: u32 = 3;
+const KIND_BITS: u32 = 2;
+
+fn kind_of(motion: Motion) -> u32 {
+    match motion {
+        Motion::Static { .. } => STATIC,
+        Motion::Sampled => SAMPLED,
+        Motion::Skinned { .. } => SKINNED,
+        Motion::Predicted => PREDICTED,
+    }
+}
+
 /// True where `next` can join the run that ends with `last`: next slot, same instance, same way of moving.
 fn continues(last: &NewVertex, next: &NewVertex) -> bool {
     next.slot.0 == last.slot.0.wrapping_add(1)
         && next.instance == last.instance
-        && (next.motion == Motion::Sampled) == (last.motion == Motion::Sampled)
+        && kind_of(next.motion) == kind_of(last.motion)
 }
 
-/// Runs of successive slots that share instance and motion: first slot, length and motion, instance, positions.
+/// Runs of successive slots that share instance and motion: first slot, length and motion, instance, then positions, or rest
+/// vertices as distances from the one before.
 pub(super) fn put_vertices(out: &mut Vec<u8>, vertices: &[NewVertex]) {
     put_varint(out, vertices.len() as u32);
-    let mut previous = BEFORE_FIRST;
+    let (mut previous, mut rest_before) = (BEFORE_FIRST, BEFORE_FIRST);
     for run in vertices.chunk_by(continues) {
         put_successor(out, &mut previous, run[0].slot.0);
         previous = run[run.len() - 1].slot.0;
-        put_varint(out, (run.len() as u32 - 1) << 1 | u32::from(run[0].motion == Motion::Sampled));
+        put_varint(out, (run.len() as u32 - 1) << KIND_BITS | kind_of(run[0].motion));
         put_varint(out, u32::from(run[0].instance.0));
         for vertex in run {
-            if let Motion::Static { position } = vertex.motion {
-                position.to_array().iter().for_each(|c| out.extend_from_slice(&c.to_le_bytes()));
+            match vertex.motion {
+                Motion::Static { position } => {
+                    position.to_array().iter().for_each(|c| out.extend_from_slice(&c.to_le_bytes()));
+                }
+                Motion::Sampled | Motion::Predicted => {}
+                Motion::Skinned { rest } => put_successor(out, &mut rest_before, rest.0),
             }
         }
     }
@@ -94,9 +140,9 @@ pub(super) fn take_vertices(section: &[u8], vertex_slots: usize) -> Result<Vec<N
     let mut reader = Reader::new("new vertices", section);
     let count = check_count("new vertices", reader.varint()? as usize, vertex_slots)?;
     let mut vertices = Vec::with_capacity(count);
-    let mut previous = BEFORE_FIRST;
+    let mut before = [BEFORE_FIRST; 2];
     while vertices.len() < count {
-        take_vertex_run(&mut reader, &mut previous, count, &mut vertices)?;
+        take_vertex_run(&mut reader, &mut before, count, &mut vertices)?;
     }
     reader.finish()?;
     Ok(vertices)
@@ -104,18 +150,23 @@ pub(super) fn take_vertices(section: &[u8], vertex_slots: usize) -> Result<Vec<N
 
 fn take_vertex_run(
     reader: &mut Reader<'_>,
-    previous: &mut u32,
+    [previous, rest_before]: &mut [u32; 2],
     count: usize,
     vertices: &mut Vec<NewVertex>,
 ) -> Result<(), WireError> {
     let first = take_successor(reader, previous)?;
     let run = reader.varint()?;
-    let (length, sampled) = ((run >> 1) as usize + 1, run & 1 == 1);
+    let (length, kind) = ((run >> KIND_BITS) as usize + 1, run & ((1 << KIND_BITS) - 1));
     check_count("a run of new vertices", length, count - vertices.len())?;
     let instance = take_instance(reader)?;
     for slot in (0..length as u32).map(|i| VertexSlot(first.wrapping_add(i))) {
-        let motion =
-            if sampled { Motion::Sampled } else { Motion::Static { position: take_position(reader)? } };
+        let motion = match kind {
+            STATIC => Motion::Static { position: take_position(reader)? },
+            SAMPLED => Motion::Sampled,
+            PREDICTED => Motion::Predicted,
+            SKINNED => Motion::Skinned { rest: RestId(take_successor(reader, rest_before)?) },
+            other => return Err(invalid("a vertex's motion", format!("{other} is none"))),
+        };
         vertices.push(NewVertex { slot, instance, motion });
     }
     *previous = first.wrapping_add(length as u32 - 1);

@@ -4,6 +4,7 @@ use crate::atlas::{Block, BlockAddress, BlockSize, PatchKind};
 use crate::geometry::{InstanceInfo, Motion, NewPatch, NewVertex};
 use crate::ids::InstanceId;
 use crate::limits::{MAX_INSTANCES, MAX_NEW_SAMPLE_GRIDS};
+use crate::motion::predicted::{PredictedVertex, Prediction};
 use crate::testing::{Dice, damaged};
 use crate::time::GridIndex;
 use glam::Vec3;
@@ -48,8 +49,9 @@ impl Chaos {
         self.add_vertices(&mut delta);
         self.add_patches(&mut delta);
         self.place(&mut delta);
+        self.predict(&mut delta);
         let samples = self.sample(&delta);
-        Delta { geometry: delta, samples }
+        Delta { geometry: delta, is_update: true, samples }
     }
 
     fn evict(&mut self, delta: &mut GeometryDelta) {
@@ -92,6 +94,8 @@ impl Chaos {
             let (position, velocity) = ([at(), at(), at()], [at(), at(), at()]);
             let motion = if self.dice.once_in(3) {
                 Motion::Static { position: Vec3::from_array(position.map(|c| c as f32)) }
+            } else if self.dice.once_in(4) {
+                Motion::Predicted
             } else {
                 self.curve.insert(slot, (position, velocity));
                 Motion::Sampled
@@ -118,6 +122,20 @@ impl Chaos {
             let patch = NewPatch { slot: PatchSlot(slot), instance, kind, vertices: corners, double_sided };
             self.patches.insert(slot, patch);
             delta.new_patches.push(patch);
+        }
+    }
+
+    fn predict(&mut self, delta: &mut GeometryDelta) {
+        let predicted = self.vertices.iter().filter(|(_, motion)| **motion == Motion::Predicted);
+        for slot in predicted.map(|(slot, _)| VertexSlot(*slot)) {
+            let mut since_update_s = 0.0;
+            let predictions = std::array::from_fn(|_| {
+                since_update_s += 0.01 * (1 + self.dice.below(20)) as f32;
+                Prediction { position_m: Vec3::splat(self.dice.signed_unit() as f32), since_update_s }
+            });
+            if !self.dice.once_in(5) {
+                delta.predictions.push(PredictedVertex { slot, predictions });
+            }
         }
     }
 
@@ -179,7 +197,7 @@ fn both_sides_stay_in_step_through_random_sessions() {
         for _ in 0..60 {
             let delta = chaos.delta();
             let encoded = coder.encode(&delta);
-            assert_eq!(peek_update(&encoded.bytes), Ok(delta.geometry.update));
+            assert_eq!(peek_delta(&encoded.bytes).map(|head| head.update), Ok(delta.geometry.update));
             assert_eq!(decoder.decode(&encoded.bytes).as_ref(), Ok(&delta), "seed {seed}");
             assert!(coder.memory() == decoder.memory(), "seed {seed}");
             assert_eq!(encoded.sizes.total_bytes, encoded.bytes.len());
@@ -256,8 +274,9 @@ fn a_slot_in_use_is_not_given_again_and_a_free_one_not_taken_back() {
     let mut section = Vec::new();
     put_evictions(&mut section, [3].into_iter());
     let header = GeometryDelta::default();
-    let sections = [section, vec![0], vec![0], vec![0], vec![0], vec![0], vec![0]];
-    assert_refused(&put_header_and(&header, &sections), "slot 3 is free");
+    let mut sections = empty_sections();
+    sections[1] = section;
+    assert_refused(&put_header_and([0, 1], &header, &sections), "slot 3 is free");
 }
 
 #[test]
@@ -271,6 +290,7 @@ fn samples_that_take_no_bits_grow_to_no_more_than_the_agreed_memory_holds() {
         values: (0..VERTEX_SLOTS).map(|slot| (VertexSlot(slot), [0; 3])).collect(),
     };
     let with = |steps: u32| Delta {
+        is_update: true,
         geometry: GeometryDelta {
             instances: instances.clone(),
             new_vertices: new_vertices.clone(),
@@ -280,7 +300,40 @@ fn samples_that_take_no_bits_grow_to_no_more_than_the_agreed_memory_holds() {
     };
     let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
     assert!(decoder.decode(&bytes_of(with(MAX_NEW_SAMPLE_GRIDS))).is_ok());
-    assert_refused(&bytes_of(with(MAX_NEW_SAMPLE_GRIDS + 1)), "samples of a delta is 10200");
+    assert_refused(&bytes_of(with(MAX_NEW_SAMPLE_GRIDS + 1)), "samples of a delta is 5400");
+}
+
+/// Those of a delta that says nothing.
+fn empty_sections() -> [Vec<u8>; SECTIONS] {
+    let mut sections: [Vec<u8>; SECTIONS] = std::array::from_fn(|_| vec![0]);
+    sections[3] = vec![0; 3];
+    sections
+}
+
+#[test]
+fn predictions_of_vertices_that_are_not_predicted_are_refused() {
+    let predicted = |slot, times: [f32; 3]| PredictedVertex {
+        slot: VertexSlot(slot),
+        predictions: times.map(|since_update_s| Prediction { position_m: Vec3::ONE, since_update_s }),
+    };
+    let header = |slot, motion, predictions: &[PredictedVertex]| {
+        let vertex = NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion };
+        let header = GeometryDelta::default();
+        let mut sections = empty_sections();
+        sections[5].clear();
+        put_vertices(&mut sections[5], &[vertex]);
+        sections[9].clear();
+        put_predictions(&mut sections[9], predictions);
+        put_header_and([0, 1], &header, &sections)
+    };
+    let (rising, falling) = (predicted(4, [0.1, 0.2, 0.3]), predicted(4, [0.1, 0.3, 0.2]));
+    let still = Motion::Static { position: Vec3::ONE };
+    let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+    let decoded = decoder.decode(&header(4, Motion::Predicted, &[rising])).unwrap();
+    assert_eq!(decoded.geometry.predictions, [rising]);
+    assert_refused(&header(4, still, &[rising]), "no vertex of slot 4 is predicted");
+    assert_refused(&header(5, Motion::Predicted, &[rising]), "no vertex of slot 4 is predicted");
+    assert_refused(&header(4, Motion::Predicted, &[falling]), "do not rise");
 }
 
 #[test]
@@ -289,14 +342,17 @@ fn huge_counts_are_refused_before_anything_is_allocated() {
         (0, "evicted patches"),
         (1, "evicted vertices"),
         (2, "instances"),
-        (3, "new vertices"),
-        (4, "new patches"),
-        (5, "placements"),
-        (6, "batches of samples"),
+        (3, "skeletons and what they move"),
+        (4, "rest vertices"),
+        (5, "new vertices"),
+        (6, "new patches"),
+        (7, "placements"),
+        (8, "batches of samples"),
+        (9, "predictions"),
     ] {
-        let mut sections: [Vec<u8>; SECTIONS] = std::array::from_fn(|_| vec![0]);
+        let mut sections = empty_sections();
         sections[section] = vec![0xff, 0xff, 0xff, 0xff, 0x0f];
-        assert_refused(&put_header_and(&GeometryDelta::default(), &sections), words);
+        assert_refused(&put_header_and([0, 1], &GeometryDelta::default(), &sections), words);
     }
 }
 

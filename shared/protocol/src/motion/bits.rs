@@ -1,6 +1,9 @@
-//! Numbers of any width in a row, lowest bit first.
+//! Numbers of any width in a row, lowest bit first, and groups of numbers that need about the same width.
 
-use crate::wire::WireError;
+use crate::wire::{WireError, unzigzag, zigzag};
+
+/// Widths 0..=30 are themselves; 31 stands for all 32 bits.
+const WIDTH_BITS: u32 = 5;
 
 /// Packs numbers of up to 32 bits, lowest bit first.
 pub(super) struct BitWriter<'a> {
@@ -62,4 +65,55 @@ impl<'a> BitReader<'a> {
     pub(super) fn bytes_read(&self) -> usize {
         self.at
     }
+}
+
+/// How one axis of a group is packed.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Packing {
+    pub(super) base: i32,
+    pub(super) width: u32,
+}
+
+impl Packing {
+    pub(super) fn of_group(misses: &[[i32; 3]]) -> [Self; 3] {
+        let (mut low, mut high) = ([i32::MAX; 3], [i32::MIN; 3]);
+        for miss in misses {
+            for axis in 0..3 {
+                low[axis] = low[axis].min(miss[axis]);
+                high[axis] = high[axis].max(miss[axis]);
+            }
+        }
+        std::array::from_fn(|axis| {
+            let spread = high[axis].wrapping_sub(low[axis]) as u32;
+            Self { base: low[axis], width: round_width(bit_width(spread)) }
+        })
+    }
+
+    /// Bits of a group of this many vertices on this axis.
+    pub(super) fn bits(self, count: u32) -> u32 {
+        2 * WIDTH_BITS + round_width(bit_width(zigzag(self.base))) + self.width * count
+    }
+
+    pub(super) fn write(self, bits: &mut BitWriter<'_>) {
+        let base = zigzag(self.base);
+        let base_width = round_width(bit_width(base));
+        bits.put(self.width.min(31), WIDTH_BITS);
+        bits.put(base_width.min(31), WIDTH_BITS);
+        bits.put(base, base_width);
+    }
+
+    pub(super) fn read(bits: &mut BitReader<'_>) -> Result<Self, WireError> {
+        let width = round_width(bits.take(WIDTH_BITS)?);
+        let base_width = round_width(bits.take(WIDTH_BITS)?);
+        Ok(Self { base: unzigzag(bits.take(base_width)?), width })
+    }
+}
+
+fn bit_width(value: u32) -> u32 {
+    u32::BITS - value.leading_zeros()
+}
+
+/// Five bits cannot name 32 and 31 both: 31 becomes 32.
+fn round_width(width: u32) -> u32 {
+    if width == 31 { 32 } else { width }
 }

@@ -1,6 +1,14 @@
 //! How vertices move, a file a kind: what the client is told, and how it is coded. A vertex that does not move carries its
-//! position with it ([`crate::geometry::Motion::Static`]); all others are sampled on the time grid ([`samples`]).
+//! position with it ([`crate::geometry::Motion::Static`]); what a skeleton moves is told before skinning ([`rest`]), the rest is sampled
+//! on the time grid ([`samples`]), or predicted with each update ([`predicted`]).
 
+pub mod clip;
+pub mod message;
+pub mod playback;
+pub mod poses;
+pub mod predicted;
+pub mod rest;
+pub mod skeleton;
 pub mod samples;
 
 mod bits;

@@ -8,12 +8,12 @@
 //!
 //! All arithmetic wraps, so that hostile bytes can give wrong positions but nothing worse.
 
-use super::bits::{BitReader, BitWriter};
+use super::bits::{BitReader, BitWriter, Packing};
 use super::{SampleBatch, SampleValues};
 use crate::ids::VertexSlot;
 use crate::memory::Entered;
 use crate::time::GridIndex;
-use crate::wire::{WireError, unzigzag, zigzag};
+use crate::wire::WireError;
 
 /// Vertices that share a prediction order and widths.
 const GROUP: usize = 32;
@@ -21,8 +21,6 @@ const GROUP: usize = 32;
 const DEPTH: usize = 3;
 const ORDERS: usize = DEPTH + 1;
 const ORDER_BITS: u32 = 2;
-/// Widths 0..=30 are themselves; 31 stands for all 32 bits.
-const WIDTH_BITS: u32 = 5;
 
 /// The past of every vertex slot, the same on both sides. Sized once, at connection.
 #[derive(Clone, Debug)]
@@ -133,13 +131,6 @@ impl Default for SampleEncoder {
     }
 }
 
-/// How one axis of a group is packed.
-#[derive(Clone, Copy, Debug, Default)]
-struct Packing {
-    base: i32,
-    width: u32,
-}
-
 impl SampleEncoder {
     /// Ready for any batch.
     pub fn new() -> Self {
@@ -222,50 +213,6 @@ pub fn decode_batch(
         }
     }
     Ok((values, bits.bytes_read()))
-}
-
-impl Packing {
-    fn of_group(misses: &[[i32; 3]]) -> [Self; 3] {
-        let (mut low, mut high) = ([i32::MAX; 3], [i32::MIN; 3]);
-        for miss in misses {
-            for axis in 0..3 {
-                low[axis] = low[axis].min(miss[axis]);
-                high[axis] = high[axis].max(miss[axis]);
-            }
-        }
-        std::array::from_fn(|axis| {
-            let spread = high[axis].wrapping_sub(low[axis]) as u32;
-            Self { base: low[axis], width: round_width(bit_width(spread)) }
-        })
-    }
-
-    /// Bits of a group of this many vertices on this axis.
-    fn bits(self, count: u32) -> u32 {
-        2 * WIDTH_BITS + round_width(bit_width(zigzag(self.base))) + self.width * count
-    }
-
-    fn write(self, bits: &mut BitWriter<'_>) {
-        let base = zigzag(self.base);
-        let base_width = round_width(bit_width(base));
-        bits.put(self.width.min(31), WIDTH_BITS);
-        bits.put(base_width.min(31), WIDTH_BITS);
-        bits.put(base, base_width);
-    }
-
-    fn read(bits: &mut BitReader<'_>) -> Result<Self, WireError> {
-        let width = round_width(bits.take(WIDTH_BITS)?);
-        let base_width = round_width(bits.take(WIDTH_BITS)?);
-        Ok(Self { base: unzigzag(bits.take(base_width)?), width })
-    }
-}
-
-fn bit_width(value: u32) -> u32 {
-    u32::BITS - value.leading_zeros()
-}
-
-/// Five bits cannot name 32 and 31 both: 31 becomes 32.
-fn round_width(width: u32) -> u32 {
-    if width == 31 { 32 } else { width }
 }
 
 #[cfg(test)]

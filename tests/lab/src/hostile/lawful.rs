@@ -6,7 +6,9 @@ use glam::{Quat, Vec3};
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::ids::{DiscontinuityId, UpdateId};
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
-use shadecast_protocol::message::{Capabilities, ClientHello, Codec, Displayed, HeadState, ResumeSecret};
+use shadecast_protocol::message::{
+    Capabilities, ClientHello, Codec, Displayed, HeadState, MotionMemory, ResumeSecret,
+};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
 use shadecast_protocol::time::ClientTime;
@@ -47,6 +49,7 @@ pub(crate) fn hello() -> ClientHello {
             max_atlas_extent: ATLAS_MAX_EXTENT,
             max_vertex_slots: MAX_VERTEX_SLOTS,
             max_patch_slots: MAX_PATCH_SLOTS,
+            motion: MotionMemory::DEFAULT,
             codecs: vec![Codec::H264],
             eyes: eyes(),
             eye_extent_pixels: [128, 128],
@@ -325,6 +328,7 @@ impl Run {
                 self.newest.picture = self.newest.picture.max(Some(header.update));
                 locked(&self.log).pictures.push(Instant::now());
             }
+            ClientEvent::Motion(_) => {}
             ClientEvent::Refused(refused) => self.give_up(refused.reason),
             ClientEvent::Goodbye => self.give_up("the server said goodbye".into()),
             ClientEvent::Failed(error) => self.give_up(error.to_string()),

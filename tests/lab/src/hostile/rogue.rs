@@ -8,8 +8,10 @@ use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, Pat
 use shadecast_protocol::delta::{Delta, DeltaEncoder};
 use shadecast_protocol::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex};
 use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
-use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS, SAMPLE_RING};
-use shadecast_protocol::message::{Codec, Environment, ResumeSecret, ServerDatagram, ServerOffer, Welcome};
+use shadecast_protocol::limits::{MAX_NEW_SAMPLE_GRIDS, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
+use shadecast_protocol::message::{
+    Codec, Environment, MotionMemory, ResumeSecret, ServerDatagram, ServerOffer, Welcome,
+};
 use shadecast_protocol::motion::SampleBatch;
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::Pose;
@@ -202,7 +204,7 @@ impl Run {
             match event {
                 ServerEvent::Asked { welcome, .. } => {
                     client.sender = client.session.accept();
-                    client.welcome = Some(welcome);
+                    client.welcome = Some(*welcome);
                     shared.welcomes += 1;
                 }
                 ServerEvent::Displayed(_) if self.conduct == Conduct::Lawful => {
@@ -267,7 +269,7 @@ impl Client {
     fn update(&mut self) -> anyhow::Result<[Out; 2]> {
         let time = ServerTime(monotonic_now_ns());
         let sender = self.sender.as_mut().context("nobody is accepted")?;
-        let frame = sender.next_delta();
+        let frame = sender.next_update();
         let geometry = if frame.0 == 0 { triangle() } else { GeometryDelta::default() };
         let geometry = self.deltas.encode(&GeometryDelta { update: frame, time, ..geometry }.into());
         let geometry = sender.stream(&geometry);
@@ -324,6 +326,7 @@ fn offer() -> ServerOffer {
         atlas_extent_texels: AtlasExtent::MIN,
         vertex_slots: MAX_VERTEX_SLOTS,
         patch_slots: MAX_PATCH_SLOTS,
+        motion: MotionMemory::DEFAULT,
         codecs: vec![Codec::H264],
         environment: Environment { zenith: [0.2; 3], horizon: [0.3; 3], nadir: [0.1; 3] },
         world_from_stage: Pose { position: Vec3::ZERO, orientation: Quat::IDENTITY },
@@ -363,7 +366,7 @@ fn triangle() -> GeometryDelta {
 fn hollow_deltas(slots: u32) -> [Vec<u8>; 2] {
     let mut coder = DeltaEncoder::new(slots, 1);
     let values: Vec<_> = (0..slots).map(|slot| (VertexSlot(slot), [0; 3])).collect();
-    let samples: Vec<_> = (0..SAMPLE_RING as i32)
+    let samples: Vec<_> = (0..MAX_NEW_SAMPLE_GRIDS as i32)
         .map(|grid| SampleBatch { grid: GridIndex(grid), values: values.clone() })
         .collect();
     let vertex =
@@ -373,8 +376,9 @@ fn hollow_deltas(slots: u32) -> [Vec<u8>; 2] {
         new_vertices: (0..slots).map(vertex).collect(),
         ..GeometryDelta::default()
     };
-    let first = Delta { geometry: first, samples: samples.clone() };
-    let other = Delta { samples, ..Delta::default() };
+    let first = Delta { geometry: first, is_update: true, samples: samples.clone() };
+    let update = GeometryDelta { update: UpdateId(1), ..GeometryDelta::default() };
+    let other = Delta { geometry: update, is_update: true, samples };
     [coder.encode(&first).bytes, coder.encode(&other).bytes]
 }
 

@@ -83,7 +83,7 @@ fn streams(traffic: &[Recorded]) -> impl Iterator<Item = (&[u8], StreamMessage<'
 fn access_units(traffic: &[Recorded]) -> impl Iterator<Item = Vec<u8>> {
     streams(traffic).filter_map(|(_, message)| match message {
         StreamMessage::Picture { access_unit, .. } => Some(access_unit.to_vec()),
-        StreamMessage::Geometry { .. } => None,
+        _ => None,
     })
 }
 
@@ -100,8 +100,8 @@ fn shortened(bytes: &[u8]) -> Vec<u8> {
 fn of_deltas(traffic: &[Recorded]) -> Vec<u8> {
     let mut payloads: Vec<_> = streams(traffic)
         .filter_map(|(_, message)| match message {
-            StreamMessage::Geometry { update: frame, payload } => Some((frame, payload)),
-            StreamMessage::Picture { .. } => None,
+            StreamMessage::Geometry { head, payload } => Some((head.sequence, payload)),
+            _ => None,
         })
         .collect();
     payloads.sort_by_key(|(frame, _)| *frame);

@@ -94,6 +94,7 @@ impl Ghost {
                 ClientEvent::Picture { header, .. } => {
                     self.pictures.push_back((now_ns + self.decode_ns, header.update));
                 }
+                ClientEvent::Motion(_) => {}
                 ClientEvent::Refused(refused) => bail!("a viewer was refused: {}", refused.reason),
                 ClientEvent::Goodbye => bail!("the server took leave of a viewer"),
                 ClientEvent::Failed(error) => bail!("a viewer could not understand the server: {error}"),
@@ -164,6 +165,7 @@ impl Ghost {
         if self.shown.is_none() {
             return;
         }
+        session.note_shown(ClientTime(display_ns));
         let error_ns = time.0 - (display_ns - SERVER_EPOCH_NS);
         self.clock_error_ns = self.clock_error_ns.max(error_ns.abs());
         if next.is_some() || display_ns - self.reported_ns >= REPORT_NS {

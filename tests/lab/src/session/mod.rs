@@ -23,10 +23,10 @@ use shadecast_mock_runtime::config::MockConfig;
 use shadecast_mock_runtime::head_path::HeadPath;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
-use shadecast_protocol::message::{Capabilities, ClientHello, Codec, ServerOffer};
+use shadecast_protocol::message::{Capabilities, ClientHello, Codec, MotionMemory, ServerOffer};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::session::Out;
-use shadecast_protocol::time::ClientTime;
+use shadecast_protocol::time::{ClientTime, DEFAULT_GRID};
 use shadecast_scene::Scene;
 use shadecast_scene::load::load_scene;
 use shadecast_scene::suggest::did_you_mean_or_list;
@@ -65,6 +65,7 @@ struct Line {
     seat: Seat,
     pair: Pair,
     client_peer: Option<PeerId>,
+    reconnects: bool,
     /// `None`: the client that ships.
     ghost: Option<Ghost>,
 }
@@ -77,6 +78,7 @@ pub struct Lab {
     pub client: Client,
     lines: Vec<Line>,
     next_update_ns: i64,
+    next_motion_ns: i64,
     refresh_hz: f64,
     stages: StageMs,
     frame: u64,
@@ -139,12 +141,12 @@ impl Line {
         let config = |salt| EndpointConfig { seed: Some(seed ^ salt), ..EndpointConfig::default() };
         let server_end = Endpoint::server(&identity, config(1))?;
         let pair = Pair::new(server_end, Endpoint::client(config(2)), link.clone(), seed);
-        Ok(Self { seat: Seat::new(server), pair, client_peer: None, ghost })
+        Ok(Self { seat: Seat::new(server), pair, client_peer: None, reconnects: false, ghost })
     }
 
-    fn connect(&mut self) {
+    fn connect(&mut self, now_ns: i64) {
         let expected = ExpectedIdentity::TrustOnFirstUse;
-        let peer = self.pair.client.connect(START_NS, shadecast_transport::pair::SERVER_ADDR, expected);
+        let peer = self.pair.client.connect(now_ns, shadecast_transport::pair::SERVER_ADDR, expected);
         self.client_peer = Some(peer);
     }
 
@@ -163,6 +165,10 @@ impl Line {
                 match (end, &mut self.ghost) {
                     (Direction::ToServer, _) => self.seat.take(server, event, now_ns)?,
                     (Direction::ToClient, Some(ghost)) => ghost.take(event, now_ns)?,
+                    (Direction::ToClient, None) if self.reconnects && is_closed(&event) => {
+                        client.on_closed(ClientTime(now_ns));
+                        self.connect(now_ns);
+                    }
                     (Direction::ToClient, None) => client_event(client, event, now_ns)?,
                 }
             }
@@ -194,6 +200,10 @@ impl Line {
         }
         Ok(())
     }
+}
+
+fn is_closed(event: &Event) -> bool {
+    matches!(event, Event::Closed { .. })
 }
 
 fn client_event(client: &mut Client, event: Event, now_ns: i64) -> anyhow::Result<()> {
@@ -238,7 +248,8 @@ impl Lab {
         };
         let client = Client::new(xr, client_options).context("making the client")?;
         let hello = hello(options, client.eye_extent_pixels());
-        let mut lines = vec![Line::new(&mut server, &link, options.seed, None)?];
+        let own = Line::new(&mut server, &link, options.seed, None)?;
+        let mut lines = vec![Line { reconnects: options.reconnects, ..own }];
         for (other, seed) in options.others.iter().zip(options.seed + 1..) {
             let ViewerOptions { link, head } = other;
             let ghost = Ghost::new(hello.clone(), read_head_path(head.as_deref())?, START_NS, decode_ns);
@@ -249,6 +260,7 @@ impl Lab {
             client,
             lines,
             next_update_ns: START_NS,
+            next_motion_ns: START_NS,
             refresh_hz: options.refresh_hz,
             stages,
             frame: 0,
@@ -272,7 +284,7 @@ impl Lab {
 
     /// Connects all clients over their links.
     fn connect(&mut self) {
-        self.lines.iter_mut().for_each(Line::connect);
+        self.lines.iter_mut().for_each(|line| line.connect(START_NS));
     }
 
     /// Durations of stages in this run.
@@ -323,7 +335,7 @@ impl Lab {
         loop {
             let departures = self.lines.iter().filter_map(|line| line.seat.next_departure_ns());
             let departure_ns = departures.min().unwrap_or(i64::MAX);
-            let next_ns = departure_ns.min(self.next_update_ns).min(until_ns);
+            let next_ns = departure_ns.min(self.next_update_ns).min(self.next_motion_ns).min(until_ns);
             for line in &mut self.lines {
                 line.play(&mut self.server, &mut self.client, next_ns)?;
             }
@@ -331,10 +343,24 @@ impl Lab {
                 self.depart(departure_ns)?;
             } else if self.next_update_ns <= next_ns {
                 self.update()?;
+            } else if self.next_motion_ns <= next_ns {
+                self.motion()?;
             } else {
                 return Ok(());
             }
         }
+    }
+
+    /// A step of motion for every viewer.
+    fn motion(&mut self) -> anyhow::Result<()> {
+        let now_ns = self.next_motion_ns;
+        self.next_motion_ns += DEFAULT_GRID.spacing_ns;
+        for line in &mut self.lines {
+            let way = line.way();
+            line.seat.motion(&mut self.server, way, now_ns);
+            line.flush(&mut self.client)?;
+        }
+        Ok(())
     }
 
     /// An update for every viewer.
@@ -344,6 +370,7 @@ impl Lab {
         for line in &mut self.lines {
             let way = line.way();
             line.seat.update(&mut self.server, way, self.stages, now_ns)?;
+            line.flush(&mut self.client)?;
         }
         Ok(())
     }
@@ -351,7 +378,8 @@ impl Lab {
     fn depart(&mut self, now_ns: i64) -> anyhow::Result<()> {
         let is_due = |line: &&mut Line| line.seat.next_departure_ns() == Some(now_ns);
         let Some(line) = self.lines.iter_mut().find(is_due) else { return Ok(()) };
-        line.seat.depart(now_ns)?;
+        let way = line.way();
+        line.seat.depart(&mut self.server, way, now_ns)?;
         line.flush(&mut self.client)
     }
 }
@@ -370,6 +398,7 @@ pub fn hello(options: &RunOptions, eye_extent_pixels: [u32; 2]) -> ClientHello {
             max_atlas_extent: ATLAS_MAX_EXTENT,
             max_vertex_slots: MAX_VERTEX_SLOTS,
             max_patch_slots: MAX_PATCH_SLOTS,
+            motion: MotionMemory::DEFAULT,
             codecs: options.medium().codecs.to_vec(),
             eyes: [eye(-0.0315), eye(0.0315)],
             eye_extent_pixels,

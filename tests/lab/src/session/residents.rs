@@ -18,18 +18,18 @@ pub struct Residents {
 impl Residents {
     /// Notes how an update leaves the client's memory.
     pub fn note(&mut self, update: UpdateId, residency: &Residency) {
-        let sampled = residency.motion().vertices().map(|(slot, vertex)| (slot.0, vertex)).collect();
+        let sampled = residency.moving().map(|(slot, vertex)| (slot.0, vertex)).collect();
         self.by_update.push_back((update, sampled));
         if self.by_update.len() > REMEMBERED_UPDATES {
             self.by_update.pop_front();
         }
     }
 
-    /// Slots and scene-wide vertices of an update, ascending by slot; forgets the updates before it.
+    /// Slots and scene-wide vertices of an update, ascending by slot; forgets those that were noted before it. What is shown
+    /// comes in the order in which it was noted: a session that follows another one counts its updates anew.
     pub fn at(&mut self, update: UpdateId) -> Option<&[(u32, SceneVertex)]> {
-        while self.by_update.front().is_some_and(|(known, _)| *known < update) {
-            self.by_update.pop_front();
-        }
-        self.by_update.front().filter(|(known, _)| *known == update).map(|(_, sampled)| &sampled[..])
+        let place = self.by_update.iter().position(|(known, _)| *known == update)?;
+        self.by_update.drain(..place);
+        self.by_update.front().map(|(_, sampled)| &sampled[..])
     }
 }

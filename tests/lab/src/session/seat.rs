@@ -15,10 +15,11 @@ use shadecast_server::encode;
 use shadecast_server::encode::openh264::EncoderSettings;
 use shadecast_server::encoding::{Coded, Encoding};
 use shadecast_server::frame::{Frame, Shaded};
+use shadecast_server::motion::sender::{self, MotionBytes};
 use shadecast_server::pacing::{Kind, WayState};
 use shadecast_server::sessions::mailbox::{Accepted, Client, Mailbox, News};
 use shadecast_server::sessions::{Carrier, Sessions, Surroundings, Verdicts};
-use shadecast_server::viewer::{Update, Viewer, bytes_of};
+use shadecast_server::viewer::{Update, Viewer};
 use shadecast_server::world::ViewerId;
 use shadecast_transport::{Event, PeerId, SendError};
 use std::cell::RefCell;
@@ -34,10 +35,22 @@ pub struct Sent {
     pub atlas_bytes: u64,
     /// Bytes of geometry deltas.
     pub geometry_bytes: u64,
-    /// Bytes of vertex samples in them.
-    pub sample_bytes: u64,
-    /// Vertex samples in them.
-    pub samples: u64,
+    /// Vertices that entered.
+    pub new_vertices: u64,
+    /// Bytes of vertices that enter and leave in them.
+    pub vertex_bytes: u64,
+    /// Bytes of skeletons, meshes and instances in them.
+    pub skeleton_bytes: u64,
+    /// Bytes of vertices before skinning in them.
+    pub rest_bytes: u64,
+    /// Bytes of patches that enter and leave in them.
+    pub patch_bytes: u64,
+    /// Bytes of predictions in them.
+    pub prediction_bytes: u64,
+    /// Bytes of placements in them.
+    pub placement_bytes: u64,
+    /// Bytes of motion beside deltas, of the client that is served.
+    pub motion: MotionBytes,
     /// Updates that were not made because the link was behind.
     pub withheld: u64,
 }
@@ -62,6 +75,8 @@ pub struct Seat {
     pub(super) peer: Option<PeerId>,
     leaving: VecDeque<Leaving>,
     number: u64,
+    /// How long the encoder takes for a picture.
+    encode_ns: i64,
 }
 
 /// What leaves when its stages are done.
@@ -74,8 +89,8 @@ struct Leaving {
 }
 
 enum Departure {
-    /// The stream of a delta.
-    Delta(Out, DeltaSizes),
+    /// An update that is shaded now.
+    Update(Box<Shaded>),
     Picture(PictureHeader, Vec<u8>),
 }
 
@@ -131,6 +146,7 @@ impl Seat {
             peer: None,
             leaving: VecDeque::new(),
             number: 0,
+            encode_ns: 0,
         }
     }
 
@@ -139,9 +155,15 @@ impl Seat {
     /// # Errors
     /// The server has sent the client away.
     pub(super) fn take(&mut self, server: &mut Server, event: Event, now_ns: i64) -> anyhow::Result<()> {
-        if let Event::Connected { peer, .. } = event {
-            self.peer = Some(peer);
-            self.streams.clear();
+        match event {
+            Event::Connected { peer, .. } => {
+                // Whoever was there before has gone, though the server may not have noticed.
+                self.part(server);
+                self.peer = Some(peer);
+                self.streams.clear();
+            }
+            Event::Closed { peer, .. } if self.peer == Some(peer) => self.peer = None,
+            _ => {}
         }
         self.sessions.take(event, now_ns, &self.desk.surroundings());
         self.sessions.tick(now_ns, &self.desk.surroundings());
@@ -179,6 +201,16 @@ impl Seat {
         Ok(())
     }
 
+    /// Motion at its own cadence: it waits for no update, and leaves at once.
+    pub(super) fn motion(&mut self, server: &mut Server, way: Option<WayState>, now_ns: i64) {
+        let Some(motion) = self.viewer.as_ref().and_then(Viewer::motion) else { return };
+        let mut sender = sender::lock(motion);
+        let began = server.world.effort.begin();
+        self.streams.extend(sender.tick(ServerTime(now_ns - SERVER_EPOCH_NS), way.as_ref()));
+        server.world.effort.add_delta(began);
+        self.sent.motion = sender.bytes();
+    }
+
     /// One update; what it makes leaves when its stages are done. `way`: that to the client.
     pub(super) fn update(
         &mut self,
@@ -190,6 +222,10 @@ impl Seat {
         let Some(viewer) = self.viewer.as_mut().filter(|viewer| viewer.due_ns().is_some()) else {
             return Ok(());
         };
+        // One update at a time.
+        if self.leaving.iter().any(|leaving| matches!(leaving.what, Departure::Update(_))) {
+            return Ok(());
+        }
         if !viewer.is_open(way.as_ref(), now_ns) {
             self.sent.withheld += 1;
             return Ok(());
@@ -204,12 +240,27 @@ impl Seat {
         self.sent.updates += 1;
         shaded.timings.iter().for_each(|(stage, ms)| *self.gpu_ms.entry(stage).or_default() += ms);
         self.residents.note(shaded.update, frame.residency());
-        let (delta, Update { shaded, refresh }) = viewer.finish(shaded);
-        let (frame, sizes) = (shaded.update, shaded.delta.sizes);
-        let shaded_ns = now_ns + stages.ns(stages.server);
-        self.encode(shaded, refresh, shaded_ns + stages.ns(stages.encode))?;
-        self.leave(shaded_ns, frame, Departure::Delta(delta, sizes));
+        self.encode_ns = stages.ns(stages.encode);
+        self.leave(now_ns + stages.ns(stages.server), shaded.update, Departure::Update(Box::new(shaded)));
         Ok(())
+    }
+
+    /// An update is shaded: its delta leaves, its picture goes to the encoder.
+    fn finish(
+        &mut self,
+        server: &mut Server,
+        shaded: Shaded,
+        way: Option<WayState>,
+        now_ns: i64,
+    ) -> anyhow::Result<()> {
+        let Some(viewer) = &mut self.viewer else { return Ok(()) };
+        let began = server.world.effort.begin();
+        let (delta, Update { shaded, sizes, refresh }) = viewer.finish(shaded);
+        server.world.effort.add_delta(began);
+        self.count(sizes);
+        self.send(shaded.update, Kind::Delta, delta, now_ns);
+        self.motion(server, way, now_ns);
+        self.encode(shaded, refresh, now_ns + self.encode_ns)
     }
 
     /// Hands a picture to the encoder; what it has then leaves at `done_ns`.
@@ -239,14 +290,16 @@ impl Seat {
     }
 
     /// What is ready leaves; what is for a viewer that has left is dropped.
-    pub(super) fn depart(&mut self, now_ns: i64) -> anyhow::Result<()> {
+    pub(super) fn depart(
+        &mut self,
+        server: &mut Server,
+        way: Option<WayState>,
+        now_ns: i64,
+    ) -> anyhow::Result<()> {
         let next = self.leaving.pop_front().filter(|leaving| leaving.viewer == self.number);
         let Some(Leaving { update: frame, what, .. }) = next else { return Ok(()) };
         match what {
-            Departure::Delta(out, sizes) => {
-                self.count(sizes);
-                self.send(frame, Kind::Delta, out, now_ns);
-            }
+            Departure::Update(shaded) => self.finish(server, *shaded, way, now_ns)?,
             Departure::Picture(header, bytes) => {
                 self.send(frame, Kind::Picture, picture_stream(header, &bytes)?, now_ns);
             }
@@ -256,14 +309,19 @@ impl Seat {
 
     fn send(&mut self, update: UpdateId, kind: Kind, out: Out, now_ns: i64) {
         let Some(viewer) = &mut self.viewer else { return };
-        viewer.sent(update, kind, bytes_of(&out), now_ns);
+        viewer.sent(update, kind, out.bytes(), now_ns);
         self.streams.push_back(out);
     }
 
     fn count(&mut self, sizes: DeltaSizes) {
         self.sent.geometry_bytes += sizes.total_bytes as u64;
-        self.sent.sample_bytes += sizes.sample_bytes as u64;
-        self.sent.samples += sizes.samples as u64;
+        self.sent.new_vertices += sizes.new_vertices as u64;
+        self.sent.vertex_bytes += sizes.vertex_bytes as u64;
+        self.sent.skeleton_bytes += sizes.skeleton_bytes as u64;
+        self.sent.rest_bytes += sizes.rest_bytes as u64;
+        self.sent.patch_bytes += sizes.patch_bytes as u64;
+        self.sent.placement_bytes += sizes.placement_bytes as u64;
+        self.sent.prediction_bytes += sizes.prediction_bytes as u64;
     }
 
     /// Bytes to carry.

@@ -4,7 +4,10 @@
 //! Outside its keys a curve keeps its end value. Sections are those of glTF 2.0.
 
 use glam::{DAffine3, DQuat, DVec3, DVec4, Quat, Vec3};
-use shadecast_scene::{Clip, Instance, Interpolation, MorphTrack, Path, Repetition, Track, TrackValues, Trs};
+use shadecast_scene::timeline::Event;
+use shadecast_scene::{
+    Instance, Interpolation, Model, MorphTrack, Path, Repetition, Scene, Track, TrackValues, Trs,
+};
 
 /// A bone's local transform.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,6 +37,24 @@ impl Local {
             TrackValues::Translation(keys) => self.translation = vector(keys, track.interpolation, &at),
             TrackValues::Scale(keys) => self.scale = vector(keys, track.interpolation, &at),
             TrackValues::Rotation(keys) => self.rotation = rotation(keys, track.interpolation, &at),
+        }
+    }
+}
+
+impl Local {
+    /// Amid a cross-fade, where so much is left of what was before: translations and scales on the straight line between
+    /// both, rotations on the straight line between quaternions of one hemisphere, then of unit length.
+    pub fn faded(self, before: Self, left: f64) -> Self {
+        let mean = |now: DVec3, then: DVec3| now * (1.0 - left) + then * left;
+        let (now, mut then) = (DVec4::from(self.rotation), DVec4::from(before.rotation));
+        if now.dot(then) < 0.0 {
+            then = -then;
+        }
+        let turned = (now * (1.0 - left) + then * left).try_normalize().unwrap_or(now);
+        Self {
+            translation: mean(self.translation, before.translation),
+            rotation: DQuat::from_vec4(turned),
+            scale: mean(self.scale, before.scale),
         }
     }
 }
@@ -135,11 +156,14 @@ pub fn weight(track: &MorphTrack, morph: usize, t_s: f64) -> f64 {
 
 /// How far into a clip of this duration something is that plays it shifted, at a speed, and again and again.
 fn phase_s(time_s: f64, shift_s: f32, speed: f32, duration_s: f32, repetition: Repetition) -> f64 {
+    within_clip((time_s + f64::from(shift_s)) * f64::from(speed), duration_s, repetition)
+}
+
+fn within_clip(played_s: f64, duration_s: f32, repetition: Repetition) -> f64 {
     let duration_s = f64::from(duration_s);
     if duration_s <= 0.0 {
         return 0.0;
     }
-    let played_s = (time_s + f64::from(shift_s)) * f64::from(speed);
     let rounds = played_s / duration_s;
     match repetition {
         Repetition::Once => played_s.clamp(0.0, duration_s),
@@ -151,10 +175,79 @@ fn phase_s(time_s: f64, shift_s: f32, speed: f32, duration_s: f32, repetition: R
     }
 }
 
-/// How far an instance is in its clip.
-pub fn clip_phase_s(instance: &Instance, clip: Option<&Clip>, time_s: f64) -> f64 {
-    let duration_s = clip.map_or(0.0, |clip| clip.duration_s);
-    phase_s(time_s, instance.time_shift_s, instance.speed, duration_s, instance.repetition)
+/// A clip of a model, and how far into it something is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InClip {
+    /// Index into the model's clips; `None` for the rest pose.
+    pub clip: Option<usize>,
+    /// Seconds.
+    pub phase_s: f64,
+}
+
+/// What an instance shows at a time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shown {
+    /// What it plays.
+    pub now: InClip,
+    /// What it played before, and how much of that is left, above 0 and at most 1.
+    pub before: Option<(InClip, f64)>,
+}
+
+/// What is played from one event to the next.
+#[derive(Clone, Copy)]
+struct Stretch {
+    clip: Option<usize>,
+    /// When the clip's local time is `local_s`.
+    from_s: f64,
+    local_s: f64,
+    speed: f64,
+    repetition: Repetition,
+}
+
+impl Stretch {
+    fn of(instance: &Instance) -> Self {
+        let (from_s, speed) = (-f64::from(instance.time_shift_s), f64::from(instance.speed));
+        Self { clip: instance.clip, from_s, local_s: 0.0, speed, repetition: instance.repetition }
+    }
+
+    fn played_s(&self, time_s: f64) -> f64 {
+        self.local_s + (time_s - self.from_s) * self.speed
+    }
+
+    fn then(&self, event: &Event) -> Self {
+        let (at_s, change) = (event.at.0 as f64 * 1e-9, &event.change);
+        let goes_on_s = if change.clip.is_some() { 0.0 } else { self.played_s(at_s) };
+        Self {
+            clip: change.clip.unwrap_or(self.clip),
+            from_s: at_s,
+            local_s: change.local_s.unwrap_or(goes_on_s),
+            speed: change.speed.unwrap_or(self.speed),
+            repetition: change.repetition.unwrap_or(self.repetition),
+        }
+    }
+
+    fn at(&self, model: &Model, time_s: f64) -> InClip {
+        let duration_s = self.clip.map_or(0.0, |clip| model.clips[clip].duration_s);
+        InClip { clip: self.clip, phase_s: within_clip(self.played_s(time_s), duration_s, self.repetition) }
+    }
+}
+
+/// What an instance shows at a time, by the events that have come until then.
+pub fn shown(scene: &Scene, instance: usize, time_s: f64) -> Shown {
+    let placed = &scene.instances[instance];
+    let model = &scene.models[placed.model];
+    let is_over = |event: &&Event| event.instance == instance && event.at.0 as f64 * 1e-9 <= time_s;
+    let mut events: Vec<&Event> = scene.events.iter().filter(is_over).collect();
+    events.sort_by_key(|event| event.at);
+    let mut now = Stretch::of(placed);
+    let mut before = None;
+    for event in events {
+        let passed_s = time_s - event.at.0 as f64 * 1e-9;
+        let left = 1.0 - passed_s / (event.change.fade_ns as f64 * 1e-9);
+        before = (event.change.fade_ns > 0 && left > 0.0).then(|| (now.at(model, time_s), left));
+        now = now.then(event);
+    }
+    Shown { now: now.at(model, time_s), before }
 }
 
 /// Where a path takes what it moves.

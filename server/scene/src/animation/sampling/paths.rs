@@ -1,7 +1,7 @@
 //! Paths of instances, sampled like any clip.
 
 use super::{SampledClip, Sampling, sample_until, source, transform};
-use crate::animation::bounds::{self, Bounds};
+use crate::animation::played::PlayedBounds;
 use crate::identity::{ContentHash, clip_hash};
 use crate::{Cancel, Cancelled, Instance, Scene};
 use glam::Affine3A;
@@ -25,13 +25,11 @@ impl SampledPaths {
     /// # Errors
     /// Somebody asked to end.
     pub fn until(scene: &Scene, sampling: Sampling, cancel: &Cancel) -> Result<Self, Cancelled> {
-        let mut reaches: HashMap<(usize, Option<usize>), Bounds> = HashMap::new();
+        let mut reaches = PlayedBounds::new(scene);
         let mut known: HashMap<(ContentHash, u32), Arc<SampledClip>> = HashMap::new();
-        let mut of = |instance: &Instance| {
+        let mut of = |(index, instance): (usize, &Instance)| {
             let Some(path) = instance.path.as_ref() else { return Ok(None) };
-            let of_model = reaches
-                .entry((instance.model, instance.clip))
-                .or_insert_with(|| bounds::model_bounds(&scene.models[instance.model], instance.clip));
+            let of_model = reaches.of(index);
             let corners = if of_model.is_empty() { Vec::new() } else { of_model.corners().to_vec() };
             let lengths = corners.iter().map(|corner| instance.placement.transform_point3(*corner).length());
             // In steps of an eighth, so that instances that stand side by side share what they can.
@@ -45,7 +43,7 @@ impl SampledPaths {
             known.insert(key, clip.clone());
             Ok(Some(clip))
         };
-        Ok(Self { of_instance: scene.instances.iter().map(&mut of).collect::<Result<_, _>>()? })
+        Ok(Self { of_instance: scene.instances.iter().enumerate().map(&mut of).collect::<Result<_, _>>()? })
     }
 
     /// `path * placement` of an instance at a time of the scene.
@@ -58,6 +56,11 @@ impl SampledPaths {
             }
             _ => instance.placement,
         }
+    }
+
+    /// The sampled path of an instance that has one.
+    pub fn of(&self, instance: usize) -> Option<&Arc<SampledClip>> {
+        self.of_instance[instance].as_ref()
     }
 
     /// Different curves.

@@ -1,0 +1,86 @@
+//! Poses of instances that the client was not told of yet: messages about motion wait for no update, and may overtake the one
+//! that brings the instance. Kept until it comes, within what a client could ever need.
+
+use shadecast_protocol::ids::InstanceId;
+use shadecast_protocol::limits::SAMPLE_RING;
+use shadecast_protocol::motion::poses::GridPose;
+use shadecast_protocol::motion::skeleton::grid_words;
+use std::collections::BTreeMap;
+
+/// See the module. In all they take no more words than the arena has, since that is where they would go.
+#[derive(Debug, Default)]
+pub(super) struct EarlyPoses {
+    /// By instance and place in its ring.
+    poses: BTreeMap<(InstanceId, i32), GridPose>,
+    words: u32,
+}
+
+impl EarlyPoses {
+    /// Keeps a pose, unless a later one has its place or there is no room.
+    pub(super) fn keep(&mut self, pose: GridPose, arena_words: u32) {
+        let key = (pose.instance, pose.grid.0.rem_euclid(SAMPLE_RING as i32));
+        let known = self.poses.get(&key);
+        if known.is_some_and(|known| known.grid > pose.grid) {
+            return;
+        }
+        let words = self.words - known.map_or(0, words) + words(&pose);
+        if words > arena_words {
+            tracing::debug!("poses of instance {} came too early and are dropped", pose.instance.0);
+            return;
+        }
+        self.words = words;
+        self.poses.insert(key, pose);
+    }
+
+    /// The poses of an instance that is known now.
+    pub(super) fn take(&mut self, id: InstanceId) -> Vec<GridPose> {
+        let own: Vec<_> = self.poses.range((id, 0)..=(id, i32::MAX)).map(|(key, _)| *key).collect();
+        let poses: Vec<GridPose> = own.iter().filter_map(|key| self.poses.remove(key)).collect();
+        self.words -= poses.iter().map(words).sum::<u32>();
+        poses
+    }
+}
+
+fn words(pose: &GridPose) -> u32 {
+    grid_words(pose.bones.len() as u32, pose.weights.len() as u32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shadecast_protocol::time::GridIndex;
+
+    const FOX: InstanceId = InstanceId(3);
+
+    fn pose(instance: InstanceId, grid: i32) -> GridPose {
+        GridPose { instance, grid: GridIndex(grid), bones: Vec::new(), weights: vec![0.5; 16] }
+    }
+
+    fn grids(early: &mut EarlyPoses, id: InstanceId) -> Vec<i32> {
+        let mut grids: Vec<i32> = early.take(id).iter().map(|pose| pose.grid.0).collect();
+        grids.sort_unstable();
+        grids
+    }
+
+    #[test]
+    fn poses_wait_for_their_instance_and_the_last_one_has_the_place() {
+        let mut early = EarlyPoses::default();
+        for grid in [-1, 40, 8, 9] {
+            early.keep(pose(FOX, grid), 1000);
+        }
+        early.keep(pose(InstanceId(4), 9), 1000);
+        assert_eq!(grids(&mut early, FOX), [-1, 9, 40], "8 lies where 40 does");
+        assert_eq!(grids(&mut early, FOX), []);
+        assert_eq!(grids(&mut early, InstanceId(4)), [9]);
+        assert_eq!(early.words, 0);
+    }
+
+    #[test]
+    fn what_comes_early_takes_no_more_than_the_arena_would() {
+        let mut early = EarlyPoses::default();
+        (0..SAMPLE_RING as i32).for_each(|grid| early.keep(pose(FOX, grid), 12));
+        assert_eq!(grids(&mut early, FOX), [0, 1, 2], "four words each");
+        early.keep(pose(FOX, 7), 12);
+        assert_eq!(grids(&mut early, FOX), [7]);
+    }
+}

@@ -1,0 +1,494 @@
+//! What every instance does at every time: the scene's events, and what an application changes while the world runs. Pure.
+//!
+//! What was sampled once stays as it was: a change takes effect after the latest time that was sampled, whatever the
+//! application asks for, so that no sample that was sent is ever contradicted.
+
+use shadecast_protocol::motion::playback::{Playing, Schedule};
+use shadecast_protocol::text::printable;
+use shadecast_protocol::time::ServerTime;
+use shadecast_scene::animation::bounds::Reach;
+use shadecast_scene::animation::played::live_reach_m;
+use shadecast_scene::animation::playing;
+use shadecast_scene::timeline::{Change, ClipIndex};
+use shadecast_scene::{Model, Scene, Trs};
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Longest fade that an application may ask for, nanoseconds.
+pub const MAX_FADE_NS: i64 = 60_000_000_000;
+/// Live poses kept of an instance; the oldest goes first.
+pub const MAX_LIVE_POSES: usize = 512;
+/// How long what is over is remembered: far longer than samples are kept, nanoseconds.
+const MEMORY_NS: i64 = 10_000_000_000;
+/// Times are within this of the scene's start, nanoseconds: a hundred years.
+const MAX_TIME_NS: i64 = 3_000_000_000_000_000_000;
+
+/// Why a change of the world was not made.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum TimelineError {
+    /// No such instance.
+    #[error("the scene has no instance {instance}; it has {count}, numbered from 0")]
+    NoInstance {
+        /// What was asked for.
+        instance: usize,
+        /// How many there are.
+        count: usize,
+    },
+    /// The clip is not among those for which the scene was prepared.
+    #[error(
+        "instance \"{}\" cannot play clip {clip:?}: no event of the scene names it; let an event name it, or set \
+         live = true on the instance",
+        printable(name)
+    )]
+    NotPlayable {
+        /// The instance.
+        name: String,
+        /// Index into its model's clips.
+        clip: ClipIndex,
+    },
+    /// It takes what only a live instance may do.
+    #[error(
+        "instance \"{}\" cannot {what} at run time: room is made for that only where the scene says live = true",
+        printable(name)
+    )]
+    NotLive {
+        /// The instance.
+        name: String,
+        /// What was asked for.
+        what: &'static str,
+    },
+    /// A number that is none, or out of range.
+    #[error("instance \"{}\" cannot be changed: {problem}", printable(name))]
+    Value {
+        /// The instance.
+        name: String,
+        /// What is wrong, and what is accepted.
+        problem: String,
+    },
+}
+
+/// What an instance shows at a time.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Shown {
+    /// A clip, or two amid a fade.
+    Clips(Playing<ClipIndex>),
+    /// What an application says: the local transform of each bone.
+    Live(Vec<Trs>),
+}
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub struct Timeline {
+    instances: Vec<OfInstance>,
+    sampled_until: Option<ServerTime>,
+}
+
+#[derive(Clone, Debug)]
+struct OfInstance {
+    name: String,
+    schedule: Schedule<ClipIndex>,
+    playable: Vec<ClipIndex>,
+    /// Where an application may pose it.
+    live: Option<Live>,
+}
+
+/// The poses of a live instance.
+#[derive(Clone, Debug)]
+struct Live {
+    reach: Arc<Reach>,
+    most_m: f32,
+    /// By rising times; apart from the last, each has ended.
+    runs: VecDeque<LiveRun>,
+}
+
+/// Poses from a first one until they are released.
+#[derive(Clone, Debug)]
+struct LiveRun {
+    from: ServerTime,
+    until: Option<ServerTime>,
+    /// By rising times, of which the first may be before `from`.
+    poses: VecDeque<(ServerTime, Vec<Trs>)>,
+}
+
+/// A timeline that the world reads and an application changes.
+#[derive(Clone, Debug)]
+pub struct SharedTimeline(Arc<Mutex<Timeline>>);
+
+impl SharedTimeline {
+    /// What a scene says of itself.
+    pub fn new(scene: &Scene) -> Self {
+        Self(Arc::new(Mutex::new(Timeline::new(scene))))
+    }
+
+    /// The timeline, until it is dropped; the world waits meanwhile.
+    pub fn lock(&self) -> MutexGuard<'_, Timeline> {
+        // Every change is checked before it is made: whoever panics leaves a whole timeline behind.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Timeline {
+    /// What a scene says of itself.
+    pub fn new(scene: &Scene) -> Self {
+        let mut reaches: Vec<Option<(Arc<Reach>, f32)>> = vec![None; scene.models.len()];
+        let mut live = |model: usize| {
+            let (reach, most_m) = reaches[model].get_or_insert_with(|| prepare(&scene.models[model]));
+            Live { reach: reach.clone(), most_m: *most_m, runs: VecDeque::new() }
+        };
+        let of = |(index, schedule): (usize, Schedule<ClipIndex>)| {
+            let instance = &scene.instances[index];
+            OfInstance {
+                name: instance.name.clone(),
+                schedule,
+                playable: scene.playable(index),
+                live: instance.live.then(|| live(instance.model)),
+            }
+        };
+        Self { instances: scene.schedules().into_iter().enumerate().map(of).collect(), sampled_until: None }
+    }
+
+    /// What an instance plays, and will, where it is not posed.
+    pub fn schedule(&self, instance: usize) -> &Schedule<ClipIndex> {
+        &self.instances[instance].schedule
+    }
+
+    /// What an instance shows at a time.
+    pub fn at(&self, instance: usize, time: ServerTime) -> Shown {
+        let OfInstance { schedule, live, .. } = &self.instances[instance];
+        let posed = live.as_ref().and_then(|live| live.at(time));
+        posed.map_or_else(|| Shown::Clips(schedule.at(time)), Shown::Live)
+    }
+
+    /// The local transforms of all bones of an instance, whose model is given, by the source curves or as it is posed.
+    pub fn source_pose(&self, model: &Model, instance: usize, time: ServerTime) -> Vec<Trs> {
+        match self.at(instance, time) {
+            Shown::Clips(playing) => playing::source_pose(model, &playing),
+            Shown::Live(pose) => pose,
+        }
+    }
+
+    /// The latest time that was sampled: changes take effect after it. `None` before the first sample.
+    pub fn sampled_until(&self) -> Option<ServerTime> {
+        self.sampled_until
+    }
+
+    /// A time was sampled: nothing changes any more of what is shown until then.
+    pub(crate) fn sampled(&mut self, time: ServerTime) {
+        self.sampled_until = self.sampled_until.max(Some(time));
+    }
+
+    /// Changes what an instance plays, in place of all that was to come, not before `earliest`. Gives when it takes effect.
+    ///
+    /// # Errors
+    /// The scene was not prepared for it, or it is out of range; nothing has changed then.
+    pub fn set_playback(
+        &mut self,
+        instance: usize,
+        change: Change,
+        earliest: ServerTime,
+    ) -> Result<ServerTime, TimelineError> {
+        let at = self.free(earliest);
+        let forgotten = at.plus_ns(-MEMORY_NS);
+        let own = self.instance(instance)?;
+        own.check(&change, earliest)?;
+        own.schedule.forget_before(forgotten);
+        Ok(change.apply(&mut own.schedule, at))
+    }
+
+    /// Poses a live instance: the local transform of each bone in the model's order, at a time after that of its last pose.
+    /// From its first pose on it ignores its clip; between two poses it goes as a cross-fade does, before the first and after
+    /// the last it stands. Gives from when on the pose can be seen: it is too late for what was sampled before.
+    ///
+    /// # Errors
+    /// The instance is not live, or the pose is not one of its model that stays within its room; nothing has changed then.
+    pub fn set_pose(
+        &mut self,
+        instance: usize,
+        time: ServerTime,
+        mut pose: Vec<Trs>,
+    ) -> Result<ServerTime, TimelineError> {
+        let seen = self.free(time);
+        let own = self.instance(instance)?;
+        own.check_time(time)?;
+        own.check_pose(&pose)?;
+        pose.iter_mut().for_each(|bone| bone.rotation = bone.rotation.normalize());
+        let live = own.live("be posed")?;
+        let run = live.run(seen);
+        if run.poses.back().is_some_and(|(last, _)| *last >= time) {
+            let problem = "a pose must be later than the one before; give its time on the server's clock";
+            return Err(own.value(problem.into()));
+        }
+        run.poses.push_back((time, pose));
+        if run.poses.len() > MAX_LIVE_POSES {
+            run.poses.pop_front();
+        }
+        Ok(seen)
+    }
+
+    /// Lets a live instance play its clip again, not before `earliest`. Gives when.
+    ///
+    /// # Errors
+    /// The instance is not live.
+    pub fn release_pose(
+        &mut self,
+        instance: usize,
+        earliest: ServerTime,
+    ) -> Result<ServerTime, TimelineError> {
+        let at = self.free(earliest);
+        let live = self.instance(instance)?.live("be posed")?;
+        if let Some(run) = live.runs.back_mut().filter(|run| run.until.is_none()) {
+            run.until = Some(at.max(run.from));
+        }
+        Ok(at)
+    }
+
+    /// The first time, not before `earliest`, that is still open.
+    fn free(&self, earliest: ServerTime) -> ServerTime {
+        self.sampled_until.map_or(earliest, |until| earliest.max(until.plus_ns(1)))
+    }
+
+    fn instance(&mut self, instance: usize) -> Result<&mut OfInstance, TimelineError> {
+        let count = self.instances.len();
+        self.instances.get_mut(instance).ok_or(TimelineError::NoInstance { instance, count })
+    }
+}
+
+fn prepare(model: &Model) -> (Arc<Reach>, f32) {
+    let reach = Reach::new(model);
+    let most_m = live_reach_m(model, &reach);
+    (Arc::new(reach), most_m)
+}
+
+impl OfInstance {
+    fn check(&self, change: &Change, earliest: ServerTime) -> Result<(), TimelineError> {
+        let Change { clip, local_s, speed, fade_ns, .. } = *change;
+        if let Some(clip) = clip.filter(|clip| !self.playable.contains(clip)) {
+            return Err(TimelineError::NotPlayable { name: self.name.clone(), clip });
+        }
+        if fade_ns != 0 && self.live.is_none() {
+            return Err(TimelineError::NotLive { name: self.name.clone(), what: "fade from clip to clip" });
+        }
+        if !(0..=MAX_FADE_NS).contains(&fade_ns) {
+            return Err(self.value(format!("a fade takes from 0 to {} s", MAX_FADE_NS / 1_000_000_000)));
+        }
+        if !local_s.into_iter().chain(speed).all(f64::is_finite) {
+            return Err(self.value("local time and speed must be finite".into()));
+        }
+        self.check_time(earliest)
+    }
+
+    fn check_time(&self, time: ServerTime) -> Result<(), TimelineError> {
+        match (-MAX_TIME_NS..=MAX_TIME_NS).contains(&time.0) {
+            true => Ok(()),
+            false => Err(self.value(format!("{} ns is no time on the server's clock", time.0))),
+        }
+    }
+
+    fn check_pose(&mut self, pose: &[Trs]) -> Result<(), TimelineError> {
+        let Live { reach, most_m, .. } = self.live("be posed")?;
+        let (reach, most_m) = (reach.clone(), *most_m);
+        if pose.len() != reach.bone_count() {
+            let problem = format!("the pose has {} bones, its model {}", pose.len(), reach.bone_count());
+            return Err(self.value(problem));
+        }
+        let is_sound = |bone: &Trs| {
+            let length = bone.rotation.length();
+            bone.translation.is_finite() && bone.scale.is_finite() && (0.5..2.0).contains(&length)
+        };
+        if let Some(bone) = pose.iter().position(|bone| !is_sound(bone)) {
+            return Err(
+                self.value(format!("bone {bone} of the pose is not finite, or its rotation has no length"))
+            );
+        }
+        let own_m = reach.of_pose_m(pose);
+        if own_m <= most_m {
+            return Ok(());
+        }
+        Err(self.value(format!(
+            "the pose may reach {own_m:.3} m from the model's origin, and room is made for {most_m:.3} m; move \
+             bones less far"
+        )))
+    }
+
+    fn live(&mut self, what: &'static str) -> Result<&mut Live, TimelineError> {
+        self.live.as_mut().ok_or_else(|| TimelineError::NotLive { name: self.name.clone(), what })
+    }
+
+    fn value(&self, problem: String) -> TimelineError {
+        TimelineError::Value { name: self.name.clone(), problem }
+    }
+}
+
+impl Live {
+    /// The run that is not over, or a new one from a time on.
+    fn run(&mut self, from: ServerTime) -> &mut LiveRun {
+        if self.runs.back().is_none_or(|run| run.until.is_some()) {
+            let over = |run: &LiveRun| run.until.is_some_and(|until| from.since(until) > MEMORY_NS);
+            self.runs.retain(|run| !over(run));
+            self.runs.push_back(LiveRun { from, until: None, poses: VecDeque::new() });
+        }
+        self.runs.back_mut().expect("there is one now")
+    }
+
+    fn at(&self, time: ServerTime) -> Option<Vec<Trs>> {
+        let is_on = |run: &&LiveRun| run.from <= time && run.until.is_none_or(|until| time < until);
+        self.runs.iter().find(is_on).map(|run| run.at(time))
+    }
+}
+
+impl LiveRun {
+    fn at(&self, time: ServerTime) -> Vec<Trs> {
+        let after = self.poses.partition_point(|(at, _)| *at <= time);
+        let Some(before) = after.checked_sub(1) else { return self.poses[0].1.clone() };
+        let (from, pose) = &self.poses[before];
+        let Some((to, next)) = self.poses.get(after) else { return pose.clone() };
+        let share = (time.since(*from) as f64 / to.since(*from) as f64) as f32;
+        pose.iter().zip(next).map(|(now, next)| playing::mix(*now, *next, share)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{Quat, Vec3};
+    use shadecast_scene::load::{SceneSource, load_scene};
+
+    fn ms(ms: i64) -> ServerTime {
+        ServerTime(ms * 1_000_000)
+    }
+
+    /// Two dragons, the second of them live, and the ground.
+    fn scene() -> Scene {
+        let mut scene = load_scene(&SceneSource::Dragons(2)).expect("built in");
+        scene.instances[1].live = true;
+        scene
+    }
+
+    fn rest(scene: &Scene) -> Vec<Trs> {
+        scene.models[0].bones.iter().map(|bone| bone.rest).collect()
+    }
+
+    fn faster() -> Change {
+        Change { speed: Some(3.0), ..Change::default() }
+    }
+
+    #[test]
+    fn a_change_takes_effect_when_it_is_to_but_never_before_what_was_sampled() {
+        let mut timeline = Timeline::new(&scene());
+        assert_eq!(timeline.set_playback(0, faster(), ms(700)), Ok(ms(700)));
+        timeline.sampled(ms(900));
+        timeline.sampled(ms(800));
+        let before = timeline.at(0, ms(900));
+        let change = Change { clip: Some(Some(0)), ..faster() };
+        assert_eq!(timeline.set_playback(0, change, ms(850)), Ok(ServerTime(ms(900).0 + 1)));
+        assert_eq!(timeline.at(0, ms(900)), before);
+        assert_eq!(timeline.set_playback(0, faster(), ms(950)), Ok(ms(950)));
+    }
+
+    #[test]
+    fn what_the_scene_was_not_prepared_for_is_refused_and_changes_nothing() {
+        let scene = scene();
+        let mut timeline = Timeline::new(&scene);
+        let before = timeline.schedule(0).clone();
+        let mut refused = |instance, change| {
+            timeline.set_playback(instance, change, ms(10)).expect_err("refused").to_string()
+        };
+        let rest = Change { clip: Some(None), ..Change::default() };
+        let not_playable = "instance \"dragon 0\" cannot play clip None: no event of the scene names it; let an \
+             event name it, or set live = true on the instance";
+        assert_eq!(refused(0, rest), not_playable);
+        let not_live = "instance \"dragon 0\" cannot fade from clip to clip at run time: room is made for that \
+             only where the scene says live = true";
+        assert_eq!(refused(0, Change { clip: Some(Some(0)), fade_ns: 1, ..Change::default() }), not_live);
+        assert_eq!(refused(9, rest), "the scene has no instance 9; it has 3, numbered from 0");
+        let out_of_range = [
+            Change { speed: Some(f64::NAN), ..Change::default() },
+            Change { local_s: Some(f64::INFINITY), ..Change::default() },
+            Change { fade_ns: -1, ..Change::default() },
+            Change { fade_ns: MAX_FADE_NS + 1, ..Change::default() },
+        ];
+        out_of_range.into_iter().for_each(|change| assert!(refused(1, change).contains("cannot be changed")));
+        assert_eq!(timeline.schedule(0), &before);
+        let fade = Change { fade_ns: MAX_FADE_NS, ..rest };
+        assert_eq!(timeline.set_playback(1, fade, ms(10)), Ok(ms(10)), "a live one may play all and fade");
+    }
+
+    #[test]
+    fn between_two_poses_a_live_instance_goes_straight_and_outside_them_it_stands() {
+        let scene = scene();
+        let mut timeline = Timeline::new(&scene);
+        let (from, mut to) = (rest(&scene), rest(&scene));
+        to[0].scale = from[0].scale * 0.5;
+        timeline.set_pose(1, ms(1000), from.clone()).expect("a pose");
+        timeline.set_pose(1, ms(1200), to.clone()).expect("a pose");
+        let scale = |at| match timeline.at(1, at) {
+            Shown::Live(pose) => pose[0].scale.x / from[0].scale.x,
+            Shown::Clips(_) => f32::NAN,
+        };
+        assert!(scale(ms(999)).is_nan(), "its clip until the first pose");
+        assert_eq!([1000, 1100, 1200, 5000].map(|at| scale(ms(at))), [1.0, 0.75, 0.5, 0.5]);
+    }
+
+    #[test]
+    fn a_released_instance_plays_its_clip_again_and_can_be_posed_anew() {
+        let scene = scene();
+        let mut timeline = Timeline::new(&scene);
+        timeline.set_pose(1, ms(1000), rest(&scene)).expect("a pose");
+        timeline.sampled(ms(1500));
+        assert_eq!(timeline.release_pose(1, ms(0)), Ok(ServerTime(ms(1500).0 + 1)));
+        assert_eq!(timeline.release_pose(1, ms(0)), Ok(ServerTime(ms(1500).0 + 1)), "twice is no fault");
+        let seen = timeline.set_pose(1, ms(2000), rest(&scene)).expect("a pose");
+        assert_eq!(seen, ms(2000));
+        let is_live = |at| matches!(timeline.at(1, ms(at)), Shown::Live(_));
+        assert_eq!([999, 1000, 1500, 1501, 1999, 2000].map(is_live), [false, true, true, false, false, true]);
+    }
+
+    #[test]
+    fn a_pose_that_comes_late_is_seen_after_what_was_sampled() {
+        let scene = scene();
+        let mut timeline = Timeline::new(&scene);
+        timeline.sampled(ms(1500));
+        assert_eq!(timeline.set_pose(1, ms(1000), rest(&scene)), Ok(ServerTime(ms(1500).0 + 1)));
+        assert!(matches!(timeline.at(1, ms(1500)), Shown::Clips(_)), "that was sampled as its clip has it");
+        assert!(matches!(timeline.at(1, ms(1501)), Shown::Live(_)));
+    }
+
+    #[test]
+    fn poses_that_are_none_are_refused() {
+        let scene = scene();
+        let mut timeline = Timeline::new(&scene);
+        let mut refused =
+            |instance, time, pose| timeline.set_pose(instance, time, pose).expect_err("refused").to_string();
+        let with = |bone: Trs| rest(&scene).into_iter().map(|_| bone).collect::<Vec<_>>();
+        assert!(refused(0, ms(1), rest(&scene)).contains("cannot be posed at run time"));
+        assert!(refused(1, ms(1), Vec::new()).contains("the pose has 0 bones"));
+        let none = Quat::from_xyzw(0.0, 0.0, 0.0, 0.0);
+        assert!(refused(1, ms(1), with(Trs { rotation: none, ..Trs::IDENTITY })).contains("has no length"));
+        let nowhere = Vec3::splat(f32::NAN);
+        assert!(
+            refused(1, ms(1), with(Trs { translation: nowhere, ..Trs::IDENTITY })).contains("not finite")
+        );
+        let far = with(Trs { translation: Vec3::X * 10.0, ..Trs::IDENTITY });
+        assert!(refused(1, ms(1), far).contains("room is made for"));
+        assert!(refused(1, ServerTime(i64::MIN), rest(&scene)).contains("is no time"));
+        timeline.set_pose(1, ms(5), rest(&scene)).expect("a pose");
+        assert!(timeline.set_pose(1, ms(5), rest(&scene)).is_err(), "not later than the one before");
+    }
+
+    #[test]
+    fn poses_and_changes_without_end_take_no_memory_without_end() {
+        let scene = scene();
+        let mut timeline = Timeline::new(&scene);
+        for step in 0..3000 {
+            let at = ms(step * 100);
+            timeline.set_pose(1, at, rest(&scene)).expect("a pose");
+            timeline.set_playback(0, faster(), at).expect("a change");
+            if step % 7 == 0 {
+                timeline.sampled(at);
+                timeline.release_pose(1, at).expect("it is live");
+            }
+        }
+        let live = timeline.instances[1].live.as_ref().expect("it is");
+        assert!(live.runs.len() < 30 && timeline.schedule(0).entries().len() < 130);
+    }
+}

@@ -1,0 +1,154 @@
+//! Which chunks of clips lie in one client's arena, and where. Chunks stay as long as there is room; when there is none, of those
+//! that nobody needs soon the one that was needed last goes, since in a loop it is needed again the latest.
+
+use shadecast_protocol::ids::ClipId;
+use shadecast_protocol::time::ServerTime;
+use std::collections::BTreeMap;
+
+/// A chunk of a clip.
+pub type ChunkKey = (ClipId, u32);
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub struct Chunks {
+    /// First word and number of words of each run that is free, neither empty nor touching another.
+    free: BTreeMap<u32, u32>,
+    resident: BTreeMap<ChunkKey, Resident>,
+    evicted: Vec<ChunkKey>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Resident {
+    first_word: u32,
+    words: u32,
+    needed: ServerTime,
+}
+
+impl Chunks {
+    /// With these words of an arena, all free.
+    pub fn new(words: std::ops::Range<u32>) -> Self {
+        let free = (words.start < words.end).then(|| (words.start, words.end - words.start));
+        Self { free: free.into_iter().collect(), resident: BTreeMap::new(), evicted: Vec::new() }
+    }
+
+    /// Notes that a chunk is needed at `now` or soon; true where it is there.
+    pub fn need(&mut self, key: ChunkKey, now: ServerTime) -> bool {
+        match self.resident.get_mut(&key) {
+            Some(resident) => {
+                resident.needed = now;
+                true
+            }
+            None => false,
+        }
+    }
+
+    /// Whether a chunk is there.
+    pub fn has(&self, key: ChunkKey) -> bool {
+        self.resident.contains_key(&key)
+    }
+
+    /// Makes room for a chunk of so many words, at the cost of those that are not needed at `now`; its first word. `None`: there
+    /// is no room.
+    pub fn place(&mut self, key: ChunkKey, words: u32, now: ServerTime) -> Option<u32> {
+        loop {
+            if let Some(first_word) = self.take(words) {
+                self.resident.insert(key, Resident { first_word, words, needed: now });
+                return Some(first_word);
+            }
+            let dispensable = self.resident.iter().filter(|(_, resident)| resident.needed < now);
+            let (victim, _) = dispensable.max_by_key(|(key, resident)| (resident.needed, **key))?;
+            let victim = *victim;
+            self.evict(victim);
+            self.evicted.push(victim);
+        }
+    }
+
+    /// What had to make room since this was asked last.
+    pub fn take_evicted(&mut self) -> Vec<ChunkKey> {
+        std::mem::take(&mut self.evicted)
+    }
+
+    /// As [`Self::place`], at nobody's cost.
+    pub fn place_beside(&mut self, key: ChunkKey, words: u32, now: ServerTime) -> Option<u32> {
+        let first_word = self.take(words)?;
+        self.resident.insert(key, Resident { first_word, words, needed: now.plus_ns(-1) });
+        Some(first_word)
+    }
+
+    fn take(&mut self, words: u32) -> Option<u32> {
+        let (first, free) = self.free.iter().find(|(_, free)| **free >= words).map(|(f, w)| (*f, *w))?;
+        self.free.remove(&first);
+        if free > words {
+            self.free.insert(first + words, free - words);
+        }
+        Some(first)
+    }
+
+    fn evict(&mut self, key: ChunkKey) {
+        let Some(Resident { mut first_word, mut words, .. }) = self.resident.remove(&key) else { return };
+        if let Some((before, free)) = self.free.range(..first_word).next_back().map(|(f, w)| (*f, *w))
+            && before + free == first_word
+        {
+            self.free.remove(&before);
+            (first_word, words) = (before, words + free);
+        }
+        if let Some(after) = self.free.remove(&(first_word + words)) {
+            words += after;
+        }
+        self.free.insert(first_word, words);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{Rng, SeedableRng, rngs::SmallRng};
+
+    fn key(index: u32) -> ChunkKey {
+        (ClipId(1), index)
+    }
+
+    #[test]
+    fn chunks_never_overlap_and_all_words_come_back() {
+        let mut rng = SmallRng::seed_from_u64(3);
+        let mut chunks = Chunks::new(100..1000);
+        for step in 1..4000i64 {
+            let (key, now) = (key(rng.random_range(0..60)), ServerTime(step / 4));
+            if !chunks.need(key, now) {
+                chunks.place(key, rng.random_range(1..50) * 4, now);
+            }
+            let mut ranges: Vec<_> =
+                chunks.resident.values().map(|r| (r.first_word, r.first_word + r.words)).collect();
+            ranges.extend(chunks.free.iter().map(|(first, words)| (*first, first + words)));
+            ranges.sort_unstable();
+            assert_eq!((ranges[0].0, ranges[ranges.len() - 1].1), (100, 1000), "step {step}");
+            assert!(ranges.windows(2).all(|pair| pair[0].1 == pair[1].0), "step {step}: {ranges:?}");
+            assert!(
+                chunks.free.len() < 2 || {
+                    let free: Vec<_> = chunks.free.iter().collect();
+                    free.windows(2).all(|pair| pair[0].0 + pair[0].1 < *pair[1].0)
+                }
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_needed_stays_and_what_was_needed_last_goes_first() {
+        let mut chunks = Chunks::new(0..30);
+        for index in 0..3 {
+            assert!(chunks.place(key(index), 10, ServerTime(i64::from(index))).is_some());
+        }
+        assert!(chunks.need(key(0), ServerTime(5)));
+        chunks.place(key(3), 10, ServerTime(5)).unwrap();
+        assert!([0, 1, 3].map(key).into_iter().all(|key| chunks.has(key)) && !chunks.has(key(2)));
+        assert_eq!(chunks.place(key(4), 30, ServerTime(5)), None, "two of them are needed now");
+    }
+
+    #[test]
+    fn what_is_sent_ahead_drives_nothing_out() {
+        let mut chunks = Chunks::new(0..25);
+        assert!(chunks.place_beside(key(0), 20, ServerTime(1)).is_some());
+        assert_eq!(chunks.place_beside(key(1), 20, ServerTime(9)), None);
+        assert!(chunks.has(key(0)));
+    }
+}

@@ -1,0 +1,387 @@
+//! What one client is sent of motion as time goes by, at motion's own cadence: changes of what is played, chunks of clips, those
+//! that are shown next first, poses and samples. Waits for no update, and no update waits for it.
+
+use super::chunks::Chunks;
+use super::posed::{self, PosedInstances};
+use super::sampled::{self, SampleWindow, SharedCoder};
+use super::schedules::Schedules;
+use crate::animation::posing::CpuPose;
+use crate::animation::timeline::SharedTimeline;
+use crate::pacing::{Budget, WayState};
+use crate::scene::SceneGpu;
+use crate::scene::numbering::SceneVertex;
+use glam::Vec3;
+use shadecast_protocol::ids::{ClipId, UpdateId};
+use shadecast_protocol::limits::SAMPLE_RING;
+use shadecast_protocol::message::MotionMemory;
+use shadecast_protocol::motion::clip::{ClipChunk, chunk_at, chunk_count};
+use shadecast_protocol::motion::message::{MotionMessage, MotionNews};
+use shadecast_protocol::motion::poses::GridPose;
+use shadecast_protocol::motion::skeleton::{ClipRef, PoseSource, SkinnedInstance};
+use shadecast_protocol::session::{Out, motion_stream, sample_stream};
+use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime};
+use std::collections::{BTreeSet, HashMap};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// What is shown from this long ago, nanoseconds: the way to the display, and a head that looks back.
+const BEHIND_NS: i64 = 300_000_000;
+/// What is shown until then is sent at once, nanoseconds, beside the time that news need: it goes before all updates, and over a
+/// slow link these wait for it.
+const AHEAD_NS: i64 = 300_000_000;
+/// The time between is looked at in these steps, nanoseconds: at usual speeds no chunk lies between two of them.
+const LOOK_NS: i64 = 100_000_000;
+/// Bytes of what is shown later that one tick sends.
+const LATER_BYTES: usize = 16_384;
+/// How far ahead samples reach before anything is known of the way, nanoseconds.
+const START_LEAD_NS: i64 = 400_000_000;
+/// What a loss costs beside a round trip until it is noticed, nanoseconds: a probe's delay, and jitter.
+const NOTICE_NS: i64 = 60_000_000;
+/// As far as samples can reach, nanoseconds: the client keeps so many, and needs some behind the time that it shows.
+const LONGEST_LEAD_NS: i64 = (SAMPLE_RING as i64 - 6) * DEFAULT_GRID.spacing_ns;
+/// Steps of a slow link's budget that add up.
+const SAVED_STEPS: usize = 8;
+
+/// What the thread of motion and the client's pipeline both work with.
+pub type SharedMotion = Arc<Mutex<MotionSender>>;
+
+/// For a moment. What a panic left behind belongs to a client that is sent away.
+pub fn lock(motion: &SharedMotion) -> MutexGuard<'_, MotionSender> {
+    motion.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Bytes of motion so far, by cause.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct MotionBytes {
+    /// Chunks of clips.
+    pub chunk_bytes: u64,
+    /// Chunks of clips, counted.
+    pub chunks: u64,
+    /// Changes of what is played.
+    pub schedule_bytes: u64,
+    /// Poses.
+    pub pose_bytes: u64,
+    /// Poses, counted.
+    pub poses: u64,
+    /// Samples.
+    pub sample_bytes: u64,
+    /// Samples, counted.
+    pub samples: u64,
+}
+
+impl MotionBytes {
+    /// All bytes.
+    pub fn total(&self) -> u64 {
+        self.chunk_bytes + self.schedule_bytes + self.pose_bytes + self.sample_bytes
+    }
+}
+
+/// Where a vertex is at a grid point.
+fn position(
+    scene: &SceneGpu,
+    timeline: &SharedTimeline,
+    poses: &mut HashMap<(usize, GridIndex), CpuPose>,
+    grid: GridIndex,
+    vertex: SceneVertex,
+) -> Vec3 {
+    let instance = scene.numbering.instance_of_vertex(vertex);
+    let place = &scene.numbering.instances[instance];
+    let pose = || {
+        let time = DEFAULT_GRID.time_of(grid);
+        let shown = timeline.lock().at(instance, time);
+        CpuPose::at(scene, instance, &shown, time)
+    };
+    let pose = poses.entry((instance, grid)).or_insert_with(pose);
+    pose.vertex(&scene.scene.models[place.model], (vertex.0 - place.first_vertex.0) as usize)
+}
+
+/// See the module.
+pub struct MotionSender {
+    scene: Arc<SceneGpu>,
+    timeline: SharedTimeline,
+    chunks: Chunks,
+    /// What instances play that the client has been told of.
+    schedules: Schedules,
+    posed: PosedInstances,
+    /// Clips not all of whose chunks were sent, or did not all stay.
+    open: BTreeSet<ClipId>,
+    sequence: u32,
+    bytes: MotionBytes,
+    /// Streams that the client's gate has not been told of: their bytes, and whether they go before all updates or after them.
+    untold: Vec<(usize, bool)>,
+    /// What codes its samples.
+    coder: Option<SharedCoder>,
+    /// Poses of instances with samples, of the tick under way.
+    poses: HashMap<(usize, GridIndex), CpuPose>,
+    /// Bytes of poses and samples that a tick may bring, and those that may be sent now.
+    budget: [usize; 2],
+    /// Bytes of what is shown later that a tick may bring, and what is left of them; a chunk is sent whole and paid for later.
+    later_bytes: i64,
+    later_left_bytes: i64,
+    lead_ns: i64,
+    /// What is played changes no earlier than this from now, nanoseconds: the client must know of it by then.
+    change_lead_ns: i64,
+    /// Of the last tick.
+    now: Option<ServerTime>,
+}
+
+impl MotionSender {
+    /// For a client with so much memory.
+    pub fn new(scene: &Arc<SceneGpu>, timeline: &SharedTimeline, memory: MotionMemory) -> Self {
+        let first = scene.motion.first_chunk_word().min(memory.arena_words);
+        Self {
+            scene: scene.clone(),
+            timeline: timeline.clone(),
+            chunks: Chunks::new(first..memory.arena_words),
+            schedules: Schedules::default(),
+            posed: PosedInstances::default(),
+            open: BTreeSet::new(),
+            sequence: 0,
+            bytes: MotionBytes::default(),
+            untold: Vec::new(),
+            coder: None,
+            poses: HashMap::new(),
+            budget: [usize::MAX; 2],
+            later_bytes: LATER_BYTES as i64,
+            later_left_bytes: 0,
+            lead_ns: START_LEAD_NS,
+            change_lead_ns: START_LEAD_NS,
+            now: None,
+        }
+    }
+
+    /// Its samples are coded by this.
+    pub fn code_with(&mut self, coder: &SharedCoder) {
+        self.coder = Some(coder.clone());
+    }
+
+    /// What a step of the time grid may bring.
+    pub fn set_budget(&mut self, budget: Budget) {
+        self.budget[0] = budget.sample_bytes;
+        self.later_bytes = budget.later_bytes.min(LATER_BYTES) as i64;
+    }
+
+    /// How far ahead of now its poses and samples reach, nanoseconds.
+    pub fn lead_ns(&self) -> i64 {
+        self.lead_ns
+    }
+
+    /// The client is told of an instance with the next update, and of what it plays by now.
+    pub fn announce(&mut self, told: &mut SkinnedInstance) {
+        let (scene, instance) = (self.scene.clone(), told.instance.index());
+        self.schedules.announce(&scene, &self.timeline.lock(), self.now, told);
+        let clips: Vec<ClipRef> = match told.source {
+            PoseSource::Grid { .. } => {
+                self.posed.announce(&scene, instance);
+                Vec::new()
+            }
+            PoseSource::Clips => told.schedule.entries().iter().map(|entry| entry.clip).collect(),
+        };
+        let path = told.path.iter().flat_map(|path| path.entries()).map(|entry| entry.clip);
+        self.open.extend(path.chain(clips).map(|clip| clip.clip));
+    }
+
+    /// Bytes so far.
+    pub fn bytes(&self) -> MotionBytes {
+        self.bytes
+    }
+
+    /// Bytes of each stream since this was asked last, and whether it goes before all updates or after them.
+    pub fn take_untold(&mut self) -> Vec<(usize, bool)> {
+        std::mem::take(&mut self.untold)
+    }
+
+    /// What is to be sent at `now`. `way`: that to the client, as far as anything is known of it.
+    pub fn tick(&mut self, now: ServerTime, way: Option<&WayState>) -> Vec<Out> {
+        self.now = Some(now);
+        self.note_way(way);
+        let [more, saved] = self.budget;
+        self.budget[1] = saved.saturating_add(more).min(more.saturating_mul(SAVED_STEPS));
+        let mut out = self.changes(now);
+        out.extend(self.chunks(now));
+        out.extend(self.poses(now));
+        out.extend(self.samples(now));
+        out
+    }
+
+    /// Follows the way to the client in how far ahead of now it is told of what.
+    fn note_way(&mut self, way: Option<&WayState>) {
+        let Some(&WayState { smoothed_ns, .. }) = way.filter(|way| way.smoothed_ns > 0) else { return };
+        // Half a round trip, and losses on the way: two, or one.
+        let lead_ns = smoothed_ns / 2 + 2 * (smoothed_ns + NOTICE_NS) + smoothed_ns;
+        self.lead_ns = lead_ns.min(LONGEST_LEAD_NS);
+        // Before a change is seen here, a step of the grid may pass.
+        self.change_lead_ns = smoothed_ns / 2 + smoothed_ns + NOTICE_NS + DEFAULT_GRID.spacing_ns;
+    }
+
+    /// What is played otherwise than the client was told.
+    fn changes(&mut self, now: ServerTime) -> Vec<Out> {
+        if !self.schedules.plays_any() {
+            return Vec::new();
+        }
+        let mut timeline = self.timeline.lock();
+        // What changes from now on does so after the client has heard of it.
+        timeline.sampled(now.plus_ns(self.change_lead_ns));
+        let changes = self.schedules.changes(&self.scene, &timeline, now);
+        drop(timeline);
+        let mut out = Vec::new();
+        for change in changes {
+            self.open.extend(change.schedule.entries().iter().map(|entry| entry.clip.clip));
+            let stream = self.stream(MotionNews::Schedule(change), true);
+            self.bytes.schedule_bytes += stream.bytes() as u64;
+            out.push(stream);
+        }
+        out
+    }
+
+    /// Which steps of the grid can be sent at `now`. What is shown until the last of them does not change any more.
+    fn window(&self, now: ServerTime) -> SampleWindow {
+        let horizon = DEFAULT_GRID.ceil(now.plus_ns(self.lead_ns)).plus(2);
+        self.timeline.lock().sampled(DEFAULT_GRID.time_of(horizon));
+        SampleWindow {
+            first: DEFAULT_GRID.floor(now).plus(-2),
+            oldest: horizon.plus(1 - SAMPLE_RING as i32),
+            horizon,
+        }
+    }
+
+    /// New poses, as many as the link takes, in one message.
+    fn poses(&mut self, now: ServerTime) -> Option<Out> {
+        if self.posed.step_bytes() == 0 {
+            return None;
+        }
+        let window = self.window(now);
+        let due = self.posed.due(window, self.budget[1]);
+        let pose = |(grid, instance)| posed::pose(&self.scene, &self.timeline, grid, instance);
+        let poses: Vec<GridPose> = due.into_iter().map(pose).collect();
+        if poses.is_empty() {
+            return None;
+        }
+        self.bytes.poses += poses.len() as u64;
+        let stream = self.stream(MotionNews::Poses(poses), true);
+        self.budget[1] = self.budget[1].saturating_sub(stream.bytes());
+        self.bytes.pose_bytes += stream.bytes() as u64;
+        Some(stream)
+    }
+
+    /// The stream of the next message.
+    fn stream(&mut self, news: MotionNews, is_urgent: bool) -> Out {
+        let message = MotionMessage { sequence: self.sequence, news };
+        self.sequence = self.sequence.wrapping_add(1);
+        // After the first update, which needs no key to be seen, and before all others.
+        let stream = motion_stream(&message, is_urgent.then_some(UpdateId(0)));
+        self.untold.push((stream.bytes(), is_urgent));
+        stream
+    }
+
+    fn chunks(&mut self, now: ServerTime) -> Vec<Out> {
+        let mut out = Vec::new();
+        if self.open.is_empty() {
+            return out;
+        }
+        let mut missing = self.soon(now);
+        // All that is needed is known before anything makes room for itself.
+        missing.retain(|(clip, index)| !self.chunks.need((clip.clip, *index), now));
+        for (clip, index) in missing {
+            let words = |chunks: &mut Chunks, words| chunks.place((clip.clip, index), words, now);
+            out.extend(self.chunk(clip, index, words, true));
+        }
+        self.open.extend(self.chunks.take_evicted().into_iter().map(|(clip, _)| clip));
+        self.send_later(now, &mut out);
+        out
+    }
+
+    /// New samples, as many as the link takes.
+    fn samples(&mut self, now: ServerTime) -> Vec<Out> {
+        let Some(coder) = self.coder.clone() else { return Vec::new() };
+        let mut coder = sampled::lock(&coder);
+        let saved = self.budget[1];
+        if coder.vertex_count() == 0 || saved < coder.step_bytes() {
+            return Vec::new();
+        }
+        // What was sent is never contradicted.
+        let window = self.window(now);
+        let (scene, timeline, poses) = (&self.scene, &self.timeline, &mut self.poses);
+        poses.clear();
+        let coded =
+            coder.samples(window, saved, |grid, vertex| position(scene, timeline, poses, grid, vertex));
+        let streams: Vec<Out> = coded.iter().map(sample_stream).collect();
+        for (stream, coded) in streams.iter().zip(&coded) {
+            self.untold.push((stream.bytes(), true));
+            self.budget[1] = self.budget[1].saturating_sub(stream.bytes());
+            self.bytes.sample_bytes += stream.bytes() as u64;
+            self.bytes.samples += coded.sizes.samples as u64;
+        }
+        streams
+    }
+
+    /// What is shown soon, the first first.
+    fn soon(&self, now: ServerTime) -> Vec<(ClipRef, u32)> {
+        let (mut soon, mut known) = (Vec::new(), BTreeSet::new());
+        let look = |from_ns: i64, until_ns: i64| (from_ns..=until_ns).step_by(LOOK_NS as usize);
+        for ahead_ns in look(0, self.change_lead_ns + AHEAD_NS).chain(look(-BEHIND_NS, 0)) {
+            let at = now.plus_ns(ahead_ns);
+            for playing in self.schedules.playing(at) {
+                for shown in
+                    [Some(playing.now), playing.fading.map(|(fading, _)| fading)].into_iter().flatten()
+                {
+                    let index = chunk_at(shown.phase_s(shown.clip.duration_s), shown.clip.duration_s);
+                    if known.insert((shown.clip.clip, index)) {
+                        soon.push((shown.clip, index));
+                    }
+                }
+            }
+        }
+        soon
+    }
+
+    /// What is shown later, a little at a time, as long as there is room.
+    fn send_later(&mut self, now: ServerTime, out: &mut Vec<Out>) {
+        self.later_left_bytes = (self.later_left_bytes + self.later_bytes).min(self.later_bytes);
+        for clip in self.open.clone() {
+            let clip = self.scene.motion.clip(clip);
+            for index in 0..chunk_count(clip.duration_s) {
+                if self.chunks.has((clip.clip, index)) {
+                    continue;
+                }
+                if self.later_left_bytes <= 0 {
+                    return;
+                }
+                let words = |chunks: &mut Chunks, words| chunks.place_beside((clip.clip, index), words, now);
+                // Where there is no room the clip stays open: what is needed soon drives out what is not.
+                let Some(stream) = self.chunk(clip, index, words, false) else { return };
+                self.later_left_bytes -= stream.bytes() as i64;
+                out.push(stream);
+            }
+            if self.chunks_all_there(clip) {
+                self.open.remove(&clip.clip);
+            }
+        }
+    }
+
+    fn chunks_all_there(&self, clip: ClipRef) -> bool {
+        (0..chunk_count(clip.duration_s)).all(|index| self.chunks.has((clip.clip, index)))
+    }
+
+    fn chunk(
+        &mut self,
+        clip: ClipRef,
+        index: u32,
+        place: impl FnOnce(&mut Chunks, u32) -> Option<u32>,
+        is_urgent: bool,
+    ) -> Option<Out> {
+        let tracks = self.scene.motion.chunk(clip.clip, index);
+        let mut chunk = ClipChunk { clip: clip.clip, index, first_word: 0, tracks };
+        let words = chunk.words();
+        let Some(first_word) = place(&mut self.chunks, words) else {
+            if is_urgent {
+                tracing::debug!("clip {} has no room in the client's arena", clip.clip.0);
+            }
+            return None;
+        };
+        chunk.first_word = first_word;
+        let stream = self.stream(MotionNews::Chunk(chunk), is_urgent);
+        self.bytes.chunk_bytes += stream.bytes() as u64;
+        self.bytes.chunks += 1;
+        Some(stream)
+    }
+}
