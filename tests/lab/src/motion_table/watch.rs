@@ -10,7 +10,7 @@ use glam::{DVec3, Vec3};
 use serde::Serialize;
 use shadecast_client::client::FrameReport;
 use shadecast_protocol::ids::VertexSlot;
-use shadecast_protocol::time::{ClientTime, ServerTime};
+use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, ServerTime};
 use shadecast_server::motion::sampled;
 use shadecast_server::scene::SceneGpu;
 use shadecast_server::scene::numbering::SceneVertex;
@@ -56,6 +56,8 @@ pub struct Watch {
     pub max_clock_error_ms: f64,
     last_times: Option<(ClientTime, ServerTime)>,
     standing: HashMap<SceneVertex, Standing>,
+    /// By instance when any of its vertices moved last.
+    moved: BTreeMap<usize, ServerTime>,
 }
 
 /// Where the largest error was.
@@ -135,8 +137,9 @@ impl Watch {
         corners.iter().for_each(|corner| self.add(scene, corner, time));
         if let Some(motion_time) = frame.motion_time.filter(|motion_time| *motion_time != time) {
             let mut truth = VertexTruth::at(scene, motion_time);
-            suit(&mut corners, |vertex| truth.vertex(vertex).position);
+            suit(&mut corners, |vertex| Some(truth.vertex(vertex).position));
         }
+        self.suit_standing(scene, &mut corners, time);
         self.torn_vertex_frames += torn(&corners, &place_of_slot, &triangles).len() as u64;
         Ok(())
     }
@@ -158,16 +161,34 @@ impl Watch {
             let instance = scene.scene.instances[corner.instance].name.clone();
             self.worst = Some(Worst { error_mm, time_s: time.seconds(), instance, vertex: corner.number });
         }
-        self.frozen_vertex_frames += u64::from(self.stands_still(corner));
+        self.frozen_vertex_frames += u64::from(self.stands_still(corner, time));
+    }
+
+    /// An instance that stands still as a whole does so at a step of the time grid, the one before the frame in which it moved
+    /// last: poses end there.
+    fn suit_standing(&self, scene: &SceneGpu, corners: &mut [Corner], time: ServerTime) {
+        let stands =
+            |(instance, moved): (&usize, &ServerTime)| (*moved < time).then_some((*instance, *moved));
+        for (instance, moved) in self.moved.iter().filter_map(stands) {
+            let mut truth = VertexTruth::at(scene, DEFAULT_GRID.time_of(DEFAULT_GRID.floor(moved)));
+            suit(corners, |vertex| {
+                let vertex = truth.vertex(vertex);
+                (vertex.instance == instance).then_some(vertex.position)
+            });
+        }
     }
 
     /// Whether a vertex is exactly where it was in the frame before, though it should be elsewhere.
-    fn stands_still(&mut self, corner: &Corner) -> bool {
-        let Corner { vertex, shown, truth, step_m, .. } = *corner;
+    fn stands_still(&mut self, corner: &Corner, time: ServerTime) -> bool {
+        let Corner { vertex, instance, shown, truth, step_m, .. } = *corner;
         let here = Standing { frame: self.frames, shown, truth };
         let before = self.standing.entry(vertex).or_insert(Standing { frame: 0, ..here });
-        let is_still = before.frame + 1 == self.frames && before.shown == shown;
+        let was_drawn = before.frame + 1 == self.frames;
+        let is_still = was_drawn && before.shown == shown;
         let came_there = if is_still { before.truth } else { truth };
+        if was_drawn && !is_still {
+            self.moved.insert(instance, time);
+        }
         *before = Standing { frame: self.frames, shown, truth: came_there };
         came_there.distance(truth) > FROZEN_M.max(FROZEN_STEPS * step_m)
     }
@@ -204,11 +225,12 @@ fn corners(
 }
 
 /// Takes the errors of each instance at another time, whose true places are `truth`, where the sum of their squares is smaller: an
-/// instance that stands still as a whole is not torn.
-fn suit(corners: &mut [Corner], mut truth: impl FnMut(SceneVertex) -> DVec3) {
+/// instance that stands still as a whole is not torn. `None`: the vertex's instance is not asked about.
+fn suit(corners: &mut [Corner], mut truth: impl FnMut(SceneVertex) -> Option<DVec3>) {
     let mut instances: BTreeMap<usize, Vec<(usize, DVec3)>> = BTreeMap::new();
     for (place, corner) in corners.iter().enumerate() {
-        let other = corner.shown.as_dvec3() - truth(corner.vertex);
+        let Some(place_then) = truth(corner.vertex) else { continue };
+        let other = corner.shown.as_dvec3() - place_then;
         instances.entry(corner.instance).or_default().push((place, other));
     }
     for others in instances.into_values() {
@@ -287,10 +309,10 @@ mod tests {
         // At the time at which it stands, two are exact and one is nearly.
         let shown: Vec<DVec3> = corners.iter().map(|corner| corner.shown.as_dvec3()).collect();
         let off = |number: u32| DVec3::Z * 0.125 * f64::from(number / 2);
-        suit(&mut corners, |vertex| shown[vertex.0 as usize] - off(vertex.0));
+        suit(&mut corners, |vertex| Some(shown[vertex.0 as usize] - off(vertex.0)));
         assert_eq!([0, 1, 2].map(|n: usize| corners[n].error), [off(0), off(1), off(2)]);
         // A time that suits it worse changes nothing.
-        suit(&mut corners, |_| DVec3::ONE * 9.0);
+        suit(&mut corners, |_| Some(DVec3::ONE * 9.0));
         assert_eq!(corners[2].error, off(2));
     }
 
@@ -299,14 +321,30 @@ mod tests {
         let mut watch = Watch::default();
         let mut see = |shown: f64, truth: f64| {
             watch.frames += 1;
-            watch.stands_still(&corner(0, DVec3::X * truth, shown - truth))
+            watch.stands_still(&corner(0, DVec3::X * truth, shown - truth), ServerTime(0))
         };
         assert!(!see(0.0, 0.0) && !see(0.0, 0.0004) && !see(0.0, 0.0008), "quantised, and slow");
         assert!(see(0.0, 0.0012), "slow, and still for long");
         assert!(!see(0.0013, 0.0014) && !see(0.5, 0.6) && !see(0.6, 0.9), "it moves, if wrongly");
         assert!(see(0.6, 1.0));
         watch.frames += 5;
-        assert!(!watch.stands_still(&corner(0, DVec3::X * 3.0, -2.4)), "it has not been drawn meanwhile");
+        assert!(
+            !watch.stands_still(&corner(0, DVec3::X * 3.0, -2.4), ServerTime(0)),
+            "it has not been drawn meanwhile"
+        );
+    }
+
+    #[test]
+    fn an_instance_moved_when_a_vertex_did_and_not_when_one_came_into_view() {
+        let mut watch = Watch::default();
+        let mut see = |frame: u64, number: u32, x: f64| {
+            watch.frames = frame;
+            watch.stands_still(&corner(number, DVec3::X * x, 0.0), ServerTime(frame as i64));
+            watch.moved.get(&0).copied()
+        };
+        assert_eq!([see(1, 0, 0.0), see(2, 0, 0.5)], [None, Some(ServerTime(2))]);
+        assert_eq!([see(3, 0, 0.5), see(3, 1, 9.0)], [Some(ServerTime(2)); 2]);
+        assert_eq!(see(4, 1, 9.1), Some(ServerTime(4)));
     }
 
     #[test]
