@@ -77,6 +77,8 @@ pub struct MotionRow {
     pub held_vertex_frames: u64,
     /// Vertices that had no sample for the frame's time, by what the client says, summed over display frames.
     pub stopped_vertex_frames: u64,
+    /// Vertices of instances that were not shown yet, by what the client says, summed over display frames.
+    pub withheld_vertex_frames: u64,
     /// Milliseconds of the client's device that moving vertices took, mean over display frames.
     pub client_gpu_ms: f64,
     /// The same for each of its stages.
@@ -251,6 +253,7 @@ impl MotionRow {
             torn_vertex_frames: watch.torn_vertex_frames,
             held_vertex_frames: watch.held_vertex_frames,
             stopped_vertex_frames: watch.stopped_vertex_frames,
+            withheld_vertex_frames: watch.withheld_vertex_frames,
             client_gpu_ms,
             client_frame_gpu_ms,
             animated_over_static: (still_ms > 0.0).then(|| client_frame_gpu_ms / still_ms),

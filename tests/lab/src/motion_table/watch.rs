@@ -48,6 +48,8 @@ pub struct Watch {
     pub held_vertex_frames: u64,
     /// The same.
     pub stopped_vertex_frames: u64,
+    /// Vertices of instances that are not shown yet, by what the client says: their keys or poses are still on the way.
+    pub withheld_vertex_frames: u64,
     /// Milliseconds by stage of the client's device, summed over frames.
     pub client_gpu_ms: BTreeMap<&'static str, f64>,
     /// Largest difference between a step of the client's idea of the server's time and what passed meanwhile, milliseconds.
@@ -113,7 +115,12 @@ impl Watch {
         for (stage, ms) in lab.client.frame_timings()?.iter() {
             *self.client_gpu_ms.entry(stage).or_default() += ms;
         }
-        let (positions, triangles) = (lab.client.read_positions()?, lab.client.drawn_triangles());
+        let (positions, mut triangles) = (lab.client.read_positions()?, lab.client.drawn_triangles());
+        // An instance that the client withholds has no size: nobody sees it.
+        triangles.retain(|triangle| {
+            let [a, b, c] = triangle.map(|slot| positions[slot as usize]);
+            a != b || b != c
+        });
         let residents = lab.seat_mut().residents.at(update).map(<[_]>::to_vec);
         let residents =
             residents.with_context(|| format!("who was in whose slot at {update:?} is forgotten"))?;
@@ -134,6 +141,7 @@ impl Watch {
         self.frames += 1;
         self.held_vertex_frames += u64::from(frame.held_vertices);
         self.stopped_vertex_frames += u64::from(frame.frozen_vertices);
+        self.withheld_vertex_frames += u64::from(frame.withheld_vertices);
         corners.iter().for_each(|corner| self.add(scene, corner, time));
         if let Some(motion_time) = frame.motion_time.filter(|motion_time| *motion_time != time) {
             let mut truth = VertexTruth::at(scene, motion_time);
