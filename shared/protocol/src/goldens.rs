@@ -182,7 +182,14 @@ fn news_of_motion() -> [MotionNews; 3] {
         values: vec![[0.0, 0.0, 0.0, 1.0], [0.0, 0.5, 0.0, 0.75]],
         tangents: vec![[0.0; 4], [0.25; 4]],
     };
-    let tracks = vec![still(vec![[1.0, 2.0, 3.0, 0.0]]), moving, still(vec![[1.0, 1.0, 1.0, 0.0]])];
+    let turning = ChunkTrack {
+        kind: TrackKind::Linear,
+        times_s: vec![0.5, 0.625],
+        values: vec![[0.0, 0.59375, 0.0, -0.8125], [0.28125, -0.75, 0.0, -0.59375]],
+        tangents: Vec::new(),
+    };
+    let [still, one] = [[1.0, 2.0, 3.0, 0.0], [1.0, 1.0, 1.0, 0.0]].map(|value| still(vec![value]));
+    let tracks = vec![still, moving, one, turning];
     let (from, repetition) = (ServerTime(1_000_000_000), Repetition::PingPong);
     let playback = Playback { from, clip, start_s: 0.25, speed: -1.5, repetition, fade_ns: 200_000_000 };
     let bone = BonePose { translation: [0.5, -0.25, 0.125], rotation: [0.0, 0.6, 0.0, 0.8], scale: [1.0; 3] };
@@ -200,7 +207,7 @@ fn news_of_motion_keep_their_bytes() {
         news_of_motion().map(|news| encode_motion(&MotionMessage { sequence: 9, news }.encode()));
     assert_pinned(
         &chunk,
-        "030900000001ac0201400308010000803f000000400000404002020000003f0000403f0000000000000000000000000000803f000000000000003f000000000000403f000000000000000000000000000000000000803e0000803e0000803e0000803e0c",
+        "030900000001ac020140040804000110503838aca13e9f4000048241810008241832c1df81228d79aa0000",
     );
     assert_pinned(
         &schedule,

@@ -48,6 +48,8 @@ pub const MAX_SCHEDULE: usize = 64;
 pub const MAX_CHUNK_TRACKS: u32 = 3 * MAX_SKELETON_BONES + MAX_MORPHS;
 /// Keys of a chunk of a clip, over all its curves.
 pub const MAX_CHUNK_KEYS: u32 = 1 << 18;
+/// Frames per second by whose number a clip can say its key times.
+pub const MAX_FRAME_RATE: u32 = 1024;
 /// Bytes of one message about motion.
 pub const MAX_MOTION_BYTES: usize = 16 << 20;
 
@@ -136,6 +138,10 @@ const WORST_SAMPLE_BYTES: usize = 13;
 const WORST_VERTEX_BYTES: usize = 16 + 12 + 5;
 /// Bytes that the predictions of a vertex can cost at worst: a run of its own, positions and times.
 const WORST_PREDICTED_BYTES: usize = 10 + 16 * PREDICTIONS as usize;
+/// Bytes that a key of a clip can cost at worst: value, tangent, time, and its place among the times.
+const WORST_KEY_BYTES: usize = 16 + 16 + 4 + 4;
+/// Bytes that a curve of a clip can cost at worst beside its keys: what it is, steps, and thirteen widths.
+const WORST_CURVE_BYTES: usize = 24;
 /// Bytes that a patch can cost at worst: slot, instance, kind, five vertices, placement, eviction.
 const WORST_PATCH_BYTES: usize = 5 + 4 + 5 * PATCH_MAX_VERTICES as usize + 5 + 4 + 5;
 
@@ -145,7 +151,10 @@ const _: () = {
     assert!(MAX_SKELETON_BONES <= u16::MAX as u32 && MAX_SKELETON_ENTRIES <= MAX_POSE_PLACES);
     assert!(MAX_ARENA_WORDS <= 1 << 24, "a rest vertex names the word of its morphs in 24 bits");
     assert!(DEFAULT_ARENA_WORDS <= MAX_ARENA_WORDS);
-    assert!(MAX_CHUNK_KEYS as usize * 36 + MAX_CHUNK_TRACKS as usize * 6 + 64 <= MAX_MOTION_BYTES);
+    assert!(
+        MAX_CHUNK_KEYS as usize * WORST_KEY_BYTES + MAX_CHUNK_TRACKS as usize * WORST_CURVE_BYTES + 64
+            <= MAX_MOTION_BYTES
+    );
     assert!(MAX_MOTION_BYTES + 64 <= MAX_STREAM_BYTES);
     assert!(
         SAMPLE_RING.is_power_of_two() && SAMPLE_RING >= 8,

@@ -27,6 +27,11 @@ impl<'a> BitWriter<'a> {
         }
     }
 
+    /// How wide numbers are that follow, 0..=32 bits but 31.
+    pub(super) fn put_width(&mut self, width: u32) {
+        self.put(width.min(31), WIDTH_BITS);
+    }
+
     /// Fills up the last byte with zeros.
     pub(super) fn finish(self) {
         let bytes = self.count.div_ceil(8) as usize;
@@ -36,6 +41,8 @@ impl<'a> BitWriter<'a> {
 
 /// Reads what [`BitWriter`] packed.
 pub(super) struct BitReader<'a> {
+    /// What is being read, for errors.
+    what: &'static str,
     bytes: &'a [u8],
     at: usize,
     pending: u64,
@@ -43,14 +50,14 @@ pub(super) struct BitReader<'a> {
 }
 
 impl<'a> BitReader<'a> {
-    pub(super) fn new(bytes: &'a [u8]) -> Self {
-        Self { bytes, at: 0, pending: 0, count: 0 }
+    pub(super) fn new(what: &'static str, bytes: &'a [u8]) -> Self {
+        Self { what, bytes, at: 0, pending: 0, count: 0 }
     }
 
     pub(super) fn take(&mut self, width: u32) -> Result<u32, WireError> {
         while self.count < width {
             let Some(byte) = self.bytes.get(self.at) else {
-                return Err(WireError::Truncated { what: "a batch of samples", needed: 1, left: 0 });
+                return Err(WireError::Truncated { what: self.what, needed: 1, left: 0 });
             };
             self.pending |= u64::from(*byte) << self.count;
             self.at += 1;
@@ -60,6 +67,11 @@ impl<'a> BitReader<'a> {
         self.pending >>= width;
         self.count -= width;
         Ok(value as u32)
+    }
+
+    /// What [`BitWriter::put_width`] put.
+    pub(super) fn take_width(&mut self) -> Result<u32, WireError> {
+        Ok(round_width(self.take(WIDTH_BITS)?))
     }
 
     pub(super) fn bytes_read(&self) -> usize {
@@ -85,32 +97,32 @@ impl Packing {
         }
         std::array::from_fn(|axis| {
             let spread = high[axis].wrapping_sub(low[axis]) as u32;
-            Self { base: low[axis], width: round_width(bit_width(spread)) }
+            Self { base: low[axis], width: width_of(spread) }
         })
     }
 
     /// Bits of a group of this many vertices on this axis.
     pub(super) fn bits(self, count: u32) -> u32 {
-        2 * WIDTH_BITS + round_width(bit_width(zigzag(self.base))) + self.width * count
+        2 * WIDTH_BITS + width_of(zigzag(self.base)) + self.width * count
     }
 
     pub(super) fn write(self, bits: &mut BitWriter<'_>) {
         let base = zigzag(self.base);
-        let base_width = round_width(bit_width(base));
-        bits.put(self.width.min(31), WIDTH_BITS);
-        bits.put(base_width.min(31), WIDTH_BITS);
+        let base_width = width_of(base);
+        bits.put_width(self.width);
+        bits.put_width(base_width);
         bits.put(base, base_width);
     }
 
     pub(super) fn read(bits: &mut BitReader<'_>) -> Result<Self, WireError> {
-        let width = round_width(bits.take(WIDTH_BITS)?);
-        let base_width = round_width(bits.take(WIDTH_BITS)?);
+        let (width, base_width) = (bits.take_width()?, bits.take_width()?);
         Ok(Self { base: unzigzag(bits.take(base_width)?), width })
     }
 }
 
-fn bit_width(value: u32) -> u32 {
-    u32::BITS - value.leading_zeros()
+/// Bits of a number, as far as a width can say.
+pub(super) fn width_of(value: u32) -> u32 {
+    round_width(u32::BITS - value.leading_zeros())
 }
 
 /// Five bits cannot name 32 and 31 both: 31 becomes 32.

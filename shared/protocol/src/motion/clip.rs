@@ -1,9 +1,10 @@
 //! Clips on the wire, in chunks of time: each chunk can be evaluated by itself, and lies where the server says.
 
+use super::keys::{put_tracks, take_tracks};
 use super::skeleton::check_words;
 use crate::ids::ClipId;
-use crate::limits::{ARENA_ALIGNMENT_WORDS, CHUNK_S, MAX_CHUNK_KEYS, MAX_CHUNK_TRACKS, MAX_COORDINATE_M};
-use crate::wire::{Reader, WireError, invalid, put_varint};
+use crate::limits::{ARENA_ALIGNMENT_WORDS, CHUNK_S, MAX_CHUNK_TRACKS};
+use crate::wire::{Reader, WireError, check_count, put_varint};
 
 /// How to go from key to key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,7 +17,8 @@ pub enum TrackKind {
     Cubic,
 }
 
-/// One curve within a chunk. A curve that does not change there has one key.
+/// One curve within a chunk. A curve that does not change there has one key. The coarser the power of two of which all values are
+/// multiples, and all tangents, the fewer bytes it takes; what is finer than 2^-28 of the largest is rounded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ChunkTrack {
     /// How to go from key to key.
@@ -53,23 +55,20 @@ pub fn chunk_at(phase_s: f64, duration_s: f32) -> u32 {
     ((phase_s / CHUNK_S).max(0.0) as u32).min(chunk_count(duration_s) - 1)
 }
 
-/// Words of the arena before the keys, before their times, and in all: a track is two words, a key one, key times are four
-/// a word.
+/// Words of the arena before the keys, before their times, and in all.
 pub fn layout(tracks: &[ChunkTrack]) -> [u32; 3] {
-    let keys = 2 * tracks.len() as u32;
-    let times =
-        keys + tracks.iter().map(|track| (track.values.len() + track.tangents.len()) as u32).sum::<u32>();
-    let stamps: u32 = tracks.iter().map(|track| track.times_s.len() as u32).sum();
-    [keys, times, (times + stamps.div_ceil(4)).next_multiple_of(ARENA_ALIGNMENT_WORDS)]
+    layout_of(tracks.iter().map(|track| [track.values.len() + track.tangents.len(), track.times_s.len()]))
 }
 
-const CUBIC: u8 = 2;
-/// The value is (1, 1, 1), the scale of most bones.
-const IS_ONE: u8 = 4;
-/// Values have three numbers instead of four.
-const IS_VECTOR: u8 = 8;
-/// Values have one number.
-const IS_NUMBER: u8 = 16;
+/// The same for tracks of so many values and tangents, and key times: a track is two words, a value or tangent one, key times are
+/// four a word.
+pub fn layout_of(tracks: impl Iterator<Item = [usize; 2]>) -> [u32; 3] {
+    let add =
+        |sum: [u32; 3], [keys, times]: [usize; 2]| [sum[0] + 2, sum[1] + keys as u32, sum[2] + times as u32];
+    let [keys, count, stamps] = tracks.fold([0; 3], add);
+    let times = keys + count;
+    [keys, times, (times + stamps.div_ceil(4)).next_multiple_of(ARENA_ALIGNMENT_WORDS)]
+}
 
 impl ClipChunk {
     /// Words of the arena that it takes.
@@ -82,102 +81,16 @@ impl ClipChunk {
         put_varint(out, self.index);
         put_varint(out, self.first_word);
         put_varint(out, self.tracks.len() as u32);
-        self.tracks.iter().for_each(|track| track.put(out));
+        put_tracks(out, &self.tracks);
     }
 
     pub(super) fn take(reader: &mut Reader<'_>) -> Result<Self, WireError> {
         let (clip, index, first_word) = (ClipId(reader.varint()?), reader.varint()?, reader.varint()?);
-        let count = reader.count(MAX_CHUNK_TRACKS as usize, 1)?;
-        let mut keys_left = MAX_CHUNK_KEYS as usize;
-        let tracks =
-            (0..count).map(|_| ChunkTrack::take(reader, &mut keys_left)).collect::<Result<Vec<_>, _>>()?;
-        let chunk = Self { clip, index, first_word, tracks };
+        let count =
+            check_count("the curves of a clip", reader.varint()? as usize, MAX_CHUNK_TRACKS as usize)?;
+        let chunk = Self { clip, index, first_word, tracks: take_tracks(reader, count)? };
         check_words("a chunk of a clip", first_word, chunk.words())?;
         Ok(chunk)
-    }
-}
-
-impl ChunkTrack {
-    fn is_one(&self) -> bool {
-        self.values == [[1.0, 1.0, 1.0, 0.0]]
-    }
-
-    /// Numbers of a value that are not zero for all keys.
-    fn numbers(&self) -> usize {
-        let all = || self.values.iter().chain(&self.tangents);
-        let is_zero = |from: usize| all().all(|value| value[from..].iter().all(|number| *number == 0.0));
-        if is_zero(1) { 1 } else { 3 + usize::from(!is_zero(3)) }
-    }
-
-    fn put(&self, out: &mut Vec<u8>) {
-        let numbers = self.numbers();
-        let kind = match self.kind {
-            TrackKind::Step => 0,
-            TrackKind::Linear => 1,
-            TrackKind::Cubic => CUBIC,
-        };
-        let length = match numbers {
-            1 => IS_NUMBER,
-            3 => IS_VECTOR,
-            _ => 0,
-        };
-        out.push(kind | length | if self.is_one() { IS_ONE } else { 0 });
-        if self.is_one() {
-            return;
-        }
-        put_varint(out, self.values.len() as u32);
-        if self.values.len() > 1 {
-            self.times_s.iter().for_each(|time_s| out.extend_from_slice(&time_s.to_le_bytes()));
-        }
-        for value in self.values.iter().chain(&self.tangents) {
-            value[..numbers].iter().for_each(|number| out.extend_from_slice(&number.to_le_bytes()));
-        }
-    }
-
-    fn take(reader: &mut Reader<'_>, keys_left: &mut usize) -> Result<Self, WireError> {
-        const WHAT: &str = "a curve of a clip";
-        let flags = reader.u8()?;
-        let kind = match flags & 3 {
-            0 => TrackKind::Step,
-            1 => TrackKind::Linear,
-            CUBIC => TrackKind::Cubic,
-            other => return Err(invalid(WHAT, format!("its kind {other} is none"))),
-        };
-        if flags & IS_ONE != 0 {
-            let values = vec![[1.0, 1.0, 1.0, 0.0]];
-            return Ok(Self { kind, times_s: vec![0.0], values, tangents: Vec::new() });
-        }
-        let numbers = match flags & (IS_VECTOR | IS_NUMBER) {
-            0 => 4,
-            IS_VECTOR => 3,
-            IS_NUMBER => 1,
-            _ => return Err(invalid(WHAT, format!("its flags {flags:#x} are none"))),
-        };
-        let count = reader.count(*keys_left, 4 * numbers)?;
-        if count == 0 {
-            return Err(invalid(WHAT, "it has no key"));
-        }
-        *keys_left -= count;
-        let times_s = match count {
-            1 => vec![0.0],
-            _ => (0..count).map(|_| reader.f32()).collect::<Result<Vec<_>, _>>()?,
-        };
-        if !times_s.iter().all(|time_s| time_s.is_finite()) || !times_s.is_sorted_by(|a, b| a < b) {
-            return Err(invalid(WHAT, "its key times do not rise"));
-        }
-        let mut value = || {
-            let mut value = [0.0; 4];
-            value[..numbers].iter_mut().try_for_each(|number| reader.f32().map(|read| *number = read))?;
-            match value.iter().all(|number| number.abs() <= MAX_COORDINATE_M) {
-                true => Ok(value),
-                false => Err(invalid(WHAT, format!("a number in it is not within {MAX_COORDINATE_M}"))),
-            }
-        };
-        let values = (0..count).map(|_| value()).collect::<Result<_, _>>()?;
-        let has_tangents = kind == TrackKind::Cubic && count > 1;
-        let tangents =
-            (0..if has_tangents { count } else { 0 }).map(|_| value()).collect::<Result<_, _>>()?;
-        Ok(Self { kind, times_s, values, tangents })
     }
 }
 
@@ -245,10 +158,83 @@ mod tests {
     }
 
     #[test]
-    fn a_scale_of_one_takes_a_byte() {
-        let mut bytes = Vec::new();
-        chunk(3).tracks.last().unwrap().put(&mut bytes);
-        assert_eq!(bytes.len(), 1);
+    fn a_scale_of_one_takes_three_bits() {
+        let (mut chunk, few) = (chunk(3), bytes_of(&chunk(3)).len());
+        let one = chunk.tracks[chunk.tracks.len() - 1].clone();
+        chunk.tracks.extend(vec![one; 80]);
+        assert_eq!(bytes_of(&chunk).len(), few + 80 * 3 / 8);
+    }
+
+    /// A joint that bends to and fro about one axis, on a raster of so many bits.
+    fn bending(keys: usize, bits: i32) -> ChunkTrack {
+        let step = 2f32.powi(-bits);
+        let rounded = |numbers: [f32; 4]| numbers.map(|number| (number / step).round() * step);
+        let moments = || (0..keys).map(|key| key as f32 * 0.05);
+        let half = |time_s: f32| 0.6 * (4.0 * time_s).sin();
+        let slope = |time_s: f32| 2.4 * (4.0 * time_s).cos();
+        let value =
+            |time_s: f32| [0.8 * half(time_s).sin(), 0.0, 0.6 * half(time_s).sin(), half(time_s).cos()];
+        let tangent = |time_s: f32| {
+            let [sin, cos] = [half(time_s).sin(), half(time_s).cos()].map(|number| slope(time_s) * number);
+            [0.8 * cos, 0.0, 0.6 * cos, -sin]
+        };
+        ChunkTrack {
+            kind: TrackKind::Cubic,
+            times_s: (0..keys).map(|key| (key as f64 / 20.0) as f32).collect(),
+            values: moments().map(|time_s| rounded(value(time_s))).collect(),
+            tangents: moments().map(|time_s| rounded(tangent(time_s))).collect(),
+        }
+    }
+
+    #[test]
+    fn rotations_come_back_to_the_last_bit_and_take_a_third() {
+        let tracks = vec![bending(11, 19); 20];
+        let chunk = ClipChunk { clip: ClipId(3), index: 0, first_word: 0, tracks };
+        let bytes = bytes_of(&chunk);
+        assert_eq!(ClipChunk::take(&mut Reader::new("a chunk", &bytes)), Ok(chunk));
+        assert!(bytes.len() < 20 * 11 * 36 / 3, "{} bytes", bytes.len());
+    }
+
+    #[test]
+    fn numbers_that_are_far_apart_are_rounded_by_little() {
+        let mut odd = bending(5, 19);
+        odd.values[2] = [1e6, -1e-30, 3.0, 0.1];
+        odd.tangents[1] = [-1e6, f32::MIN_POSITIVE, 1e-7, 0.3];
+        let chunk = ClipChunk { clip: ClipId(3), index: 0, first_word: 0, tracks: vec![odd.clone()] };
+        let back = ClipChunk::take(&mut Reader::new("a chunk", &bytes_of(&chunk))).unwrap().tracks.remove(0);
+        for (expected, found) in [(&odd.values, &back.values), (&odd.tangents, &back.tangents)] {
+            let pairs = expected.as_flattened().iter().zip(found.as_flattened());
+            assert!(pairs.clone().all(|(a, b)| (a - b).abs() <= 1e6 / 2f32.powi(28)), "{back:?}");
+        }
+    }
+
+    #[test]
+    fn numbers_beyond_the_limits_and_kinds_that_are_none_are_errors() {
+        let with = |change: &dyn Fn(&mut ChunkTrack)| {
+            let mut track = bending(5, 19);
+            change(&mut track);
+            let chunk = ClipChunk { clip: ClipId(3), index: 0, first_word: 0, tracks: vec![track] };
+            ClipChunk::take(&mut Reader::new("a chunk", &bytes_of(&chunk)))
+        };
+        assert!(with(&|_| {}).is_ok());
+        assert!(with(&|track| track.values[1][0] = 1.5e6).is_err());
+        assert!(with(&|track| track.tangents[3][2] = -1e30).is_err());
+        let mut bytes = bytes_of(&with(&|_| {}).unwrap());
+        // Frames a second, the first frame, and widths of starts and counts go before the first curve.
+        assert_eq!(bytes[4..8], [20, 0, 0, 3]);
+        bytes[8] |= 3;
+        let error = ClipChunk::take(&mut Reader::new("a chunk", &bytes)).unwrap_err();
+        assert_eq!(error.to_string(), "a curve of a clip is not valid: its kind 3 is none");
+    }
+
+    #[test]
+    fn a_few_bytes_say_no_more_keys_than_the_limit() {
+        // One step track of 2^18 + 1 keys, a frame apart each, all zero: the bits after its count do not matter.
+        let mut bytes = vec![0, 0, 0, 1, 20, 0, 0, 20];
+        bytes.extend((1u32 << (18 + 3)).to_le_bytes());
+        bytes.extend([0; 64]);
+        let error = ClipChunk::take(&mut Reader::new("a chunk", &bytes)).unwrap_err();
+        assert!(matches!(error, WireError::TooMany { value: 262_145, limit: 262_144, .. }), "{error}");
     }
 
     #[test]

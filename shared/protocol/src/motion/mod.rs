@@ -12,6 +12,8 @@ pub mod skeleton;
 pub mod samples;
 
 mod bits;
+mod key_times;
+mod keys;
 
 use crate::ids::VertexSlot;
 use crate::time::GridIndex;

@@ -109,7 +109,7 @@ impl GridPose {
         }
         let weights = (0..morphs).map(|_| checked(reader.f32()?)).collect::<Result<Vec<f32>, WireError>>()?;
         let bytes = reader.rest();
-        let mut bits = BitReader::new(bytes);
+        let mut bits = BitReader::new(WHAT, bytes);
         let bones = (0..bones).map(|_| take_bone(&mut bits, exponent)).collect::<Result<_, WireError>>()?;
         *reader = Reader::new("poses on the grid", &bytes[bits.bytes_read()..]);
         Ok(Self { instance, grid, bones, weights })

@@ -190,7 +190,7 @@ pub(crate) fn take_rests(section: &[u8]) -> Result<Vec<RestVertex>, WireError> {
     let numbers = take_numbers(&mut reader, count)?;
     let has_morphs = reader.varint()? != 0;
     let bytes = reader.rest();
-    let mut bits = BitReader::new(bytes);
+    let mut bits = BitReader::new("rest vertices", bytes);
     let mut rests = Vec::with_capacity(count);
     let (mut before, mut joints) = ([0; 3], [0; 4]);
     for group in numbers.chunks(GROUP) {

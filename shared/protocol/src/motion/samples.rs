@@ -193,7 +193,7 @@ pub fn decode_batch(
     slots: &[VertexSlot],
     bytes: &[u8],
 ) -> Result<(SampleValues, usize), WireError> {
-    let mut bits = BitReader::new(bytes);
+    let mut bits = BitReader::new("a batch of samples", bytes);
     let mut values = Vec::with_capacity(slots.len());
     let mut before = [0; 3];
     for group in slots.chunks(GROUP) {

@@ -241,7 +241,10 @@ pub(crate) fn check_words(what: &'static str, first: u32, words: u32) -> Result<
     check_count(what, first as usize + words as usize, MAX_ARENA_WORDS as usize).map(drop)
 }
 
-fn check_finite<'a>(what: &'static str, mut numbers: impl Iterator<Item = &'a f32>) -> Result<(), WireError> {
+pub(super) fn check_finite<'a>(
+    what: &'static str,
+    mut numbers: impl Iterator<Item = &'a f32>,
+) -> Result<(), WireError> {
     if numbers.all(|number| number.abs() <= MAX_COORDINATE_M) {
         return Ok(());
     }
