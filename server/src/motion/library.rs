@@ -4,6 +4,7 @@
 //! beginning; chunks of clips share what is left ([`super::chunks`]).
 
 use super::MotionOption;
+use super::rasters::{Raster, Rasters, reach_of_model};
 use crate::animation::manager::{AnimationManager, BoneOrder, rows};
 use crate::scene::numbering::Numbering;
 use shadecast_protocol::ids::{ClipId, InstanceId, RestId, SkeletonId};
@@ -12,7 +13,7 @@ use shadecast_protocol::limits::{
     MAX_REST_VERTICES, MAX_SKELETON_BONES, MAX_SKELETON_ENTRIES, MAX_VERTEX_MORPHS,
 };
 use shadecast_protocol::message::MotionMemory;
-use shadecast_protocol::motion::clip::{ChunkTrack, TrackKind, chunk_count};
+use shadecast_protocol::motion::clip::{ChunkTrack, TrackKind, chunk_count, layout_of};
 use shadecast_protocol::motion::playback::{Playback, Schedule};
 use shadecast_protocol::motion::rest::{MeshInfo, RestVertex};
 use shadecast_protocol::motion::skeleton::{
@@ -28,6 +29,7 @@ use shadecast_scene::influences::units_of_weight;
 use shadecast_scene::timeline::ClipIndex;
 use shadecast_scene::{Model, Path, Scene};
 use std::collections::{BTreeSet, HashMap};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Step of positions before skinning, metres in the world at the largest size at which their mesh is drawn.
@@ -85,7 +87,17 @@ struct LibraryClip {
     sampled: Arc<SampledClip>,
     /// By bone of its skeleton, the place in the order of the model.
     old_of_new: Arc<[u32]>,
+    rasters: Rasters,
     info: ClipRef,
+}
+
+impl LibraryClip {
+    /// Its curves in the order of clients.
+    fn tracks(&self) -> impl Iterator<Item = (&SampledTrack, Raster)> {
+        let Self { sampled, old_of_new, rasters, .. } = self;
+        let bone = |old: &u32| sampled.bones[*old as usize].iter().zip(rasters.bones[*old as usize]);
+        old_of_new.iter().flat_map(bone).chain(sampled.morphs.iter().zip(rasters.morphs.iter().copied()))
+    }
 }
 
 /// An instance that clients can skin.
@@ -243,10 +255,18 @@ impl MotionLibrary {
 
     /// A clip between two times.
     pub fn chunk(&self, clip: ClipId, index: u32) -> Vec<ChunkTrack> {
-        let LibraryClip { sampled, old_of_new, .. } = &self.clips[clip.index()];
-        let from_s = f64::from(index) * CHUNK_S;
-        let bones = old_of_new.iter().flat_map(|old| &sampled.bones[*old as usize]);
-        bones.chain(&sampled.morphs).map(|track| cut(track, from_s, from_s + CHUNK_S)).collect()
+        let between_s = chunk_s(index);
+        self.clips[clip.index()].tracks().map(|(track, raster)| cut(track, raster, between_s)).collect()
+    }
+
+    /// Words of the arena that it takes.
+    pub fn chunk_words(&self, clip: ClipId, index: u32) -> u32 {
+        let between_s = chunk_s(index);
+        let count = |(track, _): (&SampledTrack, Raster)| {
+            let keys = needed(track, between_s).len();
+            [keys + if has_tangents(track, keys) { keys } else { 0 }, keys]
+        };
+        layout_of(self.clips[clip.index()].tracks().map(count))[2]
     }
 
     fn clip_words(&self, clip: ClipId) -> u64 {
@@ -281,28 +301,27 @@ impl MotionLibrary {
     }
 
     fn add_clips(&mut self, scene: &Scene, manager: &AnimationManager) {
-        let mut skeleton_of_clip = vec![0; manager.clips.len()];
-        for material in &manager.materials {
-            material.clips.iter().for_each(|clip| skeleton_of_clip[*clip] = material.skeleton);
+        let mut model_of_clip = vec![0; manager.clips.len()];
+        for (model, material) in manager.materials.iter().enumerate() {
+            material.clips.iter().for_each(|clip| model_of_clip[*clip] = model);
         }
-        for (stored, skeleton) in manager.clips.iter().zip(skeleton_of_clip) {
-            let order = self.orders[skeleton].clone();
-            self.push_clip(&stored.sampled, &order);
+        for (stored, model) in manager.clips.iter().zip(model_of_clip) {
+            let order = self.orders[manager.materials[model].skeleton].clone();
+            // Models that share a clip share the mesh, and the size at which it is drawn.
+            let rasters = Rasters::of_clip(&scene.models[model], &stored.sampled, world_scale(scene, model));
+            self.push_clip(&stored.sampled, &order, rasters);
         }
         let one: Arc<[u32]> = Arc::from([0]);
-        let mut known: HashMap<*const SampledClip, ()> = HashMap::new();
-        for instance in 0..scene.instances.len() {
-            let Some(path) = manager.paths.of(instance) else { continue };
-            if known.insert(Arc::as_ptr(path), ()).is_none() {
-                self.push_clip(path, &one);
-            }
+        for (path, reach_m) in path_reaches(scene, manager) {
+            self.push_clip(path, &one, Rasters::of_path(path, reach_m));
         }
     }
 
-    fn push_clip(&mut self, sampled: &Arc<SampledClip>, old_of_new: &Arc<[u32]>) {
+    fn push_clip(&mut self, sampled: &Arc<SampledClip>, old_of_new: &Arc<[u32]>, rasters: Rasters) {
         let clip = ClipId(self.clips.len() as u32);
         let info = ClipRef { clip, duration_s: sampled.duration_s };
-        self.clips.push(LibraryClip { sampled: sampled.clone(), old_of_new: old_of_new.clone(), info });
+        let (sampled, old_of_new) = (sampled.clone(), old_of_new.clone());
+        self.clips.push(LibraryClip { sampled, old_of_new, rasters, info });
     }
 
     /// What clients skin of an instance; `is_posed`: by poses on the grid. `None`: they cannot.
@@ -488,6 +507,28 @@ fn morphs_of(model: &Model) -> Vec<(u32, Vec<(u16, u32)>)> {
     of_vertex
 }
 
+/// Each path of the scene once, and how far from what moves along it any vertex is at most, metres.
+fn path_reaches<'a>(scene: &Scene, manager: &'a AnimationManager) -> Vec<(&'a Arc<SampledClip>, f32)> {
+    let reach = |model: usize| {
+        let clips = manager.materials[model].clips.iter().map(|clip| &manager.clips[*clip].sampled);
+        clips.map(|clip| reach_of_model(&scene.models[model], clip)).fold(0.0, f32::max)
+    };
+    let of_model: Vec<f32> = (0..scene.models.len()).map(reach).collect();
+    let mut paths: Vec<(&Arc<SampledClip>, f32)> = Vec::new();
+    let mut places: HashMap<*const SampledClip, usize> = HashMap::new();
+    for (index, instance) in scene.instances.iter().enumerate() {
+        let Some(path) = manager.paths.of(index) else { continue };
+        let place = *places.entry(Arc::as_ptr(path)).or_insert_with(|| {
+            paths.push((path, 0.0));
+            paths.len() - 1
+        });
+        let size_m = longest_axis(&instance.placement) * of_model[instance.model];
+        let reach_m = instance.placement.translation.length() + size_m;
+        paths[place].1 = paths[place].1.max(reach_m);
+    }
+    paths
+}
+
 /// How many times as large as its mesh says a model is drawn at most, by any of its instances and in any of their clips.
 fn drawn_scale(scene: &Scene, index: usize) -> f32 {
     let model = &scene.models[index];
@@ -515,25 +556,41 @@ fn sorted_influences(vertex: &shadecast_scene::Vertex) -> ([u16; 4], [u16; 4]) {
     (order.map(joint), weights)
 }
 
-/// What of a curve is needed between two times: the keys within, and one to each side.
-fn cut(track: &SampledTrack, from_s: f64, to_s: f64) -> ChunkTrack {
+/// From when to when a chunk is, seconds of its clip.
+fn chunk_s(index: u32) -> [f64; 2] {
+    let from_s = f64::from(index) * CHUNK_S;
+    [from_s, from_s + CHUNK_S]
+}
+
+/// Which keys of a curve are needed between two times: those within, and one to each side.
+fn needed(track: &SampledTrack, [from_s, to_s]: [f64; 2]) -> Range<usize> {
     let (first, _) = track.place(from_s);
     let after = track.times_s.partition_point(|time_s| f64::from(*time_s) < to_s);
-    let last = after.min(track.values.len() - 1).max(first);
+    first..after.min(track.values.len() - 1).max(first) + 1
+}
+
+/// Whether so many keys of a curve need their tangents.
+fn has_tangents(track: &SampledTrack, keys: usize) -> bool {
+    keys > 1 && track.interpolation == KeyInterpolation::Cubic
+}
+
+/// What of a curve is needed between two times, as it is sent.
+fn cut(track: &SampledTrack, raster: Raster, between_s: [f64; 2]) -> ChunkTrack {
+    let keys = needed(track, between_s);
     let kind = match track.interpolation {
         KeyInterpolation::Step => TrackKind::Step,
         KeyInterpolation::Linear => TrackKind::Linear,
         KeyInterpolation::Cubic => TrackKind::Cubic,
     };
-    let is_constant = first == last;
-    let tangents = match (is_constant, kind) {
-        (false, TrackKind::Cubic) => &track.tangents[first..=last],
-        _ => &[],
-    };
+    let tangents = if has_tangents(track, keys.len()) { &track.tangents[keys.clone()] } else { &[] };
     ChunkTrack {
         kind,
-        times_s: if is_constant { vec![0.0] } else { track.times_s[first..=last].to_vec() },
-        values: track.values[first..=last].iter().map(|value| value.to_array()).collect(),
-        tangents: tangents.iter().map(|value| value.to_array()).collect(),
+        times_s: if keys.len() == 1 { vec![0.0] } else { track.times_s[keys.clone()].to_vec() },
+        values: track.values[keys].iter().map(|value| raster.value(*value)).collect(),
+        tangents: tangents.iter().map(|tangent| raster.tangent(*tangent)).collect(),
     }
 }
+
+#[cfg(test)]
+#[path = "library_tests.rs"]
+mod tests;

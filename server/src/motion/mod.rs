@@ -7,6 +7,7 @@ pub mod chunks;
 pub mod library;
 pub mod posed;
 pub mod predictions;
+pub mod rasters;
 pub mod sampled;
 pub mod schedules;
 pub mod sender;

@@ -369,16 +369,16 @@ impl MotionSender {
         place: impl FnOnce(&mut Chunks, u32) -> Option<u32>,
         is_urgent: bool,
     ) -> Option<Out> {
-        let tracks = self.scene.motion.chunk(clip.clip, index);
-        let mut chunk = ClipChunk { clip: clip.clip, index, first_word: 0, tracks };
-        let words = chunk.words();
+        // Where there is no room it is not cut: that would be in vain, and again with the next tick.
+        let words = self.scene.motion.chunk_words(clip.clip, index);
         let Some(first_word) = place(&mut self.chunks, words) else {
             if is_urgent {
                 tracing::debug!("clip {} has no room in the client's arena", clip.clip.0);
             }
             return None;
         };
-        chunk.first_word = first_word;
+        let tracks = self.scene.motion.chunk(clip.clip, index);
+        let chunk = ClipChunk { clip: clip.clip, index, first_word, tracks };
         let stream = self.stream(MotionNews::Chunk(chunk), is_urgent);
         self.bytes.chunk_bytes += stream.bytes() as u64;
         self.bytes.chunks += 1;
