@@ -4,7 +4,7 @@
 //! beginning; chunks of clips share what is left ([`super::chunks`]).
 
 use super::MotionOption;
-use super::rasters::{Raster, Rasters, reach_of_model};
+use super::rasters::{Joints, Raster, Rasters};
 use crate::animation::manager::{AnimationManager, BoneOrder, rows};
 use crate::scene::numbering::Numbering;
 use shadecast_protocol::ids::{ClipId, InstanceId, RestId, SkeletonId};
@@ -13,7 +13,8 @@ use shadecast_protocol::limits::{
     MAX_REST_VERTICES, MAX_SKELETON_BONES, MAX_SKELETON_ENTRIES, MAX_VERTEX_MORPHS,
 };
 use shadecast_protocol::message::MotionMemory;
-use shadecast_protocol::motion::clip::{ChunkTrack, TrackKind, chunk_count, layout_of};
+use shadecast_protocol::motion::clip::{chunk_count, layout_of};
+use shadecast_protocol::motion::keys::{ChunkTrack, TrackKind};
 use shadecast_protocol::motion::playback::{Playback, Schedule};
 use shadecast_protocol::motion::rest::{MeshInfo, RestVertex};
 use shadecast_protocol::motion::skeleton::{
@@ -305,14 +306,16 @@ impl MotionLibrary {
         for (model, material) in manager.materials.iter().enumerate() {
             material.clips.iter().for_each(|clip| model_of_clip[*clip] = model);
         }
+        let joints: Vec<Joints> = scene.models.iter().map(Joints::new).collect();
         for (stored, model) in manager.clips.iter().zip(model_of_clip) {
             let order = self.orders[manager.materials[model].skeleton].clone();
             // Models that share a clip share the mesh, and the size at which it is drawn.
-            let rasters = Rasters::of_clip(&scene.models[model], &stored.sampled, world_scale(scene, model));
+            let (source, scale) = (&scene.models[model], world_scale(scene, model));
+            let rasters = Rasters::of_clip(source, &joints[model], &stored.sampled, scale);
             self.push_clip(&stored.sampled, &order, rasters);
         }
         let one: Arc<[u32]> = Arc::from([0]);
-        for (path, reach_m) in path_reaches(scene, manager) {
+        for (path, reach_m) in path_reaches(scene, manager, &joints) {
             self.push_clip(path, &one, Rasters::of_path(path, reach_m));
         }
     }
@@ -508,12 +511,16 @@ fn morphs_of(model: &Model) -> Vec<(u32, Vec<(u16, u32)>)> {
 }
 
 /// Each path of the scene once, and how far from what moves along it any vertex is at most, metres.
-fn path_reaches<'a>(scene: &Scene, manager: &'a AnimationManager) -> Vec<(&'a Arc<SampledClip>, f32)> {
+fn path_reaches<'a>(
+    scene: &Scene,
+    manager: &'a AnimationManager,
+    joints: &[Joints],
+) -> Vec<(&'a Arc<SampledClip>, f32)> {
     let reach = |model: usize| {
         let clips = manager.materials[model].clips.iter().map(|clip| &manager.clips[*clip].sampled);
-        clips.map(|clip| reach_of_model(&scene.models[model], clip)).fold(0.0, f32::max)
+        clips.map(|clip| joints[model].reach_of_model(&scene.models[model], clip)).fold(0.0, f32::max)
     };
-    let of_model: Vec<f32> = (0..scene.models.len()).map(reach).collect();
+    let mut of_model: HashMap<usize, f32> = HashMap::new();
     let mut paths: Vec<(&Arc<SampledClip>, f32)> = Vec::new();
     let mut places: HashMap<*const SampledClip, usize> = HashMap::new();
     for (index, instance) in scene.instances.iter().enumerate() {
@@ -522,8 +529,8 @@ fn path_reaches<'a>(scene: &Scene, manager: &'a AnimationManager) -> Vec<(&'a Ar
             paths.push((path, 0.0));
             paths.len() - 1
         });
-        let size_m = longest_axis(&instance.placement) * of_model[instance.model];
-        let reach_m = instance.placement.translation.length() + size_m;
+        let reach = *of_model.entry(instance.model).or_insert_with(|| reach(instance.model));
+        let reach_m = instance.placement.translation.length() + longest_axis(&instance.placement) * reach;
         paths[place].1 = paths[place].1.max(reach_m);
     }
     paths

@@ -7,7 +7,7 @@ use shadecast_scene::Model;
 use shadecast_scene::animation::sampling::{SampledClip, SampledTrack, longest_axis};
 
 /// A step of one number of a curve moves no vertex further than this, metres in the world. The errors of the joints of a chain add
-/// up: a dragon's are about 5 times that of one.
+/// up: some vertex of the dragon is off by nearly four times as much at some time.
 const STEP_M: f32 = 4e-6;
 /// The least that a unit of a curve counts for, metres in the world.
 const LEAST_ARM_M: f32 = 1e-3;
@@ -56,20 +56,20 @@ impl Raster {
 
 impl Rasters {
     /// Of a clip of a model that is drawn at this scale at most.
-    pub fn of_clip(model: &Model, clip: &SampledClip, world_scale: f32) -> Self {
-        let reaches = Reaches::new(model, clip);
+    pub fn of_clip(model: &Model, joints: &Joints, clip: &SampledClip, world_scale: f32) -> Self {
+        let reaches = joints.reaches(model, clip);
         let mut above = vec![world_scale; clip.bones.len()];
         let mut bones = Vec::with_capacity(clip.bones.len());
         for (bone, tracks) in clip.bones.iter().enumerate() {
             if let Some(parent) = model.bones[bone].parent {
                 above[bone] = above[parent as usize] * largest(&clip.bones[parent as usize][2].values);
             }
-            let reach_m = (above[bone] * reaches.of_bone[bone]).max(LEAST_REACH_M);
+            let reach_m = (above[bone] * reaches[bone]).max(LEAST_REACH_M);
             // A quaternion that errs by so much turns by twice as much.
             let arms = [above[bone], 2.0 * largest(&tracks[2].values) * reach_m, reach_m];
             bones.push(std::array::from_fn(|curve| Raster::new(&tracks[curve], arms[curve])));
         }
-        let scale = world_scale * reaches.mesh_scale;
+        let scale = world_scale * joints.mesh_scale;
         let delta = |morph: usize| {
             let deltas = model.morphs[morph].deltas.iter();
             deltas.map(|delta| delta.position.length()).fold(0.0, f32::max)
@@ -89,51 +89,57 @@ impl Rasters {
     }
 }
 
-/// How far from a model's origin its vertices are at most while it plays a clip, in its own units.
-pub fn reach_of_model(model: &Model, clip: &SampledClip) -> f32 {
-    let reaches = Reaches::new(model, clip);
-    let roots = (0..model.bones.len()).filter(|bone| model.bones[*bone].parent.is_none());
-    roots.map(|bone| reaches.in_parent(clip, bone)).fold(0.0, f32::max)
-}
-
-/// How far from each joint the vertices are that it moves, if all joints after it are stretched out.
-struct Reaches {
-    /// By bone, in its own units.
-    of_bone: Vec<f32>,
+/// What the joints of a model move.
+#[derive(Clone, Debug)]
+pub struct Joints {
+    /// By bone, the distance of the farthest vertex that follows it, in its own units; 0 where none does.
+    own_reaches: Vec<f32>,
     /// How many times as large as in the mesh anything is in the space of its bone.
     mesh_scale: f32,
 }
 
-impl Reaches {
-    fn new(model: &Model, clip: &SampledClip) -> Self {
-        let mut of_bone = vec![0.0f32; model.bones.len()];
+impl Joints {
+    /// Of a model.
+    pub fn new(model: &Model) -> Self {
+        let mut own_reaches = vec![0.0f32; model.bones.len()];
         for vertex in &model.vertices {
             for (joint, _) in vertex.joints.iter().zip(vertex.weights).filter(|(_, weight)| *weight > 0.0) {
                 let entry = &model.palette[usize::from(*joint)];
-                let distance = entry.bone_from_mesh.transform_point3(vertex.position).length();
-                of_bone[entry.bone as usize] = of_bone[entry.bone as usize].max(distance);
+                let own = &mut own_reaches[entry.bone as usize];
+                *own = own.max(entry.bone_from_mesh.transform_point3(vertex.position).length());
             }
         }
         let scales = model.palette.iter().map(|entry| longest_axis(&entry.bone_from_mesh));
-        let mut reaches = Self { of_bone, mesh_scale: scales.fold(0.0, f32::max) };
+        Self { own_reaches, mesh_scale: scales.fold(0.0, f32::max) }
+    }
+
+    /// By bone, how far from it the vertices are at most that it and the bones after it move, if these are stretched out, in its
+    /// own units.
+    fn reaches(&self, model: &Model, clip: &SampledClip) -> Vec<f32> {
+        let mut reaches = self.own_reaches.clone();
         // Parents go before their children.
         for bone in (0..model.bones.len()).rev() {
             let Some(parent) = model.bones[bone].parent else { continue };
-            let reach = reaches.in_parent(clip, bone);
-            reaches.of_bone[parent as usize] = reaches.of_bone[parent as usize].max(reach);
+            reaches[parent as usize] = reaches[parent as usize].max(beyond(&clip.bones[bone], reaches[bone]));
         }
         reaches
     }
 
-    /// Of the parent of a bone, by way of that bone.
-    fn in_parent(&self, clip: &SampledClip, bone: usize) -> f32 {
-        let [translation, _, scale] = &clip.bones[bone];
-        if self.of_bone[bone] == 0.0 {
-            return 0.0;
-        }
-        let away = translation.values.iter().map(|value| value.truncate().length()).fold(0.0, f32::max);
-        away + largest(&scale.values) * self.of_bone[bone]
+    /// How far from the model's origin its vertices are at most while it plays a clip, in its own units.
+    pub fn reach_of_model(&self, model: &Model, clip: &SampledClip) -> f32 {
+        let (reaches, roots) = (self.reaches(model, clip), 0..model.bones.len());
+        let roots = roots.filter(|bone| model.bones[*bone].parent.is_none());
+        roots.map(|bone| beyond(&clip.bones[bone], reaches[bone])).fold(0.0, f32::max)
     }
+}
+
+/// How far from a bone's parent what is at most so far from the bone is at most; 0 where nothing is there.
+fn beyond([translation, _, scale]: &[SampledTrack; 3], reach: f32) -> f32 {
+    if reach == 0.0 {
+        return 0.0;
+    }
+    let away = translation.values.iter().map(|value| value.truncate().length()).fold(0.0, f32::max);
+    away + largest(&scale.values) * reach
 }
 
 fn largest(numbers: &[Vec4]) -> f32 {

@@ -9,7 +9,8 @@ use crate::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, 
 use crate::ids::{ClipId, InstanceId, PatchSlot, RestId, SkeletonId, UpdateId, VertexSlot};
 use crate::message::{ClientDatagram, ClientMessage, Codec, Refused, ServerDatagram, ServerMessage, Welcome};
 use crate::motion::SampleBatch;
-use crate::motion::clip::{ChunkTrack, ClipChunk, TrackKind};
+use crate::motion::clip::ClipChunk;
+use crate::motion::keys::{ChunkTrack, TrackKind};
 use crate::motion::message::{MotionMessage, MotionNews, NewSchedule};
 use crate::motion::playback::{Playback, Repetition, Schedule};
 use crate::motion::poses::{BonePose, GridPose};

@@ -502,7 +502,7 @@ impl SlotSet {
 mod tests {
     use super::*;
     use crate::ids::ClipId;
-    use crate::motion::clip::{ChunkTrack, TrackKind};
+    use crate::motion::keys::{ChunkTrack, TrackKind};
     use crate::motion::playback::{Playback, Repetition, Schedule};
     use crate::motion::quantise;
     use crate::motion::skeleton::{ClipRef, SkeletonEntry};

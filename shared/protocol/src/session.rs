@@ -801,7 +801,8 @@ mod tests {
     use crate::ids::ClipId;
     use crate::ids::{InstanceId, VertexSlot};
     use crate::limits::MAX_DELTA_BYTES;
-    use crate::motion::clip::{ChunkTrack, ClipChunk, TrackKind};
+    use crate::motion::clip::ClipChunk;
+    use crate::motion::keys::{ChunkTrack, TrackKind};
     use crate::testing::{Dice, damaged, displayed, head, hello, offer};
 
     /// Both ends, with what the client has been sent and has not yet been given.

@@ -1,35 +1,10 @@
 //! Clips on the wire, in chunks of time: each chunk can be evaluated by itself, and lies where the server says.
 
-use super::keys::{put_tracks, take_tracks};
+use super::keys::{ChunkTrack, put_tracks, take_tracks};
 use super::skeleton::check_words;
 use crate::ids::ClipId;
 use crate::limits::{ARENA_ALIGNMENT_WORDS, CHUNK_S, MAX_CHUNK_TRACKS};
 use crate::wire::{Reader, WireError, check_count, put_varint};
-
-/// How to go from key to key.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TrackKind {
-    /// The earlier key holds.
-    Step,
-    /// A straight line.
-    Linear,
-    /// Hermite's cubic of both keys' values and tangents.
-    Cubic,
-}
-
-/// One curve within a chunk. A curve that does not change there has one key. The coarser the power of two of which all values are
-/// multiples, and all tangents, the fewer bytes it takes; what is finer than 2^-28 of the largest is rounded.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ChunkTrack {
-    /// How to go from key to key.
-    pub kind: TrackKind,
-    /// Seconds of the clip, one per key.
-    pub times_s: Vec<f32>,
-    /// xyz of a translation or scale, a quaternion's xyzw, or a weight in x.
-    pub values: Vec<[f32; 4]>,
-    /// Change per second at each key; only for [`TrackKind::Cubic`] with more than one key.
-    pub tangents: Vec<[f32; 4]>,
-}
 
 /// A clip between two times: all that its evaluation needs there. Translation, rotation and scale of each bone, then the
 /// morph weights.
@@ -97,6 +72,7 @@ impl ClipChunk {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::motion::keys::TrackKind;
     use crate::testing::{Dice, damaged};
 
     fn track(dice: &mut Dice, keys: usize, numbers: usize, kind: TrackKind) -> ChunkTrack {

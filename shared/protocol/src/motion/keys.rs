@@ -1,5 +1,5 @@
 //! The curves of a chunk in bits. The numbers of a curve are multiples of a power of two, its step, which is found here: whoever
-//! rounds numbers to a coarse one makes them small ([`crate::motion::clip::ClipChunk`]). Each number is told as what it misses of
+//! rounds numbers to a coarse one makes them small. Each number is told as what it misses of
 //! what those before it let expect:
 //!
 //! - a value is expected where the one before was, and the tangents of both lead from there;
@@ -10,7 +10,6 @@
 //! the same code ([`Coder`]).
 
 use super::bits::{BitReader, BitWriter, width_of};
-use super::clip::{ChunkTrack, TrackKind};
 use super::key_times::KeyTimes;
 use super::skeleton::check_finite;
 use crate::limits::MAX_CHUNK_KEYS;
@@ -34,6 +33,31 @@ const NOT_UNIT: f32 = 0.01;
 /// The scale of most bones.
 const ONE: [f32; 4] = [1.0, 1.0, 1.0, 0.0];
 const WHAT: &str = "a curve of a clip";
+
+/// How to go from key to key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TrackKind {
+    /// The earlier key holds.
+    Step,
+    /// A straight line.
+    Linear,
+    /// Hermite's cubic of both keys' values and tangents.
+    Cubic,
+}
+
+/// One curve within a chunk. A curve that does not change there has one key. The coarser the power of two of which all values are
+/// multiples, and all tangents, the fewer bytes it takes; what is finer than 2^-28 of the largest is rounded.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ChunkTrack {
+    /// How to go from key to key.
+    pub kind: TrackKind,
+    /// Seconds of the clip, one per key.
+    pub times_s: Vec<f32>,
+    /// xyz of a translation or scale, a quaternion's xyzw, or a weight in x.
+    pub values: Vec<[f32; 4]>,
+    /// Change per second at each key; only for [`TrackKind::Cubic`] with more than one key.
+    pub tangents: Vec<[f32; 4]>,
+}
 
 /// Appends curves.
 pub(super) fn put_tracks(out: &mut Vec<u8>, tracks: &[ChunkTrack]) {

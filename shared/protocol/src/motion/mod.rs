@@ -3,6 +3,7 @@
 //! on the time grid ([`samples`]), or predicted with each update ([`predicted`]).
 
 pub mod clip;
+pub mod keys;
 pub mod message;
 pub mod playback;
 pub mod poses;
@@ -13,7 +14,6 @@ pub mod samples;
 
 mod bits;
 mod key_times;
-mod keys;
 
 use crate::ids::VertexSlot;
 use crate::time::GridIndex;
