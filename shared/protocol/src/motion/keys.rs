@@ -1,6 +1,5 @@
 //! The curves of a chunk in bits. The numbers of a curve are multiples of a power of two, its step, which is found here: whoever
-//! rounds numbers to a coarse one makes them small. Each number is told as what it misses of
-//! what those before it let expect:
+//! rounds numbers to a coarse one makes them small. Each number is told as what it misses of what those before it let expect:
 //!
 //! - a value is expected where the one before was, and the tangents of both lead from there;
 //! - of a rotation one number, the same for all keys, is expected where it makes the length one, and its tangent where the length
@@ -19,8 +18,8 @@ use std::ops::Range;
 /// A step is at least 2 to the power of this, and less than 2 to the power of its negative.
 const LEAST_EXPONENT: i32 = -64;
 const EXPONENT_BITS: u32 = 7;
-/// A step is the largest number of its curve over 2 to the power of this, or more: what is finer is rounded.
-const STEPS_LOG2: i32 = 28;
+/// Where numbers are too far apart for 32 bits, the largest is at least 2 to the power of this steps: what is finer is rounded.
+const STEPS_LOG2: i32 = 30;
 const KIND_BITS: u32 = 2;
 /// 0, 1, 2 or 3 for one, three or four numbers a value, or a rotation.
 const FORM_BITS: u32 = 2;
@@ -46,7 +45,7 @@ pub enum TrackKind {
 }
 
 /// One curve within a chunk. A curve that does not change there has one key. The coarser the power of two of which all values are
-/// multiples, and all tangents, the fewer bytes it takes; what is finer than 2^-28 of the largest is rounded.
+/// multiples, and all tangents, the fewer bytes it takes; what is finer than 2^-30 of the largest is rounded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ChunkTrack {
     /// How to go from key to key.
@@ -275,7 +274,9 @@ impl Numbers {
     /// What makes the length of a key one with the other numbers, in steps.
     fn of_unit_length(&self, key: usize, sign: f64) -> f64 {
         let others = self.values.iter().filter_map(|axis| axis.get(key));
-        let squares: f64 = others.map(|number| value_of(*number, self.exponents[0]).powi(2)).sum();
+        let square =
+            |number: &i32| value_of(*number, self.exponents[0]) * value_of(*number, self.exponents[0]);
+        let squares: f64 = others.map(square).sum();
         sign * (1.0 - squares).max(0.0).sqrt() / step_of(self.exponents[0])
     }
 
@@ -339,7 +340,7 @@ fn nearest(number: f64) -> i32 {
     number.round() as i32
 }
 
-/// 2 to the power of -128..=128, exactly.
+/// 2 to the power of -1022..=1023, exactly.
 fn step_of(exponent: i32) -> f64 {
     f64::from_bits(((1023 + exponent) as u64) << 52)
 }
@@ -354,20 +355,24 @@ fn steps(number: f32, exponent: i32) -> i32 {
 
 /// The largest power of two of which all these numbers are multiples, as far as that is not too fine.
 fn exponent_of(numbers: &[[f32; 4]]) -> i32 {
-    let (mut of_all, mut of_largest) = (i32::MAX, i32::MIN);
+    let (mut of_all, mut of_largest, mut largest) = (i32::MAX, i32::MIN, 0.0f32);
     for number in numbers.iter().flatten().filter(|number| **number != 0.0 && number.is_finite()) {
         let bits = number.to_bits();
         let (exponent, fraction) = ((bits >> 23 & 0xff) as i32, bits & 0x7f_ffff);
-        // Of a number below all others that are written with a leading one, the exponent is that of the smallest with it.
+        // The smallest numbers of all have no leading one, and one unit.
         let (mantissa, unit) =
             if exponent == 0 { (fraction, -149) } else { (fraction | 1 << 23, exponent - 150) };
         of_all = of_all.min(unit + mantissa.trailing_zeros() as i32);
         of_largest = of_largest.max(unit + mantissa.ilog2() as i32);
+        largest = largest.max(number.abs());
     }
     if of_all == i32::MAX {
         return 0;
     }
-    of_all.max(of_largest - STEPS_LOG2).clamp(LEAST_EXPONENT, -1 - LEAST_EXPONENT)
+    // Whatever was read can be written again: single precision may have rounded the largest number of steps up to 2^31.
+    let is_fine = f64::from(largest) <= 2f64.powi(31) * step_of(of_all);
+    let exponent = if is_fine { of_all } else { of_largest - STEPS_LOG2 };
+    exponent.clamp(LEAST_EXPONENT, -1 - LEAST_EXPONENT)
 }
 
 #[cfg(test)]
