@@ -277,7 +277,8 @@ impl Frame {
         let mut recorder = world.gpu().record()?;
         world.light(&mut recorder, middle);
         recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the last conversion has read the atlas
-        recorder.scope("shading", |r| self.shading.record(r, views.world_from_head.position));
+        let pixels_per_tangent = self.eye.pixels_per_tangent();
+        recorder.scope("shading", |r| self.shading.record(r, views.world_from_head, pixels_per_tangent));
         recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
         recorder.scope("ycbcr", |r| self.ycbcr.record(r));
         world.gpu().wait_timed(recorder.submit()?)
@@ -341,9 +342,14 @@ impl EyeSize {
 
     /// In the middle of the picture, along the denser side of the denser eye.
     fn pixels_per_radian(&self) -> f32 {
+        self.pixels_per_tangent().into_iter().fold(0.0, f32::max)
+    }
+
+    /// Pixels of the picture across which the tangent of the view angle grows by 1, x and y, of the denser eye.
+    fn pixels_per_tangent(&self) -> [f32; 2] {
         let span = |f: Fov| [f.right.tan() - f.left.tan(), f.up.tan() - f.down.tan()];
-        let of = |f: Fov| [0, 1].map(|axis| self.extent_pixels[axis] as f32 / span(f)[axis]);
-        self.fovs.into_iter().flat_map(of).fold(0.0, f32::max)
+        let of = |axis: usize| self.fovs.map(|fov| self.extent_pixels[axis] as f32 / span(fov)[axis]);
+        [0, 1].map(|axis| of(axis).into_iter().fold(0.0, f32::max))
     }
 
     /// Pixels that a widened field of view would have at the density of the client's display.

@@ -6,6 +6,7 @@
 #include "scene.glsl"
 #include "environment.glsl"
 #include "light.glsl"
+#include "footprint.glsl"
 
 struct BlockGpu {
     uint patch_index;
@@ -28,8 +29,10 @@ layout(binding = 7) uniform sampler2D textures[];
 layout(binding = 8) uniform sampler2D shadow_map;
 #include "pbr.glsl"
 layout(push_constant) uniform ShadingPush {
-    vec4 world_eye;
+    vec4 head_from_world[AFFINE_ROWS]; // of the head that is expected in the middle of the update's time on display
+    vec4 world_eye;                    // where it is
     vec2 atlas_extent_texels;
+    vec2 pixels_per_tangent;           // of the display, in the middle of an eye's picture
 };
 layout(location = 0) flat in uint block_index;
 layout(location = 1) in vec2 texel;
@@ -62,6 +65,18 @@ mat3 barycentric(vec2 a, vec2 b, vec2 c, vec2 uv) {
         vec3(-beta.y - gamma.y, beta.y, gamma.y));
 }
 
+// Of a point with w 1, of a direction with w 0.
+vec3 in_head(vec4 world) {
+    return vec3(dot(head_from_world[0], world), dot(head_from_world[1], world), dot(head_from_world[2], world));
+}
+
+// What a pixel of the display covers of the block at a point of the surface, which the columns are the change of with a texel.
+mat2 footprint_texels(vec3 world_at, mat2x3 world_by_texel) {
+    vec3 at = in_head(vec4(world_at, 1.0));
+    vec3 x = in_head(vec4(world_by_texel[0], 0.0)), y = in_head(vec4(world_by_texel[1], 0.0));
+    return texels_per_pixel(mat2(pixels_of(at, x, pixels_per_tangent), pixels_of(at, y, pixels_per_tangent)));
+}
+
 void main() {
     BlockGpu b = blocks[block_index];
     PatchGpu p = patches[b.patch_index];
@@ -77,6 +92,8 @@ void main() {
     s.uv = s.uv_dx = s.uv_dy = s.uv1 = s.uv1_dx = s.uv1_dy = vec2(0.0);
     s.color = vec4(0.0);
     vec3 at[3];
+    mat2 uv_by_texel = mat2(0.0), uv1_by_texel = mat2(0.0);
+    mat2x3 world_by_texel = mat2x3(0.0);
     for (int i = 0; i < 3; i++) {
         uint index = p.vertices[corners[i]];
         VertexGpu v = vertices[b.vertex_base + index];
@@ -88,13 +105,19 @@ void main() {
         s.world_tangent += weights[0][i] * f.tangent.xyz;
         s.tangent_sign = f.tangent.w;
         s.uv += weights[0][i] * vertex_uv;
-        s.uv_dx += weights[1][i] * vertex_uv / inner.x;
-        s.uv_dy += weights[2][i] * vertex_uv / inner.y;
         s.uv1 += weights[0][i] * v.uv1;
-        s.uv1_dx += weights[1][i] * v.uv1 / inner.x;
-        s.uv1_dy += weights[2][i] * v.uv1 / inner.y;
+        vec2 by_texel = vec2(weights[1][i], weights[2][i]) / inner;
+        uv_by_texel += outerProduct(vertex_uv, by_texel);
+        uv1_by_texel += outerProduct(v.uv1, by_texel);
+        world_by_texel += outerProduct(at[i], by_texel);
         s.color += weights[0][i] * unpackUnorm4x8(v.color);
     }
+    mat2 footprint = footprint_texels(s.world_position, world_by_texel);
+    mat2 uv_by_pixel = uv_by_texel * footprint, uv1_by_pixel = uv1_by_texel * footprint;
+    s.uv_dx = uv_by_pixel[0];
+    s.uv_dy = uv_by_pixel[1];
+    s.uv1_dx = uv1_by_pixel[0];
+    s.uv1_dy = uv1_by_pixel[1];
     MaterialGpu m = materials[b.material_base + p.material];
     vec3 facing = cross(at[1] - at[0], at[2] - at[0]);
     if (m.double_sided != 0 && dot(facing, world_eye.xyz - s.world_position) < 0.0) s.world_normal = -s.world_normal;

@@ -16,8 +16,10 @@ struct BlockGpu {
 };
 layout(std430, binding = 0) readonly buffer Blocks { BlockGpu blocks[]; };
 layout(push_constant) uniform ShadingPush {
-    vec4 world_eye;
+    vec4 head_from_world[AFFINE_ROWS]; // of the head that is expected in the middle of the update's time on display
+    vec4 world_eye;                    // where it is
     vec2 atlas_extent_texels;
+    vec2 pixels_per_tangent;           // of the display, in the middle of an eye's picture
 };
 layout(location = 0) flat out uint block_index;
 layout(location = 1) out vec2 texel; // inside the block

@@ -111,6 +111,12 @@ shared! {
     PATCH_TWO: u32 = PatchKind::Two as u32;
     /// Largest projected extent that level selection tells.
     MAX_PATCH_EXTENT_TEXELS: f32 = 65535.0;
+    /// Beyond this cosine from the middle of the view, 66 degrees, a pixel's footprint is not that of a flat picture any more.
+    EDGE_COSINE: f32 = 0.4;
+    /// Least that a pixel is taken to cover of a block in any direction.
+    MIN_TEXELS_PER_PIXEL: f32 = 1.0;
+    /// Most that a pixel is taken to cover of a block in any direction.
+    MAX_TEXELS_PER_PIXEL: f32 = 32.0;
     /// Texels across and down that an invocation of `ycbcr.comp` converts.
     YCBCR_TEXELS: [u32; 2] = [8, 2];
 

@@ -2,17 +2,19 @@
 
 use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
+use crate::animation::manager::rows;
 use crate::scene::SceneGpu;
 use crate::scene::numbering::ScenePatch;
 use crate::stages::shadow::Shadow;
 use ash::vk;
-use glam::Vec3;
+use glam::Affine3A;
 use shadecast_gpu::{
     Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
     Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc,
 };
 use shadecast_protocol::atlas::{AtlasExtent, Block};
 use shadecast_protocol::limits::MAX_PATCH_SLOTS;
+use shadecast_protocol::pose::Pose;
 use shadecast_shaders::generated::{BlockGpu, SHADING_FRAG, SHADING_VERT, ShadingPush};
 use std::sync::Arc;
 
@@ -125,12 +127,14 @@ impl Shading {
         }
     }
 
-    /// Shades the listed blocks as seen from `world_eye`.
-    pub fn record(&self, recorder: &mut Recorder, world_eye: Vec3) {
+    /// Shades the listed blocks as seen by a head, filtered for a display of so many pixels to a tangent of 1, x and y.
+    pub fn record(&self, recorder: &mut Recorder, world_from_head: Pose, pixels_per_tangent: [f32; 2]) {
         let [width, height] = self.atlas.desc().extent;
         let push = ShadingPush {
-            world_eye: world_eye.extend(0.0).to_array(),
+            head_from_world: rows(Affine3A::from_mat4(world_from_head.inverse().matrix())),
+            world_eye: world_from_head.position.extend(0.0).to_array(),
             atlas_extent_texels: [width as f32, height as f32],
+            pixels_per_tangent,
             ..bytemuck::Zeroable::zeroed()
         };
         recorder.begin_pass(&self.pass, &self.target, &[]);

@@ -34,3 +34,4 @@ mod text_table;
 pub mod truth;
 pub mod typeface;
 pub mod viewers;
+pub mod walls;

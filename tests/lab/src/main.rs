@@ -15,6 +15,7 @@ use shadecast_lab::room::write_room;
 use shadecast_lab::run::{Report, run};
 use shadecast_lab::skinning;
 use shadecast_lab::viewers::run_each;
+use shadecast_lab::walls::{TEXELS, write_walls};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::text::with_causes;
 use shadecast_scene::animation::sampling::Sampling;
@@ -89,6 +90,12 @@ enum Command {
     },
     /// Writes the room of the long runs, in which the head starts abruptly: room.glb, and room.toml to stand in it
     Room {
+        /// The folder
+        #[arg(long, default_value = ".")]
+        out: PathBuf,
+    },
+    /// Writes the room of the long runs whose walls are painted down to the texel: walls.toml, walls.glb and its pictures
+    Walls {
         /// The folder
         #[arg(long, default_value = ".")]
         out: PathBuf,
@@ -310,6 +317,9 @@ fn main() {
         }
         Command::Room { out } => {
             write_room(&out).map(|_| ()).with_context(|| format!("writing into {}", out.display()))
+        }
+        Command::Walls { out } => {
+            write_walls(&out, TEXELS).map(|_| ()).with_context(|| format!("writing into {}", out.display()))
         }
         Command::Skinning(args) => measure_skinning(&args),
         Command::Hostile(args) => attack(args),

@@ -24,9 +24,16 @@ const ALONG: u16 = 32;
 /// # Errors
 /// The folder cannot be written.
 pub fn write_room(folder: &Path) -> std::io::Result<PathBuf> {
-    std::fs::write(folder.join("room.glb"), room())?;
-    let scene = folder.join("room.toml");
-    let text = "[[model]]\nname = \"room\"\nfile = \"room.glb\"\n\n[[instance]]\nmodel = \"room\"\n\n[ground]\nenabled = false\n";
+    write_scene(folder, "room", &room())
+}
+
+/// Writes a file of one model, and a scene of it without the usual ground; gives the scene's path.
+pub(crate) fn write_scene(folder: &Path, name: &str, glb: &[u8]) -> std::io::Result<PathBuf> {
+    std::fs::write(folder.join(format!("{name}.glb")), glb)?;
+    let scene = folder.join(format!("{name}.toml"));
+    let text = format!(
+        "[[model]]\nname = \"{name}\"\nfile = \"{name}.glb\"\n\n[[instance]]\nmodel = \"{name}\"\n\n[ground]\nenabled = false\n"
+    );
     std::fs::write(&scene, text)?;
     Ok(scene)
 }
@@ -35,7 +42,7 @@ pub fn write_room(folder: &Path) -> std::io::Result<PathBuf> {
 pub fn room() -> Vec<u8> {
     let mut buffer = Buffer::default();
     let meshes = json!([mesh("wall", wall(), &mut buffer, 0), mesh("vase", vase(), &mut buffer, 1)]);
-    let mut nodes = walls();
+    let mut nodes = walls(SIDE_M, HEIGHT_M, |_| 0);
     nodes.extend((0..4).flat_map(vases));
     let all: Vec<usize> = (0..nodes.len()).collect();
     let paint = |color: [f32; 4]| json!({"pbrMetallicRoughness": {"baseColorFactor": color, "metallicFactor": 0.0, "roughnessFactor": 0.7}});
@@ -50,10 +57,10 @@ pub fn room() -> Vec<u8> {
 }
 
 /// A surface over a grid of points.
-struct Surface {
-    positions: Vec<Vec3>,
-    normals: Vec<Vec3>,
-    indices: Vec<u16>,
+pub(crate) struct Surface {
+    pub(crate) positions: Vec<Vec3>,
+    pub(crate) normals: Vec<Vec3>,
+    pub(crate) indices: Vec<u16>,
 }
 
 /// `across` times `along` points; triangles face the side from which u runs to the right where v runs up.
@@ -77,7 +84,7 @@ fn surface(across: u16, along: u16, point: impl Fn(f32, f32) -> Vec3) -> Surface
 }
 
 /// A square of side 1 in the plane of x and y that faces +z.
-fn wall() -> Surface {
+pub(crate) fn wall() -> Surface {
     surface(WALL_QUADS + 1, WALL_QUADS + 1, |u, v| Vec3::new(u - 0.5, v - 0.5, 0.0))
 }
 
@@ -101,21 +108,21 @@ fn mesh(name: &str, surface: Surface, buffer: &mut Buffer, material: usize) -> V
     }]})
 }
 
-/// Floor, ceiling and four walls, facing inwards.
-fn walls() -> Vec<Value> {
+/// Floor, ceiling and four walls, facing inwards; squares of side 1 of the mesh that is named for each.
+pub(crate) fn walls(side_m: f32, height_m: f32, mesh: impl Fn(usize) -> usize) -> Vec<Value> {
     let quat = |axis: Vec3, degrees: f32| {
         glam::Quat::from_axis_angle(axis, degrees.to_radians()).normalize().to_array()
     };
-    let place = |at: [f32; 3], rotation: [f32; 4], scale: [f32; 3]| json!({"mesh": 0, "translation": at, "rotation": rotation, "scale": scale});
-    let (half, middle) = (0.5 * SIDE_M, 0.5 * HEIGHT_M);
+    let place = |which: usize, at: [f32; 3], rotation: [f32; 4], scale: [f32; 3]| json!({"mesh": mesh(which), "translation": at, "rotation": rotation, "scale": scale});
+    let (half, middle) = (0.5 * side_m, 0.5 * height_m);
     let mut nodes = vec![
-        place([0.0; 3], quat(Vec3::X, -90.0), [SIDE_M, SIDE_M, 1.0]),
-        place([0.0, HEIGHT_M, 0.0], quat(Vec3::X, 90.0), [SIDE_M, SIDE_M, 1.0]),
+        place(0, [0.0; 3], quat(Vec3::X, -90.0), [side_m, side_m, 1.0]),
+        place(1, [0.0, height_m, 0.0], quat(Vec3::X, 90.0), [side_m, side_m, 1.0]),
     ];
     nodes.extend((0..4u8).map(|side| {
         let turn = glam::Quat::from_rotation_y(f32::from(side) * TAU / 4.0);
         let at = turn * Vec3::new(0.0, middle, -half);
-        place(at.to_array(), turn.to_array(), [SIDE_M, HEIGHT_M, 1.0])
+        place(2 + usize::from(side), at.to_array(), turn.to_array(), [side_m, height_m, 1.0])
     }));
     nodes
 }
