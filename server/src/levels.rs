@@ -15,9 +15,6 @@ pub const HOLD_UPDATES: u32 = 10;
 /// Where not all can be shown, a patch seen within this many updates counts as in view: one that flickers in the ID
 /// buffer does not come and go.
 const IN_VIEW_UPDATES: u32 = 3;
-/// A side is rounded up to a power of two only where it needs more than this part of it, else down: a block may have a
-/// fifth less texels along a side than its extent before twice as many are taken. ARCHITECTURE.md has the measurement.
-const ROUND_UP_BEYOND: f32 = 0.625;
 /// A block grows only when the extent is larger by this factor than what its size is chosen for.
 const GROW_BEYOND: f32 = 1.05;
 /// A block shrinks only when the extent has fallen under this part of what the next smaller size is chosen for.
@@ -293,7 +290,7 @@ impl Layout {
     }
 }
 
-/// The block for a patch of `extent` texels at density 1: see [`ROUND_UP_BEYOND`]. A block that the patch has already
+/// The block for a patch of `extent` texels at density 1, whose sides are rounded up to powers of two. A block that the patch has already
 /// changes its size only when the extent is clearly larger or smaller than what that size is for.
 fn wanted_size(extent: [u16; 2], current: Option<BlockSize>, density: f32) -> BlockSize {
     let side = |texels: u16, current: Option<u8>| {
@@ -315,8 +312,7 @@ fn wanted_size(extent: [u16; 2], current: Option<BlockSize>, density: f32) -> Bl
 
 /// The exponent of the side for so many texels, inset included.
 fn side_log2(needed_texels: f32) -> u8 {
-    let half_way_up = needed_texels * (0.5 / ROUND_UP_BEYOND);
-    (half_way_up.max(1.0).log2().ceil() as u8).clamp(BLOCK_MIN_LOG2 as u8, BLOCK_MAX_LOG2 as u8)
+    (needed_texels.max(1.0).log2().ceil() as u8).clamp(BLOCK_MIN_LOG2 as u8, BLOCK_MAX_LOG2 as u8)
 }
 
 #[cfg(test)]
@@ -540,12 +536,11 @@ mod tests {
     }
 
     #[test]
-    fn a_side_is_rounded_up_beyond_five_eighths_of_the_next_power_of_two() {
+    fn a_side_has_as_many_texels_as_it_needs_inset_included() {
         for log2 in 3..9u8 {
-            let limit = (1u32 << log2) as f32 * ROUND_UP_BEYOND;
-            assert_eq!((side_log2(limit), side_log2(limit * 1.001)), (log2 - 1, log2));
+            let side = (1u32 << log2) as f32;
+            assert_eq!((side_log2(side), side_log2(side + 0.5)), (log2, (log2 + 1).min(9)));
         }
-        assert_eq!(ROUND_UP_BEYOND, 0.625, "ARCHITECTURE.md says so");
     }
 
     #[test]
