@@ -5,7 +5,7 @@ use super::*;
 use crate::draw_list::{DrawList, ListScratch, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
 use crate::motion::pace::{GridTime, Pace};
 use crate::motion::{Motion, Motionless};
-use crate::stages::interpolate::{Interpolation, push};
+use crate::stages::interpolate::{Interpolation, Slots, push};
 use glam::Vec3;
 use shadecast_protocol::atlas::{BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::delta::ReceivedDelta;
@@ -219,8 +219,8 @@ impl Bench {
             bundler: Bundler::new(PATCH_SLOTS),
             motion: Motion::new(VERTEX_SLOTS, MotionMemory::NONE.into()),
             scratch: ListScratch::new(PATCH_SLOTS),
-            memory: VertexMemory::new(VERTEX_SLOTS),
-            moved: VertexMemory::new(VERTEX_SLOTS),
+            memory: VertexMemory::new(VERTEX_SLOTS, MotionMemory::NONE.sample_ring),
+            moved: VertexMemory::new(VERTEX_SLOTS, MotionMemory::NONE.sample_ring),
             pace: Pace::default(),
             now: ServerTime(i64::MIN),
             frozen_frames: 0,
@@ -266,7 +266,8 @@ impl Bench {
         let evaluation = self.pace.advance(DEFAULT_GRID, self.now, span, has_switched);
         self.frozen_frames += usize::from(evaluation.is_none());
         if let Some(evaluation) = evaluation {
-            let slots = [VERTEX_SLOTS, VERTEX_SLOTS];
+            let (vertex_slots, sample_ring) = (VERTEX_SLOTS, self.moved.sample_ring);
+            let slots = Slots { vertex_count: VERTEX_SLOTS, vertex_slots, sample_ring };
             self.moved.interpolate(&push(DEFAULT_GRID, evaluation, slots, Interpolation::Cubic));
         }
         self.assert_whole();
@@ -324,7 +325,7 @@ impl Bench {
         if state != 0.0 {
             return x as i32;
         }
-        let ring = (0..shadecast_protocol::limits::SAMPLE_RING)
+        let ring = (0..self.memory.sample_ring)
             .map(|ring| self.memory.samples[(ring * VERTEX_SLOTS + slot) as usize]);
         let mut known: Vec<_> = ring.filter(|sample| sample[3] != 0).collect();
         known.sort_by_key(|sample| sample[3]);

@@ -276,7 +276,10 @@ impl Client {
         };
         self.counters.connections += 1;
         let Renderer { gpu, stages, .. } = &self.renderer;
-        self.scenes.begin(Scene::new(gpu, stages, welcome.clone(), serial)?);
+        let scene = Scene::new(gpu, stages, welcome.clone(), serial)?;
+        self.counters.motion_memory_bytes = scene.motion_memory_bytes();
+        self.counters.sample_ring = welcome.motion.sample_ring;
+        self.scenes.begin(scene);
         self.notices.push_back(Notice::Welcome(welcome));
         Ok(())
     }

@@ -10,7 +10,7 @@ use crate::motion::{Motion, Motionless};
 use crate::report::ClientError;
 use crate::stages::arena::{ArenaStaging, SkinMemory};
 use crate::stages::atlas_draw::BundleSet;
-use crate::stages::interpolate::{self, Interpolation};
+use crate::stages::interpolate::{self, Interpolation, Slots};
 use crate::stages::pose::PoseStaging;
 use crate::stages::scatter::{ScatterStaging, VertexMemory};
 use crate::stages::{Stages, wait_for};
@@ -90,10 +90,10 @@ impl Scene {
     /// Allocates everything that a connection under these terms can need.
     pub fn new(gpu: &Arc<Gpu>, stages: &Stages, terms: Welcome, serial: u64) -> Result<Self, GpuError> {
         let mut recorder = gpu.record()?;
-        let memory = VertexMemory::new(gpu, &mut recorder, terms.vertex_slots, terms.motion.rest_vertices)?;
+        let capacity = SkinCapacity::from(terms.motion);
+        let memory = VertexMemory::new(gpu, &mut recorder, terms.vertex_slots, capacity)?;
         let staging = stages.scatter.staging(gpu, &memory)?;
         let interpolate_group = stages.interpolate.bind(&memory)?;
-        let capacity = SkinCapacity::from(terms.motion);
         let skin_memory = SkinMemory::new(gpu, &mut recorder, capacity)?;
         let arena_staging = ArenaStaging::new(gpu)?;
         let pose_staging = stages.pose.staging(gpu, &skin_memory)?;
@@ -135,6 +135,11 @@ impl Scene {
         })
     }
 
+    /// Bytes of the device's memory for vertices and how they move.
+    pub fn motion_memory_bytes(&self) -> u64 {
+        self.memory.bytes() + self.skin_memory.bytes()
+    }
+
     /// Whether a bundle of it can be drawn.
     pub fn is_drawable(&self) -> bool {
         self.bundler.current().is_some()
@@ -161,8 +166,8 @@ impl Scene {
     /// Writes what has arrived about vertices and skeletons. Needs a barrier before and after it.
     pub fn record_arrivals(&mut self, recorder: &mut Recorder, stages: &Stages, flight: usize) {
         self.arena_staging.record(recorder, flight, &self.skin_memory, self.motion.arena());
-        let (slots, writes) = (self.memory.vertex_slots, self.motion.writes());
-        stages.scatter.record(recorder, &mut self.staging, flight, slots, writes);
+        let (memory, writes) = (&self.memory, self.motion.writes());
+        stages.scatter.record(recorder, &mut self.staging, flight, memory, writes);
     }
 
     /// Switches to the newest complete bundle, if there is a newer one: its picture into images, its patches into a draw
@@ -228,8 +233,9 @@ impl Scene {
         let grid = self.terms.grid;
         let has_switched = std::mem::take(&mut self.has_switched);
         if let Some(evaluation) = self.pace.advance(grid, time, self.motion.span(), has_switched) {
-            let vertices = [self.motion.vertex_count(), self.memory.vertex_slots];
-            let push = interpolate::push(grid, evaluation, vertices, interpolation);
+            let VertexMemory { vertex_slots, sample_ring, .. } = self.memory;
+            let slots = Slots { vertex_count: self.motion.vertex_count(), vertex_slots, sample_ring };
+            let push = interpolate::push(grid, evaluation, slots, interpolation);
             stages.interpolate.record(recorder, &self.interpolate_group, &push);
         }
         let motion_time = self.pace.shown();

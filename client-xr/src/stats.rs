@@ -30,6 +30,10 @@ pub struct ClientStats {
     pub bundles: u64,
     /// Sessions that stood.
     pub connections: u64,
+    /// Bytes of the device's memory that the last of them keeps for vertices and how they move.
+    pub motion_memory_bytes: u64,
+    /// Steps of the time grid that it keeps of each vertex; 0 before the first.
+    pub sample_ring: u32,
     /// Bytes of coded pictures received.
     pub atlas_bytes: u64,
     /// Bytes of geometry deltas received, samples included.
@@ -76,6 +80,8 @@ impl ClientStats {
             frames_with_bundle,
             bundles,
             connections,
+            motion_memory_bytes,
+            sample_ring,
             atlas_bytes,
             geometry_bytes,
             vertex_samples,
@@ -90,6 +96,10 @@ impl ClientStats {
             clock_error_bound_last_ms,
             validation_messages,
         } = later;
+        let (motion_memory_bytes, sample_ring) = match connections {
+            0 => (self.motion_memory_bytes, self.sample_ring),
+            _ => (motion_memory_bytes, sample_ring),
+        };
         let both_s = self.seconds + seconds;
         let rate = |a: f64, b: f64| {
             if both_s > 0.0 { (a * self.seconds + b * seconds) / both_s } else { 0.0 }
@@ -106,6 +116,8 @@ impl ClientStats {
             frames_with_bundle: self.frames_with_bundle + frames_with_bundle,
             bundles: self.bundles + bundles,
             connections: self.connections + connections,
+            motion_memory_bytes,
+            sample_ring,
             atlas_bytes: self.atlas_bytes + atlas_bytes,
             geometry_bytes: self.geometry_bytes + geometry_bytes,
             vertex_samples: self.vertex_samples + vertex_samples,
@@ -145,6 +157,8 @@ pub(crate) struct Counters {
     /// Largest and last over the frames that showed a bundle, milliseconds.
     clock_error_bound_ms: (Option<f64>, Option<f64>),
     pub(crate) connections: u64,
+    pub(crate) motion_memory_bytes: u64,
+    pub(crate) sample_ring: u32,
     pub(crate) atlas_bytes: u64,
     pub(crate) geometry_bytes: u64,
     pub(crate) vertex_samples: u64,
@@ -170,6 +184,8 @@ impl Counters {
             most_arena_waiting_bytes: 0,
             clock_error_bound_ms: (None, None),
             connections: 0,
+            motion_memory_bytes: 0,
+            sample_ring: 0,
             atlas_bytes: 0,
             geometry_bytes: 0,
             vertex_samples: 0,
@@ -212,6 +228,8 @@ impl Counters {
             frames_with_bundle: self.frames_with_bundle,
             bundles: self.bundles,
             connections: self.connections,
+            motion_memory_bytes: self.motion_memory_bytes,
+            sample_ring: self.sample_ring,
             atlas_bytes: self.atlas_bytes,
             geometry_bytes: self.geometry_bytes,
             vertex_samples: self.vertex_samples,
@@ -240,6 +258,8 @@ mod tests {
             seconds: 3.0,
             client_fps: 70.0,
             frames: 211,
+            connections: 1,
+            sample_ring: 8,
             withheld_vertices: 5,
             most_arena_waiting_bytes: 900,
             clock_error_bound_ms: Some(7.0),
@@ -251,6 +271,7 @@ mod tests {
             client_fps: 90.0,
             frames: 91,
             connections: 1,
+            sample_ring: 32,
             withheld_vertices: 2,
             most_arena_waiting_bytes: 300,
             clock_error_bound_ms: Some(4.0),
@@ -259,7 +280,8 @@ mod tests {
         };
         let both = ClientStats::default().and(first.clone()).and(second);
         assert_eq!((both.runtime.as_str(), both.seconds, both.client_fps), ("second", 4.0, 75.0));
-        assert_eq!((both.frames, both.connections), (302, 1));
+        assert_eq!((both.frames, both.connections, both.sample_ring), (302, 2, 32));
+        assert_eq!(first.clone().and(ClientStats::default()).sample_ring, 8, "no later session stood");
         assert_eq!((both.withheld_vertices, both.most_arena_waiting_bytes), (7, 900));
         assert_eq!((both.clock_error_bound_ms, both.clock_error_bound_last_ms), (Some(7.0), Some(2.0)));
         assert_eq!(ClientStats::default().and(first.clone()), first);

@@ -4,11 +4,11 @@
 pub mod errors;
 mod table;
 
+use crate::animation::RING;
 use crate::animation::manager::AnimationManager;
 use crate::stages::palette::BONE_BYTES;
 use clap::{Args, Subcommand};
 use serde::Serialize;
-use shadecast_protocol::limits::SAMPLE_RING;
 use shadecast_protocol::text::printable;
 use shadecast_scene::animation::sampling::{self, Sampling};
 use shadecast_scene::cache::Cache;
@@ -390,7 +390,6 @@ fn memory(scene: &Scene, sampling: Sampling) -> Vec<MemoryPart> {
     let manager = AnimationManager::new(scene, sampling, &Loading::complete(Cache::of_user()));
     let manager = manager.expect("nobody asks to end");
     let part = |part, shared, bytes| MemoryPart { part, shared, bytes };
-    let ring = SAMPLE_RING as usize;
     vec![
         part("vertices", true, total(size_of::<VertexGpu>(), &|model| model.vertices.len())),
         part("indices", true, total(4, &|model| model.indices.len())),
@@ -403,7 +402,7 @@ fn memory(scene: &Scene, sampling: Sampling) -> Vec<MemoryPart> {
         part("poses", false, (size_of::<PoseGpu>() * scene.instances.len()) as u64),
         part("bone transforms", false, instanced(BONE_BYTES as usize, &|model| model.bones.len())),
         part("palettes", false, instanced(BONE_BYTES as usize, &|model| model.palette.len())),
-        part("skinned vertices, all sample times", false, saved_bytes(scene, ring)),
+        part("skinned vertices, all sample times", false, saved_bytes(scene)),
         part(
             "normals and tangents",
             false,
@@ -413,9 +412,9 @@ fn memory(scene: &Scene, sampling: Sampling) -> Vec<MemoryPart> {
 }
 
 /// Positions: of a moving instance for each sample time, of a still one once.
-fn saved_bytes(scene: &Scene, ring: usize) -> u64 {
+fn saved_bytes(scene: &Scene) -> u64 {
     let of_instance = |(index, instance): (usize, &shadecast_scene::Instance)| {
-        let times = if scene.moves(index) { ring } else { 1 };
+        let times = if scene.moves(index) { RING as usize } else { 1 };
         (16 * scene.models[instance.model].vertices.len() * times) as u64
     };
     scene.instances.iter().enumerate().map(of_instance).sum()

@@ -5,8 +5,6 @@
 //! is not made at all, since it would be old when it leaves.
 
 use shadecast_protocol::ids::UpdateId;
-use shadecast_protocol::limits::SAMPLE_RING;
-use shadecast_protocol::time::DEFAULT_GRID;
 use shadecast_transport::PeerStats;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -42,8 +40,8 @@ const TELL_AFTER_NS: i64 = 2_000_000_000;
 const TOGETHER_NS: i64 = 1_000_000_000;
 /// Weight of the newest update in what an update is taken to need.
 const NEWEST: f64 = 0.25;
-/// Longest time that one update's samples cover, nanoseconds: those of a pause that was longer are left out.
-const LONGEST_COVERED_NS: i64 = SAMPLE_RING as i64 * DEFAULT_GRID.spacing_ns;
+/// Longest time whose geometry one update is taken to bring, nanoseconds: after a longer pause it brings no more.
+const LONGEST_COVERED_NS: i64 = 1_000_000_000;
 
 /// Stands for what leaves after all updates, so that none waits for it.
 pub const AFTER_ALL: UpdateId = UpdateId(u32::MAX);
@@ -280,7 +278,7 @@ impl Needs {
             Kind::Motion => return,
             Kind::Picture => (&mut self.pictures, period_ns),
             Kind::Delta => {
-                // After a pause a delta has the samples of all of it.
+                // After a pause a delta has what has come into view in all of it.
                 let since_ns = now_ns - std::mem::replace(&mut self.last_delta_ns, now_ns);
                 (&mut self.geometry, since_ns.clamp(period_ns, LONGEST_COVERED_NS.max(period_ns)))
             }

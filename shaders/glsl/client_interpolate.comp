@@ -11,6 +11,7 @@ layout(std430, binding = 2) buffer Blends { vec4 blends[]; };
 layout(push_constant) uniform InterpolatePush {
     uint vertex_count;    // slots from 0 on
     uint vertex_slots;    // stride of the ring
+    uint sample_ring;     // steps of the grid that it has
     uint tag;             // of the last grid step at or before the display time
     float fraction;       // 0..1 from that step to the next
     uint tag_before;      // the same of the display frame before
@@ -20,13 +21,13 @@ layout(push_constant) uniform InterpolatePush {
     uint now;             // the display time as predictions have it in their tags
 };
 
-uvec4 sample_at(uint slot, uint at) { return samples[ring_place(slot, at, vertex_slots)]; }
+uvec4 sample_at(uint slot, uint at) { return samples[ring_place(slot, at, sample_ring, vertex_slots)]; }
 vec3 place(uvec4 s) { return uintBitsToFloat(s.xyz); }
 
 // Past the last sample the vertex goes on for one grid step at its last velocity, and then stays.
 vec4 beyond(uint slot, uint at, float f) {
     uint last = 0;
-    for (uint i = 0; i < SAMPLE_RING; i++) {
+    for (uint i = 0; i < sample_ring; i++) {
         uint known = samples[i * vertex_slots + slot].w;
         if (known <= at && known > last) last = known;
     }
@@ -50,7 +51,7 @@ vec4 curve(uint slot, uint at, float f) {
 }
 
 // How long before the display time a prediction's is, in units of predictions' times.
-int since(uint tag) { return int(now - (tag - tag % SAMPLE_RING)) / int(SAMPLE_RING); }
+int since(uint tag) { return int(now - (tag - tag % TIME_TAG_UNIT)) / int(TIME_TAG_UNIT); }
 
 // The paper's: on the line between the two predictions around the display time, at the first before them, at the last after.
 vec4 predicted(uint slot) {
@@ -59,6 +60,7 @@ vec4 predicted(uint slot) {
     if (since(before.w) <= 0) return vec4(place(before), ON_CURVE);
     for (uint i = 2; i <= PREDICTIONS; i++) {
         uvec4 after = samples[i * vertex_slots + slot];
+        if (after.w == NO_SAMPLE) break;
         int past = since(before.w), left = -since(after.w);
         if (left >= 0) return vec4(mix(place(before), place(after), float(past) / float(max(past + left, 1))), ON_CURVE);
         before = after;

@@ -25,6 +25,7 @@ layout(push_constant) uniform ScatterPush {
     uint first;
     uint count;
     uint vertex_slots;
+    uint sample_ring;     // steps of the grid that are kept
 };
 
 void write_rest(VertexWriteGpu write) {
@@ -36,7 +37,7 @@ void write_rest(VertexWriteGpu write) {
 
 void enter(uint slot, VertexWriteGpu write) {
     bool is_static = (write.slot & STATIC_BIT) != 0, is_skinned = (write.slot & SKINNED_BIT) != 0;
-    for (uint i = 0; i < SAMPLE_RING; i++) samples[i * vertex_slots + slot] = uvec4(0);
+    for (uint i = 0; i < sample_ring; i++) samples[i * vertex_slots + slot] = uvec4(0);
     positions[slot] = is_static ? vec4(uintBitsToFloat(uvec3(write.x, write.y, write.z)), ON_CURVE) : vec4(0.0);
     bool is_predicted = (write.slot & PREDICTED_BIT) != 0;
     blends[slot] = vec4(0.0, 0.0, 0.0, is_predicted ? PREDICTED_BLEND : is_static || is_skinned ? STATIC_BLEND : 0.0);
@@ -56,7 +57,7 @@ void main() {
         enter(slot, write);
         return;
     }
-    uint at = ring_place(slot, write.tag, vertex_slots);
+    uint at = ring_place(slot, write.tag, sample_ring, vertex_slots);
     bool revised = samples[at].w == write.tag;
     samples[at] = uvec4(write.x, write.y, write.z, write.tag);
     if (revised && positions[slot].w == ON_CURVE) positions[slot].w = PAST_THE_END;

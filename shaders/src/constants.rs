@@ -4,7 +4,7 @@
 
 use shadecast_protocol::atlas::PatchKind;
 use shadecast_protocol::limits::{
-    BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_VIEWS, PATCH_MAX_VERTICES, PREDICTIONS, SAMPLE_RING,
+    BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_SAMPLE_RING, MAX_VIEWS, PATCH_MAX_VERTICES, PREDICTIONS,
 };
 use shadecast_protocol::pose::NEAR_M;
 
@@ -57,7 +57,7 @@ macro_rules! shared {
 }
 
 shared! {
-    { BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_VIEWS, NEAR_M, PATCH_MAX_VERTICES, PREDICTIONS, SAMPLE_RING }
+    { BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_VIEWS, NEAR_M, PATCH_MAX_VERTICES, PREDICTIONS }
 
     /// Views that are drawn at once.
     EYES: u32 = 2;
@@ -66,6 +66,9 @@ shared! {
     /// The first view's number in the self-test; the others' follow.
     SELFTEST_NUMBER: u32 = 7;
 
+    /// What the tag of a prediction counts its time in: the places of the longest ring, so that every ring has the prediction in the
+    /// same place whatever its time.
+    TIME_TAG_UNIT: u32 = MAX_SAMPLE_RING;
     /// Tag of a place in the sample ring that holds no sample. Samples have tags above it.
     NO_SAMPLE: u32 = 0;
     /// Bit of [`VertexWriteGpu::slot`](crate::generated::VertexWriteGpu::slot) for a static vertex that enters.

@@ -2,9 +2,9 @@
 
 use crate::constants::{
     MORPH_FIRST_BITS, NO_SAMPLE, PREDICTED_BIT, REST_BIT, REST_END_BIT, SKINNED_BIT, SLOT_MASK, STATIC_BIT,
+    TIME_TAG_UNIT,
 };
 use crate::generated::{RestGpu, VertexWriteGpu};
-use shadecast_protocol::limits::SAMPLE_RING;
 use shadecast_protocol::time::{GridIndex, ServerTime};
 
 /// The tag of a grid step: tags order like grid indices, and 0 is no sample.
@@ -24,15 +24,15 @@ pub fn sampled_entry(slot: u32) -> VertexWriteGpu {
 }
 
 /// Unit of predictions' times, nanoseconds. A vertex moves by a tenth of a millimetre meanwhile at 2 m/s, and times repeat only
-/// after an hour and 50 minutes.
+/// after 55 minutes.
 const PREDICTION_UNIT_NS: i64 = 50_000;
 
-/// A time as predictions have it in their tags, which leave room for a place of the ring. Repeats; what is not more than half of
+/// A time as predictions have it in their tags, which leave room for a place of any ring. Repeats; what is not more than half of
 /// that apart can be compared.
 pub fn prediction_time(time: ServerTime) -> u32 {
     let units = time.0.div_euclid(PREDICTION_UNIT_NS)
         + i64::from(time.0.rem_euclid(PREDICTION_UNIT_NS) >= PREDICTION_UNIT_NS / 2);
-    (units as u32).wrapping_mul(SAMPLE_RING)
+    (units as u32).wrapping_mul(TIME_TAG_UNIT)
 }
 
 /// The record of a predicted vertex that enters a slot: what the slot held is forgotten.

@@ -2,23 +2,28 @@
 //! that brings the instance. Kept until it comes, within what a client could ever need.
 
 use shadecast_protocol::ids::InstanceId;
-use shadecast_protocol::limits::SAMPLE_RING;
 use shadecast_protocol::motion::poses::GridPose;
 use shadecast_protocol::motion::skeleton::grid_words;
 use std::collections::BTreeMap;
 
 /// See the module. In all they take no more words than the arena has, since that is where they would go.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct EarlyPoses {
+    sample_ring: u32,
     /// By instance and place in its ring.
     poses: BTreeMap<(InstanceId, i32), GridPose>,
     words: u32,
 }
 
 impl EarlyPoses {
+    /// Of instances that keep so many steps of the time grid.
+    pub(super) fn new(sample_ring: u32) -> Self {
+        Self { sample_ring, poses: BTreeMap::new(), words: 0 }
+    }
+
     /// Keeps a pose, unless a later one has its place or there is no room.
     pub(super) fn keep(&mut self, pose: GridPose, arena_words: u32) {
-        let key = (pose.instance, pose.grid.0.rem_euclid(SAMPLE_RING as i32));
+        let key = (pose.instance, pose.grid.0.rem_euclid(self.sample_ring as i32));
         let known = self.poses.get(&key);
         if known.is_some_and(|known| known.grid > pose.grid) {
             return;
@@ -51,6 +56,7 @@ mod tests {
     use shadecast_protocol::time::GridIndex;
 
     const FOX: InstanceId = InstanceId(3);
+    const RING: u32 = 32;
 
     fn pose(instance: InstanceId, grid: i32) -> GridPose {
         GridPose { instance, grid: GridIndex(grid), bones: Vec::new(), weights: vec![0.5; 16] }
@@ -64,7 +70,7 @@ mod tests {
 
     #[test]
     fn poses_wait_for_their_instance_and_the_last_one_has_the_place() {
-        let mut early = EarlyPoses::default();
+        let mut early = EarlyPoses::new(RING);
         for grid in [-1, 40, 8, 9] {
             early.keep(pose(FOX, grid), 1000);
         }
@@ -77,8 +83,8 @@ mod tests {
 
     #[test]
     fn what_comes_early_takes_no_more_than_the_arena_would() {
-        let mut early = EarlyPoses::default();
-        (0..SAMPLE_RING as i32).for_each(|grid| early.keep(pose(FOX, grid), 12));
+        let mut early = EarlyPoses::new(RING);
+        (0..RING as i32).for_each(|grid| early.keep(pose(FOX, grid), 12));
         assert_eq!(grids(&mut early, FOX), [0, 1, 2], "four words each");
         early.keep(pose(FOX, 7), 12);
         assert_eq!(grids(&mut early, FOX), [7]);

@@ -14,7 +14,7 @@ use arrivals::VertexWrites;
 use pace::Span;
 use shadecast_protocol::geometry::{self, NewVertex};
 use shadecast_protocol::ids::{InstanceId, UpdateId, VertexSlot};
-use shadecast_protocol::limits::{RECORDS_PER_SLOT_AND_TURN, SAMPLE_RING};
+use shadecast_protocol::limits::RECORDS_PER_SLOT_AND_TURN;
 use shadecast_protocol::motion::PositionBatch;
 use shadecast_protocol::motion::predicted::PredictedVertex;
 use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
@@ -30,6 +30,8 @@ use skinned::{DrawnInstances, Moment, SkinCapacity, Skinned, SkinnedCounts};
 pub struct Motion {
     /// By vertex slot.
     vertices: Vec<Availability>,
+    /// Steps of the time grid that are kept of each.
+    sample_ring: u32,
     /// Slots below this have been used.
     vertex_count: u32,
     writes: VertexWrites,
@@ -83,16 +85,16 @@ impl Availability {
         self.first <= self.last
     }
 
-    /// Takes in a sample. One that follows the last lengthens the run, and pushes out what the ring cannot hold; one after
+    /// Takes in a sample. One that follows the last lengthens the run, and pushes out what a ring of so many steps cannot hold; one after
     /// a gap begins another; earlier ones change none.
-    fn take_sample(&mut self, grid: GridIndex) {
+    fn take_sample(&mut self, grid: GridIndex, sample_ring: u32) {
         if !self.has_samples() || grid > self.last.plus(1) {
             self.first = grid;
         }
         if !self.has_samples() || grid > self.last {
             self.last = grid;
         }
-        self.first = self.first.max(self.last.plus(1 - SAMPLE_RING as i32));
+        self.first = self.first.max(self.last.plus(1 - sample_ring as i32));
     }
 }
 
@@ -101,12 +103,13 @@ impl Motion {
     pub fn new(vertex_slots: u32, capacity: SkinCapacity) -> Self {
         Self {
             vertices: vec![Availability::none(false); vertex_slots as usize],
+            sample_ring: capacity.sample_ring,
             vertex_count: 0,
             writes: VertexWrites::default(),
             arena: ArenaWrites::new(capacity.arena_words),
             skinned: Skinned::default(),
             told: told::Told::default(),
-            early: early::EarlyPoses::default(),
+            early: early::EarlyPoses::new(capacity.sample_ring),
             drawn: DrawnInstances::default(),
             used: Vec::with_capacity(vertex_slots as usize),
             used_by: vec![0; vertex_slots as usize],
@@ -241,7 +244,7 @@ impl Motion {
         let newest = batches.iter().map(|batch| batch.grid).max().unwrap_or_default();
         // Steps that share a place in the ring with a later one of the same delta could be seen by nobody, nor could
         // the step whose tag means that there is no sample.
-        let oldest = newest.plus(1 - SAMPLE_RING as i32).max(GridIndex(i32::MIN + 1));
+        let oldest = newest.plus(1 - self.sample_ring as i32).max(GridIndex(i32::MIN + 1));
         for batch in batches.iter().filter(|batch| batch.grid >= oldest) {
             for (slot, position) in &batch.positions {
                 self.take_position(*slot, batch.grid, position.to_array());
@@ -255,7 +258,7 @@ impl Motion {
     fn take_position(&mut self, slot: VertexSlot, grid: GridIndex, position_m: [f32; 3]) {
         let vertex = &mut self.vertices[slot.index()];
         let before = *vertex;
-        vertex.take_sample(grid);
+        vertex.take_sample(grid, self.sample_ring);
         let first = vertex.first;
         self.writes.push(sample_write(slot.0, grid, position_m));
         if before.has_samples() && first > before.first && self.is_on_display(slot) {

@@ -196,17 +196,20 @@ pub struct SkinCapacity {
     pub palette_entries: u32,
     /// Bones.
     pub bones: u32,
+    /// Steps of the time grid that are kept of each instance that is posed on it, and of each sampled vertex.
+    pub sample_ring: u32,
 }
 
 impl From<MotionMemory> for SkinCapacity {
     /// At least a place of each, since there is no memory of nothing.
     fn from(agreed: MotionMemory) -> Self {
-        let MotionMemory { arena_words, rest_vertices, pose_places } = agreed;
+        let MotionMemory { arena_words, rest_vertices, pose_places, sample_ring } = agreed;
         Self {
             rests: rest_vertices.max(1),
             arena_words: arena_words.max(ARENA_ALIGNMENT_WORDS),
             palette_entries: pose_places.max(1),
             bones: pose_places.max(1),
+            sample_ring,
         }
     }
 }

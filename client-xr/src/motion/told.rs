@@ -198,9 +198,7 @@ impl Motion {
     fn learn_instance(&mut self, told: &SkinnedInstance) {
         let source = match told.source {
             PoseSource::Clips => Source::Clips(told.schedule.clone()),
-            PoseSource::Grid { first_word } => {
-                Source::Grid { first_word, steps: shadecast_protocol::limits::SAMPLE_RING }
-            }
+            PoseSource::Grid { first_word } => Source::Grid { first_word, steps: self.sample_ring },
         };
         let instance = super::skinned::SkinnedInstance {
             skeleton: told.skeleton,

@@ -4,7 +4,6 @@ use super::*;
 use crate::motion::skinned::{DrawnInstances, SkinnedCounts};
 use shadecast_protocol::geometry::{GeometryDelta, NewVertex};
 use shadecast_protocol::ids::{ClipId, RestId as WireRest, SkeletonId, VertexSlot};
-use shadecast_protocol::limits::SAMPLE_RING;
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::playback::{Playback, Repetition};
 use shadecast_protocol::motion::poses::BonePose;
@@ -16,11 +15,15 @@ use shadecast_shaders::generated::PlacedPoseGpu;
 const DANCE: ClipId = ClipId(3);
 const WALK: ClipId = ClipId(4);
 const FOX: InstanceId = InstanceId(7);
+const RING: u32 = 32;
 /// Words of the smallest chunk: three tracks of one key.
 const WORDS: u32 = 12;
 
 fn motion() -> Motion {
-    Motion::new(40, MotionMemory { arena_words: 4000, rest_vertices: 40, pose_places: 40 }.into())
+    Motion::new(
+        40,
+        MotionMemory { arena_words: 4000, rest_vertices: 40, pose_places: 40, sample_ring: RING }.into(),
+    )
 }
 
 fn track(kind: TrackKind, keys: usize) -> ChunkTrack {
@@ -351,7 +354,7 @@ fn poses(poses: Vec<GridPose>) -> MotionMessage {
 
 /// The first number of the pose in a grid step's place.
 fn x_at(arena: &[u8], grid: i32) -> f32 {
-    let word = 400 + grid.rem_euclid(SAMPLE_RING as i32) as usize * grid_words(1, 0) as usize;
+    let word = 400 + grid.rem_euclid(RING as i32) as usize * grid_words(1, 0) as usize;
     bytemuck::pod_read_unaligned(&arena[word * WORD_BYTES..][..4])
 }
 

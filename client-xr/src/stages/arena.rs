@@ -49,6 +49,12 @@ impl SkinMemory {
         recorder.barrier(Access::COPY_WRITE, Access::COPY_WRITE);
         Ok(memory)
     }
+
+    /// Bytes of its buffers.
+    pub fn bytes(&self) -> u64 {
+        let Self { arena, globals, palettes, morph_weights } = self;
+        [arena, globals, palettes, morph_weights].into_iter().map(Buffer::size).sum()
+    }
 }
 
 impl ArenaStaging {

@@ -18,6 +18,17 @@ pub enum Interpolation {
     Linear,
 }
 
+/// What of the vertex memory is moved.
+#[derive(Clone, Copy, Debug)]
+pub struct Slots {
+    /// Slots from 0 on.
+    pub vertex_count: u32,
+    /// All that there are.
+    pub vertex_slots: u32,
+    /// Steps of the time grid that are kept of each.
+    pub sample_ring: u32,
+}
+
 /// The pipeline.
 pub struct Interpolate {
     pipeline: ComputePipeline,
@@ -27,14 +38,14 @@ pub struct Interpolate {
 pub fn push(
     grid: Grid,
     evaluation: Evaluation,
-    vertices: [u32; 2],
+    Slots { vertex_count, vertex_slots, sample_ring }: Slots,
     interpolation: Interpolation,
 ) -> InterpolatePush {
     let (at, was) = (GridTime::of(grid, evaluation.at), GridTime::of(grid, evaluation.before));
-    let [vertex_count, vertex_slots] = vertices;
     InterpolatePush {
         vertex_count,
         vertex_slots,
+        sample_ring,
         tag: tag(at.step),
         fraction: at.fraction,
         tag_before: tag(was.step),

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::motion::Motion;
+use crate::motion::skinned::SkinCapacity;
 use crate::stages::scatter::Scatter;
 use glam::Vec3;
 use shadecast_gpu::{Access, Buffer, DesktopDevice, GpuOptions, Memory, Needs};
@@ -62,22 +63,25 @@ fn open() -> Arc<Gpu> {
 #[test]
 fn gpu_and_twin_agree_on_random_deltas_and_times() {
     let gpu = open();
-    for (seed, interpolation) in [(1, Interpolation::Cubic), (2, Interpolation::Linear)] {
-        compare(&gpu, seed, interpolation);
+    let (cubic, linear) = (Interpolation::Cubic, Interpolation::Linear);
+    for (seed, interpolation, ring) in [(1, cubic, 32), (2, linear, 32), (3, cubic, 8), (4, linear, 64)] {
+        compare(&gpu, seed, interpolation, ring);
     }
     assert_eq!(gpu.validation_messages(), 0, "{:?}", gpu.validation_texts());
 }
 
-fn compare(gpu: &Arc<Gpu>, seed: u64, interpolation: Interpolation) {
+fn compare(gpu: &Arc<Gpu>, seed: u64, interpolation: Interpolation, sample_ring: u32) {
     let (scatter, interpolate) = (Scatter::new(gpu).unwrap(), Interpolate::new(gpu).unwrap());
+    let capacity = SkinCapacity::from(MotionMemory { sample_ring, ..MotionMemory::NONE });
     let mut recorder = gpu.record().unwrap();
-    let memory = VertexMemory::new(gpu, &mut recorder, SLOTS, 1).unwrap();
+    let memory = VertexMemory::new(gpu, &mut recorder, SLOTS, capacity).unwrap();
     gpu.wait(recorder.submit().unwrap()).unwrap();
     let mut staging = scatter.staging(gpu, &memory).unwrap();
     let group = interpolate.bind(&memory).unwrap();
     let readback = Buffer::new(gpu, "positions", memory.positions.size(), Memory::Readback).unwrap();
-    let (mut dice, mut twin) = (Dice(seed), Twin::new(SLOTS));
-    let [mut on_gpu, mut on_cpu] = [(); 2].map(|()| Motion::new(SLOTS, MotionMemory::NONE.into()));
+    let (mut dice, mut twin) = (Dice(seed), Twin::new(SLOTS, sample_ring));
+    let [mut on_gpu, mut on_cpu] = [(); 2].map(|()| Motion::new(SLOTS, capacity));
+    let slots = Slots { vertex_count: SLOTS, vertex_slots: SLOTS, sample_ring };
     let (mut time, mut before) = (ServerTime(-200_000_000), None);
     for frame in 0..60 {
         if dice.below(3) > 0 {
@@ -86,9 +90,9 @@ fn compare(gpu: &Arc<Gpu>, seed: u64, interpolation: Interpolation) {
             on_gpu.take(UpdateId(frame), &entering, &positions, true);
             on_cpu.take(UpdateId(frame), &entering, &positions, true);
         }
-        let push = push(GRID, evaluation(time, before.replace(time)), [SLOTS, SLOTS], interpolation);
+        let push = push(GRID, evaluation(time, before.replace(time)), slots, interpolation);
         let mut recorder = gpu.record().unwrap();
-        scatter.record(&mut recorder, &mut staging, frame as usize % 3, SLOTS, on_gpu.writes());
+        scatter.record(&mut recorder, &mut staging, frame as usize % 3, &memory, on_gpu.writes());
         interpolate.record(&mut recorder, &group, &push);
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         recorder.copy_buffer(&memory.positions, 0, &readback, 0, readback.size());
@@ -128,9 +132,10 @@ fn a_time_is_split_into_a_step_and_a_fraction_also_before_zero() {
 
 #[test]
 fn blending_is_over_after_its_time() {
+    let slots = Slots { vertex_count: 1, vertex_slots: 1, sample_ring: 8 };
     let step = |ns| {
         let now = ServerTime(1_000_000_000);
-        push(GRID, evaluation(now.plus_ns(ns), Some(now)), [1, 1], Interpolation::Cubic).blend_step
+        push(GRID, evaluation(now.plus_ns(ns), Some(now)), slots, Interpolation::Cubic).blend_step
     };
     assert_eq!(step(BLEND_NS), 1.0);
     assert!((step(BLEND_NS / 4) - 0.25).abs() < 1e-6);

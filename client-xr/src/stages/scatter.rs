@@ -2,8 +2,8 @@
 
 use super::FRAMES_IN_FLIGHT;
 use crate::motion::arrivals::VertexWrites;
+use crate::motion::skinned::SkinCapacity;
 use shadecast_gpu::{Access, Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
-use shadecast_protocol::limits::SAMPLE_RING;
 use shadecast_shaders::generated::{CLIENT_SCATTER_COMP, RestGpu, ScatterPush, VertexWriteGpu};
 use std::sync::Arc;
 
@@ -24,6 +24,8 @@ pub struct VertexMemory {
     pub rests: Buffer,
     /// Slots.
     pub vertex_slots: u32,
+    /// Steps of the time grid that are kept of each.
+    pub sample_ring: u32,
 }
 
 /// The pipeline.
@@ -38,27 +40,34 @@ pub struct ScatterStaging {
 }
 
 impl VertexMemory {
-    /// Empty memory; `recorder` clears it.
+    /// Empty memory for so many slots, with what was agreed; `recorder` clears it.
     pub fn new(
         gpu: &Arc<Gpu>,
         recorder: &mut Recorder,
         vertex_slots: u32,
-        rest_vertices: u32,
+        SkinCapacity { rests, sample_ring, .. }: SkinCapacity,
     ) -> Result<Self, GpuError> {
         let by_slot = u64::from(vertex_slots) * 16;
-        let rest_bytes = u64::from(rest_vertices.max(1)) * size_of::<RestGpu>() as u64;
+        let rest_bytes = u64::from(rests) * size_of::<RestGpu>() as u64;
         let memory = Self {
-            samples: Buffer::new(gpu, "vertex samples", by_slot * u64::from(SAMPLE_RING), Memory::Device)?,
+            samples: Buffer::new(gpu, "vertex samples", by_slot * u64::from(sample_ring), Memory::Device)?,
             positions: Buffer::new(gpu, "vertex positions", by_slot, Memory::Device)?,
             blends: Buffer::new(gpu, "vertex blends", by_slot, Memory::Device)?,
             skins: Buffer::new(gpu, "vertex skins", by_slot / 2, Memory::Device)?,
             rests: Buffer::new(gpu, "vertex rests", rest_bytes, Memory::Device)?,
             vertex_slots,
+            sample_ring,
         };
         let Self { samples, positions, blends, skins, rests, .. } = &memory;
         [samples, positions, blends, skins, rests].into_iter().for_each(|buffer| recorder.fill(buffer, 0));
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE);
         Ok(memory)
+    }
+
+    /// Bytes of its buffers.
+    pub fn bytes(&self) -> u64 {
+        let Self { samples, positions, blends, skins, rests, .. } = self;
+        [samples, positions, blends, skins, rests].into_iter().map(Buffer::size).sum()
     }
 }
 
@@ -70,7 +79,7 @@ impl Scatter {
 
     /// Staging for `memory`.
     pub fn staging(&self, gpu: &Arc<Gpu>, memory: &VertexMemory) -> Result<ScatterStaging, GpuError> {
-        let records = (memory.vertex_slots * (SAMPLE_RING + 1)).min(STAGING_RECORDS) as usize;
+        let records = (memory.vertex_slots * (memory.sample_ring + 1)).min(STAGING_RECORDS) as usize;
         let bytes = (records * size_of::<VertexWriteGpu>()) as u64;
         let of_frame = || {
             let staging = Buffer::new(gpu, "vertex staging", bytes, Memory::Upload)?;
@@ -95,7 +104,7 @@ impl Scatter {
         recorder: &mut Recorder,
         staging: &mut ScatterStaging,
         flight: usize,
-        vertex_slots: u32,
+        memory: &VertexMemory,
         writes: &mut VertexWrites,
     ) {
         let (buffer, group) = &mut staging.in_flight[flight];
@@ -103,7 +112,8 @@ impl Scatter {
         let records: &mut [VertexWriteGpu] = bytemuck::cast_slice_mut(&mut buffer.bytes_mut()[..bytes]);
         writes.drain_into(records, |range| {
             let count = range.end - range.start;
-            let push = ScatterPush { first: range.start, count, vertex_slots };
+            let (vertex_slots, sample_ring) = (memory.vertex_slots, memory.sample_ring);
+            let push = ScatterPush { first: range.start, count, vertex_slots, sample_ring };
             recorder.dispatch(&self.pipeline, group, &push, [count, 1, 1]);
             recorder.barrier(Access::COMPUTE, Access::COMPUTE);
         });

@@ -8,13 +8,14 @@ use crate::motion::skinned::{
     Drawn, Moment, SkeletonPlace, SkinCapacity, Skinned, SkinnedCounts, SkinnedInstance, Source,
 };
 use crate::stages::arena::ArenaStaging;
+use crate::stages::interpolate::Slots;
 use crate::stages::pose::{PoseStage, PoseStaging};
 use crate::stages::scatter::{Scatter, ScatterStaging};
 use glam::{Affine3A, Quat, Vec3, Vec4};
 use shadecast_gpu::{Access, Buffer, DesktopDevice, GpuOptions, Memory, Needs};
 use shadecast_protocol::geometry::{self, NewVertex};
 use shadecast_protocol::ids::{ClipId, InstanceId, SkeletonId, UpdateId, VertexSlot};
-use shadecast_protocol::limits::{ARENA_ALIGNMENT_WORDS, CHUNK_S, SAMPLE_RING};
+use shadecast_protocol::limits::{ARENA_ALIGNMENT_WORDS, CHUNK_S, DEFAULT_SAMPLE_RING};
 use shadecast_protocol::motion::PositionBatch;
 use shadecast_protocol::motion::clip::chunk_count;
 use shadecast_protocol::motion::playback::{Playback, Repetition, Schedule};
@@ -35,8 +36,13 @@ const MORPHS: u32 = 5;
 const RING_STEPS: u32 = 8;
 /// Whatever the skeleton, its clips have all of its tracks.
 const MOST_TRACKS: u32 = u32::MAX;
-const CAPACITY: SkinCapacity =
-    SkinCapacity { rests: SLOTS, arena_words: 1 << 18, palette_entries: 1 << 14, bones: 1 << 14 };
+const CAPACITY: SkinCapacity = SkinCapacity {
+    rests: SLOTS,
+    arena_words: 1 << 18,
+    palette_entries: 1 << 14,
+    bones: 1 << 14,
+    sample_ring: DEFAULT_SAMPLE_RING,
+};
 
 struct Dice(u64);
 
@@ -276,7 +282,7 @@ impl Bench {
         let gpu = Gpu::open(&options, &DesktopDevice)
             .expect("a Vulkan device; `./shadecast setup` installs a software one");
         let mut recorder = gpu.record().unwrap();
-        let vertices = VertexMemory::new(&gpu, &mut recorder, SLOTS, CAPACITY.rests).unwrap();
+        let vertices = VertexMemory::new(&gpu, &mut recorder, SLOTS, CAPACITY).unwrap();
         let memory = SkinMemory::new(&gpu, &mut recorder, CAPACITY).unwrap();
         gpu.wait(recorder.submit().unwrap()).unwrap();
         let (scatter, pose) = (Scatter::new(&gpu).unwrap(), PoseStage::new(&gpu).unwrap());
@@ -304,7 +310,7 @@ impl Bench {
         let mut recorder = self.gpu.record().unwrap();
         self.arena_staging.record(&mut recorder, flight, &self.memory, self.motion.arena());
         let writes = self.motion.writes();
-        self.scatter.record(&mut recorder, &mut self.scatter_staging, flight, SLOTS, writes);
+        self.scatter.record(&mut recorder, &mut self.scatter_staging, flight, &self.vertices, writes);
         recorder.barrier(crate::stages::ARRIVALS, Access::COMPUTE);
         let counts = self.motion.poses(GRID, time, self.poses.poses_mut(flight));
         self.pose.record(&mut recorder, &self.poses, flight, counts.instances);
@@ -611,8 +617,9 @@ fn skinning_leaves_static_and_sampled_vertices_alone_and_they_leave_it_alone() {
         let (before, _) = bench.frame(ServerTime(0));
         let evaluation =
             crate::motion::pace::Evaluation { at: ServerTime(0), before: ServerTime(0), elapsed_ns: 0 };
-        let vertices = [bench.motion.vertex_count(), SLOTS];
-        let push = crate::stages::interpolate::push(GRID, evaluation, vertices, Default::default());
+        let vertex_count = bench.motion.vertex_count();
+        let slots = Slots { vertex_count, vertex_slots: SLOTS, sample_ring: CAPACITY.sample_ring };
+        let push = crate::stages::interpolate::push(GRID, evaluation, slots, Default::default());
         let mut recorder = bench.gpu.record().unwrap();
         interpolate.record(&mut recorder, &group, &push);
         (before, bench.positions(recorder))
@@ -655,7 +662,7 @@ fn a_skinned_vertex_reads_fewer_bytes_a_frame_than_a_sampled_one() {
     let bench = Bench::new();
     let of_slot = |buffer: &Buffer| buffer.size() / u64::from(SLOTS);
     let clip = of_slot(&bench.vertices.skins) + size_of::<RestGpu>() as u64;
-    let cubic = of_slot(&bench.vertices.samples) / u64::from(SAMPLE_RING) * 4;
+    let cubic = of_slot(&bench.vertices.samples) / u64::from(DEFAULT_SAMPLE_RING) * 4;
     let blend = of_slot(&bench.vertices.blends);
     let position = of_slot(&bench.vertices.positions);
     println!("clip: {clip} B read, palette beside, {position} B written");

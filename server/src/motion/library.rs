@@ -9,8 +9,8 @@ use crate::animation::manager::{AnimationManager, BoneOrder, rows};
 use crate::scene::numbering::Numbering;
 use shadecast_protocol::ids::{ClipId, InstanceId, RestId, SkeletonId};
 use shadecast_protocol::limits::{
-    ARENA_ALIGNMENT_WORDS, CHUNK_S, DEFAULT_ARENA_WORDS, MAX_ARENA_WORDS, MAX_MORPHS, MAX_POSE_PLACES,
-    MAX_REST_VERTICES, MAX_SKELETON_BONES, MAX_SKELETON_ENTRIES, MAX_VERTEX_MORPHS,
+    ARENA_ALIGNMENT_WORDS, CHUNK_S, DEFAULT_ARENA_WORDS, DEFAULT_SAMPLE_RING, MAX_ARENA_WORDS, MAX_MORPHS,
+    MAX_POSE_PLACES, MAX_REST_VERTICES, MAX_SKELETON_BONES, MAX_SKELETON_ENTRIES, MAX_VERTEX_MORPHS,
 };
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::clip::{chunk_count, layout_of};
@@ -63,6 +63,8 @@ pub struct MotionLibrary {
     fixed_words: u32,
     /// Whether updates predict what moves.
     is_predicted: bool,
+    /// Whether an instance moves that no client can follow by clips alone.
+    is_sampled: bool,
 }
 
 /// The vertices of a mesh before skinning.
@@ -112,6 +114,13 @@ struct InstanceMotion {
     model: usize,
 }
 
+impl InstanceMotion {
+    /// The ends of its bones and of its palette entries behind those of others.
+    fn ends_after(&self, [bones, entries]: [u32; 2]) -> [u32; 2] {
+        [bones.saturating_add(self.places[0]), entries.saturating_add(self.places[1])]
+    }
+}
+
 impl MotionLibrary {
     /// Of a scene.
     pub fn new(
@@ -132,6 +141,7 @@ impl MotionLibrary {
             instances: Vec::new(),
             fixed_words: words,
             is_predicted: option == MotionOption::Paper,
+            is_sampled: false,
         };
         library.add_clips(scene, manager);
         for index in 0..scene.instances.len() {
@@ -139,6 +149,10 @@ impl MotionLibrary {
                 && numbering.instances[index].is_animated;
             let is_posed = option == MotionOption::Palette || scene.instances[index].live;
             let instance = is_sent.then(|| library.instance(scene, manager, index, is_posed)).flatten();
+            let has_clips =
+                instance.as_ref().is_some_and(|instance| instance.told.source == PoseSource::Clips);
+            library.is_sampled |=
+                numbering.instances[index].is_animated && !has_clips && !library.is_predicted;
             library.instances.push(instance);
         }
         library
@@ -166,6 +180,32 @@ impl MotionLibrary {
             arena_words: arena_words.next_multiple_of(ARENA_ALIGNMENT_WORDS),
             rest_vertices: rests.unwrap_or(0),
             pose_places: places(0).max(places(1)).min(MAX_POSE_PLACES),
+            sample_ring: DEFAULT_SAMPLE_RING,
+        }
+    }
+
+    /// The least memory of a client that is sent no samples and no poses: all that moves plays clips there. `None`: every client
+    /// is sent some.
+    pub fn unsampled_memory(&self) -> Option<MotionMemory> {
+        if self.is_sampled {
+            return None;
+        }
+        let (mut least, mut ends) = (MotionMemory::LEAST, [0; 2]);
+        for instance in self.instances.iter().flatten() {
+            ends = instance.ends_after(ends);
+            least = least.max(self.least_memory(instance, ends));
+        }
+        Some(least)
+    }
+
+    /// What a client keeps at least to skin an instance by itself whose places end there.
+    fn least_memory(&self, instance: &InstanceMotion, [bones_end, entries_end]: [u32; 2]) -> MotionMemory {
+        let mesh = self.mesh(instance.model);
+        MotionMemory {
+            arena_words: self.fixed_words + self.least_chunk_words(&instance.playable),
+            rest_vertices: mesh.first_rest.0 + mesh.count,
+            pose_places: bones_end.max(entries_end),
+            ..MotionMemory::LEAST
         }
     }
 
@@ -174,16 +214,12 @@ impl MotionLibrary {
     pub fn skinned(&self, memory: MotionMemory) -> Vec<Option<SkinnedInstance>> {
         let mut bases = [0u32; 2];
         let mut of = |instance: &Option<InstanceMotion>| {
-            let InstanceMotion { told, places, model, playable } = instance.as_ref()?;
-            let mesh = self.mesh(*model);
-            let ends = [bases[0] + places[0], bases[1] + places[1]];
-            let fits = self.fixed_words + self.least_chunk_words(playable) <= memory.arena_words
-                && mesh.first_rest.0 + mesh.count <= memory.rest_vertices
-                && ends.iter().all(|end| *end <= memory.pose_places);
-            let told = fits.then(|| SkinnedInstance {
+            let instance = instance.as_ref()?;
+            let ends = instance.ends_after(bases);
+            let told = memory.holds(self.least_memory(instance, ends)).then(|| SkinnedInstance {
                 bone_base: bases[0],
                 palette_base: bases[1],
-                ..told.clone()
+                ..instance.told.clone()
             })?;
             bases = ends;
             Some(told)
@@ -363,7 +399,7 @@ impl MotionLibrary {
     /// Room for the poses of one more instance, as long as there is some.
     fn ring(&mut self, bones: u32, morphs: u32) -> Option<PoseSource> {
         let first_word = self.fixed_words;
-        let end = first_word.checked_add(ring_words(bones, morphs))?;
+        let end = first_word.checked_add(ring_words(DEFAULT_SAMPLE_RING, bones, morphs))?;
         (end <= MAX_RINGS_END).then(|| {
             self.fixed_words = end;
             PoseSource::Grid { first_word }
@@ -598,6 +634,9 @@ fn cut(track: &SampledTrack, raster: Raster, between_s: [f64; 2]) -> ChunkTrack 
     }
 }
 
+#[cfg(test)]
+#[path = "library_clip_tests.rs"]
+mod clip_tests;
 #[cfg(test)]
 #[path = "library_tests.rs"]
 mod tests;

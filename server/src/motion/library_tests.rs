@@ -1,193 +1,150 @@
-//! Clips as clients get them, against those that the server has.
+//! Which way instances take, as clients are told it, without a GPU.
 
 use super::*;
 use crate::scene::numbering::InstanceSize;
-use glam::Vec4;
-use shadecast_protocol::motion::clip::{ClipChunk, chunk_at};
-use shadecast_protocol::motion::message::{MotionMessage, MotionNews};
+use shadecast_protocol::limits::MIN_SAMPLE_RING;
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_scene::process::Loading;
-use std::path::Path as FilePath;
+use shadecast_scene::{
+    Bone, Clip, Instance, Interpolation, Morph, MorphDelta, PaletteEntry, Track, TrackValues, Trs, Vertex,
+};
 
-/// Farthest that a vertex may be from where the server has it because of how its keys are sent, metres in the world.
-const BOUND_M: f32 = 2e-5;
-/// Phases of a clip that are looked at.
-const PHASES: u32 = 50;
+const VERTICES: u32 = 12;
 
-struct Sent {
-    scene: Scene,
-    manager: AnimationManager,
-    library: MotionLibrary,
-}
-
-impl Sent {
-    fn new(source: &SceneSource) -> Self {
-        let scene = load_scene(source).unwrap();
-        let manager = AnimationManager::new(&scene, Sampling::default(), &Loading::plain()).unwrap();
-        let size = |(index, instance): (usize, &shadecast_scene::Instance)| {
-            let model = &scene.models[instance.model];
-            InstanceSize {
-                model: instance.model,
-                patches: vec![1],
-                vertices: model.vertices.len() as u32,
-                is_animated: scene.moves(index),
-                palette: model.palette.len() as u32,
-                bones: model.bones.len() as u32,
-                morphs: model.morphs.len() as u32,
-            }
-        };
-        let numbering = Numbering::new(&scene.instances.iter().enumerate().map(size).collect::<Vec<_>>());
-        let library = MotionLibrary::new(&scene, &manager, &numbering, MotionOption::Clip);
-        Self { scene, manager, library }
+/// A skeleton of so many bones, with a clip that moves the first; `size` tells its mesh from others.
+fn model(bones: u32, size: f32) -> Model {
+    let mut model = Model { name: "dancer".into(), ..Model::default() };
+    for bone in 0..bones {
+        let parent = bone.checked_sub(1);
+        model.bones.push(Bone { name: format!("b{bone}"), parent, rest: Trs::IDENTITY });
+        model.palette.push(PaletteEntry { bone, bone_from_mesh: glam::Affine3A::IDENTITY });
     }
-
-    /// A chunk as it is sent, and its bytes.
-    fn message(&self, clip: ClipId, index: u32) -> (ClipChunk, Vec<u8>) {
-        let chunk = ClipChunk { clip, index, first_word: 64, tracks: self.library.chunk(clip, index) };
-        let news = MotionNews::Chunk(chunk.clone());
-        (chunk, MotionMessage { sequence: 0, news }.encode())
-    }
-
-    /// A chunk as it arrives, as a clip in the order of the model.
-    fn arrived(&self, clip: ClipId, index: u32) -> SampledClip {
-        let MotionNews::Chunk(chunk) = MotionMessage::decode(&self.message(clip, index).1).unwrap().news
-        else {
-            panic!("a chunk is no longer one");
-        };
-        let LibraryClip { sampled, old_of_new, info, .. } = &self.library.clips[clip.index()];
-        let mut tracks = chunk.tracks.into_iter().map(sampled_track);
-        let mut bones = sampled.bones.clone();
-        for old in old_of_new.iter() {
-            bones[*old as usize] = std::array::from_fn(|_| tracks.next().unwrap());
-        }
-        SampledClip { duration_s: info.duration_s, bones, morphs: tracks.collect() }
-    }
-
-    /// The largest distance of a vertex from where the server has it, metres in the world, in any clip of a model.
-    fn worst_m(&self, model: usize) -> f32 {
-        let clips = self.manager.materials[model].clips.iter();
-        clips.map(|clip| self.worst_of_clip_m(model, ClipId(*clip as u32))).fold(0.0, f32::max)
-    }
-
-    fn worst_of_clip_m(&self, model: usize, clip: ClipId) -> f32 {
-        let (duration_s, scale) = (self.library.clip(clip).duration_s, world_scale(&self.scene, model));
-        let chunks: Vec<_> = (0..chunk_count(duration_s)).map(|index| self.arrived(clip, index)).collect();
-        let of_server = &self.library.clips[clip.index()].sampled;
-        let mut worst_m = 0.0f32;
-        for phase in 0..=PHASES {
-            let at_s = f64::from(duration_s) * f64::from(phase) / f64::from(PHASES);
-            let of_client = &chunks[chunk_at(at_s, duration_s) as usize];
-            let [expected, found] =
-                [of_server, of_client].map(|clip| positions(&self.scene.models[model], clip, at_s));
-            let distances = expected.iter().zip(&found).map(|(a, b)| scale * a.distance(*b));
-            worst_m = distances.fold(worst_m, f32::max);
-        }
-        worst_m
-    }
-
-    /// Bytes of all chunks of all clips of a model that play.
-    fn bytes(&self, model: usize) -> usize {
-        let clips = self.manager.materials[model].clips.iter().skip(1).map(|clip| ClipId(*clip as u32));
-        let of = |clip: ClipId| -> usize {
-            let chunks = 0..chunk_count(self.library.clip(clip).duration_s);
-            chunks.map(|index| self.message(clip, index).1.len()).sum()
-        };
-        clips.map(of).sum()
-    }
-}
-
-fn sampled_track(track: ChunkTrack) -> SampledTrack {
-    let numbers = |numbers: Vec<[f32; 4]>| numbers.into_iter().map(Vec4::from).collect();
-    SampledTrack {
-        interpolation: match track.kind {
-            TrackKind::Step => KeyInterpolation::Step,
-            TrackKind::Linear => KeyInterpolation::Linear,
-            TrackKind::Cubic => KeyInterpolation::Cubic,
-        },
-        interval_s: 0.0,
-        times_s: track.times_s,
-        values: numbers(track.values),
-        tangents: numbers(track.tangents),
-    }
-}
-
-/// The vertices of a model in its own space.
-fn positions(model: &Model, clip: &SampledClip, at_s: f64) -> Vec<glam::Vec3> {
-    let palette = pose::palette(model, &pose::global_pose(model, &clip.local_pose(at_s)));
-    let vertices = pose::morphed(model, &clip.morph_weights(at_s));
-    let at = |vertex: &shadecast_scene::Vertex| {
-        pose::blend(&palette, vertex.joints, vertex.weights).transform_point3(vertex.position)
+    let vertex = |number: u32| Vertex {
+        position: glam::Vec3::new(number as f32 * size, 1.0, 0.0),
+        weights: [1.0, 0.0, 0.0, 0.0],
+        ..Vertex::default()
     };
-    vertices.iter().map(at).collect()
+    model.vertices = (0..VERTICES).map(vertex).collect();
+    model.indices = (0..VERTICES).collect();
+    let values = TrackValues::Translation(vec![glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::ZERO]);
+    let tracks =
+        vec![Track { bone: 0, times_s: vec![0.0, 0.5, 1.0], interpolation: Interpolation::Linear, values }];
+    model.clips = vec![Clip { name: "dance".into(), duration_s: 1.0, tracks, ..Clip::default() }];
+    model
 }
 
-/// Real models, where they are there; the project ships none.
-fn assets(names: &[&str]) -> Vec<SceneSource> {
-    let folder = FilePath::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/assets");
-    let paths = names.iter().map(|name| folder.join(name));
-    let (there, missing): (Vec<_>, Vec<_>) = paths.partition(|path| path.exists());
-    missing.iter().for_each(|path| eprintln!("SKIPPED: no {}", path.display()));
-    there.into_iter().map(SceneSource::File).collect()
+fn moving(model: usize) -> Instance {
+    Instance { clip: Some(0), ..Instance::new("moving", model) }
 }
 
-#[track_caller]
-fn assert_exact(source: &SceneSource) -> usize {
-    let sent = Sent::new(source);
-    let moving = (0..sent.scene.models.len()).filter(|model| !sent.scene.models[*model].clips.is_empty());
-    let mut bytes = 0;
-    for model in moving {
-        let worst_m = sent.worst_m(model);
-        bytes += sent.bytes(model);
-        println!("{source:?}: {bytes} bytes, at most {:.2} um off", worst_m * 1e6);
-        assert!(worst_m <= BOUND_M, "{source:?}: {worst_m} m");
-        assert!(worst_m > 0.0, "nothing was rounded: the test shows nothing");
+/// The scene, and what clients are told of its motion.
+fn library(models: Vec<Model>, instances: Vec<Instance>, option: MotionOption) -> (Scene, MotionLibrary) {
+    let template = load_scene(&SceneSource::Dragons(1)).expect("the built-in scene loads");
+    let scene = Scene { models, instances, events: Vec::new(), ..template };
+    let manager =
+        AnimationManager::new(&scene, Sampling::default(), &Loading::plain()).expect("nobody ends it");
+    let size = |(index, instance): (usize, &Instance)| InstanceSize {
+        model: instance.model,
+        patches: vec![1],
+        vertices: VERTICES,
+        is_animated: scene.moves(index),
+        ..InstanceSize::default()
+    };
+    let numbering = Numbering::new(&scene.instances.iter().enumerate().map(size).collect::<Vec<_>>());
+    let library = MotionLibrary::new(&scene, &manager, &numbering, option);
+    (scene, library)
+}
+
+/// Which instances a client with all the memory that there is skins.
+fn skinned(library: &MotionLibrary) -> Vec<bool> {
+    library.skinned(MotionMemory::MAX).iter().map(Option::is_some).collect()
+}
+
+#[test]
+fn a_still_model_keeps_none_with_the_same_mesh_from_being_skinned() {
+    let still = Model { clips: Vec::new(), ..model(3, 1.0) };
+    for models in [[still.clone(), model(3, 1.0)], [model(3, 1.0), still]] {
+        let moves = models.each_ref().map(|model| !model.clips.is_empty());
+        let instances =
+            (0..2).map(|index| if moves[index] { moving(index) } else { Instance::new("still", index) });
+        let (_, library) = library(models.to_vec(), instances.collect(), MotionOption::Auto);
+        assert_eq!(skinned(&library), moves);
+        assert!(library.unsampled_memory().is_some());
     }
-    bytes
+}
+
+/// So many targets, each of which moves every vertex.
+fn with_morphs(count: u32) -> Model {
+    let delta = |vertex| MorphDelta {
+        vertex,
+        position: glam::Vec3::X,
+        normal: glam::Vec3::ZERO,
+        tangent: glam::Vec3::ZERO,
+    };
+    let morph = |index| Morph {
+        name: format!("m{index}"),
+        rest_weight: 0.0,
+        deltas: (0..VERTICES).map(delta).collect(),
+    };
+    Model { morphs: (0..count).map(morph).collect(), ..model(1, 1.0) }
 }
 
 #[test]
-fn the_keys_of_a_dragon_are_exact_and_small() {
-    let bytes = assert_exact(&SceneSource::Dragons(1));
-    assert!(bytes < 70_000, "{bytes} bytes of keys: in single precision they are 174,632");
-}
-
-#[test]
-fn the_keys_of_real_models_are_exact() {
-    let names = ["Fox.glb", "CesiumMan.glb", "RiggedSimple.glb", "MorphStressTest.gltf"];
-    for source in assets(&names) {
-        assert_exact(&source);
-    }
-}
-
-#[test]
-fn words_are_known_before_a_chunk_is_cut() {
-    let sent = Sent::new(&SceneSource::Dragons(1));
-    for clip in (0..sent.library.clips.len()).map(|clip| ClipId(clip as u32)) {
-        for index in 0..chunk_count(sent.library.clip(clip).duration_s) {
-            let (chunk, _) = sent.message(clip, index);
-            assert_eq!(sent.library.chunk_words(clip, index), chunk.words(), "chunk {index} of {clip:?}");
+fn heavy_morph_targets_are_left_to_samples_unless_clips_are_asked_for() {
+    let heavy = (MOST_MORPH_BYTES / MORPH_BYTES) as u32 + 1;
+    for (count, option, is_sent) in [
+        (heavy - 1, MotionOption::Auto, true),
+        (heavy, MotionOption::Auto, false),
+        (heavy, MotionOption::Clip, true),
+        (MAX_VERTEX_MORPHS + 1, MotionOption::Clip, false),
+    ] {
+        let (scene, library) = library(vec![with_morphs(count)], vec![moving(0)], option);
+        assert_eq!(skinned(&library), [is_sent], "{count} targets, {option:?}");
+        if is_sent {
+            let rest = library.rest(&scene, 0, VERTICES - 1);
+            assert_eq!(rest.morphs.len(), count as usize, "{option:?}");
         }
+        assert_eq!(library.unsampled_memory().is_some(), is_sent);
     }
 }
 
 #[test]
-fn chunks_arrive_as_they_were_cut_and_have_the_same_of_the_keys_that_they_share() {
-    let sent = Sent::new(&SceneSource::Dragons(1));
-    let clip = ClipId(sent.manager.materials[sent.scene.instances[0].model].clips[1] as u32);
-    let mut known: HashMap<(usize, u32), ([f32; 4], Option<[f32; 4]>)> = HashMap::new();
-    let mut shared = 0;
-    for index in 0..chunk_count(sent.library.clip(clip).duration_s) {
-        let (chunk, bytes) = sent.message(clip, index);
-        let news = MotionMessage::decode(&bytes).unwrap().news;
-        assert_eq!(news, MotionNews::Chunk(chunk.clone()), "chunk {index}");
-        for (number, track) in chunk.tracks.iter().enumerate().filter(|(_, track)| track.values.len() > 1) {
-            for (key, time_s) in track.times_s.iter().enumerate() {
-                let now = (track.values[key], track.tangents.get(key).copied());
-                shared += usize::from(known.contains_key(&(number, time_s.to_bits())));
-                assert_eq!(*known.entry((number, time_s.to_bits())).or_insert(now), now, "track {number}");
-            }
-        }
+fn the_least_memory_without_samples_is_that_in_which_all_that_moves_has_room() {
+    let models = vec![model(3, 1.0), model(40, 2.0), model(7, 3.0)];
+    let instances = vec![moving(0), Instance::new("still", 2), moving(1), moving(0), moving(2)];
+    let (scene, library) = library(models, instances, MotionOption::Auto);
+    let least = library.unsampled_memory().expect("all play clips");
+    assert_eq!(least.sample_ring, MIN_SAMPLE_RING);
+    let moves: Vec<bool> = (0..scene.instances.len()).map(|index| scene.moves(index)).collect();
+    let all_skinned = |memory: MotionMemory| {
+        library.skinned(memory).iter().zip(&moves).all(|(skinned, moves)| skinned.is_some() == *moves)
+    };
+    assert!(all_skinned(least));
+    assert!(library.memory().holds(least), "what is offered is enough: {:?}", library.memory());
+    let MotionMemory { arena_words, rest_vertices, pose_places, .. } = least;
+    for less in [
+        MotionMemory { arena_words: arena_words - 1, ..least },
+        MotionMemory { rest_vertices: rest_vertices - 1, ..least },
+        MotionMemory { pose_places: pose_places - 1, ..least },
+    ] {
+        assert!(!all_skinned(less), "{less:?}");
     }
-    assert!(shared > 1000, "{shared} keys are in more than one chunk");
+}
+
+#[test]
+fn the_longer_ring_is_for_scenes_of_which_something_is_sampled_or_posed() {
+    let live = |instance| Instance { live: true, ..instance };
+    let unsampled = |instances, option| library(vec![model(3, 1.0)], instances, option).1.unsampled_memory();
+    let still = || Instance::new("still", 0);
+    assert_eq!(unsampled(vec![still()], MotionOption::Samples), Some(MotionMemory::LEAST), "nothing moves");
+    assert_eq!(unsampled(vec![moving(0)], MotionOption::Paper), Some(MotionMemory::LEAST), "predicted");
+    assert!(unsampled(vec![moving(0)], MotionOption::Auto).is_some());
+    assert_eq!(unsampled(vec![still(), moving(0)], MotionOption::Samples), None);
+    assert_eq!(unsampled(vec![still(), moving(0)], MotionOption::Palette), None);
+    assert_eq!(
+        unsampled(vec![moving(0), live(still())], MotionOption::Auto),
+        None,
+        "posed by an application"
+    );
 }

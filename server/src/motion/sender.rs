@@ -12,7 +12,6 @@ use crate::scene::SceneGpu;
 use crate::scene::numbering::SceneVertex;
 use glam::Vec3;
 use shadecast_protocol::ids::{ClipId, UpdateId};
-use shadecast_protocol::limits::SAMPLE_RING;
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::clip::{ClipChunk, chunk_at, chunk_count};
 use shadecast_protocol::motion::message::{MotionMessage, MotionNews};
@@ -36,8 +35,8 @@ const LATER_BYTES: usize = 16_384;
 const START_LEAD_NS: i64 = 400_000_000;
 /// What a loss costs beside a round trip until it is noticed, nanoseconds: a probe's delay, and jitter.
 const NOTICE_NS: i64 = 60_000_000;
-/// As far as samples can reach, nanoseconds: the client keeps so many, and needs some behind the time that it shows.
-const LONGEST_LEAD_NS: i64 = (SAMPLE_RING as i64 - 6) * DEFAULT_GRID.spacing_ns;
+/// Of the steps that a client keeps it needs so many beside those ahead of now: behind the time that it shows, and around it.
+const STEPS_BEHIND: i64 = 6;
 /// Steps of a slow link's budget that add up.
 const SAVED_STEPS: usize = 8;
 
@@ -47,6 +46,11 @@ pub type SharedMotion = Arc<Mutex<MotionSender>>;
 /// For a moment. What a panic left behind belongs to a client that is sent away.
 pub fn lock(motion: &SharedMotion) -> MutexGuard<'_, MotionSender> {
     motion.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// As far ahead of now as samples can reach for a client that keeps so many steps, nanoseconds.
+pub fn longest_lead_ns(sample_ring: u32) -> i64 {
+    (i64::from(sample_ring) - STEPS_BEHIND) * DEFAULT_GRID.spacing_ns
 }
 
 /// Bytes of motion so far, by cause.
@@ -118,6 +122,8 @@ pub struct MotionSender {
     later_bytes: i64,
     later_left_bytes: i64,
     lead_ns: i64,
+    /// Steps of the time grid that the client keeps.
+    sample_ring: u32,
     /// What is played changes no earlier than this from now, nanoseconds: the client must know of it by then.
     change_lead_ns: i64,
     /// Of the last tick.
@@ -143,7 +149,8 @@ impl MotionSender {
             budget: [usize::MAX; 2],
             later_bytes: LATER_BYTES as i64,
             later_left_bytes: 0,
-            lead_ns: START_LEAD_NS,
+            lead_ns: START_LEAD_NS.min(longest_lead_ns(memory.sample_ring)),
+            sample_ring: memory.sample_ring,
             change_lead_ns: START_LEAD_NS,
             now: None,
         }
@@ -208,7 +215,7 @@ impl MotionSender {
         let Some(&WayState { smoothed_ns, .. }) = way.filter(|way| way.smoothed_ns > 0) else { return };
         // Half a round trip, and losses on the way: two, or one.
         let lead_ns = smoothed_ns / 2 + 2 * (smoothed_ns + NOTICE_NS) + smoothed_ns;
-        self.lead_ns = lead_ns.min(LONGEST_LEAD_NS);
+        self.lead_ns = lead_ns.min(longest_lead_ns(self.sample_ring));
         // Before a change is seen here, a step of the grid may pass.
         self.change_lead_ns = smoothed_ns / 2 + smoothed_ns + NOTICE_NS + DEFAULT_GRID.spacing_ns;
     }
@@ -239,7 +246,7 @@ impl MotionSender {
         self.timeline.lock().sampled(DEFAULT_GRID.time_of(horizon));
         SampleWindow {
             first: DEFAULT_GRID.floor(now).plus(-2),
-            oldest: horizon.plus(1 - SAMPLE_RING as i32),
+            oldest: horizon.plus(1 - self.sample_ring as i32),
             horizon,
         }
     }

@@ -3,17 +3,19 @@
 
 use crate::constants::{
     NO_REST, NO_SAMPLE, ON_CURVE, PAST_THE_END, PREDICTED_BIT, PREDICTED_BLEND, REST_BIT, REST_END_BIT,
-    SKINNED_BIT, SLOT_MASK, STATIC_BIT, STATIC_BLEND,
+    SKINNED_BIT, SLOT_MASK, STATIC_BIT, STATIC_BLEND, TIME_TAG_UNIT,
 };
 use crate::curve::cubic_weights;
 use crate::generated::{InterpolatePush, RestGpu, VertexWriteGpu};
-use shadecast_protocol::limits::{PREDICTIONS, SAMPLE_RING};
+use shadecast_protocol::limits::PREDICTIONS;
 
 /// The client's vertex memory: see `client_vertices.glsl`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VertexMemory {
     /// Vertex slots.
     pub vertex_slots: u32,
+    /// Steps of the grid that are kept of each: a power of two.
+    pub sample_ring: u32,
     /// `[ring][slot]`: position as bits, tag.
     pub samples: Vec<[u32; 4]>,
     /// By slot: position in the world and state.
@@ -29,11 +31,12 @@ pub struct VertexMemory {
 
 impl VertexMemory {
     /// Empty memory.
-    pub fn new(vertex_slots: u32) -> Self {
+    pub fn new(vertex_slots: u32, sample_ring: u32) -> Self {
         let slots = vertex_slots as usize;
         Self {
             vertex_slots,
-            samples: vec![[0; 4]; slots * SAMPLE_RING as usize],
+            sample_ring,
+            samples: vec![[0; 4]; slots * sample_ring as usize],
             positions: vec![[0.0; 4]; slots],
             blends: vec![[0.0; 4]; slots],
             skins: vec![[NO_REST, 0]; slots],
@@ -76,7 +79,7 @@ impl VertexMemory {
 
     fn enter(&mut self, slot: usize, write: &VertexWriteGpu) {
         let [is_static, is_skinned] = [STATIC_BIT, SKINNED_BIT].map(|bit| write.slot & bit != 0);
-        for ring in 0..SAMPLE_RING as usize {
+        for ring in 0..self.sample_ring as usize {
             self.samples[ring * self.vertex_slots as usize + slot] = [0; 4];
         }
         let [x, y, z] = [write.x, write.y, write.z].map(f32::from_bits);
@@ -130,9 +133,9 @@ impl VertexMemory {
     /// Position and state at a time as predictions have it.
     fn predicted(&self, slot: u32, now: u32) -> [f32; 4] {
         let all = (1..=PREDICTIONS).map(|place| self.samples[(place * self.vertex_slots + slot) as usize]);
-        let mut known = all.filter(|sample| sample[3] != NO_SAMPLE);
+        let mut known = all.take_while(|sample| sample[3] != NO_SAMPLE);
         let Some(mut before) = known.next() else { return [0.0; 4] };
-        let since = |tag: u32| now.wrapping_sub(tag - tag % SAMPLE_RING) as i32 / SAMPLE_RING as i32;
+        let since = |tag: u32| now.wrapping_sub(tag - tag % TIME_TAG_UNIT) as i32 / TIME_TAG_UNIT as i32;
         let place = |[x, y, z, _]: [u32; 4]| [x, y, z].map(f32::from_bits);
         let with = |[x, y, z]: [f32; 3], state: f32| [x, y, z, state];
         if since(before[3]) <= 0 {
@@ -166,7 +169,8 @@ impl VertexMemory {
     }
 
     fn beyond(&self, slot: u32, at: u32, f: f32) -> Option<([f32; 3], f32)> {
-        let known = (0..SAMPLE_RING).map(|ring| self.samples[(ring * self.vertex_slots + slot) as usize][3]);
+        let known =
+            (0..self.sample_ring).map(|ring| self.samples[(ring * self.vertex_slots + slot) as usize][3]);
         let last = known.filter(|known| *known != NO_SAMPLE && *known <= at).max()?;
         let end = self.sample(slot, last)?;
         let earlier = self.sample(slot, last.wrapping_sub(1)).unwrap_or(end);
@@ -175,7 +179,7 @@ impl VertexMemory {
     }
 
     fn place(&self, slot: u32, tag: u32) -> usize {
-        (tag % SAMPLE_RING * self.vertex_slots + slot) as usize
+        (tag % self.sample_ring * self.vertex_slots + slot) as usize
     }
 
     fn sample(&self, slot: u32, tag: u32) -> Option<[f32; 3]> {
@@ -192,14 +196,17 @@ mod tests {
         MAX_MORPH_WORDS, Rest, RestId, predicted_entry, prediction_time, prediction_write, rest_writes,
         sample_write, sampled_entry, skinned_entry, static_entry, tag,
     };
+    use shadecast_protocol::limits::{MAX_SAMPLE_RING, MIN_SAMPLE_RING};
     use shadecast_protocol::time::{GridIndex, ServerTime};
 
     const STEP_S: f64 = 1.0 / 30.0;
+    const RING: u32 = 32;
 
     fn push(grid: i32, fraction: f32, cubic: bool) -> InterpolatePush {
         InterpolatePush {
             vertex_count: 1,
             vertex_slots: 1,
+            sample_ring: RING,
             tag: tag(GridIndex(grid)),
             fraction,
             tag_before: tag(GridIndex(grid)),
@@ -227,9 +234,11 @@ mod tests {
 
     #[test]
     fn a_predicted_vertex_is_on_the_line_between_two_and_stays_at_the_ends() {
-        // The second time: tags begin anew between the first and the last.
-        for update_ms in [1000, (1 << 27) / 20 - 45] {
-            let mut memory = VertexMemory::new(1);
+        // The second time: tags begin anew between the first and the last. Every ring has room for predictions.
+        let all = [1000, (1 << 26) / 20 - 45]
+            .map(|update_ms| [MIN_SAMPLE_RING, MAX_SAMPLE_RING].map(|ring| (update_ms, ring)));
+        for (update_ms, ring) in all.into_iter().flatten() {
+            let mut memory = VertexMemory::new(1, ring);
             memory.scatter(&[predicted_entry(0)]);
             assert_eq!(at_ms(&mut memory, update_ms)[3], NOT_DRAWABLE, "nothing was said of it");
             memory.scatter(&predictions(update_ms, update_ms));
@@ -255,7 +264,7 @@ mod tests {
 
     #[test]
     fn the_newest_update_alone_says_where_a_predicted_vertex_is() {
-        let mut memory = VertexMemory::new(1);
+        let mut memory = VertexMemory::new(1, RING);
         memory.scatter(&[predicted_entry(0)]);
         memory.scatter(&predictions(1000, 0));
         assert_eq!(at_ms(&mut memory, 1090), [109.0, 0.0, 0.0, ON_CURVE]);
@@ -266,7 +275,7 @@ mod tests {
     }
 
     fn with_samples(grids: std::ops::RangeInclusive<i32>, at: impl Fn(i32) -> f32) -> VertexMemory {
-        let mut memory = VertexMemory::new(1);
+        let mut memory = VertexMemory::new(1, RING);
         memory.scatter(&[sampled_entry(0)]);
         let writes: Vec<_> = grids.map(|g| sample_write(0, GridIndex(g), [at(g), 0.0, 0.0])).collect();
         memory.scatter(&writes);
@@ -302,7 +311,7 @@ mod tests {
         memory.interpolate(&push(31, 0.0, true));
         assert_eq!(memory.positions[0][3], PAST_THE_END);
         // A ring of samples later the last of these takes the place of 29.
-        let later = SAMPLE_RING as i32;
+        let later = RING as i32;
         let steps = 22 + later..=29 + later;
         let writes: Vec<_> = steps.map(|g| sample_write(0, GridIndex(g), [at(g), 0.0, 0.0])).collect();
         memory.scatter(&writes);

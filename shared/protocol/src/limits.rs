@@ -11,8 +11,13 @@ pub const MAX_PATCH_SLOTS: u32 = 131_072;
 pub const MAX_INSTANCES: u32 = 4096;
 /// Lights beside the sun that a scene is lit by at one time.
 pub const MAX_LIGHTS: u32 = 16;
-/// Grid samples that the client keeps per animated vertex: sample `g` lies at `g mod SAMPLE_RING`.
-pub const SAMPLE_RING: u32 = 32;
+/// Grid steps that a client keeps at least of what is sent step by step: step `g` lies at `g` modulo their number, which is a
+/// power of two and a term of the session.
+pub const MIN_SAMPLE_RING: u32 = 8;
+/// Grid steps that a client keeps unless it says otherwise: on the longest way 0.87 s ahead, and some that are late.
+pub const DEFAULT_SAMPLE_RING: u32 = 32;
+/// Grid steps that a client keeps at most.
+pub const MAX_SAMPLE_RING: u32 = 64;
 /// Positions that an update predicts for a vertex without samples: the paper's.
 pub const PREDICTIONS: u32 = 3;
 /// Predicted views per update.
@@ -81,7 +86,7 @@ pub const SCENE_TEXTURES: u32 = 512;
 /// Grid steps for which one delta may carry samples of as many vertices as there may be.
 pub const MAX_NEW_SAMPLE_GRIDS: u32 = 8;
 /// Batches of samples in one delta: first samples, regular ones, and those sent again after the future changed.
-pub const MAX_SAMPLE_BATCHES: u32 = 2 * SAMPLE_RING;
+pub const MAX_SAMPLE_BATCHES: u32 = 2 * MAX_SAMPLE_RING;
 /// Vertex samples in one delta, over all its batches.
 pub const MAX_SAMPLES_PER_DELTA: u32 = MAX_VERTEX_SLOTS * MAX_NEW_SAMPLE_GRIDS;
 /// Smallest quantisation step of vertex samples in metres.
@@ -156,11 +161,11 @@ const _: () = {
             <= MAX_MOTION_BYTES
     );
     assert!(MAX_MOTION_BYTES + 64 <= MAX_STREAM_BYTES);
-    assert!(
-        SAMPLE_RING.is_power_of_two() && SAMPLE_RING >= 8,
-        "100 ms ahead, four to interpolate, and some late"
-    );
-    assert!(PREDICTIONS < SAMPLE_RING, "a client keeps them in place of samples");
+    assert!(MIN_SAMPLE_RING.is_power_of_two() && MAX_SAMPLE_RING.is_power_of_two());
+    assert!(DEFAULT_SAMPLE_RING.is_power_of_two());
+    assert!(MIN_SAMPLE_RING >= 8, "two ahead, four to interpolate, and some late");
+    assert!(MIN_SAMPLE_RING <= DEFAULT_SAMPLE_RING && DEFAULT_SAMPLE_RING <= MAX_SAMPLE_RING);
+    assert!(PREDICTIONS < MIN_SAMPLE_RING, "a client keeps them in place of samples");
     assert!(ATLAS_MAX_EXTENT[0] <= 1 << (10 + BLOCK_MIN_LOG2), "10 bits of address");
     assert!(ATLAS_MAX_EXTENT[1] <= 1 << (10 + BLOCK_MIN_LOG2), "10 bits of address");
     assert!(BLOCK_MAX_LOG2 - BLOCK_MIN_LOG2 < 8, "3 bits of size");

@@ -290,7 +290,11 @@ impl ClientMemory {
             return Err(invalid(WHAT, format!("its pose ends at {ends:?}, beyond what was agreed")));
         }
         if let PoseSource::Grid { first_word } = told.source {
-            self.fix_words("a ring of poses", first_word, ring_words(bones, morphs))?;
+            self.fix_words(
+                "a ring of poses",
+                first_word,
+                ring_words(self.motion.sample_ring, bones, morphs),
+            )?;
         }
         let number = u32::from(told.instance.0);
         match number < MAX_INSTANCES && self.skinned.insert(told.instance, size).is_none() {
@@ -502,6 +506,7 @@ impl SlotSet {
 mod tests {
     use super::*;
     use crate::ids::ClipId;
+    use crate::limits::{DEFAULT_SAMPLE_RING, MIN_SAMPLE_RING};
     use crate::motion::keys::{ChunkTrack, TrackKind};
     use crate::motion::playback::{Playback, Repetition, Schedule};
     use crate::motion::quantise;
@@ -554,7 +559,7 @@ mod tests {
             entries: Vec::new(),
             morph_count: 5,
         };
-        let told = |first_word| {
+        let told = |first_word, sample_ring| {
             let instance = SkinnedInstance {
                 instance: INSTANCE,
                 skeleton: SkeletonId(2),
@@ -570,12 +575,15 @@ mod tests {
                 instances: vec![instance],
                 ..Skinned::default()
             };
-            let motion = MotionMemory { arena_words: 4 + ring_words(1, 5), ..MotionMemory::MAX };
+            let arena_words = 4 + ring_words(sample_ring, 1, 5);
+            let motion = MotionMemory { arena_words, sample_ring, ..MotionMemory::MAX };
             let delta = GeometryDelta { skinned, ..GeometryDelta::default() };
             ClientMemory::new(8, 1).with_motion(motion).apply(&delta)
         };
-        assert!(told(4).is_ok());
-        assert!(told(8).is_err() && told(u32::MAX - 3).is_err());
+        for ring in [MIN_SAMPLE_RING, DEFAULT_SAMPLE_RING] {
+            assert!(told(4, ring).is_ok());
+            assert!(told(8, ring).is_err() && told(u32::MAX - 3, ring).is_err());
+        }
     }
 
     #[test]
@@ -639,7 +647,7 @@ mod tests {
     }
 
     fn memory() -> ClientMemory {
-        let motion = MotionMemory { arena_words: 400, rest_vertices: 40, pose_places: 2 };
+        let motion = MotionMemory { arena_words: 400, rest_vertices: 40, pose_places: 2, sample_ring: 32 };
         ClientMemory::new(8, 1).with_motion(motion)
     }
 

@@ -7,9 +7,10 @@ use crate::PROTOCOL_VERSION;
 use crate::atlas::AtlasExtent;
 use crate::ids::{DiscontinuityId, UpdateId};
 use crate::limits::{
-    ATLAS_MIN_SIDE, DEFAULT_ARENA_WORDS, DEFAULT_REST_VERTICES, MAX_ARENA_WORDS, MAX_CODECS,
-    MAX_CONTROL_BYTES, MAX_COORDINATE_M, MAX_DATAGRAM_BYTES, MAX_EYE_EXTENT_PIXELS, MAX_EYE_PIXELS,
-    MAX_PATCH_SLOTS, MAX_POSE_PLACES, MAX_REST_VERTICES, MAX_SPEED, MAX_TEXT_BYTES, MAX_VERTEX_SLOTS,
+    ATLAS_MIN_SIDE, DEFAULT_ARENA_WORDS, DEFAULT_REST_VERTICES, DEFAULT_SAMPLE_RING, MAX_ARENA_WORDS,
+    MAX_CODECS, MAX_CONTROL_BYTES, MAX_COORDINATE_M, MAX_DATAGRAM_BYTES, MAX_EYE_EXTENT_PIXELS,
+    MAX_EYE_PIXELS, MAX_PATCH_SLOTS, MAX_POSE_PLACES, MAX_REST_VERTICES, MAX_SAMPLE_RING, MAX_SPEED,
+    MAX_TEXT_BYTES, MAX_VERTEX_SLOTS, MIN_SAMPLE_RING,
 };
 use crate::pose::{Eye, Pose};
 use crate::text::printable;
@@ -94,7 +95,7 @@ pub struct Capabilities {
     pub max_vertex_slots: u32,
     /// Patches it can keep, 1..=`MAX_PATCH_SLOTS`.
     pub max_patch_slots: u32,
-    /// What it can keep to skin by itself.
+    /// What it can keep of how vertices move.
     pub motion: MotionMemory,
     /// What it decodes, best first.
     pub codecs: Vec<Codec>,
@@ -106,7 +107,8 @@ pub struct Capabilities {
     pub display_period_ns: i64,
 }
 
-/// What a client keeps to skin vertices by itself. The server decides what lies where.
+/// What a client keeps of how vertices move: to skin them by itself, and of what is sent step by step. The server decides what
+/// lies where.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MotionMemory {
     /// Words of 16 bytes for skeletons, clips and morph targets, at most `MAX_ARENA_WORDS`.
@@ -115,6 +117,9 @@ pub struct MotionMemory {
     pub rest_vertices: u32,
     /// Bones, and palette entries, of all instances together, at most `MAX_POSE_PLACES`.
     pub pose_places: u32,
+    /// Steps of the time grid, of each animated vertex and of each instance that is posed on the grid: step `g` lies at `g`
+    /// modulo this. A power of two, `MIN_SAMPLE_RING` to `MAX_SAMPLE_RING`.
+    pub sample_ring: u32,
 }
 
 impl MotionMemory {
@@ -123,12 +128,20 @@ impl MotionMemory {
         arena_words: DEFAULT_ARENA_WORDS,
         rest_vertices: DEFAULT_REST_VERTICES,
         pose_places: MAX_POSE_PLACES,
+        sample_ring: DEFAULT_SAMPLE_RING,
     };
     /// As much as any client may keep.
-    pub const MAX: Self =
-        Self { arena_words: MAX_ARENA_WORDS, rest_vertices: MAX_REST_VERTICES, ..Self::DEFAULT };
-    /// Nothing: all that moves is sampled.
-    pub const NONE: Self = Self { arena_words: 0, rest_vertices: 0, pose_places: 0 };
+    pub const MAX: Self = Self {
+        arena_words: MAX_ARENA_WORDS,
+        rest_vertices: MAX_REST_VERTICES,
+        sample_ring: MAX_SAMPLE_RING,
+        ..Self::DEFAULT
+    };
+    /// Nothing but samples: all that moves is sampled.
+    pub const NONE: Self =
+        Self { arena_words: 0, rest_vertices: 0, pose_places: 0, sample_ring: DEFAULT_SAMPLE_RING };
+    /// As little as there can be: nothing moves, or by what updates predict.
+    pub const LEAST: Self = Self { sample_ring: MIN_SAMPLE_RING, ..Self::NONE };
 
     /// The smaller of both, in each.
     #[must_use]
@@ -137,10 +150,33 @@ impl MotionMemory {
             arena_words: self.arena_words.min(other.arena_words),
             rest_vertices: self.rest_vertices.min(other.rest_vertices),
             pose_places: self.pose_places.min(other.pose_places),
+            sample_ring: self.sample_ring.min(other.sample_ring),
         }
     }
 
+    /// The larger of both, in each.
+    #[must_use]
+    pub fn max(self, other: Self) -> Self {
+        Self {
+            arena_words: self.arena_words.max(other.arena_words),
+            rest_vertices: self.rest_vertices.max(other.rest_vertices),
+            pose_places: self.pose_places.max(other.pose_places),
+            sample_ring: self.sample_ring.max(other.sample_ring),
+        }
+    }
+
+    /// Whether it is no less than another one in anything.
+    pub fn holds(self, other: Self) -> bool {
+        self.min(other) == other
+    }
+
     fn check(self) -> Result<(), WireError> {
+        let rings = MIN_SAMPLE_RING..=MAX_SAMPLE_RING;
+        require(
+            self.sample_ring.is_power_of_two() && rings.contains(&self.sample_ring),
+            "the ring of samples of a client",
+            || format!("{} is not a power of two within {rings:?}", self.sample_ring),
+        )?;
         check_count("the arena of a client", self.arena_words as usize, MAX_ARENA_WORDS as usize)?;
         check_count(
             "the rest vertices of a client",
@@ -175,7 +211,7 @@ pub struct Welcome {
     pub vertex_slots: u32,
     /// Patch slots that the server will use: 0 to this, exclusive.
     pub patch_slots: u32,
-    /// What the client keeps to skin by itself.
+    /// What the client keeps of how vertices move.
     pub motion: MotionMemory,
     /// How the atlas is coded.
     pub codec: Codec,
@@ -257,8 +293,11 @@ pub struct ServerOffer {
     pub vertex_slots: u32,
     /// Patch slots wanted.
     pub patch_slots: u32,
-    /// What clients may keep to skin by themselves.
+    /// The most that clients need of how vertices move.
     pub motion: MotionMemory,
+    /// Whoever keeps this, or more, is sent no samples and no poses, and keeps a ring of as many steps as this says; `None`:
+    /// everybody is sent some.
+    pub unsampled: Option<MotionMemory>,
     /// What the server encodes, best first.
     pub codecs: Vec<Codec>,
     /// What is seen where no geometry is.
@@ -520,7 +559,7 @@ pub fn negotiate(hello: &ClientHello, offer: &ServerOffer) -> Result<Welcome, Re
         atlas_extent_texels: negotiate_atlas(capabilities.max_atlas_extent, offer.atlas_extent_texels)?,
         vertex_slots: offer.vertex_slots.min(capabilities.max_vertex_slots),
         patch_slots: offer.patch_slots.min(capabilities.max_patch_slots),
-        motion: offer.motion.min(capabilities.motion),
+        motion: negotiate_motion(capabilities.motion, offer),
         codec: *codec,
         environment: offer.environment,
         world_from_stage: offer.world_from_stage,
@@ -556,6 +595,13 @@ pub fn negotiate_version(
 
 fn span(oldest: u32, newest: u32) -> String {
     if oldest == newest { format!("{newest}") } else { format!("{oldest} to {newest}") }
+}
+
+/// The smaller of both, with the ring of samples as small as what is sent allows.
+fn negotiate_motion(capable: MotionMemory, offer: &ServerOffer) -> MotionMemory {
+    let agreed = offer.motion.min(capable);
+    let unsampled = offer.unsampled.filter(|least| agreed.holds(*least));
+    MotionMemory { sample_ring: unsampled.map_or(agreed.sample_ring, |least| least.sample_ring), ..agreed }
 }
 
 /// The offered extent with its sides halved until the client can hold it.
@@ -622,7 +668,7 @@ fn check_eye(eye: &Eye) -> Result<(), WireError> {
 mod tests {
     use super::*;
     use crate::pose::Fov;
-    use crate::testing::{damaged, displayed, head, hello, offer, welcome};
+    use crate::testing::{Dice, damaged, displayed, head, hello, offer, welcome};
 
     fn client_messages() -> Vec<ClientMessage> {
         vec![
@@ -738,6 +784,9 @@ mod tests {
         assert!(error.contains(words), "{error}");
     }
 
+    /// Lengths that a ring of samples cannot have.
+    const NO_RINGS: [u32; 8] = [0, 1, 4, 7, 24, 128, 1000, u32::MAX];
+
     #[test]
     fn hellos_that_cannot_be_are_refused() {
         assert_hello_refused(|hello| hello.min_protocol_version = 2, "protocol versions");
@@ -748,6 +797,12 @@ mod tests {
         assert_hello_refused(|hello| hello.capabilities.eye_extent_pixels[1] = 0, "extent in pixels");
         assert_hello_refused(|hello| hello.capabilities.eye_extent_pixels = [8192, 8192], "number of pixels");
         assert_hello_refused(|hello| hello.capabilities.display_period_ns = 0, "display period");
+        for ring in NO_RINGS {
+            let name = format!(
+                "the ring of samples of a client is not valid: {ring} is not a power of two within 8..=64"
+            );
+            assert_hello_refused(|hello| hello.capabilities.motion.sample_ring = ring, &name);
+        }
     }
 
     #[test]
@@ -811,6 +866,12 @@ mod tests {
         assert_welcome_refused(|welcome| welcome.vertex_slots = MAX_VERTEX_SLOTS + 1, "vertex slots");
         assert_welcome_refused(|welcome| welcome.environment.nadir[2] = -1.0, "environment");
         assert_welcome_refused(|welcome| welcome.world_from_stage.position.x = f32::NAN, "stage");
+        for ring in NO_RINGS {
+            let name = format!(
+                "the ring of samples of a client is not valid: {ring} is not a power of two within 8..=64"
+            );
+            assert_welcome_refused(|welcome| welcome.motion.sample_ring = ring, &name);
+        }
     }
 
     /// A server of another make may say it all the same: its bytes are not a welcome.
@@ -844,6 +905,35 @@ mod tests {
         assert_eq!(negotiate(&small, &raw).unwrap().codec, Codec::Raw);
         small.capabilities.codecs.clear();
         assert!(negotiate(&small, &offer()).unwrap_err().remedy.contains("codec"));
+    }
+
+    /// Whatever both may say, the ring is one that both can keep, and the shortest where nothing is sampled.
+    #[test]
+    fn the_ring_of_samples_is_what_is_needed_as_far_as_the_client_keeps_it() {
+        let mut dice = Dice::new(7);
+        let [mut least, mut sampled] = [0; 2];
+        for _ in 0..2000 {
+            let mut memory = || MotionMemory {
+                arena_words: dice.below(4) as u32,
+                rest_vertices: dice.below(4) as u32,
+                pose_places: dice.below(4) as u32,
+                sample_ring: 8 << dice.below(4),
+            };
+            let [capable, motion, unsampled] = [memory(), memory(), memory()];
+            let unsampled = MotionMemory { sample_ring: MIN_SAMPLE_RING, ..unsampled };
+            let unsampled = Some(unsampled).filter(|_| !dice.once_in(4));
+            let mut hello = hello();
+            hello.capabilities.motion = capable;
+            let agreed = negotiate(&hello, &ServerOffer { motion, unsampled, ..offer() }).unwrap();
+            assert_eq!(agreed.check(), Ok(()));
+            assert!(capable.holds(agreed.motion) && motion.holds(agreed.motion));
+            let both = capable.min(motion);
+            let is_enough = |least: MotionMemory| both.holds(least);
+            let expected = if unsampled.is_some_and(is_enough) { 8 } else { both.sample_ring };
+            *(if expected == 8 { &mut least } else { &mut sampled }) += 1;
+            assert_eq!(agreed.motion, MotionMemory { sample_ring: expected, ..both });
+        }
+        assert!(least > 100 && sampled > 100, "{least} and {sampled}");
     }
 
     #[test]

@@ -14,8 +14,8 @@ use crate::limits::{
     RECORDS_PER_SLOT_AND_TURN,
 };
 use crate::message::{
-    ClientDatagram, ClientHello, ClientMessage, Codec, Displayed, HeadState, HelloVersions, Refused,
-    ServerDatagram, ServerMessage, ServerOffer, Welcome, negotiate, negotiate_version,
+    ClientDatagram, ClientHello, ClientMessage, Codec, Displayed, HeadState, HelloVersions, MotionMemory,
+    Refused, ServerDatagram, ServerMessage, ServerOffer, Welcome, negotiate, negotiate_version,
 };
 use crate::motion::message::{MotionMessage, MotionNews};
 use crate::time::{ClientTime, ServerTime};
@@ -131,6 +131,7 @@ pub struct ClientSession {
     phase: Phase,
     /// What was announced.
     codecs: Vec<Codec>,
+    motion: MotionMemory,
     clock: ClockEstimator,
     pings: u32,
     next_ping: ClientTime,
@@ -199,6 +200,7 @@ impl ClientSession {
         let mut session = Self {
             phase: Phase::Greeting,
             codecs: hello.capabilities.codecs.clone(),
+            motion: hello.capabilities.motion,
             clock: ClockEstimator::new(),
             pings: 0,
             next_ping: now,
@@ -401,6 +403,10 @@ impl ClientSession {
         if !self.codecs.contains(&welcome.codec) {
             let reason = format!("its codec {:?} was not announced", welcome.codec);
             return Err(invalid("a welcome", reason));
+        }
+        if !self.motion.holds(welcome.motion) {
+            let reason = format!("it says {:?}, and {:?} was announced", welcome.motion, self.motion);
+            return Err(invalid("the memory of motion of a welcome", reason));
         }
         self.phase = Phase::Running;
         let decoder = DeltaDecoder::new(welcome.vertex_slots, welcome.patch_slots);
@@ -1264,6 +1270,22 @@ mod tests {
         let welcome = Welcome { codec: Codec::Raw, ..crate::testing::welcome() };
         pair.client.on_control(&ServerMessage::Welcome(welcome).encode());
         assert_failed(&mut pair, "was not announced");
+    }
+
+    #[test]
+    fn more_memory_of_motion_than_was_announced_ends_the_session() {
+        let welcomed = |motion| {
+            let mut pair = Pair::new();
+            let welcome = Welcome { motion, ..crate::testing::welcome() };
+            pair.client.on_control(&ServerMessage::Welcome(welcome).encode());
+            pair
+        };
+        let announced = hello().capabilities.motion;
+        assert!(welcomed(announced).client.is_alive());
+        let longer = MotionMemory { sample_ring: 64, ..announced };
+        assert_failed(&mut welcomed(longer), "sample_ring: 32 } was announced");
+        let larger = MotionMemory { arena_words: announced.arena_words + 1, ..announced };
+        assert_failed(&mut welcomed(larger), "the memory of motion of a welcome");
     }
 
     #[test]

@@ -63,6 +63,7 @@ fn offer(welcome: Welcome) -> ServerOffer {
         vertex_slots: welcome.vertex_slots.min(crate::deltas::VERTEX_SLOTS),
         patch_slots: welcome.patch_slots.min(crate::deltas::PATCH_SLOTS),
         motion: welcome.motion,
+        unsampled: None,
         codecs: vec![welcome.codec],
         environment: welcome.environment,
         world_from_stage: welcome.world_from_stage,

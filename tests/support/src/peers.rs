@@ -51,6 +51,7 @@ pub fn offer() -> ServerOffer {
         vertex_slots: 1000,
         patch_slots: 1000,
         motion: MotionMemory::DEFAULT,
+        unsampled: None,
         codecs: vec![Codec::H264],
         environment: Environment { zenith: [0.5; 3], horizon: [0.5; 3], nadir: [0.5; 3] },
         world_from_stage: Pose::IDENTITY,

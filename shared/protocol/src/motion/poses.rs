@@ -6,7 +6,7 @@
 
 use super::bits::{BitReader, BitWriter};
 use crate::ids::InstanceId;
-use crate::limits::{MAX_COORDINATE_M, MAX_INSTANCES, MAX_MORPHS, MAX_SKELETON_BONES, SAMPLE_RING};
+use crate::limits::{MAX_COORDINATE_M, MAX_INSTANCES, MAX_MORPHS, MAX_SAMPLE_RING, MAX_SKELETON_BONES};
 use crate::time::GridIndex;
 use crate::wire::{Reader, WireError, check_count, invalid, put_varint, put_zigzag};
 use std::f64::consts::SQRT_2;
@@ -74,7 +74,7 @@ pub(super) fn put_poses(out: &mut Vec<u8>, poses: &[GridPose]) {
 /// Reads what [`put_poses`] wrote, to the end.
 pub(super) fn take_poses(bytes: &[u8]) -> Result<Vec<GridPose>, WireError> {
     let mut reader = Reader::new("poses on the grid", bytes);
-    let most = (MAX_INSTANCES * SAMPLE_RING) as usize;
+    let most = (MAX_INSTANCES * MAX_SAMPLE_RING) as usize;
     let count = reader.count(most, 5)?;
     let mut poses = Vec::new();
     for _ in 0..count {

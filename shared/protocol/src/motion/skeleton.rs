@@ -4,7 +4,7 @@ use super::playback::Schedule;
 use crate::ids::{ClipId, InstanceId, SkeletonId};
 use crate::limits::{
     ARENA_ALIGNMENT_WORDS, MAX_ARENA_WORDS, MAX_COORDINATE_M, MAX_MORPHS, MAX_POSE_PLACES, MAX_SCHEDULE,
-    MAX_SKELETON_BONES, MAX_SKELETON_ENTRIES, SAMPLE_RING,
+    MAX_SKELETON_BONES, MAX_SKELETON_ENTRIES,
 };
 use crate::wire::{Reader, WireError, check_count, invalid, put_varint};
 use serde::{Deserialize, Serialize};
@@ -86,9 +86,9 @@ pub fn grid_words(bones: u32, morphs: u32) -> u32 {
     (3 * bones + morphs.div_ceil(4)).next_multiple_of(ARENA_ALIGNMENT_WORDS)
 }
 
-/// Words that the ring of an instance's poses takes: as many steps as samples have.
-pub fn ring_words(bones: u32, morphs: u32) -> u32 {
-    SAMPLE_RING * grid_words(bones, morphs)
+/// Words that the ring of an instance's poses takes, of as many steps as samples have.
+pub fn ring_words(sample_ring: u32, bones: u32, morphs: u32) -> u32 {
+    sample_ring * grid_words(bones, morphs)
 }
 
 impl SkeletonInfo {

@@ -327,6 +327,7 @@ fn offer() -> ServerOffer {
         vertex_slots: MAX_VERTEX_SLOTS,
         patch_slots: MAX_PATCH_SLOTS,
         motion: MotionMemory::DEFAULT,
+        unsampled: None,
         codecs: vec![Codec::H264],
         environment: Environment { zenith: [0.2; 3], horizon: [0.3; 3], nadir: [0.1; 3] },
         world_from_stage: Pose { position: Vec3::ZERO, orientation: Quat::IDENTITY },
