@@ -544,7 +544,7 @@ fn vertices_past_their_last_sample_are_held_for_one_step_and_then_frozen() {
     bench.add_delta(triangle(0, 0..=4));
     bench.bundler.add_picture(UpdateId(0), 0);
     bench.display(100, 0);
-    let at = |grid| bench.motion.motionless(GridIndex(grid));
+    let at = |step| bench.motion.motionless(DEFAULT_GRID, DEFAULT_GRID.time_of(GridIndex(step)));
     assert_eq!(at(3), Motionless::default());
     assert_eq!(at(4), Motionless { held: 3, frozen: 0 });
     assert_eq!(at(5), Motionless { held: 0, frozen: 3 });

@@ -245,7 +245,7 @@ impl Scene {
             self.write_list(step);
         }
         let (index_count, withheld_patches) = self.sets[self.shown].list.at(step);
-        let motionless = self.motion.motionless(GridTime::of(grid, time).step);
+        let motionless = self.motion.motionless(grid, time);
         let arena_waiting_bytes = self.motion.arena().waiting_bytes() as u64;
         let skinned = SkinnedCounts::default();
         SceneReport { index_count, withheld_patches, arena_waiting_bytes, motionless, skinned, motion_time }

@@ -43,6 +43,9 @@ pub struct Motion {
     drawn: DrawnInstances,
     /// Vertices with samples of the draw list, each once.
     used: Vec<u32>,
+    /// The same with predictions, and the first time at which one of them has none left.
+    predicted: Vec<u32>,
+    predicted_until: ServerTime,
     /// Of each vertex slot, the draw list that last used it.
     used_by: Vec<u32>,
     draw_lists: u32,
@@ -52,18 +55,27 @@ pub struct Motion {
     contradiction: Option<VertexSlot>,
 }
 
-/// Which samples of a vertex are there.
+/// What moves a vertex, and which samples of it are there.
 #[derive(Clone, Copy, Debug)]
 struct Availability {
-    is_sampled: bool,
-    /// The instance whose skeleton moves it, if one does.
-    skinned: Option<InstanceId>,
+    moved_by: Mover,
     /// Grid steps for which the ring holds samples without a gap, both ends included; `first > last` before the first.
     first: GridIndex,
     last: GridIndex,
 }
 
-/// How a display frame stands with samples.
+/// What moves a vertex.
+#[derive(Clone, Copy, Debug)]
+enum Mover {
+    Nothing,
+    Samples,
+    /// The skeleton of an instance.
+    Skeleton(InstanceId),
+    /// What updates predict: until then.
+    Predictions(ServerTime),
+}
+
+/// How a display frame stands with samples and predictions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Motionless {
     /// Vertices that go on at their last velocity, for at most one grid step.
@@ -77,8 +89,8 @@ pub struct Users<'a>(&'a mut Motion);
 
 impl Availability {
     /// Of a vertex that has just entered.
-    fn none(is_sampled: bool) -> Self {
-        Self { is_sampled, skinned: None, first: GridIndex(i32::MAX), last: GridIndex(i32::MIN) }
+    fn none(moved_by: Mover) -> Self {
+        Self { moved_by, first: GridIndex(i32::MAX), last: GridIndex(i32::MIN) }
     }
 
     fn has_samples(&self) -> bool {
@@ -102,7 +114,7 @@ impl Motion {
     /// For the agreed capacities.
     pub fn new(vertex_slots: u32, capacity: SkinCapacity) -> Self {
         Self {
-            vertices: vec![Availability::none(false); vertex_slots as usize],
+            vertices: vec![Availability::none(Mover::Nothing); vertex_slots as usize],
             sample_ring: capacity.sample_ring,
             vertex_count: 0,
             writes: VertexWrites::default(),
@@ -112,6 +124,8 @@ impl Motion {
             early: early::EarlyPoses::new(capacity.sample_ring),
             drawn: DrawnInstances::default(),
             used: Vec::with_capacity(vertex_slots as usize),
+            predicted: Vec::with_capacity(vertex_slots as usize),
+            predicted_until: ServerTime(i64::MAX),
             used_by: vec![0; vertex_slots as usize],
             draw_lists: 0,
             span: Span { first: GridIndex(i32::MIN), last: GridIndex(i32::MAX) },
@@ -192,7 +206,7 @@ impl Motion {
     /// taken next.
     pub fn enter_skinned(&mut self, slot: VertexSlot, instance: InstanceId, rest: RestId) -> Option<()> {
         let palette_base = self.skinned.palette_base(instance)?;
-        self.occupy(slot, Availability { skinned: Some(instance), ..Availability::none(false) });
+        self.occupy(slot, Availability::none(Mover::Skeleton(instance)));
         self.writes.push(skinned_entry(slot.0, rest, palette_base));
         Some(())
     }
@@ -210,15 +224,16 @@ impl Motion {
         let NewVertex { slot, instance, motion } = *vertex;
         match motion {
             geometry::Motion::Static { position } => {
-                self.occupy(slot, Availability::none(false));
+                self.occupy(slot, Availability::none(Mover::Nothing));
                 self.writes.push(static_entry(slot.0, position.to_array()));
             }
             geometry::Motion::Sampled => {
-                self.occupy(slot, Availability::none(true));
+                self.occupy(slot, Availability::none(Mover::Samples));
                 self.writes.push(sampled_entry(slot.0));
             }
             geometry::Motion::Predicted => {
-                self.occupy(slot, Availability::none(false));
+                // Until an update has said something it is not drawn.
+                self.occupy(slot, Availability::none(Mover::Predictions(ServerTime(i64::MAX))));
                 self.writes.push(predicted_entry(slot.0));
             }
             geometry::Motion::Skinned { rest } => {
@@ -236,8 +251,11 @@ impl Motion {
                 let at = prediction.time(time);
                 self.writes.push(prediction_write(slot.0, number, at, prediction.position_m.to_array()));
             }
+            let until = predictions.iter().map(|prediction| prediction.time(time)).max();
+            self.vertices[slot.index()].moved_by = Mover::Predictions(until.unwrap_or(time));
         }
         self.writes.end_frame(update);
+        self.predicted_until = self.min_until();
     }
 
     fn take_positions(&mut self, batches: &[PositionBatch]) {
@@ -275,6 +293,7 @@ impl Motion {
     pub fn begin_list(&mut self) -> Users<'_> {
         self.draw_lists += 1;
         self.used.clear();
+        self.predicted.clear();
         self.drawn.clear();
         Users(self)
     }
@@ -293,16 +312,33 @@ impl Motion {
         lasts.min().unwrap_or(GridIndex(i32::MAX))
     }
 
-    /// Sampled vertices of the draw list that have run out of samples when the last grid step at or before the display
-    /// time is `grid`.
-    pub fn motionless(&self, grid: GridIndex) -> Motionless {
+    /// The first time at which a vertex of the draw list has no prediction left.
+    fn min_until(&self) -> ServerTime {
+        self.untils().min().unwrap_or(ServerTime(i64::MAX))
+    }
+
+    /// Of each predicted vertex of the draw list, the time of its last prediction.
+    fn untils(&self) -> impl Iterator<Item = ServerTime> + '_ {
+        self.predicted.iter().filter_map(|slot| match self.vertices[*slot as usize].moved_by {
+            Mover::Predictions(until) => Some(until),
+            _ => None,
+        })
+    }
+
+    /// Vertices of the draw list that have run out of samples or predictions at a display time.
+    pub fn motionless(&self, grid: Grid, time: ServerTime) -> Motionless {
         let mut counts = Motionless::default();
-        if grid < self.span.last {
+        if time > self.predicted_until {
+            // They stay at the last one.
+            counts.frozen += self.untils().filter(|until| time > *until).count() as u32;
+        }
+        let step = grid.floor(time);
+        if step < self.span.last {
             return counts;
         }
         for slot in &self.used {
             let vertex = self.vertices[*slot as usize];
-            match grid.cmp(&vertex.last) {
+            match step.cmp(&vertex.last) {
                 _ if !vertex.has_samples() => {} // withheld
                 std::cmp::Ordering::Less => {}
                 std::cmp::Ordering::Equal => counts.held += 1,
@@ -321,15 +357,15 @@ impl Users<'_> {
         for slot in vertices {
             let vertex = motion.vertices[slot.index()];
             let list = std::mem::replace(&mut motion.used_by[slot.index()], motion.draw_lists);
-            if let Some(instance) = vertex.skinned.filter(|_| list != motion.draw_lists) {
-                motion.drawn.note_vertex(instance);
-            }
-            if !vertex.is_sampled {
-                continue;
-            }
-            ready = ready.max(vertex.first);
-            if list != motion.draw_lists {
-                motion.used.push(slot.0);
+            let is_new = list != motion.draw_lists;
+            match vertex.moved_by {
+                Mover::Skeleton(instance) if is_new => motion.drawn.note_vertex(instance),
+                Mover::Predictions(_) if is_new => motion.predicted.push(slot.0),
+                Mover::Samples => {
+                    ready = ready.max(vertex.first);
+                    motion.used.extend(is_new.then_some(slot.0));
+                }
+                _ => {}
             }
         }
         ready
@@ -338,6 +374,7 @@ impl Users<'_> {
     /// The list is complete. What is drawn of it at once can be evaluated from step `ready` on.
     pub fn end(self, ready: GridIndex) {
         self.0.span = Span { first: ready, last: self.0.min_last() };
+        self.0.predicted_until = self.0.min_until();
     }
 }
 
@@ -347,6 +384,9 @@ mod tests {
     use glam::Vec3;
     use shadecast_protocol::ids::{InstanceId, SkeletonId};
     use shadecast_protocol::message::MotionMemory;
+    use shadecast_protocol::motion::predicted::Prediction;
+    use shadecast_protocol::time::DEFAULT_GRID;
+    use shadecast_shaders::generated::VertexWriteGpu;
 
     const SLOTS: u32 = 40;
 
@@ -423,7 +463,7 @@ mod tests {
             assert_eq!(first, [GridIndex(i32::MIN); 2], "they wait for no samples");
             assert_eq!(motion.drawn.all(), [skinned::Drawn { instance: InstanceId(3), vertices: 4 }]);
         }
-        assert_eq!(motion.motionless(GridIndex(i32::MAX)), Motionless::default());
+        assert_eq!(motion.motionless(DEFAULT_GRID, ServerTime(i64::MAX)), Motionless::default());
     }
 
     #[test]
@@ -443,5 +483,67 @@ mod tests {
         assert_eq!(motion.take_contradiction(), None);
         motion.enter_skinned(VertexSlot(2), InstanceId(3), RestId(0)).expect("known");
         assert_eq!(motion.take_contradiction(), Some(VertexSlot(2)));
+    }
+
+    const MS: i64 = 1_000_000;
+
+    /// Vertices 0 and 1 enter with update 0 at 1000 ms, which says where they are 30, 60 and 90 ms later.
+    fn with_predicted() -> Motion {
+        let mut motion = Motion::new(SLOTS, MotionMemory::NONE.into());
+        let (instance, predicted) = (InstanceId(0), geometry::Motion::Predicted);
+        let entering = [0, 1].map(|slot| NewVertex { slot: VertexSlot(slot), instance, motion: predicted });
+        motion.take(UpdateId(0), &entering, &[], false);
+        motion.predict(UpdateId(0), ServerTime(1000 * MS), &[0, 1].map(predicted_vertex));
+        motion
+    }
+
+    /// At 1 m, 2 m and 3 m.
+    fn predicted_vertex(slot: u32) -> PredictedVertex {
+        let prediction = |number: u8| Prediction {
+            position_m: Vec3::splat(f32::from(number)),
+            since_update_s: f32::from(number) * 0.03,
+        };
+        PredictedVertex { slot: VertexSlot(slot), predictions: [1, 2, 3].map(prediction) }
+    }
+
+    /// What at most `room` records bring, by segments.
+    fn drain(motion: &mut Motion, room: usize) -> Vec<Vec<VertexWriteGpu>> {
+        let (mut staging, mut ranges) = (vec![bytemuck::Zeroable::zeroed(); room], Vec::new());
+        motion.writes.drain_into(&mut staging, |range| ranges.push(range));
+        ranges.iter().map(|range| staging[range.start as usize..range.end as usize].to_vec()).collect()
+    }
+
+    #[test]
+    fn predictions_are_written_after_their_vertices_and_the_update_is_complete_with_the_last() {
+        let mut motion = with_predicted();
+        let places: Vec<u32> = (0..3).collect();
+        let write = |slot: u32, number: &u32| {
+            let at = ServerTime((1030 + 30 * i64::from(*number)) * MS);
+            prediction_write(slot, *number, at, [*number as f32 + 1.0; 3])
+        };
+        let of_slot = |slot: u32| places.iter().map(move |number| write(slot, number));
+        let all: Vec<_> = of_slot(0).chain(of_slot(1)).collect();
+        let first = drain(&mut motion, 7);
+        assert_eq!(first, [[0, 1].map(predicted_entry).to_vec(), all[..5].to_vec()]);
+        assert_eq!(motion.complete(), None, "one prediction waits");
+        assert_eq!(drain(&mut motion, 7), [all[5..].to_vec()]);
+        assert_eq!(motion.complete(), Some(UpdateId(0)));
+    }
+
+    #[test]
+    fn vertices_past_their_last_prediction_are_counted_as_frozen() {
+        let mut motion = with_predicted();
+        let mut users = motion.begin_list();
+        let ready = users.note(&[0, 1, 0].map(VertexSlot));
+        users.end(ready);
+        assert_eq!(ready, GridIndex(i32::MIN), "they wait for no samples");
+        let frozen = |motion: &Motion, ms: i64| motion.motionless(DEFAULT_GRID, ServerTime(ms * MS)).frozen;
+        assert_eq!([999, 1030, 1089].map(|ms| frozen(&motion, ms)), [0; 3]);
+        assert_eq!([1091, 5000].map(|ms| frozen(&motion, ms)), [2; 2], "each once");
+        motion.take(UpdateId(1), &[], &[], false);
+        motion.predict(UpdateId(1), ServerTime(1050 * MS), &[predicted_vertex(0)]);
+        assert_eq!([1089, 1091, 1139, 1141].map(|ms| frozen(&motion, ms)), [0, 1, 1, 2]);
+        motion.begin_list().end(GridIndex(i32::MIN));
+        assert_eq!(frozen(&motion, 5000), 0, "nobody sees them");
     }
 }
