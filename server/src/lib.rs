@@ -13,6 +13,7 @@ pub mod geometry;
 pub mod inspect;
 pub mod levels;
 pub mod lights;
+pub mod lock;
 pub mod motion;
 pub mod pacing;
 pub mod picture;

@@ -6,8 +6,8 @@
 //! again only after the client has displayed the frame that freed it.
 
 use crate::geometry::{Geometry, UpdateDelta, UpdateStamp, vertices_of_patch};
-use crate::motion::sampled::{self, Coder, SharedCoder};
-use crate::motion::sender;
+use crate::lock::lock;
+use crate::motion::sampled::{Coder, SharedCoder};
 use crate::motion::skinning::Skinning;
 use crate::motion::steps::Steps;
 use crate::pacing::Budget;
@@ -124,9 +124,9 @@ impl Residency {
     /// With what the client skins by itself.
     #[must_use]
     pub fn with_skinning(mut self, skinning: Skinning, memory: MotionMemory) -> Self {
-        let encoder = sampled::lock(&self.coder).encoder().clone().with_motion(memory);
+        let encoder = lock(&self.coder).encoder().clone().with_motion(memory);
         self.coder = Arc::new(Mutex::new(Coder::new(encoder)));
-        sender::lock(skinning.sender()).code_with(&self.coder);
+        lock(skinning.sender()).code_with(&self.coder);
         self.skinning = Some(skinning);
         self
     }
@@ -151,13 +151,13 @@ impl Residency {
     pub fn set_budget(&mut self, budget: Budget) {
         self.budget = budget;
         if let Some(skinning) = &self.skinning {
-            sender::lock(skinning.sender()).set_budget(budget);
+            lock(skinning.sender()).set_budget(budget);
         }
     }
 
     /// The bytes of what [`Self::update`] gave, in the same order.
     pub fn encode(&self, delta: &UpdateDelta) -> EncodedDelta {
-        sampled::lock(&self.coder).update(delta)
+        lock(&self.coder).update(delta)
     }
 
     /// What brings the client from the last update to this one.
@@ -511,7 +511,7 @@ mod tests {
         fn decode(&mut self, coded: &EncodedDelta) -> Delta {
             let decoded = self.decoder.decode(&coded.bytes).expect("what the server sends is valid");
             self.mirror.apply(&decoded);
-            let coder = sampled::lock(self.residency.coder());
+            let coder = lock(self.residency.coder());
             assert!(self.mirror.memory == *coder.encoder().memory(), "seed {SEED}, frame {}", self.frame);
             decoded
         }
@@ -534,7 +534,7 @@ mod tests {
             assert_eq!(decoded.geometry, delta.geometry, "seed {SEED}, frame {}", self.frame);
             let now = GridIndex(self.frame as i32);
             let window = SampleWindow { first: now, oldest: now.plus(-5), horizon: now.plus(5) };
-            let samples = sampled::lock(self.residency.coder()).samples(window, usize::MAX, position);
+            let samples = lock(self.residency.coder()).samples(window, usize::MAX, position);
             samples.iter().for_each(|samples| drop(self.decode(samples)));
             self.frame += 1;
             decoded
@@ -625,7 +625,7 @@ mod tests {
             decoder.decode(&residency.encode(&delta).bytes).expect("what the server sends is valid");
             let now = GridIndex(2 * frame as i32);
             let window = SampleWindow { first: now, oldest: now, horizon: now.plus(4) };
-            let coded = sampled::lock(residency.coder()).samples(window, usize::MAX, position);
+            let coded = lock(residency.coder()).samples(window, usize::MAX, position);
             let vertices: HashMap<VertexSlot, SceneVertex> = residency.moving().collect();
             for coded in coded {
                 let received = decoder.receive(&coded.bytes).expect("what the server sends is valid");
@@ -702,7 +702,7 @@ mod tests {
             let mut decoder = DeltaDecoder::new(8192, 8192);
             decoder.decode(&residency.encode(&delta).bytes).expect("what the server sends is valid");
             let mut sent = |window, budget_bytes| {
-                let coded = sampled::lock(residency.coder()).samples(window, budget_bytes, position);
+                let coded = lock(residency.coder()).samples(window, budget_bytes, position);
                 let decoded = coded.iter().map(|coded| decoder.decode(&coded.bytes).expect("valid").samples);
                 decoded.flatten().map(|batch| batch.grid.0).collect::<Vec<_>>()
             };

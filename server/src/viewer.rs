@@ -4,7 +4,8 @@
 use crate::encode::Source;
 use crate::frame::Shaded;
 use crate::geometry::UpdateDelta;
-use crate::motion::sender::{self, SharedMotion};
+use crate::lock::lock;
+use crate::motion::sender::SharedMotion;
 use crate::pacing::{AFTER_ALL, Budget, Kind, Shortfall, UpdateGate, WayState};
 use shadecast_protocol::delta::{DeltaSizes, EncodedDelta};
 use shadecast_protocol::ids::UpdateId;
@@ -144,7 +145,7 @@ impl<U: Updates> Viewer<U> {
 
     /// Whether the way to the client takes another update now, as far as anything is known of it.
     pub fn is_open(&mut self, way: Option<&WayState>, now_ns: i64) -> bool {
-        let untold = self.motion.as_ref().map_or(Vec::new(), |motion| sender::lock(motion).take_untold());
+        let untold = self.motion.as_ref().map_or(Vec::new(), |motion| lock(motion).take_untold());
         for (bytes, is_urgent) in untold {
             let update = if is_urgent { self.last } else { AFTER_ALL };
             self.gate.sent(update, Kind::Motion, bytes, now_ns);

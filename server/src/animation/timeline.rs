@@ -3,6 +3,7 @@
 //! What was sampled once stays as it was: a change takes effect after the latest time that was sampled, whatever the
 //! application asks for, so that no sample that was sent is ever contradicted.
 
+use crate::lock::lock;
 use shadecast_protocol::motion::playback::{Playing, Schedule};
 use shadecast_protocol::text::printable;
 use shadecast_protocol::time::ServerTime;
@@ -12,7 +13,7 @@ use shadecast_scene::animation::playing;
 use shadecast_scene::timeline::{Change, ClipIndex};
 use shadecast_scene::{Model, Scene, Trs};
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 /// Longest fade that an application may ask for, nanoseconds.
 pub const MAX_FADE_NS: i64 = 60_000_000_000;
@@ -123,7 +124,7 @@ impl SharedTimeline {
     /// The timeline, until it is dropped; the world waits meanwhile.
     pub fn lock(&self) -> MutexGuard<'_, Timeline> {
         // Every change is checked before it is made: whoever panics leaves a whole timeline behind.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 }
 

@@ -12,7 +12,7 @@ use shadecast_protocol::limits::MAX_NEW_SAMPLE_GRIDS;
 use shadecast_protocol::motion::{SampleBatch, quantise};
 use shadecast_protocol::time::GridIndex;
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// What a sample takes on the wire, about, bytes.
 const SAMPLE_BYTES: usize = 2;
@@ -32,11 +32,6 @@ pub struct SampleWindow {
 
 /// What the client's pipeline and the thread of motion both code with.
 pub type SharedCoder = Arc<Mutex<Coder>>;
-
-/// For a moment. What a panic left behind belongs to a client that is sent away.
-pub fn lock(coder: &SharedCoder) -> MutexGuard<'_, Coder> {
-    coder.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// See the module.
 #[derive(Debug)]

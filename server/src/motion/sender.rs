@@ -3,10 +3,11 @@
 
 use super::chunks::Chunks;
 use super::posed::{self, PosedInstances};
-use super::sampled::{self, SampleWindow, SharedCoder};
+use super::sampled::{SampleWindow, SharedCoder};
 use super::schedules::Schedules;
 use crate::animation::posing::CpuPose;
 use crate::animation::timeline::SharedTimeline;
+use crate::lock::lock;
 use crate::pacing::{Budget, WayState};
 use crate::scene::SceneGpu;
 use crate::scene::numbering::SceneVertex;
@@ -20,7 +21,7 @@ use shadecast_protocol::motion::skeleton::{ClipRef, PoseSource, SkinnedInstance}
 use shadecast_protocol::session::{Out, motion_stream, sample_stream};
 use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime};
 use std::collections::{BTreeSet, HashMap};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// What is shown from this long ago, nanoseconds: the way to the display, and a head that looks back.
 const BEHIND_NS: i64 = 300_000_000;
@@ -42,11 +43,6 @@ const SAVED_STEPS: usize = 8;
 
 /// What the thread of motion and the client's pipeline both work with.
 pub type SharedMotion = Arc<Mutex<MotionSender>>;
-
-/// For a moment. What a panic left behind belongs to a client that is sent away.
-pub fn lock(motion: &SharedMotion) -> MutexGuard<'_, MotionSender> {
-    motion.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// As far ahead of now as samples can reach for a client that keeps so many steps, nanoseconds.
 pub fn longest_lead_ns(sample_ring: u32) -> i64 {
@@ -300,7 +296,7 @@ impl MotionSender {
     /// New samples, as many as the link takes.
     fn samples(&mut self, now: ServerTime) -> Vec<Out> {
         let Some(coder) = self.coder.clone() else { return Vec::new() };
-        let mut coder = sampled::lock(&coder);
+        let mut coder = lock(&coder);
         let saved = self.budget[1];
         if coder.vertex_count() == 0 || saved < coder.step_bytes() {
             return Vec::new();

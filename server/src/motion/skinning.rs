@@ -1,7 +1,8 @@
 //! What one client has been told so that it skins by itself: each skeleton, mesh, instance and vertex before skinning once.
 
-use super::sender::{self, MotionSender, SharedMotion};
+use super::sender::{MotionSender, SharedMotion};
 use crate::animation::timeline::SharedTimeline;
+use crate::lock::lock;
 use crate::scene::SceneGpu;
 use shadecast_protocol::geometry::{GeometryDelta, Motion};
 use shadecast_protocol::ids::{RestId, SkeletonId};
@@ -90,7 +91,7 @@ impl Skinning {
         if self.told_meshes.insert(mesh.first_rest) {
             delta.skinned.meshes.push(mesh);
         }
-        sender::lock(&self.sender).announce(&mut told);
+        lock(&self.sender).announce(&mut told);
         delta.skinned.instances.push(told);
     }
 

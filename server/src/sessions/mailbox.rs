@@ -1,12 +1,13 @@
 //! What the network tells the pipeline: of each client at most one of a kind, the newest, so that no client can make it grow
 //! and a pipeline that was busy is never behind.
 
+use crate::lock::lock;
 use crate::viewer::Told;
 use shadecast_protocol::message::{Capabilities, Welcome};
 use shadecast_protocol::session::{DeltaSender, ServerEvent};
 use shadecast_transport::PeerId;
 use std::collections::BTreeMap;
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Condvar, Mutex};
 use std::time::Duration;
 
 /// A client that was welcomed.
@@ -72,24 +73,19 @@ impl Mailbox {
 
     /// All that is new, without waiting.
     pub fn take(&self) -> BTreeMap<PeerId, News> {
-        std::mem::take(&mut *self.lock())
+        std::mem::take(&mut *lock(&self.news))
     }
 
     /// Waits until something is new, at most so long.
     pub fn wait(&self, at_most: Duration) {
-        let guard = self.lock();
+        let guard = lock(&self.news);
         // Woken, timed out or poisoned: the caller looks in any case.
         drop(self.arrived.wait_timeout(guard, at_most));
     }
 
     fn put(&self, change: impl FnOnce(&mut BTreeMap<PeerId, News>)) {
-        change(&mut self.lock());
+        change(&mut lock(&self.news));
         self.arrived.notify_one();
-    }
-
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<PeerId, News>> {
-        // News are whole after every statement: a thread that panicked leaves nothing half done.
-        self.news.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -6,6 +6,7 @@ mod place;
 #[cfg(test)]
 pub(crate) mod testing;
 
+use crate::lock::lock;
 use mailbox::{Accepted, Mailbox};
 use place::{Greeting, Places};
 use shadecast_protocol::close::CloseCode;
@@ -16,7 +17,7 @@ use shadecast_protocol::time::ServerTime;
 use shadecast_transport::{CloseKind, Event, Handle, PeerId, SendError};
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 /// A client that was told why it is refused may close the connection itself within this time, nanoseconds.
 const FAREWELL_NS: i64 = 500_000_000;
@@ -35,11 +36,11 @@ pub struct Verdicts {
 impl Verdicts {
     /// Ends a session; the client is told why.
     pub fn refuse(&self, peer: PeerId, refused: Refused) {
-        self.refused.lock().unwrap_or_else(PoisonError::into_inner).push((peer, refused));
+        lock(&self.refused).push((peer, refused));
     }
 
     fn take(&self) -> Vec<(PeerId, Refused)> {
-        std::mem::take(&mut *self.refused.lock().unwrap_or_else(PoisonError::into_inner))
+        std::mem::take(&mut *lock(&self.refused))
     }
 }
 

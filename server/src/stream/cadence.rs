@@ -2,11 +2,12 @@
 //! holds what a client's pipeline needs only for as long as that takes.
 
 use super::outlet::Outlet;
-use crate::motion::sender::{self, SharedMotion};
+use crate::lock::lock;
+use crate::motion::sender::SharedMotion;
 use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
 use shadecast_transport::PeerId;
 use std::collections::BTreeMap;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 use std::time::Duration;
 
 /// Who is sent motion: the pipeline says who is served.
@@ -18,20 +19,21 @@ pub(super) struct Cadence {
 impl Cadence {
     /// A client is served from now on.
     pub(super) fn join(&self, peer: PeerId, motion: SharedMotion) {
-        self.lock().insert(peer, motion);
+        lock(&self.clients).insert(peer, motion);
     }
 
     /// A client has gone.
     pub(super) fn leave(&self, peer: PeerId) {
-        self.lock().remove(&peer);
+        lock(&self.clients).remove(&peer);
     }
 
     /// Sends what is due. What cannot be sent is the pipeline's to notice: its next delta cannot be either.
     pub(super) fn step(&self, outlet: &dyn Outlet, now: ServerTime) {
-        let clients: Vec<_> = self.lock().iter().map(|(peer, motion)| (*peer, motion.clone())).collect();
+        let clients: Vec<_> =
+            lock(&self.clients).iter().map(|(peer, motion)| (*peer, motion.clone())).collect();
         for (peer, motion) in clients {
             let way = outlet.way(peer);
-            let due = sender::lock(&motion).tick(now, way.as_ref());
+            let due = lock(&motion).tick(now, way.as_ref());
             for out in due {
                 if let Err(error) = outlet.send(peer, out) {
                     tracing::debug!("motion could not be sent: {error}");
@@ -44,9 +46,5 @@ impl Cadence {
     pub(super) fn wait(now: ServerTime) -> Duration {
         let next = DEFAULT_GRID.time_of(DEFAULT_GRID.floor(now).plus(1));
         Duration::from_nanos(next.since(now).max(0) as u64)
-    }
-
-    fn lock(&self) -> std::sync::MutexGuard<'_, BTreeMap<PeerId, SharedMotion>> {
-        self.clients.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -12,7 +12,7 @@ use super::turns::{Share, Turns};
 use super::{StreamStats, ViewerStats};
 use crate::encode::{EncodeError, Encoder};
 use crate::frame::Shaded;
-use crate::motion::sender;
+use crate::lock::lock;
 use crate::pacing::Kind;
 use crate::sessions::Say;
 use crate::sessions::mailbox::{Accepted, Client, Mailbox, News};
@@ -329,6 +329,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
 
     fn count(&mut self, sizes: DeltaSizes, now_ns: i64) {
         self.stats.geometry_bytes += sizes.total_bytes as u64;
+        self.stats.prediction_bytes += sizes.prediction_bytes as u64;
         self.stats.updates += 1;
         if self.stats.updates == 1 {
             (self.say)("First update sent");
@@ -370,7 +371,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         self.cadence.leave(peer);
         let Served { viewer, mut stats, since_ns, encoder, .. } = client;
         drop(encoder);
-        let motion = viewer.motion().map(|motion| sender::lock(motion).bytes()).unwrap_or_default();
+        let motion = viewer.motion().map(|motion| lock(motion).bytes()).unwrap_or_default();
         self.stats.sample_bytes += motion.sample_bytes;
         self.stats.samples += motion.samples;
         self.stats.motion_bytes += motion.total();
@@ -443,7 +444,7 @@ impl<U: Updates> Served<U> {
         self.viewer.sent(frame, Kind::Delta, bytes, now_ns);
         // What it shows first follows at once.
         if let Some(motion) = self.viewer.motion() {
-            let due = sender::lock(motion).tick(time, outlet.way(peer).as_ref());
+            let due = lock(motion).tick(time, outlet.way(peer).as_ref());
             due.into_iter().try_for_each(|out| outlet.send(peer, out)).map_err(|error| unsent(&error))?;
         }
         Ok(update)

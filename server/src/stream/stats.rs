@@ -21,6 +21,8 @@ pub struct StreamStats {
     pub atlas_bytes: u64,
     /// Bytes of geometry deltas.
     pub geometry_bytes: u64,
+    /// Bytes of predictions in them.
+    pub prediction_bytes: u64,
     /// Bytes of motion between updates: clips and samples.
     pub motion_bytes: u64,
     /// Bytes of vertex samples, headers and first samples included.

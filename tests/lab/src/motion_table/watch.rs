@@ -11,7 +11,7 @@ use serde::Serialize;
 use shadecast_client::client::FrameReport;
 use shadecast_protocol::ids::VertexSlot;
 use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, ServerTime};
-use shadecast_server::motion::sampled;
+use shadecast_server::lock::lock;
 use shadecast_server::scene::SceneGpu;
 use shadecast_server::scene::numbering::SceneVertex;
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -125,7 +125,7 @@ impl Watch {
         let residents =
             residents.with_context(|| format!("who was in whose slot at {update:?} is forgotten"))?;
         let residency = lab.seat().viewer.as_ref().map(|viewer| viewer.updates().residency());
-        let coder = residency.map(|residency| sampled::lock(residency.coder()));
+        let coder = residency.map(|residency| lock(residency.coder()));
         let step_m = |slot| {
             let step_m = coder.as_ref().and_then(|coder| coder.encoder().memory().step_of(slot));
             f64::from(step_m.unwrap_or(0.0))

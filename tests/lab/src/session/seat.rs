@@ -15,7 +15,8 @@ use shadecast_server::encode;
 use shadecast_server::encode::openh264::EncoderSettings;
 use shadecast_server::encoding::{Coded, Encoding};
 use shadecast_server::frame::{Frame, Shaded};
-use shadecast_server::motion::sender::{self, MotionBytes};
+use shadecast_server::lock::lock;
+use shadecast_server::motion::sender::MotionBytes;
 use shadecast_server::pacing::{Kind, WayState};
 use shadecast_server::sessions::mailbox::{Accepted, Client, Mailbox, News};
 use shadecast_server::sessions::{Carrier, Sessions, Surroundings, Verdicts};
@@ -204,7 +205,7 @@ impl Seat {
     /// Motion at its own cadence: it waits for no update, and leaves at once.
     pub(super) fn motion(&mut self, server: &mut Server, way: Option<WayState>, now_ns: i64) {
         let Some(motion) = self.viewer.as_ref().and_then(Viewer::motion) else { return };
-        let mut sender = sender::lock(motion);
+        let mut sender = lock(motion);
         let began = server.world.effort.begin();
         self.streams.extend(sender.tick(ServerTime(now_ns - SERVER_EPOCH_NS), way.as_ref()));
         server.world.effort.add_delta(began);
