@@ -213,14 +213,16 @@ struct Bench {
 }
 
 impl Bench {
+    /// Seeds have rings of different lengths.
     fn new(seed: u64) -> Self {
+        let sample_ring = [32, 8, 64][seed as usize % 3];
         Self {
             seed,
             bundler: Bundler::new(PATCH_SLOTS),
-            motion: Motion::new(VERTEX_SLOTS, MotionMemory::NONE.into()),
+            motion: Motion::new(VERTEX_SLOTS, MotionMemory { sample_ring, ..MotionMemory::NONE }.into()),
             scratch: ListScratch::new(PATCH_SLOTS),
-            memory: VertexMemory::new(VERTEX_SLOTS, MotionMemory::NONE.sample_ring),
-            moved: VertexMemory::new(VERTEX_SLOTS, MotionMemory::NONE.sample_ring),
+            memory: VertexMemory::new(VERTEX_SLOTS, sample_ring),
+            moved: VertexMemory::new(VERTEX_SLOTS, sample_ring),
             pace: Pace::default(),
             now: ServerTime(i64::MIN),
             frozen_frames: 0,

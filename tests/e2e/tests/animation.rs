@@ -27,7 +27,9 @@ use shadecast_server::animation::gpu::{Animation, AnimationCounts};
 use shadecast_server::animation::skinning::Skinning;
 use shadecast_server::animation::timeline::SharedTimeline;
 use shadecast_server::culling::Needed;
+use shadecast_server::motion::MotionOption;
 use shadecast_server::motion::sender::MotionSender;
+use shadecast_server::pacing::WayState;
 use shadecast_server::predict::{PredictedViews, View};
 use shadecast_server::samples::SampleWindow;
 use shadecast_server::scene::numbering::InstancePlace;
@@ -591,4 +593,24 @@ fn a_clip_longer_than_the_arena_is_there_whenever_it_is_shown() {
         }
     }
     assert!(evictions > 10, "the arena was never full: {evictions}");
+}
+
+/// Whatever the way and the ring: what is sent ahead leaves the client room for what it shows meanwhile.
+#[test]
+fn samples_reach_no_further_ahead_than_the_ring_holds() {
+    let scene = load_scene(&SceneSource::Dragons(1)).expect("the built-in scene loads");
+    let options = SceneOptions { motion: MotionOption::Samples, ..SceneOptions::default() };
+    let scene = Arc::new(SceneGpu::new(&gpu(), scene, &options).expect("the scene fits"));
+    let lead_ms = |sample_ring, round_trip_ms: i64| {
+        let memory = MotionMemory { sample_ring, ..MotionMemory::NONE };
+        let mut sender = MotionSender::new(&scene, &SharedTimeline::new(&scene.scene), memory);
+        let start_ms = sender.lead_ns() / 1_000_000;
+        let way = WayState { smoothed_ns: round_trip_ms * 1_000_000, ..WayState::default() };
+        sender.tick(ServerTime(0), Some(&way));
+        [start_ms, sender.lead_ns() / 1_000_000]
+    };
+    // Behind the time that is shown, and around it, six steps are needed.
+    assert_eq!(lead_ms(8, 20), [66, 66]);
+    assert_eq!([lead_ms(32, 20), lead_ms(32, 200), lead_ms(32, 2000)], [[400, 190], [400, 820], [400, 866]]);
+    assert_eq!(lead_ms(64, 2000), [400, 1933]);
 }

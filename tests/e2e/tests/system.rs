@@ -2,6 +2,7 @@
 //! truth, motion between updates, and the same pictures twice. Validation layers are on throughout.
 
 use shadecast_client::client::Step;
+use shadecast_client::stats::ClientStats;
 use shadecast_lab::headset_off::{Absence, measure};
 use shadecast_lab::image::Rgb8Image;
 use shadecast_lab::metrics::psnr_db;
@@ -14,6 +15,7 @@ use shadecast_lab::walls::write_walls;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_mock_runtime::record::read_frames;
 use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::limits::MAX_VERTEX_SLOTS;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::motion::MotionOption;
 use shadecast_server::scene::SceneOptions;
@@ -300,6 +302,8 @@ fn the_table_of_motion_has_a_row_of_sensible_figures_for_each_kind() {
     assert!(samples.max_clock_step_ms <= 0.1 + 1e-9, "{samples:?}");
     assert!(samples.clock_error_bound_ms.is_some_and(|bound_ms| samples.clock_error_ms <= bound_ms));
     assert_eq!(samples.validation_messages, 0);
+    let rings = table.rows.iter().map(|row| (row.kind.name, row.sample_ring)).collect::<Vec<_>>();
+    assert_eq!(rings, [("auto", 8), ("clip", 8), ("palette", 32), ("samples", 32), ("paper", 8)]);
     let json = serde_json::to_value(&table).unwrap();
     for name in [
         "kind",
@@ -335,6 +339,7 @@ fn triangles_tear_as_the_paper_says_in_its_own_way_alone() {
         assert_eq!((row.torn_vertex_frames, row.frozen_vertex_frames), (0, 0), "{row:?}");
         assert_eq!(row.bytes.predictions, row.updates, "each says in a byte that there are none: {row:?}");
     }
+    assert!(paper.stopped_vertex_frames > paper.vertex_frames / 4, "the client says so itself: {paper:?}");
     assert_eq!(paper.bytes.predictions, paper.motion_bytes, "and nothing between updates: {paper:?}");
     let bytes_per_vertex_and_update = paper.motion_bytes as f64 / (paper.updates * paper.vertices) as f64;
     assert!((20.0..=49.0).contains(&bytes_per_vertex_and_update), "{bytes_per_vertex_and_update}, {paper:?}");
@@ -353,6 +358,52 @@ fn after_three_seconds_of_silence_the_world_goes_on_and_no_clock_has_jumped() {
     assert!(samples.worst.as_ref().is_some_and(|worst| worst.error_mm > 100.0), "{samples:?}");
     assert!(samples.max_clock_step_ms <= 0.1 + 1e-9, "{samples:?}");
     assert_eq!(samples.validation_messages, 0);
+}
+
+/// What the client keeps in a scene, once the session stands.
+fn kept(scene: SceneSource, motion: MotionOption, out: &Path) -> ClientStats {
+    let options = RunOptions {
+        extent_pixels: [64, 64],
+        seconds: 0.4,
+        scene_options: SceneOptions { motion, ..SceneOptions::default() },
+        ..small(scene, out)
+    };
+    let config = MockConfig { capture_dir: None, ..mock_config(&options, ClockKind::Virtual, 0).unwrap() };
+    // SAFETY: it is the caller's turn.
+    let mut lab = unsafe { Lab::open(&options, &config) }.unwrap();
+    while let Step::Frame(_) = lab.step().unwrap() {}
+    let stats = lab.client.stats();
+    println!("{motion:?}: a ring of {}, {} bytes", stats.sample_ring, stats.motion_memory_bytes);
+    assert!(stats.bundles > 0, "{stats:?}");
+    stats
+}
+
+#[test]
+fn a_client_keeps_a_short_ring_where_all_plays_clips_or_stands_still() {
+    let _turn = turn();
+    let out = tempfile::tempdir().unwrap();
+    let still = out.path().join("still.toml");
+    let text = "[[model]]\nname = \"d\"\nfile = \"dragon\"\n[[instance]]\nmodel = \"d\"\nclip = \"\"\n";
+    std::fs::write(&still, text).unwrap();
+    let still = kept(SceneSource::File(still), MotionOption::Samples, out.path());
+    let clips = kept(SceneSource::Dragons(1), MotionOption::Auto, out.path());
+    let samples = kept(SceneSource::Dragons(1), MotionOption::Samples, out.path());
+    assert_eq!([still.sample_ring, clips.sample_ring, samples.sample_ring], [8, 8, 32]);
+    // Nothing else differs: 24 steps of 16 bytes for each vertex.
+    let saved_bytes = u64::from(MAX_VERTEX_SLOTS) * 24 * 16;
+    assert_eq!(still.motion_memory_bytes + saved_bytes, samples.motion_memory_bytes);
+    assert!(clips.motion_memory_bytes < samples.motion_memory_bytes, "with its skeletons and clips");
+}
+
+/// A loss and its repair take 0.7 s there: samples reach that far ahead, within the 0.87 s of a ring of 32.
+#[test]
+fn samples_are_there_in_time_on_a_way_of_two_hundred_milliseconds() {
+    let _turn = turn();
+    let out = tempfile::tempdir().unwrap();
+    let table = motion_table(&["samples".parse().unwrap()], "latency=200ms,jitter=10ms", 3.0, out.path());
+    let row = &table.rows[0];
+    assert_eq!((row.frozen_vertex_frames, row.stopped_vertex_frames), (0, 0), "{row:?}");
+    assert!(row.vertex_frames > 100_000 && row.sample_ring == 32, "{row:?}");
 }
 
 /// What the world has made for a viewer and these others beside it, and the updates that each was sent.

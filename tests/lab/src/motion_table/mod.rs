@@ -79,6 +79,10 @@ pub struct MotionRow {
     pub stopped_vertex_frames: u64,
     /// Vertices of instances that were not shown yet, by what the client says, summed over display frames.
     pub withheld_vertex_frames: u64,
+    /// Bytes of its device's memory that the client keeps for vertices and how they move.
+    pub client_motion_memory_bytes: u64,
+    /// Steps of the time grid that it keeps of each vertex.
+    pub sample_ring: u32,
     /// Milliseconds of the client's device that moving vertices took, mean over display frames.
     pub client_gpu_ms: f64,
     /// The same for each of its stages.
@@ -254,6 +258,8 @@ impl MotionRow {
             held_vertex_frames: watch.held_vertex_frames,
             stopped_vertex_frames: watch.stopped_vertex_frames,
             withheld_vertex_frames: watch.withheld_vertex_frames,
+            client_motion_memory_bytes: client.motion_memory_bytes,
+            sample_ring: client.sample_ring,
             client_gpu_ms,
             client_frame_gpu_ms,
             animated_over_static: (still_ms > 0.0).then(|| client_frame_gpu_ms / still_ms),
