@@ -156,7 +156,7 @@ mod tests {
         assert!(triangles > 200_000, "{triangles} triangles");
         let inside = Vec3::new(0.0, 1.6, 0.0);
         let surface = wall();
-        for (corner, node) in walls().iter().enumerate() {
+        for (corner, node) in walls(SIDE_M, HEIGHT_M, |_| 0).iter().enumerate() {
             let of = |key: &str| -> Vec<f32> { serde_json::from_value(node[key].clone()).expect("numbers") };
             let turn = glam::Quat::from_slice(&of("rotation"));
             let normal = turn * surface.normals[0];
