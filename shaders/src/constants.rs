@@ -66,8 +66,8 @@ shared! {
     /// The first view's number in the self-test; the others' follow.
     SELFTEST_NUMBER: u32 = 7;
 
-    /// What the tag of a prediction counts its time in: the places of the longest ring, so that every ring has the prediction in the
-    /// same place whatever its time.
+    /// What the tag of a prediction counts its time in: the places of the longest ring, so that every ring has the
+    /// prediction in the same place whatever its time.
     TIME_TAG_UNIT: u32 = MAX_SAMPLE_RING;
     /// Tag of a place in the sample ring that holds no sample. Samples have tags above it.
     NO_SAMPLE: u32 = 0;

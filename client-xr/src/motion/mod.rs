@@ -97,8 +97,8 @@ impl Availability {
         self.first <= self.last
     }
 
-    /// Takes in a sample. One that follows the last lengthens the run, and pushes out what a ring of so many steps cannot hold; one after
-    /// a gap begins another; earlier ones change none.
+    /// Takes in a sample. One that follows the last lengthens the run, and pushes out what a ring of so many steps cannot
+    /// hold; one after a gap begins another; earlier ones change none.
     fn take_sample(&mut self, grid: GridIndex, sample_ring: u32) {
         if !self.has_samples() || grid > self.last.plus(1) {
             self.first = grid;
