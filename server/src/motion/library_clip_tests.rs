@@ -175,7 +175,8 @@ fn words_are_known_before_a_chunk_is_cut() {
 fn chunks_arrive_as_they_were_cut_and_have_the_same_of_the_keys_that_they_share() {
     let sent = Sent::new(&SceneSource::Dragons(1));
     let clip = ClipId(sent.manager.materials[sent.scene.instances[0].model].clips[1] as u32);
-    let mut known: HashMap<(usize, u32), ([f32; 4], Option<[f32; 4]>)> = HashMap::new();
+    // By curve and time.
+    let mut known = HashMap::new();
     let mut shared = 0;
     for index in 0..chunk_count(sent.library.clip(clip).duration_s) {
         let (chunk, bytes) = sent.message(clip, index);

@@ -3,8 +3,8 @@
 //! key have the same of it.
 
 use glam::Vec4;
-use shadecast_scene::Model;
 use shadecast_scene::animation::sampling::{SampledClip, SampledTrack, longest_axis};
+use shadecast_scene::{Model, PaletteEntry};
 
 /// A step of one number of a curve moves no vertex further than this, metres in the world. The errors of the joints of a chain add
 /// up: some vertex of the dragon is off by nearly four times as much at some time.
@@ -69,7 +69,11 @@ impl Rasters {
             let arms = [above[bone], 2.0 * largest(&tracks[2].values) * reach_m, reach_m];
             bones.push(std::array::from_fn(|curve| Raster::new(&tracks[curve], arms[curve])));
         }
-        let scale = world_scale * joints.mesh_scale;
+        let scale_of = |entry: &PaletteEntry| {
+            let bone = entry.bone as usize;
+            longest_axis(&entry.bone_from_mesh) * above[bone] * largest(&clip.bones[bone][2].values)
+        };
+        let scale = model.palette.iter().map(scale_of).fold(0.0, f32::max);
         let delta = |morph: usize| {
             let deltas = model.morphs[morph].deltas.iter();
             deltas.map(|delta| delta.position.length()).fold(0.0, f32::max)
@@ -94,8 +98,6 @@ impl Rasters {
 pub struct Joints {
     /// By bone, the distance of the farthest vertex that follows it, in its own units; 0 where none does.
     own_reaches: Vec<f32>,
-    /// How many times as large as in the mesh anything is in the space of its bone.
-    mesh_scale: f32,
 }
 
 impl Joints {
@@ -109,8 +111,7 @@ impl Joints {
                 *own = own.max(entry.bone_from_mesh.transform_point3(vertex.position).length());
             }
         }
-        let scales = model.palette.iter().map(|entry| longest_axis(&entry.bone_from_mesh));
-        Self { own_reaches, mesh_scale: scales.fold(0.0, f32::max) }
+        Self { own_reaches }
     }
 
     /// By bone, how far from it the vertices are at most that it and the bones after it move, if these are stretched out, in its

@@ -135,7 +135,6 @@ impl Shading {
             world_eye: world_from_head.position.extend(0.0).to_array(),
             atlas_extent_texels: [width as f32, height as f32],
             pixels_per_tangent,
-            ..bytemuck::Zeroable::zeroed()
         };
         recorder.begin_pass(&self.pass, &self.target, &[]);
         recorder.bind(&self.pipeline, &self.group);

@@ -6,7 +6,7 @@
 //!   stays.
 //!
 //! Nothing is lost by that: what is expected decides how many bits a number takes, not what it is. Writer and reader walk through
-//! the same code ([`Coder`]).
+//! the same code (`Coder`).
 
 use super::bits::{BitReader, BitWriter, width_of};
 use super::key_times::KeyTimes;
