@@ -17,7 +17,7 @@ const KEYS: &str = "docs/keys.svg";
 const KEYS_RESULT: &str = "inspect-error-dragon";
 
 /// Results and what people call them.
-const SCENES: [(&str, &str); 8] = [
+const SCENES: [(&str, &str); 10] = [
     ("dragons3", "three dragons"),
     ("cesium-man", "`CesiumMan.glb`"),
     ("fox-survey", "`Fox.glb`, Survey"),
@@ -26,6 +26,8 @@ const SCENES: [(&str, &str); 8] = [
     ("robot", "stiff robot of 22 boxes"),
     ("morph", "`MorphStressTest.gltf`"),
     ("kenney-fbx", "`maya_kenney_character_7700_binary.fbx`"),
+    ("helmet", "`DamagedHelmet.glb`, still"),
+    ("walls", "painted walls, still"),
 ];
 
 /// Writes all tables anew, and the curve of keys; `root` is the project's.

@@ -11,6 +11,7 @@ use crate::run::run;
 use crate::skinning;
 use crate::slow_link;
 use crate::viewers::among_others;
+use crate::walls::{TEXELS, write_walls};
 use anyhow::{Context, bail, ensure};
 use serde_json::{Value, json};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
@@ -274,10 +275,12 @@ enum LongSource {
     Asset(&'static str),
     /// Written for the run.
     Robot,
+    /// Written for the run.
+    Walls,
 }
 
-/// Ordinary assets, the paper's, and the stiff one.
-const SCENES: [LongScene; 8] = [
+/// Ordinary assets, the paper's, the stiff one, and two that stand still.
+const SCENES: [LongScene; 10] = [
     LongScene { name: "dragons3", source: LongSource::Dragons(3), clip: None },
     LongScene { name: "cesium-man", source: LongSource::Asset("CesiumMan.glb"), clip: None },
     LongScene { name: "fox-survey", source: LongSource::Asset("Fox.glb"), clip: Some("Survey") },
@@ -290,6 +293,8 @@ const SCENES: [LongScene; 8] = [
         source: LongSource::Asset("maya_kenney_character_7700_binary.fbx"),
         clip: None,
     },
+    LongScene { name: "helmet", source: LongSource::Asset("DamagedHelmet.glb"), clip: None },
+    LongScene { name: "walls", source: LongSource::Walls, clip: None },
 ];
 
 /// What motion is measured with: one that we made, and ordinary ones of each sort.
@@ -317,6 +322,10 @@ impl LongScene {
                 let path = folder.join("robot.glb");
                 std::fs::write(&path, robot()).with_context(|| format!("writing {}", path.display()))?;
                 Some((SceneSource::File(path), "robot.glb".to_owned()))
+            }
+            LongSource::Walls => {
+                let path = write_walls(folder, TEXELS)?;
+                Some((SceneSource::File(path), "walls.toml".to_owned()))
             }
         })
     }
