@@ -330,7 +330,8 @@ fn triangles_tear_as_the_paper_says_in_its_own_way_alone() {
     let link = "latency=20ms,jitter=5ms,rate=100mbit,updates=2";
     let table = motion_table(&kinds, link, 3.0, out.path());
     let [paper, others @ ..] = &table.rows[..] else { panic!("no rows") };
-    // Section 4, "Animation tearing artifacts": strong where predictions reach less far than to the next update.
+    // Section 4, "Animation tearing artifacts": strong where predictions reach less far than to the next update, which then
+    // puts vertices elsewhere.
     assert!(
         paper.torn_vertex_frames > 100 && paper.frozen_vertex_frames > paper.vertex_frames / 4,
         "{paper:?}"

@@ -28,6 +28,10 @@ const TORN_M: f64 = 3e-3;
 const TORN_STEPS: f64 = 6.0;
 /// .. and by more than this share of its length: errors that change slowly over a surface bend it, and tear nothing.
 const TORN_SHARE: f64 = 0.25;
+/// A vertex leaps that goes further from one display frame to the next than its true place does, by more than this, metres ..
+const LEAP_M: f64 = 5e-3;
+/// .. and by more than this share of its error: one that is blended back to its curve takes many frames.
+const LEAP_SHARE: f64 = 0.5;
 
 /// What was seen over a run.
 #[derive(Debug, Default)]
@@ -42,7 +46,8 @@ pub struct Watch {
     pub vertex_frames: u64,
     /// Of those: vertices that stood still though they should not have.
     pub frozen_vertex_frames: u64,
-    /// Of those: corners of torn edges. Both ends count; nobody can say which of them is at the wrong time.
+    /// Of those: corners of torn edges, of which both ends count since nobody can say which of them is at the wrong time; and
+    /// vertices that an update makes leap, which is what the paper calls animation tearing.
     pub torn_vertex_frames: u64,
     /// Vertices without samples, by what the client says: those at their last velocity, and those that have stopped.
     pub held_vertex_frames: u64,
@@ -82,6 +87,15 @@ struct Standing {
     shown: Vec3,
     /// Where it truly was when it came there.
     truth: DVec3,
+    /// Where it truly was in that frame.
+    latest_truth: DVec3,
+}
+
+/// How a vertex went on from the frame before.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Step {
+    is_frozen: bool,
+    leaps: bool,
 }
 
 /// A vertex of a triangle drawn.
@@ -142,13 +156,15 @@ impl Watch {
         self.held_vertex_frames += u64::from(frame.held_vertices);
         self.stopped_vertex_frames += u64::from(frame.frozen_vertices);
         self.withheld_vertex_frames += u64::from(frame.withheld_vertices);
-        corners.iter().for_each(|corner| self.add(scene, corner, time));
+        let steps: Vec<Step> = corners.iter().map(|corner| self.add(scene, corner, time)).collect();
         if let Some(motion_time) = frame.motion_time.filter(|motion_time| *motion_time != time) {
             let mut truth = VertexTruth::at(scene, motion_time);
             suit(&mut corners, |vertex| Some(truth.vertex(vertex).position));
         }
         self.suit_standing(scene, &mut corners, time);
-        self.torn_vertex_frames += torn(&corners, &place_of_slot, &triangles).len() as u64;
+        let mut torn = torn(&corners, &place_of_slot, &triangles);
+        torn.extend((0..corners.len()).filter(|place| steps[*place].leaps));
+        self.torn_vertex_frames += torn.len() as u64;
         Ok(())
     }
 
@@ -161,7 +177,7 @@ impl Watch {
         }
     }
 
-    fn add(&mut self, scene: &SceneGpu, corner: &Corner, time: ServerTime) {
+    fn add(&mut self, scene: &SceneGpu, corner: &Corner, time: ServerTime) -> Step {
         let error_mm = corner.error.length() * 1e3;
         self.vertex_frames += 1;
         self.errors_mm.add(error_mm);
@@ -169,7 +185,9 @@ impl Watch {
             let instance = scene.scene.instances[corner.instance].name.clone();
             self.worst = Some(Worst { error_mm, time_s: time.seconds(), instance, vertex: corner.number });
         }
-        self.frozen_vertex_frames += u64::from(self.stands_still(corner, time));
+        let step = self.follow(corner, time);
+        self.frozen_vertex_frames += u64::from(step.is_frozen);
+        step
     }
 
     /// An instance that stands still as a whole does so at a step of the time grid, the one before the frame in which it moved
@@ -186,10 +204,10 @@ impl Watch {
         }
     }
 
-    /// Whether a vertex is exactly where it was in the frame before, though it should be elsewhere.
-    fn stands_still(&mut self, corner: &Corner, time: ServerTime) -> bool {
+    /// Whether a vertex is exactly where it was in the frame before, though it should be elsewhere, or far from there.
+    fn follow(&mut self, corner: &Corner, time: ServerTime) -> Step {
         let Corner { vertex, instance, shown, truth, step_m, .. } = *corner;
-        let here = Standing { frame: self.frames, shown, truth };
+        let here = Standing { frame: self.frames, shown, truth, latest_truth: truth };
         let before = self.standing.entry(vertex).or_insert(Standing { frame: 0, ..here });
         let was_drawn = before.frame + 1 == self.frames;
         let is_still = was_drawn && before.shown == shown;
@@ -197,8 +215,13 @@ impl Watch {
         if was_drawn && !is_still {
             self.moved.insert(instance, time);
         }
-        *before = Standing { frame: self.frames, shown, truth: came_there };
-        came_there.distance(truth) > FROZEN_M.max(FROZEN_STEPS * step_m)
+        let excess_m = f64::from(before.shown.distance(shown)) - before.latest_truth.distance(truth);
+        let error_m = before.shown.as_dvec3().distance(before.latest_truth);
+        *before = Standing { truth: came_there, ..here };
+        Step {
+            is_frozen: came_there.distance(truth) > FROZEN_M.max(FROZEN_STEPS * step_m),
+            leaps: was_drawn && excess_m > LEAP_M && excess_m > LEAP_SHARE * error_m,
+        }
     }
 }
 
@@ -329,7 +352,7 @@ mod tests {
         let mut watch = Watch::default();
         let mut see = |shown: f64, truth: f64| {
             watch.frames += 1;
-            watch.stands_still(&corner(0, DVec3::X * truth, shown - truth), ServerTime(0))
+            watch.follow(&corner(0, DVec3::X * truth, shown - truth), ServerTime(0)).is_frozen
         };
         assert!(!see(0.0, 0.0) && !see(0.0, 0.0004) && !see(0.0, 0.0008), "quantised, and slow");
         assert!(see(0.0, 0.0012), "slow, and still for long");
@@ -337,9 +360,25 @@ mod tests {
         assert!(see(0.6, 1.0));
         watch.frames += 5;
         assert!(
-            !watch.stands_still(&corner(0, DVec3::X * 3.0, -2.4), ServerTime(0)),
+            !watch.follow(&corner(0, DVec3::X * 3.0, -2.4), ServerTime(0)).is_frozen,
             "it has not been drawn meanwhile"
         );
+    }
+
+    #[test]
+    fn a_vertex_leaps_that_an_update_puts_elsewhere_and_not_one_that_is_blended_back() {
+        let mut watch = Watch::default();
+        let mut see = |shown: f64, truth: f64| {
+            watch.frames += 1;
+            watch.follow(&corner(0, DVec3::X * truth, shown - truth), ServerTime(0)).leaps
+        };
+        assert!(!see(0.0, 0.0) && !see(0.2, 0.2) && !see(0.204, 0.2), "it goes with its true place");
+        assert!(!see(0.2, 0.3) && !see(0.2, 0.4), "it stands");
+        assert!(see(0.41, 0.41), "an update has come");
+        assert!(!see(0.41, 0.8) && !see(0.46, 0.81), "it is blended back");
+        watch.frames += 5;
+        let unseen = watch.follow(&corner(0, DVec3::X * 3.0, 0.0), ServerTime(0));
+        assert!(!unseen.leaps, "it has not been drawn meanwhile");
     }
 
     #[test]
@@ -347,7 +386,7 @@ mod tests {
         let mut watch = Watch::default();
         let mut see = |frame: u64, number: u32, x: f64| {
             watch.frames = frame;
-            watch.stands_still(&corner(number, DVec3::X * x, 0.0), ServerTime(frame as i64));
+            watch.follow(&corner(number, DVec3::X * x, 0.0), ServerTime(frame as i64));
             watch.moved.get(&0).copied()
         };
         assert_eq!([see(1, 0, 0.0), see(2, 0, 0.5)], [None, Some(ServerTime(2))]);
