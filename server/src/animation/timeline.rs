@@ -107,7 +107,9 @@ struct Live {
 struct LiveRun {
     from: ServerTime,
     until: Option<ServerTime>,
-    /// By rising times, of which the first may be before `from`.
+    /// For when the last pose was meant.
+    meant: ServerTime,
+    /// By rising times from `from` on, never empty.
     poses: VecDeque<(ServerTime, Vec<Trs>)>,
 }
 
@@ -197,8 +199,9 @@ impl Timeline {
     }
 
     /// Poses a live instance: the local transform of each bone in the model's order, at a time after that of its last pose.
-    /// From its first pose on it ignores its clip; between two poses it goes as a cross-fade does, before the first and after
-    /// the last it stands. Gives from when on the pose can be seen: it is too late for what was sampled before.
+    /// From its first pose on it ignores its clip; between two poses it goes as a cross-fade does, and after the last it stands.
+    /// Where that was sampled, it still stands when another pose comes. Gives when the pose is reached: at its time, or after
+    /// what was sampled.
     ///
     /// # Errors
     /// The instance is not live, or the pose is not one of its model that stays within its room; nothing has changed then.
@@ -208,20 +211,19 @@ impl Timeline {
         time: ServerTime,
         mut pose: Vec<Trs>,
     ) -> Result<ServerTime, TimelineError> {
-        let seen = self.free(time);
+        let (seen, sampled_until) = (self.free(time), self.sampled_until);
         let own = self.instance(instance)?;
         own.check_time(time)?;
         own.check_pose(&pose)?;
         pose.iter_mut().for_each(|bone| bone.rotation = bone.rotation.normalize());
         let live = own.live("be posed")?;
-        let run = live.run(seen);
-        if run.poses.back().is_some_and(|(last, _)| *last >= time) {
-            let problem = "a pose must be later than the one before; give its time on the server's clock";
-            return Err(own.value(problem.into()));
-        }
-        run.poses.push_back((time, pose));
-        if run.poses.len() > MAX_LIVE_POSES {
-            run.poses.pop_front();
+        match live.open_run() {
+            Some(run) if run.meant >= time => {
+                let problem = "a pose must be later than the one before; give its time on the server's clock";
+                return Err(own.value(problem.into()));
+            }
+            Some(run) => run.add(time, seen, sampled_until, pose),
+            None => live.begin(time, seen, pose),
         }
         Ok(seen)
     }
@@ -237,7 +239,7 @@ impl Timeline {
     ) -> Result<ServerTime, TimelineError> {
         let at = self.free(earliest);
         let live = self.instance(instance)?.live("be posed")?;
-        if let Some(run) = live.runs.back_mut().filter(|run| run.until.is_none()) {
+        if let Some(run) = live.open_run() {
             run.until = Some(at.max(run.from));
         }
         Ok(at)
@@ -321,14 +323,15 @@ impl OfInstance {
 }
 
 impl Live {
-    /// The run that is not over, or a new one from a time on.
-    fn run(&mut self, from: ServerTime) -> &mut LiveRun {
-        if self.runs.back().is_none_or(|run| run.until.is_some()) {
-            let over = |run: &LiveRun| run.until.is_some_and(|until| from.since(until) > MEMORY_NS);
-            self.runs.retain(|run| !over(run));
-            self.runs.push_back(LiveRun { from, until: None, poses: VecDeque::new() });
-        }
-        self.runs.back_mut().expect("there is one now")
+    /// The run that is not over.
+    fn open_run(&mut self) -> Option<&mut LiveRun> {
+        self.runs.back_mut().filter(|run| run.until.is_none())
+    }
+
+    /// A new run from a time on, of a pose that was meant for `meant`.
+    fn begin(&mut self, meant: ServerTime, from: ServerTime, pose: Vec<Trs>) {
+        self.runs.retain(|run| run.until.is_none_or(|until| from.since(until) <= MEMORY_NS));
+        self.runs.push_back(LiveRun { from, until: None, meant, poses: VecDeque::from([(from, pose)]) });
     }
 
     fn at(&self, time: ServerTime) -> Option<Vec<Trs>> {
@@ -338,6 +341,27 @@ impl Live {
 }
 
 impl LiveRun {
+    /// A later pose, which is reached at `seen`.
+    fn add(
+        &mut self,
+        meant: ServerTime,
+        seen: ServerTime,
+        sampled_until: Option<ServerTime>,
+        pose: Vec<Trs>,
+    ) {
+        self.meant = meant;
+        let (last, standing) = self.poses.back_mut().expect("a run begins with a pose");
+        if *last == seen {
+            // Both came too late for their times: the newer one counts.
+            *standing = pose;
+            return;
+        }
+        // It was sampled as it stands: it goes on from there.
+        let stood = sampled_until.filter(|until| *until > *last).map(|until| (until, standing.clone()));
+        self.poses.extend(stood.into_iter().chain([(seen, pose)]));
+        self.poses.drain(..self.poses.len().saturating_sub(MAX_LIVE_POSES));
+    }
+
     fn at(&self, time: ServerTime) -> Vec<Trs> {
         let after = self.poses.partition_point(|(at, _)| *at <= time);
         let Some(before) = after.checked_sub(1) else { return self.poses[0].1.clone() };
@@ -452,6 +476,34 @@ mod tests {
         assert_eq!(timeline.set_pose(1, ms(1000), rest(&scene)), Ok(ServerTime(ms(1500).0 + 1)));
         assert!(matches!(timeline.at(1, ms(1500)), Shown::Clips(_)), "that was sampled as its clip has it");
         assert!(matches!(timeline.at(1, ms(1501)), Shown::Live(_)));
+    }
+
+    #[test]
+    fn a_pose_changes_nothing_that_was_sampled_whenever_it_comes() {
+        let scene = scene();
+        let mut timeline = Timeline::new(&scene);
+        let (whole, mut half) = (rest(&scene), rest(&scene));
+        half[0].scale = whole[0].scale * 0.5;
+        let scales = |timeline: &Timeline, at: &[i64]| -> Vec<f32> {
+            let scale = |at: &i64| match timeline.at(1, ms(*at)) {
+                Shown::Live(pose) => pose[0].scale.x / whole[0].scale.x,
+                Shown::Clips(_) => f32::NAN,
+            };
+            at.iter().map(scale).collect()
+        };
+        timeline.set_pose(1, ms(1000), whole.clone()).expect("a pose");
+        timeline.sampled(ms(1500));
+        assert_eq!(timeline.set_pose(1, ms(2000), half.clone()), Ok(ms(2000)));
+        assert_eq!(scales(&timeline, &[1000, 1250, 1500, 1750, 2000]), [1.0, 1.0, 1.0, 0.75, 0.5]);
+        timeline.sampled(ms(2500));
+        let after = Ok(ServerTime(ms(2500).0 + 1));
+        assert_eq!(timeline.set_pose(1, ms(2100), half), after);
+        assert_eq!(
+            timeline.set_pose(1, ms(2200), whole.clone()),
+            after,
+            "of two that are late the newer one counts"
+        );
+        assert_eq!(scales(&timeline, &[2000, 2100, 2500, 2501]), [0.5, 0.5, 0.5, 1.0]);
     }
 
     #[test]
