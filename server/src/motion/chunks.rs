@@ -4,6 +4,7 @@
 use shadecast_protocol::ids::ClipId;
 use shadecast_protocol::time::ServerTime;
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// A chunk of a clip.
 pub type ChunkKey = (ClipId, u32);
@@ -15,6 +16,8 @@ pub struct Chunks {
     free: BTreeMap<u32, u32>,
     resident: BTreeMap<ChunkKey, Resident>,
     evicted: Vec<ChunkKey>,
+    /// All words, free or not.
+    words: Range<u32>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -26,9 +29,9 @@ struct Resident {
 
 impl Chunks {
     /// With these words of an arena, all free.
-    pub fn new(words: std::ops::Range<u32>) -> Self {
+    pub fn new(words: Range<u32>) -> Self {
         let free = (words.start < words.end).then(|| (words.start, words.end - words.start));
-        Self { free: free.into_iter().collect(), resident: BTreeMap::new(), evicted: Vec::new() }
+        Self { free: free.into_iter().collect(), resident: BTreeMap::new(), evicted: Vec::new(), words }
     }
 
     /// Notes that a chunk is needed at `now` or soon; true where it is there.
@@ -48,12 +51,16 @@ impl Chunks {
     }
 
     /// Makes room for a chunk of so many words, at the cost of those that are not needed at `now`; its first word. `None`: there
-    /// is no room.
+    /// is no room, and nothing has gone.
     pub fn place(&mut self, key: ChunkKey, words: u32, now: ServerTime) -> Option<u32> {
         loop {
             if let Some(first_word) = self.take(words) {
                 self.resident.insert(key, Resident { first_word, words, needed: now });
                 return Some(first_word);
+            }
+            // Else what goes in vain would be sent again, with every tick.
+            if self.room_beside_needed(now) < words {
+                return None;
             }
             let dispensable = self.resident.iter().filter(|(_, resident)| resident.needed < now);
             let (victim, _) = dispensable.max_by_key(|(key, resident)| (resident.needed, **key))?;
@@ -61,6 +68,17 @@ impl Chunks {
             self.evict(victim);
             self.evicted.push(victim);
         }
+    }
+
+    /// The longest run of words that hold nothing that is needed at `now`.
+    fn room_beside_needed(&self, now: ServerTime) -> u32 {
+        let needed = self.resident.values().filter(|resident| resident.needed >= now);
+        let mut needed: Vec<[u32; 2]> =
+            needed.map(|Resident { first_word, words, .. }| [*first_word, first_word + words]).collect();
+        needed.sort_unstable();
+        let starts = needed.iter().map(|[start, _]| *start).chain([self.words.end]);
+        let ends = std::iter::once(self.words.start).chain(needed.iter().map(|[_, end]| *end));
+        ends.zip(starts).map(|(end, start)| start.saturating_sub(end)).max().unwrap_or(0)
     }
 
     /// What had to make room since this was asked last.
@@ -141,7 +159,9 @@ mod tests {
         assert!(chunks.need(key(0), ServerTime(5)));
         chunks.place(key(3), 10, ServerTime(5)).unwrap();
         assert!([0, 1, 3].map(key).into_iter().all(|key| chunks.has(key)) && !chunks.has(key(2)));
-        assert_eq!(chunks.place(key(4), 30, ServerTime(5)), None, "two of them are needed now");
+        assert_eq!(chunks.place(key(4), 11, ServerTime(5)), None, "two of them are needed now");
+        assert!(chunks.has(key(1)) && chunks.take_evicted() == [key(2)], "nothing goes in vain");
+        assert_eq!(chunks.place(key(4), 10, ServerTime(5)), Some(10));
     }
 
     #[test]
