@@ -147,7 +147,8 @@ impl SampledVertices {
             values: vertices.map(|vertex| value(grid, vertex)).collect(),
         };
         let mut batches = Vec::new();
-        for grid in (first.0..first_new.0.min(window.horizon.0 + 1)).map(GridIndex) {
+        // Those that were there may be ahead of the horizon, which comes nearer when the way gets shorter.
+        for grid in (first.0..first_new.0).map(GridIndex) {
             batches.push(batch(grid, &mut fresh.iter().map(|slot| (*slot, self.vertices[slot]))));
         }
         for grid in (first_new.0..=window.horizon.0).map(GridIndex) {
@@ -156,5 +157,29 @@ impl SampledVertices {
         batches.retain(|batch| !batch.values.is_empty());
         self.sent_until = Some(self.sent_until.map_or(window.horizon, |g| g.max(window.horizon)));
         batches
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The steps that a vertex is sent in a window.
+    fn steps(sampled: &mut SampledVertices, first: i32, horizon: i32, slot: u32) -> Vec<i32> {
+        let window =
+            SampleWindow { first: GridIndex(first), oldest: GridIndex(-9), horizon: GridIndex(horizon) };
+        let batches = sampled.samples(window, |_, (slot, _)| (slot, [0; 3]));
+        let has = |batch: &&SampleBatch| batch.values.iter().any(|(of, _)| of.0 == slot);
+        batches.iter().filter(has).map(|batch| batch.grid.0).collect()
+    }
+
+    #[test]
+    fn who_enters_when_the_horizon_has_come_nearer_gets_every_step_that_the_others_have() {
+        let mut sampled = SampledVertices::default();
+        sampled.enter(VertexSlot(0), SceneVertex(0));
+        assert_eq!(steps(&mut sampled, 0, 8, 0), (0..=8).collect::<Vec<_>>());
+        sampled.enter(VertexSlot(1), SceneVertex(1));
+        assert_eq!(steps(&mut sampled, 1, 5, 1), (1..=8).collect::<Vec<_>>());
+        assert_eq!(steps(&mut sampled, 2, 9, 1), [9]);
     }
 }
