@@ -9,8 +9,9 @@ use crate::animation::manager::{AnimationManager, BoneOrder, rows};
 use crate::scene::numbering::Numbering;
 use shadecast_protocol::ids::{ClipId, InstanceId, RestId, SkeletonId};
 use shadecast_protocol::limits::{
-    ARENA_ALIGNMENT_WORDS, CHUNK_S, DEFAULT_ARENA_WORDS, DEFAULT_SAMPLE_RING, MAX_ARENA_WORDS, MAX_MORPHS,
-    MAX_POSE_PLACES, MAX_REST_VERTICES, MAX_SKELETON_BONES, MAX_SKELETON_ENTRIES, MAX_VERTEX_MORPHS,
+    ARENA_ALIGNMENT_WORDS, CHUNK_S, DEFAULT_ARENA_WORDS, DEFAULT_SAMPLE_RING, MAX_ARENA_WORDS,
+    MAX_COORDINATE_M, MAX_MORPHS, MAX_POSE_PLACES, MAX_REST_VERTICES, MAX_SKELETON_BONES,
+    MAX_SKELETON_ENTRIES, MAX_VERTEX_MORPHS,
 };
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::clip::{chunk_count, layout_of};
@@ -42,6 +43,8 @@ const MOST_MORPH_BYTES: f32 = 10.0 * 30.0 * 2.2;
 /// What a morph target takes on the wire, about, bytes a vertex that it moves.
 const MORPH_BYTES: f32 = 8.0;
 
+/// A number of a clip is at most this: less than what clients take, since it is rounded.
+const MOST_NUMBER: f32 = 0.5 * MAX_COORDINATE_M;
 /// Rings of poses end before this word: beside them a client with the usual memory has room for chunks of clips.
 const MAX_RINGS_END: u32 = DEFAULT_ARENA_WORDS / 2;
 
@@ -92,6 +95,8 @@ struct LibraryClip {
     old_of_new: Arc<[u32]>,
     rasters: Rasters,
     info: ClipRef,
+    /// Whether clients take its numbers.
+    is_sendable: bool,
 }
 
 impl LibraryClip {
@@ -359,8 +364,10 @@ impl MotionLibrary {
     fn push_clip(&mut self, sampled: &Arc<SampledClip>, old_of_new: &Arc<[u32]>, rasters: Rasters) {
         let clip = ClipId(self.clips.len() as u32);
         let info = ClipRef { clip, duration_s: sampled.duration_s };
+        let mut numbers = sampled.tracks().flat_map(|track| track.values.iter().chain(&track.tangents));
+        let is_sendable = numbers.all(|number| number.abs().max_element() <= MOST_NUMBER);
         let (sampled, old_of_new) = (sampled.clone(), old_of_new.clone());
-        self.clips.push(LibraryClip { sampled, old_of_new, rasters, info });
+        self.clips.push(LibraryClip { sampled, old_of_new, rasters, info, is_sendable });
     }
 
     /// What clients skin of an instance; `is_posed`: by poses on the grid. `None`: they cannot.
@@ -381,7 +388,10 @@ impl MotionLibrary {
         let path = path.map(|(path, sampled)| self.path_schedule(path, sampled));
         let own = scene.playable(index).into_iter().filter(|_| !is_posed).map(clip_of);
         let of_path = path.iter().flat_map(|path| path.entries()).map(|entry| entry.clip.clip);
-        let playable = own.chain(of_path).collect();
+        let playable: Vec<ClipId> = own.chain(of_path).collect();
+        if !playable.iter().all(|clip| self.clips[clip.index()].is_sendable) {
+            return None;
+        }
         let first = instance.playback();
         let told = SkinnedInstance {
             instance: InstanceId(index as u16),
@@ -479,7 +489,8 @@ impl<'a> Building<'a> {
         let order = BoneOrder::new(model);
         let fits = model.bones.len() <= MAX_SKELETON_BONES as usize
             && model.palette.len() <= MAX_SKELETON_ENTRIES as usize
-            && model.morphs.len() <= MAX_MORPHS as usize;
+            && model.morphs.len() <= MAX_MORPHS as usize
+            && model.palette.iter().flat_map(|entry| rows(entry.bone_from_mesh)).flatten().all(is_near);
         if !fits {
             return;
         }
@@ -525,6 +536,10 @@ impl<'a> Building<'a> {
             self.words += words;
         }
     }
+}
+
+fn is_near(number: f32) -> bool {
+    number.abs() <= MAX_COORDINATE_M
 }
 
 /// By vertex its first delta among all, and target and index of each; empty where there are no morph targets.

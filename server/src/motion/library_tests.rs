@@ -109,6 +109,24 @@ fn heavy_morph_targets_are_left_to_samples_unless_clips_are_asked_for() {
     }
 }
 
+/// Clients refuse such numbers, and with them the session.
+#[test]
+fn what_has_numbers_that_clients_do_not_take_is_sampled() {
+    let far = |metres: f32| {
+        let mut model = model(2, 1.0);
+        let TrackValues::Translation(values) = &mut model.clips[0].tracks[0].values else { unreachable!() };
+        values[1] = glam::Vec3::X * metres;
+        model
+    };
+    let mut bound_far = model(2, 1.0);
+    bound_far.palette[1].bone_from_mesh = glam::Affine3A::from_translation(glam::Vec3::X * 2e6);
+    for (model, is_sent) in [(far(10.0), true), (far(2e6), false), (bound_far, false)] {
+        let (_, library) = library(vec![model], vec![moving(0)], MotionOption::Auto);
+        assert_eq!(skinned(&library), [is_sent]);
+        assert_eq!(library.unsampled_memory().is_some(), is_sent);
+    }
+}
+
 #[test]
 fn the_least_memory_without_samples_is_that_in_which_all_that_moves_has_room() {
     let models = vec![model(3, 1.0), model(40, 2.0), model(7, 3.0)];
