@@ -4,6 +4,7 @@ use super::outlet::Outlet;
 use crate::encode::{EncodeError, Encoder, PATIENCE};
 use crate::encoding::{Coded, Encoding};
 use crate::frame::Shaded;
+use shadecast_protocol::message::Refused;
 use shadecast_protocol::session::picture_stream;
 use shadecast_transport::PeerId;
 use std::any::Any;
@@ -136,8 +137,13 @@ fn encode(encoding: &mut Encoding, outlet: &dyn Outlet, peer: PeerId, job: Job) 
     }
 }
 
+/// Why the session ends of a client whose part of the program has panicked.
+pub(super) fn refused_by(panic: &(dyn Any + Send)) -> Refused {
+    Refused::new(&words_of(panic), "connect again; if it stays so, report it with the server's log")
+}
+
 /// What a panic said.
-pub(super) fn words_of(panic: &(dyn Any + Send)) -> String {
+fn words_of(panic: &(dyn Any + Send)) -> String {
     let words = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
     let words = words.or_else(|| panic.downcast_ref::<String>().cloned());
     format!("a fault of the program: {}", words.as_deref().unwrap_or("no words"))

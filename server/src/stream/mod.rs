@@ -236,10 +236,10 @@ fn run_sessions(mut sessions: Sessions, around: &Surroundings<'_>, events: &Even
 }
 
 fn run_motion(cadence: &Cadence, outlet: &dyn Outlet, epoch_ns: i64, stop: &AtomicBool) {
+    let now = || ServerTime(monotonic_now_ns() - epoch_ns);
     while !stop.load(Ordering::Relaxed) {
-        let now = ServerTime(monotonic_now_ns() - epoch_ns);
-        cadence.step(outlet, now);
-        std::thread::sleep(Cadence::wait(now));
+        cadence.step(outlet, now());
+        std::thread::sleep(Cadence::wait(now()));
     }
 }
 

@@ -5,7 +5,7 @@
 //! together, who has had least of it is next.
 
 use super::cadence::Cadence;
-use super::encoder::{EncoderThread, Job, Outcome, words_of};
+use super::encoder::{EncoderThread, Job, Outcome, refused_by};
 use super::outlet::Outlet;
 use super::rebuild::Rebuild;
 use super::turns::{Share, Turns};
@@ -118,10 +118,7 @@ impl Fault {
     }
 
     fn of_panic(panic: &(dyn std::any::Any + Send)) -> Self {
-        Self::Client(Refused::new(
-            &words_of(panic),
-            "connect again; if it stays so, report it with the server's log",
-        ))
+        Self::Client(refused_by(panic))
     }
 
     fn of_encoder(reason: &str) -> Self {
