@@ -25,12 +25,12 @@ impl Effort {
         Began(self.now_ns())
     }
 
-    /// It was the posing of what moves, and the recording of its way through the device and back.
+    /// It was the posing of what moves, and the recording of its way through the device.
     pub fn add_animation(&mut self, Began(began_ns): Began) {
         self.animation_ns += self.now_ns() - began_ns;
     }
 
-    /// It was the choice of what a client is told, the read-back of samples and the coding of both.
+    /// It was the choice of what a client is told, predictions included.
     pub fn add_delta(&mut self, Began(began_ns): Began) {
         self.delta_ns += self.now_ns() - began_ns;
     }
@@ -40,7 +40,7 @@ impl Effort {
         self.animation_ns as f64 * 1e-6
     }
 
-    /// Milliseconds of deltas so far, samples that are read back included.
+    /// Milliseconds of deltas so far, without their coding.
     pub fn delta_ms(&self) -> f64 {
         self.delta_ns as f64 * 1e-6
     }

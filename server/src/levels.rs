@@ -290,8 +290,8 @@ impl Layout {
     }
 }
 
-/// The block for a patch of `extent` texels at density 1, whose sides are rounded up to powers of two. A block that the patch has already
-/// changes its size only when the extent is clearly larger or smaller than what that size is for.
+/// The block for a patch of `extent` texels at density 1, whose sides are rounded up to powers of two. A block that the patch
+/// has already changes its size only when the extent is clearly larger or smaller than what that size is for.
 fn wanted_size(extent: [u16; 2], current: Option<BlockSize>, density: f32) -> BlockSize {
     let side = |texels: u16, current: Option<u8>| {
         let needed = f32::from(texels) * density + 2.0 * BLOCK_INSET_TEXELS as f32;

@@ -1,9 +1,10 @@
 //! What of the scene lies in one client's memory: the cache that the server alone writes.
 //!
-//! Produces the delta of each update. What the memory holds is a [`ClientMemory`](shadecast_protocol::memory::ClientMemory)'s to say; here is where each patch and vertex
-//! of the scene lies in it, and which slots are free. Eviction of static geometry is lazy, because what was visible tends to
-//! come back; animated geometry leaves with its block, because every sample of it costs bytes. A freed slot is used
-//! again only after the client has displayed the frame that freed it.
+//! Produces the delta of each update. What the memory holds is for a
+//! [`ClientMemory`](shadecast_protocol::memory::ClientMemory) to say; here is where each patch and vertex of the scene lies in it,
+//! and which slots are free. Eviction is lazy, because what was visible tends to come back; only geometry with samples or
+//! predictions leaves with its block, because every one of them costs bytes. A freed slot is used again only after the client
+//! has displayed the update that freed it.
 
 use crate::geometry::{Geometry, UpdateDelta, UpdateStamp, vertices_of_patch};
 use crate::lock::lock;
@@ -21,7 +22,7 @@ use shadecast_protocol::motion::predicted::PREDICTED_BYTES;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::{Arc, Mutex};
 
-/// A static patch without a block is forgotten after this many updates.
+/// A patch without a block, of vertices that cost nothing while they stay, is forgotten after this many updates.
 const RETAIN_UPDATES: u32 = 300;
 /// Free slots under which retained patches go at once.
 const LOW_WATER: usize = 4096;
@@ -141,7 +142,7 @@ impl Residency {
         self.skinning.as_ref().is_some_and(Skinning::predicts_others)
     }
 
-    /// The client has displayed `frame`: slots freed up to it can be used again.
+    /// The client has displayed `update`: slots freed up to it can be used again.
     pub fn displayed(&mut self, update: UpdateId) {
         self.patch_slots.displayed(update);
         self.vertex_slots.displayed(update);

@@ -15,7 +15,7 @@ use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
 use shadecast_scene::patches::Patch;
 use std::sync::Arc;
 
-/// Samples `oldest..=newest`, each in the ring at its number modulo [`RING`].
+/// Samples on the GPU, each in the ring at its number modulo [`RING`].
 pub struct SampleWindow {
     scene: Arc<SceneGpu>,
     /// Positions of the vertices of instances that do not move, metres, one after the other.

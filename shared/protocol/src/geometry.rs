@@ -10,8 +10,8 @@ use crate::time::ServerTime;
 use glam::Vec3;
 
 /// What one update changes in the client's memory. Applied in the order: patch evictions, vertex evictions, instances,
-/// what is skinned, rest vertices, new vertices, new patches, placements,
-/// predictions. Deltas follow each other without a gap, starting at update 0.
+/// what is skinned, rest vertices, new vertices, new patches, placements, predictions. Deltas follow each other without a gap,
+/// by their sequence, of which those between updates are a part.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GeometryDelta {
     /// The update.
