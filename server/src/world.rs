@@ -1,9 +1,8 @@
 //! The world that all viewers look at: the scene in motion and under its light, each thing once for a time, however many look.
 
-use crate::animation::RING;
-use crate::animation::RingPlace;
 use crate::animation::gpu::{Animation, AnimationCounts};
-use crate::animation::timeline::{SharedTimeline, TimelineError};
+use crate::animation::timeline::SharedTimeline;
+use crate::animation::{RING, RingPlace};
 use crate::culling::Needed;
 use crate::effort::Effort;
 use crate::predict::{PredictedViews, VIEW_TIMES};
@@ -11,9 +10,7 @@ use crate::samples::SampleWindow;
 use crate::scene::SceneGpu;
 use crate::stages::shadow::Shadow;
 use shadecast_gpu::{Access, Gpu, GpuError, Recorder};
-use shadecast_protocol::time::{DEFAULT_GRID, Grid, GridIndex, ServerTime};
-use shadecast_scene::Trs;
-use shadecast_scene::timeline::Change;
+use shadecast_protocol::time::{DEFAULT_GRID, Grid, GridIndex};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -110,33 +107,6 @@ impl World {
     /// What moves, and how: for an application to change.
     pub fn timeline(&self) -> &SharedTimeline {
         self.animation.timeline()
-    }
-
-    /// Changes what an instance plays, in place of all that was to come: not before `earliest`, nor before anything that was
-    /// sampled. Gives when it takes effect.
-    ///
-    /// # Errors
-    /// The scene was not prepared for it, or it is out of range; nothing has changed then.
-    pub fn set_playback(
-        &mut self,
-        instance: usize,
-        change: Change,
-        earliest: ServerTime,
-    ) -> Result<ServerTime, TimelineError> {
-        self.timeline().lock().set_playback(instance, change, earliest)
-    }
-
-    /// Poses a live instance; see [`Timeline::set_pose`](crate::animation::timeline::Timeline::set_pose).
-    ///
-    /// # Errors
-    /// The instance is not live, or the pose is not one of its model that stays within its room.
-    pub fn set_pose(
-        &mut self,
-        instance: usize,
-        time: ServerTime,
-        pose: Vec<Trs>,
-    ) -> Result<ServerTime, TimelineError> {
-        self.timeline().lock().set_pose(instance, time, pose)
     }
 
     /// What was done so far.
