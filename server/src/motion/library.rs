@@ -36,6 +36,8 @@ use std::sync::Arc;
 
 /// Step of positions before skinning, metres in the world at the largest size at which their mesh is drawn.
 const REST_STEP_M: f32 = 2e-5;
+/// So many steps from 0 a position can be.
+const MOST_STEPS: f32 = (1u32 << 31) as f32;
 /// Moments of a clip at which that size is looked up.
 const MOMENTS: u32 = 16;
 /// Morph targets of a mesh are sent as long as they take less than its samples of so many seconds, bytes a vertex.
@@ -521,12 +523,13 @@ impl<'a> Building<'a> {
         let words = deltas.next_multiple_of(ARENA_ALIGNMENT_WORDS);
         let is_light = self.option == MotionOption::Clip
             || deltas as f32 * MORPH_BYTES <= MOST_MORPH_BYTES * count as f32;
+        let step = REST_STEP_M / drawn_scale(self.scene, index);
         let fits = self.rests + count <= MAX_REST_VERTICES
+            && farthest(model) <= step * MOST_STEPS
             && self.words.saturating_add(words) <= MAX_ARENA_WORDS / 2
             && morphs.iter().all(|(_, of)| of.len() <= MAX_VERTEX_MORPHS as usize)
             && is_light;
         let count = if fits { count } else { 0 };
-        let step = REST_STEP_M / drawn_scale(self.scene, index);
         let info = MeshInfo { first_rest: RestId(self.rests), count, step };
         let place = |(first, of): (u32, Vec<_>)| (self.words + first, of);
         let morphs = if fits { morphs.into_iter().map(place).collect() } else { Vec::new() };
@@ -536,6 +539,13 @@ impl<'a> Building<'a> {
             self.words += words;
         }
     }
+}
+
+/// The largest number of a vertex before skinning, in units of the mesh.
+fn farthest(model: &Model) -> f32 {
+    let deltas = model.morphs.iter().flat_map(|morph| &morph.deltas).map(|delta| delta.position);
+    let positions = model.vertices.iter().map(|vertex| vertex.position);
+    positions.chain(deltas).map(|position| position.abs().max_element()).fold(0.0, f32::max)
 }
 
 fn is_near(number: f32) -> bool {

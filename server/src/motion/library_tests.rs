@@ -120,7 +120,15 @@ fn what_has_numbers_that_clients_do_not_take_is_sampled() {
     };
     let mut bound_far = model(2, 1.0);
     bound_far.palette[1].bone_from_mesh = glam::Affine3A::from_translation(glam::Vec3::X * 2e6);
-    for (model, is_sent) in [(far(10.0), true), (far(2e6), false), (bound_far, false)] {
+    let large = |metres: f32| model(2, metres / VERTICES as f32);
+    for (model, is_sent) in [
+        (far(10.0), true),
+        (far(2e6), false),
+        (bound_far, false),
+        (large(40_000.0), true),
+        // In steps of 0.02 mm that is more than 32 bits hold.
+        (large(50_000.0), false),
+    ] {
         let (_, library) = library(vec![model], vec![moving(0)], MotionOption::Auto);
         assert_eq!(skinned(&library), [is_sent]);
         assert_eq!(library.unsampled_memory().is_some(), is_sent);
