@@ -196,8 +196,10 @@ impl Motion {
     }
 
     fn learn_instance(&mut self, told: &SkinnedInstance) {
+        // What is said of an instance that is known is newer than what it was told with, though it may come before that.
+        let newest = self.told.schedules.get(&told.instance).map(|(_, schedule)| schedule);
         let source = match told.source {
-            PoseSource::Clips => Source::Clips(told.schedule.clone()),
+            PoseSource::Clips => Source::Clips(newest.unwrap_or(&told.schedule).clone()),
             PoseSource::Grid { first_word } => Source::Grid { first_word, steps: self.sample_ring },
         };
         let instance = super::skinned::SkinnedInstance {
@@ -211,10 +213,6 @@ impl Motion {
         // The memory that both sides keep knows the skeleton.
         if let Err(error) = self.skinned.set_instance(told.instance, instance) {
             tracing::error!("{error}");
-        }
-        // What is said of an instance that is known is newer than what it was told with, though it may come before that.
-        if let Some((_, schedule)) = self.told.schedules.get(&told.instance) {
-            self.skinned.set_schedule(told.instance, schedule.clone());
         }
         self.early.take(told.instance).into_iter().for_each(|pose| self.take_pose(pose));
     }

@@ -262,6 +262,20 @@ fn a_schedule_that_comes_before_its_instance_counts() {
 }
 
 #[test]
+fn a_schedule_that_comes_before_its_instance_is_not_blended_to_from_what_nobody_saw() {
+    let mut motion = motion();
+    pose(&mut motion);
+    [chunk(0, WALK, 200), schedule(1, WALK)].into_iter().for_each(|news| motion.take_motion(news));
+    motion.take_delta(&fox());
+    let (placed, counts) = pose(&mut motion);
+    assert_eq!(
+        (counts.withheld_vertices, placed.pose.fading),
+        (0, 0.0),
+        "the dance is not there, nor needed"
+    );
+}
+
+#[test]
 fn of_two_schedules_the_later_one_counts_whichever_comes_first() {
     for order in [[0, 1], [1, 0]] {
         let mut motion = motion();
