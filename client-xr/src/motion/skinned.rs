@@ -278,13 +278,6 @@ impl Skinned {
         Ok(())
     }
 
-    /// Forgets an instance.
-    pub fn forget_instance(&mut self, id: InstanceId) {
-        if let Some(instance) = self.instances.get_mut(id.index()) {
-            *instance = None;
-        }
-    }
-
     /// True where no instance is known, so that no vertex can be skinned.
     pub fn is_empty(&self) -> bool {
         self.instances.iter().all(Option::is_none)
@@ -528,7 +521,12 @@ fn continued(
     let is_same = is_same(&told.at(shown), &next.at(shown));
     let mut entries: Vec<_> = if is_same {
         // What is seen goes on, with what is being blended; only what is to come may have changed.
-        playing.entries().iter().copied().filter(|entry| entry.from <= shown).collect()
+        let begun = playing.entries().iter().copied().filter(|entry| entry.from <= shown);
+        // Before its first time the first entry plays, and nothing is blended.
+        if begun.clone().next().is_none() {
+            return next.clone();
+        }
+        begun.collect()
     } else {
         let before = seen_at(playing, shown);
         let now = next.entry(shown);
