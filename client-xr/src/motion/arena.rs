@@ -42,8 +42,11 @@ pub struct ArenaCopy {
 impl ArenaCopy {
     /// Whether two copies write some byte both.
     pub fn overlaps(&self, other: &Self) -> bool {
-        let end = |copy: &Self| copy.arena_byte + (copy.staged.end - copy.staged.start);
-        self.arena_byte < end(other) && other.arena_byte < end(self)
+        self.arena_byte < other.arena_end() && other.arena_byte < self.arena_end()
+    }
+
+    fn arena_end(&self) -> u64 {
+        self.arena_byte + (self.staged.end - self.staged.start)
     }
 }
 
@@ -72,14 +75,22 @@ impl ArenaWrites {
         self.pushed
     }
 
-    /// Moves bytes into `staging`, as far as it reaches, and calls `copy` for each run of them.
+    /// Moves bytes into `staging`, as far as it reaches, and calls `copy` for each run of them. Writes that continue each other
+    /// are one run: morph targets come a vertex at a time.
     pub fn drain_into(&mut self, staging: &mut [u8], mut copy: impl FnMut(ArenaCopy)) {
         let (room, mut used) = (staging.len() / WORD_BYTES * WORD_BYTES, 0);
+        let mut run: Option<ArenaCopy> = None;
         while let Some(next) = self.writes.front_mut() {
             let count = next.bytes.min(room - used);
             staging[used..used + count].copy_from_slice(&self.bytes[used..used + count]);
-            if count > 0 {
-                copy(ArenaCopy { staged: used as u64..(used + count) as u64, arena_byte: next.arena_byte });
+            let staged = used as u64..(used + count) as u64;
+            match run.as_mut().filter(|run| run.arena_end() == next.arena_byte) {
+                Some(run) => run.staged.end = staged.end,
+                None if count > 0 => {
+                    let next = ArenaCopy { staged, arena_byte: next.arena_byte };
+                    run.replace(next).into_iter().for_each(&mut copy);
+                }
+                None => {}
             }
             used += count;
             next.arena_byte += count as u64;
@@ -90,6 +101,7 @@ impl ArenaWrites {
             self.writes.pop_front();
             self.written.0 += 1;
         }
+        run.into_iter().for_each(copy);
         self.bytes.drain(..used);
         self.bytes.shrink_to(staging.len());
     }
@@ -167,6 +179,19 @@ mod tests {
         bench.writes.push(2, &[2; 16]);
         assert_eq!(bench.copy(), 2);
         assert_eq!([bench.arena[16], bench.arena[32]], [1, 2]);
+    }
+
+    #[test]
+    fn writes_that_continue_each_other_are_one_copy() {
+        let mut bench = Bench::new(20, 8 * WORD_BYTES);
+        let words = [3, 4, 5, 9, 10, 4, 5, 6, 15];
+        let serials: Vec<_> =
+            (1..).zip(words).map(|(byte, word)| bench.writes.push(word, &[byte; WORD_BYTES])).collect();
+        assert_eq!(bench.copy(), 3, "from words 3, 9 and 4 on");
+        let bytes = words.map(|word| bench.arena[word as usize * WORD_BYTES]);
+        assert_eq!(bytes, [1, 6, 7, 4, 5, 6, 7, 8, 0xff], "the later of two writes stays");
+        assert_eq!(bench.writes.written(), serials[7]);
+        assert_eq!((bench.copy(), bench.writes.written()), (1, serials[8]));
     }
 
     #[test]
