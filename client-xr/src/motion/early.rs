@@ -46,8 +46,9 @@ impl EarlyPoses {
     }
 }
 
+/// At least one, since a pose of nothing takes room too.
 fn words(pose: &GridPose) -> u32 {
-    grid_words(pose.bones.len() as u32, pose.weights.len() as u32)
+    grid_words(pose.bones.len() as u32, pose.weights.len() as u32).max(1)
 }
 
 #[cfg(test)]
@@ -88,5 +89,9 @@ mod tests {
         assert_eq!(grids(&mut early, FOX), [0, 1, 2], "four words each");
         early.keep(pose(FOX, 7), 12);
         assert_eq!(grids(&mut early, FOX), [7]);
+        for instance in (0..100).map(InstanceId) {
+            early.keep(GridPose { weights: Vec::new(), ..pose(instance, 0) }, 12);
+        }
+        assert_eq!(early.poses.len(), 12, "poses of nothing");
     }
 }
