@@ -57,11 +57,11 @@ pub struct FrameReport {
     pub update: Option<UpdateId>,
     /// True where the bundle is on display for the first time.
     pub is_new: bool,
-    /// Animated vertices that go on at their last velocity for want of samples.
+    /// Animated vertices that go on at their last velocity for want of samples or poses.
     pub held_vertices: u32,
-    /// Animated vertices that have stopped for want of samples.
+    /// Animated vertices that have stopped for want of samples, poses or predictions.
     pub frozen_vertices: u32,
-    /// Vertices not drawn for want of their skeleton's keys.
+    /// Vertices not drawn for want of their skeleton, or of its keys or poses.
     pub withheld_vertices: u32,
     /// Patches not drawn for want of samples.
     pub withheld_patches: u32,

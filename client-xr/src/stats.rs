@@ -42,9 +42,9 @@ pub struct ClientStats {
     pub vertex_samples: u64,
     /// Vertices that went on at their last velocity, summed over display frames.
     pub held_vertices: u64,
-    /// Vertices that had stopped for want of samples, summed over display frames.
+    /// Vertices that had stopped for want of samples, poses or predictions, summed over display frames.
     pub frozen_vertices: u64,
-    /// Vertices not drawn for want of their skeleton's keys, summed over display frames.
+    /// Vertices not drawn for want of their skeleton, or of its keys or poses, summed over display frames.
     pub withheld_vertices: u64,
     /// Patches not drawn for want of samples, summed over display frames.
     pub withheld_patches: u64,

@@ -5,6 +5,9 @@ use crate::constants::{
     TIME_TAG_UNIT,
 };
 use crate::generated::{RestGpu, VertexWriteGpu};
+use shadecast_protocol::limits::{
+    MAX_ARENA_WORDS, MAX_REST_VERTICES, MAX_VERTEX_MORPHS, MAX_VERTEX_SLOTS, PREDICTIONS,
+};
 use shadecast_protocol::time::{GridIndex, ServerTime};
 
 /// The tag of a grid step: tags order like grid indices, and 0 is no sample.
@@ -60,6 +63,12 @@ pub struct RestId(pub u32);
 pub const MAX_REST_NUMBER: u32 = SLOT_MASK;
 /// Arena words that can hold morph deltas: those that a rest can name.
 pub const MAX_MORPH_WORDS: u32 = 1 << MORPH_FIRST_BITS;
+
+const _: () = {
+    assert!(MAX_VERTEX_SLOTS <= SLOT_MASK && MAX_REST_VERTICES <= MAX_REST_NUMBER, "bits of a record's slot");
+    assert!(MAX_ARENA_WORDS <= MAX_MORPH_WORDS && MAX_VERTEX_MORPHS < 1 << (u32::BITS - MORPH_FIRST_BITS));
+    assert!(PREDICTIONS < TIME_TAG_UNIT, "a prediction's place is what its tag has above its time");
+};
 
 /// A vertex before its skeleton moves it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
