@@ -103,7 +103,9 @@ impl ArenaWrites {
         }
         run.into_iter().for_each(copy);
         self.bytes.drain(..used);
-        self.bytes.shrink_to(staging.len());
+        if self.bytes.is_empty() {
+            self.bytes.shrink_to(staging.len());
+        }
     }
 
     /// The last write all of whose bytes have been handed on.
