@@ -75,6 +75,22 @@ impl MotionBytes {
     }
 }
 
+impl std::ops::Add for MotionBytes {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            chunk_bytes: self.chunk_bytes + other.chunk_bytes,
+            chunks: self.chunks + other.chunks,
+            schedule_bytes: self.schedule_bytes + other.schedule_bytes,
+            pose_bytes: self.pose_bytes + other.pose_bytes,
+            poses: self.poses + other.poses,
+            sample_bytes: self.sample_bytes + other.sample_bytes,
+            samples: self.samples + other.samples,
+        }
+    }
+}
+
 /// Where a vertex is at a grid point.
 fn position(
     scene: &SceneGpu,

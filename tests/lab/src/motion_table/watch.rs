@@ -55,7 +55,7 @@ pub struct Watch {
     pub stopped_vertex_frames: u64,
     /// Vertices of instances that are not shown yet, by what the client says: their keys or poses are still on the way.
     pub withheld_vertex_frames: u64,
-    /// Milliseconds by stage of the client's device, summed over frames.
+    /// Milliseconds by stage of the client's device, summed over [`Self::frames`].
     pub client_gpu_ms: BTreeMap<&'static str, f64>,
     /// Largest difference between a step of the client's idea of the server's time and what passed meanwhile, milliseconds.
     pub max_clock_step_ms: f64,
@@ -126,9 +126,9 @@ impl Watch {
             return Ok(());
         };
         self.note_clock(frame.display_time, time);
-        for (stage, ms) in lab.client.frame_timings()?.iter() {
-            *self.client_gpu_ms.entry(stage).or_default() += ms;
-        }
+        // What the client withholds it may withhold as a whole, so that nothing animated is drawn.
+        self.withheld_vertex_frames += u64::from(frame.withheld_vertices);
+        let timings = lab.client.frame_timings()?;
         let (positions, mut triangles) = (lab.client.read_positions()?, lab.client.drawn_triangles());
         // An instance that the client withholds has no size: nobody sees it.
         triangles.retain(|triangle| {
@@ -153,9 +153,11 @@ impl Watch {
             return Ok(());
         }
         self.frames += 1;
+        for (stage, ms) in timings.iter() {
+            *self.client_gpu_ms.entry(stage).or_default() += ms;
+        }
         self.held_vertex_frames += u64::from(frame.held_vertices);
         self.stopped_vertex_frames += u64::from(frame.frozen_vertices);
-        self.withheld_vertex_frames += u64::from(frame.withheld_vertices);
         let steps: Vec<Step> = corners.iter().map(|corner| self.add(scene, corner, time)).collect();
         if let Some(motion_time) = frame.motion_time.filter(|motion_time| *motion_time != time) {
             let mut truth = VertexTruth::at(scene, motion_time);

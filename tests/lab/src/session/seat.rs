@@ -50,7 +50,7 @@ pub struct Sent {
     pub prediction_bytes: u64,
     /// Bytes of placements in them.
     pub placement_bytes: u64,
-    /// Bytes of motion beside deltas, of the client that is served.
+    /// Bytes of motion beside deltas.
     pub motion: MotionBytes,
     /// Updates that were not made because the link was behind.
     pub withheld: u64,
@@ -76,6 +76,8 @@ pub struct Seat {
     pub(super) peer: Option<PeerId>,
     leaving: VecDeque<Leaving>,
     number: u64,
+    /// Bytes of motion to those who were served before.
+    motion_before: MotionBytes,
     /// How long the encoder takes for a picture.
     encode_ns: i64,
 }
@@ -147,6 +149,7 @@ impl Seat {
             peer: None,
             leaving: VecDeque::new(),
             number: 0,
+            motion_before: MotionBytes::default(),
             encode_ns: 0,
         }
     }
@@ -195,6 +198,7 @@ impl Seat {
     fn accept(&mut self, server: &mut Server, accepted: Accepted, now_ns: i64) -> anyhow::Result<()> {
         let Accepted { welcome, capabilities, sender } = accepted;
         self.number = server.next_viewer();
+        self.motion_before = self.sent.motion;
         let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, server.qp, server.rate_hz);
         self.encoding = Some(Encoding::new(encode::encoder(welcome.codec, settings)?));
         let frame = Frame::new(&server.world, ViewerId(self.number), &welcome, &capabilities)?;
@@ -209,7 +213,7 @@ impl Seat {
         let began = server.world.effort.begin();
         self.streams.extend(sender.tick(ServerTime(now_ns - SERVER_EPOCH_NS), way.as_ref()));
         server.world.effort.add_delta(began);
-        self.sent.motion = sender.bytes();
+        self.sent.motion = self.motion_before + sender.bytes();
     }
 
     /// One update; what it makes leaves when its stages are done. `way`: that to the client.
