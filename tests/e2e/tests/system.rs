@@ -355,7 +355,8 @@ fn after_three_seconds_of_silence_the_world_goes_on_and_no_clock_has_jumped() {
     let table = motion_table(&kinds, &format!("{link},outage=3s"), 6.0, out.path());
     let samples = &table.rows[0];
     let until_silence = &motion_table(&kinds, link, 1.9, out.path()).rows[0];
-    assert!(samples.motion_bytes > until_silence.motion_bytes, "those of both connections: {samples:?}");
+    // Either connection by itself is sent about as much.
+    assert!(2 * samples.motion_bytes > 3 * until_silence.motion_bytes, "those of both: {samples:?}");
     assert_eq!(samples.connections, 2, "the silent one was given up: {samples:?}");
     assert!(samples.frozen_vertex_frames > samples.vertex_frames / 4, "samples end: {samples:?}");
     assert!(samples.worst.as_ref().is_some_and(|worst| worst.error_mm > 100.0), "{samples:?}");
