@@ -118,7 +118,7 @@ const SHORT: [Column; 7] = [
     ("atlas + geometry", "{stats.mbit_per_s.atlas,1,1} + {stats.mbit_per_s.geometry,1,1} Mbit/s"),
 ];
 
-const LONG: [Column; 12] = [
+const LONG: [Column; 11] = [
     ("animated: PSNR, dB", "{stats.animated.psnr_db,1,1}"),
     ("SSIM", "{stats.animated.ssim,1,4}"),
     ("FLIP", "{stats.animated.flip,1,3}"),
@@ -130,7 +130,6 @@ const LONG: [Column; 12] = [
     ("worst, pixels", "{motion.max_error_px,1,2}"),
     ("worst, % of range", "{motion.max_error_percent_of_range,1,2}"),
     ("atlas + geometry, Mbit/s", "{stats.mbit_per_s.atlas,1,1} + {stats.mbit_per_s.geometry,1,1}"),
-    ("bytes a vertex and sample", "{stats.bytes_per_animated_vertex_sample,1,2}"),
 ];
 
 fn scenes(columns: &[Column], suffix: &str, results: &Path) -> String {
