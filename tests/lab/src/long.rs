@@ -3,7 +3,7 @@
 
 use crate::abrupt;
 use crate::headset_off::{self, Absence};
-use crate::motion_table::{self, Condition, KINDS};
+use crate::motion_table::{self, Condition, Kind};
 use crate::options::{Renderer, RunOptions, StageMs, ViewerOptions};
 use crate::robot::robot;
 use crate::room::write_room;
@@ -15,6 +15,7 @@ use crate::walls::{TEXELS, write_walls};
 use anyhow::{Context, bail, ensure};
 use serde_json::{Value, json};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
+use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::animation::sampling::{DEFAULT_INTERVAL_S, Sampling};
 use shadecast_scene::cache::Cache;
 use shadecast_scene::load::{SceneSource, load_scene_with};
@@ -101,9 +102,10 @@ fn jobs() -> Vec<Job> {
         }
     }
     for scene in MOVING {
-        let work = move |folder: &Path| motion(scene, folder);
-        jobs.push(Job::new(&format!("motion-{}", scene.name), work));
+        let work = move |folder: &Path| motion(scene, "auto", folder);
+        jobs.push(Job::new(&format!("motion-auto-{}", scene.name), work));
     }
+    jobs.push(Job::new("motion-dragon-kinds", |folder| motion(MOVING[0], "palette samples paper", folder)));
     jobs.push(Job::new("inspect-error-dragon", |_| inspect_error_of_the_dragon().map(Some)));
     jobs.push(Job::new("second-start-dragons169", |folder| second_start(folder).map(Some)));
     for (name, sampling) in
@@ -360,8 +362,8 @@ fn scene_run(
     })))
 }
 
-/// Every way in which vertices move, over every link.
-fn motion(scene: LongScene, folder: &Path) -> anyhow::Result<Option<Value>> {
+/// The table of motion of these kinds, with spaces between them, over all links.
+fn motion(scene: LongScene, kinds: &str, folder: &Path) -> anyhow::Result<Option<Value>> {
     let Some((source, shown)) = scene.source(folder)? else {
         println!("left out: {}, its file is not there", scene.name);
         return Ok(None);
@@ -369,10 +371,14 @@ fn motion(scene: LongScene, folder: &Path) -> anyhow::Result<Option<Value>> {
     let options = RunOptions {
         clip: scene.clip.map(str::to_owned),
         seconds: MOTION_SECONDS,
-        extent_pixels: [128, 128],
+        extent_pixels: [64, 64],
+        atlas_extent_texels: AtlasExtent::MIN,
+        validation: true,
         ..RunOptions::new(source, folder.join("run"))
     };
-    let found = motion_table::measure(&options, &shown, KINDS, &Condition::all())?;
+    let kinds = kinds.split(' ').map(|kind| kind.parse().map_err(anyhow::Error::msg));
+    let kinds = kinds.collect::<anyhow::Result<Vec<Kind>>>()?;
+    let found = motion_table::measure(&options, &shown, &kinds, &Condition::all())?;
     println!("{found}");
     Ok(Some(serde_json::to_value(found)?))
 }
