@@ -2,7 +2,8 @@
 
 use crate::script::steps;
 use shadecast_protocol::message::{ClientDatagram, ClientMessage, ServerDatagram, ServerMessage};
-use shadecast_protocol::motion::message::MotionMessage;
+use shadecast_protocol::motion::message::{MotionMessage, MotionNews};
+use shadecast_protocol::motion::poses::GridPose;
 use shadecast_protocol::wire::{StreamMessage, encode_geometry, encode_motion, encode_picture, parse_stream};
 
 /// A client's control message.
@@ -50,7 +51,8 @@ fn read(operation: u8, bytes: &[u8]) -> bool {
                     let StreamMessage::Motion(again) = parse_stream(&written).expect("just written") else {
                         panic!("motion comes back as something else");
                     };
-                    assert_eq!(MotionMessage::decode(again), Ok(message));
+                    let again = MotionMessage::decode(again).expect("just written");
+                    assert!(is_same(&message, &again), "{message:?}\n{again:?}");
                     return true;
                 }
                 StreamMessage::Geometry { payload, .. } => encode_geometry(payload),
@@ -60,4 +62,25 @@ fn read(operation: u8, bytes: &[u8]) -> bool {
         }
     }
     true
+}
+
+/// Rotations of poses travel as their three smallest numbers, rounded: what was read from any bytes may come back a step away, and
+/// as the same rotation with the other sign.
+fn is_same(read: &MotionMessage, again: &MotionMessage) -> bool {
+    let (MotionNews::Poses(before), MotionNews::Poses(after)) = (&read.news, &again.news) else {
+        return read == again;
+    };
+    let rotations = |poses: &[GridPose]| -> Vec<[f32; 4]> {
+        poses.iter().flat_map(|pose| &pose.bones).map(|bone| bone.rotation).collect()
+    };
+    let others = |poses: &[GridPose]| -> Vec<GridPose> {
+        let mut poses = poses.to_vec();
+        poses.iter_mut().flat_map(|pose| &mut pose.bones).for_each(|bone| bone.rotation = [0.0; 4]);
+        poses
+    };
+    let is_close =
+        |(a, b): (&[f32; 4], &[f32; 4])| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>().abs() > 0.999;
+    read.sequence == again.sequence
+        && others(before) == others(after)
+        && rotations(before).iter().zip(&rotations(after)).all(is_close)
 }
