@@ -3,6 +3,7 @@
 //! Clips need keys once and nothing afterwards; poses need a transform a bone and grid step; samples need a position a vertex and
 //! grid step. What is chosen is the way that takes the fewest bytes among those that are exact.
 
+mod allowance;
 pub mod chunks;
 pub mod library;
 pub mod posed;

@@ -1,6 +1,7 @@
 //! What one client is sent of motion as time goes by, at motion's own cadence: changes of what is played, chunks of clips, those
 //! that are shown next first, poses and samples. Waits for no update, and no update waits for it.
 
+use super::allowance::Allowance;
 use super::chunks::Chunks;
 use super::posed::{self, PosedInstances};
 use super::sampled::{SampleWindow, SharedCoder};
@@ -30,7 +31,7 @@ const BEHIND_NS: i64 = 300_000_000;
 const AHEAD_NS: i64 = 300_000_000;
 /// The time between is looked at in these steps, nanoseconds: at usual speeds no chunk lies between two of them.
 const LOOK_NS: i64 = 100_000_000;
-/// Bytes of what is shown later that one tick sends.
+/// Bytes of what is shown later that a step of the time grid brings at most.
 const LATER_BYTES: usize = 16_384;
 /// How far ahead samples reach before anything is known of the way, nanoseconds.
 const START_LEAD_NS: i64 = 400_000_000;
@@ -38,8 +39,8 @@ const START_LEAD_NS: i64 = 400_000_000;
 const NOTICE_NS: i64 = 60_000_000;
 /// Of the steps that a client keeps it needs so many beside those ahead of now: behind the time that it shows, and around it.
 const STEPS_BEHIND: i64 = 6;
-/// Steps of a slow link's budget that add up.
-const SAVED_STEPS: usize = 8;
+/// Steps of a slow link's budget that add up, of poses and samples.
+const SAVED_STEPS: i64 = 8;
 
 /// What the thread of motion and the client's pipeline both work with.
 pub type SharedMotion = Arc<Mutex<MotionSender>>;
@@ -128,11 +129,10 @@ pub struct MotionSender {
     coder: Option<SharedCoder>,
     /// Poses of instances with samples, of the tick under way.
     poses: HashMap<(usize, GridIndex), CpuPose>,
-    /// Bytes of poses and samples that a tick may bring, and those that may be sent now.
-    budget: [usize; 2],
-    /// Bytes of what is shown later that a tick may bring, and what is left of them; a chunk is sent whole and paid for later.
-    later_bytes: i64,
-    later_left_bytes: i64,
+    /// For poses and samples.
+    steps: Allowance,
+    /// For what is shown later; a chunk is sent whole and paid for later.
+    later: Allowance,
     lead_ns: i64,
     /// Steps of the time grid that the client keeps.
     sample_ring: u32,
@@ -146,6 +146,8 @@ impl MotionSender {
     /// For a client with so much memory.
     pub fn new(scene: &Arc<SceneGpu>, timeline: &SharedTimeline, memory: MotionMemory) -> Self {
         let first = scene.motion.first_chunk_word().min(memory.arena_words);
+        let mut later = Allowance::new(1);
+        later.set_step_bytes(LATER_BYTES);
         Self {
             scene: scene.clone(),
             timeline: timeline.clone(),
@@ -158,9 +160,8 @@ impl MotionSender {
             untold: Vec::new(),
             coder: None,
             poses: HashMap::new(),
-            budget: [usize::MAX; 2],
-            later_bytes: LATER_BYTES as i64,
-            later_left_bytes: 0,
+            steps: Allowance::new(SAVED_STEPS),
+            later,
             lead_ns: START_LEAD_NS.min(longest_lead_ns(memory.sample_ring)),
             sample_ring: memory.sample_ring,
             change_lead_ns: START_LEAD_NS,
@@ -175,8 +176,8 @@ impl MotionSender {
 
     /// What a step of the time grid may bring.
     pub fn set_budget(&mut self, budget: Budget) {
-        self.budget[0] = budget.sample_bytes;
-        self.later_bytes = budget.later_bytes.min(LATER_BYTES) as i64;
+        self.steps.set_step_bytes(budget.sample_bytes);
+        self.later.set_step_bytes(budget.later_bytes.min(LATER_BYTES));
     }
 
     /// How far ahead of now its poses and samples reach, nanoseconds.
@@ -213,8 +214,8 @@ impl MotionSender {
     pub fn tick(&mut self, now: ServerTime, way: Option<&WayState>) -> Vec<Out> {
         self.now = Some(now);
         self.note_way(way);
-        let [more, saved] = self.budget;
-        self.budget[1] = saved.saturating_add(more).min(more.saturating_mul(SAVED_STEPS));
+        self.steps.pass(now);
+        self.later.pass(now);
         let mut out = self.changes(now);
         out.extend(self.chunks(now));
         out.extend(self.poses(now));
@@ -265,11 +266,12 @@ impl MotionSender {
 
     /// New poses, as many as the link takes, in one message.
     fn poses(&mut self, now: ServerTime) -> Option<Out> {
-        if self.posed.step_bytes() == 0 {
+        let step_bytes = self.posed.step_bytes();
+        if step_bytes == 0 || !self.steps.affords(step_bytes) {
             return None;
         }
         let window = self.window(now);
-        let due = self.posed.due(window, self.budget[1]);
+        let due = self.posed.due(window, self.steps.left_bytes().max(step_bytes));
         let pose = |(grid, instance)| posed::pose(&self.scene, &self.timeline, grid, instance);
         let poses: Vec<GridPose> = due.into_iter().map(pose).collect();
         if poses.is_empty() {
@@ -277,7 +279,7 @@ impl MotionSender {
         }
         self.bytes.poses += poses.len() as u64;
         let stream = self.stream(MotionNews::Poses(poses), true);
-        self.budget[1] = self.budget[1].saturating_sub(stream.bytes());
+        self.steps.take(stream.bytes());
         self.bytes.pose_bytes += stream.bytes() as u64;
         Some(stream)
     }
@@ -313,8 +315,7 @@ impl MotionSender {
     fn samples(&mut self, now: ServerTime) -> Vec<Out> {
         let Some(coder) = self.coder.clone() else { return Vec::new() };
         let mut coder = lock(&coder);
-        let saved = self.budget[1];
-        if coder.vertex_count() == 0 || saved < coder.step_bytes() {
+        if coder.vertex_count() == 0 || !self.steps.affords(coder.step_bytes()) {
             return Vec::new();
         }
         // What was sent is never contradicted.
@@ -322,11 +323,11 @@ impl MotionSender {
         let (scene, timeline, poses) = (&self.scene, &self.timeline, &mut self.poses);
         poses.clear();
         let coded =
-            coder.samples(window, saved, |grid, vertex| position(scene, timeline, poses, grid, vertex));
+            coder.samples(window, self.steps.left_bytes(), |grid, vertex| position(scene, timeline, poses, grid, vertex));
         let streams: Vec<Out> = coded.iter().map(sample_stream).collect();
         for (stream, coded) in streams.iter().zip(&coded) {
             self.untold.push((stream.bytes(), true));
-            self.budget[1] = self.budget[1].saturating_sub(stream.bytes());
+            self.steps.take(stream.bytes());
             self.bytes.sample_bytes += stream.bytes() as u64;
             self.bytes.samples += coded.sizes.samples as u64;
         }
@@ -355,20 +356,19 @@ impl MotionSender {
 
     /// What is shown later, a little at a time, as long as there is room.
     fn send_later(&mut self, now: ServerTime, out: &mut Vec<Out>) {
-        self.later_left_bytes = (self.later_left_bytes + self.later_bytes).min(self.later_bytes);
         for clip in self.open.clone() {
             let clip = self.scene.motion.clip(clip);
             for index in 0..chunk_count(clip.duration_s) {
                 if self.chunks.has((clip.clip, index)) {
                     continue;
                 }
-                if self.later_left_bytes <= 0 {
+                if !self.later.affords(1) {
                     return;
                 }
                 let words = |chunks: &mut Chunks, words| chunks.place_beside((clip.clip, index), words, now);
                 // Where there is no room the clip stays open: what is needed soon drives out what is not.
                 let Some(stream) = self.chunk(clip, index, words, false) else { return };
-                self.later_left_bytes -= stream.bytes() as i64;
+                self.later.take(stream.bytes());
                 out.push(stream);
             }
             if self.chunks_all_there(clip) {
