@@ -34,6 +34,9 @@ const COMPARE_EVERY: u32 = 24;
 const COMPARE_EVERY_SLOW: u32 = 36;
 /// Seconds of each run that motion is measured in: an outage from the second to the fifth, and what follows.
 const MOTION_SECONDS: f64 = 6.0;
+/// Nine dragons, each cause of bytes by itself.
+const NINE_SECONDS: f64 = 10.0;
+const NINE_LINK: &str = "latency=20ms,jitter=5ms,rate=400mbit";
 /// Seconds that each attack lasts.
 const HOSTILE_SECONDS: f64 = 20.0;
 /// Seconds for which each neighbour is beside a lawful client, in each round.
@@ -102,10 +105,18 @@ fn jobs() -> Vec<Job> {
         }
     }
     for scene in MOVING {
-        let work = move |folder: &Path| motion(scene, "auto", folder);
+        let work = move |folder: &Path| motion(scene, "auto", &Condition::all(), MOTION_SECONDS, folder);
         jobs.push(Job::new(&format!("motion-auto-{}", scene.name), work));
     }
-    jobs.push(Job::new("motion-dragon-kinds", |folder| motion(MOVING[0], "palette samples paper", folder)));
+    jobs.push(Job::new("motion-dragon-kinds", |folder| {
+        motion(MOVING[0], "palette samples paper", &Condition::all(), MOTION_SECONDS, folder)
+    }));
+    jobs.push(Job::new("motion-dragons9-kinds", |folder| {
+        let nine = LongScene { name: "dragons9", source: LongSource::Dragons(9), clip: None };
+        // Wide enough for the paper's predictions, too.
+        let link: Condition = NINE_LINK.parse().map_err(anyhow::Error::msg)?;
+        motion(nine, "auto palette samples paper", &[link], NINE_SECONDS, folder)
+    }));
     jobs.push(Job::new("inspect-error-dragon", |_| inspect_error_of_the_dragon().map(Some)));
     jobs.push(Job::new("second-start-dragons169", |folder| second_start(folder).map(Some)));
     for (name, sampling) in
@@ -362,15 +373,21 @@ fn scene_run(
     })))
 }
 
-/// The table of motion of these kinds, with spaces between them, over all links.
-fn motion(scene: LongScene, kinds: &str, folder: &Path) -> anyhow::Result<Option<Value>> {
+/// The table of motion of these kinds, with spaces between them, over these links, each for so many seconds.
+fn motion(
+    scene: LongScene,
+    kinds: &str,
+    links: &[Condition],
+    seconds: f64,
+    folder: &Path,
+) -> anyhow::Result<Option<Value>> {
     let Some((source, shown)) = scene.source(folder)? else {
         println!("left out: {}, its file is not there", scene.name);
         return Ok(None);
     };
     let options = RunOptions {
         clip: scene.clip.map(str::to_owned),
-        seconds: MOTION_SECONDS,
+        seconds,
         extent_pixels: [64, 64],
         atlas_extent_texels: AtlasExtent::MIN,
         validation: true,
@@ -378,7 +395,7 @@ fn motion(scene: LongScene, kinds: &str, folder: &Path) -> anyhow::Result<Option
     };
     let kinds = kinds.split(' ').map(|kind| kind.parse().map_err(anyhow::Error::msg));
     let kinds = kinds.collect::<anyhow::Result<Vec<Kind>>>()?;
-    let found = motion_table::measure(&options, &shown, &kinds, &Condition::all())?;
+    let found = motion_table::measure(&options, &shown, &kinds, links)?;
     println!("{found}");
     Ok(Some(serde_json::to_value(found)?))
 }

@@ -69,6 +69,10 @@ pub struct MotionRow {
     pub motion_bytes: u64,
     /// The same and all others by cause.
     pub bytes: Bytes,
+    /// Positions on the time grid that were sent: of each vertex with samples, drawn or kept, one a step.
+    pub samples: u64,
+    /// What each of them took on the wire, bytes.
+    pub bytes_per_sample: Option<f64>,
     /// Vertices that stood still though they should have moved on, summed over display frames.
     pub frozen_vertex_frames: u64,
     /// Vertices at edges whose ends are at places of different times, summed over display frames.
@@ -253,6 +257,9 @@ impl MotionRow {
             worst: watch.worst.clone(),
             motion_bytes: bytes.motion(),
             bytes,
+            samples: seat.sent.motion.samples,
+            bytes_per_sample: (seat.sent.motion.samples > 0)
+                .then(|| bytes.samples as f64 / seat.sent.motion.samples as f64),
             frozen_vertex_frames: watch.frozen_vertex_frames,
             torn_vertex_frames: watch.torn_vertex_frames,
             held_vertex_frames: watch.held_vertex_frames,
