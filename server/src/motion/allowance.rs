@@ -87,7 +87,8 @@ mod tests {
 
     #[test]
     fn a_second_costs_the_same_however_often_is_asked_and_whatever_a_message_takes() {
-        for (asked, message) in [(1, 100), (2, 900), (5, 900), (8, 900), (3, 5000), (1, 20_000), (8, 20_000)] {
+        for (asked, message) in [(1, 100), (2, 900), (5, 900), (8, 900), (3, 5000), (1, 20_000), (8, 20_000)]
+        {
             let (sent, most) = (sent(asked, message), 1000 * 300);
             // One that asks once a step for less than a step brings takes less.
             let least = most.min(300 * asked as usize * message) - message.max(9000);

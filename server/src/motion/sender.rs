@@ -322,8 +322,9 @@ impl MotionSender {
         let window = self.window(now);
         let (scene, timeline, poses) = (&self.scene, &self.timeline, &mut self.poses);
         poses.clear();
-        let coded =
-            coder.samples(window, self.steps.left_bytes(), |grid, vertex| position(scene, timeline, poses, grid, vertex));
+        let coded = coder.samples(window, self.steps.left_bytes(), |grid, vertex| {
+            position(scene, timeline, poses, grid, vertex)
+        });
         let streams: Vec<Out> = coded.iter().map(sample_stream).collect();
         for (stream, coded) in streams.iter().zip(&coded) {
             self.untold.push((stream.bytes(), true));
