@@ -17,7 +17,7 @@ use shadecast_scene::{
     Trs, Vertex,
 };
 use shadecast_server::animation::timeline::{SharedTimeline, TimelineError};
-use shadecast_server::encode::openh264::DEFAULT_QP;
+use shadecast_server::quality::QualityOptions;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::stream::{Device, StreamOptions, run_timeline};
 use std::f32::consts::TAU;
@@ -71,7 +71,7 @@ fn options(seconds: f64) -> anyhow::Result<StreamOptions> {
         listen: "127.0.0.1:7400".parse()?,
         identity: None,
         atlas_extent_texels: "1024x1024".parse().map_err(anyhow::Error::msg)?,
-        qp: DEFAULT_QP,
+        quality: QualityOptions::default(),
         rate_hz: 30.0,
         viewers: 4,
         link: None,

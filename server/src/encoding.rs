@@ -9,6 +9,8 @@ use std::time::Duration;
 /// One viewer's encoder with the updates whose pictures are in it.
 pub struct Encoding {
     encoder: Box<dyn Encoder>,
+    /// Of the last picture that was submitted.
+    qp: Option<u8>,
     /// In the order of submission, without their pictures.
     under_way: VecDeque<Box<Shaded>>,
 }
@@ -26,14 +28,22 @@ pub struct Coded {
 impl Encoding {
     /// By an encoder that has no picture.
     pub fn new(encoder: Box<dyn Encoder>) -> Self {
-        Self { encoder, under_way: VecDeque::new() }
+        Self { encoder, qp: None, under_way: VecDeque::new() }
     }
 
-    /// Hands an update's picture to the encoder. With `refresh` it will need no other.
-    pub fn submit(&mut self, mut shaded: Box<Shaded>, refresh: bool) {
+    /// Hands an update's picture to the encoder, to be coded with quantiser `qp`. With `refresh` it will need no other.
+    ///
+    /// # Errors
+    /// The encoder does not take this quantiser; the picture is lost.
+    pub fn submit(&mut self, mut shaded: Box<Shaded>, refresh: bool, qp: u8) -> Result<(), EncodeError> {
+        if self.qp != Some(qp) {
+            self.encoder.set_qp(qp)?;
+            self.qp = Some(qp);
+        }
         let source = std::mem::take(&mut shaded.picture);
         self.encoder.submit(source, shaded.time.0, refresh);
         self.under_way.push_back(shaded);
+        Ok(())
     }
 
     /// The next update that is done, for which it waits at most for `timeout`.
@@ -59,10 +69,12 @@ mod tests {
     use shadecast_protocol::ids::UpdateId;
     use shadecast_protocol::picture::I420;
     use shadecast_protocol::time::ServerTime;
+    use std::sync::{Arc, Mutex};
 
     /// Gives each picture when so many others were polled for in vain; every third fails.
     struct Late {
         polls_left: u32,
+        quantisers: Arc<Mutex<Vec<u8>>>,
         sources: VecDeque<(Source, i64)>,
     }
 
@@ -82,7 +94,8 @@ mod tests {
             Some(Encoded { source, result })
         }
 
-        fn set_qp(&mut self, _: u8) -> Result<(), EncodeError> {
+        fn set_qp(&mut self, qp: u8) -> Result<(), EncodeError> {
+            self.quantisers.lock().expect("whole").push(qp);
             Ok(())
         }
     }
@@ -96,8 +109,13 @@ mod tests {
 
     #[test]
     fn pictures_that_come_late_are_those_of_their_updates() {
-        let mut encoding = Encoding::new(Box::new(Late { polls_left: 2, sources: VecDeque::new() }));
-        (0..4).for_each(|number| encoding.submit(shaded(number), false));
+        let quantisers = Arc::new(Mutex::new(Vec::new()));
+        let late = Late { polls_left: 2, quantisers: quantisers.clone(), sources: VecDeque::new() };
+        let mut encoding = Encoding::new(Box::new(late));
+        for (number, qp) in [22, 22, 20, 22].into_iter().enumerate() {
+            encoding.submit(shaded(number as u8), false, qp).expect("in range");
+        }
+        assert_eq!(*quantisers.lock().expect("whole"), [22, 20, 22], "where they change");
         assert!((0..2).all(|_| encoding.poll(Duration::ZERO).is_none()));
         for number in 0..4 {
             let result = encoding.poll(Duration::ZERO).expect("done");

@@ -18,6 +18,7 @@ pub mod motion;
 pub mod pacing;
 pub mod picture;
 pub mod predict;
+pub mod quality;
 pub mod residency;
 pub mod samples;
 pub mod scene;

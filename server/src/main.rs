@@ -20,11 +20,11 @@ use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
 use shadecast_scene::{Cancel, Scene};
 use shadecast_server::animation::skinning::Skinning;
-use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::frame;
 use shadecast_server::inspect::{self, InspectArgs};
 use shadecast_server::motion::MotionOption;
+use shadecast_server::quality::QualityArgs;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::stream::{Device, StreamOptions, run};
 use shadecast_transport::write_atomically;
@@ -112,9 +112,8 @@ struct StreamArgs {
     /// Atlas width and height in texels, powers of two from 512x512 to 4096x2048
     #[arg(long, value_name = "WxH", default_value_t = AtlasExtent::DEFAULT)]
     atlas: AtlasExtent,
-    /// Quantisation of the atlas: 0 (finest) to 51
-    #[arg(long, default_value_t = DEFAULT_QP, value_parser = value_parser!(u8).range(0..=51))]
-    qp: u8,
+    #[command(flatten)]
+    quality: QualityArgs,
     /// Updates per second, 1 to 60
     #[arg(long, default_value_t = 30.0, value_parser = number(1.0..=60.0, "updates a second"))]
     rate: f64,
@@ -264,7 +263,7 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
         listen: args.listen,
         identity: args.identity.clone(),
         atlas_extent_texels: args.atlas,
-        qp: args.qp,
+        quality: args.quality.options(),
         rate_hz: args.rate,
         viewers: usize::from(args.viewers),
         link,

@@ -224,7 +224,8 @@ impl UpdateGate {
         Some(Shortfall { carries_mbit_s: carries * 8e-6, needs_mbit_s: needs * 8e-6 })
     }
 
-    fn rate_bytes_s(&self, now_ns: i64) -> Option<f64> {
+    /// What the link carries, bytes a second, where it was too slow a moment ago.
+    pub fn rate_bytes_s(&self, now_ns: i64) -> Option<f64> {
         self.rate.filter(|(_, at_ns)| now_ns - at_ns <= RATE_LIFETIME_NS).map(|(rate, _)| rate)
     }
 

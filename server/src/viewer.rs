@@ -7,6 +7,7 @@ use crate::geometry::UpdateDelta;
 use crate::lock::lock;
 use crate::motion::sender::SharedMotion;
 use crate::pacing::{AFTER_ALL, Budget, Kind, Shortfall, UpdateGate, WayState};
+use crate::quality::{Quality, QualityOptions, SentPicture};
 use shadecast_protocol::delta::{DeltaSizes, EncodedDelta};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Displayed, HeadState};
@@ -69,6 +70,8 @@ pub struct Update {
     pub sizes: DeltaSizes,
     /// Its picture must need no other.
     pub refresh: bool,
+    /// Quantiser of its picture.
+    pub qp: u8,
 }
 
 /// See the module. `U` makes its updates.
@@ -76,6 +79,7 @@ pub struct Viewer<U> {
     updates: U,
     sender: DeltaSender,
     gate: UpdateGate,
+    quality: Quality,
     refresh: bool,
     /// False while nobody looks: nothing is shaded then.
     is_watched: bool,
@@ -87,13 +91,20 @@ pub struct Viewer<U> {
 
 impl<U: Updates> Viewer<U> {
     /// A client that has just been accepted and wants an update in each `period_ns`.
-    pub fn new(updates: U, sender: DeltaSender, period_ns: i64, now_ns: i64) -> Self {
+    pub fn new(
+        updates: U,
+        sender: DeltaSender,
+        quality: QualityOptions,
+        period_ns: i64,
+        now_ns: i64,
+    ) -> Self {
         Self {
             motion: updates.motion(),
             last: UpdateId(0),
             updates,
             sender,
             gate: UpdateGate::new(period_ns),
+            quality: Quality::new(quality, period_ns),
             refresh: false,
             is_watched: true,
             period_ns,
@@ -148,7 +159,7 @@ impl<U: Updates> Viewer<U> {
         let untold = self.motion.as_ref().map_or(Vec::new(), |motion| lock(motion).take_untold());
         for (bytes, is_urgent) in untold {
             let update = if is_urgent { self.last } else { AFTER_ALL };
-            self.gate.sent(update, Kind::Motion, bytes, now_ns);
+            self.sent(update, Kind::Motion, bytes, now_ns);
         }
         way.is_none_or(|way| self.gate.may_update(way, now_ns))
     }
@@ -162,6 +173,7 @@ impl<U: Updates> Viewer<U> {
     pub fn begin(&mut self, way: Option<&WayState>, now_ns: i64) -> &mut U {
         // A late update does not make the next ones hurry.
         self.due_ns = (self.due_ns + self.period_ns).max(now_ns - self.period_ns);
+        self.quality.note_link(way.and_then(|_| self.gate.rate_bytes_s(now_ns)));
         self.updates.set_budget(way.map_or(Budget::UNLIMITED, |_| self.gate.budget(now_ns)));
         &mut self.updates
     }
@@ -172,7 +184,7 @@ impl<U: Updates> Viewer<U> {
         let delta = self.sender.stream(&encoded);
         self.last = shaded.update;
         let refresh = std::mem::take(&mut self.refresh);
-        (delta, Update { shaded: Box::new(shaded), sizes: encoded.sizes, refresh })
+        (delta, Update { shaded: Box::new(shaded), sizes: encoded.sizes, refresh, qp: self.quality.qp() })
     }
 
     /// A picture of any update is not needed any more: its memory is used for the next.
@@ -180,8 +192,15 @@ impl<U: Updates> Viewer<U> {
         self.updates.recycle(picture);
     }
 
-    /// A stream of an update was handed to the transport.
+    /// A stream of an update was handed to the transport, other than its picture.
     pub fn sent(&mut self, update: UpdateId, kind: Kind, bytes: usize, now_ns: i64) {
+        self.quality.note_other(bytes, now_ns);
         self.gate.sent(update, kind, bytes, now_ns);
+    }
+
+    /// The stream of an update's picture was handed to the transport.
+    pub fn sent_picture(&mut self, update: UpdateId, picture: SentPicture, now_ns: i64) {
+        self.quality.note_picture(picture);
+        self.gate.sent(update, Kind::Picture, picture.stream_bytes, now_ns);
     }
 }

@@ -4,6 +4,7 @@ use super::outlet::Outlet;
 use crate::encode::{EncodeError, Encoder, PATIENCE};
 use crate::encoding::{Coded, Encoding};
 use crate::frame::Shaded;
+use crate::quality::SentPicture;
 use shadecast_protocol::message::Refused;
 use shadecast_protocol::session::picture_stream;
 use shadecast_transport::PeerId;
@@ -13,6 +14,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, TryRecvError, channel, sync_channel};
 use std::thread::JoinHandle;
+use std::time::Instant;
 
 /// A picture to encode and send.
 pub(super) struct Job {
@@ -20,6 +22,8 @@ pub(super) struct Job {
     pub(super) shaded: Box<Shaded>,
     /// The picture shall need no other.
     pub(super) refresh: bool,
+    /// Its quantiser.
+    pub(super) qp: u8,
 }
 
 /// What became of a picture.
@@ -28,8 +32,8 @@ pub(super) enum Outcome {
     Sent {
         /// The update.
         shaded: Box<Shaded>,
-        /// Bytes of its stream.
-        stream_bytes: usize,
+        /// What it came to.
+        picture: SentPicture,
         /// Bytes of its access unit.
         unit_bytes: usize,
     },
@@ -119,20 +123,27 @@ fn run(
 }
 
 fn encode(encoding: &mut Encoding, outlet: &dyn Outlet, peer: PeerId, job: Job) -> Outcome {
-    encoding.submit(job.shaded, job.refresh);
+    let begun = Instant::now();
+    if let Err(error) = encoding.submit(job.shaded, job.refresh, job.qp) {
+        return Outcome::Failed(error.to_string());
+    }
     let Coded { shaded, header, unit } = match encoding.poll(PATIENCE).unwrap_or(Err(EncodeError::Stalled)) {
         Ok(coded) => coded,
         Err(error) => return Outcome::Failed(error.to_string()),
     };
+    let (encode_s, is_refresh) = (begun.elapsed().as_secs_f64(), header.is_refresh);
     let out = match picture_stream(header, &unit.bytes) {
         Ok(out) => out,
         Err(error) => {
-            return Outcome::Failed(format!("{error}; a coarser quantisation (--qp) makes it smaller"));
+            return Outcome::Failed(format!(
+                "{error}; a coarser quantisation (--qp, --bitrate) makes it smaller"
+            ));
         }
     };
-    let (unit_bytes, stream_bytes) = (unit.bytes.len(), out.bytes());
+    let picture = SentPicture { stream_bytes: out.bytes(), is_refresh, encode_s };
+    let unit_bytes = unit.bytes.len();
     match outlet.send(peer, out) {
-        Ok(()) => Outcome::Sent { shaded, stream_bytes, unit_bytes },
+        Ok(()) => Outcome::Sent { shaded, picture, unit_bytes },
         Err(error) => Outcome::Failed(format!("a picture could not be sent: {error}")),
     }
 }

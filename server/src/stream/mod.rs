@@ -20,6 +20,7 @@ pub use studio::{Device, Reopen};
 use crate::animation::timeline::SharedTimeline;
 use crate::encode::Source;
 use crate::pacing::WayState;
+use crate::quality::QualityOptions;
 use crate::scene::SceneGpu;
 use crate::sessions::mailbox::Mailbox;
 use crate::sessions::{Carrier, Say, Sessions, Surroundings, Verdicts};
@@ -55,8 +56,8 @@ pub struct StreamOptions {
     pub identity: Option<PathBuf>,
     /// Wanted atlas width and height in texels.
     pub atlas_extent_texels: AtlasExtent,
-    /// Quantisation of the atlas, 0 (finest) to 51.
-    pub qp: u8,
+    /// Of pictures.
+    pub quality: QualityOptions,
     /// Updates per second.
     pub rate_hz: f64,
     /// Clients that are served at once.

@@ -14,6 +14,7 @@ use crate::encode::{EncodeError, Encoder};
 use crate::frame::Shaded;
 use crate::lock::lock;
 use crate::pacing::Kind;
+use crate::quality::QualityOptions;
 use crate::sessions::Say;
 use crate::sessions::mailbox::{Accepted, Client, Mailbox, News};
 use crate::viewer::{Update, Updates, Viewer};
@@ -50,6 +51,8 @@ pub trait Studio {
     fn close(&mut self, updates: Self::Updates, has_failed: bool);
     /// What is known of a client's pictures.
     fn account(&self, updates: &Self::Updates, stats: &mut ViewerStats);
+    /// How finely pictures are quantised.
+    fn quality(&self) -> QualityOptions;
     /// An encoder for the pictures of a session.
     fn encoder(&mut self, welcome: &Welcome) -> Result<Box<dyn Encoder>, EncodeError>;
     /// Opens the device again, after it was lost, and brings the scene to it.
@@ -73,6 +76,8 @@ pub(super) struct Pipeline<'a, S: Studio> {
     stats: StreamStats,
     first_ns: Option<i64>,
     last_ns: i64,
+    /// Quantisers of all pictures, summed.
+    qp_sum: u64,
     last_atlas: Option<Box<Shaded>>,
 }
 
@@ -158,6 +163,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             stats: StreamStats { epoch_monotonic_ns: epoch_ns, ..StreamStats::default() },
             first_ns: None,
             last_ns: 0,
+            qp_sum: 0,
             last_atlas: None,
         }
     }
@@ -221,7 +227,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             let updates = self.studio.open(&welcome, &capabilities);
             updates.map_err(|error| Fault::of(&error, "making the pipeline for this client"))
         })?;
-        let viewer = Viewer::new(updates, sender, self.period_ns, now_ns);
+        let viewer = Viewer::new(updates, sender, self.studio.quality(), self.period_ns, now_ns);
         viewer.motion().into_iter().for_each(|motion| self.cadence.join(peer, motion.clone()));
         self.clients.insert(
             peer,
@@ -269,9 +275,9 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
         match client.encoder.poll() {
             None => {}
-            Some(Outcome::Sent { shaded, stream_bytes, unit_bytes }) => {
+            Some(Outcome::Sent { shaded, picture, unit_bytes }) => {
                 client.encoder_failures = 0;
-                client.viewer.sent(shaded.update, Kind::Picture, stream_bytes, now_ns);
+                client.viewer.sent_picture(shaded.update, picture, now_ns);
                 client.stats.atlas_bytes += unit_bytes as u64;
                 self.stats.atlas_bytes += unit_bytes as u64;
                 if let Some(earlier) = self.last_atlas.replace(shaded) {
@@ -316,10 +322,11 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         let took = begun.elapsed();
         client.stats.busy_s += took.as_secs_f64();
         self.turns.served(&mut client.share, took.as_nanos() as i64);
-        let Some(Update { shaded, sizes, refresh }) = made else { return Ok(()) };
+        let Some(Update { shaded, sizes, refresh, qp }) = made else { return Ok(()) };
         client.count(sizes, now_ns);
         self.stats.add_gpu(&shaded.timings);
-        client.encoder.give(Job { shaded, refresh });
+        self.qp_sum += u64::from(qp);
+        client.encoder.give(Job { shaded, refresh, qp });
         self.count(sizes, now_ns);
         Ok(())
     }
@@ -415,6 +422,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             self.close(peer, false, now_ns);
         }
         let updates = self.stats.updates.max(1) as f64;
+        self.stats.mean_qp = (self.stats.updates > 0).then(|| self.qp_sum as f64 / updates);
         self.stats.gpu_ms.values_mut().for_each(|ms| *ms /= updates);
         self.stats.seconds = (self.last_ns - self.first_ns.unwrap_or(self.last_ns)) as f64 * 1e-9;
         if self.stats.seconds > 0.0 {

@@ -6,6 +6,7 @@ use crate::geometry::UpdateDelta;
 use crate::motion::sender::SharedMotion;
 use crate::pacing::Budget;
 use crate::pacing::WayState;
+use crate::quality::QualityOptions;
 use crate::sessions::testing::accepted;
 use ash::vk;
 use shadecast_gpu::Timings;
@@ -131,6 +132,10 @@ impl Studio for FakeStudio {
     }
 
     fn account(&self, _: &FakeUpdates, _: &mut ViewerStats) {}
+
+    fn quality(&self) -> QualityOptions {
+        QualityOptions::default()
+    }
 
     fn encoder(&mut self, _: &Welcome) -> Result<Box<dyn Encoder>, EncodeError> {
         *self.0.encoders.borrow_mut() += 1;

@@ -19,6 +19,8 @@ pub struct StreamStats {
     pub server_fps: f64,
     /// Bytes of access units.
     pub atlas_bytes: u64,
+    /// Mean quantiser of all pictures, 0 (finest) to 51.
+    pub mean_qp: Option<f64>,
     /// Bytes of geometry deltas.
     pub geometry_bytes: u64,
     /// Bytes of predictions in them.

@@ -9,6 +9,7 @@ use crate::frame::{Frame, Shaded};
 use crate::geometry::UpdateDelta;
 use crate::motion::sender::SharedMotion;
 use crate::pacing::Budget;
+use crate::quality::QualityOptions;
 use crate::scene::SceneGpu;
 use crate::viewer::Updates;
 use crate::world::{ViewerId, World};
@@ -114,9 +115,13 @@ impl Studio for GpuStudio<'_> {
         stats.dropped_patches = frame.dropped_patches();
     }
 
+    fn quality(&self) -> QualityOptions {
+        self.options.quality
+    }
+
     fn encoder(&mut self, welcome: &Welcome) -> Result<Box<dyn Encoder>, EncodeError> {
-        let StreamOptions { qp, rate_hz, .. } = self.options;
-        let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, *qp, *rate_hz);
+        let StreamOptions { quality, rate_hz, .. } = self.options;
+        let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, quality.first_qp(), *rate_hz);
         encode::encoder(welcome.codec, settings)
     }
 

@@ -251,6 +251,32 @@ fn unchanged_pictures_cost_almost_nothing() {
 }
 
 #[test]
+fn an_unchanged_picture_gets_better_as_the_quantiser_falls_and_then_costs_nothing() {
+    let extent = [512, 512];
+    let picture = atlas_picture(extent, &mut Random(SEED));
+    let (mut encoder, mut decoder) = (encoder(EncoderSettings::new(extent)), decoder(extent));
+    let mut decoded = I420::default();
+    let mut quality = |qp: u8, at: i64| {
+        encoder.set_qp(qp).expect("in range");
+        let unit = encode_one(&mut encoder, &picture, at * UPDATE_NS, false).expect("it is encoded");
+        decode_one(&mut decoder, &unit.bytes, &mut decoded).expect("a clean stream decodes");
+        (psnr_db(luma(&decoded), luma(&picture)), unit.bytes.len())
+    };
+    let mut found = Vec::new();
+    for at in 0..14 {
+        let qp = DEFAULT_QP.saturating_sub(at as u8).max(14);
+        found.push((qp, quality(qp, at)));
+    }
+    found.iter().for_each(|(qp, (db, bytes))| println!("QP {qp}: {db:.1} dB, {bytes} bytes"));
+    let (first_db, last_db) = (found[0].1.0, found[13].1.0);
+    assert!(last_db > first_db + 4.0, "{first_db} to {last_db} dB");
+    assert!(found[11..].iter().all(|(_, (_, bytes))| *bytes < 400));
+    // A coarser quantiser takes nothing back.
+    let (coarse_db, bytes) = quality(30, 14);
+    assert!(coarse_db > last_db - 0.1 && bytes < 1000, "{coarse_db} dB, {bytes} bytes");
+}
+
+#[test]
 fn refreshes_come_when_asked_for_and_only_then() {
     let pictures = changing_pictures([128, 128], 100, SEED);
     let asked = |at: usize| at == 7 || at == 8 || at == 50;

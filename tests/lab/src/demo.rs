@@ -375,6 +375,7 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
             atlas: number(&server, "atlas_bytes") * 8e-6 / seconds,
             geometry: (number(&server, "geometry_bytes") + number(&server, "motion_bytes")) * 8e-6 / seconds,
         },
+        mean_qp: server.get("mean_qp").and_then(Value::as_f64),
         bytes_per_animated_vertex_sample: (samples > 0.0).then(|| number(&server, "sample_bytes") / samples),
         validation_messages: number(&server, "validation_messages") as u64
             + number(&client, "validation_messages") as u64

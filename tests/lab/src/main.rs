@@ -20,9 +20,9 @@ use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::text::with_causes;
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_server::animation::skinning::Skinning;
-use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::motion::MotionOption;
+use shadecast_server::quality::QualityArgs;
 use shadecast_server::scene::SceneOptions;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -173,9 +173,8 @@ struct RunArgs {
     /// Also follows animated vertices at every display frame and writes motion.json
     #[arg(long)]
     measure_motion: bool,
-    /// Quantisation of the atlas: 0 (finest) to 51
-    #[arg(long, default_value_t = DEFAULT_QP, value_parser = value_parser!(u8).range(0..=51))]
-    qp: u8,
+    #[command(flatten)]
+    quality: QualityArgs,
     /// Atlas width and height in texels, powers of two from 512x512 to 4096x2048
     #[arg(long, value_name = "WxH", default_value_t = AtlasExtent::DEFAULT)]
     atlas: AtlasExtent,
@@ -353,7 +352,7 @@ fn run_one(args: RunArgs) -> anyhow::Result<()> {
         stages: args.stage_ms,
         validation: args.validation,
         device: args.device,
-        qp: args.qp,
+        quality: args.quality.options(),
         atlas_extent_texels: args.atlas,
         scene_options: SceneOptions { sampling: args.sampling, skinning: args.skinning, motion: args.motion },
         motion: args.measure_motion,

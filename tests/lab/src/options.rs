@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::message::Codec;
 use shadecast_scene::load::SceneSource;
+use shadecast_server::quality::QualityOptions;
 use shadecast_server::scene::SceneOptions;
 use shadecast_transport::{LinkError, LinkProfile, LinkSchedule};
 use std::path::PathBuf;
@@ -176,8 +177,8 @@ pub struct RunOptions {
     pub validation: bool,
     /// Part of the server's device's name.
     pub device: Option<String>,
-    /// Quantisation of the atlas.
-    pub qp: u8,
+    /// How finely pictures are quantised.
+    pub quality: QualityOptions,
     /// Atlas width and height in texels.
     pub atlas_extent_texels: AtlasExtent,
     /// Updates per second.
@@ -214,7 +215,7 @@ impl RunOptions {
             stages: StageMs::default(),
             validation: false,
             device: None,
-            qp: shadecast_server::encode::openh264::DEFAULT_QP,
+            quality: QualityOptions::default(),
             atlas_extent_texels: AtlasExtent::DEFAULT,
             rate_hz: 30.0,
             refresh_hz: 72.0,
@@ -253,8 +254,12 @@ impl RunOptions {
         if let Some(clip) = &self.clip {
             line += &format!(" --clip {clip}");
         }
-        if self.qp != usual.qp {
-            line += &format!(" --qp {}", self.qp);
+        match self.quality {
+            QualityOptions::Constant(qp) => line += &format!(" --qp {qp}"),
+            QualityOptions::Bitrate(mbit_s) if self.quality != usual.quality => {
+                line += &format!(" --bitrate {mbit_s}");
+            }
+            QualityOptions::Bitrate(_) => {}
         }
         if self.seed != usual.seed {
             line += &format!(" --seed {}", self.seed);

@@ -214,6 +214,8 @@ impl Run<'_> {
             },
             bytes_per_animated_vertex_sample: (sent.motion.samples > 0)
                 .then(|| sent.motion.sample_bytes as f64 / sent.motion.samples as f64),
+            mean_qp: (self.options.renderer == Renderer::Stream && sent.updates > 0)
+                .then(|| sent.qp_sum as f64 / sent.updates as f64),
             validation_messages,
             gpu_ms: seat
                 .gpu_ms

@@ -36,6 +36,8 @@ pub struct Counted {
     pub mbit_per_s: MbitPerS,
     /// Bytes on the wire for one vertex at one grid time, headers included; none if nothing animated was sent.
     pub bytes_per_animated_vertex_sample: Option<f64>,
+    /// Mean quantiser of all pictures; none where none was coded.
+    pub mean_qp: Option<f64>,
     /// Mean milliseconds per update that each GPU stage of the server took.
     pub gpu_ms: BTreeMap<String, f64>,
     /// Messages of the validation layers, warnings and errors.
@@ -68,6 +70,9 @@ pub struct Stats {
     pub mbit_per_s: MbitPerS,
     /// Bytes on the wire for one vertex at one grid time, headers included.
     pub bytes_per_animated_vertex_sample: Option<f64>,
+    /// Mean quantiser of all pictures, 0 (finest) to 51; none where none was coded.
+    #[serde(default)]
+    pub mean_qp: Option<f64>,
     /// Mean over the compared views in dB.
     pub psnr_db: Option<f64>,
     /// Mean over the compared views, 1 is identical.
@@ -192,6 +197,7 @@ impl Summary {
             client_fps: counted.client_fps,
             mbit_per_s: counted.mbit_per_s,
             bytes_per_animated_vertex_sample: counted.bytes_per_animated_vertex_sample,
+            mean_qp: counted.mean_qp,
             psnr_db: self.mean(|picture, _| picture.psnr_db),
             ssim: self.mean(|picture, _| picture.ssim),
             flip: self.mean(|picture, _| picture.flip),
@@ -260,7 +266,8 @@ impl fmt::Display for Stats {
         line(f, "renderer", format_args!("{}", self.renderer))?;
         line(f, "server", format_args!("{:.1} updates/s", self.server_fps))?;
         line(f, "client", format_args!("{:.1} frames/s", self.client_fps))?;
-        line(f, "atlas", format_args!("{:.2} Mbit/s", self.mbit_per_s.atlas))?;
+        let qp = self.mean_qp.map_or(String::new(), |qp| format!(", quantiser {qp:.1}"));
+        line(f, "atlas", format_args!("{:.2} Mbit/s{qp}", self.mbit_per_s.atlas))?;
         line(f, "geometry", format_args!("{:.2} Mbit/s", self.mbit_per_s.geometry))?;
         let bytes = figure(self.bytes_per_animated_vertex_sample, 2, " bytes per vertex and sample");
         line(f, "animation", format_args!("{bytes}"))?;

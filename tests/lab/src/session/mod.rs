@@ -31,6 +31,7 @@ use shadecast_scene::Scene;
 use shadecast_scene::load::load_scene;
 use shadecast_scene::suggest::did_you_mean_or_list;
 use shadecast_server::pacing::WayState;
+use shadecast_server::quality::QualityOptions;
 use shadecast_server::scene::SceneGpu;
 use shadecast_server::stream::offer;
 use shadecast_server::world::World;
@@ -54,7 +55,7 @@ pub struct Server {
     /// What every viewer looks at.
     pub world: World,
     codecs: &'static [Codec],
-    qp: u8,
+    quality: QualityOptions,
     viewers: u64,
     atlas_extent_texels: AtlasExtent,
     rate_hz: f64,
@@ -107,7 +108,7 @@ impl Server {
             gpu,
             scene,
             codecs: options.medium().codecs,
-            qp: options.qp,
+            quality: options.quality,
             viewers: 0,
             atlas_extent_texels: options.atlas_extent_texels,
             rate_hz: options.rate_hz,

@@ -18,6 +18,7 @@ use shadecast_server::frame::{Frame, Shaded};
 use shadecast_server::lock::lock;
 use shadecast_server::motion::sender::MotionBytes;
 use shadecast_server::pacing::{Kind, WayState};
+use shadecast_server::quality::SentPicture;
 use shadecast_server::sessions::mailbox::{Accepted, Client, Mailbox, News};
 use shadecast_server::sessions::{Carrier, Sessions, Surroundings, Verdicts};
 use shadecast_server::viewer::{Update, Viewer};
@@ -32,6 +33,8 @@ use std::time::Duration;
 pub struct Sent {
     /// Updates made.
     pub updates: u64,
+    /// Quantisers of all pictures, summed.
+    pub qp_sum: u64,
     /// Bytes of access units.
     pub atlas_bytes: u64,
     /// Bytes of geometry deltas.
@@ -87,7 +90,6 @@ struct Leaving {
     at_ns: i64,
     /// The viewer that it is for.
     viewer: u64,
-    update: UpdateId,
     what: Departure,
 }
 
@@ -199,10 +201,11 @@ impl Seat {
         let Accepted { welcome, capabilities, sender } = accepted;
         self.number = server.next_viewer();
         self.motion_before = self.sent.motion;
-        let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, server.qp, server.rate_hz);
+        let first_qp = server.quality.first_qp();
+        let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, first_qp, server.rate_hz);
         self.encoding = Some(Encoding::new(encode::encoder(welcome.codec, settings)?));
         let frame = Frame::new(&server.world, ViewerId(self.number), &welcome, &capabilities)?;
-        self.viewer = Some(Viewer::new(frame, sender, server.period_ns(), now_ns));
+        self.viewer = Some(Viewer::new(frame, sender, server.quality, server.period_ns(), now_ns));
         Ok(())
     }
 
@@ -246,7 +249,7 @@ impl Seat {
         shaded.timings.iter().for_each(|(stage, ms)| *self.gpu_ms.entry(stage).or_default() += ms);
         self.residents.note(shaded.update, frame.residency());
         self.encode_ns = stages.ns(stages.encode);
-        self.leave(now_ns + stages.ns(stages.server), shaded.update, Departure::Update(Box::new(shaded)));
+        self.leave(now_ns + stages.ns(stages.server), Departure::Update(Box::new(shaded)));
         Ok(())
     }
 
@@ -260,22 +263,23 @@ impl Seat {
     ) -> anyhow::Result<()> {
         let Some(viewer) = &mut self.viewer else { return Ok(()) };
         let began = server.world.effort.begin();
-        let (delta, Update { shaded, sizes, refresh }) = viewer.finish(shaded);
+        let (delta, update) = viewer.finish(shaded);
         server.world.effort.add_delta(began);
-        self.count(sizes);
-        self.send(shaded.update, Kind::Delta, delta, now_ns);
+        self.count(update.sizes);
+        self.send(update.shaded.update, Kind::Delta, delta, now_ns);
         self.motion(server, way, now_ns);
-        self.encode(shaded, refresh, now_ns + self.encode_ns)
+        self.encode(update, now_ns + self.encode_ns)
     }
 
     /// Hands a picture to the encoder; what it has then leaves at `done_ns`.
-    fn encode(&mut self, shaded: Box<Shaded>, refresh: bool, done_ns: i64) -> anyhow::Result<()> {
+    fn encode(&mut self, update: Update, done_ns: i64) -> anyhow::Result<()> {
         let encoding = self.encoding.as_mut().context("an encoder comes with the viewer")?;
-        encoding.submit(shaded, refresh);
+        self.sent.qp_sum += u64::from(update.qp);
+        encoding.submit(update.shaded, update.refresh, update.qp)?;
         while let Some(coded) = self.encoding.as_mut().and_then(|encoding| encoding.poll(Duration::ZERO)) {
             let Coded { shaded, header, unit } = coded?;
             self.sent.atlas_bytes += unit.bytes.len() as u64;
-            self.leave(done_ns, header.update, Departure::Picture(header, unit.bytes));
+            self.leave(done_ns, Departure::Picture(header, unit.bytes));
             let earlier = self.last.replace(shaded);
             if let Some((viewer, earlier)) = self.viewer.as_mut().zip(earlier) {
                 viewer.recycle(earlier.picture);
@@ -284,9 +288,9 @@ impl Seat {
         Ok(())
     }
 
-    fn leave(&mut self, at_ns: i64, update: UpdateId, what: Departure) {
+    fn leave(&mut self, at_ns: i64, what: Departure) {
         let place = self.leaving.partition_point(|other| other.at_ns <= at_ns);
-        self.leaving.insert(place, Leaving { at_ns, viewer: self.number, update, what });
+        self.leaving.insert(place, Leaving { at_ns, viewer: self.number, what });
     }
 
     /// When something leaves next.
@@ -302,11 +306,11 @@ impl Seat {
         now_ns: i64,
     ) -> anyhow::Result<()> {
         let next = self.leaving.pop_front().filter(|leaving| leaving.viewer == self.number);
-        let Some(Leaving { update: frame, what, .. }) = next else { return Ok(()) };
+        let Some(Leaving { what, .. }) = next else { return Ok(()) };
         match what {
             Departure::Update(shaded) => self.finish(server, *shaded, way, now_ns)?,
             Departure::Picture(header, bytes) => {
-                self.send(frame, Kind::Picture, picture_stream(header, &bytes)?, now_ns);
+                self.send_picture(header, picture_stream(header, &bytes)?, now_ns);
             }
         }
         Ok(())
@@ -315,6 +319,14 @@ impl Seat {
     fn send(&mut self, update: UpdateId, kind: Kind, out: Out, now_ns: i64) {
         let Some(viewer) = &mut self.viewer else { return };
         viewer.sent(update, kind, out.bytes(), now_ns);
+        self.streams.push_back(out);
+    }
+
+    fn send_picture(&mut self, header: PictureHeader, out: Out, now_ns: i64) {
+        let Some(viewer) = &mut self.viewer else { return };
+        let encode_s = self.encode_ns as f64 * 1e-9;
+        let picture = SentPicture { stream_bytes: out.bytes(), is_refresh: header.is_refresh, encode_s };
+        viewer.sent_picture(header.update, picture, now_ns);
         self.streams.push_back(out);
     }
 

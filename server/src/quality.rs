@@ -1,0 +1,275 @@
+//! How finely one client's pictures are quantised. Pure: sizes and times of what was made come in, the next quantiser comes out.
+//!
+//! Quantisation of fine texture is what costs most of a picture's quality, and its bits are known only when they are there. So each
+//! picture says how the next is coded: coarser at once where it was too large or took too long, a step finer where there is room. A
+//! picture in which nothing moves takes no bits, so that what stands still gets finer with each update until it is as good as it
+//! gets; an encoder takes nothing back when a later picture is coded more coarsely.
+//!
+//! Texels are not in it: blocks have more of them than the display has pixels, and with twice as many pictures get worse
+//! (`docs/decisions.md`). A full atlas has fewer ([`crate::levels`]).
+
+use crate::encode::openh264::DEFAULT_QP;
+use crate::flags::number;
+
+/// What all of a client's streams may take together unless told otherwise, Mbit/s.
+pub const DEFAULT_BITRATE_MBIT_S: f64 = 20.0;
+
+/// No picture is coded more finely: what is gained below is not seen.
+const FINEST_QP: u8 = 10;
+/// Or more coarsely: fewer updates show more.
+const COARSEST_QP: u8 = 34;
+/// Bits of the same picture double from one quantiser to the one this far below.
+const QP_OF_TWICE_THE_BITS: f64 = 6.0;
+/// A picture that takes less than this part of what it may is followed by a finer one: a step takes an eighth more bits, and
+/// pictures differ.
+const ROOM: f64 = 0.75;
+/// Of the time from one update to the next an encoder may take this part; one that takes longer is given nothing finer than
+/// [`DEFAULT_QP`].
+const ENCODER_SHARE: f64 = 0.8;
+/// Of what a slow link carries, this part is used.
+const LINK_SHARE: f64 = 0.8;
+/// Pictures have at least this part of the bits, however many geometry takes.
+const LEAST_PICTURE_SHARE: f64 = 0.25;
+/// Over a link that carries little there are fewer updates rather than worse ones, down to so many a second.
+const SLOW_UPDATES_HZ: f64 = 10.0;
+/// Weight of the newest second in what is taken to go for geometry and motion.
+const NEWEST: f64 = 0.3;
+
+/// What a person asks for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum QualityOptions {
+    /// The same quantiser for all pictures, 0 (finest) to 51.
+    Constant(u8),
+    /// As fine as the streams of one client take no more than so many Mbit/s together.
+    Bitrate(f64),
+}
+
+/// The same on a command line.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct QualityArgs {
+    /// The same quantisation for all pictures, 0 (finest) to 51, instead of one that follows --bitrate
+    #[arg(long, conflicts_with = "bitrate", value_parser = clap::value_parser!(u8).range(0..=51))]
+    qp: Option<u8>,
+    /// What all streams of one client may take together, Mbit/s: pictures are quantised as finely as that allows
+    #[arg(long, value_name = "MBIT", default_value_t = DEFAULT_BITRATE_MBIT_S, value_parser = number(0.1..=1000.0, "Mbit/s"))]
+    bitrate: f64,
+}
+
+impl QualityArgs {
+    /// What was asked for.
+    pub fn options(self) -> QualityOptions {
+        self.qp.map_or(QualityOptions::Bitrate(self.bitrate), QualityOptions::Constant)
+    }
+}
+
+impl Default for QualityOptions {
+    fn default() -> Self {
+        Self::Bitrate(DEFAULT_BITRATE_MBIT_S)
+    }
+}
+
+impl QualityOptions {
+    /// The quantiser of the first picture.
+    pub fn first_qp(self) -> u8 {
+        match self {
+            Self::Constant(qp) => qp,
+            Self::Bitrate(_) => DEFAULT_QP,
+        }
+    }
+}
+
+/// A picture that was encoded and handed to the transport.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SentPicture {
+    /// Bytes of its stream.
+    pub stream_bytes: usize,
+    /// It needs no other.
+    pub is_refresh: bool,
+    /// How long the encoder worked on it, seconds.
+    pub encode_s: f64,
+}
+
+/// One client's.
+#[derive(Clone, Debug)]
+pub struct Quality {
+    options: QualityOptions,
+    period_s: f64,
+    qp: u8,
+    /// Bytes a second of all that are no pictures.
+    others_bytes_s: f64,
+    /// Since when others are counted, nanoseconds, and their bytes.
+    counted: Option<(i64, u64)>,
+    /// What a slow link carries, bytes a second.
+    link_bytes_s: Option<f64>,
+}
+
+impl Quality {
+    /// For updates that are wanted once in `period_ns`.
+    pub fn new(options: QualityOptions, period_ns: i64) -> Self {
+        Self {
+            options,
+            period_s: period_ns.max(1) as f64 * 1e-9,
+            qp: options.first_qp(),
+            others_bytes_s: 0.0,
+            counted: None,
+            link_bytes_s: None,
+        }
+    }
+
+    /// Of the next picture.
+    pub fn qp(&self) -> u8 {
+        self.qp
+    }
+
+    /// What the link carries, bytes a second, where it is known to be slow.
+    pub fn note_link(&mut self, bytes_s: Option<f64>) {
+        self.link_bytes_s = bytes_s;
+    }
+
+    /// So many bytes that are no picture were sent.
+    pub fn note_other(&mut self, bytes: usize, now_ns: i64) {
+        let (since_ns, so_far) = self.counted.get_or_insert((now_ns, 0));
+        let passed_s = (now_ns - *since_ns) as f64 * 1e-9;
+        if passed_s >= 1.0 {
+            self.others_bytes_s += NEWEST * (*so_far as f64 / passed_s - self.others_bytes_s);
+            (*since_ns, *so_far) = (now_ns, 0);
+        }
+        *so_far += bytes as u64;
+    }
+
+    /// A picture is on its way. One that needs no other says nothing of those that do.
+    pub fn note_picture(&mut self, picture: SentPicture) {
+        let QualityOptions::Bitrate(mbit_s) = self.options else { return };
+        let is_slow = picture.encode_s > ENCODER_SHARE * self.period_s;
+        let used = picture.stream_bytes as f64 / self.picture_bytes(mbit_s);
+        self.qp = match used {
+            _ if picture.is_refresh => self.qp,
+            used if used > 1.0 => self.qp.saturating_add((QP_OF_TWICE_THE_BITS * used.log2()).ceil() as u8),
+            _ if is_slow && self.qp <= DEFAULT_QP => (self.qp + 1).min(DEFAULT_QP),
+            used if used < ROOM => self.qp - 1,
+            _ => self.qp,
+        }
+        .clamp(FINEST_QP, COARSEST_QP);
+    }
+
+    /// What a picture may take, bytes.
+    fn picture_bytes(&self, mbit_s: f64) -> f64 {
+        let asked_bytes_s = mbit_s * 1e6 / 8.0;
+        let (bytes_s, period_s) = match self.link_bytes_s.map(|bytes_s| bytes_s * LINK_SHARE) {
+            Some(link) if link < asked_bytes_s => (link, self.period_s.max(1.0 / SLOW_UPDATES_HZ)),
+            _ => (asked_bytes_s, self.period_s),
+        };
+        (bytes_s - self.others_bytes_s).max(LEAST_PICTURE_SHARE * bytes_s) * period_s
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD_NS: i64 = 33_333_333;
+
+    /// An encoder of pictures of which so many bytes change at quantiser 22; what stands still costs bits once.
+    struct Scene {
+        moving_bytes: f64,
+        still_bytes: f64,
+        still_qp: u8,
+    }
+
+    impl Scene {
+        fn new(moving_bytes: f64, still_bytes: f64) -> Self {
+            Self { moving_bytes, still_bytes, still_qp: 51 }
+        }
+
+        fn picture(&mut self, qp: u8) -> usize {
+            let at = |bytes: f64, qp: u8| bytes * 2f64.powf((22.0 - f64::from(qp)) / 6.0);
+            let still = (at(self.still_bytes, qp) - at(self.still_bytes, self.still_qp)).max(0.0);
+            self.still_qp = self.still_qp.min(qp);
+            (at(self.moving_bytes, qp) + still) as usize
+        }
+    }
+
+    fn sent(stream_bytes: usize, encode_s: f64) -> SentPicture {
+        SentPicture { stream_bytes, is_refresh: false, encode_s }
+    }
+
+    /// Bytes and quantiser of each picture of a scene.
+    fn run(quality: &mut Quality, scene: &mut Scene, pictures: usize) -> Vec<(usize, u8)> {
+        let picture = |_| {
+            let qp = quality.qp();
+            let bytes = scene.picture(qp);
+            quality.note_picture(sent(bytes, 0.0));
+            (bytes, qp)
+        };
+        (0..pictures).map(picture).collect()
+    }
+
+    fn quality() -> Quality {
+        Quality::new(QualityOptions::default(), PERIOD_NS)
+    }
+
+    /// Mbit/s of the last second.
+    fn last_mbit_s(pictures: &[(usize, u8)]) -> f64 {
+        pictures[pictures.len() - 30..].iter().map(|(bytes, _)| *bytes as f64 * 8e-6).sum()
+    }
+
+    #[test]
+    fn what_stands_still_gets_as_fine_as_it_gets_and_then_costs_nothing() {
+        let pictures = run(&mut quality(), &mut Scene::new(0.0, 50_000.0), 60);
+        assert_eq!(pictures[59], (0, FINEST_QP));
+        assert!(pictures[2..].iter().all(|(bytes, _)| *bytes < 83_333));
+    }
+
+    #[test]
+    fn what_moves_takes_what_was_asked_for_and_swings_by_no_more_than_a_step() {
+        for bytes in [20_000.0, 40_000.0, 83_000.0, 200_000.0] {
+            let pictures = run(&mut quality(), &mut Scene::new(bytes, 0.0), 90);
+            let mbit_s = last_mbit_s(&pictures);
+            assert!((14.0..=20.0).contains(&mbit_s), "{bytes}: {mbit_s} Mbit/s");
+            let last: Vec<u8> = pictures[60..].iter().map(|(_, qp)| *qp).collect();
+            assert!(last.iter().max() <= last.iter().min().map(|qp| qp + 1).as_ref(), "{bytes}: {last:?}");
+        }
+    }
+
+    #[test]
+    fn a_scene_that_begins_to_move_is_coded_coarsely_enough_with_its_second_picture() {
+        let (mut quality, mut scene) = (quality(), Scene::new(0.0, 50_000.0));
+        run(&mut quality, &mut scene, 60);
+        scene.moving_bytes = 60_000.0;
+        let pictures = run(&mut quality, &mut scene, 3);
+        assert!(pictures[0].0 > 150_000 && pictures[1].0 <= 84_000, "{pictures:?}");
+    }
+
+    #[test]
+    fn geometry_and_motion_take_of_the_same_bits() {
+        let (mut quality, mut scene) = (quality(), Scene::new(40_000.0, 0.0));
+        for second in 0..20 {
+            quality.note_other(1_250_000, second * 1_000_000_000); // 10 Mbit/s
+        }
+        let mbit_s = last_mbit_s(&run(&mut quality, &mut scene, 90));
+        assert!((7.0..=10.1).contains(&mbit_s), "{mbit_s} Mbit/s");
+    }
+
+    #[test]
+    fn a_slow_link_has_less_and_a_slow_encoder_is_given_nothing_finer() {
+        let (mut quality, mut scene) = (quality(), Scene::new(10_000.0, 0.0));
+        quality.note_link(Some(125_000.0)); // 1 Mbit/s
+        let (bytes, _) = run(&mut quality, &mut scene, 60)[59];
+        assert!((7_000..=10_000).contains(&bytes), "{bytes}: ten pictures a second");
+        let mut quality = Quality::new(QualityOptions::default(), PERIOD_NS);
+        (0..4).for_each(|_| quality.note_picture(sent(10, 0.01)));
+        assert_eq!(quality.qp(), DEFAULT_QP - 4);
+        (0..30).for_each(|_| quality.note_picture(sent(10, 0.03)));
+        assert_eq!(quality.qp(), DEFAULT_QP);
+    }
+
+    #[test]
+    fn a_constant_quantiser_stays_and_a_refresh_says_nothing() {
+        let mut constant = Quality::new(QualityOptions::Constant(7), PERIOD_NS);
+        run(&mut constant, &mut Scene::new(1e6, 0.0), 10);
+        assert_eq!(constant.qp(), 7);
+        let mut quality = quality();
+        quality.note_picture(SentPicture { is_refresh: true, ..sent(10_000_000, 0.0) });
+        assert_eq!(quality.qp(), DEFAULT_QP);
+    }
+}
