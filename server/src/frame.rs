@@ -122,7 +122,7 @@ impl Frame {
             shortage: Shortage::default(),
             id,
             eye,
-            head: HeadTrack::default(),
+            head: HeadTrack::new(capabilities.display_period_ns),
             culling: culling(scene),
             views,
             id_buffer,

@@ -27,5 +27,6 @@ pub mod stages;
 pub mod stream;
 pub mod truth;
 pub mod upload;
+pub mod view_time;
 pub mod viewer;
 pub mod world;

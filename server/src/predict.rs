@@ -1,12 +1,12 @@
 //! Where the headset will look from while an update is on display. Pure: state, measurements and time in, views out.
 
-use crate::animation::RING;
+use crate::view_time::{GRID_PLACES, ViewTime};
 use glam::{Quat, Vec3};
 use shadecast_protocol::ids::DiscontinuityId;
 use shadecast_protocol::limits::MAX_VIEWS;
 use shadecast_protocol::message::HeadState;
 use shadecast_protocol::pose::{Eye, Fov, Pose};
-use shadecast_protocol::time::{DEFAULT_GRID, Grid, GridIndex, ServerTime};
+use shadecast_protocol::time::{DEFAULT_GRID, Grid, ServerTime};
 use shadecast_shaders::constants::EYES;
 use std::collections::VecDeque;
 
@@ -36,13 +36,13 @@ pub struct View {
     pub fov: Fov,
 }
 
-const _: () = assert!(MAX_HORIZON_NS / DEFAULT_GRID.spacing_ns + 4 <= RING as i64);
+const _: () = assert!(MAX_HORIZON_NS / DEFAULT_GRID.spacing_ns + 2 <= GRID_PLACES as i64);
 
 /// What an update is made for.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PredictedViews {
-    /// Grid points spread over the interval in which the update will be on display; may repeat.
-    pub times: [GridIndex; VIEW_TIMES],
+    /// Spread over the interval in which the update will be on display: points of the time grid, and its middle; may repeat.
+    pub times: [ViewTime; VIEW_TIMES],
     /// Left and right eye at each time.
     pub eyes: [[View; 2]; VIEW_TIMES],
     /// The head in the middle of the interval; shading looks from there.
@@ -62,9 +62,16 @@ pub struct HeadTrack {
     first_delays: VecDeque<i64>,
     last_delays: VecDeque<i64>,
     on_display: Option<(ServerTime, ServerTime)>,
+    /// From one display frame of the client to the next, nanoseconds.
+    display_period_ns: i64,
 }
 
 impl HeadTrack {
+    /// Of a client whose display shows a frame in each `display_period_ns`.
+    pub fn new(display_period_ns: i64) -> Self {
+        Self { display_period_ns, ..Self::default() }
+    }
+
     /// A newer head state; older ones, which datagrams may bring late, are ignored.
     pub fn head(&mut self, state: HeadState) {
         if let Some(latest) = &self.latest {
@@ -119,16 +126,25 @@ impl HeadTrack {
         [first, last.clamp(first, MAX_HORIZON_NS)]
     }
 
+    /// From an update's start to the middle of its time on display, as it usually is. The last of its frames is shown a display
+    /// period before the first of the next update.
+    fn middle_delay_ns(&self) -> i64 {
+        let [first_ns, last_ns] = self.delays_ns();
+        let first_ns = percentile(&self.first_delays, 0.5).unwrap_or(first_ns);
+        let next_ns = percentile(&self.last_delays, 0.5).unwrap_or(last_ns);
+        ((first_ns + next_ns - self.display_period_ns) / 2).clamp(0, MAX_HORIZON_NS)
+    }
+
     /// The views for an update that starts at `now`; `None` before the first head state.
     pub fn predict(&mut self, now: ServerTime, grid: Grid) -> Option<PredictedViews> {
         let state = self.latest?;
         let [first_ns, last_ns] = self.delays_ns();
         let (first, last) = (now.plus_ns(first_ns), now.plus_ns(last_ns));
-        let middle = now.plus_ns((first_ns + last_ns) / 2);
+        let middle = now.plus_ns(self.middle_delay_ns());
         let margin = self.margin();
-        let times = [grid.floor(first), grid.nearest(middle), grid.ceil(last)];
-        let eyes = times.map(|g| {
-            let head = extrapolate(&state, grid.time_of(g));
+        let times = [grid.floor(first).into(), ViewTime::nearest(grid, middle), grid.ceil(last).into()];
+        let eyes = times.map(|at| {
+            let head = extrapolate(&state, at.time(grid));
             state.eyes.map(|eye| view(head, eye, margin))
         });
         let world_from_head = extrapolate(&state, middle);
@@ -213,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn view_times_are_grid_points_that_cover_the_time_on_display() {
+    fn view_times_cover_the_time_on_display() {
         let mut track = HeadTrack::default();
         track.head(state(0, 1.0, 0.0, 0.0));
         for update in 0..20 {
@@ -224,8 +240,26 @@ mod tests {
         let views = track.predict(now, DEFAULT_GRID).unwrap();
         let [first, last] = track.delays_ns();
         assert_eq!((first, last), (70_000_000, 103_000_000), "on display until the next one comes");
-        assert!(DEFAULT_GRID.time_of(views.times[0]) <= now.plus_ns(first));
-        assert!(DEFAULT_GRID.time_of(views.times[2]) >= now.plus_ns(last));
+        assert!(views.times[0].time(DEFAULT_GRID) <= now.plus_ns(first));
+        assert!(views.times[2].time(DEFAULT_GRID) >= now.plus_ns(last));
+    }
+
+    #[test]
+    fn shading_is_for_the_middle_of_the_frames_that_show_it() {
+        const FRAME_NS: i64 = 13_888_889;
+        let mut track = HeadTrack::new(FRAME_NS);
+        track.head(state(0, 1.0, 0.0, 0.0));
+        // On display for three frames each, at 41.7, 55.6 and 69.4 ms after its start.
+        for update in 0..20 {
+            let start = ServerTime(update * 3 * FRAME_NS);
+            track.displayed(start, start.plus_ns(3 * FRAME_NS));
+        }
+        for phase in 0..8 {
+            let now = ServerTime(1_000_000_000 + phase * 5_000_000);
+            let views = track.predict(now, DEFAULT_GRID).unwrap();
+            let apart_ns = views.times[1].time(DEFAULT_GRID).since(now.plus_ns(4 * FRAME_NS)).abs();
+            assert!(apart_ns <= DEFAULT_GRID.spacing_ns / 8 + 2, "{apart_ns} ns");
+        }
     }
 
     #[test]

@@ -1,27 +1,28 @@
 //! Which grid points are computed on the GPU, for what is drawn here; and the scene as residency sees it.
 
+use crate::animation::RING;
 use crate::animation::gpu::{Animation, SampleJob};
 use crate::animation::posing::CpuPose;
 use crate::animation::timeline::Timeline;
-use crate::animation::{RING, RingPlace};
 use crate::culling::Needed;
 use crate::geometry::Geometry;
 use crate::predict::PredictedViews;
 use crate::scene::SceneGpu;
 use crate::scene::numbering::{ScenePatch, SceneVertex};
+use crate::view_time::ViewTime;
 use glam::Vec3;
 use shadecast_gpu::Recorder;
-use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
+use shadecast_protocol::time::{Grid, ServerTime};
 use shadecast_scene::patches::Patch;
 use std::sync::Arc;
 
-/// Samples on the GPU, each in the ring at its number modulo [`RING`].
+/// Samples on the GPU, each at its time's place of the ring.
 pub struct SampleWindow {
     scene: Arc<SceneGpu>,
     /// Positions of the vertices of instances that do not move, metres, one after the other.
     statics: Vec<Vec3>,
-    /// By instance: which grid point each place of the ring holds.
-    held: Vec<[Option<GridIndex>; RING as usize]>,
+    /// By instance: which time each place of the ring holds.
+    held: Vec<[Option<ViewTime>; RING as usize]>,
     jobs: Vec<SampleJob>,
 }
 
@@ -34,11 +35,6 @@ impl SampleWindow {
             statics: static_positions(scene),
             scene: scene.clone(),
         }
-    }
-
-    /// Where in the ring a grid point is.
-    pub fn ring_place(g: GridIndex) -> RingPlace {
-        RingPlace(g.0.rem_euclid(RING as i32) as u32)
     }
 
     /// Nothing that was computed is believed any more.
@@ -56,23 +52,20 @@ impl SampleWindow {
         needed: &Needed,
     ) {
         self.list_jobs(&views.times, grid, needed);
-        let statics = SampleJob {
-            instance: 0,
-            place: Self::ring_place(views.times[0]),
-            time: grid.time_of(views.times[0]),
-        };
+        let statics =
+            SampleJob { instance: 0, place: views.times[0].place(), time: views.times[0].time(grid) };
         animation.record(recorder, &self.jobs, statics);
     }
 
-    fn list_jobs(&mut self, times: &[GridIndex], grid: Grid, needed: &Needed) {
+    fn list_jobs(&mut self, times: &[ViewTime], grid: Grid, needed: &Needed) {
         self.jobs.clear();
-        for g in times.iter().copied() {
-            let ring_place = Self::ring_place(g);
+        for at in times.iter().copied() {
+            let ring_place = at.place();
             for (instance, place) in self.scene.numbering.instances.iter().enumerate() {
                 let held = &mut self.held[instance][ring_place.index()];
-                if place.is_animated && needed.has(instance) && *held != Some(g) {
-                    *held = Some(g);
-                    self.jobs.push(SampleJob { instance, place: ring_place, time: grid.time_of(g) });
+                if place.is_animated && needed.has(instance) && *held != Some(at) {
+                    *held = Some(at);
+                    self.jobs.push(SampleJob { instance, place: ring_place, time: at.time(grid) });
                 }
             }
         }

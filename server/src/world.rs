@@ -9,8 +9,9 @@ use crate::predict::{PredictedViews, VIEW_TIMES};
 use crate::samples::SampleWindow;
 use crate::scene::SceneGpu;
 use crate::stages::shadow::Shadow;
+use crate::view_time::ViewTime;
 use shadecast_gpu::{Access, Gpu, GpuError, Recorder};
-use shadecast_protocol::time::{DEFAULT_GRID, Grid, GridIndex};
+use shadecast_protocol::time::{DEFAULT_GRID, Grid};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -42,9 +43,9 @@ pub struct World {
     gpu: Arc<Gpu>,
     scene: Arc<SceneGpu>,
     grid: Grid,
-    /// Positions on the time grid.
+    /// Positions at the times of updates.
     pub animation: Animation,
-    /// Which grid points those are.
+    /// Which times those are.
     pub samples: SampleWindow,
     /// Light and the sun's map.
     pub shadow: Shadow,
@@ -55,7 +56,7 @@ pub struct World {
     /// What any of them needs.
     needed: Needed,
     /// Whose time light, shadow map and tangents are, and for which instances.
-    lit: Option<(GridIndex, Needed)>,
+    lit: Option<(ViewTime, Needed)>,
     shadow_maps: u64,
     tangents: u64,
 }
@@ -143,17 +144,17 @@ impl World {
         self.needs.insert(viewer, needs.clone());
         self.unite();
         self.samples.record(recorder, &mut self.animation, self.grid, views, &self.needed);
-        Sampled { places: views.times.map(SampleWindow::ring_place) }
+        Sampled { places: views.times.map(ViewTime::place) }
     }
 
     /// Records light, shadow map and tangents as they are at `at`, which [`Self::animate`] has sampled, unless they are.
-    pub fn light(&mut self, recorder: &mut Recorder, at: GridIndex) {
-        let is_lit = |(lit, of): &(GridIndex, Needed)| *lit == at && of.covers(&self.needed);
+    pub fn light(&mut self, recorder: &mut Recorder, at: ViewTime) {
+        let is_lit = |(lit, of): &(ViewTime, Needed)| *lit == at && of.covers(&self.needed);
         if self.lit.as_ref().is_some_and(is_lit) {
             return;
         }
-        let place = SampleWindow::ring_place(at);
-        self.shadow.write(&self.scene, &self.animation, self.grid.time_of(at));
+        let place = at.place();
+        self.shadow.write(&self.scene, &self.animation, at.time(self.grid));
         self.animation.record_tangents(recorder, place, |instance| self.needed.has(instance));
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         let is_drawn = recorder

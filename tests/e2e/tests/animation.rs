@@ -493,7 +493,7 @@ fn instances_in_the_same_pose_share_a_palette() {
 fn views(first: i32, horizon: i32) -> PredictedViews {
     let view = View { world_from_eye: Pose::IDENTITY, fov: Fov::symmetric_degrees(90.0) };
     PredictedViews {
-        times: [GridIndex(first + 1), GridIndex(first + 2), GridIndex(horizon - 2)],
+        times: [first + 1, first + 2, horizon - 2].map(|g| GridIndex(g).into()),
         eyes: [[view; 2]; 3],
         world_from_head: Pose::IDENTITY,
         margin: 0.0,
