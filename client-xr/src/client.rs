@@ -17,7 +17,7 @@ use crate::stats::{ClientStats, Counters};
 use crate::xr::{Views, Xr};
 use shadecast_gpu::{Gpu, Timings};
 use shadecast_protocol::delta::ReceivedDelta;
-use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
+use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Capabilities, Codec, HeadState, MotionMemory, Refused, Welcome};
 use shadecast_protocol::motion::message::MotionMessage;
 use shadecast_protocol::session::{ClientEvent, Out};
@@ -43,6 +43,8 @@ pub struct ClientOptions {
     pub max_vertex_slots: u32,
     /// Patches that the client offers to keep.
     pub max_patch_slots: u32,
+    /// Triangles that the client offers to draw for each eye, those of two sides twice.
+    pub max_triangles: u32,
     /// What the client offers to keep to skin by itself.
     pub motion: MotionMemory,
 }
@@ -57,6 +59,7 @@ impl Default for ClientOptions {
             decoder: platform::decoder,
             max_vertex_slots: MAX_VERTEX_SLOTS,
             max_patch_slots: MAX_PATCH_SLOTS,
+            max_triangles: MAX_TRIANGLES,
             motion: MotionMemory::DEFAULT,
         }
     }
@@ -156,6 +159,7 @@ impl Client {
             max_atlas_extent: ATLAS_MAX_EXTENT,
             max_vertex_slots: options.max_vertex_slots.min(MAX_VERTEX_SLOTS),
             max_patch_slots: options.max_patch_slots.min(MAX_PATCH_SLOTS),
+            max_triangles: options.max_triangles.min(MAX_TRIANGLES),
             motion: options.motion.min(MotionMemory::MAX),
             codecs: options.codecs.to_vec(),
             eyes,

@@ -17,6 +17,7 @@ use shadecast_scene::{
     Trs, Vertex,
 };
 use shadecast_server::animation::timeline::{SharedTimeline, TimelineError};
+use shadecast_server::detail::DEFAULT_DETAIL_PIXELS;
 use shadecast_server::quality::QualityOptions;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::stream::{Device, StreamOptions, run_timeline};
@@ -72,6 +73,7 @@ fn options(seconds: f64) -> anyhow::Result<StreamOptions> {
         identity: None,
         atlas_extent_texels: "1024x1024".parse().map_err(anyhow::Error::msg)?,
         quality: QualityOptions::default(),
+        detail_pixels: DEFAULT_DETAIL_PIXELS,
         rate_hz: 30.0,
         viewers: 4,
         link: None,

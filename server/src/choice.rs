@@ -11,6 +11,9 @@ const SHOWN_BONUS: u64 = 2;
 /// A shortage is over when nothing was missing for so many updates.
 const OVER_AFTER_UPDATES: u32 = 30;
 
+/// Triangles that are drawn for a patch at most: three of two sides.
+const MAX_TRIANGLES: usize = 6;
+
 /// How much a client can be shown at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Room {
@@ -18,6 +21,8 @@ pub struct Room {
     pub patches: u32,
     /// Vertices of these patches, each counted once.
     pub vertices: u32,
+    /// Triangles that are drawn for them: those of two sides twice.
+    pub triangles: u32,
 }
 
 /// A patch that could be shown.
@@ -58,17 +63,18 @@ impl Chooser {
 
     /// All `candidates`, or those that matter most of them: in patch order, as they came.
     pub fn choose(&mut self, geometry: &impl Geometry, mut candidates: Vec<Candidate>) -> Vec<Candidate> {
-        if self.all_fit(geometry, &candidates) {
+        if self.all_fit(geometry, candidates.iter().map(|candidate| candidate.patch)) {
             return candidates;
         }
         candidates.sort_unstable_by_key(Candidate::rank);
-        let (mut patches, mut vertices) = (self.room.patches, self.room.vertices);
+        let Room { mut patches, mut vertices, mut triangles } = self.room;
         self.start_count(geometry);
         candidates.retain(|candidate| {
             let cost = self.uncounted(geometry, candidate.patch);
-            let fits = patches > 0 && cost <= vertices;
+            let drawn = geometry.patch(candidate.patch).drawn_triangles();
+            let fits = patches > 0 && cost <= vertices && drawn <= triangles;
             if fits {
-                (patches, vertices) = (patches - 1, vertices - cost);
+                (patches, vertices, triangles) = (patches - 1, vertices - cost, triangles - drawn);
                 self.count_vertices(geometry, candidate.patch);
             }
             fits
@@ -77,16 +83,27 @@ impl Chooser {
         candidates
     }
 
-    fn all_fit(&mut self, geometry: &impl Geometry, candidates: &[Candidate]) -> bool {
-        if candidates.len() > self.room.patches as usize {
+    /// Whether there is room for all of these patches.
+    pub fn all_fit(
+        &mut self,
+        geometry: &impl Geometry,
+        patches: impl Iterator<Item = ScenePatch> + Clone,
+    ) -> bool {
+        let count = patches.clone().count();
+        let most = |of_each: usize, room: u32| count * of_each <= room as usize;
+        if !most(1, self.room.patches) {
             return false;
         }
-        if candidates.len() * MAX_CORNERS <= self.room.vertices as usize {
+        let has_triangles =
+            || patches.clone().map(|patch| geometry.patch(patch).drawn_triangles()).sum::<u32>();
+        if !most(MAX_TRIANGLES, self.room.triangles) && has_triangles() > self.room.triangles {
+            return false;
+        }
+        if most(MAX_CORNERS, self.room.vertices) {
             return true; // without counting
         }
         self.start_count(geometry);
-        let vertices: u32 = candidates.iter().map(|c| self.count_vertices(geometry, c.patch)).sum();
-        vertices <= self.room.vertices
+        patches.map(|patch| self.count_vertices(geometry, patch)).sum::<u32>() <= self.room.vertices
     }
 
     fn start_count(&mut self, geometry: &impl Geometry) {
@@ -169,7 +186,7 @@ mod tests {
 
     #[test]
     fn the_large_patch_near_the_viewer_stays_while_tiny_far_ones_go() {
-        let mut chooser = Chooser::new(Room { patches: 10, vertices: 1000 });
+        let mut chooser = Chooser::new(Room { patches: 10, vertices: 1000, triangles: 1000 });
         let ground = candidate(0, 300 * 200);
         let candidates: Vec<_> =
             [ground].into_iter().chain((1..100).map(|patch| candidate(patch, patch))).collect();
@@ -180,22 +197,31 @@ mod tests {
     fn vertices_that_patches_share_count_once() {
         // A fan of n triangles has n + 2 vertices.
         let all: Vec<_> = (0..20).map(|patch| candidate(patch, 5)).collect();
-        let mut chooser = Chooser::new(Room { patches: 100, vertices: 22 });
+        let mut chooser = Chooser::new(Room { patches: 100, vertices: 22, triangles: 1000 });
         assert_eq!(chosen(&mut chooser, &all).len(), 20);
-        let mut chooser = Chooser::new(Room { patches: 100, vertices: 21 });
+        let mut chooser = Chooser::new(Room { patches: 100, vertices: 21, triangles: 1000 });
         assert_eq!(chosen(&mut chooser, &all), (0..19).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn no_more_triangles_are_drawn_than_the_client_draws() {
+        let all: Vec<_> = (0..20).map(|patch| candidate(patch, 5)).collect();
+        let room = Room { patches: 100, vertices: 100, triangles: 20 };
+        assert_eq!(chosen(&mut Chooser::new(room), &all).len(), 20);
+        let room = Room { triangles: 19, ..room };
+        assert_eq!(chosen(&mut Chooser::new(room), &all), (0..19).collect::<Vec<_>>());
     }
 
     #[test]
     fn what_is_in_view_goes_before_what_is_only_held() {
         let held = Candidate { is_in_view: false, is_shown: true, ..candidate(0, 5000) };
-        let mut chooser = Chooser::new(Room { patches: 1, vertices: 100 });
+        let mut chooser = Chooser::new(Room { patches: 1, vertices: 100, triangles: 1000 });
         assert_eq!(chosen(&mut chooser, &[held, candidate(1, 1)]), [1]);
     }
 
     #[test]
     fn sizes_that_tremble_do_not_change_the_choice_and_a_real_change_does() {
-        let mut chooser = Chooser::new(Room { patches: 30, vertices: 1000 });
+        let mut chooser = Chooser::new(Room { patches: 30, vertices: 1000, triangles: 1000 });
         let mut shown = Vec::new();
         let mut areas: Vec<u32> = (0..100).map(|patch| 1000 + 3 * patch).collect();
         for update in 0..40u32 {

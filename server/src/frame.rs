@@ -4,17 +4,21 @@
 use crate::animation::RING;
 use crate::choice::{Notice, Room, Shortage};
 use crate::culling::{Culling, Needed};
+use crate::detail::{Detail, LevelCost};
 use crate::encode::Source;
 use crate::geometry::{UpdateDelta, UpdateStamp};
 use crate::levels::{Layout, Visible};
+use crate::looks::{Look, Looks};
 use crate::motion::predictions::predictions;
 use crate::motion::skinning::Skinning;
 use crate::motion::steps::wanted_steps_m;
+use crate::nearness::pixels_per_metre;
 use crate::pacing::Budget;
 use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES};
 use crate::residency::{PlacementChange, Residency};
 use crate::scene::SceneGpu;
-use crate::scene::numbering::Totals;
+use crate::scene::meshes::MeshLevel;
+use crate::scene::numbering::{ScenePatch, Totals};
 use crate::stages::id_buffer::{IdBuffer, shift_ndc};
 use crate::stages::level_selection::LevelSelection;
 use crate::stages::mark::Mark;
@@ -36,7 +40,7 @@ use shadecast_protocol::pose::Fov;
 use shadecast_protocol::time::ServerTime;
 use shadecast_shaders::constants::EYES;
 use shadecast_shaders::generated::ViewGpu;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 /// Updates remembered until their display is reported.
 const REMEMBERED_UPDATES: usize = 256;
@@ -45,12 +49,16 @@ const MAX_ID_BUFFER_PIXELS: u32 = ATLAS_MAX_EXTENT[0] * ATLAS_MAX_EXTENT[1];
 /// Pixels of a side of the ID buffer: every device draws to as many.
 const MAX_ID_BUFFER_SIDE: f32 = 8192.0;
 
+/// Times that an update looks at the scene, at coarser levels each time, before it leaves patches out.
+const MAX_LOOKS: u32 = 3;
+
 /// The pipeline of one viewer.
 pub struct Frame {
     id: ViewerId,
     eye: EyeSize,
     head: HeadTrack,
     culling: Culling,
+    detail: Detail,
     views: Buffer,
     id_buffer: IdBuffer,
     mark: Mark,
@@ -75,6 +83,19 @@ struct EyeSize {
     fovs: [Fov; 2],
 }
 
+/// What an update shows.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Shows {
+    /// Patches.
+    pub patches: u32,
+    /// Triangles that are drawn for them: those of two sides twice.
+    pub triangles: u32,
+    /// Levels of detail of the instances that are needed, in their order.
+    pub levels: Vec<usize>,
+    /// Pixels of error that a level may have.
+    pub detail_pixels: f32,
+}
+
 /// One update, shaded and ready to be encoded.
 #[derive(Clone, Debug)]
 pub struct Shaded {
@@ -91,23 +112,29 @@ pub struct Shaded {
 }
 
 impl Frame {
-    /// For a viewer of `world` that agreed to `welcome` and has told its `capabilities`.
+    /// For a viewer of `world` that agreed to `welcome` and has told its `capabilities`. Levels of detail may err by
+    /// `detail_pixels` of its display; 0: everything has full detail.
     pub fn new(
         world: &World,
         id: ViewerId,
         welcome: &Welcome,
         capabilities: &Capabilities,
+        detail_pixels: f32,
     ) -> Result<Self, GpuError> {
         let (gpu, scene, animation) = (world.gpu(), world.scene(), &world.animation);
         let eye = EyeSize::of(capabilities);
         let views =
             Buffer::new(gpu, "views", u64::from(MAX_VIEWS) * size_of::<ViewGpu>() as u64, Memory::Upload)?;
         let id_buffer = IdBuffer::new(gpu, scene, animation, &views, eye.id_buffer_extent())?;
-        let mark = Mark::new(gpu, &id_buffer.image, scene.numbering.totals.patches)?;
+        let mark = Mark::new(gpu, &id_buffer.image, scene.numbering.totals.looked_at)?;
         let level_selection = LevelSelection::new(gpu, scene, animation, &views, &mark.visible)?;
         let shading = Shading::new(gpu, scene, animation, &world.shadow, welcome.atlas_extent_texels)?;
         let ycbcr = Ycbcr::new(gpu, &shading.atlas)?;
-        let room = Room { patches: welcome.patch_slots, vertices: welcome.vertex_slots };
+        let room = Room {
+            patches: welcome.patch_slots.min(Layout::most_blocks(welcome.atlas_extent_texels)),
+            vertices: welcome.vertex_slots,
+            triangles: capabilities.max_triangles,
+        };
         Ok(Self {
             extents: Buffer::new(
                 gpu,
@@ -124,6 +151,7 @@ impl Frame {
             eye,
             head: HeadTrack::new(capabilities.display_period_ns),
             culling: culling(scene),
+            detail: Detail::new(detail_pixels, room, level_costs(scene)),
             views,
             id_buffer,
             mark,
@@ -180,13 +208,15 @@ impl Frame {
     pub fn update(&mut self, world: &mut World, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
         let Some(views) = self.head.predict(now, world.grid()) else { return Ok(None) }; // 1
         let needs: Needed = self.culling.needs(views.eyes.iter().flatten().copied());
+        let near = pixels_per_metre(world.scene(), world.grid(), &views, self.eye.pixels_per_radian());
+        self.detail.begin(&needs, &near);
         let mut recorder = world.gpu().record()?;
         let began = world.effort.begin();
         let sampled: Sampled = world.animate(&mut recorder, self.id, &views, &needs); // 2
         world.effort.add_animation(began);
-        let mut timings = self.look(recorder, world, &views, &needs, &sampled)?; // 3, 4 on the GPU
-        let visible = Visible(&self.extents.values()[..world.scene().numbering.totals.patches as usize]);
-        let changes: Vec<PlacementChange> = self.layout.place(&world.samples, visible); // 4, 5
+        self.write_views(&views);
+        let (looks, mut timings): (Looks, _) = self.look(recorder, world, &sampled)?; // 3, 4 on the GPU
+        let changes: Vec<PlacementChange> = self.layout.place(&world.samples, &looks); // 4, 5
         timings.append(self.shade(world, &views, &sampled)?); // 6
         let began = world.effort.begin();
         let delta: UpdateDelta = self.tell(world, &views, &changes, now); // 8
@@ -233,36 +263,110 @@ impl Frame {
         made
     }
 
-    /// Rasterises every predicted view at its time, and measures what is visible.
+    /// Looks at the scene until what is visible has room: at coarser levels of detail where it has none.
     fn look(
         &mut self,
         mut recorder: Recorder,
         world: &World,
-        views: &PredictedViews,
-        needs: &Needed,
+        sampled: &Sampled,
+    ) -> Result<(Looks, Timings), GpuError> {
+        self.layout.begin();
+        let mut timings = Timings::default();
+        for look in 1.. {
+            let mut looks = Looks::new(&world.scene().numbering, self.detail.levels());
+            timings.append(self.look_at(recorder, world, &looks, sampled)?);
+            self.layout.see(Visible { looks: &looks, extents: self.extents.values() });
+            self.switch(world, &mut looks);
+            self.measure(&looks);
+            if self.layout.has_room(&world.samples, &looks) {
+                return Ok((looks, timings));
+            }
+            if look == MAX_LOOKS || !self.detail.tighten() {
+                self.switch_at_once(&mut looks);
+                return Ok((looks, timings));
+            }
+            recorder = world.gpu().record()?;
+        }
+        unreachable!("it looks {MAX_LOOKS} times at most")
+    }
+
+    /// Rasterises every predicted view at its time, and measures what is visible.
+    fn look_at(
+        &mut self,
+        mut recorder: Recorder,
+        world: &World,
+        looks: &Looks,
         sampled: &Sampled,
     ) -> Result<Timings, GpuError> {
-        self.write_views(views);
         let (scene, animation) = (world.scene(), &world.animation);
+        let scenes = looks.scenes();
         recorder.fill(&self.mark.visible, 0);
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         for (time, place) in sampled.places.into_iter().enumerate() {
-            recorder.scope("id buffer", |r| {
-                self.id_buffer.record(r, scene, animation, needs, place, EYES * time as u32);
-            });
-            recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
-            recorder.scope("mark", |r| self.mark.record(r));
-            recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the next time draws over the ID buffer
+            for scene_looks in &scenes {
+                recorder.scope("id buffer", |r| {
+                    self.id_buffer.record(r, scene, animation, scene_looks, place, EYES * time as u32);
+                });
+                recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
+                recorder.scope("mark", |r| self.mark.record(r));
+                recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the next one draws over the ID buffer
+            }
         }
         recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
         recorder.scope("level selection", |r| {
-            self.level_selection.record(r, scene, animation, sampled.places);
+            self.level_selection.record(r, scene, animation, looks, sampled.places);
         });
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
-        recorder.copy_buffer(&self.level_selection.extents, 0, &self.extents, 0, self.extents.size());
+        let bytes = (looks.entries().max(1) * size_of::<u32>()) as u64;
+        recorder.copy_buffer(&self.level_selection.extents, 0, &self.extents, 0, bytes);
         recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
         world.gpu().wait_timed(recorder.submit()?)
+    }
+
+    /// Lets the client show the next level of those instances of which it has all that is seen, or gets it with this update. Of
+    /// the others, the one that lacks least is brought ahead.
+    fn switch(&mut self, world: &World, looks: &mut Looks) {
+        let (geometry, layout) = (&world.samples, &self.layout);
+        let next: Vec<Look> = looks.next().copied().collect();
+        let waits = |instance: usize| next.iter().any(|look| look.instance == instance);
+        let shown: Vec<_> = if next.is_empty() { Vec::new() } else { layout.shown(looks).collect() };
+        let mut left = self.residency.allowance();
+        let stays = shown.iter().filter(|(instance, _)| !waits(*instance)).map(|(_, patch)| *patch);
+        self.residency.reserve_what_fits(geometry, stays, &mut left);
+        let mut least: Option<&[ScenePatch]> = None;
+        for look in &next {
+            let seen = layout.seen_of(look);
+            if self.residency.reserve(geometry, seen.iter().copied(), &mut left) {
+                looks.switch(look.instance);
+                self.detail.switched(look.instance);
+                continue;
+            }
+            let stays = shown.iter().filter(|(instance, _)| *instance == look.instance);
+            self.residency.reserve_what_fits(geometry, stays.map(|(_, patch)| *patch), &mut left);
+            let lacking = |patches: &[ScenePatch]| self.residency.lacking(patches);
+            least = Some(least.filter(|least| lacking(least) <= lacking(seen)).unwrap_or(seen));
+        }
+        let ahead = least.map_or(Vec::new(), <[ScenePatch]>::to_vec);
+        self.residency.bring_ahead(ahead);
+    }
+
+    /// There is no room for what is seen, not even for a moment beside what is to be shown instead: whatever is to be coarser is
+    /// so from now on, and comes in as the other goes.
+    fn switch_at_once(&mut self, looks: &mut Looks) {
+        let shown: BTreeMap<usize, usize> = looks.shown().map(|look| (look.instance, look.level)).collect();
+        let next: Vec<Look> = looks.next().copied().collect();
+        for look in next.iter().filter(|look| shown.get(&look.instance) < Some(&look.level)) {
+            looks.switch(look.instance);
+            self.detail.switched(look.instance);
+        }
+    }
+
+    /// How much of each level that is shown was seen.
+    fn measure(&mut self, looks: &Looks) {
+        for look in looks.shown() {
+            self.detail.measured(look.instance, self.layout.seen_of(look).len() as u32);
+        }
     }
 
     /// Fills every live block as it is in the middle of the update's time on display, and converts the atlas.
@@ -311,6 +415,18 @@ impl Frame {
     /// Patches in view that were not shown, for want of a block or of a free slot, summed over all updates.
     pub fn dropped_patches(&self) -> u64 {
         self.shortage.total()
+    }
+
+    /// What the last update shows.
+    pub fn shows(&self, world: &World) -> Shows {
+        let live = self.layout.live().map(|(patch, _)| patch);
+        let levels: Vec<usize> = self.detail.levels().flatten().map(|levels| levels.shown).collect();
+        Shows {
+            patches: self.layout.live_count() as u32,
+            triangles: live.map(|patch| world.scene().patch(patch).drawn_triangles()).sum(),
+            levels,
+            detail_pixels: self.detail.allowed_pixels(),
+        }
     }
 
     fn report_shortage(&mut self) {
@@ -373,6 +489,18 @@ impl EyeSize {
     }
 }
 
+/// What each level of detail of each instance costs.
+fn level_costs(scene: &SceneGpu) -> Vec<Vec<LevelCost>> {
+    let cost = |level: &MeshLevel| LevelCost {
+        error_m: level.error_m,
+        patches: level.patches.len() as u32,
+        vertices: level.vertices,
+        triangles: level.triangles,
+    };
+    let instances = 0..scene.numbering.instances.len();
+    instances.map(|instance| scene.mesh(instance).levels.iter().map(cost).collect()).collect()
+}
+
 /// Which instances the views of a viewer need.
 fn culling(scene: &SceneGpu) -> Culling {
     let sun = scene.scene.sun;
@@ -394,7 +522,7 @@ fn needs(totals: Totals) -> Vec<(&'static str, u64)> {
     let of_ring = |count: u32, bytes: u64| u64::from(RING) * u64::from(count) * bytes;
     needs.push(("bones of all instances and sample times", of_ring(totals.bones, BONE_BYTES)));
     needs.push(("palettes of all instances and sample times", of_ring(totals.palette, BONE_BYTES)));
-    needs.push(("patches of all instances", u64::from(totals.patches) * size_of::<u32>() as u64));
+    needs.push(("patches of all instances", u64::from(totals.looked_at) * size_of::<u32>() as u64));
     needs
 }
 

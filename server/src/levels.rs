@@ -4,6 +4,7 @@
 use crate::atlas::Atlas;
 use crate::choice::{Candidate, Chooser, Room};
 use crate::geometry::Geometry;
+use crate::looks::{Look, Looks};
 use crate::residency::PlacementChange;
 use crate::scene::numbering::ScenePatch;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockSize};
@@ -37,6 +38,8 @@ pub struct Layout {
     atlas: Atlas,
     chooser: Chooser,
     states: Vec<State>,
+    /// Patches that were seen within the last [`HOLD_UPDATES`], ascending: those of levels too that are not shown yet.
+    recent: Vec<ScenePatch>,
     /// Patches with a block, ascending.
     live: Vec<ScenePatch>,
     density: f32,
@@ -72,20 +75,25 @@ struct Plan {
     texels: u64,
 }
 
-/// What the predicted views show: by scene-wide patch its largest extent, width | height << 16 in texels, 0 where it is not
-/// visible.
+/// What the predicted views show of what was looked at: by entry the patch's largest extent, width | height << 16 in texels, 0
+/// where it is not visible.
 #[derive(Clone, Copy, Debug)]
-pub struct Visible<'a>(pub &'a [u32]);
+pub struct Visible<'a> {
+    /// Whose entries these are.
+    pub looks: &'a Looks,
+    /// By entry.
+    pub extents: &'a [u32],
+}
 
 impl Layout {
     /// For `patches` patches in an empty atlas, of which a client has room for some at one time.
     pub fn new(atlas_extent: AtlasExtent, patches: usize, room: Room) -> Self {
-        // At the coarsest every block is of the smallest size; more patches than that cannot have one.
-        let smallest_blocks = (atlas_extent.width() * atlas_extent.height()) >> (2 * BLOCK_MIN_LOG2);
+        let patches_at_once = room.patches.min(Self::most_blocks(atlas_extent));
         Self {
             atlas: Atlas::new(atlas_extent),
-            chooser: Chooser::new(Room { patches: room.patches.min(smallest_blocks), ..room }),
+            chooser: Chooser::new(Room { patches: patches_at_once, ..room }),
             states: vec![State::default(); patches],
+            recent: Vec::new(),
             live: Vec::new(),
             density: 1.0,
             overflow_share: 1.0,
@@ -97,17 +105,71 @@ impl Layout {
         }
     }
 
-    /// Places the patches that are visible, and those seen within the last
+    /// At the coarsest every block is of the smallest size; more patches than that cannot have one.
+    pub fn most_blocks(atlas_extent: AtlasExtent) -> u32 {
+        (atlas_extent.width() * atlas_extent.height()) >> (2 * BLOCK_MIN_LOG2)
+    }
+
+    /// A new update begins.
+    pub fn begin(&mut self) {
+        self.update += 1;
+    }
+
+    /// Takes in what this update's views show; if it looks more than once, the last time counts.
+    pub fn see(&mut self, Visible { looks, extents }: Visible<'_>) {
+        let (update, states) = (self.update, &mut self.states);
+        let is_held = |patch: &ScenePatch| {
+            let unseen_updates = update - states[patch.index()].last_seen;
+            (1..=HOLD_UPDATES).contains(&unseen_updates)
+        };
+        // Two ascending lists, which the sort merges.
+        let mut recent: Vec<ScenePatch> = self.recent.iter().copied().filter(is_held).collect();
+        let mut seen = Vec::new();
+        for look in looks.all() {
+            for (patch, packed) in (look.patches.first.0..).zip(&extents[look.entries()]) {
+                if *packed != 0 {
+                    seen.push((ScenePatch(patch), [*packed as u16, (packed >> 16) as u16]));
+                }
+            }
+        }
+        recent.retain(|patch| seen.binary_search_by_key(patch, |(patch, _)| *patch).is_err());
+        for (patch, extent) in &seen {
+            let state = &mut states[patch.index()];
+            (state.last_seen, state.extent) = (update, *extent);
+        }
+        recent.extend(seen.iter().map(|(patch, _)| *patch));
+        recent.sort();
+        self.recent = recent;
+    }
+
+    /// Of a level that was looked at, the patches that should be there before it is shown, ascending.
+    pub fn seen_of(&self, look: &Look) -> &[ScenePatch] {
+        let at = |number: u32| self.recent.partition_point(|patch| patch.0 < number);
+        &self.recent[at(look.patches.first.0)..at(look.patches.end())]
+    }
+
+    /// Of what is shown, the patches that were seen lately, ascending, with their instance.
+    pub fn shown<'a>(&'a self, looks: &'a Looks) -> impl Iterator<Item = (usize, ScenePatch)> + 'a {
+        looks.shown_of(&self.recent)
+    }
+
+    /// Whether there is room for all that this update's views see of what is shown.
+    pub fn has_room(&mut self, geometry: &impl Geometry, looks: &Looks) -> bool {
+        let states = &self.states;
+        let in_view = looks.shown_of(&self.recent).map(|(_, patch)| patch);
+        let in_view: Vec<ScenePatch> =
+            in_view.filter(|patch| states[patch.index()].last_seen == self.update).collect();
+        self.chooser.all_fit(geometry, in_view.iter().copied())
+    }
+
+    /// Places the patches of what is shown that are visible, and those seen within the last
     /// [`HOLD_UPDATES`]; where these are too many, those that matter most on screen. Returns what changed, in patch
     /// order.
-    pub fn place(&mut self, geometry: &impl Geometry, visible: Visible<'_>) -> Vec<PlacementChange> {
-        let extents = visible.0;
-        assert_eq!(extents.len(), self.states.len(), "one extent per patch");
-        self.update += 1;
+    pub fn place(&mut self, geometry: &impl Geometry, looks: &Looks) -> Vec<PlacementChange> {
         let before: Vec<ScenePatch> = std::mem::take(&mut self.live);
         let before: Vec<(ScenePatch, Option<Block>)> =
             before.into_iter().map(|patch| (patch, self.states[patch.index()].block)).collect();
-        self.choose(geometry, extents);
+        self.choose(geometry, looks);
         self.release_unseen(&before);
         if !self.recover() {
             self.place_live();
@@ -116,28 +178,23 @@ impl Layout {
     }
 
     /// Chooses who is to have a block.
-    fn choose(&mut self, geometry: &impl Geometry, extents: &[u32]) {
-        let mut candidates = Vec::new();
-        for (patch, packed) in extents.iter().enumerate() {
-            let state = &mut self.states[patch];
-            if *packed != 0 {
-                state.last_seen = self.update;
-                state.extent = [*packed as u16, (packed >> 16) as u16];
+    fn choose(&mut self, geometry: &impl Geometry, looks: &Looks) {
+        let candidate = |(_, patch): (usize, ScenePatch)| {
+            let state = &self.states[patch.index()];
+            Candidate {
+                patch,
+                is_in_view: self.update - state.last_seen < IN_VIEW_UPDATES,
+                area_texels: u32::from(state.extent[0]) * u32::from(state.extent[1]),
+                is_shown: state.block.is_some(),
             }
-            let unseen_updates = self.update - state.last_seen;
-            if state.last_seen > 0 && unseen_updates <= HOLD_UPDATES {
-                candidates.push(Candidate {
-                    patch: ScenePatch::at(patch),
-                    is_in_view: unseen_updates < IN_VIEW_UPDATES,
-                    area_texels: u32::from(state.extent[0]) * u32::from(state.extent[1]),
-                    is_shown: state.block.is_some(),
-                });
-            }
-        }
-        let visible = extents.iter().filter(|packed| **packed != 0).count();
+        };
+        let candidates: Vec<Candidate> = looks.shown_of(&self.recent).map(candidate).collect();
+        let is_visible =
+            |candidate: &&Candidate| self.states[candidate.patch.index()].last_seen == self.update;
+        let visible = candidates.iter().filter(is_visible).count();
         let chosen = self.chooser.choose(geometry, candidates);
+        self.dropped = visible - chosen.iter().filter(is_visible).count();
         self.live = chosen.iter().map(|candidate| candidate.patch).collect();
-        self.dropped = visible - self.live.iter().filter(|patch| extents[patch.index()] != 0).count();
     }
 
     fn release_unseen(&mut self, before: &[(ScenePatch, Option<Block>)]) {
@@ -319,15 +376,20 @@ fn side_log2(needed_texels: f32) -> u8 {
 mod tests {
     use super::*;
     use crate::geometry::test_geometry::Loose;
+    use crate::looks::Levels;
+    use crate::scene::numbering::{InstanceSize, Numbering};
 
-    const ROOM: Room = Room { patches: 100_000, vertices: 100_000 };
+    const ROOM: Room = Room { patches: 100_000, vertices: 100_000, triangles: 600_000 };
 
     fn layout([width, height]: [u32; 2], patches: usize) -> Layout {
         Layout::new(AtlasExtent::new(width, height).expect("an atlas"), patches, ROOM)
     }
 
     fn place(layout: &mut Layout, extents: &[u32]) -> Vec<PlacementChange> {
-        layout.place(&Loose { patches: extents.len() as u32 }, Visible(extents))
+        let looks = Looks::of_one(extents.len() as u32);
+        layout.begin();
+        layout.see(Visible { looks: &looks, extents });
+        layout.place(&Loose { patches: extents.len() as u32 }, &looks)
     }
 
     fn pack(width: u32, height: u32) -> u32 {
@@ -366,6 +428,54 @@ mod tests {
         extents[7] = pack(60, 3);
         place(&mut layout, &extents);
         assert!(before.iter().all(|b| layout.live().any(|now| now == *b)));
+    }
+
+    /// An instance of two levels: 40 patches, of which it shows those, and then 20 more.
+    fn two_levels(shown: usize, next: Option<usize>) -> Looks {
+        let size = InstanceSize { patches: vec![40, 20], ..InstanceSize::default() };
+        Looks::new(&Numbering::new(&[size]), [Some(Levels { shown, next })])
+    }
+
+    fn live(layout: &Layout) -> Vec<u32> {
+        layout.live().map(|(patch, _)| patch.0).collect()
+    }
+
+    #[test]
+    fn levels_take_turns_with_one_update_and_never_lie_beside_each_other() {
+        let (mut layout, geometry) = (layout([512, 512], 60), Loose { patches: 60 });
+        let mut update = |looks: &mut Looks, switches: bool| {
+            layout.begin();
+            let extents = vec![pack(9, 9); looks.entries()];
+            layout.see(Visible { looks, extents: &extents });
+            if switches {
+                looks.switch(0);
+            }
+            let changes = layout.place(&geometry, looks);
+            (live(&layout), changes.len())
+        };
+        let (fine, coarse): (Vec<u32>, Vec<u32>) = ((0..40).collect(), (40..60).collect());
+        assert_eq!(update(&mut two_levels(0, None), false), (fine.clone(), 40));
+        assert_eq!(update(&mut two_levels(0, Some(1)), false), (fine.clone(), 0), "it is only looked at");
+        assert_eq!(update(&mut two_levels(0, Some(1)), true), (coarse.clone(), 60), "all at once");
+        assert_eq!(update(&mut two_levels(1, None), false), (coarse, 0), "nothing is held of the other");
+        assert_eq!(update(&mut two_levels(1, Some(0)), true), (fine, 60));
+    }
+
+    #[test]
+    fn a_level_that_is_not_shown_yet_gathers_what_several_updates_see() {
+        let (mut layout, geometry) = (layout([512, 512], 60), Loose { patches: 60 });
+        let looks = two_levels(0, Some(1));
+        for patch in 0..3 {
+            layout.begin();
+            let mut extents = vec![pack(9, 9); 60];
+            extents[40..].fill(0);
+            extents[45 + patch] = pack(5, 5);
+            layout.see(Visible { looks: &looks, extents: &extents });
+            layout.place(&geometry, &looks);
+        }
+        let next = looks.next().next().expect("the other level");
+        assert_eq!(layout.seen_of(next), [45, 46, 47].map(ScenePatch));
+        assert!(layout.has_room(&geometry, &looks));
     }
 
     #[test]
@@ -545,7 +655,8 @@ mod tests {
 
     #[test]
     fn with_too_little_room_the_ground_near_the_viewer_stays_and_what_is_missing_is_counted() {
-        let mut layout = Layout::new(AtlasExtent::MIN, 100, Room { patches: 20, vertices: 1000 });
+        let mut layout =
+            Layout::new(AtlasExtent::MIN, 100, Room { patches: 20, vertices: 1000, triangles: 1000 });
         let mut extents: Vec<u32> = (0..100).map(|patch| pack(3 + patch / 20, 3)).collect();
         extents[0] = pack(300, 200);
         place(&mut layout, &extents);

@@ -20,6 +20,7 @@ use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
 use shadecast_scene::{Cancel, Scene};
 use shadecast_server::animation::skinning::Skinning;
+use shadecast_server::detail::DEFAULT_DETAIL_PIXELS;
 use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::frame;
 use shadecast_server::inspect::{self, InspectArgs};
@@ -114,6 +115,9 @@ struct StreamArgs {
     atlas: AtlasExtent,
     #[command(flatten)]
     quality: QualityArgs,
+    /// Pixels of the client's display that a level of detail may err by; 0: everything has full detail
+    #[arg(long, value_name = "PIXELS", default_value_t = DEFAULT_DETAIL_PIXELS, value_parser = number(0.0..=64.0f32, "pixels"))]
+    detail: f32,
     /// Updates per second, 1 to 60
     #[arg(long, default_value_t = 30.0, value_parser = number(1.0..=60.0, "updates a second"))]
     rate: f64,
@@ -264,6 +268,7 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
         identity: args.identity.clone(),
         atlas_extent_texels: args.atlas,
         quality: args.quality.options(),
+        detail_pixels: args.detail,
         rate_hz: args.rate,
         viewers: usize::from(args.viewers),
         link,

@@ -19,13 +19,15 @@ use shadecast_protocol::geometry::{GeometryDelta, Motion, NewPatch, NewVertex};
 use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::predicted::PREDICTED_BYTES;
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, HashSet, VecDeque};
 use std::sync::{Arc, Mutex};
 
 /// A patch without a block, of vertices that cost nothing while they stay, is forgotten after this many updates.
 const RETAIN_UPDATES: u32 = 300;
-/// Free slots under which retained patches go at once.
-const LOW_WATER: usize = 4096;
+/// While less than one of so many slots is free, retained patches go at once.
+const LOW_WATER: u32 = 8;
+/// One of so many slots stays free of what is brought ahead.
+const AHEAD_WATER: usize = 16;
 /// What geometry takes on the wire, about, bytes: a patch, and a vertex that does not move.
 const PATCH_BYTES: usize = 12;
 const STATIC_VERTEX_BYTES: usize = 14;
@@ -41,16 +43,31 @@ pub struct PlacementChange {
     pub block: Option<Block>,
 }
 
+/// What an update can still bring.
+#[derive(Clone, Debug)]
+pub struct Allowance {
+    bytes: usize,
+    patches: usize,
+    vertices: usize,
+    /// Vertices that it brings, as far as is known.
+    brings: HashSet<SceneVertex>,
+}
+
 /// Slots handed out from the lowest on, and taken back once a frame has been displayed.
 #[derive(Debug)]
 struct Slots<T> {
+    count: u32,
     free: BTreeSet<T>,
     leaving: VecDeque<(UpdateId, T)>,
 }
 
 impl<T: Copy + Ord> Slots<T> {
-    fn new(all: impl Iterator<Item = T>) -> Self {
-        Self { free: all.collect(), leaving: VecDeque::new() }
+    fn new(count: u32, slot: impl Fn(u32) -> T) -> Self {
+        Self { count, free: (0..count).map(slot).collect(), leaving: VecDeque::new() }
+    }
+
+    fn are_short(&self) -> bool {
+        self.free.len() < (self.count / LOW_WATER) as usize
     }
 
     fn take(&mut self) -> Option<T> {
@@ -97,6 +114,8 @@ pub struct Residency {
     retained: BTreeMap<ScenePatch, u32>,
     /// Patches with a block that found no slot free; they try again with each update.
     waiting: BTreeMap<ScenePatch, Block>,
+    /// Patches that the next update brings ahead, without a block, as far as it can.
+    ahead: Vec<ScenePatch>,
     /// What an update may take.
     budget: Budget,
     /// Of those that wait, how many do so because of it alone.
@@ -111,12 +130,13 @@ impl Residency {
             moving: BTreeMap::new(),
             steps: Steps::default(),
             skinning: None,
-            patch_slots: Slots::new((0..patch_slots).map(PatchSlot)),
-            vertex_slots: Slots::new((0..vertex_slots).map(VertexSlot)),
+            patch_slots: Slots::new(patch_slots, PatchSlot),
+            vertex_slots: Slots::new(vertex_slots, VertexSlot),
             slot_of_patch: vec![None; geometry.patch_count()],
             vertices: vec![None; geometry.vertex_count()],
             retained: BTreeMap::new(),
             waiting: BTreeMap::new(),
+            ahead: Vec::new(),
             budget: Budget::UNLIMITED,
             held_back: 0,
         }
@@ -156,6 +176,83 @@ impl Residency {
         }
     }
 
+    /// What the next update can bring.
+    pub fn allowance(&self) -> Allowance {
+        Allowance {
+            bytes: self.budget.geometry_bytes,
+            patches: self.patch_slots.free.len(),
+            vertices: self.vertex_slots.free.len(),
+            brings: HashSet::new(),
+        }
+    }
+
+    /// Takes off what it takes to bring those of `patches` that are not there. False, and nothing is taken off, where there is
+    /// not so much.
+    pub fn reserve(
+        &self,
+        geometry: &impl Geometry,
+        patches: impl IntoIterator<Item = ScenePatch>,
+        allowance: &mut Allowance,
+    ) -> bool {
+        let Allowance { bytes, patches: slots, vertices, .. } = *allowance;
+        let mut brings = HashSet::new();
+        let fits = patches.into_iter().all(|patch| self.reserve_one(geometry, patch, allowance, &mut brings));
+        if !fits {
+            allowance.brings.retain(|vertex| !brings.contains(vertex));
+            (allowance.bytes, allowance.patches, allowance.vertices) = (bytes, slots, vertices);
+        }
+        fits
+    }
+
+    /// The same for as many of the patches as fit.
+    pub fn reserve_what_fits(
+        &self,
+        geometry: &impl Geometry,
+        patches: impl IntoIterator<Item = ScenePatch>,
+        allowance: &mut Allowance,
+    ) {
+        for patch in patches {
+            self.reserve(geometry, [patch], allowance);
+        }
+    }
+
+    fn reserve_one(
+        &self,
+        geometry: &impl Geometry,
+        patch: ScenePatch,
+        left: &mut Allowance,
+        brings: &mut HashSet<SceneVertex>,
+    ) -> bool {
+        if self.slot_of_patch[patch.index()].is_some() {
+            return true;
+        }
+        let instance = geometry.instance_of_patch(patch);
+        let (mut bytes, before) = (PATCH_BYTES, brings.len());
+        for vertex in vertices_of_patch(geometry, patch) {
+            if self.vertices[vertex.index()].is_none() && left.brings.insert(vertex) {
+                bytes += self.vertex_bytes(geometry, instance, vertex);
+                brings.insert(vertex);
+            }
+        }
+        let vertices = brings.len() - before;
+        let fits = left.patches > 0 && left.vertices >= vertices && left.bytes >= bytes;
+        if fits {
+            (left.patches, left.vertices, left.bytes) =
+                (left.patches - 1, left.vertices - vertices, left.bytes - bytes);
+        }
+        fits
+    }
+
+    /// How many of these patches are not there.
+    pub fn lacking(&self, patches: &[ScenePatch]) -> usize {
+        patches.iter().filter(|patch| self.slot_of_patch[patch.index()].is_none()).count()
+    }
+
+    /// The next update brings these ahead of their block as far as it can, and keeps those that are there.
+    pub fn bring_ahead(&mut self, patches: Vec<ScenePatch>) {
+        self.ahead = patches;
+    }
+
     /// The bytes of what [`Self::update`] gave, in the same order.
     pub fn encode(&self, delta: &UpdateDelta) -> EncodedDelta {
         lock(&self.coder).update(delta)
@@ -172,6 +269,7 @@ impl Residency {
         for change in changes.iter().filter(|c| c.block.is_none()) {
             self.lose_block(geometry, change.patch, update, &mut delta);
         }
+        self.keep(changes, update);
         self.forget_old(geometry, update, &mut delta);
         delta.instances = self.steps.changes();
         let mut left_bytes = self.budget.geometry_bytes;
@@ -189,11 +287,40 @@ impl Residency {
                 None => drop(self.waiting.insert(patch, block)),
             }
         }
+        self.bring(geometry, left_bytes, &mut delta);
         sort(&mut delta);
         let is_sampled = |vertex: &&NewVertex| vertex.motion == Motion::Sampled;
         let entering = delta.new_vertices.iter().filter(is_sampled);
         let sampled = entering.map(|vertex| (vertex.slot, self.moving[&vertex.slot])).collect();
         UpdateDelta { geometry: delta, sampled }
+    }
+
+    /// What gets a block with this update, or is brought ahead, is not forgotten with it.
+    fn keep(&mut self, changes: &[PlacementChange], update: UpdateId) {
+        for change in changes.iter().filter(|change| change.block.is_some()) {
+            self.retained.remove(&change.patch);
+        }
+        for patch in &self.ahead {
+            self.retained.get_mut(patch).into_iter().for_each(|since| *since = update.0);
+        }
+    }
+
+    /// Brings what is to be there ahead of its block, in the order in which it was asked for.
+    fn bring(&mut self, geometry: &impl Geometry, mut left_bytes: usize, delta: &mut GeometryDelta) {
+        let has_slots = |free: usize, count: u32| free > count as usize / AHEAD_WATER;
+        for patch in std::mem::take(&mut self.ahead) {
+            let bytes = self.entry_bytes(geometry, patch);
+            let is_there = self.slot_of_patch[patch.index()].is_some();
+            let has_room = has_slots(self.patch_slots.free.len(), self.patch_slots.count)
+                && has_slots(self.vertex_slots.free.len(), self.vertex_slots.count);
+            if is_there || bytes > left_bytes || !has_room {
+                continue;
+            }
+            left_bytes -= bytes;
+            if self.admit(geometry, patch, delta).is_some() {
+                self.retained.insert(patch, delta.update.0);
+            }
+        }
     }
 
     /// Patches that get a block or another one, and those that still wait for a slot: large blocks first.
@@ -216,16 +343,21 @@ impl Residency {
             return 0;
         }
         let instance = geometry.instance_of_patch(patch);
-        let first = geometry.first_vertex(instance);
+        let lacking = vertices_of_patch(geometry, patch).filter(|v| self.vertices[v.index()].is_none());
+        PATCH_BYTES + lacking.map(|vertex| self.vertex_bytes(geometry, instance, vertex)).sum::<usize>()
+    }
+
+    /// About how many bytes a vertex takes that is not there yet.
+    fn vertex_bytes(&self, geometry: &impl Geometry, instance: u16, vertex: SceneVertex) -> usize {
         let skinning = self.skinning.as_ref().filter(|skinning| skinning.is_skinned(instance));
-        let bytes_of = |vertex: SceneVertex| match (geometry.static_position(vertex), skinning) {
+        match (geometry.static_position(vertex), skinning) {
             (Some(_), _) => STATIC_VERTEX_BYTES,
-            (None, Some(skinning)) => skinning.entry_bytes(instance, vertex.0 - first.0),
+            (None, Some(skinning)) => {
+                skinning.entry_bytes(instance, vertex.0 - geometry.first_vertex(instance).0)
+            }
             (None, None) if self.predicts() => PREDICTED_BYTES,
             (None, None) => SAMPLED_VERTEX_BYTES,
-        };
-        let lacking = vertices_of_patch(geometry, patch).filter(|v| self.vertices[v.index()].is_none());
-        PATCH_BYTES + lacking.map(bytes_of).sum::<usize>()
+        }
     }
 
     fn lose_block(
@@ -250,7 +382,7 @@ impl Residency {
 
     /// Evicts retained patches that are too old, or the oldest while slots are short.
     fn forget_old(&mut self, geometry: &impl Geometry, update: UpdateId, delta: &mut GeometryDelta) {
-        let short = self.patch_slots.free.len() < LOW_WATER || self.vertex_slots.free.len() < LOW_WATER;
+        let short = self.patch_slots.are_short() || self.vertex_slots.are_short();
         let newest_kept = update.0.saturating_sub(if short { 0 } else { RETAIN_UPDATES });
         // Those that lost their block only now are in the delta as placements; they go next time.
         let old: Vec<ScenePatch> = self
@@ -692,6 +824,44 @@ mod tests {
         }
         assert!((5..200).contains(&updates), "{updates}");
         assert!(residency.slot_of_patch.iter().all(Option::is_some));
+    }
+
+    #[test]
+    fn what_was_reserved_comes_with_the_next_update_and_what_does_not_fit_is_not_reserved() {
+        for (geometry_bytes, slots) in [(2000, 8192), (usize::MAX, 60)] {
+            let mut residency = Residency::new(&Strip, slots, slots);
+            residency.set_budget(Budget { geometry_bytes, ..Budget::UNLIMITED });
+            let level = |first: u32, count: u32| (first..first + count).map(ScenePatch);
+            let mut left = residency.allowance();
+            assert!(residency.reserve(&Strip, level(0, 12), &mut left));
+            assert!(!residency.reserve(&Strip, level(20, 100), &mut left), "so many do not fit");
+            assert!(residency.reserve(&Strip, level(140, 8), &mut left), "what was refused takes nothing");
+            assert_eq!(residency.lacking(&level(0, 12).collect::<Vec<_>>()), 12);
+            let changes: Vec<_> = (0..12).chain(140..148).map(|patch| sized(patch, 4)).collect();
+            let delta = residency.update(&Strip, &changes, stamp(0)).geometry;
+            assert_eq!((delta.new_patches.len(), delta.placements.len()), (20, 20));
+            assert_eq!((residency.waiting(), residency.held_back()), (0, 0));
+        }
+    }
+
+    #[test]
+    fn what_is_brought_ahead_comes_without_a_block_in_several_updates_and_stays_until_it_gets_one() {
+        let mut residency = Residency::new(&Strip, 1024, 1024);
+        residency.set_budget(Budget { geometry_bytes: 500, ..Budget::UNLIMITED });
+        let ahead: Vec<ScenePatch> = (0..60).map(ScenePatch).collect();
+        let (mut updates, mut came) = (0, 0);
+        while residency.lacking(&ahead) > 0 {
+            residency.bring_ahead(ahead.clone());
+            let delta = residency.update(&Strip, &[], stamp(updates)).geometry;
+            assert!(delta.placements.is_empty() && delta.evicted_patches.is_empty());
+            assert!(!delta.new_patches.is_empty(), "each update brings some");
+            (came, updates) = (came + delta.new_patches.len(), updates + 1);
+        }
+        assert!(came == 60 && (3..30).contains(&updates), "{came} in {updates}");
+        assert!(residency.reserve(&Strip, ahead.iter().copied(), &mut residency.allowance()), "all is there");
+        let changes: Vec<_> = (0..60).map(|patch| sized(patch, 2)).collect();
+        let shown = residency.update(&Strip, &changes, stamp(updates)).geometry;
+        assert!(shown.new_patches.is_empty() && shown.placements.len() == 60);
     }
 
     #[test]

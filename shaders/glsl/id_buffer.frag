@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_nonuniform_qualifier : require
-// Writes the scene-wide patch number from FIRST_ID on; 0 is background.
+// Writes the entry of the patch from FIRST_ID on; 0 is background.
 #include "scene.glsl"
 
 layout(std430, binding = 3) readonly buffer PatchOfTriangle { uint patch_of_triangle[]; };
@@ -12,7 +12,7 @@ layout(push_constant) uniform IdBufferPush {
     uint vertex_base;
     uint position_base;
     uint triangle_base;
-    uint patch_base;
+    uint first_entry;
     uint material;
     uint first_view;
 };
@@ -21,5 +21,5 @@ layout(location = 0) out uint id;
 
 void main() {
     if (is_cut_out(materials[material], lookup)) discard;
-    id = FIRST_ID + patch_base + patch_of_triangle[triangle_base + gl_PrimitiveID];
+    id = FIRST_ID + first_entry + patch_of_triangle[triangle_base + gl_PrimitiveID];
 }

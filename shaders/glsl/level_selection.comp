@@ -14,8 +14,8 @@ layout(std430, binding = 5) readonly buffer Visible { uint visible[]; };
 layout(std430, binding = 6) writeonly buffer Extents { uint extents[]; };
 layout(push_constant) uniform LevelSelectionPush {
     uint vertex_base;
-    uint patch_base;       // of the model, into patches
-    uint scene_patch_base; // of the instance, into visible and extents
+    uint patch_base;       // of the model's level of detail, into patches
+    uint first_entry;      // of the instance's patches, into visible and extents
     uint patch_count;
     uint view_count;
     uint position_base[MAX_VIEWS / EYES]; // of the instance at the time of views 0-1, 2-3, 4-5
@@ -66,8 +66,8 @@ vec2 texture_cap(PatchGpu p) {
 void main() {
     uint index = gl_GlobalInvocationID.x;
     if (index >= patch_count) return;
-    if (visible[scene_patch_base + index] == 0) {
-        extents[scene_patch_base + index] = 0;
+    if (visible[first_entry + index] == 0) {
+        extents[first_entry + index] = 0;
         return;
     }
     PatchGpu p = patches[patch_base + index];
@@ -88,5 +88,5 @@ void main() {
         extent = max(extent, vec2(width, height));
     }
     uvec2 texels = uvec2(clamp(ceil(min(extent, texture_cap(p))), 1.0, MAX_PATCH_EXTENT_TEXELS));
-    extents[scene_patch_base + index] = texels.x | texels.y << 16;
+    extents[first_entry + index] = texels.x | texels.y << 16;
 }

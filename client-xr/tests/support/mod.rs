@@ -45,6 +45,7 @@ impl Run {
             decoding: DecodeTiming::Virtual { delay_ns: 6_000_000 },
             max_vertex_slots: 256,
             max_patch_slots: 64,
+            max_triangles: 384,
             motion: MotionMemory::DEFAULT,
             decoder,
             ..ClientOptions::default()

@@ -30,6 +30,13 @@ pub struct Patch {
     pub double_sided: bool,
 }
 
+impl Patch {
+    /// Triangles that are drawn for it: those of two sides twice.
+    pub fn drawn_triangles(&self) -> u32 {
+        self.kind.triangle_count() as u32 * if self.double_sided { 2 } else { 1 }
+    }
+}
+
 /// All patches of one level of detail of a model.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Patches {

@@ -1,11 +1,10 @@
-//! Vertices, triangles and patches of all models, at the level of detail that is drawn; equal meshes are there once.
+//! Vertices, triangles and patches of all models, at every level of detail; equal meshes are there once.
 
-use super::numbering::DRAWN_LEVEL;
 use crate::animation::skinning::{pair, used_first};
 use crate::upload;
 use shadecast_gpu::{Buffer, Gpu, GpuError};
 use shadecast_scene::patches::Patch;
-use shadecast_scene::{Model, Vertex};
+use shadecast_scene::{Model, Primitive, Vertex};
 use shadecast_shaders::generated::{PatchGpu, VertexGpu};
 use std::sync::Arc;
 
@@ -16,12 +15,27 @@ pub struct Mesh {
     pub vertex_base: u32,
     /// Vertices.
     pub vertex_count: u32,
+    /// Its levels of detail, the finest first; there is one at least.
+    pub levels: Arc<[MeshLevel]>,
+}
+
+/// A level of detail of a mesh.
+#[derive(Clone, Debug)]
+pub struct MeshLevel {
     /// First entry in the index buffer; a third of it is the first entry in `patch_of_triangle`.
     pub index_base: u32,
+    /// Ranges of its indices, from `index_base` on.
+    pub primitives: Vec<Primitive>,
     /// First entry in the patch buffer.
     pub patch_base: u32,
     /// The patches, for the CPU.
-    pub patches: Arc<[Patch]>,
+    pub patches: Vec<Patch>,
+    /// Distance of its surface from the finest level's at most, metres of the model.
+    pub error_m: f32,
+    /// Vertices that its triangles use.
+    pub vertices: u32,
+    /// Triangles that a client draws for it: of two sides twice.
+    pub triangles: u32,
 }
 
 /// The meshes of all models.
@@ -48,24 +62,35 @@ pub(super) struct MeshArrays {
 impl MeshArrays {
     /// Adds a model's mesh; `morphs` says by vertex which morph deltas move it.
     pub(super) fn add(&mut self, model: &Model, morphs: &[[u32; 2]]) -> Mesh {
-        let patches = model.patches_of(DRAWN_LEVEL).into_owned();
         let mesh = Mesh {
             vertex_base: self.vertices.len() as u32,
             vertex_count: model.vertices.len() as u32,
-            index_base: self.indices.len() as u32,
-            patch_base: self.patches.len() as u32,
-            patches: patches.patches.into(),
+            levels: (0..=model.lods.len()).map(|level| self.add_level(model, level)).collect(),
         };
         self.vertices.extend(model.vertices.iter().zip(morphs).map(|(v, morphs)| vertex(v, *morphs)));
-        self.indices.extend(model.triangles(DRAWN_LEVEL).indices);
-        self.patches.extend(mesh.patches.iter().map(|p| PatchGpu {
+        mesh
+    }
+
+    fn add_level(&mut self, model: &Model, level: usize) -> MeshLevel {
+        let (triangles, patches) = (model.triangles(level), model.patches_of(level).into_owned());
+        let added = MeshLevel {
+            index_base: self.indices.len() as u32,
+            primitives: triangles.primitives.to_vec(),
+            patch_base: self.patches.len() as u32,
+            error_m: level.checked_sub(1).map_or(0.0, |lod| model.lods[lod].error_m),
+            vertices: used_vertices(triangles.indices, model.vertices.len()),
+            triangles: patches.patches.iter().map(Patch::drawn_triangles).sum(),
+            patches: patches.patches,
+        };
+        self.indices.extend(triangles.indices);
+        self.patches.extend(added.patches.iter().map(|p| PatchGpu {
             vertices: p.vertices,
             kind: p.kind as u32,
             material: p.material,
             reserved: 0,
         }));
         self.patch_of_triangle.extend(&patches.patch_of_triangle);
-        mesh
+        added
     }
 
     /// Brings all to the device.
@@ -77,6 +102,13 @@ impl MeshArrays {
             patch_of_triangle: upload::array(gpu, "patch of triangle", &self.patch_of_triangle)?,
         })
     }
+}
+
+/// How many vertices of so many a list of triangles uses.
+fn used_vertices(indices: &[u32], vertices: usize) -> u32 {
+    let mut is_used = vec![false; vertices];
+    indices.iter().for_each(|index| is_used[*index as usize] = true);
+    is_used.into_iter().filter(|used| *used).count() as u32
 }
 
 fn vertex(v: &Vertex, morphs: [u32; 2]) -> VertexGpu {

@@ -76,6 +76,8 @@ pub struct SceneGpu {
     pub numbering: Numbering,
     /// By instance: a box in the world that it never leaves, whatever it plays and over its path; empty without vertices.
     pub world_bounds: Vec<Bounds>,
+    /// By instance: a box in its model's space that it never leaves, whatever it plays; empty without vertices.
+    pub played_bounds: Vec<Bounds>,
     /// Vertices, triangles and patches.
     pub meshes: Meshes,
     /// Materials and textures.
@@ -114,7 +116,10 @@ impl SceneGpu {
         let with_mesh = scene.models.iter().zip(&manager.materials);
         let models: Vec<_> = with_mesh.map(|(model, material)| arrays.add(model, material.mesh)).collect();
         let numbering = number(&scene, &models);
-        let world_bounds = world_bounds(&scene, &loading.cancel)?;
+        let played_bounds = played_bounds(&scene, &loading.cancel)?;
+        let world_bounds = scene.instances.iter().zip(&played_bounds);
+        let world_bounds =
+            world_bounds.map(|(instance, played)| bounds::instance_bounds(instance, *played)).collect();
         let surplus = lights::surplus(&scene);
         if surplus > 0 {
             tracing::warn!("{surplus} lights are left out: a scene has at most {MAX_LIGHTS} beside the sun");
@@ -130,13 +135,20 @@ impl SceneGpu {
             models,
             numbering,
             world_bounds,
+            played_bounds,
         })
     }
 
-    /// A patch that is drawn; its vertices are indices within the model.
+    /// A patch of any level of detail; its vertices are indices within the model.
     pub fn patch(&self, patch: ScenePatch) -> Patch {
-        let place = &self.numbering.instances[self.numbering.instance_of_patch(patch)];
-        self.models[place.model].patches[place.drawn.model_number(patch) as usize]
+        let (instance, level) = self.numbering.place_of_patch(patch);
+        let range = self.numbering.patches(instance, level).expect("it holds the patch");
+        self.mesh(instance).levels[level].patches[range.model_number(patch) as usize]
+    }
+
+    /// The mesh of an instance.
+    pub fn mesh(&self, instance: usize) -> &Mesh {
+        &self.models[self.numbering.instances[instance].model].mesh
     }
 
     /// The instances that cast shadows.
@@ -190,10 +202,9 @@ impl<'a> Arrays<'a> {
 fn number(scene: &Scene, models: &[ModelGpu]) -> Numbering {
     let size = |(index, instance): (usize, &Instance)| {
         let (source, model) = (&scene.models[instance.model], &models[instance.model]);
-        let coarser = source.patches.iter().skip(1).map(|level| level.patches.len());
         InstanceSize {
             model: instance.model,
-            patches: [model.patches.len()].into_iter().chain(coarser).map(|count| count as u32).collect(),
+            patches: model.levels.iter().map(|level| level.patches.len() as u32).collect(),
             vertices: model.vertex_count,
             is_animated: scene.moves(index),
             palette: source.palette.len() as u32,
@@ -204,12 +215,12 @@ fn number(scene: &Scene, models: &[ModelGpu]) -> Numbering {
     Numbering::new(&scene.instances.iter().enumerate().map(size).collect::<Vec<_>>())
 }
 
-/// The boxes of all instances; each clip of each model is looked at once.
-fn world_bounds(scene: &Scene, cancel: &Cancel) -> Result<Vec<Bounds>, Cancelled> {
+/// The boxes of all instances in their models' spaces; each clip of each model is looked at once.
+fn played_bounds(scene: &Scene, cancel: &Cancel) -> Result<Vec<Bounds>, Cancelled> {
     let mut played = PlayedBounds::new(scene);
-    let mut of = |(index, instance): (usize, &Instance)| {
+    let mut of = |index: usize| {
         cancel.check()?;
-        Ok(bounds::instance_bounds(instance, played.of(index)))
+        Ok(played.of(index))
     };
-    scene.instances.iter().enumerate().map(&mut of).collect()
+    (0..scene.instances.len()).map(&mut of).collect()
 }

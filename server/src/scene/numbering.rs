@@ -4,12 +4,8 @@
 //! a place in a client's memory, which has a [`PatchSlot`](shadecast_protocol::ids::PatchSlot) or a
 //! [`VertexSlot`](shadecast_protocol::ids::VertexSlot).
 //!
-//! All levels of detail have patch numbers: first the full detail of every instance, then the next level of every
-//! instance, and so on. What has an entry a patch needs no more entries than the levels that are drawn. Levels share
-//! their model's vertices.
-
-/// The level of detail that is drawn.
-pub const DRAWN_LEVEL: usize = 0;
+//! All levels of detail have patch numbers: those of the first instance, the finest level first, then those of the next
+//! instance. Levels share their model's vertices.
 
 /// A patch of an instance, by its scene-wide number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -58,7 +54,13 @@ impl PatchRange {
         patch.0 - self.first.0
     }
 
-    fn end(self) -> u32 {
+    /// Whether it is one of these patches.
+    pub fn has(self, patch: ScenePatch) -> bool {
+        (self.first.0..self.end()).contains(&patch.0)
+    }
+
+    /// The number after the last.
+    pub fn end(self) -> u32 {
         self.first.0 + self.count
     }
 }
@@ -87,8 +89,6 @@ pub struct InstanceSize {
 pub struct InstancePlace {
     /// Index into the models.
     pub model: usize,
-    /// The patches that are drawn.
-    pub drawn: PatchRange,
     /// Its first vertex.
     pub first_vertex: SceneVertex,
     /// Whether any vertex of it moves.
@@ -100,8 +100,10 @@ pub struct InstancePlace {
 /// Sizes of what grows with the instances.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Totals {
-    /// Patches that are drawn, over all instances.
+    /// Patches of all levels of detail, over all instances.
     pub patches: u32,
+    /// Patches of the two largest levels of every instance: as many are looked at in one update at most.
+    pub looked_at: u32,
     /// Vertices over all instances.
     pub vertices: u32,
     /// Vertices of instances that do not move.
@@ -123,35 +125,39 @@ pub struct Numbering {
     pub instances: Vec<InstancePlace>,
     /// Sizes.
     pub totals: Totals,
-    /// By level of detail, then by instance.
+    /// By instance, then by level of detail, of which there is one at least.
     patches: Vec<Vec<PatchRange>>,
 }
 
 impl Numbering {
     /// Of a scene with these instances.
     pub fn new(sizes: &[InstanceSize]) -> Self {
-        let patches = number_patches(sizes);
         let mut totals = Totals::default();
-        let place = |(size, drawn): (&InstanceSize, PatchRange)| {
-            let place = totals.place(size, drawn);
-            totals.add(size, drawn);
-            place
-        };
-        let drawn = patches[DRAWN_LEVEL].iter().copied();
-        let instances = sizes.iter().zip(drawn).map(place).collect();
+        let mut number = |size: &InstanceSize| (totals.place(size), totals.add(size));
+        let (instances, patches) = sizes.iter().map(&mut number).unzip();
         Self { instances, totals, patches }
     }
 
     /// The patches of an instance at a level of detail; none where its model has no such level.
     pub fn patches(&self, instance: usize, level: usize) -> Option<PatchRange> {
-        self.patches.get(level).map(|ranges| ranges[instance]).filter(|range| range.count > 0)
+        self.patches[instance].get(level).copied().filter(|range| range.count > 0)
+    }
+
+    /// The instance that a patch of any level belongs to, and the level.
+    pub fn place_of_patch(&self, patch: ScenePatch) -> (usize, usize) {
+        let begins = |levels: &Vec<PatchRange>| levels[0].first <= patch;
+        let instance = self.patches.partition_point(begins) - 1;
+        let is_within = |range: &PatchRange| range.has(patch);
+        // What has no patches begins where the next begins: the last of them is not the one.
+        let is_owner = |instance: &usize| self.patches[*instance].iter().any(is_within);
+        let instance = (0..=instance).rev().find(is_owner).expect("a patch of this scene");
+        let level = self.patches[instance].iter().position(is_within);
+        (instance, level.expect("it has the patch"))
     }
 
     /// The instance that a patch of any level belongs to.
     pub fn instance_of_patch(&self, patch: ScenePatch) -> usize {
-        let is_within = |ranges: &&Vec<PatchRange>| ranges.last().is_some_and(|last| patch.0 < last.end());
-        let ranges = self.patches.iter().find(is_within).expect("a patch of this scene");
-        ranges.partition_point(|range| range.first <= patch) - 1
+        self.place_of_patch(patch).0
     }
 
     /// The instance that a vertex belongs to.
@@ -160,39 +166,36 @@ impl Numbering {
     }
 }
 
-/// By level of detail, then by instance.
-fn number_patches(sizes: &[InstanceSize]) -> Vec<Vec<PatchRange>> {
-    let levels = sizes.iter().map(|size| size.patches.len()).fold(DRAWN_LEVEL + 1, usize::max);
-    let mut next = ScenePatch(0);
-    let mut number = |count: u32| {
-        let first = next;
-        next.0 += count;
-        PatchRange { first, count }
-    };
-    let count = |size: &InstanceSize, level: usize| size.patches.get(level).copied().unwrap_or(0);
-    (0..levels).map(|level| sizes.iter().map(|size| number(count(size, level))).collect()).collect()
-}
-
 impl Totals {
     /// The place of an instance after those that are counted.
-    fn place(&self, size: &InstanceSize, drawn: PatchRange) -> InstancePlace {
+    fn place(&self, size: &InstanceSize) -> InstancePlace {
         InstancePlace {
             model: size.model,
-            drawn,
             first_vertex: SceneVertex(self.vertices),
             is_animated: size.is_animated,
             saved_base: if size.is_animated { self.animated_vertices } else { self.static_vertices },
         }
     }
 
-    fn add(&mut self, size: &InstanceSize, drawn: PatchRange) {
-        self.patches += drawn.count;
+    /// Counts an instance; gives the numbers of its patches, by level of detail.
+    fn add(&mut self, size: &InstanceSize) -> Vec<PatchRange> {
+        let mut number = |count: &u32| {
+            let first = ScenePatch(self.patches);
+            self.patches += count;
+            PatchRange { first, count: *count }
+        };
+        let finest = number(size.patches.first().unwrap_or(&0));
+        let levels = std::iter::once(finest).chain(size.patches.iter().skip(1).map(&mut number)).collect();
+        let mut counts = size.patches.clone();
+        counts.sort_unstable_by_key(|count| std::cmp::Reverse(*count));
+        self.looked_at += counts.iter().take(2).sum::<u32>();
         self.vertices += size.vertices;
         let saved = if size.is_animated { &mut self.animated_vertices } else { &mut self.static_vertices };
         *saved += size.vertices;
         self.palette += size.palette;
         self.bones += size.bones;
         self.morphs += size.morphs;
+        levels
     }
 }
 
@@ -218,7 +221,7 @@ mod tests {
             let Some(range) = scene.patches(instance, level) else { continue };
             for patch in (range.first.0..range.end()).map(ScenePatch) {
                 assert_eq!(owners[patch.index()].replace(instance), None, "{patch:?} is numbered once");
-                assert_eq!(scene.instance_of_patch(patch), instance, "{patch:?}");
+                assert_eq!(scene.place_of_patch(patch), (instance, level), "{patch:?}");
                 assert!(range.model_number(patch) < range.count);
             }
         }
@@ -226,15 +229,13 @@ mod tests {
     }
 
     #[test]
-    fn patches_that_are_drawn_have_the_first_numbers_in_the_order_of_the_instances() {
+    fn levels_follow_each_other_instance_after_instance() {
         let scene = scene();
-        assert_eq!(scene.totals.patches, 107);
-        let drawn: Vec<_> =
-            scene.instances.iter().map(|place| (place.drawn.first.0, place.drawn.count)).collect();
-        assert_eq!(drawn, [(0, 50), (50, 0), (50, 7), (57, 50)]);
-        assert_eq!(scene.patches(3, DRAWN_LEVEL), Some(scene.instances[3].drawn));
-        assert_eq!(scene.patches(0, 1), Some(PatchRange { first: ScenePatch(107), count: 20 }));
-        assert_eq!(scene.patches(2, 1), None, "the rock has no coarser level");
+        assert_eq!((scene.totals.patches, scene.totals.looked_at), (167, 147));
+        let first = |instance, level| scene.patches(instance, level).map(|range| range.first.0);
+        assert_eq!([first(0, 0), first(0, 1), first(0, 2)], [Some(0), Some(50), Some(70)]);
+        assert_eq!([first(2, 0), first(3, 0), first(3, 2)], [Some(80), Some(87), Some(157)]);
+        assert_eq!([first(1, 0), first(2, 1)], [None, None], "nothing, and no coarser level");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! What every stage that rasterises the scene shares: a pipeline for each kind of side, and the walk over instances and
 //! primitives.
 
+use crate::scene::meshes::MeshLevel;
 use crate::scene::numbering::InstancePlace;
 use crate::scene::{ModelGpu, SceneGpu};
 use ash::vk;
@@ -10,6 +11,9 @@ use shadecast_gpu::{
 use shadecast_scene::Primitive;
 use shadecast_shaders::Shader;
 use std::sync::Arc;
+
+/// The level that shadows and the truth are drawn at.
+pub(crate) const FULL_DETAIL: usize = 0;
 
 /// The pipelines of a pass that draws the scene with depth test.
 pub(crate) struct Geometry {
@@ -25,7 +29,9 @@ pub(crate) struct Draw<'a> {
     pub(crate) instance: &'a InstancePlace,
     /// Its model.
     pub(crate) model: &'a ModelGpu,
-    /// The primitive, in the model's own numbers.
+    /// The level of detail of its mesh.
+    pub(crate) level: &'a MeshLevel,
+    /// The primitive, in the level's own numbers.
     pub(crate) primitive: &'a Primitive,
 }
 
@@ -56,7 +62,7 @@ impl Geometry {
         self.culled.layout()
     }
 
-    /// Draws the whole scene with the push constants that `push` gives for each draw.
+    /// Draws the whole scene in full detail with the push constants that `push` gives for each draw.
     pub(crate) fn record<P: bytemuck::Pod>(
         &self,
         recorder: &mut Recorder,
@@ -64,29 +70,31 @@ impl Geometry {
         scene: &SceneGpu,
         push: impl Fn(&Draw<'_>) -> P,
     ) {
-        self.record_some(recorder, group, scene, |_| true, push);
+        self.record_some(recorder, group, scene, |_| Some(FULL_DETAIL), push);
     }
 
-    /// Draws the instances that `wanted` takes by their number.
+    /// Draws every instance at the level of detail that `level_of` gives for its number, if any.
     pub(crate) fn record_some<P: bytemuck::Pod>(
         &self,
         recorder: &mut Recorder,
         group: &BindGroup,
         scene: &SceneGpu,
-        wanted: impl Fn(usize) -> bool,
+        level_of: impl Fn(usize) -> Option<usize>,
         push: impl Fn(&Draw<'_>) -> P,
     ) {
         recorder.bind_indices(&scene.meshes.indices, 0);
         for (pipeline, double_sided) in [(&self.culled, false), (&self.double_sided, true)] {
             recorder.bind(pipeline, group);
-            for (number, instance) in scene.numbering.instances.iter().enumerate().filter(|(n, _)| wanted(*n))
-            {
+            for (number, instance) in scene.numbering.instances.iter().enumerate() {
+                let Some(level) = level_of(number) else { continue };
                 let (model, source) = (&scene.models[instance.model], &scene.scene.models[instance.model]);
                 let is_so =
                     |p: &&Primitive| source.materials[p.material as usize].double_sided == double_sided;
-                for primitive in source.primitives.iter().filter(is_so) {
-                    recorder.push_constants(pipeline, &push(&Draw { number, instance, model, primitive }));
-                    recorder.draw_indexed(model.index_base + primitive.first_index, primitive.index_count);
+                let level = &model.levels[level];
+                for primitive in level.primitives.iter().filter(is_so) {
+                    let draw = Draw { number, instance, model, level, primitive };
+                    recorder.push_constants(pipeline, &push(&draw));
+                    recorder.draw_indexed(level.index_base + primitive.first_index, primitive.index_count);
                 }
             }
         }

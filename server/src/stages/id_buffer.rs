@@ -2,7 +2,7 @@
 
 use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
-use crate::culling::Needed;
+use crate::looks::Look;
 use crate::scene::SceneGpu;
 use crate::stages::geometry::Geometry;
 use ash::vk;
@@ -33,7 +33,7 @@ pub struct IdBuffer {
     geometry: Geometry,
     group: BindGroup,
     target: Framebuffer,
-    /// R32_UINT, two layers: scene-wide patch number from `FIRST_ID` on, 0 for background.
+    /// R32_UINT, two layers: entry of the patch from `FIRST_ID` on, 0 for background.
     pub image: Image,
     _depth: Image,
 }
@@ -79,28 +79,31 @@ impl IdBuffer {
         Ok(Self { pass, geometry, group, target, image, _depth: depth })
     }
 
-    /// Draws the instances in `needs` as they are in `place` into the two views from `first_view` on.
+    /// Draws what is `looked_at`, as it is in `place`, into the two views from `first_view` on.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         scene: &SceneGpu,
         animation: &Animation,
-        needs: &Needed,
+        looked_at: &[Look],
         place: RingPlace,
         first_view: u32,
     ) {
         let clears = [vk::ClearValue::default(), vk::ClearValue::default()]; // no patch; far, which is 0
+        let look = |number: usize| {
+            looked_at.binary_search_by_key(&number, |look| look.instance).ok().map(|at| looked_at[at])
+        };
         recorder.begin_pass(&self.pass, &self.target, &clears);
         self.geometry.record_some(
             recorder,
             &self.group,
             scene,
-            |number| needs.has(number),
+            |number| look(number).map(|look| look.level),
             |draw| IdBufferPush {
                 vertex_base: draw.model.vertex_base,
                 position_base: animation.position_base(draw.instance, place),
-                triangle_base: (draw.model.index_base + draw.primitive.first_index) / 3,
-                patch_base: draw.instance.drawn.first.0,
+                triangle_base: (draw.level.index_base + draw.primitive.first_index) / 3,
+                first_entry: look(draw.number).map_or(0, |look| look.first_entry),
                 material: draw.model.material_base + draw.primitive.material,
                 first_view,
             },

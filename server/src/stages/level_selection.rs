@@ -2,6 +2,7 @@
 
 use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
+use crate::looks::Looks;
 use crate::predict::VIEW_TIMES;
 use crate::scene::SceneGpu;
 use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
@@ -13,7 +14,7 @@ use std::sync::Arc;
 pub struct LevelSelection {
     pipeline: ComputePipeline,
     group: BindGroup,
-    /// One word per scene-wide patch: width | height << 16 in texels, 0 where it is not visible.
+    /// One word per entry: width | height << 16 in texels, 0 where it is not visible.
     pub extents: Buffer,
 }
 
@@ -27,8 +28,12 @@ impl LevelSelection {
         visible: &Buffer,
     ) -> Result<Self, GpuError> {
         let pipeline = ComputePipeline::new(gpu, &LEVEL_SELECTION_COMP)?;
-        let extents =
-            Buffer::new(gpu, "patch extents", u64::from(scene.numbering.totals.patches) * 4, Memory::Device)?;
+        let extents = Buffer::new(
+            gpu,
+            "patch extents",
+            u64::from(scene.numbering.totals.looked_at) * 4,
+            Memory::Device,
+        )?;
         let group = BindGroup::new(
             pipeline.layout(),
             &[
@@ -44,21 +49,23 @@ impl LevelSelection {
         Ok(Self { pipeline, group, extents })
     }
 
-    /// Measures every visible patch with geometry as it is at the place of each view time.
+    /// Measures the visible patches of what is looked at, with geometry as it is at the place of each view time.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         scene: &SceneGpu,
         animation: &Animation,
+        looks: &Looks,
         places: [RingPlace; VIEW_TIMES],
     ) {
-        for instance in &scene.numbering.instances {
+        for look in looks.all() {
+            let instance = &scene.numbering.instances[look.instance];
             let model = &scene.models[instance.model];
-            let patch_count = instance.drawn.count;
+            let patch_count = look.patches.count;
             let push = LevelSelectionPush {
                 vertex_base: model.vertex_base,
-                patch_base: model.patch_base,
-                scene_patch_base: instance.drawn.first.0,
+                patch_base: model.levels[look.level].patch_base,
+                first_entry: look.first_entry,
                 patch_count,
                 view_count: MAX_VIEWS,
                 position_base: places.map(|place| animation.position_base(instance, place)),

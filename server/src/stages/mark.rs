@@ -1,4 +1,4 @@
-//! Visibility's second half: the union of the ID buffers as one word per patch.
+//! Visibility's second half: the union of the ID buffers as one word per entry.
 
 use ash::vk;
 use shadecast_gpu::{
@@ -12,17 +12,17 @@ pub struct Mark {
     pipeline: ComputePipeline,
     group: BindGroup,
     _sampler: Sampler,
-    /// One word per scene-wide patch: 1 where it is visible.
+    /// One word per entry: 1 where it is visible.
     pub visible: Buffer,
     extent: [u32; 2],
 }
 
 impl Mark {
-    /// Reads `id_buffer`, marks `patches` patches.
-    pub fn new(gpu: &Arc<Gpu>, id_buffer: &Image, patches: u32) -> Result<Self, GpuError> {
+    /// Reads `id_buffer`, marks at most so many `entries`.
+    pub fn new(gpu: &Arc<Gpu>, id_buffer: &Image, entries: u32) -> Result<Self, GpuError> {
         let pipeline = ComputePipeline::new(gpu, &MARK_COMP)?;
         let sampler = Sampler::new(gpu, nearest())?;
-        let visible = Buffer::new(gpu, "visible patches", u64::from(patches) * 4, Memory::Device)?;
+        let visible = Buffer::new(gpu, "visible patches", u64::from(entries) * 4, Memory::Device)?;
         let group = BindGroup::new(
             pipeline.layout(),
             &[("id_buffer", Bind::Sampled(id_buffer, &sampler)), ("Visible", Bind::Buffer(&visible))],

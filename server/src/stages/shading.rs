@@ -4,7 +4,7 @@ use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
 use crate::animation::manager::rows;
 use crate::scene::SceneGpu;
-use crate::scene::numbering::ScenePatch;
+use crate::scene::numbering::{PatchRange, ScenePatch};
 use crate::stages::shadow::Shadow;
 use ash::vk;
 use glam::Affine3A;
@@ -105,16 +105,19 @@ impl Shading {
     ) {
         let list: &mut [BlockGpu] = bytemuck::cast_slice_mut(self.blocks.bytes_mut());
         self.count = 0;
-        // Live patches come in ascending order, so the instance only ever moves on.
-        let mut index = 0;
+        // Live patches come in ascending order: most are of the level of the one before.
+        let mut now: Option<(usize, usize, PatchRange)> = None;
         for (entry, (patch, block)) in list.iter_mut().zip(live) {
-            while scene.numbering.instances.get(index + 1).is_some_and(|next| next.drawn.first <= patch) {
-                index += 1;
-            }
-            let instance = &scene.numbering.instances[index];
+            let (number, level, range) = now.filter(|(.., range)| range.has(patch)).unwrap_or_else(|| {
+                let (number, level) = scene.numbering.place_of_patch(patch);
+                let range = scene.numbering.patches(number, level);
+                (number, level, range.expect("it holds the patch"))
+            });
+            now = Some((number, level, range));
+            let instance = &scene.numbering.instances[number];
             let model = &scene.models[instance.model];
             *entry = BlockGpu {
-                patch_index: model.patch_base + instance.drawn.model_number(patch),
+                patch_index: model.levels[level].patch_base + range.model_number(patch),
                 address_texels: u32::from(block.address.x) | u32::from(block.address.y) << 16,
                 extent_texels: block.size.width() | block.size.height() << 16,
                 vertex_base: model.vertex_base,

@@ -6,7 +6,7 @@ use crate::animation::gpu::Animation;
 use crate::culling::Needed;
 use crate::lights::{self, SHADOW_EXTENT_TEXELS, SunView};
 use crate::scene::SceneGpu;
-use crate::stages::geometry::Geometry;
+use crate::stages::geometry::{FULL_DETAIL, Geometry};
 use ash::vk;
 use shadecast_gpu::{
     Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, Image, ImageDesc, Memory, Recorder, RenderPass,
@@ -96,8 +96,11 @@ impl Shadow {
         recorder.begin_pass(&self.pass, &self.target, &[vk::ClearValue::default()]); // 0: far from the sun
         if self.view.is_some() {
             let all = !self.is_animated;
-            let casts =
-                |number: usize| (all || needs.has(number)) && scene.scene.instances[number].casts_shadow;
+            // One map serves all viewers, who see different levels.
+            let casts = |number: usize| {
+                let is_drawn = (all || needs.has(number)) && scene.scene.instances[number].casts_shadow;
+                is_drawn.then_some(FULL_DETAIL)
+            };
             self.geometry.record_some(recorder, &self.group, scene, casts, |draw| ShadowPush {
                 vertex_base: draw.model.vertex_base,
                 position_base: animation.position_base(draw.instance, place),

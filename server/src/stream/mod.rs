@@ -58,6 +58,8 @@ pub struct StreamOptions {
     pub atlas_extent_texels: AtlasExtent,
     /// Of pictures.
     pub quality: QualityOptions,
+    /// Pixels of a client's display that a level of detail may err by; 0: everything has full detail.
+    pub detail_pixels: f32,
     /// Updates per second.
     pub rate_hz: f64,
     /// Clients that are served at once.

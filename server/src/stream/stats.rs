@@ -81,4 +81,10 @@ pub struct ViewerStats {
     pub coarsened: u32,
     /// Patches in its view that were not shown for want of room, summed over its updates.
     pub dropped_patches: u64,
+    /// Triangles that its last update shows, of two sides twice.
+    pub triangles: u32,
+    /// Levels of detail in it, of the instances that were needed.
+    pub levels: Vec<usize>,
+    /// Pixels of its display that they may err by; more than was asked for where the client would not have room.
+    pub detail_pixels: f32,
 }

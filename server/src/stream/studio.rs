@@ -86,7 +86,8 @@ impl Studio for GpuStudio<'_> {
             }
         };
         self.viewers += 1;
-        let frame = Frame::new(&world, ViewerId(self.viewers), welcome, capabilities);
+        let frame =
+            Frame::new(&world, ViewerId(self.viewers), welcome, capabilities, self.options.detail_pixels);
         if self.looking > 0 || frame.is_ok() {
             self.world = Some(world);
         }
@@ -113,6 +114,10 @@ impl Studio for GpuStudio<'_> {
     fn account(&self, frame: &Frame, stats: &mut ViewerStats) {
         stats.coarsened = frame.layout().coarsened();
         stats.dropped_patches = frame.dropped_patches();
+        let Some(world) = &self.world else { return };
+        let shows = frame.shows(world);
+        (stats.triangles, stats.detail_pixels) = (shows.triangles, shows.detail_pixels);
+        stats.levels = shows.levels;
     }
 
     fn quality(&self) -> QualityOptions {

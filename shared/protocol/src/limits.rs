@@ -7,6 +7,8 @@
 pub const MAX_VERTEX_SLOTS: u32 = 131_072;
 /// Patches that a client keeps at most. Slots are numbered from 0.
 pub const MAX_PATCH_SLOTS: u32 = 131_072;
+/// Triangles that a client draws for an eye at most: three of each patch, both sides.
+pub const MAX_TRIANGLES: u32 = 6 * MAX_PATCH_SLOTS;
 /// Placed models of a scene.
 pub const MAX_INSTANCES: u32 = 4096;
 /// Lights beside the sun that a scene is lit by at one time.

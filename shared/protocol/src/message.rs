@@ -10,7 +10,7 @@ use crate::limits::{
     ATLAS_MIN_SIDE, DEFAULT_ARENA_WORDS, DEFAULT_REST_VERTICES, DEFAULT_SAMPLE_RING, MAX_ARENA_WORDS,
     MAX_CODECS, MAX_CONTROL_BYTES, MAX_COORDINATE_M, MAX_DATAGRAM_BYTES, MAX_EYE_EXTENT_PIXELS,
     MAX_EYE_PIXELS, MAX_PATCH_SLOTS, MAX_POSE_PLACES, MAX_REST_VERTICES, MAX_SAMPLE_RING, MAX_SPEED,
-    MAX_TEXT_BYTES, MAX_VERTEX_SLOTS, MIN_SAMPLE_RING,
+    MAX_TEXT_BYTES, MAX_TRIANGLES, MAX_VERTEX_SLOTS, MIN_SAMPLE_RING,
 };
 use crate::pose::{Eye, Pose};
 use crate::text::printable;
@@ -95,6 +95,8 @@ pub struct Capabilities {
     pub max_vertex_slots: u32,
     /// Patches it can keep, 1..=`MAX_PATCH_SLOTS`.
     pub max_patch_slots: u32,
+    /// Triangles it draws for each eye, those of two sides twice, 1..=`MAX_TRIANGLES`.
+    pub max_triangles: u32,
     /// What it can keep of how vertices move.
     pub motion: MotionMemory,
     /// What it decodes, best first.
@@ -495,6 +497,7 @@ impl Capabilities {
         check_count("an eye's number of pixels", width as usize * height as usize, MAX_EYE_PIXELS as usize)?;
         check_slots("the vertex slots of a client", self.max_vertex_slots, MAX_VERTEX_SLOTS)?;
         check_slots("the patch slots of a client", self.max_patch_slots, MAX_PATCH_SLOTS)?;
+        check_slots("the triangles of a client", self.max_triangles, MAX_TRIANGLES)?;
         self.motion.check()?;
         check_period("the display period", self.display_period_ns)
     }
@@ -794,6 +797,8 @@ mod tests {
         assert_hello_refused(|hello| hello.capabilities.codecs = vec![Codec::H264; MAX_CODECS + 1], "codecs");
         assert_hello_refused(|hello| hello.capabilities.max_vertex_slots = 0, "vertex slots");
         assert_hello_refused(|hello| hello.capabilities.max_patch_slots = MAX_PATCH_SLOTS + 1, "patch slots");
+        assert_hello_refused(|hello| hello.capabilities.max_triangles = 0, "triangles");
+        assert_hello_refused(|hello| hello.capabilities.max_triangles = MAX_TRIANGLES + 1, "triangles");
         assert_hello_refused(|hello| hello.capabilities.eye_extent_pixels[1] = 0, "extent in pixels");
         assert_hello_refused(|hello| hello.capabilities.eye_extent_pixels = [8192, 8192], "number of pixels");
         assert_hello_refused(|hello| hello.capabilities.display_period_ns = 0, "display period");

@@ -27,6 +27,7 @@ pub(crate) fn hello() -> ClientHello {
             max_atlas_extent: [4096, 4096],
             max_vertex_slots: 600,
             max_patch_slots: 300,
+            max_triangles: 900,
             motion: MotionMemory::DEFAULT,
             codecs: vec![Codec::H264],
             eyes: eyes(),

@@ -9,7 +9,7 @@ use shadecast_scene::animation::{playing, pose, sampling};
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_server::animation::RingPlace;
 use shadecast_server::animation::gpu::Animation;
-use shadecast_server::culling::Needed;
+use shadecast_server::looks::{Levels, Looks};
 use shadecast_server::scene::numbering::ScenePatch;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::stages::id_buffer::IdBuffer;
@@ -96,7 +96,9 @@ fn marks_and_extents_equal_their_cpu_twins() {
         matrices.iter().zip(&world_eyes).map(|(m, e)| view_gpu(*m, e.position, extent)).collect();
     let views = Buffer::upload(&gpu, "views", &views).unwrap();
     let id_buffer = IdBuffer::new(&gpu, &scene, &animation, &views, extent).unwrap();
-    let mark = Mark::new(&gpu, &id_buffer.image, scene.numbering.totals.patches).unwrap();
+    let instances = scene.numbering.instances.len();
+    let looks = Looks::new(&scene.numbering, vec![Some(Levels { shown: 0, next: None }); instances]);
+    let mark = Mark::new(&gpu, &id_buffer.image, scene.numbering.totals.looked_at).unwrap();
     let levels = LevelSelection::new(&gpu, &scene, &animation, &views, &mark.visible).unwrap();
     let pixels = (extent[0] * extent[1]) as usize;
     let ids = Buffer::new(&gpu, "ids", pixels as u64 * 8, Memory::Readback).unwrap();
@@ -107,18 +109,11 @@ fn marks_and_extents_equal_their_cpu_twins() {
     recorder.fill(&mark.visible, 0);
     recorder.barrier(Access::COPY_WRITE, Access::COMPUTE);
     recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
-    id_buffer.record(
-        &mut recorder,
-        &scene,
-        &animation,
-        &Needed::all(scene.numbering.instances.len()),
-        RingPlace(1),
-        2,
-    );
+    id_buffer.record(&mut recorder, &scene, &animation, looks.all(), RingPlace(1), 2);
     recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
     mark.record(&mut recorder);
     recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
-    levels.record(&mut recorder, &scene, &animation, [0, 1, 2].map(RingPlace));
+    levels.record(&mut recorder, &scene, &animation, &looks, [0, 1, 2].map(RingPlace));
     let layouts = [
         shadecast_gpu::vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
         shadecast_gpu::vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
@@ -130,7 +125,8 @@ fn marks_and_extents_equal_their_cpu_twins() {
     recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
     gpu.wait(recorder.submit().unwrap()).unwrap();
 
-    let patches = scene.numbering.totals.patches as usize;
+    // Of one level: entries are numbers of patches.
+    let patches = looks.entries();
     let visible: Vec<u32> = read(&gpu, &mark.visible, |_| {});
     let twin = twin::mark::mark(&ids.values::<u32>()[..2 * pixels], patches);
     assert_eq!(visible[..patches], twin[..]);

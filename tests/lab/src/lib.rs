@@ -5,6 +5,7 @@ pub mod bars;
 pub mod compare;
 mod cpu_clock;
 pub mod demo;
+pub mod detail;
 pub mod figures;
 pub mod flip;
 pub mod headset_off;

@@ -5,11 +5,12 @@ use clap::{Args, Parser, Subcommand, value_parser};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_lab::bars::{BARS, Bars};
 use shadecast_lab::demo::{DemoOptions, demo};
+use shadecast_lab::detail;
 use shadecast_lab::figures;
 use shadecast_lab::hostile::{self, HostileOptions};
 use shadecast_lab::long;
 use shadecast_lab::motion_table::{self, Condition, KINDS, Kind};
-use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs, USUAL_LINK, ViewerOptions};
+use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs, USUAL_LINK, ViewerOptions, parse_room};
 use shadecast_lab::robot::robot;
 use shadecast_lab::room::write_room;
 use shadecast_lab::run::{Report, run};
@@ -20,6 +21,7 @@ use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::text::with_causes;
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_server::animation::skinning::Skinning;
+use shadecast_server::choice::Room;
 use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::motion::MotionOption;
 use shadecast_server::quality::QualityArgs;
@@ -117,6 +119,8 @@ enum Command {
         #[arg(long, default_value = "tests/fuzz/seeds")]
         out: PathBuf,
     },
+    /// Runs as run does, and says what changes of levels of detail do to the picture, and how much the client draws
+    Detail(RunArgs),
     /// Names the Vulkan device that would be used
     Device,
 }
@@ -178,6 +182,12 @@ struct RunArgs {
     /// Atlas width and height in texels, powers of two from 512x512 to 4096x2048
     #[arg(long, value_name = "WxH", default_value_t = AtlasExtent::DEFAULT)]
     atlas: AtlasExtent,
+    /// Pixels of the display that a level of detail may err by; 0: everything has full detail
+    #[arg(long, value_name = "PIXELS", default_value_t = 0.0, value_parser = number(0.0..=64.0f32, "pixels"))]
+    detail: f32,
+    /// What the client offers to keep and to draw: patches=N,vertices=N,triangles=N [default: as much as any may]
+    #[arg(long, value_parser = parse_room, default_value = "patches=131072", hide_default_value = true)]
+    room: Room,
     /// How clips become keys: error-bounded[:0.1mm], or the paper's constant[:100ms]
     #[arg(long, default_value_t)]
     sampling: Sampling,
@@ -324,6 +334,7 @@ fn main() {
         Command::Hostile(args) => attack(args),
         Command::Neighbours { seconds, json } => neighbours(seconds, json.as_deref()),
         Command::RecordTraffic { out } => hostile::traffic::record(&out),
+        Command::Detail(args) => measure_detail(args),
         Command::Device => name_device(),
     };
     if let Err(error) = result {
@@ -332,8 +343,32 @@ fn main() {
     }
 }
 
+fn measure_detail(args: RunArgs) -> anyhow::Result<()> {
+    let out = args.out.clone();
+    let report = detail::measure(&run_options(args)?)?;
+    print!("{report}");
+    let path = out.join("detail.json");
+    shadecast_transport::write_atomically(&path, serde_json::to_string_pretty(&report)?.as_bytes())
+        .with_context(|| format!("writing {}", path.display()))
+}
+
 fn run_one(args: RunArgs) -> anyhow::Result<()> {
-    let options = RunOptions {
+    let viewers = args.viewer.clone();
+    let options = run_options(args)?;
+    if viewers.is_empty() {
+        say(&run(&options)?);
+        return Ok(());
+    }
+    anyhow::ensure!(options.renderer == Renderer::Stream, "several viewers need --renderer stream");
+    for (report, number) in run_each(&options, &viewers)?.iter().zip(1..) {
+        println!("viewer {number}");
+        say(report);
+    }
+    Ok(())
+}
+
+fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
+    Ok(RunOptions {
         renderer: args.renderer,
         clip: args.clip,
         link: args.link.parse()?,
@@ -346,6 +381,8 @@ fn run_one(args: RunArgs) -> anyhow::Result<()> {
         extent_pixels: args.size,
         fov_degrees: args.fov,
         rate_hz: args.rate,
+        detail_pixels: args.detail,
+        room: args.room,
         seed: args.seed,
         dump_every: args.dump_every,
         compare_every: args.compare_every,
@@ -358,17 +395,7 @@ fn run_one(args: RunArgs) -> anyhow::Result<()> {
         motion: args.measure_motion,
         verbose: true,
         ..RunOptions::new(args.scene.parse()?, args.out)
-    };
-    if args.viewer.is_empty() {
-        say(&run(&options)?);
-        return Ok(());
-    }
-    anyhow::ensure!(args.renderer == Renderer::Stream, "several viewers need --renderer stream");
-    for (report, number) in run_each(&options, &args.viewer)?.iter().zip(1..) {
-        println!("viewer {number}");
-        say(report);
-    }
-    Ok(())
+    })
 }
 
 fn say(report: &Report) {

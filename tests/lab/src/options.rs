@@ -2,8 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::Codec;
 use shadecast_scene::load::SceneSource;
+use shadecast_server::choice::Room;
 use shadecast_server::quality::QualityOptions;
 use shadecast_server::scene::SceneOptions;
 use shadecast_transport::{LinkError, LinkProfile, LinkSchedule};
@@ -142,6 +144,10 @@ impl FromStr for ViewerOptions {
 /// The network of runs that name none.
 pub const USUAL_LINK: &str = "latency=20ms,jitter=5ms,rate=100mbit";
 
+/// As much as a client may offer.
+pub const MOST_ROOM: Room =
+    Room { patches: MAX_PATCH_SLOTS, vertices: MAX_VERTEX_SLOTS, triangles: MAX_TRIANGLES };
+
 /// A run.
 #[derive(Clone, Debug)]
 pub struct RunOptions {
@@ -181,6 +187,10 @@ pub struct RunOptions {
     pub quality: QualityOptions,
     /// Atlas width and height in texels.
     pub atlas_extent_texels: AtlasExtent,
+    /// Pixels of the display that a level of detail may err by; 0: everything has full detail.
+    pub detail_pixels: f32,
+    /// What the clients offer to keep and to draw.
+    pub room: Room,
     /// Updates per second.
     pub rate_hz: f64,
     /// Display frames per second.
@@ -217,6 +227,8 @@ impl RunOptions {
             device: None,
             quality: QualityOptions::default(),
             atlas_extent_texels: AtlasExtent::DEFAULT,
+            detail_pixels: 0.0,
+            room: MOST_ROOM,
             rate_hz: 30.0,
             refresh_hz: 72.0,
             scene_options: SceneOptions::default(),
@@ -261,6 +273,13 @@ impl RunOptions {
             }
             QualityOptions::Bitrate(_) => {}
         }
+        if self.detail_pixels != usual.detail_pixels {
+            line += &format!(" --detail {}", self.detail_pixels);
+        }
+        if self.room != usual.room {
+            let Room { patches, vertices, triangles } = self.room;
+            line += &format!(" --room patches={patches},vertices={vertices},triangles={triangles}");
+        }
         if self.seed != usual.seed {
             line += &format!(" --seed {}", self.seed);
         }
@@ -274,9 +293,38 @@ impl RunOptions {
     }
 }
 
+/// What a client offers to keep and to draw: `patches=N,vertices=N,triangles=N`; each is optional.
+///
+/// # Errors
+/// What is none of these, or more than any client may offer.
+pub fn parse_room(text: &str) -> Result<Room, String> {
+    let mut room = MOST_ROOM;
+    for part in text.split(',') {
+        let (key, value) = part.split_once('=').ok_or_else(|| format!("\"{part}\" is not patches=NUMBER"))?;
+        let (place, most) = match key {
+            "patches" => (&mut room.patches, MAX_PATCH_SLOTS),
+            "vertices" => (&mut room.vertices, MAX_VERTEX_SLOTS),
+            "triangles" => (&mut room.triangles, MAX_TRIANGLES),
+            _ => return Err(format!("\"{key}\" is not patches, vertices or triangles")),
+        };
+        let number = value.parse().ok().filter(|number| (1..=most).contains(number));
+        *place = number.ok_or_else(|| format!("{key} must be a number from 1 to {most}"))?;
+    }
+    Ok(room)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_room_is_what_is_said_of_it_and_the_most_of_the_rest() {
+        let room = parse_room("triangles=900,patches=30").expect("good");
+        assert_eq!(room, Room { patches: 30, triangles: 900, ..MOST_ROOM });
+        for text in ["", "patches", "patches=0", "patches=x", "vertices=999999999", "slots=3"] {
+            assert!(parse_room(text).is_err(), "{text}");
+        }
+    }
 
     #[test]
     fn a_viewer_is_a_link_and_a_head_path_in_any_order() {

@@ -44,6 +44,10 @@ pub struct Counted {
     pub validation_messages: u64,
     /// Patches that were visible but had no room, summed over all updates.
     pub dropped_patches: u64,
+    /// Triangles that an update shows, on average.
+    pub triangles: f64,
+    /// Level of detail of an instance in an update, on average.
+    pub mean_level: f64,
     /// Differences of the client's estimate of the server's clock from the truth, milliseconds, one for each display
     /// frame; empty where there is nothing to estimate.
     pub clock_errors_ms: Vec<f64>,
@@ -108,6 +112,12 @@ pub struct Stats {
     /// Patches that were visible but had no room in the atlas or the client's memory, summed over all updates.
     #[serde(default)]
     pub dropped_patches: u64,
+    /// Triangles that an update shows on average, those of two sides twice.
+    #[serde(default)]
+    pub triangles: f64,
+    /// Level of detail of an instance in an update on average; 0 is full detail.
+    #[serde(default)]
+    pub mean_level: f64,
     /// Largest difference of the client's estimate of the server's clock from the truth at a display frame; null where both
     /// have one clock, and in real time, where nobody knows.
     #[serde(default)]
@@ -214,6 +224,8 @@ impl Summary {
             validation_messages: counted.validation_messages,
             gpu_ms: counted.gpu_ms,
             dropped_patches: counted.dropped_patches,
+            triangles: counted.triangles,
+            mean_level: counted.mean_level,
             clock_error_ms,
             clock_error_p99_ms,
             clock_error_bound_ms: counted.clock_error_bound_ms,
@@ -285,6 +297,8 @@ impl fmt::Display for Stats {
         let (worst, bound) =
             (figure(self.clock_error_ms, 2, " ms"), figure(self.clock_error_bound_ms, 2, " ms"));
         line(f, "clock error", format_args!("{worst} (99 %: {p99}; known to be below {bound})"))?;
+        let (triangles, level) = (self.triangles, self.mean_level);
+        line(f, "detail", format_args!("{triangles:.0} triangles, mean level {level:.2}"))?;
         line(f, "dropped patches", format_args!("{}", self.dropped_patches))?;
         line(f, "validation", format_args!("{} messages", self.validation_messages))?;
         let stages: Vec<_> = self.gpu_ms.iter().map(|(stage, ms)| format!("{stage} {ms:.1}")).collect();

@@ -95,7 +95,7 @@ pub fn second_viewer(options: &RunOptions, rounds: usize) -> anyhow::Result<Seco
     let hello = hello(options, options.extent_pixels);
     let offer = server.offer();
     let terms = negotiate(&hello, &offer).map_err(|refused| anyhow::anyhow!("{}", refused.reason))?;
-    let frame = |number| Frame::new(&server.world, ViewerId(number), &terms, &hello.capabilities);
+    let frame = |number| Frame::new(&server.world, ViewerId(number), &terms, &hello.capabilities, 0.0);
     let mut frames = [frame(1)?, frame(2)?];
     let period_ns = (1e9 / options.rate_hz) as i64;
     let (mut one_ms, mut two_ms) = (Vec::new(), Vec::new());

@@ -29,6 +29,7 @@ pub fn hello() -> ClientHello {
             max_atlas_extent: ATLAS_MAX_EXTENT,
             max_vertex_slots: 1000,
             max_patch_slots: 1000,
+            max_triangles: 6000,
             motion: MotionMemory::DEFAULT,
             codecs: vec![Codec::H264],
             eyes: eyes(),

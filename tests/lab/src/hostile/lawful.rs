@@ -5,7 +5,7 @@ use anyhow::Context;
 use glam::{Quat, Vec3};
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::ids::{DiscontinuityId, UpdateId};
-use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
+use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{
     Capabilities, ClientHello, Codec, Displayed, HeadState, MotionMemory, ResumeSecret,
 };
@@ -49,6 +49,7 @@ pub(crate) fn hello() -> ClientHello {
             max_atlas_extent: ATLAS_MAX_EXTENT,
             max_vertex_slots: MAX_VERTEX_SLOTS,
             max_patch_slots: MAX_PATCH_SLOTS,
+            max_triangles: MAX_TRIANGLES,
             motion: MotionMemory::DEFAULT,
             codecs: vec![Codec::H264],
             eyes: eyes(),

@@ -22,13 +22,14 @@ use shadecast_mock_runtime::clock::period_begin_ns;
 use shadecast_mock_runtime::config::MockConfig;
 use shadecast_mock_runtime::head_path::HeadPath;
 use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
+use shadecast_protocol::limits::ATLAS_MAX_EXTENT;
 use shadecast_protocol::message::{Capabilities, ClientHello, Codec, MotionMemory, ServerOffer};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::session::Out;
 use shadecast_protocol::time::{ClientTime, DEFAULT_GRID};
 use shadecast_scene::Scene;
-use shadecast_scene::load::load_scene;
+use shadecast_scene::load::load_scene_with;
+use shadecast_scene::process::Loading;
 use shadecast_scene::suggest::did_you_mean_or_list;
 use shadecast_server::pacing::WayState;
 use shadecast_server::quality::QualityOptions;
@@ -59,6 +60,7 @@ pub struct Server {
     viewers: u64,
     atlas_extent_texels: AtlasExtent,
     rate_hz: f64,
+    detail_pixels: f32,
 }
 
 /// A link with a client at its end, and the server's side of it.
@@ -92,7 +94,8 @@ const MAX_IDLE_TURNS: u32 = 100_000;
 impl Server {
     /// Opens the server's device and loads the scene.
     pub fn new(options: &RunOptions) -> anyhow::Result<Self> {
-        let mut scene = load_scene(&options.scene)?;
+        let lods = options.detail_pixels > 0.0;
+        let mut scene = load_scene_with(&options.scene, &Loading { lods, ..Loading::plain() })?;
         if let Some(clip) = &options.clip {
             play_clip(&mut scene, clip)?;
         }
@@ -112,6 +115,7 @@ impl Server {
             viewers: 0,
             atlas_extent_texels: options.atlas_extent_texels,
             rate_hz: options.rate_hz,
+            detail_pixels: options.detail_pixels,
         })
     }
 
@@ -245,6 +249,9 @@ impl Lab {
         let client_options = ClientOptions {
             decoding: DecodeTiming::Virtual { delay_ns: decode_ns },
             codecs,
+            max_vertex_slots: options.room.vertices,
+            max_patch_slots: options.room.patches,
+            max_triangles: options.room.triangles,
             ..ClientOptions::default()
         };
         let client = Client::new(xr, client_options).context("making the client")?;
@@ -397,8 +404,9 @@ pub fn hello(options: &RunOptions, eye_extent_pixels: [u32; 2]) -> ClientHello {
         app_version: env!("CARGO_PKG_VERSION").into(),
         capabilities: Capabilities {
             max_atlas_extent: ATLAS_MAX_EXTENT,
-            max_vertex_slots: MAX_VERTEX_SLOTS,
-            max_patch_slots: MAX_PATCH_SLOTS,
+            max_vertex_slots: options.room.vertices,
+            max_patch_slots: options.room.patches,
+            max_triangles: options.room.triangles,
             motion: MotionMemory::DEFAULT,
             codecs: options.medium().codecs.to_vec(),
             eyes: [eye(-0.0315), eye(0.0315)],

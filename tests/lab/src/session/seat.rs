@@ -14,7 +14,7 @@ use shadecast_protocol::wire::PictureHeader;
 use shadecast_server::encode;
 use shadecast_server::encode::openh264::EncoderSettings;
 use shadecast_server::encoding::{Coded, Encoding};
-use shadecast_server::frame::{Frame, Shaded};
+use shadecast_server::frame::{Frame, Shaded, Shows};
 use shadecast_server::lock::lock;
 use shadecast_server::motion::sender::MotionBytes;
 use shadecast_server::pacing::{Kind, WayState};
@@ -57,6 +57,10 @@ pub struct Sent {
     pub motion: MotionBytes,
     /// Updates that were not made because the link was behind.
     pub withheld: u64,
+    /// Triangles that updates show, summed over them.
+    pub triangles: u64,
+    /// Levels of detail of the instances that updates needed, summed over both, and how many those are.
+    pub levels: [u64; 2],
 }
 
 /// See the module.
@@ -69,6 +73,8 @@ pub struct Seat {
     pub gpu_ms: BTreeMap<&'static str, f64>,
     /// The last update's planes and their extent, for the atlas picture.
     pub last: Option<Box<Shaded>>,
+    /// What each update shows, by its number.
+    pub shows: Vec<Shows>,
     /// Who was in the client's memory at which update.
     pub residents: Residents,
     sessions: Sessions,
@@ -143,6 +149,7 @@ impl Seat {
             sent: Sent::default(),
             gpu_ms: BTreeMap::new(),
             last: None,
+            shows: Vec::new(),
             residents: Residents::default(),
             sessions: Sessions::new(Box::new(offer), 1, SERVER_EPOCH_NS),
             desk: Desk::default(),
@@ -204,7 +211,8 @@ impl Seat {
         let first_qp = server.quality.first_qp();
         let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, first_qp, server.rate_hz);
         self.encoding = Some(Encoding::new(encode::encoder(welcome.codec, settings)?));
-        let frame = Frame::new(&server.world, ViewerId(self.number), &welcome, &capabilities)?;
+        let frame =
+            Frame::new(&server.world, ViewerId(self.number), &welcome, &capabilities, server.detail_pixels)?;
         self.viewer = Some(Viewer::new(frame, sender, server.quality, server.period_ns(), now_ns));
         Ok(())
     }
@@ -248,6 +256,12 @@ impl Seat {
         self.sent.updates += 1;
         shaded.timings.iter().for_each(|(stage, ms)| *self.gpu_ms.entry(stage).or_default() += ms);
         self.residents.note(shaded.update, frame.residency());
+        let shows = frame.shows(&server.world);
+        self.sent.triangles += u64::from(shows.triangles);
+        self.sent.levels[0] += shows.levels.iter().sum::<usize>() as u64;
+        self.sent.levels[1] += shows.levels.len() as u64;
+        self.shows.resize(shaded.update.0 as usize, Shows::default());
+        self.shows.push(shows);
         self.encode_ns = stages.ns(stages.encode);
         self.leave(now_ns + stages.ns(stages.server), Departure::Update(Box::new(shaded)));
         Ok(())

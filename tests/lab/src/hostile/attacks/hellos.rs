@@ -40,6 +40,7 @@ const CHANGES: &[Change] = &[
     |hello| hello.capabilities.eye_extent_pixels = [0, 128],
     |hello| hello.capabilities.max_vertex_slots = 1,
     |hello| hello.capabilities.max_patch_slots = 1,
+    |hello| hello.capabilities.max_triangles = 1,
     |hello| hello.capabilities.max_vertex_slots = u32::MAX,
     |hello| hello.capabilities.max_atlas_extent = [0, u32::MAX],
     |hello| hello.capabilities.max_atlas_extent = [512, 1 << 31],
