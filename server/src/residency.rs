@@ -195,10 +195,12 @@ impl Residency {
         allowance: &mut Allowance,
     ) -> bool {
         let Allowance { bytes, patches: slots, vertices, .. } = *allowance;
-        let mut brings = HashSet::new();
+        let mut brings = Vec::new();
         let fits = patches.into_iter().all(|patch| self.reserve_one(geometry, patch, allowance, &mut brings));
         if !fits {
-            allowance.brings.retain(|vertex| !brings.contains(vertex));
+            for vertex in &brings {
+                allowance.brings.remove(vertex);
+            }
             (allowance.bytes, allowance.patches, allowance.vertices) = (bytes, slots, vertices);
         }
         fits
@@ -221,7 +223,7 @@ impl Residency {
         geometry: &impl Geometry,
         patch: ScenePatch,
         left: &mut Allowance,
-        brings: &mut HashSet<SceneVertex>,
+        brings: &mut Vec<SceneVertex>,
     ) -> bool {
         if self.slot_of_patch[patch.index()].is_some() {
             return true;
@@ -231,7 +233,7 @@ impl Residency {
         for vertex in vertices_of_patch(geometry, patch) {
             if self.vertices[vertex.index()].is_none() && left.brings.insert(vertex) {
                 bytes += self.vertex_bytes(geometry, instance, vertex);
-                brings.insert(vertex);
+                brings.push(vertex);
             }
         }
         let vertices = brings.len() - before;
