@@ -14,6 +14,7 @@ use shadecast_scene::animation::sampling::{self, Sampling};
 use shadecast_scene::cache::Cache;
 use shadecast_scene::identity::{mesh_hash, texture_hash};
 use shadecast_scene::load::{SceneSource, load_scene_with};
+use shadecast_scene::patches::PatchReport;
 use shadecast_scene::process::Loading;
 use shadecast_scene::{Model, Scene, Texture, mips};
 use shadecast_shaders::generated::{MaterialGpu, MorphDeltaGpu, PatchGpu, PoseGpu, TangentGpu, VertexGpu};
@@ -161,8 +162,13 @@ struct PatchesReport {
     single: usize,
     pairs: usize,
     triples: usize,
-    mean_waste: f32,
+    single_share: f32,
+    pairs_share: f32,
+    triples_share: f32,
+    triangles_per_patch: f32,
+    wasted_share: f32,
     mean_stretch: f32,
+    worst_stretch: f32,
 }
 
 #[derive(Serialize)]
@@ -235,13 +241,35 @@ impl PatchesReport {
     fn new(model: &Model, level: usize) -> Self {
         let report = model.patches_of(level).report(&model.vertices);
         let [single, pairs, triples] = report.count_by_kind;
-        Self { single, pairs, triples, mean_waste: report.mean_waste, mean_stretch: report.mean_stretch }
+        let all = (single + pairs + triples).max(1) as f32;
+        let [single_share, pairs_share, triples_share] = report.count_by_kind.map(|count| count as f32 / all);
+        let PatchReport { triangles_per_patch, wasted_share, mean_stretch, worst_stretch, .. } = report;
+        Self {
+            single,
+            pairs,
+            triples,
+            single_share,
+            pairs_share,
+            triples_share,
+            triangles_per_patch,
+            wasted_share,
+            mean_stretch,
+            worst_stretch,
+        }
     }
 
     fn text(&self) -> String {
-        let Self { single, pairs, triples, mean_waste, mean_stretch } = self;
+        let Self { single, pairs, triples, .. } = self;
+        let percent = |share: f32| format!("{:.1} %", 100.0 * share);
         format!(
-            "{single} of one triangle, {pairs} of two, {triples} of three; area {mean_waste:.2} times the triangles', stretch {mean_stretch:.2}"
+            "{single} of one triangle ({}), {pairs} of two ({}), {triples} of three ({}), {:.2} triangles each; {} of the area wasted, stretch {:.2}, at worst {:.2}",
+            percent(self.single_share),
+            percent(self.pairs_share),
+            percent(self.triples_share),
+            self.triangles_per_patch,
+            percent(self.wasted_share),
+            self.mean_stretch,
+            self.worst_stretch
         )
     }
 }

@@ -227,7 +227,7 @@ pub fn refine(
     };
     let is_worth_it = loading.cache.folder().is_some();
     let refined = if is_worth_it {
-        let key = Key::new("refined", 1).value(&(longest_edge_m, loading.lods)).value(&unrefined);
+        let key = Key::new("refined", 2).value(&(longest_edge_m, loading.lods)).value(&unrefined);
         let check = |refined: &Refined| refined.check(&source);
         loading.cache.try_get_or_compute(&key, check, || compute(&source, longest_edge_m, loading))?
     } else {
@@ -285,7 +285,7 @@ fn compute(source: &Model, longest_edge_m: Option<f32>, loading: &Loading) -> Re
     let mut model = source.clone();
     let split = longest_edge_m.map(|longest_m| split_until(&mut model, longest_m, cancel)).transpose()?;
     model.lods = if loading.lods { lod::build(&model, cancel)? } else { Vec::new() };
-    let patches = |level: usize| cancel.check().map(|()| Patches::build(model.triangles(level)));
+    let patches = |level: usize| Patches::build(model.triangles(level), cancel);
     let patches = (0..=model.lods.len()).map(patches).collect::<Result<_, _>>()?;
     let Model { vertices, indices, primitives, morphs, lods, .. } = model;
     Ok(Refined { vertices, indices, primitives, morphs, lods, patches, split })

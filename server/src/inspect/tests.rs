@@ -112,9 +112,31 @@ fn more_instances_add_only_what_is_theirs() {
 }
 
 #[test]
+fn shares_of_patches_are_those_of_their_counts() {
+    let scene = load_scene(&SceneSource::Dragons(1)).expect("built in");
+    let model = &scene.models[0];
+    let report = PatchesReport::new(model, 0);
+    let counts = [report.single, report.pairs, report.triples];
+    let all = counts.iter().sum::<usize>() as f32;
+    let shares = [report.single_share, report.pairs_share, report.triples_share];
+    assert_eq!(shares, counts.map(|count| count as f32 / all));
+    assert_eq!(report.triangles_per_patch, (model.indices.len() / 3) as f32 / all);
+    assert!((0.0..1.0).contains(&report.wasted_share));
+    assert!(1.0 < report.mean_stretch && report.mean_stretch < report.worst_stretch);
+}
+
+#[test]
 fn text_has_the_same_figures() {
     let text = printed(&["dragon", COARSE]);
-    for expected in ["dragon: 1 instances", "137 bones", "patches:", "source keys", "memory on the GPU"] {
+    for expected in [
+        "dragon: 1 instances",
+        "137 bones",
+        "patches:",
+        "triangles each",
+        "of the area wasted, stretch",
+        "source keys",
+        "memory on the GPU",
+    ] {
         assert!(text.contains(expected), "{expected} is missing in\n{text}");
     }
 }
