@@ -13,7 +13,8 @@ pub struct PatchReport {
     pub triangles_per_patch: f32,
     /// What part of the rectangles' area is more than the triangles have, 0..1.
     pub wasted_share: f32,
-    /// [Stretch](Fit::worst_stretch) of the triangles, weighted by area; 1 is perfect.
+    /// How much longer a triangle is than its picture on the rectangle, in the direction where it is longest; the mean by
+    /// area. 1 is perfect.
     pub mean_stretch: f32,
     /// The largest stretch of any triangle.
     pub worst_stretch: f32,
