@@ -11,6 +11,7 @@ use crate::platform::{self, MakeDecoder};
 use crate::renderer::Renderer;
 use crate::scene::{ArrivedPicture, Scene};
 use crate::scenes::{Scenes, server_time};
+use crate::stages::atlas_draw::Lookup;
 use crate::stages::interpolate::Interpolation;
 use crate::stages::probe::ProbeView;
 use crate::stats::{ClientStats, Counters};
@@ -33,6 +34,8 @@ pub struct ClientOptions {
     pub interpolation: Interpolation,
     /// Samples per pixel: 1 or 4.
     pub msaa: u32,
+    /// How the atlas is looked up.
+    pub lookup: Lookup,
     /// How decoding takes time.
     pub decoding: DecodeTiming,
     /// What is announced to the server, best first.
@@ -54,6 +57,7 @@ impl Default for ClientOptions {
         Self {
             interpolation: Interpolation::Cubic,
             msaa: 4,
+            lookup: Lookup::default(),
             decoding: DecodeTiming::Thread,
             codecs: &[Codec::H264],
             decoder: platform::decoder,
@@ -104,7 +108,7 @@ impl Client {
         let counters = Counters::new(xr.headset.gpu(), xr.headset.runtime_name());
         Ok(Self {
             scenes: Scenes::default(),
-            renderer: Renderer::new(xr, options.msaa)?,
+            renderer: Renderer::new(xr, options.msaa, options.lookup)?,
             link: Link::default(),
             options,
             now: ClientTime(0),

@@ -471,7 +471,7 @@ mod tests {
     }
 
     fn shown(decoded: &Decoded) -> (u32, u8) {
-        let Picture::Planes(picture) = &decoded.picture;
+        let Picture::Planes(picture) = &decoded.picture else { panic!("another kind of picture") };
         (decoded.update.0, picture.bytes()[0])
     }
 

@@ -67,7 +67,7 @@ impl DrawList {
         (corners, indices): (&mut [CornerGpu], &mut [u32]),
         scratch: &mut ListScratch,
     ) {
-        let mut writer = ListWriter { corners, indices, corner_count: 0, index_count: 0 };
+        let mut writer = ListWriter::new(corners, indices);
         let mut users = motion.begin_list();
         scratch.late.clear();
         (self.patches, self.ready) = (0, GridIndex(i32::MIN));
@@ -95,23 +95,37 @@ impl DrawList {
     }
 }
 
-struct ListWriter<'a> {
+/// Writes patches one behind the other.
+pub struct ListWriter<'a> {
     corners: &'a mut [CornerGpu],
     indices: &'a mut [u32],
     corner_count: usize,
     index_count: usize,
 }
 
-impl ListWriter<'_> {
-    fn write(&mut self, patch: &ResidentPatch) {
+impl<'a> ListWriter<'a> {
+    /// Into memory for as many patches as will be written.
+    pub fn new(corners: &'a mut [CornerGpu], indices: &'a mut [u32]) -> Self {
+        Self { corners, indices, corner_count: 0, index_count: 0 }
+    }
+
+    /// Indices written so far.
+    pub fn index_count(&self) -> u32 {
+        self.index_count as u32
+    }
+
+    /// Adds a patch, if it has a block.
+    pub fn write(&mut self, patch: &ResidentPatch) {
         let Some(block) = patch.block else { return };
         let [left, top, right, bottom] = block.lookup_rect_texels();
+        let [first_x, first_y, end_x, end_y] = block.rect_texels();
         let base = self.corner_count as u32;
         for (uv, slot) in patch.kind.corner_uv().iter().zip(patch.vertices) {
             self.corners[self.corner_count] = CornerGpu {
                 vertex_slot: slot.0,
                 instance: u32::from(patch.instance.0),
                 atlas_texel: [left + (right - left) * uv[0], top + (bottom - top) * uv[1]],
+                block: [first_x | first_y << 16, end_x | end_y << 16],
             };
             self.corner_count += 1;
         }

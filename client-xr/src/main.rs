@@ -5,6 +5,7 @@ use clap::{Parser, ValueEnum};
 use shadecast_client::client::{Client, ClientError, ClientOptions, FrameReport};
 use shadecast_client::net::{self, RunOptions};
 use shadecast_client::platform::Platform;
+use shadecast_client::stages::atlas_draw::{Lookup, Reconstruction};
 use shadecast_client::stages::interpolate::Interpolation;
 use shadecast_client::stats::ClientStats;
 use shadecast_client::xr::XrOptions;
@@ -62,6 +63,9 @@ struct Arguments {
     /// Measurement: write them at every Nth display frame
     #[arg(long, value_name = "N", requires = "probe_dir", value_parser = clap::value_parser!(u64).range(1..))]
     probe_every: Option<u64>,
+    /// How colours between the atlas's texels are found
+    #[arg(long, value_enum, default_value_t = ReconstructionArgument::Bilinear)]
+    reconstruction: ReconstructionArgument,
     /// Samples per pixel
     #[arg(long, value_name = "SAMPLES", default_value = "4", value_parser = ["1", "4"])]
     msaa: String,
@@ -76,6 +80,14 @@ enum InterpolationArgument {
     Cubic,
     /// A line through two
     Linear,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum ReconstructionArgument {
+    /// On a line between the nearest
+    Bilinear,
+    /// Brightness by a cubic: sharper, for GPUs with time to spare
+    Bicubic,
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -147,6 +159,13 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
             interpolation: match arguments.interpolation {
                 InterpolationArgument::Cubic => Interpolation::Cubic,
                 InterpolationArgument::Linear => Interpolation::Linear,
+            },
+            lookup: Lookup {
+                reconstruction: match arguments.reconstruction {
+                    ReconstructionArgument::Bilinear => Reconstruction::Bilinear,
+                    ReconstructionArgument::Bicubic => Reconstruction::Bicubic,
+                },
+                ..Lookup::default()
             },
             msaa: if arguments.msaa == "1" { 1 } else { 4 },
             ..ClientOptions::default()

@@ -4,6 +4,7 @@
 use crate::report::FrameReport;
 use crate::scene::Scene;
 use crate::stages::Stages;
+use crate::stages::atlas_draw::Lookup;
 use crate::stages::background::Backdrop;
 use crate::stages::probe::{Probe, ProbeView};
 use crate::stages::text::{Text, panel_ahead};
@@ -45,7 +46,7 @@ pub(crate) struct Words {
 
 impl Renderer {
     /// On an open headset, with so many samples a pixel.
-    pub(crate) fn new(xr: Xr, msaa: u32) -> Result<Self, GpuError> {
+    pub(crate) fn new(xr: Xr, msaa: u32, lookup: Lookup) -> Result<Self, GpuError> {
         let gpu = xr.headset.gpu().clone();
         let samples = if msaa > 1 { vk::SampleCountFlags::TYPE_4 } else { vk::SampleCountFlags::TYPE_1 };
         let words = Words {
@@ -54,7 +55,7 @@ impl Renderer {
             waiting: Text::new("No new pictures from the server"),
             stillness: Stillness::default(),
         };
-        let stages = Stages::new(&gpu, &xr.swapchain, samples)?;
+        let stages = Stages::new(&gpu, &xr.swapchain, samples, lookup)?;
         Ok(Self { stages, probe: None, last_drawn: None, last_ticket: None, gpu, xr, words })
     }
 

@@ -8,9 +8,11 @@ layout(std430, binding = 0) readonly buffer Corners { CornerGpu corners[]; };
 layout(std430, binding = 1) readonly buffer Positions { vec4 positions[]; };
 layout(std140, binding = 2) uniform Eyes { EyesGpu eyes; };
 layout(location = 0) out vec2 atlas_texel;
+layout(location = 1) flat out vec4 block; // left, top, right, bottom in texels
 
 void main() {
     CornerGpu corner = corners[gl_VertexIndex];
     atlas_texel = corner.atlas_texel;
+    block = vec4(corner.block.x & 0xffff, corner.block.x >> 16, corner.block.y & 0xffff, corner.block.y >> 16);
     gl_Position = clip_position(eyes.clip_from_world[gl_ViewIndex], positions[corner.vertex_slot]);
 }

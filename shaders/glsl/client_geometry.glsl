@@ -6,6 +6,7 @@ struct CornerGpu {
     uint vertex_slot;
     uint instance;
     vec2 atlas_texel; // inside the block's lookup rectangle
+    uvec2 block;      // x | y << 16 of its first texel, and of the first one beyond it
 };
 
 struct EyesGpu {

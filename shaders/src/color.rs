@@ -22,6 +22,18 @@ pub fn picture(rgba8: &[u8], [width, height]: [u32; 2]) -> I420 {
     I420::new([width, height], [luma, blue, red].concat()).expect("sides are even")
 }
 
+/// The three planes of `rgba8` with chroma for each texel, one behind the other.
+pub fn full_chroma(rgba8: &[u8]) -> Vec<u8> {
+    let texels = rgba8.len() / 4;
+    let mut planes = vec![0; 3 * texels];
+    for (index, rgba) in rgba8.chunks_exact(4).enumerate() {
+        for (plane, value) in ycbcr(&rgba[..3]).into_iter().enumerate() {
+            planes[plane * texels + index] = byte(value);
+        }
+    }
+    planes
+}
+
 fn ycbcr(rgb8: &[u8]) -> [f32; 3] {
     let [r, g, b] = [0, 1, 2].map(|c| f32::from(rgb8[c]) / 255.0);
     let y = 0.2126 * r + 0.7152 * g + 0.0722 * b;
@@ -35,6 +47,12 @@ fn byte(value: f32) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn full_chroma_is_that_of_each_texel() {
+        let planes = full_chroma(&[255, 0, 0, 255, 0, 0, 255, 255]);
+        assert_eq!(planes, [54, 18, 99, 255, 255, 116]);
+    }
 
     #[test]
     fn grey_has_no_chroma_and_primaries_have_their_weights() {

@@ -8,7 +8,7 @@
 //! Whatever bytes come in, a decoder gives a picture of the agreed extent or an error; [`sps`] looks at every sequence header before the decoder does.
 
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
-use shadecast_protocol::picture::{I420, I420Error};
+use shadecast_protocol::picture::{I420, I420Error, I444};
 use std::time::Duration;
 use thiserror::Error;
 
@@ -25,6 +25,8 @@ const MAX_SPARE: usize = 4;
 pub enum Picture {
     /// In the CPU's memory.
     Planes(I420),
+    /// The same with full chroma, from a measurement's decoder alone.
+    FullChroma(I444),
 }
 
 /// Turns access units into pictures.

@@ -102,7 +102,7 @@ impl Decoder for OpenH264Decoder {
     }
 
     fn recycle(&mut self, picture: Picture) {
-        let Picture::Planes(picture) = picture;
+        let Picture::Planes(picture) = picture else { return };
         self.spare.give(picture);
     }
 

@@ -30,7 +30,7 @@ impl Decoder for RawDecoder {
     }
 
     fn recycle(&mut self, picture: Picture) {
-        let Picture::Planes(picture) = picture;
+        let Picture::Planes(picture) = picture else { return };
         self.spare.give(picture);
     }
 

@@ -2,14 +2,16 @@
 
 use super::FRAMES_IN_FLIGHT;
 use super::scatter::VertexMemory;
-use super::upload::Planes;
+use super::upload::{Chroma, Planes};
 use crate::draw_list::{DrawList, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
 use shadecast_gpu::{
     Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
     Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc, Sampler, SamplerDesc, Ticket, vk,
 };
 use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_shaders::generated::{CLIENT_ATLAS_FRAG, CLIENT_ATLAS_VERT, CornerGpu, EyesGpu};
+use shadecast_shaders::generated::{
+    CLIENT_ATLAS_BICUBIC_FRAG, CLIENT_ATLAS_FRAG, CLIENT_ATLAS_VERT, CornerGpu, EyesGpu,
+};
 use std::sync::Arc;
 
 /// Depth: reversed, never stored.
@@ -25,8 +27,28 @@ pub struct EyeTargets {
     _transient: Vec<Image>,
 }
 
+/// How a colour between texels is found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Reconstruction {
+    /// On a straight line between the nearest texels.
+    #[default]
+    Bilinear,
+    /// Brightness by Catmull and Rom's cubic, in five lookups instead of one.
+    Bicubic,
+}
+
+/// How colours are looked up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Lookup {
+    /// Between texels.
+    pub reconstruction: Reconstruction,
+    /// In which pictures.
+    pub chroma: Chroma,
+}
+
 /// The pipeline.
 pub struct AtlasDraw {
+    chroma: Chroma,
     pipeline: GraphicsPipeline,
     sampler: Sampler,
 }
@@ -114,16 +136,25 @@ impl EyeTargets {
 
 impl AtlasDraw {
     /// The pipeline for `pass`.
-    pub fn new(gpu: &Arc<Gpu>, pass: &RenderPass) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Arc<Gpu>, pass: &RenderPass, lookup: Lookup) -> Result<Self, GpuError> {
+        let Lookup { reconstruction, chroma } = lookup;
+        let fragment = match reconstruction {
+            Reconstruction::Bilinear => &CLIENT_ATLAS_FRAG,
+            Reconstruction::Bicubic => &CLIENT_ATLAS_BICUBIC_FRAG,
+        };
         let desc = GraphicsPipelineDesc {
             cull: vk::CullModeFlags::BACK,
             depth_write: Some(true),
-            ..GraphicsPipelineDesc::new(&CLIENT_ATLAS_VERT, &CLIENT_ATLAS_FRAG, pass)
+            ..GraphicsPipelineDesc::new(&CLIENT_ATLAS_VERT, fragment, pass)
         };
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
         let sampler =
             SamplerDesc { filter: vk::Filter::LINEAR, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
-        Ok(Self { pipeline: GraphicsPipeline::new(gpu, &desc)?, sampler: Sampler::new(gpu, sampler)? })
+        Ok(Self {
+            chroma,
+            pipeline: GraphicsPipeline::new(gpu, &desc)?,
+            sampler: Sampler::new(gpu, sampler)?,
+        })
     }
 
     /// Room for a bundle of a connection with these capacities.
@@ -141,7 +172,7 @@ impl AtlasDraw {
         let index_bytes = patches * (MAX_INDICES_PER_PATCH * size_of::<u32>()) as u64;
         let corners = Buffer::new(gpu, "corners", corner_bytes, Memory::Upload)?;
         let indices = Buffer::new(gpu, "indices", index_bytes, Memory::Upload)?;
-        let planes = Planes::new(gpu, recorder, extent)?;
+        let planes = Planes::new(gpu, recorder, extent, self.chroma)?;
         let group = |eyes: &Buffer| {
             let binds = [
                 ("Corners", Bind::Buffer(&corners)),
@@ -175,3 +206,7 @@ pub fn eye_buffers(gpu: &Arc<Gpu>) -> Result<[Buffer; FRAMES_IN_FLIGHT], GpuErro
     let buffer = || Buffer::new(gpu, "eyes", size_of::<EyesGpu>() as u64, Memory::Upload);
     Ok([buffer()?, buffer()?, buffer()?])
 }
+
+#[cfg(test)]
+#[path = "atlas_draw_tests.rs"]
+mod tests;

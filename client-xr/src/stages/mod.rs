@@ -14,7 +14,7 @@ pub mod text;
 pub mod upload;
 
 use crate::xr::Swapchain;
-use atlas_draw::{AtlasDraw, EyeTargets, eye_buffers};
+use atlas_draw::{AtlasDraw, EyeTargets, Lookup, eye_buffers};
 use background::Background;
 use glam::{Mat4, Vec3, Vec4};
 use interpolate::Interpolate;
@@ -76,6 +76,7 @@ impl Stages {
         gpu: &Arc<Gpu>,
         swapchain: &Swapchain,
         samples: vk::SampleCountFlags,
+        lookup: Lookup,
     ) -> Result<Self, GpuError> {
         let extent = swapchain.extent_pixels();
         let targets = EyeTargets::new(gpu, swapchain.images(), swapchain.format(), extent, samples)?;
@@ -85,7 +86,7 @@ impl Stages {
             interpolate: Interpolate::new(gpu)?,
             pose: PoseStage::new(gpu)?,
             skin: Skin::new(gpu)?,
-            atlas: AtlasDraw::new(gpu, &targets.pass)?,
+            atlas: AtlasDraw::new(gpu, &targets.pass, lookup)?,
             background: Background::new(gpu, &targets.pass, eyes.each_ref())?,
             notice: Notice::new(gpu, &targets.pass, eyes.each_ref())?,
             targets,

@@ -100,6 +100,33 @@ impl I420 {
     }
 }
 
+/// A picture of 4:4:4: as [`I420`], but with a blue and a red difference for each texel. No codec carries it: it is what a
+/// measurement compares with.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct I444 {
+    extent_texels: [u32; 2],
+    bytes: Vec<u8>,
+}
+
+impl I444 {
+    /// A picture of `bytes`, which are all its planes; `None` where there are more or fewer than these have.
+    pub fn new(extent_texels: [u32; 2], bytes: Vec<u8>) -> Option<Self> {
+        let [width, height] = extent_texels.map(u64::from);
+        (3 * width * height == bytes.len() as u64).then_some(Self { extent_texels, bytes })
+    }
+
+    /// Width and height of each plane in texels.
+    pub fn extent_texels(&self) -> [u32; 2] {
+        self.extent_texels
+    }
+
+    /// Luma, blue difference, red difference.
+    pub fn planes(&self) -> [&[u8]; 3] {
+        let third = self.bytes.len() / 3;
+        [0, 1, 2].map(|plane| &self.bytes[plane * third..(plane + 1) * third])
+    }
+}
+
 fn check(extent_texels: [u32; 2], got: usize) -> Result<(), I420Error> {
     if extent_texels.iter().any(|side| side % 2 != 0) {
         return Err(I420Error::OddSide(extent_texels));
@@ -119,6 +146,13 @@ mod tests {
         picture.planes_mut()[2].fill(7);
         assert_eq!(picture.bytes()[9..], [9, 7, 7]);
         assert_eq!(I420::default().planes(), [&[0u8; 0][..]; 3]);
+    }
+
+    #[test]
+    fn planes_of_full_chroma_are_alike() {
+        let picture = I444::new([2, 1], (0..6).collect()).expect("six bytes");
+        assert_eq!(picture.planes(), [&[0, 1], &[2, 3], &[4, 5]]);
+        assert_eq!(I444::new([2, 1], vec![0; 5]), None);
     }
 
     #[test]

@@ -154,7 +154,9 @@ fn decode_one(
     picture: &mut I420,
 ) -> Result<(), DecodeError> {
     decoder.submit(access_unit);
-    let Picture::Planes(decoded) = decoder.poll(Duration::ZERO).expect("done at once")?;
+    let Picture::Planes(decoded) = decoder.poll(Duration::ZERO).expect("done at once")? else {
+        panic!("a decoder of H.264 halves chroma")
+    };
     decoder.recycle(Picture::Planes(std::mem::replace(picture, decoded)));
     Ok(())
 }

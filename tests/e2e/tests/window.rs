@@ -173,7 +173,7 @@ fn mp4_decodes_to_the_pictures_that_went_in() {
         assert_eq!(sample.is_sync, n == 0);
         stream.extend(units(&sample.bytes).flat_map(annex_b));
         decoder.submit(&stream);
-        let Picture::Planes(picture) = decoder.poll(Duration::ZERO).unwrap().unwrap();
+        let Picture::Planes(picture) = decoder.poll(Duration::ZERO).unwrap().unwrap() else { panic!() };
         assert_close(&rgb_of(&picture), expected, 34.0);
         stream.clear();
     }

@@ -1,0 +1,9 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+// Looks the atlas up, luma by a cubic.
+#include "client_atlas.glsl"
+
+void main() {
+    vec2 at = inside_block(atlas_texel, block);
+    color = color_of(cubic_lookup(luma_plane, at, block), at / vec2(textureSize(luma_plane, 0)));
+}
