@@ -7,6 +7,7 @@ use crate::culling::{Culling, Needed};
 use crate::detail::{Detail, LevelCost};
 use crate::encode::Source;
 use crate::geometry::{UpdateDelta, UpdateStamp};
+use crate::ideal::Ideal;
 use crate::levels::{Layout, Visible};
 use crate::looks::{Look, Looks};
 use crate::motion::predictions::predictions;
@@ -30,7 +31,7 @@ use crate::stages::ycbcr::Ycbcr;
 use crate::upload::check_room;
 use crate::world::{Sampled, ViewerId, World};
 use glam::{Mat4, Vec3};
-use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Recorder, Timings};
+use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, Memory, Recorder, Timings};
 use shadecast_protocol::delta::EncodedDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_VIEWS};
@@ -72,6 +73,7 @@ pub struct Frame {
     ycbcr: Ycbcr,
     /// Memory for the next update's picture.
     spare: I420,
+    ideal: Ideal,
     next: UpdateId,
     update_times: VecDeque<(UpdateId, ServerTime)>,
 }
@@ -121,6 +123,18 @@ impl Frame {
         capabilities: &Capabilities,
         detail_pixels: f32,
     ) -> Result<Self, GpuError> {
+        Self::with_ideal(world, id, welcome, capabilities, detail_pixels, Ideal::default())
+    }
+
+    /// The same, spared what a measurement leaves out.
+    pub fn with_ideal(
+        world: &World,
+        id: ViewerId,
+        welcome: &Welcome,
+        capabilities: &Capabilities,
+        detail_pixels: f32,
+        ideal: Ideal,
+    ) -> Result<Self, GpuError> {
         let (gpu, scene, animation) = (world.gpu(), world.scene(), &world.animation);
         let eye = EyeSize::of(capabilities);
         let views =
@@ -128,7 +142,14 @@ impl Frame {
         let id_buffer = IdBuffer::new(gpu, scene, animation, &views, eye.id_buffer_extent())?;
         let mark = Mark::new(gpu, &id_buffer.image, scene.numbering.totals.looked_at)?;
         let level_selection = LevelSelection::new(gpu, scene, animation, &views, &mark.visible)?;
-        let shading = Shading::new(gpu, scene, animation, &world.shadow, welcome.atlas_extent_texels)?;
+        let shading = Shading::new(
+            gpu,
+            scene,
+            animation,
+            &world.shadow,
+            welcome.atlas_extent_texels,
+            ideal.is_supersampled,
+        )?;
         let ycbcr = Ycbcr::new(gpu, &shading.atlas)?;
         let room = Room {
             patches: welcome.patch_slots.min(Layout::most_blocks(welcome.atlas_extent_texels)),
@@ -159,6 +180,7 @@ impl Frame {
             shading,
             ycbcr,
             spare: I420::default(),
+            ideal,
             next: UpdateId(0),
             update_times: VecDeque::new(),
         })
@@ -379,7 +401,10 @@ impl Frame {
         let (middle, place) = (views.times[VIEW_TIMES / 2], sampled.places[VIEW_TIMES / 2]);
         self.shading.write_blocks(world.scene(), &world.animation, place, self.layout.live());
         let mut recorder = world.gpu().record()?;
-        world.light(&mut recorder, middle);
+        match self.ideal.shading_times.get(&self.next) {
+            Some(time) => world.light_at(&mut recorder, place, *time),
+            None => world.light(&mut recorder, middle),
+        }
         recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the last conversion has read the atlas
         let pixels_per_tangent = self.eye.pixels_per_tangent();
         recorder.scope("shading", |r| self.shading.record(r, views.world_from_head, pixels_per_tangent));
@@ -397,7 +422,8 @@ impl Frame {
             let clip_from_world = shift * view.fov.clip_from_eye() * view.world_from_eye.inverse().matrix();
             let mut gpu = view_gpu(clip_from_world, view.world_from_eye.position, [0, 0]);
             let extent = self.eye.extent_at(self.eye.fovs[side], view.fov);
-            gpu.extent_pixels = [extent[0], extent[1], 0.0, 0.0];
+            let [width, height] = extent.map(|side| side * self.ideal.texels_per_pixel);
+            gpu.extent_pixels = [width, height, 0.0, 0.0];
             self.views.write(index * size_of::<ViewGpu>(), bytemuck::bytes_of(&gpu));
         }
     }
@@ -405,6 +431,11 @@ impl Frame {
     /// Which patch has which block.
     pub fn layout(&self) -> &Layout {
         &self.layout
+    }
+
+    /// The atlas of the last update, as shaders read it.
+    pub fn atlas(&self) -> &Image {
+        &self.shading.atlas
     }
 
     /// The client's memory.

@@ -11,6 +11,7 @@ pub mod encoding;
 pub mod flags;
 pub mod frame;
 pub mod geometry;
+pub mod ideal;
 pub mod inspect;
 pub mod levels;
 pub mod lights;

@@ -10,7 +10,7 @@ use shadecast_scene::animation::pose;
 use shadecast_scene::{Light, LightKind, Scene};
 use shadecast_shaders::generated::{LightGpu, PunctualGpu};
 
-/// Texels of a shadow map's side.
+/// Texels of a shadow map's side, unless a measurement wants more.
 pub const SHADOW_EXTENT_TEXELS: u32 = 2048;
 /// Empty texels around the casters: the filter reads two beyond a place, and what it finds outside must be lit.
 const SHADOW_BORDER_TEXELS: f32 = 4.0;
@@ -21,13 +21,15 @@ const SHADOW_BORDER_TEXELS: f32 = 4.0;
 pub struct SunView {
     /// x and y 0 to 1 over the map (y down), z 1 nearest to the sun and 0 farthest.
     pub map_from_world: Mat4,
+    /// Texels of a side of the map.
+    pub extent_texels: u32,
     /// The larger side of a texel, metres.
     pub texel_m: f32,
 }
 
 impl SunView {
-    /// Around boxes that hold the casters at any time; `None` where nothing casts.
-    pub fn around(to_sun: Vec3, casters: impl Iterator<Item = Bounds>) -> Option<Self> {
+    /// Around boxes that hold the casters at any time, in a map of so many texels a side; `None` where nothing casts.
+    pub fn around(to_sun: Vec3, casters: impl Iterator<Item = Bounds>, extent_texels: u32) -> Option<Self> {
         let sun_from_world = sun_from_world(to_sun);
         let corners = casters.filter(|bounds| !bounds.is_empty()).flat_map(Bounds::corners);
         let seen = Bounds::around(corners.map(|corner| sun_from_world.transform_point3(corner)));
@@ -35,14 +37,14 @@ impl SunView {
             return None;
         }
         let size = (seen.high - seen.low).max(Vec3::splat(1e-3));
-        let inner = 1.0 - 2.0 * SHADOW_BORDER_TEXELS / SHADOW_EXTENT_TEXELS as f32;
+        let inner = 1.0 - 2.0 * SHADOW_BORDER_TEXELS / extent_texels as f32;
         let scale = Vec3::new(inner / size.x, -inner / size.y, inner / size.z);
         let middle = (seen.low + seen.high) * 0.5;
         let map_from_sun = Mat4::from_translation(Vec3::splat(0.5))
             * Mat4::from_scale(scale)
             * Mat4::from_translation(-middle);
-        let texel_m = size.x.max(size.y) / inner / SHADOW_EXTENT_TEXELS as f32;
-        Some(Self { map_from_world: map_from_sun * sun_from_world, texel_m })
+        let texel_m = size.x.max(size.y) / inner / extent_texels as f32;
+        Some(Self { map_from_world: map_from_sun * sun_from_world, extent_texels, texel_m })
     }
 }
 
@@ -90,7 +92,7 @@ pub fn at(scene: &Scene, timeline: &Timeline, sun_view: Option<&SunView>, time: 
         horizon: wide(environment.horizon),
         nadir: wide(environment.nadir),
         shadow_from_world: sun_view.map_or(Mat4::IDENTITY, |v| v.map_from_world).to_cols_array_2d(),
-        shadow: sun_view.map_or([0.0; 4], |v| [SHADOW_EXTENT_TEXELS as f32, v.texel_m, 1.0, 0.0]),
+        shadow: sun_view.map_or([0.0; 4], |v| [v.extent_texels as f32, v.texel_m, 1.0, 0.0]),
         punctual_count: [count, 0, 0, 0],
         punctual,
     }
@@ -156,7 +158,8 @@ mod tests {
         for to_sun in
             [Vec3::Y, Vec3::X, Vec3::new(-0.45, 0.75, 0.5).normalize(), Vec3::new(0.0, 0.1, -1.0).normalize()]
         {
-            let view = SunView::around(to_sun, [BOX, Bounds::EMPTY].into_iter()).expect("a caster");
+            let view = SunView::around(to_sun, [BOX, Bounds::EMPTY].into_iter(), SHADOW_EXTENT_TEXELS)
+                .expect("a caster");
             let border = 3.9 / SHADOW_EXTENT_TEXELS as f32;
             for corner in BOX.corners() {
                 let at = view.map_from_world.transform_point3(corner);
@@ -166,13 +169,13 @@ mod tests {
             let nearer = view.map_from_world.transform_vector3(to_sun);
             assert!(nearer.z > 0.0 && nearer.truncate().length() < 1e-5, "{to_sun}: {nearer}");
         }
-        assert_eq!(SunView::around(Vec3::Y, [Bounds::EMPTY].into_iter()), None);
+        assert_eq!(SunView::around(Vec3::Y, [Bounds::EMPTY].into_iter(), SHADOW_EXTENT_TEXELS), None);
     }
 
     #[test]
     fn front_faces_of_casters_stay_counter_clockwise_in_the_map() {
         let to_sun = Vec3::new(0.3, 0.8, -0.2).normalize();
-        let view = SunView::around(to_sun, [BOX].into_iter()).expect("a caster");
+        let view = SunView::around(to_sun, [BOX].into_iter(), SHADOW_EXTENT_TEXELS).expect("a caster");
         // Facing up, counter-clockwise seen from above.
         let [a, b, c] =
             [Vec3::ZERO, Vec3::Z, Vec3::X].map(|p| view.map_from_world.transform_point3(p).truncate());

@@ -228,7 +228,12 @@ fn gpu_options(args: &DeviceArgs) -> GpuOptions {
 }
 
 fn scene_options(args: &DeviceArgs) -> SceneOptions {
-    SceneOptions { sampling: args.sampling, skinning: args.skinning, motion: args.motion }
+    SceneOptions {
+        sampling: args.sampling,
+        skinning: args.skinning,
+        motion: args.motion,
+        ..SceneOptions::default()
+    }
 }
 
 fn open(

@@ -11,7 +11,7 @@ use crate::scene::SceneGpu;
 use crate::stages::shadow::Shadow;
 use crate::view_time::ViewTime;
 use shadecast_gpu::{Access, Gpu, GpuError, Recorder};
-use shadecast_protocol::time::{DEFAULT_GRID, Grid};
+use shadecast_protocol::time::{DEFAULT_GRID, Grid, ServerTime};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -153,8 +153,20 @@ impl World {
         if self.lit.as_ref().is_some_and(is_lit) {
             return;
         }
-        let place = at.place();
-        self.shadow.write(&self.scene, &self.animation, at.time(self.grid));
+        self.record_light(recorder, at.place(), at.time(self.grid));
+        self.lit = Some((at, self.needed.clone()));
+    }
+
+    /// The same for any time, which vertices in `place` are moved to: for measurements, since no sample is kept by it.
+    pub fn light_at(&mut self, recorder: &mut Recorder, place: RingPlace, time: ServerTime) {
+        self.animation.record_sample(recorder, place, time);
+        self.record_light(recorder, place, time);
+        self.samples.forget();
+        self.lit = None;
+    }
+
+    fn record_light(&mut self, recorder: &mut Recorder, place: RingPlace, time: ServerTime) {
+        self.shadow.write(&self.scene, &self.animation, time);
         self.animation.record_tangents(recorder, place, |instance| self.needed.has(instance));
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         let is_drawn = recorder
@@ -162,7 +174,6 @@ impl World {
         recorder.barrier(Access::DEPTH_WRITE, Access::FRAGMENT_READ);
         self.shadow_maps += u64::from(is_drawn);
         self.tangents += 1;
-        self.lit = Some((at, self.needed.clone()));
     }
 
     fn unite(&mut self) {

@@ -53,6 +53,8 @@ pub struct SceneOptions {
     pub skinning: Skinning,
     /// How clients are told of motion.
     pub motion: MotionOption,
+    /// How often the sides of the shadow map are doubled, for measurements: 0 in the product.
+    pub shadow_doublings: u32,
 }
 
 /// Why a scene was not brought to a device.
@@ -90,6 +92,7 @@ pub struct SceneGpu {
     pub animation: AnimationBuffers,
     /// What clients can be told of its motion.
     pub motion: MotionLibrary,
+    shadow_extent_texels: u32,
 }
 
 impl SceneGpu {
@@ -131,6 +134,7 @@ impl SceneGpu {
             skins: arrays.skins.upload(gpu)?,
             motion: MotionLibrary::new(&scene, &manager, &numbering, options.motion),
             animation: AnimationBuffers::new(gpu, manager)?,
+            shadow_extent_texels: lights::SHADOW_EXTENT_TEXELS << options.shadow_doublings,
             scene,
             models,
             numbering,
@@ -165,7 +169,7 @@ impl SceneGpu {
     pub fn sun_view(&self) -> Option<SunView> {
         let sun = self.scene.sun;
         let casters = self.casters().map(|index| self.world_bounds[index]);
-        if sun.casts_shadows { SunView::around(sun.to_sun, casters) } else { None }
+        if sun.casts_shadows { SunView::around(sun.to_sun, casters, self.shadow_extent_texels) } else { None }
     }
 }
 

@@ -15,7 +15,9 @@ use shadecast_gpu::{
 use shadecast_protocol::atlas::{AtlasExtent, Block};
 use shadecast_protocol::limits::MAX_PATCH_SLOTS;
 use shadecast_protocol::pose::Pose;
-use shadecast_shaders::generated::{BlockGpu, SHADING_FRAG, SHADING_VERT, ShadingPush};
+use shadecast_shaders::generated::{
+    BlockGpu, SHADING_FRAG, SHADING_SUPERSAMPLED_FRAG, SHADING_VERT, ShadingPush,
+};
 use std::sync::Arc;
 
 /// The stage with its output.
@@ -31,13 +33,14 @@ pub struct Shading {
 }
 
 impl Shading {
-    /// For an atlas of this extent.
+    /// For an atlas of this extent; each texel is shaded at its middle, or at many places where a measurement wants that.
     pub fn new(
         gpu: &Arc<Gpu>,
         scene: &SceneGpu,
         animation: &Animation,
         shadow: &Shadow,
         extent: AtlasExtent,
+        is_supersampled: bool,
     ) -> Result<Self, GpuError> {
         let format = vk::Format::R8G8B8A8_UNORM;
         let extent = extent.texels();
@@ -65,11 +68,12 @@ impl Shading {
                 after: read,
             }]),
         )?;
+        let fragment = if is_supersampled { &SHADING_SUPERSAMPLED_FRAG } else { &SHADING_FRAG };
         let pipeline = GraphicsPipeline::new(
             gpu,
             &GraphicsPipelineDesc {
                 topology: vk::PrimitiveTopology::TRIANGLE_STRIP,
-                ..GraphicsPipelineDesc::new(&SHADING_VERT, &SHADING_FRAG, &pass)
+                ..GraphicsPipelineDesc::new(&SHADING_VERT, fragment, &pass)
             },
         )?;
         let bytes =

@@ -4,7 +4,7 @@
 use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
 use crate::culling::Needed;
-use crate::lights::{self, SHADOW_EXTENT_TEXELS, SunView};
+use crate::lights::{self, SunView};
 use crate::scene::SceneGpu;
 use crate::stages::geometry::{FULL_DETAIL, Geometry};
 use ash::vk;
@@ -35,7 +35,7 @@ impl Shadow {
     /// For the scene's sun. Where it casts no shadows, or nothing is in its way, the map is a small empty one.
     pub fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, animation: &Animation) -> Result<Self, GpuError> {
         let view = scene.sun_view();
-        let side = if view.is_some() { SHADOW_EXTENT_TEXELS } else { 16 };
+        let side = view.map_or(16, |view| view.extent_texels);
         let format = vk::Format::D32_SFLOAT;
         let map = Image::new(
             gpu,

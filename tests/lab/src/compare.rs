@@ -3,7 +3,7 @@
 
 use crate::flip::pixels_per_degree;
 use crate::image::Rgb8Image;
-use crate::metrics::{FrameMetrics, ProbeView, Regions, View};
+use crate::metrics::{FrameMetrics, ProbeView, Regions, View, with_true_outlines};
 use crate::truth::SceneTruth;
 use crate::truth::moving_shadow::MovingShadow;
 use anyhow::Context;
@@ -34,6 +34,7 @@ pub struct Comparer {
     forward: Forward,
     truth: SceneTruth,
     moving_shadow: MovingShadow,
+    has_true_outlines: bool,
 }
 
 impl Comparer {
@@ -42,7 +43,18 @@ impl Comparer {
         let forward = Forward::new(gpu, scene, extent_pixels).context("making the ground-truth renderer")?;
         let moves = scene.numbering.instances.iter().map(|instance| instance.is_animated).collect();
         let moving_shadow = MovingShadow::new(&scene.scene, moves, &scene.world_bounds);
-        Ok(Self { scene: scene.clone(), forward, truth: SceneTruth::new(scene), moving_shadow })
+        Ok(Self {
+            scene: scene.clone(),
+            forward,
+            truth: SceneTruth::new(scene),
+            moving_shadow,
+            has_true_outlines: false,
+        })
+    }
+
+    /// That takes outlines for true, where it is so: see [`with_true_outlines`].
+    pub fn with_true_outlines(self, has_true_outlines: bool) -> Self {
+        Self { has_true_outlines, ..self }
     }
 
     /// What an eye should see at a time.
@@ -60,14 +72,18 @@ impl Comparer {
             animated: probe.instance.iter().map(moves).collect(),
             shadowed: self.moving_shadow.mask(&self.scene.scene, &probe, world_from_eye, fov, time),
         };
-        let metrics = FrameMetrics::measure(&View {
+        let view = View {
             truth: &picture,
             truth_probe: &probe,
             client: shown.picture,
             client_probe: shown.probe,
             pixels_per_degree: pixels_per_degree(shown.picture.width, fov.left, fov.right),
             regions: &regions,
-        })?;
+        };
+        let metrics = match self.has_true_outlines {
+            true => FrameMetrics::measure(&View { client: &with_true_outlines(&view)?, ..view })?,
+            false => FrameMetrics::measure(&view)?,
+        };
         Ok((picture, metrics))
     }
 

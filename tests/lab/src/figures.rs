@@ -2,6 +2,7 @@
 //! comments, `<!-- figures NAME -->` and `<!-- /figures -->`; a test holds that each is what the results say.
 
 use crate::bars::{BARS, Bars};
+use crate::causes::Causes;
 use anyhow::{Context, bail};
 use serde_json::Value;
 use std::fmt::Write;
@@ -11,7 +12,7 @@ const BEGIN: &str = "<!-- figures ";
 const BEGIN_END: &str = " -->\n";
 const END: &str = "<!-- /figures -->";
 /// The documents with tables, from the project's root, and where the results are.
-const DOCUMENTS: [&str; 2] = ["README.md", "docs/figures.md"];
+const DOCUMENTS: [&str; 3] = ["README.md", "docs/figures.md", "docs/causes.md"];
 const RESULTS: &str = "docs/results";
 const KEYS: &str = "docs/keys.svg";
 const KEYS_RESULT: &str = "inspect-error-dragon";
@@ -73,6 +74,7 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "neighbours" => neighbours(results),
         "hostile" => hostile(results),
         "skinning" => skinning(results),
+        name if name.starts_with("causes-") => causes(name, results)?,
         "bars" => format!("```text\n{}\n```\n", Bars::parse(BARS)?.check(results)),
         other => bail!("there is no table \"{other}\""),
     })
@@ -81,6 +83,13 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
 fn read(results: &Path, name: &str) -> Option<Value> {
     let text = std::fs::read_to_string(results.join(format!("{name}.json"))).ok()?;
     serde_json::from_str(&text).ok()
+}
+
+/// What each cause of error costs in a scene.
+fn causes(name: &str, results: &Path) -> anyhow::Result<String> {
+    let Some(found) = read(results, name) else { return Ok("Not measured yet.\n".to_owned()) };
+    let found: Causes = serde_json::from_value(found).with_context(|| name.to_owned())?;
+    Ok(format!("```text\n{found}```\n"))
 }
 
 /// A number at a way of keys, with so many decimals; `-` where there is none.

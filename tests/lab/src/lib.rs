@@ -2,6 +2,7 @@
 
 pub mod abrupt;
 pub mod bars;
+pub mod causes;
 pub mod compare;
 mod cpu_clock;
 pub mod demo;

@@ -2,8 +2,10 @@
 
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand, value_parser};
+use shadecast_client::stages::atlas_draw::Reconstruction;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_lab::bars::{BARS, Bars};
+use shadecast_lab::causes::{self, CAUSES, Cause};
 use shadecast_lab::demo::{DemoOptions, demo};
 use shadecast_lab::detail;
 use shadecast_lab::figures;
@@ -56,6 +58,8 @@ enum Command {
     Run(RunArgs),
     /// Measures how exactly vertices move: every way over several links, in one table
     Motion(MotionArgs),
+    /// Measures what each cause of error costs: a run as it ships, and the same run without each cause in turn
+    Causes(CausesArgs),
     /// Measures the ways of skinning side by side, against the floor that the device's own rates set
     Skinning(SkinningArgs),
     /// Runs server and client as two processes in real time, then the same scene in virtual time; pictures, figures, a page
@@ -188,6 +192,9 @@ struct RunArgs {
     /// What the client offers to keep and to draw: patches=N,vertices=N,triangles=N [default: as much as any may]
     #[arg(long, value_parser = parse_room, default_value = "patches=131072", hide_default_value = true)]
     room: Room,
+    /// How the client finds colours between the atlas's texels
+    #[arg(long, value_enum, default_value = "bilinear")]
+    reconstruction: ReconstructionArgument,
     /// How clips become keys: error-bounded[:0.1mm], or the paper's constant[:100ms]
     #[arg(long, default_value_t)]
     sampling: Sampling,
@@ -239,6 +246,53 @@ struct MotionArgs {
     /// Part of the server's device's name
     #[arg(long)]
     device: Option<String>,
+}
+
+#[derive(Args)]
+struct CausesArgs {
+    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
+    scene: String,
+    /// The causes, with commas between them [default: all]
+    #[arg(long, value_enum, value_delimiter = ',')]
+    cause: Vec<Cause>,
+    /// How the client finds colours between the atlas's texels in the run as it ships
+    #[arg(long, value_enum, default_value = "bilinear")]
+    reconstruction: ReconstructionArgument,
+    /// The network of the run as it ships, as of run
+    #[arg(long, default_value = USUAL_LINK)]
+    link: String,
+    /// Virtual seconds of each run, the first 0.4 of which are not compared
+    #[arg(long, default_value_t = 1.0, value_parser = number(0.6..=MOST_S, "seconds"))]
+    seconds: f64,
+    /// Pixels per eye
+    #[arg(long, value_parser = parse_size, default_value = "256x256")]
+    size: [u32; 2],
+    /// Writes the table to this JSON file
+    #[arg(long)]
+    json: Option<PathBuf>,
+    /// Vulkan validation layers on
+    #[arg(long)]
+    validation: bool,
+    /// Part of the wanted Vulkan device's name
+    #[arg(long)]
+    device: Option<String>,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum ReconstructionArgument {
+    /// On a line between the nearest
+    Bilinear,
+    /// Brightness by a cubic
+    Bicubic,
+}
+
+impl From<ReconstructionArgument> for Reconstruction {
+    fn from(argument: ReconstructionArgument) -> Self {
+        match argument {
+            ReconstructionArgument::Bilinear => Self::Bilinear,
+            ReconstructionArgument::Bicubic => Self::Bicubic,
+        }
+    }
 }
 
 #[derive(Args)]
@@ -316,6 +370,7 @@ fn main() {
     let result = match Cli::parse().command {
         Command::Run(args) => run_one(args),
         Command::Motion(args) => measure_motion(args),
+        Command::Causes(args) => measure_causes(args),
         Command::Demo(args) => run_demo(args),
         Command::Long { out, only: Some(only) } => long::run_all(&out, &only),
         Command::Long { out, only: None } => long::run_all(&out, "").and_then(|()| check_bars(&out, None)),
@@ -390,8 +445,14 @@ fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         validation: args.validation,
         device: args.device,
         quality: args.quality.options(),
+        reconstruction: args.reconstruction.into(),
         atlas_extent_texels: args.atlas,
-        scene_options: SceneOptions { sampling: args.sampling, skinning: args.skinning, motion: args.motion },
+        scene_options: SceneOptions {
+            sampling: args.sampling,
+            skinning: args.skinning,
+            motion: args.motion,
+            ..SceneOptions::default()
+        },
         motion: args.measure_motion,
         verbose: true,
         ..RunOptions::new(args.scene.parse()?, args.out)
@@ -461,6 +522,34 @@ fn measure_motion(args: MotionArgs) -> anyhow::Result<()> {
         ..RunOptions::new(args.scene.parse()?, folder.clone())
     };
     let found = motion_table::measure(&options, &args.scene, &kinds, &links);
+    let _ = std::fs::remove_dir_all(&folder);
+    let found = found?;
+    println!("{found}");
+    if let Some(path) = &args.json {
+        let text = serde_json::to_string_pretty(&found)? + "\n";
+        shadecast_transport::write_atomically(path, text.as_bytes())
+            .with_context(|| format!("writing {}", path.display()))?;
+    }
+    Ok(())
+}
+
+fn measure_causes(args: CausesArgs) -> anyhow::Result<()> {
+    let causes = if args.cause.is_empty() { CAUSES.to_vec() } else { args.cause };
+    let folder = std::env::temp_dir().join(format!("shadecast-causes-{}", std::process::id()));
+    let options = RunOptions {
+        link: args.link.parse()?,
+        reconstruction: args.reconstruction.into(),
+        seconds: args.seconds,
+        extent_pixels: args.size,
+        compare_every: causes::COMPARE_EVERY,
+        compare_from: causes::COMPARE_FROM,
+        validation: args.validation,
+        device: args.device,
+        verbose: true,
+        ..RunOptions::new(args.scene.parse()?, folder.clone())
+    };
+    let name = Path::new(&args.scene).file_name().unwrap_or_default().to_string_lossy();
+    let found = causes::measure(&options, &name, &causes);
     let _ = std::fs::remove_dir_all(&folder);
     let found = found?;
     println!("{found}");

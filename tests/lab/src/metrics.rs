@@ -28,6 +28,9 @@ pub const MAX_PSNR_DB: f64 = 99.0;
 /// How far behind the truth the client's depth may lie, as a factor.
 const DEPTH_TOLERANCE: f32 = 1.01;
 
+/// A surface ends where the inverse of its depth bends by more than this part of it from pixel to pixel.
+const OUTLINE_BEND: f32 = 0.02;
+
 /// What an eye sees at every pixel, apart from colour. Both lists run row by row from the top left.
 #[derive(Clone, Debug)]
 pub struct ProbeView {
@@ -77,6 +80,22 @@ impl ProbeView {
         let (x, y) = (at % width, at / width);
         let rows = y.saturating_sub(1)..(y + 2).min(height);
         rows.flat_map(move |y| (x.saturating_sub(1)..(x + 2).min(width)).map(move |x| y * width + x))
+    }
+
+    /// Whether a surface ends within one pixel: another instance is seen beside it, or its depth jumps. Over a plane the inverse
+    /// of depth is linear, however steeply it is seen.
+    fn is_outline(&self, at: usize) -> bool {
+        let (width, height) = (self.width as usize, self.height as usize);
+        let (x, y) = (at % width, at / width);
+        let has_both = [x > 0 && x + 1 < width, y > 0 && y + 1 < height];
+        let inverse = |at: usize| 1.0 / self.depth_m[at];
+        let jumps = has_both.into_iter().zip([1, width]).any(|(both, step)| {
+            both && {
+                let bend = inverse(at - step) + inverse(at + step) - 2.0 * inverse(at);
+                bend.abs() > OUTLINE_BEND * inverse(at)
+            }
+        });
+        jumps || self.neighbourhood(at).any(|near| self.instance[near] != self.instance[at])
     }
 
     /// Whether the outline of something passes within one pixel.
@@ -347,6 +366,22 @@ impl Holes {
     }
 }
 
+/// The client's picture with the truth's pixels at the outlines of both, and where something is missing: what it would be if
+/// surfaces ended where they should.
+pub fn with_true_outlines(view: &View<'_>) -> Result<Rgb8Image, MetricsError> {
+    check_extents(view)?;
+    let mut picture = view.client.clone();
+    let Some(client) = view.client_probe else { return Ok(picture) };
+    let truth = view.truth_probe;
+    let pixels = picture.data.chunks_exact_mut(3).zip(view.truth.data.chunks_exact(3));
+    for (at, (shown, true_pixel)) in pixels.enumerate() {
+        if truth.is_outline(at) || client.is_outline(at) || is_hole(truth, client, at) {
+            shown.copy_from_slice(true_pixel);
+        }
+    }
+    Ok(picture)
+}
+
 /// The share of the truth's geometry that is missing in the client's view, 0 to 1.
 pub fn hole_fraction(truth: &ProbeView, client: &ProbeView) -> Result<f64, MetricsError> {
     Holes::measure(truth, client).map(|holes| holes.strict)
@@ -458,6 +493,35 @@ mod tests {
         assert_close(picture.ssim, 0.8302392418750119, 1e-9);
         assert_close(picture.flip, 0.29911329055047897, 1e-4);
         assert_close(picture.flip_at_view, 0.38202180477629705, 1e-4);
+    }
+
+    /// Rows of a ground that recedes, as a picture shows them, and a post on it.
+    #[test]
+    fn outlines_are_taken_for_true_and_surfaces_are_not_however_steeply_they_are_seen() {
+        let (width, height) = (32u32, 24u32);
+        let is_post = |at: u32| (12..16).contains(&(at % width)) && at / width < 20;
+        let pixels = 0..width * height;
+        let depth = |at: u32| if is_post(at) { 2.0 } else { 60.0 / (at / width + 1) as f32 };
+        let probe = ProbeView {
+            width,
+            height,
+            instance: pixels.clone().map(|at| u32::from(is_post(at))).collect(),
+            depth_m: pixels.map(depth).collect(),
+        };
+        let [truth, client] =
+            [10, 200].map(|v| Rgb8Image::from_fn(width, height, |_, _| [v; 3]).expect("small"));
+        let regions = Regions::none((width * height) as usize);
+        let found = with_true_outlines(&known_view(&truth, &client, &probe, Some(&probe), &regions));
+        let found = found.expect("the views fit");
+        for (x, is_true) in
+            [(4, false), (10, false), (11, true), (12, true), (13, false), (15, true), (16, true)]
+        {
+            assert_eq!(found.pixel(x, 10)[0] == 10, is_true, "column {x}");
+        }
+        let mut behind = probe.clone();
+        behind.depth_m[4] *= 1.5;
+        let found = with_true_outlines(&known_view(&truth, &client, &probe, Some(&behind), &regions));
+        assert_eq!(found.expect("the views fit").pixel(4, 0), [10; 3], "a hole");
     }
 
     /// The same maps, averaged over half the disc each: weighted by their pixels, the halves are the whole, whose figures are

@@ -1,11 +1,14 @@
 //! What a run in virtual time is made with.
 
+use crate::session::originals::Arrival;
 use serde::{Deserialize, Serialize};
+use shadecast_client::stages::atlas_draw::Reconstruction;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::Codec;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::choice::Room;
+use shadecast_server::ideal::Ideal;
 use shadecast_server::quality::QualityOptions;
 use shadecast_server::scene::SceneOptions;
 use shadecast_transport::{LinkError, LinkProfile, LinkSchedule};
@@ -147,6 +150,16 @@ pub const USUAL_LINK: &str = "latency=20ms,jitter=5ms,rate=100mbit";
 /// As much as a client may offer.
 pub const MOST_ROOM: Room =
     Room { patches: MAX_PATCH_SLOTS, vertices: MAX_VERTEX_SLOTS, triangles: MAX_TRIANGLES };
+/// What a run is spared, so that it can be said what each cause of error costs. By default nothing.
+#[derive(Clone, Debug, Default)]
+pub struct Spared {
+    /// What arrives for a coded atlas.
+    pub arrival: Arrival,
+    /// What the server's updates are spared.
+    pub ideal: Ideal,
+    /// Outlines are taken for true: see [`crate::metrics::with_true_outlines`].
+    pub outlines: bool,
+}
 
 /// A run.
 #[derive(Clone, Debug)]
@@ -177,6 +190,12 @@ pub struct RunOptions {
     pub dump_every: u32,
     /// Every so many display frames client and truth are compared.
     pub compare_every: u32,
+    /// No earlier than this display frame.
+    pub compare_from: u64,
+    /// How the client finds colours between the atlas's texels.
+    pub reconstruction: Reconstruction,
+    /// For the table of causes.
+    pub spared: Spared,
     /// Durations of stages.
     pub stages: StageMs,
     /// Validation layers on both sides.
@@ -222,6 +241,9 @@ impl RunOptions {
             out,
             dump_every: 0,
             compare_every: 12,
+            compare_from: 0,
+            reconstruction: Reconstruction::default(),
+            spared: Spared::default(),
             stages: StageMs::default(),
             validation: false,
             device: None,
@@ -279,6 +301,9 @@ impl RunOptions {
         if self.room != usual.room {
             let Room { patches, vertices, triangles } = self.room;
             line += &format!(" --room patches={patches},vertices={vertices},triangles={triangles}");
+        }
+        if self.reconstruction == Reconstruction::Bicubic {
+            line += " --reconstruction bicubic";
         }
         if self.seed != usual.seed {
             line += &format!(" --seed {}", self.seed);

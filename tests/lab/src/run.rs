@@ -17,6 +17,7 @@ use shadecast_client::client::Step;
 use shadecast_mock_runtime::config::{ClockKind, FovDegrees, MockConfig};
 use shadecast_mock_runtime::head_path::COLUMNS;
 use shadecast_mock_runtime::record::{FrameRecord, Side, picture_path, read_frames};
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::HeadPath;
@@ -37,6 +38,8 @@ pub struct Report {
     pub runtime_errors: u64,
     /// How vertices moved, where that was asked for.
     pub motion: Option<MotionReport>,
+    /// What was on display in the frames that were compared, and when.
+    pub compared: Vec<(UpdateId, ServerTime)>,
 }
 
 /// The mock runtime's configuration for a run.
@@ -107,7 +110,8 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
     // SAFETY: this is called from the main thread of the program, or from tests that hold the lab's lock, before the
     // client's threads start.
     let mut lab = unsafe { Lab::open(options, &config) }?;
-    let mut comparer = Comparer::new(&lab.server.gpu, &lab.server.scene, options.extent_pixels)?;
+    let comparer = Comparer::new(&lab.server.gpu, &lab.server.scene, options.extent_pixels)?;
+    let mut comparer = comparer.with_true_outlines(options.spared.outlines);
     let mut run = Run {
         options,
         capture,
@@ -119,6 +123,7 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
         last: None,
         motion: Motion::default(),
         clock_errors_ms: Vec::new(),
+        compared: Vec::new(),
     };
     let frames = (options.seconds * options.refresh_hz).round() as u64;
     let bar = progress(options.verbose, frames);
@@ -130,7 +135,7 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
         if let (Some(_), Some(estimate)) = (shown.update, shown.server_time) {
             run.clock_errors_ms.push(estimate.since(time) as f64 * 1e-6);
         }
-        run.look(&mut lab, &mut comparer, shown.update.is_some())?;
+        run.look(&mut lab, &mut comparer, shown.update)?;
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -160,19 +165,25 @@ struct Run<'a> {
     motion: Motion,
     /// The client's clock less the server's at each display frame with a bundle.
     clock_errors_ms: Vec<f64>,
+    compared: Vec<(UpdateId, ServerTime)>,
 }
 
 impl Run<'_> {
     /// Counts the frame just shown, and compares it where it was captured.
-    fn look(&mut self, lab: &mut Lab, comparer: &mut Comparer, has_bundle: bool) -> anyhow::Result<()> {
-        let frame = self.frame;
+    fn look(
+        &mut self,
+        lab: &mut Lab,
+        comparer: &mut Comparer,
+        update: Option<UpdateId>,
+    ) -> anyhow::Result<()> {
+        let (frame, has_bundle) = (self.frame, update.is_some());
         self.frame += 1;
         if !has_bundle && self.with_bundle == 0 {
             self.before += 1;
             return Ok(());
         }
         self.with_bundle += u64::from(has_bundle);
-        if !frame.is_multiple_of(u64::from(self.capture_every)) {
+        if frame < self.options.compare_from || !frame.is_multiple_of(u64::from(self.capture_every)) {
             return Ok(()); // the frame log grows: it is read only where there are pictures
         }
         let records = read_frames(&self.capture).context("reading the runtime's frame log")?;
@@ -180,6 +191,7 @@ impl Run<'_> {
         let probes = if has_bundle { Some(lab.client.probe()?.map(into_probe)) } else { None };
         let world_from_stage = lab.server.scene.scene.world_from_stage;
         let time = ServerTime(record.predicted_display_time_ns - SERVER_EPOCH_NS);
+        self.compared.extend(update.map(|update| (update, time)));
         let pictures = compare(
             comparer,
             &mut self.summary,
@@ -252,6 +264,7 @@ impl Run<'_> {
             frames_before_first_bundle: self.before,
             runtime_errors,
             motion,
+            compared: self.compared,
         })
     }
 }

@@ -87,5 +87,6 @@ fn report(options: &RunOptions, server: &Server) -> anyhow::Result<Report> {
         frames_before_first_bundle: 0,
         runtime_errors: 0,
         motion: None,
+        compared: Vec::new(),
     })
 }

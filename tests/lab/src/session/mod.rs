@@ -5,10 +5,11 @@
 //! runtime, whose clock moves on by one period per `xrWaitFrame`. Further viewers are [`ghost::Ghost`]s.
 
 pub mod ghost;
+pub mod originals;
 pub mod residents;
 pub mod seat;
 
-use crate::options::{Medium, RunOptions, StageMs, ViewerOptions};
+use crate::options::{Medium, RunOptions, Spared, StageMs, ViewerOptions};
 use crate::runtime::{BUILT_IN_WALK, prepare_runtime, set_runtime};
 use anyhow::{Context, bail};
 use ghost::Ghost;
@@ -16,6 +17,7 @@ use seat::Seat;
 use shadecast_client::client::{Client, ClientOptions, Step};
 use shadecast_client::decoding::DecodeTiming;
 use shadecast_client::platform::Platform;
+use shadecast_client::stages::atlas_draw::Lookup;
 use shadecast_client::xr::{Xr, XrOptions};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_mock_runtime::clock::period_begin_ns;
@@ -61,6 +63,7 @@ pub struct Server {
     atlas_extent_texels: AtlasExtent,
     rate_hz: f64,
     detail_pixels: f32,
+    spared: Spared,
 }
 
 /// A link with a client at its end, and the server's side of it.
@@ -116,6 +119,7 @@ impl Server {
             atlas_extent_texels: options.atlas_extent_texels,
             rate_hz: options.rate_hz,
             detail_pixels: options.detail_pixels,
+            spared: options.spared.clone(),
         })
     }
 
@@ -174,7 +178,9 @@ impl Line {
                         client.on_closed(ClientTime(now_ns));
                         self.connect(now_ns);
                     }
-                    (Direction::ToClient, None) => client_event(client, event, now_ns)?,
+                    (Direction::ToClient, None) => {
+                        client_event(client, self.seat.with_original(event), now_ns)?;
+                    }
                 }
             }
             self.flush(client)?;
@@ -252,6 +258,11 @@ impl Lab {
             max_vertex_slots: options.room.vertices,
             max_patch_slots: options.room.patches,
             max_triangles: options.room.triangles,
+            lookup: Lookup {
+                reconstruction: options.reconstruction,
+                chroma: options.spared.arrival.chroma(),
+            },
+            decoder: options.spared.arrival.decoder(),
             ..ClientOptions::default()
         };
         let client = Client::new(xr, client_options).context("making the client")?;

@@ -1,5 +1,6 @@
 //! The server's side of one viewer on the virtual clock: the product's [`Sessions`] and [`Viewer`], and what is on its way out.
 
+use super::originals::Originals;
 use super::residents::Residents;
 use super::{SERVER_EPOCH_NS, Server};
 use crate::options::StageMs;
@@ -89,6 +90,7 @@ pub struct Seat {
     motion_before: MotionBytes,
     /// How long the encoder takes for a picture.
     encode_ns: i64,
+    originals: Originals,
 }
 
 /// What leaves when its stages are done.
@@ -160,6 +162,7 @@ impl Seat {
             number: 0,
             motion_before: MotionBytes::default(),
             encode_ns: 0,
+            originals: Originals::new(server.spared.arrival),
         }
     }
 
@@ -211,8 +214,14 @@ impl Seat {
         let first_qp = server.quality.first_qp();
         let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, first_qp, server.rate_hz);
         self.encoding = Some(Encoding::new(encode::encoder(welcome.codec, settings)?));
-        let frame =
-            Frame::new(&server.world, ViewerId(self.number), &welcome, &capabilities, server.detail_pixels)?;
+        let frame = Frame::with_ideal(
+            &server.world,
+            ViewerId(self.number),
+            &welcome,
+            &capabilities,
+            server.detail_pixels,
+            server.spared.ideal.clone(),
+        )?;
         self.viewer = Some(Viewer::new(frame, sender, server.quality, server.period_ns(), now_ns));
         Ok(())
     }
@@ -253,6 +262,7 @@ impl Seat {
         let Some(shaded) = frame.update(&mut server.world, ServerTime(now_ns - SERVER_EPOCH_NS))? else {
             return Ok(());
         };
+        self.originals.keep(&server.gpu, frame, &shaded)?;
         self.sent.updates += 1;
         shaded.timings.iter().for_each(|(stage, ms)| *self.gpu_ms.entry(stage).or_default() += ms);
         self.residents.note(shaded.update, frame.residency());
@@ -353,6 +363,18 @@ impl Seat {
         self.sent.patch_bytes += sizes.patch_bytes as u64;
         self.sent.placement_bytes += sizes.placement_bytes as u64;
         self.sent.prediction_bytes += sizes.prediction_bytes as u64;
+    }
+
+    /// An event of the client's end of the link, with the picture that was coded in the place of a coded one where the run
+    /// is spared coding.
+    pub(super) fn with_original(&mut self, event: Event) -> Event {
+        match event {
+            Event::Stream { peer, bytes, at_ns } => {
+                let original = self.originals.of_stream(&bytes);
+                Event::Stream { peer, bytes: original.map_or(bytes, Into::into), at_ns }
+            }
+            other => other,
+        }
     }
 
     /// Bytes to carry.

@@ -10,7 +10,7 @@ use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::Scene;
 use shadecast_scene::animation::bounds::Bounds;
-use shadecast_server::lights::SunView;
+use shadecast_server::lights::{SHADOW_EXTENT_TEXELS, SunView};
 use std::collections::BTreeMap;
 
 /// How long a shadow that has gone still counts: what was shaded in it may still be on display.
@@ -41,7 +41,8 @@ impl MovingShadow {
     /// For a scene of which these instances move, inside these boxes.
     pub fn new(scene: &Scene, moves: Vec<bool>, world_bounds: &[Bounds]) -> Self {
         let casters = (0..moves.len()).filter(|index| moves[*index] && scene.instances[*index].casts_shadow);
-        let view = SunView::around(scene.sun.to_sun, casters.map(|index| world_bounds[index]));
+        let casters = casters.map(|index| world_bounds[index]);
+        let view = SunView::around(scene.sun.to_sun, casters, SHADOW_EXTENT_TEXELS);
         let map_from_world = view.filter(|_| scene.sun.casts_shadows).map(|view| view.map_from_world);
         let mut found = Self { map_from_world, moves, still: DepthMap::empty(), maps: BTreeMap::new() };
         if let Some(map_from_world) = map_from_world {

@@ -1,0 +1,59 @@
+//! The table of causes, at the size that a software device can do in a test: runs without a cause are the same runs, and
+//! better by what the cause costs.
+
+use shadecast_lab::causes::{COMPARE_EVERY, COMPARE_FROM, Cause, Mask, Row, measure};
+use shadecast_lab::options::{RunOptions, Spared};
+use shadecast_lab::run::run;
+use shadecast_lab::session::originals::Arrival;
+use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_scene::load::SceneSource;
+use shadecast_test_support::headset::turn;
+use std::path::Path;
+
+fn small(out: &Path) -> RunOptions {
+    RunOptions {
+        extent_pixels: [160, 160],
+        atlas_extent_texels: AtlasExtent::new(1024, 1024).expect("an atlas"),
+        seconds: 0.6,
+        compare_every: COMPARE_EVERY,
+        compare_from: COMPARE_FROM,
+        validation: true,
+        ..RunOptions::new(SceneSource::Dragons(1), out.to_owned())
+    }
+}
+
+#[test]
+fn each_cause_that_is_left_out_makes_the_picture_better_and_the_worst_comes_first() {
+    let _turn = turn();
+    let out = tempfile::tempdir().unwrap();
+    let causes = [Cause::Density, Cause::ShadowTime, Cause::Outlines, Cause::Quantisation];
+    let found = measure(&small(out.path()), "dragon", &causes).unwrap();
+    println!("{found}");
+    assert_eq!((found.rows.len(), found.shipped.len(), found.views), (3 * causes.len(), 3, 6));
+    let of = |cause: Cause, mask: Mask| -> Row {
+        *found.rows.iter().find(|row| (row.cause, row.mask) == (cause, mask)).expect("measured")
+    };
+    for cause in [Cause::Density, Cause::Outlines, Cause::Quantisation] {
+        assert!(of(cause, Mask::All).flip_gain > 0.0, "{:?}", of(cause, Mask::All));
+    }
+    let shadow = of(Cause::ShadowTime, Mask::Shadowed);
+    assert!(shadow.psnr_gain_db > 1.0 && shadow.flip_gain > 0.0, "{shadow:?}");
+    for mask in [Mask::All, Mask::Animated, Mask::Shadowed] {
+        let gains: Vec<f64> = found.rows.iter().filter(|r| r.mask == mask).map(|r| r.flip_gain).collect();
+        assert!(gains.is_sorted_by(|a, b| a >= b), "{mask:?}: {gains:?}");
+    }
+}
+
+#[test]
+fn an_atlas_that_arrives_uncoded_changes_no_time() {
+    let _turn = turn();
+    let out = tempfile::tempdir().unwrap();
+    let coded = small(out.path());
+    let spared = Spared { arrival: Arrival::FullChroma, ..Spared::default() };
+    let uncoded = RunOptions { spared, ..coded.clone() };
+    let [coded, uncoded] = [coded, uncoded].map(|options| run(&options).unwrap());
+    assert_eq!(coded.compared, uncoded.compared, "the same updates at the same times");
+    assert_eq!(coded.stats.mbit_per_s, uncoded.stats.mbit_per_s, "the same bytes on the way");
+    assert!(coded.stats.psnr_db < uncoded.stats.psnr_db);
+    assert_eq!(uncoded.stats.validation_messages, 0);
+}
