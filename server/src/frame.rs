@@ -4,6 +4,7 @@
 use crate::animation::RING;
 use crate::choice::{Notice, Room, Shortage};
 use crate::culling::{Culling, Needed};
+use crate::density::{Density, Spare};
 use crate::detail::{Detail, LevelCost};
 use crate::encode::Source;
 use crate::geometry::{UpdateDelta, UpdateStamp};
@@ -60,6 +61,8 @@ pub struct Frame {
     head: HeadTrack,
     culling: Culling,
     detail: Detail,
+    density: Density,
+    spare_bits: Spare,
     views: Buffer,
     id_buffer: IdBuffer,
     mark: Mark,
@@ -96,6 +99,8 @@ pub struct Shows {
     pub levels: Vec<usize>,
     /// Pixels of error that a level may have.
     pub detail_pixels: f32,
+    /// Texels that blocks are asked to have for a pixel of the display, before sides are rounded up.
+    pub texels_per_pixel: f32,
 }
 
 /// One update, shaded and ready to be encoded.
@@ -173,6 +178,8 @@ impl Frame {
             head: HeadTrack::new(capabilities.display_period_ns),
             culling: culling(scene),
             detail: Detail::new(detail_pixels, room, level_costs(scene)),
+            density: Density::default(),
+            spare_bits: Spare::Enough,
             views,
             id_buffer,
             mark,
@@ -220,6 +227,11 @@ impl Frame {
         self.residency.set_budget(budget);
     }
 
+    /// Whether bits and time are left over by the updates that it makes.
+    pub fn set_spare(&mut self, spare: Spare) {
+        self.spare_bits = spare;
+    }
+
     /// A picture that is not needed any more.
     pub fn recycle(&mut self, picture: Source) {
         let Source::Planes(picture) = picture;
@@ -239,6 +251,7 @@ impl Frame {
         self.write_views(&views);
         let (looks, mut timings): (Looks, _) = self.look(recorder, world, &sampled)?; // 3, 4 on the GPU
         let changes: Vec<PlacementChange> = self.layout.place(&world.samples, &looks); // 4, 5
+        self.density.note(self.spare_bits, self.layout.used_share(), self.layout.density() < 1.0);
         timings.append(self.shade(world, &views, &sampled)?); // 6
         let began = world.effort.begin();
         let delta: UpdateDelta = self.tell(world, &views, &changes, now); // 8
@@ -415,6 +428,7 @@ impl Frame {
 
     fn write_views(&mut self, views: &PredictedViews) {
         let eyes = views.eyes.iter().flat_map(|pair| pair.iter().enumerate());
+        let texels_per_pixel = self.density.texels_per_pixel() * self.ideal.texels_per_pixel;
         let id_extent = self.id_buffer.image.desc().extent.map(|side| side as f32);
         for (index, (side, view)) in eyes.enumerate() {
             let [x, y] = shift_ndc(self.next.0, index as u32, MAX_VIEWS, id_extent);
@@ -422,7 +436,7 @@ impl Frame {
             let clip_from_world = shift * view.fov.clip_from_eye() * view.world_from_eye.inverse().matrix();
             let mut gpu = view_gpu(clip_from_world, view.world_from_eye.position, [0, 0]);
             let extent = self.eye.extent_at(self.eye.fovs[side], view.fov);
-            let [width, height] = extent.map(|side| side * self.ideal.texels_per_pixel);
+            let [width, height] = extent.map(|side| side * texels_per_pixel);
             gpu.extent_pixels = [width, height, 0.0, 0.0];
             self.views.write(index * size_of::<ViewGpu>(), bytemuck::bytes_of(&gpu));
         }
@@ -457,6 +471,7 @@ impl Frame {
             triangles: live.map(|patch| world.scene().patch(patch).drawn_triangles()).sum(),
             levels,
             detail_pixels: self.detail.allowed_pixels(),
+            texels_per_pixel: self.density.texels_per_pixel() * self.layout.density(),
         }
     }
 

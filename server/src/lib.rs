@@ -4,6 +4,7 @@ pub mod animation;
 pub mod atlas;
 pub mod choice;
 pub mod culling;
+pub mod density;
 pub mod detail;
 pub mod effort;
 pub mod encode;

@@ -5,11 +5,12 @@
 //! picture in which nothing moves takes no bits, so that what stands still gets finer with each update until it is as good as it
 //! gets; an encoder takes nothing back when a later picture is coded more coarsely.
 //!
-//! Texels are not in it: blocks have more of them than the display has pixels, and with twice as many pictures get worse
-//! (`docs/decisions.md`). A full atlas has fewer ([`crate::levels`]).
+//! What is left over is for more texels ([`crate::density`]).
 
+use crate::density::Spare;
 use crate::encode::openh264::DEFAULT_QP;
 use crate::flags::number;
+use shadecast_protocol::message::Codec;
 
 /// What all of a client's streams may take together unless told otherwise, Mbit/s.
 pub const DEFAULT_BITRATE_MBIT_S: f64 = 20.0;
@@ -26,6 +27,9 @@ const ROOM: f64 = 0.75;
 /// Of the time from one update to the next an encoder may take this part; one that takes longer is given nothing finer than
 /// [`DEFAULT_QP`].
 const ENCODER_SHARE: f64 = 0.8;
+/// With this quantiser, or a finer one, there are bits for more texels; with that, or a coarser one, too few for those there are.
+const QP_WITH_ROOM: u8 = 20;
+const QP_WITHOUT: u8 = 28;
 /// Of what a slow link carries, this part is used.
 const LINK_SHARE: f64 = 0.8;
 /// Pictures have at least this part of the bits, however many geometry takes.
@@ -69,6 +73,14 @@ impl Default for QualityOptions {
 }
 
 impl QualityOptions {
+    /// The same for pictures of a codec: those that are sent as they are take what they take.
+    pub fn of_codec(self, codec: Codec) -> Self {
+        match codec {
+            Codec::H264 => self,
+            Codec::Raw => Self::Constant(DEFAULT_QP),
+        }
+    }
+
     /// The quantiser of the first picture.
     pub fn first_qp(self) -> u8 {
         match self {
@@ -101,6 +113,8 @@ pub struct Quality {
     counted: Option<(i64, u64)>,
     /// What a slow link carries, bytes a second.
     link_bytes_s: Option<f64>,
+    /// The last update took too long, or its picture.
+    is_slow: [bool; 2],
 }
 
 impl Quality {
@@ -113,6 +127,7 @@ impl Quality {
             others_bytes_s: 0.0,
             counted: None,
             link_bytes_s: None,
+            is_slow: [false; 2],
         }
     }
 
@@ -137,10 +152,27 @@ impl Quality {
         *so_far += bytes as u64;
     }
 
+    /// An update took the device so long, seconds; its share of the device is counted.
+    pub fn note_update(&mut self, took_s: f64) {
+        self.is_slow[0] = took_s > ENCODER_SHARE * self.period_s;
+    }
+
+    /// Whether bits and time are left over.
+    pub fn spare(&self) -> Spare {
+        let has_bits = |qp: u8| matches!(self.options, QualityOptions::Constant(_)) || self.qp <= qp;
+        match self.is_slow.contains(&true) {
+            true => Spare::Short,
+            false if has_bits(QP_WITH_ROOM) => Spare::Room,
+            false if has_bits(QP_WITHOUT - 1) => Spare::Enough,
+            false => Spare::Short,
+        }
+    }
+
     /// A picture is on its way. One that needs no other says nothing of those that do.
     pub fn note_picture(&mut self, picture: SentPicture) {
-        let QualityOptions::Bitrate(mbit_s) = self.options else { return };
         let is_slow = picture.encode_s > ENCODER_SHARE * self.period_s;
+        self.is_slow[1] = is_slow;
+        let QualityOptions::Bitrate(mbit_s) = self.options else { return };
         let used = picture.stream_bytes as f64 / self.picture_bytes(mbit_s);
         self.qp = match used {
             _ if picture.is_refresh => self.qp,
@@ -261,6 +293,20 @@ mod tests {
         assert_eq!(quality.qp(), DEFAULT_QP - 4);
         (0..30).for_each(|_| quality.note_picture(sent(10, 0.03)));
         assert_eq!(quality.qp(), DEFAULT_QP);
+    }
+
+    #[test]
+    fn bits_are_left_over_where_pictures_are_fine_and_time_where_updates_are_quick() {
+        let mut quality = quality();
+        assert_eq!(quality.spare(), Spare::Enough);
+        run(&mut quality, &mut Scene::new(10_000.0, 0.0), 30);
+        assert_eq!(quality.spare(), Spare::Room);
+        quality.note_update(0.03);
+        assert_eq!(quality.spare(), Spare::Short, "updates take too long");
+        quality.note_update(0.01);
+        assert_eq!(quality.spare(), Spare::Room);
+        run(&mut quality, &mut Scene::new(300_000.0, 0.0), 30);
+        assert_eq!(quality.spare(), Spare::Short);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! A client that is served, from its acceptance on: what it tells, when its next update is made, what leaves with it. Without
 //! I/O, threads and clocks: the server's threads and the lab drive the same.
 
+use crate::density::Spare;
 use crate::encode::Source;
 use crate::frame::Shaded;
 use crate::geometry::UpdateDelta;
@@ -23,6 +24,8 @@ pub trait Updates {
     fn interrupted(&mut self);
     /// What the next update may take on the wire.
     fn set_budget(&mut self, budget: Budget);
+    /// Whether bits and time are left over by what it makes.
+    fn set_spare(&mut self, spare: Spare);
     /// The bytes of an update's delta, in the order of updates.
     fn encode(&mut self, delta: &UpdateDelta) -> EncodedDelta;
     /// What the client is sent of motion between updates, where it is sent any.
@@ -175,7 +178,13 @@ impl<U: Updates> Viewer<U> {
         self.due_ns = (self.due_ns + self.period_ns).max(now_ns - self.period_ns);
         self.quality.note_link(way.and_then(|_| self.gate.rate_bytes_s(now_ns)));
         self.updates.set_budget(way.map_or(Budget::UNLIMITED, |_| self.gate.budget(now_ns)));
+        self.updates.set_spare(self.quality.spare());
         &mut self.updates
+    }
+
+    /// The update took the device so long, seconds; times as many as share the device.
+    pub fn note_update(&mut self, took_s: f64) {
+        self.quality.note_update(took_s);
     }
 
     /// The update was shaded: the stream of its delta, and what is still to be done.

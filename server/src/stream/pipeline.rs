@@ -227,7 +227,8 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             let updates = self.studio.open(&welcome, &capabilities);
             updates.map_err(|error| Fault::of(&error, "making the pipeline for this client"))
         })?;
-        let viewer = Viewer::new(updates, sender, self.studio.quality(), self.period_ns, now_ns);
+        let quality = self.studio.quality().of_codec(welcome.codec);
+        let viewer = Viewer::new(updates, sender, quality, self.period_ns, now_ns);
         viewer.motion().into_iter().for_each(|motion| self.cadence.join(peer, motion.clone()));
         self.clients.insert(
             peer,
@@ -308,6 +309,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
     }
 
     fn update(&mut self, peer: PeerId, now_ns: i64) -> Result<(), Fault> {
+        let viewers = self.clients.len();
         let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
         let (studio, outlet, now) = (&mut *self.studio, &self.outlet, ServerTime(now_ns - self.epoch_ns));
         let begun = Instant::now();
@@ -321,6 +323,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         })?;
         let took = begun.elapsed();
         client.stats.busy_s += took.as_secs_f64();
+        client.viewer.note_update(took.as_secs_f64() * viewers as f64);
         self.turns.served(&mut client.share, took.as_nanos() as i64);
         let Some(Update { shaded, sizes, refresh, qp }) = made else { return Ok(()) };
         client.count(sizes, now_ns);

@@ -1,6 +1,7 @@
 //! The pipeline with a studio and a way to clients that do what a test wants.
 
 use super::*;
+use crate::density::Spare;
 use crate::encode::{AccessUnit, Encoded, Source};
 use crate::geometry::UpdateDelta;
 use crate::motion::sender::SharedMotion;
@@ -162,6 +163,8 @@ impl Updates for FakeUpdates {
     fn interrupted(&mut self) {}
 
     fn set_budget(&mut self, _: Budget) {}
+
+    fn set_spare(&mut self, _: Spare) {}
 
     fn encode(&mut self, delta: &UpdateDelta) -> EncodedDelta {
         let mut encoder = DeltaEncoder::new(1, 1).from_delta(delta.geometry.update.0);

@@ -87,4 +87,6 @@ pub struct ViewerStats {
     pub levels: Vec<usize>,
     /// Pixels of its display that they may err by; more than was asked for where the client would not have room.
     pub detail_pixels: f32,
+    /// Texels that its last update asked for along a pixel.
+    pub texels_per_pixel: f32,
 }

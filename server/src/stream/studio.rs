@@ -3,6 +3,7 @@
 use super::pipeline::Studio;
 use super::{StreamOptions, ViewerStats};
 use crate::animation::timeline::SharedTimeline;
+use crate::density::Spare;
 use crate::encode::openh264::EncoderSettings;
 use crate::encode::{self, EncodeError, Encoder, Source};
 use crate::frame::{Frame, Shaded};
@@ -117,6 +118,7 @@ impl Studio for GpuStudio<'_> {
         let Some(world) = &self.world else { return };
         let shows = frame.shows(world);
         (stats.triangles, stats.detail_pixels) = (shows.triangles, shows.detail_pixels);
+        stats.texels_per_pixel = shows.texels_per_pixel;
         stats.levels = shows.levels;
     }
 
@@ -157,6 +159,10 @@ impl Updates for Frame {
 
     fn set_budget(&mut self, budget: Budget) {
         Self::set_budget(self, budget);
+    }
+
+    fn set_spare(&mut self, spare: Spare) {
+        Self::set_spare(self, spare);
     }
 
     fn encode(&mut self, delta: &UpdateDelta) -> EncodedDelta {

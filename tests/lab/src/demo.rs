@@ -331,6 +331,12 @@ fn read_json(path: &Path) -> anyhow::Result<Value> {
     serde_json::from_str(&text).with_context(|| format!("understanding {}", path.display()))
 }
 
+/// Of a list of numbers; 0 of none.
+fn mean(list: &Value) -> f64 {
+    let numbers: Vec<f64> = list.as_array().into_iter().flatten().filter_map(Value::as_f64).collect();
+    numbers.iter().sum::<f64>() / numbers.len().max(1) as f64
+}
+
 fn number(value: &Value, key: &str) -> f64 {
     value.get(key).and_then(Value::as_f64).unwrap_or(0.0)
 }
@@ -364,11 +370,15 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
     }
     let [shown, truth] = last.context("the client showed no picture of the scene; give it more --seconds")?;
     let seconds = number(&server, "seconds").max(1e-3);
+    let viewer = server["viewers"][0].clone(); // as it was last
     let samples = number(&server, "samples");
     let stats = summary.finish(Counted {
         device: gpu.device_name(),
         device_is_cpu: gpu.is_cpu(),
         renderer: "stream".into(),
+        triangles: number(&viewer, "triangles"),
+        mean_level: mean(&viewer["levels"]),
+        texels_per_pixel: number(&viewer, "texels_per_pixel"),
         server_fps: number(&server, "server_fps"),
         client_fps: number(&client, "client_fps"),
         mbit_per_s: MbitPerS {

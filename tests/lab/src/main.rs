@@ -24,6 +24,7 @@ use shadecast_protocol::text::with_causes;
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_server::animation::skinning::Skinning;
 use shadecast_server::choice::Room;
+use shadecast_server::detail::DEFAULT_DETAIL_PIXELS;
 use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::motion::MotionOption;
 use shadecast_server::quality::QualityArgs;
@@ -187,7 +188,7 @@ struct RunArgs {
     #[arg(long, value_name = "WxH", default_value_t = AtlasExtent::DEFAULT)]
     atlas: AtlasExtent,
     /// Pixels of the display that a level of detail may err by; 0: everything has full detail
-    #[arg(long, value_name = "PIXELS", default_value_t = 0.0, value_parser = number(0.0..=64.0f32, "pixels"))]
+    #[arg(long, value_name = "PIXELS", default_value_t = DEFAULT_DETAIL_PIXELS, value_parser = number(0.0..=64.0f32, "pixels"))]
     detail: f32,
     /// What the client offers to keep and to draw: patches=N,vertices=N,triangles=N [default: as much as any may]
     #[arg(long, value_parser = parse_room, default_value = "patches=131072", hide_default_value = true)]

@@ -8,6 +8,7 @@ use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOT
 use shadecast_protocol::message::Codec;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::choice::Room;
+use shadecast_server::detail::DEFAULT_DETAIL_PIXELS;
 use shadecast_server::ideal::Ideal;
 use shadecast_server::quality::QualityOptions;
 use shadecast_server::scene::SceneOptions;
@@ -249,7 +250,7 @@ impl RunOptions {
             device: None,
             quality: QualityOptions::default(),
             atlas_extent_texels: AtlasExtent::DEFAULT,
-            detail_pixels: 0.0,
+            detail_pixels: DEFAULT_DETAIL_PIXELS,
             room: MOST_ROOM,
             rate_hz: 30.0,
             refresh_hz: 72.0,

@@ -236,6 +236,7 @@ impl Run<'_> {
                 .collect(),
             dropped_patches: seat.dropped_patches(),
             triangles: sent.triangles as f64 / sent.updates.max(1) as f64,
+            texels_per_pixel: sent.texels_per_pixel_sum / sent.updates.max(1) as f64,
             mean_level: sent.levels[0] as f64 / sent.levels[1].max(1) as f64,
             clock_errors_ms: self.clock_errors_ms,
             clock_error_bound_ms: lab.client.stats().clock_error_bound_ms,

@@ -48,6 +48,8 @@ pub struct Counted {
     pub triangles: f64,
     /// Level of detail of an instance in an update, on average.
     pub mean_level: f64,
+    /// Mean of the texels that blocks are asked to have along a pixel.
+    pub texels_per_pixel: f64,
     /// Differences of the client's estimate of the server's clock from the truth, milliseconds, one for each display
     /// frame; empty where there is nothing to estimate.
     pub clock_errors_ms: Vec<f64>,
@@ -118,6 +120,9 @@ pub struct Stats {
     /// Level of detail of an instance in an update on average; 0 is full detail.
     #[serde(default)]
     pub mean_level: f64,
+    /// Mean over updates of the texels that blocks are asked to have along a pixel of the display, before sides are rounded up.
+    #[serde(default)]
+    pub texels_per_pixel: f64,
     /// Largest difference of the client's estimate of the server's clock from the truth at a display frame; null where both
     /// have one clock, and in real time, where nobody knows.
     #[serde(default)]
@@ -226,6 +231,7 @@ impl Summary {
             dropped_patches: counted.dropped_patches,
             triangles: counted.triangles,
             mean_level: counted.mean_level,
+            texels_per_pixel: counted.texels_per_pixel,
             clock_error_ms,
             clock_error_p99_ms,
             clock_error_bound_ms: counted.clock_error_bound_ms,
@@ -298,7 +304,12 @@ impl fmt::Display for Stats {
             (figure(self.clock_error_ms, 2, " ms"), figure(self.clock_error_bound_ms, 2, " ms"));
         line(f, "clock error", format_args!("{worst} (99 %: {p99}; known to be below {bound})"))?;
         let (triangles, level) = (self.triangles, self.mean_level);
-        line(f, "detail", format_args!("{triangles:.0} triangles, mean level {level:.2}"))?;
+        let texels = self.texels_per_pixel;
+        line(
+            f,
+            "detail",
+            format_args!("{triangles:.0} triangles, mean level {level:.2}, {texels:.2} texels a pixel"),
+        )?;
         line(f, "dropped patches", format_args!("{}", self.dropped_patches))?;
         line(f, "validation", format_args!("{} messages", self.validation_messages))?;
         let stages: Vec<_> = self.gpu_ms.iter().map(|(stage, ms)| format!("{stage} {ms:.1}")).collect();

@@ -221,6 +221,8 @@ fn measure_one(options: &RunOptions, kind: Kind, condition: &Condition) -> anyho
         rate_hz: condition.updates_hz,
         scene_options: SceneOptions { motion: kind.option, ..options.scene_options },
         reconnects: true,
+        // Every vertex is looked at, not those of coarser levels alone.
+        detail_pixels: 0.0,
         ..options.clone()
     };
     let config = MockConfig { capture_dir: None, ..mock_config(&options, ClockKind::Virtual, 0)? };

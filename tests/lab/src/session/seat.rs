@@ -36,6 +36,8 @@ pub struct Sent {
     pub updates: u64,
     /// Quantisers of all pictures, summed.
     pub qp_sum: u64,
+    /// Texels that were asked for a pixel, summed over updates.
+    pub texels_per_pixel_sum: f64,
     /// Bytes of access units.
     pub atlas_bytes: u64,
     /// Bytes of geometry deltas.
@@ -222,7 +224,8 @@ impl Seat {
             server.detail_pixels,
             server.spared.ideal.clone(),
         )?;
-        self.viewer = Some(Viewer::new(frame, sender, server.quality, server.period_ns(), now_ns));
+        let quality = server.quality.of_codec(welcome.codec);
+        self.viewer = Some(Viewer::new(frame, sender, quality, server.period_ns(), now_ns));
         Ok(())
     }
 
@@ -258,6 +261,7 @@ impl Seat {
         if let Some(shortfall) = viewer.shortfall(now_ns) {
             tracing::warn!("{shortfall}");
         }
+        viewer.note_update(stages.ns(stages.server) as f64 * 1e-9);
         let frame = viewer.begin(way.as_ref(), now_ns);
         let Some(shaded) = frame.update(&mut server.world, ServerTime(now_ns - SERVER_EPOCH_NS))? else {
             return Ok(());
@@ -268,6 +272,7 @@ impl Seat {
         self.residents.note(shaded.update, frame.residency());
         let shows = frame.shows(&server.world);
         self.sent.triangles += u64::from(shows.triangles);
+        self.sent.texels_per_pixel_sum += f64::from(shows.texels_per_pixel);
         self.sent.levels[0] += shows.levels.iter().sum::<usize>() as u64;
         self.sent.levels[1] += shows.levels.len() as u64;
         self.shows.resize(shaded.update.0 as usize, Shows::default());
