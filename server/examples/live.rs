@@ -18,9 +18,11 @@ use shadecast_scene::{
 };
 use shadecast_server::animation::timeline::{SharedTimeline, TimelineError};
 use shadecast_server::detail::DEFAULT_DETAIL_PIXELS;
+use shadecast_server::frame::ShowOptions;
 use shadecast_server::quality::QualityOptions;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::stream::{Device, StreamOptions, run_timeline};
+use shadecast_server::surround::DEFAULT_SURROUND;
 use std::f32::consts::TAU;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -73,7 +75,7 @@ fn options(seconds: f64) -> anyhow::Result<StreamOptions> {
         identity: None,
         atlas_extent_texels: "1024x1024".parse().map_err(anyhow::Error::msg)?,
         quality: QualityOptions::default(),
-        detail_pixels: DEFAULT_DETAIL_PIXELS,
+        show: ShowOptions { detail_pixels: DEFAULT_DETAIL_PIXELS, surround: DEFAULT_SURROUND },
         rate_hz: 30.0,
         viewers: 4,
         link: None,

@@ -40,7 +40,7 @@ pub struct Candidate {
 
 impl Candidate {
     /// Ascending from what matters most; ties go in patch order.
-    fn rank(&self) -> (bool, Reverse<u64>, ScenePatch) {
+    pub(crate) fn rank(&self) -> (bool, Reverse<u64>, ScenePatch) {
         let bonus = if self.is_shown { SHOWN_BONUS } else { 1 };
         (!self.is_in_view, Reverse(u64::from(self.area_texels) * bonus), self.patch)
     }
@@ -59,6 +59,28 @@ impl Chooser {
     /// For a client with this room.
     pub fn new(room: Room) -> Self {
         Self { room, counted: Vec::new(), count: 0 }
+    }
+
+    /// Another room from now on.
+    pub fn set_room(&mut self, room: Room) {
+        self.room = room;
+    }
+
+    /// What of the room these patches leave.
+    pub fn left_beside(
+        &mut self,
+        geometry: &impl Geometry,
+        patches: impl Iterator<Item = ScenePatch>,
+    ) -> Room {
+        let mut left = self.room;
+        self.start_count(geometry);
+        for patch in patches {
+            let drawn = geometry.patch(patch).drawn_triangles();
+            left.patches = left.patches.saturating_sub(1);
+            left.vertices = left.vertices.saturating_sub(self.count_vertices(geometry, patch));
+            left.triangles = left.triangles.saturating_sub(drawn);
+        }
+        left
     }
 
     /// All `candidates`, or those that matter most of them: in patch order, as they came.

@@ -1,7 +1,7 @@
 //! One update for one viewer, from the head's pose to what is sent: the design's steps 1 to 9 on one page, with the barriers
 //! between the stages. What does not depend on who looks is the [`World`]'s.
 
-use crate::animation::RING;
+use crate::animation::{RING, RingPlace};
 use crate::choice::{Notice, Room, Shortage};
 use crate::culling::{Culling, Needed};
 use crate::density::{Density, Spare};
@@ -29,6 +29,8 @@ use crate::stages::shading::Shading;
 use crate::stages::skin::Skin;
 use crate::stages::view_gpu;
 use crate::stages::ycbcr::Ycbcr;
+use crate::surround::SHADED_EVERY_UPDATES;
+use crate::sweep::{Glance, Sweep};
 use crate::upload::check_room;
 use crate::world::{Sampled, ViewerId, World};
 use glam::{Mat4, Vec3};
@@ -60,6 +62,8 @@ pub struct Frame {
     eye: EyeSize,
     head: HeadTrack,
     culling: Culling,
+    /// What looks around; `None` without a surround.
+    around: Option<Around>,
     detail: Detail,
     density: Density,
     spare_bits: Spare,
@@ -86,6 +90,31 @@ pub struct Frame {
 struct EyeSize {
     extent_pixels: [u32; 2],
     fovs: [Fov; 2],
+}
+
+/// How much of the scene a viewer is shown, and how.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ShowOptions {
+    /// Pixels of the display that a level of detail may err by; 0: everything has full detail.
+    pub detail_pixels: f32,
+    /// Part of the client's slots and of the atlas for what an abrupt head could see, 0..1; 0: none.
+    pub surround: f32,
+}
+
+/// What looks around.
+struct Around {
+    sweep: Sweep,
+    culling: Culling,
+}
+
+/// Pairs of views that the scene is looked at from, and where in the ring what they see is.
+#[derive(Clone, Copy)]
+struct Looking<'a> {
+    looks: &'a Looks,
+    /// What is drawn: each once, and none of them twice in a scene.
+    scenes: &'a [Vec<Look>],
+    places: [RingPlace; VIEW_TIMES],
+    pairs: usize,
 }
 
 /// What an update shows.
@@ -119,16 +148,15 @@ pub struct Shaded {
 }
 
 impl Frame {
-    /// For a viewer of `world` that agreed to `welcome` and has told its `capabilities`. Levels of detail may err by
-    /// `detail_pixels` of its display; 0: everything has full detail.
+    /// For a viewer of `world` that agreed to `welcome` and has told its `capabilities`.
     pub fn new(
         world: &World,
         id: ViewerId,
         welcome: &Welcome,
         capabilities: &Capabilities,
-        detail_pixels: f32,
+        show: ShowOptions,
     ) -> Result<Self, GpuError> {
-        Self::with_ideal(world, id, welcome, capabilities, detail_pixels, Ideal::default())
+        Self::with_ideal(world, id, welcome, capabilities, show, Ideal::default())
     }
 
     /// The same, spared what a measurement leaves out.
@@ -137,7 +165,7 @@ impl Frame {
         id: ViewerId,
         welcome: &Welcome,
         capabilities: &Capabilities,
-        detail_pixels: f32,
+        show: ShowOptions,
         ideal: Ideal,
     ) -> Result<Self, GpuError> {
         let (gpu, scene, animation) = (world.gpu(), world.scene(), &world.animation);
@@ -168,7 +196,8 @@ impl Frame {
                 level_selection.extents.size(),
                 Memory::Readback,
             )?,
-            layout: Layout::new(welcome.atlas_extent_texels, scene.numbering.totals.patches as usize, room),
+            layout: Layout::new(welcome.atlas_extent_texels, scene.numbering.totals.patches as usize, room)
+                .with_surround(show.surround, room),
             residency: Residency::new(&world.samples, welcome.patch_slots, welcome.vertex_slots)
                 .with_skinning(Skinning::new(scene, world.timeline(), welcome.motion), welcome.motion),
             room,
@@ -177,7 +206,8 @@ impl Frame {
             eye,
             head: HeadTrack::new(capabilities.display_period_ns),
             culling: culling(scene),
-            detail: Detail::new(detail_pixels, room, level_costs(scene)),
+            around: (show.surround > 0.0).then(|| Around::new(scene)),
+            detail: Detail::new(show.detail_pixels, room, level_costs(scene)),
             density: Density::default(),
             spare_bits: Spare::Enough,
             views,
@@ -241,7 +271,8 @@ impl Frame {
     /// Steps 1 to 6 and 8. `None` before the first head state: there is nowhere to look from.
     pub fn update(&mut self, world: &mut World, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
         let Some(views) = self.head.predict(now, world.grid()) else { return Ok(None) }; // 1
-        let needs: Needed = self.culling.needs(views.eyes.iter().flatten().copied());
+        let in_view: Needed = self.culling.needs(views.eyes.iter().flatten().copied());
+        let (needs, glance) = self.look_for_surround(&in_view, &views);
         let near = pixels_per_metre(world.scene(), world.grid(), &views, self.eye.pixels_per_radian());
         self.detail.begin(&needs, &near);
         let mut recorder = world.gpu().record()?;
@@ -249,10 +280,13 @@ impl Frame {
         let sampled: Sampled = world.animate(&mut recorder, self.id, &views, &needs); // 2
         world.effort.add_animation(began);
         self.write_views(&views);
-        let (looks, mut timings): (Looks, _) = self.look(recorder, world, &sampled)?; // 3, 4 on the GPU
+        let (looks, mut timings): (Looks, _) = self.look(recorder, world, &sampled, &in_view)?; // 3, 4 on the GPU
+        if let Some(glance) = glance {
+            timings.append(self.look_around(world, &glance, &looks, &sampled)?);
+        }
         let changes: Vec<PlacementChange> = self.layout.place(&world.samples, &looks); // 4, 5
         self.density.note(self.spare_bits, self.layout.used_share(), self.layout.density() < 1.0);
-        timings.append(self.shade(world, &views, &sampled)?); // 6
+        timings.append(self.shade(world, &views, &sampled, &changes)?); // 6
         let began = world.effort.begin();
         let delta: UpdateDelta = self.tell(world, &views, &changes, now); // 8
         world.effort.add_delta(began);
@@ -274,6 +308,7 @@ impl Frame {
         let (scene, eyes) = (world.scene(), views.eyes.iter().flatten());
         let wanted_m = wanted_steps_m(&scene.world_bounds, eyes, self.eye.pixels_per_radian());
         self.residency.want_steps(wanted_m);
+        self.residency.put_behind(self.layout.around().map(|(patch, _)| patch).collect());
         let stamp = UpdateStamp { update: self.next, time: now };
         let mut delta = self.residency.update(&world.samples, changes, stamp);
         if self.residency.predicts() {
@@ -304,12 +339,17 @@ impl Frame {
         mut recorder: Recorder,
         world: &World,
         sampled: &Sampled,
+        in_view: &Needed,
     ) -> Result<(Looks, Timings), GpuError> {
         self.layout.begin();
         let mut timings = Timings::default();
         for look in 1.. {
             let mut looks = Looks::new(&world.scene().numbering, self.detail.levels());
-            timings.append(self.look_at(recorder, world, &looks, sampled)?);
+            let scenes: Vec<Vec<Look>> =
+                looks.scenes().into_iter().map(|scene| reaching(scene, in_view)).collect();
+            let looking =
+                Looking { looks: &looks, scenes: &scenes, places: sampled.places, pairs: VIEW_TIMES };
+            timings.append(self.look_at(recorder, world, looking)?);
             self.layout.see(Visible { looks: &looks, extents: self.extents.values() });
             self.switch(world, &mut looks);
             self.measure(&looks);
@@ -325,23 +365,50 @@ impl Frame {
         unreachable!("it looks {MAX_LOOKS} times at most")
     }
 
-    /// Rasterises every predicted view at its time, and measures what is visible.
+    /// What is needed for what is in view and for the surround, and where to look for that, if this update does.
+    fn look_for_surround(&mut self, in_view: &Needed, views: &PredictedViews) -> (Needed, Option<Glance>) {
+        let mut needs = in_view.clone();
+        let Some(Around { sweep, culling }) = &mut self.around else { return (needs, None) };
+        let glance = sweep.next(views.world_from_head);
+        let eyes = glance.iter().flat_map(|glance| glance.views);
+        needs.add(&culling.needs(eyes.collect::<Vec<_>>().into_iter()));
+        (needs, glance)
+    }
+
+    /// Finds what two directions around the head show, whether it is in view or not.
+    fn look_around(
+        &mut self,
+        world: &World,
+        glance: &Glance,
+        looks: &Looks,
+        sampled: &Sampled,
+    ) -> Result<Timings, GpuError> {
+        self.write_glance(glance);
+        let scenes = [looks.shown().copied().collect()];
+        let places = [sampled.places[VIEW_TIMES / 2]; VIEW_TIMES];
+        let looking = Looking { looks, scenes: &scenes, places, pairs: 1 };
+        let timings = self.look_at(world.gpu().record()?, world, looking)?;
+        let (residency, geometry) = (&self.residency, &world.samples);
+        let may_be = |instance: usize| residency.is_told_once(geometry, instance as u16);
+        self.layout.see_around(Visible { looks, extents: self.extents.values() }, may_be);
+        Ok(timings)
+    }
+
+    /// Rasterises views at their times, and measures what is visible.
     fn look_at(
         &mut self,
         mut recorder: Recorder,
         world: &World,
-        looks: &Looks,
-        sampled: &Sampled,
+        Looking { looks, scenes, places, pairs }: Looking<'_>,
     ) -> Result<Timings, GpuError> {
         let (scene, animation) = (world.scene(), &world.animation);
-        let scenes = looks.scenes();
         recorder.fill(&self.mark.visible, 0);
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
-        for (time, place) in sampled.places.into_iter().enumerate() {
-            for scene_looks in &scenes {
+        for (time, place) in places.into_iter().enumerate().take(pairs) {
+            for drawn in scenes {
                 recorder.scope("id buffer", |r| {
-                    self.id_buffer.record(r, scene, animation, scene_looks, place, EYES * time as u32);
+                    self.id_buffer.record(r, scene, animation, drawn, place, EYES * time as u32);
                 });
                 recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
                 recorder.scope("mark", |r| self.mark.record(r));
@@ -350,7 +417,7 @@ impl Frame {
         }
         recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
         recorder.scope("level selection", |r| {
-            self.level_selection.record(r, scene, animation, looks, sampled.places);
+            self.level_selection.record(r, scene, animation, looks, places);
         });
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         let bytes = (looks.entries().max(1) * size_of::<u32>()) as u64;
@@ -404,15 +471,23 @@ impl Frame {
         }
     }
 
-    /// Fills every live block as it is in the middle of the update's time on display, and converts the atlas.
+    /// Fills every block in view as it is in the middle of the update's time on display, some others, and converts the atlas.
     fn shade(
         &mut self,
         world: &mut World,
         views: &PredictedViews,
         sampled: &Sampled,
+        changes: &[PlacementChange],
     ) -> Result<Timings, GpuError> {
         let (middle, place) = (views.times[VIEW_TIMES / 2], sampled.places[VIEW_TIMES / 2]);
-        self.shading.write_blocks(world.scene(), &world.animation, place, self.layout.live());
+        // What is not in view is shaded in turn, and where its block is new.
+        let turn = self.next.0 % SHADED_EVERY_UPDATES;
+        let is_due = |patch: ScenePatch| {
+            patch.0 % SHADED_EVERY_UPDATES == turn
+                || changes.binary_search_by_key(&patch, |change| change.patch).is_ok()
+        };
+        let around = self.layout.around().filter(|(patch, _)| is_due(*patch));
+        self.shading.write_blocks(world.scene(), &world.animation, place, self.layout.live().chain(around));
         let mut recorder = world.gpu().record()?;
         match self.ideal.shading_times.get(&self.next) {
             Some(time) => world.light_at(&mut recorder, place, *time),
@@ -442,6 +517,22 @@ impl Frame {
         }
     }
 
+    /// The two views of a glance, in place of all pairs: an extent is the largest of all.
+    fn write_glance(&mut self, glance: &Glance) {
+        let id_extent = self.id_buffer.image.desc().extent.map(|side| side as f32);
+        for index in 0..MAX_VIEWS {
+            let side = (index % EYES) as usize;
+            let view = glance.views[side];
+            let [x, y] = shift_ndc(glance.number, index % EYES, EYES, id_extent);
+            let shift = Mat4::from_translation(Vec3::new(x, y, 0.0));
+            let clip_from_world = shift * view.fov.clip_from_eye() * view.world_from_eye.inverse().matrix();
+            let mut gpu = view_gpu(clip_from_world, view.world_from_eye.position, [0, 0]);
+            let extent = self.eye.extent_at(self.eye.fovs[side], view.fov);
+            gpu.extent_pixels = [extent[0], extent[1], 0.0, 0.0];
+            self.views.write(index as usize * size_of::<ViewGpu>(), bytemuck::bytes_of(&gpu));
+        }
+    }
+
     /// Which patch has which block.
     pub fn layout(&self) -> &Layout {
         &self.layout
@@ -464,11 +555,11 @@ impl Frame {
 
     /// What the last update shows.
     pub fn shows(&self, world: &World) -> Shows {
-        let live = self.layout.live().map(|(patch, _)| patch);
+        let drawn = || self.layout.live().chain(self.layout.around()).map(|(patch, _)| patch);
         let levels: Vec<usize> = self.detail.levels().flatten().map(|levels| levels.shown).collect();
         Shows {
-            patches: self.layout.live_count() as u32,
-            triangles: live.map(|patch| world.scene().patch(patch).drawn_triangles()).sum(),
+            patches: drawn().count() as u32,
+            triangles: drawn().map(|patch| world.scene().patch(patch).drawn_triangles()).sum(),
             levels,
             detail_pixels: self.detail.allowed_pixels(),
             texels_per_pixel: self.density.texels_per_pixel() * self.layout.density(),
@@ -545,6 +636,18 @@ fn level_costs(scene: &SceneGpu) -> Vec<Vec<LevelCost>> {
     };
     let instances = 0..scene.numbering.instances.len();
     instances.map(|instance| scene.mesh(instance).levels.iter().map(cost).collect()).collect()
+}
+
+/// Those of a scene that can reach a view.
+fn reaching(mut scene: Vec<Look>, in_view: &Needed) -> Vec<Look> {
+    scene.retain(|look| in_view.has(look.instance));
+    scene
+}
+
+impl Around {
+    fn new(scene: &SceneGpu) -> Self {
+        Self { sweep: Sweep::default(), culling: Culling::new(&scene.world_bounds, |_| false, None) }
+    }
 }
 
 /// Which instances the views of a viewer need.

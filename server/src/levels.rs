@@ -7,6 +7,7 @@ use crate::geometry::Geometry;
 use crate::looks::{Look, Looks};
 use crate::residency::PlacementChange;
 use crate::scene::numbering::ScenePatch;
+use crate::surround::{Kept, SURROUND_DENSITY, Surround};
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockSize};
 use shadecast_protocol::limits::{BLOCK_INSET_TEXELS, BLOCK_MAX_LOG2, BLOCK_MIN_LOG2};
 
@@ -40,8 +41,12 @@ pub struct Layout {
     states: Vec<State>,
     /// Patches that were seen within the last [`HOLD_UPDATES`], ascending: those of levels too that are not shown yet.
     recent: Vec<ScenePatch>,
-    /// Patches with a block, ascending.
+    /// Patches with a block, ascending: what is in view, or was lately.
     live: Vec<ScenePatch>,
+    /// What could come into view.
+    surround: Surround,
+    /// Of that, the patches with a block, or that are to have one, and its size; ascending.
+    around: Vec<(ScenePatch, BlockSize)>,
     density: f32,
     /// What part of the atlas the blocks would have taken that found no place when density fell last.
     overflow_share: f32,
@@ -85,16 +90,31 @@ pub struct Visible<'a> {
     pub extents: &'a [u32],
 }
 
+impl<'a> Visible<'a> {
+    /// The patches that are visible, ascending, with width and height in texels, and their instance.
+    fn patches(self) -> impl Iterator<Item = (usize, ScenePatch, [u16; 2])> + 'a {
+        let of_look = move |look: &'a Look| {
+            let patches = (look.patches.first.0..).zip(&self.extents[look.entries()]);
+            patches.map(|(patch, packed)| (look.instance, ScenePatch(patch), *packed))
+        };
+        let all = self.looks.all().iter().flat_map(of_look);
+        all.filter(|(.., packed)| *packed != 0)
+            .map(|(instance, patch, packed)| (instance, patch, [packed as u16, (packed >> 16) as u16]))
+    }
+}
+
 impl Layout {
     /// For `patches` patches in an empty atlas, of which a client has room for some at one time.
     pub fn new(atlas_extent: AtlasExtent, patches: usize, room: Room) -> Self {
-        let patches_at_once = room.patches.min(Self::most_blocks(atlas_extent));
+        let room = Room { patches: room.patches.min(Self::most_blocks(atlas_extent)), ..room };
         Self {
             atlas: Atlas::new(atlas_extent),
-            chooser: Chooser::new(Room { patches: patches_at_once, ..room }),
+            chooser: Chooser::new(room),
             states: vec![State::default(); patches],
             recent: Vec::new(),
             live: Vec::new(),
+            surround: Surround::new(0.0, room),
+            around: Vec::new(),
             density: 1.0,
             overflow_share: 1.0,
             roomy_updates: 0,
@@ -103,6 +123,13 @@ impl Layout {
             coarsened: 0,
             dropped: 0,
         }
+    }
+
+    /// With a surround that may take so large a part of the room and of the atlas, 0..1.
+    #[must_use]
+    pub fn with_surround(mut self, share: f32, room: Room) -> Self {
+        self.surround = Surround::new(share, room);
+        self
     }
 
     /// At the coarsest every block is of the smallest size; more patches than that cannot have one.
@@ -116,7 +143,7 @@ impl Layout {
     }
 
     /// Takes in what this update's views show; if it looks more than once, the last time counts.
-    pub fn see(&mut self, Visible { looks, extents }: Visible<'_>) {
+    pub fn see(&mut self, visible: Visible<'_>) {
         let (update, states) = (self.update, &mut self.states);
         let is_held = |patch: &ScenePatch| {
             let unseen_updates = update - states[patch.index()].last_seen;
@@ -124,14 +151,7 @@ impl Layout {
         };
         // Two ascending lists, which the sort merges.
         let mut recent: Vec<ScenePatch> = self.recent.iter().copied().filter(is_held).collect();
-        let mut seen = Vec::new();
-        for look in looks.all() {
-            for (patch, packed) in (look.patches.first.0..).zip(&extents[look.entries()]) {
-                if *packed != 0 {
-                    seen.push((ScenePatch(patch), [*packed as u16, (packed >> 16) as u16]));
-                }
-            }
-        }
+        let seen: Vec<_> = visible.patches().map(|(_, patch, extent)| (patch, extent)).collect();
         recent.retain(|patch| seen.binary_search_by_key(patch, |(patch, _)| *patch).is_err());
         for (patch, extent) in &seen {
             let state = &mut states[patch.index()];
@@ -140,6 +160,12 @@ impl Layout {
         recent.extend(seen.iter().map(|(patch, _)| *patch));
         recent.sort();
         self.recent = recent;
+    }
+
+    /// Takes in what a glance around shows of those instances that may be in the surround.
+    pub fn see_around(&mut self, visible: Visible<'_>, may_be: impl Fn(usize) -> bool) {
+        let seen = visible.patches().filter(|(instance, ..)| may_be(*instance));
+        self.surround.see(self.update, seen.map(|(_, patch, extent)| (patch, extent)));
     }
 
     /// Of a level that was looked at, the patches that should be there before it is shown, ascending.
@@ -166,15 +192,24 @@ impl Layout {
     /// [`HOLD_UPDATES`]; where these are too many, those that matter most on screen. Returns what changed, in patch
     /// order.
     pub fn place(&mut self, geometry: &impl Geometry, looks: &Looks) -> Vec<PlacementChange> {
-        let before: Vec<ScenePatch> = std::mem::take(&mut self.live);
         let before: Vec<(ScenePatch, Option<Block>)> =
-            before.into_iter().map(|patch| (patch, self.states[patch.index()].block)).collect();
+            self.placed().into_iter().map(|patch| (patch, self.states[patch.index()].block)).collect();
         self.choose(geometry, looks);
-        self.release_unseen(&before);
+        self.choose_around(geometry, looks);
+        self.release(&before);
         if !self.recover() {
             self.place_live();
         }
+        self.place_around();
         self.changes(&before)
+    }
+
+    /// In view and around, ascending.
+    fn placed(&self) -> Vec<ScenePatch> {
+        let mut placed: Vec<ScenePatch> = self.live.clone();
+        placed.extend(self.around.iter().map(|(patch, _)| *patch));
+        placed.sort(); // two ascending lists
+        placed
     }
 
     /// Chooses who is to have a block.
@@ -197,13 +232,82 @@ impl Layout {
         self.live = chosen.iter().map(|candidate| candidate.patch).collect();
     }
 
-    fn release_unseen(&mut self, before: &[(ScenePatch, Option<Block>)]) {
+    /// Chooses what of the surround is to have a block, of levels that are shown.
+    fn choose_around(&mut self, geometry: &impl Geometry, looks: &Looks) {
+        self.around.clear();
+        if !self.surround.is_kept() {
+            return;
+        }
+        let left = self.chooser.left_beside(geometry, self.live.iter().copied());
+        let seen: Vec<ScenePatch> = self.surround.seen().iter().map(|seen| seen.patch).collect();
+        let shown: Vec<ScenePatch> = looks.shown_of(&seen).map(|(_, patch)| patch).collect();
+        let may_be = |patch: ScenePatch| {
+            shown.binary_search(&patch).is_ok() && self.recent.binary_search(&patch).is_err()
+        };
+        let (mut kept, mut sizes) = (Vec::new(), Vec::new());
+        for seen in self.surround.seen().iter().filter(|seen| may_be(seen.patch)) {
+            let block = self.states[seen.patch.index()].block;
+            let size = wanted_size(seen.extent, block.map(|block| block.size), SURROUND_DENSITY);
+            let candidate = Candidate {
+                patch: seen.patch,
+                is_in_view: false,
+                area_texels: u32::from(seen.extent[0]) * u32::from(seen.extent[1]),
+                is_shown: block.is_some(),
+            };
+            kept.push(Kept { candidate, texels: u64::from(size.texels()) });
+            sizes.push((seen.patch, size));
+        }
+        let [width, height] = self.atlas.extent_texels();
+        let chosen = self.surround.choose(geometry, kept, left, u64::from(width) * u64::from(height));
+        sizes.retain(|(patch, _)| chosen.binary_search(patch).is_ok());
+        self.around = sizes;
+    }
+
+    /// Frees the blocks of what has left, and those in the surround that are to have another size.
+    fn release(&mut self, before: &[(ScenePatch, Option<Block>)]) {
+        let around = |patch: &ScenePatch| {
+            let at = self.around.binary_search_by_key(patch, |(patch, _)| *patch);
+            at.ok().map(|at| self.around[at].1)
+        };
         for (patch, block) in before {
-            if self.live.binary_search(patch).is_err() {
+            let stays = self.live.binary_search(patch).is_ok()
+                || around(patch).is_some_and(|size| block.is_some_and(|block| block.size == size));
+            if !stays {
                 self.states[patch.index()].block = None;
                 block.iter().for_each(|b| self.atlas.free(*b));
             }
         }
+    }
+
+    /// Places what of the surround has no block; what finds no place is left out.
+    fn place_around(&mut self) {
+        let mut waiting = self.around.clone();
+        waiting.retain(|(patch, _)| self.states[patch.index()].block.is_none());
+        waiting.sort_unstable_by_key(|(patch, size)| (std::cmp::Reverse(size.texels()), *size, *patch));
+        for (patch, size) in waiting {
+            self.states[patch.index()].block = self.atlas.allocate(size);
+        }
+        let states = &self.states;
+        self.around.retain(|(patch, _)| states[patch.index()].block.is_some());
+    }
+
+    /// Frees all blocks of the surround: what is in view goes before it.
+    fn release_around(&mut self) {
+        for (patch, _) in &self.around {
+            let block = self.states[patch.index()].block.take();
+            block.into_iter().for_each(|block| self.atlas.free(block));
+        }
+    }
+
+    /// Part of the atlas that what is in view may take.
+    fn limit(&self) -> f32 {
+        1.0 - self.share(self.around.iter().map(|(_, size)| u64::from(size.texels())).sum())
+    }
+
+    /// Part of the atlas inside blocks of what is in view.
+    fn in_view_share(&self) -> f32 {
+        let block = |patch: &ScenePatch| self.states[patch.index()].block;
+        self.share(self.live.iter().filter_map(block).map(|block| u64::from(block.size.texels())).sum())
     }
 
     /// Takes the highest density that leaves room, once there has been room for a higher one for a while. Whether all
@@ -221,16 +325,16 @@ impl Layout {
         let fits = self.try_place(roomy, Sizes::Kept).is_ok();
         if fits {
             self.density = roomy;
-            self.last_rise = (self.update, self.used_share());
+            self.last_rise = (self.update, self.in_view_share());
         }
         fits
     }
 
     fn is_roomy(&self, density: f32) -> bool {
-        let allowed = ROOMY * self.overflow_share;
+        let allowed = ROOMY * self.overflow_share.min(self.limit());
         let fits = |sizes| self.share(self.plan(density, sizes).texels) <= allowed;
         // Blocks that keep their size now may still grow to the exact one.
-        self.used_share() <= allowed && fits(Sizes::Kept) && fits(Sizes::Exact)
+        self.in_view_share() <= allowed && fits(Sizes::Kept) && fits(Sizes::Exact)
     }
 
     /// Lowers density until all blocks find a place, where they do not. Sizes are chosen anew by that: what need not be
@@ -269,7 +373,14 @@ impl Layout {
     fn try_place(&mut self, density: f32, sizes: Sizes) -> Result<(), f32> {
         let plan = self.plan(density, sizes);
         let share = self.share(plan.texels);
-        let fits = share <= 1.0 && self.try_allocate(plan.waiting);
+        if share > self.limit() {
+            return Err(share);
+        }
+        let mut fits = self.try_allocate(plan.waiting.clone());
+        if !fits && !self.around.is_empty() {
+            self.release_around();
+            fits = self.try_allocate(plan.waiting);
+        }
         if fits { Ok(()) } else { Err(share) }
     }
 
@@ -297,12 +408,12 @@ impl Layout {
         let old = |patch: ScenePatch| {
             before.binary_search_by_key(&patch, |(p, _)| *p).ok().and_then(|index| before[index].1)
         };
+        let placed = self.placed();
         let gone = before
             .iter()
-            .filter(|(patch, _)| self.live.binary_search(patch).is_err())
+            .filter(|(patch, _)| placed.binary_search(patch).is_err())
             .map(|(patch, _)| PlacementChange { patch: *patch, block: None });
-        let moved = self
-            .live
+        let moved = placed
             .iter()
             .map(|patch| PlacementChange { patch: *patch, block: self.states[patch.index()].block })
             .filter(|change| old(change.patch) != change.block);
@@ -311,12 +422,17 @@ impl Layout {
         changes
     }
 
-    /// Patches with their blocks, ascending.
+    /// The surround's patches with their blocks, ascending.
+    pub fn around(&self) -> impl Iterator<Item = (ScenePatch, Block)> + '_ {
+        self.around.iter().filter_map(|(patch, _)| Some((*patch, self.states[patch.index()].block?)))
+    }
+
+    /// Patches in view, and those held, with their blocks, ascending.
     pub fn live(&self) -> impl Iterator<Item = (ScenePatch, Block)> + '_ {
         self.live.iter().filter_map(|patch| Some((*patch, self.states[patch.index()].block?)))
     }
 
-    /// Patches with a block.
+    /// Patches in view, and those held, with a block.
     pub fn live_count(&self) -> usize {
         self.live.len()
     }
@@ -643,6 +759,88 @@ mod tests {
             (0..30).map(|seed| place(&mut layout, &random_extents(seed, 3000, 90))).collect::<Vec<_>>()
         };
         assert_eq!(run(), run());
+    }
+
+    /// An update in which views see some patches, and a glance others.
+    fn place_both(layout: &mut Layout, in_view: &[u32], around: &[u32]) -> Vec<PlacementChange> {
+        let looks = Looks::of_one(in_view.len() as u32);
+        layout.begin();
+        layout.see(Visible { looks: &looks, extents: in_view });
+        layout.see_around(Visible { looks: &looks, extents: around }, |_| true);
+        layout.place(&Loose { patches: in_view.len() as u32 }, &looks)
+    }
+
+    #[test]
+    fn what_is_around_has_small_blocks_until_it_is_in_view() {
+        let mut layout = layout([512, 512], 20).with_surround(0.25, ROOM);
+        let (mut in_view, around) = (vec![0; 20], vec![pack(60, 60); 20]);
+        in_view[3] = pack(60, 60);
+        place_both(&mut layout, &in_view, &around);
+        assert!(layout.live().map(|(patch, _)| patch.0).eq([3]));
+        let small: Vec<_> = layout.around().collect();
+        assert_eq!(small.len(), 19);
+        assert!(small.iter().all(|(patch, block)| patch.0 != 3 && block.size.width() == 16));
+        in_view[4] = pack(60, 60);
+        let changes = place_both(&mut layout, &in_view, &around);
+        assert!(
+            matches!(changes[..], [PlacementChange { patch: ScenePatch(4), block: Some(block) }] if block.size.width() == 64)
+        );
+        assert_eq!((layout.live_count(), layout.around().count()), (2, 18));
+        let used: u64 = layout.live().chain(layout.around()).map(|(_, b)| u64::from(b.size.texels())).sum();
+        assert_eq!(used, layout.atlas.used_texels());
+    }
+
+    #[test]
+    fn what_is_in_view_loses_no_more_than_the_share_to_what_is_around() {
+        for seed in 40..44 {
+            let alone = random_extents(seed, 3000, 90);
+            let in_view: Vec<u32> = alone
+                .iter()
+                .enumerate()
+                .map(|(patch, extent)| if patch % 2 == 0 { *extent } else { 0 })
+                .collect();
+            let around: Vec<u32> = vec![pack(200, 200); 3000];
+            let (mut without, mut with) =
+                (layout([512, 512], 3000), layout([512, 512], 3000).with_surround(0.25, ROOM));
+            for _ in 0..60 {
+                place(&mut without, &in_view);
+                place_both(&mut with, &in_view, &around);
+                assert!(
+                    in_view
+                        .iter()
+                        .enumerate()
+                        .all(|(patch, extent)| *extent == 0 || with.states[patch].block.is_some()),
+                    "seed {seed}"
+                );
+            }
+            let texels: u64 = with.around().map(|(_, block)| u64::from(block.size.texels())).sum();
+            assert!(texels > 0 && texels <= 512 * 512 / 4, "seed {seed}: {texels}");
+            // Sides go by powers of two, and densities by steps.
+            assert!(
+                with.density() > 0.75 * without.density(),
+                "seed {seed}: {} {}",
+                with.density(),
+                without.density()
+            );
+        }
+    }
+
+    #[test]
+    fn a_surround_of_patches_that_are_not_of_the_shown_level_has_no_blocks() {
+        let size = InstanceSize { patches: vec![20, 10], ..InstanceSize::default() };
+        let numbering = Numbering::new(&[size]);
+        let mut layout = layout([512, 512], 30).with_surround(0.25, ROOM);
+        let mut show = |level: usize| {
+            let looks = Looks::new(&numbering, [Some(Levels { shown: level, next: None })]);
+            layout.begin();
+            layout.see(Visible { looks: &looks, extents: &vec![0; looks.entries()] });
+            layout
+                .see_around(Visible { looks: &looks, extents: &vec![pack(9, 9); looks.entries()] }, |_| true);
+            layout.place(&Loose { patches: 30 }, &looks);
+            layout.around().map(|(patch, _)| patch.0).collect::<Vec<_>>()
+        };
+        assert_eq!(show(0), (0..20).collect::<Vec<_>>());
+        assert_eq!(show(1), (20..30).collect::<Vec<_>>());
     }
 
     #[test]

@@ -30,6 +30,8 @@ pub mod scene;
 pub mod sessions;
 pub mod stages;
 pub mod stream;
+pub mod surround;
+pub mod sweep;
 pub mod truth;
 pub mod upload;
 pub mod view_time;

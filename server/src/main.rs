@@ -23,11 +23,13 @@ use shadecast_server::animation::skinning::Skinning;
 use shadecast_server::detail::DEFAULT_DETAIL_PIXELS;
 use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::frame;
+use shadecast_server::frame::ShowOptions;
 use shadecast_server::inspect::{self, InspectArgs};
 use shadecast_server::motion::MotionOption;
 use shadecast_server::quality::QualityArgs;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::stream::{Device, StreamOptions, run};
+use shadecast_server::surround::DEFAULT_SURROUND;
 use shadecast_transport::write_atomically;
 use start_up::{CacheArgs, StartUp};
 use std::io::IsTerminal;
@@ -118,6 +120,9 @@ struct StreamArgs {
     /// Pixels of the client's display that a level of detail may err by; 0: everything has full detail
     #[arg(long, value_name = "PIXELS", default_value_t = DEFAULT_DETAIL_PIXELS, value_parser = number(0.0..=64.0f32, "pixels"))]
     detail: f32,
+    /// Part of the client's slots and of the atlas for what an abrupt turn of the head would show, 0 to 0.5; 0: none
+    #[arg(long, value_name = "SHARE", default_value_t = DEFAULT_SURROUND, value_parser = number(0.0..=0.5f32, "of all"))]
+    surround: f32,
     /// Updates per second, 1 to 60
     #[arg(long, default_value_t = 30.0, value_parser = number(1.0..=60.0, "updates a second"))]
     rate: f64,
@@ -273,7 +278,7 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
         identity: args.identity.clone(),
         atlas_extent_texels: args.atlas,
         quality: args.quality.options(),
-        detail_pixels: args.detail,
+        show: ShowOptions { detail_pixels: args.detail, surround: args.surround },
         rate_hz: args.rate,
         viewers: usize::from(args.viewers),
         link,

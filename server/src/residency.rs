@@ -116,6 +116,10 @@ pub struct Residency {
     waiting: BTreeMap<ScenePatch, Block>,
     /// Patches that the next update brings ahead, without a block, as far as it can.
     ahead: Vec<ScenePatch>,
+    /// Patches that have a block in case that they come into view, ascending: all others go before them.
+    behind: Vec<ScenePatch>,
+    /// Of those that wait, how many are such.
+    behind_waiting: usize,
     /// What an update may take.
     budget: Budget,
     /// Of those that wait, how many do so because of it alone.
@@ -137,6 +141,8 @@ impl Residency {
             retained: BTreeMap::new(),
             waiting: BTreeMap::new(),
             ahead: Vec::new(),
+            behind: Vec::new(),
+            behind_waiting: 0,
             budget: Budget::UNLIMITED,
             held_back: 0,
         }
@@ -255,6 +261,17 @@ impl Residency {
         self.ahead = patches;
     }
 
+    /// Of those with a block these, ascending, come after all others, and as far as slots are not short.
+    pub fn put_behind(&mut self, patches: Vec<ScenePatch>) {
+        self.behind = patches;
+    }
+
+    /// Whether an instance that stays in the client's memory is told only once.
+    pub fn is_told_once(&self, geometry: &impl Geometry, instance: u16) -> bool {
+        let is_skinned = self.skinning.as_ref().is_some_and(|skinning| skinning.is_skinned(instance));
+        is_skinned || geometry.static_position(geometry.first_vertex(instance)).is_some()
+    }
+
     /// The bytes of what [`Self::update`] gave, in the same order.
     pub fn encode(&self, delta: &UpdateDelta) -> EncodedDelta {
         lock(&self.coder).update(delta)
@@ -275,8 +292,11 @@ impl Residency {
         self.forget_old(geometry, update, &mut delta);
         delta.instances = self.steps.changes();
         let mut left_bytes = self.budget.geometry_bytes;
-        self.held_back = 0;
-        for (patch, block) in self.coming(changes) {
+        (self.held_back, self.behind_waiting) = (0, 0);
+        let coming = self.coming(changes);
+        let is_behind = |(patch, _): &(ScenePatch, Block)| self.behind.binary_search(patch).is_ok();
+        let (behind, first): (Vec<_>, Vec<_>) = coming.into_iter().partition(is_behind);
+        for (patch, block) in first {
             let bytes = self.entry_bytes(geometry, patch);
             if bytes > left_bytes {
                 self.held_back += 1;
@@ -289,7 +309,8 @@ impl Residency {
                 None => drop(self.waiting.insert(patch, block)),
             }
         }
-        self.bring(geometry, left_bytes, &mut delta);
+        self.bring(geometry, &mut left_bytes, &mut delta);
+        self.bring_behind(geometry, behind, left_bytes, &mut delta);
         sort(&mut delta);
         let is_sampled = |vertex: &&NewVertex| vertex.motion == Motion::Sampled;
         let entering = delta.new_vertices.iter().filter(is_sampled);
@@ -308,21 +329,48 @@ impl Residency {
     }
 
     /// Brings what is to be there ahead of its block, in the order in which it was asked for.
-    fn bring(&mut self, geometry: &impl Geometry, mut left_bytes: usize, delta: &mut GeometryDelta) {
-        let has_slots = |free: usize, count: u32| free > count as usize / AHEAD_WATER;
+    fn bring(&mut self, geometry: &impl Geometry, left_bytes: &mut usize, delta: &mut GeometryDelta) {
         for patch in std::mem::take(&mut self.ahead) {
             let bytes = self.entry_bytes(geometry, patch);
             let is_there = self.slot_of_patch[patch.index()].is_some();
-            let has_room = has_slots(self.patch_slots.free.len(), self.patch_slots.count)
-                && has_slots(self.vertex_slots.free.len(), self.vertex_slots.count);
-            if is_there || bytes > left_bytes || !has_room {
+            if is_there || bytes > *left_bytes || !self.has_slots_to_spare() {
                 continue;
             }
-            left_bytes -= bytes;
+            *left_bytes -= bytes;
             if self.admit(geometry, patch, delta).is_some() {
                 self.retained.insert(patch, delta.update.0);
             }
         }
+    }
+
+    /// Brings those with a block that come after all others, as far as there is room; the others wait.
+    fn bring_behind(
+        &mut self,
+        geometry: &impl Geometry,
+        behind: Vec<(ScenePatch, Block)>,
+        mut left_bytes: usize,
+        delta: &mut GeometryDelta,
+    ) {
+        for (patch, block) in behind {
+            let bytes = self.entry_bytes(geometry, patch);
+            let may_come = bytes == 0 || bytes <= left_bytes && self.has_slots_to_spare();
+            match may_come.then(|| self.admit(geometry, patch, delta)).flatten() {
+                Some(slot) => {
+                    left_bytes -= bytes;
+                    delta.placements.push((slot, Some(block)));
+                }
+                None => {
+                    self.waiting.insert(patch, block);
+                    self.behind_waiting += 1;
+                }
+            }
+        }
+    }
+
+    fn has_slots_to_spare(&self) -> bool {
+        let has = |free: usize, count: u32| free > count as usize / AHEAD_WATER;
+        has(self.patch_slots.free.len(), self.patch_slots.count)
+            && has(self.vertex_slots.free.len(), self.vertex_slots.count)
     }
 
     /// Patches that get a block or another one, and those that still wait for a slot: large blocks first.
@@ -513,7 +561,7 @@ impl Residency {
 
     /// Patches with a block that are not shown, because the client's memory is full or not yet free again.
     pub fn waiting(&self) -> usize {
-        self.waiting.len() - self.held_back
+        self.waiting.len() - self.held_back - self.behind_waiting
     }
 
     /// Patches with a block that are not shown yet, because updates may bring only so much.
@@ -733,6 +781,37 @@ mod tests {
                 run.residency.displayed(UpdateId(displayed));
             }
         }
+    }
+
+    #[test]
+    fn what_is_put_behind_comes_after_all_others_with_what_they_leave_and_is_no_shortage() {
+        let mut residency = Residency::new(&Strip, 1024, 1024);
+        residency.put_behind((0..10).map(ScenePatch).collect());
+        let bytes = |patches: usize| patches * (PATCH_BYTES + 4 * STATIC_VERTEX_BYTES);
+        residency.set_budget(Budget { geometry_bytes: bytes(14), ..Budget::UNLIMITED });
+        let changes: Vec<_> = (0..20).map(|patch| change(2 * patch % 40, block(patch))).collect();
+        let behind = changes.iter().filter(|change| change.patch.0 < 10).count();
+        assert_eq!((behind, changes.len()), (5, 20));
+        let first = residency.update(&Strip, &changes, stamp(0));
+        assert_eq!(
+            (first.geometry.new_patches.len(), residency.held_back(), residency.waiting()),
+            (14, 1, 0)
+        );
+        assert!((0..10).all(|patch| residency.slot_of_patch[patch].is_none()));
+        let second = residency.update(&Strip, &[], stamp(1));
+        assert_eq!(
+            (second.geometry.new_patches.len(), residency.held_back(), residency.waiting()),
+            (6, 0, 0)
+        );
+    }
+
+    #[test]
+    fn what_is_put_behind_leaves_slots_free() {
+        let mut residency = Residency::new(&Strip, 64, 1024);
+        let changes: Vec<_> = (0..80).map(|patch| change(patch, block(patch))).collect();
+        residency.put_behind((0..80).map(ScenePatch).collect());
+        residency.update(&Strip, &changes, stamp(0));
+        assert_eq!((residency.patch_slots.free.len(), residency.waiting()), (64 / AHEAD_WATER, 0));
     }
 
     #[test]

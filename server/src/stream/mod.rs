@@ -19,6 +19,7 @@ pub use studio::{Device, Reopen};
 
 use crate::animation::timeline::SharedTimeline;
 use crate::encode::Source;
+use crate::frame::ShowOptions;
 use crate::pacing::WayState;
 use crate::quality::QualityOptions;
 use crate::scene::SceneGpu;
@@ -58,8 +59,8 @@ pub struct StreamOptions {
     pub atlas_extent_texels: AtlasExtent,
     /// Of pictures.
     pub quality: QualityOptions,
-    /// Pixels of a client's display that a level of detail may err by; 0: everything has full detail.
-    pub detail_pixels: f32,
+    /// How much of the scene a client is shown, and how.
+    pub show: ShowOptions,
     /// Updates per second.
     pub rate_hz: f64,
     /// Clients that are served at once.

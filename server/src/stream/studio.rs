@@ -87,8 +87,7 @@ impl Studio for GpuStudio<'_> {
             }
         };
         self.viewers += 1;
-        let frame =
-            Frame::new(&world, ViewerId(self.viewers), welcome, capabilities, self.options.detail_pixels);
+        let frame = Frame::new(&world, ViewerId(self.viewers), welcome, capabilities, self.options.show);
         if self.looking > 0 || frame.is_ok() {
             self.world = Some(world);
         }

@@ -6,7 +6,7 @@ use crate::headset_off::{self, Absence};
 use crate::motion_table::{self, Condition, Kind};
 use crate::options::{Renderer, RunOptions, StageMs, ViewerOptions};
 use crate::robot::robot;
-use crate::room::write_room;
+use crate::room::{MANY_VASES, write_room};
 use crate::run::run;
 use crate::skinning;
 use crate::slow_link;
@@ -145,7 +145,7 @@ fn jobs() -> Vec<Job> {
 
 /// The abrupt head over a long way at two rates, and beside it the same delay without a link.
 fn abrupt_room(folder: &Path) -> anyhow::Result<Value> {
-    let scene = SceneSource::File(write_room(folder)?);
+    let scene = SceneSource::File(write_room(folder, MANY_VASES)?);
     let usual = RunOptions {
         extent_pixels: [256, 256],
         validation: true,

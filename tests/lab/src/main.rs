@@ -4,6 +4,7 @@ use anyhow::Context;
 use clap::{Args, Parser, Subcommand, value_parser};
 use shadecast_client::stages::atlas_draw::Reconstruction;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
+use shadecast_lab::abrupt;
 use shadecast_lab::bars::{BARS, Bars};
 use shadecast_lab::causes::{self, CAUSES, Cause};
 use shadecast_lab::demo::{DemoOptions, demo};
@@ -14,7 +15,7 @@ use shadecast_lab::long;
 use shadecast_lab::motion_table::{self, Condition, KINDS, Kind};
 use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs, USUAL_LINK, ViewerOptions, parse_room};
 use shadecast_lab::robot::robot;
-use shadecast_lab::room::write_room;
+use shadecast_lab::room::{MANY_VASES, write_room};
 use shadecast_lab::run::{Report, run};
 use shadecast_lab::skinning;
 use shadecast_lab::viewers::run_each;
@@ -126,6 +127,8 @@ enum Command {
     },
     /// Runs as run does, and says what changes of levels of detail do to the picture, and how much the client draws
     Detail(RunArgs),
+    /// Runs as run does with a head that stands still and then moves at full speed at once, and says how much is missing
+    Abrupt(RunArgs),
     /// Names the Vulkan device that would be used
     Device,
 }
@@ -190,6 +193,9 @@ struct RunArgs {
     /// Pixels of the display that a level of detail may err by; 0: everything has full detail
     #[arg(long, value_name = "PIXELS", default_value_t = DEFAULT_DETAIL_PIXELS, value_parser = number(0.0..=64.0f32, "pixels"))]
     detail: f32,
+    /// Part of the client's slots and of the atlas for what an abrupt turn of the head would show, 0 to 0.5; 0: none
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = number(0.0..=0.5f32, "of all"))]
+    surround: f32,
     /// What the client offers to keep and to draw: patches=N,vertices=N,triangles=N [default: as much as any may]
     #[arg(long, value_parser = parse_room, default_value = "patches=131072", hide_default_value = true)]
     room: Room,
@@ -380,9 +386,9 @@ fn main() {
         Command::Robot { out } => {
             std::fs::write(&out, robot()).with_context(|| format!("writing {}", out.display()))
         }
-        Command::Room { out } => {
-            write_room(&out).map(|_| ()).with_context(|| format!("writing into {}", out.display()))
-        }
+        Command::Room { out } => write_room(&out, MANY_VASES)
+            .map(|_| ())
+            .with_context(|| format!("writing into {}", out.display())),
         Command::Walls { out } => {
             write_walls(&out, TEXELS).map(|_| ()).with_context(|| format!("writing into {}", out.display()))
         }
@@ -391,12 +397,19 @@ fn main() {
         Command::Neighbours { seconds, json } => neighbours(seconds, json.as_deref()),
         Command::RecordTraffic { out } => hostile::traffic::record(&out),
         Command::Detail(args) => measure_detail(args),
+        Command::Abrupt(args) => measure_abrupt(args),
         Command::Device => name_device(),
     };
     if let Err(error) = result {
         eprintln!("error: {}", with_causes(error.as_ref()));
         std::process::exit(1);
     }
+}
+
+fn measure_abrupt(args: RunArgs) -> anyhow::Result<()> {
+    let report = abrupt::measure(&run_options(args)?)?;
+    println!("{report}");
+    Ok(())
 }
 
 fn measure_detail(args: RunArgs) -> anyhow::Result<()> {
@@ -438,6 +451,7 @@ fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         fov_degrees: args.fov,
         rate_hz: args.rate,
         detail_pixels: args.detail,
+        surround: args.surround,
         room: args.room,
         seed: args.seed,
         dump_every: args.dump_every,

@@ -209,6 +209,8 @@ pub struct RunOptions {
     pub atlas_extent_texels: AtlasExtent,
     /// Pixels of the display that a level of detail may err by; 0: everything has full detail.
     pub detail_pixels: f32,
+    /// Part of the client's slots and of the atlas for what an abrupt head could see; 0: none.
+    pub surround: f32,
     /// What the clients offer to keep and to draw.
     pub room: Room,
     /// Updates per second.
@@ -251,6 +253,7 @@ impl RunOptions {
             quality: QualityOptions::default(),
             atlas_extent_texels: AtlasExtent::DEFAULT,
             detail_pixels: DEFAULT_DETAIL_PIXELS,
+            surround: 0.0,
             room: MOST_ROOM,
             rate_hz: 30.0,
             refresh_hz: 72.0,
@@ -298,6 +301,9 @@ impl RunOptions {
         }
         if self.detail_pixels != usual.detail_pixels {
             line += &format!(" --detail {}", self.detail_pixels);
+        }
+        if self.surround != usual.surround {
+            line += &format!(" --surround {}", self.surround);
         }
         if self.room != usual.room {
             let Room { patches, vertices, triangles } = self.room;

@@ -14,17 +14,18 @@ const HEIGHT_M: f32 = 3.2;
 /// Quads of a wall's side: patches of a size that the atlas likes.
 const WALL_QUADS: u16 = 16;
 /// Vases along each wall, and rows of them one above the other.
-const VASES: [usize; 2] = [6, 3];
+pub const MANY_VASES: [usize; 2] = [6, 3];
 /// Points of a vase around and along its axis.
 const AROUND: u16 = 48;
 const ALONG: u16 = 32;
 
-/// Writes the room and a scene in whose middle one stands; gives the scene's path.
+/// Writes the room with so many vases along each wall and so many rows of them, and a scene in whose middle one stands; gives
+/// the scene's path.
 ///
 /// # Errors
 /// The folder cannot be written.
-pub fn write_room(folder: &Path) -> std::io::Result<PathBuf> {
-    write_scene(folder, "room", &room())
+pub fn write_room(folder: &Path, vases: [usize; 2]) -> std::io::Result<PathBuf> {
+    write_scene(folder, "room", &room(vases))
 }
 
 /// Writes a file of one model, and a scene of it without the usual ground; gives the scene's path.
@@ -39,11 +40,11 @@ pub(crate) fn write_scene(folder: &Path, name: &str, glb: &[u8]) -> std::io::Res
 }
 
 /// The bytes of a GLB file: the floor is at y = 0, its middle the origin.
-pub fn room() -> Vec<u8> {
+pub fn room(of_vases: [usize; 2]) -> Vec<u8> {
     let mut buffer = Buffer::default();
     let meshes = json!([mesh("wall", wall(), &mut buffer, 0), mesh("vase", vase(), &mut buffer, 1)]);
     let mut nodes = walls(SIDE_M, HEIGHT_M, |_| 0);
-    nodes.extend((0..4).flat_map(vases));
+    nodes.extend((0..4).flat_map(|side| vases(side, of_vases)));
     let all: Vec<usize> = (0..nodes.len()).collect();
     let paint = |color: [f32; 4]| json!({"pbrMetallicRoughness": {"baseColorFactor": color, "metallicFactor": 0.0, "roughnessFactor": 0.7}});
     buffer.into_glb(json!({
@@ -128,9 +129,8 @@ pub(crate) fn walls(side_m: f32, height_m: f32, mesh: impl Fn(usize) -> usize) -
 }
 
 /// Those before one wall.
-fn vases(side: u8) -> Vec<Value> {
+fn vases(side: u8, [columns, rows]: [usize; 2]) -> Vec<Value> {
     let turn = glam::Quat::from_rotation_y(f32::from(side) * TAU / 4.0);
-    let [columns, rows] = VASES;
     let place = |column: usize, row: usize| {
         let x = (column as f32 + 0.5) / columns as f32 - 0.5;
         let at = turn * Vec3::new(x * (SIDE_M - 1.6), 0.15 + row as f32 * 0.95, 0.6 - 0.5 * SIDE_M);
@@ -150,7 +150,7 @@ mod tests {
     #[test]
     fn there_is_much_to_see_on_every_side_and_it_faces_the_viewer() {
         let folder = tempfile::tempdir().expect("a folder");
-        let path = write_room(folder.path()).expect("written");
+        let path = write_room(folder.path(), MANY_VASES).expect("written");
         let scene = load_scene(&SceneSource::File(path)).expect("valid");
         let triangles: usize = scene.models.iter().map(|model| model.indices.len() / 3).sum();
         assert!(triangles > 200_000, "{triangles} triangles");

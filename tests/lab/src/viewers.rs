@@ -12,7 +12,7 @@ use shadecast_protocol::ids::DiscontinuityId;
 use shadecast_protocol::message::{HeadState, negotiate};
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::time::ServerTime;
-use shadecast_server::frame::Frame;
+use shadecast_server::frame::{Frame, ShowOptions};
 use shadecast_server::world::ViewerId;
 use std::time::Instant;
 
@@ -95,7 +95,8 @@ pub fn second_viewer(options: &RunOptions, rounds: usize) -> anyhow::Result<Seco
     let hello = hello(options, options.extent_pixels);
     let offer = server.offer();
     let terms = negotiate(&hello, &offer).map_err(|refused| anyhow::anyhow!("{}", refused.reason))?;
-    let frame = |number| Frame::new(&server.world, ViewerId(number), &terms, &hello.capabilities, 0.0);
+    let plain = ShowOptions { detail_pixels: 0.0, surround: 0.0 };
+    let frame = |number| Frame::new(&server.world, ViewerId(number), &terms, &hello.capabilities, plain);
     let mut frames = [frame(1)?, frame(2)?];
     let period_ns = (1e9 / options.rate_hz) as i64;
     let (mut one_ms, mut two_ms) = (Vec::new(), Vec::new());

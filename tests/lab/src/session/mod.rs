@@ -33,6 +33,7 @@ use shadecast_scene::Scene;
 use shadecast_scene::load::load_scene_with;
 use shadecast_scene::process::Loading;
 use shadecast_scene::suggest::did_you_mean_or_list;
+use shadecast_server::frame::ShowOptions;
 use shadecast_server::pacing::WayState;
 use shadecast_server::quality::QualityOptions;
 use shadecast_server::scene::SceneGpu;
@@ -62,8 +63,8 @@ pub struct Server {
     viewers: u64,
     atlas_extent_texels: AtlasExtent,
     rate_hz: f64,
-    detail_pixels: f32,
     spared: Spared,
+    show: ShowOptions,
 }
 
 /// A link with a client at its end, and the server's side of it.
@@ -118,8 +119,8 @@ impl Server {
             viewers: 0,
             atlas_extent_texels: options.atlas_extent_texels,
             rate_hz: options.rate_hz,
-            detail_pixels: options.detail_pixels,
             spared: options.spared.clone(),
+            show: ShowOptions { detail_pixels: options.detail_pixels, surround: options.surround },
         })
     }
 

@@ -221,7 +221,7 @@ impl Seat {
             ViewerId(self.number),
             &welcome,
             &capabilities,
-            server.detail_pixels,
+            server.show,
             server.spared.ideal.clone(),
         )?;
         let quality = server.quality.of_codec(welcome.codec);
