@@ -28,6 +28,8 @@ const RETAIN_UPDATES: u32 = 300;
 const LOW_WATER: u32 = 8;
 /// One of so many slots stays free of what is brought ahead.
 const AHEAD_WATER: usize = 16;
+/// What is put behind may take one of so many bytes that are left.
+const BEHIND_PART: usize = 4;
 /// What geometry takes on the wire, about, bytes: a patch, and a vertex that does not move.
 const PATCH_BYTES: usize = 12;
 const STATIC_VERTEX_BYTES: usize = 14;
@@ -310,6 +312,7 @@ impl Residency {
             }
         }
         self.bring(geometry, &mut left_bytes, &mut delta);
+        let left_bytes = if self.held_back == 0 { left_bytes / BEHIND_PART } else { 0 };
         self.bring_behind(geometry, behind, left_bytes, &mut delta);
         sort(&mut delta);
         let is_sampled = |vertex: &&NewVertex| vertex.motion == Motion::Sampled;
@@ -798,11 +801,12 @@ mod tests {
             (14, 1, 0)
         );
         assert!((0..10).all(|patch| residency.slot_of_patch[patch].is_none()));
-        let second = residency.update(&Strip, &[], stamp(1));
-        assert_eq!(
-            (second.geometry.new_patches.len(), residency.held_back(), residency.waiting()),
-            (6, 0, 0)
-        );
+        let mut brings = |update: u32| {
+            let delta = residency.update(&Strip, &[], stamp(update));
+            (delta.geometry.new_patches.len(), residency.held_back(), residency.waiting())
+        };
+        // 13 are left for them, of which they take a part.
+        assert_eq!([brings(1), brings(2), brings(3)], [(1 + 3, 0, 0), (2, 0, 0), (0, 0, 0)]);
     }
 
     #[test]
