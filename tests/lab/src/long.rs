@@ -21,6 +21,7 @@ use shadecast_scene::cache::Cache;
 use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
+use shadecast_server::surround::DEFAULT_SURROUND;
 use shadecast_server::truth::forward::Forward;
 use shadecast_transport::LinkProfile;
 use std::path::{Path, PathBuf};
@@ -149,6 +150,7 @@ fn abrupt_room(folder: &Path) -> anyhow::Result<Value> {
     let usual = RunOptions {
         extent_pixels: [256, 256],
         validation: true,
+        surround: DEFAULT_SURROUND,
         ..RunOptions::new(scene, folder.join("run"))
     };
     let StageMs { server, encode, decode } = usual.stages;
@@ -361,6 +363,7 @@ fn scene_run(
         validation: true,
         compare_every,
         stages,
+        surround: DEFAULT_SURROUND,
         ..RunOptions::new(source, folder.join("run"))
     };
     let report = run(&options)?;

@@ -30,6 +30,7 @@ use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::motion::MotionOption;
 use shadecast_server::quality::QualityArgs;
 use shadecast_server::scene::SceneOptions;
+use shadecast_server::surround::DEFAULT_SURROUND;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -194,7 +195,7 @@ struct RunArgs {
     #[arg(long, value_name = "PIXELS", default_value_t = DEFAULT_DETAIL_PIXELS, value_parser = number(0.0..=64.0f32, "pixels"))]
     detail: f32,
     /// Part of the client's slots and of the atlas for what an abrupt turn of the head would show, 0 to 0.5; 0: none
-    #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = number(0.0..=0.5f32, "of all"))]
+    #[arg(long, value_name = "SHARE", default_value_t = DEFAULT_SURROUND, value_parser = number(0.0..=0.5f32, "of all"))]
     surround: f32,
     /// What the client offers to keep and to draw: patches=N,vertices=N,triangles=N [default: as much as any may]
     #[arg(long, value_parser = parse_room, default_value = "patches=131072", hide_default_value = true)]

@@ -253,7 +253,7 @@ impl RunOptions {
             quality: QualityOptions::default(),
             atlas_extent_texels: AtlasExtent::DEFAULT,
             detail_pixels: DEFAULT_DETAIL_PIXELS,
-            surround: 0.0,
+            surround: 0.0, // what is around costs tests time, and few look there
             room: MOST_ROOM,
             rate_hz: 30.0,
             refresh_hz: 72.0,
@@ -302,9 +302,7 @@ impl RunOptions {
         if self.detail_pixels != usual.detail_pixels {
             line += &format!(" --detail {}", self.detail_pixels);
         }
-        if self.surround != usual.surround {
-            line += &format!(" --surround {}", self.surround);
-        }
+        line += &format!(" --surround {}", self.surround);
         if self.room != usual.room {
             let Room { patches, vertices, triangles } = self.room;
             line += &format!(" --room patches={patches},vertices={vertices},triangles={triangles}");
