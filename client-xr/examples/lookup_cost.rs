@@ -145,5 +145,6 @@ fn patch(number: u16) -> ResidentPatch {
         vertices: [0, 1, 2, 3, 0].map(|corner| VertexSlot(first + corner)),
         double_sided: true,
         block: BlockSize::new(5, 5).map(|size| Block { address, size }),
+        is_masked: false,
     }
 }

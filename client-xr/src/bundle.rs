@@ -5,7 +5,9 @@
 //! its update, or of a later one, is there. A delta whose picture never came applies all the same. Knows nothing of vertices,
 //! GPUs and networks.
 
-use shadecast_protocol::atlas::Block;
+use crate::coverage::CoverageMap;
+use shadecast_protocol::atlas::{AtlasExtent, Block};
+use shadecast_protocol::coverage::Coverage;
 use shadecast_protocol::geometry::{GeometryDelta, NewPatch};
 use shadecast_protocol::ids::{PatchSlot, UpdateId};
 use shadecast_protocol::limits::MAX_PATCH_SLOTS;
@@ -25,6 +27,8 @@ const MAX_PICTURES: usize = 3;
 pub struct Bundler<P> {
     /// As of the update on display.
     patches: Patches,
+    /// Of the same update.
+    coverage: CoverageMap,
     pending: VecDeque<PatchChanges>,
     /// What all of `pending` says.
     pending_records: usize,
@@ -42,25 +46,35 @@ struct PatchChanges {
     evicted: Vec<PatchSlot>,
     new: Vec<NewPatch>,
     placements: Vec<(PatchSlot, Option<Block>)>,
+    coverage: Vec<(PatchSlot, Coverage)>,
 }
 
 impl PatchChanges {
     fn records(&self) -> usize {
-        1 + self.evicted.len() + self.new.len() + self.placements.len()
+        let coverage_bytes: usize = self.coverage.iter().map(|(_, coverage)| coverage.byte_count()).sum();
+        let of_coverage = self.coverage.len() + coverage_bytes / size_of::<NewPatch>();
+        1 + self.evicted.len() + self.new.len() + self.placements.len() + of_coverage
     }
 
-    fn apply_to(&self, patches: &mut Patches) -> Result<(), WireError> {
+    fn apply_to(&self, patches: &mut Patches, map: &mut CoverageMap) -> Result<(), WireError> {
         patches.evict(&self.evicted)?;
         patches.insert(&self.new)?;
-        patches.place(&self.placements)
+        patches.place(&self.placements)?;
+        patches.cover(&self.coverage)?;
+        for (slot, coverage) in &self.coverage {
+            let block = patches.get(*slot).and_then(|patch| patch.block);
+            block.iter().for_each(|block| map.cover(*block, coverage));
+        }
+        Ok(())
     }
 }
 
 impl<P> Bundler<P> {
-    /// For the agreed capacity.
-    pub fn new(patch_slots: u32) -> Self {
+    /// For the agreed capacity and atlas.
+    pub fn new(patch_slots: u32, extent: AtlasExtent) -> Self {
         Self {
             patches: Patches::new(patch_slots),
+            coverage: CoverageMap::new(extent),
             pending: VecDeque::new(),
             pending_records: 0,
             pictures: VecDeque::new(),
@@ -79,6 +93,11 @@ impl<P> Bundler<P> {
         &self.patches
     }
 
+    /// What cutouts among them leave of their blocks.
+    pub fn coverage(&self) -> &CoverageMap {
+        &self.coverage
+    }
+
     /// Takes in the next delta. It comes from a decoder that has checked it against the client's memory.
     pub fn add_delta(&mut self, delta: GeometryDelta) {
         let changes = PatchChanges {
@@ -86,6 +105,7 @@ impl<P> Bundler<P> {
             evicted: delta.evicted_patches,
             new: delta.new_patches,
             placements: delta.placements,
+            coverage: delta.coverage,
         };
         self.pending_records += changes.records();
         self.pending.push_back(changes);
@@ -140,7 +160,8 @@ impl<P> Bundler<P> {
         let Some(changes) = self.pending.pop_front() else { return };
         self.pending_records -= changes.records();
         self.applied = Some(changes.update);
-        changes.apply_to(&mut self.patches).expect("the decoder has refused what contradicts the memory");
+        let applied = changes.apply_to(&mut self.patches, &mut self.coverage);
+        applied.expect("the decoder has refused what contradicts the memory");
     }
 }
 

@@ -14,6 +14,7 @@ use shadecast_protocol::ids::{InstanceId, VertexSlot};
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::PositionBatch;
 use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime};
+use shadecast_shaders::constants::IS_MASKED;
 use shadecast_shaders::generated::CornerGpu;
 use shadecast_shaders::records::tag;
 use shadecast_shaders::twin::interpolate::VertexMemory;
@@ -218,7 +219,7 @@ impl Bench {
         let sample_ring = [32, 8, 64][seed as usize % 3];
         Self {
             seed,
-            bundler: Bundler::new(PATCH_SLOTS),
+            bundler: Bundler::new(PATCH_SLOTS, AtlasExtent::DEFAULT),
             motion: Motion::new(VERTEX_SLOTS, MotionMemory { sample_ring, ..MotionMemory::NONE }.into()),
             scratch: ListScratch::new(PATCH_SLOTS),
             memory: VertexMemory::new(VERTEX_SLOTS, sample_ring),
@@ -431,7 +432,7 @@ fn a_slot_given_anew_while_it_is_on_display_is_told() {
 
 #[test]
 fn changes_of_patches_that_wait_for_pictures_are_bounded_by_what_they_say() {
-    let mut bundler = Bundler::<u32>::new(MAX_PATCH_SLOTS);
+    let mut bundler = Bundler::<u32>::new(MAX_PATCH_SLOTS, AtlasExtent::DEFAULT);
     let all = || (0..MAX_PATCH_SLOTS).map(PatchSlot);
     let enters = |slot| NewPatch { slot, ..one_triangle() };
     bundler.add_delta(GeometryDelta { new_patches: all().map(enters).collect(), ..delta(0).geometry });
@@ -519,6 +520,59 @@ fn corners_lie_in_the_blocks_lookup_rectangle_and_carry_slot_and_instance() {
     assert_eq!(texels, [[9.0, 5.0], [15.0, 5.0], [9.0, 7.0]]);
     assert_eq!(bench.indices[..3], [0, 1, 2]);
     assert_eq!(bench.corners[2].vertex_slot, 2);
+}
+
+/// The triangle with every second texel of its block, or all of them.
+fn cutout(frame: u32, is_covered: fn(u32) -> bool) -> ReceivedDelta {
+    let mut delta = triangle(frame, 0..=4);
+    delta.geometry.coverage = vec![(PatchSlot(0), Coverage::from_fn(32, is_covered))];
+    delta
+}
+
+#[test]
+fn coverage_comes_on_display_with_its_updates_picture() {
+    let mut bench = Bench::new(0);
+    bench.add_delta(cutout(0, |texel| texel % 2 == 0));
+    assert!(bench.bundler.coverage().words().is_empty(), "the picture is on its way");
+    bench.bundler.add_picture(UpdateId(0), 0);
+    bench.display(100, 1);
+    let extent = AtlasExtent::DEFAULT;
+    let bit = |bundler: &Bundler<u32>, x: u32, y: u32| {
+        let at = y * extent.width() + x;
+        bundler.coverage().words()[1 + at as usize / 32] >> (at % 32) & 1
+    };
+    assert_eq!(bench.bundler.coverage().words()[0], extent.width());
+    let row: Vec<u32> = (7..17).map(|x| bit(&bench.bundler, x, 5)).collect();
+    assert_eq!(row, [0, 1, 0, 1, 0, 1, 0, 1, 0, 0], "the block begins at texel 8");
+    let moved = triangle(1, 0..=0).geometry.placements;
+    let coverage = vec![(PatchSlot(0), Coverage::from_fn(32, |_| false))];
+    let next = GeometryDelta { placements: moved, coverage, ..delta(1).geometry };
+    bench.add_delta(ReceivedDelta { geometry: next, is_update: true, ..ReceivedDelta::default() });
+    bench.display(100, 1);
+    assert_eq!(bit(&bench.bundler, 8, 5), 1, "the next picture is on its way");
+    bench.bundler.add_picture(UpdateId(1), 1);
+    bench.display(100, 1);
+    assert_eq!(bit(&bench.bundler, 8, 5), 0);
+}
+
+#[test]
+fn cutouts_are_drawn_last_by_the_pipeline_that_discards() {
+    let mut bench = Bench::new(0);
+    bench.add_delta(triangle(0, 0..=4));
+    bench.bundler.add_picture(UpdateId(0), 0);
+    bench.display(100, 1);
+    assert_eq!((bench.list.opaque_indices, bench.corners[0].block[0] & IS_MASKED), (u32::MAX, 0));
+    let mut bench = Bench::new(0);
+    let mut both = cutout(0, |texel| texel > 3);
+    both.geometry.new_patches.push(NewPatch { slot: PatchSlot(1), ..one_triangle() });
+    let block = both.geometry.placements[0].1;
+    both.geometry.placements.push((PatchSlot(1), block));
+    bench.add_delta(both);
+    bench.bundler.add_picture(UpdateId(0), 0);
+    bench.display(100, 1);
+    assert_eq!((bench.list.opaque_indices, bench.list.indices), (3, 6));
+    let masked: Vec<bool> = bench.corners[..6].iter().map(|c| c.block[0] & IS_MASKED != 0).collect();
+    assert_eq!(masked, [false, false, false, true, true, true]);
 }
 
 #[test]

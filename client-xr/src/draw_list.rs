@@ -5,6 +5,7 @@ use shadecast_protocol::ids::PatchSlot;
 use shadecast_protocol::limits::PATCH_MAX_VERTICES;
 use shadecast_protocol::memory::{Patches, ResidentPatch};
 use shadecast_protocol::time::GridIndex;
+use shadecast_shaders::constants::IS_MASKED;
 use shadecast_shaders::generated::CornerGpu;
 
 /// Corners of a patch of three triangles, and its indices.
@@ -19,6 +20,8 @@ pub struct DrawList {
     pub corners: u32,
     /// Indices of patches that can be drawn at any display time from now on.
     pub indices: u32,
+    /// Of all indices, how many from the first on are of patches that cover all of their block; `u32::MAX` where all are.
+    pub opaque_indices: u32,
     /// Patches of `indices`.
     pub patches: u32,
     /// The first grid step at which all of `indices` can be drawn.
@@ -30,7 +33,8 @@ pub struct DrawList {
 
 impl Default for DrawList {
     fn default() -> Self {
-        Self { corners: 0, indices: 0, patches: 0, ready: GridIndex(i32::MIN), late: Vec::new() }
+        let ready = GridIndex(i32::MIN);
+        Self { corners: 0, indices: 0, opaque_indices: u32::MAX, patches: 0, ready, late: Vec::new() }
     }
 }
 
@@ -47,17 +51,19 @@ impl DrawList {
 #[derive(Debug)]
 pub struct ListScratch {
     late: Vec<(GridIndex, PatchSlot)>,
+    masked: Vec<PatchSlot>,
 }
 
 impl ListScratch {
     /// For so many patches.
     pub fn new(patch_slots: u32) -> Self {
-        Self { late: Vec::with_capacity(patch_slots as usize) }
+        let slots = patch_slots as usize;
+        Self { late: Vec::with_capacity(slots), masked: Vec::with_capacity(slots) }
     }
 }
 
 impl DrawList {
-    /// Writes what `patches` draw: those that can be drawn from grid step `step` on, then the others in the order of the
+    /// Writes what `patches` draw: those that can be drawn from grid step `step` on, cutouts last, then the others in the order of the
     /// steps from which they can. The slices hold what all patch slots can need. Tells `motion` what is on display.
     pub fn write(
         &mut self,
@@ -70,11 +76,18 @@ impl DrawList {
         let mut writer = ListWriter::new(corners, indices);
         let mut users = motion.begin_list();
         scratch.late.clear();
+        scratch.masked.clear();
+        let mut has_masked = false;
         (self.patches, self.ready) = (0, GridIndex(i32::MIN));
         for (slot, patch) in patches.iter().filter(|(_, patch)| patch.block.is_some()) {
             let first = users.note(&patch.vertices[..patch.kind.vertex_count()]);
+            has_masked |= patch.is_masked;
             if first <= step {
-                writer.write(patch);
+                if patch.is_masked {
+                    scratch.masked.push(slot);
+                } else {
+                    writer.write(patch);
+                }
                 self.patches += 1;
                 self.ready = self.ready.max(first);
             } else {
@@ -82,7 +95,9 @@ impl DrawList {
             }
         }
         users.end(self.ready);
-        self.indices = writer.index_count as u32;
+        self.opaque_indices = if has_masked { writer.index_count() } else { u32::MAX };
+        scratch.masked.iter().filter_map(|slot| patches.get(*slot)).for_each(|patch| writer.write(patch));
+        self.indices = writer.index_count();
         scratch.late.sort_unstable();
         self.late.clear();
         for (first, slot) in &scratch.late {
@@ -119,13 +134,14 @@ impl<'a> ListWriter<'a> {
         let Some(block) = patch.block else { return };
         let [left, top, right, bottom] = block.lookup_rect_texels();
         let [first_x, first_y, end_x, end_y] = block.rect_texels();
+        let flag = if patch.is_masked { IS_MASKED } else { 0 };
         let base = self.corner_count as u32;
         for (uv, slot) in patch.kind.corner_uv().iter().zip(patch.vertices) {
             self.corners[self.corner_count] = CornerGpu {
                 vertex_slot: slot.0,
                 instance: u32::from(patch.instance.0),
                 atlas_texel: [left + (right - left) * uv[0], top + (bottom - top) * uv[1]],
-                block: [first_x | first_y << 16, end_x | end_y << 16],
+                block: [first_x | first_y << 16 | flag, end_x | end_y << 16],
             };
             self.corner_count += 1;
         }

@@ -5,6 +5,7 @@
 
 pub mod bundle;
 pub mod client;
+pub mod coverage;
 pub mod decode;
 pub mod decoding;
 pub mod draw_list;

@@ -111,7 +111,10 @@ impl Scene {
         };
         let sets = [set()?, set()?, set()?];
         recorder.submit()?;
-        let (bundler, motion) = (Bundler::new(terms.patch_slots), Motion::new(terms.vertex_slots, capacity));
+        let (bundler, motion) = (
+            Bundler::new(terms.patch_slots, terms.atlas_extent_texels),
+            Motion::new(terms.vertex_slots, capacity),
+        );
         let list_scratch = ListScratch::new(terms.patch_slots);
         let (shown, pace, has_switched) = (0, Pace::default(), false);
         Ok(Self {
@@ -186,6 +189,7 @@ impl Scene {
         let set = &mut self.sets[self.shown];
         wait_for(gpu, &mut set.last_use)?;
         set.planes.record(recorder, &arrived.picture);
+        set.coverage.write(0, bytemuck::cast_slice(self.bundler.coverage().words()));
         recycle(arrived.picture);
         self.write_list(GridTime::of(self.terms.grid, time).step);
         self.has_switched = true;

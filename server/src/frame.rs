@@ -183,7 +183,7 @@ impl Frame {
             welcome.atlas_extent_texels,
             ideal.is_supersampled,
         )?;
-        let ycbcr = Ycbcr::new(gpu, &shading.atlas)?;
+        let ycbcr = Ycbcr::new(gpu, &shading.atlas, scene.has_masks())?;
         let room = Room {
             patches: welcome.patch_slots.min(Layout::most_blocks(welcome.atlas_extent_texels)),
             vertices: welcome.vertex_slots,
@@ -311,6 +311,8 @@ impl Frame {
         self.residency.put_behind(self.layout.around().map(|(patch, _)| patch).collect());
         let stamp = UpdateStamp { update: self.next, time: now };
         let mut delta = self.residency.update(&world.samples, changes, stamp);
+        let covered = delta.masked.iter().map(|(slot, block)| (*slot, self.ycbcr.coverage(*block)));
+        delta.geometry.coverage = covered.filter(|(_, coverage)| !coverage.is_whole()).collect();
         if self.residency.predicts() {
             delta.geometry.predictions = predictions(scene, world.timeline(), now, self.residency.moving());
         }

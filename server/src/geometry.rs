@@ -2,8 +2,9 @@
 
 use crate::scene::numbering::{ScenePatch, SceneVertex};
 use glam::Vec3;
+use shadecast_protocol::atlas::Block;
 use shadecast_protocol::geometry::GeometryDelta;
-use shadecast_protocol::ids::{UpdateId, VertexSlot};
+use shadecast_protocol::ids::{PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::patches::Patch;
 
@@ -20,6 +21,8 @@ pub trait Geometry {
     fn patch(&self, patch: ScenePatch) -> Patch;
     /// The world position of a static vertex, `None` for one that moves.
     fn static_position(&self, vertex: SceneVertex) -> Option<Vec3>;
+    /// Whether its material cuts something out.
+    fn is_masked(&self, patch: ScenePatch) -> bool;
     /// Scene-wide count of vertices.
     fn vertex_count(&self) -> usize;
     /// Scene-wide count of patches.
@@ -42,6 +45,8 @@ pub struct UpdateDelta {
     pub geometry: GeometryDelta,
     /// Of the vertices that enter, those with samples.
     pub sampled: Vec<(VertexSlot, SceneVertex)>,
+    /// Of the patches that get a block, those with a cutout material, ascending.
+    pub masked: Vec<(PatchSlot, Block)>,
 }
 
 fn corners(patch: Patch) -> impl Iterator<Item = u32> {
@@ -87,6 +92,9 @@ pub(crate) mod test_geometry {
                 }
                 fn static_position(&self, _: SceneVertex) -> Option<Vec3> {
                     Some(Vec3::ZERO)
+                }
+                fn is_masked(&self, _: ScenePatch) -> bool {
+                    false
                 }
                 fn vertex_count(&self) -> usize {
                     $vertices(self.patches) as usize

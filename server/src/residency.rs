@@ -122,6 +122,8 @@ pub struct Residency {
     behind: Vec<ScenePatch>,
     /// Of those that wait, how many are such.
     behind_waiting: usize,
+    /// Of the update in the making: placements of patches that are cut out.
+    masked: Vec<(PatchSlot, Block)>,
     /// What an update may take.
     budget: Budget,
     /// Of those that wait, how many do so because of it alone.
@@ -145,6 +147,7 @@ impl Residency {
             ahead: Vec::new(),
             behind: Vec::new(),
             behind_waiting: 0,
+            masked: Vec::new(),
             budget: Budget::UNLIMITED,
             held_back: 0,
         }
@@ -307,7 +310,7 @@ impl Residency {
             }
             left_bytes -= bytes;
             match self.admit(geometry, patch, &mut delta) {
-                Some(slot) => delta.placements.push((slot, Some(block))),
+                Some(slot) => self.place(geometry, (patch, slot), block, &mut delta),
                 None => drop(self.waiting.insert(patch, block)),
             }
         }
@@ -315,10 +318,24 @@ impl Residency {
         let left_bytes = if self.held_back == 0 { left_bytes / BEHIND_PART } else { 0 };
         self.bring_behind(geometry, behind, left_bytes, &mut delta);
         sort(&mut delta);
+        let mut masked = std::mem::take(&mut self.masked);
+        masked.sort_unstable_by_key(|(slot, _)| *slot);
         let is_sampled = |vertex: &&NewVertex| vertex.motion == Motion::Sampled;
         let entering = delta.new_vertices.iter().filter(is_sampled);
         let sampled = entering.map(|vertex| (vertex.slot, self.moving[&vertex.slot])).collect();
-        UpdateDelta { geometry: delta, sampled }
+        UpdateDelta { geometry: delta, sampled, masked }
+    }
+
+    /// Tells the client of the block of a patch in its memory.
+    fn place(
+        &mut self,
+        geometry: &impl Geometry,
+        (patch, slot): (ScenePatch, PatchSlot),
+        block: Block,
+        delta: &mut GeometryDelta,
+    ) {
+        delta.placements.push((slot, Some(block)));
+        self.masked.extend(geometry.is_masked(patch).then_some((slot, block)));
     }
 
     /// What gets a block with this update, or is brought ahead, is not forgotten with it.
@@ -360,7 +377,7 @@ impl Residency {
             match may_come.then(|| self.admit(geometry, patch, delta)).flatten() {
                 Some(slot) => {
                     left_bytes -= bytes;
-                    delta.placements.push((slot, Some(block)));
+                    self.place(geometry, (patch, slot), block, delta);
                 }
                 None => {
                     self.waiting.insert(patch, block);
@@ -623,6 +640,9 @@ mod tests {
         fn static_position(&self, vertex: SceneVertex) -> Option<Vec3> {
             (vertex.0 < PATCHES + 2).then(|| Vec3::new(vertex.0 as f32, 0.0, 0.0))
         }
+        fn is_masked(&self, patch: ScenePatch) -> bool {
+            patch.0.is_multiple_of(3)
+        }
         fn vertex_count(&self) -> usize {
             2 * (PATCHES as usize + 2)
         }
@@ -749,6 +769,21 @@ mod tests {
             run.residency.displayed(UpdateId(run.frame - 1));
         }
         assert_eq!(run.residency.waiting(), 0);
+    }
+
+    #[test]
+    fn coverage_is_told_with_every_block_of_a_cutout_and_with_no_other() {
+        let mut residency = Residency::new(&Strip, 8192, 8192);
+        let all: Vec<_> = (0..30).map(|patch| change(patch, block(patch))).collect();
+        for frame in 0..2 {
+            let delta = residency.update(&Strip, &all, stamp(frame));
+            let slot = |patch: u32| residency.slot_of_patch[patch as usize].expect("there is room");
+            let cutouts = (0..30).filter(|patch| Strip.is_masked(ScenePatch(*patch)));
+            let mut expected: Vec<_> =
+                cutouts.map(|patch| (slot(patch), block(patch).expect("a block"))).collect();
+            expected.sort_unstable();
+            assert_eq!(delta.masked, expected, "update {frame}: new patches, then placements anew");
+        }
     }
 
     #[test]

@@ -107,6 +107,10 @@ impl Geometry for SampleWindow {
         (!place.is_animated).then(|| self.statics[(place.saved_base + number) as usize])
     }
 
+    fn is_masked(&self, patch: ScenePatch) -> bool {
+        self.scene.is_masked(patch)
+    }
+
     fn vertex_count(&self) -> usize {
         self.scene.numbering.totals.vertices as usize
     }

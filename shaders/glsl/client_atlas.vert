@@ -13,6 +13,6 @@ layout(location = 1) flat out vec4 block; // left, top, right, bottom in texels
 void main() {
     CornerGpu corner = corners[gl_VertexIndex];
     atlas_texel = corner.atlas_texel;
-    block = vec4(corner.block.x & 0xffff, corner.block.x >> 16, corner.block.y & 0xffff, corner.block.y >> 16);
+    block = block_texels(corner.block);
     gl_Position = clip_position(eyes.clip_from_world[gl_ViewIndex], positions[corner.vertex_slot]);
 }

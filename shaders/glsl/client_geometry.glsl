@@ -6,7 +6,7 @@ struct CornerGpu {
     uint vertex_slot;
     uint instance;
     vec2 atlas_texel; // inside the block's lookup rectangle
-    uvec2 block;      // x | y << 16 of its first texel, and of the first one beyond it
+    uvec2 block;      // x | y << 16 of its first texel, IS_MASKED or not, and of the first one beyond it
 };
 
 struct EyesGpu {
@@ -14,6 +14,12 @@ struct EyesGpu {
     mat4 space_from_clip_direction[EYES]; // (ndc, 1, 0) to a direction in the backdrop's space
     vec4 space_eye[EYES];                 // xyz in the backdrop's space, metres
 };
+
+// Left, top, right, bottom in texels.
+vec4 block_texels(uvec2 block) {
+    uint first = block.x & ~IS_MASKED;
+    return vec4(first & 0xffff, first >> 16, block.y & 0xffff, block.y >> 16);
+}
 
 // No triangle is drawn whose vertices have no samples: the draw list leaves its patch out, and the time at which vertices
 // are evaluated never leaves the samples of what it holds. There is no position that drops a triangle for one corner's

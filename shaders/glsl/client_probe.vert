@@ -8,9 +8,15 @@ layout(std430, binding = 0) readonly buffer Corners { CornerGpu corners[]; };
 layout(std430, binding = 1) readonly buffer Positions { vec4 positions[]; };
 layout(std140, binding = 2) uniform Eyes { EyesGpu eyes; };
 layout(location = 0) flat out uint instance;
+layout(location = 1) flat out uint is_masked;
+layout(location = 2) out vec2 atlas_texel;
+layout(location = 3) flat out vec4 block;
 
 void main() {
     CornerGpu corner = corners[gl_VertexIndex];
     instance = corner.instance;
+    is_masked = corner.block.x & IS_MASKED;
+    atlas_texel = corner.atlas_texel;
+    block = block_texels(corner.block);
     gl_Position = clip_position(eyes.clip_from_world[gl_ViewIndex], positions[corner.vertex_slot]);
 }

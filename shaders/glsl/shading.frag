@@ -5,5 +5,5 @@
 #include "shading.glsl"
 
 void main() {
-    color = vec4(shaded(middle_texel), 1.0);
+    color = shaded(middle_texel);
 }

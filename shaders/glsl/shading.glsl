@@ -74,8 +74,8 @@ mat2 footprint_texels(vec3 world_at, mat2x3 world_by_texel) {
     return texels_per_pixel(mat2(pixels_of(at, x, pixels_per_tangent), pixels_of(at, y, pixels_per_tangent)));
 }
 
-// The colour at a place of the block, in texels from its corner.
-vec3 shaded(vec2 texel) {
+// The colour at a place of the block, in texels from its corner; alpha is 0 where the material cuts it out, else 1.
+vec4 shaded(vec2 texel) {
     BlockGpu b = blocks[block_index];
     PatchGpu p = patches[b.patch_index];
     vec2 inner = vec2(b.extent_texels & 0xffff, b.extent_texels >> 16) - 2.0 * BLOCK_INSET_TEXELS;
@@ -120,5 +120,7 @@ vec3 shaded(vec2 texel) {
     vec3 facing = cross(at[1] - at[0], at[2] - at[0]);
     if (m.double_sided != 0 && dot(facing, world_eye.xyz - s.world_position) < 0.0) s.world_normal = -s.world_normal;
     s.color = clamp(s.color, 0.0, 1.0); // the gutter extrapolates
-    return srgb_from_linear(display_color(m, s, world_eye.xyz).rgb);
+    vec4 shown = display_color(m, s, world_eye.xyz);
+    float is_there = m.alpha_cutoff != NO_ALPHA_CUTOFF && shown.a < m.alpha_cutoff ? 0.0 : 1.0;
+    return vec4(srgb_from_linear(shown.rgb), is_there);
 }

@@ -5,10 +5,10 @@
 #include "shading.glsl"
 
 void main() {
-    vec3 sum = vec3(0.0);
+    vec4 sum = vec4(0.0);
     for (uint at = 0; at < SUPERSAMPLES * SUPERSAMPLES; at++) {
         vec2 place = vec2(at % SUPERSAMPLES, at / SUPERSAMPLES) + 0.5;
         sum += shaded(middle_texel + place / float(SUPERSAMPLES) - 0.5);
     }
-    color = vec4(sum / float(SUPERSAMPLES * SUPERSAMPLES), 1.0);
+    color = sum / float(SUPERSAMPLES * SUPERSAMPLES);
 }

@@ -125,6 +125,9 @@ shared! {
     /// Texels across and down that an invocation of `ycbcr.comp` converts.
     YCBCR_TEXELS: [u32; 2] = [8, 2];
 
+    /// Set in the first word of a corner's block where the patch does not cover all of it.
+    IS_MASKED: u32 = 1 << 31;
+
     /// Slots of a material for textures.
     TEXTURE_SLOTS: u32 = 5;
     /// Slot of the base colour.

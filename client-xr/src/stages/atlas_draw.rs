@@ -3,6 +3,7 @@
 use super::FRAMES_IN_FLIGHT;
 use super::scatter::VertexMemory;
 use super::upload::{Chroma, Planes};
+use crate::coverage::CoverageMap;
 use crate::draw_list::{DrawList, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
 use shadecast_gpu::{
     Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
@@ -10,7 +11,8 @@ use shadecast_gpu::{
 };
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_shaders::generated::{
-    CLIENT_ATLAS_BICUBIC_FRAG, CLIENT_ATLAS_FRAG, CLIENT_ATLAS_VERT, CornerGpu, EyesGpu,
+    CLIENT_ATLAS_BICUBIC_FRAG, CLIENT_ATLAS_FRAG, CLIENT_ATLAS_MASKED_BICUBIC_FRAG, CLIENT_ATLAS_MASKED_FRAG,
+    CLIENT_ATLAS_MASKED_VERT, CLIENT_ATLAS_VERT, CornerGpu, EyesGpu,
 };
 use std::sync::Arc;
 
@@ -46,10 +48,11 @@ pub struct Lookup {
     pub chroma: Chroma,
 }
 
-/// The pipeline.
+/// The pipelines. What covers all of its block has one without `discard`, so that its depth is tested early.
 pub struct AtlasDraw {
     chroma: Chroma,
     pipeline: GraphicsPipeline,
+    masked: GraphicsPipeline,
     sampler: Sampler,
 }
 
@@ -63,9 +66,12 @@ pub struct BundleSet {
     pub list: DrawList,
     /// The picture.
     pub planes: Planes,
+    /// What cutouts leave of their blocks: a [`CoverageMap`]'s words, once there are any.
+    pub coverage: Buffer,
     /// The last recording that read this set.
     pub last_use: Option<Ticket>,
     groups: [BindGroup; FRAMES_IN_FLIGHT],
+    masked_groups: [BindGroup; FRAMES_IN_FLIGHT],
 }
 
 impl EyeTargets {
@@ -135,26 +141,25 @@ impl EyeTargets {
 }
 
 impl AtlasDraw {
-    /// The pipeline for `pass`.
+    /// The pipelines for `pass`.
     pub fn new(gpu: &Arc<Gpu>, pass: &RenderPass, lookup: Lookup) -> Result<Self, GpuError> {
         let Lookup { reconstruction, chroma } = lookup;
-        let fragment = match reconstruction {
-            Reconstruction::Bilinear => &CLIENT_ATLAS_FRAG,
-            Reconstruction::Bicubic => &CLIENT_ATLAS_BICUBIC_FRAG,
+        let (fragment, masked) = match reconstruction {
+            Reconstruction::Bilinear => (&CLIENT_ATLAS_FRAG, &CLIENT_ATLAS_MASKED_FRAG),
+            Reconstruction::Bicubic => (&CLIENT_ATLAS_BICUBIC_FRAG, &CLIENT_ATLAS_MASKED_BICUBIC_FRAG),
         };
         let desc = GraphicsPipelineDesc {
             cull: vk::CullModeFlags::BACK,
             depth_write: Some(true),
             ..GraphicsPipelineDesc::new(&CLIENT_ATLAS_VERT, fragment, pass)
         };
+        let pipeline = GraphicsPipeline::new(gpu, &desc)?;
+        let masked = GraphicsPipelineDesc { vertex: &CLIENT_ATLAS_MASKED_VERT, fragment: masked, ..desc };
+        let masked = GraphicsPipeline::new(gpu, &masked)?;
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
         let sampler =
             SamplerDesc { filter: vk::Filter::LINEAR, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
-        Ok(Self {
-            chroma,
-            pipeline: GraphicsPipeline::new(gpu, &desc)?,
-            sampler: Sampler::new(gpu, sampler)?,
-        })
+        Ok(Self { chroma, pipeline, masked, sampler: Sampler::new(gpu, sampler)? })
     }
 
     /// Room for a bundle of a connection with these capacities.
@@ -173,21 +178,25 @@ impl AtlasDraw {
         let corners = Buffer::new(gpu, "corners", corner_bytes, Memory::Upload)?;
         let indices = Buffer::new(gpu, "indices", index_bytes, Memory::Upload)?;
         let planes = Planes::new(gpu, recorder, extent, self.chroma)?;
-        let group = |eyes: &Buffer| {
-            let binds = [
+        let coverage = Buffer::new(gpu, "coverage", CoverageMap::byte_count(extent), Memory::Upload)?;
+        let binds = |eyes| {
+            [
                 ("Corners", Bind::Buffer(&corners)),
                 ("Positions", Bind::Buffer(&memory.positions)),
                 ("Eyes", Bind::Buffer(eyes)),
                 ("luma_plane", Bind::Sampled(&planes.images[0], &self.sampler)),
                 ("cb_plane", Bind::Sampled(&planes.images[1], &self.sampler)),
                 ("cr_plane", Bind::Sampled(&planes.images[2], &self.sampler)),
-            ];
-            BindGroup::new(self.pipeline.layout(), &binds)
+                ("Coverage", Bind::Buffer(&coverage)),
+            ]
         };
-        let groups = [group(eyes[0])?, group(eyes[1])?, group(eyes[2])?];
+        let masked = |eyes| BindGroup::new(self.masked.layout(), &binds(eyes));
+        let opaque = |eyes| BindGroup::new(self.pipeline.layout(), &binds(eyes)[..6]);
+        let groups = [opaque(eyes[0])?, opaque(eyes[1])?, opaque(eyes[2])?];
+        let masked_groups = [masked(eyes[0])?, masked(eyes[1])?, masked(eyes[2])?];
         let late = Vec::with_capacity(patch_slots as usize);
         let list = DrawList { late, ..DrawList::default() };
-        Ok(BundleSet { corners, indices, list, planes, last_use: None, groups })
+        Ok(BundleSet { corners, indices, list, planes, coverage, last_use: None, groups, masked_groups })
     }
 
     /// Draws the first `index_count` indices of `set` with the eyes of frame in flight `flight`.
@@ -195,9 +204,17 @@ impl AtlasDraw {
         if index_count == 0 {
             return;
         }
-        recorder.bind(&self.pipeline, &set.groups[flight]);
-        recorder.bind_indices(&set.indices, 0);
-        recorder.draw_indexed(0, index_count);
+        let opaque = index_count.min(set.list.opaque_indices);
+        if opaque > 0 {
+            recorder.bind(&self.pipeline, &set.groups[flight]);
+            recorder.bind_indices(&set.indices, 0);
+            recorder.draw_indexed(0, opaque);
+        }
+        if opaque < index_count {
+            recorder.bind(&self.masked, &set.masked_groups[flight]);
+            recorder.bind_indices(&set.indices, 0);
+            recorder.draw_indexed(opaque, index_count - opaque);
+        }
     }
 }
 

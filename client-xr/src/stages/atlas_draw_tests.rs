@@ -2,6 +2,7 @@
 //! neighbours have the farthest colours; and the lookup against its twin. Validation is on; any message fails.
 
 use super::*;
+use crate::coverage::CoverageMap;
 use crate::decode::Picture;
 use crate::draw_list::ListWriter;
 use crate::motion::skinned::SkinCapacity;
@@ -9,6 +10,7 @@ use crate::stages::eyes_gpu;
 use glam::{Mat4, Vec2};
 use shadecast_gpu::{Access, DesktopDevice, GpuOptions, Needs};
 use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize, PatchKind};
+use shadecast_protocol::coverage::Coverage;
 use shadecast_protocol::ids::{InstanceId, VertexSlot};
 use shadecast_protocol::limits::{BLOCK_MAX_LOG2, BLOCK_MIN_LOG2};
 use shadecast_protocol::memory::ResidentPatch;
@@ -74,8 +76,8 @@ impl Patches {
         let first = self.positions.len() as u32;
         self.positions.extend(corners.map(|[x, y]| [x, y, depth, 1.0]));
         let vertices = [0, 1, 2, 3, 0].map(|corner| VertexSlot(first + corner));
-        let patch =
-            ResidentPatch { instance: InstanceId(0), kind, vertices, double_sided: true, block: Some(block) };
+        let (instance, block) = (InstanceId(0), Some(block));
+        let patch = ResidentPatch { instance, kind, vertices, double_sided: true, block, is_masked: false };
         self.patches.push(patch);
     }
 
@@ -134,6 +136,17 @@ impl Bench {
 
     /// The left eye's bytes of the patches, whose blocks `picture` holds.
     fn draw(&self, shown: &Patches, picture: &Picture, lookup: Lookup) -> Vec<u8> {
+        self.draw_cutouts(shown, picture, lookup, &CoverageMap::new(ATLAS))
+    }
+
+    /// The same of patches of which some cover only what `coverage` leaves, from the first on.
+    fn draw_cutouts(
+        &self,
+        shown: &Patches,
+        picture: &Picture,
+        lookup: Lookup,
+        coverage: &CoverageMap,
+    ) -> Vec<u8> {
         let gpu = &self.gpu;
         let mut recorder = gpu.record().unwrap();
         let positions = Buffer::upload(gpu, "positions", &shown.positions).unwrap();
@@ -146,6 +159,10 @@ impl Bench {
         let mut writer = ListWriter::new(corners, indices);
         shown.patches.iter().for_each(|patch| writer.write(patch));
         let index_count = writer.index_count();
+        set.coverage.write(0, bytemuck::cast_slice(coverage.words()));
+        if shown.patches.iter().any(|patch| patch.is_masked) {
+            set.list.opaque_indices = 0;
+        }
         set.planes.record(&mut recorder, picture);
         recorder.barrier(Access::COPY_WRITE, Access::VERTEX_READ);
         self.targets.begin(&mut recorder, 0);
@@ -217,6 +234,47 @@ fn gpu_and_twin_agree_on_colours_between_texels() {
             let is_close = (f32::from(pixel[1]) - expected).abs() <= 4.0;
             assert!(is_close, "{reconstruction:?}: {pixel:?} for {expected} at {at}");
         }
+    }
+    assert_eq!(bench.gpu.validation_messages(), 0, "{:?}", bench.gpu.validation_texts());
+}
+
+#[test]
+fn gpu_and_twin_agree_on_what_a_cutout_leaves() {
+    let bench = Bench::new();
+    let blocks = blocks();
+    let picture = picture(&blocks);
+    let block = blocks.into_iter().find(|b| [b.size.width(), b.size.height()] == [16, 8]).expect("a size");
+    let screen = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
+    let mut shown = Patches { patches: Vec::new(), positions: Vec::new() };
+    shown.add(block, PatchKind::Two, screen, 0.5);
+    shown.patches[0].is_masked = true;
+    let coverage = Coverage::from_fn(128, |texel| texel.wrapping_mul(2_654_435_761) >> 31 == 1);
+    let mut map = CoverageMap::new(ATLAS);
+    map.cover(block, &coverage);
+    let [first_x, first_y, ..] = block.rect_texels();
+    let value = |at: u32| {
+        let (x, y) = ((at % ATLAS.width()).wrapping_sub(first_x), (at / ATLAS.width()).wrapping_sub(first_y));
+        f32::from(u8::from(x < 16 && y < 8 && coverage.is_covered(y * 16 + x)))
+    };
+    let values = (0..ATLAS.width() * ATLAS.height()).map(value).collect();
+    let bits = Plane { width: ATLAS.width() as usize, values };
+    let rect = block.rect_texels().map(|side| side as f32);
+    let [left, top, right, bottom] = block.lookup_rect_texels();
+    for reconstruction in [Reconstruction::Bilinear, Reconstruction::Bicubic] {
+        let lookup = Lookup { reconstruction, ..Lookup::default() };
+        let pixels = bench.draw_cutouts(&shown, &picture, lookup, &map);
+        let mut drawn = 0;
+        for (number, pixel) in pixels.chunks_exact(4).enumerate() {
+            let place = [number as u32 % SIDE, number as u32 / SIDE].map(|p| (p as f32 + 0.5) / SIDE as f32);
+            let at = Vec2::new(left + (right - left) * place[0], top + (bottom - top) * place[1]);
+            let share = bits.linear(inside_block(at, rect));
+            // Rounding decides where a line passes a half.
+            if (share - 0.5).abs() > 0.01 {
+                assert_eq!(pixel[0] > 128, share > 0.5, "{reconstruction:?}: {share} at {at}");
+            }
+            drawn += usize::from(pixel[0] > 128);
+        }
+        assert!((2000..14_000).contains(&drawn), "{drawn} of {}", SIDE * SIDE);
     }
     assert_eq!(bench.gpu.validation_messages(), 0, "{:?}", bench.gpu.validation_texts());
 }

@@ -126,6 +126,7 @@ impl Probe {
             ("Corners", Bind::Buffer(&set.corners)),
             ("Positions", Bind::Buffer(positions)),
             ("Eyes", Bind::Buffer(&self.eyes)),
+            ("Coverage", Bind::Buffer(&set.coverage)),
         ];
         let group = BindGroup::new(self.pipeline.layout(), &binds)?;
         let mut recorder = self.gpu.record()?;

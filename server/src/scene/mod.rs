@@ -150,6 +150,19 @@ impl SceneGpu {
         self.mesh(instance).levels[level].patches[range.model_number(patch) as usize]
     }
 
+    /// Whether the material of a patch cuts something out.
+    pub fn is_masked(&self, patch: ScenePatch) -> bool {
+        let model = self.numbering.instances[self.numbering.instance_of_patch(patch)].model;
+        let materials = &self.scene.models[model].materials;
+        materials[self.patch(patch).material as usize].alpha_cutoff.is_some()
+    }
+
+    /// Whether any material cuts something out.
+    pub fn has_masks(&self) -> bool {
+        let materials = self.scene.models.iter().flat_map(|model| &model.materials);
+        materials.into_iter().any(|material| material.alpha_cutoff.is_some())
+    }
+
     /// The mesh of an instance.
     pub fn mesh(&self, instance: usize) -> &Mesh {
         &self.models[self.numbering.instances[instance].model].mesh

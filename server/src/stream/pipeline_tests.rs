@@ -122,7 +122,7 @@ impl Studio for FakeStudio {
         let frame = UpdateId(updates.next);
         updates.next += 1;
         let delta = GeometryDelta { update: frame, time, ..GeometryDelta::default() };
-        let delta = UpdateDelta { geometry: delta, sampled: Vec::new() };
+        let delta = UpdateDelta { geometry: delta, ..UpdateDelta::default() };
         let (picture, timings) = (Source::default(), Timings::default());
         Ok(Some(Shaded { update: frame, time, delta, picture, timings }))
     }

@@ -2,6 +2,7 @@
 //! atlas. Motion is [`crate::motion`]'s; the bytes are [`crate::delta`]'s.
 
 use crate::atlas::{Block, PatchKind};
+use crate::coverage::Coverage;
 use crate::ids::{InstanceId, PatchSlot, RestId, UpdateId, VertexSlot};
 use crate::motion::predicted::PredictedVertex;
 use crate::motion::rest::{MeshInfo, RestVertex};
@@ -10,7 +11,7 @@ use crate::time::ServerTime;
 use glam::Vec3;
 
 /// What one update changes in the client's memory. Applied in the order: patch evictions, vertex evictions, instances,
-/// what is skinned, rest vertices, new vertices, new patches, placements, predictions. Deltas follow each other without a gap,
+/// what is skinned, rest vertices, new vertices, new patches, placements, coverage, predictions. Deltas follow each other without a gap,
 /// by their sequence, of which those between updates are a part.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GeometryDelta {
@@ -34,6 +35,8 @@ pub struct GeometryDelta {
     pub evicted_vertices: Vec<VertexSlot>,
     /// Patches whose block changes with this update's picture; `None`: it has none, do not draw it.
     pub placements: Vec<(PatchSlot, Option<Block>)>,
+    /// Of the patches that get a block with this update, those that do not cover all of it. What is not among them is opaque.
+    pub coverage: Vec<(PatchSlot, Coverage)>,
     /// Where predicted vertices will be, ascending by slots; whoever is not among them keeps what was told.
     pub predictions: Vec<PredictedVertex>,
 }
@@ -41,7 +44,8 @@ pub struct GeometryDelta {
 impl GeometryDelta {
     /// How much there is to take in: vertices, patches and placements.
     pub fn records(&self) -> usize {
-        let patches = self.new_patches.len() + self.evicted_patches.len() + self.placements.len();
+        let placed = self.placements.len() + self.coverage.len();
+        let patches = self.new_patches.len() + self.evicted_patches.len() + placed;
         self.new_rests.len()
             + self.new_vertices.len()
             + self.evicted_vertices.len()

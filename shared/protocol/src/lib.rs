@@ -5,6 +5,7 @@
 pub mod atlas;
 pub mod clock;
 pub mod close;
+pub mod coverage;
 pub mod delta;
 pub mod geometry;
 pub mod ids;

@@ -74,6 +74,8 @@ pub const BLOCK_MAX_LOG2: u32 = 9;
 pub const SUPERBLOCK_MIN_LOG2: u32 = 6;
 /// A patch's unit square maps to its block less this many luma texels on each side.
 pub const BLOCK_INSET_TEXELS: u32 = 1;
+/// Texels of blocks whose coverage one delta may tell: those of the largest atlas.
+pub const MAX_COVERED_TEXELS: u32 = ATLAS_MAX_EXTENT[0] * ATLAS_MAX_EXTENT[1];
 /// 16x16 macroblocks in one coded picture: H.264 level 5.2.
 pub const MAX_MACROBLOCKS: u32 = 36_864;
 /// Bytes of one coded macroblock: 3200 bits. Source: ITU-T H.264, A.3.1.
@@ -149,8 +151,8 @@ const WORST_PREDICTED_BYTES: usize = 10 + 16 * PREDICTIONS as usize;
 const WORST_KEY_BYTES: usize = 16 + 16 + 4 + 4;
 /// Bytes that a curve of a clip can cost at worst beside its keys: what it is, steps, and thirteen widths.
 const WORST_CURVE_BYTES: usize = 24;
-/// Bytes that a patch can cost at worst: slot, instance, kind, five vertices, placement, eviction.
-const WORST_PATCH_BYTES: usize = 5 + 4 + 5 * PATCH_MAX_VERTICES as usize + 5 + 4 + 5;
+/// Bytes that a patch can cost at worst: slot, instance, kind, five vertices, placement, eviction, slot and form of coverage.
+const WORST_PATCH_BYTES: usize = 5 + 4 + 5 * PATCH_MAX_VERTICES as usize + 5 + 4 + 5 + 6;
 
 const _: () = {
     assert!(MAX_VERTEX_SLOTS.is_power_of_two() && MAX_PATCH_SLOTS.is_power_of_two());
@@ -195,6 +197,7 @@ const _: () = {
         MAX_SAMPLES_PER_DELTA as usize * WORST_SAMPLE_BYTES
             + MAX_VERTEX_SLOTS as usize * WORST_VERTEX_BYTES
             + MAX_PATCH_SLOTS as usize * WORST_PATCH_BYTES
+            + MAX_COVERED_TEXELS as usize / 8
             <= MAX_DELTA_BYTES,
         "whatever the server may have to say in one delta fits in one"
     );

@@ -4,6 +4,7 @@
 //! that contradicts it is refused by both, and leaves it of no further use.
 
 use crate::atlas::{Block, PatchKind};
+use crate::coverage::Coverage;
 use crate::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, Skinned};
 use crate::ids::{InstanceId, PatchSlot, RestId, SkeletonId, VertexSlot};
 use crate::limits::{MAX_INSTANCES, MAX_REST_VERTICES, MAX_STEP_M, MIN_STEP_M};
@@ -86,6 +87,8 @@ pub struct ResidentPatch {
     pub double_sided: bool,
     /// Where it lies in the atlas; `None`: it is not drawn.
     pub block: Option<Block>,
+    /// It does not cover all of its block.
+    pub is_masked: bool,
 }
 
 impl ClientMemory {
@@ -182,6 +185,7 @@ impl ClientMemory {
         }
         self.patches.insert(&delta.new_patches)?;
         self.patches.place(&delta.placements)?;
+        self.patches.cover(&delta.coverage)?;
         check_predictions(&delta.predictions, |slot| self.is_predicted(slot))?;
         let sampled = delta.new_vertices.iter().filter(|vertex| vertex.motion == Motion::Sampled);
         let mut sampled: Vec<_> = sampled.map(|vertex| vertex.slot).collect();
@@ -437,7 +441,8 @@ impl Patches {
             if place.is_some() {
                 return Err(invalid(WHAT, format!("slot {} is taken", slot.0)));
             }
-            *place = Some(ResidentPatch { instance, kind, vertices, double_sided, block: None });
+            *place =
+                Some(ResidentPatch { instance, kind, vertices, double_sided, block: None, is_masked: false });
         }
         Ok(())
     }
@@ -449,10 +454,27 @@ impl Patches {
     pub fn place(&mut self, placements: &[(PatchSlot, Option<Block>)]) -> Result<(), WireError> {
         placements.iter().try_for_each(|(slot, block)| match self.0.get_mut(slot.index()) {
             Some(Some(patch)) => {
-                patch.block = *block;
+                (patch.block, patch.is_masked) = (*block, false);
                 Ok(())
             }
             _ => Err(invalid("a placement", format!("there is no patch in slot {}", slot.0))),
+        })
+    }
+
+    /// Patches cover only a part of the block that they have just got.
+    ///
+    /// # Errors
+    /// There is no such patch, or its block has not as many texels.
+    pub fn cover(&mut self, coverage: &[(PatchSlot, Coverage)]) -> Result<(), WireError> {
+        coverage.iter().try_for_each(|(slot, coverage)| match self.0.get_mut(slot.index()) {
+            Some(Some(patch)) if patch.block.is_some_and(|b| b.size.texels() == coverage.texels()) => {
+                patch.is_masked = true;
+                Ok(())
+            }
+            _ => {
+                let reason = format!("the patch in slot {} has no block of so many texels", slot.0);
+                Err(invalid("coverage of a block", reason))
+            }
         })
     }
 }

@@ -2,6 +2,7 @@
 
 use glam::{Mat4, Vec2, Vec3, Vec4};
 use shadecast_gpu::{Access, Buffer, DesktopDevice, Gpu, GpuOptions, Memory, Needs};
+use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize};
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
@@ -207,7 +208,7 @@ fn atlas_planes_equal_the_cpu_twin_within_one_code_value() {
     );
     let atlas = Image::new(&gpu, desc).unwrap();
     let staging = Buffer::upload(&gpu, "texels", &rgba8).unwrap();
-    let ycbcr = Ycbcr::new(&gpu, &atlas).unwrap();
+    let ycbcr = Ycbcr::new(&gpu, &atlas, true).unwrap();
     let mut recorder = gpu.record().unwrap();
     let [blank, written, read] =
         [ImageLayout::UNDEFINED, ImageLayout::TRANSFER_DST_OPTIMAL, ImageLayout::SHADER_READ_ONLY_OPTIMAL];
@@ -222,5 +223,12 @@ fn atlas_planes_equal_the_cpu_twin_within_one_code_value() {
     assert_eq!(picture.extent_texels(), twin.extent_texels());
     let worst = picture.bytes().iter().zip(twin.bytes()).map(|(a, b)| a.abs_diff(*b)).max();
     assert!(worst <= Some(1), "{worst:?}");
+    let (address, size) = (BlockAddress { x: 20, y: 12 }, BlockSize { width_log2: 4, height_log2: 5 });
+    let coverage = ycbcr.coverage(Block { address, size });
+    for texel in 0..size.texels() {
+        let (x, y) = (20 + texel % 16, 12 + texel / 16);
+        let alpha = rgba8[((y * extent[0] + x) * 4 + 3) as usize];
+        assert_eq!(coverage.is_covered(texel), alpha >= 128, "{x} {y}");
+    }
     assert_no_messages(&gpu);
 }

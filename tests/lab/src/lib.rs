@@ -13,6 +13,7 @@ pub mod headset_off;
 pub mod hostile;
 pub mod image;
 pub mod keys;
+pub mod leaves;
 pub mod long;
 mod memory;
 pub mod metrics;

@@ -20,11 +20,12 @@ use crate::time::ServerTime;
 use crate::wire::{DeltaHead, GEOMETRY_MAGIC, Reader, WireError, check_count, invalid, peek_delta};
 use batches::{put_samples, take_samples};
 use sections::{
-    put_evictions, put_instances, put_patches, put_placements, put_skinned, put_vertices, take_evictions,
-    take_instances, take_patches, take_placements, take_skinned, take_vertices,
+    put_coverage, put_evictions, put_instances, put_patches, put_placements, put_skinned, put_vertices,
+    take_coverage, take_evictions, take_instances, take_patches, take_placements, take_skinned,
+    take_vertices,
 };
 
-const SECTIONS: usize = 10;
+const SECTIONS: usize = 11;
 
 /// What an update tells the client beside its picture, or what it is told of samples between two updates.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -96,6 +97,8 @@ pub struct DeltaSizes {
     pub patch_bytes: usize,
     /// Placements.
     pub placement_bytes: usize,
+    /// Which texels of blocks are covered.
+    pub coverage_bytes: usize,
     /// Samples, first ones included.
     pub sample_bytes: usize,
     /// Vertex samples coded in `sample_bytes`.
@@ -178,6 +181,7 @@ impl DeltaEncoder {
         };
         put_samples(&mut sections[8], samples, &entered.sampled, &self.memory.sampled_slots(), code);
         put_predictions(&mut sections[9], &geometry.predictions);
+        put_coverage(&mut sections[10], &geometry.coverage);
         let bytes = put_header_and([self.next, u32::from(*is_update)], geometry, &sections);
         self.next = self.next.saturating_add(1);
         assert!(bytes.len() <= MAX_DELTA_BYTES, "delta {} has {} bytes", update.0, bytes.len());
@@ -191,6 +195,7 @@ impl DeltaEncoder {
             placement_bytes: length(&[7]),
             sample_bytes: length(&[8]),
             prediction_bytes: length(&[9]),
+            coverage_bytes: length(&[10]),
             new_vertices: geometry.new_vertices.len(),
             new_rests: geometry.new_rests.len(),
             samples: samples.iter().map(|batch| batch.values.len()).sum(),
@@ -254,9 +259,11 @@ impl DeltaDecoder {
             placements,
             samples,
             predicted,
+            coverage,
         ] = sections;
         let vertex_slots = self.memory.vertex_slots() as usize;
         let patch_slots = self.memory.patch_slots() as usize;
+        let placements = take_placements(placements, patch_slots)?;
         let geometry = GeometryDelta {
             update: head.update,
             time,
@@ -267,7 +274,8 @@ impl DeltaDecoder {
             new_rests: take_rests(rests)?,
             new_vertices: take_vertices(vertices, vertex_slots)?,
             new_patches: take_patches(patches, patch_slots)?,
-            placements: take_placements(placements, patch_slots)?,
+            coverage: take_coverage(coverage, &placements)?,
+            placements,
             predictions: take_predictions(predicted, vertex_slots)?,
         };
         let entered = self.memory.apply(&geometry)?;

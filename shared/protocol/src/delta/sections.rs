@@ -1,13 +1,15 @@
 //! The sections of geometry.
 
 use crate::atlas::{Block, PatchKind};
+use crate::coverage::Coverage;
 use crate::geometry::{InstanceInfo, Motion, NewPatch, NewVertex, Skinned};
 use crate::ids::{InstanceId, PatchSlot, RestId, VertexSlot};
-use crate::limits::{MAX_COORDINATE_M, MAX_INSTANCES, NO_BLOCK};
+use crate::limits::{MAX_COORDINATE_M, MAX_COVERED_TEXELS, MAX_INSTANCES, NO_BLOCK};
 use crate::motion::rest::MeshInfo;
 use crate::motion::skeleton::{SkeletonInfo, SkinnedInstance};
 use crate::wire::{Reader, WireError, check_count, invalid, put_varint, put_zigzag};
 use glam::Vec3;
+use std::collections::BTreeMap;
 
 /// Appends `value` as its distance from what follows `previous`; runs of successors are zeros.
 pub(super) fn put_successor(out: &mut Vec<u8>, previous: &mut u32, value: u32) {
@@ -253,4 +255,40 @@ pub(super) fn take_placements(
     }
     reader.finish()?;
     Ok(placements)
+}
+
+/// Slot, then the bits.
+pub(super) fn put_coverage(out: &mut Vec<u8>, coverage: &[(PatchSlot, Coverage)]) {
+    put_varint(out, coverage.len() as u32);
+    let mut previous = BEFORE_FIRST;
+    for (slot, coverage) in coverage {
+        put_successor(out, &mut previous, slot.0);
+        coverage.put(out);
+    }
+}
+
+/// Each is of a block that the same delta places; all together are of no more texels than the largest atlas has.
+pub(super) fn take_coverage(
+    section: &[u8],
+    placements: &[(PatchSlot, Option<Block>)],
+) -> Result<Vec<(PatchSlot, Coverage)>, WireError> {
+    const WHAT: &str = "coverage of blocks";
+    let mut reader = Reader::new(WHAT, section);
+    let count = reader.count(placements.len(), 3)?;
+    let blocks: BTreeMap<PatchSlot, Option<Block>> =
+        if count > 0 { placements.iter().copied().collect() } else { BTreeMap::new() };
+    let mut left = MAX_COVERED_TEXELS;
+    let mut covered = Vec::with_capacity(count);
+    let mut previous = BEFORE_FIRST;
+    for _ in 0..count {
+        let slot = PatchSlot(take_successor(&mut reader, &mut previous)?);
+        let Some(block) = blocks.get(&slot).copied().flatten() else {
+            return Err(invalid(WHAT, format!("the patch in slot {} gets no block", slot.0)));
+        };
+        let texels = block.size.texels();
+        left -= check_count("texels of covered blocks", texels as usize, left as usize)? as u32;
+        covered.push((slot, Coverage::take(&mut reader, texels)?));
+    }
+    reader.finish()?;
+    Ok(covered)
 }

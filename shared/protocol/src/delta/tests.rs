@@ -1,6 +1,7 @@
-use super::sections::put_evictions;
+use super::sections::{put_evictions, put_patches, put_placements, put_vertices};
 use super::*;
 use crate::atlas::{Block, BlockAddress, BlockSize, PatchKind};
+use crate::coverage::Coverage;
 use crate::geometry::{InstanceInfo, Motion, NewPatch, NewVertex};
 use crate::ids::InstanceId;
 use crate::limits::{MAX_INSTANCES, MAX_NEW_SAMPLE_GRIDS};
@@ -148,6 +149,11 @@ impl Chaos {
                 let block = Block { address, size: BlockSize { width_log2, height_log2 } };
                 let block = (!self.dice.once_in(5)).then_some(block);
                 delta.placements.push((PatchSlot(slot), block));
+                if let Some(block) = block.filter(|_| self.dice.once_in(3)) {
+                    let often = 2 + self.dice.below(30);
+                    let coverage = Coverage::from_fn(block.size.texels(), |_| self.dice.once_in(often));
+                    delta.coverage.push((PatchSlot(slot), coverage));
+                }
             }
         }
     }
@@ -349,11 +355,62 @@ fn huge_counts_are_refused_before_anything_is_allocated() {
         (7, "placements"),
         (8, "batches of samples"),
         (9, "predictions"),
+        (10, "coverage of blocks"),
     ] {
         let mut sections = empty_sections();
         sections[section] = vec![0xff, 0xff, 0xff, 0xff, 0x0f];
         assert_refused(&put_header_and([0, 1], &GeometryDelta::default(), &sections), words);
     }
+}
+
+/// A delta's bytes that place one patch of 4 x 4 texels and tell coverage of some slot, with so much of it.
+fn covering(slot: u32, coverage: &[u8]) -> Vec<u8> {
+    let vertex = |slot| {
+        let motion = Motion::Static { position: Vec3::ZERO };
+        NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion }
+    };
+    let vertices = [0, 1, 2, 0, 0].map(VertexSlot);
+    let (instance, kind) = (InstanceId(0), PatchKind::One);
+    let patch = |slot| NewPatch { slot: PatchSlot(slot), instance, kind, vertices, double_sided: false };
+    let size = BlockSize { width_log2: 2, height_log2: 2 };
+    let block = Block { address: BlockAddress::default(), size };
+    let mut sections = empty_sections();
+    for section in [5, 6, 7, 10] {
+        sections[section].clear();
+    }
+    put_vertices(&mut sections[5], &[vertex(0), vertex(1), vertex(2)]);
+    put_patches(&mut sections[6], &[patch(0), patch(1)]);
+    put_placements(&mut sections[7], &[(PatchSlot(0), Some(block)), (PatchSlot(1), None)]);
+    put_evictions(&mut sections[10], std::iter::once(slot));
+    sections[10].extend_from_slice(coverage);
+    put_header_and([0, 1], &GeometryDelta::default(), &sections)
+}
+
+#[test]
+fn coverage_is_that_of_a_block_that_the_same_delta_places() {
+    let decode = |bytes: &[u8]| DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS).decode(bytes);
+    let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+    decoder.decode(&covering(0, &[0, 3, 13])).expect("a hole of three texels");
+    let is_masked = |slot| decoder.memory().patches().get(PatchSlot(slot)).map(|patch| patch.is_masked);
+    assert_eq!((is_masked(0), is_masked(1)), (Some(true), Some(false)));
+    for (slot, words) in [(1, "gets no block"), (2, "gets no block")] {
+        assert_refused(&covering(slot, &[0, 3, 13]), words);
+    }
+    assert_refused(&covering(0, &[0, 3, 14]), "a run of a block's coverage");
+    assert!(decode(&covering(0, &[0, 3, 13, 0])).is_err(), "something follows");
+    assert!(decode(&covering(0, &[0, 3])).is_err(), "something lacks");
+}
+
+#[test]
+fn a_new_placement_takes_coverage_away() {
+    let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+    decoder.decode(&covering(0, &[0, 3, 13])).expect("covered");
+    let mut memory = decoder.memory().clone();
+    let size = BlockSize { width_log2: 2, height_log2: 3 };
+    let block = Some(Block { address: BlockAddress::default(), size });
+    let placed = GeometryDelta { placements: vec![(PatchSlot(0), block)], ..Default::default() };
+    memory.apply(&placed).expect("lawful");
+    assert!(!memory.patches().get(PatchSlot(0)).expect("it stays").is_masked);
 }
 
 #[test]
