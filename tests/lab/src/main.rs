@@ -2,6 +2,7 @@
 
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand, value_parser};
+use serde::Serialize;
 use shadecast_client::stages::atlas_draw::Reconstruction;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_lab::abrupt;
@@ -541,12 +542,7 @@ fn measure_motion(args: MotionArgs) -> anyhow::Result<()> {
     let _ = std::fs::remove_dir_all(&folder);
     let found = found?;
     println!("{found}");
-    if let Some(path) = &args.json {
-        let text = serde_json::to_string_pretty(&found)? + "\n";
-        shadecast_transport::write_atomically(path, text.as_bytes())
-            .with_context(|| format!("writing {}", path.display()))?;
-    }
-    Ok(())
+    args.json.iter().try_for_each(|path| write_json(path, &found))
 }
 
 fn measure_causes(args: CausesArgs) -> anyhow::Result<()> {
@@ -569,12 +565,13 @@ fn measure_causes(args: CausesArgs) -> anyhow::Result<()> {
     let _ = std::fs::remove_dir_all(&folder);
     let found = found?;
     println!("{found}");
-    if let Some(path) = &args.json {
-        let text = serde_json::to_string_pretty(&found)? + "\n";
-        shadecast_transport::write_atomically(path, text.as_bytes())
-            .with_context(|| format!("writing {}", path.display()))?;
-    }
-    Ok(())
+    args.json.iter().try_for_each(|path| write_json(path, &found))
+}
+
+fn write_json(path: &Path, found: &impl Serialize) -> anyhow::Result<()> {
+    let text = serde_json::to_string_pretty(found)? + "\n";
+    shadecast_transport::write_atomically(path, text.as_bytes())
+        .with_context(|| format!("writing {}", path.display()))
 }
 
 fn measure_skinning(args: &SkinningArgs) -> anyhow::Result<()> {
