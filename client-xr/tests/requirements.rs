@@ -91,20 +91,26 @@ fn the_shaders_declare_the_capabilities_of_the_list_and_no_other() {
 fn no_vertex_shader_of_the_client_writes_what_is_no_number() {
     for shader in [&shaders::CLIENT_ATLAS_VERT, &shaders::CLIENT_PROBE_VERT, &shaders::CLIENT_BACKGROUND_VERT]
     {
-        for constant in constants(shader.words) {
+        for constant in float_constants(shader.words) {
             assert!(!f32::from_bits(constant).is_nan(), "{}: constant {constant:#x}", shader.name);
         }
     }
 }
 
-/// Values of the `OpConstant` instructions of one word each.
-fn constants(words: &[u32]) -> Vec<u32> {
+/// Values of the `OpConstant` instructions whose type is a float of 32 bits. Source: SPIR-V 1.3,
+/// sections 2.3, 3.32.6 and 3.32.7.
+fn float_constants(words: &[u32]) -> Vec<u32> {
+    const OP_TYPE_FLOAT: u32 = 22;
+    const OP_CONSTANT: u32 = 43;
+    let mut float_type = None;
     let mut found = Vec::new();
     let mut at = 5;
     while at < words.len() {
         let (length, opcode) = ((words[at] >> 16) as usize, words[at] & 0xffff);
-        if (opcode, length) == (43, 4) {
-            found.push(words[at + 3]);
+        match (opcode, length) {
+            (OP_TYPE_FLOAT, 3) if words[at + 2] == 32 => float_type = Some(words[at + 1]),
+            (OP_CONSTANT, 4) if Some(words[at + 1]) == float_type => found.push(words[at + 3]),
+            _ => {}
         }
         at += length.max(1);
     }
