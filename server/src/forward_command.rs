@@ -62,8 +62,8 @@ pub(crate) struct ForwardArgs {
     /// A camera of the scene, by its name
     #[arg(long, conflicts_with_all = ["position", "yaw", "pitch", "head_path"])]
     camera: Option<String>,
-    /// The camera follows a head path of the scene, by its name, at the scene's time; every scene has still, turn and
-    /// walk
+    /// The camera follows a head path of the scene, by its name, at the scene's time; every scene has still, turn, walk
+    /// and stride
     #[arg(long, conflicts_with_all = ["position", "yaw", "pitch", "window"])]
     head_path: Option<String>,
     /// Camera in the stage: x,y,z in metres, y up, -z forward

@@ -17,7 +17,7 @@ use std::time::Duration;
 use openh264_sys2::{
     CAMERA_VIDEO_REAL_TIME, CM_BT709, CONSTANT_ID, CP_BT709, DEBLOCKING_IDC_1, ENCODER_OPTION,
     ENCODER_OPTION_SVC_ENCODE_PARAM_EXT, ENCODER_OPTION_TRACE_LEVEL, ISVCEncoder, ISVCEncoderVtbl, LEVEL_5_2,
-    LOW_COMPLEXITY, PRO_HIGH, RC_OFF_MODE, SEncParamExt, SFrameBSInfo, SLayerBSInfo, SM_FIXEDSLCNUM_SLICE,
+    MEDIUM_COMPLEXITY, PRO_HIGH, RC_OFF_MODE, SEncParamExt, SFrameBSInfo, SLayerBSInfo, SM_FIXEDSLCNUM_SLICE,
     SM_SINGLE_SLICE, SSourcePicture, SSpatialLayerConfig, TRC_BT709, VF_UNDEF, WELS_LOG_QUIET,
     source::APILoader, videoFormatI420, videoFrameTypeI, videoFrameTypeIDR, videoFrameTypeP,
 };
@@ -88,7 +88,7 @@ impl EncoderSettings {
         params.iTargetBitrate = 0;
         params.iMaxBitrate = 0;
         params.bEnableFrameSkip = false;
-        params.iComplexityMode = LOW_COMPLEXITY;
+        params.iComplexityMode = MEDIUM_COMPLEXITY;
         params.uiIntraPeriod = 0;
         params.iNumRefFrame = 1;
         params.bEnableLongTermReference = false;

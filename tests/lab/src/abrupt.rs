@@ -28,6 +28,8 @@ const TURN_DEG_S: f64 = 90.0;
 const SPEED_M_S: f64 = 1.0;
 /// A picture is whole while no more of it is missing: what is missing of one that has settled, and some.
 const WHOLE: f64 = 0.01;
+/// A picture is sharp while its FLIP is no more than so many times that of later ones: what is in view changes all the time.
+const SHARP: f64 = 1.25;
 
 /// How it went.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -40,16 +42,24 @@ pub struct AbruptReport {
     pub still_hole_fraction: f64,
     /// From when the client began to connect to its first picture, seconds of virtual time.
     pub first_picture_s: f64,
+    /// From the start of the head until the picture was as sharp as later on, and stayed so, seconds.
+    pub sharp_after_s: f64,
+    /// FLIP of what `sharp_after_s` calls sharp, the median of the second half of the frames.
+    pub settled_flip: f64,
     /// Of each display frame from the start of the head on: seconds since, share that is missing.
     pub holes: Vec<[f64; 2]>,
+    /// The same with FLIP at 67 pixels a degree, 0 is identical.
+    pub flips: Vec<[f64; 2]>,
 }
 
 impl fmt::Display for AbruptReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { whole_after_s, worst_hole_fraction, still_hole_fraction, first_picture_s, .. } = self;
+        let Self { sharp_after_s, settled_flip, .. } = self;
         write!(
             f,
-            "  abrupt start    whole after {whole_after_s:.3} s, {:.1} % missing at worst ({:.2} % while still), first picture after {first_picture_s:.3} s",
+            "  abrupt start    whole after {whole_after_s:.3} s, {:.1} % missing at worst ({:.2} % while still), \
+             sharp after {sharp_after_s:.3} s (FLIP {settled_flip:.4}), first picture after {first_picture_s:.3} s",
             worst_hole_fraction * 100.0,
             still_hole_fraction * 100.0,
         )
@@ -85,8 +95,13 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<AbruptReport> {
             continue;
         }
         ensure!(shown.update.is_some(), "no picture {since_s:.3} s after the start of the head");
-        let missing = missing(&options, &mut lab, &mut comparer)?;
-        if since_s < 0.0 { still.push(missing) } else { report.holes.push([since_s, missing]) }
+        let (missing, flip) = looked_at(&options, &mut lab, &mut comparer)?;
+        if since_s < 0.0 {
+            still.push(missing);
+        } else {
+            report.holes.push([since_s, missing]);
+            report.flips.push([since_s, flip]);
+        }
     }
     report.first_picture_s = first_ns.context("no picture")? as f64 * 1e-9;
     report.still_hole_fraction = still.iter().sum::<f64>() / still.len().max(1) as f64;
@@ -97,20 +112,30 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<AbruptReport> {
 impl AbruptReport {
     fn judge(&mut self) {
         self.worst_hole_fraction = self.holes.iter().map(|[_, missing]| *missing).fold(0.0, f64::max);
-        let last = self.holes.iter().rposition(|[_, missing]| *missing > WHOLE);
-        let whole = last.map_or(0, |last| last + 1).min(self.holes.len().saturating_sub(1));
-        self.whole_after_s = self.holes.get(whole).map_or(0.0, |[since_s, _]| *since_s);
+        self.whole_after_s = within_after_s(&self.holes, WHOLE);
+        let mut late: Vec<f64> =
+            self.flips[self.flips.len() / 2..].iter().map(|[_, flip]| *flip).collect();
+        late.sort_by(f64::total_cmp);
+        self.settled_flip = late.get(late.len() / 2).copied().unwrap_or(0.0);
+        self.sharp_after_s = within_after_s(&self.flips, SHARP * self.settled_flip);
     }
 }
 
-/// The share of what both eyes should see that is missing.
-fn missing(options: &RunOptions, lab: &mut Lab, comparer: &mut Comparer) -> anyhow::Result<f64> {
+/// From when on the second number of each row is within `most`; the last row's first where none is.
+fn within_after_s(rows: &[[f64; 2]], most: f64) -> f64 {
+    let last = rows.iter().rposition(|[_, value]| *value > most);
+    let within = last.map_or(0, |last| last + 1).min(rows.len().saturating_sub(1));
+    rows.get(within).map_or(0.0, |[since_s, _]| *since_s)
+}
+
+/// The share of what both eyes should see that is missing, and FLIP of what both see.
+fn looked_at(options: &RunOptions, lab: &mut Lab, comparer: &mut Comparer) -> anyhow::Result<(f64, f64)> {
     let capture = options.out.join("capture");
     let records = read_frames(&capture).context("reading the runtime's frame log")?;
     let record = records.last().context("no frame was captured")?;
     let probes = lab.client.probe()?.map(into_probe);
     let world_from_stage = lab.server.scene.scene.world_from_stage;
-    let mut sum = 0.0;
+    let (mut missing, mut flip) = (0.0, 0.0);
     for (eye, side) in [Side::Left, Side::Right].into_iter().enumerate() {
         let view = record.views.get(eye).context("a captured frame has two views")?;
         let fov: Fov = view.frustum();
@@ -122,9 +147,10 @@ fn missing(options: &RunOptions, lab: &mut Lab, comparer: &mut Comparer) -> anyh
             picture: &picture,
             probe: Some(&probes[eye]),
         })?;
-        sum += metrics.holes.strict;
+        missing += metrics.holes.strict / 2.0;
+        flip += metrics.picture.context("the room fills every view")?.flip / 2.0;
     }
-    Ok(sum / 2.0)
+    Ok((missing, flip))
 }
 
 /// Rows a thousandth of a second apart around the start, so that it is abrupt.
@@ -167,5 +193,14 @@ mod tests {
         report.holes.push([0.6, 0.5]);
         report.judge();
         assert_eq!(report.whole_after_s, 0.6, "never whole counts to the end");
+    }
+
+    #[test]
+    fn sharp_is_when_pictures_are_as_they_are_later_on() {
+        let flips = [0.09, 0.06, 0.038, 0.03, 0.03, 0.031, 0.029, 0.03];
+        let flips = (0..).zip(flips).map(|(frame, flip)| [f64::from(frame) * 0.1, flip]).collect();
+        let mut report = AbruptReport { flips, ..AbruptReport::default() };
+        report.judge();
+        assert_eq!((report.sharp_after_s, report.settled_flip), (f64::from(3) * 0.1, 0.03));
     }
 }

@@ -67,6 +67,7 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "scenes-short" => scenes(&SHORT, "", results),
         "scenes" => scenes(&LONG, "", results),
         "scenes-slow" => scenes(&LONG, "-slow", results),
+        "picture" => picture(results),
         "abrupt" => abrupt(results),
         "slow-link" => slow_link(results),
         "viewers" => viewers(results),
@@ -179,6 +180,36 @@ fn rows(results: &Path, file: &str, rows: &[(&str, &str)], columns: &[Column]) -
     markdown(&heads, rows.iter().map(row))
 }
 
+/// Pictures of a headset's size: a row a scene and way.
+fn picture(results: &Path) -> String {
+    let ways = [
+        ("local", "local, atlas of 4096x2048"),
+        ("local_2048", "local, atlas of 2048x2048"),
+        ("stream_20_ms", "20 +- 10 ms"),
+        ("stream_110_ms", "110 +- 10 ms"),
+    ];
+    let scenes = ["dragons9", "cesium-man", "helmet", "walls"];
+    let columns = [
+        ("animated: PSNR, FLIP", "{stats.animated.psnr_db,1,1} dB, {stats.animated.flip,1,3}"),
+        ("all: PSNR, worst", "{stats.psnr_db,1,1} dB, {stats.psnr_db_worst,1,1} dB"),
+        ("SSIM", "{stats.ssim,1,4}"),
+        ("FLIP", "{stats.flip,1,4}"),
+        ("holes", "{stats.hole_fraction,100,3} %"),
+        ("texels a pixel", "{stats.texels_per_pixel,1,2}"),
+        ("quantiser", "{stats.mean_qp,1,0}"),
+        ("atlas + geometry", "{stats.mbit_per_s.atlas,1,1} + {stats.mbit_per_s.geometry,1,1} Mbit/s"),
+    ];
+    let heads: Vec<&str> = ["scene", "way"].into_iter().chain(columns.iter().map(|(head, _)| *head)).collect();
+    let rows = scenes.iter().flat_map(|scene| {
+        let result = read(results, &format!("picture-{scene}")).unwrap_or_default();
+        ways.map(|(key, way)| {
+            let cells = columns.iter().map(|(_, cell)| cell_of(cell, &result[key]));
+            [(*scene).to_owned(), way.to_owned()].into_iter().chain(cells).collect()
+        })
+    });
+    markdown(&heads, rows)
+}
+
 fn abrupt(results: &Path) -> String {
     let ways = [
         ("stream_100_mbit", "link of 110 ms one way, 100 Mbit/s"),
@@ -188,6 +219,7 @@ fn abrupt(results: &Path) -> String {
     let columns = [
         ("whole after", "{whole_after_s,1,2} s"),
         ("missing at worst", "{worst_hole_fraction,100,1} %"),
+        ("sharp after", "{sharp_after_s,1,2} s"),
         ("missing while still", "{still_hole_fraction,100,2} %"),
         ("first picture", "{first_picture_s,1,2} s"),
     ];

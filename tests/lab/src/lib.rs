@@ -22,6 +22,7 @@ pub mod motion_table;
 pub mod options;
 pub mod page;
 mod percentiles;
+pub mod picture;
 pub mod robot;
 pub mod room;
 pub mod run;

@@ -5,6 +5,7 @@ use crate::abrupt;
 use crate::headset_off::{self, Absence};
 use crate::motion_table::{self, Condition, Kind};
 use crate::options::{Renderer, RunOptions, StageMs, ViewerOptions};
+use crate::picture;
 use crate::robot::robot;
 use crate::room::{MANY_VASES, write_room};
 use crate::run::run;
@@ -105,6 +106,13 @@ fn jobs() -> Vec<Job> {
             jobs.push(Job::new(&format!("{}-512{suffix}", scene.name), work));
         }
     }
+    for scene in PICTURED {
+        let work = move |folder: &Path| {
+            let Some((source, shown)) = scene.found(folder)? else { return Ok(None) };
+            picture::measure(&source, &shown, folder).map(Some)
+        };
+        jobs.push(Job::new(&format!("picture-{}", scene.name), work));
+    }
     for scene in MOVING {
         let work = move |folder: &Path| motion(scene, "auto", &Condition::all(), MOTION_SECONDS, folder);
         jobs.push(Job::new(&format!("motion-auto-{}", scene.name), work));
@@ -113,10 +121,9 @@ fn jobs() -> Vec<Job> {
         motion(MOVING[0], "palette samples paper", &Condition::all(), MOTION_SECONDS, folder)
     }));
     jobs.push(Job::new("motion-dragons9-kinds", |folder| {
-        let nine = LongScene { name: "dragons9", source: LongSource::Dragons(9), clip: None };
         // Wide enough for the paper's predictions, too.
         let link: Condition = NINE_LINK.parse().map_err(anyhow::Error::msg)?;
-        motion(nine, "auto palette samples paper", &[link], NINE_SECONDS, folder)
+        motion(NINE_DRAGONS, "auto palette samples paper", &[link], NINE_SECONDS, folder)
     }));
     jobs.push(Job::new("inspect-error-dragon", |_| inspect_error_of_the_dragon().map(Some)));
     jobs.push(Job::new("second-start-dragons169", |folder| second_start(folder).map(Some)));
@@ -312,6 +319,13 @@ const SCENES: [LongScene; 10] = [
     LongScene { name: "walls", source: LongSource::Walls, clip: None },
 ];
 
+/// The paper's smallest group.
+const NINE_DRAGONS: LongScene =
+    LongScene { name: "dragons9", source: LongSource::Dragons(9), clip: None };
+
+/// What is looked at in pictures of a headset's size.
+const PICTURED: [LongScene; 4] = [NINE_DRAGONS, SCENES[1], SCENES[8], SCENES[9]];
+
 /// What motion is measured with: one that we made, and ordinary ones of each sort.
 const MOVING: [LongScene; 7] = [
     LongScene { name: "dragon", source: LongSource::Dragons(1), clip: None },
@@ -328,6 +342,15 @@ const MOVING: [LongScene; 7] = [
 ];
 
 impl LongScene {
+    /// As [`Self::source`]; says where its file is not there.
+    fn found(&self, folder: &Path) -> anyhow::Result<Option<(SceneSource, String)>> {
+        let found = self.source(folder)?;
+        if found.is_none() {
+            println!("left out: {}, its file is not there", self.name);
+        }
+        Ok(found)
+    }
+
     /// The scene, and what a person writes for it.
     fn source(&self, folder: &Path) -> anyhow::Result<Option<(SceneSource, String)>> {
         Ok(match self.source {
@@ -353,10 +376,7 @@ fn scene_run(
     stages: StageMs,
     compare_every: u32,
 ) -> anyhow::Result<Option<Value>> {
-    let Some((source, shown)) = scene.source(folder)? else {
-        println!("left out: {}, its file is not there", scene.name);
-        return Ok(None);
-    };
+    let Some((source, shown)) = scene.found(folder)? else { return Ok(None) };
     let options = RunOptions {
         clip: scene.clip.map(str::to_owned),
         motion: true,
@@ -384,10 +404,7 @@ fn motion(
     seconds: f64,
     folder: &Path,
 ) -> anyhow::Result<Option<Value>> {
-    let Some((source, shown)) = scene.source(folder)? else {
-        println!("left out: {}, its file is not there", scene.name);
-        return Ok(None);
-    };
+    let Some((source, shown)) = scene.found(folder)? else { return Ok(None) };
     let options = RunOptions {
         clip: scene.clip.map(str::to_owned),
         seconds,

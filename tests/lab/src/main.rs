@@ -154,7 +154,7 @@ struct RunArgs {
     /// Head path (CSV) [default: a short walk]
     #[arg(long)]
     head: Option<PathBuf>,
-    /// A head path of the scene, by its name; every scene has still, turn and walk
+    /// A head path of the scene, by its name; every scene has still, turn, walk and stride
     #[arg(long, conflicts_with = "head")]
     head_path: Option<String>,
     /// Virtual seconds
@@ -181,6 +181,9 @@ struct RunArgs {
     /// Compares with the truth every N display frames (with --dump-every: those that are written)
     #[arg(long, default_value_t = 12, value_parser = value_parser!(u32).range(1..))]
     compare_every: u32,
+    /// Compares nothing before this display frame, so that texels and bits have settled
+    #[arg(long, value_name = "FRAME", default_value_t = 0)]
+    compare_from: u64,
     /// Milliseconds that stages take; measured encodes of 2048x2048 texels take 13 to 65
     #[arg(long, default_value = "server=12,encode=8,decode=6")]
     stage_ms: StageMs,
@@ -458,6 +461,7 @@ fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         seed: args.seed,
         dump_every: args.dump_every,
         compare_every: args.compare_every,
+        compare_from: args.compare_from,
         stages: args.stage_ms,
         validation: args.validation,
         device: args.device,

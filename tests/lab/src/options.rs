@@ -292,6 +292,15 @@ impl RunOptions {
         if let Some(clip) = &self.clip {
             line += &format!(" --clip {clip}");
         }
+        if self.compare_from > 0 {
+            line += &format!(" --compare-from {}", self.compare_from);
+        }
+        if let Head::Named(name) = &self.head {
+            line += &format!(" --head-path {name}");
+        }
+        if self.atlas_extent_texels != usual.atlas_extent_texels {
+            line += &format!(" --atlas {}", self.atlas_extent_texels);
+        }
         match self.quality {
             QualityOptions::Constant(qp) => line += &format!(" --qp {qp}"),
             QualityOptions::Bitrate(mbit_s) if self.quality != usual.quality => {

@@ -644,7 +644,7 @@ fn head_path_moves_the_head_and_holds_what_a_key_leaves_out() {
 #[test]
 fn every_scene_has_the_built_in_head_paths_and_can_replace_them() {
     let scene = viewed(GOOD);
-    for name in ["still", "turn", "walk"] {
+    for name in ["still", "turn", "walk", "stride"] {
         let path = scene.head_path(name).expect("built in");
         for step in 0..100 {
             let pose = path.stage_from_head(f64::from(step) * 0.1);
@@ -656,6 +656,20 @@ fn every_scene_has_the_built_in_head_paths_and_can_replace_them() {
     let scene = viewed(&own);
     assert_eq!(scene.head_paths.iter().filter(|path| path.name == "walk").count(), 1);
     assert_eq!(scene.head_path("walk").expect("own").stage_from_head(1.25).position.x, 0.0);
+}
+
+#[test]
+fn a_stride_goes_a_metre_and_turns_ninety_degrees_a_second() {
+    let scene = viewed(GOOD);
+    let stride = scene.head_path("stride").expect("built in");
+    for (from_s, to_s) in [(0.05, 0.3), (0.7, 1.3), (1.7, 1.9), (2.05, 2.3)] {
+        let (from, to) = (stride.stage_from_head(from_s), stride.stage_from_head(to_s));
+        let passed_s = (to_s - from_s) as f32;
+        let speed_m_s = from.position.distance(to.position) / passed_s;
+        let turn_deg_s = from.orientation.angle_between(to.orientation).to_degrees() / passed_s;
+        assert!((speed_m_s - 1.0).abs() < 0.03, "{from_s}: {speed_m_s} m/s");
+        assert!((turn_deg_s - 90.0).abs() < 3.0, "{from_s}: {turn_deg_s} degrees/s");
+    }
 }
 
 #[test]
