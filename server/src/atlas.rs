@@ -4,7 +4,7 @@
 //! wins. It knows nothing of patches, levels or time.
 
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize};
-use shadecast_protocol::limits::{BLOCK_MAX_LOG2, SUPERBLOCK_MIN_LOG2};
+use shadecast_protocol::limits::{BLOCK_MAX_LOG2, BLOCK_MIN_LOG2, SUPERBLOCK_MIN_LOG2};
 use std::collections::{BTreeMap, BTreeSet};
 
 const CELL_LOG2: u32 = SUPERBLOCK_MIN_LOG2;
@@ -23,6 +23,8 @@ pub struct Atlas {
     /// Superblocks of a size that have a block free, by corner.
     open: BTreeMap<BlockSize, BTreeSet<(u32, u32)>>,
     used_texels: u64,
+    /// By cell of the smallest superblock's side, in rows.
+    cell_extents: Vec<u32>,
 }
 
 #[derive(Clone, Debug)]
@@ -60,7 +62,10 @@ impl Atlas {
                 free[LEVELS - 1].insert((y, x));
             }
         }
-        Self { extent, free, used: BTreeMap::new(), open: BTreeMap::new(), used_texels: 0 }
+        let cells = extent.texels().map(|side| side >> CELL_LOG2);
+        let smallest = BlockSize::new(BLOCK_MIN_LOG2 as u8, BLOCK_MIN_LOG2 as u8).expect("a size");
+        let cell_extents = vec![packed_extent(smallest); (cells[0] * cells[1]) as usize];
+        Self { extent, free, used: BTreeMap::new(), open: BTreeMap::new(), used_texels: 0, cell_extents }
     }
 
     /// Width and height in texels.
@@ -71,6 +76,12 @@ impl Atlas {
     /// Texels inside blocks that are in use.
     pub fn used_texels(&self) -> u64 {
         self.used_texels
+    }
+
+    /// What the blocks are like in each cell of the smallest superblock's side, in rows: width | height << 16, in texels. All
+    /// blocks of a cell are alike, and lie at multiples of their sides. What is free is as it was.
+    pub fn cell_extents(&self) -> &[u32] {
+        &self.cell_extents
     }
 
     /// A block of this size, or `None` where the atlas is full.
@@ -128,6 +139,11 @@ impl Atlas {
     fn open_superblock(&mut self, size: BlockSize) -> Option<(u32, u32)> {
         let side_log2 = side_log2(size);
         let corner = self.take_superblock((side_log2 - CELL_LOG2) as usize)?;
+        let ((y, x), cells) = (corner, 1 << (side_log2 - CELL_LOG2));
+        for row in (y >> CELL_LOG2)..(y >> CELL_LOG2) + cells {
+            let first = (row * (self.extent.width() >> CELL_LOG2) + (x >> CELL_LOG2)) as usize;
+            self.cell_extents[first..first + cells as usize].fill(packed_extent(size));
+        }
         self.used.insert(corner, Superblock { side_log2, size, taken: [0; MAX_PLACES_WORDS], count: 0 });
         self.open.entry(size).or_default().insert(corner);
         Some(corner)
@@ -175,6 +191,10 @@ impl Atlas {
     }
 }
 
+fn packed_extent(size: BlockSize) -> u32 {
+    size.width() | size.height() << 16
+}
+
 fn side_log2(size: BlockSize) -> u32 {
     u32::from(size.width_log2.max(size.height_log2)).max(SUPERBLOCK_MIN_LOG2)
 }
@@ -218,6 +238,20 @@ mod tests {
         }
     }
 
+    #[track_caller]
+    fn assert_cells_tell_blocks(atlas: &Atlas, blocks: &[Block]) {
+        let cells_across = atlas.extent_texels()[0] / 64;
+        for block in blocks {
+            let [left, top, right, bottom] = block.rect_texels();
+            let (width, height) = (right - left, bottom - top);
+            assert!(left.is_multiple_of(width) && top.is_multiple_of(height), "{block:?}");
+            for (x, y) in [(left, top), (right - 1, top), (left, bottom - 1), (right - 1, bottom - 1)] {
+                let cell = y / 64 * cells_across + x / 64;
+                assert_eq!(atlas.cell_extents()[cell as usize], width | height << 16, "{block:?} at {x},{y}");
+            }
+        }
+    }
+
     #[test]
     fn blocks_never_overlap_and_free_plus_used_is_the_atlas_under_churn() {
         let extent = AtlasExtent::new(1024, 512).unwrap();
@@ -234,6 +268,7 @@ mod tests {
             assert_eq!(atlas.free_texels() + atlas.used_texels(), 1024 * 512, "seed 7, step {step}");
             if step % 25 == 0 {
                 assert_no_overlap(&live, extent.texels());
+                assert_cells_tell_blocks(&atlas, &live);
             }
         }
         live.drain(..).for_each(|block| atlas.free(block));

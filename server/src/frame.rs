@@ -490,6 +490,7 @@ impl Frame {
         };
         let around = self.layout.around().filter(|(patch, _)| is_due(*patch));
         self.shading.write_blocks(world.scene(), &world.animation, place, self.layout.live().chain(around));
+        self.ycbcr.write_cells(self.layout.cell_extents());
         let mut recorder = world.gpu().record()?;
         match self.ideal.shading_times.get(&self.next) {
             Some(time) => world.light_at(&mut recorder, place, *time),

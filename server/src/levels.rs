@@ -437,6 +437,11 @@ impl Layout {
         self.live.len()
     }
 
+    /// What the blocks are like in each cell of the atlas: [`Atlas::cell_extents`].
+    pub fn cell_extents(&self) -> &[u32] {
+        self.atlas.cell_extents()
+    }
+
     /// Part of the atlas inside blocks, 0..1.
     pub fn used_share(&self) -> f32 {
         self.share(self.atlas.used_texels())

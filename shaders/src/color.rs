@@ -1,5 +1,5 @@
-//! Colours as a picture's planes: full-range BT.709 (ITU-R BT.709-6, item 3), 4:2:0, chroma centre-sited. On the CPU for
-//! pictures that never were on the device, and the twin of `ycbcr.comp`.
+//! Colours as a picture's planes: full-range BT.709 (ITU-R BT.709-6, item 3), 4:2:0, chroma centre-sited. On the CPU, for
+//! pictures that never were on the device.
 
 use shadecast_protocol::picture::I420;
 
@@ -34,13 +34,13 @@ pub fn full_chroma(rgba8: &[u8]) -> Vec<u8> {
     planes
 }
 
-fn ycbcr(rgb8: &[u8]) -> [f32; 3] {
+pub(crate) fn ycbcr(rgb8: &[u8]) -> [f32; 3] {
     let [r, g, b] = [0, 1, 2].map(|c| f32::from(rgb8[c]) / 255.0);
     let y = 0.2126 * r + 0.7152 * g + 0.0722 * b;
     [y, (b - y) / 1.8556 + 128.0 / 255.0, (r - y) / 1.5748 + 128.0 / 255.0]
 }
 
-fn byte(value: f32) -> u8 {
+pub(crate) fn byte(value: f32) -> u8 {
     (value.clamp(0.0, 1.0) * 255.0).round() as u8
 }
 

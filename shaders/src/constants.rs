@@ -5,6 +5,7 @@
 use shadecast_protocol::atlas::PatchKind;
 use shadecast_protocol::limits::{
     BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_SAMPLE_RING, MAX_VIEWS, PATCH_MAX_VERTICES, PREDICTIONS,
+    SUPERBLOCK_MIN_LOG2,
 };
 use shadecast_protocol::pose::NEAR_M;
 
@@ -37,6 +38,17 @@ impl Literal for [u32; 2] {
     }
 }
 
+impl<const ROWS: usize, const COLUMNS: usize> Literal for [[f32; COLUMNS]; ROWS] {
+    fn literal(&self) -> String {
+        let row = |row: &[f32; COLUMNS]| {
+            let values: Vec<_> = row.iter().map(f32::literal).collect();
+            format!("float[{COLUMNS}]({})", values.join(", "))
+        };
+        let rows: Vec<_> = self.iter().map(row).collect();
+        format!("float[{ROWS}][{COLUMNS}]({})", rows.join(", "))
+    }
+}
+
 /// Defines constants; [`glsl_macros`] gives them and those of elsewhere.
 macro_rules! shared {
     ({ $($known:ident),* $(,)? } $($(#[$doc:meta])* $name:ident: $type:ty = $value:expr;)*) => {
@@ -57,7 +69,9 @@ macro_rules! shared {
 }
 
 shared! {
-    { BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_VIEWS, NEAR_M, PATCH_MAX_VERTICES, PREDICTIONS }
+    {
+        BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_VIEWS, NEAR_M, PATCH_MAX_VERTICES, PREDICTIONS, SUPERBLOCK_MIN_LOG2,
+    }
 
     /// Views that are drawn at once.
     EYES: u32 = 2;
@@ -124,6 +138,18 @@ shared! {
     SUPERSAMPLES: u32 = 4;
     /// Texels across and down that an invocation of `ycbcr.comp` converts.
     YCBCR_TEXELS: [u32; 2] = [8, 2];
+    /// Texels of a row, or of a column, that a chroma sample is made of: its own two, and two on either side.
+    CHROMA_REACH: u32 = 6;
+    /// What each of them counts: for the sample beside the border of a block that has two; and of a wider one for that beside
+    /// the border, for the next, and for all others. Of an opposite border they count mirrored. Nothing beyond the
+    /// border counts. Straight lines between the samples are then nearest to straight lines between the texels' own values, over
+    /// the places that are looked up; an even colour and an even slope stay what they are.
+    CHROMA_TAPS: [[f32; 6]; 4] = [
+        [0.0, 0.0, 0.219, 0.968, -0.093, -0.094],
+        [0.0, 0.0, 0.165, 0.943, 0.119, -0.227],
+        [-0.041, -0.040, 0.544, 0.591, 0.051, -0.105],
+        [-0.118, 0.054, 0.564, 0.564, 0.054, -0.118],
+    ];
 
     /// Set in the first word of a corner's block where the patch does not cover all of it.
     IS_MASKED: u32 = 1 << 31;

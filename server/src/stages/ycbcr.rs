@@ -7,6 +7,7 @@ use shadecast_gpu::{
 };
 use shadecast_protocol::atlas::Block;
 use shadecast_protocol::coverage::Coverage;
+use shadecast_protocol::limits::SUPERBLOCK_MIN_LOG2;
 use shadecast_protocol::picture::I420;
 use shadecast_shaders::constants::YCBCR_TEXELS;
 use shadecast_shaders::generated::{YCBCR_COMP, YcbcrPush};
@@ -22,6 +23,7 @@ pub struct Ycbcr {
     /// On the device, and where the CPU reads it; of a word where the scene has no cutouts.
     coverage: [Buffer; 2],
     has_coverage: bool,
+    cell_extents: Buffer,
     extent: [u32; 2],
 }
 
@@ -41,15 +43,25 @@ impl Ycbcr {
             of_coverage("coverage", Memory::Device)?,
             of_coverage("coverage for the CPU", Memory::Readback)?,
         ];
+        let cells: u32 = extent.map(|side| side.div_ceil(1 << SUPERBLOCK_MIN_LOG2)).iter().product();
+        let cell_extents = Buffer::new(gpu, "blocks of cells", u64::from(cells) * 4, Memory::Upload)?;
         let group = BindGroup::new(
             pipeline.layout(),
             &[
                 ("atlas", Bind::Sampled(atlas, &sampler)),
                 ("Planes", Bind::Buffer(&planes)),
                 ("Coverage", Bind::Buffer(&coverage[0])),
+                ("CellExtents", Bind::Buffer(&cell_extents)),
             ],
         )?;
-        Ok(Self { pipeline, group, _sampler: sampler, planes, readback, coverage, has_coverage, extent })
+        let _sampler = sampler;
+        Ok(Self { pipeline, group, _sampler, planes, readback, coverage, has_coverage, cell_extents, extent })
+    }
+
+    /// Takes what the blocks are like in each cell: [`crate::atlas::Atlas::cell_extents`]. Chroma is made of a block's own
+    /// texels. No submitted work still reads it.
+    pub fn write_cells(&mut self, cell_extents: &[u32]) {
+        self.cell_extents.write(0, bytemuck::cast_slice(cell_extents));
     }
 
     /// Converts and copies to where the CPU reads.

@@ -1,5 +1,5 @@
 //! CPU reference twins: what each GPU stage must compute, in plain Rust, one file per shader stem. For tests alone: what the
-//! product needs too is elsewhere in this crate (of `ycbcr.comp` in [`crate::color`]).
+//! product needs too is elsewhere in this crate.
 pub mod atlas_lookup;
 pub mod footprint;
 pub mod interpolate;
@@ -7,6 +7,7 @@ pub mod level_selection;
 pub mod mark;
 pub mod pose;
 pub mod skin;
+pub mod ycbcr;
 
 #[cfg(test)]
 mod tests {

@@ -37,7 +37,7 @@ fn each_cause_that_is_left_out_makes_the_picture_better_and_the_worst_comes_firs
         assert!(of(cause, Mask::All).flip_gain > 0.0, "{:?}", of(cause, Mask::All));
     }
     let shadow = of(Cause::ShadowTime, Mask::Shadowed);
-    assert!(shadow.psnr_gain_db > 0.2 && shadow.flip_gain > 0.0, "{shadow:?}");
+    assert!(shadow.psnr_gain_db > 0.1 && shadow.flip_gain > 0.0, "{shadow:?}");
     for mask in [Mask::All, Mask::Animated, Mask::Shadowed] {
         let gains: Vec<f64> = found.rows.iter().filter(|r| r.mask == mask).map(|r| r.flip_gain).collect();
         assert!(gains.is_sorted_by(|a, b| a >= b), "{mask:?}: {gains:?}");

@@ -18,7 +18,7 @@ use shadecast_server::stages::level_selection::LevelSelection;
 use shadecast_server::stages::mark::Mark;
 use shadecast_server::stages::view_gpu;
 use shadecast_server::truth::forward::Forward;
-use shadecast_shaders::{color, twin};
+use shadecast_shaders::twin;
 use std::sync::Arc;
 
 fn gpu() -> Arc<Gpu> {
@@ -192,7 +192,7 @@ fn atlas_planes_equal_the_cpu_twin_within_one_code_value() {
     use shadecast_gpu::{Image, ImageDesc};
     use shadecast_server::stages::ycbcr::Ycbcr;
     let gpu = gpu();
-    let extent = [64u32, 48];
+    let extent = [128u32, 128];
     let mut state = 5u32;
     let rgba8: Vec<u8> = (0..extent[0] * extent[1] * 4)
         .map(|_| {
@@ -208,7 +208,10 @@ fn atlas_planes_equal_the_cpu_twin_within_one_code_value() {
     );
     let atlas = Image::new(&gpu, desc).unwrap();
     let staging = Buffer::upload(&gpu, "texels", &rgba8).unwrap();
-    let ycbcr = Ycbcr::new(&gpu, &atlas, true).unwrap();
+    let mut ycbcr = Ycbcr::new(&gpu, &atlas, true).unwrap();
+    // Blocks of every shape lie beside each other.
+    let cell_extents = [4 | 4 << 16, 8 | 4 << 16, 16 | 64 << 16, 64 | 8 << 16];
+    ycbcr.write_cells(&cell_extents);
     let mut recorder = gpu.record().unwrap();
     let [blank, written, read] =
         [ImageLayout::UNDEFINED, ImageLayout::TRANSFER_DST_OPTIMAL, ImageLayout::SHADER_READ_ONLY_OPTIMAL];
@@ -217,7 +220,7 @@ fn atlas_planes_equal_the_cpu_twin_within_one_code_value() {
     recorder.transition(&atlas, [written, read], Access::COPY_WRITE, Access::COMPUTE_READ);
     ycbcr.record(&mut recorder);
     gpu.wait(recorder.submit().unwrap()).unwrap();
-    let twin = color::picture(&rgba8, extent);
+    let twin = twin::ycbcr::picture(&rgba8, extent, &cell_extents);
     let mut picture = I420::default();
     ycbcr.read(&mut picture);
     assert_eq!(picture.extent_texels(), twin.extent_texels());
