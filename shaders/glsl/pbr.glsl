@@ -1,8 +1,9 @@
 // The shading model, one piece of code for the atlas and for the ground truth.
-// glTF 2.0 appendix B: Lambert + GGX with Smith-GGX visibility and Schlick Fresnel. Ambient specular uses the
-// environment BRDF approximation of Karis (2014).
+// glTF 2.0 appendix B: Lambert + GGX with Smith-GGX visibility and Schlick Fresnel. Ambient light is the sky's, by the split
+// sum of Karis (2014).
 #ifndef PBR_GLSL
 #define PBR_GLSL
+#include "ambient.glsl"
 #include "shadow.glsl"
 
 struct Surface {
@@ -40,13 +41,6 @@ vec3 mapped_normal(MaterialGpu m, Surface s) {
     vec3 map = fetch(m, NORMAL_SLOT, m.normal_texture, s, vec4(0.5, 0.5, 1.0, 1.0)).xyz * 2.0 - 1.0;
     map.xy *= m.normal_scale;
     return normalize(map.x * t + map.y * b + map.z * n);
-}
-
-vec3 ambient_brdf(vec3 f0, float roughness, float n_dot_v) {
-    vec4 r = roughness * vec4(-1.0, -0.0275, -0.572, 0.022) + vec4(1.0, 0.0425, 1.04, -0.04);
-    float a004 = min(r.x * r.x, exp2(-9.28 * n_dot_v)) * r.x + r.y;
-    vec2 ab = vec2(-1.04, 1.04) * a004 + r.zw;
-    return f0 * ab.x + ab.y;
 }
 
 // Radiance towards v for an irradiance of 1 on a surface that faces l.
@@ -87,15 +81,14 @@ vec4 shade(MaterialGpu m, Surface s, vec3 world_eye) {
     float occlusion = mix(1.0, fetch(m, OCCLUSION_SLOT, m.occlusion_texture, s, vec4(1.0)).r, m.occlusion_strength);
     vec3 n = mapped_normal(m, s), v = normalize(world_eye - s.world_position);
     vec3 f0 = mix(vec3(0.04), base.rgb, metallic), diffuse = base.rgb * (1.0 - metallic);
-    // The gradient's irradiance over a hemisphere around n, divided by pi: the middle of what it sees.
-    vec3 ambient = sky_radiance(light.zenith.rgb, light.horizon.rgb, light.nadir.rgb, n * abs(n));
-    vec3 mirrored = sky_radiance(light.zenith.rgb, light.horizon.rgb, light.nadir.rgb, reflect(-v, n));
-    vec3 soft = mix(mirrored, ambient, roughness);
+    vec3 zenith = light.zenith.rgb, horizon = light.horizon.rgb, nadir = light.nadir.rgb;
+    vec3 ambient = sky_irradiance(zenith, horizon, nadir, n.y);
+    vec3 mirrored = sky_reflection(zenith, horizon, nadir, reflect(-v, n).y, roughness);
     vec3 glow = fetch(m, EMISSIVE_SLOT, m.emissive_texture, s, vec4(1.0)).rgb;
     vec3 emissive = m.emissive_metallic.rgb * glow;
     float n_v = max(dot(n, v), 1e-3);
     vec3 radiance = direct_light(s.world_position, normalize(s.world_normal), n, v, diffuse, f0, roughness)
-        + occlusion * (diffuse * ambient + soft * ambient_brdf(f0, roughness, n_v)) + emissive;
+        + occlusion * (diffuse * ambient + mirrored * ambient_brdf(f0, roughness, n_v)) + emissive;
     return vec4(radiance, base.a);
 }
 

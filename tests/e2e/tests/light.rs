@@ -11,6 +11,7 @@ use shadecast_scene::{
 };
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::truth::forward::{Forward, Truth};
+use shadecast_shaders::twin::ambient::{Sky, ambient_brdf};
 use std::sync::Arc;
 
 const SIDE: u32 = 160;
@@ -229,4 +230,57 @@ fn irradiance(light: &Light, way: Vec3) -> f32 {
                 fade * cone * cone * cosine / distance.powi(2)
             }
         }
+}
+
+/// A white ground under a sky alone, as it was shaded and as the twin of `ambient.glsl` says: the largest difference of a code.
+fn differs_from_the_twin(gpu: &Arc<Gpu>, sky: Sky, material: &Material) -> f32 {
+    let mut scene = plane(Vec3::Y);
+    scene.sun.irradiance = Vec3::ZERO;
+    scene.environment = Environment { zenith: sky.zenith, horizon: sky.horizon, nadir: sky.nadir };
+    scene.models[0].textures.clear();
+    scene.models[0].materials = vec![material.clone()];
+    // The ground leans, so that all heights of the sky are reflected.
+    scene.instances[0].placement = Affine3A::from_rotation_x(0.6);
+    let normal = scene.instances[0].placement.transform_vector3(Vec3::Y);
+    let eye = from_above(1.5);
+    let truth = picture(gpu, &scene, eye, ServerTime(0));
+    let seen: Vec<usize> = (0..truth.instance.len()).filter(|pixel| truth.instance[*pixel] == 0).collect();
+    assert!(seen.len() > 1000);
+    let f0 = Vec3::splat(0.04).lerp(Vec3::ONE, material.metallic);
+    let difference = |pixel: usize| {
+        let view = (eye.position - seen_at(&truth, eye, pixel)).normalize();
+        let reflected = 2.0 * view.dot(normal) * normal - view;
+        let share = ambient_brdf(f0, material.roughness, view.dot(normal));
+        let radiance = (1.0 - material.metallic) * sky.irradiance(normal.y)
+            + share * sky.reflection(reflected.y, material.roughness);
+        let found = &truth.rgb8[pixel * 3..][..3];
+        (0..3).map(|i| (f32::from(found[i]) - code(radiance[i])).abs()).fold(0.0, f32::max)
+    };
+    // Pixels at the ground's outline hold background too.
+    let mut differences: Vec<f32> = seen.into_iter().map(difference).collect();
+    differences.sort_by(f32::total_cmp);
+    differences[differences.len() * 97 / 100]
+}
+
+/// Tone-mapped and sRGB-coded, 0 to 255.
+fn code(x: f32) -> f32 {
+    let display = x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14);
+    255.0 * (1.055 * display.clamp(0.0, 1.0).powf(1.0 / 2.4) - 0.055)
+}
+
+#[test]
+fn the_sky_lights_a_surface_as_the_twin_says_whatever_its_roughness() {
+    let gpu = gpu();
+    let sky = Sky {
+        zenith: Vec3::new(0.1, 0.3, 0.9),
+        horizon: Vec3::new(0.9, 0.6, 0.2),
+        nadir: Vec3::new(0.05, 0.2, 0.1),
+    };
+    for metallic in [0.0, 1.0] {
+        for roughness in [0.04, 0.3, 0.6, 1.0] {
+            let material = Material { metallic, roughness, ..Material::default() };
+            let off = differs_from_the_twin(&gpu, sky, &material);
+            assert!(off < 2.0, "metallic {metallic}, roughness {roughness}: {off} of 255");
+        }
+    }
 }
