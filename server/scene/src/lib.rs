@@ -262,7 +262,7 @@ pub struct Material {
     pub occlusion_texture: Option<TextureSlot>,
     /// sRGB.
     pub emissive_texture: Option<TextureSlot>,
-    /// `Some(cutoff)` for alpha MASK; BLEND is treated as opaque, with one warning.
+    /// The alpha below which nothing is drawn, of cutouts; glTF's BLEND becomes one.
     pub alpha_cutoff: Option<f32>,
     /// Both sides are drawn and shaded.
     pub double_sided: bool,

@@ -18,6 +18,9 @@ use serde_json::{Map, Value};
 use shadecast_protocol::text::printable;
 use std::collections::HashMap;
 
+/// The alpha at which a blended material counts as there.
+const BLEND_CUTOFF: f32 = 0.5;
+
 /// Converts materials as primitives ask for them, so that what no triangle uses is not decoded.
 pub(super) struct Materials<'a> {
     pub(super) reader: Reader<'a>,
@@ -77,12 +80,28 @@ impl<'a> Materials<'a> {
             normal_texture: self.texture(normal, sets, false)?,
             occlusion_texture: self.texture(occlusion, sets, false)?,
             emissive_texture: self.texture(emissive, sets, true)?,
-            alpha_cutoff: alpha_cutoff(source, warnings),
+            alpha_cutoff: alpha_cutoff(source),
             double_sided: source.double_sided(),
             unlit: source.extension_value(UNLIT).is_some(),
         };
+        if source.alpha_mode() == AlphaMode::Blend {
+            self.note_blending(&element, &material, warnings);
+        }
         check_factors(&material).map_err(|problem| Fault::new(element, problem))?;
         Ok(clamped(material))
+    }
+
+    /// Says what becomes of a blended material. Vertex colours are not known here; they can only take alpha away.
+    fn note_blending(&self, element: &str, material: &Material, warnings: &mut Warnings) {
+        let most = material
+            .base_color_texture
+            .map_or(u8::MAX, |slot| most_alpha(&self.textures[slot.texture as usize]));
+        let becomes = if material.base_color[3] * f32::from(most) / 255.0 < BLEND_CUTOFF {
+            "is blended and nowhere half opaque: it is left out"
+        } else {
+            "is blended: where it is at least half opaque it is drawn, elsewhere it is cut out"
+        };
+        warnings.insert(format!("{element} {becomes}"));
     }
 
     fn texture(
@@ -302,15 +321,17 @@ fn wrap(mode: WrappingMode) -> Wrap {
     }
 }
 
-fn alpha_cutoff(source: &::gltf::Material, warnings: &mut Warnings) -> Option<f32> {
+/// Alpha below which nothing is drawn. Nothing is blended: what is blended in the file is there or not.
+fn alpha_cutoff(source: &::gltf::Material) -> Option<f32> {
     match source.alpha_mode() {
         AlphaMode::Opaque => None,
         AlphaMode::Mask => Some(source.alpha_cutoff().unwrap_or(0.5)),
-        AlphaMode::Blend => {
-            warnings.insert("blended materials are drawn opaque".into());
-            None
-        }
+        AlphaMode::Blend => Some(BLEND_CUTOFF),
     }
+}
+
+fn most_alpha(texture: &Texture) -> u8 {
+    texture.rgba8.chunks_exact(4).map(|texel| texel[3]).max().unwrap_or(u8::MAX)
 }
 
 pub(crate) fn check_factors(material: &Material) -> Result<(), String> {

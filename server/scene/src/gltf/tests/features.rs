@@ -496,7 +496,6 @@ fn what_is_left_out_is_named_once() {
     glb.root["cameras"] = json!([{ "type": "perspective", "perspective": { "yfov": 1.0, "znear": 0.1 } }]);
     glb.root["nodes"][2]["camera"] = json!(0);
     glb.root["nodes"][3]["camera"] = json!(0);
-    glb.root["materials"][0]["alphaMode"] = json!("BLEND");
     glb.root["extensionsUsed"] =
         json!(["KHR_materials_clearcoat", "KHR_materials_ior", "KHR_mesh_quantization"]);
     let attributes = &mut glb.root["meshes"][0]["primitives"][0]["attributes"];
@@ -508,7 +507,6 @@ fn what_is_left_out_is_named_once() {
     channels.push(json!({ "sampler": 0, "target": { "path": "pointer", "extensions": pointer } }));
     let warnings: Vec<String> = warnings_of(glb).into_iter().collect();
     let expected = [
-        "blended materials are drawn opaque",
         "cameras are ignored; the scene file can define some",
         "curves that do not move a node are ignored",
         "extension KHR_materials_clearcoat is ignored",
@@ -517,6 +515,55 @@ fn what_is_left_out_is_named_once() {
         "vertex colours beyond COLOR_0 are ignored",
     ];
     assert_eq!(warnings, expected);
+}
+
+/// Two white texels.
+fn white_png(alphas: [u8; 2]) -> Vec<u8> {
+    let mut out = Vec::new();
+    let mut encoder = png::Encoder::new(&mut out, 2, 1);
+    encoder.set_color(png::ColorType::Rgba);
+    let mut writer = encoder.write_header().expect("header");
+    writer.write_image_data(&alphas.map(|alpha| [255, 255, 255, alpha]).concat()).expect("data");
+    writer.finish().expect("end");
+    out
+}
+
+/// The sample with its first material blended, of this alpha; its cutoff and what was said about it.
+fn blended(alpha: f32, texture_alpha: Option<[u8; 2]>) -> (Option<f32>, Vec<String>) {
+    let mut glb = sample();
+    let material = &mut glb.root["materials"][0];
+    material["alphaMode"] = json!("BLEND");
+    let pbr = material["pbrMetallicRoughness"].as_object_mut().expect("an object");
+    pbr.insert("baseColorFactor".into(), json!([1, 1, 1, alpha]));
+    match texture_alpha {
+        None => drop(pbr.remove("baseColorTexture")),
+        Some(alphas) => {
+            let view = glb.view(&white_png(alphas));
+            glb.root["images"][0] = json!({ "bufferView": view, "mimeType": "image/png" });
+        }
+    }
+    let (model, warnings) =
+        import(&glb.finish(), "sample.glb", &Surroundings::default()).expect("a good file");
+    let cloth = model.materials.iter().find(|material| material.name == "cloth").expect("the first");
+    (cloth.alpha_cutoff, warnings.into_iter().collect())
+}
+
+#[test]
+fn blended_materials_are_cut_out_at_half_of_their_alpha_and_named() {
+    let cut =
+        "material 'cloth' is blended: where it is at least half opaque it is drawn, elsewhere it is cut out";
+    let gone = "material 'cloth' is blended and nowhere half opaque: it is left out";
+    let cases = [
+        (1.0, None, cut),
+        (0.5, None, cut),
+        (0.4, None, gone),
+        (1.0, Some([0, 200]), cut),
+        (0.6, Some([0, 200]), gone),
+        (1.0, Some([0, 100]), gone),
+    ];
+    for (alpha, texture, said) in cases {
+        assert_eq!(blended(alpha, texture), (Some(0.5), vec![said.into()]), "{alpha} {texture:?}");
+    }
 }
 
 #[test]
