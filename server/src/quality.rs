@@ -168,6 +168,15 @@ impl Quality {
         }
     }
 
+    /// Of the next picture where it must need no other, and of those after it: all of it costs bits anew, which what stands still
+    /// cost once.
+    pub fn refresh_qp(&mut self) -> u8 {
+        if matches!(self.options, QualityOptions::Bitrate(_)) {
+            self.qp = self.qp.max(DEFAULT_QP);
+        }
+        self.qp
+    }
+
     /// A picture is on its way. One that needs no other says nothing of those that do.
     pub fn note_picture(&mut self, picture: SentPicture) {
         let is_slow = picture.encode_s > ENCODER_SHARE * self.period_s;
@@ -317,5 +326,25 @@ mod tests {
         let mut quality = quality();
         quality.note_picture(SentPicture { is_refresh: true, ..sent(10_000_000, 0.0) });
         assert_eq!(quality.qp(), DEFAULT_QP);
+    }
+
+    #[test]
+    fn a_refresh_begins_as_the_first_picture_did_and_then_gets_finer_by_the_same_steps() {
+        let (mut quality, mut scene) = (quality(), Scene::new(0.0, 50_000.0));
+        run(&mut quality, &mut scene, 60);
+        assert_eq!(quality.qp(), FINEST_QP);
+        assert_eq!(quality.refresh_qp(), DEFAULT_QP);
+        scene.still_qp = 51;
+        let bytes = scene.picture(DEFAULT_QP);
+        assert!(bytes <= 50_000, "{bytes}");
+        quality.note_picture(SentPicture { is_refresh: true, ..sent(bytes, 0.0) });
+        let pictures = run(&mut quality, &mut scene, 30);
+        assert_eq!(pictures[0].1, DEFAULT_QP);
+        assert!(pictures.windows(2).all(|pair| pair[1].1 == pair[0].1.saturating_sub(1).max(FINEST_QP)));
+        assert_eq!(pictures[29], (0, FINEST_QP));
+        let mut coarse = Quality { qp: COARSEST_QP, ..quality };
+        assert_eq!(coarse.refresh_qp(), COARSEST_QP, "no finer than it is");
+        let mut constant = Quality::new(QualityOptions::Constant(7), PERIOD_NS);
+        assert_eq!(constant.refresh_qp(), 7);
     }
 }

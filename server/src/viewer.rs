@@ -193,7 +193,8 @@ impl<U: Updates> Viewer<U> {
         let delta = self.sender.stream(&encoded);
         self.last = shaded.update;
         let refresh = std::mem::take(&mut self.refresh);
-        (delta, Update { shaded: Box::new(shaded), sizes: encoded.sizes, refresh, qp: self.quality.qp() })
+        let qp = if refresh { self.quality.refresh_qp() } else { self.quality.qp() };
+        (delta, Update { shaded: Box::new(shaded), sizes: encoded.sizes, refresh, qp })
     }
 
     /// A picture of any update is not needed any more: its memory is used for the next.
