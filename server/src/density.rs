@@ -2,7 +2,8 @@
 //!
 //! Sides are rounded up to powers of two, so that blocks have more than are asked for. More still make a finer picture, and cost time
 //! of shading, room in the atlas and bits: they are asked for where all of these were to spare for a while, and no longer where one
-//! is short. Every block changes then, and is coded anew; what had to be taken back is tried again later each time.
+//! is short. Every block that changes is coded anew, a few with each update ([`crate::sizing`]); what had to be taken back is tried
+//! again later each time.
 
 /// Texels along a pixel, from what is asked for at first to what is asked for where there is room: each step doubles those of an area.
 const STEPS: [f32; 3] = [1.0, std::f32::consts::SQRT_2, 2.0];
@@ -47,7 +48,7 @@ impl Density {
         STEPS[self.step]
     }
 
-    /// An update was placed: blocks take this part of the atlas, with fewer texels than were asked for if it is full.
+    /// An update was placed: blocks come to this part of the atlas, with fewer texels than were asked for if it is full.
     pub fn note(&mut self, spare: Spare, used_share: f32, is_full: bool) {
         let has_room = !is_full && spare == Spare::Room && 2.0 * used_share <= MOST_SHARE;
         let is_short = is_full || spare == Spare::Short;

@@ -285,7 +285,7 @@ impl Frame {
             timings.append(self.look_around(world, &glance, &looks, &sampled)?);
         }
         let changes: Vec<PlacementChange> = self.layout.place(&world.samples, &looks); // 4, 5
-        self.density.note(self.spare_bits, self.layout.used_share(), self.layout.density() < 1.0);
+        self.density.note(self.spare_bits, self.layout.settled_share(), self.layout.density() < 1.0);
         timings.append(self.shade(world, &views, &sampled, &changes)?); // 6
         let began = world.effort.begin();
         let delta: UpdateDelta = self.tell(world, &views, &changes, now); // 8
@@ -343,7 +343,7 @@ impl Frame {
         sampled: &Sampled,
         in_view: &Needed,
     ) -> Result<(Looks, Timings), GpuError> {
-        self.layout.begin();
+        self.layout.begin(self.asked_texels_per_pixel());
         let mut timings = Timings::default();
         for look in 1.. {
             let mut looks = Looks::new(&world.scene().numbering, self.detail.levels());
@@ -504,9 +504,14 @@ impl Frame {
         world.gpu().wait_timed(recorder.submit()?)
     }
 
+    /// Texels for a pixel that extents are measured with.
+    fn asked_texels_per_pixel(&self) -> f32 {
+        self.density.texels_per_pixel() * self.ideal.texels_per_pixel
+    }
+
     fn write_views(&mut self, views: &PredictedViews) {
         let eyes = views.eyes.iter().flat_map(|pair| pair.iter().enumerate());
-        let texels_per_pixel = self.density.texels_per_pixel() * self.ideal.texels_per_pixel;
+        let texels_per_pixel = self.asked_texels_per_pixel();
         let id_extent = self.id_buffer.image.desc().extent.map(|side| side as f32);
         for (index, (side, view)) in eyes.enumerate() {
             let [x, y] = shift_ndc(self.next.0, index as u32, MAX_VIEWS, id_extent);

@@ -28,6 +28,7 @@ pub mod residency;
 pub mod samples;
 pub mod scene;
 pub mod sessions;
+pub mod sizing;
 pub mod stages;
 pub mod stream;
 pub mod surround;
