@@ -24,6 +24,12 @@ const MAX_MARGIN: f32 = 0.35;
 /// Velocities beyond these are tracking errors, not heads.
 const MAX_SPEED_M_S: f32 = 10.0;
 const MAX_TURN_RAD_S: f32 = 20.0;
+/// A head that differs by no more than this from where it was, and is no faster, stands still: what is in view must not change
+/// with the last digits of its pose.
+const STILL_M: f32 = 5e-5;
+const STILL_RAD: f32 = 5e-5;
+const STILL_M_S: f32 = 2e-3;
+const STILL_RAD_S: f32 = 2e-3;
 /// Never predict farther than this, whatever the path looks like: the ring of samples must hold all view times.
 const MAX_HORIZON_NS: i64 = 400_000_000;
 
@@ -88,7 +94,17 @@ impl HeadTrack {
                 push_bounded(&mut self.errors, error);
             }
         }
-        self.latest = Some(state);
+        self.latest =
+            Some(self.latest.filter(|latest| stands_still(latest, &state)).map_or(state, |latest| {
+                let (linear_velocity, angular_velocity) = (Vec3::ZERO, Vec3::ZERO);
+                HeadState {
+                    sequence: state.sequence,
+                    time: state.time,
+                    linear_velocity,
+                    angular_velocity,
+                    ..latest
+                }
+            }));
     }
 
     /// An update made at `update` was first on display at `displayed`, both on the server's clock.
@@ -161,6 +177,21 @@ impl HeadTrack {
         let error = sorted.get(sorted.len().saturating_sub(1) * 95 / 100).copied().unwrap_or(0.0);
         (MIN_MARGIN + error).min(MAX_MARGIN)
     }
+}
+
+/// Whether a head is where it was, with the eyes that it had, as far as anybody could see.
+fn stands_still(before: &HeadState, now: &HeadState) -> bool {
+    let is_there = |a: Pose, b: Pose| {
+        // The sine of half the angle: its cosine says nothing of so small ones.
+        let half = (a.orientation.inverse() * b.orientation).xyz().length();
+        a.position.distance(b.position) <= STILL_M && 2.0 * half <= STILL_RAD
+    };
+    let mut eyes = before.eyes.iter().zip(&now.eyes);
+    before.discontinuity == now.discontinuity
+        && now.linear_velocity.length() <= STILL_M_S
+        && now.angular_velocity.length() <= STILL_RAD_S
+        && is_there(before.world_from_head, now.world_from_head)
+        && eyes.all(|(a, b)| a.fov == b.fov && is_there(a.head_from_eye, b.head_from_eye))
 }
 
 fn push_bounded<T>(queue: &mut VecDeque<T>, value: T) {
@@ -260,6 +291,48 @@ mod tests {
             let apart_ns = views.times[1].time(DEFAULT_GRID).since(now.plus_ns(4 * FRAME_NS)).abs();
             assert!(apart_ns <= DEFAULT_GRID.spacing_ns / 8 + 2, "{apart_ns} ns");
         }
+    }
+
+    #[test]
+    fn a_head_that_stands_still_is_predicted_at_one_place_and_one_that_goes_slowly_is_not() {
+        let of = |sequence: u32, x: f32, turn: f32| HeadState {
+            linear_velocity: Vec3::new(1e-4, 0.0, 0.0),
+            angular_velocity: Vec3::new(0.0, 1e-4, 0.0),
+            world_from_head: Pose {
+                position: Vec3::new(x, 1.6, 0.0),
+                orientation: Quat::from_rotation_y(0.7 + turn),
+            },
+            ..state(sequence, 1.0 + f64::from(sequence) * 0.01, x, 0.0)
+        };
+        let mut track = HeadTrack::default();
+        let mut views = |state: HeadState| {
+            let now = state.time;
+            track.head(state);
+            track
+                .predict(now, DEFAULT_GRID)
+                .expect("it is known")
+                .eyes
+                .map(|pair| pair.map(|eye| eye.world_from_eye))
+        };
+        views(of(0, 0.0, 0.0));
+        let still = views(of(1, 0.0, 0.0));
+        for (number, noise) in (2..).zip([1e-6, -1e-6, 2e-5, -2e-5]) {
+            assert_eq!(views(of(number, noise, noise)), still, "{noise}");
+        }
+        assert_ne!(views(of(6, 2e-4, 0.0)), still, "it is somewhere else");
+        let there = views(of(7, 2e-4, 0.0));
+        assert_ne!(views(of(8, 2e-4, 1e-3)), there, "it has turned");
+        let mut x = 0.0;
+        for number in 9..400 {
+            x += 2e-5;
+            let [[left, _], ..] = views(of(number, x, 0.0));
+            assert!((left.position.x - views_x(x)).abs() < 1e-4, "{number}");
+        }
+    }
+
+    /// Where the left eye of a head at `x` is that has turned by 0.7.
+    fn views_x(x: f32) -> f32 {
+        x + (Quat::from_rotation_y(0.7) * Vec3::new(-0.0315, 0.0, 0.0)).x
     }
 
     #[test]

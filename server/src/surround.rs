@@ -32,10 +32,27 @@ pub struct Kept {
 pub struct Seen {
     /// The patch.
     pub patch: ScenePatch,
-    /// Width and height in texels at density 1.
+    /// Width and height in texels at density 1: the largest of this round of the sweep and of the last, which look from several
+    /// places, so that blocks do not change with each of them.
     pub extent: [u16; 2],
     /// The update in which it was seen last.
     pub update: u32,
+    /// The largest of this round alone.
+    in_this_round: [u16; 2],
+}
+
+impl Seen {
+    /// The same after a glance of `update` saw it so large, and `before` it.
+    fn again(self, before: &Self) -> Self {
+        let largest = |a: [u16; 2], b: [u16; 2]| [a[0].max(b[0]), a[1].max(b[1])];
+        let [now, then] = [self.update, before.update].map(|update| update / ROUND_UPDATES);
+        let (last_round, this_round) = match now - then {
+            0 => (before.extent, before.in_this_round),
+            _ => (before.in_this_round, [0; 2]),
+        };
+        let in_this_round = largest(this_round, self.extent);
+        Self { extent: largest(last_round, in_this_round), in_this_round, ..self }
+    }
 }
 
 /// See the module.
@@ -61,7 +78,12 @@ impl Surround {
 
     /// A glance of `update` saw these, ascending.
     pub fn see(&mut self, update: u32, now: impl Iterator<Item = (ScenePatch, [u16; 2])>) {
-        let mut seen: Vec<Seen> = now.map(|(patch, extent)| Seen { patch, extent, update }).collect();
+        let found = |(patch, extent)| {
+            let first = Seen { patch, extent, update, in_this_round: extent };
+            let before = self.seen.binary_search_by_key(&patch, |seen| seen.patch);
+            before.map_or(first, |at| first.again(&self.seen[at]))
+        };
+        let mut seen: Vec<Seen> = now.map(found).collect();
         let held = |held: &&Seen| update - held.update <= ROUND_UPDATES;
         let is_new = |patch| seen.binary_search_by_key(&patch, |seen: &Seen| seen.patch).is_ok();
         let before: Vec<Seen> =
@@ -165,16 +187,32 @@ mod tests {
     }
 
     #[test]
-    fn what_was_seen_is_known_for_a_round_of_the_sweep_with_its_latest_extent() {
+    fn what_was_seen_is_known_for_a_round_of_the_sweep() {
         let mut surround = Surround::new(0.25, ROOM);
         let mut see = |update: u32, patches: &[u32]| {
-            let extent = [update as u16; 2];
-            surround.see(update, patches.iter().map(|patch| (ScenePatch(*patch), extent)));
-            surround.seen().iter().map(|seen| (seen.patch.0, seen.extent[0])).collect::<Vec<_>>()
+            surround.see(update, patches.iter().map(|patch| (ScenePatch(*patch), [5; 2])));
+            surround.seen().iter().map(|seen| seen.patch.0).collect::<Vec<_>>()
         };
-        assert_eq!(see(1, &[2, 5]), [(2, 1), (5, 1)]);
-        assert_eq!(see(3, &[3, 5]), [(2, 1), (3, 3), (5, 3)]);
-        assert_eq!(see(1 + ROUND_UPDATES, &[]), [(2, 1), (3, 3), (5, 3)]);
-        assert_eq!(see(2 + ROUND_UPDATES, &[9]), [(3, 3), (5, 3), (9, 50)]);
+        assert_eq!(see(1, &[2, 5]), [2, 5]);
+        assert_eq!(see(3, &[3, 5]), [2, 3, 5]);
+        assert_eq!(see(1 + ROUND_UPDATES, &[]), [2, 3, 5]);
+        assert_eq!(see(2 + ROUND_UPDATES, &[9]), [3, 5, 9]);
+    }
+
+    #[test]
+    fn an_extent_is_the_largest_of_a_round_so_that_places_of_the_eye_do_not_change_it() {
+        let mut surround = Surround::new(0.25, ROOM);
+        let mut extents = |updates: std::ops::Range<u32>, scale: u16| {
+            let mut see = |update: u32| {
+                let extent = [scale * (10 + (update % ROUND_UPDATES) as u16 % 7), scale * 9];
+                surround.see(update, [(ScenePatch(4), extent)].into_iter());
+                surround.seen()[0].extent
+            };
+            updates.map(&mut see).collect::<Vec<_>>()
+        };
+        extents(0..ROUND_UPDATES, 2);
+        assert!(extents(ROUND_UPDATES..5 * ROUND_UPDATES, 2).iter().all(|extent| *extent == [32, 18]));
+        let smaller = extents(5 * ROUND_UPDATES..8 * ROUND_UPDATES, 1);
+        assert_eq!(smaller[2 * ROUND_UPDATES as usize..], [[16, 9]; ROUND_UPDATES as usize]);
     }
 }

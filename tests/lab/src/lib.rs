@@ -33,6 +33,7 @@ pub mod skinning;
 pub mod slow_link;
 pub mod ssim;
 pub mod stats;
+pub mod steadiness;
 pub mod tearing;
 mod text_table;
 pub mod truth;

@@ -19,6 +19,7 @@ use shadecast_lab::robot::robot;
 use shadecast_lab::room::{MANY_VASES, write_room};
 use shadecast_lab::run::{Report, run};
 use shadecast_lab::skinning;
+use shadecast_lab::steadiness;
 use shadecast_lab::viewers::run_each;
 use shadecast_lab::walls::{TEXELS, write_walls};
 use shadecast_protocol::atlas::AtlasExtent;
@@ -131,6 +132,8 @@ enum Command {
     Detail(RunArgs),
     /// Runs as run does with a head that stands still and then moves at full speed at once, and says how much is missing
     Abrupt(RunArgs),
+    /// Runs as run does, and says how much of the atlas changes from update to update, and when it comes to rest
+    Steady(RunArgs),
     /// Names the Vulkan device that would be used
     Device,
 }
@@ -403,6 +406,7 @@ fn main() {
         Command::RecordTraffic { out } => hostile::traffic::record(&out),
         Command::Detail(args) => measure_detail(args),
         Command::Abrupt(args) => measure_abrupt(args),
+        Command::Steady(args) => measure_steadiness(args),
         Command::Device => name_device(),
     };
     if let Err(error) = result {
@@ -415,6 +419,15 @@ fn measure_abrupt(args: RunArgs) -> anyhow::Result<()> {
     let report = abrupt::measure(&run_options(args)?)?;
     println!("{report}");
     Ok(())
+}
+
+fn measure_steadiness(args: RunArgs) -> anyhow::Result<()> {
+    let out = args.out.clone();
+    let report = steadiness::measure(&run_options(args)?)?;
+    print!("{report}");
+    let path = out.join("steadiness.json");
+    shadecast_transport::write_atomically(&path, serde_json::to_string_pretty(&report)?.as_bytes())
+        .with_context(|| format!("writing {}", path.display()))
 }
 
 fn measure_detail(args: RunArgs) -> anyhow::Result<()> {

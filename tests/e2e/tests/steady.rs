@@ -1,0 +1,59 @@
+//! An atlas that comes to rest, in virtual time: with levels of detail, a surround, quality and density as they ship.
+
+use shadecast_lab::options::{Head, RunOptions};
+use shadecast_lab::room::write_room;
+use shadecast_lab::steadiness::{Steadiness, measure};
+use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_scene::load::SceneSource;
+use shadecast_server::surround::DEFAULT_SURROUND;
+
+/// The room, and three small ones in it: ahead, behind and aside.
+const SCENE: &str = r#"
+[[model]]
+name = "room"
+file = "room.glb"
+[[instance]]
+model = "room"
+[[instance]]
+model = "room"
+name = "ahead"
+translation = [0.4, 0.8, -2.5]
+scale = 0.1
+[[instance]]
+model = "room"
+name = "behind"
+translation = [0.5, 0.6, 1.5]
+scale = 0.1
+[[instance]]
+model = "room"
+name = "aside"
+translation = [1.8, 0.9, -0.4]
+scale = 0.08
+[ground]
+enabled = false
+"#;
+
+#[test]
+fn at_rest_consecutive_atlases_are_the_same_and_deltas_say_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    write_room(folder.path(), [2, 1]).expect("a room");
+    let scene = folder.path().join("rest.toml");
+    std::fs::write(&scene, SCENE).expect("a scene");
+    let options = RunOptions {
+        extent_pixels: [64, 64],
+        atlas_extent_texels: AtlasExtent::new(1024, 1024).expect("an atlas"),
+        head: Head::Named("still".into()),
+        seconds: 8.0,
+        surround: DEFAULT_SURROUND,
+        ..RunOptions::new(SceneSource::File(scene), folder.path().join("run"))
+    };
+    // This file has one test, and no thread has been started yet: the environment is its own.
+    let report = measure(&options).expect("a run");
+    println!("{report}");
+    let last = report.updates.last().expect("updates");
+    assert!(last.texels_per_pixel > 1.0, "there is room for more texels: {last:?}");
+    let settled = report.from_which_on(Steadiness::is_at_rest).expect("it comes to rest");
+    assert!(settled < 170, "it comes to rest at update {settled} of {}", last.update);
+    let [_, worst] = report.resized(1);
+    assert!(worst <= 0.05, "{worst} of the blocks changed their size in one update");
+}
