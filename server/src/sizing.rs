@@ -118,7 +118,7 @@ fn sides(size: BlockSize, of: impl Fn(u8, &dyn Fn(BlockSize) -> u8) -> u8) -> Bl
 }
 
 /// Of all that wait for their turn, ascending, those that have it with this update, and whether these are all: so many that no
-/// more than [`CHANGED_SHARE`] change, who gives up texels before who gets some, and the nearest first.
+/// more than 4 % change, who gives up texels before who gets some, and the nearest first.
 pub fn have_their_turn(turns: &[Turn]) -> (Vec<ScenePatch>, bool) {
     let mut waiting: Vec<&Turn> = turns.iter().filter(|turn| turn.before != turn.after).collect();
     let by_themselves = turns.iter().filter(|turn| turn.changes_by_itself()).count();
