@@ -113,8 +113,7 @@ impl AbruptReport {
     fn judge(&mut self) {
         self.worst_hole_fraction = self.holes.iter().map(|[_, missing]| *missing).fold(0.0, f64::max);
         self.whole_after_s = within_after_s(&self.holes, WHOLE);
-        let mut late: Vec<f64> =
-            self.flips[self.flips.len() / 2..].iter().map(|[_, flip]| *flip).collect();
+        let mut late: Vec<f64> = self.flips[self.flips.len() / 2..].iter().map(|[_, flip]| *flip).collect();
         late.sort_by(f64::total_cmp);
         self.settled_flip = late.get(late.len() / 2).copied().unwrap_or(0.0);
         self.sharp_after_s = within_after_s(&self.flips, SHARP * self.settled_flip);

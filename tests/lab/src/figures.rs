@@ -199,7 +199,8 @@ fn picture(results: &Path) -> String {
         ("quantiser", "{stats.mean_qp,1,0}"),
         ("atlas + geometry", "{stats.mbit_per_s.atlas,1,1} + {stats.mbit_per_s.geometry,1,1} Mbit/s"),
     ];
-    let heads: Vec<&str> = ["scene", "way"].into_iter().chain(columns.iter().map(|(head, _)| *head)).collect();
+    let heads: Vec<&str> =
+        ["scene", "way"].into_iter().chain(columns.iter().map(|(head, _)| *head)).collect();
     let rows = scenes.iter().flat_map(|scene| {
         let result = read(results, &format!("picture-{scene}")).unwrap_or_default();
         ways.map(|(key, way)| {

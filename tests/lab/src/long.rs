@@ -320,8 +320,7 @@ const SCENES: [LongScene; 10] = [
 ];
 
 /// The paper's smallest group.
-const NINE_DRAGONS: LongScene =
-    LongScene { name: "dragons9", source: LongSource::Dragons(9), clip: None };
+const NINE_DRAGONS: LongScene = LongScene { name: "dragons9", source: LongSource::Dragons(9), clip: None };
 
 /// What is looked at in pictures of a headset's size.
 const PICTURED: [LongScene; 4] = [NINE_DRAGONS, SCENES[1], SCENES[8], SCENES[9]];
