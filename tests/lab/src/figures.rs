@@ -68,6 +68,7 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "scenes" => scenes(&LONG, "", results),
         "scenes-slow" => scenes(&LONG, "-slow", results),
         "picture" => picture(results),
+        "costs" => costs(results),
         "abrupt" => abrupt(results),
         "slow-link" => slow_link(results),
         "viewers" => viewers(results),
@@ -209,6 +210,24 @@ fn picture(results: &Path) -> String {
         })
     });
     markdown(&heads, rows)
+}
+
+/// What parts of the picture cost.
+fn costs(results: &Path) -> String {
+    let result = read(results, "costs-dragons3").unwrap_or_default();
+    let columns = [
+        ("server's device an update", "{with.server_ms,1,0} ms, {ratio.server_ms,1,2}x"),
+        ("client's device a frame", "{with.client_ms,1,1} ms, {ratio.client_ms,1,2}x"),
+        ("pictures, QP 22", "{with.picture_bytes,0.001,1} kB, {ratio.picture_bytes,1,2}x"),
+        ("all else", "{with.other_bytes,0.001,1} kB, {ratio.other_bytes,1,2}x"),
+    ];
+    let heads: Vec<&str> = std::iter::once("with").chain(columns.iter().map(|(head, _)| *head)).collect();
+    let rows = result["rows"].as_array().cloned().unwrap_or_default();
+    let row = |row: &Value| {
+        let name = row["part"].as_str().unwrap_or("?").to_owned();
+        std::iter::once(name).chain(columns.iter().map(|(_, cell)| cell_of(cell, row))).collect()
+    };
+    markdown(&heads, rows.iter().map(row))
 }
 
 fn abrupt(results: &Path) -> String {

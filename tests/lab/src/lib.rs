@@ -4,6 +4,7 @@ pub mod abrupt;
 pub mod bars;
 pub mod causes;
 pub mod compare;
+pub mod costs;
 mod cpu_clock;
 pub mod demo;
 pub mod detail;

@@ -2,6 +2,7 @@
 //! there is not made again, so that a run that was broken off goes on where it stopped.
 
 use crate::abrupt;
+use crate::costs;
 use crate::headset_off::{self, Absence};
 use crate::motion_table::{self, Condition, Kind};
 use crate::options::{Renderer, RunOptions, StageMs, ViewerOptions};
@@ -49,6 +50,9 @@ const HEADSET_OFF_SECONDS: f64 = 600.0;
 const SECOND_VIEWER_ROUNDS: usize = 11;
 /// Seconds of a link that is slower than its scene.
 const SLOW_LINK_SECONDS: f64 = 25.0;
+/// Seconds of each run that says what a part of the picture costs, and rounds of all of them.
+const COST_SECONDS: f64 = 1.2;
+const COST_ROUNDS: usize = 3;
 /// Milliseconds one way of the link for the head that starts abruptly.
 const ABRUPT_WAY_MS: f64 = 110.0;
 /// Dragons of the paper's largest group.
@@ -138,6 +142,17 @@ fn jobs() -> Vec<Job> {
         jobs.push(Job::new(name, work));
     }
     jobs.push(Job::new("abrupt-room", |folder| abrupt_room(folder).map(Some)));
+    jobs.push(Job::new("costs-dragons3", |folder| {
+        let options = RunOptions {
+            extent_pixels: [192, 192],
+            seconds: COST_SECONDS,
+            surround: DEFAULT_SURROUND,
+            ..RunOptions::new(SceneSource::Dragons(3), folder.join("run"))
+        };
+        let found = costs::measure(&options, COST_ROUNDS)?;
+        println!("{found}");
+        Ok(Some(serde_json::to_value(found)?))
+    }));
     jobs.push(Job::new("slow-link", |folder| slow_links(folder).map(Some)));
     jobs.push(Job::new("viewers-4", |folder| four_viewers(folder).map(Some)));
     jobs.push(Job::new("second-viewer-dragons9", |folder| second_viewer(folder).map(Some)));

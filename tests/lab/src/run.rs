@@ -8,6 +8,7 @@ use crate::metrics::{FrameMetrics, ProbeView, psnr_db};
 use crate::motion::{Motion, MotionReport};
 use crate::options::{Head, Renderer, RunOptions};
 use crate::runtime::BUILT_IN_WALK;
+use crate::session::seat::Sent;
 use crate::session::{Lab, SERVER_EPOCH_NS, START_NS};
 use crate::sheet::{Sheet, difference};
 use crate::stats::{Counted, MbitPerS, Stats, Summary};
@@ -107,6 +108,12 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
     if options.renderer == Renderer::Forward {
         return forward::run(options, &config);
     }
+    let frames = (options.seconds * options.refresh_hz).round() as u64;
+    let from = options.compare_from;
+    ensure!(
+        from < frames,
+        "comparing from display frame {from} on: the run has {frames}; give it more seconds"
+    );
     // SAFETY: this is called from the main thread of the program, or from tests that hold the lab's lock, before the
     // client's threads start.
     let mut lab = unsafe { Lab::open(options, &config) }?;
@@ -117,6 +124,7 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
         capture,
         capture_every,
         frame: 0,
+        sent_before: Sent::default(),
         summary: Summary::default(),
         with_bundle: 0,
         before: 0,
@@ -125,7 +133,6 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
         clock_errors_ms: Vec::new(),
         compared: Vec::new(),
     };
-    let frames = (options.seconds * options.refresh_hz).round() as u64;
     let bar = progress(options.verbose, frames);
     while let Step::Frame(shown) = lab.step()? {
         let time = ServerTime(shown.display_time.0 - SERVER_EPOCH_NS);
@@ -157,6 +164,8 @@ struct Run<'a> {
     capture_every: u32,
     /// Display frames so far.
     frame: u64,
+    /// What was sent before the first frame that is compared: rates are those of what comes after.
+    sent_before: Sent,
     summary: Summary,
     with_bundle: u64,
     before: u64,
@@ -178,6 +187,9 @@ impl Run<'_> {
     ) -> anyhow::Result<()> {
         let (frame, has_bundle) = (self.frame, update.is_some());
         self.frame += 1;
+        if frame == self.options.compare_from && frame > 0 {
+            self.sent_before = lab.seat().sent;
+        }
         if !has_bundle && self.with_bundle == 0 {
             self.before += 1;
             return Ok(());
@@ -209,25 +221,27 @@ impl Run<'_> {
     }
 
     fn finish(self, lab: &Lab) -> anyhow::Result<Report> {
-        let (server, seat, sent) = (&lab.server, lab.seat(), lab.seat().sent);
+        let (server, seat, sent, before) = (&lab.server, lab.seat(), lab.seat().sent, self.sent_before);
         ensure!(self.with_bundle > 0, "the client showed no bundle in {} s", self.options.seconds);
-        let mbit = |bytes: u64| bytes as f64 * 8e-6 / self.options.seconds;
+        let seconds = self.options.seconds - self.options.compare_from as f64 / self.options.refresh_hz;
+        let updates = (sent.updates - before.updates).max(1) as f64;
+        let mbit = |of: fn(&Sent) -> u64| (of(&sent) - of(&before)) as f64 * 8e-6 / seconds;
         let validation_messages =
             u64::from(server.gpu.validation_messages()) + u64::from(lab.client.stats().validation_messages);
         let stats = self.summary.finish(Counted {
             device: server.gpu.device_name(),
             device_is_cpu: server.gpu.is_cpu(),
             renderer: self.options.renderer.name().into(),
-            server_fps: sent.updates as f64 / self.options.seconds,
+            server_fps: (sent.updates - before.updates) as f64 / seconds,
             client_fps: lab.client.stats().client_fps,
             mbit_per_s: MbitPerS {
-                atlas: mbit(sent.atlas_bytes),
-                geometry: mbit(sent.geometry_bytes + sent.motion.total()),
+                atlas: mbit(|sent| sent.atlas_bytes),
+                geometry: mbit(|sent| sent.geometry_bytes + sent.motion.total()),
             },
             bytes_per_animated_vertex_sample: (sent.motion.samples > 0)
                 .then(|| sent.motion.sample_bytes as f64 / sent.motion.samples as f64),
             mean_qp: (self.options.renderer == Renderer::Stream && sent.updates > 0)
-                .then(|| sent.qp_sum as f64 / sent.updates as f64),
+                .then(|| (sent.qp_sum - before.qp_sum) as f64 / updates),
             validation_messages,
             gpu_ms: seat
                 .gpu_ms
@@ -235,8 +249,8 @@ impl Run<'_> {
                 .map(|(stage, ms)| ((*stage).to_owned(), ms / sent.updates.max(1) as f64))
                 .collect(),
             dropped_patches: seat.dropped_patches(),
-            triangles: sent.triangles as f64 / sent.updates.max(1) as f64,
-            texels_per_pixel: sent.texels_per_pixel_sum / sent.updates.max(1) as f64,
+            triangles: (sent.triangles - before.triangles) as f64 / updates,
+            texels_per_pixel: (sent.texels_per_pixel_sum - before.texels_per_pixel_sum) / updates,
             mean_level: sent.levels[0] as f64 / sent.levels[1].max(1) as f64,
             clock_errors_ms: self.clock_errors_ms,
             clock_error_bound_ms: lab.client.stats().clock_error_bound_ms,

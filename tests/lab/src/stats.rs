@@ -10,7 +10,7 @@ use thiserror::Error;
 use crate::metrics::{FrameMetrics, PictureMetrics, RegionMetrics};
 use crate::options::StageMs;
 
-/// Payload rates, in megabits (10^6) per second of the run.
+/// Payload rates, in megabits (10^6) per second of the run, from the first frame on that may be compared.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MbitPerS {
     /// Video access units.
