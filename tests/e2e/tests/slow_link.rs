@@ -19,7 +19,7 @@ fn a_link_slower_than_the_scene_shows_a_picture_and_goes_on() {
     // This file has one test, and no thread has been started yet: the environment is its own.
     let report = measure(&options).unwrap();
     println!("{report}, shown at {:.2?}", report.shown_s);
-    assert!(report.withheld > 100, "the link carries the scene: the test shows nothing");
+    assert!(report.withheld > 50, "the link carries the scene: the test shows nothing");
     assert!(report.first_picture_s < 5.0, "{report}");
     // The keys of the clip take 1.3 s of this link, once.
     assert!(report.shown_s.len() > 5 && report.longest_pause_s < 3.0, "{report}");
