@@ -22,8 +22,8 @@ pub const HOLD_UPDATES: u32 = 10;
 /// buffer does not come and go.
 const IN_VIEW_UPDATES: u32 = 3;
 /// Densities under pressure: each is this part of the one above.
-const COARSEN: f32 = 0.92;
-/// Blocks in view may take this part of what they could: beyond it density falls.
+const COARSEN: f32 = 0.96;
+/// Blocks in view may take this part of the atlas: beyond it density falls.
 const WELL_FILLED: f32 = 0.9;
 /// A higher density must leave the blocks at most this part of what found no place when density fell. Far enough from
 /// 1 that extents which tremble by a few percent stay on one density.
@@ -315,6 +315,11 @@ impl Layout {
         1.0 - self.share(self.around.iter().map(|(_, size)| u64::from(size.texels())).sum())
     }
 
+    /// Of that, what density is chosen for.
+    fn well_filled(&self) -> f32 {
+        self.limit().min(WELL_FILLED)
+    }
+
     /// Part of the atlas inside blocks of what is in view.
     fn in_view_share(&self) -> f32 {
         let block = |patch: &ScenePatch| self.states[patch.index()].block;
@@ -336,7 +341,7 @@ impl Layout {
     }
 
     fn is_roomy(&self, density: f32) -> bool {
-        let allowed = ROOMY * self.overflow_share.min(WELL_FILLED * self.limit());
+        let allowed = ROOMY * self.overflow_share.min(self.well_filled());
         let fits = |sizes| self.share_at(density, sizes) <= allowed;
         // Blocks that keep their size now may still grow to the exact one.
         self.in_view_share() <= allowed && fits(Sizes::Kept) && fits(Sizes::Exact)
@@ -378,7 +383,7 @@ impl Layout {
             return self.make_room();
         }
         let coarser = || self.share_at(self.density * COARSEN, Sizes::Exact);
-        if are_all && settled > WELL_FILLED * self.limit() && coarser() < settled {
+        if are_all && settled > self.well_filled() && coarser() < settled {
             self.fall(settled);
         }
     }
