@@ -192,11 +192,11 @@ fn picture_short(results: &Path) -> String {
     ];
     let heads: Vec<&str> = std::iter::once("scene").chain(columns.iter().map(|(head, _)| *head)).collect();
     let row = |(scene, label): &(&str, &str)| {
-        let result = read(results, &format!("picture-{scene}")).unwrap_or_default();
+        let result = read(results, &format!("picture-{scene}"))?;
         let cells = columns.iter().map(|(_, cell)| cell_of(cell, &result));
-        std::iter::once((*label).to_owned()).chain(cells).collect()
+        Some(std::iter::once((*label).to_owned()).chain(cells).collect())
     };
-    markdown(&heads, PICTURES.iter().map(row))
+    markdown(&heads, PICTURES.iter().filter_map(row))
 }
 
 /// Pictures of a headset's size: a row a scene and way.
@@ -219,11 +219,12 @@ fn picture(results: &Path) -> String {
     ];
     let heads: Vec<&str> =
         ["scene", "way"].into_iter().chain(columns.iter().map(|(head, _)| *head)).collect();
-    let rows = PICTURES.iter().flat_map(|(scene, label)| {
-        let result = read(results, &format!("picture-{scene}")).unwrap_or_default();
+    let measured =
+        |(scene, label): &(&str, &'static str)| Some((read(results, &format!("picture-{scene}"))?, *label));
+    let rows = PICTURES.iter().filter_map(measured).flat_map(|(result, label)| {
         ways.map(|(key, way)| {
             let cells = columns.iter().map(|(_, cell)| cell_of(cell, &result[key]));
-            [(*label).to_owned(), way.to_owned()].into_iter().chain(cells).collect()
+            [label.to_owned(), way.to_owned()].into_iter().chain(cells).collect()
         })
     });
     markdown(&heads, rows)
