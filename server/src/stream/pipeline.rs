@@ -22,6 +22,7 @@ use anyhow::Context;
 use shadecast_gpu::GpuError;
 use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::message::{Capabilities, Refused, Welcome};
+use shadecast_protocol::session::clock_stamp;
 use shadecast_protocol::time::ServerTime;
 use shadecast_transport::{PeerId, SendError};
 use std::collections::BTreeMap;
@@ -319,7 +320,9 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         });
         let made = guarded(|| {
             let shaded = shaded.map_err(Fault::in_update)?;
-            shaded.map(|shaded| client.send_delta(outlet.as_ref(), peer, shaded, now_ns)).transpose()
+            let Some(shaded) = shaded else { return Ok(None) };
+            let clock = || now.plus_ns(begun.elapsed().as_nanos() as i64);
+            client.send_delta(outlet.as_ref(), peer, shaded, now_ns, clock).map(Some)
         })?;
         let took = begun.elapsed();
         client.stats.busy_s += took.as_secs_f64();
@@ -436,18 +439,22 @@ impl<'a, S: Studio> Pipeline<'a, S> {
 }
 
 impl<U: Updates> Served<U> {
-    /// Sends what changes in the client's memory. A delta cannot be left out: what cannot be sent is the end.
+    /// Sends what changes in the client's memory. A delta cannot be left out: what cannot be sent is the end. `clock` reads the
+    /// server's.
     fn send_delta(
         &mut self,
         outlet: &dyn Outlet,
         peer: PeerId,
         shaded: Shaded,
         now_ns: i64,
+        clock: impl Fn() -> ServerTime,
     ) -> Result<Update, Fault> {
         let frame = shaded.update;
         let time = shaded.time;
         let (delta, update) = self.viewer.finish(shaded);
         let bytes = delta.bytes();
+        // What is sent unreliably may be lost here as well.
+        let _ = outlet.send(peer, clock_stamp(clock()));
         outlet.send(peer, delta).map_err(|error| unsent(&error))?;
         self.viewer.sent(frame, Kind::Delta, bytes, now_ns);
         // What it shows first follows at once.

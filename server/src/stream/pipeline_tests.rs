@@ -14,7 +14,7 @@ use shadecast_gpu::Timings;
 use shadecast_protocol::delta::{DeltaEncoder, EncodedDelta};
 use shadecast_protocol::geometry::GeometryDelta;
 use shadecast_protocol::ids::UpdateId;
-use shadecast_protocol::message::{Displayed, HeadState};
+use shadecast_protocol::message::{Displayed, HeadState, ServerDatagram};
 use shadecast_protocol::session::{Out, ServerEvent};
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
 use shadecast_test_support::peers::head;
@@ -41,6 +41,8 @@ struct Recorder {
     refused: Mutex<Vec<(PeerId, Refused)>>,
     way: Mutex<WayState>,
     is_full: Mutex<bool>,
+    /// What came between deltas, and how many of those had left.
+    stamps: Mutex<Vec<(ServerDatagram, usize)>>,
 }
 
 impl Outlet for Recorder {
@@ -48,7 +50,16 @@ impl Outlet for Recorder {
         if *self.is_full.lock().expect("whole") {
             return Err(SendError::QueueFull);
         }
-        let Out::Stream { bytes, .. } = out else { panic!("{out:?}") };
+        let bytes = match out {
+            Out::Stream { bytes, .. } => bytes,
+            Out::Datagram(bytes) => {
+                let datagram = ServerDatagram::decode(&bytes).expect("a datagram");
+                let deltas = self.deltas.lock().expect("whole").len();
+                self.stamps.lock().expect("whole").push((datagram, deltas));
+                return Ok(());
+            }
+            Out::Control(_) => panic!("the pipeline has nothing to say"),
+        };
         match parse_stream(&bytes).expect("a stream") {
             StreamMessage::Geometry { head, .. } => {
                 self.deltas.lock().expect("whole").push((peer, head.update.0));
@@ -277,6 +288,23 @@ fn updates_are_made_and_sent_for_the_client_that_is_there() {
     let deltas = bench.outlet.deltas.lock().expect("whole").clone();
     assert!(deltas.iter().enumerate().all(|(at, delta)| *delta == (PeerId(1), at as u32)), "{deltas:?}");
     assert_eq!(bench.outlet.pictures.lock().expect("whole")[..2], [(0, true), (1, false)]);
+}
+
+#[test]
+fn each_delta_goes_right_after_a_stamp_of_the_clock() {
+    let bench = Bench::new();
+    bench.comes(1);
+    assert!(bench.run(|recorder| pictures(recorder) >= 5).0.is_ok());
+    let stamps = bench.outlet.stamps.lock().expect("whole").clone();
+    let times: Vec<_> = stamps
+        .iter()
+        .enumerate()
+        .map(|(at, (datagram, deltas))| match datagram {
+            ServerDatagram::ClockStamp { server_send } if *deltas == at => server_send.0,
+            other => panic!("{other:?} after {deltas} deltas"),
+        })
+        .collect();
+    assert!(times.len() >= 5 && times.is_sorted(), "{times:?}");
 }
 
 #[test]

@@ -1,10 +1,13 @@
-//! The client's estimate of the server's clock, from pings and pongs.
+//! The client's estimate of the server's clock, from pings and pongs, and from stamps that leave just before an update.
 //!
 //! Delay is never negative, so that each way of each exchange bounds the offset between the clocks from one side, and
 //! the fastest packets bound it best. Over a window, the two ways' lower envelopes are fitted separately (a ping that
 //! was fast on one way alone still counts) by parallel lines whose slope is the drift; the offset lies in the middle of
 //! them, as if the fastest packets took equally long both ways. The error so falls with the number of exchanges, where
 //! that of a mean falls with its root. Source: Moon, Skelly and Towsley, INFOCOM 1999, for the envelope.
+//!
+//! Where packets keep their order, an answer that leaves soon after an update's hundred packets waits for the slowest of them, and
+//! hardly any way back is as fast as it could be. The way of a stamp is free: it leaves before them. It bounds the way back alone.
 //!
 //! How far the estimate can be off is known too: see [`ClockEstimator::error_bound_ns`].
 //!
@@ -15,9 +18,9 @@
 use crate::time::{ClientTime, ServerTime};
 use std::collections::VecDeque;
 
-/// Exchanges kept, at most.
+/// Exchanges kept, at most, and as many stamps.
 const WINDOW: usize = 640;
-/// Exchanges older than this count no more.
+/// Exchanges and stamps older than this count no more.
 const WINDOW_NS: i64 = 60_000_000_000;
 /// A drift of this size is held against a fit as much as [`DRIFT_COST_NS`] of delay, so that a short window does not
 /// take jitter for drift. Quartz is within 100 parts per million.
@@ -49,12 +52,13 @@ const MAX_CLOCK_NS: i64 = 1 << 62;
 #[derive(Clone, Debug, Default)]
 pub struct ClockEstimator {
     exchanges: VecDeque<Exchange>,
+    stamps: VecDeque<Stamp>,
     mapping: Option<Mapping>,
     /// What the exchanges that the mapping knows leave possible.
     room: Room,
     /// The display frame that was shown last.
     shown: Option<ClientTime>,
-    /// Exchanges have come that the mapping does not know.
+    /// Exchanges or stamps have come that the mapping does not know.
     is_behind: bool,
     /// They contradict those before.
     is_set_anew: bool,
@@ -66,6 +70,14 @@ struct Exchange {
     client_receive: ClientTime,
     /// Offset plus the delay of the way to the server.
     up_ns: i64,
+    /// Delay of the way back less the offset.
+    down_ns: i64,
+}
+
+/// One way back without a way there.
+#[derive(Clone, Copy, Debug)]
+struct Stamp {
+    client_receive: ClientTime,
     /// Delay of the way back less the offset.
     down_ns: i64,
 }
@@ -122,8 +134,7 @@ impl ClockEstimator {
         server_send: ServerTime,
         client_receive: ClientTime,
     ) {
-        let clocks = [client_send.0, server_receive.0, server_send.0, client_receive.0];
-        if clocks.iter().any(|clock| clock.unsigned_abs() > MAX_CLOCK_NS as u64 / 4) {
+        if !are_clocks([client_send.0, server_receive.0, server_send.0, client_receive.0]) {
             return;
         }
         let served_ns = server_send.since(server_receive);
@@ -143,26 +154,46 @@ impl ClockEstimator {
         }
     }
 
-    /// Follows the exchanges taken in since the last call.
+    /// Takes in a stamp: the server's clock read `server_send` when it left, and it came at `client_receive`. Before the first
+    /// exchange it tells nothing, and one that contradicts the exchanges is ignored: the next of those says which clock it is.
+    pub fn note_stamp(&mut self, server_send: ServerTime, client_receive: ClientTime) {
+        if self.mapping.is_none() || !are_clocks([server_send.0, client_receive.0]) {
+            return;
+        }
+        let stamp = Stamp { client_receive, down_ns: client_receive.0 - server_send.0 };
+        if self.room.contradicts_down(stamp) {
+            return;
+        }
+        if self.stamps.len() == WINDOW {
+            self.stamps.pop_front();
+        }
+        self.stamps.push_back(stamp);
+        self.is_behind = true;
+    }
+
+    /// Follows the exchanges and stamps taken in since the last call.
     pub fn settle(&mut self) {
-        let newest = self.exchanges.back().map(|exchange| exchange.client_receive);
-        if let (true, Some(now)) = (std::mem::take(&mut self.is_behind), newest) {
-            self.follow(now);
+        if std::mem::take(&mut self.is_behind) {
+            self.follow();
         }
     }
 
     fn remember(&mut self, exchange: Exchange) {
         if self.mapping.is_some() && self.room.contradicts(exchange) {
             self.exchanges.clear();
+            self.stamps.clear();
             self.is_set_anew = true;
         }
         if self.exchanges.len() == WINDOW {
             self.exchanges.pop_front();
         }
         self.exchanges.push_back(exchange);
-        let is_old = |old: &Exchange| exchange.client_receive.since(old.client_receive) > WINDOW_NS;
-        while self.exchanges.front().is_some_and(is_old) {
+        let is_old = |received: ClientTime| exchange.client_receive.since(received) > WINDOW_NS;
+        while self.exchanges.front().is_some_and(|old| is_old(old.client_receive)) {
             self.exchanges.pop_front();
+        }
+        while self.stamps.front().is_some_and(|old| is_old(old.client_receive)) {
+            self.stamps.pop_front();
         }
     }
 
@@ -189,7 +220,7 @@ impl ClockEstimator {
     }
 
     /// Fits a new line, and turns towards it where something is on display.
-    fn follow(&mut self, now: ClientTime) {
+    fn follow(&mut self) {
         let Some(line) = self.fit() else { return };
         let is_free = std::mem::take(&mut self.is_set_anew);
         let left_ns = match (self.mapping, self.shown) {
@@ -199,17 +230,24 @@ impl ClockEstimator {
             _ => 0,
         };
         self.mapping = Some(Mapping { line, left_ns });
-        self.room = self.room_at(now);
+        self.room = self.room_at(line.origin);
     }
 
-    /// What the exchanges leave possible at `now`: each bounds the offset by its two ways, less sharply the older it is,
+    /// The ways back that are known.
+    fn ways_down(&self) -> impl Iterator<Item = Stamp> {
+        self.exchanges.iter().map(Exchange::way_down).chain(self.stamps.iter().copied())
+    }
+
+    /// What is known leaves this possible at `now`: each exchange bounds the offset by its two ways, less sharply the older it is,
     /// and all bounds hold at once. Source: Marzullo and Owicki 1983 for the intersection; RFC 5905, section 11.2, for the
     /// dispersion by age, there with 15 parts per million.
     fn room_at(&self, now: ClientTime) -> Room {
         let mut room = Room { at: now, low_ns: i64::MIN, high_ns: i64::MAX };
         for exchange in &self.exchanges {
             room.high_ns = room.high_ns.min(exchange.up_ns + dispersion_ns(now, exchange.client_send));
-            room.low_ns = room.low_ns.max(-exchange.down_ns - dispersion_ns(now, exchange.client_receive));
+        }
+        for Stamp { client_receive, down_ns } in self.ways_down() {
+            room.low_ns = room.low_ns.max(-down_ns - dispersion_ns(now, client_receive));
         }
         room
     }
@@ -218,13 +256,14 @@ impl ClockEstimator {
     /// drift, so that a ternary search finds it.
     fn fit(&self) -> Option<Line> {
         let newest = self.exchanges.back()?;
-        let (origin, base_ns) = (newest.client_receive, newest.offset_ns());
+        let stamped = self.stamps.back().map_or(newest.client_receive, |stamp| stamp.client_receive);
+        let (origin, base_ns) = (newest.client_receive.max(stamped), newest.offset_ns());
         let up =
             lower_hull(self.exchanges.iter().map(|exchange| {
                 (exchange.client_send.since(origin) as f64, (exchange.up_ns - base_ns) as f64)
             }));
-        let down = lower_hull(self.exchanges.iter().map(|exchange| {
-            (exchange.client_receive.since(origin) as f64, (exchange.down_ns + base_ns) as f64)
+        let down = lower_hull(self.ways_down().map(|Stamp { client_receive, down_ns }| {
+            (client_receive.since(origin) as f64, (down_ns + base_ns) as f64)
         }));
         let gap = |drift: f64| {
             least(&up, drift) + least(&down, -drift) - DRIFT_COST_NS * (drift / DRIFT_SCALE).powi(2)
@@ -315,7 +354,16 @@ fn least(hull: &[(f64, f64)], slope: f64) -> f64 {
     hull.iter().fold(f64::MAX, |least, point| least.min(point.1 - slope * point.0))
 }
 
+/// Whether all these nanoseconds can be what clocks read.
+fn are_clocks<const N: usize>(clocks: [i64; N]) -> bool {
+    clocks.iter().all(|clock| clock.unsigned_abs() <= MAX_CLOCK_NS as u64 / 4)
+}
+
 impl Exchange {
+    fn way_down(&self) -> Stamp {
+        Stamp { client_receive: self.client_receive, down_ns: self.down_ns }
+    }
+
     /// The offset if both ways took equally long.
     fn offset_ns(&self) -> i64 {
         (self.up_ns - self.down_ns) / 2
@@ -343,9 +391,17 @@ impl Room {
     /// True where no offset fits the exchange and those before: a clock was set anew. That one way was faster than ever is
     /// no contradiction; it takes a part of the room away.
     fn contradicts(&self, exchange: Exchange) -> bool {
-        let slack_ns = |at| dispersion_ns(self.at, at) + CONTRADICTION_NS;
-        exchange.up_ns < self.low_ns.saturating_sub(slack_ns(exchange.client_send))
-            || -exchange.down_ns > self.high_ns.saturating_add(slack_ns(exchange.client_receive))
+        exchange.up_ns < self.low_ns.saturating_sub(self.slack_ns(exchange.client_send))
+            || self.contradicts_down(exchange.way_down())
+    }
+
+    /// The same of one way back.
+    fn contradicts_down(&self, Stamp { client_receive, down_ns }: Stamp) -> bool {
+        -down_ns > self.high_ns.saturating_add(self.slack_ns(client_receive))
+    }
+
+    fn slack_ns(&self, at: ClientTime) -> i64 {
+        dispersion_ns(self.at, at) + CONTRADICTION_NS
     }
 }
 
@@ -444,6 +500,89 @@ mod tests {
             let worst = path.worst_error_ns(seed, 60, 6);
             assert!(worst < MS, "seed {seed}: {worst} ns, where the mean would be off by 5 ms");
         }
+    }
+
+    /// Of sessions over a link that keeps its packets' order, each of them up to 20 ms late, the errors in nanoseconds after
+    /// `seconds`, sorted: two bursts an update take the way back, and poses the way there.
+    fn errors_of_bursts_ns(are_stamped: bool, seconds: i64) -> Vec<i64> {
+        const UPDATE_NS: i64 = 33_333_333;
+        let mut errors: Vec<_> = (0..40)
+            .map(|seed| {
+                let mut dice = Dice::new(seed);
+                let mut arrivals = |mut sent: Vec<(i64, Option<i64>)>| {
+                    sent.sort_by_key(|(at, _)| *at);
+                    let mut last = 0;
+                    let late = |(at, what): (i64, Option<i64>)| {
+                        last = last.max(at + 10 * MS + dice.below(20 * MS as u64) as i64);
+                        (at, last, what)
+                    };
+                    sent.into_iter().map(late).collect::<Vec<_>>()
+                };
+                let every = |period_ns: i64, from_ns: i64| {
+                    (0..seconds * 1000 * MS / period_ns).map(move |i| from_ns + i * period_ns)
+                };
+                let pings = every(25 * MS, 0).map(|at| (at, Some(at)));
+                let others = every(14 * MS, 200 * MS).map(|at| (at, None));
+                let there = arrivals(pings.chain(others).collect());
+                let pongs = there.iter().filter_map(|(_, came, ping)| ping.map(|_| (*came, Some(*came))));
+                let stamps = every(UPDATE_NS, 200 * MS).map(|at| (at - 1, are_stamped.then_some(-1)));
+                let bursts = every(UPDATE_NS, 200 * MS).flat_map(|at| {
+                    let packets = (0..60).chain(80..140).map(move |tenth| at + tenth * MS / 10);
+                    packets.map(|at| (at, None))
+                });
+                let back = arrivals(pongs.chain(stamps).chain(bursts).collect());
+                let mut clock = ClockEstimator::new();
+                let mut up = there.iter().filter_map(|(sent, came, ping)| ping.map(|_| (*sent, *came)));
+                for (left, came, what) in back.into_iter().filter(|(_, came, _)| *came < seconds * 1000 * MS)
+                {
+                    match what {
+                        Some(-1) => clock.note_stamp(ServerTime(left), ClientTime(came)),
+                        Some(_) => {
+                            let (sent, received) = up.next().expect("a ping for each pong");
+                            let received = ServerTime(received);
+                            clock.note_pong(ClientTime(sent), received, ServerTime(left), ClientTime(came));
+                        }
+                        None => {}
+                    }
+                }
+                clock.settle();
+                let now = seconds * 1000 * MS;
+                (clock.server_time(ClientTime(now)).expect("known").0 - now).abs()
+            })
+            .collect();
+        errors.sort_unstable();
+        errors
+    }
+
+    #[test]
+    fn stamps_before_bursts_halve_the_error() {
+        let [pings, stamped] = [false, true].map(|are_stamped| errors_of_bursts_ns(are_stamped, 4));
+        let (median, worst) = (stamped.len() / 2, stamped.len() - 1);
+        assert!(2 * stamped[median] < pings[median], "{} of {} ns", stamped[median], pings[median]);
+        assert!(stamped[worst] < pings[worst], "{} of {} ns", stamped[worst], pings[worst]);
+    }
+
+    #[test]
+    fn a_stamp_of_another_clock_is_ignored_and_the_next_exchange_decides() {
+        let mut clock = ClockEstimator::new();
+        clock.note_stamp(ServerTime(0), ClientTime(0));
+        clock.settle();
+        assert_eq!(clock.server_time(ClientTime(0)), None);
+        let exchange = |clock: &mut ClockEstimator, at: i64, offset_ns: i64| {
+            let server = ServerTime(at + offset_ns + 10 * MS);
+            clock.on_pong(ClientTime(at), server, server, ClientTime(at + 20 * MS));
+        };
+        exchange(&mut clock, 0, 0);
+        let before = clock.server_time(ClientTime(0));
+        clock.note_stamp(ServerTime(5000 * MS), ClientTime(30 * MS));
+        clock.settle();
+        assert_eq!(clock.server_time(ClientTime(0)), before);
+        clock.note_stamp(ServerTime(22 * MS), ClientTime(30 * MS));
+        clock.settle();
+        let bound_ns = clock.error_bound_ns(ClientTime(30 * MS)).expect("known");
+        assert!(bound_ns < 10 * MS, "a way of 8 ms takes a part of the room: {bound_ns} ns");
+        exchange(&mut clock, 40 * MS, 1000 * MS);
+        assert!(clock.stamps.is_empty(), "they are of the clock before");
     }
 
     /// A session as a headset has it: answers come over a link that is as uneven as the dice say, every frame is displayed

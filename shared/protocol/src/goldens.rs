@@ -145,6 +145,8 @@ fn datagrams_keep_their_bytes() {
         server_send: ServerTime(2_000),
     };
     assert_pinned(&pong.encode(), "00aab4de75d00fa01f");
+    let stamp = ServerDatagram::ClockStamp { server_send: ServerTime(2_000) };
+    assert_pinned(&stamp.encode(), "01a01f");
 }
 
 #[test]

@@ -336,6 +336,11 @@ pub enum ServerDatagram {
         /// The server's clock when this was sent.
         server_send: ServerTime,
     },
+    /// Leaves just before an update's streams.
+    ClockStamp {
+        /// The server's clock when this was sent.
+        server_send: ServerTime,
+    },
 }
 
 /// Where the head is and how it moves, in the world's frame.
@@ -710,7 +715,8 @@ mod tests {
         client_datagrams()
             .iter()
             .for_each(|m| assert_eq!(ClientDatagram::decode(&m.encode()).as_ref(), Ok(m)));
-        assert_eq!(ServerDatagram::decode(&pong().encode()), Ok(pong()));
+        let stamp = ServerDatagram::ClockStamp { server_send: ServerTime(i64::MIN) };
+        [pong(), stamp].iter().for_each(|m| assert_eq!(ServerDatagram::decode(&m.encode()).as_ref(), Ok(m)));
     }
 
     #[test]

@@ -240,14 +240,15 @@ impl ClientSession {
         if self.phase == Phase::Ended {
             return;
         }
-        let Ok(ServerDatagram::ClockPong { client_send, server_receive, server_send }) =
-            ServerDatagram::decode(bytes)
-        else {
-            return;
-        };
-        if let Ok(place) = self.outstanding.binary_search(&client_send) {
-            self.outstanding.remove(place);
-            self.clock.note_pong(client_send, server_receive, server_send, now);
+        match ServerDatagram::decode(bytes) {
+            Ok(ServerDatagram::ClockPong { client_send, server_receive, server_send }) => {
+                if let Ok(place) = self.outstanding.binary_search(&client_send) {
+                    self.outstanding.remove(place);
+                    self.clock.note_pong(client_send, server_receive, server_send, now);
+                }
+            }
+            Ok(ServerDatagram::ClockStamp { server_send }) => self.clock.note_stamp(server_send, now),
+            Err(_) => {}
         }
     }
 
@@ -588,6 +589,11 @@ impl DeltaSender {
     pub fn next_update(&self) -> UpdateId {
         UpdateId(self.sent.load(Ordering::Acquire))
     }
+}
+
+/// What goes right before an update's first stream, at `now`: what leaves before so much waits for none of it.
+pub fn clock_stamp(now: ServerTime) -> Out {
+    Out::Datagram(ServerDatagram::ClockStamp { server_send: now }.encode())
 }
 
 /// The stream of samples between two updates: they go before all updates.
@@ -1218,6 +1224,23 @@ mod tests {
         assert_eq!((asked, pair.client.outstanding.len()), (0, 1));
         let seen = pair.client.clock().server_time(NOW).expect("known");
         assert!(seen.since(known).abs() < 1_000_000, "{seen:?} instead of {known:?}");
+    }
+
+    #[test]
+    fn a_stamp_counts_once_the_clock_is_known_and_with_the_next_turn() {
+        let stamp = |server_ns| match clock_stamp(ServerTime(server_ns)) {
+            Out::Datagram(bytes) => bytes,
+            other => panic!("{other:?}"),
+        };
+        let mut fresh = ClientSession::start(hello(), NOW);
+        fresh.on_datagram(&stamp(1), NOW);
+        fresh.on_tick(NOW);
+        assert_eq!(fresh.clock().server_time(NOW), None, "there may be any way between");
+        let mut pair = Pair::connected();
+        let before = pair.client.clock().error_bound_ns(NOW).expect("known");
+        pair.client.on_datagram(&stamp(-1_000_000_000), NOW);
+        pair.client.on_tick(NOW);
+        assert_eq!(pair.client.clock().error_bound_ns(NOW), Some(before), "a second late: it tells nothing");
     }
 
     #[test]

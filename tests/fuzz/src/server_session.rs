@@ -121,8 +121,10 @@ impl Run {
             match out {
                 Out::Control(message) => drop(ServerMessage::decode(&message).expect("it is well-formed")),
                 Out::Datagram(datagram) => {
-                    let ServerDatagram::ClockPong { server_receive, server_send, .. } =
-                        ServerDatagram::decode(&datagram).expect("it is well-formed");
+                    let datagram = ServerDatagram::decode(&datagram).expect("it is well-formed");
+                    let ServerDatagram::ClockPong { server_receive, server_send, .. } = datagram else {
+                        panic!("a session stamps nothing: {datagram:?}");
+                    };
                     assert!(server_receive <= server_send);
                 }
                 Out::Stream { .. } => panic!("a session has no streams of its own"),

@@ -9,7 +9,7 @@ use shadecast_protocol::close::CloseCode;
 use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::ServerOffer;
-use shadecast_protocol::session::{Out, picture_stream};
+use shadecast_protocol::session::{Out, clock_stamp, picture_stream};
 use shadecast_protocol::time::ServerTime;
 use shadecast_protocol::wire::PictureHeader;
 use shadecast_server::encode;
@@ -295,6 +295,7 @@ impl Seat {
         let (delta, update) = viewer.finish(shaded);
         server.world.effort.add_delta(began);
         self.count(update.sizes);
+        self.streams.push_back(clock_stamp(ServerTime(now_ns - SERVER_EPOCH_NS)));
         self.send(update.shaded.update, Kind::Delta, delta, now_ns);
         self.motion(server, way, now_ns);
         self.encode(update, now_ns + self.encode_ns)
