@@ -210,7 +210,7 @@ impl<U: Updates> Viewer<U> {
 
     /// The stream of an update's picture was handed to the transport.
     pub fn sent_picture(&mut self, update: UpdateId, picture: SentPicture, now_ns: i64) {
-        self.quality.note_picture(picture);
+        self.quality.note_picture(picture, now_ns);
         self.gate.sent(update, Kind::Picture, picture.stream_bytes, now_ns);
     }
 }

@@ -27,9 +27,9 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// Pings: every display frame at the start, then 40 a second. A clock that is off by 1 ms puts a fast wing 0.3 % of its
+/// Pings: every display frame in the first seconds, then 40 a second. A clock that is off by 1 ms puts a fast wing 0.3 % of its
 /// range off its place, and the envelope of jitter is only as good as it is often sampled.
-const QUICK_PINGS: u32 = 100;
+const QUICK_PINGS: u32 = 500;
 /// What a message about motion takes while it waits, beside its bytes.
 const MOTION_OVERHEAD_BYTES: usize = 64;
 const QUICK_PING_NS: i64 = 10_000_000;

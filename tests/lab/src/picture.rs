@@ -10,10 +10,10 @@ use std::path::Path;
 
 /// Pixels a side of an eye's picture, over 90 degrees: the paper's.
 const SIDE_PIXELS: u32 = 1300;
-/// Of each run, seconds of virtual time: one until texels and bits have settled, and half a round of the path.
-const SECONDS: f64 = 2.0;
+/// Of each run, seconds of virtual time: two until texels, bits and clock have settled, and half a round of the path.
+const SECONDS: f64 = 3.0;
 /// The first display frame that is compared, at 72 a second, and how many lie between two.
-const COMPARE_FROM: u64 = 72;
+const COMPARE_FROM: u64 = 144;
 const COMPARE_EVERY: u32 = 12;
 
 /// A run: its key in the result, how, and in which atlas.
