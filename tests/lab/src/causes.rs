@@ -10,10 +10,12 @@ use anyhow::Context;
 use serde::{Deserialize, Serialize};
 use shadecast_client::stages::atlas_draw::Reconstruction;
 use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_scene::load::SceneSource;
 use shadecast_server::ideal::Ideal;
 use shadecast_server::scene::SceneOptions;
 use shadecast_transport::LinkProfile;
 use std::fmt;
+use std::path::PathBuf;
 
 /// What can be wrong with a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
@@ -37,10 +39,12 @@ pub enum Cause {
     Quantisation,
     /// Pictures are of an earlier time, for a head that was expected elsewhere.
     Delay,
+    /// The two clocks are not known to be equal to the last bit.
+    Jitter,
 }
 
 /// All of them, in the order in which they are measured.
-pub const CAUSES: [Cause; 9] = [
+pub const CAUSES: [Cause; 10] = [
     Cause::Density,
     Cause::Filter,
     Cause::Reconstruction,
@@ -50,12 +54,15 @@ pub const CAUSES: [Cause; 9] = [
     Cause::Chroma,
     Cause::Quantisation,
     Cause::Delay,
+    Cause::Jitter,
 ];
 
 /// Display frames from one that is compared to the next: of 72 a second, in every phase of 30 updates.
-pub const COMPARE_EVERY: u32 = 5;
+const COMPARE_EVERY: u32 = 5;
 /// The first display frames are those of a client that just begins.
-pub const COMPARE_FROM: u64 = 29;
+const COMPARE_FROM: u64 = 29;
+/// Virtual seconds of each run, unless told otherwise.
+pub const SECONDS: f64 = 1.0;
 /// Texels for a pixel where density is no cause.
 const DENSE: f32 = 2.0;
 /// One way of a link that is as good as none, nanoseconds.
@@ -74,6 +81,7 @@ impl Cause {
             Self::Chroma => "a hue for each texel instead of every fourth (beside: uncoded)",
             Self::Quantisation => "the atlas uncoded, at the same times",
             Self::Delay => "no latency, no stage takes time",
+            Self::Jitter => "a link whose ways are always as long: the clock is exact",
         }
     }
 
@@ -105,6 +113,10 @@ impl Cause {
             Self::Outlines => spared(Spared { outlines: true, ..Spared::default() }),
             Self::Chroma => arrival(Arrival::FullChroma),
             Self::Quantisation => arrival(Arrival::Uncoded),
+            Self::Jitter => RunOptions {
+                link: LinkProfile { jitter_ns: 0, ..run.link.at(0).clone() }.into(),
+                ..run.clone()
+            },
             Self::Delay => RunOptions {
                 link: LinkProfile { latency_ns: NO_WAY_NS, ..LinkProfile::default() }.into(),
                 stages: StageMs { server: 0.0, encode: 0.0, decode: 0.0 },
@@ -126,6 +138,7 @@ impl fmt::Display for Cause {
             Self::Chroma => "chroma",
             Self::Quantisation => "quantisation",
             Self::Delay => "delay",
+            Self::Jitter => "jitter",
         })
     }
 }
@@ -202,6 +215,17 @@ pub struct Causes {
     pub shipped: Vec<Shipped>,
     /// By mask, then the largest loss in FLIP first.
     pub rows: Vec<Row>,
+}
+
+/// The run as it ships, unless told otherwise.
+pub fn usual(scene: SceneSource, out: PathBuf) -> RunOptions {
+    RunOptions {
+        seconds: SECONDS,
+        extent_pixels: [256, 256],
+        compare_every: COMPARE_EVERY,
+        compare_from: COMPARE_FROM,
+        ..RunOptions::new(scene, out)
+    }
 }
 
 /// Measures `causes` in a run of `options`; `scene` is the scene as a person calls it. To be called where [`run`] may be.

@@ -2,6 +2,7 @@
 //! there is not made again, so that a run that was broken off goes on where it stopped.
 
 use crate::abrupt;
+use crate::causes::{self, CAUSES};
 use crate::costs;
 use crate::headset_off::{self, Absence};
 use crate::motion_table::{self, Condition, Kind};
@@ -117,6 +118,16 @@ fn jobs() -> Vec<Job> {
         };
         jobs.push(Job::new(&format!("picture-{}", scene.name), work));
     }
+    for scene in CAUSED {
+        let work = move |folder: &Path| {
+            let Some((source, shown)) = scene.found(folder)? else { return Ok(None) };
+            causes_of(&causes::usual(source, folder.join("run")), &shown)
+        };
+        jobs.push(Job::new(&format!("causes-{}", scene.name), work));
+    }
+    jobs.push(Job::new("causes-picture-dragons9", |folder| {
+        causes_of(&picture::streamed(&SceneSource::Dragons(9), folder), "dragons:9")
+    }));
     for scene in MOVING {
         let work = move |folder: &Path| motion(scene, "auto", &Condition::all(), MOTION_SECONDS, folder);
         jobs.push(Job::new(&format!("motion-auto-{}", scene.name), work));
@@ -164,6 +175,12 @@ fn jobs() -> Vec<Job> {
     }));
     jobs.push(Job::new("hostile", |_| hostile_peers().map(Some)));
     jobs
+}
+
+fn causes_of(options: &RunOptions, shown: &str) -> anyhow::Result<Option<Value>> {
+    let found = causes::measure(options, shown, &CAUSES)?;
+    println!("{found}");
+    Ok(Some(serde_json::to_value(found)?))
 }
 
 /// The abrupt head over a long way at two rates, and beside it the same delay without a link.
@@ -339,6 +356,8 @@ const NINE_DRAGONS: LongScene = LongScene { name: "dragons9", source: LongSource
 
 /// What is looked at in pictures of a headset's size.
 const PICTURED: [LongScene; 4] = [NINE_DRAGONS, SCENES[1], SCENES[8], SCENES[9]];
+/// Whose causes of error are measured, at a smaller size.
+const CAUSED: [LongScene; 4] = [SCENES[0], SCENES[1], SCENES[8], SCENES[9]];
 
 /// What motion is measured with: one that we made, and ordinary ones of each sort.
 const MOVING: [LongScene; 7] = [

@@ -277,7 +277,7 @@ struct CausesArgs {
     #[arg(long, default_value = USUAL_LINK)]
     link: String,
     /// Virtual seconds of each run, the first 0.4 of which are not compared
-    #[arg(long, default_value_t = 1.0, value_parser = number(0.6..=MOST_S, "seconds"))]
+    #[arg(long, default_value_t = causes::SECONDS, value_parser = number(0.6..=MOST_S, "seconds"))]
     seconds: f64,
     /// Pixels per eye
     #[arg(long, value_parser = parse_size, default_value = "256x256")]
@@ -570,12 +570,10 @@ fn measure_causes(args: CausesArgs) -> anyhow::Result<()> {
         reconstruction: args.reconstruction.into(),
         seconds: args.seconds,
         extent_pixels: args.size,
-        compare_every: causes::COMPARE_EVERY,
-        compare_from: causes::COMPARE_FROM,
         validation: args.validation,
         device: args.device,
         verbose: true,
-        ..RunOptions::new(args.scene.parse()?, folder.clone())
+        ..causes::usual(args.scene.parse()?, folder.clone())
     };
     let name = Path::new(&args.scene).file_name().unwrap_or_default().to_string_lossy();
     let found = causes::measure(&options, &name, &causes);

@@ -12,6 +12,7 @@ use std::path::Path;
 const SIDE_PIXELS: u32 = 1300;
 /// Of each run, seconds of virtual time: two until texels, bits and clock have settled, and half a round of the path.
 const SECONDS: f64 = 3.0;
+const CAUSES_SECONDS: f64 = 2.5;
 /// The first display frame that is compared, at 72 a second, and how many lie between two.
 const COMPARE_FROM: u64 = 144;
 const COMPARE_EVERY: u32 = 12;
@@ -41,20 +42,7 @@ const WAYS: [Way; 4] = [
 pub fn measure(scene: &SceneSource, shown: &str, folder: &Path) -> anyhow::Result<Value> {
     let mut all = Map::new();
     for way in WAYS {
-        let link: LinkProfile = way.link.parse()?;
-        let options = RunOptions {
-            renderer: way.renderer,
-            link: link.into(),
-            head: Head::Named("stride".to_owned()),
-            extent_pixels: [SIDE_PIXELS; 2],
-            atlas_extent_texels: way.atlas.parse()?,
-            seconds: SECONDS,
-            compare_every: COMPARE_EVERY,
-            compare_from: COMPARE_FROM,
-            surround: DEFAULT_SURROUND,
-            validation: true,
-            ..RunOptions::new(scene.clone(), folder.join("run"))
-        };
+        let options = options(scene, &way, folder);
         let stats = run(&options)?.stats;
         println!("{shown}, {}: {stats}", way.key);
         let command = format!("{} --link {}", options.command_line(shown), way.link);
@@ -63,4 +51,25 @@ pub fn measure(scene: &SceneSource, shown: &str, folder: &Path) -> anyhow::Resul
         all.insert(way.key.to_owned(), row);
     }
     Ok(all.into())
+}
+
+/// The run over the short link, for the causes of its error: there are a dozen of it, so each is shorter.
+pub fn streamed(scene: &SceneSource, folder: &Path) -> RunOptions {
+    RunOptions { seconds: CAUSES_SECONDS, ..options(scene, &WAYS[2], folder) }
+}
+
+fn options(scene: &SceneSource, way: &Way, folder: &Path) -> RunOptions {
+    RunOptions {
+        renderer: way.renderer,
+        link: LinkProfile::into(way.link.parse().expect("a link")),
+        head: Head::Named("stride".to_owned()),
+        extent_pixels: [SIDE_PIXELS; 2],
+        atlas_extent_texels: way.atlas.parse().expect("an extent"),
+        seconds: SECONDS,
+        compare_every: COMPARE_EVERY,
+        compare_from: COMPARE_FROM,
+        surround: DEFAULT_SURROUND,
+        validation: true,
+        ..RunOptions::new(scene.clone(), folder.join("run"))
+    }
 }
