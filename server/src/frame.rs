@@ -175,14 +175,8 @@ impl Frame {
         let id_buffer = IdBuffer::new(gpu, scene, animation, &views, eye.id_buffer_extent())?;
         let mark = Mark::new(gpu, &id_buffer.image, scene.numbering.totals.looked_at)?;
         let level_selection = LevelSelection::new(gpu, scene, animation, &views, &mark.visible)?;
-        let shading = Shading::new(
-            gpu,
-            scene,
-            animation,
-            &world.shadow,
-            welcome.atlas_extent_texels,
-            ideal.is_supersampled,
-        )?;
+        let shading =
+            Shading::new(gpu, scene, animation, &world.shadow, welcome.atlas_extent_texels, ideal.filter)?;
         let ycbcr = Ycbcr::new(gpu, &shading.atlas, scene.has_masks())?;
         let room = Room {
             patches: welcome.patch_slots.min(Layout::most_blocks(welcome.atlas_extent_texels)),

@@ -10,14 +10,26 @@ use std::collections::BTreeMap;
 pub struct Ideal {
     /// Texels that blocks get for a pixel of the display, in an atlas with room.
     pub texels_per_pixel: f32,
-    /// Each texel is shaded at many places, and has their mean.
-    pub is_supersampled: bool,
+    /// What textures are filtered for.
+    pub filter: Filter,
     /// For when exactly updates are shaded, where that is known ahead; others for the middle of their time on display, as expected.
     pub shading_times: BTreeMap<UpdateId, ServerTime>,
 }
 
+/// What textures are filtered for when a block is shaded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Filter {
+    /// A pixel of the display, no less than a texel of the block: the product's.
+    #[default]
+    Pixel,
+    /// A texel of the block.
+    Texel,
+    /// As the product's, at many places of a texel, which has their mean.
+    Supersampled,
+}
+
 impl Default for Ideal {
     fn default() -> Self {
-        Self { texels_per_pixel: 1.0, is_supersampled: false, shading_times: BTreeMap::new() }
+        Self { texels_per_pixel: 1.0, filter: Filter::default(), shading_times: BTreeMap::new() }
     }
 }

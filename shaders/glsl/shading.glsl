@@ -110,7 +110,11 @@ vec4 shaded(vec2 texel) {
         world_by_texel += outerProduct(at[i], by_texel);
         s.color += weights[0][i] * unpackUnorm4x8(v.color);
     }
+#ifdef FOOTPRINT_IS_TEXEL
+    mat2 footprint = mat2(1.0);
+#else
     mat2 footprint = footprint_texels(s.world_position, world_by_texel);
+#endif
     mat2 uv_by_pixel = uv_by_texel * footprint, uv1_by_pixel = uv1_by_texel * footprint;
     s.uv_dx = uv_by_pixel[0];
     s.uv_dy = uv_by_pixel[1];

@@ -3,6 +3,7 @@
 use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
 use crate::animation::manager::rows;
+use crate::ideal::Filter;
 use crate::scene::SceneGpu;
 use crate::scene::numbering::{PatchRange, ScenePatch};
 use crate::stages::shadow::Shadow;
@@ -16,7 +17,7 @@ use shadecast_protocol::atlas::{AtlasExtent, Block};
 use shadecast_protocol::limits::MAX_PATCH_SLOTS;
 use shadecast_protocol::pose::Pose;
 use shadecast_shaders::generated::{
-    BlockGpu, SHADING_FRAG, SHADING_SUPERSAMPLED_FRAG, SHADING_VERT, ShadingPush,
+    BlockGpu, SHADING_FRAG, SHADING_SUPERSAMPLED_FRAG, SHADING_TEXEL_FRAG, SHADING_VERT, ShadingPush,
 };
 use std::sync::Arc;
 
@@ -33,14 +34,14 @@ pub struct Shading {
 }
 
 impl Shading {
-    /// For an atlas of this extent; each texel is shaded at its middle, or at many places where a measurement wants that.
+    /// For an atlas of this extent; textures are filtered as a measurement wants it, or as usual.
     pub fn new(
         gpu: &Arc<Gpu>,
         scene: &SceneGpu,
         animation: &Animation,
         shadow: &Shadow,
         extent: AtlasExtent,
-        is_supersampled: bool,
+        filter: Filter,
     ) -> Result<Self, GpuError> {
         let format = vk::Format::R8G8B8A8_UNORM;
         let extent = extent.texels();
@@ -68,7 +69,11 @@ impl Shading {
                 after: read,
             }]),
         )?;
-        let fragment = if is_supersampled { &SHADING_SUPERSAMPLED_FRAG } else { &SHADING_FRAG };
+        let fragment = match filter {
+            Filter::Pixel => &SHADING_FRAG,
+            Filter::Texel => &SHADING_TEXEL_FRAG,
+            Filter::Supersampled => &SHADING_SUPERSAMPLED_FRAG,
+        };
         let pipeline = GraphicsPipeline::new(
             gpu,
             &GraphicsPipelineDesc {

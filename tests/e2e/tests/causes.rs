@@ -1,24 +1,25 @@
 //! The table of causes, at the size that a software device can do in a test: runs without a cause are the same runs, and
 //! better by what the cause costs.
 
-use shadecast_lab::causes::{COMPARE_EVERY, COMPARE_FROM, Cause, Mask, Row, measure};
-use shadecast_lab::options::{RunOptions, Spared};
+use shadecast_lab::causes::{Cause, Mask, Row, measure, usual};
+use shadecast_lab::options::{Renderer, RunOptions, Spared};
 use shadecast_lab::run::run;
 use shadecast_lab::session::originals::Arrival;
+use shadecast_lab::walls::{TEXELS, write_walls};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
+use shadecast_server::ideal::{Filter, Ideal};
 use shadecast_test_support::headset::turn;
+use shadecast_transport::LinkProfile;
 use std::path::Path;
 
-fn small(out: &Path) -> RunOptions {
+fn small(scene: SceneSource, out: &Path) -> RunOptions {
     RunOptions {
         extent_pixels: [160, 160],
         atlas_extent_texels: AtlasExtent::new(1024, 1024).expect("an atlas"),
         seconds: 0.6,
-        compare_every: COMPARE_EVERY,
-        compare_from: COMPARE_FROM,
         validation: true,
-        ..RunOptions::new(SceneSource::Dragons(1), out.to_owned())
+        ..usual(scene, out.to_owned())
     }
 }
 
@@ -27,7 +28,7 @@ fn each_cause_that_is_left_out_makes_the_picture_better_and_the_worst_comes_firs
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let causes = [Cause::Density, Cause::ShadowTime, Cause::Outlines, Cause::Quantisation];
-    let found = measure(&small(out.path()), "dragon", &causes).unwrap();
+    let found = measure(&small(SceneSource::Dragons(1), out.path()), "dragon", &causes).unwrap();
     println!("{found}");
     assert_eq!((found.rows.len(), found.shipped.len(), found.views), (3 * causes.len(), 3, 6));
     let of = |cause: Cause, mask: Mask| -> Row {
@@ -48,7 +49,7 @@ fn each_cause_that_is_left_out_makes_the_picture_better_and_the_worst_comes_firs
 fn an_atlas_that_arrives_uncoded_changes_no_time() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
-    let coded = small(out.path());
+    let coded = small(SceneSource::Dragons(1), out.path());
     let spared = Spared { arrival: Arrival::FullChroma, ..Spared::default() };
     let uncoded = RunOptions { spared, ..coded.clone() };
     let [coded, uncoded] = [coded, uncoded].map(|options| run(&options).unwrap());
@@ -56,4 +57,23 @@ fn an_atlas_that_arrives_uncoded_changes_no_time() {
     assert_eq!(coded.stats.mbit_per_s, uncoded.stats.mbit_per_s, "the same bytes on the way");
     assert!(coded.stats.psnr_db < uncoded.stats.psnr_db);
     assert_eq!(uncoded.stats.validation_messages, 0);
+}
+
+#[test]
+fn textures_filtered_for_the_display_are_nearer_to_the_truth_than_those_filtered_for_the_block() {
+    let _turn = turn();
+    let out = tempfile::tempdir().unwrap();
+    let walls = SceneSource::File(write_walls(out.path(), TEXELS).unwrap());
+    let [pixel, texel] = [Filter::Pixel, Filter::Texel].map(|filter| {
+        let ideal = Ideal { filter, ..Ideal::default() };
+        let spared = Spared { ideal, ..Spared::default() };
+        let link = LinkProfile::default().into();
+        let renderer = Renderer::Local;
+        run(&RunOptions { spared, link, renderer, ..small(walls.clone(), &out.path().join("run")) })
+            .unwrap()
+            .stats
+    });
+    assert!(pixel.psnr_db > texel.psnr_db.map(|db| db + 0.5), "{:?}, {:?}", pixel.psnr_db, texel.psnr_db);
+    assert!(pixel.flip < texel.flip, "{:?}, {:?}", pixel.flip, texel.flip);
+    assert_eq!(texel.validation_messages, 0);
 }

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use shadecast_client::stages::atlas_draw::Reconstruction;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
-use shadecast_server::ideal::Ideal;
+use shadecast_server::ideal::{Filter, Ideal};
 use shadecast_server::scene::SceneOptions;
 use shadecast_transport::LinkProfile;
 use std::fmt;
@@ -100,7 +100,7 @@ impl Cause {
                 atlas_extent_texels: AtlasExtent::MAX,
                 ..ideal(Ideal { texels_per_pixel: DENSE, ..Ideal::default() })
             },
-            Self::Filter => ideal(Ideal { is_supersampled: true, ..Ideal::default() }),
+            Self::Filter => ideal(Ideal { filter: Filter::Supersampled, ..Ideal::default() }),
             Self::Reconstruction => RunOptions { reconstruction: Reconstruction::Bicubic, ..run.clone() },
             Self::ShadowTime => {
                 let shading_times = shipped.compared.iter().copied().collect();

@@ -10,6 +10,7 @@ use shadecast_client::client::Step;
 use shadecast_client::stages::atlas_draw::Reconstruction;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_server::encode::openh264::DEFAULT_QP;
+use shadecast_server::ideal::Filter;
 use shadecast_server::quality::QualityOptions;
 use shadecast_server::surround::DEFAULT_SURROUND;
 use std::fmt;
@@ -21,6 +22,8 @@ const SETTLING_S: f64 = 0.5;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Part {
+    /// Textures filtered for a pixel of the display instead of a texel of the block.
+    Filter,
     /// What an abrupt turn of the head would show.
     Surround,
     /// Brightness between texels by a cubic.
@@ -31,22 +34,24 @@ pub enum Part {
 
 impl Part {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::Surround, Self::Cubic, Self::Detail];
+    pub const ALL: [Self; 4] = [Self::Filter, Self::Surround, Self::Cubic, Self::Detail];
 
     /// The same run with it and without it.
     fn switched(self, options: &RunOptions, is_on: bool) -> RunOptions {
         let mut options = options.clone();
         match self {
             Self::Surround => options.surround = if is_on { DEFAULT_SURROUND } else { 0.0 },
+            Self::Filter if !is_on => options.spared.ideal.filter = Filter::Texel,
             Self::Cubic if is_on => options.reconstruction = Reconstruction::Bicubic,
             Self::Detail if !is_on => options.detail_pixels = 0.0,
-            Self::Cubic | Self::Detail => {}
+            Self::Filter | Self::Cubic | Self::Detail => {}
         }
         options
     }
 
     fn name(self) -> &'static str {
         match self {
+            Self::Filter => "filter",
             Self::Surround => "surround",
             Self::Cubic => "cubic",
             Self::Detail => "levels of detail",
