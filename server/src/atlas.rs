@@ -44,6 +44,14 @@ impl Superblock {
         self.columns() << (self.side_log2 - u32::from(self.size.height_log2))
     }
 
+    /// The word and the bit of a block of this superblock, whose corner (y, x) is given.
+    fn place(&self, corner: (u32, u32), block: Block) -> (usize, u64) {
+        let column = (u32::from(block.address.x) - corner.1) >> block.size.width_log2;
+        let row = (u32::from(block.address.y) - corner.0) >> block.size.height_log2;
+        let place = row * self.columns() + column;
+        (place as usize / 64, 1 << (place % 64))
+    }
+
     fn take_lowest(&mut self) -> Option<u32> {
         let place = (0..self.places()).find(|s| self.taken[*s as usize / 64] >> (s % 64) & 1 == 0)?;
         self.taken[place as usize / 64] |= 1 << (place % 64);
@@ -104,6 +112,32 @@ impl Atlas {
         Some(Block { address, size })
     }
 
+    /// This very block, where it is free.
+    pub fn take(&mut self, block: Block) -> bool {
+        let (corner, side_log2) = (self.superblock_of(block), side_log2(block.size));
+        if !self.used.contains_key(&corner) {
+            if !self.take_superblock_at(corner, (side_log2 - CELL_LOG2) as usize) {
+                return false;
+            }
+            self.use_superblock(corner, side_log2, block.size);
+        }
+        let Some(superblock) = self.used.get_mut(&corner).filter(|superblock| superblock.size == block.size)
+        else {
+            return false;
+        };
+        let (word, bit) = superblock.place(corner, block);
+        if superblock.taken[word] & bit != 0 {
+            return false;
+        }
+        superblock.taken[word] |= bit;
+        superblock.count += 1;
+        if superblock.count == superblock.places() {
+            self.open.get_mut(&block.size).expect("it was open").remove(&corner);
+        }
+        self.used_texels += u64::from(block.size.texels());
+        true
+    }
+
     /// Gives a block back.
     ///
     /// # Panics
@@ -112,10 +146,7 @@ impl Atlas {
         let corner = self.superblock_of(block);
         let superblock = self.used.get_mut(&corner).expect("a block of this atlas");
         assert_eq!(superblock.size, block.size, "freed with the size it was allocated with");
-        let column = (u32::from(block.address.x) - corner.1) >> block.size.width_log2;
-        let row = (u32::from(block.address.y) - corner.0) >> block.size.height_log2;
-        let place = row * superblock.columns() + column;
-        let (word, bit) = (place as usize / 64, 1 << (place % 64));
+        let (word, bit) = superblock.place(corner, block);
         assert!(superblock.taken[word] & bit != 0, "{block:?} is freed twice");
         superblock.taken[word] &= !bit;
         superblock.count -= 1;
@@ -139,6 +170,12 @@ impl Atlas {
     fn open_superblock(&mut self, size: BlockSize) -> Option<(u32, u32)> {
         let side_log2 = side_log2(size);
         let corner = self.take_superblock((side_log2 - CELL_LOG2) as usize)?;
+        self.use_superblock(corner, side_log2, size);
+        Some(corner)
+    }
+
+    /// A superblock that was taken has blocks of this size from now on.
+    fn use_superblock(&mut self, corner: (u32, u32), side_log2: u32, size: BlockSize) {
         let ((y, x), cells) = (corner, 1 << (side_log2 - CELL_LOG2));
         for row in (y >> CELL_LOG2)..(y >> CELL_LOG2) + cells {
             let first = (row * (self.extent.width() >> CELL_LOG2) + (x >> CELL_LOG2)) as usize;
@@ -146,7 +183,6 @@ impl Atlas {
         }
         self.used.insert(corner, Superblock { side_log2, size, taken: [0; MAX_PLACES_WORDS], count: 0 });
         self.open.entry(size).or_default().insert(corner);
-        Some(corner)
     }
 
     /// The lowest free superblock of a level, split from the smallest larger one where there is none.
@@ -161,6 +197,21 @@ impl Atlas {
         let side = 1 << (CELL_LOG2 + level as u32);
         self.free[level].extend([(y, x + side), (y + side, x), (y + side, x + side)]);
         Some((y, x))
+    }
+
+    /// The superblock of a level at this very corner, split from a larger one where that is free.
+    fn take_superblock_at(&mut self, corner: (u32, u32), level: usize) -> bool {
+        if self.free[level].remove(&corner) {
+            return true;
+        }
+        let side = 1u32 << (CELL_LOG2 + level as u32);
+        let parent = (corner.0 & !(2 * side - 1), corner.1 & !(2 * side - 1));
+        if level + 1 == LEVELS || !self.take_superblock_at(parent, level + 1) {
+            return false;
+        }
+        let (y, x) = parent;
+        self.free[level].extend([(y, x), (y, x + side), (y + side, x), (y + side, x + side)]);
+        self.free[level].remove(&corner)
     }
 
     /// Puts a superblock back and joins it with its three siblings while all are free.
@@ -256,11 +307,19 @@ mod tests {
     fn blocks_never_overlap_and_free_plus_used_is_the_atlas_under_churn() {
         let extent = AtlasExtent::new(1024, 512).unwrap();
         let (mut atlas, mut live, mut random) = (Atlas::new(extent), Vec::new(), Random(7));
+        let (mut gone, mut taken): (Vec<Block>, _) = (Vec::new(), 0);
         for step in 0..500 {
             for _ in 0..20 {
+                let index = random.below(live.len().max(1) as u32) as usize;
                 if random.below(100) < 45 && !live.is_empty() {
-                    let index = random.below(live.len() as u32) as usize;
-                    atlas.free(live.swap_remove(index));
+                    let block = live.swap_remove(index);
+                    atlas.free(block);
+                    gone.push(block);
+                } else if let Some(block) = gone.pop().filter(|_| random.below(2) == 0) {
+                    if atlas.take(block) {
+                        live.push(block);
+                        taken += 1;
+                    }
                 } else if let Some(block) = atlas.allocate(random.size()) {
                     live.push(block);
                 }
@@ -273,6 +332,24 @@ mod tests {
         }
         live.drain(..).for_each(|block| atlas.free(block));
         assert_eq!(atlas.free[LEVELS - 1].len(), 2, "everything joins again");
+        assert!(taken > 500, "{taken} were free still");
+    }
+
+    #[test]
+    fn a_block_is_taken_where_it_is_free_and_nowhere_else() {
+        let size = |log2| BlockSize::new(log2, log2).unwrap();
+        let mut atlas = Atlas::new(AtlasExtent::MIN);
+        let [first, second, large] = [4, 4, 7].map(|log2| atlas.allocate(size(log2)).expect("room"));
+        assert!(!atlas.take(first) && !atlas.take(large), "in use");
+        [first, second, large].into_iter().for_each(|block| atlas.free(block));
+        assert!(atlas.take(second) && !atlas.take(second) && atlas.take(large));
+        assert_eq!(atlas.allocate(size(4)), Some(first));
+        let inside = Block { size: size(6), ..large };
+        assert!(!atlas.take(inside), "a larger one is there");
+        atlas.free(large);
+        assert!(atlas.take(inside) && !atlas.take(large), "a smaller one is there");
+        let held = u64::from(2 * size(4).texels() + size(6).texels());
+        assert_eq!((atlas.used_texels(), atlas.free_texels() + held), (held, 512 * 512));
     }
 
     #[test]

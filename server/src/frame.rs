@@ -25,9 +25,9 @@ use crate::stages::id_buffer::{IdBuffer, shift_ndc};
 use crate::stages::level_selection::LevelSelection;
 use crate::stages::mark::Mark;
 use crate::stages::palette::BONE_BYTES;
+use crate::stages::predicted_view_gpu;
 use crate::stages::shading::Shading;
 use crate::stages::skin::Skin;
-use crate::stages::view_gpu;
 use crate::stages::ycbcr::Ycbcr;
 use crate::surround::SHADED_EVERY_UPDATES;
 use crate::sweep::{Glance, Sweep};
@@ -511,10 +511,10 @@ impl Frame {
             let [x, y] = shift_ndc(self.next.0, index as u32, MAX_VIEWS, id_extent);
             let shift = Mat4::from_translation(Vec3::new(x, y, 0.0));
             let clip_from_world = shift * view.fov.clip_from_eye() * view.world_from_eye.inverse().matrix();
-            let mut gpu = view_gpu(clip_from_world, view.world_from_eye.position, [0, 0]);
-            let extent = self.eye.extent_at(self.eye.fovs[side], view.fov);
-            let [width, height] = extent.map(|side| side * texels_per_pixel);
-            gpu.extent_pixels = [width, height, 0.0, 0.0];
+            let shown = self.eye.fovs[side];
+            let texels = self.eye.pixels_per_tangent_of(shown).map(|pixels| pixels * texels_per_pixel);
+            let at = view.world_from_eye.position;
+            let gpu = predicted_view_gpu(clip_from_world, at, view.fov, shown, texels);
             self.views.write(index * size_of::<ViewGpu>(), bytemuck::bytes_of(&gpu));
         }
     }
@@ -528,9 +528,9 @@ impl Frame {
             let [x, y] = shift_ndc(glance.number, index % EYES, EYES, id_extent);
             let shift = Mat4::from_translation(Vec3::new(x, y, 0.0));
             let clip_from_world = shift * view.fov.clip_from_eye() * view.world_from_eye.inverse().matrix();
-            let mut gpu = view_gpu(clip_from_world, view.world_from_eye.position, [0, 0]);
-            let extent = self.eye.extent_at(self.eye.fovs[side], view.fov);
-            gpu.extent_pixels = [extent[0], extent[1], 0.0, 0.0];
+            let pixels = self.eye.pixels_per_tangent_of(self.eye.fovs[side]);
+            let at = view.world_from_eye.position;
+            let gpu = predicted_view_gpu(clip_from_world, at, view.fov, view.fov, pixels);
             self.views.write(index as usize * size_of::<ViewGpu>(), bytemuck::bytes_of(&gpu));
         }
     }
@@ -590,6 +590,11 @@ impl Frame {
     }
 }
 
+/// Of the whole width and height.
+fn span_tangents(fov: Fov) -> [f32; 2] {
+    [fov.right.tan() - fov.left.tan(), fov.up.tan() - fov.down.tan()]
+}
+
 impl EyeSize {
     fn of(capabilities: &Capabilities) -> Self {
         Self { extent_pixels: capabilities.eye_extent_pixels, fovs: capabilities.eyes.map(|eye| eye.fov) }
@@ -602,16 +607,20 @@ impl EyeSize {
 
     /// Pixels of the picture across which the tangent of the view angle grows by 1, x and y, of the denser eye.
     fn pixels_per_tangent(&self) -> [f32; 2] {
-        let span = |f: Fov| [f.right.tan() - f.left.tan(), f.up.tan() - f.down.tan()];
-        let of = |axis: usize| self.fovs.map(|fov| self.extent_pixels[axis] as f32 / span(fov)[axis]);
-        [0, 1].map(|axis| of(axis).into_iter().fold(0.0, f32::max))
+        let eyes = self.fovs.map(|fov| self.pixels_per_tangent_of(fov));
+        [0, 1].map(|axis| eyes[0][axis].max(eyes[1][axis]))
+    }
+
+    /// The same of an eye with this field of view.
+    fn pixels_per_tangent_of(&self, fov: Fov) -> [f32; 2] {
+        let [width, height] = span_tangents(fov);
+        [self.extent_pixels[0] as f32 / width, self.extent_pixels[1] as f32 / height]
     }
 
     /// Pixels that a widened field of view would have at the density of the client's display.
     fn extent_at(&self, fov: Fov, widened: Fov) -> [f32; 2] {
-        let span = |f: Fov| [f.right.tan() - f.left.tan(), f.up.tan() - f.down.tan()];
-        let (own, wide) = (span(fov), span(widened));
-        [0, 1].map(|axis| self.extent_pixels[axis] as f32 * wide[axis] / own[axis])
+        let (pixels, tangents) = (self.pixels_per_tangent_of(fov), span_tangents(widened));
+        [pixels[0] * tangents[0], pixels[1] * tangents[1]]
     }
 
     /// Large enough for the widest field of view that a steady head needs; a wider one is seen more coarsely, and so is one

@@ -206,7 +206,7 @@ impl Layout {
         self.release(&before);
         self.recover();
         self.place_live();
-        self.place_around();
+        self.place_around(&before);
         self.changes(&before)
     }
 
@@ -290,10 +290,18 @@ impl Layout {
         }
     }
 
-    /// Places what of the surround has no block; what finds no place is left out.
-    fn place_around(&mut self) {
+    /// Places what of the surround has no block, where it was if that is free still; what finds no place is left out.
+    fn place_around(&mut self, before: &[(ScenePatch, Option<Block>)]) {
         let mut waiting = self.around.clone();
-        waiting.retain(|(patch, _)| self.states[patch.index()].block.is_none());
+        waiting.retain(|(patch, size)| {
+            let at = before.binary_search_by_key(patch, |(patch, _)| *patch);
+            let was = at.ok().and_then(|at| before[at].1).filter(|block| block.size == *size);
+            let state = &mut self.states[patch.index()];
+            if state.block.is_none() {
+                state.block = was.filter(|block| self.atlas.take(*block));
+            }
+            state.block.is_none()
+        });
         waiting.sort_unstable_by_key(|(patch, size)| (std::cmp::Reverse(size.texels()), *size, *patch));
         for (patch, size) in waiting {
             self.states[patch.index()].block = self.atlas.allocate(size);
@@ -558,6 +566,7 @@ mod tests {
     use crate::geometry::test_geometry::Loose;
     use crate::looks::Levels;
     use crate::scene::numbering::{InstanceSize, Numbering};
+    use std::collections::BTreeMap;
 
     const ROOM: Room = Room { patches: 100_000, vertices: 100_000, triangles: 600_000 };
 
@@ -711,7 +720,7 @@ mod tests {
     #[test]
     fn what_changed_is_exactly_what_the_blocks_say() {
         let mut layout = layout([512, 512], 1500);
-        let mut mirror: std::collections::BTreeMap<ScenePatch, Block> = Default::default();
+        let mut mirror: BTreeMap<ScenePatch, Block> = Default::default();
         for seed in 0..40 {
             for change in place(&mut layout, &random_extents(seed, 1500, 60)) {
                 match change.block {
@@ -890,6 +899,26 @@ mod tests {
     }
 
     #[test]
+    fn what_is_around_moves_only_where_what_is_in_view_takes_its_place() {
+        let mut layout = layout([512, 512], 3000).with_surround(0.25, ROOM);
+        let (mut stayed, mut moved) = (0, 0);
+        for seed in 0..120 {
+            let mut in_view = random_extents(seed / 4, 3000, 60);
+            in_view.iter_mut().step_by(2).for_each(|extent| *extent = 0);
+            let before: BTreeMap<ScenePatch, Block> = layout.around().collect();
+            place_both(&mut layout, &in_view, &vec![pack(200, 200); 3000]);
+            for (patch, block) in layout.around() {
+                if let Some(was) = before.get(&patch).filter(|was| was.size == block.size) {
+                    (stayed, moved) =
+                        (stayed + usize::from(*was == block), moved + usize::from(*was != block));
+                }
+            }
+        }
+        println!("{stayed} stayed, {moved} moved");
+        assert!(20 * moved < stayed, "{stayed} stayed, {moved} moved");
+    }
+
+    #[test]
     fn a_surround_of_patches_that_are_not_of_the_shown_level_has_no_blocks() {
         let size = InstanceSize { patches: vec![20, 10], ..InstanceSize::default() };
         let numbering = Numbering::new(&[size]);
@@ -938,7 +967,7 @@ mod tests {
 
     /// An update of these extents, and the part of the blocks that stay in view of which the size changes.
     fn changed_share(layout: &mut Layout, extents: &[u32], asked: f32) -> f32 {
-        let before: std::collections::BTreeMap<ScenePatch, Block> = layout.live().collect();
+        let before: BTreeMap<ScenePatch, Block> = layout.live().collect();
         let looks = Looks::of_one(extents.len() as u32);
         layout.begin(asked);
         layout.see(Visible { looks: &looks, extents });

@@ -1,6 +1,6 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
-// Largest projected extent of each visible patch over all predicted views, in texels, packed 16:16 (width, height);
+// Largest extent on the display of each visible patch over all predicted views, in texels, packed 16:16 (width, height);
 // 0 where the patch is not visible. Twin: twin/level_selection.rs.
 layout(local_size_x = 64) in;
 #include "scene.glsl"
@@ -22,12 +22,19 @@ layout(push_constant) uniform LevelSelectionPush {
     uint material_base;
 };
 
-// Length in pixels of the part of an edge in front of the near plane (w = distance along the view axis).
-float projected_length(vec4 a, vec4 b, vec2 half_extent) {
-    if (a.w < NEAR_M && b.w < NEAR_M) return 0.0;
-    if (a.w < NEAR_M) a = mix(a, b, (NEAR_M - a.w) / (b.w - a.w));
-    if (b.w < NEAR_M) b = mix(b, a, (NEAR_M - b.w) / (a.w - b.w));
-    return length((a.xy / a.w - b.xy / b.w) * half_extent);
+// Where a point stands on the display, in pixels from the optical axis. Outside of the display's own field of view, in the part of a
+// predicted view that is there in case the head turns otherwise, and behind the eye, an angle has as many pixels as at the border:
+// what comes into view from there has no more.
+vec2 place_pixels(vec4 c, ViewGpu v) {
+    vec2 beside = c.xy * v.tangents_from_clip.xy + c.w * v.tangents_from_clip.zw;
+    float distance_beside = length(beside);
+    if (distance_beside < 1e-12) return vec2(0.0);
+    vec2 way = beside / distance_beside;
+    vec2 border = mix(v.shown_tangents.xy, v.shown_tangents.zw, greaterThan(way, vec2(0.0)));
+    float edge = 1.0 / max(abs(way.x) / border.x, abs(way.y) / border.y);
+    float tangent = distance_beside < c.w * edge ? distance_beside / c.w
+        : edge + (1.0 + edge * edge) * (atan(distance_beside, c.w) - atan(edge));
+    return way * tangent * v.pixels_per_tangent.xy;
 }
 
 bool outside_one_side(vec4 c[PATCH_MAX_VERTICES]) {
@@ -78,12 +85,12 @@ void main() {
             c[i] = views[view].clip_from_world * saved_vertices[position_base[view / EYES] + p.vertices[i]];
         }
         if (outside_one_side(c)) continue;
-        vec2 half_extent = views[view].extent_pixels.xy * 0.5;
-        float width = projected_length(c[0], c[1], half_extent);
-        float height = projected_length(c[0], c[p.kind == PATCH_ONE ? 2 : 3], half_extent);
+        vec2 at[PATCH_MAX_VERTICES];
+        for (int i = 0; i < PATCH_MAX_VERTICES; i++) at[i] = place_pixels(c[i], views[view]);
+        float width = distance(at[0], at[1]), height = distance(at[0], at[p.kind == PATCH_ONE ? 2 : 3]);
         if (p.kind != PATCH_ONE) {
-            width = max(width, projected_length(c[3], c[2], half_extent));
-            height = max(height, projected_length(c[1], c[2], half_extent));
+            width = max(width, distance(at[3], at[2]));
+            height = max(height, distance(at[1], at[2]));
         }
         extent = max(extent, vec2(width, height));
     }

@@ -71,7 +71,10 @@ struct TangentGpu {
 struct ViewGpu {
     mat4 clip_from_world;
     vec4 world_eye;       // xyz
-    vec4 extent_pixels;   // xy
+    // For extents; 0 for an eye and a camera.
+    vec4 tangents_from_clip; // of x and y over w: factors, and what is added; tangents of the view angle grow rightwards and upwards
+    vec4 shown_tangents;     // the display's own field of view: left, down, right, up; positive
+    vec4 pixels_per_tangent; // xy
 };
 
 #endif

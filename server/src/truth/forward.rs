@@ -158,7 +158,7 @@ impl Forward {
     /// Records what an eye sees of the saved vertices under the light of `time`.
     fn record_posed(&mut self, recorder: &mut Recorder, world_from_eye: Pose, fov: Fov, time: ServerTime) {
         let clip_from_world = fov.clip_from_eye() * world_from_eye.inverse().matrix();
-        let view = view_gpu(clip_from_world, world_from_eye.position, self.targets.extent);
+        let view = view_gpu(clip_from_world, world_from_eye.position);
         self.view.write(0, bytemuck::bytes_of(&view));
         self.shadow.write(&self.scene, &self.animation, time);
         recorder.scope("shadow", |r| self.shadow.record(r, &self.scene, &self.animation, &self.all, ONLY));

@@ -1,19 +1,22 @@
-//! Twin of `level_selection.comp`: the largest projected extent of a patch over all predicted views.
+//! Twin of `level_selection.comp`: the largest extent on the display of a patch over all predicted views.
 
 use crate::constants::{MAX_PATCH_EXTENT_TEXELS, PATCH_ONE};
-use glam::{Mat4, Vec2, Vec4};
+use glam::{Mat4, Vec2, Vec4, Vec4Swizzles};
 use shadecast_protocol::limits::PATCH_MAX_VERTICES;
-use shadecast_protocol::pose::NEAR_M;
 
 const CORNERS: usize = PATCH_MAX_VERTICES as usize;
 
-/// A view: its projection, and the pixels that its whole field of view would have on the display.
+/// A view: its projection, and the display that it is for.
 #[derive(Clone, Copy, Debug)]
 pub struct View {
     /// Takes world coordinates to clip coordinates, w being the distance along the view axis.
     pub clip_from_world: Mat4,
-    /// Width and height in pixels.
-    pub extent_pixels: Vec2,
+    /// Of x and y over w: factors, and what is added; tangents of the view angle grow rightwards and upwards.
+    pub tangents_from_clip: Vec4,
+    /// The display's own field of view: left, down, right, up; positive.
+    pub shown_tangents: Vec4,
+    /// Along x and y.
+    pub pixels_per_tangent: Vec2,
 }
 
 /// Width and height in texels of a patch of `kind` triangles, before any cap by its textures. `world[view]` holds its
@@ -25,11 +28,11 @@ pub fn extent_texels(kind: u32, views: &[View], world: &[[Vec4; CORNERS]]) -> [u
         if outside_one_side(&c) {
             continue;
         }
-        let half = view.extent_pixels * 0.5;
+        let at = c.map(|c| place_pixels(c, view));
         let mut size =
-            Vec2::new(length(c[0], c[1], half), length(c[0], c[if kind == PATCH_ONE { 2 } else { 3 }], half));
+            Vec2::new(at[0].distance(at[1]), at[0].distance(at[if kind == PATCH_ONE { 2 } else { 3 }]));
         if kind != PATCH_ONE {
-            size = size.max(Vec2::new(length(c[3], c[2], half), length(c[1], c[2], half)));
+            size = size.max(Vec2::new(at[3].distance(at[2]), at[1].distance(at[2])));
         }
         extent = extent.max(size);
     }
@@ -41,19 +44,23 @@ fn outside_one_side(c: &[Vec4; CORNERS]) -> bool {
     all(|p| p.x < -p.w) || all(|p| p.x > p.w) || all(|p| p.y < -p.w) || all(|p| p.y > p.w)
 }
 
-/// Length in pixels of the part of an edge in front of the near plane.
-fn length(mut a: Vec4, mut b: Vec4, half_extent: Vec2) -> f32 {
-    if a.w < NEAR_M && b.w < NEAR_M {
-        return 0.0;
+/// Where a point stands on the display, in pixels from the optical axis; see the shader for what it does not show.
+fn place_pixels(c: Vec4, view: &View) -> Vec2 {
+    let (factors, added) = (view.tangents_from_clip.xy(), view.tangents_from_clip.zw());
+    let beside = c.xy() * factors + c.w * added;
+    let distance_beside = beside.length();
+    if distance_beside < 1e-12 {
+        return Vec2::ZERO;
     }
-    if a.w < NEAR_M {
-        a = a.lerp(b, (NEAR_M - a.w) / (b.w - a.w));
-    }
-    if b.w < NEAR_M {
-        b = b.lerp(a, (NEAR_M - b.w) / (a.w - b.w));
-    }
-    let ndc = |p: Vec4| Vec2::new(p.x, p.y) / p.w;
-    ((ndc(a) - ndc(b)) * half_extent).length()
+    let way = beside / distance_beside;
+    let border = Vec2::select(way.cmpgt(Vec2::ZERO), view.shown_tangents.zw(), view.shown_tangents.xy());
+    let edge = (way.abs() / border).max_element().recip();
+    let tangent = if distance_beside < c.w * edge {
+        distance_beside / c.w
+    } else {
+        edge + (1.0 + edge * edge) * (distance_beside.atan2(c.w) - edge.atan())
+    };
+    way * tangent * view.pixels_per_tangent
 }
 
 #[cfg(test)]
@@ -61,10 +68,14 @@ mod tests {
     use super::*;
     use shadecast_protocol::pose::Fov;
 
+    /// A display of 512 pixels over 90 degrees, and a predicted view that is wider by 20 degrees on each side.
     fn view() -> View {
+        let wide = 65f32.to_radians().tan();
         View {
-            clip_from_world: Fov::symmetric_degrees(90.0).clip_from_eye(),
-            extent_pixels: Vec2::new(512.0, 512.0),
+            clip_from_world: Fov::symmetric_degrees(130.0).clip_from_eye(),
+            tangents_from_clip: Vec4::new(wide, -wide, 0.0, 0.0),
+            shown_tangents: Vec4::ONE,
+            pixels_per_tangent: Vec2::splat(256.0),
         }
     }
 
@@ -85,12 +96,51 @@ mod tests {
         assert_eq!(extent_texels(2, &[view()], &[beside]), [1, 1]);
     }
 
+    /// A square of 4 cm, 2 m away, so many degrees to the side, which looks at the eye.
+    fn aside(degrees: f32) -> [Vec4; CORNERS] {
+        let turn = Mat4::from_rotation_y(-degrees.to_radians());
+        let p = |x: f32, y: f32| turn * Vec4::new(x * 0.04, y * 0.04, -2.0, 1.0);
+        [p(-0.5, -0.5), p(0.5, -0.5), p(0.5, 0.5), p(-0.5, 0.5), p(-0.5, -0.5)]
+    }
+
     #[test]
-    fn an_edge_through_the_near_plane_is_clipped_there() {
+    fn beside_the_display_a_patch_has_about_the_texels_that_it_has_at_its_border() {
+        let width = |degrees: f32| extent_texels(2, &[view()], &[aside(degrees)])[0];
+        let in_the_middle = 0.04f32 / 2.0 * 256.0;
+        assert_eq!(width(0.0), in_the_middle.ceil() as u32);
+        assert_eq!(width(44.9), (in_the_middle * 2.0).ceil() as u32, "tangents grow with the square");
+        for degrees in [46.0, 55.0, 64.0] {
+            assert_eq!(width(degrees), width(44.9), "{degrees}");
+        }
+    }
+
+    #[test]
+    fn a_patch_that_ends_behind_the_eye_is_as_large_as_what_is_seen_of_it_at_most() {
         let mut corners = quad(-2.0);
         corners[1].z = 3.0;
         corners[2].z = 3.0;
         let [width, _] = extent_texels(2, &[view()], &[corners]);
-        assert!(width > 128 && width < 65535, "{width}");
+        assert!((128..2000).contains(&width), "{width}");
+        let mut c = view().clip_from_world * Vec4::new(0.3, 0.2, -1e-7, 1.0);
+        assert!(place_pixels(c, &view()).is_finite());
+        c = Vec4::ZERO;
+        assert!(place_pixels(c, &view()).is_finite());
+    }
+
+    #[test]
+    fn places_go_on_across_the_border_without_a_step() {
+        let at = |degrees: f32, turn: f32| {
+            let (sine, cosine) = degrees.to_radians().sin_cos();
+            let way = Vec2::from_angle(turn);
+            place_pixels(view().clip_from_world * (way * sine).extend(-cosine).extend(1.0), &view()).length()
+        };
+        for turn in [0.0, 0.3, 0.8, 2.0, 4.0] {
+            let mut last = at(0.0, turn);
+            for tenth in 1..1790 {
+                let now = at(tenth as f32 * 0.1, turn);
+                assert!(now > last && now - last < 2.5, "{tenth}: {last} to {now}");
+                last = now;
+            }
+        }
     }
 }

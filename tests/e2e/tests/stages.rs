@@ -1,6 +1,6 @@
 //! Every GPU stage of the server against its CPU twin, on a small scene, with validation layers on.
 
-use glam::{Mat4, Vec2, Vec3, Vec4};
+use glam::{Mat4, Vec3, Vec4};
 use shadecast_gpu::{Access, Buffer, DesktopDevice, Gpu, GpuOptions, Memory, Needs};
 use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize};
 use shadecast_protocol::picture::I420;
@@ -16,7 +16,7 @@ use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::stages::id_buffer::IdBuffer;
 use shadecast_server::stages::level_selection::LevelSelection;
 use shadecast_server::stages::mark::Mark;
-use shadecast_server::stages::view_gpu;
+use shadecast_server::stages::predicted_view_gpu;
 use shadecast_server::truth::forward::Forward;
 use shadecast_shaders::twin;
 use std::sync::Arc;
@@ -89,13 +89,13 @@ fn marks_and_extents_equal_their_cpu_twins() {
     let mut animation = Animation::new(&gpu, &scene, 3).unwrap();
     let extent = [128u32, 96];
     let eye = |x: f32| Pose { position: Vec3::new(x, 1.6, 0.3), ..Pose::IDENTITY };
-    let fov = Fov::symmetric_degrees(80.0);
+    let (fov, shown) = (Fov::symmetric_degrees(80.0), Fov::symmetric_degrees(40.0));
     let world_eyes: Vec<Pose> =
         (0..6).map(|v| scene.scene.world_from_stage.then(eye(v as f32 * 0.05))).collect();
     let matrices: Vec<Mat4> = world_eyes.iter().map(|e| fov.clip_from_eye() * e.inverse().matrix()).collect();
-    let views: Vec<_> =
-        matrices.iter().zip(&world_eyes).map(|(m, e)| view_gpu(*m, e.position, extent)).collect();
-    let views = Buffer::upload(&gpu, "views", &views).unwrap();
+    let predicted = |(m, e): (&Mat4, &Pose)| predicted_view_gpu(*m, e.position, fov, shown, [76.0, 57.0]);
+    let view_gpus: Vec<_> = matrices.iter().zip(&world_eyes).map(predicted).collect();
+    let views = Buffer::upload(&gpu, "views", &view_gpus).unwrap();
     let id_buffer = IdBuffer::new(&gpu, &scene, &animation, &views, extent).unwrap();
     let instances = scene.numbering.instances.len();
     let looks = Looks::new(&scene.numbering, vec![Some(Levels { shown: 0, next: None }); instances]);
@@ -135,11 +135,13 @@ fn marks_and_extents_equal_their_cpu_twins() {
 
     let saved: Vec<[f32; 4]> = read(&gpu, animation.saved_vertices(), |_| {});
     let extents: Vec<u32> = read(&gpu, &levels.extents, |_| {});
-    let twin_views: Vec<_> = matrices
+    let twin_views: Vec<_> = view_gpus
         .iter()
-        .map(|m| twin::level_selection::View {
-            clip_from_world: *m,
-            extent_pixels: Vec2::new(extent[0] as f32, extent[1] as f32),
+        .map(|view| twin::level_selection::View {
+            clip_from_world: Mat4::from_cols_array_2d(&view.clip_from_world),
+            tangents_from_clip: Vec4::from(view.tangents_from_clip),
+            shown_tangents: Vec4::from(view.shown_tangents),
+            pixels_per_tangent: Vec4::from(view.pixels_per_tangent).truncate().truncate(),
         })
         .collect();
     let mut compared = 0;
