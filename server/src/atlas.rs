@@ -44,19 +44,19 @@ impl Superblock {
         self.columns() << (self.side_log2 - u32::from(self.size.height_log2))
     }
 
-    /// The word and the bit of a block of this superblock, whose corner (y, x) is given.
-    fn place(&self, corner: (u32, u32), block: Block) -> (usize, u64) {
+    /// The place of a block of this superblock, whose corner (y, x) is given.
+    fn place_of(&self, corner: (u32, u32), block: Block) -> u32 {
         let column = (u32::from(block.address.x) - corner.1) >> block.size.width_log2;
         let row = (u32::from(block.address.y) - corner.0) >> block.size.height_log2;
-        let place = row * self.columns() + column;
-        (place as usize / 64, 1 << (place % 64))
+        row * self.columns() + column
     }
 
-    fn take_lowest(&mut self) -> Option<u32> {
-        let place = (0..self.places()).find(|s| self.taken[*s as usize / 64] >> (s % 64) & 1 == 0)?;
-        self.taken[place as usize / 64] |= 1 << (place % 64);
-        self.count += 1;
-        Some(place)
+    fn is_taken(&self, place: u32) -> bool {
+        self.taken[place as usize / 64] >> (place % 64) & 1 != 0
+    }
+
+    fn lowest_free(&self) -> Option<u32> {
+        (0..self.places()).find(|place| !self.is_taken(*place))
     }
 }
 
@@ -98,13 +98,10 @@ impl Atlas {
             Some(corner) => *corner,
             None => self.open_superblock(size)?,
         };
-        let superblock = self.used.get_mut(&corner).expect("open superblocks are in use");
-        let place = superblock.take_lowest().expect("open superblocks have a block free");
-        if superblock.count == superblock.places() {
-            self.open.get_mut(&size).expect("it was open").remove(&corner);
-        }
+        let superblock = &self.used[&corner];
+        let place = superblock.lowest_free().expect("open superblocks have a block free");
         let (column, row) = (place % superblock.columns(), place / superblock.columns());
-        self.used_texels += u64::from(size.texels());
+        self.take_place(corner, place);
         let address = BlockAddress {
             x: (corner.1 + column * size.width()) as u16,
             y: (corner.0 + row * size.height()) as u16,
@@ -121,21 +118,27 @@ impl Atlas {
             }
             self.use_superblock(corner, side_log2, block.size);
         }
-        let Some(superblock) = self.used.get_mut(&corner).filter(|superblock| superblock.size == block.size)
-        else {
-            return false;
-        };
-        let (word, bit) = superblock.place(corner, block);
-        if superblock.taken[word] & bit != 0 {
+        let superblock = &self.used[&corner];
+        if superblock.size != block.size {
             return false;
         }
-        superblock.taken[word] |= bit;
+        let place = superblock.place_of(corner, block);
+        let is_free = !superblock.is_taken(place);
+        if is_free {
+            self.take_place(corner, place);
+        }
+        is_free
+    }
+
+    /// Takes a place that is free, of a superblock in use.
+    fn take_place(&mut self, corner: (u32, u32), place: u32) {
+        let superblock = self.used.get_mut(&corner).expect("it is in use");
+        superblock.taken[place as usize / 64] |= 1 << (place % 64);
         superblock.count += 1;
+        self.used_texels += u64::from(superblock.size.texels());
         if superblock.count == superblock.places() {
-            self.open.get_mut(&block.size).expect("it was open").remove(&corner);
+            self.open.get_mut(&superblock.size).expect("it was open").remove(&corner);
         }
-        self.used_texels += u64::from(block.size.texels());
-        true
     }
 
     /// Gives a block back.
@@ -146,9 +149,9 @@ impl Atlas {
         let corner = self.superblock_of(block);
         let superblock = self.used.get_mut(&corner).expect("a block of this atlas");
         assert_eq!(superblock.size, block.size, "freed with the size it was allocated with");
-        let (word, bit) = superblock.place(corner, block);
-        assert!(superblock.taken[word] & bit != 0, "{block:?} is freed twice");
-        superblock.taken[word] &= !bit;
+        let place = superblock.place_of(corner, block);
+        assert!(superblock.is_taken(place), "{block:?} is freed twice");
+        superblock.taken[place as usize / 64] &= !(1 << (place % 64));
         superblock.count -= 1;
         self.used_texels -= u64::from(block.size.texels());
         let (empty, side_log2) = (superblock.count == 0, superblock.side_log2);

@@ -72,10 +72,10 @@ fn filled(text: &str, results: &Path) -> anyhow::Result<String> {
 
 fn table(name: &str, results: &Path) -> anyhow::Result<String> {
     Ok(match name {
-        "scenes" => scenes(&LONG, "", results),
-        "scenes-slow" => scenes(&LONG, "-slow", results),
+        "scenes" => scenes(&SCENES, &LONG, |scene| format!("{scene}-512"), results),
+        "scenes-slow" => scenes(&SCENES, &LONG, |scene| format!("{scene}-512-slow"), results),
         "picture" => picture(results),
-        "picture-short" => picture_short(results),
+        "picture-short" => scenes(&PICTURES, &PICTURE_SHORT, |scene| format!("picture-{scene}"), results),
         "costs" => costs(results),
         "abrupt" => abrupt(results),
         "slow-link" => slow_link(results),
@@ -138,14 +138,37 @@ const LONG: [Column; 11] = [
     ("atlas + geometry, Mbit/s", "{stats.mbit_per_s.atlas,1,1} + {stats.mbit_per_s.geometry,1,1}"),
 ];
 
-fn scenes(columns: &[Column], suffix: &str, results: &Path) -> String {
+/// What the README shows of a picture: both ways of PSNR, and FLIP.
+const PICTURE_SHORT: [Column; 4] = [
+    (
+        "without codec and link",
+        "{local.stats.psnr_db,1,1} dB, {local.stats.animated.psnr_db,1,1} dB, {local.stats.flip,1,3}",
+    ),
+    (
+        "20 +- 10 ms",
+        "{stream_20_ms.stats.psnr_db,1,1} dB, {stream_20_ms.stats.animated.psnr_db,1,1} dB, {stream_20_ms.stats.flip,1,3}",
+    ),
+    (
+        "110 +- 10 ms",
+        "{stream_110_ms.stats.psnr_db,1,1} dB, {stream_110_ms.stats.animated.psnr_db,1,1} dB, {stream_110_ms.stats.flip,1,3}",
+    ),
+    ("sent in all", "{stream_20_ms.all_mbit_s,1,1}, {stream_110_ms.all_mbit_s,1,1} Mbit/s"),
+];
+
+/// A row for each scene whose result is there; `file` names that.
+fn scenes(
+    scenes: &[(&str, &str)],
+    columns: &[Column],
+    file: impl Fn(&str) -> String,
+    results: &Path,
+) -> String {
     let heads: Vec<&str> = std::iter::once("scene").chain(columns.iter().map(|(head, _)| *head)).collect();
-    let row = |(file, label): &(&str, &str)| {
-        let value = read(results, &format!("{file}-512{suffix}"))?;
+    let row = |(scene, label): &(&str, &str)| {
+        let value = read(results, &file(scene))?;
         let cells = columns.iter().map(|(_, cell)| cell_of(cell, &value));
         Some(std::iter::once((*label).to_owned()).chain(cells).collect())
     };
-    markdown(&heads, SCENES.iter().filter_map(row))
+    markdown(&heads, scenes.iter().filter_map(row))
 }
 
 fn cell_of(pattern: &str, value: &Value) -> String {
@@ -174,29 +197,6 @@ fn rows(results: &Path, file: &str, rows: &[(&str, &str)], columns: &[Column]) -
         std::iter::once((*label).to_owned()).chain(cells).collect()
     };
     markdown(&heads, rows.iter().map(row))
-}
-
-/// Pictures of a headset's size: a row a scene.
-fn picture_short(results: &Path) -> String {
-    let picture = |way: &str| {
-        format!(
-            "{{{way}.stats.psnr_db,1,1}} dB, {{{way}.stats.animated.psnr_db,1,1}} dB, {{{way}.stats.flip,1,3}}"
-        )
-    };
-    let sent = "{stream_20_ms.all_mbit_s,1,1}, {stream_110_ms.all_mbit_s,1,1} Mbit/s";
-    let columns = [
-        ("without codec and link", picture("local")),
-        ("20 +- 10 ms", picture("stream_20_ms")),
-        ("110 +- 10 ms", picture("stream_110_ms")),
-        ("sent in all", sent.to_owned()),
-    ];
-    let heads: Vec<&str> = std::iter::once("scene").chain(columns.iter().map(|(head, _)| *head)).collect();
-    let row = |(scene, label): &(&str, &str)| {
-        let result = read(results, &format!("picture-{scene}"))?;
-        let cells = columns.iter().map(|(_, cell)| cell_of(cell, &result));
-        Some(std::iter::once((*label).to_owned()).chain(cells).collect())
-    };
-    markdown(&heads, PICTURES.iter().filter_map(row))
 }
 
 /// Pictures of a headset's size: a row a scene and way.
