@@ -1,16 +1,29 @@
-//! How many texels blocks are asked to have for a pixel of the display. Pure.
+//! How many texels blocks are asked to have for a pixel of the display, and how much levels of detail may err. Pure.
 //!
-//! Sides are rounded up to powers of two, so that blocks have more than are asked for. More still make a finer picture, and cost time
-//! of shading, room in the atlas and bits: they are asked for where all of these were to spare for a while, and no longer where one
-//! is short. Every block that changes is coded anew, a few with each update ([`crate::sizing`]); what had to be taken back is tried
-//! again later each time.
+//! Sides are rounded up to powers of two, so that blocks have more than are asked for. More still, and finer levels of detail, make a
+//! better picture, and cost time, room in the atlas and bits: they are asked for where all of these were to spare for a while, and
+//! no longer where one is short. Levels are coarser than asked for at first, and where bits or time are short. Every block that
+//! changes is coded anew, a few with each update ([`crate::sizing`]); what had to be taken back is tried again later each time.
 
-/// Texels along a pixel, from what is asked for at first to what is asked for where there is room: each step doubles those of an area.
-const STEPS: [f32; 3] = [1.0, std::f32::consts::SQRT_2, 2.0];
+/// What is asked for.
+struct Step {
+    /// Texels along a pixel.
+    texels_per_pixel: f32,
+    /// Of the error that a level of detail may have, so many times as much.
+    error: f32,
+}
+
+/// From what is asked for at first to what is asked for where there is room.
+const STEPS: [Step; 4] = [
+    Step { texels_per_pixel: 1.0, error: 2.0 },
+    Step { texels_per_pixel: 1.0, error: 1.0 },
+    Step { texels_per_pixel: std::f32::consts::SQRT_2, error: std::f32::consts::FRAC_1_SQRT_2 },
+    Step { texels_per_pixel: 2.0, error: 0.5 },
+];
 /// Part of the atlas that blocks may have come to when texels grow.
 const MOST_SHARE: f32 = 0.8;
-/// So many updates in a row with room make texels grow, at first and at most.
-const FIRST_WAIT_UPDATES: u32 = 15;
+/// So many updates in a row with room for the next step make it, at first and at most.
+const FIRST_WAIT_UPDATES: u32 = 8;
 const LONGEST_WAIT_UPDATES: u32 = 1800;
 /// So many in a row without end it.
 const SHORT_UPDATES: u32 = 8;
@@ -45,13 +58,26 @@ impl Default for Density {
 impl Density {
     /// Texels for a pixel of the next update.
     pub fn texels_per_pixel(&self) -> f32 {
-        STEPS[self.step]
+        STEPS[self.step].texels_per_pixel
+    }
+
+    /// So many times as much as was asked for may its levels of detail err.
+    pub fn error(&self) -> f32 {
+        STEPS[self.step].error
     }
 
     /// An update was placed: blocks come to this part of the atlas, with fewer texels than were asked for if it is full.
     pub fn note(&mut self, spare: Spare, used_share: f32, is_full: bool) {
-        let has_room = !is_full && spare == Spare::Room && 2.0 * used_share <= MOST_SHARE;
-        let is_short = is_full || spare == Spare::Short;
+        let now = &STEPS[self.step];
+        let has_room = match STEPS.get(self.step + 1) {
+            None => false,
+            Some(next) if next.texels_per_pixel == now.texels_per_pixel => spare != Spare::Short,
+            Some(next) => {
+                let growth = (next.texels_per_pixel / now.texels_per_pixel).powi(2);
+                spare == Spare::Room && !is_full && growth * used_share <= MOST_SHARE
+            }
+        };
+        let is_short = spare == Spare::Short || is_full && now.texels_per_pixel > 1.0;
         self.roomy_updates = if has_room { self.roomy_updates + 1 } else { 0 };
         self.short_updates = if is_short { self.short_updates + 1 } else { 0 };
         if self.step > 0 && self.short_updates >= SHORT_UPDATES {
@@ -59,7 +85,7 @@ impl Density {
             self.short_updates = 0;
             self.wait_updates = (self.wait_updates * 2).min(LONGEST_WAIT_UPDATES);
         }
-        if self.step + 1 < STEPS.len() && self.roomy_updates >= self.wait_updates {
+        if self.roomy_updates >= self.wait_updates {
             self.step += 1;
             self.roomy_updates = 0;
         }
@@ -70,51 +96,54 @@ impl Density {
 mod tests {
     use super::*;
 
-    /// Texels a pixel after so many updates that are all the same.
-    fn after(density: &mut Density, updates: u32, spare: Spare, used_share: f32, is_full: bool) -> f32 {
+    /// The step after so many updates that are all the same.
+    fn after(density: &mut Density, updates: u32, spare: Spare, used_share: f32, is_full: bool) -> usize {
         (0..updates).for_each(|_| density.note(spare, used_share, is_full));
-        density.texels_per_pixel()
+        density.step
     }
 
     #[test]
-    fn texels_grow_where_bits_time_and_atlas_have_room_for_half_a_second() {
-        for (spare, share, grows) in [
-            (Spare::Room, 0.3, true),
-            (Spare::Room, 0.45, false),
-            (Spare::Enough, 0.1, false),
-            (Spare::Short, 0.1, false),
-        ] {
+    fn levels_get_finer_where_nothing_is_short_and_texels_grow_where_there_is_room_a_quarter_of_a_second_each()
+     {
+        for (spare, share, found) in
+            [(Spare::Room, 0.3, 3), (Spare::Room, 0.45, 1), (Spare::Enough, 0.1, 1), (Spare::Short, 0.1, 0)]
+        {
             let mut density = Density::default();
-            assert_eq!(after(&mut density, 14, spare, share, false), STEPS[0]);
-            assert_eq!(after(&mut density, 1, spare, share, false), STEPS[usize::from(grows)]);
-            let found = after(&mut density, 200, spare, share, false);
-            assert_eq!(found, if grows { STEPS[2] } else { STEPS[0] }, "{spare:?}, {share}");
+            let each: Vec<usize> = (0..5).map(|_| after(&mut density, 8, spare, share, false)).collect();
+            assert_eq!(each, [1, 2, 3, 3, 3].map(|step| found.min(step)), "{spare:?}, {share}");
         }
+        let mut density = Density::default();
+        assert_eq!(
+            after(&mut density, 100, Spare::Room, 0.95, true),
+            1,
+            "a full atlas is no reason for coarser levels"
+        );
     }
 
     #[test]
     fn what_is_there_stays_while_it_will_do_and_goes_when_anything_is_short() {
-        for (spare, is_full) in [(Spare::Short, false), (Spare::Room, true)] {
+        for (spare, is_full, last) in [(Spare::Short, false, 0), (Spare::Room, true, 1)] {
             let mut density = Density::default();
             after(&mut density, 30, Spare::Room, 0.3, false);
-            assert_eq!(after(&mut density, 500, Spare::Enough, 0.95, false), STEPS[2]);
-            assert_eq!(after(&mut density, 7, spare, 0.95, is_full), STEPS[2]);
-            assert_eq!(after(&mut density, 1, Spare::Room, 0.95, false), STEPS[2], "a moment");
-            assert_eq!(after(&mut density, 8, spare, 0.95, is_full), STEPS[1]);
-            assert_eq!(after(&mut density, 8, spare, 0.95, is_full), STEPS[0]);
+            assert_eq!(after(&mut density, 500, Spare::Enough, 0.95, false), 3);
+            assert_eq!(after(&mut density, 7, spare, 0.95, is_full), 3);
+            assert_eq!(after(&mut density, 1, Spare::Room, 0.95, false), 3, "a moment");
+            assert_eq!(after(&mut density, 8, spare, 0.95, is_full), 2);
+            assert_eq!(after(&mut density, 8, spare, 0.95, is_full), 1);
+            assert_eq!(after(&mut density, 8, spare, 0.95, is_full), last);
         }
     }
 
     #[test]
     fn what_had_to_be_taken_back_is_tried_ever_later() {
-        let mut density = Density::default();
-        let mut changes = 0;
-        for _ in 0..30 * 600 {
-            let before = density.texels_per_pixel();
-            let spare = if before > 1.0 { Spare::Short } else { Spare::Room };
-            density.note(spare, 0.1, false);
-            changes += u32::from(density.texels_per_pixel() != before);
+        for most in [0, 1] {
+            let (mut density, mut changes) = (Density::default(), 0);
+            for _ in 0..30 * 600 {
+                let before = density.step;
+                density.note(if before > most { Spare::Short } else { Spare::Room }, 0.1, false);
+                changes += u32::from(density.step != before);
+            }
+            assert!((10..40).contains(&changes), "{changes} changes in ten minutes");
         }
-        assert!((10..40).contains(&changes), "{changes} changes in ten minutes");
     }
 }

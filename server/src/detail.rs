@@ -1,7 +1,7 @@
 //! Which level of detail each instance is shown at, for one viewer. Pure.
 //!
-//! A level will do while its error, as large as the nearest predicted eye sees it, stays within so many pixels. It is given up at
-//! once when it does not, and a coarser one is taken only when there is room to spare. Where what is seen would not fit the
+//! A level will do while its error, as large as the nearest predicted eye sees it, stays within so many pixels, which follow from
+//! what bits and time there are ([`crate::density`]). It is given up at once when it does not, and a coarser one is taken only when there is room to spare. Where what is seen would not fit the
 //! client, the error that is allowed grows for all: in steps, which are taken back one after the other once there has been room
 //! for a while. Which patches of a level will be seen is only known once it was looked at; until then as large a part of them is
 //! taken to be seen as of the level that is shown.
@@ -11,7 +11,7 @@ use crate::culling::Needed;
 use crate::looks::Levels;
 
 /// Pixels of the client's display that a level's error may have unless asked otherwise; see `docs/decisions.md`.
-pub const DEFAULT_DETAIL_PIXELS: f32 = 1.0;
+pub const DEFAULT_DETAIL_PIXELS: f32 = 0.5;
 /// A coarser level is taken when its error is below this part of what is allowed.
 const COARSER_BELOW: f32 = 0.7;
 /// Under pressure the allowed error grows by this factor with every step.
@@ -54,7 +54,9 @@ pub struct LevelCost {
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct Detail {
-    allowed_pixels: f32,
+    asked_pixels: f32,
+    /// So many times as much is allowed where nothing presses.
+    error: f32,
     room: Room,
     /// By instance.
     costs: Vec<Vec<LevelCost>>,
@@ -118,11 +120,12 @@ impl Seen {
 impl Detail {
     /// Levels with an error of so many pixels of a client that has this room; with 0 everything is shown in full detail,
     /// whether there is room for it or not. `costs`: the levels by instance, one at least.
-    pub fn new(allowed_pixels: f32, room: Room, costs: Vec<Vec<LevelCost>>) -> Self {
+    pub fn new(asked_pixels: f32, room: Room, costs: Vec<Vec<LevelCost>>) -> Self {
         let state =
             State { is_needed: false, shown: None, wanted: 0, share: UNKNOWN_SHARE, pixels_per_metre: 0.0 };
         Self {
-            allowed_pixels,
+            asked_pixels,
+            error: 1.0,
             room,
             states: vec![state; costs.len()],
             costs,
@@ -131,8 +134,10 @@ impl Detail {
         }
     }
 
-    /// An update begins, which needs some instances and sees a metre of each of their models with so many pixels at most.
-    pub fn begin(&mut self, needed: &Needed, pixels_per_metre: &[f32]) {
+    /// An update begins, which needs some instances and sees a metre of each of their models with so many pixels at most. Levels may
+    /// err by so many times as much as was asked for.
+    pub fn begin(&mut self, needed: &Needed, pixels_per_metre: &[f32], error: f32) {
+        self.error = error;
         self.update += 1;
         for (instance, state) in self.states.iter_mut().enumerate() {
             (state.is_needed, state.pixels_per_metre) = (needed.has(instance), pixels_per_metre[instance]);
@@ -140,7 +145,7 @@ impl Detail {
                 (state.shown, state.share) = (None, UNKNOWN_SHARE);
             }
         }
-        if self.allowed_pixels > 0.0 {
+        if self.asked_pixels > 0.0 {
             self.relieve();
             let is_tight = !self.fits(self.pressure.steps);
             if is_tight {
@@ -181,14 +186,14 @@ impl Detail {
     pub fn tighten(&mut self) -> bool {
         let wanted = |states: &[State]| states.iter().map(|state| state.wanted).collect::<Vec<_>>();
         let before = wanted(&self.states);
-        while self.allowed_pixels > 0.0 && wanted(&self.states) == before {
+        while self.asked_pixels > 0.0 && wanted(&self.states) == before {
             if self.is_coarsest(self.pressure.steps) {
                 return false;
             }
             self.press();
             self.want(|_| true);
         }
-        self.allowed_pixels > 0.0
+        self.asked_pixels > 0.0
     }
 
     /// Pixels of error that are allowed now.
@@ -197,7 +202,7 @@ impl Detail {
     }
 
     fn allowed(&self, steps: u32) -> f32 {
-        self.allowed_pixels * STEP.powi(steps as i32)
+        self.asked_pixels * self.error * STEP.powi(steps as i32)
     }
 
     fn want(&mut self, may_change: impl Fn(&State) -> bool) {
@@ -290,7 +295,7 @@ mod tests {
 
     /// An update after which everything that is wanted is shown, and `share` of its patches was seen.
     fn update(detail: &mut Detail, pixels_per_metre: &[f32], share: f32) -> Vec<usize> {
-        detail.begin(&Needed::all(pixels_per_metre.len()), pixels_per_metre);
+        detail.begin(&Needed::all(pixels_per_metre.len()), pixels_per_metre, 1.0);
         let levels = shown(detail);
         for (instance, level) in levels.iter().enumerate() {
             detail.switched(instance);
@@ -338,6 +343,18 @@ mod tests {
             }
         }
         assert_eq!(changes, 0);
+    }
+
+    #[test]
+    fn levels_may_err_by_as_many_times_what_was_asked_for_as_they_are_told() {
+        let level = |asked_pixels: f32, error: f32| {
+            let mut detail = Detail::new(asked_pixels, ROOM, vec![chain(1000, 0.01, 6)]);
+            detail.begin(&Needed::all(1), &[20.0], error);
+            (shown(&detail), detail.allowed_pixels())
+        };
+        let [fine, asked, coarse] = [0.5, 1.0, 2.0].map(|error| level(1.0, error));
+        assert!(fine.0 < asked.0 && asked.0 < coarse.0, "{fine:?} {asked:?} {coarse:?}");
+        assert_eq!((fine, coarse), (level(0.5, 1.0), level(2.0, 1.0)));
     }
 
     #[test]
@@ -389,7 +406,7 @@ mod tests {
         // All but two go.
         let few: Needed = (0..20).map(|instance| instance < 2).collect();
         for _ in 0..2 * RECOVER_AFTER_UPDATES {
-            detail.begin(&few, &[100.0; 20]);
+            detail.begin(&few, &[100.0; 20], 1.0);
             for instance in [0, 1] {
                 detail.switched(instance);
                 let level = shown(&detail)[instance];
@@ -415,11 +432,11 @@ mod tests {
         update(&mut detail, &[1.0; 2], 0.5);
         let coarse = shown(&detail);
         for _ in 0..CHANGE_EVERY_UPDATES {
-            detail.begin(&Needed::all(2), &[1000.0; 2]);
+            detail.begin(&Needed::all(2), &[1000.0; 2], 1.0);
             detail.measured(0, 5);
             detail.measured(1, 0);
         }
-        detail.begin(&Needed::all(2), &[1000.0; 2]);
+        detail.begin(&Needed::all(2), &[1000.0; 2], 1.0);
         let levels: Vec<_> = detail.levels().flatten().collect();
         assert_eq!(levels[0], Levels { shown: coarse[0], next: Some(0) });
         assert_eq!(levels[1], Levels { shown: 0, next: None });

@@ -95,7 +95,7 @@ struct EyeSize {
 /// How much of the scene a viewer is shown, and how.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShowOptions {
-    /// Pixels of the display that a level of detail may err by; 0: everything has full detail.
+    /// Pixels of the display that a level of detail may err by where bits and time suffice; 0: everything has full detail.
     pub detail_pixels: f32,
     /// Part of the client's slots and of the atlas for what an abrupt head could see, 0..1; 0: none.
     pub surround: f32,
@@ -268,7 +268,7 @@ impl Frame {
         let in_view: Needed = self.culling.needs(views.eyes.iter().flatten().copied());
         let (needs, glance) = self.look_for_surround(&in_view, &views);
         let near = pixels_per_metre(world.scene(), world.grid(), &views, self.eye.pixels_per_radian());
-        self.detail.begin(&needs, &near);
+        self.detail.begin(&needs, &near, self.density.error());
         let mut recorder = world.gpu().record()?;
         let began = world.effort.begin();
         let sampled: Sampled = world.animate(&mut recorder, self.id, &views, &needs); // 2

@@ -117,7 +117,8 @@ struct StreamArgs {
     atlas: AtlasExtent,
     #[command(flatten)]
     quality: QualityArgs,
-    /// Pixels of the client's display that a level of detail may err by; 0: everything has full detail
+    /// Pixels of the client's display that a level of detail may err by, twice as many where bits or time are short, half as many where they are
+    /// to spare; 0: everything has full detail
     #[arg(long, value_name = "PIXELS", default_value_t = DEFAULT_DETAIL_PIXELS, value_parser = number(0.0..=64.0f32, "pixels"))]
     detail: f32,
     /// Part of the client's slots and of the atlas for what an abrupt turn of the head would show, 0 to 0.5; 0: none

@@ -123,6 +123,8 @@ pub struct Quality {
     link_bytes_s: Option<f64>,
     /// The last update took too long, or its picture.
     is_slow: [bool; 2],
+    /// A picture has told what pictures take.
+    is_told: bool,
 }
 
 impl Quality {
@@ -137,6 +139,7 @@ impl Quality {
             known_ns: None,
             link_bytes_s: None,
             is_slow: [false; 2],
+            is_told: false,
         }
     }
 
@@ -178,7 +181,8 @@ impl Quality {
 
     /// Whether bits and time are left over.
     pub fn spare(&self) -> Spare {
-        let has_bits = |qp: u8| matches!(self.options, QualityOptions::Constant(_)) || self.qp <= qp;
+        let is_constant = matches!(self.options, QualityOptions::Constant(_));
+        let has_bits = |qp: u8| is_constant || self.is_told && self.qp <= qp;
         match self.is_slow.contains(&true) {
             true => Spare::Short,
             false if has_bits(QP_WITH_ROOM) => Spare::Room,
@@ -205,6 +209,7 @@ impl Quality {
         if picture.is_refresh {
             return;
         }
+        self.is_told = true;
         let used = picture.stream_bytes as f64 / self.picture_bytes(bytes_s);
         self.balance(-(picture.stream_bytes as f64), bytes_s);
         self.qp = match used {
@@ -376,6 +381,9 @@ mod tests {
     #[test]
     fn bits_are_left_over_where_pictures_are_fine_and_time_where_updates_are_quick() {
         let mut quality = quality();
+        note(&mut quality, SentPicture { is_refresh: true, ..sent(10, 0.0) });
+        assert_eq!(quality.spare(), Spare::Short, "nothing is known of pictures that follow another");
+        note(&mut quality, sent(10, 0.0));
         assert_eq!(quality.spare(), Spare::Enough);
         run(&mut quality, &mut Scene::new(10_000.0, 0.0), 30);
         assert_eq!(quality.spare(), Spare::Room);

@@ -18,6 +18,7 @@ fn small(scene: SceneSource, out: &Path) -> RunOptions {
         extent_pixels: [160, 160],
         atlas_extent_texels: AtlasExtent::new(1024, 1024).expect("an atlas"),
         seconds: 0.6,
+        compare_from: 29,
         validation: true,
         ..usual(scene, out.to_owned())
     }

@@ -41,10 +41,12 @@ pub enum Cause {
     Delay,
     /// The two clocks are not known to be equal to the last bit.
     Jitter,
+    /// What is far has fewer triangles.
+    LevelsOfDetail,
 }
 
 /// All of them, in the order in which they are measured.
-pub const CAUSES: [Cause; 10] = [
+pub const CAUSES: [Cause; 11] = [
     Cause::Density,
     Cause::Filter,
     Cause::Reconstruction,
@@ -55,14 +57,15 @@ pub const CAUSES: [Cause; 10] = [
     Cause::Quantisation,
     Cause::Delay,
     Cause::Jitter,
+    Cause::LevelsOfDetail,
 ];
 
 /// Display frames from one that is compared to the next: of 72 a second, in every phase of 30 updates.
 const COMPARE_EVERY: u32 = 5;
-/// The first display frames are those of a client that just begins.
-const COMPARE_FROM: u64 = 29;
+/// The first display frame that is compared, at 72 a second: detail, texels and bits have settled.
+const COMPARE_FROM: u64 = 72;
 /// Virtual seconds of each run, unless told otherwise.
-pub const SECONDS: f64 = 1.0;
+pub const SECONDS: f64 = 2.0;
 /// Texels for a pixel where density is no cause.
 const DENSE: f32 = 2.0;
 /// One way of a link that is as good as none, nanoseconds.
@@ -81,6 +84,7 @@ impl Cause {
             Self::Chroma => "a hue for each texel instead of every fourth (beside: uncoded)",
             Self::Quantisation => "the atlas uncoded, at the same times",
             Self::Delay => "no latency, no stage takes time",
+            Self::LevelsOfDetail => "everything in full detail",
             Self::Jitter => "a link whose ways are always as long: the clock is exact",
         }
     }
@@ -110,6 +114,7 @@ impl Cause {
                 scene_options: SceneOptions { shadow_doublings: 1, ..run.scene_options },
                 ..run.clone()
             },
+            Self::LevelsOfDetail => RunOptions { detail_pixels: 0.0, ..run.clone() },
             Self::Outlines => spared(Spared { outlines: true, ..Spared::default() }),
             Self::Chroma => arrival(Arrival::FullChroma),
             Self::Quantisation => arrival(Arrival::Uncoded),
@@ -139,6 +144,7 @@ impl fmt::Display for Cause {
             Self::Quantisation => "quantisation",
             Self::Delay => "delay",
             Self::Jitter => "jitter",
+            Self::LevelsOfDetail => "levels of detail",
         })
     }
 }

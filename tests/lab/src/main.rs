@@ -198,7 +198,8 @@ struct RunArgs {
     /// Atlas width and height in texels, powers of two from 512x512 to 4096x2048
     #[arg(long, value_name = "WxH", default_value_t = AtlasExtent::DEFAULT)]
     atlas: AtlasExtent,
-    /// Pixels of the display that a level of detail may err by; 0: everything has full detail
+    /// Pixels of the client's display that a level of detail may err by, twice as many where bits or time are short, half as many where they are
+    /// to spare; 0: everything has full detail
     #[arg(long, value_name = "PIXELS", default_value_t = DEFAULT_DETAIL_PIXELS, value_parser = number(0.0..=64.0f32, "pixels"))]
     detail: f32,
     /// Part of the client's slots and of the atlas for what an abrupt turn of the head would show, 0 to 0.5; 0: none
@@ -276,8 +277,8 @@ struct CausesArgs {
     /// The network of the run as it ships, as of run
     #[arg(long, default_value = USUAL_LINK)]
     link: String,
-    /// Virtual seconds of each run, the first 0.4 of which are not compared
-    #[arg(long, default_value_t = causes::SECONDS, value_parser = number(0.6..=MOST_S, "seconds"))]
+    /// Virtual seconds of each run, the first of which is not compared
+    #[arg(long, default_value_t = causes::SECONDS, value_parser = number(1.2..=MOST_S, "seconds"))]
     seconds: f64,
     /// Pixels per eye
     #[arg(long, value_parser = parse_size, default_value = "256x256")]

@@ -207,7 +207,7 @@ pub struct RunOptions {
     pub quality: QualityOptions,
     /// Atlas width and height in texels.
     pub atlas_extent_texels: AtlasExtent,
-    /// Pixels of the display that a level of detail may err by; 0: everything has full detail.
+    /// Pixels of the display that a level of detail may err by where bits and time suffice; 0: everything has full detail.
     pub detail_pixels: f32,
     /// Part of the client's slots and of the atlas for what an abrupt head could see; 0: none.
     pub surround: f32,
