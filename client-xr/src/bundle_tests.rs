@@ -233,8 +233,8 @@ impl Bench {
         }
     }
 
-    fn add_delta(&mut self, delta: ReceivedDelta) {
-        self.motion.take_delta(&delta);
+    fn add_delta(&mut self, mut delta: ReceivedDelta) {
+        self.motion.take_delta(&mut delta);
         self.bundler.add_delta(delta.geometry);
     }
 

@@ -149,8 +149,8 @@ impl Scene {
     }
 
     /// Takes in the next delta: its vertices and samples count at once, its patches with a picture.
-    pub fn take_delta(&mut self, delta: ReceivedDelta) {
-        self.motion.take_delta(&delta);
+    pub fn take_delta(&mut self, mut delta: ReceivedDelta) {
+        self.motion.take_delta(&mut delta);
         if delta.is_update {
             self.bundler.add_delta(delta.geometry);
         }

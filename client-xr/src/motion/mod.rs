@@ -185,7 +185,7 @@ impl Motion {
         &mut self,
         update: UpdateId,
         entering: &[NewVertex],
-        positions: &[PositionBatch],
+        positions: Vec<PositionBatch>,
         is_update: bool,
     ) {
         entering.iter().for_each(|vertex| self.enter(vertex));
@@ -258,17 +258,19 @@ impl Motion {
         self.predicted_until = self.min_until();
     }
 
-    fn take_positions(&mut self, batches: &[PositionBatch]) {
+    /// Each batch is gone once it was taken in: of large ones not all are held twice.
+    fn take_positions(&mut self, batches: Vec<PositionBatch>) {
+        let is_empty = batches.is_empty();
         let newest = batches.iter().map(|batch| batch.grid).max().unwrap_or_default();
         // Steps that share a place in the ring with a later one of the same delta could be seen by nobody, nor could
         // the step whose tag means that there is no sample.
         let oldest = newest.plus(1 - self.sample_ring as i32).max(GridIndex(i32::MIN + 1));
-        for batch in batches.iter().filter(|batch| batch.grid >= oldest) {
-            for (slot, position) in &batch.positions {
-                self.take_position(*slot, batch.grid, position.to_array());
+        for batch in batches.into_iter().filter(|batch| batch.grid >= oldest) {
+            for (slot, position) in batch.positions {
+                self.take_position(slot, batch.grid, position.to_array());
             }
         }
-        if !batches.is_empty() {
+        if !is_empty {
             self.span.last = self.min_last();
         }
     }
@@ -396,7 +398,7 @@ mod tests {
             instance: InstanceId(0),
             motion: geometry::Motion::Sampled,
         };
-        motion.take(UpdateId(0), &[0, 1, 2].map(vertex), &positions(0..16), true);
+        motion.take(UpdateId(0), &[0, 1, 2].map(vertex), positions(0..16), true);
     }
 
     /// Of vertices 0, 1, 2.
@@ -414,7 +416,7 @@ mod tests {
         let mut staging = [bytemuck::Zeroable::zeroed(); 12];
         for update in 1..2000 {
             let first = 12 + update as i32 * 4;
-            motion.take(UpdateId(update), &[], &positions(first..first + 4), true);
+            motion.take(UpdateId(update), &[], positions(first..first + 4), true);
             motion.writes.drain_into(&mut staging, |_| {});
             assert!(motion.writes.waiting() > 0, "the first delta's are always ahead");
             assert!(motion.writes.records.len() < 100, "{}", motion.writes.records.len());
@@ -427,7 +429,7 @@ mod tests {
         enter_three(&mut motion);
         for update in 1..4 {
             assert!(!motion.is_full(), "{} records", motion.writes.waiting());
-            motion.take(UpdateId(update), &[], &positions(0..16), true);
+            motion.take(UpdateId(update), &[], positions(0..16), true);
         }
         assert!(motion.is_full(), "{} records", motion.writes.waiting());
     }
@@ -449,7 +451,7 @@ mod tests {
         for slot in 0..4 {
             motion.enter_skinned(VertexSlot(slot), instance, RestId(slot)).expect("the instance is known");
         }
-        motion.take(UpdateId(0), &[], &[], true);
+        motion.take(UpdateId(0), &[], Vec::new(), true);
         motion
     }
 
@@ -492,7 +494,7 @@ mod tests {
         let mut motion = Motion::new(SLOTS, MotionMemory::NONE.into());
         let (instance, predicted) = (InstanceId(0), geometry::Motion::Predicted);
         let entering = [0, 1].map(|slot| NewVertex { slot: VertexSlot(slot), instance, motion: predicted });
-        motion.take(UpdateId(0), &entering, &[], false);
+        motion.take(UpdateId(0), &entering, Vec::new(), false);
         motion.predict(UpdateId(0), ServerTime(1000 * MS), &[0, 1].map(predicted_vertex));
         motion
     }
@@ -540,7 +542,7 @@ mod tests {
         let frozen = |motion: &Motion, ms: i64| motion.motionless(DEFAULT_GRID, ServerTime(ms * MS)).frozen;
         assert_eq!([999, 1030, 1089].map(|ms| frozen(&motion, ms)), [0; 3]);
         assert_eq!([1091, 5000].map(|ms| frozen(&motion, ms)), [2; 2], "each once");
-        motion.take(UpdateId(1), &[], &[], false);
+        motion.take(UpdateId(1), &[], Vec::new(), false);
         motion.predict(UpdateId(1), ServerTime(1050 * MS), &[predicted_vertex(0)]);
         assert_eq!([1089, 1091, 1139, 1141].map(|ms| frozen(&motion, ms)), [0, 1, 1, 2]);
         motion.begin_list().end(GridIndex(i32::MIN));

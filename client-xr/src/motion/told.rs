@@ -93,8 +93,9 @@ fn is_later(a: u32, b: u32) -> bool {
 
 impl Motion {
     /// Takes in what the next update says of vertices, skeletons and samples. It comes from a decoder that has checked it
-    /// against the client's memory.
-    pub fn take_delta(&mut self, delta: &ReceivedDelta) {
+    /// against the client's memory. Its positions are taken out of it.
+    pub fn take_delta(&mut self, delta: &mut ReceivedDelta) {
+        let positions = std::mem::take(&mut delta.positions);
         let geometry::Skinned { skeletons, instances, .. } = &delta.geometry.skinned;
         let update = delta.geometry.update;
         let skeletons = skeletons.iter().map(|skeleton| self.learn_skeleton(skeleton)).max();
@@ -103,10 +104,10 @@ impl Motion {
         self.told.updates.extend(skeletons.max(morphs).map(|written| (update, written)));
         let geometry::GeometryDelta { time, new_vertices, predictions, .. } = &delta.geometry;
         match delta.is_update && !predictions.is_empty() {
-            false => self.take(update, new_vertices, &delta.positions, delta.is_update),
+            false => self.take(update, new_vertices, positions, delta.is_update),
             true => {
                 // The update is complete with its last prediction.
-                self.take(update, new_vertices, &delta.positions, false);
+                self.take(update, new_vertices, positions, false);
                 self.predict(update, *time, predictions);
             }
         }

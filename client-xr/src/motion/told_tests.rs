@@ -135,7 +135,7 @@ fn a_chunk_that_comes_before_its_instance_is_used_when_that_comes() {
     let mut motion = motion();
     motion.take_motion(chunk(0, DANCE, 100));
     assert_eq!(pose(&mut motion).1.withheld_vertices, 1, "nobody knows the fox");
-    motion.take_delta(&fox());
+    motion.take_delta(&mut fox());
     assert_eq!(evaluated_from(&mut motion), Some(100));
 }
 
@@ -143,7 +143,7 @@ fn a_chunk_that_comes_before_its_instance_is_used_when_that_comes() {
 fn a_chunk_that_takes_some_words_of_another_ends_it() {
     for first_word in [100 - WORDS + 4, 100, 100 + WORDS - 4] {
         let mut motion = motion();
-        motion.take_delta(&fox());
+        motion.take_delta(&mut fox());
         motion.take_motion(chunk(0, DANCE, 100));
         assert_eq!(evaluated_from(&mut motion), Some(100));
         motion.take_motion(chunk(1, WALK, first_word));
@@ -155,7 +155,7 @@ fn a_chunk_that_takes_some_words_of_another_ends_it() {
 fn a_chunk_beside_another_leaves_it() {
     for first_word in [100 - WORDS, 100 + WORDS] {
         let mut motion = motion();
-        motion.take_delta(&fox());
+        motion.take_delta(&mut fox());
         motion.take_motion(chunk(0, DANCE, 100));
         motion.take_motion(chunk(1, WALK, first_word));
         assert_eq!(evaluated_from(&mut motion), Some(100), "from {first_word}");
@@ -166,7 +166,7 @@ fn a_chunk_beside_another_leaves_it() {
 fn a_chunk_that_comes_later_than_what_replaced_it_is_not_written() {
     for (clip, expected) in [(DANCE, None), (WALK, Some(104))] {
         let mut motion = motion();
-        motion.take_delta(&fox());
+        motion.take_delta(&mut fox());
         motion.take_motion(chunk(9, WALK, 104));
         write(&mut motion);
         motion.take_motion(chunk(8, DANCE, 100));
@@ -179,7 +179,7 @@ fn a_chunk_that_comes_later_than_what_replaced_it_is_not_written() {
 #[test]
 fn numbers_of_messages_go_on_after_the_last() {
     let mut motion = motion();
-    motion.take_delta(&fox());
+    motion.take_delta(&mut fox());
     motion.take_motion(chunk(u32::MAX, WALK, 104));
     motion.take_motion(chunk(0, DANCE, 100));
     assert_eq!(evaluated_from(&mut motion), Some(100));
@@ -190,7 +190,7 @@ fn a_chunk_that_was_put_elsewhere_survives_what_takes_its_first_place() {
     // Whichever of its places is heard of first.
     for order in [[0, 1, 2], [1, 0, 2], [1, 2, 0]] {
         let mut motion = motion();
-        motion.take_delta(&fox());
+        motion.take_delta(&mut fox());
         let all = [chunk(0, DANCE, 100), chunk(1, DANCE, 200), chunk(2, WALK, 100)];
         order.into_iter().for_each(|which| motion.take_motion(all[which].clone()));
         assert_eq!(evaluated_from(&mut motion), Some(200), "{order:?}");
@@ -201,23 +201,23 @@ fn a_chunk_that_was_put_elsewhere_survives_what_takes_its_first_place() {
 fn what_is_there_for_good_ends_a_chunk_in_its_words() {
     let mut motion = motion();
     motion.take_motion(chunk(0, DANCE, 4));
-    motion.take_delta(&fox());
+    motion.take_delta(&mut fox());
     assert_eq!(evaluated_from(&mut motion), None, "the skeleton has these words");
     motion.take_motion(chunk(1, DANCE, 100));
     assert_eq!(evaluated_from(&mut motion), Some(100));
-    motion.take_delta(&vertex(1, 0, 105, 1));
+    motion.take_delta(&mut vertex(1, 0, 105, 1));
     assert_eq!(evaluated_from(&mut motion), None, "a morph target has one of these words");
 }
 
 #[test]
 fn an_update_is_complete_when_its_morph_targets_are_on_their_way() {
     let mut motion = motion();
-    motion.take_delta(&fox());
+    motion.take_delta(&mut fox());
     write(&mut motion);
     assert_eq!(motion.complete(), Some(UpdateId(0)));
-    motion.take_delta(&vertex(1, 0, 0, 0));
-    motion.take_delta(&vertex(2, 1, 500, 200));
-    motion.take_delta(&vertex(3, 2, 0, 0));
+    motion.take_delta(&mut vertex(1, 0, 0, 0));
+    motion.take_delta(&mut vertex(2, 1, 500, 200));
+    motion.take_delta(&mut vertex(3, 2, 0, 0));
     let mut records = vec![bytemuck::Zeroable::zeroed(); 1000];
     motion.writes().drain_into(&mut records, |_| {});
     assert_eq!(motion.complete(), Some(UpdateId(1)));
@@ -230,10 +230,10 @@ fn an_update_is_complete_when_its_morph_targets_are_on_their_way() {
 #[test]
 fn vertices_that_enter_do_not_withhold_those_that_are_seen() {
     let mut motion = motion();
-    motion.take_delta(&fox());
+    motion.take_delta(&mut fox());
     motion.take_motion(chunk(0, DANCE, 100));
     assert_eq!(evaluated_from(&mut motion), Some(100));
-    motion.take_delta(&vertex(1, 0, 500, 200));
+    motion.take_delta(&mut vertex(1, 0, 500, 200));
     let mut drawn = DrawnInstances::default();
     drawn.note_vertex(FOX);
     motion.drawn = drawn;
@@ -244,7 +244,7 @@ fn vertices_that_enter_do_not_withhold_those_that_are_seen() {
 #[test]
 fn a_skeleton_that_is_on_its_way_makes_its_update_incomplete() {
     let mut motion = motion();
-    motion.take_delta(&fox());
+    motion.take_delta(&mut fox());
     motion.writes().drain_into(&mut [], |_| {});
     assert_eq!(motion.complete(), None);
     write(&mut motion);
@@ -257,7 +257,7 @@ fn a_schedule_that_comes_before_its_instance_counts() {
     [chunk(0, DANCE, 100), chunk(1, WALK, 200), schedule(2, WALK)]
         .into_iter()
         .for_each(|news| motion.take_motion(news));
-    motion.take_delta(&fox());
+    motion.take_delta(&mut fox());
     assert_eq!(evaluated_from(&mut motion), Some(200));
 }
 
@@ -266,7 +266,7 @@ fn a_schedule_that_comes_before_its_instance_is_not_blended_to_from_what_nobody_
     let mut motion = motion();
     pose(&mut motion);
     [chunk(0, WALK, 200), schedule(1, WALK)].into_iter().for_each(|news| motion.take_motion(news));
-    motion.take_delta(&fox());
+    motion.take_delta(&mut fox());
     let (placed, counts) = pose(&mut motion);
     assert_eq!(
         (counts.withheld_vertices, placed.pose.fading),
@@ -279,7 +279,7 @@ fn a_schedule_that_comes_before_its_instance_is_not_blended_to_from_what_nobody_
 fn of_two_schedules_the_later_one_counts_whichever_comes_first() {
     for order in [[0, 1], [1, 0]] {
         let mut motion = motion();
-        motion.take_delta(&fox());
+        motion.take_delta(&mut fox());
         [chunk(0, DANCE, 100), chunk(1, WALK, 200)].into_iter().for_each(|news| motion.take_motion(news));
         let both = [schedule(2, DANCE), schedule(3, WALK)];
         order.into_iter().for_each(|which| motion.take_motion(both[which].clone()));
@@ -337,9 +337,9 @@ fn a_skeleton_lies_where_its_place_says() {
     (skeleton.first_word, skeleton.parents) = (8, vec![None, None, Some(1), Some(0), Some(3)]);
     skeleton.level_starts = vec![0, 2, 4, 5];
     skeleton.entries[0].bone = 4;
-    motion.take_delta(&delta);
+    motion.take_delta(&mut delta);
     let (placed, _) = pose(&mut motion);
-    motion.take_delta(&received(1, delta.geometry.clone(), vec![]));
+    motion.take_delta(&mut received(1, delta.geometry.clone(), vec![]));
     let arena = write(&mut motion);
     let words: Vec<i32> = numbers(&arena, 0, 400);
     let at = |base: u32, count: usize| words[base as usize..][..count].to_vec();
@@ -379,9 +379,9 @@ fn poses_go_to_their_places_whether_their_instance_comes_before_or_after_them() 
         let news = poses(vec![posed(-1, 10.0, 1), posed(0, 20.0, 1), posed(1, 30.0, 1)]);
         if is_early {
             motion.take_motion(news);
-            motion.take_delta(&posed_fox());
+            motion.take_delta(&mut posed_fox());
         } else {
-            motion.take_delta(&posed_fox());
+            motion.take_delta(&mut posed_fox());
             motion.take_motion(news);
         }
         let arena = write(&mut motion);
@@ -392,7 +392,7 @@ fn poses_go_to_their_places_whether_their_instance_comes_before_or_after_them() 
 #[test]
 fn a_pose_that_is_older_than_what_has_its_place_or_of_another_skeleton_changes_nothing() {
     let mut motion = motion();
-    motion.take_delta(&posed_fox());
+    motion.take_delta(&mut posed_fox());
     motion.take_motion(poses(vec![posed(40, 10.0, 1), posed(8, 20.0, 1), posed(40, 30.0, 2)]));
     let arena = write(&mut motion);
     assert_eq!(x_at(&arena, 40), 10.0);

@@ -153,7 +153,7 @@ fn compare(gpu: &Arc<Gpu>, seed: u64, interpolation: Interpolation, sample_ring:
             let late = dice.below(3) as i32;
             let (entering, positions) = random_news(&mut dice, frame, GRID.floor(time).0 - late);
             let motions = both.motions.iter_mut();
-            motions.for_each(|motion| motion.take(UpdateId(frame), &entering, &positions, true));
+            motions.for_each(|motion| motion.take(UpdateId(frame), &entering, positions.clone(), true));
         }
         let push = push(GRID, evaluation(time, before.replace(time)), both.slots, interpolation);
         both.frame(&push, &format!("seed {seed}"));
@@ -201,7 +201,7 @@ fn gpu_and_twin_agree_on_predicted_vertices() {
             if frame == 0 || dice.below(6) == 0 {
                 let made = time.plus_ns(dice.below(60_000_000) as i64 - 50_000_000);
                 let delta = random_predictions(&mut dice, update, made, &mut known);
-                both.motions.iter_mut().for_each(|motion| motion.take_delta(&delta));
+                both.motions.iter_mut().for_each(|motion| motion.take_delta(&mut delta.clone()));
                 update += 1;
             }
             let evaluation = evaluation(time, before.replace(time));

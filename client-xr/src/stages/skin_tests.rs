@@ -340,7 +340,7 @@ impl Bench {
                 self.motion.enter_skinned(slot, instance, RestId(slot.0)).expect("known");
             }
         }
-        self.motion.take(UpdateId(0), &[], &[], true);
+        self.motion.take(UpdateId(0), &[], Vec::new(), true);
         let mut users = self.motion.begin_list();
         let count = of_instances.iter().map(|rests| rests.len() as u32).sum();
         (0..count).for_each(|slot| {
@@ -607,7 +607,7 @@ fn skinning_leaves_static_and_sampled_vertices_alone_and_they_leave_it_alone() {
     bench.motion.take(
         UpdateId(1),
         &[vertex(3, still), vertex(4, geometry::Motion::Sampled)],
-        &[sample(0), sample(1)],
+        vec![sample(0), sample(1)],
         true,
     );
     let interpolate = crate::stages::interpolate::Interpolate::new(&bench.gpu).unwrap();
@@ -632,7 +632,12 @@ fn skinning_leaves_static_and_sampled_vertices_alone_and_they_leave_it_alone() {
     assert_eq!([after[3], after[4]], [[1.0, 2.0, 3.0, 1.0], [4.0, 5.0, 6.0, 1.0]]);
     assert_eq!(before[4], [0.0; 4], "skinning has not written it");
     // A slot that was skinned holds something else.
-    bench.motion.take(UpdateId(2), &[vertex(0, still), vertex(1, geometry::Motion::Sampled)], &[], true);
+    bench.motion.take(
+        UpdateId(2),
+        &[vertex(0, still), vertex(1, geometry::Motion::Sampled)],
+        Vec::new(),
+        true,
+    );
     let (_, after) = frame(&mut bench);
     assert_eq!([after[0], after[1]], [[1.0, 2.0, 3.0, 1.0], [0.0; 4]]);
     assert_eq!(after[2], before[2]);

@@ -177,10 +177,10 @@ impl Run {
                     welcome.check().expect("a welcome is checked");
                     self.moved = Some(Moved::new(&welcome));
                 }
-                ClientEvent::Delta(delta) => {
+                ClientEvent::Delta(mut delta) => {
                     let update = delta.geometry.update;
                     assert!(self.welcomed && (!delta.is_update || update == self.next_delta), "{update:?}");
-                    self.moved.iter_mut().for_each(|moved| moved.motion.take_delta(&delta));
+                    self.moved.iter_mut().for_each(|moved| moved.motion.take_delta(&mut delta));
                     if delta.is_update {
                         self.next_delta = self.next_delta.next();
                     }
