@@ -16,7 +16,7 @@ use crate::motion::skinning::Skinning;
 use crate::motion::steps::wanted_steps_m;
 use crate::nearness::pixels_per_metre;
 use crate::pacing::Budget;
-use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES};
+use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES, View};
 use crate::residency::{PlacementChange, Residency};
 use crate::scene::SceneGpu;
 use crate::scene::meshes::MeshLevel;
@@ -506,33 +506,37 @@ impl Frame {
     fn write_views(&mut self, views: &PredictedViews) {
         let eyes = views.eyes.iter().flat_map(|pair| pair.iter().enumerate());
         let texels_per_pixel = self.asked_texels_per_pixel();
-        let id_extent = self.id_buffer.image.desc().extent.map(|side| side as f32);
         for (index, (side, view)) in eyes.enumerate() {
-            let [x, y] = shift_ndc(self.next.0, index as u32, MAX_VIEWS, id_extent);
-            let shift = Mat4::from_translation(Vec3::new(x, y, 0.0));
-            let clip_from_world = shift * view.fov.clip_from_eye() * view.world_from_eye.inverse().matrix();
+            let shift_ndc = self.shift_ndc(self.next.0, index as u32, MAX_VIEWS);
             let shown = self.eye.fovs[side];
             let texels = self.eye.pixels_per_tangent_of(shown).map(|pixels| pixels * texels_per_pixel);
-            let at = view.world_from_eye.position;
-            let gpu = predicted_view_gpu(clip_from_world, at, view.fov, shown, texels);
-            self.views.write(index * size_of::<ViewGpu>(), bytemuck::bytes_of(&gpu));
+            self.write_view(index, view, shift_ndc, (shown, texels));
         }
     }
 
     /// The two views of a glance, in place of all pairs: an extent is the largest of all.
     fn write_glance(&mut self, glance: &Glance) {
-        let id_extent = self.id_buffer.image.desc().extent.map(|side| side as f32);
         for index in 0..MAX_VIEWS {
-            let side = (index % EYES) as usize;
-            let view = glance.views[side];
-            let [x, y] = shift_ndc(glance.number, index % EYES, EYES, id_extent);
-            let shift = Mat4::from_translation(Vec3::new(x, y, 0.0));
-            let clip_from_world = shift * view.fov.clip_from_eye() * view.world_from_eye.inverse().matrix();
-            let pixels = self.eye.pixels_per_tangent_of(self.eye.fovs[side]);
-            let at = view.world_from_eye.position;
-            let gpu = predicted_view_gpu(clip_from_world, at, view.fov, view.fov, pixels);
-            self.views.write(index as usize * size_of::<ViewGpu>(), bytemuck::bytes_of(&gpu));
+            let side = index % EYES;
+            let view = &glance.views[side as usize];
+            let shift_ndc = self.shift_ndc(glance.number, side, EYES);
+            let pixels = self.eye.pixels_per_tangent_of(self.eye.fovs[side as usize]);
+            self.write_view(index as usize, view, shift_ndc, (view.fov, pixels));
         }
+    }
+
+    /// Where the samples of one of so many views lie in a round of updates.
+    fn shift_ndc(&self, number: u32, view: u32, views: u32) -> [f32; 2] {
+        shift_ndc(number, view, views, self.id_buffer.image.desc().extent.map(|side| side as f32))
+    }
+
+    /// Tells the shaders of a view; `shown`: what the display shows of it, with how many texels a tangent.
+    fn write_view(&mut self, index: usize, view: &View, [x, y]: [f32; 2], shown: (Fov, [f32; 2])) {
+        let shift = Mat4::from_translation(Vec3::new(x, y, 0.0));
+        let clip_from_world = shift * view.fov.clip_from_eye() * view.world_from_eye.inverse().matrix();
+        let gpu =
+            predicted_view_gpu(clip_from_world, view.world_from_eye.position, view.fov, shown.0, shown.1);
+        self.views.write(index * size_of::<ViewGpu>(), bytemuck::bytes_of(&gpu));
     }
 
     /// Which patch has which block.
