@@ -70,6 +70,7 @@ fn run(app: &AndroidApp, settings: &Settings, data_folder: PathBuf, stop: &Atomi
         xr: XrOptions { validation: false },
         fingerprint: None,
         seconds: 0.0,
+        trace: None,
     };
     // SAFETY: the pointer is the process's JavaVM, which never goes away.
     let machine = unsafe { jni::JavaVM::from_raw(app.vm_as_ptr().cast()) };

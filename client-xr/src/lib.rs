@@ -21,5 +21,6 @@ mod scenes;
 pub mod stages;
 pub mod stats;
 mod stillness;
+pub mod traced;
 pub mod watch;
 pub mod xr;

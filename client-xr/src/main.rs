@@ -48,6 +48,9 @@ struct Arguments {
     /// End the session so many seconds after the program's start; 0: never
     #[arg(long, value_name = "S", default_value = "0", hide_default_value = true, value_parser = seconds)]
     seconds: f64,
+    /// Write there what happened when, for Perfetto (ui.perfetto.dev), in the server's time
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
     /// Write what was counted to this file
     #[arg(long, value_name = "FILE.json")]
     stats: Option<PathBuf>,
@@ -172,6 +175,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         },
         xr: XrOptions { validation: arguments.validation },
         seconds: arguments.seconds,
+        trace: arguments.trace.clone(),
     };
     let mut probes = arguments
         .probe_dir

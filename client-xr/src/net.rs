@@ -8,9 +8,11 @@ mod lines;
 use crate::client::{Client, ClientError, ClientOptions, FrameReport, Step};
 use crate::platform::{Platform, monotonic_now};
 use crate::stats::ClientStats;
+use crate::traced::Traced;
 use crate::xr::{Xr, XrError, XrOptions};
 use connector::Connector;
 use shadecast_protocol::time::ClientTime;
+use shadecast_trace::{Trace, TraceError};
 use shadecast_transport::mio::DriverError;
 use shadecast_transport::{Fingerprint, IdentityError};
 use std::net::{SocketAddr, ToSocketAddrs};
@@ -44,6 +46,8 @@ pub struct RunOptions {
     pub xr: XrOptions,
     /// Seconds from the start at which the session is asked to end; 0: never.
     pub seconds: f64,
+    /// Writes there what happens when, for Perfetto.
+    pub trace: Option<PathBuf>,
 }
 
 /// How a run went, and how it ended.
@@ -71,6 +75,9 @@ pub enum RunError {
     /// The list of known servers.
     #[error(transparent)]
     Identity(#[from] IdentityError),
+    /// The trace.
+    #[error(transparent)]
+    Trace(#[from] TraceError),
     /// The socket.
     #[error(transparent)]
     Driver(#[from] DriverError),
@@ -120,9 +127,10 @@ impl Run<'_> {
 
     fn play_out(&mut self, observe: &mut Observer<'_>) -> Result<(), RunError> {
         let Some(addresses) = self.resolve()? else { return Ok(()) };
+        let trace = self.options.trace.as_deref().map(Trace::create).transpose()?;
         let mut opened = Some(Xr::open(self.platform, self.options.xr)?);
         while let Some(xr) = opened.take() {
-            let error = match self.show(xr, &addresses, observe) {
+            let error = match self.show(xr, &addresses, trace.as_ref(), observe) {
                 Err(RunError::Client(error)) if error.is_lost() => error,
                 ended => return ended,
             };
@@ -166,9 +174,15 @@ impl Run<'_> {
     }
 
     /// One headset session, from its first frame to its end.
-    fn show(&mut self, xr: Xr, addresses: &[SocketAddr], observe: &mut Observer<'_>) -> Result<(), RunError> {
+    fn show(
+        &mut self,
+        xr: Xr,
+        addresses: &[SocketAddr],
+        trace: Option<&Trace>,
+        observe: &mut Observer<'_>,
+    ) -> Result<(), RunError> {
         let mut client = Client::new(xr, self.options.client)?;
-        let mut connector = Connector::new(self.options, addresses)?;
+        let mut connector = Connector::new(self.options, addresses, Traced::new(trace))?;
         client.set_status(&connector.status());
         let ended = self.frames(&mut client, &mut connector, observe);
         self.stats = std::mem::take(&mut self.stats).and(client.stats());
@@ -184,9 +198,15 @@ impl Run<'_> {
     ) -> Result<(), RunError> {
         let mut leaving_since = None;
         loop {
-            match client.step_with(|client| connector.pump(client))? {
+            let mut began = monotonic_now();
+            let step = client.step_with(|client| {
+                began = monotonic_now();
+                connector.pump(client)
+            })?;
+            match step {
                 Step::Frame(report) => {
                     connector.flush(client);
+                    connector.traced.ended([began, monotonic_now()], &report);
                     observe(client, &report)?;
                 }
                 Step::Idle => {

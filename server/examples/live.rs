@@ -81,6 +81,7 @@ fn options(seconds: f64) -> anyhow::Result<StreamOptions> {
         link: None,
         seed: 1,
         seconds,
+        trace: None,
         atlas_png: None,
     })
 }

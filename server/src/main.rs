@@ -63,7 +63,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     /// Serves a scene to clients
-    Stream(StreamArgs),
+    Stream(Box<StreamArgs>),
     /// Renders a scene with the ground-truth renderer: to PNG files, to a video, or in a window
     Forward(Box<forward_command::ForwardArgs>),
     /// Says what is in a scene, what it takes, and how exact its animation is; needs no GPU
@@ -145,6 +145,9 @@ struct StreamArgs {
     /// Writes the last shading atlas to this PNG file on leaving
     #[arg(long)]
     atlas_png: Option<PathBuf>,
+    /// Writes there what happened when, for Perfetto (ui.perfetto.dev)
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
     #[command(flatten)]
     device: DeviceArgs,
 }
@@ -285,6 +288,7 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
         link,
         seed: args.seed,
         seconds: args.seconds,
+        trace: args.trace.clone(),
         atlas_png: args.atlas_png.clone(),
     };
     let output = Output::start().context("starting to write")?;

@@ -5,6 +5,7 @@ use super::lines::{LineEvent, Lines};
 use super::{RunError, RunOptions};
 use crate::client::{Client, ClientError, Notice};
 use crate::platform::monotonic_now;
+use crate::traced::Traced;
 use shadecast_protocol::close::CloseCode;
 use shadecast_protocol::session::Out;
 use shadecast_protocol::text::printable;
@@ -35,16 +36,22 @@ pub(super) struct Connector {
     server: String,
     /// What the user was told since the session last stood.
     told: VecDeque<String>,
+    pub(super) traced: Traced,
 }
 
 impl Connector {
-    pub(super) fn new(options: &RunOptions, addresses: &[SocketAddr]) -> Result<Self, RunError> {
+    pub(super) fn new(
+        options: &RunOptions,
+        addresses: &[SocketAddr],
+        traced: Traced,
+    ) -> Result<Self, RunError> {
         Ok(Self {
             lines: Lines::new(addresses.to_vec()),
             known: KnownServers::load(&options.identity_dir)?,
             required: options.fingerprint,
             server: printable(&options.server),
             told: VecDeque::with_capacity(REMEMBERED_SENTENCES),
+            traced,
         })
     }
 
@@ -83,7 +90,12 @@ impl Connector {
                 client.on_closed(monotonic_now());
                 self.tell_closed(client, kind, &reason);
             }
-            LineEvent::Arrived(event) => arrived(client, event)?,
+            LineEvent::Arrived(event) => {
+                if let Event::Stream { bytes, at_ns, .. } = &event {
+                    self.traced.arrived(bytes, ClientTime(*at_ns));
+                }
+                arrived(client, event)?;
+            }
         }
         Ok(())
     }

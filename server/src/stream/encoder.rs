@@ -1,20 +1,20 @@
 //! The encoder's thread: one picture at a time, so that what leaves is always the newest.
 
 use super::outlet::Outlet;
+use super::traced::Row;
 use crate::encode::{EncodeError, Encoder, PATIENCE};
 use crate::encoding::{Coded, Encoding};
 use crate::frame::Shaded;
 use crate::quality::SentPicture;
 use shadecast_protocol::message::Refused;
 use shadecast_protocol::session::picture_stream;
-use shadecast_transport::PeerId;
+use shadecast_transport::{PeerId, monotonic_now_ns};
 use std::any::Any;
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, TryRecvError, channel, sync_channel};
 use std::thread::JoinHandle;
-use std::time::Instant;
 
 /// A picture to encode and send.
 pub(super) struct Job {
@@ -55,11 +55,13 @@ impl EncoderThread {
         encoder: Box<dyn Encoder>,
         outlet: Arc<dyn Outlet>,
         peer: PeerId,
+        row: Row,
     ) -> io::Result<Self> {
         let (jobs, jobs_from) = sync_channel(1);
         let (outcomes_to, outcomes) = channel();
         let thread = std::thread::Builder::new().name("encoder".into()).spawn(move || {
-            run(Encoding::new(encoder), outlet.as_ref(), peer, &jobs_from, &outcomes_to);
+            let to = Recipient { outlet: outlet.as_ref(), peer, row };
+            run(Encoding::new(encoder), &to, &jobs_from, &outcomes_to);
         })?;
         Ok(Self { jobs: Some(jobs), outcomes, is_busy: false, thread: Some(thread) })
     }
@@ -103,17 +105,18 @@ impl Drop for EncoderThread {
     }
 }
 
-/// Ends when the pipeline lets go, or with the first picture that fails.
-fn run(
-    mut encoding: Encoding,
-    outlet: &dyn Outlet,
+/// Who gets the pictures, and where it is told how long they took.
+struct Recipient<'a> {
+    outlet: &'a dyn Outlet,
     peer: PeerId,
-    jobs: &Receiver<Job>,
-    outcomes: &Sender<Outcome>,
-) {
+    row: Row,
+}
+
+/// Ends when the pipeline lets go, or with the first picture that fails.
+fn run(mut encoding: Encoding, to: &Recipient<'_>, jobs: &Receiver<Job>, outcomes: &Sender<Outcome>) {
     while let Ok(job) = jobs.recv() {
         // What a panic leaves behind in the encoder is not used again.
-        let worked = AssertUnwindSafe(|| encode(&mut encoding, outlet, peer, job));
+        let worked = AssertUnwindSafe(|| encode(&mut encoding, to, job));
         let outcome = catch_unwind(worked).unwrap_or_else(|panic| Outcome::Failed(words_of(panic.as_ref())));
         let has_failed = matches!(outcome, Outcome::Failed(_));
         if outcomes.send(outcome).is_err() || has_failed {
@@ -122,8 +125,8 @@ fn run(
     }
 }
 
-fn encode(encoding: &mut Encoding, outlet: &dyn Outlet, peer: PeerId, job: Job) -> Outcome {
-    let begun = Instant::now();
+fn encode(encoding: &mut Encoding, to: &Recipient<'_>, job: Job) -> Outcome {
+    let (began_ns, update) = (monotonic_now_ns(), job.shaded.update);
     if let Err(error) = encoding.submit(job.shaded, job.refresh, job.qp) {
         return Outcome::Failed(error.to_string());
     }
@@ -131,7 +134,8 @@ fn encode(encoding: &mut Encoding, outlet: &dyn Outlet, peer: PeerId, job: Job) 
         Ok(coded) => coded,
         Err(error) => return Outcome::Failed(error.to_string()),
     };
-    let (encode_s, is_refresh) = (begun.elapsed().as_secs_f64(), header.is_refresh);
+    let (encode_s, is_refresh) = ((monotonic_now_ns() - began_ns) as f64 * 1e-9, header.is_refresh);
+    to.row.ended("encode", began_ns, update);
     let out = match picture_stream(header, &unit.bytes) {
         Ok(out) => out,
         Err(error) => {
@@ -142,7 +146,7 @@ fn encode(encoding: &mut Encoding, outlet: &dyn Outlet, peer: PeerId, job: Job) 
     };
     let picture = SentPicture { stream_bytes: out.bytes(), is_refresh, encode_s };
     let unit_bytes = unit.bytes.len();
-    match outlet.send(peer, out) {
+    match to.outlet.send(to.peer, out) {
         Ok(()) => Outcome::Sent { shaded, picture, unit_bytes },
         Err(error) => Outcome::Failed(format!("a picture could not be sent: {error}")),
     }

@@ -12,6 +12,7 @@ mod pipeline;
 mod rebuild;
 mod stats;
 mod studio;
+mod traced;
 mod turns;
 
 pub use stats::{StreamStats, ViewerStats};
@@ -34,6 +35,7 @@ use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Codec, Environment, Refused, ResumeSecret, ServerOffer};
 use shadecast_protocol::session::Out;
 use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
+use shadecast_trace::Trace;
 use shadecast_transport::endpoint::{Endpoint, EndpointConfig};
 use shadecast_transport::event::{PeerId, SendError};
 use shadecast_transport::mio::{Driver, Events, Handle, monotonic_now_ns, spawn};
@@ -44,6 +46,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use studio::GpuStudio;
+use traced::Traced;
 
 /// How long a thread sleeps at most before it looks whether the program is to end.
 const LOOK_UP: Duration = Duration::from_millis(20);
@@ -71,6 +74,8 @@ pub struct StreamOptions {
     pub seed: u64,
     /// Ends after so many seconds; 0: never.
     pub seconds: f64,
+    /// Writes there what happens when, for Perfetto.
+    pub trace: Option<PathBuf>,
     /// Writes the last atlas there on leaving.
     pub atlas_png: Option<PathBuf>,
 }
@@ -157,6 +162,7 @@ pub fn run_timeline(
     stop: &AtomicBool,
     say: &Say<'_>,
 ) -> anyhow::Result<StreamStats> {
+    let trace = options.trace.as_deref().map(Trace::create).transpose()?;
     let (handle, events) = listen(options, say)?;
     let terms = offer(&device.scene, options.atlas_extent_texels, options.rate_hz, 0);
     let terms = move |session| {
@@ -166,6 +172,7 @@ pub fn run_timeline(
     let (mailbox, verdicts, epoch_ns) =
         (Mailbox::default(), Arc::new(Verdicts::default()), monotonic_now_ns());
     let cadence = Cadence::default();
+    let traced = Traced::new(trace, epoch_ns);
     let mut studio = GpuStudio::new(device, timeline, reopen, options);
     let (mut stats, last_atlas) = std::thread::scope(|scope| {
         let (mailbox, verdicts, carrier) = (&mailbox, &verdicts, handle.clone());
@@ -186,8 +193,7 @@ pub fn run_timeline(
             .name("motion".into())
             .spawn_scoped(scope, move || run_motion(cadence, of_motion.as_ref(), epoch_ns, stop))?;
         let _stop = StopOnEnd(stop);
-        let mut pipeline =
-            Pipeline::new(&mut studio, outlet, cadence, mailbox, say, options.rate_hz, epoch_ns);
+        let mut pipeline = Pipeline::new(&mut studio, outlet, cadence, mailbox, say, options.rate_hz, traced);
         let worked = run_pipeline(&mut pipeline, mailbox, options.seconds, stop);
         stop.store(true, Ordering::Relaxed);
         let has_panicked = network.join().is_err();

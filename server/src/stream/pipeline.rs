@@ -8,6 +8,7 @@ use super::cadence::Cadence;
 use super::encoder::{EncoderThread, Job, Outcome, refused_by};
 use super::outlet::Outlet;
 use super::rebuild::Rebuild;
+use super::traced::{DeviceRow, Row, Traced};
 use super::turns::{Share, Turns};
 use super::{StreamStats, ViewerStats};
 use crate::encode::{EncodeError, Encoder};
@@ -80,6 +81,9 @@ pub(super) struct Pipeline<'a, S: Studio> {
     /// Quantisers of all pictures, summed.
     qp_sum: u64,
     last_atlas: Option<Box<Shaded>>,
+    traced: Traced,
+    of_pipeline: Row,
+    of_device: DeviceRow,
 }
 
 /// A client that is served.
@@ -147,9 +151,13 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         mailbox: &'a Mailbox,
         say: &'a Say<'a>,
         rate_hz: f64,
-        epoch_ns: i64,
+        traced: Traced,
     ) -> Self {
+        let epoch_ns = traced.epoch_ns();
         Self {
+            of_pipeline: traced.row("updates"),
+            of_device: traced.device(),
+            traced,
             studio,
             outlet,
             cadence,
@@ -248,7 +256,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
 
     fn start_encoder(&mut self, peer: PeerId, welcome: &Welcome) -> Result<EncoderThread, Fault> {
         let encoder = self.studio.encoder(welcome).map_err(|error| Fault::of_encoder(&error.to_string()))?;
-        EncoderThread::start(encoder, self.outlet.clone(), peer)
+        EncoderThread::start(encoder, self.outlet.clone(), peer, self.traced.row("encoder"))
             .map_err(|error| Fault::of_encoder(&error.to_string()))
     }
 
@@ -329,6 +337,8 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         client.viewer.note_update(took.as_secs_f64() * viewers as f64);
         self.turns.served(&mut client.share, took.as_nanos() as i64);
         let Some(Update { shaded, sizes, refresh, qp }) = made else { return Ok(()) };
+        self.of_pipeline.ended("update", now_ns, shaded.update);
+        self.of_device.ended(&shaded.timings, shaded.update);
         client.count(sizes, now_ns);
         self.stats.add_gpu(&shaded.timings);
         self.qp_sum += u64::from(qp);
@@ -415,6 +425,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
                 tracing::warn!("the device is open again");
                 self.stats.devices_lost += 1;
                 self.rebuild.succeeded(now_ns);
+                self.of_device.forget();
                 self.reopen_ns = None;
                 Ok(())
             }

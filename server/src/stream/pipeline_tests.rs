@@ -254,7 +254,7 @@ impl Bench {
             &self.mailbox,
             &|_| {},
             1e9 / PERIOD_NS as f64,
-            0,
+            Traced::new(None, 0),
         );
         let (begun, mut now_ns) = (Instant::now(), 0);
         loop {

@@ -19,7 +19,7 @@ pub use memory::{Buffer, Image, ImageDesc, Memory, Sampler, SamplerDesc};
 pub use pass::{Attachment, Framebuffer, RenderPass, RenderPassDesc};
 pub use pipeline::{ComputePipeline, GraphicsPipeline, GraphicsPipelineDesc, VertexInput};
 pub use recorder::{Access, Recorder, Ticket};
-pub use timings::Timings;
+pub use timings::{Timing, Timings};
 #[cfg(feature = "window")]
 pub use window::{Swapchain, WindowDevice, WindowImage};
 

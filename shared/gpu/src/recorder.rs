@@ -3,7 +3,8 @@
 use crate::bind::BindGroup;
 use crate::pass::{Framebuffer, RenderPass};
 use crate::pipeline::{ComputePipeline, GraphicsPipeline};
-use crate::{Buffer, Doing, Gpu, GpuError, Image, Timings};
+use crate::timings::{Timing, Timings};
+use crate::{Buffer, Doing, Gpu, GpuError, Image};
 use ash::vk;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -121,11 +122,15 @@ impl CommandSlot {
         if read.is_err() {
             return;
         }
-        let period_ms = f64::from(gpu.properties.limits.timestamp_period) * 1e-6;
-        let took_ms = |pair: &[u64]| pair[1].saturating_sub(pair[0]) as f64 * period_ms;
-        let scopes = self.scopes.iter().zip(stamps.chunks_exact(2));
+        let period_ns = f64::from(gpu.properties.limits.timestamp_period);
+        let ns = |ticks: u64| (ticks as f64 * period_ns) as i64;
+        let timing = |(scope, pair): (&&'static str, &[u64])| Timing {
+            scope,
+            began_ns: ns(pair[0]),
+            took_ns: ns(pair[1].saturating_sub(pair[0])),
+        };
         let mut timings = gpu.timings.lock().expect("not poisoned");
-        timings.keep(self.serial, scopes.map(|(scope, pair)| (*scope, took_ms(pair))));
+        timings.keep(self.serial, self.scopes.iter().zip(stamps.chunks_exact(2)).map(timing));
     }
 }
 

@@ -5,10 +5,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// The crates that are shipped.
-const PRODUCT: [&str; 8] = [
+const PRODUCT: [&str; 9] = [
     "shared/protocol/src",
     "shared/transport/src",
     "shared/gpu/src",
+    "shared/trace/src",
     "shaders/src",
     "server/src",
     "server/scene/src",

@@ -274,11 +274,13 @@ fn stream(options: &DemoOptions, out: &Path, runtime: &[(&'static str, PathBuf);
     server.args(["stream", &options.scene.to_string(), "--listen", &address.to_string()]);
     server.arg("--identity").arg(out.join("server-identity")).arg("--stats").arg(out.join("server.json"));
     server.arg("--atlas-png").arg(out.join("atlas.png"));
+    server.arg("--trace").arg(out.join("server-trace.json"));
     server.args(["--seconds", &(options.seconds + 300.0).to_string()]);
     let mut client = Command::new(program("shadecast-client")?);
     client.args(["--connect", &address.to_string(), "--quiet", "--probe-every", &CAPTURE_EVERY.to_string()]);
     client.arg("--probe-dir").arg(out.join("probe")).arg("--stats").arg(out.join("client.json"));
     client.arg("--identity").arg(out.join("client-identity"));
+    client.arg("--trace").arg(out.join("client-trace.json"));
     client.envs(runtime.iter().map(|(name, value)| (name, value)));
     if options.validation {
         server.arg("--validation");
@@ -291,7 +293,9 @@ fn stream(options: &DemoOptions, out: &Path, runtime: &[(&'static str, PathBuf);
     client.interrupt()?;
     client.wait(Instant::now() + PATIENCE)?;
     server.interrupt()?;
-    server.wait(Instant::now() + PATIENCE)
+    server.wait(Instant::now() + PATIENCE)?;
+    let traces = ["server-trace.json", "client-trace.json"].map(|name| out.join(name));
+    Ok(shadecast_trace::merge(&traces, &out.join("trace.json"))?)
 }
 
 /// Waits for the first picture of the scene, then for as long as was asked for.

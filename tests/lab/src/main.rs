@@ -128,6 +128,15 @@ enum Command {
         #[arg(long, default_value = "tests/fuzz/seeds")]
         out: PathBuf,
     },
+    /// Puts traces of --trace into one, each in the server's time: of a server and its clients
+    MergeTraces {
+        /// The traces
+        #[arg(required = true)]
+        traces: Vec<PathBuf>,
+        /// The file of all
+        #[arg(long, default_value = "trace.json")]
+        out: PathBuf,
+    },
     /// Runs as run does, and says what changes of levels of detail do to the picture, and how much the client draws
     Detail(RunArgs),
     /// Runs as run does with a head that stands still and then moves at full speed at once, and says how much is missing
@@ -140,6 +149,9 @@ enum Command {
 
 #[derive(Args)]
 struct RunArgs {
+    /// Writes there what happened when, for Perfetto (ui.perfetto.dev)
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
     /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     scene: String,
     /// The clip that animated instances play [default: the scene's own choice]
@@ -405,6 +417,7 @@ fn main() {
         Command::Hostile(args) => attack(args),
         Command::Neighbours { seconds, json } => neighbours(seconds, json.as_deref()),
         Command::RecordTraffic { out } => hostile::traffic::record(&out),
+        Command::MergeTraces { traces, out } => shadecast_trace::merge(&traces, &out).map_err(Into::into),
         Command::Detail(args) => measure_detail(args),
         Command::Abrupt(args) => measure_abrupt(args),
         Command::Steady(args) => measure_steadiness(args),
@@ -469,6 +482,7 @@ fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         extent_pixels: args.size,
         fov_degrees: args.fov,
         rate_hz: args.rate,
+        trace: args.trace,
         detail_pixels: args.detail,
         surround: args.surround,
         room: args.room,

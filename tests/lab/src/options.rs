@@ -207,6 +207,8 @@ pub struct RunOptions {
     pub quality: QualityOptions,
     /// Atlas width and height in texels.
     pub atlas_extent_texels: AtlasExtent,
+    /// Writes there what happens when, for Perfetto.
+    pub trace: Option<PathBuf>,
     /// Pixels of the display that a level of detail may err by where bits and time suffice; 0: everything has full detail.
     pub detail_pixels: f32,
     /// Part of the client's slots and of the atlas for what an abrupt head could see; 0: none.
@@ -252,6 +254,7 @@ impl RunOptions {
             device: None,
             quality: QualityOptions::default(),
             atlas_extent_texels: AtlasExtent::DEFAULT,
+            trace: None,
             detail_pixels: DEFAULT_DETAIL_PIXELS,
             surround: 0.0, // what is around costs tests time, and few look there
             room: MOST_ROOM,

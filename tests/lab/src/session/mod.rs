@@ -13,11 +13,12 @@ use crate::options::{Medium, RunOptions, Spared, StageMs, ViewerOptions};
 use crate::runtime::{BUILT_IN_WALK, prepare_runtime, set_runtime};
 use anyhow::{Context, bail};
 use ghost::Ghost;
-use seat::Seat;
+use seat::{Rows, Seat};
 use shadecast_client::client::{Client, ClientOptions, Step};
 use shadecast_client::decoding::DecodeTiming;
 use shadecast_client::platform::Platform;
 use shadecast_client::stages::atlas_draw::Lookup;
+use shadecast_client::traced::Traced;
 use shadecast_client::xr::{Xr, XrOptions};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_mock_runtime::clock::period_begin_ns;
@@ -39,6 +40,7 @@ use shadecast_server::quality::QualityOptions;
 use shadecast_server::scene::SceneGpu;
 use shadecast_server::stream::offer;
 use shadecast_server::world::World;
+use shadecast_trace::Trace;
 use shadecast_transport::endpoint::{Endpoint, EndpointConfig};
 use shadecast_transport::event::{Event, PeerId};
 use shadecast_transport::{Direction, ExpectedIdentity, LinkSchedule, Pair, ServerIdentity};
@@ -79,6 +81,7 @@ struct Line {
 
 /// Server, links and clients.
 pub struct Lab {
+    traced: Traced,
     /// The server.
     pub server: Server,
     /// The client that ships, which is the first viewer.
@@ -89,6 +92,8 @@ pub struct Lab {
     refresh_hz: f64,
     stages: StageMs,
     frame: u64,
+    /// Ends with the run.
+    _trace: Option<Trace>,
 }
 
 /// Turns of the runtime without a frame that are taken for a start-up or a rest, one display period each; more are a runtime
@@ -164,7 +169,13 @@ impl Line {
         self.seat.peer.and_then(|peer| self.pair.server.stats(peer)).map(WayState::from)
     }
 
-    fn play(&mut self, server: &mut Server, client: &mut Client, until_ns: i64) -> anyhow::Result<()> {
+    fn play(
+        &mut self,
+        server: &mut Server,
+        client: &mut Client,
+        traced: &Traced,
+        until_ns: i64,
+    ) -> anyhow::Result<()> {
         loop {
             let events = self.pair.step_to_events(until_ns);
             if events.is_empty() {
@@ -180,6 +191,9 @@ impl Line {
                         self.connect(now_ns);
                     }
                     (Direction::ToClient, None) => {
+                        if let Event::Stream { bytes, at_ns, .. } = &event {
+                            traced.arrived(bytes, ClientTime(*at_ns));
+                        }
                         client_event(client, self.seat.with_original(event), now_ns)?;
                     }
                 }
@@ -268,7 +282,9 @@ impl Lab {
         };
         let client = Client::new(xr, client_options).context("making the client")?;
         let hello = hello(options, client.eye_extent_pixels());
-        let own = Line::new(&mut server, &link, options.seed, None)?;
+        let trace = options.trace.as_deref().map(Trace::create).transpose()?;
+        let mut own = Line::new(&mut server, &link, options.seed, None)?;
+        own.seat.rows = trace.as_ref().map(Rows::new);
         let mut lines = vec![Line { reconnects: options.reconnects, ..own }];
         for (other, seed) in options.others.iter().zip(options.seed + 1..) {
             let ViewerOptions { link, head } = other;
@@ -276,6 +292,8 @@ impl Lab {
             lines.push(Line::new(&mut server, link, seed, Some(ghost))?);
         }
         Ok(Self {
+            traced: Traced::new(trace.as_ref()),
+            _trace: trace,
             server,
             client,
             lines,
@@ -339,6 +357,9 @@ impl Lab {
         let frame_ns = self.next_frame_ns();
         self.play_until(frame_ns)?;
         let step = self.client.step_with(|client| client.advance(ClientTime(frame_ns)))?;
+        if let Step::Frame(report) = &step {
+            self.traced.ended([ClientTime(frame_ns); 2], report);
+        }
         self.frame += u64::from(step != Step::Exit);
         let display_ns = self.next_frame_ns();
         for line in &mut self.lines {
@@ -357,7 +378,7 @@ impl Lab {
             let departure_ns = departures.min().unwrap_or(i64::MAX);
             let next_ns = departure_ns.min(self.next_update_ns).min(self.next_motion_ns).min(until_ns);
             for line in &mut self.lines {
-                line.play(&mut self.server, &mut self.client, next_ns)?;
+                line.play(&mut self.server, &mut self.client, &self.traced, next_ns)?;
             }
             if departure_ns <= next_ns {
                 self.depart(departure_ns)?;

@@ -24,6 +24,7 @@ use shadecast_server::sessions::mailbox::{Accepted, Client, Mailbox, News};
 use shadecast_server::sessions::{Carrier, Sessions, Surroundings, Verdicts};
 use shadecast_server::viewer::{Update, Viewer};
 use shadecast_server::world::ViewerId;
+use shadecast_trace::{Process, Trace, Track};
 use shadecast_transport::{Event, PeerId, SendError};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, VecDeque};
@@ -93,6 +94,25 @@ pub struct Seat {
     /// How long the encoder takes for a picture.
     encode_ns: i64,
     originals: Originals,
+    /// Where a trace is asked for.
+    pub(super) rows: Option<Rows>,
+}
+
+/// What the server does, in a trace.
+pub(super) struct Rows {
+    updates: Track,
+    encoder: Track,
+}
+
+impl Rows {
+    pub(super) fn new(trace: &Trace) -> Self {
+        let row = |name| trace.track(Process::Server, name);
+        Self { updates: row("updates"), encoder: row("encoder") }
+    }
+}
+
+fn server_time(now_ns: i64) -> ServerTime {
+    ServerTime(now_ns - SERVER_EPOCH_NS)
 }
 
 /// What leaves when its stages are done.
@@ -165,6 +185,7 @@ impl Seat {
             motion_before: MotionBytes::default(),
             encode_ns: 0,
             originals: Originals::new(server.spared.arrival),
+            rows: None,
         }
     }
 
@@ -234,7 +255,7 @@ impl Seat {
         let Some(motion) = self.viewer.as_ref().and_then(Viewer::motion) else { return };
         let mut sender = lock(motion);
         let began = server.world.effort.begin();
-        self.streams.extend(sender.tick(ServerTime(now_ns - SERVER_EPOCH_NS), way.as_ref()));
+        self.streams.extend(sender.tick(server_time(now_ns), way.as_ref()));
         server.world.effort.add_delta(began);
         self.sent.motion = self.motion_before + sender.bytes();
     }
@@ -263,7 +284,7 @@ impl Seat {
         }
         viewer.note_update(stages.ns(stages.server) as f64 * 1e-9);
         let frame = viewer.begin(way.as_ref(), now_ns);
-        let Some(shaded) = frame.update(&mut server.world, ServerTime(now_ns - SERVER_EPOCH_NS))? else {
+        let Some(shaded) = frame.update(&mut server.world, server_time(now_ns))? else {
             return Ok(());
         };
         self.originals.keep(&server.gpu, frame, &shaded)?;
@@ -278,7 +299,11 @@ impl Seat {
         self.shows.resize(shaded.update.0 as usize, Shows::default());
         self.shows.push(shows);
         self.encode_ns = stages.ns(stages.encode);
-        self.leave(now_ns + stages.ns(stages.server), Departure::Update(Box::new(shaded)));
+        let done_ns = now_ns + stages.ns(stages.server);
+        if let Some(rows) = &self.rows {
+            rows.updates.span("update", [now_ns, done_ns].map(server_time), Some(shaded.update));
+        }
+        self.leave(done_ns, Departure::Update(Box::new(shaded)));
         Ok(())
     }
 
@@ -295,7 +320,7 @@ impl Seat {
         let (delta, update) = viewer.finish(shaded);
         server.world.effort.add_delta(began);
         self.count(update.sizes);
-        self.streams.push_back(clock_stamp(ServerTime(now_ns - SERVER_EPOCH_NS)));
+        self.streams.push_back(clock_stamp(server_time(now_ns)));
         self.send(update.shaded.update, Kind::Delta, delta, now_ns);
         self.motion(server, way, now_ns);
         self.encode(update, now_ns + self.encode_ns)
@@ -309,6 +334,10 @@ impl Seat {
         while let Some(coded) = self.encoding.as_mut().and_then(|encoding| encoding.poll(Duration::ZERO)) {
             let Coded { shaded, header, unit } = coded?;
             self.sent.atlas_bytes += unit.bytes.len() as u64;
+            if let Some(rows) = &self.rows {
+                let times = [done_ns - self.encode_ns, done_ns].map(server_time);
+                rows.encoder.span("encode", times, Some(header.update));
+            }
             self.leave(done_ns, Departure::Picture(header, unit.bytes));
             let earlier = self.last.replace(shaded);
             if let Some((viewer, earlier)) = self.viewer.as_mut().zip(earlier) {

@@ -1,0 +1,58 @@
+//! What `--trace` tells of a run in virtual time: the way of each update from its making to its display, in the order of time.
+
+use serde_json::Value;
+use shadecast_lab::options::RunOptions;
+use shadecast_lab::run::run;
+use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_scene::load::SceneSource;
+use shadecast_test_support::headset::turn;
+use std::collections::BTreeMap;
+
+/// Begin and end of a span, microseconds.
+type Span = [f64; 2];
+
+/// Spans of each update by their names.
+fn spans(trace: &str) -> BTreeMap<u64, BTreeMap<String, Span>> {
+    let events: Vec<Value> = serde_json::from_str(trace).expect("a whole trace");
+    let mut spans: BTreeMap<u64, BTreeMap<String, Span>> = BTreeMap::new();
+    for event in events.iter().filter(|event| event["ph"] == "X") {
+        let Some(update) = event["args"]["update"].as_u64() else { continue };
+        let [begin, took] = ["ts", "dur"].map(|key| event[key].as_f64().expect("a time"));
+        let name = event["name"].as_str().expect("a name").to_owned();
+        // Of several frames of an update the first.
+        spans.entry(update).or_default().entry(name).or_insert([begin, begin + took]);
+    }
+    spans
+}
+
+#[test]
+fn the_way_of_each_update_can_be_followed_from_its_making_to_its_display() {
+    let _turn = turn();
+    let out = tempfile::tempdir().unwrap();
+    let trace = out.path().join("trace.json");
+    let options = RunOptions {
+        extent_pixels: [64, 64],
+        atlas_extent_texels: AtlasExtent::MIN,
+        seconds: 1.0,
+        trace: Some(trace.clone()),
+        ..RunOptions::new(SceneSource::Dragons(1), out.path().join("run"))
+    };
+    let stages = options.stages;
+    run(&options).unwrap();
+    let spans = spans(&std::fs::read_to_string(&trace).unwrap());
+    let shown = spans.values().filter(|of_update| of_update.contains_key("on display"));
+    // Of the first the client cannot say in the server's time when they came.
+    let shown: Vec<_> = shown.skip(3).collect();
+    assert!(shown.len() >= 12, "{} updates were on display", shown.len());
+    for of_update in shown {
+        let at = |name: &str| *of_update.get(name).unwrap_or_else(|| panic!("no {name} in {of_update:?}"));
+        let (update, encode) = (at("update"), at("encode"));
+        let (delta, picture, display) = (at("delta has come"), at("picture has come"), at("on display"));
+        let ms = |[begin, end]: Span| (end - begin) * 1e-3;
+        assert!((ms(update) - stages.server).abs() < 1e-3 && (ms(encode) - stages.encode).abs() < 1e-3);
+        assert!((update[1] - encode[0]).abs() < 1e-3, "the encoder begins when the update is shaded");
+        // The link has 20 +- 5 ms, and the client's idea of the server's time is a little off.
+        assert!((14e3..40e3).contains(&(picture[0] - encode[1])), "{of_update:?}");
+        assert!(delta[0] > update[1] + 14e3 && display[0] > delta[0].max(picture[0]), "{of_update:?}");
+    }
+}
