@@ -86,12 +86,20 @@ pub(super) struct Pipeline<'a, S: Studio> {
     of_device: DeviceRow,
 }
 
-/// A client that is served.
+/// A client that is served. Its next update is made while the picture of the last one is encoded, so that the slower of the two
+/// says how many there are.
 struct Served<U> {
     viewer: Viewer<U>,
     welcome: Welcome,
     encoder: EncoderThread,
     encoder_failures: u32,
+    /// An update that leaves when the picture before it has.
+    made: Option<Shaded>,
+    /// How long the last update took, and the encoder for the last picture, nanoseconds.
+    update_ns: i64,
+    encode_ns: i64,
+    /// When the encoder is expected to be done.
+    encoded_ns: i64,
     share: Share,
     stats: ViewerStats,
     since_ns: i64,
@@ -195,7 +203,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             self.listen(peer, news, now_ns)?;
         }
         for peer in self.clients.keys().copied().collect::<Vec<_>>() {
-            let looked = self.look_at_encoder(peer, now_ns);
+            let looked = self.look_at_encoder(peer, now_ns).and_then(|()| self.hand_on(peer, now_ns));
             self.settle(peer, looked, now_ns)?;
         }
         if let Some(peer) = self.next_to_serve(now_ns) {
@@ -246,6 +254,10 @@ impl<'a, S: Studio> Pipeline<'a, S> {
                 welcome,
                 encoder,
                 encoder_failures: 0,
+                made: None,
+                update_ns: 0,
+                encode_ns: 0,
+                encoded_ns: now_ns,
                 share: self.turns.join(),
                 stats: ViewerStats { viewer: self.stats.clients, ..ViewerStats::default() },
                 since_ns: now_ns,
@@ -260,13 +272,13 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             .map_err(|error| Fault::of_encoder(&error.to_string()))
     }
 
-    /// Of the clients whose update is due, whose last picture is encoded and whose way is open, the one that has had least of
-    /// the device; of equals the one that waits longest.
+    /// Of the clients whose update is due and would not have to wait for an encoder, and whose way is open, the one that has had
+    /// least of the device; of equals the one that waits longest.
     fn next_to_serve(&mut self, now_ns: i64) -> Option<PeerId> {
         let mut next: Option<([i64; 2], PeerId)> = None;
         for (peer, client) in &mut self.clients {
             let Some(due_ns) = client.viewer.due_ns().filter(|due_ns| *due_ns <= now_ns) else { continue };
-            if client.encoder.is_busy() {
+            if client.made.is_some() || client.would_wait(now_ns) {
                 continue;
             }
             let is_open = client.viewer.is_open(self.outlet.way(*peer).as_ref(), now_ns);
@@ -287,6 +299,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             None => {}
             Some(Outcome::Sent { shaded, picture, unit_bytes }) => {
                 client.encoder_failures = 0;
+                client.encode_ns = (picture.encode_s * 1e9) as i64;
                 client.viewer.sent_picture(shaded.update, picture, now_ns);
                 client.stats.atlas_bytes += unit_bytes as u64;
                 self.stats.atlas_bytes += unit_bytes as u64;
@@ -326,22 +339,34 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             let updates = client.viewer.begin(outlet.way(peer).as_ref(), now_ns);
             studio.update(updates, now).map_err(|error| Fault::of(&error, "shading an update"))
         });
-        let made = guarded(|| {
-            let shaded = shaded.map_err(Fault::in_update)?;
-            let Some(shaded) = shaded else { return Ok(None) };
-            let clock = || now.plus_ns(begun.elapsed().as_nanos() as i64);
-            client.send_delta(outlet.as_ref(), peer, shaded, now_ns, clock).map(Some)
-        })?;
         let took = begun.elapsed();
+        client.update_ns = took.as_nanos() as i64;
         client.stats.busy_s += took.as_secs_f64();
         client.viewer.note_update(took.as_secs_f64() * viewers as f64);
-        self.turns.served(&mut client.share, took.as_nanos() as i64);
-        let Some(Update { shaded, sizes, refresh, qp }) = made else { return Ok(()) };
+        self.turns.served(&mut client.share, client.update_ns);
+        let Some(shaded) = shaded.map_err(Fault::in_update)? else { return Ok(()) };
         self.of_pipeline.ended("update", now_ns, shaded.update);
         self.of_device.ended(&shaded.timings, shaded.update);
-        client.count(sizes, now_ns);
         self.stats.add_gpu(&shaded.timings);
+        let ended_ns = now_ns + client.update_ns;
+        client.made = Some(shaded);
+        self.hand_on(peer, ended_ns)
+    }
+
+    /// Sends what an update changes in the client's memory, and gives its picture to the encoder, once that has none.
+    fn hand_on(&mut self, peer: PeerId, now_ns: i64) -> Result<(), Fault> {
+        let Some(client) = self.clients.get_mut(&peer).filter(|client| !client.encoder.is_busy()) else {
+            return Ok(());
+        };
+        let Some(shaded) = client.made.take() else { return Ok(()) };
+        let (outlet, now, begun) = (&self.outlet, ServerTime(now_ns - self.epoch_ns), Instant::now());
+        let clock = || now.plus_ns(begun.elapsed().as_nanos() as i64);
+        let Update { shaded, sizes, refresh, qp } =
+            guarded(|| client.send_delta(outlet.as_ref(), peer, shaded, now_ns, clock))?;
+        client.stats.busy_s += begun.elapsed().as_secs_f64();
+        client.count(sizes, now_ns);
         self.qp_sum += u64::from(qp);
+        client.encoded_ns = now_ns + client.encode_ns;
         client.encoder.give(Job { shaded, refresh, qp });
         self.count(sizes, now_ns);
         Ok(())
@@ -450,6 +475,11 @@ impl<'a, S: Studio> Pipeline<'a, S> {
 }
 
 impl<U: Updates> Served<U> {
+    /// Whether an update that is begun now would be made long before the encoder is done: its views would be older for it.
+    fn would_wait(&self, now_ns: i64) -> bool {
+        self.encoder.is_busy() && now_ns + self.update_ns < self.encoded_ns
+    }
+
     /// Sends what changes in the client's memory. A delta cannot be left out: what cannot be sent is the end. `clock` reads the
     /// server's.
     fn send_delta(

@@ -22,6 +22,7 @@ use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::rc::Rc;
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 const PERIOD_NS: i64 = 20_000_000;
@@ -41,6 +42,8 @@ struct Recorder {
     refused: Mutex<Vec<(PeerId, Refused)>>,
     way: Mutex<WayState>,
     is_full: Mutex<bool>,
+    /// Pictures that had left before each delta.
+    pictures_before: Mutex<Vec<usize>>,
     /// What came between deltas, and how many of those had left.
     stamps: Mutex<Vec<(ServerDatagram, usize)>>,
 }
@@ -62,6 +65,7 @@ impl Outlet for Recorder {
         };
         match parse_stream(&bytes).expect("a stream") {
             StreamMessage::Geometry { head, .. } => {
+                self.pictures_before.lock().expect("whole").push(pictures(self));
                 self.deltas.lock().expect("whole").push((peer, head.update.0));
             }
             StreamMessage::Picture { header, .. } => {
@@ -87,6 +91,8 @@ enum Act {
     Fail,
     Panic,
     Lose,
+    /// Waits until it is let go.
+    Hold,
 }
 
 /// What the next calls do; where nothing stands they succeed.
@@ -97,6 +103,8 @@ struct Script {
     reopens: Rc<RefCell<VecDeque<Option<Act>>>>,
     encodes: Arc<Mutex<VecDeque<Option<Act>>>>,
     made: Rc<RefCell<u32>>,
+    updates_made: Rc<RefCell<u32>>,
+    lets_go: Arc<AtomicBool>,
     /// How many there are.
     open: Rc<RefCell<u32>>,
     encoders: Rc<RefCell<u32>>,
@@ -110,6 +118,7 @@ fn act(acts: &Rc<RefCell<VecDeque<Option<Act>>>>) -> Result<(), GpuError> {
         Some(Act::Fail) => Err(GpuError::TooLarge("143 GiB for its eyes".into())),
         Some(Act::Lose) => Err(lost()),
         Some(Act::Panic) => panic!("a bug in the pipeline"),
+        Some(Act::Hold) => panic!("encoders are held"),
     }
 }
 
@@ -130,6 +139,7 @@ impl Studio for FakeStudio {
             return Ok(None);
         }
         act(&self.0.updates)?;
+        *self.0.updates_made.borrow_mut() += 1;
         let frame = UpdateId(updates.next);
         updates.next += 1;
         let delta = GeometryDelta { update: frame, time, ..GeometryDelta::default() };
@@ -151,7 +161,8 @@ impl Studio for FakeStudio {
 
     fn encoder(&mut self, _: &Welcome) -> Result<Box<dyn Encoder>, EncodeError> {
         *self.0.encoders.borrow_mut() += 1;
-        Ok(Box::new(FakeEncoder { acts: self.0.encodes.clone(), is_new: true, done: VecDeque::new() }))
+        let (acts, lets_go) = (self.0.encodes.clone(), self.0.lets_go.clone());
+        Ok(Box::new(FakeEncoder { acts, lets_go, is_new: true, done: VecDeque::new() }))
     }
 
     fn reopen(&mut self) -> anyhow::Result<()> {
@@ -191,6 +202,7 @@ impl Updates for FakeUpdates {
 
 struct FakeEncoder {
     acts: Arc<Mutex<VecDeque<Option<Act>>>>,
+    lets_go: Arc<AtomicBool>,
     is_new: bool,
     done: VecDeque<Encoded>,
 }
@@ -201,6 +213,11 @@ impl FakeEncoder {
         match act {
             None => {}
             Some(Act::Panic) => panic!("a bug in the encoder"),
+            Some(Act::Hold) => {
+                while !self.lets_go.load(Ordering::Relaxed) {
+                    std::thread::sleep(Duration::from_micros(200));
+                }
+            }
             Some(_) => return Err(EncodeError::Library { doing: "encoding a picture", code: 7 }),
         }
         let is_refresh = std::mem::take(&mut self.is_new) || refresh;
@@ -288,6 +305,34 @@ fn updates_are_made_and_sent_for_the_client_that_is_there() {
     let deltas = bench.outlet.deltas.lock().expect("whole").clone();
     assert!(deltas.iter().enumerate().all(|(at, delta)| *delta == (PeerId(1), at as u32)), "{deltas:?}");
     assert_eq!(bench.outlet.pictures.lock().expect("whole")[..2], [(0, true), (1, false)]);
+}
+
+#[test]
+fn an_update_is_made_while_the_picture_before_is_encoded_and_leaves_after_it() {
+    let bench = Bench::new();
+    bench.script.encodes.lock().expect("whole").push_back(Some(Act::Hold));
+    bench.comes(1);
+    let mut steps = 0;
+    let (ended, stats) = bench.run(|recorder| {
+        let made = *bench.script.updates_made.borrow();
+        steps += u32::from(made == 2);
+        if steps == 50 {
+            assert_eq!(
+                (made, recorder.deltas.lock().expect("whole").len()),
+                (2, 1),
+                "one waits, and no third is made"
+            );
+            bench.script.lets_go.store(true, Ordering::Relaxed);
+        }
+        assert!(made <= 2 || steps >= 50);
+        pictures(recorder) >= 4
+    });
+    assert!(ended.is_ok() && stats.updates >= 4);
+    let pictures_before = bench.outlet.pictures_before.lock().expect("whole");
+    assert!(
+        pictures_before.iter().enumerate().all(|(delta, pictures)| *pictures == delta),
+        "{pictures_before:?}"
+    );
 }
 
 #[test]

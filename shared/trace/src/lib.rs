@@ -10,7 +10,7 @@ use shadecast_protocol::time::ServerTime;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 
@@ -48,7 +48,7 @@ pub enum TraceError {
 pub struct Trace {
     /// `None` ends the file.
     events: Sender<Option<Value>>,
-    tracks: Mutex<u64>,
+    tracks: AtomicU64,
     writer: Option<JoinHandle<()>>,
 }
 
@@ -92,16 +92,12 @@ impl Trace {
             }
         };
         let writer = std::thread::Builder::new().name("trace".into()).spawn(write_all).map_err(of_file)?;
-        Ok(Self { events, tracks: Mutex::new(0), writer: Some(writer) })
+        Ok(Self { events, tracks: AtomicU64::new(0), writer: Some(writer) })
     }
 
     /// A new row, below those that were made before.
     pub fn track(&self, process: Process, name: &str) -> Track {
-        let number = {
-            let mut tracks = self.tracks.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-            *tracks += 1;
-            *tracks
-        };
+        let number = self.tracks.fetch_add(1, Ordering::Relaxed) + 1;
         let of_track = |what: &str, args: Value| json!({ "ph": "M", "name": what, "pid": process.number(), "tid": number, "args": args });
         self.tell(of_track("process_name", json!({ "name": process.name() })));
         self.tell(of_track("thread_name", json!({ "name": name })));

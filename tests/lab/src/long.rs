@@ -201,7 +201,7 @@ fn abrupt_room(folder: &Path) -> anyhow::Result<Value> {
         Ok(serde_json::to_value(report)?)
     };
     let stream = |rate: &str| -> anyhow::Result<Value> {
-        let link: LinkProfile = format!("latency={ABRUPT_WAY_MS}ms,rate={rate}").parse()?;
+        let link: LinkProfile = format!("latency={ABRUPT_WAY_MS}ms,jitter=10ms,rate={rate}").parse()?;
         measured(rate, &RunOptions { link: link.into(), ..usual.clone() })
     };
     let local = RunOptions { renderer: Renderer::Local, stages: at_once, ..usual.clone() };
