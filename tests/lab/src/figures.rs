@@ -250,8 +250,8 @@ fn costs(results: &Path) -> String {
 
 fn abrupt(results: &Path) -> String {
     let ways = [
-        ("stream_100_mbit", "link of 110 +- 10 ms one way, 100 Mbit/s"),
-        ("stream_1_gbit", "link of 110 +- 10 ms one way, 1 Gbit/s"),
+        ("stream_100_mbit", "link of 110 ms one way, 100 Mbit/s"),
+        ("stream_1_gbit", "link of 110 ms one way, 1 Gbit/s"),
         ("local", "no link, an update takes 246 ms"),
     ];
     let columns = [
