@@ -4,8 +4,9 @@
 pub mod errors;
 mod table;
 
-use crate::animation::RING;
 use crate::animation::manager::AnimationManager;
+use crate::animation::packing::SAVED_BYTES;
+use crate::animation::saved::{InstanceVertices, Saved};
 use crate::stages::palette::BONE_BYTES;
 use clap::{Args, Subcommand};
 use serde::Serialize;
@@ -17,7 +18,7 @@ use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::patches::PatchReport;
 use shadecast_scene::process::Loading;
 use shadecast_scene::{Model, Scene, Texture, mips};
-use shadecast_shaders::generated::{MaterialGpu, MorphDeltaGpu, PatchGpu, PoseGpu, TangentGpu, VertexGpu};
+use shadecast_shaders::generated::{MaterialGpu, MorphDeltaGpu, PatchGpu, PoseGpu, VertexGpu};
 use std::collections::HashSet;
 use std::sync::{Arc, Mutex};
 use table::{Table, bytes};
@@ -430,22 +431,21 @@ fn memory(scene: &Scene, sampling: Sampling) -> Vec<MemoryPart> {
         part("poses", false, (size_of::<PoseGpu>() * scene.instances.len()) as u64),
         part("bone transforms", false, instanced(BONE_BYTES as usize, &|model| model.bones.len())),
         part("palettes", false, instanced(BONE_BYTES as usize, &|model| model.palette.len())),
-        part("skinned vertices, all sample times", false, saved_bytes(scene)),
-        part(
-            "normals and tangents",
-            false,
-            instanced(size_of::<TangentGpu>(), &|model| model.vertices.len()),
-        ),
+        part("skinned vertices, all sample times", false, saved_bytes(scene, None)),
+        part("normals and tangents", false, saved_bytes(scene, Some(1))),
     ]
 }
 
-/// Positions: of a moving instance for each sample time, of a still one once.
-fn saved_bytes(scene: &Scene) -> u64 {
-    let of_instance = |(index, instance): (usize, &shadecast_scene::Instance)| {
-        let times = if scene.moves(index) { RING as usize } else { 1 };
-        (16 * scene.models[instance.model].vertices.len() * times) as u64
+/// Of a moving instance for each of so many sample times, or as many as are kept; of a still one once. 0 where no device has room.
+fn saved_bytes(scene: &Scene, times: Option<u32>) -> u64 {
+    let of_instance = |(index, instance): (usize, &shadecast_scene::Instance)| InstanceVertices {
+        count: scene.models[instance.model].vertices.len() as u32,
+        moves: scene.moves(index),
     };
-    scene.instances.iter().enumerate().map(of_instance).sum()
+    let vertices: Vec<_> = scene.instances.iter().enumerate().map(of_instance).collect();
+    let times = times.unwrap_or_else(|| Saved::places_for(&vertices));
+    let chunks = Saved::new(vertices, times).map(|saved| saved.chunks()).unwrap_or_default();
+    chunks.into_iter().map(|count| u64::from(count) * SAVED_BYTES).sum()
 }
 
 #[cfg(test)]

@@ -1,12 +1,12 @@
 //! Where the headset will look from while an update is on display. Pure: state, measurements and time in, views out.
 
-use crate::view_time::{GRID_PLACES, ViewTime};
+use crate::view_time::ViewTime;
 use glam::{Quat, Vec3};
 use shadecast_protocol::ids::DiscontinuityId;
 use shadecast_protocol::limits::MAX_VIEWS;
 use shadecast_protocol::message::HeadState;
 use shadecast_protocol::pose::{Eye, Fov, Pose};
-use shadecast_protocol::time::{DEFAULT_GRID, Grid, ServerTime};
+use shadecast_protocol::time::{Grid, ServerTime};
 use shadecast_shaders::constants::EYES;
 use std::collections::VecDeque;
 
@@ -30,7 +30,7 @@ const STILL_M: f32 = 5e-5;
 const STILL_RAD: f32 = 5e-5;
 const STILL_M_S: f32 = 2e-3;
 const STILL_RAD_S: f32 = 2e-3;
-/// Never predict farther than this, whatever the path looks like: the ring of samples must hold all view times.
+/// Never predict farther than this, whatever the path looks like.
 const MAX_HORIZON_NS: i64 = 400_000_000;
 
 /// One predicted eye.
@@ -41,8 +41,6 @@ pub struct View {
     /// Widened by the margin.
     pub fov: Fov,
 }
-
-const _: () = assert!(MAX_HORIZON_NS / DEFAULT_GRID.spacing_ns + 2 <= GRID_PLACES as i64);
 
 /// What an update is made for.
 #[derive(Clone, Debug, PartialEq)]
@@ -232,6 +230,7 @@ fn view_error(a: Pose, b: Pose) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use shadecast_protocol::time::DEFAULT_GRID;
 
     fn state(sequence: u32, seconds: f64, x: f32, turn_rad_s: f32) -> HeadState {
         let eye = |x| Eye {

@@ -1,15 +1,15 @@
 //! Which grid points are computed on the GPU, for what is drawn here; and the scene as residency sees it.
 
-use crate::animation::RING;
+use crate::animation::RingPlace;
 use crate::animation::gpu::{Animation, SampleJob};
 use crate::animation::posing::CpuPose;
 use crate::animation::timeline::Timeline;
 use crate::culling::Needed;
 use crate::geometry::Geometry;
-use crate::predict::PredictedViews;
+use crate::predict::{PredictedViews, VIEW_TIMES};
 use crate::scene::SceneGpu;
 use crate::scene::numbering::{ScenePatch, SceneVertex};
-use crate::view_time::ViewTime;
+use crate::view_time::HeldTimes;
 use glam::Vec3;
 use shadecast_gpu::Recorder;
 use shadecast_protocol::time::{Grid, ServerTime};
@@ -21,28 +21,22 @@ pub struct SampleWindow {
     scene: Arc<SceneGpu>,
     /// Positions of the vertices of instances that do not move, metres, one after the other.
     statics: Vec<Vec3>,
-    /// By instance: which time each place of the ring holds.
-    held: Vec<[Option<ViewTime>; RING as usize]>,
+    times: HeldTimes,
     jobs: Vec<SampleJob>,
 }
 
 impl SampleWindow {
-    /// An empty window.
-    pub fn new(scene: &Arc<SceneGpu>) -> Self {
+    /// An empty window on what an animation of `scene` keeps.
+    pub fn new(scene: &Arc<SceneGpu>, animation: &Animation) -> Self {
         Self {
-            held: vec![[None; RING as usize]; scene.numbering.instances.len()],
+            times: HeldTimes::new(animation.places()),
             jobs: Vec::new(),
             statics: static_positions(scene),
             scene: scene.clone(),
         }
     }
 
-    /// Nothing that was computed is believed any more.
-    pub fn forget(&mut self) {
-        self.held.iter_mut().for_each(|of_instance| of_instance.fill(None));
-    }
-
-    /// Records the samples at the times of `views` that the instances in `needed` lack.
+    /// Records the samples at the times of `views` that the instances in `needed` lack; gives where those of each time are.
     pub fn record(
         &mut self,
         recorder: &mut Recorder,
@@ -50,22 +44,34 @@ impl SampleWindow {
         grid: Grid,
         views: &PredictedViews,
         needed: &Needed,
-    ) {
-        self.list_jobs(&views.times, grid, needed);
-        let statics =
-            SampleJob { instance: 0, place: views.times[0].place(), time: views.times[0].time(grid) };
+    ) -> [RingPlace; VIEW_TIMES] {
+        let [first, middle, last] = views.times;
+        // The update is shaded for its middle while the next one looks already.
+        let places = self.times.take([first, last, middle]);
+        let places = [places[0], places[2], places[1]];
+        self.list_jobs(animation, places, views.times.map(|at| at.time(grid)), needed);
+        let statics = SampleJob { instance: 0, place: places[0], time: first.time(grid) };
         animation.record(recorder, &self.jobs, statics);
+        places
     }
 
-    fn list_jobs(&mut self, times: &[ViewTime], grid: Grid, needed: &Needed) {
+    fn list_jobs(
+        &mut self,
+        animation: &Animation,
+        places: [RingPlace; VIEW_TIMES],
+        times: [ServerTime; VIEW_TIMES],
+        needed: &Needed,
+    ) {
         self.jobs.clear();
-        for at in times.iter().copied() {
-            let ring_place = at.place();
-            for (instance, place) in self.scene.numbering.instances.iter().enumerate() {
-                let held = &mut self.held[instance][ring_place.index()];
-                if place.is_animated && needed.has(instance) && *held != Some(at) {
-                    *held = Some(at);
-                    self.jobs.push(SampleJob { instance, place: ring_place, time: at.time(grid) });
+        for number in 0..VIEW_TIMES {
+            if places[..number].contains(&places[number]) {
+                continue;
+            }
+            let (place, time) = (places[number], times[number]);
+            for (instance, of_scene) in self.scene.numbering.instances.iter().enumerate() {
+                if of_scene.is_animated && needed.has(instance) {
+                    let job = SampleJob { instance, place, time };
+                    self.jobs.extend((!animation.has(job)).then_some(job));
                 }
             }
         }

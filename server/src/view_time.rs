@@ -1,14 +1,10 @@
 //! Times at which the scene is skinned on the GPU: those of the time grid, which updates share, and some between. Pure.
 
-use crate::animation::{RING, RingPlace};
+use crate::animation::RingPlace;
 use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
 
 /// Times from one point of the grid to the next, that of the first included.
 const PARTS: i64 = 4;
-/// Places of the ring for times between points of the grid: this update's, and another viewer's.
-const PLACES_BETWEEN: u32 = 2;
-/// Places of the ring for points of the grid: one is at its number modulo this.
-pub const GRID_PLACES: u32 = RING - PLACES_BETWEEN;
 
 /// A point of the time grid, or a part of the way to the next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,13 +34,49 @@ impl ViewTime {
     pub fn time(self, grid: Grid) -> ServerTime {
         grid.time_of(self.grid).plus_ns(i64::from(self.part) * grid.spacing_ns / PARTS)
     }
+}
 
-    /// Where in the ring its samples are.
-    pub fn place(self) -> RingPlace {
-        match self.part {
-            0 => RingPlace(self.grid.0.rem_euclid(GRID_PLACES as i32) as u32),
-            _ => RingPlace(GRID_PLACES + self.grid.0.rem_euclid(PLACES_BETWEEN as i32) as u32),
+/// Which time each place holds: the times that were used last.
+#[derive(Clone, Debug)]
+pub struct HeldTimes {
+    held: Vec<Held>,
+    uses: u64,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Held {
+    time: Option<ViewTime>,
+    /// The number of its last use.
+    used: u64,
+}
+
+impl HeldTimes {
+    /// So many places, in which nothing is.
+    pub fn new(places: u32) -> Self {
+        Self { held: vec![Held::default(); places as usize], uses: 0 }
+    }
+
+    /// The places of different times, of which there are no more than places: a time that is held has its place, the others those
+    /// whose last use is longest ago. The last of the times is used last.
+    pub fn take(&mut self, times: impl IntoIterator<Item = ViewTime> + Clone) -> Vec<RingPlace> {
+        let first_use = self.uses + 1;
+        for time in times.clone() {
+            self.uses += 1;
+            if let Some(held) = self.held.iter_mut().find(|held| held.time == Some(time)) {
+                held.used = self.uses;
+            }
         }
+        let mut place_of = |(time, used): (ViewTime, u64)| {
+            let found = self.held.iter().position(|held| held.time == Some(time));
+            let place = found.unwrap_or_else(|| {
+                let all = self.held.iter().enumerate().filter(|(_, held)| held.used < first_use);
+                let oldest = all.min_by_key(|(_, held)| held.used).map(|(place, _)| place);
+                oldest.expect("no more times than places")
+            });
+            self.held[place] = Held { time: Some(time), used };
+            RingPlace(place as u32)
+        };
+        times.into_iter().zip(first_use..).map(&mut place_of).collect()
     }
 }
 
@@ -72,23 +104,27 @@ mod tests {
     }
 
     #[test]
-    fn what_one_update_needs_has_places_of_its_own() {
-        for first in -20..20 {
-            let between = ViewTime { grid: GridIndex(first + 5), part: 2 };
-            let mut places: Vec<u32> =
-                (first..first + GRID_PLACES as i32).map(|g| ViewTime::from(GridIndex(g)).place().0).collect();
-            places.push(between.place().0);
-            places.push(ViewTime { grid: GridIndex(first + 6), part: 1 }.place().0);
-            places.sort_unstable();
-            assert_eq!(places, (0..RING).collect::<Vec<_>>());
-        }
+    fn a_time_that_is_held_keeps_its_place_and_the_oldest_makes_room() {
+        let at = |points: [i32; 3]| points.map(|point| ViewTime::from(GridIndex(point)));
+        let mut times = HeldTimes::new(4);
+        let first = times.take(at([10, 14, 12]));
+        let again = times.take(at([10, 14, 12]));
+        assert_eq!(first, again);
+        let next = times.take(at([11, 15, 13]));
+        assert!(!next.contains(&first[2]), "the last of an update's times outlives the next update's");
+        assert_eq!(times.take(at([12, 15, 13]))[0], first[2]);
+        assert_eq!(times.take(at([40, 40, 40])).len(), 3);
+        let mut three = times.take(at([40, 41, 42]));
+        three.sort_by_key(|place| place.0);
+        three.dedup();
+        assert_eq!(three.len(), 3);
     }
 
     #[test]
     fn times_beyond_the_grid_fall_on_its_ends() {
         for time in [i64::MIN, i64::MAX] {
             let nearest = ViewTime::nearest(Grid { spacing_ns: 1_000_000 }, ServerTime(time));
-            assert!(nearest.place().0 < RING);
+            assert!(usize::from(nearest.part) < PARTS as usize);
         }
     }
 }

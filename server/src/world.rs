@@ -1,8 +1,8 @@
 //! The world that all viewers look at: the scene in motion and under its light, each thing once for a time, however many look.
 
+use crate::animation::RingPlace;
 use crate::animation::gpu::{Animation, AnimationCounts};
 use crate::animation::timeline::SharedTimeline;
-use crate::animation::{RING, RingPlace};
 use crate::culling::Needed;
 use crate::effort::Effort;
 use crate::predict::{PredictedViews, VIEW_TIMES};
@@ -73,9 +73,9 @@ impl World {
         scene: &Arc<SceneGpu>,
         timeline: SharedTimeline,
     ) -> Result<Self, GpuError> {
-        let animation = Animation::of_timeline(gpu, scene, RING, timeline)?;
+        let animation = Animation::of_timeline(gpu, scene, Animation::places_for(scene), timeline)?;
         Ok(Self {
-            samples: SampleWindow::new(scene),
+            samples: SampleWindow::new(scene, &animation),
             shadow: Shadow::new(gpu, scene, &animation)?,
             animation,
             grid: DEFAULT_GRID,
@@ -121,7 +121,6 @@ impl World {
 
     /// Nothing that was made is believed any more: an update was broken off in the middle.
     pub fn forget(&mut self) {
-        self.samples.forget();
         self.animation.forget();
         self.shadow.forget();
         self.lit = None;
@@ -143,17 +142,17 @@ impl World {
     ) -> Sampled {
         self.needs.insert(viewer, needs.clone());
         self.unite();
-        self.samples.record(recorder, &mut self.animation, self.grid, views, &self.needed);
-        Sampled { places: views.times.map(ViewTime::place) }
+        let places = self.samples.record(recorder, &mut self.animation, self.grid, views, &self.needed);
+        Sampled { places }
     }
 
-    /// Records light, shadow map and tangents as they are at `at`, which [`Self::animate`] has sampled, unless they are.
-    pub fn light(&mut self, recorder: &mut Recorder, at: ViewTime) {
+    /// Records light, shadow map and tangents as they are at `at`, which [`Self::animate`] has sampled into `place`, unless they are.
+    pub fn light(&mut self, recorder: &mut Recorder, at: ViewTime, place: RingPlace) {
         let is_lit = |(lit, of): &(ViewTime, Needed)| *lit == at && of.covers(&self.needed);
         if self.lit.as_ref().is_some_and(is_lit) {
             return;
         }
-        self.record_light(recorder, at.place(), at.time(self.grid));
+        self.record_light(recorder, place, at.time(self.grid));
         self.lit = Some((at, self.needed.clone()));
     }
 
@@ -161,7 +160,7 @@ impl World {
     pub fn light_at(&mut self, recorder: &mut Recorder, place: RingPlace, time: ServerTime) {
         self.animation.record_sample(recorder, place, time);
         self.record_light(recorder, place, time);
-        self.samples.forget();
+        self.animation.forget();
         self.lit = None;
     }
 

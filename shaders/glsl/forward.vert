@@ -2,10 +2,12 @@
 #extension GL_GOOGLE_include_directive : require
 // The ground truth's vertex path: positions and frames were skinned at the exact time of the picture.
 #include "scene.glsl"
+#define SAVED_VERTICES_BINDING 1
+#define TANGENTS_BINDING 2
+#define BOXES_BINDING 9
+#include "saved.glsl"
 
 layout(std430, binding = 0) readonly buffer Vertices { VertexGpu vertices[]; };
-layout(std430, binding = 1) readonly buffer SavedVertices { vec4 saved_vertices[]; };
-layout(std430, binding = 2) readonly buffer Tangents { TangentGpu tangents[]; };
 layout(std140, binding = 3) uniform View { ViewGpu view; };
 layout(push_constant) uniform ForwardPush {
     uint vertex_base;
@@ -22,10 +24,10 @@ layout(location = 4) out vec4 vertex_color;
 
 void main() {
     VertexGpu v = vertices[vertex_base + gl_VertexIndex];
-    TangentGpu f = tangents[tangent_base + gl_VertexIndex];
-    world_position = saved_vertices[position_base + gl_VertexIndex].xyz;
-    world_normal = f.normal.xyz;
-    world_tangent = f.tangent;
+    uvec2 frame = saved_frame(tangent_base + gl_VertexIndex);
+    world_position = saved_position(instance, position_base + gl_VertexIndex);
+    world_normal = unpack_normal(frame);
+    world_tangent = unpack_tangent(frame);
     uvs = vec4(v.position_u.w, v.normal_v.w, v.uv1);
     vertex_color = unpackUnorm4x8(v.color);
     gl_Position = view.clip_from_world * vec4(world_position, 1.0);

@@ -15,6 +15,7 @@ layout(push_constant) uniform IdBufferPush {
     uint first_entry;
     uint material;
     uint first_view;
+    uint instance;
 };
 layout(location = 0) in vec3 lookup;
 layout(location = 0) out uint id;

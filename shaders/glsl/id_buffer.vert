@@ -3,9 +3,11 @@
 #extension GL_EXT_multiview : require
 // Visibility: one draw of every instance per predicted time, both eyes at once.
 #include "scene.glsl"
+#define SAVED_VERTICES_BINDING 1
+#define BOXES_BINDING 6
+#include "saved.glsl"
 
 layout(std430, binding = 0) readonly buffer Vertices { VertexGpu vertices[]; };
-layout(std430, binding = 1) readonly buffer SavedVertices { vec4 saved_vertices[]; };
 layout(std140, binding = 2) uniform Views { ViewGpu views[MAX_VIEWS]; };
 layout(std430, binding = 4) readonly buffer Materials { MaterialGpu materials[]; };
 layout(push_constant) uniform IdBufferPush {
@@ -15,10 +17,11 @@ layout(push_constant) uniform IdBufferPush {
     uint first_entry;    // of the instance's patches, in visible and extents
     uint material;
     uint first_view;
+    uint instance;
 };
 layout(location = 0) out vec3 lookup;
 
 void main() {
     lookup = alpha_lookup(materials[material], vertices[vertex_base + gl_VertexIndex]);
-    gl_Position = views[first_view + gl_ViewIndex].clip_from_world * saved_vertices[position_base + gl_VertexIndex];
+    gl_Position = views[first_view + gl_ViewIndex].clip_from_world * vec4(saved_position(instance, position_base + gl_VertexIndex), 1.0);
 }

@@ -4,9 +4,11 @@
 // 0 where the patch is not visible. Twin: twin/level_selection.rs.
 layout(local_size_x = 64) in;
 #include "scene.glsl"
+#define SAVED_VERTICES_BINDING 1
+#define BOXES_BINDING 7
+#include "saved.glsl"
 
 layout(std430, binding = 0) readonly buffer Vertices { VertexGpu vertices[]; };
-layout(std430, binding = 1) readonly buffer SavedVertices { vec4 saved_vertices[]; };
 layout(std140, binding = 2) uniform Views { ViewGpu views[MAX_VIEWS]; };
 layout(std430, binding = 3) readonly buffer Patches { PatchGpu patches[]; };
 layout(std430, binding = 4) readonly buffer Materials { MaterialGpu materials[]; };
@@ -20,6 +22,7 @@ layout(push_constant) uniform LevelSelectionPush {
     uint view_count;
     uint position_base[MAX_VIEWS / EYES]; // of the instance at the time of views 0-1, 2-3, 4-5
     uint material_base;
+    uint instance;
 };
 
 // Where a point stands on the display, in pixels from the optical axis. Outside of the display's own field of view, in the part of a
@@ -82,7 +85,8 @@ void main() {
     for (uint view = 0; view < view_count; view++) {
         vec4 c[PATCH_MAX_VERTICES];
         for (int i = 0; i < PATCH_MAX_VERTICES; i++) {
-            c[i] = views[view].clip_from_world * saved_vertices[position_base[view / EYES] + p.vertices[i]];
+            vec3 at = saved_position(instance, position_base[view / EYES] + p.vertices[i]);
+            c[i] = views[view].clip_from_world * vec4(at, 1.0);
         }
         if (outside_one_side(c)) continue;
         vec2 at[PATCH_MAX_VERTICES];

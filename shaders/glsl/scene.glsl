@@ -61,12 +61,6 @@ vec3 alpha_lookup(MaterialGpu m, VertexGpu v) {
     return vec3(uv, unpackUnorm4x8(v.color).a);
 }
 
-// Position and frame of one vertex at shading time.
-struct TangentGpu {
-    vec4 normal;
-    vec4 tangent;
-};
-
 // One view: a predicted one, an eye, or a camera of the ground truth.
 struct ViewGpu {
     mat4 clip_from_world;

@@ -1,6 +1,10 @@
 // What the fragment shaders that shade blocks share: finds the triangle from the position inside the block, extrapolates into
 // the gutter, and gives the tone-mapped colour sRGB-coded.
 #include "scene.glsl"
+#define SAVED_VERTICES_BINDING 3
+#define TANGENTS_BINDING 4
+#define BOXES_BINDING 9
+#include "saved.glsl"
 #include "environment.glsl"
 #include "light.glsl"
 #include "footprint.glsl"
@@ -13,13 +17,11 @@ struct BlockGpu {
     uint position_base;
     uint tangent_base;
     uint material_base;
-    uint reserved;
+    uint instance;
 };
 layout(std430, binding = 0) readonly buffer Blocks { BlockGpu blocks[]; };
 layout(std430, binding = 1) readonly buffer Patches { PatchGpu patches[]; };
 layout(std430, binding = 2) readonly buffer Vertices { VertexGpu vertices[]; };
-layout(std430, binding = 3) readonly buffer SavedVertices { vec4 saved_vertices[]; };
-layout(std430, binding = 4) readonly buffer Tangents { TangentGpu tangents[]; };
 layout(std430, binding = 5) readonly buffer Materials { MaterialGpu materials[]; };
 layout(std140, binding = 6) uniform Light { LightGpu light; };
 layout(binding = 7) uniform sampler2D textures[];
@@ -95,13 +97,14 @@ vec4 shaded(vec2 texel) {
     for (int i = 0; i < 3; i++) {
         uint index = p.vertices[corners[i]];
         VertexGpu v = vertices[b.vertex_base + index];
-        TangentGpu f = tangents[b.tangent_base + index];
+        uvec2 frame = saved_frame(b.tangent_base + index);
+        vec4 tangent = unpack_tangent(frame);
         vec2 vertex_uv = vec2(v.position_u.w, v.normal_v.w);
-        at[i] = saved_vertices[b.position_base + index].xyz;
+        at[i] = saved_position(b.instance, b.position_base + index);
         s.world_position += weights[0][i] * at[i];
-        s.world_normal += weights[0][i] * f.normal.xyz;
-        s.world_tangent += weights[0][i] * f.tangent.xyz;
-        s.tangent_sign = f.tangent.w;
+        s.world_normal += weights[0][i] * unpack_normal(frame);
+        s.world_tangent += weights[0][i] * tangent.xyz;
+        s.tangent_sign = tangent.w;
         s.uv += weights[0][i] * vertex_uv;
         s.uv1 += weights[0][i] * v.uv1;
         vec2 by_texel = vec2(weights[1][i], weights[2][i]) / inner;

@@ -12,7 +12,7 @@ struct BlockGpu {
     uint position_base;
     uint tangent_base;
     uint material_base;
-    uint reserved;
+    uint instance;
 };
 layout(std430, binding = 0) readonly buffer Blocks { BlockGpu blocks[]; };
 layout(push_constant) uniform ShadingPush {

@@ -11,6 +11,7 @@ layout(push_constant) uniform ShadowPush {
     uint vertex_base;
     uint position_base;
     uint material;
+    uint instance;
 };
 layout(location = 0) in vec3 lookup;
 

@@ -20,10 +20,12 @@ vec3 morphed(uint vertex, uint member, vec3 value) {
 
 vec4 transform(Rows m, vec4 p) { return vec4(dot(m.r[0], p), dot(m.r[1], p), dot(m.r[2], p), 1.0); }
 
-// The position in the world to saved_vertices.
+// The position in the world to the saved vertices.
 void skin_position(uint index, vec3 position, Rows model_from_mesh) {
     vec4 in_model = transform(model_from_mesh, vec4(position, 1.0));
-    saved_vertices[job.output_base + index] = transform(Rows(job.world_from_model), in_model);
+    vec3 in_world = transform(Rows(job.world_from_model), in_model).xyz;
+    uint at = job.output_base + index;
+    saved_vertices[at / CHUNK_VERTICES].at[at % CHUNK_VERTICES] = pack_position(job.instance, in_world);
 }
 
 // Normal and tangent in the world to tangents.
@@ -40,8 +42,8 @@ void skin_frame(uint index, Rows model_from_mesh) {
     float side = dot(m[0], cofactors[0]) < 0.0 ? -1.0 : 1.0;
     normal = cofactors * normal * side;
     tangent.xyz = m * tangent.xyz;
-    tangents[job.output_base + index].normal = vec4(normal / max(length(normal), 1e-20), 0.0);
-    tangents[job.output_base + index].tangent = vec4(tangent.xyz / max(length(tangent.xyz), 1e-20), tangent.w);
+    uint at = job.output_base + index;
+    tangents[at / CHUNK_VERTICES].at[at % CHUNK_VERTICES] = pack_frame(normal, tangent);
 }
 
 void skin_vertex(uint index, vec3 position, Rows model_from_mesh) {

@@ -18,8 +18,12 @@ struct MorphDeltaGpu {
 layout(std430, binding = 0) readonly buffer Vertices { VertexGpu vertices[]; };
 layout(std430, binding = 1) readonly buffer MorphDeltas { MorphDeltaGpu morph_deltas[]; };
 layout(std430, binding = 2) readonly buffer MorphWeights { float morph_weights[]; };
-layout(std430, binding = 3) writeonly buffer SavedVertices { vec4 saved_vertices[]; };
-layout(std430, binding = 4) writeonly buffer Tangents { TangentGpu tangents[]; };
+#define SAVED_IS_WRITTEN
+#define SAVED_ACCESS writeonly
+#define SAVED_VERTICES_BINDING 3
+#define TANGENTS_BINDING 4
+#define BOXES_BINDING 12
+#include "saved.glsl"
 
 // One instance at one sample time: a dispatch of its own. Read from a buffer, it would cost every invocation as much as
 // an influence does.
@@ -28,11 +32,15 @@ layout(push_constant) uniform SkinJob {
     uint vertex_base;
     uint vertex_count;
     uint palette_base;        // of its pose, into palettes
-    uint output_base;         // into saved_vertices or tangents
+    uint output_base;         // of the instance, among the saved vertices or frames
     uint weight_base;         // of its pose, into morph_weights; NO_MORPHS
     uint pose;                // into poses
     uint writes_tangents;       // 0: positions, 1: normals and tangents
     uint packed_base;         // into packed_vertices
+    uint instance;            // whose box positions are packed in
+    uint reserved0;
+    uint reserved1;
+    uint reserved2;
 } job;
 
 #endif

@@ -186,6 +186,13 @@ shared! {
     /// Kind of a track: Hermite's cubic of both keys' values and tangents.
     CUBIC_TRACK: u32 = 2;
 
+    /// Bits of a coordinate of a saved position.
+    POSITION_BITS: u32 = 21;
+    /// Vertices of one of the buffers that skinned ones are saved in: of 8 bytes each as many as every device can bind.
+    CHUNK_VERTICES: u32 = 1 << 24;
+    /// Buffers that skinned vertices are saved in at most.
+    SAVED_CHUNKS: u32 = 4;
+
     /// Columns and rows of a glyph's dots; a column is a byte.
     GLYPH_DOTS: [u32; 2] = [5, 8];
     /// Words of a glyph.

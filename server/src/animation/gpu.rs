@@ -1,19 +1,21 @@
-//! Samples of the whole scene on the time grid, each computed once on the GPU and kept in a ring, shared by
-//! all updates that cover its time. Instances with the same skeleton, clip and phase share a palette.
+//! Samples of what is needed of the scene, each computed once on the GPU and kept for a while, shared by all updates that cover
+//! its time. Instances with the same skeleton, clip and phase share a palette.
 
 use super::RingPlace;
 use super::live::LivePoses;
 use super::manager::{PoseKey, rows};
+use super::packing::packing_box;
+use super::saved::{InstanceVertices, Saved};
 use super::skinning::Skinning;
 use super::timeline::{SharedTimeline, Shown, Timeline};
 use crate::scene::SceneGpu;
 use crate::scene::numbering::InstancePlace;
 use crate::stages::palette::Palette;
 use crate::stages::skin::{Skin, SkinJobs};
-use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Recorder};
+use shadecast_gpu::{Access, Bind, Buffer, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::time::ServerTime;
-use shadecast_shaders::constants::NO_MORPHS;
-use shadecast_shaders::generated::{PoseGpu, SkinJob};
+use shadecast_shaders::constants::{CHUNK_VERTICES, NO_MORPHS, SAVED_CHUNKS};
+use shadecast_shaders::generated::{BoxGpu, PoseGpu, SkinJob};
 use std::collections::HashMap;
 use std::ops::Range;
 use std::sync::Arc;
@@ -42,11 +44,16 @@ pub struct AnimationCounts {
     pub vertices: u64,
 }
 
-/// Palettes and saved vertices of a ring of sample times.
+/// Palettes and saved vertices of a few sample times.
 pub struct Animation {
     scene: Arc<SceneGpu>,
     palette: Palette,
     skin: Skin,
+    /// Where the skinned positions are, and the frames of the time that is shaded.
+    saved: Saved,
+    frames: Saved,
+    /// By instance: what its positions are packed in.
+    boxes: Buffer,
     morph_weights: Buffer,
     live: LivePoses,
     timeline: SharedTimeline,
@@ -92,12 +99,17 @@ impl Animation {
         let palette = Palette::new(gpu, scene, times)?;
         let weights_bytes = u64::from(times) * u64::from(scene.numbering.totals.morphs.max(1)) * 4;
         let morph_weights = Buffer::new(gpu, "morph weights", weights_bytes, Memory::Upload)?;
-        let skin = Skin::new(gpu, scene, &palette, &morph_weights, times)?;
+        let (saved, frames) = (saved(scene, times)?, saved(scene, 1)?);
+        let boxes = Buffer::device_local(gpu, "boxes of positions", &boxes(scene))?;
+        let skin = Skin::new(gpu, scene, &palette, &morph_weights, &boxes, [&saved, &frames])?;
         let empty = Poses { of_instance: vec![None; scene.numbering.instances.len()], ..Poses::default() };
         Ok(Self {
             scene: scene.clone(),
             palette,
             skin,
+            saved,
+            frames,
+            boxes,
             morph_weights,
             live: LivePoses::new(gpu, &scene.animation)?,
             timeline,
@@ -106,6 +118,22 @@ impl Animation {
             jobs: SkinJobs::default(),
             counts: AnimationCounts::default(),
         })
+    }
+
+    /// How many sample times of a scene are worth keeping.
+    pub fn places_for(scene: &SceneGpu) -> u32 {
+        Saved::places_for(&vertices(scene))
+    }
+
+    /// How many sample times are kept.
+    pub fn places(&self) -> u32 {
+        self.poses.len() as u32
+    }
+
+    /// Whether an instance's sample is there.
+    pub fn has(&self, job: SampleJob) -> bool {
+        let poses = &self.poses[job.place.index()];
+        poses.time == Some(job.time) && poses.of_instance[job.instance].is_some()
     }
 
     /// What it evaluates.
@@ -136,9 +164,10 @@ impl Animation {
         for sample in samples.iter().chain(&still) {
             let pose = self.pose(*sample, &timeline, &mut poses);
             timeline.sampled(sample.time);
-            let base =
-                self.skin.position_base(&self.scene.numbering.instances[sample.instance], sample.place);
-            self.push_job(&mut jobs, *sample, pose, base, false);
+            // What has no room is drawn nowhere.
+            if let Some(base) = self.saved.keep(sample.instance, sample.place) {
+                self.push_job(&mut jobs, *sample, pose, base, false);
+            }
         }
         drop(timeline);
         // The palettes and vertices of these places may still be read by the last samples.
@@ -167,6 +196,7 @@ impl Animation {
         is_wanted: impl Fn(usize) -> bool,
     ) {
         let Some(time) = self.poses[place.index()].time else { return };
+        self.frames.begin(SHADED);
         let scene = self.scene.clone();
         let there = |instance: &usize| {
             scene.numbering.instances[*instance].is_animated
@@ -184,9 +214,10 @@ impl Animation {
         let mut jobs = self.no_jobs();
         for sample in samples {
             let pose = self.poses[sample.place.index()].of_instance[sample.instance];
-            let base = self.skin.tangent_base(&self.scene.numbering.instances[sample.instance]);
             let pose = pose.expect("posed before its frames are wanted");
-            self.push_job(&mut jobs, *sample, pose, base, true);
+            if let Some(base) = self.frames.keep(sample.instance, SHADED) {
+                self.push_job(&mut jobs, *sample, pose, base, true);
+            }
         }
         recorder.scope("skin frames", |r| self.skin.record(r, &jobs));
         self.jobs = jobs;
@@ -202,6 +233,7 @@ impl Animation {
         let poses = &mut self.poses[sample.place.index()];
         if poses.time != Some(sample.time) {
             poses.start(sample.time);
+            self.saved.begin(sample.place);
         }
         if let Some(known) = poses.by_key.get(&key).copied() {
             poses.of_instance[sample.instance] = Some(known);
@@ -269,6 +301,10 @@ impl Animation {
             pose: pose.pose,
             writes_tangents: u32::from(writes_tangents),
             packed_base: 0,
+            instance: sample.instance as u32,
+            reserved0: 0,
+            reserved1: 0,
+            reserved2: 0,
         };
         if self.scene.skinning != Skinning::Packed {
             jobs.whole.push(whole);
@@ -285,30 +321,87 @@ impl Animation {
         self.statics_done = false;
     }
 
-    /// First saved vertex of an instance at the time of a place.
-    pub fn position_base(&self, instance: &InstancePlace, place: RingPlace) -> u32 {
-        self.skin.position_base(instance, place)
+    /// Makes room for an instance's positions in a place and for its frames, for who poses elsewhere; gives the first of both.
+    pub fn keep(&mut self, instance: usize, place: RingPlace) -> Option<(u32, u32)> {
+        self.saved.keep(instance, place).zip(self.frames.keep(instance, SHADED))
     }
 
-    /// First saved frame of an instance.
-    pub fn tangent_base(&self, instance: &InstancePlace) -> u32 {
-        self.skin.tangent_base(instance)
+    /// First saved vertex of an instance at the time of a place; `None` where it is not there.
+    pub fn position_base(&self, instance: usize, place: RingPlace) -> Option<u32> {
+        self.saved.base(instance, place)
     }
 
-    /// World positions, vec4: static instances first, then one run of the animated ones a place of the ring.
-    pub fn saved_vertices(&self) -> &Buffer {
+    /// First saved frame of an instance; `None` where it is not there.
+    pub fn tangent_base(&self, instance: usize) -> Option<u32> {
+        self.frames.base(instance, SHADED)
+    }
+
+    /// What reads positions binds: they lie in several buffers, packed in boxes.
+    pub fn position_binds(&self) -> [(&'static str, Bind<'_>); 2] {
+        [("SavedVertices", Bind::Buffers(self.saved_vertices())), ("Boxes", Bind::Buffer(&self.boxes))]
+    }
+
+    /// What reads normals and tangents binds.
+    pub fn frame_bind(&self) -> (&'static str, Bind<'_>) {
+        ("Tangents", Bind::Buffers(self.tangents()))
+    }
+
+    /// Packed positions in the world.
+    pub fn saved_vertices(&self) -> &[Buffer] {
         &self.skin.saved_vertices
     }
 
-    /// Normals and tangents, static instances first.
-    pub fn tangents(&self) -> &Buffer {
+    /// Packed normals and tangents in the world.
+    pub fn tangents(&self) -> &[Buffer] {
         &self.skin.tangents
+    }
+
+    /// By instance what its positions are packed in.
+    pub fn boxes(&self) -> &Buffer {
+        &self.boxes
     }
 
     /// Work done so far.
     pub fn counts(&self) -> AnimationCounts {
         self.counts
     }
+}
+
+/// The place of the one time that is shaded.
+const SHADED: RingPlace = RingPlace(0);
+
+fn vertices(scene: &SceneGpu) -> Vec<InstanceVertices> {
+    let instances = scene.numbering.instances.iter();
+    let of = |place: &InstancePlace| InstanceVertices {
+        count: scene.models[place.model].vertex_count,
+        moves: place.is_animated,
+    };
+    instances.map(of).collect()
+}
+
+fn saved(scene: &SceneGpu, times: u32) -> Result<Saved, GpuError> {
+    Saved::new(vertices(scene), times).ok_or_else(|| {
+        let count = scene.numbering.totals.static_vertices;
+        GpuError::TooLarge(format!(
+            "{count} vertices of instances that stand still are more than are kept, {} millions of all instances, and {} millions \
+             of one; use fewer or smaller models",
+            SAVED_CHUNKS * CHUNK_VERTICES / 1_000_000,
+            CHUNK_VERTICES / 1_000_000
+        ))
+    })
+}
+
+/// That all that stands still can be kept.
+///
+/// # Errors
+/// It cannot; the text says what to do.
+pub fn check_room(scene: &SceneGpu) -> Result<(), GpuError> {
+    saved(scene, 1).map(|_| ())
+}
+
+/// By instance what its positions are packed in.
+pub fn boxes(scene: &SceneGpu) -> Vec<BoxGpu> {
+    scene.world_bounds.iter().map(|bounds| packing_box(*bounds)).collect()
 }
 
 impl Poses {

@@ -2,8 +2,8 @@
 //! and instances use it, as the arrays that the GPU reads. Pure; [`super::gpu`] owns the buffers.
 
 use super::RingPlace;
+use super::saved::MOST_PLACES;
 use super::timeline::Shown;
-use crate::animation::RING;
 use glam::{Affine3A, Vec4};
 use shadecast_protocol::motion::playback::{At, Playing};
 use shadecast_scene::animation::playing;
@@ -160,7 +160,7 @@ impl AnimationManager {
     /// Makes room for the poses of a live instance.
     fn add_live(&mut self, instance: usize, order: &BoneOrder) {
         let (track_base, key_base) = (self.arrays.tracks.len() as u32, self.arrays.keys.len() as u32);
-        let tracks = RING as usize * 3 * order.old_of_new.len();
+        let tracks = MOST_PLACES as usize * 3 * order.old_of_new.len();
         // Something of unit length, until there is a pose.
         let none = SampledTrack::constant(Vec4::ONE);
         (0..tracks).for_each(|_| self.arrays.add_track(&none));

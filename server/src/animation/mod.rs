@@ -4,14 +4,13 @@ pub mod buffers;
 pub mod gpu;
 mod live;
 pub mod manager;
+pub mod packing;
 pub mod posing;
+pub mod saved;
 pub mod skinning;
 pub mod timeline;
 
-/// Grid points kept on the GPU: those of a few updates.
-pub const RING: u32 = 16;
-
-/// A place of the ring in which samples are kept: that of a grid point until another one takes it.
+/// A place in which samples of one time are kept, until those of another time take it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RingPlace(pub u32);
 

@@ -2,7 +2,6 @@
 //! primitives.
 
 use crate::scene::meshes::MeshLevel;
-use crate::scene::numbering::InstancePlace;
 use crate::scene::{ModelGpu, SceneGpu};
 use ash::vk;
 use shadecast_gpu::{
@@ -25,8 +24,6 @@ pub(crate) struct Geometry {
 pub(crate) struct Draw<'a> {
     /// Number of the instance in the scene.
     pub(crate) number: usize,
-    /// The instance.
-    pub(crate) instance: &'a InstancePlace,
     /// Its model.
     pub(crate) model: &'a ModelGpu,
     /// The level of detail of its mesh.
@@ -62,19 +59,8 @@ impl Geometry {
         self.culled.layout()
     }
 
-    /// Draws the whole scene in full detail with the push constants that `push` gives for each draw.
-    pub(crate) fn record<P: bytemuck::Pod>(
-        &self,
-        recorder: &mut Recorder,
-        group: &BindGroup,
-        scene: &SceneGpu,
-        push: impl Fn(&Draw<'_>) -> P,
-    ) {
-        self.record_some(recorder, group, scene, |_| Some(FULL_DETAIL), push);
-    }
-
     /// Draws every instance at the level of detail that `level_of` gives for its number, if any.
-    pub(crate) fn record_some<P: bytemuck::Pod>(
+    pub(crate) fn record<P: bytemuck::Pod>(
         &self,
         recorder: &mut Recorder,
         group: &BindGroup,
@@ -92,7 +78,7 @@ impl Geometry {
                     |p: &&Primitive| source.materials[p.material as usize].double_sided == double_sided;
                 let level = &model.levels[level];
                 for primitive in level.primitives.iter().filter(is_so) {
-                    let draw = Draw { number, instance, model, level, primitive };
+                    let draw = Draw { number, model, level, primitive };
                     recorder.push_constants(pipeline, &push(&draw));
                     recorder.draw_indexed(level.index_base + primitive.first_index, primitive.index_count);
                 }

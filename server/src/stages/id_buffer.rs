@@ -64,11 +64,13 @@ impl IdBuffer {
         )?;
         let geometry = Geometry::new(gpu, &ID_BUFFER_VERT, &ID_BUFFER_FRAG, &pass)?;
         let textures = scene.materials.texture_binds();
+        let [saved_vertices, boxes] = animation.position_binds();
         let group = BindGroup::new(
             geometry.layout(),
             &[
+                saved_vertices,
+                boxes,
                 ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
-                ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
                 ("Views", Bind::Buffer(views)),
                 ("PatchOfTriangle", Bind::Buffer(&scene.meshes.patch_of_triangle)),
                 ("Materials", Bind::Buffer(&scene.materials.buffer)),
@@ -90,22 +92,25 @@ impl IdBuffer {
         first_view: u32,
     ) {
         let clears = [vk::ClearValue::default(), vk::ClearValue::default()]; // no patch; far, which is 0
+        let base = |number: usize| animation.position_base(number, place);
         let look = |number: usize| {
-            looked_at.binary_search_by_key(&number, |look| look.instance).ok().map(|at| looked_at[at])
+            let at = looked_at.binary_search_by_key(&number, |look| look.instance).ok()?;
+            base(number).is_some().then_some(looked_at[at])
         };
         recorder.begin_pass(&self.pass, &self.target, &clears);
-        self.geometry.record_some(
+        self.geometry.record(
             recorder,
             &self.group,
             scene,
             |number| look(number).map(|look| look.level),
             |draw| IdBufferPush {
                 vertex_base: draw.model.vertex_base,
-                position_base: animation.position_base(draw.instance, place),
+                position_base: base(draw.number).unwrap_or_default(),
                 triangle_base: (draw.level.index_base + draw.primitive.first_index) / 3,
                 first_entry: look(draw.number).map_or(0, |look| look.first_entry),
                 material: draw.model.material_base + draw.primitive.material,
                 first_view,
+                instance: draw.number as u32,
             },
         );
         recorder.end_pass();

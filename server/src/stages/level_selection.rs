@@ -34,11 +34,13 @@ impl LevelSelection {
             u64::from(scene.numbering.totals.looked_at) * 4,
             Memory::Device,
         )?;
+        let [saved_vertices, boxes] = animation.position_binds();
         let group = BindGroup::new(
             pipeline.layout(),
             &[
+                saved_vertices,
+                boxes,
                 ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
-                ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
                 ("Views", Bind::Buffer(views)),
                 ("Patches", Bind::Buffer(&scene.meshes.patches)),
                 ("Materials", Bind::Buffer(&scene.materials.buffer)),
@@ -62,14 +64,18 @@ impl LevelSelection {
             let instance = &scene.numbering.instances[look.instance];
             let model = &scene.models[instance.model];
             let patch_count = look.patches.count;
+            let bases = places.map(|place| animation.position_base(look.instance, place));
+            // What is not there at a time is not seen then; what is never there is only told so.
+            let any = bases.iter().flatten().next().copied().unwrap_or_default();
             let push = LevelSelectionPush {
                 vertex_base: model.vertex_base,
                 patch_base: model.levels[look.level].patch_base,
                 first_entry: look.first_entry,
                 patch_count,
                 view_count: MAX_VIEWS,
-                position_base: places.map(|place| animation.position_base(instance, place)),
+                position_base: bases.map(|base| base.unwrap_or(any)),
                 material_base: model.material_base,
+                instance: look.instance as u32,
             };
             recorder.dispatch(&self.pipeline, &self.group, &push, [patch_count, 1, 1]);
         }

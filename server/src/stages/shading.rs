@@ -86,14 +86,16 @@ impl Shading {
         let blocks = Buffer::new(gpu, "live blocks", bytes, Memory::Upload)?;
         let textures = scene.materials.texture_binds();
         let [light, shadow_map] = shadow.binds();
+        let [saved_vertices, boxes] = animation.position_binds();
         let group = BindGroup::new(
             pipeline.layout(),
             &[
                 ("Blocks", Bind::Buffer(&blocks)),
                 ("Patches", Bind::Buffer(&scene.meshes.patches)),
                 ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
-                ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
-                ("Tangents", Bind::Buffer(animation.tangents())),
+                saved_vertices,
+                boxes,
+                animation.frame_bind(),
                 ("Materials", Bind::Buffer(&scene.materials.buffer)),
                 light,
                 shadow_map,
@@ -116,24 +118,27 @@ impl Shading {
         self.count = 0;
         // Live patches come in ascending order: most are of the level of the one before.
         let mut now: Option<(usize, usize, PatchRange)> = None;
-        for (entry, (patch, block)) in list.iter_mut().zip(live) {
+        for (patch, block) in live {
             let (number, level, range) = now.filter(|(.., range)| range.has(patch)).unwrap_or_else(|| {
                 let (number, level) = scene.numbering.place_of_patch(patch);
                 let range = scene.numbering.patches(number, level);
                 (number, level, range.expect("it holds the patch"))
             });
             now = Some((number, level, range));
-            let instance = &scene.numbering.instances[number];
-            let model = &scene.models[instance.model];
+            let bases = animation.position_base(number, place).zip(animation.tangent_base(number));
+            // What had no room when it was skinned keeps the colours that it has.
+            let Some((position_base, tangent_base)) = bases else { continue };
+            let Some(entry) = list.get_mut(self.count as usize) else { break };
+            let model = &scene.models[scene.numbering.instances[number].model];
             *entry = BlockGpu {
                 patch_index: model.levels[level].patch_base + range.model_number(patch),
                 address_texels: u32::from(block.address.x) | u32::from(block.address.y) << 16,
                 extent_texels: block.size.width() | block.size.height() << 16,
                 vertex_base: model.vertex_base,
-                position_base: animation.position_base(instance, place),
-                tangent_base: animation.tangent_base(instance),
+                position_base,
+                tangent_base,
                 material_base: model.material_base,
-                reserved: 0,
+                instance: number as u32,
             };
             self.count += 1;
         }

@@ -50,9 +50,11 @@ impl Shadow {
         let geometry = Geometry::new(gpu, &SHADOW_VERT, &SHADOW_FRAG, &pass)?;
         let light = Buffer::new(gpu, "light", size_of::<LightGpu>() as u64, Memory::Upload)?;
         let textures = scene.materials.texture_binds();
+        let [saved_vertices, boxes] = animation.position_binds();
         let binds = [
+            saved_vertices,
+            boxes,
             ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
-            ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
             ("Light", Bind::Buffer(&light)),
             ("Materials", Bind::Buffer(&scene.materials.buffer)),
             ("textures", Bind::Textures(&textures)),
@@ -97,14 +99,18 @@ impl Shadow {
         if self.view.is_some() {
             let all = !self.is_animated;
             // One map serves all viewers, who see different levels.
+            let base = |number: usize| animation.position_base(number, place);
             let casts = |number: usize| {
-                let is_drawn = (all || needs.has(number)) && scene.scene.instances[number].casts_shadow;
+                let is_drawn = (all || needs.has(number))
+                    && scene.scene.instances[number].casts_shadow
+                    && base(number).is_some();
                 is_drawn.then_some(FULL_DETAIL)
             };
-            self.geometry.record_some(recorder, &self.group, scene, casts, |draw| ShadowPush {
+            self.geometry.record(recorder, &self.group, scene, casts, |draw| ShadowPush {
                 vertex_base: draw.model.vertex_base,
-                position_base: animation.position_base(draw.instance, place),
+                position_base: base(draw.number).unwrap_or_default(),
                 material: draw.model.material_base + draw.primitive.material,
+                instance: draw.number as u32,
             });
         }
         recorder.end_pass();

@@ -1,29 +1,26 @@
-//! Skinning: each vertex once per sample time into `saved_vertices`, each frame once per update into `tangents`.
+//! Skinning: each vertex that is needed once per sample time into `saved_vertices`, each frame once per update into `tangents`.
 //! Three ways ([`Skinning`]), to be measured side by side.
 
-use crate::animation::RingPlace;
+use crate::animation::packing::SAVED_BYTES;
+use crate::animation::saved::Saved;
 use crate::animation::skinning::Skinning;
 use crate::scene::SceneGpu;
-use crate::scene::numbering::{InstancePlace, Totals};
 use crate::stages::palette::Palette;
-use crate::upload::check_room;
 use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
 use shadecast_shaders::constants::MAX_INFLUENCES;
-use shadecast_shaders::generated::{SKIN_CHAIN_COMP, SKIN_COMP, SKIN_PACKED_COMP, SkinJob, TangentGpu};
+use shadecast_shaders::generated::{SKIN_CHAIN_COMP, SKIN_COMP, SKIN_PACKED_COMP, SkinJob};
 use std::sync::Arc;
 
-/// The stage with its outputs: static instances first, then one run of the animated ones a place of the ring.
+/// The stage with its outputs, which lie where [`Saved`] says.
 pub struct Skin {
     /// Of vertices as they are; per-vertex-chain where that is asked for.
     whole: Variant,
     /// Of packed vertices, for 1, 2, 3 and 4 influences, where that is asked for.
     packed: Vec<Variant>,
-    /// World positions, vec4.
-    pub saved_vertices: Buffer,
-    /// Normals and tangents at shading time, static ones first.
-    pub tangents: Buffer,
-    static_vertices: u32,
-    animated_vertices: u32,
+    /// World positions, packed.
+    pub saved_vertices: Vec<Buffer>,
+    /// Normals and tangents at shading time, packed.
+    pub tangents: Vec<Buffer>,
 }
 
 struct Variant {
@@ -49,30 +46,26 @@ impl SkinJobs {
 }
 
 impl Skin {
-    /// With room for `times` sample times. `morph_weights` holds those of each pose.
-    ///
-    /// # Errors
-    /// More skinned vertices than the device can bind as one buffer.
+    /// With room for what is saved of positions and of frames. `morph_weights` holds those of each pose.
     pub fn new(
         gpu: &Arc<Gpu>,
         scene: &SceneGpu,
         palette: &Palette,
         morph_weights: &Buffer,
-        times: u32,
+        boxes: &Buffer,
+        [positions, frames]: [&Saved; 2],
     ) -> Result<Self, GpuError> {
-        let totals = scene.numbering.totals;
-        let [(_, positions_bytes), (_, tangents_bytes)] = Self::needs(totals, times);
-        Self::needs(totals, times).into_iter().try_for_each(|(what, bytes)| check_room(gpu, what, bytes))?;
-        let saved_vertices = Buffer::new(gpu, "saved vertices", positions_bytes, Memory::Device)?;
-        let tangents = Buffer::new(gpu, "tangents", tangents_bytes, Memory::Device)?;
+        let saved_vertices = chunks(gpu, "saved vertices", positions)?;
+        let tangents = chunks(gpu, "tangents", frames)?;
         let mut binds = scene.animation.binds();
         binds.extend([
             ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
             ("PackedVertices", Bind::Buffer(&scene.skins.packed_vertices)),
             ("MorphDeltas", Bind::Buffer(&scene.skins.morph_deltas)),
             ("MorphWeights", Bind::Buffer(morph_weights)),
-            ("SavedVertices", Bind::Buffer(&saved_vertices)),
-            ("Tangents", Bind::Buffer(&tangents)),
+            ("SavedVertices", Bind::Buffers(&saved_vertices)),
+            ("Tangents", Bind::Buffers(&tangents)),
+            ("Boxes", Bind::Buffer(boxes)),
             ("Palettes", Bind::Buffer(&palette.palettes)),
             ("Poses", Bind::Buffer(&palette.poses)),
         ]);
@@ -86,38 +79,7 @@ impl Skin {
         let most = if scene.skinning == Skinning::Packed { MAX_INFLUENCES } else { 0 };
         let packed =
             (1..=most).map(|count| variant(&SKIN_PACKED_COMP, &[count])).collect::<Result<_, _>>()?;
-        Ok(Self {
-            whole,
-            packed,
-            saved_vertices,
-            tangents,
-            static_vertices: totals.static_vertices,
-            animated_vertices: totals.animated_vertices,
-        })
-    }
-
-    /// What it binds at once, in bytes.
-    pub fn needs(totals: Totals, times: u32) -> [(&'static str, u64); 2] {
-        let positions =
-            u64::from(totals.static_vertices) + u64::from(times) * u64::from(totals.animated_vertices);
-        let tangents_bytes = u64::from(totals.vertices) * size_of::<TangentGpu>() as u64;
-        [
-            ("skinned vertices of all instances and sample times", positions * 16),
-            ("normals and tangents of all instances", tangents_bytes),
-        ]
-    }
-
-    /// First saved vertex of an instance at the time of a place.
-    pub fn position_base(&self, instance: &InstancePlace, place: RingPlace) -> u32 {
-        match instance.is_animated {
-            true => self.static_vertices + place.0 * self.animated_vertices + instance.saved_base,
-            false => instance.saved_base,
-        }
-    }
-
-    /// First saved frame of an instance.
-    pub fn tangent_base(&self, instance: &InstancePlace) -> u32 {
-        if instance.is_animated { self.static_vertices + instance.saved_base } else { instance.saved_base }
+        Ok(Self { whole, packed, saved_vertices, tangents })
     }
 
     /// A dispatch for each of `jobs`.
@@ -128,4 +90,9 @@ impl Skin {
             recorder.dispatch_each(&variant.pipeline, &variant.group, dispatches);
         }
     }
+}
+
+fn chunks(gpu: &Arc<Gpu>, name: &str, saved: &Saved) -> Result<Vec<Buffer>, GpuError> {
+    let chunk = |count: u32| Buffer::new(gpu, name, u64::from(count) * SAVED_BYTES, Memory::Device);
+    saved.chunks().into_iter().map(chunk).collect()
 }

@@ -2,24 +2,26 @@
 //! with the atlas's own shading code, antialiased by multisampling. A second pass tells what is where, one sample a pixel.
 
 use crate::animation::RingPlace;
-use crate::animation::gpu::Animation;
+use crate::animation::gpu::{Animation, boxes};
+use crate::animation::packing::{SAVED_BYTES, pack_frame, pack_position, packing_box};
 use crate::culling::Needed;
 use crate::scene::SceneGpu;
-use crate::stages::geometry::Geometry;
+use crate::stages::geometry::{FULL_DETAIL, Geometry};
 use crate::stages::shadow::Shadow;
 use crate::stages::view_gpu;
 use ash::vk;
-use glam::Mat4;
+use glam::{Mat4, Vec3, Vec4};
 use shadecast_gpu::{
     Access, Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline,
     GraphicsPipelineDesc, Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc,
 };
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
-use shadecast_shaders::constants::FIRST_ID;
+use shadecast_scene::animation::bounds::Bounds;
+use shadecast_shaders::constants::{CHUNK_VERTICES, FIRST_ID};
 use shadecast_shaders::generated::{
-    BackgroundPush, FORWARD_BACKGROUND_FRAG, FORWARD_BACKGROUND_VERT, FORWARD_FRAG, FORWARD_PROBE_FRAG,
-    FORWARD_PROBE_VERT, FORWARD_VERT, ForwardPush, TangentGpu, ViewGpu,
+    BackgroundPush, BoxGpu, FORWARD_BACKGROUND_FRAG, FORWARD_BACKGROUND_VERT, FORWARD_FRAG,
+    FORWARD_PROBE_FRAG, FORWARD_PROBE_VERT, FORWARD_VERT, ForwardPush, ViewGpu,
 };
 use std::sync::Arc;
 
@@ -49,7 +51,16 @@ pub struct Posed {
     /// xyz, metres.
     pub positions: Vec<[f32; 4]>,
     /// Normals and tangents.
-    pub frames: Vec<TangentGpu>,
+    pub frames: Vec<PosedFrame>,
+}
+
+/// Normal and tangent of a vertex in the world.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PosedFrame {
+    /// Of unit length.
+    pub normal: Vec3,
+    /// xyz of unit length, w the bitangent's side.
+    pub tangent: Vec4,
 }
 
 /// The renderer.
@@ -58,6 +69,10 @@ pub struct Forward {
     scene: Arc<SceneGpu>,
     animation: Animation,
     shadow: Shadow,
+    /// Whether what is saved is none of the scene's own animation.
+    is_posed: bool,
+    /// What the scene's own animation packs positions in.
+    boxes: Buffer,
     /// Every instance is needed: the eye may be anywhere in the next picture.
     all: Needed,
     color: Pass,
@@ -123,6 +138,8 @@ impl Forward {
             scene: scene.clone(),
             animation,
             shadow,
+            is_posed: false,
+            boxes: Buffer::upload(gpu, "boxes of positions", &boxes(scene))?,
             all: Needed::all(scene.numbering.instances.len()),
             background,
             background_group,
@@ -149,6 +166,13 @@ impl Forward {
 
     /// Records what an eye sees at `time`. Nothing submitted still reads the last recording's view.
     pub fn record(&mut self, recorder: &mut Recorder, world_from_eye: Pose, fov: Fov, time: ServerTime) {
+        if std::mem::take(&mut self.is_posed) {
+            self.animation.forget();
+            let (from, to) = (&self.boxes, self.animation.boxes());
+            recorder.barrier(Access::GRAPHICS_READ, Access::COPY_WRITE);
+            recorder.copy_buffer(from, 0, to, 0, to.size());
+            recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_READ);
+        }
         self.animation.record_sample(recorder, ONLY, time);
         self.animation.record_tangents(recorder, ONLY, |_| true);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
@@ -197,17 +221,53 @@ impl Forward {
             [all; 2],
             "a place for each vertex of the scene"
         );
-        let positions = Buffer::upload(&self.gpu, "posed positions", &posed.positions)?;
-        let frames = Buffer::upload(&self.gpu, "posed frames", &posed.frames)?;
+        let packed = self.pack(posed);
+        let upload = |words: &Vec<[u32; 2]>| Buffer::upload(&self.gpu, "posed vertices", words);
+        let positions = packed.positions.iter().map(upload).collect::<Result<Vec<_>, _>>()?;
+        let frames = packed.frames.iter().map(upload).collect::<Result<Vec<_>, _>>()?;
+        let boxes = Buffer::upload(&self.gpu, "posed boxes", &packed.boxes)?;
         let mut recorder = self.gpu.record()?;
-        for (from, to) in
-            [(&positions, self.animation.saved_vertices()), (&frames, self.animation.tangents())]
-        {
+        let positions = positions.iter().zip(self.animation.saved_vertices());
+        let frames = frames.iter().zip(self.animation.tangents());
+        for (from, to) in positions.chain(frames).chain([(&boxes, self.animation.boxes())]) {
             recorder.copy_buffer(from, 0, to, 0, from.size().min(to.size()));
         }
+        self.is_posed = true;
         recorder.barrier(Access::COPY_WRITE, Access::GRAPHICS_READ);
         self.record_posed(&mut recorder, world_from_eye, fov, time);
         self.probe_and_collect(recorder)
+    }
+
+    /// Packs posed vertices as what draws them reads them, each instance in a box of its own.
+    fn pack(&mut self, posed: &Posed) -> PackedScene {
+        let numbering = &self.scene.numbering;
+        let words = |buffers: &[Buffer]| -> Vec<Vec<[u32; 2]>> {
+            buffers.iter().map(|buffer| vec![[0; 2]; (buffer.size() / SAVED_BYTES) as usize]).collect()
+        };
+        let mut packed = PackedScene {
+            positions: words(self.animation.saved_vertices()),
+            frames: words(self.animation.tangents()),
+            boxes: Vec::new(),
+        };
+        for (number, place) in numbering.instances.iter().enumerate() {
+            let still = if place.is_animated { numbering.totals.static_vertices } else { 0 };
+            let first = (still + place.saved_base) as usize;
+            let vertices = first..first + self.scene.models[place.model].vertex_count as usize;
+            let positions = posed.positions[vertices.clone()].iter().map(|at| Vec4::from(*at).truncate());
+            let within = packing_box(Bounds::around(positions.clone()));
+            packed.boxes.push(within);
+            if let Some((position_base, frame_base)) = self.animation.keep(number, ONLY) {
+                for (count, position) in (0..).zip(positions) {
+                    *of_chunk(&mut packed.positions, position_base + count) =
+                        pack_position(&within, position);
+                }
+                for (count, frame) in (0..).zip(&posed.frames[vertices]) {
+                    *of_chunk(&mut packed.frames, frame_base + count) =
+                        pack_frame(frame.normal, frame.tangent);
+                }
+            }
+        }
+        packed
     }
 
     fn probe_and_collect(&self, mut recorder: Recorder) -> Result<Truth, GpuError> {
@@ -305,6 +365,17 @@ impl Targets {
     }
 }
 
+/// Vertices as they are in the buffers that are drawn from, and the boxes of the instances.
+struct PackedScene {
+    positions: Vec<Vec<[u32; 2]>>,
+    frames: Vec<Vec<[u32; 2]>>,
+    boxes: Vec<BoxGpu>,
+}
+
+fn of_chunk(chunks: &mut [Vec<[u32; 2]>], vertex: u32) -> &mut [u32; 2] {
+    &mut chunks[(vertex / CHUNK_VERTICES) as usize][(vertex % CHUNK_VERTICES) as usize]
+}
+
 fn rgb8(rgba8: &[u8]) -> Vec<u8> {
     rgba8.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect()
 }
@@ -381,15 +452,17 @@ impl Pass {
             Some(_) => Geometry::new(gpu, &FORWARD_VERT, &FORWARD_FRAG, &pass)?,
         };
         let textures = scene.materials.texture_binds();
+        let [saved_vertices, boxes] = animation.position_binds();
         let mut binds = vec![
             ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
-            ("SavedVertices", Bind::Buffer(animation.saved_vertices())),
+            saved_vertices,
+            boxes,
             ("View", Bind::Buffer(view)),
             ("Materials", Bind::Buffer(&scene.materials.buffer)),
             ("textures", Bind::Textures(&textures)),
         ];
         if let Some(shadow) = shaded {
-            binds.push(("Tangents", Bind::Buffer(animation.tangents())));
+            binds.push(animation.frame_bind());
             binds.extend(shadow.binds());
         }
         let group = BindGroup::new(geometry.layout(), &binds)?;
@@ -397,10 +470,14 @@ impl Pass {
     }
 
     fn draw(&self, recorder: &mut Recorder, scene: &SceneGpu, animation: &Animation) {
-        self.geometry.record(recorder, &self.group, scene, |draw| ForwardPush {
+        let is_there = |number: usize| {
+            let bases = animation.position_base(number, ONLY).zip(animation.tangent_base(number));
+            bases.map(|_| FULL_DETAIL)
+        };
+        self.geometry.record(recorder, &self.group, scene, is_there, |draw| ForwardPush {
             vertex_base: draw.model.vertex_base,
-            position_base: animation.position_base(draw.instance, ONLY),
-            tangent_base: animation.tangent_base(draw.instance),
+            position_base: animation.position_base(draw.number, ONLY).unwrap_or_default(),
+            tangent_base: animation.tangent_base(draw.number).unwrap_or_default(),
             material: draw.model.material_base + draw.primitive.material,
             instance: draw.number as u32,
         });

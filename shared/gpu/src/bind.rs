@@ -23,6 +23,8 @@ pub struct Layout {
 pub enum Bind<'a> {
     /// A whole buffer, storage or uniform as the shader says.
     Buffer(&'a Buffer),
+    /// Whole storage buffers for an array of them, one at least; elements that are left have the first.
+    Buffers(&'a [Buffer]),
     /// An image to sample, in SHADER_READ_ONLY_OPTIMAL.
     Sampled(&'a Image, &'a Sampler),
     /// Images for a texture array, from element 0 on.
@@ -192,6 +194,10 @@ impl BindGroup {
             Bind::Buffer(buffer) => {
                 buffers.push(vk::DescriptorBufferInfo::default().buffer(buffer.handle).range(vk::WHOLE_SIZE))
             }
+            Bind::Buffers(all) => buffers.extend((0..count(binding) as usize).map(|element| {
+                let buffer = all.get(element).unwrap_or(&all[0]);
+                vk::DescriptorBufferInfo::default().buffer(buffer.handle).range(vk::WHOLE_SIZE)
+            })),
             Bind::Sampled(image, sampler) => images.push(sampled(image, sampler)),
             Bind::Textures(all) => images.extend(all.iter().map(|(i, s)| sampled(i, s))),
             Bind::Storage(image) => images.push(

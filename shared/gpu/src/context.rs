@@ -350,6 +350,8 @@ fn missing(instance: &ash::Instance, physical: vk::PhysicalDevice, needs: Needs)
         (core.sampler_anisotropy, "samplerAnisotropy"),
         (indexing.runtime_descriptor_array, "runtimeDescriptorArray"),
         (indexing.shader_sampled_image_array_non_uniform_indexing, "non-uniform texture indexing"),
+        (core.shader_storage_buffer_array_dynamic_indexing, "shaderStorageBufferArrayDynamicIndexing"),
+        (indexing.shader_storage_buffer_array_non_uniform_indexing, "non-uniform buffer indexing"),
         (indexing.descriptor_binding_partially_bound, "partially bound descriptors"),
     ];
     wanted.iter().find(|(has, _)| *has == 0).map(|(_, name)| *name)
@@ -474,11 +476,15 @@ fn create_device(
         return Err(GpuError::NoDevice(format!("the chosen device lacks {what}")));
     }
     let server = options.needs == Needs::Server;
-    let core = vk::PhysicalDeviceFeatures::default().geometry_shader(server).sampler_anisotropy(server);
+    let core = vk::PhysicalDeviceFeatures::default()
+        .geometry_shader(server)
+        .sampler_anisotropy(server)
+        .shader_storage_buffer_array_dynamic_indexing(server);
     let mut multiview = vk::PhysicalDeviceMultiviewFeatures::default().multiview(true);
     let mut indexing = vk::PhysicalDeviceDescriptorIndexingFeatures::default()
         .runtime_descriptor_array(true)
         .shader_sampled_image_array_non_uniform_indexing(true)
+        .shader_storage_buffer_array_non_uniform_indexing(true)
         .descriptor_binding_partially_bound(true);
     let priorities = [1.0];
     let queues =

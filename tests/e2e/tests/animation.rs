@@ -1,9 +1,10 @@
 //! The animation stages on the GPU against their CPU twin, and what they are spared: on small scenes of everything
 //! that moves vertices, with validation layers on.
 
-use glam::{Affine3A, Quat, Vec3};
+use glam::{Affine3A, Quat, Vec3, Vec4};
 use rand::{Rng, SeedableRng, rngs::SmallRng};
-use shadecast_gpu::{Access, Buffer, DesktopDevice, Gpu, GpuOptions, Memory, Needs};
+use shadecast_e2e::SavedVertices;
+use shadecast_gpu::{Access, DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_lab::truth::InstancePose;
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::clip::{chunk_at, chunk_count};
@@ -24,6 +25,7 @@ use shadecast_scene::{
 };
 use shadecast_server::animation::RingPlace;
 use shadecast_server::animation::gpu::{Animation, AnimationCounts};
+use shadecast_server::animation::saved::MOST_PLACES;
 use shadecast_server::animation::skinning::Skinning;
 use shadecast_server::animation::timeline::SharedTimeline;
 use shadecast_server::culling::Needed;
@@ -32,7 +34,6 @@ use shadecast_server::motion::sender::MotionSender;
 use shadecast_server::pacing::WayState;
 use shadecast_server::predict::{PredictedViews, View};
 use shadecast_server::samples::SampleWindow;
-use shadecast_server::scene::numbering::InstancePlace;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use std::collections::HashMap;
 use std::ops::Range;
@@ -177,15 +178,6 @@ fn mixed_scene(rng: &mut SmallRng) -> Scene {
     scene_of(models, instances)
 }
 
-fn read<T: bytemuck::Pod>(gpu: &Arc<Gpu>, buffer: &Buffer) -> Vec<T> {
-    let target = Buffer::new(gpu, "read-back", buffer.size(), Memory::Readback).unwrap();
-    let mut recorder = gpu.record().unwrap();
-    recorder.copy_buffer(buffer, 0, &target, 0, buffer.size());
-    recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
-    gpu.wait(recorder.submit().unwrap()).unwrap();
-    target.values::<T>().to_vec()
-}
-
 /// What the twin makes of an instance: clip and path as sampled.
 fn twin(
     scene: &Scene,
@@ -219,22 +211,19 @@ fn compare_with_twin(gpu: &Arc<Gpu>, scene: &Scene, options: SceneOptions, times
         animation.record_tangents(&mut recorder, RingPlace(1), |_| true);
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         gpu.wait(recorder.submit().unwrap()).unwrap();
-        let positions: Vec<[f32; 4]> = read(gpu, animation.saved_vertices());
-        let frames: Vec<[[f32; 4]; 2]> = read(gpu, animation.tangents());
-        for (index, place) in gpu_scene.numbering.instances.iter().enumerate() {
+        let saved = SavedVertices::read(gpu, &animation);
+        for index in 0..gpu_scene.numbering.instances.len() {
             let name = format!("{options:?}, {} at {time_s} s, seed {SEED}", scene.instances[index].name);
             let twin = twin(scene, index, options.sampling, time);
             let size = twin.iter().map(|v| v.position.length()).fold(1.0, f32::max);
-            let at = animation.position_base(place, RingPlace(1)) as usize;
-            let frames_at = animation.tangent_base(place) as usize;
             for (v, expected) in twin.iter().enumerate() {
-                let [x, y, z, _] = positions[at + v];
-                let error = Vec3::new(x, y, z).distance(expected.position) / size;
+                let position = saved.position(&animation, index, RingPlace(1), v);
+                let error = position.distance(expected.position) / size;
                 assert!(error < 1e-5, "{name}, vertex {v}: {error}");
-                let [normal, tangent] = frames[frames_at + v].map(|f| Vec3::new(f[0], f[1], f[2]));
+                let (normal, tangent) = saved.frame(&animation, index, v);
                 assert!(normal.distance(expected.normal) < 1e-4, "{name}, normal {v}: {normal}");
-                let wanted = Vec3::from_slice(&expected.tangent[..3]);
-                assert!(tangent.distance(wanted) < 1e-4, "{name}, tangent {v}: {tangent} {wanted}");
+                let wanted = Vec4::from(expected.tangent);
+                assert!(tangent.distance(wanted) < 1.5e-4, "{name}, tangent {v}: {tangent} {wanted}");
             }
         }
     }
@@ -307,19 +296,19 @@ fn amid_a_cross_fade_every_way_of_skinning_equals_the_cpu_twin() {
     assert_no_messages(&gpu);
 }
 
-/// World positions of an instance's vertices at a time, as the GPU has them.
+/// World positions of an instance of a model at a time, as the GPU has them.
 fn positions(
     gpu: &Arc<Gpu>,
     animation: &mut Animation,
-    place: &InstancePlace,
+    (instance, model): (usize, &Model),
     time: ServerTime,
 ) -> Vec<Vec3> {
     let mut recorder = gpu.record().unwrap();
     animation.record_sample(&mut recorder, RingPlace(0), time);
     gpu.wait(recorder.submit().unwrap()).unwrap();
-    let all: Vec<[f32; 4]> = read(gpu, animation.saved_vertices());
-    let first = animation.position_base(place, RingPlace(0)) as usize;
-    all[first..].iter().map(|[x, y, z, _]| Vec3::new(*x, *y, *z)).collect()
+    let saved = SavedVertices::read(gpu, animation);
+    let position = |vertex| saved.position(animation, instance, RingPlace(0), vertex);
+    (0..model.vertices.len()).map(position).collect()
 }
 
 /// The first instance of a scene, amid a fade and after it, against the source's own curves.
@@ -330,9 +319,9 @@ fn compare_with_truth(gpu: &Arc<Gpu>, scene: &Scene, most_m: f32) {
     let mut fades = 0;
     for at_ms in [450, 530, 620, 750, 990, 1400, 2300] {
         let time = ServerTime(at_ms * 1_000_000);
-        let found = positions(gpu, &mut animation, &gpu_scene.numbering.instances[0], time);
+        let found = positions(gpu, &mut animation, (0, model), time);
         let truth = InstancePose::at(scene, 0, time.seconds());
-        for (number, found) in found.iter().take(model.vertices.len()).enumerate() {
+        for (number, found) in found.iter().enumerate() {
             let error_m = found.distance(truth.vertex(model, number).as_vec3());
             assert!(error_m < most_m, "{}, vertex {number} at {at_ms} ms: {error_m} m", model.name);
         }
@@ -361,12 +350,11 @@ fn amid_a_cross_fade_vertices_are_where_the_source_has_them() {
 fn a_paused_instance_stands_still() {
     let gpu = gpu();
     let model = model_of_two_clips(&mut SmallRng::seed_from_u64(SEED));
-    let scene = scene_of(vec![model], vec![Instance { clip: Some(0), ..Instance::new("paused", 0) }]);
+    let scene = scene_of(vec![model.clone()], vec![Instance { clip: Some(0), ..Instance::new("paused", 0) }]);
     let scene = fading(scene, 0, Some(1));
     let gpu_scene = Arc::new(SceneGpu::new(&gpu, scene, &SceneOptions::default()).expect("it fits"));
     let mut animation = Animation::new(&gpu, &gpu_scene, 1).unwrap();
-    let place = gpu_scene.numbering.instances[0];
-    let mut at = |ms: i64| positions(&gpu, &mut animation, &place, ServerTime(ms * 1_000_000));
+    let mut at = |ms: i64| positions(&gpu, &mut animation, (0, &model), ServerTime(ms * 1_000_000));
     assert_ne!(at(1900), at(1950), "it moves until then");
     assert_eq!(at(2000), at(9876));
 }
@@ -383,7 +371,6 @@ fn a_live_instance_is_where_it_is_posed_and_plays_on_when_released() {
         let options = SceneOptions { skinning, ..SceneOptions::default() };
         let gpu_scene = Arc::new(SceneGpu::new(&gpu, scene.clone(), &options).expect("it fits"));
         let mut animation = Animation::new(&gpu, &gpu_scene, 1).unwrap();
-        let place = gpu_scene.numbering.instances[1];
         let ms = |ms: i64| ServerTime(ms * 1_000_000);
         let rest = pose::source_pose(&model, None, 0.0);
         let turned: Vec<Trs> = rest
@@ -394,7 +381,7 @@ fn a_live_instance_is_where_it_is_posed_and_plays_on_when_released() {
         timeline.lock().set_pose(1, ms(1000), rest.clone()).expect("a pose");
         timeline.lock().set_pose(1, ms(1400), turned.clone()).expect("another");
         for (at_ms, share) in [(1000, 0.0), (1100, 0.25), (1400, 1.0), (1800, 1.0)] {
-            let found = positions(&gpu, &mut animation, &place, ms(at_ms));
+            let found = positions(&gpu, &mut animation, (1, &model), ms(at_ms));
             let locals: Vec<Trs> =
                 rest.iter().zip(&turned).map(|(from, to)| playing::mix(*from, *to, share)).collect();
             let palette = pose::palette(&model, &pose::global_pose(&model, &locals));
@@ -408,10 +395,8 @@ fn a_live_instance_is_where_it_is_posed_and_plays_on_when_released() {
         }
         let back = timeline.lock().release_pose(1, ms(0)).expect("it is live");
         assert_eq!(back, ServerTime(ms(1800).0 + 1), "what was sampled stays");
-        let [released, other] = [1, 2].map(|index| {
-            let place = gpu_scene.numbering.instances[index];
-            positions(&gpu, &mut animation, &place, ms(2100))[..model.vertices.len()].to_vec()
-        });
+        let [released, other] =
+            [1, 2].map(|instance| positions(&gpu, &mut animation, (instance, &model), ms(2100)));
         assert_eq!(released, other, "it plays its clip as if nothing had been");
     }
     assert_no_messages(&gpu);
@@ -507,8 +492,8 @@ fn samples_are_computed_once_and_only_for_what_is_needed() {
     let instance = |shift: f32| Instance { clip: Some(0), time_shift_s: shift, ..Instance::new("i", 0) };
     let scene = scene_of(vec![model], vec![instance(0.0), instance(0.4)]);
     let scene = Arc::new(SceneGpu::new(&gpu, scene, &SceneOptions::default()).expect("the scene fits"));
-    let mut animation = Animation::new(&gpu, &scene, shadecast_server::animation::RING).unwrap();
-    let mut window = SampleWindow::new(&scene);
+    let mut animation = Animation::new(&gpu, &scene, MOST_PLACES).unwrap();
+    let mut window = SampleWindow::new(&scene, &animation);
     let mut computed = |first: i32, needed: [bool; 2]| {
         let before = animation.counts().instance_samples;
         let mut recorder = gpu.record().unwrap();

@@ -1,6 +1,7 @@
 //! Every GPU stage of the server against its CPU twin, on a small scene, with validation layers on.
 
 use glam::{Mat4, Vec3, Vec4};
+use shadecast_e2e::{SavedVertices, read};
 use shadecast_gpu::{Access, Buffer, DesktopDevice, Gpu, GpuOptions, Memory, Needs};
 use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize};
 use shadecast_protocol::picture::I420;
@@ -36,22 +37,6 @@ fn assert_no_messages(gpu: &Gpu) {
     assert_eq!(gpu.validation_messages(), 0, "{:#?}", gpu.validation_texts());
 }
 
-/// Runs `record` and returns the words of `buffer` afterwards.
-fn read<T: bytemuck::Pod>(
-    gpu: &Arc<Gpu>,
-    buffer: &Buffer,
-    record: impl FnOnce(&mut shadecast_gpu::Recorder),
-) -> Vec<T> {
-    let target = Buffer::new(gpu, "read-back", buffer.size(), Memory::Readback).unwrap();
-    let mut recorder = gpu.record().unwrap();
-    record(&mut recorder);
-    recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
-    recorder.copy_buffer(buffer, 0, &target, 0, buffer.size());
-    recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
-    gpu.wait(recorder.submit().unwrap()).unwrap();
-    target.values::<T>().to_vec()
-}
-
 #[test]
 fn skinned_vertices_equal_the_cpu_twin_within_a_hundred_thousandth_of_the_models_size() {
     let gpu = gpu();
@@ -62,7 +47,7 @@ fn skinned_vertices_equal_the_cpu_twin_within_a_hundred_thousandth_of_the_models
         let mut recorder = gpu.record().unwrap();
         animation.record_sample(&mut recorder, RingPlace(1), time);
         gpu.wait(recorder.submit().unwrap()).unwrap();
-        let saved: Vec<[f32; 4]> = read(&gpu, animation.saved_vertices(), |_| {});
+        let saved = SavedVertices::read(&gpu, &animation);
         for (index, instance) in scene.scene.instances.iter().enumerate() {
             let model = &scene.scene.models[instance.model];
             let clip = sampling::sample(model, instance.clip, sampling::Sampling::default());
@@ -70,11 +55,10 @@ fn skinned_vertices_equal_the_cpu_twin_within_a_hundred_thousandth_of_the_models
             let locals = playing::sampled_pose(|_| &clip, &playing);
             let palette = pose::palette(model, &pose::global_pose(model, &locals));
             let twin = pose::skin(&model.vertices, &palette, instance.world_from_model(time.seconds()));
-            let base = animation.position_base(&scene.numbering.instances[index], RingPlace(1)) as usize;
             let size = twin.iter().map(|v| v.position.length()).fold(1.0, f32::max);
             for (v, expected) in twin.iter().enumerate() {
-                let [x, y, z, _] = saved[base + v];
-                let error = Vec3::new(x, y, z).distance(expected.position) / size;
+                let position = saved.position(&animation, index, RingPlace(1), v);
+                let error = position.distance(expected.position) / size;
                 assert!(error < 1e-5, "{} vertex {v} at {time_s} s: {error}", instance.name);
             }
         }
@@ -128,13 +112,13 @@ fn marks_and_extents_equal_their_cpu_twins() {
 
     // Of one level: entries are numbers of patches.
     let patches = looks.entries();
-    let visible: Vec<u32> = read(&gpu, &mark.visible, |_| {});
+    let visible: Vec<u32> = read(&gpu, &mark.visible);
     let twin = twin::mark::mark(&ids.values::<u32>()[..2 * pixels], patches);
     assert_eq!(visible[..patches], twin[..]);
     assert!(twin.iter().sum::<u32>() > 500, "the dragon is in view");
 
-    let saved: Vec<[f32; 4]> = read(&gpu, animation.saved_vertices(), |_| {});
-    let extents: Vec<u32> = read(&gpu, &levels.extents, |_| {});
+    let saved = SavedVertices::read(&gpu, &animation);
+    let extents: Vec<u32> = read(&gpu, &levels.extents);
     let twin_views: Vec<_> = view_gpus
         .iter()
         .map(|view| twin::level_selection::View {
@@ -147,12 +131,12 @@ fn marks_and_extents_equal_their_cpu_twins() {
     let mut compared = 0;
     for patch in (0..patches as u32).filter(|p| twin[*p as usize] != 0) {
         let number = ScenePatch(patch);
-        let instance = &scene.numbering.instances[scene.numbering.instance_of_patch(number)];
+        let instance = scene.numbering.instance_of_patch(number);
         let shape = scene.patch(number);
         let world: Vec<[Vec4; 5]> = (0..6)
             .map(|view| {
-                let base = animation.position_base(instance, RingPlace(view / 2));
-                shape.vertices.map(|v| Vec4::from_array(saved[(base + v) as usize]))
+                let at = |v: u32| saved.position(&animation, instance, RingPlace(view / 2), v as usize);
+                shape.vertices.map(|v| at(v).extend(1.0))
             })
             .collect();
         let expected = twin::level_selection::extent_texels(shape.kind as u32, &twin_views, &world);

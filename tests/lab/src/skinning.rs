@@ -299,8 +299,8 @@ impl Counts {
         const MATRIX: u64 = 12;
         const INFLUENCES: u64 = 4 + 2; // weights, joints
         const PACKED: u64 = 2 + 2 + 1; // weights, joints, the vertex's number
-        const POSITION: u64 = 3 + 4; // read, written
-        const FRAME: u64 = 3 + 4 + 8; // normal and tangent read, both written
+        const POSITION: u64 = 3 + 2; // read, written packed
+        const FRAME: u64 = 3 + 4 + 2; // normal and tangent read, both written packed
         const KEYS: u64 = 3 + 4 + 3; // of one key, translation, rotation, scale
         let vertices = |scalars: u64| scalars * self.vertices;
         let blends = MATRIX * self.influences;

@@ -13,8 +13,7 @@ use shadecast_protocol::time::ServerTime;
 use shadecast_scene::{Model, Scene, Vertex};
 use shadecast_server::scene::SceneGpu;
 use shadecast_server::scene::numbering::SceneVertex;
-use shadecast_server::truth::forward::Posed;
-use shadecast_shaders::generated::TangentGpu;
+use shadecast_server::truth::forward::{Posed, PosedFrame};
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -56,8 +55,7 @@ impl SceneTruth {
 fn pose_scene(scene: &SceneGpu, time: ServerTime) -> Posed {
     let statics = scene.numbering.totals.static_vertices as usize;
     let all = statics + scene.numbering.totals.animated_vertices as usize;
-    let none = TangentGpu { normal: [0.0; 4], tangent: [0.0; 4] };
-    let mut posed = Posed { positions: vec![[0.0; 4]; all], frames: vec![none; all] };
+    let mut posed = Posed { positions: vec![[0.0; 4]; all], frames: vec![PosedFrame::default(); all] };
     for (index, place) in scene.numbering.instances.iter().enumerate() {
         let instance = &scene.scene.instances[index];
         let model = &scene.scene.models[instance.model];
@@ -138,15 +136,13 @@ impl InstancePose {
         self.blend(vertex).transform_point3(self.mesh(vertex, number).position)
     }
 
-    fn vertex_and_frame(&self, model: &Model, number: usize) -> (DVec3, TangentGpu) {
+    fn vertex_and_frame(&self, model: &Model, number: usize) -> (DVec3, PosedFrame) {
         let vertex = &model.vertices[number];
         let (matrix, mesh) = (self.blend(vertex), self.mesh(vertex, number));
         let normal = perpendicular(matrix.matrix3, mesh.normal);
         let tangent = (matrix.matrix3 * mesh.tangent).normalize_or_zero();
-        let frame = TangentGpu {
-            normal: normal.as_vec3().extend(0.0).to_array(),
-            tangent: tangent.as_vec3().extend(vertex.tangent[3]).to_array(),
-        };
+        let frame =
+            PosedFrame { normal: normal.as_vec3(), tangent: tangent.as_vec3().extend(vertex.tangent[3]) };
         (matrix.transform_point3(mesh.position), frame)
     }
 
@@ -253,9 +249,9 @@ mod tests {
             let (position, frame) = found.vertex_and_frame(model, number);
             let off_m = position.as_vec3().distance(expected.position);
             assert!(off_m < 2e-5, "{}, {time_s} s, vertex {number}: {off_m} m", placed.name);
-            let turned = Vec3::from_slice(&frame.normal[..3]).distance(expected.normal);
+            let turned = frame.normal.distance(expected.normal);
             assert!(turned < 2e-3, "{}, {time_s} s, vertex {number}: normal {turned} off", placed.name);
-            let tangent = Vec3::from_slice(&frame.tangent[..3]);
+            let tangent = frame.tangent.truncate();
             let turned = tangent.distance(Vec3::from_slice(&expected.tangent[..3]));
             assert!(turned < 2e-3, "{}, {time_s} s, vertex {number}: tangent {turned} off", placed.name);
         }
