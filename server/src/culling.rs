@@ -20,40 +20,66 @@ pub struct Culling {
     update: u32,
 }
 
-/// The instances that an update needs, or that several do.
+/// The instances that an update needs, or that several do, each with the finest level of detail that is.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Needed(Vec<bool>);
+pub struct Needed(Vec<Option<usize>>);
 
 impl FromIterator<bool> for Needed {
     fn from_iter<T: IntoIterator<Item = bool>>(by_instance: T) -> Self {
-        Self(by_instance.into_iter().collect())
+        Self(by_instance.into_iter().map(|has| has.then_some(0)).collect())
     }
 }
 
 impl Needed {
     /// None of so many instances.
     pub fn none(instances: usize) -> Self {
-        Self(vec![false; instances])
+        Self(vec![None; instances])
     }
 
-    /// All of them.
+    /// All of them in full detail.
     pub fn all(instances: usize) -> Self {
-        Self(vec![true; instances])
+        Self(vec![Some(0); instances])
     }
 
     /// Whether an instance is needed.
     pub fn has(&self, instance: usize) -> bool {
+        self.0[instance].is_some()
+    }
+
+    /// The finest level of an instance that is needed.
+    pub fn level(&self, instance: usize) -> Option<usize> {
         self.0[instance]
+    }
+
+    /// Of what is needed no finer level than these, by instance, is.
+    #[must_use]
+    pub fn at_levels(mut self, levels: impl IntoIterator<Item = usize>) -> Self {
+        for (has, level) in self.0.iter_mut().zip(levels) {
+            *has = has.map(|_| level);
+        }
+        self
+    }
+
+    /// Nor is any coarser one.
+    #[must_use]
+    pub fn at_least(mut self, levels: impl IntoIterator<Item = usize>) -> Self {
+        for (has, level) in self.0.iter_mut().zip(levels) {
+            *has = has.map(|has| has.min(level));
+        }
+        self
     }
 
     /// Adds what others need.
     pub fn add(&mut self, others: &Self) {
-        self.0.iter_mut().zip(&others.0).for_each(|(has, other)| *has |= *other);
+        for (has, other) in self.0.iter_mut().zip(&others.0) {
+            *has = has.iter().chain(other).min().copied();
+        }
     }
 
-    /// Whether all that others need is needed here.
+    /// Whether all that others need is needed here, as finely.
     pub fn covers(&self, others: &Self) -> bool {
-        self.0.iter().zip(&others.0).all(|(has, other)| *has || !other)
+        let covers = |has: &Option<usize>, other: usize| has.is_some_and(|has| has <= other);
+        self.0.iter().zip(&others.0).all(|(has, other)| other.is_none_or(|other| covers(has, other)))
     }
 }
 
@@ -83,7 +109,7 @@ impl Culling {
             }
             let last = self.last_needed[index];
             // One update more than the layout holds a patch: it decides after this.
-            needs.0[index] = last > 0 && self.update - last <= HOLD_UPDATES + 1;
+            needs.0[index] = (last > 0 && self.update - last <= HOLD_UPDATES + 1).then_some(0);
         }
         needs
     }

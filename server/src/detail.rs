@@ -169,6 +169,12 @@ impl Detail {
         })
     }
 
+    /// By instance the finest level that is looked at.
+    pub fn finest(&self) -> impl Iterator<Item = usize> + '_ {
+        self.levels()
+            .map(|levels| levels.map_or(0, |levels| levels.next.unwrap_or(levels.shown).min(levels.shown)))
+    }
+
     /// The client shows an instance's next level from this update on.
     pub fn switched(&mut self, instance: usize) {
         let state = &mut self.states[instance];

@@ -271,7 +271,8 @@ impl Frame {
         self.detail.begin(&needs, &near, self.density.error());
         let mut recorder = world.gpu().record()?;
         let began = world.effort.begin();
-        let sampled: Sampled = world.animate(&mut recorder, self.id, &views, &needs); // 2
+        let needs = needs.at_levels(self.detail.finest());
+        let sampled: Sampled = world.animate(&mut recorder, self.id, &views, needs); // 2
         world.effort.add_animation(began);
         self.write_views(&views);
         let (looks, mut timings): (Looks, _) = self.look(recorder, world, &sampled, &in_view)?; // 3, 4 on the GPU

@@ -9,6 +9,7 @@ use crate::geometry::Geometry;
 use crate::predict::{PredictedViews, VIEW_TIMES};
 use crate::scene::SceneGpu;
 use crate::scene::numbering::{ScenePatch, SceneVertex};
+use crate::stages::geometry::FULL_DETAIL;
 use crate::view_time::HeldTimes;
 use glam::Vec3;
 use shadecast_gpu::Recorder;
@@ -50,7 +51,7 @@ impl SampleWindow {
         let places = self.times.take([first, last, middle]);
         let places = [places[0], places[2], places[1]];
         self.list_jobs(animation, places, views.times.map(|at| at.time(grid)), needed);
-        let statics = SampleJob { instance: 0, place: places[0], time: first.time(grid) };
+        let statics = SampleJob { instance: 0, level: FULL_DETAIL, place: places[0], time: first.time(grid) };
         animation.record(recorder, &self.jobs, statics);
         places
     }
@@ -69,10 +70,9 @@ impl SampleWindow {
             }
             let (place, time) = (places[number], times[number]);
             for (instance, of_scene) in self.scene.numbering.instances.iter().enumerate() {
-                if of_scene.is_animated && needed.has(instance) {
-                    let job = SampleJob { instance, place, time };
-                    self.jobs.extend((!animation.has(job)).then_some(job));
-                }
+                let level = needed.level(instance).filter(|_| of_scene.is_animated);
+                let job = level.map(|level| SampleJob { instance, level, place, time });
+                self.jobs.extend(job.filter(|job| !animation.has(*job)));
             }
         }
     }

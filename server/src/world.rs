@@ -138,9 +138,9 @@ impl World {
         recorder: &mut Recorder,
         viewer: ViewerId,
         views: &PredictedViews,
-        needs: &Needed,
+        needs: Needed,
     ) -> Sampled {
-        self.needs.insert(viewer, needs.clone());
+        self.needs.insert(viewer, needs.at_least(self.shadow.levels()));
         self.unite();
         let places = self.samples.record(recorder, &mut self.animation, self.grid, views, &self.needed);
         Sampled { places }

@@ -14,9 +14,12 @@ Rows blend(uvec2 joints, vec4 weights) {
     return sum;
 }
 
+// Numbers within a mesh, those of its coarsest level first.
+layout(std430, binding = 13) readonly buffer VertexOrder { uint vertex_order[]; };
+
 void skin_whole_vertex() {
-    uint index = gl_GlobalInvocationID.x, vertex = job.vertex_base + index;
-    if (index >= job.vertex_count) return;
+    if (gl_GlobalInvocationID.x >= job.vertex_count) return;
+    uint index = vertex_order[job.vertex_base + gl_GlobalInvocationID.x], vertex = job.vertex_base + index;
     Rows model_from_mesh = blend(vertices[vertex].joints, vertices[vertex].weights);
     skin_vertex(index, vertices[vertex].position_u.xyz, model_from_mesh);
 }

@@ -10,6 +10,7 @@ use super::skinning::Skinning;
 use super::timeline::{SharedTimeline, Shown, Timeline};
 use crate::scene::SceneGpu;
 use crate::scene::numbering::InstancePlace;
+use crate::stages::geometry::FULL_DETAIL;
 use crate::stages::palette::Palette;
 use crate::stages::skin::{Skin, SkinJobs};
 use shadecast_gpu::{Access, Bind, Buffer, Gpu, GpuError, Memory, Recorder};
@@ -25,6 +26,8 @@ use std::sync::Arc;
 pub struct SampleJob {
     /// Index into the scene's instances.
     pub instance: usize,
+    /// The finest level of detail whose vertices are to be there.
+    pub level: usize,
     /// Where its samples are kept.
     pub place: RingPlace,
     /// That place's time; the same for all jobs of a place until it is used for another time.
@@ -81,6 +84,8 @@ struct PoseRef {
     pose: u32,
     palette_base: u32,
     weight_base: u32,
+    /// The finest level of detail that was skinned.
+    level: usize,
 }
 
 impl Animation {
@@ -130,10 +135,11 @@ impl Animation {
         self.poses.len() as u32
     }
 
-    /// Whether an instance's sample is there.
+    /// Whether an instance's sample is there, in as much detail.
     pub fn has(&self, job: SampleJob) -> bool {
         let poses = &self.poses[job.place.index()];
-        poses.time == Some(job.time) && poses.of_instance[job.instance].is_some()
+        let pose = poses.of_instance[job.instance];
+        poses.time == Some(job.time) && pose.is_some_and(|pose| pose.level <= job.level)
     }
 
     /// What it evaluates.
@@ -141,13 +147,13 @@ impl Animation {
         &self.timeline
     }
 
-    /// Poses and skins all animated instances at `time` into `place`; the static ones with the first call.
+    /// Poses and skins all animated instances in full detail at `time` into `place`; the static ones with the first call.
     pub fn record_sample(&mut self, recorder: &mut Recorder, place: RingPlace, time: ServerTime) {
         let animated =
             self.scene.numbering.instances.iter().enumerate().filter(|(_, instance)| instance.is_animated);
         let jobs: Vec<SampleJob> =
-            animated.map(|(instance, _)| SampleJob { instance, place, time }).collect();
-        self.record(recorder, &jobs, SampleJob { instance: 0, place, time });
+            animated.map(|(instance, _)| SampleJob { instance, level: FULL_DETAIL, place, time }).collect();
+        self.record(recorder, &jobs, SampleJob { instance: 0, level: FULL_DETAIL, place, time });
     }
 
     /// Poses and skins the instances of `samples`; the static ones with the first call, posed at `statics`.
@@ -156,7 +162,7 @@ impl Animation {
         let still =
             |instance: &usize| !self.statics_done && !self.scene.numbering.instances[*instance].is_animated;
         let still: Vec<SampleJob> =
-            all.filter(still).map(|instance| SampleJob { instance, ..statics }).collect();
+            all.filter(still).map(|instance| SampleJob { instance, level: FULL_DETAIL, ..statics }).collect();
         let mut jobs = self.no_jobs();
         let mut poses: Vec<Range<u32>> = Vec::new();
         let timeline = self.timeline.clone();
@@ -180,7 +186,7 @@ impl Animation {
         recorder.scope("skin", |r| self.skin.record(r, &jobs));
         let skinned = samples.iter().chain(&still);
         self.counts.instance_samples += skinned.clone().count() as u64;
-        self.counts.vertices += skinned.map(|sample| self.vertex_count(sample.instance)).sum::<u64>();
+        self.counts.vertices += skinned.map(|sample| u64::from(self.vertex_count(sample))).sum::<u64>();
         self.jobs = jobs;
         self.statics_done = true;
         if !still.is_empty() {
@@ -198,15 +204,12 @@ impl Animation {
         let Some(time) = self.poses[place.index()].time else { return };
         self.frames.begin(SHADED);
         let scene = self.scene.clone();
-        let there = |instance: &usize| {
-            scene.numbering.instances[*instance].is_animated
-                && is_wanted(*instance)
-                && self.poses[place.index()].of_instance[*instance].is_some()
+        let sample = |instance: usize| {
+            let pose = self.poses[place.index()].of_instance[instance]?;
+            let is_wanted = scene.numbering.instances[instance].is_animated && is_wanted(instance);
+            is_wanted.then_some(SampleJob { instance, level: pose.level, place, time })
         };
-        let samples: Vec<SampleJob> = (0..scene.numbering.instances.len())
-            .filter(there)
-            .map(|instance| SampleJob { instance, place, time })
-            .collect();
+        let samples: Vec<SampleJob> = (0..scene.numbering.instances.len()).filter_map(sample).collect();
         self.record_tangents_of(recorder, &samples);
     }
 
@@ -236,6 +239,7 @@ impl Animation {
             self.saved.begin(sample.place);
         }
         if let Some(known) = poses.by_key.get(&key).copied() {
+            let known = PoseRef { level: sample.level, ..known };
             poses.of_instance[sample.instance] = Some(known);
             self.counts.shared_poses += 1;
             return known;
@@ -252,7 +256,7 @@ impl Animation {
             self.morph_weights.write(at as usize * 4, bytemuck::bytes_of(&weight));
             poses.weights += 1;
         }
-        let found = PoseRef { pose, palette_base, weight_base };
+        let found = PoseRef { pose, palette_base, weight_base, level: sample.level };
         poses.by_key.insert(key, found);
         poses.of_instance[sample.instance] = Some(found);
         if let Shown::Live(pose) = &shown {
@@ -268,8 +272,11 @@ impl Animation {
         found
     }
 
-    fn vertex_count(&self, instance: usize) -> u64 {
-        u64::from(self.scene.models[self.scene.numbering.instances[instance].model].vertex_count)
+    /// How many vertices are skinned for a sample.
+    fn vertex_count(&self, sample: &SampleJob) -> u32 {
+        let mesh = self.scene.mesh(sample.instance);
+        // In full detail those too that no triangle uses.
+        if sample.level == FULL_DETAIL { mesh.vertex_count } else { mesh.levels[sample.level].skinned }
     }
 
     /// An empty list with the room of the last one.
@@ -294,7 +301,7 @@ impl Animation {
         let whole = SkinJob {
             world_from_model: rows(world_from_model),
             vertex_base: model.vertex_base,
-            vertex_count: model.vertex_count,
+            vertex_count: self.vertex_count(&sample),
             palette_base: pose.palette_base,
             output_base,
             weight_base: if model.skin.has_morphs { pose.weight_base } else { NO_MORPHS },

@@ -34,6 +34,8 @@ pub struct MeshLevel {
     pub error_m: f32,
     /// Vertices that its triangles use.
     pub vertices: u32,
+    /// So many vertices, in [`Meshes::vertex_order`], hold those of this level and of all coarser ones.
+    pub skinned: u32,
     /// Triangles that a client draws for it: of two sides twice.
     pub triangles: u32,
 }
@@ -42,6 +44,8 @@ pub struct MeshLevel {
 pub struct Meshes {
     /// `VertexGpu`.
     pub vertices: Buffer,
+    /// The vertices of each mesh, numbers within it, from its `vertex_base` on: those of the coarsest level first.
+    pub vertex_order: Buffer,
     /// Three a triangle, numbers within the mesh.
     pub indices: Buffer,
     /// `PatchGpu`.
@@ -54,6 +58,7 @@ pub struct Meshes {
 #[derive(Default)]
 pub(super) struct MeshArrays {
     vertices: Vec<VertexGpu>,
+    vertex_order: Vec<u32>,
     indices: Vec<u32>,
     patches: Vec<PatchGpu>,
     patch_of_triangle: Vec<u32>,
@@ -62,16 +67,20 @@ pub(super) struct MeshArrays {
 impl MeshArrays {
     /// Adds a model's mesh; `morphs` says by vertex which morph deltas move it.
     pub(super) fn add(&mut self, model: &Model, morphs: &[[u32; 2]]) -> Mesh {
+        let coarsest = coarsest_levels(model);
         let mesh = Mesh {
             vertex_base: self.vertices.len() as u32,
             vertex_count: model.vertices.len() as u32,
-            levels: (0..=model.lods.len()).map(|level| self.add_level(model, level)).collect(),
+            levels: (0..=model.lods.len()).map(|level| self.add_level(model, level, &coarsest)).collect(),
         };
+        let first = self.vertex_order.len();
+        self.vertex_order.extend(0..mesh.vertex_count);
+        self.vertex_order[first..].sort_by_key(|vertex| std::cmp::Reverse(coarsest[*vertex as usize]));
         self.vertices.extend(model.vertices.iter().zip(morphs).map(|(v, morphs)| vertex(v, *morphs)));
         mesh
     }
 
-    fn add_level(&mut self, model: &Model, level: usize) -> MeshLevel {
+    fn add_level(&mut self, model: &Model, level: usize, coarsest: &[usize]) -> MeshLevel {
         let (triangles, patches) = (model.triangles(level), model.patches_of(level).into_owned());
         let added = MeshLevel {
             index_base: self.indices.len() as u32,
@@ -79,6 +88,7 @@ impl MeshArrays {
             patch_base: self.patches.len() as u32,
             error_m: level.checked_sub(1).map_or(0.0, |lod| model.lods[lod].error_m),
             vertices: used_vertices(triangles.indices, model.vertices.len()),
+            skinned: coarsest.iter().filter(|of_vertex| **of_vertex >= level).count() as u32,
             triangles: patches.patches.iter().map(Patch::drawn_triangles).sum(),
             patches: patches.patches,
         };
@@ -97,6 +107,7 @@ impl MeshArrays {
     pub(super) fn upload(&self, gpu: &Arc<Gpu>) -> Result<Meshes, GpuError> {
         Ok(Meshes {
             vertices: upload::array(gpu, "vertices", &self.vertices)?,
+            vertex_order: upload::array(gpu, "order of vertices", &self.vertex_order)?,
             indices: upload::array(gpu, "indices", &self.indices)?,
             patches: upload::array(gpu, "patches", &self.patches)?,
             patch_of_triangle: upload::array(gpu, "patch of triangle", &self.patch_of_triangle)?,
@@ -109,6 +120,15 @@ fn used_vertices(indices: &[u32], vertices: usize) -> u32 {
     let mut is_used = vec![false; vertices];
     indices.iter().for_each(|index| is_used[*index as usize] = true);
     is_used.into_iter().filter(|used| *used).count() as u32
+}
+
+/// By vertex the coarsest level that uses it.
+fn coarsest_levels(model: &Model) -> Vec<usize> {
+    let mut coarsest = vec![0; model.vertices.len()];
+    for level in 0..=model.lods.len() {
+        model.triangles(level).indices.iter().for_each(|index| coarsest[*index as usize] = level);
+    }
+    coarsest
 }
 
 fn vertex(v: &Vertex, morphs: [u32; 2]) -> VertexGpu {

@@ -13,8 +13,13 @@ use shadecast_gpu::{
     Sampler, SamplerDesc,
 };
 use shadecast_protocol::time::ServerTime;
+use shadecast_scene::animation::sampling::longest_axis;
+use shadecast_scene::{Instance, TrackValues};
 use shadecast_shaders::generated::{LightGpu, SHADOW_FRAG, SHADOW_VERT, ShadowPush};
 use std::sync::Arc;
+
+/// Texels of the map that the surface of a caster may be off.
+const ERROR_TEXELS: f32 = 0.5;
 
 /// The stage with its outputs.
 pub struct Shadow {
@@ -26,14 +31,23 @@ pub struct Shadow {
     sampler: Sampler,
     light: Buffer,
     view: Option<SunView>,
+    /// By instance: the level of detail that its shadow is drawn at.
+    levels: Vec<usize>,
     /// Whether any caster moves.
     is_animated: bool,
     is_drawn: bool,
 }
 
 impl Shadow {
-    /// For the scene's sun. Where it casts no shadows, or nothing is in its way, the map is a small empty one.
+    /// For the scene's sun, with casters as fine as its map can show. Where it casts no shadows, or nothing is in its way, the map is a
+    /// small empty one.
     pub fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, animation: &Animation) -> Result<Self, GpuError> {
+        let levels = caster_levels(scene);
+        Ok(Self { levels, ..Self::in_full_detail(gpu, scene, animation)? })
+    }
+
+    /// The same with casters in full detail.
+    pub fn in_full_detail(gpu: &Arc<Gpu>, scene: &SceneGpu, animation: &Animation) -> Result<Self, GpuError> {
         let view = scene.sun_view();
         let side = view.map_or(16, |view| view.extent_texels);
         let format = vk::Format::D32_SFLOAT;
@@ -66,6 +80,7 @@ impl Shadow {
             group: BindGroup::new(geometry.layout(), &binds)?,
             target: Framebuffer::new(gpu, &pass, [side; 2], &[map.view()])?,
             sampler: Sampler::new(gpu, nearest)?,
+            levels: vec![FULL_DETAIL; scene.numbering.instances.len()],
             is_animated: scene.casters().any(|index| scene.moves(index)),
             pass,
             geometry,
@@ -74,6 +89,11 @@ impl Shadow {
             view,
             is_drawn: false,
         })
+    }
+
+    /// By instance the level that is drawn: vertices must be there as finely.
+    pub fn levels(&self) -> impl Iterator<Item = usize> + '_ {
+        self.levels.iter().copied()
     }
 
     /// Writes the light as it is at `time` by the animation's timeline. No submitted work still reads it.
@@ -104,7 +124,7 @@ impl Shadow {
                 let is_drawn = (all || needs.has(number))
                     && scene.scene.instances[number].casts_shadow
                     && base(number).is_some();
-                is_drawn.then_some(FULL_DETAIL)
+                is_drawn.then_some(self.levels[number])
             };
             self.geometry.record(recorder, &self.group, scene, casts, |draw| ShadowPush {
                 vertex_base: draw.model.vertex_base,
@@ -126,4 +146,30 @@ impl Shadow {
     pub fn binds(&self) -> [(&'static str, Bind<'_>); 2] {
         [("Light", Bind::Buffer(&self.light)), ("shadow_map", Bind::Sampled(&self.map, &self.sampler))]
     }
+}
+
+/// By instance the coarsest level whose error a map cannot show.
+fn caster_levels(scene: &SceneGpu) -> Vec<usize> {
+    let texel_m = scene.sun_view().map_or(0.0, |view| view.texel_m);
+    let level = |number: usize| {
+        let instance = &scene.scene.instances[number];
+        let allowed_m = ERROR_TEXELS * texel_m / largest_scale(instance).max(f32::MIN_POSITIVE);
+        let casts = instance.casts_shadow;
+        let levels = &scene.mesh(number).levels;
+        match casts {
+            true => levels.iter().rposition(|level| level.error_m <= allowed_m).unwrap_or(FULL_DETAIL),
+            false => levels.len() - 1,
+        }
+    };
+    (0..scene.numbering.instances.len()).map(level).collect()
+}
+
+/// How much larger than its model an instance is anywhere on its path.
+fn largest_scale(instance: &Instance) -> f32 {
+    let tracks = instance.path.iter().flat_map(|path| &path.clip.tracks);
+    let of_path = tracks.map(|track| match &track.values {
+        TrackValues::Scale(keys) => keys.iter().map(|key| key.abs().max_element()).fold(1.0, f32::max),
+        _ => 1.0,
+    });
+    longest_axis(&instance.placement) * of_path.fold(1.0, f32::max)
 }

@@ -60,6 +60,7 @@ impl Skin {
         let mut binds = scene.animation.binds();
         binds.extend([
             ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
+            ("VertexOrder", Bind::Buffer(&scene.meshes.vertex_order)),
             ("PackedVertices", Bind::Buffer(&scene.skins.packed_vertices)),
             ("MorphDeltas", Bind::Buffer(&scene.skins.morph_deltas)),
             ("MorphWeights", Bind::Buffer(morph_weights)),

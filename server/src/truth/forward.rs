@@ -116,7 +116,7 @@ impl Forward {
         samples: vk::SampleCountFlags,
     ) -> Result<Self, GpuError> {
         let animation = Animation::new(gpu, scene, 1)?;
-        let shadow = Shadow::new(gpu, scene, &animation)?;
+        let shadow = Shadow::in_full_detail(gpu, scene, &animation)?;
         let view = Buffer::new(gpu, "forward view", size_of::<ViewGpu>() as u64, Memory::Upload)?;
         let color_pass = RenderPass::new(gpu, &color_desc(SRGB, samples))?;
         let probe_pass = RenderPass::new(gpu, &probe_desc())?;

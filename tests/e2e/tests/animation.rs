@@ -15,16 +15,18 @@ use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::session::Out;
 use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime};
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
+use shadecast_scene::Cancel;
 use shadecast_scene::animation::{playing, pose, sampling};
 use shadecast_scene::influences::reduce_to_four;
 use shadecast_scene::load::{SceneSource, load_scene};
+use shadecast_scene::lod;
 use shadecast_scene::timeline::{Change, Event};
 use shadecast_scene::{
     Bone, Clip, Instance, Interpolation, Material, Model, Morph, MorphDelta, MorphTrack, PaletteEntry, Path,
     Primitive, Repetition, Scene, Track, TrackValues, Trs, Vertex,
 };
 use shadecast_server::animation::RingPlace;
-use shadecast_server::animation::gpu::{Animation, AnimationCounts};
+use shadecast_server::animation::gpu::{Animation, AnimationCounts, SampleJob};
 use shadecast_server::animation::saved::MOST_PLACES;
 use shadecast_server::animation::skinning::Skinning;
 use shadecast_server::animation::timeline::SharedTimeline;
@@ -598,4 +600,77 @@ fn samples_reach_no_further_ahead_than_the_ring_holds() {
     assert_eq!(lead_ms(8, 20), [66, 66]);
     assert_eq!([lead_ms(32, 20), lead_ms(32, 200), lead_ms(32, 2000)], [[400, 190], [400, 820], [400, 866]]);
     assert_eq!(lead_ms(64, 2000), [400, 1933]);
+}
+
+/// A model of few triangles and so many vertices, copies of a few.
+fn of_many_vertices(rng: &mut SmallRng, vertices: usize) -> Model {
+    let mut model = random_model(rng, 0);
+    model.vertices = model.vertices.iter().cycle().take(vertices).cloned().collect();
+    model
+}
+
+#[test]
+fn what_one_buffer_does_not_hold_is_skinned_into_several() {
+    let gpu = gpu();
+    let model = of_many_vertices(&mut SmallRng::seed_from_u64(SEED), 220_000);
+    let instance = |number: usize| Instance {
+        clip: Some(0),
+        time_shift_s: 0.01 * number as f32,
+        ..Instance::new("one of many", 0)
+    };
+    let scene = scene_of(vec![model.clone()], (0..80).map(instance).collect());
+    let gpu_scene = Arc::new(SceneGpu::new(&gpu, scene.clone(), &SceneOptions::default()).expect("it fits"));
+    let mut animation = Animation::new(&gpu, &gpu_scene, 1).unwrap();
+    let mut recorder = gpu.record().unwrap();
+    animation.record_sample(&mut recorder, RingPlace(0), ServerTime(400_000_000));
+    recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE);
+    animation.record_tangents(&mut recorder, RingPlace(0), |_| true);
+    gpu.wait(recorder.submit().unwrap()).unwrap();
+    assert_eq!(animation.saved_vertices().len(), 2, "80 of 220,000 are more than 128 MiB");
+    let saved = SavedVertices::read(&gpu, &animation);
+    for instance in [0, 75, 76, 79] {
+        let twin = twin(&scene, instance, sampling::Sampling::default(), ServerTime(400_000_000));
+        for vertex in (0..model.vertices.len()).step_by(997) {
+            let position = saved.position(&animation, instance, RingPlace(0), vertex);
+            assert!(position.distance(twin[vertex].position) < 1e-4, "{instance}, vertex {vertex}");
+            let (normal, _) = saved.frame(&animation, instance, vertex);
+            assert!(normal.distance(twin[vertex].normal) < 1e-4, "{instance}, normal {vertex}");
+        }
+    }
+    assert_no_messages(&gpu);
+}
+
+#[test]
+fn only_the_vertices_of_the_level_that_is_needed_are_skinned_until_a_finer_one_is() {
+    let gpu = gpu();
+    let mut scene = load_scene(&SceneSource::Dragons(1)).expect("the built-in scene loads");
+    let dragon = scene.instances.iter().position(|instance| instance.clip.is_some()).expect("it flies");
+    let model = scene.instances[dragon].model;
+    scene.models[model].lods =
+        lod::build(&scene.models[model], &Cancel::default()).expect("nobody asks to end");
+    let gpu_scene = Arc::new(SceneGpu::new(&gpu, scene.clone(), &SceneOptions::default()).expect("it fits"));
+    let mut animation = Animation::new(&gpu, &gpu_scene, 4).unwrap();
+    let time = ServerTime(731_000_000);
+    let twin = twin(&scene, dragon, sampling::Sampling::default(), time);
+    let (mut skinned, place) = (Vec::new(), RingPlace(2));
+    for level in [4, 4, 5, 1, 0] {
+        let job = SampleJob { instance: dragon, level, place, time };
+        let before = animation.counts().vertices;
+        let mut recorder = gpu.record().unwrap();
+        let jobs: Vec<SampleJob> = [job].into_iter().filter(|job| !animation.has(*job)).collect();
+        animation.record(&mut recorder, &jobs, job);
+        gpu.wait(recorder.submit().unwrap()).unwrap();
+        skinned.push(animation.counts().vertices - before);
+        let saved = SavedVertices::read(&gpu, &animation);
+        for vertex in scene.models[model].triangles(level).indices.iter().map(|index| *index as usize) {
+            let off_m = saved.position(&animation, dragon, place, vertex).distance(twin[vertex].position);
+            assert!(off_m < 1e-4, "level {level}, vertex {vertex}: {off_m} m off");
+        }
+    }
+    let all = scene.models[model].vertices.len() as u64;
+    assert!(
+        skinned[0] > 0 && skinned[1..3] == [0, 0] && skinned[3] < all && skinned[4] == all,
+        "{skinned:?}"
+    );
+    assert_no_messages(&gpu);
 }

@@ -297,7 +297,7 @@ impl Counts {
     /// what to do, or for members that are read beside those wanted.
     fn floors(&self, skinning: Skinning) -> BTreeMap<&'static str, Floor> {
         const MATRIX: u64 = 12;
-        const INFLUENCES: u64 = 4 + 2; // weights, joints
+        const INFLUENCES: u64 = 4 + 2 + 1; // weights, joints, the vertex's number
         const PACKED: u64 = 2 + 2 + 1; // weights, joints, the vertex's number
         const POSITION: u64 = 3 + 2; // read, written packed
         const FRAME: u64 = 3 + 4 + 2; // normal and tangent read, both written packed
