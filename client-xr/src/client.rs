@@ -18,7 +18,9 @@ use crate::stats::{ClientStats, Counters};
 use crate::xr::{Views, Xr};
 use shadecast_gpu::{Gpu, Timings};
 use shadecast_protocol::delta::ReceivedDelta;
-use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS};
+use shadecast_protocol::limits::{
+    ATLAS_MAX_EXTENT, DEFAULT_VERTEX_SLOTS, MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS,
+};
 use shadecast_protocol::message::{Capabilities, Codec, HeadState, MotionMemory, Refused, Welcome};
 use shadecast_protocol::motion::message::MotionMessage;
 use shadecast_protocol::session::{ClientEvent, Out};
@@ -61,7 +63,7 @@ impl Default for ClientOptions {
             decoding: DecodeTiming::Thread,
             codecs: &[Codec::H264],
             decoder: platform::decoder,
-            max_vertex_slots: MAX_VERTEX_SLOTS,
+            max_vertex_slots: DEFAULT_VERTEX_SLOTS,
             max_patch_slots: MAX_PATCH_SLOTS,
             max_triangles: MAX_TRIANGLES,
             motion: MotionMemory::DEFAULT,

@@ -2,7 +2,7 @@
 
 use shadecast_client::platform::requirements::REQUIRED;
 use shadecast_gpu::{DesktopDevice, DeviceSource, Gpu, GpuError, GpuOptions, Needs, vk};
-use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_SAMPLE_RING, MAX_VERTEX_SLOTS};
+use shadecast_protocol::limits::{MAX_KEPT_SAMPLES, MAX_PATCH_SLOTS};
 use shadecast_shaders::generated as shaders;
 use shadecast_shaders::{BindingKind, Shader};
 use std::ffi::CStr;
@@ -53,7 +53,7 @@ fn the_list_asks_for_nothing_that_a_first_generation_headset_lacks() {
 
 #[test]
 fn the_largest_buffers_the_most_of_them_and_push_constants_are_within_the_list() {
-    let largest = [u64::from(MAX_VERTEX_SLOTS * MAX_SAMPLE_RING) * 16, u64::from(MAX_PATCH_SLOTS) * 5 * 16];
+    let largest = [u64::from(MAX_KEPT_SAMPLES) * 16, u64::from(MAX_PATCH_SLOTS) * 5 * 16];
     assert_eq!(largest.into_iter().max(), Some(REQUIRED.storage_buffer_bytes));
     let push_bytes = client_shaders().iter().map(|shader| shader.push_bytes).max();
     assert_eq!(push_bytes, Some(REQUIRED.push_constant_bytes));

@@ -57,10 +57,8 @@ pub const REQUIRED: Requirements = Requirements {
     vulkan_features: &["multiview"],
     spirv_capabilities: &["Shader", "ImageQuery", "MultiView"],
     openxr_extensions: &["XR_KHR_vulkan_enable2", "XR_KHR_convert_timespec_time"],
-    // The longest ring of samples of the most vertex slots: what Vulkan guarantees.
-    storage_buffer_bytes: shadecast_protocol::limits::MAX_VERTEX_SLOTS as u64
-        * shadecast_protocol::limits::MAX_SAMPLE_RING as u64
-        * 16,
+    // Samples of all vertices: what Vulkan guarantees.
+    storage_buffer_bytes: shadecast_protocol::limits::MAX_KEPT_SAMPLES as u64 * 16,
     // Skeletons: the arena has a binding for each of its views. Vulkan itself guarantees 4, what headsets have is to be measured.
     storage_buffers: 10,
     push_constant_bytes: 40,

@@ -4,7 +4,9 @@
 //! relations between them.
 
 /// Vertices that a client keeps at most. Slots are numbered from 0.
-pub const MAX_VERTEX_SLOTS: u32 = 131_072;
+pub const MAX_VERTEX_SLOTS: u32 = 262_144;
+/// Vertices that a client keeps unless it says otherwise.
+pub const DEFAULT_VERTEX_SLOTS: u32 = 131_072;
 /// Patches that a client keeps at most. Slots are numbered from 0.
 pub const MAX_PATCH_SLOTS: u32 = 131_072;
 /// Triangles that a client draws for an eye at most: three of each patch, both sides.
@@ -20,6 +22,8 @@ pub const MIN_SAMPLE_RING: u32 = 8;
 pub const DEFAULT_SAMPLE_RING: u32 = 32;
 /// Grid steps that a client keeps at most.
 pub const MAX_SAMPLE_RING: u32 = 64;
+/// Samples that a client keeps at most, over all vertices: of 16 bytes each what every Vulkan device can bind.
+pub const MAX_KEPT_SAMPLES: u32 = 1 << 23;
 /// Positions that an update predicts for a vertex without samples: the paper's.
 pub const PREDICTIONS: u32 = 3;
 /// Predicted views per update.
@@ -110,7 +114,7 @@ pub const MAX_EMPTY_CONTROL_MESSAGES: usize = 1;
 /// else.
 pub const MAX_CONTROL_PER_SECOND: u32 = 1000;
 /// Bytes of one geometry delta.
-pub const MAX_DELTA_BYTES: usize = 40 << 20;
+pub const MAX_DELTA_BYTES: usize = 44 << 20;
 /// Bytes of one coded picture: whatever an encoder can make of the largest, or leaves as it is.
 pub const MAX_ACCESS_UNIT_BYTES: usize = 16 << 20;
 /// Bytes of one unidirectional stream: a delta or a picture with its framing.
@@ -167,6 +171,9 @@ const _: () = {
     assert!(MAX_MOTION_BYTES + 64 <= MAX_STREAM_BYTES);
     assert!(MIN_SAMPLE_RING.is_power_of_two() && MAX_SAMPLE_RING.is_power_of_two());
     assert!(DEFAULT_SAMPLE_RING.is_power_of_two());
+    assert!(DEFAULT_VERTEX_SLOTS <= MAX_VERTEX_SLOTS);
+    assert!(DEFAULT_VERTEX_SLOTS * MAX_SAMPLE_RING <= MAX_KEPT_SAMPLES, "usual clients have every ring");
+    assert!(MAX_VERTEX_SLOTS * DEFAULT_SAMPLE_RING <= MAX_KEPT_SAMPLES, "the usual ring has every slot");
     assert!(MIN_SAMPLE_RING >= 8, "two ahead, four to interpolate, and some late");
     assert!(MIN_SAMPLE_RING <= DEFAULT_SAMPLE_RING && DEFAULT_SAMPLE_RING <= MAX_SAMPLE_RING);
     assert!(PREDICTIONS < MIN_SAMPLE_RING, "a client keeps them in place of samples");

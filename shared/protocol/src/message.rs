@@ -9,8 +9,8 @@ use crate::ids::{DiscontinuityId, UpdateId};
 use crate::limits::{
     ATLAS_MIN_SIDE, DEFAULT_ARENA_WORDS, DEFAULT_REST_VERTICES, DEFAULT_SAMPLE_RING, MAX_ARENA_WORDS,
     MAX_CODECS, MAX_CONTROL_BYTES, MAX_COORDINATE_M, MAX_DATAGRAM_BYTES, MAX_EYE_EXTENT_PIXELS,
-    MAX_EYE_PIXELS, MAX_PATCH_SLOTS, MAX_POSE_PLACES, MAX_REST_VERTICES, MAX_SAMPLE_RING, MAX_SPEED,
-    MAX_TEXT_BYTES, MAX_TRIANGLES, MAX_VERTEX_SLOTS, MIN_SAMPLE_RING,
+    MAX_EYE_PIXELS, MAX_KEPT_SAMPLES, MAX_PATCH_SLOTS, MAX_POSE_PLACES, MAX_REST_VERTICES, MAX_SAMPLE_RING,
+    MAX_SPEED, MAX_TEXT_BYTES, MAX_TRIANGLES, MAX_VERTEX_SLOTS, MIN_SAMPLE_RING,
 };
 use crate::pose::{Eye, Pose};
 use crate::text::printable;
@@ -516,6 +516,8 @@ impl Welcome {
         check_slots("the vertex slots of a session", self.vertex_slots, MAX_VERTEX_SLOTS)?;
         check_slots("the patch slots of a session", self.patch_slots, MAX_PATCH_SLOTS)?;
         self.motion.check()?;
+        let samples = self.vertex_slots * self.motion.sample_ring;
+        check_count("the samples of a session", samples as usize, MAX_KEPT_SAMPLES as usize)?;
         check_pose("where the stage starts", &self.world_from_stage)?;
         self.environment.check()
     }
@@ -560,14 +562,16 @@ pub fn negotiate(hello: &ClientHello, offer: &ServerOffer) -> Result<Welcome, Re
             "install a client and a server that share a codec",
         )
     })?;
+    let motion = negotiate_motion(capabilities.motion, offer);
+    let vertex_slots = offer.vertex_slots.min(capabilities.max_vertex_slots);
     Ok(Welcome {
         protocol_version,
         session: offer.session,
         grid: offer.grid,
         atlas_extent_texels: negotiate_atlas(capabilities.max_atlas_extent, offer.atlas_extent_texels)?,
-        vertex_slots: offer.vertex_slots.min(capabilities.max_vertex_slots),
+        vertex_slots: vertex_slots.min(MAX_KEPT_SAMPLES / motion.sample_ring),
         patch_slots: offer.patch_slots.min(capabilities.max_patch_slots),
-        motion: negotiate_motion(capabilities.motion, offer),
+        motion,
         codec: *codec,
         environment: offer.environment,
         world_from_stage: offer.world_from_stage,
@@ -875,6 +879,10 @@ mod tests {
         assert_welcome_refused(|welcome| welcome.grid.spacing_ns = 0, "grid");
         assert_welcome_refused(|welcome| welcome.update_period_ns = i64::MAX, "update period");
         assert_welcome_refused(|welcome| welcome.vertex_slots = MAX_VERTEX_SLOTS + 1, "vertex slots");
+        let many = |welcome: &mut Welcome| {
+            (welcome.vertex_slots, welcome.motion.sample_ring) = (MAX_VERTEX_SLOTS, MAX_SAMPLE_RING);
+        };
+        assert_welcome_refused(many, "samples of a session");
         assert_welcome_refused(|welcome| welcome.environment.nadir[2] = -1.0, "environment");
         assert_welcome_refused(|welcome| welcome.world_from_stage.position.x = f32::NAN, "stage");
         for ring in NO_RINGS {
@@ -916,6 +924,24 @@ mod tests {
         assert_eq!(negotiate(&small, &raw).unwrap().codec, Codec::Raw);
         small.capabilities.codecs.clear();
         assert!(negotiate(&small, &offer()).unwrap_err().remedy.contains("codec"));
+    }
+
+    #[test]
+    fn many_vertices_and_a_long_ring_are_not_had_together() {
+        let mut hello = hello();
+        hello.capabilities.max_vertex_slots = MAX_VERTEX_SLOTS;
+        let agreed = |hello: &ClientHello, ring| {
+            let motion = MotionMemory { sample_ring: ring, ..MotionMemory::MAX };
+            let offer = ServerOffer { vertex_slots: MAX_VERTEX_SLOTS, motion, unsampled: None, ..offer() };
+            let welcome = negotiate(hello, &offer).unwrap();
+            assert_eq!(welcome.check(), Ok(()));
+            welcome.vertex_slots
+        };
+        hello.capabilities.motion = MotionMemory::MAX;
+        assert_eq!(agreed(&hello, DEFAULT_SAMPLE_RING), MAX_VERTEX_SLOTS);
+        assert_eq!(agreed(&hello, MAX_SAMPLE_RING), MAX_VERTEX_SLOTS / 2);
+        hello.capabilities.max_vertex_slots = 150_000;
+        assert_eq!(agreed(&hello, DEFAULT_SAMPLE_RING), 150_000, "as many as it asked for");
     }
 
     /// Whatever both may say, the ring is one that both can keep, and the shortest where nothing is sampled.

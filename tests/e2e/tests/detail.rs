@@ -2,7 +2,7 @@
 //! and the same twice.
 
 use shadecast_lab::detail::{DetailReport, measure};
-use shadecast_lab::options::{Head, MOST_ROOM, Renderer, RunOptions};
+use shadecast_lab::options::{Head, Renderer, RunOptions, USUAL_ROOM};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::choice::Room;
@@ -41,10 +41,10 @@ fn walk(folder: &Path, name: &str, detail_pixels: f32, room: Room) -> DetailRepo
 fn a_client_that_draws_little_is_shown_all_of_it_more_coarsely_and_the_same_twice() {
     let folder = tempfile::tempdir().expect("a folder");
     // This file has one test, and no thread has been started yet: the environment is its own.
-    let full = walk(folder.path(), "full", 0.0, MOST_ROOM);
+    let full = walk(folder.path(), "full", 0.0, USUAL_ROOM);
     assert!(full.triangles.worst > 2.0 * f64::from(ROOM.triangles), "full detail would not fit: {full}");
     assert_eq!((full.switches.count, full.level.worst), (0, 0.0));
-    let free = walk(folder.path(), "free", 0.5, MOST_ROOM);
+    let free = walk(folder.path(), "free", 0.5, USUAL_ROOM);
     assert!(free.triangles.mean < 0.8 * full.triangles.mean, "what is far is coarser: {free}");
     assert!(free.switches.count >= 4 && free.dropped_patches == 0, "levels change on the way: {free}");
     assert!(free.holes.mean <= full.holes.mean + 0.002, "{free}\nfull detail: {full}");

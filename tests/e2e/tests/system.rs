@@ -15,7 +15,7 @@ use shadecast_lab::walls::write_walls;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_mock_runtime::record::read_frames;
 use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_protocol::limits::MAX_VERTEX_SLOTS;
+use shadecast_protocol::limits::DEFAULT_VERTEX_SLOTS;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::motion::MotionOption;
 use shadecast_server::scene::SceneOptions;
@@ -394,7 +394,7 @@ fn a_client_keeps_a_short_ring_where_all_plays_clips_or_stands_still() {
     let samples = kept(SceneSource::Dragons(1), MotionOption::Samples, out.path());
     assert_eq!([still.sample_ring, clips.sample_ring, samples.sample_ring], [8, 8, 32]);
     // Nothing else differs: 24 steps of 16 bytes for each vertex.
-    let saved_bytes = u64::from(MAX_VERTEX_SLOTS) * 24 * 16;
+    let saved_bytes = u64::from(DEFAULT_VERTEX_SLOTS) * 24 * 16;
     assert_eq!(still.motion_memory_bytes + saved_bytes, samples.motion_memory_bytes);
     assert!(clips.motion_memory_bytes < samples.motion_memory_bytes, "with its skeletons and clips");
 }

@@ -4,7 +4,7 @@ use crate::session::originals::Arrival;
 use serde::{Deserialize, Serialize};
 use shadecast_client::stages::atlas_draw::Reconstruction;
 use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS};
+use shadecast_protocol::limits::{DEFAULT_VERTEX_SLOTS, MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::Codec;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::choice::Room;
@@ -148,9 +148,9 @@ impl FromStr for ViewerOptions {
 /// The network of runs that name none.
 pub const USUAL_LINK: &str = "latency=20ms,jitter=5ms,rate=100mbit";
 
-/// As much as a client may offer.
-pub const MOST_ROOM: Room =
-    Room { patches: MAX_PATCH_SLOTS, vertices: MAX_VERTEX_SLOTS, triangles: MAX_TRIANGLES };
+/// As much as a client offers that is asked for nothing else.
+pub const USUAL_ROOM: Room =
+    Room { patches: MAX_PATCH_SLOTS, vertices: DEFAULT_VERTEX_SLOTS, triangles: MAX_TRIANGLES };
 /// What a run is spared, so that it can be said what each cause of error costs. By default nothing.
 #[derive(Clone, Debug, Default)]
 pub struct Spared {
@@ -257,7 +257,7 @@ impl RunOptions {
             trace: None,
             detail_pixels: DEFAULT_DETAIL_PIXELS,
             surround: 0.0, // what is around costs tests time, and few look there
-            room: MOST_ROOM,
+            room: USUAL_ROOM,
             rate_hz: 30.0,
             refresh_hz: 72.0,
             scene_options: SceneOptions::default(),
@@ -340,7 +340,7 @@ impl RunOptions {
 /// # Errors
 /// What is none of these, or more than any client may offer.
 pub fn parse_room(text: &str) -> Result<Room, String> {
-    let mut room = MOST_ROOM;
+    let mut room = USUAL_ROOM;
     for part in text.split(',') {
         let (key, value) = part.split_once('=').ok_or_else(|| format!("\"{part}\" is not patches=NUMBER"))?;
         let (place, most) = match key {
@@ -362,7 +362,7 @@ mod tests {
     #[test]
     fn a_room_is_what_is_said_of_it_and_the_most_of_the_rest() {
         let room = parse_room("triangles=900,patches=30").expect("good");
-        assert_eq!(room, Room { patches: 30, triangles: 900, ..MOST_ROOM });
+        assert_eq!(room, Room { patches: 30, triangles: 900, ..USUAL_ROOM });
         for text in ["", "patches", "patches=0", "patches=x", "vertices=999999999", "slots=3"] {
             assert!(parse_room(text).is_err(), "{text}");
         }
