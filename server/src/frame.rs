@@ -43,7 +43,7 @@ use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::Fov;
 use shadecast_protocol::time::ServerTime;
 use shadecast_shaders::constants::EYES;
-use shadecast_shaders::generated::ViewGpu;
+use shadecast_shaders::generated::{SeenGpu, ViewGpu};
 use std::collections::{BTreeMap, VecDeque};
 
 /// Updates remembered until their display is reported.
@@ -71,7 +71,8 @@ pub struct Frame {
     id_buffer: IdBuffer,
     mark: Mark,
     level_selection: LevelSelection,
-    extents: Buffer,
+    /// What the last look saw.
+    seen: Vec<SeenGpu>,
     layout: Layout,
     residency: Residency,
     room: Room,
@@ -184,12 +185,7 @@ impl Frame {
             triangles: capabilities.max_triangles,
         };
         Ok(Self {
-            extents: Buffer::new(
-                gpu,
-                "extents for the CPU",
-                level_selection.extents.size(),
-                Memory::Readback,
-            )?,
+            seen: Vec::new(),
             layout: Layout::new(welcome.atlas_extent_texels, scene.numbering.totals.patches as usize, room)
                 .with_surround(show.surround, room),
             residency: Residency::new(&world.samples, welcome.patch_slots, welcome.vertex_slots)
@@ -347,7 +343,7 @@ impl Frame {
             let looking =
                 Looking { looks: &looks, scenes: &scenes, places: sampled.places, pairs: VIEW_TIMES };
             timings.append(self.look_at(recorder, world, looking)?);
-            self.layout.see(Visible { looks: &looks, extents: self.extents.values() });
+            self.layout.see(Visible { looks: &looks, seen: &self.seen });
             self.switch(world, &mut looks);
             self.measure(&looks);
             if self.layout.has_room(&world.samples, &looks) {
@@ -387,7 +383,7 @@ impl Frame {
         let timings = self.look_at(world.gpu().record()?, world, looking)?;
         let (residency, geometry) = (&self.residency, &world.samples);
         let may_be = |instance: usize| residency.is_told_once(geometry, instance as u16);
-        self.layout.see_around(Visible { looks, extents: self.extents.values() }, may_be);
+        self.layout.see_around(Visible { looks, seen: &self.seen }, may_be);
         Ok(timings)
     }
 
@@ -400,6 +396,7 @@ impl Frame {
     ) -> Result<Timings, GpuError> {
         let (scene, animation) = (world.scene(), &world.animation);
         recorder.fill(&self.mark.visible, 0);
+        self.level_selection.record_start(&mut recorder);
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         for (time, place) in places.into_iter().enumerate().take(pairs) {
@@ -416,11 +413,10 @@ impl Frame {
         recorder.scope("level selection", |r| {
             self.level_selection.record(r, scene, animation, looks, places);
         });
-        recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
-        let bytes = (looks.entries().max(1) * size_of::<u32>()) as u64;
-        recorder.copy_buffer(&self.level_selection.extents, 0, &self.extents, 0, bytes);
-        recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
-        world.gpu().wait_timed(recorder.submit()?)
+        recorder.barrier(Access::COMPUTE_WRITE, Access::HOST_READ);
+        let timings = world.gpu().wait_timed(recorder.submit()?)?;
+        self.level_selection.read(&mut self.seen);
+        Ok(timings)
     }
 
     /// Lets the client show the next level of those instances of which it has all that is seen, or gets it with this update. Of

@@ -14,6 +14,7 @@ use crate::sizing::{Shape, Turn, have_their_turn, least_turns, wanted_size};
 use crate::surround::{Kept, SURROUND_DENSITY, Surround};
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockSize};
 use shadecast_protocol::limits::BLOCK_MIN_LOG2;
+use shadecast_shaders::generated::SeenGpu;
 
 /// A patch that was seen stays for this many updates, so that what flickers at the limit of the ID buffer's sampling
 /// does not flicker on the client.
@@ -84,26 +85,25 @@ enum Sizes {
     Exact,
 }
 
-/// What the predicted views show of what was looked at: by entry the patch's largest extent, width | height << 16 in texels, 0
-/// where it is not visible.
+/// What the predicted views show of what was looked at.
 #[derive(Clone, Copy, Debug)]
 pub struct Visible<'a> {
     /// Whose entries these are.
     pub looks: &'a Looks,
-    /// By entry.
-    pub extents: &'a [u32],
+    /// What is visible, ascending by entry: with the patch's largest extent, width | height << 16 in texels.
+    pub seen: &'a [SeenGpu],
 }
 
 impl<'a> Visible<'a> {
     /// The patches that are visible, ascending, with width and height in texels, and their instance.
     fn patches(self) -> impl Iterator<Item = (usize, ScenePatch, [u16; 2])> + 'a {
-        let of_look = move |look: &'a Look| {
-            let patches = (look.patches.first.0..).zip(&self.extents[look.entries()]);
-            patches.map(|(patch, packed)| (look.instance, ScenePatch(patch), *packed))
-        };
-        let all = self.looks.all().iter().flat_map(of_look);
-        all.filter(|(.., packed)| *packed != 0)
-            .map(|(instance, patch, packed)| (instance, patch, [packed as u16, (packed >> 16) as u16]))
+        let mut looks = self.looks.all().iter().peekable();
+        self.seen.iter().map(move |SeenGpu { entry, extent_texels }| {
+            while looks.next_if(|look| look.entries().end <= *entry as usize).is_some() {}
+            let look = looks.peek().expect("an entry of what is looked at");
+            let patch = ScenePatch(look.patches.first.0 + entry - look.first_entry);
+            (look.instance, patch, [*extent_texels as u16, (extent_texels >> 16) as u16])
+        })
     }
 }
 
@@ -577,8 +577,15 @@ mod tests {
     fn place(layout: &mut Layout, extents: &[u32]) -> Vec<PlacementChange> {
         let looks = Looks::of_one(extents.len() as u32);
         layout.begin(1.0);
-        layout.see(Visible { looks: &looks, extents });
+        layout.see(Visible { looks: &looks, seen: &seen(extents) });
         layout.place(&Loose { patches: extents.len() as u32 }, &looks)
+    }
+
+    /// By entry an extent, 0 where it is not visible.
+    fn seen(extents: &[u32]) -> Vec<SeenGpu> {
+        let all = (0..).zip(extents.iter().copied());
+        let visible = all.filter(|(_, extent)| *extent != 0);
+        visible.map(|(entry, extent_texels)| SeenGpu { entry, extent_texels }).collect()
     }
 
     fn pack(width: u32, height: u32) -> u32 {
@@ -635,7 +642,7 @@ mod tests {
         let mut update = |looks: &mut Looks, switches: bool| {
             layout.begin(1.0);
             let extents = vec![pack(9, 9); looks.entries()];
-            layout.see(Visible { looks, extents: &extents });
+            layout.see(Visible { looks, seen: &seen(&extents) });
             if switches {
                 looks.switch(0);
             }
@@ -659,7 +666,7 @@ mod tests {
             let mut extents = vec![pack(9, 9); 60];
             extents[40..].fill(0);
             extents[45 + patch] = pack(5, 5);
-            layout.see(Visible { looks: &looks, extents: &extents });
+            layout.see(Visible { looks: &looks, seen: &seen(&extents) });
             layout.place(&geometry, &looks);
         }
         let next = looks.next().next().expect("the other level");
@@ -838,8 +845,8 @@ mod tests {
     fn place_both(layout: &mut Layout, in_view: &[u32], around: &[u32]) -> Vec<PlacementChange> {
         let looks = Looks::of_one(in_view.len() as u32);
         layout.begin(1.0);
-        layout.see(Visible { looks: &looks, extents: in_view });
-        layout.see_around(Visible { looks: &looks, extents: around }, |_| true);
+        layout.see(Visible { looks: &looks, seen: &seen(in_view) });
+        layout.see_around(Visible { looks: &looks, seen: &seen(around) }, |_| true);
         layout.place(&Loose { patches: in_view.len() as u32 }, &looks)
     }
 
@@ -926,9 +933,11 @@ mod tests {
         let mut show = |level: usize| {
             let looks = Looks::new(&numbering, [Some(Levels { shown: level, next: None })]);
             layout.begin(1.0);
-            layout.see(Visible { looks: &looks, extents: &vec![0; looks.entries()] });
-            layout
-                .see_around(Visible { looks: &looks, extents: &vec![pack(9, 9); looks.entries()] }, |_| true);
+            layout.see(Visible { looks: &looks, seen: &[] });
+            layout.see_around(
+                Visible { looks: &looks, seen: &seen(&vec![pack(9, 9); looks.entries()]) },
+                |_| true,
+            );
             layout.place(&Loose { patches: 30 }, &looks);
             layout.around().map(|(patch, _)| patch.0).collect::<Vec<_>>()
         };
@@ -970,7 +979,7 @@ mod tests {
         let before: BTreeMap<ScenePatch, Block> = layout.live().collect();
         let looks = Looks::of_one(extents.len() as u32);
         layout.begin(asked);
-        layout.see(Visible { looks: &looks, extents });
+        layout.see(Visible { looks: &looks, seen: &seen(extents) });
         layout.place(&Loose { patches: extents.len() as u32 }, &looks);
         assert_sound(layout, extents);
         let stayed: Vec<_> =

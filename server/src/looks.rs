@@ -1,5 +1,4 @@
-//! What an update looks at: instances at levels of detail, and where each of their patches has its entry in `visible` and
-//! `extents`. Pure.
+//! What an update looks at: instances at levels of detail, and where each of their patches has its entry in `visible`. Pure.
 //!
 //! Entries are numbered anew with each update, over what is looked at alone: what the CPU reads of them grows with what is drawn,
 //! not with the scene.

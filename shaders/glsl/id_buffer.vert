@@ -14,7 +14,7 @@ layout(push_constant) uniform IdBufferPush {
     uint vertex_base;
     uint position_base;  // of the instance at the view's time
     uint triangle_base;  // of the primitive, into patch_of_triangle
-    uint first_entry;    // of the instance's patches, in visible and extents
+    uint first_entry;    // of the instance's patches, in visible
     uint material;
     uint first_view;
     uint instance;

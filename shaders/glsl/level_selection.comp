@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
-// Largest extent on the display of each visible patch over all predicted views, in texels, packed 16:16 (width, height);
-// 0 where the patch is not visible. Twin: twin/level_selection.rs.
+// Lists the visible patches, in any order, each with its largest extent on the display over all predicted views, in texels. Twin:
+// twin/level_selection.rs.
 layout(local_size_x = 64) in;
 #include "scene.glsl"
 #define SAVED_VERTICES_BINDING 1
@@ -13,11 +13,17 @@ layout(std140, binding = 2) uniform Views { ViewGpu views[MAX_VIEWS]; };
 layout(std430, binding = 3) readonly buffer Patches { PatchGpu patches[]; };
 layout(std430, binding = 4) readonly buffer Materials { MaterialGpu materials[]; };
 layout(std430, binding = 5) readonly buffer Visible { uint visible[]; };
-layout(std430, binding = 6) writeonly buffer Extents { uint extents[]; };
+// A patch that is visible.
+struct SeenGpu {
+    uint entry;
+    uint extent_texels; // width | height << 16
+};
+layout(std430, binding = 6) writeonly buffer Seen { SeenGpu seen[]; };
+layout(std430, binding = 8) buffer SeenCount { uint seen_count[]; };
 layout(push_constant) uniform LevelSelectionPush {
     uint vertex_base;
     uint patch_base;       // of the model's level of detail, into patches
-    uint first_entry;      // of the instance's patches, into visible and extents
+    uint first_entry;      // of the instance's patches, into visible
     uint patch_count;
     uint view_count;
     uint position_base[MAX_VIEWS / EYES]; // of the instance at the time of views 0-1, 2-3, 4-5
@@ -75,11 +81,7 @@ vec2 texture_cap(PatchGpu p) {
 
 void main() {
     uint index = gl_GlobalInvocationID.x;
-    if (index >= patch_count) return;
-    if (visible[first_entry + index] == 0) {
-        extents[first_entry + index] = 0;
-        return;
-    }
+    if (index >= patch_count || visible[first_entry + index] == 0) return;
     PatchGpu p = patches[patch_base + index];
     vec2 extent = vec2(1.0);
     for (uint view = 0; view < view_count; view++) {
@@ -99,5 +101,5 @@ void main() {
         extent = max(extent, vec2(width, height));
     }
     uvec2 texels = uvec2(clamp(ceil(min(extent, texture_cap(p))), 1.0, MAX_PATCH_EXTENT_TEXELS));
-    extents[first_entry + index] = texels.x | texels.y << 16;
+    seen[atomicAdd(seen_count[0], 1)] = SeenGpu(first_entry + index, texels.x | texels.y << 16);
 }

@@ -1,4 +1,5 @@
-//! Level selection's first half: the largest projected extent of every visible patch.
+//! Level selection's first half: the visible patches, each with its largest projected extent. What the CPU reads of them grows with
+//! what is visible, not with what is looked at.
 
 use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
@@ -7,15 +8,16 @@ use crate::predict::VIEW_TIMES;
 use crate::scene::SceneGpu;
 use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::limits::MAX_VIEWS;
-use shadecast_shaders::generated::{LEVEL_SELECTION_COMP, LevelSelectionPush};
+use shadecast_shaders::generated::{LEVEL_SELECTION_COMP, LevelSelectionPush, SeenGpu};
 use std::sync::Arc;
 
 /// The stage with its output.
 pub struct LevelSelection {
     pipeline: ComputePipeline,
     group: BindGroup,
-    /// One word per entry: width | height << 16 in texels, 0 where it is not visible.
-    pub extents: Buffer,
+    /// What is visible, in any order, for the CPU, and how many there are.
+    seen: Buffer,
+    count: Buffer,
 }
 
 impl LevelSelection {
@@ -28,12 +30,9 @@ impl LevelSelection {
         visible: &Buffer,
     ) -> Result<Self, GpuError> {
         let pipeline = ComputePipeline::new(gpu, &LEVEL_SELECTION_COMP)?;
-        let extents = Buffer::new(
-            gpu,
-            "patch extents",
-            u64::from(scene.numbering.totals.looked_at) * 4,
-            Memory::Device,
-        )?;
+        let bytes = u64::from(scene.numbering.totals.looked_at) * size_of::<SeenGpu>() as u64;
+        let seen = Buffer::new(gpu, "what is visible", bytes, Memory::Readback)?;
+        let count = Buffer::new(gpu, "how much is visible", size_of::<u32>() as u64, Memory::Readback)?;
         let [saved_vertices, boxes] = animation.position_binds();
         let group = BindGroup::new(
             pipeline.layout(),
@@ -45,10 +44,24 @@ impl LevelSelection {
                 ("Patches", Bind::Buffer(&scene.meshes.patches)),
                 ("Materials", Bind::Buffer(&scene.materials.buffer)),
                 ("Visible", Bind::Buffer(visible)),
-                ("Extents", Bind::Buffer(&extents)),
+                ("Seen", Bind::Buffer(&seen)),
+                ("SeenCount", Bind::Buffer(&count)),
             ],
         )?;
-        Ok(Self { pipeline, group, extents })
+        Ok(Self { pipeline, group, seen, count })
+    }
+
+    /// Nothing is visible: before [`Self::record`], with a barrier from the copy between them.
+    pub fn record_start(&self, recorder: &mut Recorder) {
+        recorder.fill(&self.count, 0);
+    }
+
+    /// What was visible, ascending by entry, into `seen`. What was recorded is done.
+    pub fn read(&self, seen: &mut Vec<SeenGpu>) {
+        let count = self.count.values::<u32>()[0] as usize;
+        seen.clear();
+        seen.extend_from_slice(&self.seen.values()[..count]);
+        seen.sort_by_key(|patch| patch.entry); // nearly sorted: stable sorts find the runs
     }
 
     /// Measures the visible patches of what is looked at, with geometry as it is at the place of each view time.

@@ -92,6 +92,7 @@ fn marks_and_extents_equal_their_cpu_twins() {
         animation.record_sample(&mut recorder, RingPlace(place), ServerTime(i64::from(place) * 33_000_000));
     }
     recorder.fill(&mark.visible, 0);
+    levels.record_start(&mut recorder);
     recorder.barrier(Access::COPY_WRITE, Access::COMPUTE);
     recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
     id_buffer.record(&mut recorder, &scene, &animation, looks.all(), RingPlace(1), 2);
@@ -99,6 +100,7 @@ fn marks_and_extents_equal_their_cpu_twins() {
     mark.record(&mut recorder);
     recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
     levels.record(&mut recorder, &scene, &animation, &looks, [0, 1, 2].map(RingPlace));
+    recorder.barrier(Access::COMPUTE_WRITE, Access::HOST_READ);
     let layouts = [
         shadecast_gpu::vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
         shadecast_gpu::vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
@@ -118,7 +120,11 @@ fn marks_and_extents_equal_their_cpu_twins() {
     assert!(twin.iter().sum::<u32>() > 500, "the dragon is in view");
 
     let saved = SavedVertices::read(&gpu, &animation);
-    let extents: Vec<u32> = read(&gpu, &levels.extents);
+    let mut seen = Vec::new();
+    levels.read(&mut seen);
+    let entries: Vec<u32> = seen.iter().map(|patch| patch.entry).collect();
+    let visible = (0..patches as u32).filter(|entry| twin[*entry as usize] != 0);
+    assert_eq!(entries, visible.collect::<Vec<_>>(), "each visible one is listed once, ascending");
     let twin_views: Vec<_> = view_gpus
         .iter()
         .map(|view| twin::level_selection::View {
@@ -140,7 +146,8 @@ fn marks_and_extents_equal_their_cpu_twins() {
             })
             .collect();
         let expected = twin::level_selection::extent_texels(shape.kind as u32, &twin_views, &world);
-        let got = [extents[patch as usize] & 0xffff, extents[patch as usize] >> 16];
+        let at = entries.binary_search(&patch).expect("it is listed");
+        let got = [seen[at].extent_texels & 0xffff, seen[at].extent_texels >> 16];
         for axis in 0..2 {
             // Textures may cap it; rounding may differ by one.
             assert!(got[axis] <= expected[axis] + 1, "patch {patch}: {got:?}, twin {expected:?}");
