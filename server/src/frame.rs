@@ -12,6 +12,7 @@ use crate::geometry::{UpdateDelta, UpdateStamp};
 use crate::ideal::Ideal;
 use crate::levels::{Layout, Visible};
 use crate::looks::{Look, Looks};
+use crate::moment::Stance;
 use crate::motion::predictions::predictions;
 use crate::motion::skinning::Skinning;
 use crate::motion::steps::wanted_steps_m;
@@ -19,6 +20,7 @@ use crate::nearness::pixels_per_metre;
 use crate::pacing::Budget;
 use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES, View};
 use crate::residency::{PlacementChange, Residency};
+use crate::reuse::{Reuse, Reused};
 use crate::scene::SceneGpu;
 use crate::scene::meshes::MeshLevel;
 use crate::scene::numbering::{ScenePatch, Totals};
@@ -29,7 +31,6 @@ use crate::stages::palette::BONE_BYTES;
 use crate::stages::predicted_view_gpu;
 use crate::stages::shading::Shading;
 use crate::stages::ycbcr::Ycbcr;
-use crate::surround::SHADED_EVERY_UPDATES;
 use crate::sweep::{Glance, Sweep};
 use crate::upload::check_room;
 use crate::world::{Sampled, ViewerId, World};
@@ -68,6 +69,8 @@ pub struct Frame {
     density: Density,
     spare_bits: Spare,
     views: Buffer,
+    /// Pairs of views that the last update looked from.
+    pairs: usize,
     id_buffer: IdBuffer,
     mark: Mark,
     level_selection: LevelSelection,
@@ -78,6 +81,9 @@ pub struct Frame {
     room: Room,
     shortage: Shortage,
     shading: Shading,
+    reuse: Reuse<Stance>,
+    /// What an update may shade beside new blocks.
+    shading_budget_texels: u64,
     ycbcr: Ycbcr,
     /// Memory for the next update's picture.
     spare: I420,
@@ -131,6 +137,12 @@ pub struct Shows {
     pub detail_pixels: f32,
     /// Texels that blocks are asked to have for a pixel of the display, before sides are rounded up.
     pub texels_per_pixel: f32,
+    /// Pairs of views that the scene was looked at from.
+    pub pairs: usize,
+    /// What was shaded, and what was not.
+    pub reused: Reused,
+    /// Texels of the atlas that were converted for the encoder.
+    pub converted_texels: u64,
 }
 
 /// One update, shaded and ready to be encoded.
@@ -201,10 +213,13 @@ impl Frame {
             density: Density::default(),
             spare_bits: Spare::Enough,
             views,
+            pairs: 0,
             id_buffer,
             mark,
             level_selection,
             shading,
+            reuse: Reuse::new(ideal.reuse),
+            shading_budget_texels: u64::MAX,
             ycbcr,
             spare: I420::default(),
             ideal,
@@ -252,6 +267,11 @@ impl Frame {
         self.spare_bits = spare;
     }
 
+    /// How many texels an update may shade from now on, beside those of new blocks.
+    pub fn set_shading_budget(&mut self, texels: u64) {
+        self.shading_budget_texels = texels;
+    }
+
     /// A picture that is not needed any more.
     pub fn recycle(&mut self, picture: Source) {
         let Source::Planes(picture) = picture;
@@ -271,13 +291,14 @@ impl Frame {
         let sampled: Sampled = world.animate(&mut recorder, self.id, &views, needs); // 2
         world.effort.add_animation(began);
         self.write_views(&views);
+        self.pairs = differing_pairs(world, &views, &in_view);
         let (looks, mut timings): (Looks, _) = self.look(recorder, world, &sampled, &in_view)?; // 3, 4 on the GPU
         if let Some(glance) = glance {
             timings.append(self.look_around(world, &glance, &looks, &sampled)?);
         }
         let changes: Vec<PlacementChange> = self.layout.place(&world.samples, &looks); // 4, 5
         self.density.note(self.spare_bits, self.layout.settled_share(), self.layout.density() < 1.0);
-        timings.append(self.shade(world, &views, &sampled, &changes)?); // 6
+        timings.append(self.shade(world, &views, &sampled)?); // 6
         let began = world.effort.begin();
         let delta: UpdateDelta = self.tell(world, &views, &changes, now); // 8
         world.effort.add_delta(began);
@@ -341,7 +362,7 @@ impl Frame {
             let scenes: Vec<Vec<Look>> =
                 looks.scenes().into_iter().map(|scene| reaching(scene, in_view)).collect();
             let looking =
-                Looking { looks: &looks, scenes: &scenes, places: sampled.places, pairs: VIEW_TIMES };
+                Looking { looks: &looks, scenes: &scenes, places: sampled.places, pairs: self.pairs };
             timings.append(self.look_at(recorder, world, looking)?);
             self.layout.see(Visible { looks: &looks, seen: &self.seen });
             self.switch(world, &mut looks);
@@ -464,28 +485,32 @@ impl Frame {
         }
     }
 
-    /// Fills every block in view as it is in the middle of the update's time on display, some others, and converts the atlas.
+    /// Fills the blocks whose inputs have changed as they are in the middle of the update's time on display, and converts them.
     fn shade(
         &mut self,
         world: &mut World,
         views: &PredictedViews,
         sampled: &Sampled,
-        changes: &[PlacementChange],
     ) -> Result<Timings, GpuError> {
         let (middle, place) = (views.times[VIEW_TIMES / 2], sampled.places[VIEW_TIMES / 2]);
-        // What is not in view is shaded in turn, and where its block is new.
-        let turn = self.next.0 % SHADED_EVERY_UPDATES;
-        let is_due = |patch: ScenePatch| {
-            patch.0 % SHADED_EVERY_UPDATES == turn
-                || changes.binary_search_by_key(&patch, |change| change.patch).is_ok()
-        };
-        let around = self.layout.around().filter(|(patch, _)| is_due(*patch));
         let mut recorder = world.gpu().record()?;
-        match self.ideal.shading_times.get(&self.next) {
-            Some(time) => world.light_at(&mut recorder, place, *time),
-            None => world.light(&mut recorder, middle, place),
-        }
-        self.shading.write_blocks(world.scene(), &world.animation, place, self.layout.live().chain(around));
+        let time = match self.ideal.shading_times.get(&self.next) {
+            Some(time) => {
+                world.light_at(&mut recorder, place, *time);
+                *time
+            }
+            None => {
+                world.light(&mut recorder, middle, place);
+                middle.time(world.grid())
+            }
+        };
+        let (moment, surfaces, placed) =
+            (world.moment(time), world.surfaces(time, place), self.layout.all_placed());
+        let due =
+            self.reuse.due(moment, views.world_from_head, placed, &surfaces, self.shading_budget_texels);
+        let blocks = due.iter().map(|due| (due.patch, due.block));
+        self.shading.write_blocks(world.scene(), &world.animation, place, blocks);
+        self.ycbcr.note_changed(due.iter().map(|due| due.block));
         self.ycbcr.write_cells(self.layout.cell_extents());
         recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the last conversion has read the atlas
         let pixels_per_tangent = self.eye.pixels_per_tangent();
@@ -566,6 +591,9 @@ impl Frame {
             levels,
             detail_pixels: self.detail.allowed_pixels(),
             texels_per_pixel: self.density.texels_per_pixel() * self.layout.density(),
+            pairs: self.pairs,
+            reused: self.reuse.reused(),
+            converted_texels: self.ycbcr.converted_texels(),
         }
     }
 
@@ -589,6 +617,12 @@ impl Frame {
     pub fn head_track(&self) -> &HeadTrack {
         &self.head
     }
+}
+
+/// How many pairs of views show something that those before do not: one where the head and all in view stand still.
+fn differing_pairs(world: &World, views: &PredictedViews, in_view: &Needed) -> usize {
+    let stands = views.eyes.iter().all(|pair| *pair == views.eyes[0]) && world.stands(in_view, &views.times);
+    if stands { 1 } else { VIEW_TIMES }
 }
 
 /// Of the whole width and height.

@@ -49,7 +49,8 @@ pub struct UpdateDelta {
     pub masked: Vec<(PatchSlot, Block)>,
 }
 
-fn corners(patch: Patch) -> impl Iterator<Item = u32> {
+/// The corners of a patch, as indices within the model.
+pub(crate) fn corners(patch: Patch) -> impl Iterator<Item = u32> {
     patch.vertices.into_iter().take(patch.kind.vertex_count())
 }
 

@@ -12,6 +12,8 @@ pub struct Ideal {
     pub texels_per_pixel: f32,
     /// What textures are filtered for.
     pub filter: Filter,
+    /// Blocks whose inputs have not changed are not shaded again.
+    pub reuse: bool,
     /// For when exactly updates are shaded, where that is known ahead; others for the middle of their time on display, as expected.
     pub shading_times: BTreeMap<UpdateId, ServerTime>,
 }
@@ -30,6 +32,6 @@ pub enum Filter {
 
 impl Default for Ideal {
     fn default() -> Self {
-        Self { texels_per_pixel: 1.0, filter: Filter::default(), shading_times: BTreeMap::new() }
+        Self { texels_per_pixel: 1.0, filter: Filter::default(), reuse: true, shading_times: BTreeMap::new() }
     }
 }

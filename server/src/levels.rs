@@ -9,6 +9,7 @@ use crate::choice::{Candidate, Chooser, Room};
 use crate::geometry::Geometry;
 use crate::looks::{Look, Looks};
 use crate::residency::PlacementChange;
+use crate::reuse::Placed;
 use crate::scene::numbering::ScenePatch;
 use crate::sizing::{Shape, Turn, have_their_turn, least_turns, wanted_size};
 use crate::surround::{Kept, SURROUND_DENSITY, Surround};
@@ -517,6 +518,19 @@ impl Layout {
     /// Patches in view, and those held, with their blocks, ascending.
     pub fn live(&self) -> impl Iterator<Item = (ScenePatch, Block)> + '_ {
         self.live.iter().filter_map(|patch| Some((*patch, self.states[patch.index()].block?)))
+    }
+
+    /// Both, ascending.
+    pub fn all_placed(&self) -> impl Iterator<Item = Placed> + '_ {
+        let (mut live, mut around) = (self.live().peekable(), self.around().peekable());
+        std::iter::from_fn(move || {
+            let is_live = match (live.peek(), around.peek()) {
+                (Some((in_view, _)), Some((beside, _))) => in_view < beside,
+                (in_view, _) => in_view.is_some(),
+            };
+            let (patch, block) = if is_live { live.next()? } else { around.next()? };
+            Some(Placed { patch, block, is_around: !is_live })
+        })
     }
 
     /// Patches in view, and those held, with a block.

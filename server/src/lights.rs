@@ -2,6 +2,7 @@
 //! the casters. Pure; the stage that draws the shadow map owns the buffer.
 
 use crate::animation::timeline::Timeline;
+use crate::gloss::Brightness;
 use glam::{Affine3A, Mat4, Vec3};
 use shadecast_protocol::limits::MAX_LIGHTS;
 use shadecast_protocol::time::ServerTime;
@@ -73,6 +74,16 @@ pub fn caster_reach(caster: Bounds, to_sun: Vec3, scene: Bounds) -> [Vec3; 16] {
 pub fn surplus(scene: &Scene) -> usize {
     let hung = scene.instances.iter().map(|instance| scene.models[instance.model].lights.len());
     (scene.lights.len() + hung.sum::<usize>()).saturating_sub(MAX_LIGHTS as usize)
+}
+
+/// How bright the scene's light is at most; of lamps, a metre away.
+pub fn brightness(scene: &Scene) -> Brightness {
+    let hung = scene.models.iter().flat_map(|model| &model.lights).map(|hung| hung.light.intensity);
+    let lamps = scene.lights.iter().map(|placed| placed.light.intensity).chain(hung);
+    let direct = lamps.map(Vec3::max_element).fold(scene.sun.irradiance.max_element(), f32::max);
+    let environment = scene.environment;
+    let sky = environment.zenith.max(environment.horizon).max(environment.nadir).max_element();
+    Brightness { direct, sky }
 }
 
 /// Everything at a time of the scene, which moves as `timeline` says. `sun_view` is `None` where the sun casts no shadows.

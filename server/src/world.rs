@@ -5,7 +5,9 @@ use crate::animation::gpu::{Animation, AnimationCounts};
 use crate::animation::timeline::SharedTimeline;
 use crate::culling::Needed;
 use crate::effort::Effort;
+use crate::moment::{self, SceneSurfaces, Stance, stances};
 use crate::predict::{PredictedViews, VIEW_TIMES};
+use crate::reuse::Moment;
 use crate::samples::SampleWindow;
 use crate::scene::SceneGpu;
 use crate::stages::shadow::Shadow;
@@ -162,6 +164,27 @@ impl World {
         self.record_light(recorder, place, time);
         self.animation.forget();
         self.lit = None;
+    }
+
+    /// What shading depends on at the time of the light that was recorded last.
+    pub fn moment(&self, time: ServerTime) -> Moment<Stance> {
+        moment::moment(&self.scene, &self.animation, &self.shadow, time)
+    }
+
+    /// Its surfaces at a time, of which a place has the positions.
+    pub fn surfaces(&self, time: ServerTime, place: RingPlace) -> SceneSurfaces<'_> {
+        let Self { scene, samples, animation, shadow, .. } = self;
+        SceneSurfaces { scene, samples, animation, sun: shadow.sun_view(), time, place }
+    }
+
+    /// Whether all that is in `needs` looks the same at several times.
+    pub fn stands(&self, needs: &Needed, times: &[ViewTime]) -> bool {
+        let timeline = self.animation.timeline().lock();
+        let mut stances = times.iter().map(|at| stances(&self.scene, &timeline, at.time(self.grid)));
+        let Some(first) = stances.next() else { return true };
+        stances.all(|other| {
+            first.iter().zip(&other).enumerate().all(|(number, (a, b))| !needs.has(number) || a == b)
+        })
     }
 
     fn record_light(&mut self, recorder: &mut Recorder, place: RingPlace, time: ServerTime) {

@@ -12,6 +12,8 @@ layout(std430, binding = 1) writeonly buffer Planes { uint planes[]; };
 layout(std430, binding = 2) writeonly buffer Coverage { uint coverage[]; };
 // The extent of the blocks in each cell of the smallest superblock's side, in rows: width | height << 16.
 layout(std430, binding = 3) readonly buffer CellExtents { uint cell_extents[]; };
+// The workgroups of the atlas that have something to convert: x | y << 16.
+layout(std430, binding = 4) readonly buffer Groups { uint groups[]; };
 layout(push_constant) uniform YcbcrPush {
     uint width_texels;
     uint height_texels;
@@ -45,7 +47,9 @@ vec3 ycbcr_at(ivec2 at, out float alpha) {
 }
 
 void main() {
-    uvec2 at = gl_GlobalInvocationID.xy * YCBCR_TEXELS;
+    uint group = groups[gl_WorkGroupID.x];
+    uvec2 invocation = uvec2(group & 0xffff, group >> 16) * gl_WorkGroupSize.xy + gl_LocalInvocationID.xy;
+    uvec2 at = invocation * YCBCR_TEXELS;
     if (at.x >= width_texels || at.y >= height_texels) return;
     uvec2 extent = block_extent(at);
     float across[4][CHROMA_REACH];
@@ -78,7 +82,7 @@ void main() {
     }
     uint luma_words = width_texels * height_texels / 4;
     // Each invocation has one word of either chroma plane.
-    uint word = gl_GlobalInvocationID.y * (width_texels / YCBCR_TEXELS.x) + gl_GlobalInvocationID.x;
+    uint word = invocation.y * (width_texels / YCBCR_TEXELS.x) + invocation.x;
     if (has_coverage != 0) coverage[word] = covered;
     planes[luma_words + word] = packUnorm4x8(vec4(chroma[0].x, chroma[1].x, chroma[2].x, chroma[3].x));
     planes[luma_words + luma_words / 4 + word] =

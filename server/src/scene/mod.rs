@@ -7,6 +7,7 @@ pub mod numbering;
 use crate::animation::buffers::AnimationBuffers;
 use crate::animation::manager::AnimationManager;
 use crate::animation::skinning::{SkinnedMesh, Skinning, SkinningArrays, SkinningBuffers};
+use crate::gloss::Gloss;
 use crate::lights::{self, SunView};
 use crate::motion::MotionOption;
 use crate::motion::library::MotionLibrary;
@@ -88,6 +89,8 @@ pub struct SceneGpu {
     pub skinning: Skinning,
     /// What skinning reads beside the vertices.
     pub skins: SkinningBuffers,
+    /// By model and material, what of it depends on the eye.
+    pub gloss: Vec<Vec<Gloss>>,
     /// Skeletons and clips.
     pub animation: AnimationBuffers,
     /// What clients can be told of its motion.
@@ -135,6 +138,7 @@ impl SceneGpu {
             motion: MotionLibrary::new(&scene, &manager, &numbering, options.motion),
             animation: AnimationBuffers::new(gpu, manager)?,
             shadow_extent_texels: lights::SHADOW_EXTENT_TEXELS << options.shadow_doublings,
+            gloss: gloss(&scene),
             scene,
             models,
             numbering,
@@ -155,6 +159,11 @@ impl SceneGpu {
         let model = self.numbering.instances[self.numbering.instance_of_patch(patch)].model;
         let materials = &self.scene.models[model].materials;
         materials[self.patch(patch).material as usize].alpha_cutoff.is_some()
+    }
+
+    /// What of a patch's material depends on the eye; `number`: of its instance.
+    pub fn gloss_of(&self, number: usize, patch: &Patch) -> Gloss {
+        self.gloss[self.numbering.instances[number].model][patch.material as usize]
     }
 
     /// Whether any material cuts something out.
@@ -214,6 +223,14 @@ impl<'a> Arrays<'a> {
         let (mesh, skin) = self.known.entry(hash).or_insert_with(new).clone();
         ModelGpu { mesh, skin, material_base }
     }
+}
+
+fn gloss(scene: &Scene) -> Vec<Vec<Gloss>> {
+    let light = lights::brightness(scene);
+    let of_model = |model: &Model| {
+        model.materials.iter().map(|material| Gloss::of(material, &model.textures, light)).collect()
+    };
+    scene.models.iter().map(of_model).collect()
 }
 
 fn number(scene: &Scene, models: &[ModelGpu]) -> Numbering {

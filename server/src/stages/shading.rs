@@ -1,4 +1,4 @@
-//! Object-space shading: one quad per live block, gutter included, into the atlas.
+//! Object-space shading: one quad per block that is due, gutter included, into the atlas. What is not shaded keeps its texels.
 
 use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
@@ -106,19 +106,19 @@ impl Shading {
         Ok(Self { pass, pipeline, group, target, blocks, count: 0, atlas })
     }
 
-    /// Writes the list of blocks to shade, with geometry as it is in `place`. No submitted work still reads the list.
+    /// Writes the list of blocks to shade, ascending by patch, with geometry as it is in `place`. No submitted work still reads the list.
     pub fn write_blocks(
         &mut self,
         scene: &SceneGpu,
         animation: &Animation,
         place: RingPlace,
-        live: impl Iterator<Item = (ScenePatch, Block)>,
+        due: impl Iterator<Item = (ScenePatch, Block)>,
     ) {
         let list: &mut [BlockGpu] = bytemuck::cast_slice_mut(self.blocks.bytes_mut());
         self.count = 0;
         // Live patches come in ascending order: most are of the level of the one before.
         let mut now: Option<(usize, usize, PatchRange)> = None;
-        for (patch, block) in live {
+        for (patch, block) in due {
             let (number, level, range) = now.filter(|(.., range)| range.has(patch)).unwrap_or_else(|| {
                 let (number, level) = scene.numbering.place_of_patch(patch);
                 let range = scene.numbering.patches(number, level);
@@ -146,6 +146,9 @@ impl Shading {
 
     /// Shades the listed blocks as seen by a head, filtered for a display of so many pixels to a tangent of 1, x and y.
     pub fn record(&self, recorder: &mut Recorder, world_from_head: Pose, pixels_per_tangent: [f32; 2]) {
+        if self.count == 0 {
+            return;
+        }
         let [width, height] = self.atlas.desc().extent;
         let push = ShadingPush {
             head_from_world: rows(Affine3A::from_mat4(world_from_head.inverse().matrix())),

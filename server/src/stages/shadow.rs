@@ -15,7 +15,7 @@ use shadecast_gpu::{
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::animation::sampling::longest_axis;
 use shadecast_scene::{Instance, TrackValues};
-use shadecast_shaders::generated::{LightGpu, SHADOW_FRAG, SHADOW_VERT, ShadowPush};
+use shadecast_shaders::generated::{LightGpu, PunctualGpu, SHADOW_FRAG, SHADOW_VERT, ShadowPush};
 use std::sync::Arc;
 
 /// Texels of the map that the surface of a caster may be off.
@@ -36,6 +36,10 @@ pub struct Shadow {
     /// Whether any caster moves.
     is_animated: bool,
     is_drawn: bool,
+    /// By instance, whether the map holds it.
+    held: Vec<bool>,
+    /// What was written last.
+    written: LightGpu,
 }
 
 impl Shadow {
@@ -88,6 +92,8 @@ impl Shadow {
             light,
             view,
             is_drawn: false,
+            held: vec![false; scene.numbering.instances.len()],
+            written: bytemuck::Zeroable::zeroed(),
         })
     }
 
@@ -100,6 +106,7 @@ impl Shadow {
     pub fn write(&mut self, scene: &SceneGpu, animation: &Animation, time: ServerTime) {
         let light = lights::at(&scene.scene, &animation.timeline().lock(), self.view.as_ref(), time);
         self.light.write(0, bytemuck::bytes_of(&light));
+        self.written = light;
     }
 
     /// Draws the casters in `needs` as they are in `place`; once and all where none of them moves. Gives whether it did.
@@ -126,6 +133,8 @@ impl Shadow {
                     && base(number).is_some();
                 is_drawn.then_some(self.levels[number])
             };
+            let held = (0..self.held.len()).map(|number| casts(number).is_some());
+            self.held.iter_mut().zip(held).for_each(|(held, now)| *held = now);
             self.geometry.record(recorder, &self.group, scene, casts, |draw| ShadowPush {
                 vertex_base: draw.model.vertex_base,
                 position_base: base(draw.number).unwrap_or_default(),
@@ -140,6 +149,21 @@ impl Shadow {
     /// The map is drawn anew.
     pub fn forget(&mut self) {
         self.is_drawn = false;
+    }
+
+    /// Whether the map holds an instance's shadow.
+    pub fn has(&self, instance: usize) -> bool {
+        self.held[instance]
+    }
+
+    /// How the sun sees its casters, where it casts shadows.
+    pub fn sun_view(&self) -> Option<&SunView> {
+        self.view.as_ref()
+    }
+
+    /// The lamps as they were written last.
+    pub fn lamps(&self) -> &[PunctualGpu] {
+        &self.written.punctual[..self.written.punctual_count[0] as usize]
     }
 
     /// What shading binds to see by: the light, and the map.
