@@ -54,6 +54,8 @@ const MAX_ID_BUFFER_PIXELS: u32 = ATLAS_MAX_EXTENT[0] * ATLAS_MAX_EXTENT[1];
 /// Pixels of a side of the ID buffer: every device draws to as many.
 const MAX_ID_BUFFER_SIDE: f32 = 8192.0;
 
+const ONLY_THE_FIRST: [bool; VIEW_TIMES] = [true, false, false];
+
 /// Times that an update looks at the scene, at coarser levels each time, before it leaves patches out.
 const MAX_LOOKS: u32 = 3;
 
@@ -69,8 +71,8 @@ pub struct Frame {
     density: Density,
     spare_bits: Spare,
     views: Buffer,
-    /// Pairs of views that the last update looked from.
-    pairs: usize,
+    /// The times that the last update looked at.
+    looked_at: [bool; VIEW_TIMES],
     id_buffer: IdBuffer,
     mark: Mark,
     level_selection: LevelSelection,
@@ -121,7 +123,8 @@ struct Looking<'a> {
     /// What is drawn: each once, and none of them twice in a scene.
     scenes: &'a [Vec<Look>],
     places: [RingPlace; VIEW_TIMES],
-    pairs: usize,
+    /// At which of them.
+    times: [bool; VIEW_TIMES],
 }
 
 /// What an update shows.
@@ -213,7 +216,7 @@ impl Frame {
             density: Density::default(),
             spare_bits: Spare::Enough,
             views,
-            pairs: 0,
+            looked_at: [false; VIEW_TIMES],
             id_buffer,
             mark,
             level_selection,
@@ -280,7 +283,9 @@ impl Frame {
 
     /// Steps 1 to 6 and 8. `None` before the first head state: there is nowhere to look from.
     pub fn update(&mut self, world: &mut World, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
-        let Some(views) = self.head.predict(now, world.grid()) else { return Ok(None) }; // 1
+        let Some(views) = self.head.predict(now, world.grid(), self.ideal.views.margin()) else {
+            return Ok(None);
+        }; // 1
         let in_view: Needed = self.culling.needs(views.eyes.iter().flatten().copied());
         let (needs, glance) = self.look_for_surround(&in_view, &views);
         let near = pixels_per_metre(world.scene(), world.grid(), &views, self.eye.pixels_per_radian());
@@ -291,7 +296,7 @@ impl Frame {
         let sampled: Sampled = world.animate(&mut recorder, self.id, &views, needs); // 2
         world.effort.add_animation(began);
         self.write_views(&views);
-        self.pairs = differing_pairs(world, &views, &in_view);
+        self.looked_at = self.times_to_look_at(world, &views, &in_view);
         let (looks, mut timings): (Looks, _) = self.look(recorder, world, &sampled, &in_view)?; // 3, 4 on the GPU
         if let Some(glance) = glance {
             timings.append(self.look_around(world, &glance, &looks, &sampled)?);
@@ -362,7 +367,7 @@ impl Frame {
             let scenes: Vec<Vec<Look>> =
                 looks.scenes().into_iter().map(|scene| reaching(scene, in_view)).collect();
             let looking =
-                Looking { looks: &looks, scenes: &scenes, places: sampled.places, pairs: self.pairs };
+                Looking { looks: &looks, scenes: &scenes, places: sampled.places, times: self.looked_at };
             timings.append(self.look_at(recorder, world, looking)?);
             self.layout.see(Visible { looks: &looks, seen: &self.seen });
             self.switch(world, &mut looks);
@@ -377,6 +382,18 @@ impl Frame {
             recorder = world.gpu().record()?;
         }
         unreachable!("it looks {MAX_LOOKS} times at most")
+    }
+
+    /// At which times there may be something to be seen that is not at another: at one where the head and all in view stand still.
+    fn times_to_look_at(
+        &self,
+        world: &World,
+        views: &PredictedViews,
+        in_view: &Needed,
+    ) -> [bool; VIEW_TIMES] {
+        let stands =
+            views.eyes.iter().all(|pair| *pair == views.eyes[0]) && world.stands(in_view, &views.times);
+        if stands { ONLY_THE_FIRST } else { self.ideal.views.times(self.next.0) }
     }
 
     /// What is needed for what is in view and for the surround, and where to look for that, if this update does.
@@ -400,7 +417,7 @@ impl Frame {
         self.write_glance(glance);
         let scenes = [looks.shown().copied().collect()];
         let places = [sampled.places[VIEW_TIMES / 2]; VIEW_TIMES];
-        let looking = Looking { looks, scenes: &scenes, places, pairs: 1 };
+        let looking = Looking { looks, scenes: &scenes, places, times: ONLY_THE_FIRST };
         let timings = self.look_at(world.gpu().record()?, world, looking)?;
         let (residency, geometry) = (&self.residency, &world.samples);
         let may_be = |instance: usize| residency.is_told_once(geometry, instance as u16);
@@ -413,14 +430,14 @@ impl Frame {
         &mut self,
         mut recorder: Recorder,
         world: &World,
-        Looking { looks, scenes, places, pairs }: Looking<'_>,
+        Looking { looks, scenes, places, times }: Looking<'_>,
     ) -> Result<Timings, GpuError> {
         let (scene, animation) = (world.scene(), &world.animation);
         recorder.fill(&self.mark.visible, 0);
         self.level_selection.record_start(&mut recorder);
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
-        for (time, place) in places.into_iter().enumerate().take(pairs) {
+        for (time, place) in places.into_iter().enumerate().filter(|(time, _)| times[*time]) {
             for drawn in scenes {
                 recorder.scope("id buffer", |r| {
                     self.id_buffer.record(r, scene, animation, drawn, place, EYES * time as u32);
@@ -591,7 +608,7 @@ impl Frame {
             levels,
             detail_pixels: self.detail.allowed_pixels(),
             texels_per_pixel: self.density.texels_per_pixel() * self.layout.density(),
-            pairs: self.pairs,
+            pairs: self.looked_at.iter().filter(|looks| **looks).count(),
             reused: self.reuse.reused(),
             converted_texels: self.ycbcr.converted_texels(),
         }
@@ -617,12 +634,6 @@ impl Frame {
     pub fn head_track(&self) -> &HeadTrack {
         &self.head
     }
-}
-
-/// How many pairs of views show something that those before do not: one where the head and all in view stand still.
-fn differing_pairs(world: &World, views: &PredictedViews, in_view: &Needed) -> usize {
-    let stands = views.eyes.iter().all(|pair| *pair == views.eyes[0]) && world.stands(in_view, &views.times);
-    if stands { 1 } else { VIEW_TIMES }
 }
 
 /// Of the whole width and height.

@@ -1,6 +1,7 @@
 //! What a measurement spares a viewer's updates, so that it can say what each cause of error costs. The product spares nothing:
 //! that is the default.
 
+use crate::view_plan::ViewPlan;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::time::ServerTime;
 use std::collections::BTreeMap;
@@ -16,6 +17,8 @@ pub struct Ideal {
     pub reuse: bool,
     /// For when exactly updates are shaded, where that is known ahead; others for the middle of their time on display, as expected.
     pub shading_times: BTreeMap<UpdateId, ServerTime>,
+    /// At which of its times an update looks.
+    pub views: ViewPlan,
 }
 
 /// What textures are filtered for when a block is shaded.
@@ -32,6 +35,12 @@ pub enum Filter {
 
 impl Default for Ideal {
     fn default() -> Self {
-        Self { texels_per_pixel: 1.0, filter: Filter::default(), reuse: true, shading_times: BTreeMap::new() }
+        Self {
+            texels_per_pixel: 1.0,
+            filter: Filter::default(),
+            reuse: true,
+            shading_times: BTreeMap::new(),
+            views: ViewPlan::default(),
+        }
     }
 }

@@ -39,6 +39,7 @@ pub mod surround;
 pub mod sweep;
 pub mod truth;
 pub mod upload;
+pub mod view_plan;
 pub mod view_time;
 pub mod viewer;
 pub mod world;

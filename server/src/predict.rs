@@ -149,13 +149,13 @@ impl HeadTrack {
         ((first_ns + next_ns - self.display_period_ns) / 2).clamp(0, MAX_HORIZON_NS)
     }
 
-    /// The views for an update that starts at `now`; `None` before the first head state.
-    pub fn predict(&mut self, now: ServerTime, grid: Grid) -> Option<PredictedViews> {
+    /// The views for an update that starts at `now`, by so much wider than usual; `None` before the first head state.
+    pub fn predict(&mut self, now: ServerTime, grid: Grid, wider: f32) -> Option<PredictedViews> {
         let state = self.latest?;
         let [first_ns, last_ns] = self.delays_ns();
         let (first, last) = (now.plus_ns(first_ns), now.plus_ns(last_ns));
         let middle = now.plus_ns(self.middle_delay_ns());
-        let margin = self.margin();
+        let margin = self.margin() + wider;
         let times = [grid.floor(first).into(), ViewTime::nearest(grid, middle), grid.ceil(last).into()];
         let eyes = times.map(|at| {
             let head = extrapolate(&state, at.time(grid));
@@ -267,7 +267,7 @@ mod tests {
             track.displayed(start, start.plus_ns(70_000_000));
         }
         let now = ServerTime(1_000_000_000);
-        let views = track.predict(now, DEFAULT_GRID).unwrap();
+        let views = track.predict(now, DEFAULT_GRID, 0.0).unwrap();
         let [first, last] = track.delays_ns();
         assert_eq!((first, last), (70_000_000, 103_000_000), "on display until the next one comes");
         assert!(views.times[0].time(DEFAULT_GRID) <= now.plus_ns(first));
@@ -286,7 +286,7 @@ mod tests {
         }
         for phase in 0..8 {
             let now = ServerTime(1_000_000_000 + phase * 5_000_000);
-            let views = track.predict(now, DEFAULT_GRID).unwrap();
+            let views = track.predict(now, DEFAULT_GRID, 0.0).unwrap();
             let apart_ns = views.times[1].time(DEFAULT_GRID).since(now.plus_ns(4 * FRAME_NS)).abs();
             assert!(apart_ns <= DEFAULT_GRID.spacing_ns / 8 + 2, "{apart_ns} ns");
         }
@@ -308,7 +308,7 @@ mod tests {
             let now = state.time;
             track.head(state);
             track
-                .predict(now, DEFAULT_GRID)
+                .predict(now, DEFAULT_GRID, 0.0)
                 .expect("it is known")
                 .eyes
                 .map(|pair| pair.map(|eye| eye.world_from_eye))
@@ -340,7 +340,7 @@ mod tests {
         track.head(state(5, 1.0, 1.0, 0.0));
         track.head(state(4, 0.9, 0.0, 0.0));
         assert_eq!(track.latest.unwrap().sequence, 5);
-        track.predict(ServerTime(1_000_000_000), DEFAULT_GRID);
+        track.predict(ServerTime(1_000_000_000), DEFAULT_GRID, 0.0);
         let jumped = HeadState { discontinuity: DiscontinuityId(1), ..state(6, 2.0, 50.0, 0.0) };
         track.head(jumped);
         assert!(track.errors.is_empty() && track.promised.is_empty());
@@ -351,7 +351,7 @@ mod tests {
         let margin_after = |jump: DiscontinuityId| {
             let mut track = HeadTrack::default();
             track.head(state(0, 1.0, 0.0, 0.0));
-            track.predict(ServerTime(1_000_000_000), DEFAULT_GRID);
+            track.predict(ServerTime(1_000_000_000), DEFAULT_GRID, 0.0);
             track.head(HeadState { discontinuity: jump, ..state(1, 1.5, 50.0, 0.0) });
             track.margin()
         };
@@ -379,7 +379,7 @@ mod tests {
         for i in 0..40 {
             let turn = if i % 2 == 0 { 3.0 } else { -3.0 };
             track.head(state(i, 1.0 + f64::from(i) * 0.1, 0.0, turn));
-            track.predict(ServerTime(1_000_000_000 + i64::from(i) * 100_000_000), DEFAULT_GRID);
+            track.predict(ServerTime(1_000_000_000 + i64::from(i) * 100_000_000), DEFAULT_GRID, 0.0);
         }
         assert_eq!(steady, MIN_MARGIN);
         assert!(track.margin() > steady && track.margin() <= MAX_MARGIN);

@@ -14,7 +14,9 @@ use shadecast_lab::figures;
 use shadecast_lab::hostile::{self, HostileOptions};
 use shadecast_lab::long;
 use shadecast_lab::motion_table::{self, Condition, KINDS, Kind};
-use shadecast_lab::options::{Head, Renderer, RunOptions, StageMs, USUAL_LINK, ViewerOptions, parse_room};
+use shadecast_lab::options::{
+    Head, Renderer, RunOptions, Spared, StageMs, USUAL_LINK, ViewerOptions, parse_room,
+};
 use shadecast_lab::robot::robot;
 use shadecast_lab::room::{MANY_VASES, write_room};
 use shadecast_lab::run::{Report, run};
@@ -29,10 +31,12 @@ use shadecast_server::animation::skinning::Skinning;
 use shadecast_server::choice::Room;
 use shadecast_server::detail::DEFAULT_DETAIL_PIXELS;
 use shadecast_server::flags::{MOST_S, number};
+use shadecast_server::ideal::Ideal;
 use shadecast_server::motion::MotionOption;
 use shadecast_server::quality::QualityArgs;
 use shadecast_server::scene::SceneOptions;
 use shadecast_server::surround::DEFAULT_SURROUND;
+use shadecast_server::view_plan::ViewPlan;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -214,6 +218,9 @@ struct RunArgs {
     /// to spare; 0: everything has full detail
     #[arg(long, value_name = "PIXELS", default_value_t = DEFAULT_DETAIL_PIXELS, value_parser = number(0.0..=64.0f32, "pixels"))]
     detail: f32,
+    /// At which of its predicted times an update looks at the scene
+    #[arg(long, value_enum, default_value = "every")]
+    views: ViewPlan,
     /// Part of the client's slots and of the atlas for what an abrupt turn of the head would show, 0 to 0.5; 0: none
     #[arg(long, value_name = "SHARE", default_value_t = DEFAULT_SURROUND, value_parser = number(0.0..=0.5f32, "of all"))]
     surround: f32,
@@ -484,6 +491,7 @@ fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         rate_hz: args.rate,
         trace: args.trace,
         detail_pixels: args.detail,
+        spared: Spared { ideal: Ideal { views: args.views, ..Ideal::default() }, ..Spared::default() },
         surround: args.surround,
         room: args.room,
         seed: args.seed,
