@@ -22,6 +22,17 @@ where
     }
 }
 
+/// A reader of the sides of a picture, for `clap`.
+///
+/// # Errors
+/// What is none, or has a side that is out of its range.
+pub fn size(text: &str) -> Result<[u32; 2], String> {
+    let parsed = text.split_once('x').and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
+    parsed
+        .filter(|size: &[u32; 2]| size.iter().all(|side| (16..=8192).contains(side)))
+        .ok_or_else(|| format!("\"{text}\" is not WxH with sides from 16 to 8192, such as 512x512"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,6 +1,6 @@
 //! `shadecast-server forward`: the ground truth to files, to a video, or in a window.
 
-use crate::{DeviceArgs, gpu_options, load, loading, open, parse_size, parse_vector, scene_options};
+use crate::{DeviceArgs, gpu_options, load, loading, open, parse_vector, scene_options};
 use anyhow::Context;
 use clap::{Args, value_parser};
 use glam::{EulerRot, Quat, Vec3};
@@ -10,6 +10,7 @@ use shadecast_protocol::time::ServerTime;
 use shadecast_scene::file::{DEFAULT_FOV_DEG, FOV_RANGE_DEG};
 use shadecast_scene::{Camera, Cancel, HeadPath, Scene};
 use shadecast_server::encode::openh264::DEFAULT_QP;
+use shadecast_server::flags::size;
 use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::picture;
 use shadecast_server::truth::camera::{ViewCamera, fov_of_picture};
@@ -30,7 +31,7 @@ pub(crate) struct ForwardArgs {
     #[arg(long, conflicts_with = "out")]
     window: bool,
     /// Width and height in pixels [default: 1300x1300; of a window 1280x800]
-    #[arg(long, value_parser = parse_size)]
+    #[arg(long, value_parser = size)]
     size: Option<[u32; 2]>,
     /// Vertical field of view in degrees [default: the camera's; 90 without one]
     #[arg(long, value_parser = number(FOV_RANGE_DEG, "degrees"))]

@@ -2,6 +2,7 @@
 //! JSON are two ways to print it. `docs/inspect.md` says what each key means.
 
 pub mod errors;
+mod memory;
 mod table;
 
 use crate::animation::manager::AnimationManager;
@@ -30,7 +31,7 @@ use tracing_subscriber::layer::{Context, Layer, SubscriberExt};
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct InspectArgs {
     #[command(subcommand)]
-    error: Option<Inspection>,
+    inspection: Option<Inspection>,
     #[command(flatten)]
     contents: ContentsArgs,
 }
@@ -39,6 +40,8 @@ pub struct InspectArgs {
 enum Inspection {
     /// How far sampled clips and the client's interpolation are from the original curves
     Error(errors::ErrorArgs),
+    /// What a scene and one viewer hold on the device and of the host, measured
+    Memory(memory::MemoryArgs),
 }
 
 #[derive(Args)]
@@ -59,8 +62,10 @@ struct ContentsArgs {
 /// # Errors
 /// The scene cannot be loaded, or an argument is out of its range.
 pub fn run(args: &InspectArgs) -> anyhow::Result<String> {
-    if let Some(Inspection::Error(args)) = &args.error {
-        return errors::run(args);
+    match &args.inspection {
+        Some(Inspection::Error(args)) => return errors::run(args),
+        Some(Inspection::Memory(args)) => return memory::run(args),
+        None => {}
     }
     let args = &args.contents;
     let (scene, warnings) = load(args.scene.as_deref().unwrap_or_default())?;

@@ -152,13 +152,6 @@ struct StreamArgs {
     device: DeviceArgs,
 }
 
-fn parse_size(text: &str) -> Result<[u32; 2], String> {
-    let parsed = text.split_once('x').and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
-    parsed
-        .filter(|size: &[u32; 2]| size.iter().all(|side| (16..=8192).contains(side)))
-        .ok_or_else(|| format!("\"{text}\" is not WxH with sides from 16 to 8192, such as 512x512"))
-}
-
 fn parse_vector(text: &str) -> Result<Vec3, String> {
     let numbers: Option<Vec<f32>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
     match numbers.as_deref() {

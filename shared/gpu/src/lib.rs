@@ -15,7 +15,7 @@ mod window;
 pub use ash::vk;
 pub use bind::{Bind, BindGroup, Layout};
 pub use context::{DesktopDevice, DeviceSource, Gpu, GpuOptions, Needs};
-pub use memory::{Buffer, Image, ImageDesc, Memory, Sampler, SamplerDesc};
+pub use memory::{Buffer, Image, ImageDesc, Memory, MemoryUse, Sampler, SamplerDesc};
 pub use pass::{Attachment, Framebuffer, RenderPass, RenderPassDesc};
 pub use pipeline::{ComputePipeline, GraphicsPipeline, GraphicsPipelineDesc, VertexInput};
 pub use recorder::{Access, Recorder, Ticket};

@@ -4,10 +4,11 @@ use crate::{Doing, Gpu, GpuError};
 use ash::vk;
 use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Where a buffer lives.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Memory {
     /// Device-local, not mapped.
     Device,
@@ -15,6 +16,56 @@ pub enum Memory {
     Upload,
     /// Mapped and cached, read by the CPU.
     Readback,
+}
+
+impl Memory {
+    const ALL: [Self; 3] = [Self::Device, Self::Upload, Self::Readback];
+
+    /// What the names of its allocations end with.
+    fn tag(self) -> &'static str {
+        match self {
+            Self::Device => "",
+            Self::Upload => " <- CPU",
+            Self::Readback => " -> CPU",
+        }
+    }
+
+    fn location(self) -> MemoryLocation {
+        match self {
+            Self::Device => MemoryLocation::GpuOnly,
+            Self::Upload => MemoryLocation::CpuToGpu,
+            Self::Readback => MemoryLocation::GpuToCpu,
+        }
+    }
+}
+
+/// What memory is held for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MemoryUse {
+    /// Name of the buffers or images.
+    pub name: String,
+    /// Where they are.
+    pub memory: Memory,
+    /// Bytes of all of this name.
+    pub bytes: u64,
+}
+
+impl Gpu {
+    /// What is held, by name; what was dropped counts until no submitted work can use it any more.
+    pub fn memory(&self) -> Vec<MemoryUse> {
+        let allocator = self.allocator.lock().expect("not poisoned");
+        let report = allocator.as_ref().expect("alive until the device goes").generate_report();
+        let mut uses: BTreeMap<(String, Memory), u64> = BTreeMap::new();
+        for allocation in report.allocations {
+            // Device memory has an empty tag, and is tried last.
+            let tagged = Memory::ALL
+                .into_iter()
+                .rev()
+                .find_map(|memory| Some((allocation.name.strip_suffix(memory.tag())?.to_owned(), memory)));
+            *uses.entry(tagged.expect("every name ends with nothing")).or_default() += allocation.size;
+        }
+        uses.into_iter().map(|((name, memory), bytes)| MemoryUse { name, memory, bytes }).collect()
+    }
 }
 
 /// A buffer with its memory.
@@ -156,13 +207,13 @@ fn allocate(
     gpu: &Gpu,
     name: &str,
     requirements: vk::MemoryRequirements,
-    location: MemoryLocation,
+    memory: Memory,
     linear: bool,
 ) -> Result<Allocation, GpuError> {
     let desc = AllocationCreateDesc {
-        name,
+        name: &format!("{name}{}", memory.tag()),
         requirements,
-        location,
+        location: memory.location(),
         linear,
         allocation_scheme: AllocationScheme::GpuAllocatorManaged,
     };
@@ -190,12 +241,7 @@ impl Buffer {
         unsafe {
             let handle = gpu.device.create_buffer(&info, None).doing("creating a buffer")?;
             let requirements = gpu.device.get_buffer_memory_requirements(handle);
-            let location = match memory {
-                Memory::Device => MemoryLocation::GpuOnly,
-                Memory::Upload => MemoryLocation::CpuToGpu,
-                Memory::Readback => MemoryLocation::GpuToCpu,
-            };
-            let allocation = allocate(gpu, name, requirements, location, true)?;
+            let allocation = allocate(gpu, name, requirements, memory, true)?;
             gpu.device
                 .bind_buffer_memory(handle, allocation.memory(), allocation.offset())
                 .doing("binding a buffer's memory")?;
@@ -324,7 +370,7 @@ fn image_backing(
         false => None,
     };
     let Some(memory_type_index) = lazy else {
-        let allocation = allocate(gpu, desc.name, requirements, MemoryLocation::GpuOnly, false)?;
+        let allocation = allocate(gpu, desc.name, requirements, Memory::Device, false)?;
         return Ok(Backing::Allocation(allocation));
     };
     let info = vk::MemoryAllocateInfo::default()

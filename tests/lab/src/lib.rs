@@ -3,6 +3,7 @@
 pub mod abrupt;
 pub mod bars;
 pub mod causes;
+pub mod churn;
 pub mod compare;
 pub mod costs;
 mod cpu_clock;

@@ -3,6 +3,7 @@
 
 use crate::abrupt;
 use crate::causes::{self, CAUSES, Cause};
+use crate::churn;
 use crate::costs;
 use crate::headset_off::{self, Absence};
 use crate::motion_table::{self, Condition, Kind};
@@ -67,6 +68,9 @@ pub fn asset(name: &str) -> Option<PathBuf> {
 
 /// Makes a result in a folder for what it needs meanwhile.
 type Work = dyn Fn(&Path) -> anyhow::Result<Option<Value>>;
+
+/// Updates after which nothing may have grown.
+const CHURN_UPDATES: u32 = 10_000;
 
 /// A measurement: what it is called, and what makes its result. `None` where something that it needs is not there.
 struct Job {
@@ -168,6 +172,17 @@ fn jobs() -> Vec<Job> {
     jobs.push(Job::new("viewers-4", |folder| four_viewers(folder).map(Some)));
     jobs.push(Job::new("second-viewer-dragons9", |folder| second_viewer(folder).map(Some)));
     jobs.push(Job::new("headset-off", |folder| headset_off(folder).map(Some)));
+    jobs.push(Job::new("churn", |folder| {
+        let options = RunOptions {
+            extent_pixels: [64, 64],
+            validation: true,
+            surround: DEFAULT_SURROUND,
+            ..RunOptions::new(SceneSource::Dragons(25), folder.join("run"))
+        };
+        let report = churn::measure(&options, CHURN_UPDATES)?;
+        println!("{report}");
+        Ok(Some(serde_json::to_value(report)?))
+    }));
     jobs.push(Job::new("neighbours", |_| {
         let report = crate::hostile::neighbours::measure(NEIGHBOUR_SECONDS)?;
         println!("{report}");
