@@ -76,6 +76,7 @@ fn options(seconds: f64) -> anyhow::Result<StreamOptions> {
         atlas_extent_texels: "1024x1024".parse().map_err(anyhow::Error::msg)?,
         quality: QualityOptions::default(),
         show: ShowOptions { detail_pixels: DEFAULT_DETAIL_PIXELS, surround: DEFAULT_SURROUND },
+        shade_ms: None,
         rate_hz: 30.0,
         viewers: 4,
         link: None,

@@ -275,6 +275,16 @@ impl Frame {
         self.shading_budget_texels = texels;
     }
 
+    /// What the last update shaded, and what it did not have to.
+    pub fn reused(&self) -> Reused {
+        self.reuse.reused()
+    }
+
+    /// Part of the blocks' texels that was not shaded again, over all updates, 0..1.
+    pub fn reused_share(&self) -> f32 {
+        self.reuse.total_share()
+    }
+
     /// A picture that is not needed any more.
     pub fn recycle(&mut self, picture: Source) {
         let Source::Planes(picture) = picture;

@@ -31,6 +31,7 @@ pub mod reuse;
 pub mod samples;
 pub mod scene;
 pub mod sessions;
+pub mod shade_rate;
 pub mod shadow_change;
 pub mod sizing;
 pub mod stages;

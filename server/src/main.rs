@@ -127,6 +127,10 @@ struct StreamArgs {
     /// Updates per second, 1 to 60
     #[arg(long, default_value_t = 30.0, value_parser = number(1.0..=60.0, "updates a second"))]
     rate: f64,
+    /// Milliseconds of an update for surfaces that are shaded again; what is new is always shaded [default: what is left
+    /// of the update's period]
+    #[arg(long, value_name = "MS", value_parser = number(0.1..=1000.0, "milliseconds"))]
+    shade_ms: Option<f64>,
     /// Clients that are served at once, 1 to 16; all see the same moment of the same world
     #[arg(long, default_value_t = 4, value_parser = value_parser!(u8).range(1..=16))]
     viewers: u8,
@@ -277,6 +281,7 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
         quality: args.quality.options(),
         show: ShowOptions { detail_pixels: args.detail, surround: args.surround },
         rate_hz: args.rate,
+        shade_ms: args.shade_ms,
         viewers: usize::from(args.viewers),
         link,
         seed: args.seed,
@@ -289,6 +294,12 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
     let say = |line: &str| voice.say(line);
     let stats = run(Device { gpu, scene }, &reopen, &options, cancel.flag(), &say)?;
     voice.say(&format!("{} updates, {:.1} a second", stats.updates, stats.server_fps));
+    if let Some(last) = stats.viewers.last() {
+        voice.say(&format!(
+            "{:.0} % of the texels in blocks were not shaded again",
+            100.0 * last.reused_share
+        ));
+    }
     let busy_s: f64 = stats.viewers.iter().map(|viewer| viewer.busy_s).sum();
     for viewer in stats.viewers.iter().filter(|_| stats.viewers.len() > 1) {
         let (number, share) = (viewer.viewer, 100.0 * viewer.busy_s / busy_s.max(1e-9));

@@ -170,6 +170,8 @@ pub struct Reuse<S> {
     due: Vec<Due>,
     update: u32,
     reused: Reused,
+    /// Texels of all updates: of all blocks, and of those that were shaded.
+    total_texels: [u64; 2],
 }
 
 impl<S: PartialEq> Reuse<S> {
@@ -187,6 +189,7 @@ impl<S: PartialEq> Reuse<S> {
             due: Vec::new(),
             update: 0,
             reused: Reused::default(),
+            total_texels: [0; 2],
         }
     }
 
@@ -225,6 +228,12 @@ impl<S: PartialEq> Reuse<S> {
     /// What the last update shaded and did not.
     pub fn reused(&self) -> Reused {
         self.reused
+    }
+
+    /// Part of the texels that was not shaded, over all updates, 0..1.
+    pub fn total_share(&self) -> f32 {
+        let [all, shaded] = self.total_texels.map(|texels| texels as f64);
+        (1.0 - shaded / all.max(1.0)) as f32
     }
 
     /// What has changed since the last moment.
@@ -347,7 +356,7 @@ impl<S: PartialEq> Reuse<S> {
     /// What was chosen is as it is to be.
     fn shade(&mut self, world_from_head: Pose, surfaces: &impl Surfaces) {
         self.due.clear();
-        let texels = self.records.iter().map(|record| u64::from(record.block.size.texels())).sum();
+        let texels: u64 = self.records.iter().map(|record| u64::from(record.block.size.texels())).sum();
         self.reused = Reused {
             blocks: self.records.len() as u32,
             texels,
@@ -364,6 +373,8 @@ impl<S: PartialEq> Reuse<S> {
             self.reused.shaded_texels += u64::from(record.block.size.texels());
             self.due.push(Due { patch: record.patch, block: record.block, cause });
         }
+        self.total_texels[0] += texels;
+        self.total_texels[1] += self.reused.shaded_texels;
     }
 }
 

@@ -66,6 +66,8 @@ pub struct StreamOptions {
     pub show: ShowOptions,
     /// Updates per second.
     pub rate_hz: f64,
+    /// Milliseconds of an update for blocks that are shaded again; `None`: what is left of its period.
+    pub shade_ms: Option<f64>,
     /// Clients that are served at once.
     pub viewers: usize,
     /// A simulated link on the real socket.

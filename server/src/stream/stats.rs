@@ -89,4 +89,6 @@ pub struct ViewerStats {
     pub detail_pixels: f32,
     /// Texels that its last update asked for along a pixel.
     pub texels_per_pixel: f32,
+    /// Part of its blocks' texels that was not shaded again, over all updates.
+    pub reused_share: f32,
 }

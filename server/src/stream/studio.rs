@@ -12,6 +12,7 @@ use crate::motion::sender::SharedMotion;
 use crate::pacing::Budget;
 use crate::quality::QualityOptions;
 use crate::scene::SceneGpu;
+use crate::shade_rate::ShadeRate;
 use crate::viewer::Updates;
 use crate::world::{ViewerId, World};
 use shadecast_gpu::{Gpu, GpuError};
@@ -42,6 +43,8 @@ pub(super) struct GpuStudio<'a> {
     world: Option<World>,
     viewers: u64,
     looking: usize,
+    /// How fast the device shades.
+    shade_rate: ShadeRate,
     /// Kept for that.
     scene: Option<Scene>,
     reopen: &'a Reopen<'a>,
@@ -62,6 +65,7 @@ impl<'a> GpuStudio<'a> {
             world: None,
             viewers: 0,
             looking: 0,
+            shade_rate: ShadeRate::default(),
             scene: None,
             reopen,
             options,
@@ -96,7 +100,13 @@ impl Studio for GpuStudio<'_> {
     }
 
     fn update(&mut self, frame: &mut Frame, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
-        self.world.as_mut().map_or(Ok(None), |world| frame.update(world, now))
+        let Some(world) = &mut self.world else { return Ok(None) };
+        // Who looks at the same time has a part of it.
+        let period_ms = 1e3 / self.options.rate_hz / self.looking.max(1) as f64;
+        frame.set_shading_budget(self.shade_rate.budget_texels(self.options.shade_ms, period_ms));
+        let shaded = frame.update(world, now)?;
+        shaded.iter().for_each(|shaded| self.shade_rate.note(&shaded.timings, frame.reused().shaded_texels));
+        Ok(shaded)
     }
 
     fn close(&mut self, frame: Frame, has_failed: bool) {
@@ -118,6 +128,7 @@ impl Studio for GpuStudio<'_> {
         let shows = frame.shows(world);
         (stats.triangles, stats.detail_pixels) = (shows.triangles, shows.detail_pixels);
         stats.texels_per_pixel = shows.texels_per_pixel;
+        stats.reused_share = frame.reused_share();
         stats.levels = shows.levels;
     }
 
@@ -133,6 +144,7 @@ impl Studio for GpuStudio<'_> {
 
     fn reopen(&mut self) -> anyhow::Result<()> {
         (self.world, self.looking) = (None, 0);
+        self.shade_rate = ShadeRate::default();
         if let Some(Device { scene, .. }) = self.device.take() {
             self.scene = Some(scene.scene.clone());
         }

@@ -41,6 +41,12 @@ impl Timings {
     }
 }
 
+impl FromIterator<Timing> for Timings {
+    fn from_iter<T: IntoIterator<Item = Timing>>(timings: T) -> Self {
+        Self(timings.into_iter().collect())
+    }
+}
+
 impl KeptTimings {
     /// Keeps the timings of a recording that has just finished. Nothing is allocated once there are as many as are kept.
     pub(crate) fn keep(&mut self, serial: u64, scopes: impl Iterator<Item = Timing>) {

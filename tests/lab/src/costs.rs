@@ -30,11 +30,13 @@ pub enum Part {
     Cubic,
     /// Levels of detail.
     Detail,
+    /// Blocks that are not shaded again.
+    Reuse,
 }
 
 impl Part {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Filter, Self::Surround, Self::Cubic, Self::Detail];
+    pub const ALL: [Self; 5] = [Self::Filter, Self::Surround, Self::Cubic, Self::Detail, Self::Reuse];
 
     /// The same run with it and without it.
     fn switched(self, options: &RunOptions, is_on: bool) -> RunOptions {
@@ -44,7 +46,8 @@ impl Part {
             Self::Filter if !is_on => options.spared.ideal.filter = Filter::Texel,
             Self::Cubic if is_on => options.reconstruction = Reconstruction::Bicubic,
             Self::Detail if !is_on => options.detail_pixels = 0.0,
-            Self::Filter | Self::Cubic | Self::Detail => {}
+            Self::Reuse if !is_on => options.spared.ideal.reuse = false,
+            Self::Filter | Self::Cubic | Self::Detail | Self::Reuse => {}
         }
         options
     }
@@ -55,6 +58,7 @@ impl Part {
             Self::Surround => "surround",
             Self::Cubic => "cubic",
             Self::Detail => "levels of detail",
+            Self::Reuse => "reuse",
         }
     }
 }

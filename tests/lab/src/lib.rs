@@ -36,6 +36,7 @@ pub mod slow_link;
 pub mod ssim;
 pub mod stats;
 pub mod steadiness;
+pub mod still;
 pub mod tearing;
 mod text_table;
 pub mod truth;

@@ -22,6 +22,7 @@ use shadecast_lab::room::{MANY_VASES, write_room};
 use shadecast_lab::run::{Report, run};
 use shadecast_lab::skinning;
 use shadecast_lab::steadiness;
+use shadecast_lab::still;
 use shadecast_lab::viewers::run_each;
 use shadecast_lab::walls::{TEXELS, write_walls};
 use shadecast_protocol::atlas::AtlasExtent;
@@ -71,6 +72,8 @@ enum Command {
     Causes(CausesArgs),
     /// Measures the ways of skinning side by side, against the floor that the device's own rates set
     Skinning(SkinningArgs),
+    /// Measures the second update of a scene in which nothing moves beside the first, by stage of the device
+    Still(RunArgs),
     /// Runs server and client as two processes in real time, then the same scene in virtual time; pictures, figures, a page
     Demo(DemoArgs),
     /// Runs what takes long, one after the other, and checks the bars; what is done already is left out
@@ -224,6 +227,12 @@ struct RunArgs {
     /// Part of the client's slots and of the atlas for what an abrupt turn of the head would show, 0 to 0.5; 0: none
     #[arg(long, value_name = "SHARE", default_value_t = DEFAULT_SURROUND, value_parser = number(0.0..=0.5f32, "of all"))]
     surround: f32,
+    /// Texels that an update may shade again beside those of new blocks [default: all]
+    #[arg(long, value_name = "TEXELS")]
+    shade_texels: Option<u64>,
+    /// All blocks are shaded with each update, whether anything about them has changed or not
+    #[arg(long)]
+    no_reuse: bool,
     /// What the client offers to keep and to draw: patches=N,vertices=N,triangles=N [default: as much as any may]
     #[arg(long, value_parser = parse_room, default_value = "patches=131072", hide_default_value = true)]
     room: Room,
@@ -421,6 +430,7 @@ fn main() {
             write_walls(&out, TEXELS).map(|_| ()).with_context(|| format!("writing into {}", out.display()))
         }
         Command::Skinning(args) => measure_skinning(&args),
+        Command::Still(args) => measure_still(args),
         Command::Hostile(args) => attack(args),
         Command::Neighbours { seconds, json } => neighbours(seconds, json.as_deref()),
         Command::RecordTraffic { out } => hostile::traffic::record(&out),
@@ -448,6 +458,14 @@ fn measure_steadiness(args: RunArgs) -> anyhow::Result<()> {
     print!("{report}");
     let path = out.join("steadiness.json");
     shadecast_transport::write_atomically(&path, serde_json::to_string_pretty(&report)?.as_bytes())
+        .with_context(|| format!("writing {}", path.display()))
+}
+
+fn measure_still(args: RunArgs) -> anyhow::Result<()> {
+    let path = args.out.join("still.json");
+    let found = still::measure(&run_options(args)?)?;
+    println!("{found}");
+    shadecast_transport::write_atomically(&path, serde_json::to_string_pretty(&found)?.as_bytes())
         .with_context(|| format!("writing {}", path.display()))
 }
 
@@ -491,8 +509,12 @@ fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         rate_hz: args.rate,
         trace: args.trace,
         detail_pixels: args.detail,
-        spared: Spared { ideal: Ideal { views: args.views, ..Ideal::default() }, ..Spared::default() },
+        spared: Spared {
+            ideal: Ideal { views: args.views, reuse: !args.no_reuse, ..Ideal::default() },
+            ..Spared::default()
+        },
         surround: args.surround,
+        shade_texels: args.shade_texels,
         room: args.room,
         seed: args.seed,
         dump_every: args.dump_every,

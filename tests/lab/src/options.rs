@@ -215,6 +215,8 @@ pub struct RunOptions {
     pub surround: f32,
     /// What the clients offer to keep and to draw.
     pub room: Room,
+    /// Texels that an update may shade again; all where it is `None`.
+    pub shade_texels: Option<u64>,
     /// Updates per second.
     pub rate_hz: f64,
     /// Display frames per second.
@@ -258,6 +260,7 @@ impl RunOptions {
             detail_pixels: DEFAULT_DETAIL_PIXELS,
             surround: 0.0, // what is around costs tests time, and few look there
             room: USUAL_ROOM,
+            shade_texels: None,
             rate_hz: 30.0,
             refresh_hz: 72.0,
             scene_options: SceneOptions::default(),
@@ -325,7 +328,15 @@ impl RunOptions {
         if self.seed != usual.seed {
             line += &format!(" --seed {}", self.seed);
         }
-        for (flag, is_on) in [(" --measure-motion", self.motion), (" --validation", self.validation)] {
+        if let Some(texels) = self.shade_texels {
+            line += &format!(" --shade-texels {texels}");
+        }
+        let flags = [
+            (" --measure-motion", self.motion),
+            (" --validation", self.validation),
+            (" --no-reuse", !self.spared.ideal.reuse),
+        ];
+        for (flag, is_on) in flags {
             line += if is_on { flag } else { "" };
         }
         if scene == "robot.glb" {

@@ -251,6 +251,9 @@ impl Run<'_> {
             dropped_patches: seat.dropped_patches(),
             triangles: (sent.triangles - before.triangles) as f64 / updates,
             texels_per_pixel: (sent.texels_per_pixel_sum - before.texels_per_pixel_sum) / updates,
+            reused_share: 1.0
+                - (sent.texels[1] - before.texels[1]) as f64
+                    / (sent.texels[0] - before.texels[0]).max(1) as f64,
             mean_level: sent.levels[0] as f64 / sent.levels[1].max(1) as f64,
             clock_errors_ms: self.clock_errors_ms,
             clock_error_bound_ms: lab.client.stats().clock_error_bound_ms,

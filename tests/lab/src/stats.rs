@@ -50,6 +50,8 @@ pub struct Counted {
     pub mean_level: f64,
     /// Mean of the texels that blocks are asked to have along a pixel.
     pub texels_per_pixel: f64,
+    /// Part of the blocks' texels that updates did not shade again.
+    pub reused_share: f64,
     /// Differences of the client's estimate of the server's clock from the truth, milliseconds, one for each display
     /// frame; empty where there is nothing to estimate.
     pub clock_errors_ms: Vec<f64>,
@@ -123,6 +125,9 @@ pub struct Stats {
     /// Mean over updates of the texels that blocks are asked to have along a pixel of the display, before sides are rounded up.
     #[serde(default)]
     pub texels_per_pixel: f64,
+    /// Part of the texels in blocks that updates did not shade again, 0 to 1.
+    #[serde(default)]
+    pub reused_share: f64,
     /// Largest difference of the client's estimate of the server's clock from the truth at a display frame; null where both
     /// have one clock, and in real time, where nobody knows.
     #[serde(default)]
@@ -232,6 +237,7 @@ impl Summary {
             triangles: counted.triangles,
             mean_level: counted.mean_level,
             texels_per_pixel: counted.texels_per_pixel,
+            reused_share: counted.reused_share,
             clock_error_ms,
             clock_error_p99_ms,
             clock_error_bound_ms: counted.clock_error_bound_ms,
@@ -310,6 +316,8 @@ impl fmt::Display for Stats {
             "detail",
             format_args!("{triangles:.0} triangles, mean level {level:.2}, {texels:.2} texels a pixel"),
         )?;
+        let percent = 100.0 * self.reused_share;
+        line(f, "reused", format_args!("{percent:.1} % of the texels in blocks were not shaded again"))?;
         line(f, "dropped patches", format_args!("{}", self.dropped_patches))?;
         line(f, "validation", format_args!("{} messages", self.validation_messages))?;
         let stages: Vec<_> = self.gpu_ms.iter().map(|(stage, ms)| format!("{stage} {ms:.1}")).collect();

@@ -67,6 +67,7 @@ pub struct Server {
     rate_hz: f64,
     spared: Spared,
     show: ShowOptions,
+    shade_texels: Option<u64>,
 }
 
 /// A link with a client at its end, and the server's side of it.
@@ -108,6 +109,11 @@ impl Server {
         if let Some(clip) = &options.clip {
             play_clip(&mut scene, clip)?;
         }
+        Self::of_scene(options, scene)
+    }
+
+    /// The same with a scene that is there.
+    pub fn of_scene(options: &RunOptions, scene: Scene) -> anyhow::Result<Self> {
         let gpu_options = GpuOptions {
             needs: Needs::Server,
             validation: options.validation,
@@ -125,6 +131,7 @@ impl Server {
             atlas_extent_texels: options.atlas_extent_texels,
             rate_hz: options.rate_hz,
             spared: options.spared.clone(),
+            shade_texels: options.shade_texels,
             show: ShowOptions { detail_pixels: options.detail_pixels, surround: options.surround },
         })
     }

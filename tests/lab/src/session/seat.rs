@@ -39,6 +39,8 @@ pub struct Sent {
     pub qp_sum: u64,
     /// Texels that were asked for a pixel, summed over updates.
     pub texels_per_pixel_sum: f64,
+    /// Texels of all blocks, and of those that were shaded, summed over updates.
+    pub texels: [u64; 2],
     /// Bytes of access units.
     pub atlas_bytes: u64,
     /// Bytes of geometry deltas.
@@ -237,7 +239,7 @@ impl Seat {
         let first_qp = server.quality.first_qp();
         let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, first_qp, server.rate_hz);
         self.encoding = Some(Encoding::new(encode::encoder(welcome.codec, settings)?));
-        let frame = Frame::with_ideal(
+        let mut frame = Frame::with_ideal(
             &server.world,
             ViewerId(self.number),
             &welcome,
@@ -245,6 +247,7 @@ impl Seat {
             server.show,
             server.spared.ideal.clone(),
         )?;
+        server.shade_texels.into_iter().for_each(|texels| frame.set_shading_budget(texels));
         let quality = server.quality.of_codec(welcome.codec);
         self.viewer = Some(Viewer::new(frame, sender, quality, server.period_ns(), now_ns));
         Ok(())
@@ -294,6 +297,8 @@ impl Seat {
         let shows = frame.shows(&server.world);
         self.sent.triangles += u64::from(shows.triangles);
         self.sent.texels_per_pixel_sum += f64::from(shows.texels_per_pixel);
+        self.sent.texels[0] += shows.reused.texels;
+        self.sent.texels[1] += shows.reused.shaded_texels;
         self.sent.levels[0] += shows.levels.iter().sum::<usize>() as u64;
         self.sent.levels[1] += shows.levels.len() as u64;
         self.shows.resize(shaded.update.0 as usize, Shows::default());
