@@ -193,16 +193,6 @@ impl<S: PartialEq> Reuse<S> {
         }
     }
 
-    /// Whether anything is ever spared.
-    pub fn is_on(&self) -> bool {
-        self.is_on
-    }
-
-    /// Nothing is believed any more of what is in the atlas.
-    pub fn forget(&mut self) {
-        self.records.clear();
-    }
-
     /// What is due with the next update, ascending: of the blocks that there are now, given ascending by patch, seen by a head at a
     /// moment. `budget_texels` is what may be shaded beside new blocks. All of it counts as shaded.
     pub fn due(
@@ -618,8 +608,6 @@ mod tests {
         assert_eq!(due(&mut reuse, &row, row.moment([0, 1, 0, 0]), &all()), []);
         row.absent = None;
         assert_eq!(due(&mut reuse, &row, row.moment([0, 1, 0, 0]), &all()), of(Cause::New, 10..20));
-        reuse.forget();
-        assert_eq!(due(&mut reuse, &row, row.moment([0, 1, 0, 0]), &all()).len(), 40);
     }
 
     #[test]

@@ -78,3 +78,19 @@ fn textures_filtered_for_the_display_are_nearer_to_the_truth_than_those_filtered
     assert!(pixel.flip < texel.flip, "{:?}, {:?}", pixel.flip, texel.flip);
     assert_eq!(texel.validation_messages, 0);
 }
+
+#[test]
+fn blocks_that_are_not_shaded_again_cost_no_more_than_a_fifth_of_a_decibel() {
+    let _turn = turn();
+    let out = tempfile::tempdir().unwrap();
+    let walls = SceneSource::File(write_walls(out.path(), TEXELS).unwrap());
+    let [reused, all] = [true, false].map(|reuse| {
+        let spared = Spared { ideal: Ideal { reuse, ..Ideal::default() }, ..Spared::default() };
+        run(&RunOptions { spared, ..small(walls.clone(), &out.path().join("run")) }).unwrap().stats
+    });
+    let lost_db = all.psnr_db.zip(reused.psnr_db).map(|(all, reused)| all - reused);
+    assert!(lost_db < Some(0.2), "{:?}, {:?}", reused.psnr_db, all.psnr_db);
+    assert!(reused.reused_share > 0.5 && all.reused_share == 0.0, "{}", reused.reused_share);
+    assert!(reused.mbit_per_s.atlas < all.mbit_per_s.atlas, "the encoder skips what stays");
+    assert_eq!((reused.validation_messages, all.validation_messages), (0, 0));
+}

@@ -12,6 +12,7 @@ use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_server::encode::Source;
 use shadecast_server::frame::{Frame, Shaded, ShowOptions, Shows};
 use shadecast_server::ideal::Ideal;
+use shadecast_server::reuse::{Cause, Reused};
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::world::{ViewerId, World};
 use shadecast_test_support::peers;
@@ -133,14 +134,15 @@ fn a_still_scene_is_shaded_and_converted_once_and_looked_at_from_one_place() {
 #[test]
 fn shadows_of_what_moves_are_nowhere_old() {
     let mut both = Both::new(dragons(3, true));
-    let (mut shaded, mut texels) = (0, 0);
+    let (mut shaded, mut texels, mut last) = (0, 0, Reused::default());
     for update in 0..SETTLED {
         let (pictures, shows) = both.update(AT, down(0.4));
+        last = shows.reused;
         let (worst, block) = worst_luma(&pictures, &both.blocks());
         assert!(worst <= 1, "update {update}: {worst} steps in {block:?}");
         (shaded, texels) = (shaded + shows.reused.shaded_texels, texels + shows.reused.texels);
     }
-    println!("{:.3} of the texels were shaded", shaded as f64 / texels as f64);
+    println!("{:.3} of the texels were shaded, at last {last:?}", shaded as f64 / texels as f64);
     assert!(shaded < texels * 9 / 10, "the ground beside the shadows stays: {shaded} of {texels}");
     both.ends_well();
 }
@@ -159,5 +161,25 @@ fn a_head_that_moves_sees_no_more_than_a_few_steps_of_what_was_shaded_before() {
     }
     println!("{:.3} of the texels were shaded", shaded as f64 / texels as f64);
     assert!(shaded < texels / 2, "most looks the same from a little aside: {shaded} of {texels}");
+    both.ends_well();
+}
+
+#[test]
+fn a_budget_bounds_what_is_shaded_again_and_what_is_new_is_never_left_out() {
+    const BUDGET_TEXELS: u64 = 20_000;
+    let mut both = Both::new(dragons(3, true));
+    both.frames[0].set_shading_budget(BUDGET_TEXELS);
+    let (mut waiting, mut oldest) = (0, 0);
+    for update in 0..SETTLED {
+        let ([bounded, all], shows) = both.update(AT, down(0.4));
+        let Reused { shaded, shaded_texels, .. } = shows.reused;
+        waiting += shows.reused.waiting;
+        if shaded[Cause::New as usize] == 0 {
+            assert!(shaded_texels <= BUDGET_TEXELS, "update {update}: {:?}", shows.reused);
+        }
+        oldest = oldest.max(worst_luma(&[bounded, all], &both.blocks()).0);
+        assert!(update > 0 || oldest == 0, "all is new at first");
+    }
+    assert!(waiting > 0 && oldest > 0, "there is more to do than the budget allows");
     both.ends_well();
 }
