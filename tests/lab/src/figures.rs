@@ -3,6 +3,7 @@
 
 use crate::bars::{BARS, Bars};
 use crate::causes::Causes;
+use crate::table1::plot;
 use anyhow::{Context, bail};
 use serde_json::Value;
 use std::fmt::Write;
@@ -12,10 +13,20 @@ const BEGIN: &str = "<!-- figures ";
 const BEGIN_END: &str = " -->\n";
 const END: &str = "<!-- /figures -->";
 /// The documents with tables, from the project's root, and where the results are.
-const DOCUMENTS: [&str; 3] = ["README.md", "docs/figures.md", "docs/causes.md"];
+const DOCUMENTS: [&str; 4] = ["README.md", "docs/figures.md", "docs/causes.md", "docs/table1.md"];
 const RESULTS: &str = "docs/results";
 const KEYS: &str = "docs/keys.svg";
 const KEYS_RESULT: &str = "inspect-error-dragon";
+const TABLE1_RESULT: &str = "table1";
+/// Pictures of the paper's table, and what draws them.
+const TABLE1_PLOTS: [(&str, Plot); 2] =
+    [("docs/table1.svg", plot::rates), ("docs/table1-cost.svg", plot::costs)];
+
+/// Draws a result.
+type Plot = fn(&Value) -> anyhow::Result<String>;
+
+/// What stands for a table whose result is not there.
+const NOT_MEASURED: &str = "Not measured yet.\n";
 
 /// Results and what people call them.
 const SCENES: [(&str, &str); 10] = [
@@ -39,7 +50,7 @@ const PICTURES: [(&str, &str); 4] = [
     ("walls", "painted walls, still"),
 ];
 
-/// Writes all tables anew, and the curve of keys; `root` is the project's.
+/// Writes all tables anew, and the curves; `root` is the project's.
 ///
 /// # Errors
 /// A file cannot be read or written, or names a table that does not exist.
@@ -50,7 +61,9 @@ pub fn write(root: &Path) -> anyhow::Result<()> {
         replace(&path, &filled(&text, &root.join(RESULTS)).with_context(|| document.to_owned())?)?;
     }
     let inspected = read(&root.join(RESULTS), KEYS_RESULT).context("the error table has not been made")?;
-    replace(&root.join(KEYS), &crate::keys::svg(&inspected)?)
+    replace(&root.join(KEYS), &crate::keys::svg(&inspected)?)?;
+    let Some(table) = read(&root.join(RESULTS), TABLE1_RESULT) else { return Ok(()) };
+    TABLE1_PLOTS.iter().try_for_each(|(path, plot)| replace(&root.join(path), &plot(&table)?))
 }
 
 fn replace(path: &Path, text: &str) -> anyhow::Result<()> {
@@ -84,6 +97,11 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "neighbours" => neighbours(results),
         "hostile" => hostile(results),
         "skinning" => skinning(results),
+        "table1" => table1(results, "paper", "ours"),
+        "table1-as-paper" => table1(results, "paper", "as-paper"),
+        "table1-shipped" => table1(results, "shipped", "ours"),
+        "table1-stages" => table1_stages(results),
+        "table1-growth" => table1_growth(results),
         name if name.starts_with("causes-") => causes(name, results)?,
         "bars" => format!("```text\n{}\n```\n", Bars::parse(BARS)?.check(results)),
         other => bail!("there is no table \"{other}\""),
@@ -97,7 +115,7 @@ fn read(results: &Path, name: &str) -> Option<Value> {
 
 /// What each cause of error costs in a scene.
 fn causes(name: &str, results: &Path) -> anyhow::Result<String> {
-    let Some(found) = read(results, name) else { return Ok("Not measured yet.\n".to_owned()) };
+    let Some(found) = read(results, name) else { return Ok(NOT_MEASURED.to_owned()) };
     let found: Causes = serde_json::from_value(found).with_context(|| name.to_owned())?;
     Ok(format!("```text\n{found}```\n"))
 }
@@ -338,6 +356,89 @@ fn skinning(results: &Path) -> String {
     markdown(&heads, variants.iter().map(row))
 }
 
+/// Rows of the paper's table, of a set and a mode.
+fn table1_rows(result: &Value, set: &str, mode: &str) -> Vec<Value> {
+    let rows = result["rows"].as_array().cloned().unwrap_or_default();
+    rows.into_iter().filter(|row| row["set"] == set && row["mode"] == mode).collect()
+}
+
+/// The paper's table, a row a scene and column.
+fn table1(results: &Path, set: &str, mode: &str) -> String {
+    let Some(result) = read(results, TABLE1_RESULT) else { return NOT_MEASURED.to_owned() };
+    let columns = [
+        ("updates a second", "{server_fps,1,2}"),
+        ("frames a second", "{client_fps,1,1}"),
+        ("both at once", "{shared_fps.server,1,2}, {shared_fps.client,1,1}"),
+        ("the paper's", "{paper_fps.server,1,0}, {paper_fps.client,1,0}"),
+        ("over that without animation", "{over_off.server,1,2}, {over_off.client,1,2}"),
+        ("over that of dragons that stand still", "{over_static.server,1,2}, {over_static.client,1,2}"),
+        ("an update", "{update_ms,1,0} ms"),
+        ("its animation and geometry", "{animation_geometry_ms,1,2} ms"),
+        ("its picture's encoder", "{encode_ms,1,0} ms"),
+        ("patches, left out", "{patches,1,0}, {dropped_patches,1,0}"),
+    ];
+    let heads = ["dragons", "animation"].into_iter().chain(columns.map(|(head, _)| head));
+    let row = |row: &Value| {
+        let first = [cell_of("{dragons,1,0}", row), row["column"].as_str().unwrap_or("?").to_owned()];
+        first.into_iter().chain(columns.iter().map(|(_, cell)| cell_of(cell, row))).collect()
+    };
+    let rows = table1_rows(&result, set, mode);
+    let [width, height] = [0, 1].map(|side| result["size"]["extent_pixels"][side].as_u64().unwrap_or(0));
+    let atlas = [0, 1].map(|side| result["size"]["atlas_extent_texels"][side].as_u64().unwrap_or(0));
+    let table = markdown(&heads.collect::<Vec<_>>(), rows.iter().map(row));
+    format!(
+        "{}, {width}x{height} pixels an eye (scale {}), atlas of {}x{} texels, medians of {} rounds.\n\n{table}",
+        result["device"].as_str().unwrap_or("?"),
+        result["scale"],
+        atlas[0],
+        atlas[1],
+        result["rounds"]
+    )
+}
+
+/// Where an update's and a frame's time goes, all dragons in flight.
+fn table1_stages(results: &Path) -> String {
+    let Some(result) = read(results, TABLE1_RESULT) else { return NOT_MEASURED.to_owned() };
+    let parts = |row: &Value, key: &str| {
+        let stages = row[key].as_object().into_iter().flatten();
+        let shown = stages.filter_map(|(stage, ms)| {
+            ms.as_f64().filter(|ms| *ms >= 0.05).map(|ms| format!("{stage} {ms:.1}"))
+        });
+        shown.collect::<Vec<_>>().join(", ")
+    };
+    let ways = [("paper", "ours"), ("paper", "as-paper"), ("shipped", "ours")];
+    let rows = ways.iter().flat_map(|(set, mode)| table1_rows(&result, set, mode));
+    let cells = rows.filter(|row| row["column"] == "animated").map(|row| {
+        let word = |key: &str| row[key].as_str().unwrap_or("?").to_owned();
+        let first = [format!("{}, {}", word("set"), word("mode")), cell_of("{dragons,1,0}", &row)];
+        let keys = ["server_ms", "server_cpu_ms", "client_ms"];
+        first.into_iter().chain(keys.map(|key| parts(&row, key))).collect()
+    });
+    let heads = [
+        "",
+        "dragons",
+        "an update on the device, ms",
+        "its CPU time, ms",
+        "a display frame on the device, ms",
+    ];
+    markdown(&heads, cells)
+}
+
+/// How the cost grows, and ours beside the paper's ways.
+fn table1_growth(results: &Path) -> String {
+    let Some(result) = read(results, TABLE1_RESULT) else { return NOT_MEASURED.to_owned() };
+    let growth = cell_of(
+        "{full_detail,1,2} in full detail, {shipped,1,2} as it ships, {as_paper,1,2} by the paper's ways",
+        &result["growth"],
+    );
+    let speedups = result["speedups"].as_array().cloned().unwrap_or_default();
+    let columns = ["{dragons,1,0}", "{animation_geometry,1,1}x", "{update,1,2}x"];
+    let row = |speedup: &Value| columns.map(|cell| cell_of(cell, speedup)).into();
+    let heads = ["dragons", "animation and geometry", "a whole update"];
+    let table = markdown(&heads, speedups.iter().map(row));
+    format!("An update's cost grows with the number of dragons to the power of {growth}.\n\n{table}")
+}
+
 /// Of each attack what was worst.
 fn hostile(results: &Path) -> String {
     let result = read(results, "hostile").unwrap_or_default();
@@ -386,6 +487,36 @@ mod tests {
         assert!(
             keys == crate::keys::svg(&inspected).expect("a curve"),
             "{KEYS}: run `shadecast-lab figures`"
+        );
+        let Some(table) = read(&root().join(RESULTS), TABLE1_RESULT) else { return };
+        for (path, plot) in TABLE1_PLOTS {
+            let drawn = std::fs::read_to_string(root().join(path)).expect("the plot");
+            assert!(drawn == plot(&table).expect("a plot"), "{path}: run `shadecast-lab figures`");
+        }
+    }
+
+    #[test]
+    fn the_papers_table_is_shown_as_its_result_says_and_without_one_says_so() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for name in ["table1", "table1-as-paper", "table1-shipped", "table1-stages", "table1-growth"] {
+            assert_eq!(table(name, folder.path()).expect("a table"), NOT_MEASURED, "{name}");
+        }
+        let report = serde_json::to_string(&crate::table1::report::tests::report()).expect("JSON");
+        std::fs::write(folder.path().join("table1.json"), report).expect("written");
+        let shown = table("table1", folder.path()).expect("a table");
+        assert!(
+            shown.starts_with("a device, 652x652 pixels an eye (scale 0.5), atlas of 2048x1024"),
+            "{shown}"
+        );
+        assert_eq!(shown.lines().count(), 2 + 2 + 6, "{shown}");
+        let row = "| 9 | animated | 11.11 | 250.0 | 1.00, 2.0 | 38, 370 | 0.90, 1.00 |";
+        assert!(shown.contains(row), "{shown}");
+        let stages = table("table1-stages", folder.path()).expect("a table");
+        assert!(stages.contains("| paper, as-paper | 49 | id buffer 490.0, skin 980.0 |"), "{stages}");
+        let growth = table("table1-growth", folder.path()).expect("a table");
+        assert!(
+            growth.contains("1.00 in full detail, 0.50 as it ships, 1.00 by the paper's ways"),
+            "{growth}"
         );
     }
 

@@ -37,6 +37,7 @@ pub mod ssim;
 pub mod stats;
 pub mod steadiness;
 pub mod still;
+pub mod table1;
 pub mod tearing;
 mod text_table;
 pub mod truth;

@@ -14,6 +14,7 @@ use crate::room::{MANY_VASES, write_room};
 use crate::run::run;
 use crate::skinning;
 use crate::slow_link;
+use crate::table1::{self, Table1Options};
 use crate::viewers::among_others;
 use crate::walls::{TEXELS, write_walls};
 use anyhow::{Context, bail, ensure};
@@ -168,6 +169,13 @@ fn jobs() -> Vec<Job> {
         println!("{found}");
         Ok(Some(serde_json::to_value(found)?))
     }));
+    jobs.push(Job::new("table1", |_| {
+        // In a place of its own, so that a run that is broken off goes on.
+        let out = Path::new("out/table1");
+        let report = table1::measure(&Table1Options::new(out.into(), table1::usual_scale(None)?), &say)?;
+        print!("{report}");
+        Ok(Some(serde_json::to_value(report)?))
+    }));
     jobs.push(Job::new("slow-link", |folder| slow_links(folder).map(Some)));
     jobs.push(Job::new("viewers-4", |folder| four_viewers(folder).map(Some)));
     jobs.push(Job::new("second-viewer-dragons9", |folder| second_viewer(folder).map(Some)));
@@ -190,6 +198,10 @@ fn jobs() -> Vec<Job> {
     }));
     jobs.push(Job::new("hostile", |_| hostile_peers().map(Some)));
     jobs
+}
+
+fn say(line: &str) {
+    println!("{line}");
 }
 
 /// Those of a picture of a headset's size: the others cost little in the small, and each takes minutes here.

@@ -23,11 +23,13 @@ use shadecast_lab::run::{Report, run};
 use shadecast_lab::skinning;
 use shadecast_lab::steadiness;
 use shadecast_lab::still;
+use shadecast_lab::table1::{self, Table1Options};
 use shadecast_lab::viewers::run_each;
 use shadecast_lab::walls::{TEXELS, write_walls};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::text::with_causes;
 use shadecast_scene::animation::sampling::Sampling;
+use shadecast_scene::load::MAX_DRAGONS;
 use shadecast_server::animation::skinning::Skinning;
 use shadecast_server::choice::Room;
 use shadecast_server::detail::DEFAULT_DETAIL_PIXELS;
@@ -74,6 +76,8 @@ enum Command {
     Skinning(SkinningArgs),
     /// Measures the second update of a scene in which nothing moves beside the first, by stage of the device
     Still(RunArgs),
+    /// Measures the paper's Table 1 and Figure 4: rates of server and client for 9 to 169 dragons, and how the cost grows
+    Table1(Table1Args),
     /// Runs server and client as two processes in real time, then the same scene in virtual time; pictures, figures, a page
     Demo(DemoArgs),
     /// Runs what takes long, one after the other, and checks the bars; what is done already is left out
@@ -353,6 +357,34 @@ struct SkinningArgs {
 }
 
 #[derive(Args)]
+struct Table1Args {
+    /// Numbers of dragons, with commas between them [default: the paper's]
+    #[arg(long, value_delimiter = ',', value_parser = value_parser!(u32).range(1..=i64::from(MAX_DRAGONS)))]
+    dragons: Vec<u32>,
+    /// Rounds, in each of which everything is measured once
+    #[arg(long, default_value_t = table1::ROUNDS, value_parser = value_parser!(u32).range(1..))]
+    rounds: u32,
+    /// Updates that are measured in each round
+    #[arg(long, default_value_t = 5, value_parser = value_parser!(u32).range(1..))]
+    updates: u32,
+    /// Part of the paper's 1300x1300 pixels a side [default: 1; 0.25 on a CPU]
+    #[arg(long, value_parser = number(0.02..=1.0, "of the paper's sizes"))]
+    scale: Option<f64>,
+    /// Also by the paper's ways: skinning by chains, three predictions of 48 bytes a vertex with each update, on lines between
+    #[arg(long)]
+    as_paper: bool,
+    /// Folder for table1.json, .csv, .svg and table1-cost.svg; a run that was broken off goes on there
+    #[arg(long, default_value = "out/table1")]
+    out: PathBuf,
+    /// Vulkan validation layers on
+    #[arg(long)]
+    validation: bool,
+    /// Part of the server's device's name
+    #[arg(long)]
+    device: Option<String>,
+}
+
+#[derive(Args)]
 struct DemoArgs {
     /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml [default: dragons:3; one dragon on a CPU]
     scene: Option<String>,
@@ -415,6 +447,7 @@ fn main() {
         Command::Run(args) => run_one(args),
         Command::Motion(args) => measure_motion(args),
         Command::Causes(args) => measure_causes(args),
+        Command::Table1(args) => measure_table1(args),
         Command::Demo(args) => run_demo(args),
         Command::Long { out, only: Some(only) } => long::run_all(&out, &only),
         Command::Long { out, only: None } => long::run_all(&out, "").and_then(|()| check_bars(&out, None)),
@@ -632,6 +665,27 @@ fn write_json(path: &Path, found: &impl Serialize) -> anyhow::Result<()> {
     let text = serde_json::to_string_pretty(found)? + "\n";
     shadecast_transport::write_atomically(path, text.as_bytes())
         .with_context(|| format!("writing {}", path.display()))
+}
+
+fn measure_table1(args: Table1Args) -> anyhow::Result<()> {
+    let scale = match args.scale {
+        Some(scale) => scale,
+        None => table1::usual_scale(args.device.as_deref())?,
+    };
+    let usual = Table1Options::new(args.out, scale);
+    let options = Table1Options {
+        dragons: if args.dragons.is_empty() { usual.dragons } else { args.dragons },
+        rounds: args.rounds,
+        updates: args.updates,
+        as_paper: args.as_paper,
+        validation: args.validation,
+        device: args.device,
+        ..usual
+    };
+    let report = table1::measure(&options, &|line| println!("{line}"))?;
+    print!("{report}");
+    println!("written to {}", options.out.display());
+    Ok(())
 }
 
 fn measure_skinning(args: &SkinningArgs) -> anyhow::Result<()> {

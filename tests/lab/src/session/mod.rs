@@ -112,7 +112,10 @@ impl Server {
         Self::of_scene(options, scene)
     }
 
-    /// The same with a scene that is there.
+    /// Opens the server's device for a scene that is loaded, whatever the options name.
+    ///
+    /// # Errors
+    /// No device, or a scene that is too large for it.
     pub fn of_scene(options: &RunOptions, scene: Scene) -> anyhow::Result<Self> {
         let gpu_options = GpuOptions {
             needs: Needs::Server,
@@ -261,10 +264,26 @@ impl Lab {
     /// # Safety
     /// No other thread may read or write the environment meanwhile.
     pub unsafe fn open(options: &RunOptions, config: &MockConfig) -> anyhow::Result<Self> {
+        // SAFETY: the caller's promise.
+        unsafe { Self::open_with(options, config, || Server::new(options)) }
+    }
+
+    /// The same with a server of one's own.
+    ///
+    /// # Errors
+    /// Those of [`Self::open`].
+    ///
+    /// # Safety
+    /// That of [`Self::open`].
+    pub unsafe fn open_with(
+        options: &RunOptions,
+        config: &MockConfig,
+        server: impl FnOnce() -> anyhow::Result<Server>,
+    ) -> anyhow::Result<Self> {
         let variables = prepare_runtime(config, &options.out)?;
         // SAFETY: the caller's promise.
         unsafe { set_runtime(&variables) };
-        let mut lab = Self::new(options, Server::new(options)?)?;
+        let mut lab = Self::new(options, server()?)?;
         lab.connect();
         Ok(lab)
     }
@@ -320,6 +339,11 @@ impl Lab {
     /// The same.
     pub fn seat_mut(&mut self) -> &mut Seat {
         &mut self.lines[0].seat
+    }
+
+    /// Server and client, for who drives each by itself from now on: what they share a clock for is over.
+    pub fn apart(&mut self) -> (&mut Server, &mut Seat, &mut Client) {
+        (&mut self.server, &mut self.lines[0].seat, &mut self.client)
     }
 
     /// The other viewers.
