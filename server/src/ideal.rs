@@ -13,7 +13,7 @@ pub struct Ideal {
     pub texels_per_pixel: f32,
     /// What textures are filtered for.
     pub filter: Filter,
-    /// Blocks whose inputs have not changed are not shaded again.
+    /// Blocks whose inputs have not changed are not shaded again, and what stands still is looked at once.
     pub reuse: bool,
     /// For when exactly updates are shaded, where that is known ahead; others for the middle of their time on display, as expected.
     pub shading_times: BTreeMap<UpdateId, ServerTime>,

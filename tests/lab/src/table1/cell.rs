@@ -4,11 +4,12 @@
 //! own phase of it, and is posed and skinned for every update as one in flight, but time stands still: its clip advances by a
 //! microsecond a second. Animated: it flies.
 
-use crate::options::{Head, Renderer, RunOptions, StageMs};
+use crate::options::{Head, Renderer, RunOptions, Spared, StageMs};
 use glam::{Quat, Vec3};
 use serde::{Deserialize, Serialize};
 use shadecast_mock_runtime::head_path::COLUMNS;
 use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::limits::MAX_VERTEX_SLOTS;
 use shadecast_protocol::pose::Pose;
 use shadecast_scene::Scene;
 use shadecast_scene::animation::bounds::{Bounds, instance_bounds};
@@ -16,6 +17,7 @@ use shadecast_scene::animation::played::PlayedBounds;
 use shadecast_scene::animation::sampling::{DEFAULT_INTERVAL_S, Sampling};
 use shadecast_scene::load::SceneSource;
 use shadecast_server::animation::skinning::Skinning;
+use shadecast_server::choice::Room;
 use shadecast_server::motion::MotionOption;
 use shadecast_server::scene::SceneOptions;
 use std::path::Path;
@@ -135,6 +137,9 @@ impl Cell {
                 ..SceneOptions::default()
             },
         };
+        let is_paper = self.set == Set::Paper;
+        let mut spared = Spared::default();
+        spared.ideal.reuse = !is_paper;
         RunOptions {
             renderer: Renderer::Local,
             head: Head::File(head.to_owned()),
@@ -143,7 +148,10 @@ impl Cell {
             fov_degrees: FOV_DEGREES,
             atlas_extent_texels: size.atlas_extent_texels,
             stages: StageMs { server: 1.0, encode: 0.0, decode: 0.0 },
-            detail_pixels: if self.set == Set::Paper { 0.0 } else { usual.detail_pixels },
+            detail_pixels: if is_paper { 0.0 } else { usual.detail_pixels },
+            spared,
+            // Full detail of many dragons is more than a client usually keeps.
+            room: if is_paper { Room { vertices: MAX_VERTEX_SLOTS, ..usual.room } } else { usual.room },
             rate_hz: UPDATES_HZ,
             refresh_hz: REFRESH_HZ,
             scene_options,
