@@ -17,6 +17,7 @@ use crate::motion::predictions::predictions;
 use crate::motion::skinning::Skinning;
 use crate::motion::steps::wanted_steps_m;
 use crate::nearness::pixels_per_metre;
+use crate::overlap::Flight;
 use crate::pacing::Budget;
 use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES, View};
 use crate::residency::{PlacementChange, Residency};
@@ -35,7 +36,7 @@ use crate::sweep::{Glance, Sweep};
 use crate::upload::check_room;
 use crate::world::{Sampled, ViewerId, World};
 use glam::{Mat4, Vec3};
-use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, Memory, Recorder, Timings};
+use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, Memory, Recorder, Ticket, Timings};
 use shadecast_protocol::delta::EncodedDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_VIEWS};
@@ -92,6 +93,39 @@ pub struct Frame {
     ideal: Ideal,
     next: UpdateId,
     update_times: VecDeque<(UpdateId, ServerTime)>,
+    begun: Option<Begun>,
+    placed: Option<Placed>,
+    in_work: Option<InWork>,
+}
+
+/// An update whose visibility is on the device.
+struct Begun {
+    now: ServerTime,
+    views: PredictedViews,
+    in_view: Needed,
+    glance: Option<Glance>,
+    sampled: Sampled,
+    look: Seeing,
+}
+
+/// What is looked at, and the recording that does.
+struct Seeing {
+    looks: Looks,
+    ticket: Ticket,
+}
+
+/// An update of which the client can be told all but the colours.
+struct Placed {
+    views: PredictedViews,
+    sampled: Sampled,
+    /// Without its picture.
+    shaded: Shaded,
+}
+
+/// An update whose blocks are shaded by the device.
+struct InWork {
+    shaded: Shaded,
+    ticket: Ticket,
 }
 
 /// The client's eyes, for densities.
@@ -228,6 +262,9 @@ impl Frame {
             ideal,
             next: UpdateId(0),
             update_times: VecDeque::new(),
+            begun: None,
+            placed: None,
+            in_work: None,
         })
     }
 
@@ -291,11 +328,24 @@ impl Frame {
         self.spare = picture;
     }
 
-    /// Steps 1 to 6 and 8. `None` before the first head state: there is nowhere to look from.
+    /// Steps 1 to 6 and 8, one after the other. `None` before the first head state: there is nowhere to look from.
     pub fn update(&mut self, world: &mut World, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
-        let Some(views) = self.head.predict(now, world.grid(), self.ideal.views.margin()) else {
+        if !self.begin(world, now)? {
             return Ok(None);
+        }
+        self.place(world)?;
+        self.shade(world)?;
+        self.collect(world)
+    }
+
+    /// Steps 1 to 3 up to the device, which nobody waits for: it shades an update that is placed after them. False before the
+    /// first head state. The update before that was collected.
+    pub fn begin(&mut self, world: &mut World, now: ServerTime) -> Result<bool, GpuError> {
+        let Some(views) = self.head.predict(now, world.grid(), self.ideal.views.margin()) else {
+            return Ok(false);
         }; // 1
+        // What the next update does to world and layout is not for this one.
+        let placed = self.record_shading(world)?;
         let in_view: Needed = self.culling.needs(views.eyes.iter().flatten().copied());
         let (needs, glance) = self.look_for_surround(&in_view, &views);
         let near = pixels_per_metre(world.scene(), world.grid(), &views, self.eye.pixels_per_radian());
@@ -307,21 +357,63 @@ impl Frame {
         world.effort.add_animation(began);
         self.write_views(&views);
         self.looked_at = self.times_to_look_at(world, &views, &in_view);
-        let (looks, mut timings): (Looks, _) = self.look(recorder, world, &sampled, &in_view)?; // 3, 4 on the GPU
+        let look: Seeing = self.look_again(recorder, world, &sampled, &in_view)?; // 3
+        self.begun = Some(Begun { now, views, in_view, glance, sampled, look });
+        self.submit_shading(placed)?;
+        Ok(true)
+    }
+
+    /// Steps 4, 5 and 8 of what was begun: waits for what the device has seen.
+    pub fn place(&mut self, world: &mut World) -> Result<(), GpuError> {
+        let Some(Begun { now, views, in_view, glance, sampled, look }) = self.begun.take() else {
+            return Ok(());
+        };
+        let (looks, mut timings): (Looks, _) = self.look(look, world, &sampled, &in_view)?;
         if let Some(glance) = glance {
             timings.append(self.look_around(world, &glance, &looks, &sampled)?);
         }
         let changes: Vec<PlacementChange> = self.layout.place(&world.samples, &looks); // 4, 5
         self.density.note(self.spare_bits, self.layout.settled_share(), self.layout.density() < 1.0);
-        timings.append(self.shade(world, &views, &sampled)?); // 6
         let began = world.effort.begin();
         let delta: UpdateDelta = self.tell(world, &views, &changes, now); // 8
         world.effort.add_delta(began);
         self.report_shortage();
-        let frame = self.begin_next(now);
+        let update = self.begin_next(now);
+        let shaded = Shaded { update, time: now, delta, picture: Source::default(), timings };
+        self.placed = Some(Placed { views, sampled, shaded });
+        Ok(())
+    }
+
+    /// Step 6 of what is placed, up to the device, which nobody waits for. The update before was collected.
+    pub fn shade(&mut self, world: &mut World) -> Result<(), GpuError> {
+        let placed = self.record_shading(world)?;
+        self.submit_shading(placed)
+    }
+
+    /// What the device has shaded, or shades by now: waits for it. `None` where there is nothing.
+    pub fn collect(&mut self, world: &World) -> Result<Option<Shaded>, GpuError> {
+        let Some(InWork { mut shaded, ticket }) = self.in_work.take() else { return Ok(None) };
+        shaded.timings.append(world.gpu().wait_timed(ticket)?);
+        let blocks = shaded.delta.masked.iter();
+        let covered = blocks.map(|(slot, block)| (*slot, self.ycbcr.coverage(*block)));
+        shaded.delta.geometry.coverage = covered.filter(|(_, coverage)| !coverage.is_whole()).collect();
         let mut picture = std::mem::take(&mut self.spare);
         self.ycbcr.read(&mut picture);
-        Ok(Some(Shaded { update: frame, time: now, delta, picture: Source::Planes(picture), timings }))
+        shaded.picture = Source::Planes(picture);
+        Ok(Some(shaded))
+    }
+
+    /// How far the updates in flight have come.
+    pub fn flight(&self, world: &World) -> Result<Flight, GpuError> {
+        let is_done = |ticket: Option<Ticket>| ticket.map_or(Ok(false), |ticket| world.gpu().is_done(ticket));
+        Ok(Flight {
+            is_begun: self.begun.is_some(),
+            is_seen: is_done(self.begun.as_ref().map(|begun| begun.look.ticket))?,
+            is_placed: self.placed.is_some(),
+            is_in_work: self.in_work.is_some(),
+            is_shaded: is_done(self.in_work.as_ref().map(|work| work.ticket))?,
+            is_alone: !world.is_shared(),
+        })
     }
 
     /// What the client must learn, of vertices as they are seen from `views`.
@@ -338,8 +430,6 @@ impl Frame {
         self.residency.put_behind(self.layout.around().map(|(patch, _)| patch).collect());
         let stamp = UpdateStamp { update: self.next, time: now };
         let mut delta = self.residency.update(&world.samples, changes, stamp);
-        let covered = delta.masked.iter().map(|(slot, block)| (*slot, self.ycbcr.coverage(*block)));
-        delta.geometry.coverage = covered.filter(|(_, coverage)| !coverage.is_whole()).collect();
         if self.residency.predicts() {
             delta.geometry.predictions = predictions(scene, world.timeline(), now, self.residency.moving());
         }
@@ -362,23 +452,36 @@ impl Frame {
         made
     }
 
+    /// Records and submits a look at the levels of detail as they are.
+    fn look_again(
+        &mut self,
+        recorder: Recorder,
+        world: &World,
+        sampled: &Sampled,
+        in_view: &Needed,
+    ) -> Result<Seeing, GpuError> {
+        let looks = Looks::new(&world.scene().numbering, self.detail.levels());
+        let scenes: Vec<Vec<Look>> =
+            looks.scenes().into_iter().map(|scene| reaching(scene, in_view)).collect();
+        let looking =
+            Looking { looks: &looks, scenes: &scenes, places: sampled.places, times: self.looked_at };
+        let ticket = self.look_at(recorder, world, looking)?;
+        Ok(Seeing { looks, ticket })
+    }
+
     /// Looks at the scene until what is visible has room: at coarser levels of detail where it has none.
     fn look(
         &mut self,
-        mut recorder: Recorder,
+        first: Seeing,
         world: &World,
         sampled: &Sampled,
         in_view: &Needed,
     ) -> Result<(Looks, Timings), GpuError> {
         self.layout.begin(self.asked_texels_per_pixel());
         let mut timings = Timings::default();
+        let Seeing { mut looks, mut ticket } = first;
         for look in 1.. {
-            let mut looks = Looks::new(&world.scene().numbering, self.detail.levels());
-            let scenes: Vec<Vec<Look>> =
-                looks.scenes().into_iter().map(|scene| reaching(scene, in_view)).collect();
-            let looking =
-                Looking { looks: &looks, scenes: &scenes, places: sampled.places, times: self.looked_at };
-            timings.append(self.look_at(recorder, world, looking)?);
+            timings.append(self.see(world, ticket)?);
             self.layout.see(Visible { looks: &looks, seen: &self.seen });
             self.switch(world, &mut looks);
             self.measure(&looks);
@@ -389,7 +492,7 @@ impl Frame {
                 self.switch_at_once(&mut looks);
                 return Ok((looks, timings));
             }
-            recorder = world.gpu().record()?;
+            Seeing { looks, ticket } = self.look_again(world.gpu().record()?, world, sampled, in_view)?;
         }
         unreachable!("it looks {MAX_LOOKS} times at most")
     }
@@ -429,7 +532,8 @@ impl Frame {
         let scenes = [looks.shown().copied().collect()];
         let places = [sampled.places[VIEW_TIMES / 2]; VIEW_TIMES];
         let looking = Looking { looks, scenes: &scenes, places, times: ONLY_THE_FIRST };
-        let timings = self.look_at(world.gpu().record()?, world, looking)?;
+        let ticket = self.look_at(world.gpu().record()?, world, looking)?;
+        let timings = self.see(world, ticket)?;
         let (residency, geometry) = (&self.residency, &world.samples);
         let may_be = |instance: usize| residency.is_told_once(geometry, instance as u16);
         self.layout.see_around(Visible { looks, seen: &self.seen }, may_be);
@@ -442,7 +546,7 @@ impl Frame {
         mut recorder: Recorder,
         world: &World,
         Looking { looks, scenes, places, times }: Looking<'_>,
-    ) -> Result<Timings, GpuError> {
+    ) -> Result<Ticket, GpuError> {
         let (scene, animation) = (world.scene(), &world.animation);
         recorder.fill(&self.mark.visible, 0);
         self.level_selection.record_start(&mut recorder);
@@ -463,7 +567,12 @@ impl Frame {
             self.level_selection.record(r, scene, animation, looks, places);
         });
         recorder.barrier(Access::COMPUTE_WRITE, Access::HOST_READ);
-        let timings = world.gpu().wait_timed(recorder.submit()?)?;
+        recorder.submit()
+    }
+
+    /// Waits for a look, and takes what it saw.
+    fn see(&mut self, world: &World, ticket: Ticket) -> Result<Timings, GpuError> {
+        let timings = world.gpu().wait_timed(ticket)?;
         self.level_selection.read(&mut self.seen);
         Ok(timings)
     }
@@ -513,16 +622,20 @@ impl Frame {
         }
     }
 
+    /// Hands what was recorded of an update's shading to the device.
+    fn submit_shading(&mut self, placed: Option<(Recorder, Shaded)>) -> Result<(), GpuError> {
+        let Some((recorder, shaded)) = placed else { return Ok(()) };
+        self.in_work = Some(InWork { shaded, ticket: recorder.submit()? });
+        Ok(())
+    }
+
     /// Fills the blocks whose inputs have changed as they are in the middle of the update's time on display, and converts them.
-    fn shade(
-        &mut self,
-        world: &mut World,
-        views: &PredictedViews,
-        sampled: &Sampled,
-    ) -> Result<Timings, GpuError> {
+    fn record_shading(&mut self, world: &mut World) -> Result<Option<(Recorder, Shaded)>, GpuError> {
+        assert!(self.in_work.is_none(), "the device still reads the lists of the update before");
+        let Some(Placed { views, sampled, shaded }) = self.placed.take() else { return Ok(None) };
         let (middle, place) = (views.times[VIEW_TIMES / 2], sampled.places[VIEW_TIMES / 2]);
         let mut recorder = world.gpu().record()?;
-        let time = match self.ideal.shading_times.get(&self.next) {
+        let time = match self.ideal.shading_times.get(&shaded.update) {
             Some(time) => {
                 world.light_at(&mut recorder, place, *time);
                 *time
@@ -545,7 +658,7 @@ impl Frame {
         recorder.scope("shading", |r| self.shading.record(r, views.world_from_head, pixels_per_tangent));
         recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
         recorder.scope("ycbcr", |r| self.ycbcr.record(r));
-        world.gpu().wait_timed(recorder.submit()?)
+        Ok(Some((recorder, shaded)))
     }
 
     /// Texels for a pixel that extents are measured with.

@@ -22,6 +22,7 @@ pub mod looks;
 pub mod moment;
 pub mod motion;
 pub mod nearness;
+pub mod overlap;
 pub mod pacing;
 pub mod picture;
 pub mod predict;

@@ -128,6 +128,11 @@ impl World {
         self.lit = None;
     }
 
+    /// Whether several look at it.
+    pub fn is_shared(&self) -> bool {
+        self.needs.len() > 1
+    }
+
     /// A viewer has gone: what only it needed is animated no longer.
     pub fn leave(&mut self, viewer: ViewerId) {
         self.needs.remove(&viewer);
