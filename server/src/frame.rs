@@ -504,7 +504,7 @@ impl Frame {
         views: &PredictedViews,
         in_view: &Needed,
     ) -> [bool; VIEW_TIMES] {
-        let stands = self.ideal.reuse
+        let stands = self.ideal.looks_once
             && views.eyes.iter().all(|pair| *pair == views.eyes[0])
             && world.stands(in_view, &views.times);
         if stands { ONLY_THE_FIRST } else { self.ideal.views.times(self.next.0) }

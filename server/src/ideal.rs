@@ -13,8 +13,10 @@ pub struct Ideal {
     pub texels_per_pixel: f32,
     /// What textures are filtered for.
     pub filter: Filter,
-    /// Blocks whose inputs have not changed are not shaded again, and what stands still is looked at once.
+    /// Blocks whose inputs have not changed are not shaded again.
     pub reuse: bool,
+    /// What stands still is looked at once an update, not at each of its times.
+    pub looks_once: bool,
     /// For when exactly updates are shaded, where that is known ahead; others for the middle of their time on display, as expected.
     pub shading_times: BTreeMap<UpdateId, ServerTime>,
     /// At which of its times an update looks.
@@ -39,6 +41,7 @@ impl Default for Ideal {
             texels_per_pixel: 1.0,
             filter: Filter::default(),
             reuse: true,
+            looks_once: true,
             shading_times: BTreeMap::new(),
             views: ViewPlan::default(),
         }

@@ -139,7 +139,7 @@ impl Cell {
         };
         let is_paper = self.set == Set::Paper;
         let mut spared = Spared::default();
-        spared.ideal.reuse = !is_paper;
+        (spared.ideal.reuse, spared.ideal.looks_once) = (!is_paper, !is_paper);
         RunOptions {
             renderer: Renderer::Local,
             head: Head::File(head.to_owned()),
