@@ -148,7 +148,8 @@ impl<P> Bundler<P> {
         }
         let count = self.pictures.partition_point(|(update, _)| *update <= complete);
         (1..count).filter_map(|_| self.pictures.pop_front()).for_each(|(_, picture)| drop_picture(picture));
-        let (update, picture) = self.pictures.pop_front().filter(|_| count > 0)?;
+        // Those behind them wait for their vertices.
+        let (update, picture) = self.pictures.pop_front_if(|(update, _)| *update <= complete)?;
         while self.pending.front().is_some_and(|changes| changes.update <= update) {
             self.apply_next();
         }

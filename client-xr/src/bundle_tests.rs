@@ -625,3 +625,19 @@ fn a_bundle_waits_until_its_vertices_are_in_the_gpus_memory() {
     assert_eq!(bench.display(10, 0), None);
     assert_eq!(bench.display(10, 0), Some(UpdateId(0)), "3 entries and 15 samples");
 }
+
+#[test]
+fn a_picture_that_is_there_before_its_vertices_waits_for_them() {
+    let mut bundler = Bundler::<u32>::new(PATCH_SLOTS, AtlasExtent::DEFAULT);
+    let take = |bundler: &mut Bundler<u32>, complete: u32| {
+        bundler.take_newest_complete(UpdateId(complete), |picture| panic!("{picture} is dropped"))
+    };
+    let delta = |update| GeometryDelta { update: UpdateId(update), ..GeometryDelta::default() };
+    bundler.add_delta(delta(0));
+    bundler.add_picture(UpdateId(0), 7);
+    assert_eq!(take(&mut bundler, 0), Some((UpdateId(0), 7)));
+    bundler.add_delta(delta(1));
+    bundler.add_picture(UpdateId(1), 8);
+    assert_eq!([take(&mut bundler, 0), take(&mut bundler, 0)], [None, None]);
+    assert_eq!(take(&mut bundler, 1), Some((UpdateId(1), 8)));
+}
