@@ -120,6 +120,11 @@ impl<U: Updates> Viewer<U> {
         &self.updates
     }
 
+    /// The same, to go on with what was begun.
+    pub fn updates_mut(&mut self) -> &mut U {
+        &mut self.updates
+    }
+
     /// Ends it; what made its updates is given back.
     pub fn into_updates(self) -> U {
         self.updates

@@ -56,3 +56,44 @@ fn the_way_of_each_update_can_be_followed_from_its_making_to_its_display() {
         assert!(delta[0] > update[1] + 14e3 && display[0] > delta[0].max(picture[0]), "{of_update:?}");
     }
 }
+
+/// Runs with these stages at 72 updates a second; gives start and end of the updates of the second half, milliseconds.
+fn updates_ms(stages: &str) -> Vec<Span> {
+    let out = tempfile::tempdir().unwrap();
+    let trace = out.path().join("trace.json");
+    let options = RunOptions {
+        extent_pixels: [64, 64],
+        atlas_extent_texels: AtlasExtent::MIN,
+        seconds: 2.0,
+        rate_hz: 72.0,
+        stages: stages.parse().unwrap(),
+        trace: Some(trace.clone()),
+        ..RunOptions::new(SceneSource::Dragons(1), out.path().join("run"))
+    };
+    run(&options).unwrap();
+    let spans = spans(&std::fs::read_to_string(&trace).unwrap());
+    let updates: Vec<Span> =
+        spans.values().filter_map(|of_update| of_update.get("update")).copied().collect();
+    updates[updates.len() / 2..].iter().map(|span| span.map(|us| us * 1e-3)).collect()
+}
+
+#[test]
+fn updates_that_do_not_fit_in_a_row_overlap() {
+    let _turn = turn();
+    let updates = updates_ms("visibility=10,placement=3,shading=10,encode=20");
+    assert!(updates.len() > 20, "{updates:?}");
+    for pair in updates.windows(2) {
+        assert!((19.99..=22.0).contains(&(pair[1][0] - pair[0][0])), "{pair:?}");
+    }
+    for [begin, end] in &updates {
+        assert!(end - begin <= 23.0 + 20.0, "one stage later than in a row at most: {updates:?}");
+    }
+}
+
+#[test]
+fn updates_that_fit_are_made_in_a_row() {
+    let _turn = turn();
+    let updates = updates_ms("visibility=5,placement=2,shading=5,encode=10");
+    assert!(updates.len() > 20 && updates.iter().all(|[begin, end]| end - begin < 12.01), "{updates:?}");
+    assert!(updates.windows(2).all(|pair| pair[1][0] >= pair[0][1]), "{updates:?}");
+}

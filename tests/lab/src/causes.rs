@@ -124,7 +124,7 @@ impl Cause {
             },
             Self::Delay => RunOptions {
                 link: LinkProfile { latency_ns: NO_WAY_NS, ..LinkProfile::default() }.into(),
-                stages: StageMs { server: 0.0, encode: 0.0, decode: 0.0 },
+                stages: StageMs { server: 0.0, encode: 0.0, decode: 0.0, steps: None },
                 ..run.clone()
             },
         }

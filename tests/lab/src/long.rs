@@ -229,9 +229,13 @@ fn abrupt_room(folder: &Path) -> anyhow::Result<Value> {
         surround: DEFAULT_SURROUND,
         ..RunOptions::new(scene, folder.join("run"))
     };
-    let StageMs { server, encode, decode } = usual.stages;
-    let at_once =
-        StageMs { server: 2.0 * ABRUPT_WAY_MS + server + encode + decode, encode: 0.0, decode: 0.0 };
+    let StageMs { server, encode, decode, .. } = usual.stages;
+    let at_once = StageMs {
+        server: 2.0 * ABRUPT_WAY_MS + server + encode + decode,
+        encode: 0.0,
+        decode: 0.0,
+        steps: None,
+    };
     let measured = |what: &str, options: &RunOptions| -> anyhow::Result<Value> {
         let report = abrupt::measure(options)?;
         println!("{what}: {report}");

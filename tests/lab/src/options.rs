@@ -41,23 +41,43 @@ impl Renderer {
 /// How long stages take in virtual time, milliseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StageMs {
-    /// From an update's start to its delta's departure.
+    /// From an update's start to its delta's departure: the sum of its steps, where those have times of their own.
     pub server: f64,
     /// From there to the picture's departure.
     pub encode: f64,
     /// From a picture's arrival to its use.
     pub decode: f64,
+    /// Times of an update's own steps, which may overlap with those of the next; `None`: one update at a time.
+    #[serde(flatten, default, skip_serializing_if = "Option::is_none")]
+    pub steps: Option<StepMs>,
+}
+
+/// How long the steps of an update take, milliseconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StepMs {
+    /// What the device needs to see.
+    pub visibility: f64,
+    /// What the CPU needs to place that.
+    pub placement: f64,
+    /// What the device needs to shade it.
+    pub shading: f64,
+}
+
+impl StepMs {
+    fn sum(self) -> f64 {
+        self.visibility + self.placement + self.shading
+    }
 }
 
 impl Default for StageMs {
     fn default() -> Self {
-        Self { server: 12.0, encode: 8.0, decode: 6.0 }
+        Self { server: 12.0, encode: 8.0, decode: 6.0, steps: None }
     }
 }
 
 impl StageMs {
     /// Encodes of 2048x2048 texels as they were measured on common machines: 13 to 65 ms.
-    pub const MEASURED: Self = Self { server: 12.0, encode: 25.0, decode: 10.0 };
+    pub const MEASURED: Self = Self { server: 12.0, encode: 25.0, decode: 10.0, steps: None };
 
     /// Milliseconds as nanoseconds.
     pub fn ns(self, ms: f64) -> i64 {
@@ -68,7 +88,7 @@ impl StageMs {
 impl FromStr for StageMs {
     type Err = String;
 
-    /// `server=12,encode=8,decode=6`; each is optional.
+    /// `server=12,encode=8,decode=6`; each is optional. `visibility=`, `placement=` and `shading=` take the place of `server=`.
     fn from_str(text: &str) -> Result<Self, String> {
         let mut stages = Self::default();
         for part in text.split(',') {
@@ -83,9 +103,16 @@ impl FromStr for StageMs {
                 "server" => stages.server = value,
                 "encode" => stages.encode = value,
                 "decode" => stages.decode = value,
-                _ => return Err(format!("\"{key}\" is no stage; there are server, encode and decode")),
+                "visibility" => stages.steps.get_or_insert_default().visibility = value,
+                "placement" => stages.steps.get_or_insert_default().placement = value,
+                "shading" => stages.steps.get_or_insert_default().shading = value,
+                _ => {
+                    let stages = "server, encode, decode, visibility, placement and shading";
+                    return Err(format!("\"{key}\" is no stage; there are {stages}"));
+                }
             }
         }
+        stages.server = stages.steps.map_or(stages.server, StepMs::sum);
         Ok(stages)
     }
 }
@@ -289,12 +316,18 @@ impl RunOptions {
         let usual = Self::new(self.scene.clone(), self.out.clone());
         let mut line = format!("shadecast-lab run {scene} --renderer {} --out out/run", self.renderer.name());
         let [width, height] = self.extent_pixels;
-        let StageMs { server, encode, decode } = self.stages;
+        let StageMs { server, encode, decode, steps } = self.stages;
         line += &format!(
             " --seconds {} --size {width}x{height} --compare-every {}",
             self.seconds, self.compare_every
         );
-        line += &format!(" --stage-ms server={server},encode={encode},decode={decode}");
+        let of_update = match steps {
+            Some(StepMs { visibility, placement, shading }) => {
+                format!("visibility={visibility},placement={placement},shading={shading}")
+            }
+            None => format!("server={server}"),
+        };
+        line += &format!(" --stage-ms {of_update},encode={encode},decode={decode}");
         if let Some(clip) = &self.clip {
             line += &format!(" --clip {clip}");
         }

@@ -8,6 +8,7 @@ pub mod ghost;
 pub mod originals;
 pub mod residents;
 pub mod seat;
+mod steps;
 
 use crate::options::{Medium, RunOptions, Spared, StageMs, ViewerOptions};
 use crate::runtime::{BUILT_IN_WALK, prepare_runtime, set_runtime};

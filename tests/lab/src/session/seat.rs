@@ -2,6 +2,7 @@
 
 use super::originals::Originals;
 use super::residents::Residents;
+use super::steps::Steps;
 use super::{SERVER_EPOCH_NS, Server};
 use crate::options::StageMs;
 use anyhow::{Context, bail};
@@ -18,6 +19,7 @@ use shadecast_server::encoding::{Coded, Encoding};
 use shadecast_server::frame::{Frame, Shaded, Shows};
 use shadecast_server::lock::lock;
 use shadecast_server::motion::sender::MotionBytes;
+use shadecast_server::overlap::Step;
 use shadecast_server::pacing::{Kind, WayState};
 use shadecast_server::quality::SentPicture;
 use shadecast_server::sessions::mailbox::{Accepted, Client, Mailbox, News};
@@ -93,6 +95,8 @@ pub struct Seat {
     number: u64,
     /// Bytes of motion to those who were served before.
     motion_before: MotionBytes,
+    /// Where those of an update have times of their own.
+    steps: Option<Steps>,
     /// How long the encoder takes for a picture.
     encode_ns: i64,
     originals: Originals,
@@ -129,6 +133,8 @@ enum Departure {
     /// An update that is shaded now.
     Update(Box<Shaded>),
     Picture(PictureHeader, Vec<u8>),
+    /// Nothing: steps of updates may be due.
+    Advance,
 }
 
 /// What the sessions work with: a carrier that keeps everything until it is fetched.
@@ -185,6 +191,7 @@ impl Seat {
             leaving: VecDeque::new(),
             number: 0,
             motion_before: MotionBytes::default(),
+            steps: None,
             encode_ns: 0,
             originals: Originals::new(server.spared.arrival),
             rows: None,
@@ -229,6 +236,7 @@ impl Seat {
     fn part(&mut self, server: &mut Server) {
         if let Some(viewer) = self.viewer.take() {
             server.world.leave(viewer.into_updates().id());
+            self.steps = None;
         }
     }
 
@@ -274,6 +282,11 @@ impl Seat {
         let Some(viewer) = self.viewer.as_mut().filter(|viewer| viewer.due_ns().is_some()) else {
             return Ok(());
         };
+        if let Some(ms) = stages.steps {
+            self.encode_ns = stages.ns(stages.encode);
+            self.steps.get_or_insert_with(|| Steps::new(ms, stages.ns(stages.encode), server.period_ns()));
+            return self.advance(server, way, now_ns);
+        }
         // One update at a time.
         if self.leaving.iter().any(|leaving| matches!(leaving.what, Departure::Update(_))) {
             return Ok(());
@@ -290,6 +303,53 @@ impl Seat {
         let Some(shaded) = frame.update(&mut server.world, server_time(now_ns))? else {
             return Ok(());
         };
+        self.encode_ns = stages.ns(stages.encode);
+        self.made(server, shaded, now_ns + stages.ns(stages.server))
+    }
+
+    /// Makes the steps of updates that are due, where they have times of their own.
+    fn advance(&mut self, server: &mut Server, way: Option<WayState>, now_ns: i64) -> anyhow::Result<()> {
+        while let (Some(steps), Some(viewer)) = (&mut self.steps, &mut self.viewer) {
+            let is_due = viewer.due_ns().is_some_and(|due_ns| due_ns <= now_ns);
+            let may_begin = is_due && !steps.would_wait(now_ns) && viewer.is_open(way.as_ref(), now_ns);
+            let step = steps.step(now_ns, may_begin, !server.world.is_shared());
+            let world = &mut server.world;
+            let mut shaded = None;
+            match step {
+                Step::Begin if !viewer.begin(way.as_ref(), now_ns).begin(world, server_time(now_ns))? => {
+                    break;
+                }
+                Step::Begin => {}
+                Step::Place => viewer.updates_mut().place(world)?,
+                Step::Shade => viewer.updates_mut().shade(world)?,
+                Step::Collect => shaded = viewer.updates_mut().collect(world)?,
+                Step::Wait => break,
+            }
+            steps.made(step, now_ns);
+            if let Some(shaded) = shaded {
+                viewer.note_update((now_ns - SERVER_EPOCH_NS - shaded.time.0) as f64 * 1e-9);
+                self.made(server, shaded, now_ns)?;
+            }
+        }
+        self.look_again(now_ns);
+        Ok(())
+    }
+
+    /// Wakes it when the device or the CPU has come further, or an update is due.
+    fn look_again(&mut self, now_ns: i64) {
+        let (Some(steps), Some(viewer)) = (&self.steps, &self.viewer) else { return };
+        let due_ns = viewer.due_ns().filter(|due_ns| *due_ns > now_ns);
+        let Some(at_ns) = steps.next_ns(now_ns).into_iter().chain(due_ns).min() else { return };
+        let is_woken =
+            |leaving: &Leaving| matches!(leaving.what, Departure::Advance) && leaving.at_ns <= at_ns;
+        if !self.leaving.iter().any(is_woken) {
+            self.leave(at_ns, Departure::Advance);
+        }
+    }
+
+    /// An update that is shaded at `done_ns` is counted, and leaves then.
+    fn made(&mut self, server: &mut Server, shaded: Shaded, done_ns: i64) -> anyhow::Result<()> {
+        let Some(frame) = self.viewer.as_ref().map(Viewer::updates) else { return Ok(()) };
         self.originals.keep(&server.gpu, frame, &shaded)?;
         self.sent.updates += 1;
         shaded.timings.iter().for_each(|(stage, ms)| *self.gpu_ms.entry(stage).or_default() += ms);
@@ -303,10 +363,8 @@ impl Seat {
         self.sent.levels[1] += shows.levels.len() as u64;
         self.shows.resize(shaded.update.0 as usize, Shows::default());
         self.shows.push(shows);
-        self.encode_ns = stages.ns(stages.encode);
-        let done_ns = now_ns + stages.ns(stages.server);
         if let Some(rows) = &self.rows {
-            rows.updates.span("update", [now_ns, done_ns].map(server_time), Some(shaded.update));
+            rows.updates.span("update", [shaded.time, server_time(done_ns)], Some(shaded.update));
         }
         self.leave(done_ns, Departure::Update(Box::new(shaded)));
         Ok(())
@@ -328,7 +386,11 @@ impl Seat {
         self.streams.push_back(clock_stamp(server_time(now_ns)));
         self.send(update.shaded.update, Kind::Delta, delta, now_ns);
         self.motion(server, way, now_ns);
-        self.encode(update, now_ns + self.encode_ns)
+        let done_ns = match &mut self.steps {
+            Some(steps) => steps.encode(now_ns),
+            None => now_ns + self.encode_ns,
+        };
+        self.encode(update, done_ns)
     }
 
     /// Hands a picture to the encoder; what it has then leaves at `done_ns`.
@@ -373,6 +435,7 @@ impl Seat {
         let Some(Leaving { what, .. }) = next else { return Ok(()) };
         match what {
             Departure::Update(shaded) => self.finish(server, *shaded, way, now_ns)?,
+            Departure::Advance => self.advance(server, way, now_ns)?,
             Departure::Picture(header, bytes) => {
                 self.send_picture(header, picture_stream(header, &bytes)?, now_ns);
             }

@@ -147,7 +147,7 @@ impl Cell {
             extent_pixels: size.extent_pixels,
             fov_degrees: FOV_DEGREES,
             atlas_extent_texels: size.atlas_extent_texels,
-            stages: StageMs { server: 1.0, encode: 0.0, decode: 0.0 },
+            stages: StageMs { server: 1.0, encode: 0.0, decode: 0.0, steps: None },
             detail_pixels: if is_paper { 0.0 } else { usual.detail_pixels },
             spared,
             // Full detail of many dragons is more than a client usually keeps.
