@@ -416,6 +416,15 @@ impl Frame {
         })
     }
 
+    /// The viewer goes. Whatever was in flight is left, once the device reads no more of the world for it.
+    pub fn leave(self, world: &mut World) {
+        let tickets = [self.begun.map(|begun| begun.look.ticket), self.in_work.map(|work| work.ticket)];
+        for ticket in tickets.into_iter().flatten() {
+            let _ = world.gpu().wait(ticket); // a lost device reads nothing either
+        }
+        world.leave(self.id);
+    }
+
     /// What the client must learn, of vertices as they are seen from `views`.
     fn tell(
         &mut self,

@@ -21,6 +21,13 @@ pub struct Flight {
     pub is_alone: bool,
 }
 
+impl Flight {
+    /// Whether there are any.
+    pub fn is_any(self) -> bool {
+        self.is_begun || self.is_placed || self.is_in_work
+    }
+}
+
 /// What is to be done next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
@@ -41,7 +48,7 @@ pub enum Step {
 pub struct StepTimes {
     /// What the device did for visibility and shading.
     pub device_ns: i64,
-    /// Placement, on the CPU.
+    /// What the CPU did: placement, for the most part.
     pub placement_ns: i64,
     /// The encoder.
     pub encode_ns: i64,

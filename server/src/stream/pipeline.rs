@@ -14,6 +14,7 @@ use super::{StreamStats, ViewerStats};
 use crate::encode::{EncodeError, Encoder};
 use crate::frame::Shaded;
 use crate::lock::lock;
+use crate::overlap::{Flight, Overlap, Step, StepTimes};
 use crate::pacing::Kind;
 use crate::quality::QualityOptions;
 use crate::sessions::Say;
@@ -47,9 +48,25 @@ pub trait Studio {
     type Updates: Updates;
     /// For a client that has come.
     fn open(&mut self, welcome: &Welcome, capabilities: &Capabilities) -> Result<Self::Updates, GpuError>;
-    /// The next update; `None` before the first head state.
-    fn update(&mut self, updates: &mut Self::Updates, now: ServerTime) -> Result<Option<Shaded>, GpuError>;
-    /// A client has gone. `has_failed`: in the middle of an update, of which nothing is to be believed.
+    /// How far a client's updates in flight have come.
+    fn flight(&self, updates: &Self::Updates) -> Result<Flight, GpuError>;
+    /// Makes a step of a client's updates, which begin at `now` if they do; gives what it collects. Before the first head state
+    /// there is nothing to make.
+    fn advance(
+        &mut self,
+        updates: &mut Self::Updates,
+        step: Step,
+        now: ServerTime,
+    ) -> Result<Option<Shaded>, GpuError>;
+    /// The next update, one step after the other; `None` before the first head state.
+    fn update(&mut self, updates: &mut Self::Updates, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
+        for step in [Step::Begin, Step::Place, Step::Shade] {
+            self.advance(updates, step, now)?;
+        }
+        self.advance(updates, Step::Collect, now)
+    }
+    /// A client has gone, and what it had in flight with it. `has_failed`: in the middle of an update, of which nothing is to be
+    /// believed.
     fn close(&mut self, updates: Self::Updates, has_failed: bool);
     /// What is known of a client's pictures.
     fn account(&self, updates: &Self::Updates, stats: &mut ViewerStats);
@@ -93,9 +110,13 @@ struct Served<U> {
     welcome: Welcome,
     encoder: EncoderThread,
     encoder_failures: u32,
+    overlap: Overlap,
+    is_in_flight: bool,
+    /// What the steps of updates took of the CPU since one was collected, nanoseconds.
+    steps_ns: i64,
     /// An update that leaves when the picture before it has.
     made: Option<Shaded>,
-    /// How long the last update took, and the encoder for the last picture, nanoseconds.
+    /// How long the last update's steps took in a row, and the encoder for the last picture, nanoseconds.
     update_ns: i64,
     encode_ns: i64,
     /// When the encoder is expected to be done.
@@ -185,7 +206,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         }
     }
 
-    /// Does what is due, one client's update at most; gives how long nothing will be.
+    /// Does what is due, one client's updates at most; gives how long nothing will be.
     ///
     /// # Errors
     /// The device is lost, and cannot be opened again.
@@ -206,9 +227,12 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             let looked = self.look_at_encoder(peer, now_ns).and_then(|()| self.hand_on(peer, now_ns));
             self.settle(peer, looked, now_ns)?;
         }
-        if let Some(peer) = self.next_to_serve(now_ns) {
-            let served = self.update(peer, now_ns);
+        if let Some(peer) = self.in_flight().or_else(|| self.next_to_serve(now_ns)) {
+            let served = self.serve(peer, now_ns);
             self.settle(peer, served, now_ns)?;
+        }
+        if self.in_flight().is_some() {
+            return Ok(Duration::from_nanos(SHORTEST_WAIT_NS as u64));
         }
         let Some(due_ns) = self.clients.values().filter_map(|client| client.viewer.due_ns()).min() else {
             return Ok(IDLE_WAIT);
@@ -254,6 +278,9 @@ impl<'a, S: Studio> Pipeline<'a, S> {
                 welcome,
                 encoder,
                 encoder_failures: 0,
+                overlap: Overlap::new(self.period_ns),
+                is_in_flight: false,
+                steps_ns: 0,
                 made: None,
                 update_ns: 0,
                 encode_ns: 0,
@@ -330,8 +357,59 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         Ok(())
     }
 
+    /// Whose updates are in flight: one client's at most, since those of others take the places of samples that they need.
+    fn in_flight(&self) -> Option<PeerId> {
+        self.clients.iter().find(|(_, client)| client.is_in_flight).map(|(peer, _)| *peer)
+    }
+
+    /// Whether a client's updates overlap: nobody else's come between.
+    fn overlaps(&self, peer: PeerId) -> bool {
+        self.clients.len() == 1 && self.clients.get(&peer).is_some_and(|client| client.overlap.is_on())
+    }
+
+    fn serve(&mut self, peer: PeerId, now_ns: i64) -> Result<(), Fault> {
+        if self.in_flight() != Some(peer) && !self.overlaps(peer) {
+            return self.update(peer, now_ns);
+        }
+        let begun = Instant::now();
+        loop {
+            let at_ns = now_ns + begun.elapsed().as_nanos() as i64;
+            let may_begin = self.overlaps(peer) && self.next_to_serve(at_ns) == Some(peer);
+            if self.advance(peer, may_begin, at_ns)? == Step::Wait {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Makes the next step of a client's updates, if there is one that need not wait for the device; says which.
+    fn advance(&mut self, peer: PeerId, may_begin: bool, now_ns: i64) -> Result<Step, Fault> {
+        let Some(client) = self.clients.get_mut(&peer) else { return Ok(Step::Wait) };
+        let (studio, outlet, now) = (&mut *self.studio, &self.outlet, ServerTime(now_ns - self.epoch_ns));
+        let begun = Instant::now();
+        let made = guarded(|| {
+            let fault = |error: GpuError| Fault::of(&error, "shading an update");
+            let flight = studio.flight(client.viewer.updates()).map_err(fault)?;
+            client.is_in_flight = flight.is_any();
+            let step = client.next_step(flight, may_begin);
+            let updates = match step {
+                Step::Begin => client.viewer.begin(outlet.way(peer).as_ref(), now_ns),
+                _ => client.viewer.updates_mut(),
+            };
+            Ok((step, studio.advance(updates, step, now).map_err(fault)?))
+        });
+        let (step, shaded) = made.map_err(Fault::in_update)?;
+        let took_ns = begun.elapsed().as_nanos() as i64;
+        client.steps_ns += took_ns;
+        if let Some(shaded) = shaded {
+            let steps_ns = std::mem::take(&mut client.steps_ns);
+            self.spent(peer, steps_ns + device_ns(&shaded));
+            self.made(peer, shaded, steps_ns, now_ns + took_ns)?;
+        }
+        Ok(step)
+    }
+
+    /// An update, one step after the other.
     fn update(&mut self, peer: PeerId, now_ns: i64) -> Result<(), Fault> {
-        let viewers = self.clients.len();
         let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
         let (studio, outlet, now) = (&mut *self.studio, &self.outlet, ServerTime(now_ns - self.epoch_ns));
         let begun = Instant::now();
@@ -339,16 +417,32 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             let updates = client.viewer.begin(outlet.way(peer).as_ref(), now_ns);
             studio.update(updates, now).map_err(|error| Fault::of(&error, "shading an update"))
         });
-        let took = begun.elapsed();
-        client.update_ns = took.as_nanos() as i64;
-        client.stats.busy_s += took.as_secs_f64();
-        client.viewer.note_update(took.as_secs_f64() * viewers as f64);
-        self.turns.served(&mut client.share, client.update_ns);
+        let took_ns = begun.elapsed().as_nanos() as i64;
+        self.spent(peer, took_ns);
         let Some(shaded) = shaded.map_err(Fault::in_update)? else { return Ok(()) };
-        self.of_pipeline.ended("update", now_ns, shaded.update);
+        let steps_ns = took_ns - device_ns(&shaded).min(took_ns);
+        self.made(peer, shaded, steps_ns, now_ns + took_ns)
+    }
+
+    /// The steps of a client's update took so long in a row.
+    fn spent(&mut self, peer: PeerId, took_ns: i64) {
+        let viewers = self.clients.len();
+        let Some(client) = self.clients.get_mut(&peer) else { return };
+        let took_s = took_ns as f64 * 1e-9;
+        client.update_ns = took_ns;
+        client.stats.busy_s += took_s;
+        client.viewer.note_update(took_s * viewers as f64);
+        self.turns.served(&mut client.share, took_ns);
+    }
+
+    /// An update is shaded; `steps_ns`: what it took of the CPU.
+    fn made(&mut self, peer: PeerId, shaded: Shaded, steps_ns: i64, ended_ns: i64) -> Result<(), Fault> {
+        let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
+        self.of_pipeline.ended("update", self.epoch_ns + shaded.time.0, shaded.update);
         self.of_device.ended(&shaded.timings, shaded.update);
         self.stats.add_gpu(&shaded.timings);
-        let ended_ns = now_ns + client.update_ns;
+        let (device_ns, encode_ns) = (device_ns(&shaded), client.encode_ns);
+        client.overlap.note(StepTimes { device_ns, placement_ns: steps_ns, encode_ns });
         client.made = Some(shaded);
         self.hand_on(peer, ended_ns)
     }
@@ -480,6 +574,12 @@ impl<U: Updates> Served<U> {
         self.encoder.is_busy() && now_ns + self.update_ns < self.encoded_ns
     }
 
+    /// The next step of its updates; one is collected when the one before has left.
+    fn next_step(&self, mut flight: Flight, may_begin: bool) -> Step {
+        flight.is_shaded &= self.made.is_none();
+        self.overlap.step(flight, may_begin)
+    }
+
     /// Sends what changes in the client's memory. A delta cannot be left out: what cannot be sent is the end. `clock` reads the
     /// server's.
     fn send_delta(
@@ -513,6 +613,11 @@ impl<U: Updates> Served<U> {
         let seconds = (now_ns - self.since_ns) as f64 * 1e-9;
         stats.server_fps = if seconds > 0.0 { stats.updates.saturating_sub(1) as f64 / seconds } else { 0.0 };
     }
+}
+
+/// What the device did for an update, nanoseconds.
+fn device_ns(shaded: &Shaded) -> i64 {
+    shaded.timings.scopes().iter().map(|timing| timing.took_ns).sum()
 }
 
 fn unsent(error: &SendError) -> Fault {

@@ -10,7 +10,7 @@ use crate::pacing::WayState;
 use crate::quality::QualityOptions;
 use crate::sessions::testing::accepted;
 use ash::vk;
-use shadecast_gpu::Timings;
+use shadecast_gpu::{Timing, Timings};
 use shadecast_protocol::delta::{DeltaEncoder, EncodedDelta};
 use shadecast_protocol::geometry::GeometryDelta;
 use shadecast_protocol::ids::UpdateId;
@@ -18,7 +18,7 @@ use shadecast_protocol::message::{Displayed, HeadState, ServerDatagram};
 use shadecast_protocol::session::{Out, ServerEvent};
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
 use shadecast_test_support::peers::head;
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 use std::rc::Rc;
 use std::sync::Mutex;
@@ -110,10 +110,23 @@ struct Script {
     encoders: Rc<RefCell<u32>>,
     /// Clients that were closed in the middle of an update.
     broken: Rc<RefCell<u32>>,
+    /// What the device says that an update took.
+    device_ns: Rc<Cell<i64>>,
+    /// The steps of updates that were made, whose, and of which.
+    steps: Rc<RefCell<Vec<(u32, Step, u32)>>>,
+    /// What a step does while another update is in flight: once.
+    beside: Rc<RefCell<Option<(Step, Act)>>>,
+    /// How many updates were in flight when their client was closed.
+    left: Rc<RefCell<u32>>,
 }
 
 fn act(acts: &Rc<RefCell<VecDeque<Option<Act>>>>) -> Result<(), GpuError> {
-    match acts.borrow_mut().pop_front().flatten() {
+    let act = acts.borrow_mut().pop_front().flatten();
+    done(act)
+}
+
+fn done(act: Option<Act>) -> Result<(), GpuError> {
+    match act {
         None => Ok(()),
         Some(Act::Fail) => Err(GpuError::TooLarge("143 GiB for its eyes".into())),
         Some(Act::Lose) => Err(lost()),
@@ -131,24 +144,74 @@ impl Studio for FakeStudio {
         *self.0.made.borrow_mut() += 1;
         act(&self.0.makes)?;
         *self.0.open.borrow_mut() += 1;
-        Ok(FakeUpdates { next: 0, has_head: false })
+        Ok(FakeUpdates { client: *self.0.made.borrow(), ..FakeUpdates::default() })
     }
 
-    fn update(&mut self, updates: &mut FakeUpdates, time: ServerTime) -> Result<Option<Shaded>, GpuError> {
-        if !updates.has_head {
+    /// The device comes further whenever it is looked at.
+    fn flight(&self, updates: &FakeUpdates) -> Result<Flight, GpuError> {
+        let has_come = || {
+            updates.looked_at.set(updates.looked_at.get() + 1);
+            updates.looked_at.get().is_multiple_of(3)
+        };
+        Ok(Flight {
+            is_begun: updates.begun.is_some(),
+            is_seen: updates.begun.is_some() && has_come(),
+            is_placed: updates.placed.is_some(),
+            is_in_work: updates.in_work.is_some(),
+            is_shaded: updates.in_work.is_some() && has_come(),
+            is_alone: *self.0.open.borrow() == 1,
+        })
+    }
+
+    fn advance(
+        &mut self,
+        updates: &mut FakeUpdates,
+        step: Step,
+        time: ServerTime,
+    ) -> Result<Option<Shaded>, GpuError> {
+        if step == Step::Wait || !updates.has_head {
             return Ok(None);
         }
-        act(&self.0.updates)?;
+        let others = updates.in_flight() - u32::from(step != Step::Begin && updates.in_flight() > 0);
+        if others > 0 && self.0.beside.borrow().is_some_and(|(at, _)| at == step) {
+            done(self.0.beside.take().map(|(_, act)| act))?;
+        }
+        let of = match step {
+            Step::Begin => {
+                act(&self.0.updates)?;
+                assert!(updates.begun.is_none() && updates.in_work.is_none());
+                updates.in_work = updates.placed.take();
+                updates.begun = Some((UpdateId(updates.next), time));
+                updates.next += 1;
+                updates.begun
+            }
+            Step::Place => {
+                assert!(updates.placed.is_none());
+                updates.placed = updates.begun.take();
+                updates.placed
+            }
+            Step::Shade => {
+                assert!(updates.in_work.is_none());
+                updates.in_work = updates.placed.take();
+                updates.in_work
+            }
+            Step::Collect | Step::Wait => updates.in_work.take(),
+        };
+        let (update, time) = of.expect("there is something to make the step of");
+        self.0.steps.borrow_mut().push((updates.client, step, update.0));
+        if step != Step::Collect {
+            return Ok(None);
+        }
         *self.0.updates_made.borrow_mut() += 1;
-        let frame = UpdateId(updates.next);
-        updates.next += 1;
-        let delta = GeometryDelta { update: frame, time, ..GeometryDelta::default() };
+        let delta = GeometryDelta { update, time, ..GeometryDelta::default() };
         let delta = UpdateDelta { geometry: delta, ..UpdateDelta::default() };
-        let (picture, timings) = (Source::default(), Timings::default());
-        Ok(Some(Shaded { update: frame, time, delta, picture, timings }))
+        let timing = Timing { scope: "shading", began_ns: 0, took_ns: self.0.device_ns.get() };
+        let (picture, timings) = (Source::default(), Timings::from_iter([timing]));
+        Ok(Some(Shaded { update, time, delta, picture, timings }))
     }
 
-    fn close(&mut self, _: FakeUpdates, has_failed: bool) {
+    fn close(&mut self, updates: FakeUpdates, has_failed: bool) {
+        *self.0.left.borrow_mut() += updates.in_flight();
         *self.0.broken.borrow_mut() += u32::from(has_failed);
         *self.0.open.borrow_mut() -= 1;
     }
@@ -170,9 +233,21 @@ impl Studio for FakeStudio {
     }
 }
 
+#[derive(Default)]
 struct FakeUpdates {
+    client: u32,
     next: u32,
     has_head: bool,
+    looked_at: Cell<u32>,
+    begun: Option<(UpdateId, ServerTime)>,
+    placed: Option<(UpdateId, ServerTime)>,
+    in_work: Option<(UpdateId, ServerTime)>,
+}
+
+impl FakeUpdates {
+    fn in_flight(&self) -> u32 {
+        [self.begun, self.placed, self.in_work].into_iter().flatten().count() as u32
+    }
 }
 
 impl Updates for FakeUpdates {
@@ -542,4 +617,117 @@ fn no_update_is_made_while_more_than_two_wait_for_the_link() {
         steps > 400
     });
     assert_eq!(stats.updates, 3, "two may wait when another one is made");
+}
+
+/// A device for which updates in a row are too slow.
+fn slow() -> Bench {
+    let bench = Bench::new();
+    bench.script.device_ns.set(PERIOD_NS * 3 / 2);
+    bench
+}
+
+/// Whether one of a client's updates began before the one before it was collected.
+fn has_overlapped(steps: &[(u32, Step, u32)]) -> bool {
+    steps.iter().enumerate().any(|(at, (client, step, update))| {
+        *step == Step::Begin && *update > 0 && !steps[..at].contains(&(*client, Step::Collect, update - 1))
+    })
+}
+
+#[test]
+fn updates_too_slow_in_a_row_overlap_and_leave_in_order() {
+    let bench = slow();
+    bench.comes(1);
+    let (ended, stats) = bench.run(|recorder| pictures(recorder) >= 30);
+    assert!(ended.is_ok() && stats.updates >= 30 && stats.refused == 0);
+    let steps = bench.script.steps.borrow();
+    assert!(has_overlapped(&steps), "{steps:?}");
+    let row = [Step::Begin, Step::Place, Step::Shade, Step::Collect];
+    assert!(steps[..16].chunks(4).all(|update| update.iter().map(|(_, step, _)| *step).eq(row)), "{steps:?}");
+    for step in [Step::Begin, Step::Place, Step::Collect] {
+        let of_step = steps.iter().filter(|(_, made, _)| *made == step);
+        assert!(
+            of_step.enumerate().all(|(at, (_, _, update))| at == *update as usize),
+            "{step:?} of {steps:?}"
+        );
+    }
+    let deltas = bench.outlet.deltas.lock().expect("whole").clone();
+    assert!(deltas.iter().enumerate().all(|(at, delta)| *delta == (PeerId(1), at as u32)), "{deltas:?}");
+}
+
+#[test]
+fn updates_that_fit_are_made_in_a_row() {
+    let bench = Bench::new();
+    bench.script.device_ns.set(PERIOD_NS / 2);
+    bench.comes(1);
+    assert!(bench.run(|recorder| pictures(recorder) >= 30).0.is_ok());
+    let steps = bench.script.steps.borrow();
+    assert!(
+        steps.chunks(4).all(|update| update.iter().all(|(_, _, number)| *number == update[0].2)),
+        "{steps:?}"
+    );
+}
+
+#[test]
+fn a_client_that_leaves_with_updates_in_flight_leaves_nothing_behind() {
+    let bench = slow();
+    bench.comes(1);
+    let mut is_gone = false;
+    let (ended, stats) = bench.run(|recorder| {
+        let steps = bench.script.steps.borrow();
+        let is_in_flight = steps.last().is_some_and(|(_, step, _)| *step != Step::Collect);
+        if !is_gone && has_overlapped(&steps) && is_in_flight {
+            bench.mailbox.gone(PeerId(1));
+            bench.comes(2);
+            is_gone = true;
+        }
+        let deltas = recorder.deltas.lock().expect("whole");
+        deltas.iter().filter(|(peer, _)| *peer == PeerId(2)).count() >= 20
+    });
+    assert!(ended.is_ok() && stats.refused == 0 && stats.viewers.len() == 2, "{stats:?}");
+    assert!(*bench.script.left.borrow() > 0 && *bench.script.open.borrow() == 0);
+    assert_eq!(*bench.script.broken.borrow(), 0, "no step was broken off");
+    let deltas = bench.outlet.deltas.lock().expect("whole");
+    let second = deltas.iter().filter(|(peer, _)| *peer == PeerId(2));
+    assert!(second.enumerate().all(|(at, (_, update))| at == *update as usize), "{deltas:?}");
+}
+
+#[test]
+fn where_a_second_client_comes_what_is_in_flight_ends_before_its_updates_begin() {
+    let bench = slow();
+    bench.comes(1);
+    let mut has_come = false;
+    let (ended, _) = bench.run(|recorder| {
+        if !has_come && has_overlapped(&bench.script.steps.borrow()) {
+            bench.comes(2);
+            has_come = true;
+        }
+        let deltas = recorder.deltas.lock().expect("whole");
+        [1, 2].iter().all(|of| deltas.iter().filter(|(peer, _)| *peer == PeerId(*of)).count() >= 20)
+    });
+    assert!(ended.is_ok());
+    let steps = bench.script.steps.borrow();
+    let comes = steps.iter().position(|(client, ..)| *client == 2).expect("it is served");
+    let count = |step: Step| steps[..comes].iter().filter(|(_, made, _)| *made == step).count();
+    assert_eq!(count(Step::Begin), count(Step::Collect), "{steps:?}");
+    assert!(
+        steps[comes..].chunks(4).all(|update| update.iter().all(|step| step.0 == update[0].0)),
+        "{steps:?}"
+    );
+}
+
+#[test]
+fn a_step_that_fails_beside_another_update_ends_that_session_alone() {
+    for step in [Step::Begin, Step::Place, Step::Collect] {
+        for fault in [Act::Fail, Act::Panic] {
+            let bench = slow();
+            *bench.script.beside.borrow_mut() = Some((step, fault));
+            bench.comes(1);
+            let (ended, stats) = bench.run(|recorder| !recorder.refused.lock().expect("whole").is_empty());
+            assert!(ended.is_ok() && stats.refused == 1 && bench.refusals()[0].0 == PeerId(1), "{step:?}");
+            assert_eq!(*bench.script.broken.borrow(), 1, "what {step:?} had made is not believed");
+            bench.comes(2);
+            let before = pictures(&bench.outlet);
+            assert!(bench.run(|recorder| pictures(recorder) > before).0.is_ok());
+        }
+    }
 }

@@ -9,6 +9,7 @@ use crate::encode::{self, EncodeError, Encoder, Source};
 use crate::frame::{Frame, Shaded};
 use crate::geometry::UpdateDelta;
 use crate::motion::sender::SharedMotion;
+use crate::overlap::{Flight, Step};
 use crate::pacing::Budget;
 use crate::quality::QualityOptions;
 use crate::scene::SceneGpu;
@@ -99,20 +100,38 @@ impl Studio for GpuStudio<'_> {
         frame
     }
 
-    fn update(&mut self, frame: &mut Frame, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
+    fn flight(&self, frame: &Frame) -> Result<Flight, GpuError> {
+        self.world.as_ref().map_or(Ok(Flight::default()), |world| frame.flight(world))
+    }
+
+    fn advance(
+        &mut self,
+        frame: &mut Frame,
+        step: Step,
+        now: ServerTime,
+    ) -> Result<Option<Shaded>, GpuError> {
         let Some(world) = &mut self.world else { return Ok(None) };
         // Who looks at the same time has a part of it.
         let period_ms = 1e3 / self.options.rate_hz / self.looking.max(1) as f64;
         frame.set_shading_budget(self.shade_rate.budget_texels(self.options.shade_ms, period_ms));
-        let shaded = frame.update(world, now)?;
-        shaded.iter().for_each(|shaded| self.shade_rate.note(&shaded.timings, frame.reused().shaded_texels));
-        Ok(shaded)
+        match step {
+            Step::Begin => frame.begin(world, now).map(|_| None),
+            Step::Place => frame.place(world).map(|()| None),
+            Step::Shade => frame.shade(world).map(|()| None),
+            Step::Collect => {
+                let shaded = frame.collect(world)?;
+                let texels = frame.reused().shaded_texels;
+                shaded.iter().for_each(|shaded| self.shade_rate.note(&shaded.timings, texels));
+                Ok(shaded)
+            }
+            Step::Wait => Ok(None),
+        }
     }
 
     fn close(&mut self, frame: Frame, has_failed: bool) {
         self.looking -= 1;
         let Some(world) = &mut self.world else { return };
-        world.leave(frame.id());
+        frame.leave(world);
         if has_failed {
             world.forget();
         }

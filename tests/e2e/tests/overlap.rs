@@ -11,10 +11,13 @@ use shadecast_server::frame::{Frame, Shaded, ShowOptions};
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::world::{ViewerId, World};
 use shadecast_test_support::peers;
+use std::ops::Range;
 use std::sync::Arc;
 
 const PERIOD_NS: i64 = 33_333_333;
 const UPDATES: u32 = 10;
+/// The update that is begun when a viewer leaves.
+const LEAVES_AT: u32 = 3;
 
 /// A viewer with a world of its own.
 struct Lone {
@@ -24,7 +27,10 @@ struct Lone {
 
 impl Lone {
     fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>) -> Self {
-        let world = World::new(gpu, scene).expect("memory");
+        Self::of_world(World::new(gpu, scene).expect("memory"))
+    }
+
+    fn of_world(world: World) -> Self {
         let (welcome, capabilities) = terms();
         let show = ShowOptions { detail_pixels: 1.0, surround: 0.25 };
         let frame = Frame::new(&world, ViewerId(1), &welcome, &capabilities, show).expect("memory");
@@ -43,23 +49,40 @@ impl Lone {
         now
     }
 
-    fn in_a_row(mut self) -> Vec<Shaded> {
+    fn in_a_row(mut self, updates: Range<u32>) -> Vec<Shaded> {
         let mut update = |number| {
             let now = self.turn(number);
             self.frame.update(&mut self.world, now).expect("a device").expect("a head is known")
         };
-        (0..UPDATES).map(&mut update).collect()
+        updates.map(&mut update).collect()
+    }
+
+    /// Begins an update beside the one before; gives the one before that.
+    fn begin(&mut self, number: u32) -> Option<Shaded> {
+        let now = self.turn(number);
+        let before = self.frame.collect(&self.world).expect("a device");
+        assert!(self.frame.begin(&mut self.world, now).expect("a device"), "a head is known");
+        let flight = self.frame.flight(&self.world).expect("a device");
+        assert_eq!((flight.is_begun, flight.is_in_work), (true, number > 0));
+        before
+    }
+
+    /// Goes with one update begun and one in work.
+    fn leaves_in_flight(mut self) -> World {
+        for number in 0..LEAVES_AT {
+            self.begin(number);
+            self.frame.place(&mut self.world).expect("a device");
+        }
+        self.begin(LEAVES_AT);
+        self.frame.leave(&mut self.world);
+        self.world
     }
 
     /// Visibility of each is before the device when the one before is shaded.
     fn overlapping(mut self) -> Vec<Shaded> {
         let mut made = Vec::new();
         for number in 0..UPDATES {
-            let now = self.turn(number);
-            made.extend(self.frame.collect(&self.world).expect("a device"));
-            assert!(self.frame.begin(&mut self.world, now).expect("a device"), "a head is known");
-            let flight = self.frame.flight(&self.world).expect("a device");
-            assert_eq!((flight.is_begun, flight.is_in_work), (true, number > 0));
+            made.extend(self.begin(number));
             self.frame.place(&mut self.world).expect("a device");
         }
         made.extend(self.frame.collect(&self.world).expect("a device"));
@@ -80,20 +103,41 @@ fn terms() -> (Welcome, Capabilities) {
     (welcome, hello.capabilities)
 }
 
-#[test]
-fn updates_that_overlap_are_those_in_a_row() {
+fn dragons(count: u32) -> (Arc<Gpu>, Arc<SceneGpu>) {
     let options = GpuOptions { needs: Needs::Server, validation: true, device_name: None };
     let gpu = Gpu::open(&options, &DesktopDevice)
         .expect("a Vulkan device; `./shadecast setup` installs a software one");
-    let scene = load_scene(&SceneSource::Dragons(4)).expect("built in");
+    let scene = load_scene(&SceneSource::Dragons(count)).expect("built in");
     let scene = Arc::new(SceneGpu::new(&gpu, scene, &SceneOptions::default()).expect("a scene"));
-    let row = Lone::new(&gpu, &scene).in_a_row();
-    let overlapping = Lone::new(&gpu, &scene).overlapping();
-    assert_eq!(row.len(), overlapping.len());
-    for (alone, beside) in row.iter().zip(&overlapping) {
-        assert_eq!((alone.update, alone.time), (beside.update, beside.time));
-        assert_eq!(alone.delta, beside.delta, "{:?}", alone.update);
-        assert!(alone.picture == beside.picture, "another picture of {:?}", alone.update);
+    (gpu, scene)
+}
+
+#[track_caller]
+fn assert_same(gpu: &Gpu, one: &[Shaded], other: &[Shaded]) {
+    assert_eq!(one.len(), other.len());
+    for (one, other) in one.iter().zip(other) {
+        assert_eq!((one.update, one.time), (other.update, other.time));
+        assert_eq!(one.delta, other.delta, "{:?}", one.update);
+        assert!(one.picture == other.picture, "another picture of {:?}", one.update);
     }
     assert_eq!(gpu.validation_messages(), 0, "{:#?}", gpu.validation_texts());
+}
+
+#[test]
+fn updates_that_overlap_are_those_in_a_row() {
+    let (gpu, scene) = dragons(4);
+    let row = Lone::new(&gpu, &scene).in_a_row(0..UPDATES);
+    let overlapping = Lone::new(&gpu, &scene).overlapping();
+    assert_same(&gpu, &row, &overlapping);
+}
+
+#[test]
+fn a_viewer_that_leaves_with_updates_in_flight_leaves_the_world_as_it_should_be() {
+    let (gpu, scene) = dragons(2);
+    let world = Lone::new(&gpu, &scene).leaves_in_flight();
+    // The next one looks from the time at which that one left: what was begun for it is used.
+    let updates = LEAVES_AT..LEAVES_AT + 3;
+    let next = Lone::of_world(world).in_a_row(updates.clone());
+    let first = Lone::new(&gpu, &scene).in_a_row(updates);
+    assert_same(&gpu, &first, &next);
 }

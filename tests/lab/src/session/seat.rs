@@ -235,7 +235,7 @@ impl Seat {
     /// Nobody is served any more.
     fn part(&mut self, server: &mut Server) {
         if let Some(viewer) = self.viewer.take() {
-            server.world.leave(viewer.into_updates().id());
+            viewer.into_updates().leave(&mut server.world);
             self.steps = None;
         }
     }
