@@ -3,7 +3,7 @@
 //!
 //! A table is made of cells ([`cell`]), each of which is measured by itself ([`bench`]), in rounds: all cells of a scene in turn,
 //! then all of them again, so that a machine whose speed changes disturbs all alike. Ratios are those within a round, figures are
-//! medians of the rounds ([`report`]). What is measured is written down at once ([`state`]).
+//! medians of the rounds ([`report`]). What is measured is written down at once (`state.rs`).
 //!
 //! The first set is the paper's: full detail, and nothing that one update has made serves the next, so that its columns differ by
 //! animation alone; the sun's shadow map is drawn anew for each update in all of them. By the paper's ways ([`cell::Mode::AsPaper`])
