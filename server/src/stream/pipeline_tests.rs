@@ -187,6 +187,8 @@ impl Studio for FakeStudio {
             }
             Step::Place => {
                 assert!(updates.placed.is_none());
+                // The device's time, and a fifth of it for placement.
+                std::thread::sleep(Duration::from_nanos(self.0.device_ns.get() as u64 * 6 / 5));
                 updates.placed = updates.begun.take();
                 updates.placed
             }
