@@ -76,6 +76,11 @@ impl Needed {
         }
     }
 
+    /// Whether all that others need is needed here, however finely.
+    pub fn has_all(&self, others: &Self) -> bool {
+        self.0.iter().zip(&others.0).all(|(has, other)| has.is_some() || other.is_none())
+    }
+
     /// Whether all that others need is needed here, as finely.
     pub fn covers(&self, others: &Self) -> bool {
         let covers = |has: &Option<usize>, other: usize| has.is_some_and(|has| has <= other);

@@ -155,11 +155,19 @@ impl World {
 
     /// Records light, shadow map and tangents as they are at `at`, which [`Self::animate`] has sampled into `place`, unless they are.
     pub fn light(&mut self, recorder: &mut Recorder, at: ViewTime, place: RingPlace) {
-        let is_lit = |(lit, of): &(ViewTime, Needed)| *lit == at && of.covers(&self.needed);
-        if self.lit.as_ref().is_some_and(is_lit) {
-            return;
+        let known = self.lit.as_ref().filter(|(lit, _)| *lit == at).map(|(_, of)| of);
+        match known {
+            Some(of) if of.covers(&self.needed) => return,
+            // Another viewer needs finer frames; the map is as fine for all.
+            Some(of) if of.has_all(&self.needed) => {
+                let lacks = |instance: usize| self.needed.level(instance) < of.level(instance);
+                self.animation.record_tangents(recorder, place, |instance| {
+                    self.needed.has(instance) && lacks(instance)
+                });
+                recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
+            }
+            _ => self.record_light(recorder, place, at.time(self.grid)),
         }
-        self.record_light(recorder, place, at.time(self.grid));
         self.lit = Some((at, self.needed.clone()));
     }
 
@@ -194,6 +202,7 @@ impl World {
 
     fn record_light(&mut self, recorder: &mut Recorder, place: RingPlace, time: ServerTime) {
         self.shadow.write(&self.scene, &self.animation, time);
+        self.animation.forget_tangents();
         self.animation.record_tangents(recorder, place, |instance| self.needed.has(instance));
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         let is_drawn = recorder

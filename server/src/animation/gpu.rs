@@ -194,7 +194,13 @@ impl Animation {
         }
     }
 
-    /// Skins normals and tangents of the animated instances that are in `place` and that `is_wanted` names.
+    /// Normals and tangents of another time come next.
+    pub fn forget_tangents(&mut self) {
+        self.frames.begin(SHADED);
+    }
+
+    /// Skins normals and tangents of the animated instances that are in `place` and that `is_wanted` names, as finely as their
+    /// positions.
     pub fn record_tangents(
         &mut self,
         recorder: &mut Recorder,
@@ -202,7 +208,6 @@ impl Animation {
         is_wanted: impl Fn(usize) -> bool,
     ) {
         let Some(time) = self.poses[place.index()].time else { return };
-        self.frames.begin(SHADED);
         let scene = self.scene.clone();
         let sample = |instance: usize| {
             let pose = self.poses[place.index()].of_instance[instance]?;

@@ -174,6 +174,7 @@ impl Forward {
             recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_READ);
         }
         self.animation.record_sample(recorder, ONLY, time);
+        self.animation.forget_tangents();
         self.animation.record_tangents(recorder, ONLY, |_| true);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         self.record_posed(recorder, world_from_eye, fov, time);
