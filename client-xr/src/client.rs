@@ -18,6 +18,7 @@ use crate::stats::{ClientStats, Counters};
 use crate::xr::{Views, Xr};
 use shadecast_gpu::{Gpu, Timings};
 use shadecast_protocol::delta::ReceivedDelta;
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::{
     ATLAS_MAX_EXTENT, DEFAULT_VERTEX_SLOTS, MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS,
 };
@@ -60,7 +61,7 @@ impl Default for ClientOptions {
             interpolation: Interpolation::Cubic,
             msaa: 4,
             lookup: Lookup::default(),
-            decoding: DecodeTiming::Thread,
+            decoding: DecodeTiming::Thread { now: platform::CLOCK },
             codecs: &[Codec::H264],
             decoder: platform::decoder,
             max_vertex_slots: DEFAULT_VERTEX_SLOTS,
@@ -69,6 +70,18 @@ impl Default for ClientOptions {
             motion: MotionMemory::DEFAULT,
         }
     }
+}
+
+/// Decoded pictures that are remembered for who drives the client.
+const MAX_DECODED_TOLD: usize = 16;
+
+/// How long a picture was in the decoder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DecodedIn {
+    /// Its update.
+    pub update: UpdateId,
+    /// Begin and end.
+    pub times: [ClientTime; 2],
 }
 
 /// What became of a connection, for who drives it.
@@ -93,6 +106,8 @@ pub struct Client {
     pub(crate) now: ClientTime,
     counters: Counters,
     notices: VecDeque<Notice>,
+    /// Pictures that were decoded, for who wants to know how long that took.
+    decoded: VecDeque<DecodedIn>,
 }
 
 impl Drop for Client {
@@ -116,6 +131,7 @@ impl Client {
             now: ClientTime(0),
             counters,
             notices: VecDeque::new(),
+            decoded: VecDeque::with_capacity(MAX_DECODED_TOLD),
         })
     }
 
@@ -227,12 +243,17 @@ impl Client {
     /// What is decoded goes to the scene of its connection.
     fn take_pictures(&mut self) {
         let Some(scene) = self.scenes.arriving_mut() else { return };
+        let decoded = &mut self.decoded;
         let (lost, has_asked) =
-            self.link.decode(self.now, |serial, Decoded { update: frame, arrived, picture }| {
+            self.link.decode(self.now, |serial, Decoded { update, arrived, decoding: times, picture }| {
                 if scene.serial != serial {
                     return Some(picture);
                 }
-                let unused = scene.bundler.add_picture(frame, ArrivedPicture { arrived, picture });
+                if decoded.len() == MAX_DECODED_TOLD {
+                    decoded.pop_front();
+                }
+                decoded.push_back(DecodedIn { update, times });
+                let unused = scene.bundler.add_picture(update, ArrivedPicture { arrived, picture });
                 unused.map(|unused| unused.picture)
             });
         self.counters.lost_pictures += u64::from(lost);
@@ -252,6 +273,11 @@ impl Client {
     /// What became of the connection.
     pub fn poll_notice(&mut self) -> Option<Notice> {
         self.notices.pop_front()
+    }
+
+    /// Pictures that were decoded, each once; of many that nobody asks for the newest.
+    pub fn take_decoded(&mut self) -> impl Iterator<Item = DecodedIn> + '_ {
+        self.decoded.drain(..)
     }
 
     fn take_events(&mut self) -> Result<(), ClientError> {

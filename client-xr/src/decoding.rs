@@ -31,10 +31,13 @@ const SPARE_QUEUE: usize = 4;
 const LOOK_UP: Duration = Duration::from_millis(2);
 
 /// How decoding takes time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub enum DecodeTiming {
     /// On a thread of its own, as fast as it goes.
-    Thread,
+    Thread {
+        /// The clock by which it is told how long that is.
+        now: fn() -> ClientTime,
+    },
     /// At once, but handed on only after so many nanoseconds of the virtual clock, one picture after the other.
     Virtual {
         /// Nanoseconds per picture.
@@ -49,6 +52,8 @@ pub struct Decoded {
     pub update: UpdateId,
     /// When its last byte came.
     pub arrived: ClientTime,
+    /// From its being handed to the decoder to its being there.
+    pub decoding: [ClientTime; 2],
     /// The picture.
     pub picture: Picture,
 }
@@ -71,6 +76,7 @@ enum Job {
 struct Outcome {
     update: UpdateId,
     arrived: ClientTime,
+    decoding: [ClientTime; 2],
     result: Result<Picture, DecodeError>,
 }
 
@@ -100,8 +106,16 @@ struct PictureOrder {
 /// A decoder with the pictures that are in it.
 struct Work {
     decoder: Box<dyn Decoder>,
-    /// Frame and arrival of each, in order.
-    under_way: VecDeque<(UpdateId, ClientTime)>,
+    /// In order.
+    under_way: VecDeque<UnderWay>,
+}
+
+/// A picture that is in a decoder.
+#[derive(Clone, Copy)]
+struct UnderWay {
+    update: UpdateId,
+    arrived: ClientTime,
+    began: ClientTime,
 }
 
 enum Engine {
@@ -109,7 +123,7 @@ enum Engine {
         work: Work,
         delay_ns: i64,
         busy_until: ClientTime,
-        done: VecDeque<(ClientTime, Outcome)>,
+        done: VecDeque<Outcome>,
     },
     Thread {
         jobs: Option<SyncSender<Job>>,
@@ -193,7 +207,7 @@ impl Decoding {
     pub fn new(decoder: Box<dyn Decoder>, timing: DecodeTiming) -> Self {
         let work = Work { decoder, under_way: VecDeque::new() };
         let engine = match timing {
-            DecodeTiming::Thread => Engine::thread(work),
+            DecodeTiming::Thread { now } => Engine::thread(work, now),
             DecodeTiming::Virtual { delay_ns } => {
                 Engine::Virtual { work, delay_ns, busy_until: ClientTime(i64::MIN), done: VecDeque::new() }
             }
@@ -269,17 +283,17 @@ impl Decoding {
         while self.order.is_hopeless(now) {
             self.give_up_to_oldest();
         }
-        while let Some(Outcome { update: frame, arrived, result }) = self.engine.finished(now) {
+        while let Some(Outcome { update, arrived, decoding, result }) = self.engine.finished(now) {
             match result {
                 Ok(picture) => {
-                    self.last_decoded = Some(frame);
-                    decoded(Decoded { update: frame, arrived, picture });
+                    self.last_decoded = Some(update);
+                    decoded(Decoded { update, arrived, decoding, picture });
                 }
                 Err(error) => {
-                    tracing::debug!("picture of frame {}: {error}", frame.0);
+                    tracing::debug!("picture of frame {}: {error}", update.0);
                     self.lost = self.lost.saturating_add(1);
                     // A refresh that is on its way heals what failed before it.
-                    self.needs_refresh |= self.last_refresh.is_none_or(|refresh| refresh <= frame);
+                    self.needs_refresh |= self.last_refresh.is_none_or(|refresh| refresh <= update);
                 }
             }
         }
@@ -314,13 +328,13 @@ impl Decoding {
 }
 
 impl Engine {
-    fn thread(work: Work) -> Self {
+    fn thread(work: Work, now: fn() -> ClientTime) -> Self {
         let (jobs, job_receiver) = sync_channel(THREAD_QUEUE);
         let (outcome_sender, outcomes) = sync_channel(THREAD_QUEUE);
         let (spare, spare_receiver) = sync_channel(SPARE_QUEUE);
         let thread = std::thread::Builder::new()
             .name("decode".into())
-            .spawn(move || decode_all(work, &job_receiver, &outcome_sender, &spare_receiver));
+            .spawn(move || decode_all(work, now, &job_receiver, &outcome_sender, &spare_receiver));
         if let Err(error) = &thread {
             tracing::error!("the decoding thread could not be started: {error}");
         }
@@ -330,8 +344,13 @@ impl Engine {
     /// Starts a job. False where the queue is full: the picture is lost, and the decoder will be told.
     fn start(&mut self, job: Job) -> bool {
         match self {
-            Self::Virtual { work, .. } => {
-                work.start(&job);
+            Self::Virtual { work, delay_ns, busy_until, .. } => {
+                let mut began = *busy_until;
+                if let Job::Decode(Coded { arrived, .. }) = &job {
+                    began = began.max(*arrived);
+                    *busy_until = began.plus_ns(*delay_ns);
+                }
+                work.start(&job, began);
                 true
             }
             Self::Thread { jobs: Some(jobs), overflowed, .. } => {
@@ -348,12 +367,11 @@ impl Engine {
 
     fn finished(&mut self, now: ClientTime) -> Option<Outcome> {
         match self {
-            Self::Virtual { work, delay_ns, busy_until, done } => {
-                while let Some(outcome) = work.poll(Duration::ZERO) {
-                    *busy_until = (*busy_until).max(outcome.arrived).plus_ns(*delay_ns);
-                    done.push_back((*busy_until, outcome));
+            Self::Virtual { work, delay_ns, done, .. } => {
+                while let Some(outcome) = work.poll(Duration::ZERO, |began| began.plus_ns(*delay_ns)) {
+                    done.push_back(outcome);
                 }
-                done.pop_front_if(|(ready, _)| *ready <= now).map(|(_, outcome)| outcome)
+                done.pop_front_if(|outcome| outcome.decoding[1] <= now)
             }
             Self::Thread { outcomes, .. } => outcomes.try_recv().ok(),
         }
@@ -372,28 +390,29 @@ impl Drop for Engine {
 }
 
 impl Work {
-    fn start(&mut self, job: &Job) {
+    fn start(&mut self, job: &Job, began: ClientTime) {
         match job {
             Job::Decode(Coded { header, access_unit, arrived }) => {
                 self.decoder.submit(access_unit);
-                self.under_way.push_back((header.update, *arrived));
+                self.under_way.push_back(UnderWay { update: header.update, arrived: *arrived, began });
             }
             Job::UnitLost => self.decoder.unit_lost(),
         }
     }
 
-    /// What became of the oldest picture, for which it waits at most for `timeout`.
-    fn poll(&mut self, timeout: Duration) -> Option<Outcome> {
-        let (frame, arrived) = *self.under_way.front()?;
+    /// What became of the oldest picture, for which it waits at most for `timeout`; `ended` tells when, by its beginning.
+    fn poll(&mut self, timeout: Duration, ended: impl FnOnce(ClientTime) -> ClientTime) -> Option<Outcome> {
+        let UnderWay { update, arrived, began } = *self.under_way.front()?;
         let result = self.decoder.poll(timeout)?;
         self.under_way.pop_front();
-        Some(Outcome { update: frame, arrived, result })
+        Some(Outcome { update, arrived, decoding: [began, ended(began)], result })
     }
 }
 
 /// Ends when the connection does.
 fn decode_all(
     mut work: Work,
+    now: fn() -> ClientTime,
     jobs: &Receiver<Job>,
     outcomes: &SyncSender<Outcome>,
     spare: &Receiver<Picture>,
@@ -405,11 +424,11 @@ fn decode_all(
         };
         spare.try_iter().for_each(|picture| work.decoder.recycle(picture));
         match job {
-            Ok(job) => work.start(&job),
+            Ok(job) => work.start(&job, now()),
             Err(TryRecvError::Empty) => {}
             Err(TryRecvError::Disconnected) => return,
         }
-        while let Some(outcome) = work.poll(LOOK_UP) {
+        while let Some(outcome) = work.poll(LOOK_UP, |_| now()) {
             if outcomes.send(outcome).is_err() {
                 return;
             }
@@ -640,7 +659,7 @@ mod tests {
 
     /// The first three of four pictures.
     fn seen_of_thread(toy: Toy) -> Vec<(u32, u8)> {
-        let mut decoding = Decoding::new(Box::new(toy), DecodeTiming::Thread);
+        let mut decoding = Decoding::new(Box::new(toy), DecodeTiming::Thread { now: || ClientTime(7) });
         for (frame, unit) in [(0, 1), (1, 2), (2, 4), (3, 6)] {
             let header =
                 PictureHeader { update: UpdateId(frame), time: ServerTime(0), is_refresh: unit % 2 == 1 };

@@ -206,6 +206,7 @@ impl Run<'_> {
             match step {
                 Step::Frame(report) => {
                     connector.flush(client);
+                    connector.traced.decoded(client.take_decoded());
                     connector.traced.ended([began, monotonic_now()], &report);
                     observe(client, &report)?;
                 }

@@ -1,6 +1,7 @@
 //! What the client does, told to a trace where one is asked for: in the server's time, once that is known. What happens before is
 //! not told.
 
+use crate::client::DecodedIn;
 use crate::report::FrameReport;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::time::{ClientTime, ServerTime};
@@ -18,6 +19,7 @@ pub struct Traced {
 
 struct Rows {
     network: Track,
+    decoder: Track,
     frames: Track,
     display: Track,
 }
@@ -28,6 +30,7 @@ impl Traced {
         let row = |trace: &Trace, name| trace.track(Process::Client, name);
         let rows = trace.map(|trace| Rows {
             network: row(trace, "network"),
+            decoder: row(trace, "decoder"),
             frames: row(trace, "frames"),
             display: row(trace, "display"),
         });
@@ -45,6 +48,18 @@ impl Traced {
                 rows.network.instant("picture has come", at, Some(header.update));
             }
             _ => {}
+        }
+    }
+
+    /// Pictures were decoded.
+    pub fn decoded(&self, decoded: impl Iterator<Item = DecodedIn>) {
+        for DecodedIn { update, times: [began, ended] } in decoded {
+            let (Some(rows), Some(began), Some(ended)) =
+                (&self.rows, self.server_time(began), self.server_time(ended))
+            else {
+                continue;
+            };
+            rows.decoder.span("decode", [began, ended], Some(update));
         }
     }
 

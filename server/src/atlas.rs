@@ -3,12 +3,14 @@
 //! Blocks keep their address while patch and size stay. The allocator is deterministic: the lowest free address
 //! wins. It knows nothing of patches, levels or time.
 
+use crate::bit_set::BitSet;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize};
 use shadecast_protocol::limits::{BLOCK_MAX_LOG2, BLOCK_MIN_LOG2, SUPERBLOCK_MIN_LOG2};
-use std::collections::{BTreeMap, BTreeSet};
 
 const CELL_LOG2: u32 = SUPERBLOCK_MIN_LOG2;
 const LEVELS: usize = (BLOCK_MAX_LOG2 - SUPERBLOCK_MIN_LOG2 + 1) as usize;
+/// Sides that a block may have.
+const SIDES: usize = (BLOCK_MAX_LOG2 - BLOCK_MIN_LOG2 + 1) as usize;
 /// Blocks of the smallest size in the smallest superblock: 16 x 16.
 const MAX_PLACES_WORDS: usize = 4;
 
@@ -16,12 +18,12 @@ const MAX_PLACES_WORDS: usize = 4;
 #[derive(Clone, Debug)]
 pub struct Atlas {
     extent: AtlasExtent,
-    /// Free superblock corners (y, x) by size: 64, 128, 256, 512.
-    free: [BTreeSet<(u32, u32)>; LEVELS],
-    /// Superblocks in use, by corner (y, x).
-    used: BTreeMap<(u32, u32), Superblock>,
-    /// Superblocks of a size that have a block free, by corner.
-    open: BTreeMap<BlockSize, BTreeSet<(u32, u32)>>,
+    /// Cells of free superblock corners by size: 64, 128, 256, 512.
+    free: [BitSet; LEVELS],
+    /// Superblocks in use, by the cell of their corner.
+    used: Vec<Option<Superblock>>,
+    /// Cells of superblocks that have a block free, by the size of their blocks.
+    open: [BitSet; SIDES * SIDES],
     used_texels: u64,
     /// By cell of the smallest superblock's side, in rows.
     cell_extents: Vec<u32>,
@@ -64,16 +66,33 @@ impl Atlas {
     /// An empty atlas.
     pub fn new(extent: AtlasExtent) -> Self {
         let largest = 1 << BLOCK_MAX_LOG2;
-        let mut free: [BTreeSet<_>; LEVELS] = Default::default();
+        let cells = extent.texels().map(|side| side >> CELL_LOG2).iter().product::<u32>() as usize;
+        let smallest = BlockSize::new(BLOCK_MIN_LOG2 as u8, BLOCK_MIN_LOG2 as u8).expect("a size");
+        let mut atlas = Self {
+            extent,
+            free: std::array::from_fn(|_| BitSet::none(cells)),
+            used: (0..cells).map(|_| None).collect(),
+            open: std::array::from_fn(|_| BitSet::none(cells)),
+            used_texels: 0,
+            cell_extents: vec![packed_extent(smallest); cells],
+        };
         for y in (0..extent.height()).step_by(largest) {
             for x in (0..extent.width()).step_by(largest) {
-                free[LEVELS - 1].insert((y, x));
+                let cell = atlas.cell((y, x));
+                atlas.free[LEVELS - 1].insert(cell);
             }
         }
-        let cells = extent.texels().map(|side| side >> CELL_LOG2);
-        let smallest = BlockSize::new(BLOCK_MIN_LOG2 as u8, BLOCK_MIN_LOG2 as u8).expect("a size");
-        let cell_extents = vec![packed_extent(smallest); (cells[0] * cells[1]) as usize];
-        Self { extent, free, used: BTreeMap::new(), open: BTreeMap::new(), used_texels: 0, cell_extents }
+        atlas
+    }
+
+    /// The cell of a corner (y, x). Lower ones come first, row by row.
+    fn cell(&self, (y, x): (u32, u32)) -> usize {
+        ((y >> CELL_LOG2) * (self.extent.width() >> CELL_LOG2) + (x >> CELL_LOG2)) as usize
+    }
+
+    fn corner(&self, cell: usize) -> (u32, u32) {
+        let across = self.extent.width() >> CELL_LOG2;
+        ((cell as u32 / across) << CELL_LOG2, (cell as u32 % across) << CELL_LOG2)
     }
 
     /// Width and height in texels.
@@ -94,11 +113,11 @@ impl Atlas {
 
     /// A block of this size, or `None` where the atlas is full.
     pub fn allocate(&mut self, size: BlockSize) -> Option<Block> {
-        let corner = match self.open.get(&size).and_then(|open| open.first()) {
-            Some(corner) => *corner,
+        let corner = match self.open[index_of(size)].first() {
+            Some(cell) => self.corner(cell),
             None => self.open_superblock(size)?,
         };
-        let superblock = &self.used[&corner];
+        let superblock = self.superblock(corner).expect("it is in use");
         let place = superblock.lowest_free().expect("open superblocks have a block free");
         let (column, row) = (place % superblock.columns(), place / superblock.columns());
         self.take_place(corner, place);
@@ -112,13 +131,13 @@ impl Atlas {
     /// This very block, where it is free.
     pub fn take(&mut self, block: Block) -> bool {
         let (corner, side_log2) = (self.superblock_of(block), side_log2(block.size));
-        if !self.used.contains_key(&corner) {
+        if self.superblock(corner).is_none() {
             if !self.take_superblock_at(corner, (side_log2 - CELL_LOG2) as usize) {
                 return false;
             }
             self.use_superblock(corner, side_log2, block.size);
         }
-        let superblock = &self.used[&corner];
+        let superblock = self.superblock(corner).expect("it is in use");
         if superblock.size != block.size {
             return false;
         }
@@ -132,12 +151,13 @@ impl Atlas {
 
     /// Takes a place that is free, of a superblock in use.
     fn take_place(&mut self, corner: (u32, u32), place: u32) {
-        let superblock = self.used.get_mut(&corner).expect("it is in use");
+        let cell = self.cell(corner);
+        let superblock = self.used[cell].as_mut().expect("it is in use");
         superblock.taken[place as usize / 64] |= 1 << (place % 64);
         superblock.count += 1;
         self.used_texels += u64::from(superblock.size.texels());
         if superblock.count == superblock.places() {
-            self.open.get_mut(&superblock.size).expect("it was open").remove(&corner);
+            self.open[index_of(superblock.size)].remove(cell);
         }
     }
 
@@ -147,7 +167,8 @@ impl Atlas {
     /// The block was not allocated here: a mistake of ours.
     pub fn free(&mut self, block: Block) {
         let corner = self.superblock_of(block);
-        let superblock = self.used.get_mut(&corner).expect("a block of this atlas");
+        let cell = self.cell(corner);
+        let superblock = self.used[cell].as_mut().expect("a block of this atlas");
         assert_eq!(superblock.size, block.size, "freed with the size it was allocated with");
         let place = superblock.place_of(corner, block);
         assert!(superblock.is_taken(place), "{block:?} is freed twice");
@@ -156,12 +177,17 @@ impl Atlas {
         self.used_texels -= u64::from(block.size.texels());
         let (empty, side_log2) = (superblock.count == 0, superblock.side_log2);
         if empty {
-            self.used.remove(&corner);
-            self.open.get_mut(&block.size).map(|open| open.remove(&corner));
+            self.used[cell] = None;
+            self.open[index_of(block.size)].remove(cell);
             self.return_superblock(corner, side_log2);
         } else {
-            self.open.entry(block.size).or_default().insert(corner);
+            self.open[index_of(block.size)].insert(cell);
         }
+    }
+
+    /// That in use at a corner.
+    fn superblock(&self, corner: (u32, u32)) -> Option<&Superblock> {
+        self.used[self.cell(corner)].as_ref()
     }
 
     fn superblock_of(&self, block: Block) -> (u32, u32) {
@@ -184,27 +210,29 @@ impl Atlas {
             let first = (row * (self.extent.width() >> CELL_LOG2) + (x >> CELL_LOG2)) as usize;
             self.cell_extents[first..first + cells as usize].fill(packed_extent(size));
         }
-        self.used.insert(corner, Superblock { side_log2, size, taken: [0; MAX_PLACES_WORDS], count: 0 });
-        self.open.entry(size).or_default().insert(corner);
+        let cell = self.cell(corner);
+        self.used[cell] = Some(Superblock { side_log2, size, taken: [0; MAX_PLACES_WORDS], count: 0 });
+        self.open[index_of(size)].insert(cell);
     }
 
     /// The lowest free superblock of a level, split from the smallest larger one where there is none.
     fn take_superblock(&mut self, level: usize) -> Option<(u32, u32)> {
-        if let Some(corner) = self.free[level].pop_first() {
-            return Some(corner);
+        if let Some(cell) = self.free[level].pop_first() {
+            return Some(self.corner(cell));
         }
         if level + 1 == LEVELS {
             return None;
         }
         let (y, x) = self.take_superblock(level + 1)?;
         let side = 1 << (CELL_LOG2 + level as u32);
-        self.free[level].extend([(y, x + side), (y + side, x), (y + side, x + side)]);
+        self.give(level, [(y, x + side), (y + side, x), (y + side, x + side)]);
         Some((y, x))
     }
 
     /// The superblock of a level at this very corner, split from a larger one where that is free.
     fn take_superblock_at(&mut self, corner: (u32, u32), level: usize) -> bool {
-        if self.free[level].remove(&corner) {
+        let cell = self.cell(corner);
+        if self.free[level].remove(cell) {
             return true;
         }
         let side = 1u32 << (CELL_LOG2 + level as u32);
@@ -213,8 +241,15 @@ impl Atlas {
             return false;
         }
         let (y, x) = parent;
-        self.free[level].extend([(y, x), (y, x + side), (y + side, x), (y + side, x + side)]);
-        self.free[level].remove(&corner)
+        self.give(level, [(y, x), (y, x + side), (y + side, x), (y + side, x + side)]);
+        self.free[level].remove(cell)
+    }
+
+    /// Superblocks of a level are free.
+    fn give<const N: usize>(&mut self, level: usize, corners: [(u32, u32); N]) {
+        for cell in corners.map(|corner| self.cell(corner)) {
+            self.free[level].insert(cell);
+        }
     }
 
     /// Puts a superblock back and joins it with its three siblings while all are free.
@@ -222,31 +257,39 @@ impl Atlas {
         let level = (side_log2 - CELL_LOG2) as usize;
         let (side, parent) = (1u32 << side_log2, !((2u32 << side_log2) - 1));
         let (y, x) = (corner.0 & parent, corner.1 & parent);
-        let siblings = [(y, x), (y, x + side), (y + side, x), (y + side, x + side)];
-        let others_free = siblings.iter().all(|s| *s == corner || self.free[level].contains(s));
-        if level + 1 == LEVELS || !others_free {
-            self.free[level].insert(corner);
-            return;
+        if level + 1 == LEVELS {
+            return self.give(level, [corner]);
         }
-        siblings.iter().for_each(|s| {
-            self.free[level].remove(s);
-        });
+        let siblings = [(y, x), (y, x + side), (y + side, x), (y + side, x + side)].map(|at| self.cell(at));
+        let cell = self.cell(corner);
+        if !siblings.iter().all(|sibling| *sibling == cell || self.free[level].contains(*sibling)) {
+            return self.give(level, [corner]);
+        }
+        for sibling in siblings {
+            self.free[level].remove(sibling);
+        }
         self.return_superblock((y, x), side_log2 + 1);
     }
 
     /// Texels of free superblocks and of free blocks inside superblocks in use.
     pub fn free_texels(&self) -> u64 {
         let whole: u64 = (0..LEVELS)
-            .map(|level| (self.free[level].len() as u64) << (2 * (CELL_LOG2 as usize + level)))
+            .map(|level| (self.free[level].count() as u64) << (2 * (CELL_LOG2 as usize + level)))
             .sum();
-        let partial: u64 =
-            self.used.values().map(|s| u64::from(s.places() - s.count) * u64::from(s.size.texels())).sum();
+        let used = self.used.iter().flatten();
+        let partial: u64 = used.map(|s| u64::from(s.places() - s.count) * u64::from(s.size.texels())).sum();
         whole + partial
     }
 }
 
 fn packed_extent(size: BlockSize) -> u32 {
     size.width() | size.height() << 16
+}
+
+/// Of all sizes.
+fn index_of(size: BlockSize) -> usize {
+    let side = |log2: u8| usize::from(log2) - BLOCK_MIN_LOG2 as usize;
+    side(size.width_log2) * SIDES + side(size.height_log2)
 }
 
 fn side_log2(size: BlockSize) -> u32 {
@@ -334,7 +377,7 @@ mod tests {
             }
         }
         live.drain(..).for_each(|block| atlas.free(block));
-        assert_eq!(atlas.free[LEVELS - 1].len(), 2, "everything joins again");
+        assert_eq!(atlas.free[LEVELS - 1].count(), 2, "everything joins again");
         assert!(taken > 500, "{taken} were free still");
     }
 

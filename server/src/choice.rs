@@ -83,10 +83,10 @@ impl Chooser {
         left
     }
 
-    /// All `candidates`, or those that matter most of them: in patch order, as they came.
-    pub fn choose(&mut self, geometry: &impl Geometry, mut candidates: Vec<Candidate>) -> Vec<Candidate> {
+    /// Leaves all `candidates`, or those that matter most of them: in patch order, as they came.
+    pub fn choose(&mut self, geometry: &impl Geometry, candidates: &mut Vec<Candidate>) {
         if self.all_fit(geometry, candidates.iter().map(|candidate| candidate.patch)) {
-            return candidates;
+            return;
         }
         candidates.sort_unstable_by_key(Candidate::rank);
         let Room { mut patches, mut vertices, mut triangles } = self.room;
@@ -102,7 +102,6 @@ impl Chooser {
             fits
         });
         candidates.sort_unstable_by_key(|candidate| candidate.patch);
-        candidates
     }
 
     /// Whether there is room for all of these patches.
@@ -203,7 +202,9 @@ mod tests {
     }
 
     fn chosen(chooser: &mut Chooser, candidates: &[Candidate]) -> Vec<u32> {
-        chooser.choose(&Fan { patches: 100 }, candidates.to_vec()).iter().map(|c| c.patch.0).collect()
+        let mut chosen = candidates.to_vec();
+        chooser.choose(&Fan { patches: 100 }, &mut chosen);
+        chosen.iter().map(|candidate| candidate.patch.0).collect()
     }
 
     #[test]

@@ -4,10 +4,12 @@
 use crate::animation::RingPlace;
 use crate::animation::gpu::{Animation, check_room as check_saved};
 use crate::choice::{Notice, Room, Shortage};
-use crate::culling::{Culling, Needed};
+use crate::clusters::Clusters;
+use crate::culling::{Culling, Needed, Sight};
 use crate::density::{Density, Spare};
 use crate::detail::{Detail, LevelCost};
 use crate::encode::Source;
+use crate::frusta::{Frusta, Frustum, MIN_MARGIN, widened};
 use crate::geometry::{UpdateDelta, UpdateStamp};
 use crate::ideal::Ideal;
 use crate::levels::{Layout, Visible};
@@ -25,7 +27,7 @@ use crate::reuse::{Reuse, Reused};
 use crate::scene::SceneGpu;
 use crate::scene::meshes::MeshLevel;
 use crate::scene::numbering::{ScenePatch, Totals};
-use crate::stages::id_buffer::{IdBuffer, shift_ndc};
+use crate::stages::id_buffer::{IdBuffer, Pass, shift_ndc};
 use crate::stages::level_selection::LevelSelection;
 use crate::stages::mark::Mark;
 use crate::stages::palette::BONE_BYTES;
@@ -42,9 +44,9 @@ use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_VIEWS};
 use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
 use shadecast_protocol::picture::I420;
-use shadecast_protocol::pose::Fov;
+use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
-use shadecast_shaders::constants::EYES;
+use shadecast_shaders::constants::{EYES, ID_BUFFER_VIEWS};
 use shadecast_shaders::generated::{SeenGpu, ViewGpu};
 use std::collections::{BTreeMap, VecDeque};
 
@@ -72,6 +74,8 @@ pub struct Frame {
     density: Density,
     spare_bits: Spare,
     views: Buffer,
+    /// In how many turned frusta each eye is looked at; 0: as it is.
+    turned: usize,
     /// The times that the last update looked at.
     looked_at: [bool; VIEW_TIMES],
     id_buffer: IdBuffer,
@@ -80,6 +84,8 @@ pub struct Frame {
     /// What the last look saw.
     seen: Vec<SeenGpu>,
     layout: Layout,
+    /// What the last update placed otherwise than the one before.
+    changes: Vec<PlacementChange>,
     residency: Residency,
     room: Room,
     shortage: Shortage,
@@ -157,8 +163,12 @@ struct Looking<'a> {
     /// What is drawn: each once, and none of them twice in a scene.
     scenes: &'a [Vec<Look>],
     places: [RingPlace; VIEW_TIMES],
+    /// From where.
+    sight: &'a Sight,
     /// At which of them.
     times: [bool; VIEW_TIMES],
+    /// In how many turned frusta; 0: as they are.
+    turned: usize,
 }
 
 /// What an update shows.
@@ -220,8 +230,12 @@ impl Frame {
     ) -> Result<Self, GpuError> {
         let (gpu, scene, animation) = (world.gpu(), world.scene(), &world.animation);
         let eye = EyeSize::of(capabilities);
-        let views =
-            Buffer::new(gpu, "views", u64::from(MAX_VIEWS) * size_of::<ViewGpu>() as u64, Memory::Upload)?;
+        let views = Buffer::new(
+            gpu,
+            "views",
+            u64::from(ID_BUFFER_VIEWS) * size_of::<ViewGpu>() as u64,
+            Memory::Upload,
+        )?;
         let id_buffer = IdBuffer::new(gpu, scene, animation, &views, eye.id_buffer_extent())?;
         let mark = Mark::new(gpu, &id_buffer.image, scene.numbering.totals.looked_at)?;
         let level_selection = LevelSelection::new(gpu, scene, animation, &views, &mark.visible)?;
@@ -235,6 +249,7 @@ impl Frame {
         };
         Ok(Self {
             seen: Vec::new(),
+            changes: Vec::new(),
             layout: Layout::new(welcome.atlas_extent_texels, scene.numbering.totals.patches as usize, room)
                 .with_surround(show.surround, room),
             residency: Residency::new(&world.samples, welcome.patch_slots, welcome.vertex_slots)
@@ -250,6 +265,7 @@ impl Frame {
             density: Density::default(),
             spare_bits: Spare::Enough,
             views,
+            turned: 0,
             looked_at: [false; VIEW_TIMES],
             id_buffer,
             mark,
@@ -357,7 +373,7 @@ impl Frame {
         world.effort.add_animation(began);
         self.write_views(&views);
         self.looked_at = self.times_to_look_at(world, &views, &in_view);
-        let look: Seeing = self.look_again(recorder, world, &sampled, &in_view)?; // 3
+        let look: Seeing = self.look_again(recorder, world, (&sampled, &views), &in_view)?; // 3
         self.begun = Some(Begun { now, views, in_view, glance, sampled, look });
         self.submit_shading(placed)?;
         Ok(true)
@@ -368,15 +384,17 @@ impl Frame {
         let Some(Begun { now, views, in_view, glance, sampled, look }) = self.begun.take() else {
             return Ok(());
         };
-        let (looks, mut timings): (Looks, _) = self.look(look, world, &sampled, &in_view)?;
+        let (looks, mut timings): (Looks, _) = self.look(look, world, (&sampled, &views), &in_view)?;
         if let Some(glance) = glance {
             timings.append(self.look_around(world, &glance, &looks, &sampled)?);
         }
-        let changes: Vec<PlacementChange> = self.layout.place(&world.samples, &looks); // 4, 5
+        let mut changes: Vec<PlacementChange> = std::mem::take(&mut self.changes);
+        self.layout.place(&world.samples, &looks, &mut changes); // 4, 5
         self.density.note(self.spare_bits, self.layout.settled_share(), self.layout.density() < 1.0);
         let began = world.effort.begin();
         let delta: UpdateDelta = self.tell(world, &views, &changes, now); // 8
         world.effort.add_delta(began);
+        self.changes = changes;
         self.report_shortage();
         let update = self.begin_next(now);
         let shaded = Shaded { update, time: now, delta, picture: Source::default(), timings };
@@ -466,14 +484,20 @@ impl Frame {
         &mut self,
         recorder: Recorder,
         world: &World,
-        sampled: &Sampled,
+        (sampled, views): (&Sampled, &PredictedViews),
         in_view: &Needed,
     ) -> Result<Seeing, GpuError> {
         let looks = Looks::new(&world.scene().numbering, self.detail.levels());
         let scenes: Vec<Vec<Look>> =
             looks.scenes().into_iter().map(|scene| reaching(scene, in_view)).collect();
-        let looking =
-            Looking { looks: &looks, scenes: &scenes, places: sampled.places, times: self.looked_at };
+        let looking = Looking {
+            looks: &looks,
+            scenes: &scenes,
+            places: sampled.places,
+            sight: &Sight::of(views.eyes.iter().flatten()),
+            times: self.looked_at,
+            turned: self.turned,
+        };
         let ticket = self.look_at(recorder, world, looking)?;
         Ok(Seeing { looks, ticket })
     }
@@ -483,7 +507,7 @@ impl Frame {
         &mut self,
         first: Seeing,
         world: &World,
-        sampled: &Sampled,
+        (sampled, views): (&Sampled, &PredictedViews),
         in_view: &Needed,
     ) -> Result<(Looks, Timings), GpuError> {
         self.layout.begin(self.asked_texels_per_pixel());
@@ -501,7 +525,8 @@ impl Frame {
                 self.switch_at_once(&mut looks);
                 return Ok((looks, timings));
             }
-            Seeing { looks, ticket } = self.look_again(world.gpu().record()?, world, sampled, in_view)?;
+            Seeing { looks, ticket } =
+                self.look_again(world.gpu().record()?, world, (sampled, views), in_view)?;
         }
         unreachable!("it looks {MAX_LOOKS} times at most")
     }
@@ -538,9 +563,11 @@ impl Frame {
         sampled: &Sampled,
     ) -> Result<Timings, GpuError> {
         self.write_glance(glance);
+        let sight = Sight::of(glance.views.iter());
         let scenes = [looks.shown().copied().collect()];
         let places = [sampled.places[VIEW_TIMES / 2]; VIEW_TIMES];
-        let looking = Looking { looks, scenes: &scenes, places, times: ONLY_THE_FIRST };
+        let looking =
+            Looking { looks, scenes: &scenes, places, sight: &sight, times: ONLY_THE_FIRST, turned: 0 };
         let ticket = self.look_at(world.gpu().record()?, world, looking)?;
         let timings = self.see(world, ticket)?;
         let (residency, geometry) = (&self.residency, &world.samples);
@@ -554,17 +581,23 @@ impl Frame {
         &mut self,
         mut recorder: Recorder,
         world: &World,
-        Looking { looks, scenes, places, times }: Looking<'_>,
+        Looking { looks, scenes, places, sight, times, turned }: Looking<'_>,
     ) -> Result<Ticket, GpuError> {
         let (scene, animation) = (world.scene(), &world.animation);
+        let unknown = Clusters::default();
+        let clusters = if self.ideal.clusters { &world.clusters } else { &unknown };
         recorder.fill(&self.mark.visible, 0);
         self.level_selection.record_start(&mut recorder);
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         for (time, place) in places.into_iter().enumerate().filter(|(time, _)| times[*time]) {
-            for drawn in scenes {
+            let all = scenes
+                .iter()
+                .flat_map(|drawn| pairs(time, turned).map(move |first_view| (drawn, first_view)));
+            for (drawn, first_view) in all {
                 recorder.scope("id buffer", |r| {
-                    self.id_buffer.record(r, scene, animation, drawn, place, EYES * time as u32);
+                    let pass = Pass { looked_at: drawn, place, first_view, within: (clusters, sight) };
+                    self.id_buffer.record(r, scene, animation, pass);
                 });
                 recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
                 recorder.scope("mark", |r| self.mark.record(r));
@@ -634,14 +667,14 @@ impl Frame {
     /// Hands what was recorded of an update's shading to the device.
     fn submit_shading(&mut self, placed: Option<(Recorder, Shaded)>) -> Result<(), GpuError> {
         let Some((recorder, shaded)) = placed else { return Ok(()) };
-        self.in_work = Some(InWork { shaded, ticket: recorder.submit()? });
+        self.in_work = Some(InWork { shaded, ticket: recorder.submit_beside()? });
         Ok(())
     }
 
     /// Fills the blocks whose inputs have changed as they are in the middle of the update's time on display, and converts them.
     fn record_shading(&mut self, world: &mut World) -> Result<Option<(Recorder, Shaded)>, GpuError> {
-        assert!(self.in_work.is_none(), "the device still reads the lists of the update before");
         let Some(Placed { views, sampled, shaded }) = self.placed.take() else { return Ok(None) };
+        assert!(self.in_work.is_none(), "the device still reads the lists of the update before");
         let (middle, place) = (views.times[VIEW_TIMES / 2], sampled.places[VIEW_TIMES / 2]);
         let mut recorder = world.gpu().record()?;
         let time = match self.ideal.shading_times.get(&shaded.update) {
@@ -676,13 +709,19 @@ impl Frame {
     }
 
     fn write_views(&mut self, views: &PredictedViews) {
-        let eyes = views.eyes.iter().flat_map(|pair| pair.iter().enumerate());
         let texels_per_pixel = self.asked_texels_per_pixel();
-        for (index, (side, view)) in eyes.enumerate() {
+        let eyes = || views.eyes.iter().flat_map(|pair| pair.iter().enumerate()).enumerate();
+        self.turned = eyes().map(|(_, (_, view))| Frusta::of(view.fov).turned()).max().unwrap_or(0);
+        for (index, (side, view)) in eyes() {
             let shift_ndc = self.shift_ndc(self.next.0, index as u32, MAX_VIEWS);
             let shown = self.eye.fovs[side];
             let texels = self.eye.pixels_per_tangent_of(shown).map(|pixels| pixels * texels_per_pixel);
             self.write_view(index, view, shift_ndc, (shown, texels));
+            let frusta = Frusta::of(view.fov);
+            for number in 0..self.turned {
+                let index = MAX_VIEWS as usize * (1 + number) + index;
+                self.write_view(index, &turned(view, frusta.at(number)), shift_ndc, (shown, texels));
+            }
         }
     }
 
@@ -769,6 +808,18 @@ impl Frame {
     }
 }
 
+/// Of each pair of views that the ID buffer is drawn from at this time, the first: of the predicted views themselves, from which
+/// extents are measured, or of so many turned ones in place of them.
+fn pairs(time: usize, turned: usize) -> impl Iterator<Item = u32> + Clone {
+    let groups = if turned == 0 { 0..=0 } else { 1..=turned as u32 };
+    groups.map(move |group| MAX_VIEWS * group + EYES * time as u32)
+}
+
+fn turned(view: &View, Frustum { eye_from_frustum, fov }: Frustum) -> View {
+    let eye_from_view = Pose { position: Vec3::ZERO, orientation: eye_from_frustum };
+    View { world_from_eye: view.world_from_eye.then(eye_from_view), fov }
+}
+
 /// Of the whole width and height.
 fn span_tangents(fov: Fov) -> [f32; 2] {
     [fov.right.tan() - fov.left.tan(), fov.up.tan() - fov.down.tan()]
@@ -796,16 +847,18 @@ impl EyeSize {
         [self.extent_pixels[0] as f32 / width, self.extent_pixels[1] as f32 / height]
     }
 
-    /// Pixels that a widened field of view would have at the density of the client's display.
-    fn extent_at(&self, fov: Fov, widened: Fov) -> [f32; 2] {
-        let (pixels, tangents) = (self.pixels_per_tangent_of(fov), span_tangents(widened));
-        [pixels[0] * tangents[0], pixels[1] * tangents[1]]
+    /// Pixels that all frusta of an eye with this field of view can be seen with.
+    fn extent_of(&self, fov: Fov) -> [f32; 2] {
+        let frusta = Frusta::of(widened(fov, MIN_MARGIN));
+        let extents =
+            frusta.all().iter().map(|frustum| frustum.extent_pixels(fov, self.pixels_per_tangent_of(fov)));
+        extents.fold([0.0, 0.0], |most, extent| [0, 1].map(|axis: usize| most[axis].max(extent[axis])))
     }
 
     /// Large enough for the widest field of view that a steady head needs; a wider one is seen more coarsely, and so is one
     /// that would need more than [`MAX_ID_BUFFER_PIXELS`].
     fn id_buffer_extent(&self) -> [u32; 2] {
-        let widest = self.fovs.map(|fov| self.extent_at(fov, fov.widened(crate::predict::MIN_MARGIN)));
+        let widest = self.fovs.map(|fov| self.extent_of(fov));
         let side = |axis: usize| widest[0][axis].max(widest[1][axis]);
         let sides =
             [side(0), side(1)].map(|side| if side > 1.0 { side.min(MAX_ID_BUFFER_SIDE) } else { 1.0 });

@@ -17,6 +17,8 @@ pub struct Ideal {
     pub reuse: bool,
     /// What stands still is looked at once an update, not at each of its times.
     pub looks_once: bool,
+    /// Of what stands still, only what is in sight is drawn to look at.
+    pub clusters: bool,
     /// For when exactly updates are shaded, where that is known ahead; others for the middle of their time on display, as expected.
     pub shading_times: BTreeMap<UpdateId, ServerTime>,
     /// At which of its times an update looks.
@@ -42,6 +44,7 @@ impl Default for Ideal {
             filter: Filter::default(),
             reuse: true,
             looks_once: true,
+            clusters: true,
             shading_times: BTreeMap::new(),
             views: ViewPlan::default(),
         }

@@ -8,6 +8,7 @@ use crate::atlas::Atlas;
 use crate::choice::{Candidate, Chooser, Room};
 use crate::geometry::Geometry;
 use crate::looks::{Look, Looks};
+use crate::merged::merged;
 use crate::residency::PlacementChange;
 use crate::reuse::Placed;
 use crate::scene::numbering::ScenePatch;
@@ -66,6 +67,22 @@ pub struct Layout {
     update: u32,
     coarsened: u32,
     dropped: usize,
+    scratch: Scratch,
+}
+
+/// Lists of one update, kept for their memory.
+#[derive(Clone, Debug, Default)]
+struct Scratch {
+    seen: Vec<(ScenePatch, [u16; 2])>,
+    held: Vec<ScenePatch>,
+    before: Vec<(ScenePatch, Block)>,
+    candidates: Vec<Candidate>,
+    kept: Vec<Kept>,
+    turns: Vec<Turn>,
+    chosen: Vec<Turn>,
+    sizes: Vec<BlockSize>,
+    waiting: Vec<(ScenePatch, BlockSize)>,
+    old: Vec<Option<Block>>,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -129,6 +146,7 @@ impl Layout {
             update: 0,
             coarsened: 0,
             dropped: 0,
+            scratch: Scratch::default(),
         }
     }
 
@@ -157,17 +175,18 @@ impl Layout {
             let unseen_updates = update - states[patch.index()].last_seen;
             (1..=HOLD_UPDATES).contains(&unseen_updates)
         };
-        // Two ascending lists, which the sort merges.
-        let mut recent: Vec<ScenePatch> = self.recent.iter().copied().filter(is_held).collect();
-        let seen: Vec<_> = visible.patches().map(|(_, patch, extent)| (patch, extent)).collect();
-        recent.retain(|patch| seen.binary_search_by_key(patch, |(patch, _)| *patch).is_err());
-        for (patch, extent) in &seen {
+        let Scratch { seen, held, .. } = &mut self.scratch;
+        held.clear();
+        held.extend(self.recent.iter().copied().filter(is_held));
+        seen.clear();
+        seen.extend(visible.patches().map(|(_, patch, extent)| (patch, extent)));
+        for (patch, extent) in &*seen {
             let state = &mut states[patch.index()];
             (state.last_seen, state.extent, state.extent_density) = (update, *extent, asked);
         }
-        recent.extend(seen.iter().map(|(patch, _)| *patch));
-        recent.sort();
-        self.recent = recent;
+        self.recent.clear();
+        self.recent
+            .extend(merged(held.iter().copied(), seen.iter().map(|(patch, _)| *patch), |a, b| a.cmp(b)));
     }
 
     /// Takes in what a glance around shows of those instances that may be in the surround.
@@ -189,34 +208,27 @@ impl Layout {
 
     /// Whether there is room for all that this update's views see of what is shown.
     pub fn has_room(&mut self, geometry: &impl Geometry, looks: &Looks) -> bool {
-        let states = &self.states;
+        let (states, update) = (&self.states, self.update);
         let in_view = looks.shown_of(&self.recent).map(|(_, patch)| patch);
-        let in_view: Vec<ScenePatch> =
-            in_view.filter(|patch| states[patch.index()].last_seen == self.update).collect();
-        self.chooser.all_fit(geometry, in_view.iter().copied())
+        self.chooser.all_fit(geometry, in_view.filter(|patch| states[patch.index()].last_seen == update))
     }
 
     /// Places the patches of what is shown that are visible, and those seen within the last
-    /// [`HOLD_UPDATES`]; where these are too many, those that matter most on screen. Returns what changed, in patch
+    /// [`HOLD_UPDATES`]; where these are too many, those that matter most on screen. `changes` becomes what changed, in patch
     /// order.
-    pub fn place(&mut self, geometry: &impl Geometry, looks: &Looks) -> Vec<PlacementChange> {
-        let before: Vec<(ScenePatch, Option<Block>)> =
-            self.placed().into_iter().map(|patch| (patch, self.states[patch.index()].block)).collect();
+    pub fn place(&mut self, geometry: &impl Geometry, looks: &Looks, changes: &mut Vec<PlacementChange>) {
+        let mut before = std::mem::take(&mut self.scratch.before);
+        before.clear();
+        before.extend(self.all_placed().map(|placed| (placed.patch, placed.block)));
         self.choose(geometry, looks);
         self.choose_around(geometry, looks);
         self.release(&before);
         self.recover();
         self.place_live();
         self.place_around(&before);
-        self.changes(&before)
-    }
-
-    /// In view and around, ascending.
-    fn placed(&self) -> Vec<ScenePatch> {
-        let mut placed: Vec<ScenePatch> = self.live.clone();
-        placed.extend(self.around.iter().map(|(patch, _)| *patch));
-        placed.sort(); // two ascending lists
-        placed
+        changes.clear();
+        changes.extend(self.changes(&before));
+        self.scratch.before = before;
     }
 
     /// Chooses who is to have a block.
@@ -230,13 +242,17 @@ impl Layout {
                 is_shown: state.block.is_some(),
             }
         };
-        let candidates: Vec<Candidate> = looks.shown_of(&self.recent).map(candidate).collect();
+        let mut candidates = std::mem::take(&mut self.scratch.candidates);
+        candidates.clear();
+        candidates.extend(looks.shown_of(&self.recent).map(candidate));
         let is_visible =
             |candidate: &&Candidate| self.states[candidate.patch.index()].last_seen == self.update;
         let visible = candidates.iter().filter(is_visible).count();
-        let chosen = self.chooser.choose(geometry, candidates);
-        self.dropped = visible - chosen.iter().filter(is_visible).count();
-        self.live = chosen.iter().map(|candidate| candidate.patch).collect();
+        self.chooser.choose(geometry, &mut candidates);
+        self.dropped = visible - candidates.iter().filter(is_visible).count();
+        self.live.clear();
+        self.live.extend(candidates.iter().map(|candidate| candidate.patch));
+        self.scratch.candidates = candidates;
     }
 
     /// Chooses what of the surround is to have a block, of levels that are shown.
@@ -246,13 +262,10 @@ impl Layout {
             return;
         }
         let left = self.chooser.left_beside(geometry, self.live.iter().copied());
-        let seen: Vec<ScenePatch> = self.surround.seen().iter().map(|seen| seen.patch).collect();
-        let shown: Vec<ScenePatch> = looks.shown_of(&seen).map(|(_, patch)| patch).collect();
-        let may_be = |patch: ScenePatch| {
-            shown.binary_search(&patch).is_ok() && self.recent.binary_search(&patch).is_err()
-        };
-        let (mut kept, mut sizes) = (Vec::new(), Vec::new());
-        for seen in self.surround.seen().iter().filter(|seen| may_be(seen.patch)) {
+        let Scratch { kept, .. } = &mut self.scratch;
+        kept.clear();
+        let shown = looks.shown_among(self.surround.seen().iter(), |seen| seen.patch);
+        for (_, seen) in shown.filter(|(_, seen)| self.recent.binary_search(&seen.patch).is_err()) {
             let block = self.states[seen.patch.index()].block;
             let extent = seen.extent.map(|side| f32::from(side) * SURROUND_DENSITY);
             let size = wanted_size(extent, block.map(|block| block.size));
@@ -263,16 +276,15 @@ impl Layout {
                 is_shown: block.is_some(),
             };
             kept.push(Kept { candidate, texels: u64::from(size.texels()) });
-            sizes.push((seen.patch, size));
+            self.around.push((seen.patch, size));
         }
         let [width, height] = self.atlas.extent_texels();
         let chosen = self.surround.choose(geometry, kept, left, u64::from(width) * u64::from(height));
-        sizes.retain(|(patch, _)| chosen.binary_search(patch).is_ok());
-        self.around = sizes;
+        self.around.retain(|(patch, _)| chosen.binary_search_by_key(patch, |chosen| chosen.patch).is_ok());
     }
 
     /// Frees the blocks of what has left, and those in the surround that are to have another size.
-    fn release(&mut self, before: &[(ScenePatch, Option<Block>)]) {
+    fn release(&mut self, before: &[(ScenePatch, Block)]) {
         let around = |patch: &ScenePatch| {
             let at = self.around.binary_search_by_key(patch, |(patch, _)| *patch);
             at.ok().map(|at| self.around[at].1)
@@ -282,21 +294,21 @@ impl Layout {
             if !is_live {
                 self.states[patch.index()].follows = None;
             }
-            let stays =
-                is_live || around(patch).is_some_and(|size| block.is_some_and(|block| block.size == size));
+            let stays = is_live || around(patch).is_some_and(|size| block.size == size);
             if !stays {
                 self.states[patch.index()].block = None;
-                block.iter().for_each(|b| self.atlas.free(*b));
+                self.atlas.free(*block);
             }
         }
     }
 
     /// Places what of the surround has no block, where it was if that is free still; what finds no place is left out.
-    fn place_around(&mut self, before: &[(ScenePatch, Option<Block>)]) {
-        let mut waiting = self.around.clone();
+    fn place_around(&mut self, before: &[(ScenePatch, Block)]) {
+        let Scratch { waiting, .. } = &mut self.scratch;
+        waiting.clone_from(&self.around);
         waiting.retain(|(patch, size)| {
             let at = before.binary_search_by_key(patch, |(patch, _)| *patch);
-            let was = at.ok().and_then(|at| before[at].1).filter(|block| block.size == *size);
+            let was = at.ok().map(|at| before[at].1).filter(|block| block.size == *size);
             let state = &mut self.states[patch.index()];
             if state.block.is_none() {
                 state.block = was.filter(|block| self.atlas.take(*block));
@@ -305,7 +317,7 @@ impl Layout {
         });
         waiting.sort_unstable_by_key(|(patch, size)| (std::cmp::Reverse(size.texels()), *size, *patch));
         for (patch, size) in waiting {
-            self.states[patch.index()].block = self.atlas.allocate(size);
+            self.states[patch.index()].block = self.atlas.allocate(*size);
         }
         let states = &self.states;
         self.around.retain(|(patch, _)| states[patch.index()].block.is_some());
@@ -372,23 +384,31 @@ impl Layout {
     }
 
     /// What becomes of each block in view, in patch order.
-    fn turns(&self) -> Vec<Turn> {
+    fn turns(&mut self) -> Vec<Turn> {
         let density = self.asked * self.density;
-        self.live.iter().map(|patch| self.shape(*patch).turn(*patch, density)).collect()
+        let mut turns = std::mem::take(&mut self.scratch.turns);
+        turns.clear();
+        turns.extend(self.live.iter().map(|patch| self.shape(*patch).turn(*patch, density)));
+        turns
     }
 
     /// Gives every patch in view a block. Those whose turn it is have what is asked for; where that finds no place, who has its
     /// turn gives up texels instead.
     fn place_live(&mut self) {
         let turns = self.turns();
-        let (chosen, are_all) = have_their_turn(&turns);
-        let has_turn = |turn: &Turn| chosen.binary_search(&turn.patch).is_ok();
-        let sizes: Vec<BlockSize> =
-            turns.iter().map(|turn| if has_turn(turn) { turn.after } else { turn.before }).collect();
+        let (mut chosen, mut sizes) =
+            (std::mem::take(&mut self.scratch.chosen), std::mem::take(&mut self.scratch.sizes));
+        let are_all = have_their_turn(&turns, &mut chosen);
+        let has_turn = |turn: &Turn| chosen.binary_search_by_key(&turn.patch, |turn| turn.patch).is_ok();
+        sizes.clear();
+        sizes.extend(turns.iter().map(|turn| if has_turn(turn) { turn.after } else { turn.before }));
         let texels = |size: &BlockSize| u64::from(size.texels());
         let settled = self.share(turns.iter().map(|turn| texels(&turn.after)).sum());
         self.settled_share = 1.0 - self.limit() + settled;
-        if self.share(sizes.iter().map(texels).sum()) > self.limit() || !self.try_sizes(&turns, &sizes) {
+        let fits =
+            self.share(sizes.iter().map(texels).sum()) <= self.limit() && self.try_sizes(&turns, &sizes);
+        (self.scratch.turns, self.scratch.chosen, self.scratch.sizes) = (turns, chosen, sizes);
+        if !fits {
             return self.make_room();
         }
         let coarser = || self.share_at(self.density * COARSEN, Sizes::Exact);
@@ -456,12 +476,17 @@ impl Layout {
     fn try_sizes(&mut self, turns: &[Turn], sizes: &[BlockSize]) -> bool {
         let size_now = |patch: ScenePatch| self.states[patch.index()].block.map(|block| block.size);
         let all = turns.iter().zip(sizes).map(|(turn, size)| (turn.patch, *size));
-        let waiting: Vec<_> = all.filter(|(patch, size)| size_now(*patch) != Some(*size)).collect();
-        let mut fits = self.try_allocate(waiting.clone());
+        let mut waiting = std::mem::take(&mut self.scratch.waiting);
+        waiting.clear();
+        waiting.extend(all.filter(|(patch, size)| size_now(*patch) != Some(*size)));
+        // Large ones first: they are the hardest to place. Ties go in patch order, neighbours side by side.
+        waiting.sort_unstable_by_key(|(patch, size)| (std::cmp::Reverse(size.texels()), *size, *patch));
+        let mut fits = self.try_allocate(&waiting);
         if !fits && !self.around.is_empty() {
             self.release_around();
-            fits = self.try_allocate(waiting);
+            fits = self.try_allocate(&waiting);
         }
+        self.scratch.waiting = waiting;
         if fits {
             let density = self.asked * self.density;
             let has_turned = |(turn, size): &(&Turn, &BlockSize)| turn.after == **size || turn.now.is_none();
@@ -472,19 +497,22 @@ impl Layout {
         fits
     }
 
-    fn try_allocate(&mut self, mut waiting: Vec<(ScenePatch, BlockSize)>) -> bool {
-        // Large ones first: they are the hardest to place. Ties go in patch order, neighbours side by side.
-        waiting.sort_unstable_by_key(|(patch, size)| (std::cmp::Reverse(size.texels()), *size, *patch));
-        let before = self.atlas.clone();
-        let old: Vec<_> = waiting.iter().map(|(patch, _)| self.states[patch.index()].block).collect();
-        old.iter().flatten().for_each(|block| self.atlas.free(*block));
-        for (patch, size) in &waiting {
-            let block = self.atlas.allocate(*size);
-            self.states[patch.index()].block = block;
+    /// Blocks of these sizes in place of what the patches have, in this order, or nothing at all.
+    fn try_allocate(&mut self, waiting: &[(ScenePatch, BlockSize)]) -> bool {
+        let Self { atlas, states, scratch: Scratch { old, .. }, .. } = self;
+        old.clear();
+        old.extend(waiting.iter().map(|(patch, _)| states[patch.index()].block.take()));
+        old.iter().flatten().for_each(|block| atlas.free(*block));
+        for (patch, size) in waiting {
+            let block = &mut states[patch.index()].block;
+            *block = atlas.allocate(*size);
             if block.is_none() {
-                self.atlas = before;
+                for (patch, _) in waiting {
+                    states[patch.index()].block.take().into_iter().for_each(|block| atlas.free(block));
+                }
                 for ((patch, _), block) in waiting.iter().zip(old) {
-                    self.states[patch.index()].block = block;
+                    assert!(block.is_none_or(|block| atlas.take(block)), "it was there before");
+                    states[patch.index()].block = *block;
                 }
                 return false;
             }
@@ -492,22 +520,24 @@ impl Layout {
         true
     }
 
-    fn changes(&self, before: &[(ScenePatch, Option<Block>)]) -> Vec<PlacementChange> {
+    /// By how what is placed now differs from before, in patch order.
+    fn changes<'a>(
+        &'a self,
+        before: &'a [(ScenePatch, Block)],
+    ) -> impl Iterator<Item = PlacementChange> + 'a {
+        let was = before.iter().map(|(patch, block)| (*patch, *block, false));
+        let is = self.all_placed().map(|placed| (placed.patch, placed.block, true));
+        // Of a patch that is in both lists the second is given.
         let old = |patch: ScenePatch| {
-            before.binary_search_by_key(&patch, |(p, _)| *p).ok().and_then(|index| before[index].1)
+            before.binary_search_by_key(&patch, |(p, _)| *p).ok().map(|index| before[index].1)
         };
-        let placed = self.placed();
-        let gone = before
-            .iter()
-            .filter(|(patch, _)| placed.binary_search(patch).is_err())
-            .map(|(patch, _)| PlacementChange { patch: *patch, block: None });
-        let moved = placed
-            .iter()
-            .map(|patch| PlacementChange { patch: *patch, block: self.states[patch.index()].block })
-            .filter(|change| old(change.patch) != change.block);
-        let mut changes: Vec<_> = gone.chain(moved).collect();
-        changes.sort_by_key(|change| change.patch);
-        changes
+        let change = move |(patch, block, is_placed): (ScenePatch, Block, bool)| PlacementChange {
+            patch,
+            block: is_placed.then_some(block),
+        };
+        merged(was, is, |a, b| a.0.cmp(&b.0))
+            .map(change)
+            .filter(move |change| old(change.patch) != change.block)
     }
 
     /// The surround's patches with their blocks, ascending.
@@ -522,15 +552,8 @@ impl Layout {
 
     /// Both, ascending.
     pub fn all_placed(&self) -> impl Iterator<Item = Placed> + '_ {
-        let (mut live, mut around) = (self.live().peekable(), self.around().peekable());
-        std::iter::from_fn(move || {
-            let is_live = match (live.peek(), around.peek()) {
-                (Some((in_view, _)), Some((beside, _))) => in_view < beside,
-                (in_view, _) => in_view.is_some(),
-            };
-            let (patch, block) = if is_live { live.next()? } else { around.next()? };
-            Some(Placed { patch, block, is_around: !is_live })
-        })
+        let placed = |is_around| move |(patch, block)| Placed { patch, block, is_around };
+        merged(self.live().map(placed(false)), self.around().map(placed(true)), |a, b| a.patch.cmp(&b.patch))
     }
 
     /// Patches in view, and those held, with a block.
@@ -588,11 +611,17 @@ mod tests {
         Layout::new(AtlasExtent::new(width, height).expect("an atlas"), patches, ROOM)
     }
 
+    fn placed(layout: &mut Layout, geometry: &impl Geometry, looks: &Looks) -> Vec<PlacementChange> {
+        let mut changes = Vec::new();
+        layout.place(geometry, looks, &mut changes);
+        changes
+    }
+
     fn place(layout: &mut Layout, extents: &[u32]) -> Vec<PlacementChange> {
         let looks = Looks::of_one(extents.len() as u32);
         layout.begin(1.0);
         layout.see(Visible { looks: &looks, seen: &seen(extents) });
-        layout.place(&Loose { patches: extents.len() as u32 }, &looks)
+        placed(layout, &Loose { patches: extents.len() as u32 }, &looks)
     }
 
     /// By entry an extent, 0 where it is not visible.
@@ -660,7 +689,7 @@ mod tests {
             if switches {
                 looks.switch(0);
             }
-            let changes = layout.place(&geometry, looks);
+            let changes = placed(&mut layout, &geometry, looks);
             (live(&layout), changes.len())
         };
         let (fine, coarse): (Vec<u32>, Vec<u32>) = ((0..40).collect(), (40..60).collect());
@@ -681,7 +710,7 @@ mod tests {
             extents[40..].fill(0);
             extents[45 + patch] = pack(5, 5);
             layout.see(Visible { looks: &looks, seen: &seen(&extents) });
-            layout.place(&geometry, &looks);
+            placed(&mut layout, &geometry, &looks);
         }
         let next = looks.next().next().expect("the other level");
         assert_eq!(layout.seen_of(next), [45, 46, 47].map(ScenePatch));
@@ -861,7 +890,7 @@ mod tests {
         layout.begin(1.0);
         layout.see(Visible { looks: &looks, seen: &seen(in_view) });
         layout.see_around(Visible { looks: &looks, seen: &seen(around) }, |_| true);
-        layout.place(&Loose { patches: in_view.len() as u32 }, &looks)
+        placed(layout, &Loose { patches: in_view.len() as u32 }, &looks)
     }
 
     #[test]
@@ -952,7 +981,7 @@ mod tests {
                 Visible { looks: &looks, seen: &seen(&vec![pack(9, 9); looks.entries()]) },
                 |_| true,
             );
-            layout.place(&Loose { patches: 30 }, &looks);
+            placed(&mut layout, &Loose { patches: 30 }, &looks);
             layout.around().map(|(patch, _)| patch.0).collect::<Vec<_>>()
         };
         assert_eq!(show(0), (0..20).collect::<Vec<_>>());
@@ -994,7 +1023,7 @@ mod tests {
         let looks = Looks::of_one(extents.len() as u32);
         layout.begin(asked);
         layout.see(Visible { looks: &looks, seen: &seen(extents) });
-        layout.place(&Loose { patches: extents.len() as u32 }, &looks);
+        placed(layout, &Loose { patches: extents.len() as u32 }, &looks);
         assert_sound(layout, extents);
         let stayed: Vec<_> =
             layout.live().filter_map(|(patch, now)| Some((now, *before.get(&patch)?))).collect();

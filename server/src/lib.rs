@@ -2,7 +2,9 @@
 
 pub mod animation;
 pub mod atlas;
+pub mod bit_set;
 pub mod choice;
+pub mod clusters;
 pub mod culling;
 pub mod density;
 pub mod detail;
@@ -11,6 +13,7 @@ pub mod encode;
 pub mod encoding;
 pub mod flags;
 pub mod frame;
+pub mod frusta;
 pub mod geometry;
 pub mod gloss;
 pub mod ideal;
@@ -19,6 +22,7 @@ pub mod levels;
 pub mod lights;
 pub mod lock;
 pub mod looks;
+pub mod merged;
 pub mod moment;
 pub mod motion;
 pub mod nearness;

@@ -118,16 +118,26 @@ impl Looks {
         self.looks.iter_mut().filter(|look| look.instance == instance).for_each(|look| look.is_shown ^= true);
     }
 
-    /// The patches among `sorted` ones that the client shows.
+    /// The patches among `sorted` ones that the client shows, with their instance.
     pub fn shown_of<'a>(
         &'a self,
         sorted: &'a [ScenePatch],
-    ) -> impl Iterator<Item = (usize, ScenePatch)> + 'a {
+    ) -> impl Iterator<Item = (usize, ScenePatch)> + Clone + 'a {
+        self.shown_among(sorted.iter().copied(), |patch| *patch)
+    }
+
+    /// The same of what is known of patches, ascending by these.
+    pub fn shown_among<T>(
+        &self,
+        sorted: impl Iterator<Item = T> + Clone,
+        patch_of: impl Fn(&T) -> ScenePatch + Clone,
+    ) -> impl Iterator<Item = (usize, T)> + Clone {
         let mut shown = self.shown().peekable();
-        sorted.iter().filter_map(move |patch| {
+        sorted.filter_map(move |item| {
+            let patch = patch_of(&item);
             while shown.next_if(|look| look.patches.end() <= patch.0).is_some() {}
             let look = shown.peek()?;
-            look.patches.has(*patch).then_some((look.instance, *patch))
+            look.patches.has(patch).then_some((look.instance, item))
         })
     }
 }

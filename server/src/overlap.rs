@@ -2,7 +2,8 @@
 //! the device's progress come in.
 //!
 //! Where they overlap, the device has the order visibility n + 1, shading n: update n + 1 is placed while n is shaded, and the
-//! device waits for no placement. The price is that a head pose is older by one visibility when its picture is made.
+//! device waits for no placement. Shading goes to a queue of its own where the device has one, and runs beside visibility there. The
+//! price is that a head pose is older by one visibility when its picture is made.
 
 /// How far the updates in flight have come: at most one of each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -41,6 +42,22 @@ pub enum Step {
     Collect,
     /// Nothing until the device has come further, or an update may begin.
     Wait,
+}
+
+impl Step {
+    /// Those of an update, one after the other.
+    pub const IN_A_ROW: [Self; 4] = [Self::Begin, Self::Place, Self::Shade, Self::Collect];
+
+    /// What it is called in a trace.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Begin => "begin",
+            Self::Place => "place",
+            Self::Shade => "shade",
+            Self::Collect => "collect",
+            Self::Wait => "wait",
+        }
+    }
 }
 
 /// How long the steps of an update took, nanoseconds.

@@ -1,5 +1,6 @@
 //! Where the headset will look from while an update is on display. Pure: state, measurements and time in, views out.
 
+use crate::frusta::{self, MIN_MARGIN};
 use crate::view_time::ViewTime;
 use glam::{Quat, Vec3};
 use shadecast_protocol::ids::DiscontinuityId;
@@ -17,9 +18,7 @@ const START_FIRST_NS: i64 = 50_000_000;
 const START_LAST_NS: i64 = 100_000_000;
 /// Reports remembered for the horizon.
 const REPORTS: usize = 64;
-/// The field of view is widened by at least this on each side (radians, 3 degrees), for what lies between the view
-/// times, and by at most that (20 degrees).
-pub const MIN_MARGIN: f32 = 0.052;
+/// The field of view is widened by at most this on each side, radians (20 degrees).
 const MAX_MARGIN: f32 = 0.35;
 /// Velocities beyond these are tracking errors, not heads.
 const MAX_SPEED_M_S: f32 = 10.0;
@@ -207,7 +206,7 @@ fn percentile(values: &VecDeque<i64>, share: f64) -> Option<i64> {
 }
 
 fn view(world_from_head: Pose, eye: Eye, margin: f32) -> View {
-    View { world_from_eye: world_from_head.then(eye.head_from_eye), fov: eye.fov.widened(margin) }
+    View { world_from_eye: world_from_head.then(eye.head_from_eye), fov: frusta::widened(eye.fov, margin) }
 }
 
 /// The head at `time`, by constant linear and angular velocity.

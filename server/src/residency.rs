@@ -6,8 +6,10 @@
 //! predictions leaves with its block, because every one of them costs bytes. A freed slot is used again only after the client
 //! has displayed the update that freed it.
 
+use crate::bit_set::BitSet;
 use crate::geometry::{Geometry, UpdateDelta, UpdateStamp, vertices_of_patch};
 use crate::lock::lock;
+use crate::merged::merged;
 use crate::motion::sampled::{Coder, SharedCoder};
 use crate::motion::skinning::Skinning;
 use crate::motion::steps::Steps;
@@ -19,7 +21,7 @@ use shadecast_protocol::geometry::{GeometryDelta, Motion, NewPatch, NewVertex};
 use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::predicted::PREDICTED_BYTES;
-use std::collections::{BTreeMap, BTreeSet, HashSet, VecDeque};
+use std::collections::{BTreeMap, HashSet, VecDeque};
 use std::sync::{Arc, Mutex};
 
 /// A patch without a block, of vertices that cost nothing while they stay, is forgotten after this many updates.
@@ -57,32 +59,34 @@ pub struct Allowance {
 
 /// Slots handed out from the lowest on, and taken back once a frame has been displayed.
 #[derive(Debug)]
-struct Slots<T> {
+struct Slots {
     count: u32,
-    free: BTreeSet<T>,
-    leaving: VecDeque<(UpdateId, T)>,
+    free: BitSet,
+    leaving: VecDeque<(UpdateId, u32)>,
 }
 
-impl<T: Copy + Ord> Slots<T> {
-    fn new(count: u32, slot: impl Fn(u32) -> T) -> Self {
-        Self { count, free: (0..count).map(slot).collect(), leaving: VecDeque::new() }
+impl Slots {
+    fn new(count: u32) -> Self {
+        Self { count, free: BitSet::all(count as usize), leaving: VecDeque::new() }
     }
 
     fn are_short(&self) -> bool {
-        self.free.len() < (self.count / LOW_WATER) as usize
+        self.free.count() < (self.count / LOW_WATER) as usize
     }
 
-    fn take(&mut self) -> Option<T> {
-        self.free.pop_first()
+    fn take(&mut self) -> Option<u32> {
+        self.free.pop_first().map(|slot| slot as u32)
     }
 
-    fn leave(&mut self, update: UpdateId, slot: T) {
+    fn leave(&mut self, update: UpdateId, slot: u32) {
         self.leaving.push_back((update, slot));
     }
 
     fn displayed(&mut self, update: UpdateId) {
         while self.leaving.front().is_some_and(|(left, _)| *left <= update) {
-            self.free.extend(self.leaving.pop_front().map(|(_, slot)| slot));
+            if let Some((_, slot)) = self.leaving.pop_front() {
+                self.free.insert(slot as usize);
+            }
         }
     }
 }
@@ -106,16 +110,18 @@ pub struct Residency {
     steps: Steps,
     /// What the client skins by itself.
     skinning: Option<Skinning>,
-    patch_slots: Slots<PatchSlot>,
-    vertex_slots: Slots<VertexSlot>,
+    patch_slots: Slots,
+    vertex_slots: Slots,
     /// By [`ScenePatch`].
     slot_of_patch: Vec<Option<PatchSlot>>,
     /// By [`SceneVertex`].
     vertices: Vec<Option<Resident>>,
     /// Resident patches without a block, by the update since when.
     retained: BTreeMap<ScenePatch, u32>,
-    /// Patches with a block that found no slot free; they try again with each update.
-    waiting: BTreeMap<ScenePatch, Block>,
+    /// Patches with a block that found no slot free, ascending; they try again with each update.
+    waiting: Vec<(ScenePatch, Block)>,
+    /// A list of one update, kept for its memory.
+    coming: Vec<(ScenePatch, Block)>,
     /// Patches that the next update brings ahead, without a block, as far as it can.
     ahead: Vec<ScenePatch>,
     /// Patches that have a block in case that they come into view, ascending: all others go before them.
@@ -138,12 +144,13 @@ impl Residency {
             moving: BTreeMap::new(),
             steps: Steps::default(),
             skinning: None,
-            patch_slots: Slots::new(patch_slots, PatchSlot),
-            vertex_slots: Slots::new(vertex_slots, VertexSlot),
+            patch_slots: Slots::new(patch_slots),
+            vertex_slots: Slots::new(vertex_slots),
             slot_of_patch: vec![None; geometry.patch_count()],
             vertices: vec![None; geometry.vertex_count()],
             retained: BTreeMap::new(),
-            waiting: BTreeMap::new(),
+            waiting: Vec::new(),
+            coming: Vec::new(),
             ahead: Vec::new(),
             behind: Vec::new(),
             behind_waiting: 0,
@@ -191,8 +198,8 @@ impl Residency {
     pub fn allowance(&self) -> Allowance {
         Allowance {
             bytes: self.budget.geometry_bytes,
-            patches: self.patch_slots.free.len(),
-            vertices: self.vertex_slots.free.len(),
+            patches: self.patch_slots.free.count(),
+            vertices: self.vertex_slots.free.count(),
             brings: HashSet::new(),
         }
     }
@@ -299,24 +306,27 @@ impl Residency {
         let mut left_bytes = self.budget.geometry_bytes;
         (self.held_back, self.behind_waiting) = (0, 0);
         let coming = self.coming(changes);
-        let is_behind = |(patch, _): &(ScenePatch, Block)| self.behind.binary_search(patch).is_ok();
-        let (behind, first): (Vec<_>, Vec<_>) = coming.into_iter().partition(is_behind);
-        for (patch, block) in first {
+        for (patch, block) in coming.iter().copied() {
+            if self.is_behind(patch) {
+                continue;
+            }
             let bytes = self.entry_bytes(geometry, patch);
             if bytes > left_bytes {
                 self.held_back += 1;
-                self.waiting.insert(patch, block);
+                self.waiting.push((patch, block));
                 continue;
             }
             left_bytes -= bytes;
             match self.admit(geometry, patch, &mut delta) {
                 Some(slot) => self.place(geometry, (patch, slot), block, &mut delta),
-                None => drop(self.waiting.insert(patch, block)),
+                None => self.waiting.push((patch, block)),
             }
         }
         self.bring(geometry, &mut left_bytes, &mut delta);
         let left_bytes = if self.held_back == 0 { left_bytes / BEHIND_PART } else { 0 };
-        self.bring_behind(geometry, behind, left_bytes, &mut delta);
+        self.bring_behind(geometry, &coming, left_bytes, &mut delta);
+        self.coming = coming;
+        self.waiting.sort_unstable_by_key(|(patch, _)| *patch);
         sort(&mut delta);
         let mut masked = std::mem::take(&mut self.masked);
         masked.sort_unstable_by_key(|(slot, _)| *slot);
@@ -367,11 +377,14 @@ impl Residency {
     fn bring_behind(
         &mut self,
         geometry: &impl Geometry,
-        behind: Vec<(ScenePatch, Block)>,
+        coming: &[(ScenePatch, Block)],
         mut left_bytes: usize,
         delta: &mut GeometryDelta,
     ) {
-        for (patch, block) in behind {
+        for (patch, block) in coming.iter().copied() {
+            if !self.is_behind(patch) {
+                continue;
+            }
             let bytes = self.entry_bytes(geometry, patch);
             let may_come = bytes == 0 || bytes <= left_bytes && self.has_slots_to_spare();
             match may_come.then(|| self.admit(geometry, patch, delta)).flatten() {
@@ -380,7 +393,7 @@ impl Residency {
                     self.place(geometry, (patch, slot), block, delta);
                 }
                 None => {
-                    self.waiting.insert(patch, block);
+                    self.waiting.push((patch, block));
                     self.behind_waiting += 1;
                 }
             }
@@ -389,22 +402,24 @@ impl Residency {
 
     fn has_slots_to_spare(&self) -> bool {
         let has = |free: usize, count: u32| free > count as usize / AHEAD_WATER;
-        has(self.patch_slots.free.len(), self.patch_slots.count)
-            && has(self.vertex_slots.free.len(), self.vertex_slots.count)
+        has(self.patch_slots.free.count(), self.patch_slots.count)
+            && has(self.vertex_slots.free.count(), self.vertex_slots.count)
     }
 
     /// Patches that get a block or another one, and those that still wait for a slot: large blocks first.
     fn coming(&mut self, changes: &[PlacementChange]) -> Vec<(ScenePatch, Block)> {
-        let mut waiting = std::mem::take(&mut self.waiting);
-        for PlacementChange { patch, block } in changes {
-            match block {
-                Some(block) => waiting.insert(*patch, *block),
-                None => waiting.remove(patch),
-            };
-        }
-        let mut coming: Vec<(ScenePatch, Block)> = waiting.into_iter().collect();
-        coming.sort_by_key(|(_, block)| std::cmp::Reverse(block.size.texels()));
+        let mut coming = std::mem::take(&mut self.coming);
+        coming.clear();
+        let waiting = self.waiting.drain(..).map(|(patch, block)| (patch, Some(block)));
+        let changed = changes.iter().map(|change| (change.patch, change.block));
+        let all = merged(waiting, changed, |a, b| a.0.cmp(&b.0));
+        coming.extend(all.filter_map(|(patch, block)| Some((patch, block?))));
+        coming.sort_unstable_by_key(|(patch, block)| (std::cmp::Reverse(block.size.texels()), *patch));
         coming
+    }
+
+    fn is_behind(&self, patch: ScenePatch) -> bool {
+        self.behind.binary_search(&patch).is_ok()
     }
 
     /// About how many bytes it takes to bring a patch in, with the vertices that are not there yet.
@@ -476,14 +491,14 @@ impl Residency {
     ) {
         let Some(slot) = self.slot_of_patch[patch.index()].take() else { return };
         delta.evicted_patches.push(slot);
-        self.patch_slots.leave(update, slot);
+        self.patch_slots.leave(update, slot.0);
         for vertex in vertices_of_patch(geometry, patch) {
             let place = &mut self.vertices[vertex.index()];
             let Some(Resident { slot, users }) = place else { continue };
             *users -= 1;
             if *users == 0 {
                 delta.evicted_vertices.push(*slot);
-                self.vertex_slots.leave(update, *slot);
+                self.vertex_slots.leave(update, slot.0);
                 self.moving.remove(slot);
                 *place = None;
             }
@@ -504,10 +519,10 @@ impl Residency {
         }
         let lacking =
             vertices_of_patch(geometry, patch).filter(|v| self.vertices[v.index()].is_none()).count();
-        if self.vertex_slots.free.len() < lacking {
+        if self.vertex_slots.free.count() < lacking {
             return None;
         }
-        let slot = self.patch_slots.take()?;
+        let slot = PatchSlot(self.patch_slots.take()?);
         self.slot_of_patch[patch.index()] = Some(slot);
         let instance = geometry.instance_of_patch(patch);
         let first_vertex = geometry.first_vertex(instance);
@@ -545,7 +560,7 @@ impl Residency {
             *users += 1;
             return *slot;
         }
-        let slot = self.vertex_slots.take().expect("checked by admit: there are enough");
+        let slot = VertexSlot(self.vertex_slots.take().expect("checked by admit: there are enough"));
         self.vertices[vertex.index()] = Some(Resident { slot, users: 1 });
         let predicts = self.predicts();
         let skinning = self.skinning.as_mut().filter(|skinning| skinning.is_skinned(instance));
@@ -613,6 +628,7 @@ mod tests {
     use shadecast_protocol::memory::ClientMemory;
     use shadecast_protocol::time::{GridIndex, ServerTime};
     use shadecast_scene::patches::Patch;
+    use std::collections::BTreeSet;
     use std::collections::HashMap;
 
     const PATCHES: u32 = 400;
@@ -850,7 +866,7 @@ mod tests {
         let changes: Vec<_> = (0..80).map(|patch| change(patch, block(patch))).collect();
         residency.put_behind((0..80).map(ScenePatch).collect());
         residency.update(&Strip, &changes, stamp(0));
-        assert_eq!((residency.patch_slots.free.len(), residency.waiting()), (64 / AHEAD_WATER, 0));
+        assert_eq!((residency.patch_slots.free.count(), residency.waiting()), (64 / AHEAD_WATER, 0));
     }
 
     #[test]

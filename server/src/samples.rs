@@ -4,6 +4,7 @@ use crate::animation::RingPlace;
 use crate::animation::gpu::{Animation, SampleJob};
 use crate::animation::posing::CpuPose;
 use crate::animation::timeline::Timeline;
+use crate::clusters::Clusters;
 use crate::culling::Needed;
 use crate::geometry::Geometry;
 use crate::predict::{PredictedViews, VIEW_TIMES};
@@ -35,6 +36,24 @@ impl SampleWindow {
             statics: static_positions(scene),
             scene: scene.clone(),
         }
+    }
+
+    /// What stands still, in clusters.
+    pub fn clusters(&self) -> Clusters {
+        let (scene, mut clusters) = (&self.scene, Clusters::default());
+        for (index, place) in scene.numbering.instances.iter().enumerate() {
+            if place.is_animated {
+                clusters.add_moving();
+                continue;
+            }
+            let model = &scene.scene.models[place.model];
+            let levels = (0..scene.mesh(index).levels.len()).map(|level| model.triangles(level));
+            let statics = &self.statics[place.saved_base as usize..];
+            clusters.add_still(levels.map(|level| (level.primitives, level.indices)), |vertex| {
+                statics[vertex as usize]
+            });
+        }
+        clusters
     }
 
     /// Records the samples at the times of `views` that the instances in `needed` lack; gives where those of each time are.

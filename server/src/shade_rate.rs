@@ -10,6 +10,9 @@ const NEW_WEIGHT: f64 = 0.2;
 const LEAST_TEXELS: u64 = 4096;
 /// Part of an update's period that is left to shading, however long all else takes.
 pub const LEAST_SHARE: f64 = 0.25;
+/// Part of the time by which all else is behind that shading may take too: where updates are slow anyway, leaving colours as they were
+/// would win little time, and show.
+pub const BEHIND_SHARE: f64 = 0.5;
 
 /// What a device was measured to take.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -36,7 +39,11 @@ impl ShadeRate {
     /// nothing was measured.
     pub fn budget_texels(&self, wanted_ms: Option<f64>, period_ms: f64) -> u64 {
         let Some(ms_by_texel) = self.ms_by_texel else { return u64::MAX };
-        let left_ms = || (period_ms - self.rest_ms.unwrap_or(0.0)).max(period_ms * LEAST_SHARE);
+        let left_ms = || {
+            let spare_ms = period_ms - self.rest_ms.unwrap_or(0.0);
+            let behind_ms = (-spare_ms).max(0.0);
+            spare_ms.max(period_ms * LEAST_SHARE + behind_ms * BEHIND_SHARE)
+        };
         (wanted_ms.unwrap_or_else(left_ms) / ms_by_texel).round() as u64
     }
 }
@@ -68,10 +75,15 @@ mod tests {
     }
 
     #[test]
-    fn a_device_that_has_no_time_left_still_shades_some() {
-        let mut rate = ShadeRate::default();
-        rate.note(&timings(&[("id buffer", 300.0), ("shading", 10.0)]), 1_000_000);
-        assert_eq!(rate.budget_texels(None, 40.0), 1_000_000);
+    fn a_device_that_has_no_time_left_still_shades_some_and_more_the_slower_it_is_anyway() {
+        let budget = |rest_ms: f64| {
+            let mut rate = ShadeRate::default();
+            rate.note(&timings(&[("id buffer", rest_ms), ("shading", 10.0)]), 1_000_000);
+            rate.budget_texels(None, 40.0)
+        };
+        assert_eq!([30.0, 40.0, 240.0].map(budget), [1_000_000, 1_000_000, 11_000_000]);
+        let budgets: Vec<u64> = (40..400).map(|rest_ms| budget(f64::from(rest_ms))).collect();
+        assert!(budgets.is_sorted());
     }
 
     #[test]

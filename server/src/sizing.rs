@@ -117,19 +117,20 @@ fn sides(size: BlockSize, of: impl Fn(u8, &dyn Fn(BlockSize) -> u8) -> u8) -> Bl
     }
 }
 
-/// Of all that wait for their turn, ascending, those that have it with this update, and whether these are all: so many that no
-/// more than 4 % change, who gives up texels before who gets some, and the nearest first.
-pub fn have_their_turn(turns: &[Turn]) -> (Vec<ScenePatch>, bool) {
-    let mut waiting: Vec<&Turn> = turns.iter().filter(|turn| turn.before != turn.after).collect();
+/// `chosen` becomes those of all that wait for their turn that have it with this update, ascending; gives whether these are all: so
+/// many that no more than 4 % change, who gives up texels before who gets some, and the nearest first.
+pub fn have_their_turn(turns: &[Turn], chosen: &mut Vec<Turn>) -> bool {
+    chosen.clear();
+    chosen.extend(turns.iter().filter(|turn| turn.before != turn.after));
     let by_themselves = turns.iter().filter(|turn| turn.changes_by_itself()).count();
     let most = ((turns.len() as f32 * CHANGED_SHARE) as usize).saturating_sub(by_themselves);
     let most = most.max(least_turns(turns.len()));
     let grows = |turn: &Turn| turn.after.texels() > turn.before.texels();
-    waiting.sort_unstable_by_key(|turn| (grows(turn), std::cmp::Reverse(turn.area_texels), turn.patch));
-    let are_all = waiting.len() <= most;
-    let mut chosen: Vec<ScenePatch> = waiting.iter().take(most).map(|turn| turn.patch).collect();
-    chosen.sort_unstable();
-    (chosen, are_all)
+    chosen.sort_unstable_by_key(|turn| (grows(turn), std::cmp::Reverse(turn.area_texels), turn.patch));
+    let are_all = chosen.len() <= most;
+    chosen.truncate(most);
+    chosen.sort_unstable_by_key(|turn| turn.patch);
+    are_all
 }
 
 /// Of so many blocks.
@@ -196,13 +197,14 @@ mod tests {
                 Turn { patch: ScenePatch(patch.into()), ..turn(side, follows, density) }
             })
             .collect();
-        let (chosen, are_all) = have_their_turn(&all);
-        assert_eq!(
-            (chosen, are_all),
-            (vec![ScenePatch(0), ScenePatch(1), ScenePatch(2), ScenePatch(55)], false)
-        );
+        let chosen = |turns: &[Turn]| {
+            let mut chosen = Vec::new();
+            let are_all = have_their_turn(turns, &mut chosen);
+            (chosen.iter().map(|turn| turn.patch.0).collect::<Vec<_>>(), are_all)
+        };
+        assert_eq!(chosen(&all), (vec![0, 1, 2, 55], false));
         let mut changing = all.clone();
         changing[90..].iter_mut().for_each(|turn| turn.now = Some(size(200.0)));
-        assert_eq!(have_their_turn(&changing).0, [ScenePatch(0)], "others change by themselves");
+        assert_eq!(chosen(&changing).0, [0], "others change by themselves");
     }
 }

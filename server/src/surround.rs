@@ -6,6 +6,7 @@
 
 use crate::choice::{Candidate, Chooser, Room};
 use crate::geometry::Geometry;
+use crate::merged::merged;
 use crate::scene::numbering::ScenePatch;
 use crate::sweep::ROUND_UPDATES;
 
@@ -63,12 +64,22 @@ pub struct Surround {
     chooser: Chooser,
     /// What was seen within a round of the sweep, ascending.
     seen: Vec<Seen>,
+    /// Lists of one update, kept for their memory.
+    before: Vec<Seen>,
+    chosen: Vec<Candidate>,
 }
 
 impl Surround {
     /// With a share of a client's room, 0..1.
     pub fn new(share: f32, room: Room) -> Self {
-        Self { share, room, chooser: Chooser::new(room), seen: Vec::new() }
+        Self {
+            share,
+            room,
+            chooser: Chooser::new(room),
+            seen: Vec::new(),
+            before: Vec::new(),
+            chosen: Vec::new(),
+        }
     }
 
     /// Whether there is any.
@@ -78,19 +89,16 @@ impl Surround {
 
     /// A glance of `update` saw these, ascending.
     pub fn see(&mut self, update: u32, now: impl Iterator<Item = (ScenePatch, [u16; 2])>) {
+        std::mem::swap(&mut self.seen, &mut self.before);
+        self.seen.clear();
+        let before = &self.before;
         let found = |(patch, extent)| {
             let first = Seen { patch, extent, update, in_this_round: extent };
-            let before = self.seen.binary_search_by_key(&patch, |seen| seen.patch);
-            before.map_or(first, |at| first.again(&self.seen[at]))
+            let known = before.binary_search_by_key(&patch, |seen| seen.patch);
+            known.map_or(first, |at| first.again(&before[at]))
         };
-        let mut seen: Vec<Seen> = now.map(found).collect();
-        let held = |held: &&Seen| update - held.update <= ROUND_UPDATES;
-        let is_new = |patch| seen.binary_search_by_key(&patch, |seen: &Seen| seen.patch).is_ok();
-        let before: Vec<Seen> =
-            self.seen.iter().filter(held).filter(|held| !is_new(held.patch)).copied().collect();
-        seen.extend(before);
-        seen.sort_by_key(|seen| seen.patch);
-        self.seen = seen;
+        let held = before.iter().copied().filter(|held| update - held.update <= ROUND_UPDATES);
+        self.seen.extend(merged(held, now.map(found), |a, b| a.patch.cmp(&b.patch)));
     }
 
     /// What was seen within a round, ascending.
@@ -102,10 +110,10 @@ impl Surround {
     pub fn choose(
         &mut self,
         geometry: &impl Geometry,
-        mut kept: Vec<Kept>,
+        kept: &mut [Kept],
         left: Room,
         atlas_texels: u64,
-    ) -> Vec<ScenePatch> {
+    ) -> &[Candidate] {
         let mut texels = (atlas_texels as f64 * f64::from(self.share)) as u64;
         kept.sort_unstable_by_key(|kept| kept.candidate.rank());
         let fits = |kept: &&Kept| match texels.checked_sub(kept.texels) {
@@ -115,10 +123,12 @@ impl Surround {
             }
             None => false,
         };
-        let mut fitting: Vec<Candidate> = kept.iter().take_while(fits).map(|kept| kept.candidate).collect();
-        fitting.sort_unstable_by_key(|candidate| candidate.patch);
         self.chooser.set_room(self.allowed(left));
-        self.chooser.choose(geometry, fitting).iter().map(|candidate| candidate.patch).collect()
+        self.chosen.clear();
+        self.chosen.extend(kept.iter().take_while(fits).map(|kept| kept.candidate));
+        self.chosen.sort_unstable_by_key(|candidate| candidate.patch);
+        self.chooser.choose(geometry, &mut self.chosen);
+        &self.chosen
     }
 
     fn allowed(&self, left: Room) -> Room {
@@ -149,10 +159,11 @@ mod tests {
 
     /// How many, and which of 200 patches of which each is larger than the one before.
     fn chosen(share: f32, left: Room, atlas_texels: u64) -> Vec<u32> {
-        let all = (0..200).map(|patch| kept(patch, 10 + patch)).collect();
+        let mut all: Vec<Kept> = (0..200).map(|patch| kept(patch, 10 + patch)).collect();
         let geometry = Loose { patches: 200 };
-        let chosen = Surround::new(share, ROOM).choose(&geometry, all, left, atlas_texels);
-        chosen.iter().map(|patch| patch.0).collect()
+        let mut surround = Surround::new(share, ROOM);
+        let chosen = surround.choose(&geometry, &mut all, left, atlas_texels);
+        chosen.iter().map(|chosen| chosen.patch.0).collect()
     }
 
     #[test]
@@ -164,8 +175,9 @@ mod tests {
         for room in
             [Room { patches: 20, ..ROOM }, Room { vertices: 60, ..ROOM }, Room { triangles: 20, ..ROOM }]
         {
-            let all = (0..200).map(|patch| kept(patch, 10 + patch)).collect();
-            let chosen = less(room).choose(&Loose { patches: 200 }, all, ROOM, ATLAS_TEXELS);
+            let mut all: Vec<Kept> = (0..200).map(|patch| kept(patch, 10 + patch)).collect();
+            let mut surround = less(room);
+            let chosen = surround.choose(&Loose { patches: 200 }, &mut all, ROOM, ATLAS_TEXELS);
             assert_eq!(chosen.len(), 5, "{room:?}");
         }
     }

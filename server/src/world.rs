@@ -3,6 +3,7 @@
 use crate::animation::RingPlace;
 use crate::animation::gpu::{Animation, AnimationCounts};
 use crate::animation::timeline::SharedTimeline;
+use crate::clusters::Clusters;
 use crate::culling::Needed;
 use crate::effort::Effort;
 use crate::moment::{self, SceneSurfaces, Stance, stances};
@@ -49,6 +50,8 @@ pub struct World {
     pub animation: Animation,
     /// Which times those are.
     pub samples: SampleWindow,
+    /// What stands still, in clusters.
+    pub clusters: Clusters,
     /// Light and the sun's map.
     pub shadow: Shadow,
     /// What it costs.
@@ -76,8 +79,10 @@ impl World {
         timeline: SharedTimeline,
     ) -> Result<Self, GpuError> {
         let animation = Animation::of_timeline(gpu, scene, Animation::places_for(scene), timeline)?;
+        let samples = SampleWindow::new(scene, &animation);
         Ok(Self {
-            samples: SampleWindow::new(scene, &animation),
+            clusters: samples.clusters(),
+            samples,
             shadow: Shadow::new(gpu, scene, &animation)?,
             animation,
             grid: DEFAULT_GRID,

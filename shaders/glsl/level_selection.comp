@@ -9,7 +9,7 @@ layout(local_size_x = 64) in;
 #include "saved.glsl"
 
 layout(std430, binding = 0) readonly buffer Vertices { VertexGpu vertices[]; };
-layout(std140, binding = 2) uniform Views { ViewGpu views[MAX_VIEWS]; };
+layout(std140, binding = 2) uniform Views { ViewGpu views[ID_BUFFER_VIEWS]; };
 layout(std430, binding = 3) readonly buffer Patches { PatchGpu patches[]; };
 layout(std430, binding = 4) readonly buffer Materials { MaterialGpu materials[]; };
 layout(std430, binding = 5) readonly buffer Visible { uint visible[]; };

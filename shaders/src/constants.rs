@@ -75,6 +75,10 @@ shared! {
 
     /// Views that are drawn at once.
     EYES: u32 = 2;
+    /// Frusta that an eye is looked at in, at most.
+    MAX_FRUSTA: u32 = 4;
+    /// What the ID buffer can be drawn from: the predicted views, and behind them the frusta of those that have several.
+    ID_BUFFER_VIEWS: u32 = MAX_VIEWS * (1 + MAX_FRUSTA);
     /// What an image of numbers holds for number 0. What is less, 0, is background.
     FIRST_ID: u32 = 1;
     /// The first view's number in the self-test; the others' follow.

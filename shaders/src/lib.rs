@@ -72,20 +72,43 @@ pub mod generated {
 
 #[cfg(test)]
 mod tests {
-    use super::generated::{CLIENT_SCATTER_COMP, MARK_COMP, PALETTE_COMP, SHADING_VERT, SKIN_PACKED_COMP};
+    use super::generated::{
+        CLIENT_SCATTER_COMP, ID_BUFFER_FRAG, ID_BUFFER_PULLED_FRAG, ID_BUFFER_PULLED_VERT, MARK_COMP,
+        PALETTE_COMP, SHADING_VERT, SKIN_PACKED_COMP,
+    };
+
+    const HEADER_WORDS: usize = 5;
+
+    /// Operation and operands of each instruction of SPIR-V.
+    fn instructions(words: &[u32]) -> impl Iterator<Item = (u32, &[u32])> {
+        let mut rest = &words[HEADER_WORDS..];
+        std::iter::from_fn(move || {
+            let (operation, length) = (rest.first()? & 0xffff, (rest[0] >> 16) as usize);
+            let operands = &rest[1..length];
+            rest = &rest[length..];
+            Some((operation, operands))
+        })
+    }
 
     /// Operands of `OpExecutionMode LocalSize` (SPIR-V 1.6, 3.52.7 and 3.6).
     fn local_size(words: &[u32]) -> Option<[u32; 3]> {
-        const HEADER_WORDS: usize = 5;
-        let mut rest = &words[HEADER_WORDS..];
-        while let [first, ..] = rest {
-            let (operation, length) = (first & 0xffff, (first >> 16) as usize);
-            if let (16, [_, _, 17, x, y, z]) = (operation, &rest[..length]) {
-                return Some([*x, *y, *z]);
-            }
-            rest = &rest[length..];
+        instructions(words).find_map(|instruction| match instruction {
+            (16, [_, 17, x, y, z]) => Some([*x, *y, *z]),
+            _ => None,
+        })
+    }
+
+    /// `OpCapability Geometry`.
+    fn needs_geometry_shader(words: &[u32]) -> bool {
+        instructions(words).any(|instruction| matches!(instruction, (17, [2])))
+    }
+
+    #[test]
+    fn triangles_are_numbered_without_geometry_shaders_by_who_pulls_indices() {
+        assert!(needs_geometry_shader(ID_BUFFER_FRAG.words));
+        for shader in [&ID_BUFFER_PULLED_VERT, &ID_BUFFER_PULLED_FRAG] {
+            assert!(!needs_geometry_shader(shader.words), "{}", shader.name);
         }
-        None
     }
 
     #[test]

@@ -65,6 +65,9 @@ fn h264_decoder(extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
     Err(DecodeError::Extent(extent.texels()))
 }
 
+/// The clock of this system's programs.
+pub const CLOCK: fn() -> ClientTime = monotonic_now;
+
 /// The monotonic clock that OpenXR's times are converted to.
 pub fn monotonic_now() -> ClientTime {
     ClientTime(shadecast_transport::monotonic_now_ns())

@@ -9,6 +9,7 @@ use shadecast_gpu::{
 };
 use shadecast_scene::Primitive;
 use shadecast_shaders::Shader;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// The level that shadows and the truth are drawn at.
@@ -18,6 +19,8 @@ pub(crate) const FULL_DETAIL: usize = 0;
 pub(crate) struct Geometry {
     culled: GraphicsPipeline,
     double_sided: GraphicsPipeline,
+    /// Whether the vertex shader reads the indices by itself.
+    pulls_indices: bool,
 }
 
 /// One draw: a primitive of an instance.
@@ -30,6 +33,8 @@ pub(crate) struct Draw<'a> {
     pub(crate) level: &'a MeshLevel,
     /// The primitive, in the level's own numbers.
     pub(crate) primitive: &'a Primitive,
+    /// Its first index that is drawn, in the level's own numbers.
+    pub(crate) first_index: u32,
 }
 
 impl Geometry {
@@ -51,6 +56,7 @@ impl Geometry {
         Ok(Self {
             culled: pipeline(vk::CullModeFlags::BACK)?,
             double_sided: pipeline(vk::CullModeFlags::NONE)?,
+            pulls_indices: vertex.bindings.iter().any(|binding| binding.name == "Indices"),
         })
     }
 
@@ -68,19 +74,40 @@ impl Geometry {
         level_of: impl Fn(usize) -> Option<usize>,
         push: impl Fn(&Draw<'_>) -> P,
     ) {
+        let all = |_, primitive: &Primitive| {
+            std::iter::once(primitive.first_index..primitive.first_index + primitive.index_count)
+        };
+        self.record_runs(recorder, (group, scene), level_of, all, push);
+    }
+
+    /// The same, of each primitive of an instance and level only some runs of indices.
+    pub(crate) fn record_runs<P: bytemuck::Pod, R: Iterator<Item = Range<u32>>>(
+        &self,
+        recorder: &mut Recorder,
+        (group, scene): (&BindGroup, &SceneGpu),
+        level_of: impl Fn(usize) -> Option<usize>,
+        runs: impl Fn([usize; 2], &Primitive) -> R,
+        push: impl Fn(&Draw<'_>) -> P,
+    ) {
         recorder.bind_indices(&scene.meshes.indices, 0);
         for (pipeline, double_sided) in [(&self.culled, false), (&self.double_sided, true)] {
             recorder.bind(pipeline, group);
             for (number, instance) in scene.numbering.instances.iter().enumerate() {
-                let Some(level) = level_of(number) else { continue };
+                let Some(number_of_level) = level_of(number) else { continue };
                 let (model, source) = (&scene.models[instance.model], &scene.scene.models[instance.model]);
                 let is_so =
                     |p: &&Primitive| source.materials[p.material as usize].double_sided == double_sided;
-                let level = &model.levels[level];
+                let level = &model.levels[number_of_level];
                 for primitive in level.primitives.iter().filter(is_so) {
-                    let draw = Draw { number, model, level, primitive };
-                    recorder.push_constants(pipeline, &push(&draw));
-                    recorder.draw_indexed(level.index_base + primitive.first_index, primitive.index_count);
+                    for run in runs([number, number_of_level], primitive) {
+                        let (first_index, count) = (run.start, run.end - run.start);
+                        let draw = Draw { number, model, level, primitive, first_index };
+                        recorder.push_constants(pipeline, &push(&draw));
+                        match self.pulls_indices {
+                            true => recorder.draw(count, 1),
+                            false => recorder.draw_indexed(level.index_base + first_index, count),
+                        }
+                    }
                 }
             }
         }

@@ -2,6 +2,8 @@
 
 use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
+use crate::clusters::Clusters;
+use crate::culling::Sight;
 use crate::looks::Look;
 use crate::scene::SceneGpu;
 use crate::stages::geometry::Geometry;
@@ -10,7 +12,10 @@ use shadecast_gpu::{
     Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, Image, ImageDesc, Recorder, RenderPass,
     RenderPassDesc,
 };
-use shadecast_shaders::generated::{ID_BUFFER_FRAG, ID_BUFFER_VERT, IdBufferPush};
+use shadecast_shaders::Shader;
+use shadecast_shaders::generated::{
+    ID_BUFFER_FRAG, ID_BUFFER_PULLED_FRAG, ID_BUFFER_PULLED_VERT, ID_BUFFER_VERT, IdBufferPush,
+};
 use std::sync::Arc;
 
 /// Updates after which the places of samples within a pixel repeat: what any of them sees is held for longer.
@@ -25,6 +30,43 @@ pub fn shift_ndc(update: u32, view: u32, views: u32, extent_pixels: [f32; 2]) ->
     const STEPS: [f32; 2] = [0.754_877_7, 0.569_840_3];
     let place = (update % SAMPLE_PLACES * views + view) as f32;
     [0, 1].map(|axis| ((0.5 + STEPS[axis] * place).fract() - 0.5) * 2.0 / extent_pixels[axis].max(1.0))
+}
+
+/// How a pixel learns its triangle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TriangleNumbers {
+    /// The device numbers the triangles of a draw: `gl_PrimitiveID`.
+    Given,
+    /// The vertex shader reads the indices, and so knows. Every device can. A vertex is placed once for each of its triangles, which
+    /// graphics processors would spare; of one that is software it takes less than to look up what was placed.
+    Pulled,
+}
+
+impl TriangleNumbers {
+    /// What costs least of what the device can.
+    pub fn of(gpu: &Gpu) -> Self {
+        if gpu.numbers_triangles() && !gpu.is_cpu() { Self::Given } else { Self::Pulled }
+    }
+
+    fn shaders(self) -> [&'static Shader; 2] {
+        match self {
+            Self::Given => [&ID_BUFFER_VERT, &ID_BUFFER_FRAG],
+            Self::Pulled => [&ID_BUFFER_PULLED_VERT, &ID_BUFFER_PULLED_FRAG],
+        }
+    }
+}
+
+/// What is drawn at once.
+#[derive(Clone, Copy, Debug)]
+pub struct Pass<'a> {
+    /// Ascending by instance, each once.
+    pub looked_at: &'a [Look],
+    /// Where their positions are.
+    pub place: RingPlace,
+    /// The left eye's; the right one's follows.
+    pub first_view: u32,
+    /// What stands still, and what can be seen of it.
+    pub within: (&'a Clusters, &'a Sight),
 }
 
 /// The stage with its output; both eyes of one time at once.
@@ -47,6 +89,18 @@ impl IdBuffer {
         views: &Buffer,
         extent: [u32; 2],
     ) -> Result<Self, GpuError> {
+        Self::with_numbers(gpu, scene, animation, views, extent, TriangleNumbers::of(gpu))
+    }
+
+    /// The same, with triangles numbered as said.
+    pub fn with_numbers(
+        gpu: &Arc<Gpu>,
+        scene: &SceneGpu,
+        animation: &Animation,
+        views: &Buffer,
+        extent: [u32; 2],
+        numbers: TriangleNumbers,
+    ) -> Result<Self, GpuError> {
         let (image, depth) = (id_image(gpu, extent)?, depth_image(gpu, extent, 2)?);
         let pass = RenderPass::new(
             gpu,
@@ -62,10 +116,11 @@ impl IdBuffer {
                 }])
             },
         )?;
-        let geometry = Geometry::new(gpu, &ID_BUFFER_VERT, &ID_BUFFER_FRAG, &pass)?;
+        let [vertex, fragment] = numbers.shaders();
+        let geometry = Geometry::new(gpu, vertex, fragment, &pass)?;
         let textures = scene.materials.texture_binds();
         let [saved_vertices, boxes] = animation.position_binds();
-        let group = BindGroup::new(
+        let group = BindGroup::of(
             geometry.layout(),
             &[
                 saved_vertices,
@@ -75,21 +130,21 @@ impl IdBuffer {
                 ("PatchOfTriangle", Bind::Buffer(&scene.meshes.patch_of_triangle)),
                 ("Materials", Bind::Buffer(&scene.materials.buffer)),
                 ("textures", Bind::Textures(&textures)),
+                ("Indices", Bind::Buffer(&scene.meshes.indices)),
             ],
         )?;
         let target = Framebuffer::new(gpu, &pass, extent, &[image.view(), depth.view()])?;
         Ok(Self { pass, geometry, group, target, image, _depth: depth })
     }
 
-    /// Draws what is `looked_at`, as it is in `place`, into the two views from `first_view` on.
+    /// Draws what is `looked_at`, as it is in `place`, into the two views from `first_view` on: of what stands still no more
+    /// than is in sight.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         scene: &SceneGpu,
         animation: &Animation,
-        looked_at: &[Look],
-        place: RingPlace,
-        first_view: u32,
+        Pass { looked_at, place, first_view, within }: Pass<'_>,
     ) {
         let clears = [vk::ClearValue::default(), vk::ClearValue::default()]; // no patch; far, which is 0
         let base = |number: usize| animation.position_base(number, place);
@@ -98,15 +153,15 @@ impl IdBuffer {
             base(number).is_some().then_some(looked_at[at])
         };
         recorder.begin_pass(&self.pass, &self.target, &clears);
-        self.geometry.record(
+        self.geometry.record_runs(
             recorder,
-            &self.group,
-            scene,
+            (&self.group, scene),
             |number| look(number).map(|look| look.level),
+            |of, primitive| within.0.runs(of, primitive, within.1),
             |draw| IdBufferPush {
                 vertex_base: draw.model.vertex_base,
                 position_base: base(draw.number).unwrap_or_default(),
-                triangle_base: (draw.level.index_base + draw.primitive.first_index) / 3,
+                triangle_base: (draw.level.index_base + draw.first_index) / 3,
                 first_entry: look(draw.number).map_or(0, |look| look.first_entry),
                 material: draw.model.material_base + draw.primitive.material,
                 first_view,

@@ -135,7 +135,7 @@ fn encode(encoding: &mut Encoding, to: &Recipient<'_>, job: Job) -> Outcome {
         Err(error) => return Outcome::Failed(error.to_string()),
     };
     let (encode_s, is_refresh) = ((monotonic_now_ns() - began_ns) as f64 * 1e-9, header.is_refresh);
-    to.row.ended("encode", began_ns, update);
+    to.row.ended("encode", began_ns, Some(update));
     let out = match picture_stream(header, &unit.bytes) {
         Ok(out) => out,
         Err(error) => {

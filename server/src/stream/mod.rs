@@ -46,7 +46,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use studio::GpuStudio;
-use traced::Traced;
+use traced::{Row, Traced};
 
 /// How long a thread sleeps at most before it looks whether the program is to end.
 const LOOK_UP: Duration = Duration::from_millis(20);
@@ -112,10 +112,12 @@ pub fn offer(scene: &SceneGpu, atlas_extent_texels: AtlasExtent, rate_hz: f64, s
 struct Way {
     handle: Handle,
     verdicts: Arc<Verdicts>,
+    traced: Row,
 }
 
 impl Outlet for Way {
     fn send(&self, peer: PeerId, out: Out) -> Result<(), SendError> {
+        self.traced.leaves(&out);
         Carrier::send(&self.handle, peer, out)
     }
 
@@ -189,11 +191,12 @@ pub fn run_timeline(
             );
             events // without them the transport ends, and the pipeline may still be sending
         })?;
-        let outlet: Arc<dyn Outlet> = Arc::new(Way { handle, verdicts: verdicts.clone() });
-        let (cadence, of_motion) = (&cadence, outlet.clone());
-        std::thread::Builder::new()
-            .name("motion".into())
-            .spawn_scoped(scope, move || run_motion(cadence, of_motion.as_ref(), epoch_ns, stop))?;
+        let outlet: Arc<dyn Outlet> =
+            Arc::new(Way { handle, verdicts: verdicts.clone(), traced: traced.row("network") });
+        let (cadence, of_motion, motion_row) = (&cadence, outlet.clone(), traced.row("motion"));
+        std::thread::Builder::new().name("motion".into()).spawn_scoped(scope, move || {
+            run_motion(cadence, of_motion.as_ref(), &motion_row, epoch_ns, stop)
+        })?;
         let _stop = StopOnEnd(stop);
         let mut pipeline = Pipeline::new(&mut studio, outlet, cadence, mailbox, say, options.rate_hz, traced);
         let worked = run_pipeline(&mut pipeline, mailbox, options.seconds, stop);
@@ -247,10 +250,12 @@ fn run_sessions(mut sessions: Sessions, around: &Surroundings<'_>, events: &Even
     sessions.goodbye(monotonic_now_ns(), around);
 }
 
-fn run_motion(cadence: &Cadence, outlet: &dyn Outlet, epoch_ns: i64, stop: &AtomicBool) {
+fn run_motion(cadence: &Cadence, outlet: &dyn Outlet, traced: &Row, epoch_ns: i64, stop: &AtomicBool) {
     let now = || ServerTime(monotonic_now_ns() - epoch_ns);
     while !stop.load(Ordering::Relaxed) {
+        let began_ns = monotonic_now_ns();
         cadence.step(outlet, now());
+        traced.ended("motion", began_ns, None);
         std::thread::sleep(Cadence::wait(now()));
     }
 }

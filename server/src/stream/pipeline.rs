@@ -26,7 +26,7 @@ use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::message::{Capabilities, Refused, Welcome};
 use shadecast_protocol::session::clock_stamp;
 use shadecast_protocol::time::ServerTime;
-use shadecast_transport::{PeerId, SendError};
+use shadecast_transport::{PeerId, SendError, monotonic_now_ns};
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -58,13 +58,6 @@ pub trait Studio {
         step: Step,
         now: ServerTime,
     ) -> Result<Option<Shaded>, GpuError>;
-    /// The next update, one step after the other; `None` before the first head state.
-    fn update(&mut self, updates: &mut Self::Updates, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
-        for step in [Step::Begin, Step::Place, Step::Shade] {
-            self.advance(updates, step, now)?;
-        }
-        self.advance(updates, Step::Collect, now)
-    }
     /// A client has gone, and what it had in flight with it. `has_failed`: in the middle of an update, of which nothing is to be
     /// believed.
     fn close(&mut self, updates: Self::Updates, has_failed: bool);
@@ -100,6 +93,7 @@ pub(super) struct Pipeline<'a, S: Studio> {
     last_atlas: Option<Box<Shaded>>,
     traced: Traced,
     of_pipeline: Row,
+    of_steps: Row,
     of_device: DeviceRow,
 }
 
@@ -172,6 +166,16 @@ fn guarded<T>(body: impl FnOnce() -> Result<T, Fault>) -> Result<T, Fault> {
     catch_unwind(AssertUnwindSafe(body)).unwrap_or_else(|panic| Err(Fault::of_panic(panic.as_ref())))
 }
 
+/// Makes a step, and tells the trace of it; that there was nothing to do is not told.
+fn traced_step<T>(row: &Row, step: Step, make: impl FnOnce() -> T) -> T {
+    let began_ns = monotonic_now_ns();
+    let made = make();
+    if step != Step::Wait {
+        row.ended(step.name(), began_ns, None);
+    }
+    made
+}
+
 impl<'a, S: Studio> Pipeline<'a, S> {
     pub(super) fn new(
         studio: &'a mut S,
@@ -185,6 +189,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         let epoch_ns = traced.epoch_ns();
         Self {
             of_pipeline: traced.row("updates"),
+            of_steps: traced.row("pipeline"),
             of_device: traced.device(),
             traced,
             studio,
@@ -253,6 +258,9 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             }
         }
         let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
+        if let Some(report) = &told.displayed {
+            self.of_pipeline.happens("display is known", Some(report.update));
+        }
         let heard = guarded(|| {
             client.viewer.hear(told, now_ns);
             Ok(())
@@ -395,7 +403,10 @@ impl<'a, S: Studio> Pipeline<'a, S> {
                 Step::Begin => client.viewer.begin(outlet.way(peer).as_ref(), now_ns),
                 _ => client.viewer.updates_mut(),
             };
-            Ok((step, studio.advance(updates, step, now).map_err(fault)?))
+            Ok((
+                step,
+                traced_step(&self.of_steps, step, || studio.advance(updates, step, now)).map_err(fault)?,
+            ))
         });
         let (step, shaded) = made.map_err(Fault::in_update)?;
         let took_ns = begun.elapsed().as_nanos() as i64;
@@ -415,7 +426,12 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         let begun = Instant::now();
         let shaded = guarded(|| {
             let updates = client.viewer.begin(outlet.way(peer).as_ref(), now_ns);
-            studio.update(updates, now).map_err(|error| Fault::of(&error, "shading an update"))
+            let mut made = None;
+            for step in Step::IN_A_ROW {
+                made = traced_step(&self.of_steps, step, || studio.advance(updates, step, now))
+                    .map_err(|error| Fault::of(&error, "shading an update"))?;
+            }
+            Ok(made)
         });
         let took_ns = begun.elapsed().as_nanos() as i64;
         self.spent(peer, took_ns);
@@ -438,7 +454,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
     /// An update is shaded; `steps_ns`: what it took of the CPU.
     fn made(&mut self, peer: PeerId, shaded: Shaded, steps_ns: i64, ended_ns: i64) -> Result<(), Fault> {
         let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
-        self.of_pipeline.ended("update", self.epoch_ns + shaded.time.0, shaded.update);
+        self.of_pipeline.ended("update", self.epoch_ns + shaded.time.0, Some(shaded.update));
         self.of_device.ended(&shaded.timings, shaded.update);
         self.stats.add_gpu(&shaded.timings);
         let (device_ns, encode_ns) = (device_ns(&shaded), client.encode_ns);

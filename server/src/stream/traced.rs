@@ -2,7 +2,9 @@
 
 use shadecast_gpu::Timings;
 use shadecast_protocol::ids::UpdateId;
+use shadecast_protocol::session::Out;
 use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::wire::{StreamMessage, parse_stream};
 use shadecast_trace::{Process, Trace, Track};
 use shadecast_transport::monotonic_now_ns;
 use std::sync::Arc;
@@ -50,9 +52,27 @@ impl Traced {
 
 impl Row {
     /// Something that began at `began_ns` of the monotonic clock has just ended.
-    pub(super) fn ended(&self, name: &'static str, began_ns: i64, update: UpdateId) {
+    pub(super) fn ended(&self, name: &'static str, began_ns: i64, update: Option<UpdateId>) {
         if let Some(track) = &self.track {
-            track.span(name, [began_ns, monotonic_now_ns()].map(|ns| self.at(ns)), Some(update));
+            track.span(name, [began_ns, monotonic_now_ns()].map(|ns| self.at(ns)), update);
+        }
+    }
+
+    /// Something happens now.
+    pub(super) fn happens(&self, name: &'static str, update: Option<UpdateId>) {
+        if let Some(track) = &self.track {
+            track.instant(name, self.at(monotonic_now_ns()), update);
+        }
+    }
+
+    /// A stream is handed to the transport.
+    pub(super) fn leaves(&self, out: &Out) {
+        let (Some(_), Out::Stream { bytes, .. }) = (&self.track, out) else { return };
+        match parse_stream(bytes) {
+            Ok(StreamMessage::Geometry { head, .. }) => self.happens("delta leaves", Some(head.update)),
+            Ok(StreamMessage::Picture { header, .. }) => self.happens("picture leaves", Some(header.update)),
+            Ok(StreamMessage::Motion(_)) => self.happens("motion leaves", None),
+            Err(error) => debug_assert!(false, "{error}"),
         }
     }
 

@@ -1,5 +1,6 @@
 //! The device and what hangs on it: allocator, command slots, retire ring, validation messages.
 
+use crate::lanes::{LANES, Lanes};
 use crate::memory::Garbage;
 use crate::recorder::CommandSlot;
 use crate::timings::KeptTimings;
@@ -19,7 +20,7 @@ const NO_DRIVER: &str = "there is no driver; install the one of the graphics car
 /// Which of the two required feature sets a device must have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Needs {
-    /// Vulkan 1.2 with descriptor indexing and `gl_PrimitiveID` in fragment shaders.
+    /// Vulkan 1.2 with descriptor indexing. `gl_PrimitiveID` in fragment shaders is asked for where the device has it.
     Server,
     /// Vulkan 1.1 core with multiview: nothing a first-generation standalone headset lacks.
     Client,
@@ -67,7 +68,7 @@ pub struct DesktopDevice;
 pub struct Gpu {
     pub(crate) device: ash::Device,
     pub(crate) allocator: Mutex<Option<Allocator>>,
-    pub(crate) queue: vk::Queue,
+    pub(crate) lanes: Lanes,
     pub(crate) queue_family: u32,
     pub(crate) idle_slots: Mutex<Vec<CommandSlot>>,
     pub(crate) busy_slots: Mutex<VecDeque<CommandSlot>>,
@@ -76,6 +77,7 @@ pub struct Gpu {
     pub(crate) garbage: Mutex<VecDeque<(u64, Garbage)>>,
     pub(crate) timings: Mutex<KeptTimings>,
     pub(crate) properties: vk::PhysicalDeviceProperties,
+    numbers_triangles: bool,
     physical: vk::PhysicalDevice,
     messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
     validation: Box<ValidationLog>,
@@ -109,10 +111,11 @@ impl Gpu {
         let physical = source.physical_device(&instance, options)?;
         // SAFETY: `physical` belongs to `instance`.
         let properties = unsafe { instance.get_physical_device_properties(physical) };
-        let queue_family = queue_family(&instance, physical)?;
-        let device = create_device(&instance, physical, queue_family, options, source)?;
-        // SAFETY: the family was asked for in the device's creation with one queue.
-        let queue = unsafe { device.get_device_queue(queue_family, 0) };
+        let (queue_family, queues) = queue_family(&instance, physical)?;
+        let is_server = options.needs == Needs::Server;
+        let queues = if is_server { queues.min(LANES as u32) } else { 1 };
+        let device = create_device(&instance, physical, (queue_family, queues), options, source)?;
+        let lanes = Lanes::new(&device, queue_family, queues, is_server)?;
         let allocator = Allocator::new(&AllocatorCreateDesc {
             instance: instance.clone(),
             device: device.clone(),
@@ -125,7 +128,7 @@ impl Gpu {
         let gpu = Arc::new(Self {
             device,
             allocator: Mutex::new(Some(allocator)),
-            queue,
+            lanes,
             queue_family,
             idle_slots: Mutex::default(),
             busy_slots: Mutex::default(),
@@ -134,6 +137,7 @@ impl Gpu {
             garbage: Mutex::default(),
             timings: Mutex::default(),
             properties,
+            numbers_triangles: options.needs == Needs::Server && has_geometry_shader(&instance, physical),
             physical,
             messenger,
             validation,
@@ -157,6 +161,11 @@ impl Gpu {
     /// Most storage buffers that one shader can be given.
     pub fn max_stage_storage_buffers(&self) -> u32 {
         self.properties.limits.max_per_stage_descriptor_storage_buffers
+    }
+
+    /// Whether fragments may ask for `gl_PrimitiveID`: a device of the server that has geometry shaders.
+    pub fn numbers_triangles(&self) -> bool {
+        self.numbers_triangles
     }
 
     /// Whether the device is a CPU: correct, slow.
@@ -199,7 +208,7 @@ impl Gpu {
         self.physical
     }
 
-    /// Family of the one queue; its index within the family is 0.
+    /// Family of the queues; a client's has the index 0 within it.
     pub fn queue_family(&self) -> u32 {
         self.queue_family
     }
@@ -238,6 +247,7 @@ impl Drop for Gpu {
         let busy: Vec<_> = self.busy_slots.lock().expect("not poisoned").drain(..).collect();
         let idle: Vec<_> = self.idle_slots.lock().expect("not poisoned").drain(..).collect();
         busy.into_iter().chain(idle).for_each(|slot| slot.destroy(&self.device));
+        self.lanes.destroy(&self.device);
         drop(self.allocator.lock().expect("not poisoned").take());
         // SAFETY: the device is idle and all its objects are gone; the messenger outlives the device, and the
         // instance goes last.
@@ -346,7 +356,6 @@ fn missing(instance: &ash::Instance, physical: vk::PhysicalDevice, needs: Needs)
         return None;
     }
     let wanted = [
-        (core.geometry_shader, "geometryShader (for gl_PrimitiveID)"),
         (core.sampler_anisotropy, "samplerAnisotropy"),
         (indexing.runtime_descriptor_array, "runtimeDescriptorArray"),
         (indexing.shader_sampled_image_array_non_uniform_indexing, "non-uniform texture indexing"),
@@ -355,6 +364,12 @@ fn missing(instance: &ash::Instance, physical: vk::PhysicalDevice, needs: Needs)
         (indexing.descriptor_binding_partially_bound, "partially bound descriptors"),
     ];
     wanted.iter().find(|(has, _)| *has == 0).map(|(_, name)| *name)
+}
+
+/// The feature that `gl_PrimitiveID` in a fragment shader belongs to; some drivers lack it (MoltenVK, some of phones).
+fn has_geometry_shader(instance: &ash::Instance, physical: vk::PhysicalDevice) -> bool {
+    // SAFETY: `physical` belongs to `instance`.
+    unsafe { instance.get_physical_device_features(physical) }.geometry_shader != 0
 }
 
 fn create_instance(
@@ -455,20 +470,22 @@ unsafe extern "system" fn on_message(
     vk::FALSE
 }
 
-fn queue_family(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Result<u32, GpuError> {
+/// Its index, and how many queues it has.
+fn queue_family(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Result<(u32, u32), GpuError> {
     let wanted = vk::QueueFlags::GRAPHICS | vk::QueueFlags::COMPUTE;
     // SAFETY: `physical` belongs to `instance`.
     unsafe { instance.get_physical_device_queue_family_properties(physical) }
         .iter()
-        .position(|family| family.queue_flags.contains(wanted))
-        .map(|index| index as u32)
+        .zip(0..)
+        .find(|(family, _)| family.queue_flags.contains(wanted))
+        .map(|(family, index)| (index, family.queue_count))
         .ok_or_else(|| GpuError::NoDevice("it has no queue for graphics and compute".into()))
 }
 
 fn create_device(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,
-    queue_family: u32,
+    (queue_family, queues): (u32, u32),
     options: &GpuOptions,
     source: &dyn DeviceSource,
 ) -> Result<ash::Device, GpuError> {
@@ -477,7 +494,7 @@ fn create_device(
     }
     let server = options.needs == Needs::Server;
     let core = vk::PhysicalDeviceFeatures::default()
-        .geometry_shader(server)
+        .geometry_shader(server && has_geometry_shader(instance, physical))
         .sampler_anisotropy(server)
         .shader_storage_buffer_array_dynamic_indexing(server);
     let mut multiview = vk::PhysicalDeviceMultiviewFeatures::default().multiview(true);
@@ -486,15 +503,16 @@ fn create_device(
         .shader_sampled_image_array_non_uniform_indexing(true)
         .shader_storage_buffer_array_non_uniform_indexing(true)
         .descriptor_binding_partially_bound(true);
-    let priorities = [1.0];
+    let priorities = &[1.0; LANES][..queues as usize];
     let queues =
-        [vk::DeviceQueueCreateInfo::default().queue_family_index(queue_family).queue_priorities(&priorities)];
+        [vk::DeviceQueueCreateInfo::default().queue_family_index(queue_family).queue_priorities(priorities)];
+    let mut timeline = vk::PhysicalDeviceTimelineSemaphoreFeatures::default().timeline_semaphore(true);
     let mut info = vk::DeviceCreateInfo::default()
         .queue_create_infos(&queues)
         .enabled_features(&core)
         .push_next(&mut multiview);
     if server {
-        info = info.push_next(&mut indexing);
+        info = info.push_next(&mut indexing).push_next(&mut timeline);
     }
     let handle = source.create_device(instance, physical, &info)?;
     // SAFETY: `handle` was created from this instance.

@@ -3,6 +3,7 @@
 
 mod bind;
 mod context;
+mod lanes;
 mod memory;
 mod pass;
 mod pipeline;

@@ -1,6 +1,7 @@
 //! Recording of commands: a recording is a value, submitted once; slots come back when their fence has signalled.
 
 use crate::bind::BindGroup;
+use crate::lanes::Lane;
 use crate::pass::{Framebuffer, RenderPass};
 use crate::pipeline::{ComputePipeline, GraphicsPipeline};
 use crate::timings::{Timing, Timings};
@@ -11,7 +12,7 @@ use std::sync::atomic::Ordering;
 
 const MAX_TIMED_SCOPES: u32 = 32;
 
-/// A submitted recording; completes in the order of submission.
+/// A submitted recording; completes after those that were submitted before it, except for those beside it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Ticket(pub(crate) u64);
 
@@ -22,6 +23,7 @@ pub(crate) struct CommandSlot {
     fence: vk::Fence,
     queries: vk::QueryPool,
     scopes: Vec<&'static str>,
+    lane: Lane,
     serial: u64,
 }
 
@@ -91,7 +93,8 @@ impl CommandSlot {
                 .query_type(vk::QueryType::TIMESTAMP)
                 .query_count(MAX_TIMED_SCOPES * 2);
             let queries = device.create_query_pool(&info, None).doing("creating a query pool")?;
-            Ok(Self { pool, commands, fence, queries, scopes: Vec::with_capacity(32), serial: 0 })
+            let scopes = Vec::with_capacity(MAX_TIMED_SCOPES as usize);
+            Ok(Self { pool, commands, fence, queries, scopes, lane: Lane::Main, serial: 0 })
         }
     }
 
@@ -155,21 +158,18 @@ impl Gpu {
         Ok(Recorder { gpu: self.clone(), slot: Some(slot) })
     }
 
-    /// Waits until the recording behind `ticket`, and all before it, have finished.
+    /// Waits until the recording behind `ticket` has finished, and with it all before it on its queue.
     pub fn wait(&self, ticket: Ticket) -> Result<(), GpuError> {
-        while self.completed.load(Ordering::Acquire) < ticket.0 {
+        loop {
             let fence = {
                 let busy = self.busy_slots.lock().expect("not poisoned");
-                match busy.front() {
-                    Some(slot) => slot.fence,
-                    None => break,
-                }
+                let Some(slot) = busy.iter().find(|slot| slot.serial == ticket.0) else { return Ok(()) };
+                slot.fence
             };
             // SAFETY: the fence belongs to a submitted slot.
             unsafe { self.device.wait_for_fences(&[fence], true, u64::MAX) }.doing("waiting for the GPU")?;
             self.reclaim()?;
         }
-        Ok(())
     }
 
     /// Waits as [`Self::wait`] does. Gives how long the scopes of the recording behind `ticket` took: once, and only while
@@ -182,25 +182,31 @@ impl Gpu {
     /// Whether the recording behind `ticket` has finished.
     pub fn is_done(&self, ticket: Ticket) -> Result<bool, GpuError> {
         self.reclaim()?;
-        Ok(self.completed.load(Ordering::Acquire) >= ticket.0)
+        let busy = self.busy_slots.lock().expect("not poisoned");
+        Ok(busy.iter().all(|slot| slot.serial != ticket.0))
     }
 
-    /// Takes back the slots whose fence has signalled, in order, and destroys what only they used.
+    /// Takes back the slots whose fence has signalled, and destroys what only they and those before them used.
     fn reclaim(&self) -> Result<(), GpuError> {
         let mut busy = self.busy_slots.lock().expect("not poisoned");
-        while let Some(slot) = busy.front() {
+        let mut next = 0;
+        while let Some(slot) = busy.get(next) {
             // SAFETY: the fence belongs to a submitted slot.
             let signalled = unsafe { self.device.get_fence_status(slot.fence) };
             if !signalled.doing("asking for a fence")? {
-                break;
+                next += 1;
+                continue;
             }
-            let Some(slot) = busy.pop_front() else { break };
+            let Some(slot) = busy.remove(next) else { break };
             slot.read_timings(self);
             // SAFETY: the fence has signalled and nobody waits on it.
             unsafe { self.device.reset_fences(&[slot.fence]) }.doing("resetting a fence")?;
-            self.completed.store(slot.serial, Ordering::Release);
+            self.lanes.note(slot.lane, slot.serial);
             self.idle_slots.lock().expect("not poisoned").push(slot);
         }
+        // No serial is given while this lock is held.
+        let oldest = busy.front().map_or(self.submitted.load(Ordering::Acquire) + 1, |slot| slot.serial);
+        self.completed.store(oldest - 1, Ordering::Release);
         drop(busy);
         self.collect();
         Ok(())
@@ -219,7 +225,13 @@ impl Recorder {
 
     /// Ends the recording and submits it.
     pub fn submit(self) -> Result<Ticket, GpuError> {
-        self.submit_with(vk::SubmitInfo::default())
+        self.submit_with(Lane::Main, vk::SubmitInfo::default())
+    }
+
+    /// Ends the recording and submits it to the device's other queue, if there is one: it runs beside what others submit with
+    /// [`Self::submit`], and sees what those wrote that are known to have finished by now. They see of it what is known likewise.
+    pub fn submit_beside(self) -> Result<Ticket, GpuError> {
+        self.submit_with(Lane::Beside, vk::SubmitInfo::default())
     }
 
     /// Ends the recording and submits it: colour is written after `before`, and `after` follows all of it.
@@ -232,22 +244,21 @@ impl Recorder {
         let (waits, signals) = ([before], [after]);
         let stages = [vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT];
         let info = vk::SubmitInfo::default().wait_semaphores(&waits).wait_dst_stage_mask(&stages);
-        self.submit_with(info.signal_semaphores(&signals))
+        self.submit_with(Lane::Main, info.signal_semaphores(&signals))
     }
 
-    fn submit_with(mut self, info: vk::SubmitInfo<'_>) -> Result<Ticket, GpuError> {
+    fn submit_with(mut self, lane: Lane, info: vk::SubmitInfo<'_>) -> Result<Ticket, GpuError> {
         let mut slot = self.slot.take().expect("present until submitted");
         let commands = [slot.commands];
-        let submits = [info.command_buffers(&commands)];
         // One lock around serial and submission keeps completion in the order of serials.
         let mut busy = self.gpu.busy_slots.lock().expect("not poisoned");
-        // SAFETY: the buffer is recorded, the fence is unsignalled, and the queue is only used under this lock and,
-        // for a client, by the OpenXR runtime inside calls made from the same thread.
-        unsafe {
-            self.gpu.device.end_command_buffer(slot.commands).doing("ending a recording")?;
-            self.gpu.device.queue_submit(self.gpu.queue, &submits, slot.fence).doing("submitting")?;
-        }
-        slot.serial = self.gpu.submitted.fetch_add(1, Ordering::AcqRel) + 1;
+        // SAFETY: the buffer is being recorded, in no pass.
+        unsafe { self.gpu.device.end_command_buffer(slot.commands) }.doing("ending a recording")?;
+        let serial = self.gpu.submitted.load(Ordering::Acquire) + 1;
+        let info = info.command_buffers(&commands);
+        self.gpu.lanes.submit(&self.gpu.device, lane, serial, info, slot.fence)?;
+        self.gpu.submitted.store(serial, Ordering::Release);
+        (slot.lane, slot.serial) = (lane, serial);
         let ticket = Ticket(slot.serial);
         busy.push_back(slot);
         Ok(ticket)
@@ -259,17 +270,18 @@ impl Recorder {
         let timed = index < MAX_TIMED_SCOPES;
         if timed {
             self.slot.as_mut().expect("present until submitted").scopes.push(name);
-            self.timestamp(index * 2, vk::PipelineStageFlags::TOP_OF_PIPE);
+            self.timestamp(index * 2);
         }
         let result = body(self);
         if timed {
-            self.timestamp(index * 2 + 1, vk::PipelineStageFlags::BOTTOM_OF_PIPE);
+            self.timestamp(index * 2 + 1);
         }
         result
     }
 
-    fn timestamp(&mut self, query: u32, stage: vk::PipelineStageFlags) {
-        let slot = self.slot();
+    /// Once all before it has ended: what of it still ran would be told twice.
+    fn timestamp(&mut self, query: u32) {
+        let (slot, stage) = (self.slot(), vk::PipelineStageFlags::BOTTOM_OF_PIPE);
         // SAFETY: the query is in range and was reset at the recording's start.
         unsafe { self.gpu.device.cmd_write_timestamp(slot.commands, stage, slot.queries, query) };
     }

@@ -197,7 +197,7 @@ impl Swapchain {
         let queue = self.gpu.busy_slots.lock().expect("not poisoned");
         // SAFETY: the image was acquired and is in the layout of presenting after the pass; the lock keeps other threads
         // off the queue.
-        let shown = unsafe { self.functions.queue_present(self.gpu.queue, &info) };
+        let shown = unsafe { self.functions.queue_present(self.gpu.lanes.main(), &info) };
         drop(queue);
         match shown {
             Ok(suboptimal) => self.is_stale |= suboptimal,

@@ -52,6 +52,36 @@ fn who_waits_for_a_recording_sees_its_timings_and_no_others() {
 }
 
 #[test]
+fn recordings_of_both_queues_are_waited_for_by_themselves_and_see_what_had_ended() {
+    let gpu = open(Needs::Server);
+    let target = Buffer::new(&gpu, "target", 4096, Memory::Device).unwrap();
+    let back = Buffer::new(&gpu, "back", 4096, Memory::Readback).unwrap();
+    for round in 1u32..6 {
+        let mut recorder = gpu.record().unwrap();
+        recorder.fill(&target, round);
+        let main = recorder.submit().unwrap();
+        gpu.wait(main).unwrap();
+        // The next of the main queue is under way, or waits, while the other queue reads what the last one wrote.
+        let other = Buffer::new(&gpu, "other", 1 << 20, Memory::Device).unwrap();
+        let mut recorder = gpu.record().unwrap();
+        recorder.fill(&other, round);
+        let next = recorder.submit().unwrap();
+        let mut recorder = gpu.record().unwrap();
+        recorder.copy_buffer(&target, 0, &back, 0, 4096);
+        recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
+        let beside = recorder.submit_beside().unwrap();
+        drop(other);
+        gpu.wait(beside).unwrap();
+        assert!(gpu.is_done(beside).unwrap());
+        let words = back.values::<u32>();
+        assert!(words.iter().all(|word| *word == round), "round {round}");
+        gpu.wait(next).unwrap();
+        assert!([main, next, beside].into_iter().all(|ticket| gpu.is_done(ticket).unwrap()));
+    }
+    assert_eq!(gpu.validation_messages(), 0, "{:#?}", gpu.validation_texts());
+}
+
+#[test]
 fn an_unknown_device_name_is_an_error_that_lists_what_there_is() {
     let options =
         GpuOptions { needs: Needs::Client, validation: false, device_name: Some("no such device".into()) };

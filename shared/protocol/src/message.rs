@@ -672,7 +672,7 @@ fn check_pose(what: &'static str, pose: &Pose) -> Result<(), WireError> {
 fn check_eye(eye: &Eye) -> Result<(), WireError> {
     check_pose("an eye's pose", &eye.head_from_eye)?;
     require(eye.fov.is_valid(), "an eye's field of view", || {
-        format!("{:?} is not a frustum of 2 degrees or more within 60 degrees of straight ahead", eye.fov)
+        format!("{:?} is not a frustum of 2 degrees or more within 89 degrees of straight ahead", eye.fov)
     })
 }
 
@@ -827,10 +827,11 @@ mod tests {
         let bad = [
             fov(-tiny, tiny, tiny, -tiny),
             fov(-0.0005, 0.0005, 0.0005, -0.0005),
-            fov(1.1, 1.5, 0.5, -0.5),
-            fov(-1.5, -1.1, 0.5, -0.5),
-            fov(-0.5, 0.5, 1.5, 1.1),
-            fov(-0.5, 0.5, -1.1, -1.5),
+            fov(1.1, 1.56, 0.5, -0.5),
+            fov(-1.56, 0.5, 0.5, -0.5),
+            fov(-0.5, 0.5, 1.56, 1.1),
+            fov(-0.5, 0.5, -1.1, -1.56),
+            fov(1.5, 1.52, 0.5, -0.5),
             fov(-0.5, 0.5, 1e-3, 0.0),
             fov(0.5, -0.5, 0.5, -0.5),
             fov(-0.5, 0.5, -0.5, 0.5),
@@ -839,7 +840,7 @@ mod tests {
         for fov in bad {
             assert_hello_refused(|hello| hello.capabilities.eyes[1].fov = fov, "an eye's field of view");
         }
-        for fov in [fov(-0.02, 0.02, 0.02, -0.02), fov(0.9, 1.5, 0.5, -0.5), fov(-1.55, 1.55, 1.55, -1.55)] {
+        for fov in [fov(-0.02, 0.02, 0.02, -0.02), fov(1.1, 1.5, 0.5, -0.5), fov(-1.55, 1.55, 1.55, -1.55)] {
             let mut good = hello();
             good.capabilities.eyes = good.capabilities.eyes.map(|eye| Eye { fov, ..eye });
             assert_eq!(good.check(), Ok(()), "{fov:?}");

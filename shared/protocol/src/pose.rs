@@ -37,8 +37,8 @@ pub struct Eye {
 
 /// Narrowest field of view in radians, 2 degrees: what is narrower is no display, and its density has no bound.
 pub const MIN_VIEW_SPAN: f32 = 0.034_906_585;
-/// Angle to a side up to which views are rendered, radians: 60 degrees.
-pub const MAX_VIEW_ANGLE: f32 = std::f32::consts::FRAC_PI_3;
+/// Angle to a side up to which views are rendered, radians: 89 degrees. One projection cannot show what is beside the eye.
+pub const MAX_VIEW_ANGLE: f32 = 1.553_343;
 
 /// Near plane in metres, the same for server, client and ground truth.
 pub const NEAR_M: f32 = 0.05;
@@ -86,11 +86,11 @@ impl Fov {
         Self { left: -half, right: half, up: half, down: -half }
     }
 
-    /// Widened by `margin` radians on each side, kept under 120 degrees in all ([`MAX_VIEW_ANGLE`] a side), and no narrower
+    /// Widened by `margin` radians on each side, kept within `most` radians ([`MAX_VIEW_ANGLE`] or less) to each, and no narrower
     /// than [`MIN_VIEW_SPAN`].
-    pub fn widened(self, margin: f32) -> Self {
-        let low = |angle: f32| (angle - margin).clamp(-MAX_VIEW_ANGLE, MAX_VIEW_ANGLE - MIN_VIEW_SPAN);
-        let high = |angle: f32, low: f32| (angle + margin).min(MAX_VIEW_ANGLE).max(low + MIN_VIEW_SPAN);
+    pub fn widened(self, margin: f32, most: f32) -> Self {
+        let low = |angle: f32| (angle - margin).clamp(-most, most - MIN_VIEW_SPAN);
+        let high = |angle: f32, low: f32| (angle + margin).min(most).max(low + MIN_VIEW_SPAN);
         let (left, down) = (low(self.left), low(self.down));
         Self { left, right: high(self.right, left), up: high(self.up, down), down }
     }
@@ -121,15 +121,11 @@ impl Fov {
         ])
     }
 
-    /// True where the four angles are finite, inside (-90, 90) degrees, span at least [`MIN_VIEW_SPAN`] in both directions,
-    /// and as much of that lies within [`MAX_VIEW_ANGLE`].
+    /// True where the four angles are finite, within [`MAX_VIEW_ANGLE`], and span at least [`MIN_VIEW_SPAN`] in both directions.
     pub fn is_valid(self) -> bool {
-        let limit = 89f32.to_radians();
-        let within = |angle: f32| angle.clamp(-MAX_VIEW_ANGLE, MAX_VIEW_ANGLE);
-        let is_wide = |low: f32, high: f32| within(high) - within(low) >= MIN_VIEW_SPAN;
-        [self.left, self.right, self.up, self.down].iter().all(|a| a.is_finite() && a.abs() <= limit)
-            && is_wide(self.left, self.right)
-            && is_wide(self.down, self.up)
+        [self.left, self.right, self.up, self.down].iter().all(|angle| angle.abs() <= MAX_VIEW_ANGLE)
+            && self.right - self.left >= MIN_VIEW_SPAN
+            && self.up - self.down >= MIN_VIEW_SPAN
     }
 }
 
@@ -152,7 +148,7 @@ mod tests {
         let angles = [-1.55, -1.2, -0.9, -1e-40, 0.0, 1e-40, 0.01, 0.9, 1.2, 1.55];
         for (left, right) in angles.into_iter().flat_map(|left| angles.map(|right| (left, right))) {
             for margin in [0.0, 0.052, 0.35] {
-                let wide = Fov { left, right, up: right, down: left }.widened(margin);
+                let wide = Fov { left, right, up: right, down: left }.widened(margin, MAX_VIEW_ANGLE);
                 let span = wide.right - wide.left;
                 assert!(
                     (0.99 * MIN_VIEW_SPAN..=2.0 * MAX_VIEW_ANGLE).contains(&span),

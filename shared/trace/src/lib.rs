@@ -4,6 +4,10 @@
 //! All times are the server's. A span that belongs to an update is joined by arrows to the others of that update, in the order of
 //! time: from its making to its display. A thread of its own writes the file: who traces waits for no disk.
 
+mod shares;
+
+pub use shares::Shares;
+
 use serde_json::{Value, json};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::time::ServerTime;
@@ -167,14 +171,8 @@ fn write(mut file: impl Write, events: &Receiver<Option<Value>>) -> io::Result<(
 pub fn merge(files: &[PathBuf], into: &Path) -> Result<(), TraceError> {
     let mut all: Vec<Value> = Vec::new();
     for (number, path) in files.iter().enumerate() {
-        let text = std::fs::read_to_string(path);
-        let text = text.map_err(|error| TraceError::File { path: path.clone(), error })?;
-        let not_a_trace = |reason: String| TraceError::Content { path: path.clone(), reason };
-        let events: Vec<Value> =
-            serde_json::from_str(&text).map_err(|error| not_a_trace(error.to_string()))?;
-        for mut event in events {
-            let process = event.get("pid").and_then(Value::as_u64);
-            let process = process.ok_or_else(|| not_a_trace("an event is of no process".into()))?;
+        for mut event in read(path)? {
+            let process = event["pid"].as_u64().unwrap_or_default();
             event["pid"] = json!(process + 2 * number as u64);
             all.push(event);
         }
@@ -183,6 +181,20 @@ pub fn merge(files: &[PathBuf], into: &Path) -> Result<(), TraceError> {
     let mut file = BufWriter::new(File::create(into).map_err(of_file)?);
     serde_json::to_writer(&mut file, &all).map_err(|error| of_file(error.into()))?;
     file.flush().map_err(of_file)
+}
+
+/// The events of a file, each of a process.
+fn read(path: &Path) -> Result<Vec<Value>, TraceError> {
+    let text = std::fs::read_to_string(path);
+    let text = text.map_err(|error| TraceError::File { path: path.to_owned(), error })?;
+    let not_a_trace = |reason: String| TraceError::Content { path: path.to_owned(), reason };
+    let events: Vec<Value> = serde_json::from_str(&text).map_err(|error| not_a_trace(error.to_string()))?;
+    let is_whole = |event: &Value| event.get("pid").and_then(Value::as_u64).is_some();
+    if events.iter().all(is_whole) {
+        Ok(events)
+    } else {
+        Err(not_a_trace("an event is of no process".into()))
+    }
 }
 
 #[cfg(test)]

@@ -2,10 +2,13 @@
 
 use shadecast_lab::churn;
 use shadecast_lab::options::RunOptions;
+use shadecast_lab::paper_size;
+use shadecast_lab::table1::cell::Size;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::inspect;
 use shadecast_server::surround::DEFAULT_SURROUND;
+use shadecast_test_support::headset::turn;
 
 /// What `inspect memory` prints as JSON.
 fn inspected(arguments: &[&str]) -> serde_json::Value {
@@ -56,4 +59,14 @@ fn hundreds_of_updates_leave_nothing_behind() {
     assert_eq!(report.validation_messages, 0);
     assert_eq!(report.device_bytes_before, report.device_bytes_after, "{report}");
     assert!(report.grown_mb < 48.0, "{report}");
+}
+
+#[test]
+fn dragons_that_are_all_in_view_have_room_and_nothing_is_dropped() {
+    let _turn = turn();
+    let out = tempfile::tempdir().unwrap();
+    let found = paper_size::measure(4, Size::at(0.08).unwrap(), out.path()).unwrap();
+    assert_eq!((found.dragons, found.dropped_patches, found.validation_messages), (4, 0, 0), "{found}");
+    assert!(found.updates > 15 && found.patches > 1000 && found.vertices > 1000, "{found}");
+    assert!(found.vertices <= found.room_vertices as usize && found.device_bytes < 200_000_000, "{found}");
 }

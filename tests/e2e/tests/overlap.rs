@@ -90,6 +90,20 @@ impl Lone {
         made.extend(self.frame.collect(&self.world).expect("a device"));
         made
     }
+
+    /// Each is before the device ahead of the visibility of the next: as early as a queue of its own can be.
+    fn shading_first(mut self) -> Vec<Shaded> {
+        let mut made = Vec::new();
+        for number in 0..UPDATES {
+            let now = self.turn(number);
+            assert!(self.frame.begin(&mut self.world, now).expect("a device"), "a head is known");
+            made.extend(self.frame.collect(&self.world).expect("a device"));
+            self.frame.place(&mut self.world).expect("a device");
+            self.frame.shade(&mut self.world).expect("a device");
+        }
+        made.extend(self.frame.collect(&self.world).expect("a device"));
+        made
+    }
 }
 
 fn terms() -> (Welcome, Capabilities) {
@@ -140,4 +154,12 @@ fn a_viewer_that_leaves_with_updates_in_flight_leaves_the_world_as_it_should_be(
     let next = Lone::of_world(world).in_a_row(updates.clone());
     let first = Lone::new(&gpu, &scene).in_a_row(updates);
     assert_same(&gpu, &first, &next);
+}
+
+#[test]
+fn shading_on_a_queue_of_its_own_may_be_ahead_of_what_the_next_update_looks_at() {
+    let (gpu, scene) = dragons(4);
+    let row = Lone::new(&gpu, &scene).in_a_row(0..UPDATES);
+    let ahead = Lone::new(&gpu, &scene).shading_first();
+    assert_same(&gpu, &row, &ahead);
 }

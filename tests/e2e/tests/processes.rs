@@ -216,7 +216,7 @@ fn eyes_that_no_pipeline_can_be_made_for_are_refused_and_a_lawful_client_is_serv
     let mut server = stage.server("server.json");
     server.says("Listening");
     let angle = |a: f32| Fov { left: -a, right: a, up: a, down: -a };
-    let outside = Fov { left: 1.1, right: 1.5, up: 0.5, down: -0.5 };
+    let outside = Fov { left: -0.5, right: 1.56, up: 0.5, down: -0.5 };
     let impossible = [
         ([8192, 8192], angle(0.0005)),
         ([1000, 1000], angle(f32::MIN_POSITIVE / 2.0)),

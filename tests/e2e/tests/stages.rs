@@ -11,14 +11,17 @@ use shadecast_scene::animation::{playing, pose, sampling};
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_server::animation::RingPlace;
 use shadecast_server::animation::gpu::Animation;
+use shadecast_server::clusters::Clusters;
+use shadecast_server::culling::Sight;
 use shadecast_server::looks::{Levels, Looks};
 use shadecast_server::scene::numbering::ScenePatch;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
-use shadecast_server::stages::id_buffer::IdBuffer;
+use shadecast_server::stages::id_buffer::{IdBuffer, Pass};
 use shadecast_server::stages::level_selection::LevelSelection;
 use shadecast_server::stages::mark::Mark;
 use shadecast_server::stages::predicted_view_gpu;
 use shadecast_server::truth::forward::Forward;
+use shadecast_shaders::constants::ID_BUFFER_VIEWS;
 use shadecast_shaders::twin;
 use std::sync::Arc;
 
@@ -79,7 +82,10 @@ fn marks_and_extents_equal_their_cpu_twins() {
     let matrices: Vec<Mat4> = world_eyes.iter().map(|e| fov.clip_from_eye() * e.inverse().matrix()).collect();
     let predicted = |(m, e): (&Mat4, &Pose)| predicted_view_gpu(*m, e.position, fov, shown, [76.0, 57.0]);
     let view_gpus: Vec<_> = matrices.iter().zip(&world_eyes).map(predicted).collect();
-    let views = Buffer::upload(&gpu, "views", &view_gpus).unwrap();
+    // The frusta of wide eyes lie behind the predicted views.
+    let mut all_views = view_gpus.clone();
+    all_views.resize(ID_BUFFER_VIEWS as usize, view_gpus[0]);
+    let views = Buffer::upload(&gpu, "views", &all_views).unwrap();
     let id_buffer = IdBuffer::new(&gpu, &scene, &animation, &views, extent).unwrap();
     let instances = scene.numbering.instances.len();
     let looks = Looks::new(&scene.numbering, vec![Some(Levels { shown: 0, next: None }); instances]);
@@ -95,7 +101,9 @@ fn marks_and_extents_equal_their_cpu_twins() {
     levels.record_start(&mut recorder);
     recorder.barrier(Access::COPY_WRITE, Access::COMPUTE);
     recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
-    id_buffer.record(&mut recorder, &scene, &animation, looks.all(), RingPlace(1), 2);
+    let within = (&Clusters::default(), &Sight::default());
+    let pass = Pass { looked_at: looks.all(), place: RingPlace(1), first_view: 2, within };
+    id_buffer.record(&mut recorder, &scene, &animation, pass);
     recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
     mark.record(&mut recorder);
     recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);

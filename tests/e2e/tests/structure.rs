@@ -204,7 +204,11 @@ fn no_function_is_longer_than_a_page() {
                 ["fn ", "pub fn ", "pub(crate) fn ", "pub(super) fn ", "const fn ", "unsafe fn "]
                     .iter()
                     .any(|start| line.trim_start().starts_with(start));
-            if !is_function || line.trim_end().ends_with(';') || line.trim_end().ends_with('}') {
+            // A trait's function without a body ends with a semicolon, however many lines it has.
+            let head_end = lines[at..]
+                .iter()
+                .find_map(|line| line.trim_end().chars().last().filter(|c| ";{}".contains(*c)));
+            if !is_function || head_end != Some('{') {
                 continue;
             }
             let end = format!("{}}}", " ".repeat(indent));

@@ -53,6 +53,10 @@ fn the_way_of_each_update_can_be_followed_from_its_making_to_its_display() {
         assert!((update[1] - encode[0]).abs() < 1e-3, "the encoder begins when the update is shaded");
         // The link has 20 +- 5 ms, and the client's idea of the server's time is a little off.
         assert!((14e3..40e3).contains(&(picture[0] - encode[1])), "{of_update:?}");
+        let decode = at("decode");
+        // Its idea moves by 0.1 ms a frame at most, between one row's telling and another's.
+        assert!((decode[0] - picture[0]).abs() < 300.0 && display[0] > decode[1], "{of_update:?}");
+        assert!((ms(decode) - stages.decode).abs() < 1e-3, "{of_update:?}");
         assert!(delta[0] > update[1] + 14e3 && display[0] > delta[0].max(picture[0]), "{of_update:?}");
     }
 }

@@ -383,6 +383,7 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
         triangles: number(&viewer, "triangles"),
         mean_level: mean(&viewer["levels"]),
         texels_per_pixel: number(&viewer, "texels_per_pixel"),
+        reused_share: number(&viewer, "reused_share"),
         server_fps: number(&server, "server_fps"),
         client_fps: number(&client, "client_fps"),
         mbit_per_s: MbitPerS {

@@ -24,6 +24,7 @@ pub mod motion_table;
 pub mod options;
 pub mod page;
 mod percentiles;
+pub mod paper_size;
 pub mod picture;
 pub mod robot;
 pub mod room;

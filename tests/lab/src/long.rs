@@ -8,12 +8,14 @@ use crate::costs;
 use crate::headset_off::{self, Absence};
 use crate::motion_table::{self, Condition, Kind};
 use crate::options::{Renderer, RunOptions, StageMs, ViewerOptions};
+use crate::paper_size;
 use crate::picture;
 use crate::robot::robot;
 use crate::room::{MANY_VASES, write_room};
 use crate::run::run;
 use crate::skinning;
 use crate::slow_link;
+use crate::table1::cell::Size;
 use crate::table1::{self, Table1Options};
 use crate::viewers::among_others;
 use crate::walls::{TEXELS, write_walls};
@@ -175,6 +177,11 @@ fn jobs() -> Vec<Job> {
         let report = table1::measure(&Table1Options::new(out.into(), table1::usual_scale(None)?), &say)?;
         print!("{report}");
         Ok(Some(serde_json::to_value(report)?))
+    }));
+    jobs.push(Job::new("paper-size", |folder| {
+        let found = paper_size::measure(PAPER_GROUP, Size::at(1.0)?, folder)?;
+        println!("{found}");
+        Ok(Some(serde_json::to_value(found)?))
     }));
     jobs.push(Job::new("slow-link", |folder| slow_links(folder).map(Some)));
     jobs.push(Job::new("viewers-4", |folder| four_viewers(folder).map(Some)));

@@ -139,7 +139,7 @@ enum Command {
         #[arg(long, default_value = "tests/fuzz/seeds")]
         out: PathBuf,
     },
-    /// Puts traces of --trace into one, each in the server's time: of a server and its clients
+    /// Puts traces of --trace into one, each in the server's time, and says how busy each row was: of a server and its clients
     MergeTraces {
         /// The traces
         #[arg(required = true)]
@@ -467,7 +467,7 @@ fn main() {
         Command::Hostile(args) => attack(args),
         Command::Neighbours { seconds, json } => neighbours(seconds, json.as_deref()),
         Command::RecordTraffic { out } => hostile::traffic::record(&out),
-        Command::MergeTraces { traces, out } => shadecast_trace::merge(&traces, &out).map_err(Into::into),
+        Command::MergeTraces { traces, out } => merge_traces(&traces, &out),
         Command::Detail(args) => measure_detail(args),
         Command::Abrupt(args) => measure_abrupt(args),
         Command::Steady(args) => measure_steadiness(args),
@@ -587,6 +587,19 @@ fn check_bars(results: &Path, bars: Option<&Path>) -> anyhow::Result<()> {
     let report = Bars::parse(&text)?.check(results);
     println!("{report}");
     anyhow::ensure!(report.failures() == 0, "{} bars are missed", report.failures());
+    Ok(())
+}
+
+/// Puts traces into one, and says how busy each row was, and the device beside the encoder.
+fn merge_traces(traces: &[PathBuf], out: &Path) -> anyhow::Result<()> {
+    shadecast_trace::merge(traces, out)?;
+    let shares = shadecast_trace::Shares::read(out)?;
+    println!("{} ms", (shares.took_us * 1e-3).round());
+    for (row, share) in shares.rows() {
+        println!("{row:<16} at work {:5.1} %", share * 100.0);
+    }
+    let at_once = shares.at_once("server device", "server encoder") * 100.0;
+    println!("device and encoder at once {at_once:.1} %");
     Ok(())
 }
 

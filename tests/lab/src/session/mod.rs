@@ -389,6 +389,7 @@ impl Lab {
         let frame_ns = self.next_frame_ns();
         self.play_until(frame_ns)?;
         let step = self.client.step_with(|client| client.advance(ClientTime(frame_ns)))?;
+        self.traced.decoded(self.client.take_decoded());
         if let Step::Frame(report) = &step {
             self.traced.ended([ClientTime(frame_ns); 2], report);
         }

@@ -485,6 +485,11 @@ impl Seat {
         self.desk.carrier.out.get_mut().pop_front().or_else(|| self.streams.pop_front())
     }
 
+    /// Vertices that move, in the client's memory.
+    pub fn moving_vertices(&self) -> usize {
+        self.viewer.as_ref().map_or(0, |viewer| viewer.updates().residency().moving().len())
+    }
+
     /// Patches that were visible but had no room, in the atlas or in the client's memory.
     pub fn dropped_patches(&self) -> u64 {
         self.viewer.as_ref().map_or(0, |viewer| viewer.updates().dropped_patches())

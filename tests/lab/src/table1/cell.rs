@@ -139,7 +139,8 @@ impl Cell {
         };
         let is_paper = self.set == Set::Paper;
         let mut spared = Spared::default();
-        (spared.ideal.reuse, spared.ideal.looks_once) = (!is_paper, !is_paper);
+        let ideal = &mut spared.ideal;
+        (ideal.reuse, ideal.looks_once, ideal.clusters) = (!is_paper, !is_paper, !is_paper);
         RunOptions {
             renderer: Renderer::Local,
             head: Head::File(head.to_owned()),
