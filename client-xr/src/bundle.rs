@@ -10,15 +10,15 @@ use shadecast_protocol::atlas::{AtlasExtent, Block};
 use shadecast_protocol::coverage::Coverage;
 use shadecast_protocol::geometry::{GeometryDelta, NewPatch};
 use shadecast_protocol::ids::{PatchSlot, UpdateId};
-use shadecast_protocol::limits::MAX_PATCH_SLOTS;
+use shadecast_protocol::limits::DEFAULT_PATCH_SLOTS;
 use shadecast_protocol::memory::Patches;
 use shadecast_protocol::wire::WireError;
 use std::collections::VecDeque;
 
 /// Deltas whose patches wait for a picture; beyond it the oldest are applied, and their pictures are not shown.
 const MAX_PENDING: usize = 256;
-/// The same, by what they say: every patch comes, gets a block, loses it and goes.
-const MAX_PENDING_RECORDS: usize = 4 * MAX_PATCH_SLOTS as usize;
+/// The same, by what they say: every patch of a usual client comes, gets a block, loses it and goes.
+const MAX_PENDING_RECORDS: usize = 4 * DEFAULT_PATCH_SLOTS as usize;
 /// Decoded pictures that wait for their delta; beyond it the oldest is dropped.
 const MAX_PICTURES: usize = 3;
 

@@ -432,8 +432,8 @@ fn a_slot_given_anew_while_it_is_on_display_is_told() {
 
 #[test]
 fn changes_of_patches_that_wait_for_pictures_are_bounded_by_what_they_say() {
-    let mut bundler = Bundler::<u32>::new(MAX_PATCH_SLOTS, AtlasExtent::DEFAULT);
-    let all = || (0..MAX_PATCH_SLOTS).map(PatchSlot);
+    let mut bundler = Bundler::<u32>::new(DEFAULT_PATCH_SLOTS, AtlasExtent::DEFAULT);
+    let all = || (0..DEFAULT_PATCH_SLOTS).map(PatchSlot);
     let enters = |slot| NewPatch { slot, ..one_triangle() };
     bundler.add_delta(GeometryDelta { new_patches: all().map(enters).collect(), ..delta(0).geometry });
     let placements: Vec<_> = all().map(|slot| (slot, None)).collect();

@@ -20,7 +20,8 @@ use shadecast_gpu::{Gpu, Timings};
 use shadecast_protocol::delta::ReceivedDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::{
-    ATLAS_MAX_EXTENT, DEFAULT_VERTEX_SLOTS, MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS,
+    ATLAS_MAX_EXTENT, DEFAULT_PATCH_SLOTS, DEFAULT_TRIANGLES, DEFAULT_VERTEX_SLOTS, MAX_PATCH_SLOTS,
+    MAX_TRIANGLES, MAX_VERTEX_SLOTS,
 };
 use shadecast_protocol::message::{Capabilities, Codec, HeadState, MotionMemory, Refused, Welcome};
 use shadecast_protocol::motion::message::MotionMessage;
@@ -65,8 +66,8 @@ impl Default for ClientOptions {
             codecs: &[Codec::H264],
             decoder: platform::decoder,
             max_vertex_slots: DEFAULT_VERTEX_SLOTS,
-            max_patch_slots: MAX_PATCH_SLOTS,
-            max_triangles: MAX_TRIANGLES,
+            max_patch_slots: DEFAULT_PATCH_SLOTS,
+            max_triangles: DEFAULT_TRIANGLES,
             motion: MotionMemory::DEFAULT,
         }
     }

@@ -15,7 +15,9 @@ use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Memory, Needs};
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::ids::DiscontinuityId;
-use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, DEFAULT_VERTEX_SLOTS, MAX_PATCH_SLOTS, MAX_TRIANGLES};
+use shadecast_protocol::limits::{
+    ATLAS_MAX_EXTENT, DEFAULT_PATCH_SLOTS, DEFAULT_TRIANGLES, DEFAULT_VERTEX_SLOTS,
+};
 use shadecast_protocol::message::{
     Capabilities, ClientHello, Codec, HeadState, MotionMemory, Welcome, negotiate,
 };
@@ -120,8 +122,8 @@ fn viewer(scene: &SceneGpu, args: &MemoryArgs) -> anyhow::Result<(Welcome, Capab
     let capabilities = Capabilities {
         max_atlas_extent: ATLAS_MAX_EXTENT,
         max_vertex_slots: DEFAULT_VERTEX_SLOTS,
-        max_patch_slots: MAX_PATCH_SLOTS,
-        max_triangles: MAX_TRIANGLES,
+        max_patch_slots: DEFAULT_PATCH_SLOTS,
+        max_triangles: DEFAULT_TRIANGLES,
         motion: MotionMemory::DEFAULT,
         codecs: vec![Codec::H264],
         eyes: [eye(-0.0315), eye(0.0315)],

@@ -17,6 +17,15 @@ pub(crate) enum Lane {
     Beside,
 }
 
+/// What a recording waits for and signals beside its lane: a window's semaphores, which have no values.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Between {
+    /// Waited for before colour is written.
+    pub(crate) before: Option<vk::Semaphore>,
+    /// Signalled after all of it.
+    pub(crate) after: Option<vk::Semaphore>,
+}
+
 /// The queues, with how far each lane has come.
 pub(crate) struct Lanes {
     queues: [vk::Queue; LANES],
@@ -45,29 +54,44 @@ impl Lanes {
         self.queues[Lane::Main as usize]
     }
 
-    /// Submits what `info` holds. It sees what all recordings wrote that are known to be done by now, and those before it in its lane.
+    /// Submits a recording. It sees what all recordings wrote that are known to be done by now, and those before it in its lane.
     /// The caller lets nobody else submit meanwhile, and gives ascending serials.
     pub(crate) fn submit(
         &self,
         device: &ash::Device,
         lane: Lane,
         serial: u64,
-        info: vk::SubmitInfo<'_>,
+        commands: vk::CommandBuffer,
+        between: Between,
         fence: vk::Fence,
     ) -> Result<(), GpuError> {
-        let this = lane as usize;
+        let (this, commands) = (lane as usize, [commands]);
         let other = LANES - 1 - this;
+        let [own_wait, own_signal] =
+            self.done.map_or_else(Default::default, |done| [done[other], done[this]]);
+        // Lists begin with the lane's own, where it has one; they end with the window's, which have no values.
+        let waits = [own_wait, between.before.unwrap_or_default()];
+        let signals = [own_signal, between.after.unwrap_or_default()];
+        let first = usize::from(self.done.is_none());
+        let waited = first..1 + usize::from(between.before.is_some());
+        let signalled = first..1 + usize::from(between.after.is_some());
+        let values_before = [self.completed[other].load(Ordering::Acquire), 0];
+        let values_after = [serial, 0];
+        let stages = [vk::PipelineStageFlags::ALL_COMMANDS, vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT];
+        let mut values = vk::TimelineSemaphoreSubmitInfo::default()
+            .wait_semaphore_values(&values_before[waited.clone()])
+            .signal_semaphore_values(&values_after[signalled.clone()]);
+        let mut info = vk::SubmitInfo::default()
+            .command_buffers(&commands)
+            .wait_semaphores(&waits[waited.clone()])
+            .wait_dst_stage_mask(&stages[waited])
+            .signal_semaphores(&signals[signalled]);
+        if self.done.is_some() {
+            info = info.push_next(&mut values);
+        }
         // SAFETY: the buffers are recorded, the fence is unsignalled, and the queue is only used by the caller and,
         // for a client, by the OpenXR runtime inside calls made from the same thread.
-        let submit = |info| unsafe { device.queue_submit(self.queues[this], &[info], fence) };
-        let Some(done) = self.done else { return submit(info).doing("submitting") };
-        let (waits, signals, stages) = ([done[other]], [done[this]], [vk::PipelineStageFlags::ALL_COMMANDS]);
-        let (seen, signalled) = ([self.completed[other].load(Ordering::Acquire)], [serial]);
-        let mut values = vk::TimelineSemaphoreSubmitInfo::default()
-            .wait_semaphore_values(&seen)
-            .signal_semaphore_values(&signalled);
-        let info = info.wait_semaphores(&waits).wait_dst_stage_mask(&stages).signal_semaphores(&signals);
-        submit(info.push_next(&mut values)).doing("submitting")
+        unsafe { device.queue_submit(self.queues[this], &[info], fence) }.doing("submitting")
     }
 
     /// A recording is known to be done.

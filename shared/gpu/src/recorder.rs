@@ -1,7 +1,7 @@
 //! Recording of commands: a recording is a value, submitted once; slots come back when their fence has signalled.
 
 use crate::bind::BindGroup;
-use crate::lanes::Lane;
+use crate::lanes::{Between, Lane};
 use crate::pass::{Framebuffer, RenderPass};
 use crate::pipeline::{ComputePipeline, GraphicsPipeline};
 use crate::timings::{Timing, Timings};
@@ -225,13 +225,13 @@ impl Recorder {
 
     /// Ends the recording and submits it.
     pub fn submit(self) -> Result<Ticket, GpuError> {
-        self.submit_with(Lane::Main, vk::SubmitInfo::default())
+        self.submit_with(Lane::Main, Between::default())
     }
 
     /// Ends the recording and submits it to the device's other queue, if there is one: it runs beside what others submit with
     /// [`Self::submit`], and sees what those wrote that are known to have finished by now. They see of it what is known likewise.
     pub fn submit_beside(self) -> Result<Ticket, GpuError> {
-        self.submit_with(Lane::Beside, vk::SubmitInfo::default())
+        self.submit_with(Lane::Beside, Between::default())
     }
 
     /// Ends the recording and submits it: colour is written after `before`, and `after` follows all of it.
@@ -241,22 +241,17 @@ impl Recorder {
         before: vk::Semaphore,
         after: vk::Semaphore,
     ) -> Result<Ticket, GpuError> {
-        let (waits, signals) = ([before], [after]);
-        let stages = [vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT];
-        let info = vk::SubmitInfo::default().wait_semaphores(&waits).wait_dst_stage_mask(&stages);
-        self.submit_with(Lane::Main, info.signal_semaphores(&signals))
+        self.submit_with(Lane::Main, Between { before: Some(before), after: Some(after) })
     }
 
-    fn submit_with(mut self, lane: Lane, info: vk::SubmitInfo<'_>) -> Result<Ticket, GpuError> {
+    fn submit_with(mut self, lane: Lane, between: Between) -> Result<Ticket, GpuError> {
         let mut slot = self.slot.take().expect("present until submitted");
-        let commands = [slot.commands];
         // One lock around serial and submission keeps completion in the order of serials.
         let mut busy = self.gpu.busy_slots.lock().expect("not poisoned");
         // SAFETY: the buffer is being recorded, in no pass.
         unsafe { self.gpu.device.end_command_buffer(slot.commands) }.doing("ending a recording")?;
         let serial = self.gpu.submitted.load(Ordering::Acquire) + 1;
-        let info = info.command_buffers(&commands);
-        self.gpu.lanes.submit(&self.gpu.device, lane, serial, info, slot.fence)?;
+        self.gpu.lanes.submit(&self.gpu.device, lane, serial, slot.commands, between, slot.fence)?;
         self.gpu.submitted.store(serial, Ordering::Release);
         (slot.lane, slot.serial) = (lane, serial);
         let ticket = Ticket(slot.serial);

@@ -8,9 +8,13 @@ pub const MAX_VERTEX_SLOTS: u32 = 262_144;
 /// Vertices that a client keeps unless it says otherwise.
 pub const DEFAULT_VERTEX_SLOTS: u32 = 131_072;
 /// Patches that a client keeps at most. Slots are numbered from 0.
-pub const MAX_PATCH_SLOTS: u32 = 131_072;
+pub const MAX_PATCH_SLOTS: u32 = 262_144;
+/// Patches that a client keeps unless it says otherwise.
+pub const DEFAULT_PATCH_SLOTS: u32 = 131_072;
 /// Triangles that a client draws for an eye at most: three of each patch, both sides.
 pub const MAX_TRIANGLES: u32 = 6 * MAX_PATCH_SLOTS;
+/// Triangles that a client draws for an eye unless it says otherwise.
+pub const DEFAULT_TRIANGLES: u32 = 6 * DEFAULT_PATCH_SLOTS;
 /// Placed models of a scene.
 pub const MAX_INSTANCES: u32 = 4096;
 /// Lights beside the sun that a scene is lit by at one time.
@@ -114,7 +118,7 @@ pub const MAX_EMPTY_CONTROL_MESSAGES: usize = 1;
 /// else.
 pub const MAX_CONTROL_PER_SECOND: u32 = 1000;
 /// Bytes of one geometry delta.
-pub const MAX_DELTA_BYTES: usize = 44 << 20;
+pub const MAX_DELTA_BYTES: usize = 51 << 20;
 /// Bytes of one coded picture: whatever an encoder can make of the largest, or leaves as it is.
 pub const MAX_ACCESS_UNIT_BYTES: usize = 16 << 20;
 /// Bytes of one unidirectional stream: a delta or a picture with its framing.
@@ -171,7 +175,7 @@ const _: () = {
     assert!(MAX_MOTION_BYTES + 64 <= MAX_STREAM_BYTES);
     assert!(MIN_SAMPLE_RING.is_power_of_two() && MAX_SAMPLE_RING.is_power_of_two());
     assert!(DEFAULT_SAMPLE_RING.is_power_of_two());
-    assert!(DEFAULT_VERTEX_SLOTS <= MAX_VERTEX_SLOTS);
+    assert!(DEFAULT_VERTEX_SLOTS <= MAX_VERTEX_SLOTS && DEFAULT_PATCH_SLOTS <= MAX_PATCH_SLOTS);
     assert!(DEFAULT_VERTEX_SLOTS * MAX_SAMPLE_RING <= MAX_KEPT_SAMPLES, "usual clients have every ring");
     assert!(MAX_VERTEX_SLOTS * DEFAULT_SAMPLE_RING <= MAX_KEPT_SAMPLES, "the usual ring has every slot");
     assert!(MIN_SAMPLE_RING >= 8, "two ahead, four to interpolate, and some late");

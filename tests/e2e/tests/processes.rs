@@ -11,14 +11,14 @@ use shadecast_protocol::message::{Capabilities, ClientHello, ClientMessage, Serv
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_scene::load::SceneSource;
 use shadecast_test_support::peers::hello;
-use shadecast_test_support::programs::{PATIENCE, Program, Voice, program};
+use shadecast_test_support::programs::{PATIENCE, Program, Voice, output_of, program};
 use shadecast_transport::mio::any_address_for;
 use shadecast_transport::{
     Driver, Endpoint, EndpointConfig, Event, Events, ExpectedIdentity, Handle, PeerId, spawn,
 };
 use std::net::{SocketAddr, UdpSocket};
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 struct Stage {
@@ -271,7 +271,7 @@ fn a_scene_that_is_too_large_for_the_device_is_refused_before_anybody_is_listene
     let text = "[[model]]\nname = \"d\"\nfile = \"dragon\"\n[[grid]]\nmodel = \"d\"\ncount = [63, 1, 65]\nspacing = [3, 0, 3]\n";
     std::fs::write(&scene, text).unwrap();
     let scene = scene.to_str().unwrap();
-    let output = stage.server_command(scene, "server.json").stdin(Stdio::null()).output().unwrap();
+    let output = output_of(&mut stage.server_command(scene, "server.json"));
     let (said, failed) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert!(!output.status.success() && !said.contains("Listening"), "{said}{failed}");
     for words in [scene, "MiB are needed", &format!("at most {} MiB", most >> 20), "use fewer"] {

@@ -3,21 +3,20 @@
 use serde_json::Value;
 use shadecast_lab::runtime::prepare_runtime;
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
-use shadecast_test_support::programs::{Program, Voice, program};
+use shadecast_test_support::programs::{Program, Voice, output_of, program};
 use shadecast_transport::{
     Driver, Endpoint, EndpointConfig, Events, Fingerprint, Handle, ServerIdentity, spawn,
 };
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::os::unix::process::ExitStatusExt;
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::time::Duration;
 
 /// The program ends by itself, unsuccessfully; what it says on standard error.
 #[track_caller]
 fn refused(name: &str, arguments: &[&str]) -> String {
-    let output =
-        Command::new(program(name)).args(arguments).stdin(Stdio::null()).output().expect("it starts");
+    let output = output_of(Command::new(program(name)).args(arguments));
     assert!(!output.status.success(), "{name} {arguments:?} succeeded");
     String::from_utf8(output.stderr).expect("text")
 }
@@ -154,7 +153,7 @@ fn the_second_signal_ends_the_client_at_once() {
 fn a_runtime_that_the_environment_names_and_nobody_has_is_named() {
     let missing = Stage::new().path("missing.json");
     let mut command = Command::new(program("shadecast-client"));
-    let output = command.env("XR_RUNTIME_JSON", &missing).output().expect("it starts");
+    let output = output_of(command.env("XR_RUNTIME_JSON", &missing));
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(!output.status.success(), "{said}");
     let words = format!("XR_RUNTIME_JSON names {}, which does not exist", missing.display());

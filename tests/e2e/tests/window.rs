@@ -8,7 +8,7 @@ use shadecast_lab::image::Rgb8Image;
 use shadecast_protocol::picture::I420;
 use shadecast_server::picture::rgb_of;
 use shadecast_server::truth::video::Video;
-use shadecast_test_support::programs::{PATIENCE, end_within, program, wait_until};
+use shadecast_test_support::programs::{Program, Voice, output_of, program, wait_until};
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 use std::process::{Child, Command, Output, Stdio};
@@ -88,8 +88,8 @@ fn window_shows_what_the_headless_renderer_renders() {
     let shot = folder.path().join("window.png");
     let mut window = server();
     window.args(["--window", "--frames", "3", "--no-figures", "--screenshot"]).arg(&shot);
-    succeeds(&window.env("DISPLAY", display.name()).output().unwrap());
-    succeeds(&server().args(["--frames", "3", "--out"]).arg(folder.path()).output().unwrap());
+    succeeds(&output_of(window.env("DISPLAY", display.name())));
+    succeeds(&output_of(server().args(["--frames", "3", "--out"]).arg(folder.path())));
     let (window, headless) = (image(shot), image(folder.path().join("forward-000002.png")));
     assert_eq!((window.width, window.height), (headless.width, headless.height));
     let worst = window.data.iter().zip(&headless.data).map(|(a, b)| a.abs_diff(*b)).max();
@@ -104,7 +104,7 @@ fn picture_reaches_the_screen_follows_the_windows_size_and_escape_ends_the_progr
     let before = display.screen();
     let mut window = server();
     window.args(["--window", "--seconds", "300"]).env("DISPLAY", display.name());
-    let mut child = window.stdout(Stdio::null()).spawn().unwrap();
+    let window = Program::start(window.stdout(Stdio::null()), Voice::Errors);
     let colours = |screen: &[u8]| {
         let seen: std::collections::BTreeSet<&[u8]> = screen.chunks_exact(4).collect();
         seen.len()
@@ -121,13 +121,12 @@ fn picture_reaches_the_screen_follows_the_windows_size_and_escape_ends_the_progr
     user.focus().unwrap();
     user.press(x11::KEY_F).unwrap();
     user.press(x11::KEY_ESCAPE).unwrap();
-    let status = end_within(&mut child, PATIENCE);
-    assert!(status.success(), "Escape was pressed, and: {status}");
+    window.ends_well();
 }
 
 #[test]
 fn without_a_display_the_error_says_what_to_do() {
-    let output = server().arg("--window").output().unwrap();
+    let output = output_of(server().arg("--window"));
     let text = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success());
     for part in ["no window can be opened here", "DISPLAY", "--out FOLDER", ".mp4"] {
@@ -138,9 +137,9 @@ fn without_a_display_the_error_says_what_to_do() {
 #[test]
 fn y4m_on_standard_output_is_the_headless_pictures_in_planes() {
     let folder = tempfile::tempdir().unwrap();
-    let piped = server().args(["--frames", "2", "--out", "-"]).output().unwrap();
+    let piped = output_of(server().args(["--frames", "2", "--out", "-"]));
     succeeds(&piped);
-    succeeds(&server().args(["--frames", "2", "--out"]).arg(folder.path()).output().unwrap());
+    succeeds(&output_of(server().args(["--frames", "2", "--out"]).arg(folder.path())));
     let header = piped.stdout.iter().position(|byte| *byte == b'\n').unwrap() + 1;
     let frames: Vec<&[u8]> = piped.stdout[header..].chunks(6 + 160 * 120 * 3 / 2).collect();
     assert_eq!(frames.len(), 2);

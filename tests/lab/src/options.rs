@@ -4,7 +4,10 @@ use crate::session::originals::Arrival;
 use serde::{Deserialize, Serialize};
 use shadecast_client::stages::atlas_draw::Reconstruction;
 use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_protocol::limits::{DEFAULT_VERTEX_SLOTS, MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS};
+use shadecast_protocol::limits::{
+    DEFAULT_PATCH_SLOTS, DEFAULT_TRIANGLES, DEFAULT_VERTEX_SLOTS, MAX_PATCH_SLOTS, MAX_TRIANGLES,
+    MAX_VERTEX_SLOTS,
+};
 use shadecast_protocol::message::Codec;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::choice::Room;
@@ -177,7 +180,10 @@ pub const USUAL_LINK: &str = "latency=20ms,jitter=5ms,rate=100mbit";
 
 /// As much as a client offers that is asked for nothing else.
 pub const USUAL_ROOM: Room =
-    Room { patches: MAX_PATCH_SLOTS, vertices: DEFAULT_VERTEX_SLOTS, triangles: MAX_TRIANGLES };
+    Room { patches: DEFAULT_PATCH_SLOTS, vertices: DEFAULT_VERTEX_SLOTS, triangles: DEFAULT_TRIANGLES };
+/// As much as any client may offer.
+pub const MOST_ROOM: Room =
+    Room { patches: MAX_PATCH_SLOTS, vertices: MAX_VERTEX_SLOTS, triangles: MAX_TRIANGLES };
 /// What a run is spared, so that it can be said what each cause of error costs. By default nothing.
 #[derive(Clone, Debug, Default)]
 pub struct Spared {

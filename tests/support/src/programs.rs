@@ -2,8 +2,9 @@
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// A software device on a busy machine is slow to start.
@@ -40,6 +41,27 @@ pub fn end_within(child: &mut Child, most: Duration) -> ExitStatus {
     let _ = child.kill();
     let _ = child.wait();
     panic!("it did not end within {most:?}");
+}
+
+/// Runs a program to its end, with nothing on its standard input: what it says and how it ends. Kills it and fails after
+/// [`PATIENCE`].
+#[track_caller]
+pub fn output_of(command: &mut Command) -> Output {
+    let command = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().expect("it starts");
+    let [stdout, stderr] =
+        [read(child.stdout.take().expect("piped")), read(child.stderr.take().expect("piped"))];
+    let status = end_within(&mut child, PATIENCE);
+    let all = |read: JoinHandle<Vec<u8>>| read.join().expect("a pipe can be read");
+    Output { status, stdout: all(stdout), stderr: all(stderr) }
+}
+
+fn read(mut output: impl Read + Send + 'static) -> JoinHandle<Vec<u8>> {
+    std::thread::spawn(move || {
+        let mut said = Vec::new();
+        output.read_to_end(&mut said).expect("a pipe can be read");
+        said
+    })
 }
 
 /// Waits for something that is to come true.

@@ -4,12 +4,11 @@
 //! own phase of it, and is posed and skinned for every update as one in flight, but time stands still: its clip advances by a
 //! microsecond a second. Animated: it flies.
 
-use crate::options::{Head, Renderer, RunOptions, Spared, StageMs};
+use crate::options::{Head, MOST_ROOM, Renderer, RunOptions, Spared, StageMs};
 use glam::{Quat, Vec3};
 use serde::{Deserialize, Serialize};
 use shadecast_mock_runtime::head_path::COLUMNS;
 use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_protocol::limits::MAX_VERTEX_SLOTS;
 use shadecast_protocol::pose::Pose;
 use shadecast_scene::Scene;
 use shadecast_scene::animation::bounds::{Bounds, instance_bounds};
@@ -17,7 +16,6 @@ use shadecast_scene::animation::played::PlayedBounds;
 use shadecast_scene::animation::sampling::{DEFAULT_INTERVAL_S, Sampling};
 use shadecast_scene::load::SceneSource;
 use shadecast_server::animation::skinning::Skinning;
-use shadecast_server::choice::Room;
 use shadecast_server::motion::MotionOption;
 use shadecast_server::scene::SceneOptions;
 use std::path::Path;
@@ -152,7 +150,7 @@ impl Cell {
             detail_pixels: if is_paper { 0.0 } else { usual.detail_pixels },
             spared,
             // Full detail of many dragons is more than a client usually keeps.
-            room: if is_paper { Room { vertices: MAX_VERTEX_SLOTS, ..usual.room } } else { usual.room },
+            room: if is_paper { MOST_ROOM } else { usual.room },
             rate_hz: UPDATES_HZ,
             refresh_hz: REFRESH_HZ,
             scene_options,
@@ -175,7 +173,7 @@ impl Size {
     /// shrinks to a quarter at most.
     pub fn at(scale: f64) -> anyhow::Result<Self> {
         let side = ((PAPER_SIDE_PIXELS * scale / 4.0).round() as u32 * 4).max(16);
-        let [width, height] = if scale > 0.5 { [4096, 2048] } else { [2048, 1024] };
+        let [width, height] = if scale > 0.5 { [4096, 2048] } else { [4096, 1024] };
         Ok(Self { extent_pixels: [side; 2], atlas_extent_texels: AtlasExtent::new(width, height)? })
     }
 }
@@ -277,6 +275,6 @@ mod tests {
         );
         let small = Size::at(0.2).expect("small");
         assert_eq!(small.extent_pixels, [260; 2]);
-        assert!(small.atlas_extent_texels.width() < full.atlas_extent_texels.width());
+        assert!(small.atlas_extent_texels.height() < full.atlas_extent_texels.height());
     }
 }
