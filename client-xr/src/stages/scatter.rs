@@ -8,7 +8,7 @@ use shadecast_shaders::generated::{CLIENT_SCATTER_COMP, RestGpu, ScatterPush, Ve
 use std::sync::Arc;
 
 /// Records that one display frame can write; what is more waits for the next.
-const STAGING_RECORDS: u32 = 400_000;
+const STAGING_RECORDS: u32 = 200_000;
 
 /// Samples, positions, blends and skins of all vertex slots, and the rests of skinned ones: see `client_vertices.glsl`.
 pub struct VertexMemory {
