@@ -8,6 +8,7 @@ use crate::levels::HOLD_UPDATES;
 use crate::lights::caster_reach;
 use crate::predict::View;
 use glam::{Vec3, Vec4};
+use shadecast_protocol::limits::MAX_VIEWS;
 use shadecast_protocol::pose::MAX_VIEW_ANGLE;
 use shadecast_scene::animation::bounds::Bounds;
 
@@ -21,6 +22,8 @@ pub struct Culling {
     reach: Vec<Vec<Vec3>>,
     /// By instance: the update that needed it last; 0: none.
     last_needed: Vec<u32>,
+    /// By the last update.
+    needed: Needed,
     update: u32,
 }
 
@@ -55,22 +58,28 @@ impl Needed {
         self.0[instance]
     }
 
+    /// Becomes what others need, in the memory that it has.
+    pub fn copy(&mut self, others: &Self) {
+        self.0.clone_from(&others.0);
+    }
+
+    /// Nothing is needed any more.
+    pub fn clear(&mut self) {
+        self.0.fill(None);
+    }
+
     /// Of what is needed no finer level than these, by instance, is.
-    #[must_use]
-    pub fn at_levels(mut self, levels: impl IntoIterator<Item = usize>) -> Self {
+    pub fn set_levels(&mut self, levels: impl IntoIterator<Item = usize>) {
         for (has, level) in self.0.iter_mut().zip(levels) {
             *has = has.map(|_| level);
         }
-        self
     }
 
-    /// Nor is any coarser one.
-    #[must_use]
-    pub fn at_least(mut self, levels: impl IntoIterator<Item = usize>) -> Self {
+    /// Of what is needed no coarser level than these, by instance, is.
+    pub fn refine(&mut self, levels: impl IntoIterator<Item = usize>) {
         for (has, level) in self.0.iter_mut().zip(levels) {
             *has = has.map(|has| has.min(level));
         }
-        self
     }
 
     /// Adds what others need.
@@ -104,23 +113,28 @@ impl Culling {
         Self {
             reach: bounds.iter().enumerate().map(reach).collect(),
             last_needed: vec![0; bounds.len()],
+            needed: Needed::none(bounds.len()),
             update: 0,
         }
     }
 
     /// What the next update needs, with these views.
-    pub fn needs(&mut self, views: impl Iterator<Item = View> + Clone) -> Needed {
+    pub fn needs(&mut self, views: impl Iterator<Item = View> + Clone) -> &Needed {
         self.update += 1;
-        let mut needs = Needed::none(self.reach.len());
         for (index, reach) in self.reach.iter().enumerate() {
             if views.clone().any(|view| is_in_view(reach, &view)) {
                 self.last_needed[index] = self.update;
             }
             let last = self.last_needed[index];
             // One update more than the layout holds a patch: it decides after this.
-            needs.0[index] = (last > 0 && self.update - last <= HOLD_UPDATES + 1).then_some(0);
+            self.needed.0[index] = (last > 0 && self.update - last <= HOLD_UPDATES + 1).then_some(0);
         }
-        needs
+        &self.needed
+    }
+
+    /// What the last update needs.
+    pub fn needed(&self) -> &Needed {
+        &self.needed
     }
 }
 
@@ -128,18 +142,21 @@ impl Culling {
 #[derive(Clone, Debug, Default)]
 pub struct Sight {
     /// Of each view; positive inside.
-    planes: Vec<[Vec4; 5]>,
+    planes: [[Vec4; 5]; MAX_VIEWS as usize],
+    views: usize,
 }
 
 impl Sight {
-    /// Of views whose samples lie beside the middles of pixels.
+    /// Of views whose samples lie beside the middles of pixels; no more than an update has.
     pub fn of<'a>(views: impl Iterator<Item = &'a View>) -> Self {
-        let world = |view: &View| {
+        let mut sight = Self::default();
+        for view in views {
             let wider = View { fov: view.fov.widened(BESIDE_MIDDLE_RAD, MAX_VIEW_ANGLE), ..*view };
             let to_planes = view.world_from_eye.inverse().matrix().transpose();
-            side_planes(&wider).map(|plane| to_planes * plane)
-        };
-        Self { planes: views.map(world).collect() }
+            sight.planes[sight.views] = side_planes(&wider).map(|plane| to_planes * plane);
+            sight.views += 1;
+        }
+        sight
     }
 
     /// Conservative: false only if all of a box lies on the far side of a plane of each view.
@@ -147,7 +164,7 @@ impl Sight {
         let (middle, half) = ((bounds.low + bounds.high) * 0.5, (bounds.high - bounds.low) * 0.5);
         let is_inside =
             |plane: &Vec4| plane.dot(middle.extend(1.0)) + plane.truncate().abs().dot(half) >= 0.0;
-        self.planes.iter().any(|of_view| of_view.iter().all(is_inside))
+        self.planes[..self.views].iter().any(|of_view| of_view.iter().all(is_inside))
     }
 }
 

@@ -23,7 +23,7 @@ use crate::overlap::Flight;
 use crate::pacing::Budget;
 use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES, View};
 use crate::residency::{PlacementChange, Residency};
-use crate::reuse::{Reuse, Reused};
+use crate::reuse::{Moment, Reuse, Reused};
 use crate::scene::SceneGpu;
 use crate::scene::meshes::MeshLevel;
 use crate::scene::numbering::{ScenePatch, Totals};
@@ -68,6 +68,8 @@ pub struct Frame {
     eye: EyeSize,
     head: HeadTrack,
     culling: Culling,
+    /// What is needed for what is in view and for the surround.
+    needs: Needed,
     /// What looks around; `None` without a surround.
     around: Option<Around>,
     detail: Detail,
@@ -81,6 +83,7 @@ pub struct Frame {
     id_buffer: IdBuffer,
     mark: Mark,
     level_selection: LevelSelection,
+    lists: Lists,
     /// What the last look saw.
     seen: Vec<SeenGpu>,
     layout: Layout,
@@ -104,11 +107,21 @@ pub struct Frame {
     in_work: Option<InWork>,
 }
 
+/// Lists of one update, in whose memory the next makes its own.
+#[derive(Default)]
+struct Lists {
+    /// How much larger than a metre a pixel is, by instance.
+    pixels_per_metre: Vec<f32>,
+    /// What is looked at.
+    looks: Looks,
+    /// What is drawn for it.
+    drawn: [Vec<Look>; 2],
+}
+
 /// An update whose visibility is on the device.
 struct Begun {
     now: ServerTime,
     views: PredictedViews,
-    in_view: Needed,
     glance: Option<Glance>,
     sampled: Sampled,
     look: Seeing,
@@ -160,8 +173,8 @@ struct Around {
 #[derive(Clone, Copy)]
 struct Looking<'a> {
     looks: &'a Looks,
-    /// What is drawn: each once, and none of them twice in a scene.
-    scenes: &'a [Vec<Look>],
+    /// What is drawn: each once, and none of them twice in a scene. The second may be empty.
+    scenes: &'a [Vec<Look>; 2],
     places: [RingPlace; VIEW_TIMES],
     /// From where.
     sight: &'a Sight,
@@ -248,8 +261,10 @@ impl Frame {
             triangles: capabilities.max_triangles,
         };
         Ok(Self {
+            lists: Lists::default(),
             seen: Vec::new(),
             changes: Vec::new(),
+            needs: Needed::none(scene.numbering.instances.len()),
             layout: Layout::new(welcome.atlas_extent_texels, scene.numbering.totals.patches as usize, room)
                 .with_surround(show.surround, room),
             residency: Residency::new(&world.samples, welcome.patch_slots, welcome.vertex_slots)
@@ -362,34 +377,36 @@ impl Frame {
         }; // 1
         // What the next update does to world and layout is not for this one.
         let placed = self.record_shading(world)?;
-        let in_view: Needed = self.culling.needs(views.eyes.iter().flatten().copied());
-        let (needs, glance) = self.look_for_surround(&in_view, &views);
-        let near = pixels_per_metre(world.scene(), world.grid(), &views, self.eye.pixels_per_radian());
-        self.detail.begin(&needs, &near, self.density.error());
+        self.culling.needs(views.eyes.iter().flatten().copied());
+        let glance = self.look_for_surround(&views);
+        let near: &mut Vec<f32> = &mut self.lists.pixels_per_metre;
+        pixels_per_metre(world.scene(), world.grid(), &views, self.eye.pixels_per_radian(), near);
+        self.detail.begin(&self.needs, near, self.density.error());
         let mut recorder = world.gpu().record()?;
         let began = world.effort.begin();
-        let needs = needs.at_levels(self.detail.finest());
-        let sampled: Sampled = world.animate(&mut recorder, self.id, &views, needs); // 2
+        self.needs.set_levels(self.detail.finest());
+        let sampled: Sampled = world.animate(&mut recorder, self.id, &views, &self.needs); // 2
         world.effort.add_animation(began);
         self.write_views(&views);
-        self.looked_at = self.times_to_look_at(world, &views, &in_view);
-        let look: Seeing = self.look_again(recorder, world, (&sampled, &views), &in_view)?; // 3
-        self.begun = Some(Begun { now, views, in_view, glance, sampled, look });
+        self.looked_at = self.times_to_look_at(world, &views);
+        let look: Seeing = self.look_again(recorder, world, (&sampled, &views))?; // 3
+        self.begun = Some(Begun { now, views, glance, sampled, look });
         self.submit_shading(placed)?;
         Ok(true)
     }
 
     /// Steps 4, 5 and 8 of what was begun: waits for what the device has seen.
     pub fn place(&mut self, world: &mut World) -> Result<(), GpuError> {
-        let Some(Begun { now, views, in_view, glance, sampled, look }) = self.begun.take() else {
+        let Some(Begun { now, views, glance, sampled, look }) = self.begun.take() else {
             return Ok(());
         };
-        let (looks, mut timings): (Looks, _) = self.look(look, world, (&sampled, &views), &in_view)?;
+        let (looks, mut timings): (Looks, _) = self.look(look, world, (&sampled, &views))?;
         if let Some(glance) = glance {
             timings.append(self.look_around(world, &glance, &looks, &sampled)?);
         }
         let mut changes: Vec<PlacementChange> = std::mem::take(&mut self.changes);
         self.layout.place(&world.samples, &looks, &mut changes); // 4, 5
+        self.lists.looks = looks;
         self.density.note(self.spare_bits, self.layout.settled_share(), self.layout.density() < 1.0);
         let began = world.effort.begin();
         let delta: UpdateDelta = self.tell(world, &views, &changes, now); // 8
@@ -485,20 +502,21 @@ impl Frame {
         recorder: Recorder,
         world: &World,
         (sampled, views): (&Sampled, &PredictedViews),
-        in_view: &Needed,
     ) -> Result<Seeing, GpuError> {
-        let looks = Looks::new(&world.scene().numbering, self.detail.levels());
-        let scenes: Vec<Vec<Look>> =
-            looks.scenes().into_iter().map(|scene| reaching(scene, in_view)).collect();
+        let mut looks = std::mem::take(&mut self.lists.looks);
+        looks.refill(&world.scene().numbering, self.detail.levels());
+        let mut drawn = std::mem::take(&mut self.lists.drawn);
+        looks.scenes(&mut drawn, |instance| self.culling.needed().has(instance));
         let looking = Looking {
             looks: &looks,
-            scenes: &scenes,
+            scenes: &drawn,
             places: sampled.places,
             sight: &Sight::of(views.eyes.iter().flatten()),
             times: self.looked_at,
             turned: self.turned,
         };
         let ticket = self.look_at(recorder, world, looking)?;
+        self.lists.drawn = drawn;
         Ok(Seeing { looks, ticket })
     }
 
@@ -508,7 +526,6 @@ impl Frame {
         first: Seeing,
         world: &World,
         (sampled, views): (&Sampled, &PredictedViews),
-        in_view: &Needed,
     ) -> Result<(Looks, Timings), GpuError> {
         self.layout.begin(self.asked_texels_per_pixel());
         let mut timings = Timings::default();
@@ -525,33 +542,27 @@ impl Frame {
                 self.switch_at_once(&mut looks);
                 return Ok((looks, timings));
             }
-            Seeing { looks, ticket } =
-                self.look_again(world.gpu().record()?, world, (sampled, views), in_view)?;
+            self.lists.looks = looks;
+            Seeing { looks, ticket } = self.look_again(world.gpu().record()?, world, (sampled, views))?;
         }
         unreachable!("it looks {MAX_LOOKS} times at most")
     }
 
     /// At which times there may be something to be seen that is not at another: at one where the head and all in view stand still.
-    fn times_to_look_at(
-        &self,
-        world: &World,
-        views: &PredictedViews,
-        in_view: &Needed,
-    ) -> [bool; VIEW_TIMES] {
+    fn times_to_look_at(&self, world: &World, views: &PredictedViews) -> [bool; VIEW_TIMES] {
         let stands = self.ideal.looks_once
             && views.eyes.iter().all(|pair| *pair == views.eyes[0])
-            && world.stands(in_view, &views.times);
+            && world.stands(self.culling.needed(), &views.times);
         if stands { ONLY_THE_FIRST } else { self.ideal.views.times(self.next.0) }
     }
 
-    /// What is needed for what is in view and for the surround, and where to look for that, if this update does.
-    fn look_for_surround(&mut self, in_view: &Needed, views: &PredictedViews) -> (Needed, Option<Glance>) {
-        let mut needs = in_view.clone();
-        let Some(Around { sweep, culling }) = &mut self.around else { return (needs, None) };
+    /// Adds what is needed for the surround to what is in view; gives where to look for it, if this update does.
+    fn look_for_surround(&mut self, views: &PredictedViews) -> Option<Glance> {
+        self.needs.copy(self.culling.needed());
+        let Around { sweep, culling } = self.around.as_mut()?;
         let glance = sweep.next(views.world_from_head);
-        let eyes = glance.iter().flat_map(|glance| glance.views);
-        needs.add(&culling.needs(eyes.collect::<Vec<_>>().into_iter()));
-        (needs, glance)
+        self.needs.add(culling.needs(glance.iter().flat_map(|glance| glance.views)));
+        glance
     }
 
     /// Finds what two directions around the head show, whether it is in view or not.
@@ -564,11 +575,14 @@ impl Frame {
     ) -> Result<Timings, GpuError> {
         self.write_glance(glance);
         let sight = Sight::of(glance.views.iter());
-        let scenes = [looks.shown().copied().collect()];
+        let mut drawn = std::mem::take(&mut self.lists.drawn);
+        drawn.iter_mut().for_each(Vec::clear);
+        drawn[0].extend(looks.shown());
         let places = [sampled.places[VIEW_TIMES / 2]; VIEW_TIMES];
         let looking =
-            Looking { looks, scenes: &scenes, places, sight: &sight, times: ONLY_THE_FIRST, turned: 0 };
+            Looking { looks, scenes: &drawn, places, sight: &sight, times: ONLY_THE_FIRST, turned: 0 };
         let ticket = self.look_at(world.gpu().record()?, world, looking)?;
+        self.lists.drawn = drawn;
         let timings = self.see(world, ticket)?;
         let (residency, geometry) = (&self.residency, &world.samples);
         let may_be = |instance: usize| residency.is_told_once(geometry, instance as u16);
@@ -591,9 +605,10 @@ impl Frame {
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         for (time, place) in places.into_iter().enumerate().filter(|(time, _)| times[*time]) {
-            let all = scenes
-                .iter()
-                .flat_map(|drawn| pairs(time, turned).map(move |first_view| (drawn, first_view)));
+            let [now, next] = scenes;
+            let drawn = [Some(now), Some(next).filter(|next| !next.is_empty())];
+            let all = drawn.into_iter().flatten();
+            let all = all.flat_map(|drawn| pairs(time, turned).map(move |first_view| (drawn, first_view)));
             for (drawn, first_view) in all {
                 recorder.scope("id buffer", |r| {
                     let pass = Pass { looked_at: drawn, place, first_view, within: (clusters, sight) };
@@ -687,8 +702,8 @@ impl Frame {
                 middle.time(world.grid())
             }
         };
-        let (moment, surfaces, placed) =
-            (world.moment(time), world.surfaces(time, place), self.layout.all_placed());
+        let (surfaces, placed) = (world.surfaces(time, place), self.layout.all_placed());
+        let moment = |now: &mut Moment<Stance>| world.moment(time, now);
         let due =
             self.reuse.due(moment, views.world_from_head, placed, &surfaces, self.shading_budget_texels);
         let blocks = due.iter().map(|due| (due.patch, due.block));
@@ -879,12 +894,6 @@ fn level_costs(scene: &SceneGpu) -> Vec<Vec<LevelCost>> {
     };
     let instances = 0..scene.numbering.instances.len();
     instances.map(|instance| scene.mesh(instance).levels.iter().map(cost).collect()).collect()
-}
-
-/// Those of a scene that can reach a view.
-fn reaching(mut scene: Vec<Look>, in_view: &Needed) -> Vec<Look> {
-    scene.retain(|look| in_view.has(look.instance));
-    scene
 }
 
 impl Around {

@@ -49,19 +49,24 @@ impl Looks {
     /// The instances that have levels, given in their order.
     pub fn new(numbering: &Numbering, levels: impl IntoIterator<Item = Option<Levels>>) -> Self {
         let mut looks = Self::default();
+        looks.refill(numbering, levels);
+        looks
+    }
+
+    /// The same in the memory of another update's.
+    pub fn refill(&mut self, numbering: &Numbering, levels: impl IntoIterator<Item = Option<Levels>>) {
+        self.looks.clear();
         for (instance, Levels { shown, next }) in
             levels.into_iter().enumerate().filter_map(|(instance, levels)| Some((instance, levels?)))
         {
-            let mut both: Vec<(usize, bool)> =
-                [(shown, true)].into_iter().chain(next.map(|next| (next, false))).collect();
+            let mut both = [Some((shown, true)), next.map(|next| (next, false))];
             both.sort_unstable();
-            for (level, is_shown) in both {
+            for (level, is_shown) in both.into_iter().flatten() {
                 if let Some(patches) = numbering.patches(instance, level) {
-                    looks.add(instance, level, patches, is_shown);
+                    self.add(instance, level, patches, is_shown);
                 }
             }
         }
-        looks
     }
 
     /// All patches of one instance of one level.
@@ -97,20 +102,23 @@ impl Looks {
         self.looks.iter().filter(|look| !look.is_shown)
     }
 
-    /// The scene as the client shows it, and, where that differs, as it is to be next: each of them one look an instance.
-    pub fn scenes(&self) -> Vec<Vec<Look>> {
-        let shown: Vec<Look> = self.shown().copied().collect();
-        if shown.len() == self.looks.len() {
-            return vec![shown];
+    /// The scene as the client shows it, and, where that differs, as it is to be next: each of them one look an instance, of those
+    /// that are drawn. The second is empty where it does not differ.
+    pub fn scenes(&self, [now, next]: &mut [Vec<Look>; 2], is_drawn: impl Fn(usize) -> bool) {
+        let drawn = |look: &&Look| is_drawn(look.instance);
+        now.clear();
+        next.clear();
+        now.extend(self.shown().filter(drawn));
+        if !self.next().any(|look| drawn(&look)) {
+            return;
         }
-        let mut next = shown.clone();
-        for look in self.next() {
+        next.extend_from_slice(now);
+        for look in self.next().filter(drawn) {
             match next.binary_search_by_key(&look.instance, |look| look.instance) {
                 Ok(at) => next[at] = *look,
                 Err(at) => next.insert(at, *look),
             }
         }
-        vec![shown, next]
     }
 
     /// The client shows the next level of an instance from this update on.
@@ -170,11 +178,15 @@ mod tests {
     #[test]
     fn what_is_to_be_shown_next_is_looked_at_in_a_scene_of_its_own() {
         let scene = scene();
-        let of = |looks: &Looks| -> Vec<Vec<(usize, usize)>> {
-            let plain = |looks: Vec<Look>| looks.iter().map(|look| (look.instance, look.level)).collect();
-            looks.scenes().into_iter().map(plain).collect()
+        let drawn = |looks: &Looks, is_drawn: &dyn Fn(usize) -> bool| -> Vec<Vec<(usize, usize)>> {
+            let plain = |looks: &Vec<Look>| looks.iter().map(|look| (look.instance, look.level)).collect();
+            let mut scenes = [Vec::new(), Vec::new()];
+            looks.scenes(&mut scenes, is_drawn);
+            scenes.iter().filter(|looks| !looks.is_empty()).map(plain).collect()
         };
+        let of = |looks: &Looks| drawn(looks, &|_| true);
         let mut looks = Looks::new(&scene, [levels(1, None), None, levels(0, None), levels(2, Some(0))]);
+        assert_eq!(drawn(&looks, &|instance| instance != 3), [[(0, 1), (2, 0)]], "nothing else comes");
         assert_eq!(of(&looks), [[(0, 1), (2, 0), (3, 2)], [(0, 1), (2, 0), (3, 0)]]);
         looks.switch(3);
         assert_eq!(looks.shown().map(|look| look.level).collect::<Vec<_>>(), [1, 0, 0]);

@@ -37,31 +37,38 @@ struct Stands {
     world_from_model: Affine3A,
 }
 
-/// By instance, at a time.
-pub fn stances(scene: &SceneGpu, timeline: &Timeline, time: ServerTime) -> Vec<Stance> {
-    let manager = &scene.animation.manager;
-    let stance = |(number, place): (usize, &crate::scene::numbering::InstancePlace)| {
-        let stands = || {
-            let shown = timeline.at(number, time);
-            let pose = manager.pose_key(place.model, number, &shown);
-            let world_from_model = manager.paths.world_from_model(&scene.scene, number, time.seconds());
-            let bones = if let Shown::Live(bones) = shown { Some(bones) } else { None };
-            Stands { pose, bones, world_from_model }
-        };
-        Stance(place.is_animated.then(stands))
+/// Of an instance, at a time.
+pub fn stance(scene: &SceneGpu, timeline: &Timeline, instance: usize, time: ServerTime) -> Stance {
+    let (manager, place) = (&scene.animation.manager, &scene.numbering.instances[instance]);
+    let stands = || {
+        let shown = timeline.at(instance, time);
+        let pose = manager.pose_key(place.model, instance, &shown);
+        let world_from_model = manager.paths.world_from_model(&scene.scene, instance, time.seconds());
+        let bones = if let Shown::Live(bones) = shown { Some(bones) } else { None };
+        Stands { pose, bones, world_from_model }
     };
-    scene.numbering.instances.iter().enumerate().map(stance).collect()
+    Stance(place.is_animated.then(stands))
 }
 
-/// All of a time, which light and shadow map are of.
-pub fn moment(scene: &SceneGpu, animation: &Animation, shadow: &Shadow, time: ServerTime) -> Moment<Stance> {
-    let stances = stances(scene, &animation.timeline().lock(), time);
+/// All of a time, which light and shadow map are of, over what was there.
+pub fn write(
+    scene: &SceneGpu,
+    animation: &Animation,
+    shadow: &Shadow,
+    time: ServerTime,
+    Moment { stances, casters, lamps }: &mut Moment<Stance>,
+) {
+    let (timeline, instances) = (animation.timeline().lock(), 0..scene.numbering.instances.len());
+    stances.clear();
+    stances.extend(instances.clone().map(|number| stance(scene, &timeline, number, time)));
     let caster = |number: usize| {
         let sun = shadow.sun_view().filter(|_| shadow.has(number))?;
         SunBox::around(sun, bounds_at(scene, number, time).corners())
     };
-    let casters = (0..stances.len()).map(caster).collect();
-    Moment { stances, casters, lamps: shadow.lamps().iter().map(lamp).collect() }
+    casters.clear();
+    casters.extend(instances.map(caster));
+    lamps.clear();
+    lamps.extend(shadow.lamps().iter().map(lamp));
 }
 
 fn lamp(lamp: &PunctualGpu) -> Lamp {

@@ -16,7 +16,8 @@ pub fn pixels_per_metre(
     grid: Grid,
     views: &PredictedViews,
     pixels_per_radian: f32,
-) -> Vec<f32> {
+    pixels_per_metre: &mut Vec<f32>,
+) {
     let paths = &scene.animation.manager.paths;
     let times_s = views.times.map(|at| at.time(grid).seconds());
     let of = |instance: usize| {
@@ -27,7 +28,8 @@ pub fn pixels_per_metre(
         };
         pixels_per_radian * (0..VIEW_TIMES).map(at_time).fold(0.0, f32::max)
     };
-    (0..scene.played_bounds.len()).map(of).collect()
+    pixels_per_metre.clear();
+    pixels_per_metre.extend((0..scene.played_bounds.len()).map(of));
 }
 
 /// Radians of a metre of a model, seen from the nearer of two eyes; 0 for an empty box.

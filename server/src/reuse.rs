@@ -158,7 +158,8 @@ struct Record {
 #[derive(Clone, Debug)]
 pub struct Reuse<S> {
     is_on: bool,
-    last: Option<Moment<S>>,
+    /// Of the last update and of the one before; `None` before the first.
+    moments: Option<[Moment<S>; 2]>,
     moved: Vec<bool>,
     shadows: ShadowChange,
     /// Lamps that changed, as they were and as they are.
@@ -174,12 +175,12 @@ pub struct Reuse<S> {
     total_texels: [u64; 2],
 }
 
-impl<S: PartialEq> Reuse<S> {
+impl<S: PartialEq + Default> Reuse<S> {
     /// Before the first update. If it is off, all in view is due with each update.
     pub fn new(is_on: bool) -> Self {
         Self {
             is_on,
-            last: None,
+            moments: None,
             moved: Vec::new(),
             shadows: ShadowChange::default(),
             lamps: Vec::new(),
@@ -194,18 +195,17 @@ impl<S: PartialEq> Reuse<S> {
     }
 
     /// What is due with the next update, ascending: of the blocks that there are now, given ascending by patch, seen by a head at a
-    /// moment. `budget_texels` is what may be shaded beside new blocks. All of it counts as shaded.
+    /// moment, which is written over an old one. `budget_texels` is what may be shaded beside new blocks. All of it counts as shaded.
     pub fn due(
         &mut self,
-        moment: Moment<S>,
+        moment: impl FnOnce(&mut Moment<S>),
         world_from_head: Pose,
         placed: impl Iterator<Item = Placed>,
         surfaces: &impl Surfaces,
         budget_texels: u64,
     ) -> &[Due] {
         self.update += 1;
-        self.compare(&moment);
-        self.last = Some(moment);
+        self.compare(moment);
         self.follow(placed, world_from_head, surfaces);
         for at in 0..self.records.len() {
             self.judge(at, world_from_head, surfaces);
@@ -227,14 +227,18 @@ impl<S: PartialEq> Reuse<S> {
     }
 
     /// What has changed since the last moment.
-    fn compare(&mut self, now: &Moment<S>) {
+    fn compare(&mut self, moment: impl FnOnce(&mut Moment<S>)) {
         self.moved.clear();
         self.shadows.clear();
         self.lamps.clear();
-        let Some(last) = &self.last else {
+        let is_first = self.moments.is_none();
+        let [now, last] = self.moments.get_or_insert_default();
+        std::mem::swap(now, last);
+        moment(now);
+        if is_first {
             self.moved.resize(now.stances.len(), true);
             return;
-        };
+        }
         self.moved.extend(last.stances.iter().zip(&now.stances).map(|(last, now)| last != now));
         for ((last, now), has_moved) in last.casters.iter().zip(&now.casters).zip(&self.moved) {
             if *has_moved || last != now {
@@ -485,7 +489,7 @@ mod tests {
     const HEAD: Pose = Pose { position: Vec3::new(0.0, 1.0, 5.0), orientation: Quat::IDENTITY };
 
     fn due(reuse: &mut Reuse<u32>, row: &Row, moment: Moment<u32>, placed: &[Placed]) -> Vec<(u32, Cause)> {
-        let due = reuse.due(moment, HEAD, placed.iter().copied(), row, u64::MAX);
+        let due = reuse.due(|now| *now = moment, HEAD, placed.iter().copied(), row, u64::MAX);
         due.iter().map(|due| (due.patch.0, due.cause)).collect()
     }
 
@@ -569,7 +573,8 @@ mod tests {
         for step in 0..60 {
             let head = Pose { position: HEAD.position + Vec3::X * 0.03 * step as f32, ..HEAD };
             let placed = all();
-            let due = reuse.due(row.moment([0; 4]), head, placed.iter().copied(), &row, u64::MAX);
+            let due =
+                reuse.due(|now| *now = row.moment([0; 4]), head, placed.iter().copied(), &row, u64::MAX);
             due.iter().for_each(|due| shaded_from[due.patch.index()] = head.position);
             assert!(step == 0 || due.len() < 30, "step {step}: {}", due.len());
             assert!(step == 0 || due.iter().any(|due| due.patch.0 == 3), "its other side may be seen");
@@ -628,8 +633,9 @@ mod tests {
                         placed.block = block(placed.block.address.x, random.random_range(2..=4));
                     }
                 }
-                let due =
-                    reuse.due(row.moment([update; 4]), HEAD, placed.iter().copied(), &row, budget).to_vec();
+                let due = reuse
+                    .due(|now| *now = row.moment([update; 4]), HEAD, placed.iter().copied(), &row, budget)
+                    .to_vec();
                 assert!(due.is_sorted_by_key(|due| due.patch));
                 due.iter().for_each(|due| shaded[due.patch.index()] = update);
                 let texels = |is_new: bool| -> u64 {
@@ -662,7 +668,9 @@ mod tests {
         let mut placed = all();
         placed[17].block = block(8 * 17, 6);
         due(&mut reuse, &row, row.moment([0; 4]), &placed);
-        let first = reuse.due(row.moment([1; 4]), HEAD, placed.iter().copied(), &row, 64 * 64 + 64).to_vec();
+        let first = reuse
+            .due(|now| *now = row.moment([1; 4]), HEAD, placed.iter().copied(), &row, 64 * 64 + 64)
+            .to_vec();
         assert_eq!(first.iter().map(|due| due.patch.0).collect::<Vec<_>>(), [0, 17]);
     }
 }

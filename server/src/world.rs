@@ -6,7 +6,7 @@ use crate::animation::timeline::SharedTimeline;
 use crate::clusters::Clusters;
 use crate::culling::Needed;
 use crate::effort::Effort;
-use crate::moment::{self, SceneSurfaces, Stance, stances};
+use crate::moment::{self, SceneSurfaces, Stance, stance};
 use crate::predict::{PredictedViews, VIEW_TIMES};
 use crate::reuse::Moment;
 use crate::samples::SampleWindow;
@@ -150,9 +150,12 @@ impl World {
         recorder: &mut Recorder,
         viewer: ViewerId,
         views: &PredictedViews,
-        needs: Needed,
+        needs: &Needed,
     ) -> Sampled {
-        self.needs.insert(viewer, needs.at_least(self.shadow.levels()));
+        let instances = self.scene.numbering.instances.len();
+        let of_viewer = self.needs.entry(viewer).or_insert_with(|| Needed::none(instances));
+        of_viewer.copy(needs);
+        of_viewer.refine(self.shadow.levels());
         self.unite();
         let places = self.samples.record(recorder, &mut self.animation, self.grid, views, &self.needed);
         Sampled { places }
@@ -173,7 +176,9 @@ impl World {
             }
             _ => self.record_light(recorder, place, at.time(self.grid)),
         }
-        self.lit = Some((at, self.needed.clone()));
+        let (lit, of) = self.lit.get_or_insert_with(|| (at, self.needed.clone()));
+        *lit = at;
+        of.copy(&self.needed);
     }
 
     /// The same for any time, which vertices in `place` are moved to: for measurements, since no sample is kept by it.
@@ -184,9 +189,9 @@ impl World {
         self.lit = None;
     }
 
-    /// What shading depends on at the time of the light that was recorded last.
-    pub fn moment(&self, time: ServerTime) -> Moment<Stance> {
-        moment::moment(&self.scene, &self.animation, &self.shadow, time)
+    /// Writes what shading depends on at the time of the light that was recorded last.
+    pub fn moment(&self, time: ServerTime, now: &mut Moment<Stance>) {
+        moment::write(&self.scene, &self.animation, &self.shadow, time, now);
     }
 
     /// Its surfaces at a time, of which a place has the positions.
@@ -198,10 +203,12 @@ impl World {
     /// Whether all that is in `needs` looks the same at several times.
     pub fn stands(&self, needs: &Needed, times: &[ViewTime]) -> bool {
         let timeline = self.animation.timeline().lock();
-        let mut stances = times.iter().map(|at| stances(&self.scene, &timeline, at.time(self.grid)));
-        let Some(first) = stances.next() else { return true };
-        stances.all(|other| {
-            first.iter().zip(&other).enumerate().all(|(number, (a, b))| !needs.has(number) || a == b)
+        let Some((first, others)) = times.split_first() else { return true };
+        let stance = |number, at: &ViewTime| stance(&self.scene, &timeline, number, at.time(self.grid));
+        let mut needed = (0..self.scene.numbering.instances.len()).filter(|number| needs.has(*number));
+        needed.all(|number| {
+            let at_first = stance(number, first);
+            others.iter().all(|other| stance(number, other) == at_first)
         })
     }
 
@@ -218,7 +225,7 @@ impl World {
     }
 
     fn unite(&mut self) {
-        self.needed = Needed::none(self.scene.numbering.instances.len());
+        self.needed.clear();
         self.needs.values().for_each(|needs| self.needed.add(needs));
     }
 }

@@ -68,6 +68,9 @@ macro_rules! shared {
     };
 }
 
+/// Frusta that an eye is looked at in, at most: shaders only know of all views together.
+pub const MAX_FRUSTA: u32 = 4;
+
 shared! {
     {
         BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_VIEWS, NEAR_M, PATCH_MAX_VERTICES, PREDICTIONS, SUPERBLOCK_MIN_LOG2,
@@ -75,8 +78,6 @@ shared! {
 
     /// Views that are drawn at once.
     EYES: u32 = 2;
-    /// Frusta that an eye is looked at in, at most.
-    MAX_FRUSTA: u32 = 4;
     /// What the ID buffer can be drawn from: the predicted views, and behind them the frusta of those that have several.
     ID_BUFFER_VIEWS: u32 = MAX_VIEWS * (1 + MAX_FRUSTA);
     /// What an image of numbers holds for number 0. What is less, 0, is background.

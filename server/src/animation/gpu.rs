@@ -64,6 +64,10 @@ pub struct Animation {
     poses: Vec<Poses>,
     statics_done: bool,
     jobs: SkinJobs,
+    /// Poses of a recording that were not there.
+    fresh: Vec<Range<u32>>,
+    /// Whose frames a recording skins.
+    framed: Vec<SampleJob>,
     counts: AnimationCounts,
 }
 
@@ -121,6 +125,8 @@ impl Animation {
             poses: vec![empty; times as usize],
             statics_done: false,
             jobs: SkinJobs::default(),
+            fresh: Vec::new(),
+            framed: Vec::new(),
             counts: AnimationCounts::default(),
         })
     }
@@ -164,7 +170,8 @@ impl Animation {
         let still: Vec<SampleJob> =
             all.filter(still).map(|instance| SampleJob { instance, level: FULL_DETAIL, ..statics }).collect();
         let mut jobs = self.no_jobs();
-        let mut poses: Vec<Range<u32>> = Vec::new();
+        let mut poses = std::mem::take(&mut self.fresh);
+        poses.clear();
         let timeline = self.timeline.clone();
         let mut timeline = timeline.lock();
         for sample in samples.iter().chain(&still) {
@@ -180,14 +187,16 @@ impl Animation {
         recorder.barrier(Access::COMPUTE, Access::COMPUTE);
         self.live.record(recorder, &self.scene.animation);
         if self.scene.skinning != Skinning::PerVertexChain {
-            recorder.scope("palette", |r| poses.into_iter().for_each(|range| self.palette.record(r, range)));
+            recorder.scope("palette", |r| {
+                poses.iter().for_each(|range| self.palette.record(r, range.clone()));
+            });
             recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
         }
         recorder.scope("skin", |r| self.skin.record(r, &jobs));
         let skinned = samples.iter().chain(&still);
         self.counts.instance_samples += skinned.clone().count() as u64;
         self.counts.vertices += skinned.map(|sample| u64::from(self.vertex_count(sample))).sum::<u64>();
-        self.jobs = jobs;
+        (self.jobs, self.fresh) = (jobs, poses);
         self.statics_done = true;
         if !still.is_empty() {
             self.record_tangents_of(recorder, &still);
@@ -214,8 +223,11 @@ impl Animation {
             let is_wanted = scene.numbering.instances[instance].is_animated && is_wanted(instance);
             is_wanted.then_some(SampleJob { instance, level: pose.level, place, time })
         };
-        let samples: Vec<SampleJob> = (0..scene.numbering.instances.len()).filter_map(sample).collect();
+        let mut samples = std::mem::take(&mut self.framed);
+        samples.clear();
+        samples.extend((0..scene.numbering.instances.len()).filter_map(sample));
         self.record_tangents_of(recorder, &samples);
+        self.framed = samples;
     }
 
     fn record_tangents_of(&mut self, recorder: &mut Recorder, samples: &[SampleJob]) {

@@ -505,7 +505,7 @@ mod tests {
         std::fs::write(folder.path().join("table1.json"), report).expect("written");
         let shown = table("table1", folder.path()).expect("a table");
         assert!(
-            shown.starts_with("a device, 652x652 pixels an eye (scale 0.5), atlas of 2048x1024"),
+            shown.starts_with("a device, 652x652 pixels an eye (scale 0.5), atlas of 4096x1024"),
             "{shown}"
         );
         assert_eq!(shown.lines().count(), 2 + 2 + 6, "{shown}");
