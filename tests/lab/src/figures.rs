@@ -3,6 +3,7 @@
 
 use crate::bars::{BARS, Bars};
 use crate::causes::Causes;
+use crate::paper_size::PaperSize;
 use crate::table1::plot;
 use anyhow::{Context, bail};
 use serde_json::Value;
@@ -102,6 +103,7 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "table1-shipped" => table1(results, "shipped", "ours"),
         "table1-stages" => table1_stages(results),
         "table1-growth" => table1_growth(results),
+        "paper-size" => paper_size(results)?,
         name if name.starts_with("causes-") => causes(name, results)?,
         "bars" => format!("```text\n{}\n```\n", Bars::parse(BARS)?.check(results)),
         other => bail!("there is no table \"{other}\""),
@@ -118,6 +120,13 @@ fn causes(name: &str, results: &Path) -> anyhow::Result<String> {
     let Some(found) = read(results, name) else { return Ok(NOT_MEASURED.to_owned()) };
     let found: Causes = serde_json::from_value(found).with_context(|| name.to_owned())?;
     Ok(format!("```text\n{found}```\n"))
+}
+
+/// What the paper's largest scene takes.
+fn paper_size(results: &Path) -> anyhow::Result<String> {
+    let Some(found) = read(results, "paper-size") else { return Ok(NOT_MEASURED.to_owned()) };
+    let found: PaperSize = serde_json::from_value(found).context("paper-size.json")?;
+    Ok(format!("```text\n{found}\n```\n"))
 }
 
 /// A number at a way of keys, with so many decimals; `-` where there is none.

@@ -5,7 +5,7 @@ use crate::run::mock_config;
 use crate::session::Lab;
 use crate::table1::cell::{FOV_DEGREES, Size, boxes, eye_for, head_csv, source, whole_in_view};
 use anyhow::ensure;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use shadecast_client::client::Step;
 use shadecast_mock_runtime::config::ClockKind;
 use shadecast_scene::load::load_scene;
@@ -20,7 +20,7 @@ const ROOM_VERTICES: u32 = 150_000;
 const SECONDS: f64 = 0.7;
 
 /// What was shown, and what it took.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PaperSize {
     /// Dragons, all of them whole in view.
     pub dragons: u32,
