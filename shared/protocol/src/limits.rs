@@ -4,7 +4,9 @@
 //! relations between them.
 
 /// Vertices that a client keeps at most. Slots are numbered from 0.
-pub const MAX_VERTEX_SLOTS: u32 = 262_144;
+pub const MAX_VERTEX_SLOTS: u32 = 524_288;
+/// Vertices that a client keeps at most where samples are sent for any.
+pub const MAX_SAMPLED_SLOTS: u32 = 262_144;
 /// Vertices that a client keeps unless it says otherwise.
 pub const DEFAULT_VERTEX_SLOTS: u32 = 131_072;
 /// Patches that a client keeps at most. Slots are numbered from 0.
@@ -100,7 +102,7 @@ pub const MAX_NEW_SAMPLE_GRIDS: u32 = 8;
 /// Batches of samples in one delta: first samples, regular ones, and those sent again after the future changed.
 pub const MAX_SAMPLE_BATCHES: u32 = 2 * MAX_SAMPLE_RING;
 /// Vertex samples in one delta, over all its batches.
-pub const MAX_SAMPLES_PER_DELTA: u32 = MAX_VERTEX_SLOTS * MAX_NEW_SAMPLE_GRIDS;
+pub const MAX_SAMPLES_PER_DELTA: u32 = MAX_SAMPLED_SLOTS * MAX_NEW_SAMPLE_GRIDS;
 /// Smallest quantisation step of vertex samples in metres.
 pub const MIN_STEP_M: f32 = 1e-6;
 /// Largest quantisation step of vertex samples in metres.
@@ -118,7 +120,7 @@ pub const MAX_EMPTY_CONTROL_MESSAGES: usize = 1;
 /// else.
 pub const MAX_CONTROL_PER_SECOND: u32 = 1000;
 /// Bytes of one geometry delta.
-pub const MAX_DELTA_BYTES: usize = 51 << 20;
+pub const MAX_DELTA_BYTES: usize = 60 << 20;
 /// Bytes of one coded picture: whatever an encoder can make of the largest, or leaves as it is.
 pub const MAX_ACCESS_UNIT_BYTES: usize = 16 << 20;
 /// Bytes of one unidirectional stream: a delta or a picture with its framing.
@@ -155,6 +157,12 @@ const WORST_SAMPLE_BYTES: usize = 13;
 const WORST_VERTEX_BYTES: usize = 16 + 12 + 5;
 /// Bytes that the predictions of a vertex can cost at worst: a run of its own, positions and times.
 const WORST_PREDICTED_BYTES: usize = 10 + 16 * PREDICTIONS as usize;
+/// Bytes that samples or predictions can cost at worst: a vertex with predictions has no samples.
+const WORST_MOTION_BYTES: usize = {
+    let samples = MAX_SAMPLES_PER_DELTA as usize * WORST_SAMPLE_BYTES;
+    let predictions = MAX_VERTEX_SLOTS as usize * WORST_PREDICTED_BYTES;
+    if samples > predictions { samples } else { predictions }
+};
 /// Bytes that a key of a clip can cost at worst: value, tangent, time, and its place among the times.
 const WORST_KEY_BYTES: usize = 16 + 16 + 4 + 4;
 /// Bytes that a curve of a clip can cost at worst beside its keys: what it is, steps, and thirteen widths.
@@ -177,7 +185,9 @@ const _: () = {
     assert!(DEFAULT_SAMPLE_RING.is_power_of_two());
     assert!(DEFAULT_VERTEX_SLOTS <= MAX_VERTEX_SLOTS && DEFAULT_PATCH_SLOTS <= MAX_PATCH_SLOTS);
     assert!(DEFAULT_VERTEX_SLOTS * MAX_SAMPLE_RING <= MAX_KEPT_SAMPLES, "usual clients have every ring");
-    assert!(MAX_VERTEX_SLOTS * DEFAULT_SAMPLE_RING <= MAX_KEPT_SAMPLES, "the usual ring has every slot");
+    assert!(MAX_SAMPLED_SLOTS * DEFAULT_SAMPLE_RING <= MAX_KEPT_SAMPLES, "the usual ring has every slot");
+    assert!(MAX_VERTEX_SLOTS * MIN_SAMPLE_RING <= MAX_KEPT_SAMPLES, "the smallest ring has every slot");
+    assert!(DEFAULT_VERTEX_SLOTS <= MAX_SAMPLED_SLOTS && MAX_SAMPLED_SLOTS <= MAX_VERTEX_SLOTS);
     assert!(MIN_SAMPLE_RING >= 8, "two ahead, four to interpolate, and some late");
     assert!(MIN_SAMPLE_RING <= DEFAULT_SAMPLE_RING && DEFAULT_SAMPLE_RING <= MAX_SAMPLE_RING);
     assert!(PREDICTIONS < MIN_SAMPLE_RING, "a client keeps them in place of samples");
@@ -205,16 +215,12 @@ const _: () = {
         "every atlas as it is"
     );
     assert!(
-        MAX_SAMPLES_PER_DELTA as usize * WORST_SAMPLE_BYTES
+        WORST_MOTION_BYTES
             + MAX_VERTEX_SLOTS as usize * WORST_VERTEX_BYTES
             + MAX_PATCH_SLOTS as usize * WORST_PATCH_BYTES
             + MAX_COVERED_TEXELS as usize / 8
             <= MAX_DELTA_BYTES,
         "whatever the server may have to say in one delta fits in one"
-    );
-    assert!(
-        WORST_PREDICTED_BYTES <= MAX_NEW_SAMPLE_GRIDS as usize * WORST_SAMPLE_BYTES,
-        "a vertex with predictions has no samples"
     );
     assert!(MAX_FRAMES_AHEAD as usize >= MAX_QUEUED_STREAMS, "what may wait may come");
     assert!(MAX_ACCESS_UNIT_BYTES + 64 <= MAX_STREAM_BYTES && MAX_STREAM_BYTES <= MAX_QUEUED_STREAM_BYTES);

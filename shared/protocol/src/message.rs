@@ -10,7 +10,7 @@ use crate::limits::{
     ATLAS_MIN_SIDE, DEFAULT_ARENA_WORDS, DEFAULT_REST_VERTICES, DEFAULT_SAMPLE_RING, MAX_ARENA_WORDS,
     MAX_CODECS, MAX_CONTROL_BYTES, MAX_COORDINATE_M, MAX_DATAGRAM_BYTES, MAX_EYE_EXTENT_PIXELS,
     MAX_EYE_PIXELS, MAX_KEPT_SAMPLES, MAX_PATCH_SLOTS, MAX_POSE_PLACES, MAX_REST_VERTICES, MAX_SAMPLE_RING,
-    MAX_SPEED, MAX_TEXT_BYTES, MAX_TRIANGLES, MAX_VERTEX_SLOTS, MIN_SAMPLE_RING,
+    MAX_SAMPLED_SLOTS, MAX_SPEED, MAX_TEXT_BYTES, MAX_TRIANGLES, MAX_VERTEX_SLOTS, MIN_SAMPLE_RING,
 };
 use crate::pose::{Eye, Pose};
 use crate::text::printable;
@@ -562,8 +562,9 @@ pub fn negotiate(hello: &ClientHello, offer: &ServerOffer) -> Result<Welcome, Re
             "install a client and a server that share a codec",
         )
     })?;
-    let motion = negotiate_motion(capabilities.motion, offer);
-    let vertex_slots = offer.vertex_slots.min(capabilities.max_vertex_slots);
+    let (motion, is_sampled) = negotiate_motion(capabilities.motion, offer);
+    let most_slots = if is_sampled { MAX_SAMPLED_SLOTS } else { MAX_VERTEX_SLOTS };
+    let vertex_slots = offer.vertex_slots.min(capabilities.max_vertex_slots).min(most_slots);
     Ok(Welcome {
         protocol_version,
         session: offer.session,
@@ -609,11 +610,12 @@ fn span(oldest: u32, newest: u32) -> String {
     if oldest == newest { format!("{newest}") } else { format!("{oldest} to {newest}") }
 }
 
-/// The smaller of both, with the ring of samples as small as what is sent allows.
-fn negotiate_motion(capable: MotionMemory, offer: &ServerOffer) -> MotionMemory {
+/// The smaller of both, with the ring of samples as small as what is sent allows; and whether any are sent.
+fn negotiate_motion(capable: MotionMemory, offer: &ServerOffer) -> (MotionMemory, bool) {
     let agreed = offer.motion.min(capable);
     let unsampled = offer.unsampled.filter(|least| agreed.holds(*least));
-    MotionMemory { sample_ring: unsampled.map_or(agreed.sample_ring, |least| least.sample_ring), ..agreed }
+    let sample_ring = unsampled.map_or(agreed.sample_ring, |least| least.sample_ring);
+    (MotionMemory { sample_ring, ..agreed }, unsampled.is_none())
 }
 
 /// The offered extent with its sides halved until the client can hold it.
@@ -939,8 +941,18 @@ mod tests {
             welcome.vertex_slots
         };
         hello.capabilities.motion = MotionMemory::MAX;
-        assert_eq!(agreed(&hello, DEFAULT_SAMPLE_RING), MAX_VERTEX_SLOTS);
-        assert_eq!(agreed(&hello, MAX_SAMPLE_RING), MAX_VERTEX_SLOTS / 2);
+        for ring in [MIN_SAMPLE_RING, DEFAULT_SAMPLE_RING] {
+            assert_eq!(agreed(&hello, ring), MAX_SAMPLED_SLOTS, "samples of all fit into one delta");
+        }
+        assert_eq!(agreed(&hello, MAX_SAMPLE_RING), MAX_SAMPLED_SLOTS / 2);
+        let unsampled = ServerOffer {
+            vertex_slots: MAX_VERTEX_SLOTS,
+            motion: MotionMemory::MAX,
+            unsampled: Some(MotionMemory::LEAST),
+            ..offer()
+        };
+        let welcome = negotiate(&hello, &unsampled).unwrap();
+        assert_eq!((welcome.vertex_slots, welcome.check()), (MAX_VERTEX_SLOTS, Ok(())));
         hello.capabilities.max_vertex_slots = 150_000;
         assert_eq!(agreed(&hello, DEFAULT_SAMPLE_RING), 150_000, "as many as it asked for");
     }

@@ -367,7 +367,7 @@ struct Table1Args {
     /// Updates that are measured in each round
     #[arg(long, default_value_t = 5, value_parser = value_parser!(u32).range(1..))]
     updates: u32,
-    /// Part of the paper's 1300x1300 pixels a side [default: 1; 0.25 on a CPU]
+    /// Part of the paper's 1300x1300 pixels a side [default: 1; 0.125 on a CPU]
     #[arg(long, value_parser = number(0.02..=1.0, "of the paper's sizes"))]
     scale: Option<f64>,
     /// Also by the paper's ways: skinning by chains, three predictions of 48 bytes a vertex with each update, on lines between
