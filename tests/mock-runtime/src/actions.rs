@@ -45,7 +45,13 @@ struct Action {
     name: String,
     localized_name: String,
     ty: xr::ActionType,
+    /// Those that it can be asked for one by one.
+    subaction_paths: Vec<xr::Path>,
 }
+
+/// Paths that an action can be told apart by: those that the specification reserves.
+const TOP_LEVEL_USER_PATHS: [&str; 5] =
+    ["/user/hand/left", "/user/hand/right", "/user/head", "/user/gamepad", "/user/treadmill"];
 
 impl Actions {
     fn set(&self, handle: xr::ActionSet) -> Outcome<&ActionSet> {
@@ -73,6 +79,16 @@ impl Actions {
             true => Ok(()),
             false => Err(not_attached(&format!("the set of action {:?}", action.name))),
         }
+    }
+
+    /// Refuses a path that was not given at the action's creation. None asks for all of them.
+    fn check_subaction_path(&self, action: xr::Action, path: xr::Path) -> Outcome<()> {
+        let action = self.action(action)?;
+        if path == xr::Path::NULL || action.subaction_paths.contains(&path) {
+            return Ok(());
+        }
+        let message = format!("action {:?} was created without this subaction path", action.name);
+        Err(Fault::application(xr::Result::ERROR_PATH_UNSUPPORTED, message))
     }
 
     fn is_frozen(&self, action: xr::Action) -> Outcome<bool> {
@@ -171,27 +187,27 @@ entry! {
         if core.actions.set(action_set)?.frozen {
             return Err(already_attached("the action set is attached"));
         }
-        check_subaction_paths(core, create_info)?;
+        let subaction_paths = subaction_paths(core, create_info)?;
         let name = ffi::fixed_text(&create_info.action_name, "actionName")?;
         let localized_name = ffi::fixed_text(&create_info.localized_action_name, "localizedActionName")?;
         let set = action_set.into_raw();
         let siblings = core.actions.actions.values().filter(|action| action.set == set);
         check_names(&name, &localized_name, siblings.map(|a| (a.name.as_str(), a.localized_name.as_str())))?;
         let ty = create_info.action_type;
-        core.actions.actions.insert(handle, Action { set, name, localized_name, ty });
+        core.actions.actions.insert(handle, Action { set, name, localized_name, ty, subaction_paths });
         *action = xr::Action::from_raw(handle);
         Ok(xr::Result::SUCCESS)
     }
 }
 
-fn check_subaction_paths(core: &Core, info: &xr::ActionCreateInfo) -> Outcome<()> {
+fn subaction_paths(core: &Core, info: &xr::ActionCreateInfo) -> Outcome<Vec<xr::Path>> {
     // SAFETY: the paths are an array of the length that the application says.
     let paths = unsafe { ffi::array(info.subaction_paths, info.count_subaction_paths, "subactionPaths") }?;
     let mut seen = HashSet::new();
     for path in paths {
         let text = core.paths.text(*path)?;
-        if !text.starts_with("/user/") {
-            let message = format!("subaction path {text} is not a user path");
+        if !TOP_LEVEL_USER_PATHS.contains(&text) {
+            let message = format!("subaction path {text} is not one of {}", TOP_LEVEL_USER_PATHS.join(", "));
             return Err(Fault::application(xr::Result::ERROR_PATH_UNSUPPORTED, message));
         }
         if !seen.insert(*path) {
@@ -199,7 +215,7 @@ fn check_subaction_paths(core: &Core, info: &xr::ActionCreateInfo) -> Outcome<()
             return Err(Fault::application(xr::Result::ERROR_PATH_UNSUPPORTED, message));
         }
     }
-    Ok(())
+    Ok(paths.to_vec())
 }
 
 entry! {
@@ -314,11 +330,17 @@ entry! {
 fn check_get(session: xr::Session, info: &xr::ActionStateGetInfo, ty: xr::ActionType) -> Outcome<()> {
     let mut runtime = runtime::lock();
     let (core, _) = runtime.session(session)?;
-    core.actions.check_type(info.action, ty)?;
-    if info.subaction_path != xr::Path::NULL {
-        core.paths.text(info.subaction_path)?;
+    check_use(core, info.action, ty, info.subaction_path)
+}
+
+/// Checks that an action of a type can be asked or set off now, for a path or for all.
+fn check_use(core: &Core, action: xr::Action, ty: xr::ActionType, path: xr::Path) -> Outcome<()> {
+    core.actions.check_type(action, ty)?;
+    if path != xr::Path::NULL {
+        core.paths.text(path)?;
     }
-    core.actions.check_attached(info.action)
+    core.actions.check_attached(action)?;
+    core.actions.check_subaction_path(action, path)
 }
 
 const NEVER: fn() -> xr::Time = || xr::Time::from_nanos(0);
@@ -384,8 +406,7 @@ entry! {
 fn check_haptic(session: xr::Session, info: &xr::HapticActionInfo) -> Outcome {
     let mut runtime = runtime::lock();
     let (core, session) = runtime.session(session)?;
-    core.actions.check_type(info.action, xr::ActionType::VIBRATION_OUTPUT)?;
-    core.actions.check_attached(info.action)?;
+    check_use(core, info.action, xr::ActionType::VIBRATION_OUTPUT, info.subaction_path)?;
     match session.state.is_focused() {
         true => Ok(xr::Result::SUCCESS),
         false => Ok(xr::Result::SESSION_NOT_FOCUSED),

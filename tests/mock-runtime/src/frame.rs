@@ -162,6 +162,9 @@ entry! {
         };
         let submitted = layers::check(core, session, frame_end_info, &frame)?;
         session.frames.begun = None;
+        // Allowed, and in the application's own interest not to do.
+        core.tally.other_display_times +=
+            u64::from(frame_end_info.display_time.as_nanos() != frame.display_time_ns);
         capture::log_and_capture(core, session, &frame, submitted.as_ref())?;
         let states = session.state.frame_ended();
         session::announce(core, session.handle, states);

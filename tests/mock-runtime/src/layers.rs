@@ -39,7 +39,7 @@ pub(crate) fn check(
     info: &xr::FrameEndInfo,
     frame: &Frame,
 ) -> Outcome<Option<Submitted>> {
-    check_time(info.display_time, frame)?;
+    space::check_time(info.display_time)?;
     if info.environment_blend_mode != xr::EnvironmentBlendMode::OPAQUE {
         let message = format!("{:?}; the mock runtime has OPAQUE only", info.environment_blend_mode);
         return Err(Fault::application(xr::Result::ERROR_ENVIRONMENT_BLEND_MODE_UNSUPPORTED, message));
@@ -56,18 +56,6 @@ pub(crate) fn check(
         first = first.or(projection);
     }
     Ok(first)
-}
-
-fn check_time(display_time: xr::Time, frame: &Frame) -> Outcome<()> {
-    let given_ns = display_time.as_nanos();
-    if given_ns == frame.display_time_ns {
-        return Ok(());
-    }
-    let message = format!(
-        "displayTime is {given_ns}, but the predictedDisplayTime of frame {} is {}",
-        frame.index, frame.display_time_ns
-    );
-    Err(Fault::application(xr::Result::ERROR_TIME_INVALID, message))
 }
 
 fn invalid_layer(message: impl Into<String>) -> Fault {

@@ -98,6 +98,9 @@ pub struct Summary {
     pub discarded_frames: u64,
     /// Frames of which pictures were written.
     pub captured_frames: u64,
+    /// Frames that were ended for another display time than the predicted one.
+    #[serde(default)]
+    pub other_display_times: u64,
 }
 
 impl From<Pose> for PoseRecord {

@@ -96,6 +96,16 @@ pub(crate) enum Event {
     SpaceChange { session: u64, space: xr::ReferenceSpaceType, change_time_ns: i64, previous_from_new: Pose },
 }
 
+impl Event {
+    /// Whether it is about a session, which has to be there when it is told.
+    pub(crate) fn is_of(&self, this: u64) -> bool {
+        match self {
+            Self::SessionState { session, .. } | Self::SpaceChange { session, .. } => *session == this,
+            Self::InstanceLossPending { .. } => false,
+        }
+    }
+}
+
 /// How far the display's clock has come.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Timeline {
@@ -115,6 +125,7 @@ pub(crate) struct Tally {
     pub(crate) empty_frames: u64,
     pub(crate) discarded_frames: u64,
     pub(crate) captured_frames: u64,
+    pub(crate) other_display_times: u64,
 }
 
 static RUNTIME: Mutex<Option<Runtime>> = Mutex::new(None);
@@ -272,6 +283,7 @@ impl Core {
             empty_frames: self.tally.empty_frames,
             discarded_frames: self.tally.discarded_frames,
             captured_frames: self.tally.captured_frames,
+            other_display_times: self.tally.other_display_times,
         };
         if let Err(error) = recorder.summary(&summary) {
             eprintln!(

@@ -261,6 +261,7 @@ entry! {
             return Err(Fault::handle("session"));
         }
         close(removed);
+        state.core.events.retain(|event| !event.is_of(raw));
         state.core.actions.detach();
         state.core.write_summary();
         Ok(xr::Result::SUCCESS)

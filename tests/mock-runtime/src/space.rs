@@ -139,7 +139,7 @@ fn rotation_vector(rotation: Quat) -> Vec3 {
     }
 }
 
-fn check_time(time: xr::Time) -> Outcome<i64> {
+pub(crate) fn check_time(time: xr::Time) -> Outcome<i64> {
     match time.as_nanos() {
         time_ns @ 1.. => Ok(time_ns),
         other => {

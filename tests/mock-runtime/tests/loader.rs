@@ -266,15 +266,16 @@ fn calls_out_of_order_are_refused_and_counted() {
     assert_eq!(early.expect_err("end before begin"), order);
     app.stream.begin().expect("begin");
     assert_eq!(app.stream.begin().expect_err("begin twice"), order);
-    let late = app.stream.end(xr::Time::from_nanos(state.predicted_display_time.as_nanos() + 1), opaque, &[]);
-    assert_eq!(late.expect_err("another time"), Code::ERROR_TIME_INVALID);
-    app.stream.end(state.predicted_display_time, opaque, &[]).expect("end after a refused end");
+    let never = app.stream.end(xr::Time::from_nanos(0), opaque, &[]);
+    assert_eq!(never.expect_err("no time"), Code::ERROR_TIME_INVALID);
+    let late = xr::Time::from_nanos(state.predicted_display_time.as_nanos() + 1);
+    app.stream.end(late, opaque, &[]).expect("end after a refused end, for another time");
     let swapchain = app.swapchain(vk::Format::R8G8B8A8_SRGB, SIZE, 2);
     swapchain_order(&app, &swapchain);
     drop(swapchain);
     drop(app);
     let summary = read_summary(&run.captures()).expect("summary");
-    assert_eq!(summary.errors, 8 + 3, "{summary:?}");
+    assert_eq!((summary.errors, summary.other_display_times), (8 + 3, 1), "{summary:?}");
 }
 
 fn swapchain_order(app: &App, swapchain: &xr::Swapchain<xr::Vulkan>) {
@@ -789,6 +790,56 @@ fn actions_can_be_set_up_and_are_inactive() {
     assert_eq!(place.location_flags, xr::SpaceLocationFlags::EMPTY);
     drop((space, aim, grab, set, app));
     assert_eq!(read_summary(&run.captures()).expect("summary").errors, 2);
+}
+
+#[test]
+fn an_action_is_asked_for_the_paths_that_it_was_created_with_and_no_others() {
+    let _run = Run::new(&virtual_config());
+    let app = App::begun();
+    let instance = &app.instance;
+    let path = |text: &str| instance.string_to_path(text).expect("path");
+    let [left, right] = [path("/user/hand/left"), path("/user/hand/right")];
+    let set = instance.create_action_set("main", "Main", 0).expect("set");
+    let unsupported = Some(Code::ERROR_PATH_UNSUPPORTED);
+    for below in ["/user/hand/left/input", "/user/elbow", "/user"] {
+        assert_eq!(set.create_action::<bool>("no", "No", &[path(below)]).err(), unsupported, "{below}");
+    }
+    let grab = set.create_action::<bool>("grab", "Grab", &[left]).expect("action");
+    let squeeze = set.create_action::<f32>("squeeze", "Squeeze", &[left, right]).expect("action");
+    let stick = set.create_action::<xr::Vector2f>("stick", "Stick", &[]).expect("action");
+    let aim = set.create_action::<xr::Posef>("aim", "Aim", &[right]).expect("action");
+    let buzz = set.create_action::<xr::Haptic>("buzz", "Buzz", &[right]).expect("action");
+    app.session.attach_action_sets(&[&set]).expect("attach");
+    for all in [left, xr::Path::NULL] {
+        assert!(grab.state(&app.session, all).is_ok());
+    }
+    assert!(squeeze.state(&app.session, right).is_ok());
+    assert_eq!(grab.state(&app.session, right).err(), unsupported);
+    assert_eq!(squeeze.state(&app.session, path("/user/head")).err(), unsupported);
+    assert_eq!(stick.state(&app.session, left).err(), unsupported);
+    assert_eq!(aim.is_active(&app.session, left).err(), unsupported);
+    let vibration = xr::HapticVibration::new();
+    assert!(buzz.apply_feedback(&app.session, right, &vibration).is_ok());
+    assert_eq!(buzz.apply_feedback(&app.session, left, &vibration).err(), unsupported);
+    assert_eq!(buzz.stop_feedback(&app.session, left).err(), unsupported);
+}
+
+#[test]
+fn events_of_a_session_that_is_gone_are_not_told_to_the_next_one() {
+    let _run = Run::new(&virtual_config());
+    let App { stage, stream, waiter, session, gpu, instance, system } = App::new();
+    drop((stage, stream, waiter, session)); // IDLE and READY wait in the queue
+    // SAFETY: the binding's handles are valid, and outlive the session.
+    let next = unsafe { instance.create_session::<xr::Vulkan>(system, &gpu.binding()) }.expect("a session");
+    let mut storage = xr::EventDataBuffer::new();
+    let mut states = Vec::new();
+    while let Some(event) = instance.poll_event(&mut storage).expect("poll") {
+        let xr::Event::SessionStateChanged(change) = event else { panic!("state changes alone") };
+        assert_eq!(change.session(), next.0.as_raw());
+        states.push(change.state());
+    }
+    assert_eq!(states, [xr::SessionState::IDLE, xr::SessionState::READY]);
+    drop(next);
 }
 
 #[test]
