@@ -48,6 +48,8 @@ structures!(
     SpaceVelocity,
     ViewLocateInfo,
     ViewState,
+    View,
+    ViewConfigurationView,
     FrameWaitInfo,
     FrameBeginInfo,
     FrameState,
@@ -188,6 +190,26 @@ pub(crate) unsafe fn enumerate<T, I>(
         write(unsafe { &mut *buffer.add(index) }, item);
     }
     Ok(xr::Result::SUCCESS)
+}
+
+/// The two-call idiom for structures, whose types the caller has set.
+///
+/// # Safety
+/// As for [`enumerate`].
+pub(crate) unsafe fn enumerate_structures<T: Structure, I>(
+    (capacity, count, buffer): (u32, *mut u32, *mut T),
+    name: &str,
+    items: &[I],
+    write: impl Fn(&mut T, &I),
+) -> Outcome {
+    if capacity as usize >= items.len() && !buffer.is_null() {
+        for index in 0..items.len() {
+            // SAFETY: `index` is below `capacity`, for which `buffer` is valid by this function's own contract.
+            checked::<T>(unsafe { &*buffer.add(index) }.structure_type(), &format!("{name}[{index}]"))?;
+        }
+    }
+    // SAFETY: by this function's own contract.
+    unsafe { enumerate((capacity, count, buffer), items, write) }
 }
 
 /// The two-call idiom for a text, whose count includes the final zero.

@@ -425,7 +425,7 @@ entry! {
         check_view_configuration(view_configuration)?;
         // SAFETY: count and views are the caller's, of the capacity it says.
         unsafe {
-            ffi::enumerate((capacity, count, views), &[extent; 2], |view, [width, height]| {
+            ffi::enumerate_structures((capacity, count, views), "views", &[extent; 2], |view, [width, height]| {
                 view.recommended_image_rect_width = *width;
                 view.recommended_image_rect_height = *height;
                 view.max_image_rect_width = MAX_EXTENT_PIXELS;

@@ -312,7 +312,7 @@ entry! {
         let eyes = eyes(core).map(|(head_from_eye, fov)| (pose_to_xr(base_from_head.then(head_from_eye)), fov));
         // SAFETY: count and views are the caller's, of the capacity it says.
         unsafe {
-            ffi::enumerate((capacity, count, views), &eyes, |view, (pose, fov)| {
+            ffi::enumerate_structures((capacity, count, views), "views", &eyes, |view, (pose, fov)| {
                 view.pose = *pose;
                 view.fov = *fov;
             })

@@ -825,6 +825,59 @@ fn an_action_is_asked_for_the_paths_that_it_was_created_with_and_no_others() {
 }
 
 #[test]
+fn places_for_views_say_what_they_are() {
+    let _run = Run::new(&virtual_config());
+    let mut app = App::begun();
+    let time = app.empty_frame().predicted_display_time;
+    let functions = app.instance.fp();
+    let info = xr::sys::ViewLocateInfo {
+        ty: xr::sys::ViewLocateInfo::TYPE,
+        next: std::ptr::null(),
+        view_configuration_type: STEREO,
+        display_time: time,
+        space: app.stage.as_raw(),
+    };
+    let mut state = xr::sys::ViewState {
+        ty: xr::sys::ViewState::TYPE,
+        next: std::ptr::null_mut(),
+        view_state_flags: xr::ViewStateFlags::EMPTY,
+    };
+    let view = |ty| xr::sys::View {
+        ty,
+        next: std::ptr::null_mut(),
+        pose: xr::Posef::IDENTITY,
+        fov: xr::Fovf::default(),
+    };
+    let configuration = |ty| xr::sys::ViewConfigurationView {
+        ty,
+        next: std::ptr::null_mut(),
+        recommended_image_rect_width: 0,
+        max_image_rect_width: 0,
+        recommended_image_rect_height: 0,
+        max_image_rect_height: 0,
+        recommended_swapchain_sample_count: 0,
+        max_swapchain_sample_count: 0,
+    };
+    let (right, wrong) = (xr::sys::View::TYPE, xr::sys::ViewConfigurationView::TYPE);
+    let mut count = 0;
+    for (second, code) in [(right, Code::SUCCESS), (wrong, Code::ERROR_VALIDATION_FAILURE)] {
+        let mut views = [right, second].map(view);
+        let at = views.as_mut_ptr();
+        // SAFETY: a valid session, and structures and places that live through the call.
+        let found =
+            unsafe { (functions.locate_views)(app.session.as_raw(), &info, &mut state, 2, &mut count, at) };
+        assert_eq!((found, count), (code, 2), "{second:?}");
+    }
+    let enumerate = functions.enumerate_view_configuration_views;
+    for (second, code) in [(wrong, Code::SUCCESS), (right, Code::ERROR_VALIDATION_FAILURE)] {
+        let (mut views, handle) = ([wrong, second].map(configuration), app.instance.as_raw());
+        // SAFETY: a valid instance, and places that live through the call.
+        let found = unsafe { enumerate(handle, app.system, STEREO, 2, &mut count, views.as_mut_ptr()) };
+        assert_eq!(found, code, "{second:?}");
+    }
+}
+
+#[test]
 fn events_of_a_session_that_is_gone_are_not_told_to_the_next_one() {
     let _run = Run::new(&virtual_config());
     let App { stage, stream, waiter, session, gpu, instance, system } = App::new();
