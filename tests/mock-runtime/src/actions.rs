@@ -10,20 +10,8 @@ use xr::Handle as _;
 use crate::fault::{Fault, Outcome};
 use crate::ffi::{self, entry};
 use crate::paths::is_path_byte;
+use crate::profiles::KnownProfile;
 use crate::runtime::{self, Core};
-
-/// Interaction profiles of OpenXR 1.0, for which bindings may be suggested.
-const PROFILES: [&str; 9] = [
-    "/interaction_profiles/khr/simple_controller",
-    "/interaction_profiles/google/daydream_controller",
-    "/interaction_profiles/htc/vive_controller",
-    "/interaction_profiles/htc/vive_pro",
-    "/interaction_profiles/microsoft/motion_controller",
-    "/interaction_profiles/microsoft/xbox_controller",
-    "/interaction_profiles/oculus/go_controller",
-    "/interaction_profiles/oculus/touch_controller",
-    "/interaction_profiles/valve/index_controller",
-];
 
 /// The action sets and actions of one instance.
 #[derive(Default)]
@@ -234,11 +222,7 @@ entry! {
     ) {
         let mut runtime = runtime::lock();
         let core = runtime.core(instance)?;
-        let profile = core.paths.text(suggested.interaction_profile)?;
-        if !PROFILES.contains(&profile) {
-            // Applications try profiles in turn; an unknown one is not a mistake.
-            return Err(Fault::quiet(xr::Result::ERROR_PATH_UNSUPPORTED));
-        }
+        let profile = KnownProfile::named(core.paths.text(suggested.interaction_profile)?)?;
         if suggested.count_suggested_bindings == 0 {
             return Err(Fault::usage("there are no bindings"));
         }
@@ -247,11 +231,7 @@ entry! {
             ffi::array(suggested.suggested_bindings, suggested.count_suggested_bindings, "suggestedBindings")
         }?;
         for binding in bindings {
-            let text = core.paths.text(binding.binding)?;
-            if !text.starts_with("/user/") {
-                let message = format!("binding {text} is not a user path");
-                return Err(Fault::application(xr::Result::ERROR_PATH_UNSUPPORTED, message));
-            }
+            profile.check(core.paths.text(binding.binding)?)?;
             if core.actions.is_frozen(binding.action)? {
                 return Err(already_attached("a bound action's set is attached"));
             }

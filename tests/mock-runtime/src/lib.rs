@@ -32,6 +32,7 @@ pub mod manifest;
 mod names;
 mod negotiate;
 mod paths;
+mod profiles;
 pub mod record;
 mod runtime;
 mod session;
