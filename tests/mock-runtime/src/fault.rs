@@ -79,12 +79,13 @@ fn report(function: &'static str, fault: &Fault) {
     }
     let code = names::result(fault.code);
     eprintln!("shadecast-mock-runtime: {function}: {code}: {}", fault.message);
-    let messengers = {
+    let (messengers, labels) = {
         let mut runtime = runtime::lock();
-        runtime.instance.as_mut().map(|instance| {
+        let messengers = runtime.instance.as_mut().map(|instance| {
             instance.core.tally.errors += u64::from(fault.blame == Blame::Application);
             instance.core.messengers.clone()
-        })
+        });
+        (messengers.unwrap_or_default(), runtime.labels())
     };
-    debug_utils::deliver(messengers.unwrap_or_default(), function, &format!("{code}: {}", fault.message));
+    debug_utils::deliver(messengers, &labels, function, &format!("{code}: {}", fault.message));
 }

@@ -7,6 +7,7 @@ use openxr_sys as xr;
 use xr::Handle as _;
 
 use crate::config::{CONFIG_VARIABLE, ConfigError, MAX_EXTENT_PIXELS, MockConfig};
+use crate::debug_utils::ObjectNames;
 use crate::fault::{Fault, Outcome};
 use crate::ffi::{self, entry};
 use crate::head_path::HeadPath;
@@ -169,6 +170,7 @@ fn new_core(
         paths: Default::default(),
         actions: Default::default(),
         messengers: Vec::new(),
+        object_names: ObjectNames::default(),
         vulkan: None,
         requirements_asked: false,
         loss_time_ns: None,

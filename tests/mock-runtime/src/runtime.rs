@@ -9,7 +9,7 @@ use xr::Handle as _;
 
 use crate::actions::Actions;
 use crate::config::{ClockKind, EventKind, MockConfig};
-use crate::debug_utils::Messenger;
+use crate::debug_utils::{Labels, Messenger, ObjectNames};
 use crate::fault::{Fault, Outcome};
 use crate::frame::FrameLoop;
 use crate::gpu::Gpu;
@@ -60,6 +60,7 @@ pub(crate) struct Core {
     pub(crate) paths: Paths,
     pub(crate) actions: Actions,
     pub(crate) messengers: Vec<Messenger>,
+    pub(crate) object_names: ObjectNames,
     pub(crate) vulkan: Option<Vulkan>,
     pub(crate) requirements_asked: bool,
     /// `XrTime` in nanoseconds from which on every call answers INSTANCE_LOST.
@@ -86,6 +87,7 @@ pub(crate) struct Session {
     pub(crate) swapchains: HashMap<u64, Swapchain>,
     pub(crate) spaces: HashMap<u64, Space>,
     pub(crate) action_sets_attached: bool,
+    pub(crate) labels: Labels,
 }
 
 /// An event that waits for `xrPollEvent`.
@@ -180,6 +182,12 @@ impl Runtime {
     pub(crate) fn instance_even_lost(&mut self, handle: xr::Instance) -> Outcome<&mut InstanceState> {
         let raw = handle.into_raw();
         self.instance.as_mut().filter(|i| i.core.handle == raw).ok_or_else(|| Fault::handle("instance"))
+    }
+
+    /// Those of the session that there is.
+    pub(crate) fn labels(&self) -> Labels {
+        let session = self.instance.as_ref().and_then(|instance| instance.session.as_ref());
+        session.map_or_else(Labels::default, |session| session.labels.clone())
     }
 
     /// The instance of `handle`; a lost one is refused.

@@ -4,6 +4,7 @@ use openxr_sys as xr;
 use xr::Handle as _;
 
 use crate::config::EventKind;
+use crate::debug_utils::Labels;
 use crate::fault::{Fault, Outcome};
 use crate::ffi::{self, entry};
 use crate::frame::FrameLoop;
@@ -245,6 +246,7 @@ entry! {
             swapchains: Default::default(),
             spaces: Default::default(),
             action_sets_attached: false,
+            labels: Labels::default(),
         });
         *session = xr::Session::from_raw(handle);
         Ok(xr::Result::SUCCESS)
