@@ -45,11 +45,14 @@ pub(crate) struct ImageInfo {
     pub(crate) mip_count: u32,
     pub(crate) usage: vk::ImageUsageFlags,
     pub(crate) mutable_format: bool,
+    /// The format is of depths.
+    pub(crate) is_depth: bool,
 }
 
 /// An image with its memory.
 pub(crate) struct GpuImage {
     pub(crate) image: vk::Image,
+    is_depth: bool,
     memory: vk::DeviceMemory,
 }
 
@@ -78,13 +81,15 @@ fn failure(doing: &str, error: vk::Result) -> Fault {
     Fault::runtime(code, format!("{doing} on the application's Vulkan device: {error}"))
 }
 
-const WHOLE: vk::ImageSubresourceRange = vk::ImageSubresourceRange {
-    aspect_mask: vk::ImageAspectFlags::COLOR,
-    base_mip_level: 0,
-    level_count: vk::REMAINING_MIP_LEVELS,
-    base_array_layer: 0,
-    layer_count: vk::REMAINING_ARRAY_LAYERS,
-};
+const fn whole(aspect_mask: vk::ImageAspectFlags) -> vk::ImageSubresourceRange {
+    vk::ImageSubresourceRange {
+        aspect_mask,
+        base_mip_level: 0,
+        level_count: vk::REMAINING_MIP_LEVELS,
+        base_array_layer: 0,
+        layer_count: vk::REMAINING_ARRAY_LAYERS,
+    }
+}
 
 /// A layout change that waits for all earlier commands of the queue and holds back all later ones.
 fn change_of_layout(
@@ -100,7 +105,7 @@ fn change_of_layout(
         .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
         .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
         .image(image)
-        .subresource_range(WHOLE)
+        .subresource_range(whole(vk::ImageAspectFlags::COLOR))
 }
 
 impl Gpu {
@@ -173,19 +178,19 @@ impl Gpu {
         // SAFETY: the device lives, and check_image found that it makes such images.
         let image = unsafe { self.device.create_image(&create_info, None) }
             .map_err(|error| failure("cannot make a swapchain image", error))?;
-        self.bind_image(image).inspect_err(|_| {
+        self.bind_image(image, info.is_depth).inspect_err(|_| {
             // SAFETY: the image was made above, and nobody else has it.
             unsafe { self.device.destroy_image(image, None) }
         })
     }
 
-    fn bind_image(&self, image: vk::Image) -> Outcome<GpuImage> {
+    fn bind_image(&self, image: vk::Image, is_depth: bool) -> Outcome<GpuImage> {
         // SAFETY: the image is of this device.
         let needs = unsafe { self.device.get_image_memory_requirements(image) };
         let memory = self.allocate(needs, vk::MemoryPropertyFlags::DEVICE_LOCAL, "a swapchain image")?;
         // SAFETY: the memory was allocated for this image, and neither is bound.
         match unsafe { self.device.bind_image_memory(image, memory, 0) } {
-            Ok(()) => Ok(GpuImage { image, memory }),
+            Ok(()) => Ok(GpuImage { image, is_depth, memory }),
             Err(error) => {
                 // SAFETY: nothing is bound to the memory.
                 unsafe { self.device.free_memory(memory, None) };
@@ -252,13 +257,14 @@ impl Gpu {
             .map_err(|error| failure(&format!("cannot allocate memory for {what}"), error))
     }
 
-    /// Puts a new image into COLOR_ATTACHMENT_OPTIMAL, in which the application gets it.
+    /// Puts a new image into the layout of its attachment, in which the application gets it.
     pub(crate) fn hand_over(&mut self, image: &GpuImage) -> Outcome<()> {
-        let barrier = change_of_layout(
-            image.image,
-            vk::ImageLayout::UNDEFINED,
-            vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL,
-        );
+        let (layout, aspect) = match image.is_depth {
+            true => (vk::ImageLayout::DEPTH_STENCIL_ATTACHMENT_OPTIMAL, vk::ImageAspectFlags::DEPTH),
+            false => (vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL, vk::ImageAspectFlags::COLOR),
+        };
+        let barrier = change_of_layout(image.image, vk::ImageLayout::UNDEFINED, layout)
+            .subresource_range(whole(aspect));
         self.submit(|gpu| gpu.barrier(&[barrier], &[]))
             .map_err(|error| failure("cannot hand over a swapchain image", error))
     }

@@ -155,6 +155,9 @@ pub(crate) fn checked_pose(pose: &xr::Posef, what: &str) -> Outcome<Pose> {
 fn check_sub_image(session: &Session, part: &xr::SwapchainSubImage) -> Outcome<u32> {
     let swapchain =
         session.swapchains.get(&part.swapchain.into_raw()).ok_or_else(|| Fault::handle("swapchain"))?;
+    if swapchain.is_depth() {
+        return Err(invalid_layer("the layer's swapchain holds depths; a layer shows colours"));
+    }
     check_rect(swapchain, &part.image_rect)?;
     if part.image_array_index >= swapchain.array_size {
         let message = format!(

@@ -12,8 +12,9 @@ use crate::ffi::{self, entry};
 use crate::gpu::{Gpu, GpuImage, ImageInfo};
 use crate::runtime::{self, Session};
 
-/// Formats of swapchains, the preferred one first.
-const FORMATS: [vk::Format; 2] = [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB];
+/// Formats of swapchains, the preferred ones first: colour, then depth, of which every device has both.
+const FORMATS: [vk::Format; 4] =
+    [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB, vk::Format::D32_SFLOAT, vk::Format::D16_UNORM];
 
 /// Images of a swapchain that is not static.
 const IMAGE_COUNT: u32 = 3;
@@ -29,13 +30,18 @@ pub(crate) struct Swapchain {
 
 struct SwapchainImage {
     image: GpuImage,
-    /// True once the image is in COLOR_ATTACHMENT_OPTIMAL, which its first acquire sees to.
+    /// True once the image is in the layout in which the application gets it, which its first acquire sees to.
     in_layout: bool,
 }
 
 impl Swapchain {
     pub(crate) fn image(&self, index: u32) -> vk::Image {
         self.gpu_images[index as usize].image.image
+    }
+
+    /// True where it holds depths.
+    pub(crate) fn is_depth(&self) -> bool {
+        is_depth(self.format)
     }
 
     /// True where a texel's first byte is blue.
@@ -48,6 +54,10 @@ impl Swapchain {
             gpu.destroy_image(image.image);
         }
     }
+}
+
+fn is_depth(format: vk::Format) -> bool {
+    matches!(format, vk::Format::D32_SFLOAT | vk::Format::D16_UNORM)
 }
 
 /// Who holds which image: the application acquires them in turn, waits for the oldest and releases it.
@@ -165,22 +175,31 @@ fn image_info(info: &xr::SwapchainCreateInfo) -> Outcome<ImageInfo> {
         extent: sizes,
         array_size: info.array_size,
         mip_count: info.mip_count,
-        usage: vulkan_usage(info.usage_flags)?,
+        usage: vulkan_usage(info.usage_flags, is_depth(format))?,
+        is_depth: is_depth(format),
         mutable_format: mutable,
     })
 }
 
-/// The application's usages, and those that the runtime needs itself: COLOR_ATTACHMENT for the layout in which images
+/// The application's usages, and those that the runtime needs itself: the attachment's, for the layout in which images
 /// are handed over, TRANSFER_SRC for captures.
-fn vulkan_usage(flags: xr::SwapchainUsageFlags) -> Outcome<vk::ImageUsageFlags> {
+fn vulkan_usage(flags: xr::SwapchainUsageFlags, is_depth: bool) -> Outcome<vk::ImageUsageFlags> {
     type Xr = xr::SwapchainUsageFlags;
     type Vk = vk::ImageUsageFlags;
-    if flags.contains(Xr::DEPTH_STENCIL_ATTACHMENT) {
-        let message = "DEPTH_STENCIL_ATTACHMENT does not go with a colour format";
+    let (wrong, message) = match is_depth {
+        true => (
+            Xr::COLOR_ATTACHMENT | Xr::UNORDERED_ACCESS,
+            "neither COLOR_ATTACHMENT nor UNORDERED_ACCESS goes with a depth format",
+        ),
+        false => (Xr::DEPTH_STENCIL_ATTACHMENT, "DEPTH_STENCIL_ATTACHMENT does not go with a colour format"),
+    };
+    if flags.intersects(wrong) {
         return Err(Fault::application(xr::Result::ERROR_FEATURE_UNSUPPORTED, message));
     }
+    let attachment = if is_depth { Vk::DEPTH_STENCIL_ATTACHMENT } else { Vk::COLOR_ATTACHMENT };
     let pairs = [
         (Xr::COLOR_ATTACHMENT, Vk::COLOR_ATTACHMENT),
+        (Xr::DEPTH_STENCIL_ATTACHMENT, Vk::DEPTH_STENCIL_ATTACHMENT),
         (Xr::UNORDERED_ACCESS, Vk::STORAGE),
         (Xr::TRANSFER_SRC, Vk::TRANSFER_SRC),
         (Xr::TRANSFER_DST, Vk::TRANSFER_DST),
@@ -188,7 +207,7 @@ fn vulkan_usage(flags: xr::SwapchainUsageFlags) -> Outcome<vk::ImageUsageFlags> 
         (Xr::INPUT_ATTACHMENT, Vk::INPUT_ATTACHMENT),
     ];
     let asked = pairs.into_iter().filter(|(xr, _)| flags.contains(*xr)).map(|(_, vk)| vk);
-    Ok(asked.fold(Vk::COLOR_ATTACHMENT | Vk::TRANSFER_SRC, |all, usage| all | usage))
+    Ok(asked.fold(attachment | Vk::TRANSFER_SRC, |all, usage| all | usage))
 }
 
 entry! {

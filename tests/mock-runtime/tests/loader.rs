@@ -221,7 +221,9 @@ fn the_system_is_a_stereo_headset_of_the_configured_size() {
     let modes = instance.enumerate_environment_blend_modes(system, STEREO).expect("modes");
     assert_eq!(modes, [xr::EnvironmentBlendMode::OPAQUE]);
     let formats = app.session.enumerate_swapchain_formats().expect("formats");
-    let wanted = [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB].map(|format| format.as_raw() as u32);
+    let wanted =
+        [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB, vk::Format::D32_SFLOAT, vk::Format::D16_UNORM];
+    let wanted = wanted.map(|format| format.as_raw() as u32);
     assert_eq!(formats, wanted);
     assert_eq!(app.session.enumerate_reference_spaces().expect("spaces").len(), 3);
     let hand = instance.system(xr::FormFactor::HANDHELD_DISPLAY);
@@ -300,6 +302,58 @@ fn swapchain_order(app: &App, swapchain: &xr::Swapchain<xr::Vulkan>) {
             "no image left"
         );
     }
+}
+
+#[test]
+fn depth_swapchains_are_attachments_of_depth_and_no_layer_shows_them() {
+    type Usage = xr::SwapchainUsageFlags;
+    let run = Run::new(&virtual_config());
+    let mut app = App::begun();
+    app.empty_frame();
+    let create = |format: vk::Format, usage_flags| {
+        app.session.create_swapchain(&xr::SwapchainCreateInfo {
+            create_flags: xr::SwapchainCreateFlags::EMPTY,
+            usage_flags,
+            format: format.as_raw() as u32,
+            sample_count: 1,
+            width: SIZE[0],
+            height: SIZE[1],
+            face_count: 1,
+            array_size: 2,
+            mip_count: 1,
+        })
+    };
+    let unsupported = Some(Code::ERROR_FEATURE_UNSUPPORTED);
+    for (format, usage) in [
+        (vk::Format::D32_SFLOAT, Usage::COLOR_ATTACHMENT),
+        (vk::Format::D16_UNORM, Usage::DEPTH_STENCIL_ATTACHMENT | Usage::UNORDERED_ACCESS),
+        (vk::Format::R8G8B8A8_SRGB, Usage::DEPTH_STENCIL_ATTACHMENT),
+    ] {
+        assert_eq!(create(format, usage).err(), unsupported, "{format:?} as {usage:?}");
+    }
+    let usage = Usage::DEPTH_STENCIL_ATTACHMENT | Usage::SAMPLED;
+    let chains = [vk::Format::D32_SFLOAT, vk::Format::D16_UNORM].map(|format| create(format, usage));
+    let state = app.waiter.wait().expect("wait");
+    app.stream.begin().expect("begin");
+    let time = state.predicted_display_time;
+    let (_, views) = app.session.locate_views(STEREO, time, &app.stage).expect("views");
+    let [x, y, width, height] = WHOLE;
+    for chain in chains {
+        let mut chain = chain.expect("a depth swapchain");
+        for _ in 0..4 {
+            chain.acquire_image().expect("acquire");
+            chain.wait_image(xr::Duration::INFINITE).expect("wait");
+            chain.release_image().expect("release");
+        }
+        let parts = [0, 1].map(|eye| view(&chain, eye as u32, rect(x, y, width, height), &views[eye]));
+        let layer = xr::CompositionLayerProjection::new().space(&app.stage).views(&parts);
+        let refused = app.stream.end(time, xr::EnvironmentBlendMode::OPAQUE, &[&layer]);
+        assert_eq!(refused.expect_err("depths are no colours"), Code::ERROR_LAYER_INVALID);
+    }
+    app.stream.end(time, xr::EnvironmentBlendMode::OPAQUE, &[]).expect("end");
+    drop(app);
+    assert_eq!(validation_messages(), 0);
+    assert_eq!(read_summary(&run.captures()).expect("summary").errors, 3 + 2);
 }
 
 #[test]
