@@ -5,9 +5,10 @@ use android_activity::AndroidApp;
 use anyhow::Context;
 use openxr::AndroidPlatformInfo;
 use shadecast_client::client::ClientOptions;
+use shadecast_client::display::Display;
 use shadecast_client::net::{self, RunOptions};
 use shadecast_client::platform::Platform;
-use shadecast_client::xr::XrOptions;
+use shadecast_client::xr::{Xr, XrOptions};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -67,7 +68,6 @@ fn run(app: &AndroidApp, settings: &Settings, data_folder: PathBuf, stop: &Atomi
         server: settings.server.clone(),
         identity_dir: data_folder,
         client: ClientOptions::default(),
-        xr: XrOptions { validation: false },
         fingerprint: None,
         seconds: 0.0,
         trace: None,
@@ -76,7 +76,8 @@ fn run(app: &AndroidApp, settings: &Settings, data_folder: PathBuf, stop: &Atomi
     let machine = unsafe { jni::JavaVM::from_raw(app.vm_as_ptr().cast()) };
     machine.attach_current_thread(|_| {
         let platform = Platform { activity: openxr_platform(app) };
-        let outcome = net::run(&platform, &options, stop, &mut |_, _| Ok(()));
+        let mut open = || Ok(Box::new(Xr::open(&platform, XrOptions::default())?) as Box<dyn Display>);
+        let outcome = net::run(&mut open, &options, stop, &mut |_, _| Ok(()));
         outcome.ended.context("showing the server's scene")
     })
 }

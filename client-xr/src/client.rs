@@ -6,6 +6,8 @@
 pub use crate::report::{ClientError, FrameReport, Step};
 
 use crate::decoding::{DecodeTiming, Decoded};
+use crate::display::{Display, Views};
+use crate::figures::Figures;
 use crate::link::Link;
 use crate::platform::{self, MakeDecoder};
 use crate::renderer::Renderer;
@@ -15,7 +17,6 @@ use crate::stages::atlas_draw::Lookup;
 use crate::stages::interpolate::Interpolation;
 use crate::stages::probe::ProbeView;
 use crate::stats::{ClientStats, Counters};
-use crate::xr::{Views, Xr};
 use shadecast_gpu::{Gpu, Timings};
 use shadecast_protocol::delta::ReceivedDelta;
 use shadecast_protocol::ids::UpdateId;
@@ -106,6 +107,7 @@ pub struct Client {
     pub(crate) options: ClientOptions,
     pub(crate) now: ClientTime,
     counters: Counters,
+    figures: Figures,
     notices: VecDeque<Notice>,
     /// Pictures that were decoded, for who wants to know how long that took.
     decoded: VecDeque<DecodedIn>,
@@ -121,16 +123,17 @@ impl Drop for Client {
 }
 
 impl Client {
-    /// A client on an open headset, not connected.
-    pub fn new(xr: Xr, options: ClientOptions) -> Result<Self, ClientError> {
-        let counters = Counters::new(xr.headset.gpu(), xr.headset.runtime_name());
+    /// A client on an open display, not connected.
+    pub fn new(display: Box<dyn Display>, options: ClientOptions) -> Result<Self, ClientError> {
+        let counters = Counters::new(display.gpu(), display.name());
         Ok(Self {
             scenes: Scenes::default(),
-            renderer: Renderer::new(xr, options.msaa, options.lookup)?,
+            renderer: Renderer::new(display, options.msaa, options.lookup)?,
             link: Link::default(),
             options,
             now: ClientTime(0),
             counters,
+            figures: Figures::default(),
             notices: VecDeque::new(),
             decoded: VecDeque::with_capacity(MAX_DECODED_TOLD),
         })
@@ -143,7 +146,7 @@ impl Client {
 
     /// Asks the runtime to end the session; [`Step::Exit`] follows.
     pub fn request_exit(&mut self) {
-        self.renderer.xr.headset.request_exit();
+        self.renderer.display.request_exit();
     }
 
     /// The device.
@@ -356,6 +359,7 @@ impl Client {
         period_ns: i64,
     ) {
         self.counters.count(frame);
+        self.show_figures(frame, picture_arrived);
         self.renderer.note(frame, views.stage_from_head);
         self.link.note_eyes(views, period_ns);
         if let Some(scene) = self.scenes.arriving()
@@ -364,6 +368,16 @@ impl Client {
             self.link.tell_head(scene.serial, time, scene.terms.world_from_stage, views);
         }
         self.link.report(self.scenes.shown().map(|scene| scene.serial), frame, picture_arrived);
+    }
+
+    /// Tells who wants to see it how it goes.
+    fn show_figures(&mut self, frame: &FrameReport, picture_arrived: Option<ClientTime>) {
+        let display = &mut self.renderer.display;
+        if !display.wants_figures() {
+            self.figures = Figures::default();
+        } else if let Some(lines) = self.figures.note(&self.counters, frame, picture_arrived) {
+            display.show_figures(lines);
+        }
     }
 
     /// The head's state at the last display frame, once the server's clock is known.

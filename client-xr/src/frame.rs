@@ -2,12 +2,12 @@
 //! stages are here and nowhere else.
 
 use crate::client::Client;
+use crate::display::{Activity, FrameTurn, Views};
 use crate::renderer::LastDrawn;
 use crate::report::{ClientError, FrameReport, Step};
 use crate::scene::{SceneReport, Switched};
 use crate::scenes::{server_clock, server_time};
 use crate::stages::{ARRIVALS, VERTEX_MEMORY_USE, eyes_gpu};
-use crate::xr::{Activity, FrameTurn, Views};
 use shadecast_gpu::{Access, Recorder};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::pose::Pose;
@@ -38,7 +38,7 @@ impl Client {
         &mut self,
         poll_inbox: impl FnOnce(&mut Self) -> Result<(), ClientError>,
     ) -> Result<Step, ClientError> {
-        match self.renderer.xr.headset.poll_events()? {
+        match self.renderer.display.poll_events()? {
             Activity::Running => {}
             Activity::Idle => {
                 poll_inbox(self)?;
@@ -47,7 +47,7 @@ impl Client {
             }
             Activity::Exit => return Ok(Step::Exit),
         }
-        let turn = self.renderer.xr.headset.wait_frame()?;
+        let turn = self.renderer.display.wait_frame()?;
         poll_inbox(self)?;
         self.link.watch(turn.should_render, self.now);
         if turn.should_render { self.render(turn) } else { self.skip(turn) }
@@ -56,9 +56,9 @@ impl Client {
     /// A frame that nobody sees. The head goes on to be told.
     fn skip(&mut self, turn: FrameTurn) -> Result<Step, ClientError> {
         self.take_in_arrivals()?;
-        let views = self.renderer.xr.headset.locate_views(&turn)?;
+        let views = self.renderer.display.locate_views(&turn)?;
         let report = self.finish(&turn, &views, Content::default(), false);
-        self.renderer.xr.headset.end_empty_frame(turn)?;
+        self.renderer.display.end_empty_frame(turn)?;
         Ok(report)
     }
 
@@ -67,22 +67,22 @@ impl Client {
         let mut recorder = self.renderer.gpu.record()?;
         let content = self.record_scene(&mut recorder, flight, &turn)?;
 
-        let image = self.renderer.xr.swapchain.acquire()?;
+        let image = self.renderer.display.acquire_image()?;
         let world = self.scenes.shown().filter(|_| content.update.is_some());
         let (stages, words) = (&mut self.renderer.stages, &self.renderer.words);
         recorder.scope("draw", |r| {
-            stages.targets.begin(r, image.index());
+            stages.targets.begin(r, image);
             if let Some(scene) = world {
                 scene.record_draw(r, stages, flight, content.scene.index_count);
             }
             words.record_backdrop(r, stages, flight, world);
-            words.record_notice(r, stages, flight, world, self.link.has_session());
+            words.record_notice(r, stages, flight, world);
             r.end_pass();
         });
         let space_from_stage = world.map_or(Pose::IDENTITY, |scene| scene.terms.world_from_stage);
 
         // All is recorded: now the eyes, as late as possible.
-        let views = self.renderer.xr.headset.locate_views(&turn)?;
+        let views = self.renderer.display.locate_views(&turn)?;
         let space_from_eye = views.stage_from_eye.map(|stage_from_eye| space_from_stage.then(stage_from_eye));
         let eyes = eyes_gpu(space_from_eye, space_from_eye, views.fov);
         self.renderer.stages.write_eyes(flight, &eyes);
@@ -92,11 +92,11 @@ impl Client {
         if let Some(scene) = self.scenes.shown_mut() {
             scene.used_by(ticket);
         }
-        image.release()?;
+        self.renderer.display.release_image()?;
         let index_count = content.scene.index_count;
         self.renderer.last_drawn = content.update.map(|_| LastDrawn { eyes, index_count });
         let report = self.finish(&turn, &views, content, true);
-        self.renderer.xr.headset.end_frame(turn, &views, &self.renderer.xr.swapchain)?;
+        self.renderer.display.end_frame(turn, &views)?;
         Ok(report)
     }
 

@@ -8,7 +8,9 @@ pub mod client;
 pub mod coverage;
 pub mod decode;
 pub mod decoding;
+pub mod display;
 pub mod draw_list;
+mod figures;
 pub mod frame;
 mod link;
 pub mod motion;
@@ -23,4 +25,6 @@ pub mod stats;
 mod stillness;
 pub mod traced;
 pub mod watch;
+#[cfg(feature = "desktop")]
+pub mod window;
 pub mod xr;

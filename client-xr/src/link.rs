@@ -4,9 +4,9 @@
 
 use crate::decode::{Decoder, Picture};
 use crate::decoding::{self, DecodeTiming, Decoded, Decoding};
+use crate::display::Views;
 use crate::report::FrameReport;
 use crate::watch::Watch;
-use crate::xr::Views;
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::clock::ClockEstimator;
 use shadecast_protocol::ids::DiscontinuityId;
@@ -77,11 +77,6 @@ impl Link {
         self.is_connected = false;
         let Connection { serial, session, .. } = self.connection.take()?;
         Some(Ended { serial, clock: session.clock().clone() })
-    }
-
-    /// Whether a session stands, or is on its way to.
-    pub(crate) fn has_session(&self) -> bool {
-        self.connection.is_some()
     }
 
     /// Begins the session that is due, if one is, with what `capabilities` makes of eyes and display period.

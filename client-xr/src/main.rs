@@ -1,23 +1,31 @@
 //! `shadecast-client`: the command line around [`shadecast_client::net`].
 
 use anyhow::Context;
-use clap::{Parser, ValueEnum};
+use clap::{Args, Parser, ValueEnum};
 use shadecast_client::client::{Client, ClientError, ClientOptions, FrameReport};
+use shadecast_client::display::{Display, DisplayError};
 use shadecast_client::net::{self, RunOptions};
 use shadecast_client::platform::Platform;
 use shadecast_client::stages::atlas_draw::{Lookup, Reconstruction};
 use shadecast_client::stages::interpolate::Interpolation;
 use shadecast_client::stats::ClientStats;
-use shadecast_client::xr::XrOptions;
-use shadecast_protocol::text::with_causes;
+use shadecast_client::window::{Desktop, WindowDisplay, WindowOptions};
+use shadecast_client::xr::{Xr, XrOptions};
+use shadecast_protocol::flags::{number, size};
+use shadecast_protocol::text::{printable, with_causes};
 use shadecast_transport::{Fingerprint, write_atomically};
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
 /// Longest time that a run may be limited to, seconds: eleven days.
 const MAX_SECONDS: f64 = 1e6;
+
+/// Pixels of a window where nobody says how many.
+const WINDOW_EXTENT: [u32; 2] = [1280, 800];
 
 /// Set by SIGINT and SIGTERM.
 static STOP: AtomicBool = AtomicBool::new(false);
@@ -26,13 +34,17 @@ const EXAMPLES: &str = "\
 Examples:
   shadecast-client --connect 192.168.1.5:7400
   XR_RUNTIME_JSON=/usr/share/openxr/1/openxr_monado.json shadecast-client
+  shadecast-client --window --connect 192.168.1.5:7400
   shadecast-client --seconds 10 --stats stats.json --validation
+
+In a window: drag to look around, WASD and QE walk, the wheel changes the speed, Tab switches between flying and orbiting,
+B shows both eyes, F figures, R goes back to the start, Esc ends.
 
 The OpenXR runtime is the system's active one, or the one whose manifest XR_RUNTIME_JSON names.
 A server is trusted at the first connection and known by its identity afterwards; --fingerprint demands one.
 The program exits with 0 when the runtime or the user ends the session. Ctrl-C ends it; a second one at once.";
 
-/// Shows an animated scene that a Shadecast server shades, on an OpenXR headset.
+/// Shows an animated scene that a Shadecast server shades, on an OpenXR headset or in a window.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Arguments {
@@ -75,6 +87,39 @@ struct Arguments {
     /// Say only what goes wrong
     #[arg(long)]
     quiet: bool,
+    #[command(flatten)]
+    window: WindowArguments,
+}
+
+#[derive(Args)]
+struct WindowArguments {
+    /// Show it in a window of the desktop: needs neither headset nor OpenXR runtime
+    #[arg(long)]
+    window: bool,
+    /// Pixels of each eye, and of the window at first [default: 1280x800]
+    #[arg(long, value_name = "WxH", requires = "window", value_parser = size)]
+    size: Option<[u32; 2]>,
+    /// Field of view from top to bottom, degrees
+    #[arg(
+        long,
+        value_name = "DEG",
+        requires = "window",
+        default_value_t = 60.0,
+        value_parser = number(20.0_f32..=120.0, "degrees")
+    )]
+    fov: f32,
+    /// The window shows both eyes from the start
+    #[arg(long, requires = "window")]
+    both_eyes: bool,
+    /// The window starts without figures
+    #[arg(long, requires = "window")]
+    no_figures: bool,
+    /// Write what the window showed last to this file
+    #[arg(long, value_name = "FILE.png", requires = "window")]
+    screenshot: Option<PathBuf>,
+    /// Part of the name of the Vulkan device that draws the window
+    #[arg(long, value_name = "NAME", requires = "window")]
+    device: Option<String>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -125,14 +170,16 @@ fn wants_colour() -> bool {
 }
 
 fn log_to_stderr(level: tracing::Level) {
-    tracing_subscriber::fmt()
-        .with_max_level(level)
+    let filter = tracing_subscriber::filter::Targets::new()
+        .with_default(level)
+        .with_target("winit", tracing::Level::ERROR); // it warns of displays without a size
+    let lines = tracing_subscriber::fmt::layer()
         .with_target(false)
         .without_time()
         .with_ansi(wants_colour())
         .with_writer(std::io::stderr)
-        .log_internal_errors(false)
-        .init();
+        .log_internal_errors(false);
+    tracing_subscriber::registry().with(lines).with(filter).init();
 }
 
 fn main() -> ExitCode {
@@ -173,7 +220,6 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
             msaa: if arguments.msaa == "1" { 1 } else { 4 },
             ..ClientOptions::default()
         },
-        xr: XrOptions { validation: arguments.validation },
         seconds: arguments.seconds,
         trace: arguments.trace.clone(),
     };
@@ -187,7 +233,8 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
             .with_context(|| format!("making {}", probes.folder.display()))?;
     }
     let mut announced = arguments.quiet;
-    let outcome = net::run(&Platform, &options, &STOP, &mut |client, report| {
+    let mut open = opener(arguments)?;
+    let outcome = net::run(&mut *open, &options, &STOP, &mut |client, report| {
         if !std::mem::replace(&mut announced, true) {
             announce(client);
         }
@@ -200,6 +247,28 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     outcome.ended?;
     probes.and_then(|probes| probes.failure).map_or(written, Err)
+}
+
+/// What opens the headset, or the window in its place.
+fn opener(arguments: &Arguments) -> Result<Box<net::Opener<'static>>, DisplayError> {
+    let validation = arguments.validation;
+    let window = &arguments.window;
+    if !window.window {
+        let options = XrOptions { validation };
+        return Ok(Box::new(move || Ok(Box::new(Xr::open(&Platform, options)?) as Box<dyn Display>)));
+    }
+    let options = WindowOptions {
+        title: printable(&arguments.connect),
+        extent_pixels: window.size.unwrap_or(WINDOW_EXTENT),
+        fov_deg: window.fov,
+        both_eyes: window.both_eyes,
+        figures: !window.no_figures,
+        screenshot: window.screenshot.clone(),
+        validation,
+        device_name: window.device.clone(),
+    };
+    let desktop = Desktop::connect()?;
+    Ok(Box::new(move || Ok(Box::new(WindowDisplay::open(&desktop, &options)?) as Box<dyn Display>)))
 }
 
 fn write_stats(path: &Path, stats: &ClientStats) -> anyhow::Result<()> {

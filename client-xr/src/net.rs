@@ -6,10 +6,10 @@ mod dialler;
 mod lines;
 
 use crate::client::{Client, ClientError, ClientOptions, FrameReport, Step};
-use crate::platform::{Platform, monotonic_now};
+use crate::display::{Display, DisplayError};
+use crate::platform::monotonic_now;
 use crate::stats::ClientStats;
 use crate::traced::Traced;
-use crate::xr::{Xr, XrError, XrOptions};
 use connector::Connector;
 use shadecast_protocol::time::ClientTime;
 use shadecast_trace::{Trace, TraceError};
@@ -42,8 +42,6 @@ pub struct RunOptions {
     pub identity_dir: PathBuf,
     /// How the client behaves.
     pub client: ClientOptions,
-    /// How the headset is opened.
-    pub xr: XrOptions,
     /// Seconds from the start at which the session is asked to end; 0: never.
     pub seconds: f64,
     /// Writes there what happens when, for Perfetto.
@@ -81,37 +79,39 @@ pub enum RunError {
     /// The socket.
     #[error(transparent)]
     Driver(#[from] DriverError),
-    /// Headset or device.
+    /// Display or device.
     #[error(transparent)]
     Client(#[from] ClientError),
 }
 
-impl From<XrError> for RunError {
-    fn from(error: XrError) -> Self {
+impl From<DisplayError> for RunError {
+    fn from(error: DisplayError) -> Self {
         Self::Client(error.into())
     }
 }
 
+/// Opens the display; once more after it was lost.
+pub type Opener<'a> = dyn FnMut() -> Result<Box<dyn Display>, DisplayError> + 'a;
+
 /// Who watches a run: called after each display frame.
 pub type Observer<'a> = dyn FnMut(&mut Client, &FrameReport) -> Result<(), ClientError> + 'a;
 
-/// Runs until the headset's session ends, `stop` is set, the time is over, or something fails for good. A lost headset is
+/// Runs until the display's session ends, `stop` is set, the time is over, or something fails for good. A lost display is
 /// opened anew; what was counted before counts on.
 pub fn run(
-    platform: &Platform,
+    open: &mut Opener<'_>,
     options: &RunOptions,
     stop: &AtomicBool,
     observe: &mut Observer<'_>,
 ) -> Outcome {
     let until = (options.seconds > 0.0).then(|| monotonic_now().plus_ns((options.seconds * 1e9) as i64));
-    let mut run = Run { platform, options, stop, until, stats: ClientStats::default() };
-    let ended = run.play_out(observe);
+    let mut run = Run { options, stop, until, stats: ClientStats::default() };
+    let ended = run.play_out(open, observe);
     Outcome { stats: run.stats, ended }
 }
 
 /// A run under way.
 struct Run<'a> {
-    platform: &'a Platform,
     options: &'a RunOptions,
     stop: &'a AtomicBool,
     /// When it is to end by itself.
@@ -125,17 +125,17 @@ impl Run<'_> {
         self.stop.load(Ordering::Relaxed) || self.until.is_some_and(|until| monotonic_now() >= until)
     }
 
-    fn play_out(&mut self, observe: &mut Observer<'_>) -> Result<(), RunError> {
+    fn play_out(&mut self, open: &mut Opener<'_>, observe: &mut Observer<'_>) -> Result<(), RunError> {
         let Some(addresses) = self.resolve()? else { return Ok(()) };
         let trace = self.options.trace.as_deref().map(Trace::create).transpose()?;
-        let mut opened = Some(Xr::open(self.platform, self.options.xr)?);
-        while let Some(xr) = opened.take() {
-            let error = match self.show(xr, &addresses, trace.as_ref(), observe) {
+        let mut opened = Some(open()?);
+        while let Some(display) = opened.take() {
+            let error = match self.show(display, &addresses, trace.as_ref(), observe) {
                 Err(RunError::Client(error)) if error.is_lost() => error,
                 ended => return ended,
             };
             tracing::warn!("{error}; the headset is gone; trying again for {REOPEN_S} s");
-            opened = self.reopen()?;
+            opened = self.reopen(open)?;
         }
         Ok(())
     }
@@ -156,12 +156,12 @@ impl Run<'_> {
         Ok(None)
     }
 
-    /// The headset, once it can be opened again; `None` where the run is over before.
-    fn reopen(&self) -> Result<Option<Xr>, RunError> {
+    /// The display, once it can be opened again; `None` where the run is over before.
+    fn reopen(&self, open: &mut Opener<'_>) -> Result<Option<Box<dyn Display>>, RunError> {
         let give_up = monotonic_now().plus_ns(REOPEN_S * 1_000_000_000);
         while !self.is_over() {
-            match Xr::open(self.platform, self.options.xr) {
-                Ok(xr) => return Ok(Some(xr)),
+            match open() {
+                Ok(display) => return Ok(Some(display)),
                 Err(error) if monotonic_now() >= give_up => return Err(error.into()),
                 Err(error) => tracing::debug!("{error}"),
             }
@@ -176,12 +176,12 @@ impl Run<'_> {
     /// One headset session, from its first frame to its end.
     fn show(
         &mut self,
-        xr: Xr,
+        display: Box<dyn Display>,
         addresses: &[SocketAddr],
         trace: Option<&Trace>,
         observe: &mut Observer<'_>,
     ) -> Result<(), RunError> {
-        let mut client = Client::new(xr, self.options.client)?;
+        let mut client = Client::new(display, self.options.client)?;
         let mut connector = Connector::new(self.options, addresses, Traced::new(trace))?;
         client.set_status(&connector.status());
         let ended = self.frames(&mut client, &mut connector, observe);

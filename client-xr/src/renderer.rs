@@ -1,6 +1,7 @@
 //! What draws: the headset's images, the stages with what they share, and the words that are seen. One per headset session,
 //! whatever connections come and go.
 
+use crate::display::Display;
 use crate::report::FrameReport;
 use crate::scene::Scene;
 use crate::stages::Stages;
@@ -9,7 +10,6 @@ use crate::stages::background::Backdrop;
 use crate::stages::probe::{Probe, ProbeView};
 use crate::stages::text::{Text, panel_ahead};
 use crate::stillness::Stillness;
-use crate::xr::Xr;
 use shadecast_gpu::{Gpu, GpuError, Recorder, Ticket, Timings, vk};
 use shadecast_protocol::pose::Pose;
 use shadecast_shaders::generated::EyesGpu;
@@ -23,7 +23,7 @@ pub(crate) struct Renderer {
     /// Of the last rendered frame.
     pub(crate) last_ticket: Option<Ticket>,
     pub(crate) gpu: Arc<Gpu>,
-    pub(crate) xr: Xr,
+    pub(crate) display: Box<dyn Display>,
     pub(crate) words: Words,
 }
 
@@ -39,34 +39,41 @@ pub(crate) struct Words {
     /// Where they are in the waiting room, once the head has been seen.
     stage_from_panel: Option<Pose>,
     status: Text,
-    /// Said while the connection stands and brings nothing.
-    waiting: Text,
+    /// The same for who writes the notice.
+    status_words: String,
+    /// Said before a world that stands still: why, and for how many seconds it has.
+    notice: Text,
+    notice_s: i64,
     stillness: Stillness,
 }
 
 impl Renderer {
-    /// On an open headset, with so many samples a pixel.
-    pub(crate) fn new(xr: Xr, msaa: u32, lookup: Lookup) -> Result<Self, GpuError> {
-        let gpu = xr.headset.gpu().clone();
+    /// On an open display, with so many samples a pixel.
+    pub(crate) fn new(display: Box<dyn Display>, msaa: u32, lookup: Lookup) -> Result<Self, GpuError> {
+        let gpu = display.gpu().clone();
         let samples = if msaa > 1 { vk::SampleCountFlags::TYPE_4 } else { vk::SampleCountFlags::TYPE_1 };
         let words = Words {
             stage_from_panel: None,
             status: Text::new("Shadecast"),
-            waiting: Text::new("No new pictures from the server"),
+            status_words: String::new(),
+            notice: Text::default(),
+            notice_s: 0,
             stillness: Stillness::default(),
         };
-        let stages = Stages::new(&gpu, &xr.swapchain, samples, lookup)?;
-        Ok(Self { stages, probe: None, last_drawn: None, last_ticket: None, gpu, xr, words })
+        let stages = Stages::new(&gpu, display.eye_images(), samples, lookup)?;
+        Ok(Self { stages, probe: None, last_drawn: None, last_ticket: None, gpu, display, words })
     }
 
     /// Says `text` in the waiting room, and before a world that stands still without a connection.
     pub(crate) fn set_status(&mut self, text: &str) {
         self.words.status = Text::new(text);
+        text.clone_into(&mut self.words.status_words);
+        self.words.notice_s = 0;
     }
 
     /// Pixels per eye, width and height.
     pub(crate) fn eye_extent_pixels(&self) -> [u32; 2] {
-        self.xr.swapchain.extent_pixels()
+        self.display.eye_images().extent_pixels
     }
 
     /// What the stages of the last rendered frame took on the device, once for each frame. Waits for the GPU.
@@ -80,6 +87,7 @@ impl Renderer {
     /// Notes what a display frame showed to a head.
     pub(crate) fn note(&mut self, frame: &FrameReport, stage_from_head: Pose) {
         self.words.stillness.note(frame, stage_from_head);
+        self.words.write_notice();
         self.words.stage_from_panel.get_or_insert_with(|| panel_ahead(stage_from_head));
     }
 
@@ -127,18 +135,25 @@ impl Words {
         stages.background.record(recorder, flight, backdrop);
     }
 
-    /// Why the world stands still, where it does.
+    /// Writes what is said of a world that stands still, once a second.
+    fn write_notice(&mut self) {
+        let seconds = self.stillness.seconds();
+        if self.stillness.panel().is_some() && seconds != self.notice_s {
+            self.notice_s = seconds;
+            self.notice = Text::new(&format!("No new picture for {seconds} s\n{}", self.status_words));
+        }
+    }
+
+    /// Why the world stands still, and since when, where it does.
     pub(crate) fn record_notice(
         &self,
         recorder: &mut Recorder,
         stages: &mut Stages,
         flight: usize,
         world: Option<&Scene>,
-        has_session: bool,
     ) {
         let Some((scene, stage_from_panel)) = world.zip(self.stillness.panel()) else { return };
         let world_from_panel = scene.terms.world_from_stage.then(stage_from_panel);
-        let text = if has_session { &self.waiting } else { &self.status };
-        stages.notice.record(recorder, flight, world_from_panel, text);
+        stages.notice.record(recorder, flight, world_from_panel, &self.notice);
     }
 }

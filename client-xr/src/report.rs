@@ -1,6 +1,6 @@
 //! What a client tells whoever drives it, of its display frames and of its end.
 
-use crate::xr::XrError;
+use crate::display::DisplayError;
 use shadecast_gpu::GpuError;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::time::{ClientTime, ServerTime};
@@ -8,23 +8,21 @@ use shadecast_protocol::time::{ClientTime, ServerTime};
 /// What ends a client.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
-    /// The headset.
+    /// The headset, or the window in its place.
     #[error(transparent)]
-    Xr(#[from] XrError),
+    Display(#[from] DisplayError),
     /// The device.
     #[error(transparent)]
     Gpu(#[from] GpuError),
 }
 
 impl ClientError {
-    /// True where device or session are gone, and opening the headset anew helps.
+    /// True where device or session are gone, and opening the display anew helps.
     pub fn is_lost(&self) -> bool {
-        let gpu = match self {
-            Self::Xr(XrError::Lost(_)) => return true,
-            Self::Xr(XrError::Gpu(gpu)) | Self::Gpu(gpu) => gpu,
-            Self::Xr(_) => return false,
-        };
-        gpu.is_lost()
+        match self {
+            Self::Display(error) => error.is_lost(),
+            Self::Gpu(error) => error.is_lost(),
+        }
     }
 }
 

@@ -140,15 +140,16 @@ fn larger(a: Option<f64>, b: Option<f64>) -> Option<f64> {
 }
 
 /// The counters behind [`ClientStats`].
+#[derive(Debug, Default)]
 pub(crate) struct Counters {
-    device: String,
+    pub(crate) device: String,
     device_is_cpu: bool,
     runtime: String,
     span: Option<(ClientTime, ClientTime)>,
-    frames: u64,
+    pub(crate) frames: u64,
     rendered_frames: u64,
     frames_with_bundle: u64,
-    bundles: u64,
+    pub(crate) bundles: u64,
     held_vertices: u64,
     frozen_vertices: u64,
     withheld_vertices: u64,
@@ -172,25 +173,7 @@ impl Counters {
             device: gpu.device_name(),
             device_is_cpu: gpu.is_cpu(),
             runtime: runtime.to_owned(),
-            span: None,
-            frames: 0,
-            rendered_frames: 0,
-            frames_with_bundle: 0,
-            bundles: 0,
-            held_vertices: 0,
-            frozen_vertices: 0,
-            withheld_vertices: 0,
-            withheld_patches: 0,
-            most_arena_waiting_bytes: 0,
-            clock_error_bound_ms: (None, None),
-            connections: 0,
-            motion_memory_bytes: 0,
-            sample_ring: 0,
-            atlas_bytes: 0,
-            geometry_bytes: 0,
-            vertex_samples: 0,
-            lost_pictures: 0,
-            refresh_requests: 0,
+            ..Self::default()
         }
     }
 

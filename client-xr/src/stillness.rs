@@ -44,6 +44,11 @@ impl Stillness {
         self.stage_from_panel = is_still.then(|| in_view.unwrap_or_else(|| panel_ahead(stage_from_head)));
     }
 
+    /// For how long nothing new has come, whole seconds.
+    pub(crate) fn seconds(&self) -> i64 {
+        self.last.since(self.fresh) / 1_000_000_000
+    }
+
     /// Where the words belong, in the stage; `None` while the world moves.
     pub(crate) fn panel(&self) -> Option<Pose> {
         self.stage_from_panel
@@ -89,7 +94,7 @@ mod tests {
             assert!(stillness.panel().is_none(), "{ms} ms");
         }
         stillness.note(&shown(2000, false), Pose::IDENTITY);
-        assert!(stillness.panel().is_some());
+        assert!(stillness.panel().is_some() && stillness.seconds() == 2);
         stillness.note(&shown(2010, true), Pose::IDENTITY);
         assert!(stillness.panel().is_none());
     }

@@ -4,16 +4,15 @@ use crate::{DeviceArgs, gpu_options, load, loading, open, parse_vector, scene_op
 use anyhow::Context;
 use clap::{Args, value_parser};
 use glam::{EulerRot, Quat, Vec3};
+use shadecast_desktop::camera::{ViewCamera, fov_of_picture};
 use shadecast_gpu::{Gpu, vk};
+use shadecast_protocol::flags::{MOST_S, number, size};
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::file::{DEFAULT_FOV_DEG, FOV_RANGE_DEG};
 use shadecast_scene::{Camera, Cancel, HeadPath, Scene};
 use shadecast_server::encode::openh264::DEFAULT_QP;
-use shadecast_server::flags::size;
-use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::picture;
-use shadecast_server::truth::camera::{ViewCamera, fov_of_picture};
 use shadecast_server::truth::forward::Forward;
 use shadecast_server::truth::video::Video;
 use shadecast_server::truth::window::{self, WindowOptions};

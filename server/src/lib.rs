@@ -11,7 +11,6 @@ pub mod detail;
 pub mod effort;
 pub mod encode;
 pub mod encoding;
-pub mod flags;
 pub mod frame;
 pub mod frusta;
 pub mod geometry;

@@ -10,7 +10,7 @@
 
 use crate::density::Spare;
 use crate::encode::openh264::DEFAULT_QP;
-use crate::flags::number;
+use shadecast_protocol::flags::number;
 use shadecast_protocol::message::Codec;
 
 /// What all of a client's streams may take together unless told otherwise, Mbit/s.

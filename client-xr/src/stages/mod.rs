@@ -13,7 +13,7 @@ pub mod skin;
 pub mod text;
 pub mod upload;
 
-use crate::xr::Swapchain;
+use crate::display::EyeImages;
 use atlas_draw::{AtlasDraw, EyeTargets, Lookup, eye_buffers};
 use background::Background;
 use glam::{Mat4, Vec3, Vec4};
@@ -71,15 +71,14 @@ pub struct Stages {
 }
 
 impl Stages {
-    /// Pipelines and targets for `swapchain`.
+    /// Pipelines and targets for `eyes`.
     pub fn new(
         gpu: &Arc<Gpu>,
-        swapchain: &Swapchain,
+        eyes: EyeImages<'_>,
         samples: vk::SampleCountFlags,
         lookup: Lookup,
     ) -> Result<Self, GpuError> {
-        let extent = swapchain.extent_pixels();
-        let targets = EyeTargets::new(gpu, swapchain.images(), swapchain.format(), extent, samples)?;
+        let targets = EyeTargets::new(gpu, eyes.images, eyes.format, eyes.extent_pixels, samples)?;
         let eyes = eye_buffers(gpu)?;
         Ok(Self {
             scatter: Scatter::new(gpu)?,

@@ -50,7 +50,7 @@ impl Run {
             decoder,
             ..ClientOptions::default()
         };
-        Client::new(xr, options).expect("a client")
+        Client::new(Box::new(xr), options).expect("a client")
     }
 
     /// The picture of a frame: rows of red, green, blue.

@@ -3,9 +3,9 @@
 
 use super::load;
 use super::table::Table;
-use crate::flags::number;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
+use shadecast_protocol::flags::number;
 use shadecast_protocol::text::printable;
 use shadecast_scene::animation::error::{
     CurveError, ErrorTable, HEADSET_PIXEL_MM, PAPER_PIXEL_MM, Subject, VertexError, Weights, linear_weights,

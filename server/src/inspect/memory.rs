@@ -38,7 +38,7 @@ pub struct MemoryArgs {
     /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     scene: String,
     /// Pixels per eye of the viewer
-    #[arg(long, default_value = "1300x1300", value_parser = crate::flags::size)]
+    #[arg(long, default_value = "1300x1300", value_parser = shadecast_protocol::flags::size)]
     size: [u32; 2],
     /// Atlas width and height in texels, powers of two from 512x512 to 4096x2048
     #[arg(long, default_value = "4096x2048")]

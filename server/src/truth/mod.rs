@@ -1,8 +1,6 @@
 //! The ground truth, and all that serves it alone: the renderer per pixel, its window, its cameras and its files. Serving a
 //! client needs none of it.
 
-pub mod camera;
 pub mod forward;
-mod present;
 pub mod video;
 pub mod window;

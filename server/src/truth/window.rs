@@ -3,34 +3,27 @@
 
 use crate::picture;
 use crate::scene::{SceneGpu, SceneGpuError, SceneOptions};
-use crate::truth::camera::{Mode, ViewCamera, fov_of_picture};
 use crate::truth::forward::Forward;
-use crate::truth::present::Present;
 use ash::vk;
-use glam::Vec3;
-use shadecast_gpu::{
-    Access, Buffer, Framebuffer, Gpu, GpuError, GpuOptions, Image, ImageDesc, Memory, Recorder, Swapchain,
-    Ticket, Timings, WindowDevice,
-};
+use shadecast_desktop::camera::{Mode, ViewCamera, fov_of_picture};
+use shadecast_desktop::canvas::{Canvas, CanvasError};
+use shadecast_desktop::controls::{Controls, Pressed};
+use shadecast_desktop::present::Shows;
+use shadecast_desktop::winit::application::ApplicationHandler;
+use shadecast_desktop::winit::event::WindowEvent;
+use shadecast_desktop::winit::event_loop::{ActiveEventLoop, EventLoop};
+use shadecast_desktop::winit::keyboard::KeyCode;
+use shadecast_desktop::winit::window::WindowId;
+use shadecast_gpu::{Access, GpuError, GpuOptions, Recorder, Timings};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::Scene;
 use shadecast_scene::process::Loading;
-use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use winit::application::ApplicationHandler;
-use winit::dpi::PhysicalSize;
-use winit::event::{ElementState, KeyEvent, MouseButton, MouseScrollDelta, WindowEvent};
-use winit::event_loop::{ActiveEventLoop, EventLoop};
-use winit::keyboard::{KeyCode, PhysicalKey};
-use winit::raw_window_handle::{HasDisplayHandle, HasWindowHandle};
-use winit::window::{Window, WindowId};
 
 /// How often the figures change: readable, and fresh.
 const FIGURES_EVERY: Duration = Duration::from_millis(250);
-/// Wheel pixels of a touchpad that count as a notch.
-const PIXELS_PER_NOTCH: f32 = 40.0;
 
 /// How the window is run.
 #[derive(Clone, Debug)]
@@ -77,12 +70,12 @@ pub struct WindowStats {
 /// Why there is no window, or no longer.
 #[derive(Debug, thiserror::Error)]
 pub enum WindowError {
-    /// No display.
+    /// No window.
     #[error(
-        "no window can be opened here: {0}; set DISPLAY or WAYLAND_DISPLAY, or render without a window: \
+        "{0}; set DISPLAY or WAYLAND_DISPLAY, or render without a window: \
          --out FOLDER for PNG files, --out FILE.y4m or FILE.mp4 for a video"
     )]
-    NoDisplay(String),
+    NoWindow(CanvasError),
     /// The device.
     #[error(transparent)]
     Gpu(#[from] GpuError),
@@ -99,7 +92,9 @@ pub enum WindowError {
 /// # Errors
 /// No display, no device for it, or the device failed.
 pub fn run(scene: Scene, options: WindowOptions) -> Result<WindowStats, WindowError> {
-    let no_display = |error: winit::error::EventLoopError| WindowError::NoDisplay(reason(&error.to_string()));
+    let no_display = |error: shadecast_desktop::winit::error::EventLoopError| {
+        WindowError::NoWindow(CanvasError::no_display(&error))
+    };
     let events = EventLoop::new().map_err(no_display)?;
     let mut app = App { scene: Some(scene), options, shown: None, result: Ok(()), stats: None };
     events.run_app(&mut app).map_err(no_display)?;
@@ -110,10 +105,13 @@ pub fn run(scene: Scene, options: WindowOptions) -> Result<WindowStats, WindowEr
     Ok(app.stats.unwrap_or(WindowStats { frames: 0, seconds: 0.0, validation_messages: 0 }))
 }
 
-/// An error of the operating system without the place in the source that `winit` puts before it.
-fn reason(text: &str) -> String {
-    let after_place = text.split_once(".rs:").and_then(|(_, rest)| rest.split_once(": "));
-    after_place.map_or(text, |(_, reason)| reason).trim_end_matches('.').to_owned()
+impl From<CanvasError> for WindowError {
+    fn from(error: CanvasError) -> Self {
+        match error {
+            CanvasError::Gpu(error) => Self::Gpu(error),
+            no_display => Self::NoWindow(no_display),
+        }
+    }
 }
 
 struct App {
@@ -151,39 +149,33 @@ impl ApplicationHandler for App {
                 Err(error) => self.end(events, Err(error)),
             },
             WindowEvent::KeyboardInput { event, .. } => {
-                if shown.key(&event) {
+                if shown.controls.key(&event).is_some_and(|pressed| shown.pressed(pressed)) {
                     self.end(events, Ok(()));
                 }
             }
-            WindowEvent::Focused(false) => shown.held.clear(),
-            other => shown.pointer(&other),
+            WindowEvent::Focused(false) => shown.controls.let_go(),
+            other => shown.controls.pointer(&other, &mut shown.camera),
         }
     }
 
     fn about_to_wait(&mut self, _: &ActiveEventLoop) {
         if let Some(shown) = &self.shown {
-            shown.window.request_redraw();
+            shown.canvas.window().request_redraw();
         }
     }
 }
 
-/// The window with all that draws it. Fields drop in order: what uses the window goes before it.
+/// The window with all that draws it. Fields drop in order: what uses the device goes before the window.
 struct Shown {
-    present: Present,
     forward: Forward,
-    swapchain: Swapchain,
     scene: Arc<SceneGpu>,
-    gpu: Arc<Gpu>,
-    window: Arc<Window>,
+    canvas: Canvas,
     options: WindowOptions,
     camera: ViewCamera,
+    controls: Controls,
     scene_time_s: f64,
     is_paused: bool,
     figures: bool,
-    held: BTreeSet<KeyCode>,
-    is_dragging: bool,
-    pointer: [f32; 2],
-    last: Option<Ticket>,
     /// Of the frame before.
     timings: Timings,
     frames: u32,
@@ -199,37 +191,21 @@ struct Clock {
 
 impl Shown {
     fn open(events: &ActiveEventLoop, scene: Scene, options: WindowOptions) -> Result<Self, WindowError> {
-        let refused = |error: &dyn std::fmt::Display| WindowError::NoDisplay(reason(&error.to_string()));
-        let [width, height] = options.extent;
-        let attributes = Window::default_attributes()
-            .with_title(format!("{} - Shadecast", options.title))
-            .with_inner_size(PhysicalSize::new(width, height));
-        let window = Arc::new(events.create_window(attributes).map_err(|error| refused(&error))?);
-        let display = window.display_handle().map_err(|error| refused(&error))?.as_raw();
-        let handle = window.window_handle().map_err(|error| refused(&error))?.as_raw();
-        let gpu = Gpu::open(&options.gpu, &WindowDevice { display })?;
-        // SAFETY: the window and, through the event loop, its display outlive the swapchain: fields drop in order.
-        let swapchain = unsafe { Swapchain::new(&gpu, display, handle)? };
-        let scene = Arc::new(SceneGpu::cached(&gpu, scene, &options.scene, &options.loading)?);
-        let forward = Forward::with_samples(&gpu, &scene, options.extent, options.samples)?;
-        let mut present = Present::new(&gpu, swapchain.pass(), !swapchain.codes_srgb())?;
-        present.show(forward.image())?;
+        let mut canvas = Canvas::open(events, &options.title, options.extent, &options.gpu, Shows::Picture)?;
+        let gpu = canvas.gpu();
+        let scene = Arc::new(SceneGpu::cached(gpu, scene, &options.scene, &options.loading)?);
+        let forward = Forward::with_samples(gpu, &scene, options.extent, options.samples)?;
+        canvas.present_mut().show(forward.image())?;
         let now = Instant::now();
         Ok(Self {
-            present,
             forward,
-            swapchain,
             scene,
-            gpu,
-            window,
+            canvas,
             camera: options.camera,
+            controls: Controls::default(),
             scene_time_s: options.start_s,
             is_paused: false,
             figures: options.figures,
-            held: BTreeSet::new(),
-            is_dragging: false,
-            pointer: [0.0; 2],
-            last: None,
             timings: Timings::default(),
             frames: 0,
             clock: Clock { first: now, last: now, figures: now, figures_frame: 0 },
@@ -241,34 +217,29 @@ impl Shown {
         WindowStats {
             frames: self.frames,
             seconds: self.clock.first.elapsed().as_secs_f64(),
-            validation_messages: self.gpu.validation_messages(),
+            validation_messages: self.canvas.gpu().validation_messages(),
         }
     }
 
     /// Draws and presents a frame. True when the options say that it was the last.
     fn frame(&mut self) -> Result<bool, WindowError> {
-        if let Some(ticket) = self.last.take() {
-            self.timings = self.gpu.wait_timed(ticket)?;
+        if let Some(timings) = self.canvas.finish()? {
+            self.timings = timings;
         }
         self.advance();
-        let size = self.window.inner_size();
-        let Some(image) = self.swapchain.acquire([size.width, size.height])? else {
+        let Some(image) = self.canvas.acquire()? else {
             // Minimised, or resized just now: nothing to show, and nothing to burn a core for.
             std::thread::sleep(Duration::from_millis(10));
             return Ok(self.is_to_end());
         };
-        if self.forward.extent() != self.swapchain.extent() {
-            self.forward.resize(self.swapchain.extent())?;
-            self.present.show(self.forward.image())?;
+        if self.forward.extent() != self.canvas.extent() {
+            self.forward.resize(self.canvas.extent())?;
+            self.canvas.present_mut().show(self.forward.image())?;
         }
         self.write_figures();
-        let mut recorder = self.gpu.record()?;
+        let mut recorder = self.canvas.gpu().record()?;
         self.record_scene(&mut recorder);
-        recorder.scope("present", |r| {
-            self.present.record(r, self.swapchain.pass(), self.swapchain.target(&image));
-        });
-        self.window.pre_present_notify();
-        self.last = Some(self.swapchain.present(recorder, image)?);
+        self.canvas.present(recorder, image)?;
         self.frames += 1;
         let is_last = self.options.frames.is_some_and(|most| self.frames >= most) || self.is_to_end();
         if is_last {
@@ -291,15 +262,7 @@ impl Shown {
         }
         let step_s = now.duration_since(self.clock.last).as_secs_f64();
         self.clock.last = now;
-        let axis = |more, less| {
-            f32::from(u8::from(self.held.contains(&more))) - f32::from(u8::from(self.held.contains(&less)))
-        };
-        let axes = Vec3::new(
-            axis(KeyCode::KeyD, KeyCode::KeyA),
-            axis(KeyCode::KeyE, KeyCode::KeyQ),
-            axis(KeyCode::KeyW, KeyCode::KeyS),
-        );
-        self.camera.walk(axes, step_s as f32);
+        self.camera.walk(self.controls.axes(), step_s as f32);
         if self.is_paused || self.frames == 0 {
             return;
         }
@@ -320,11 +283,11 @@ impl Shown {
         let now = Instant::now();
         let passed = now.duration_since(self.clock.figures);
         if !self.figures {
-            self.present.write(&[]);
+            self.canvas.present_mut().write(&[]);
         } else if passed >= FIGURES_EVERY || self.frames == 0 {
             let frames = self.frames - self.clock.figures_frame;
             let lines = self.figures(f64::from(frames) / passed.as_secs_f64().max(1e-6));
-            self.present.write(&lines);
+            self.canvas.present_mut().write(&lines);
             (self.clock.figures, self.clock.figures_frame) = (now, self.frames);
         }
     }
@@ -335,7 +298,7 @@ impl Shown {
         let paused = if self.is_paused { " paused" } else { "" };
         let totals = self.scene.numbering.totals;
         let mut lines = vec![
-            self.gpu.device_name(),
+            self.canvas.gpu().device_name(),
             format!("{fps:.1} fps   scene {:.3} s{paused}", self.scene_time_s),
             format!("{mode} camera {:.2} {:.2} {:.2}", at.x, at.y, at.z),
             format!("{} instances", self.scene.numbering.instances.len()),
@@ -352,19 +315,13 @@ impl Shown {
         lines
     }
 
-    /// A key went down or up. True where it ends the program.
-    fn key(&mut self, event: &KeyEvent) -> bool {
-        let PhysicalKey::Code(code) = event.physical_key else { return false };
-        if event.state == ElementState::Released {
-            self.held.remove(&code);
-            return false;
-        }
-        self.held.insert(code);
+    /// A key went down. True where it ends the program.
+    fn pressed(&mut self, Pressed { code, is_repeat }: Pressed) -> bool {
         if code == KeyCode::Period || code == KeyCode::Comma {
             self.step(if code == KeyCode::Period { 1.0 } else { -1.0 });
         }
-        if !event.repeat {
-            self.pressed(code);
+        if !is_repeat {
+            self.switch(code);
         }
         code == KeyCode::Escape
     }
@@ -374,7 +331,7 @@ impl Shown {
         self.scene_time_s += frames / self.options.fps;
     }
 
-    fn pressed(&mut self, code: KeyCode) {
+    fn switch(&mut self, code: KeyCode) {
         match code {
             KeyCode::Space => self.is_paused = !self.is_paused,
             KeyCode::Tab => self.camera.switch(),
@@ -392,62 +349,18 @@ impl Shown {
         }
     }
 
-    fn pointer(&mut self, event: &WindowEvent) {
-        match event {
-            WindowEvent::CursorMoved { position, .. } => {
-                let at = [position.x as f32, position.y as f32];
-                if self.is_dragging {
-                    self.camera.drag([at[0] - self.pointer[0], at[1] - self.pointer[1]]);
-                }
-                self.pointer = at;
-            }
-            WindowEvent::MouseInput { state, button: MouseButton::Left, .. } => {
-                self.is_dragging = *state == ElementState::Pressed;
-            }
-            WindowEvent::MouseWheel { delta, .. } => self.camera.wheel(match delta {
-                MouseScrollDelta::LineDelta(_, lines) => *lines,
-                MouseScrollDelta::PixelDelta(pixels) => pixels.y as f32 / PIXELS_PER_NOTCH,
-            }),
-            _ => {}
-        }
-    }
-
-    /// Draws the last frame once more, as it is on the window, and writes it.
+    /// Writes the last frame, as it is on the window.
     fn save_screenshot(&mut self) -> Result<(), WindowError> {
-        let Some(path) = self.options.screenshot.clone() else { return Ok(()) };
-        if let Some(ticket) = self.last.take() {
-            self.gpu.wait(ticket)?;
-        }
-        let (extent, format) = (self.swapchain.extent(), self.swapchain.format());
-        let desc = ImageDesc::new(
-            "screenshot",
-            extent,
-            format,
-            vk::ImageUsageFlags::COLOR_ATTACHMENT | vk::ImageUsageFlags::TRANSFER_SRC,
-        );
-        let image = Image::new(&self.gpu, desc)?;
-        let target = Framebuffer::new(&self.gpu, self.swapchain.pass(), extent, &[image.view()])?;
-        let bytes = u64::from(extent[0]) * u64::from(extent[1]) * 4;
-        let readback = Buffer::new(&self.gpu, "screenshot", bytes, Memory::Readback)?;
-        let mut recorder = self.gpu.record()?;
-        self.present.record(&mut recorder, self.swapchain.pass(), &target);
-        let layouts = [vk::ImageLayout::PRESENT_SRC_KHR, vk::ImageLayout::TRANSFER_SRC_OPTIMAL];
-        recorder.transition(&image, layouts, Access::COLOR_WRITE, Access::COPY_READ);
-        recorder.read_image(&image, 0, &readback, 0);
-        recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
-        self.gpu.wait(recorder.submit()?)?;
-        let is_bgr = matches!(format, vk::Format::B8G8R8A8_SRGB | vk::Format::B8G8R8A8_UNORM);
-        let order = if is_bgr { [2, 1, 0] } else { [0, 1, 2] };
-        let pixels = readback.bytes()[..bytes as usize].chunks_exact(4);
-        let rgb8: Vec<u8> = pixels.flat_map(|p| order.map(|i| p[i])).collect();
-        Ok(picture::write_png(&path, extent, &rgb8)?)
+        let Some(path) = &self.options.screenshot else { return Ok(()) };
+        let shot = self.canvas.screenshot()?;
+        Ok(picture::write_png(path, shot.extent, &shot.rgb8)?)
     }
 }
 
 impl Drop for Shown {
     fn drop(&mut self) {
         // Shutdown: everything below is destroyed next.
-        self.gpu.wait_idle();
+        self.canvas.gpu().wait_idle();
     }
 }
 
@@ -462,15 +375,3 @@ const DIGITS: [KeyCode; 9] = [
     KeyCode::Digit8,
     KeyCode::Digit9,
 ];
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn missing_display_is_explained_without_places_in_the_source() {
-        let text = "os error at /a/b.rs:765: neither WAYLAND_DISPLAY nor DISPLAY is set.";
-        assert_eq!(reason(text), "neither WAYLAND_DISPLAY nor DISPLAY is set");
-        assert_eq!(reason("not supported"), "not supported");
-    }
-}

@@ -5,9 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// The crates that are shipped.
-const PRODUCT: [&str; 9] = [
+const PRODUCT: [&str; 10] = [
     "shared/protocol/src",
     "shared/transport/src",
+    "shared/desktop/src",
     "shared/gpu/src",
     "shared/trace/src",
     "shaders/src",
@@ -87,6 +88,7 @@ fn clocks_and_sockets_are_the_drivers() {
         "server/src/start_up.rs",
         "server/src/output.rs",
         "client-xr/src/net",
+        "client-xr/src/window/mod.rs",
         "client-xr/src/platform",
         "client-xr/src/main.rs",
         "shared/transport/src/mio.rs",

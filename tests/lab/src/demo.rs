@@ -7,11 +7,12 @@ use crate::image::Rgb8Image;
 use crate::metrics::ProbeView;
 use crate::options::RunOptions;
 use crate::page::Page;
+use crate::process::{PATIENCE, Running, free_address, program};
 use crate::run::{compare, mock_config, progress, run, write_pictures};
 use crate::runtime::prepare_runtime;
 use crate::sheet::Sheet;
 use crate::stats::{Counted, MbitPerS, Stats, Summary};
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, ensure};
 use serde_json::Value;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_mock_runtime::config::ClockKind;
@@ -19,15 +20,11 @@ use shadecast_mock_runtime::record::{FrameRecord, read_frames};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_server::scene::{SceneGpu, SceneOptions};
-use std::io::{BufRead, BufReader};
-use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// How long a process may take to start, to show the first picture, or to end.
-const PATIENCE: Duration = Duration::from_secs(120);
 /// Display frames between two that are captured: captures wait for the GPU, so they are few.
 const CAPTURE_EVERY: u32 = 8;
 /// Display frames per second of virtual time: those of a common headset, since no machine is too slow for them.
@@ -54,74 +51,6 @@ pub struct DemoOptions {
     pub refresh_hz: f64,
     /// Validation layers in both processes.
     pub validation: bool,
-}
-
-/// A process that is ended when it is dropped.
-struct Running {
-    name: &'static str,
-    child: Child,
-}
-
-impl Running {
-    fn start(name: &'static str, command: &mut Command) -> anyhow::Result<Self> {
-        let child = command.stdin(Stdio::null()).spawn();
-        Ok(Self { name, child: child.with_context(|| format!("starting {name}"))? })
-    }
-
-    /// Reads the process's output until a line holds `text`, then lets it run on unheard.
-    fn says(&mut self, text: &'static str) -> anyhow::Result<()> {
-        let output = self.child.stdout.take().context("its output is read once")?;
-        let (heard_to, heard) = std::sync::mpsc::channel();
-        std::thread::spawn(move || {
-            for line in BufReader::new(output).lines().map_while(Result::ok) {
-                if line.contains(text) {
-                    let _ = heard_to.send(());
-                }
-            }
-        });
-        heard
-            .recv_timeout(PATIENCE)
-            .map_err(|_| anyhow::anyhow!("{} did not start; its messages are above", self.name))
-    }
-
-    fn is_running(&mut self) -> anyhow::Result<bool> {
-        Ok(self.child.try_wait()?.is_none())
-    }
-
-    fn wait(&mut self, deadline: Instant) -> anyhow::Result<()> {
-        loop {
-            match self.child.try_wait()? {
-                Some(status) if status.success() => return Ok(()),
-                Some(status) => bail!("{} ended with {status}; its messages are above", self.name),
-                None if Instant::now() > deadline => bail!("{} did not end in time", self.name),
-                None => std::thread::sleep(Duration::from_millis(50)),
-            }
-        }
-    }
-
-    /// Asks the process to end, as Ctrl-C does.
-    fn interrupt(&self) -> anyhow::Result<()> {
-        let status = Command::new("kill").args(["-INT", &self.child.id().to_string()]).status()?;
-        ensure!(status.success(), "{} could not be asked to end", self.name);
-        Ok(())
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-/// A program of the project, which lies beside this one.
-pub(crate) fn program(name: &str) -> anyhow::Result<PathBuf> {
-    let here = std::env::current_exe().context("finding the programs")?;
-    let folder = here.parent().context("finding the programs")?;
-    let folder = if folder.ends_with("deps") { folder.parent().unwrap_or(folder) } else { folder };
-    let path = folder.join(name);
-    ensure!(path.exists(), "{} is not built; run `cargo build --release -p {name}`", path.display());
-    Ok(path)
 }
 
 /// What both halves measured.
@@ -267,9 +196,7 @@ fn write_page(options: &DemoOptions, out: &Path) -> anyhow::Result<()> {
 
 /// Runs both processes to their end.
 fn stream(options: &DemoOptions, out: &Path, runtime: &[(&'static str, PathBuf); 2]) -> anyhow::Result<()> {
-    // A free port: bound for a moment, then left to the server.
-    let address =
-        UdpSocket::bind("127.0.0.1:0").and_then(|s| s.local_addr()).context("finding a free port")?;
+    let address = free_address()?;
     let mut server = Command::new(program("shadecast-server")?);
     server.args(["stream", &options.scene.to_string(), "--listen", &address.to_string()]);
     server.arg("--identity").arg(out.join("server-identity")).arg("--stats").arg(out.join("server.json"));

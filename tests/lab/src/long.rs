@@ -505,7 +505,7 @@ fn motion(
 
 /// The error table, by the program that a user runs.
 fn inspect_error_of_the_dragon() -> anyhow::Result<Value> {
-    let mut command = Command::new(crate::demo::program("shadecast-server")?);
+    let mut command = Command::new(crate::process::program("shadecast-server")?);
     let output = command.args(["inspect", "error", "dragon", "--curve", "--json"]).output()?;
     if !output.status.success() {
         bail!("inspect error: {}", String::from_utf8_lossy(&output.stderr).trim());

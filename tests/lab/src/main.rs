@@ -9,6 +9,7 @@ use shadecast_lab::abrupt;
 use shadecast_lab::bars::{BARS, Bars};
 use shadecast_lab::causes::{self, CAUSES, Cause};
 use shadecast_lab::demo::{DemoOptions, demo};
+use shadecast_lab::demo_window::{DemoWindowOptions, demo_window};
 use shadecast_lab::detail;
 use shadecast_lab::figures;
 use shadecast_lab::hostile::{self, HostileOptions};
@@ -27,13 +28,13 @@ use shadecast_lab::table1::{self, Table1Options};
 use shadecast_lab::viewers::run_each;
 use shadecast_lab::walls::{TEXELS, write_walls};
 use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::flags::{MOST_S, number, size};
 use shadecast_protocol::text::with_causes;
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_scene::load::MAX_DRAGONS;
 use shadecast_server::animation::skinning::Skinning;
 use shadecast_server::choice::Room;
 use shadecast_server::detail::DEFAULT_DETAIL_PIXELS;
-use shadecast_server::flags::{MOST_S, number};
 use shadecast_server::ideal::Ideal;
 use shadecast_server::motion::MotionOption;
 use shadecast_server::quality::QualityArgs;
@@ -187,7 +188,7 @@ struct RunArgs {
     #[arg(long, default_value_t = 5.0, value_parser = number(0.01..=MOST_S, "seconds"))]
     seconds: f64,
     /// Pixels per eye
-    #[arg(long, value_parser = parse_size, default_value = "512x512")]
+    #[arg(long, value_parser = size, default_value = "512x512")]
     size: [u32; 2],
     /// Field of view in degrees
     #[arg(long, default_value_t = 90.0, value_parser = number(10.0_f32..=170.0, "degrees"))]
@@ -277,7 +278,7 @@ struct MotionArgs {
     #[arg(long, default_value_t = 6.0, value_parser = number(0.01..=MOST_S, "seconds"))]
     seconds: f64,
     /// Pixels per eye
-    #[arg(long, value_parser = parse_size, default_value = "128x128")]
+    #[arg(long, value_parser = size, default_value = "128x128")]
     size: [u32; 2],
     /// Atlas width and height in texels, powers of two from 512x512 to 4096x2048
     #[arg(long, value_name = "WxH", default_value_t = AtlasExtent::DEFAULT)]
@@ -313,7 +314,7 @@ struct CausesArgs {
     #[arg(long, default_value_t = causes::SECONDS, value_parser = number(1.2..=MOST_S, "seconds"))]
     seconds: f64,
     /// Pixels per eye
-    #[arg(long, value_parser = parse_size, default_value = "256x256")]
+    #[arg(long, value_parser = size, default_value = "256x256")]
     size: [u32; 2],
     /// Writes the table to this JSON file
     #[arg(long)]
@@ -388,20 +389,23 @@ struct Table1Args {
 struct DemoArgs {
     /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml [default: dragons:3; one dragon on a CPU]
     scene: Option<String>,
+    /// Server and a window, to look around in until it is closed; needs a desktop, and no simulator
+    #[arg(long, conflicts_with_all = ["refresh", "virtual_seconds"])]
+    window: bool,
     /// Folder for pictures and stats.json
     #[arg(long, default_value = "out/demo")]
     out: PathBuf,
-    /// Pixels per eye [default: 1024x1024; 256x256 on a CPU]
-    #[arg(long, value_parser = parse_size)]
+    /// Pixels per eye [default: 1024x1024, of a window 1280x800; 256x256 and 480x300 on a CPU]
+    #[arg(long, value_parser = size)]
     size: Option<[u32; 2]>,
     /// Display frames per second in real time [default: 72; 15 on a CPU]
     #[arg(long, value_parser = number(5.0..=240.0, "frames a second"))]
     refresh: Option<f64>,
-    /// Seconds of streaming in real time
-    #[arg(long, default_value_t = 6.0, value_parser = number(0.01..=MOST_S, "seconds"))]
-    seconds: f64,
+    /// Seconds of streaming in real time [default: 6; of a window: until it is closed]
+    #[arg(long, value_parser = number(0.5..=3600.0, "seconds"))]
+    seconds: Option<f64>,
     /// Seconds of virtual time
-    #[arg(long, default_value_t = 2.5)]
+    #[arg(long, default_value_t = 2.5, value_parser = number(0.5..=3600.0, "seconds"))]
     virtual_seconds: f64,
     /// Vulkan validation layers on
     #[arg(long)]
@@ -422,13 +426,6 @@ struct HostileArgs {
     /// Writes the figures to this JSON file
     #[arg(long)]
     json: Option<PathBuf>,
-}
-
-fn parse_size(text: &str) -> Result<[u32; 2], String> {
-    let parsed = text.split_once('x').and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
-    parsed
-        .filter(|size: &[u32; 2]| size.iter().all(|side| (16..=4096).contains(side)))
-        .ok_or_else(|| format!("\"{text}\" is not WxH with sides from 16 to 4096, such as 512x512"))
 }
 
 /// Colour escapes are for terminals: not for files, and not for who sets NO_COLOR.
@@ -605,20 +602,25 @@ fn merge_traces(traces: &[PathBuf], out: &Path) -> anyhow::Result<()> {
 
 fn run_demo(args: DemoArgs) -> anyhow::Result<()> {
     let gpu = open_device()?;
-    let defaults =
-        if gpu.is_cpu() { ("dragon", [256, 256], 15.0) } else { ("dragons:3", [1024, 1024], 72.0) };
+    let is_cpu = gpu.is_cpu();
     drop(gpu);
-    let refresh_hz = args.refresh.unwrap_or(defaults.2);
-    for (flag, seconds) in [("--seconds", args.seconds), ("--virtual-seconds", args.virtual_seconds)] {
-        anyhow::ensure!((0.5..=3600.0).contains(&seconds), "{flag} {seconds} must lie between 0.5 and 3600");
+    let scene = args.scene.as_deref().unwrap_or(if is_cpu { "dragon" } else { "dragons:3" }).parse()?;
+    if args.window {
+        return demo_window(&DemoWindowOptions {
+            scene,
+            out: args.out,
+            extent_pixels: args.size.unwrap_or(if is_cpu { [480, 300] } else { [1280, 800] }),
+            seconds: args.seconds,
+            validation: args.validation,
+        });
     }
     let options = DemoOptions {
-        scene: args.scene.as_deref().unwrap_or(defaults.0).parse()?,
+        scene,
         out: args.out,
-        extent_pixels: args.size.unwrap_or(defaults.1),
-        seconds: args.seconds,
+        extent_pixels: args.size.unwrap_or(if is_cpu { [256, 256] } else { [1024, 1024] }),
+        seconds: args.seconds.unwrap_or(6.0),
         virtual_seconds: args.virtual_seconds,
-        refresh_hz,
+        refresh_hz: args.refresh.unwrap_or(if is_cpu { 15.0 } else { 72.0 }),
         validation: args.validation,
     };
     let report = demo(&options)?;

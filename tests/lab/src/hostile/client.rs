@@ -1,11 +1,11 @@
 //! A server that attacks the real client, on the mock runtime: it must go on showing frames, keep its memory, and show the
 //! pictures of a server that behaves soon after.
 
-use crate::demo::program;
 use crate::hostile::process::Program;
 use crate::hostile::report::{Bars, ClientReport};
 use crate::hostile::rogue::{Conduct, Rogue};
 use crate::options::RunOptions;
+use crate::process::program;
 use crate::run::mock_config;
 use crate::runtime::prepare_runtime;
 use anyhow::{Context, ensure};

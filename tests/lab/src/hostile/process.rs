@@ -1,7 +1,7 @@
 //! The server under attack: the real program on loopback, with its memory and its last words.
 
-use crate::demo::program;
 use crate::memory::resident_kib;
+use crate::process::program;
 use anyhow::{Context, bail};
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};

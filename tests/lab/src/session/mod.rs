@@ -307,7 +307,7 @@ impl Lab {
             decoder: options.spared.arrival.decoder(),
             ..ClientOptions::default()
         };
-        let client = Client::new(xr, client_options).context("making the client")?;
+        let client = Client::new(Box::new(xr), client_options).context("making the client")?;
         let hello = hello(options, client.eye_extent_pixels());
         let trace = options.trace.as_deref().map(Trace::create).transpose()?;
         let mut own = Line::new(&mut server, &link, options.seed, None)?;

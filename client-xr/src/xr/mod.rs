@@ -3,109 +3,25 @@
 //! Asks for API 1.0, which every loader in use accepts. Nothing here allocates once frames run: views are located
 //! through the function pointers into arrays of two.
 
+pub mod error;
+
+use crate::display::{ASSUMED_EYE_HEIGHT_M, Activity, Display, DisplayError, EyeImages, FrameTurn, Views};
 use crate::platform::Platform;
 use crate::platform::requirements::REQUIRED;
 use ash::vk;
 use ash::vk::Handle as _;
+use error::{Doing, XrError, no_runtime};
 use glam::{Quat, Vec3};
 use openxr::sys;
 use openxr::sys::platform::VkGetInstanceProcAddr;
 use shadecast_gpu::{DeviceSource, Gpu, GpuError, GpuOptions, Needs};
-use shadecast_protocol::pose::{Eye, Fov, Pose};
+use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ClientTime;
-use std::io::ErrorKind;
-use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
 const VIEW_CONFIGURATION: openxr::ViewConfigurationType = openxr::ViewConfigurationType::PRIMARY_STEREO;
 /// Swapchain formats that will do, best first; both store what the attachment's linear values encode to.
 const FORMATS: [vk::Format; 2] = [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB];
-/// Eye height where the runtime knows no floor, metres.
-const ASSUMED_EYE_HEIGHT_M: f32 = 1.6;
-
-/// What went wrong with the headset's runtime.
-#[derive(Debug, thiserror::Error)]
-pub enum XrError {
-    /// The loader library is missing.
-    #[error(
-        "the OpenXR loader could not be opened ({0}); install it (Debian and Ubuntu: package libopenxr-loader1)"
-    )]
-    NoLoader(String),
-    /// No runtime answers the loader.
-    #[error(
-        "no OpenXR runtime answers ({0}); start your headset's runtime (SteamVR, Monado, WiVRn), or set the environment \
-         variable XR_RUNTIME_JSON to the path of its manifest, for example \
-         XR_RUNTIME_JSON=/usr/share/openxr/1/openxr_monado.json"
-    )]
-    NoRuntime(sys::Result),
-    /// The environment names a runtime that is not there.
-    #[error(
-        "no OpenXR runtime answers: the environment variable XR_RUNTIME_JSON names {}, which {wrong}; correct it, or unset \
-         it to use the system's active runtime",
-        path.display()
-    )]
-    NoManifest {
-        /// What it names.
-        path: PathBuf,
-        /// What is wrong with that.
-        wrong: &'static str,
-    },
-    /// The runtime lacks an extension.
-    #[error(
-        "the OpenXR runtime \"{runtime}\" lacks {extension}, which this program needs; use another runtime"
-    )]
-    NoExtension {
-        /// The runtime's name for itself.
-        runtime: String,
-        /// The extension.
-        extension: &'static str,
-    },
-    /// No headset.
-    #[error("the OpenXR runtime finds no headset ({0}); connect it and switch it on")]
-    NoHeadset(sys::Result),
-    /// The runtime offers nothing that can be drawn to.
-    #[error("the OpenXR runtime offers no swapchain format of 8-bit sRGB; use another runtime")]
-    NoFormat,
-    /// Session, instance or device are gone; all must be made anew.
-    #[error("the headset's session was lost while {0}")]
-    Lost(&'static str),
-    /// A call failed.
-    #[error("{doing}: the OpenXR runtime answers {result:?}")]
-    Call {
-        /// What was being done.
-        doing: &'static str,
-        /// The answer.
-        result: sys::Result,
-    },
-    /// The device failed.
-    #[error(transparent)]
-    Gpu(#[from] GpuError),
-}
-
-/// Why no runtime answers, as far as that can be seen from here.
-fn no_runtime(result: sys::Result) -> XrError {
-    let named = std::env::var_os("XR_RUNTIME_JSON").filter(|path| !path.is_empty()).map(PathBuf::from);
-    let Some(path) = named else { return XrError::NoRuntime(result) };
-    match std::fs::File::open(&path).map_err(|error| error.kind()) {
-        Err(ErrorKind::NotFound) => XrError::NoManifest { path, wrong: "does not exist" },
-        Err(_) => XrError::NoManifest { path, wrong: "cannot be read" },
-        Ok(_) if path.is_dir() => XrError::NoManifest { path, wrong: "is a folder" },
-        Ok(_) => XrError::NoRuntime(result),
-    }
-}
-
-trait Doing<T> {
-    fn doing(self, doing: &'static str) -> Result<T, XrError>;
-}
-
-impl<T> Doing<T> for Result<T, sys::Result> {
-    fn doing(self, doing: &'static str) -> Result<T, XrError> {
-        self.map_err(|result| match result {
-            sys::Result::ERROR_INSTANCE_LOST | sys::Result::ERROR_SESSION_LOST => XrError::Lost(doing),
-            _ => XrError::Call { doing, result },
-        })
-    }
-}
 
 /// How the headset is opened.
 #[derive(Clone, Copy, Debug, Default)]
@@ -125,13 +41,13 @@ struct XrDevice {
 /// A headset that is ready to draw to: images, and all else. Dropped in this order.
 pub struct Xr {
     /// The images of both eyes.
-    pub swapchain: Swapchain,
+    swapchain: Swapchain,
     /// Session, frames and views.
-    pub headset: Headset,
+    headset: Headset,
 }
 
 /// A headset's session, and the device it draws with. Fields are dropped in this order: what is made first goes last.
-pub struct Headset {
+struct Headset {
     stage: openxr::Space,
     head: openxr::Space,
     stream: openxr::FrameStream<openxr::Vulkan>,
@@ -190,62 +106,14 @@ impl Jumps {
     }
 }
 
-/// What to do next.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Activity {
-    /// Nothing is shown: look again soon.
-    Idle,
-    /// Wait for a frame and draw it.
-    Running,
-    /// The session has ended for good.
-    Exit,
-}
-
-/// A frame that the runtime asked for, between waiting and ending. Consumed by [`Headset::end_frame`].
-#[derive(Debug)]
-#[must_use]
-pub struct FrameTurn {
-    xr_time: openxr::Time,
-    /// When it will be seen, on `CLOCK_MONOTONIC`.
-    pub display_time: ClientTime,
-    /// How long it will be seen, nanoseconds.
-    pub period_ns: i64,
-    /// False where nobody sees it, so that drawing it is a waste.
-    pub should_render: bool,
-}
-
-/// Where the head and its two eyes are at a display time, in the stage's frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Views {
-    /// The head.
-    pub stage_from_head: Pose,
-    /// Metres per second along the stage's axes.
-    pub linear_velocity: Vec3,
-    /// Radians per second about the stage's axes.
-    pub angular_velocity: Vec3,
-    /// Left and right eye in the stage.
-    pub stage_from_eye: [Pose; 2],
-    /// Left and right frustum.
-    pub fov: [Fov; 2],
-    /// Rises whenever the stage has got another origin, or the session has begun anew: poses before and after it are not of
-    /// one motion.
-    pub jumps: u32,
-}
-
 /// The array swapchain of both eyes.
-pub struct Swapchain {
+struct Swapchain {
     handle: openxr::Swapchain<openxr::Vulkan>,
     images: Vec<vk::Image>,
     format: vk::Format,
     extent_pixels: [u32; 2],
-}
-
-/// A swapchain image that is ours until it is released.
-#[must_use]
-pub struct AcquiredImage<'a> {
-    swapchain: &'a mut Swapchain,
-    index: usize,
-    is_released: bool,
+    /// An image is ours until it is released.
+    is_acquired: bool,
 }
 
 impl DeviceSource for XrDevice {
@@ -392,24 +260,56 @@ impl Xr {
     }
 }
 
+impl Display for Xr {
+    fn gpu(&self) -> &Arc<Gpu> {
+        &self.headset.gpu
+    }
+
+    fn name(&self) -> &str {
+        &self.headset.runtime_name
+    }
+
+    fn eye_images(&self) -> EyeImages<'_> {
+        let Swapchain { images, format, extent_pixels, .. } = &self.swapchain;
+        EyeImages { images, format: *format, extent_pixels: *extent_pixels }
+    }
+
+    fn request_exit(&mut self) {
+        self.headset.exit_requested = true;
+    }
+
+    fn poll_events(&mut self) -> Result<Activity, DisplayError> {
+        Ok(self.headset.poll_events()?)
+    }
+
+    fn wait_frame(&mut self) -> Result<FrameTurn, DisplayError> {
+        Ok(self.headset.wait_frame()?)
+    }
+
+    fn locate_views(&mut self, turn: &FrameTurn) -> Result<Views, DisplayError> {
+        Ok(self.headset.locate_views(turn)?)
+    }
+
+    fn acquire_image(&mut self) -> Result<usize, DisplayError> {
+        Ok(self.swapchain.acquire()?)
+    }
+
+    fn release_image(&mut self) -> Result<(), DisplayError> {
+        Ok(self.swapchain.release()?)
+    }
+
+    fn end_frame(&mut self, turn: FrameTurn, views: &Views) -> Result<(), DisplayError> {
+        Ok(self.headset.end_frame(turn, views, &self.swapchain)?)
+    }
+
+    fn end_empty_frame(&mut self, turn: FrameTurn) -> Result<(), DisplayError> {
+        Ok(self.headset.end_empty_frame(turn)?)
+    }
+}
+
 impl Headset {
-    /// The device to draw with.
-    pub fn gpu(&self) -> &Arc<Gpu> {
-        &self.gpu
-    }
-
-    /// The runtime's name for itself.
-    pub fn runtime_name(&self) -> &str {
-        &self.runtime_name
-    }
-
-    /// Asks the runtime to end the session; [`Activity::Exit`] follows.
-    pub fn request_exit(&mut self) {
-        self.exit_requested = true;
-    }
-
     /// Takes in the runtime's events, and begins or ends the session as they say.
-    pub fn poll_events(&mut self) -> Result<Activity, XrError> {
+    fn poll_events(&mut self) -> Result<Activity, XrError> {
         if self.exit_requested {
             self.pass_on_exit_request()?;
         }
@@ -462,11 +362,11 @@ impl Headset {
     }
 
     /// Sleeps until the runtime wants the next frame, and begins it.
-    pub fn wait_frame(&mut self) -> Result<FrameTurn, XrError> {
+    fn wait_frame(&mut self) -> Result<FrameTurn, XrError> {
         let state = self.waiter.wait().doing("waiting for a frame")?;
         self.stream.begin().doing("beginning a frame")?;
         Ok(FrameTurn {
-            xr_time: state.predicted_display_time,
+            own_time_ns: state.predicted_display_time.as_nanos(),
             display_time: self.monotonic(state.predicted_display_time)?,
             period_ns: state.predicted_display_period.as_nanos(),
             should_render: state.should_render,
@@ -494,12 +394,13 @@ impl Headset {
 
     /// Where head and eyes will be when the frame is seen. Call it as late as possible. Tracking that is lost leaves the
     /// head where it was last.
-    pub fn locate_views(&mut self, turn: &FrameTurn) -> Result<Views, XrError> {
+    fn locate_views(&mut self, turn: &FrameTurn) -> Result<Views, XrError> {
+        let time = openxr::Time::from_nanos(turn.own_time_ns);
         let info = sys::ViewLocateInfo {
             ty: sys::ViewLocateInfo::TYPE,
             next: std::ptr::null(),
             view_configuration_type: VIEW_CONFIGURATION,
-            display_time: turn.xr_time,
+            display_time: time,
             space: self.stage.as_raw(),
         };
         let mut state = sys::ViewState {
@@ -520,7 +421,7 @@ impl Headset {
         let result =
             unsafe { locate(self.session.as_raw(), &info, &mut state, 2, &mut count, views.as_mut_ptr()) };
         succeeded(result).doing("locating the eyes")?;
-        let (stage_from_head, velocity) = self.locate_head(turn.xr_time)?;
+        let (stage_from_head, velocity) = self.locate_head(time)?;
         let valid = sys::ViewStateFlags::ORIENTATION_VALID | sys::ViewStateFlags::POSITION_VALID;
         let mut located = Views {
             stage_from_head,
@@ -536,7 +437,7 @@ impl Headset {
             ),
             stage_from_eye: views.map(|view| pose_of(view.pose)),
             fov: views.map(|view| fov_of(view.fov)),
-            jumps: self.jumps.until(turn.xr_time.as_nanos()),
+            jumps: self.jumps.until(turn.own_time_ns),
         };
         if count != 2 || !state.view_state_flags.contains(valid) || !located.is_valid() {
             let jumps = located.jumps;
@@ -570,17 +471,13 @@ impl Headset {
     }
 
     /// Ends a frame that shows nothing.
-    pub fn end_empty_frame(&mut self, turn: FrameTurn) -> Result<(), XrError> {
-        self.stream.end(turn.xr_time, self.blend_mode, &[]).doing("ending a frame")
+    fn end_empty_frame(&mut self, turn: FrameTurn) -> Result<(), XrError> {
+        let time = openxr::Time::from_nanos(turn.own_time_ns);
+        self.stream.end(time, self.blend_mode, &[]).doing("ending a frame")
     }
 
     /// Ends a frame: the last released image of `swapchain` is shown as seen from `views`.
-    pub fn end_frame(
-        &mut self,
-        turn: FrameTurn,
-        views: &Views,
-        swapchain: &Swapchain,
-    ) -> Result<(), XrError> {
+    fn end_frame(&mut self, turn: FrameTurn, views: &Views, swapchain: &Swapchain) -> Result<(), XrError> {
         let [width, height] = swapchain.extent_pixels.map(|side| side as i32);
         let rect = openxr::Rect2Di {
             offset: openxr::Offset2Di { x: 0, y: 0 },
@@ -598,7 +495,8 @@ impl Headset {
         };
         let projected = [view(0), view(1)];
         let layer = openxr::CompositionLayerProjection::new().space(&self.stage).views(&projected);
-        self.stream.end(turn.xr_time, self.blend_mode, &[&layer]).doing("ending a frame")
+        let time = openxr::Time::from_nanos(turn.own_time_ns);
+        self.stream.end(time, self.blend_mode, &[&layer]).doing("ending a frame")
     }
 }
 
@@ -666,81 +564,29 @@ impl Swapchain {
             .doing("creating the swapchain")?;
         let images = handle.enumerate_images().doing("listing the swapchain's images")?;
         let images = images.into_iter().map(vk::Image::from_raw).collect();
-        Ok(Self { handle, images, format, extent_pixels })
-    }
-
-    /// Width and height of one eye in pixels.
-    pub fn extent_pixels(&self) -> [u32; 2] {
-        self.extent_pixels
-    }
-
-    /// Format of the swapchain.
-    pub fn format(&self) -> vk::Format {
-        self.format
-    }
-
-    /// The swapchain's images, for framebuffers.
-    pub fn images(&self) -> &[vk::Image] {
-        &self.images
+        Ok(Self { handle, images, format, extent_pixels, is_acquired: false })
     }
 
     /// Takes the next image to draw to, waiting until the compositor has done with it.
-    pub fn acquire(&mut self) -> Result<AcquiredImage<'_>, XrError> {
+    fn acquire(&mut self) -> Result<usize, XrError> {
         let index = self.handle.acquire_image().doing("acquiring an image")? as usize;
+        self.is_acquired = true;
         self.handle.wait_image(openxr::Duration::INFINITE).doing("waiting for an image")?;
-        Ok(AcquiredImage { swapchain: self, index, is_released: false })
-    }
-}
-
-impl AcquiredImage<'_> {
-    /// Its place in [`Swapchain::images`].
-    pub fn index(&self) -> usize {
-        self.index
+        Ok(index)
     }
 
     /// Gives the image, drawn to by submitted work, to the compositor.
-    pub fn release(mut self) -> Result<(), XrError> {
-        self.is_released = true;
-        self.swapchain.handle.release_image().doing("releasing an image")
+    fn release(&mut self) -> Result<(), XrError> {
+        self.is_acquired = false;
+        self.handle.release_image().doing("releasing an image")
     }
 }
 
-impl Drop for AcquiredImage<'_> {
+impl Drop for Swapchain {
     fn drop(&mut self) {
-        if !self.is_released {
+        if self.is_acquired {
             // Only on the way out of a failed frame: what remains of the session is ended by who sees the error.
-            let _ = self.swapchain.handle.release_image();
-        }
-    }
-}
-
-impl Views {
-    /// The eyes as the protocol has them.
-    pub fn eyes(&self) -> [Eye; 2] {
-        let head_from_stage = self.stage_from_head.inverse();
-        std::array::from_fn(|eye| Eye {
-            head_from_eye: head_from_stage.then(self.stage_from_eye[eye]),
-            fov: self.fov[eye],
-        })
-    }
-
-    fn is_valid(&self) -> bool {
-        self.stage_from_head.is_valid()
-            && self.stage_from_eye.iter().all(|pose| pose.is_valid())
-            && self.fov.iter().all(|fov| fov.is_valid())
-    }
-
-    /// A standing head that looks ahead, with whatever frusta are known.
-    fn without_tracking(self) -> Self {
-        let head = Pose { position: Vec3::new(0.0, ASSUMED_EYE_HEIGHT_M, 0.0), orientation: Quat::IDENTITY };
-        let fov = self.fov.map(|fov| if fov.is_valid() { fov } else { Fov::symmetric_degrees(90.0) });
-        Self {
-            stage_from_head: head,
-            linear_velocity: Vec3::ZERO,
-            angular_velocity: Vec3::ZERO,
-            stage_from_eye: [head; 2],
-            fov,
-            jumps: self.jumps,
+            let _ = self.handle.release_image();
         }
     }
 }

@@ -7,6 +7,10 @@ use std::time::Duration;
 
 /// F.
 pub const KEY_F: u8 = 33 + 8;
+/// B.
+pub const KEY_B: u8 = 48 + 8;
+/// D.
+pub const KEY_D: u8 = 32 + 8;
 /// Escape.
 pub const KEY_ESCAPE: u8 = 1 + 8;
 
@@ -16,6 +20,8 @@ const SET_INPUT_FOCUS: u8 = 42;
 const GET_INPUT_FOCUS: u8 = 43;
 const QUERY_EXTENSION: u8 = 98;
 const FAKE_INPUT: u8 = 2;
+const KEY_PRESS: u8 = 2;
+const KEY_RELEASE: u8 = 3;
 
 /// A client without windows.
 pub struct Connection {
@@ -80,11 +86,24 @@ impl Connection {
 
     /// Presses a key and lets it go.
     pub fn press(&mut self, key: u8) -> io::Result<()> {
-        for kind in [2, 3] {
-            let mut event = vec![0; 32];
-            (event[0], event[1]) = (kind, key);
-            self.send(self.xtest, FAKE_INPUT, &event)?;
-        }
+        self.hold(key)?;
+        self.let_go(key)
+    }
+
+    /// Presses a key.
+    pub fn hold(&mut self, key: u8) -> io::Result<()> {
+        self.fake(KEY_PRESS, key)
+    }
+
+    /// Lets a key go.
+    pub fn let_go(&mut self, key: u8) -> io::Result<()> {
+        self.fake(KEY_RELEASE, key)
+    }
+
+    fn fake(&mut self, kind: u8, key: u8) -> io::Result<()> {
+        let mut event = vec![0; 32];
+        (event[0], event[1]) = (kind, key);
+        self.send(self.xtest, FAKE_INPUT, &event)?;
         self.sync()
     }
 

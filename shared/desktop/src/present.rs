@@ -1,4 +1,5 @@
-//! The last stage of a window: the rendered picture, with figures as text over it.
+//! The last stage of a window: a rendered picture as it is, or the pictures of two eyes as they fit, with figures as text
+//! over them (`present.*`, `present_eyes.frag`).
 
 use ash::vk;
 use shadecast_gpu::{
@@ -6,14 +7,28 @@ use shadecast_gpu::{
     Memory, Recorder, RenderPass, Sampler, SamplerDesc,
 };
 use shadecast_shaders::font::{self, Glyph};
-use shadecast_shaders::generated::{PRESENT_FRAG, PRESENT_VERT, PresentPush};
+use shadecast_shaders::generated::{PRESENT_EYES_FRAG, PRESENT_FRAG, PRESENT_VERT, PresentPush};
 use std::sync::Arc;
 
 /// Columns and rows of text at most.
 pub const MAX_CELLS: [u32; 2] = [72, 24];
 
+/// What is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shows {
+    /// A picture of the window's own extent.
+    Picture,
+    /// An image of two layers, left and right eye, of any extent.
+    Eyes,
+}
+
 /// The stage.
 pub struct Present {
+    shows: Shows,
+    /// Width and height of what is shown.
+    picture_extent: [u32; 2],
+    /// Eyes that are seen, from the left one on: 1 or 2, beside each other.
+    eyes: u32,
     pipeline: GraphicsPipeline,
     sampler: Sampler,
     group: Option<BindGroup>,
@@ -24,15 +39,21 @@ pub struct Present {
 
 impl Present {
     /// For a window's pass; `codes_srgb` where its format does not.
-    pub fn new(gpu: &Arc<Gpu>, pass: &RenderPass, codes_srgb: bool) -> Result<Self, GpuError> {
-        let desc = GraphicsPipelineDesc::new(&PRESENT_VERT, &PRESENT_FRAG, pass);
+    pub fn new(gpu: &Arc<Gpu>, pass: &RenderPass, codes_srgb: bool, shows: Shows) -> Result<Self, GpuError> {
+        let (fragment, filter) = match shows {
+            Shows::Picture => (&PRESENT_FRAG, vk::Filter::NEAREST),
+            Shows::Eyes => (&PRESENT_EYES_FRAG, vk::Filter::LINEAR),
+        };
+        let desc = GraphicsPipelineDesc::new(&PRESENT_VERT, fragment, pass);
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
-        let nearest =
-            SamplerDesc { filter: vk::Filter::NEAREST, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
+        let sampler = SamplerDesc { filter, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
         let bytes = u64::from(MAX_CELLS[0] * MAX_CELLS[1]) * size_of::<Glyph>() as u64;
         Ok(Self {
+            shows,
+            picture_extent: [1, 1],
+            eyes: 1,
             pipeline: GraphicsPipeline::new(gpu, &desc)?,
-            sampler: Sampler::new(gpu, nearest)?,
+            sampler: Sampler::new(gpu, sampler)?,
             group: None,
             text: Buffer::new(gpu, "figures", bytes, Memory::Upload)?,
             cells: [0, 0],
@@ -44,7 +65,13 @@ impl Present {
     pub fn show(&mut self, picture: &Image) -> Result<(), GpuError> {
         let binds = [("picture", Bind::Sampled(picture, &self.sampler)), ("Text", Bind::Buffer(&self.text))];
         self.group = Some(BindGroup::new(self.pipeline.layout(), &binds)?);
+        self.picture_extent = picture.desc().extent;
         Ok(())
+    }
+
+    /// Shows the left eye, or both beside each other.
+    pub fn show_eyes(&mut self, both: bool) {
+        self.eyes = if both { 2 } else { 1 };
     }
 
     /// Writes the figures, a line a row; what does not fit is cut. Nothing submitted still reads the old ones.
@@ -65,15 +92,42 @@ impl Present {
     /// Draws picture and figures over all of `target`. The picture can be sampled.
     pub fn record(&self, recorder: &mut Recorder, pass: &RenderPass, target: &Framebuffer) {
         let group = self.group.as_ref().expect("a picture is shown before the first frame");
+        let window = target.extent().map(|side| side as f32);
+        let eyes = if self.shows == Shows::Eyes { self.eyes } else { 1 };
         let push = PresentPush {
             cells: self.cells,
             pixels_per_dot: (target.extent()[1] / 400).clamp(1, 4),
             codes_srgb: u32::from(self.codes_srgb),
+            window_extent: window,
+            pane_extent: pane_extent(window, self.picture_extent, eyes),
+            panes: eyes,
+            _pad_end: Default::default(),
         };
         recorder.begin_pass(pass, target, &[vk::ClearValue::default()]);
         recorder.bind(&self.pipeline, group);
         recorder.push_constants(&self.pipeline, &push);
         recorder.draw(3, 1);
         recorder.end_pass();
+    }
+}
+
+/// Width and height in pixels at which a picture fits into each of `panes` equal parts of a window, side by side, as large
+/// as it can without another shape.
+fn pane_extent([width, height]: [f32; 2], picture: [u32; 2], panes: u32) -> [f32; 2] {
+    let picture = picture.map(|side| side.max(1) as f32);
+    let scale = (width / panes as f32 / picture[0]).min(height / picture[1]);
+    picture.map(|side| side * scale)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_of_eyes_keep_their_shape_and_fill_one_side() {
+        assert_eq!(pane_extent([800.0, 400.0], [1000, 1000], 1), [400.0, 400.0]);
+        assert_eq!(pane_extent([800.0, 400.0], [1000, 1000], 2), [400.0, 400.0]);
+        assert_eq!(pane_extent([600.0, 400.0], [1000, 1000], 2), [300.0, 300.0]);
+        assert_eq!(pane_extent([1280.0, 720.0], [1280, 720], 1), [1280.0, 720.0]);
     }
 }

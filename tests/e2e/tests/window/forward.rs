@@ -1,7 +1,7 @@
 //! The forward renderer's window on a display of its own (Xvfb), and the videos it writes.
 
-mod support;
-
+use crate::display::{Display, colours};
+use crate::x11::{self, Connection};
 use shadecast_client::decode::openh264::OpenH264Decoder;
 use shadecast_client::decode::{Decoder, Picture};
 use shadecast_lab::image::Rgb8Image;
@@ -9,11 +9,9 @@ use shadecast_protocol::picture::I420;
 use shadecast_server::picture::rgb_of;
 use shadecast_server::truth::video::Video;
 use shadecast_test_support::programs::{Program, Voice, output_of, program, wait_until};
-use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::time::Duration;
-use support::x11::{self, Connection};
 
 const SIZE: &str = "160x120";
 const SCREEN: [u32; 2] = [320, 240];
@@ -23,54 +21,6 @@ fn server() -> Command {
     command.args(["forward", "dragon", "--size", SIZE, "--start", "0.4", "--fps", "10", "--validation"]);
     command.env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET").env_remove("DISPLAY");
     command
-}
-
-/// A display, ended by its pid.
-struct Display {
-    child: Child,
-    number: u32,
-    folder: tempfile::TempDir,
-}
-
-impl Display {
-    fn start() -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let mut command = Command::new("Xvfb");
-        command.args([
-            "-displayfd",
-            "1",
-            "-screen",
-            "0",
-            &format!("{}x{}x24", SCREEN[0], SCREEN[1]),
-            "-nolisten",
-            "tcp",
-            "-fbdir",
-        ]);
-        command.arg(folder.path()).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null());
-        let mut child = command.spawn().expect("Xvfb; `./shadecast setup` installs it (package xvfb)");
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        Self { child, number: line.trim().parse().expect("Xvfb says its number"), folder }
-    }
-
-    fn name(&self) -> String {
-        format!(":{}", self.number)
-    }
-
-    /// What is on the screen: the pixels of the frame buffer file, which is an X window dump.
-    fn screen(&self) -> Vec<u8> {
-        let dump = std::fs::read(self.folder.path().join("Xvfb_screen0")).unwrap();
-        let word = |i: usize| u32::from_be_bytes(dump[i * 4..][..4].try_into().unwrap()) as usize;
-        // XWDFile.h: the header's size, and 19 colours of 12 bytes each.
-        dump[word(0) + word(19) * 12..].to_vec()
-    }
-}
-
-impl Drop for Display {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
 }
 
 #[track_caller]
@@ -84,7 +34,7 @@ fn image(path: PathBuf) -> Rgb8Image {
 
 #[test]
 fn window_shows_what_the_headless_renderer_renders() {
-    let (display, folder) = (Display::start(), tempfile::tempdir().unwrap());
+    let (display, folder) = (Display::start(SCREEN), tempfile::tempdir().unwrap());
     let shot = folder.path().join("window.png");
     let mut window = server();
     window.args(["--window", "--frames", "3", "--no-figures", "--screenshot"]).arg(&shot);
@@ -100,18 +50,14 @@ fn window_shows_what_the_headless_renderer_renders() {
 
 #[test]
 fn picture_reaches_the_screen_follows_the_windows_size_and_escape_ends_the_program() {
-    let display = Display::start();
+    let display = Display::start(SCREEN);
     let before = display.screen();
     let mut window = server();
     window.args(["--window", "--seconds", "300"]).env("DISPLAY", display.name());
     let window = Program::start(window.stdout(Stdio::null()), Voice::Errors);
-    let colours = |screen: &[u8]| {
-        let seen: std::collections::BTreeSet<&[u8]> = screen.chunks_exact(4).collect();
-        seen.len()
-    };
     assert!(colours(&before) < 10, "there is something on the screen before the window");
     wait_until("the window shows a picture", || colours(&display.screen()) >= 500);
-    let mut user = Connection::open(display.number).unwrap();
+    let mut user = Connection::open(display.number()).unwrap();
     for extent in [[300, 200], [120, 90], [310, 220]] {
         user.resize(extent).unwrap();
     }

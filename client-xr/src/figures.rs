@@ -1,0 +1,135 @@
+//! Figures for who watches: how it goes, in a few lines, anew twice a second.
+
+use crate::report::FrameReport;
+use crate::stats::Counters;
+use shadecast_protocol::time::ClientTime;
+
+/// How often they change: readable, and fresh.
+const EVERY_NS: i64 = 500_000_000;
+
+/// What was counted when the figures were last made.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counted {
+    frames: u64,
+    bundles: u64,
+    atlas_bytes: u64,
+    geometry_bytes: u64,
+    lost_pictures: u64,
+}
+
+/// Makes figures.
+#[derive(Debug, Default)]
+pub(crate) struct Figures {
+    last: Option<(ClientTime, Counted)>,
+    /// From the arrival of the newest picture to its display.
+    latency_ns: Option<i64>,
+    lines: Vec<String>,
+}
+
+impl Figures {
+    /// Takes in a display frame whose picture, where it is a new one, had `arrived`. Gives the lines where they are new.
+    pub(crate) fn note(
+        &mut self,
+        counters: &Counters,
+        frame: &FrameReport,
+        arrived: Option<ClientTime>,
+    ) -> Option<&[String]> {
+        let now = frame.display_time;
+        self.latency_ns = arrived.map(|arrived| now.since(arrived)).or(self.latency_ns);
+        let counted = Counted::of(counters);
+        let (since, before) = *self.last.get_or_insert((now, counted));
+        let passed_ns = now.since(since);
+        if passed_ns < EVERY_NS && !self.lines.is_empty() {
+            return None;
+        }
+        self.last = Some((now, counted));
+        let per_s = |count: u64| if passed_ns > 0 { count as f64 * 1e9 / passed_ns as f64 } else { 0.0 };
+        let mbit = |bytes: u64| per_s(bytes) * 8e-6;
+        let Counted { frames, bundles, atlas_bytes, geometry_bytes, lost_pictures } = counted.since(before);
+        let ms = |ns: Option<i64>| ns.map_or("-".to_owned(), |ns| format!("{:.1}", ns as f64 * 1e-6));
+        self.lines.clear();
+        self.lines.push(counters.device.clone());
+        self.lines.push(format!("{:.1} frames/s, {:.1} updates/s", per_s(frames), per_s(bundles)));
+        self.lines.push(format!(
+            "{:.2} Mbit/s of pictures, {:.2} of geometry",
+            mbit(atlas_bytes),
+            mbit(geometry_bytes)
+        ));
+        self.lines.push(format!("{} ms from arrival to display", ms(self.latency_ns)));
+        self.lines.push(format!("{} ms the clock may be off", ms(frame.clock_error_bound_ns)));
+        let faults = [
+            (u64::from(frame.held_vertices), "vertices held"),
+            (u64::from(frame.frozen_vertices), "vertices frozen"),
+            (u64::from(frame.withheld_vertices), "vertices withheld"),
+            (u64::from(frame.withheld_patches), "patches withheld"),
+            (lost_pictures, "pictures lost"),
+        ];
+        self.lines.extend(faults.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")));
+        Some(&self.lines)
+    }
+}
+
+impl Counted {
+    fn of(counters: &Counters) -> Self {
+        let Counters { frames, bundles, atlas_bytes, geometry_bytes, lost_pictures, .. } = *counters;
+        Self { frames, bundles, atlas_bytes, geometry_bytes, lost_pictures }
+    }
+
+    fn since(self, before: Self) -> Self {
+        Self {
+            frames: self.frames - before.frames,
+            bundles: self.bundles - before.bundles,
+            atlas_bytes: self.atlas_bytes - before.atlas_bytes,
+            geometry_bytes: self.geometry_bytes - before.geometry_bytes,
+            lost_pictures: self.lost_pictures - before.lost_pictures,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: i64 = 1_000_000;
+
+    fn frame(ms: i64) -> FrameReport {
+        FrameReport {
+            display_time: ClientTime(ms * MS),
+            server_time: None,
+            clock_error_bound_ns: None,
+            motion_time: None,
+            is_rendered: true,
+            update: None,
+            is_new: ms % 100 == 0,
+            held_vertices: 0,
+            frozen_vertices: 0,
+            withheld_vertices: 0,
+            withheld_patches: 0,
+            arena_waiting_bytes: 0,
+        }
+    }
+
+    #[test]
+    fn rates_are_those_of_the_last_half_second() {
+        let (mut figures, mut counters) = (Figures::default(), Counters::default());
+        let mut told = Vec::new();
+        for ms in (0..=1500).step_by(20) {
+            counters.count(&frame(ms));
+            counters.atlas_bytes += 2500;
+            let arrived = frame(ms).is_new.then(|| ClientTime((ms - 7) * MS));
+            if let Some(lines) = figures.note(&counters, &frame(ms), arrived) {
+                told.push((ms, lines.to_vec()));
+            }
+        }
+        let times: Vec<i64> = told.iter().map(|(ms, _)| *ms).collect();
+        assert_eq!(times, [0, 500, 1000, 1500], "twice a second, and at once");
+        let text = told[2].1.join("; ");
+        for part in ["50.0 frames/s", "10.0 updates/s", "1.00 Mbit/s of pictures", "7.0 ms from arrival"] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        assert!(!text.contains("held"), "what does not happen is not told: {text}");
+        let late = FrameReport { held_vertices: 3, ..frame(2000) };
+        let lines = figures.note(&counters, &late, None).expect("half a second later").join("; ");
+        assert!(lines.contains("3 vertices held"), "{lines}");
+    }
+}

@@ -1,0 +1,83 @@
+//! When a window's frames begin, and when they will be seen. Pure; times are arguments.
+
+use shadecast_protocol::time::ClientTime;
+
+/// Share of a new frame in the idea of how long frames take.
+const NEWEST_SHARE: f64 = 0.1;
+/// A frame that took longer says nothing about the next one.
+const MAX_FRAME_NS: i64 = 250_000_000;
+
+/// Paces frames: no faster than the display shows them, and seen when as long has passed as frames take.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pace {
+    /// Between two pictures of the display.
+    pub(super) period_ns: i64,
+    frame_ns: f64,
+    began: Option<ClientTime>,
+    seen: ClientTime,
+}
+
+impl Pace {
+    /// For a display that shows a picture each `period_ns`.
+    pub(super) fn new(period_ns: i64) -> Self {
+        Self { period_ns, frame_ns: period_ns as f64, began: None, seen: ClientTime(i64::MIN) }
+    }
+
+    /// The frame that began last is on display.
+    pub(super) fn finished(&mut self, now: ClientTime) {
+        if let Some(began) = self.began {
+            let took_ns = now.since(began).clamp(0, MAX_FRAME_NS) as f64;
+            self.frame_ns += (took_ns - self.frame_ns) * NEWEST_SHARE;
+        }
+    }
+
+    /// How long to wait at `now` before the next frame begins, nanoseconds. A display that holds frames back by itself needs
+    /// no wait: what it takes off is less than half of a period.
+    pub(super) fn wait_ns(&self, now: ClientTime) -> i64 {
+        let passed_ns = self.began.map_or(i64::MAX, |began| now.since(began));
+        if passed_ns >= self.period_ns / 2 { 0 } else { self.period_ns - passed_ns }
+    }
+
+    /// A frame begins at `now`: when it will be seen, later than the one before.
+    pub(super) fn begin(&mut self, now: ClientTime) -> ClientTime {
+        self.began = Some(now);
+        let soonest = now.plus_ns((self.frame_ns as i64).max(self.period_ns));
+        self.seen = soonest.max(ClientTime(self.seen.0.saturating_add(1)));
+        self.seen
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: i64 = 1_000_000;
+
+    #[test]
+    fn frames_of_an_unthrottled_window_keep_the_displays_rate() {
+        let mut pace = Pace::new(16 * MS);
+        assert_eq!(pace.wait_ns(ClientTime(0)), 0);
+        pace.begin(ClientTime(0));
+        assert_eq!(pace.wait_ns(ClientTime(3 * MS)), 13 * MS);
+        assert_eq!(pace.wait_ns(ClientTime(15 * MS)), 0, "the display has held it back");
+    }
+
+    #[test]
+    fn frames_are_seen_when_they_are_done_and_never_out_of_order() {
+        let mut pace = Pace::new(16 * MS);
+        let mut seen = ClientTime(i64::MIN);
+        for frame in 0..200 {
+            let began = ClientTime(frame * 40 * MS);
+            let next = pace.begin(began);
+            assert!(next > seen);
+            seen = next;
+            pace.finished(began.plus_ns(40 * MS));
+        }
+        let lead_ns = seen.since(ClientTime(199 * 40 * MS));
+        assert!((lead_ns - 40 * MS).abs() < MS, "{lead_ns}");
+        pace.finished(ClientTime(3_600_000 * MS));
+        let next = pace.begin(ClientTime(3_600_000 * MS));
+        assert!(next.since(ClientTime(3_600_000 * MS)) < 70 * MS, "a program that was asleep");
+        assert!(pace.begin(ClientTime(3_600_000 * MS)) > next, "the same time again");
+    }
+}

@@ -1,3 +1,0 @@
-//! Helpers of the tests.
-
-pub mod x11;

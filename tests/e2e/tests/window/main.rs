@@ -1,0 +1,6 @@
+//! Windows on a display of the test's own: the forward renderer's, and the client's.
+
+mod client;
+mod display;
+mod forward;
+mod x11;

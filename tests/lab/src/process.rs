@@ -1,0 +1,84 @@
+//! Programs of the project as processes: found beside this one, started, listened to, and ended.
+
+use anyhow::{Context, bail, ensure};
+use std::io::{BufRead, BufReader};
+use std::net::{SocketAddr, UdpSocket};
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// How long a process may take to start, to show the first picture, or to end.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A free port of this machine, for itself alone: bound for a moment, then left to a server.
+pub(crate) fn free_address() -> anyhow::Result<SocketAddr> {
+    UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.local_addr()).context("finding a free port")
+}
+
+/// A process that is ended when it is dropped.
+pub(crate) struct Running {
+    pub(crate) name: &'static str,
+    child: Child,
+}
+
+impl Running {
+    pub(crate) fn start(name: &'static str, command: &mut Command) -> anyhow::Result<Self> {
+        let child = command.stdin(Stdio::null()).spawn();
+        Ok(Self { name, child: child.with_context(|| format!("starting {name}"))? })
+    }
+
+    /// Reads the process's output until a line holds `text`, then lets it run on unheard.
+    pub(crate) fn says(&mut self, text: &'static str) -> anyhow::Result<()> {
+        let output = self.child.stdout.take().context("its output is read once")?;
+        let (heard_to, heard) = std::sync::mpsc::channel();
+        std::thread::spawn(move || {
+            for line in BufReader::new(output).lines().map_while(Result::ok) {
+                if line.contains(text) {
+                    let _ = heard_to.send(());
+                }
+            }
+        });
+        heard
+            .recv_timeout(PATIENCE)
+            .map_err(|_| anyhow::anyhow!("{} did not start; its messages are above", self.name))
+    }
+
+    pub(crate) fn is_running(&mut self) -> anyhow::Result<bool> {
+        Ok(self.child.try_wait()?.is_none())
+    }
+
+    pub(crate) fn wait(&mut self, deadline: Instant) -> anyhow::Result<()> {
+        loop {
+            match self.child.try_wait()? {
+                Some(status) if status.success() => return Ok(()),
+                Some(status) => bail!("{} ended with {status}; its messages are above", self.name),
+                None if Instant::now() > deadline => bail!("{} did not end in time", self.name),
+                None => std::thread::sleep(Duration::from_millis(50)),
+            }
+        }
+    }
+
+    /// Asks the process to end, as Ctrl-C does.
+    pub(crate) fn interrupt(&self) -> anyhow::Result<()> {
+        let status = Command::new("kill").args(["-INT", &self.child.id().to_string()]).status()?;
+        ensure!(status.success(), "{} could not be asked to end", self.name);
+        Ok(())
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A program of the project, which lies beside this one.
+pub(crate) fn program(name: &str) -> anyhow::Result<PathBuf> {
+    let here = std::env::current_exe().context("finding the programs")?;
+    let folder = here.parent().context("finding the programs")?;
+    let folder = if folder.ends_with("deps") { folder.parent().unwrap_or(folder) } else { folder };
+    let path = folder.join(name);
+    ensure!(path.exists(), "{} is not built; run `cargo build --release -p {name}`", path.display());
+    Ok(path)
+}
