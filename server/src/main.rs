@@ -1,5 +1,6 @@
 //! The command line of the server.
 
+mod doctor_command;
 mod forward_command;
 mod interrupt;
 mod output;
@@ -51,6 +52,7 @@ use std::sync::Arc;
   shadecast-server forward dragons:3 --window
   shadecast-server inspect dragon
   shadecast-server inspect error fox.glb --spacing-ms 100
+  shadecast-server doctor --listen 0.0.0.0:7400
   shadecast-server generate dragon --out dragon.glb
 
 SCENE is dragon, dragons:N, dragons:NxMxK (a grid), a .glb, .gltf or .fbx file, or a scene description (.toml)."
@@ -68,6 +70,8 @@ enum Command {
     Forward(Box<forward_command::ForwardArgs>),
     /// Says what is in a scene, what it takes, and how exact its animation is; needs no GPU
     Inspect(InspectArgs),
+    /// Says what this machine can do as a server, measured, and what to change
+    Doctor(doctor_command::DoctorArgs),
     /// Writes a generated model
     Generate {
         /// What to generate: dragon
@@ -210,6 +214,10 @@ fn run_command(command: &Command) -> anyhow::Result<()> {
         Command::Inspect(args) => {
             interrupt::install(FirstSignal::Ends)?;
             inspect::run(args).map(|text| print!("{text}"))
+        }
+        Command::Doctor(args) => {
+            interrupt::install(FirstSignal::Ends)?;
+            doctor_command::doctor(args)
         }
         Command::Generate { what, out } => {
             interrupt::install(FirstSignal::Ends)?;

@@ -1,5 +1,6 @@
 //! The device and what hangs on it: allocator, command slots, retire ring, validation messages.
 
+use crate::devices::{self, FoundDevice, NO_DRIVER, Needs, has_geometry_shader, missing, name_of};
 use crate::lanes::{LANES, Lanes};
 use crate::memory::Garbage;
 use crate::recorder::CommandSlot;
@@ -13,19 +14,6 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
-/// What to do where there is no device at all.
-const NO_DRIVER: &str = "there is no driver; install the one of the graphics card's maker, or Mesa's (Debian and Ubuntu: package \
-     mesa-vulkan-drivers, which also has one that needs no graphics card), or run ./shadecast setup";
-
-/// Which of the two required feature sets a device must have.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Needs {
-    /// Vulkan 1.2 with descriptor indexing. `gl_PrimitiveID` in fragment shaders is asked for where the device has it.
-    Server,
-    /// Vulkan 1.1 core with multiview: nothing a first-generation standalone headset lacks.
-    Client,
-}
-
 /// How a device is opened.
 #[derive(Clone, Debug)]
 pub struct GpuOptions {
@@ -261,6 +249,21 @@ impl Drop for Gpu {
     }
 }
 
+/// What devices there are, the best first, and what each lacks.
+///
+/// # Errors
+/// No Vulkan loader, or no driver.
+pub fn survey(needs: Needs) -> Result<Vec<FoundDevice>, GpuError> {
+    // SAFETY: loading the Vulkan loader runs its initialisers, which have no preconditions.
+    let entry = unsafe { ash::Entry::load() }.map_err(|e| GpuError::NoLoader(e.to_string()))?;
+    let options = GpuOptions { needs, validation: false, device_name: None };
+    let instance = create_instance(&entry, &options, &DesktopDevice)?;
+    let found = devices::list(&instance, needs);
+    // SAFETY: nothing was made with the instance.
+    unsafe { instance.destroy_instance(None) };
+    found
+}
+
 impl DeviceSource for DesktopDevice {
     fn create_instance(
         &self,
@@ -281,28 +284,17 @@ impl DeviceSource for DesktopDevice {
         instance: &ash::Instance,
         options: &GpuOptions,
     ) -> Result<vk::PhysicalDevice, GpuError> {
-        // SAFETY: the instance is alive.
-        let listed = unsafe { instance.enumerate_physical_devices() };
-        // A driver without its hardware fails instead of listing nothing.
-        let all = listed.map_err(|_| GpuError::NoDevice(NO_DRIVER.into()))?;
-        let mut usable = Vec::new();
-        let mut refused = Vec::new();
-        for physical in all {
-            // SAFETY: `physical` was just listed by this instance.
-            let properties = unsafe { instance.get_physical_device_properties(physical) };
-            let name = name_of(&properties);
-            if options.device_name.as_ref().is_some_and(|wanted| !name.contains(wanted.as_str())) {
-                refused.push(format!("{name}: not the one asked for"));
-                continue;
-            }
-            match missing(instance, physical, options.needs) {
-                None => usable.push((rank(properties.device_type), physical)),
-                Some(what) => refused.push(format!("{name}: lacks {what}")),
-            }
-        }
-        usable.sort_by_key(|(rank, _)| *rank);
-        usable.first().map(|(_, physical)| *physical).ok_or_else(|| {
-            GpuError::NoDevice(if refused.is_empty() { NO_DRIVER.into() } else { refused.join("; ") })
+        let all = devices::list(instance, options.needs)?;
+        let is_wanted = |found: &FoundDevice| {
+            options.device_name.as_ref().is_none_or(|wanted| found.name.contains(wanted))
+        };
+        let best = all.iter().find(|found| found.lacks.is_none() && is_wanted(found));
+        best.map(|found| found.physical).ok_or_else(|| {
+            let refused = all.iter().map(|found| match found.lacks {
+                Some(what) if is_wanted(found) => format!("{}: lacks {what}", found.name),
+                _ => format!("{}: not the one asked for", found.name),
+            });
+            GpuError::NoDevice(refused.collect::<Vec<_>>().join("; "))
         })
     }
 
@@ -316,60 +308,6 @@ impl DeviceSource for DesktopDevice {
         let device = unsafe { instance.create_device(physical, info, None) };
         Ok(device.doing("creating the Vulkan device")?.handle())
     }
-}
-
-fn rank(device_type: vk::PhysicalDeviceType) -> u32 {
-    match device_type {
-        vk::PhysicalDeviceType::DISCRETE_GPU => 0,
-        vk::PhysicalDeviceType::INTEGRATED_GPU => 1,
-        vk::PhysicalDeviceType::VIRTUAL_GPU => 2,
-        vk::PhysicalDeviceType::CPU => 3,
-        _ => 4,
-    }
-}
-
-fn name_of(properties: &vk::PhysicalDeviceProperties) -> String {
-    properties.device_name_as_c_str().map_or_else(|_| "unnamed".into(), |n| n.to_string_lossy().into_owned())
-}
-
-/// Names the first needed feature that the device lacks.
-fn missing(instance: &ash::Instance, physical: vk::PhysicalDevice, needs: Needs) -> Option<&'static str> {
-    // SAFETY: `physical` belongs to `instance`.
-    let properties = unsafe { instance.get_physical_device_properties(physical) };
-    let api = if needs == Needs::Server { vk::API_VERSION_1_2 } else { vk::API_VERSION_1_1 };
-    if properties.api_version < api {
-        return Some("the needed Vulkan version (server 1.2, client 1.1)");
-    }
-    let mut multiview = vk::PhysicalDeviceMultiviewFeatures::default();
-    let mut indexing = vk::PhysicalDeviceDescriptorIndexingFeatures::default();
-    let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut multiview);
-    if needs == Needs::Server {
-        features = features.push_next(&mut indexing);
-    }
-    // SAFETY: the chain holds structs that this Vulkan version knows, and lives through the call.
-    unsafe { instance.get_physical_device_features2(physical, &mut features) };
-    let core = features.features;
-    if multiview.multiview == 0 {
-        return Some("multiview");
-    }
-    if needs == Needs::Client {
-        return None;
-    }
-    let wanted = [
-        (core.sampler_anisotropy, "samplerAnisotropy"),
-        (indexing.runtime_descriptor_array, "runtimeDescriptorArray"),
-        (indexing.shader_sampled_image_array_non_uniform_indexing, "non-uniform texture indexing"),
-        (core.shader_storage_buffer_array_dynamic_indexing, "shaderStorageBufferArrayDynamicIndexing"),
-        (indexing.shader_storage_buffer_array_non_uniform_indexing, "non-uniform buffer indexing"),
-        (indexing.descriptor_binding_partially_bound, "partially bound descriptors"),
-    ];
-    wanted.iter().find(|(has, _)| *has == 0).map(|(_, name)| *name)
-}
-
-/// The feature that `gl_PrimitiveID` in a fragment shader belongs to; some drivers lack it (MoltenVK, some of phones).
-fn has_geometry_shader(instance: &ash::Instance, physical: vk::PhysicalDevice) -> bool {
-    // SAFETY: `physical` belongs to `instance`.
-    unsafe { instance.get_physical_device_features(physical) }.geometry_shader != 0
 }
 
 fn create_instance(

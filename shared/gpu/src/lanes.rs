@@ -49,6 +49,7 @@ impl Lanes {
         Ok(Self { queues: [queue(0), queue(1)], done: done.transpose()?, completed: Default::default() })
     }
 
+    #[cfg(feature = "window")]
     /// The queue of what has no reason to be elsewhere.
     pub(crate) fn main(&self) -> vk::Queue {
         self.queues[Lane::Main as usize]

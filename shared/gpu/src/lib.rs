@@ -3,6 +3,7 @@
 
 mod bind;
 mod context;
+mod devices;
 mod lanes;
 mod memory;
 mod pass;
@@ -15,7 +16,8 @@ mod window;
 
 pub use ash::vk;
 pub use bind::{Bind, BindGroup, Layout};
-pub use context::{DesktopDevice, DeviceSource, Gpu, GpuOptions, Needs};
+pub use context::{DesktopDevice, DeviceSource, Gpu, GpuOptions, survey};
+pub use devices::{FoundDevice, Needs};
 pub use memory::{Buffer, Image, ImageDesc, Memory, MemoryUse, Sampler, SamplerDesc};
 pub use pass::{Attachment, Framebuffer, RenderPass, RenderPassDesc};
 pub use pipeline::{ComputePipeline, GraphicsPipeline, GraphicsPipelineDesc, VertexInput};

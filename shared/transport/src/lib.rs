@@ -24,5 +24,5 @@ pub use files::{PendingFile, remove_pending_files, write_atomically};
 pub use identity::tls::{SERVER_NAME, believing_client_crypto};
 pub use identity::{ExpectedIdentity, Fingerprint, IdentityError, KnownServers, Meeting, ServerIdentity};
 pub use link::{Direction, Link, LinkError, LinkProfile, LinkSchedule};
-pub use mio::{Driver, Events, Handle, monotonic_now_ns, spawn};
+pub use mio::{Driver, Events, Handle, SocketTrial, monotonic_now_ns, spawn, try_socket};
 pub use pair::Pair;

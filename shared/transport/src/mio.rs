@@ -92,6 +92,40 @@ fn bind_error(address: SocketAddr, reason: io::Error) -> DriverError {
     DriverError::Bind { address, reason, hint }
 }
 
+/// What a socket of this machine can do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SocketTrial {
+    /// Bytes of its receive and send buffers, as the kernel counts them.
+    pub buffer_bytes: [usize; 2],
+    /// What was asked for.
+    pub wanted_bytes: usize,
+    /// Datagrams that the kernel takes and gives at once.
+    pub segments: [usize; 2],
+}
+
+/// Opens a socket at `address` for a moment, and says what it got.
+///
+/// # Errors
+/// There can be none.
+pub fn try_socket(address: SocketAddr) -> Result<SocketTrial, DriverError> {
+    let socket = UdpSocket::bind(address).map_err(|e| bind_error(address, e))?;
+    let state = open_wide(&socket)?;
+    let socket = || UdpSockRef::from(&socket);
+    Ok(SocketTrial {
+        buffer_bytes: [state.recv_buffer_size(socket())?, state.send_buffer_size(socket())?],
+        wanted_bytes: SOCKET_BUFFER_BYTES,
+        segments: [state.gro_segments(), state.max_gso_segments()],
+    })
+}
+
+fn open_wide(socket: &UdpSocket) -> io::Result<UdpSocketState> {
+    let state = UdpSocketState::new(UdpSockRef::from(socket))?;
+    // The kernel's default is a fraction of one picture; a refusal only costs throughput.
+    let _ = state.set_recv_buffer_size(UdpSockRef::from(socket), SOCKET_BUFFER_BYTES);
+    let _ = state.set_send_buffer_size(UdpSockRef::from(socket), SOCKET_BUFFER_BYTES);
+    Ok(state)
+}
+
 /// Where a datagram on the simulated link goes to or comes from.
 #[derive(Clone, Copy, Debug)]
 struct LinkTag {
@@ -122,10 +156,7 @@ impl Driver {
     /// Opens a socket at `address` for `endpoint`.
     pub fn bind(endpoint: Endpoint, address: SocketAddr) -> Result<Self, DriverError> {
         let mut socket = UdpSocket::bind(address).map_err(|e| bind_error(address, e))?;
-        let state = UdpSocketState::new(UdpSockRef::from(&socket))?;
-        // The kernel's default is a fraction of one picture; a refusal only costs throughput.
-        let _ = state.set_recv_buffer_size(UdpSockRef::from(&socket), SOCKET_BUFFER_BYTES);
-        let _ = state.set_send_buffer_size(UdpSockRef::from(&socket), SOCKET_BUFFER_BYTES);
+        let state = open_wide(&socket)?;
         let poll = Poll::new()?;
         poll.registry().register(&mut socket, SOCKET, Interest::READABLE)?;
         let waker = Arc::new(Waker::new(poll.registry(), WAKER)?);

@@ -85,6 +85,7 @@ fn clocks_and_sockets_are_the_drivers() {
         "server/src/truth/",
         "server/src/main.rs",
         "server/src/forward_command.rs",
+        "server/src/doctor_command.rs",
         "server/src/start_up.rs",
         "server/src/output.rs",
         "client-xr/src/net",

@@ -38,6 +38,35 @@ fn an_atlas_that_no_client_takes_is_refused_at_the_command_line() {
     }
 }
 
+#[test]
+fn the_doctor_says_what_a_server_could_do_here_and_what_keeps_it_from_starting() {
+    let taken = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+    let address = taken.local_addr().expect("its address").to_string();
+    let doctor = |address: &str, more: &[&str]| {
+        let mut command = Command::new(program("shadecast-server"));
+        output_of(command.args(["doctor", "--listen", address]).args(more))
+    };
+    let busy = doctor(&address, &[]);
+    let said = String::from_utf8(busy.stdout).expect("text");
+    assert!(!busy.status.success(), "{said}");
+    assert!(
+        said.contains("another program uses this port") && said.contains("openh264, 2048x2048"),
+        "{said}"
+    );
+    drop(taken);
+    let free = doctor(&address, &["--json"]);
+    let found: Value = serde_json::from_slice(&free.stdout).expect("JSON");
+    assert!(free.status.success(), "{found}");
+    assert_eq!(found["can_serve"], true, "{found}");
+    assert!(found["devices"][0]["is_chosen"] == true && found["udp"]["error"].is_null(), "{found}");
+    for trial in found["encoders"].as_array().expect("encoders") {
+        assert!(trial["first_ms"].as_f64() > Some(0.1) && trial["next_ms"].as_f64() > Some(0.1), "{trial}");
+    }
+    let none = doctor(&address, &["--device", "no such device"]);
+    let said = String::from_utf8(none.stdout).expect("text");
+    assert!(!none.status.success() && said.contains("no usable device's name holds"), "{said}");
+}
+
 /// Folders and environment of clients.
 struct Stage {
     folder: tempfile::TempDir,
