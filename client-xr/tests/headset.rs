@@ -115,6 +115,21 @@ fn assert_close(got: [u8; 3], want: [u8; 3], what: &str) {
 }
 
 #[test]
+fn a_runtime_that_does_not_convert_its_times_is_taken_and_its_frames_keep_their_distances() {
+    let hidden_extensions = vec!["XR_KHR_convert_timespec_time".to_owned()];
+    let run = Run::new(MockConfig { hidden_extensions, ..MockConfig::default() });
+    let mut client = run.client();
+    let times: Vec<ClientTime> = (0..20).map(|_| frame(&mut client).display_time).collect();
+    let period_ns = (1e9 / MockConfig::default().refresh_hz).round() as i64;
+    for pair in times.windows(2) {
+        assert!((pair[1].since(pair[0]) - period_ns).abs() <= 1, "{pair:?}");
+    }
+    let now = shadecast_client::platform::monotonic_now();
+    assert!(now.since(times[0]).abs() < 60_000_000_000, "on the client's clock: {times:?} at {now:?}");
+    finish(&run, client);
+}
+
+#[test]
 fn before_the_first_bundle_there_is_a_gradient_a_floor_and_a_text_in_both_eyes() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();

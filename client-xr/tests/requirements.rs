@@ -17,7 +17,7 @@ const EVERY_HEADSET_FEATURES: [&str; 5] = [
     "robustBufferAccess",
 ];
 const EVERY_HEADSET_CAPABILITIES: [&str; 4] = ["Matrix", "Shader", "MultiView", "ImageQuery"];
-const EVERY_RUNTIME_EXTENSIONS: [&str; 2] = ["XR_KHR_vulkan_enable2", "XR_KHR_convert_timespec_time"];
+const EVERY_RUNTIME_EXTENSIONS: [&str; 1] = ["XR_KHR_vulkan_enable2"];
 const GUARANTEED_STORAGE_BUFFER_BYTES: u64 = 128 << 20;
 const GUARANTEED_PUSH_CONSTANT_BYTES: u32 = 128;
 

@@ -56,7 +56,7 @@ pub const REQUIRED: Requirements = Requirements {
     vulkan_extensions: &[],
     vulkan_features: &["multiview"],
     spirv_capabilities: &["Shader", "ImageQuery", "MultiView"],
-    openxr_extensions: &["XR_KHR_vulkan_enable2", "XR_KHR_convert_timespec_time"],
+    openxr_extensions: &["XR_KHR_vulkan_enable2"],
     // Samples of all vertices: what Vulkan guarantees.
     storage_buffer_bytes: shadecast_protocol::limits::MAX_KEPT_SAMPLES as u64 * 16,
     // Skeletons: the arena has a binding for each of its views. Vulkan itself guarantees 4, what headsets have is to be measured.

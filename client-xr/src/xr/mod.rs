@@ -4,10 +4,11 @@
 //! through the function pointers into arrays of two.
 
 pub mod error;
+mod time;
 
 use crate::display::{ASSUMED_EYE_HEIGHT_M, Activity, Display, DisplayError, EyeImages, FrameTurn, Views};
-use crate::platform::Platform;
 use crate::platform::requirements::REQUIRED;
+use crate::platform::{Platform, monotonic_now};
 use ash::vk;
 use ash::vk::Handle as _;
 use error::{Doing, XrError, no_runtime};
@@ -18,6 +19,7 @@ use shadecast_gpu::{DeviceSource, Gpu, GpuError, GpuOptions, Needs};
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ClientTime;
 use std::sync::{Arc, OnceLock};
+use time::GuessedClock;
 
 const VIEW_CONFIGURATION: openxr::ViewConfigurationType = openxr::ViewConfigurationType::PRIMARY_STEREO;
 /// Swapchain formats that will do, best first; both store what the attachment's linear values encode to.
@@ -58,6 +60,8 @@ struct Headset {
     exit_requested: bool,
     last_views: Option<Views>,
     jumps: Jumps,
+    /// For a runtime that does not convert its times itself.
+    clock: GuessedClock,
     gpu: Arc<Gpu>,
     device: XrDevice,
     runtime_name: String,
@@ -193,14 +197,10 @@ fn open_instance(platform: &Platform) -> Result<openxr::Instance, XrError> {
     let available = entry.enumerate_extensions().map_err(no_runtime)?;
     let mut wanted = openxr::ExtensionSet::default();
     wanted.khr_vulkan_enable2 = true;
-    wanted.khr_convert_timespec_time = true;
+    wanted.khr_convert_timespec_time = available.khr_convert_timespec_time;
     platform.add_extensions(&mut wanted);
-    let lacking = [
-        (available.khr_vulkan_enable2, "XR_KHR_vulkan_enable2"),
-        (available.khr_convert_timespec_time, "XR_KHR_convert_timespec_time"),
-    ];
-    if let Some((_, extension)) = lacking.into_iter().find(|(has, _)| !has) {
-        return Err(XrError::NoExtension { runtime: "in use".into(), extension });
+    if !available.khr_vulkan_enable2 {
+        return Err(XrError::NoExtension { runtime: "in use".into(), extension: "XR_KHR_vulkan_enable2" });
     }
     let application = openxr::ApplicationInfo {
         application_name: "Shadecast",
@@ -252,6 +252,7 @@ impl Xr {
             exit_requested: false,
             last_views: None,
             jumps: Jumps::default(),
+            clock: GuessedClock::default(),
             gpu,
             device,
             runtime_name,
@@ -367,20 +368,18 @@ impl Headset {
         self.stream.begin().doing("beginning a frame")?;
         Ok(FrameTurn {
             own_time_ns: state.predicted_display_time.as_nanos(),
-            display_time: self.monotonic(state.predicted_display_time)?,
+            display_time: self.monotonic(&state)?,
             period_ns: state.predicted_display_period.as_nanos(),
             should_render: state.should_render,
         })
     }
 
-    /// `XrTime` on the client's monotonic clock.
-    fn monotonic(&self, time: openxr::Time) -> Result<ClientTime, XrError> {
+    /// When the frame of `state`, which was just waited for, is seen on the client's monotonic clock.
+    fn monotonic(&mut self, state: &openxr::FrameState) -> Result<ClientTime, XrError> {
+        let (time, period_ns) = (state.predicted_display_time, state.predicted_display_period.as_nanos());
         let instance = &self.device.instance;
         let Some(convert) = &instance.exts().khr_convert_timespec_time else {
-            return Err(XrError::NoExtension {
-                runtime: self.runtime_name.clone(),
-                extension: "XR_KHR_convert_timespec_time",
-            });
+            return Ok(self.clock.convert(time.as_nanos(), monotonic_now(), period_ns));
         };
         let mut timespec = std::mem::MaybeUninit::uninit();
         // SAFETY: the instance is alive; on success the whole timespec is written, on failure it is not read.

@@ -49,6 +49,8 @@ pub struct MockConfig {
     pub events: Vec<ScriptedEvent>,
     /// Part of the name of the Vulkan device to use, in any case. None: the first of the fastest kind.
     pub vulkan_device: Option<String>,
+    /// Extensions of the runtime that it does not have in this run, by their whole names.
+    pub hidden_extensions: Vec<String>,
 }
 
 /// Angles from straight ahead to the four sides of the left eye's view, degrees, each above -89 and below 89;
@@ -188,6 +190,7 @@ impl Default for MockConfig {
             capture_every: 0,
             events: Vec::new(),
             vulkan_device: None,
+            hidden_extensions: Vec::new(),
         }
     }
 }

@@ -61,9 +61,12 @@ entry! {
             let message = "the runtime has no layers; ask with a null layer name";
             return Err(Fault::application(xr::Result::ERROR_API_LAYER_NOT_PRESENT, message));
         }
+        let hidden = hidden_extensions();
+        let is_shown = |(name, _): &&(&'static [u8], u32)| !hidden.iter().any(|hidden| hidden == text_of(name));
+        let shown: Vec<_> = EXTENSIONS.iter().filter(is_shown).collect();
         // SAFETY: count and properties are the caller's, of the capacity it says.
         unsafe {
-            ffi::enumerate((capacity, count, properties), &EXTENSIONS, |slot, (name, version)| {
+            ffi::enumerate((capacity, count, properties), &shown, |slot, (name, version)| {
                 ffi::place_text(&mut slot.extension_name, text_of(name));
                 slot.extension_version = *version;
             })
@@ -102,11 +105,16 @@ fn enabled_extensions(create_info: &xr::InstanceCreateInfo) -> Outcome<Extension
             "enabledExtensionNames",
         )
     }?;
+    let hidden = hidden_extensions();
     let mut enabled = Extensions::default();
     for name in names {
         // SAFETY: each name is a zero-terminated string of the application's.
         let name = unsafe { ffi::text(*name, "an extension name") }?;
         match name {
+            name if hidden.iter().any(|hidden| hidden == name) => {
+                let message = format!("{name} is among hidden_extensions");
+                return Err(Fault::application(xr::Result::ERROR_EXTENSION_NOT_PRESENT, message));
+            }
             "XR_KHR_vulkan_enable2" => enabled.vulkan_enable2 = true,
             "XR_KHR_convert_timespec_time" => enabled.convert_timespec_time = true,
             "XR_EXT_debug_utils" => enabled.debug_utils = true,
@@ -129,6 +137,12 @@ fn check_application(info: &xr::ApplicationInfo) -> Outcome<()> {
         return Err(Fault::application(xr::Result::ERROR_API_VERSION_UNSUPPORTED, message));
     }
     Ok(())
+}
+
+/// A configuration that cannot be read hides nothing: `xrCreateInstance` says what is wrong with it.
+fn hidden_extensions() -> Vec<String> {
+    let config = MockConfig::from_environment(std::env::var_os(CONFIG_VARIABLE));
+    config.map_or(Vec::new(), |config| config.hidden_extensions)
 }
 
 fn load_configuration() -> Result<(MockConfig, HeadPath), ConfigError> {

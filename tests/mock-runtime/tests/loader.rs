@@ -305,6 +305,21 @@ fn swapchain_order(app: &App, swapchain: &xr::Swapchain<xr::Vulkan>) {
 }
 
 #[test]
+fn an_extension_that_is_hidden_is_not_listed_and_is_refused() {
+    let hidden_extensions = vec!["XR_KHR_convert_timespec_time".to_owned()];
+    let _run = Run::new(&MockConfig { hidden_extensions, ..virtual_config() });
+    let entry = load();
+    let listed = entry.enumerate_extensions().expect("extensions");
+    assert!(listed.khr_vulkan_enable2 && !listed.khr_convert_timespec_time);
+    let refused = create_instance(&entry).err();
+    assert_eq!(
+        refused,
+        Some(Code::ERROR_EXTENSION_NOT_PRESENT),
+        "it asks for all that the runtime usually has"
+    );
+}
+
+#[test]
 fn depth_swapchains_are_attachments_of_depth_and_no_layer_shows_them() {
     type Usage = xr::SwapchainUsageFlags;
     let run = Run::new(&virtual_config());

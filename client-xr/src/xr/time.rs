@@ -1,0 +1,78 @@
+//! From a runtime's times to the client's monotonic clock, where the runtime has no extension that converts them.
+//!
+//! On most systems both are the same clock. Where they are not, the first frame tells how far they are apart, but for the
+//! part of a display period for which the runtime waits: that error stays the same from frame to frame, so that motion is
+//! as even as ever.
+
+use shadecast_protocol::time::ClientTime;
+
+/// A frame that is to be seen later than this, or was to be seen earlier, is of another clock.
+const SAME_CLOCK_NS: i64 = 1_000_000_000;
+
+/// How far the runtime's clock is from the client's.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct GuessedClock {
+    client_minus_runtime_ns: Option<i64>,
+}
+
+impl GuessedClock {
+    /// When a frame will be seen for which the runtime was waited for until `now`, and which it predicts for `runtime_ns`,
+    /// to be seen for `period_ns`.
+    pub(super) fn convert(&mut self, runtime_ns: i64, now: ClientTime, period_ns: i64) -> ClientTime {
+        let at = |offset_ns: i64| ClientTime(runtime_ns.saturating_add(offset_ns));
+        let is_near = |offset_ns: &i64| at(*offset_ns).0.abs_diff(now.0) < SAME_CLOCK_NS as u64;
+        let known = self.client_minus_runtime_ns.filter(is_near);
+        let offset_ns = known.or(Some(0).filter(is_near)).unwrap_or_else(|| {
+            // The soonest that it can be seen: a period after the wait.
+            now.0.saturating_add(period_ns).saturating_sub(runtime_ns)
+        });
+        self.client_minus_runtime_ns = Some(offset_ns);
+        at(offset_ns)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: i64 = 1_000_000;
+    const S: i64 = 1_000 * MS;
+
+    #[test]
+    fn a_runtime_on_the_same_clock_is_taken_at_its_word() {
+        let mut clock = GuessedClock::default();
+        for frame in 0..100 {
+            let now = ClientTime(3_600 * S + frame * 14 * MS);
+            let seen = now.plus_ns(20 * MS + frame % 3 * MS);
+            assert_eq!(clock.convert(seen.0, now, 14 * MS), seen);
+        }
+    }
+
+    #[test]
+    fn a_runtime_on_another_clock_keeps_its_distances_between_frames() {
+        let mut clock = GuessedClock::default();
+        let mut last = None;
+        for frame in 0..1000 {
+            let jitter = frame % 5 * MS;
+            let now = ClientTime(3_600 * S + frame * 14 * MS + jitter);
+            let runtime_ns = 77 * S + frame * 14 * MS;
+            let seen = clock.convert(runtime_ns, now, 14 * MS);
+            assert!((0..30 * MS).contains(&seen.since(now)), "{frame}: {} ns ahead", seen.since(now));
+            assert!(last.is_none_or(|last| seen.since(last) == 14 * MS));
+            last = Some(seen);
+        }
+    }
+
+    #[test]
+    fn a_runtime_whose_clock_begins_anew_is_followed_and_nonsense_does_no_harm() {
+        let mut clock = GuessedClock::default();
+        let now = ClientTime(3_600 * S);
+        clock.convert(900 * S, now, 14 * MS);
+        let later = now.plus_ns(60 * S);
+        assert!((0..30 * MS).contains(&clock.convert(5 * S, later, 14 * MS).since(later)));
+        for nonsense in [i64::MIN, i64::MAX, 0] {
+            clock.convert(nonsense, later, i64::MAX);
+        }
+        assert!((0..30 * MS).contains(&clock.convert(6 * S, later, 14 * MS).since(later)));
+    }
+}
