@@ -65,7 +65,7 @@ impl Headset {
 /// Runtimes call Java from the thread that drives the session, so it is attached to the virtual machine for as long.
 fn run(app: &AndroidApp, settings: &Settings, data_folder: PathBuf, stop: &AtomicBool) -> anyhow::Result<()> {
     let options = RunOptions {
-        server: settings.server.clone(),
+        server: settings.server.as_str().into(),
         identity_dir: data_folder,
         client: ClientOptions::default(),
         fingerprint: None,

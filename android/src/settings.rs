@@ -8,13 +8,13 @@ pub const FILE_NAME: &str = "server.txt";
 /// Longest file that is read, in bytes: an address and a few comments.
 pub const FILE_BYTES_MAX: usize = 4096;
 
-/// What is tried without a file. The headset shows that it is trying this address, which tells the user that none was set.
-pub const DEFAULT_SERVER: &str = "127.0.0.1:7400";
+/// What is tried without a file: a server that announces itself on this network.
+pub const DEFAULT_SERVER: &str = "find";
 
 /// Settings of one start.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Settings {
-    /// The server to connect to, as `HOST:PORT`.
+    /// The server to connect to, as `HOST:PORT`, or `find`.
     pub server: String,
 }
 
@@ -28,7 +28,7 @@ impl Default for Settings {
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum SettingsError {
     /// A line is not an address.
-    #[error("{FILE_NAME}:{line}: '{text}' is not HOST:PORT, such as 192.168.1.20:7400")]
+    #[error("{FILE_NAME}:{line}: '{text}' is neither find nor HOST:PORT, such as 192.168.1.20:7400")]
     Address {
         /// Line number, from 1.
         line: usize,
@@ -47,7 +47,7 @@ pub enum SettingsError {
 }
 
 impl Settings {
-    /// Reads the file's bytes: empty lines, `#` comments, and at most one `HOST:PORT`.
+    /// Reads the file's bytes: empty lines, `#` comments, and at most one `HOST:PORT`, or `find`.
     pub fn parse(bytes: &[u8]) -> Result<Self, SettingsError> {
         if bytes.len() > FILE_BYTES_MAX {
             return Err(SettingsError::NotText);
@@ -59,7 +59,7 @@ impl Settings {
             if content.is_empty() {
                 continue;
             }
-            if !is_address(content) {
+            if content != DEFAULT_SERVER && !is_address(content) {
                 return Err(SettingsError::Address { line: index + 1, text: content.to_owned() });
             }
             if server.replace(content.to_owned()).is_some() {
@@ -103,7 +103,7 @@ mod tests {
     fn file_without_address_means_the_default() {
         assert_eq!(server(""), DEFAULT_SERVER);
         assert_eq!(server("# nothing\n"), DEFAULT_SERVER);
-        assert!(is_address(DEFAULT_SERVER));
+        assert_eq!(server("find"), DEFAULT_SERVER);
     }
 
     #[test]
@@ -117,7 +117,10 @@ mod tests {
     #[test]
     fn error_names_line_and_text() {
         let error = Settings::parse(b"\nmy-pc\n").expect_err("no port");
-        assert_eq!(error.to_string(), "server.txt:2: 'my-pc' is not HOST:PORT, such as 192.168.1.20:7400");
+        assert_eq!(
+            error.to_string(),
+            "server.txt:2: 'my-pc' is neither find nor HOST:PORT, such as 192.168.1.20:7400"
+        );
     }
 
     #[test]

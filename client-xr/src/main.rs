@@ -34,7 +34,7 @@ const EXAMPLES: &str = "\
 Examples:
   shadecast-client --connect 192.168.1.5:7400
   XR_RUNTIME_JSON=/usr/share/openxr/1/openxr_monado.json shadecast-client
-  shadecast-client --window --connect 192.168.1.5:7400
+  shadecast-client --window --connect find
   shadecast-client --seconds 10 --stats stats.json --validation
 
 In a window: drag to look around, WASD and QE walk, the wheel changes the speed, Tab switches between flying and orbiting,
@@ -48,7 +48,7 @@ The program exits with 0 when the runtime or the user ends the session. Ctrl-C e
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Arguments {
-    /// Server to connect to, as HOST:PORT
+    /// Server to connect to, as HOST:PORT, or find: one that announces itself on this network
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7400")]
     connect: String,
     /// Folder with the fingerprints of known servers [default: ~/.config/shadecast]
@@ -202,7 +202,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => shadecast_transport::identity::default_directory()?,
     };
     let options = RunOptions {
-        server: arguments.connect.clone(),
+        server: arguments.connect.as_str().into(),
         fingerprint: arguments.fingerprint,
         identity_dir,
         client: ClientOptions {

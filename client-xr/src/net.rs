@@ -3,6 +3,7 @@
 
 mod connector;
 mod dialler;
+mod finder;
 mod lines;
 
 use crate::client::{Client, ClientError, ClientOptions, FrameReport, Step};
@@ -31,11 +32,29 @@ const LOOK_UP: Duration = Duration::from_millis(50);
 /// How long the runtime may take to end a session that was asked to end.
 const LEAVE_PATIENCE_NS: i64 = 5_000_000_000;
 
+/// What `--connect` says for [`Server::Found`].
+pub const FIND: &str = "find";
+
+/// Which server to connect to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Server {
+    /// As the user writes it: `host:port`.
+    At(String),
+    /// One that announces itself on this network: the one that was met before, or the only one.
+    Found,
+}
+
+impl From<&str> for Server {
+    fn from(text: &str) -> Self {
+        if text == FIND { Self::Found } else { Self::At(text.to_owned()) }
+    }
+}
+
 /// What to run.
 #[derive(Clone, Debug)]
 pub struct RunOptions {
-    /// The server, as the user writes it: `host:port`.
-    pub server: String,
+    /// The server.
+    pub server: Server,
     /// The only identity that the server may have; `None`: the one that is known, or any at the first meeting.
     pub fingerprint: Option<Fingerprint>,
     /// Where the fingerprints of known servers are kept.
@@ -140,10 +159,10 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// The addresses that the server's name leads to, in the system's order; `None` where the run is over before they are
-    /// known. Asking for a name can take long, so that a thread does it.
+    /// The addresses that the server's name leads to, in the system's order, none of one that is to be found; `None` where
+    /// the run is over before they are known. Asking for a name can take long, so that a thread does it.
     fn resolve(&self) -> Result<Option<Vec<SocketAddr>>, RunError> {
-        let server = self.options.server.clone();
+        let Server::At(server) = self.options.server.clone() else { return Ok(Some(Vec::new())) };
         let (to, found) = channel();
         std::thread::spawn(move || drop(to.send(resolve(&server))));
         while !self.is_over() {

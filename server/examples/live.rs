@@ -71,6 +71,7 @@ fn main() -> anyhow::Result<()> {
 
 fn options(seconds: f64) -> anyhow::Result<StreamOptions> {
     Ok(StreamOptions {
+        announced_as: None,
         listen: "127.0.0.1:7400".parse()?,
         identity: None,
         atlas_extent_texels: "1024x1024".parse().map_err(anyhow::Error::msg)?,

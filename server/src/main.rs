@@ -7,7 +7,7 @@ mod output;
 mod start_up;
 
 use anyhow::Context;
-use clap::{Args, Parser, Subcommand, value_parser};
+use clap::{Args, Parser, Subcommand, ValueEnum, value_parser};
 use glam::Vec3;
 use interrupt::FirstSignal;
 use output::{Output, note};
@@ -16,7 +16,7 @@ use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::flags::{MOST_S, number};
 use shadecast_protocol::limits::MAX_COORDINATE_M;
-use shadecast_protocol::text::with_causes;
+use shadecast_protocol::text::{printable, with_causes};
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
@@ -113,6 +113,12 @@ struct StreamArgs {
     /// UDP address to listen on; 0.0.0.0:7400 for headsets on the network
     #[arg(long, default_value = "127.0.0.1:7400")]
     listen: SocketAddr,
+    /// Whether clients of the network find the server by themselves (DNS-SD, _shadecast._udp)
+    #[arg(long, value_enum, default_value_t = Announce::Auto)]
+    announce: Announce,
+    /// The name under which they find it [default: the machine's]
+    #[arg(long)]
+    name: Option<String>,
     /// Folder of the server's key [default: the user's configuration folder]
     #[arg(long)]
     identity: Option<PathBuf>,
@@ -158,6 +164,29 @@ struct StreamArgs {
     trace: Option<PathBuf>,
     #[command(flatten)]
     device: DeviceArgs,
+}
+
+/// When a server announces itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Announce {
+    /// Where it listens on a network
+    Auto,
+    /// On this machine too
+    Always,
+    /// Not at all
+    Never,
+}
+
+impl StreamArgs {
+    fn announced_as(&self) -> Option<String> {
+        let is_announced = match self.announce {
+            Announce::Auto => !self.listen.ip().is_loopback(),
+            Announce::Always => true,
+            Announce::Never => false,
+        };
+        let name = || printable(&gethostname::gethostname().to_string_lossy());
+        is_announced.then(|| self.name.clone().unwrap_or_else(name))
+    }
 }
 
 fn parse_vector(text: &str) -> Result<Vec3, String> {
@@ -284,6 +313,7 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
     };
     let options = StreamOptions {
         listen: args.listen,
+        announced_as: args.announced_as(),
         identity: args.identity.clone(),
         atlas_extent_texels: args.atlas,
         quality: args.quality.options(),

@@ -1,8 +1,9 @@
 //! One server, and the wish to be connected to it: what the client and the lines say to each other, and what the user is
 //! told about it.
 
+use super::finder::{Choice, Finder, choose};
 use super::lines::{LineEvent, Lines};
-use super::{RunError, RunOptions};
+use super::{RunError, RunOptions, Server};
 use crate::client::{Client, ClientError, Notice};
 use crate::platform::monotonic_now;
 use crate::traced::Traced;
@@ -10,6 +11,7 @@ use shadecast_protocol::close::CloseCode;
 use shadecast_protocol::session::Out;
 use shadecast_protocol::text::printable;
 use shadecast_protocol::time::ClientTime;
+use shadecast_transport::discovery::FoundServer;
 use shadecast_transport::{CloseKind, Event, ExpectedIdentity, Fingerprint, KnownServers, Meeting};
 use std::collections::VecDeque;
 use std::net::SocketAddr;
@@ -32,11 +34,31 @@ pub(super) struct Connector {
     known: KnownServers,
     /// The only identity that will do, if the user named one.
     required: Option<Fingerprint>,
-    /// As the user writes it.
+    /// As the user writes it, or as it calls itself.
     server: String,
+    search: Search,
     /// What the user was told since the session last stood.
     told: VecDeque<String>,
     pub(super) traced: Traced,
+}
+
+/// The search for a server whose address nobody has typed.
+#[derive(Default)]
+struct Search {
+    /// The address may be another one tomorrow: where the connection fails it is searched again.
+    is_wanted: bool,
+    /// While it goes on.
+    finder: Option<Finder>,
+    /// What it has found last.
+    found: Option<FoundServer>,
+}
+
+impl Search {
+    fn begin(&mut self) {
+        if self.is_wanted {
+            self.finder.get_or_insert_with(Finder::start);
+        }
+    }
 }
 
 impl Connector {
@@ -45,18 +67,28 @@ impl Connector {
         addresses: &[SocketAddr],
         traced: Traced,
     ) -> Result<Self, RunError> {
+        let server = match &options.server {
+            Server::At(server) => printable(server),
+            Server::Found => "a server of this network".to_owned(),
+        };
+        let mut search = Search { is_wanted: options.server == Server::Found, ..Search::default() };
+        search.begin();
         Ok(Self {
             lines: Lines::new(addresses.to_vec()),
             known: KnownServers::load(&options.identity_dir)?,
             required: options.fingerprint,
-            server: printable(&options.server),
+            server,
+            search,
             told: VecDeque::with_capacity(REMEMBERED_SENTENCES),
             traced,
         })
     }
 
     pub(super) fn status(&self) -> String {
-        format!("Connecting to {}", self.server)
+        match self.search.is_wanted && self.search.found.is_none() {
+            true => "Searching for servers on this network".to_owned(),
+            false => format!("Connecting to {}", self.server),
+        }
     }
 
     /// Hands in what has arrived, connects where it is time to, and lets the client do what is due.
@@ -64,9 +96,12 @@ impl Connector {
         while let Some(event) = self.lines.poll(monotonic_now()) {
             self.take(client, event)?;
         }
+        self.take_found(client);
         let now = monotonic_now();
         let (known, required, server) = (&self.known, self.required, &self.server);
-        if let Some(event) = self.lines.dial(now, |address| expected(known, required, server, address)) {
+        let announced = self.search.found.as_ref().and_then(|found| found.fingerprint);
+        let whom = |address| expected(known, required, announced, server, address);
+        if let Some(event) = self.lines.dial(now, whom) {
             self.take(client, event)?;
         }
         client.advance(now)?;
@@ -75,6 +110,32 @@ impl Connector {
         }
         self.flush(client);
         Ok(())
+    }
+
+    /// Turns to the server that was found, or says why to none.
+    fn take_found(&mut self, client: &mut Client) {
+        let Some(found) = self.search.finder.as_ref().and_then(Finder::newest) else { return };
+        match choose(found, &self.known, self.required) {
+            Choice::One(found) => {
+                self.search.finder = None;
+                if self.lines.live().is_some() || self.search.found.as_ref() == Some(&found) {
+                    return;
+                }
+                self.tell(client, Tone::News, &format!("Found {} at {}", found.name, found.addresses[0]));
+                self.server.clone_from(&found.name);
+                self.lines.leave();
+                self.lines = Lines::new(found.addresses.clone());
+                self.search.found = Some(found);
+            }
+            Choice::Several(names) => {
+                let text = format!("Several servers: {}; choose one with --connect", names.join(", "));
+                self.tell(client, Tone::Trouble, &text);
+            }
+            Choice::Nobody => {
+                let text = "No server answers on this network yet: start one with --listen 0.0.0.0:7400";
+                self.tell(client, Tone::News, text);
+            }
+        }
     }
 
     fn take(&mut self, client: &mut Client, event: LineEvent) -> Result<(), ClientError> {
@@ -120,6 +181,7 @@ impl Connector {
     }
 
     fn tell_closed(&mut self, client: &mut Client, kind: CloseKind, reason: &str) {
+        self.search.begin();
         match kind {
             CloseKind::IdentityChanged => self.tell(client, Tone::Trouble, reason),
             _ => self.tell(client, Tone::Trouble, &format!("{}: {reason}", self.status())),
@@ -184,17 +246,24 @@ impl Connector {
 fn expected(
     known: &KnownServers,
     required: Option<Fingerprint>,
+    announced: Option<Fingerprint>,
     server: &str,
     address: SocketAddr,
 ) -> ExpectedIdentity {
-    required.map_or_else(
-        || known.expected(server, address),
-        |fingerprint| ExpectedIdentity::Pinned {
+    let pinned =
+        |fingerprint, remedy: &str| ExpectedIdentity::Pinned { fingerprint, remedy: remedy.to_owned() };
+    if let Some(fingerprint) = required {
+        let remedy =
+            "--fingerprint names another server; a server says its identity when it starts to listen";
+        return pinned(fingerprint, remedy);
+    }
+    match (known.expected(server, address), announced) {
+        (ExpectedIdentity::TrustOnFirstUse, Some(fingerprint)) => pinned(
             fingerprint,
-            remedy: "--fingerprint names another server; a server says its identity when it starts to listen"
-                .to_owned(),
-        },
-    )
+            "who answers is not the server that has announced itself; name it with --connect",
+        ),
+        (expected, _) => expected,
+    }
 }
 
 fn arrived(client: &mut Client, event: Event) -> Result<(), ClientError> {
@@ -206,4 +275,37 @@ fn arrived(client: &mut Client, event: Event) -> Result<(), ClientError> {
         Event::Connected { .. } | Event::Closed { .. } => {} // told by the lines
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn key(byte: u8) -> Fingerprint {
+        format!("{byte:02x}").repeat(32).parse().expect("64 digits")
+    }
+
+    /// The key that is demanded, and whether it is at all.
+    fn demanded(expected: &ExpectedIdentity) -> Option<Fingerprint> {
+        match expected {
+            ExpectedIdentity::Pinned { fingerprint, .. } => Some(*fingerprint),
+            _ => None,
+        }
+    }
+
+    #[test]
+    fn what_the_user_demands_counts_before_what_is_known_and_that_before_what_is_announced() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut known = KnownServers::load(folder.path()).expect("an empty list");
+        let address: SocketAddr = "192.168.1.5:7400".parse().expect("an address");
+        let [asked, pinned, announced] = [1, 2, 3].map(key);
+        let whom = |known: &KnownServers, required, announced| {
+            demanded(&expected(known, required, announced, "desk", address))
+        };
+        assert_eq!(whom(&known, None, None), None, "a stranger whose address was typed");
+        assert_eq!(whom(&known, None, Some(announced)), Some(announced), "a stranger keeps its word");
+        known.remember("desk", address, pinned).expect("pinned");
+        assert_eq!(whom(&known, None, Some(announced)), Some(pinned), "nobody takes a name by announcing it");
+        assert_eq!(whom(&known, Some(asked), Some(announced)), Some(asked));
+    }
 }

@@ -36,6 +36,7 @@ use shadecast_protocol::message::{Codec, Environment, Refused, ResumeSecret, Ser
 use shadecast_protocol::session::Out;
 use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
 use shadecast_trace::Trace;
+use shadecast_transport::discovery::announce::Announcement;
 use shadecast_transport::endpoint::{Endpoint, EndpointConfig};
 use shadecast_transport::event::{PeerId, SendError};
 use shadecast_transport::mio::{Driver, Events, Handle, monotonic_now_ns, spawn};
@@ -56,6 +57,8 @@ const LOOK_UP: Duration = Duration::from_millis(20);
 pub struct StreamOptions {
     /// UDP address.
     pub listen: SocketAddr,
+    /// The name under which clients of this network find the server by themselves; `None`: they do not.
+    pub announced_as: Option<String>,
     /// Folder of the server's identity; `None` for the user's default.
     pub identity: Option<PathBuf>,
     /// Wanted atlas width and height in texels.
@@ -167,7 +170,7 @@ pub fn run_timeline(
     say: &Say<'_>,
 ) -> anyhow::Result<StreamStats> {
     let trace = options.trace.as_deref().map(Trace::create).transpose()?;
-    let (handle, events) = listen(options, say)?;
+    let (handle, events, _announcement) = listen(options, say)?;
     let terms = offer(&device.scene, options.atlas_extent_texels, options.rate_hz, 0);
     let terms = move |session| {
         let resume = ResumeSecret(shadecast_transport::random_bytes());
@@ -217,8 +220,8 @@ pub fn run_timeline(
     Ok(stats)
 }
 
-/// Opens the socket.
-fn listen(options: &StreamOptions, say: &Say<'_>) -> anyhow::Result<(Handle, Events)> {
+/// Opens the socket, and says so: here, and on the network.
+fn listen(options: &StreamOptions, say: &Say<'_>) -> anyhow::Result<(Handle, Events, Option<Announcement>)> {
     let identity = match &options.identity {
         Some(folder) => ServerIdentity::load_or_create(folder)?,
         None => ServerIdentity::load_or_create(&shadecast_transport::identity::default_directory()?)?,
@@ -231,8 +234,20 @@ fn listen(options: &StreamOptions, say: &Say<'_>) -> anyhow::Result<(Handle, Eve
         driver = driver.with_link(link.clone(), options.seed);
     }
     let (handle, events) = spawn(driver)?;
-    say(&format!("Listening on {} with identity {}", handle.local_addr(), identity.fingerprint()));
-    Ok((handle, events))
+    let (address, fingerprint) = (handle.local_addr(), identity.fingerprint());
+    say(&format!("Listening on {address} with identity {fingerprint}"));
+    let announce = |name: &String| match Announcement::start(name, address, fingerprint) {
+        Ok(announcement) => {
+            say(&format!("Announced as {name}: clients of this network find it with --connect find"));
+            Some(announcement)
+        }
+        Err(error) => {
+            tracing::warn!("{error}");
+            None
+        }
+    };
+    let announcement = options.announced_as.as_ref().and_then(announce);
+    Ok((handle, events, announcement))
 }
 
 fn run_sessions(mut sessions: Sessions, around: &Surroundings<'_>, events: &Events, stop: &AtomicBool) {

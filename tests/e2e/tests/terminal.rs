@@ -4,6 +4,7 @@ use serde_json::Value;
 use shadecast_lab::runtime::prepare_runtime;
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
 use shadecast_test_support::programs::{Program, Voice, output_of, program};
+use shadecast_transport::discovery::announce::Announcement;
 use shadecast_transport::{
     Driver, Endpoint, EndpointConfig, Events, Fingerprint, Handle, ServerIdentity, spawn,
 };
@@ -126,6 +127,26 @@ fn ctrl_c_while_the_headset_is_gone_ends_well_and_keeps_the_statistics() {
     assert!(said.contains("frames/s"), "a summary: {said}");
     let stats: Value = serde_json::from_slice(&std::fs::read(stats).expect("statistics")).expect("JSON");
     assert!(stats["frames"].as_u64().is_some_and(|frames| frames > 0), "{stats}");
+}
+
+#[test]
+fn a_server_that_announces_itself_is_found_without_its_address() {
+    let (address, server, fingerprint) = mute_server(71, ANY);
+    let announcement =
+        Announcement::start("a test's server", address, fingerprint).expect("multicast on loopback");
+    let stage = Stage::new();
+    // Of whoever else announces itself here, this one.
+    let id = fingerprint.to_string();
+    let mut client = stage.client(&["--connect", "find", "--fingerprint", &id], std::iter::empty());
+    client.has_said(&format!("Found a test's server at {address}"));
+    client.has_said(&format!("first connection to a test's server ({address})"));
+    client.signal("-INT");
+    client.ends_well();
+    drop((announcement, server));
+    let mut alone = stage.client(&["--connect", "find", "--fingerprint", &id], std::iter::empty());
+    alone.has_said("No server answers on this network yet: start one with --listen");
+    alone.signal("-INT");
+    alone.ends_well();
 }
 
 #[test]

@@ -67,6 +67,11 @@ impl KnownServers {
         Ok(Self { path, servers })
     }
 
+    /// Whether the server with this key was met before, wherever.
+    pub fn knows(&self, fingerprint: Fingerprint) -> bool {
+        self.servers.values().any(|known| *known == fingerprint)
+    }
+
     /// Whom to expect at `address`, to which `name` (`host:port`, as the user writes it) leads. The name's line counts
     /// before the address's: addresses go from one machine to another.
     pub fn expected(&self, name: &str, address: SocketAddr) -> ExpectedIdentity {
