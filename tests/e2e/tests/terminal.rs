@@ -129,8 +129,23 @@ fn ctrl_c_while_the_headset_is_gone_ends_well_and_keeps_the_statistics() {
     assert!(stats["frames"].as_u64().is_some_and(|frames| frames > 0), "{stats}");
 }
 
+/// Whether a datagram to many arrives on loopback: not in every container.
+fn loopback_carries_multicast() -> std::io::Result<bool> {
+    let group = Ipv4Addr::new(224, 0, 0, 251);
+    let hears = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
+    hears.join_multicast_v4(&group, &Ipv4Addr::LOCALHOST)?;
+    hears.set_read_timeout(Some(Duration::from_secs(1)))?;
+    let says = socket2::SockRef::from(&hears);
+    says.set_multicast_if_v4(&Ipv4Addr::LOCALHOST)?;
+    hears.send_to(b"?", (group, hears.local_addr()?.port()))?;
+    Ok(hears.recv(&mut [0; 8]).is_ok())
+}
+
 #[test]
 fn a_server_that_announces_itself_is_found_without_its_address() {
+    if !loopback_carries_multicast().unwrap_or(false) {
+        return eprintln!("SKIPPED: loopback carries no multicast here");
+    }
     let (address, server, fingerprint) = mute_server(71, ANY);
     let announcement =
         Announcement::start("a test's server", address, fingerprint).expect("multicast on loopback");
