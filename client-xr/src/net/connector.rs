@@ -131,6 +131,8 @@ impl Connector {
                 let text = format!("Several servers: {}; choose one with --connect", names.join(", "));
                 self.tell(client, Tone::Trouble, &text);
             }
+            // Of one that was found before the lines say why it does not answer.
+            Choice::Nobody if self.search.found.is_some() => {}
             Choice::Nobody => {
                 let text = "No server answers on this network yet: start one with --listen 0.0.0.0:7400";
                 self.tell(client, Tone::News, text);
@@ -192,6 +194,7 @@ impl Connector {
         let text = match notice {
             Notice::Welcome(_) => {
                 self.lines.succeeded();
+                self.search.finder = None;
                 self.told.clear();
                 self.tell(client, Tone::News, &format!("Connected to {}", self.server));
                 return;
