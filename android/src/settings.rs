@@ -8,7 +8,8 @@ pub const FILE_NAME: &str = "server.txt";
 /// Longest file that is read, in bytes: an address and a few comments.
 pub const FILE_BYTES_MAX: usize = 4096;
 
-/// What is tried without a file: a server that announces itself on this network.
+/// What is tried without a file: a server that announces itself on this network. The client's own word for that
+/// (`shadecast_client::net::FIND`), which the host's tests of this file do without.
 pub const DEFAULT_SERVER: &str = "find";
 
 /// Settings of one start.

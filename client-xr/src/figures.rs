@@ -93,20 +93,7 @@ mod tests {
     const MS: i64 = 1_000_000;
 
     fn frame(ms: i64) -> FrameReport {
-        FrameReport {
-            display_time: ClientTime(ms * MS),
-            server_time: None,
-            clock_error_bound_ns: None,
-            motion_time: None,
-            is_rendered: true,
-            update: None,
-            is_new: ms % 100 == 0,
-            held_vertices: 0,
-            frozen_vertices: 0,
-            withheld_vertices: 0,
-            withheld_patches: 0,
-            arena_waiting_bytes: 0,
-        }
+        FrameReport { is_new: ms % 100 == 0, ..FrameReport::rendered_at(ClientTime(ms * MS)) }
     }
 
     #[test]

@@ -11,6 +11,7 @@ use shadecast_client::stages::interpolate::Interpolation;
 use shadecast_client::stats::ClientStats;
 use shadecast_client::window::{Desktop, WindowDisplay, WindowOptions};
 use shadecast_client::xr::{Xr, XrOptions};
+use shadecast_desktop::canvas::DEFAULT_EXTENT;
 use shadecast_protocol::flags::{number, size};
 use shadecast_protocol::text::{printable, with_causes};
 use shadecast_transport::{Fingerprint, write_atomically};
@@ -23,9 +24,6 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 /// Longest time that a run may be limited to, seconds: eleven days.
 const MAX_SECONDS: f64 = 1e6;
-
-/// Pixels of a window where nobody says how many.
-const WINDOW_EXTENT: [u32; 2] = [1280, 800];
 
 /// Set by SIGINT and SIGTERM.
 static STOP: AtomicBool = AtomicBool::new(false);
@@ -58,7 +56,7 @@ struct Arguments {
     #[arg(long, value_name = "HEX")]
     fingerprint: Option<Fingerprint>,
     /// End the session so many seconds after the program's start; 0: never
-    #[arg(long, value_name = "S", default_value = "0", hide_default_value = true, value_parser = seconds)]
+    #[arg(long, value_name = "S", default_value = "0", hide_default_value = true, value_parser = number(0.0..=MAX_SECONDS, "seconds"))]
     seconds: f64,
     /// Write there what happened when, for Perfetto (ui.perfetto.dev), in the server's time
     #[arg(long, value_name = "FILE")]
@@ -136,11 +134,6 @@ enum ReconstructionArgument {
     Bilinear,
     /// Brightness by a cubic: sharper, for GPUs with time to spare
     Bicubic,
-}
-
-fn seconds(text: &str) -> Result<f64, String> {
-    let number = text.parse().ok().filter(|seconds| (0.0..=MAX_SECONDS).contains(seconds));
-    number.ok_or_else(|| format!("not a number of seconds from 0 to {MAX_SECONDS}"))
 }
 
 const SIGNALS: [libc::c_int; 2] = [libc::SIGINT, libc::SIGTERM];
@@ -259,7 +252,7 @@ fn opener(arguments: &Arguments) -> Result<Box<net::Opener<'static>>, DisplayErr
     }
     let options = WindowOptions {
         title: printable(&arguments.connect),
-        extent_pixels: window.size.unwrap_or(WINDOW_EXTENT),
+        extent_pixels: window.size.unwrap_or(DEFAULT_EXTENT),
         fov_deg: window.fov,
         both_eyes: window.both_eyes,
         figures: !window.no_figures,

@@ -26,6 +26,27 @@ impl ClientError {
     }
 }
 
+#[cfg(test)]
+impl FrameReport {
+    /// A rendered frame of which nothing else is to be said.
+    pub(crate) fn rendered_at(display_time: ClientTime) -> Self {
+        Self {
+            display_time,
+            server_time: None,
+            clock_error_bound_ns: None,
+            motion_time: None,
+            is_rendered: true,
+            update: None,
+            is_new: false,
+            held_vertices: 0,
+            frozen_vertices: 0,
+            withheld_vertices: 0,
+            withheld_patches: 0,
+            arena_waiting_bytes: 0,
+        }
+    }
+}
+
 /// What came of one call of [`crate::client::Client::step`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Step {

@@ -70,20 +70,8 @@ mod tests {
     const MS: i64 = 1_000_000;
 
     fn shown(ms: i64, is_new: bool) -> FrameReport {
-        FrameReport {
-            display_time: ClientTime(ms * MS),
-            server_time: None,
-            clock_error_bound_ns: None,
-            motion_time: None,
-            is_rendered: true,
-            update: Some(UpdateId(0)),
-            is_new,
-            held_vertices: 0,
-            frozen_vertices: 0,
-            withheld_vertices: 0,
-            withheld_patches: 0,
-            arena_waiting_bytes: 0,
-        }
+        let update = Some(UpdateId(0));
+        FrameReport { is_new, update, ..FrameReport::rendered_at(ClientTime(ms * MS)) }
     }
 
     #[test]

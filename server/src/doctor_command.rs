@@ -1,5 +1,6 @@
 //! `shadecast-server doctor`: what this machine can do as a server, measured, and what to change.
 
+use crate::{DEFAULT_LISTEN, DEFAULT_RATE_HZ};
 use anyhow::ensure;
 use clap::Args;
 use serde::Serialize;
@@ -21,8 +22,6 @@ const EXTENTS: [[u32; 2]; 2] = [[2048, 2048], [4096, 2048]];
 const PICTURES: usize = 8;
 /// Part of a picture that changes from one to the next: a third, in bands.
 const CHANGES: usize = 3;
-/// Updates a second that a server makes unless asked for another rate.
-const USUAL_RATE_HZ: f64 = 30.0;
 /// Looks at the clock, of which the smallest step counts.
 const CLOCK_LOOKS: usize = 10_000;
 
@@ -30,7 +29,7 @@ const CLOCK_LOOKS: usize = 10_000;
 #[derive(Args)]
 pub(crate) struct DoctorArgs {
     /// UDP address that a server would listen on
-    #[arg(long, default_value = "127.0.0.1:7400")]
+    #[arg(long, default_value = DEFAULT_LISTEN)]
     listen: SocketAddr,
     /// Part of the wanted Vulkan device's name
     #[arg(long)]
@@ -117,7 +116,7 @@ fn look(args: &DoctorArgs) -> anyhow::Result<Findings> {
     };
     let encoders = EXTENTS.into_iter().map(try_encoder).collect::<Result<_, _>>()?;
     let udp = match try_socket(args.listen) {
-        Ok(SocketTrial { buffer_bytes, wanted_bytes, .. }) => Udp {
+        Ok(SocketTrial { buffer_bytes, wanted_bytes }) => Udp {
             address: args.listen,
             buffer_kib: Some(buffer_bytes.map(|bytes| bytes >> 10)),
             wanted_kib: Some(wanted_bytes >> 10),
@@ -133,10 +132,7 @@ fn look(args: &DoctorArgs) -> anyhow::Result<Findings> {
 
 /// Marks the one that a server would take: the best that lacks nothing.
 fn chosen(found: Vec<FoundDevice>, wanted: Option<&str>) -> Vec<Device> {
-    let is_usable = |device: &FoundDevice| {
-        device.lacks.is_none() && wanted.is_none_or(|wanted| device.name.contains(wanted))
-    };
-    let best = found.iter().position(is_usable);
+    let best = found.iter().position(|device| device.is_usable(wanted));
     let devices = found.into_iter().enumerate();
     devices
         .map(|(index, device)| Device {
@@ -155,7 +151,7 @@ fn chosen(found: Vec<FoundDevice>, wanted: Option<&str>) -> Vec<Device> {
 /// Encodes painted noise, a third of which changes from picture to picture.
 fn try_encoder(extent_texels: [u32; 2]) -> Result<EncoderTrial, EncodeError> {
     let extent = AtlasExtent::new(extent_texels[0], extent_texels[1]).expect("an atlas's extent");
-    let settings = EncoderSettings::for_stream(extent, DEFAULT_QP, USUAL_RATE_HZ);
+    let settings = EncoderSettings::for_stream(extent, DEFAULT_QP, DEFAULT_RATE_HZ);
     let mut encoder = encode::encoder(Codec::H264, settings)?;
     let mut took_ms = Vec::with_capacity(PICTURES + 1);
     for index in 0..=PICTURES {
@@ -231,7 +227,7 @@ fn advice(findings: &Findings, wanted: Option<&str>) -> Vec<String> {
              sysctl -w net.core.rmem_max={bytes} net.core.wmem_max={bytes}"
         ));
     }
-    let period_ms = 1e3 / USUAL_RATE_HZ;
+    let period_ms = 1e3 / DEFAULT_RATE_HZ;
     if let Some(slow) = findings.encoders.iter().find(|trial| trial.next_ms > period_ms) {
         let [width, height] = slow.extent_texels;
         advice.push(format!(

@@ -5,6 +5,7 @@ use anyhow::Context;
 use clap::{Args, value_parser};
 use glam::{EulerRot, Quat, Vec3};
 use shadecast_desktop::camera::{ViewCamera, fov_of_picture};
+use shadecast_desktop::canvas::DEFAULT_EXTENT;
 use shadecast_gpu::{Gpu, vk};
 use shadecast_protocol::flags::{MOST_S, number, size};
 use shadecast_protocol::pose::{Fov, Pose};
@@ -82,7 +83,6 @@ pub(crate) struct ForwardArgs {
 /// A day of pictures at the highest rate that an MP4 has here, and more.
 const MAX_FRAMES: i64 = 10_000_000;
 const HEADLESS_EXTENT: [u32; 2] = [1300, 1300];
-const WINDOW_EXTENT: [u32; 2] = [1280, 800];
 /// From the camera to what it orbits around in a scene of nothing, metres.
 const DEFAULT_ORBIT_M: f32 = 3.0;
 
@@ -118,7 +118,7 @@ fn in_window(args: &ForwardArgs, cancel: &Cancel) -> anyhow::Result<()> {
     let camera = ViewCamera::new(Vec3::ZERO, 0.0, 0.0, DEFAULT_ORBIT_M, fov_deg);
     let options = WindowOptions {
         title: args.scene.clone(),
-        extent: args.size.unwrap_or(WINDOW_EXTENT),
+        extent: args.size.unwrap_or(DEFAULT_EXTENT),
         samples: samples(args),
         camera: camera.moved_to(stage_from_eye, fov_deg),
         start_s: args.start,

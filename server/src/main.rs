@@ -38,6 +38,11 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+/// Where a server listens unless asked to listen elsewhere: for this machine alone.
+const DEFAULT_LISTEN: &str = "127.0.0.1:7400";
+/// Updates a second that it makes at most unless asked for another rate.
+const DEFAULT_RATE_HZ: f64 = 30.0;
+
 /// Streams shaded, animated worlds to a headset that only rasterises and texture-maps.
 #[derive(Parser)]
 #[command(
@@ -111,7 +116,7 @@ struct StreamArgs {
     /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     scene: String,
     /// UDP address to listen on; 0.0.0.0:7400 for headsets on the network
-    #[arg(long, default_value = "127.0.0.1:7400")]
+    #[arg(long, default_value = DEFAULT_LISTEN)]
     listen: SocketAddr,
     /// Whether clients of the network find the server by themselves (DNS-SD, _shadecast._udp)
     #[arg(long, value_enum, default_value_t = Announce::Auto)]
@@ -135,7 +140,7 @@ struct StreamArgs {
     #[arg(long, value_name = "SHARE", default_value_t = DEFAULT_SURROUND, value_parser = number(0.0..=0.5f32, "of all"))]
     surround: f32,
     /// Updates per second, 1 to 60
-    #[arg(long, default_value_t = 30.0, value_parser = number(1.0..=60.0, "updates a second"))]
+    #[arg(long, default_value_t = DEFAULT_RATE_HZ, value_parser = number(1.0..=60.0, "updates a second"))]
     rate: f64,
     /// Milliseconds of an update for surfaces that are shaded again; what is new is always shaded [default: what is left
     /// of the update's period]

@@ -9,8 +9,9 @@ use crate::platform::monotonic_now;
 use crate::platform::requirements::REQUIRED;
 use head::Head;
 use pace::Pace;
-use shadecast_desktop::canvas::{Canvas, CanvasError, Screenshot};
+use shadecast_desktop::canvas::{Canvas, CanvasError};
 use shadecast_desktop::controls::Controls;
+use shadecast_desktop::png::write_png;
 use shadecast_desktop::present::Shows;
 use shadecast_desktop::winit::application::ApplicationHandler;
 use shadecast_desktop::winit::event::WindowEvent;
@@ -19,7 +20,6 @@ use shadecast_desktop::winit::keyboard::KeyCode;
 use shadecast_desktop::winit::platform::pump_events::{EventLoopExtPumpEvents, PumpStatus};
 use shadecast_desktop::winit::window::WindowId;
 use shadecast_gpu::{Access, Gpu, GpuOptions, Image, ImageDesc, Needs, WindowImage, vk};
-use shadecast_transport::write_atomically;
 use std::cell::RefCell;
 use std::path::PathBuf;
 use std::rc::Rc;
@@ -159,22 +159,8 @@ impl WindowDisplay {
     fn keep_screenshot(&mut self) -> Result<(), DisplayError> {
         let Some(path) = self.screenshot.take().filter(|_| self.has_shown) else { return Ok(()) };
         let shot = self.canvas.screenshot()?;
-        let written = png_of(&shot)
-            .map_err(|error| error.to_string())
-            .and_then(|bytes| write_atomically(&path, &bytes).map_err(|error| error.to_string()));
-        written.map_err(|error| DisplayError::Window(format!("writing {}: {error}", path.display())))
+        write_png(&path, shot.extent, &shot.rgb8).map_err(|error| DisplayError::Window(error.to_string()))
     }
-}
-
-fn png_of(shot: &Screenshot) -> Result<Vec<u8>, png::EncodingError> {
-    let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, shot.extent[0], shot.extent[1]);
-    encoder.set_color(png::ColorType::Rgb);
-    encoder.set_depth(png::BitDepth::Eight);
-    let mut writer = encoder.write_header()?;
-    writer.write_image_data(&shot.rgb8)?;
-    writer.finish()?;
-    Ok(bytes)
 }
 
 impl Display for WindowDisplay {

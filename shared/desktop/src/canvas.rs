@@ -13,6 +13,9 @@ use winit::event_loop::ActiveEventLoop;
 use winit::raw_window_handle::{HasDisplayHandle, HasWindowHandle};
 use winit::window::Window;
 
+/// Pixels of a window where nobody says how many.
+pub const DEFAULT_EXTENT: [u32; 2] = [1280, 800];
+
 /// Why there is no window.
 #[derive(Debug, thiserror::Error)]
 pub enum CanvasError {
@@ -142,13 +145,6 @@ impl Canvas {
         let pixels = readback.bytes()[..bytes as usize].chunks_exact(4);
         let rgb8 = pixels.flat_map(|p| order.map(|i| p[i])).collect();
         Ok(Screenshot { extent, rgb8 })
-    }
-}
-
-impl Drop for Canvas {
-    fn drop(&mut self) {
-        // Shutdown: everything below is destroyed next.
-        self.gpu.wait_idle();
     }
 }
 

@@ -285,13 +285,11 @@ impl DeviceSource for DesktopDevice {
         options: &GpuOptions,
     ) -> Result<vk::PhysicalDevice, GpuError> {
         let all = devices::list(instance, options.needs)?;
-        let is_wanted = |found: &FoundDevice| {
-            options.device_name.as_ref().is_none_or(|wanted| found.name.contains(wanted))
-        };
-        let best = all.iter().find(|found| found.lacks.is_none() && is_wanted(found));
+        let wanted = options.device_name.as_deref();
+        let best = all.iter().find(|found| found.is_usable(wanted));
         best.map(|found| found.physical).ok_or_else(|| {
             let refused = all.iter().map(|found| match found.lacks {
-                Some(what) if is_wanted(found) => format!("{}: lacks {what}", found.name),
+                Some(what) if found.is_named(wanted) => format!("{}: lacks {what}", found.name),
                 _ => format!("{}: not the one asked for", found.name),
             });
             GpuError::NoDevice(refused.collect::<Vec<_>>().join("; "))

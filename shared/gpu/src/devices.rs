@@ -36,6 +36,18 @@ pub struct FoundDevice {
     pub(crate) physical: vk::PhysicalDevice,
 }
 
+impl FoundDevice {
+    /// Whether its name holds `wanted`, where somebody wants one.
+    pub fn is_named(&self, wanted: Option<&str>) -> bool {
+        wanted.is_none_or(|wanted| self.name.contains(wanted))
+    }
+
+    /// Whether who wants that would take it: it lacks nothing.
+    pub fn is_usable(&self, wanted: Option<&str>) -> bool {
+        self.lacks.is_none() && self.is_named(wanted)
+    }
+}
+
 /// All devices of an instance, the best first.
 pub(crate) fn list(instance: &ash::Instance, needs: Needs) -> Result<Vec<FoundDevice>, GpuError> {
     // SAFETY: the instance is alive.

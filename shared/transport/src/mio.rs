@@ -99,8 +99,6 @@ pub struct SocketTrial {
     pub buffer_bytes: [usize; 2],
     /// What was asked for.
     pub wanted_bytes: usize,
-    /// Datagrams that the kernel takes and gives at once.
-    pub segments: [usize; 2],
 }
 
 /// Opens a socket at `address` for a moment, and says what it got.
@@ -114,7 +112,6 @@ pub fn try_socket(address: SocketAddr) -> Result<SocketTrial, DriverError> {
     Ok(SocketTrial {
         buffer_bytes: [state.recv_buffer_size(socket())?, state.send_buffer_size(socket())?],
         wanted_bytes: SOCKET_BUFFER_BYTES,
-        segments: [state.gro_segments(), state.max_gso_segments()],
     })
 }
 

@@ -11,12 +11,12 @@ use shadecast_protocol::message::{Capabilities, ClientHello, ClientMessage, Serv
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_scene::load::SceneSource;
 use shadecast_test_support::peers::hello;
-use shadecast_test_support::programs::{PATIENCE, Program, Voice, output_of, program};
+use shadecast_test_support::programs::{PATIENCE, Program, Voice, free_address, output_of, program};
 use shadecast_transport::mio::any_address_for;
 use shadecast_transport::{
     Driver, Endpoint, EndpointConfig, Event, Events, ExpectedIdentity, Handle, PeerId, spawn,
 };
-use std::net::{SocketAddr, UdpSocket};
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -28,7 +28,7 @@ struct Stage {
 
 impl Stage {
     fn new() -> Self {
-        let address = UdpSocket::bind("127.0.0.1:0").and_then(|s| s.local_addr()).unwrap();
+        let address = free_address();
         Self { folder: tempfile::tempdir().unwrap(), address }
     }
 

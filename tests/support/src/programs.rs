@@ -1,6 +1,7 @@
 //! Programs as users run them: started, heard, interrupted, and ended by their id when a test is over.
 
 use std::io::{BufRead, BufReader, Read};
+use std::net::{SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -19,6 +20,12 @@ pub fn program(name: &str) -> PathBuf {
     let path = here.parent().and_then(Path::parent).expect("the folder of programs").join(name);
     assert!(path.exists(), "{} is not built; `./shadecast test` builds it first", path.display());
     path
+}
+
+/// A free UDP port of this machine, for itself alone: bound for a moment, then left to a server.
+#[track_caller]
+pub fn free_address() -> SocketAddr {
+    UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.local_addr()).expect("a free port")
 }
 
 /// Sends a signal, by its name with a dash, as `kill` has it.

@@ -3,8 +3,8 @@
 use crate::display::{Display, colours};
 use crate::x11::{self, Connection};
 use shadecast_lab::image::Rgb8Image;
-use shadecast_test_support::programs::{Program, Voice, output_of, program, wait_until};
-use std::net::UdpSocket;
+use shadecast_lab::metrics::psnr_db;
+use shadecast_test_support::programs::{Program, Voice, free_address, output_of, program, wait_until};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -27,8 +27,7 @@ impl Stage {
         let folder = tempfile::tempdir().unwrap();
         let scene = folder.path().join("still.toml");
         std::fs::write(&scene, STILL).unwrap();
-        let address = UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.local_addr()).unwrap();
-        let address = address.to_string();
+        let address = free_address().to_string();
         let mut command = Command::new(program("shadecast-server"));
         command.args(["stream", "--listen", &address, "--seconds", "300"]).arg(&scene);
         command.arg("--identity").arg(folder.path().join("server"));
@@ -61,12 +60,6 @@ fn client() -> Command {
     command
 }
 
-fn psnr(a: &[u8], b: &[u8]) -> f64 {
-    assert_eq!(a.len(), b.len());
-    let squares: f64 = a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
-    10.0 * (255.0 * 255.0 * a.len() as f64 / squares.max(1e-9)).log10()
-}
-
 /// What the forward renderer shows from where the window's left eye is.
 fn truth(scene: &Path, folder: &Path) -> Rgb8Image {
     let mut forward = Command::new(program("shadecast-server"));
@@ -89,7 +82,7 @@ fn a_window_shows_what_the_server_streams_as_the_truth_has_it() {
     let shown = Rgb8Image::read_png(&shot).unwrap();
     let truth = truth(&stage.path("still.toml"), stage.folder.path());
     assert_eq!([shown.width, shown.height], SIZE);
-    let db = psnr(&shown.data, &truth.data);
+    let db = psnr_db(&shown, &truth, &vec![true; shown.pixel_count()]);
     println!("{db:.1} dB");
     assert!(db > 28.0, "{db:.1} dB between the window and the truth");
     let stats = stage.stats();
