@@ -14,7 +14,8 @@ use shadecast_client::xr::{Xr, XrOptions};
 use shadecast_desktop::canvas::DEFAULT_EXTENT;
 use shadecast_protocol::flags::{number, size};
 use shadecast_protocol::text::{printable, with_causes};
-use shadecast_transport::{Fingerprint, write_atomically};
+use shadecast_system::write_atomically;
+use shadecast_transport::Fingerprint;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -136,19 +137,14 @@ enum ReconstructionArgument {
     Bicubic,
 }
 
-const SIGNALS: [libc::c_int; 2] = [libc::SIGINT, libc::SIGTERM];
+/// What a shell shows for a program that Ctrl-C ended.
+const INTERRUPTED: i32 = 130;
 
-fn on_signals(action: libc::sighandler_t) {
-    for signal in SIGNALS {
-        // SAFETY: the action is the default, or `stop` below, which is safe in a signal handler. So is this call.
-        unsafe { libc::signal(signal, action) };
+/// The first signal (Ctrl-C, or the system's wish to end) asks the program to end; the next one ends it.
+fn stop() {
+    if STOP.swap(true, Ordering::Relaxed) {
+        shadecast_system::process::end_at_once(INTERRUPTED);
     }
-}
-
-/// The first signal asks the program to end; the next one ends it.
-extern "C" fn stop(_: libc::c_int) {
-    STOP.store(true, Ordering::Relaxed);
-    on_signals(libc::SIG_DFL);
 }
 
 /// A line for who started the program. Where nobody reads it any more the program goes on.
@@ -179,8 +175,8 @@ fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let level = if arguments.quiet { tracing::Level::WARN } else { tracing::Level::INFO };
     log_to_stderr(level);
-    on_signals(stop as *const () as libc::sighandler_t);
-    match run(&arguments) {
+    let outcome = ctrlc::set_handler(stop).context("catching signals").and_then(|()| run(&arguments));
+    match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             say(&format!("shadecast-client: {}", with_causes(error.as_ref())));

@@ -116,7 +116,8 @@ fn assert_close(got: [u8; 3], want: [u8; 3], what: &str) {
 
 #[test]
 fn a_runtime_that_does_not_convert_its_times_is_taken_and_its_frames_keep_their_distances() {
-    let hidden_extensions = vec!["XR_KHR_convert_timespec_time".to_owned()];
+    let hidden = ["XR_KHR_convert_timespec_time", "XR_KHR_win32_convert_performance_counter_time"];
+    let hidden_extensions = hidden.map(str::to_owned).to_vec();
     let run = Run::new(MockConfig { hidden_extensions, ..MockConfig::default() });
     let mut client = run.client();
     let times: Vec<ClientTime> = (0..20).map(|_| frame(&mut client).display_time).collect();

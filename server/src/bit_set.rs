@@ -51,6 +51,19 @@ impl BitSet {
         was_there
     }
 
+    /// All of them, ascending.
+    pub fn iter(&self) -> impl Iterator<Item = usize> + '_ {
+        let words = self.words.iter().enumerate().skip(self.first_word);
+        words.flat_map(|(at, word)| {
+            let mut left = *word;
+            std::iter::from_fn(move || {
+                let lowest = (left != 0).then(|| left.trailing_zeros() as usize)?;
+                left &= left - 1;
+                Some(at * 64 + lowest)
+            })
+        })
+    }
+
     /// The lowest number.
     pub fn first(&mut self) -> Option<usize> {
         let after = self.words[self.first_word.min(self.words.len())..].iter().position(|word| *word != 0);
@@ -86,6 +99,7 @@ mod tests {
                     3 => assert_eq!(set.pop_first(), tree.pop_first()),
                     _ => assert_eq!(set.contains(number), tree.contains(&number)),
                 }
+                assert!(set.iter().eq(tree.iter().copied()), "{count}, step {step}");
                 assert_eq!(
                     (set.first(), set.count()),
                     (tree.first().copied(), tree.len()),

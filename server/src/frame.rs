@@ -21,8 +21,9 @@ use crate::motion::steps::wanted_steps_m;
 use crate::nearness::pixels_per_metre;
 use crate::overlap::Flight;
 use crate::pacing::Budget;
+use crate::pool::Pool;
 use crate::predict::{HeadTrack, PredictedViews, VIEW_TIMES, View};
-use crate::residency::{PlacementChange, Residency};
+use crate::residency::{Allowance, PlacementChange, Residency};
 use crate::reuse::{Moment, Reuse, Reused};
 use crate::scene::SceneGpu;
 use crate::scene::meshes::MeshLevel;
@@ -48,7 +49,8 @@ use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_shaders::constants::{EYES, ID_BUFFER_VIEWS};
 use shadecast_shaders::generated::{SeenGpu, ViewGpu};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
+use std::time::Duration;
 
 /// Updates remembered until their display is reported.
 const REMEMBERED_UPDATES: usize = 256;
@@ -97,8 +99,9 @@ pub struct Frame {
     /// What an update may shade beside new blocks.
     shading_budget_texels: u64,
     ycbcr: Ycbcr,
-    /// Memory for the next update's picture.
-    spare: I420,
+    /// Memory for the pictures and the timings of updates that come.
+    pictures: Pool<I420>,
+    timings: Pool<Timings>,
     ideal: Ideal,
     next: UpdateId,
     update_times: VecDeque<(UpdateId, ServerTime)>,
@@ -116,6 +119,12 @@ struct Lists {
     looks: Looks,
     /// What is drawn for it.
     drawn: [Vec<Look>; 2],
+    /// What is to be shown next of it.
+    next: Vec<Look>,
+    /// The patches that are shown, with their instance.
+    shown: Vec<(usize, ScenePatch)>,
+    /// What of that the client can be brought.
+    left: Allowance,
 }
 
 /// An update whose visibility is on the device.
@@ -125,6 +134,18 @@ struct Begun {
     glance: Option<Glance>,
     sampled: Sampled,
     look: Seeing,
+    aim: Aim,
+    /// Of what the device has done for it.
+    timings: Timings,
+}
+
+/// What an update looks at.
+#[derive(Clone, Copy)]
+enum Aim {
+    /// The views of the eyes, for so many times with this one: at coarser levels of detail each time.
+    InView(u32),
+    /// What is around the head.
+    Around,
 }
 
 /// What is looked at, and the recording that does.
@@ -289,7 +310,8 @@ impl Frame {
             reuse: Reuse::new(ideal.reuse),
             shading_budget_texels: u64::MAX,
             ycbcr,
-            spare: I420::default(),
+            pictures: Pool::default(),
+            timings: Pool::default(),
             ideal,
             next: UpdateId(0),
             update_times: VecDeque::new(),
@@ -353,10 +375,12 @@ impl Frame {
         self.reuse.total_share()
     }
 
-    /// A picture that is not needed any more.
-    pub fn recycle(&mut self, picture: Source) {
-        let Source::Planes(picture) = picture;
-        self.spare = picture;
+    /// An update that is not needed any more: its memory is used for those that come.
+    pub fn recycle(&mut self, shaded: Shaded) {
+        let Shaded { delta, picture: Source::Planes(picture), timings, .. } = shaded;
+        self.residency.recycle(delta);
+        self.pictures.give(picture);
+        self.timings.give(timings);
     }
 
     /// Steps 1 to 6 and 8, one after the other. `None` before the first head state: there is nowhere to look from.
@@ -390,20 +414,31 @@ impl Frame {
         self.write_views(&views);
         self.looked_at = self.times_to_look_at(world, &views);
         let look: Seeing = self.look_again(recorder, world, (&sampled, &views))?; // 3
-        self.begun = Some(Begun { now, views, glance, sampled, look });
+        let mut timings = self.timings.take();
+        timings.clear();
+        self.begun = Some(Begun { now, views, glance, sampled, look, aim: Aim::InView(1), timings });
         self.submit_shading(placed)?;
         Ok(true)
     }
 
     /// Steps 4, 5 and 8 of what was begun: waits for what the device has seen.
     pub fn place(&mut self, world: &mut World) -> Result<(), GpuError> {
-        let Some(Begun { now, views, glance, sampled, look }) = self.begun.take() else {
-            return Ok(());
-        };
-        let (looks, mut timings): (Looks, _) = self.look(look, world, (&sampled, &views))?;
-        if let Some(glance) = glance {
-            timings.append(self.look_around(world, &glance, &looks, &sampled)?);
+        while self.begun.is_some() {
+            self.place_seen(world)?;
         }
+        Ok(())
+    }
+
+    /// The same as far as it goes without another look, which is before the device then; waits for the one that is.
+    pub fn place_seen(&mut self, world: &mut World) -> Result<(), GpuError> {
+        let Some(mut begun) = self.begun.take() else { return Ok(()) };
+        world.gpu().wait_timed_into(begun.look.ticket, &mut begun.timings)?;
+        self.level_selection.read(&mut self.seen);
+        if self.looks_again(world, &mut begun)? {
+            self.begun = Some(begun);
+            return Ok(());
+        }
+        let Begun { now, views, sampled, look: Seeing { looks, .. }, timings, .. } = begun;
         let mut changes: Vec<PlacementChange> = std::mem::take(&mut self.changes);
         self.layout.place(&world.samples, &looks, &mut changes); // 4, 5
         self.lists.looks = looks;
@@ -428,11 +463,11 @@ impl Frame {
     /// What the device has shaded, or shades by now: waits for it. `None` where there is nothing.
     pub fn collect(&mut self, world: &World) -> Result<Option<Shaded>, GpuError> {
         let Some(InWork { mut shaded, ticket }) = self.in_work.take() else { return Ok(None) };
-        shaded.timings.append(world.gpu().wait_timed(ticket)?);
+        world.gpu().wait_timed_into(ticket, &mut shaded.timings)?;
         let blocks = shaded.delta.masked.iter();
         let covered = blocks.map(|(slot, block)| (*slot, self.ycbcr.coverage(*block)));
-        shaded.delta.geometry.coverage = covered.filter(|(_, coverage)| !coverage.is_whole()).collect();
-        let mut picture = std::mem::take(&mut self.spare);
+        shaded.delta.geometry.coverage.extend(covered.filter(|(_, coverage)| !coverage.is_whole()));
+        let mut picture = self.pictures.take();
         self.ycbcr.read(&mut picture);
         shaded.picture = Source::Planes(picture);
         Ok(Some(shaded))
@@ -441,20 +476,35 @@ impl Frame {
     /// How far the updates in flight have come.
     pub fn flight(&self, world: &World) -> Result<Flight, GpuError> {
         let is_done = |ticket: Option<Ticket>| ticket.map_or(Ok(false), |ticket| world.gpu().is_done(ticket));
+        let [look, shading] = self.tickets();
         Ok(Flight {
-            is_begun: self.begun.is_some(),
-            is_seen: is_done(self.begun.as_ref().map(|begun| begun.look.ticket))?,
+            is_begun: look.is_some(),
+            is_seen: is_done(look)?,
             is_placed: self.placed.is_some(),
-            is_in_work: self.in_work.is_some(),
-            is_shaded: is_done(self.in_work.as_ref().map(|work| work.ticket))?,
+            is_in_work: shading.is_some(),
+            is_shaded: is_done(shading)?,
             is_alone: !world.is_shared(),
         })
     }
 
+    /// Waits until the device has come further with what is in flight, at most so long; false where it has nothing to do.
+    pub fn rest(&self, world: &World, at_most: Duration) -> Result<bool, GpuError> {
+        for ticket in self.tickets().into_iter().flatten() {
+            if world.gpu().wait_at_most(ticket, at_most)? {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// Of the look and of the shading that are before the device.
+    fn tickets(&self) -> [Option<Ticket>; 2] {
+        [self.begun.as_ref().map(|begun| begun.look.ticket), self.in_work.as_ref().map(|work| work.ticket)]
+    }
+
     /// The viewer goes. Whatever was in flight is left, once the device reads no more of the world for it.
     pub fn leave(self, world: &mut World) {
-        let tickets = [self.begun.map(|begun| begun.look.ticket), self.in_work.map(|work| work.ticket)];
-        for ticket in tickets.into_iter().flatten() {
+        for ticket in self.tickets().into_iter().flatten() {
             let _ = world.gpu().wait(ticket); // a lost device reads nothing either
         }
         world.leave(self.id);
@@ -471,7 +521,7 @@ impl Frame {
         let (scene, eyes) = (world.scene(), views.eyes.iter().flatten());
         let wanted_m = wanted_steps_m(&scene.world_bounds, eyes, self.eye.pixels_per_radian());
         self.residency.want_steps(wanted_m);
-        self.residency.put_behind(self.layout.around().map(|(patch, _)| patch).collect());
+        self.residency.put_behind(self.layout.around().map(|(patch, _)| patch));
         let stamp = UpdateStamp { update: self.next, time: now };
         let mut delta = self.residency.update(&world.samples, changes, stamp);
         if self.residency.predicts() {
@@ -520,32 +570,48 @@ impl Frame {
         Ok(Seeing { looks, ticket })
     }
 
-    /// Looks at the scene until what is visible has room: at coarser levels of detail where it has none.
-    fn look(
-        &mut self,
-        first: Seeing,
-        world: &World,
-        (sampled, views): (&Sampled, &PredictedViews),
-    ) -> Result<(Looks, Timings), GpuError> {
-        self.layout.begin(self.asked_texels_per_pixel());
-        let mut timings = Timings::default();
-        let Seeing { mut looks, mut ticket } = first;
-        for look in 1.. {
-            timings.append(self.see(world, ticket)?);
-            self.layout.see(Visible { looks: &looks, seen: &self.seen });
-            self.switch(world, &mut looks);
-            self.measure(&looks);
-            if self.layout.has_room(&world.samples, &looks) {
-                return Ok((looks, timings));
+    /// Takes in what was seen, and submits the look that comes after it, if one does: at coarser levels of detail until what is
+    /// visible has room, then around the head.
+    fn looks_again(&mut self, world: &World, begun: &mut Begun) -> Result<bool, GpuError> {
+        let Begun { views, glance, sampled, look, aim, .. } = begun;
+        match aim {
+            Aim::InView(number) => {
+                if !self.see_in_view(world, *number, &mut look.looks) {
+                    *number += 1;
+                    self.lists.looks = std::mem::take(&mut look.looks);
+                    *look = self.look_again(world.gpu().record()?, world, (&*sampled, &*views))?;
+                    return Ok(true);
+                }
+                let Some(glance) = glance else { return Ok(false) };
+                look.ticket = self.look_around(world, glance, &look.looks, sampled)?;
+                *aim = Aim::Around;
+                Ok(true)
             }
-            if look == MAX_LOOKS || !self.detail.tighten() {
-                self.switch_at_once(&mut looks);
-                return Ok((looks, timings));
+            Aim::Around => {
+                let (residency, geometry) = (&self.residency, &world.samples);
+                let may_be = |instance: usize| residency.is_told_once(geometry, instance as u16);
+                self.layout.see_around(Visible { looks: &look.looks, seen: &self.seen }, may_be);
+                Ok(false)
             }
-            self.lists.looks = looks;
-            Seeing { looks, ticket } = self.look_again(world.gpu().record()?, world, (sampled, views))?;
         }
-        unreachable!("it looks {MAX_LOOKS} times at most")
+    }
+
+    /// Takes in what the views of the eyes see, for so many times; whether it is to be shown so.
+    fn see_in_view(&mut self, world: &World, number: u32, looks: &mut Looks) -> bool {
+        if number == 1 {
+            self.layout.begin(self.asked_texels_per_pixel());
+        }
+        self.layout.see(Visible { looks, seen: &self.seen });
+        self.switch(world, looks);
+        self.measure(looks);
+        if self.layout.has_room(&world.samples, looks) {
+            return true;
+        }
+        let is_last = number == MAX_LOOKS || !self.detail.tighten();
+        if is_last {
+            self.switch_at_once(looks);
+        }
+        is_last
     }
 
     /// At which times there may be something to be seen that is not at another: at one where the head and all in view stand still.
@@ -565,14 +631,14 @@ impl Frame {
         glance
     }
 
-    /// Finds what two directions around the head show, whether it is in view or not.
+    /// Submits a look at what two directions around the head show, whether it is in view or not.
     fn look_around(
         &mut self,
         world: &World,
         glance: &Glance,
         looks: &Looks,
         sampled: &Sampled,
-    ) -> Result<Timings, GpuError> {
+    ) -> Result<Ticket, GpuError> {
         self.write_glance(glance);
         let sight = Sight::of(glance.views.iter());
         let mut drawn = std::mem::take(&mut self.lists.drawn);
@@ -583,11 +649,7 @@ impl Frame {
             Looking { looks, scenes: &drawn, places, sight: &sight, times: ONLY_THE_FIRST, turned: 0 };
         let ticket = self.look_at(world.gpu().record()?, world, looking)?;
         self.lists.drawn = drawn;
-        let timings = self.see(world, ticket)?;
-        let (residency, geometry) = (&self.residency, &world.samples);
-        let may_be = |instance: usize| residency.is_told_once(geometry, instance as u16);
-        self.layout.see_around(Visible { looks, seen: &self.seen }, may_be);
-        Ok(timings)
+        Ok(ticket)
     }
 
     /// Rasterises views at their times, and measures what is visible.
@@ -627,46 +689,45 @@ impl Frame {
         recorder.submit()
     }
 
-    /// Waits for a look, and takes what it saw.
-    fn see(&mut self, world: &World, ticket: Ticket) -> Result<Timings, GpuError> {
-        let timings = world.gpu().wait_timed(ticket)?;
-        self.level_selection.read(&mut self.seen);
-        Ok(timings)
-    }
-
     /// Lets the client show the next level of those instances of which it has all that is seen, or gets it with this update. Of
     /// the others, the one that lacks least is brought ahead.
     fn switch(&mut self, world: &World, looks: &mut Looks) {
         let (geometry, layout) = (&world.samples, &self.layout);
-        let next: Vec<Look> = looks.next().copied().collect();
+        let Lists { next, shown, left, .. } = &mut self.lists;
+        next.clear();
+        next.extend(looks.next());
+        shown.clear();
+        if next.is_empty() {
+            return self.residency.bring_ahead(&[]);
+        }
+        shown.extend(layout.shown(looks));
+        self.residency.allow(left);
         let waits = |instance: usize| next.iter().any(|look| look.instance == instance);
-        let shown: Vec<_> = if next.is_empty() { Vec::new() } else { layout.shown(looks).collect() };
-        let mut left = self.residency.allowance();
         let stays = shown.iter().filter(|(instance, _)| !waits(*instance)).map(|(_, patch)| *patch);
-        self.residency.reserve_what_fits(geometry, stays, &mut left);
+        self.residency.reserve_what_fits(geometry, stays, left);
         let mut least: Option<&[ScenePatch]> = None;
-        for look in &next {
+        for look in next.iter() {
             let seen = layout.seen_of(look);
-            if self.residency.reserve(geometry, seen.iter().copied(), &mut left) {
+            if self.residency.reserve(geometry, seen.iter().copied(), left) {
                 looks.switch(look.instance);
                 self.detail.switched(look.instance);
                 continue;
             }
             let stays = shown.iter().filter(|(instance, _)| *instance == look.instance);
-            self.residency.reserve_what_fits(geometry, stays.map(|(_, patch)| *patch), &mut left);
+            self.residency.reserve_what_fits(geometry, stays.map(|(_, patch)| *patch), left);
             let lacking = |patches: &[ScenePatch]| self.residency.lacking(patches);
             least = Some(least.filter(|least| lacking(least) <= lacking(seen)).unwrap_or(seen));
         }
-        let ahead = least.map_or(Vec::new(), <[ScenePatch]>::to_vec);
-        self.residency.bring_ahead(ahead);
+        self.residency.bring_ahead(least.unwrap_or_default());
     }
 
     /// There is no room for what is seen, not even for a moment beside what is to be shown instead: whatever is to be coarser is
     /// so from now on, and comes in as the other goes.
     fn switch_at_once(&mut self, looks: &mut Looks) {
-        let shown: BTreeMap<usize, usize> = looks.shown().map(|look| (look.instance, look.level)).collect();
-        let next: Vec<Look> = looks.next().copied().collect();
-        for look in next.iter().filter(|look| shown.get(&look.instance) < Some(&look.level)) {
+        let next = &mut self.lists.next;
+        next.clear();
+        next.extend(looks.coarser());
+        for look in next {
             looks.switch(look.instance);
             self.detail.switched(look.instance);
         }

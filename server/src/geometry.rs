@@ -49,6 +49,16 @@ pub struct UpdateDelta {
     pub masked: Vec<(PatchSlot, Block)>,
 }
 
+impl UpdateDelta {
+    /// Says nothing any more; the memory of its lists stays.
+    pub fn clear(&mut self) {
+        let Self { geometry, sampled, masked } = self;
+        geometry.clear();
+        sampled.clear();
+        masked.clear();
+    }
+}
+
 /// The corners of a patch, as indices within the model.
 pub(crate) fn corners(patch: Patch) -> impl Iterator<Item = u32> {
     patch.vertices.into_iter().take(patch.kind.vertex_count())

@@ -2,6 +2,7 @@
 
 use anyhow::Context;
 use shadecast_scene::{Cancel, Cancelled};
+use shadecast_system::process::end_at_once;
 
 /// What a shell shows for a program that Ctrl-C ended.
 pub(crate) const EXIT_CODE: i32 = 130;
@@ -24,19 +25,12 @@ pub(crate) fn install(first: FirstSignal) -> anyhow::Result<Cancel> {
     let asked = cancel.clone();
     let on_signal = move || {
         if first == FirstSignal::Ends || asked.is_asked() {
-            end_at_once();
+            end_at_once(EXIT_CODE);
         }
         asked.ask();
     };
     ctrlc::set_handler(on_signal).context("catching signals")?;
     Ok(cancel)
-}
-
-/// Without the clean-up of the libraries, which may wait for what hangs.
-fn end_at_once() -> ! {
-    shadecast_transport::remove_pending_files();
-    // SAFETY: ends the process; nothing runs after it that could see anything broken.
-    unsafe { libc::_exit(EXIT_CODE) }
 }
 
 /// Whether this is no failure: somebody asked to end, and so it did.

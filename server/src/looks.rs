@@ -102,6 +102,17 @@ impl Looks {
         self.looks.iter().filter(|look| !look.is_shown)
     }
 
+    /// Of these those that are coarser than what is shown of their instance, or where nothing is.
+    pub fn coarser(&self) -> impl Iterator<Item = &Look> {
+        self.next().filter(|look| self.level_shown(look.instance) < Some(look.level))
+    }
+
+    fn level_shown(&self, instance: usize) -> Option<usize> {
+        let first = self.looks.partition_point(|look| look.instance < instance);
+        let mut levels = self.looks[first..].iter().take_while(|look| look.instance == instance);
+        levels.find(|look| look.is_shown).map(|look| look.level)
+    }
+
     /// The scene as the client shows it, and, where that differs, as it is to be next: each of them one look an instance, of those
     /// that are drawn. The second is empty where it does not differ.
     pub fn scenes(&self, [now, next]: &mut [Vec<Look>; 2], is_drawn: impl Fn(usize) -> bool) {
@@ -192,6 +203,15 @@ mod tests {
         assert_eq!(looks.shown().map(|look| look.level).collect::<Vec<_>>(), [1, 0, 0]);
         let looks = Looks::new(&scene, [levels(1, None), None, None, None]);
         assert_eq!(of(&looks), [[(0, 1)]]);
+    }
+
+    #[test]
+    fn what_is_to_be_coarser_is_told_from_what_is_to_be_finer() {
+        let looks = Looks::new(&scene(), [levels(1, Some(0)), None, levels(0, None), levels(0, Some(2))]);
+        let coarser: Vec<_> = looks.coarser().map(|look| (look.instance, look.level)).collect();
+        assert_eq!(coarser, [(3, 2)]);
+        let looks = Looks::new(&scene(), [None, levels(0, Some(0)), levels(1, Some(0)), None]);
+        assert_eq!(looks.coarser().map(|look| look.instance).collect::<Vec<_>>(), [2], "nothing was shown");
     }
 
     #[test]

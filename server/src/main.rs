@@ -31,7 +31,7 @@ use shadecast_server::quality::QualityArgs;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::stream::{Device, StreamOptions, run};
 use shadecast_server::surround::DEFAULT_SURROUND;
-use shadecast_transport::write_atomically;
+use shadecast_system::write_atomically;
 use start_up::{CacheArgs, StartUp};
 use std::io::IsTerminal;
 use std::net::SocketAddr;

@@ -4,7 +4,7 @@ use crate::animation::RingPlace;
 use crate::animation::gpu::Animation;
 use crate::animation::manager::PoseKey;
 use crate::animation::timeline::{Shown, Timeline};
-use crate::geometry::{Geometry, corners};
+use crate::geometry::{Geometry, MAX_CORNERS, corners};
 use crate::lights::SunView;
 use crate::reuse::{Lamp, Moment, Receiver, Surfaces};
 use crate::samples::SampleWindow;
@@ -12,6 +12,7 @@ use crate::scene::SceneGpu;
 use crate::scene::numbering::{ScenePatch, SceneVertex};
 use crate::shadow_change::SunBox;
 use crate::stages::shadow::Shadow;
+use arrayvec::ArrayVec;
 use glam::{Affine3A, Vec3};
 use shadecast_protocol::atlas::{Block, PatchKind};
 use shadecast_protocol::limits::BLOCK_INSET_TEXELS;
@@ -105,8 +106,8 @@ pub struct SceneSurfaces<'a> {
 }
 
 impl SceneSurfaces<'_> {
-    /// The corners of a patch that does not move.
-    fn places(&self, number: usize, patch: &Patch) -> Option<Vec<Vec3>> {
+    /// The corners of a patch that does not move, with room for the fourth of a parallelogram.
+    fn places(&self, number: usize, patch: &Patch) -> Option<ArrayVec<Vec3, { MAX_CORNERS + 1 }>> {
         let first = self.samples.first_vertex(number as u16);
         let place = |corner: u32| self.samples.static_position(SceneVertex(first.0 + corner));
         corners(*patch).map(place).collect()

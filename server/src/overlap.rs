@@ -34,7 +34,7 @@ impl Flight {
 pub enum Step {
     /// Begin an update; what is placed is shaded behind it.
     Begin,
-    /// Place what is seen.
+    /// Place what is seen, as far as that goes without another look.
     Place,
     /// Have what is placed shaded.
     Shade,
@@ -45,9 +45,6 @@ pub enum Step {
 }
 
 impl Step {
-    /// Those of an update, one after the other.
-    pub const IN_A_ROW: [Self; 4] = [Self::Begin, Self::Place, Self::Shade, Self::Collect];
-
     /// What it is called in a trace.
     pub fn name(self) -> &'static str {
         match self {

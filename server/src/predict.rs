@@ -169,9 +169,10 @@ impl HeadTrack {
 
     /// The 95th percentile of recent prediction errors, within bounds.
     fn margin(&self) -> f32 {
-        let mut sorted: Vec<f32> = self.errors.iter().copied().collect();
-        sorted.sort_by(f32::total_cmp);
-        let error = sorted.get(sorted.len().saturating_sub(1) * 95 / 100).copied().unwrap_or(0.0);
+        let mut errors = [0.0; REPORTS];
+        let errors = copied(&self.errors, &mut errors);
+        errors.sort_unstable_by(f32::total_cmp);
+        let error = errors.get(errors.len().saturating_sub(1) * 95 / 100).copied().unwrap_or(0.0);
         (MIN_MARGIN + error).min(MAX_MARGIN)
     }
 }
@@ -199,10 +200,17 @@ fn push_bounded<T>(queue: &mut VecDeque<T>, value: T) {
 }
 
 fn percentile(values: &VecDeque<i64>, share: f64) -> Option<i64> {
-    let mut sorted: Vec<i64> = values.iter().copied().collect();
+    let mut sorted = [0; REPORTS];
+    let sorted = copied(values, &mut sorted);
     sorted.sort_unstable();
     let last = sorted.len().checked_sub(1)?;
     sorted.get((last as f64 * share).round() as usize).copied()
+}
+
+/// What a queue of at most [`REPORTS`] holds, in memory that is at hand.
+fn copied<'a, T: Copy>(queue: &VecDeque<T>, memory: &'a mut [T; REPORTS]) -> &'a mut [T] {
+    let count = memory.iter_mut().zip(queue).map(|(place, value)| *place = *value).count();
+    &mut memory[..count]
 }
 
 fn view(world_from_head: Pose, eye: Eye, margin: f32) -> View {

@@ -14,6 +14,8 @@ use crate::motion::sampled::{Coder, SharedCoder};
 use crate::motion::skinning::Skinning;
 use crate::motion::steps::Steps;
 use crate::pacing::Budget;
+use crate::pool::Pool;
+use crate::retained::Retained;
 use crate::scene::numbering::{ScenePatch, SceneVertex};
 use shadecast_protocol::atlas::Block;
 use shadecast_protocol::delta::{DeltaEncoder, EncodedDelta};
@@ -21,7 +23,7 @@ use shadecast_protocol::geometry::{GeometryDelta, Motion, NewPatch, NewVertex};
 use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::predicted::PREDICTED_BYTES;
-use std::collections::{BTreeMap, HashSet, VecDeque};
+use std::collections::{HashSet, VecDeque};
 use std::sync::{Arc, Mutex};
 
 /// A patch without a block, of vertices that cost nothing while they stay, is forgotten after this many updates.
@@ -48,13 +50,15 @@ pub struct PlacementChange {
 }
 
 /// What an update can still bring.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Allowance {
     bytes: usize,
     patches: usize,
     vertices: usize,
     /// Vertices that it brings, as far as is known.
     brings: HashSet<SceneVertex>,
+    /// Those of what is being reserved.
+    newest: Vec<SceneVertex>,
 }
 
 /// Slots handed out from the lowest on, and taken back once a frame has been displayed.
@@ -104,8 +108,10 @@ struct Resident {
 pub struct Residency {
     /// The client's memory, and the pasts of its samples.
     coder: SharedCoder,
-    /// Vertices in it that move, by slot.
-    moving: BTreeMap<VertexSlot, SceneVertex>,
+    /// Slots of its vertices that move.
+    moving: BitSet,
+    /// By slot, the vertex that is or was there.
+    vertex_of_slot: Vec<SceneVertex>,
     /// How finely samples are rounded, of instances that the client was told of.
     steps: Steps,
     /// What the client skins by itself.
@@ -117,7 +123,7 @@ pub struct Residency {
     /// By [`SceneVertex`].
     vertices: Vec<Option<Resident>>,
     /// Resident patches without a block, by the update since when.
-    retained: BTreeMap<ScenePatch, u32>,
+    retained: Retained,
     /// Patches with a block that found no slot free, ascending; they try again with each update.
     waiting: Vec<(ScenePatch, Block)>,
     /// A list of one update, kept for its memory.
@@ -128,8 +134,8 @@ pub struct Residency {
     behind: Vec<ScenePatch>,
     /// Of those that wait, how many are such.
     behind_waiting: usize,
-    /// Of the update in the making: placements of patches that are cut out.
-    masked: Vec<(PatchSlot, Block)>,
+    /// Memory of deltas that are not needed any more.
+    spare: Pool<UpdateDelta>,
     /// What an update may take.
     budget: Budget,
     /// Of those that wait, how many do so because of it alone.
@@ -141,20 +147,21 @@ impl Residency {
     pub fn new(geometry: &impl Geometry, patch_slots: u32, vertex_slots: u32) -> Self {
         Self {
             coder: Arc::new(Mutex::new(Coder::new(DeltaEncoder::new(vertex_slots, patch_slots)))),
-            moving: BTreeMap::new(),
+            moving: BitSet::none(vertex_slots as usize),
+            vertex_of_slot: vec![SceneVertex(0); vertex_slots as usize],
             steps: Steps::default(),
             skinning: None,
             patch_slots: Slots::new(patch_slots),
             vertex_slots: Slots::new(vertex_slots),
             slot_of_patch: vec![None; geometry.patch_count()],
             vertices: vec![None; geometry.vertex_count()],
-            retained: BTreeMap::new(),
+            retained: Retained::new(geometry.patch_count()),
             waiting: Vec::new(),
             coming: Vec::new(),
             ahead: Vec::new(),
             behind: Vec::new(),
             behind_waiting: 0,
-            masked: Vec::new(),
+            spare: Pool::default(),
             budget: Budget::UNLIMITED,
             held_back: 0,
         }
@@ -171,7 +178,7 @@ impl Residency {
     }
 
     /// The coarsest steps of samples that will do from the next update on, by instance, metres.
-    pub fn want_steps(&mut self, wanted_m: Vec<f32>) {
+    pub fn want_steps(&mut self, wanted_m: impl IntoIterator<Item = f32>) {
         self.steps.want(wanted_m);
     }
 
@@ -194,14 +201,12 @@ impl Residency {
         }
     }
 
-    /// What the next update can bring.
-    pub fn allowance(&self) -> Allowance {
-        Allowance {
-            bytes: self.budget.geometry_bytes,
-            patches: self.patch_slots.free.count(),
-            vertices: self.vertex_slots.free.count(),
-            brings: HashSet::new(),
-        }
+    /// Makes an allowance, in the memory of another, what the next update can bring.
+    pub fn allow(&self, allowance: &mut Allowance) {
+        allowance.bytes = self.budget.geometry_bytes;
+        allowance.patches = self.patch_slots.free.count();
+        allowance.vertices = self.vertex_slots.free.count();
+        allowance.brings.clear();
     }
 
     /// Takes off what it takes to bring those of `patches` that are not there. False, and nothing is taken off, where there is
@@ -213,14 +218,16 @@ impl Residency {
         allowance: &mut Allowance,
     ) -> bool {
         let Allowance { bytes, patches: slots, vertices, .. } = *allowance;
-        let mut brings = Vec::new();
-        let fits = patches.into_iter().all(|patch| self.reserve_one(geometry, patch, allowance, &mut brings));
+        let mut newest = std::mem::take(&mut allowance.newest);
+        newest.clear();
+        let fits = patches.into_iter().all(|patch| self.reserve_one(geometry, patch, allowance, &mut newest));
         if !fits {
-            for vertex in &brings {
+            for vertex in &newest {
                 allowance.brings.remove(vertex);
             }
             (allowance.bytes, allowance.patches, allowance.vertices) = (bytes, slots, vertices);
         }
+        allowance.newest = newest;
         fits
     }
 
@@ -241,20 +248,20 @@ impl Residency {
         geometry: &impl Geometry,
         patch: ScenePatch,
         left: &mut Allowance,
-        brings: &mut Vec<SceneVertex>,
+        newest: &mut Vec<SceneVertex>,
     ) -> bool {
         if self.slot_of_patch[patch.index()].is_some() {
             return true;
         }
         let instance = geometry.instance_of_patch(patch);
-        let (mut bytes, before) = (PATCH_BYTES, brings.len());
+        let (mut bytes, before) = (PATCH_BYTES, newest.len());
         for vertex in vertices_of_patch(geometry, patch) {
             if self.vertices[vertex.index()].is_none() && left.brings.insert(vertex) {
                 bytes += self.vertex_bytes(geometry, instance, vertex);
-                brings.push(vertex);
+                newest.push(vertex);
             }
         }
-        let vertices = brings.len() - before;
+        let vertices = newest.len() - before;
         let fits = left.patches > 0 && left.vertices >= vertices && left.bytes >= bytes;
         if fits {
             (left.patches, left.vertices, left.bytes) =
@@ -269,13 +276,15 @@ impl Residency {
     }
 
     /// The next update brings these ahead of their block as far as it can, and keeps those that are there.
-    pub fn bring_ahead(&mut self, patches: Vec<ScenePatch>) {
-        self.ahead = patches;
+    pub fn bring_ahead(&mut self, patches: &[ScenePatch]) {
+        self.ahead.clear();
+        self.ahead.extend_from_slice(patches);
     }
 
     /// Of those with a block these, ascending, come after all others, and as far as slots are not short.
-    pub fn put_behind(&mut self, patches: Vec<ScenePatch>) {
-        self.behind = patches;
+    pub fn put_behind(&mut self, patches: impl IntoIterator<Item = ScenePatch>) {
+        self.behind.clear();
+        self.behind.extend(patches);
     }
 
     /// Whether an instance that stays in the client's memory is told only once.
@@ -289,6 +298,11 @@ impl Residency {
         lock(&self.coder).update(delta)
     }
 
+    /// What an update has changed is not needed any more: its memory is used for the next.
+    pub fn recycle(&mut self, delta: UpdateDelta) {
+        self.spare.give(delta);
+    }
+
     /// What brings the client from the last update to this one.
     pub fn update(
         &mut self,
@@ -296,13 +310,16 @@ impl Residency {
         changes: &[PlacementChange],
         UpdateStamp { update, time }: UpdateStamp,
     ) -> UpdateDelta {
-        let mut delta = GeometryDelta { update, time, ..GeometryDelta::default() };
+        let mut made = self.spare.take();
+        made.clear();
+        let delta = &mut made;
+        (delta.geometry.update, delta.geometry.time) = (update, time);
         for change in changes.iter().filter(|c| c.block.is_none()) {
-            self.lose_block(geometry, change.patch, update, &mut delta);
+            self.lose_block(geometry, change.patch, update, &mut delta.geometry);
         }
         self.keep(changes, update);
-        self.forget_old(geometry, update, &mut delta);
-        delta.instances = self.steps.changes();
+        self.forget_old(geometry, update, &mut delta.geometry);
+        delta.geometry.instances.extend(self.steps.changes());
         let mut left_bytes = self.budget.geometry_bytes;
         (self.held_back, self.behind_waiting) = (0, 0);
         let coming = self.coming(changes);
@@ -317,50 +334,36 @@ impl Residency {
                 continue;
             }
             left_bytes -= bytes;
-            match self.admit(geometry, patch, &mut delta) {
-                Some(slot) => self.place(geometry, (patch, slot), block, &mut delta),
+            match self.admit(geometry, patch, &mut delta.geometry) {
+                Some(slot) => place(geometry, (patch, slot), block, delta),
                 None => self.waiting.push((patch, block)),
             }
         }
-        self.bring(geometry, &mut left_bytes, &mut delta);
+        self.bring(geometry, &mut left_bytes, &mut delta.geometry);
         let left_bytes = if self.held_back == 0 { left_bytes / BEHIND_PART } else { 0 };
-        self.bring_behind(geometry, &coming, left_bytes, &mut delta);
+        self.bring_behind(geometry, &coming, left_bytes, delta);
         self.coming = coming;
         self.waiting.sort_unstable_by_key(|(patch, _)| *patch);
-        sort(&mut delta);
-        let mut masked = std::mem::take(&mut self.masked);
-        masked.sort_unstable_by_key(|(slot, _)| *slot);
+        sort(&mut delta.geometry);
+        delta.masked.sort_unstable_by_key(|(slot, _)| *slot);
         let is_sampled = |vertex: &&NewVertex| vertex.motion == Motion::Sampled;
-        let entering = delta.new_vertices.iter().filter(is_sampled);
-        let sampled = entering.map(|vertex| (vertex.slot, self.moving[&vertex.slot])).collect();
-        UpdateDelta { geometry: delta, sampled, masked }
-    }
-
-    /// Tells the client of the block of a patch in its memory.
-    fn place(
-        &mut self,
-        geometry: &impl Geometry,
-        (patch, slot): (ScenePatch, PatchSlot),
-        block: Block,
-        delta: &mut GeometryDelta,
-    ) {
-        delta.placements.push((slot, Some(block)));
-        self.masked.extend(geometry.is_masked(patch).then_some((slot, block)));
+        let entering = delta.geometry.new_vertices.iter().filter(is_sampled);
+        delta.sampled.extend(entering.map(|vertex| (vertex.slot, self.vertex_of_slot[vertex.slot.index()])));
+        made
     }
 
     /// What gets a block with this update, or is brought ahead, is not forgotten with it.
     fn keep(&mut self, changes: &[PlacementChange], update: UpdateId) {
         for change in changes.iter().filter(|change| change.block.is_some()) {
-            self.retained.remove(&change.patch);
+            self.retained.remove(change.patch);
         }
-        for patch in &self.ahead {
-            self.retained.get_mut(patch).into_iter().for_each(|since| *since = update.0);
-        }
+        self.ahead.iter().for_each(|patch| self.retained.renew(*patch, update));
     }
 
     /// Brings what is to be there ahead of its block, in the order in which it was asked for.
     fn bring(&mut self, geometry: &impl Geometry, left_bytes: &mut usize, delta: &mut GeometryDelta) {
-        for patch in std::mem::take(&mut self.ahead) {
+        let mut ahead = std::mem::take(&mut self.ahead);
+        for patch in ahead.drain(..) {
             let bytes = self.entry_bytes(geometry, patch);
             let is_there = self.slot_of_patch[patch.index()].is_some();
             if is_there || bytes > *left_bytes || !self.has_slots_to_spare() {
@@ -368,9 +371,10 @@ impl Residency {
             }
             *left_bytes -= bytes;
             if self.admit(geometry, patch, delta).is_some() {
-                self.retained.insert(patch, delta.update.0);
+                self.retained.insert(patch, delta.update);
             }
         }
+        self.ahead = ahead;
     }
 
     /// Brings those with a block that come after all others, as far as there is room; the others wait.
@@ -379,7 +383,7 @@ impl Residency {
         geometry: &impl Geometry,
         coming: &[(ScenePatch, Block)],
         mut left_bytes: usize,
-        delta: &mut GeometryDelta,
+        delta: &mut UpdateDelta,
     ) {
         for (patch, block) in coming.iter().copied() {
             if !self.is_behind(patch) {
@@ -387,10 +391,10 @@ impl Residency {
             }
             let bytes = self.entry_bytes(geometry, patch);
             let may_come = bytes == 0 || bytes <= left_bytes && self.has_slots_to_spare();
-            match may_come.then(|| self.admit(geometry, patch, delta)).flatten() {
+            match may_come.then(|| self.admit(geometry, patch, &mut delta.geometry)).flatten() {
                 Some(slot) => {
                     left_bytes -= bytes;
-                    self.place(geometry, (patch, slot), block, delta);
+                    place(geometry, (patch, slot), block, delta);
                 }
                 None => {
                     self.waiting.push((patch, block));
@@ -460,7 +464,7 @@ impl Residency {
         if moves && !is_skinned {
             self.evict(geometry, patch, update, delta);
         } else {
-            self.retained.insert(patch, update.0);
+            self.retained.insert(patch, update);
             delta.placements.push((slot, None));
         }
     }
@@ -470,14 +474,7 @@ impl Residency {
         let short = self.patch_slots.are_short() || self.vertex_slots.are_short();
         let newest_kept = update.0.saturating_sub(if short { 0 } else { RETAIN_UPDATES });
         // Those that lost their block only now are in the delta as placements; they go next time.
-        let old: Vec<ScenePatch> = self
-            .retained
-            .iter()
-            .filter(|(_, since)| **since < newest_kept)
-            .map(|(patch, _)| *patch)
-            .collect();
-        for patch in old {
-            self.retained.remove(&patch);
+        while let Some(patch) = self.retained.pop_before(UpdateId(newest_kept)) {
             self.evict(geometry, patch, update, delta);
         }
     }
@@ -499,7 +496,7 @@ impl Residency {
             if *users == 0 {
                 delta.evicted_vertices.push(*slot);
                 self.vertex_slots.leave(update, slot.0);
-                self.moving.remove(slot);
+                self.moving.remove(slot.index());
                 *place = None;
             }
         }
@@ -513,7 +510,7 @@ impl Residency {
         patch: ScenePatch,
         delta: &mut GeometryDelta,
     ) -> Option<PatchSlot> {
-        self.retained.remove(&patch);
+        self.retained.remove(patch);
         if let Some(known) = self.slot_of_patch[patch.index()] {
             return Some(known);
         }
@@ -562,6 +559,7 @@ impl Residency {
         }
         let slot = VertexSlot(self.vertex_slots.take().expect("checked by admit: there are enough"));
         self.vertices[vertex.index()] = Some(Resident { slot, users: 1 });
+        self.vertex_of_slot[slot.index()] = vertex;
         let predicts = self.predicts();
         let skinning = self.skinning.as_mut().filter(|skinning| skinning.is_skinned(instance));
         let motion = match (geometry.static_position(vertex), skinning) {
@@ -573,7 +571,7 @@ impl Residency {
             (None, None) => Motion::Sampled,
         };
         if !matches!(motion, Motion::Static { .. }) {
-            self.moving.insert(slot, vertex);
+            self.moving.insert(slot.index());
         }
         delta.new_vertices.push(NewVertex { slot, instance: InstanceId(instance), motion });
         slot
@@ -590,8 +588,13 @@ impl Residency {
     }
 
     /// The vertices in the client's memory that move: slot and scene-wide number, ascending by slot.
-    pub fn moving(&self) -> impl ExactSizeIterator<Item = (VertexSlot, SceneVertex)> + '_ {
-        self.moving.iter().map(|(slot, vertex)| (*slot, *vertex))
+    pub fn moving(&self) -> impl Iterator<Item = (VertexSlot, SceneVertex)> + '_ {
+        self.moving.iter().map(|slot| (VertexSlot(slot as u32), self.vertex_of_slot[slot]))
+    }
+
+    /// How many these are.
+    pub fn moving_count(&self) -> usize {
+        self.moving.count()
     }
 
     /// Patches with a block that are not shown, because the client's memory is full or not yet free again.
@@ -603,6 +606,17 @@ impl Residency {
     pub fn held_back(&self) -> usize {
         self.held_back
     }
+}
+
+/// Tells the client of the block of a patch in its memory.
+fn place(
+    geometry: &impl Geometry,
+    (patch, slot): (ScenePatch, PatchSlot),
+    block: Block,
+    delta: &mut UpdateDelta,
+) {
+    delta.geometry.placements.push((slot, Some(block)));
+    delta.masked.extend(geometry.is_masked(patch).then_some((slot, block)));
 }
 
 /// The wire wants each list in ascending order of slots.
@@ -628,8 +642,7 @@ mod tests {
     use shadecast_protocol::memory::ClientMemory;
     use shadecast_protocol::time::{GridIndex, ServerTime};
     use shadecast_scene::patches::Patch;
-    use std::collections::BTreeSet;
-    use std::collections::HashMap;
+    use std::collections::{BTreeMap, BTreeSet, HashMap};
 
     const PATCHES: u32 = 400;
     const SEED: u64 = 23;
@@ -840,7 +853,7 @@ mod tests {
     #[test]
     fn what_is_put_behind_comes_after_all_others_with_what_they_leave_and_is_no_shortage() {
         let mut residency = Residency::new(&Strip, 1024, 1024);
-        residency.put_behind((0..10).map(ScenePatch).collect());
+        residency.put_behind((0..10).map(ScenePatch));
         let bytes = |patches: usize| patches * (PATCH_BYTES + 4 * STATIC_VERTEX_BYTES);
         residency.set_budget(Budget { geometry_bytes: bytes(14), ..Budget::UNLIMITED });
         let changes: Vec<_> = (0..20).map(|patch| change(2 * patch % 40, block(patch))).collect();
@@ -864,7 +877,7 @@ mod tests {
     fn what_is_put_behind_leaves_slots_free() {
         let mut residency = Residency::new(&Strip, 64, 1024);
         let changes: Vec<_> = (0..80).map(|patch| change(patch, block(patch))).collect();
-        residency.put_behind((0..80).map(ScenePatch).collect());
+        residency.put_behind((0..80).map(ScenePatch));
         residency.update(&Strip, &changes, stamp(0));
         assert_eq!((residency.patch_slots.free.count(), residency.waiting()), (64 / AHEAD_WATER, 0));
     }
@@ -886,7 +899,7 @@ mod tests {
         let mut decoder = DeltaDecoder::new(1024, 1024);
         let (mut told_m, mut worst) = (Vec::new(), 0f32);
         for (frame, wanted_m) in (0..).zip(wanted_m) {
-            residency.want_steps(vec![*wanted_m; 2]);
+            residency.want_steps([*wanted_m; 2]);
             let changes = [change(210 + frame, block(3)), change(20, block(4))];
             let delta = residency.update(&Strip, &changes, stamp(frame));
             told_m.extend(delta.geometry.instances.iter().map(|info| info.step_m));
@@ -968,7 +981,8 @@ mod tests {
             let mut residency = Residency::new(&Strip, slots, slots);
             residency.set_budget(Budget { geometry_bytes, ..Budget::UNLIMITED });
             let level = |first: u32, count: u32| (first..first + count).map(ScenePatch);
-            let mut left = residency.allowance();
+            let mut left = Allowance::default();
+            residency.allow(&mut left);
             assert!(residency.reserve(&Strip, level(0, 12), &mut left));
             assert!(!residency.reserve(&Strip, level(20, 100), &mut left), "so many do not fit");
             assert!(residency.reserve(&Strip, level(140, 8), &mut left), "what was refused takes nothing");
@@ -987,14 +1001,16 @@ mod tests {
         let ahead: Vec<ScenePatch> = (0..60).map(ScenePatch).collect();
         let (mut updates, mut came) = (0, 0);
         while residency.lacking(&ahead) > 0 {
-            residency.bring_ahead(ahead.clone());
+            residency.bring_ahead(&ahead);
             let delta = residency.update(&Strip, &[], stamp(updates)).geometry;
             assert!(delta.placements.is_empty() && delta.evicted_patches.is_empty());
             assert!(!delta.new_patches.is_empty(), "each update brings some");
             (came, updates) = (came + delta.new_patches.len(), updates + 1);
         }
         assert!(came == 60 && (3..30).contains(&updates), "{came} in {updates}");
-        assert!(residency.reserve(&Strip, ahead.iter().copied(), &mut residency.allowance()), "all is there");
+        let mut left = Allowance::default();
+        residency.allow(&mut left);
+        assert!(residency.reserve(&Strip, ahead.iter().copied(), &mut left), "all is there");
         let changes: Vec<_> = (0..60).map(|patch| sized(patch, 2)).collect();
         let shown = residency.update(&Strip, &changes, stamp(updates)).geometry;
         assert!(shown.new_patches.is_empty() && shown.placements.len() == 60);

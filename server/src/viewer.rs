@@ -2,7 +2,6 @@
 //! I/O, threads and clocks: the server's threads and the lab drive the same.
 
 use crate::density::Spare;
-use crate::encode::Source;
 use crate::frame::Shaded;
 use crate::geometry::UpdateDelta;
 use crate::lock::lock;
@@ -30,8 +29,8 @@ pub trait Updates {
     fn encode(&mut self, delta: &UpdateDelta) -> EncodedDelta;
     /// What the client is sent of motion between updates, where it is sent any.
     fn motion(&self) -> Option<SharedMotion>;
-    /// A picture of any update is not needed any more.
-    fn recycle(&mut self, picture: Source);
+    /// An update is not needed any more.
+    fn recycle(&mut self, shaded: Shaded);
 }
 
 /// What a client has told since it was asked last: the newest of each kind.
@@ -202,9 +201,9 @@ impl<U: Updates> Viewer<U> {
         (delta, Update { shaded: Box::new(shaded), sizes: encoded.sizes, refresh, qp })
     }
 
-    /// A picture of any update is not needed any more: its memory is used for the next.
-    pub fn recycle(&mut self, picture: Source) {
-        self.updates.recycle(picture);
+    /// An update is not needed any more: its memory is used for those that come.
+    pub fn recycle(&mut self, shaded: Shaded) {
+        self.updates.recycle(shaded);
     }
 
     /// A stream of an update was handed to the transport, other than its picture.

@@ -70,5 +70,5 @@ pub const CLOCK: fn() -> ClientTime = monotonic_now;
 
 /// The monotonic clock that OpenXR's times are converted to.
 pub fn monotonic_now() -> ClientTime {
-    ClientTime(shadecast_transport::monotonic_now_ns())
+    ClientTime(shadecast_system::monotonic_now_ns())
 }

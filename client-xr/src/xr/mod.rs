@@ -197,7 +197,7 @@ fn open_instance(platform: &Platform) -> Result<openxr::Instance, XrError> {
     let available = entry.enumerate_extensions().map_err(no_runtime)?;
     let mut wanted = openxr::ExtensionSet::default();
     wanted.khr_vulkan_enable2 = true;
-    wanted.khr_convert_timespec_time = available.khr_convert_timespec_time;
+    time::want_conversion(&mut wanted, &available);
     platform.add_extensions(&mut wanted);
     if !available.khr_vulkan_enable2 {
         return Err(XrError::NoExtension { runtime: "in use".into(), extension: "XR_KHR_vulkan_enable2" });
@@ -378,17 +378,10 @@ impl Headset {
     fn monotonic(&mut self, state: &openxr::FrameState) -> Result<ClientTime, XrError> {
         let (time, period_ns) = (state.predicted_display_time, state.predicted_display_period.as_nanos());
         let instance = &self.device.instance;
-        let Some(convert) = &instance.exts().khr_convert_timespec_time else {
-            return Ok(self.clock.convert(time.as_nanos(), monotonic_now(), period_ns));
-        };
-        let mut timespec = std::mem::MaybeUninit::uninit();
-        // SAFETY: the instance is alive; on success the whole timespec is written, on failure it is not read.
-        let timespec = unsafe {
-            let convert = convert.convert_time_to_timespec_time;
-            succeeded(convert(instance.as_raw(), time, timespec.as_mut_ptr())).doing("converting a time")?;
-            timespec.assume_init()
-        };
-        Ok(ClientTime(timespec.tv_sec * 1_000_000_000 + timespec.tv_nsec))
+        match time::converted(instance, time) {
+            Some(converted) => converted.doing("converting a time"),
+            None => Ok(self.clock.convert(time.as_nanos(), monotonic_now(), period_ns)),
+        }
     }
 
     /// Where head and eyes will be when the frame is seen. Call it as late as possible. Tracking that is lost leaves the

@@ -1,10 +1,57 @@
-//! From a runtime's times to the client's monotonic clock, where the runtime has no extension that converts them.
+//! From a runtime's times to the client's monotonic clock: by the extension that this system has for it, or without.
 //!
-//! On most systems both are the same clock. Where they are not, the first frame tells how far they are apart, but for the
-//! part of a display period for which the runtime waits: that error stays the same from frame to frame, so that motion is
-//! as even as ever.
+//! On most systems both are the same clock. Where they are not and the runtime does not convert its times, the first frame
+//! tells how far they are apart, but for the part of a display period for which the runtime waits: that error stays the same
+//! from frame to frame, so that motion is as even as ever.
 
 use shadecast_protocol::time::ClientTime;
+
+/// Asks for the extension that converts times, where the runtime has it.
+pub(super) fn want_conversion(wanted: &mut openxr::ExtensionSet, available: &openxr::ExtensionSet) {
+    #[cfg(unix)]
+    {
+        wanted.khr_convert_timespec_time = available.khr_convert_timespec_time;
+    }
+    #[cfg(windows)]
+    {
+        wanted.khr_win32_convert_performance_counter_time =
+            available.khr_win32_convert_performance_counter_time;
+    }
+}
+
+/// A runtime's time on the client's clock; `None` where the runtime does not convert its times.
+#[cfg(unix)]
+pub(super) fn converted(
+    instance: &openxr::Instance,
+    time: openxr::Time,
+) -> Option<openxr::Result<ClientTime>> {
+    let convert = instance.exts().khr_convert_timespec_time.as_ref()?.convert_time_to_timespec_time;
+    let mut timespec = std::mem::MaybeUninit::uninit();
+    // SAFETY: the instance is alive, and the timespec valid to write to.
+    let result = unsafe { convert(instance.as_raw(), time, timespec.as_mut_ptr()) };
+    if result.into_raw() < 0 {
+        return Some(Err(result));
+    }
+    // SAFETY: where the call succeeds, the whole timespec is written.
+    let timespec = unsafe { timespec.assume_init() };
+    Some(Ok(ClientTime(timespec.tv_sec * 1_000_000_000 + timespec.tv_nsec)))
+}
+
+/// The same.
+#[cfg(windows)]
+pub(super) fn converted(
+    instance: &openxr::Instance,
+    time: openxr::Time,
+) -> Option<openxr::Result<ClientTime>> {
+    let functions = instance.exts().khr_win32_convert_performance_counter_time.as_ref()?;
+    let mut counter = 0;
+    // SAFETY: the instance is alive, and the counter valid to write to.
+    let result = unsafe {
+        (functions.convert_time_to_win32_performance_counter)(instance.as_raw(), time, &mut counter)
+    };
+    let ns = || shadecast_system::clock::performance_counter_ns(counter);
+    Some(if result.into_raw() < 0 { Err(result) } else { Ok(ClientTime(ns())) })
+}
 
 /// A frame that is to be seen later than this, or was to be seen earlier, is of another clock.
 const SAME_CLOCK_NS: i64 = 1_000_000_000;

@@ -10,10 +10,9 @@
 use crate::check::Unsound;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use std::ffi::OsString;
-use std::fs::{DirBuilder, OpenOptions};
+use shadecast_system::{folders, owner};
+use std::fs::OpenOptions;
 use std::io::{BufWriter, Write};
-use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Once};
@@ -37,8 +36,6 @@ const HEADER_BYTES: usize = 8 + 4 + 4 + HASH_BYTES + 8 + HASH_BYTES;
 const EXTENSION: &str = "entry";
 /// A file that is still being written, or was when its writer died.
 const TEMPORARY_EXTENSION: &str = "new";
-/// Bits of a folder's mode that let its group or everybody write to it.
-const OTHERS_WRITE: u32 = 0o022;
 const ABANDONED_AFTER: Duration = Duration::from_secs(3600);
 
 /// Says which result is meant: its kind, and a hash of all that it depends on.
@@ -112,7 +109,7 @@ impl Cache {
 
     /// In the user's own folder for such things; keeps nothing where there is none.
     pub fn of_user() -> Self {
-        Self::with(user_folder(|name| std::env::var_os(name)), MAX_CACHE_BYTES)
+        Self::with(folders::cache(|name| std::env::var_os(name)), MAX_CACHE_BYTES)
     }
 
     fn with(folder: Option<PathBuf>, limit_bytes: u64) -> Self {
@@ -237,21 +234,12 @@ impl Cache {
     }
 }
 
-/// `$XDG_CACHE_HOME/shadecast`, or `~/.cache/shadecast`. The XDG specification has relative paths ignored.
-fn user_folder(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
-    let from = |name| variable(name).map(PathBuf::from).filter(|path| path.is_absolute());
-    let base = from("XDG_CACHE_HOME").or_else(|| from("HOME").map(|home| home.join(".cache")));
-    base.map(|base| base.join("shadecast"))
-}
-
 /// Whether nobody but us (and the system's administrator) can write to a folder, or there is none yet. Said once where
 /// others can.
 fn is_safe(folder: &Path) -> bool {
     static SAID: Once = Once::new();
     let Ok(meta) = std::fs::metadata(folder) else { return true };
-    // SAFETY: asks for the number of this process's user; it cannot fail, and takes nothing.
-    let own = unsafe { libc::geteuid() };
-    let is_ours = [own, 0].contains(&meta.uid()) && meta.mode() & OTHERS_WRITE == 0;
+    let is_ours = owner::is_written_by_owner_alone(&meta);
     if !is_ours {
         let folder = folder.display();
         SAID.call_once(|| {
@@ -266,7 +254,7 @@ fn is_safe(folder: &Path) -> bool {
 
 /// Makes the folder where there is none, readable for its owner alone.
 fn make_folder(folder: &Path) -> std::io::Result<()> {
-    DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
+    owner::make_folder(folder)?;
     // Somebody else may have been faster.
     if is_safe(folder) { Ok(()) } else { Err(std::io::Error::other("others can write to it")) }
 }
@@ -317,7 +305,7 @@ fn write_entry(folder: &Path, key: &Key, value: &impl Serialize) -> std::io::Res
     // Left by a process of the same number that was killed.
     let _ = std::fs::remove_file(&temporary);
     let mut fresh = OpenOptions::new();
-    fresh.write(true).create_new(true).mode(0o600);
+    owner::make_private(fresh.write(true).create_new(true));
     let written = fresh.open(&temporary).and_then(|mut file| {
         file.write_all(&header(&key.hash(), &payload))?;
         file.write_all(&payload)
@@ -353,7 +341,6 @@ mod tests {
     use serde::Deserialize;
     use std::cell::Cell;
     use std::convert::Infallible;
-    use std::os::unix::fs::PermissionsExt;
 
     #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
     struct Thing {
@@ -450,20 +437,20 @@ mod tests {
         assert_eq!(ask(&cache, &key, 3), (thing(2), false), "it was kept");
     }
 
-    fn mode(path: &Path) -> u32 {
-        std::fs::metadata(path).unwrap().permissions().mode() & 0o777
-    }
-
     #[test]
     fn folder_and_entries_are_their_owners_alone() {
         let folder = tempfile::tempdir().unwrap();
         let inner = folder.path().join("a/b");
         ask(&Cache::new(&inner), &Key::new("thing", 1), 1);
-        assert_eq!((mode(&inner), mode(&only_file(&inner))), (0o700, 0o600));
+        for path in [&inner, &only_file(&inner)] {
+            assert_eq!(owner::open_to_others(&std::fs::metadata(path).unwrap()), None, "{}", path.display());
+        }
     }
 
+    #[cfg(unix)]
     #[test]
     fn a_folder_that_others_can_write_to_is_not_used() {
+        use std::os::unix::fs::PermissionsExt;
         let folder = tempfile::tempdir().unwrap();
         let key = Key::new("thing", 1);
         ask(&Cache::new(folder.path()), &key, 1);
@@ -569,16 +556,5 @@ mod tests {
         assert_eq!(ask(&cache, &Key::new("thing", 1), 1), (thing(1), true));
         assert_eq!(ask(&cache, &Key::new("thing", 1), 1), (thing(1), true));
         assert!(ask(&Cache::disabled(), &Key::new("thing", 1), 1).1);
-    }
-
-    #[test]
-    fn the_users_folder_follows_the_xdg_specification() {
-        let folder = |cache: Option<&str>, home: Option<&str>| {
-            user_folder(|name| if name == "HOME" { home } else { cache }.map(OsString::from))
-        };
-        assert_eq!(folder(Some("/c"), Some("/h")), Some("/c/shadecast".into()));
-        assert_eq!(folder(None, Some("/h")), Some("/h/.cache/shadecast".into()));
-        assert_eq!(folder(Some("relative"), Some("/h")), Some("/h/.cache/shadecast".into()));
-        assert_eq!(folder(None, None), None);
     }
 }

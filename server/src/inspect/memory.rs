@@ -23,6 +23,7 @@ use shadecast_protocol::message::{
 };
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::time::ServerTime;
+use shadecast_system::process::resident_bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -192,7 +193,7 @@ impl Report {
             device_bytes: sum(Memory::Device),
             to_device_bytes: sum(Memory::Upload),
             from_device_bytes: sum(Memory::Readback),
-            resident_bytes: resident_bytes(),
+            resident_bytes: resident_bytes(std::process::id()),
             parts,
         }
     }
@@ -215,11 +216,4 @@ impl Report {
         });
         format!("{}\n{}{resident}", self.device, table.text())
     }
-}
-
-/// Of this process, where Linux tells it.
-fn resident_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
-    Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? * 1024)
 }

@@ -74,7 +74,7 @@ impl Coder {
         self.last = delta.geometry.update;
         delta.geometry.evicted_vertices.iter().for_each(|slot| self.sampled.leave(*slot));
         delta.sampled.iter().for_each(|(slot, vertex)| self.sampled.enter(*slot, *vertex));
-        self.encoder.encode(&delta.geometry.clone().into())
+        self.encoder.encode_update(&delta.geometry)
     }
 
     /// Bytes of the samples of one step, about.

@@ -39,8 +39,9 @@ pub struct Steps {
 
 impl Steps {
     /// The coarsest steps that will do from now on, by instance, metres.
-    pub fn want(&mut self, wanted_m: Vec<f32>) {
-        self.wanted_m = wanted_m;
+    pub fn want(&mut self, wanted_m: impl IntoIterator<Item = f32>) {
+        self.wanted_m.clear();
+        self.wanted_m.extend(wanted_m);
     }
 
     /// What the client must be told before the first sample of an instance; `None` where it was.
@@ -48,25 +49,19 @@ impl Steps {
         if self.told_m.contains_key(&instance) {
             return None;
         }
-        let step_m = floor_power_of_two(self.wanted_m(instance));
+        let step_m = floor_power_of_two(wanted_of(&self.wanted_m, instance));
         self.told_m.insert(instance, step_m);
         Some(InstanceInfo { instance, step_m })
     }
 
-    /// Instances that the client was told of and whose step is another one now.
-    pub fn changes(&mut self) -> Vec<InstanceInfo> {
-        let wanted = |instance| self.wanted_m(instance);
-        let change = |(instance, told_m): (&InstanceId, &f32)| {
-            let step_m = next_step(*told_m, wanted(*instance));
-            (step_m != *told_m).then_some(InstanceInfo { instance: *instance, step_m })
-        };
-        let changes: Vec<InstanceInfo> = self.told_m.iter().filter_map(change).collect();
-        self.told_m.extend(changes.iter().map(|info| (info.instance, info.step_m)));
-        changes
-    }
-
-    fn wanted_m(&self, instance: InstanceId) -> f32 {
-        self.wanted_m.get(instance.index()).copied().unwrap_or(START_STEP_M)
+    /// Instances that the client was told of and whose step is another one now, each given once.
+    pub fn changes(&mut self) -> impl Iterator<Item = InstanceInfo> + '_ {
+        let wanted_m = &self.wanted_m;
+        self.told_m.iter_mut().filter_map(|(instance, told_m)| {
+            let step_m = next_step(*told_m, wanted_of(wanted_m, *instance));
+            (std::mem::replace(told_m, step_m) != step_m)
+                .then_some(InstanceInfo { instance: *instance, step_m })
+        })
     }
 }
 
@@ -76,13 +71,16 @@ pub fn wanted_steps_m<'a>(
     bounds: &[Bounds],
     views: impl Iterator<Item = &'a View> + Clone,
     pixels_per_radian: f32,
-) -> Vec<f32> {
+) -> impl Iterator<Item = f32> {
     let radians = STEP_PIXELS / pixels_per_radian.max(LEAST_PIXELS_PER_RADIAN);
     let eyes = views.map(|view| view.world_from_eye.position);
     let nearest_m =
-        |bounds: &Bounds| eyes.clone().map(|eye| distance_m(*bounds, eye)).fold(f32::INFINITY, f32::min);
-    let step_m = |bounds| (nearest_m(bounds) * radians).clamp(FINEST_STEP_M, COARSEST_STEP_M);
-    bounds.iter().map(step_m).collect()
+        move |bounds: &Bounds| eyes.clone().map(|eye| distance_m(*bounds, eye)).fold(f32::INFINITY, f32::min);
+    bounds.iter().map(move |bounds| (nearest_m(bounds) * radians).clamp(FINEST_STEP_M, COARSEST_STEP_M))
+}
+
+fn wanted_of(wanted_m: &[f32], instance: InstanceId) -> f32 {
+    wanted_m.get(instance.index()).copied().unwrap_or(START_STEP_M)
 }
 
 /// 0 inside.
@@ -123,7 +121,7 @@ mod tests {
 
     fn at(distance_m: f32) -> f32 {
         let bounds = Bounds { low: -Vec3::ONE, high: Vec3::ONE };
-        wanted_steps_m(&[bounds], views(distance_m).iter(), PIXELS_PER_RADIAN)[0]
+        wanted_steps_m(&[bounds], views(distance_m).iter(), PIXELS_PER_RADIAN).next().expect("of one")
     }
 
     /// What the client is told at each of these distances, one after the other.
@@ -131,8 +129,9 @@ mod tests {
         let mut steps = Steps::default();
         let mut told = Vec::new();
         for distance_m in distances_m {
-            steps.want(vec![at(*distance_m)]);
-            told.extend(steps.announce(INSTANCE).into_iter().chain(steps.changes()));
+            steps.want([at(*distance_m)]);
+            told.extend(steps.announce(INSTANCE));
+            told.extend(steps.changes());
         }
         told.iter().map(|info| info.step_m).collect()
     }
@@ -175,7 +174,9 @@ mod tests {
     #[test]
     fn a_coarse_picture_is_taken_for_the_papers() {
         let bounds = [Bounds { low: -Vec3::ONE, high: Vec3::ONE }];
-        let of = |pixels_per_radian| wanted_steps_m(&bounds, views(2.0).iter(), pixels_per_radian)[0];
+        let of = |pixels_per_radian| {
+            wanted_steps_m(&bounds, views(2.0).iter(), pixels_per_radian).next().expect("of one")
+        };
         assert_eq!([of(30.0), of(f32::NAN)], [of(650.0); 2]);
         assert!(of(2000.0) < of(1000.0));
     }

@@ -61,7 +61,7 @@ impl LevelSelection {
         let count = self.count.values::<u32>()[0] as usize;
         seen.clear();
         seen.extend_from_slice(&self.seen.values()[..count]);
-        seen.sort_by_key(|patch| patch.entry); // nearly sorted: stable sorts find the runs
+        seen.sort_unstable_by_key(|patch| patch.entry); // each is there once
     }
 
     /// Measures the visible patches of what is looked at, with geometry as it is at the place of each view time.

@@ -71,13 +71,13 @@ impl Work {
 
     /// Ranges of rows of texels that hold all of it, in an atlas of this height.
     fn rows(&self, height: u32) -> impl Iterator<Item = Range<u32>> + '_ {
-        let [_, down] = self.texels;
-        let is_due: Vec<bool> =
-            self.is_due.chunks(self.columns as usize).map(|row| row.contains(&true)).collect();
+        let ([_, down], columns) = (self.texels, self.columns as usize);
+        let count = self.is_due.len() / columns;
+        let is_due = move |row: &usize| self.is_due[row * columns..][..columns].contains(&true);
         let mut from = 0;
         std::iter::from_fn(move || {
-            let first = from + is_due[from..].iter().position(|is_due| *is_due)?;
-            from = first + is_due[first..].iter().take_while(|is_due| **is_due).count();
+            let first = (from..count).find(is_due)?;
+            from = (first..count).find(|row| !is_due(row)).unwrap_or(count);
             Some(first as u32 * down..(from as u32 * down).min(height))
         })
     }

@@ -26,7 +26,8 @@ use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::message::{Capabilities, Refused, Welcome};
 use shadecast_protocol::session::clock_stamp;
 use shadecast_protocol::time::ServerTime;
-use shadecast_transport::{PeerId, SendError, monotonic_now_ns};
+use shadecast_system::monotonic_now_ns;
+use shadecast_transport::{PeerId, SendError};
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -58,6 +59,9 @@ pub trait Studio {
         step: Step,
         now: ServerTime,
     ) -> Result<Option<Shaded>, GpuError>;
+    /// Waits until the device has come further with a client's updates in flight, at most so long; false where it has nothing to
+    /// do for them.
+    fn rest(&self, updates: &Self::Updates, at_most: Duration) -> Result<bool, GpuError>;
     /// A client has gone, and what it had in flight with it. `has_failed`: in the middle of an update, of which nothing is to be
     /// believed.
     fn close(&mut self, updates: Self::Updates, has_failed: bool);
@@ -236,14 +240,28 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             let served = self.serve(peer, now_ns);
             self.settle(peer, served, now_ns)?;
         }
-        if self.in_flight().is_some() {
-            return Ok(Duration::from_nanos(SHORTEST_WAIT_NS as u64));
+        if let Some(peer) = self.in_flight() {
+            return self.rest(peer, now_ns);
         }
         let Some(due_ns) = self.clients.values().filter_map(|client| client.viewer.due_ns()).min() else {
             return Ok(IDLE_WAIT);
         };
         let wait_ns = (due_ns - now_ns).clamp(SHORTEST_WAIT_NS, LONGEST_WAIT_NS);
         Ok(Duration::from_nanos(wait_ns as u64))
+    }
+
+    /// Nothing is to be done until the device or the encoder has come further: gives how long there is still to sleep.
+    fn rest(&mut self, peer: PeerId, now_ns: i64) -> anyhow::Result<Duration> {
+        let at_most = Duration::from_nanos(SHORTEST_WAIT_NS as u64);
+        let Some(client) = self.clients.get(&peer) else { return Ok(at_most) };
+        match self.studio.rest(client.viewer.updates(), at_most) {
+            Ok(has_rested) => Ok(if has_rested { Duration::ZERO } else { at_most }),
+            Err(error) => {
+                let fault = Fault::of(&error, "shading an update").in_update();
+                self.settle(peer, Err(fault), now_ns)?;
+                Ok(Duration::ZERO)
+            }
+        }
     }
 
     /// Takes what is new of a client; makes its pipeline where it has just come.
@@ -339,7 +357,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
                 client.stats.atlas_bytes += unit_bytes as u64;
                 self.stats.atlas_bytes += unit_bytes as u64;
                 if let Some(earlier) = self.last_atlas.replace(shaded) {
-                    client.viewer.recycle(earlier.picture);
+                    client.viewer.recycle(*earlier);
                 }
             }
             Some(Outcome::Failed(reason)) => return self.restart_encoder(peer, &reason),
@@ -375,17 +393,18 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         self.clients.len() == 1 && self.clients.get(&peer).is_some_and(|client| client.overlap.is_on())
     }
 
+    /// Makes all steps of a client's updates that need not wait for the device. Where updates do not overlap, the next one begins
+    /// when the one before is made.
     fn serve(&mut self, peer: PeerId, now_ns: i64) -> Result<(), Fault> {
-        if self.in_flight() != Some(peer) && !self.overlaps(peer) {
-            return self.update(peer, now_ns);
-        }
         let begun = Instant::now();
+        let mut may_begin = self.in_flight().is_none();
         loop {
             let at_ns = now_ns + begun.elapsed().as_nanos() as i64;
-            let may_begin = self.overlaps(peer) && self.next_to_serve(at_ns) == Some(peer);
+            may_begin = (may_begin || self.overlaps(peer)) && self.next_to_serve(at_ns) == Some(peer);
             if self.advance(peer, may_begin, at_ns)? == Step::Wait {
                 return Ok(());
             }
+            may_begin = false;
         }
     }
 
@@ -417,27 +436,6 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             self.made(peer, shaded, steps_ns, now_ns + took_ns)?;
         }
         Ok(step)
-    }
-
-    /// An update, one step after the other.
-    fn update(&mut self, peer: PeerId, now_ns: i64) -> Result<(), Fault> {
-        let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
-        let (studio, outlet, now) = (&mut *self.studio, &self.outlet, ServerTime(now_ns - self.epoch_ns));
-        let begun = Instant::now();
-        let shaded = guarded(|| {
-            let updates = client.viewer.begin(outlet.way(peer).as_ref(), now_ns);
-            let mut made = None;
-            for step in Step::IN_A_ROW {
-                made = traced_step(&self.of_steps, step, || studio.advance(updates, step, now))
-                    .map_err(|error| Fault::of(&error, "shading an update"))?;
-            }
-            Ok(made)
-        });
-        let took_ns = begun.elapsed().as_nanos() as i64;
-        self.spent(peer, took_ns);
-        let Some(shaded) = shaded.map_err(Fault::in_update)? else { return Ok(()) };
-        let steps_ns = took_ns - device_ns(&shaded).min(took_ns);
-        self.made(peer, shaded, steps_ns, now_ns + took_ns)
     }
 
     /// The steps of a client's update took so long in a row.

@@ -187,8 +187,8 @@ impl Studio for FakeStudio {
             }
             Step::Place => {
                 assert!(updates.placed.is_none());
-                // The device's time, and a fifth of it for placement.
-                std::thread::sleep(Duration::from_nanos(self.0.device_ns.get() as u64 * 6 / 5));
+                // A fifth of the device's time.
+                std::thread::sleep(Duration::from_nanos(self.0.device_ns.get() as u64 / 5));
                 updates.placed = updates.begun.take();
                 updates.placed
             }
@@ -210,6 +210,10 @@ impl Studio for FakeStudio {
         let timing = Timing { scope: "shading", began_ns: 0, took_ns: self.0.device_ns.get() };
         let (picture, timings) = (Source::default(), Timings::from_iter([timing]));
         Ok(Some(Shaded { update, time, delta, picture, timings }))
+    }
+
+    fn rest(&self, _: &FakeUpdates, _: Duration) -> Result<bool, GpuError> {
+        Ok(false)
     }
 
     fn close(&mut self, updates: FakeUpdates, has_failed: bool) {
@@ -274,7 +278,7 @@ impl Updates for FakeUpdates {
         None
     }
 
-    fn recycle(&mut self, _: Source) {}
+    fn recycle(&mut self, _: Shaded) {}
 }
 
 struct FakeEncoder {
@@ -439,7 +443,7 @@ fn nothing_is_shaded_while_nobody_looks_and_then_at_once_a_picture_that_needs_no
         looks += u32::from(pictures(recorder) >= 3);
         match looks {
             1 => bench.mailbox.told(PeerId(1), ServerEvent::Watching(false)),
-            3 => before = deltas,
+            20 => before = deltas, // what was in flight has left
             200 => {
                 after = deltas;
                 bench.mailbox.told(PeerId(1), ServerEvent::Watching(true));

@@ -5,7 +5,7 @@ use super::{StreamOptions, ViewerStats};
 use crate::animation::timeline::SharedTimeline;
 use crate::density::Spare;
 use crate::encode::openh264::EncoderSettings;
-use crate::encode::{self, EncodeError, Encoder, Source};
+use crate::encode::{self, EncodeError, Encoder};
 use crate::frame::{Frame, Shaded};
 use crate::geometry::UpdateDelta;
 use crate::motion::sender::SharedMotion;
@@ -22,6 +22,7 @@ use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::Scene;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// A device, and the scene on it.
 pub struct Device {
@@ -116,7 +117,7 @@ impl Studio for GpuStudio<'_> {
         frame.set_shading_budget(self.shade_rate.budget_texels(self.options.shade_ms, period_ms));
         match step {
             Step::Begin => frame.begin(world, now).map(|_| None),
-            Step::Place => frame.place(world).map(|()| None),
+            Step::Place => frame.place_seen(world).map(|()| None),
             Step::Shade => frame.shade(world).map(|()| None),
             Step::Collect => {
                 let shaded = frame.collect(world)?;
@@ -126,6 +127,10 @@ impl Studio for GpuStudio<'_> {
             }
             Step::Wait => Ok(None),
         }
+    }
+
+    fn rest(&self, frame: &Frame, at_most: Duration) -> Result<bool, GpuError> {
+        self.world.as_ref().map_or(Ok(false), |world| frame.rest(world, at_most))
     }
 
     fn close(&mut self, frame: Frame, has_failed: bool) {
@@ -203,7 +208,7 @@ impl Updates for Frame {
         self.residency().skinning().map(|skinning| skinning.sender().clone())
     }
 
-    fn recycle(&mut self, picture: Source) {
-        Self::recycle(self, picture);
+    fn recycle(&mut self, shaded: Shaded) {
+        Self::recycle(self, shaded);
     }
 }

@@ -5,8 +5,8 @@ use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::session::Out;
 use shadecast_protocol::time::ServerTime;
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
+use shadecast_system::monotonic_now_ns;
 use shadecast_trace::{Process, Trace, Track};
-use shadecast_transport::monotonic_now_ns;
 use std::sync::Arc;
 
 /// A trace under way, or none.

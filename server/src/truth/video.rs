@@ -10,7 +10,7 @@ use crate::encode::{EncodeError, Source, encode_one};
 use mp4::{AvcConfig, MediaConfig, Mp4Config, Mp4Sample, Mp4Writer, TrackConfig, TrackType};
 use shadecast_protocol::picture::I420;
 use shadecast_shaders::color;
-use shadecast_transport::PendingFile;
+use shadecast_system::PendingFile;
 use std::io::{self, BufWriter, StdoutLock, Write};
 use std::path::{Path, PathBuf};
 

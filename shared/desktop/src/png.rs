@@ -1,6 +1,6 @@
 //! Pictures to PNG files.
 
-use shadecast_transport::PendingFile;
+use shadecast_system::PendingFile;
 use std::io::{self, BufWriter};
 use std::path::Path;
 

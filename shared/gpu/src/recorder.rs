@@ -9,6 +9,7 @@ use crate::{Buffer, Doing, Gpu, GpuError, Image};
 use ash::vk;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::time::Duration;
 
 const MAX_TIMED_SCOPES: u32 = 32;
 
@@ -160,23 +161,44 @@ impl Gpu {
 
     /// Waits until the recording behind `ticket` has finished, and with it all before it on its queue.
     pub fn wait(&self, ticket: Ticket) -> Result<(), GpuError> {
-        loop {
-            let fence = {
-                let busy = self.busy_slots.lock().expect("not poisoned");
-                let Some(slot) = busy.iter().find(|slot| slot.serial == ticket.0) else { return Ok(()) };
-                slot.fence
-            };
-            // SAFETY: the fence belongs to a submitted slot.
-            unsafe { self.device.wait_for_fences(&[fence], true, u64::MAX) }.doing("waiting for the GPU")?;
+        while self.wait_for_fence(ticket, u64::MAX)? {
             self.reclaim()?;
+        }
+        Ok(())
+    }
+
+    /// The same, at most so long; false where the recording had finished before.
+    pub fn wait_at_most(&self, ticket: Ticket, at_most: Duration) -> Result<bool, GpuError> {
+        self.wait_for_fence(ticket, at_most.as_nanos() as u64)
+    }
+
+    /// False where the recording is known to be done, and nothing was waited for.
+    fn wait_for_fence(&self, ticket: Ticket, at_most_ns: u64) -> Result<bool, GpuError> {
+        let fence = {
+            let busy = self.busy_slots.lock().expect("not poisoned");
+            let Some(slot) = busy.iter().find(|slot| slot.serial == ticket.0) else { return Ok(false) };
+            slot.fence
+        };
+        // SAFETY: the fence belongs to a submitted slot.
+        match unsafe { self.device.wait_for_fences(&[fence], true, at_most_ns) } {
+            Err(vk::Result::TIMEOUT) => Ok(true),
+            waited => waited.doing("waiting for the GPU").map(|()| true),
         }
     }
 
     /// Waits as [`Self::wait`] does. Gives how long the scopes of the recording behind `ticket` took: once, and only while
     /// it is among the newest.
     pub fn wait_timed(&self, ticket: Ticket) -> Result<Timings, GpuError> {
+        let mut timings = Timings::default();
+        self.wait_timed_into(ticket, &mut timings)?;
+        Ok(timings)
+    }
+
+    /// The same, added to timings of other recordings.
+    pub fn wait_timed_into(&self, ticket: Ticket, timings: &mut Timings) -> Result<(), GpuError> {
         self.wait(ticket)?;
-        Ok(self.timings.lock().expect("not poisoned").take(ticket.0))
+        self.timings.lock().expect("not poisoned").take(ticket.0, timings);
+        Ok(())
     }
 
     /// Whether the recording behind `ticket` has finished.

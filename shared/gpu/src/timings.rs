@@ -20,9 +20,14 @@ pub struct Timing {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Timings(Vec<Timing>);
 
-/// The timings of finished recordings by their serial, ascending.
+/// The timings of finished recordings.
 #[derive(Default)]
-pub(crate) struct KeptTimings(VecDeque<(u64, Timings)>);
+pub(crate) struct KeptTimings {
+    /// By their serial, ascending.
+    kept: VecDeque<(u64, Timings)>,
+    /// Memory of those that were taken.
+    spare: Vec<Timings>,
+}
 
 impl Timings {
     /// Names of scopes with their milliseconds, in the order of recording. A scope that was recorded twice is there twice.
@@ -35,9 +40,9 @@ impl Timings {
         &self.0
     }
 
-    /// Those of a later recording behind its own.
-    pub fn append(&mut self, later: Self) {
-        self.0.extend(later.0);
+    /// Forgets them; their memory stays.
+    pub fn clear(&mut self) {
+        self.0.clear();
     }
 }
 
@@ -50,17 +55,21 @@ impl FromIterator<Timing> for Timings {
 impl KeptTimings {
     /// Keeps the timings of a recording that has just finished. Nothing is allocated once there are as many as are kept.
     pub(crate) fn keep(&mut self, serial: u64, scopes: impl Iterator<Item = Timing>) {
-        let oldest = if self.0.len() < MAX_KEPT { None } else { self.0.pop_front() };
-        let mut timings = oldest.map_or_else(Timings::default, |(_, forgotten)| forgotten);
+        let oldest = if self.kept.len() < MAX_KEPT { None } else { self.kept.pop_front() };
+        let forgotten = oldest.map(|(_, forgotten)| forgotten);
+        let mut timings = forgotten.or_else(|| self.spare.pop()).unwrap_or_default();
         timings.0.clear();
         timings.0.extend(scopes);
-        self.0.push_back((serial, timings));
+        self.kept.push_back((serial, timings));
     }
 
-    /// Those of a recording, once; none where it had no scopes.
-    pub(crate) fn take(&mut self, serial: u64) -> Timings {
-        let place = self.0.binary_search_by_key(&serial, |(kept, _)| *kept);
-        place.ok().and_then(|place| self.0.remove(place)).map_or_else(Timings::default, |(_, found)| found)
+    /// Adds those of a recording to others, once; none where it had no scopes.
+    pub(crate) fn take(&mut self, serial: u64, into: &mut Timings) {
+        let Ok(place) = self.kept.binary_search_by_key(&serial, |(kept, _)| *kept) else { return };
+        if let Some((_, found)) = self.kept.remove(place) {
+            into.0.extend_from_slice(&found.0);
+            self.spare.push(found);
+        }
     }
 }
 
@@ -72,23 +81,32 @@ mod tests {
         Timing { scope, began_ns: 0, took_ns: ms * 1_000_000 }
     }
 
+    fn taken(kept: &mut KeptTimings, serial: u64) -> Timings {
+        let mut taken = Timings::default();
+        kept.take(serial, &mut taken);
+        taken
+    }
+
     #[test]
     fn timings_are_told_once_and_to_who_has_the_ticket() {
         let mut kept = KeptTimings::default();
         kept.keep(3, [timing("skin", 1)].into_iter());
         kept.keep(5, [timing("mark", 2), timing("mark", 3)].into_iter());
-        assert_eq!(kept.take(4), Timings::default());
-        assert_eq!(kept.take(3).iter().collect::<Vec<_>>(), [("skin", 1.0)]);
-        assert_eq!(kept.take(3), Timings::default());
-        assert_eq!(kept.take(5).iter().collect::<Vec<_>>(), [("mark", 2.0), ("mark", 3.0)]);
+        assert_eq!(taken(&mut kept, 4), Timings::default());
+        assert_eq!(taken(&mut kept, 3).iter().collect::<Vec<_>>(), [("skin", 1.0)]);
+        assert_eq!(taken(&mut kept, 3), Timings::default());
+        kept.keep(6, [timing("skin", 4)].into_iter());
+        let mut both = taken(&mut kept, 5);
+        kept.take(6, &mut both);
+        assert_eq!(both.iter().collect::<Vec<_>>(), [("mark", 2.0), ("mark", 3.0), ("skin", 4.0)]);
     }
 
     #[test]
     fn where_nobody_asks_the_oldest_are_forgotten() {
         let mut kept = KeptTimings::default();
         (0..1000).for_each(|serial| kept.keep(serial, [timing("skin", serial as i64)].into_iter()));
-        assert_eq!(kept.0.len(), MAX_KEPT);
-        assert_eq!(kept.take(999 - MAX_KEPT as u64), Timings::default());
-        assert_eq!(kept.take(999).iter().collect::<Vec<_>>(), [("skin", 999.0)]);
+        assert_eq!(kept.kept.len(), MAX_KEPT);
+        assert_eq!(taken(&mut kept, 999 - MAX_KEPT as u64), Timings::default());
+        assert_eq!(taken(&mut kept, 999).iter().collect::<Vec<_>>(), [("skin", 999.0)]);
     }
 }

@@ -42,6 +42,37 @@ pub struct GeometryDelta {
 }
 
 impl GeometryDelta {
+    /// Says nothing any more; the memory of its lists stays.
+    pub fn clear(&mut self) {
+        let Self {
+            update,
+            time,
+            instances,
+            skinned: Skinned { skeletons, meshes, instances: skinned },
+            new_rests,
+            new_vertices,
+            new_patches,
+            evicted_patches,
+            evicted_vertices,
+            placements,
+            coverage,
+            predictions,
+        } = self;
+        (*update, *time) = (UpdateId::default(), ServerTime::default());
+        instances.clear();
+        skeletons.clear();
+        meshes.clear();
+        skinned.clear();
+        new_rests.clear();
+        new_vertices.clear();
+        new_patches.clear();
+        evicted_patches.clear();
+        evicted_vertices.clear();
+        placements.clear();
+        coverage.clear();
+        predictions.clear();
+    }
+
     /// How much there is to take in: vertices, patches and placements.
     pub fn records(&self) -> usize {
         let placed = self.placements.len() + self.coverage.len();

@@ -10,7 +10,6 @@ pub mod congestion;
 pub mod discovery;
 pub mod endpoint;
 pub mod event;
-pub mod files;
 pub mod identity;
 mod inbox;
 pub mod link;
@@ -21,9 +20,8 @@ mod rng;
 
 pub use endpoint::{Congestion, Counters, Endpoint, EndpointConfig, PeerStats, Transmit, random_bytes};
 pub use event::{CloseKind, Event, PeerId, SendError, StreamId};
-pub use files::{PendingFile, remove_pending_files, write_atomically};
 pub use identity::tls::{SERVER_NAME, believing_client_crypto};
 pub use identity::{ExpectedIdentity, Fingerprint, IdentityError, KnownServers, Meeting, ServerIdentity};
 pub use link::{Direction, Link, LinkError, LinkProfile, LinkSchedule};
-pub use mio::{Driver, Events, Handle, SocketTrial, monotonic_now_ns, spawn, try_socket};
+pub use mio::{Driver, Events, Handle, SocketTrial, spawn, try_socket};
 pub use pair::Pair;

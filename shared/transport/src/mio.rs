@@ -1,6 +1,6 @@
 //! The endpoint on a real UDP socket, driven by one thread.
 //!
-//! This is the only module with a socket and a clock. The driver moves datagrams between socket and endpoint in
+//! This is the only module with a socket, and the only one that reads the clock. The driver moves datagrams between socket and endpoint in
 //! batches (segmentation offload both ways), sleeps until the socket, a timer or another thread wants something, and
 //! never waits for anything else: what the socket does not take is kept, one piece, and what the application does not
 //! take stays in the inbox, and flow control then makes the peer wait.
@@ -26,6 +26,7 @@ use crate::event::{Event, PeerId, SendError, StreamId};
 use crate::identity::ExpectedIdentity;
 use crate::inbox::{Inbox, Next};
 use crate::link::{Direction, Link, LinkCounts, LinkSchedule};
+use shadecast_system::monotonic_now_ns;
 
 const SOCKET: Token = Token(0);
 const WAKER: Token = Token(1);
@@ -41,17 +42,6 @@ const CHANNEL_CAPACITY: usize = 1024;
 const MAX_WAIT: Duration = Duration::from_millis(100);
 /// How long a stopping thread tries to tell its peers.
 const FAREWELL: Duration = Duration::from_millis(200);
-
-/// Nanoseconds on `CLOCK_MONOTONIC`, the clock of `XrTime` on Linux and Android.
-pub fn monotonic_now_ns() -> i64 {
-    let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: `now` is a valid timespec to write to for the length of the call.
-    let result = unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &mut now) };
-    assert_eq!(result, 0, "every Linux has CLOCK_MONOTONIC");
-    #[allow(clippy::unnecessary_cast, reason = "the widths of the fields differ between platforms")]
-    let (seconds, ns) = (now.tv_sec as i64, now.tv_nsec as i64);
-    seconds * 1_000_000_000 + ns
-}
 
 /// The address to bind for reaching `remote`: any of the same family, any port.
 pub fn any_address_for(remote: SocketAddr) -> SocketAddr {

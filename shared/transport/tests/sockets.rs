@@ -173,7 +173,7 @@ fn a_killed_client_is_noticed_and_the_next_one_is_served() {
     let server = Program::server(4);
     let mut victim = client_driver();
     let address = server.handle.local_addr();
-    let now_ns = shadecast_transport::monotonic_now_ns();
+    let now_ns = shadecast_system::monotonic_now_ns();
     victim.endpoint().connect(now_ns, address, ExpectedIdentity::TrustOnFirstUse);
     let deadline = Instant::now() + PATIENCE;
     while !matches!(victim.endpoint().poll_event(), Some(Event::Connected { .. })) {

@@ -96,7 +96,8 @@ fn clocks_and_sockets_are_the_drivers() {
         "client-xr/src/main.rs",
         "shared/transport/src/mio.rs",
         "shared/transport/src/discovery/search.rs",
-        "shared/transport/src/lib.rs",
+        "shared/system/src/clock.rs",
+        "shared/system/src/lib.rs",
         // The instant from which its callers' nanoseconds count, for a library that wants instants.
         "shared/transport/src/endpoint.rs",
         // When a cached scene was used last is the file system's to know.

@@ -1,6 +1,5 @@
 //! What a server's updates leave behind: a head that jumps about in a scene of many, for thousands of updates.
 
-use crate::memory::resident_kib;
 use crate::options::RunOptions;
 use crate::session::hello;
 use anyhow::{Context, anyhow, ensure};
@@ -18,6 +17,7 @@ use shadecast_server::frame::{Frame, ShowOptions};
 use shadecast_server::scene::SceneGpu;
 use shadecast_server::stream::offer;
 use shadecast_server::world::{ViewerId, World};
+use shadecast_system::process::resident_bytes;
 use std::fmt;
 use std::sync::Arc;
 
@@ -102,7 +102,7 @@ pub fn measure(options: &RunOptions, updates: u32) -> anyhow::Result<ChurnReport
         ensure!(!delta.bytes.is_empty(), "an update says something");
         let display_time = now.plus_ns(UPDATE_NS);
         frame.displayed(&Displayed { update: shaded.update, display_time, ..Displayed::default() });
-        frame.recycle(shaded.picture);
+        frame.recycle(shaded);
         if number + 1 == updates / 10 {
             (report.device_bytes_before, report.rss_before_mb) = held(&gpu)?;
         }
@@ -122,6 +122,7 @@ fn anywhere(rng: &mut SmallRng) -> Pose {
 
 /// Bytes on the device, and MB of the process.
 fn held(gpu: &Gpu) -> anyhow::Result<(u64, f64)> {
-    let kib = resident_kib(std::process::id()).context("this system does not tell a process's memory")?;
-    Ok((gpu.memory().iter().map(|held| held.bytes).sum(), kib as f64 / 1024.0))
+    let resident =
+        resident_bytes(std::process::id()).context("this system does not tell a process's memory")?;
+    Ok((gpu.memory().iter().map(|held| held.bytes).sum(), resident as f64 / f64::from(1 << 20)))
 }

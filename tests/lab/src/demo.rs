@@ -190,7 +190,7 @@ fn write_page(options: &DemoOptions, out: &Path) -> anyhow::Result<()> {
         motion: read_json(&out.join("motion.json")).unwrap_or(Value::Null),
     };
     let path = out.join("index.html");
-    shadecast_transport::write_atomically(&path, page.html().as_bytes())
+    shadecast_system::write_atomically(&path, page.html().as_bytes())
         .with_context(|| format!("writing {}", path.display()))
 }
 

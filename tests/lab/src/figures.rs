@@ -68,7 +68,7 @@ pub fn write(root: &Path) -> anyhow::Result<()> {
 }
 
 fn replace(path: &Path, text: &str) -> anyhow::Result<()> {
-    shadecast_transport::write_atomically(path, text.as_bytes())
+    shadecast_system::write_atomically(path, text.as_bytes())
         .with_context(|| format!("writing {}", path.display()))
 }
 

@@ -1,6 +1,5 @@
 //! A headset that is taken off for a while: what memory that costs, and how soon the picture is back.
 
-use crate::memory::resident_kib;
 use crate::options::{Renderer, RunOptions};
 use crate::run::mock_config;
 use crate::session::Lab;
@@ -8,6 +7,7 @@ use anyhow::{Context, bail, ensure};
 use serde::{Deserialize, Serialize};
 use shadecast_client::client::Step;
 use shadecast_mock_runtime::config::{ClockKind, EventKind, MockConfig, ScriptedEvent};
+use shadecast_system::process::resident_bytes;
 use std::fmt;
 
 /// What becomes of the session meanwhile.
@@ -110,6 +110,6 @@ fn until_picture(lab: &mut Lab, turns: u64) -> anyhow::Result<f64> {
 
 /// Resident memory of this process.
 fn rss_mb() -> anyhow::Result<f64> {
-    let kib = resident_kib(std::process::id()).context("reading this process's memory")?;
-    Ok(kib as f64 / 1000.0)
+    let resident = resident_bytes(std::process::id()).context("reading this process's memory")?;
+    Ok(resident as f64 / 1_024_000.0)
 }

@@ -1,6 +1,6 @@
 //! Pictures as metrics and reports see them: sRGB bytes, no alpha, and PNG files in and out.
 
-use shadecast_transport::PendingFile;
+use shadecast_system::PendingFile;
 use std::fs::File;
 use std::io::{BufReader, BufWriter};
 use std::path::{Path, PathBuf};

@@ -356,7 +356,7 @@ pub fn run_all(out: &Path, only: &str) -> anyhow::Result<()> {
 /// Beside its place, then moved there: a run that is broken off leaves no half result that counts as done.
 fn write_whole(path: &Path, text: &str) -> anyhow::Result<()> {
     let writing = || format!("writing {}", path.display());
-    shadecast_transport::files::write_atomically(path, text.as_bytes()).with_context(writing)
+    shadecast_system::write_atomically(path, text.as_bytes()).with_context(writing)
 }
 
 // ---- scenes in virtual time ----

@@ -487,7 +487,7 @@ fn measure_steadiness(args: RunArgs) -> anyhow::Result<()> {
     let report = steadiness::measure(&run_options(args)?)?;
     print!("{report}");
     let path = out.join("steadiness.json");
-    shadecast_transport::write_atomically(&path, serde_json::to_string_pretty(&report)?.as_bytes())
+    shadecast_system::write_atomically(&path, serde_json::to_string_pretty(&report)?.as_bytes())
         .with_context(|| format!("writing {}", path.display()))
 }
 
@@ -495,7 +495,7 @@ fn measure_still(args: RunArgs) -> anyhow::Result<()> {
     let path = args.out.join("still.json");
     let found = still::measure(&run_options(args)?)?;
     println!("{found}");
-    shadecast_transport::write_atomically(&path, serde_json::to_string_pretty(&found)?.as_bytes())
+    shadecast_system::write_atomically(&path, serde_json::to_string_pretty(&found)?.as_bytes())
         .with_context(|| format!("writing {}", path.display()))
 }
 
@@ -504,7 +504,7 @@ fn measure_detail(args: RunArgs) -> anyhow::Result<()> {
     let report = detail::measure(&run_options(args)?)?;
     print!("{report}");
     let path = out.join("detail.json");
-    shadecast_transport::write_atomically(&path, serde_json::to_string_pretty(&report)?.as_bytes())
+    shadecast_system::write_atomically(&path, serde_json::to_string_pretty(&report)?.as_bytes())
         .with_context(|| format!("writing {}", path.display()))
 }
 
@@ -678,7 +678,7 @@ fn measure_causes(args: CausesArgs) -> anyhow::Result<()> {
 
 fn write_json(path: &Path, found: &impl Serialize) -> anyhow::Result<()> {
     let text = serde_json::to_string_pretty(found)? + "\n";
-    shadecast_transport::write_atomically(path, text.as_bytes())
+    shadecast_system::write_atomically(path, text.as_bytes())
         .with_context(|| format!("writing {}", path.display()))
 }
 
@@ -707,7 +707,7 @@ fn measure_skinning(args: &SkinningArgs) -> anyhow::Result<()> {
     let report = skinning::measure(&args.scene.parse()?, args.sampling)?;
     println!("{report}");
     if let Some(path) = &args.out {
-        shadecast_transport::write_atomically(path, serde_json::to_string_pretty(&report)?.as_bytes())
+        shadecast_system::write_atomically(path, serde_json::to_string_pretty(&report)?.as_bytes())
             .with_context(|| format!("writing {}", path.display()))?;
     }
     Ok(())

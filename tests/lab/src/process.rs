@@ -1,6 +1,8 @@
 //! Programs of the project as processes: found beside this one, started, listened to, and ended.
 
 use anyhow::{Context, bail, ensure};
+use shadecast_system::process::{interrupt, interruptible};
+use std::env::consts::EXE_SUFFIX;
 use std::io::{BufRead, BufReader};
 use std::net::{SocketAddr, UdpSocket};
 use std::path::PathBuf;
@@ -23,7 +25,7 @@ pub(crate) struct Running {
 
 impl Running {
     pub(crate) fn start(name: &'static str, command: &mut Command) -> anyhow::Result<Self> {
-        let child = command.stdin(Stdio::null()).spawn();
+        let child = interruptible(command.stdin(Stdio::null())).spawn();
         Ok(Self { name, child: child.with_context(|| format!("starting {name}"))? })
     }
 
@@ -60,9 +62,7 @@ impl Running {
 
     /// Asks the process to end, as Ctrl-C does.
     pub(crate) fn interrupt(&self) -> anyhow::Result<()> {
-        let status = Command::new("kill").args(["-INT", &self.child.id().to_string()]).status()?;
-        ensure!(status.success(), "{} could not be asked to end", self.name);
-        Ok(())
+        interrupt(&self.child).with_context(|| format!("{} could not be asked to end", self.name))
     }
 }
 
@@ -78,7 +78,7 @@ pub(crate) fn program(name: &str) -> anyhow::Result<PathBuf> {
     let here = std::env::current_exe().context("finding the programs")?;
     let folder = here.parent().context("finding the programs")?;
     let folder = if folder.ends_with("deps") { folder.parent().unwrap_or(folder) } else { folder };
-    let path = folder.join(name);
+    let path = folder.join(format!("{name}{EXE_SUFFIX}"));
     ensure!(path.exists(), "{} is not built; run `cargo build --release -p {name}`", path.display());
     Ok(path)
 }

@@ -47,7 +47,10 @@ pub struct Report {
 pub fn mock_config(options: &RunOptions, clock: ClockKind, capture_every: u32) -> anyhow::Result<MockConfig> {
     let half = options.fov_degrees * 0.5;
     let head_path = match &options.head {
-        Head::File(path) => path.canonicalize().with_context(|| format!("head path {}", path.display()))?,
+        Head::File(path) => {
+            std::fs::metadata(path).with_context(|| format!("head path {}", path.display()))?;
+            std::path::absolute(path)?
+        }
         Head::Walk => write_head_path(options, "walk.csv", BUILT_IN_WALK)?,
         Head::Named(name) => {
             let path = load_head_path(&options.scene, name)?;
@@ -72,9 +75,9 @@ pub fn mock_config(options: &RunOptions, clock: ClockKind, capture_every: u32) -
 fn write_head_path(options: &RunOptions, file: &str, text: &str) -> anyhow::Result<PathBuf> {
     std::fs::create_dir_all(&options.out).with_context(|| format!("making {}", options.out.display()))?;
     let path = options.out.join(file);
-    shadecast_transport::write_atomically(&path, text.as_bytes())
+    shadecast_system::write_atomically(&path, text.as_bytes())
         .with_context(|| format!("writing {}", path.display()))?;
-    Ok(path.canonicalize()?)
+    Ok(std::path::absolute(path)?)
 }
 
 /// Rows of a head path per display frame: what the mock runtime interpolates linearly between them is no rounder.
@@ -269,7 +272,7 @@ impl Run<'_> {
         }
         let motion = self.motion.report();
         if let Some(motion) = &motion {
-            shadecast_transport::write_atomically(
+            shadecast_system::write_atomically(
                 &self.options.out.join("motion.json"),
                 serde_json::to_string_pretty(motion)?.as_bytes(),
             )?;

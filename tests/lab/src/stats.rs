@@ -178,7 +178,7 @@ impl Stats {
         let write = || {
             let mut json = serde_json::to_string_pretty(self)?;
             json.push('\n');
-            shadecast_transport::write_atomically(path, json.as_bytes())
+            shadecast_system::write_atomically(path, json.as_bytes())
         };
         write().map_err(|reason| WriteStatsError { path: path.into(), reason })
     }

@@ -5,7 +5,7 @@
 //! begins: `predictedDisplayTime = begin(n + 1)`.
 //!
 //! * Virtual clock: the origin is `virtual_start_ns`, and the k-th `xrWaitFrame` (from 0) is period k.
-//! * Real clock: the origin is `CLOCK_MONOTONIC` at the first `xrWaitFrame`. Each `xrWaitFrame` takes the next
+//! * Real clock: the origin is the monotonic clock at the first `xrWaitFrame`. Each `xrWaitFrame` takes the next
 //!   period; where that one is over already, it takes the period that is running, as a compositor does that misses
 //!   a frame, and the skipped ones count as missed.
 //!
@@ -25,15 +25,6 @@ pub fn period_ns(refresh_hz: f64) -> i64 {
 pub(crate) fn next_real_period(origin_ns: i64, refresh_hz: f64, last: Option<u64>, now_ns: i64) -> u64 {
     let running = ((now_ns - origin_ns).max(0) as f64 * refresh_hz / 1e9).floor() as u64;
     last.map_or(running, |last| running.max(last + 1))
-}
-
-/// `CLOCK_MONOTONIC` in nanoseconds, which is what `XrTime` is on the real clock.
-pub(crate) fn monotonic_ns() -> i64 {
-    let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: `now` is a valid timespec to write to, and CLOCK_MONOTONIC exists on every system with OpenXR's
-    // timespec extension.
-    unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &mut now) };
-    now.tv_sec * 1_000_000_000 + now.tv_nsec
 }
 
 #[cfg(test)]
@@ -56,11 +47,5 @@ mod tests {
     #[test]
     fn a_late_application_skips_to_the_running_period() {
         assert_eq!(next_real_period(0, 100.0, Some(3), 75_000_000), 7);
-    }
-
-    #[test]
-    fn the_monotonic_clock_does_not_run_backwards() {
-        let before = monotonic_ns();
-        assert!(before > 0 && monotonic_ns() >= before);
     }
 }

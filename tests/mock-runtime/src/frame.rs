@@ -92,7 +92,7 @@ fn start_waiting(core: &mut Core, session: &mut Session) -> u64 {
             last.map_or(0, |last| last + 1)
         }
         ClockKind::Real => {
-            let now_ns = clock::monotonic_ns();
+            let now_ns = shadecast_system::monotonic_now_ns();
             let origin_ns = *core.timeline.origin_ns.get_or_insert(now_ns);
             clock::next_real_period(origin_ns, hz, last, now_ns)
         }
@@ -105,7 +105,7 @@ fn begin_of_period(core: &Core, period: u64) -> i64 {
 }
 
 fn sleep_until(time_ns: i64) {
-    while let Ok(rest_ns @ 1..) = u64::try_from(time_ns - clock::monotonic_ns()) {
+    while let Ok(rest_ns @ 1..) = u64::try_from(time_ns - shadecast_system::monotonic_now_ns()) {
         std::thread::sleep(Duration::from_nanos(rest_ns));
     }
 }

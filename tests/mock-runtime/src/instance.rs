@@ -14,7 +14,7 @@ use crate::head_path::HeadPath;
 use crate::record::Recorder;
 use crate::runtime::{self, Core, Event, Extensions, InstanceState, Resume, Runtime};
 use crate::space::pose_to_xr;
-use crate::{names, session};
+use crate::{names, session, time};
 
 /// Name of the runtime and of its system.
 const NAME: &str = "Shadecast mock runtime";
@@ -30,7 +30,7 @@ const STEREO: xr::ViewConfigurationType = xr::ViewConfigurationType::PRIMARY_STE
 
 const EXTENSIONS: [(&[u8], u32); 3] = [
     (xr::KHR_VULKAN_ENABLE2_EXTENSION_NAME, xr::KHR_vulkan_enable2_SPEC_VERSION),
-    (xr::KHR_CONVERT_TIMESPEC_TIME_EXTENSION_NAME, xr::KHR_convert_timespec_time_SPEC_VERSION),
+    time::EXTENSION,
     (xr::EXT_DEBUG_UTILS_EXTENSION_NAME, xr::EXT_debug_utils_SPEC_VERSION),
 ];
 
@@ -116,7 +116,7 @@ fn enabled_extensions(create_info: &xr::InstanceCreateInfo) -> Outcome<Extension
                 return Err(Fault::application(xr::Result::ERROR_EXTENSION_NOT_PRESENT, message));
             }
             "XR_KHR_vulkan_enable2" => enabled.vulkan_enable2 = true,
-            "XR_KHR_convert_timespec_time" => enabled.convert_timespec_time = true,
+            name if name == text_of(time::EXTENSION.0) => enabled.convert_time = true,
             "XR_EXT_debug_utils" => enabled.debug_utils = true,
             _ => {
                 let message = format!("the mock runtime has no extension {name}");

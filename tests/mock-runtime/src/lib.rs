@@ -2,7 +2,8 @@
 //!
 //! The library is loaded by the system's OpenXR loader through a JSON manifest (`XR_RUNTIME_JSON`, see [`manifest`]),
 //! so the application under test is the one that ships. It exports `xrNegotiateLoaderRuntimeInterface` and offers
-//! OpenXR 1.0 with `XR_KHR_vulkan_enable2`, `XR_KHR_convert_timespec_time` and `XR_EXT_debug_utils`: one stereo headset
+//! OpenXR 1.0 with `XR_KHR_vulkan_enable2`, `XR_KHR_convert_timespec_time` (on Windows
+//! `XR_KHR_win32_convert_performance_counter_time`) and `XR_EXT_debug_utils`: one stereo headset
 //! without controllers.
 //!
 //! One run is described by a [`config::MockConfig`] in the file that the environment variable `SHADECAST_MOCK_CONFIG`
@@ -38,7 +39,7 @@ mod runtime;
 mod session;
 mod space;
 mod swapchain;
-mod timespec;
+mod time;
 mod vulkan;
 
 pub use negotiate::xrNegotiateLoaderRuntimeInterface;

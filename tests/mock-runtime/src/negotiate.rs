@@ -1,6 +1,6 @@
 //! How the loader gets in: the one exported symbol, and the table of functions behind it.
 
-use std::ffi::{c_char, c_int, c_void};
+use std::ffi::c_char;
 
 use openxr_sys as xr;
 use xr::Handle as _;
@@ -9,7 +9,7 @@ use xr::pfn::VoidFunction;
 use crate::fault::{Fault, guard};
 use crate::ffi::entry;
 use crate::runtime::{self, Extensions};
-use crate::{actions, debug_utils, frame, instance, paths, session, space, swapchain, timespec, vulkan};
+use crate::{actions, debug_utils, frame, instance, paths, session, space, swapchain, time, vulkan};
 
 /// The loader-runtime interface that this runtime speaks.
 const INTERFACE_VERSION: u32 = 1;
@@ -66,16 +66,29 @@ fn understood(info: &xr::NegotiateLoaderInfo, request: &xr::NegotiateRuntimeRequ
 
 /// Keeps the library in the process: the loader closes it with each instance, but what outlives a lost instance lives
 /// in its memory, and threads may still be on their way out of it.
+#[cfg(unix)]
 fn stay_loaded() {
     // SAFETY: Dl_info is a structure of pointers, for which zeroes are valid.
     let mut found: libc::Dl_info = unsafe { std::mem::zeroed() };
     let here: extern "C" fn() = anchor;
     // SAFETY: `here` is an address in this library, and `found` is valid for a write.
-    let known = unsafe { libc::dladdr(here as *const c_void, &mut found) } != 0 as c_int;
+    let known = unsafe { libc::dladdr(here as *const std::ffi::c_void, &mut found) } != 0;
     if known && !found.dli_fname.is_null() {
         // SAFETY: dladdr gave a zero-terminated name. RTLD_NOLOAD opens nothing new, and NODELETE pins what is there.
         unsafe { libc::dlopen(found.dli_fname, libc::RTLD_NOW | libc::RTLD_NOLOAD | libc::RTLD_NODELETE) };
     }
+}
+
+/// The same.
+#[cfg(windows)]
+fn stay_loaded() {
+    use windows_sys::Win32::System::LibraryLoader::{
+        GET_MODULE_HANDLE_EX_FLAG_FROM_ADDRESS, GET_MODULE_HANDLE_EX_FLAG_PIN, GetModuleHandleExW,
+    };
+    let (here, mut module): (extern "C" fn(), _) = (anchor, std::ptr::null_mut());
+    let flags = GET_MODULE_HANDLE_EX_FLAG_FROM_ADDRESS | GET_MODULE_HANDLE_EX_FLAG_PIN;
+    // SAFETY: `here` is an address in this library, which is what the flag has the name be; `module` is valid for a write.
+    unsafe { GetModuleHandleExW(flags, here as *const u16, &mut module) };
 }
 
 /// An address in this library.
@@ -115,7 +128,7 @@ enum Needs {
     Nothing,
     Instance,
     VulkanEnable2,
-    ConvertTimespecTime,
+    ConvertTime,
     DebugUtils,
 }
 
@@ -124,7 +137,7 @@ impl Needs {
         match self {
             Self::Nothing | Self::Instance => true,
             Self::VulkanEnable2 => extensions.vulkan_enable2,
-            Self::ConvertTimespecTime => extensions.convert_timespec_time,
+            Self::ConvertTime => extensions.convert_time,
             Self::DebugUtils => extensions.debug_utils,
         }
     }
@@ -215,10 +228,6 @@ const TABLE: &[Row] = table! {
         "xrGetVulkanGraphicsDevice2KHR" => vulkan::get_graphics_device: GetVulkanGraphicsDevice2KHR,
         "xrGetVulkanGraphicsRequirements2KHR" => vulkan::get_requirements: GetVulkanGraphicsRequirementsKHR,
     }
-    ConvertTimespecTime {
-        "xrConvertTimeToTimespecTimeKHR" => timespec::convert_time_to_timespec_time: ConvertTimeToTimespecTimeKHR,
-        "xrConvertTimespecTimeToTimeKHR" => timespec::convert_timespec_time_to_time: ConvertTimespecTimeToTimeKHR,
-    }
     DebugUtils {
         "xrCreateDebugUtilsMessengerEXT" => debug_utils::create_messenger: CreateDebugUtilsMessengerEXT,
         "xrDestroyDebugUtilsMessengerEXT" => debug_utils::destroy_messenger: DestroyDebugUtilsMessengerEXT,
@@ -231,8 +240,26 @@ const TABLE: &[Row] = table! {
     }
 };
 
+#[cfg(unix)]
+const TIME_TABLE: &[Row] = table! {
+    ConvertTime {
+        "xrConvertTimeToTimespecTimeKHR" => time::convert_time_to_timespec_time: ConvertTimeToTimespecTimeKHR,
+        "xrConvertTimespecTimeToTimeKHR" => time::convert_timespec_time_to_time: ConvertTimespecTimeToTimeKHR,
+    }
+};
+
+#[cfg(windows)]
+const TIME_TABLE: &[Row] = table! {
+    ConvertTime {
+        "xrConvertTimeToWin32PerformanceCounterKHR" =>
+            time::convert_time_to_counter: ConvertTimeToWin32PerformanceCounterKHR,
+        "xrConvertWin32PerformanceCounterToTimeKHR" =>
+            time::convert_counter_to_time: ConvertWin32PerformanceCounterToTimeKHR,
+    }
+};
+
 fn lookup(name: &str) -> Option<(Needs, Option<VoidFunction>)> {
-    let row = TABLE.iter().find(|(known, ..)| *known == name)?;
+    let row = TABLE.iter().chain(TIME_TABLE).find(|(known, ..)| *known == name)?;
     Some((row.1, Some(row.2())))
 }
 

@@ -72,7 +72,7 @@ pub(crate) struct Core {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Extensions {
     pub(crate) vulkan_enable2: bool,
-    pub(crate) convert_timespec_time: bool,
+    pub(crate) convert_time: bool,
     pub(crate) debug_utils: bool,
 }
 
@@ -250,7 +250,7 @@ impl Core {
     /// Now, in nanoseconds of `XrTime`: on the virtual clock the begin of the period of the last `xrWaitFrame`.
     pub(crate) fn now_ns(&self) -> i64 {
         match self.config.clock {
-            ClockKind::Real => clock::monotonic_ns(),
+            ClockKind::Real => shadecast_system::monotonic_now_ns(),
             ClockKind::Virtual => {
                 let origin_ns = self.timeline.origin_ns.unwrap_or(self.config.virtual_start_ns);
                 clock::period_begin_ns(

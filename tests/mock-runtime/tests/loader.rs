@@ -14,7 +14,7 @@ use shadecast_mock_runtime::config::{ClockKind, EventKind, FovDegrees, MockConfi
 use shadecast_mock_runtime::head_path::HeadPath;
 use shadecast_mock_runtime::record::{FrameRecord, PoseRecord, Side, read_frames, read_summary};
 use shadecast_test_support::headset::Run;
-use support::{App, STEREO, create_instance, load, picture, rect, validation_messages, view};
+use support::{App, STEREO, converts_time, create_instance, load, picture, rect, validation_messages, view};
 use xr::sys::{Handle as _, Result as Code};
 
 const SIZE: [u32; 2] = [48, 32];
@@ -304,13 +304,20 @@ fn swapchain_order(app: &App, swapchain: &xr::Swapchain<xr::Vulkan>) {
     }
 }
 
+/// What converts times on this system.
+const TIME_EXTENSION: &str = if cfg!(windows) {
+    "XR_KHR_win32_convert_performance_counter_time"
+} else {
+    "XR_KHR_convert_timespec_time"
+};
+
 #[test]
 fn an_extension_that_is_hidden_is_not_listed_and_is_refused() {
-    let hidden_extensions = vec!["XR_KHR_convert_timespec_time".to_owned()];
+    let hidden_extensions = vec![TIME_EXTENSION.to_owned()];
     let _run = Run::new(&MockConfig { hidden_extensions, ..virtual_config() });
     let entry = load();
-    let listed = entry.enumerate_extensions().expect("extensions");
-    assert!(listed.khr_vulkan_enable2 && !listed.khr_convert_timespec_time);
+    let mut listed = entry.enumerate_extensions().expect("extensions");
+    assert!(listed.khr_vulkan_enable2 && !*converts_time(&mut listed));
     let refused = create_instance(&entry).err();
     assert_eq!(
         refused,
@@ -791,16 +798,27 @@ fn a_layer_in_local_space_is_logged_in_the_stage_too() {
 fn times_convert_to_the_monotonic_clock_and_back_unchanged() {
     let _run = Run::new(&virtual_config());
     let app = App::new();
-    let functions = app.instance.exts().khr_convert_timespec_time.as_ref().expect("enabled");
-    let mut timespec = libc::timespec { tv_sec: 0, tv_nsec: 0 };
     let mut back = xr::Time::from_nanos(0);
-    let time = xr::Time::from_nanos(12_345_678_901);
+    let (handle, time) = (app.instance.as_raw(), xr::Time::from_nanos(12_345_678_900));
+    #[cfg(unix)]
     // SAFETY: a valid instance and places for the answers.
     unsafe {
-        let handle = app.instance.as_raw();
+        let functions = app.instance.exts().khr_convert_timespec_time.as_ref().expect("enabled");
+        let mut timespec = std::mem::zeroed();
         assert_eq!((functions.convert_time_to_timespec_time)(handle, time, &mut timespec), Code::SUCCESS);
-        assert_eq!((timespec.tv_sec, timespec.tv_nsec), (12, 345_678_901));
+        assert_eq!((timespec.tv_sec, timespec.tv_nsec), (12, 345_678_900));
         assert_eq!((functions.convert_timespec_time_to_time)(handle, &timespec, &mut back), Code::SUCCESS);
+    }
+    #[cfg(windows)]
+    // SAFETY: a valid instance and places for the answers.
+    unsafe {
+        let functions =
+            app.instance.exts().khr_win32_convert_performance_counter_time.as_ref().expect("enabled");
+        let mut counter = 0;
+        let convert = functions.convert_time_to_win32_performance_counter;
+        assert_eq!(convert(handle, time, &mut counter), Code::SUCCESS);
+        let convert = functions.convert_win32_performance_counter_to_time;
+        assert_eq!(convert(handle, &counter, &mut back), Code::SUCCESS);
     }
     assert_eq!(back, time);
 }

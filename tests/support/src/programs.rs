@@ -17,7 +17,8 @@ const NAP: Duration = Duration::from_millis(20);
 #[track_caller]
 pub fn program(name: &str) -> PathBuf {
     let here = std::env::current_exe().expect("this test is a file");
-    let path = here.parent().and_then(Path::parent).expect("the folder of programs").join(name);
+    let path = here.parent().and_then(Path::parent).expect("the folder of programs");
+    let path = path.join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
     assert!(path.exists(), "{} is not built; `./shadecast test` builds it first", path.display());
     path
 }

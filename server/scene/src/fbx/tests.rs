@@ -492,6 +492,7 @@ fn textures_beside_the_file_are_found_and_missing_ones_cost_a_warning() {
 }
 
 /// A picture that lies outside the asset's folder is not read, by whatever name; beside it is.
+#[cfg(unix)]
 #[test]
 fn textures_outside_the_assets_folder_are_not_read() {
     let top = tempfile::tempdir().expect("a folder");

@@ -380,6 +380,7 @@ fn buffers_and_images_beside_the_file_and_in_data_uris_are_found() {
     assert!(message.contains("sample.gltf: image 0: file 'red.png'"), "{message}");
 }
 
+#[cfg(unix)]
 #[test]
 fn what_lies_outside_the_assets_folder_is_not_read() {
     let top = tempfile::tempdir().expect("a folder");

@@ -118,6 +118,8 @@ pub struct DeltaEncoder {
     memory: ClientMemory,
     history: SampleHistory,
     encoder: SampleEncoder,
+    /// Of the delta in the making, kept for their memory.
+    sections: [Vec<u8>; SECTIONS],
 }
 
 /// The client's side of its memory, as the deltas so far have made it.
@@ -137,6 +139,7 @@ impl DeltaEncoder {
             memory: ClientMemory::new(vertex_slots, patch_slots),
             history: SampleHistory::new(vertex_slots),
             encoder: SampleEncoder::new(),
+            sections: Default::default(),
         }
     }
 
@@ -162,12 +165,26 @@ impl DeltaEncoder {
     /// The delta's bytes; brings the memory up to date. A delta that contradicts it or a limit is a bug of the caller and
     /// panics.
     pub fn encode(&mut self, delta: &Delta) -> EncodedDelta {
-        let Delta { geometry, is_update, samples } = delta;
+        self.encode_parts(&delta.geometry, delta.is_update, &delta.samples)
+    }
+
+    /// The same of an update, which brings no samples.
+    pub fn encode_update(&mut self, geometry: &GeometryDelta) -> EncodedDelta {
+        self.encode_parts(geometry, true, &[])
+    }
+
+    fn encode_parts(
+        &mut self,
+        geometry: &GeometryDelta,
+        is_update: bool,
+        samples: &[SampleBatch],
+    ) -> EncodedDelta {
         let update = geometry.update;
         let entered =
             self.memory.apply(geometry).unwrap_or_else(|error| panic!("delta {}: {error}", update.0));
         self.history.follow(&entered);
-        let mut sections: [Vec<u8>; SECTIONS] = Default::default();
+        let mut sections = std::mem::take(&mut self.sections);
+        sections.iter_mut().for_each(Vec::clear);
         put_evictions(&mut sections[0], geometry.evicted_patches.iter().map(|slot| slot.0));
         put_evictions(&mut sections[1], geometry.evicted_vertices.iter().map(|slot| slot.0));
         put_instances(&mut sections[2], &geometry.instances);
@@ -182,7 +199,7 @@ impl DeltaEncoder {
         put_samples(&mut sections[8], samples, &entered.sampled, &self.memory.sampled_slots(), code);
         put_predictions(&mut sections[9], &geometry.predictions);
         put_coverage(&mut sections[10], &geometry.coverage);
-        let bytes = put_header_and([self.next, u32::from(*is_update)], geometry, &sections);
+        let bytes = put_header_and([self.next, u32::from(is_update)], geometry, &sections);
         self.next = self.next.saturating_add(1);
         assert!(bytes.len() <= MAX_DELTA_BYTES, "delta {} has {} bytes", update.0, bytes.len());
         let length = |indices: &[usize]| indices.iter().map(|&index| sections[index].len()).sum();
@@ -200,6 +217,7 @@ impl DeltaEncoder {
             new_rests: geometry.new_rests.len(),
             samples: samples.iter().map(|batch| batch.values.len()).sum(),
         };
+        self.sections = sections;
         EncodedDelta { update: is_update.then_some(update), bytes, sizes }
     }
 }

@@ -141,14 +141,13 @@ pub(crate) fn put_rests(out: &mut Vec<u8>, rests: &[RestVertex]) {
 }
 
 fn put_group(bits: &mut BitWriter<'_>, group: &[RestVertex], before: &mut [i32; 3], joints: &mut [u16; 4]) {
-    let misses: Vec<[i32; 3]> = group
-        .iter()
-        .map(|rest| {
-            let before = std::mem::replace(before, rest.position);
-            std::array::from_fn(|axis| rest.position[axis].wrapping_sub(before[axis]))
-        })
-        .collect();
-    let packing = Packing::of_group(&misses);
+    let mut misses = [[0; 3]; GROUP];
+    let misses = &mut misses[..group.len()];
+    for (miss, rest) in misses.iter_mut().zip(group) {
+        let before = std::mem::replace(before, rest.position);
+        *miss = std::array::from_fn(|axis| rest.position[axis].wrapping_sub(before[axis]));
+    }
+    let packing = Packing::of_group(misses);
     packing.iter().for_each(|packing| packing.write(bits));
     for (rest, miss) in group.iter().zip(misses) {
         for (axis, packing) in packing.iter().enumerate() {

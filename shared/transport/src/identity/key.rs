@@ -1,13 +1,12 @@
 //! A server's key, what it signs for itself, and its fingerprint.
 
 use super::{IdentityError, check_is_file, create_private_directory, file_error, tls};
-use crate::files::PendingFile;
 use crate::rng;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer};
+use shadecast_system::{PendingFile, owner};
 use std::fmt;
 use std::fs;
 use std::io::Write;
-use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::str::FromStr;
 
@@ -84,7 +83,7 @@ impl ServerIdentity {
         Self::from_pkcs8(der).map_err(IdentityError::Generate)
     }
 
-    /// Reads the identity in `directory`, or makes one there at the first start (key file of mode 0600).
+    /// Reads the identity in `directory`, or makes one there at the first start (a key file that is its owner's alone).
     pub fn load_or_create(directory: &Path) -> Result<Self, IdentityError> {
         let path = directory.join(KEY_FILE);
         if !path.exists() {
@@ -98,8 +97,7 @@ impl ServerIdentity {
     fn load(path: &Path) -> Result<Self, IdentityError> {
         let metadata = fs::metadata(path).map_err(file_error("reading", path))?;
         check_is_file(&metadata, path)?;
-        let mode = metadata.permissions().mode() & 0o777;
-        if mode & 0o077 != 0 {
+        if let Some(mode) = owner::open_to_others(&metadata) {
             return Err(IdentityError::Permissions { path: path.into(), mode });
         }
         let wrong = |wrong: String| IdentityError::Key { path: path.into(), wrong };

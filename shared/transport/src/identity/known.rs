@@ -1,7 +1,7 @@
 //! The servers that a client has met, and which it is willing to talk to.
 
 use super::{Fingerprint, IdentityError, check_is_file, create_private_directory, file_error};
-use crate::files::PendingFile;
+use shadecast_system::PendingFile;
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, Write};

@@ -10,6 +10,8 @@ pub(crate) mod tls;
 pub use key::{Fingerprint, ServerIdentity};
 pub use known::{ExpectedIdentity, KnownServers, Meeting};
 
+use shadecast_system::folders::CONFIGURATION_VARIABLES;
+use shadecast_system::{folders, owner};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -19,7 +21,8 @@ use std::path::{Path, PathBuf};
 pub enum IdentityError {
     /// No directory was given and the environment names none.
     #[error(
-        "there is no place for the configuration: neither XDG_CONFIG_HOME nor HOME is set; give --identity DIR"
+        "there is no place for the configuration: {} must name one; give --identity DIR",
+        CONFIGURATION_VARIABLES
     )]
     NoDirectory,
     /// A file or directory could not be read or written.
@@ -78,20 +81,13 @@ fn check_is_file(metadata: &fs::Metadata, path: &Path) -> Result<(), IdentityErr
     if metadata.is_file() { Ok(()) } else { Err(IdentityError::NotAFile { path: path.into() }) }
 }
 
-/// `$XDG_CONFIG_HOME/shadecast`, or `~/.config/shadecast`.
+/// The user's folder for the configuration: [`folders::configuration`].
 pub fn default_directory() -> Result<PathBuf, IdentityError> {
-    let from = |name| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
-    from("XDG_CONFIG_HOME")
-        .or_else(|| from("HOME").map(|home| home.join(".config")))
-        .map(|base| base.join("shadecast"))
-        .ok_or(IdentityError::NoDirectory)
+    folders::configuration(|name| std::env::var_os(name)).ok_or(IdentityError::NoDirectory)
 }
 
 fn create_private_directory(directory: &Path) -> Result<(), IdentityError> {
-    use std::os::unix::fs::DirBuilderExt;
-    let mut builder = fs::DirBuilder::new();
-    builder.recursive(true).mode(0o700);
-    builder.create(directory).map_err(file_error("creating the directory", directory))
+    owner::make_folder(directory).map_err(file_error("creating the directory", directory))
 }
 
 #[cfg(test)]
@@ -101,10 +97,18 @@ mod tests {
     use super::*;
     use crate::rng;
     use std::net::SocketAddr;
-    use std::os::unix::fs::PermissionsExt;
 
-    fn mode(path: &Path) -> u32 {
-        fs::metadata(path).unwrap().permissions().mode() & 0o777
+    #[cfg(unix)]
+    fn set_mode(path: &Path, mode: u32) {
+        use std::os::unix::fs::PermissionsExt;
+        fs::set_permissions(path, fs::Permissions::from_mode(mode)).unwrap();
+    }
+
+    #[cfg(windows)]
+    fn set_mode(_: &Path, _: u32) {}
+
+    fn is_private(path: &Path) -> bool {
+        owner::open_to_others(&fs::metadata(path).unwrap()).is_none()
     }
 
     #[test]
@@ -118,6 +122,7 @@ mod tests {
         assert_eq!(fs::read_dir(&directory).unwrap().count(), 1, "only the key file is left");
     }
 
+    #[cfg(unix)]
     #[test]
     fn a_pipe_in_the_place_of_a_file_is_refused_and_not_waited_for() {
         let dir = tempfile::tempdir().unwrap();
@@ -134,13 +139,14 @@ mod tests {
         }
     }
 
+    #[cfg(unix)]
     #[test]
     fn the_private_key_belongs_to_its_owner_alone() {
         let dir = tempfile::tempdir().unwrap();
         ServerIdentity::load_or_create(dir.path()).unwrap();
         let path = dir.path().join(KEY_FILE);
-        assert_eq!(mode(&path), 0o600);
-        fs::set_permissions(&path, fs::Permissions::from_mode(0o640)).unwrap();
+        assert!(is_private(&path));
+        set_mode(&path, 0o640);
         let message = ServerIdentity::load_or_create(dir.path()).unwrap_err().to_string();
         assert!(message.contains("mode 0640") && message.contains("chmod 600"), "{message}");
     }
@@ -172,7 +178,7 @@ mod tests {
             b"-----BEGIN PRIVATE KEY-----\nAAAA\n-----END PRIVATE KEY-----\n",
         ] {
             fs::write(&path, content).unwrap();
-            fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
+            set_mode(&path, 0o600);
             let message = ServerIdentity::load_or_create(dir.path()).unwrap_err().to_string();
             assert!(message.contains(KEY_FILE) && message.contains("delete the file"), "{message}");
         }
@@ -211,7 +217,7 @@ mod tests {
             assert!(remedy.contains(word), "{remedy}");
         }
         assert_eq!(known.expected("other:1", at("10.0.0.1:1")), ExpectedIdentity::TrustOnFirstUse);
-        assert_eq!(mode(&known.path), 0o600);
+        assert!(is_private(&known.path));
     }
 
     #[test]

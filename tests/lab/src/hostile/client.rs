@@ -12,7 +12,7 @@ use anyhow::{Context, ensure};
 use shadecast_mock_runtime::config::ClockKind;
 use shadecast_mock_runtime::record::read_frames;
 use shadecast_scene::load::SceneSource;
-use shadecast_transport::monotonic_now_ns;
+use shadecast_system::monotonic_now_ns;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};

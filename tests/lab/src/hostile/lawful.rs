@@ -12,9 +12,9 @@ use shadecast_protocol::message::{
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
 use shadecast_protocol::time::ClientTime;
+use shadecast_system::monotonic_now_ns;
 use shadecast_transport::{
-    Driver, Endpoint, EndpointConfig, Event, Events, ExpectedIdentity, Handle, PeerId, monotonic_now_ns,
-    spawn,
+    Driver, Endpoint, EndpointConfig, Event, Events, ExpectedIdentity, Handle, PeerId, spawn,
 };
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,8 +1,8 @@
 //! The server under attack: the real program on loopback, with its memory and its last words.
 
-use crate::memory::resident_kib;
 use crate::process::program;
 use anyhow::{Context, bail};
+use shadecast_system::process::resident_bytes;
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
 use std::net::SocketAddr;
@@ -71,7 +71,7 @@ impl Program {
 
     /// Its resident memory in bytes; `None` once it has ended.
     pub(crate) fn memory_bytes(&self) -> Option<u64> {
-        resident_kib(self.child.id()).map(|kib| kib << 10)
+        resident_bytes(self.child.id())
     }
 
     /// Watches its memory from now on.
@@ -114,7 +114,7 @@ impl MemoryWatch {
         let thread = std::thread::spawn(move || {
             let mut peak = 0;
             loop {
-                peak = peak.max(resident_kib(pid).unwrap_or(0) << 10);
+                peak = peak.max(resident_bytes(pid).unwrap_or(0));
                 if flag.load(Ordering::Relaxed) {
                     return peak;
                 }

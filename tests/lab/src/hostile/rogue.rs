@@ -20,8 +20,9 @@ use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime};
 use shadecast_protocol::wire::{PictureHeader, encode_geometry, encode_picture};
 use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
 use shadecast_server::encode::{Source, encode_one};
+use shadecast_system::monotonic_now_ns;
 use shadecast_transport::{
-    Driver, Endpoint, EndpointConfig, Event, Events, Handle, PeerId, ServerIdentity, monotonic_now_ns, spawn,
+    Driver, Endpoint, EndpointConfig, Event, Events, Handle, PeerId, ServerIdentity, spawn,
 };
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::Path;

@@ -7,7 +7,6 @@ mod watch;
 pub use conditions::{Condition, KINDS, Kind};
 pub use watch::Worst;
 
-use crate::cpu_clock::thread_cpu_ns;
 use crate::motion::px_at_2m;
 use crate::options::RunOptions;
 use crate::run::{mock_config, progress};
@@ -19,6 +18,7 @@ use serde::Serialize;
 use shadecast_client::client::Step;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_server::scene::SceneOptions;
+use shadecast_system::clock::thread_cpu_ns;
 use std::collections::BTreeMap;
 use std::fmt;
 use watch::Watch;

@@ -408,7 +408,7 @@ impl Seat {
             self.leave(done_ns, Departure::Picture(header, unit.bytes));
             let earlier = self.last.replace(shaded);
             if let Some((viewer, earlier)) = self.viewer.as_mut().zip(earlier) {
-                viewer.recycle(earlier.picture);
+                viewer.recycle(*earlier);
             }
         }
         Ok(())
@@ -487,7 +487,7 @@ impl Seat {
 
     /// Vertices that move, in the client's memory.
     pub fn moving_vertices(&self) -> usize {
-        self.viewer.as_ref().map_or(0, |viewer| viewer.updates().residency().moving().len())
+        self.viewer.as_ref().map_or(0, |viewer| viewer.updates().residency().moving_count())
     }
 
     /// Patches that were visible but had no room, in the atlas or in the client's memory.

@@ -6,7 +6,6 @@
 //! frame. Nothing arrives meanwhile: the client draws what it has, at times that go on.
 
 use super::cell::{Cell, Mode, REFRESH_HZ, Set, UPDATES_HZ};
-use crate::cpu_clock::thread_cpu_ns;
 use crate::options::RunOptions;
 use crate::percentiles::median;
 use crate::session::seat::Seat;
@@ -27,6 +26,7 @@ use shadecast_server::frame::{Frame, Shaded};
 use shadecast_server::lock::lock;
 use shadecast_server::viewer::{Told, Viewer};
 use shadecast_server::world::World;
+use shadecast_system::clock::thread_cpu_ns;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -38,11 +38,11 @@ const UPDATES_BEFORE_SHIPPED: u32 = 6;
 /// Display frames after which waiting for an update to be shown is given up.
 const MOST_FRAMES: u32 = 600;
 /// How long updates that are measured in a row shall take, where those asked for take less, and how many more that makes at most.
-const SERVER_TIME: Duration = Duration::from_millis(600);
+const SERVER_TIME: Duration = Duration::from_millis(2500);
 const MOST_TIMES_UPDATES: u32 = 8;
 /// Display frames that are measured in a row, and how long they shall take.
 const CLIENT_FRAMES: std::ops::Range<u32> = 10..60;
-const CLIENT_TIME: Duration = Duration::from_millis(400);
+const CLIENT_TIME: Duration = Duration::from_millis(2000);
 /// Display frames whose stages are timed on the device; each waits for it.
 const TIMED_FRAMES: u32 = 5;
 /// How long an update of the scene's clock is under way to the display, nanoseconds.
@@ -382,7 +382,7 @@ impl<'a> ServerBench<'a> {
         self.uncoded.submit(shaded, true, DEFAULT_QP)?;
         let coded = self.uncoded.poll(PATIENCE).context("a picture is given as it is")??;
         client.take(picture_stream(coded.header, &coded.unit.bytes)?)?;
-        self.viewer.recycle(coded.shaded.picture);
+        self.viewer.recycle(*coded.shaded);
         client.show(coded.header.update)
     }
 
@@ -404,7 +404,7 @@ impl<'a> ServerBench<'a> {
         self.encoding.submit(shaded, false, DEFAULT_QP)?;
         let coded = self.encoding.poll(PATIENCE).context("the encoder gives no picture")??;
         let took_ms = began.elapsed().as_secs_f64() * 1e3;
-        self.viewer.recycle(coded.shaded.picture);
+        self.viewer.recycle(*coded.shaded);
         Ok(took_ms)
     }
 
@@ -433,7 +433,7 @@ impl<'a> ServerBench<'a> {
     fn in_a_row(&mut self, updates: u32) -> anyhow::Result<()> {
         for _ in 0..updates {
             let made = self.update()?;
-            self.viewer.recycle(made.shaded.picture);
+            self.viewer.recycle(*made.shaded);
         }
         Ok(())
     }

@@ -97,7 +97,7 @@ impl State {
 /// # Errors
 /// It cannot be written; the message names it.
 pub fn write(path: &Path, text: &str) -> anyhow::Result<()> {
-    shadecast_transport::write_atomically(path, text.as_bytes())
+    shadecast_system::write_atomically(path, text.as_bytes())
         .with_context(|| format!("writing {}", path.display()))
 }
 

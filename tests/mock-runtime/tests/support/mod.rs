@@ -23,11 +23,19 @@ pub fn load() -> xr::Entry {
     })
 }
 
+/// Whether a set holds the extension that converts times on this system.
+pub fn converts_time(extensions: &mut xr::ExtensionSet) -> &mut bool {
+    #[cfg(unix)]
+    return &mut extensions.khr_convert_timespec_time;
+    #[cfg(windows)]
+    return &mut extensions.khr_win32_convert_performance_counter_time;
+}
+
 /// An instance of the runtime under test.
 pub fn create_instance(entry: &xr::Entry) -> xr::Result<xr::Instance> {
     let mut extensions = xr::ExtensionSet::default();
     extensions.khr_vulkan_enable2 = true;
-    extensions.khr_convert_timespec_time = true;
+    *converts_time(&mut extensions) = true;
     let info = xr::ApplicationInfo {
         application_name: "mock runtime test",
         application_version: 1,

@@ -2,17 +2,12 @@
 //!
 //! A program that is stopped in the middle leaves what was there before, and a reader never sees a half.
 
+use crate::owner;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Seek, SeekFrom, Write};
-use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
-
-/// Permissions of a file that everybody may read, before the user's mask.
-const COMMON_MODE: u32 = 0o666;
-/// Permissions of a file that is its owner's alone.
-const PRIVATE_MODE: u32 = 0o600;
 
 /// Numbers the files of this process, so that two threads that write the same file do not meet.
 static COUNTER: AtomicU32 = AtomicU32::new(0);
@@ -63,20 +58,23 @@ impl PendingFile {
                 Ok(Self { file, moves: None })
             }
             Ok(there) => {
-                let pending = Self::beside(&place, COMMON_MODE)?;
+                let pending = Self::beside(&place, false)?;
                 pending.file.set_permissions(there.permissions())?;
                 Ok(pending)
             }
-            Err(_) => Self::beside(&place, COMMON_MODE),
+            Err(_) => Self::beside(&place, false),
         }
     }
 
     /// Begins a file that only its owner can read.
-    pub(crate) fn create_private(path: &Path) -> io::Result<Self> {
-        Self::beside(path, PRIVATE_MODE)
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn create_private(path: &Path) -> io::Result<Self> {
+        Self::beside(path, true)
     }
 
-    fn beside(place: &Path, mode: u32) -> io::Result<Self> {
+    fn beside(place: &Path, is_private: bool) -> io::Result<Self> {
         let name = place.file_name().ok_or_else(|| io::Error::from(io::ErrorKind::IsADirectory))?;
         let mut hidden = std::ffi::OsString::from(".");
         hidden.push(name);
@@ -84,7 +82,12 @@ impl PendingFile {
         let beside = place.with_file_name(hidden);
         // Left by a process of the same number that was killed.
         let _ = fs::remove_file(&beside);
-        let file = OpenOptions::new().read(true).write(true).create_new(true).mode(mode).open(&beside)?;
+        let mut options = OpenOptions::new();
+        options.read(true).write(true).create_new(true);
+        if is_private {
+            owner::make_private(&mut options);
+        }
+        let file = options.open(&beside)?;
         with_pending(|pending| pending.push(beside.clone()));
         Ok(Self { file, moves: Some((beside, place.to_owned())) })
     }
@@ -104,7 +107,10 @@ impl PendingFile {
     }
 
     /// Moves the file to its place if nothing is there yet; false where something is.
-    pub(crate) fn commit_new(self) -> io::Result<bool> {
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn commit_new(self) -> io::Result<bool> {
         self.file.sync_all()?;
         let Some((beside, place)) = &self.moves else { return Ok(false) };
         match fs::hard_link(beside, place) {
@@ -142,7 +148,6 @@ impl Seek for PendingFile {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::os::unix::fs::PermissionsExt;
 
     fn names(directory: &Path) -> Vec<String> {
         let mut names: Vec<_> = fs::read_dir(directory)
@@ -153,8 +158,10 @@ mod tests {
         names
     }
 
+    #[cfg(unix)]
     #[test]
     fn a_file_is_replaced_whole_and_keeps_its_permissions() {
+        use std::os::unix::fs::PermissionsExt;
         let dir = tempfile::tempdir().expect("a folder");
         let path = dir.path().join("stats.json");
         write_atomically(&path, b"one").expect("written");
@@ -178,6 +185,7 @@ mod tests {
         assert_eq!(names(dir.path()), ["film.mp4"], "nothing is left beside");
     }
 
+    #[cfg(unix)]
     #[test]
     fn a_link_stays_a_link_and_a_device_is_written_to() {
         let dir = tempfile::tempdir().expect("a folder");

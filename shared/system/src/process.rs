@@ -1,0 +1,114 @@
+//! Other processes, and this one: memory, and the wish to end.
+
+use std::io;
+use std::process::{Child, Command};
+
+/// A program that is started so can be asked to end by [`interrupt`].
+pub fn interruptible(command: &mut Command) -> &mut Command {
+    #[cfg(windows)]
+    {
+        use windows_sys::Win32::System::Threading::CREATE_NEW_PROCESS_GROUP;
+        std::os::windows::process::CommandExt::creation_flags(command, CREATE_NEW_PROCESS_GROUP);
+    }
+    command
+}
+
+/// Asks a process to end, as Ctrl-C does (on Windows Ctrl-Break, the only one that reaches one process alone).
+///
+/// # Errors
+/// The process is gone, or is none of ours.
+#[cfg(unix)]
+pub fn interrupt(child: &Child) -> io::Result<()> {
+    // SAFETY: a signal to a process; its number cannot be another's, since nobody has waited for the child.
+    let failed = unsafe { libc::kill(child.id() as libc::pid_t, libc::SIGINT) } != 0;
+    if failed { Err(io::Error::last_os_error()) } else { Ok(()) }
+}
+
+/// The same.
+#[cfg(windows)]
+pub fn interrupt(child: &Child) -> io::Result<()> {
+    use windows_sys::Win32::System::Console::{CTRL_BREAK_EVENT, GenerateConsoleCtrlEvent};
+    // SAFETY: an event for the process group that the child is the first of.
+    let failed = unsafe { GenerateConsoleCtrlEvent(CTRL_BREAK_EVENT, child.id()) } == 0;
+    if failed { Err(io::Error::last_os_error()) } else { Ok(()) }
+}
+
+/// Ends this process without the clean-up of the libraries, which may wait for what hangs; files that are being written beside
+/// their places go.
+pub fn end_at_once(exit_code: i32) -> ! {
+    crate::remove_pending_files();
+    #[cfg(unix)]
+    // SAFETY: ends the process; nothing runs after it that could see anything broken.
+    unsafe {
+        libc::_exit(exit_code)
+    }
+    #[cfg(windows)]
+    // SAFETY: ends the process; nothing runs after it that could see anything broken.
+    unsafe {
+        windows_sys::Win32::System::Threading::TerminateProcess(
+            windows_sys::Win32::System::Threading::GetCurrentProcess(),
+            exit_code as u32,
+        );
+        std::process::abort() // not reached
+    }
+}
+
+/// The resident memory of a process of this machine, bytes; `None` where the system does not tell.
+#[cfg(unix)]
+pub fn resident_bytes(pid: u32) -> Option<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
+    parse_resident_kib(&status).map(|kib| kib * 1024)
+}
+
+#[cfg(unix)]
+fn parse_resident_kib(status: &str) -> Option<u64> {
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    line.trim().strip_suffix("kB")?.trim().parse().ok()
+}
+
+/// The same: what the system calls its working set.
+#[cfg(windows)]
+pub fn resident_bytes(pid: u32) -> Option<u64> {
+    use windows_sys::Win32::Foundation::CloseHandle;
+    use windows_sys::Win32::System::ProcessStatus::{K32GetProcessMemoryInfo, PROCESS_MEMORY_COUNTERS};
+    use windows_sys::Win32::System::Threading::{OpenProcess, PROCESS_QUERY_LIMITED_INFORMATION};
+    // SAFETY: asks for a handle; null is told apart.
+    let process = unsafe { OpenProcess(PROCESS_QUERY_LIMITED_INFORMATION, 0, pid) };
+    if process.is_null() {
+        return None;
+    }
+    let bytes = size_of::<PROCESS_MEMORY_COUNTERS>() as u32;
+    let mut counters = PROCESS_MEMORY_COUNTERS { cb: bytes, ..Default::default() };
+    // SAFETY: the handle is open, and `counters` is valid to write to for the length of the call.
+    let known = unsafe { K32GetProcessMemoryInfo(process, &mut counters, bytes) } != 0;
+    // SAFETY: it was opened above, and is not used again.
+    unsafe { CloseHandle(process) };
+    known.then_some(counters.WorkingSetSize as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn this_process_has_memory() {
+        let own = resident_bytes(std::process::id()).expect("this process is there");
+        assert!(own > 1 << 20, "{own}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn resident_memory_is_read_from_the_status_file() {
+        let status = "Name:\tx\nVmPeak:\t  900 kB\nVmRSS:\t   52340 kB\nThreads:\t3\n";
+        assert_eq!(parse_resident_kib(status), Some(52_340));
+        assert_eq!(parse_resident_kib("Name:\tx\n"), None);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_process_that_is_asked_to_end_ends() {
+        let mut child = interruptible(Command::new("sleep").arg("60")).spawn().expect("it starts");
+        interrupt(&child).expect("it is there");
+        assert!(!child.wait().expect("it ends").success());
+    }
+}
