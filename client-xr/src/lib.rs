@@ -13,6 +13,7 @@ pub mod draw_list;
 mod figures;
 pub mod frame;
 mod link;
+mod locomotion;
 pub mod motion;
 pub mod net;
 pub mod platform;

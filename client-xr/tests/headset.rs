@@ -4,8 +4,8 @@ mod support;
 
 use shadecast_client::client::{Client, FrameReport, Notice, Step};
 use shadecast_client::decode::{DecodeError, Decoder};
-use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
-use shadecast_mock_runtime::record::Side;
+use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent, ScriptedInput};
+use shadecast_mock_runtime::record::{Side, read_frames};
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::delta::{Delta, DeltaEncoder};
 use shadecast_protocol::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex};
@@ -826,6 +826,84 @@ fn recentring_is_told_from_motion_from_the_frame_on_in_which_it_happens() {
         jumps += u32::from(moved_m > 1.0);
     }
     assert_eq!(jumps, 1);
+    finish(&run, client);
+}
+
+/// Inputs with their values, each from a frame on.
+fn script(inputs: &[(u64, &str, f32)]) -> Vec<ScriptedInput> {
+    let input = |(frame, path, value): &(u64, &str, f32)| ScriptedInput {
+        frame: *frame,
+        path: format!("/user/hand/{path}"),
+        value: *value,
+    };
+    inputs.iter().map(input).collect()
+}
+
+#[test]
+fn controllers_walk_and_turn_the_room_through_the_world() {
+    for (controllers, walk, turn) in [
+        ("oculus/touch_controller", "left/input/thumbstick/y", "right/input/thumbstick/x"),
+        ("valve/index_controller", "left/input/thumbstick/y", "right/input/thumbstick/x"),
+        ("khr/simple_controller", "left/input/select/click", "right/input/select/click"),
+    ] {
+        let inputs = script(&[(20, walk, 1.0), (56, walk, 0.0), (70, turn, 1.0), (75, turn, 0.0)]);
+        let controllers = Some(format!("/interaction_profiles/{controllers}"));
+        let run = Run::new(MockConfig { controllers, inputs, ..MockConfig::default() });
+        let mut client = run.client();
+        let mut line = Line::connect(&mut client);
+        for _ in 0..80 {
+            line.frame(&mut client);
+        }
+        let poses = line.poses();
+        let (first, last) = (poses[0], poses[poses.len() - 1]);
+        let moved = last.world_from_head.position - first.world_from_head.position;
+        assert!(moved.abs_diff_eq([0.0, 0.0, -0.8].into(), 0.03), "half a second at a brisk pace: {moved}");
+        let walks =
+            poses.iter().filter(|pose| pose.linear_velocity.abs_diff_eq([0.0, 0.0, -1.6].into(), 0.01));
+        let (walks, frames) = (walks.count(), 36);
+        assert!(walks.abs_diff(frames) <= 2, "{walks} frames say that they walk");
+        let turned =
+            (last.world_from_head.orientation * first.world_from_head.orientation.inverse()).to_scaled_axis();
+        let right = -std::f32::consts::PI / 6.0;
+        assert!(turned.abs_diff_eq([0.0, right, 0.0].into(), 1e-3), "one flick, one turn: {turned}");
+        let jumps = poses.windows(2).filter(|pair| pair[0].discontinuity != pair[1].discontinuity).count();
+        assert_eq!(jumps, 1, "a turn is a jump, a walk is none");
+        finish(&run, client);
+        // The compositor knows the room alone.
+        for shown in read_frames(&run.captures()).expect("a log") {
+            for view in &shown.views {
+                let [x, y, z] = view.pose.position;
+                assert!(x.abs() < 0.04 && (y - 1.6).abs() < 1e-4 && z.abs() < 1e-4, "{:?}", view.pose);
+            }
+        }
+    }
+}
+
+#[test]
+fn the_menu_button_leaves() {
+    let inputs = script(&[(10, "left/input/menu/click", 1.0)]);
+    let controllers = Some("/interaction_profiles/oculus/touch_controller".to_owned());
+    let run = Run::new(MockConfig { controllers, inputs, ..MockConfig::default() });
+    let mut client = run.client();
+    let frames = (0..100).take_while(|_| client.step().expect("a step") != Step::Exit).count();
+    assert!((10..25).contains(&frames), "{frames} steps");
+    finish(&run, client);
+}
+
+#[test]
+fn without_focus_controllers_do_nothing() {
+    let inputs = script(&[(20, "left/input/thumbstick/y", 1.0)]);
+    let controllers = Some("/interaction_profiles/oculus/touch_controller".to_owned());
+    let events = vec![ScriptedEvent { frame: 15, kind: EventKind::FocusLoss }];
+    let run = Run::new(MockConfig { controllers, inputs, events, ..MockConfig::default() });
+    let mut client = run.client();
+    let mut line = Line::connect(&mut client);
+    for _ in 0..40 {
+        line.frame(&mut client);
+    }
+    let poses = line.poses();
+    let (first, last) = (poses[0].world_from_head.position, poses[poses.len() - 1].world_from_head.position);
+    assert!(first.distance(last) < 0.01, "{first} to {last}");
     finish(&run, client);
 }
 

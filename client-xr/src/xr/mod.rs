@@ -3,12 +3,15 @@
 //! Asks for API 1.0, which every loader in use accepts. Nothing here allocates once frames run: views are located
 //! through the function pointers into arrays of two.
 
+mod actions;
 pub mod error;
 mod time;
 
 use crate::display::{ASSUMED_EYE_HEIGHT_M, Activity, Display, DisplayError, EyeImages, FrameTurn, Views};
+use crate::locomotion::Locomotion;
 use crate::platform::requirements::REQUIRED;
 use crate::platform::{Platform, monotonic_now};
+use actions::Actions;
 use ash::vk;
 use ash::vk::Handle as _;
 use error::{Doing, XrError, no_runtime};
@@ -58,8 +61,11 @@ struct Headset {
     blend_mode: openxr::EnvironmentBlendMode,
     phase: Phase,
     exit_requested: bool,
+    /// Where head and eyes were located last, in the room: the runtime's own stage.
     last_views: Option<Views>,
     jumps: Jumps,
+    actions: Actions,
+    locomotion: Locomotion,
     /// For a runtime that does not convert its times itself.
     clock: GuessedClock,
     gpu: Arc<Gpu>,
@@ -198,6 +204,7 @@ fn open_instance(platform: &Platform) -> Result<openxr::Instance, XrError> {
     let mut wanted = openxr::ExtensionSet::default();
     wanted.khr_vulkan_enable2 = true;
     time::want_conversion(&mut wanted, &available);
+    wanted.bd_controller_interaction = available.bd_controller_interaction;
     platform.add_extensions(&mut wanted);
     if !available.khr_vulkan_enable2 {
         return Err(XrError::NoExtension { runtime: "in use".into(), extension: "XR_KHR_vulkan_enable2" });
@@ -236,6 +243,7 @@ impl Xr {
         let storage_buffers = gpu.max_stage_storage_buffers();
         REQUIRED.check_buffers(&gpu.device_name(), storage_buffers, gpu.max_storage_buffer_bytes())?;
         let (session, waiter, stream) = open_session(&instance, system, &gpu)?;
+        let actions = Actions::open(&instance, &session)?;
         let stage = open_stage(&session)?;
         let head = session
             .create_reference_space(openxr::ReferenceSpaceType::VIEW, openxr::Posef::IDENTITY)
@@ -252,6 +260,8 @@ impl Xr {
             exit_requested: false,
             last_views: None,
             jumps: Jumps::default(),
+            actions,
+            locomotion: Locomotion::default(),
             clock: GuessedClock::default(),
             gpu,
             device,
@@ -299,8 +309,8 @@ impl Display for Xr {
         Ok(self.swapchain.release()?)
     }
 
-    fn end_frame(&mut self, turn: FrameTurn, views: &Views) -> Result<(), DisplayError> {
-        Ok(self.headset.end_frame(turn, views, &self.swapchain)?)
+    fn end_frame(&mut self, turn: FrameTurn, _: &Views) -> Result<(), DisplayError> {
+        Ok(self.headset.end_frame(turn, &self.swapchain)?)
     }
 
     fn end_empty_frame(&mut self, turn: FrameTurn) -> Result<(), DisplayError> {
@@ -366,12 +376,24 @@ impl Headset {
     fn wait_frame(&mut self) -> Result<FrameTurn, XrError> {
         let state = self.waiter.wait().doing("waiting for a frame")?;
         self.stream.begin().doing("beginning a frame")?;
-        Ok(FrameTurn {
+        let turn = FrameTurn {
             own_time_ns: state.predicted_display_time.as_nanos(),
             display_time: self.monotonic(&state)?,
             period_ns: state.predicted_display_period.as_nanos(),
             should_render: state.should_render,
-        })
+        };
+        self.move_about(turn.display_time)?;
+        Ok(turn)
+    }
+
+    /// Does what the controllers ask for, until a frame's display time.
+    fn move_about(&mut self, display_time: ClientTime) -> Result<(), XrError> {
+        let asked = self.actions.asked(&self.session)?;
+        self.exit_requested |= asked.leaves;
+        if let Some(views) = &self.last_views {
+            self.locomotion.step(asked.wish, views.stage_from_head, display_time);
+        }
+        Ok(())
     }
 
     /// When the frame of `state`, which was just waited for, is seen on the client's monotonic clock.
@@ -436,7 +458,7 @@ impl Headset {
             located = Views { jumps, ..self.last_views.unwrap_or_else(|| located.without_tracking()) };
         }
         self.last_views = Some(located);
-        Ok(located)
+        Ok(self.locomotion.apply(&located))
     }
 
     /// The head in the stage, and how it moves. `openxr::Space::relate` would hand over a velocity whose flags are whatever
@@ -468,8 +490,10 @@ impl Headset {
         self.stream.end(time, self.blend_mode, &[]).doing("ending a frame")
     }
 
-    /// Ends a frame: the last released image of `swapchain` is shown as seen from `views`.
-    fn end_frame(&mut self, turn: FrameTurn, views: &Views, swapchain: &Swapchain) -> Result<(), XrError> {
+    /// Ends a frame: the last released image of `swapchain` is shown as seen from where the eyes were located last.
+    fn end_frame(&mut self, turn: FrameTurn, swapchain: &Swapchain) -> Result<(), XrError> {
+        // In the room, wherever that is in the world.
+        let Some(views) = &self.last_views else { return self.end_empty_frame(turn) };
         let [width, height] = swapchain.extent_pixels.map(|side| side as i32);
         let rect = openxr::Rect2Di {
             offset: openxr::Offset2Di { x: 0, y: 0 },

@@ -1,5 +1,5 @@
-//! Actions: everything an application sets up is checked and kept, and every state is inactive, because the mock headset
-//! has no controllers.
+//! Actions: everything an application sets up is checked and kept. Without controllers in the configuration every state is
+//! inactive; with them it is what the script says ([`crate::inputs`]).
 
 use std::collections::{HashMap, HashSet};
 use std::ffi::c_char;
@@ -9,9 +9,10 @@ use xr::Handle as _;
 
 use crate::fault::{Fault, Outcome};
 use crate::ffi::{self, entry};
+use crate::inputs::{Reading, strongest, value_of};
 use crate::paths::is_path_byte;
 use crate::profiles::KnownProfile;
-use crate::runtime::{self, Core};
+use crate::runtime::{self, Core, Event, Session};
 
 /// The action sets and actions of one instance.
 #[derive(Default)]
@@ -35,6 +36,10 @@ struct Action {
     ty: xr::ActionType,
     /// Those that it can be asked for one by one.
     subaction_paths: Vec<xr::Path>,
+    /// Its sources, by profile.
+    bindings: Vec<(KnownProfile, String)>,
+    /// What it says for all sources, at [`xr::Path::NULL`], and for each of its subaction paths.
+    readings: HashMap<xr::Path, Reading>,
 }
 
 /// Paths that an action can be told apart by: those that the specification reserves.
@@ -182,7 +187,15 @@ entry! {
         let siblings = core.actions.actions.values().filter(|action| action.set == set);
         check_names(&name, &localized_name, siblings.map(|a| (a.name.as_str(), a.localized_name.as_str())))?;
         let ty = create_info.action_type;
-        core.actions.actions.insert(handle, Action { set, name, localized_name, ty, subaction_paths });
+        core.actions.actions.insert(handle, Action {
+            set,
+            name,
+            localized_name,
+            ty,
+            subaction_paths,
+            bindings: Vec::new(),
+            readings: HashMap::new(),
+        });
         *action = xr::Action::from_raw(handle);
         Ok(xr::Result::SUCCESS)
     }
@@ -236,6 +249,14 @@ entry! {
                 return Err(already_attached("a bound action's set is attached"));
             }
         }
+        // What was suggested for this profile before counts no more.
+        core.actions.actions.values_mut().for_each(|action| action.bindings.retain(|(of, _)| *of != profile));
+        for binding in bindings {
+            let source = core.paths.text(binding.binding)?.to_owned();
+            if let Some(action) = core.actions.actions.get_mut(&binding.action.into_raw()) {
+                action.bindings.push((profile, source));
+            }
+        }
         Ok(xr::Result::SUCCESS)
     }
 }
@@ -282,11 +303,50 @@ entry! {
                 return Err(not_attached("an active action set"));
             }
         }
-        match session.state.is_focused() {
-            true => Ok(xr::Result::SUCCESS),
-            false => Ok(xr::Result::SESSION_NOT_FOCUSED),
+        let is_focused = session.state.is_focused();
+        find_profile(core, session);
+        read_inputs(core, session.profile.filter(|_| is_focused), active)?;
+        Ok(if is_focused { xr::Result::SUCCESS } else { xr::Result::SESSION_NOT_FOCUSED })
+    }
+}
+
+/// Tells the application of the controllers, once it has suggested bindings for them.
+fn find_profile(core: &mut Core, session: &mut Session) {
+    let there = core.config.controllers.as_deref().and_then(|path| KnownProfile::named(path).ok());
+    let bindings = || core.actions.actions.values().flat_map(|action| &action.bindings);
+    let profile = there.filter(|profile| bindings().any(|(of, _)| of == profile));
+    if session.profile != profile {
+        session.profile = profile;
+        core.events.push_back(Event::InteractionProfile { session: session.handle });
+    }
+}
+
+/// What each action of the active sets says now; all others say nothing.
+fn read_inputs(
+    core: &mut Core,
+    profile: Option<KnownProfile>,
+    active: &[xr::ActiveActionSet],
+) -> Outcome<()> {
+    let (time_ns, frame) = (core.now_ns(), core.timeline.next_frame.saturating_sub(1));
+    let Core { actions, paths, config, .. } = core;
+    for action in actions.actions.values_mut() {
+        let Action { set, ty, subaction_paths, bindings, readings, .. } = action;
+        for path in subaction_paths.iter().copied().chain([xr::Path::NULL]) {
+            let user = if path == xr::Path::NULL { "" } else { paths.text(path)? };
+            let asks = |asked: &xr::ActiveActionSet| {
+                let is_of = asked.subaction_path == xr::Path::NULL || asked.subaction_path == path;
+                asked.action_set.into_raw() == *set && is_of
+            };
+            let is_asked = active.iter().any(asks);
+            let sources = bindings.iter().filter(|(of, source)| {
+                is_asked && profile.is_some_and(|profile| *of == profile) && source.starts_with(user)
+            });
+            let values = sources.map(|(_, source)| value_of(&config.inputs, frame, source, *ty));
+            let reading = readings.entry(path).or_default();
+            *reading = reading.next(strongest(values), time_ns);
         }
     }
+    Ok(())
 }
 
 entry! {
@@ -301,16 +361,18 @@ entry! {
         if !session.action_sets_attached {
             return Err(not_attached("no action set"));
         }
-        interaction_profile.interaction_profile = xr::Path::NULL;
+        let profile = session.profile.map(|profile| core.paths.intern(profile.path())).transpose()?;
+        interaction_profile.interaction_profile = profile.unwrap_or(xr::Path::NULL);
         Ok(xr::Result::SUCCESS)
     }
 }
 
-/// Checks a question for an action's state.
-fn check_get(session: xr::Session, info: &xr::ActionStateGetInfo, ty: xr::ActionType) -> Outcome<()> {
+/// What an action of this type says, if it may be asked.
+fn reading(session: xr::Session, info: &xr::ActionStateGetInfo, ty: xr::ActionType) -> Outcome<Reading> {
     let mut runtime = runtime::lock();
     let (core, _) = runtime.session(session)?;
-    check_use(core, info.action, ty, info.subaction_path)
+    check_use(core, info.action, ty, info.subaction_path)?;
+    Ok(core.actions.action(info.action)?.readings.get(&info.subaction_path).copied().unwrap_or_default())
 }
 
 /// Checks that an action of a type can be asked or set off now, for a path or for all.
@@ -323,19 +385,17 @@ fn check_use(core: &Core, action: xr::Action, ty: xr::ActionType, path: xr::Path
     core.actions.check_subaction_path(action, path)
 }
 
-const NEVER: fn() -> xr::Time = || xr::Time::from_nanos(0);
-
 entry! {
     get_action_state_boolean: GetActionStateBoolean = "xrGetActionStateBoolean"(
         session: value xr::Session,
         get_info: input xr::ActionStateGetInfo,
         state: output xr::ActionStateBoolean,
     ) {
-        check_get(session, get_info, xr::ActionType::BOOLEAN_INPUT)?;
-        state.current_state = xr::FALSE;
-        state.changed_since_last_sync = xr::FALSE;
-        state.last_change_time = NEVER();
-        state.is_active = xr::FALSE;
+        let reading = reading(session, get_info, xr::ActionType::BOOLEAN_INPUT)?;
+        state.current_state = (reading.value[0] != 0.0).into();
+        state.changed_since_last_sync = reading.has_changed.into();
+        state.last_change_time = xr::Time::from_nanos(reading.changed_ns);
+        state.is_active = reading.is_active.into();
         Ok(xr::Result::SUCCESS)
     }
 }
@@ -346,11 +406,11 @@ entry! {
         get_info: input xr::ActionStateGetInfo,
         state: output xr::ActionStateFloat,
     ) {
-        check_get(session, get_info, xr::ActionType::FLOAT_INPUT)?;
-        state.current_state = 0.0;
-        state.changed_since_last_sync = xr::FALSE;
-        state.last_change_time = NEVER();
-        state.is_active = xr::FALSE;
+        let reading = reading(session, get_info, xr::ActionType::FLOAT_INPUT)?;
+        state.current_state = reading.value[0];
+        state.changed_since_last_sync = reading.has_changed.into();
+        state.last_change_time = xr::Time::from_nanos(reading.changed_ns);
+        state.is_active = reading.is_active.into();
         Ok(xr::Result::SUCCESS)
     }
 }
@@ -361,11 +421,12 @@ entry! {
         get_info: input xr::ActionStateGetInfo,
         state: output xr::ActionStateVector2f,
     ) {
-        check_get(session, get_info, xr::ActionType::VECTOR2F_INPUT)?;
-        state.current_state = xr::Vector2f { x: 0.0, y: 0.0 };
-        state.changed_since_last_sync = xr::FALSE;
-        state.last_change_time = NEVER();
-        state.is_active = xr::FALSE;
+        let reading = reading(session, get_info, xr::ActionType::VECTOR2F_INPUT)?;
+        let [x, y] = reading.value;
+        state.current_state = xr::Vector2f { x, y };
+        state.changed_since_last_sync = reading.has_changed.into();
+        state.last_change_time = xr::Time::from_nanos(reading.changed_ns);
+        state.is_active = reading.is_active.into();
         Ok(xr::Result::SUCCESS)
     }
 }
@@ -376,7 +437,8 @@ entry! {
         get_info: input xr::ActionStateGetInfo,
         state: output xr::ActionStatePose,
     ) {
-        check_get(session, get_info, xr::ActionType::POSE_INPUT)?;
+        // Where a controller is nobody scripts.
+        reading(session, get_info, xr::ActionType::POSE_INPUT)?;
         state.is_active = xr::FALSE;
         Ok(xr::Result::SUCCESS)
     }
@@ -424,10 +486,14 @@ entry! {
         sources: raw_out xr::Path,
     ) {
         let mut runtime = runtime::lock();
-        let (core, _) = runtime.session(session)?;
+        let (core, session) = runtime.session(session)?;
         core.actions.check_attached(enumerate_info.action)?;
+        let Core { actions, paths, .. } = core;
+        let bindings = &actions.action(enumerate_info.action)?.bindings;
+        let bound = bindings.iter().filter(|(of, _)| session.profile == Some(*of));
+        let bound: Vec<xr::Path> = bound.map(|(_, source)| paths.intern(source)).collect::<Outcome<_>>()?;
         // SAFETY: count and sources are the caller's, of the capacity it says.
-        unsafe { ffi::enumerate((capacity, count, sources), &[(); 0], |_, ()| ()) }
+        unsafe { ffi::enumerate((capacity, count, sources), &bound, |place, path| *place = *path) }
     }
 }
 
@@ -448,7 +514,7 @@ entry! {
         if !session.action_sets_attached {
             return Err(not_attached("no action set"));
         }
-        // No source is ever bound, so the best name of any path is the path.
+        // The best name that there is of any path is the path.
         // SAFETY: count and buffer are the caller's, of the capacity it says.
         unsafe { ffi::enumerate_text((capacity, count, buffer), source) }
     }

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use shadecast_protocol::pose::Fov;
 
 use crate::head_path::{HeadPath, HeadPathError};
+use crate::profiles::KnownProfile;
 
 /// Environment variable that names the configuration file; unset means all defaults.
 pub const CONFIG_VARIABLE: &str = "SHADECAST_MOCK_CONFIG";
@@ -51,6 +52,10 @@ pub struct MockConfig {
     pub vulkan_device: Option<String>,
     /// Extensions of the runtime that it does not have in this run, by their whole names.
     pub hidden_extensions: Vec<String>,
+    /// The interaction profile of the controllers in both hands, by its path. None: there are no controllers.
+    pub controllers: Option<String>,
+    /// What their inputs are from which frame on; 0 before.
+    pub inputs: Vec<ScriptedInput>,
 }
 
 /// Angles from straight ahead to the four sides of the left eye's view, degrees, each above -89 and below 89;
@@ -86,6 +91,18 @@ pub struct ScriptedEvent {
     pub frame: u64,
     /// What happens.
     pub kind: EventKind,
+}
+
+/// What an input of a controller is from a frame on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScriptedInput {
+    /// Index of the frame (number of `xrWaitFrame` calls before it) from which on it is so.
+    pub frame: u64,
+    /// The input with its component, such as `/user/hand/left/input/thumbstick/x`.
+    pub path: String,
+    /// -1 to 1; a click is 1.
+    pub value: f32,
 }
 
 /// What can happen to a session.
@@ -191,6 +208,8 @@ impl Default for MockConfig {
             events: Vec::new(),
             vulkan_device: None,
             hidden_extensions: Vec::new(),
+            controllers: None,
+            inputs: Vec::new(),
         }
     }
 }
@@ -293,10 +312,26 @@ impl MockConfig {
                 "0 (never stop) or a time in seconds",
             ),
         ];
-        match rules.into_iter().find(|(ok, ..)| !ok) {
-            Some((_, field, value, range)) => {
-                Err(ConfigError::Range { path: path.to_owned(), field, value, range })
-            }
+        let refused =
+            |field, value, range| Err(ConfigError::Range { path: path.to_owned(), field, value, range });
+        if let Some((_, field, value, range)) = rules.into_iter().find(|(ok, ..)| !ok) {
+            return refused(field, value, range);
+        }
+        let profile = self.controllers.as_deref().map(KnownProfile::named).transpose();
+        let Ok(profile) = profile else {
+            let named = self.controllers.clone().unwrap_or_default();
+            return refused("controllers", named, "an interaction profile of OpenXR 1.0");
+        };
+        let is_input = |input: &ScriptedInput| {
+            (-1.0..=1.0).contains(&input.value)
+                && profile.is_some_and(|profile| profile.has_component(&input.path))
+        };
+        match self.inputs.iter().find(|input| !is_input(input)) {
+            Some(ScriptedInput { path, value, .. }) => refused(
+                "inputs",
+                format!("{value} at {path}"),
+                "-1 to 1, of an input that the controllers have",
+            ),
             None => Ok(()),
         }
     }
@@ -358,6 +393,14 @@ mod tests {
             (r#"{"refresh_hz": 0}"#, "refresh_hz is 0; it must be 1 to 1000 Hz"),
             (r#"{"virtual_start_ns": 0}"#, "virtual_start_ns is 0"),
             (r#"{"seconds": -1}"#, "seconds is -1"),
+            (
+                r#"{"controllers": "/interaction_profiles/acme/glove"}"#,
+                "controllers is /interaction_profiles/acme/glove",
+            ),
+            (
+                r#"{"inputs": [{"frame": 1, "path": "/user/hand/left/input/menu/click", "value": 1}]}"#,
+                "inputs is 1 at /user",
+            ),
             (r#"{"fov_degrees": {"left": -50, "right": 45, "up": 45, "down": 45}}"#, "fov_degrees"),
         ] {
             let error = loaded(text).expect_err(text).to_string();

@@ -273,6 +273,15 @@ fn write_event(buffer: &mut xr::EventDataBuffer, event: Event) {
             // SAFETY: as above.
             unsafe { buffer.cast::<xr::EventDataInstanceLossPending>().write(data) };
         }
+        Event::InteractionProfile { session } => {
+            let data = xr::EventDataInteractionProfileChanged {
+                ty: xr::EventDataInteractionProfileChanged::TYPE,
+                next: std::ptr::null(),
+                session: xr::Session::from_raw(session),
+            };
+            // SAFETY: as above.
+            unsafe { buffer.cast::<xr::EventDataInteractionProfileChanged>().write(data) };
+        }
         Event::SpaceChange { session, space, change_time_ns, previous_from_new } => {
             let data = xr::EventDataReferenceSpaceChangePending {
                 ty: xr::EventDataReferenceSpaceChangePending::TYPE,

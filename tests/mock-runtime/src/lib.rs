@@ -27,6 +27,7 @@ mod ffi;
 mod frame;
 mod gpu;
 pub mod head_path;
+mod inputs;
 mod instance;
 mod layers;
 pub mod manifest;

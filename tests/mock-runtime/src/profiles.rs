@@ -163,10 +163,27 @@ const PROFILES: [Profile; 9] = [
 #[derive(Clone, Copy)]
 pub(crate) struct KnownProfile(&'static Profile);
 
+impl PartialEq for KnownProfile {
+    fn eq(&self, other: &Self) -> bool {
+        self.0.path == other.0.path
+    }
+}
+
 impl KnownProfile {
     pub(crate) fn named(path: &str) -> Outcome<Self> {
         let known = PROFILES.iter().find(|profile| profile.path == path);
         known.map(Self).ok_or_else(|| Fault::quiet(xr::Result::ERROR_PATH_UNSUPPORTED))
+    }
+
+    /// Its path.
+    pub(crate) fn path(self) -> &'static str {
+        self.0.path
+    }
+
+    /// Whether this is one of its inputs' components.
+    pub(crate) fn has_component(self, path: &str) -> bool {
+        path.rsplit_once('/')
+            .is_some_and(|(input, _)| self.0.parts.iter().any(|part| part.has(path) && part.has(input)))
     }
 
     /// Refuses a path that the profile does not have. One without a component leaves the choice to the runtime.

@@ -15,6 +15,7 @@ use crate::frame::FrameLoop;
 use crate::gpu::Gpu;
 use crate::head_path::HeadPath;
 use crate::paths::Paths;
+use crate::profiles::KnownProfile;
 use crate::record::{Recorder, Summary};
 use crate::session::SessionState;
 use crate::space::Space;
@@ -87,6 +88,8 @@ pub(crate) struct Session {
     pub(crate) swapchains: HashMap<u64, Swapchain>,
     pub(crate) spaces: HashMap<u64, Space>,
     pub(crate) action_sets_attached: bool,
+    /// What the application knows of the controllers' profile.
+    pub(crate) profile: Option<KnownProfile>,
     pub(crate) labels: Labels,
 }
 
@@ -95,6 +98,7 @@ pub(crate) struct Session {
 pub(crate) enum Event {
     SessionState { session: u64, state: xr::SessionState, time_ns: i64 },
     InstanceLossPending { loss_time_ns: i64 },
+    InteractionProfile { session: u64 },
     SpaceChange { session: u64, space: xr::ReferenceSpaceType, change_time_ns: i64, previous_from_new: Pose },
 }
 
@@ -102,7 +106,9 @@ impl Event {
     /// Whether it is about a session, which has to be there when it is told.
     pub(crate) fn is_of(&self, this: u64) -> bool {
         match self {
-            Self::SessionState { session, .. } | Self::SpaceChange { session, .. } => *session == this,
+            Self::SessionState { session, .. }
+            | Self::SpaceChange { session, .. }
+            | Self::InteractionProfile { session } => *session == this,
             Self::InstanceLossPending { .. } => false,
         }
     }

@@ -246,6 +246,7 @@ entry! {
             swapchains: Default::default(),
             spaces: Default::default(),
             action_sets_attached: false,
+            profile: None,
             labels: Labels::default(),
         });
         *session = xr::Session::from_raw(handle);

@@ -1,0 +1,142 @@
+//! The controllers: which of their inputs mean what, for each kind of controller that there is.
+
+use super::error::{Doing, XrError};
+use crate::locomotion::Wish;
+use glam::Vec2;
+use openxr::sys;
+
+/// How far a button pushes that stands for a stick.
+const PUSHED: f32 = 1.0;
+
+/// What a person does with the controllers.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Asked {
+    /// To walk and to turn.
+    pub(super) wish: Wish,
+    /// To leave.
+    pub(super) leaves: bool,
+}
+
+/// The client's actions, bound for all controllers that it knows.
+pub(super) struct Actions {
+    set: openxr::ActionSet,
+    walk: openxr::Action<openxr::Vector2f>,
+    turn: openxr::Action<openxr::Vector2f>,
+    walk_ahead: openxr::Action<bool>,
+    turn_right: openxr::Action<bool>,
+    leave: openxr::Action<bool>,
+}
+
+/// What a controller's inputs are for.
+#[derive(Clone, Copy)]
+enum Use {
+    Walk,
+    Turn,
+    WalkAhead,
+    TurnRight,
+    Leave,
+}
+
+/// A controller's profile, and its inputs.
+type Controller = (&'static str, &'static [(Use, &'static str)]);
+
+const STICKS: [(Use, &str); 2] =
+    [(Use::Walk, "/user/hand/left/input/thumbstick"), (Use::Turn, "/user/hand/right/input/thumbstick")];
+
+const CONTROLLERS: [Controller; 4] = [
+    (
+        "/interaction_profiles/oculus/touch_controller",
+        &[STICKS[0], STICKS[1], (Use::Leave, "/user/hand/left/input/menu/click")],
+    ),
+    (
+        "/interaction_profiles/bytedance/pico4_controller",
+        &[STICKS[0], STICKS[1], (Use::Leave, "/user/hand/left/input/menu/click")],
+    ),
+    // It has no menu button but the system's own.
+    (
+        "/interaction_profiles/valve/index_controller",
+        &[STICKS[0], STICKS[1], (Use::Leave, "/user/hand/left/input/b/click")],
+    ),
+    (
+        "/interaction_profiles/khr/simple_controller",
+        &[
+            (Use::WalkAhead, "/user/hand/left/input/select/click"),
+            (Use::TurnRight, "/user/hand/right/input/select/click"),
+            (Use::Leave, "/user/hand/left/input/menu/click"),
+        ],
+    ),
+];
+
+impl Actions {
+    /// Makes them, and attaches them to a session that has none yet.
+    pub(super) fn open(
+        instance: &openxr::Instance,
+        session: &openxr::Session<openxr::Vulkan>,
+    ) -> Result<Self, XrError> {
+        let set = instance.create_action_set("play", "Moving about", 0).doing("making the action set")?;
+        let doing = "making an action";
+        let actions = Self {
+            walk: set.create_action("walk", "Walk", &[]).doing(doing)?,
+            turn: set.create_action("turn", "Turn", &[]).doing(doing)?,
+            walk_ahead: set.create_action("walk_ahead", "Walk ahead", &[]).doing(doing)?,
+            turn_right: set.create_action("turn_right", "Turn to the right", &[]).doing(doing)?,
+            leave: set.create_action("leave", "Leave", &[]).doing(doing)?,
+            set,
+        };
+        for (profile, inputs) in CONTROLLERS {
+            actions.suggest(instance, profile, inputs)?;
+        }
+        session.attach_action_sets(&[&actions.set]).doing("attaching the actions")?;
+        Ok(actions)
+    }
+
+    /// A runtime that does not know a controller has none of them.
+    fn suggest(
+        &self,
+        instance: &openxr::Instance,
+        profile: &str,
+        inputs: &[(Use, &str)],
+    ) -> Result<(), XrError> {
+        let path = |text: &str| instance.string_to_path(text).doing("naming a controller's input");
+        let bind = |(means, input): &(Use, &str)| {
+            let input = path(input)?;
+            Ok(match means {
+                Use::Walk => openxr::Binding::new(&self.walk, input),
+                Use::Turn => openxr::Binding::new(&self.turn, input),
+                Use::WalkAhead => openxr::Binding::new(&self.walk_ahead, input),
+                Use::TurnRight => openxr::Binding::new(&self.turn_right, input),
+                Use::Leave => openxr::Binding::new(&self.leave, input),
+            })
+        };
+        let bindings = inputs.iter().map(bind).collect::<Result<Vec<_>, XrError>>()?;
+        match instance.suggest_interaction_profile_bindings(path(profile)?, &bindings) {
+            Err(sys::Result::ERROR_PATH_UNSUPPORTED) => {
+                tracing::debug!("the runtime does not know {profile}");
+                Ok(())
+            }
+            suggested => suggested.doing("binding actions to a controller"),
+        }
+    }
+
+    /// What is asked now: nothing while the session has no input.
+    pub(super) fn asked(&self, session: &openxr::Session<openxr::Vulkan>) -> Result<Asked, XrError> {
+        let doing = "reading the controllers";
+        session.sync_actions(&[openxr::ActiveActionSet::new(&self.set)]).doing(doing)?;
+        let stick = |action: &openxr::Action<openxr::Vector2f>| {
+            let state = action.state(session, openxr::Path::NULL).doing(doing)?;
+            let openxr::Vector2f { x, y } = state.current_state;
+            let pushed = Vec2::new(x, y);
+            Ok::<_, XrError>(if state.is_active && pushed.is_finite() { pushed } else { Vec2::ZERO })
+        };
+        let button = |action: &openxr::Action<bool>| {
+            let state = action.state(session, openxr::Path::NULL).doing(doing)?;
+            Ok::<_, XrError>(state.is_active && state.current_state)
+        };
+        let pushed = |is_pressed: bool| if is_pressed { PUSHED } else { 0.0 };
+        let wish = Wish {
+            walk: stick(&self.walk)? + Vec2::Y * pushed(button(&self.walk_ahead)?),
+            turn: stick(&self.turn)?.x + pushed(button(&self.turn_right)?),
+        };
+        Ok(Asked { wish, leaves: button(&self.leave)? })
+    }
+}
