@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Checks, without an NDK, what runs on a headset: compiles and lints it for that system. With --link also links the library
-# against stubs that define only the symbols of android/ndk-symbols.txt. A check: what comes out runs nowhere.
+# against stubs that define only the symbols of android/ndk-symbols.txt, with --pack as well packs it and lists what the APK holds.
+# A check: what comes out runs nowhere.
 set -euo pipefail
 ROOT=$(dirname -- "$(dirname -- "$(readlink -f -- "$0")")")
 TARGET=aarch64-linux-android
@@ -42,6 +43,22 @@ link() {
     cargo build --target $TARGET --locked -p shadecast-android
 }
 
+# Packs the library with a stub of the OpenXR loader, and holds what is in the APK against what is to be.
+pack() {
+  local jar=/usr/share/android-framework-res/framework-res.apk work library expected
+  [ -f "${ANDROID_JAR:-$jar}" ] || die "no resources of the platform: apt-get install android-framework-res, or set ANDROID_JAR"
+  work=$(mktemp -d)
+  library=$CARGO_TARGET_DIR/$TARGET/debug/libshadecast_android.so
+  ld.lld -shared -soname libopenxr_loader.so -o "$work/libopenxr_loader.so" "$STUBS/c.o"
+  # The debug key is the check's own.
+  HOME=$work ANDROID_JAR=${ANDROID_JAR:-$jar} LIBRARY=$library android/package.sh "$work/libopenxr_loader.so" "$work/check.apk"
+  unzip -l "$work/check.apk"
+  expected="AndroidManifest.xml lib/arm64-v8a/libopenxr_loader.so lib/arm64-v8a/libshadecast_android.so"
+  [ "$(unzip -Z1 "$work/check.apk" | grep -v '^META-INF/' | LC_ALL=C sort | xargs)" = "$expected" ] ||
+    die "the APK holds something else than: $expected"
+  rm -rf -- "$work"
+}
+
 [ -d "$(rustc --print sysroot)/lib/rustlib/$TARGET/lib" ] || die "no standard library for $TARGET: rustup target add $TARGET"
 needs clang clang
 # ring's C code asks for no header of the system when it is told so; a compiler given from outside is used instead.
@@ -51,5 +68,11 @@ export CFLAGS_aarch64_linux_android="${CFLAGS_aarch64_linux_android:--nostdlibin
 export CARGO_TARGET_DIR="${CARGO_TARGET_DIR:-$ROOT/target/android}"
 
 cargo clippy --target $TARGET --locked -p shadecast-protocol -p shadecast-transport -p shadecast-android -- -D warnings
-if [ "${1:-}" = --link ]; then link; fi
+for argument in "$@"; do
+  case $argument in
+    --link) link ;;
+    --pack) pack ;;
+    *) die "there is no option '$argument'" ;;
+  esac
+done
 echo "android-check: ok"

@@ -37,7 +37,7 @@ use std::sync::Arc;
 pub struct ClientOptions {
     /// How positions between samples are found.
     pub interpolation: Interpolation,
-    /// Samples per pixel: 1 or 4.
+    /// Samples per pixel: 1, 2 or 4.
     pub msaa: u32,
     /// How the atlas is looked up.
     pub lookup: Lookup,

@@ -80,8 +80,8 @@ struct Arguments {
     /// How colours between the atlas's texels are found
     #[arg(long, value_enum, default_value_t = ReconstructionArgument::Bilinear)]
     reconstruction: ReconstructionArgument,
-    /// Samples per pixel
-    #[arg(long, value_name = "SAMPLES", default_value = "4", value_parser = ["1", "4"])]
+    /// Samples per pixel; 2 are 4 where the device has no 2
+    #[arg(long, value_name = "SAMPLES", default_value = "4", value_parser = ["1", "2", "4"])]
     msaa: String,
     /// Say only what goes wrong
     #[arg(long)]
@@ -206,7 +206,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 },
                 ..Lookup::default()
             },
-            msaa: if arguments.msaa == "1" { 1 } else { 4 },
+            msaa: arguments.msaa.parse().unwrap_or(ClientOptions::default().msaa),
             ..ClientOptions::default()
         },
         seconds: arguments.seconds,

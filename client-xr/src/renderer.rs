@@ -51,7 +51,7 @@ impl Renderer {
     /// On an open display, with so many samples a pixel.
     pub(crate) fn new(display: Box<dyn Display>, msaa: u32, lookup: Lookup) -> Result<Self, GpuError> {
         let gpu = display.gpu().clone();
-        let samples = if msaa > 1 { vk::SampleCountFlags::TYPE_4 } else { vk::SampleCountFlags::TYPE_1 };
+        let samples = samples(msaa, display.gpu().sample_counts());
         let words = Words {
             stage_from_panel: None,
             status: Text::new("Shadecast"),
@@ -155,5 +155,34 @@ impl Words {
         let Some((scene, stage_from_panel)) = world.zip(self.stillness.panel()) else { return };
         let world_from_panel = scene.terms.world_from_stage.then(stage_from_panel);
         stages.notice.record(recorder, flight, world_from_panel, &self.notice);
+    }
+}
+
+/// So many samples a pixel, of which devices have 1 and 4, and some 2.
+fn samples(wanted: u32, offered: vk::SampleCountFlags) -> vk::SampleCountFlags {
+    match wanted {
+        0 | 1 => vk::SampleCountFlags::TYPE_1,
+        2 if offered.contains(vk::SampleCountFlags::TYPE_2) => vk::SampleCountFlags::TYPE_2,
+        _ => vk::SampleCountFlags::TYPE_4,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_samples_are_four_where_a_device_has_no_two() {
+        use vk::SampleCountFlags as Samples;
+        let (few, many) =
+            (Samples::TYPE_1 | Samples::TYPE_4, Samples::TYPE_1 | Samples::TYPE_2 | Samples::TYPE_4);
+        assert_eq!(
+            [1, 2, 4].map(|wanted| samples(wanted, few)),
+            [Samples::TYPE_1, Samples::TYPE_4, Samples::TYPE_4]
+        );
+        assert_eq!(
+            [1, 2, 4].map(|wanted| samples(wanted, many)),
+            [Samples::TYPE_1, Samples::TYPE_2, Samples::TYPE_4]
+        );
     }
 }

@@ -18,6 +18,9 @@ const EVERY_HEADSET_FEATURES: [&str; 5] = [
 ];
 const EVERY_HEADSET_CAPABILITIES: [&str; 4] = ["Matrix", "Shader", "MultiView", "ImageQuery"];
 const EVERY_RUNTIME_EXTENSIONS: [&str; 1] = ["XR_KHR_vulkan_enable2"];
+/// Quest 2's and Quest 3's drivers have these for what the client does with them; Vulkan guarantees all but the depth of 32 bits.
+const EVERY_HEADSET_FORMATS: [vk::Format; 4] =
+    [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB, vk::Format::D32_SFLOAT, vk::Format::R8_UNORM];
 const GUARANTEED_STORAGE_BUFFER_BYTES: u64 = 128 << 20;
 const GUARANTEED_PUSH_CONSTANT_BYTES: u32 = 128;
 
@@ -29,6 +32,10 @@ fn client_shaders() -> Vec<&'static Shader> {
         &shaders::CLIENT_SKIN_COMP,
         &shaders::CLIENT_ATLAS_VERT,
         &shaders::CLIENT_ATLAS_FRAG,
+        &shaders::CLIENT_ATLAS_BICUBIC_FRAG,
+        &shaders::CLIENT_ATLAS_MASKED_VERT,
+        &shaders::CLIENT_ATLAS_MASKED_FRAG,
+        &shaders::CLIENT_ATLAS_MASKED_BICUBIC_FRAG,
         &shaders::CLIENT_BACKGROUND_VERT,
         &shaders::CLIENT_BACKGROUND_FRAG,
         &shaders::CLIENT_NOTICE_VERT,
@@ -44,6 +51,8 @@ fn the_list_asks_for_nothing_that_a_first_generation_headset_lacks() {
     assert!(REQUIRED.vulkan_extensions.is_empty());
     assert!(REQUIRED.vulkan_features.iter().all(|f| EVERY_HEADSET_FEATURES.contains(f)));
     assert!(REQUIRED.spirv_capabilities.iter().all(|c| EVERY_HEADSET_CAPABILITIES.contains(c)));
+    let formats = [REQUIRED.depth_format, REQUIRED.plane_format].into_iter().chain(REQUIRED.eye_formats);
+    assert!(formats.into_iter().all(|format| EVERY_HEADSET_FORMATS.contains(&format)));
     assert!(REQUIRED.openxr_extensions.iter().all(|e| EVERY_RUNTIME_EXTENSIONS.contains(e)));
     const {
         assert!(REQUIRED.storage_buffer_bytes <= GUARANTEED_STORAGE_BUFFER_BYTES);
@@ -89,8 +98,12 @@ fn the_shaders_declare_the_capabilities_of_the_list_and_no_other() {
 /// What a driver does with a position that is no number is its own choice.
 #[test]
 fn no_vertex_shader_of_the_client_writes_what_is_no_number() {
-    for shader in [&shaders::CLIENT_ATLAS_VERT, &shaders::CLIENT_PROBE_VERT, &shaders::CLIENT_BACKGROUND_VERT]
-    {
+    for shader in [
+        &shaders::CLIENT_ATLAS_VERT,
+        &shaders::CLIENT_ATLAS_MASKED_VERT,
+        &shaders::CLIENT_PROBE_VERT,
+        &shaders::CLIENT_BACKGROUND_VERT,
+    ] {
         for constant in float_constants(shader.words) {
             assert!(!f32::from_bits(constant).is_nan(), "{}: constant {constant:#x}", shader.name);
         }

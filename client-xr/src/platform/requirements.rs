@@ -1,7 +1,7 @@
 //! All that the client asks of a headset, in one place. A test holds it against what a first-generation standalone headset
 //! has, and what is really asked for against it.
 
-use shadecast_gpu::GpuError;
+use shadecast_gpu::{GpuError, vk};
 
 /// What must be there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -12,6 +12,12 @@ pub struct Requirements {
     pub vulkan_extensions: &'static [&'static str],
     /// Vulkan features, by the names of the specification.
     pub vulkan_features: &'static [&'static str],
+    /// Formats of the images of both eyes, best first: one of them must be there. They store what linear values encode to.
+    pub eye_formats: [vk::Format; 2],
+    /// Format of depth, which never leaves the pass.
+    pub depth_format: vk::Format,
+    /// Format of the atlas's planes.
+    pub plane_format: vk::Format,
     /// SPIR-V capabilities that the client's shaders declare.
     pub spirv_capabilities: &'static [&'static str],
     /// OpenXR extensions, besides what a system's loader needs.
@@ -55,6 +61,9 @@ pub const REQUIRED: Requirements = Requirements {
     vulkan_version: [1, 1],
     vulkan_extensions: &[],
     vulkan_features: &["multiview"],
+    eye_formats: [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB],
+    depth_format: vk::Format::D32_SFLOAT,
+    plane_format: vk::Format::R8_UNORM,
     spirv_capabilities: &["Shader", "ImageQuery", "MultiView"],
     openxr_extensions: &["XR_KHR_vulkan_enable2"],
     // Samples of all vertices: what Vulkan guarantees.

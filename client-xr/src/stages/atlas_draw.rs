@@ -5,6 +5,7 @@ use super::scatter::VertexMemory;
 use super::upload::{Chroma, Planes};
 use crate::coverage::CoverageMap;
 use crate::draw_list::{DrawList, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
+use crate::platform::requirements::REQUIRED;
 use shadecast_gpu::{
     Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
     Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc, Sampler, SamplerDesc, Ticket, vk,
@@ -17,7 +18,7 @@ use shadecast_shaders::generated::{
 use std::sync::Arc;
 
 /// Depth: reversed, never stored.
-pub(super) const DEPTH_FORMAT: vk::Format = vk::Format::D32_SFLOAT;
+pub(super) const DEPTH_FORMAT: vk::Format = REQUIRED.depth_format;
 /// Both eyes.
 pub(super) const BOTH_EYES: u32 = 0b11;
 

@@ -1,6 +1,7 @@
 //! Decoded planes into images. Three sets exist, so that the one on display is never overwritten and no copy is waited for.
 
 use crate::decode::Picture;
+use crate::platform::requirements::REQUIRED;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, ImageDesc, Memory, Recorder, vk};
 use shadecast_protocol::atlas::AtlasExtent;
 use std::sync::Arc;
@@ -83,7 +84,7 @@ fn plane(gpu: &Arc<Gpu>, name: &'static str, extent: [u32; 2]) -> Result<Image, 
     let desc = ImageDesc::new(
         name,
         extent,
-        vk::Format::R8_UNORM,
+        REQUIRED.plane_format,
         vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::TRANSFER_DST,
     );
     Image::new(gpu, desc)

@@ -30,7 +30,7 @@ use std::time::Duration;
 const USUAL_HZ: f64 = 60.0;
 /// How long a window that shows nothing sleeps.
 const HIDDEN_WAIT: Duration = Duration::from_millis(10);
-const FORMAT: vk::Format = vk::Format::R8G8B8A8_SRGB;
+const FORMAT: vk::Format = REQUIRED.eye_formats[0];
 
 /// How the window is opened.
 #[derive(Clone, Debug)]

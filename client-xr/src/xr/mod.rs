@@ -25,8 +25,6 @@ use std::sync::{Arc, OnceLock};
 use time::GuessedClock;
 
 const VIEW_CONFIGURATION: openxr::ViewConfigurationType = openxr::ViewConfigurationType::PRIMARY_STEREO;
-/// Swapchain formats that will do, best first; both store what the attachment's linear values encode to.
-const FORMATS: [vk::Format; 2] = [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB];
 
 /// How the headset is opened.
 #[derive(Clone, Copy, Debug, Default)]
@@ -563,7 +561,8 @@ impl Swapchain {
         let extent_pixels =
             [side(|v| v.recommended_image_rect_width), side(|v| v.recommended_image_rect_height)];
         let offered = session.enumerate_swapchain_formats().doing("listing swapchain formats")?;
-        let format = FORMATS.into_iter().find(|format| offered.contains(&(format.as_raw() as u32)));
+        let format =
+            REQUIRED.eye_formats.into_iter().find(|format| offered.contains(&(format.as_raw() as u32)));
         let format = format.ok_or(XrError::NoFormat)?;
         let handle = session
             .create_swapchain(&openxr::SwapchainCreateInfo {

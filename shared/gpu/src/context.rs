@@ -151,6 +151,12 @@ impl Gpu {
         self.properties.limits.max_per_stage_descriptor_storage_buffers
     }
 
+    /// Samples a pixel that passes with colour and depth can have: 1 and 4, and on some devices others.
+    pub fn sample_counts(&self) -> vk::SampleCountFlags {
+        let limits = &self.properties.limits;
+        limits.framebuffer_color_sample_counts & limits.framebuffer_depth_sample_counts
+    }
+
     /// Whether fragments may ask for `gl_PrimitiveID`: a device of the server that has geometry shaders.
     pub fn numbers_triangles(&self) -> bool {
         self.numbers_triangles

@@ -10,7 +10,9 @@ use std::path::Path;
 use ash::vk;
 use openxr as xr;
 use shadecast_mock_runtime::clock::{period_begin_ns, period_ns};
-use shadecast_mock_runtime::config::{ClockKind, EventKind, FovDegrees, MockConfig, ScriptedEvent};
+use shadecast_mock_runtime::config::{
+    ClockKind, EventKind, FovDegrees, MockConfig, ScriptedEvent, ScriptedInput,
+};
 use shadecast_mock_runtime::head_path::HeadPath;
 use shadecast_mock_runtime::record::{FrameRecord, PoseRecord, Side, read_frames, read_summary};
 use shadecast_test_support::headset::Run;
@@ -877,6 +879,69 @@ fn actions_can_be_set_up_and_are_inactive() {
     assert_eq!(place.location_flags, xr::SpaceLocationFlags::EMPTY);
     drop((space, aim, grab, set, app));
     assert_eq!(read_summary(&run.captures()).expect("summary").errors, 2);
+}
+
+#[test]
+fn controllers_say_what_the_script_says_once_their_profile_is_known() {
+    let touch = "/interaction_profiles/oculus/touch_controller";
+    let input = |frame, path: &str, value| ScriptedInput { frame, path: format!("/user/hand/{path}"), value };
+    let inputs = vec![
+        input(3, "left/input/trigger/value", 0.25),
+        input(3, "right/input/trigger/value", 0.75),
+        input(4, "right/input/trigger/value", 0.0),
+        input(4, "left/input/thumbstick/x", -0.5),
+    ];
+    let _run = Run::new(&MockConfig { controllers: Some(touch.into()), inputs, ..virtual_config() });
+    let mut app = App::begun();
+    let instance = app.instance.clone();
+    let path = |text: &str| instance.string_to_path(text).expect("path");
+    let (left, right) = (path("/user/hand/left"), path("/user/hand/right"));
+    let set = instance.create_action_set("main", "Main", 0).expect("set");
+    let squeeze = set.create_action::<f32>("squeeze", "Squeeze", &[left, right]).expect("action");
+    let shoot = set.create_action::<bool>("shoot", "Shoot", &[]).expect("action");
+    let stick = set.create_action::<xr::Vector2f>("stick", "Stick", &[]).expect("action");
+    let jump = set.create_action::<bool>("jump", "Jump", &[]).expect("action");
+    let triggers = ["/user/hand/left/input/trigger", "/user/hand/right/input/trigger"].map(path);
+    let bindings = [
+        xr::Binding::new(&squeeze, triggers[0]),
+        xr::Binding::new(&squeeze, triggers[1]),
+        xr::Binding::new(&shoot, triggers[1]),
+        xr::Binding::new(&stick, path("/user/hand/left/input/thumbstick")),
+    ];
+    instance.suggest_interaction_profile_bindings(path(touch), &bindings).expect("suggest");
+    app.session.attach_action_sets(&[&set]).expect("attach");
+    let profile = |app: &App| app.session.current_interaction_profile(left).expect("asked");
+    assert_eq!(profile(&app), xr::Path::NULL, "before the first sync");
+    let mut said = Vec::new();
+    for _ in 0..6 {
+        app.empty_frame();
+        app.session.sync_actions(&[xr::ActiveActionSet::new(&set)]).expect("sync");
+        let of = |hand| squeeze.state(&app.session, hand).expect("a state");
+        let [one, other, both] = [left, right, xr::Path::NULL].map(|hand| of(hand).current_state);
+        let shot = shoot.state(&app.session, xr::Path::NULL).expect("a state");
+        let pushed = stick.state(&app.session, xr::Path::NULL).expect("a state").current_state;
+        let jumps = jump.state(&app.session, xr::Path::NULL).expect("a state");
+        assert!(shot.is_active && !jumps.is_active, "what is not bound is not active");
+        said.push((
+            [one, other, both],
+            shot.current_state,
+            shot.changed_since_last_sync,
+            [pushed.x, pushed.y],
+        ));
+    }
+    let rest = ([0.0; 3], false, false, [0.0; 2]);
+    let shot = ([0.25, 0.75, 0.75], true, true, [0.0; 2]);
+    let changed = said.iter().position(|said| *said != rest).expect("the script begins");
+    assert_eq!(said[changed], shot, "{said:?}");
+    assert_eq!(said[changed + 1], ([0.25, 0.0, 0.25], false, true, [-0.5, 0.0]), "{said:?}");
+    assert_eq!(said[changed + 2], ([0.25, 0.0, 0.25], false, false, [-0.5, 0.0]), "{said:?}");
+    assert_eq!(instance.path_to_string(profile(&app)).as_deref(), Ok(touch));
+    let mut storage = xr::EventDataBuffer::new();
+    let mut news = 0;
+    while let Some(event) = instance.poll_event(&mut storage).expect("poll") {
+        news += u32::from(matches!(event, xr::Event::InteractionProfileChanged(_)));
+    }
+    assert_eq!(news, 1);
 }
 
 #[test]

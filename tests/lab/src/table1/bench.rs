@@ -479,8 +479,8 @@ mod tests {
     #[test]
     fn short_updates_are_measured_more_often_and_long_ones_as_often_as_asked() {
         assert_eq!(updates_in_a_row(1, 10_000.0), 1);
-        assert_eq!(updates_in_a_row(3, 200.0), 3);
-        assert_eq!(updates_in_a_row(1, 100.0), 6);
+        assert_eq!(updates_in_a_row(3, 900.0), 3);
+        assert_eq!(updates_in_a_row(1, 500.0), 5);
         assert_eq!(updates_in_a_row(1, 0.0), MOST_TIMES_UPDATES);
     }
 

@@ -110,6 +110,10 @@ pub struct Worst {
     pub server_animated_over_off: Option<f64>,
     /// The same of display frames.
     pub client_animated_over_off: Option<f64>,
+    /// The same over those of dragons that stand still.
+    pub server_animated_over_static: Option<f64>,
+    /// The same of display frames.
+    pub client_animated_over_static: Option<f64>,
     /// Least [`Speedup::animation_geometry`] from 49 dragons on.
     pub animation_geometry_speedup: Option<f64>,
     /// Dragons that were not in the picture, most of all cells.
@@ -285,15 +289,19 @@ impl Report {
 
     fn worst(&self) -> Worst {
         let least = |values: &mut dyn Iterator<Item = f64>| values.min_by(f64::total_cmp);
-        let kept = |of: fn(&Pair) -> f64| {
+        let kept = |over: fn(&Row) -> Option<Pair>, of: fn(Pair) -> f64| {
             let rows = self.rows_of(Set::Paper, Mode::Ours, Column::Animated);
-            least(&mut rows.filter_map(|row| row.over_off.as_ref().map(of)))
+            least(&mut rows.filter_map(|row| over(row).map(of)))
         };
+        let over_off = |row: &Row| row.over_off;
+        let over_static = |row: &Row| row.over_static;
         let many = self.speedups.iter().filter(|speedup| speedup.dragons >= MANY_DRAGONS);
         let shipped = self.rows.iter().filter(|row| row.set == Set::Shipped);
         Worst {
-            server_animated_over_off: kept(|pair| pair.server),
-            client_animated_over_off: kept(|pair| pair.client),
+            server_animated_over_off: kept(over_off, |pair| pair.server),
+            client_animated_over_off: kept(over_off, |pair| pair.client),
+            server_animated_over_static: kept(over_static, |pair| pair.server),
+            client_animated_over_static: kept(over_static, |pair| pair.client),
             animation_geometry_speedup: least(&mut many.map(|speedup| speedup.animation_geometry)),
             dragons_not_seen: self.rows.iter().map(|row| row.dragons - row.dragons_seen).max().unwrap_or(0),
             withheld_vertices: self.rows.iter().map(|row| row.withheld_vertices).max().unwrap_or(0),
