@@ -4,7 +4,7 @@
 //! - [`endpoint`] is the connection as messages, without sockets and without a clock, and [`event`] what it tells;
 //! - [`link`] is a seeded network with latency, jitter, loss, a bottleneck and reordering, and [`pair`] joins two
 //!   endpoints with it in virtual time;
-//! - [`mio`], [`discovery`], [`identity`] and [`files`] are the only modules that touch sockets and files.
+//! - [`mio`], [`discovery`] and [`identity`] are the only modules that touch sockets and files.
 
 pub mod congestion;
 pub mod discovery;
