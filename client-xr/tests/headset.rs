@@ -396,6 +396,8 @@ struct Line {
     streams: VecDeque<Out>,
     frames: i64,
     events: Vec<ServerEvent>,
+    /// How often the client allocated in each turn, and how many messages left it.
+    allocations: Vec<[u64; 2]>,
     /// Streams whose frame and kind this names are lost: what the client gets is a reset.
     lost_pictures: Vec<u32>,
     /// The server's clock is ahead of the client's by this.
@@ -426,6 +428,7 @@ impl Line {
             streams: VecDeque::new(),
             frames: 0,
             events: Vec::new(),
+            allocations: Vec::new(),
             lost_pictures: Vec::new(),
             ahead_ns,
         }
@@ -447,14 +450,19 @@ impl Line {
         self.frames += 1;
         self.deliver(client, now);
         client.advance(now).expect("time passes");
-        let step = client.step().expect("a step");
+        let mut step = None;
+        let taken = allocation_counter::measure(|| step = Some(client.step().expect("a step")));
+        let step = step.expect("it was made");
+        let mut left = 0;
         while let Some(out) = client.poll_out() {
+            left += 1;
             match out {
                 Out::Control(bytes) => self.server.on_control(&bytes),
                 Out::Datagram(bytes) => self.server.on_datagram(&bytes, ServerTime(now.0 + self.ahead_ns)),
                 Out::Stream { .. } => panic!("clients send no streams"),
             }
         }
+        self.allocations.push([taken.count_total, left]);
         while let Some(event) = self.server.poll_event() {
             if matches!(event, ServerEvent::Asked { .. }) {
                 self.sender = self.server.accept();
@@ -597,6 +605,23 @@ fn updates_of_a_session_are_shown_after_decoding_and_reported() {
     finish(&run, client);
     let [x, y] = pixel([-0.25, 1.6, -2.0], -1.0).map(|p| p as u32);
     assert_close(run.picture(stats.frames - 1, Side::Left).at(x, y), RED.0, "the left square");
+}
+
+/// The pose, and now and then a question for the server's clock, leave in memory of their own; the timings of `KEPT_RECORDINGS` are
+/// kept until others take their place.
+#[test]
+fn a_display_frame_allocates_nothing_but_the_messages_that_leave() {
+    const KEPT_RECORDINGS: usize = 64;
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    let mut line = Line::connect(&mut client);
+    line.send(static_patches(), &planes([0, 64]), true);
+    for _ in 0..KEPT_RECORDINGS + 60 {
+        line.frame(&mut client);
+    }
+    let settled = &line.allocations[line.allocations.len() - 40..];
+    assert!(settled.iter().all(|[count, left]| count <= left), "{settled:?}");
+    finish(&run, client);
 }
 
 #[test]

@@ -628,9 +628,12 @@ fn negotiate_atlas(client_max: [u32; 2], offered: AtlasExtent) -> Result<AtlasEx
     })
 }
 
+/// What most messages take at most, bytes: they are allocated once.
+const USUAL_BYTES: usize = 256;
+
 fn to_bytes<T: Serialize>(value: &T) -> Vec<u8> {
     // Fails only for types that cannot be serialised at all, which ours are not.
-    postcard::to_stdvec(value).expect("plain messages serialise")
+    postcard::to_extend(value, Vec::with_capacity(USUAL_BYTES)).expect("plain messages serialise")
 }
 
 fn from_prefix<T: DeserializeOwned>(what: &'static str, bytes: &[u8]) -> Result<(T, usize), WireError> {
