@@ -14,7 +14,8 @@ const BEGIN: &str = "<!-- figures ";
 const BEGIN_END: &str = " -->\n";
 const END: &str = "<!-- /figures -->";
 /// The documents with tables, from the project's root, and where the results are.
-const DOCUMENTS: [&str; 4] = ["README.md", "docs/figures.md", "docs/causes.md", "docs/table1.md"];
+const DOCUMENTS: [&str; 5] =
+    ["README.md", "docs/figures.md", "docs/causes.md", "docs/table1.md", "docs/budget.md"];
 const RESULTS: &str = "docs/results";
 const KEYS: &str = "docs/keys.svg";
 const KEYS_RESULT: &str = "inspect-error-dragon";
@@ -104,6 +105,7 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "table1-stages" => table1_stages(results),
         "table1-growth" => table1_growth(results),
         "paper-size" => paper_size(results)?,
+        "budget" => crate::budget::table(),
         name if name.starts_with("causes-") => causes(name, results)?,
         "bars" => format!("```text\n{}\n```\n", Bars::parse(BARS)?.check(results)),
         other => bail!("there is no table \"{other}\""),

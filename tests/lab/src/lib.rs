@@ -2,6 +2,7 @@
 
 pub mod abrupt;
 pub mod bars;
+mod budget;
 pub mod causes;
 pub mod churn;
 pub mod compare;
