@@ -2,7 +2,9 @@
 
 mod support;
 
-use shadecast_client::client::{Client, FrameReport, Notice, Step};
+use rand::rngs::SmallRng;
+use rand::{Rng, SeedableRng};
+use shadecast_client::client::{Client, ClientError, FrameReport, Notice, Step};
 use shadecast_client::decode::{DecodeError, Decoder};
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent, ScriptedInput};
 use shadecast_mock_runtime::record::{Side, read_frames};
@@ -446,13 +448,18 @@ impl Line {
 
     /// One turn of the runtime, and what both ends say meanwhile.
     fn turn(&mut self, client: &mut Client) -> Step {
+        self.try_turn(client).expect("a step")
+    }
+
+    /// The same with a runtime that may be lost.
+    fn try_turn(&mut self, client: &mut Client) -> Result<Step, ClientError> {
         let now = at(1_000_000_000 + self.frames * PERIOD_NS);
         self.frames += 1;
         self.deliver(client, now);
         client.advance(now).expect("time passes");
         let mut step = None;
-        let taken = allocation_counter::measure(|| step = Some(client.step().expect("a step")));
-        let step = step.expect("it was made");
+        let taken = allocation_counter::measure(|| step = Some(client.step()));
+        let step = step.expect("it was made")?;
         let mut left = 0;
         while let Some(out) = client.poll_out() {
             left += 1;
@@ -470,7 +477,7 @@ impl Line {
             self.events.push(event);
         }
         self.deliver(client, now);
-        step
+        Ok(step)
     }
 
     /// What the client has said of being watched.
@@ -1014,5 +1021,98 @@ fn a_lost_instance_is_told_from_other_errors_and_the_headset_opens_again() {
     drop(client);
     let mut client = run.client();
     frame(&mut client);
+    finish(&run, client);
+}
+
+/// What happens to a headset in so many frames, at random: each as likely as any other, but for the loss of the instance.
+fn random_script(rng: &mut SmallRng, frames: u64) -> (Vec<ScriptedEvent>, Vec<ScriptedInput>) {
+    let (mut events, mut inputs) = (Vec::new(), Vec::new());
+    let mut frame = 20;
+    while frame < frames {
+        let kind = match rng.random_range(0..25) {
+            0..4 => EventKind::FocusLoss,
+            4..8 => EventKind::FocusGain,
+            8..11 => EventKind::Hide,
+            11..16 => EventKind::Show,
+            16..20 => EventKind::Pause { ms: rng.random_range(0..500) },
+            20..24 => EventKind::Recentre {
+                x_mm: rng.random_range(-3000..3000),
+                z_mm: rng.random_range(-3000..3000),
+                yaw_degrees: rng.random_range(-180..180),
+            },
+            _ => EventKind::InstanceLoss,
+        };
+        events.push(ScriptedEvent { frame, kind });
+        let path = ["left/input/thumbstick/x", "left/input/thumbstick/y", "right/input/thumbstick/x"];
+        let path = format!("/user/hand/{}", path[rng.random_range(0..path.len())]);
+        inputs.push(ScriptedInput { frame, path, value: rng.random_range(-1.0..1.0) });
+        frame += rng.random_range(3..30);
+    }
+    (events, inputs)
+}
+
+/// Updates for a client: the two squares, and then one or the other colour of theirs; now and then a picture is lost.
+fn random_update(line: &mut Line, rng: &mut SmallRng, update: u32) {
+    let is_asked = line.events.drain(..).any(|event| matches!(event, ServerEvent::RefreshRequest { .. }));
+    let geometry = match update {
+        0 => static_patches(),
+        _ => GeometryDelta {
+            update: UpdateId(update),
+            time: ServerTime(1_000_000_000 + line.frames * PERIOD_NS + line.ahead_ns),
+            ..GeometryDelta::default()
+        },
+    };
+    if rng.random_ratio(1, 10) {
+        line.lost_pictures.push(update);
+    }
+    let places = if rng.random() { [0, 64] } else { [64, 0] };
+    line.send(geometry, &planes(places), update == 0 || is_asked);
+}
+
+/// So many frames (`SHADECAST_EVENT_FRAMES`; 500 of themselves) in which anything happens to headset, hands and link: no call that the
+/// runtime refuses, no word of the layers, and a picture again whenever all is well.
+#[test]
+fn whatever_happens_to_headset_and_link_frames_go_on() {
+    let frames =
+        std::env::var("SHADECAST_EVENT_FRAMES").map_or(500, |frames| frames.parse().expect("a number"));
+    let mut rng = SmallRng::seed_from_u64(11);
+    let (events, inputs) = random_script(&mut rng, frames);
+    let losses = events.iter().filter(|event| event.kind == EventKind::InstanceLoss).count();
+    let controllers = Some("/interaction_profiles/oculus/touch_controller".to_owned());
+    let run = Run::unseen(MockConfig { events, inputs, controllers, ..MockConfig::default() });
+    let (mut client, mut line, mut update) = (run.client(), Line::new(Pose::IDENTITY, SERVER_AHEAD_NS), 0);
+    client.on_connected(at(1_000_000_000));
+    let (mut made, mut shown, mut lost, mut turns) = (0, 0, 0, 0u64);
+    while made < frames {
+        turns += 1;
+        assert!(turns < 20 * frames, "{made} frames in {turns} turns");
+        match line.try_turn(&mut client) {
+            Ok(Step::Frame(report)) => {
+                made += 1;
+                shown += u64::from(report.is_rendered && report.update.is_some());
+            }
+            Ok(Step::Idle) => {}
+            Ok(Step::Exit) => panic!("nobody has asked for the end"),
+            Err(error) => {
+                assert!(error.is_lost(), "{error}");
+                assert_eq!(client.gpu().validation_messages(), 0, "{:?}", client.gpu().validation_texts());
+                drop(client);
+                (client, lost) = (run.client(), lost + 1);
+            }
+        }
+        let is_new = line.frames > 0 && (client.stats().connections == 0 || rng.random_ratio(1, 200));
+        if is_new {
+            line = Line { frames: line.frames, ..Line::new(Pose::IDENTITY, SERVER_AHEAD_NS) };
+            client.on_connected(at(1_000_000_000 + line.frames * PERIOD_NS));
+            update = 0;
+        } else if line.sender.is_some() && rng.random_ratio(1, 3) {
+            random_update(&mut line, &mut rng, update);
+            update += 1;
+        }
+        assert!(client.waiting_bytes() < 4_000_000, "{} bytes wait", client.waiting_bytes());
+        while client.poll_notice().is_some() {}
+    }
+    println!("{made} frames, {shown} of them with a picture, {lost} losses of {losses}, {turns} turns");
+    assert!(shown > frames / 4 && lost > 0, "{shown} of {made} frames show something, {lost} losses");
     finish(&run, client);
 }

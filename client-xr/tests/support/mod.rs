@@ -30,6 +30,13 @@ impl Run {
         Self(shadecast_test_support::headset::Run::new(&config))
     }
 
+    /// The same without pictures.
+    pub fn unseen(config: MockConfig) -> Self {
+        let config =
+            MockConfig { extent_pixels: [SIDE; 2], clock: ClockKind::Virtual, capture_every: 0, ..config };
+        Self(shadecast_test_support::headset::Run::new(&config))
+    }
+
     pub fn captures(&self) -> PathBuf {
         self.0.captures()
     }
