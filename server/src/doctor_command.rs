@@ -224,8 +224,12 @@ fn advice(findings: &Findings, wanted: Option<&str>) -> Vec<String> {
     {
         let bytes = wanted << 10;
         advice.push(format!(
-            "the system gives sockets {receive} and {send} KiB where {wanted} are wanted: bursts may be lost on fast links; \
-             sysctl -w net.core.rmem_max={bytes} net.core.wmem_max={bytes}"
+            "the system gives sockets {receive} and {send} KiB where {wanted} are wanted: bursts may be lost on fast links{}",
+            if cfg!(unix) {
+                format!("; sysctl -w net.core.rmem_max={bytes} net.core.wmem_max={bytes}")
+            } else {
+                String::new()
+            }
         ));
     }
     let period_ms = 1e3 / DEFAULT_RATE_HZ;

@@ -5,19 +5,33 @@ use shadecast_gpu::GpuError;
 use std::io::ErrorKind;
 use std::path::PathBuf;
 
+/// What to do without a loader.
+const NO_LOADER: &str = if cfg!(windows) {
+    "put openxr_loader.dll beside this program or into the PATH; the OpenXR SDK has it"
+} else {
+    "install it (Debian and Ubuntu: package libopenxr-loader1)"
+};
+/// Runtimes of this system, and where the manifest of one lies.
+const RUNTIMES: &str = if cfg!(windows) { "SteamVR, Meta Quest Link" } else { "SteamVR, Monado, WiVRn" };
+const MANIFEST: &str = if cfg!(windows) {
+    r"C:\Program Files (x86)\Steam\steamapps\common\SteamVR\steamxr_win64.json"
+} else {
+    "/usr/share/openxr/1/openxr_monado.json"
+};
+
 /// What went wrong with the headset's runtime.
 #[derive(Debug, thiserror::Error)]
 pub enum XrError {
     /// The loader library is missing.
-    #[error(
-        "the OpenXR loader could not be opened ({0}); install it (Debian and Ubuntu: package libopenxr-loader1)"
-    )]
+    #[error("the OpenXR loader could not be opened ({0}); {remedy}", remedy = NO_LOADER)]
     NoLoader(String),
     /// No runtime answers the loader.
     #[error(
-        "no OpenXR runtime answers ({0}); start your headset's runtime (SteamVR, Monado, WiVRn), or set the environment \
+        "no OpenXR runtime answers ({0}); start your headset's runtime ({runtimes}), or set the environment \
          variable XR_RUNTIME_JSON to the path of its manifest, for example \
-         XR_RUNTIME_JSON=/usr/share/openxr/1/openxr_monado.json"
+         XR_RUNTIME_JSON={manifest}",
+        runtimes = RUNTIMES,
+        manifest = MANIFEST
     )]
     NoRuntime(sys::Result),
     /// The environment names a runtime that is not there.

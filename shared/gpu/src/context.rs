@@ -1,6 +1,6 @@
 //! The device and what hangs on it: allocator, command slots, retire ring, validation messages.
 
-use crate::devices::{self, FoundDevice, NO_DRIVER, Needs, has_geometry_shader, missing, name_of};
+use crate::devices::{self, FoundDevice, NO_DRIVER, NO_LAYER, Needs, has_geometry_shader, missing, name_of};
 use crate::lanes::{LANES, Lanes};
 use crate::memory::Garbage;
 use crate::recorder::CommandSlot;
@@ -363,9 +363,9 @@ fn require_validation_layer(entry: &ash::Entry) -> Result<(), GpuError> {
     if layers.iter().any(|l| l.layer_name_as_c_str() == Ok(VALIDATION_LAYER)) {
         return Ok(());
     }
-    Err(GpuError::NoDevice(
-        "validation was asked for, but VK_LAYER_KHRONOS_validation is not installed (Debian and Ubuntu: package vulkan-validationlayers)".into(),
-    ))
+    Err(GpuError::NoDevice(format!(
+        "validation was asked for, but VK_LAYER_KHRONOS_validation is not installed ({NO_LAYER})"
+    )))
 }
 
 fn create_messenger(

@@ -4,8 +4,24 @@ use crate::GpuError;
 use ash::vk;
 
 /// What to do where there is no device at all.
-pub(crate) const NO_DRIVER: &str = "there is no driver; install the one of the graphics card's maker, or Mesa's (Debian and Ubuntu: package \
-     mesa-vulkan-drivers, which also has one that needs no graphics card), or run ./shadecast setup";
+pub(crate) const NO_DRIVER: &str = if cfg!(windows) {
+    "there is no driver; install the one of the graphics card's maker"
+} else {
+    "there is no driver; install the one of the graphics card's maker, or Mesa's (Debian and Ubuntu: package \
+     mesa-vulkan-drivers, which also has one that needs no graphics card), or run ./shadecast setup"
+};
+/// The same without the loader.
+pub(crate) const NO_LOADER: &str = if cfg!(windows) {
+    "it comes with the driver of the graphics card's maker"
+} else {
+    "install it (Debian and Ubuntu: package libvulkan1)"
+};
+/// The same without the layer.
+pub(crate) const NO_LAYER: &str = if cfg!(windows) {
+    "it comes with the Vulkan SDK"
+} else {
+    "Debian and Ubuntu: package vulkan-validationlayers"
+};
 
 /// Which of the two required feature sets a device must have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

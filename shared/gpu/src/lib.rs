@@ -30,9 +30,7 @@ pub use window::{Swapchain, WindowDevice, WindowImage};
 #[derive(Debug, thiserror::Error)]
 pub enum GpuError {
     /// The Vulkan loader library is missing.
-    #[error(
-        "the Vulkan loader could not be opened ({0}); install it (Debian and Ubuntu: package libvulkan1)"
-    )]
+    #[error("the Vulkan loader could not be opened ({0}); {remedy}", remedy = devices::NO_LOADER)]
     NoLoader(String),
     /// No device does what is needed.
     #[error("no Vulkan device can be used: {0}")]
