@@ -83,6 +83,9 @@ struct Arguments {
     /// Samples per pixel; 2 are 4 where the device has no 2
     #[arg(long, value_name = "SAMPLES", default_value = "4", value_parser = ["1", "2", "4"])]
     msaa: String,
+    /// Frames a second that the headset is asked for: of those that it has the nearest; its own choice without
+    #[arg(long, value_name = "HZ", conflicts_with = "window", value_parser = number(1.0_f32..=1000.0, "frames a second"))]
+    refresh: Option<f32>,
     /// Say only what goes wrong
     #[arg(long)]
     quiet: bool,
@@ -243,7 +246,7 @@ fn opener(arguments: &Arguments) -> Result<Box<net::Opener<'static>>, DisplayErr
     let validation = arguments.validation;
     let window = &arguments.window;
     if !window.window {
-        let options = XrOptions { validation };
+        let options = XrOptions { validation, refresh_hz: arguments.refresh };
         return Ok(Box::new(move || Ok(Box::new(Xr::open(&Platform, options)?) as Box<dyn Display>)));
     }
     let options = WindowOptions {

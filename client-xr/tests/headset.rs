@@ -912,6 +912,33 @@ fn controllers_walk_and_turn_the_room_through_the_world() {
 }
 
 #[test]
+fn a_display_is_asked_for_the_nearest_of_its_rates_and_may_change_it_by_itself() {
+    let events = vec![ScriptedEvent { frame: 30, kind: EventKind::RefreshRate { hz: 90 } }];
+    let other_rates_hz = vec![90.0, 120.0];
+    let run = Run::unseen(MockConfig { events, other_rates_hz, ..MockConfig::default() });
+    let mut client = run.client_at(118.0);
+    let times: Vec<ClientTime> = (0..60).map(|_| frame(&mut client).display_time).collect();
+    let apart: Vec<i64> = times.windows(2).map(|pair| pair[1].since(pair[0])).collect();
+    assert!(apart[1..28].iter().all(|period_ns| is_of(*period_ns, 120.0)), "{apart:?}");
+    assert!(apart[31..].iter().all(|period_ns| is_of(*period_ns, 90.0)), "{apart:?}");
+    finish(&run, client);
+}
+
+fn is_of(period_ns: i64, hz: f64) -> bool {
+    (period_ns - (1e9 / hz) as i64).abs() <= 1
+}
+
+#[test]
+fn a_runtime_that_cannot_be_asked_for_a_rate_keeps_its_own() {
+    let hidden_extensions = vec!["XR_FB_display_refresh_rate".to_owned()];
+    let run = Run::unseen(MockConfig { hidden_extensions, ..MockConfig::default() });
+    let mut client = run.client_at(120.0);
+    let times = [frame(&mut client), frame(&mut client)].map(|report| report.display_time);
+    assert!(is_of(times[1].since(times[0]), 72.0), "{times:?}");
+    finish(&run, client);
+}
+
+#[test]
 fn the_menu_button_leaves() {
     let inputs = script(&[(10, "left/input/menu/click", 1.0)]);
     let controllers = Some("/interaction_profiles/oculus/touch_controller".to_owned());
@@ -1029,7 +1056,7 @@ fn random_script(rng: &mut SmallRng, frames: u64) -> (Vec<ScriptedEvent>, Vec<Sc
     let (mut events, mut inputs) = (Vec::new(), Vec::new());
     let mut frame = 20;
     while frame < frames {
-        let kind = match rng.random_range(0..25) {
+        let kind = match rng.random_range(0..28) {
             0..4 => EventKind::FocusLoss,
             4..8 => EventKind::FocusGain,
             8..11 => EventKind::Hide,
@@ -1040,6 +1067,7 @@ fn random_script(rng: &mut SmallRng, frames: u64) -> (Vec<ScriptedEvent>, Vec<Sc
                 z_mm: rng.random_range(-3000..3000),
                 yaw_degrees: rng.random_range(-180..180),
             },
+            24..27 => EventKind::RefreshRate { hz: [72, 90, 120][rng.random_range(0..3)] },
             _ => EventKind::InstanceLoss,
         };
         events.push(ScriptedEvent { frame, kind });
@@ -1079,7 +1107,13 @@ fn whatever_happens_to_headset_and_link_frames_go_on() {
     let (events, inputs) = random_script(&mut rng, frames);
     let losses = events.iter().filter(|event| event.kind == EventKind::InstanceLoss).count();
     let controllers = Some("/interaction_profiles/oculus/touch_controller".to_owned());
-    let run = Run::unseen(MockConfig { events, inputs, controllers, ..MockConfig::default() });
+    let run = Run::unseen(MockConfig {
+        events,
+        inputs,
+        controllers,
+        other_rates_hz: vec![90.0, 120.0],
+        ..MockConfig::default()
+    });
     let (mut client, mut line, mut update) = (run.client(), Line::new(Pose::IDENTITY, SERVER_AHEAD_NS), 0);
     client.on_connected(at(1_000_000_000));
     let (mut made, mut shown, mut lost, mut turns) = (0, 0, 0, 0u64);

@@ -31,6 +31,8 @@ const VIEW_CONFIGURATION: openxr::ViewConfigurationType = openxr::ViewConfigurat
 pub struct XrOptions {
     /// Vulkan validation layers on.
     pub validation: bool,
+    /// The rate that the display is asked for, frames a second: of those that it has the nearest. `None`: its own choice.
+    pub refresh_hz: Option<f32>,
 }
 
 /// The runtime, as the maker of Vulkan's instance and device.
@@ -58,6 +60,7 @@ struct Headset {
     session: openxr::Session<openxr::Vulkan>,
     blend_mode: openxr::EnvironmentBlendMode,
     phase: Phase,
+    refresh_hz: Option<f32>,
     exit_requested: bool,
     /// Where head and eyes were located last, in the room: the runtime's own stage.
     last_views: Option<Views>,
@@ -202,6 +205,7 @@ fn open_instance(platform: &Platform) -> Result<openxr::Instance, XrError> {
     let mut wanted = openxr::ExtensionSet::default();
     wanted.khr_vulkan_enable2 = true;
     time::want_conversion(&mut wanted, &available);
+    wanted.fb_display_refresh_rate = available.fb_display_refresh_rate;
     wanted.bd_controller_interaction = available.bd_controller_interaction;
     platform.add_extensions(&mut wanted);
     if !available.khr_vulkan_enable2 {
@@ -255,6 +259,7 @@ impl Xr {
             session,
             blend_mode,
             phase: Phase::Idle,
+            refresh_hz: options.refresh_hz,
             exit_requested: false,
             last_views: None,
             jumps: Jumps::default(),
@@ -331,6 +336,10 @@ impl Headset {
                     // LOCAL and STAGE change together or alone; a jump too many only costs the prediction's past.
                     self.jumps.announce(change.change_time().as_nanos());
                 }
+                openxr::Event::DisplayRefreshRateChangedFB(change) => {
+                    let [from, to] = [change.from_display_refresh_rate(), change.to_display_refresh_rate()];
+                    tracing::info!("the display goes from {from} to {to} frames a second");
+                }
                 openxr::Event::InstanceLossPending(_) => return Err(XrError::Lost("polling events")),
                 _ => {}
             }
@@ -358,6 +367,7 @@ impl Headset {
                 self.session.begin(VIEW_CONFIGURATION).doing("beginning the session")?;
                 self.jumps.happen();
                 self.phase = Phase::Running;
+                self.request_rate()?;
             }
             openxr::SessionState::STOPPING => {
                 self.phase = Phase::Idle;
@@ -368,6 +378,24 @@ impl Headset {
             _ => {}
         }
         Ok(())
+    }
+
+    /// Asks for the wanted rate, where the runtime lets itself be asked.
+    fn request_rate(&self) -> Result<(), XrError> {
+        let Some(wanted) = self.refresh_hz else { return Ok(()) };
+        if self.device.instance.exts().fb_display_refresh_rate.is_none() {
+            tracing::warn!(
+                "the OpenXR runtime chooses the display's rate by itself (it lacks XR_FB_display_refresh_rate)"
+            );
+            return Ok(());
+        }
+        let doing = "asking for the display's rate";
+        let offered = self.session.enumerate_display_refresh_rates().doing(doing)?;
+        let Some(nearest) = nearest(&offered, wanted) else { return Ok(()) };
+        if nearest != wanted {
+            tracing::warn!("the display has {offered:?} frames a second: {nearest} are nearest to {wanted}");
+        }
+        self.session.request_display_refresh_rate(nearest).doing(doing)
     }
 
     /// Sleeps until the runtime wants the next frame, and begins it.
@@ -604,6 +632,11 @@ impl Drop for Swapchain {
             let _ = self.handle.release_image();
         }
     }
+}
+
+fn nearest(rates_hz: &[f32], wanted: f32) -> Option<f32> {
+    let apart = |hz: &f32| (hz - wanted).abs();
+    rates_hz.iter().copied().filter(|hz| hz.is_finite()).min_by(|a, b| apart(a).total_cmp(&apart(b)))
 }
 
 fn succeeded(result: sys::Result) -> Result<(), sys::Result> {

@@ -47,7 +47,16 @@ impl Run {
 
     /// The same with another decoder.
     pub fn client_with(&self, decoder: MakeDecoder) -> Client {
-        let xr = Xr::open(&Platform, XrOptions { validation: true }).expect("the mock headset opens");
+        self.client_of(XrOptions { validation: true, refresh_hz: None }, decoder)
+    }
+
+    /// The same with a display of another rate.
+    pub fn client_at(&self, refresh_hz: f32) -> Client {
+        self.client_of(XrOptions { validation: true, refresh_hz: Some(refresh_hz) }, toy_decoder)
+    }
+
+    fn client_of(&self, options: XrOptions, decoder: MakeDecoder) -> Client {
+        let xr = Xr::open(&Platform, options).expect("the mock headset opens");
         let options = ClientOptions {
             decoding: DecodeTiming::Virtual { delay_ns: 6_000_000 },
             max_vertex_slots: 256,

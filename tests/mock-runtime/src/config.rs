@@ -33,6 +33,8 @@ pub struct MockConfig {
     pub ipd_m: f32,
     /// Display rate, 1 to 1000 Hz.
     pub refresh_hz: f64,
+    /// Other rates that the display has, each as [`Self::refresh_hz`].
+    pub other_rates_hz: Vec<f64>,
     /// What paces the frames.
     pub clock: ClockKind,
     /// `XrTime` of the first `xrWaitFrame` on the virtual clock, nanoseconds, above 0. Unused on the real clock.
@@ -133,6 +135,11 @@ pub enum EventKind {
         /// Turned to the left, degrees.
         yaw_degrees: i32,
     },
+    /// The system gives the display another rate.
+    RefreshRate {
+        /// One of those that it has, rounded down.
+        hz: u32,
+    },
     /// The session is asked to stop, and exits once the application has ended it.
     Stop,
     /// The instance will be lost in one second: the application must destroy it and may create another.
@@ -199,6 +206,7 @@ impl Default for MockConfig {
             fov_degrees: FovDegrees::default(),
             ipd_m: 0.063,
             refresh_hz: 72.0,
+            other_rates_hz: Vec::new(),
             clock: ClockKind::Real,
             virtual_start_ns: 1_000_000_000,
             head_path: None,
@@ -264,6 +272,14 @@ impl MockConfig {
         std::fs::write(path, text)
     }
 
+    /// All rates that the display has, ascending.
+    pub(crate) fn rates_hz(&self) -> Vec<f64> {
+        let mut rates: Vec<f64> = self.other_rates_hz.iter().copied().chain([self.refresh_hz]).collect();
+        rates.sort_by(f64::total_cmp);
+        rates.dedup();
+        rates
+    }
+
     /// The head path that the configuration names; standing still where it names none.
     /// `config` is the configuration's file, for error messages.
     pub fn load_head_path(&self, config: &Path) -> Result<HeadPath, ConfigError> {
@@ -298,6 +314,12 @@ impl MockConfig {
                 "refresh_hz",
                 self.refresh_hz.to_string(),
                 "1 to 1000 Hz",
+            ),
+            (
+                self.other_rates_hz.iter().all(|hz| (1.0..=1000.0).contains(hz)),
+                "other_rates_hz",
+                format!("{:?}", self.other_rates_hz),
+                "rates of 1 to 1000 Hz",
             ),
             (
                 (1..1 << 62).contains(&self.virtual_start_ns),

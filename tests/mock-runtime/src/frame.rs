@@ -57,7 +57,7 @@ entry! {
         let frame = start_frame(core, this, period);
         this.frames.waited = Some(frame);
         frame_state.predicted_display_time = xr::Time::from_nanos(frame.display_time_ns);
-        frame_state.predicted_display_period = xr::Duration::from_nanos(clock::period_ns(core.config.refresh_hz));
+        frame_state.predicted_display_period = xr::Duration::from_nanos(clock::period_ns(core.grid().hz));
         frame_state.should_render = this.state.should_render().into();
         Ok(xr::Result::SUCCESS)
     }
@@ -84,7 +84,7 @@ fn turn_to_wait(session: xr::Session) -> Outcome<Locked> {
 /// The display period of the next frame, and the start of the display's clock at the first.
 fn start_waiting(core: &mut Core, session: &mut Session) -> u64 {
     session.frames.sleeping = true;
-    let (virtual_start_ns, hz) = (core.config.virtual_start_ns, core.config.refresh_hz);
+    let virtual_start_ns = core.config.virtual_start_ns;
     let last = core.timeline.last_period;
     match core.config.clock {
         ClockKind::Virtual => {
@@ -93,15 +93,14 @@ fn start_waiting(core: &mut Core, session: &mut Session) -> u64 {
         }
         ClockKind::Real => {
             let now_ns = shadecast_system::monotonic_now_ns();
-            let origin_ns = *core.timeline.origin_ns.get_or_insert(now_ns);
-            clock::next_real_period(origin_ns, hz, last, now_ns)
+            core.timeline.origin_ns.get_or_insert(now_ns);
+            core.grid().next_real(last, now_ns)
         }
     }
 }
 
 fn begin_of_period(core: &Core, period: u64) -> i64 {
-    let origin_ns = core.timeline.origin_ns.unwrap_or(core.config.virtual_start_ns);
-    clock::period_begin_ns(origin_ns, core.config.refresh_hz, period)
+    core.grid().begin_ns(period)
 }
 
 fn sleep_until(time_ns: i64) {

@@ -28,9 +28,10 @@ pub(crate) const MAX_LAYERS: u32 = 16;
 /// The one view configuration.
 const STEREO: xr::ViewConfigurationType = xr::ViewConfigurationType::PRIMARY_STEREO;
 
-const EXTENSIONS: [(&[u8], u32); 3] = [
+const EXTENSIONS: [(&[u8], u32); 4] = [
     (xr::KHR_VULKAN_ENABLE2_EXTENSION_NAME, xr::KHR_vulkan_enable2_SPEC_VERSION),
     time::EXTENSION,
+    (xr::FB_DISPLAY_REFRESH_RATE_EXTENSION_NAME, xr::FB_display_refresh_rate_SPEC_VERSION),
     (xr::EXT_DEBUG_UTILS_EXTENSION_NAME, xr::EXT_debug_utils_SPEC_VERSION),
 ];
 
@@ -117,6 +118,7 @@ fn enabled_extensions(create_info: &xr::InstanceCreateInfo) -> Outcome<Extension
             }
             "XR_KHR_vulkan_enable2" => enabled.vulkan_enable2 = true,
             name if name == text_of(time::EXTENSION.0) => enabled.convert_time = true,
+            "XR_FB_display_refresh_rate" => enabled.refresh_rate = true,
             "XR_EXT_debug_utils" => enabled.debug_utils = true,
             _ => {
                 let message = format!("the mock runtime has no extension {name}");
@@ -272,6 +274,16 @@ fn write_event(buffer: &mut xr::EventDataBuffer, event: Event) {
             };
             // SAFETY: as above.
             unsafe { buffer.cast::<xr::EventDataInstanceLossPending>().write(data) };
+        }
+        Event::RefreshRate { from_hz, to_hz } => {
+            let data = xr::EventDataDisplayRefreshRateChangedFB {
+                ty: xr::EventDataDisplayRefreshRateChangedFB::TYPE,
+                next: std::ptr::null(),
+                from_display_refresh_rate: from_hz,
+                to_display_refresh_rate: to_hz,
+            };
+            // SAFETY: as above.
+            unsafe { buffer.cast::<xr::EventDataDisplayRefreshRateChangedFB>().write(data) };
         }
         Event::InteractionProfile { session } => {
             let data = xr::EventDataInteractionProfileChanged {

@@ -36,6 +36,7 @@ mod negotiate;
 mod paths;
 mod profiles;
 pub mod record;
+mod refresh_rate;
 mod runtime;
 mod session;
 mod space;

@@ -9,7 +9,9 @@ use xr::pfn::VoidFunction;
 use crate::fault::{Fault, guard};
 use crate::ffi::entry;
 use crate::runtime::{self, Extensions};
-use crate::{actions, debug_utils, frame, instance, paths, session, space, swapchain, time, vulkan};
+use crate::{
+    actions, debug_utils, frame, instance, paths, refresh_rate, session, space, swapchain, time, vulkan,
+};
 
 /// The loader-runtime interface that this runtime speaks.
 const INTERFACE_VERSION: u32 = 1;
@@ -129,6 +131,7 @@ enum Needs {
     Instance,
     VulkanEnable2,
     ConvertTime,
+    RefreshRate,
     DebugUtils,
 }
 
@@ -138,6 +141,7 @@ impl Needs {
             Self::Nothing | Self::Instance => true,
             Self::VulkanEnable2 => extensions.vulkan_enable2,
             Self::ConvertTime => extensions.convert_time,
+            Self::RefreshRate => extensions.refresh_rate,
             Self::DebugUtils => extensions.debug_utils,
         }
     }
@@ -227,6 +231,11 @@ const TABLE: &[Row] = table! {
         "xrCreateVulkanInstanceKHR" => vulkan::create_vulkan_instance: CreateVulkanInstanceKHR,
         "xrGetVulkanGraphicsDevice2KHR" => vulkan::get_graphics_device: GetVulkanGraphicsDevice2KHR,
         "xrGetVulkanGraphicsRequirements2KHR" => vulkan::get_requirements: GetVulkanGraphicsRequirementsKHR,
+    }
+    RefreshRate {
+        "xrEnumerateDisplayRefreshRatesFB" => refresh_rate::enumerate_refresh_rates: EnumerateDisplayRefreshRatesFB,
+        "xrGetDisplayRefreshRateFB" => refresh_rate::get_refresh_rate: GetDisplayRefreshRateFB,
+        "xrRequestDisplayRefreshRateFB" => refresh_rate::request_refresh_rate: RequestDisplayRefreshRateFB,
     }
     DebugUtils {
         "xrCreateDebugUtilsMessengerEXT" => debug_utils::create_messenger: CreateDebugUtilsMessengerEXT,

@@ -8,6 +8,7 @@ use openxr_sys as xr;
 use xr::Handle as _;
 
 use crate::actions::Actions;
+use crate::clock::Grid;
 use crate::config::{ClockKind, EventKind, MockConfig};
 use crate::debug_utils::{Labels, Messenger, ObjectNames};
 use crate::fault::{Fault, Outcome};
@@ -16,12 +17,12 @@ use crate::gpu::Gpu;
 use crate::head_path::HeadPath;
 use crate::paths::Paths;
 use crate::profiles::KnownProfile;
+use crate::record;
 use crate::record::{Recorder, Summary};
 use crate::session::SessionState;
 use crate::space::Space;
 use crate::swapchain::Swapchain;
 use crate::vulkan::Vulkan;
-use crate::{clock, record};
 use shadecast_protocol::pose::Pose;
 
 /// The runtime's memory.
@@ -74,6 +75,7 @@ pub(crate) struct Core {
 pub(crate) struct Extensions {
     pub(crate) vulkan_enable2: bool,
     pub(crate) convert_time: bool,
+    pub(crate) refresh_rate: bool,
     pub(crate) debug_utils: bool,
 }
 
@@ -99,6 +101,7 @@ pub(crate) enum Event {
     SessionState { session: u64, state: xr::SessionState, time_ns: i64 },
     InstanceLossPending { loss_time_ns: i64 },
     InteractionProfile { session: u64 },
+    RefreshRate { from_hz: f32, to_hz: f32 },
     SpaceChange { session: u64, space: xr::ReferenceSpaceType, change_time_ns: i64, previous_from_new: Pose },
 }
 
@@ -109,16 +112,18 @@ impl Event {
             Self::SessionState { session, .. }
             | Self::SpaceChange { session, .. }
             | Self::InteractionProfile { session } => *session == this,
-            Self::InstanceLossPending { .. } => false,
+            Self::InstanceLossPending { .. } | Self::RefreshRate { .. } => false,
         }
     }
 }
 
 /// How far the display's clock has come.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Timeline {
     /// `XrTime` of the first `xrWaitFrame` in nanoseconds; the head path's time 0.
     pub(crate) origin_ns: Option<i64>,
+    /// Display periods, once they are of another length than the configuration says.
+    pub(crate) grid: Option<Grid>,
     /// Display period of the last frame.
     pub(crate) last_period: Option<u64>,
     /// Index of the next frame.
@@ -257,15 +262,14 @@ impl Core {
     pub(crate) fn now_ns(&self) -> i64 {
         match self.config.clock {
             ClockKind::Real => shadecast_system::monotonic_now_ns(),
-            ClockKind::Virtual => {
-                let origin_ns = self.timeline.origin_ns.unwrap_or(self.config.virtual_start_ns);
-                clock::period_begin_ns(
-                    origin_ns,
-                    self.config.refresh_hz,
-                    self.timeline.last_period.unwrap_or(0),
-                )
-            }
+            ClockKind::Virtual => self.grid().begin_ns(self.timeline.last_period.unwrap_or(0)),
         }
+    }
+
+    /// The display periods.
+    pub(crate) fn grid(&self) -> Grid {
+        let base_ns = self.timeline.origin_ns.unwrap_or(self.config.virtual_start_ns);
+        self.timeline.grid.unwrap_or(Grid { base_ns, base_period: 0, hz: self.config.refresh_hz })
     }
 
     /// One period without a frame, on the virtual clock; the real one needs no help.
@@ -291,7 +295,7 @@ impl Core {
         let periods = self.timeline.last_period.unwrap_or(0);
         let summary = Summary {
             frames: self.timeline.next_frame,
-            seconds: clock::period_begin_ns(0, self.config.refresh_hz, periods) as f64 * 1e-9,
+            seconds: self.path_time_s(self.grid().begin_ns(periods)),
             errors: self.tally.errors,
             missed_frames: self.tally.missed_frames,
             empty_frames: self.tally.empty_frames,

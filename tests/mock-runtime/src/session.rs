@@ -11,7 +11,7 @@ use crate::frame::FrameLoop;
 use crate::gpu::Gpu;
 use crate::instance::{check_system, check_view_configuration};
 use crate::runtime::{self, Core, Event, Session};
-use crate::space;
+use crate::{refresh_rate, space};
 
 type State = xr::SessionState;
 
@@ -174,6 +174,15 @@ pub(crate) fn happen(core: &mut Core, session: &mut Session, kind: EventKind) {
         EventKind::Pause { ms } => session.state.pause(ms),
         EventKind::Recentre { x_mm, z_mm, yaw_degrees } => {
             space::recentre(core, session.handle, [x_mm, z_mm], yaw_degrees);
+            Vec::new()
+        }
+        EventKind::RefreshRate { hz } => {
+            let rates = core.config.rates_hz();
+            rates
+                .into_iter()
+                .find(|rate| *rate as u32 == hz)
+                .into_iter()
+                .for_each(|rate| refresh_rate::change(core, rate));
             Vec::new()
         }
         EventKind::Stop => session.state.stop(),
