@@ -252,10 +252,12 @@ impl<'a, S: Studio> Pipeline<'a, S> {
 
     /// Nothing is to be done until the device or the encoder has come further: gives how long there is still to sleep.
     fn rest(&mut self, peer: PeerId, now_ns: i64) -> anyhow::Result<Duration> {
-        let at_most = Duration::from_nanos(SHORTEST_WAIT_NS as u64);
-        let Some(client) = self.clients.get(&peer) else { return Ok(at_most) };
-        match self.studio.rest(client.viewer.updates(), at_most) {
-            Ok(has_rested) => Ok(if has_rested { Duration::ZERO } else { at_most }),
+        let [shortest, longest] =
+            [SHORTEST_WAIT_NS, LONGEST_WAIT_NS].map(|wait_ns| Duration::from_nanos(wait_ns as u64));
+        let Some(client) = self.clients.get(&peer) else { return Ok(shortest) };
+        // The device wakes it; on one that is a CPU, each look beside it costs the device time.
+        match self.studio.rest(client.viewer.updates(), longest) {
+            Ok(has_rested) => Ok(if has_rested { Duration::ZERO } else { shortest }),
             Err(error) => {
                 let fault = Fault::of(&error, "shading an update").in_update();
                 self.settle(peer, Err(fault), now_ns)?;
