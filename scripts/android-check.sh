@@ -3,19 +3,11 @@
 # against stubs that define only the symbols of android/ndk-symbols.txt, with --pack as well packs it and lists what the APK holds.
 # A check: what comes out runs nowhere.
 set -euo pipefail
-ROOT=$(dirname -- "$(dirname -- "$(readlink -f -- "$0")")")
+NAME=android-check
 TARGET=aarch64-linux-android
 API=29
-cd -- "$ROOT"
-
-die() {
-  echo "android-check: $*" >&2
-  exit 1
-}
-
-needs() { # TOOL PACKAGE
-  command -v "$1" >/dev/null || die "'$1' was not found: apt-get install $2"
-}
+# shellcheck source=scripts/elsewhere.sh
+. "$(dirname -- "$(readlink -f -- "$0")")/elsewhere.sh"
 
 # Stub libraries, empty but for their symbols. The NDK's libunwind is a static archive.
 make_stubs() {
@@ -59,7 +51,7 @@ pack() {
   rm -rf -- "$work"
 }
 
-[ -d "$(rustc --print sysroot)/lib/rustlib/$TARGET/lib" ] || die "no standard library for $TARGET: rustup target add $TARGET"
+needs_target
 needs clang clang
 # ring's C code asks for no header of the system when it is told so; a compiler given from outside is used instead.
 export CC_aarch64_linux_android="${CC_aarch64_linux_android:-clang}"

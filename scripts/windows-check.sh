@@ -2,20 +2,12 @@
 # Checks, on Linux, what runs on Windows: compiles and lints the whole workspace for it. With --link also links the programs and
 # the mock runtime with mingw, the C++ library inside them.
 set -euo pipefail
-ROOT=$(dirname -- "$(dirname -- "$(readlink -f -- "$0")")")
+NAME=windows-check
 TARGET=x86_64-pc-windows-gnu
 # The flavour with POSIX threads: the other one has no std::mutex.
 MINGW=x86_64-w64-mingw32
-cd -- "$ROOT"
-
-die() {
-  echo "windows-check: $*" >&2
-  exit 1
-}
-
-needs() { # TOOL PACKAGE
-  command -v "$1" >/dev/null || die "'$1' was not found: apt-get install $2"
-}
+# shellcheck source=scripts/elsewhere.sh
+. "$(dirname -- "$(readlink -f -- "$0")")/elsewhere.sh"
 
 link() {
   STATIC=$(mktemp -d)
@@ -32,7 +24,7 @@ link() {
   echo "windows-check: programs in $programs"
 }
 
-[ -d "$(rustc --print sysroot)/lib/rustlib/$TARGET/lib" ] || die "no standard library for $TARGET: rustup target add $TARGET"
+needs_target
 needs $MINGW-gcc-posix gcc-mingw-w64-x86-64-posix
 needs $MINGW-g++-posix g++-mingw-w64-x86-64-posix
 export CARGO_TARGET_X86_64_PC_WINDOWS_GNU_LINKER=$MINGW-gcc-posix

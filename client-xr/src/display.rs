@@ -128,8 +128,8 @@ pub trait Display {
     /// Gives the image, drawn to by submitted work, back to be shown.
     fn release_image(&mut self) -> Result<(), DisplayError>;
 
-    /// Ends a frame: the last released image is shown as seen from `views`.
-    fn end_frame(&mut self, turn: FrameTurn, views: &Views) -> Result<(), DisplayError>;
+    /// Ends a frame: the last released image is shown as seen from where the eyes were located last.
+    fn end_frame(&mut self, turn: FrameTurn) -> Result<(), DisplayError>;
 
     /// Ends a frame that shows nothing.
     fn end_empty_frame(&mut self, turn: FrameTurn) -> Result<(), DisplayError>;

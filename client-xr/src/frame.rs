@@ -96,7 +96,7 @@ impl Client {
         let index_count = content.scene.index_count;
         self.renderer.last_drawn = content.update.map(|_| LastDrawn { eyes, index_count });
         let report = self.finish(&turn, &views, content, true);
-        self.renderer.display.end_frame(turn, &views)?;
+        self.renderer.display.end_frame(turn)?;
         Ok(report)
     }
 

@@ -140,13 +140,10 @@ enum ReconstructionArgument {
     Bicubic,
 }
 
-/// What a shell shows for a program that Ctrl-C ended.
-const INTERRUPTED: i32 = 130;
-
 /// The first signal (Ctrl-C, or the system's wish to end) asks the program to end; the next one ends it.
 fn stop() {
     if STOP.swap(true, Ordering::Relaxed) {
-        shadecast_system::process::end_at_once(INTERRUPTED);
+        shadecast_system::process::end_at_once();
     }
 }
 

@@ -4,9 +4,6 @@ use anyhow::Context;
 use shadecast_scene::{Cancel, Cancelled};
 use shadecast_system::process::end_at_once;
 
-/// What a shell shows for a program that Ctrl-C ended.
-pub(crate) const EXIT_CODE: i32 = 130;
-
 /// What the first signal does.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum FirstSignal {
@@ -25,7 +22,7 @@ pub(crate) fn install(first: FirstSignal) -> anyhow::Result<Cancel> {
     let asked = cancel.clone();
     let on_signal = move || {
         if first == FirstSignal::Ends || asked.is_asked() {
-            end_at_once(EXIT_CODE);
+            end_at_once();
         }
         asked.ask();
     };

@@ -228,7 +228,7 @@ fn main() {
     if let Err(error) = run_command(&Cli::parse().command) {
         if interrupt::is_interruption(&error) {
             note("interrupted");
-            std::process::exit(interrupt::EXIT_CODE);
+            std::process::exit(shadecast_system::process::INTERRUPTED);
         }
         note(&format!("error: {}", with_causes(error.as_ref())));
         std::process::exit(1);

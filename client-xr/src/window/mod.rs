@@ -220,7 +220,7 @@ impl Display for WindowDisplay {
         Ok(())
     }
 
-    fn end_frame(&mut self, _: FrameTurn, _: &Views) -> Result<(), DisplayError> {
+    fn end_frame(&mut self, _: FrameTurn) -> Result<(), DisplayError> {
         let Some(image) = self.image.take() else { return Ok(()) };
         let present = self.canvas.present_mut();
         present.show_eyes(self.user.both_eyes);

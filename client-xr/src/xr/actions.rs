@@ -28,7 +28,6 @@ pub(super) struct Actions {
 }
 
 /// What a controller's inputs are for.
-#[derive(Clone, Copy)]
 enum Use {
     Walk,
     Turn,
@@ -40,29 +39,24 @@ enum Use {
 /// A controller's profile, and its inputs.
 type Controller = (&'static str, &'static [(Use, &'static str)]);
 
-const STICKS: [(Use, &str); 2] =
-    [(Use::Walk, "/user/hand/left/input/thumbstick"), (Use::Turn, "/user/hand/right/input/thumbstick")];
+const WALK: (Use, &str) = (Use::Walk, "/user/hand/left/input/thumbstick");
+const TURN: (Use, &str) = (Use::Turn, "/user/hand/right/input/thumbstick");
+const MENU: (Use, &str) = (Use::Leave, "/user/hand/left/input/menu/click");
 
 const CONTROLLERS: [Controller; 4] = [
-    (
-        "/interaction_profiles/oculus/touch_controller",
-        &[STICKS[0], STICKS[1], (Use::Leave, "/user/hand/left/input/menu/click")],
-    ),
-    (
-        "/interaction_profiles/bytedance/pico4_controller",
-        &[STICKS[0], STICKS[1], (Use::Leave, "/user/hand/left/input/menu/click")],
-    ),
+    ("/interaction_profiles/oculus/touch_controller", &[WALK, TURN, MENU]),
+    ("/interaction_profiles/bytedance/pico4_controller", &[WALK, TURN, MENU]),
     // It has no menu button but the system's own.
     (
         "/interaction_profiles/valve/index_controller",
-        &[STICKS[0], STICKS[1], (Use::Leave, "/user/hand/left/input/b/click")],
+        &[WALK, TURN, (Use::Leave, "/user/hand/left/input/b/click")],
     ),
     (
         "/interaction_profiles/khr/simple_controller",
         &[
             (Use::WalkAhead, "/user/hand/left/input/select/click"),
             (Use::TurnRight, "/user/hand/right/input/select/click"),
-            (Use::Leave, "/user/hand/left/input/menu/click"),
+            MENU,
         ],
     ),
 ];

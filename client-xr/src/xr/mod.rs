@@ -312,7 +312,7 @@ impl Display for Xr {
         Ok(self.swapchain.release()?)
     }
 
-    fn end_frame(&mut self, turn: FrameTurn, _: &Views) -> Result<(), DisplayError> {
+    fn end_frame(&mut self, turn: FrameTurn) -> Result<(), DisplayError> {
         Ok(self.headset.end_frame(turn, &self.swapchain)?)
     }
 

@@ -25,15 +25,12 @@ pub struct Run(shadecast_test_support::headset::Run);
 
 impl Run {
     pub fn new(config: MockConfig) -> Self {
-        let config =
-            MockConfig { extent_pixels: [SIDE; 2], clock: ClockKind::Virtual, capture_every: 1, ..config };
-        Self(shadecast_test_support::headset::Run::new(&config))
+        Self::unseen(MockConfig { capture_every: 1, ..config })
     }
 
-    /// The same without pictures.
+    /// The same without pictures, unless the configuration asks for some.
     pub fn unseen(config: MockConfig) -> Self {
-        let config =
-            MockConfig { extent_pixels: [SIDE; 2], clock: ClockKind::Virtual, capture_every: 0, ..config };
+        let config = MockConfig { extent_pixels: [SIDE; 2], clock: ClockKind::Virtual, ..config };
         Self(shadecast_test_support::headset::Run::new(&config))
     }
 

@@ -33,21 +33,24 @@ pub fn interrupt(child: &Child) -> io::Result<()> {
     if failed { Err(io::Error::last_os_error()) } else { Ok(()) }
 }
 
-/// Ends this process without the clean-up of the libraries, which may wait for what hangs; files that are being written beside
+/// What a shell shows for a program that Ctrl-C ended.
+pub const INTERRUPTED: i32 = 130;
+
+/// Ends this process, which somebody interrupts, without the clean-up of the libraries, which may wait for what hangs; files that are being written beside
 /// their places go.
-pub fn end_at_once(exit_code: i32) -> ! {
+pub fn end_at_once() -> ! {
     crate::remove_pending_files();
     #[cfg(unix)]
     // SAFETY: ends the process; nothing runs after it that could see anything broken.
     unsafe {
-        libc::_exit(exit_code)
+        libc::_exit(INTERRUPTED)
     }
     #[cfg(windows)]
     // SAFETY: ends the process; nothing runs after it that could see anything broken.
     unsafe {
         windows_sys::Win32::System::Threading::TerminateProcess(
             windows_sys::Win32::System::Threading::GetCurrentProcess(),
-            exit_code as u32,
+            INTERRUPTED as u32,
         );
         std::process::abort() // not reached
     }

@@ -9,7 +9,17 @@ pub(crate) use counter::{convert_counter_to_time, convert_time_to_counter};
 #[cfg(unix)]
 pub(crate) use timespec::{convert_time_to_timespec_time, convert_timespec_time_to_time};
 
+use crate::fault::{Fault, Outcome};
 use openxr_sys as xr;
+
+/// A time that an application may give, nanoseconds.
+fn positive_ns(time: xr::Time) -> Outcome<i64> {
+    let time_ns = time.as_nanos();
+    if time_ns > 0 {
+        return Ok(time_ns);
+    }
+    Err(Fault::application(xr::Result::ERROR_TIME_INVALID, format!("time {time_ns} is not positive")))
+}
 
 /// Name and version of the extension that converts on this system.
 #[cfg(unix)]
@@ -25,6 +35,7 @@ pub(crate) const EXTENSION: (&[u8], u32) = (
 
 #[cfg(unix)]
 mod timespec {
+    use super::positive_ns;
     use crate::fault::Fault;
     use crate::ffi::entry;
     use crate::runtime;
@@ -40,10 +51,7 @@ mod timespec {
             timespec_time: slot timespec,
         ) {
             runtime::lock().core(instance)?;
-            let time_ns = time.as_nanos();
-            if time_ns <= 0 {
-                return Err(Fault::application(xr::Result::ERROR_TIME_INVALID, format!("time {time_ns} is not positive")));
-            }
+            let time_ns = positive_ns(time)?;
             timespec_time.tv_sec = time_ns / SECOND_NS;
             timespec_time.tv_nsec = time_ns % SECOND_NS;
             Ok(xr::Result::SUCCESS)
@@ -73,6 +81,7 @@ mod timespec {
 
 #[cfg(windows)]
 mod counter {
+    use super::positive_ns;
     use crate::fault::Fault;
     use crate::ffi::entry;
     use crate::runtime;
@@ -87,12 +96,7 @@ mod counter {
             performance_counter: slot LARGE_INTEGER,
         ) {
             runtime::lock().core(instance)?;
-            let time_ns = time.as_nanos();
-            if time_ns <= 0 {
-                let message = format!("time {time_ns} is not positive");
-                return Err(Fault::application(xr::Result::ERROR_TIME_INVALID, message));
-            }
-            *performance_counter = performance_counter_at(time_ns);
+            *performance_counter = performance_counter_at(positive_ns(time)?);
             Ok(xr::Result::SUCCESS)
         }
     }
