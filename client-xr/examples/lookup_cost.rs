@@ -1,11 +1,11 @@
 //! What each reconstruction costs on this device: the client's one draw of a wall of patches, all ways in turn in each round.
 //! `cargo run --release -p shadecast-client --example lookup_cost -- [PIXELS A SIDE] [ROUNDS]`
 
-use shadecast_client::draw_list::ListWriter;
+use shadecast_client::draw_list::{Drawable, ListWriter};
 use shadecast_client::motion::skinned::SkinCapacity;
 use shadecast_client::stages::FRAMES_IN_FLIGHT;
 use shadecast_client::stages::atlas_draw::{
-    AtlasDraw, BundleSet, EyeTargets, Lookup, Reconstruction, eye_buffers,
+    AtlasDraw, BundleMemory, BundleSet, EyeTargets, Lookup, Reconstruction, eye_buffers,
 };
 use shadecast_client::stages::scatter::VertexMemory;
 use shadecast_gpu::{Access, Buffer, DesktopDevice, Gpu, GpuError, GpuOptions, Image, ImageDesc, Needs, vk};
@@ -61,8 +61,9 @@ struct Bench {
 struct Way {
     name: &'static str,
     stage: AtlasDraw,
+    bundle: BundleMemory,
     set: BundleSet,
-    index_count: u32,
+    drawn: Drawable,
 }
 
 impl Bench {
@@ -98,15 +99,16 @@ impl Bench {
         let mut recorder = self.gpu.record()?;
         let patches = u32::from(ACROSS) * u32::from(ACROSS);
         let eyes = self.eyes.each_ref();
-        let mut set =
-            stage.bundle_set(&self.gpu, &mut recorder, patches, AtlasExtent::DEFAULT, &self.memory, eyes)?;
+        let extent = AtlasExtent::DEFAULT;
+        let mut bundle = stage.bundle_memory(&self.gpu, 0, patches, extent)?;
+        let set = stage.bundle_set(&self.gpu, &mut recorder, &bundle, extent, &self.memory, eyes)?;
         self.gpu.wait(recorder.submit()?)?;
-        let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(set.corners.bytes_mut());
-        let indices: &mut [u32] = bytemuck::cast_slice_mut(set.indices.bytes_mut());
+        let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(bundle.corners.bytes_mut());
+        let indices: &mut [u32] = bytemuck::cast_slice_mut(bundle.indices.bytes_mut());
         let mut writer = ListWriter::new(corners, indices);
         (0..ACROSS * ACROSS).for_each(|number| writer.write(&patch(number)));
-        let index_count = writer.index_count();
-        Ok(Way { name, stage, set, index_count })
+        let drawn = Drawable { opaque: writer.index_count(), ..Drawable::default() };
+        Ok(Way { name, stage, bundle, set, drawn })
     }
 
     /// Milliseconds of the device.
@@ -114,7 +116,7 @@ impl Bench {
         let mut recorder = self.gpu.record()?;
         recorder.scope(way.name, |r| {
             self.targets.begin(r, 0);
-            way.stage.record(r, &way.set, 0, way.index_count);
+            way.stage.record(r, &way.set, &way.bundle.indices, 0, way.drawn);
             r.end_pass();
         });
         let timings = self.gpu.wait_timed(recorder.submit()?)?;

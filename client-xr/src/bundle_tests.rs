@@ -3,8 +3,9 @@
 
 use super::*;
 use crate::draw_list::{DrawList, ListScratch, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
-use crate::motion::pace::{GridTime, Pace};
-use crate::motion::{Motion, Motionless};
+use crate::motion::Motion;
+use crate::motion::pace::{GridTime, Pace, Span};
+use crate::motion::state::Motionless;
 use crate::stages::interpolate::{Interpolation, Slots, push};
 use glam::Vec3;
 use shadecast_protocol::atlas::{BlockAddress, BlockSize, PatchKind};
@@ -211,6 +212,7 @@ struct Bench {
     corners: Vec<CornerGpu>,
     indices: Vec<u32>,
     list: DrawList,
+    ready: GridIndex,
 }
 
 impl Bench {
@@ -230,6 +232,7 @@ impl Bench {
             corners: vec![bytemuck::Zeroable::zeroed(); PATCH_SLOTS as usize * MAX_CORNERS_PER_PATCH],
             indices: vec![0; PATCH_SLOTS as usize * MAX_INDICES_PER_PATCH],
             list: DrawList::default(),
+            ready: GridIndex(i32::MIN),
         }
     }
 
@@ -253,7 +256,8 @@ impl Bench {
         if let Some((frame, picture)) = newest {
             assert_eq!(frame.0, picture, "seed {}: the picture of another frame", self.seed);
             let (patches, memory) = (self.bundler.patches(), (&mut self.corners[..], &mut self.indices[..]));
-            self.list.write(patches, &mut self.motion, GridIndex(grid), memory, &mut self.scratch);
+            self.list.write(patches, &mut self.motion, memory, &mut self.scratch);
+            self.ready = self.list.ready_at(GridIndex(grid));
         }
         assert_eq!(self.motion.take_contradiction(), None, "seed {}", self.seed);
         self.bundler.current()
@@ -265,8 +269,11 @@ impl Bench {
         let shown = self.display(records, grid)?;
         let into_step_ns = (fraction * DEFAULT_GRID.spacing_ns as f64) as i64;
         self.now = self.now.max(DEFAULT_GRID.time_of(GridIndex(grid)).plus_ns(into_step_ns));
-        let (span, has_switched) = (self.motion.span(), before != Some(shown));
+        let Span { first, last } = self.motion.state().span;
+        let (span, has_switched) = (Span { first: first.max(self.ready), last }, before != Some(shown));
         let evaluation = self.pace.advance(DEFAULT_GRID, self.now, span, has_switched);
+        let step = GridTime::of(DEFAULT_GRID, self.pace.shown().expect("shown")).step;
+        self.ready = if has_switched { self.list.ready_at(step) } else { self.ready };
         self.frozen_frames += usize::from(evaluation.is_none());
         if let Some(evaluation) = evaluation {
             let (vertex_slots, sample_ring) = (VERTEX_SLOTS, self.moved.sample_ring);
@@ -281,8 +288,12 @@ impl Bench {
     #[track_caller]
     fn assert_whole(&self) {
         let step = GridTime::of(DEFAULT_GRID, self.pace.shown().expect("shown")).step;
-        let (count, _) = self.list.at(step);
-        for triangle in self.indices[..count as usize].chunks(3) {
+        let drawn = self
+            .list
+            .at(step)
+            .ranges()
+            .map(|[first, count]| &self.indices[first as usize..][..count as usize]);
+        for triangle in drawn.iter().flat_map(|indices| indices.chunks(3)) {
             let slots = [0, 1, 2].map(|i| self.corners[triangle[i] as usize].vertex_slot as usize);
             let positions = slots.map(|slot| self.moved.positions[slot]);
             let drawable = positions.iter().all(|p| p[3] > 0.0 && p.iter().all(|c| c.is_finite()));
@@ -313,7 +324,7 @@ impl Bench {
     /// Corners of the patch whose first corner is `first`: the next patch begins with the least corner that no triangle
     /// shares with this one's.
     fn patch_corners(&self, first: u32) -> usize {
-        let all = self.list.late.last().map_or(self.list.indices, |(_, end)| *end) as usize;
+        let all = self.list.at(GridIndex(i32::MAX)).index_count() as usize;
         let mut end = first + 1;
         for triangle in self.indices[..all].chunks(3) {
             let is_ours = triangle.iter().any(|index| (first..end).contains(index));
@@ -515,7 +526,8 @@ fn corners_lie_in_the_blocks_lookup_rectangle_and_carry_slot_and_instance() {
     bench.add_delta(triangle(0, 0..=4));
     bench.bundler.add_picture(UpdateId(0), 0);
     bench.display(100, 1);
-    assert_eq!((bench.list.corners, bench.list.indices, bench.list.patches), (3, 3, 1));
+    let drawn = bench.list.at(GridIndex(1));
+    assert_eq!((bench.list.corners, drawn.index_count(), drawn.withheld_patches), (3, 3, 0));
     let texels: Vec<_> = bench.corners[..3].iter().map(|corner| corner.atlas_texel).collect();
     assert_eq!(texels, [[9.0, 5.0], [15.0, 5.0], [9.0, 7.0]]);
     assert_eq!(bench.indices[..3], [0, 1, 2]);
@@ -561,7 +573,7 @@ fn cutouts_are_drawn_last_by_the_pipeline_that_discards() {
     bench.add_delta(triangle(0, 0..=4));
     bench.bundler.add_picture(UpdateId(0), 0);
     bench.display(100, 1);
-    assert_eq!((bench.list.opaque_indices, bench.corners[0].block[0] & IS_MASKED), (u32::MAX, 0));
+    assert_eq!((bench.list.at(GridIndex(1)).opaque, bench.corners[0].block[0] & IS_MASKED), (3, 0));
     let mut bench = Bench::new(0);
     let mut both = cutout(0, |texel| texel > 3);
     both.geometry.new_patches.push(NewPatch { slot: PatchSlot(1), ..one_triangle() });
@@ -570,7 +582,8 @@ fn cutouts_are_drawn_last_by_the_pipeline_that_discards() {
     bench.add_delta(both);
     bench.bundler.add_picture(UpdateId(0), 0);
     bench.display(100, 1);
-    assert_eq!((bench.list.opaque_indices, bench.list.indices), (3, 6));
+    let drawn = bench.list.at(GridIndex(1));
+    assert_eq!((drawn.opaque, drawn.cutouts), (3, [3, 3]));
     let masked: Vec<bool> = bench.corners[..6].iter().map(|c| c.block[0] & IS_MASKED != 0).collect();
     assert_eq!(masked, [false, false, false, true, true, true]);
 }
@@ -590,8 +603,11 @@ fn a_patch_is_withheld_until_the_first_step_that_all_its_vertices_have() {
     bench.add_delta(triangle(0, 5..=8));
     bench.bundler.add_picture(UpdateId(0), 0);
     bench.display(100, 3);
-    assert_eq!(bench.list.at(GridIndex(4)), (0, 1));
-    assert_eq!(bench.list.at(GridIndex(5)), (3, 0));
+    let at = |step| {
+        let drawn = bench.list.at(GridIndex(step));
+        (drawn.index_count(), drawn.withheld_patches)
+    };
+    assert_eq!([at(4), at(5)], [(0, 1), (3, 0)]);
 }
 
 #[test]
@@ -600,7 +616,8 @@ fn vertices_past_their_last_sample_are_held_for_one_step_and_then_frozen() {
     bench.add_delta(triangle(0, 0..=4));
     bench.bundler.add_picture(UpdateId(0), 0);
     bench.display(100, 0);
-    let at = |step| bench.motion.motionless(DEFAULT_GRID, DEFAULT_GRID.time_of(GridIndex(step)));
+    let state = bench.motion.state();
+    let at = |step| state.motionless(DEFAULT_GRID, DEFAULT_GRID.time_of(GridIndex(step)));
     assert_eq!(at(3), Motionless::default());
     assert_eq!(at(4), Motionless { held: 3, frozen: 0 });
     assert_eq!(at(5), Motionless { held: 0, frozen: 3 });

@@ -332,9 +332,16 @@ impl Engine {
         let (jobs, job_receiver) = sync_channel(THREAD_QUEUE);
         let (outcome_sender, outcomes) = sync_channel(THREAD_QUEUE);
         let (spare, spare_receiver) = sync_channel(SPARE_QUEUE);
-        let thread = std::thread::Builder::new()
-            .name("decode".into())
-            .spawn(move || decode_all(work, now, &job_receiver, &outcome_sender, &spare_receiver));
+        // It may sleep until there is something for it.
+        let owner = std::thread::current();
+        let decode = move || {
+            decode_all(work, now, &job_receiver, &spare_receiver, |outcome| {
+                let is_wanted = outcome_sender.send(outcome).is_ok();
+                owner.unpark();
+                is_wanted
+            });
+        };
+        let thread = std::thread::Builder::new().name("decode".into()).spawn(decode);
         if let Err(error) = &thread {
             tracing::error!("the decoding thread could not be started: {error}");
         }
@@ -414,8 +421,8 @@ fn decode_all(
     mut work: Work,
     now: fn() -> ClientTime,
     jobs: &Receiver<Job>,
-    outcomes: &SyncSender<Outcome>,
     spare: &Receiver<Picture>,
+    hand_on: impl Fn(Outcome) -> bool,
 ) {
     loop {
         let job = match work.under_way.is_empty() {
@@ -429,7 +436,7 @@ fn decode_all(
             Err(TryRecvError::Disconnected) => return,
         }
         while let Some(outcome) = work.poll(LOOK_UP, |_| now()) {
-            if outcomes.send(outcome).is_err() {
+            if !hand_on(outcome) {
                 return;
             }
         }

@@ -13,100 +13,133 @@ pub const MAX_CORNERS_PER_PATCH: usize = PATCH_MAX_VERTICES as usize;
 /// Indices of a patch of three triangles, both sides.
 pub const MAX_INDICES_PER_PATCH: usize = 18;
 
-/// What a draw list holds.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// Indices of patches that can be drawn from the same grid step on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Group {
+    first: GridIndex,
+    /// Exclusive, from the list's first index on.
+    end_index: u32,
+    patches: u32,
+}
+
+/// What a draw list holds: what covers all of its block, then cutouts; of both what waits for no samples, then the others in the
+/// order of the steps from which all their vertices have some.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct DrawList {
     /// Corners written.
     pub corners: u32,
-    /// Indices of patches that can be drawn at any display time from now on.
-    pub indices: u32,
-    /// Of all indices, how many from the first on are of patches that cover all of their block; `u32::MAX` where all are.
-    pub opaque_indices: u32,
-    /// Patches of `indices`.
-    pub patches: u32,
-    /// The first grid step at which all of `indices` can be drawn.
-    pub ready: GridIndex,
-    /// Patches whose vertices have no samples before a grid step, in order of it: step, and indices up to the patch's
-    /// end. They lie behind `indices`.
-    pub late: Vec<(GridIndex, u32)>,
+    opaque: Vec<Group>,
+    cutouts: Vec<Group>,
 }
 
-impl Default for DrawList {
-    fn default() -> Self {
-        let ready = GridIndex(i32::MIN);
-        Self { corners: 0, indices: 0, opaque_indices: u32::MAX, patches: 0, ready, late: Vec::new() }
+/// What of a list can be drawn at a time: indices.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Drawable {
+    /// Of patches that cover all of their block, from the list's first on.
+    pub opaque: u32,
+    /// The first of a cutout, and how many there are.
+    pub cutouts: [u32; 2],
+    /// Patches that have to wait for their samples.
+    pub withheld_patches: u32,
+}
+
+impl Drawable {
+    /// Both ranges: first and count.
+    pub fn ranges(&self) -> [[u32; 2]; 2] {
+        [[0, self.opaque], self.cutouts]
+    }
+
+    /// All indices.
+    pub fn index_count(&self) -> u32 {
+        self.opaque + self.cutouts[1]
     }
 }
 
 impl DrawList {
-    /// Indices to draw, and patches withheld, when the last grid step at or before the display time is `grid`.
-    pub fn at(&self, grid: GridIndex) -> (u32, u32) {
-        let ready = self.late.partition_point(|(first, _)| *first <= grid);
-        let indices = self.late[..ready].last().map_or(self.indices, |(_, end)| *end);
-        (indices, (self.late.len() - ready) as u32)
+    /// With room for so many patches.
+    pub fn of_capacity(patch_slots: u32) -> Self {
+        let room = || Vec::with_capacity(patch_slots as usize + 1);
+        Self { corners: 0, opaque: room(), cutouts: room() }
+    }
+
+    /// What can be drawn when the last grid step at or before the display time is `step`.
+    pub fn at(&self, step: GridIndex) -> Drawable {
+        let until = |groups: &[Group]| groups.partition_point(|group| group.first <= step);
+        let end = |groups: &[Group], base: u32| groups.last().map_or(base, |group| group.end_index);
+        let (opaque, cutouts) = (until(&self.opaque), until(&self.cutouts));
+        let base = end(&self.opaque, 0);
+        let late = self.opaque[opaque..].iter().chain(&self.cutouts[cutouts..]);
+        Drawable {
+            opaque: end(&self.opaque[..opaque], 0),
+            cutouts: [base, end(&self.cutouts[..cutouts], base) - base],
+            withheld_patches: late.map(|group| group.patches).sum(),
+        }
+    }
+
+    /// The first step at which all can be drawn that can be at `step`.
+    pub fn ready_at(&self, step: GridIndex) -> GridIndex {
+        let firsts = self.opaque.iter().chain(&self.cutouts).map(|group| group.first);
+        firsts.filter(|first| *first <= step).max().unwrap_or(GridIndex(i32::MIN))
     }
 }
 
 /// Memory for the lists of one scene.
 #[derive(Debug)]
 pub struct ListScratch {
-    late: Vec<(GridIndex, PatchSlot)>,
-    masked: Vec<PatchSlot>,
+    /// By kind, and in it by the step from which they can be drawn: cutouts, and all that wait for samples.
+    later: Vec<(bool, GridIndex, PatchSlot)>,
 }
 
 impl ListScratch {
     /// For so many patches.
     pub fn new(patch_slots: u32) -> Self {
-        let slots = patch_slots as usize;
-        Self { late: Vec::with_capacity(slots), masked: Vec::with_capacity(slots) }
+        Self { later: Vec::with_capacity(patch_slots as usize) }
     }
 }
 
 impl DrawList {
-    /// Writes what `patches` draw: those that can be drawn from grid step `step` on, cutouts last, then the others in the order of the
-    /// steps from which they can. The slices hold what all patch slots can need. Tells `motion` what is on display.
+    /// Writes what `patches` draw. The slices hold what all patch slots can need. Tells `motion` that the list comes on display.
     pub fn write(
         &mut self,
         patches: &Patches,
         motion: &mut Motion,
-        step: GridIndex,
         (corners, indices): (&mut [CornerGpu], &mut [u32]),
         scratch: &mut ListScratch,
     ) {
         let mut writer = ListWriter::new(corners, indices);
         let mut users = motion.begin_list();
-        scratch.late.clear();
-        scratch.masked.clear();
-        let mut has_masked = false;
-        (self.patches, self.ready) = (0, GridIndex(i32::MIN));
+        let later = &mut scratch.later;
+        later.clear();
+        (self.opaque.clear(), self.cutouts.clear());
+        let at_once = GridIndex(i32::MIN);
         for (slot, patch) in patches.iter().filter(|(_, patch)| patch.block.is_some()) {
             let first = users.note(&patch.vertices[..patch.kind.vertex_count()]);
-            has_masked |= patch.is_masked;
-            if first <= step {
-                if patch.is_masked {
-                    scratch.masked.push(slot);
-                } else {
-                    writer.write(patch);
-                }
-                self.patches += 1;
-                self.ready = self.ready.max(first);
+            if first > at_once || patch.is_masked {
+                later.push((patch.is_masked, first, slot));
             } else {
-                scratch.late.push((first, slot));
+                writer.write(patch);
+                extend(&mut self.opaque, at_once, &writer);
             }
         }
-        users.end(self.ready);
-        self.opaque_indices = if has_masked { writer.index_count() } else { u32::MAX };
-        scratch.masked.iter().filter_map(|slot| patches.get(*slot)).for_each(|patch| writer.write(patch));
-        self.indices = writer.index_count();
-        scratch.late.sort_unstable();
-        self.late.clear();
-        for (first, slot) in &scratch.late {
+        users.end();
+        later.sort_unstable();
+        for (is_cutout, first, slot) in later.iter() {
             if let Some(patch) = patches.get(*slot) {
                 writer.write(patch);
-                self.late.push((*first, writer.index_count as u32));
+                let groups = if *is_cutout { &mut self.cutouts } else { &mut self.opaque };
+                extend(groups, *first, &writer);
             }
         }
         self.corners = writer.corner_count as u32;
+    }
+}
+
+/// The patch that was written last belongs to the group of `first`.
+fn extend(groups: &mut Vec<Group>, first: GridIndex, writer: &ListWriter<'_>) {
+    let end_index = writer.index_count();
+    match groups.last_mut().filter(|group| group.first == first) {
+        Some(group) => (group.end_index, group.patches) = (end_index, group.patches + 1),
+        None => groups.push(Group { first, end_index, patches: 1 }),
     }
 }
 

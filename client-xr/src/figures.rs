@@ -1,7 +1,7 @@
 //! Figures for who watches: how it goes, in a few lines, anew twice a second.
 
 use crate::report::FrameReport;
-use crate::stats::Counters;
+use crate::stats::{Counters, so_far};
 use shadecast_protocol::time::ClientTime;
 
 /// How often they change: readable, and fresh.
@@ -71,8 +71,14 @@ impl Figures {
 
 impl Counted {
     fn of(counters: &Counters) -> Self {
-        let Counters { frames, bundles, atlas_bytes, geometry_bytes, lost_pictures, .. } = *counters;
-        Self { frames, bundles, atlas_bytes, geometry_bytes, lost_pictures }
+        let Counters { frames, bundles, arrived, .. } = counters;
+        Self {
+            frames: *frames,
+            bundles: *bundles,
+            atlas_bytes: so_far(&arrived.atlas_bytes),
+            geometry_bytes: so_far(&arrived.geometry_bytes),
+            lost_pictures: so_far(&arrived.lost_pictures),
+        }
     }
 
     fn since(self, before: Self) -> Self {
@@ -89,6 +95,7 @@ impl Counted {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::atomic::Ordering;
 
     const MS: i64 = 1_000_000;
 
@@ -99,10 +106,11 @@ mod tests {
     #[test]
     fn rates_are_those_of_the_last_half_second() {
         let (mut figures, mut counters) = (Figures::default(), Counters::default());
+        let arrived = counters.arrived.clone();
         let mut told = Vec::new();
         for ms in (0..=1500).step_by(20) {
             counters.count(&frame(ms));
-            counters.atlas_bytes += 2500;
+            arrived.atlas_bytes.fetch_add(2500, Ordering::Relaxed);
             let arrived = frame(ms).is_new.then(|| ClientTime((ms - 7) * MS));
             if let Some(lines) = figures.note(&counters, &frame(ms), arrived) {
                 told.push((ms, lines.to_vec()));

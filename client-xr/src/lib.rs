@@ -1,6 +1,7 @@
 //! The Shadecast headset client: receives, decodes, bundles and draws.
 //!
-//! [`client::Client`] is the whole of it without I/O; [`frame`] is one display frame on one page. Without the feature
+//! [`client::Client`] is the whole of it without I/O, [`intake`] and [`presenter`] its halves; [`frame`] is one display frame on
+//! one page. Without the feature
 //! `desktop` nothing here needs a C++ compiler or a command line: the Android library is built so.
 
 pub mod bundle;
@@ -12,14 +13,19 @@ pub mod display;
 pub mod draw_list;
 mod figures;
 pub mod frame;
+mod handover;
+pub mod intake;
 mod link;
 mod locomotion;
 pub mod motion;
 pub mod net;
+pub mod options;
 pub mod platform;
+mod preparing;
+pub mod presenter;
 mod renderer;
 pub mod report;
-pub mod scene;
+mod scene;
 mod scenes;
 pub mod stages;
 pub mod stats;

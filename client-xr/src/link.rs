@@ -4,16 +4,14 @@
 
 use crate::decode::{Decoder, Picture};
 use crate::decoding::{self, DecodeTiming, Decoded, Decoding};
-use crate::display::Views;
 use crate::report::FrameReport;
 use crate::watch::Watch;
 use shadecast_protocol::PROTOCOL_VERSION;
-use shadecast_protocol::clock::ClockEstimator;
-use shadecast_protocol::ids::DiscontinuityId;
+use shadecast_protocol::clock::ClockEstimate;
 use shadecast_protocol::message::{Capabilities, ClientHello, Displayed, HeadState, ResumeSecret, Welcome};
-use shadecast_protocol::pose::{Eye, Pose};
+use shadecast_protocol::pose::Eye;
 use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
-use shadecast_protocol::time::{ClientTime, ServerTime};
+use shadecast_protocol::time::ClientTime;
 use shadecast_protocol::wire::WireError;
 
 /// What is on display is reported at least this often.
@@ -30,7 +28,8 @@ pub(crate) struct Link {
     /// What lets this client come back to its place at the server.
     resume: Option<ResumeSecret>,
     watch: Watch,
-    head: Head,
+    /// The eyes, and the display's period in nanoseconds, of the last display frame.
+    eyes: Option<([Eye; 2], i64)>,
     reports: Reports,
 }
 
@@ -42,28 +41,11 @@ struct Connection {
     decoding: Option<Decoding>,
 }
 
-/// The head as the server is told of it.
-#[derive(Default)]
-struct Head {
-    /// The eyes, and the display's period in nanoseconds, of the last display frame.
-    eyes: Option<([Eye; 2], i64)>,
-    state: Option<HeadState>,
-    sequence: u32,
-}
-
 /// What is on display as the server is told of it.
 #[derive(Default)]
 struct Reports {
     next: Displayed,
     sent: Option<ClientTime>,
-}
-
-/// A connection that has ended.
-pub(crate) struct Ended {
-    /// Which.
-    pub(crate) serial: u64,
-    /// The server's clock as it knew it.
-    pub(crate) clock: ClockEstimator,
 }
 
 impl Link {
@@ -72,11 +54,10 @@ impl Link {
         self.is_connected = true;
     }
 
-    /// Bytes flow no more.
-    pub(crate) fn close(&mut self) -> Option<Ended> {
+    /// Bytes flow no more. Gives the serial of the connection that has ended.
+    pub(crate) fn close(&mut self) -> Option<u64> {
         self.is_connected = false;
-        let Connection { serial, session, .. } = self.connection.take()?;
-        Some(Ended { serial, clock: session.clock().clone() })
+        self.connection.take().map(|connection| connection.serial)
     }
 
     /// Begins the session that is due, if one is, with what `capabilities` makes of eyes and display period.
@@ -85,8 +66,7 @@ impl Link {
         now: ClientTime,
         capabilities: impl FnOnce([Eye; 2], i64) -> Capabilities,
     ) {
-        let (Some((eyes, period_ns)), true, None) = (self.head.eyes, self.is_connected, &self.connection)
-        else {
+        let (Some((eyes, period_ns)), true, None) = (self.eyes, self.is_connected, &self.connection) else {
             return;
         };
         let hello = ClientHello {
@@ -113,11 +93,6 @@ impl Link {
         self.watch.begin_session();
         self.resume = Some(welcome.resume);
         Some(connection.serial)
-    }
-
-    /// The connection's serial.
-    pub(crate) fn serial(&self) -> Option<u64> {
-        self.connection.as_ref().map(|connection| connection.serial)
     }
 
     /// The session, to be given what has come.
@@ -187,23 +162,10 @@ impl Link {
         }
     }
 
-    /// The server's clock as the live connection knows it.
-    pub(crate) fn clock(&self) -> Option<&ClockEstimator> {
-        self.connection.as_ref().map(|connection| connection.session.clock())
-    }
-
-    /// Notes that a display frame that is seen at `at` shows the scene of connection `serial`.
-    pub(crate) fn note_shown(&mut self, serial: u64, at: ClientTime) {
-        if let Some(connection) = self.of_serial(serial) {
-            connection.session.note_shown(at);
-        }
-    }
-
-    /// Notes that the scene of connection `serial` takes the place of another one, by whose clock it is `seen`.
-    pub(crate) fn go_on_from(&mut self, serial: u64, at: ClientTime, seen: ServerTime) {
-        if let Some(connection) = self.of_serial(serial) {
-            connection.session.go_on_from(at, seen);
-        }
+    /// What the live connection knows of its server's clock, and its serial.
+    pub(crate) fn clock_estimate(&self) -> Option<(ClockEstimate, u64)> {
+        let connection = self.connection.as_ref()?;
+        Some((connection.session.clock().estimate()?, connection.serial))
     }
 
     /// Bytes of what has come and waits for an earlier one.
@@ -221,31 +183,15 @@ impl Link {
     }
 
     /// Notes the eyes of a display frame: the next hello names them.
-    pub(crate) fn note_eyes(&mut self, views: &Views, period_ns: i64) {
-        self.head.eyes = Some((views.eyes(), period_ns));
+    pub(crate) fn note_eyes(&mut self, eyes: [Eye; 2], display_period_ns: i64) {
+        self.eyes = Some((eyes, display_period_ns));
     }
 
-    /// Notes where the head will be at `time`, and tells the server of that connection.
-    pub(crate) fn tell_head(&mut self, serial: u64, time: ServerTime, world_from_stage: Pose, views: &Views) {
-        let head = HeadState {
-            sequence: self.head.sequence,
-            time,
-            world_from_head: world_from_stage.then(views.stage_from_head),
-            linear_velocity: world_from_stage.orientation * views.linear_velocity,
-            angular_velocity: world_from_stage.orientation * views.angular_velocity,
-            eyes: views.eyes(),
-            discontinuity: DiscontinuityId(views.jumps),
-        };
-        self.head.state = Some(head);
-        self.head.sequence = self.head.sequence.wrapping_add(1);
+    /// Tells the server of a connection where the head will be.
+    pub(crate) fn tell_head(&mut self, serial: u64, head: HeadState) {
         if let Some(connection) = self.of_serial(serial) {
             connection.session.send_pose(head);
         }
-    }
-
-    /// The head's state at the last display frame, once the server's clock is known.
-    pub(crate) fn head_state(&self) -> Option<HeadState> {
-        self.head.state
     }
 
     /// Counts a display frame. What it shows, if anything, is of connection `shown`, which is told where that is new or due.

@@ -2,10 +2,11 @@
 
 use anyhow::Context;
 use clap::{Args, Parser, ValueEnum};
-use shadecast_client::client::{Client, ClientError, ClientOptions, FrameReport};
+use shadecast_client::client::{ClientError, ClientOptions, FrameReport};
 use shadecast_client::display::{Display, DisplayError};
 use shadecast_client::net::{self, RunOptions};
 use shadecast_client::platform::Platform;
+use shadecast_client::presenter::Presenter;
 use shadecast_client::stages::atlas_draw::{Lookup, Reconstruction};
 use shadecast_client::stages::interpolate::Interpolation;
 use shadecast_client::stats::ClientStats;
@@ -223,11 +224,11 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let mut announced = arguments.quiet;
     let mut open = opener(arguments)?;
-    let outcome = net::run(&mut *open, &options, &STOP, &mut |client, report| {
+    let outcome = net::run(&mut *open, &options, &STOP, &mut |presenter, report| {
         if !std::mem::replace(&mut announced, true) {
-            announce(client);
+            announce(presenter);
         }
-        probes.as_mut().map_or(Ok(()), |probes| probes.observe(client, report))
+        probes.as_mut().map_or(Ok(()), |probes| probes.observe(presenter, report))
     });
     // What was counted is kept however it ended.
     let written = arguments.stats.as_deref().map_or(Ok(()), |path| write_stats(path, &outcome.stats));
@@ -265,11 +266,11 @@ fn write_stats(path: &Path, stats: &ClientStats) -> anyhow::Result<()> {
     write_atomically(path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))
 }
 
-fn announce(client: &Client) {
-    let gpu = client.gpu();
+fn announce(presenter: &Presenter) {
+    let gpu = presenter.gpu();
     let slow = if gpu.is_cpu() { " (a CPU: correct, but slow)" } else { "" };
-    let [width, height] = client.eye_extent_pixels();
-    say(&format!("{} on {}{slow}, {width}x{height} per eye", client.stats().runtime, gpu.device_name()));
+    let [width, height] = presenter.eye_extent_pixels();
+    say(&format!("{} on {}{slow}, {width}x{height} per eye", presenter.stats().runtime, gpu.device_name()));
 }
 
 fn summarise(stats: &ClientStats) {
@@ -299,13 +300,13 @@ impl Probes {
         Self { folder: folder.to_owned(), every, frames: 0, failure: None }
     }
 
-    fn observe(&mut self, client: &mut Client, report: &FrameReport) -> Result<(), ClientError> {
+    fn observe(&mut self, presenter: &mut Presenter, report: &FrameReport) -> Result<(), ClientError> {
         let is_due = self.frames.is_multiple_of(self.every) && report.is_rendered && self.failure.is_none();
         self.frames += 1;
         if !is_due {
             return Ok(());
         }
-        for (view, side) in client.probe()?.iter().zip(["left", "right"]) {
+        for (view, side) in presenter.probe()?.iter().zip(["left", "right"]) {
             let path = self.folder.join(format!("probe-{}-{side}.bin", report.display_time.0));
             let written = write_atomically(&path, &view.to_bytes());
             if let Err(error) = written.with_context(|| format!("writing {}", path.display())) {

@@ -1,18 +1,22 @@
-//! The client in real time: a socket on a thread of its own, the real clock, and connecting again for as long as the user
-//! wants. When the server goes away its last bundle stays on display; when the headset goes away it is opened again.
+//! The client in real time: the socket, the decoder and the intake on threads of their own, the real clock, and connecting again
+//! for as long as the user wants. When the server goes away its last bundle stays on display; when the headset goes away it is
+//! opened again.
 
 mod connector;
 mod dialler;
 mod finder;
 mod lines;
+mod taking;
 
-use crate::client::{Client, ClientError, ClientOptions, FrameReport, Step};
+use crate::client::{ClientError, ClientOptions, FrameReport, Step, halves};
 use crate::display::{Display, DisplayError};
 use crate::platform::monotonic_now;
+use crate::presenter::Presenter;
 use crate::stats::ClientStats;
 use crate::traced::Traced;
 use connector::Connector;
 use shadecast_protocol::time::ClientTime;
+use shadecast_system::clock::thread_cpu_ns;
 use shadecast_trace::{Trace, TraceError};
 use shadecast_transport::mio::DriverError;
 use shadecast_transport::{Fingerprint, IdentityError};
@@ -21,6 +25,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
+use taking::Taking;
 
 /// How long it is tried to open the headset again after it was lost, and how long to wait in between.
 const REOPEN_S: i64 = 30;
@@ -101,6 +106,9 @@ pub enum RunError {
     /// Display or device.
     #[error(transparent)]
     Client(#[from] ClientError),
+    /// The thread that takes in what arrives.
+    #[error("a thread could not be started: {0}; end other programs, or raise the limit of threads")]
+    Thread(std::io::Error),
 }
 
 impl From<DisplayError> for RunError {
@@ -113,7 +121,7 @@ impl From<DisplayError> for RunError {
 pub type Opener<'a> = dyn FnMut() -> Result<Box<dyn Display>, DisplayError> + 'a;
 
 /// Who watches a run: called after each display frame.
-pub type Observer<'a> = dyn FnMut(&mut Client, &FrameReport) -> Result<(), ClientError> + 'a;
+pub type Observer<'a> = dyn FnMut(&mut Presenter, &FrameReport) -> Result<(), ClientError> + 'a;
 
 /// Runs until the display's session ends, `stop` is set, the time is over, or something fails for good. A lost display is
 /// opened anew; what was counted before counts on.
@@ -200,44 +208,42 @@ impl Run<'_> {
         trace: Option<&Trace>,
         observe: &mut Observer<'_>,
     ) -> Result<(), RunError> {
-        let mut client = Client::new(display, self.options.client)?;
-        let mut connector = Connector::new(self.options, addresses, Traced::new(trace))?;
-        client.set_status(&connector.status());
-        let ended = self.frames(&mut client, &mut connector, observe);
-        self.stats = std::mem::take(&mut self.stats).and(client.stats());
-        connector.leave(&mut client);
+        let (mut presenter, intake) = halves(display, self.options.client)?;
+        let traced = Traced::new(trace);
+        let connector = Connector::new(self.options, addresses, traced.clone())?;
+        presenter.set_status(&connector.status());
+        let mut taking = Taking::start(intake, connector).map_err(RunError::Thread)?;
+        taking.thread().cloned().into_iter().for_each(|thread| presenter.wake(thread));
+        let ended = self.frames(&mut presenter, &mut taking, traced, observe);
+        drop(taking);
+        self.stats = std::mem::take(&mut self.stats).and(presenter.stats());
         ended
     }
 
     fn frames(
         &self,
-        client: &mut Client,
-        connector: &mut Connector,
+        presenter: &mut Presenter,
+        taking: &mut Taking,
+        mut traced: Traced,
         observe: &mut Observer<'_>,
     ) -> Result<(), RunError> {
         let mut leaving_since = None;
         loop {
-            let mut began = monotonic_now();
-            let step = client.step_with(|client| {
-                began = monotonic_now();
-                connector.pump(client)
-            })?;
-            match step {
+            let turn = presenter.wait_turn()?;
+            let (began, began_cpu_ns) = (monotonic_now(), thread_cpu_ns());
+            match presenter.present(turn, || {})? {
                 Step::Frame(report) => {
-                    connector.flush(client);
-                    connector.traced.decoded(client.take_decoded());
-                    connector.traced.ended([began, monotonic_now()], &report);
-                    observe(client, &report)?;
+                    let cpu_ns = thread_cpu_ns() - began_cpu_ns;
+                    traced.ended([began, monotonic_now()], Some(cpu_ns), &report);
+                    observe(presenter, &report)?;
                 }
-                Step::Idle => {
-                    connector.flush(client);
-                    std::thread::sleep(IDLE_WAIT);
-                }
+                Step::Idle => std::thread::sleep(IDLE_WAIT),
                 Step::Exit => return Ok(()),
             }
+            taking.assert_alive();
             match leaving_since {
                 None if self.is_over() => {
-                    client.request_exit();
+                    presenter.request_exit();
                     leaving_since = Some(monotonic_now());
                 }
                 Some(since) if monotonic_now().since(since) > LEAVE_PATIENCE_NS => {

@@ -2,6 +2,7 @@
 //! whatever connections come and go.
 
 use crate::display::Display;
+use crate::draw_list::Drawable;
 use crate::report::FrameReport;
 use crate::scene::Scene;
 use crate::stages::Stages;
@@ -31,7 +32,7 @@ pub(crate) struct Renderer {
 #[derive(Clone, Copy)]
 pub(crate) struct LastDrawn {
     pub(crate) eyes: EyesGpu,
-    pub(crate) index_count: u32,
+    pub(crate) drawn: Drawable,
 }
 
 /// What is said in the waiting room, and before a world that stands still.
@@ -91,22 +92,21 @@ impl Renderer {
         self.words.stage_from_panel.get_or_insert_with(|| panel_ahead(stage_from_head));
     }
 
-    /// Indices that the last rendered frame drew; `None` where it showed no scene.
-    pub(crate) fn drawn_indices(&self) -> Option<u32> {
-        self.last_drawn.map(|drawn| drawn.index_count)
+    /// What the last rendered frame drew; `None` where it showed no scene.
+    pub(crate) fn drawn(&self) -> Option<Drawable> {
+        self.last_drawn.map(|last| last.drawn)
     }
 
     /// Instance and distance of what the last rendered frame showed of `scene`, left and right eye. Waits for the GPU.
     pub(crate) fn probe(&mut self, scene: Option<&Scene>) -> Result<[ProbeView; 2], GpuError> {
         let extent = self.eye_extent_pixels();
-        let (Some(scene), Some(drawn)) = (scene, self.last_drawn) else {
-            return Ok([ProbeView::empty(extent), ProbeView::empty(extent)]);
-        };
+        let nothing = || [ProbeView::empty(extent), ProbeView::empty(extent)];
+        let (Some(scene), Some(last)) = (scene, self.last_drawn) else { return Ok(nothing()) };
         let probe = match &mut self.probe {
             Some(probe) => probe,
             none => none.insert(Probe::new(&self.gpu, extent)?),
         };
-        scene.probe(probe, &drawn.eyes, drawn.index_count)
+        Ok(scene.probe(probe, &last.eyes, last.drawn)?.unwrap_or_else(nothing))
     }
 
     /// Waits until the device is done with all that was submitted.

@@ -1,8 +1,9 @@
-//! What a client tells whoever drives it, of its display frames and of its end.
+//! What a client tells whoever drives it: of its connection, its display frames and its end.
 
 use crate::display::DisplayError;
 use shadecast_gpu::GpuError;
 use shadecast_protocol::ids::UpdateId;
+use shadecast_protocol::message::{Refused, Welcome};
 use shadecast_protocol::time::{ClientTime, ServerTime};
 
 /// What ends a client.
@@ -45,6 +46,28 @@ impl FrameReport {
             arena_waiting_bytes: 0,
         }
     }
+}
+
+/// How long a picture was in the decoder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DecodedIn {
+    /// Its update.
+    pub update: UpdateId,
+    /// Begin and end.
+    pub times: [ClientTime; 2],
+}
+
+/// What became of a connection, for who drives it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Notice {
+    /// The session stands.
+    Welcome(Welcome),
+    /// The server wants no session: close, tell the user, and try again later.
+    Refused(Refused),
+    /// The server has ended the session: close, and connect again.
+    ServerLeft,
+    /// What the server said makes no sense, or cannot be shown: close, and connect again.
+    Failed(String),
 }
 
 /// What came of one call of [`crate::client::Client::step`].

@@ -1,9 +1,12 @@
 //! What a client counts, and how it is reported.
 
+use crate::handover::Arrived;
 use crate::report::FrameReport;
 use serde::Serialize;
 use shadecast_gpu::Gpu;
 use shadecast_protocol::time::ClientTime;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// How a client fared, for `--stats` and the lab.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -160,16 +163,18 @@ pub(crate) struct Counters {
     pub(crate) connections: u64,
     pub(crate) motion_memory_bytes: u64,
     pub(crate) sample_ring: u32,
-    pub(crate) atlas_bytes: u64,
-    pub(crate) geometry_bytes: u64,
-    pub(crate) vertex_samples: u64,
-    pub(crate) lost_pictures: u64,
-    pub(crate) refresh_requests: u64,
+    pub(crate) arrived: Arc<Arrived>,
+}
+
+/// What has been counted so far, perhaps on another thread.
+pub(crate) fn so_far(counter: &AtomicU64) -> u64 {
+    counter.load(Ordering::Relaxed)
 }
 
 impl Counters {
-    pub(crate) fn new(gpu: &Gpu, runtime: &str) -> Self {
+    pub(crate) fn new(gpu: &Gpu, runtime: &str, arrived: Arc<Arrived>) -> Self {
         Self {
+            arrived,
             device: gpu.device_name(),
             device_is_cpu: gpu.is_cpu(),
             runtime: runtime.to_owned(),
@@ -213,16 +218,16 @@ impl Counters {
             connections: self.connections,
             motion_memory_bytes: self.motion_memory_bytes,
             sample_ring: self.sample_ring,
-            atlas_bytes: self.atlas_bytes,
-            geometry_bytes: self.geometry_bytes,
-            vertex_samples: self.vertex_samples,
+            atlas_bytes: so_far(&self.arrived.atlas_bytes),
+            geometry_bytes: so_far(&self.arrived.geometry_bytes),
+            vertex_samples: so_far(&self.arrived.vertex_samples),
             held_vertices: self.held_vertices,
             frozen_vertices: self.frozen_vertices,
             withheld_vertices: self.withheld_vertices,
             withheld_patches: self.withheld_patches,
             most_arena_waiting_bytes: self.most_arena_waiting_bytes,
-            lost_pictures: self.lost_pictures,
-            refresh_requests: self.refresh_requests,
+            lost_pictures: so_far(&self.arrived.lost_pictures),
+            refresh_requests: so_far(&self.arrived.refresh_requests),
             clock_error_bound_ms: self.clock_error_bound_ms.0,
             clock_error_bound_last_ms: self.clock_error_bound_ms.1,
             validation_messages: gpu.validation_messages(),

@@ -136,7 +136,7 @@ fn a_runtime_that_does_not_convert_its_times_is_taken_and_its_frames_keep_their_
 fn before_the_first_bundle_there_is_a_gradient_a_floor_and_a_text_in_both_eyes() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
-    client.set_status("Connecting to 192.168.1.5:7400");
+    client.presenter.set_status("Connecting to 192.168.1.5:7400");
     for _ in 0..4 {
         let report = frame(&mut client);
         assert_eq!(report.update, None);
@@ -161,9 +161,9 @@ fn patches_are_seen_where_they_are_and_in_the_atlas_colours_by_both_eyes() {
     line.frame(&mut client); // its picture is being decoded
     let report = line.frame(&mut client);
     assert_eq!((report.update, report.is_new, report.withheld_patches), (Some(UpdateId(0)), true, 0));
-    let shown = client.stats().frames - 1;
+    let shown = client.presenter.stats().frames - 1;
     assert!(!line.frame(&mut client).is_new);
-    let probe = client.probe().expect("a probe");
+    let probe = client.presenter.probe().expect("a probe");
     finish(&run, client);
     for (side, eye) in [(Side::Left, -1.0), (Side::Right, 1.0)] {
         let picture = run.picture(shown, side);
@@ -199,12 +199,12 @@ fn an_animated_edge_moves_with_every_display_frame_and_follows_its_motion() {
     let mut line = Line::in_step(&mut client);
     line.send(two_patches(), &planes([0, 64]), true);
     line.frame(&mut client);
-    let first = client.stats().frames;
+    let first = client.presenter.stats().frames;
     let mut last = None;
     for _ in 0..20 {
         let report = line.frame(&mut client);
         let time = report.server_time.expect("a clock");
-        let [x, y, z, _] = client.read_positions().expect("positions")[6];
+        let [x, y, z, _] = client.presenter.read_positions().expect("positions")[6];
         assert!((x - edge_x(time)).abs() < 2e-4, "{x} instead of {} at {time:?}", edge_x(time));
         assert!((y - 2.1).abs() < 1e-4 && (z + 2.0).abs() < 1e-4);
         assert_ne!(last.replace(x), Some(x), "it moved");
@@ -233,7 +233,7 @@ fn a_vertex_that_runs_out_of_samples_stops_and_is_counted_and_returns_without_a_
         }
         let report = line.frame(&mut client);
         frozen += report.frozen_vertices;
-        let x = client.read_positions().expect("positions")[6][0];
+        let x = client.presenter.read_positions().expect("positions")[6][0];
         if let Some(last) = last.replace(x) {
             largest = largest.max((x - last).abs());
         }
@@ -253,14 +253,14 @@ fn a_patch_without_samples_is_withheld_and_the_rest_is_seen() {
     line.send(late, &planes([0, 64]), true);
     line.frame(&mut client);
     assert_eq!(line.frame(&mut client).withheld_patches, 1);
-    let first = client.stats().frames - 1;
+    let first = client.presenter.stats().frames - 1;
     let picture = |frame| run.picture(frame, Side::Left);
     let [x, y] = pixel([0.25, 1.6, -2.0], -1.0).map(|p| p as u32);
     assert_ne!(picture(first).at(x, y), BLUE.0);
     let [red_x, red_y] = pixel([-0.25, 1.6, -2.0], -1.0).map(|p| p as u32);
     assert_close(picture(first).at(red_x, red_y), RED.0, "the static patch");
     while line.frame(&mut client).withheld_patches > 0 {}
-    let seen = client.stats().frames - 1;
+    let seen = client.presenter.stats().frames - 1;
     finish(&run, client);
     assert_close(picture(seen).at(x, y), BLUE.0, "drawn as soon as it can be");
 }
@@ -278,7 +278,7 @@ fn the_newest_picture_goes_with_its_own_placements() {
         |frame, placements| GeometryDelta { update: UpdateId(frame), placements, ..GeometryDelta::default() };
     line.frame(&mut client);
     line.frame(&mut client);
-    let first = client.stats().frames - 1;
+    let first = client.presenter.stats().frames - 1;
     line.send_delta(next(1, swapped));
     assert_eq!(line.frame(&mut client).update, Some(UpdateId(0)), "no picture, no switch");
     line.send(next(2, moved), &planes([128, 0]), true);
@@ -334,9 +334,9 @@ fn strip_samples(slots: std::ops::Range<u32>, steps: std::ops::RangeInclusive<i3
 
 /// The time of each vertex of each triangle drawn, as its place tells it; the largest difference within a triangle.
 fn torn_s(client: &Client) -> f32 {
-    let positions = client.read_positions().expect("positions");
+    let positions = client.presenter.read_positions().expect("positions");
     let seconds = |slot: u32| (positions[slot as usize][0] - strip_x(slot, 1.0)) / SPEED + 1.0;
-    let triangles = client.drawn_triangles();
+    let triangles = client.presenter.drawn_triangles();
     assert!(!triangles.is_empty(), "something is drawn");
     let spread = |triangle: [u32; 3]| {
         let times = triangle.map(seconds);
@@ -374,7 +374,7 @@ fn samples_of_the_next_update_do_not_tear_what_is_on_display_and_its_picture_set
         let torn = torn_s(&client);
         assert!(torn < 0.002, "frame {index}: corners of a triangle are {torn} s apart");
         stood_still += u32::from(report.motion_time < report.server_time);
-        let x = client.read_positions().expect("positions")[0][0];
+        let x = client.presenter.read_positions().expect("positions")[0][0];
         if let Some(last) = last.replace(x) {
             largest = largest.max((x - last).abs());
         }
@@ -456,12 +456,12 @@ impl Line {
         let now = at(1_000_000_000 + self.frames * PERIOD_NS);
         self.frames += 1;
         self.deliver(client, now);
-        client.advance(now).expect("time passes");
+        client.intake.advance(now);
         let mut step = None;
         let taken = allocation_counter::measure(|| step = Some(client.step()));
         let step = step.expect("it was made")?;
         let mut left = 0;
-        while let Some(out) = client.poll_out() {
+        while let Some(out) = client.intake.poll_out() {
             left += 1;
             match out {
                 Out::Control(bytes) => self.server.on_control(&bytes),
@@ -502,15 +502,15 @@ impl Line {
         let server_now = ServerTime(now.0 + self.ahead_ns);
         while let Some(out) = self.server.poll_out(server_now).or_else(|| self.streams.pop_front()) {
             match out {
-                Out::Control(bytes) => client.receive_control(now, &bytes).expect("control"),
-                Out::Datagram(bytes) => client.receive_datagram(now, &bytes),
+                Out::Control(bytes) => client.intake.receive_control(now, &bytes),
+                Out::Datagram(bytes) => client.intake.receive_datagram(now, &bytes),
                 Out::Stream { bytes, .. } => match parse_stream(&bytes).expect("a stream") {
                     StreamMessage::Picture { header, .. }
                         if self.lost_pictures.contains(&header.update.0) =>
                     {
-                        client.receive_reset(now, &bytes[..20]);
+                        client.intake.receive_reset(now, &bytes[..20]);
                     }
-                    _ => client.receive_stream(now, &bytes).expect("a stream"),
+                    _ => client.intake.receive_stream(now, &bytes),
                 },
             }
         }
@@ -520,7 +520,7 @@ impl Line {
     fn connect(client: &mut Client) -> Self {
         let ten_metres_on = Pose { position: [10.0, 0.0, 0.0].into(), ..Pose::IDENTITY };
         let mut line = Self::new(ten_metres_on, SERVER_AHEAD_NS);
-        client.on_connected(at(1_000_000_000));
+        client.intake.on_connected(at(1_000_000_000));
         for _ in 0..12 {
             line.frame(client);
         }
@@ -531,7 +531,7 @@ impl Line {
     /// A session that stands, with a server whose world is the stage, and whose clock reads a second now.
     fn in_step(client: &mut Client) -> Self {
         let mut line = Self::new(Pose::IDENTITY, -CONNECTING_TURNS * PERIOD_NS);
-        client.on_connected(at(1_000_000_000));
+        client.intake.on_connected(at(1_000_000_000));
         for _ in 0..CONNECTING_TURNS {
             line.turn(client);
         }
@@ -604,7 +604,7 @@ fn updates_of_a_session_are_shown_after_decoding_and_reported() {
     let displayed = displayed.expect("a report");
     assert_eq!((displayed.update, displayed.frames_without_bundle), (UpdateId(0), 12));
     assert_eq!(Some(displayed.display_time), reports[1].server_time);
-    let stats = client.stats();
+    let stats = client.presenter.stats();
     assert_eq!(
         (stats.bundles, stats.atlas_bytes),
         (1, u64::from(ATLAS.width() * ATLAS.height()) * 3 / 2 + 1)
@@ -653,7 +653,7 @@ fn a_lost_picture_leaves_the_last_bundle_on_display_until_a_refresh_that_is_aske
     assert_eq!(line.frame(&mut client).update, Some(UpdateId(3)));
     let asked =
         line.events.iter().filter(|event| matches!(event, ServerEvent::RefreshRequest { .. })).count();
-    assert_eq!((asked, client.stats().lost_pictures), (1, 2));
+    assert_eq!((asked, client.presenter.stats().lost_pictures), (1, 2));
     finish(&run, client);
 }
 
@@ -666,7 +666,7 @@ fn after_a_reconnect_the_old_bundle_stays_until_the_new_server_has_one() {
     for _ in 0..2 {
         line.frame(&mut client);
     }
-    client.on_closed(at(2_000_000_000));
+    client.intake.on_closed(at(2_000_000_000));
     for _ in 0..3 {
         assert_eq!(frame(&mut client).update, Some(UpdateId(0)), "without a server the last bundle stays");
     }
@@ -676,8 +676,8 @@ fn after_a_reconnect_the_old_bundle_stays_until_the_new_server_has_one() {
     line.send(static_patches(), &planes([64, 0]), true);
     line.frame(&mut client);
     assert!(line.frame(&mut client).is_new);
-    let last = client.stats().frames - 1;
-    assert_eq!(client.stats().connections, 2);
+    let last = client.presenter.stats().frames - 1;
+    assert_eq!(client.presenter.stats().connections, 2);
     finish(&run, client);
     let [x, y] = pixel([-0.25, 1.6, -2.0], -1.0).map(|p| p as u32);
     assert_close(run.picture(last - 2, Side::Left).at(x, y), RED.0, "the old server's picture");
@@ -702,7 +702,7 @@ fn deltas_of_a_session_whose_pictures_cannot_be_decoded_leave_the_scene_on_displ
     for _ in 0..2 {
         line.frame(&mut client);
     }
-    client.on_closed(at(2_000_000_000));
+    client.intake.on_closed(at(2_000_000_000));
     frame(&mut client);
     let mut line = Line::connect(&mut client);
     // Lawful in an empty memory, and not beside the first session's patches; more than wait for pictures.
@@ -719,7 +719,8 @@ fn deltas_of_a_session_whose_pictures_cannot_be_decoded_leave_the_scene_on_displ
         }
     }
     assert_eq!(line.frame(&mut client).update, Some(UpdateId(0)));
-    let failures = std::iter::from_fn(|| client.poll_notice()).filter(|n| matches!(n, Notice::Failed(_)));
+    let failures =
+        std::iter::from_fn(|| client.intake.poll_notice()).filter(|n| matches!(n, Notice::Failed(_)));
     assert_eq!(failures.count(), 1, "and the driver knows");
     finish(&run, client);
 }
@@ -739,22 +740,22 @@ fn a_world_that_stands_still_says_why_until_pictures_come_again() {
     for _ in 0..3 {
         line.frame(&mut client);
     }
-    let moving = client.stats().frames - 1;
-    client.on_closed(at(2_000_000_000));
-    client.set_status("Connecting to 192.168.1.5:7400: it did not answer");
+    let moving = client.presenter.stats().frames - 1;
+    client.intake.on_closed(at(2_000_000_000));
+    client.presenter.set_status("Connecting to 192.168.1.5:7400: it did not answer");
     for _ in 0..100 {
         frame(&mut client);
     }
-    let quiet = client.stats().frames - 1;
+    let quiet = client.presenter.stats().frames - 1;
     for _ in 0..60 {
         assert_eq!(frame(&mut client).update, Some(UpdateId(0)), "the last bundle stays");
     }
-    let told = client.stats().frames - 1;
+    let told = client.presenter.stats().frames - 1;
     let mut line = Line::connect(&mut client);
     line.send(static_patches(), &planes([0, 64]), true);
     while !line.frame(&mut client).is_new {}
     line.frame(&mut client);
-    let again = client.stats().frames - 1;
+    let again = client.presenter.stats().frames - 1;
     finish(&run, client);
     assert_eq!(differing(&run, moving, quiet), 0, "a second without a picture is not worth a word");
     assert!(differing(&run, moving, told) > 1000, "a panel is in front of the world");
@@ -782,7 +783,7 @@ fn absence(line: &mut Line, client: &mut Client, turns: u32, frame: &mut u32) ->
         }
         line.turn(client);
     }
-    client.waiting_bytes()
+    client.intake.waiting_bytes()
 }
 
 #[test]
@@ -835,7 +836,7 @@ fn a_session_that_rests_and_begins_again_goes_on_with_the_same_server() {
     let first = back.iter().find(|report| report.is_rendered).expect("seen again");
     assert_eq!(first.update, Some(UpdateId(newest)));
     assert_ne!(line.poses().last().expect("poses").discontinuity, jump, "another session of the headset");
-    assert_eq!(client.stats().connections, 1);
+    assert_eq!(client.presenter.stats().connections, 1);
     finish(&run, client);
 }
 
@@ -971,13 +972,13 @@ fn a_picture_of_the_far_future_ends_the_session_and_not_the_frame_loop() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
-    while client.poll_notice().is_some() {}
+    while client.intake.poll_notice().is_some() {}
     let header = PictureHeader { update: UpdateId(4_000_000_000), time: ServerTime(0), is_refresh: false };
     line.streams.push_back(picture_stream(header, &coded(&planes([0, 64]), false)).expect("small"));
     for _ in 0..60 {
         line.frame(&mut client);
     }
-    let Some(Notice::Failed(reason)) = client.poll_notice() else { panic!("no word") };
+    let Some(Notice::Failed(reason)) = client.intake.poll_notice() else { panic!("no word") };
     assert!(reason.contains("frame 4000000000"), "{reason}");
     finish(&run, client);
 }
@@ -987,7 +988,7 @@ fn a_flood_of_samples_that_take_no_bits_waits_coded_and_then_ends_the_session() 
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
-    while client.poll_notice().is_some() {}
+    while client.intake.poll_notice().is_some() {}
     let still = |slot| NewVertex { slot: VertexSlot(slot), instance: InstanceId(7), motion: Motion::Sampled };
     let batch = |grid| SampleBatch {
         grid: GridIndex(grid),
@@ -1009,8 +1010,8 @@ fn a_flood_of_samples_that_take_no_bits_waits_coded_and_then_ends_the_session() 
     }
     line.deliver(&mut client, at(2_000_000_000));
     // One delta of 2048 samples is more than a turn takes in; records of 20 bytes, twice for the vector's growth.
-    assert!(client.waiting_bytes() < 400_000, "{} bytes wait", client.waiting_bytes());
-    let Some(Notice::Failed(reason)) = client.poll_notice() else { panic!("no word") };
+    assert!(client.intake.waiting_bytes() < 400_000, "{} bytes wait", client.intake.waiting_bytes());
+    let Some(Notice::Failed(reason)) = client.intake.poll_notice() else { panic!("no word") };
     assert!(reason.contains("above the limit of 128"), "{reason}");
     finish(&run, client);
 }
@@ -1032,7 +1033,7 @@ fn a_wish_to_exit_passes_through_the_runtime() {
     for _ in 0..3 {
         frame(&mut client);
     }
-    client.request_exit();
+    client.presenter.request_exit();
     let steps = (0..20).take_while(|_| client.step().expect("a step") != Step::Exit).count();
     assert!(steps < 10, "{steps} steps");
     finish(&run, client);
@@ -1115,7 +1116,7 @@ fn whatever_happens_to_headset_and_link_frames_go_on() {
         ..MockConfig::default()
     });
     let (mut client, mut line, mut update) = (run.client(), Line::new(Pose::IDENTITY, SERVER_AHEAD_NS), 0);
-    client.on_connected(at(1_000_000_000));
+    client.intake.on_connected(at(1_000_000_000));
     let (mut made, mut shown, mut lost, mut turns) = (0, 0, 0, 0u64);
     while made < frames {
         turns += 1;
@@ -1129,22 +1130,28 @@ fn whatever_happens_to_headset_and_link_frames_go_on() {
             Ok(Step::Exit) => panic!("nobody has asked for the end"),
             Err(error) => {
                 assert!(error.is_lost(), "{error}");
-                assert_eq!(client.gpu().validation_messages(), 0, "{:?}", client.gpu().validation_texts());
+                assert_eq!(
+                    client.presenter.gpu().validation_messages(),
+                    0,
+                    "{:?}",
+                    client.presenter.gpu().validation_texts()
+                );
                 drop(client);
                 (client, lost) = (run.client(), lost + 1);
             }
         }
-        let is_new = line.frames > 0 && (client.stats().connections == 0 || rng.random_ratio(1, 200));
+        let is_new =
+            line.frames > 0 && (client.presenter.stats().connections == 0 || rng.random_ratio(1, 200));
         if is_new {
             line = Line { frames: line.frames, ..Line::new(Pose::IDENTITY, SERVER_AHEAD_NS) };
-            client.on_connected(at(1_000_000_000 + line.frames * PERIOD_NS));
+            client.intake.on_connected(at(1_000_000_000 + line.frames * PERIOD_NS));
             update = 0;
         } else if line.sender.is_some() && rng.random_ratio(1, 3) {
             random_update(&mut line, &mut rng, update);
             update += 1;
         }
-        assert!(client.waiting_bytes() < 4_000_000, "{} bytes wait", client.waiting_bytes());
-        while client.poll_notice().is_some() {}
+        assert!(client.intake.waiting_bytes() < 4_000_000, "{} bytes wait", client.intake.waiting_bytes());
+        while client.intake.poll_notice().is_some() {}
     }
     println!("{made} frames, {shown} of them with a picture, {lost} losses of {losses}, {turns} turns");
     assert!(shown > frames / 4 && lost > 0, "{shown} of {made} frames show something, {lost} losses");

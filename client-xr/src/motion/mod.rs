@@ -7,6 +7,7 @@ pub mod arrivals;
 mod early;
 pub mod pace;
 pub mod skinned;
+pub mod state;
 mod told;
 
 use arena::ArenaWrites;
@@ -17,13 +18,13 @@ use shadecast_protocol::ids::{InstanceId, UpdateId, VertexSlot};
 use shadecast_protocol::limits::RECORDS_PER_SLOT_AND_TURN;
 use shadecast_protocol::motion::PositionBatch;
 use shadecast_protocol::motion::predicted::PredictedVertex;
-use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
-use shadecast_shaders::generated::PlacedPoseGpu;
+use shadecast_protocol::time::{GridIndex, ServerTime};
 use shadecast_shaders::records::{
     Rest, RestId, predicted_entry, prediction_write, rest_writes, sample_write, sampled_entry, skinned_entry,
     static_entry,
 };
-use skinned::{DrawnInstances, Moment, SkinCapacity, Skinned, SkinnedCounts};
+use skinned::{Drawn, DrawnInstances, SkinCapacity, Skinned, SkinnedChange};
+use state::{MotionState, Tally};
 
 /// See the module.
 #[derive(Debug)]
@@ -37,20 +38,23 @@ pub struct Motion {
     writes: VertexWrites,
     arena: ArenaWrites,
     skinned: Skinned,
+    /// What has changed in `skinned` since it was last handed on.
+    changes: Vec<SkinnedChange>,
     told: told::Told,
     early: early::EarlyPoses,
     /// Skinned instances of the draw list.
     drawn: DrawnInstances,
     /// Vertices with samples of the draw list, each once.
     used: Vec<u32>,
-    /// The same with predictions, and the first time at which one of them has none left.
+    /// The same with predictions.
     predicted: Vec<u32>,
-    predicted_until: ServerTime,
     /// Of each vertex slot, the draw list that last used it.
     used_by: Vec<u32>,
     draw_lists: u32,
-    /// Steps at which all of the draw list can be evaluated that is drawn.
-    span: Span,
+    /// The first step at which the list can be evaluated, where samples of a vertex of it have had a gap.
+    first: GridIndex,
+    /// How far samples and predictions of the list reach, unless that is out of date.
+    ends: Option<(Tally<GridIndex>, Tally<ServerTime>)>,
     /// A slot that was given anew while it was on display.
     contradiction: Option<VertexSlot>,
 }
@@ -73,15 +77,6 @@ enum Mover {
     Skeleton(InstanceId),
     /// What updates predict: until then.
     Predictions(ServerTime),
-}
-
-/// How a display frame stands with samples and predictions.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Motionless {
-    /// Vertices that go on at their last velocity, for at most one grid step.
-    pub held: u32,
-    /// Vertices that have stopped.
-    pub frozen: u32,
 }
 
 /// Notes which vertices a draw list uses.
@@ -120,22 +115,18 @@ impl Motion {
             writes: VertexWrites::default(),
             arena: ArenaWrites::new(capacity.arena_words),
             skinned: Skinned::default(),
+            changes: Vec::new(),
             told: told::Told::default(),
             early: early::EarlyPoses::new(capacity.sample_ring),
             drawn: DrawnInstances::default(),
             used: Vec::with_capacity(vertex_slots as usize),
             predicted: Vec::with_capacity(vertex_slots as usize),
-            predicted_until: ServerTime(i64::MAX),
             used_by: vec![0; vertex_slots as usize],
             draw_lists: 0,
-            span: Span { first: GridIndex(i32::MIN), last: GridIndex(i32::MAX) },
+            first: GridIndex(i32::MIN),
+            ends: None,
             contradiction: None,
         }
-    }
-
-    /// Vertex slots from 0 on that have ever been used.
-    pub fn vertex_count(&self) -> u32 {
-        self.vertex_count
     }
 
     /// What the GPU's vertex memory has yet to be told.
@@ -153,9 +144,25 @@ impl Motion {
         &mut self.skinned
     }
 
-    /// True where the GPU's memory has yet to be told something.
-    pub fn has_writes(&self) -> bool {
-        !self.writes.is_empty() || !self.arena.is_empty()
+    /// The skinned instances of the draw list.
+    pub fn drawn(&self) -> &[Drawn] {
+        self.drawn.all()
+    }
+
+    /// True where something has yet to be handed on.
+    pub fn has_news(&self) -> bool {
+        !self.writes.is_empty() || !self.arena.is_empty() || !self.changes.is_empty()
+    }
+
+    /// What has changed in the tables of [`Self::skinned`] goes behind `changes`.
+    pub fn take_changes(&mut self, changes: &mut Vec<SkinnedChange>) {
+        changes.append(&mut self.changes);
+    }
+
+    /// Changes the tables of [`Self::skinned`], here and in those that follow them.
+    fn change(&mut self, change: SkinnedChange) {
+        self.changes.push(change.clone());
+        self.skinned.apply(change);
     }
 
     /// True while so much waits for the GPU's memory that no more should be taken in.
@@ -172,11 +179,6 @@ impl Motion {
     /// The slot that the server gave anew while it was on display, if it did: what is seen is then not what it means.
     pub fn take_contradiction(&mut self) -> Option<VertexSlot> {
         self.contradiction.take()
-    }
-
-    /// Steps at which everything that is drawn can be evaluated.
-    pub fn span(&self) -> Span {
-        self.span
     }
 
     /// Takes in what the next update says of vertices and their samples. It comes from a decoder that has checked it against
@@ -255,7 +257,7 @@ impl Motion {
             self.vertices[slot.index()].moved_by = Mover::Predictions(until.unwrap_or(time));
         }
         self.writes.end_frame(update);
-        self.predicted_until = self.min_until();
+        self.ends = None;
     }
 
     /// Each batch is gone once it was taken in: of large ones not all are held twice.
@@ -271,7 +273,7 @@ impl Motion {
             }
         }
         if !is_empty {
-            self.span.last = self.min_last();
+            self.ends = None;
         }
     }
 
@@ -282,7 +284,7 @@ impl Motion {
         let first = vertex.first;
         self.writes.push(sample_write(slot.0, grid, position_m));
         if before.has_samples() && first > before.first && self.is_on_display(slot) {
-            self.span.first = self.span.first.max(first);
+            self.first = self.first.max(first);
         }
     }
 
@@ -300,54 +302,32 @@ impl Motion {
         Users(self)
     }
 
-    /// What the GPU must be told of the skinned instances of the draw list, for a display time, into `out`. After what waits
-    /// for the arena has been handed on.
-    pub fn poses(&mut self, grid: Grid, time: ServerTime, out: &mut [PlacedPoseGpu]) -> SkinnedCounts {
-        let moment = Moment { time, grid, written: self.arena.written() };
-        self.skinned.poses(moment, self.drawn.all(), out)
+    /// How the draw list stands, with what has been handed on.
+    pub fn state(&mut self) -> MotionState {
+        let (lasts, untils) = self.ends.take().unwrap_or_else(|| self.count_ends());
+        let state = MotionState {
+            vertex_count: self.vertex_count,
+            written: self.arena.written(),
+            arena_waiting_bytes: self.arena.waiting_bytes() as u64,
+            span: Span { first: self.first, last: lasts.least().unwrap_or(GridIndex(i32::MAX)) },
+            lasts: lasts.clone(),
+            untils: untils.clone(),
+        };
+        self.ends = Some((lasts, untils));
+        state
     }
 
-    /// The last step that all vertices of the draw list have which have any: what has none is not drawn.
-    fn min_last(&self) -> GridIndex {
+    /// How far the samples and predictions of its vertices reach. What has none yet is not drawn.
+    fn count_ends(&self) -> (Tally<GridIndex>, Tally<ServerTime>) {
+        let (mut lasts, mut untils) = (Tally::default(), Tally::default());
         let used = self.used.iter().map(|slot| self.vertices[*slot as usize]);
-        let lasts = used.filter(Availability::has_samples).map(|vertex| vertex.last);
-        lasts.min().unwrap_or(GridIndex(i32::MAX))
-    }
-
-    /// The first time at which a vertex of the draw list has no prediction left.
-    fn min_until(&self) -> ServerTime {
-        self.untils().min().unwrap_or(ServerTime(i64::MAX))
-    }
-
-    /// Of each predicted vertex of the draw list, the time of its last prediction.
-    fn untils(&self) -> impl Iterator<Item = ServerTime> + '_ {
-        self.predicted.iter().filter_map(|slot| match self.vertices[*slot as usize].moved_by {
-            Mover::Predictions(until) => Some(until),
-            _ => None,
-        })
-    }
-
-    /// Vertices of the draw list that have run out of samples or predictions at a display time.
-    pub fn motionless(&self, grid: Grid, time: ServerTime) -> Motionless {
-        let mut counts = Motionless::default();
-        if time > self.predicted_until {
-            // They stay at the last one.
-            counts.frozen += self.untils().filter(|until| time > *until).count() as u32;
-        }
-        let step = grid.floor(time);
-        if step < self.span.last {
-            return counts;
-        }
-        for slot in &self.used {
-            let vertex = self.vertices[*slot as usize];
-            match step.cmp(&vertex.last) {
-                _ if !vertex.has_samples() => {} // withheld
-                std::cmp::Ordering::Less => {}
-                std::cmp::Ordering::Equal => counts.held += 1,
-                std::cmp::Ordering::Greater => counts.frozen += 1,
+        used.filter(Availability::has_samples).for_each(|vertex| lasts.count(vertex.last));
+        for slot in &self.predicted {
+            if let Mover::Predictions(until) = self.vertices[*slot as usize].moved_by {
+                untils.count(until);
             }
         }
-        counts
+        (lasts, untils)
     }
 }
 
@@ -373,15 +353,15 @@ impl Users<'_> {
         ready
     }
 
-    /// The list is complete. What is drawn of it at once can be evaluated from step `ready` on.
-    pub fn end(self, ready: GridIndex) {
-        self.0.span = Span { first: ready, last: self.0.min_last() };
-        self.0.predicted_until = self.0.min_until();
+    /// The list is complete.
+    pub fn end(self) {
+        (self.0.first, self.0.ends) = (GridIndex(i32::MIN), None);
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::state::Motionless;
     use super::*;
     use glam::Vec3;
     use shadecast_protocol::ids::{InstanceId, SkeletonId};
@@ -461,18 +441,18 @@ mod tests {
         for _ in 0..2 {
             let mut users = motion.begin_list();
             let first = [[0, 1, 2], [1, 2, 3]].map(|patch| users.note(&patch.map(VertexSlot)));
-            users.end(first[0]);
+            users.end();
             assert_eq!(first, [GridIndex(i32::MIN); 2], "they wait for no samples");
-            assert_eq!(motion.drawn.all(), [skinned::Drawn { instance: InstanceId(3), vertices: 4 }]);
+            assert_eq!(motion.drawn(), [Drawn { instance: InstanceId(3), vertices: 4 }]);
         }
-        assert_eq!(motion.motionless(DEFAULT_GRID, ServerTime(i64::MAX)), Motionless::default());
+        assert_eq!(motion.state().motionless(DEFAULT_GRID, ServerTime(i64::MAX)), Motionless::default());
     }
 
     #[test]
     fn a_vertex_of_an_instance_of_which_nothing_was_said_does_not_enter() {
         let mut motion = with_skinned();
         assert_eq!(motion.enter_skinned(VertexSlot(9), InstanceId(4), RestId(0)), None);
-        assert_eq!(motion.vertex_count(), 4);
+        assert_eq!(motion.state().vertex_count, 4);
     }
 
     #[test]
@@ -480,7 +460,7 @@ mod tests {
         let mut motion = with_skinned();
         let mut users = motion.begin_list();
         users.note(&[0, 1, 2].map(VertexSlot));
-        users.end(GridIndex(i32::MIN));
+        users.end();
         motion.enter_skinned(VertexSlot(3), InstanceId(3), RestId(0)).expect("known");
         assert_eq!(motion.take_contradiction(), None);
         motion.enter_skinned(VertexSlot(2), InstanceId(3), RestId(0)).expect("known");
@@ -537,15 +517,17 @@ mod tests {
         let mut motion = with_predicted();
         let mut users = motion.begin_list();
         let ready = users.note(&[0, 1, 0].map(VertexSlot));
-        users.end(ready);
+        users.end();
         assert_eq!(ready, GridIndex(i32::MIN), "they wait for no samples");
-        let frozen = |motion: &Motion, ms: i64| motion.motionless(DEFAULT_GRID, ServerTime(ms * MS)).frozen;
-        assert_eq!([999, 1030, 1089].map(|ms| frozen(&motion, ms)), [0; 3]);
-        assert_eq!([1091, 5000].map(|ms| frozen(&motion, ms)), [2; 2], "each once");
+        let frozen = |motion: &mut Motion, ms: i64| {
+            motion.state().motionless(DEFAULT_GRID, ServerTime(ms * MS)).frozen
+        };
+        assert_eq!([999, 1030, 1089].map(|ms| frozen(&mut motion, ms)), [0; 3]);
+        assert_eq!([1091, 5000].map(|ms| frozen(&mut motion, ms)), [2; 2], "each once");
         motion.take(UpdateId(1), &[], Vec::new(), false);
         motion.predict(UpdateId(1), ServerTime(1050 * MS), &[predicted_vertex(0)]);
-        assert_eq!([1089, 1091, 1139, 1141].map(|ms| frozen(&motion, ms)), [0, 1, 1, 2]);
-        motion.begin_list().end(GridIndex(i32::MIN));
-        assert_eq!(frozen(&motion, 5000), 0, "nobody sees them");
+        assert_eq!([1089, 1091, 1139, 1141].map(|ms| frozen(&mut motion, ms)), [0, 1, 1, 2]);
+        motion.begin_list().end();
+        assert_eq!(frozen(&mut motion, 5000), 0, "nobody sees them");
     }
 }

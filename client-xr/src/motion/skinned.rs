@@ -80,6 +80,23 @@ pub struct SkinnedInstance {
     pub source: Source,
 }
 
+/// What changes in [`Skinned`], for tables that follow those of another thread.
+#[derive(Clone, Debug)]
+pub enum SkinnedChange {
+    /// See [`Skinned::set_skeleton`].
+    Skeleton(SkeletonId, SkeletonPlace),
+    /// See [`Skinned::set_chunk`]: its first word, its tracks, and the write that completes it.
+    Chunk(ChunkKey, [u32; 2], ArenaSerial),
+    /// See [`Skinned::forget_chunk`].
+    ChunkGone(ChunkKey),
+    /// See [`Skinned::set_instance`].
+    Instance(InstanceId, Box<SkinnedInstance>),
+    /// See [`Skinned::set_schedule`].
+    Schedule(InstanceId, Schedule<ClipRef>),
+    /// See [`Skinned::set_grid_step`].
+    GridStep(InstanceId, GridIndex, ArenaSerial),
+}
+
 /// An instance names a skeleton that the client does not know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("instance {} is said to have skeleton {}, of which nothing was said; the server is at fault", .0.0, .1.0)]
@@ -242,6 +259,25 @@ impl DrawnInstances {
 }
 
 impl Skinned {
+    /// Changes what `change` says.
+    pub fn apply(&mut self, change: SkinnedChange) {
+        match change {
+            SkinnedChange::Skeleton(id, place) => self.set_skeleton(id, place),
+            SkinnedChange::Chunk(key, [first_word, tracks], written) => {
+                self.set_chunk(key, first_word, tracks, written);
+            }
+            SkinnedChange::ChunkGone(key) => self.forget_chunk(key),
+            SkinnedChange::Instance(id, told) => {
+                // The memory that both sides keep knows the skeleton.
+                if let Err(error) = self.set_instance(id, *told) {
+                    tracing::error!("{error}");
+                }
+            }
+            SkinnedChange::Schedule(id, schedule) => self.set_schedule(id, schedule),
+            SkinnedChange::GridStep(id, step, written) => self.set_grid_step(id, step, written),
+        }
+    }
+
     /// A skeleton has a place in the arena.
     pub fn set_skeleton(&mut self, id: SkeletonId, place: SkeletonPlace) {
         self.skeletons.insert(id, place);

@@ -3,7 +3,7 @@
 
 use super::Motion;
 use super::arena::{ArenaSerial, WORD_BYTES};
-use super::skinned::{ChunkKey, SkeletonPlace, Source};
+use super::skinned::{ChunkKey, SkeletonPlace, SkinnedChange, Source};
 use shadecast_protocol::delta::ReceivedDelta;
 use shadecast_protocol::geometry;
 use shadecast_protocol::ids::{InstanceId, UpdateId};
@@ -135,7 +135,7 @@ impl Motion {
                 let newest = self.told.schedules.get(&instance);
                 if newest.is_none_or(|(newest, _)| !is_later(*newest, sequence)) {
                     self.told.schedules.insert(instance, (sequence, schedule.clone()));
-                    self.skinned.set_schedule(instance, schedule);
+                    self.change(SkinnedChange::Schedule(instance, schedule));
                 }
             }
             MotionNews::Poses(poses) => poses.into_iter().for_each(|pose| self.take_pose(pose)),
@@ -154,14 +154,14 @@ impl Motion {
             return;
         };
         let written = self.push_for_good(word, bytemuck::cast_slice(&pose_words(&pose)));
-        self.skinned.set_grid_step(pose.instance, pose.grid, written);
+        self.change(SkinnedChange::GridStep(pose.instance, pose.grid, written));
     }
 
     /// Words for good, whatever a chunk has put there.
     fn push_for_good(&mut self, first_word: u32, bytes: &[u8]) -> ArenaSerial {
         let end_word = first_word + bytes.len().div_ceil(WORD_BYTES) as u32;
         let gone = self.told.places.clear(first_word, end_word);
-        gone.into_iter().for_each(|chunk| self.skinned.forget_chunk(chunk));
+        gone.into_iter().for_each(|chunk| self.change(SkinnedChange::ChunkGone(chunk)));
         self.arena.push(first_word, bytes)
     }
 
@@ -192,7 +192,7 @@ impl Motion {
             morph_count: info.morph_count,
             written,
         };
-        self.skinned.set_skeleton(info.skeleton, place);
+        self.change(SkinnedChange::Skeleton(info.skeleton, place));
         written
     }
 
@@ -211,10 +211,7 @@ impl Motion {
             global_base: told.bone_base,
             source,
         };
-        // The memory that both sides keep knows the skeleton.
-        if let Err(error) = self.skinned.set_instance(told.instance, instance) {
-            tracing::error!("{error}");
-        }
+        self.change(SkinnedChange::Instance(told.instance, Box::new(instance)));
         self.early.take(told.instance).into_iter().for_each(|pose| self.take_pose(pose));
     }
 
@@ -235,10 +232,10 @@ impl Motion {
 
     fn take_chunk(&mut self, chunk: &ClipChunk, sequence: u32) {
         let Some(gone) = self.told.places.take(chunk, sequence) else { return };
-        gone.into_iter().for_each(|chunk| self.skinned.forget_chunk(chunk));
+        gone.into_iter().for_each(|chunk| self.change(SkinnedChange::ChunkGone(chunk)));
         let written = self.arena.push(chunk.first_word, &chunk_words(chunk));
-        let tracks = chunk.tracks.len() as u32;
-        self.skinned.set_chunk((chunk.clip, chunk.index), chunk.first_word, tracks, written);
+        let place = [chunk.first_word, chunk.tracks.len() as u32];
+        self.change(SkinnedChange::Chunk((chunk.clip, chunk.index), place, written));
     }
 }
 

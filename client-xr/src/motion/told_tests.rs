@@ -1,7 +1,7 @@
 //! News of motion in whatever order they come, and the words of the arena that they make.
 
 use super::*;
-use crate::motion::skinned::{DrawnInstances, SkinnedCounts};
+use crate::motion::skinned::{DrawnInstances, Moment, SkinnedCounts};
 use shadecast_protocol::geometry::{GeometryDelta, NewVertex};
 use shadecast_protocol::ids::{ClipId, RestId as WireRest, SkeletonId, VertexSlot};
 use shadecast_protocol::message::MotionMemory;
@@ -119,7 +119,9 @@ fn pose(motion: &mut Motion) -> (PlacedPoseGpu, SkinnedCounts) {
     drawn.note_vertex(FOX);
     motion.drawn = drawn;
     let mut out = [bytemuck::Zeroable::zeroed()];
-    let counts = motion.poses(DEFAULT_GRID, ServerTime(100_000_000), &mut out);
+    let moment =
+        Moment { time: ServerTime(100_000_000), grid: DEFAULT_GRID, written: motion.arena.written() };
+    let counts = motion.skinned.poses(moment, motion.drawn.all(), &mut out);
     (out[0], counts)
 }
 
@@ -237,7 +239,8 @@ fn vertices_that_enter_do_not_withhold_those_that_are_seen() {
     let mut drawn = DrawnInstances::default();
     drawn.note_vertex(FOX);
     motion.drawn = drawn;
-    let counts = motion.poses(DEFAULT_GRID, ServerTime(0), &mut [bytemuck::Zeroable::zeroed()]);
+    let moment = Moment { time: ServerTime(0), grid: DEFAULT_GRID, written: motion.arena.written() };
+    let counts = motion.skinned.poses(moment, motion.drawn.all(), &mut [bytemuck::Zeroable::zeroed()]);
     assert_eq!(counts.withheld_vertices, 0, "though their morph targets are on their way");
 }
 

@@ -4,7 +4,8 @@
 use super::finder::{Choice, Finder, choose};
 use super::lines::{LineEvent, Lines};
 use super::{RunError, RunOptions, Server};
-use crate::client::{Client, ClientError, Notice};
+use crate::client::Notice;
+use crate::intake::Intake;
 use crate::platform::monotonic_now;
 use crate::traced::Traced;
 use shadecast_protocol::close::CloseCode;
@@ -39,7 +40,7 @@ pub(super) struct Connector {
     search: Search,
     /// What the user was told since the session last stood.
     told: VecDeque<String>,
-    pub(super) traced: Traced,
+    traced: Traced,
 }
 
 /// The search for a server whose address nobody has typed.
@@ -91,29 +92,30 @@ impl Connector {
         }
     }
 
-    /// Hands in what has arrived, connects where it is time to, and lets the client do what is due.
-    pub(super) fn pump(&mut self, client: &mut Client) -> Result<(), ClientError> {
+    /// Hands in what has arrived and what was seen, connects where it is time to, and lets the intake do what is due.
+    pub(super) fn pump(&mut self, intake: &mut Intake) {
+        intake.take_presented();
         while let Some(event) = self.lines.poll(monotonic_now()) {
-            self.take(client, event)?;
+            self.take(intake, event);
         }
-        self.take_found(client);
+        self.take_found(intake);
         let now = monotonic_now();
         let (known, required, server) = (&self.known, self.required, &self.server);
         let announced = self.search.found.as_ref().and_then(|found| found.fingerprint);
         let whom = |address| expected(known, required, announced, server, address);
         if let Some(event) = self.lines.dial(now, whom) {
-            self.take(client, event)?;
+            self.take(intake, event);
         }
-        client.advance(now)?;
-        while let Some(notice) = client.poll_notice() {
-            self.act_on(client, notice, now);
+        intake.advance(now);
+        self.traced.decoded(intake.take_decoded());
+        while let Some(notice) = intake.poll_notice() {
+            self.act_on(intake, notice, now);
         }
-        self.flush(client);
-        Ok(())
+        self.flush(intake);
     }
 
     /// Turns to the server that was found, or says why to none.
-    fn take_found(&mut self, client: &mut Client) {
+    fn take_found(&mut self, intake: &mut Intake) {
         let Some(found) = self.search.finder.as_ref().and_then(Finder::newest) else { return };
         match choose(found, &self.known, self.required) {
             Choice::One(found) => {
@@ -121,7 +123,7 @@ impl Connector {
                 if self.lines.live().is_some() || self.search.found.as_ref() == Some(&found) {
                     return;
                 }
-                self.tell(client, Tone::News, &format!("Found {} at {}", found.name, found.addresses[0]));
+                self.tell(intake, Tone::News, &format!("Found {} at {}", found.name, found.addresses[0]));
                 self.server.clone_from(&found.name);
                 self.lines.leave();
                 self.lines = Lines::new(found.addresses.clone());
@@ -129,38 +131,37 @@ impl Connector {
             }
             Choice::Several(names) => {
                 let text = format!("Several servers: {}; choose one with --connect", names.join(", "));
-                self.tell(client, Tone::Trouble, &text);
+                self.tell(intake, Tone::Trouble, &text);
             }
             // Of one that was found before the lines say why it does not answer.
             Choice::Nobody if self.search.found.is_some() => {}
             Choice::Nobody => {
                 let text = "No server answers on this network yet: start one with --listen 0.0.0.0:7400";
-                self.tell(client, Tone::News, text);
+                self.tell(intake, Tone::News, text);
             }
         }
     }
 
-    fn take(&mut self, client: &mut Client, event: LineEvent) -> Result<(), ClientError> {
+    fn take(&mut self, intake: &mut Intake, event: LineEvent) {
         match event {
             LineEvent::Connected { address, fingerprint } => {
                 if let Some(fingerprint) = fingerprint {
                     self.meet(address, fingerprint);
                 }
-                client.on_connected(monotonic_now());
+                intake.on_connected(monotonic_now());
             }
-            LineEvent::Failed { kind, reason } => self.tell_closed(client, kind, &reason),
+            LineEvent::Failed { kind, reason } => self.tell_closed(intake, kind, &reason),
             LineEvent::Lost { kind, reason } => {
-                client.on_closed(monotonic_now());
-                self.tell_closed(client, kind, &reason);
+                intake.on_closed(monotonic_now());
+                self.tell_closed(intake, kind, &reason);
             }
             LineEvent::Arrived(event) => {
                 if let Event::Stream { bytes, at_ns, .. } = &event {
                     self.traced.arrived(bytes, ClientTime(*at_ns));
                 }
-                arrived(client, event)?;
+                arrived(intake, event);
             }
         }
-        Ok(())
     }
 
     /// Pins who answered, and tells the user once who that is.
@@ -182,36 +183,36 @@ impl Connector {
         if address == self.server { address } else { format!("{} ({address})", self.server) }
     }
 
-    fn tell_closed(&mut self, client: &mut Client, kind: CloseKind, reason: &str) {
+    fn tell_closed(&mut self, intake: &mut Intake, kind: CloseKind, reason: &str) {
         self.search.begin();
         match kind {
-            CloseKind::IdentityChanged => self.tell(client, Tone::Trouble, reason),
-            _ => self.tell(client, Tone::Trouble, &format!("{}: {reason}", self.status())),
+            CloseKind::IdentityChanged => self.tell(intake, Tone::Trouble, reason),
+            _ => self.tell(intake, Tone::Trouble, &format!("{}: {reason}", self.status())),
         }
     }
 
-    fn act_on(&mut self, client: &mut Client, notice: Notice, now: ClientTime) {
+    fn act_on(&mut self, intake: &mut Intake, notice: Notice, now: ClientTime) {
         let text = match notice {
             Notice::Welcome(_) => {
                 self.lines.succeeded();
                 self.search.finder = None;
                 self.told.clear();
-                self.tell(client, Tone::News, &format!("Connected to {}", self.server));
+                self.tell(intake, Tone::News, &format!("Connected to {}", self.server));
                 return;
             }
             Notice::Refused(refused) => format!("{}: {}", refused.reason, refused.remedy),
             Notice::ServerLeft => format!("{} has ended the session", self.server),
             Notice::Failed(reason) => reason,
         };
-        self.tell(client, Tone::Trouble, &text);
-        self.flush(client);
+        self.tell(intake, Tone::Trouble, &text);
+        self.flush(intake);
         self.lines.give_up(now, CloseCode::NotUnderstood, &text);
-        client.on_closed(now);
+        intake.on_closed(now);
     }
 
     /// Says something in the headset, and on stderr once.
-    fn tell(&mut self, client: &mut Client, tone: Tone, text: &str) {
-        client.set_status(text);
+    fn tell(&mut self, intake: &mut Intake, tone: Tone, text: &str) {
+        intake.set_status(text);
         if self.told.iter().any(|told| told == text) {
             return;
         }
@@ -224,8 +225,8 @@ impl Connector {
     }
 
     /// Hands the client's bytes to the network thread. What it cannot take is lost, as on a bad network.
-    pub(super) fn flush(&mut self, client: &mut Client) {
-        while let Some(out) = client.poll_out() {
+    fn flush(&mut self, intake: &mut Intake) {
+        while let Some(out) = intake.poll_out() {
             let Some((handle, peer)) = self.lines.live() else { continue };
             let sent = match out {
                 Out::Control(bytes) => handle.send_control(peer, bytes),
@@ -238,9 +239,9 @@ impl Connector {
         }
     }
 
-    pub(super) fn leave(&mut self, client: &mut Client) {
-        client.say_goodbye();
-        self.flush(client);
+    pub(super) fn leave(&mut self, intake: &mut Intake) {
+        intake.say_goodbye();
+        self.flush(intake);
         self.lines.leave();
     }
 }
@@ -269,15 +270,14 @@ fn expected(
     }
 }
 
-fn arrived(client: &mut Client, event: Event) -> Result<(), ClientError> {
+fn arrived(intake: &mut Intake, event: Event) {
     match event {
-        Event::Control { message, at_ns, .. } => client.receive_control(ClientTime(at_ns), &message)?,
-        Event::Stream { bytes, at_ns, .. } => client.receive_stream(ClientTime(at_ns), &bytes)?,
-        Event::StreamReset { head, .. } => client.receive_reset(monotonic_now(), &head),
-        Event::Datagram { bytes, at_ns, .. } => client.receive_datagram(ClientTime(at_ns), &bytes),
+        Event::Control { message, at_ns, .. } => intake.receive_control(ClientTime(at_ns), &message),
+        Event::Stream { bytes, at_ns, .. } => intake.receive_stream(ClientTime(at_ns), &bytes),
+        Event::StreamReset { head, .. } => intake.receive_reset(monotonic_now(), &head),
+        Event::Datagram { bytes, at_ns, .. } => intake.receive_datagram(ClientTime(at_ns), &bytes),
         Event::Connected { .. } | Event::Closed { .. } => {} // told by the lines
     }
-    Ok(())
 }
 
 #[cfg(test)]

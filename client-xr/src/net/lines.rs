@@ -123,6 +123,7 @@ impl Lines {
         }
         let endpoint = Endpoint::client(EndpointConfig::default());
         let (handle, events) = spawn(Driver::bind(endpoint, any_address_for(address))?)?;
+        events.wake(std::thread::current());
         self.sockets.push(Socket { is_ipv4, handle, events });
         Ok(self.sockets.len() - 1)
     }

@@ -1,16 +1,11 @@
 //! What skinned instances are evaluated from and into on the GPU, and what writes arrivals into the arena.
 
-use super::FRAMES_IN_FLIGHT;
-use crate::motion::arena::{ArenaCopy, ArenaWrites, WORD_BYTES};
+use super::batch::{Batch, OrderedCopy};
+use crate::motion::arena::WORD_BYTES;
 use crate::motion::skinned::SkinCapacity;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Recorder};
 use shadecast_shaders::constants::AFFINE_ROWS;
 use std::sync::Arc;
-
-/// Bytes that one display frame can write; what is more waits for the next.
-const STAGING_BYTES: u64 = 512 << 10;
-/// Copies without a barrier between them at most, so that looking for common bytes among them stays cheap.
-const UNORDERED_COPIES: usize = 64;
 
 /// One connection's memory for skeletons, clips and palettes.
 pub struct SkinMemory {
@@ -22,13 +17,6 @@ pub struct SkinMemory {
     pub palettes: Buffer,
     /// Morph weights, by places of the palettes.
     pub morph_weights: Buffer,
-}
-
-/// What one connection needs to write its arena: a staging buffer per frame in flight.
-pub struct ArenaStaging {
-    in_flight: [Buffer; FRAMES_IN_FLIGHT],
-    /// Of the frame that is being recorded.
-    copies: Vec<ArenaCopy>,
 }
 
 impl SkinMemory {
@@ -55,38 +43,15 @@ impl SkinMemory {
         let Self { arena, globals, palettes, morph_weights } = self;
         [arena, globals, palettes, morph_weights].into_iter().map(Buffer::size).sum()
     }
-}
 
-impl ArenaStaging {
-    /// Staging for one connection.
-    pub fn new(gpu: &Arc<Gpu>) -> Result<Self, GpuError> {
-        let of_frame = || Buffer::new(gpu, "arena staging", STAGING_BYTES, Memory::Upload);
-        let in_flight = [of_frame()?, of_frame()?, of_frame()?];
-        Ok(Self { in_flight, copies: Vec::with_capacity(UNORDERED_COPIES) })
-    }
-
-    /// Copies what waits in `writes`, as far as the staging buffer of frame in flight `flight` reaches. Its last recording has
-    /// finished.
-    pub fn record(
-        &mut self,
-        recorder: &mut Recorder,
-        flight: usize,
-        memory: &SkinMemory,
-        writes: &mut ArenaWrites,
-    ) {
-        let Self { in_flight, copies } = self;
-        let staging = &mut in_flight[flight];
-        copies.clear();
-        writes.drain_into(staging.bytes_mut(), |copy| copies.push(copy));
-        let mut ordered = 0;
-        for (index, copy) in copies.iter().enumerate() {
-            let unordered = &copies[ordered..index];
-            if unordered.len() == UNORDERED_COPIES || unordered.iter().any(|other| other.overlaps(copy)) {
+    /// Copies what a batch has for the arena.
+    pub fn record(&self, recorder: &mut Recorder, batch: &Batch) {
+        for OrderedCopy { copy, is_ordered } in &batch.copies {
+            if *is_ordered {
                 recorder.barrier(Access::COPY_WRITE, Access::COPY_WRITE);
-                ordered = index;
             }
             let bytes = copy.staged.end - copy.staged.start;
-            recorder.copy_buffer(staging, copy.staged.start, &memory.arena, copy.arena_byte, bytes);
+            recorder.copy_buffer(&batch.arena, copy.staged.start, &self.arena, copy.arena_byte, bytes);
         }
     }
 }

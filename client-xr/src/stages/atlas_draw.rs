@@ -2,13 +2,13 @@
 
 use super::FRAMES_IN_FLIGHT;
 use super::scatter::VertexMemory;
-use super::upload::{Chroma, Planes};
+use super::upload::{Chroma, PlaneStaging, Planes};
 use crate::coverage::CoverageMap;
-use crate::draw_list::{DrawList, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
+use crate::draw_list::{Drawable, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
 use crate::platform::requirements::REQUIRED;
 use shadecast_gpu::{
     Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
-    Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc, Sampler, SamplerDesc, Ticket, vk,
+    Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc, Sampler, SamplerDesc, vk,
 };
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_shaders::generated::{
@@ -57,20 +57,27 @@ pub struct AtlasDraw {
     sampler: Sampler,
 }
 
-/// A bundle on the GPU: what the CPU made of placements, and the picture. Three of them take turns.
-pub struct BundleSet {
+/// What the CPU makes of a bundle: a worker writes it, the render thread lets the GPU read it. A connection has [`BUNDLES`].
+pub struct BundleMemory {
+    /// Which of its connection's.
+    pub index: usize,
     /// Corners by patch.
     pub corners: Buffer,
     /// Indices of corners.
     pub indices: Buffer,
-    /// How much of both is used.
-    pub list: DrawList,
-    /// The picture.
-    pub planes: Planes,
     /// What cutouts leave of their blocks: a [`CoverageMap`]'s words, once there are any.
     pub coverage: Buffer,
-    /// The last recording that read this set.
-    pub last_use: Option<Ticket>,
+    /// The picture.
+    pub planes: PlaneStaging,
+}
+
+/// One on display, one that is made, and one that the device may still read.
+pub const BUNDLES: usize = 3;
+
+/// A bundle's images, and the bindings of its memory.
+pub struct BundleSet {
+    /// The picture.
+    pub planes: Planes,
     groups: [BindGroup; FRAMES_IN_FLIGHT],
     masked_groups: [BindGroup; FRAMES_IN_FLIGHT],
 }
@@ -163,58 +170,71 @@ impl AtlasDraw {
         Ok(Self { chroma, pipeline, masked, sampler: Sampler::new(gpu, sampler)? })
     }
 
-    /// Room for a bundle of a connection with these capacities.
+    /// Memory for a bundle of a connection with these capacities.
+    pub fn bundle_memory(
+        &self,
+        gpu: &Arc<Gpu>,
+        index: usize,
+        patch_slots: u32,
+        extent: AtlasExtent,
+    ) -> Result<BundleMemory, GpuError> {
+        let patches = u64::from(patch_slots);
+        let corner_bytes = patches * (MAX_CORNERS_PER_PATCH * size_of::<CornerGpu>()) as u64;
+        let index_bytes = patches * (MAX_INDICES_PER_PATCH * size_of::<u32>()) as u64;
+        Ok(BundleMemory {
+            index,
+            corners: Buffer::new(gpu, "corners", corner_bytes, Memory::Upload)?,
+            indices: Buffer::new(gpu, "indices", index_bytes, Memory::Upload)?,
+            coverage: Buffer::new(gpu, "coverage", CoverageMap::byte_count(extent), Memory::Upload)?,
+            planes: PlaneStaging::new(gpu, extent, self.chroma)?,
+        })
+    }
+
+    /// What draws from `bundle`.
     pub fn bundle_set(
         &self,
         gpu: &Arc<Gpu>,
         recorder: &mut Recorder,
-        patch_slots: u32,
+        bundle: &BundleMemory,
         extent: AtlasExtent,
         memory: &VertexMemory,
         eyes: [&Buffer; FRAMES_IN_FLIGHT],
     ) -> Result<BundleSet, GpuError> {
-        let patches = u64::from(patch_slots);
-        let corner_bytes = patches * (MAX_CORNERS_PER_PATCH * size_of::<CornerGpu>()) as u64;
-        let index_bytes = patches * (MAX_INDICES_PER_PATCH * size_of::<u32>()) as u64;
-        let corners = Buffer::new(gpu, "corners", corner_bytes, Memory::Upload)?;
-        let indices = Buffer::new(gpu, "indices", index_bytes, Memory::Upload)?;
         let planes = Planes::new(gpu, recorder, extent, self.chroma)?;
-        let coverage = Buffer::new(gpu, "coverage", CoverageMap::byte_count(extent), Memory::Upload)?;
         let binds = |eyes| {
             [
-                ("Corners", Bind::Buffer(&corners)),
+                ("Corners", Bind::Buffer(&bundle.corners)),
                 ("Positions", Bind::Buffer(&memory.positions)),
                 ("Eyes", Bind::Buffer(eyes)),
                 ("luma_plane", Bind::Sampled(&planes.images[0], &self.sampler)),
                 ("cb_plane", Bind::Sampled(&planes.images[1], &self.sampler)),
                 ("cr_plane", Bind::Sampled(&planes.images[2], &self.sampler)),
-                ("Coverage", Bind::Buffer(&coverage)),
+                ("Coverage", Bind::Buffer(&bundle.coverage)),
             ]
         };
         let masked = |eyes| BindGroup::new(self.masked.layout(), &binds(eyes));
         let opaque = |eyes| BindGroup::new(self.pipeline.layout(), &binds(eyes)[..6]);
         let groups = [opaque(eyes[0])?, opaque(eyes[1])?, opaque(eyes[2])?];
         let masked_groups = [masked(eyes[0])?, masked(eyes[1])?, masked(eyes[2])?];
-        let late = Vec::with_capacity(patch_slots as usize);
-        let list = DrawList { late, ..DrawList::default() };
-        Ok(BundleSet { corners, indices, list, planes, coverage, last_use: None, groups, masked_groups })
+        Ok(BundleSet { planes, groups, masked_groups })
     }
 
-    /// Draws the first `index_count` indices of `set` with the eyes of frame in flight `flight`.
-    pub fn record(&self, recorder: &mut Recorder, set: &BundleSet, flight: usize, index_count: u32) {
-        if index_count == 0 {
-            return;
-        }
-        let opaque = index_count.min(set.list.opaque_indices);
-        if opaque > 0 {
-            recorder.bind(&self.pipeline, &set.groups[flight]);
-            recorder.bind_indices(&set.indices, 0);
-            recorder.draw_indexed(0, opaque);
-        }
-        if opaque < index_count {
-            recorder.bind(&self.masked, &set.masked_groups[flight]);
-            recorder.bind_indices(&set.indices, 0);
-            recorder.draw_indexed(opaque, index_count - opaque);
+    /// Draws what can be drawn of the bundle behind `indices`, with the eyes of frame in flight `flight`.
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        set: &BundleSet,
+        indices: &Buffer,
+        flight: usize,
+        drawn: Drawable,
+    ) {
+        let ways = [(&self.pipeline, &set.groups[flight]), (&self.masked, &set.masked_groups[flight])];
+        for ([first, count], (pipeline, group)) in drawn.ranges().into_iter().zip(ways) {
+            if count > 0 {
+                recorder.bind(pipeline, group);
+                recorder.bind_indices(indices, 0);
+                recorder.draw_indexed(first, count);
+            }
         }
     }
 }

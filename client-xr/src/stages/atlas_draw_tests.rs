@@ -4,7 +4,7 @@
 use super::*;
 use crate::coverage::CoverageMap;
 use crate::decode::Picture;
-use crate::draw_list::ListWriter;
+use crate::draw_list::{Drawable, ListWriter};
 use crate::motion::skinned::SkinCapacity;
 use crate::stages::eyes_gpu;
 use glam::{Mat4, Vec2};
@@ -153,20 +153,22 @@ impl Bench {
         recorder.copy_buffer(&positions, 0, &self.memory.positions, 0, positions.size());
         let stage = AtlasDraw::new(gpu, &self.targets.pass, lookup).unwrap();
         let eyes = self.eyes.each_ref();
-        let mut set = stage.bundle_set(gpu, &mut recorder, PATCHES, ATLAS, &self.memory, eyes).unwrap();
-        let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(set.corners.bytes_mut());
-        let indices: &mut [u32] = bytemuck::cast_slice_mut(set.indices.bytes_mut());
+        let mut bundle = stage.bundle_memory(gpu, 0, PATCHES, ATLAS).unwrap();
+        let set = stage.bundle_set(gpu, &mut recorder, &bundle, ATLAS, &self.memory, eyes).unwrap();
+        let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(bundle.corners.bytes_mut());
+        let indices: &mut [u32] = bytemuck::cast_slice_mut(bundle.indices.bytes_mut());
         let mut writer = ListWriter::new(corners, indices);
         shown.patches.iter().for_each(|patch| writer.write(patch));
-        let index_count = writer.index_count();
-        set.coverage.write(0, bytemuck::cast_slice(coverage.words()));
+        let mut drawn = Drawable { opaque: writer.index_count(), ..Drawable::default() };
+        bundle.coverage.write(0, bytemuck::cast_slice(coverage.words()));
         if shown.patches.iter().any(|patch| patch.is_masked) {
-            set.list.opaque_indices = 0;
+            drawn = Drawable { cutouts: [0, drawn.opaque], ..Drawable::default() };
         }
-        set.planes.record(&mut recorder, picture);
+        bundle.planes.write(picture);
+        set.planes.record(&mut recorder, &bundle.planes);
         recorder.barrier(Access::COPY_WRITE, Access::VERTEX_READ);
         self.targets.begin(&mut recorder, 0);
-        stage.record(&mut recorder, &set, 0, index_count);
+        stage.record(&mut recorder, &set, &bundle.indices, 0, drawn);
         recorder.end_pass();
         let readback = Buffer::new(gpu, "eye", u64::from(SIDE * SIDE) * 4, Memory::Readback).unwrap();
         let layouts = [vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL, vk::ImageLayout::TRANSFER_SRC_OPTIMAL];

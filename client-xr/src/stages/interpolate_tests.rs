@@ -3,7 +3,8 @@
 use super::*;
 use crate::motion::Motion;
 use crate::motion::skinned::SkinCapacity;
-use crate::stages::scatter::{Scatter, ScatterStaging};
+use crate::stages::batch::Batch;
+use crate::stages::scatter::Scatter;
 use glam::Vec3;
 use shadecast_gpu::{Access, Buffer, DesktopDevice, GpuOptions, Memory, Needs};
 use shadecast_protocol::delta::ReceivedDelta;
@@ -69,7 +70,8 @@ struct Both {
     gpu: Arc<Gpu>,
     memory: VertexMemory,
     scatter: Scatter,
-    staging: ScatterStaging,
+    batch: Batch,
+    scatter_group: BindGroup,
     interpolate: Interpolate,
     group: BindGroup,
     readback: Buffer,
@@ -87,8 +89,10 @@ impl Both {
         let mut recorder = gpu.record().unwrap();
         let memory = VertexMemory::new(gpu, &mut recorder, SLOTS, capacity).unwrap();
         gpu.wait(recorder.submit().unwrap()).unwrap();
+        let batch = Batch::new(gpu, 0, SLOTS, sample_ring).unwrap();
         Self {
-            staging: scatter.staging(gpu, &memory).unwrap(),
+            scatter_group: scatter.bind(&batch, &memory).unwrap(),
+            batch,
             group: interpolate.bind(&memory).unwrap(),
             readback: Buffer::new(gpu, "positions", memory.positions.size(), Memory::Readback).unwrap(),
             twin: Twin::new(SLOTS, sample_ring),
@@ -107,8 +111,8 @@ impl Both {
     fn frame(&mut self, push: &InterpolatePush, what: &str) {
         let [on_gpu, on_cpu] = &mut self.motions;
         let mut recorder = self.gpu.record().unwrap();
-        let (flight, writes) = (self.frames % 3, on_gpu.writes());
-        self.scatter.record(&mut recorder, &mut self.staging, flight, &self.memory, writes);
+        self.batch.fill(on_gpu);
+        self.scatter.record(&mut recorder, &self.scatter_group, &self.memory, &self.batch);
         self.interpolate.record(&mut recorder, &self.group, push);
         recorder.barrier(Access::COMPUTE_WRITE, Access::COPY_READ);
         recorder.copy_buffer(&self.memory.positions, 0, &self.readback, 0, self.readback.size());

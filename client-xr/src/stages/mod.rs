@@ -4,6 +4,7 @@
 pub mod arena;
 pub mod atlas_draw;
 pub mod background;
+pub mod batch;
 pub mod interpolate;
 pub mod notice;
 pub mod pose;

@@ -2,7 +2,8 @@
 //! display once more, with one sample per pixel, and waits for the read-back.
 
 use super::FRAMES_IN_FLIGHT;
-use super::atlas_draw::{BOTH_EYES, BundleSet, DEPTH_FORMAT};
+use super::atlas_draw::{BOTH_EYES, BundleMemory, DEPTH_FORMAT};
+use crate::draw_list::Drawable;
 use shadecast_gpu::{
     Access, Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline,
     GraphicsPipelineDesc, Image, ImageDesc, Memory, RenderPass, RenderPassDesc, vk,
@@ -112,21 +113,21 @@ impl Probe {
         })
     }
 
-    /// What both eyes see of the first `index_count` indices of `set`. Waits for the GPU.
+    /// What both eyes see of what was drawn of a bundle. Waits for the GPU.
     pub fn run(
         &mut self,
-        set: &BundleSet,
+        bundle: &BundleMemory,
         positions: &Buffer,
         eyes: &EyesGpu,
-        index_count: u32,
+        drawn: Drawable,
     ) -> Result<[ProbeView; 2], GpuError> {
         const _: () = assert!(FRAMES_IN_FLIGHT > 0);
         self.eyes.write(0, bytemuck::bytes_of(eyes));
         let binds = [
-            ("Corners", Bind::Buffer(&set.corners)),
+            ("Corners", Bind::Buffer(&bundle.corners)),
             ("Positions", Bind::Buffer(positions)),
             ("Eyes", Bind::Buffer(&self.eyes)),
-            ("Coverage", Bind::Buffer(&set.coverage)),
+            ("Coverage", Bind::Buffer(&bundle.coverage)),
         ];
         let group = BindGroup::new(self.pipeline.layout(), &binds)?;
         let mut recorder = self.gpu.record()?;
@@ -134,10 +135,10 @@ impl Probe {
         let far = vk::ClearValue { depth_stencil: vk::ClearDepthStencilValue { depth: 0.0, stencil: 0 } };
         let clears = [vk::ClearValue::default(), vk::ClearValue::default(), far];
         recorder.begin_pass(&self.pass, &self.framebuffer, &clears);
-        if index_count > 0 {
+        for [first, count] in drawn.ranges().into_iter().filter(|[_, count]| *count > 0) {
             recorder.bind(&self.pipeline, &group);
-            recorder.bind_indices(&set.indices, 0);
-            recorder.draw_indexed(0, index_count);
+            recorder.bind_indices(&bundle.indices, 0);
+            recorder.draw_indexed(first, count);
         }
         recorder.end_pass();
         recorder.barrier(Access::COLOR_WRITE, Access::COPY_READ);

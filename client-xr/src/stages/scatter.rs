@@ -1,14 +1,10 @@
 //! The client's vertex memory on the GPU, and what writes deltas into it (`client_scatter.comp`).
 
-use super::FRAMES_IN_FLIGHT;
-use crate::motion::arrivals::VertexWrites;
+use super::batch::Batch;
 use crate::motion::skinned::SkinCapacity;
 use shadecast_gpu::{Access, Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
-use shadecast_shaders::generated::{CLIENT_SCATTER_COMP, RestGpu, ScatterPush, VertexWriteGpu};
+use shadecast_shaders::generated::{CLIENT_SCATTER_COMP, RestGpu, ScatterPush};
 use std::sync::Arc;
-
-/// Records that one display frame can write; what is more waits for the next.
-const STAGING_RECORDS: u32 = 200_000;
 
 /// Samples, positions, blends and skins of all vertex slots, and the rests of skinned ones: see `client_vertices.glsl`.
 pub struct VertexMemory {
@@ -31,12 +27,6 @@ pub struct VertexMemory {
 /// The pipeline.
 pub struct Scatter {
     pipeline: ComputePipeline,
-}
-
-/// What one connection needs to write: a staging buffer per frame in flight.
-pub struct ScatterStaging {
-    in_flight: [(Buffer, BindGroup); FRAMES_IN_FLIGHT],
-    records: usize,
 }
 
 impl VertexMemory {
@@ -77,45 +67,27 @@ impl Scatter {
         Ok(Self { pipeline: ComputePipeline::new(gpu, &CLIENT_SCATTER_COMP)? })
     }
 
-    /// Staging for `memory`.
-    pub fn staging(&self, gpu: &Arc<Gpu>, memory: &VertexMemory) -> Result<ScatterStaging, GpuError> {
-        let records = (memory.vertex_slots * (memory.sample_ring + 1)).min(STAGING_RECORDS) as usize;
-        let bytes = (records * size_of::<VertexWriteGpu>()) as u64;
-        let of_frame = || {
-            let staging = Buffer::new(gpu, "vertex staging", bytes, Memory::Upload)?;
-            let binds = [
-                ("Samples", Bind::Buffer(&memory.samples)),
-                ("Positions", Bind::Buffer(&memory.positions)),
-                ("Blends", Bind::Buffer(&memory.blends)),
-                ("Writes", Bind::Buffer(&staging)),
-                ("Skins", Bind::Buffer(&memory.skins)),
-                ("Rests", Bind::Buffer(&memory.rests)),
-            ];
-            let group = BindGroup::new(self.pipeline.layout(), &binds)?;
-            Ok::<_, GpuError>((staging, group))
-        };
-        Ok(ScatterStaging { in_flight: [of_frame()?, of_frame()?, of_frame()?], records })
+    /// Bindings of a batch for `memory`.
+    pub fn bind(&self, batch: &Batch, memory: &VertexMemory) -> Result<BindGroup, GpuError> {
+        let binds = [
+            ("Samples", Bind::Buffer(&memory.samples)),
+            ("Positions", Bind::Buffer(&memory.positions)),
+            ("Blends", Bind::Buffer(&memory.blends)),
+            ("Writes", Bind::Buffer(&batch.vertices)),
+            ("Skins", Bind::Buffer(&memory.skins)),
+            ("Rests", Bind::Buffer(&memory.rests)),
+        ];
+        BindGroup::new(self.pipeline.layout(), &binds)
     }
 
-    /// Writes what waits in `writes`, as far as the staging buffer of frame in flight `flight` reaches. Its last
-    /// recording has finished.
-    pub fn record(
-        &self,
-        recorder: &mut Recorder,
-        staging: &mut ScatterStaging,
-        flight: usize,
-        memory: &VertexMemory,
-        writes: &mut VertexWrites,
-    ) {
-        let (buffer, group) = &mut staging.in_flight[flight];
-        let bytes = staging.records * size_of::<VertexWriteGpu>();
-        let records: &mut [VertexWriteGpu] = bytemuck::cast_slice_mut(&mut buffer.bytes_mut()[..bytes]);
-        writes.drain_into(records, |range| {
+    /// Writes the records of a batch, bound by `group`.
+    pub fn record(&self, recorder: &mut Recorder, group: &BindGroup, memory: &VertexMemory, batch: &Batch) {
+        let VertexMemory { vertex_slots, sample_ring, .. } = *memory;
+        for range in &batch.ranges {
             let count = range.end - range.start;
-            let (vertex_slots, sample_ring) = (memory.vertex_slots, memory.sample_ring);
             let push = ScatterPush { first: range.start, count, vertex_slots, sample_ring };
             recorder.dispatch(&self.pipeline, group, &push, [count, 1, 1]);
             recorder.barrier(Access::COMPUTE, Access::COMPUTE);
-        });
+        }
     }
 }

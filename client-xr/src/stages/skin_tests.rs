@@ -7,10 +7,10 @@ use crate::motion::arena::ArenaSerial;
 use crate::motion::skinned::{
     Drawn, Moment, SkeletonPlace, SkinCapacity, Skinned, SkinnedCounts, SkinnedInstance, Source,
 };
-use crate::stages::arena::ArenaStaging;
+use crate::stages::batch::Batch;
 use crate::stages::interpolate::Slots;
 use crate::stages::pose::{PoseStage, PoseStaging};
-use crate::stages::scatter::{Scatter, ScatterStaging};
+use crate::stages::scatter::Scatter;
 use glam::{Affine3A, Quat, Vec3, Vec4};
 use shadecast_gpu::{Access, Buffer, DesktopDevice, GpuOptions, Memory, Needs};
 use shadecast_protocol::geometry::{self, NewVertex};
@@ -266,8 +266,8 @@ struct Bench {
     vertices: VertexMemory,
     memory: SkinMemory,
     scatter: Scatter,
-    scatter_staging: ScatterStaging,
-    arena_staging: ArenaStaging,
+    batch: Batch,
+    scatter_group: BindGroup,
     pose: PoseStage,
     poses: PoseStaging,
     skin: Skin,
@@ -287,9 +287,10 @@ impl Bench {
         gpu.wait(recorder.submit().unwrap()).unwrap();
         let (scatter, pose) = (Scatter::new(&gpu).unwrap(), PoseStage::new(&gpu).unwrap());
         let skin = Skin::new(&gpu).unwrap();
+        let batch = Batch::new(&gpu, 0, SLOTS, CAPACITY.sample_ring).unwrap();
         Self {
-            scatter_staging: scatter.staging(&gpu, &vertices).unwrap(),
-            arena_staging: ArenaStaging::new(&gpu).unwrap(),
+            scatter_group: scatter.bind(&batch, &vertices).unwrap(),
+            batch,
             poses: pose.staging(&gpu, &memory).unwrap(),
             group: skin.bind(&vertices, &memory).unwrap(),
             motion: Motion::new(SLOTS, CAPACITY),
@@ -308,14 +309,16 @@ impl Bench {
         let flight = self.frames % 3;
         self.frames += 1;
         let mut recorder = self.gpu.record().unwrap();
-        self.arena_staging.record(&mut recorder, flight, &self.memory, self.motion.arena());
-        let writes = self.motion.writes();
-        self.scatter.record(&mut recorder, &mut self.scatter_staging, flight, &self.vertices, writes);
+        self.batch.fill(&mut self.motion);
+        self.memory.record(&mut recorder, &self.batch);
+        self.scatter.record(&mut recorder, &self.scatter_group, &self.vertices, &self.batch);
         recorder.barrier(crate::stages::ARRIVALS, Access::COMPUTE);
-        let counts = self.motion.poses(GRID, time, self.poses.poses_mut(flight));
+        let moment = Moment { time, grid: GRID, written: self.batch.state.written };
+        let drawn = self.motion.drawn().to_vec();
+        let counts = self.motion.skinned().poses(moment, &drawn, self.poses.poses_mut(flight));
         self.pose.record(&mut recorder, &self.poses, flight, counts.instances);
         recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
-        self.skin.record(&mut recorder, &self.group, self.motion.vertex_count());
+        self.skin.record(&mut recorder, &self.group, self.batch.state.vertex_count);
         (self.positions(recorder), counts)
     }
 
@@ -346,7 +349,7 @@ impl Bench {
         (0..count).for_each(|slot| {
             users.note(&[VertexSlot(slot)]);
         });
-        users.end(GridIndex(i32::MIN));
+        users.end();
     }
 
     #[track_caller]
@@ -617,7 +620,7 @@ fn skinning_leaves_static_and_sampled_vertices_alone_and_they_leave_it_alone() {
         let (before, _) = bench.frame(ServerTime(0));
         let evaluation =
             crate::motion::pace::Evaluation { at: ServerTime(0), before: ServerTime(0), elapsed_ns: 0 };
-        let vertex_count = bench.motion.vertex_count();
+        let vertex_count = bench.motion.state().vertex_count;
         let slots = Slots { vertex_count, vertex_slots: SLOTS, sample_ring: CAPACITY.sample_ring };
         let push = crate::stages::interpolate::push(GRID, evaluation, slots, Default::default());
         let mut recorder = bench.gpu.record().unwrap();

@@ -1,4 +1,5 @@
 //! Decoded planes into images. Three sets exist, so that the one on display is never overwritten and no copy is waited for.
+//! A worker writes the staging buffers, the render thread lets the GPU copy them.
 
 use crate::decode::Picture;
 use crate::platform::requirements::REQUIRED;
@@ -29,8 +30,43 @@ impl Chroma {
 pub struct Planes {
     /// Luma, then blue and red difference: R8.
     pub images: [Image; 3],
+}
+
+/// The same on their way there.
+pub struct PlaneStaging {
     staging: Buffer,
     offsets: [usize; 3],
+    /// Bytes of each plane.
+    sizes: [usize; 3],
+}
+
+/// Texels of the three planes.
+fn extents_texels(extent: AtlasExtent, chroma: Chroma) -> [[u32; 2]; 3] {
+    let of_chroma = chroma.extent_texels(extent.texels());
+    [extent.texels(), of_chroma, of_chroma]
+}
+
+impl PlaneStaging {
+    /// For pictures of an atlas.
+    pub fn new(gpu: &Arc<Gpu>, extent: AtlasExtent, chroma: Chroma) -> Result<Self, GpuError> {
+        let sizes = extents_texels(extent, chroma).map(|[width, height]| (width * height) as usize);
+        // Offsets of a copy are multiples of four.
+        let [luma, cb, cr] = sizes.map(|size| size.next_multiple_of(4));
+        let staging = Buffer::new(gpu, "picture staging", (luma + cb + cr) as u64, Memory::Upload)?;
+        Ok(Self { staging, offsets: [0, luma, luma + cb], sizes })
+    }
+
+    /// Takes in `picture`, which has the extent this was made for. The GPU is done with what was here.
+    pub fn write(&mut self, picture: &Picture) {
+        let planes = match picture {
+            Picture::Planes(picture) => picture.planes(),
+            Picture::FullChroma(picture) => picture.planes(),
+        };
+        for (index, plane) in planes.into_iter().enumerate() {
+            assert_eq!(plane.len(), self.sizes[index], "a decoder gives pictures of the agreed extent");
+            self.staging.write(self.offsets[index], plane);
+        }
+    }
 }
 
 impl Planes {
@@ -41,39 +77,21 @@ impl Planes {
         extent: AtlasExtent,
         chroma: Chroma,
     ) -> Result<Self, GpuError> {
-        let extent_texels = extent.texels();
-        let of_chroma = chroma.extent_texels(extent_texels);
-        let luma = (extent_texels[0] * extent_texels[1]) as usize;
-        // Offsets of a copy are multiples of four.
-        let chroma_bytes = ((of_chroma[0] * of_chroma[1]) as usize).next_multiple_of(4);
-        let images =
-            [plane(gpu, "luma", extent_texels)?, plane(gpu, "cb", of_chroma)?, plane(gpu, "cr", of_chroma)?];
-        let staging = Buffer::new(gpu, "picture staging", (luma + 2 * chroma_bytes) as u64, Memory::Upload)?;
+        let [luma, cb, cr] = extents_texels(extent, chroma);
+        let images = [plane(gpu, "luma", luma)?, plane(gpu, "cb", cb)?, plane(gpu, "cr", cr)?];
         for image in &images {
             let layouts = [vk::ImageLayout::UNDEFINED, vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL];
             recorder.transition(image, layouts, Access::NONE, Access::FRAGMENT_READ);
         }
-        Ok(Self { images, staging, offsets: [0, luma, luma + chroma_bytes] })
+        Ok(Self { images })
     }
 
-    /// Copies `picture`, which has the extent these planes were made for. No submitted work reads the staging buffer.
-    pub fn record(&mut self, recorder: &mut Recorder, picture: &Picture) {
-        let planes = match picture {
-            Picture::Planes(picture) => picture.planes(),
-            Picture::FullChroma(picture) => picture.planes(),
-        };
-        for (index, plane) in planes.into_iter().enumerate() {
-            let image = &self.images[index];
-            let [width, height] = image.desc().extent;
-            assert_eq!(
-                plane.len(),
-                (width * height) as usize,
-                "a decoder gives pictures of the agreed extent"
-            );
-            self.staging.write(self.offsets[index], plane);
+    /// Copies what was written to `staging`.
+    pub fn record(&self, recorder: &mut Recorder, staging: &PlaneStaging) {
+        for (image, offset) in self.images.iter().zip(staging.offsets) {
             let written = [vk::ImageLayout::UNDEFINED, vk::ImageLayout::TRANSFER_DST_OPTIMAL];
             recorder.transition(image, written, Access::FRAGMENT_READ, Access::COPY_WRITE);
-            recorder.write_image(image, 0, &self.staging, self.offsets[index] as u64);
+            recorder.write_image(image, 0, &staging.staging, offset as u64);
             let read = [vk::ImageLayout::TRANSFER_DST_OPTIMAL, vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL];
             recorder.transition(image, read, Access::COPY_WRITE, Access::FRAGMENT_READ);
         }

@@ -113,7 +113,7 @@ pub fn frame(client: &mut Client) -> FrameReport {
 /// Drops the client, and fails where Vulkan's validation layers or the runtime had something to say.
 #[track_caller]
 pub fn finish(run: &Run, client: Client) {
-    let gpu: Arc<Gpu> = client.gpu().clone();
+    let gpu: Arc<Gpu> = client.presenter.gpu().clone();
     drop(client);
     assert_eq!(gpu.validation_messages(), 0, "{:?}", gpu.validation_texts());
     let summary = shadecast_mock_runtime::record::read_summary(&run.captures()).expect("a summary");

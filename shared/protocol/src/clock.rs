@@ -53,15 +53,33 @@ const MAX_CLOCK_NS: i64 = 1 << 62;
 pub struct ClockEstimator {
     exchanges: VecDeque<Exchange>,
     stamps: VecDeque<Stamp>,
-    mapping: Option<Mapping>,
-    /// What the exchanges that the mapping knows leave possible.
-    room: Room,
-    /// The display frame that was shown last.
-    shown: Option<ClientTime>,
-    /// Exchanges or stamps have come that the mapping does not know.
+    estimate: Option<ClockEstimate>,
+    /// What callers see of it.
+    seen: ShownClock,
+    /// Exchanges or stamps have come that the estimate does not know.
     is_behind: bool,
     /// They contradict those before.
     is_set_anew: bool,
+}
+
+/// What exchanges and stamps say of the server's clock at a moment, small enough to be handed to another thread.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClockEstimate {
+    line: Line,
+    /// What the exchanges that the line knows leave possible.
+    room: Room,
+    /// Rises with each clock that was set anew.
+    times_set: u32,
+}
+
+/// The server's clock as display frames see it: it follows estimates, by at most [`MAX_STEP_NS`] a frame.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ShownClock {
+    mapping: Option<Mapping>,
+    room: Room,
+    times_set: u32,
+    /// The display frame that was shown last.
+    shown: Option<ClientTime>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -83,7 +101,7 @@ struct Stamp {
 }
 
 /// `server = display + offset + drift * (display - origin)`.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Line {
     origin: ClientTime,
     offset_ns: i64,
@@ -99,7 +117,7 @@ struct Mapping {
 }
 
 /// The offsets that are possible at a time of the client's clock, both ends included.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Room {
     at: ClientTime,
     low_ns: i64,
@@ -149,7 +167,7 @@ impl ClockEstimator {
             down_ns: client_receive.0 - server_send.0,
         });
         self.is_behind = true;
-        if self.mapping.is_none() {
+        if self.estimate.is_none() {
             self.settle();
         }
     }
@@ -157,11 +175,11 @@ impl ClockEstimator {
     /// Takes in a stamp: the server's clock read `server_send` when it left, and it came at `client_receive`. Before the first
     /// exchange it tells nothing, and one that contradicts the exchanges is ignored: the next of those says which clock it is.
     pub fn note_stamp(&mut self, server_send: ServerTime, client_receive: ClientTime) {
-        if self.mapping.is_none() || !are_clocks([server_send.0, client_receive.0]) {
+        let Some(estimate) = self.estimate.filter(|_| are_clocks([server_send.0, client_receive.0])) else {
             return;
-        }
+        };
         let stamp = Stamp { client_receive, down_ns: client_receive.0 - server_send.0 };
-        if self.room.contradicts_down(stamp) {
+        if estimate.room.contradicts_down(stamp) {
             return;
         }
         if self.stamps.len() == WINDOW {
@@ -179,7 +197,7 @@ impl ClockEstimator {
     }
 
     fn remember(&mut self, exchange: Exchange) {
-        if self.mapping.is_some() && self.room.contradicts(exchange) {
+        if self.estimate.is_some_and(|estimate| estimate.room.contradicts(exchange)) {
             self.exchanges.clear();
             self.stamps.clear();
             self.is_set_anew = true;
@@ -197,40 +215,19 @@ impl ClockEstimator {
         }
     }
 
-    /// A display frame is shown that is seen at `at`: the correction that is under way goes on by what one frame may.
-    pub fn show(&mut self, at: ClientTime) {
-        let Some(mapping) = &mut self.mapping else { return };
-        let elapsed_ns = at.since(self.shown.unwrap_or(at)).clamp(0, WINDOW_NS);
-        let drifted_ns = (mapping.line.drift.abs() * elapsed_ns as f64).ceil() as i64;
-        let step_ns = (MAX_STEP_NS - drifted_ns).max(LEAST_STEP_NS).min(elapsed_ns / STEP_SHARE);
-        mapping.left_ns -= mapping.left_ns.clamp(-step_ns, step_ns);
-        self.shown = Some(at);
-    }
-
-    /// A display frame that is seen at `at` is the first one that is on this clock. The one before was on another estimate of
-    /// the same clock, by which it is `seen`: what callers see goes on from there, unless that is so far away that it was
-    /// another clock.
-    pub fn go_on_from(&mut self, at: ClientTime, seen: ServerTime) {
-        let Some(mapping) = &mut self.mapping else { return };
-        let left_ns = seen.since(ServerTime(at.0.saturating_add(mapping.line.offset_at(at))));
-        if self.shown.is_none() && left_ns.saturating_abs() <= SAME_CLOCK_NS {
-            mapping.left_ns = left_ns;
-            self.shown = Some(at);
-        }
-    }
-
-    /// Fits a new line, and turns towards it where something is on display.
+    /// Fits a new line, and lets callers turn towards it.
     fn follow(&mut self) {
         let Some(line) = self.fit() else { return };
-        let is_free = std::mem::take(&mut self.is_set_anew);
-        let left_ns = match (self.mapping, self.shown) {
-            (Some(old), Some(shown)) if !is_free => {
-                old.offset_at(shown).saturating_sub(line.offset_at(shown))
-            }
-            _ => 0,
-        };
-        self.mapping = Some(Mapping { line, left_ns });
-        self.room = self.room_at(line.origin);
+        let times_set = self.estimate.map_or(0, |estimate| estimate.times_set);
+        let times_set = times_set.wrapping_add(std::mem::take(&mut self.is_set_anew).into());
+        let estimate = ClockEstimate { line, room: self.room_at(line.origin), times_set };
+        self.estimate = Some(estimate);
+        self.seen.follow(estimate);
+    }
+
+    /// What is known; `None` before the first exchange.
+    pub fn estimate(&self) -> Option<ClockEstimate> {
+        self.estimate
     }
 
     /// The ways back that are known.
@@ -278,6 +275,82 @@ impl ClockEstimator {
         Some(Line { origin, offset_ns: base_ns + offset as i64, drift })
     }
 
+    /// See [`ShownClock::show`].
+    pub fn show(&mut self, at: ClientTime) {
+        self.seen.show(at);
+    }
+
+    /// See [`ShownClock::server_time`].
+    pub fn server_time(&self, at: ClientTime) -> Option<ServerTime> {
+        self.seen.server_time(at)
+    }
+
+    /// See [`ShownClock::display_time`].
+    pub fn display_time(&self, at: ServerTime) -> Option<ClientTime> {
+        self.seen.display_time(at)
+    }
+
+    /// See [`ShownClock::error_bound_ns`].
+    pub fn error_bound_ns(&self, at: ClientTime) -> Option<i64> {
+        self.seen.error_bound_ns(at)
+    }
+
+    /// The fastest round trip of the window in nanoseconds, the server's own time not counted.
+    pub fn rtt_ns(&self) -> Option<i64> {
+        self.exchanges.iter().map(Exchange::rtt_ns).min()
+    }
+
+    /// How far 95 % of the round trips of the window stay above the fastest, in nanoseconds.
+    pub fn jitter_ns(&self) -> Option<i64> {
+        let mut rtts: Vec<_> = self.exchanges.iter().map(Exchange::rtt_ns).collect();
+        rtts.sort_unstable();
+        let p95 = rtts.get((rtts.len() * 95 / 100).min(rtts.len().checked_sub(1)?))?;
+        Some(p95 - rtts[0])
+    }
+
+    /// How much faster the server's clock runs than the client's, as a fraction.
+    pub fn drift(&self) -> Option<f64> {
+        self.estimate.map(|estimate| estimate.line.drift)
+    }
+}
+
+impl ShownClock {
+    /// Turns towards an estimate. Before anything is on display, and where a clock was set anew, it is followed at once.
+    pub fn follow(&mut self, estimate: ClockEstimate) {
+        let ClockEstimate { line, room, times_set } = estimate;
+        let is_free = std::mem::replace(&mut self.times_set, times_set) != times_set;
+        let left_ns = match (self.mapping, self.shown) {
+            (Some(old), Some(shown)) if !is_free => {
+                old.offset_at(shown).saturating_sub(line.offset_at(shown))
+            }
+            _ => 0,
+        };
+        self.mapping = Some(Mapping { line, left_ns });
+        self.room = room;
+    }
+
+    /// A display frame is shown that is seen at `at`: the correction that is under way goes on by what one frame may.
+    pub fn show(&mut self, at: ClientTime) {
+        let Some(mapping) = &mut self.mapping else { return };
+        let elapsed_ns = at.since(self.shown.unwrap_or(at)).clamp(0, WINDOW_NS);
+        let drifted_ns = (mapping.line.drift.abs() * elapsed_ns as f64).ceil() as i64;
+        let step_ns = (MAX_STEP_NS - drifted_ns).max(LEAST_STEP_NS).min(elapsed_ns / STEP_SHARE);
+        mapping.left_ns -= mapping.left_ns.clamp(-step_ns, step_ns);
+        self.shown = Some(at);
+    }
+
+    /// A display frame that is seen at `at` is the first one that is on this clock. The one before was on another estimate of
+    /// the same clock, by which it is `seen`: what callers see goes on from there, unless that is so far away that it was
+    /// another clock.
+    pub fn go_on_from(&mut self, at: ClientTime, seen: ServerTime) {
+        let Some(mapping) = &mut self.mapping else { return };
+        let left_ns = seen.since(ServerTime(at.0.saturating_add(mapping.line.offset_at(at))));
+        if self.shown.is_none() && left_ns.saturating_abs() <= SAME_CLOCK_NS {
+            mapping.left_ns = left_ns;
+            self.shown = Some(at);
+        }
+    }
+
     /// The server's clock when the client's reads `at`; `None` before the first exchange.
     pub fn server_time(&self, at: ClientTime) -> Option<ServerTime> {
         let mapping = self.mapping?;
@@ -310,24 +383,6 @@ impl ClockEstimator {
         let Room { at: known, low_ns, high_ns } = self.room;
         let off_ns = high_ns.saturating_sub(offset_ns).max(offset_ns.saturating_sub(low_ns)).max(0);
         Some(off_ns.saturating_add(dispersion_ns(at, known)))
-    }
-
-    /// The fastest round trip of the window in nanoseconds, the server's own time not counted.
-    pub fn rtt_ns(&self) -> Option<i64> {
-        self.exchanges.iter().map(Exchange::rtt_ns).min()
-    }
-
-    /// How far 95 % of the round trips of the window stay above the fastest, in nanoseconds.
-    pub fn jitter_ns(&self) -> Option<i64> {
-        let mut rtts: Vec<_> = self.exchanges.iter().map(Exchange::rtt_ns).collect();
-        rtts.sort_unstable();
-        let p95 = rtts.get((rtts.len() * 95 / 100).min(rtts.len().checked_sub(1)?))?;
-        Some(p95 - rtts[0])
-    }
-
-    /// How much faster the server's clock runs than the client's, as a fraction.
-    pub fn drift(&self) -> Option<f64> {
-        self.mapping.map(|mapping| mapping.line.drift)
     }
 }
 
@@ -710,7 +765,7 @@ mod tests {
     fn an_estimate_that_was_off_by_3_ms_is_caught_up_with_in_half_a_second() {
         for rate_hz in [60, 90, 120] {
             let mut clock = slow_clock(3 * MS);
-            let wanted_ns = clock.mapping.expect("known").line.offset_at(ClientTime(0));
+            let wanted_ns = clock.seen.mapping.expect("known").line.offset_at(ClientTime(0));
             assert!((2 * MS..4 * MS).contains(&wanted_ns), "{wanted_ns} ns");
             let seen_ns = |clock: &ClockEstimator| clock.server_time(ClientTime(0)).expect("known").0;
             assert!(seen_ns(&clock).abs() < 100, "nothing changes between two frames");
@@ -722,13 +777,13 @@ mod tests {
     #[test]
     fn a_correction_goes_on_while_better_estimates_come() {
         let mut clock = slow_clock(3 * MS);
-        let mut last_ns = clock.mapping.expect("known").left_ns.abs();
+        let mut last_ns = clock.seen.mapping.expect("known").left_ns.abs();
         for frame in 1..20 {
             let now = ClientTime(frame * 11 * MS);
             let server = ServerTime(now.0 - 3 * MS);
             clock.on_pong(now.plus_ns(-30 * MS), server, server, now.plus_ns(5 * MS));
             clock.show(now);
-            let left_ns = clock.mapping.expect("known").left_ns.abs();
+            let left_ns = clock.seen.mapping.expect("known").left_ns.abs();
             assert!(left_ns < last_ns, "frame {frame}: {left_ns} ns of {last_ns} ns");
             last_ns = left_ns;
         }
@@ -751,7 +806,7 @@ mod tests {
             let mut clock = ClockEstimator::new();
             let server = ServerTime(1000 * MS);
             clock.on_pong(ClientTime(0), server, server, ClientTime(0));
-            clock.go_on_from(ClientTime(0), ServerTime(from_ns));
+            clock.seen.go_on_from(ClientTime(0), ServerTime(from_ns));
             clock.show(ClientTime(0));
             let first = clock.server_time(ClientTime(0)).expect("known");
             clock.show(ClientTime(20 * MS));

@@ -353,14 +353,9 @@ impl ClientSession {
         &self.clock
     }
 
-    /// Notes that a display frame that is seen at `at` shows what this session brought; see [`ClockEstimator::show`].
+    /// Notes that a display frame that is seen at `at` shows what this session brought; see [`crate::clock::ShownClock::show`].
     pub fn note_shown(&mut self, at: ClientTime) {
         self.clock.show(at);
-    }
-
-    /// Notes that the first such frame follows one on another estimate of the clock; see [`ClockEstimator::go_on_from`].
-    pub fn go_on_from(&mut self, at: ClientTime, seen: ServerTime) {
-        self.clock.go_on_from(at, seen);
     }
 
     /// True until the session is refused, failed or left.

@@ -144,6 +144,19 @@ impl Track {
         let _ = self.events.send(Some(event));
     }
 
+    /// What a figure of this row is from a time on.
+    pub fn counter(&self, name: &'static str, at: ServerTime, value: f64) {
+        let event = json!({
+            "ph": "C",
+            "name": name,
+            "pid": self.process.number(),
+            "tid": self.number,
+            "ts": microseconds(at.0),
+            "args": { "value": value },
+        });
+        let _ = self.events.send(Some(event));
+    }
+
     /// Something that took no time.
     pub fn instant(&self, name: &'static str, at: ServerTime, update: Option<UpdateId>) {
         self.span(name, [at, at], update);

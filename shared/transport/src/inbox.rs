@@ -5,7 +5,8 @@
 //! peer that has gone left behind goes with it.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::thread::Thread;
 use std::time::Duration;
 
 use crate::event::{Event, PeerId};
@@ -19,6 +20,8 @@ const EVENT_BYTES: usize = 64;
 pub(crate) struct Inbox {
     queue: Mutex<Queue>,
     arrived: Condvar,
+    /// Who does not wait for `arrived`, but is to be woken all the same.
+    woken: OnceLock<Thread>,
     max_bytes_per_peer: usize,
     /// True on a server: what a peer said before it went is dropped with it. A client keeps its server's last words, which
     /// say why there is no session.
@@ -111,9 +114,20 @@ impl Inbox {
         Self {
             queue: Mutex::default(),
             arrived: Condvar::new(),
+            woken: OnceLock::new(),
             max_bytes_per_peer,
             forgets_the_gone: is_server,
         }
+    }
+
+    /// Unparks a thread with each event from now on. The first that is named counts.
+    pub(crate) fn wake(&self, thread: Thread) {
+        let _ = self.woken.set(thread);
+    }
+
+    fn tell(&self) {
+        self.arrived.notify_all();
+        self.woken.get().into_iter().for_each(Thread::unpark);
     }
 
     fn lock(&self) -> MutexGuard<'_, Queue> {
@@ -130,7 +144,7 @@ impl Inbox {
             waiting.datagrams.pop_front();
         }
         drop(queue);
-        self.arrived.notify_one();
+        self.tell();
         fits
     }
 
@@ -181,7 +195,7 @@ impl Inbox {
     /// Nothing more will be put in.
     pub(crate) fn end(&self) {
         self.lock().is_ended = true;
-        self.arrived.notify_all();
+        self.tell();
     }
 
     /// Nothing more will be taken out.

@@ -13,7 +13,7 @@ use std::io::{self, IoSliceMut};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::thread::JoinHandle;
+use std::thread::{JoinHandle, Thread};
 use std::time::Duration;
 
 use ::mio::net::UdpSocket;
@@ -569,6 +569,11 @@ impl Drop for Events {
 }
 
 impl Events {
+    /// Unparks a thread with each event from now on, for one that waits for other things too. The first that is named counts.
+    pub fn wake(&self, thread: Thread) {
+        self.inbox.wake(thread);
+    }
+
     /// The next event, if there is one already.
     pub fn try_next(&self) -> Option<Event> {
         self.next_timeout(Duration::ZERO).ok().flatten()

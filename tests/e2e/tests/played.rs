@@ -142,7 +142,7 @@ fn watch(options: &RunOptions, mut act: impl FnMut(&Lab, ServerTime)) -> Vec<See
 /// `before`: where each vertex was in the frame before.
 fn look(lab: &mut Lab, frame: &FrameReport, before: &mut HashMap<u32, Vec3>) -> Option<Seen> {
     let (update, time) = (frame.update?, frame.server_time.filter(|_| frame.is_rendered)?);
-    let positions = lab.client.read_positions().unwrap();
+    let positions = lab.client.presenter.read_positions().unwrap();
     let residents = lab.seat_mut().residents.at(update)?.to_vec();
     let scene = &lab.server.scene;
     let shown = lab.server.world.timeline().lock().at(0, time);

@@ -376,7 +376,7 @@ fn kept(scene: SceneSource, motion: MotionOption, out: &Path) -> ClientStats {
     // SAFETY: it is the caller's turn.
     let mut lab = unsafe { Lab::open(&options, &config) }.unwrap();
     while let Step::Frame(_) = lab.step().unwrap() {}
-    let stats = lab.client.stats();
+    let stats = lab.client.presenter.stats();
     println!("{motion:?}: a ring of {}, {} bytes", stats.sample_ring, stats.motion_memory_bytes);
     assert!(stats.bundles > 0, "{stats:?}");
     stats

@@ -3,7 +3,7 @@
 use crate::script::{number, steps};
 use shadecast_client::motion::Motion;
 use shadecast_client::motion::arena::ArenaCopy;
-use shadecast_client::motion::skinned::SkinCapacity;
+use shadecast_client::motion::skinned::{Moment, SkinCapacity, Skinned};
 use shadecast_protocol::ids::{UpdateId, VertexSlot};
 use shadecast_protocol::limits::MAX_INSTANCES;
 use shadecast_protocol::message::{
@@ -60,6 +60,8 @@ struct Moved {
     grid: Grid,
     arena: Vec<[u32; 4]>,
     poses: Vec<PlacedPoseGpu>,
+    /// What the thread that draws knows of instances.
+    tables: Skinned,
 }
 
 impl Moved {
@@ -71,6 +73,7 @@ impl Moved {
             grid: welcome.grid,
             arena: vec![[0; 4]; capacity.arena_words as usize],
             poses: vec![bytemuck::Zeroable::zeroed(); MAX_INSTANCES as usize],
+            tables: Skinned::default(),
         }
     }
 
@@ -86,11 +89,17 @@ impl Moved {
         }
         let mut records = vec![bytemuck::Zeroable::zeroed(); STAGING_RECORDS];
         self.motion.writes().drain_into(&mut records, |_| {});
-        let slots: Vec<_> = (0..self.motion.vertex_count()).map(VertexSlot).collect();
+        let mut changes = Vec::new();
+        self.motion.take_changes(&mut changes);
+        changes.into_iter().for_each(|change| self.tables.apply(change));
+        let state = self.motion.state();
+        let slots: Vec<_> = (0..state.vertex_count).map(VertexSlot).collect();
         let mut users = self.motion.begin_list();
-        let ready = users.note(&slots);
-        users.end(ready);
-        let counts = self.motion.poses(self.grid, time, &mut self.poses);
+        users.note(&slots);
+        users.end();
+        self.motion.state().motionless(self.grid, time);
+        let moment = Moment { time, grid: self.grid, written: state.written };
+        let counts = self.tables.poses(moment, self.motion.drawn(), &mut self.poses);
         for pose in &self.poses[..counts.instances as usize] {
             let posed = Arena(&self.arena).pose(pose);
             let palette_end =

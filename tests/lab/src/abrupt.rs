@@ -132,7 +132,7 @@ fn looked_at(options: &RunOptions, lab: &mut Lab, comparer: &mut Comparer) -> an
     let capture = options.out.join("capture");
     let records = read_frames(&capture).context("reading the runtime's frame log")?;
     let record = records.last().context("no frame was captured")?;
-    let probes = lab.client.probe()?.map(into_probe);
+    let probes = lab.client.presenter.probe()?.map(into_probe);
     let world_from_stage = lab.server.scene.scene.world_from_stage;
     let (mut missing, mut flip) = (0.0, 0.0);
     for (eye, side) in [Side::Left, Side::Right].into_iter().enumerate() {

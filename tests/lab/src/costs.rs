@@ -181,7 +181,7 @@ fn cost(options: &RunOptions) -> anyhow::Result<Cost> {
             continue;
         }
         before.get_or_insert_with(|| (lab.seat().sent, lab.seat().gpu_ms.values().sum::<f64>()));
-        client_ms += lab.client.frame_timings()?.iter().map(|(_, ms)| ms).sum::<f64>();
+        client_ms += lab.client.presenter.frame_timings()?.iter().map(|(_, ms)| ms).sum::<f64>();
         frames += 1;
     }
     let (before, server_ms_before) = before.context("nothing was shown; give the run more seconds")?;

@@ -136,7 +136,7 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<DetailReport> {
         let time = ServerTime(record.predicted_display_time_ns - SERVER_EPOCH_NS);
         let ppd = pixels_per_degree(client.width, fov.left, fov.right);
         let truth = if watch.report.frames.is_multiple_of(HOLES_EVERY) {
-            let probe = lab.client.probe()?.map(into_probe);
+            let probe = lab.client.presenter.probe()?.map(into_probe);
             let shown = Shown { world_from_eye, fov, time, picture: &client, probe: Some(&probe[0]) };
             let (truth, metrics) = watch.comparer.measure(&shown)?;
             watch.report.holes.add(metrics.holes.strict);
@@ -144,13 +144,13 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<DetailReport> {
         } else {
             watch.comparer.picture(world_from_eye, fov, time)?
         };
-        watch.report.triangles.add(lab.client.drawn_triangles().len() as f64);
+        watch.report.triangles.add(lab.client.presenter.drawn_triangles().len() as f64);
         watch.see(&lab, Displayed { update, client, truth }, ppd);
     }
     let Watch { mut report, .. } = watch;
     report.dropped_patches = lab.seat().dropped_patches();
-    report.validation_messages =
-        u64::from(lab.server.gpu.validation_messages()) + u64::from(lab.client.stats().validation_messages);
+    report.validation_messages = u64::from(lab.server.gpu.validation_messages())
+        + u64::from(lab.client.presenter.stats().validation_messages);
     Ok(report)
 }
 

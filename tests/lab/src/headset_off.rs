@@ -72,7 +72,7 @@ pub fn measure(options: &RunOptions, absence: Absence, off_s: f64) -> anyhow::Re
     ensure!(updates > 0, "there was no picture before the headset was taken off");
     for _ in 0..turns(off_s - SETTLED_S) {
         lab.turn()?;
-        report.most_waiting_bytes = report.most_waiting_bytes.max(lab.client.waiting_bytes());
+        report.most_waiting_bytes = report.most_waiting_bytes.max(lab.client.intake.waiting_bytes());
     }
     report.rss_after_mb = rss_mb()?;
     report.grown_mb = report.rss_after_mb - report.rss_before_mb;

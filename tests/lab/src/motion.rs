@@ -83,8 +83,10 @@ impl Motion {
     /// # Errors
     /// The client cannot read its memory back.
     pub fn look(&mut self, lab: &mut Lab, shown: &FrameReport, time: ServerTime) -> anyhow::Result<()> {
-        let (Some(frame), Some(head)) = (shown.update, lab.client.head_state()) else { return Ok(()) };
-        let positions = lab.client.read_positions()?;
+        let (Some(frame), Some(head)) = (shown.update, lab.client.presenter.head_state()) else {
+            return Ok(());
+        };
+        let positions = lab.client.presenter.read_positions()?;
         let Some(residents) = lab.seat_mut().residents.at(frame).map(<[_]>::to_vec) else { return Ok(()) };
         let scene = &lab.server.scene;
         let eyes = head.eyes.map(|eye| head.world_from_head.then(eye.head_from_eye).position.as_dvec3());

@@ -203,7 +203,7 @@ impl Run<'_> {
         }
         let records = read_frames(&self.capture).context("reading the runtime's frame log")?;
         let Some(record) = records.last().filter(|record| record.captured) else { return Ok(()) };
-        let probes = if has_bundle { Some(lab.client.probe()?.map(into_probe)) } else { None };
+        let probes = if has_bundle { Some(lab.client.presenter.probe()?.map(into_probe)) } else { None };
         let world_from_stage = lab.server.scene.scene.world_from_stage;
         let time = ServerTime(record.predicted_display_time_ns - SERVER_EPOCH_NS);
         self.compared.extend(update.map(|update| (update, time)));
@@ -229,14 +229,14 @@ impl Run<'_> {
         let seconds = self.options.seconds - self.options.compare_from as f64 / self.options.refresh_hz;
         let updates = (sent.updates - before.updates).max(1) as f64;
         let mbit = |of: fn(&Sent) -> u64| (of(&sent) - of(&before)) as f64 * 8e-6 / seconds;
-        let validation_messages =
-            u64::from(server.gpu.validation_messages()) + u64::from(lab.client.stats().validation_messages);
+        let validation_messages = u64::from(server.gpu.validation_messages())
+            + u64::from(lab.client.presenter.stats().validation_messages);
         let stats = self.summary.finish(Counted {
             device: server.gpu.device_name(),
             device_is_cpu: server.gpu.is_cpu(),
             renderer: self.options.renderer.name().into(),
             server_fps: (sent.updates - before.updates) as f64 / seconds,
-            client_fps: lab.client.stats().client_fps,
+            client_fps: lab.client.presenter.stats().client_fps,
             mbit_per_s: MbitPerS {
                 atlas: mbit(|sent| sent.atlas_bytes),
                 geometry: mbit(|sent| sent.geometry_bytes + sent.motion.total()),
@@ -259,7 +259,7 @@ impl Run<'_> {
                     / (sent.texels[0] - before.texels[0]).max(1) as f64,
             mean_level: sent.levels[0] as f64 / sent.levels[1].max(1) as f64,
             clock_errors_ms: self.clock_errors_ms,
-            clock_error_bound_ms: lab.client.stats().clock_error_bound_ms,
+            clock_error_bound_ms: lab.client.presenter.stats().clock_error_bound_ms,
             stage_ms: Some(lab.stages()),
         });
         stats.write_json(&self.options.out.join("stats.json"))?;

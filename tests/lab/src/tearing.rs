@@ -58,8 +58,8 @@ fn look(
     time: ServerTime,
     report: &mut TearingReport,
 ) -> anyhow::Result<()> {
-    let positions = lab.client.read_positions()?;
-    let triangles = lab.client.drawn_triangles();
+    let positions = lab.client.presenter.read_positions()?;
+    let triangles = lab.client.presenter.drawn_triangles();
     report.triangles += triangles.len() as u64;
     let slots: BTreeSet<u32> = triangles.into_iter().flatten().collect();
     let mut truth = VertexTruth::at(&lab.server.scene, time);

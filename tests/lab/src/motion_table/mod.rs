@@ -242,7 +242,7 @@ fn measure_one(options: &RunOptions, kind: Kind, condition: &Condition) -> anyho
 impl MotionRow {
     fn new(kind: Kind, condition: &Condition, lab: &Lab, watch: &Watch) -> anyhow::Result<Self> {
         let max_error_mm = watch.errors_mm.largest().context("nothing animated was drawn")?;
-        let (seat, client, effort) = (lab.seat(), lab.client.stats(), lab.server.world.effort);
+        let (seat, client, effort) = (lab.seat(), lab.client.presenter.stats(), lab.server.world.effort);
         let bytes = Bytes::from(seat.sent);
         let (frames, updates) = (watch.frames.max(1) as f64, seat.sent.updates.max(1) as f64);
         let client_stage_ms = means(&watch.client_gpu_ms, frames);

@@ -128,8 +128,9 @@ impl Watch {
         self.note_clock(frame.display_time, time);
         // What the client withholds it may withhold as a whole, so that nothing animated is drawn.
         self.withheld_vertex_frames += u64::from(frame.withheld_vertices);
-        let timings = lab.client.frame_timings()?;
-        let (positions, mut triangles) = (lab.client.read_positions()?, lab.client.drawn_triangles());
+        let timings = lab.client.presenter.frame_timings()?;
+        let (positions, mut triangles) =
+            (lab.client.presenter.read_positions()?, lab.client.presenter.drawn_triangles());
         // An instance that the client withholds has no size: nobody sees it.
         triangles.retain(|triangle| {
             let [a, b, c] = triangle.map(|slot| positions[slot as usize]);

@@ -198,7 +198,7 @@ impl Line {
                     (Direction::ToServer, _) => self.seat.take(server, event, now_ns)?,
                     (Direction::ToClient, Some(ghost)) => ghost.take(event, now_ns)?,
                     (Direction::ToClient, None) if self.reconnects && is_closed(&event) => {
-                        client.on_closed(ClientTime(now_ns));
+                        client.intake.on_closed(ClientTime(now_ns));
                         self.connect(now_ns);
                     }
                     (Direction::ToClient, None) => {
@@ -218,7 +218,7 @@ impl Line {
         let (Some(client_peer), Some(server_peer)) = (self.client_peer, self.seat.peer) else {
             return Ok(());
         };
-        let mut next = || self.ghost.as_mut().map_or_else(|| client.poll_out(), Ghost::poll_out);
+        let mut next = || self.ghost.as_mut().map_or_else(|| client.intake.poll_out(), Ghost::poll_out);
         while let Some(out) = next() {
             match out {
                 Out::Control(message) => self.pair.client.send_control(client_peer, &message)?,
@@ -245,11 +245,13 @@ fn is_closed(event: &Event) -> bool {
 
 fn client_event(client: &mut Client, event: Event, now_ns: i64) -> anyhow::Result<()> {
     match event {
-        Event::Connected { .. } => client.on_connected(ClientTime(now_ns)),
-        Event::Control { message, at_ns, .. } => client.receive_control(ClientTime(at_ns), &message)?,
-        Event::Datagram { bytes, at_ns, .. } => client.receive_datagram(ClientTime(at_ns), &bytes),
-        Event::Stream { bytes, at_ns, .. } => client.receive_stream(ClientTime(at_ns), &bytes)?,
-        Event::StreamReset { head, .. } => client.receive_reset(ClientTime(now_ns), &head),
+        Event::Connected { .. } => client.intake.on_connected(ClientTime(now_ns)),
+        Event::Control { message, at_ns, .. } => {
+            client.intake.receive_control(ClientTime(at_ns), &message);
+        }
+        Event::Datagram { bytes, at_ns, .. } => client.intake.receive_datagram(ClientTime(at_ns), &bytes),
+        Event::Stream { bytes, at_ns, .. } => client.intake.receive_stream(ClientTime(at_ns), &bytes),
+        Event::StreamReset { head, .. } => client.intake.receive_reset(ClientTime(now_ns), &head),
         Event::Closed { reason, .. } => bail!("the connection ended: {reason}"),
     }
     Ok(())
@@ -308,7 +310,7 @@ impl Lab {
             ..ClientOptions::default()
         };
         let client = Client::new(Box::new(xr), client_options).context("making the client")?;
-        let hello = hello(options, client.eye_extent_pixels());
+        let hello = hello(options, client.presenter.eye_extent_pixels());
         let trace = options.trace.as_deref().map(Trace::create).transpose()?;
         let mut own = Line::new(&mut server, &link, options.seed, None)?;
         own.seat.rows = trace.as_ref().map(Rows::new);
@@ -388,10 +390,10 @@ impl Lab {
     pub fn turn(&mut self) -> anyhow::Result<Step> {
         let frame_ns = self.next_frame_ns();
         self.play_until(frame_ns)?;
-        let step = self.client.step_with(|client| client.advance(ClientTime(frame_ns)))?;
-        self.traced.decoded(self.client.take_decoded());
+        let step = self.client.step_with(|intake| intake.advance(ClientTime(frame_ns)))?;
+        self.traced.decoded(self.client.intake.take_decoded());
         if let Step::Frame(report) = &step {
-            self.traced.ended([ClientTime(frame_ns); 2], report);
+            self.traced.ended([ClientTime(frame_ns); 2], None, report);
         }
         self.frame += u64::from(step != Step::Exit);
         let display_ns = self.next_frame_ns();

@@ -137,7 +137,8 @@ pub fn measure(
     // SAFETY: the caller's promise, as for `run`.
     let mut lab = unsafe { Lab::open_with(options, config, server) }?;
     let now_ns = connect(&mut lab)?;
-    let head = lab.client.head_state().context("the client's head is known once it shows something")?;
+    let head =
+        lab.client.presenter.head_state().context("the client's head is known once it shows something")?;
     let (server, seat, client) = lab.apart();
     server.world.effort.measure_by(thread_cpu_ns);
     let device = server.gpu.device_name();
@@ -161,7 +162,7 @@ pub fn measure(
         prediction_bytes: last.prediction_bytes,
     };
     if options.validation {
-        let said = lab.client.stats().validation_messages + lab.server.gpu.validation_messages();
+        let said = lab.client.presenter.stats().validation_messages + lab.server.gpu.validation_messages();
         ensure!(said == 0, "the validation layers have said something");
     }
     Ok(Measured { device, server: server_cost, client: client_cost, shared, shown })
@@ -195,7 +196,7 @@ fn updates_in_a_row(asked: u32, one_ms: f64) -> u32 {
 
 /// How many dragons have pixels in what the client drew last.
 fn dragons_seen(client: &mut Client, scene: &Scene) -> anyhow::Result<u32> {
-    let views = client.probe()?;
+    let views = client.presenter.probe()?;
     let seen: BTreeSet<u32> = views.iter().flat_map(|view| view.instance.iter().copied()).collect();
     let is_dragon = |instance: &&u32| {
         scene.instances.get(**instance as usize).is_some_and(|instance| instance.clip.is_some())
@@ -229,7 +230,7 @@ impl ClientBench<'_> {
     fn frame(&mut self) -> anyhow::Result<FrameReport> {
         self.now_ns += (1e9 / REFRESH_HZ) as i64;
         let now = ClientTime(self.now_ns);
-        let Step::Frame(shown) = self.client.step_with(|client| client.advance(now))? else {
+        let Step::Frame(shown) = self.client.step_with(|intake| intake.advance(now))? else {
             bail!("the OpenXR session ends while it is measured");
         };
         self.withheld_vertices = self.withheld_vertices.max(shown.withheld_vertices);
@@ -239,7 +240,8 @@ impl ClientBench<'_> {
     /// Takes what the server sends, all of which is streams.
     fn take(&mut self, out: Out) -> anyhow::Result<()> {
         let Out::Stream { bytes, .. } = out else { bail!("the server sends more than streams") };
-        Ok(self.client.receive_stream(ClientTime(self.now_ns), &bytes)?)
+        self.client.intake.receive_stream(ClientTime(self.now_ns), &bytes);
+        Ok(())
     }
 
     /// Draws until an update is on display.
@@ -255,19 +257,19 @@ impl ClientBench<'_> {
     }
 
     fn alone(&mut self) -> anyhow::Result<ClientCost> {
-        self.client.frame_timings()?; // nothing is under way when the clock starts
+        self.client.presenter.frame_timings()?; // nothing is under way when the clock starts
         let (began, began_cpu_ns, mut frames) = (Instant::now(), thread_cpu_ns(), 0);
         while frames < CLIENT_FRAMES.start || (frames < CLIENT_FRAMES.end && began.elapsed() < CLIENT_TIME) {
             self.frame()?;
             frames += 1;
         }
         let cpu_ms = (thread_cpu_ns() - began_cpu_ns) as f64 * 1e-6 / f64::from(frames);
-        self.client.frame_timings()?; // all that was submitted is done when it stops
+        self.client.presenter.frame_timings()?; // all that was submitted is done when it stops
         let frame_ms = began.elapsed().as_secs_f64() * 1e3 / f64::from(frames);
         let mut timed = Vec::new();
         for _ in 0..TIMED_FRAMES {
             self.frame()?;
-            timed.push(stages_of(self.client.frame_timings()?.iter()));
+            timed.push(stages_of(self.client.presenter.frame_timings()?.iter()));
         }
         Ok(ClientCost { frame_ms, gpu_ms: median_stages(timed.iter()), cpu_ms })
     }

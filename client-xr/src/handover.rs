@@ -1,0 +1,174 @@
+//! What the two halves of the client hand to each other: [`crate::intake`] prepares what arrives, [`crate::presenter`] shows it.
+//! Both may be on one thread, or each on its own: neither waits for the other, and what one cannot take yet waits here.
+
+use crate::draw_list::DrawList;
+use crate::motion::skinned::Drawn;
+use crate::motion::state::MotionState;
+use crate::report::FrameReport;
+use crate::stages::atlas_draw::BundleMemory;
+use crate::stages::batch::Batch;
+use shadecast_protocol::clock::ClockEstimate;
+use shadecast_protocol::ids::UpdateId;
+use shadecast_protocol::message::{HeadState, Welcome};
+use shadecast_protocol::pose::Eye;
+use shadecast_protocol::time::ClientTime;
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::thread::Thread;
+
+/// Handed over and not taken yet, at most, either way.
+const CAPACITY: usize = 64;
+
+/// A bundle that is ready to be drawn: all of it is of one update.
+pub(crate) struct Bundle {
+    pub(crate) memory: BundleMemory,
+    pub(crate) list: DrawList,
+    /// The skinned instances on the list.
+    pub(crate) drawn: Vec<Drawn>,
+    /// How the list stands.
+    pub(crate) state: MotionState,
+    pub(crate) update: UpdateId,
+    /// When the last byte of its picture came.
+    pub(crate) picture_arrived: ClientTime,
+}
+
+/// What is lent from one half to the other and comes back: the GPU is done with it when the intake has it.
+pub(crate) enum Loan {
+    Batch(Box<Batch>),
+    Bundle(Box<Bundle>),
+}
+
+/// From the intake, in order; numbers are serials of connections.
+pub(crate) enum Prepared {
+    /// What the user is to be told of the connection.
+    Status(String),
+    /// A connection stands, and will bring a scene.
+    Scene(Box<Welcome>, u64),
+    /// What is known of its server's clock.
+    Clock(ClockEstimate, u64),
+    /// What has arrived, or what can be drawn.
+    Loan(Loan, u64),
+    /// A connection has ended.
+    Ended(u64),
+}
+
+/// From the presenter.
+pub(crate) enum Presented {
+    /// A turn of the display.
+    Turn(TurnNote),
+    /// A loan comes back.
+    Loan(Loan, u64),
+}
+
+/// What the server may have to know of a turn of the display.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct TurnNote {
+    /// Whether somebody saw it.
+    pub(crate) is_seen: bool,
+    pub(crate) frame: Option<FrameNote>,
+}
+
+/// A display frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FrameNote {
+    pub(crate) report: FrameReport,
+    /// The connection whose scene it shows.
+    pub(crate) shown: Option<u64>,
+    /// When the picture came that is on display for the first time.
+    pub(crate) picture_arrived: Option<ClientTime>,
+    pub(crate) eyes: [Eye; 2],
+    pub(crate) display_period_ns: i64,
+    /// Where the head will be, for the server of a connection.
+    pub(crate) head: Option<(HeadState, u64)>,
+}
+
+/// What the intake counts, for who watches.
+#[derive(Debug, Default)]
+pub(crate) struct Arrived {
+    /// Bytes of coded pictures.
+    pub(crate) atlas_bytes: AtomicU64,
+    /// Bytes of deltas, samples included.
+    pub(crate) geometry_bytes: AtomicU64,
+    /// Positions of vertices.
+    pub(crate) vertex_samples: AtomicU64,
+    /// Pictures given up or undecodable.
+    pub(crate) lost_pictures: AtomicU64,
+    /// Refreshes asked for.
+    pub(crate) refresh_requests: AtomicU64,
+}
+
+/// The intake's end.
+pub(crate) struct IntakeEnd {
+    to_presenter: SyncSender<Prepared>,
+    /// What the presenter has had no room for.
+    waiting: VecDeque<Prepared>,
+    from_presenter: Receiver<Presented>,
+    pub(crate) arrived: Arc<Arrived>,
+}
+
+/// The presenter's end.
+pub(crate) struct PresenterEnd {
+    from_intake: Receiver<Prepared>,
+    to_intake: SyncSender<Presented>,
+    /// Where the intake has a thread of its own, it sleeps until there is something to do.
+    intake_thread: Option<Thread>,
+    pub(crate) arrived: Arc<Arrived>,
+}
+
+/// Both ends.
+pub(crate) fn ends() -> (PresenterEnd, IntakeEnd) {
+    let (to_presenter, from_intake) = sync_channel(CAPACITY);
+    let (to_intake, from_presenter) = sync_channel(CAPACITY);
+    let arrived = Arc::<Arrived>::default();
+    let presenter = PresenterEnd { from_intake, to_intake, intake_thread: None, arrived: arrived.clone() };
+    (presenter, IntakeEnd { to_presenter, waiting: VecDeque::new(), from_presenter, arrived })
+}
+
+impl IntakeEnd {
+    /// Hands over, as soon as there is room.
+    pub(crate) fn give(&mut self, prepared: Prepared) {
+        self.waiting.push_back(prepared);
+        self.flush();
+    }
+
+    /// Hands over what waits.
+    pub(crate) fn flush(&mut self) {
+        while let Some(prepared) = self.waiting.pop_front() {
+            // Nobody takes what comes after the presenter's end.
+            if let Err(TrySendError::Full(prepared)) = self.to_presenter.try_send(prepared) {
+                return self.waiting.push_front(prepared);
+            }
+        }
+    }
+
+    /// What has come from the presenter.
+    pub(crate) fn take(&mut self) -> Option<Presented> {
+        self.from_presenter.try_recv().ok()
+    }
+}
+
+impl PresenterEnd {
+    /// The intake's thread is to be woken.
+    pub(crate) fn wake(&mut self, intake: Thread) {
+        self.intake_thread = Some(intake);
+    }
+
+    /// What has come from the intake.
+    pub(crate) fn take(&mut self) -> Option<Prepared> {
+        self.from_intake.try_recv().ok()
+    }
+
+    /// Hands over; what there is no room for comes back, which is so where the intake has not run for a second.
+    pub(crate) fn give(&mut self, presented: Presented) -> Result<(), Presented> {
+        match self.to_intake.try_send(presented) {
+            Err(TrySendError::Full(presented)) => Err(presented),
+            // Nobody takes what comes after the intake's end.
+            _ => {
+                self.intake_thread.iter().for_each(Thread::unpark);
+                Ok(())
+            }
+        }
+    }
+}

@@ -1,0 +1,50 @@
+//! How a client behaves.
+
+use crate::decoding::DecodeTiming;
+use crate::platform::{self, MakeDecoder};
+use crate::stages::atlas_draw::Lookup;
+use crate::stages::interpolate::Interpolation;
+use shadecast_protocol::limits::{DEFAULT_PATCH_SLOTS, DEFAULT_TRIANGLES, DEFAULT_VERTEX_SLOTS};
+use shadecast_protocol::message::{Codec, MotionMemory};
+
+/// How a client behaves.
+#[derive(Clone, Copy, Debug)]
+pub struct ClientOptions {
+    /// How positions between samples are found.
+    pub interpolation: Interpolation,
+    /// Samples per pixel: 1, 2 or 4.
+    pub msaa: u32,
+    /// How the atlas is looked up.
+    pub lookup: Lookup,
+    /// How decoding takes time.
+    pub decoding: DecodeTiming,
+    /// What is announced to the server, best first.
+    pub codecs: &'static [Codec],
+    /// Makes a decoder for what was agreed.
+    pub decoder: MakeDecoder,
+    /// Vertices that the client offers to keep.
+    pub max_vertex_slots: u32,
+    /// Patches that the client offers to keep.
+    pub max_patch_slots: u32,
+    /// Triangles that the client offers to draw for each eye, those of two sides twice.
+    pub max_triangles: u32,
+    /// What the client offers to keep to skin by itself.
+    pub motion: MotionMemory,
+}
+
+impl Default for ClientOptions {
+    fn default() -> Self {
+        Self {
+            interpolation: Interpolation::Cubic,
+            msaa: 4,
+            lookup: Lookup::default(),
+            decoding: DecodeTiming::Thread { now: platform::CLOCK },
+            codecs: &[Codec::H264],
+            decoder: platform::decoder,
+            max_vertex_slots: DEFAULT_VERTEX_SLOTS,
+            max_patch_slots: DEFAULT_PATCH_SLOTS,
+            max_triangles: DEFAULT_TRIANGLES,
+            motion: MotionMemory::DEFAULT,
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! What one connection brings, until it is handed over: vertices, skeletons, patches and pictures, and the memory that the GPU
+//! reads them from. All that costs time with what arrives is here, on the intake's thread.
+
+use crate::bundle::Bundler;
+use crate::decode::Picture;
+use crate::draw_list::ListScratch;
+use crate::handover::{Bundle, Loan};
+use crate::motion::Motion;
+use crate::stages::atlas_draw::BUNDLES;
+use crate::stages::batch::{BATCHES, Batch};
+use shadecast_protocol::delta::ReceivedDelta;
+use shadecast_protocol::ids::UpdateId;
+use shadecast_protocol::message::Welcome;
+use shadecast_protocol::time::ClientTime;
+use shadecast_shaders::generated::CornerGpu;
+
+/// A decoded picture, and when it came.
+#[derive(Debug)]
+pub(crate) struct ArrivedPicture {
+    /// When its last byte came.
+    pub(crate) arrived: ClientTime,
+    pub(crate) picture: Picture,
+}
+
+/// See the module.
+pub(crate) struct Preparing {
+    /// Which connection it is of.
+    pub(crate) serial: u64,
+    pub(crate) motion: Motion,
+    bundler: Bundler<ArrivedPicture>,
+    list_scratch: ListScratch,
+    /// Memory that waits to be filled.
+    batches: Vec<Box<Batch>>,
+    bundles: Vec<Box<Bundle>>,
+}
+
+impl Preparing {
+    /// Of a connection under these terms.
+    pub(crate) fn new(terms: &Welcome, serial: u64) -> Self {
+        Self {
+            serial,
+            motion: Motion::new(terms.vertex_slots, terms.motion.into()),
+            bundler: Bundler::new(terms.patch_slots, terms.atlas_extent_texels),
+            list_scratch: ListScratch::new(terms.patch_slots),
+            batches: Vec::with_capacity(BATCHES),
+            bundles: Vec::with_capacity(BUNDLES),
+        }
+    }
+
+    /// Memory that can be filled.
+    pub(crate) fn take_back(&mut self, loan: Loan) {
+        match loan {
+            Loan::Batch(batch) => self.batches.push(batch),
+            Loan::Bundle(bundle) => self.bundles.push(bundle),
+        }
+    }
+
+    /// Takes in the next delta: its vertices and samples count at once, its patches with a picture.
+    pub(crate) fn take_delta(&mut self, mut delta: ReceivedDelta) {
+        self.motion.take_delta(&mut delta);
+        if delta.is_update {
+            self.bundler.add_delta(delta.geometry);
+        }
+    }
+
+    /// Takes in a decoded picture. Gives back one that will not be shown.
+    pub(crate) fn take_picture(&mut self, update: UpdateId, picture: ArrivedPicture) -> Option<Picture> {
+        self.bundler.add_picture(update, picture).map(|unused| unused.picture)
+    }
+
+    /// Bytes that wait: for the GPU's vertex memory, and for pictures.
+    pub(crate) fn waiting_bytes(&self) -> usize {
+        self.motion.waiting_bytes() + self.bundler.waiting_bytes()
+    }
+
+    /// What has arrived, as far as a batch reaches; `None` where nothing has, or no batch is free.
+    pub(crate) fn next_batch(&mut self) -> Option<Loan> {
+        let mut batch = self.batches.pop_if(|_| self.motion.has_news())?;
+        batch.fill(&mut self.motion);
+        Some(Loan::Batch(batch))
+    }
+
+    /// The newest complete bundle, if there is a newer one and memory for it: its picture, its patches' draw list. All that it
+    /// draws is in batches before it. Pictures that are not needed any more go to `recycle`.
+    pub(crate) fn next_bundle(&mut self, mut recycle: impl FnMut(Picture)) -> Option<Loan> {
+        let complete = self.motion.complete().filter(|_| !self.bundles.is_empty())?;
+        let newest = self.bundler.take_newest_complete(complete, |dropped| recycle(dropped.picture));
+        let (update, ArrivedPicture { arrived, picture }) = newest?;
+        let mut bundle = self.bundles.pop()?;
+        let Bundle { memory, list, drawn, state, .. } = &mut *bundle;
+        memory.planes.write(&picture);
+        recycle(picture);
+        memory.coverage.write(0, bytemuck::cast_slice(self.bundler.coverage().words()));
+        let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(memory.corners.bytes_mut());
+        let indices: &mut [u32] = bytemuck::cast_slice_mut(memory.indices.bytes_mut());
+        list.write(self.bundler.patches(), &mut self.motion, (corners, indices), &mut self.list_scratch);
+        drawn.clear();
+        drawn.extend_from_slice(self.motion.drawn());
+        *state = self.motion.state();
+        (bundle.update, bundle.picture_arrived) = (update, arrived);
+        Some(Loan::Bundle(bundle))
+    }
+}
