@@ -27,7 +27,7 @@ struct Content {
 }
 
 /// What the display wants next.
-pub(crate) enum Turn {
+pub enum Turn {
     /// A frame.
     Frame(FrameTurn),
     /// Nothing, for now.
@@ -38,7 +38,7 @@ pub(crate) enum Turn {
 
 impl Presenter {
     /// Waits for the display's next turn. What arrives until [`Self::present`] counts for it.
-    pub(crate) fn wait_turn(&mut self) -> Result<Turn, ClientError> {
+    pub fn wait_turn(&mut self) -> Result<Turn, ClientError> {
         Ok(match self.renderer.display.poll_events()? {
             Activity::Running => Turn::Frame(self.renderer.display.wait_frame()?),
             Activity::Idle => Turn::Idle,
@@ -48,7 +48,7 @@ impl Presenter {
 
     /// Makes what the display wants, of what was prepared. `prepare` is for who has the intake on the same thread: it has all the
     /// memory that the device is done with.
-    pub(crate) fn present(&mut self, turn: Turn, prepare: impl FnOnce()) -> Result<Step, ClientError> {
+    pub fn present(&mut self, turn: Turn, prepare: impl FnOnce()) -> Result<Step, ClientError> {
         if let Turn::Exit = turn {
             return Ok(Step::Exit);
         }

@@ -30,6 +30,7 @@ mod scenes;
 pub mod stages;
 pub mod stats;
 mod stillness;
+pub mod taking;
 pub mod traced;
 pub mod watch;
 #[cfg(feature = "desktop")]

@@ -6,13 +6,13 @@ mod connector;
 mod dialler;
 mod finder;
 mod lines;
-mod taking;
 
 use crate::client::{ClientError, ClientOptions, FrameReport, Step, halves};
 use crate::display::{Display, DisplayError};
 use crate::platform::monotonic_now;
 use crate::presenter::Presenter;
 use crate::stats::ClientStats;
+use crate::taking::Taking;
 use crate::traced::Traced;
 use connector::Connector;
 use shadecast_protocol::time::ClientTime;
@@ -25,7 +25,6 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
-use taking::Taking;
 
 /// How long it is tried to open the headset again after it was lost, and how long to wait in between.
 const REOPEN_S: i64 = 30;

@@ -7,6 +7,7 @@ use super::{RunError, RunOptions, Server};
 use crate::client::Notice;
 use crate::intake::Intake;
 use crate::platform::monotonic_now;
+use crate::taking::Source;
 use crate::traced::Traced;
 use shadecast_protocol::close::CloseCode;
 use shadecast_protocol::session::Out;
@@ -90,28 +91,6 @@ impl Connector {
             true => "Searching for servers on this network".to_owned(),
             false => format!("Connecting to {}", self.server),
         }
-    }
-
-    /// Hands in what has arrived and what was seen, connects where it is time to, and lets the intake do what is due.
-    pub(super) fn pump(&mut self, intake: &mut Intake) {
-        intake.take_presented();
-        while let Some(event) = self.lines.poll(monotonic_now()) {
-            self.take(intake, event);
-        }
-        self.take_found(intake);
-        let now = monotonic_now();
-        let (known, required, server) = (&self.known, self.required, &self.server);
-        let announced = self.search.found.as_ref().and_then(|found| found.fingerprint);
-        let whom = |address| expected(known, required, announced, server, address);
-        if let Some(event) = self.lines.dial(now, whom) {
-            self.take(intake, event);
-        }
-        intake.advance(now);
-        self.traced.decoded(intake.take_decoded());
-        while let Some(notice) = intake.poll_notice() {
-            self.act_on(intake, notice, now);
-        }
-        self.flush(intake);
     }
 
     /// Turns to the server that was found, or says why to none.
@@ -238,8 +217,31 @@ impl Connector {
             }
         }
     }
+}
 
-    pub(super) fn leave(&mut self, intake: &mut Intake) {
+impl Source for Connector {
+    /// Connects where it is time to, too.
+    fn pump(&mut self, intake: &mut Intake) {
+        while let Some(event) = self.lines.poll(monotonic_now()) {
+            self.take(intake, event);
+        }
+        self.take_found(intake);
+        let now = monotonic_now();
+        let (known, required, server) = (&self.known, self.required, &self.server);
+        let announced = self.search.found.as_ref().and_then(|found| found.fingerprint);
+        let whom = |address| expected(known, required, announced, server, address);
+        if let Some(event) = self.lines.dial(now, whom) {
+            self.take(intake, event);
+        }
+        intake.advance(now);
+        self.traced.decoded(intake.take_decoded());
+        while let Some(notice) = intake.poll_notice() {
+            self.act_on(intake, notice, now);
+        }
+        self.flush(intake);
+    }
+
+    fn leave(&mut self, intake: &mut Intake) {
         intake.say_goodbye();
         self.flush(intake);
         self.lines.leave();

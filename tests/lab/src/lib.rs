@@ -27,6 +27,7 @@ mod percentiles;
 pub mod paper_size;
 pub mod picture;
 mod process;
+pub mod render_thread;
 pub mod robot;
 pub mod room;
 pub mod run;

@@ -10,6 +10,7 @@ use crate::motion_table::{self, Condition, Kind};
 use crate::options::{Renderer, RunOptions, StageMs, ViewerOptions};
 use crate::paper_size;
 use crate::picture;
+use crate::render_thread;
 use crate::robot::robot;
 use crate::room::{MANY_VASES, write_room};
 use crate::run::run;
@@ -181,6 +182,12 @@ fn jobs() -> Vec<Job> {
     jobs.push(Job::new("paper-size", |folder| {
         let found = paper_size::measure(PAPER_GROUP, Size::at(1.0)?, folder)?;
         println!("{found}");
+        Ok(Some(serde_json::to_value(found)?))
+    }));
+    jobs.push(Job::new("render-thread", |folder| {
+        let (dragons, seconds) = (render_thread::DRAGONS, render_thread::SECONDS);
+        let found = render_thread::measure(dragons, Size::at(1.0)?, seconds, folder)?;
+        print!("{found}");
         Ok(Some(serde_json::to_value(found)?))
     }));
     jobs.push(Job::new("slow-link", |folder| slow_links(folder).map(Some)));

@@ -18,6 +18,7 @@ use shadecast_lab::motion_table::{self, Condition, KINDS, Kind};
 use shadecast_lab::options::{
     Head, Renderer, RunOptions, Spared, StageMs, USUAL_LINK, ViewerOptions, parse_room,
 };
+use shadecast_lab::render_thread;
 use shadecast_lab::robot::robot;
 use shadecast_lab::room::{MANY_VASES, write_room};
 use shadecast_lab::run::{Report, run};
@@ -79,6 +80,8 @@ enum Command {
     Still(RunArgs),
     /// Measures the paper's Table 1 and Figure 4: rates of server and client for 9 to 169 dragons, and how the cost grows
     Table1(Table1Args),
+    /// Measures what a display frame costs the thread that draws while updates of the paper's dragons arrive
+    RenderThread(RenderThreadArgs),
     /// Runs server and client as two processes in real time, then the same scene in virtual time; pictures, figures, a page
     Demo(DemoArgs),
     /// Runs what takes long, one after the other, and checks the bars; what is done already is left out
@@ -386,6 +389,22 @@ struct Table1Args {
 }
 
 #[derive(Args)]
+struct RenderThreadArgs {
+    /// Dragons, all in view
+    #[arg(long, default_value_t = render_thread::DRAGONS, value_parser = value_parser!(u32).range(1..=i64::from(MAX_DRAGONS)))]
+    dragons: u32,
+    /// Part of the paper's 1300x1300 pixels a side for which the server chooses levels of detail
+    #[arg(long, default_value_t = 1.0, value_parser = number(0.02..=1.0, "of the paper's sizes"))]
+    scale: f64,
+    /// Seconds that are streamed
+    #[arg(long, default_value_t = render_thread::SECONDS, value_parser = number(1.0..=60.0, "seconds"))]
+    seconds: f64,
+    /// Folder for render-thread.json and the trace
+    #[arg(long, default_value = "out/render-thread")]
+    out: PathBuf,
+}
+
+#[derive(Args)]
 struct DemoArgs {
     /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml [default: dragons:3; one dragon on a CPU]
     scene: Option<String>,
@@ -445,6 +464,7 @@ fn main() {
         Command::Motion(args) => measure_motion(args),
         Command::Causes(args) => measure_causes(args),
         Command::Table1(args) => measure_table1(args),
+        Command::RenderThread(args) => measure_render_thread(&args),
         Command::Demo(args) => run_demo(args),
         Command::Long { out, only: Some(only) } => long::run_all(&out, &only),
         Command::Long { out, only: None } => long::run_all(&out, "").and_then(|()| check_bars(&out, None)),
@@ -701,6 +721,15 @@ fn measure_table1(args: Table1Args) -> anyhow::Result<()> {
     print!("{report}");
     println!("written to {}", options.out.display());
     Ok(())
+}
+
+fn measure_render_thread(args: &RenderThreadArgs) -> anyhow::Result<()> {
+    let size = table1::cell::Size::at(args.scale)?;
+    let found = render_thread::measure(args.dragons, size, args.seconds, &args.out)?;
+    print!("{found}");
+    let path = args.out.join("render-thread.json");
+    shadecast_system::write_atomically(&path, serde_json::to_string_pretty(&found)?.as_bytes())
+        .with_context(|| format!("writing {}", path.display()))
 }
 
 fn measure_skinning(args: &SkinningArgs) -> anyhow::Result<()> {

@@ -5,6 +5,7 @@
 //! runtime, whose clock moves on by one period per `xrWaitFrame`. Further viewers are [`ghost::Ghost`]s.
 
 pub mod ghost;
+pub mod heard;
 pub mod originals;
 pub mod residents;
 pub mod seat;
@@ -14,6 +15,7 @@ use crate::options::{Medium, RunOptions, Spared, StageMs, ViewerOptions};
 use crate::runtime::{BUILT_IN_WALK, prepare_runtime, set_runtime};
 use anyhow::{Context, bail};
 use ghost::Ghost;
+use heard::{Heard, Recording, What};
 use seat::{Rows, Seat};
 use shadecast_client::client::{Client, ClientOptions, Step};
 use shadecast_client::decoding::DecodeTiming;
@@ -94,6 +96,8 @@ pub struct Lab {
     refresh_hz: f64,
     stages: StageMs,
     frame: u64,
+    /// All that the client that ships is handed, where somebody wants to play it again.
+    pub recording: Option<Recording>,
     /// Ends with the run.
     _trace: Option<Trace>,
 }
@@ -184,7 +188,7 @@ impl Line {
         &mut self,
         server: &mut Server,
         client: &mut Client,
-        traced: &Traced,
+        (traced, recording): (&Traced, &mut Option<Recording>),
         until_ns: i64,
     ) -> anyhow::Result<()> {
         loop {
@@ -205,7 +209,9 @@ impl Line {
                         if let Event::Stream { bytes, at_ns, .. } = &event {
                             traced.arrived(bytes, ClientTime(*at_ns));
                         }
-                        client_event(client, self.seat.with_original(event), now_ns)?;
+                        let heard = Heard::of(self.seat.with_original(event), now_ns)?;
+                        heard.tell(&mut client.intake);
+                        recording.iter_mut().for_each(|recording| recording.push(heard.clone()));
                     }
                 }
             }
@@ -241,20 +247,6 @@ impl Line {
 
 fn is_closed(event: &Event) -> bool {
     matches!(event, Event::Closed { .. })
-}
-
-fn client_event(client: &mut Client, event: Event, now_ns: i64) -> anyhow::Result<()> {
-    match event {
-        Event::Connected { .. } => client.intake.on_connected(ClientTime(now_ns)),
-        Event::Control { message, at_ns, .. } => {
-            client.intake.receive_control(ClientTime(at_ns), &message);
-        }
-        Event::Datagram { bytes, at_ns, .. } => client.intake.receive_datagram(ClientTime(at_ns), &bytes),
-        Event::Stream { bytes, at_ns, .. } => client.intake.receive_stream(ClientTime(at_ns), &bytes),
-        Event::StreamReset { head, .. } => client.intake.receive_reset(ClientTime(now_ns), &head),
-        Event::Closed { reason, .. } => bail!("the connection ended: {reason}"),
-    }
-    Ok(())
 }
 
 impl Lab {
@@ -331,6 +323,7 @@ impl Lab {
             refresh_hz: options.refresh_hz,
             stages,
             frame: 0,
+            recording: None,
         })
     }
 
@@ -390,7 +383,9 @@ impl Lab {
     pub fn turn(&mut self) -> anyhow::Result<Step> {
         let frame_ns = self.next_frame_ns();
         self.play_until(frame_ns)?;
-        let step = self.client.step_with(|intake| intake.advance(ClientTime(frame_ns)))?;
+        let begins = Heard { at_ns: frame_ns, what: What::Frame };
+        let step = self.client.step_with(|intake| begins.tell(intake))?;
+        self.recording.iter_mut().for_each(|recording| recording.push(begins.clone()));
         self.traced.decoded(self.client.intake.take_decoded());
         if let Step::Frame(report) = &step {
             self.traced.ended([ClientTime(frame_ns); 2], None, report);
@@ -413,7 +408,8 @@ impl Lab {
             let departure_ns = departures.min().unwrap_or(i64::MAX);
             let next_ns = departure_ns.min(self.next_update_ns).min(self.next_motion_ns).min(until_ns);
             for line in &mut self.lines {
-                line.play(&mut self.server, &mut self.client, &self.traced, next_ns)?;
+                let ears = (&self.traced, &mut self.recording);
+                line.play(&mut self.server, &mut self.client, ears, next_ns)?;
             }
             if departure_ns <= next_ns {
                 self.depart(departure_ns)?;
