@@ -18,6 +18,7 @@ use shadecast_scene::{
 };
 use shadecast_server::animation::timeline::{SharedTimeline, TimelineError};
 use shadecast_server::detail::DEFAULT_DETAIL_PIXELS;
+use shadecast_server::encode::choice::{Encoders, Wanted};
 use shadecast_server::frame::ShowOptions;
 use shadecast_server::quality::QualityOptions;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
@@ -76,6 +77,7 @@ fn options(seconds: f64) -> anyhow::Result<StreamOptions> {
         identity: None,
         atlas_extent_texels: "1024x1024".parse().map_err(anyhow::Error::msg)?,
         quality: QualityOptions::default(),
+        encoders: Encoders::choose(&Wanted::Auto)?,
         show: ShowOptions { detail_pixels: DEFAULT_DETAIL_PIXELS, surround: DEFAULT_SURROUND },
         shade_ms: None,
         rate_hz: 30.0,

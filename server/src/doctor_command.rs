@@ -6,9 +6,9 @@ use clap::Args;
 use serde::Serialize;
 use shadecast_gpu::{FoundDevice, Needs, survey};
 use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_protocol::message::Codec;
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::text::with_causes;
+use shadecast_server::encode::choice::{Kind, survey as encoders_here};
 use shadecast_server::encode::openh264::{DEFAULT_QP, EncoderSettings};
 use shadecast_server::encode::{self, EncodeError, Source};
 use shadecast_system::monotonic_now_ns;
@@ -67,6 +67,13 @@ struct EncoderTrial {
     next_ms: f64,
 }
 
+/// An encoder that is of no use here.
+#[derive(Clone, Debug, Serialize)]
+struct NoEncoder {
+    encoder: &'static str,
+    reason: String,
+}
+
 /// A socket, or why there is none.
 #[derive(Clone, Debug, Serialize)]
 struct Udp {
@@ -82,7 +89,9 @@ struct Findings {
     devices: Vec<Device>,
     /// Why there is none.
     no_devices: Option<String>,
+    /// Best first.
     encoders: Vec<EncoderTrial>,
+    no_encoders: Vec<NoEncoder>,
     udp: Udp,
     /// Smallest step of the clock that was seen, nanoseconds.
     clock_step_ns: i64,
@@ -115,7 +124,7 @@ fn look(args: &DoctorArgs) -> anyhow::Result<Findings> {
         Ok(found) => (chosen(found, args.device.as_deref()), None),
         Err(error) => (Vec::new(), Some(error.to_string())),
     };
-    let encoders = EXTENTS.into_iter().map(try_encoder).collect::<Result<_, _>>()?;
+    let (encoders, no_encoders) = try_encoders()?;
     let udp = match try_socket(args.listen) {
         Ok(SocketTrial { buffer_bytes, wanted_bytes }) => Udp {
             address: args.listen,
@@ -128,7 +137,8 @@ fn look(args: &DoctorArgs) -> anyhow::Result<Findings> {
         }
     };
     let clock_step_ns = clock_step_ns();
-    Ok(Findings { devices, no_devices, encoders, udp, clock_step_ns, advice: Vec::new(), can_serve: false })
+    let (advice, can_serve) = (Vec::new(), false);
+    Ok(Findings { devices, no_devices, encoders, no_encoders, udp, clock_step_ns, advice, can_serve })
 }
 
 /// Marks the one that a server would take: the best that lacks nothing.
@@ -149,11 +159,27 @@ fn chosen(found: Vec<FoundDevice>, wanted: Option<&str>) -> Vec<Device> {
         .collect()
 }
 
+/// All that this program has: those that work, and the others.
+fn try_encoders() -> Result<(Vec<EncoderTrial>, Vec<NoEncoder>), EncodeError> {
+    let (mut encoders, mut no_encoders) = (Vec::new(), Vec::new());
+    for (kind, tried) in encoders_here() {
+        match tried {
+            Ok(()) => {
+                for extent_texels in EXTENTS {
+                    encoders.push(try_encoder(&kind, extent_texels)?);
+                }
+            }
+            Err(reason) => no_encoders.push(NoEncoder { encoder: kind.name, reason }),
+        }
+    }
+    Ok((encoders, no_encoders))
+}
+
 /// Encodes painted noise, a third of which changes from picture to picture.
-fn try_encoder(extent_texels: [u32; 2]) -> Result<EncoderTrial, EncodeError> {
+fn try_encoder(kind: &Kind, extent_texels: [u32; 2]) -> Result<EncoderTrial, EncodeError> {
     let extent = AtlasExtent::new(extent_texels[0], extent_texels[1]).expect("an atlas's extent");
     let settings = EncoderSettings::for_stream(extent, DEFAULT_QP, DEFAULT_RATE_HZ);
-    let mut encoder = encode::encoder(Codec::H264, settings)?;
+    let mut encoder = kind.encoder(settings)?;
     let mut took_ms = Vec::with_capacity(PICTURES + 1);
     for index in 0..=PICTURES {
         let picture = Source::Planes(painted(extent_texels, index));
@@ -163,7 +189,7 @@ fn try_encoder(extent_texels: [u32; 2]) -> Result<EncoderTrial, EncodeError> {
     }
     let first_ms = took_ms.remove(0);
     took_ms.sort_by(f64::total_cmp);
-    Ok(EncoderTrial { encoder: "openh264", extent_texels, first_ms, next_ms: took_ms[PICTURES / 2] })
+    Ok(EncoderTrial { encoder: kind.name, extent_texels, first_ms, next_ms: took_ms[PICTURES / 2] })
 }
 
 /// Blocks of 16x16 texels, smooth and rough by turns; picture `index` differs from the one before in every third row of them.
@@ -233,7 +259,10 @@ fn advice(findings: &Findings, wanted: Option<&str>) -> Vec<String> {
         ));
     }
     let period_ms = 1e3 / DEFAULT_RATE_HZ;
-    if let Some(slow) = findings.encoders.iter().find(|trial| trial.next_ms > period_ms) {
+    // The first is the one that would be used.
+    let used = findings.encoders.first().map(|trial| trial.encoder);
+    let trials = findings.encoders.iter().filter(|trial| Some(trial.encoder) == used);
+    if let Some(slow) = trials.into_iter().find(|trial| trial.next_ms > period_ms) {
         let [width, height] = slow.extent_texels;
         advice.push(format!(
             "{} takes {:.0} ms for a picture of {width}x{height}: at most {:.0} updates a second with such an atlas; choose a \
@@ -268,6 +297,15 @@ impl fmt::Display for Findings {
         )?;
         for EncoderTrial { encoder, extent_texels: [width, height], first_ms, next_ms } in &self.encoders {
             writeln!(f, "  {encoder}, {width}x{height}: {first_ms:.1}, {next_ms:.1}")?;
+        }
+        for NoEncoder { encoder, reason } in &self.no_encoders {
+            writeln!(f, "  {encoder}: none: {reason}")?;
+        }
+        if !cfg!(feature = "libavcodec") {
+            writeln!(
+                f,
+                "  others: not built in; build the server with --features libavcodec for hardware encoders and libx264"
+            )?;
         }
         writeln!(f, "UDP")?;
         match (&self.udp.error, self.udp.buffer_kib) {
@@ -316,6 +354,7 @@ mod tests {
             devices: vec![device],
             no_devices: None,
             encoders: EXTENTS.map(trial).to_vec(),
+            no_encoders: Vec::new(),
             udp,
             clock_step_ns: 30,
             advice: Vec::new(),

@@ -23,6 +23,7 @@ use shadecast_scene::process::Loading;
 use shadecast_scene::{Cancel, Scene};
 use shadecast_server::animation::skinning::Skinning;
 use shadecast_server::detail::DEFAULT_DETAIL_PIXELS;
+use shadecast_server::encode::choice::{Encoders, Wanted};
 use shadecast_server::frame;
 use shadecast_server::frame::ShowOptions;
 use shadecast_server::inspect::{self, InspectArgs};
@@ -132,6 +133,9 @@ struct StreamArgs {
     atlas: AtlasExtent,
     #[command(flatten)]
     quality: QualityArgs,
+    /// Encoder of the video: auto, or one of those that `doctor` lists
+    #[arg(long, value_name = "NAME", default_value = "auto")]
+    encoder: Wanted,
     /// Pixels of the client's display that a level of detail may err by, twice as many where bits or time are short, half as many where they are
     /// to spare; 0: everything has full detail
     #[arg(long, value_name = "PIXELS", default_value_t = DEFAULT_DETAIL_PIXELS, value_parser = number(0.0..=64.0f32, "pixels"))]
@@ -308,6 +312,7 @@ fn open(
 
 fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
     let link = args.link.as_deref().map(str::parse).transpose()?;
+    let encoders = Encoders::choose(&args.encoder)?;
     let (gpu, scene, _) = open(&args.scene, &args.device, cancel)?;
     frame::check_device(&gpu, &scene).with_context(|| format!("scene {}", args.scene))?;
     let reopen = |scene: Scene| -> anyhow::Result<Device> {
@@ -322,6 +327,7 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
         identity: args.identity.clone(),
         atlas_extent_texels: args.atlas,
         quality: args.quality.options(),
+        encoders,
         show: ShowOptions { detail_pixels: args.detail, surround: args.surround },
         rate_hz: args.rate,
         shade_ms: args.shade_ms,

@@ -11,10 +11,13 @@ use openh264::{EncoderSettings, OpenH264Encoder};
 use raw::RawEncoder;
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
 use shadecast_protocol::message::Codec;
-use shadecast_protocol::picture::I420;
+use shadecast_protocol::picture::{I420, I420Error};
 use std::time::Duration;
 use thiserror::Error;
 
+pub mod choice;
+#[cfg(feature = "libavcodec")]
+pub mod libavcodec;
 pub mod openh264;
 pub mod raw;
 
@@ -139,6 +142,19 @@ pub enum EncodeError {
     /// Nothing came out.
     #[error("no picture came out of the encoder within {} s", PATIENCE.as_secs())]
     Stalled,
+    /// An encoder of libavcodec.
+    #[error("{encoder} failed while {doing}: {reason}")]
+    Libavcodec {
+        /// Which.
+        encoder: &'static str,
+        /// What was being done.
+        doing: &'static str,
+        /// The library's words.
+        reason: String,
+    },
+    /// A picture cannot be described.
+    #[error("a picture has not the bytes of its extent: {0}")]
+    Picture(#[from] I420Error),
     /// The encoder library refused.
     #[error("openh264 failed while {doing} (code {code}); the next picture starts a new stream")]
     Library {

@@ -70,7 +70,9 @@ impl EncoderSettings {
         Self { extent_texels: extent.texels(), qp, fps, threads: STREAM_SLICES }
     }
 
-    fn check(&self) -> Result<(), EncodeError> {
+    /// # Errors
+    /// Names the setting that is outside of its range.
+    pub(super) fn check(&self) -> Result<(), EncodeError> {
         check_extent(self.extent_texels)?;
         check_qp(self.qp)?;
         check_setting("fps", self.fps, 1, MAX_FPS, "1..=60")?;
@@ -141,7 +143,13 @@ fn check_extent(extent_texels: [u32; 2]) -> Result<(), EncodeError> {
     if fits { Ok(()) } else { Err(EncodeError::Extent(extent_texels)) }
 }
 
-fn check_qp(qp: u8) -> Result<(), EncodeError> {
+/// Whether a picture has the extent that its encoder was made for.
+pub(super) fn check_picture_extent(want: [u32; 2], picture: &I420) -> Result<(), EncodeError> {
+    let got = picture.extent_texels();
+    if got == want { Ok(()) } else { Err(EncodeError::ExtentChanged { want, got }) }
+}
+
+pub(super) fn check_qp(qp: u8) -> Result<(), EncodeError> {
     check_setting("qp", qp.into(), 0, 51, "0..=51")
 }
 
@@ -170,11 +178,6 @@ impl OpenH264Encoder {
         Ok(Self { settings, library: Some(Library::new(&settings)?), done: VecDeque::new() })
     }
 
-    fn check_picture(&self, picture: &I420) -> Result<(), EncodeError> {
-        let (want, got) = (self.settings.extent_texels, picture.extent_texels());
-        if got == want { Ok(()) } else { Err(EncodeError::ExtentChanged { want, got }) }
-    }
-
     fn library(&mut self) -> Result<Library, EncodeError> {
         match self.library.take() {
             Some(library) => Ok(library),
@@ -188,7 +191,7 @@ impl OpenH264Encoder {
         timestamp_ns: i64,
         refresh: bool,
     ) -> Result<AccessUnit, EncodeError> {
-        self.check_picture(picture)?;
+        check_picture_extent(self.settings.extent_texels, picture)?;
         let mut library = self.library()?;
         if refresh {
             library.force_refresh()?;

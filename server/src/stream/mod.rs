@@ -20,6 +20,7 @@ pub use studio::{Device, Reopen};
 
 use crate::animation::timeline::SharedTimeline;
 use crate::encode::Source;
+use crate::encode::choice::Encoders;
 use crate::frame::ShowOptions;
 use crate::pacing::WayState;
 use crate::quality::QualityOptions;
@@ -66,6 +67,8 @@ pub struct StreamOptions {
     pub atlas_extent_texels: AtlasExtent,
     /// Of pictures.
     pub quality: QualityOptions,
+    /// What makes video of them.
+    pub encoders: Encoders,
     /// How much of the scene a client is shown, and how.
     pub show: ShowOptions,
     /// Updates per second.

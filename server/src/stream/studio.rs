@@ -18,7 +18,7 @@ use crate::viewer::Updates;
 use crate::world::{ViewerId, World};
 use shadecast_gpu::{Gpu, GpuError};
 use shadecast_protocol::delta::EncodedDelta;
-use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome};
+use shadecast_protocol::message::{Capabilities, Codec, Displayed, HeadState, Welcome};
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::Scene;
 use std::sync::Arc;
@@ -161,9 +161,12 @@ impl Studio for GpuStudio<'_> {
     }
 
     fn encoder(&mut self, welcome: &Welcome) -> Result<Box<dyn Encoder>, EncodeError> {
-        let StreamOptions { quality, rate_hz, .. } = self.options;
+        let StreamOptions { quality, rate_hz, encoders, .. } = self.options;
         let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, quality.first_qp(), *rate_hz);
-        encode::encoder(welcome.codec, settings)
+        match welcome.codec {
+            Codec::H264 => encoders.encoder(settings),
+            codec => encode::encoder(codec, settings),
+        }
     }
 
     fn reopen(&mut self) -> anyhow::Result<()> {

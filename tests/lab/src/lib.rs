@@ -10,6 +10,8 @@ pub mod costs;
 pub mod demo;
 pub mod demo_window;
 pub mod detail;
+#[cfg(feature = "libavcodec")]
+pub mod encoders;
 pub mod figures;
 pub mod flip;
 pub mod headset_off;

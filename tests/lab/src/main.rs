@@ -80,6 +80,13 @@ enum Command {
     Still(RunArgs),
     /// Measures the paper's Table 1 and Figure 4: rates of server and client for 9 to 169 dragons, and how the cost grows
     Table1(Table1Args),
+    /// Measures openh264 beside libx264 on atlases of nine dragons
+    #[cfg(feature = "libavcodec")]
+    Encoders {
+        /// Folder for encoders.json
+        #[arg(long, default_value = "out/encoders")]
+        out: PathBuf,
+    },
     /// Measures what a display frame costs the thread that draws while updates of the paper's dragons arrive
     RenderThread(RenderThreadArgs),
     /// Runs server and client as two processes in real time, then the same scene in virtual time; pictures, figures, a page
@@ -465,6 +472,8 @@ fn main() {
         Command::Causes(args) => measure_causes(args),
         Command::Table1(args) => measure_table1(args),
         Command::RenderThread(args) => measure_render_thread(&args),
+        #[cfg(feature = "libavcodec")]
+        Command::Encoders { out } => measure_encoders(&out),
         Command::Demo(args) => run_demo(args),
         Command::Long { out, only: Some(only) } => long::run_all(&out, &only),
         Command::Long { out, only: None } => long::run_all(&out, "").and_then(|()| check_bars(&out, None)),
@@ -721,6 +730,15 @@ fn measure_table1(args: Table1Args) -> anyhow::Result<()> {
     print!("{report}");
     println!("written to {}", options.out.display());
     Ok(())
+}
+
+#[cfg(feature = "libavcodec")]
+fn measure_encoders(out: &Path) -> anyhow::Result<()> {
+    let found = shadecast_lab::encoders::measure(out)?;
+    print!("{found}");
+    let path = out.join("encoders.json");
+    shadecast_system::write_atomically(&path, serde_json::to_string_pretty(&found)?.as_bytes())
+        .with_context(|| format!("writing {}", path.display()))
 }
 
 fn measure_render_thread(args: &RenderThreadArgs) -> anyhow::Result<()> {

@@ -346,7 +346,10 @@ impl Source for Feed {
                 self.traced.decoded(intake.take_decoded());
                 while intake.poll_out().is_some() {}
                 while let Some(notice) = intake.poll_notice() {
-                    assert!(matches!(notice, Notice::Welcome(_)), "what was recorded is played as it was: {notice:?}");
+                    assert!(
+                        matches!(notice, Notice::Welcome(_)),
+                        "what was recorded is played as it was: {notice:?}"
+                    );
                 }
                 self.progress.begun.fetch_add(1, Ordering::Release);
             }
