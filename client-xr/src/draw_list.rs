@@ -110,7 +110,8 @@ impl DrawList {
         let mut users = motion.begin_list();
         let later = &mut scratch.later;
         later.clear();
-        (self.opaque.clear(), self.cutouts.clear());
+        self.opaque.clear();
+        self.cutouts.clear();
         let at_once = GridIndex(i32::MIN);
         for (slot, patch) in patches.iter().filter(|(_, patch)| patch.block.is_some()) {
             let first = users.note(&patch.vertices[..patch.kind.vertex_count()]);

@@ -55,6 +55,7 @@ pub(crate) enum Prepared {
 }
 
 /// From the presenter.
+#[allow(clippy::large_enum_variant, reason = "a box would be an allocation a display frame")]
 pub(crate) enum Presented {
     /// A turn of the display.
     Turn(TurnNote),
@@ -160,14 +161,26 @@ impl PresenterEnd {
         self.from_intake.try_recv().ok()
     }
 
-    /// Hands over; what there is no room for comes back, which is so where the intake has not run for a second.
-    pub(crate) fn give(&mut self, presented: Presented) -> Result<(), Presented> {
+    /// Tells of a turn of the display. Of an intake that has not run for a second the server knows nothing anyway: it is not told.
+    pub(crate) fn tell(&mut self, note: TurnNote) {
+        self.give(Presented::Turn(note));
+    }
+
+    /// Gives a loan; it comes back where there is no room.
+    pub(crate) fn lend(&mut self, loan: Loan, serial: u64) -> Option<Loan> {
+        match self.give(Presented::Loan(loan, serial)) {
+            Some(Presented::Loan(loan, _)) => Some(loan),
+            _ => None,
+        }
+    }
+
+    fn give(&mut self, presented: Presented) -> Option<Presented> {
         match self.to_intake.try_send(presented) {
-            Err(TrySendError::Full(presented)) => Err(presented),
+            Err(TrySendError::Full(presented)) => Some(presented),
             // Nobody takes what comes after the intake's end.
             _ => {
                 self.intake_thread.iter().for_each(Thread::unpark);
-                Ok(())
+                None
             }
         }
     }

@@ -23,6 +23,7 @@ pub(crate) struct ArrivedPicture {
 }
 
 /// See the module.
+#[allow(clippy::vec_box, reason = "boxes are handed over as they are")]
 pub(crate) struct Preparing {
     /// Which connection it is of.
     pub(crate) serial: u64,

@@ -3,7 +3,7 @@
 
 use crate::display::{Display, Views};
 use crate::figures::Figures;
-use crate::handover::{FrameNote, Loan, Prepared, Presented, PresenterEnd, TurnNote};
+use crate::handover::{FrameNote, Loan, Prepared, PresenterEnd, TurnNote};
 use crate::options::ClientOptions;
 use crate::renderer::Renderer;
 use crate::report::{ClientError, FrameReport};
@@ -102,7 +102,7 @@ impl Presenter {
                 continue;
             }
             let (ticket, loan, serial) = self.spent.remove(next);
-            if let Err(Presented::Loan(loan, serial)) = self.end.give(Presented::Loan(loan, serial)) {
+            if let Some(loan) = self.end.lend(loan, serial) {
                 self.spent.insert(next, (ticket, loan, serial));
                 return Ok(());
             }
@@ -150,7 +150,7 @@ impl Presenter {
 
     /// A turn of the display that showed nothing of ours.
     pub(crate) fn note_turn(&mut self, is_seen: bool) {
-        self.tell(TurnNote { is_seen, frame: None });
+        self.end.tell(TurnNote { is_seen, frame: None });
     }
 
     /// Takes note of a display frame, and tells the server.
@@ -173,12 +173,7 @@ impl Presenter {
             display_period_ns,
             head: self.locate_head(report.display_time, views),
         };
-        self.tell(TurnNote { is_seen, frame: Some(frame) });
-    }
-
-    fn tell(&mut self, note: TurnNote) {
-        // Of an intake that has not run for a second the server knows nothing anyway.
-        let _ = self.end.give(Presented::Turn(note));
+        self.end.tell(TurnNote { is_seen, frame: Some(frame) });
     }
 
     /// Where the head will be at a display time, for the server of the scene that arrives.

@@ -214,7 +214,7 @@ fn nal_types(bytes: &[u8]) -> impl Iterator<Item = u8> + '_ {
 
 /// What the library says of one of its codes.
 fn words(code: c_int) -> String {
-    let mut text = [0; av::AV_ERROR_MAX_STRING_SIZE as usize];
+    let mut text = [0; av::AV_ERROR_MAX_STRING_SIZE];
     // SAFETY: the buffer has the length that is said, and the function ends what it writes with a zero.
     unsafe { av::av_strerror(code, text.as_mut_ptr(), text.len()) };
     // SAFETY: as above; it was all zeros before.
