@@ -83,6 +83,11 @@ impl<P> Bundler<P> {
         }
     }
 
+    /// Whether a picture waits for its delta, its vertices, or who takes it.
+    pub fn has_pictures(&self) -> bool {
+        !self.pictures.is_empty()
+    }
+
     /// The update on display.
     pub fn current(&self) -> Option<UpdateId> {
         self.current

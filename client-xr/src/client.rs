@@ -49,10 +49,7 @@ impl Client {
         let Self { presenter, intake } = self;
         let turn = presenter.wait_turn()?;
         poll_inbox(intake);
-        let step = presenter.present(turn, || {
-            intake.take_presented();
-            intake.prepare();
-        })?;
+        let step = presenter.present(turn, Some(intake))?;
         intake.take_presented();
         Ok(step)
     }

@@ -2,6 +2,7 @@
 //! stages are here and nowhere else.
 
 use crate::display::{Activity, FrameTurn, Views};
+use crate::intake::Intake;
 use crate::presenter::Presenter;
 use crate::renderer::LastDrawn;
 use crate::report::{ClientError, FrameReport, Step};
@@ -46,17 +47,18 @@ impl Presenter {
         })
     }
 
-    /// Makes what the display wants, of what was prepared. `prepare` is for who has the intake on the same thread: it has all the
-    /// memory that the device is done with.
-    pub fn present(&mut self, turn: Turn, prepare: impl FnOnce()) -> Result<Step, ClientError> {
+    /// Makes what the display wants, of what was prepared: by now, where `intake` is on the same thread, else by whenever that was.
+    pub fn present(&mut self, turn: Turn, intake: Option<&mut Intake>) -> Result<Step, ClientError> {
         if let Turn::Exit = turn {
             return Ok(Step::Exit);
         }
         let flight = self.renderer.stages.next_flight(&self.renderer.gpu)?;
         self.give_back()?;
         self.take_prepared()?;
-        prepare();
-        self.take_prepared()?;
+        if let Some(intake) = intake {
+            self.let_prepare(intake)?;
+            self.take_prepared()?;
+        }
         match turn {
             Turn::Frame(turn) if turn.should_render => self.render(turn, flight),
             Turn::Frame(turn) => self.skip(turn, flight),
@@ -66,6 +68,17 @@ impl Presenter {
                 Ok(Step::Idle)
             }
         }
+    }
+
+    /// What is ready comes with this turn, however slow the device is.
+    fn let_prepare(&mut self, intake: &mut Intake) -> Result<(), ClientError> {
+        intake.take_presented();
+        if intake.wants_bundle() {
+            self.wait_for_bundle()?;
+            intake.take_presented();
+        }
+        intake.prepare();
+        Ok(())
     }
 
     /// A frame that nobody sees. The head goes on to be told.

@@ -146,8 +146,8 @@ impl Intake {
         self.take_events();
     }
 
-    /// Takes what the presenter has said, and tells the server what it must know of it.
-    pub(crate) fn take_presented(&mut self) {
+    /// Takes what the presenter has said, and tells the server what it must know of it. To be called before [`Self::advance`].
+    pub fn take_presented(&mut self) {
         while let Some(presented) = self.end.take() {
             match presented {
                 Presented::Turn(note) => self.take_turn(note),
@@ -172,8 +172,14 @@ impl Intake {
         self.link.report(shown, &report, picture_arrived);
     }
 
-    /// Hands over what is ready: one batch of arrivals, and the newest complete bundle. False where nothing was.
-    pub(crate) fn prepare(&mut self) -> bool {
+    /// Whether there is a picture, and no memory for its bundle.
+    pub(crate) fn wants_bundle(&self) -> bool {
+        self.preparing.as_ref().is_some_and(Preparing::wants_bundle)
+    }
+
+    /// Hands over what is ready: one batch of arrivals, and the newest complete bundle. False where nothing was. To be called after
+    /// [`Self::advance`].
+    pub fn prepare(&mut self) -> bool {
         self.end.flush();
         self.tell_clock();
         let Self { preparing: Some(preparing), end, link, .. } = self else { return false };

@@ -230,7 +230,7 @@ impl Run<'_> {
         loop {
             let turn = presenter.wait_turn()?;
             let (began, began_cpu_ns) = (monotonic_now(), thread_cpu_ns());
-            match presenter.present(turn, || {})? {
+            match presenter.present(turn, None)? {
                 Step::Frame(report) => {
                     let cpu_ns = thread_cpu_ns() - began_cpu_ns;
                     traced.ended([began, monotonic_now()], Some(cpu_ns), &report);

@@ -81,6 +81,11 @@ impl Preparing {
         Some(Loan::Batch(batch))
     }
 
+    /// Whether there is a picture, and no memory for its bundle.
+    pub(crate) fn wants_bundle(&self) -> bool {
+        self.bundles.is_empty() && self.bundler.has_pictures()
+    }
+
     /// The newest complete bundle, if there is a newer one and memory for it: its picture, its patches' draw list. All that it
     /// draws is in batches before it. Pictures that are not needed any more go to `recycle`.
     pub(crate) fn next_bundle(&mut self, mut recycle: impl FnMut(Picture)) -> Option<Loan> {

@@ -110,6 +110,15 @@ impl Presenter {
         Ok(())
     }
 
+    /// Waits until the GPU is done with the oldest bundle that is to go back, and gives it back.
+    pub(crate) fn wait_for_bundle(&mut self) -> Result<(), ClientError> {
+        let oldest = self.spent.iter().find(|(_, loan, _)| matches!(loan, Loan::Bundle(_)));
+        if let Some(ticket) = oldest.and_then(|(ticket, ..)| *ticket) {
+            self.renderer.gpu.wait(ticket)?;
+        }
+        self.give_back()
+    }
+
     /// The recording behind `ticket` is the last that uses what is spent.
     pub(crate) fn used_by(&mut self, ticket: Ticket) {
         let spent = self.scenes.take_spent().map(|(loan, serial)| (Some(ticket), loan, serial));

@@ -453,13 +453,28 @@ impl Line {
 
     /// The same with a runtime that may be lost.
     fn try_turn(&mut self, client: &mut Client) -> Result<Step, ClientError> {
-        let now = at(1_000_000_000 + self.frames * PERIOD_NS);
-        self.frames += 1;
-        self.deliver(client, now);
+        let now = self.begin(client);
         client.intake.advance(now);
         let mut step = None;
         let taken = allocation_counter::measure(|| step = Some(client.step()));
         let step = step.expect("it was made")?;
+        let left = self.answer(client);
+        self.allocations.push([taken.count_total, left]);
+        self.deliver(client, now);
+        Ok(step)
+    }
+
+    /// The next turn begins: what the server has said reaches the client.
+    fn begin(&mut self, client: &mut Client) -> ClientTime {
+        let now = at(1_000_000_000 + self.frames * PERIOD_NS);
+        self.frames += 1;
+        self.deliver(client, now);
+        now
+    }
+
+    /// The server hears what the client has to say. Gives the number of messages.
+    fn answer(&mut self, client: &mut Client) -> u64 {
+        let now = at(1_000_000_000 + (self.frames - 1) * PERIOD_NS);
         let mut left = 0;
         while let Some(out) = client.intake.poll_out() {
             left += 1;
@@ -469,15 +484,13 @@ impl Line {
                 Out::Stream { .. } => panic!("clients send no streams"),
             }
         }
-        self.allocations.push([taken.count_total, left]);
         while let Some(event) = self.server.poll_event() {
             if matches!(event, ServerEvent::Asked { .. }) {
                 self.sender = self.server.accept();
             }
             self.events.push(event);
         }
-        self.deliver(client, now);
-        Ok(step)
+        left
     }
 
     /// What the client has said of being watched.
@@ -628,6 +641,43 @@ fn a_display_frame_allocates_nothing_but_the_messages_that_leave() {
     }
     let settled = &line.allocations[line.allocations.len() - 40..];
     assert!(settled.iter().all(|[count, left]| count <= left), "{settled:?}");
+    finish(&run, client);
+}
+
+/// With the intake on another thread, all that the thread that draws does is this.
+#[test]
+fn while_updates_arrive_the_half_that_draws_allocates_nothing() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    let mut line = Line::connect(&mut client);
+    line.send(static_patches(), &planes([0, 64]), true);
+    (0..80).for_each(|_| drop(line.frame(&mut client)));
+    let mut counts = Vec::new();
+    for number in 1..=60 {
+        if number % 2 == 0 {
+            let update = UpdateId(number / 2);
+            let again = GeometryDelta { update, ..GeometryDelta::default() };
+            line.send(again, &planes([number as u16, 64]), false);
+        }
+        let now = line.begin(&mut client);
+        client.intake.take_presented();
+        client.intake.advance(now);
+        client.intake.prepare();
+        let mut step = None;
+        let taken = allocation_counter::measure(|| {
+            let turn = client.presenter.wait_turn().expect("a turn");
+            step = Some(client.presenter.present(turn, None));
+        });
+        let Some(Ok(Step::Frame(report))) = step else { panic!("{step:?}") };
+        counts.push((report.is_new, taken.count_total));
+        line.answer(&mut client);
+    }
+    let settled = &counts[20..];
+    assert!(
+        settled.iter().filter(|(is_new, _)| *is_new).count() > 15,
+        "bundles came on display: {settled:?}"
+    );
+    assert!(settled.iter().all(|(_, count)| *count == 0), "{settled:?}");
     finish(&run, client);
 }
 

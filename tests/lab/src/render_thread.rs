@@ -231,7 +231,7 @@ fn split(
         progress.wait_for(if turn < FRAMES_IN_STEP { turn + 1 } else { turn })?;
         let turn = presenter.wait_turn()?;
         let (began, began_cpu_ns) = (monotonic_now(), thread_cpu_ns());
-        let step = presenter.present(turn, || {})?;
+        let step = presenter.present(turn, None)?;
         let cpu_ns = thread_cpu_ns() - began_cpu_ns;
         if let Step::Frame(report) = &step {
             traced.ended([began, monotonic_now()], Some(cpu_ns), report);
