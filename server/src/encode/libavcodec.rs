@@ -14,7 +14,7 @@ use shadecast_protocol::picture::I420;
 use std::collections::VecDeque;
 use std::ffi::{CStr, CString, c_int};
 use std::ptr::{self, NonNull};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// The quantiser of an encoder that has to be opened anew for another follows changes of at least so much.
 const REOPENED_FOR_QP: u8 = 4;
@@ -147,7 +147,8 @@ const STALLED_AFTER: Duration = Duration::from_secs(1);
 /// A picture that was submitted.
 struct Waiting {
     source: Source,
-    since: Instant,
+    /// How long it was waited for.
+    waited: Duration,
     /// Why there will be nothing of it.
     failed: Option<EncodeError>,
 }
@@ -270,11 +271,11 @@ impl LibavEncoder {
 impl Encoder for LibavEncoder {
     fn submit(&mut self, source: Source, timestamp_ns: i64, refresh: bool) {
         let failed = self.start(&source, timestamp_ns, refresh).err();
-        self.waiting.push_back(Waiting { source, since: Instant::now(), failed });
+        self.waiting.push_back(Waiting { source, waited: Duration::ZERO, failed });
     }
 
     fn poll(&mut self, timeout: Duration) -> Option<Encoded> {
-        let began = Instant::now();
+        let mut waited = Duration::ZERO;
         loop {
             if let Some(failed) = self.waiting.front_mut()?.failed.take() {
                 return self
@@ -291,14 +292,16 @@ impl Encoder for LibavEncoder {
                 return self.waiting.pop_front().map(|Waiting { source, .. }| Encoded { source, result });
             }
             let oldest = self.waiting.front_mut()?;
-            if oldest.since.elapsed() >= STALLED_AFTER {
+            if oldest.waited >= STALLED_AFTER {
                 self.open = None;
                 continue;
             }
-            if began.elapsed() >= timeout {
+            if waited >= timeout {
                 return None;
             }
             std::thread::sleep(LOOK_UP);
+            oldest.waited += LOOK_UP;
+            waited += LOOK_UP;
         }
     }
 

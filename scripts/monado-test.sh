@@ -1,0 +1,217 @@
+#!/usr/bin/env bash
+# The client that ships on Monado, a real OpenXR runtime: the head is moved from outside, both eyes are compared with the truth from
+# where they are, the service is ended and comes back, and all ends are clean. The layer that checks calls of OpenXR watches.
+#   monado-test.sh [--poses N] [--frames N] [--json FILE]
+# Monado lives in a box of its own with a newer system: MONADO_TOOLS names the folder of the scripts that make and run it. 77 says
+# that there is none.
+set -euo pipefail
+NAME=monado-test
+# shellcheck source=scripts/elsewhere.sh
+. "$(dirname -- "$(readlink -f -- "$0")")/elsewhere.sh"
+
+skip() {
+  echo "$NAME: SKIPPED: $*" >&2
+  exit 77
+}
+
+poses=5 frames=300 json=""
+while [ $# -gt 0 ]; do
+  case $1 in
+    --poses) poses=$2 ;;
+    --frames) frames=$2 ;;
+    --json) json=$2 ;;
+    *) die "'$1' is no option: --poses N, --frames N, --json FILE" ;;
+  esac
+  shift 2
+done
+
+TOOLS=${MONADO_TOOLS:-../shared/tools/monado}
+export BOX=${BOX:-/opt/monado-box}
+[ -x "$TOOLS/service.sh" ] || skip "no scripts that run Monado; name their folder with MONADO_TOOLS"
+[ -e "$BOX/.ready" ] || skip "no box with Monado in it: $TOOLS/box.sh makes one (a gigabyte, some minutes, as root)"
+[ "$(id -u)" = 0 ] || skip "the box is entered by root alone"
+needs python3 python3
+
+PROGRAMS=${PROGRAMS:-$ROOT/target/debug}
+work=$(mktemp -d)
+# Where eyes look in Monado's picture: tangents of half its angles, and half the distance between them.
+HALF_ANGLES_RAD="0.742 0.779"
+HALF_PUPILS_M=0.0315
+# Monado draws both eyes beside each other, each so large.
+VIEW=480x540
+# A picture with the wrong eye, or from the pose before, stays below; the right one is above.
+LEAST_DB=24
+pids=()
+
+cleanup() {
+  for pid in "${pids[@]}"; do kill "$pid" 2>/dev/null || true; done
+  "$TOOLS/service.sh" stop >/dev/null 2>&1 || true
+  "$TOOLS/box.sh" umount || true
+  rm -rf -- "$work"
+}
+trap cleanup EXIT
+
+start_service() { SCALE=50 "$TOOLS/service.sh" start main remote >/dev/null; }
+
+start_server() {
+  "$PROGRAMS/shadecast-server" stream "$work/scene.toml" --listen 127.0.0.1:0 --announce never --identity "$work/identity" \
+    --atlas 2048x1024 --seconds 900 >"$work/server.txt" 2>&1 &
+  server=$!
+  pids+=("$server")
+  wait_for "$work/server.txt" "Listening on" 60
+  address=$(sed -n 's/^Listening on \([^ ]*\) .*/\1/p' "$work/server.txt")
+}
+
+start_client() {
+  rm -f "$BOX/app/core.txt" "$BOX/app/stats.json"
+  RUNENV="XR_ENABLE_API_LAYERS=XR_APILAYER_LUNARG_core_validation XR_CORE_VALIDATION_EXPORT_TYPE=text XR_CORE_VALIDATION_FILE_NAME=/app/core.txt" \
+    "$TOOLS/run.sh" "$PROGRAMS/shadecast-client" --connect "$address" --stats /app/stats.json >"$work/client.txt" 2>&1 &
+  client=$!
+  pids+=("$client")
+}
+
+wait_for() { # FILE TEXT SECONDS
+  local left=$(($3 * 10))
+  until grep -qF -- "$2" "$1" 2>/dev/null; do
+    left=$((left - 1))
+    [ $left -gt 0 ] || { tail -n 20 "$1" >&2; die "within $3 s nobody said '$2'"; }
+    sleep 0.1
+  done
+}
+
+ends_within() { # PID SECONDS
+  local left=$(($2 * 10))
+  while kill -0 "$1" 2>/dev/null; do
+    left=$((left - 1))
+    [ $left -gt 0 ] || die "a program did not end within $2 s"
+    sleep 0.1
+  done
+  wait "$1"
+}
+
+# In the box, where ImageMagick is.
+in_box() { chroot "$BOX" "$@"; }
+
+# Decibels between what an eye sees and the truth from there: psnr EYE X Y Z YAW, eye -1 left, 1 right, and the half of Monado's
+# picture that is looked at, 0 or 1.
+psnr() { # EYE HALF X Y Z YAW
+  local eye=$1 half=$2 place fov size
+  place=$(awk -v e="$eye" -v h=$HALF_PUPILS_M -v x="$3" -v y="$4" -v z="$5" -v yaw="$6" 'BEGIN {
+    a = yaw * 3.14159265 / 180; printf "%.5f,%.5f,%.5f", x + e * h * cos(a), y, z - e * h * sin(a) }')
+  # shellcheck disable=SC2086 # two numbers
+  set -- $HALF_ANGLES_RAD "$6"
+  fov=$(awk -v v="$2" 'BEGIN { printf "%.3f", 2 * v * 180 / 3.14159265 }')
+  # The truth's pixels are square, and Monado's are not.
+  size=$(awk -v h="$1" -v v="$2" 'function tan(a) { return sin(a) / cos(a) } BEGIN { printf "%dx540", 540 * tan(h) / tan(v) + 0.5 }')
+  local name="truth_${eye}_${place}_$3"
+  if [ ! -s "$BOX/app/$name.png" ]; then
+    "$PROGRAMS/shadecast-server" forward "$work/scene.toml" --position "$place" --yaw "$3" --fov "$fov" --size "$size" \
+      --out "$work/truth" >/dev/null 2>&1
+    cp "$work/truth/forward-000000.png" "$BOX/app/$name.png"
+  fi
+  in_box convert "/app/$name.png" -resize "$VIEW!" /app/truth.png
+  in_box convert /app/shot.png -crop "$VIEW+$((half * 480))+0" +repage /app/eye.png
+  # compare says by its exit code that pictures differ.
+  in_box compare -metric PSNR /app/eye.png /app/truth.png null: 2>&1 | awk '{ print $1 }' || true
+}
+
+shot() { "$TOOLS/service.sh" shot "$work/shot.png"; }
+
+# Waits until the head has been there for some frames, and compares both eyes.
+look() { # NUMBER X Y Z YAW
+  echo "$2 $3 $4 $5" >"$work/pose.txt"
+  sleep 12
+  shot
+  local left right
+  left=$(psnr -1 0 "$2" "$3" "$4" "$5")
+  right=$(psnr 1 1 "$2" "$3" "$4" "$5")
+  echo "$NAME: pose $1 ($2 $3 $4, $5 degrees): left $left dB, right $right dB"
+  results+=("$left" "$right")
+  for db in "$left" "$right"; do
+    awk -v db="$db" -v least=$LEAST_DB 'BEGIN { exit !(db >= least) }' || {
+      cp "$work/shot.png" monado-shot.png
+      die "an eye shows something else than the truth ($db dB, at least $LEAST_DB): see monado-shot.png"
+    }
+  done
+}
+
+# Warnings and errors of the layer; it also says when it begins and ends.
+core_messages() { if [ -s "$BOX/app/core.txt" ]; then grep 'VALID_' "$BOX/app/core.txt" | grep -cvE 'VALID_(DEBUG|INFO)' || true; else echo 0; fi; }
+
+printf '%s\n' '[[model]]' 'name = "dragon"' 'file = "dragon"' \
+  '[[instance]]' 'model = "dragon"' 'clip = ""' 'translation = [-0.7, 0, -3]' \
+  '[[instance]]' 'model = "dragon"' 'clip = ""' 'translation = [0.9, 0, -3.6]' >"$work/scene.toml"
+"$PROGRAMS/shadecast-server" inspect "$work/scene.toml" >/dev/null || die "the scene of the test cannot be read"
+
+results=()
+echo "0 1.6 0 0" >"$work/pose.txt"
+python3 scripts/monado_head.py "$work/pose.txt" &
+pids+=($!)
+
+# The layer must see what is wrong, or its silence means nothing.
+"$TOOLS/box.sh" mount
+start_service
+rm -f "$BOX/app/core.txt"
+RUNENV="XR_ENABLE_API_LAYERS=XR_APILAYER_LUNARG_core_validation XR_CORE_VALIDATION_EXPORT_TYPE=text XR_CORE_VALIDATION_FILE_NAME=/app/core.txt" \
+  "$TOOLS/run.sh" "$PROGRAMS/examples/wrong_call" >/dev/null 2>&1 || true
+control=$(core_messages)
+[ "$control" -gt 0 ] || die "the layer that checks calls says nothing of a wrong one"
+
+start_server
+start_client
+wait_for "$work/client.txt" "Connected to" 60
+list=("0 1.6 0 0" "0.4 1.6 0.2 15" "-0.5 1.3 -0.3 -12" "0.2 1.9 0.4 -25" "0 1.6 -0.6 8")
+for ((number = 1; number <= poses; number++)); do
+  # shellcheck disable=SC2086 # four numbers
+  look "$number" ${list[$(((number - 1) % ${#list[@]}))]}
+done
+# The same picture beside the other eye's truth, and beside that of the pose before.
+# shellcheck disable=SC2206 # four numbers
+last=(${list[$(((poses - 1) % ${#list[@]}))]}) before=(${list[$(((poses + 3) % ${#list[@]}))]})
+swapped=$(psnr 1 0 "${last[@]}")
+stale=$(psnr -1 0 "${before[@]}")
+echo "$NAME: for comparison, with the other eye's truth $swapped dB, with that of the pose before $stale dB"
+
+# The headset goes, and comes back.
+"$TOOLS/service.sh" stop
+wait_for "$work/client.txt" "the headset is gone" 30
+start_service
+sleep 20
+look again 0.3 1.5 0 -10
+
+# The client first: cleanly, and it says so to the server.
+kill -INT "$client"
+ends_within "$client" 30 || die "the client did not end cleanly: $(tail -n 3 "$work/client.txt")"
+shown=$(sed -n 's/.*"rendered_frames": *\([0-9]*\).*/\1/p' "$BOX/app/stats.json")
+wait_for "$work/server.txt" "the user left" 10
+messages=$(core_messages)
+
+# The server first: the world stands still, and the client stays until it is asked to leave.
+start_client
+wait_for "$work/client.txt" "Connected to" 60
+kill -INT "$server"
+ends_within "$server" 30 || die "the server did not end cleanly"
+sleep 3
+kill -0 "$client" || die "the client ended with its server"
+kill -INT "$client"
+ends_within "$client" 30 || die "the client did not end cleanly after its server"
+
+# The service first.
+start_server
+start_client
+wait_for "$work/client.txt" "Connected to" 60
+"$TOOLS/service.sh" stop
+wait_for "$work/client.txt" "the headset is gone" 30
+kill -INT "$client"
+ends_within "$client" 40 || die "the client did not end cleanly after its runtime"
+kill -INT "$server"
+ends_within "$server" 30 || die "the server did not end cleanly"
+
+echo "$NAME: $shown display frames, $messages messages of the layer ($control where a call is wrong)"
+[ "$messages" = 0 ] || { cat "$BOX/app/core.txt" >&2; die "the layer that checks calls has $messages messages"; }
+[ "$shown" -ge "$frames" ] || die "$shown display frames, of which $frames were asked for"
+if [ -n "$json" ]; then
+  printf '{\n  "frames": %s,\n  "psnr_db": [%s],\n  "other_eye_db": %s,\n  "stale_db": %s,\n  "least_db": %s,\n  "layer_messages": %s,\n  "layer_messages_of_a_wrong_call": %s\n}\n' \
+    "$shown" "$(IFS=,; echo "${results[*]}")" "$swapped" "$stale" "$(printf '%s\n' "${results[@]}" | sort -g | head -n 1)" "$messages" "$control" >"$json"
+fi
+echo "$NAME: ok"
