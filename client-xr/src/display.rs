@@ -139,8 +139,10 @@ pub trait Display {
         false
     }
 
-    /// Shows these from now on, a line a row.
-    fn show_figures(&mut self, _lines: &[String]) {}
+    /// Shows these from now on, a line a row. False: it has no place of its own for them, and they are to be drawn into the picture.
+    fn show_figures(&mut self, _lines: &[String]) -> bool {
+        false
+    }
 }
 
 impl Views {

@@ -104,6 +104,7 @@ impl Presenter {
             }
             words.record_backdrop(r, stages, flight, world);
             words.record_notice(r, stages, flight, world);
+            words.record_figures(r, stages, flight, world);
             r.end_pass();
         });
         let space_from_stage = world.map_or(Pose::IDENTITY, |scene| scene.terms.world_from_stage);

@@ -12,6 +12,7 @@ pub mod decoding;
 pub mod display;
 pub mod draw_list;
 mod figures;
+mod figures_panel;
 pub mod frame;
 mod handover;
 pub mod intake;

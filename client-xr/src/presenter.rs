@@ -205,11 +205,14 @@ impl Presenter {
 
     /// Tells who wants to see it how it goes.
     fn show_figures(&mut self, frame: &FrameReport, picture_arrived: Option<ClientTime>) {
-        let display = &mut self.renderer.display;
+        let Renderer { display, words, .. } = &mut self.renderer;
         if !display.wants_figures() {
             self.figures = Figures::default();
-        } else if let Some(lines) = self.figures.note(&self.counters, frame, picture_arrived) {
-            display.show_figures(lines);
+            words.figures.hide();
+        } else if let Some(lines) = self.figures.note(&self.counters, frame, picture_arrived)
+            && !display.show_figures(lines)
+        {
+            words.figures.write(lines);
         }
     }
 

@@ -3,6 +3,7 @@
 
 use crate::display::Display;
 use crate::draw_list::Drawable;
+use crate::figures_panel::FiguresPanel;
 use crate::report::FrameReport;
 use crate::scene::Scene;
 use crate::stages::Stages;
@@ -46,6 +47,8 @@ pub(crate) struct Words {
     notice: Text,
     notice_s: i64,
     stillness: Stillness,
+    /// How it goes, where the display has no place of its own for that.
+    pub(crate) figures: FiguresPanel,
 }
 
 impl Renderer {
@@ -60,6 +63,7 @@ impl Renderer {
             notice: Text::default(),
             notice_s: 0,
             stillness: Stillness::default(),
+            figures: FiguresPanel::default(),
         };
         let stages = Stages::new(&gpu, display.eye_images(), samples, lookup)?;
         Ok(Self { stages, probe: None, last_drawn: None, last_ticket: None, gpu, display, words })
@@ -89,6 +93,7 @@ impl Renderer {
     pub(crate) fn note(&mut self, frame: &FrameReport, stage_from_head: Pose) {
         self.words.stillness.note(frame, stage_from_head);
         self.words.write_notice();
+        self.words.figures.note(stage_from_head);
         self.words.stage_from_panel.get_or_insert_with(|| panel_ahead(stage_from_head));
     }
 
@@ -155,6 +160,19 @@ impl Words {
         let Some((scene, stage_from_panel)) = world.zip(self.stillness.panel()) else { return };
         let world_from_panel = scene.terms.world_from_stage.then(stage_from_panel);
         stages.notice.record(recorder, flight, world_from_panel, &self.notice);
+    }
+
+    /// How it goes, in the world or in the waiting room, where somebody wants to see it.
+    pub(crate) fn record_figures(
+        &self,
+        recorder: &mut Recorder,
+        stages: &mut Stages,
+        flight: usize,
+        world: Option<&Scene>,
+    ) {
+        let Some((stage_from_panel, text)) = self.figures.shown() else { return };
+        let space_from_stage = world.map_or(Pose::IDENTITY, |scene| scene.terms.world_from_stage);
+        stages.figures.record(recorder, flight, space_from_stage.then(stage_from_panel), text);
     }
 }
 

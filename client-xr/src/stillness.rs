@@ -55,7 +55,8 @@ impl Stillness {
     }
 }
 
-fn is_ahead(stage_from_panel: Pose, stage_from_head: Pose) -> bool {
+/// Whether a panel is not lost behind a head, or far beside it.
+pub(crate) fn is_ahead(stage_from_panel: Pose, stage_from_head: Pose) -> bool {
     let level = |direction: Vec3| Vec3::new(direction.x, 0.0, direction.z).normalize_or_zero();
     let to_panel = level(stage_from_panel.position - stage_from_head.position);
     to_panel.dot(level(stage_from_head.orientation * Vec3::NEG_Z)) >= FOLLOW_COS

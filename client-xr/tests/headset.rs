@@ -1001,6 +1001,35 @@ fn the_menu_button_leaves() {
 }
 
 #[test]
+fn a_button_shows_the_figures_below_what_is_looked_at_and_hides_them() {
+    for profile in ["oculus/touch_controller", "valve/index_controller"] {
+        let a = "right/input/a/click";
+        let inputs = script(&[(20, a, 1.0), (50, a, 0.0), (60, a, 1.0), (65, a, 0.0)]);
+        let controllers = Some(format!("/interaction_profiles/{profile}"));
+        let run = Run::new(MockConfig { controllers, inputs, ..MockConfig::default() });
+        let mut client = run.client();
+        for _ in 0..80 {
+            frame(&mut client);
+        }
+        finish(&run, client);
+        for (side, eye) in [(Side::Left, -1.0), (Side::Right, 1.0)] {
+            let [before, held, shown, hidden] = [10, 40, 55, 75].map(|number| run.picture(number, side));
+            assert!(before.pixels().eq(hidden.pixels()), "{profile}: nothing is left behind");
+            let [x, y] = pixel([0.0, 1.15, -1.75], eye);
+            for panel in [held, shown] {
+                let differs = |(x, y): &(u32, u32)| panel.at(*x, *y) != before.at(*x, *y);
+                let changed: Vec<_> =
+                    (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (x, y))).filter(differs).collect();
+                let is_far =
+                    |at: &&(u32, u32)| (at.0 as f32 - x).abs() > 60.0 || (at.1 as f32 - y).abs() > 18.0;
+                assert_eq!(changed.iter().find(is_far), None, "{profile}: all else stays as it was");
+                assert!(changed.len() > 1000, "{profile}: {} pixels", changed.len());
+            }
+        }
+    }
+}
+
+#[test]
 fn without_focus_controllers_do_nothing() {
     let inputs = script(&[(20, "left/input/thumbstick/y", 1.0)]);
     let controllers = Some("/interaction_profiles/oculus/touch_controller".to_owned());

@@ -63,6 +63,8 @@ pub struct Stages {
     pub background: Background,
     /// Words in front of it.
     pub notice: Notice,
+    /// Figures in front of it.
+    pub figures: Notice,
     /// What is drawn to.
     pub targets: EyeTargets,
     /// The eyes of each frame in flight.
@@ -89,6 +91,7 @@ impl Stages {
             atlas: AtlasDraw::new(gpu, &targets.pass, lookup)?,
             background: Background::new(gpu, &targets.pass, eyes.each_ref())?,
             notice: Notice::new(gpu, &targets.pass, eyes.each_ref())?,
+            figures: Notice::new(gpu, &targets.pass, eyes.each_ref())?,
             targets,
             eyes,
             last_use: [None; FRAMES_IN_FLIGHT],

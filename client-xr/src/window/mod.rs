@@ -243,8 +243,9 @@ impl Display for WindowDisplay {
         self.user.figures
     }
 
-    fn show_figures(&mut self, lines: &[String]) {
+    fn show_figures(&mut self, lines: &[String]) -> bool {
         self.canvas.present_mut().write(lines);
+        true
     }
 }
 

@@ -15,6 +15,8 @@ pub(super) struct Asked {
     pub(super) wish: Wish,
     /// To leave.
     pub(super) leaves: bool,
+    /// To show the figures, or to hide them: said once for each press.
+    pub(super) toggles_figures: bool,
 }
 
 /// The client's actions, bound for all controllers that it knows.
@@ -25,6 +27,7 @@ pub(super) struct Actions {
     walk_ahead: openxr::Action<bool>,
     turn_right: openxr::Action<bool>,
     leave: openxr::Action<bool>,
+    figures: openxr::Action<bool>,
 }
 
 /// What a controller's inputs are for.
@@ -34,6 +37,7 @@ enum Use {
     WalkAhead,
     TurnRight,
     Leave,
+    Figures,
 }
 
 /// A controller's profile, and its inputs.
@@ -42,15 +46,17 @@ type Controller = (&'static str, &'static [(Use, &'static str)]);
 const WALK: (Use, &str) = (Use::Walk, "/user/hand/left/input/thumbstick");
 const TURN: (Use, &str) = (Use::Turn, "/user/hand/right/input/thumbstick");
 const MENU: (Use, &str) = (Use::Leave, "/user/hand/left/input/menu/click");
+const A: (Use, &str) = (Use::Figures, "/user/hand/right/input/a/click");
 
 const CONTROLLERS: [Controller; 4] = [
-    ("/interaction_profiles/oculus/touch_controller", &[WALK, TURN, MENU]),
-    ("/interaction_profiles/bytedance/pico4_controller", &[WALK, TURN, MENU]),
+    ("/interaction_profiles/oculus/touch_controller", &[WALK, TURN, MENU, A]),
+    ("/interaction_profiles/bytedance/pico4_controller", &[WALK, TURN, MENU, A]),
     // It has no menu button but the system's own.
     (
         "/interaction_profiles/valve/index_controller",
-        &[WALK, TURN, (Use::Leave, "/user/hand/left/input/b/click")],
+        &[WALK, TURN, (Use::Leave, "/user/hand/left/input/b/click"), A],
     ),
+    // It has no button left for the figures.
     (
         "/interaction_profiles/khr/simple_controller",
         &[
@@ -75,6 +81,7 @@ impl Actions {
             walk_ahead: set.create_action("walk_ahead", "Walk ahead", &[]).doing(doing)?,
             turn_right: set.create_action("turn_right", "Turn to the right", &[]).doing(doing)?,
             leave: set.create_action("leave", "Leave", &[]).doing(doing)?,
+            figures: set.create_action("figures", "Show or hide the figures", &[]).doing(doing)?,
             set,
         };
         for (profile, inputs) in CONTROLLERS {
@@ -100,6 +107,7 @@ impl Actions {
                 Use::WalkAhead => openxr::Binding::new(&self.walk_ahead, input),
                 Use::TurnRight => openxr::Binding::new(&self.turn_right, input),
                 Use::Leave => openxr::Binding::new(&self.leave, input),
+                Use::Figures => openxr::Binding::new(&self.figures, input),
             })
         };
         let bindings = inputs.iter().map(bind).collect::<Result<Vec<_>, XrError>>()?;
@@ -131,6 +139,8 @@ impl Actions {
             walk: stick(&self.walk)? + Vec2::Y * pushed(button(&self.walk_ahead)?),
             turn: stick(&self.turn)?.x + pushed(button(&self.turn_right)?),
         };
-        Ok(Asked { wish, leaves: button(&self.leave)? })
+        let figures = self.figures.state(session, openxr::Path::NULL).doing(doing)?;
+        let toggles_figures = figures.is_active && figures.changed_since_last_sync && figures.current_state;
+        Ok(Asked { wish, leaves: button(&self.leave)?, toggles_figures })
     }
 }

@@ -67,6 +67,8 @@ struct Headset {
     jumps: Jumps,
     actions: Actions,
     locomotion: Locomotion,
+    /// A button shows and hides them.
+    wants_figures: bool,
     /// For a runtime that does not convert its times itself.
     clock: GuessedClock,
     gpu: Arc<Gpu>,
@@ -265,6 +267,7 @@ impl Xr {
             jumps: Jumps::default(),
             actions,
             locomotion: Locomotion::default(),
+            wants_figures: false,
             clock: GuessedClock::default(),
             gpu,
             device,
@@ -318,6 +321,10 @@ impl Display for Xr {
 
     fn end_empty_frame(&mut self, turn: FrameTurn) -> Result<(), DisplayError> {
         Ok(self.headset.end_empty_frame(turn)?)
+    }
+
+    fn wants_figures(&self) -> bool {
+        self.headset.wants_figures
     }
 }
 
@@ -416,6 +423,7 @@ impl Headset {
     fn move_about(&mut self, display_time: ClientTime) -> Result<(), XrError> {
         let asked = self.actions.asked(&self.session)?;
         self.exit_requested |= asked.leaves;
+        self.wants_figures ^= asked.toggles_figures;
         if let Some(views) = &self.last_views {
             self.locomotion.step(asked.wish, views.stage_from_head, display_time);
         }
