@@ -22,8 +22,9 @@ use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime};
 use shadecast_protocol::wire::{PictureHeader, StreamMessage, parse_stream};
 use shadecast_test_support::peers::offer;
 use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
-use support::{Run, SIDE, at, coded, finish, frame, pixel, toy_decoder};
+use support::{Picture, Run, SIDE, at, coded, finish, frame, pixel, toy_decoder};
 
 const ATLAS: AtlasExtent = AtlasExtent::MIN;
 /// sRGB values of the two patches, and their full-range BT.709 planes.
@@ -814,6 +815,65 @@ fn a_world_that_stands_still_says_why_until_pictures_come_again() {
     assert_eq!(differing(&run, moving, again), 0, "the world moves again");
 }
 
+/// A head that looks ahead for `from_s` seconds, and then turns to the left at `speed`, radians per second, for `for_s`.
+fn turning_head(folder: &Path, from_s: f32, speed: f32, for_s: f32) -> PathBuf {
+    let row = |t_s: f32, yaw: f32| format!("{t_s},0,1.6,0,0,{},0,{}\n", (yaw * 0.5).sin(), (yaw * 0.5).cos());
+    let steps = (0..=20).map(|step| step as f32 / 20.0 * for_s);
+    let turn: String = steps.map(|t_s| row(from_s + t_s, t_s * speed)).collect();
+    let path = folder.join("turn.csv");
+    std::fs::write(&path, row(0.0, 0.0) + &turn).expect("write the head path");
+    path
+}
+
+/// Whether the left edge of the red square is seen where a head at `stage_from_head` has it: red within, and not beyond.
+fn is_edge_seen(picture: &Picture, stage_from_head: Pose, eye: f32) -> bool {
+    let head_from_eye = Pose { position: [eye * 0.0315, 0.0, 0.0].into(), ..Pose::IDENTITY };
+    let eye_from_stage = stage_from_head.then(head_from_eye).inverse().affine();
+    let is_red = |x: f32| {
+        // Above the panel with the text.
+        let seen = eye_from_stage.transform_point3([x, 2.0, -2.0].into());
+        let half = SIDE as f32 * 0.5;
+        let [x, y] = [half - seen.x / seen.z * half, half + seen.y / seen.z * half];
+        picture.at(x as u32, y as u32).iter().zip(RED.0).all(|(got, want)| got.abs_diff(want) <= 12)
+    };
+    is_red(-0.475) && !is_red(-0.525)
+}
+
+#[test]
+fn with_a_silent_server_the_picture_follows_every_turn_of_the_head_under_a_text_that_says_so() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // 3 pixels from frame to frame.
+    let head_path = Some(turning_head(folder.path(), 3.4, 1.8, 0.25));
+    let run = Run::new(MockConfig { head_path, ..MockConfig::default() });
+    let mut client = run.client();
+    let mut line = Line::connect(&mut client);
+    line.send(static_patches(), &planes([0, 64]), true);
+    for _ in 0..3 {
+        line.frame(&mut client);
+    }
+    client.presenter.set_status("Connected to 192.168.1.5:7400");
+    for _ in 0..250 {
+        assert_eq!(frame(&mut client).update, Some(UpdateId(0)), "the last bundle stays");
+    }
+    finish(&run, client);
+    let frames: Vec<_> = read_frames(&run.captures()).expect("a log");
+    let heads: Vec<Pose> = frames.iter().map(|frame| frame.head_pose.into()).collect();
+    let turning: Vec<_> = (1..frames.len())
+        .filter(|at| heads[*at].orientation.dot(heads[at - 1].orientation) < 0.999_99)
+        .collect();
+    assert!(turning.len() >= 16, "{} frames in which the head turns", turning.len());
+    for at in turning {
+        let frame = frames[at].frame;
+        for (side, eye) in [(Side::Left, -1.0), (Side::Right, 1.0)] {
+            let picture = run.picture(frame, side);
+            assert!(is_edge_seen(&picture, heads[at], eye), "{side:?} eye of frame {frame}");
+            assert!(!is_edge_seen(&picture, heads[at - 1], eye), "a head of one frame ago would pass");
+            let ink = picture.pixels().filter(|pixel| pixel.iter().all(|c| *c > 200)).count();
+            assert!(ink > 50, "{ink} bright pixels of text in frame {frame}");
+        }
+    }
+}
+
 /// Steps of the grid for the moving strip at the client's time; the server's clock is ahead.
 fn strip_steps(line: &Line) -> std::ops::RangeInclusive<i32> {
     let now = ServerTime(1_000_000_000 + line.frames * PERIOD_NS + line.ahead_ns);
@@ -1235,4 +1295,88 @@ fn whatever_happens_to_headset_and_link_frames_go_on() {
     println!("{made} frames, {shown} of them with a picture, {lost} losses of {losses}, {turns} turns");
     assert!(shown > frames / 4 && lost > 0, "{shown} of {made} frames show something, {lost} losses");
     finish(&run, client);
+}
+
+/// Frames of one repetition of [`repeated`].
+const REPEATED_FRAMES: u64 = 120;
+
+/// The same happenings again and again, but for the loss of the instance, which leaves no client to look at.
+fn repeated(times: u64) -> (Vec<ScriptedEvent>, Vec<ScriptedInput>) {
+    let (mut events, inputs) = random_script(&mut SmallRng::seed_from_u64(23), REPEATED_FRAMES);
+    events.retain(|event| event.kind != EventKind::InstanceLoss);
+    // Each begins as the first did: seen and in focus, at the rate of the beginning.
+    let frame = REPEATED_FRAMES - 1;
+    let back = [EventKind::Show, EventKind::FocusGain, EventKind::RefreshRate { hz: 72 }];
+    events.extend(back.map(|kind| ScriptedEvent { frame, kind }));
+    let offsets = (0..times).map(|time| time * REPEATED_FRAMES);
+    let at = |offset: u64| {
+        let events =
+            events.iter().cloned().map(move |event| ScriptedEvent { frame: event.frame + offset, ..event });
+        let inputs =
+            inputs.iter().cloned().map(move |input| ScriptedInput { frame: input.frame + offset, ..input });
+        (events.collect::<Vec<_>>(), inputs.collect::<Vec<_>>())
+    };
+    let (events, inputs): (Vec<_>, Vec<_>) = offsets.map(at).unzip();
+    (events.concat(), inputs.concat())
+}
+
+/// One repetition, with a new session, of which the server's side is dropped.
+fn repetition(client: &mut Client, from: i64) -> i64 {
+    let mut rng = SmallRng::seed_from_u64(29);
+    let mut line = Line { frames: from, ..Line::new(Pose::IDENTITY, SERVER_AHEAD_NS) };
+    client.intake.on_connected(at(1_000_000_000 + from * PERIOD_NS));
+    let (mut made, mut update) = (0, 0);
+    while made < REPEATED_FRAMES {
+        assert!(line.frames - from < 20 * REPEATED_FRAMES as i64, "{made} frames");
+        made += u64::from(matches!(line.turn(client), Step::Frame(_)));
+        if line.sender.is_some() && line.frames % 3 == 0 {
+            random_update(&mut line, &mut rng, update);
+            update += 1;
+        }
+        while client.intake.poll_notice().is_some() {}
+    }
+    client.intake.on_closed(at(1_000_000_000 + line.frames * PERIOD_NS));
+    line.frames
+}
+
+/// Bytes by which the heap has grown, and those that the device holds, after each of some repetitions. Each also forgets
+/// `forgotten_bytes`.
+fn growth(times: u64, forgotten_bytes: usize) -> Vec<(i64, u64)> {
+    let (events, inputs) = repeated(times);
+    let controllers = Some("/interaction_profiles/oculus/touch_controller".to_owned());
+    let other_rates_hz = vec![90.0, 120.0];
+    let run =
+        Run::unseen(MockConfig { events, inputs, controllers, other_rates_hz, ..MockConfig::default() });
+    let (mut client, mut from) = (run.client(), 0);
+    let mut grown = Vec::new();
+    for _ in 0..times {
+        let taken = allocation_counter::measure(|| {
+            from = repetition(&mut client, from);
+            std::mem::forget(std::hint::black_box(vec![0u8; forgotten_bytes]));
+        });
+        let held_bytes = client.presenter.gpu().memory().iter().map(|of| of.bytes).sum();
+        grown.push((taken.bytes_current, held_bytes));
+    }
+    finish(&run, client);
+    grown
+}
+
+/// By how many bytes the heap grows in a repetition, on average of those after the first two, in which buffers find their size.
+/// What waits at its end differs by tens of kilobytes from one to the next.
+fn mean_growth_bytes(grown: &[(i64, u64)]) -> i64 {
+    let settled = &grown[2..];
+    settled.iter().map(|(heap_bytes, _)| heap_bytes).sum::<i64>() / settled.len() as i64
+}
+
+#[test]
+fn what_happens_again_and_again_takes_no_more_memory() {
+    const BOUND_BYTES: i64 = 10_000;
+    let grown = growth(10, 0);
+    println!("{grown:?}");
+    assert!(mean_growth_bytes(&grown) < BOUND_BYTES, "{grown:?}");
+    // What was dropped a moment ago may still count: what leaks counts in every later repetition.
+    let least_bytes = grown[5..].iter().map(|(_, held_bytes)| *held_bytes).min();
+    assert!(least_bytes <= Some(grown[1].1), "{grown:?}");
+    let leaking = growth(10, 2 * BOUND_BYTES as usize);
+    assert!(mean_growth_bytes(&leaking) > BOUND_BYTES, "what is forgotten each time is found: {leaking:?}");
 }
