@@ -62,9 +62,11 @@ start_server() {
   address=$(sed -n 's/^Listening on \([^ ]*\) .*/\1/p' "$work/server.txt")
 }
 
+LAYER="XR_ENABLE_API_LAYERS=XR_APILAYER_LUNARG_core_validation XR_CORE_VALIDATION_EXPORT_TYPE=text XR_CORE_VALIDATION_FILE_NAME=/app/core.txt"
+
 start_client() {
   rm -f "$BOX/app/core.txt" "$BOX/app/stats.json"
-  RUNENV="XR_ENABLE_API_LAYERS=XR_APILAYER_LUNARG_core_validation XR_CORE_VALIDATION_EXPORT_TYPE=text XR_CORE_VALIDATION_FILE_NAME=/app/core.txt" \
+  RUNENV=$LAYER \
     "$TOOLS/run.sh" "$PROGRAMS/shadecast-client" --connect "$address" --stats /app/stats.json >"$work/client.txt" 2>&1 &
   client=$!
   pids+=("$client")
@@ -152,12 +154,26 @@ pids+=($!)
 "$TOOLS/box.sh" mount
 start_service
 rm -f "$BOX/app/core.txt"
-RUNENV="XR_ENABLE_API_LAYERS=XR_APILAYER_LUNARG_core_validation XR_CORE_VALIDATION_EXPORT_TYPE=text XR_CORE_VALIDATION_FILE_NAME=/app/core.txt" \
+RUNENV=$LAYER \
   "$TOOLS/run.sh" "$PROGRAMS/examples/wrong_call" >/dev/null 2>&1 || true
 control=$(core_messages)
 [ "$control" -gt 0 ] || die "the layer that checks calls says nothing of a wrong one"
 
 start_server
+
+# The same layer over the project's own runtime, with a controller in use.
+cp "$PROGRAMS/shadecast-client" "$PROGRAMS/libshadecast_mock_runtime.so" "$BOX/app/"
+echo '{ "file_format_version": "1.0.0", "runtime": { "name": "mock", "library_path": "/app/libshadecast_mock_runtime.so" } }' >"$BOX/app/mock.json"
+echo '{ "extent_pixels": [64, 64], "controllers": "/interaction_profiles/oculus/touch_controller" }' >"$BOX/app/mock-config.json"
+rm -f "$BOX/app/core.txt"
+# shellcheck disable=SC2086 # several variables
+in_box env XDG_RUNTIME_DIR=/run/xr HOME=/root XR_RUNTIME_JSON=/app/mock.json SHADECAST_MOCK_CONFIG=/app/mock-config.json $LAYER \
+  /app/shadecast-client --connect "$address" --seconds 8 >"$work/mock.txt" 2>&1 || die "the client fails on the mock: $(tail -n 3 "$work/mock.txt")"
+grep -q "Connected to" "$work/mock.txt" || die "on the mock the client does not connect"
+[ -s "$BOX/app/core.txt" ] || die "on the mock the layer did not run"
+on_mock=$(core_messages)
+[ "$on_mock" = 0 ] || { cat "$BOX/app/core.txt" >&2; die "the layer that checks calls has $on_mock messages over the mock"; }
+
 start_client
 wait_for "$work/client.txt" "Connected to" 60
 list=("0 1.6 0 0" "0.4 1.6 0.2 15" "-0.5 1.3 -0.3 -12" "0.2 1.9 0.4 -25" "0 1.6 -0.6 8")
@@ -207,11 +223,11 @@ ends_within "$client" 40 || die "the client did not end cleanly after its runtim
 kill -INT "$server"
 ends_within "$server" 30 || die "the server did not end cleanly"
 
-echo "$NAME: $shown display frames, $messages messages of the layer ($control where a call is wrong)"
+echo "$NAME: $shown display frames, $messages messages of the layer, $on_mock over the mock ($control where a call is wrong)"
 [ "$messages" = 0 ] || { cat "$BOX/app/core.txt" >&2; die "the layer that checks calls has $messages messages"; }
 [ "$shown" -ge "$frames" ] || die "$shown display frames, of which $frames were asked for"
 if [ -n "$json" ]; then
-  printf '{\n  "frames": %s,\n  "psnr_db": [%s],\n  "other_eye_db": %s,\n  "stale_db": %s,\n  "least_db": %s,\n  "layer_messages": %s,\n  "layer_messages_of_a_wrong_call": %s\n}\n' \
-    "$shown" "$(IFS=,; echo "${results[*]}")" "$swapped" "$stale" "$(printf '%s\n' "${results[@]}" | sort -g | head -n 1)" "$messages" "$control" >"$json"
+  printf '{\n  "frames": %s,\n  "psnr_db": [%s],\n  "other_eye_db": %s,\n  "stale_db": %s,\n  "least_db": %s,\n  "layer_messages": %s,\n  "layer_messages_on_mock": %s,\n  "layer_messages_of_a_wrong_call": %s\n}\n' \
+    "$shown" "$(IFS=,; echo "${results[*]}")" "$swapped" "$stale" "$(printf '%s\n' "${results[@]}" | sort -g | head -n 1)" "$messages" "$on_mock" "$control" >"$json"
 fi
 echo "$NAME: ok"

@@ -4,6 +4,7 @@
 use crate::bars::{BARS, Bars};
 use crate::causes::Causes;
 use crate::paper_size::PaperSize;
+use crate::render_thread::RenderThread;
 use crate::table1::plot;
 use anyhow::{Context, bail};
 use serde_json::Value;
@@ -105,6 +106,7 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "table1-stages" => table1_stages(results),
         "table1-growth" => table1_growth(results),
         "paper-size" => paper_size(results)?,
+        "render-thread" => render_thread(results)?,
         "budget" => crate::budget::table(),
         name if name.starts_with("causes-") => causes(name, results)?,
         "bars" => format!("```text\n{}\n```\n", Bars::parse(BARS)?.check(results)),
@@ -129,6 +131,13 @@ fn paper_size(results: &Path) -> anyhow::Result<String> {
     let Some(found) = read(results, "paper-size") else { return Ok(NOT_MEASURED.to_owned()) };
     let found: PaperSize = serde_json::from_value(found).context("paper-size.json")?;
     Ok(format!("```text\n{found}\n```\n"))
+}
+
+/// What a display frame costs the thread that draws.
+fn render_thread(results: &Path) -> anyhow::Result<String> {
+    let Some(found) = read(results, "render-thread") else { return Ok(NOT_MEASURED.to_owned()) };
+    let found: RenderThread = serde_json::from_value(found).context("render-thread.json")?;
+    Ok(format!("```text\n{found}```\n"))
 }
 
 /// A number at a way of keys, with so many decimals; `-` where there is none.
