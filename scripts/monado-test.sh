@@ -54,6 +54,7 @@ trap cleanup EXIT
 start_service() { SCALE=50 "$TOOLS/service.sh" start main remote >/dev/null; }
 
 start_server() {
+  rm -f "$work/server.txt" # what the one before said
   "$PROGRAMS/shadecast-server" stream "$work/scene.toml" --listen 127.0.0.1:0 --announce never --identity "$work/identity" \
     --atlas 2048x1024 --seconds 900 >"$work/server.txt" 2>&1 &
   server=$!
@@ -65,7 +66,7 @@ start_server() {
 LAYER="XR_ENABLE_API_LAYERS=XR_APILAYER_LUNARG_core_validation XR_CORE_VALIDATION_EXPORT_TYPE=text XR_CORE_VALIDATION_FILE_NAME=/app/core.txt"
 
 start_client() {
-  rm -f "$BOX/app/core.txt" "$BOX/app/stats.json"
+  rm -f "$BOX/app/core.txt" "$BOX/app/stats.json" "$work/client.txt"
   RUNENV=$LAYER \
     "$TOOLS/run.sh" "$PROGRAMS/shadecast-client" --connect "$address" --stats /app/stats.json >"$work/client.txt" 2>&1 &
   client=$!

@@ -652,7 +652,9 @@ fn while_updates_arrive_the_half_that_draws_allocates_nothing() {
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
     line.send(static_patches(), &planes([0, 64]), true);
-    (0..80).for_each(|_| drop(line.frame(&mut client)));
+    for _ in 0..80 {
+        line.frame(&mut client);
+    }
     let mut counts = Vec::new();
     for number in 1..=60 {
         if number % 2 == 0 {
@@ -1037,6 +1039,21 @@ fn a_display_is_asked_for_the_nearest_of_its_rates_and_may_change_it_by_itself()
 
 fn is_of(period_ns: i64, hz: f64) -> bool {
     (period_ns - (1e9 / hz) as i64).abs() <= 1
+}
+
+#[test]
+fn a_headset_is_asked_for_what_it_can_give_for_long_where_it_can_be_asked() {
+    let levels = |hidden: &[&str]| {
+        let hidden_extensions = hidden.iter().map(|name| (*name).to_owned()).collect();
+        let run = Run::unseen(MockConfig { hidden_extensions, ..MockConfig::default() });
+        let mut client = run.client();
+        frame(&mut client);
+        finish(&run, client);
+        let summary = shadecast_mock_runtime::record::read_summary(&run.captures());
+        summary.expect("a summary").performance_levels
+    };
+    assert_eq!(levels(&[]), [50; 2], "sustained high");
+    assert_eq!(levels(&["XR_EXT_performance_settings"]), [0; 2]);
 }
 
 #[test]

@@ -208,6 +208,7 @@ fn open_instance(platform: &Platform) -> Result<openxr::Instance, XrError> {
     wanted.khr_vulkan_enable2 = true;
     time::want_conversion(&mut wanted, &available);
     wanted.fb_display_refresh_rate = available.fb_display_refresh_rate;
+    wanted.ext_performance_settings = available.ext_performance_settings;
     wanted.bd_controller_interaction = available.bd_controller_interaction;
     platform.add_extensions(&mut wanted);
     if !available.khr_vulkan_enable2 {
@@ -375,6 +376,7 @@ impl Headset {
                 self.jumps.happen();
                 self.phase = Phase::Running;
                 self.request_rate()?;
+                self.request_performance();
             }
             openxr::SessionState::STOPPING => {
                 self.phase = Phase::Idle;
@@ -385,6 +387,21 @@ impl Headset {
             _ => {}
         }
         Ok(())
+    }
+
+    /// Asks for as much of processor and graphics processor as a headset can give for long, where the runtime lets itself be asked.
+    fn request_performance(&self) {
+        let Some(performance) = self.device.instance.exts().ext_performance_settings else { return };
+        for domain in [sys::PerfSettingsDomainEXT::CPU, sys::PerfSettingsDomainEXT::GPU] {
+            let level = sys::PerfSettingsLevelEXT::SUSTAINED_HIGH;
+            // SAFETY: the function was loaded for this instance, and the session is alive.
+            let result = unsafe {
+                (performance.perf_settings_set_performance_level)(self.session.as_raw(), domain, level)
+            };
+            if result.into_raw() < 0 {
+                tracing::warn!("the OpenXR runtime gives no more of {domain:?}: {result:?}");
+            }
+        }
     }
 
     /// Asks for the wanted rate, where the runtime lets itself be asked.

@@ -28,10 +28,11 @@ pub(crate) const MAX_LAYERS: u32 = 16;
 /// The one view configuration.
 const STEREO: xr::ViewConfigurationType = xr::ViewConfigurationType::PRIMARY_STEREO;
 
-const EXTENSIONS: [(&[u8], u32); 4] = [
+const EXTENSIONS: [(&[u8], u32); 5] = [
     (xr::KHR_VULKAN_ENABLE2_EXTENSION_NAME, xr::KHR_vulkan_enable2_SPEC_VERSION),
     time::EXTENSION,
     (xr::FB_DISPLAY_REFRESH_RATE_EXTENSION_NAME, xr::FB_display_refresh_rate_SPEC_VERSION),
+    (xr::EXT_PERFORMANCE_SETTINGS_EXTENSION_NAME, xr::EXT_performance_settings_SPEC_VERSION),
     (xr::EXT_DEBUG_UTILS_EXTENSION_NAME, xr::EXT_debug_utils_SPEC_VERSION),
 ];
 
@@ -119,6 +120,7 @@ fn enabled_extensions(create_info: &xr::InstanceCreateInfo) -> Outcome<Extension
             "XR_KHR_vulkan_enable2" => enabled.vulkan_enable2 = true,
             name if name == text_of(time::EXTENSION.0) => enabled.convert_time = true,
             "XR_FB_display_refresh_rate" => enabled.refresh_rate = true,
+            "XR_EXT_performance_settings" => enabled.performance = true,
             "XR_EXT_debug_utils" => enabled.debug_utils = true,
             _ => {
                 let message = format!("the mock runtime has no extension {name}");

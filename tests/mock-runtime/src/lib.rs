@@ -36,6 +36,7 @@ mod negotiate;
 mod paths;
 mod profiles;
 pub mod record;
+mod performance;
 mod refresh_rate;
 mod runtime;
 mod session;

@@ -10,7 +10,8 @@ use crate::fault::{Fault, guard};
 use crate::ffi::entry;
 use crate::runtime::{self, Extensions};
 use crate::{
-    actions, debug_utils, frame, instance, paths, refresh_rate, session, space, swapchain, time, vulkan,
+    actions, debug_utils, frame, instance, paths, performance, refresh_rate, session, space, swapchain, time,
+    vulkan,
 };
 
 /// The loader-runtime interface that this runtime speaks.
@@ -132,6 +133,7 @@ enum Needs {
     VulkanEnable2,
     ConvertTime,
     RefreshRate,
+    Performance,
     DebugUtils,
 }
 
@@ -142,6 +144,7 @@ impl Needs {
             Self::VulkanEnable2 => extensions.vulkan_enable2,
             Self::ConvertTime => extensions.convert_time,
             Self::RefreshRate => extensions.refresh_rate,
+            Self::Performance => extensions.performance,
             Self::DebugUtils => extensions.debug_utils,
         }
     }
@@ -236,6 +239,10 @@ const TABLE: &[Row] = table! {
         "xrEnumerateDisplayRefreshRatesFB" => refresh_rate::enumerate_refresh_rates: EnumerateDisplayRefreshRatesFB,
         "xrGetDisplayRefreshRateFB" => refresh_rate::get_refresh_rate: GetDisplayRefreshRateFB,
         "xrRequestDisplayRefreshRateFB" => refresh_rate::request_refresh_rate: RequestDisplayRefreshRateFB,
+    }
+    Performance {
+        "xrPerfSettingsSetPerformanceLevelEXT" =>
+            performance::set_performance_level: PerfSettingsSetPerformanceLevelEXT,
     }
     DebugUtils {
         "xrCreateDebugUtilsMessengerEXT" => debug_utils::create_messenger: CreateDebugUtilsMessengerEXT,

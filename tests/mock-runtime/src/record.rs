@@ -101,6 +101,10 @@ pub struct Summary {
     /// Frames that were ended for another display time than the predicted one.
     #[serde(default)]
     pub other_display_times: u64,
+    /// What the application last asked of processor and graphics processor (`XR_EXT_performance_settings`): 50 is sustained high; 0
+    /// where it asked for nothing, or to save power.
+    #[serde(default)]
+    pub performance_levels: [i32; 2],
 }
 
 impl From<Pose> for PoseRecord {

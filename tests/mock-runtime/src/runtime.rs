@@ -76,6 +76,7 @@ pub(crate) struct Extensions {
     pub(crate) vulkan_enable2: bool,
     pub(crate) convert_time: bool,
     pub(crate) refresh_rate: bool,
+    pub(crate) performance: bool,
     pub(crate) debug_utils: bool,
 }
 
@@ -134,6 +135,8 @@ pub(crate) struct Timeline {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Tally {
     pub(crate) errors: u64,
+    /// What was last asked of processor and graphics processor; 0 before.
+    pub(crate) performance_levels: [i32; 2],
     pub(crate) missed_frames: u64,
     pub(crate) empty_frames: u64,
     pub(crate) discarded_frames: u64,
@@ -297,6 +300,7 @@ impl Core {
             frames: self.timeline.next_frame,
             seconds: self.path_time_s(self.grid().begin_ns(periods)),
             errors: self.tally.errors,
+            performance_levels: self.tally.performance_levels,
             missed_frames: self.tally.missed_frames,
             empty_frames: self.tally.empty_frames,
             discarded_frames: self.tally.discarded_frames,
