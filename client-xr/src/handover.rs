@@ -134,6 +134,12 @@ impl IntakeEnd {
         self.flush();
     }
 
+    /// Hands over what there will be newer of, if there is room at once.
+    pub(crate) fn offer(&mut self, prepared: Prepared) -> bool {
+        self.flush();
+        self.waiting.is_empty() && self.to_presenter.try_send(prepared).is_ok()
+    }
+
     /// Hands over what waits.
     pub(crate) fn flush(&mut self) {
         while let Some(prepared) = self.waiting.pop_front() {
@@ -145,7 +151,7 @@ impl IntakeEnd {
     }
 
     /// What has come from the presenter.
-    pub(crate) fn take(&mut self) -> Option<Presented> {
+    pub(crate) fn take(&self) -> Option<Presented> {
         self.from_presenter.try_recv().ok()
     }
 }
@@ -157,7 +163,7 @@ impl PresenterEnd {
     }
 
     /// What has come from the intake.
-    pub(crate) fn take(&mut self) -> Option<Prepared> {
+    pub(crate) fn take(&self) -> Option<Prepared> {
         self.from_intake.try_recv().ok()
     }
 
@@ -183,5 +189,42 @@ impl PresenterEnd {
                 None
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_given_waits_for_a_presenter_that_takes_nothing_and_what_is_offered_does_not() {
+        let (presenter, mut intake) = ends();
+        let word = |number: usize| Prepared::Status(number.to_string());
+        assert!((0..CAPACITY).all(|number| intake.offer(word(number))));
+        assert!(!intake.offer(word(CAPACITY)) && intake.waiting.is_empty());
+        intake.give(word(CAPACITY));
+        assert!(!intake.offer(word(CAPACITY + 1)), "nothing overtakes what waits");
+        let taken = std::iter::from_fn(|| presenter.take()).count();
+        assert_eq!(taken, CAPACITY);
+        assert!(intake.offer(word(CAPACITY + 1)));
+        let last: Vec<String> = std::iter::from_fn(|| presenter.take())
+            .map(|prepared| match prepared {
+                Prepared::Status(text) => text,
+                _ => unreachable!("only words were given"),
+            })
+            .collect();
+        assert_eq!(last, ["64", "65"]);
+    }
+
+    #[test]
+    fn neither_half_minds_that_the_other_is_gone() {
+        let (presenter, mut intake) = ends();
+        drop(presenter);
+        intake.give(Prepared::Ended(1));
+        assert!(intake.waiting.is_empty());
+        let (mut presenter, intake) = ends();
+        drop(intake);
+        presenter.tell(TurnNote::default());
+        assert!(presenter.take().is_none());
     }
 }

@@ -194,8 +194,9 @@ impl Intake {
 
     fn tell_clock(&mut self) {
         let clock = self.link.clock_estimate();
-        if let Some((estimate, serial)) = clock.filter(|_| clock != self.told_clock) {
-            self.end.give(Prepared::Clock(estimate, serial));
+        let Some((estimate, serial)) = clock.filter(|_| clock != self.told_clock) else { return };
+        // Of a presenter that sleeps for an hour only the last counts.
+        if self.end.offer(Prepared::Clock(estimate, serial)) {
             self.told_clock = clock;
         }
     }
