@@ -376,6 +376,19 @@ mod tests {
         assert_eq!(MockConfig::from_environment(None).expect("defaults"), MockConfig::default());
     }
 
+    const DOCS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs");
+
+    #[test]
+    fn the_example_of_the_docs_is_read_and_every_key_stands_there() {
+        let example = MockConfig::load(&Path::new(DOCS).join("mock.example.json")).expect("the example");
+        assert!(!example.events.is_empty() && !example.inputs.is_empty());
+        let page = std::fs::read_to_string(Path::new(DOCS).join("mock.md")).expect("the page");
+        let all = serde_json::to_value(MockConfig::default()).expect("a value");
+        let keys = all.as_object().expect("an object").keys();
+        let absent: Vec<_> = keys.filter(|key| !page.contains(&format!("`{key}`"))).collect();
+        assert!(absent.is_empty(), "{absent:?}");
+    }
+
     #[test]
     fn a_written_configuration_reads_back_the_same() {
         let folder = tempfile::tempdir().expect("a temporary folder");

@@ -3,8 +3,9 @@
 //! The library is loaded by the system's OpenXR loader through a JSON manifest (`XR_RUNTIME_JSON`, see [`manifest`]),
 //! so the application under test is the one that ships. It exports `xrNegotiateLoaderRuntimeInterface` and offers
 //! OpenXR 1.0 with `XR_KHR_vulkan_enable2`, `XR_KHR_convert_timespec_time` (on Windows
-//! `XR_KHR_win32_convert_performance_counter_time`) and `XR_EXT_debug_utils`: one stereo headset
-//! without controllers.
+//! `XR_KHR_win32_convert_performance_counter_time`), `XR_FB_display_refresh_rate`, `XR_EXT_performance_settings` and
+//! `XR_EXT_debug_utils`: one stereo headset, with controllers where the configuration names some. `docs/mock.md` tells other
+//! projects how to use it.
 //!
 //! One run is described by a [`config::MockConfig`] in the file that the environment variable `SHADECAST_MOCK_CONFIG`
 //! names: how large and wide the eyes see, where the head goes ([`head_path`]), how time passes ([`clock`]), what
