@@ -253,6 +253,25 @@ fn unknown_functions_are_unsupported_and_null() {
 unsafe extern "system" fn get_unsupported() {}
 
 #[test]
+fn levels_of_performance_are_those_of_the_specification() {
+    let run = Run::new(&virtual_config());
+    let app = App::new();
+    let performance = app.instance.exts().ext_performance_settings.expect("it was asked for");
+    let ask = |domain, level| {
+        let [domain, level] = [domain, level].map(i32::from);
+        let domain = xr::sys::PerfSettingsDomainEXT::from_raw(domain);
+        let level = xr::sys::PerfSettingsLevelEXT::from_raw(level);
+        // SAFETY: the session is alive, and the others are numbers.
+        unsafe { (performance.perf_settings_set_performance_level)(app.session.as_raw(), domain, level) }
+    };
+    assert_eq!([ask(1, 75), ask(2, 25), ask(2, 50)], [Code::SUCCESS; 3]);
+    assert_eq!([ask(0, 50), ask(3, 50), ask(1, 51), ask(1, -1)], [Code::ERROR_VALIDATION_FAILURE; 4]);
+    drop(app);
+    let summary = read_summary(&run.captures()).expect("a summary");
+    assert_eq!((summary.performance_levels, summary.errors), ([75, 50], 4));
+}
+
+#[test]
 fn calls_out_of_order_are_refused_and_counted() {
     let run = Run::new(&virtual_config());
     let mut app = App::new();

@@ -35,6 +35,7 @@ pub fn converts_time(extensions: &mut xr::ExtensionSet) -> &mut bool {
 pub fn create_instance(entry: &xr::Entry) -> xr::Result<xr::Instance> {
     let mut extensions = xr::ExtensionSet::default();
     extensions.khr_vulkan_enable2 = true;
+    extensions.ext_performance_settings = true;
     *converts_time(&mut extensions) = true;
     let info = xr::ApplicationInfo {
         application_name: "mock runtime test",
