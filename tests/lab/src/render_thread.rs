@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 use shadecast_client::client::{Client, ClientOptions, FrameReport, Notice, Step, halves};
 use shadecast_client::display::Display;
 use shadecast_client::intake::Intake;
-use shadecast_client::platform::{Platform, monotonic_now};
+use shadecast_client::platform::Platform;
 use shadecast_client::presenter::Presenter;
 use shadecast_client::taking::{Source, Taking};
 use shadecast_client::traced::Traced;
@@ -217,7 +217,7 @@ fn split(
     let trace = Trace::create(trace)?;
     let mut traced = Traced::new(Some(&trace));
     let (mut presenter, intake) = halves(display, options)?;
-    let feed = Feed::new(recording, traced.clone());
+    let feed = Feed::new(recording);
     let progress = feed.progress.clone();
     let mut taking = Taking::start(intake, feed)?;
     let thread = taking.thread().cloned().context("the thread runs")?;
@@ -230,11 +230,13 @@ fn split(
         // What came up to the frame before is taken in by now; at the start all that came up to this one.
         progress.wait_for(if turn < FRAMES_IN_STEP { turn + 1 } else { turn })?;
         let turn = presenter.wait_turn()?;
-        let (began, began_cpu_ns) = (monotonic_now(), thread_cpu_ns());
+        let began_cpu_ns = thread_cpu_ns();
         let step = presenter.present(turn, None)?;
         let cpu_ns = thread_cpu_ns() - began_cpu_ns;
         if let Step::Frame(report) = &step {
-            traced.ended([began, monotonic_now()], Some(cpu_ns), report);
+            // In the recording's time, from the wish for the frame on.
+            let began = report.display_time.plus_ns(-(1e9 / REFRESH_HZ) as i64);
+            traced.ended([began, began.plus_ns(cpu_ns)], Some(cpu_ns), report);
             timed.note(report, cpu_ns);
         }
         taking.assert_alive();
@@ -249,7 +251,7 @@ fn together(
     recording: &Arc<Recording>,
 ) -> anyhow::Result<(Presenter, Timed)> {
     let mut client = Client::new(display, options)?;
-    let mut feed = Feed::new(recording, Traced::new(None));
+    let mut feed = Feed::new(recording);
     let mut timed = Timed::default();
     for turn in 0..turns(recording) {
         std::thread::sleep(PACE);
@@ -307,7 +309,6 @@ struct Feed {
     recording: Arc<Recording>,
     next: usize,
     progress: Arc<Progress>,
-    traced: Traced,
 }
 
 /// How far it may go, and has gone: display frames.
@@ -331,8 +332,8 @@ impl Progress {
 }
 
 impl Feed {
-    fn new(recording: &Arc<Recording>, traced: Traced) -> Self {
-        Self { recording: recording.clone(), next: 0, progress: Arc::default(), traced }
+    fn new(recording: &Arc<Recording>) -> Self {
+        Self { recording: recording.clone(), next: 0, progress: Arc::default() }
     }
 }
 
@@ -343,7 +344,6 @@ impl Source for Feed {
             heard.tell(intake);
             self.next += 1;
             if let What::Frame = heard.what {
-                self.traced.decoded(intake.take_decoded());
                 while intake.poll_out().is_some() {}
                 while let Some(notice) = intake.poll_notice() {
                     assert!(
