@@ -37,6 +37,16 @@ pub struct Bundler<P> {
     applied: Option<UpdateId>,
     /// The update on display.
     current: Option<UpdateId>,
+    revision: Revision,
+}
+
+/// How often patches and coverage have changed: what was made of either is still right while its number is the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Revision {
+    /// Of patches and their places.
+    pub patches: u64,
+    /// Of what cutouts leave.
+    pub coverage: u64,
 }
 
 /// The patch half of a delta.
@@ -80,6 +90,7 @@ impl<P> Bundler<P> {
             pictures: VecDeque::new(),
             applied: None,
             current: None,
+            revision: Revision::default(),
         }
     }
 
@@ -96,6 +107,11 @@ impl<P> Bundler<P> {
     /// The patches on display.
     pub fn patches(&self) -> &Patches {
         &self.patches
+    }
+
+    /// How often both have changed.
+    pub fn revision(&self) -> Revision {
+        self.revision
     }
 
     /// What cutouts among them leave of their blocks.
@@ -166,6 +182,8 @@ impl<P> Bundler<P> {
         let Some(changes) = self.pending.pop_front() else { return };
         self.pending_records -= changes.records();
         self.applied = Some(changes.update);
+        self.revision.patches += u64::from(changes.records() > 1);
+        self.revision.coverage += u64::from(!changes.coverage.is_empty());
         let applied = changes.apply_to(&mut self.patches, &mut self.coverage);
         applied.expect("the decoder has refused what contradicts the memory");
     }

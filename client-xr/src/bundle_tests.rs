@@ -589,6 +589,27 @@ fn cutouts_are_drawn_last_by_the_pipeline_that_discards() {
 }
 
 #[test]
+fn an_update_that_changes_no_patch_leaves_lists_as_they_are() {
+    let mut bench = Bench::new(0);
+    let mut show = |delta: ReceivedDelta| {
+        let update = delta.geometry.update;
+        bench.add_delta(delta);
+        bench.bundler.add_picture(update, update.0);
+        assert_eq!(bench.display(100, 1), Some(update));
+        (bench.bundler.revision(), bench.list.waits())
+    };
+    let (first, waits) = show(cutout(0, |texel| texel % 2 == 0));
+    assert!(waits, "its vertices have samples");
+    assert_eq!(show(delta(1)).0, first);
+    let moved = triangle(2, 0..=0).geometry.placements;
+    let moved = GeometryDelta { placements: moved, ..delta(2).geometry };
+    let moved = ReceivedDelta { geometry: moved, is_update: true, ..ReceivedDelta::default() };
+    let (second, _) = show(moved);
+    assert_eq!(second, Revision { patches: first.patches + 1, ..first });
+    assert_eq!(first, Revision { patches: 1, coverage: 1 });
+}
+
+#[test]
 fn samples_are_in_metres_and_count_before_the_picture_is_there() {
     let mut bench = Bench::new(0);
     bench.add_delta(triangle(0, 0..=4));

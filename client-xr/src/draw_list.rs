@@ -76,6 +76,12 @@ impl DrawList {
         }
     }
 
+    /// Whether some of it waits for samples, so that time alone changes it.
+    pub fn waits(&self) -> bool {
+        let last = |groups: &[Group]| groups.last().is_some_and(|group| group.first > GridIndex(i32::MIN));
+        last(&self.opaque) || last(&self.cutouts)
+    }
+
     /// The first step at which all can be drawn that can be at `step`.
     pub fn ready_at(&self, step: GridIndex) -> GridIndex {
         let firsts = self.opaque.iter().chain(&self.cutouts).map(|group| group.first);

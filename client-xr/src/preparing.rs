@@ -93,17 +93,27 @@ impl Preparing {
         let newest = self.bundler.take_newest_complete(complete, |dropped| recycle(dropped.picture));
         let (update, ArrivedPicture { arrived, picture }) = newest?;
         let mut bundle = self.bundles.pop()?;
-        let Bundle { memory, list, drawn, state, .. } = &mut *bundle;
-        memory.planes.write(&picture);
+        bundle.memory.planes.write(&picture);
         recycle(picture);
-        memory.coverage.write(0, bytemuck::cast_slice(self.bundler.coverage().words()));
+        let (written, revision) = (bundle.written.replace(self.bundler.revision()), self.bundler.revision());
+        if written.map(|written| written.coverage) != Some(revision.coverage) {
+            bundle.memory.coverage.write(0, bytemuck::cast_slice(self.bundler.coverage().words()));
+        }
+        if written.map(|written| written.patches) != Some(revision.patches) || bundle.list.waits() {
+            self.write_list(&mut bundle);
+        }
+        bundle.state = self.motion.state();
+        (bundle.update, bundle.picture_arrived) = (update, arrived);
+        Some(Loan::Bundle(bundle))
+    }
+
+    /// What the patches draw. Where none of them has changed since this memory was written, the list there is the newest too.
+    fn write_list(&mut self, bundle: &mut Bundle) {
+        let Bundle { memory, list, drawn, .. } = bundle;
         let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(memory.corners.bytes_mut());
         let indices: &mut [u32] = bytemuck::cast_slice_mut(memory.indices.bytes_mut());
         list.write(self.bundler.patches(), &mut self.motion, (corners, indices), &mut self.list_scratch);
         drawn.clear();
         drawn.extend_from_slice(self.motion.drawn());
-        *state = self.motion.state();
-        (bundle.update, bundle.picture_arrived) = (update, arrived);
-        Some(Loan::Bundle(bundle))
     }
 }

@@ -97,6 +97,7 @@ impl Scene {
             sets.push(stages.atlas.bundle_set(gpu, &mut recorder, &bundle, extent, &memory, eyes)?);
             loans.push(Loan::Bundle(Box::new(Bundle {
                 memory: bundle,
+                written: None,
                 list: DrawList::of_capacity(terms.patch_slots),
                 drawn: Vec::with_capacity(MAX_INSTANCES as usize),
                 state: MotionState::default(),
