@@ -8,7 +8,7 @@ use crate::renderer::LastDrawn;
 use crate::report::{ClientError, FrameReport, Step};
 use crate::scene::SceneReport;
 use crate::stages::{ARRIVALS, VERTEX_MEMORY_USE, eyes_gpu};
-use shadecast_gpu::{Access, Recorder};
+use shadecast_gpu::{Access, GpuError, Recorder};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::time::{ClientTime, ServerTime};
@@ -92,7 +92,7 @@ impl Presenter {
 
     fn render(&mut self, turn: FrameTurn, flight: usize) -> Result<Step, ClientError> {
         let mut recorder = self.renderer.gpu.record()?;
-        let content = self.record_scene(&mut recorder, flight, &turn);
+        let content = self.record_scene(&mut recorder, flight, &turn)?;
 
         let image = self.renderer.display.acquire_image()?;
         let world = self.scenes.shown().filter(|_| content.update.is_some());
@@ -146,15 +146,21 @@ impl Presenter {
     }
 
     /// What has arrived, the switch to the newest complete bundle, and motion up to the frame's display time.
-    fn record_scene(&mut self, recorder: &mut Recorder, flight: usize, turn: &FrameTurn) -> Content {
+    fn record_scene(
+        &mut self,
+        recorder: &mut Recorder,
+        flight: usize,
+        turn: &FrameTurn,
+    ) -> Result<Content, GpuError> {
         self.record_arrivals(recorder);
         let Self { scenes, renderer, interpolation, .. } = self;
         let at = turn.display_time;
-        let picture_arrived = recorder.scope("switch", |r| scenes.record_switch(r, at));
-        let Some(scene) = scenes.shown_mut() else { return Content::default() };
+        let stages = &mut renderer.stages;
+        let picture_arrived = recorder.scope("switch", |r| scenes.record_switch(r, stages, at))?;
+        let Some(scene) = scenes.shown_mut() else { return Ok(Content::default()) };
         scene.clock.show(at);
         let clock_error_bound_ns = scene.clock.error_bound_ns(at);
-        let Some(now) = scene.clock.server_time(at) else { return Content::default() };
+        let Some(now) = scene.clock.server_time(at) else { return Ok(Content::default()) };
         let stages = &renderer.stages;
         let report = recorder.scope("motion", |r| {
             let skinned = scene.record_poses(r, stages, flight, now);
@@ -165,7 +171,7 @@ impl Presenter {
         });
         recorder.barrier(Access::COMPUTE_WRITE, Access::VERTEX_READ); // positions, for the one draw
         let update = scene.update();
-        Content { time: Some(now), clock_error_bound_ns, update, picture_arrived, scene: report }
+        Ok(Content { time: Some(now), clock_error_bound_ns, update, picture_arrived, scene: report })
     }
 
     fn finish(&mut self, turn: &FrameTurn, views: &Views, content: Content, is_rendered: bool) -> Step {

@@ -7,6 +7,7 @@ use crate::link::Link;
 use crate::options::ClientOptions;
 use crate::preparing::{ArrivedPicture, Preparing};
 use crate::report::{DecodedIn, Notice};
+use shadecast_gpu::Gpu;
 use shadecast_protocol::clock::ClockEstimate;
 use shadecast_protocol::delta::ReceivedDelta;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS};
@@ -16,6 +17,7 @@ use shadecast_protocol::session::{ClientEvent, Out};
 use shadecast_protocol::time::ClientTime;
 use shadecast_protocol::wire::{self, StreamMessage, WireError};
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Decoded pictures that are remembered for who drives the client.
@@ -28,6 +30,8 @@ pub struct Intake {
     preparing: Option<Preparing>,
     end: IntakeEnd,
     options: ClientOptions,
+    /// For decoders, whose pictures may be in its memory.
+    gpu: Arc<Gpu>,
     eye_extent_pixels: [u32; 2],
     now: ClientTime,
     /// What the presenter knows of the clock.
@@ -38,12 +42,18 @@ pub struct Intake {
 }
 
 impl Intake {
-    pub(crate) fn new(end: IntakeEnd, options: ClientOptions, eye_extent_pixels: [u32; 2]) -> Self {
+    pub(crate) fn new(
+        end: IntakeEnd,
+        options: ClientOptions,
+        gpu: Arc<Gpu>,
+        eye_extent_pixels: [u32; 2],
+    ) -> Self {
         Self {
             link: Link::default(),
             preparing: None,
             end,
             options,
+            gpu,
             eye_extent_pixels,
             now: ClientTime(0),
             told_clock: None,
@@ -265,7 +275,7 @@ impl Intake {
     }
 
     fn welcome(&mut self, welcome: Welcome) {
-        let decoder = match (self.options.decoder)(welcome.codec, welcome.atlas_extent_texels) {
+        let decoder = match (self.options.decoder)(welcome.codec, welcome.atlas_extent_texels, &self.gpu) {
             Ok(decoder) => decoder,
             Err(error) => return self.notices.push_back(Notice::Failed(error.to_string())),
         };

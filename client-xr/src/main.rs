@@ -244,7 +244,7 @@ fn opener(arguments: &Arguments) -> Result<Box<net::Opener<'static>>, DisplayErr
     let validation = arguments.validation;
     let window = &arguments.window;
     if !window.window {
-        let options = XrOptions { validation, refresh_hz: arguments.refresh };
+        let options = XrOptions { validation, refresh_hz: arguments.refresh, ..XrOptions::default() };
         return Ok(Box::new(move || Ok(Box::new(Xr::open(&Platform, options)?) as Box<dyn Display>)));
     }
     let options = WindowOptions {

@@ -52,7 +52,11 @@ impl Preparing {
     pub(crate) fn take_back(&mut self, loan: Loan) {
         match loan {
             Loan::Batch(batch) => self.batches.push(batch),
-            Loan::Bundle(bundle) => self.bundles.push(bundle),
+            Loan::Bundle(mut bundle) => {
+                // The decoder may want it.
+                bundle.memory.on_device = None;
+                self.bundles.push(bundle);
+            }
         }
     }
 
@@ -93,8 +97,14 @@ impl Preparing {
         let newest = self.bundler.take_newest_complete(complete, |dropped| recycle(dropped.picture));
         let (update, ArrivedPicture { arrived, picture }) = newest?;
         let mut bundle = self.bundles.pop()?;
-        bundle.memory.planes.write(&picture);
-        recycle(picture);
+        match picture {
+            Picture::OnDevice(picture) => bundle.memory.on_device = Some(picture),
+            Picture::Planes(planes) => {
+                bundle.memory.planes.write(planes.planes());
+                recycle(Picture::Planes(planes));
+            }
+            Picture::FullChroma(planes) => bundle.memory.planes.write(planes.planes()),
+        }
         let (written, revision) = (bundle.written.replace(self.bundler.revision()), self.bundler.revision());
         if written.map(|written| written.coverage) != Some(revision.coverage) {
             bundle.memory.coverage.write(0, bytemuck::cast_slice(self.bundler.coverage().words()));

@@ -174,15 +174,25 @@ impl Scene {
     }
 
     /// Puts the newest complete bundle on display, if there is a newer one. Gives when the last byte of its picture came.
-    pub(crate) fn record_switch(&mut self, recorder: &mut Recorder, time: ServerTime) -> Option<ClientTime> {
-        let bundle = self.next.take()?;
-        self.sets[bundle.memory.index].planes.record(recorder, &bundle.memory.planes);
+    ///
+    /// # Errors
+    /// The device cannot draw pictures as the decoder now gives them.
+    pub(crate) fn record_switch(
+        &mut self,
+        recorder: &mut Recorder,
+        stages: &mut Stages,
+        time: ServerTime,
+    ) -> Result<Option<ClientTime>, GpuError> {
+        let Some(bundle) = self.next.take() else { return Ok(None) };
+        let Stages { atlas, targets, eyes, .. } = stages;
+        let picture = (&mut self.sets[bundle.memory.index], &bundle.memory);
+        atlas.record_picture(recorder, picture, &targets.pass, &self.memory, eyes.each_ref())?;
         self.ready = bundle.list.ready_at(GridTime::of(self.terms.grid, time).step);
         self.has_switched = true;
         let picture_arrived = bundle.picture_arrived;
         let before = self.shown.replace(bundle);
         self.spent.extend(before.map(Loan::Bundle));
-        Some(picture_arrived)
+        Ok(Some(picture_arrived))
     }
 
     /// Skeletons of the draw list's instances at `time`. Needs a barrier after it, before what reads their palettes.

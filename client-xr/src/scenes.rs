@@ -3,7 +3,7 @@
 use crate::handover::Loan;
 use crate::scene::Scene;
 use crate::stages::Stages;
-use shadecast_gpu::Recorder;
+use shadecast_gpu::{GpuError, Recorder};
 use shadecast_protocol::time::ClientTime;
 
 /// See the module.
@@ -62,20 +62,24 @@ impl Scenes {
 
     /// Puts the newest complete bundle on display. That of a new connection takes the whole scene with it. Gives when the last byte
     /// of its picture came.
+    ///
+    /// # Errors
+    /// The device cannot draw pictures as the decoder now gives them.
     pub(crate) fn record_switch(
         &mut self,
         recorder: &mut Recorder,
+        stages: &mut Stages,
         display_time: ClientTime,
-    ) -> Option<ClientTime> {
-        let scene = self.next.as_mut().or(self.shown.as_mut())?;
-        let time = scene.clock.server_time(display_time)?;
-        let picture_arrived = scene.record_switch(recorder, time)?;
+    ) -> Result<Option<ClientTime>, GpuError> {
+        let Some(scene) = self.next.as_mut().or(self.shown.as_mut()) else { return Ok(None) };
+        let Some(time) = scene.clock.server_time(display_time) else { return Ok(None) };
+        let Some(picture_arrived) = scene.record_switch(recorder, stages, time)? else { return Ok(None) };
         if let Some(mut next) = self.next.take() {
             let seen = self.shown.as_ref().and_then(|ended| ended.clock.server_time(display_time));
             seen.into_iter().for_each(|seen| next.clock.go_on_from(display_time, seen));
             self.shown = Some(next);
         }
-        Some(picture_arrived)
+        Ok(Some(picture_arrived))
     }
 
     /// What is not needed any more, once the GPU is done with the frame; with the connection's serial.

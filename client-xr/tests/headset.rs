@@ -6,6 +6,7 @@ use rand::rngs::SmallRng;
 use rand::{Rng, SeedableRng};
 use shadecast_client::client::{Client, ClientError, FrameReport, Notice, Step};
 use shadecast_client::decode::{DecodeError, Decoder};
+use shadecast_gpu::Gpu;
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent, ScriptedInput};
 use shadecast_mock_runtime::record::{Side, read_frames};
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
@@ -23,7 +24,9 @@ use shadecast_protocol::wire::{PictureHeader, StreamMessage, parse_stream};
 use shadecast_test_support::peers::offer;
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
+use support::on_device::{changing_decoder, on_device_decoder};
 use support::{Picture, Run, SIDE, at, coded, finish, frame, pixel, toy_decoder};
 
 const ATLAS: AtlasExtent = AtlasExtent::MIN;
@@ -649,7 +652,18 @@ fn a_display_frame_allocates_nothing_but_the_messages_that_leave() {
 #[test]
 fn while_updates_arrive_the_half_that_draws_allocates_nothing() {
     let run = Run::new(MockConfig::default());
-    let mut client = run.client();
+    let client = run.client();
+    draws_without_allocating(&run, client);
+}
+
+#[test]
+fn while_pictures_arrive_on_the_device_the_half_that_draws_allocates_nothing() {
+    let run = Run::new(MockConfig::default());
+    let client = run.client_on_device(on_device_decoder);
+    draws_without_allocating(&run, client);
+}
+
+fn draws_without_allocating(run: &Run, mut client: Client) {
     let mut line = Line::connect(&mut client);
     line.send(static_patches(), &planes([0, 64]), true);
     for _ in 0..80 {
@@ -681,7 +695,38 @@ fn while_updates_arrive_the_half_that_draws_allocates_nothing() {
         "bundles came on display: {settled:?}"
     );
     assert!(settled.iter().all(|(_, count)| *count == 0), "{settled:?}");
+    finish(run, client);
+}
+
+#[test]
+fn pictures_that_the_decoder_leaves_on_the_device_are_shown_in_any_format_and_come_back() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client_on_device(changing_decoder);
+    let mut line = Line::connect(&mut client);
+    line.send(static_patches(), &planes([0, 64]), true);
+    let mut shown = Vec::new();
+    for number in 1..=60 {
+        if number % 2 == 0 {
+            let update = UpdateId(number / 2);
+            let again = GeometryDelta { update, ..GeometryDelta::default() };
+            // Red and blue change places with every second one.
+            let at = if number / 2 % 2 == 0 { [0, 64] } else { [64, 0] };
+            line.send(again, &planes(at), false);
+        }
+        let report = line.frame(&mut client);
+        let stats = client.presenter.stats();
+        shown.extend(report.update.map(|update| (stats.frames - 1, update.0)));
+    }
     finish(&run, client);
+    assert!(shown.last().is_some_and(|(_, update)| *update >= 28), "{shown:?}");
+    for (index, update) in shown {
+        let want = if update % 2 == 0 { [RED.0, BLUE.0] } else { [BLUE.0, RED.0] };
+        let picture = run.picture(index, Side::Left);
+        for (x, want) in [-0.25, 0.25].into_iter().zip(want) {
+            let [x, y] = pixel([x, 1.6, -2.0], -1.0).map(|p| p as u32);
+            assert_close(picture.at(x, y), want, &format!("update {update} in frame {index}"));
+        }
+    }
 }
 
 #[test]
@@ -738,10 +783,14 @@ fn after_a_reconnect_the_old_bundle_stays_until_the_new_server_has_one() {
 }
 
 /// A decoder for the first session alone.
-fn decoder_of_the_first(codec: Codec, extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
+fn decoder_of_the_first(
+    codec: Codec,
+    extent: AtlasExtent,
+    gpu: &Arc<Gpu>,
+) -> Result<Box<dyn Decoder>, DecodeError> {
     static MADE: AtomicU32 = AtomicU32::new(0);
     match MADE.fetch_add(1, Ordering::Relaxed) {
-        0 => toy_decoder(codec, extent),
+        0 => toy_decoder(codec, extent, gpu),
         _ => Err(DecodeError::Extent(extent.texels())),
     }
 }

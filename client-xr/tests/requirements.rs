@@ -1,7 +1,7 @@
 //! What the client asks of a headset: the list against what every headset has, and what is really asked for against the list.
 
 use shadecast_client::platform::requirements::REQUIRED;
-use shadecast_gpu::{DesktopDevice, DeviceSource, Gpu, GpuError, GpuOptions, Needs, vk};
+use shadecast_gpu::{DesktopDevice, DeviceSource, Gpu, GpuError, GpuOptions, Needs, PICTURE_EXTENSIONS, vk};
 use shadecast_protocol::limits::{MAX_KEPT_SAMPLES, MAX_PATCH_SLOTS};
 use shadecast_shaders::generated as shaders;
 use shadecast_shaders::{BindingKind, Shader};
@@ -17,6 +17,9 @@ const EVERY_HEADSET_FEATURES: [&str; 5] = [
     "robustBufferAccess",
 ];
 const EVERY_HEADSET_CAPABILITIES: [&str; 4] = ["Matrix", "Shader", "MultiView", "ImageQuery"];
+/// By which Android's own decoders are read since its release 8; both headsets list them.
+const EVERY_HEADSET_PICTURE_EXTENSIONS: [&str; 2] =
+    ["VK_ANDROID_external_memory_android_hardware_buffer", "VK_EXT_queue_family_foreign"];
 const EVERY_RUNTIME_EXTENSIONS: [&str; 1] = ["XR_KHR_vulkan_enable2"];
 /// Quest 2's and Quest 3's drivers have these for what the client does with them; Vulkan guarantees all but the depth of 32 bits.
 const EVERY_HEADSET_FORMATS: [vk::Format; 4] =
@@ -33,9 +36,13 @@ fn client_shaders() -> Vec<&'static Shader> {
         &shaders::CLIENT_ATLAS_VERT,
         &shaders::CLIENT_ATLAS_FRAG,
         &shaders::CLIENT_ATLAS_BICUBIC_FRAG,
+        &shaders::CLIENT_ATLAS_PICTURE_FRAG,
+        &shaders::CLIENT_ATLAS_COSITED_FRAG,
         &shaders::CLIENT_ATLAS_MASKED_VERT,
         &shaders::CLIENT_ATLAS_MASKED_FRAG,
         &shaders::CLIENT_ATLAS_MASKED_BICUBIC_FRAG,
+        &shaders::CLIENT_ATLAS_MASKED_PICTURE_FRAG,
+        &shaders::CLIENT_ATLAS_MASKED_COSITED_FRAG,
         &shaders::CLIENT_BACKGROUND_VERT,
         &shaders::CLIENT_BACKGROUND_FRAG,
         &shaders::CLIENT_NOTICE_VERT,
@@ -50,6 +57,8 @@ fn the_list_asks_for_nothing_that_a_first_generation_headset_lacks() {
     assert!(REQUIRED.vulkan_version <= [1, 1]);
     assert!(REQUIRED.vulkan_extensions.is_empty());
     assert!(REQUIRED.vulkan_features.iter().all(|f| EVERY_HEADSET_FEATURES.contains(f)));
+    assert!(REQUIRED.picture_features.iter().all(|f| EVERY_HEADSET_FEATURES.contains(f)));
+    assert!(REQUIRED.picture_extensions.iter().all(|e| EVERY_HEADSET_PICTURE_EXTENSIONS.contains(e)));
     assert!(REQUIRED.spirv_capabilities.iter().all(|c| EVERY_HEADSET_CAPABILITIES.contains(c)));
     let formats = [REQUIRED.depth_format, REQUIRED.plane_format].into_iter().chain(REQUIRED.eye_formats);
     assert!(formats.into_iter().all(|format| EVERY_HEADSET_FORMATS.contains(&format)));
@@ -214,6 +223,8 @@ impl DeviceSource for Noting {
                     (features.multiview_tessellation_shader, "multiviewTessellationShader"),
                 ];
                 asked.extend(flags.iter().filter(|(on, _)| *on != 0).map(|(_, name)| (*name).to_owned()));
+            } else if link.s_type == vk::StructureType::PHYSICAL_DEVICE_SAMPLER_YCBCR_CONVERSION_FEATURES {
+                asked.push("samplerYcbcrConversion".to_owned());
             } else {
                 asked.push(format!("{:?}", link.s_type));
             }
@@ -226,14 +237,24 @@ impl DeviceSource for Noting {
 
 #[test]
 fn a_device_is_asked_for_exactly_what_the_list_says() {
-    let source = Noting::default();
-    let options = GpuOptions { needs: Needs::Client, validation: true, device_name: None };
-    let gpu = Gpu::open(&options, &source).expect("a Vulkan device");
     let [major, minor] = REQUIRED.vulkan_version;
-    let mut wanted = vec![format!("{major}.{minor}")];
-    wanted.extend(
-        REQUIRED.vulkan_extensions.iter().chain(REQUIRED.vulkan_features).map(|name| (*name).to_owned()),
-    );
-    assert_eq!(*source.asked.lock().unwrap(), wanted);
+    let version = format!("{major}.{minor}");
+    let named = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
+    let all = [named(REQUIRED.vulkan_extensions), named(REQUIRED.vulkan_features)].concat();
+    let wanted = [vec![version], all].concat();
+    assert_eq!(asked_for(Needs::Client), wanted);
+    // What reads a decoder's buffers is asked for on Android alone.
+    let of_pictures = [wanted, named(REQUIRED.picture_features)].concat();
+    assert_eq!(asked_for(Needs::ClientOfPictures), of_pictures);
+    assert_eq!(PICTURE_EXTENSIONS.map(|name| name.to_str().expect("ASCII")), REQUIRED.picture_extensions);
+}
+
+fn asked_for(needs: Needs) -> Vec<String> {
+    let source = Noting::default();
+    let options = GpuOptions { needs, validation: true, device_name: None };
+    let gpu = Gpu::open(&options, &source).expect("a Vulkan device");
     assert_eq!(gpu.validation_messages(), 0, "{:?}", gpu.validation_texts());
+    let mut asked = source.asked.into_inner().unwrap();
+    asked.sort();
+    asked
 }

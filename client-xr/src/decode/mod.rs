@@ -1,19 +1,26 @@
 //! The seam between the video stream and the atlas texture.
 //!
 //! What is above ([`crate::decoding`]) hands in access units in the order they were encoded and gets pictures; what is below
-//! is [`openh264`] on desktops, the platform's decoder on Android, and [`raw`] for what was not coded. A decoder never conceals: after a broken or lost
+//! is [`openh264`] on desktops, the platform's decoder on Android ([`platform_decoder`]), and [`raw`] for what was not coded. A decoder never conceals: after a broken or lost
 //! unit the picture on display stays, and the decoder refuses everything but a refresh, because a picture that
 //! refers to one that is missing would look plausible and be wrong.
 //!
 //! Whatever bytes come in, a decoder gives a picture of the agreed extent or an error; [`sps`] looks at every sequence header before the decoder does.
 
+use shadecast_gpu::{GpuError, YcbcrImage};
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
 use shadecast_protocol::picture::{I420, I420Error, I444};
+use std::fmt;
+use std::sync::Arc;
 use std::time::Duration;
 use thiserror::Error;
 
+mod inspect;
+#[cfg(target_os = "android")]
+pub mod media_codec;
 #[cfg(feature = "desktop")]
 pub mod openh264;
+pub mod platform_decoder;
 pub mod raw;
 pub mod sps;
 
@@ -27,7 +34,33 @@ pub enum Picture {
     Planes(I420),
     /// The same with full chroma, from a measurement's decoder alone.
     FullChroma(I444),
+    /// In the device's memory, where the platform's decoder has written it.
+    OnDevice(DevicePicture),
 }
+
+/// A picture that the platform's decoder has written, and lends: it is given back when this is dropped.
+pub struct DevicePicture {
+    /// What it is in. The decoder uses the same image again and again.
+    pub image: Arc<YcbcrImage>,
+    /// Whether something else than the device has written it, so that the device must take it over first.
+    pub is_foreign: bool,
+    /// Gives the memory back to the decoder.
+    pub lease: Box<dyn Send>,
+}
+
+impl fmt::Debug for DevicePicture {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("DevicePicture").field("format", &self.image.sampler.format()).finish_non_exhaustive()
+    }
+}
+
+impl PartialEq for DevicePicture {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.image, &other.image)
+    }
+}
+
+impl Eq for DevicePicture {}
 
 /// Turns access units into pictures.
 ///
@@ -119,6 +152,17 @@ pub enum DecodeError {
     /// A unit that is no picture as it is.
     #[error("an access unit is no picture: {0}")]
     NotRaw(#[from] I420Error),
+    /// The device cannot read what the platform's decoder writes.
+    #[error("a decoded picture is not to be read: {0}")]
+    Device(#[from] GpuError),
+    /// The platform's decoder has failed.
+    #[error("the platform's decoder failed while {doing}: {reason}")]
+    Platform {
+        /// What was being done.
+        doing: &'static str,
+        /// Its answer.
+        reason: String,
+    },
     /// The decoder library refused.
     #[error("openh264 failed while {doing} (code {code})")]
     Library {

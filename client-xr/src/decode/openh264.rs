@@ -17,9 +17,8 @@ use openh264_sys2::{
     SDecodingParam, TagSysMemBuffer, VIDEO_BITSTREAM_AVC, WELS_LOG_QUIET, source::APILoader, videoFormatI420,
 };
 
-use super::sps::{self, Sps};
+use super::inspect::{check_picture_extent, inspect};
 use super::{DecodeError, Decoder, Picture, Spare};
-use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
 use shadecast_protocol::picture::I420;
 
 /// The library's name for a function missing from its table, in the range of its own result codes.
@@ -50,13 +49,7 @@ enum State {
 impl OpenH264Decoder {
     /// Makes a decoder for a stream of the agreed extent: even, at least 16 and at most 4096x2304 texels.
     pub fn new(extent_texels: [u32; 2]) -> Result<Self, DecodeError> {
-        let fits = extent_texels
-            .into_iter()
-            .zip(MAX_PICTURE_EXTENT_TEXELS)
-            .all(|(texels, most)| (MIN_PICTURE_SIDE_TEXELS..=most).contains(&texels) && texels % 2 == 0);
-        if !fits {
-            return Err(DecodeError::Extent(extent_texels));
-        }
+        check_picture_extent(extent_texels)?;
         Ok(Self {
             extent_texels,
             library: Library::new()?,
@@ -113,28 +106,6 @@ impl Decoder for OpenH264Decoder {
     fn needs_refresh(&self) -> bool {
         self.state != State::Clean
     }
-}
-
-/// Refuses what must not reach the library; otherwise tells whether the unit can be decoded on its own.
-fn inspect(access_unit: &[u8], extent_texels: [u32; 2]) -> Result<bool, DecodeError> {
-    if access_unit.len() > MAX_ACCESS_UNIT_BYTES {
-        return Err(DecodeError::TooLong { got: access_unit.len() });
-    }
-    let mut is_refresh = false;
-    for unit in sps::nal_units(access_unit) {
-        match sps::nal_type(unit) {
-            sps::NAL_SPS => check_extent(&Sps::parse(unit)?, extent_texels)?,
-            sps::NAL_REFRESH_SLICE => is_refresh = true,
-            sps::NAL_SLICE | sps::NAL_SEI | sps::NAL_PPS | sps::NAL_DELIMITER | sps::NAL_FILLER => {}
-            other => return Err(DecodeError::UnexpectedUnit { nal_type: other }),
-        }
-    }
-    Ok(is_refresh)
-}
-
-fn check_extent(sps: &Sps, want: [u32; 2]) -> Result<(), DecodeError> {
-    let got = sps.extent_texels;
-    if got == want { Ok(()) } else { Err(DecodeError::ExtentMismatch { want, got }) }
 }
 
 /// One initialised decoder of the library. Owns it: destroyed on drop.

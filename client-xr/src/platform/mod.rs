@@ -5,9 +5,11 @@ pub mod requirements;
 
 use crate::decode::raw::RawDecoder;
 use crate::decode::{DecodeError, Decoder};
+use shadecast_gpu::Gpu;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::message::Codec;
 use shadecast_protocol::time::ClientTime;
+use std::sync::Arc;
 
 /// The system that the client runs on.
 #[cfg(not(target_os = "android"))]
@@ -43,26 +45,32 @@ impl Platform {
     }
 }
 
-/// Makes a decoder of a codec for pictures of an atlas.
-pub type MakeDecoder = fn(Codec, AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError>;
+/// Makes a decoder of a codec for pictures of an atlas; it may leave them in the device's memory.
+pub type MakeDecoder = fn(Codec, AtlasExtent, &Arc<Gpu>) -> Result<Box<dyn Decoder>, DecodeError>;
 
 /// The decoder of this system for pictures of an atlas.
-pub fn decoder(codec: Codec, extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
+pub fn decoder(codec: Codec, extent: AtlasExtent, gpu: &Arc<Gpu>) -> Result<Box<dyn Decoder>, DecodeError> {
     match codec {
-        Codec::H264 => h264_decoder(extent),
+        Codec::H264 => h264_decoder(extent, gpu),
         Codec::Raw => Ok(Box::new(RawDecoder::new(extent.texels()))),
     }
 }
 
-#[cfg(feature = "desktop")]
-fn h264_decoder(extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
+/// The platform's own; it writes to memory that the device reads.
+#[cfg(target_os = "android")]
+fn h264_decoder(extent: AtlasExtent, gpu: &Arc<Gpu>) -> Result<Box<dyn Decoder>, DecodeError> {
+    Ok(Box::new(crate::decode::media_codec::decoder(extent.texels(), gpu)?))
+}
+
+#[cfg(all(feature = "desktop", not(target_os = "android")))]
+fn h264_decoder(extent: AtlasExtent, _: &Arc<Gpu>) -> Result<Box<dyn Decoder>, DecodeError> {
     Ok(Box::new(crate::decode::openh264::OpenH264Decoder::new(extent.texels())?))
 }
 
-/// MediaCodec is a later step.
-#[cfg(not(feature = "desktop"))]
-fn h264_decoder(extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
-    Err(DecodeError::Extent(extent.texels()))
+#[cfg(not(any(feature = "desktop", target_os = "android")))]
+fn h264_decoder(_: AtlasExtent, _: &Arc<Gpu>) -> Result<Box<dyn Decoder>, DecodeError> {
+    let reason = "this client was built without one; build it with the feature `desktop`".to_owned();
+    Err(DecodeError::Platform { doing: "choosing a decoder of H.264", reason })
 }
 
 /// The clock of this system's programs.

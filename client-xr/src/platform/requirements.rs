@@ -12,6 +12,10 @@ pub struct Requirements {
     pub vulkan_extensions: &'static [&'static str],
     /// Vulkan features, by the names of the specification.
     pub vulkan_features: &'static [&'static str],
+    /// Vulkan features where pictures stay in the device's memory, which on Android they always do.
+    pub picture_features: &'static [&'static str],
+    /// Vulkan device extensions by which the device reads what Android's decoders write; asked for there alone.
+    pub picture_extensions: &'static [&'static str],
     /// Formats of the images of both eyes, best first: one of them must be there. They store what linear values encode to.
     pub eye_formats: [vk::Format; 2],
     /// Format of depth, which never leaves the pass.
@@ -61,6 +65,11 @@ pub const REQUIRED: Requirements = Requirements {
     vulkan_version: [1, 1],
     vulkan_extensions: &[],
     vulkan_features: &["multiview"],
+    picture_features: &["samplerYcbcrConversion"],
+    picture_extensions: &[
+        "VK_ANDROID_external_memory_android_hardware_buffer",
+        "VK_EXT_queue_family_foreign",
+    ],
     eye_formats: [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB],
     depth_format: vk::Format::D32_SFLOAT,
     plane_format: vk::Format::R8_UNORM,

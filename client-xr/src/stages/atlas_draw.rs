@@ -4,16 +4,21 @@ use super::FRAMES_IN_FLIGHT;
 use super::scatter::VertexMemory;
 use super::upload::{Chroma, PlaneStaging, Planes};
 use crate::coverage::CoverageMap;
+use crate::decode::DevicePicture;
 use crate::draw_list::{Drawable, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
 use crate::platform::requirements::REQUIRED;
 use shadecast_gpu::{
-    Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
-    Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc, Sampler, SamplerDesc, vk,
+    Attachment, Bind, BindGroup, Buffer, FixedSampler, Framebuffer, Gpu, GpuError, GraphicsPipeline,
+    GraphicsPipelineDesc, Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc, Sampler,
+    SamplerDesc, YcbcrImage, YcbcrSampler, vk,
 };
 use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_shaders::Shader;
 use shadecast_shaders::generated::{
-    CLIENT_ATLAS_BICUBIC_FRAG, CLIENT_ATLAS_FRAG, CLIENT_ATLAS_MASKED_BICUBIC_FRAG, CLIENT_ATLAS_MASKED_FRAG,
-    CLIENT_ATLAS_MASKED_VERT, CLIENT_ATLAS_VERT, CornerGpu, EyesGpu,
+    CLIENT_ATLAS_BICUBIC_FRAG, CLIENT_ATLAS_COSITED_FRAG, CLIENT_ATLAS_FRAG,
+    CLIENT_ATLAS_MASKED_BICUBIC_FRAG, CLIENT_ATLAS_MASKED_COSITED_FRAG, CLIENT_ATLAS_MASKED_FRAG,
+    CLIENT_ATLAS_MASKED_PICTURE_FRAG, CLIENT_ATLAS_MASKED_VERT, CLIENT_ATLAS_PICTURE_FRAG, CLIENT_ATLAS_VERT,
+    CornerGpu, EyesGpu,
 };
 use std::sync::Arc;
 
@@ -49,13 +54,21 @@ pub struct Lookup {
     pub chroma: Chroma,
 }
 
-/// The pipelines. What covers all of its block has one without `discard`, so that its depth is tested early.
+/// The pipelines.
 pub struct AtlasDraw {
+    gpu: Arc<Gpu>,
     chroma: Chroma,
-    pipeline: GraphicsPipeline,
-    masked: GraphicsPipeline,
+    ways: Ways,
     sampler: Sampler,
+    /// Those of pictures on the device, made when the first comes, and anew when the decoder changes their format.
+    of_pictures: Option<(Arc<YcbcrSampler>, Ways)>,
 }
+
+/// The pipeline of what covers all of its block, without `discard`, so that its depth is tested early, and that of cutouts.
+struct Ways([GraphicsPipeline; 2]);
+
+/// A bundle's bindings for both, one per frame in flight.
+type Groups = [[BindGroup; FRAMES_IN_FLIGHT]; 2];
 
 /// What the CPU makes of a bundle: a worker writes it, the render thread lets the GPU read it. A connection has [`BUNDLES`].
 pub struct BundleMemory {
@@ -67,8 +80,10 @@ pub struct BundleMemory {
     pub indices: Buffer,
     /// What cutouts leave of their blocks: a [`CoverageMap`]'s words, once there are any.
     pub coverage: Buffer,
-    /// The picture.
+    /// The picture, where the CPU has it.
     pub planes: PlaneStaging,
+    /// The picture, where the device has it; it counts where it is there.
+    pub on_device: Option<DevicePicture>,
 }
 
 /// One on display, one that is made, and one that the device may still read.
@@ -76,10 +91,13 @@ pub const BUNDLES: usize = 3;
 
 /// A bundle's images, and the bindings of its memory.
 pub struct BundleSet {
-    /// The picture.
+    /// The picture that the CPU had.
     pub planes: Planes,
-    groups: [BindGroup; FRAMES_IN_FLIGHT],
-    masked_groups: [BindGroup; FRAMES_IN_FLIGHT],
+    groups: Groups,
+    /// With the picture that the device has, and by what it is sampled.
+    of_picture: Option<(Arc<YcbcrSampler>, Groups)>,
+    /// Which of both are drawn.
+    is_on_device: bool,
 }
 
 impl EyeTargets {
@@ -156,18 +174,12 @@ impl AtlasDraw {
             Reconstruction::Bilinear => (&CLIENT_ATLAS_FRAG, &CLIENT_ATLAS_MASKED_FRAG),
             Reconstruction::Bicubic => (&CLIENT_ATLAS_BICUBIC_FRAG, &CLIENT_ATLAS_MASKED_BICUBIC_FRAG),
         };
-        let desc = GraphicsPipelineDesc {
-            cull: vk::CullModeFlags::BACK,
-            depth_write: Some(true),
-            ..GraphicsPipelineDesc::new(&CLIENT_ATLAS_VERT, fragment, pass)
-        };
-        let pipeline = GraphicsPipeline::new(gpu, &desc)?;
-        let masked = GraphicsPipelineDesc { vertex: &CLIENT_ATLAS_MASKED_VERT, fragment: masked, ..desc };
-        let masked = GraphicsPipeline::new(gpu, &masked)?;
+        let ways = Ways::new(gpu, pass, [fragment, masked], None)?;
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
         let sampler =
             SamplerDesc { filter: vk::Filter::LINEAR, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
-        Ok(Self { chroma, pipeline, masked, sampler: Sampler::new(gpu, sampler)? })
+        let sampler = Sampler::new(gpu, sampler)?;
+        Ok(Self { gpu: gpu.clone(), chroma, ways, sampler, of_pictures: None })
     }
 
     /// Memory for a bundle of a connection with these capacities.
@@ -187,6 +199,7 @@ impl AtlasDraw {
             indices: Buffer::new(gpu, "indices", index_bytes, Memory::Upload)?,
             coverage: Buffer::new(gpu, "coverage", CoverageMap::byte_count(extent), Memory::Upload)?,
             planes: PlaneStaging::new(gpu, extent, self.chroma)?,
+            on_device: None,
         })
     }
 
@@ -201,22 +214,42 @@ impl AtlasDraw {
         eyes: [&Buffer; FRAMES_IN_FLIGHT],
     ) -> Result<BundleSet, GpuError> {
         let planes = Planes::new(gpu, recorder, extent, self.chroma)?;
-        let binds = |eyes| {
-            [
-                ("Corners", Bind::Buffer(&bundle.corners)),
-                ("Positions", Bind::Buffer(&memory.positions)),
-                ("Eyes", Bind::Buffer(eyes)),
-                ("luma_plane", Bind::Sampled(&planes.images[0], &self.sampler)),
-                ("cb_plane", Bind::Sampled(&planes.images[1], &self.sampler)),
-                ("cr_plane", Bind::Sampled(&planes.images[2], &self.sampler)),
-                ("Coverage", Bind::Buffer(&bundle.coverage)),
-            ]
+        let [luma, cb, cr] = planes.images.each_ref().map(|plane| Bind::Sampled(plane, &self.sampler));
+        let pictures = [("luma_plane", luma), ("cb_plane", cb), ("cr_plane", cr)];
+        let groups = self.ways.bind(bundle, memory, eyes, &pictures)?;
+        Ok(BundleSet { planes, groups, of_picture: None, is_on_device: false })
+    }
+
+    /// Puts the picture of `bundle` where its draw finds it. The GPU is done with what was there.
+    pub fn record_picture(
+        &mut self,
+        recorder: &mut Recorder,
+        (set, bundle): (&mut BundleSet, &BundleMemory),
+        pass: &RenderPass,
+        memory: &VertexMemory,
+        eyes: [&Buffer; FRAMES_IN_FLIGHT],
+    ) -> Result<(), GpuError> {
+        set.is_on_device = bundle.on_device.is_some();
+        let Some(DevicePicture { image, is_foreign, .. }) = &bundle.on_device else {
+            set.planes.record(recorder, &bundle.planes);
+            return Ok(());
         };
-        let masked = |eyes| BindGroup::new(self.masked.layout(), &binds(eyes));
-        let opaque = |eyes| BindGroup::new(self.pipeline.layout(), &binds(eyes)[..6]);
-        let groups = [opaque(eyes[0])?, opaque(eyes[1])?, opaque(eyes[2])?];
-        let masked_groups = [masked(eyes[0])?, masked(eyes[1])?, masked(eyes[2])?];
-        Ok(BundleSet { planes, groups, masked_groups })
+        if *is_foreign {
+            recorder.take_over(image);
+        }
+        let known = self.of_pictures.take_if(|(sampler, _)| Arc::ptr_eq(sampler, &image.sampler));
+        let (_, ways) = self.of_pictures.insert(match known {
+            Some(known) => known,
+            None => (image.sampler.clone(), Ways::of_pictures(&self.gpu, pass, &image.sampler)?),
+        });
+        match &mut set.of_picture {
+            Some((sampler, groups)) if Arc::ptr_eq(sampler, &image.sampler) => ways.rebind(groups, image),
+            bound => {
+                let pictures = [("picture", Bind::Picture(image))];
+                *bound = Some((image.sampler.clone(), ways.bind(bundle, memory, eyes, &pictures)?));
+            }
+        }
+        Ok(())
     }
 
     /// Draws what can be drawn of the bundle behind `indices`, with the eyes of frame in flight `flight`.
@@ -228,13 +261,80 @@ impl AtlasDraw {
         flight: usize,
         drawn: Drawable,
     ) {
-        let ways = [(&self.pipeline, &set.groups[flight]), (&self.masked, &set.masked_groups[flight])];
-        for ([first, count], (pipeline, group)) in drawn.ranges().into_iter().zip(ways) {
+        let of_pictures = self.of_pictures.as_ref().zip(set.of_picture.as_ref());
+        let (ways, groups) = match of_pictures.filter(|_| set.is_on_device) {
+            Some(((_, ways), (_, groups))) => (ways, groups),
+            None => (&self.ways, &set.groups),
+        };
+        let ways = ways.0.iter().zip(groups);
+        for ([first, count], (pipeline, groups)) in drawn.ranges().into_iter().zip(ways) {
             if count > 0 {
-                recorder.bind(pipeline, group);
+                recorder.bind(pipeline, &groups[flight]);
                 recorder.bind_indices(indices, 0);
                 recorder.draw_indexed(first, count);
             }
+        }
+    }
+}
+
+impl Ways {
+    fn new(
+        gpu: &Arc<Gpu>,
+        pass: &RenderPass,
+        [fragment, masked]: [&Shader; 2],
+        fixed: Option<FixedSampler>,
+    ) -> Result<Self, GpuError> {
+        let pipeline = |vertex, fragment| {
+            let desc = GraphicsPipelineDesc {
+                cull: vk::CullModeFlags::BACK,
+                depth_write: Some(true),
+                ..GraphicsPipelineDesc::new(vertex, fragment, pass)
+            };
+            GraphicsPipeline::fixing(gpu, &desc, fixed.clone())
+        };
+        Ok(Self([pipeline(&CLIENT_ATLAS_VERT, fragment)?, pipeline(&CLIENT_ATLAS_MASKED_VERT, masked)?]))
+    }
+
+    /// Those of pictures on the device, always in a straight line between texels.
+    fn of_pictures(gpu: &Arc<Gpu>, pass: &RenderPass, sampler: &Arc<YcbcrSampler>) -> Result<Self, GpuError> {
+        let shaders = match sampler.is_cosited() {
+            false => [&CLIENT_ATLAS_PICTURE_FRAG, &CLIENT_ATLAS_MASKED_PICTURE_FRAG],
+            true => [&CLIENT_ATLAS_COSITED_FRAG, &CLIENT_ATLAS_MASKED_COSITED_FRAG],
+        };
+        Self::new(gpu, pass, shaders, Some(("picture", sampler.clone())))
+    }
+
+    fn bind(
+        &self,
+        bundle: &BundleMemory,
+        memory: &VertexMemory,
+        eyes: [&Buffer; FRAMES_IN_FLIGHT],
+        pictures: &[(&str, Bind<'_>)],
+    ) -> Result<Groups, GpuError> {
+        let group = |pipeline: &GraphicsPipeline, eyes| {
+            let mut binds = vec![
+                ("Corners", Bind::Buffer(&bundle.corners)),
+                ("Positions", Bind::Buffer(&memory.positions)),
+                ("Eyes", Bind::Buffer(eyes)),
+                ("Coverage", Bind::Buffer(&bundle.coverage)),
+            ];
+            binds.extend_from_slice(pictures);
+            BindGroup::of(pipeline.layout(), &binds)
+        };
+        let of = |pipeline| {
+            Ok::<_, GpuError>([
+                group(pipeline, eyes[0])?,
+                group(pipeline, eyes[1])?,
+                group(pipeline, eyes[2])?,
+            ])
+        };
+        Ok([of(&self.0[0])?, of(&self.0[1])?])
+    }
+
+    /// The same with another picture of the same kind.
+    fn rebind(&self, groups: &mut Groups, picture: &YcbcrImage) {
+        for (pipeline, groups) in self.0.iter().zip(groups) {
+            groups.iter_mut().for_each(|group| group.rebind(pipeline.layout(), "picture", picture));
         }
     }
 }

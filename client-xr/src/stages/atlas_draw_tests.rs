@@ -3,12 +3,12 @@
 
 use super::*;
 use crate::coverage::CoverageMap;
-use crate::decode::Picture;
+use crate::decode::{DevicePicture, Picture};
 use crate::draw_list::{Drawable, ListWriter};
 use crate::motion::skinned::SkinCapacity;
 use crate::stages::eyes_gpu;
 use glam::{Mat4, Vec2};
-use shadecast_gpu::{Access, DesktopDevice, GpuOptions, Needs};
+use shadecast_gpu::{Access, DesktopDevice, GpuOptions, Needs, YcbcrFormat};
 use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::coverage::Coverage;
 use shadecast_protocol::ids::{InstanceId, VertexSlot};
@@ -113,7 +113,7 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
-        let options = GpuOptions { needs: Needs::Client, validation: true, device_name: None };
+        let options = GpuOptions { needs: Needs::ClientOfPictures, validation: true, device_name: None };
         let gpu = Gpu::open(&options, &DesktopDevice)
             .expect("a Vulkan device; `./shadecast setup` installs a software one");
         let format = vk::Format::R8G8B8A8_UNORM;
@@ -151,10 +151,10 @@ impl Bench {
         let mut recorder = gpu.record().unwrap();
         let positions = Buffer::upload(gpu, "positions", &shown.positions).unwrap();
         recorder.copy_buffer(&positions, 0, &self.memory.positions, 0, positions.size());
-        let stage = AtlasDraw::new(gpu, &self.targets.pass, lookup).unwrap();
+        let mut stage = AtlasDraw::new(gpu, &self.targets.pass, lookup).unwrap();
         let eyes = self.eyes.each_ref();
         let mut bundle = stage.bundle_memory(gpu, 0, PATCHES, ATLAS).unwrap();
-        let set = stage.bundle_set(gpu, &mut recorder, &bundle, ATLAS, &self.memory, eyes).unwrap();
+        let mut set = stage.bundle_set(gpu, &mut recorder, &bundle, ATLAS, &self.memory, eyes).unwrap();
         let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(bundle.corners.bytes_mut());
         let indices: &mut [u32] = bytemuck::cast_slice_mut(bundle.indices.bytes_mut());
         let mut writer = ListWriter::new(corners, indices);
@@ -164,8 +164,16 @@ impl Bench {
         if shown.patches.iter().any(|patch| patch.is_masked) {
             drawn = Drawable { cutouts: [0, drawn.opaque], ..Drawable::default() };
         }
-        bundle.planes.write(picture);
-        set.planes.record(&mut recorder, &bundle.planes);
+        match picture {
+            Picture::Planes(planes) => bundle.planes.write(planes.planes()),
+            Picture::OnDevice(DevicePicture { image, .. }) => {
+                let (image, lease) = (image.clone(), Box::new(()));
+                bundle.on_device = Some(DevicePicture { image, is_foreign: false, lease });
+            }
+            Picture::FullChroma(_) => unreachable!("no test has such"),
+        }
+        let (pass, of_bundle) = (&self.targets.pass, (&mut set, &bundle));
+        stage.record_picture(&mut recorder, of_bundle, pass, &self.memory, eyes).unwrap();
         recorder.barrier(Access::COPY_WRITE, Access::VERTEX_READ);
         self.targets.begin(&mut recorder, 0);
         stage.record(&mut recorder, &set, &bundle.indices, 0, drawn);
@@ -277,6 +285,76 @@ fn gpu_and_twin_agree_on_what_a_cutout_leaves() {
             drawn += usize::from(pixel[0] > 128);
         }
         assert!((2000..14_000).contains(&drawn), "{drawn} of {}", SIDE * SIDE);
+    }
+    assert_eq!(bench.gpu.validation_messages(), 0, "{:?}", bench.gpu.validation_texts());
+}
+
+/// The same picture on the device, in one image of this format, as a platform's decoder leaves it.
+fn on_device(gpu: &Arc<Gpu>, picture: &Picture, format: vk::Format) -> Picture {
+    let Picture::Planes(picture) = picture else { panic!("made of planes") };
+    let sampler = YcbcrSampler::new(gpu, YcbcrFormat::Known(format)).expect("a software device samples it");
+    let image = YcbcrImage::new(gpu, &sampler, ATLAS.texels()).unwrap();
+    let [luma, cb, cr] = picture.planes();
+    let planes = match format {
+        vk::Format::G8_B8R8_2PLANE_420_UNORM => {
+            vec![luma.to_vec(), cb.iter().zip(cr).flat_map(|(cb, cr)| [*cb, *cr]).collect()]
+        }
+        _ => vec![luma.to_vec(), cb.to_vec(), cr.to_vec()],
+    };
+    let staging = Buffer::upload(gpu, "picture", &planes.concat()).unwrap();
+    let mut recorder = gpu.record().unwrap();
+    let written = [vk::ImageLayout::UNDEFINED, vk::ImageLayout::TRANSFER_DST_OPTIMAL];
+    recorder.transition(&image.image, written, Access::NONE, Access::COPY_WRITE);
+    let mut offset = 0;
+    for (plane, bytes) in planes.iter().enumerate() {
+        recorder.write_plane(&image, plane as u32, &staging, offset);
+        offset += bytes.len() as u64;
+    }
+    let read = [vk::ImageLayout::TRANSFER_DST_OPTIMAL, vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL];
+    recorder.transition(&image.image, read, Access::COPY_WRITE, Access::FRAGMENT_READ);
+    gpu.wait(recorder.submit().unwrap()).unwrap();
+    Picture::OnDevice(DevicePicture { image: Arc::new(image), is_foreign: false, lease: Box::new(()) })
+}
+
+/// Smooth in all three planes, with all of their range, and no two blocks alike.
+fn smooth() -> Picture {
+    let [width, height] = ATLAS.texels().map(|side| side as usize);
+    let wave = |x: usize, y: usize, turn: f32| {
+        let phase = x as f32 * 0.031 + y as f32 * 0.047 * turn;
+        (127.5 + 127.5 * (phase + turn).sin()).round() as u8
+    };
+    let plane = |step: usize, turn: f32| -> Vec<u8> {
+        let texels = (0..height / step).flat_map(|y| (0..width / step).map(move |x| (x * step, y * step)));
+        texels.map(|(x, y)| wave(x, y, turn)).collect()
+    };
+    let planes = [plane(1, 1.0), plane(2, 1.7), plane(2, 2.9)].concat();
+    Picture::Planes(I420::new(ATLAS.texels(), planes).unwrap())
+}
+
+#[test]
+fn a_picture_in_one_image_of_the_device_has_the_colours_of_its_planes() {
+    let bench = Bench::new();
+    let blocks = blocks();
+    let shown = Patches::of(&blocks);
+    let mut cutouts = Patches::of(&blocks);
+    cutouts.patches.iter_mut().for_each(|patch| patch.is_masked = true);
+    let mut all = CoverageMap::new(ATLAS);
+    for block in &blocks {
+        all.cover(*block, &Coverage::from_fn(block.size.texels(), |texel| texel % 3 != 0));
+    }
+    for picture in [smooth(), picture(&blocks)] {
+        let want = bench.draw(&shown, &picture, Lookup::default());
+        let want_cutouts = bench.draw_cutouts(&cutouts, &picture, Lookup::default(), &all);
+        assert!(want.chunks_exact(4).any(|pixel| pixel[..3] != want[..3]) || want[0] >= 253);
+        for format in [vk::Format::G8_B8_R8_3PLANE_420_UNORM, vk::Format::G8_B8R8_2PLANE_420_UNORM] {
+            let picture = on_device(&bench.gpu, &picture, format);
+            let got = bench.draw(&shown, &picture, Lookup::default());
+            let got_cutouts = bench.draw_cutouts(&cutouts, &picture, Lookup::default(), &all);
+            for (got, want) in [(&got, &want), (&got_cutouts, &want_cutouts)] {
+                let farthest = got.iter().zip(want.iter()).map(|(a, b)| a.abs_diff(*b)).max();
+                assert!(farthest <= Some(3), "{format:?}: {farthest:?} of 255 apart");
+            }
+        }
     }
     assert_eq!(bench.gpu.validation_messages(), 0, "{:?}", bench.gpu.validation_texts());
 }

@@ -1,7 +1,6 @@
 //! Decoded planes into images. Three sets exist, so that the one on display is never overwritten and no copy is waited for.
 //! A worker writes the staging buffers, the render thread lets the GPU copy them.
 
-use crate::decode::Picture;
 use crate::platform::requirements::REQUIRED;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, ImageDesc, Memory, Recorder, vk};
 use shadecast_protocol::atlas::AtlasExtent;
@@ -56,12 +55,8 @@ impl PlaneStaging {
         Ok(Self { staging, offsets: [0, luma, luma + cb], sizes })
     }
 
-    /// Takes in `picture`, which has the extent this was made for. The GPU is done with what was here.
-    pub fn write(&mut self, picture: &Picture) {
-        let planes = match picture {
-            Picture::Planes(picture) => picture.planes(),
-            Picture::FullChroma(picture) => picture.planes(),
-        };
+    /// Takes in `planes`, which have the extent this was made for. The GPU is done with what was here.
+    pub fn write(&mut self, planes: [&[u8]; 3]) {
         for (index, plane) in planes.into_iter().enumerate() {
             assert_eq!(plane.len(), self.sizes[index], "a decoder gives pictures of the agreed extent");
             self.staging.write(self.offsets[index], plane);

@@ -33,6 +33,8 @@ pub struct XrOptions {
     pub validation: bool,
     /// The rate that the display is asked for, frames a second: of those that it has the nearest. `None`: its own choice.
     pub refresh_hz: Option<f32>,
+    /// Whether decoders may leave pictures in the device's memory; on Android they always do.
+    pub pictures_on_device: bool,
 }
 
 /// The runtime, as the maker of Vulkan's instance and device.
@@ -242,8 +244,9 @@ impl Xr {
         // The specification wants this call before a session is made; any version with 1.1 core will do.
         instance.graphics_requirements::<openxr::Vulkan>(system).doing("asking for Vulkan versions")?;
         let device = XrDevice { instance: instance.clone(), system, loader: OnceLock::new() };
-        let gpu_options =
-            GpuOptions { needs: Needs::Client, validation: options.validation, device_name: None };
+        let on_device = options.pictures_on_device || cfg!(target_os = "android");
+        let needs = if on_device { Needs::ClientOfPictures } else { Needs::Client };
+        let gpu_options = GpuOptions { needs, validation: options.validation, device_name: None };
         let gpu = Gpu::open(&gpu_options, &device)?;
         let storage_buffers = gpu.max_stage_storage_buffers();
         REQUIRED.check_buffers(&gpu.device_name(), storage_buffers, gpu.max_storage_buffer_bytes())?;

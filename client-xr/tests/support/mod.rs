@@ -17,6 +17,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+pub mod on_device;
+
 /// Pixels of one eye, both ways; 90 degrees.
 pub const SIDE: u32 = 256;
 
@@ -44,12 +46,19 @@ impl Run {
 
     /// The same with another decoder.
     pub fn client_with(&self, decoder: MakeDecoder) -> Client {
-        self.client_of(XrOptions { validation: true, refresh_hz: None }, decoder)
+        self.client_of(XrOptions { validation: true, ..XrOptions::default() }, decoder)
     }
 
     /// The same with a display of another rate.
     pub fn client_at(&self, refresh_hz: f32) -> Client {
-        self.client_of(XrOptions { validation: true, refresh_hz: Some(refresh_hz) }, toy_decoder)
+        let refresh_hz = Some(refresh_hz);
+        self.client_of(XrOptions { validation: true, refresh_hz, ..XrOptions::default() }, toy_decoder)
+    }
+
+    /// A client whose decoder leaves pictures in the device's memory.
+    pub fn client_on_device(&self, decoder: MakeDecoder) -> Client {
+        let options = XrOptions { validation: true, pictures_on_device: true, ..XrOptions::default() };
+        self.client_of(options, decoder)
     }
 
     fn client_of(&self, options: XrOptions, decoder: MakeDecoder) -> Client {
@@ -132,7 +141,7 @@ pub fn at(ns: i64) -> ClientTime {
 }
 
 /// A decoder of what [`coded`] makes.
-pub fn toy_decoder(_: Codec, extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
+pub fn toy_decoder(_: Codec, extent: AtlasExtent, _: &Arc<Gpu>) -> Result<Box<dyn Decoder>, DecodeError> {
     let extent_texels = extent.texels();
     Ok(Box::new(ToyDecoder { extent_texels, has_reference: false, done: VecDeque::new() }))
 }

@@ -1,6 +1,7 @@
 //! Descriptor layouts from reflection, and sets bound by the names that GLSL gives.
 
 use crate::memory::Garbage;
+use crate::ycbcr::{YcbcrImage, YcbcrSampler};
 use crate::{Buffer, Doing, Gpu, GpuError, Image, Sampler};
 use ash::vk;
 use shadecast_protocol::limits::SCENE_TEXTURES;
@@ -15,8 +16,16 @@ pub struct Layout {
     bindings: Vec<(Binding, vk::ShaderStageFlags)>,
     pub(crate) push_stages: vk::ShaderStageFlags,
     pub(crate) push_bytes: u32,
+    /// Part of the layout.
+    fixed: Option<FixedSampler>,
     name: &'static str,
 }
+
+/// A sampler that is part of a layout, and the name of its binding.
+pub type FixedSampler = (&'static str, Arc<YcbcrSampler>);
+
+/// A picture of a platform's format may take as many descriptors as it has planes.
+const DESCRIPTORS_PER_PICTURE: u32 = 4;
 
 /// A resource for a binding.
 #[derive(Clone, Copy)]
@@ -27,13 +36,15 @@ pub enum Bind<'a> {
     Buffers(&'a [Buffer]),
     /// An image to sample, in SHADER_READ_ONLY_OPTIMAL.
     Sampled(&'a Image, &'a Sampler),
+    /// A picture, in SHADER_READ_ONLY_OPTIMAL, for the layout's own sampler.
+    Picture(&'a YcbcrImage),
     /// Images for a texture array, from element 0 on.
     Textures(&'a [(&'a Image, &'a Sampler)]),
     /// A storage image, in GENERAL.
     Storage(&'a Image),
 }
 
-/// A descriptor set, written once.
+/// A descriptor set.
 pub struct BindGroup {
     gpu: Arc<Gpu>,
     pool: vk::DescriptorPool,
@@ -43,15 +54,29 @@ pub struct BindGroup {
 impl Layout {
     /// The layout that reflection found in `shaders` (one compute shader, or a vertex and a fragment shader).
     pub fn new(gpu: &Arc<Gpu>, shaders: &[&Shader]) -> Result<Arc<Self>, GpuError> {
+        Self::fixing(gpu, shaders, None)
+    }
+
+    /// The same with a sampler that is part of it.
+    pub fn fixing(
+        gpu: &Arc<Gpu>,
+        shaders: &[&Shader],
+        fixed: Option<FixedSampler>,
+    ) -> Result<Arc<Self>, GpuError> {
         let bindings = merged(shaders);
+        let samplers: Vec<_> = fixed.iter().map(|(_, sampler)| sampler.handle).collect();
         let infos: Vec<_> = bindings
             .iter()
             .map(|(binding, stages)| {
-                vk::DescriptorSetLayoutBinding::default()
+                let info = vk::DescriptorSetLayoutBinding::default()
                     .binding(binding.index)
                     .descriptor_type(descriptor_type(binding.kind))
                     .descriptor_count(count(binding))
-                    .stage_flags(*stages)
+                    .stage_flags(*stages);
+                match &fixed {
+                    Some((name, _)) if *name == binding.name => info.immutable_samplers(&samplers),
+                    _ => info,
+                }
             })
             .collect();
         let flags: Vec<_> = bindings
@@ -85,7 +110,8 @@ impl Layout {
             (set_layout, handle.doing("creating a pipeline layout")?)
         };
         let name = shaders.last().map_or("", |s| s.name);
-        Ok(Arc::new(Self { gpu: gpu.clone(), handle, set_layout, bindings, push_stages, push_bytes, name }))
+        let gpu = gpu.clone();
+        Ok(Arc::new(Self { gpu, handle, set_layout, bindings, push_stages, push_bytes, fixed, name }))
     }
 
     fn find(&self, name: &str) -> &Binding {
@@ -156,7 +182,11 @@ impl BindGroup {
         let sizes: Vec<_> = layout
             .bindings
             .iter()
-            .map(|(b, _)| vk::DescriptorPoolSize { ty: descriptor_type(b.kind), descriptor_count: count(b) })
+            .map(|(b, _)| {
+                let is_fixed = layout.fixed.as_ref().is_some_and(|(name, _)| *name == b.name);
+                let descriptor_count = if is_fixed { DESCRIPTORS_PER_PICTURE } else { count(b) };
+                vk::DescriptorPoolSize { ty: descriptor_type(b.kind), descriptor_count }
+            })
             .collect();
         let info = vk::DescriptorPoolCreateInfo::default().max_sets(1).pool_sizes(&sizes);
         // SAFETY: the pool holds exactly one set of this layout.
@@ -181,6 +211,19 @@ impl BindGroup {
         Self::new(layout, &binds)
     }
 
+    /// Binds another picture to `name`, of the group's own layout. No submitted work uses the group.
+    pub fn rebind(&mut self, layout: &Layout, name: &str, picture: &YcbcrImage) {
+        let binding = layout.find(name);
+        let infos = [of_picture(picture)];
+        let write = vk::WriteDescriptorSet::default()
+            .dst_set(self.set)
+            .dst_binding(binding.index)
+            .descriptor_type(descriptor_type(binding.kind))
+            .image_info(&infos);
+        // SAFETY: no submitted work uses the set; the picture is alive.
+        unsafe { self.gpu.device.update_descriptor_sets(&[write], &[]) };
+    }
+
     fn write(&self, binding: &Binding, bind: &Bind<'_>) {
         let sampled = |image: &Image, sampler: &Sampler| {
             vk::DescriptorImageInfo::default()
@@ -199,6 +242,7 @@ impl BindGroup {
                 vk::DescriptorBufferInfo::default().buffer(buffer.handle).range(vk::WHOLE_SIZE)
             })),
             Bind::Sampled(image, sampler) => images.push(sampled(image, sampler)),
+            Bind::Picture(picture) => images.push(of_picture(picture)),
             Bind::Textures(all) => images.extend(all.iter().map(|(i, s)| sampled(i, s))),
             Bind::Storage(image) => images.push(
                 vk::DescriptorImageInfo::default()
@@ -215,9 +259,16 @@ impl BindGroup {
             .descriptor_type(descriptor_type(binding.kind));
         // Each setter sets the count, so only one may be called.
         let write = if images.is_empty() { write.buffer_info(&buffers) } else { write.image_info(&images) };
-        // SAFETY: the set is new and not in use; the resources are alive.
+        // SAFETY: no submitted work uses the set; the resources are alive.
         unsafe { self.gpu.device.update_descriptor_sets(&[write], &[]) };
     }
+}
+
+/// The layout has the sampler.
+fn of_picture(picture: &YcbcrImage) -> vk::DescriptorImageInfo {
+    vk::DescriptorImageInfo::default()
+        .image_view(picture.image.view)
+        .image_layout(vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL)
 }
 
 impl Drop for BindGroup {

@@ -1,6 +1,8 @@
 //! The device and what hangs on it: allocator, command slots, retire ring, validation messages.
 
-use crate::devices::{self, FoundDevice, NO_DRIVER, NO_LAYER, Needs, has_geometry_shader, missing, name_of};
+use crate::devices::{
+    self, FoundDevice, NO_DRIVER, NO_LAYER, Needs, PICTURE_EXTENSIONS, has_geometry_shader, missing, name_of,
+};
 use crate::lanes::{LANES, Lanes};
 use crate::memory::Garbage;
 use crate::recorder::CommandSlot;
@@ -455,6 +457,15 @@ fn create_device(
         .push_next(&mut multiview);
     if server {
         info = info.push_next(&mut indexing).push_next(&mut timeline);
+    }
+    let mut pictures =
+        vk::PhysicalDeviceSamplerYcbcrConversionFeatures::default().sampler_ycbcr_conversion(true);
+    let extensions = PICTURE_EXTENSIONS.map(CStr::as_ptr);
+    if options.needs == Needs::ClientOfPictures {
+        info = info.push_next(&mut pictures);
+        if cfg!(target_os = "android") {
+            info = info.enabled_extension_names(&extensions);
+        }
     }
     let handle = source.create_device(instance, physical, &info)?;
     // SAFETY: `handle` was created from this instance.

@@ -2,6 +2,7 @@
 
 use crate::GpuError;
 use ash::vk;
+use std::ffi::CStr;
 
 /// What to do where there is no device at all.
 pub(crate) const NO_DRIVER: &str = if cfg!(windows) {
@@ -23,14 +24,20 @@ pub(crate) const NO_LAYER: &str = if cfg!(windows) {
     "Debian and Ubuntu: package vulkan-validationlayers"
 };
 
-/// Which of the two required feature sets a device must have.
+/// Which of the required feature sets a device must have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Needs {
     /// Vulkan 1.2 with descriptor indexing. `gl_PrimitiveID` in fragment shaders is asked for where the device has it.
     Server,
     /// Vulkan 1.1 core with multiview: nothing a first-generation standalone headset lacks.
     Client,
+    /// The same with pictures of several planes that one lookup reads; on Android those of its decoders.
+    ClientOfPictures,
 }
+
+/// Extensions by which a device of Android reads what its decoders write.
+pub const PICTURE_EXTENSIONS: [&CStr; 2] =
+    [ash::android::external_memory_android_hardware_buffer::NAME, ash::ext::queue_family_foreign::NAME];
 
 /// A device that a driver offers.
 #[derive(Clone, Debug)]
@@ -143,7 +150,9 @@ pub(crate) fn missing(
     }
     let mut multiview = vk::PhysicalDeviceMultiviewFeatures::default();
     let mut indexing = vk::PhysicalDeviceDescriptorIndexingFeatures::default();
-    let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut multiview);
+    let mut pictures = vk::PhysicalDeviceSamplerYcbcrConversionFeatures::default();
+    let mut features =
+        vk::PhysicalDeviceFeatures2::default().push_next(&mut multiview).push_next(&mut pictures);
     if needs == Needs::Server {
         features = features.push_next(&mut indexing);
     }
@@ -153,7 +162,10 @@ pub(crate) fn missing(
     if multiview.multiview == 0 {
         return Some("multiview");
     }
-    if needs == Needs::Client {
+    if needs == Needs::ClientOfPictures && pictures.sampler_ycbcr_conversion == 0 {
+        return Some("samplerYcbcrConversion");
+    }
+    if needs != Needs::Server {
         return None;
     }
     let wanted = [

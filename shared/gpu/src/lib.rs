@@ -4,6 +4,8 @@
 mod bind;
 mod context;
 mod devices;
+#[cfg(target_os = "android")]
+mod hardware_buffer;
 mod lanes;
 mod memory;
 mod pass;
@@ -13,11 +15,14 @@ mod selftest;
 mod timings;
 #[cfg(feature = "window")]
 mod window;
+mod ycbcr;
 
 pub use ash::vk;
-pub use bind::{Bind, BindGroup, Layout};
+pub use bind::{Bind, BindGroup, FixedSampler, Layout};
 pub use context::{DesktopDevice, DeviceSource, Gpu, GpuOptions, survey};
-pub use devices::{FoundDevice, Needs};
+pub use devices::{FoundDevice, Needs, PICTURE_EXTENSIONS};
+#[cfg(target_os = "android")]
+pub use hardware_buffer::HardwareBufferKind;
 pub use memory::{Buffer, Image, ImageDesc, Memory, MemoryUse, Sampler, SamplerDesc};
 pub use pass::{Attachment, Framebuffer, RenderPass, RenderPassDesc};
 pub use pipeline::{ComputePipeline, GraphicsPipeline, GraphicsPipelineDesc, VertexInput};
@@ -25,6 +30,7 @@ pub use recorder::{Access, Recorder, Ticket};
 pub use timings::{Timing, Timings};
 #[cfg(feature = "window")]
 pub use window::{Swapchain, WindowDevice, WindowImage};
+pub use ycbcr::{YcbcrFormat, YcbcrImage, YcbcrSampler};
 
 /// What can go wrong with a device.
 #[derive(Debug, thiserror::Error)]

@@ -1,5 +1,6 @@
 //! Buffers, images and samplers. Dropping one hands its handles to the retire ring; the fence destroys.
 
+use crate::ycbcr::YcbcrSampler;
 use crate::{Doing, Gpu, GpuError};
 use ash::vk;
 use gpu_allocator::MemoryLocation;
@@ -115,8 +116,8 @@ pub struct Image {
 pub(crate) enum Backing {
     /// The allocator.
     Allocation(Allocation),
-    /// Memory of its own that a tiler never fills: attachments that live within one pass.
-    Lazy(vk::DeviceMemory),
+    /// Memory of its own: lazily allocated for attachments that live within one pass, or a platform's.
+    Own(vk::DeviceMemory),
 }
 
 /// How a texture is read.
@@ -144,6 +145,7 @@ pub(crate) enum Garbage {
     Image(vk::Image, vk::ImageView, Option<Backing>),
     View(vk::ImageView),
     Sampler(vk::Sampler),
+    YcbcrSampler(vk::Sampler, vk::SamplerYcbcrConversion),
     DescriptorPool(vk::DescriptorPool),
     Layout(vk::PipelineLayout, vk::DescriptorSetLayout),
     Pipeline(vk::Pipeline),
@@ -171,12 +173,16 @@ impl Garbage {
                     device.destroy_image(image, None);
                     match backing {
                         Some(Backing::Allocation(allocation)) => free(gpu, Some(allocation)),
-                        Some(Backing::Lazy(memory)) => device.free_memory(memory, None),
+                        Some(Backing::Own(memory)) => device.free_memory(memory, None),
                         None => {}
                     }
                 }
                 Self::View(view) => device.destroy_image_view(view, None),
                 Self::Sampler(sampler) => device.destroy_sampler(sampler, None),
+                Self::YcbcrSampler(sampler, conversion) => {
+                    device.destroy_sampler(sampler, None);
+                    device.destroy_sampler_ycbcr_conversion(conversion, None);
+                }
                 Self::DescriptorPool(pool) => device.destroy_descriptor_pool(pool, None),
                 Self::Layout(layout, set) => {
                     device.destroy_pipeline_layout(layout, None);
@@ -310,6 +316,19 @@ impl Drop for Buffer {
 impl Image {
     /// An image in layout UNDEFINED. One with usage TRANSIENT_ATTACHMENT gets lazily allocated memory where there is any.
     pub fn new(gpu: &Arc<Gpu>, desc: ImageDesc) -> Result<Self, GpuError> {
+        Self::allocated(gpu, desc, YcbcrView(None))
+    }
+
+    /// One of several planes, seen as `sampler` samples it.
+    pub(crate) fn of_planes(
+        gpu: &Arc<Gpu>,
+        desc: ImageDesc,
+        sampler: &YcbcrSampler,
+    ) -> Result<Self, GpuError> {
+        Self::allocated(gpu, desc, YcbcrView(Some(sampler)))
+    }
+
+    fn allocated(gpu: &Arc<Gpu>, desc: ImageDesc, view: YcbcrView<'_>) -> Result<Self, GpuError> {
         let info = vk::ImageCreateInfo::default()
             .image_type(vk::ImageType::TYPE_2D)
             .format(desc.format)
@@ -325,12 +344,31 @@ impl Image {
             let backing = image_backing(gpu, &desc, requirements)?;
             let (memory, offset) = match &backing {
                 Backing::Allocation(allocation) => (allocation.memory(), allocation.offset()),
-                Backing::Lazy(memory) => (*memory, 0),
+                Backing::Own(memory) => (*memory, 0),
             };
             gpu.device.bind_image_memory(handle, memory, offset).doing("binding an image's memory")?;
-            let view = create_view(gpu, handle, &desc, 0, desc.layers)?;
-            Ok(Self { gpu: gpu.clone(), handle, view, backing: Some(backing), desc })
+            Self::around(gpu, desc, handle, backing, view)
         }
+    }
+
+    /// What owns `handle`, which has its memory.
+    pub(crate) fn around(
+        gpu: &Arc<Gpu>,
+        desc: ImageDesc,
+        handle: vk::Image,
+        backing: Backing,
+        view: YcbcrView<'_>,
+    ) -> Result<Self, GpuError> {
+        let view = create_view(gpu, handle, &desc, (0, desc.layers), view);
+        // A null view is none to destroy.
+        let made = Self {
+            gpu: gpu.clone(),
+            handle,
+            view: view.as_ref().copied().unwrap_or_default(),
+            backing: Some(backing),
+            desc,
+        };
+        view.map(|_| made)
     }
 
     /// What it was made with.
@@ -378,7 +416,7 @@ fn image_backing(
         .memory_type_index(memory_type_index);
     // SAFETY: the device is alive, and the type is one of its own that the image can use.
     let memory = unsafe { gpu.device.allocate_memory(&info, None) };
-    Ok(Backing::Lazy(memory.doing("allocating lazy memory for an attachment")?))
+    Ok(Backing::Own(memory.doing("allocating lazy memory for an attachment")?))
 }
 
 fn lazy_memory_type(gpu: &Gpu, allowed: u32) -> Option<u32> {
@@ -403,20 +441,28 @@ fn whole(desc: &ImageDesc, first_layer: u32, layers: u32) -> vk::ImageSubresourc
     }
 }
 
-/// A view of `layers` layers of an image made with `desc`.
+/// What an image's view is sampled with, where that is a conversion.
+#[derive(Clone, Copy)]
+pub(crate) struct YcbcrView<'a>(pub(crate) Option<&'a YcbcrSampler>);
+
+/// A view of so many layers, from the first on, of an image made with `desc`.
 pub(crate) fn create_view(
     gpu: &Gpu,
     image: vk::Image,
     desc: &ImageDesc,
-    first_layer: u32,
-    layers: u32,
+    (first_layer, layers): (u32, u32),
+    view: YcbcrView<'_>,
 ) -> Result<vk::ImageView, GpuError> {
     let kind = if layers == 1 { vk::ImageViewType::TYPE_2D } else { vk::ImageViewType::TYPE_2D_ARRAY };
-    let info = vk::ImageViewCreateInfo::default()
+    let mut conversion = view.0.map(YcbcrSampler::of_view);
+    let mut info = vk::ImageViewCreateInfo::default()
         .image(image)
         .view_type(kind)
         .format(desc.format)
         .subresource_range(whole(desc, first_layer, layers));
+    if let Some(conversion) = &mut conversion {
+        info = info.push_next(conversion);
+    }
     // SAFETY: the image is alive and has the layers and mips that its description says.
     unsafe { gpu.device.create_image_view(&info, None) }.doing("creating an image view")
 }

@@ -1,6 +1,6 @@
 //! Render passes of one subpass, and framebuffers.
 
-use crate::memory::{Garbage, create_view};
+use crate::memory::{Garbage, YcbcrView, create_view};
 use crate::{Doing, Gpu, GpuError, ImageDesc};
 use ash::vk;
 use std::sync::Arc;
@@ -221,7 +221,7 @@ impl Framebuffer {
         foreign_index: usize,
         other_views: &[vk::ImageView],
     ) -> Result<Self, GpuError> {
-        let view = create_view(gpu, image, desc, 0, desc.layers)?;
+        let view = create_view(gpu, image, desc, (0, desc.layers), YcbcrView(None))?;
         let mut views = other_views.to_vec();
         views.insert(foreign_index, view);
         let mut framebuffer = Self::new(gpu, pass, desc.extent, &views)?;

@@ -1,6 +1,6 @@
 //! Pipelines from reflected shaders.
 
-use crate::bind::Layout;
+use crate::bind::{FixedSampler, Layout};
 use crate::memory::Garbage;
 use crate::pass::RenderPass;
 use crate::{Doing, Gpu, GpuError};
@@ -131,7 +131,16 @@ impl Drop for ComputePipeline {
 impl GraphicsPipeline {
     /// A pipeline.
     pub fn new(gpu: &Arc<Gpu>, desc: &GraphicsPipelineDesc<'_>) -> Result<Self, GpuError> {
-        let layout = Layout::new(gpu, &[desc.vertex, desc.fragment])?;
+        Self::fixing(gpu, desc, None)
+    }
+
+    /// A pipeline with a sampler that is part of it.
+    pub fn fixing(
+        gpu: &Arc<Gpu>,
+        desc: &GraphicsPipelineDesc<'_>,
+        fixed: Option<FixedSampler>,
+    ) -> Result<Self, GpuError> {
+        let layout = Layout::fixing(gpu, &[desc.vertex, desc.fragment], fixed)?;
         let modules = [module(gpu, desc.vertex)?, module(gpu, desc.fragment)?];
         let made = create(gpu, desc, &layout, modules);
         // SAFETY: modules are not needed after the pipeline's creation.

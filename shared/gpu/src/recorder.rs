@@ -5,6 +5,7 @@ use crate::lanes::{Between, Lane};
 use crate::pass::{Framebuffer, RenderPass};
 use crate::pipeline::{ComputePipeline, GraphicsPipeline};
 use crate::timings::{Timing, Timings};
+use crate::ycbcr::YcbcrImage;
 use crate::{Buffer, Doing, Gpu, GpuError, Image};
 use ash::vk;
 use std::sync::Arc;
@@ -468,6 +469,25 @@ impl Recorder {
         self.transition_range(image, image.whole(), layouts, before, after);
     }
 
+    /// Takes over a picture that something else than this device has written, so that fragment shaders can read it.
+    pub fn take_over(&mut self, picture: &YcbcrImage) {
+        let barrier = vk::ImageMemoryBarrier::default()
+            .image(picture.image.handle)
+            .subresource_range(picture.image.whole())
+            // What a platform has written to its memory stays there: a layout is this device's affair.
+            .old_layout(vk::ImageLayout::UNDEFINED)
+            .new_layout(vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL)
+            .dst_access_mask(Access::FRAGMENT_READ.1)
+            .src_queue_family_index(vk::QUEUE_FAMILY_FOREIGN_EXT)
+            .dst_queue_family_index(self.gpu.queue_family);
+        let (before, after) = (Access::NONE.0, Access::FRAGMENT_READ.0);
+        // SAFETY: the image is alive, and belongs to nobody else until it is given back.
+        unsafe {
+            let (commands, flags) = (self.commands(), vk::DependencyFlags::empty());
+            self.gpu.device.cmd_pipeline_barrier(commands, before, after, flags, &[], &[], &[barrier]);
+        }
+    }
+
     /// Moves a part of an image to another layout.
     pub fn transition_range(
         &mut self,
@@ -541,7 +561,21 @@ impl Recorder {
     /// Copies tight rows from a buffer to one mip level of an image (in TRANSFER_DST_OPTIMAL).
     pub fn write_image(&mut self, image: &Image, mip: u32, buffer: &Buffer, offset_bytes: u64) {
         let extent = image.desc().extent.map(|side| (side >> mip).max(1));
-        let region = region(image, extent, 0, mip, offset_bytes);
+        self.write_region(image, buffer, region(image, extent, 0, mip, offset_bytes));
+    }
+
+    /// Copies buffer bytes into plane 0, 1 or 2 of a picture of planes, of which the latter have half the extent; it is in
+    /// TRANSFER_DST_OPTIMAL.
+    pub fn write_plane(&mut self, picture: &YcbcrImage, plane: u32, buffer: &Buffer, offset_bytes: u64) {
+        let image = &picture.image;
+        let extent = image.desc().extent.map(|side| if plane == 0 { side } else { side / 2 });
+        let mut region = region(image, extent, 0, 0, offset_bytes);
+        region.image_subresource.aspect_mask =
+            vk::ImageAspectFlags::from_raw(vk::ImageAspectFlags::PLANE_0.as_raw() << plane);
+        self.write_region(image, buffer, region);
+    }
+
+    fn write_region(&mut self, image: &Image, buffer: &Buffer, region: vk::BufferImageCopy) {
         // SAFETY: both are alive and the image is in the layout named above.
         unsafe {
             self.gpu.device.cmd_copy_buffer_to_image(

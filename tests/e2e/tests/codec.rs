@@ -1,9 +1,9 @@
 //! The video seams against each other: what the server's encoder writes, the client's decoder reads.
 
 use shadecast_client::decode::openh264::OpenH264Decoder;
+use shadecast_client::decode::raw::RawDecoder;
 use shadecast_client::decode::sps::{self, Colour, Sps, SpsError};
 use shadecast_client::decode::{DecodeError, Decoder, Picture};
-use shadecast_client::platform;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::message::Codec;
 use shadecast_protocol::picture::I420;
@@ -686,7 +686,7 @@ fn empty_and_endless_units_are_errors() {
 fn raw_pictures_come_back_as_they_were_and_each_is_a_refresh() {
     let extent = AtlasExtent::MIN;
     let mut encoder = encode::encoder(Codec::Raw, EncoderSettings::new(extent.texels())).unwrap();
-    let mut decoder = platform::decoder(Codec::Raw, extent).unwrap();
+    let mut decoder = RawDecoder::new(extent.texels());
     for picture in changing_pictures(extent.texels(), 3, SEED) {
         let source = Source::Planes(picture.clone());
         let unit = encode::encode_one(encoder.as_mut(), source, 0, false).expect("it fits");

@@ -181,7 +181,7 @@ impl Replay {
         let variables = prepare_runtime(config, &options.out)?;
         // SAFETY: the caller's promise, as for `run`.
         unsafe { set_runtime(&variables) };
-        let xr = Xr::open(&Platform, XrOptions { validation: false, refresh_hz: None })?;
+        let xr = Xr::open(&Platform, XrOptions::default())?;
         let client_options = ClientOptions {
             max_vertex_slots: options.room.vertices,
             max_patch_slots: options.room.patches,

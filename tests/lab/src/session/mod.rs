@@ -284,7 +284,7 @@ impl Lab {
     }
 
     fn new(options: &RunOptions, mut server: Server) -> anyhow::Result<Self> {
-        let xr = Xr::open(&Platform, XrOptions { validation: options.validation, refresh_hz: None })
+        let xr = Xr::open(&Platform, XrOptions { validation: options.validation, ..XrOptions::default() })
             .context("opening the OpenXR runtime")?;
         let Medium { codecs, link, stages } = options.medium();
         let decode_ns = stages.ns(stages.decode);

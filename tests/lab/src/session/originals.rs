@@ -50,11 +50,11 @@ impl Arrival {
     }
 }
 
-fn raw(_: Codec, extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
+fn raw(_: Codec, extent: AtlasExtent, _: &Arc<Gpu>) -> Result<Box<dyn Decoder>, DecodeError> {
     Ok(Box::new(RawDecoder::new(extent.texels())))
 }
 
-fn full(_: Codec, extent: AtlasExtent) -> Result<Box<dyn Decoder>, DecodeError> {
+fn full(_: Codec, extent: AtlasExtent, _: &Arc<Gpu>) -> Result<Box<dyn Decoder>, DecodeError> {
     Ok(Box::new(FullChromaDecoder { extent_texels: extent.texels(), done: VecDeque::new() }))
 }
 

@@ -1,0 +1,8 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+// As client_atlas_picture.frag, where the device takes chroma for sited beside the first of its luma texels.
+#include "client_atlas_picture.glsl"
+
+void main() {
+    color = color_of_two(inside_block(atlas_texel, block));
+}

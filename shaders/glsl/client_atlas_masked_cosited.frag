@@ -1,0 +1,17 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+// As client_atlas_cosited.frag, of patches that may not cover all of their block.
+#include "client_atlas_picture.glsl"
+
+layout(std430, binding = 6) readonly buffer Coverage {
+    uint width_texels;
+    uint covered[];
+};
+layout(location = 2) flat in uint is_masked;
+#include "coverage.glsl"
+
+void main() {
+    vec2 at = inside_block(atlas_texel, block);
+    if (is_masked != 0 && !is_covered(at)) discard;
+    color = color_of_two(at);
+}

@@ -1,0 +1,8 @@
+#version 460
+#extension GL_GOOGLE_include_directive : require
+// As client_atlas.frag, of a picture that the platform decoded into one image: its sampler makes the colour.
+#include "client_atlas_picture.glsl"
+
+void main() {
+    color = color_at(inside_block(atlas_texel, block));
+}
