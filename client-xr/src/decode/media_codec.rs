@@ -17,6 +17,10 @@ use std::mem::MaybeUninit;
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
 
+// Where the NDK has `AHardwareBuffer_*`; `ndk` declares them and names no library.
+#[link(name = "nativewindow")]
+unsafe extern "C" {}
+
 /// H.264, by Android's name.
 const MIME: &str = "video/avc";
 /// Asked for: each picture as soon as it can be had, in the order of units. The first is Android's own key since its release 11, the
