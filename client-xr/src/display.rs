@@ -99,6 +99,15 @@ pub struct EyeImages<'a> {
     pub extent_pixels: [u32; 2],
 }
 
+/// What somebody has done with a list, counted since the display was opened.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Picks {
+    /// Gone to the next entry.
+    pub nexts: u32,
+    /// Taken the one that is marked.
+    pub takes: u32,
+}
+
 /// Who shows frames. In this order: wait, acquire, locate, release, end.
 pub trait Display {
     /// The device to draw with.
@@ -133,6 +142,11 @@ pub trait Display {
 
     /// Ends a frame that shows nothing.
     fn end_empty_frame(&mut self, turn: FrameTurn) -> Result<(), DisplayError>;
+
+    /// What somebody has done with a list that is shown as text.
+    fn picks(&self) -> Picks {
+        Picks::default()
+    }
 
     /// Whether somebody wants to see figures over the picture.
     fn wants_figures(&self) -> bool {

@@ -2,6 +2,7 @@
 //! Both may be on one thread, or each on its own: neither waits for the other, and what one cannot take yet waits here.
 
 use crate::bundle::Revision;
+use crate::display::Picks;
 use crate::draw_list::DrawList;
 use crate::motion::skinned::Drawn;
 use crate::motion::state::MotionState;
@@ -71,6 +72,7 @@ pub(crate) enum Presented {
 pub(crate) struct TurnNote {
     /// Whether somebody saw it.
     pub(crate) is_seen: bool,
+    pub(crate) picks: Picks,
     pub(crate) frame: Option<FrameNote>,
 }
 

@@ -2,6 +2,7 @@
 //! before the render thread takes it. It may run on a thread of its own, and knows the GPU only by memory that it fills.
 
 use crate::decoding::Decoded;
+use crate::display::Picks;
 use crate::handover::{Arrived, FrameNote, IntakeEnd, Prepared, Presented, TurnNote};
 use crate::link::Link;
 use crate::options::ClientOptions;
@@ -33,6 +34,7 @@ pub struct Intake {
     /// For decoders, whose pictures may be in its memory.
     gpu: Arc<Gpu>,
     eye_extent_pixels: [u32; 2],
+    picks: Picks,
     now: ClientTime,
     /// What the presenter knows of the clock.
     told_clock: Option<(ClockEstimate, u64)>,
@@ -55,6 +57,7 @@ impl Intake {
             options,
             gpu,
             eye_extent_pixels,
+            picks: Picks::default(),
             now: ClientTime(0),
             told_clock: None,
             notices: VecDeque::new(),
@@ -65,6 +68,11 @@ impl Intake {
     /// Says `text` in the waiting room, which is seen until the first bundle, and before a world that stands still.
     pub fn set_status(&mut self, text: &str) {
         self.end.give(Prepared::Status(text.to_owned()));
+    }
+
+    /// What somebody has done with a list, as far as the presenter has told.
+    pub fn picks(&self) -> Picks {
+        self.picks
     }
 
     /// Bytes can flow from `now` on. The session begins once the eyes have been located.
@@ -171,7 +179,8 @@ impl Intake {
         }
     }
 
-    fn take_turn(&mut self, TurnNote { is_seen, frame }: TurnNote) {
+    fn take_turn(&mut self, TurnNote { is_seen, picks, frame }: TurnNote) {
+        self.picks = picks;
         self.link.watch(is_seen, self.now);
         let Some(frame) = frame else { return };
         let FrameNote { report, shown, picture_arrived, eyes, display_period_ns, head } = frame;

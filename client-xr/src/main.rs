@@ -39,6 +39,7 @@ Examples:
 
 In a window: drag to look around, WASD and QE walk, the wheel changes the speed, Tab switches between flying and orbiting,
 B shows both eyes, F figures, R goes back to the start, Esc ends.
+Of several servers that --connect find finds, N goes to the next one and Enter takes it.
 
 The OpenXR runtime is the system's active one, or the one whose manifest XR_RUNTIME_JSON names.
 A server is trusted at the first connection and known by its identity afterwards; --fingerprint demands one.

@@ -159,7 +159,8 @@ impl Presenter {
 
     /// A turn of the display that showed nothing of ours.
     pub(crate) fn note_turn(&mut self, is_seen: bool) {
-        self.end.tell(TurnNote { is_seen, frame: None });
+        let picks = self.renderer.display.picks();
+        self.end.tell(TurnNote { is_seen, picks, frame: None });
     }
 
     /// Takes note of a display frame, and tells the server.
@@ -182,7 +183,8 @@ impl Presenter {
             display_period_ns,
             head: self.locate_head(report.display_time, views),
         };
-        self.end.tell(TurnNote { is_seen, frame: Some(frame) });
+        let picks = self.renderer.display.picks();
+        self.end.tell(TurnNote { is_seen, picks, frame: Some(frame) });
     }
 
     /// Where the head will be at a display time, for the server of the scene that arrives.

@@ -1156,6 +1156,30 @@ fn a_button_shows_the_figures_below_what_is_looked_at_and_hides_them() {
 }
 
 #[test]
+fn buttons_go_through_a_list_and_take_of_it_once_for_each_press() {
+    for (profile, next, take) in [
+        ("oculus/touch_controller", "right/input/b/click", "right/input/trigger/value"),
+        ("valve/index_controller", "right/input/b/click", "right/input/trigger/value"),
+        ("khr/simple_controller", "left/input/select/click", "right/input/select/click"),
+    ] {
+        let presses = [(20, next, 1.0), (25, next, 0.0), (30, next, 1.0), (35, next, 0.0), (40, take, 1.0)];
+        let controllers = Some(format!("/interaction_profiles/{profile}"));
+        let run = Run::new(MockConfig { controllers, inputs: script(&presses), ..MockConfig::default() });
+        let mut client = run.client();
+        let picks: Vec<_> = (0..60)
+            .map(|_| {
+                frame(&mut client);
+                client.intake.take_presented();
+                client.intake.picks()
+            })
+            .collect();
+        let at = |frame: usize| (picks[frame].nexts, picks[frame].takes);
+        assert_eq!([10, 23, 33, 50, 59].map(at), [(0, 0), (1, 0), (2, 0), (2, 1), (2, 1)], "{profile}");
+        finish(&run, client);
+    }
+}
+
+#[test]
 fn without_focus_controllers_do_nothing() {
     let inputs = script(&[(20, "left/input/thumbstick/y", 1.0)]);
     let controllers = Some("/interaction_profiles/oculus/touch_controller".to_owned());

@@ -1,7 +1,7 @@
 //! One server, and the wish to be connected to it: what the client and the lines say to each other, and what the user is
 //! told about it.
 
-use super::finder::{Choice, Finder, choose};
+use super::finder::{Choice, Finder, List, choose, names};
 use super::lines::{LineEvent, Lines};
 use super::{RunError, RunOptions, Server};
 use crate::client::Notice;
@@ -53,6 +53,8 @@ struct Search {
     finder: Option<Finder>,
     /// What it has found last.
     found: Option<FoundServer>,
+    /// Where it has found several.
+    list: List,
 }
 
 impl Search {
@@ -97,20 +99,15 @@ impl Connector {
     fn take_found(&mut self, intake: &mut Intake) {
         let Some(found) = self.search.finder.as_ref().and_then(Finder::newest) else { return };
         match choose(found, &self.known, self.required) {
-            Choice::One(found) => {
-                self.search.finder = None;
-                if self.lines.live().is_some() || self.search.found.as_ref() == Some(&found) {
-                    return;
-                }
-                self.tell(intake, Tone::News, &format!("Found {} at {}", found.name, found.addresses[0]));
-                self.server.clone_from(&found.name);
-                self.lines.leave();
-                self.lines = Lines::new(found.addresses.clone());
-                self.search.found = Some(found);
-            }
-            Choice::Several(names) => {
-                let text = format!("Several servers: {}; choose one with --connect", names.join(", "));
+            Choice::One(found) => self.turn_to(intake, found),
+            Choice::Several(found) => {
+                let text = format!(
+                    "Several servers: {}; choose one with --connect, or in the headset",
+                    names(&found)
+                );
                 self.tell(intake, Tone::Trouble, &text);
+                self.search.list.refill(found);
+                self.show_list(intake);
             }
             // Of one that was found before the lines say why it does not answer.
             Choice::Nobody if self.search.found.is_some() => {}
@@ -118,6 +115,37 @@ impl Connector {
                 let text = "No server answers on this network yet: start one with --listen 0.0.0.0:7400";
                 self.tell(intake, Tone::News, text);
             }
+        }
+    }
+
+    fn turn_to(&mut self, intake: &mut Intake, found: FoundServer) {
+        self.search.finder = None;
+        self.search.list = List::default();
+        if self.lines.live().is_some() || self.search.found.as_ref() == Some(&found) {
+            return;
+        }
+        self.tell(intake, Tone::News, &format!("Found {} at {}", found.name, found.addresses[0]));
+        self.server.clone_from(&found.name);
+        self.lines.leave();
+        self.lines = Lines::new(found.addresses.clone());
+        self.search.found = Some(found);
+    }
+
+    /// Says in the headset which servers there are to choose from, while there are.
+    fn show_list(&self, intake: &mut Intake) {
+        let text = self.search.list.text().filter(|_| self.lines.live().is_none());
+        text.into_iter().for_each(|text| intake.set_status(&text));
+    }
+
+    /// Does what the user does with the list.
+    fn take_picks(&mut self, intake: &mut Intake) {
+        let picks = intake.picks();
+        if !self.search.list.has_news(picks) {
+            return;
+        }
+        match self.search.list.pick(picks) {
+            Some(taken) => self.turn_to(intake, taken),
+            None => self.show_list(intake),
         }
     }
 
@@ -226,6 +254,7 @@ impl Source for Connector {
             self.take(intake, event);
         }
         self.take_found(intake);
+        self.take_picks(intake);
         let now = monotonic_now();
         let (known, required, server) = (&self.known, self.required, &self.server);
         let announced = self.search.found.as_ref().and_then(|found| found.fingerprint);

@@ -17,6 +17,10 @@ pub(super) struct Asked {
     pub(super) leaves: bool,
     /// To show the figures, or to hide them: said once for each press.
     pub(super) toggles_figures: bool,
+    /// To go to the next entry of a list: likewise.
+    pub(super) goes_to_next: bool,
+    /// To take the one that is marked: likewise.
+    pub(super) takes: bool,
 }
 
 /// The client's actions, bound for all controllers that it knows.
@@ -28,6 +32,8 @@ pub(super) struct Actions {
     turn_right: openxr::Action<bool>,
     leave: openxr::Action<bool>,
     figures: openxr::Action<bool>,
+    next: openxr::Action<bool>,
+    take: openxr::Action<bool>,
 }
 
 /// What a controller's inputs are for.
@@ -38,6 +44,8 @@ enum Use {
     TurnRight,
     Leave,
     Figures,
+    Next,
+    Take,
 }
 
 /// A controller's profile, and its inputs.
@@ -48,20 +56,25 @@ const TURN: (Use, &str) = (Use::Turn, "/user/hand/right/input/thumbstick");
 const MENU: (Use, &str) = (Use::Leave, "/user/hand/left/input/menu/click");
 const A: (Use, &str) = (Use::Figures, "/user/hand/right/input/a/click");
 
+const B: (Use, &str) = (Use::Next, "/user/hand/right/input/b/click");
+const TRIGGER: (Use, &str) = (Use::Take, "/user/hand/right/input/trigger/value");
+
 const CONTROLLERS: [Controller; 4] = [
-    ("/interaction_profiles/oculus/touch_controller", &[WALK, TURN, MENU, A]),
-    ("/interaction_profiles/bytedance/pico4_controller", &[WALK, TURN, MENU, A]),
+    ("/interaction_profiles/oculus/touch_controller", &[WALK, TURN, MENU, A, B, TRIGGER]),
+    ("/interaction_profiles/bytedance/pico4_controller", &[WALK, TURN, MENU, A, B, TRIGGER]),
     // It has no menu button but the system's own.
     (
         "/interaction_profiles/valve/index_controller",
-        &[WALK, TURN, (Use::Leave, "/user/hand/left/input/b/click"), A],
+        &[WALK, TURN, (Use::Leave, "/user/hand/left/input/b/click"), A, B, TRIGGER],
     ),
-    // It has no button left for the figures.
+    // It has no button left for the figures. There is nowhere to walk to while there is a list.
     (
         "/interaction_profiles/khr/simple_controller",
         &[
             (Use::WalkAhead, "/user/hand/left/input/select/click"),
+            (Use::Next, "/user/hand/left/input/select/click"),
             (Use::TurnRight, "/user/hand/right/input/select/click"),
+            (Use::Take, "/user/hand/right/input/select/click"),
             MENU,
         ],
     ),
@@ -82,6 +95,8 @@ impl Actions {
             turn_right: set.create_action("turn_right", "Turn to the right", &[]).doing(doing)?,
             leave: set.create_action("leave", "Leave", &[]).doing(doing)?,
             figures: set.create_action("figures", "Show or hide the figures", &[]).doing(doing)?,
+            next: set.create_action("next", "Next of a list", &[]).doing(doing)?,
+            take: set.create_action("take", "Take from a list", &[]).doing(doing)?,
             set,
         };
         for (profile, inputs) in CONTROLLERS {
@@ -108,6 +123,8 @@ impl Actions {
                 Use::TurnRight => openxr::Binding::new(&self.turn_right, input),
                 Use::Leave => openxr::Binding::new(&self.leave, input),
                 Use::Figures => openxr::Binding::new(&self.figures, input),
+                Use::Next => openxr::Binding::new(&self.next, input),
+                Use::Take => openxr::Binding::new(&self.take, input),
             })
         };
         let bindings = inputs.iter().map(bind).collect::<Result<Vec<_>, XrError>>()?;
@@ -139,8 +156,16 @@ impl Actions {
             walk: stick(&self.walk)? + Vec2::Y * pushed(button(&self.walk_ahead)?),
             turn: stick(&self.turn)?.x + pushed(button(&self.turn_right)?),
         };
-        let figures = self.figures.state(session, openxr::Path::NULL).doing(doing)?;
-        let toggles_figures = figures.is_active && figures.changed_since_last_sync && figures.current_state;
-        Ok(Asked { wish, leaves: button(&self.leave)?, toggles_figures })
+        let pressed = |action: &openxr::Action<bool>| {
+            let state = action.state(session, openxr::Path::NULL).doing(doing)?;
+            Ok::<_, XrError>(state.is_active && state.changed_since_last_sync && state.current_state)
+        };
+        Ok(Asked {
+            wish,
+            leaves: button(&self.leave)?,
+            toggles_figures: pressed(&self.figures)?,
+            goes_to_next: pressed(&self.next)?,
+            takes: pressed(&self.take)?,
+        })
     }
 }

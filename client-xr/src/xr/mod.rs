@@ -7,7 +7,9 @@ mod actions;
 pub mod error;
 mod time;
 
-use crate::display::{ASSUMED_EYE_HEIGHT_M, Activity, Display, DisplayError, EyeImages, FrameTurn, Views};
+use crate::display::{
+    ASSUMED_EYE_HEIGHT_M, Activity, Display, DisplayError, EyeImages, FrameTurn, Picks, Views,
+};
 use crate::locomotion::Locomotion;
 use crate::platform::requirements::REQUIRED;
 use crate::platform::{Platform, monotonic_now};
@@ -71,6 +73,7 @@ struct Headset {
     locomotion: Locomotion,
     /// A button shows and hides them.
     wants_figures: bool,
+    picks: Picks,
     /// For a runtime that does not convert its times itself.
     clock: GuessedClock,
     gpu: Arc<Gpu>,
@@ -272,6 +275,7 @@ impl Xr {
             actions,
             locomotion: Locomotion::default(),
             wants_figures: false,
+            picks: Picks::default(),
             clock: GuessedClock::default(),
             gpu,
             device,
@@ -325,6 +329,10 @@ impl Display for Xr {
 
     fn end_empty_frame(&mut self, turn: FrameTurn) -> Result<(), DisplayError> {
         Ok(self.headset.end_empty_frame(turn)?)
+    }
+
+    fn picks(&self) -> Picks {
+        self.headset.picks
     }
 
     fn wants_figures(&self) -> bool {
@@ -444,6 +452,8 @@ impl Headset {
         let asked = self.actions.asked(&self.session)?;
         self.exit_requested |= asked.leaves;
         self.wants_figures ^= asked.toggles_figures;
+        self.picks.nexts += u32::from(asked.goes_to_next);
+        self.picks.takes += u32::from(asked.takes);
         if let Some(views) = &self.last_views {
             self.locomotion.step(asked.wish, views.stage_from_head, display_time);
         }
