@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 use shadecast_lab::runtime::prepare_runtime;
-use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent};
+use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent, ScriptedInput};
 use shadecast_test_support::programs::{Program, Voice, output_of, program};
 use shadecast_transport::discovery::announce::Announcement;
 use shadecast_transport::{
@@ -91,7 +91,12 @@ impl Stage {
     /// A client that keeps what it knows in `identity`; the runtime loses its instance at these frames.
     fn client(&self, arguments: &[&str], losses: impl Iterator<Item = u64>) -> Program {
         let events = losses.map(|frame| ScriptedEvent { frame, kind: EventKind::InstanceLoss }).collect();
-        let config = MockConfig { extent_pixels: [64, 64], events, ..MockConfig::default() };
+        self.client_on(MockConfig { events, ..MockConfig::default() }, arguments)
+    }
+
+    /// The same on another runtime.
+    fn client_on(&self, config: MockConfig, arguments: &[&str]) -> Program {
+        let config = MockConfig { extent_pixels: [64, 64], ..config };
         let runtime = prepare_runtime(&config, &self.path("runtime")).expect("a runtime");
         let mut command = Command::new(program("shadecast-client"));
         command.args(arguments).arg("--identity").arg(self.path("identity"));
@@ -161,6 +166,39 @@ fn a_server_that_announces_itself_is_found_without_its_address() {
     alone.has_said("No server answers on this network yet: start one with --listen");
     alone.signal("-INT");
     alone.ends_well();
+}
+
+/// Others may announce themselves here too: whichever is marked, the trigger takes it, and takes another where that one has gone.
+#[test]
+fn of_several_servers_the_trigger_takes_the_one_that_is_marked() {
+    if !loopback_carries_multicast().unwrap_or(false) {
+        return eprintln!("SKIPPED: loopback carries no multicast here");
+    }
+    let servers = [72, 73].map(|seed| mute_server(seed, ANY));
+    let announced = servers.each_ref().map(|(address, _, fingerprint)| {
+        Announcement::start(&format!("one of several, {address}"), *address, *fingerprint)
+    });
+    assert!(announced.iter().all(Result::is_ok), "multicast on loopback");
+    let stage = Stage::new();
+    let presses = |number: u64| {
+        let press = |input: &str, frame: u64, value: f32| {
+            let path = format!("/user/hand/right/input/{input}");
+            ScriptedInput { frame: 150 + number * 60 + frame, path, value }
+        };
+        let [next, take] = ["b/click", "trigger/value"];
+        [press(next, 0, 1.0), press(next, 10, 0.0), press(take, 20, 1.0), press(take, 30, 0.0)]
+    };
+    let config = MockConfig {
+        controllers: Some("/interaction_profiles/oculus/touch_controller".to_owned()),
+        inputs: (0..40).flat_map(presses).collect(),
+        ..MockConfig::default()
+    };
+    let mut client = stage.client_on(config, &["--connect", "find"]);
+    client.has_said("Several servers: ");
+    client.has_said("Found ");
+    client.has_said("first connection to ");
+    client.signal("-INT");
+    client.ends_well();
 }
 
 #[test]
