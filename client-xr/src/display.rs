@@ -83,6 +83,8 @@ pub struct Views {
     pub stage_from_eye: [Pose; 2],
     /// Left and right frustum.
     pub fov: [Fov; 2],
+    /// Where the left and the right hand hold a controller in the stage, as far as that is known.
+    pub stage_from_hand: [Option<Pose>; 2],
     /// Rises whenever the stage has got another origin, or the session has begun anew: poses before and after it are not of
     /// one motion.
     pub jumps: u32,
@@ -185,6 +187,7 @@ impl Views {
             angular_velocity: Vec3::ZERO,
             stage_from_eye: [head; 2],
             fov,
+            stage_from_hand: self.stage_from_hand,
             jumps: self.jumps,
         }
     }

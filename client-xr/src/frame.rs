@@ -102,6 +102,7 @@ impl Presenter {
             if let Some(scene) = world {
                 scene.record_draw(r, stages, flight, content.scene.drawn);
             }
+            stages.hands.record(r, flight);
             words.record_backdrop(r, stages, flight, world);
             words.record_notice(r, stages, flight, world);
             words.record_figures(r, stages, flight, world);
@@ -114,6 +115,8 @@ impl Presenter {
         let space_from_eye = views.stage_from_eye.map(|stage_from_eye| space_from_stage.then(stage_from_eye));
         let eyes = eyes_gpu(space_from_eye, space_from_eye, views.fov);
         self.renderer.stages.write_eyes(flight, &eyes);
+        let space_from_hand = views.stage_from_hand.map(|hand| hand.map(|hand| space_from_stage.then(hand)));
+        self.renderer.stages.hands.write(flight, space_from_hand);
         let ticket = recorder.submit()?;
         self.renderer.stages.used_by(flight, ticket);
         self.renderer.last_ticket = Some(ticket);

@@ -96,6 +96,9 @@ impl Locomotion {
                 .stage_from_eye
                 .map(|room_from_eye| self.stage_from_room.then(room_from_eye)),
             fov: in_room.fov,
+            stage_from_hand: in_room
+                .stage_from_hand
+                .map(|hand| hand.map(|hand| self.stage_from_room.then(hand))),
             jumps: in_room.jumps.wrapping_add(self.turns),
         }
     }
@@ -143,6 +146,7 @@ mod tests {
             angular_velocity: Vec3::Y,
             stage_from_eye: [room_from_head; 2],
             fov: [Fov::symmetric_degrees(90.0); 2],
+            stage_from_hand: [None; 2],
             jumps: 5,
         }
     }

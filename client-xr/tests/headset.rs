@@ -7,7 +7,7 @@ use rand::{Rng, SeedableRng};
 use shadecast_client::client::{Client, ClientError, FrameReport, Notice, Step};
 use shadecast_client::decode::{DecodeError, Decoder};
 use shadecast_gpu::Gpu;
-use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent, ScriptedInput};
+use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent, ScriptedHand, ScriptedInput};
 use shadecast_mock_runtime::record::{Side, read_frames};
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::delta::{Delta, DeltaEncoder};
@@ -1152,6 +1152,42 @@ fn a_button_shows_the_figures_below_what_is_looked_at_and_hides_them() {
                 assert!(changed.len() > 1000, "{profile}: {} pixels", changed.len());
             }
         }
+    }
+}
+
+#[test]
+fn controllers_are_seen_where_they_are_held_by_both_eyes_and_in_front_of_the_world() {
+    let hand = |frame, hand: &str, position_m| ScriptedHand {
+        frame,
+        hand: format!("/user/hand/{hand}"),
+        position_m,
+        yaw_pitch_roll_degrees: [0.0; 3],
+    };
+    let (left, right) = ([-0.15, 1.5, -0.5], [0.2, 1.7, -0.6]);
+    let controllers = Some("/interaction_profiles/oculus/touch_controller".to_owned());
+    let hands = vec![hand(20, "left", Some(left)), hand(30, "right", Some(right)), hand(40, "left", None)];
+    let run = Run::new(MockConfig { controllers, hands, ..MockConfig::default() });
+    let mut client = run.client();
+    let mut line = Line::connect(&mut client);
+    line.send(static_patches(), &planes([0, 64]), true);
+    let first = client.presenter.stats().frames;
+    for _ in 0..50 {
+        line.frame(&mut client);
+    }
+    assert!(first < 15, "{first} frames to connect");
+    finish(&run, client);
+    for (side, eye) in [(Side::Left, -1.0), (Side::Right, 1.0)] {
+        let at = |number: u64, place: [f32; 3]| {
+            let [x, y] = pixel(place, eye).map(|p| p as u32);
+            run.picture(number, side).at(x, y)
+        };
+        let is_blue = |[r, _, b]: [u8; 3]| b > r.saturating_add(30);
+        let is_orange = |[r, _, b]: [u8; 3]| r > b.saturating_add(30);
+        let [before, one, both, other] = [15, 25, 35, 45].map(|number| [at(number, left), at(number, right)]);
+        assert!(is_blue(one[0]) && one[0] != before[0], "the left one: {one:?} after {before:?}");
+        assert_eq!(one[1], before[1], "no right one yet");
+        assert!(both[0] == one[0] && is_orange(both[1]) && both[1] != before[1], "both: {both:?}");
+        assert_eq!([other[0], other[1]], [before[0], both[1]], "the left one is not tracked any more");
     }
 }
 

@@ -45,6 +45,8 @@ fn client_shaders() -> Vec<&'static Shader> {
         &shaders::CLIENT_ATLAS_MASKED_COSITED_FRAG,
         &shaders::CLIENT_BACKGROUND_VERT,
         &shaders::CLIENT_BACKGROUND_FRAG,
+        &shaders::CLIENT_HANDS_VERT,
+        &shaders::CLIENT_HANDS_FRAG,
         &shaders::CLIENT_NOTICE_VERT,
         &shaders::CLIENT_NOTICE_FRAG,
         &shaders::CLIENT_PROBE_VERT,

@@ -5,6 +5,7 @@ pub mod arena;
 pub mod atlas_draw;
 pub mod background;
 pub mod batch;
+pub mod hands;
 pub mod interpolate;
 pub mod notice;
 pub mod pose;
@@ -18,6 +19,7 @@ use crate::display::EyeImages;
 use atlas_draw::{AtlasDraw, EyeTargets, Lookup, eye_buffers};
 use background::Background;
 use glam::{Mat4, Vec3, Vec4};
+use hands::Hands;
 use interpolate::Interpolate;
 use notice::Notice;
 use pose::PoseStage;
@@ -61,6 +63,8 @@ pub struct Stages {
     pub atlas: AtlasDraw,
     /// What is behind it.
     pub background: Background,
+    /// Controllers in it.
+    pub hands: Hands,
     /// Words in front of it.
     pub notice: Notice,
     /// Figures in front of it.
@@ -90,6 +94,7 @@ impl Stages {
             skin: Skin::new(gpu)?,
             atlas: AtlasDraw::new(gpu, &targets.pass, lookup)?,
             background: Background::new(gpu, &targets.pass, eyes.each_ref())?,
+            hands: Hands::new(gpu, &targets.pass, eyes.each_ref())?,
             notice: Notice::new(gpu, &targets.pass, eyes.each_ref())?,
             figures: Notice::new(gpu, &targets.pass, eyes.each_ref())?,
             targets,

@@ -55,6 +55,7 @@ impl Head {
             angular_velocity,
             stage_from_eye: [eye(-EYE_OFFSET_M), eye(EYE_OFFSET_M)],
             fov: [fov_of_picture(self.camera.fov_deg, extent_pixels); 2],
+            stage_from_hand: [None; 2],
             jumps: self.jumps,
         }
     }

@@ -1,9 +1,11 @@
 //! The controllers: which of their inputs mean what, for each kind of controller that there is.
 
 use super::error::{Doing, XrError};
+use super::pose_of;
 use crate::locomotion::Wish;
 use glam::Vec2;
 use openxr::sys;
+use shadecast_protocol::pose::Pose;
 
 /// How far a button pushes that stands for a stick.
 const PUSHED: f32 = 1.0;
@@ -34,6 +36,9 @@ pub(super) struct Actions {
     figures: openxr::Action<bool>,
     next: openxr::Action<bool>,
     take: openxr::Action<bool>,
+    /// Where both hands hold their controllers.
+    hands: [openxr::Space; 2],
+    grip: openxr::Action<openxr::Posef>,
 }
 
 /// What a controller's inputs are for.
@@ -58,6 +63,9 @@ const A: (Use, &str) = (Use::Figures, "/user/hand/right/input/a/click");
 
 const B: (Use, &str) = (Use::Next, "/user/hand/right/input/b/click");
 const TRIGGER: (Use, &str) = (Use::Take, "/user/hand/right/input/trigger/value");
+
+/// Left and right.
+const HANDS: [&str; 2] = ["/user/hand/left", "/user/hand/right"];
 
 const CONTROLLERS: [Controller; 4] = [
     ("/interaction_profiles/oculus/touch_controller", &[WALK, TURN, MENU, A, B, TRIGGER]),
@@ -88,6 +96,12 @@ impl Actions {
     ) -> Result<Self, XrError> {
         let set = instance.create_action_set("play", "Moving about", 0).doing("making the action set")?;
         let doing = "making an action";
+        let both = [path_of(instance, HANDS[0])?, path_of(instance, HANDS[1])?];
+        let grip = set.create_action::<openxr::Posef>("grip", "Hold", &both).doing(doing)?;
+        let held = |hand| {
+            let space = grip.create_space(session, hand, openxr::Posef::IDENTITY);
+            space.doing("making a hand's space")
+        };
         let actions = Self {
             walk: set.create_action("walk", "Walk", &[]).doing(doing)?,
             turn: set.create_action("turn", "Turn", &[]).doing(doing)?,
@@ -97,6 +111,8 @@ impl Actions {
             figures: set.create_action("figures", "Show or hide the figures", &[]).doing(doing)?,
             next: set.create_action("next", "Next of a list", &[]).doing(doing)?,
             take: set.create_action("take", "Take from a list", &[]).doing(doing)?,
+            hands: [held(both[0])?, held(both[1])?],
+            grip,
             set,
         };
         for (profile, inputs) in CONTROLLERS {
@@ -113,7 +129,7 @@ impl Actions {
         profile: &str,
         inputs: &[(Use, &str)],
     ) -> Result<(), XrError> {
-        let path = |text: &str| instance.string_to_path(text).doing("naming a controller's input");
+        let path = |text: &str| path_of(instance, text);
         let bind = |(means, input): &(Use, &str)| {
             let input = path(input)?;
             Ok(match means {
@@ -127,7 +143,11 @@ impl Actions {
                 Use::Take => openxr::Binding::new(&self.take, input),
             })
         };
-        let bindings = inputs.iter().map(bind).collect::<Result<Vec<_>, XrError>>()?;
+        let mut bindings = inputs.iter().map(bind).collect::<Result<Vec<_>, XrError>>()?;
+        for hand in HANDS {
+            let grip = path(&format!("{hand}/input/grip/pose"))?;
+            bindings.push(openxr::Binding::new(&self.grip, grip));
+        }
         match instance.suggest_interaction_profile_bindings(path(profile)?, &bindings) {
             Err(sys::Result::ERROR_PATH_UNSUPPORTED) => {
                 tracing::debug!("the runtime does not know {profile}");
@@ -168,4 +188,24 @@ impl Actions {
             takes: pressed(&self.take)?,
         })
     }
+
+    /// Where the hands hold their controllers in `base` at a time, left and right, as far as that is known.
+    pub(super) fn locate_hands(
+        &self,
+        base: &openxr::Space,
+        time: openxr::Time,
+    ) -> Result<[Option<Pose>; 2], XrError> {
+        let known =
+            openxr::SpaceLocationFlags::POSITION_VALID | openxr::SpaceLocationFlags::ORIENTATION_VALID;
+        let locate = |hand: &openxr::Space| {
+            let location = hand.locate(base, time).doing("locating a controller")?;
+            let pose = pose_of(location.pose);
+            Ok::<_, XrError>((location.location_flags.contains(known) && pose.is_valid()).then_some(pose))
+        };
+        Ok([locate(&self.hands[0])?, locate(&self.hands[1])?])
+    }
+}
+
+fn path_of(instance: &openxr::Instance, text: &str) -> Result<openxr::Path, XrError> {
+    instance.string_to_path(text).doing("naming a controller's input")
 }

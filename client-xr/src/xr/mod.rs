@@ -515,11 +515,16 @@ impl Headset {
             ),
             stage_from_eye: views.map(|view| pose_of(view.pose)),
             fov: views.map(|view| fov_of(view.fov)),
+            stage_from_hand: self.actions.locate_hands(&self.stage, time)?,
             jumps: self.jumps.until(turn.own_time_ns),
         };
         if count != 2 || !state.view_state_flags.contains(valid) || !located.is_valid() {
-            let jumps = located.jumps;
-            located = Views { jumps, ..self.last_views.unwrap_or_else(|| located.without_tracking()) };
+            let Views { jumps, stage_from_hand, .. } = located;
+            located = Views {
+                jumps,
+                stage_from_hand,
+                ..self.last_views.unwrap_or_else(|| located.without_tracking())
+            };
         }
         self.last_views = Some(located);
         Ok(self.locomotion.apply(&located))

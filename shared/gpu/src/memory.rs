@@ -1,6 +1,5 @@
 //! Buffers, images and samplers. Dropping one hands its handles to the retire ring; the fence destroys.
 
-use crate::ycbcr::YcbcrSampler;
 use crate::{Doing, Gpu, GpuError};
 use ash::vk;
 use gpu_allocator::MemoryLocation;
@@ -319,16 +318,8 @@ impl Image {
         Self::allocated(gpu, desc, YcbcrView(None))
     }
 
-    /// One of several planes, seen as `sampler` samples it.
-    pub(crate) fn of_planes(
-        gpu: &Arc<Gpu>,
-        desc: ImageDesc,
-        sampler: &YcbcrSampler,
-    ) -> Result<Self, GpuError> {
-        Self::allocated(gpu, desc, YcbcrView(Some(sampler)))
-    }
-
-    fn allocated(gpu: &Arc<Gpu>, desc: ImageDesc, view: YcbcrView<'_>) -> Result<Self, GpuError> {
+    /// The same, seen through a conversion where there is one.
+    pub(crate) fn allocated(gpu: &Arc<Gpu>, desc: ImageDesc, view: YcbcrView) -> Result<Self, GpuError> {
         let info = vk::ImageCreateInfo::default()
             .image_type(vk::ImageType::TYPE_2D)
             .format(desc.format)
@@ -357,7 +348,7 @@ impl Image {
         desc: ImageDesc,
         handle: vk::Image,
         backing: Backing,
-        view: YcbcrView<'_>,
+        view: YcbcrView,
     ) -> Result<Self, GpuError> {
         let view = create_view(gpu, handle, &desc, (0, desc.layers), view);
         // A null view is none to destroy.
@@ -441,9 +432,9 @@ fn whole(desc: &ImageDesc, first_layer: u32, layers: u32) -> vk::ImageSubresourc
     }
 }
 
-/// What an image's view is sampled with, where that is a conversion.
+/// By what an image's view is converted, where it is.
 #[derive(Clone, Copy)]
-pub(crate) struct YcbcrView<'a>(pub(crate) Option<&'a YcbcrSampler>);
+pub(crate) struct YcbcrView(pub(crate) Option<vk::SamplerYcbcrConversion>);
 
 /// A view of so many layers, from the first on, of an image made with `desc`.
 pub(crate) fn create_view(
@@ -451,10 +442,11 @@ pub(crate) fn create_view(
     image: vk::Image,
     desc: &ImageDesc,
     (first_layer, layers): (u32, u32),
-    view: YcbcrView<'_>,
+    view: YcbcrView,
 ) -> Result<vk::ImageView, GpuError> {
     let kind = if layers == 1 { vk::ImageViewType::TYPE_2D } else { vk::ImageViewType::TYPE_2D_ARRAY };
-    let mut conversion = view.0.map(YcbcrSampler::of_view);
+    let with = |conversion| vk::SamplerYcbcrConversionInfo::default().conversion(conversion);
+    let mut conversion = view.0.map(with);
     let mut info = vk::ImageViewCreateInfo::default()
         .image(image)
         .view_type(kind)

@@ -109,8 +109,8 @@ impl YcbcrSampler {
     }
 
     /// How an image must be looked at to be sampled so.
-    pub(crate) fn of_view(&self) -> vk::SamplerYcbcrConversionInfo<'static> {
-        vk::SamplerYcbcrConversionInfo::default().conversion(self.conversion)
+    fn view(&self) -> YcbcrView {
+        YcbcrView(Some(self.conversion))
     }
 }
 
@@ -144,7 +144,7 @@ impl YcbcrImage {
         let YcbcrFormat::Known(format) = sampler.format else { panic!("images of a platform are imported") };
         let usage = vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::TRANSFER_DST;
         let desc = ImageDesc::new("picture", extent_texels, format, usage);
-        Ok(Self { image: Image::of_planes(gpu, desc, sampler)?, sampler: sampler.clone() })
+        Ok(Self { image: Image::allocated(gpu, desc, sampler.view())?, sampler: sampler.clone() })
     }
 
     /// An image in memory of a platform's own.
@@ -160,7 +160,7 @@ impl YcbcrImage {
     ) -> Result<Self, GpuError> {
         let usage = vk::ImageUsageFlags::SAMPLED;
         let desc = ImageDesc::new("picture of the platform", extent_texels, sampler.format.vulkan(), usage);
-        let image = Image::around(gpu, desc, handle, Backing::Own(memory), YcbcrView(Some(sampler)))?;
+        let image = Image::around(gpu, desc, handle, Backing::Own(memory), sampler.view())?;
         Ok(Self { image, sampler: sampler.clone() })
     }
 }

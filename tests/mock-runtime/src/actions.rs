@@ -65,6 +65,12 @@ impl Actions {
         Err(Fault::application(xr::Result::ERROR_ACTION_TYPE_MISMATCH, message))
     }
 
+    /// Whether an action of poses had a source at the last `xrSyncActions`, of this path or of any.
+    pub(crate) fn is_active(&self, action: xr::Action, path: xr::Path) -> bool {
+        let action = self.actions.get(&action.into_raw());
+        action.and_then(|action| action.readings.get(&path)).is_some_and(|reading| reading.is_active)
+    }
+
     /// Refuses an action whose set is not attached to the session.
     fn check_attached(&self, action: xr::Action) -> Outcome<()> {
         let action = self.action(action)?;
@@ -75,7 +81,7 @@ impl Actions {
     }
 
     /// Refuses a path that was not given at the action's creation. None asks for all of them.
-    fn check_subaction_path(&self, action: xr::Action, path: xr::Path) -> Outcome<()> {
+    pub(crate) fn check_subaction_path(&self, action: xr::Action, path: xr::Path) -> Outcome<()> {
         let action = self.action(action)?;
         if path == xr::Path::NULL || action.subaction_paths.contains(&path) {
             return Ok(());
@@ -437,9 +443,7 @@ entry! {
         get_info: input xr::ActionStateGetInfo,
         state: output xr::ActionStatePose,
     ) {
-        // Where a controller is nobody scripts.
-        reading(session, get_info, xr::ActionType::POSE_INPUT)?;
-        state.is_active = xr::FALSE;
+        state.is_active = reading(session, get_info, xr::ActionType::POSE_INPUT)?.is_active.into();
         Ok(xr::Result::SUCCESS)
     }
 }

@@ -58,6 +58,8 @@ pub struct MockConfig {
     pub controllers: Option<String>,
     /// What their inputs are from which frame on; 0 before.
     pub inputs: Vec<ScriptedInput>,
+    /// Where they are held from which frame on; nobody knows where before.
+    pub hands: Vec<ScriptedHand>,
 }
 
 /// Angles from straight ahead to the four sides of the left eye's view, degrees, each above -89 and below 89;
@@ -105,6 +107,21 @@ pub struct ScriptedInput {
     pub path: String,
     /// -1 to 1; a click is 1.
     pub value: f32,
+}
+
+/// Where a controller is held from a frame on: its grip, and its aim too.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScriptedHand {
+    /// Index of the frame (number of `xrWaitFrame` calls before it) from which on it is so.
+    pub frame: u64,
+    /// `/user/hand/left` or `/user/hand/right`.
+    pub hand: String,
+    /// In the frame of the head path, metres. None: it is not tracked.
+    pub position_m: Option<[f32; 3]>,
+    /// Turns about y, then x, then z, degrees.
+    #[serde(default)]
+    pub yaw_pitch_roll_degrees: [f32; 3],
 }
 
 /// What can happen to a session.
@@ -218,6 +235,7 @@ impl Default for MockConfig {
             hidden_extensions: Vec::new(),
             controllers: None,
             inputs: Vec::new(),
+            hands: Vec::new(),
         }
     }
 }
@@ -348,11 +366,21 @@ impl MockConfig {
             (-1.0..=1.0).contains(&input.value)
                 && profile.is_some_and(|profile| profile.has_component(&input.path))
         };
-        match self.inputs.iter().find(|input| !is_input(input)) {
-            Some(ScriptedInput { path, value, .. }) => refused(
-                "inputs",
-                format!("{value} at {path}"),
-                "-1 to 1, of an input that the controllers have",
+        if let Some(ScriptedInput { path, value, .. }) = self.inputs.iter().find(|input| !is_input(input)) {
+            let range = "-1 to 1, of an input that the controllers have";
+            return refused("inputs", format!("{value} at {path}"), range);
+        }
+        let is_hand = |hand: &ScriptedHand| {
+            let numbers = hand.position_m.unwrap_or_default().into_iter().chain(hand.yaw_pitch_roll_degrees);
+            let has_grip =
+                profile.is_some_and(|p| p.has_component(&format!("{}/input/grip/pose", hand.hand)));
+            has_grip && numbers.into_iter().all(|number| number.abs() <= 1000.0)
+        };
+        match self.hands.iter().find(|hand| !is_hand(hand)) {
+            Some(hand) => refused(
+                "hands",
+                format!("{hand:?}"),
+                "/user/hand/left or right of controllers, within 1000 m",
             ),
             None => Ok(()),
         }

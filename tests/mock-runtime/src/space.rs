@@ -2,7 +2,8 @@
 //!
 //! STAGE is the frame of the head path until the user recentres: its floor is y = 0. VIEW is the head. LOCAL has its origin where the head
 //! begins (head path time 0, at the head's height) and turns with the head's first heading, level with the floor, as
-//! the specification wants it. An action space is never located: there are no controllers.
+//! the specification wants it. An action space is located while its action has a source and the configuration says where the hand is
+//! (`hands`); one that was made for no hand in particular follows the left one, or else the right one.
 
 use glam::{Quat, Vec3};
 use openxr_sys as xr;
@@ -29,7 +30,8 @@ enum SpaceKind {
     Stage,
     Local,
     View,
-    Action,
+    /// Of an action, for a hand's path or for any.
+    Action(xr::Action, xr::Path),
 }
 
 /// Reach of the central difference that gives velocities, to each side, nanoseconds.
@@ -109,9 +111,33 @@ fn space_in_stage_of(core: &Core, space: &Space, time_ns: i64, stage_ns: i64) ->
         SpaceKind::Stage => Pose::IDENTITY,
         SpaceKind::Local => stage_from_local(core),
         SpaceKind::View => head_in_stage_of(core, time_ns, stage_ns),
-        SpaceKind::Action => return None,
+        SpaceKind::Action(action, path) => {
+            let path_from_hand = path_from_hand(core, action, path)?;
+            path_from_stage(core, stage_ns).inverse().then(path_from_hand)
+        }
     };
     Some(stage_from_reference.then(space.reference_from_space))
+}
+
+/// Where the hand of an action is in the frame of the head path, where it has one.
+fn path_from_hand(core: &Core, action: xr::Action, path: xr::Path) -> Option<Pose> {
+    if !core.actions.is_active(action, path) {
+        return None;
+    }
+    let hands: &[&str] = match path {
+        xr::Path::NULL => &["/user/hand/left", "/user/hand/right"],
+        path => &[core.paths.text(path).ok()?],
+    };
+    let frame = core.timeline.next_frame.saturating_sub(1);
+    let of = |hand: &&str| {
+        let said = core.config.hands.iter().filter(|said| said.hand == **hand && said.frame <= frame);
+        let said = said.max_by_key(|said| said.frame)?;
+        let [yaw, pitch, roll] = said.yaw_pitch_roll_degrees.map(f32::to_radians);
+        let orientation =
+            Quat::from_rotation_y(yaw) * Quat::from_rotation_x(pitch) * Quat::from_rotation_z(roll);
+        Some(Pose { position: Vec3::from(said.position_m?), orientation })
+    };
+    hands.iter().find_map(of)
 }
 
 fn base_from_space(core: &Core, base: &Space, space: &Space, time_ns: i64, stage_ns: i64) -> Option<Pose> {
@@ -201,8 +227,10 @@ entry! {
         let handle = runtime.new_handle();
         let (core, session) = runtime.session(session)?;
         core.actions.check_type(create_info.action, xr::ActionType::POSE_INPUT)?;
+        core.actions.check_subaction_path(create_info.action, create_info.subaction_path)?;
         let reference_from_space = checked_pose(&create_info.pose_in_action_space, "poseInActionSpace")?;
-        session.spaces.insert(handle, Space { kind: SpaceKind::Action, reference_from_space });
+        let kind = SpaceKind::Action(create_info.action, create_info.subaction_path);
+        session.spaces.insert(handle, Space { kind, reference_from_space });
         *space = xr::Space::from_raw(handle);
         Ok(xr::Result::SUCCESS)
     }
