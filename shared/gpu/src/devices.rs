@@ -165,6 +165,9 @@ pub(crate) fn missing(
     if needs == Needs::ClientOfPictures && pictures.sampler_ycbcr_conversion == 0 {
         return Some("samplerYcbcrConversion");
     }
+    if needs == Needs::ClientOfPictures && cfg!(target_os = "android") {
+        return lacking(instance, physical, &PICTURE_EXTENSIONS);
+    }
     if needs != Needs::Server {
         return None;
     }
@@ -179,8 +182,38 @@ pub(crate) fn missing(
     wanted.iter().find(|(has, _)| *has == 0).map(|(_, name)| *name)
 }
 
+/// The first of these extensions that the device does not have.
+fn lacking(
+    instance: &ash::Instance,
+    physical: vk::PhysicalDevice,
+    wanted: &[&'static CStr],
+) -> Option<&'static str> {
+    // SAFETY: `physical` belongs to `instance`. A device that cannot list them has none.
+    let offered = unsafe { instance.enumerate_device_extension_properties(physical) }.unwrap_or_default();
+    let has = |name: &CStr| offered.iter().any(|of_device| of_device.extension_name_as_c_str() == Ok(name));
+    let lacks = wanted.iter().copied().find(|name| !has(name));
+    lacks.map(|name| name.to_str().unwrap_or("an extension that reads pictures"))
+}
+
 /// The feature that `gl_PrimitiveID` in a fragment shader belongs to; some drivers lack it (MoltenVK, some of phones).
 pub(crate) fn has_geometry_shader(instance: &ash::Instance, physical: vk::PhysicalDevice) -> bool {
     // SAFETY: `physical` belongs to `instance`.
     unsafe { instance.get_physical_device_features(physical) }.geometry_shader != 0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_extension_that_is_not_there_is_named() {
+        let options = crate::GpuOptions { needs: Needs::Client, validation: false, device_name: None };
+        let gpu = crate::Gpu::open(&options, &crate::DesktopDevice).expect("a Vulkan device");
+        let lacks = |wanted: &[&'static CStr]| lacking(gpu.instance(), gpu.physical_device(), wanted);
+        // Part of Vulkan 1.1, and still listed by every driver.
+        let there = ash::khr::maintenance1::NAME;
+        assert_eq!(lacks(&[]), None);
+        assert_eq!(lacks(&[there]), None);
+        assert_eq!(lacks(&[there, c"VK_SHADECAST_none", c"VK_SHADECAST_other"]), Some("VK_SHADECAST_none"));
+    }
 }
