@@ -1,6 +1,8 @@
 //! The state machine against a codec that does what the test says, when it says it.
 
 use super::*;
+use rand::rngs::SmallRng;
+use rand::{Rng, SeedableRng};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs, YcbcrFormat, YcbcrSampler, vk};
 use std::sync::Mutex;
 
@@ -24,9 +26,12 @@ struct Script {
     refuses_to_begin: bool,
 }
 
+/// Each unit's picture is in the image of its number, over and over.
+const DISTINCT: usize = 32;
+
 struct Scripted {
     script: Arc<Mutex<Script>>,
-    image: Arc<YcbcrImage>,
+    images: Arc<[Arc<YcbcrImage>]>,
 }
 
 struct Lease(Arc<Mutex<Script>>);
@@ -51,13 +56,16 @@ impl PlatformCodec for Scripted {
 
     fn take_image(&mut self) -> Result<Option<(u64, LentImage)>, DecodeError> {
         let time_us = self.script.lock().unwrap().written.pop_front();
-        let lease = || Box::new(Lease(self.script.clone()));
-        Ok(time_us.map(|time_us| (time_us, LentImage { image: self.image.clone(), lease: lease() })))
+        Ok(time_us.map(|time_us| {
+            let image = self.images[(time_us / UNIT_US) as usize % DISTINCT].clone();
+            (time_us, LentImage { image, lease: Box::new(Lease(self.script.clone())) })
+        }))
     }
 }
 
 struct Bench {
     script: Arc<Mutex<Script>>,
+    images: Arc<[Arc<YcbcrImage>]>,
     decoder: PlatformDecoder<Scripted>,
 }
 
@@ -67,7 +75,9 @@ impl Bench {
         let gpu = Gpu::open(&options, &DesktopDevice).expect("a Vulkan device");
         let format = YcbcrFormat::Known(vk::Format::G8_B8R8_2PLANE_420_UNORM);
         let sampler = YcbcrSampler::new(&gpu, format).unwrap();
-        let image = Arc::new(YcbcrImage::new(&gpu, &sampler, EXTENT).unwrap());
+        let image = |_| Arc::new(YcbcrImage::new(&gpu, &sampler, EXTENT).unwrap());
+        let images: Arc<[_]> = (0..DISTINCT).map(image).collect();
+        let of_codec = images.clone();
         let script = Arc::<Mutex<Script>>::default();
         let of_codecs = script.clone();
         let make: MakeCodec<Scripted> = Box::new(move |extent, headers, says| {
@@ -78,9 +88,9 @@ impl Bench {
             }
             script.begun.push(headers.clone());
             script.says = Some(says);
-            Ok(Scripted { script: of_codecs.clone(), image: image.clone() })
+            Ok(Scripted { script: of_codecs.clone(), images: of_codec.clone() })
         });
-        Self { script, decoder: PlatformDecoder::new(EXTENT, make).unwrap() }
+        Self { script, images, decoder: PlatformDecoder::new(EXTENT, make).unwrap() }
     }
 
     fn script(&self) -> std::sync::MutexGuard<'_, Script> {
@@ -367,5 +377,155 @@ fn decoders_on_the_cpu_are_known_by_their_names() {
     }
     for name in ["OMX.qcom.video.decoder.avc", "c2.qti.avc.decoder", "c2.exynos.h264.decoder"] {
         assert!(!is_software(name), "{name}");
+    }
+}
+
+/// A codec that does anything that a codec may do, at random, and what came out of it.
+struct Chance {
+    bench: Bench,
+    dice: SmallRng,
+    /// Of each unit whether it is a refresh, and whether another before it was lost.
+    units: Vec<(bool, bool)>,
+    is_lost: bool,
+    /// How many came out, and whether the last one had its picture.
+    came_out: usize,
+    was_shown: bool,
+    shown: usize,
+    held: VecDeque<Picture>,
+    /// With the newest codec: inputs that it offers, units that it has, those that are decoded, those that are to be written.
+    begun: usize,
+    inputs: Vec<usize>,
+    decoded: Vec<(usize, u64)>,
+}
+
+impl Chance {
+    fn new(seed: u64) -> Self {
+        Self {
+            bench: Bench::new(),
+            dice: SmallRng::seed_from_u64(seed),
+            units: Vec::new(),
+            is_lost: false,
+            came_out: 0,
+            was_shown: false,
+            shown: 0,
+            held: VecDeque::new(),
+            begun: 0,
+            inputs: Vec::new(),
+            decoded: Vec::new(),
+        }
+    }
+
+    fn submit(&mut self, is_refresh: bool) {
+        self.units.push((is_refresh, std::mem::take(&mut self.is_lost)));
+        self.bench.decoder.submit(&if is_refresh { refresh() } else { later() });
+    }
+
+    /// The codec takes a step. A new one has nothing of the one before.
+    fn run_codec(&mut self, leaves_out: bool) {
+        let begun = self.bench.script().begun.len();
+        if begun == 0 {
+            return;
+        }
+        if begun != std::mem::replace(&mut self.begun, begun) {
+            self.inputs = (0..3).collect();
+            self.decoded.clear();
+            let mut script = self.bench.script();
+            script.queued.clear();
+            script.released.clear();
+            script.written.clear();
+        }
+        if let Some(input) = self.inputs.pop() {
+            self.bench.say(CodecEvent::Input(input));
+        }
+        let queued: Vec<_> = self.bench.script().queued.drain(..).collect();
+        for (input, _, time_us) in queued {
+            self.inputs.push(input);
+            if !leaves_out {
+                self.decoded.push((input, time_us));
+                self.bench.say(CodecEvent::Output(input, time_us));
+            }
+        }
+        let released: Vec<_> = self.bench.script().released.drain(..).collect();
+        for (output, is_shown) in released {
+            let at = self.decoded.iter().position(|(index, _)| *index == output).expect("an output");
+            let (_, time_us) = self.decoded.remove(at);
+            if is_shown {
+                self.bench.script().written.push_back(time_us);
+                self.bench.say(CodecEvent::Image);
+            }
+        }
+        assert!(self.bench.decoder.lent.load(Ordering::Acquire) <= MAX_LENT);
+    }
+
+    /// Each unit comes out once, in order, with its own picture or an error, and with none that another one is missing for.
+    fn poll(&mut self) {
+        while let Some(result) = self.bench.decoder.poll(AT_ONCE) {
+            let number = self.came_out;
+            let (is_refresh, is_after_loss) = self.units[number];
+            self.came_out += 1;
+            let before = std::mem::replace(&mut self.was_shown, result.is_ok());
+            if let Ok(picture) = result {
+                assert!(
+                    is_refresh || (before && !is_after_loss),
+                    "unit {number} refers to one that is missing"
+                );
+                let Picture::OnDevice(on_device) = &picture else { panic!("in the device's memory") };
+                assert!(
+                    Arc::ptr_eq(&on_device.image, &self.bench.images[number % DISTINCT]),
+                    "unit {number}"
+                );
+                self.held.push_back(picture);
+                self.shown += 1;
+            }
+        }
+    }
+
+    fn step(&mut self) {
+        match self.dice.random_range(0..100) {
+            0..30 => {
+                let is_refresh = self.bench.decoder.needs_refresh() || self.dice.random_bool(0.05);
+                // Now and then nobody has heard that a refresh is needed.
+                let is_heard = self.dice.random_bool(0.9);
+                self.submit(is_refresh && is_heard);
+            }
+            30..70 => {
+                let leaves_out = self.dice.random_bool(0.02);
+                self.run_codec(leaves_out);
+            }
+            70..71 => {
+                self.bench.decoder.unit_lost();
+                self.is_lost = true;
+            }
+            71..72 if self.begun > 0 => self.bench.say(CodecEvent::Failed("chance".into())),
+            72..86 => drop(self.held.pop_front()),
+            _ => self.poll(),
+        }
+    }
+}
+
+#[test]
+fn whatever_a_codec_does_each_unit_comes_out_once_in_order_and_none_that_refers_to_what_is_missing() {
+    for seed in 0..12 {
+        let mut chance = Chance::new(seed);
+        (0..4000).for_each(|_| chance.step());
+        // A codec that does as it should, and a client that gives everything back.
+        chance.submit(true);
+        for _ in 0..200 {
+            chance.held.clear();
+            chance.run_codec(false);
+            chance.poll();
+        }
+        if chance.came_out < chance.units.len() {
+            // Left out by the codec, and no picture came after it.
+            chance.bench.decoder.waited = PATIENCE + PATIENCE;
+            let given_up = chance.bench.decoder.poll(Duration::from_millis(1));
+            assert!(matches!(given_up, Some(Err(_))), "seed {seed}: {given_up:?}");
+            chance.came_out += 1;
+            chance.poll();
+        }
+        assert_eq!(chance.came_out, chance.units.len(), "seed {seed}");
+        assert!(chance.shown > 200, "seed {seed}: {} pictures of {}", chance.shown, chance.units.len());
+        chance.held.clear();
+        assert_eq!(chance.bench.decoder.lent.load(Ordering::Acquire), 0);
     }
 }
