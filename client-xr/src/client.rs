@@ -27,7 +27,7 @@ pub struct Client {
 pub fn halves(display: Box<dyn Display>, options: ClientOptions) -> Result<(Presenter, Intake), ClientError> {
     let (of_presenter, of_intake) = handover::ends();
     let presenter = Presenter::new(display, &options, of_presenter)?;
-    let intake = Intake::new(of_intake, options, presenter.gpu().clone(), presenter.eye_extent_pixels());
+    let intake = Intake::new(of_intake, options, presenter.picture_ways(), presenter.eye_extent_pixels());
     Ok((presenter, intake))
 }
 

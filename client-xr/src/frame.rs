@@ -158,13 +158,12 @@ impl Presenter {
         self.record_arrivals(recorder);
         let Self { scenes, renderer, interpolation, .. } = self;
         let at = turn.display_time;
-        let stages = &mut renderer.stages;
+        let stages = &renderer.stages;
         let picture_arrived = recorder.scope("switch", |r| scenes.record_switch(r, stages, at))?;
         let Some(scene) = scenes.shown_mut() else { return Ok(Content::default()) };
         scene.clock.show(at);
         let clock_error_bound_ns = scene.clock.error_bound_ns(at);
         let Some(now) = scene.clock.server_time(at) else { return Ok(Content::default()) };
-        let stages = &renderer.stages;
         let report = recorder.scope("motion", |r| {
             let skinned = scene.record_poses(r, stages, flight, now);
             let report = scene.record_motion(r, stages, now, *interpolation);

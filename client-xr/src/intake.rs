@@ -8,7 +8,7 @@ use crate::link::Link;
 use crate::options::ClientOptions;
 use crate::preparing::{ArrivedPicture, Preparing};
 use crate::report::{DecodedIn, Notice};
-use shadecast_gpu::Gpu;
+use crate::stages::atlas_draw::PictureWays;
 use shadecast_protocol::clock::ClockEstimate;
 use shadecast_protocol::delta::ReceivedDelta;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS};
@@ -18,7 +18,6 @@ use shadecast_protocol::session::{ClientEvent, Out};
 use shadecast_protocol::time::ClientTime;
 use shadecast_protocol::wire::{self, StreamMessage, WireError};
 use std::collections::VecDeque;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Decoded pictures that are remembered for who drives the client.
@@ -31,8 +30,8 @@ pub struct Intake {
     preparing: Option<Preparing>,
     end: IntakeEnd,
     options: ClientOptions,
-    /// For decoders, whose pictures may be in its memory.
-    gpu: Arc<Gpu>,
+    /// What draws pictures that decoders leave on the device.
+    ways: PictureWays,
     eye_extent_pixels: [u32; 2],
     picks: Picks,
     now: ClientTime,
@@ -47,7 +46,7 @@ impl Intake {
     pub(crate) fn new(
         end: IntakeEnd,
         options: ClientOptions,
-        gpu: Arc<Gpu>,
+        ways: PictureWays,
         eye_extent_pixels: [u32; 2],
     ) -> Self {
         Self {
@@ -55,7 +54,7 @@ impl Intake {
             preparing: None,
             end,
             options,
-            gpu,
+            ways,
             eye_extent_pixels,
             picks: Picks::default(),
             now: ClientTime(0),
@@ -201,9 +200,12 @@ impl Intake {
     pub fn prepare(&mut self) -> bool {
         self.end.flush();
         self.tell_clock();
-        let Self { preparing: Some(preparing), end, link, .. } = self else { return false };
+        let Self { preparing: Some(preparing), end, link, ways, notices, .. } = self else { return false };
         let batch = preparing.next_batch();
-        let bundle = preparing.next_bundle(|picture| link.recycle(picture));
+        let bundle = preparing.next_bundle(ways, |picture| link.recycle(picture)).unwrap_or_else(|error| {
+            notices.push_back(Notice::Failed(error.to_string()));
+            None
+        });
         let is_something = batch.is_some() || bundle.is_some();
         for loan in batch.into_iter().chain(bundle) {
             end.give(Prepared::Loan(loan, preparing.serial));
@@ -284,10 +286,11 @@ impl Intake {
     }
 
     fn welcome(&mut self, welcome: Welcome) {
-        let decoder = match (self.options.decoder)(welcome.codec, welcome.atlas_extent_texels, &self.gpu) {
-            Ok(decoder) => decoder,
-            Err(error) => return self.notices.push_back(Notice::Failed(error.to_string())),
-        };
+        let decoder =
+            match (self.options.decoder)(welcome.codec, welcome.atlas_extent_texels, self.ways.gpu()) {
+                Ok(decoder) => decoder,
+                Err(error) => return self.notices.push_back(Notice::Failed(error.to_string())),
+            };
         let Some(serial) = self.link.welcomed(&welcome, decoder, self.options.decoding) else { return };
         self.preparing = Some(Preparing::new(&welcome, serial));
         self.end.give(Prepared::Scene(Box::new(welcome.clone()), serial));

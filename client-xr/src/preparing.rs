@@ -6,8 +6,9 @@ use crate::decode::Picture;
 use crate::draw_list::ListScratch;
 use crate::handover::{Bundle, Loan};
 use crate::motion::Motion;
-use crate::stages::atlas_draw::BUNDLES;
+use crate::stages::atlas_draw::{BUNDLES, PictureWays};
 use crate::stages::batch::{BATCHES, Batch};
+use shadecast_gpu::GpuError;
 use shadecast_protocol::delta::ReceivedDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::Welcome;
@@ -92,13 +93,25 @@ impl Preparing {
 
     /// The newest complete bundle, if there is a newer one and memory for it: its picture, its patches' draw list. All that it
     /// draws is in batches before it. Pictures that are not needed any more go to `recycle`.
-    pub(crate) fn next_bundle(&mut self, mut recycle: impl FnMut(Picture)) -> Option<Loan> {
-        let complete = self.motion.complete().filter(|_| !self.bundles.is_empty())?;
+    ///
+    /// # Errors
+    /// The device cannot draw pictures as the decoder now gives them.
+    pub(crate) fn next_bundle(
+        &mut self,
+        ways: &mut PictureWays,
+        mut recycle: impl FnMut(Picture),
+    ) -> Result<Option<Loan>, GpuError> {
+        let Some(complete) = self.motion.complete().filter(|_| !self.bundles.is_empty()) else {
+            return Ok(None);
+        };
         let newest = self.bundler.take_newest_complete(complete, |dropped| recycle(dropped.picture));
-        let (update, ArrivedPicture { arrived, picture }) = newest?;
-        let mut bundle = self.bundles.pop()?;
+        let Some((update, ArrivedPicture { arrived, picture })) = newest else { return Ok(None) };
+        let Some(mut bundle) = self.bundles.pop() else { return Ok(None) };
         match picture {
-            Picture::OnDevice(picture) => bundle.memory.on_device = Some(picture),
+            Picture::OnDevice(picture) => {
+                let ways = ways.of(&picture.image)?;
+                bundle.memory.on_device = Some((picture, ways));
+            }
             Picture::Planes(planes) => {
                 bundle.memory.planes.write(planes.planes());
                 recycle(Picture::Planes(planes));
@@ -114,7 +127,7 @@ impl Preparing {
         }
         bundle.state = self.motion.state();
         (bundle.update, bundle.picture_arrived) = (update, arrived);
-        Some(Loan::Bundle(bundle))
+        Ok(Some(Loan::Bundle(bundle)))
     }
 
     /// What the patches draw. Where none of them has changed since this memory was written, the list there is the newest too.

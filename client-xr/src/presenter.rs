@@ -9,7 +9,7 @@ use crate::renderer::Renderer;
 use crate::report::{ClientError, FrameReport};
 use crate::scene::Scene;
 use crate::scenes::Scenes;
-use crate::stages::atlas_draw::BUNDLES;
+use crate::stages::atlas_draw::{BUNDLES, PictureWays};
 use crate::stages::batch::BATCHES;
 use crate::stages::interpolate::Interpolation;
 use crate::stages::probe::ProbeView;
@@ -86,6 +86,11 @@ impl Presenter {
     /// The device.
     pub fn gpu(&self) -> &Arc<Gpu> {
         &self.renderer.gpu
+    }
+
+    /// What is to make the pipelines of pictures on the device, for the intake.
+    pub(crate) fn picture_ways(&self) -> PictureWays {
+        PictureWays::new(&self.renderer.gpu, &self.renderer.stages.targets.pass)
     }
 
     /// Pixels per eye, width and height.

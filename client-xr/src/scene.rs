@@ -176,17 +176,17 @@ impl Scene {
     /// Puts the newest complete bundle on display, if there is a newer one. Gives when the last byte of its picture came.
     ///
     /// # Errors
-    /// The device cannot draw pictures as the decoder now gives them.
+    /// As [`AtlasDraw::record_picture`](crate::stages::atlas_draw::AtlasDraw::record_picture).
     pub(crate) fn record_switch(
         &mut self,
         recorder: &mut Recorder,
-        stages: &mut Stages,
+        stages: &Stages,
         time: ServerTime,
     ) -> Result<Option<ClientTime>, GpuError> {
         let Some(bundle) = self.next.take() else { return Ok(None) };
-        let Stages { atlas, targets, eyes, .. } = stages;
-        let picture = (&mut self.sets[bundle.memory.index], &bundle.memory);
-        atlas.record_picture(recorder, picture, &targets.pass, &self.memory, eyes.each_ref())?;
+        let Bundle { memory, .. } = &*bundle;
+        let (set, eyes) = (&mut self.sets[memory.index], stages.eyes.each_ref());
+        stages.atlas.record_picture(recorder, set, memory, &self.memory, eyes)?;
         self.ready = bundle.list.ready_at(GridTime::of(self.terms.grid, time).step);
         self.has_switched = true;
         let picture_arrived = bundle.picture_arrived;

@@ -64,11 +64,11 @@ impl Scenes {
     /// of its picture came.
     ///
     /// # Errors
-    /// The device cannot draw pictures as the decoder now gives them.
+    /// As [`Scene::record_switch`].
     pub(crate) fn record_switch(
         &mut self,
         recorder: &mut Recorder,
-        stages: &mut Stages,
+        stages: &Stages,
         display_time: ClientTime,
     ) -> Result<Option<ClientTime>, GpuError> {
         let Some(scene) = self.next.as_mut().or(self.shown.as_mut()) else { return Ok(None) };

@@ -30,7 +30,7 @@ pub(super) const BOTH_EYES: u32 = 0b11;
 /// What is drawn to: the swapchain's images, multisampled colour and depth that live within the pass.
 pub struct EyeTargets {
     /// The one pass of a display frame.
-    pub pass: RenderPass,
+    pub pass: Arc<RenderPass>,
     framebuffers: Vec<Framebuffer>,
     _transient: Vec<Image>,
 }
@@ -56,16 +56,21 @@ pub struct Lookup {
 
 /// The pipelines.
 pub struct AtlasDraw {
-    gpu: Arc<Gpu>,
     chroma: Chroma,
     ways: Ways,
     sampler: Sampler,
-    /// Those of pictures on the device, made when the first comes, and anew when the decoder changes their format.
-    of_pictures: Option<(Arc<YcbcrSampler>, Ways)>,
 }
 
 /// The pipeline of what covers all of its block, without `discard`, so that its depth is tested early, and that of cutouts.
-struct Ways([GraphicsPipeline; 2]);
+pub struct Ways([GraphicsPipeline; 2]);
+
+/// The pipelines of pictures on the device, on the thread that takes them in: made when the first comes, and anew when the decoder changes
+/// their format.
+pub struct PictureWays {
+    gpu: Arc<Gpu>,
+    pass: Arc<RenderPass>,
+    made: Option<(Arc<YcbcrSampler>, Arc<Ways>)>,
+}
 
 /// A bundle's bindings for both, one per frame in flight.
 type Groups = [[BindGroup; FRAMES_IN_FLIGHT]; 2];
@@ -82,8 +87,8 @@ pub struct BundleMemory {
     pub coverage: Buffer,
     /// The picture, where the CPU has it.
     pub planes: PlaneStaging,
-    /// The picture, where the device has it; it counts where it is there.
-    pub on_device: Option<DevicePicture>,
+    /// The picture, where the device has it, and what draws it; it counts where it is there.
+    pub on_device: Option<(DevicePicture, Arc<Ways>)>,
 }
 
 /// One on display, one that is made, and one that the device may still read.
@@ -94,8 +99,8 @@ pub struct BundleSet {
     /// The picture that the CPU had.
     pub planes: Planes,
     groups: Groups,
-    /// With the picture that the device has, and by what it is sampled.
-    of_picture: Option<(Arc<YcbcrSampler>, Groups)>,
+    /// With the picture that the device has, and what draws it.
+    of_picture: Option<(Arc<Ways>, Groups)>,
     /// Which of both are drawn.
     is_on_device: bool,
 }
@@ -129,7 +134,7 @@ impl EyeTargets {
             view_mask: BOTH_EYES,
             ..RenderPassDesc::new(colors)
         };
-        let pass = RenderPass::new(gpu, &desc)?;
+        let pass = Arc::new(RenderPass::new(gpu, &desc)?);
         let attachment = |name, format, usage| {
             let usage = usage | vk::ImageUsageFlags::TRANSIENT_ATTACHMENT;
             Image::new(
@@ -178,8 +183,7 @@ impl AtlasDraw {
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
         let sampler =
             SamplerDesc { filter: vk::Filter::LINEAR, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
-        let sampler = Sampler::new(gpu, sampler)?;
-        Ok(Self { gpu: gpu.clone(), chroma, ways, sampler, of_pictures: None })
+        Ok(Self { chroma, ways, sampler: Sampler::new(gpu, sampler)? })
     }
 
     /// Memory for a bundle of a connection with these capacities.
@@ -221,32 +225,30 @@ impl AtlasDraw {
     }
 
     /// Puts the picture of `bundle` where its draw finds it. The GPU is done with what was there.
+    ///
+    /// # Errors
+    /// The device has no room for the bindings of pictures of a format that was not there before.
     pub fn record_picture(
-        &mut self,
+        &self,
         recorder: &mut Recorder,
-        (set, bundle): (&mut BundleSet, &BundleMemory),
-        pass: &RenderPass,
+        set: &mut BundleSet,
+        bundle: &BundleMemory,
         memory: &VertexMemory,
         eyes: [&Buffer; FRAMES_IN_FLIGHT],
     ) -> Result<(), GpuError> {
         set.is_on_device = bundle.on_device.is_some();
-        let Some(DevicePicture { image, is_foreign, .. }) = &bundle.on_device else {
+        let Some((DevicePicture { image, is_foreign, .. }, ways)) = &bundle.on_device else {
             set.planes.record(recorder, &bundle.planes);
             return Ok(());
         };
         if *is_foreign {
             recorder.take_over(image);
         }
-        let known = self.of_pictures.take_if(|(sampler, _)| Arc::ptr_eq(sampler, &image.sampler));
-        let (_, ways) = self.of_pictures.insert(match known {
-            Some(known) => known,
-            None => (image.sampler.clone(), Ways::of_pictures(&self.gpu, pass, &image.sampler)?),
-        });
         match &mut set.of_picture {
-            Some((sampler, groups)) if Arc::ptr_eq(sampler, &image.sampler) => ways.rebind(groups, image),
+            Some((bound, groups)) if Arc::ptr_eq(bound, ways) => ways.rebind(groups, image),
             bound => {
                 let pictures = [("picture", Bind::Picture(image))];
-                *bound = Some((image.sampler.clone(), ways.bind(bundle, memory, eyes, &pictures)?));
+                *bound = Some((ways.clone(), ways.bind(bundle, memory, eyes, &pictures)?));
             }
         }
         Ok(())
@@ -261,9 +263,8 @@ impl AtlasDraw {
         flight: usize,
         drawn: Drawable,
     ) {
-        let of_pictures = self.of_pictures.as_ref().zip(set.of_picture.as_ref());
-        let (ways, groups) = match of_pictures.filter(|_| set.is_on_device) {
-            Some(((_, ways), (_, groups))) => (ways, groups),
+        let (ways, groups) = match set.of_picture.as_ref().filter(|_| set.is_on_device) {
+            Some((ways, groups)) => (&**ways, groups),
             None => (&self.ways, &set.groups),
         };
         let ways = ways.0.iter().zip(groups);
@@ -293,15 +294,6 @@ impl Ways {
             GraphicsPipeline::fixing(gpu, &desc, fixed.clone())
         };
         Ok(Self([pipeline(&CLIENT_ATLAS_VERT, fragment)?, pipeline(&CLIENT_ATLAS_MASKED_VERT, masked)?]))
-    }
-
-    /// Those of pictures on the device, always in a straight line between texels.
-    fn of_pictures(gpu: &Arc<Gpu>, pass: &RenderPass, sampler: &Arc<YcbcrSampler>) -> Result<Self, GpuError> {
-        let shaders = match sampler.is_cosited() {
-            false => [&CLIENT_ATLAS_PICTURE_FRAG, &CLIENT_ATLAS_MASKED_PICTURE_FRAG],
-            true => [&CLIENT_ATLAS_COSITED_FRAG, &CLIENT_ATLAS_MASKED_COSITED_FRAG],
-        };
-        Self::new(gpu, pass, shaders, Some(("picture", sampler.clone())))
     }
 
     fn bind(
@@ -336,6 +328,37 @@ impl Ways {
         for (pipeline, groups) in self.0.iter().zip(groups) {
             groups.iter_mut().for_each(|group| group.rebind(pipeline.layout(), "picture", picture));
         }
+    }
+}
+
+impl PictureWays {
+    /// None yet, for `pass`.
+    pub fn new(gpu: &Arc<Gpu>, pass: &Arc<RenderPass>) -> Self {
+        Self { gpu: gpu.clone(), pass: pass.clone(), made: None }
+    }
+
+    /// The device, for decoders whose pictures are in its memory.
+    pub fn gpu(&self) -> &Arc<Gpu> {
+        &self.gpu
+    }
+
+    /// What draws `picture`, always in a straight line between texels.
+    ///
+    /// # Errors
+    /// The device cannot draw pictures of its format.
+    pub fn of(&mut self, picture: &YcbcrImage) -> Result<Arc<Ways>, GpuError> {
+        let sampler = &picture.sampler;
+        if let Some((_, ways)) = self.made.as_ref().filter(|(known, _)| Arc::ptr_eq(known, sampler)) {
+            return Ok(ways.clone());
+        }
+        let shaders = match sampler.is_cosited() {
+            false => [&CLIENT_ATLAS_PICTURE_FRAG, &CLIENT_ATLAS_MASKED_PICTURE_FRAG],
+            true => [&CLIENT_ATLAS_COSITED_FRAG, &CLIENT_ATLAS_MASKED_COSITED_FRAG],
+        };
+        let fixed = Some(("picture", sampler.clone()));
+        let ways = Arc::new(Ways::new(&self.gpu, &self.pass, shaders, fixed)?);
+        self.made = Some((sampler.clone(), ways.clone()));
+        Ok(ways)
     }
 }
 

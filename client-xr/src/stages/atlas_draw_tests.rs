@@ -151,7 +151,7 @@ impl Bench {
         let mut recorder = gpu.record().unwrap();
         let positions = Buffer::upload(gpu, "positions", &shown.positions).unwrap();
         recorder.copy_buffer(&positions, 0, &self.memory.positions, 0, positions.size());
-        let mut stage = AtlasDraw::new(gpu, &self.targets.pass, lookup).unwrap();
+        let stage = AtlasDraw::new(gpu, &self.targets.pass, lookup).unwrap();
         let eyes = self.eyes.each_ref();
         let mut bundle = stage.bundle_memory(gpu, 0, PATCHES, ATLAS).unwrap();
         let mut set = stage.bundle_set(gpu, &mut recorder, &bundle, ATLAS, &self.memory, eyes).unwrap();
@@ -168,12 +168,12 @@ impl Bench {
             Picture::Planes(planes) => bundle.planes.write(planes.planes()),
             Picture::OnDevice(DevicePicture { image, .. }) => {
                 let (image, lease) = (image.clone(), Box::new(()));
-                bundle.on_device = Some(DevicePicture { image, is_foreign: false, lease });
+                let ways = PictureWays::new(gpu, &self.targets.pass).of(&image).unwrap();
+                bundle.on_device = Some((DevicePicture { image, is_foreign: false, lease }, ways));
             }
             Picture::FullChroma(_) => unreachable!("no test has such"),
         }
-        let (pass, of_bundle) = (&self.targets.pass, (&mut set, &bundle));
-        stage.record_picture(&mut recorder, of_bundle, pass, &self.memory, eyes).unwrap();
+        stage.record_picture(&mut recorder, &mut set, &bundle, &self.memory, eyes).unwrap();
         recorder.barrier(Access::COPY_WRITE, Access::VERTEX_READ);
         self.targets.begin(&mut recorder, 0);
         stage.record(&mut recorder, &set, &bundle.indices, 0, drawn);
