@@ -1,19 +1,21 @@
 //! What each reconstruction costs on this device: the client's one draw of a wall of patches, all ways in turn in each round.
 //! `cargo run --release -p shadecast-client --example lookup_cost -- [PIXELS A SIDE] [ROUNDS]`
 
+mod device;
+
 use shadecast_client::draw_list::{Drawable, ListWriter};
 use shadecast_client::motion::skinned::SkinCapacity;
 use shadecast_client::stages::FRAMES_IN_FLIGHT;
 use shadecast_client::stages::atlas_draw::{
-    AtlasDraw, BundleMemory, BundleSet, EyeTargets, Lookup, Reconstruction, eye_buffers,
+    AtlasDraw, BundleMemory, BundleSet, EyeTargets, Lookup, Reconstruction,
 };
 use shadecast_client::stages::scatter::VertexMemory;
-use shadecast_gpu::{Access, Buffer, DesktopDevice, Gpu, GpuError, GpuOptions, Image, ImageDesc, Needs, vk};
+use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, vk};
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::ids::{InstanceId, VertexSlot};
 use shadecast_protocol::memory::ResidentPatch;
 use shadecast_protocol::message::MotionMemory;
-use shadecast_shaders::generated::{CornerGpu, EyesGpu};
+use shadecast_shaders::generated::CornerGpu;
 use std::sync::Arc;
 
 /// Patches across and down, each with a block of 32x32 texels.
@@ -37,17 +39,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     println!("{}: {side}x{side} pixels, two eyes, four samples, {rounds} rounds", bench.gpu.device_name());
     for (index, (name, _)) in WAYS.into_iter().enumerate() {
-        let ms = median(rows.iter().map(|row| row[index]));
-        let ratio = median(rows.iter().map(|row| row[index] / row[0]));
+        let ms = device::median(rows.iter().map(|row| row[index]));
+        let ratio = device::median(rows.iter().map(|row| row[index] / row[0]));
         println!("{name}: {ms:.3} ms, {ratio:.2} times bilinear in the same round (medians)");
     }
     Ok(())
-}
-
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
 struct Bench {
@@ -68,13 +64,8 @@ struct Way {
 
 impl Bench {
     fn new(side: u32) -> Result<Self, GpuError> {
-        let options = GpuOptions { needs: Needs::Client, validation: false, device_name: None };
-        let gpu = Gpu::open(&options, &DesktopDevice)?;
-        let (format, usage) = (vk::Format::R8G8B8A8_SRGB, vk::ImageUsageFlags::COLOR_ATTACHMENT);
-        let desc = ImageDesc { layers: 2, ..ImageDesc::new("eyes", [side; 2], format, usage) };
-        let image = Image::new(&gpu, desc)?;
         let four = vk::SampleCountFlags::TYPE_4;
-        let targets = EyeTargets::new(&gpu, &[image.handle()], format, [side; 2], four)?;
+        let (gpu, image, targets) = device::open(side, vk::Format::R8G8B8A8_SRGB, four)?;
         let mut recorder = gpu.record()?;
         let capacity = SkinCapacity::from(MotionMemory { sample_ring: 8, ..MotionMemory::NONE });
         let vertices = u32::from(ACROSS) * u32::from(ACROSS) * 4;
@@ -83,13 +74,7 @@ impl Bench {
         recorder.copy_buffer(&positions, 0, &memory.positions, 0, positions.size());
         recorder.barrier(Access::COPY_WRITE, Access::VERTEX_READ);
         gpu.wait(recorder.submit()?)?;
-        let mut eyes = eye_buffers(&gpu)?;
-        let in_clip_space = EyesGpu {
-            clip_from_world: [IDENTITY; 2],
-            space_from_clip_direction: [IDENTITY; 2],
-            space_eye: [[0.0; 4]; 2],
-        };
-        eyes.iter_mut().for_each(|buffer| buffer.write(0, bytemuck::bytes_of(&in_clip_space)));
+        let eyes = device::eyes_in_clip_space(&gpu)?;
         Ok(Self { gpu, _image: image, targets, memory, eyes })
     }
 
@@ -116,16 +101,13 @@ impl Bench {
         let mut recorder = self.gpu.record()?;
         recorder.scope(way.name, |r| {
             self.targets.begin(r, 0);
-            way.stage.record(r, &way.set, &way.bundle.indices, 0, way.drawn);
+            way.stage.record(r, &way.set, &way.bundle, 0, way.drawn);
             r.end_pass();
         });
         let timings = self.gpu.wait_timed(recorder.submit()?)?;
         Ok(timings.iter().map(|(_, ms)| ms).sum())
     }
 }
-
-const IDENTITY: [[f32; 4]; 4] =
-    [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
 
 /// Corners of all patches, which cover the display.
 fn positions() -> Vec<[f32; 4]> {

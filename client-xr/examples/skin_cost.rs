@@ -2,19 +2,21 @@
 //! turn in each round, as many vertices, patches and bones as `docs/budget.md` counts.
 //! `cargo run --release -p shadecast-client --example skin_cost -- [PIXELS A SIDE] [ROUNDS]`
 
+mod device;
+
 use shadecast_client::draw_list::{ListWriter, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
-use shadecast_client::stages::atlas_draw::{EyeTargets, eye_buffers};
+use shadecast_client::stages::atlas_draw::EyeTargets;
 use shadecast_client::stages::upload::{Chroma, PlaneStaging, Planes};
 use shadecast_gpu::{
-    Access, Bind, BindGroup, Buffer, ComputePipeline, DesktopDevice, Gpu, GpuError, GpuOptions,
-    GraphicsPipeline, GraphicsPipelineDesc, Image, ImageDesc, Memory, Needs, Sampler, SamplerDesc, vk,
+    Access, Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
+    Image, Memory, Sampler, SamplerDesc, vk,
 };
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::ids::{InstanceId, VertexSlot};
 use shadecast_protocol::memory::ResidentPatch;
 use shadecast_shaders::Shader;
 use shadecast_shaders::generated::{
-    BENCH_SKIN_VERT, CLIENT_ATLAS_FRAG, CLIENT_ATLAS_VERT, CLIENT_SKIN_COMP, EyesGpu, RestGpu, SkinPush,
+    BENCH_SKIN_VERT, CLIENT_ATLAS_FRAG, CLIENT_ATLAS_VERT, CLIENT_SKIN_COMP, RestGpu, SkinPush,
 };
 use std::sync::Arc;
 
@@ -48,7 +50,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for _ in 0..rounds {
         rows.push([bench.draw(true)?.0, bench.draw(false)?.0]);
     }
-    let all = |value: fn(&[f64; 2]) -> f64| median(rows.iter().map(value));
+    let all = |value: fn(&[f64; 2]) -> f64| device::median(rows.iter().map(value));
     println!("a pass before, and the draw: {:.3} ms (median)", all(|row| row[0]));
     println!(
         "in the vertex shader: {:.3} ms, {:.2} times that in the same round (medians)",
@@ -56,12 +58,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         all(|row| row[1] / row[0])
     );
     Ok(())
-}
-
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
 struct Bench {
@@ -78,14 +74,8 @@ struct Bench {
 
 impl Bench {
     fn new(side: u32) -> Result<Self, GpuError> {
-        let options = GpuOptions { needs: Needs::Client, validation: false, device_name: None };
-        let gpu = Gpu::open(&options, &DesktopDevice)?;
-        let format = vk::Format::R8G8B8A8_UNORM;
-        let usage = vk::ImageUsageFlags::COLOR_ATTACHMENT | vk::ImageUsageFlags::TRANSFER_SRC;
-        let image =
-            Image::new(&gpu, ImageDesc { layers: 2, ..ImageDesc::new("eyes", [side; 2], format, usage) })?;
         let one = vk::SampleCountFlags::TYPE_1;
-        let targets = EyeTargets::new(&gpu, &[image.handle()], format, [side; 2], one)?;
+        let (gpu, image, targets) = device::open(side, vk::Format::R8G8B8A8_UNORM, one)?;
         let (mut corners, mut indices) = (vec![bytemuck::Zeroable::zeroed(); CORNERS], vec![0; INDICES]);
         let mut writer = ListWriter::new(&mut corners, &mut indices);
         (0..STRIPS).for_each(|strip| (0..PATCHES_A_STRIP).for_each(|at| writer.write(&patch(strip, at))));
@@ -98,9 +88,7 @@ impl Bench {
         staging.write([&grey, &grey[..grey.len() / 4], &grey[..grey.len() / 4]]);
         planes.record(&mut recorder, &staging);
         gpu.wait(recorder.submit()?)?;
-        let mut eyes = eye_buffers(&gpu)?;
-        eyes[0].write(0, bytemuck::bytes_of(&in_clip_space()));
-        let [eyes, ..] = eyes;
+        let [eyes, ..] = device::eyes_in_clip_space(&gpu)?;
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
         let sampler =
             SamplerDesc { filter: vk::Filter::LINEAR, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
@@ -165,16 +153,6 @@ impl Bench {
         recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
         let timings = self.gpu.wait_timed(recorder.submit()?)?;
         Ok((timings.iter().map(|(_, ms)| ms).sum(), readback.bytes().to_vec()))
-    }
-}
-
-fn in_clip_space() -> EyesGpu {
-    let identity: [[f32; 4]; 4] =
-        std::array::from_fn(|column| std::array::from_fn(|row| f32::from(u8::from(row == column))));
-    EyesGpu {
-        clip_from_world: [identity; 2],
-        space_from_clip_direction: [identity; 2],
-        space_eye: [[0.0; 4]; 2],
     }
 }
 

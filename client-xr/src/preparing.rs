@@ -116,7 +116,10 @@ impl Preparing {
                 bundle.memory.planes.write(planes.planes());
                 recycle(Picture::Planes(planes));
             }
-            Picture::FullChroma(planes) => bundle.memory.planes.write(planes.planes()),
+            Picture::FullChroma(planes) => {
+                bundle.memory.planes.write(planes.planes());
+                recycle(Picture::FullChroma(planes));
+            }
         }
         let (written, revision) = (bundle.written.replace(self.bundler.revision()), self.bundler.revision());
         if written.map(|written| written.coverage) != Some(revision.coverage) {

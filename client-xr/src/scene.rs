@@ -260,7 +260,7 @@ impl Scene {
         drawn: Drawable,
     ) {
         if let Some(Bundle { memory, .. }) = self.shown.as_deref() {
-            stages.atlas.record(recorder, &self.sets[memory.index], &memory.indices, flight, drawn);
+            stages.atlas.record(recorder, &self.sets[memory.index], memory, flight, drawn);
         }
     }
 

@@ -25,12 +25,13 @@ void main() {
     u *= side;
     int axis = face >> 1;
     vec3 at = axis == 0 ? vec3(side, u, v) : axis == 1 ? vec3(v, side, u) : vec3(u, v, side);
+    vec3 outward = vec3(axis == 0, axis == 1, axis == 2) * side;
     float width = mix(TIP, 1.0, at.z * 0.5 + 0.5);
     vec3 in_hand = at * HALF_EXTENT_M * vec3(width, width, 1.0);
     bool is_left = gl_InstanceIndex == 0;
     bool is_shown = (is_left ? hands.is_shown.x : hands.is_shown.y) > 0.0;
     // Light from above, as far as a face looks there; one that is not shown has no area.
-    vec3 normal = mat3(hands.space_from_hand[gl_InstanceIndex]) * (axis == 0 ? vec3(side, 0, 0) : axis == 1 ? vec3(0, side, 0) : vec3(0, 0, side));
+    vec3 normal = mat3(hands.space_from_hand[gl_InstanceIndex]) * outward;
     shade = (is_left ? vec3(0.25, 0.35, 0.6) : vec3(0.6, 0.33, 0.2)) * (0.6 + 0.4 * normal.y);
     vec4 in_space = hands.space_from_hand[gl_InstanceIndex] * vec4(is_shown ? in_hand : vec3(0), 1.0);
     gl_Position = eyes.clip_from_world[gl_ViewIndex] * in_space;

@@ -1,7 +1,7 @@
 //! One server, and the wish to be connected to it: what the client and the lines say to each other, and what the user is
 //! told about it.
 
-use super::finder::{Choice, Finder, List, choose, names};
+use super::finder::{Choice, Finder, List, choose, described, names};
 use super::lines::{LineEvent, Lines};
 use super::{RunError, RunOptions, Server};
 use crate::client::Notice;
@@ -124,7 +124,7 @@ impl Connector {
         if self.lines.live().is_some() || self.search.found.as_ref() == Some(&found) {
             return;
         }
-        self.tell(intake, Tone::News, &format!("Found {} at {}", found.name, found.addresses[0]));
+        self.tell(intake, Tone::News, &format!("Found {}", described(&found)));
         self.server.clone_from(&found.name);
         self.lines.leave();
         self.lines = Lines::new(found.addresses.clone());

@@ -74,7 +74,8 @@ impl List {
     }
 }
 
-fn described(server: &FoundServer) -> String {
+/// Its name, and where it is.
+pub(super) fn described(server: &FoundServer) -> String {
     let address = server.addresses.first().map_or(String::new(), |address| format!(" at {address}"));
     format!("{}{address}", server.name)
 }

@@ -101,8 +101,6 @@ pub struct BundleSet {
     groups: Groups,
     /// With the picture that the device has, and what draws it.
     of_picture: Option<(Arc<Ways>, Groups)>,
-    /// Which of both are drawn.
-    is_on_device: bool,
 }
 
 impl EyeTargets {
@@ -221,7 +219,7 @@ impl AtlasDraw {
         let [luma, cb, cr] = planes.images.each_ref().map(|plane| Bind::Sampled(plane, &self.sampler));
         let pictures = [("luma_plane", luma), ("cb_plane", cb), ("cr_plane", cr)];
         let groups = self.ways.bind(bundle, memory, eyes, &pictures)?;
-        Ok(BundleSet { planes, groups, of_picture: None, is_on_device: false })
+        Ok(BundleSet { planes, groups, of_picture: None })
     }
 
     /// Puts the picture of `bundle` where its draw finds it. The GPU is done with what was there.
@@ -236,7 +234,6 @@ impl AtlasDraw {
         memory: &VertexMemory,
         eyes: [&Buffer; FRAMES_IN_FLIGHT],
     ) -> Result<(), GpuError> {
-        set.is_on_device = bundle.on_device.is_some();
         let Some((DevicePicture { image, is_foreign, .. }, ways)) = &bundle.on_device else {
             set.planes.record(recorder, &bundle.planes);
             return Ok(());
@@ -254,16 +251,16 @@ impl AtlasDraw {
         Ok(())
     }
 
-    /// Draws what can be drawn of the bundle behind `indices`, with the eyes of frame in flight `flight`.
+    /// Draws what can be drawn of `bundle`, whose picture is where its draw finds it, with the eyes of frame in flight `flight`.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         set: &BundleSet,
-        indices: &Buffer,
+        bundle: &BundleMemory,
         flight: usize,
         drawn: Drawable,
     ) {
-        let (ways, groups) = match set.of_picture.as_ref().filter(|_| set.is_on_device) {
+        let (ways, groups) = match set.of_picture.as_ref().filter(|_| bundle.on_device.is_some()) {
             Some((ways, groups)) => (&**ways, groups),
             None => (&self.ways, &set.groups),
         };
@@ -271,7 +268,7 @@ impl AtlasDraw {
         for ([first, count], (pipeline, groups)) in drawn.ranges().into_iter().zip(ways) {
             if count > 0 {
                 recorder.bind(pipeline, &groups[flight]);
-                recorder.bind_indices(indices, 0);
+                recorder.bind_indices(&bundle.indices, 0);
                 recorder.draw_indexed(first, count);
             }
         }

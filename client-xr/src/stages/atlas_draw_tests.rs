@@ -176,7 +176,7 @@ impl Bench {
         stage.record_picture(&mut recorder, &mut set, &bundle, &self.memory, eyes).unwrap();
         recorder.barrier(Access::COPY_WRITE, Access::VERTEX_READ);
         self.targets.begin(&mut recorder, 0);
-        stage.record(&mut recorder, &set, &bundle.indices, 0, drawn);
+        stage.record(&mut recorder, &set, &bundle, 0, drawn);
         recorder.end_pass();
         let readback = Buffer::new(gpu, "eye", u64::from(SIDE * SIDE) * 4, Memory::Readback).unwrap();
         let layouts = [vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL, vk::ImageLayout::TRANSFER_SRC_OPTIMAL];

@@ -63,16 +63,12 @@ impl YcbcrImage {
         sampler: &Arc<YcbcrSampler>,
     ) -> Result<Self, GpuError> {
         assert_eq!(sampler.format(), kind.format, "a sampler of another format");
-        let known = match kind.format {
-            YcbcrFormat::Known(format) => format,
-            YcbcrFormat::External(..) => vk::Format::UNDEFINED,
-        };
         let mut external = external_format(kind.format);
         let mut of_android = vk::ExternalMemoryImageCreateInfo::default()
             .handle_types(vk::ExternalMemoryHandleTypeFlags::ANDROID_HARDWARE_BUFFER_ANDROID);
         let info = vk::ImageCreateInfo::default()
             .image_type(vk::ImageType::TYPE_2D)
-            .format(known)
+            .format(kind.format.vulkan())
             .extent(vk::Extent3D { width: extent_texels[0], height: extent_texels[1], depth: 1 })
             .mip_levels(1)
             .array_layers(1)

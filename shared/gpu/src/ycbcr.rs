@@ -16,7 +16,8 @@ pub enum YcbcrFormat {
 }
 
 impl YcbcrFormat {
-    fn vulkan(self) -> vk::Format {
+    /// As Vulkan has it: none where it is a platform's.
+    pub(crate) fn vulkan(self) -> vk::Format {
         match self {
             Self::Known(format) => format,
             Self::External(..) => vk::Format::UNDEFINED,
