@@ -14,7 +14,7 @@ use shadecast_protocol::geometry::{self, NewVertex};
 use shadecast_protocol::ids::{InstanceId, VertexSlot};
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::PositionBatch;
-use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime};
+use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime, WorldTime};
 use shadecast_shaders::constants::IS_MASKED;
 use shadecast_shaders::generated::CornerGpu;
 use shadecast_shaders::records::tag;
@@ -207,7 +207,7 @@ struct Bench {
     /// The same memory, with positions at the times of display.
     moved: VertexMemory,
     pace: Pace,
-    now: ServerTime,
+    now: WorldTime,
     frozen_frames: usize,
     corners: Vec<CornerGpu>,
     indices: Vec<u32>,
@@ -227,7 +227,7 @@ impl Bench {
             memory: VertexMemory::new(VERTEX_SLOTS, sample_ring),
             moved: VertexMemory::new(VERTEX_SLOTS, sample_ring),
             pace: Pace::default(),
-            now: ServerTime(i64::MIN),
+            now: WorldTime(i64::MIN),
             frozen_frames: 0,
             corners: vec![bytemuck::Zeroable::zeroed(); PATCH_SLOTS as usize * MAX_CORNERS_PER_PATCH],
             indices: vec![0; PATCH_SLOTS as usize * MAX_INDICES_PER_PATCH],
@@ -269,9 +269,10 @@ impl Bench {
         let shown = self.display(records, grid)?;
         let into_step_ns = (fraction * DEFAULT_GRID.spacing_ns as f64) as i64;
         self.now = self.now.max(DEFAULT_GRID.time_of(GridIndex(grid)).plus_ns(into_step_ns));
+        let now = (ServerTime(self.now.0), self.now);
         let Span { first, last } = self.motion.state().span;
         let (span, has_switched) = (Span { first: first.max(self.ready), last }, before != Some(shown));
-        let evaluation = self.pace.advance(DEFAULT_GRID, self.now, span, has_switched);
+        let evaluation = self.pace.advance(DEFAULT_GRID, now, span, has_switched);
         let step = GridTime::of(DEFAULT_GRID, self.pace.shown().expect("shown")).step;
         self.ready = if has_switched { self.list.ready_at(step) } else { self.ready };
         self.frozen_frames += usize::from(evaluation.is_none());

@@ -101,13 +101,17 @@ pub struct EyeImages<'a> {
     pub extent_pixels: [u32; 2],
 }
 
-/// What somebody has done with a list, counted since the display was opened.
+/// What somebody has pressed, counted since the display was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Picks {
-    /// Gone to the next entry.
+pub struct Presses {
+    /// To go to the next entry of a list.
     pub nexts: u32,
-    /// Taken the one that is marked.
+    /// To take the one that is marked.
     pub takes: u32,
+    /// To halt the world, or to let it go on.
+    pub halts: u32,
+    /// To let a halted world go on by a step.
+    pub steps: u32,
 }
 
 /// Who shows frames. In this order: wait, acquire, locate, release, end.
@@ -145,9 +149,9 @@ pub trait Display {
     /// Ends a frame that shows nothing.
     fn end_empty_frame(&mut self, turn: FrameTurn) -> Result<(), DisplayError>;
 
-    /// What somebody has done with a list that is shown as text.
-    fn picks(&self) -> Picks {
-        Picks::default()
+    /// What somebody has pressed.
+    fn presses(&self) -> Presses {
+        Presses::default()
     }
 
     /// Whether somebody wants to see figures over the picture.

@@ -2,7 +2,7 @@
 
 use crate::report::FrameReport;
 use crate::stats::{Counters, so_far};
-use shadecast_protocol::time::ClientTime;
+use shadecast_protocol::time::{ClientTime, WorldTime};
 
 /// How often they change: readable, and fresh.
 const EVERY_NS: i64 = 500_000_000;
@@ -23,6 +23,8 @@ pub(crate) struct Figures {
     last: Option<(ClientTime, Counted)>,
     /// From the arrival of the newest picture to its display.
     latency_ns: Option<i64>,
+    /// The world's time in the last display frame.
+    world: Option<WorldTime>,
     lines: Vec<String>,
 }
 
@@ -35,6 +37,8 @@ impl Figures {
         arrived: Option<ClientTime>,
     ) -> Option<&[String]> {
         let now = frame.display_time;
+        let stands = frame.world_time.is_some() && self.world == frame.world_time;
+        self.world = frame.world_time;
         self.latency_ns = arrived.map(|arrived| now.since(arrived)).or(self.latency_ns);
         let counted = Counted::of(counters);
         let (since, before) = *self.last.get_or_insert((now, counted));
@@ -57,6 +61,9 @@ impl Figures {
         ));
         self.lines.push(format!("{} ms from arrival to display", ms(self.latency_ns)));
         self.lines.push(format!("{} ms the clock may be off", ms(frame.clock_error_bound_ns)));
+        if stands {
+            self.lines.push("the world is halted".to_owned());
+        }
         let faults = [
             (u64::from(frame.held_vertices), "vertices held"),
             (u64::from(frame.frozen_vertices), "vertices frozen"),
@@ -123,7 +130,12 @@ mod tests {
             assert!(text.contains(part), "{part}: {text}");
         }
         assert!(!text.contains("held"), "what does not happen is not told: {text}");
-        let late = FrameReport { held_vertices: 3, ..frame(2000) };
+        let world_time = Some(WorldTime(7));
+        figures.note(&counters, &FrameReport { world_time, ..frame(1510) }, None);
+        let halted = FrameReport { world_time, ..frame(2000) };
+        let lines = figures.note(&counters, &halted, None).expect("half a second later").join("; ");
+        assert!(lines.contains("the world is halted") && !text.contains("halted"), "{lines}");
+        let late = FrameReport { held_vertices: 3, ..frame(2500) };
         let lines = figures.note(&counters, &late, None).expect("half a second later").join("; ");
         assert!(lines.contains("3 vertices held"), "{lines}");
     }

@@ -11,13 +11,14 @@ use crate::stages::{ARRIVALS, VERTEX_MEMORY_USE, eyes_gpu};
 use shadecast_gpu::{Access, GpuError, Recorder};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::pose::Pose;
-use shadecast_protocol::time::{ClientTime, ServerTime};
+use shadecast_protocol::time::{ClientTime, ServerTime, WorldTime};
 
 /// What a frame draws, before the eyes are known.
 #[derive(Clone, Copy, Default)]
 struct Content {
-    /// The server's time at which it is seen.
+    /// The server's time at which it is seen, and the world's.
     time: Option<ServerTime>,
+    world_time: Option<WorldTime>,
     /// How far that can be off.
     clock_error_bound_ns: Option<i64>,
     /// The bundle on display.
@@ -164,22 +165,31 @@ impl Presenter {
         scene.clock.show(at);
         let clock_error_bound_ns = scene.clock.error_bound_ns(at);
         let Some(now) = scene.clock.server_time(at) else { return Ok(Content::default()) };
+        let world_time = scene.world.show(now);
         let report = recorder.scope("motion", |r| {
-            let skinned = scene.record_poses(r, stages, flight, now);
-            let report = scene.record_motion(r, stages, now, *interpolation);
+            let skinned = scene.record_poses(r, stages, flight, world_time);
+            let report = scene.record_motion(r, stages, (now, world_time), *interpolation);
             r.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ); // palettes, for skinning
             scene.record_skin(r, stages);
             SceneReport { skinned, ..report }
         });
         recorder.barrier(Access::COMPUTE_WRITE, Access::VERTEX_READ); // positions, for the one draw
         let update = scene.update();
-        Ok(Content { time: Some(now), clock_error_bound_ns, update, picture_arrived, scene: report })
+        Ok(Content {
+            time: Some(now),
+            world_time: Some(world_time),
+            clock_error_bound_ns,
+            update,
+            picture_arrived,
+            scene: report,
+        })
     }
 
     fn finish(&mut self, turn: &FrameTurn, views: &Views, content: Content, is_rendered: bool) -> Step {
         let report = FrameReport {
             display_time: turn.display_time,
             server_time: content.time,
+            world_time: content.world_time,
             clock_error_bound_ns: content.clock_error_bound_ns,
             motion_time: content.scene.motion_time,
             is_rendered,

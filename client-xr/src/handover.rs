@@ -2,7 +2,7 @@
 //! Both may be on one thread, or each on its own: neither waits for the other, and what one cannot take yet waits here.
 
 use crate::bundle::Revision;
-use crate::display::Picks;
+use crate::display::Presses;
 use crate::draw_list::DrawList;
 use crate::motion::skinned::Drawn;
 use crate::motion::state::MotionState;
@@ -14,6 +14,7 @@ use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{HeadState, Welcome};
 use shadecast_protocol::pose::Eye;
 use shadecast_protocol::time::ClientTime;
+use shadecast_protocol::world_clock::WorldClock;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -45,6 +46,7 @@ pub(crate) enum Loan {
 }
 
 /// From the intake, in order; numbers are serials of connections.
+#[allow(clippy::large_enum_variant, reason = "a box would be freed on the render thread")]
 pub(crate) enum Prepared {
     /// What the user is to be told of the connection.
     Status(String),
@@ -52,6 +54,8 @@ pub(crate) enum Prepared {
     Scene(Box<Welcome>, u64),
     /// What is known of its server's clock.
     Clock(ClockEstimate, u64),
+    /// How its world's time goes on.
+    World(WorldClock, u64),
     /// What has arrived, or what can be drawn.
     Loan(Loan, u64),
     /// A connection has ended.
@@ -72,7 +76,7 @@ pub(crate) enum Presented {
 pub(crate) struct TurnNote {
     /// Whether somebody saw it.
     pub(crate) is_seen: bool,
-    pub(crate) picks: Picks,
+    pub(crate) presses: Presses,
     pub(crate) frame: Option<FrameNote>,
 }
 

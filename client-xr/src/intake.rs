@@ -2,7 +2,7 @@
 //! before the render thread takes it. It may run on a thread of its own, and knows the GPU only by memory that it fills.
 
 use crate::decoding::Decoded;
-use crate::display::Picks;
+use crate::display::Presses;
 use crate::handover::{Arrived, FrameNote, IntakeEnd, Prepared, Presented, TurnNote};
 use crate::link::Link;
 use crate::options::ClientOptions;
@@ -13,15 +13,18 @@ use shadecast_protocol::clock::ClockEstimate;
 use shadecast_protocol::delta::ReceivedDelta;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Capabilities, MotionMemory, Welcome};
-use shadecast_protocol::motion::message::MotionMessage;
+use shadecast_protocol::motion::message::{MotionMessage, MotionNews};
 use shadecast_protocol::session::{ClientEvent, Out};
 use shadecast_protocol::time::ClientTime;
 use shadecast_protocol::wire::{self, StreamMessage, WireError};
+use shadecast_protocol::world_clock::{Steer, WorldClock};
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Decoded pictures that are remembered for who drives the client.
 const MAX_DECODED_TOLD: usize = 16;
+/// Steps of the world that a turn of the display asks for.
+const MAX_STEPS_AT_ONCE: u32 = 8;
 
 /// See the module.
 pub struct Intake {
@@ -33,10 +36,14 @@ pub struct Intake {
     /// What draws pictures that decoders leave on the device.
     ways: PictureWays,
     eye_extent_pixels: [u32; 2],
-    picks: Picks,
+    presses: Presses,
+    /// That the world goes on, or stands, as was asked for; `None` where its clock says so by now.
+    asked_to_go: Option<bool>,
     now: ClientTime,
     /// What the presenter knows of the clock.
     told_clock: Option<(ClockEstimate, u64)>,
+    /// What it knows of the world's.
+    told_world: WorldClock,
     notices: VecDeque<Notice>,
     /// Pictures that were decoded, for who wants to know how long that took.
     decoded: VecDeque<DecodedIn>,
@@ -56,9 +63,11 @@ impl Intake {
             options,
             ways,
             eye_extent_pixels,
-            picks: Picks::default(),
+            presses: Presses::default(),
+            asked_to_go: None,
             now: ClientTime(0),
             told_clock: None,
+            told_world: WorldClock::default(),
             notices: VecDeque::new(),
             decoded: VecDeque::with_capacity(MAX_DECODED_TOLD),
         }
@@ -69,9 +78,9 @@ impl Intake {
         self.end.give(Prepared::Status(text.to_owned()));
     }
 
-    /// What somebody has done with a list, as far as the presenter has told.
-    pub fn picks(&self) -> Picks {
-        self.picks
+    /// What somebody has pressed, as far as the presenter has told.
+    pub fn presses(&self) -> Presses {
+        self.presses
     }
 
     /// Bytes can flow from `now` on. The session begins once the eyes have been located.
@@ -178,8 +187,8 @@ impl Intake {
         }
     }
 
-    fn take_turn(&mut self, TurnNote { is_seen, picks, frame }: TurnNote) {
-        self.picks = picks;
+    fn take_turn(&mut self, TurnNote { is_seen, presses, frame }: TurnNote) {
+        self.steer(presses);
         self.link.watch(is_seen, self.now);
         let Some(frame) = frame else { return };
         let FrameNote { report, shown, picture_arrived, eyes, display_period_ns, head } = frame;
@@ -188,6 +197,22 @@ impl Intake {
             self.link.tell_head(serial, head);
         }
         self.link.report(shown, &report, picture_arrived);
+    }
+
+    /// Asks the server for what was pressed: that the world stands, goes on, or makes a step.
+    fn steer(&mut self, presses: Presses) {
+        let before = std::mem::replace(&mut self.presses, presses);
+        let (Some(preparing), Some(session)) = (&self.preparing, self.link.session()) else { return };
+        let stands = preparing.motion.world_clock().will_stand();
+        if presses.halts.wrapping_sub(before.halts) % 2 == 1 {
+            let goes = !self.asked_to_go.unwrap_or(!stands);
+            session.steer(if goes { Steer::GoOn } else { Steer::Halt });
+            self.asked_to_go = Some(goes);
+        }
+        for _ in 0..presses.steps.wrapping_sub(before.steps).min(MAX_STEPS_AT_ONCE) {
+            session.steer(Steer::Step);
+            self.asked_to_go = Some(false);
+        }
     }
 
     /// Whether there is a picture, and no memory for its bundle.
@@ -200,6 +225,7 @@ impl Intake {
     pub fn prepare(&mut self) -> bool {
         self.end.flush();
         self.tell_clock();
+        self.tell_world();
         let Self { preparing: Some(preparing), end, link, ways, notices, .. } = self else { return false };
         let batch = preparing.next_batch();
         let bundle = preparing.next_bundle(ways, |picture| link.recycle(picture)).unwrap_or_else(|error| {
@@ -219,6 +245,15 @@ impl Intake {
         // Of a presenter that sleeps for an hour only the last counts.
         if self.end.offer(Prepared::Clock(estimate, serial)) {
             self.told_clock = clock;
+        }
+    }
+
+    /// Tells the presenter how the world's time goes on, where that is new.
+    fn tell_world(&mut self) {
+        let Some(preparing) = &self.preparing else { return };
+        let clock = preparing.motion.world_clock();
+        if clock != self.told_world && self.end.offer(Prepared::World(clock, preparing.serial)) {
+            self.told_world = clock;
         }
     }
 
@@ -293,6 +328,7 @@ impl Intake {
             };
         let Some(serial) = self.link.welcomed(&welcome, decoder, self.options.decoding) else { return };
         self.preparing = Some(Preparing::new(&welcome, serial));
+        (self.told_world, self.asked_to_go) = (WorldClock::default(), None);
         self.end.give(Prepared::Scene(Box::new(welcome.clone()), serial));
         self.notices.push_back(Notice::Welcome(welcome));
     }
@@ -314,6 +350,9 @@ impl Intake {
     }
 
     fn take_motion(&mut self, news: MotionMessage) {
+        if matches!(news.news, MotionNews::Clock(_)) {
+            self.asked_to_go = None;
+        }
         if let Some(preparing) = &mut self.preparing {
             preparing.motion.take_motion(news);
         }

@@ -39,6 +39,7 @@ Examples:
 
 In a window: drag to look around, WASD and QE walk, the wheel changes the speed, Tab switches between flying and orbiting,
 B shows both eyes, F figures, R goes back to the start, Esc ends.
+P halts the world, for all who look, and lets it go on; the full stop lets a halted world make a step.
 Of several servers that --connect find finds, N goes to the next one and Enter takes it.
 
 The OpenXR runtime is the system's active one, or the one whose manifest XR_RUNTIME_JSON names.

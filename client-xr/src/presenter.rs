@@ -140,6 +140,10 @@ impl Presenter {
                     let scene = self.scenes.of_serial(serial);
                     scene.into_iter().for_each(|scene| scene.clock.follow(estimate));
                 }
+                Prepared::World(clock, serial) => {
+                    let scene = self.scenes.of_serial(serial);
+                    scene.into_iter().for_each(|scene| scene.world.follow(clock));
+                }
                 Prepared::Loan(loan, serial) => {
                     if let Some(scene) = self.scenes.of_serial(serial) {
                         scene.add(loan);
@@ -164,8 +168,8 @@ impl Presenter {
 
     /// A turn of the display that showed nothing of ours.
     pub(crate) fn note_turn(&mut self, is_seen: bool) {
-        let picks = self.renderer.display.picks();
-        self.end.tell(TurnNote { is_seen, picks, frame: None });
+        let presses = self.renderer.display.presses();
+        self.end.tell(TurnNote { is_seen, presses, frame: None });
     }
 
     /// Takes note of a display frame, and tells the server.
@@ -188,8 +192,8 @@ impl Presenter {
             display_period_ns,
             head: self.locate_head(report.display_time, views),
         };
-        let picks = self.renderer.display.picks();
-        self.end.tell(TurnNote { is_seen, picks, frame: Some(frame) });
+        let presses = self.renderer.display.presses();
+        self.end.tell(TurnNote { is_seen, presses, frame: Some(frame) });
     }
 
     /// Where the head will be at a display time, for the server of the scene that arrives.

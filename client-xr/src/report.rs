@@ -4,7 +4,7 @@ use crate::display::DisplayError;
 use shadecast_gpu::GpuError;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Refused, Welcome};
-use shadecast_protocol::time::{ClientTime, ServerTime};
+use shadecast_protocol::time::{ClientTime, ServerTime, WorldTime};
 
 /// What ends a client.
 #[derive(Debug, thiserror::Error)]
@@ -34,6 +34,7 @@ impl FrameReport {
         Self {
             display_time,
             server_time: None,
+            world_time: None,
             clock_error_bound_ns: None,
             motion_time: None,
             is_rendered: true,
@@ -88,11 +89,12 @@ pub struct FrameReport {
     pub display_time: ClientTime,
     /// The same on the server's clock, once that is known.
     pub server_time: Option<ServerTime>,
+    /// The world's time that is due then: the same as the server's until somebody halts the world.
+    pub world_time: Option<WorldTime>,
     /// How far that can be off, nanoseconds.
     pub clock_error_bound_ns: Option<i64>,
-    /// The time, on the server's clock, at which all animated vertices drawn are; the same as `server_time` unless samples
-    /// are short.
-    pub motion_time: Option<ServerTime>,
+    /// The world's time at which all animated vertices drawn are; the same as `world_time` unless samples are short.
+    pub motion_time: Option<WorldTime>,
     /// False where the runtime wanted no picture.
     pub is_rendered: bool,
     /// The update on display; `None`: no bundle yet, the waiting room is seen.

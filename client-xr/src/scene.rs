@@ -21,7 +21,8 @@ use shadecast_protocol::clock::ShownClock;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::MAX_INSTANCES;
 use shadecast_protocol::message::Welcome;
-use shadecast_protocol::time::{ClientTime, GridIndex, ServerTime};
+use shadecast_protocol::time::{ClientTime, GridIndex, ServerTime, WorldTime};
+use shadecast_protocol::world_clock::ShownWorldClock;
 use shadecast_shaders::generated::{CornerGpu, EyesGpu};
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -34,6 +35,8 @@ pub struct Scene {
     pub(crate) terms: Welcome,
     /// Its server's clock, as far as the connection knows it, or knew it when it ended.
     pub(crate) clock: ShownClock,
+    /// How its world's time follows that clock, likewise.
+    pub(crate) world: ShownWorldClock,
     /// What was handed over, and is not taken in.
     coming: VecDeque<Loan>,
     /// What was taken in and is not needed any more, once the GPU is done with this frame.
@@ -69,7 +72,7 @@ pub struct SceneReport {
     /// How instances stand that move by clips or by poses on the grid.
     pub skinned: SkinnedCounts,
     /// The time at which all sampled vertices drawn are.
-    pub motion_time: Option<ServerTime>,
+    pub motion_time: Option<WorldTime>,
 }
 
 impl Scene {
@@ -108,6 +111,7 @@ impl Scene {
         let scene = Self {
             serial,
             clock: ShownClock::default(),
+            world: ShownWorldClock::default(),
             coming: VecDeque::with_capacity(loans.len()),
             spent: Vec::with_capacity(loans.len()),
             interpolate_group: stages.interpolate.bind(&memory)?,
@@ -181,7 +185,7 @@ impl Scene {
         &mut self,
         recorder: &mut Recorder,
         stages: &Stages,
-        time: ServerTime,
+        time: WorldTime,
     ) -> Result<Option<ClientTime>, GpuError> {
         let Some(bundle) = self.next.take() else { return Ok(None) };
         let Bundle { memory, .. } = &*bundle;
@@ -201,7 +205,7 @@ impl Scene {
         recorder: &mut Recorder,
         stages: &Stages,
         flight: usize,
-        time: ServerTime,
+        time: WorldTime,
     ) -> SkinnedCounts {
         let Some(shown) = &self.shown else { return SkinnedCounts::default() };
         let moment = Moment { time, grid: self.terms.grid, written: self.state.written };
@@ -217,19 +221,19 @@ impl Scene {
         }
     }
 
-    /// Moves the sampled vertices to where they are at `time`, or all of them to where all can be.
+    /// Moves the sampled vertices to where they are at the world's `time`, seen at `now`, or all of them to where all can be.
     pub(crate) fn record_motion(
         &mut self,
         recorder: &mut Recorder,
         stages: &Stages,
-        time: ServerTime,
+        (now, time): (ServerTime, WorldTime),
         interpolation: Interpolation,
     ) -> SceneReport {
         let grid = self.terms.grid;
         let has_switched = std::mem::take(&mut self.has_switched);
         let Span { first, last } = self.state.span;
         let span = Span { first: first.max(self.ready), last };
-        if let Some(evaluation) = self.pace.advance(grid, time, span, has_switched) {
+        if let Some(evaluation) = self.pace.advance(grid, (now, time), span, has_switched) {
             let VertexMemory { vertex_slots, sample_ring, .. } = self.memory;
             let slots = Slots { vertex_count: self.state.vertex_count, vertex_slots, sample_ring };
             let push = interpolate::push(grid, evaluation, slots, interpolation);

@@ -73,7 +73,10 @@ impl Scenes {
     ) -> Result<Option<ClientTime>, GpuError> {
         let Some(scene) = self.next.as_mut().or(self.shown.as_mut()) else { return Ok(None) };
         let Some(time) = scene.clock.server_time(display_time) else { return Ok(None) };
-        let Some(picture_arrived) = scene.record_switch(recorder, stages, time)? else { return Ok(None) };
+        let Some(picture_arrived) = scene.record_switch(recorder, stages, scene.world.world_time(time))?
+        else {
+            return Ok(None);
+        };
         if let Some(mut next) = self.next.take() {
             let seen = self.shown.as_ref().and_then(|ended| ended.clock.server_time(display_time));
             seen.into_iter().for_each(|seen| next.clock.go_on_from(display_time, seen));

@@ -19,8 +19,9 @@ use shadecast_protocol::motion::SampleBatch;
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
-use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime};
+use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime, WorldTime};
 use shadecast_protocol::wire::{PictureHeader, StreamMessage, parse_stream};
+use shadecast_protocol::world_clock::{Steer, Steering};
 use shadecast_test_support::peers::offer;
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -64,8 +65,8 @@ fn planes(blocks: [u16; 2]) -> I420 {
     I420::new(ATLAS.texels(), [plane(1, 0), plane(2, 1), plane(2, 2)].concat()).expect("a picture")
 }
 
-/// Where the moving edge is at a server time.
-fn edge_x(time: ServerTime) -> f32 {
+/// Where the moving edge is at a time of the world.
+fn edge_x(time: WorldTime) -> f32 {
     0.5 + SPEED * (time.seconds() as f32 - 1.0)
 }
 
@@ -104,7 +105,7 @@ fn two_patches() -> Delta {
     };
     let geometry = GeometryDelta {
         update: UpdateId(0),
-        time: ServerTime(1_000_000_000),
+        time: WorldTime(1_000_000_000),
         instances: vec![InstanceInfo { instance: InstanceId(7), step_m: 0.0001 }],
         new_vertices: (0..).zip(statics).map(fixed).chain((4..8).map(moving)).collect(),
         new_patches: vec![patch(0, 3, 0), patch(1, 7, 4)],
@@ -207,7 +208,7 @@ fn an_animated_edge_moves_with_every_display_frame_and_follows_its_motion() {
     let mut last = None;
     for _ in 0..20 {
         let report = line.frame(&mut client);
-        let time = report.server_time.expect("a clock");
+        let time = report.world_time.expect("a clock");
         let [x, y, z, _] = client.presenter.read_positions().expect("positions")[6];
         assert!((x - edge_x(time)).abs() < 2e-4, "{x} instead of {} at {time:?}", edge_x(time));
         assert!((y - 2.1).abs() < 1e-4 && (z + 2.0).abs() < 1e-4);
@@ -377,13 +378,13 @@ fn samples_of_the_next_update_do_not_tear_what_is_on_display_and_its_picture_set
         let report = line.frame(&mut client);
         let torn = torn_s(&client);
         assert!(torn < 0.002, "frame {index}: corners of a triangle are {torn} s apart");
-        stood_still += u32::from(report.motion_time < report.server_time);
+        stood_still += u32::from(report.motion_time < report.world_time);
         let x = client.presenter.read_positions().expect("positions")[0][0];
         if let Some(last) = last.replace(x) {
             largest = largest.max((x - last).abs());
         }
         if index >= 36 {
-            assert_eq!(report.motion_time, report.server_time, "frame {index}: caught up after 200 ms");
+            assert_eq!(report.motion_time, report.world_time, "frame {index}: caught up after 200 ms");
         }
     }
     assert!(stood_still > 5, "{stood_still} frames behind the display's time");
@@ -562,7 +563,11 @@ impl Line {
 
     fn send(&mut self, delta: impl Into<Delta>, planes: &I420, is_refresh: bool) {
         let delta = delta.into();
-        let header = PictureHeader { update: delta.geometry.update, time: delta.geometry.time, is_refresh };
+        let header = PictureHeader {
+            update: delta.geometry.update,
+            time: ServerTime(delta.geometry.time.0),
+            is_refresh,
+        };
         self.send_delta(delta);
         self.streams.push_back(picture_stream(header, &coded(planes, is_refresh)).expect("a small picture"));
     }
@@ -927,7 +932,7 @@ fn with_a_silent_server_the_picture_follows_every_turn_of_the_head_under_a_text_
 
 /// Steps of the grid for the moving strip at the client's time; the server's clock is ahead.
 fn strip_steps(line: &Line) -> std::ops::RangeInclusive<i32> {
-    let now = ServerTime(1_000_000_000 + line.frames * PERIOD_NS + line.ahead_ns);
+    let now = WorldTime(1_000_000_000 + line.frames * PERIOD_NS + line.ahead_ns);
     let step = DEFAULT_GRID.floor(now).0;
     step..=step + 5
 }
@@ -1206,11 +1211,38 @@ fn buttons_go_through_a_list_and_take_of_it_once_for_each_press() {
             .map(|_| {
                 frame(&mut client);
                 client.intake.take_presented();
-                client.intake.picks()
+                client.intake.presses()
             })
             .collect();
         let at = |frame: usize| (picks[frame].nexts, picks[frame].takes);
         assert_eq!([10, 23, 33, 50, 59].map(at), [(0, 0), (1, 0), (2, 0), (2, 1), (2, 1)], "{profile}");
+        finish(&run, client);
+    }
+}
+
+#[test]
+fn triggers_halt_the_world_and_let_it_go_on_and_make_steps() {
+    let (halt, step) = ("right/input/trigger/value", "left/input/trigger/value");
+    let pulls = [(25, halt), (35, step), (40, step), (50, halt), (53, halt)];
+    let presses: Vec<_> =
+        pulls.iter().flat_map(|(frame, path)| [(*frame, *path, 1.0), (frame + 2, *path, 0.0)]).collect();
+    for profile in ["oculus/touch_controller", "valve/index_controller"] {
+        let controllers = Some(format!("/interaction_profiles/{profile}"));
+        let run = Run::new(MockConfig { controllers, inputs: script(&presses), ..MockConfig::default() });
+        let mut client = run.client();
+        let mut line = Line::connect(&mut client);
+        line.send(static_patches(), &planes([0, 64]), true);
+        for _ in 0..70 {
+            line.frame(&mut client);
+        }
+        let wanted: Vec<Steering> = line
+            .events
+            .iter()
+            .filter_map(|event| if let ServerEvent::Steer(wanted) = event { Some(*wanted) } else { None })
+            .collect();
+        // This server says nothing of the world's time: who asked for it to stand asks for it to go on next.
+        let expected = [Steer::Halt, Steer::Step, Steer::Step, Steer::GoOn, Steer::Halt].map(Steering::from);
+        assert_eq!(wanted, expected, "{profile}");
         finish(&run, client);
     }
 }
@@ -1352,7 +1384,7 @@ fn random_update(line: &mut Line, rng: &mut SmallRng, update: u32) {
         0 => static_patches(),
         _ => GeometryDelta {
             update: UpdateId(update),
-            time: ServerTime(1_000_000_000 + line.frames * PERIOD_NS + line.ahead_ns),
+            time: WorldTime(1_000_000_000 + line.frames * PERIOD_NS + line.ahead_ns),
             ..GeometryDelta::default()
         },
     };

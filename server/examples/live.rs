@@ -8,7 +8,7 @@
 use anyhow::Context;
 use glam::{Affine3A, Quat, Vec3};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::animation::pose::source_pose;
 use shadecast_scene::load::around;
 use shadecast_scene::process::Loading;
@@ -82,6 +82,7 @@ fn options(seconds: f64) -> anyhow::Result<StreamOptions> {
         shade_ms: None,
         rate_hz: 30.0,
         viewers: 4,
+        viewers_steer: true,
         link: None,
         seed: 1,
         seconds,
@@ -99,7 +100,7 @@ fn open(scene: Scene) -> anyhow::Result<Device> {
 
 /// Poses the tentacle while somebody looks; of every ten seconds, its clip plays for two.
 fn animate(timeline: &SharedTimeline, model: &Model, stop: &AtomicBool) -> Result<(), TimelineError> {
-    let mut posed = ServerTime(0);
+    let mut posed = WorldTime(0);
     while !stop.load(Ordering::Relaxed) {
         let mut world = timeline.lock();
         // Nothing is sampled while nobody looks, and nothing need be posed.

@@ -9,7 +9,7 @@ use shadecast_desktop::canvas::DEFAULT_EXTENT;
 use shadecast_gpu::{Gpu, vk};
 use shadecast_protocol::flags::{MOST_S, number, size};
 use shadecast_protocol::pose::{Fov, Pose};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::file::{DEFAULT_FOV_DEG, FOV_RANGE_DEG};
 use shadecast_scene::{Camera, Cancel, HeadPath, Scene};
 use shadecast_server::encode::openh264::DEFAULT_QP;
@@ -178,7 +178,7 @@ fn to_files(args: &ForwardArgs, out: &Path, cancel: &Cancel) -> anyhow::Result<(
         }
         let time_s = args.start + f64::from(frame) / args.fps;
         let world_from_eye = scene.scene.world_from_stage.then(viewpoint.stage_from_eye(time_s));
-        let rgb8 = renderer.picture(world_from_eye, fov, ServerTime((time_s * 1e9) as i64))?;
+        let rgb8 = renderer.picture(world_from_eye, fov, WorldTime((time_s * 1e9) as i64))?;
         output.add(frame, extent, &rgb8)?;
         made += 1;
     }

@@ -396,9 +396,8 @@ impl Frame {
     /// Steps 1 to 3 up to the device, which nobody waits for: it shades an update that is placed after them. False before the
     /// first head state. The update before that was collected.
     pub fn begin(&mut self, world: &mut World, now: ServerTime) -> Result<bool, GpuError> {
-        let Some(views) = self.head.predict(now, world.grid(), self.ideal.views.margin()) else {
-            return Ok(false);
-        }; // 1
+        let (clock, wider) = (world.clock(), self.ideal.views.margin());
+        let Some(views) = self.head.predict(now, &clock, world.grid(), wider) else { return Ok(false) }; // 1
         // What the next update does to world and layout is not for this one.
         let placed = self.record_shading(world)?;
         self.culling.needs(views.eyes.iter().flatten().copied());
@@ -444,7 +443,7 @@ impl Frame {
         self.lists.looks = looks;
         self.density.note(self.spare_bits, self.layout.settled_share(), self.layout.density() < 1.0);
         let began = world.effort.begin();
-        let delta: UpdateDelta = self.tell(world, &views, &changes, now); // 8
+        let delta: UpdateDelta = self.tell(world, &views, &changes); // 8
         world.effort.add_delta(began);
         self.changes = changes;
         self.report_shortage();
@@ -511,21 +510,16 @@ impl Frame {
     }
 
     /// What the client must learn, of vertices as they are seen from `views`.
-    fn tell(
-        &mut self,
-        world: &World,
-        views: &PredictedViews,
-        changes: &[PlacementChange],
-        now: ServerTime,
-    ) -> UpdateDelta {
+    fn tell(&mut self, world: &World, views: &PredictedViews, changes: &[PlacementChange]) -> UpdateDelta {
         let (scene, eyes) = (world.scene(), views.eyes.iter().flatten());
         let wanted_m = wanted_steps_m(&scene.world_bounds, eyes, self.eye.pixels_per_radian());
         self.residency.want_steps(wanted_m);
         self.residency.put_behind(self.layout.around().map(|(patch, _)| patch));
-        let stamp = UpdateStamp { update: self.next, time: now };
+        let stamp = UpdateStamp { update: self.next, time: views.begun };
         let mut delta = self.residency.update(&world.samples, changes, stamp);
         if self.residency.predicts() {
-            delta.geometry.predictions = predictions(scene, world.timeline(), now, self.residency.moving());
+            delta.geometry.predictions =
+                predictions(scene, world.timeline(), views.begun, self.residency.moving());
         }
         delta
     }

@@ -5,7 +5,7 @@ use glam::Vec3;
 use shadecast_protocol::atlas::Block;
 use shadecast_protocol::geometry::GeometryDelta;
 use shadecast_protocol::ids::{PatchSlot, UpdateId, VertexSlot};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::patches::Patch;
 
 /// Most vertices of a patch.
@@ -34,8 +34,8 @@ pub trait Geometry {
 pub struct UpdateStamp {
     /// The update.
     pub update: UpdateId,
-    /// Its time.
-    pub time: ServerTime,
+    /// The world's time when it was begun.
+    pub time: WorldTime,
 }
 
 /// What one update changes in a client's memory, before it is coded.

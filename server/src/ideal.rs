@@ -3,7 +3,7 @@
 
 use crate::view_plan::ViewPlan;
 use shadecast_protocol::ids::UpdateId;
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use std::collections::BTreeMap;
 
 /// See the module.
@@ -20,7 +20,7 @@ pub struct Ideal {
     /// Of what stands still, only what is in sight is drawn to look at.
     pub clusters: bool,
     /// For when exactly updates are shaded, where that is known ahead; others for the middle of their time on display, as expected.
-    pub shading_times: BTreeMap<UpdateId, ServerTime>,
+    pub shading_times: BTreeMap<UpdateId, WorldTime>,
     /// At which of its times an update looks.
     pub views: ViewPlan,
 }

@@ -5,7 +5,7 @@ use crate::animation::timeline::Timeline;
 use crate::gloss::Brightness;
 use glam::{Affine3A, Mat4, Vec3};
 use shadecast_protocol::limits::MAX_LIGHTS;
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::animation::bounds::Bounds;
 use shadecast_scene::animation::pose;
 use shadecast_scene::{Light, LightKind, Scene};
@@ -87,7 +87,7 @@ pub fn brightness(scene: &Scene) -> Brightness {
 }
 
 /// Everything at a time of the scene, which moves as `timeline` says. `sun_view` is `None` where the sun casts no shadows.
-pub fn at(scene: &Scene, timeline: &Timeline, sun_view: Option<&SunView>, time: ServerTime) -> LightGpu {
+pub fn at(scene: &Scene, timeline: &Timeline, sun_view: Option<&SunView>, time: WorldTime) -> LightGpu {
     let environment = scene.environment;
     let wide = |v: Vec3| v.extend(0.0).to_array();
     let mut punctual = [bytemuck::Zeroable::zeroed(); MAX_LIGHTS as usize];
@@ -112,7 +112,7 @@ pub fn at(scene: &Scene, timeline: &Timeline, sun_view: Option<&SunView>, time: 
 fn lamps<'a>(
     scene: &'a Scene,
     timeline: &'a Timeline,
-    time: ServerTime,
+    time: WorldTime,
 ) -> impl Iterator<Item = PunctualGpu> + 'a {
     let placed = scene.lights.iter().map(|placed| punctual(placed.world_from_light, &placed.light));
     let hung = (0..scene.instances.len()).flat_map(move |index| hung_lamps(scene, timeline, index, time));
@@ -120,7 +120,7 @@ fn lamps<'a>(
 }
 
 /// An instance's lamps, which follow their bones by the source curves.
-fn hung_lamps(scene: &Scene, timeline: &Timeline, index: usize, time: ServerTime) -> Vec<PunctualGpu> {
+fn hung_lamps(scene: &Scene, timeline: &Timeline, index: usize, time: WorldTime) -> Vec<PunctualGpu> {
     let instance = &scene.instances[index];
     let model = &scene.models[instance.model];
     if model.lights.is_empty() {
@@ -224,7 +224,7 @@ mod tests {
             ..Instance::new("lamp", scene.models.len())
         });
         scene.models.push(model);
-        let found = at(&scene, &Timeline::new(&scene), None, ServerTime(250_000_000));
+        let found = at(&scene, &Timeline::new(&scene), None, WorldTime(250_000_000));
         assert_eq!(found.punctual_count[0], 1);
         assert_eq!(found.punctual[0].position_range, [1.0, 0.5, 0.0, 0.25]);
         assert_eq!(found.shadow[2], 0.0, "no shadows without a view of the sun");
@@ -248,6 +248,6 @@ mod tests {
             PlacedLight { world_from_light: Affine3A::IDENTITY, light: lamp(LightKind::Directional) };
         scene.lights = vec![placed; MAX_LIGHTS as usize + 3];
         assert_eq!(surplus(&scene), 3);
-        assert_eq!(at(&scene, &Timeline::new(&scene), None, ServerTime(0)).punctual_count[0], MAX_LIGHTS);
+        assert_eq!(at(&scene, &Timeline::new(&scene), None, WorldTime(0)).punctual_count[0], MAX_LIGHTS);
     }
 }

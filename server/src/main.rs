@@ -153,6 +153,9 @@ struct StreamArgs {
     /// Clients that are served at once, 1 to 16; all see the same moment of the same world
     #[arg(long, default_value_t = 4, value_parser = value_parser!(u8).range(1..=16))]
     viewers: u8,
+    /// No client can halt the world; without this each can, for all who look
+    #[arg(long)]
+    no_halt: bool,
     /// Simulates a network on the real socket, such as latency=20ms,jitter=5ms,loss=1%,rate=100mbit, or a .toml file
     #[arg(long)]
     link: Option<String>,
@@ -332,6 +335,7 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
         rate_hz: args.rate,
         shade_ms: args.shade_ms,
         viewers: usize::from(args.viewers),
+        viewers_steer: !args.no_halt,
         link,
         seed: args.seed,
         seconds: args.seconds,

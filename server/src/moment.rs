@@ -16,7 +16,7 @@ use arrayvec::ArrayVec;
 use glam::{Affine3A, Vec3};
 use shadecast_protocol::atlas::{Block, PatchKind};
 use shadecast_protocol::limits::BLOCK_INSET_TEXELS;
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::Trs;
 use shadecast_scene::animation::bounds::Bounds;
 use shadecast_scene::patches::Patch;
@@ -39,7 +39,7 @@ struct Stands {
 }
 
 /// Of an instance, at a time.
-pub fn stance(scene: &SceneGpu, timeline: &Timeline, instance: usize, time: ServerTime) -> Stance {
+pub fn stance(scene: &SceneGpu, timeline: &Timeline, instance: usize, time: WorldTime) -> Stance {
     let (manager, place) = (&scene.animation.manager, &scene.numbering.instances[instance]);
     let stands = || {
         let shown = timeline.at(instance, time);
@@ -56,7 +56,7 @@ pub fn write(
     scene: &SceneGpu,
     animation: &Animation,
     shadow: &Shadow,
-    time: ServerTime,
+    time: WorldTime,
     Moment { stances, casters, lamps }: &mut Moment<Stance>,
 ) {
     let (timeline, instances) = (animation.timeline().lock(), 0..scene.numbering.instances.len());
@@ -79,7 +79,7 @@ fn lamp(lamp: &PunctualGpu) -> Lamp {
 }
 
 /// A box that holds an instance at a time, whatever it plays.
-fn bounds_at(scene: &SceneGpu, number: usize, time: ServerTime) -> Bounds {
+fn bounds_at(scene: &SceneGpu, number: usize, time: WorldTime) -> Bounds {
     let played = scene.played_bounds[number];
     if played.is_empty() {
         return played;
@@ -100,7 +100,7 @@ pub struct SceneSurfaces<'a> {
     /// How the sun sees it, where it casts shadows.
     pub sun: Option<&'a SunView>,
     /// When.
-    pub time: ServerTime,
+    pub time: WorldTime,
     /// Of positions at that time.
     pub place: RingPlace,
 }

@@ -7,7 +7,8 @@ use shadecast_protocol::ids::DiscontinuityId;
 use shadecast_protocol::limits::MAX_VIEWS;
 use shadecast_protocol::message::HeadState;
 use shadecast_protocol::pose::{Eye, Fov, Pose};
-use shadecast_protocol::time::{Grid, ServerTime};
+use shadecast_protocol::time::{Grid, ServerTime, WorldTime};
+use shadecast_protocol::world_clock::WorldClock;
 use shadecast_shaders::constants::EYES;
 use std::collections::VecDeque;
 
@@ -44,7 +45,10 @@ pub struct View {
 /// What an update is made for.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PredictedViews {
-    /// Spread over the interval in which the update will be on display: points of the time grid, and its middle; may repeat.
+    /// The world's time when the update is begun.
+    pub begun: WorldTime,
+    /// Of the world, spread over the interval in which the update will be on display: points of the time grid, and its middle; may
+    /// repeat, and do while the world stands.
     pub times: [ViewTime; VIEW_TIMES],
     /// Left and right eye at each time.
     pub eyes: [[View; 2]; VIEW_TIMES],
@@ -148,23 +152,38 @@ impl HeadTrack {
         ((first_ns + next_ns - self.display_period_ns) / 2).clamp(0, MAX_HORIZON_NS)
     }
 
-    /// The views for an update that starts at `now`, by so much wider than usual; `None` before the first head state.
-    pub fn predict(&mut self, now: ServerTime, grid: Grid, wider: f32) -> Option<PredictedViews> {
+    /// The views for an update that starts at `now` in a world of this clock, by so much wider than usual; `None` before the first
+    /// head state.
+    pub fn predict(
+        &mut self,
+        now: ServerTime,
+        clock: &WorldClock,
+        grid: Grid,
+        wider: f32,
+    ) -> Option<PredictedViews> {
         let state = self.latest?;
         let [first_ns, last_ns] = self.delays_ns();
         let (first, last) = (now.plus_ns(first_ns), now.plus_ns(last_ns));
         let middle = now.plus_ns(self.middle_delay_ns());
         let margin = self.margin() + wider;
-        let times = [grid.floor(first).into(), ViewTime::nearest(grid, middle), grid.ceil(last).into()];
-        let eyes = times.map(|at| {
-            let head = extrapolate(&state, at.time(grid));
+        let shown = [first, middle, last];
+        let [world_first, world_middle, world_last] = shown.map(|at| clock.world_time(at));
+        let times = [
+            grid.floor(world_first).into(),
+            ViewTime::nearest(grid, world_middle),
+            grid.ceil(world_last).into(),
+        ];
+        let eyes = std::array::from_fn(|number| {
+            // The head goes on while the world stands.
+            let moved_ns = times[number].time(grid).since(clock.world_time(shown[number]));
+            let head = extrapolate(&state, shown[number].plus_ns(moved_ns));
             state.eyes.map(|eye| view(head, eye, margin))
         });
         let world_from_head = extrapolate(&state, middle);
         if self.promised.len() < REPORTS {
             self.promised.push_back((middle, world_from_head));
         }
-        Some(PredictedViews { times, eyes, world_from_head, margin })
+        Some(PredictedViews { begun: clock.world_time(now), times, eyes, world_from_head, margin })
     }
 
     /// The 95th percentile of recent prediction errors, within bounds.
@@ -238,6 +257,7 @@ fn view_error(a: Pose, b: Pose) -> f32 {
 mod tests {
     use super::*;
     use shadecast_protocol::time::DEFAULT_GRID;
+    use shadecast_protocol::world_clock::Steer;
 
     fn state(sequence: u32, seconds: f64, x: f32, turn_rad_s: f32) -> HeadState {
         let eye = |x| Eye {
@@ -274,11 +294,30 @@ mod tests {
             track.displayed(start, start.plus_ns(70_000_000));
         }
         let now = ServerTime(1_000_000_000);
-        let views = track.predict(now, DEFAULT_GRID, 0.0).unwrap();
+        let views = track.predict(now, &WorldClock::default(), DEFAULT_GRID, 0.0).unwrap();
         let [first, last] = track.delays_ns();
         assert_eq!((first, last), (70_000_000, 103_000_000), "on display until the next one comes");
-        assert!(views.times[0].time(DEFAULT_GRID) <= now.plus_ns(first));
-        assert!(views.times[2].time(DEFAULT_GRID) >= now.plus_ns(last));
+        assert!(views.times[0].time(DEFAULT_GRID) <= WorldTime(now.0 + first));
+        assert!(views.times[2].time(DEFAULT_GRID) >= WorldTime(now.0 + last));
+    }
+
+    #[test]
+    fn in_a_world_that_stands_the_head_goes_on() {
+        let mut track = HeadTrack::default();
+        track.head(state(0, 1.0, 0.0, 0.8));
+        let mut clock = WorldClock::default();
+        clock.steer(Steer::Halt, ServerTime(1_000_000_000));
+        let now = ServerTime(1_200_000_000);
+        let [goes, stands] = [WorldClock::default(), clock]
+            .map(|clock| track.predict(now, &clock, DEFAULT_GRID, 0.0).expect("known"));
+        let times = stands.times.map(|at| at.time(DEFAULT_GRID).0);
+        assert!(times.iter().all(|at| (at - 1_000_000_000).abs() <= DEFAULT_GRID.spacing_ns), "{times:?}");
+        assert_eq!(stands.world_from_head, goes.world_from_head);
+        assert_eq!((stands.begun.0, goes.begun.0), (1_000_000_000, now.0));
+        for (stands, goes) in stands.eyes.iter().flatten().zip(goes.eyes.iter().flatten()) {
+            let turned = stands.world_from_eye.orientation.angle_between(goes.world_from_eye.orientation);
+            assert!(turned <= 0.8 * 0.04, "{turned} rad: no more than a grid step's");
+        }
     }
 
     #[test]
@@ -293,8 +332,8 @@ mod tests {
         }
         for phase in 0..8 {
             let now = ServerTime(1_000_000_000 + phase * 5_000_000);
-            let views = track.predict(now, DEFAULT_GRID, 0.0).unwrap();
-            let apart_ns = views.times[1].time(DEFAULT_GRID).since(now.plus_ns(4 * FRAME_NS)).abs();
+            let views = track.predict(now, &WorldClock::default(), DEFAULT_GRID, 0.0).unwrap();
+            let apart_ns = (views.times[1].time(DEFAULT_GRID).0 - now.plus_ns(4 * FRAME_NS).0).abs();
             assert!(apart_ns <= DEFAULT_GRID.spacing_ns / 8 + 2, "{apart_ns} ns");
         }
     }
@@ -315,7 +354,7 @@ mod tests {
             let now = state.time;
             track.head(state);
             track
-                .predict(now, DEFAULT_GRID, 0.0)
+                .predict(now, &WorldClock::default(), DEFAULT_GRID, 0.0)
                 .expect("it is known")
                 .eyes
                 .map(|pair| pair.map(|eye| eye.world_from_eye))
@@ -347,7 +386,7 @@ mod tests {
         track.head(state(5, 1.0, 1.0, 0.0));
         track.head(state(4, 0.9, 0.0, 0.0));
         assert_eq!(track.latest.unwrap().sequence, 5);
-        track.predict(ServerTime(1_000_000_000), DEFAULT_GRID, 0.0);
+        track.predict(ServerTime(1_000_000_000), &WorldClock::default(), DEFAULT_GRID, 0.0);
         let jumped = HeadState { discontinuity: DiscontinuityId(1), ..state(6, 2.0, 50.0, 0.0) };
         track.head(jumped);
         assert!(track.errors.is_empty() && track.promised.is_empty());
@@ -358,7 +397,7 @@ mod tests {
         let margin_after = |jump: DiscontinuityId| {
             let mut track = HeadTrack::default();
             track.head(state(0, 1.0, 0.0, 0.0));
-            track.predict(ServerTime(1_000_000_000), DEFAULT_GRID, 0.0);
+            track.predict(ServerTime(1_000_000_000), &WorldClock::default(), DEFAULT_GRID, 0.0);
             track.head(HeadState { discontinuity: jump, ..state(1, 1.5, 50.0, 0.0) });
             track.margin()
         };
@@ -386,7 +425,12 @@ mod tests {
         for i in 0..40 {
             let turn = if i % 2 == 0 { 3.0 } else { -3.0 };
             track.head(state(i, 1.0 + f64::from(i) * 0.1, 0.0, turn));
-            track.predict(ServerTime(1_000_000_000 + i64::from(i) * 100_000_000), DEFAULT_GRID, 0.0);
+            track.predict(
+                ServerTime(1_000_000_000 + i64::from(i) * 100_000_000),
+                &WorldClock::default(),
+                DEFAULT_GRID,
+                0.0,
+            );
         }
         assert_eq!(steady, MIN_MARGIN);
         assert!(track.margin() > steady && track.margin() <= MAX_MARGIN);

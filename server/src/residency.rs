@@ -640,7 +640,7 @@ mod tests {
     use shadecast_protocol::atlas::{BlockSize, PatchKind};
     use shadecast_protocol::delta::{Delta, DeltaDecoder};
     use shadecast_protocol::memory::ClientMemory;
-    use shadecast_protocol::time::{GridIndex, ServerTime};
+    use shadecast_protocol::time::{GridIndex, WorldTime};
     use shadecast_scene::patches::Patch;
     use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -933,7 +933,7 @@ mod tests {
     }
 
     fn stamp(frame: u32) -> UpdateStamp {
-        UpdateStamp { update: UpdateId(frame), time: ServerTime(i64::from(frame) * 33) }
+        UpdateStamp { update: UpdateId(frame), time: WorldTime(i64::from(frame) * 33) }
     }
 
     fn sized(patch: u32, log2: u8) -> PlacementChange {

@@ -14,7 +14,7 @@ use crate::stages::geometry::FULL_DETAIL;
 use crate::view_time::HeldTimes;
 use glam::Vec3;
 use shadecast_gpu::Recorder;
-use shadecast_protocol::time::{Grid, ServerTime};
+use shadecast_protocol::time::{Grid, WorldTime};
 use shadecast_scene::patches::Patch;
 use std::sync::Arc;
 
@@ -79,7 +79,7 @@ impl SampleWindow {
         &mut self,
         animation: &Animation,
         places: [RingPlace; VIEW_TIMES],
-        times: [ServerTime; VIEW_TIMES],
+        times: [WorldTime; VIEW_TIMES],
         needed: &Needed,
     ) {
         self.jobs.clear();
@@ -102,8 +102,8 @@ fn static_positions(scene: &SceneGpu) -> Vec<Vec3> {
     let timeline = Timeline::new(&scene.scene);
     let mut positions = vec![Vec3::ZERO; scene.numbering.totals.static_vertices as usize];
     for (index, place) in scene.numbering.instances.iter().enumerate().filter(|(_, p)| !p.is_animated) {
-        let shown = timeline.at(index, ServerTime(0));
-        let pose = CpuPose::at(scene, index, &shown, ServerTime(0));
+        let shown = timeline.at(index, WorldTime(0));
+        let pose = CpuPose::at(scene, index, &shown, WorldTime(0));
         let model = &scene.scene.models[place.model];
         let first = place.saved_base as usize;
         for (number, position) in positions[first..first + model.vertices.len()].iter_mut().enumerate() {

@@ -1,7 +1,7 @@
 //! Times at which the scene is skinned on the GPU: those of the time grid, which updates share, and some between. Pure.
 
 use crate::animation::RingPlace;
-use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
+use shadecast_protocol::time::{Grid, GridIndex, WorldTime};
 
 /// Times from one point of the grid to the next, that of the first included.
 const PARTS: i64 = 4;
@@ -21,7 +21,7 @@ impl From<GridIndex> for ViewTime {
 
 impl ViewTime {
     /// The nearest to a time: no farther than an eighth of the grid's spacing.
-    pub fn nearest(grid: Grid, time: ServerTime) -> Self {
+    pub fn nearest(grid: Grid, time: WorldTime) -> Self {
         let before = grid.floor(time);
         let passed_ns = time.since(grid.time_of(before)).clamp(0, grid.spacing_ns);
         match (passed_ns * PARTS + grid.spacing_ns / 2) / grid.spacing_ns {
@@ -31,7 +31,7 @@ impl ViewTime {
     }
 
     /// When it is.
-    pub fn time(self, grid: Grid) -> ServerTime {
+    pub fn time(self, grid: Grid) -> WorldTime {
         grid.time_of(self.grid).plus_ns(i64::from(self.part) * grid.spacing_ns / PARTS)
     }
 }
@@ -89,7 +89,7 @@ mod tests {
 
     #[test]
     fn no_time_is_farther_than_an_eighth_of_a_step() {
-        for at in (-40_000_000..90_000_000).step_by(777_777).map(ServerTime) {
+        for at in (-40_000_000..90_000_000).step_by(777_777).map(WorldTime) {
             let nearest = ViewTime::nearest(GRID, at);
             let apart_ns = nearest.time(GRID).since(at).abs();
             assert!(apart_ns <= GRID.spacing_ns / 8 + 2, "{at:?}: {apart_ns} ns");
@@ -123,7 +123,7 @@ mod tests {
     #[test]
     fn times_beyond_the_grid_fall_on_its_ends() {
         for time in [i64::MIN, i64::MAX] {
-            let nearest = ViewTime::nearest(Grid { spacing_ns: 1_000_000 }, ServerTime(time));
+            let nearest = ViewTime::nearest(Grid { spacing_ns: 1_000_000 }, WorldTime(time));
             assert!(usize::from(nearest.part) < PARTS as usize);
         }
     }

@@ -12,6 +12,7 @@ use shadecast_protocol::delta::{DeltaSizes, EncodedDelta};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Displayed, HeadState};
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent};
+use shadecast_protocol::world_clock::Steering;
 
 /// What makes a viewer's updates.
 pub trait Updates {
@@ -44,6 +45,8 @@ pub struct Told {
     pub refresh: bool,
     /// Whether somebody looks, where that was told.
     pub watching: Option<bool>,
+    /// That the world stands, or goes on: for whoever has the world.
+    pub steering: Option<Steering>,
 }
 
 impl Told {
@@ -57,6 +60,9 @@ impl Told {
             }
             ServerEvent::RefreshRequest { .. } => self.refresh = true,
             ServerEvent::Watching(is_watched) => self.watching = Some(is_watched),
+            ServerEvent::Steer(later) => {
+                self.steering = Some(self.steering.unwrap_or_default().then(later));
+            }
             other => return Some(other),
         }
         None

@@ -14,7 +14,8 @@ use crate::scene::SceneGpu;
 use crate::stages::shadow::Shadow;
 use crate::view_time::ViewTime;
 use shadecast_gpu::{Access, Gpu, GpuError, Recorder};
-use shadecast_protocol::time::{DEFAULT_GRID, Grid, ServerTime};
+use shadecast_protocol::time::{DEFAULT_GRID, Grid, WorldTime};
+use shadecast_protocol::world_clock::WorldClock;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -117,6 +118,11 @@ impl World {
         self.animation.timeline()
     }
 
+    /// How its time follows the server's clock, as of now.
+    pub fn clock(&self) -> WorldClock {
+        *self.timeline().lock().clock()
+    }
+
     /// What was done so far.
     pub fn counts(&self) -> WorldCounts {
         WorldCounts {
@@ -182,7 +188,7 @@ impl World {
     }
 
     /// The same for any time, which vertices in `place` are moved to: for measurements, since no sample is kept by it.
-    pub fn light_at(&mut self, recorder: &mut Recorder, place: RingPlace, time: ServerTime) {
+    pub fn light_at(&mut self, recorder: &mut Recorder, place: RingPlace, time: WorldTime) {
         self.animation.record_sample(recorder, place, time);
         self.record_light(recorder, place, time);
         self.animation.forget();
@@ -190,12 +196,12 @@ impl World {
     }
 
     /// Writes what shading depends on at the time of the light that was recorded last.
-    pub fn moment(&self, time: ServerTime, now: &mut Moment<Stance>) {
+    pub fn moment(&self, time: WorldTime, now: &mut Moment<Stance>) {
         moment::write(&self.scene, &self.animation, &self.shadow, time, now);
     }
 
     /// Its surfaces at a time, of which a place has the positions.
-    pub fn surfaces(&self, time: ServerTime, place: RingPlace) -> SceneSurfaces<'_> {
+    pub fn surfaces(&self, time: WorldTime, place: RingPlace) -> SceneSurfaces<'_> {
         let Self { scene, samples, animation, shadow, .. } = self;
         SceneSurfaces { scene, samples, animation, sun: shadow.sun_view(), time, place }
     }
@@ -212,7 +218,7 @@ impl World {
         })
     }
 
-    fn record_light(&mut self, recorder: &mut Recorder, place: RingPlace, time: ServerTime) {
+    fn record_light(&mut self, recorder: &mut Recorder, place: RingPlace, time: WorldTime) {
         self.shadow.write(&self.scene, &self.animation, time);
         self.animation.forget_tangents();
         self.animation.record_tangents(recorder, place, |instance| self.needed.has(instance));

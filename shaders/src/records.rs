@@ -8,7 +8,7 @@ use crate::generated::{RestGpu, VertexWriteGpu};
 use shadecast_protocol::limits::{
     MAX_ARENA_WORDS, MAX_REST_VERTICES, MAX_VERTEX_MORPHS, MAX_VERTEX_SLOTS, PREDICTIONS,
 };
-use shadecast_protocol::time::{GridIndex, ServerTime};
+use shadecast_protocol::time::{GridIndex, WorldTime};
 
 /// The tag of a grid step: tags order like grid indices, and 0 is no sample.
 pub fn tag(grid: GridIndex) -> u32 {
@@ -32,7 +32,7 @@ const PREDICTION_UNIT_NS: i64 = 50_000;
 
 /// A time as predictions have it in their tags, which leave room for a place of any ring. Repeats; what is not more than half of
 /// that apart can be compared.
-pub fn prediction_time(time: ServerTime) -> u32 {
+pub fn prediction_time(time: WorldTime) -> u32 {
     let units = time.0.div_euclid(PREDICTION_UNIT_NS)
         + i64::from(time.0.rem_euclid(PREDICTION_UNIT_NS) >= PREDICTION_UNIT_NS / 2);
     (units as u32).wrapping_mul(TIME_TAG_UNIT)
@@ -44,7 +44,7 @@ pub fn predicted_entry(slot: u32) -> VertexWriteGpu {
 }
 
 /// The record of one of a vertex's predictions, `number` counted from 0.
-pub fn prediction_write(slot: u32, number: u32, time: ServerTime, position: [f32; 3]) -> VertexWriteGpu {
+pub fn prediction_write(slot: u32, number: u32, time: WorldTime, position: [f32; 3]) -> VertexWriteGpu {
     let [x, y, z] = position.map(f32::to_bits);
     VertexWriteGpu { slot, tag: prediction_time(time) | (number + 1), x, y, z }
 }

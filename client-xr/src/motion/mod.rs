@@ -18,7 +18,7 @@ use shadecast_protocol::ids::{InstanceId, UpdateId, VertexSlot};
 use shadecast_protocol::limits::RECORDS_PER_SLOT_AND_TURN;
 use shadecast_protocol::motion::PositionBatch;
 use shadecast_protocol::motion::predicted::PredictedVertex;
-use shadecast_protocol::time::{GridIndex, ServerTime};
+use shadecast_protocol::time::{GridIndex, WorldTime};
 use shadecast_shaders::records::{
     Rest, RestId, predicted_entry, prediction_write, rest_writes, sample_write, sampled_entry, skinned_entry,
     static_entry,
@@ -54,7 +54,7 @@ pub struct Motion {
     /// The first step at which the list can be evaluated, where samples of a vertex of it have had a gap.
     first: GridIndex,
     /// How far samples and predictions of the list reach, unless that is out of date.
-    ends: Option<(Tally<GridIndex>, Tally<ServerTime>)>,
+    ends: Option<(Tally<GridIndex>, Tally<WorldTime>)>,
     /// A slot that was given anew while it was on display.
     contradiction: Option<VertexSlot>,
 }
@@ -76,7 +76,7 @@ enum Mover {
     /// The skeleton of an instance.
     Skeleton(InstanceId),
     /// What updates predict: until then.
-    Predictions(ServerTime),
+    Predictions(WorldTime),
 }
 
 /// Notes which vertices a draw list uses.
@@ -235,7 +235,7 @@ impl Motion {
             }
             geometry::Motion::Predicted => {
                 // Until an update has said something it is not drawn.
-                self.occupy(slot, Availability::none(Mover::Predictions(ServerTime(i64::MAX))));
+                self.occupy(slot, Availability::none(Mover::Predictions(WorldTime(i64::MAX))));
                 self.writes.push(predicted_entry(slot.0));
             }
             geometry::Motion::Skinned { rest } => {
@@ -247,7 +247,7 @@ impl Motion {
     }
 
     /// Takes in what an update predicts, after [`Self::take`] has taken in which vertices enter with it.
-    fn predict(&mut self, update: UpdateId, time: ServerTime, vertices: &[PredictedVertex]) {
+    fn predict(&mut self, update: UpdateId, time: WorldTime, vertices: &[PredictedVertex]) {
         for PredictedVertex { slot, predictions } in vertices {
             for (number, prediction) in (0..).zip(predictions) {
                 let at = prediction.time(time);
@@ -318,7 +318,7 @@ impl Motion {
     }
 
     /// How far the samples and predictions of its vertices reach. What has none yet is not drawn.
-    fn count_ends(&self) -> (Tally<GridIndex>, Tally<ServerTime>) {
+    fn count_ends(&self) -> (Tally<GridIndex>, Tally<WorldTime>) {
         let (mut lasts, mut untils) = (Tally::default(), Tally::default());
         let used = self.used.iter().map(|slot| self.vertices[*slot as usize]);
         used.filter(Availability::has_samples).for_each(|vertex| lasts.count(vertex.last));
@@ -445,7 +445,7 @@ mod tests {
             assert_eq!(first, [GridIndex(i32::MIN); 2], "they wait for no samples");
             assert_eq!(motion.drawn(), [Drawn { instance: InstanceId(3), vertices: 4 }]);
         }
-        assert_eq!(motion.state().motionless(DEFAULT_GRID, ServerTime(i64::MAX)), Motionless::default());
+        assert_eq!(motion.state().motionless(DEFAULT_GRID, WorldTime(i64::MAX)), Motionless::default());
     }
 
     #[test]
@@ -475,7 +475,7 @@ mod tests {
         let (instance, predicted) = (InstanceId(0), geometry::Motion::Predicted);
         let entering = [0, 1].map(|slot| NewVertex { slot: VertexSlot(slot), instance, motion: predicted });
         motion.take(UpdateId(0), &entering, Vec::new(), false);
-        motion.predict(UpdateId(0), ServerTime(1000 * MS), &[0, 1].map(predicted_vertex));
+        motion.predict(UpdateId(0), WorldTime(1000 * MS), &[0, 1].map(predicted_vertex));
         motion
     }
 
@@ -500,7 +500,7 @@ mod tests {
         let mut motion = with_predicted();
         let places: Vec<u32> = (0..3).collect();
         let write = |slot: u32, number: &u32| {
-            let at = ServerTime((1030 + 30 * i64::from(*number)) * MS);
+            let at = WorldTime((1030 + 30 * i64::from(*number)) * MS);
             prediction_write(slot, *number, at, [*number as f32 + 1.0; 3])
         };
         let of_slot = |slot: u32| places.iter().map(move |number| write(slot, number));
@@ -519,13 +519,12 @@ mod tests {
         let ready = users.note(&[0, 1, 0].map(VertexSlot));
         users.end();
         assert_eq!(ready, GridIndex(i32::MIN), "they wait for no samples");
-        let frozen = |motion: &mut Motion, ms: i64| {
-            motion.state().motionless(DEFAULT_GRID, ServerTime(ms * MS)).frozen
-        };
+        let frozen =
+            |motion: &mut Motion, ms: i64| motion.state().motionless(DEFAULT_GRID, WorldTime(ms * MS)).frozen;
         assert_eq!([999, 1030, 1089].map(|ms| frozen(&mut motion, ms)), [0; 3]);
         assert_eq!([1091, 5000].map(|ms| frozen(&mut motion, ms)), [2; 2], "each once");
         motion.take(UpdateId(1), &[], Vec::new(), false);
-        motion.predict(UpdateId(1), ServerTime(1050 * MS), &[predicted_vertex(0)]);
+        motion.predict(UpdateId(1), WorldTime(1050 * MS), &[predicted_vertex(0)]);
         assert_eq!([1089, 1091, 1139, 1141].map(|ms| frozen(&mut motion, ms)), [0, 1, 1, 2]);
         motion.begin_list().end();
         assert_eq!(frozen(&mut motion, 5000), 0, "nobody sees them");

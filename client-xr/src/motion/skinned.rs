@@ -12,7 +12,7 @@ use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::clip::chunk_at;
 use shadecast_protocol::motion::playback::{At, Playback, Playing, Schedule};
 use shadecast_protocol::motion::skeleton::{ClipRef, grid_words};
-use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
+use shadecast_protocol::time::{Grid, GridIndex, WorldTime};
 use shadecast_shaders::constants::{AFFINE_ROWS, GRID_STEPS, POSE_FROM_GRID, POSE_HAS_PATH, POSE_READY};
 use shadecast_shaders::curve::cubic_weights;
 use shadecast_shaders::generated::{PlacedPoseGpu, PoseGpu, TrackGpu};
@@ -115,7 +115,7 @@ pub struct Drawn {
 #[derive(Clone, Copy, Debug)]
 pub struct Moment {
     /// The display time.
-    pub time: ServerTime,
+    pub time: WorldTime,
     /// The grid of poses that come as time goes by.
     pub grid: Grid,
     /// The last write that the arena has.
@@ -152,7 +152,7 @@ pub struct Skinned {
     /// By instance.
     instances: Vec<Option<Instance>>,
     /// The time at which instances were last evaluated.
-    shown: Option<ServerTime>,
+    shown: Option<WorldTime>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -551,7 +551,7 @@ fn continued(
     told: &Schedule<ClipRef>,
     playing: &Schedule<ClipRef>,
     next: &Schedule<ClipRef>,
-    shown: ServerTime,
+    shown: WorldTime,
 ) -> Schedule<ClipRef> {
     let later = next.entries().iter().copied().filter(|entry| entry.from > shown);
     let is_same = is_same(&told.at(shown), &next.at(shown));
@@ -575,7 +575,7 @@ fn continued(
 }
 
 /// What is seen most at a time, as something that was played until then.
-fn seen_at(playing: &Schedule<ClipRef>, shown: ServerTime) -> Playback<ClipRef> {
+fn seen_at(playing: &Schedule<ClipRef>, shown: WorldTime) -> Playback<ClipRef> {
     let from = shown.plus_ns(-1);
     let now = *playing.entry(shown);
     let before = playing.entries().iter().rfind(|entry| entry.from < now.from).copied();

@@ -13,8 +13,8 @@ const CLIP_S: f32 = 1.7;
 /// Of eight bones and two morphs.
 const TRACKS: u32 = 3 * 8 + 2;
 
-fn ms(ms: i64) -> ServerTime {
-    ServerTime(ms * 1_000_000)
+fn ms(ms: i64) -> WorldTime {
+    WorldTime(ms * 1_000_000)
 }
 
 fn playback(from_ms: i64, clip: ClipId, start_s: f64, fade_ms: i64) -> Playback<ClipRef> {

@@ -4,7 +4,7 @@
 use super::arena::ArenaSerial;
 use super::pace::Span;
 use arrayvec::ArrayVec;
-use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
+use shadecast_protocol::time::{Grid, GridIndex, WorldTime};
 
 /// Ends that a [`Tally`] tells apart. Vertices run dry together: when updates end, and when a message is lost.
 const MOST_ENDS: usize = 32;
@@ -69,7 +69,7 @@ pub struct MotionState {
     /// Last steps of its vertices with samples.
     pub(super) lasts: Tally<GridIndex>,
     /// Last times of its vertices with predictions.
-    pub(super) untils: Tally<ServerTime>,
+    pub(super) untils: Tally<WorldTime>,
 }
 
 impl Default for MotionState {
@@ -88,7 +88,7 @@ impl Default for MotionState {
 
 impl MotionState {
     /// Vertices of the list that have run out of samples or predictions at a display time.
-    pub fn motionless(&self, grid: Grid, time: ServerTime) -> Motionless {
+    pub fn motionless(&self, grid: Grid, time: WorldTime) -> Motionless {
         let step = grid.floor(time);
         Motionless {
             held: self.lasts.sum(|last| last == step),

@@ -14,6 +14,7 @@ use shadecast_protocol::motion::playback::Schedule;
 use shadecast_protocol::motion::poses::GridPose;
 use shadecast_protocol::motion::rest::PlacedRest;
 use shadecast_protocol::motion::skeleton::{ClipRef, PoseSource, SkeletonInfo, SkinnedInstance};
+use shadecast_protocol::world_clock::WorldClock;
 use shadecast_shaders::constants::{CUBIC_TRACK, LINEAR_TRACK, NO_PARENT, STEP_TRACK};
 use shadecast_shaders::generated::{EntryGpu, TrackGpu};
 use shadecast_shaders::records::{Rest, RestId, morph_delta_word};
@@ -30,6 +31,8 @@ pub(super) struct Told {
     places: ChunkPlaces,
     /// By instance: the newest schedule, and the number of its message.
     schedules: BTreeMap<InstanceId, (u32, Schedule<ClipRef>)>,
+    /// The newest, and the number of its message.
+    clock: Option<(u32, WorldClock)>,
     /// The writes of skeletons and morph targets that an update brought, until the GPU has them. By rising updates.
     updates: VecDeque<(UpdateId, ArenaSerial)>,
 }
@@ -139,7 +142,18 @@ impl Motion {
                 }
             }
             MotionNews::Poses(poses) => poses.into_iter().for_each(|pose| self.take_pose(pose)),
+            MotionNews::Clock(clock) => {
+                let newest = self.told.clock.map(|(newest, _)| newest);
+                if newest.is_none_or(|newest| !is_later(newest, sequence)) {
+                    self.told.clock = Some((sequence, *clock));
+                }
+            }
         }
+    }
+
+    /// How the world's time goes on, as far as that has been told.
+    pub fn world_clock(&self) -> WorldClock {
+        self.told.clock.map_or(WorldClock::default(), |(_, clock)| clock)
     }
 
     fn take_pose(&mut self, pose: GridPose) {

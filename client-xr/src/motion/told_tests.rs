@@ -8,7 +8,7 @@ use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::playback::{Playback, Repetition};
 use shadecast_protocol::motion::poses::BonePose;
 use shadecast_protocol::motion::skeleton::{SkeletonEntry, grid_words};
-use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime};
+use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, WorldTime};
 use shadecast_shaders::constants::POSE_READY;
 use shadecast_shaders::generated::PlacedPoseGpu;
 
@@ -43,7 +43,7 @@ fn chunk(sequence: u32, clip: ClipId, first_word: u32) -> MotionMessage {
 }
 
 fn playing(clip: ClipId) -> Schedule<ClipRef> {
-    let (from, repetition) = (ServerTime(0), Repetition::Loop);
+    let (from, repetition) = (WorldTime(0), Repetition::Loop);
     let clip = ClipRef { clip, duration_s: 0.4 };
     Schedule::new(Playback { from, clip, start_s: 0.0, speed: 1.0, repetition, fade_ns: 0 })
 }
@@ -119,8 +119,7 @@ fn pose(motion: &mut Motion) -> (PlacedPoseGpu, SkinnedCounts) {
     drawn.note_vertex(FOX);
     motion.drawn = drawn;
     let mut out = [bytemuck::Zeroable::zeroed()];
-    let moment =
-        Moment { time: ServerTime(100_000_000), grid: DEFAULT_GRID, written: motion.arena.written() };
+    let moment = Moment { time: WorldTime(100_000_000), grid: DEFAULT_GRID, written: motion.arena.written() };
     let counts = motion.skinned.poses(moment, motion.drawn.all(), &mut out);
     (out[0], counts)
 }
@@ -239,7 +238,7 @@ fn vertices_that_enter_do_not_withhold_those_that_are_seen() {
     let mut drawn = DrawnInstances::default();
     drawn.note_vertex(FOX);
     motion.drawn = drawn;
-    let moment = Moment { time: ServerTime(0), grid: DEFAULT_GRID, written: motion.arena.written() };
+    let moment = Moment { time: WorldTime(0), grid: DEFAULT_GRID, written: motion.arena.written() };
     let counts = motion.skinned.poses(moment, motion.drawn.all(), &mut [bytemuck::Zeroable::zeroed()]);
     assert_eq!(counts.withheld_vertices, 0, "though their morph targets are on their way");
 }

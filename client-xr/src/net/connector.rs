@@ -138,12 +138,12 @@ impl Connector {
     }
 
     /// Does what the user does with the list.
-    fn take_picks(&mut self, intake: &mut Intake) {
-        let picks = intake.picks();
-        if !self.search.list.has_news(picks) {
+    fn take_presses(&mut self, intake: &mut Intake) {
+        let presses = intake.presses();
+        if !self.search.list.has_news(presses) {
             return;
         }
-        match self.search.list.pick(picks) {
+        match self.search.list.pick(presses) {
             Some(taken) => self.turn_to(intake, taken),
             None => self.show_list(intake),
         }
@@ -254,7 +254,7 @@ impl Source for Connector {
             self.take(intake, event);
         }
         self.take_found(intake);
-        self.take_picks(intake);
+        self.take_presses(intake);
         let now = monotonic_now();
         let (known, required, server) = (&self.known, self.required, &self.server);
         let announced = self.search.found.as_ref().and_then(|found| found.fingerprint);

@@ -1,6 +1,6 @@
 //! Servers that announce themselves, looked for on a thread of its own until one is chosen.
 
-use crate::display::Picks;
+use crate::display::Presses;
 use shadecast_transport::discovery::FoundServer;
 use shadecast_transport::discovery::search::search;
 use shadecast_transport::{Fingerprint, KnownServers};
@@ -31,7 +31,7 @@ pub(super) enum Choice {
 pub(super) struct List {
     servers: Vec<FoundServer>,
     marked: usize,
-    seen: Picks,
+    seen: Presses,
 }
 
 /// Entries that are shown at once: what a headset's text has room for beside what it says about them.
@@ -47,16 +47,16 @@ impl List {
     }
 
     /// Whether the user has done anything since.
-    pub(super) fn has_news(&self, picks: Picks) -> bool {
-        picks != self.seen
+    pub(super) fn has_news(&self, presses: Presses) -> bool {
+        presses != self.seen
     }
 
     /// What the user has done by now: the server that was taken, if one was.
-    pub(super) fn pick(&mut self, picks: Picks) -> Option<FoundServer> {
-        let before = std::mem::replace(&mut self.seen, picks);
-        let nexts = picks.nexts.wrapping_sub(before.nexts) as usize;
+    pub(super) fn pick(&mut self, presses: Presses) -> Option<FoundServer> {
+        let before = std::mem::replace(&mut self.seen, presses);
+        let nexts = presses.nexts.wrapping_sub(before.nexts) as usize;
         self.marked = (self.marked + nexts).checked_rem(self.servers.len()).unwrap_or(0);
-        if picks.takes == before.takes { None } else { self.servers.get(self.marked).cloned() }
+        if presses.takes == before.takes { None } else { self.servers.get(self.marked).cloned() }
     }
 
     /// What the headset says of them, and whether there is anything to say.
@@ -160,9 +160,9 @@ mod tests {
 
     #[test]
     fn of_several_the_user_takes_one_and_those_that_come_and_go_do_not_move_the_mark() {
-        let picks = |nexts, takes| Picks { nexts, takes };
+        let presses = |nexts, takes| Presses { nexts, takes, ..Presses::default() };
         let mut list = List::default();
-        assert_eq!((list.pick(picks(2, 1)), list.text()), (None, None), "nothing was there to take");
+        assert_eq!((list.pick(presses(2, 1)), list.text()), (None, None), "nothing was there to take");
         let [attic, desk, shed] = [server("attic", 2), server("desk", 1), server("shed", 3)];
         list.refill(vec![shed.clone(), attic.clone()]);
         let text = list.text().expect("two servers");
@@ -175,12 +175,12 @@ mod tests {
                 "  shed at 192.168.1.3:7400"
             ]
         );
-        assert_eq!(list.pick(picks(3, 1)), None);
+        assert_eq!(list.pick(presses(3, 1)), None);
         list.refill(vec![desk.clone(), shed.clone(), attic.clone()]);
-        assert_eq!(list.pick(picks(3, 2)), Some(shed.clone()));
-        assert_eq!(list.pick(picks(4, 3)), Some(attic.clone()), "after the last comes the first");
+        assert_eq!(list.pick(presses(3, 2)), Some(shed.clone()));
+        assert_eq!(list.pick(presses(4, 3)), Some(attic.clone()), "after the last comes the first");
         list.refill(vec![desk.clone()]);
-        assert_eq!(list.pick(picks(4, 4)), Some(desk));
+        assert_eq!(list.pick(presses(4, 4)), Some(desk));
     }
 
     #[test]
@@ -188,7 +188,7 @@ mod tests {
         let mut list = List::default();
         list.refill((1..=9).map(|number| server(&format!("server {number}"), number)).collect());
         for nexts in 0..9 {
-            list.pick(Picks { nexts, takes: 0 });
+            list.pick(Presses { nexts, ..Presses::default() });
             let text = list.text().expect("nine servers");
             assert_eq!(text.lines().count(), 2 + SHOWN);
             assert!(text.contains(&format!("> server {}", nexts + 1)), "{text}");

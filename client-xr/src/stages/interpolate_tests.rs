@@ -13,7 +13,7 @@ use shadecast_protocol::ids::{InstanceId, UpdateId, VertexSlot};
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::PositionBatch;
 use shadecast_protocol::motion::predicted::{PredictedVertex, Prediction};
-use shadecast_protocol::time::{GridIndex, ServerTime};
+use shadecast_protocol::time::{GridIndex, WorldTime};
 use shadecast_shaders::constants::{NOT_DRAWABLE, ON_CURVE, PAST_THE_END};
 use shadecast_shaders::twin::interpolate::VertexMemory as Twin;
 use std::collections::BTreeSet;
@@ -151,7 +151,7 @@ fn gpu_and_twin_agree_on_random_deltas_and_times() {
 
 fn compare(gpu: &Arc<Gpu>, seed: u64, interpolation: Interpolation, sample_ring: u32) {
     let (mut dice, mut both) = (Dice(seed), Both::new(gpu, sample_ring));
-    let (mut time, mut before) = (ServerTime(-200_000_000), None);
+    let (mut time, mut before) = (WorldTime(-200_000_000), None);
     for frame in 0..60 {
         if dice.below(3) > 0 {
             let late = dice.below(3) as i32;
@@ -167,7 +167,7 @@ fn compare(gpu: &Arc<Gpu>, seed: u64, interpolation: Interpolation, sample_ring:
 }
 
 /// Some vertices enter, and of most of those that an update predicts it says where they will be, at times of its own.
-fn random_predictions(dice: &mut Dice, update: u32, time: ServerTime, known: &mut [bool]) -> ReceivedDelta {
+fn random_predictions(dice: &mut Dice, update: u32, time: WorldTime, known: &mut [bool]) -> ReceivedDelta {
     let mut new_vertices = Vec::new();
     for (slot, is_predicted) in (0..).zip(known.iter_mut()) {
         if update == 0 || dice.below(20) == 0 {
@@ -199,7 +199,7 @@ fn gpu_and_twin_agree_on_predicted_vertices() {
     for (seed, ring, start_ns) in [(5, 8, 1_000_000_000), (6, 32, 3_355_000_000_000)] {
         let (mut dice, mut both) = (Dice(seed), Both::new(&gpu, ring));
         let (mut known, mut states) = (vec![false; SLOTS as usize], BTreeSet::new());
-        let (mut time, mut before) = (ServerTime(start_ns), None);
+        let (mut time, mut before) = (WorldTime(start_ns), None);
         let mut update = 0;
         for frame in 0..120 {
             if frame == 0 || dice.below(6) == 0 {
@@ -228,7 +228,7 @@ fn scatter_on(twin: &mut Twin, motion: &mut Motion) {
 
 #[test]
 fn a_time_is_split_into_a_step_and_a_fraction_also_before_zero() {
-    let at = |ns| GridTime::of(Grid { spacing_ns: 100 }, ServerTime(ns));
+    let at = |ns| GridTime::of(Grid { spacing_ns: 100 }, WorldTime(ns));
     assert_eq!(at(250), GridTime { step: GridIndex(2), fraction: 0.5 });
     assert_eq!(at(-25), GridTime { step: GridIndex(-1), fraction: 0.75 });
     assert_eq!(at(300), GridTime { step: GridIndex(3), fraction: 0.0 });
@@ -238,7 +238,7 @@ fn a_time_is_split_into_a_step_and_a_fraction_also_before_zero() {
 fn blending_is_over_after_its_time() {
     let slots = Slots { vertex_count: 1, vertex_slots: 1, sample_ring: 8 };
     let step = |ns| {
-        let now = ServerTime(1_000_000_000);
+        let now = WorldTime(1_000_000_000);
         push(GRID, evaluation(now.plus_ns(ns), Some(now)), slots, Interpolation::Cubic).blend_step
     };
     assert_eq!(step(BLEND_NS), 1.0);
@@ -246,7 +246,7 @@ fn blending_is_over_after_its_time() {
     assert_eq!(step(-5), 0.0, "a clock that is corrected backwards does not undo it");
 }
 
-fn evaluation(at: ServerTime, before: Option<ServerTime>) -> Evaluation {
+fn evaluation(at: WorldTime, before: Option<WorldTime>) -> Evaluation {
     let before = before.unwrap_or(at);
     Evaluation { at, before, elapsed_ns: at.since(before) }
 }

@@ -20,7 +20,7 @@ use shadecast_protocol::motion::PositionBatch;
 use shadecast_protocol::motion::clip::chunk_count;
 use shadecast_protocol::motion::playback::{Playback, Repetition, Schedule};
 use shadecast_protocol::motion::skeleton::{ClipRef, grid_words};
-use shadecast_protocol::time::{Grid, GridIndex, ServerTime};
+use shadecast_protocol::time::{Grid, GridIndex, WorldTime};
 use shadecast_shaders::constants::{CUBIC_TRACK, LINEAR_TRACK, NO_PARENT, STEP_TRACK};
 use shadecast_shaders::generated::{EntryGpu, PlacedPoseGpu, RestGpu, TrackGpu};
 use shadecast_shaders::records::{Rest, RestId, morph_delta_word};
@@ -251,7 +251,7 @@ impl Model {
 
 fn playback(from_ms: i64, clip: u32, fade_ms: i64) -> Playback<ClipRef> {
     Playback {
-        from: ServerTime(from_ms * 1_000_000),
+        from: WorldTime(from_ms * 1_000_000),
         clip: ClipRef { clip: ClipId(clip), duration_s: CLIP_S },
         start_s: 0.3,
         speed: 1.1,
@@ -305,7 +305,7 @@ impl Bench {
     }
 
     /// One display frame: positions by slot, and how the instances stand.
-    fn frame(&mut self, time: ServerTime) -> (Vec<[f32; 4]>, SkinnedCounts) {
+    fn frame(&mut self, time: WorldTime) -> (Vec<[f32; 4]>, SkinnedCounts) {
         let flight = self.frames % 3;
         self.frames += 1;
         let mut recorder = self.gpu.record().unwrap();
@@ -391,7 +391,7 @@ fn worst_error_m(
     words: &Words,
     tables: &mut Skinned,
     model: &Model,
-    time: ServerTime,
+    time: WorldTime,
     instances: u16,
 ) -> f64 {
     let mut poses = vec![bytemuck::Zeroable::zeroed(); usize::from(instances)];
@@ -449,10 +449,10 @@ fn skinned_vertices_are_where_their_twin_has_them_whatever_the_clip_the_fade_and
         bench.enter(&[&model.vertices[..]; 3]);
         // The words take some frames to arrive.
         while !bench.motion.arena().is_empty() {
-            bench.frame(ServerTime(0));
+            bench.frame(WorldTime(0));
         }
         for frame in 0..40 {
-            let time = ServerTime(frame * 61_111_111 - 100_000_000);
+            let time = WorldTime(frame * 61_111_111 - 100_000_000);
             let (positions, counts) = bench.frame(time);
             assert_eq!((counts.instances, counts.withheld_vertices), (3, 0));
             let error_m = worst_error_m(&positions, &words, &mut tables, &model, time, 3);
@@ -471,7 +471,7 @@ fn an_instance_whose_chunk_is_on_its_way_has_no_area_until_it_is_there() {
     let model = Model::random(&mut dice, &mut words);
     bench.motion.arena().push(0, bytemuck::cast_slice(&words.0));
     while !bench.motion.arena().is_empty() {
-        bench.frame(ServerTime(0));
+        bench.frame(WorldTime(0));
     }
     // More than a frame can write lies before the chunk.
     let place = words.0.len() as u32;
@@ -486,11 +486,11 @@ fn an_instance_whose_chunk_is_on_its_way_has_no_area_until_it_is_there() {
     }
     bench.enter(&[&model.vertices[..]; 2]);
     let count = model.vertices.len();
-    let (positions, counts) = bench.frame(ServerTime(0));
+    let (positions, counts) = bench.frame(WorldTime(0));
     assert_eq!(counts, SkinnedCounts { instances: 2, withheld_vertices: count as u32, ..Default::default() });
     assert!(positions[..count].iter().all(|p| p[..3] == [0.0; 3]), "{:?}", &positions[..count]);
     assert!(positions[count..2 * count].iter().all(|p| p[..3] != [0.0; 3]));
-    let (positions, counts) = bench.frame(ServerTime(0));
+    let (positions, counts) = bench.frame(WorldTime(0));
     assert_eq!(counts.withheld_vertices, 0);
     assert!(positions[..2 * count].iter().all(|p| p[..3] != [0.0; 3]));
     bench.assert_valid();
@@ -552,9 +552,9 @@ impl GridBench {
     #[track_caller]
     fn frame(&mut self, at: f64) -> SkinnedCounts {
         while !self.bench.motion.arena().is_empty() {
-            self.bench.frame(ServerTime(0));
+            self.bench.frame(WorldTime(0));
         }
-        let time = ServerTime((at * GRID.spacing_ns as f64) as i64);
+        let time = WorldTime((at * GRID.spacing_ns as f64) as i64);
         let (positions, counts) = self.bench.frame(time);
         let error_m = worst_error_m(&positions, &self.words, &mut self.tables, &self.model, time, 1);
         assert!(error_m < BOUND_M, "at {at}: {} mm", error_m * 1e3);
@@ -617,9 +617,9 @@ fn skinning_leaves_static_and_sampled_vertices_alone_and_they_leave_it_alone() {
     let group = interpolate.bind(&bench.vertices).unwrap();
     // Positions by skinning alone, and when interpolation has come after it.
     let frame = |bench: &mut Bench| {
-        let (before, _) = bench.frame(ServerTime(0));
+        let (before, _) = bench.frame(WorldTime(0));
         let evaluation =
-            crate::motion::pace::Evaluation { at: ServerTime(0), before: ServerTime(0), elapsed_ns: 0 };
+            crate::motion::pace::Evaluation { at: WorldTime(0), before: WorldTime(0), elapsed_ns: 0 };
         let vertex_count = bench.motion.state().vertex_count;
         let slots = Slots { vertex_count, vertex_slots: SLOTS, sample_ring: CAPACITY.sample_ring };
         let push = crate::stages::interpolate::push(GRID, evaluation, slots, Default::default());
@@ -628,7 +628,7 @@ fn skinning_leaves_static_and_sampled_vertices_alone_and_they_leave_it_alone() {
         (before, bench.positions(recorder))
     };
     while !bench.motion.arena().is_empty() {
-        bench.frame(ServerTime(0));
+        bench.frame(WorldTime(0));
     }
     let (before, after) = frame(&mut bench);
     assert_eq!(before[..4], after[..4]);
@@ -654,7 +654,7 @@ fn what_is_written_last_to_the_same_words_is_there() {
         bench.motion.arena().push(4, &[value; 64]);
         bench.motion.arena().push(7, &[value + 10; 32]);
     }
-    bench.frame(ServerTime(0));
+    bench.frame(WorldTime(0));
     let readback = Buffer::new(&bench.gpu, "arena", 256, Memory::Readback).unwrap();
     let mut recorder = bench.gpu.record().unwrap();
     recorder.copy_buffer(&bench.memory.arena, 0, &readback, 0, 256);

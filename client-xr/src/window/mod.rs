@@ -4,7 +4,7 @@
 mod head;
 mod pace;
 
-use crate::display::{Activity, Display, DisplayError, EyeImages, FrameTurn, Picks, Views};
+use crate::display::{Activity, Display, DisplayError, EyeImages, FrameTurn, Presses, Views};
 use crate::platform::monotonic_now;
 use crate::platform::requirements::REQUIRED;
 use head::Head;
@@ -103,7 +103,7 @@ struct User {
     controls: Controls,
     both_eyes: bool,
     figures: bool,
-    picks: Picks,
+    presses: Presses,
     /// Figures were switched off since they were last written.
     has_closed_figures: bool,
     is_leaving: bool,
@@ -140,7 +140,7 @@ impl WindowDisplay {
                 controls: Controls::default(),
                 both_eyes: options.both_eyes,
                 figures: options.figures,
-                picks: Picks::default(),
+                presses: Presses::default(),
                 has_closed_figures: false,
                 is_leaving: false,
             },
@@ -241,8 +241,8 @@ impl Display for WindowDisplay {
         Ok(())
     }
 
-    fn picks(&self) -> Picks {
-        self.user.picks
+    fn presses(&self) -> Presses {
+        self.user.presses
     }
 
     fn wants_figures(&self) -> bool {
@@ -309,8 +309,10 @@ impl User {
             KeyCode::Tab => self.head.camera.switch(),
             KeyCode::KeyR => self.head.reset(),
             KeyCode::KeyB => self.both_eyes = !self.both_eyes,
-            KeyCode::KeyN => self.picks.nexts += 1,
-            KeyCode::Enter => self.picks.takes += 1,
+            KeyCode::KeyN => self.presses.nexts += 1,
+            KeyCode::Enter => self.presses.takes += 1,
+            KeyCode::KeyP => self.presses.halts += 1,
+            KeyCode::Period => self.presses.steps += 1,
             KeyCode::KeyF => {
                 self.figures = !self.figures;
                 self.has_closed_figures = !self.figures;

@@ -23,6 +23,10 @@ pub(super) struct Asked {
     pub(super) goes_to_next: bool,
     /// To take the one that is marked: likewise.
     pub(super) takes: bool,
+    /// To halt the world, or to let it go on: likewise.
+    pub(super) halts: bool,
+    /// To let a halted world go on by a step: likewise.
+    pub(super) steps: bool,
 }
 
 /// The client's actions, bound for all controllers that it knows.
@@ -36,6 +40,8 @@ pub(super) struct Actions {
     figures: openxr::Action<bool>,
     next: openxr::Action<bool>,
     take: openxr::Action<bool>,
+    halt: openxr::Action<bool>,
+    step: openxr::Action<bool>,
     /// Where both hands hold their controllers.
     hands: [openxr::Space; 2],
     grip: openxr::Action<openxr::Posef>,
@@ -51,6 +57,8 @@ enum Use {
     Figures,
     Next,
     Take,
+    Halt,
+    Step,
 }
 
 /// A controller's profile, and its inputs.
@@ -62,20 +70,23 @@ const MENU: (Use, &str) = (Use::Leave, "/user/hand/left/input/menu/click");
 const A: (Use, &str) = (Use::Figures, "/user/hand/right/input/a/click");
 
 const B: (Use, &str) = (Use::Next, "/user/hand/right/input/b/click");
-const TRIGGER: (Use, &str) = (Use::Take, "/user/hand/right/input/trigger/value");
+/// There is nothing to halt while there is a list.
+const TAKE: (Use, &str) = (Use::Take, "/user/hand/right/input/trigger/value");
+const HALT: (Use, &str) = (Use::Halt, "/user/hand/right/input/trigger/value");
+const STEP: (Use, &str) = (Use::Step, "/user/hand/left/input/trigger/value");
 
 /// Left and right.
 const HANDS: [&str; 2] = ["/user/hand/left", "/user/hand/right"];
 
 const CONTROLLERS: [Controller; 4] = [
-    ("/interaction_profiles/oculus/touch_controller", &[WALK, TURN, MENU, A, B, TRIGGER]),
-    ("/interaction_profiles/bytedance/pico4_controller", &[WALK, TURN, MENU, A, B, TRIGGER]),
+    ("/interaction_profiles/oculus/touch_controller", &[WALK, TURN, MENU, A, B, TAKE, HALT, STEP]),
+    ("/interaction_profiles/bytedance/pico4_controller", &[WALK, TURN, MENU, A, B, TAKE, HALT, STEP]),
     // It has no menu button but the system's own.
     (
         "/interaction_profiles/valve/index_controller",
-        &[WALK, TURN, (Use::Leave, "/user/hand/left/input/b/click"), A, B, TRIGGER],
+        &[WALK, TURN, (Use::Leave, "/user/hand/left/input/b/click"), A, B, TAKE, HALT, STEP],
     ),
-    // It has no button left for the figures. There is nowhere to walk to while there is a list.
+    // It has no button left for the figures, nor for the world's time. There is nowhere to walk to while there is a list.
     (
         "/interaction_profiles/khr/simple_controller",
         &[
@@ -111,6 +122,8 @@ impl Actions {
             figures: set.create_action("figures", "Show or hide the figures", &[]).doing(doing)?,
             next: set.create_action("next", "Next of a list", &[]).doing(doing)?,
             take: set.create_action("take", "Take from a list", &[]).doing(doing)?,
+            halt: set.create_action("halt", "Halt the world, or let it go on", &[]).doing(doing)?,
+            step: set.create_action("step", "A step of the halted world", &[]).doing(doing)?,
             hands: [held(both[0])?, held(both[1])?],
             grip,
             set,
@@ -141,6 +154,8 @@ impl Actions {
                 Use::Figures => openxr::Binding::new(&self.figures, input),
                 Use::Next => openxr::Binding::new(&self.next, input),
                 Use::Take => openxr::Binding::new(&self.take, input),
+                Use::Halt => openxr::Binding::new(&self.halt, input),
+                Use::Step => openxr::Binding::new(&self.step, input),
             })
         };
         let mut bindings = inputs.iter().map(bind).collect::<Result<Vec<_>, XrError>>()?;
@@ -186,6 +201,8 @@ impl Actions {
             toggles_figures: pressed(&self.figures)?,
             goes_to_next: pressed(&self.next)?,
             takes: pressed(&self.take)?,
+            halts: pressed(&self.halt)?,
+            steps: pressed(&self.step)?,
         })
     }
 

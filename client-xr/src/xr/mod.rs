@@ -8,7 +8,7 @@ pub mod error;
 mod time;
 
 use crate::display::{
-    ASSUMED_EYE_HEIGHT_M, Activity, Display, DisplayError, EyeImages, FrameTurn, Picks, Views,
+    ASSUMED_EYE_HEIGHT_M, Activity, Display, DisplayError, EyeImages, FrameTurn, Presses, Views,
 };
 use crate::locomotion::Locomotion;
 use crate::platform::requirements::REQUIRED;
@@ -73,7 +73,7 @@ struct Headset {
     locomotion: Locomotion,
     /// A button shows and hides them.
     wants_figures: bool,
-    picks: Picks,
+    presses: Presses,
     /// For a runtime that does not convert its times itself.
     clock: GuessedClock,
     gpu: Arc<Gpu>,
@@ -275,7 +275,7 @@ impl Xr {
             actions,
             locomotion: Locomotion::default(),
             wants_figures: false,
-            picks: Picks::default(),
+            presses: Presses::default(),
             clock: GuessedClock::default(),
             gpu,
             device,
@@ -331,8 +331,8 @@ impl Display for Xr {
         Ok(self.headset.end_empty_frame(turn)?)
     }
 
-    fn picks(&self) -> Picks {
-        self.headset.picks
+    fn presses(&self) -> Presses {
+        self.headset.presses
     }
 
     fn wants_figures(&self) -> bool {
@@ -452,8 +452,10 @@ impl Headset {
         let asked = self.actions.asked(&self.session)?;
         self.exit_requested |= asked.leaves;
         self.wants_figures ^= asked.toggles_figures;
-        self.picks.nexts += u32::from(asked.goes_to_next);
-        self.picks.takes += u32::from(asked.takes);
+        self.presses.nexts += u32::from(asked.goes_to_next);
+        self.presses.takes += u32::from(asked.takes);
+        self.presses.halts += u32::from(asked.halts);
+        self.presses.steps += u32::from(asked.steps);
         if let Some(views) = &self.last_views {
             self.locomotion.step(asked.wish, views.stage_from_head, display_time);
         }

@@ -5,7 +5,7 @@
 
 use crate::{Instance, Repetition, Scene};
 use shadecast_protocol::motion::playback::{Playback, Schedule};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 
 /// What a model's instance plays: an index into the model's clips, `None` for the rest pose.
 pub type ClipIndex = Option<usize>;
@@ -14,7 +14,7 @@ pub type ClipIndex = Option<usize>;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Event {
     /// When, on the scene's clock; positive.
-    pub at: ServerTime,
+    pub at: WorldTime,
     /// Index into [`Scene::instances`].
     pub instance: usize,
     /// What changes.
@@ -39,7 +39,7 @@ pub struct Change {
 impl Change {
     /// Adds the change to a schedule, in place of all that was to come at `at` or later. Gives when it takes effect: at `at`,
     /// or when the fade that `at` falls into is over.
-    pub fn apply(&self, schedule: &mut Schedule<ClipIndex>, at: ServerTime) -> ServerTime {
+    pub fn apply(&self, schedule: &mut Schedule<ClipIndex>, at: WorldTime) -> WorldTime {
         // What the change goes on from is known once it is known when it takes effect.
         let mut probe = schedule.clone();
         let from = probe.change(Playback { from: at, ..*schedule.entry(at) });
@@ -64,7 +64,7 @@ impl Instance {
     pub fn playback(&self) -> Playback<ClipIndex> {
         let speed = f64::from(self.speed);
         Playback {
-            from: ServerTime(0),
+            from: WorldTime(0),
             clip: self.clip,
             start_s: f64::from(self.time_shift_s) * speed,
             speed,
@@ -107,8 +107,8 @@ mod tests {
     use super::*;
     use crate::load::{SceneSource, load_scene};
 
-    fn ms(ms: i64) -> ServerTime {
-        ServerTime(ms * 1_000_000)
+    fn ms(ms: i64) -> WorldTime {
+        WorldTime(ms * 1_000_000)
     }
 
     fn scene(events: Vec<Event>) -> Scene {
@@ -134,7 +134,7 @@ mod tests {
     fn the_phase_is_to_the_bit_what_shift_and_time_give() {
         let scene = load_scene(&SceneSource::Dragons(9)).expect("built in");
         for (instance, schedule) in scene.instances.iter().zip(scene.schedules()) {
-            for time in (0..2000).map(|step| ServerTime(step * 33_333_333)) {
+            for time in (0..2000).map(|step| WorldTime(step * 33_333_333)) {
                 let expected = time.seconds() + f64::from(instance.time_shift_s);
                 assert_eq!(schedule.at(time).now.local_s.to_bits(), expected.to_bits(), "{time:?}");
             }

@@ -14,7 +14,7 @@ use crate::stages::geometry::FULL_DETAIL;
 use crate::stages::palette::Palette;
 use crate::stages::skin::{Skin, SkinJobs};
 use shadecast_gpu::{Access, Bind, Buffer, Gpu, GpuError, Memory, Recorder};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_shaders::constants::{CHUNK_VERTICES, NO_MORPHS, SAVED_CHUNKS};
 use shadecast_shaders::generated::{BoxGpu, PoseGpu, SkinJob};
 use std::collections::HashMap;
@@ -31,7 +31,7 @@ pub struct SampleJob {
     /// Where its samples are kept.
     pub place: RingPlace,
     /// That place's time; the same for all jobs of a place until it is used for another time.
-    pub time: ServerTime,
+    pub time: WorldTime,
 }
 
 /// How much work the animation has done, and how much it was spared.
@@ -74,7 +74,7 @@ pub struct Animation {
 /// The poses of a sample time, and which of them an instance has.
 #[derive(Clone, Debug, Default)]
 struct Poses {
-    time: Option<ServerTime>,
+    time: Option<WorldTime>,
     by_key: HashMap<PoseKey, PoseRef>,
     bones: u32,
     entries: u32,
@@ -154,7 +154,7 @@ impl Animation {
     }
 
     /// Poses and skins all animated instances in full detail at `time` into `place`; the static ones with the first call.
-    pub fn record_sample(&mut self, recorder: &mut Recorder, place: RingPlace, time: ServerTime) {
+    pub fn record_sample(&mut self, recorder: &mut Recorder, place: RingPlace, time: WorldTime) {
         let animated =
             self.scene.numbering.instances.iter().enumerate().filter(|(_, instance)| instance.is_animated);
         let jobs: Vec<SampleJob> =
@@ -429,7 +429,7 @@ pub fn boxes(scene: &SceneGpu) -> Vec<BoxGpu> {
 }
 
 impl Poses {
-    fn start(&mut self, time: ServerTime) {
+    fn start(&mut self, time: WorldTime) {
         self.time = Some(time);
         self.by_key.clear();
         self.of_instance.fill(None);

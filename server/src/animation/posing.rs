@@ -4,7 +4,7 @@
 use super::timeline::Shown;
 use crate::scene::SceneGpu;
 use glam::{Affine3A, Vec3};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::Model;
 use shadecast_scene::animation::pose;
 
@@ -17,7 +17,7 @@ pub struct CpuPose {
 
 impl CpuPose {
     /// Of an instance of the scene that shows this at a time.
-    pub fn at(scene: &SceneGpu, instance: usize, shown: &Shown, time: ServerTime) -> Self {
+    pub fn at(scene: &SceneGpu, instance: usize, shown: &Shown, time: WorldTime) -> Self {
         let (manager, placed) = (&scene.animation.manager, &scene.scene.instances[instance]);
         let model = &scene.scene.models[placed.model];
         let key = manager.pose_key(placed.model, instance, shown);

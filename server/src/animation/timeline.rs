@@ -1,4 +1,5 @@
-//! What every instance does at every time: the scene's events, and what an application changes while the world runs. Pure.
+//! What every instance does at every time: the scene's events, and what an application changes while the world runs; and how the
+//! world's time goes on. Pure.
 //!
 //! What was sampled once stays as it was: a change takes effect after the latest time that was sampled, whatever the
 //! application asks for, so that no sample that was sent is ever contradicted.
@@ -6,7 +7,8 @@
 use crate::lock::lock;
 use shadecast_protocol::motion::playback::{Playing, Schedule};
 use shadecast_protocol::text::printable;
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::{ServerTime, WorldTime};
+use shadecast_protocol::world_clock::{Steering, WorldClock};
 use shadecast_scene::animation::bounds::Reach;
 use shadecast_scene::animation::played::live_reach_m;
 use shadecast_scene::animation::playing;
@@ -21,6 +23,8 @@ pub const MAX_FADE_NS: i64 = 60_000_000_000;
 pub const MAX_LIVE_POSES: usize = 512;
 /// How long what is over is remembered: far longer than samples are kept, nanoseconds.
 const MEMORY_NS: i64 = 10_000_000_000;
+/// How long halts of the world are remembered that are over: longer than any display is behind, nanoseconds.
+const CLOCK_MEMORY_NS: i64 = 2_000_000_000;
 /// Times are within this of the scene's start, nanoseconds: a hundred years.
 const MAX_TIME_NS: i64 = 3_000_000_000_000_000_000;
 
@@ -81,7 +85,10 @@ pub enum Shown {
 #[derive(Clone, Debug)]
 pub struct Timeline {
     instances: Vec<OfInstance>,
-    sampled_until: Option<ServerTime>,
+    sampled_until: Option<WorldTime>,
+    clock: WorldClock,
+    /// Viewers have been told what the clock will say until then.
+    clock_told_until: Option<ServerTime>,
 }
 
 #[derive(Clone, Debug)]
@@ -105,12 +112,12 @@ struct Live {
 /// Poses from a first one until they are released.
 #[derive(Clone, Debug)]
 struct LiveRun {
-    from: ServerTime,
-    until: Option<ServerTime>,
+    from: WorldTime,
+    until: Option<WorldTime>,
     /// For when the last pose was meant.
-    meant: ServerTime,
+    meant: WorldTime,
     /// By rising times from `from` on, never empty.
-    poses: VecDeque<(ServerTime, Vec<Trs>)>,
+    poses: VecDeque<(WorldTime, Vec<Trs>)>,
 }
 
 /// A timeline that the world reads and an application changes.
@@ -147,7 +154,30 @@ impl Timeline {
                 live: instance.live.then(|| live(instance.model)),
             }
         };
-        Self { instances: scene.schedules().into_iter().enumerate().map(of).collect(), sampled_until: None }
+        Self {
+            instances: scene.schedules().into_iter().enumerate().map(of).collect(),
+            sampled_until: None,
+            clock: WorldClock::default(),
+            clock_told_until: None,
+        }
+    }
+
+    /// How the world's time follows the server's clock.
+    pub fn clock(&self) -> &WorldClock {
+        &self.clock
+    }
+
+    /// A viewer counts on the clock as it is until a time, since it would not hear of a change before.
+    pub(crate) fn clock_told(&mut self, until: ServerTime) {
+        self.clock_told_until = self.clock_told_until.max(Some(until));
+    }
+
+    /// Lets the world stand, or go on, for all who look: at `now`, or when no viewer counts on anything else. Gives when.
+    pub fn steer(&mut self, wanted: impl Into<Steering>, now: ServerTime) -> ServerTime {
+        let at = self.clock_told_until.map_or(now, |until| now.max(until.plus_ns(1)));
+        self.clock.forget_before(now.plus_ns(-CLOCK_MEMORY_NS));
+        self.clock.steer(wanted, at);
+        at
     }
 
     /// What an instance plays, and will, where it is not posed.
@@ -156,14 +186,14 @@ impl Timeline {
     }
 
     /// What an instance shows at a time.
-    pub fn at(&self, instance: usize, time: ServerTime) -> Shown {
+    pub fn at(&self, instance: usize, time: WorldTime) -> Shown {
         let OfInstance { schedule, live, .. } = &self.instances[instance];
         let posed = live.as_ref().and_then(|live| live.at(time));
         posed.map_or_else(|| Shown::Clips(schedule.at(time)), Shown::Live)
     }
 
     /// The local transforms of all bones of an instance, whose model is given, by the source curves or as it is posed.
-    pub fn source_pose(&self, model: &Model, instance: usize, time: ServerTime) -> Vec<Trs> {
+    pub fn source_pose(&self, model: &Model, instance: usize, time: WorldTime) -> Vec<Trs> {
         match self.at(instance, time) {
             Shown::Clips(playing) => playing::source_pose(model, &playing),
             Shown::Live(pose) => pose,
@@ -171,12 +201,12 @@ impl Timeline {
     }
 
     /// The latest time that was sampled: changes take effect after it. `None` before the first sample.
-    pub fn sampled_until(&self) -> Option<ServerTime> {
+    pub fn sampled_until(&self) -> Option<WorldTime> {
         self.sampled_until
     }
 
     /// A time was sampled: nothing changes any more of what is shown until then.
-    pub(crate) fn sampled(&mut self, time: ServerTime) {
+    pub(crate) fn sampled(&mut self, time: WorldTime) {
         self.sampled_until = self.sampled_until.max(Some(time));
     }
 
@@ -188,8 +218,8 @@ impl Timeline {
         &mut self,
         instance: usize,
         change: Change,
-        earliest: ServerTime,
-    ) -> Result<ServerTime, TimelineError> {
+        earliest: WorldTime,
+    ) -> Result<WorldTime, TimelineError> {
         let at = self.free(earliest);
         let forgotten = at.plus_ns(-MEMORY_NS);
         let own = self.instance(instance)?;
@@ -208,9 +238,9 @@ impl Timeline {
     pub fn set_pose(
         &mut self,
         instance: usize,
-        time: ServerTime,
+        time: WorldTime,
         mut pose: Vec<Trs>,
-    ) -> Result<ServerTime, TimelineError> {
+    ) -> Result<WorldTime, TimelineError> {
         let (seen, sampled_until) = (self.free(time), self.sampled_until);
         let own = self.instance(instance)?;
         own.check_time(time)?;
@@ -219,7 +249,7 @@ impl Timeline {
         let live = own.live("be posed")?;
         match live.open_run() {
             Some(run) if run.meant >= time => {
-                let problem = "a pose must be later than the one before; give its time on the server's clock";
+                let problem = "a pose must be later than the one before; give its time on the world's clock";
                 return Err(own.value(problem.into()));
             }
             Some(run) => run.add(time, seen, sampled_until, pose),
@@ -232,11 +262,7 @@ impl Timeline {
     ///
     /// # Errors
     /// The instance is not live.
-    pub fn release_pose(
-        &mut self,
-        instance: usize,
-        earliest: ServerTime,
-    ) -> Result<ServerTime, TimelineError> {
+    pub fn release_pose(&mut self, instance: usize, earliest: WorldTime) -> Result<WorldTime, TimelineError> {
         let at = self.free(earliest);
         let live = self.instance(instance)?.live("be posed")?;
         if let Some(run) = live.open_run() {
@@ -246,7 +272,7 @@ impl Timeline {
     }
 
     /// The first time, not before `earliest`, that is still open.
-    fn free(&self, earliest: ServerTime) -> ServerTime {
+    fn free(&self, earliest: WorldTime) -> WorldTime {
         self.sampled_until.map_or(earliest, |until| earliest.max(until.plus_ns(1)))
     }
 
@@ -263,7 +289,7 @@ fn prepare(model: &Model) -> (Arc<Reach>, f32) {
 }
 
 impl OfInstance {
-    fn check(&self, change: &Change, earliest: ServerTime) -> Result<(), TimelineError> {
+    fn check(&self, change: &Change, earliest: WorldTime) -> Result<(), TimelineError> {
         let Change { clip, local_s, speed, fade_ns, .. } = *change;
         if let Some(clip) = clip.filter(|clip| !self.playable.contains(clip)) {
             return Err(TimelineError::NotPlayable { name: self.name.clone(), clip });
@@ -280,10 +306,10 @@ impl OfInstance {
         self.check_time(earliest)
     }
 
-    fn check_time(&self, time: ServerTime) -> Result<(), TimelineError> {
+    fn check_time(&self, time: WorldTime) -> Result<(), TimelineError> {
         match (-MAX_TIME_NS..=MAX_TIME_NS).contains(&time.0) {
             true => Ok(()),
-            false => Err(self.value(format!("{} ns is no time on the server's clock", time.0))),
+            false => Err(self.value(format!("{} ns is no time on the world's clock", time.0))),
         }
     }
 
@@ -329,12 +355,12 @@ impl Live {
     }
 
     /// A new run from a time on, of a pose that was meant for `meant`.
-    fn begin(&mut self, meant: ServerTime, from: ServerTime, pose: Vec<Trs>) {
+    fn begin(&mut self, meant: WorldTime, from: WorldTime, pose: Vec<Trs>) {
         self.runs.retain(|run| run.until.is_none_or(|until| from.since(until) <= MEMORY_NS));
         self.runs.push_back(LiveRun { from, until: None, meant, poses: VecDeque::from([(from, pose)]) });
     }
 
-    fn at(&self, time: ServerTime) -> Option<Vec<Trs>> {
+    fn at(&self, time: WorldTime) -> Option<Vec<Trs>> {
         let is_on = |run: &&LiveRun| run.from <= time && run.until.is_none_or(|until| time < until);
         self.runs.iter().find(is_on).map(|run| run.at(time))
     }
@@ -342,13 +368,7 @@ impl Live {
 
 impl LiveRun {
     /// A later pose, which is reached at `seen`.
-    fn add(
-        &mut self,
-        meant: ServerTime,
-        seen: ServerTime,
-        sampled_until: Option<ServerTime>,
-        pose: Vec<Trs>,
-    ) {
+    fn add(&mut self, meant: WorldTime, seen: WorldTime, sampled_until: Option<WorldTime>, pose: Vec<Trs>) {
         self.meant = meant;
         let (last, standing) = self.poses.back_mut().expect("a run begins with a pose");
         if *last == seen {
@@ -362,7 +382,7 @@ impl LiveRun {
         self.poses.drain(..self.poses.len().saturating_sub(MAX_LIVE_POSES));
     }
 
-    fn at(&self, time: ServerTime) -> Vec<Trs> {
+    fn at(&self, time: WorldTime) -> Vec<Trs> {
         let after = self.poses.partition_point(|(at, _)| *at <= time);
         let Some(before) = after.checked_sub(1) else { return self.poses[0].1.clone() };
         let (from, pose) = &self.poses[before];
@@ -378,8 +398,8 @@ mod tests {
     use glam::{Quat, Vec3};
     use shadecast_scene::load::{SceneSource, load_scene};
 
-    fn ms(ms: i64) -> ServerTime {
-        ServerTime(ms * 1_000_000)
+    fn ms(ms: i64) -> WorldTime {
+        WorldTime(ms * 1_000_000)
     }
 
     /// Two dragons, the second of them live, and the ground.
@@ -405,7 +425,7 @@ mod tests {
         timeline.sampled(ms(800));
         let before = timeline.at(0, ms(900));
         let change = Change { clip: Some(Some(0)), ..faster() };
-        assert_eq!(timeline.set_playback(0, change, ms(850)), Ok(ServerTime(ms(900).0 + 1)));
+        assert_eq!(timeline.set_playback(0, change, ms(850)), Ok(WorldTime(ms(900).0 + 1)));
         assert_eq!(timeline.at(0, ms(900)), before);
         assert_eq!(timeline.set_playback(0, faster(), ms(950)), Ok(ms(950)));
     }
@@ -460,8 +480,8 @@ mod tests {
         let mut timeline = Timeline::new(&scene);
         timeline.set_pose(1, ms(1000), rest(&scene)).expect("a pose");
         timeline.sampled(ms(1500));
-        assert_eq!(timeline.release_pose(1, ms(0)), Ok(ServerTime(ms(1500).0 + 1)));
-        assert_eq!(timeline.release_pose(1, ms(0)), Ok(ServerTime(ms(1500).0 + 1)), "twice is no fault");
+        assert_eq!(timeline.release_pose(1, ms(0)), Ok(WorldTime(ms(1500).0 + 1)));
+        assert_eq!(timeline.release_pose(1, ms(0)), Ok(WorldTime(ms(1500).0 + 1)), "twice is no fault");
         let seen = timeline.set_pose(1, ms(2000), rest(&scene)).expect("a pose");
         assert_eq!(seen, ms(2000));
         let is_live = |at| matches!(timeline.at(1, ms(at)), Shown::Live(_));
@@ -473,7 +493,7 @@ mod tests {
         let scene = scene();
         let mut timeline = Timeline::new(&scene);
         timeline.sampled(ms(1500));
-        assert_eq!(timeline.set_pose(1, ms(1000), rest(&scene)), Ok(ServerTime(ms(1500).0 + 1)));
+        assert_eq!(timeline.set_pose(1, ms(1000), rest(&scene)), Ok(WorldTime(ms(1500).0 + 1)));
         assert!(matches!(timeline.at(1, ms(1500)), Shown::Clips(_)), "that was sampled as its clip has it");
         assert!(matches!(timeline.at(1, ms(1501)), Shown::Live(_)));
     }
@@ -496,7 +516,7 @@ mod tests {
         assert_eq!(timeline.set_pose(1, ms(2000), half.clone()), Ok(ms(2000)));
         assert_eq!(scales(&timeline, &[1000, 1250, 1500, 1750, 2000]), [1.0, 1.0, 1.0, 0.75, 0.5]);
         timeline.sampled(ms(2500));
-        let after = Ok(ServerTime(ms(2500).0 + 1));
+        let after = Ok(WorldTime(ms(2500).0 + 1));
         assert_eq!(timeline.set_pose(1, ms(2100), half), after);
         assert_eq!(
             timeline.set_pose(1, ms(2200), whole.clone()),
@@ -523,7 +543,7 @@ mod tests {
         );
         let far = with(Trs { translation: Vec3::X * 10.0, ..Trs::IDENTITY });
         assert!(refused(1, ms(1), far).contains("room is made for"));
-        assert!(refused(1, ServerTime(i64::MIN), rest(&scene)).contains("is no time"));
+        assert!(refused(1, WorldTime(i64::MIN), rest(&scene)).contains("is no time"));
         timeline.set_pose(1, ms(5), rest(&scene)).expect("a pose");
         assert!(timeline.set_pose(1, ms(5), rest(&scene)).is_err(), "not later than the one before");
     }

@@ -21,7 +21,7 @@ use shadecast_protocol::motion::rest::{MeshInfo, RestVertex};
 use shadecast_protocol::motion::skeleton::{
     ClipRef, PoseSource, SkeletonEntry, SkeletonInfo, SkinnedInstance, ring_words,
 };
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::animation::pose;
 use shadecast_scene::animation::sampling::{
     KeyInterpolation, SampledClip, SampledTrack, longest_axis, world_scale,
@@ -421,7 +421,7 @@ impl MotionLibrary {
     fn path_schedule(&self, path: &Path, sampled: &Arc<SampledClip>) -> Schedule<ClipRef> {
         let clip = self.clips.iter().find(|clip| Arc::ptr_eq(&clip.sampled, sampled));
         Schedule::new(Playback {
-            from: ServerTime(0),
+            from: WorldTime(0),
             clip: clip.expect("every path was added").info,
             start_s: f64::from(path.time_shift_s) * f64::from(path.speed),
             speed: f64::from(path.speed),

@@ -10,7 +10,7 @@ use glam::Vec3;
 use shadecast_protocol::ids::VertexSlot;
 use shadecast_protocol::limits::PREDICTIONS;
 use shadecast_protocol::motion::predicted::{PREDICTION_SPACING_S, PredictedVertex, Prediction};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use std::collections::HashMap;
 
 const COUNT: usize = PREDICTIONS as usize;
@@ -19,7 +19,7 @@ const COUNT: usize = PREDICTIONS as usize;
 pub fn predictions(
     scene: &SceneGpu,
     timeline: &SharedTimeline,
-    update: ServerTime,
+    update: WorldTime,
     vertices: impl Iterator<Item = (VertexSlot, SceneVertex)>,
 ) -> Vec<PredictedVertex> {
     let empty: [Prediction; COUNT] = std::array::from_fn(|number| Prediction {

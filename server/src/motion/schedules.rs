@@ -8,7 +8,7 @@ use shadecast_protocol::limits::MAX_SCHEDULE;
 use shadecast_protocol::motion::message::NewSchedule;
 use shadecast_protocol::motion::playback::{Playing, Schedule};
 use shadecast_protocol::motion::skeleton::{ClipRef, PoseSource, SkinnedInstance};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 
 /// What is over for so long is of no use to anybody, nanoseconds: longer than any display is behind.
 const OVER_NS: i64 = 2_000_000_000;
@@ -33,7 +33,7 @@ impl Schedules {
         &mut self,
         scene: &SceneGpu,
         timeline: &Timeline,
-        now: Option<ServerTime>,
+        now: Option<WorldTime>,
         told: &mut SkinnedInstance,
     ) {
         let instance = told.instance.index();
@@ -48,7 +48,7 @@ impl Schedules {
     }
 
     /// What has changed of what was told. It counts as told from now on.
-    pub fn changes(&mut self, scene: &SceneGpu, timeline: &Timeline, now: ServerTime) -> Vec<NewSchedule> {
+    pub fn changes(&mut self, scene: &SceneGpu, timeline: &Timeline, now: WorldTime) -> Vec<NewSchedule> {
         let mut changes = Vec::new();
         for Told { instance, schedule, .. } in &mut self.told {
             let Some(known) = schedule else { continue };
@@ -63,7 +63,7 @@ impl Schedules {
     }
 
     /// What is evaluated on the client at a time: of paths and of instances.
-    pub fn playing(&self, at: ServerTime) -> impl Iterator<Item = Playing<ClipRef>> + '_ {
+    pub fn playing(&self, at: WorldTime) -> impl Iterator<Item = Playing<ClipRef>> + '_ {
         let all = self.told.iter().flat_map(|told| told.path.iter().chain(&told.schedule));
         all.map(move |schedule| schedule.at(at))
     }
@@ -73,7 +73,7 @@ impl Schedules {
 fn current(
     scene: &SceneGpu,
     timeline: &Timeline,
-    now: Option<ServerTime>,
+    now: Option<WorldTime>,
     instance: usize,
 ) -> Schedule<ClipRef> {
     let mut schedule = timeline.schedule(instance).clone();

@@ -20,7 +20,8 @@ use shadecast_protocol::motion::message::{MotionMessage, MotionNews};
 use shadecast_protocol::motion::poses::GridPose;
 use shadecast_protocol::motion::skeleton::{ClipRef, PoseSource, SkinnedInstance};
 use shadecast_protocol::session::{Out, motion_stream, sample_stream};
-use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime};
+use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime, WorldTime};
+use shadecast_protocol::world_clock::WorldClock;
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex};
 
@@ -42,6 +43,9 @@ const STEPS_BEHIND: i64 = 6;
 /// Steps of a slow link's budget that add up, of poses and samples.
 const SAVED_STEPS: i64 = 8;
 
+/// A change of how the world's time goes on waits no longer than this for the slowest viewer, nanoseconds.
+const MOST_CLOCK_LEAD_NS: i64 = 500_000_000;
+
 /// What the thread of motion and the client's pipeline both work with.
 pub type SharedMotion = Arc<Mutex<MotionSender>>;
 
@@ -57,7 +61,7 @@ pub struct MotionBytes {
     pub chunk_bytes: u64,
     /// Chunks of clips, counted.
     pub chunks: u64,
-    /// Changes of what is played.
+    /// Changes of what is played, and of how the world's time goes on.
     pub schedule_bytes: u64,
     /// Poses.
     pub pose_bytes: u64,
@@ -138,8 +142,10 @@ pub struct MotionSender {
     sample_ring: u32,
     /// What is played changes no earlier than this from now, nanoseconds: the client must know of it by then.
     change_lead_ns: i64,
-    /// Of the last tick.
-    now: Option<ServerTime>,
+    /// The world's time of the last tick.
+    now: Option<WorldTime>,
+    /// What the client knows of how the world's time goes on.
+    clock: WorldClock,
 }
 
 impl MotionSender {
@@ -166,6 +172,7 @@ impl MotionSender {
             sample_ring: memory.sample_ring,
             change_lead_ns: START_LEAD_NS,
             now: None,
+            clock: WorldClock::default(),
         }
     }
 
@@ -212,11 +219,12 @@ impl MotionSender {
 
     /// What is to be sent at `now`. `way`: that to the client, as far as anything is known of it.
     pub fn tick(&mut self, now: ServerTime, way: Option<&WayState>) -> Vec<Out> {
-        self.now = Some(now);
         self.note_way(way);
         self.steps.pass(now);
         self.later.pass(now);
-        let mut out = self.changes(now);
+        let mut out: Vec<Out> = self.clock(now).into_iter().collect();
+        self.now = Some(self.clock.world_time(now));
+        out.extend(self.changes(now));
         out.extend(self.chunks(now));
         out.extend(self.poses(now));
         out.extend(self.samples(now));
@@ -233,6 +241,21 @@ impl MotionSender {
         self.change_lead_ns = smoothed_ns / 2 + smoothed_ns + NOTICE_NS + DEFAULT_GRID.spacing_ns;
     }
 
+    /// How the world's time goes on, where that is otherwise than the client was told.
+    fn clock(&mut self, now: ServerTime) -> Option<Out> {
+        let mut timeline = self.timeline.lock();
+        timeline.clock_told(now.plus_ns(self.change_lead_ns.min(MOST_CLOCK_LEAD_NS)));
+        let clock = *timeline.clock();
+        drop(timeline);
+        if clock == self.clock {
+            return None;
+        }
+        self.clock = clock;
+        let stream = self.stream(MotionNews::Clock(Box::new(clock)), true);
+        self.bytes.schedule_bytes += stream.bytes() as u64;
+        Some(stream)
+    }
+
     /// What is played otherwise than the client was told.
     fn changes(&mut self, now: ServerTime) -> Vec<Out> {
         if !self.schedules.plays_any() {
@@ -240,8 +263,8 @@ impl MotionSender {
         }
         let mut timeline = self.timeline.lock();
         // What changes from now on does so after the client has heard of it.
-        timeline.sampled(now.plus_ns(self.change_lead_ns));
-        let changes = self.schedules.changes(&self.scene, &timeline, now);
+        timeline.sampled(self.clock.world_time(now.plus_ns(self.change_lead_ns)));
+        let changes = self.schedules.changes(&self.scene, &timeline, self.clock.world_time(now));
         drop(timeline);
         let mut out = Vec::new();
         for change in changes {
@@ -255,10 +278,10 @@ impl MotionSender {
 
     /// Which steps of the grid can be sent at `now`. What is shown until the last of them does not change any more.
     fn window(&self, now: ServerTime) -> SampleWindow {
-        let horizon = DEFAULT_GRID.ceil(now.plus_ns(self.lead_ns)).plus(2);
+        let horizon = DEFAULT_GRID.ceil(self.clock.world_time(now.plus_ns(self.lead_ns))).plus(2);
         self.timeline.lock().sampled(DEFAULT_GRID.time_of(horizon));
         SampleWindow {
-            first: DEFAULT_GRID.floor(now).plus(-2),
+            first: DEFAULT_GRID.floor(self.clock.world_time(now)).plus(-2),
             oldest: horizon.plus(1 - self.sample_ring as i32),
             horizon,
         }
@@ -340,7 +363,8 @@ impl MotionSender {
         let (mut soon, mut known) = (Vec::new(), BTreeSet::new());
         let look = |from_ns: i64, until_ns: i64| (from_ns..=until_ns).step_by(LOOK_NS as usize);
         for ahead_ns in look(0, self.change_lead_ns + AHEAD_NS).chain(look(-BEHIND_NS, 0)) {
-            let at = now.plus_ns(ahead_ns);
+            // A halted world may go on at any time.
+            let at = self.clock.world_time(now).plus_ns(ahead_ns);
             for playing in self.schedules.playing(at) {
                 for shown in
                     [Some(playing.now), playing.fading.map(|(fading, _)| fading)].into_iter().flatten()

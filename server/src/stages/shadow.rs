@@ -12,7 +12,7 @@ use shadecast_gpu::{
     Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, Image, ImageDesc, Memory, Recorder, RenderPass,
     Sampler, SamplerDesc,
 };
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::animation::sampling::longest_axis;
 use shadecast_scene::{Instance, TrackValues};
 use shadecast_shaders::generated::{LightGpu, PunctualGpu, SHADOW_FRAG, SHADOW_VERT, ShadowPush};
@@ -103,7 +103,7 @@ impl Shadow {
     }
 
     /// Writes the light as it is at `time` by the animation's timeline. No submitted work still reads it.
-    pub fn write(&mut self, scene: &SceneGpu, animation: &Animation, time: ServerTime) {
+    pub fn write(&mut self, scene: &SceneGpu, animation: &Animation, time: WorldTime) {
         let light = lights::at(&scene.scene, &animation.timeline().lock(), self.view.as_ref(), time);
         self.light.write(0, bytemuck::bytes_of(&light));
         self.written = light;

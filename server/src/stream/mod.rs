@@ -77,6 +77,8 @@ pub struct StreamOptions {
     pub shade_ms: Option<f64>,
     /// Clients that are served at once.
     pub viewers: usize,
+    /// Whether each of them may halt the world, for all, and let it go on.
+    pub viewers_steer: bool,
     /// A simulated link on the real socket.
     pub link: Option<LinkSchedule>,
     /// Seed of the simulated link.

@@ -26,6 +26,7 @@ use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::message::{Capabilities, Refused, Welcome};
 use shadecast_protocol::session::clock_stamp;
 use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::world_clock::Steering;
 use shadecast_system::monotonic_now_ns;
 use shadecast_transport::{PeerId, SendError};
 use std::collections::BTreeMap;
@@ -71,6 +72,8 @@ pub trait Studio {
     fn quality(&self) -> QualityOptions;
     /// An encoder for the pictures of a session.
     fn encoder(&mut self, welcome: &Welcome) -> Result<Box<dyn Encoder>, EncodeError>;
+    /// A viewer wants the world to stand, or to go on.
+    fn steer(&mut self, wanted: Steering, now: ServerTime);
     /// Opens the device again, after it was lost, and brings the scene to it.
     fn reopen(&mut self) -> anyhow::Result<()>;
 }
@@ -281,6 +284,8 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         if let Some(report) = &told.displayed {
             self.of_pipeline.happens("display is known", Some(report.update));
         }
+        let now = ServerTime(now_ns - self.epoch_ns);
+        told.steering.into_iter().for_each(|wanted| self.studio.steer(wanted, now));
         let heard = guarded(|| {
             client.viewer.hear(told, now_ns);
             Ok(())

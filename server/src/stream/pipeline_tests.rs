@@ -16,7 +16,9 @@ use shadecast_protocol::geometry::GeometryDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Displayed, HeadState, ServerDatagram};
 use shadecast_protocol::session::{Out, ServerEvent};
+use shadecast_protocol::time::WorldTime;
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
+use shadecast_protocol::world_clock::Steer;
 use shadecast_test_support::peers::head;
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -108,6 +110,8 @@ struct Script {
     /// How many there are.
     open: Rc<RefCell<u32>>,
     encoders: Rc<RefCell<u32>>,
+    /// What viewers want of the world's time.
+    steered: Rc<RefCell<Vec<Steering>>>,
     /// Clients that were closed in the middle of an update.
     broken: Rc<RefCell<u32>>,
     /// What the device says that an update took.
@@ -205,7 +209,7 @@ impl Studio for FakeStudio {
             return Ok(None);
         }
         *self.0.updates_made.borrow_mut() += 1;
-        let delta = GeometryDelta { update, time, ..GeometryDelta::default() };
+        let delta = GeometryDelta { update, time: WorldTime(time.0), ..GeometryDelta::default() };
         let delta = UpdateDelta { geometry: delta, ..UpdateDelta::default() };
         let timing = Timing { scope: "shading", began_ns: 0, took_ns: self.0.device_ns.get() };
         let (picture, timings) = (Source::default(), Timings::from_iter([timing]));
@@ -232,6 +236,10 @@ impl Studio for FakeStudio {
         *self.0.encoders.borrow_mut() += 1;
         let (acts, lets_go) = (self.0.encodes.clone(), self.0.lets_go.clone());
         Ok(Box::new(FakeEncoder { acts, lets_go, is_new: true, done: VecDeque::new() }))
+    }
+
+    fn steer(&mut self, wanted: Steering, _: ServerTime) {
+        self.0.steered.borrow_mut().push(wanted);
     }
 
     fn reopen(&mut self) -> anyhow::Result<()> {
@@ -457,6 +465,24 @@ fn nothing_is_shaded_while_nobody_looks_and_then_at_once_a_picture_that_needs_no
     let pictures = bench.outlet.pictures.lock().expect("whole");
     let back = pictures.iter().find(|(frame, _)| *frame as usize >= after);
     assert_eq!(back, Some(&(after as u32, true)), "it needs no other");
+}
+
+#[test]
+fn what_a_viewer_wants_of_the_worlds_time_comes_to_whoever_has_the_world() {
+    let bench = Bench::new();
+    bench.comes(1);
+    let mut asked = 0;
+    let (ended, _) = bench.run(|recorder| {
+        if pictures(recorder) >= 3 && asked < 2 {
+            bench.mailbox.told(PeerId(1), ServerEvent::Steer(Steer::Halt.into()));
+            bench.mailbox.told(PeerId(1), ServerEvent::Steer(Steer::Step.into()));
+            asked += 1;
+        }
+        bench.script.steered.borrow().len() >= 2
+    });
+    let wanted = Steering::from(Steer::Halt).then(Steer::Step.into());
+    assert!(ended.is_ok());
+    assert_eq!(*bench.script.steered.borrow(), [wanted, wanted]);
 }
 
 #[test]

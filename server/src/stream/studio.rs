@@ -20,6 +20,7 @@ use shadecast_gpu::{Gpu, GpuError};
 use shadecast_protocol::delta::EncodedDelta;
 use shadecast_protocol::message::{Capabilities, Codec, Displayed, HeadState, Welcome};
 use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::world_clock::Steering;
 use shadecast_scene::Scene;
 use std::sync::Arc;
 use std::time::Duration;
@@ -166,6 +167,13 @@ impl Studio for GpuStudio<'_> {
         match welcome.codec {
             Codec::H264 => encoders.encoder(settings),
             codec => encode::encoder(codec, settings),
+        }
+    }
+
+    fn steer(&mut self, wanted: Steering, now: ServerTime) {
+        if self.options.viewers_steer {
+            let at = self.timeline.lock().steer(wanted, now);
+            tracing::debug!("a viewer steers the world: {wanted:?} at {:.3} s", at.seconds());
         }
     }
 

@@ -16,7 +16,7 @@ use shadecast_gpu::{
     GraphicsPipelineDesc, Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc,
 };
 use shadecast_protocol::pose::{Fov, Pose};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::animation::bounds::Bounds;
 use shadecast_shaders::constants::{CHUNK_VERTICES, FIRST_ID};
 use shadecast_shaders::generated::{
@@ -165,7 +165,7 @@ impl Forward {
     }
 
     /// Records what an eye sees at `time`. Nothing submitted still reads the last recording's view.
-    pub fn record(&mut self, recorder: &mut Recorder, world_from_eye: Pose, fov: Fov, time: ServerTime) {
+    pub fn record(&mut self, recorder: &mut Recorder, world_from_eye: Pose, fov: Fov, time: WorldTime) {
         if std::mem::take(&mut self.is_posed) {
             self.animation.forget();
             let (from, to) = (&self.boxes, self.animation.boxes());
@@ -181,7 +181,7 @@ impl Forward {
     }
 
     /// Records what an eye sees of the saved vertices under the light of `time`.
-    fn record_posed(&mut self, recorder: &mut Recorder, world_from_eye: Pose, fov: Fov, time: ServerTime) {
+    fn record_posed(&mut self, recorder: &mut Recorder, world_from_eye: Pose, fov: Fov, time: WorldTime) {
         let clip_from_world = fov.clip_from_eye() * world_from_eye.inverse().matrix();
         let view = view_gpu(clip_from_world, world_from_eye.position);
         self.view.write(0, bytemuck::bytes_of(&view));
@@ -192,7 +192,7 @@ impl Forward {
     }
 
     /// Renders what an eye sees at `time`: sRGB, three bytes a pixel.
-    pub fn picture(&mut self, world_from_eye: Pose, fov: Fov, time: ServerTime) -> Result<Vec<u8>, GpuError> {
+    pub fn picture(&mut self, world_from_eye: Pose, fov: Fov, time: WorldTime) -> Result<Vec<u8>, GpuError> {
         let mut recorder = self.gpu.record()?;
         self.record(&mut recorder, world_from_eye, fov, time);
         self.read(recorder, &[&self.targets.resolved])?;
@@ -200,7 +200,7 @@ impl Forward {
     }
 
     /// Renders what an eye sees at `time`, and what is where in it.
-    pub fn render(&mut self, world_from_eye: Pose, fov: Fov, time: ServerTime) -> Result<Truth, GpuError> {
+    pub fn render(&mut self, world_from_eye: Pose, fov: Fov, time: WorldTime) -> Result<Truth, GpuError> {
         let mut recorder = self.gpu.record()?;
         self.record(&mut recorder, world_from_eye, fov, time);
         self.probe_and_collect(recorder)
@@ -212,7 +212,7 @@ impl Forward {
         &mut self,
         world_from_eye: Pose,
         fov: Fov,
-        time: ServerTime,
+        time: WorldTime,
         posed: &Posed,
     ) -> Result<Truth, GpuError> {
         let all = (self.scene.numbering.totals.static_vertices

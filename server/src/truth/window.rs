@@ -15,7 +15,7 @@ use shadecast_desktop::winit::event_loop::{ActiveEventLoop, EventLoop};
 use shadecast_desktop::winit::keyboard::KeyCode;
 use shadecast_desktop::winit::window::WindowId;
 use shadecast_gpu::{Access, GpuError, GpuOptions, Recorder, Timings};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::Scene;
 use shadecast_scene::process::Loading;
 use std::path::PathBuf;
@@ -273,7 +273,7 @@ impl Shown {
     fn record_scene(&mut self, recorder: &mut Recorder) {
         let eye = self.scene.scene.world_from_stage.then(self.camera.pose());
         let fov = fov_of_picture(self.camera.fov_deg, self.forward.extent());
-        let time = ServerTime((self.scene_time_s * 1e9) as i64);
+        let time = WorldTime((self.scene_time_s * 1e9) as i64);
         self.forward.record(recorder, eye, fov, time);
         let layouts = [vk::ImageLayout::TRANSFER_SRC_OPTIMAL, vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL];
         recorder.transition(self.forward.image(), layouts, Access::COLOR_WRITE, Access::FRAGMENT_READ);

@@ -197,7 +197,7 @@ mod tests {
         sample_write, sampled_entry, skinned_entry, static_entry, tag,
     };
     use shadecast_protocol::limits::{MAX_SAMPLE_RING, MIN_SAMPLE_RING};
-    use shadecast_protocol::time::{GridIndex, ServerTime};
+    use shadecast_protocol::time::{GridIndex, WorldTime};
 
     const STEP_S: f64 = 1.0 / 30.0;
     const RING: u32 = 32;
@@ -221,13 +221,13 @@ mod tests {
     fn predictions(update_ms: i64, start_ms: i64) -> Vec<VertexWriteGpu> {
         let write = |number: u32| {
             let ms = update_ms + 30 * (i64::from(number) + 1);
-            prediction_write(0, number, ServerTime(ms * 1_000_000), [(ms - start_ms) as f32 * 0.1, 0.0, 0.0])
+            prediction_write(0, number, WorldTime(ms * 1_000_000), [(ms - start_ms) as f32 * 0.1, 0.0, 0.0])
         };
         (0..PREDICTIONS).map(write).collect()
     }
 
     fn at_ms(memory: &mut VertexMemory, ms: i64) -> [f32; 4] {
-        let now = prediction_time(ServerTime(ms * 1_000_000));
+        let now = prediction_time(WorldTime(ms * 1_000_000));
         memory.interpolate(&InterpolatePush { now, ..push(0, 0.0, true) });
         memory.positions[0]
     }

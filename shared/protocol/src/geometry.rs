@@ -7,7 +7,7 @@ use crate::ids::{InstanceId, PatchSlot, RestId, UpdateId, VertexSlot};
 use crate::motion::predicted::PredictedVertex;
 use crate::motion::rest::{MeshInfo, RestVertex};
 use crate::motion::skeleton::{SkeletonInfo, SkinnedInstance};
-use crate::time::ServerTime;
+use crate::time::WorldTime;
 use glam::Vec3;
 
 /// What one update changes in the client's memory. Applied in the order: patch evictions, vertex evictions, instances,
@@ -17,8 +17,8 @@ use glam::Vec3;
 pub struct GeometryDelta {
     /// The update.
     pub update: UpdateId,
-    /// The time for which the update was made.
-    pub time: ServerTime,
+    /// The world's time when the update was begun.
+    pub time: WorldTime,
     /// Instances seen for the first time, or with a new quantisation step.
     pub instances: Vec<InstanceInfo>,
     /// What is skinned by the client, as far as it has not been told.
@@ -58,7 +58,7 @@ impl GeometryDelta {
             coverage,
             predictions,
         } = self;
-        (*update, *time) = (UpdateId::default(), ServerTime::default());
+        (*update, *time) = (UpdateId::default(), WorldTime::default());
         instances.clear();
         skeletons.clear();
         meshes.clear();

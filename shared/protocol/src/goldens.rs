@@ -19,12 +19,13 @@ use crate::motion::predicted::{PredictedVertex, Prediction};
 use crate::motion::rest::{MeshInfo, RestVertex};
 use crate::motion::skeleton::{ClipRef, PoseSource, SkeletonEntry, SkeletonInfo, SkinnedInstance};
 use crate::testing::{displayed, head, hello, welcome};
-use crate::time::{ClientTime, GridIndex, ServerTime};
+use crate::time::{ClientTime, GridIndex, ServerTime, WorldTime};
 use crate::wire::{PictureHeader, encode_geometry, encode_motion, encode_picture, frame_control};
+use crate::world_clock::{Steer, WorldClock};
 use glam::Vec3;
 
 /// The version whose bytes are pinned below.
-const PINNED_VERSION: u32 = 3;
+const PINNED_VERSION: u32 = 4;
 
 #[track_caller]
 fn assert_pinned(bytes: &[u8], hex: &str) {
@@ -60,7 +61,7 @@ fn deltas() -> [Vec<u8>; 2] {
     new_vertices.extend((100..103).map(|slot| vertex(slot, far, still)));
     let enters = GeometryDelta {
         update: UpdateId(0),
-        time: ServerTime(1_000_000_000),
+        time: WorldTime(1_000_000_000),
         instances: vec![
             InstanceInfo { instance: near, step_m: 0.0005 },
             InstanceInfo { instance: far, step_m: 0.25 },
@@ -85,7 +86,7 @@ fn deltas() -> [Vec<u8>; 2] {
     };
     let moves = GeometryDelta {
         update: UpdateId(1),
-        time: ServerTime(1_033_333_333),
+        time: WorldTime(1_033_333_333),
         evicted_patches: vec![PatchSlot(1)],
         evicted_vertices: vec![VertexSlot(5), VertexSlot(6)],
         placements: vec![(PatchSlot(0), None)],
@@ -113,6 +114,9 @@ fn control_messages_keep_their_bytes() {
     assert_pinned(&ClientMessage::RefreshRequest { after: Some(UpdateId(8)) }.encode(), "020108");
     assert_pinned(&ClientMessage::Goodbye.encode(), "03");
     assert_pinned(&ClientMessage::Watching { is_watched: true }.encode(), "0401");
+    assert_pinned(&ClientMessage::Steer(Steer::Halt).encode(), "0500");
+    assert_pinned(&ClientMessage::Steer(Steer::GoOn).encode(), "0501");
+    assert_pinned(&ClientMessage::Steer(Steer::Step).encode(), "0502");
     assert_pinned(
         &ServerMessage::Welcome(welcome()).encode(),
         "0001ef9bafcdf8acd19101aa81e51f80108010d804ac0288278407c80108000000803e0000003f0000803f0000003f000040
@@ -177,7 +181,7 @@ fn streams_keep_their_bytes() {
 }
 
 /// A chunk, a schedule and a pose.
-fn news_of_motion() -> [MotionNews; 3] {
+fn news_of_motion() -> [MotionNews; 4] {
     let (clip, instance) = (ClipRef { clip: ClipId(300), duration_s: 4.0 }, InstanceId(7));
     let still = |values: Vec<[f32; 4]>| ChunkTrack {
         kind: TrackKind::Step,
@@ -199,20 +203,24 @@ fn news_of_motion() -> [MotionNews; 3] {
     };
     let [still, one] = [[1.0, 2.0, 3.0, 0.0], [1.0, 1.0, 1.0, 0.0]].map(|value| still(vec![value]));
     let tracks = vec![still, moving, one, turning];
-    let (from, repetition) = (ServerTime(1_000_000_000), Repetition::PingPong);
+    let (from, repetition) = (WorldTime(1_000_000_000), Repetition::PingPong);
     let playback = Playback { from, clip, start_s: 0.25, speed: -1.5, repetition, fade_ns: 200_000_000 };
     let bone = BonePose { translation: [0.5, -0.25, 0.125], rotation: [0.0, 0.6, 0.0, 0.8], scale: [1.0; 3] };
     let pose = GridPose { instance, grid: GridIndex(40), bones: vec![bone; 2], weights: vec![0.5] };
+    let mut clock = WorldClock::default();
+    clock.steer(Steer::Halt, ServerTime(1_000_000_000));
+    clock.steer(Steer::Step, ServerTime(2_000_000_000));
     [
         MotionNews::Chunk(ClipChunk { clip: clip.clip, index: 1, first_word: 64, tracks }),
         MotionNews::Schedule(NewSchedule { instance, schedule: Schedule::new(playback) }),
         MotionNews::Poses(vec![pose]),
+        MotionNews::Clock(Box::new(clock)),
     ]
 }
 
 #[test]
 fn news_of_motion_keep_their_bytes() {
-    let [chunk, schedule, poses] =
+    let [chunk, schedule, poses, clock] =
         news_of_motion().map(|news| encode_motion(&MotionMessage { sequence: 9, news }.encode()));
     assert_pinned(
         &chunk,
@@ -226,6 +234,7 @@ fn news_of_motion_keep_their_bytes() {
         &poses,
         "03090000000301075002011f0000003ffcffff7ffe3fffff7793fdff1fffffff9fffcfffffdd64ffff07",
     );
+    assert_pinned(&clock, "030900000004000180a8d6b9070180d0acf30e01aad191930f000000000000000000000000000000");
 }
 
 #[test]

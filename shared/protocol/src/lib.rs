@@ -20,6 +20,7 @@ pub mod session;
 pub mod text;
 pub mod time;
 pub mod wire;
+pub mod world_clock;
 
 #[cfg(test)]
 mod goldens;
@@ -27,4 +28,4 @@ mod goldens;
 mod testing;
 
 /// Version of the wire format. A change of the bytes without a change of this number fails the wire goldens.
-pub const PROTOCOL_VERSION: u32 = 3;
+pub const PROTOCOL_VERSION: u32 = 4;

@@ -533,7 +533,7 @@ mod tests {
     use crate::motion::playback::{Playback, Repetition, Schedule};
     use crate::motion::quantise;
     use crate::motion::skeleton::{ClipRef, SkeletonEntry};
-    use crate::time::{GridIndex, ServerTime};
+    use crate::time::{GridIndex, WorldTime};
     use glam::Vec3;
 
     const SLOT: VertexSlot = VertexSlot(5);
@@ -566,7 +566,7 @@ mod tests {
     #[test]
     fn poses_on_the_grid_must_lie_in_the_arena_that_was_agreed() {
         let playback = Playback {
-            from: ServerTime(0),
+            from: WorldTime(0),
             clip: ClipRef { clip: ClipId(0), duration_s: 0.0 },
             start_s: 0.0,
             speed: 1.0,
@@ -626,7 +626,7 @@ mod tests {
     /// Two bones, an entry each, a morph target; instance 9; a mesh of vertices 10 to 19.
     fn told() -> GeometryDelta {
         let clip = ClipRef { clip: ClipId(0), duration_s: 1.0 };
-        let (from, repetition) = (ServerTime(0), Repetition::Loop);
+        let (from, repetition) = (WorldTime(0), Repetition::Loop);
         let playback = Playback { from, clip, start_s: 0.0, speed: 1.0, repetition, fade_ns: 0 };
         let entry = |bone| SkeletonEntry { bone, bone_from_mesh: [[0.0; 4]; 3] };
         let skeleton = SkeletonInfo {

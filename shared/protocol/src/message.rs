@@ -16,6 +16,7 @@ use crate::pose::{Eye, Pose};
 use crate::text::printable;
 use crate::time::{ClientTime, Grid, ServerTime};
 use crate::wire::{WireError, check_count, invalid};
+use crate::world_clock::Steer;
 use glam::Vec3;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -38,6 +39,8 @@ pub enum ClientMessage {
         /// False while the headset is off, or shows something else.
         is_watched: bool,
     },
+    /// The person who looks wants the world to stand, or to go on: for all who look.
+    Steer(Steer),
 }
 
 /// What a server says on the control stream.
@@ -412,9 +415,11 @@ impl ClientMessage {
     fn check(&self) -> Result<(), WireError> {
         match self {
             Self::Hello(hello) => hello.check(),
-            Self::Displayed(_) | Self::RefreshRequest { .. } | Self::Goodbye | Self::Watching { .. } => {
-                Ok(())
-            }
+            Self::Displayed(_)
+            | Self::RefreshRequest { .. }
+            | Self::Goodbye
+            | Self::Watching { .. }
+            | Self::Steer(_) => Ok(()),
         }
     }
 }

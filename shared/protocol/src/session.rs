@@ -23,6 +23,7 @@ use crate::wire::{
     DeltaHead, PictureHeader, StreamMessage, WireError, check_count, encode_geometry, encode_motion,
     encode_picture, invalid, parse_stream,
 };
+use crate::world_clock::{Steer, Steering};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -32,6 +33,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 const QUICK_PINGS: u32 = 500;
 /// What a message about motion takes while it waits, beside its bytes.
 const MOTION_OVERHEAD_BYTES: usize = 64;
+/// What may be taken in of them at once where there is no arena: each counts for a word at least.
+const LEAST_MOTION_WORDS: u32 = 64;
 const QUICK_PING_NS: i64 = 10_000_000;
 const PING_NS: i64 = 25_000_000;
 /// Pings that wait for their answer, on a server whose driver is late; the oldest are dropped.
@@ -111,6 +114,8 @@ pub enum ServerEvent {
     },
     /// Whether somebody looks; before it is said, somebody does.
     Watching(bool),
+    /// Somebody wants the world to stand, or to go on.
+    Steer(Steering),
     /// The user left.
     Goodbye,
     /// The client said what makes no sense: drop the connection.
@@ -330,6 +335,13 @@ impl ClientSession {
         }
     }
 
+    /// Asks for the world to stand, or to go on.
+    pub fn steer(&mut self, steer: Steer) {
+        if self.phase == Phase::Running {
+            self.say(&ClientMessage::Steer(steer));
+        }
+    }
+
     /// Takes leave; nothing comes out after it.
     pub fn goodbye(&mut self) {
         if self.phase != Phase::Ended {
@@ -409,7 +421,8 @@ impl ClientSession {
         self.decoder = Some(decoder.with_motion(welcome.motion));
         self.records_per_turn = (welcome.vertex_slots * RECORDS_PER_SLOT_AND_TURN) as usize;
         self.records_left = self.records_per_turn;
-        self.motion_words = welcome.motion.arena_words;
+        // News of the world's time come without an arena, too.
+        self.motion_words = welcome.motion.arena_words.max(LEAST_MOTION_WORDS);
         self.events.push_back(ClientEvent::Welcome(welcome));
         for (header, access_unit) in std::mem::take(&mut self.waiting.pictures) {
             self.waiting.bytes -= access_unit.len();
@@ -561,6 +574,7 @@ struct Heard {
     displayed: Option<Displayed>,
     refresh: Option<Option<UpdateId>>,
     watching: Option<bool>,
+    steering: Option<Steering>,
     pose: Option<HeadState>,
     end: Option<ServerEvent>,
 }
@@ -697,7 +711,8 @@ impl ServerSession {
         let displayed = heard.displayed.take().map(ServerEvent::Displayed);
         let refresh = || heard.refresh.take().map(|after| ServerEvent::RefreshRequest { after });
         let watching = || heard.watching.take().map(ServerEvent::Watching);
-        let event = displayed.or_else(refresh).or_else(watching);
+        let steering = || heard.steering.take().map(ServerEvent::Steer);
+        let event = displayed.or_else(refresh).or_else(watching).or_else(steering);
         event.or_else(|| heard.pose.take().map(ServerEvent::Pose)).or_else(|| heard.end.take())
     }
 
@@ -782,6 +797,10 @@ impl ServerSession {
             }
             ClientMessage::RefreshRequest { after } => self.heard.refresh = Some(after),
             ClientMessage::Watching { is_watched } => self.heard.watching = Some(is_watched),
+            ClientMessage::Steer(steer) => {
+                let earlier = self.heard.steering.unwrap_or_default();
+                self.heard.steering = Some(earlier.then(steer.into()));
+            }
             ClientMessage::Goodbye => self.end_with(ServerEvent::Goodbye),
         }
         Ok(())
@@ -1335,6 +1354,8 @@ mod tests {
             let frame = displayed(u32::min(round, 2)).update;
             pair.client.send_displayed(Displayed { update: frame, display_frames: 1, ..displayed(0) });
             pair.client.request_refresh(None);
+            pair.client.steer(Steer::GoOn);
+            pair.client.steer(Steer::Step);
             pair.client.send_pose(head(round));
             pair.client.on_tick(NOW.plus_ns(i64::from(round) * PING_NS));
             while let Some(out) = pair.client.poll_out() {
@@ -1348,12 +1369,17 @@ mod tests {
         assert!(pair.server.pings.len() <= MAX_WAITING_PINGS && pair.server.control.is_empty());
         assert!(pair.server.understood() > 3 * 10_000);
         let events: Vec<_> = std::iter::from_fn(|| pair.server.poll_event()).collect();
-        let [ServerEvent::Displayed(shown), ServerEvent::RefreshRequest { .. }, ServerEvent::Pose(pose)] =
-            events[..]
+        let [
+            ServerEvent::Displayed(shown),
+            ServerEvent::RefreshRequest { .. },
+            ServerEvent::Steer(steering),
+            ServerEvent::Pose(pose),
+        ] = events[..]
         else {
             panic!("{events:?}")
         };
         assert_eq!((shown.update, shown.display_frames, pose.sequence), (UpdateId(2), 10_000, 9_999));
+        assert_eq!(steering, Steering::from(Steer::GoOn).then(Steer::Step.into()));
     }
 
     #[test]

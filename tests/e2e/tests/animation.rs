@@ -13,7 +13,7 @@ use shadecast_protocol::motion::playback::Schedule;
 use shadecast_protocol::motion::skeleton::ClipRef;
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::session::Out;
-use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime};
+use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime, WorldTime};
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
 use shadecast_scene::Cancel;
 use shadecast_scene::animation::{playing, pose, sampling};
@@ -185,7 +185,7 @@ fn twin(
     scene: &Scene,
     index: usize,
     sampling: sampling::Sampling,
-    time: ServerTime,
+    time: WorldTime,
 ) -> Vec<pose::SkinnedVertex> {
     let instance = &scene.instances[index];
     let model = &scene.models[instance.model];
@@ -206,7 +206,7 @@ fn compare_with_twin(gpu: &Arc<Gpu>, scene: &Scene, options: SceneOptions, times
     let gpu_scene = Arc::new(SceneGpu::new(gpu, scene.clone(), &options).expect("the scene fits"));
     let mut animation = Animation::new(gpu, &gpu_scene, 2).unwrap();
     for time_s in times_s {
-        let time = ServerTime((time_s * 1e9) as i64);
+        let time = WorldTime((time_s * 1e9) as i64);
         let mut recorder = gpu.record().unwrap();
         animation.record_sample(&mut recorder, RingPlace(1), time);
         recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE);
@@ -266,7 +266,7 @@ fn the_dragon_equals_the_cpu_twin_however_it_is_skinned() {
 
 /// Fades an instance from what it plays into a clip from 0.5 s on, for as long, and pauses it 1.5 s later.
 fn fading(mut scene: Scene, instance: usize, clip: Option<usize>) -> Scene {
-    let event = |at_ms: i64, change| Event { at: ServerTime(at_ms * 1_000_000), instance, change };
+    let event = |at_ms: i64, change| Event { at: WorldTime(at_ms * 1_000_000), instance, change };
     let (clip, fade_ns) = (Some(clip), 500_000_000);
     scene.events.push(event(500, Change { clip, local_s: Some(0.3), fade_ns, ..Change::default() }));
     scene.events.push(event(2000, Change { speed: Some(0.0), ..Change::default() }));
@@ -303,7 +303,7 @@ fn positions(
     gpu: &Arc<Gpu>,
     animation: &mut Animation,
     (instance, model): (usize, &Model),
-    time: ServerTime,
+    time: WorldTime,
 ) -> Vec<Vec3> {
     let mut recorder = gpu.record().unwrap();
     animation.record_sample(&mut recorder, RingPlace(0), time);
@@ -320,7 +320,7 @@ fn compare_with_truth(gpu: &Arc<Gpu>, scene: &Scene, most_m: f32) {
     let model = &scene.models[scene.instances[0].model];
     let mut fades = 0;
     for at_ms in [450, 530, 620, 750, 990, 1400, 2300] {
-        let time = ServerTime(at_ms * 1_000_000);
+        let time = WorldTime(at_ms * 1_000_000);
         let found = positions(gpu, &mut animation, (0, model), time);
         let truth = InstancePose::at(scene, 0, time.seconds());
         for (number, found) in found.iter().enumerate() {
@@ -356,7 +356,7 @@ fn a_paused_instance_stands_still() {
     let scene = fading(scene, 0, Some(1));
     let gpu_scene = Arc::new(SceneGpu::new(&gpu, scene, &SceneOptions::default()).expect("it fits"));
     let mut animation = Animation::new(&gpu, &gpu_scene, 1).unwrap();
-    let mut at = |ms: i64| positions(&gpu, &mut animation, (0, &model), ServerTime(ms * 1_000_000));
+    let mut at = |ms: i64| positions(&gpu, &mut animation, (0, &model), WorldTime(ms * 1_000_000));
     assert_ne!(at(1900), at(1950), "it moves until then");
     assert_eq!(at(2000), at(9876));
 }
@@ -373,7 +373,7 @@ fn a_live_instance_is_where_it_is_posed_and_plays_on_when_released() {
         let options = SceneOptions { skinning, ..SceneOptions::default() };
         let gpu_scene = Arc::new(SceneGpu::new(&gpu, scene.clone(), &options).expect("it fits"));
         let mut animation = Animation::new(&gpu, &gpu_scene, 1).unwrap();
-        let ms = |ms: i64| ServerTime(ms * 1_000_000);
+        let ms = |ms: i64| WorldTime(ms * 1_000_000);
         let rest = pose::source_pose(&model, None, 0.0);
         let turned: Vec<Trs> = rest
             .iter()
@@ -396,7 +396,7 @@ fn a_live_instance_is_where_it_is_posed_and_plays_on_when_released() {
             }
         }
         let back = timeline.lock().release_pose(1, ms(0)).expect("it is live");
-        assert_eq!(back, ServerTime(ms(1800).0 + 1), "what was sampled stays");
+        assert_eq!(back, WorldTime(ms(1800).0 + 1), "what was sampled stays");
         let [released, other] =
             [1, 2].map(|instance| positions(&gpu, &mut animation, (instance, &model), ms(2100)));
         assert_eq!(released, other, "it plays its clip as if nothing had been");
@@ -469,7 +469,7 @@ fn instances_in_the_same_pose_share_a_palette() {
     let gpu_scene = Arc::new(SceneGpu::new(&gpu, scene, &SceneOptions::default()).expect("the scene fits"));
     let mut animation = Animation::new(&gpu, &gpu_scene, 1).unwrap();
     let mut recorder = gpu.record().unwrap();
-    animation.record_sample(&mut recorder, RingPlace(0), ServerTime(0));
+    animation.record_sample(&mut recorder, RingPlace(0), WorldTime(0));
     gpu.wait(recorder.submit().unwrap()).unwrap();
     let AnimationCounts { poses, shared_poses, instance_samples, .. } = animation.counts();
     assert_eq!((poses, shared_poses, instance_samples), (2, 3, 5));
@@ -480,6 +480,7 @@ fn instances_in_the_same_pose_share_a_palette() {
 fn views(first: i32, horizon: i32) -> PredictedViews {
     let view = View { world_from_eye: Pose::IDENTITY, fov: Fov::symmetric_degrees(90.0) };
     PredictedViews {
+        begun: WorldTime(0),
         times: [first + 1, first + 2, horizon - 2].map(|g| GridIndex(g).into()),
         eyes: [[view; 2]; 3],
         world_from_head: Pose::IDENTITY,
@@ -548,7 +549,7 @@ fn dragon_sender(gpu: &Arc<Gpu>, spare_words: Option<u32>) -> (MotionSender, Sch
 #[test]
 fn a_loop_is_sent_once_and_what_is_shown_next_comes_first() {
     let (mut sender, schedule) = dragon_sender(&gpu(), None);
-    let at = schedule.at(ServerTime(0)).now;
+    let at = schedule.at(WorldTime(0)).now;
     let first = chunk_at(at.phase_s(at.clip.duration_s), at.clip.duration_s);
     let mut seen = Vec::new();
     for step in 0..300 {
@@ -574,7 +575,7 @@ fn a_clip_longer_than_the_arena_is_there_whenever_it_is_shown() {
         }
         // What is displayed is a little behind or ahead of the server's own time.
         for away_ms in [-150, 0, 400] {
-            let at = schedule.at(ServerTime((step * 33 + away_ms) * 1_000_000)).now;
+            let at = schedule.at(WorldTime((step * 33 + away_ms) * 1_000_000)).now;
             let index = chunk_at(at.phase_s(at.clip.duration_s), at.clip.duration_s);
             assert!(there.contains_key(&index), "step {step}, {away_ms} ms: {index} of {:?}", there.keys());
         }
@@ -622,14 +623,14 @@ fn what_one_buffer_does_not_hold_is_skinned_into_several() {
     let gpu_scene = Arc::new(SceneGpu::new(&gpu, scene.clone(), &SceneOptions::default()).expect("it fits"));
     let mut animation = Animation::new(&gpu, &gpu_scene, 1).unwrap();
     let mut recorder = gpu.record().unwrap();
-    animation.record_sample(&mut recorder, RingPlace(0), ServerTime(400_000_000));
+    animation.record_sample(&mut recorder, RingPlace(0), WorldTime(400_000_000));
     recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE);
     animation.record_tangents(&mut recorder, RingPlace(0), |_| true);
     gpu.wait(recorder.submit().unwrap()).unwrap();
     assert_eq!(animation.saved_vertices().len(), 2, "80 of 220,000 are more than 128 MiB");
     let saved = SavedVertices::read(&gpu, &animation);
     for instance in [0, 75, 76, 79] {
-        let twin = twin(&scene, instance, sampling::Sampling::default(), ServerTime(400_000_000));
+        let twin = twin(&scene, instance, sampling::Sampling::default(), WorldTime(400_000_000));
         for vertex in (0..model.vertices.len()).step_by(997) {
             let position = saved.position(&animation, instance, RingPlace(0), vertex);
             assert!(position.distance(twin[vertex].position) < 1e-4, "{instance}, vertex {vertex}");
@@ -650,7 +651,7 @@ fn only_the_vertices_of_the_level_that_is_needed_are_skinned_until_a_finer_one_i
         lod::build(&scene.models[model], &Cancel::default()).expect("nobody asks to end");
     let gpu_scene = Arc::new(SceneGpu::new(&gpu, scene.clone(), &SceneOptions::default()).expect("it fits"));
     let mut animation = Animation::new(&gpu, &gpu_scene, 4).unwrap();
-    let time = ServerTime(731_000_000);
+    let time = WorldTime(731_000_000);
     let twin = twin(&scene, dragon, sampling::Sampling::default(), time);
     let (mut skinned, place) = (Vec::new(), RingPlace(2));
     for level in [4, 4, 5, 1, 0] {

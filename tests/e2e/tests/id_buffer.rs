@@ -5,7 +5,7 @@ use shadecast_gpu::{Access, Buffer, DesktopDevice, Gpu, GpuOptions, Memory, Need
 use shadecast_lab::leaves::write_leaves;
 use shadecast_lab::room::write_room;
 use shadecast_protocol::pose::{Fov, Pose};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
 use shadecast_server::animation::RingPlace;
@@ -58,7 +58,7 @@ fn ids(gpu: &Arc<Gpu>, Looked { scene, level, turn, numbers, in_sight }: Looked<
     let looks = Looks::new(&scene.numbering, levels);
     let target = Buffer::new(gpu, "ids", 2 * PIXELS as u64 * 4, Memory::Readback).unwrap();
     let mut recorder = gpu.record().unwrap();
-    animation.record_sample(&mut recorder, RingPlace(0), ServerTime(731_000_000));
+    animation.record_sample(&mut recorder, RingPlace(0), WorldTime(731_000_000));
     recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
     let within = (&clusters, &sight);
     let pass = Pass { looked_at: looks.all(), place: RingPlace(0), first_view: 4, within };

@@ -3,7 +3,7 @@
 use glam::{Affine3A, Vec3};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_protocol::pose::{Fov, Pose};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::animation::{playing, pose};
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_scene::{
@@ -24,7 +24,7 @@ fn gpu() -> Arc<Gpu> {
 
 /// What `scene` looks like from `eye`; no validation message was given.
 #[track_caller]
-fn picture(gpu: &Arc<Gpu>, scene: &Scene, eye: Pose, time: ServerTime) -> Truth {
+fn picture(gpu: &Arc<Gpu>, scene: &Scene, eye: Pose, time: WorldTime) -> Truth {
     let scene = SceneGpu::new(gpu, scene.clone(), &SceneOptions::default()).unwrap();
     let mut forward = Forward::new(gpu, &Arc::new(scene), [SIDE; 2]).unwrap();
     let truth = forward.render(eye, Fov::symmetric_degrees(FOV_DEGREES), time).unwrap();
@@ -62,7 +62,7 @@ fn hits(from: Vec3, along: Vec3, [a, b, c]: [Vec3; 3]) -> bool {
     u >= 0.0 && v >= 0.0 && u + v <= 1.0 && ac.dot(q) / det > 1e-3
 }
 
-fn triangles(scene: &Scene, index: usize, time: ServerTime) -> Vec<[Vec3; 3]> {
+fn triangles(scene: &Scene, index: usize, time: WorldTime) -> Vec<[Vec3; 3]> {
     let instance = &scene.instances[index];
     let model = &scene.models[instance.model];
     let playing = scene.schedules()[index].at(time);
@@ -80,7 +80,7 @@ fn triangles(scene: &Scene, index: usize, time: ServerTime) -> Vec<[Vec3; 3]> {
 fn dragon_throws_the_shadow_that_rays_to_the_sun_find() {
     let gpu = gpu();
     let mut scene = load_scene(&SceneSource::Dragons(1)).unwrap();
-    let time = ServerTime(700_000_000);
+    let time = WorldTime(700_000_000);
     let eye = Pose { position: Vec3::new(0.6, 1.6, 0.0), ..Pose::IDENTITY };
     let shaded = picture(&gpu, &scene, eye, time);
     scene.sun.casts_shadows = false;
@@ -117,9 +117,9 @@ fn a_plane_never_shades_itself_under_any_sun() {
     for to_sun in [Vec3::Y, Vec3::new(-0.45, 0.75, 0.5), Vec3::new(1.0, 0.15, 0.1), Vec3::new(0.3, 0.05, 1.0)]
     {
         let mut scene = plane(to_sun);
-        let shaded = picture(&gpu, &scene, from_above(1.5), ServerTime(0));
+        let shaded = picture(&gpu, &scene, from_above(1.5), WorldTime(0));
         scene.sun.casts_shadows = false;
-        let lit = picture(&gpu, &scene, from_above(1.5), ServerTime(0));
+        let lit = picture(&gpu, &scene, from_above(1.5), WorldTime(0));
         assert!(shaded.rgb8 == lit.rgb8, "shadow acne under a sun towards {to_sun}");
     }
 }
@@ -155,7 +155,7 @@ fn holes_of_a_masked_caster_let_the_sun_through() {
         // Above the eye, so that only its shadow is seen.
         let placement = Affine3A::from_translation(Vec3::new(0.0, 3.0, 0.0));
         scene.instances.push(Instance { placement, ..Instance::new("square", 1) });
-        let truth = picture(&gpu, &scene, from_above(1.5), ServerTime(0));
+        let truth = picture(&gpu, &scene, from_above(1.5), WorldTime(0));
         // The square covers the middle two of the three metres in view.
         let at = |x: i32| brightness(&truth, (SIDE / 2 * SIDE + SIDE / 2).saturating_add_signed(x) as usize);
         let side = SIDE as i32;
@@ -196,7 +196,7 @@ fn lamps_light_the_ground_by_the_formulas_of_khr_lights_punctual() {
         ("directional", lamp(LightKind::Directional, None)),
     ];
     for (name, light) in cases {
-        let truth = picture(&gpu, &night(light.clone()), eye, ServerTime(0));
+        let truth = picture(&gpu, &night(light.clone()), eye, WorldTime(0));
         let middle = (SIDE / 2 * SIDE + SIDE / 2) as usize;
         // Brightness falls with the irradiance: the order of two places is that of the formulas, darkness is black.
         let mut last = (f32::INFINITY, f32::INFINITY);
@@ -243,7 +243,7 @@ fn differs_from_the_twin(gpu: &Arc<Gpu>, sky: Sky, material: &Material) -> f32 {
     scene.instances[0].placement = Affine3A::from_rotation_x(0.6);
     let normal = scene.instances[0].placement.transform_vector3(Vec3::Y);
     let eye = from_above(1.5);
-    let truth = picture(gpu, &scene, eye, ServerTime(0));
+    let truth = picture(gpu, &scene, eye, WorldTime(0));
     let seen: Vec<usize> = (0..truth.instance.len()).filter(|pixel| truth.instance[*pixel] == 0).collect();
     assert!(seen.len() > 1000);
     let f0 = Vec3::splat(0.04).lerp(Vec3::ONE, material.metallic);

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_protocol::pose::{Fov, Pose};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_scene::{
     Bone, Instance, Material, Model, PaletteEntry, Primitive, Texture, TextureSlot, Trs, Vertex, Wrap,
@@ -63,7 +63,7 @@ fn picture(model: Model) -> Truth {
     let scene = SceneGpu::new(&gpu, scene, &SceneOptions::default()).unwrap();
     let mut forward = Forward::new(&gpu, &Arc::new(scene), [SIDE; 2]).unwrap();
     let eye = Pose { position: Vec3::new(0.3, 0.2, 1.6), ..Pose::IDENTITY };
-    let truth = forward.render(eye, Fov::symmetric_degrees(90.0), ServerTime(0)).unwrap();
+    let truth = forward.render(eye, Fov::symmetric_degrees(90.0), WorldTime(0)).unwrap();
     assert_eq!(gpu.validation_messages(), 0, "{:#?}", gpu.validation_texts());
     truth
 }

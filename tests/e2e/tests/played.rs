@@ -9,7 +9,7 @@ use shadecast_lab::run::mock_config;
 use shadecast_lab::session::Lab;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::animation::pose::source_pose;
 use shadecast_scene::load::SceneSource;
 use shadecast_scene::timeline::Change;
@@ -87,8 +87,8 @@ fn written(text: &str, folder: &Path) -> SceneSource {
     SceneSource::File(path)
 }
 
-fn ms(ms: i64) -> ServerTime {
-    ServerTime(ms * 1_000_000)
+fn ms(ms: i64) -> WorldTime {
+    WorldTime(ms * 1_000_000)
 }
 
 #[test]
@@ -116,7 +116,7 @@ fn events_are_shown_when_they_happen_by_clips_and_by_poses() {
 /// What became of all animated vertices in a display frame.
 #[derive(Debug)]
 struct Seen {
-    time: ServerTime,
+    time: WorldTime,
     /// Largest distance from where the timeline has them, metres.
     error_m: f32,
     /// Largest way since the frame before, metres.
@@ -124,14 +124,14 @@ struct Seen {
 }
 
 /// Runs a scene; before each display frame `act` may change what is played, by the time that was seen last.
-fn watch(options: &RunOptions, mut act: impl FnMut(&Lab, ServerTime)) -> Vec<Seen> {
+fn watch(options: &RunOptions, mut act: impl FnMut(&Lab, WorldTime)) -> Vec<Seen> {
     let config = MockConfig { capture_dir: None, ..mock_config(options, ClockKind::Virtual, 0).unwrap() };
     // SAFETY: it is the caller's turn.
     let mut lab = unsafe { Lab::open(options, &config) }.unwrap();
     let (mut seen, mut before) = (Vec::new(), HashMap::new());
     while let Step::Frame(frame) = lab.step().unwrap() {
         seen.extend(look(&mut lab, &frame, &mut before));
-        if let Some(time) = frame.server_time {
+        if let Some(time) = frame.world_time {
             act(&lab, time);
         }
     }
@@ -141,7 +141,7 @@ fn watch(options: &RunOptions, mut act: impl FnMut(&Lab, ServerTime)) -> Vec<See
 
 /// `before`: where each vertex was in the frame before.
 fn look(lab: &mut Lab, frame: &FrameReport, before: &mut HashMap<u32, Vec3>) -> Option<Seen> {
-    let (update, time) = (frame.update?, frame.server_time.filter(|_| frame.is_rendered)?);
+    let (update, time) = (frame.update?, frame.world_time.filter(|_| frame.is_rendered)?);
     let positions = lab.client.presenter.read_positions().unwrap();
     let residents = lab.seat_mut().residents.at(update)?.to_vec();
     let scene = &lab.server.scene;

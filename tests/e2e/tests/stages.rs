@@ -6,7 +6,7 @@ use shadecast_gpu::{Access, Buffer, DesktopDevice, Gpu, GpuOptions, Memory, Need
 use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize};
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::{Fov, Pose};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::animation::{playing, pose, sampling};
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_server::animation::RingPlace;
@@ -46,7 +46,7 @@ fn skinned_vertices_equal_the_cpu_twin_within_a_hundred_thousandth_of_the_models
     let scene = dragon(&gpu);
     let mut animation = Animation::new(&gpu, &scene, 2).unwrap();
     for time_s in [0.0, 0.731, 3.999] {
-        let time = ServerTime((time_s * 1e9) as i64);
+        let time = WorldTime((time_s * 1e9) as i64);
         let mut recorder = gpu.record().unwrap();
         animation.record_sample(&mut recorder, RingPlace(1), time);
         gpu.wait(recorder.submit().unwrap()).unwrap();
@@ -95,7 +95,7 @@ fn marks_and_extents_equal_their_cpu_twins() {
     let ids = Buffer::new(&gpu, "ids", pixels as u64 * 8, Memory::Readback).unwrap();
     let mut recorder = gpu.record().unwrap();
     for place in 0..3 {
-        animation.record_sample(&mut recorder, RingPlace(place), ServerTime(i64::from(place) * 33_000_000));
+        animation.record_sample(&mut recorder, RingPlace(place), WorldTime(i64::from(place) * 33_000_000));
     }
     recorder.fill(&mark.visible, 0);
     levels.record_start(&mut recorder);
@@ -175,9 +175,9 @@ fn the_forward_renderer_shows_the_dragon_in_front_of_the_sky_and_the_same_twice(
     let eye =
         scene.scene.world_from_stage.then(Pose { position: Vec3::new(0.0, 1.6, 0.0), ..Pose::IDENTITY });
     let fov = Fov::symmetric_degrees(90.0);
-    let first = forward.render(eye, fov, ServerTime(500_000_000)).unwrap();
-    let moved = forward.render(eye, fov, ServerTime(750_000_000)).unwrap();
-    let again = forward.render(eye, fov, ServerTime(500_000_000)).unwrap();
+    let first = forward.render(eye, fov, WorldTime(500_000_000)).unwrap();
+    let moved = forward.render(eye, fov, WorldTime(750_000_000)).unwrap();
+    let again = forward.render(eye, fov, WorldTime(500_000_000)).unwrap();
     assert_eq!(first, again);
     assert_ne!(first.rgb8, moved.rgb8, "the wings move");
     let covered = first.instance.iter().filter(|i| **i != u32::MAX).count();

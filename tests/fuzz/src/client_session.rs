@@ -92,6 +92,7 @@ impl Moved {
         let mut changes = Vec::new();
         self.motion.take_changes(&mut changes);
         changes.into_iter().for_each(|change| self.tables.apply(change));
+        let time = self.motion.world_clock().world_time(time);
         let state = self.motion.state();
         let slots: Vec<_> = (0..state.vertex_count).map(VertexSlot).collect();
         let mut users = self.motion.begin_list();

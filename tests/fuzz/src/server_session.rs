@@ -6,7 +6,7 @@ use shadecast_protocol::delta::DeltaEncoder;
 use shadecast_protocol::geometry::GeometryDelta;
 use shadecast_protocol::message::{ServerDatagram, ServerMessage, ServerOffer, Welcome};
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::{ServerTime, WorldTime};
 use shadecast_protocol::wire::{PictureHeader, parse_stream};
 
 /// The welcome that this server said, as the terms to offer; only as the first step.
@@ -97,7 +97,7 @@ impl Run {
     fn update(&mut self, access_unit: &[u8]) {
         let Some(sender) = &mut self.sender else { return };
         let frame = sender.next_update();
-        let delta = GeometryDelta { update: frame, time: self.now, ..GeometryDelta::default() };
+        let delta = GeometryDelta { update: frame, time: WorldTime(self.now.0), ..GeometryDelta::default() };
         let header = PictureHeader { update: frame, time: self.now, is_refresh: frame.0 == 0 };
         let geometry = sender.stream(&DeltaEncoder::new(1, 1).from_delta(frame.0).encode(&delta.into()));
         let picture = picture_stream(header, access_unit).expect("scripts are shorter than a picture may be");
@@ -152,7 +152,9 @@ impl Run {
                 let sent = self.sender.as_ref().map(DeltaSender::next_update);
                 assert!(sent > Some(displayed.update), "{displayed:?} of {sent:?}");
             }
-            ServerEvent::RefreshRequest { .. } | ServerEvent::Watching(_) => assert!(self.sender.is_some()),
+            ServerEvent::RefreshRequest { .. } | ServerEvent::Watching(_) | ServerEvent::Steer(_) => {
+                assert!(self.sender.is_some())
+            }
             ServerEvent::Refused(_) | ServerEvent::Goodbye | ServerEvent::Failed(_) => {
                 self.ended = true;
                 assert!(!self.session.is_alive());

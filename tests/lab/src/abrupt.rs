@@ -5,7 +5,7 @@ use crate::compare::{Comparer, Shown};
 use crate::image::Rgb8Image;
 use crate::options::{Head, RunOptions};
 use crate::run::{into_probe, mock_config};
-use crate::session::{Lab, SERVER_EPOCH_NS, START_NS};
+use crate::session::{Lab, START_NS};
 use anyhow::{Context, ensure};
 use serde::{Deserialize, Serialize};
 use shadecast_client::client::Step;
@@ -13,7 +13,6 @@ use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_mock_runtime::head_path::COLUMNS;
 use shadecast_mock_runtime::record::{Side, picture_path, read_frames};
 use shadecast_protocol::pose::Fov;
-use shadecast_protocol::time::ServerTime;
 use std::fmt;
 use std::fmt::Write as _;
 
@@ -142,7 +141,7 @@ fn looked_at(options: &RunOptions, lab: &mut Lab, comparer: &mut Comparer) -> an
         let (_, metrics) = comparer.measure(&Shown {
             world_from_eye: world_from_stage.then(view.stage_pose.into()),
             fov,
-            time: ServerTime(record.predicted_display_time_ns - SERVER_EPOCH_NS),
+            time: lab.server.world_time(record.predicted_display_time_ns),
             picture: &picture,
             probe: Some(&probes[eye]),
         })?;

@@ -9,7 +9,7 @@ use crate::truth::moving_shadow::MovingShadow;
 use anyhow::Context;
 use shadecast_gpu::Gpu;
 use shadecast_protocol::pose::{Fov, Pose};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_server::scene::SceneGpu;
 use shadecast_server::truth::forward::{Forward, Truth};
 use std::sync::Arc;
@@ -21,7 +21,7 @@ pub struct Shown<'a> {
     /// The eye's frustum.
     pub fov: Fov,
     /// When it is displayed, on the server's true clock.
-    pub time: ServerTime,
+    pub time: WorldTime,
     /// The picture.
     pub picture: &'a Rgb8Image,
     /// What is where in it; `None` for a frame without a bundle.
@@ -58,7 +58,7 @@ impl Comparer {
     }
 
     /// What an eye should see at a time.
-    pub fn picture(&mut self, world_from_eye: Pose, fov: Fov, time: ServerTime) -> anyhow::Result<Rgb8Image> {
+    pub fn picture(&mut self, world_from_eye: Pose, fov: Fov, time: WorldTime) -> anyhow::Result<Rgb8Image> {
         Ok(self.render(world_from_eye, fov, time)?.0)
     }
 
@@ -91,7 +91,7 @@ impl Comparer {
         &mut self,
         world_from_eye: Pose,
         fov: Fov,
-        time: ServerTime,
+        time: WorldTime,
     ) -> anyhow::Result<(Rgb8Image, ProbeView)> {
         let posed = self.truth.posed(time);
         split(self.forward.render_posed(world_from_eye, fov, time, posed)?)

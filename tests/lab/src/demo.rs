@@ -17,7 +17,7 @@ use serde_json::Value;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_mock_runtime::config::ClockKind;
 use shadecast_mock_runtime::record::{FrameRecord, read_frames};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use std::path::{Path, PathBuf};
@@ -293,7 +293,7 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
         if !has_begun {
             continue; // the waiting room, before the first bundle
         }
-        let time = ServerTime(record.predicted_display_time_ns - epoch_ns);
+        let time = WorldTime(record.predicted_display_time_ns - epoch_ns);
         let world_from_stage = scene.scene.world_from_stage;
         let pictures =
             compare(&mut comparer, &mut summary, record, &capture, world_from_stage, time, Some(&probes))?;

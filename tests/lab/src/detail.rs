@@ -9,14 +9,13 @@ use crate::flip::{flip_map, pixels_per_degree};
 use crate::image::Rgb8Image;
 use crate::options::RunOptions;
 use crate::run::{into_probe, mock_config};
-use crate::session::{Lab, SERVER_EPOCH_NS};
+use crate::session::Lab;
 use anyhow::Context;
 use serde::Serialize;
 use shadecast_client::client::Step;
 use shadecast_mock_runtime::config::ClockKind;
 use shadecast_mock_runtime::record::{Side, picture_path, read_frames};
 use shadecast_protocol::ids::UpdateId;
-use shadecast_protocol::time::ServerTime;
 use std::fmt;
 
 /// Every so many display frames holes are looked for.
@@ -133,7 +132,7 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<DetailReport> {
         let view = record.views.first().context("a captured frame has two views")?;
         let (world_from_stage, fov) = (lab.server.scene.scene.world_from_stage, view.frustum());
         let world_from_eye = world_from_stage.then(view.stage_pose.into());
-        let time = ServerTime(record.predicted_display_time_ns - SERVER_EPOCH_NS);
+        let time = lab.server.world_time(record.predicted_display_time_ns);
         let ppd = pixels_per_degree(client.width, fov.left, fov.right);
         let truth = if watch.report.frames.is_multiple_of(HOLES_EVERY) {
             let probe = lab.client.presenter.probe()?.map(into_probe);

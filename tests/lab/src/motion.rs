@@ -10,7 +10,7 @@ use crate::truth::{InstancePose, TrueVertex, VertexTruth};
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 use shadecast_client::client::FrameReport;
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::Scene;
 use shadecast_server::scene::SceneGpu;
 use shadecast_server::scene::numbering::SceneVertex;
@@ -82,7 +82,7 @@ impl Motion {
     ///
     /// # Errors
     /// The client cannot read its memory back.
-    pub fn look(&mut self, lab: &mut Lab, shown: &FrameReport, time: ServerTime) -> anyhow::Result<()> {
+    pub fn look(&mut self, lab: &mut Lab, shown: &FrameReport, time: WorldTime) -> anyhow::Result<()> {
         let (Some(frame), Some(head)) = (shown.update, lab.client.presenter.head_state()) else {
             return Ok(());
         };

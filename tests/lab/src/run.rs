@@ -20,7 +20,7 @@ use shadecast_mock_runtime::head_path::COLUMNS;
 use shadecast_mock_runtime::record::{FrameRecord, Side, picture_path, read_frames};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::pose::{Fov, Pose};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::{ServerTime, WorldTime};
 use shadecast_scene::HeadPath;
 use shadecast_scene::load::load_head_path;
 use shadecast_server::encode::Source;
@@ -40,7 +40,7 @@ pub struct Report {
     /// How vertices moved, where that was asked for.
     pub motion: Option<MotionReport>,
     /// What was on display in the frames that were compared, and when.
-    pub compared: Vec<(UpdateId, ServerTime)>,
+    pub compared: Vec<(UpdateId, WorldTime)>,
 }
 
 /// The mock runtime's configuration for a run.
@@ -140,7 +140,8 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
     while let Step::Frame(shown) = lab.step()? {
         let time = ServerTime(shown.display_time.0 - SERVER_EPOCH_NS);
         if options.motion {
-            run.motion.look(&mut lab, &shown, time)?;
+            let world_time = lab.server.world_time(shown.display_time.0);
+            run.motion.look(&mut lab, &shown, world_time)?;
         }
         if let (Some(_), Some(estimate)) = (shown.update, shown.server_time) {
             run.clock_errors_ms.push(estimate.since(time) as f64 * 1e-6);
@@ -177,7 +178,7 @@ struct Run<'a> {
     motion: Motion,
     /// The client's clock less the server's at each display frame with a bundle.
     clock_errors_ms: Vec<f64>,
-    compared: Vec<(UpdateId, ServerTime)>,
+    compared: Vec<(UpdateId, WorldTime)>,
 }
 
 impl Run<'_> {
@@ -205,7 +206,7 @@ impl Run<'_> {
         let Some(record) = records.last().filter(|record| record.captured) else { return Ok(()) };
         let probes = if has_bundle { Some(lab.client.presenter.probe()?.map(into_probe)) } else { None };
         let world_from_stage = lab.server.scene.scene.world_from_stage;
-        let time = ServerTime(record.predicted_display_time_ns - SERVER_EPOCH_NS);
+        let time = lab.server.world_time(record.predicted_display_time_ns);
         self.compared.extend(update.map(|update| (update, time)));
         let pictures = compare(
             comparer,
@@ -315,7 +316,7 @@ pub fn compare(
     record: &FrameRecord,
     capture: &Path,
     world_from_stage: Pose,
-    time: ServerTime,
+    time: WorldTime,
     probes: Option<&[ProbeView; 2]>,
 ) -> anyhow::Result<[[Rgb8Image; 2]; 2]> {
     let mut clients = Vec::new();

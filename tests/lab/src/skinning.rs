@@ -7,7 +7,7 @@ use serde::Serialize;
 use shadecast_gpu::{
     Access, Bind, BindGroup, Buffer, ComputePipeline, DesktopDevice, Gpu, GpuOptions, Memory, Needs,
 };
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_scene::{Model, Scene};
@@ -213,7 +213,7 @@ impl Variant {
 
     fn measure(&mut self, gpu: &Arc<Gpu>, time_s: f64, rates: &Rates) -> anyhow::Result<()> {
         let mut recorder = gpu.record()?;
-        self.animation.record_sample(&mut recorder, RingPlace(0), ServerTime((time_s * 1e9) as i64));
+        self.animation.record_sample(&mut recorder, RingPlace(0), WorldTime((time_s * 1e9) as i64));
         self.animation.record_tangents(&mut recorder, RingPlace(0), |_| true);
         let timings = gpu.wait_timed(recorder.submit()?)?;
         let mut round = Round::default();

@@ -7,7 +7,7 @@ use crate::truth::{InstancePose, VertexTruth};
 use glam::{DVec3, Vec3};
 use shadecast_client::client::Step;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
-use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
+use shadecast_protocol::time::{DEFAULT_GRID, WorldTime};
 use shadecast_server::scene::numbering::SceneVertex;
 use std::collections::{BTreeSet, HashMap};
 
@@ -46,7 +46,7 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<TearingReport> {
         vertex_of_slot.extend(sampled.map(|(slot, vertex)| (slot.0, vertex)));
         let (Some(_), Some(time)) = (frame.update, frame.motion_time) else { continue };
         report.frames += 1;
-        report.frames_behind += u64::from(frame.motion_time < frame.server_time);
+        report.frames_behind += u64::from(frame.motion_time < frame.world_time);
         look(&lab, &vertex_of_slot, time, &mut report)?;
     }
     Ok(report)
@@ -55,7 +55,7 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<TearingReport> {
 fn look(
     lab: &Lab,
     vertex_of_slot: &HashMap<u32, SceneVertex>,
-    time: ServerTime,
+    time: WorldTime,
     report: &mut TearingReport,
 ) -> anyhow::Result<()> {
     let positions = lab.client.presenter.read_positions()?;

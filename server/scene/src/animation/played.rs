@@ -74,7 +74,7 @@ mod tests {
     use crate::timeline::{Change, Event};
     use crate::{Bone, Clip, Instance, Interpolation, PaletteEntry, Track, TrackValues, Trs, Vertex};
     use glam::{Affine3A, Quat};
-    use shadecast_protocol::time::ServerTime;
+    use shadecast_protocol::time::WorldTime;
 
     /// A vertex a metre from the bone that turns it, in one clip not at all and in the other nearly half around.
     fn hand(events: Vec<Event>) -> Scene {
@@ -102,7 +102,7 @@ mod tests {
 
     fn to_the_other_clip(fade_ns: i64) -> Vec<Event> {
         let change = Change { clip: Some(Some(1)), fade_ns, ..Change::default() };
-        vec![Event { at: ServerTime(1_000_000_000), instance: 0, change }]
+        vec![Event { at: WorldTime(1_000_000_000), instance: 0, change }]
     }
 
     fn contains(bounds: Bounds, place: Vec3) -> bool {
@@ -116,7 +116,7 @@ mod tests {
         let mut bounds = PlayedBounds::new(&scene);
         let found = bounds.of(0);
         for at_ms in (900..1500).step_by(7) {
-            let playing = schedule.at(ServerTime(at_ms * 1_000_000));
+            let playing = schedule.at(WorldTime(at_ms * 1_000_000));
             let bone = playing::source_pose(&scene.models[0], &playing)[0];
             let at = bone.affine().transform_point3(Vec3::X);
             assert!(contains(found, at), "{at} leaves {found:?} at {at_ms} ms");

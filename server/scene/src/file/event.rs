@@ -8,7 +8,7 @@ use crate::limits::{MAX_DURATION_S, MAX_EVENTS, MAX_FADE_S};
 use crate::suggest::did_you_mean_or_list;
 use crate::timeline::Change;
 use shadecast_protocol::text::printable;
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 
 const CHANGE_KEYS: [&str; 6] = ["clip", "speed", "pause", "seek", "repetition", "fade"];
 /// An event of time 0 would be what the instance itself says.
@@ -40,7 +40,7 @@ fn read_event(fields: &Fields, instances: &[InstanceEntry]) -> Result<EventEntry
         return Err(fields.source.error(fields.line, problem));
     }
     Ok(EventEntry {
-        at: ServerTime(at_ns),
+        at: WorldTime(at_ns),
         instance,
         clip: ClipChoice::read(fields)?,
         change: Change {
@@ -86,7 +86,7 @@ fn check_fades(events: &[(EventEntry, &Fields)]) -> Result<(), SceneError> {
         let Some((before, _)) = own.next_back() else { continue };
         let free = before.at.plus_ns(before.change.fade_ns.max(1));
         if event.at < free {
-            let [at_s, before_s, end_s] = [event.at, before.at, free].map(ServerTime::seconds);
+            let [at_s, before_s, end_s] = [event.at, before.at, free].map(WorldTime::seconds);
             let problem = format!(
                 "at {at_s:.3} s the instance's event of {before_s:.3} s is not over before {end_s:.3} s; put \
                  this one there or later, or shorten the fade of that one"

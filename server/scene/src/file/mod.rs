@@ -29,7 +29,7 @@ use glam::Affine3A;
 use placement::Named;
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::text::printable;
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use std::path::PathBuf;
 use toml::de::DeTable;
 
@@ -110,7 +110,7 @@ pub struct InstanceEntry {
 #[derive(Clone, Debug)]
 pub struct EventEntry {
     /// When.
-    pub at: ServerTime,
+    pub at: WorldTime,
     /// Index into [`SceneFile::instances`].
     pub instance: usize,
     /// The clip from then on; `None` where it says nothing of that.

@@ -742,12 +742,12 @@ fn events_arrive_in_order_of_time() {
     let file = parse(EVENTS, "scene.toml").expect("a good file");
     assert_eq!(file.instances.iter().map(|i| i.live).collect::<Vec<_>>(), [true, false, false]);
     let [pause, back, rest] = &file.events[..] else { panic!("three events") };
-    assert_eq!((pause.at, pause.instance, &pause.clip), (ServerTime(2_000_000_000), 0, &None));
+    assert_eq!((pause.at, pause.instance, &pause.clip), (WorldTime(2_000_000_000), 0, &None));
     assert_eq!(pause.change, Change { speed: Some(0.0), ..Change::default() });
     assert_eq!((back.instance, &back.clip), (2, &Some(ClipChoice::Named("fly".into(), 32))));
     let backwards = Change { speed: Some(-0.5), repetition: Some(Repetition::Once), ..Change::default() };
     assert_eq!(back.change, backwards);
-    assert_eq!((rest.at, &rest.clip), (ServerTime(4_100_000_000), &Some(ClipChoice::Rest)));
+    assert_eq!((rest.at, &rest.clip), (WorldTime(4_100_000_000), &Some(ClipChoice::Rest)));
     let sought = Change { local_s: Some(-0.5), fade_ns: 250_000_000, ..Change::default() };
     assert_eq!(rest.change, sought);
 }

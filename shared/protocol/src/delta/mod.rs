@@ -16,7 +16,7 @@ use crate::motion::predicted::{put_predictions, take_predictions};
 use crate::motion::rest::{PlacedRest, put_rests, take_rests};
 use crate::motion::samples::{SampleEncoder, SampleHistory};
 use crate::motion::{PositionBatch, SampleBatch};
-use crate::time::ServerTime;
+use crate::time::WorldTime;
 use crate::wire::{DeltaHead, GEOMETRY_MAGIC, Reader, WireError, check_count, invalid, peek_delta};
 use batches::{put_samples, take_samples};
 use sections::{
@@ -321,11 +321,11 @@ fn put_header_and(
     out
 }
 
-fn split_sections(bytes: &[u8]) -> Result<(DeltaHead, ServerTime, [&[u8]; SECTIONS]), WireError> {
+fn split_sections(bytes: &[u8]) -> Result<(DeltaHead, WorldTime, [&[u8]; SECTIONS]), WireError> {
     let head = peek_delta(bytes)?;
     let mut reader = Reader::new("a delta's header", bytes);
     reader.take(DeltaHead::BYTES)?;
-    let time = ServerTime(reader.i64()?);
+    let time = WorldTime(reader.i64()?);
     let mut lengths = [0; SECTIONS];
     for length in &mut lengths {
         *length = reader.u32()? as usize;

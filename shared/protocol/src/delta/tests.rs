@@ -41,7 +41,7 @@ impl Chaos {
     fn delta(&mut self) -> Delta {
         let mut delta = GeometryDelta {
             update: UpdateId(self.frame),
-            time: ServerTime(i64::from(self.frame) * 33_333_333 - 7),
+            time: WorldTime(i64::from(self.frame) * 33_333_333 - 7),
             ..GeometryDelta::default()
         };
         self.frame += 1;

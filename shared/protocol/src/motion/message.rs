@@ -7,11 +7,13 @@ use super::skeleton::{ClipRef, check_schedule};
 use crate::ids::InstanceId;
 use crate::limits::MAX_INSTANCES;
 use crate::wire::{Reader, WireError, check_count, invalid};
-use serde::{Deserialize, Serialize};
+use crate::world_clock::WorldClock;
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 const TAG_CHUNK: u8 = 1;
 const TAG_SCHEDULE: u8 = 2;
 const TAG_POSES: u8 = 3;
+const TAG_CLOCK: u8 = 4;
 
 /// One of them.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,6 +34,8 @@ pub enum MotionNews {
     Schedule(NewSchedule),
     /// Poses on the time grid. The instance's ring holds them from then on, whichever message comes first.
     Poses(Vec<GridPose>),
+    /// How the world's time follows the server's clock from now on.
+    Clock(Box<WorldClock>),
 }
 
 /// What an instance plays from now on.
@@ -57,6 +61,10 @@ impl MotionMessage {
                 // Fails only for types that cannot be serialised at all, which ours are not.
                 out.extend(postcard::to_stdvec(change).expect("plain messages serialise"));
             }
+            MotionNews::Clock(clock) => {
+                out.push(TAG_CLOCK);
+                out.extend(postcard::to_stdvec(&**clock).expect("plain messages serialise"));
+            }
             MotionNews::Poses(poses) => {
                 out.push(TAG_POSES);
                 put_poses(&mut out, poses);
@@ -76,6 +84,7 @@ impl MotionMessage {
             TAG_CHUNK => MotionNews::Chunk(ClipChunk::take(&mut reader)?),
             TAG_SCHEDULE => MotionNews::Schedule(NewSchedule::take(&mut reader)?),
             TAG_POSES => MotionNews::Poses(take_poses(reader.rest())?),
+            TAG_CLOCK => MotionNews::Clock(Box::new(take_clock(&mut reader)?)),
             other => return Err(invalid("a message about motion", format!("its kind {other} is none"))),
         };
         reader.finish()?;
@@ -83,14 +92,21 @@ impl MotionMessage {
     }
 }
 
+/// All that is left of a message.
+fn take_whole<T: DeserializeOwned>(what: &'static str, reader: &mut Reader<'_>) -> Result<T, WireError> {
+    let (whole, rest) =
+        postcard::take_from_bytes(reader.rest()).map_err(|error| invalid(what, error.to_string()))?;
+    if rest.is_empty() { Ok(whole) } else { Err(WireError::Trailing { what, left: rest.len() }) }
+}
+
+fn take_clock(reader: &mut Reader<'_>) -> Result<WorldClock, WireError> {
+    let clock: WorldClock = take_whole("the world's clock", reader)?;
+    clock.check().map(|()| clock)
+}
+
 impl NewSchedule {
     fn take(reader: &mut Reader<'_>) -> Result<Self, WireError> {
-        const WHAT: &str = "a schedule of clips";
-        let (change, rest): (Self, &[u8]) =
-            postcard::take_from_bytes(reader.rest()).map_err(|error| invalid(WHAT, error.to_string()))?;
-        if !rest.is_empty() {
-            return Err(WireError::Trailing { what: WHAT, left: rest.len() });
-        }
+        let change: Self = take_whole("a schedule of clips", reader)?;
         check_schedule(&change.schedule)?;
         let number = usize::from(change.instance.0);
         check_count("the number of an instance", number, MAX_INSTANCES as usize - 1)?;
@@ -105,11 +121,12 @@ mod tests {
     use crate::motion::playback::{Playback, Repetition};
     use crate::motion::poses::BonePose;
     use crate::testing::damaged;
-    use crate::time::{GridIndex, ServerTime};
+    use crate::time::{GridIndex, ServerTime, WorldTime};
+    use crate::world_clock::Steer;
 
     fn message() -> MotionMessage {
         let playback = |from, clip| Playback {
-            from: ServerTime(from),
+            from: WorldTime(from),
             clip: ClipRef { clip: ClipId(clip), duration_s: 4.0 },
             start_s: 0.25,
             speed: -1.5,
@@ -142,11 +159,27 @@ mod tests {
         assert_eq!(MotionMessage::decode(&message.encode()), Ok(message));
     }
 
+    /// A world that stands, after two that have gone on.
+    fn clock() -> MotionMessage {
+        let mut clock = WorldClock::default();
+        for (steer, at_ns) in [(Steer::Halt, 5), (Steer::Step, 900_000_000), (Steer::Step, 2_000_000_000)] {
+            clock.steer(steer, ServerTime(at_ns));
+        }
+        MotionMessage { sequence: 11, news: MotionNews::Clock(Box::new(clock)) }
+    }
+
+    #[test]
+    fn the_worlds_clock_comes_back_as_it_was() {
+        assert_eq!(MotionMessage::decode(&clock().encode()), Ok(clock()));
+    }
+
     #[test]
     fn damaged_messages_give_values_or_errors() {
-        let bytes = message().encode();
-        damaged(&bytes, 5, 5000, |bytes| drop(MotionMessage::decode(bytes)));
-        (0..bytes.len()).for_each(|length| assert!(MotionMessage::decode(&bytes[..length]).is_err()));
+        for bytes in [message(), clock()].map(|message| message.encode()) {
+            damaged(&bytes, 5, 5000, |bytes| drop(MotionMessage::decode(bytes)));
+            (0..bytes.len()).for_each(|length| assert!(MotionMessage::decode(&bytes[..length]).is_err()));
+            assert!(MotionMessage::decode(&[&bytes[..], &[0]].concat()).is_err(), "one byte more");
+        }
     }
 
     #[test]

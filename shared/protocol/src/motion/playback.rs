@@ -3,7 +3,7 @@
 //! A clip's *local time* runs on for ever; its *phase* lies within the clip. Both sides, and every time that is asked for,
 //! get the phase from here, so that they cannot disagree.
 
-use crate::time::ServerTime;
+use crate::time::WorldTime;
 use serde::{Deserialize, Serialize};
 
 /// What a clip does outside its own duration.
@@ -22,7 +22,7 @@ pub enum Repetition {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Playback<C> {
     /// When it takes effect.
-    pub from: ServerTime,
+    pub from: WorldTime,
     /// The clip.
     pub clip: C,
     /// Local time of the clip at `from`, seconds.
@@ -62,12 +62,12 @@ pub struct Playing<C> {
 
 impl<C: Copy> Playback<C> {
     /// Local time of the clip at a time, seconds.
-    pub fn local_s(&self, time: ServerTime) -> f64 {
+    pub fn local_s(&self, time: WorldTime) -> f64 {
         self.start_s + time.since(self.from) as f64 * 1e-9 * self.speed
     }
 
     /// When all of what was played before has been faded out.
-    pub fn faded(&self) -> ServerTime {
+    pub fn faded(&self) -> WorldTime {
         self.from.plus_ns(self.fade_ns)
     }
 
@@ -77,7 +77,7 @@ impl<C: Copy> Playback<C> {
         Playback { from, clip, start_s, speed, repetition, fade_ns }
     }
 
-    fn at(&self, time: ServerTime) -> At<C> {
+    fn at(&self, time: WorldTime) -> At<C> {
         At { clip: self.clip, local_s: self.local_s(time), repetition: self.repetition }
     }
 }
@@ -100,7 +100,7 @@ impl<C: Copy> Schedule<C> {
 
     /// Adds a change, in place of all that were to come at its time or later. A change amid a fade waits for the fade's end, so
     /// that there are never more than two clips to be evaluated. Gives when it takes effect.
-    pub fn change(&mut self, mut next: Playback<C>) -> ServerTime {
+    pub fn change(&mut self, mut next: Playback<C>) -> WorldTime {
         let keep = self.0.partition_point(|entry| entry.from < next.from).max(1);
         self.0.truncate(keep);
         let last = self.0[keep - 1];
@@ -110,12 +110,12 @@ impl<C: Copy> Schedule<C> {
     }
 
     /// The entry in effect at a time.
-    pub fn entry(&self, time: ServerTime) -> &Playback<C> {
+    pub fn entry(&self, time: WorldTime) -> &Playback<C> {
         &self.0[self.index(time)]
     }
 
     /// What is to be seen at a time.
-    pub fn at(&self, time: ServerTime) -> Playing<C> {
+    pub fn at(&self, time: WorldTime) -> Playing<C> {
         let index = self.index(time);
         let entry = &self.0[index];
         let left_ns = entry.faded().since(time);
@@ -128,13 +128,13 @@ impl<C: Copy> Schedule<C> {
     }
 
     /// Forgets what is over at `time`, and at all later times.
-    pub fn forget_before(&mut self, time: ServerTime) {
+    pub fn forget_before(&mut self, time: WorldTime) {
         let index = self.index(time);
         let first = if self.0[index].faded() <= time { index } else { index.saturating_sub(1) };
         self.0.drain(..first);
     }
 
-    fn index(&self, time: ServerTime) -> usize {
+    fn index(&self, time: WorldTime) -> usize {
         self.0.partition_point(|entry| entry.from <= time).saturating_sub(1)
     }
 }
@@ -183,8 +183,8 @@ mod tests {
         }
     }
 
-    fn ms(ms: i64) -> ServerTime {
-        ServerTime(ms * 1_000_000)
+    fn ms(ms: i64) -> WorldTime {
+        WorldTime(ms * 1_000_000)
     }
 
     #[test]

@@ -4,7 +4,7 @@
 
 use crate::ids::VertexSlot;
 use crate::limits::{MAX_COORDINATE_M, PREDICTIONS};
-use crate::time::ServerTime;
+use crate::time::WorldTime;
 use crate::wire::{Reader, WireError, check_count, invalid, put_varint};
 use glam::Vec3;
 
@@ -35,7 +35,7 @@ pub struct Prediction {
 
 impl Prediction {
     /// When that is, for an update of this time.
-    pub fn time(&self, update: ServerTime) -> ServerTime {
+    pub fn time(&self, update: WorldTime) -> WorldTime {
         update.plus_ns((f64::from(self.since_update_s) * 1e9).round() as i64)
     }
 
@@ -151,7 +151,7 @@ mod tests {
 
     #[test]
     fn the_last_prediction_is_100_ms_after_its_update() {
-        let times = vertex(0).predictions.map(|prediction| prediction.time(ServerTime(5_000_000_000)).0);
+        let times = vertex(0).predictions.map(|prediction| prediction.time(WorldTime(5_000_000_000)).0);
         let off_ns = times.map(|time| time - 5_000_000_000);
         for (off_ns, expected_ns) in off_ns.into_iter().zip([33_333_333, 66_666_667, 100_000_000]) {
             assert!((off_ns - expected_ns).abs() < 100, "{off_ns}");

@@ -16,7 +16,7 @@ use shadecast_protocol::motion::SampleBatch;
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
-use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime};
+use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime, WorldTime};
 use shadecast_protocol::wire::{PictureHeader, encode_geometry, encode_picture};
 use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
 use shadecast_server::encode::{Source, encode_one};
@@ -272,7 +272,8 @@ impl Client {
         let sender = self.sender.as_mut().context("nobody is accepted")?;
         let frame = sender.next_update();
         let geometry = if frame.0 == 0 { triangle() } else { GeometryDelta::default() };
-        let geometry = self.deltas.encode(&GeometryDelta { update: frame, time, ..geometry }.into());
+        let geometry =
+            self.deltas.encode(&GeometryDelta { update: frame, time: WorldTime(time.0), ..geometry }.into());
         let geometry = sender.stream(&geometry);
         let encoder = match &mut self.encoder {
             Some(encoder) => encoder,

@@ -10,7 +10,7 @@ use glam::{DVec3, Vec3};
 use serde::Serialize;
 use shadecast_client::client::FrameReport;
 use shadecast_protocol::ids::VertexSlot;
-use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, ServerTime};
+use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, WorldTime};
 use shadecast_server::lock::lock;
 use shadecast_server::scene::SceneGpu;
 use shadecast_server::scene::numbering::SceneVertex;
@@ -61,10 +61,10 @@ pub struct Watch {
     pub max_clock_step_ms: f64,
     /// Largest difference of that idea from the truth, milliseconds.
     pub max_clock_error_ms: f64,
-    last_times: Option<(ClientTime, ServerTime)>,
+    last_times: Option<(ClientTime, WorldTime)>,
     standing: HashMap<SceneVertex, Standing>,
     /// By instance when any of its vertices moved last.
-    moved: BTreeMap<usize, ServerTime>,
+    moved: BTreeMap<usize, WorldTime>,
 }
 
 /// Where the largest error was.
@@ -122,7 +122,7 @@ impl Watch {
     /// # Errors
     /// The client cannot read its memory back, or shows what the server has forgotten.
     pub fn look(&mut self, lab: &mut Lab, frame: &FrameReport) -> anyhow::Result<()> {
-        let (Some(update), Some(time), true) = (frame.update, frame.server_time, frame.is_rendered) else {
+        let (Some(update), Some(time), true) = (frame.update, frame.world_time, frame.is_rendered) else {
             return Ok(());
         };
         self.note_clock(frame.display_time, time);
@@ -171,7 +171,7 @@ impl Watch {
         Ok(())
     }
 
-    fn note_clock(&mut self, display: ClientTime, time: ServerTime) {
+    fn note_clock(&mut self, display: ClientTime, time: WorldTime) {
         let error_ns = time.0 - (display.0 - SERVER_EPOCH_NS);
         self.max_clock_error_ms = self.max_clock_error_ms.max(error_ns.abs() as f64 * 1e-6);
         if let Some((last_display, last_time)) = self.last_times.replace((display, time)) {
@@ -180,7 +180,7 @@ impl Watch {
         }
     }
 
-    fn add(&mut self, scene: &SceneGpu, corner: &Corner, time: ServerTime) -> Step {
+    fn add(&mut self, scene: &SceneGpu, corner: &Corner, time: WorldTime) -> Step {
         let error_mm = corner.error.length() * 1e3;
         self.vertex_frames += 1;
         self.errors_mm.add(error_mm);
@@ -195,9 +195,8 @@ impl Watch {
 
     /// An instance that stands still as a whole does so at a step of the time grid, the one before the frame in which it moved
     /// last: poses end there.
-    fn suit_standing(&self, scene: &SceneGpu, corners: &mut [Corner], time: ServerTime) {
-        let stands =
-            |(instance, moved): (&usize, &ServerTime)| (*moved < time).then_some((*instance, *moved));
+    fn suit_standing(&self, scene: &SceneGpu, corners: &mut [Corner], time: WorldTime) {
+        let stands = |(instance, moved): (&usize, &WorldTime)| (*moved < time).then_some((*instance, *moved));
         for (instance, moved) in self.moved.iter().filter_map(stands) {
             let mut truth = VertexTruth::at(scene, DEFAULT_GRID.time_of(DEFAULT_GRID.floor(moved)));
             suit(corners, |vertex| {
@@ -208,7 +207,7 @@ impl Watch {
     }
 
     /// Whether a vertex is exactly where it was in the frame before, though it should be elsewhere, or far from there.
-    fn follow(&mut self, corner: &Corner, time: ServerTime) -> Step {
+    fn follow(&mut self, corner: &Corner, time: WorldTime) -> Step {
         let Corner { vertex, instance, shown, truth, step_m, .. } = *corner;
         let here = Standing { frame: self.frames, shown, truth, latest_truth: truth };
         let before = self.standing.entry(vertex).or_insert(Standing { frame: 0, ..here });
@@ -231,7 +230,7 @@ impl Watch {
 /// The animated vertices of the triangles, each once, and by vertex slot which of them lives there.
 fn corners(
     scene: &SceneGpu,
-    time: ServerTime,
+    time: WorldTime,
     triangles: &[[u32; 3]],
     residents: &[(u32, SceneVertex)],
     positions: &[[f32; 4]],
@@ -355,7 +354,7 @@ mod tests {
         let mut watch = Watch::default();
         let mut see = |shown: f64, truth: f64| {
             watch.frames += 1;
-            watch.follow(&corner(0, DVec3::X * truth, shown - truth), ServerTime(0)).is_frozen
+            watch.follow(&corner(0, DVec3::X * truth, shown - truth), WorldTime(0)).is_frozen
         };
         assert!(!see(0.0, 0.0) && !see(0.0, 0.0004) && !see(0.0, 0.0008), "quantised, and slow");
         assert!(see(0.0, 0.0012), "slow, and still for long");
@@ -363,7 +362,7 @@ mod tests {
         assert!(see(0.6, 1.0));
         watch.frames += 5;
         assert!(
-            !watch.follow(&corner(0, DVec3::X * 3.0, -2.4), ServerTime(0)).is_frozen,
+            !watch.follow(&corner(0, DVec3::X * 3.0, -2.4), WorldTime(0)).is_frozen,
             "it has not been drawn meanwhile"
         );
     }
@@ -373,14 +372,14 @@ mod tests {
         let mut watch = Watch::default();
         let mut see = |shown: f64, truth: f64| {
             watch.frames += 1;
-            watch.follow(&corner(0, DVec3::X * truth, shown - truth), ServerTime(0)).leaps
+            watch.follow(&corner(0, DVec3::X * truth, shown - truth), WorldTime(0)).leaps
         };
         assert!(!see(0.0, 0.0) && !see(0.2, 0.2) && !see(0.204, 0.2), "it goes with its true place");
         assert!(!see(0.2, 0.3) && !see(0.2, 0.4), "it stands");
         assert!(see(0.41, 0.41), "an update has come");
         assert!(!see(0.41, 0.8) && !see(0.46, 0.81), "it is blended back");
         watch.frames += 5;
-        let unseen = watch.follow(&corner(0, DVec3::X * 3.0, 0.0), ServerTime(0));
+        let unseen = watch.follow(&corner(0, DVec3::X * 3.0, 0.0), WorldTime(0));
         assert!(!unseen.leaps, "it has not been drawn meanwhile");
     }
 
@@ -389,19 +388,19 @@ mod tests {
         let mut watch = Watch::default();
         let mut see = |frame: u64, number: u32, x: f64| {
             watch.frames = frame;
-            watch.follow(&corner(number, DVec3::X * x, 0.0), ServerTime(frame as i64));
+            watch.follow(&corner(number, DVec3::X * x, 0.0), WorldTime(frame as i64));
             watch.moved.get(&0).copied()
         };
-        assert_eq!([see(1, 0, 0.0), see(2, 0, 0.5)], [None, Some(ServerTime(2))]);
-        assert_eq!([see(3, 0, 0.5), see(3, 1, 9.0)], [Some(ServerTime(2)); 2]);
-        assert_eq!(see(4, 1, 9.1), Some(ServerTime(4)));
+        assert_eq!([see(1, 0, 0.0), see(2, 0, 0.5)], [None, Some(WorldTime(2))]);
+        assert_eq!([see(3, 0, 0.5), see(3, 1, 9.0)], [Some(WorldTime(2)); 2]);
+        assert_eq!(see(4, 1, 9.1), Some(WorldTime(4)));
     }
 
     #[test]
     fn a_step_of_the_clock_is_what_passes_more_or_less_than_time() {
         let mut watch = Watch::default();
         let see = |watch: &mut Watch, display_ns: i64, server_ns: i64| {
-            watch.note_clock(ClientTime(SERVER_EPOCH_NS + display_ns), ServerTime(server_ns));
+            watch.note_clock(ClientTime(SERVER_EPOCH_NS + display_ns), WorldTime(server_ns));
         };
         see(&mut watch, 0, 500_000);
         see(&mut watch, 11_000_000, 11_400_000);

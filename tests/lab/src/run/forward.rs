@@ -5,7 +5,7 @@ use super::{Report, progress};
 use crate::compare::Comparer;
 use crate::image::Rgb8Image;
 use crate::options::RunOptions;
-use crate::session::{SERVER_EPOCH_NS, START_NS, Server};
+use crate::session::{START_NS, Server};
 use crate::stats::{Counted, Summary};
 use anyhow::Context;
 use glam::{Quat, Vec3};
@@ -13,7 +13,6 @@ use shadecast_mock_runtime::clock::period_begin_ns;
 use shadecast_mock_runtime::config::MockConfig;
 use shadecast_mock_runtime::head_path::HeadPath;
 use shadecast_protocol::pose::{Fov, Pose};
-use shadecast_protocol::time::ServerTime;
 
 /// Writes `truth-NNNNNN-left.png` and `-right.png` every `dump_every` display frames, `truth-left.png` and `-right.png` of the
 /// last one, and a `stats.json` without figures. `config` is what the mock runtime would be given.
@@ -62,7 +61,7 @@ fn pictures(
     let world_from_head = server.scene.scene.world_from_stage.then(stage_from_head);
     let mut eye = |x_m: f32| {
         let head_from_eye = Pose { position: Vec3::X * x_m, orientation: Quat::IDENTITY };
-        let time = ServerTime(display_ns - SERVER_EPOCH_NS);
+        let time = server.world_time(display_ns);
         comparer.picture(
             world_from_head.then(head_from_eye),
             Fov::symmetric_degrees(options.fov_degrees),

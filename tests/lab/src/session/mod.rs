@@ -32,7 +32,7 @@ use shadecast_protocol::limits::ATLAS_MAX_EXTENT;
 use shadecast_protocol::message::{Capabilities, ClientHello, Codec, MotionMemory, ServerOffer};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::session::Out;
-use shadecast_protocol::time::{ClientTime, DEFAULT_GRID};
+use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, ServerTime, WorldTime};
 use shadecast_scene::Scene;
 use shadecast_scene::load::load_scene_with;
 use shadecast_scene::process::Loading;
@@ -147,6 +147,11 @@ impl Server {
     fn next_viewer(&mut self) -> u64 {
         self.viewers += 1;
         self.viewers
+    }
+
+    /// The world's time of what is seen at `display_ns` on the virtual clock.
+    pub fn world_time(&self, display_ns: i64) -> WorldTime {
+        self.world.clock().world_time(ServerTime(display_ns - SERVER_EPOCH_NS))
     }
 
     /// The terms of its sessions.

@@ -224,7 +224,12 @@ impl Seat {
                     self.accept(server, *accepted, now_ns)?;
                 }
             }
-            self.viewer.iter_mut().for_each(|viewer| viewer.hear(told, now_ns));
+            if let Some(viewer) = &mut self.viewer {
+                if let Some(wanted) = told.steering {
+                    server.world.timeline().lock().steer(wanted, server_time(now_ns));
+                }
+                viewer.hear(told, now_ns);
+            }
         }
         match self.desk.carrier.ended.take() {
             Some(reason) => bail!("the server has ended the session: {reason}"),

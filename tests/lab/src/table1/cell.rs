@@ -259,7 +259,7 @@ mod tests {
             assert!(still.moves(dragon), "it is skinned all the same");
             let [still, flying] = [&still, &flying].map(|scene| {
                 let schedule = &scene.schedules()[dragon];
-                [0, 3_000_000_000].map(|ns| schedule.at(shadecast_protocol::time::ServerTime(ns)).now.local_s)
+                [0, 3_000_000_000].map(|ns| schedule.at(shadecast_protocol::time::WorldTime(ns)).now.local_s)
             });
             assert!((still[0] - flying[0]).abs() < 1e-3, "{still:?} {flying:?}");
             assert!((still[1] - still[0]).abs() < 1e-4 && (flying[1] - flying[0]).abs() > 0.5);

@@ -9,7 +9,7 @@ pub mod moving_shadow;
 
 use curves::{InClip, Local, Shown, path_transform, weight};
 use glam::{Affine3A, DAffine3, DMat3, DVec3};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::{Model, Scene, Vertex};
 use shadecast_server::scene::SceneGpu;
 use shadecast_server::scene::numbering::SceneVertex;
@@ -21,7 +21,7 @@ use std::sync::Arc;
 pub struct SceneTruth {
     scene: Arc<SceneGpu>,
     /// What was posed last, with its time.
-    posed: Option<(ServerTime, Posed)>,
+    posed: Option<(WorldTime, Posed)>,
 }
 
 /// What brings an instance's vertices into the world at a time.
@@ -45,14 +45,14 @@ impl SceneTruth {
     }
 
     /// All vertices at a time, as the forward renderer takes them.
-    pub fn posed(&mut self, time: ServerTime) -> &Posed {
+    pub fn posed(&mut self, time: WorldTime) -> &Posed {
         let known = self.posed.take().filter(|(known, _)| *known == time);
         &self.posed.insert(known.unwrap_or_else(|| (time, pose_scene(&self.scene, time)))).1
     }
 }
 
 /// Static instances first, then those that move, as `InstancePlace` numbers them.
-fn pose_scene(scene: &SceneGpu, time: ServerTime) -> Posed {
+fn pose_scene(scene: &SceneGpu, time: WorldTime) -> Posed {
     let statics = scene.numbering.totals.static_vertices as usize;
     let all = statics + scene.numbering.totals.animated_vertices as usize;
     let mut posed = Posed { positions: vec![[0.0; 4]; all], frames: vec![PosedFrame::default(); all] };
@@ -73,7 +73,7 @@ fn pose_scene(scene: &SceneGpu, time: ServerTime) -> Posed {
 /// Where single vertices of a scene are at one time; an instance is posed when it is first asked for.
 pub struct VertexTruth<'a> {
     scene: &'a SceneGpu,
-    time: ServerTime,
+    time: WorldTime,
     poses: HashMap<usize, InstancePose>,
 }
 
@@ -89,7 +89,7 @@ pub struct TrueVertex {
 
 impl<'a> VertexTruth<'a> {
     /// Of a scene at a time.
-    pub fn at(scene: &'a SceneGpu, time: ServerTime) -> Self {
+    pub fn at(scene: &'a SceneGpu, time: WorldTime) -> Self {
         Self { scene, time, poses: HashMap::new() }
     }
 
@@ -240,7 +240,7 @@ mod tests {
     fn assert_agrees(scene: &Scene, instance: usize, time_s: f64) {
         let placed = &scene.instances[instance];
         let model = &scene.models[placed.model];
-        let playing = scene.schedules()[instance].at(ServerTime((time_s * 1e9).round() as i64));
+        let playing = scene.schedules()[instance].at(WorldTime((time_s * 1e9).round() as i64));
         let vertices = pose::morphed(model, &playing::source_morph_weights(model, &playing));
         let palette = pose::palette(model, &pose::global_pose(model, &playing::source_pose(model, &playing)));
         let expected = pose::skin(&vertices, &palette, placed.world_from_model(time_s));
@@ -274,7 +274,7 @@ mod tests {
 
     /// Every kind of change, two of them with a fade, to and from a clip that is given.
     fn eventful(scene: &mut Scene, clip: usize) {
-        let event = |at_ms: i64, change| Event { at: ServerTime(at_ms * 1_000_000), instance: 0, change };
+        let event = |at_ms: i64, change| Event { at: WorldTime(at_ms * 1_000_000), instance: 0, change };
         let fade_ns = 600_000_000;
         scene.events = vec![
             event(2500, Change { speed: Some(0.0), ..Change::default() }),

@@ -7,7 +7,7 @@ use super::InstancePose;
 use crate::metrics::ProbeView;
 use glam::{Mat4, Vec3};
 use shadecast_protocol::pose::{Fov, Pose};
-use shadecast_protocol::time::ServerTime;
+use shadecast_protocol::time::WorldTime;
 use shadecast_scene::Scene;
 use shadecast_scene::animation::bounds::Bounds;
 use shadecast_server::lights::{SHADOW_EXTENT_TEXELS, SunView};
@@ -58,7 +58,7 @@ impl MovingShadow {
         truth: &ProbeView,
         world_from_eye: Pose,
         fov: Fov,
-        time: ServerTime,
+        time: WorldTime,
     ) -> Vec<bool> {
         let Some(map_from_world) = self.map_from_world else { return vec![false; truth.instance.len()] };
         let recent = self.recent(scene, map_from_world, time);
@@ -75,7 +75,7 @@ impl MovingShadow {
     }
 
     /// What was nearest to the sun at any moment of the last second.
-    fn recent(&mut self, scene: &Scene, map_from_world: Mat4, time: ServerTime) -> DepthMap {
+    fn recent(&mut self, scene: &Scene, map_from_world: Mat4, time: WorldTime) -> DepthMap {
         let from_ns = time.0 - MEMORY_NS;
         let first = from_ns.div_euclid(STEP_NS) + 1;
         let steps = (first..=time.0.div_euclid(STEP_NS)).map(|step| step * STEP_NS);
@@ -196,7 +196,7 @@ mod tests {
         let half = 0.5f32.atan();
         let narrow = 0.01f32.atan();
         let fov = Fov { left: -half, right: half, up: narrow, down: -narrow };
-        shadow.mask(scene, &truth, eye, fov, ServerTime((time_s * 1e9) as i64))
+        shadow.mask(scene, &truth, eye, fov, WorldTime((time_s * 1e9) as i64))
     }
 
     #[test]
@@ -221,7 +221,7 @@ mod tests {
         let truth = ProbeView { width: 1, height: 1, instance: vec![0], depth_m: vec![5.0] };
         let eye = Pose { position: Vec3::new(-2.0, 5.0, 0.0), ..Pose::IDENTITY };
         let looks = |truth: &ProbeView, shadow: &mut MovingShadow| {
-            shadow.mask(&scene, truth, eye, Fov::symmetric_degrees(90.0), ServerTime(0))
+            shadow.mask(&scene, truth, eye, Fov::symmetric_degrees(90.0), WorldTime(0))
         };
         assert_eq!(looks(&truth, &mut shadow), [false]);
         let background = ProbeView { instance: vec![ProbeView::BACKGROUND], ..truth };
