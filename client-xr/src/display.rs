@@ -99,6 +99,17 @@ pub struct EyeImages<'a> {
     pub format: vk::Format,
     /// Width and height of one eye in pixels.
     pub extent_pixels: [u32; 2],
+    /// What says where fewer fragments are enough, where there is such a thing.
+    pub density_maps: Option<DensityMaps<'a>>,
+}
+
+/// The maps of fragment densities that a display makes for its images: of two layers, as these are.
+#[derive(Clone, Copy, Debug)]
+pub struct DensityMaps<'a> {
+    /// One for each image.
+    pub images: &'a [vk::Image],
+    /// Width and height of one layer.
+    pub extent_texels: [u32; 2],
 }
 
 /// What somebody has pressed, counted since the display was opened.

@@ -11,6 +11,7 @@ use shadecast_client::stages::atlas_draw::{Lookup, Reconstruction};
 use shadecast_client::stages::interpolate::Interpolation;
 use shadecast_client::stats::ClientStats;
 use shadecast_client::window::{Desktop, WindowDisplay, WindowOptions};
+use shadecast_client::xr::foveation::Foveation;
 use shadecast_client::xr::{Xr, XrOptions};
 use shadecast_desktop::canvas::DEFAULT_EXTENT;
 use shadecast_protocol::flags::{number, size};
@@ -89,6 +90,9 @@ struct Arguments {
     /// Frames a second that the headset is asked for: of those that it has the nearest; its own choice without
     #[arg(long, value_name = "HZ", conflicts_with = "window", value_parser = number(1.0_f32..=1000.0, "frames a second"))]
     refresh: Option<f32>,
+    /// How much less is shaded towards the border, on headsets that can (XR_FB_foveation)
+    #[arg(long, value_enum, conflicts_with = "window", default_value_t = FoveationArgument::Low)]
+    foveation: FoveationArgument,
     /// Say only what goes wrong
     #[arg(long)]
     quiet: bool,
@@ -141,6 +145,18 @@ enum ReconstructionArgument {
     Bilinear,
     /// Brightness by a cubic: sharper, for GPUs with time to spare
     Bicubic,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum FoveationArgument {
+    /// All is shaded
+    None,
+    /// Hardly seen
+    Low,
+    /// In between
+    Medium,
+    /// Seen where a lens is sharp to its border
+    High,
 }
 
 /// The first signal (Ctrl-C, or the system's wish to end) asks the program to end; the next one ends it.
@@ -246,7 +262,14 @@ fn opener(arguments: &Arguments) -> Result<Box<net::Opener<'static>>, DisplayErr
     let validation = arguments.validation;
     let window = &arguments.window;
     if !window.window {
-        let options = XrOptions { validation, refresh_hz: arguments.refresh, ..XrOptions::default() };
+        let foveation = match arguments.foveation {
+            FoveationArgument::None => Foveation::None,
+            FoveationArgument::Low => Foveation::Low,
+            FoveationArgument::Medium => Foveation::Medium,
+            FoveationArgument::High => Foveation::High,
+        };
+        let options =
+            XrOptions { validation, refresh_hz: arguments.refresh, foveation, ..XrOptions::default() };
         return Ok(Box::new(move || Ok(Box::new(Xr::open(&Platform, options)?) as Box<dyn Display>)));
     }
     let options = WindowOptions {

@@ -1,7 +1,10 @@
 //! What the client asks of a headset: the list against what every headset has, and what is really asked for against the list.
 
 use shadecast_client::platform::requirements::REQUIRED;
-use shadecast_gpu::{DesktopDevice, DeviceSource, Gpu, GpuError, GpuOptions, Needs, PICTURE_EXTENSIONS, vk};
+use shadecast_gpu::{
+    DENSITY_MAP_EXTENSION, DesktopDevice, DeviceSource, Gpu, GpuError, GpuOptions, Needs, PICTURE_EXTENSIONS,
+    vk,
+};
 use shadecast_protocol::limits::{MAX_KEPT_SAMPLES, MAX_PATCH_SLOTS};
 use shadecast_shaders::generated as shaders;
 use shadecast_shaders::{BindingKind, Shader};
@@ -20,6 +23,9 @@ const EVERY_HEADSET_CAPABILITIES: [&str; 4] = ["Matrix", "Shader", "MultiView", 
 /// By which Android's own decoders are read since its release 8; both headsets list them.
 const EVERY_HEADSET_PICTURE_EXTENSIONS: [&str; 2] =
     ["VK_ANDROID_external_memory_android_hardware_buffer", "VK_EXT_queue_family_foreign"];
+/// Used where they are there, which is on headsets of such processors alone.
+const HEADSET_DENSITY_MAPS: [&str; 3] =
+    ["VK_EXT_fragment_density_map", "fragmentDensityMap", "fragmentDensityMapNonSubsampledImages"];
 const EVERY_RUNTIME_EXTENSIONS: [&str; 1] = ["XR_KHR_vulkan_enable2"];
 /// Quest 2's and Quest 3's drivers have these for what the client does with them; Vulkan guarantees all but the depth of 32 bits.
 const EVERY_HEADSET_FORMATS: [vk::Format; 4] =
@@ -61,6 +67,8 @@ fn the_list_asks_for_nothing_that_a_first_generation_headset_lacks() {
     assert!(REQUIRED.vulkan_features.iter().all(|f| EVERY_HEADSET_FEATURES.contains(f)));
     assert!(REQUIRED.picture_features.iter().all(|f| EVERY_HEADSET_FEATURES.contains(f)));
     assert!(REQUIRED.picture_extensions.iter().all(|e| EVERY_HEADSET_PICTURE_EXTENSIONS.contains(e)));
+    let mut density_maps = REQUIRED.density_map_extensions.iter().chain(REQUIRED.density_map_features);
+    assert!(density_maps.all(|name| HEADSET_DENSITY_MAPS.contains(name)));
     assert!(REQUIRED.spirv_capabilities.iter().all(|c| EVERY_HEADSET_CAPABILITIES.contains(c)));
     let formats = [REQUIRED.depth_format, REQUIRED.plane_format].into_iter().chain(REQUIRED.eye_formats);
     assert!(formats.into_iter().all(|format| EVERY_HEADSET_FORMATS.contains(&format)));
@@ -249,6 +257,7 @@ fn a_device_is_asked_for_exactly_what_the_list_says() {
     let of_pictures = [wanted, named(REQUIRED.picture_features)].concat();
     assert_eq!(asked_for(Needs::ClientOfPictures), of_pictures);
     assert_eq!(PICTURE_EXTENSIONS.map(|name| name.to_str().expect("ASCII")), REQUIRED.picture_extensions);
+    assert_eq!([DENSITY_MAP_EXTENSION.to_str().expect("ASCII")], REQUIRED.density_map_extensions);
 }
 
 fn asked_for(needs: Needs) -> Vec<String> {

@@ -1,5 +1,6 @@
 //! What both measurements of draws share: a device with eyes to draw to, eyes that see clip space, and the middle of many values.
 
+use shadecast_client::display::EyeImages;
 use shadecast_client::stages::FRAMES_IN_FLIGHT;
 use shadecast_client::stages::atlas_draw::{EyeTargets, eye_buffers};
 use shadecast_gpu::{Buffer, DesktopDevice, Gpu, GpuError, GpuOptions, Image, ImageDesc, Needs, vk};
@@ -17,7 +18,9 @@ pub fn open(
     let usage = vk::ImageUsageFlags::COLOR_ATTACHMENT | vk::ImageUsageFlags::TRANSFER_SRC;
     let desc = ImageDesc { layers: 2, ..ImageDesc::new("eyes", [side; 2], format, usage) };
     let image = Image::new(&gpu, desc)?;
-    let targets = EyeTargets::new(&gpu, &[image.handle()], format, [side; 2], samples)?;
+    let images = &[image.handle()];
+    let images = EyeImages { images, format, extent_pixels: [side; 2], density_maps: None };
+    let targets = EyeTargets::new(&gpu, images, samples)?;
     Ok((gpu, image, targets))
 }
 

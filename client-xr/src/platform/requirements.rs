@@ -16,6 +16,10 @@ pub struct Requirements {
     pub picture_features: &'static [&'static str],
     /// Vulkan device extensions by which the device reads what Android's decoders write; asked for there alone.
     pub picture_extensions: &'static [&'static str],
+    /// Vulkan device extensions and features that are used where they are there, for fixed foveation.
+    pub density_map_extensions: &'static [&'static str],
+    /// See `density_map_extensions`.
+    pub density_map_features: &'static [&'static str],
     /// Formats of the images of both eyes, best first: one of them must be there. They store what linear values encode to.
     pub eye_formats: [vk::Format; 2],
     /// Format of depth, which never leaves the pass.
@@ -70,6 +74,8 @@ pub const REQUIRED: Requirements = Requirements {
         "VK_ANDROID_external_memory_android_hardware_buffer",
         "VK_EXT_queue_family_foreign",
     ],
+    density_map_extensions: &["VK_EXT_fragment_density_map"],
+    density_map_features: &["fragmentDensityMap", "fragmentDensityMapNonSubsampledImages"],
     eye_formats: [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB],
     depth_format: vk::Format::D32_SFLOAT,
     plane_format: vk::Format::R8_UNORM,

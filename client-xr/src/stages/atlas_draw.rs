@@ -5,12 +5,13 @@ use super::scatter::VertexMemory;
 use super::upload::{Chroma, PlaneStaging, Planes};
 use crate::coverage::CoverageMap;
 use crate::decode::DevicePicture;
+use crate::display::EyeImages;
 use crate::draw_list::{Drawable, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
 use crate::platform::requirements::REQUIRED;
 use shadecast_gpu::{
-    Attachment, Bind, BindGroup, Buffer, FixedSampler, Framebuffer, Gpu, GpuError, GraphicsPipeline,
-    GraphicsPipelineDesc, Image, ImageDesc, Memory, Recorder, RenderPass, RenderPassDesc, Sampler,
-    SamplerDesc, YcbcrImage, YcbcrSampler, vk,
+    Attachment, Bind, BindGroup, Buffer, DENSITY_MAP_FORMAT, FixedSampler, Foreign, Framebuffer, Gpu,
+    GpuError, GraphicsPipeline, GraphicsPipelineDesc, Image, ImageDesc, Memory, Recorder, RenderPass,
+    RenderPassDesc, Sampler, SamplerDesc, YcbcrImage, YcbcrSampler, vk,
 };
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_shaders::Shader;
@@ -104,14 +105,9 @@ pub struct BundleSet {
 }
 
 impl EyeTargets {
-    /// A pass and its framebuffers for `images`, which have two layers of `extent_pixels`.
-    pub fn new(
-        gpu: &Arc<Gpu>,
-        images: &[vk::Image],
-        format: vk::Format,
-        extent_pixels: [u32; 2],
-        samples: vk::SampleCountFlags,
-    ) -> Result<Self, GpuError> {
+    /// A pass and its framebuffers for the images of two eyes.
+    pub fn new(gpu: &Arc<Gpu>, eyes: EyeImages<'_>, samples: vk::SampleCountFlags) -> Result<Self, GpuError> {
+        let EyeImages { images, format, extent_pixels, density_maps } = eyes;
         let multisampled = samples != vk::SampleCountFlags::TYPE_1;
         let color = |store| Attachment {
             format,
@@ -130,6 +126,7 @@ impl EyeTargets {
             depth: Some(DEPTH_FORMAT),
             samples,
             view_mask: BOTH_EYES,
+            density_map: density_maps.is_some(),
             ..RenderPassDesc::new(colors)
         };
         let pass = Arc::new(RenderPass::new(gpu, &desc)?);
@@ -146,15 +143,27 @@ impl EyeTargets {
         }
         transient.push(attachment("eye depth", DEPTH_FORMAT, vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT)?);
         let views: Vec<_> = transient.iter().map(Image::view).collect();
-        let desc = ImageDesc {
+        let of_eyes = |name, extent, format, usage| ImageDesc {
             layers: 2,
-            ..ImageDesc::new("swapchain image", extent_pixels, format, vk::ImageUsageFlags::COLOR_ATTACHMENT)
+            ..ImageDesc::new(name, extent, format, usage)
         };
-        let foreign = usize::from(multisampled);
-        let framebuffers = images
-            .iter()
-            .map(|image| Framebuffer::around_foreign_image(gpu, &pass, *image, &desc, foreign, &views))
-            .collect::<Result<_, _>>()?;
+        let shown = of_eyes("swapchain image", extent_pixels, format, vk::ImageUsageFlags::COLOR_ATTACHMENT);
+        let density = density_maps.map(|maps| {
+            let usage = vk::ImageUsageFlags::FRAGMENT_DENSITY_MAP_EXT;
+            of_eyes("density map", maps.extent_texels, DENSITY_MAP_FORMAT, usage)
+        });
+        let framebuffer = |number: usize| {
+            let map = density_maps.zip(density.as_ref());
+            let map = map.map(|(maps, desc)| (maps.images[number], desc, views.len() + 1));
+            let image = (images[number], &shown, usize::from(multisampled));
+            let foreign: Vec<_> = [Some(image), map]
+                .into_iter()
+                .flatten()
+                .map(|(image, desc, index)| Foreign { image, desc, index })
+                .collect();
+            Framebuffer::around_foreign_images(gpu, &pass, extent_pixels, &foreign, &views)
+        };
+        let framebuffers = (0..images.len()).map(framebuffer).collect::<Result<_, _>>()?;
         Ok(Self { pass, framebuffers, _transient: transient })
     }
 
@@ -163,7 +172,7 @@ impl EyeTargets {
         let color = vk::ClearValue::default();
         let far = vk::ClearValue { depth_stencil: vk::ClearDepthStencilValue { depth: 0.0, stencil: 0 } };
         let clears = [color, color, far];
-        // One clear value per attachment: colour and depth, or multisampled colour, resolve target and depth.
+        // A clear value for colour and depth, or multisampled colour, resolve target and depth; a density map is not cleared.
         let first = usize::from(self._transient.len() == 1);
         recorder.begin_pass(&self.pass, &self.framebuffers[index], &clears[first..]);
     }

@@ -4,6 +4,7 @@
 use super::*;
 use crate::coverage::CoverageMap;
 use crate::decode::{DevicePicture, Picture};
+use crate::display::EyeImages;
 use crate::draw_list::{Drawable, ListWriter};
 use crate::motion::skinned::SkinCapacity;
 use crate::stages::eyes_gpu;
@@ -121,7 +122,9 @@ impl Bench {
         let desc = ImageDesc { layers: 2, ..ImageDesc::new("eyes", [SIDE; 2], format, usage) };
         let image = Image::new(&gpu, desc).unwrap();
         let four = vk::SampleCountFlags::TYPE_4;
-        let targets = EyeTargets::new(&gpu, &[image.handle()], format, [SIDE; 2], four).unwrap();
+        let images = &[image.handle()];
+        let images = EyeImages { images, format, extent_pixels: [SIDE; 2], density_maps: None };
+        let targets = EyeTargets::new(&gpu, images, four).unwrap();
         let mut recorder = gpu.record().unwrap();
         let capacity = SkinCapacity::from(MotionMemory { sample_ring: 8, ..MotionMemory::NONE });
         let memory = VertexMemory::new(&gpu, &mut recorder, VERTICES, capacity).unwrap();

@@ -85,7 +85,7 @@ impl Stages {
         samples: vk::SampleCountFlags,
         lookup: Lookup,
     ) -> Result<Self, GpuError> {
-        let targets = EyeTargets::new(gpu, eyes.images, eyes.format, eyes.extent_pixels, samples)?;
+        let targets = EyeTargets::new(gpu, eyes, samples)?;
         let eyes = eye_buffers(gpu)?;
         Ok(Self {
             scatter: Scatter::new(gpu)?,

@@ -175,7 +175,12 @@ impl Display for WindowDisplay {
     }
 
     fn eye_images(&self) -> EyeImages<'_> {
-        EyeImages { images: &self.handles, format: FORMAT, extent_pixels: self.eyes.desc().extent }
+        EyeImages {
+            images: &self.handles,
+            format: FORMAT,
+            extent_pixels: self.eyes.desc().extent,
+            density_maps: None,
+        }
     }
 
     fn request_exit(&mut self) {

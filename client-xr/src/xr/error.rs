@@ -62,6 +62,9 @@ pub enum XrError {
     /// The runtime offers nothing that can be drawn to.
     #[error("the OpenXR runtime offers no swapchain format of 8-bit sRGB; use another runtime")]
     NoFormat,
+    /// What the runtime makes for foveation is of no use.
+    #[error("the OpenXR runtime's density maps cannot be used: {0}")]
+    NoDensityMaps(&'static str),
     /// Session, instance or device are gone; all must be made anew.
     #[error("the headset's session was lost while {0}")]
     Lost(&'static str),

@@ -5,10 +5,11 @@
 
 mod actions;
 pub mod error;
+pub mod foveation;
 mod time;
 
 use crate::display::{
-    ASSUMED_EYE_HEIGHT_M, Activity, Display, DisplayError, EyeImages, FrameTurn, Presses, Views,
+    ASSUMED_EYE_HEIGHT_M, Activity, DensityMaps, Display, DisplayError, EyeImages, FrameTurn, Presses, Views,
 };
 use crate::locomotion::Locomotion;
 use crate::platform::requirements::REQUIRED;
@@ -17,6 +18,7 @@ use actions::Actions;
 use ash::vk;
 use ash::vk::Handle as _;
 use error::{Doing, XrError, no_runtime};
+use foveation::{Foveation, Maps};
 use glam::{Quat, Vec3};
 use openxr::sys;
 use openxr::sys::platform::VkGetInstanceProcAddr;
@@ -35,6 +37,8 @@ pub struct XrOptions {
     pub validation: bool,
     /// The rate that the display is asked for, frames a second: of those that it has the nearest. `None`: its own choice.
     pub refresh_hz: Option<f32>,
+    /// How much less is shaded towards the border, where runtime and device can.
+    pub foveation: Foveation,
     /// Whether decoders may leave pictures in the device's memory; on Android they always do.
     pub pictures_on_device: bool,
 }
@@ -43,6 +47,8 @@ pub struct XrOptions {
 struct XrDevice {
     instance: openxr::Instance,
     system: openxr::SystemId,
+    /// It makes density maps, and they are wanted.
+    has_density_maps: bool,
     /// `vkGetInstanceProcAddr` of the loader that `Gpu::open` has opened and keeps.
     loader: OnceLock<VkGetInstanceProcAddr>,
 }
@@ -128,6 +134,8 @@ impl Jumps {
 struct Swapchain {
     handle: openxr::Swapchain<openxr::Vulkan>,
     images: Vec<vk::Image>,
+    /// Where fewer fragments are enough.
+    maps: Option<Maps>,
     format: vk::Format,
     extent_pixels: [u32; 2],
     /// An image is ours until it is released.
@@ -191,6 +199,10 @@ impl DeviceSource for XrDevice {
         };
         Ok(vk::Device::from_raw(made_by_runtime(made, "creating the Vulkan device through OpenXR")? as u64))
     }
+
+    fn wants_density_maps(&self) -> bool {
+        self.has_density_maps
+    }
 }
 
 fn made_by_runtime<T>(
@@ -204,7 +216,8 @@ fn made_by_runtime<T>(
     }
 }
 
-fn open_instance(platform: &Platform) -> Result<openxr::Instance, XrError> {
+/// Also whether it makes density maps.
+fn open_instance(platform: &Platform, foveation: Foveation) -> Result<(openxr::Instance, bool), XrError> {
     // SAFETY: the system's OpenXR loader conforms to the specification.
     let entry = unsafe { openxr::Entry::load(platform.openxr_platform()) };
     let entry = entry.map_err(|error| XrError::NoLoader(error.to_string()))?;
@@ -215,6 +228,7 @@ fn open_instance(platform: &Platform) -> Result<openxr::Instance, XrError> {
     wanted.fb_display_refresh_rate = available.fb_display_refresh_rate;
     wanted.ext_performance_settings = available.ext_performance_settings;
     wanted.bd_controller_interaction = available.bd_controller_interaction;
+    let has_density_maps = foveation::want(&mut wanted, &available, foveation);
     platform.add_extensions(&mut wanted);
     if !available.khr_vulkan_enable2 {
         return Err(XrError::NoExtension { runtime: "in use".into(), extension: "XR_KHR_vulkan_enable2" });
@@ -226,18 +240,18 @@ fn open_instance(platform: &Platform) -> Result<openxr::Instance, XrError> {
         engine_version: 1,
         api_version: openxr::Version::new(1, 0, 0),
     };
-    entry.create_instance(&application, &wanted, &[], platform.openxr_platform()).map_err(|result| {
-        match result {
-            sys::Result::ERROR_RUNTIME_UNAVAILABLE | sys::Result::ERROR_RUNTIME_FAILURE => no_runtime(result),
-            _ => XrError::Call { doing: "creating the OpenXR instance", result },
-        }
-    })
+    let instance = entry.create_instance(&application, &wanted, &[], platform.openxr_platform());
+    let instance = instance.map_err(|result| match result {
+        sys::Result::ERROR_RUNTIME_UNAVAILABLE | sys::Result::ERROR_RUNTIME_FAILURE => no_runtime(result),
+        _ => XrError::Call { doing: "creating the OpenXR instance", result },
+    })?;
+    Ok((instance, has_density_maps))
 }
 
 impl Xr {
     /// Opens the headset: instance, device, session, swapchain.
     pub fn open(platform: &Platform, options: XrOptions) -> Result<Self, XrError> {
-        let instance = open_instance(platform)?;
+        let (instance, has_density_maps) = open_instance(platform, options.foveation)?;
         let runtime_name = instance.properties().doing("asking for the runtime's name")?.runtime_name;
         let system = instance.system(openxr::FormFactor::HEAD_MOUNTED_DISPLAY).map_err(XrError::NoHeadset)?;
         let blend_modes = instance
@@ -246,7 +260,8 @@ impl Xr {
         let blend_mode = blend_modes.first().copied().unwrap_or(openxr::EnvironmentBlendMode::OPAQUE);
         // The specification wants this call before a session is made; any version with 1.1 core will do.
         instance.graphics_requirements::<openxr::Vulkan>(system).doing("asking for Vulkan versions")?;
-        let device = XrDevice { instance: instance.clone(), system, loader: OnceLock::new() };
+        let device =
+            XrDevice { instance: instance.clone(), system, has_density_maps, loader: OnceLock::new() };
         let on_device = options.pictures_on_device || cfg!(target_os = "android");
         let needs = if on_device { Needs::ClientOfPictures } else { Needs::Client };
         let gpu_options = GpuOptions { needs, validation: options.validation, device_name: None };
@@ -259,7 +274,8 @@ impl Xr {
         let head = session
             .create_reference_space(openxr::ReferenceSpaceType::VIEW, openxr::Posef::IDENTITY)
             .doing("creating the head's space")?;
-        let swapchain = Swapchain::open(&instance, system, &session)?;
+        let foveation = Some(options.foveation).filter(|_| gpu.takes_density_maps());
+        let swapchain = Swapchain::open(&instance, system, &session, foveation)?;
         let headset = Headset {
             stage,
             head,
@@ -295,8 +311,10 @@ impl Display for Xr {
     }
 
     fn eye_images(&self) -> EyeImages<'_> {
-        let Swapchain { images, format, extent_pixels, .. } = &self.swapchain;
-        EyeImages { images, format: *format, extent_pixels: *extent_pixels }
+        let Swapchain { images, maps, format, extent_pixels, .. } = &self.swapchain;
+        let density_maps =
+            maps.as_ref().map(|maps| DensityMaps { images: &maps.images, extent_texels: maps.extent_texels });
+        EyeImages { images, format: *format, extent_pixels: *extent_pixels, density_maps }
     }
 
     fn request_exit(&mut self) {
@@ -627,6 +645,7 @@ impl Swapchain {
         instance: &openxr::Instance,
         system: openxr::SystemId,
         session: &openxr::Session<openxr::Vulkan>,
+        foveation: Option<Foveation>,
     ) -> Result<Self, XrError> {
         let views = instance.enumerate_view_configuration_views(system, VIEW_CONFIGURATION);
         let views = views.doing("asking for the size of the views")?;
@@ -637,22 +656,30 @@ impl Swapchain {
         let format =
             REQUIRED.eye_formats.into_iter().find(|format| offered.contains(&(format.as_raw() as u32)));
         let format = format.ok_or(XrError::NoFormat)?;
-        let handle = session
-            .create_swapchain(&openxr::SwapchainCreateInfo {
-                create_flags: openxr::SwapchainCreateFlags::EMPTY,
-                usage_flags: openxr::SwapchainUsageFlags::COLOR_ATTACHMENT,
-                format: format.as_raw() as u32,
-                sample_count: 1,
-                width: extent_pixels[0],
-                height: extent_pixels[1],
-                face_count: 1,
-                array_size: 2,
-                mip_count: 1,
-            })
-            .doing("creating the swapchain")?;
-        let images = handle.enumerate_images().doing("listing the swapchain's images")?;
-        let images = images.into_iter().map(vk::Image::from_raw).collect();
-        Ok(Self { handle, images, format, extent_pixels, is_acquired: false })
+        let info = openxr::SwapchainCreateInfo {
+            create_flags: openxr::SwapchainCreateFlags::EMPTY,
+            usage_flags: openxr::SwapchainUsageFlags::COLOR_ATTACHMENT,
+            format: format.as_raw() as u32,
+            sample_count: 1,
+            width: extent_pixels[0],
+            height: extent_pixels[1],
+            face_count: 1,
+            array_size: 2,
+            mip_count: 1,
+        };
+        let foveated = foveation.and_then(|foveation| {
+            let made = foveation::open(session, &info, foveation);
+            made.inspect_err(|error| tracing::warn!("all fragments are shaded: {error}")).ok()
+        });
+        let (handle, images, maps) = match foveated {
+            Some((handle, images, maps)) => (handle, images, Some(maps)),
+            None => {
+                let handle = session.create_swapchain(&info).doing("creating the swapchain")?;
+                let images = handle.enumerate_images().doing("listing the swapchain's images")?;
+                (handle, images.into_iter().map(vk::Image::from_raw).collect(), None)
+            }
+        };
+        Ok(Self { handle, images, maps, format, extent_pixels, is_acquired: false })
     }
 
     /// Takes the next image to draw to, waiting until the compositor has done with it.

@@ -1,7 +1,8 @@
 //! The device and what hangs on it: allocator, command slots, retire ring, validation messages.
 
 use crate::devices::{
-    self, FoundDevice, NO_DRIVER, NO_LAYER, Needs, PICTURE_EXTENSIONS, has_geometry_shader, missing, name_of,
+    self, DENSITY_MAP_EXTENSION, FoundDevice, NO_DRIVER, NO_LAYER, Needs, PICTURE_EXTENSIONS,
+    has_density_maps, has_geometry_shader, missing, name_of,
 };
 use crate::lanes::{LANES, Lanes};
 use crate::memory::Garbage;
@@ -48,6 +49,10 @@ pub trait DeviceSource {
         physical: vk::PhysicalDevice,
         info: &vk::DeviceCreateInfo<'_>,
     ) -> Result<vk::Device, GpuError>;
+    /// Whether passes are to take density maps, where the device can.
+    fn wants_density_maps(&self) -> bool {
+        false
+    }
 }
 
 /// Instance and device straight from the Vulkan loader.
@@ -68,6 +73,7 @@ pub struct Gpu {
     pub(crate) timings: Mutex<KeptTimings>,
     pub(crate) properties: vk::PhysicalDeviceProperties,
     numbers_triangles: bool,
+    takes_density_maps: bool,
     physical: vk::PhysicalDevice,
     messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
     validation: Box<ValidationLog>,
@@ -127,6 +133,7 @@ impl Gpu {
             garbage: Mutex::default(),
             timings: Mutex::default(),
             properties,
+            takes_density_maps: source.wants_density_maps() && has_density_maps(&instance, physical),
             numbers_triangles: options.needs == Needs::Server && has_geometry_shader(&instance, physical),
             physical,
             messenger,
@@ -162,6 +169,11 @@ impl Gpu {
     /// Whether fragments may ask for `gl_PrimitiveID`: a device of the server that has geometry shaders.
     pub fn numbers_triangles(&self) -> bool {
         self.numbers_triangles
+    }
+
+    /// Whether passes take density maps: the device can, and it was opened for that.
+    pub fn takes_density_maps(&self) -> bool {
+        self.takes_density_maps
     }
 
     /// Whether the device is a CPU: correct, slow.
@@ -460,13 +472,21 @@ fn create_device(
     }
     let mut pictures =
         vk::PhysicalDeviceSamplerYcbcrConversionFeatures::default().sampler_ycbcr_conversion(true);
-    let extensions = PICTURE_EXTENSIONS.map(CStr::as_ptr);
+    let mut density_maps = vk::PhysicalDeviceFragmentDensityMapFeaturesEXT::default()
+        .fragment_density_map(true)
+        .fragment_density_map_non_subsampled_images(true);
+    let mut extensions = Vec::new();
     if options.needs == Needs::ClientOfPictures {
         info = info.push_next(&mut pictures);
         if cfg!(target_os = "android") {
-            info = info.enabled_extension_names(&extensions);
+            extensions.extend(PICTURE_EXTENSIONS.map(CStr::as_ptr));
         }
     }
+    if source.wants_density_maps() && has_density_maps(instance, physical) {
+        info = info.push_next(&mut density_maps);
+        extensions.push(DENSITY_MAP_EXTENSION.as_ptr());
+    }
+    let info = info.enabled_extension_names(&extensions);
     let handle = source.create_device(instance, physical, &info)?;
     // SAFETY: `handle` was created from this instance.
     Ok(unsafe { ash::Device::load(instance.fp_v1_0(), handle) })

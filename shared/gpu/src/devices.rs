@@ -39,6 +39,9 @@ pub enum Needs {
 pub const PICTURE_EXTENSIONS: [&CStr; 2] =
     [ash::android::external_memory_android_hardware_buffer::NAME, ash::ext::queue_family_foreign::NAME];
 
+/// Extension by which a pass shades fewer fragments where a map says so.
+pub const DENSITY_MAP_EXTENSION: &CStr = ash::ext::fragment_density_map::NAME;
+
 /// A device that a driver offers.
 #[derive(Clone, Debug)]
 pub struct FoundDevice {
@@ -199,6 +202,18 @@ fn lacking(
 pub(crate) fn has_geometry_shader(instance: &ash::Instance, physical: vk::PhysicalDevice) -> bool {
     // SAFETY: `physical` belongs to `instance`.
     unsafe { instance.get_physical_device_features(physical) }.geometry_shader != 0
+}
+
+/// Whether passes take a density map with attachments of any kind: those of an OpenXR runtime are not made for it alone.
+pub(crate) fn has_density_maps(instance: &ash::Instance, physical: vk::PhysicalDevice) -> bool {
+    if lacking(instance, physical, &[DENSITY_MAP_EXTENSION]).is_some() {
+        return false;
+    }
+    let mut maps = vk::PhysicalDeviceFragmentDensityMapFeaturesEXT::default();
+    let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut maps);
+    // SAFETY: the device has the extension whose struct is in the chain, which lives through the call.
+    unsafe { instance.get_physical_device_features2(physical, &mut features) };
+    maps.fragment_density_map != 0 && maps.fragment_density_map_non_subsampled_images != 0
 }
 
 #[cfg(test)]

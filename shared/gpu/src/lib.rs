@@ -20,11 +20,11 @@ mod ycbcr;
 pub use ash::vk;
 pub use bind::{Bind, BindGroup, FixedSampler, Layout};
 pub use context::{DesktopDevice, DeviceSource, Gpu, GpuOptions, survey};
-pub use devices::{FoundDevice, Needs, PICTURE_EXTENSIONS};
+pub use devices::{DENSITY_MAP_EXTENSION, FoundDevice, Needs, PICTURE_EXTENSIONS};
 #[cfg(target_os = "android")]
 pub use hardware_buffer::HardwareBufferKind;
 pub use memory::{Buffer, Image, ImageDesc, Memory, MemoryUse, Sampler, SamplerDesc};
-pub use pass::{Attachment, Framebuffer, RenderPass, RenderPassDesc};
+pub use pass::{Attachment, DENSITY_MAP_FORMAT, Foreign, Framebuffer, RenderPass, RenderPassDesc};
 pub use pipeline::{ComputePipeline, GraphicsPipeline, GraphicsPipelineDesc, VertexInput};
 pub use recorder::{Access, Recorder, Ticket};
 pub use timings::{Timing, Timings};

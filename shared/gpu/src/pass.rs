@@ -33,6 +33,22 @@ pub struct RenderPassDesc {
     pub samples: vk::SampleCountFlags,
     /// Multiview mask; 0 is off.
     pub view_mask: u32,
+    /// A map says where fewer fragments are shaded; needs [`Gpu::takes_density_maps`].
+    pub density_map: bool,
+}
+
+/// Format of density maps: the share of fragments across and along.
+pub const DENSITY_MAP_FORMAT: vk::Format = vk::Format::R8G8_UNORM;
+
+/// An image that somebody else owns, such as that of an OpenXR swapchain, as an attachment.
+#[derive(Clone, Copy, Debug)]
+pub struct Foreign<'a> {
+    /// The image.
+    pub image: vk::Image,
+    /// What is known of it: all of its layers are bound.
+    pub desc: &'a ImageDesc,
+    /// Its place among the attachments.
+    pub index: usize,
 }
 
 impl RenderPassDesc {
@@ -44,6 +60,7 @@ impl RenderPassDesc {
             depth: None,
             samples: vk::SampleCountFlags::TYPE_1,
             view_mask: 0,
+            density_map: false,
         }
     }
 }
@@ -57,7 +74,7 @@ pub struct RenderPass {
     pub(crate) has_depth: bool,
 }
 
-/// Image views for a pass, in its order: colours, resolves, depth.
+/// Image views for a pass, in its order: colours, resolves, depth, density map.
 pub struct Framebuffer {
     gpu: Arc<Gpu>,
     pub(crate) handle: vk::Framebuffer,
@@ -98,12 +115,16 @@ impl RenderPass {
             };
             attachments.push(description(&depth, desc.samples));
         }
+        let depth_index = attachments.len().saturating_sub(1);
+        if desc.density_map {
+            attachments.push(description(&density_map(), one));
+        }
         let reference = |index: usize, layout| vk::AttachmentReference { attachment: index as u32, layout };
         let color = vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL;
         let colors: Vec<_> = (0..desc.colors.len()).map(|i| reference(i, color)).collect();
         let resolves: Vec<_> =
             (0..desc.resolves.len()).map(|i| reference(desc.colors.len() + i, color)).collect();
-        let depth = reference(attachments.len() - 1, vk::ImageLayout::DEPTH_STENCIL_ATTACHMENT_OPTIMAL);
+        let depth = reference(depth_index, vk::ImageLayout::DEPTH_STENCIL_ATTACHMENT_OPTIMAL);
         let mut subpass = vk::SubpassDescription::default().color_attachments(&colors);
         if !resolves.is_empty() {
             subpass = subpass.resolve_attachments(&resolves);
@@ -122,6 +143,14 @@ impl RenderPass {
         if desc.view_mask != 0 {
             info = info.push_next(&mut multiview);
         }
+        let mut density =
+            vk::RenderPassFragmentDensityMapCreateInfoEXT::default().fragment_density_map_attachment(
+                reference(attachments.len().saturating_sub(1), density_map().after),
+            );
+        if desc.density_map {
+            assert!(gpu.takes_density_maps(), "the device was not opened for density maps");
+            info = info.push_next(&mut density);
+        }
         // SAFETY: the device is alive; all that the info points to lives through the call.
         let handle = unsafe { gpu.device.create_render_pass(&info, None) }.doing("creating a render pass")?;
         Ok(Self {
@@ -131,6 +160,18 @@ impl RenderPass {
             colors: desc.colors.len(),
             has_depth: desc.depth.is_some(),
         })
+    }
+}
+
+/// Somebody else writes it, ready to be read by passes.
+fn density_map() -> Attachment {
+    let layout = vk::ImageLayout::FRAGMENT_DENSITY_MAP_OPTIMAL_EXT;
+    Attachment {
+        format: DENSITY_MAP_FORMAT,
+        load: vk::AttachmentLoadOp::LOAD,
+        store: vk::AttachmentStoreOp::DONT_CARE,
+        before: layout,
+        after: layout,
     }
 }
 
@@ -211,21 +252,22 @@ impl Framebuffer {
         self.extent
     }
 
-    /// As [`Framebuffer::new`], where the first attachment (or, with MSAA, the resolve target at `foreign_index`)
-    /// is `layers` layers of an image that somebody else owns, such as an OpenXR swapchain image.
-    pub fn around_foreign_image(
+    /// As [`Framebuffer::new`], where some attachments are images that somebody else owns, by rising places.
+    pub fn around_foreign_images(
         gpu: &Arc<Gpu>,
         pass: &RenderPass,
-        image: vk::Image,
-        desc: &ImageDesc,
-        foreign_index: usize,
+        extent: [u32; 2],
+        foreign: &[Foreign<'_>],
         other_views: &[vk::ImageView],
     ) -> Result<Self, GpuError> {
-        let view = create_view(gpu, image, desc, (0, desc.layers), YcbcrView(None))?;
-        let mut views = other_views.to_vec();
-        views.insert(foreign_index, view);
-        let mut framebuffer = Self::new(gpu, pass, desc.extent, &views)?;
-        framebuffer.owned_views.push(view);
+        let (mut views, mut owned_views) = (other_views.to_vec(), Vec::new());
+        for Foreign { image, desc, index } in foreign {
+            let view = create_view(gpu, *image, desc, (0, desc.layers), YcbcrView(None))?;
+            views.insert(*index, view);
+            owned_views.push(view);
+        }
+        let mut framebuffer = Self::new(gpu, pass, extent, &views)?;
+        framebuffer.owned_views = owned_views;
         Ok(framebuffer)
     }
 }

@@ -3,8 +3,8 @@
 
 use crate::memory::Garbage;
 use crate::{
-    Attachment, DesktopDevice, DeviceSource, Doing, Framebuffer, Gpu, GpuError, GpuOptions, ImageDesc,
-    Recorder, RenderPass, RenderPassDesc, Ticket,
+    Attachment, DesktopDevice, DeviceSource, Doing, Foreign, Framebuffer, Gpu, GpuError, GpuOptions,
+    ImageDesc, Recorder, RenderPass, RenderPassDesc, Ticket,
 };
 use ash::{khr, vk};
 use raw_window_handle::{RawDisplayHandle, RawWindowHandle};
@@ -239,7 +239,8 @@ impl Swapchain {
         let desc =
             ImageDesc::new("window", extent, self.format.format, vk::ImageUsageFlags::COLOR_ATTACHMENT);
         for image in images.doing("listing the swapchain's images")? {
-            let target = Framebuffer::around_foreign_image(&self.gpu, &self.pass, image, &desc, 0, &[])?;
+            let foreign = [Foreign { image, desc: &desc, index: 0 }];
+            let target = Framebuffer::around_foreign_images(&self.gpu, &self.pass, extent, &foreign, &[])?;
             self.targets.push(target);
         }
         while self.drawn.len() < self.targets.len() {

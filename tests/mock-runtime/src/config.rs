@@ -54,6 +54,8 @@ pub struct MockConfig {
     pub vulkan_device: Option<String>,
     /// Extensions of the runtime that it does not have in this run, by their whole names.
     pub hidden_extensions: Vec<String>,
+    /// Fixed foveation is offered (`XR_FB_foveation` and those that go with it); density maps are plain images.
+    pub foveation: bool,
     /// The interaction profile of the controllers in both hands, by its path. None: there are no controllers.
     pub controllers: Option<String>,
     /// What their inputs are from which frame on; 0 before.
@@ -233,6 +235,7 @@ impl Default for MockConfig {
             events: Vec::new(),
             vulkan_device: None,
             hidden_extensions: Vec::new(),
+            foveation: false,
             controllers: None,
             inputs: Vec::new(),
             hands: Vec::new(),

@@ -79,6 +79,11 @@ structures!(
     DebugUtilsMessengerCallbackDataEXT,
     DebugUtilsObjectNameInfoEXT,
     DebugUtilsLabelEXT,
+    FoveationProfileCreateInfoFB,
+    FoveationLevelProfileCreateInfoFB,
+    SwapchainCreateInfoFoveationFB,
+    SwapchainStateFoveationFB,
+    SwapchainImageFoveationVulkanFB,
 );
 
 fn null(name: &str) -> Fault {

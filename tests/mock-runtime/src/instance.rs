@@ -36,6 +36,14 @@ const EXTENSIONS: [(&[u8], u32); 5] = [
     (xr::EXT_DEBUG_UTILS_EXTENSION_NAME, xr::EXT_debug_utils_SPEC_VERSION),
 ];
 
+/// Offered where the configuration says so.
+const FOVEATION_EXTENSIONS: [(&[u8], u32); 4] = [
+    (xr::FB_FOVEATION_EXTENSION_NAME, xr::FB_foveation_SPEC_VERSION),
+    (xr::FB_FOVEATION_CONFIGURATION_EXTENSION_NAME, xr::FB_foveation_configuration_SPEC_VERSION),
+    (xr::FB_SWAPCHAIN_UPDATE_STATE_EXTENSION_NAME, xr::FB_swapchain_update_state_SPEC_VERSION),
+    (xr::FB_FOVEATION_VULKAN_EXTENSION_NAME, xr::FB_foveation_vulkan_SPEC_VERSION),
+];
+
 fn text_of(name: &'static [u8]) -> &'static str {
     std::str::from_utf8(name).unwrap_or_default().trim_end_matches('\0')
 }
@@ -65,7 +73,7 @@ entry! {
         }
         let hidden = hidden_extensions();
         let is_shown = |(name, _): &&(&'static [u8], u32)| !hidden.iter().any(|hidden| hidden == text_of(name));
-        let shown: Vec<_> = EXTENSIONS.iter().filter(is_shown).collect();
+        let shown: Vec<_> = offered().filter(is_shown).collect();
         // SAFETY: count and properties are the caller's, of the capacity it says.
         unsafe {
             ffi::enumerate((capacity, count, properties), &shown, |slot, (name, version)| {
@@ -113,6 +121,10 @@ fn enabled_extensions(create_info: &xr::InstanceCreateInfo) -> Outcome<Extension
         // SAFETY: each name is a zero-terminated string of the application's.
         let name = unsafe { ffi::text(*name, "an extension name") }?;
         match name {
+            name if !offered().any(|(offered, _)| text_of(offered) == name) => {
+                let message = format!("the mock runtime has no extension {name}");
+                return Err(Fault::application(xr::Result::ERROR_EXTENSION_NOT_PRESENT, message));
+            }
             name if hidden.iter().any(|hidden| hidden == name) => {
                 let message = format!("{name} is among hidden_extensions");
                 return Err(Fault::application(xr::Result::ERROR_EXTENSION_NOT_PRESENT, message));
@@ -122,10 +134,11 @@ fn enabled_extensions(create_info: &xr::InstanceCreateInfo) -> Outcome<Extension
             "XR_FB_display_refresh_rate" => enabled.refresh_rate = true,
             "XR_EXT_performance_settings" => enabled.performance = true,
             "XR_EXT_debug_utils" => enabled.debug_utils = true,
-            _ => {
-                let message = format!("the mock runtime has no extension {name}");
-                return Err(Fault::application(xr::Result::ERROR_EXTENSION_NOT_PRESENT, message));
-            }
+            "XR_FB_foveation" => enabled.foveation = true,
+            "XR_FB_foveation_configuration" => enabled.foveation_configuration = true,
+            "XR_FB_swapchain_update_state" => enabled.swapchain_update_state = true,
+            "XR_FB_foveation_vulkan" => enabled.foveation_vulkan = true,
+            known => unreachable!("{known} is in one of the tables"),
         }
     }
     Ok(enabled)
@@ -141,6 +154,14 @@ fn check_application(info: &xr::ApplicationInfo) -> Outcome<()> {
         return Err(Fault::application(xr::Result::ERROR_API_VERSION_UNSUPPORTED, message));
     }
     Ok(())
+}
+
+/// All extensions, those that are hidden too.
+fn offered() -> impl Iterator<Item = &'static (&'static [u8], u32)> {
+    let config = MockConfig::from_environment(std::env::var_os(CONFIG_VARIABLE));
+    let has_foveation = config.is_ok_and(|config| config.foveation);
+    let foveation = if has_foveation { &FOVEATION_EXTENSIONS[..] } else { &[] };
+    EXTENSIONS.iter().chain(foveation)
 }
 
 /// A configuration that cannot be read hides nothing: `xrCreateInstance` says what is wrong with it.

@@ -10,8 +10,8 @@ use crate::fault::{Fault, guard};
 use crate::ffi::entry;
 use crate::runtime::{self, Extensions};
 use crate::{
-    actions, debug_utils, frame, instance, paths, performance, refresh_rate, session, space, swapchain, time,
-    vulkan,
+    actions, debug_utils, foveation, frame, instance, paths, performance, refresh_rate, session, space,
+    swapchain, time, vulkan,
 };
 
 /// The loader-runtime interface that this runtime speaks.
@@ -135,6 +135,8 @@ enum Needs {
     RefreshRate,
     Performance,
     DebugUtils,
+    Foveation,
+    SwapchainUpdateState,
 }
 
 impl Needs {
@@ -146,6 +148,8 @@ impl Needs {
             Self::RefreshRate => extensions.refresh_rate,
             Self::Performance => extensions.performance,
             Self::DebugUtils => extensions.debug_utils,
+            Self::Foveation => extensions.foveation,
+            Self::SwapchainUpdateState => extensions.swapchain_update_state,
         }
     }
 }
@@ -253,6 +257,14 @@ const TABLE: &[Row] = table! {
         "xrSessionInsertDebugUtilsLabelEXT" => debug_utils::insert_label: SessionInsertDebugUtilsLabelEXT,
         "xrSetDebugUtilsObjectNameEXT" => debug_utils::set_object_name: SetDebugUtilsObjectNameEXT,
         "xrSubmitDebugUtilsMessageEXT" => debug_utils::submit_message: SubmitDebugUtilsMessageEXT,
+    }
+    Foveation {
+        "xrCreateFoveationProfileFB" => foveation::create_profile: CreateFoveationProfileFB,
+        "xrDestroyFoveationProfileFB" => foveation::destroy_profile: DestroyFoveationProfileFB,
+    }
+    SwapchainUpdateState {
+        "xrGetSwapchainStateFB" => foveation::get_swapchain_state: GetSwapchainStateFB,
+        "xrUpdateSwapchainFB" => foveation::update_swapchain: UpdateSwapchainFB,
     }
 };
 

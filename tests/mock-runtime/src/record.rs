@@ -105,6 +105,9 @@ pub struct Summary {
     /// where it asked for nothing, or to save power.
     #[serde(default)]
     pub performance_levels: [i32; 2],
+    /// The level of fixed foveation that the application asked for last, 1 to 3 (`XR_FB_foveation`); 0 for none.
+    #[serde(default)]
+    pub foveation_level: i32,
 }
 
 impl From<Pose> for PoseRecord {

@@ -78,6 +78,10 @@ pub(crate) struct Extensions {
     pub(crate) refresh_rate: bool,
     pub(crate) performance: bool,
     pub(crate) debug_utils: bool,
+    pub(crate) foveation: bool,
+    pub(crate) foveation_configuration: bool,
+    pub(crate) swapchain_update_state: bool,
+    pub(crate) foveation_vulkan: bool,
 }
 
 /// What belongs to the session.
@@ -89,6 +93,8 @@ pub(crate) struct Session {
     pub(crate) ready_ns: Option<i64>,
     pub(crate) gpu: Gpu,
     pub(crate) swapchains: HashMap<u64, Swapchain>,
+    /// The level of each profile.
+    pub(crate) foveation_profiles: HashMap<u64, i32>,
     pub(crate) spaces: HashMap<u64, Space>,
     pub(crate) action_sets_attached: bool,
     /// What the application knows of the controllers' profile.
@@ -137,6 +143,8 @@ pub(crate) struct Tally {
     pub(crate) errors: u64,
     /// What was last asked of processor and graphics processor; 0 before.
     pub(crate) performance_levels: [i32; 2],
+    /// What foveation was asked for last; 0 before.
+    pub(crate) foveation_level: i32,
     pub(crate) missed_frames: u64,
     pub(crate) empty_frames: u64,
     pub(crate) discarded_frames: u64,
@@ -301,6 +309,7 @@ impl Core {
             seconds: self.path_time_s(self.grid().begin_ns(periods)),
             errors: self.tally.errors,
             performance_levels: self.tally.performance_levels,
+            foveation_level: self.tally.foveation_level,
             missed_frames: self.tally.missed_frames,
             empty_frames: self.tally.empty_frames,
             discarded_frames: self.tally.discarded_frames,

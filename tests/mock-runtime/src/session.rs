@@ -253,6 +253,7 @@ entry! {
             ready_ns: None,
             gpu,
             swapchains: Default::default(),
+            foveation_profiles: Default::default(),
             spaces: Default::default(),
             action_sets_attached: false,
             profile: None,

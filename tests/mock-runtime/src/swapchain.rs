@@ -9,8 +9,9 @@ use xr::Handle as _;
 use crate::config::MAX_EXTENT_PIXELS;
 use crate::fault::{Fault, Outcome};
 use crate::ffi::{self, entry};
+use crate::foveation;
 use crate::gpu::{Gpu, GpuImage, ImageInfo};
-use crate::runtime::{self, Session};
+use crate::runtime::{self, Extensions, Session};
 
 /// Formats of swapchains, the preferred ones first: colour, then depth, of which every device has both.
 const FORMATS: [vk::Format; 4] =
@@ -24,12 +25,16 @@ pub(crate) struct Swapchain {
     pub(crate) extent: [u32; 2],
     pub(crate) array_size: u32,
     pub(crate) images: ImageQueue,
+    /// The profile of fixed foveation that it was given last; 0: none.
+    pub(crate) foveation_profile: u64,
     format: vk::Format,
     gpu_images: Vec<SwapchainImage>,
 }
 
 struct SwapchainImage {
     image: GpuImage,
+    /// Where fewer fragments are enough; made where the application asks for it.
+    density_map: Option<GpuImage>,
     /// True once the image is in the layout in which the application gets it, which its first acquire sees to.
     in_layout: bool,
 }
@@ -52,7 +57,12 @@ impl Swapchain {
     pub(crate) fn destroy(self, gpu: &Gpu) {
         for image in self.gpu_images {
             gpu.destroy_image(image.image);
+            image.density_map.into_iter().for_each(|map| gpu.destroy_image(map));
         }
+    }
+
+    pub(crate) fn has_density_maps(&self) -> bool {
+        self.gpu_images.iter().all(|image| image.density_map.is_some())
     }
 }
 
@@ -218,27 +228,71 @@ entry! {
     ) {
         let mut runtime = runtime::lock();
         let handle = runtime.new_handle();
-        let (_, session) = runtime.session(session)?;
+        let (core, session) = runtime.session(session)?;
         let info = image_info(create_info)?;
+        let has_maps = wants_density_maps(create_info, core.extensions)?;
         let is_static = create_info.create_flags.contains(xr::SwapchainCreateFlags::STATIC_IMAGE);
         let count = if is_static { 1 } else { IMAGE_COUNT };
-        session.swapchains.insert(handle, new_swapchain(&session.gpu, &info, count, is_static)?);
+        session.swapchains.insert(handle, new_swapchain(&session.gpu, &info, count, (is_static, has_maps))?);
         *swapchain = xr::Swapchain::from_raw(handle);
         Ok(xr::Result::SUCCESS)
     }
 }
 
-fn new_swapchain(gpu: &Gpu, info: &ImageInfo, count: u32, is_static: bool) -> Outcome<Swapchain> {
+/// Whether a swapchain's creation asks for density maps.
+fn wants_density_maps(info: &xr::SwapchainCreateInfo, extensions: Extensions) -> Outcome<bool> {
+    // SAFETY: the chain is the application's, of valid structures.
+    let asked = unsafe { ffi::chained_input::<xr::SwapchainCreateInfoFoveationFB>(info.next) };
+    // Structures of extensions that are not enabled are left out.
+    let Some(asked) = asked.filter(|_| extensions.foveation) else { return Ok(false) };
+    type Flags = xr::SwapchainCreateFoveationFlagsFB;
+    if asked.flags.intersects(Flags::SCALED_BIN) || (!asked.flags.is_empty() && !extensions.foveation_vulkan)
+    {
+        let message = "flags other than FRAGMENT_DENSITY_MAP (XR_FB_foveation_vulkan) do not go with Vulkan";
+        return Err(Fault::application(xr::Result::ERROR_VALIDATION_FAILURE, message));
+    }
+    Ok(asked.flags.contains(Flags::FRAGMENT_DENSITY_MAP))
+}
+
+fn density_map(gpu: &Gpu, of: &ImageInfo) -> Outcome<GpuImage> {
+    gpu.create_image(&ImageInfo {
+        format: foveation::FORMAT,
+        extent: foveation::map_extent(of.extent),
+        array_size: of.array_size,
+        mip_count: 1,
+        usage: vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::TRANSFER_DST,
+        mutable_format: false,
+        is_depth: false,
+    })
+}
+
+fn new_swapchain(
+    gpu: &Gpu,
+    info: &ImageInfo,
+    count: u32,
+    (is_static, has_maps): (bool, bool),
+) -> Outcome<Swapchain> {
     let mut swapchain = Swapchain {
         extent: info.extent,
         array_size: info.array_size,
         images: ImageQueue::new(count, is_static),
+        foveation_profile: 0,
         format: info.format,
         gpu_images: Vec::new(),
     };
+    let image = || {
+        let image = gpu.create_image(info)?;
+        match has_maps.then(|| density_map(gpu, info)).transpose() {
+            Ok(density_map) => Ok(SwapchainImage { image, density_map, in_layout: false }),
+            Err(fault) => {
+                gpu.destroy_image(image);
+                Err(fault)
+            }
+        }
+    };
     for _ in 0..count {
-        match gpu.create_image(info) {
-            Ok(image) => swapchain.gpu_images.push(SwapchainImage { image, in_layout: false }),
+        match image() {
+            Ok(image) => swapchain.gpu_images.push(image),
             Err(fault) => {
                 swapchain.destroy(gpu);
                 return Err(fault);
@@ -267,20 +321,33 @@ entry! {
         images: raw_out xr::SwapchainImageBaseHeader,
     ) {
         let mut runtime = runtime::lock();
-        let (_, session) = runtime.session_of_swapchain(swapchain)?;
+        let (core, session) = runtime.session_of_swapchain(swapchain)?;
+        let tells_maps = core.extensions.foveation_vulkan;
         let images = images.cast::<xr::SwapchainImageVulkanKHR>();
-        let ours = &swapchain_of(session, swapchain)?.0.gpu_images;
+        let swapchain = swapchain_of(session, swapchain)?.0;
+        let [width, height] = foveation::map_extent(swapchain.extent);
+        let ours = &swapchain.gpu_images;
         // SAFETY: with the Vulkan extension the array consists of XrSwapchainImageVulkan2KHR; it is the caller's, of the
         // capacity it says.
         unsafe {
             ffi::enumerate((capacity, count, images), ours, |slot, ours| {
                 slot.image = vk::Handle::as_raw(ours.image.image);
+                let map = ours.density_map.as_ref().filter(|_| tells_maps);
+                // Each element has a chain of its own, of the caller's.
+                let place = ffi::chained_output::<xr::SwapchainImageFoveationVulkanFB>(slot.next);
+                if let (Some(map), Some(place)) = (map, place) {
+                    place.image = vk::Handle::as_raw(map.image);
+                    (place.width, place.height) = (width, height);
+                }
             })
         }
     }
 }
 
-fn swapchain_of(session: &mut Session, handle: xr::Swapchain) -> Outcome<(&mut Swapchain, &mut Gpu)> {
+pub(crate) fn swapchain_of(
+    session: &mut Session,
+    handle: xr::Swapchain,
+) -> Outcome<(&mut Swapchain, &mut Gpu)> {
     let Session { swapchains, gpu, .. } = session;
     let swapchain = swapchains.get_mut(&handle.into_raw()).ok_or_else(|| Fault::handle("swapchain"))?;
     Ok((swapchain, gpu))

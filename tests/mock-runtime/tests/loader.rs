@@ -272,6 +272,46 @@ fn levels_of_performance_are_those_of_the_specification() {
 }
 
 #[test]
+fn foveation_is_what_the_specification_says() {
+    let run = Run::new(&MockConfig { foveation: true, ..virtual_config() });
+    let app = App::foveated();
+    let exts = app.instance.exts();
+    let (profiles, states) =
+        (exts.fb_foveation.expect("enabled"), exts.fb_swapchain_update_state.expect("enabled"));
+    let profile = |level: i32| {
+        let level = xr::FoveationLevelProfile {
+            level: xr::sys::FoveationLevelFB::from_raw(level),
+            vertical_offset: 0.0,
+            dynamic: xr::sys::FoveationDynamicFB::DISABLED,
+        };
+        app.session.create_foveation_profile(Some(level))
+    };
+    assert_eq!(profile(4).map(|_| ()), Err(Code::ERROR_VALIDATION_FAILURE));
+    let high = profile(3).expect("a level that there is");
+    // Without maps there is no state to update.
+    let plain = app.swapchain(vk::Format::R8G8B8A8_SRGB, [64, 64], 2);
+    let mut state = xr::sys::SwapchainStateFoveationFB {
+        ty: xr::sys::SwapchainStateFoveationFB::TYPE,
+        next: std::ptr::null_mut(),
+        flags: xr::sys::SwapchainStateFoveationFlagsFB::EMPTY,
+        profile: high.as_raw(),
+    };
+    // SAFETY: the swapchain is alive, and the struct says what it is.
+    let update = |swapchain: &xr::Swapchain<xr::Vulkan>, state: &xr::sys::SwapchainStateFoveationFB| unsafe {
+        (states.update_swapchain)(swapchain.as_raw(), std::ptr::from_ref(state).cast())
+    };
+    assert_eq!(update(&plain, &state), Code::ERROR_VALIDATION_FAILURE);
+    state.profile = xr::sys::FoveationProfileFB::from_raw(12);
+    assert_eq!(update(&plain, &state), Code::ERROR_HANDLE_INVALID);
+    // SAFETY: no such profile: it is refused.
+    assert_eq!(unsafe { (profiles.destroy_foveation_profile)(state.profile) }, Code::ERROR_HANDLE_INVALID);
+    drop((high, plain));
+    drop(app);
+    let summary = read_summary(&run.captures()).expect("a summary");
+    assert_eq!((summary.foveation_level, summary.errors), (0, 4));
+}
+
+#[test]
 fn calls_out_of_order_are_refused_and_counted() {
     let run = Run::new(&virtual_config());
     let mut app = App::new();

@@ -33,10 +33,19 @@ pub fn converts_time(extensions: &mut xr::ExtensionSet) -> &mut bool {
 
 /// An instance of the runtime under test.
 pub fn create_instance(entry: &xr::Entry) -> xr::Result<xr::Instance> {
+    create_instance_with(entry, |_| ())
+}
+
+/// The same with more extensions.
+pub fn create_instance_with(
+    entry: &xr::Entry,
+    add: impl FnOnce(&mut xr::ExtensionSet),
+) -> xr::Result<xr::Instance> {
     let mut extensions = xr::ExtensionSet::default();
     extensions.khr_vulkan_enable2 = true;
     extensions.ext_performance_settings = true;
     *converts_time(&mut extensions) = true;
+    add(&mut extensions);
     let info = xr::ApplicationInfo {
         application_name: "mock runtime test",
         application_version: 1,
@@ -307,7 +316,21 @@ pub struct App {
 impl App {
     /// Creates everything up to the session, which has not begun.
     pub fn new() -> Self {
-        let instance = create_instance(&load()).expect("the runtime makes an instance");
+        Self::of_instance(create_instance(&load()).expect("the runtime makes an instance"))
+    }
+
+    /// The same with all that fixed foveation takes.
+    pub fn foveated() -> Self {
+        let instance = create_instance_with(&load(), |extensions| {
+            extensions.fb_foveation = true;
+            extensions.fb_foveation_configuration = true;
+            extensions.fb_swapchain_update_state = true;
+            extensions.fb_foveation_vulkan = true;
+        });
+        Self::of_instance(instance.expect("the runtime makes an instance"))
+    }
+
+    fn of_instance(instance: xr::Instance) -> Self {
         let system = instance.system(xr::FormFactor::HEAD_MOUNTED_DISPLAY).expect("a headset");
         instance.graphics_requirements::<xr::Vulkan>(system).expect("requirements");
         let gpu = Gpu::new(&instance, system);
