@@ -38,6 +38,9 @@ pub struct Bundler<P> {
     /// The update on display.
     current: Option<UpdateId>,
     revision: Revision,
+    /// Patch slots that have changed since they were taken, each once.
+    changed: Vec<PatchSlot>,
+    is_changed: Vec<bool>,
 }
 
 /// How often patches and coverage have changed: what was made of either is still right while its number is the same.
@@ -91,6 +94,8 @@ impl<P> Bundler<P> {
             applied: None,
             current: None,
             revision: Revision::default(),
+            changed: Vec::with_capacity(patch_slots as usize),
+            is_changed: vec![false; patch_slots as usize],
         }
     }
 
@@ -112,6 +117,12 @@ impl<P> Bundler<P> {
     /// How often both have changed.
     pub fn revision(&self) -> Revision {
         self.revision
+    }
+
+    /// Patch slots that have changed since this was asked last, each once, and what is in them.
+    pub fn take_changed(&mut self) -> (std::vec::Drain<'_, PatchSlot>, &Patches) {
+        self.changed.iter().for_each(|slot| self.is_changed[slot.index()] = false);
+        (self.changed.drain(..), &self.patches)
     }
 
     /// What cutouts among them leave of their blocks.
@@ -184,6 +195,13 @@ impl<P> Bundler<P> {
         self.applied = Some(changes.update);
         self.revision.patches += u64::from(changes.records() > 1);
         self.revision.coverage += u64::from(!changes.coverage.is_empty());
+        let new = changes.new.iter().map(|patch| patch.slot);
+        let placed = changes.placements.iter().map(|(slot, _)| *slot);
+        for slot in changes.evicted.iter().copied().chain(new).chain(placed) {
+            if !std::mem::replace(&mut self.is_changed[slot.index()], true) {
+                self.changed.push(slot);
+            }
+        }
         let applied = changes.apply_to(&mut self.patches, &mut self.coverage);
         applied.expect("the decoder has refused what contradicts the memory");
     }

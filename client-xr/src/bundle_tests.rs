@@ -2,10 +2,11 @@
 //! update.
 
 use super::*;
-use crate::draw_list::{DrawList, ListScratch, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
+use crate::draw_list::{DrawList, Drawable, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH, NewestList};
 use crate::motion::Motion;
 use crate::motion::pace::{GridTime, Pace, Span};
 use crate::motion::state::Motionless;
+use crate::stages::atlas_draw::BUNDLES;
 use crate::stages::interpolate::{Interpolation, Slots, push};
 use glam::Vec3;
 use shadecast_protocol::atlas::{BlockAddress, BlockSize, PatchKind};
@@ -198,20 +199,28 @@ impl Server {
     }
 }
 
+/// Of a list.
+const INDICES: u32 = PATCH_SLOTS * MAX_INDICES_PER_PATCH as u32;
+
 struct Bench {
     seed: u64,
     bundler: Bundler<u32>,
     motion: Motion,
-    scratch: ListScratch,
     memory: VertexMemory,
     /// The same memory, with positions at the times of display.
     moved: VertexMemory,
     pace: Pace,
     now: WorldTime,
     frozen_frames: usize,
+    /// Of the bundle on display.
     corners: Vec<CornerGpu>,
     indices: Vec<u32>,
     list: DrawList,
+    newest: NewestList,
+    /// The memory of bundles that are not on display.
+    others: Vec<(Vec<CornerGpu>, Vec<u32>)>,
+    /// Which bundle is on display.
+    bundle: usize,
     ready: GridIndex,
 }
 
@@ -223,7 +232,6 @@ impl Bench {
             seed,
             bundler: Bundler::new(PATCH_SLOTS, AtlasExtent::DEFAULT),
             motion: Motion::new(VERTEX_SLOTS, MotionMemory { sample_ring, ..MotionMemory::NONE }.into()),
-            scratch: ListScratch::new(PATCH_SLOTS),
             memory: VertexMemory::new(VERTEX_SLOTS, sample_ring),
             moved: VertexMemory::new(VERTEX_SLOTS, sample_ring),
             pace: Pace::default(),
@@ -231,7 +239,16 @@ impl Bench {
             frozen_frames: 0,
             corners: vec![bytemuck::Zeroable::zeroed(); PATCH_SLOTS as usize * MAX_CORNERS_PER_PATCH],
             indices: vec![0; PATCH_SLOTS as usize * MAX_INDICES_PER_PATCH],
-            list: DrawList::default(),
+            list: DrawList::of_capacity(PATCH_SLOTS),
+            newest: NewestList::new(PATCH_SLOTS, BUNDLES),
+            others: vec![
+                (
+                    vec![bytemuck::Zeroable::zeroed(); PATCH_SLOTS as usize * MAX_CORNERS_PER_PATCH],
+                    vec![0; PATCH_SLOTS as usize * MAX_INDICES_PER_PATCH]
+                );
+                BUNDLES
+            ],
+            bundle: 0,
             ready: GridIndex(i32::MIN),
         }
     }
@@ -255,8 +272,14 @@ impl Bench {
         let newest = complete.and_then(|complete| self.bundler.take_newest_complete(complete, |_| {}));
         if let Some((frame, picture)) = newest {
             assert_eq!(frame.0, picture, "seed {}: the picture of another frame", self.seed);
-            let (patches, memory) = (self.bundler.patches(), (&mut self.corners[..], &mut self.indices[..]));
-            self.list.write(patches, &mut self.motion, memory, &mut self.scratch);
+            let (changed, patches) = self.bundler.take_changed();
+            self.newest.update(patches, changed.as_slice(), &mut self.motion);
+            // Any bundle may be free: its memory is of some update before.
+            self.others[self.bundle] = (std::mem::take(&mut self.corners), std::mem::take(&mut self.indices));
+            self.bundle = (self.bundle + 1 + frame.0 as usize % 2) % BUNDLES;
+            (self.corners, self.indices) = std::mem::take(&mut self.others[self.bundle]);
+            self.newest.copy_to(self.bundle, (&mut self.corners, &mut self.indices));
+            self.list.copy(self.newest.list());
             self.ready = self.list.ready_at(GridIndex(grid));
         }
         assert_eq!(self.motion.take_contradiction(), None, "seed {}", self.seed);
@@ -289,12 +312,7 @@ impl Bench {
     #[track_caller]
     fn assert_whole(&self) {
         let step = GridTime::of(DEFAULT_GRID, self.pace.shown().expect("shown")).step;
-        let drawn = self
-            .list
-            .at(step)
-            .ranges()
-            .map(|[first, count]| &self.indices[first as usize..][..count as usize]);
-        for triangle in drawn.iter().flat_map(|indices| indices.chunks(3)) {
+        for triangle in self.triangles(self.list.at(step)) {
             let slots = [0, 1, 2].map(|i| self.corners[triangle[i] as usize].vertex_slot as usize);
             let positions = slots.map(|slot| self.moved.positions[slot]);
             let drawable = positions.iter().all(|p| p[3] > 0.0 && p.iter().all(|c| c.is_finite()));
@@ -306,32 +324,27 @@ impl Bench {
         }
     }
 
-    /// What the draw list shows, by what the vertex memory holds now.
-    fn seen(&self) -> Seen {
-        let mut seen = Seen::new();
-        let mut corner = 0;
-        while corner < self.list.corners as usize {
-            let first = self.corners[corner];
-            let count = self.patch_corners(corner as u32);
-            let slots = self.corners[corner..corner + count].iter().map(|c| c.vertex_slot);
-            let identities = slots.map(|slot| self.identity(slot)).collect();
-            seen.push((first.instance, identities, first.atlas_texel));
-            corner += count;
-        }
-        seen.sort_by(|a, b| a.partial_cmp(b).expect("finite"));
-        seen
+    /// The triangles of a part of the list, without those that stand for holes.
+    fn triangles(&self, drawn: Drawable) -> impl Iterator<Item = &[u32]> {
+        let ranges = drawn.ranges().map(|[first, count]| &self.indices[first as usize..][..count as usize]);
+        ranges.into_iter().flat_map(|indices| indices.chunks(3)).filter(|triangle| triangle[0] != triangle[1])
     }
 
-    /// Corners of the patch whose first corner is `first`: the next patch begins with the least corner that no triangle
-    /// shares with this one's.
-    fn patch_corners(&self, first: u32) -> usize {
-        let all = self.list.at(GridIndex(i32::MAX)).index_count() as usize;
-        let mut end = first + 1;
-        for triangle in self.indices[..all].chunks(3) {
-            let is_ours = triangle.iter().any(|index| (first..end).contains(index));
-            end = if is_ours { end.max(triangle.iter().max().expect("three") + 1) } else { end };
+    /// What the draw list shows, by what the vertex memory holds now.
+    fn seen(&self) -> Seen {
+        let mut ends = BTreeMap::<usize, usize>::new();
+        for index in self.triangles(self.list.at(GridIndex(i32::MAX))).flatten() {
+            let end = ends.entry(*index as usize / MAX_CORNERS_PER_PATCH).or_default();
+            *end = (*end).max(*index as usize + 1);
         }
-        (end - first) as usize
+        let of = |(slot, end): (usize, usize)| {
+            let corners = &self.corners[slot * MAX_CORNERS_PER_PATCH..end];
+            let identities = corners.iter().map(|corner| self.identity(corner.vertex_slot)).collect();
+            (corners[0].instance, identities, corners[0].atlas_texel)
+        };
+        let mut seen: Seen = ends.into_iter().map(of).collect();
+        seen.sort_by(|a, b| a.partial_cmp(b).expect("finite"));
+        seen
     }
 
     /// The identity that the vertex memory gives a slot.
@@ -528,7 +541,7 @@ fn corners_lie_in_the_blocks_lookup_rectangle_and_carry_slot_and_instance() {
     bench.bundler.add_picture(UpdateId(0), 0);
     bench.display(100, 1);
     let drawn = bench.list.at(GridIndex(1));
-    assert_eq!((bench.list.corners, drawn.index_count(), drawn.withheld_patches), (3, 3, 0));
+    assert_eq!((drawn.ranges(), drawn.withheld_patches), ([[0, 3], [INDICES, 0]], 0));
     let texels: Vec<_> = bench.corners[..3].iter().map(|corner| corner.atlas_texel).collect();
     assert_eq!(texels, [[9.0, 5.0], [15.0, 5.0], [9.0, 7.0]]);
     assert_eq!(bench.indices[..3], [0, 1, 2]);
@@ -584,9 +597,10 @@ fn cutouts_are_drawn_last_by_the_pipeline_that_discards() {
     bench.bundler.add_picture(UpdateId(0), 0);
     bench.display(100, 1);
     let drawn = bench.list.at(GridIndex(1));
-    assert_eq!((drawn.opaque, drawn.cutouts), (3, [3, 3]));
-    let masked: Vec<bool> = bench.corners[..6].iter().map(|c| c.block[0] & IS_MASKED != 0).collect();
-    assert_eq!(masked, [false, false, false, true, true, true]);
+    assert_eq!((drawn.opaque, drawn.cutouts), (3, [INDICES - 3, 3]));
+    let masked = |index: u32| bench.corners[bench.indices[index as usize] as usize].block[0] & IS_MASKED != 0;
+    assert_eq!([0, 1, 2].map(masked), [false; 3]);
+    assert_eq!([3, 2, 1].map(|back| masked(INDICES - back)), [true; 3]);
 }
 
 #[test]
@@ -627,7 +641,7 @@ fn a_patch_is_withheld_until_the_first_step_that_all_its_vertices_have() {
     bench.display(100, 3);
     let at = |step| {
         let drawn = bench.list.at(GridIndex(step));
-        (drawn.index_count(), drawn.withheld_patches)
+        (drawn.opaque, drawn.withheld_patches)
     };
     assert_eq!([at(4), at(5)], [(0, 1), (3, 0)]);
 }

@@ -1,7 +1,6 @@
 //! What the two halves of the client hand to each other: [`crate::intake`] prepares what arrives, [`crate::presenter`] shows it.
 //! Both may be on one thread, or each on its own: neither waits for the other, and what one cannot take yet waits here.
 
-use crate::bundle::Revision;
 use crate::display::Presses;
 use crate::draw_list::DrawList;
 use crate::motion::skinned::Drawn;
@@ -27,8 +26,8 @@ const CAPACITY: usize = 64;
 /// A bundle that is ready to be drawn: all of it is of one update.
 pub(crate) struct Bundle {
     pub(crate) memory: BundleMemory,
-    /// Of which patches and coverage its memory is; `None` before the first.
-    pub(crate) written: Option<Revision>,
+    /// Of which coverage its memory is; `None` before the first.
+    pub(crate) coverage: Option<u64>,
     pub(crate) list: DrawList,
     /// The skinned instances on the list.
     pub(crate) drawn: Vec<Drawn>,

@@ -15,6 +15,7 @@ mod figures;
 mod figures_panel;
 pub mod frame;
 mod handover;
+pub mod index_places;
 pub mod intake;
 mod link;
 mod locomotion;

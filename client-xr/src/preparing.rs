@@ -3,7 +3,7 @@
 
 use crate::bundle::Bundler;
 use crate::decode::Picture;
-use crate::draw_list::ListScratch;
+use crate::draw_list::NewestList;
 use crate::handover::{Bundle, Loan};
 use crate::motion::Motion;
 use crate::stages::atlas_draw::{BUNDLES, PictureWays};
@@ -30,7 +30,9 @@ pub(crate) struct Preparing {
     pub(crate) serial: u64,
     pub(crate) motion: Motion,
     bundler: Bundler<ArrivedPicture>,
-    list_scratch: ListScratch,
+    list: NewestList,
+    /// Of which patches the list is.
+    listed: Option<u64>,
     /// Memory that waits to be filled.
     batches: Vec<Box<Batch>>,
     bundles: Vec<Box<Bundle>>,
@@ -43,7 +45,8 @@ impl Preparing {
             serial,
             motion: Motion::new(terms.vertex_slots, terms.motion.into()),
             bundler: Bundler::new(terms.patch_slots, terms.atlas_extent_texels),
-            list_scratch: ListScratch::new(terms.patch_slots),
+            list: NewestList::new(terms.patch_slots, BUNDLES),
+            listed: None,
             batches: Vec::with_capacity(BATCHES),
             bundles: Vec::with_capacity(BUNDLES),
         }
@@ -121,24 +124,33 @@ impl Preparing {
                 recycle(Picture::FullChroma(planes));
             }
         }
-        let (written, revision) = (bundle.written.replace(self.bundler.revision()), self.bundler.revision());
-        if written.map(|written| written.coverage) != Some(revision.coverage) {
+        let coverage = self.bundler.revision().coverage;
+        if bundle.coverage.replace(coverage) != Some(coverage) {
             bundle.memory.coverage.write(0, bytemuck::cast_slice(self.bundler.coverage().words()));
         }
-        if written.map(|written| written.patches) != Some(revision.patches) || bundle.list.waits() {
-            self.write_list(&mut bundle);
-        }
+        self.update_list();
+        self.write_list(&mut bundle);
         bundle.state = self.motion.state();
         (bundle.update, bundle.picture_arrived) = (update, arrived);
         Ok(Some(Loan::Bundle(bundle)))
     }
 
-    /// What the patches draw. Where none of them has changed since this memory was written, the list there is the newest too.
+    /// The newest list, by what has changed of patches, and by the samples that have come for those that wait for some.
+    fn update_list(&mut self) {
+        let patches = Some(self.bundler.revision().patches);
+        if std::mem::replace(&mut self.listed, patches) != patches || self.list.list().waits() {
+            let (changed, patches) = self.bundler.take_changed();
+            self.list.update(patches, changed.as_slice(), &mut self.motion);
+        }
+    }
+
+    /// What the patches draw, as far as this memory differs from it.
     fn write_list(&mut self, bundle: &mut Bundle) {
         let Bundle { memory, list, drawn, .. } = bundle;
         let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(memory.corners.bytes_mut());
         let indices: &mut [u32] = bytemuck::cast_slice_mut(memory.indices.bytes_mut());
-        list.write(self.bundler.patches(), &mut self.motion, (corners, indices), &mut self.list_scratch);
+        self.list.copy_to(memory.index, (corners, indices));
+        list.copy(self.list.list());
         drawn.clear();
         drawn.extend_from_slice(self.motion.drawn());
     }

@@ -100,7 +100,7 @@ impl Scene {
             sets.push(stages.atlas.bundle_set(gpu, &mut recorder, &bundle, extent, &memory, eyes)?);
             loans.push(Loan::Bundle(Box::new(Bundle {
                 memory: bundle,
-                written: None,
+                coverage: None,
                 list: DrawList::of_capacity(terms.patch_slots),
                 drawn: Vec::with_capacity(MAX_INSTANCES as usize),
                 state: MotionState::default(),
@@ -286,7 +286,8 @@ impl Scene {
         let ranges = drawn.ranges().into_iter();
         let triangles =
             ranges.flat_map(|[first, count]| indices[first as usize..][..count as usize].chunks_exact(3));
-        triangles.map(|t| [t[0], t[1], t[2]].map(|c| corners[c as usize].vertex_slot)).collect()
+        let whole = triangles.filter(|t| t[0] != t[1]);
+        whole.map(|t| [t[0], t[1], t[2]].map(|c| corners[c as usize].vertex_slot)).collect()
     }
 
     /// Positions and states of all vertex slots as the last display frame left them. Waits for the GPU; for tests.

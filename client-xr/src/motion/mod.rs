@@ -48,9 +48,8 @@ pub struct Motion {
     used: Vec<u32>,
     /// The same with predictions.
     predicted: Vec<u32>,
-    /// Of each vertex slot, the draw list that last used it.
-    used_by: Vec<u32>,
-    draw_lists: u32,
+    /// Of each vertex slot, how the draw list uses it.
+    uses: Vec<Use>,
     /// The first step at which the list can be evaluated, where samples of a vertex of it have had a gap.
     first: GridIndex,
     /// How far samples and predictions of the list reach, unless that is out of date.
@@ -79,7 +78,28 @@ enum Mover {
     Predictions(WorldTime),
 }
 
-/// Notes which vertices a draw list uses.
+/// How the draw list uses a vertex.
+#[derive(Clone, Copy, Debug, Default)]
+struct Use {
+    /// Patches that have it.
+    patches: u32,
+    counted: Counted,
+}
+
+/// Where a vertex of the draw list is counted.
+#[derive(Clone, Copy, Debug, Default)]
+enum Counted {
+    #[default]
+    Nowhere,
+    /// In the list of those with samples: its place.
+    Samples(u32),
+    /// The same with predictions.
+    Predictions(u32),
+    /// Among those of its instance.
+    Instance(InstanceId),
+}
+
+/// Notes which vertices the draw list uses.
 pub struct Users<'a>(&'a mut Motion);
 
 impl Availability {
@@ -121,8 +141,7 @@ impl Motion {
             drawn: DrawnInstances::default(),
             used: Vec::with_capacity(vertex_slots as usize),
             predicted: Vec::with_capacity(vertex_slots as usize),
-            used_by: vec![0; vertex_slots as usize],
-            draw_lists: 0,
+            uses: vec![Use::default(); vertex_slots as usize],
             first: GridIndex(i32::MIN),
             ends: None,
             contradiction: None,
@@ -290,15 +309,18 @@ impl Motion {
 
     /// True where the draw list on display uses the slot.
     fn is_on_display(&self, slot: VertexSlot) -> bool {
-        self.draw_lists > 0 && self.used_by[slot.index()] == self.draw_lists
+        self.uses[slot.index()].patches > 0
     }
 
-    /// A draw list comes on display.
-    pub fn begin_list(&mut self) -> Users<'_> {
-        self.draw_lists += 1;
-        self.used.clear();
-        self.predicted.clear();
-        self.drawn.clear();
+    /// The first step at which all of these vertices can be evaluated.
+    pub fn ready(&self, vertices: &[VertexSlot]) -> GridIndex {
+        let all = vertices.iter().map(|slot| self.vertices[slot.index()]);
+        let sampled = all.filter(|vertex| matches!(vertex.moved_by, Mover::Samples));
+        sampled.map(|vertex| vertex.first).max().unwrap_or(GridIndex(i32::MIN))
+    }
+
+    /// The draw list changes.
+    pub fn users(&mut self) -> Users<'_> {
         Users(self)
     }
 
@@ -333,30 +355,69 @@ impl Motion {
 
 impl Users<'_> {
     /// A patch with these vertices is on the list. Gives the first step at which all of them can be evaluated.
-    pub fn note(&mut self, vertices: &[VertexSlot]) -> GridIndex {
-        let motion = &mut *self.0;
-        let mut ready = GridIndex(i32::MIN);
+    pub fn add(&mut self, vertices: &[VertexSlot]) -> GridIndex {
         for slot in vertices {
-            let vertex = motion.vertices[slot.index()];
-            let list = std::mem::replace(&mut motion.used_by[slot.index()], motion.draw_lists);
-            let is_new = list != motion.draw_lists;
-            match vertex.moved_by {
-                Mover::Skeleton(instance) if is_new => motion.drawn.note_vertex(instance),
-                Mover::Predictions(_) if is_new => motion.predicted.push(slot.0),
-                Mover::Samples => {
-                    ready = ready.max(vertex.first);
-                    motion.used.extend(is_new.then_some(slot.0));
+            let motion = &mut *self.0;
+            let of = &mut motion.uses[slot.index()];
+            of.patches += 1;
+            if of.patches > 1 {
+                continue;
+            }
+            of.counted = match motion.vertices[slot.index()].moved_by {
+                Mover::Nothing => Counted::Nowhere,
+                Mover::Skeleton(instance) => {
+                    motion.drawn.add_vertex(instance);
+                    Counted::Instance(instance)
                 }
-                _ => {}
+                Mover::Predictions(_) => Counted::Predictions(place_last(&mut motion.predicted, *slot)),
+                Mover::Samples => Counted::Samples(place_last(&mut motion.used, *slot)),
+            };
+        }
+        self.ready(vertices)
+    }
+
+    /// A patch with these vertices, which was on the list, is not any more.
+    pub fn remove(&mut self, vertices: &[VertexSlot]) {
+        let Motion { uses, used, predicted, drawn, .. } = &mut *self.0;
+        for slot in vertices {
+            let of = &mut uses[slot.index()];
+            of.patches -= 1;
+            if of.patches > 0 {
+                continue;
+            }
+            let (list, place) = match std::mem::take(&mut of.counted) {
+                Counted::Nowhere => continue,
+                Counted::Instance(instance) => {
+                    drawn.remove_vertex(instance);
+                    continue;
+                }
+                Counted::Samples(place) => (&mut *used, place),
+                Counted::Predictions(place) => (&mut *predicted, place),
+            };
+            list.swap_remove(place as usize);
+            // The last has its place now.
+            if let Some(moved) = list.get(place as usize)
+                && let Counted::Samples(at) | Counted::Predictions(at) = &mut uses[*moved as usize].counted
+            {
+                *at = place;
             }
         }
-        ready
+    }
+
+    /// As [`Motion::ready`].
+    pub fn ready(&self, vertices: &[VertexSlot]) -> GridIndex {
+        self.0.ready(vertices)
     }
 
     /// The list is complete.
     pub fn end(self) {
         (self.0.first, self.0.ends) = (GridIndex(i32::MIN), None);
     }
+}
+
+fn place_last(list: &mut Vec<u32>, slot: VertexSlot) -> u32 {
+    list.push(slot.0);
+    list.len() as u32 - 1
 }
 
 #[cfg(test)]
@@ -438,12 +499,20 @@ mod tests {
     #[test]
     fn vertices_of_an_instance_count_once_however_many_patches_share_them() {
         let mut motion = with_skinned();
+        let patches = [[0, 1, 2], [1, 2, 3]].map(|patch| patch.map(VertexSlot));
         for _ in 0..2 {
-            let mut users = motion.begin_list();
-            let first = [[0, 1, 2], [1, 2, 3]].map(|patch| users.note(&patch.map(VertexSlot)));
+            let mut users = motion.users();
+            let first = patches.map(|patch| users.add(&patch));
             users.end();
             assert_eq!(first, [GridIndex(i32::MIN); 2], "they wait for no samples");
             assert_eq!(motion.drawn(), [Drawn { instance: InstanceId(3), vertices: 4 }]);
+        }
+        for (patch, left) in [(0, 4), (1, 4), (0, 3), (1, 0)] {
+            let mut users = motion.users();
+            users.remove(&patches[patch]);
+            users.end();
+            let vertices = motion.drawn().iter().map(|drawn| drawn.vertices).sum::<u32>();
+            assert_eq!(vertices, left, "{:?}", motion.drawn());
         }
         assert_eq!(motion.state().motionless(DEFAULT_GRID, WorldTime(i64::MAX)), Motionless::default());
     }
@@ -458,8 +527,8 @@ mod tests {
     #[test]
     fn a_skinned_slot_that_is_given_anew_while_it_is_seen_is_a_contradiction() {
         let mut motion = with_skinned();
-        let mut users = motion.begin_list();
-        users.note(&[0, 1, 2].map(VertexSlot));
+        let mut users = motion.users();
+        users.add(&[0, 1, 2].map(VertexSlot));
         users.end();
         motion.enter_skinned(VertexSlot(3), InstanceId(3), RestId(0)).expect("known");
         assert_eq!(motion.take_contradiction(), None);
@@ -515,8 +584,8 @@ mod tests {
     #[test]
     fn vertices_past_their_last_prediction_are_counted_as_frozen() {
         let mut motion = with_predicted();
-        let mut users = motion.begin_list();
-        let ready = users.note(&[0, 1, 0].map(VertexSlot));
+        let mut users = motion.users();
+        let ready = users.add(&[0, 1, 0].map(VertexSlot));
         users.end();
         assert_eq!(ready, GridIndex(i32::MIN), "they wait for no samples");
         let frozen =
@@ -526,7 +595,9 @@ mod tests {
         motion.take(UpdateId(1), &[], Vec::new(), false);
         motion.predict(UpdateId(1), WorldTime(1050 * MS), &[predicted_vertex(0)]);
         assert_eq!([1089, 1091, 1139, 1141].map(|ms| frozen(&mut motion, ms)), [0, 1, 1, 2]);
-        motion.begin_list().end();
+        let mut users = motion.users();
+        users.remove(&[0, 1, 0].map(VertexSlot));
+        users.end();
         assert_eq!(frozen(&mut motion, 5000), 0, "nobody sees them");
     }
 }

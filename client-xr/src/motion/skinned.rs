@@ -232,13 +232,8 @@ impl From<MotionMemory> for SkinCapacity {
 }
 
 impl DrawnInstances {
-    /// Of a new draw list.
-    pub fn clear(&mut self) {
-        self.drawn.clear();
-    }
-
     /// The list draws one more vertex of the instance.
-    pub fn note_vertex(&mut self, instance: InstanceId) {
+    pub fn add_vertex(&mut self, instance: InstanceId) {
         if self.places.len() <= instance.index() {
             self.places.resize(instance.index() + 1, 0);
         }
@@ -249,6 +244,19 @@ impl DrawnInstances {
                 *place = self.drawn.len() as u32;
                 self.drawn.push(Drawn { instance, vertices: 1 });
             }
+        }
+    }
+
+    /// The list draws a vertex less of an instance that is in it.
+    pub fn remove_vertex(&mut self, instance: InstanceId) {
+        let place = self.places[instance.index()] as usize;
+        self.drawn[place].vertices -= 1;
+        if self.drawn[place].vertices > 0 {
+            return;
+        }
+        self.drawn.swap_remove(place);
+        if let Some(moved) = self.drawn.get(place) {
+            self.places[moved.instance.index()] = place as u32;
         }
     }
 

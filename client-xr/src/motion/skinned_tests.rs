@@ -336,12 +336,13 @@ fn a_step_that_took_the_place_of_another_is_not_taken_for_it() {
 fn a_draw_list_has_each_instance_once_with_its_vertices() {
     let mut drawn = DrawnInstances::default();
     for list in [[5, 0, 5, 9, 0, 5], [0, 0, 9, 9, 5, 0]] {
-        drawn.clear();
-        list.iter().for_each(|id| drawn.note_vertex(InstanceId(*id)));
+        list.iter().for_each(|id| drawn.add_vertex(InstanceId(*id)));
         for id in [0, 5, 9] {
             let expected = list.iter().filter(|other| **other == id).count() as u32;
             let found: Vec<_> = drawn.all().iter().filter(|drawn| drawn.instance.0 == id).collect();
             assert_eq!(found, [&Drawn { instance: InstanceId(id), vertices: expected }]);
         }
+        list.iter().for_each(|id| drawn.remove_vertex(InstanceId(*id)));
+        assert!(drawn.all().is_empty(), "{:?}", drawn.all());
     }
 }

@@ -116,7 +116,7 @@ fn write(motion: &mut Motion) -> Vec<u8> {
 fn pose(motion: &mut Motion) -> (PlacedPoseGpu, SkinnedCounts) {
     write(motion);
     let mut drawn = DrawnInstances::default();
-    drawn.note_vertex(FOX);
+    drawn.add_vertex(FOX);
     motion.drawn = drawn;
     let mut out = [bytemuck::Zeroable::zeroed()];
     let moment = Moment { time: WorldTime(100_000_000), grid: DEFAULT_GRID, written: motion.arena.written() };
@@ -236,7 +236,7 @@ fn vertices_that_enter_do_not_withhold_those_that_are_seen() {
     assert_eq!(evaluated_from(&mut motion), Some(100));
     motion.take_delta(&mut vertex(1, 0, 500, 200));
     let mut drawn = DrawnInstances::default();
-    drawn.note_vertex(FOX);
+    drawn.add_vertex(FOX);
     motion.drawn = drawn;
     let moment = Moment { time: WorldTime(0), grid: DEFAULT_GRID, written: motion.arena.written() };
     let counts = motion.skinned.poses(moment, motion.drawn.all(), &mut [bytemuck::Zeroable::zeroed()]);

@@ -344,10 +344,10 @@ impl Bench {
             }
         }
         self.motion.take(UpdateId(0), &[], Vec::new(), true);
-        let mut users = self.motion.begin_list();
+        let mut users = self.motion.users();
         let count = of_instances.iter().map(|rests| rests.len() as u32).sum();
         (0..count).for_each(|slot| {
-            users.note(&[VertexSlot(slot)]);
+            users.add(&[VertexSlot(slot)]);
         });
         users.end();
     }

@@ -56,6 +56,8 @@ pub fn check(script: &[u8]) -> usize {
 /// What moves vertices, and the memory that a GPU would have of it.
 struct Moved {
     motion: Motion,
+    /// All vertices that the list uses.
+    used: Vec<VertexSlot>,
     capacity: SkinCapacity,
     grid: Grid,
     arena: Vec<[u32; 4]>,
@@ -69,6 +71,7 @@ impl Moved {
         let capacity = SkinCapacity::from(welcome.motion);
         Self {
             motion: Motion::new(welcome.vertex_slots, capacity),
+            used: Vec::new(),
             capacity,
             grid: welcome.grid,
             arena: vec![[0; 4]; capacity.arena_words as usize],
@@ -95,8 +98,10 @@ impl Moved {
         let time = self.motion.world_clock().world_time(time);
         let state = self.motion.state();
         let slots: Vec<_> = (0..state.vertex_count).map(VertexSlot).collect();
-        let mut users = self.motion.begin_list();
-        users.note(&slots);
+        let before = std::mem::replace(&mut self.used, slots);
+        let mut users = self.motion.users();
+        users.remove(&before);
+        users.add(&self.used);
         users.end();
         self.motion.state().motionless(self.grid, time);
         let moment = Moment { time, grid: self.grid, written: state.written };
