@@ -109,11 +109,6 @@ impl<P> Bundler<P> {
         self.current
     }
 
-    /// The patches on display.
-    pub fn patches(&self) -> &Patches {
-        &self.patches
-    }
-
     /// How often both have changed.
     pub fn revision(&self) -> Revision {
         self.revision

@@ -16,12 +16,15 @@ use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::limits::{MAX_NEW_SAMPLE_GRIDS, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Codec, Environment, HeadState, ResumeSecret, ServerOffer};
 use shadecast_protocol::motion::SampleBatch;
+use shadecast_protocol::motion::message::{MotionMessage, MotionNews};
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::Pose;
-use shadecast_protocol::session::{DeltaSender, Out, ServerEvent, ServerSession, picture_stream};
+use shadecast_protocol::session::{
+    DeltaSender, Out, ServerEvent, ServerSession, motion_stream, picture_stream,
+};
 use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, GridIndex, ServerTime, WorldTime};
 use shadecast_protocol::wire::{PictureHeader, StreamMessage, parse_stream};
-use shadecast_protocol::world_clock::{Steer, Steering};
+use shadecast_protocol::world_clock::{Steer, Steering, WorldClock};
 use shadecast_test_support::peers::offer;
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -403,6 +406,8 @@ struct Line {
     streams: VecDeque<Out>,
     frames: i64,
     events: Vec<ServerEvent>,
+    /// How the world's time goes on.
+    world: WorldClock,
     /// How often the client allocated in each turn, and how many messages left it.
     allocations: Vec<[u64; 2]>,
     /// Streams whose frame and kind this names are lost: what the client gets is a reset.
@@ -435,6 +440,7 @@ impl Line {
             streams: VecDeque::new(),
             frames: 0,
             events: Vec::new(),
+            world: WorldClock::default(),
             allocations: Vec::new(),
             lost_pictures: Vec::new(),
             ahead_ns,
@@ -1369,17 +1375,35 @@ fn random_script(rng: &mut SmallRng, frames: u64) -> (Vec<ScriptedEvent>, Vec<Sc
             _ => EventKind::InstanceLoss,
         };
         events.push(ScriptedEvent { frame, kind });
-        let path = ["left/input/thumbstick/x", "left/input/thumbstick/y", "right/input/thumbstick/x"];
-        let path = format!("/user/hand/{}", path[rng.random_range(0..path.len())]);
-        inputs.push(ScriptedInput { frame, path, value: rng.random_range(-1.0..1.0) });
+        let paths = ["left/input/thumbstick/x", "left/input/thumbstick/y", "right/input/thumbstick/x"];
+        let pulls = ["left/input/trigger/value", "right/input/trigger/value", "right/input/a/click"];
+        let (path, value) = match rng.random_range(0..6) {
+            pull @ 0..3 => (pulls[pull], f32::from(u8::from(rng.random::<bool>()))),
+            stick => (paths[stick - 3], rng.random_range(-1.0..1.0)),
+        };
+        inputs.push(ScriptedInput { frame, path: format!("/user/hand/{path}"), value });
         frame += rng.random_range(3..30);
     }
     (events, inputs)
 }
 
-/// Updates for a client: the two squares, and then one or the other colour of theirs; now and then a picture is lost.
+/// Updates for a client: the two squares, and then one or the other colour of theirs; now and then a picture is lost. The world is
+/// halted and goes on as the client wants, at once, so that it always hears of it too late.
 fn random_update(line: &mut Line, rng: &mut SmallRng, update: u32) {
-    let is_asked = line.events.drain(..).any(|event| matches!(event, ServerEvent::RefreshRequest { .. }));
+    let (mut is_asked, mut clock) = (false, None);
+    for event in line.events.drain(..) {
+        is_asked |= matches!(event, ServerEvent::RefreshRequest { .. });
+        if let ServerEvent::Steer(wanted) = event {
+            let now = ServerTime(1_000_000_000 + line.frames * PERIOD_NS + line.ahead_ns);
+            line.world.forget_before(now.plus_ns(-1_000_000_000));
+            line.world.steer(wanted, now);
+            clock = Some(Box::new(line.world));
+        }
+    }
+    if let Some(clock) = clock {
+        let message = MotionMessage { sequence: update, news: MotionNews::Clock(clock) };
+        line.streams.push_back(motion_stream(&message, None));
+    }
     let geometry = match update {
         0 => static_patches(),
         _ => GeometryDelta {
