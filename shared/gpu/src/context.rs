@@ -110,7 +110,9 @@ impl Gpu {
         let (queue_family, queues) = queue_family(&instance, physical)?;
         let is_server = options.needs == Needs::Server;
         let queues = if is_server { queues.min(LANES as u32) } else { 1 };
-        let device = create_device(&instance, physical, (queue_family, queues), options, source)?;
+        let takes_density_maps = source.wants_density_maps() && has_density_maps(&instance, physical);
+        let family = (queue_family, queues);
+        let device = create_device(&instance, physical, family, takes_density_maps, options, source)?;
         let lanes = Lanes::new(&device, queue_family, queues, is_server)?;
         let allocator = Allocator::new(&AllocatorCreateDesc {
             instance: instance.clone(),
@@ -133,7 +135,7 @@ impl Gpu {
             garbage: Mutex::default(),
             timings: Mutex::default(),
             properties,
-            takes_density_maps: source.wants_density_maps() && has_density_maps(&instance, physical),
+            takes_density_maps,
             numbers_triangles: options.needs == Needs::Server && has_geometry_shader(&instance, physical),
             physical,
             messenger,
@@ -442,6 +444,7 @@ fn create_device(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,
     (queue_family, queues): (u32, u32),
+    takes_density_maps: bool,
     options: &GpuOptions,
     source: &dyn DeviceSource,
 ) -> Result<ash::Device, GpuError> {
@@ -482,7 +485,7 @@ fn create_device(
             extensions.extend(PICTURE_EXTENSIONS.map(CStr::as_ptr));
         }
     }
-    if source.wants_density_maps() && has_density_maps(instance, physical) {
+    if takes_density_maps {
         info = info.push_next(&mut density_maps);
         extensions.push(DENSITY_MAP_EXTENSION.as_ptr());
     }

@@ -31,20 +31,28 @@ pub struct Grid {
 /// 33.3 ms: three samples cover the paper's 100 ms.
 pub const DEFAULT_GRID: Grid = Grid { spacing_ns: 33_333_333 };
 
+macro_rules! points_in_time {
+    ($($name:ident),*) => {
+        $(impl $name {
+            /// This time, moved by `ns` nanoseconds.
+            pub fn plus_ns(self, ns: i64) -> Self {
+                Self(self.0.saturating_add(ns))
+            }
+
+            /// Nanoseconds from `earlier` to this time; negative when `earlier` is later.
+            pub fn since(self, earlier: Self) -> i64 {
+                self.0.saturating_sub(earlier.0)
+            }
+        })*
+    };
+}
+
+points_in_time!(ServerTime, WorldTime, ClientTime);
+
 impl ServerTime {
     /// Seconds since the session's start.
     pub fn seconds(self) -> f64 {
         self.0 as f64 * 1e-9
-    }
-
-    /// This time, moved by `ns` nanoseconds.
-    pub fn plus_ns(self, ns: i64) -> Self {
-        Self(self.0.saturating_add(ns))
-    }
-
-    /// Nanoseconds from `earlier` to this time; negative when `earlier` is later.
-    pub fn since(self, earlier: Self) -> i64 {
-        self.0.saturating_sub(earlier.0)
     }
 }
 
@@ -52,28 +60,6 @@ impl WorldTime {
     /// Seconds since the scene's start.
     pub fn seconds(self) -> f64 {
         self.0 as f64 * 1e-9
-    }
-
-    /// This time, moved by `ns` nanoseconds.
-    pub fn plus_ns(self, ns: i64) -> Self {
-        Self(self.0.saturating_add(ns))
-    }
-
-    /// Nanoseconds from `earlier` to this time; negative when `earlier` is later.
-    pub fn since(self, earlier: Self) -> i64 {
-        self.0.saturating_sub(earlier.0)
-    }
-}
-
-impl ClientTime {
-    /// This time, moved by `ns` nanoseconds.
-    pub fn plus_ns(self, ns: i64) -> Self {
-        Self(self.0.saturating_add(ns))
-    }
-
-    /// Nanoseconds from `earlier` to this time; negative when `earlier` is later.
-    pub fn since(self, earlier: Self) -> i64 {
-        self.0.saturating_sub(earlier.0)
     }
 }
 

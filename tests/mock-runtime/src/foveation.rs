@@ -4,7 +4,7 @@
 
 use crate::fault::{Fault, Outcome};
 use crate::ffi::{self, entry};
-use crate::runtime;
+use crate::runtime::{self, Extensions};
 use crate::swapchain::swapchain_of;
 use ash::vk;
 use openxr_sys as xr;
@@ -32,11 +32,11 @@ fn refused<T>(message: impl Into<String>) -> Outcome<T> {
     Err(Fault::application(xr::Result::ERROR_VALIDATION_FAILURE, message))
 }
 
-/// The level of a profile's creation; none without one.
-fn level(info: &xr::FoveationProfileCreateInfoFB) -> Outcome<i32> {
+/// The level of a profile's creation; none without one, or without the extension that has levels.
+fn level(info: &xr::FoveationProfileCreateInfoFB, extensions: Extensions) -> Outcome<i32> {
     // SAFETY: the chain is the application's, of valid structures.
-    let Some(level) = (unsafe { ffi::chained_input::<xr::FoveationLevelProfileCreateInfoFB>(info.next) })
-    else {
+    let level = unsafe { ffi::chained_input::<xr::FoveationLevelProfileCreateInfoFB>(info.next) };
+    let Some(level) = level.filter(|_| extensions.foveation_configuration) else {
         return Ok(xr::FoveationLevelFB::NONE.into_raw());
     };
     if !LEVELS.contains(&level.level) {
@@ -57,8 +57,8 @@ entry! {
     ) {
         let mut runtime = runtime::lock();
         let handle = runtime.new_handle();
-        let (_, session) = runtime.session(session)?;
-        session.foveation_profiles.insert(handle, level(create_info)?);
+        let (core, session) = runtime.session(session)?;
+        session.foveation_profiles.insert(handle, level(create_info, core.extensions)?);
         *profile = xr::FoveationProfileFB::from_raw(handle);
         Ok(xr::Result::SUCCESS)
     }

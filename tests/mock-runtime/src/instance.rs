@@ -71,9 +71,9 @@ entry! {
             let message = "the runtime has no layers; ask with a null layer name";
             return Err(Fault::application(xr::Result::ERROR_API_LAYER_NOT_PRESENT, message));
         }
-        let hidden = hidden_extensions();
+        let (offered, hidden) = extensions();
         let is_shown = |(name, _): &&(&'static [u8], u32)| !hidden.iter().any(|hidden| hidden == text_of(name));
-        let shown: Vec<_> = offered().filter(is_shown).collect();
+        let shown: Vec<_> = offered.iter().filter(is_shown).collect();
         // SAFETY: count and properties are the caller's, of the capacity it says.
         unsafe {
             ffi::enumerate((capacity, count, properties), &shown, |slot, (name, version)| {
@@ -115,13 +115,13 @@ fn enabled_extensions(create_info: &xr::InstanceCreateInfo) -> Outcome<Extension
             "enabledExtensionNames",
         )
     }?;
-    let hidden = hidden_extensions();
+    let (offered, hidden) = extensions();
     let mut enabled = Extensions::default();
     for name in names {
         // SAFETY: each name is a zero-terminated string of the application's.
         let name = unsafe { ffi::text(*name, "an extension name") }?;
         match name {
-            name if !offered().any(|(offered, _)| text_of(offered) == name) => {
+            name if !offered.iter().any(|(offered, _)| text_of(offered) == name) => {
                 let message = format!("the mock runtime has no extension {name}");
                 return Err(Fault::application(xr::Result::ERROR_EXTENSION_NOT_PRESENT, message));
             }
@@ -156,18 +156,12 @@ fn check_application(info: &xr::ApplicationInfo) -> Outcome<()> {
     Ok(())
 }
 
-/// All extensions, those that are hidden too.
-fn offered() -> impl Iterator<Item = &'static (&'static [u8], u32)> {
-    let config = MockConfig::from_environment(std::env::var_os(CONFIG_VARIABLE));
-    let has_foveation = config.is_ok_and(|config| config.foveation);
-    let foveation = if has_foveation { &FOVEATION_EXTENSIONS[..] } else { &[] };
-    EXTENSIONS.iter().chain(foveation)
-}
-
-/// A configuration that cannot be read hides nothing: `xrCreateInstance` says what is wrong with it.
-fn hidden_extensions() -> Vec<String> {
-    let config = MockConfig::from_environment(std::env::var_os(CONFIG_VARIABLE));
-    config.map_or(Vec::new(), |config| config.hidden_extensions)
+/// All extensions of this run, and those of them that are hidden. A configuration that cannot be read changes none:
+/// `xrCreateInstance` says what is wrong with it.
+fn extensions() -> (Vec<(&'static [u8], u32)>, Vec<String>) {
+    let config = MockConfig::from_environment(std::env::var_os(CONFIG_VARIABLE)).unwrap_or_default();
+    let foveation = if config.foveation { &FOVEATION_EXTENSIONS[..] } else { &[] };
+    (EXTENSIONS.iter().chain(foveation).copied().collect(), config.hidden_extensions)
 }
 
 fn load_configuration() -> Result<(MockConfig, HeadPath), ConfigError> {

@@ -4,8 +4,8 @@
 //! so the application under test is the one that ships. It exports `xrNegotiateLoaderRuntimeInterface` and offers
 //! OpenXR 1.0 with `XR_KHR_vulkan_enable2`, `XR_KHR_convert_timespec_time` (on Windows
 //! `XR_KHR_win32_convert_performance_counter_time`), `XR_FB_display_refresh_rate`, `XR_EXT_performance_settings` and
-//! `XR_EXT_debug_utils`, and fixed foveation where the configuration says so: one stereo headset, with controllers where the configuration names some. `docs/mock.md` tells other
-//! projects how to use it.
+//! `XR_EXT_debug_utils`, and fixed foveation where the configuration says so: one stereo headset, with controllers where the
+//! configuration names some. `docs/mock.md` tells other projects how to use it.
 //!
 //! One run is described by a [`config::MockConfig`] in the file that the environment variable `SHADECAST_MOCK_CONFIG`
 //! names: how large and wide the eyes see, where the head goes ([`head_path`]), how time passes ([`clock`]), what
