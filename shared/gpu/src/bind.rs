@@ -99,14 +99,14 @@ impl Layout {
         let ranges = [vk::PushConstantRange { stage_flags: push_stages, offset: 0, size: push_bytes }];
         // SAFETY: the device is alive; all that the create infos point to lives through the calls.
         let (set_layout, handle) = unsafe {
-            let set_layout = gpu.device.create_descriptor_set_layout(&info, None);
+            let set_layout = gpu.device().create_descriptor_set_layout(&info, None);
             let set_layout = set_layout.doing("creating a descriptor set layout")?;
             let sets = [set_layout];
             let mut info = vk::PipelineLayoutCreateInfo::default().set_layouts(&sets);
             if push_bytes > 0 {
                 info = info.push_constant_ranges(&ranges);
             }
-            let handle = gpu.device.create_pipeline_layout(&info, None);
+            let handle = gpu.device().create_pipeline_layout(&info, None);
             (set_layout, handle.doing("creating a pipeline layout")?)
         };
         let name = shaders.last().map_or("", |s| s.name);
@@ -191,10 +191,11 @@ impl BindGroup {
         let info = vk::DescriptorPoolCreateInfo::default().max_sets(1).pool_sizes(&sizes);
         // SAFETY: the pool holds exactly one set of this layout.
         let (pool, set) = unsafe {
-            let pool = gpu.device.create_descriptor_pool(&info, None).doing("creating a descriptor pool")?;
+            let pool =
+                gpu.device().create_descriptor_pool(&info, None).doing("creating a descriptor pool")?;
             let layouts = [layout.set_layout];
             let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(pool).set_layouts(&layouts);
-            let sets = gpu.device.allocate_descriptor_sets(&info).doing("allocating a descriptor set")?;
+            let sets = gpu.device().allocate_descriptor_sets(&info).doing("allocating a descriptor set")?;
             (pool, sets[0])
         };
         let group = Self { gpu: gpu.clone(), pool, set };
@@ -221,7 +222,7 @@ impl BindGroup {
             .descriptor_type(descriptor_type(binding.kind))
             .image_info(&infos);
         // SAFETY: no submitted work uses the set; the picture is alive.
-        unsafe { self.gpu.device.update_descriptor_sets(&[write], &[]) };
+        unsafe { self.gpu.device().update_descriptor_sets(&[write], &[]) };
     }
 
     fn write(&self, binding: &Binding, bind: &Bind<'_>) {
@@ -260,7 +261,7 @@ impl BindGroup {
         // Each setter sets the count, so only one may be called.
         let write = if images.is_empty() { write.buffer_info(&buffers) } else { write.image_info(&images) };
         // SAFETY: no submitted work uses the set; the resources are alive.
-        unsafe { self.gpu.device.update_descriptor_sets(&[write], &[]) };
+        unsafe { self.gpu.device().update_descriptor_sets(&[write], &[]) };
     }
 }
 

@@ -5,7 +5,9 @@ use crate::devices::{
     has_density_maps, has_geometry_shader, missing, name_of,
 };
 use crate::lanes::{LANES, Lanes};
+use crate::lock::{self, Lock};
 use crate::memory::Garbage;
+use crate::pending::Pending;
 use crate::recorder::CommandSlot;
 use crate::timings::KeptTimings;
 use crate::{Doing, GpuError};
@@ -13,7 +15,7 @@ use ash::{ext, vk};
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 use std::collections::VecDeque;
 use std::ffi::{CStr, c_char, c_void};
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
@@ -61,16 +63,16 @@ pub struct DesktopDevice;
 
 /// A device, opened. Cloned as `Arc`; every object keeps it alive.
 pub struct Gpu {
-    pub(crate) device: ash::Device,
+    device: ash::Device,
     pub(crate) allocator: Mutex<Option<Allocator>>,
     pub(crate) lanes: Lanes,
     pub(crate) queue_family: u32,
-    pub(crate) idle_slots: Mutex<Vec<CommandSlot>>,
-    pub(crate) busy_slots: Mutex<VecDeque<CommandSlot>>,
-    pub(crate) submitted: AtomicU64,
-    pub(crate) completed: AtomicU64,
-    pub(crate) garbage: Mutex<VecDeque<(u64, Garbage)>>,
-    pub(crate) timings: Mutex<KeptTimings>,
+    pub(crate) idle_slots: Lock<Vec<CommandSlot>>,
+    pub(crate) pending: Pending<CommandSlot>,
+    pub(crate) garbage: Lock<VecDeque<(u64, Garbage)>>,
+    /// Somebody else destroys what was retired, not whoever records next.
+    pub(crate) leaves_retired: AtomicBool,
+    pub(crate) timings: Lock<KeptTimings>,
     pub(crate) properties: vk::PhysicalDeviceProperties,
     numbers_triangles: bool,
     takes_density_maps: bool,
@@ -128,12 +130,11 @@ impl Gpu {
             allocator: Mutex::new(Some(allocator)),
             lanes,
             queue_family,
-            idle_slots: Mutex::default(),
-            busy_slots: Mutex::default(),
-            submitted: AtomicU64::new(0),
-            completed: AtomicU64::new(0),
-            garbage: Mutex::default(),
-            timings: Mutex::default(),
+            idle_slots: Lock::default(),
+            pending: Pending::default(),
+            garbage: Lock::default(),
+            leaves_retired: AtomicBool::new(false),
+            timings: Lock::default(),
             properties,
             takes_density_maps,
             numbers_triangles: options.needs == Needs::Server && has_geometry_shader(&instance, physical),
@@ -198,8 +199,10 @@ impl Gpu {
         self.validation.texts.lock().expect("not poisoned").clone()
     }
 
-    /// The loaded device functions, for code that must call Vulkan itself.
+    /// The loaded device functions, for code that must call Vulkan itself. Whoever asks for them is about to call the device, which may
+    /// take its time: no lock of this crate is held by then.
     pub fn device(&self) -> &ash::Device {
+        debug_assert!(lock::none_held(), "a lock is held while the device is called");
         &self.device
     }
 
@@ -232,19 +235,28 @@ impl Gpu {
     /// Hands handles to the retire ring: they are destroyed when the work that could use them is done.
     pub(crate) fn retire(&self, garbage: Garbage) {
         // What is recorded now is submitted next, so it may still use the object.
-        let last_user = self.submitted.load(Ordering::Acquire) + 1;
-        self.garbage.lock().expect("not poisoned").push_back((last_user, garbage));
+        let last_user = self.pending.last_begun() + 1;
+        self.garbage.lock().push_back((last_user, garbage));
+    }
+
+    /// From now on what was retired is destroyed by [`Self::destroy_retired`] alone. A thread that must not wait for the driver records
+    /// without doing so; another one calls that from time to time.
+    pub fn leave_retired(&self) {
+        self.leaves_retired.store(true, Ordering::Relaxed);
     }
 
     /// Destroys what no submitted or recorded work can use any more.
-    pub(crate) fn collect(&self) {
-        let done = self.completed.load(Ordering::Acquire);
-        let mut garbage = self.garbage.lock().expect("not poisoned");
-        while garbage.front().is_some_and(|(last_user, _)| *last_user <= done) {
-            if let Some((_, item)) = garbage.pop_front() {
-                item.destroy(self);
-            }
+    pub fn destroy_retired(&self) {
+        while let Some(item) = self.next_retired() {
+            item.destroy(self);
         }
+    }
+
+    fn next_retired(&self) -> Option<Garbage> {
+        let done = self.pending.completed();
+        let mut garbage = self.garbage.lock();
+        let (last_user, _) = garbage.front()?;
+        if *last_user > done { None } else { garbage.pop_front().map(|(_, item)| item) }
     }
 }
 
@@ -252,11 +264,10 @@ impl Drop for Gpu {
     fn drop(&mut self) {
         // SAFETY: shutdown; nobody else holds the device, so nothing is submitted meanwhile.
         let _ = unsafe { self.device.device_wait_idle() };
-        let garbage: Vec<_> = self.garbage.lock().expect("not poisoned").drain(..).collect();
+        let garbage: Vec<_> = self.garbage.lock().drain(..).collect();
         garbage.into_iter().for_each(|(_, item)| item.destroy(self));
-        let busy: Vec<_> = self.busy_slots.lock().expect("not poisoned").drain(..).collect();
-        let idle: Vec<_> = self.idle_slots.lock().expect("not poisoned").drain(..).collect();
-        busy.into_iter().chain(idle).for_each(|slot| slot.destroy(&self.device));
+        let idle: Vec<_> = self.idle_slots.lock().drain(..).collect();
+        self.pending.drain().into_iter().chain(idle).for_each(|slot| slot.destroy(&self.device));
         self.lanes.destroy(&self.device);
         drop(self.allocator.lock().expect("not poisoned").take());
         // SAFETY: the device is idle and all its objects are gone; the messenger outlives the device, and the

@@ -33,7 +33,7 @@ impl HardwareBufferKind {
     /// # Safety
     /// `buffer` is alive, and `gpu` was opened for pictures.
     pub unsafe fn of(gpu: &Gpu, buffer: *const vk::AHardwareBuffer) -> Result<Self, GpuError> {
-        let functions = extension::Device::new(gpu.instance(), &gpu.device);
+        let functions = extension::Device::new(gpu.instance(), &gpu.device());
         let mut format = vk::AndroidHardwareBufferFormatPropertiesANDROID::default();
         let mut properties = vk::AndroidHardwareBufferPropertiesANDROID::default().push_next(&mut format);
         // SAFETY: the caller's; the structs live through the call.
@@ -77,13 +77,13 @@ impl YcbcrImage {
             .push_next(&mut of_android)
             .push_next(&mut external);
         // SAFETY: the device is alive; the rest is the caller's.
-        let image = unsafe { gpu.device.create_image(&info, None) };
+        let image = unsafe { gpu.device().create_image(&info, None) };
         let image = image.doing("creating an image around a decoder's buffer")?;
         // SAFETY: the image is new; the rest is the caller's.
         let memory = unsafe { import_memory(gpu, image, buffer, kind) };
         if memory.is_err() {
             // SAFETY: nothing uses it.
-            unsafe { gpu.device.destroy_image(image, None) };
+            unsafe { gpu.device().destroy_image(image, None) };
         }
         Self::imported(gpu, sampler, extent_texels, (image, memory?))
     }
@@ -108,10 +108,10 @@ unsafe fn import_memory(
         .push_next(&mut of_image);
     // SAFETY: the caller's; what the info points to lives through the call.
     unsafe {
-        let memory = gpu.device.allocate_memory(&info, None).doing("importing a decoder's buffer")?;
-        let bound = gpu.device.bind_image_memory(image, memory, 0);
+        let memory = gpu.device().allocate_memory(&info, None).doing("importing a decoder's buffer")?;
+        let bound = gpu.device().bind_image_memory(image, memory, 0);
         if bound.is_err() {
-            gpu.device.free_memory(memory, None);
+            gpu.device().free_memory(memory, None);
         }
         bound.doing("binding a decoder's buffer").map(|()| memory)
     }

@@ -3,7 +3,8 @@
 
 use crate::{Doing, GpuError};
 use ash::vk;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// Queues that are asked for, of one family.
 pub(crate) const LANES: usize = 2;
@@ -33,6 +34,33 @@ pub(crate) struct Lanes {
     done: Option<[vk::Semaphore; LANES]>,
     /// The last serial of each that the CPU knows to be done.
     completed: [AtomicU64; LANES],
+    turn: Turn,
+}
+
+/// Who may use the queues: Vulkan wants one thread at a time.
+enum Turn {
+    /// A server's threads, which wait for each other.
+    Several(Mutex<()>),
+    /// A client's one thread, which waits for nobody. Its queue is the runtime's too, inside the calls that this thread makes.
+    One(AtomicBool),
+}
+
+impl Turn {
+    fn take<R>(&self, body: impl FnOnce() -> R) -> R {
+        match self {
+            Self::Several(turn) => {
+                let _turn = turn.lock().expect("not poisoned");
+                body()
+            }
+            Self::One(is_taken) => {
+                let was_taken = is_taken.swap(true, Ordering::Acquire);
+                assert!(!was_taken, "a second thread uses the queue of a client");
+                let result = body();
+                is_taken.store(false, Ordering::Release);
+                result
+            }
+        }
+    }
 }
 
 impl Lanes {
@@ -46,7 +74,18 @@ impl Lanes {
         // SAFETY: so many queues of the family were asked for in the device's creation.
         let queue = |index: u32| unsafe { device.get_device_queue(family, index.min(queues - 1)) };
         let done = is_server.then(|| -> Result<_, GpuError> { Ok([timeline(device)?, timeline(device)?]) });
-        Ok(Self { queues: [queue(0), queue(1)], done: done.transpose()?, completed: Default::default() })
+        let turn = if is_server { Turn::Several(Mutex::default()) } else { Turn::One(AtomicBool::default()) };
+        Ok(Self {
+            queues: [queue(0), queue(1)],
+            done: done.transpose()?,
+            completed: Default::default(),
+            turn,
+        })
+    }
+
+    /// Uses the queues while no other thread does.
+    pub(crate) fn in_turn<R>(&self, body: impl FnOnce() -> R) -> R {
+        self.turn.take(body)
     }
 
     #[cfg(feature = "window")]
@@ -56,7 +95,7 @@ impl Lanes {
     }
 
     /// Submits a recording. It sees what all recordings wrote that are known to be done by now, and those before it in its lane.
-    /// The caller lets nobody else submit meanwhile, and gives ascending serials.
+    /// To be called [`Self::in_turn`], with ascending serials.
     pub(crate) fn submit(
         &self,
         device: &ash::Device,
@@ -113,4 +152,31 @@ fn timeline(device: &ash::Device) -> Result<vk::Semaphore, GpuError> {
     let info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
     // SAFETY: the device is alive; servers ask for the feature.
     unsafe { device.create_semaphore(&info, None) }.doing("creating a semaphore")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn threads_of_a_server_wait_for_their_turn() {
+        let turn = Turn::Several(Mutex::default());
+        let inside = AtomicU64::new(0);
+        let uses = || {
+            for _ in 0..1000 {
+                turn.take(|| {
+                    assert_eq!(inside.fetch_add(1, Ordering::AcqRel), 0, "alone");
+                    inside.fetch_sub(1, Ordering::AcqRel);
+                });
+            }
+        };
+        std::thread::scope(|scope| (0..3).for_each(|_| drop(scope.spawn(uses))));
+    }
+
+    #[test]
+    #[should_panic(expected = "a second thread uses the queue of a client")]
+    fn a_client_has_one_thread_that_submits() {
+        let turn = Turn::One(AtomicBool::default());
+        turn.take(|| turn.take(|| ()));
+    }
 }

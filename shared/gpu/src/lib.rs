@@ -7,8 +7,10 @@ mod devices;
 #[cfg(target_os = "android")]
 mod hardware_buffer;
 mod lanes;
+mod lock;
 mod memory;
 mod pass;
+mod pending;
 mod pipeline;
 mod recorder;
 mod selftest;

@@ -158,7 +158,7 @@ pub(crate) enum Garbage {
 
 impl Garbage {
     pub(crate) fn destroy(self, gpu: &Gpu) {
-        let device = &gpu.device;
+        let device = &gpu.device();
         // SAFETY: the handles were created from this device, are owned by this value alone, and the retire ring
         // calls this only after all work that could use them has finished.
         unsafe {
@@ -244,10 +244,10 @@ impl Buffer {
         let info = vk::BufferCreateInfo::default().size(size).usage(usage);
         // SAFETY: the device is alive; the memory bound comes from an allocation made for these requirements.
         unsafe {
-            let handle = gpu.device.create_buffer(&info, None).doing("creating a buffer")?;
-            let requirements = gpu.device.get_buffer_memory_requirements(handle);
+            let handle = gpu.device().create_buffer(&info, None).doing("creating a buffer")?;
+            let requirements = gpu.device().get_buffer_memory_requirements(handle);
             let allocation = allocate(gpu, name, requirements, memory, true)?;
-            gpu.device
+            gpu.device()
                 .bind_buffer_memory(handle, allocation.memory(), allocation.offset())
                 .doing("binding a buffer's memory")?;
             Ok(Self { gpu: gpu.clone(), handle, allocation: Some(allocation), size })
@@ -330,14 +330,14 @@ impl Image {
             .usage(desc.usage);
         // SAFETY: the device is alive; the memory bound comes from an allocation made for these requirements.
         unsafe {
-            let handle = gpu.device.create_image(&info, None).doing("creating an image")?;
-            let requirements = gpu.device.get_image_memory_requirements(handle);
+            let handle = gpu.device().create_image(&info, None).doing("creating an image")?;
+            let requirements = gpu.device().get_image_memory_requirements(handle);
             let backing = image_backing(gpu, &desc, requirements)?;
             let (memory, offset) = match &backing {
                 Backing::Allocation(allocation) => (allocation.memory(), allocation.offset()),
                 Backing::Own(memory) => (*memory, 0),
             };
-            gpu.device.bind_image_memory(handle, memory, offset).doing("binding an image's memory")?;
+            gpu.device().bind_image_memory(handle, memory, offset).doing("binding an image's memory")?;
             Self::around(gpu, desc, handle, backing, view)
         }
     }
@@ -406,7 +406,7 @@ fn image_backing(
         .allocation_size(requirements.size)
         .memory_type_index(memory_type_index);
     // SAFETY: the device is alive, and the type is one of its own that the image can use.
-    let memory = unsafe { gpu.device.allocate_memory(&info, None) };
+    let memory = unsafe { gpu.device().allocate_memory(&info, None) };
     Ok(Backing::Own(memory.doing("allocating lazy memory for an attachment")?))
 }
 
@@ -456,7 +456,7 @@ pub(crate) fn create_view(
         info = info.push_next(conversion);
     }
     // SAFETY: the image is alive and has the layers and mips that its description says.
-    unsafe { gpu.device.create_image_view(&info, None) }.doing("creating an image view")
+    unsafe { gpu.device().create_image_view(&info, None) }.doing("creating an image view")
 }
 
 impl Sampler {
@@ -477,7 +477,7 @@ impl Sampler {
             .max_anisotropy(desc.anisotropy.min(gpu.properties.limits.max_sampler_anisotropy))
             .max_lod(if desc.mips { vk::LOD_CLAMP_NONE } else { 0.0 });
         // SAFETY: the device is alive and has the feature anisotropy needs where it is asked for.
-        let handle = unsafe { gpu.device.create_sampler(&info, None) }.doing("creating a sampler")?;
+        let handle = unsafe { gpu.device().create_sampler(&info, None) }.doing("creating a sampler")?;
         Ok(Self { gpu: gpu.clone(), handle })
     }
 }

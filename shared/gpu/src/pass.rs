@@ -152,7 +152,8 @@ impl RenderPass {
             info = info.push_next(&mut density);
         }
         // SAFETY: the device is alive; all that the info points to lives through the call.
-        let handle = unsafe { gpu.device.create_render_pass(&info, None) }.doing("creating a render pass")?;
+        let handle =
+            unsafe { gpu.device().create_render_pass(&info, None) }.doing("creating a render pass")?;
         Ok(Self {
             gpu: gpu.clone(),
             handle,
@@ -243,7 +244,8 @@ impl Framebuffer {
             .height(extent[1])
             .layers(1);
         // SAFETY: pass and views are alive, and the views are of the pass's formats.
-        let handle = unsafe { gpu.device.create_framebuffer(&info, None) }.doing("creating a framebuffer")?;
+        let handle =
+            unsafe { gpu.device().create_framebuffer(&info, None) }.doing("creating a framebuffer")?;
         Ok(Self { gpu: gpu.clone(), handle, extent, owned_views: Vec::new() })
     }
 

@@ -72,7 +72,7 @@ pub struct GraphicsPipeline {
 fn module(gpu: &Gpu, shader: &Shader) -> Result<vk::ShaderModule, GpuError> {
     let info = vk::ShaderModuleCreateInfo::default().code(shader.words);
     // SAFETY: the words are SPIR-V that glslangValidator wrote.
-    unsafe { gpu.device.create_shader_module(&info, None) }.doing("creating a shader module")
+    unsafe { gpu.device().create_shader_module(&info, None) }.doing("creating a shader module")
 }
 
 impl ComputePipeline {
@@ -98,8 +98,8 @@ impl ComputePipeline {
         let infos = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(layout.handle)];
         // SAFETY: module and layout are alive; the module is not needed after creation.
         let made = unsafe {
-            let made = gpu.device.create_compute_pipelines(vk::PipelineCache::null(), &infos, None);
-            gpu.device.destroy_shader_module(module, None);
+            let made = gpu.device().create_compute_pipelines(vk::PipelineCache::null(), &infos, None);
+            gpu.device().destroy_shader_module(module, None);
             made
         };
         let handle = made.map_err(|(_, e)| e).doing("creating a compute pipeline")?[0];
@@ -144,7 +144,7 @@ impl GraphicsPipeline {
         let modules = [module(gpu, desc.vertex)?, module(gpu, desc.fragment)?];
         let made = create(gpu, desc, &layout, modules);
         // SAFETY: modules are not needed after the pipeline's creation.
-        modules.iter().for_each(|m| unsafe { gpu.device.destroy_shader_module(*m, None) });
+        modules.iter().for_each(|m| unsafe { gpu.device().destroy_shader_module(*m, None) });
         Ok(Self { gpu: gpu.clone(), handle: made?, layout })
     }
 
@@ -200,7 +200,7 @@ fn create(
         .layout(layout.handle)
         .render_pass(desc.pass.handle)];
     // SAFETY: all handles are alive and all that the info points to lives through the call.
-    let made = unsafe { gpu.device.create_graphics_pipelines(vk::PipelineCache::null(), &infos, None) };
+    let made = unsafe { gpu.device().create_graphics_pipelines(vk::PipelineCache::null(), &infos, None) };
     Ok(made.map_err(|(_, e)| e).doing("creating a graphics pipeline")?[0])
 }
 

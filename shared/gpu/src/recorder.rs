@@ -3,6 +3,7 @@
 use crate::bind::BindGroup;
 use crate::lanes::{Between, Lane};
 use crate::pass::{Framebuffer, RenderPass};
+use crate::pending::Fence;
 use crate::pipeline::{ComputePipeline, GraphicsPipeline};
 use crate::timings::{Timing, Timings};
 use crate::ycbcr::YcbcrImage;
@@ -22,7 +23,8 @@ pub struct Ticket(pub(crate) u64);
 pub(crate) struct CommandSlot {
     pool: vk::CommandPool,
     commands: vk::CommandBuffer,
-    fence: vk::Fence,
+    /// Who asks for it or waits for it holds it: it is made unsignalled again only when nobody does.
+    fence: Arc<vk::Fence>,
     queries: vk::QueryPool,
     scopes: Vec<&'static str>,
     lane: Lane,
@@ -82,7 +84,7 @@ pub struct Recorder {
 
 impl CommandSlot {
     fn new(gpu: &Gpu) -> Result<Self, GpuError> {
-        let device = &gpu.device;
+        let device = &gpu.device();
         // SAFETY: the device is alive; the buffer comes from the pool just made.
         unsafe {
             let info = vk::CommandPoolCreateInfo::default().queue_family_index(gpu.queue_family);
@@ -96,7 +98,7 @@ impl CommandSlot {
                 .query_count(MAX_TIMED_SCOPES * 2);
             let queries = device.create_query_pool(&info, None).doing("creating a query pool")?;
             let scopes = Vec::with_capacity(MAX_TIMED_SCOPES as usize);
-            Ok(Self { pool, commands, fence, queries, scopes, lane: Lane::Main, serial: 0 })
+            Ok(Self { pool, commands, fence: Arc::new(fence), queries, scopes, lane: Lane::Main, serial: 0 })
         }
     }
 
@@ -104,7 +106,7 @@ impl CommandSlot {
         // SAFETY: called with the device idle.
         unsafe {
             device.destroy_query_pool(self.queries, None);
-            device.destroy_fence(self.fence, None);
+            device.destroy_fence(*self.fence, None);
             device.destroy_command_pool(self.pool, None);
         }
     }
@@ -117,7 +119,7 @@ impl CommandSlot {
         let count = self.scopes.len() * 2;
         // SAFETY: the recording wrote these queries and has finished.
         let read = unsafe {
-            gpu.device.get_query_pool_results(
+            gpu.device().get_query_pool_results(
                 self.queries,
                 0,
                 &mut stamps[..count],
@@ -134,7 +136,7 @@ impl CommandSlot {
             began_ns: ns(pair[0]),
             took_ns: ns(pair[1].saturating_sub(pair[0])),
         };
-        let mut timings = gpu.timings.lock().expect("not poisoned");
+        let mut timings = gpu.timings.lock();
         timings.keep(self.serial, self.scopes.iter().zip(stamps.chunks_exact(2)).map(timing));
     }
 }
@@ -143,21 +145,28 @@ impl Gpu {
     /// Starts a recording.
     pub fn record(self: &Arc<Self>) -> Result<Recorder, GpuError> {
         self.reclaim()?;
-        let slot = self.idle_slots.lock().expect("not poisoned").pop();
-        let mut slot = match slot {
+        let mut slot = match self.idle_slot() {
             Some(slot) => slot,
             None => CommandSlot::new(self)?,
         };
         slot.scopes.clear();
         let info = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
-        // SAFETY: the slot is idle: new, or its fence has signalled.
+        // SAFETY: the slot is idle: new, or its fence has signalled and is nobody else's.
         unsafe {
-            let reset = self.device.reset_command_pool(slot.pool, vk::CommandPoolResetFlags::empty());
+            self.device().reset_fences(&[*slot.fence]).doing("resetting a fence")?;
+            let reset = self.device().reset_command_pool(slot.pool, vk::CommandPoolResetFlags::empty());
             reset.doing("resetting a command pool")?;
-            self.device.begin_command_buffer(slot.commands, &info).doing("beginning a recording")?;
-            self.device.cmd_reset_query_pool(slot.commands, slot.queries, 0, MAX_TIMED_SCOPES * 2);
+            self.device().begin_command_buffer(slot.commands, &info).doing("beginning a recording")?;
+            self.device().cmd_reset_query_pool(slot.commands, slot.queries, 0, MAX_TIMED_SCOPES * 2);
         }
         Ok(Recorder { gpu: self.clone(), slot: Some(slot) })
+    }
+
+    /// One whose fence nobody holds any more. Those that lie idle are given to nobody.
+    fn idle_slot(&self) -> Option<CommandSlot> {
+        let mut idle = self.idle_slots.lock();
+        let place = idle.iter().position(|slot| Arc::strong_count(&slot.fence) == 1)?;
+        Some(idle.swap_remove(place))
     }
 
     /// Waits until the recording behind `ticket` has finished, and with it all before it on its queue.
@@ -175,13 +184,14 @@ impl Gpu {
 
     /// False where the recording is known to be done, and nothing was waited for.
     fn wait_for_fence(&self, ticket: Ticket, at_most_ns: u64) -> Result<bool, GpuError> {
-        let fence = {
-            let busy = self.busy_slots.lock().expect("not poisoned");
-            let Some(slot) = busy.iter().find(|slot| slot.serial == ticket.0) else { return Ok(false) };
-            slot.fence
+        let fence = match self.pending.fence_of(ticket.0) {
+            Fence::Done => return Ok(false),
+            // Another thread takes it back just now.
+            Fence::Signalled => return Ok(true),
+            Fence::Submitted(fence) => fence,
         };
-        // SAFETY: the fence belongs to a submitted slot.
-        match unsafe { self.device.wait_for_fences(&[fence], true, at_most_ns) } {
+        // SAFETY: the fence belongs to a submitted recording, and is not reset while it is held here.
+        match unsafe { self.device().wait_for_fences(&[*fence], true, at_most_ns) } {
             Err(vk::Result::TIMEOUT) => Ok(true),
             waited => waited.doing("waiting for the GPU").map(|()| true),
         }
@@ -198,41 +208,42 @@ impl Gpu {
     /// The same, added to timings of other recordings.
     pub fn wait_timed_into(&self, ticket: Ticket, timings: &mut Timings) -> Result<(), GpuError> {
         self.wait(ticket)?;
-        self.timings.lock().expect("not poisoned").take(ticket.0, timings);
+        self.timings.lock().take(ticket.0, timings);
         Ok(())
     }
 
     /// Whether the recording behind `ticket` has finished.
     pub fn is_done(&self, ticket: Ticket) -> Result<bool, GpuError> {
         self.reclaim()?;
-        let busy = self.busy_slots.lock().expect("not poisoned");
-        Ok(busy.iter().all(|slot| slot.serial != ticket.0))
+        Ok(self.pending.is_done(ticket.0))
     }
 
-    /// Takes back the slots whose fence has signalled, and destroys what only they and those before them used.
+    /// Takes back the slots whose fence has signalled, and destroys what only they and those before them used, where that is left to
+    /// nobody else.
     fn reclaim(&self) -> Result<(), GpuError> {
-        let mut busy = self.busy_slots.lock().expect("not poisoned");
-        let mut next = 0;
-        while let Some(slot) = busy.get(next) {
-            // SAFETY: the fence belongs to a submitted slot.
-            let signalled = unsafe { self.device.get_fence_status(slot.fence) };
-            if !signalled.doing("asking for a fence")? {
-                next += 1;
-                continue;
+        let mut serial = 0;
+        while let Some((next, fence)) = self.pending.next_submitted(serial) {
+            serial = next;
+            // SAFETY: the fence belongs to a submitted recording, and is not reset while it is held here.
+            let signalled = unsafe { self.device().get_fence_status(*fence) };
+            if signalled.doing("asking for a fence")? {
+                self.take_back(serial);
             }
-            let Some(slot) = busy.remove(next) else { break };
-            slot.read_timings(self);
-            // SAFETY: the fence has signalled and nobody waits on it.
-            unsafe { self.device.reset_fences(&[slot.fence]) }.doing("resetting a fence")?;
-            self.lanes.note(slot.lane, slot.serial);
-            self.idle_slots.lock().expect("not poisoned").push(slot);
         }
-        // No serial is given while this lock is held.
-        let oldest = busy.front().map_or(self.submitted.load(Ordering::Acquire) + 1, |slot| slot.serial);
-        self.completed.store(oldest - 1, Ordering::Release);
-        drop(busy);
-        self.collect();
+        self.pending.note_completed();
+        if !self.leaves_retired.load(Ordering::Relaxed) {
+            self.destroy_retired();
+        }
         Ok(())
+    }
+
+    /// Takes back the slot of a recording that has finished, unless another thread does.
+    fn take_back(&self, serial: u64) {
+        let Some(slot) = self.pending.take(serial) else { return };
+        slot.read_timings(self);
+        self.lanes.note(slot.lane, slot.serial);
+        self.idle_slots.lock().push(slot);
+        self.pending.forget(serial);
     }
 }
 
@@ -268,18 +279,25 @@ impl Recorder {
     }
 
     fn submit_with(mut self, lane: Lane, between: Between) -> Result<Ticket, GpuError> {
-        let mut slot = self.slot.take().expect("present until submitted");
-        // One lock around serial and submission keeps completion in the order of serials.
-        let mut busy = self.gpu.busy_slots.lock().expect("not poisoned");
         // SAFETY: the buffer is being recorded, in no pass.
-        unsafe { self.gpu.device.end_command_buffer(slot.commands) }.doing("ending a recording")?;
-        let serial = self.gpu.submitted.load(Ordering::Acquire) + 1;
-        self.gpu.lanes.submit(&self.gpu.device, lane, serial, slot.commands, between, slot.fence)?;
-        self.gpu.submitted.store(serial, Ordering::Release);
-        (slot.lane, slot.serial) = (lane, serial);
-        let ticket = Ticket(slot.serial);
-        busy.push_back(slot);
-        Ok(ticket)
+        unsafe { self.gpu.device().end_command_buffer(self.commands()) }.doing("ending a recording")?;
+        let slot = self.slot.take().expect("present until submitted");
+        let Gpu { pending, lanes, .. } = &*self.gpu;
+        // Recordings are submitted in the order of their serials.
+        lanes.in_turn(|| {
+            let serial = pending.begin();
+            let (commands, fence) = (slot.commands, slot.fence.clone());
+            let submitted = lanes.submit(self.gpu.device(), lane, serial, commands, between, *fence);
+            let slot = CommandSlot { lane, serial, ..slot };
+            match submitted {
+                Ok(()) => pending.submitted(serial, slot, fence),
+                Err(_) => {
+                    self.gpu.idle_slots.lock().push(slot);
+                    pending.forget(serial);
+                }
+            }
+            submitted.map(|()| Ticket(serial))
+        })
     }
 
     /// Times what `body` records under `name`; see [`Gpu::wait_timed`].
@@ -301,7 +319,7 @@ impl Recorder {
     fn timestamp(&mut self, query: u32) {
         let (slot, stage) = (self.slot(), vk::PipelineStageFlags::BOTTOM_OF_PIPE);
         // SAFETY: the query is in range and was reset at the recording's start.
-        unsafe { self.gpu.device.cmd_write_timestamp(slot.commands, stage, slot.queries, query) };
+        unsafe { self.gpu.device().cmd_write_timestamp(slot.commands, stage, slot.queries, query) };
     }
 
     /// Dispatches an invocation for each of `items` in x, y and z; the last workgroups may have more.
@@ -322,7 +340,7 @@ impl Recorder {
         group: &BindGroup,
         dispatches: impl Iterator<Item = (&'a P, [u32; 3])>,
     ) {
-        let (device, commands, layout) = (&self.gpu.device, self.commands(), pipeline.layout());
+        let (device, commands, layout) = (&self.gpu.device(), self.commands(), pipeline.layout());
         // SAFETY: pipeline and set are alive and of one layout.
         unsafe {
             device.cmd_bind_pipeline(commands, vk::PipelineBindPoint::COMPUTE, pipeline.handle);
@@ -346,7 +364,7 @@ impl Recorder {
         assert!(bytes.len() >= used, "push constants of {} bytes, {} given", used, bytes.len());
         // SAFETY: the range and its stages are the layout's.
         unsafe {
-            self.gpu.device.cmd_push_constants(
+            self.gpu.device().cmd_push_constants(
                 self.commands(),
                 layout.handle,
                 layout.push_stages,
@@ -375,7 +393,7 @@ impl Recorder {
         };
         // SAFETY: pass and framebuffer are alive and compatible.
         unsafe {
-            let (device, commands) = (&self.gpu.device, self.commands());
+            let (device, commands) = (&self.gpu.device(), self.commands());
             device.cmd_begin_render_pass(commands, &info, vk::SubpassContents::INLINE);
             device.cmd_set_viewport(commands, 0, &[viewport]);
             device.cmd_set_scissor(commands, 0, &[area]);
@@ -385,7 +403,7 @@ impl Recorder {
     /// Ends the pass.
     pub fn end_pass(&mut self) {
         // SAFETY: a pass is open.
-        unsafe { self.gpu.device.cmd_end_render_pass(self.commands()) };
+        unsafe { self.gpu.device().cmd_end_render_pass(self.commands()) };
     }
 
     /// Binds pipeline and set for the following draws.
@@ -393,7 +411,7 @@ impl Recorder {
         let point = vk::PipelineBindPoint::GRAPHICS;
         // SAFETY: pipeline and set are alive and of one layout.
         unsafe {
-            let (device, commands) = (&self.gpu.device, self.commands());
+            let (device, commands) = (&self.gpu.device(), self.commands());
             device.cmd_bind_pipeline(commands, point, pipeline.handle);
             let sets = [group.set];
             device.cmd_bind_descriptor_sets(commands, point, pipeline.layout().handle, 0, &sets, &[]);
@@ -404,7 +422,7 @@ impl Recorder {
     pub fn bind_pipeline(&mut self, pipeline: &GraphicsPipeline) {
         // SAFETY: the pipeline is alive.
         unsafe {
-            self.gpu.device.cmd_bind_pipeline(
+            self.gpu.device().cmd_bind_pipeline(
                 self.commands(),
                 vk::PipelineBindPoint::GRAPHICS,
                 pipeline.handle,
@@ -421,7 +439,7 @@ impl Recorder {
     pub fn bind_indices(&mut self, buffer: &Buffer, offset_bytes: u64) {
         // SAFETY: the buffer is alive.
         unsafe {
-            let (device, commands) = (&self.gpu.device, self.commands());
+            let (device, commands) = (&self.gpu.device(), self.commands());
             device.cmd_bind_index_buffer(commands, buffer.handle, offset_bytes, vk::IndexType::UINT32);
         }
     }
@@ -430,7 +448,7 @@ impl Recorder {
     pub fn bind_vertices(&mut self, buffer: &Buffer, offset_bytes: u64) {
         // SAFETY: the buffer is alive.
         unsafe {
-            let (device, commands) = (&self.gpu.device, self.commands());
+            let (device, commands) = (&self.gpu.device(), self.commands());
             device.cmd_bind_vertex_buffers(commands, 0, &[buffer.handle], &[offset_bytes]);
         }
     }
@@ -438,13 +456,13 @@ impl Recorder {
     /// Draws `vertices` vertices of `instances` instances.
     pub fn draw(&mut self, vertices: u32, instances: u32) {
         // SAFETY: pipeline and sets are bound.
-        unsafe { self.gpu.device.cmd_draw(self.commands(), vertices, instances, 0, 0) };
+        unsafe { self.gpu.device().cmd_draw(self.commands(), vertices, instances, 0, 0) };
     }
 
     /// Draws `count` indices from `first` on.
     pub fn draw_indexed(&mut self, first: u32, count: u32) {
         // SAFETY: pipeline, sets and index buffer are bound.
-        unsafe { self.gpu.device.cmd_draw_indexed(self.commands(), count, 1, first, 0, 0) };
+        unsafe { self.gpu.device().cmd_draw_indexed(self.commands(), count, 1, first, 0, 0) };
     }
 
     /// Orders memory accesses.
@@ -454,7 +472,7 @@ impl Recorder {
         unsafe {
             let flags = vk::DependencyFlags::empty();
             let commands = self.commands();
-            self.gpu.device.cmd_pipeline_barrier(commands, before.0, after.0, flags, &[barrier], &[], &[]);
+            self.gpu.device().cmd_pipeline_barrier(commands, before.0, after.0, flags, &[barrier], &[], &[]);
         }
     }
 
@@ -484,7 +502,7 @@ impl Recorder {
         // SAFETY: the image is alive, and belongs to nobody else until it is given back.
         unsafe {
             let (commands, flags) = (self.commands(), vk::DependencyFlags::empty());
-            self.gpu.device.cmd_pipeline_barrier(commands, before, after, flags, &[], &[], &[barrier]);
+            self.gpu.device().cmd_pipeline_barrier(commands, before, after, flags, &[], &[], &[barrier]);
         }
     }
 
@@ -510,7 +528,7 @@ impl Recorder {
         unsafe {
             let flags = vk::DependencyFlags::empty();
             let commands = self.commands();
-            self.gpu.device.cmd_pipeline_barrier(commands, before.0, after.0, flags, &[], &[], &[barrier]);
+            self.gpu.device().cmd_pipeline_barrier(commands, before.0, after.0, flags, &[], &[], &[barrier]);
         }
     }
 
@@ -521,14 +539,14 @@ impl Recorder {
         }
         let region = vk::BufferCopy { src_offset: from_offset, dst_offset: to_offset, size };
         // SAFETY: both buffers are alive; ranges are checked by the validation layers in tests.
-        unsafe { self.gpu.device.cmd_copy_buffer(self.commands(), from.handle, to.handle, &[region]) };
+        unsafe { self.gpu.device().cmd_copy_buffer(self.commands(), from.handle, to.handle, &[region]) };
     }
 
     /// Fills a buffer with a word.
     pub fn fill(&mut self, buffer: &Buffer, word: u32) {
         // SAFETY: the buffer is alive; its size is a multiple of 16.
         unsafe {
-            self.gpu.device.cmd_fill_buffer(self.commands(), buffer.handle, 0, vk::WHOLE_SIZE, word);
+            self.gpu.device().cmd_fill_buffer(self.commands(), buffer.handle, 0, vk::WHOLE_SIZE, word);
         }
     }
 
@@ -539,7 +557,7 @@ impl Recorder {
         let ranges = [image.whole()];
         // SAFETY: the image is alive, of a float or normalised format, and in the layout named above.
         unsafe {
-            self.gpu.device.cmd_clear_color_image(self.commands(), image.handle, layout, &value, &ranges);
+            self.gpu.device().cmd_clear_color_image(self.commands(), image.handle, layout, &value, &ranges);
         }
     }
 
@@ -548,7 +566,7 @@ impl Recorder {
         let region = region(image, image.desc().extent, layer, 0, offset_bytes);
         // SAFETY: both are alive and the image is in the layout named above.
         unsafe {
-            self.gpu.device.cmd_copy_image_to_buffer(
+            self.gpu.device().cmd_copy_image_to_buffer(
                 self.commands(),
                 image.handle,
                 vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
@@ -578,7 +596,7 @@ impl Recorder {
     fn write_region(&mut self, image: &Image, buffer: &Buffer, region: vk::BufferImageCopy) {
         // SAFETY: both are alive and the image is in the layout named above.
         unsafe {
-            self.gpu.device.cmd_copy_buffer_to_image(
+            self.gpu.device().cmd_copy_buffer_to_image(
                 self.commands(),
                 buffer.handle,
                 image.handle,
@@ -607,7 +625,7 @@ impl Drop for Recorder {
     fn drop(&mut self) {
         if let Some(slot) = self.slot.take() {
             // The buffer is reset when the slot is used again.
-            self.gpu.idle_slots.lock().expect("not poisoned").push(slot);
+            self.gpu.idle_slots.lock().push(slot);
         }
     }
 }

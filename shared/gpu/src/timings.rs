@@ -60,7 +60,9 @@ impl KeptTimings {
         let mut timings = forgotten.or_else(|| self.spare.pop()).unwrap_or_default();
         timings.0.clear();
         timings.0.extend(scopes);
-        self.kept.push_back((serial, timings));
+        // Two queues do not finish in the order of their serials.
+        let place = self.kept.partition_point(|(kept, _)| *kept < serial);
+        self.kept.insert(place, (serial, timings));
     }
 
     /// Adds those of a recording to others, once; none where it had no scopes.
@@ -99,6 +101,17 @@ mod tests {
         let mut both = taken(&mut kept, 5);
         kept.take(6, &mut both);
         assert_eq!(both.iter().collect::<Vec<_>>(), [("mark", 2.0), ("mark", 3.0), ("skin", 4.0)]);
+    }
+
+    #[test]
+    fn recordings_that_finish_in_another_order_have_their_timings_too() {
+        let mut kept = KeptTimings::default();
+        [4, 2, 3, 1]
+            .into_iter()
+            .for_each(|serial| kept.keep(serial, [timing("skin", serial as i64)].into_iter()));
+        for serial in 1..=4 {
+            assert_eq!(taken(&mut kept, serial).iter().collect::<Vec<_>>(), [("skin", serial as f64)]);
+        }
     }
 
     #[test]

@@ -194,11 +194,10 @@ impl Swapchain {
         let (waits, chains, indices) = ([drawn], [self.handle], [image.index]);
         let info =
             vk::PresentInfoKHR::default().wait_semaphores(&waits).swapchains(&chains).image_indices(&indices);
-        let queue = self.gpu.busy_slots.lock().expect("not poisoned");
-        // SAFETY: the image was acquired and is in the layout of presenting after the pass; the lock keeps other threads
-        // off the queue.
-        let shown = unsafe { self.functions.queue_present(self.gpu.lanes.main(), &info) };
-        drop(queue);
+        let lanes = &self.gpu.lanes;
+        // SAFETY: the image was acquired and is in the layout of presenting after the pass; no other thread uses the queue
+        // meanwhile.
+        let shown = lanes.in_turn(|| unsafe { self.functions.queue_present(lanes.main(), &info) });
         match shown {
             Ok(suboptimal) => self.is_stale |= suboptimal,
             Err(vk::Result::ERROR_OUT_OF_DATE_KHR) => self.is_stale = true,
@@ -266,8 +265,8 @@ impl Drop for Swapchain {
         // SAFETY: the window goes and the device is idle: nothing uses these any more.
         unsafe {
             self.functions.destroy_swapchain(self.handle, None);
-            self.gpu.device.destroy_semaphore(self.acquired, None);
-            self.drawn.drain(..).for_each(|s| self.gpu.device.destroy_semaphore(s, None));
+            self.gpu.device().destroy_semaphore(self.acquired, None);
+            self.drawn.drain(..).for_each(|s| self.gpu.device().destroy_semaphore(s, None));
         }
         // The ring is emptied in order: what is left of older swapchains goes before their surface does.
         self.gpu.retire(Garbage::Surface(self.surfaces.clone().into(), self.surface));
@@ -276,7 +275,7 @@ impl Drop for Swapchain {
 
 fn semaphore(gpu: &Gpu) -> Result<vk::Semaphore, GpuError> {
     // SAFETY: the device is alive.
-    unsafe { gpu.device.create_semaphore(&vk::SemaphoreCreateInfo::default(), None) }
+    unsafe { gpu.device().create_semaphore(&vk::SemaphoreCreateInfo::default(), None) }
         .doing("creating a semaphore")
 }
 

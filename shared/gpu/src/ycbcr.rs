@@ -79,7 +79,7 @@ impl YcbcrSampler {
         // SAFETY: the device is alive and has the feature, which its opener asked for; the sampler uses the conversion just made, and
         // filters as it does.
         unsafe {
-            let conversion = gpu.device.create_sampler_ycbcr_conversion(&info, None);
+            let conversion = gpu.device().create_sampler_ycbcr_conversion(&info, None);
             let conversion = conversion.doing("creating a conversion of colours")?;
             let mut used = vk::SamplerYcbcrConversionInfo::default().conversion(conversion);
             let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
@@ -90,9 +90,9 @@ impl YcbcrSampler {
                 .address_mode_v(edge)
                 .address_mode_w(edge)
                 .push_next(&mut used);
-            let made = gpu.device.create_sampler(&info, None).doing("creating a sampler of pictures");
+            let made = gpu.device().create_sampler(&info, None).doing("creating a sampler of pictures");
             if made.is_err() {
-                gpu.device.destroy_sampler_ycbcr_conversion(conversion, None);
+                gpu.device().destroy_sampler_ycbcr_conversion(conversion, None);
             }
             Ok(Arc::new(Self { gpu: gpu.clone(), format, is_cosited, conversion, handle: made? }))
         }

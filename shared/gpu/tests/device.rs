@@ -5,6 +5,7 @@ use shadecast_gpu::{
 };
 use shadecast_shaders::generated::{BENCH_FETCH_COMP, BenchFetchPush};
 use std::sync::Arc;
+use std::time::Duration;
 
 fn open(needs: Needs) -> Arc<Gpu> {
     let options = GpuOptions { needs, validation: true, device_name: None };
@@ -78,6 +79,52 @@ fn recordings_of_both_queues_are_waited_for_by_themselves_and_see_what_had_ended
         gpu.wait(next).unwrap();
         assert!([main, next, beside].into_iter().all(|ticket| gpu.is_done(ticket).unwrap()));
     }
+    assert_eq!(gpu.validation_messages(), 0, "{:#?}", gpu.validation_texts());
+}
+
+/// One thread asks for and waits for what another submits, while the first takes slots back: no fence is another recording's by then.
+#[test]
+fn threads_wait_for_recordings_that_others_take_back() {
+    let gpu = open(Needs::Server);
+    let target = Buffer::new(&gpu, "target", 4096, Memory::Device).unwrap();
+    let (to, tickets) = std::sync::mpsc::channel();
+    std::thread::scope(|scope| {
+        let waits = || {
+            for ticket in tickets {
+                gpu.wait_at_most(ticket, Duration::from_secs(60)).unwrap();
+                gpu.wait(ticket).unwrap();
+                assert!(gpu.is_done(ticket).unwrap());
+            }
+        };
+        scope.spawn(waits);
+        for round in 0..400 {
+            let mut recorder = gpu.record().unwrap();
+            recorder.fill(&target, round);
+            recorder.barrier(Access::COPY_WRITE, Access::COPY_WRITE);
+            let ticket = recorder.submit().unwrap();
+            to.send(ticket).unwrap();
+            while round % 3 == 0 && !gpu.is_done(ticket).unwrap() {}
+        }
+        drop(to);
+    });
+    assert_eq!(gpu.validation_messages(), 0, "{:#?}", gpu.validation_texts());
+}
+
+#[test]
+fn what_is_left_to_another_is_destroyed_by_it_alone() {
+    let gpu = open(Needs::Client);
+    gpu.leave_retired();
+    let held = || gpu.memory().iter().filter(|used| used.name == "dropped").count();
+    let dropped = Buffer::new(&gpu, "dropped", 4096, Memory::Device).unwrap();
+    drop(dropped);
+    for _ in 0..2 {
+        let ticket = gpu.record().unwrap().submit().unwrap();
+        gpu.wait(ticket).unwrap();
+    }
+    assert!(gpu.is_done(gpu.record().unwrap().submit().unwrap()).is_ok());
+    assert_eq!(held(), 1, "whoever records destroys nothing");
+    gpu.destroy_retired();
+    assert_eq!(held(), 0);
     assert_eq!(gpu.validation_messages(), 0, "{:#?}", gpu.validation_texts());
 }
 
