@@ -27,6 +27,7 @@ pub struct Client {
 pub fn halves(display: Box<dyn Display>, options: ClientOptions) -> Result<(Presenter, Intake), ClientError> {
     let (of_presenter, of_intake) = handover::ends();
     let presenter = Presenter::new(display, &options, of_presenter)?;
+    presenter.gpu().leave_retired(); // to the intake: destroying takes time that a display frame does not have
     let intake = Intake::new(of_intake, options, presenter.picture_ways(), presenter.eye_extent_pixels());
     Ok((presenter, intake))
 }

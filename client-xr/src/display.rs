@@ -125,7 +125,7 @@ pub struct Presses {
     pub steps: u32,
 }
 
-/// Who shows frames. In this order: wait, acquire, locate, release, end.
+/// Who shows frames. In this order: wait, acquire, locate, release, end; where nothing is drawn: wait, locate, end.
 pub trait Display {
     /// The device to draw with.
     fn gpu(&self) -> &Arc<Gpu>;
@@ -156,6 +156,10 @@ pub trait Display {
 
     /// Ends a frame: the last released image is shown as seen from where the eyes were located last.
     fn end_frame(&mut self, turn: FrameTurn) -> Result<(), DisplayError>;
+
+    /// Ends a frame for which nothing was drawn: what was shown last is shown again, as seen from where the eyes were then. Nothing is
+    /// shown where nothing was.
+    fn end_same_frame(&mut self, turn: FrameTurn) -> Result<(), DisplayError>;
 
     /// Ends a frame that shows nothing.
     fn end_empty_frame(&mut self, turn: FrameTurn) -> Result<(), DisplayError>;

@@ -15,6 +15,7 @@ struct Counted {
     atlas_bytes: u64,
     geometry_bytes: u64,
     lost_pictures: u64,
+    repeated_frames: u64,
 }
 
 /// Makes figures.
@@ -49,7 +50,8 @@ impl Figures {
         self.last = Some((now, counted));
         let per_s = |count: u64| if passed_ns > 0 { count as f64 * 1e9 / passed_ns as f64 } else { 0.0 };
         let mbit = |bytes: u64| per_s(bytes) * 8e-6;
-        let Counted { frames, bundles, atlas_bytes, geometry_bytes, lost_pictures } = counted.since(before);
+        let Counted { frames, bundles, atlas_bytes, geometry_bytes, lost_pictures, repeated_frames } =
+            counted.since(before);
         let ms = |ns: Option<i64>| ns.map_or("-".to_owned(), |ns| format!("{:.1}", ns as f64 * 1e-6));
         self.lines.clear();
         self.lines.push(counters.device.clone());
@@ -70,6 +72,7 @@ impl Figures {
             (u64::from(frame.withheld_vertices), "vertices withheld"),
             (u64::from(frame.withheld_patches), "patches withheld"),
             (lost_pictures, "pictures lost"),
+            (repeated_frames, "frames shown again: the device is behind"),
         ];
         self.lines.extend(faults.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")));
         Some(&self.lines)
@@ -78,13 +81,14 @@ impl Figures {
 
 impl Counted {
     fn of(counters: &Counters) -> Self {
-        let Counters { frames, bundles, arrived, .. } = counters;
+        let Counters { frames, bundles, repeated_frames, arrived, .. } = counters;
         Self {
             frames: *frames,
             bundles: *bundles,
             atlas_bytes: so_far(&arrived.atlas_bytes),
             geometry_bytes: so_far(&arrived.geometry_bytes),
             lost_pictures: so_far(&arrived.lost_pictures),
+            repeated_frames: *repeated_frames,
         }
     }
 
@@ -95,6 +99,7 @@ impl Counted {
             atlas_bytes: self.atlas_bytes - before.atlas_bytes,
             geometry_bytes: self.geometry_bytes - before.geometry_bytes,
             lost_pictures: self.lost_pictures - before.lost_pictures,
+            repeated_frames: self.repeated_frames - before.repeated_frames,
         }
     }
 }

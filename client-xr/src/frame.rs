@@ -4,7 +4,7 @@
 use crate::display::{Activity, FrameTurn, Views};
 use crate::intake::Intake;
 use crate::presenter::Presenter;
-use crate::renderer::LastDrawn;
+use crate::renderer::{LastDrawn, Renderer};
 use crate::report::{ClientError, FrameReport, Step};
 use crate::scene::SceneReport;
 use crate::stages::{ARRIVALS, VERTEX_MEMORY_USE, eyes_gpu};
@@ -26,6 +26,17 @@ struct Content {
     /// When the last byte of its picture came, if it is on display for the first time.
     picture_arrived: Option<ClientTime>,
     scene: SceneReport,
+}
+
+/// When the picture was drawn that a frame shows.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Drawn {
+    /// It shows none.
+    Nothing,
+    /// For an earlier frame.
+    Before,
+    /// For this one.
+    Now,
 }
 
 /// What the display wants next.
@@ -53,22 +64,30 @@ impl Presenter {
         if let Turn::Exit = turn {
             return Ok(Step::Exit);
         }
-        let flight = self.renderer.stages.next_flight(&self.renderer.gpu)?;
+        let flight = self.next_flight(intake.is_some())?;
         self.give_back()?;
         self.take_prepared()?;
         if let Some(intake) = intake {
             self.let_prepare(intake)?;
             self.take_prepared()?;
         }
-        match turn {
-            Turn::Frame(turn) if turn.should_render => self.render(turn, flight),
-            Turn::Frame(turn) => self.skip(turn, flight),
-            Turn::Idle | Turn::Exit => {
+        match (turn, flight) {
+            (Turn::Frame(turn), Some(flight)) if turn.should_render => self.render(turn, flight),
+            (Turn::Frame(turn), None) if turn.should_render => self.repeat(turn),
+            (Turn::Frame(turn), flight) => self.skip(turn, flight),
+            (Turn::Idle | Turn::Exit, flight) => {
                 self.take_in_arrivals(flight)?;
                 self.note_turn(false);
                 Ok(Step::Idle)
             }
         }
+    }
+
+    /// Where a frame's memory is; `None` while the device is not done with what it was used for last. Nobody waits for that, but where
+    /// the clock does too.
+    fn next_flight(&mut self, waits: bool) -> Result<Option<usize>, GpuError> {
+        let Renderer { stages, gpu, .. } = &mut self.renderer;
+        if waits { stages.wait_for_flight(gpu).map(Some) } else { stages.free_flight(gpu) }
     }
 
     /// What is ready comes with this turn, however slow the device is.
@@ -83,11 +102,20 @@ impl Presenter {
     }
 
     /// A frame that nobody sees. The head goes on to be told.
-    fn skip(&mut self, turn: FrameTurn, flight: usize) -> Result<Step, ClientError> {
+    fn skip(&mut self, turn: FrameTurn, flight: Option<usize>) -> Result<Step, ClientError> {
         self.take_in_arrivals(flight)?;
         let views = self.renderer.display.locate_views(&turn)?;
-        let report = self.finish(&turn, &views, Content::default(), false);
+        let report = self.finish(&turn, &views, Content::default(), Drawn::Nothing);
         self.renderer.display.end_empty_frame(turn)?;
+        Ok(report)
+    }
+
+    /// A frame of a device that is behind: what was shown last is shown again, and the head goes on to be told.
+    fn repeat(&mut self, turn: FrameTurn) -> Result<Step, ClientError> {
+        let content = self.content_at(turn.display_time);
+        let views = self.renderer.display.locate_views(&turn)?;
+        let report = self.finish(&turn, &views, content, Drawn::Before);
+        self.renderer.display.end_same_frame(turn)?;
         Ok(report)
     }
 
@@ -125,16 +153,14 @@ impl Presenter {
         self.renderer.display.release_image()?;
         let drawn = content.scene.drawn;
         self.renderer.last_drawn = content.update.map(|_| LastDrawn { eyes, drawn });
-        let report = self.finish(&turn, &views, content, true);
+        let report = self.finish(&turn, &views, content, Drawn::Now);
         self.renderer.display.end_frame(turn)?;
         Ok(report)
     }
 
     /// What arrives while nothing is drawn is written all the same: memory must not grow with the time that nobody looks.
-    fn take_in_arrivals(&mut self, flight: usize) -> Result<(), ClientError> {
-        if !self.scenes.have_arrivals() {
-            return Ok(());
-        }
+    fn take_in_arrivals(&mut self, flight: Option<usize>) -> Result<(), ClientError> {
+        let Some(flight) = flight.filter(|_| self.scenes.have_arrivals()) else { return Ok(()) };
         let mut recorder = self.renderer.gpu.record()?;
         self.record_arrivals(&mut recorder);
         let ticket = recorder.submit()?;
@@ -157,16 +183,19 @@ impl Presenter {
         turn: &FrameTurn,
     ) -> Result<Content, GpuError> {
         self.record_arrivals(recorder);
-        let Self { scenes, renderer, interpolation, .. } = self;
+        let Self { scenes, renderer, .. } = self;
         let at = turn.display_time;
         let stages = &renderer.stages;
         let picture_arrived = recorder.scope("switch", |r| scenes.record_switch(r, stages, at))?;
-        let Some(scene) = scenes.shown_mut() else { return Ok(Content::default()) };
-        scene.clock.show(at);
-        let clock_error_bound_ns = scene.clock.error_bound_ns(at);
-        let Some(now) = scene.clock.server_time(at) else { return Ok(Content::default()) };
-        let world_time = scene.world.show(now);
-        let report = recorder.scope("motion", |r| {
+        let content = Content { picture_arrived, ..self.content_at(at) };
+        let Self { scenes, renderer, interpolation, .. } = self;
+        let stages = &renderer.stages;
+        let (Some(now), Some(world_time), Some(scene)) =
+            (content.time, content.world_time, scenes.shown_mut())
+        else {
+            return Ok(content);
+        };
+        let scene = recorder.scope("motion", |r| {
             let skinned = scene.record_poses(r, stages, flight, world_time);
             let report = scene.record_motion(r, stages, (now, world_time), *interpolation);
             r.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ); // palettes, for skinning
@@ -174,25 +203,32 @@ impl Presenter {
             SceneReport { skinned, ..report }
         });
         recorder.barrier(Access::COMPUTE_WRITE, Access::VERTEX_READ); // positions, for the one draw
-        let update = scene.update();
-        Ok(Content {
-            time: Some(now),
-            world_time: Some(world_time),
-            clock_error_bound_ns,
-            update,
-            picture_arrived,
-            scene: report,
-        })
+        Ok(Content { scene, ..content })
     }
 
-    fn finish(&mut self, turn: &FrameTurn, views: &Views, content: Content, is_rendered: bool) -> Step {
+    /// What is on display at a time, before anything of it is moved there.
+    fn content_at(&mut self, at: ClientTime) -> Content {
+        let Some(scene) = self.scenes.shown_mut() else { return Content::default() };
+        scene.clock.show(at);
+        let Some(now) = scene.clock.server_time(at) else { return Content::default() };
+        Content {
+            time: Some(now),
+            world_time: Some(scene.world.show(now)),
+            clock_error_bound_ns: scene.clock.error_bound_ns(at),
+            update: scene.update(),
+            ..Content::default()
+        }
+    }
+
+    fn finish(&mut self, turn: &FrameTurn, views: &Views, content: Content, drawn: Drawn) -> Step {
         let report = FrameReport {
             display_time: turn.display_time,
             server_time: content.time,
             world_time: content.world_time,
             clock_error_bound_ns: content.clock_error_bound_ns,
             motion_time: content.scene.motion_time,
-            is_rendered,
+            is_rendered: drawn == Drawn::Now,
+            is_repeated: drawn == Drawn::Before,
             update: content.update,
             is_new: content.picture_arrived.is_some(),
             held_vertices: content.scene.motionless.held + content.scene.skinned.held_vertices,

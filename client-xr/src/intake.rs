@@ -163,6 +163,7 @@ impl Intake {
     pub fn advance(&mut self, now: ClientTime) {
         self.now = now;
         self.begin_session();
+        self.ways.gpu().destroy_retired();
         let is_full = self.preparing.as_ref().is_some_and(|preparing| preparing.motion.is_full());
         if let Some(session) = self.link.session() {
             session.hold_back(is_full);

@@ -202,8 +202,8 @@ impl Link {
         picture_arrived: Option<ClientTime>,
     ) {
         let next = &mut self.reports.next;
-        next.display_frames += u32::from(frame.is_rendered);
-        next.frames_without_bundle += u32::from(frame.is_rendered && frame.update.is_none());
+        next.display_frames += u32::from(frame.is_seen());
+        next.frames_without_bundle += u32::from(frame.is_seen() && frame.update.is_none());
         next.frozen_vertices = next.frozen_vertices.saturating_add(frame.frozen_vertices);
         next.withheld_patches = next.withheld_patches.saturating_add(frame.withheld_patches);
         let (Some(serial), Some(id), Some(time)) = (shown, frame.update, frame.server_time) else { return };

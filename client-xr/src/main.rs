@@ -316,19 +316,22 @@ struct Probes {
     folder: PathBuf,
     every: u64,
     frames: u64,
+    /// One was due of a frame that showed the picture before again: it is of the next picture.
+    is_due: bool,
     /// The first file that could not be written; later ones are not tried.
     failure: Option<anyhow::Error>,
 }
 
 impl Probes {
     fn new(folder: &Path, every: u64) -> Self {
-        Self { folder: folder.to_owned(), every, frames: 0, failure: None }
+        Self { folder: folder.to_owned(), every, frames: 0, is_due: false, failure: None }
     }
 
     fn observe(&mut self, presenter: &mut Presenter, report: &FrameReport) -> Result<(), ClientError> {
-        let is_due = self.frames.is_multiple_of(self.every) && report.is_rendered && self.failure.is_none();
+        let is_due = self.is_due || self.frames.is_multiple_of(self.every);
+        self.is_due = is_due && report.is_repeated;
         self.frames += 1;
-        if !is_due {
+        if !is_due || !report.is_rendered || self.failure.is_some() {
             return Ok(());
         }
         for (view, side) in presenter.probe()?.iter().zip(["left", "right"]) {

@@ -38,6 +38,7 @@ impl FrameReport {
             clock_error_bound_ns: None,
             motion_time: None,
             is_rendered: true,
+            is_repeated: false,
             update: None,
             is_new: false,
             held_vertices: 0,
@@ -95,8 +96,10 @@ pub struct FrameReport {
     pub clock_error_bound_ns: Option<i64>,
     /// The world's time at which all animated vertices drawn are; the same as `world_time` unless samples are short.
     pub motion_time: Option<WorldTime>,
-    /// False where the runtime wanted no picture.
+    /// False where the runtime wanted no picture, or where the device was not done with those before.
     pub is_rendered: bool,
+    /// The device was not done with those before, so that the last one is shown again.
+    pub is_repeated: bool,
     /// The update on display; `None`: no bundle yet, the waiting room is seen.
     pub update: Option<UpdateId>,
     /// True where the bundle is on display for the first time.
@@ -111,4 +114,11 @@ pub struct FrameReport {
     pub withheld_patches: u32,
     /// Bytes of skeletons, keys and morph targets that wait for the GPU's memory.
     pub arena_waiting_bytes: u64,
+}
+
+impl FrameReport {
+    /// Whether somebody sees a picture: a new one, or the last one again.
+    pub fn is_seen(&self) -> bool {
+        self.is_rendered || self.is_repeated
+    }
 }

@@ -27,7 +27,9 @@ pub struct ClientStats {
     pub frames: u64,
     /// Display frames that were rendered.
     pub rendered_frames: u64,
-    /// Rendered display frames that showed a bundle.
+    /// Display frames for which the device was not done with those before, so that the last picture was shown again.
+    pub repeated_frames: u64,
+    /// Display frames, rendered or repeated, that showed a bundle.
     pub frames_with_bundle: u64,
     /// Bundles that came on display.
     pub bundles: u64,
@@ -80,6 +82,7 @@ impl ClientStats {
             bundles_per_s,
             frames,
             rendered_frames,
+            repeated_frames,
             frames_with_bundle,
             bundles,
             connections,
@@ -116,6 +119,7 @@ impl ClientStats {
             bundles_per_s: rate(self.bundles_per_s, bundles_per_s),
             frames: self.frames + frames,
             rendered_frames: self.rendered_frames + rendered_frames,
+            repeated_frames: self.repeated_frames + repeated_frames,
             frames_with_bundle: self.frames_with_bundle + frames_with_bundle,
             bundles: self.bundles + bundles,
             connections: self.connections + connections,
@@ -151,6 +155,7 @@ pub(crate) struct Counters {
     span: Option<(ClientTime, ClientTime)>,
     pub(crate) frames: u64,
     rendered_frames: u64,
+    pub(crate) repeated_frames: u64,
     frames_with_bundle: u64,
     pub(crate) bundles: u64,
     held_vertices: u64,
@@ -187,7 +192,8 @@ impl Counters {
         self.span = Some((first, frame.display_time));
         self.frames += 1;
         self.rendered_frames += u64::from(frame.is_rendered);
-        self.frames_with_bundle += u64::from(frame.is_rendered && frame.update.is_some());
+        self.repeated_frames += u64::from(frame.is_repeated);
+        self.frames_with_bundle += u64::from(frame.is_seen() && frame.update.is_some());
         self.bundles += u64::from(frame.is_new);
         self.held_vertices += u64::from(frame.held_vertices);
         self.frozen_vertices += u64::from(frame.frozen_vertices);
@@ -213,6 +219,7 @@ impl Counters {
             bundles_per_s: per_s(self.bundles),
             frames: self.frames,
             rendered_frames: self.rendered_frames,
+            repeated_frames: self.repeated_frames,
             frames_with_bundle: self.frames_with_bundle,
             bundles: self.bundles,
             connections: self.connections,

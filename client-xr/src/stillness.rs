@@ -36,7 +36,7 @@ impl Stillness {
         let now = frame.display_time;
         let was_away = now.since(self.last) > GAP_NS;
         self.last = now;
-        if was_away || !frame.is_rendered || frame.is_new || frame.update.is_none() {
+        if was_away || !frame.is_seen() || frame.is_new || frame.update.is_none() {
             self.fresh = now;
         }
         let is_still = now.since(self.fresh) >= STILL_AFTER_NS;

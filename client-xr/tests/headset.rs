@@ -6,7 +6,8 @@ use rand::rngs::SmallRng;
 use rand::{Rng, SeedableRng};
 use shadecast_client::client::{Client, ClientError, FrameReport, Notice, Step};
 use shadecast_client::decode::{DecodeError, Decoder};
-use shadecast_gpu::Gpu;
+use shadecast_client::stages::FRAMES_IN_FLIGHT;
+use shadecast_gpu::{Gpu, vk};
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent, ScriptedHand, ScriptedInput};
 use shadecast_mock_runtime::record::{Side, read_frames};
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
@@ -934,6 +935,91 @@ fn with_a_silent_server_the_picture_follows_every_turn_of_the_head_under_a_text_
             assert!(ink > 50, "{ink} bright pixels of text in frame {frame}");
         }
     }
+}
+
+/// What keeps a device from going on, until the CPU lets it.
+struct Gate {
+    gpu: Arc<Gpu>,
+    event: vk::Event,
+}
+
+impl Gate {
+    fn close(gpu: &Arc<Gpu>) -> Self {
+        let device = gpu.device();
+        // SAFETY: the device is alive; the event is waited for by the recording alone, and set before the gate goes.
+        unsafe {
+            let event = device.create_event(&vk::EventCreateInfo::default(), None).expect("an event");
+            let recorder = gpu.record().expect("a recording");
+            let (from, to) = (vk::PipelineStageFlags::HOST, vk::PipelineStageFlags::ALL_COMMANDS);
+            device.cmd_wait_events(recorder.commands(), &[event], from, to, &[], &[], &[]);
+            recorder.submit().expect("it waits");
+            Self { gpu: gpu.clone(), event }
+        }
+    }
+
+    fn open(&self) {
+        // SAFETY: the event is alive.
+        unsafe { self.gpu.device().set_event(self.event) }.expect("set");
+    }
+}
+
+impl Drop for Gate {
+    fn drop(&mut self) {
+        self.open();
+        self.gpu.wait_idle();
+        // SAFETY: the device is done with it.
+        unsafe { self.gpu.device().destroy_event(self.event, None) };
+    }
+}
+
+/// A frame of the half that draws alone, which therefore waits for nothing.
+fn frame_alone(client: &mut Client) -> FrameReport {
+    let turn = client.presenter.wait_turn().expect("a turn");
+    match client.presenter.present(turn, None).expect("a step") {
+        Step::Frame(report) => report,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_device_that_is_behind_is_not_waited_for_and_its_last_picture_is_shown_again() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let head_path = Some(turning_head(folder.path(), 0.1, 1.0, 3.0));
+    let run = Run::unseen(MockConfig { head_path, ..MockConfig::default() });
+    let mut client = run.client();
+    let mut line = Line::connect(&mut client);
+    line.send(static_patches(), &planes([0, 64]), true);
+    for _ in 0..3 {
+        line.frame(&mut client);
+    }
+    client.presenter.frame_timings().expect("it waits until the device is done");
+    let first = client.presenter.stats().frames as usize;
+
+    let gate = Gate::close(&client.presenter.gpu().clone());
+    let behind: Vec<_> = (0..12).map(|_| frame_alone(&mut client)).collect();
+    for (at, report) in behind.iter().enumerate() {
+        let is_new = at < FRAMES_IN_FLIGHT;
+        assert_eq!((report.is_rendered, report.is_repeated), (is_new, !is_new), "frame {at}");
+        assert_eq!(report.update, Some(UpdateId(0)), "the same bundle");
+    }
+    gate.open();
+    let caught_up = (0..100_000).position(|_| frame_alone(&mut client).is_rendered);
+    let repeated = behind.len() - FRAMES_IN_FLIGHT + caught_up.expect("it goes on");
+    drop(gate);
+    assert_eq!(client.presenter.stats().repeated_frames, repeated as u64);
+    client.intake.take_presented();
+    finish(&run, client);
+
+    let frames = read_frames(&run.captures()).expect("a log");
+    let shown = |at: usize| (frames[at].views[0].pose, frames[at].views[1].pose);
+    let last = first + FRAMES_IN_FLIGHT - 1;
+    for at in last + 1..first + behind.len() {
+        assert!(frames[at].repeated && !frames[at].empty, "frame {at}");
+        assert_eq!(shown(at), shown(last), "as seen from where the eyes were when it was drawn");
+        assert_ne!(frames[at].head_pose, frames[at - 1].head_pose, "the head goes on");
+    }
+    assert!(!frames[last].repeated && shown(last) != shown(last - 1));
+    assert_eq!(frames.iter().filter(|frame| frame.repeated).count(), repeated);
 }
 
 /// Steps of the grid for the moving strip at the client's time; the server's clock is ahead.

@@ -104,13 +104,29 @@ impl Stages {
         })
     }
 
-    /// Which of the frames in flight the next one is, once the GPU has done with the one before in its place. The only wait of a display
-    /// frame.
-    pub fn next_flight(&mut self, gpu: &Gpu) -> Result<usize, GpuError> {
+    /// Which of the frames in flight the next one is; `None` while the GPU is not done with the one before in its place.
+    pub fn free_flight(&mut self, gpu: &Gpu) -> Result<Option<usize>, GpuError> {
+        if let Some(ticket) = self.last_use[self.next_flight]
+            && !gpu.is_done(ticket)?
+        {
+            return Ok(None);
+        }
+        Ok(Some(self.take_flight()))
+    }
+
+    /// The same, once the GPU is done with it: for who goes by a clock that waits too.
+    pub fn wait_for_flight(&mut self, gpu: &Gpu) -> Result<usize, GpuError> {
+        if let Some(ticket) = self.last_use[self.next_flight] {
+            gpu.wait(ticket)?;
+        }
+        Ok(self.take_flight())
+    }
+
+    fn take_flight(&mut self) -> usize {
         let flight = self.next_flight;
         self.next_flight = (flight + 1) % FRAMES_IN_FLIGHT;
-        wait_for(gpu, &mut self.last_use[flight])?;
-        Ok(flight)
+        self.last_use[flight] = None;
+        flight
     }
 
     /// Writes the eyes that the recording for `flight`, not yet submitted, will read.
@@ -146,11 +162,6 @@ fn direction_from_clip(space_from_eye: Pose, fov: Fov) -> Mat4 {
         turned((r + l) * 0.5, (u + d) * 0.5, -1.0),
         Vec4::ZERO,
     )
-}
-
-/// Waits for what was submitted [`FRAMES_IN_FLIGHT`] frames ago.
-pub fn wait_for(gpu: &Gpu, ticket: &mut Option<Ticket>) -> Result<(), GpuError> {
-    ticket.take().map_or(Ok(()), |ticket| gpu.wait(ticket))
 }
 
 #[cfg(test)]

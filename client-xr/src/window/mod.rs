@@ -19,7 +19,7 @@ use shadecast_desktop::winit::event_loop::{ActiveEventLoop, EventLoop};
 use shadecast_desktop::winit::keyboard::KeyCode;
 use shadecast_desktop::winit::platform::pump_events::{EventLoopExtPumpEvents, PumpStatus};
 use shadecast_desktop::winit::window::WindowId;
-use shadecast_gpu::{Access, Gpu, GpuOptions, Image, ImageDesc, Needs, WindowImage, vk};
+use shadecast_gpu::{Access, Gpu, GpuOptions, Image, ImageDesc, Needs, Recorder, WindowImage, vk};
 use std::cell::RefCell;
 use std::path::PathBuf;
 use std::rc::Rc;
@@ -157,6 +157,19 @@ impl WindowDisplay {
         }
     }
 
+    /// Shows the eyes as the recording leaves them.
+    fn present(&mut self, recorder: Recorder) -> Result<(), DisplayError> {
+        let Some(image) = self.image.take() else { return Ok(()) };
+        let present = self.canvas.present_mut();
+        present.show_eyes(self.user.both_eyes);
+        if std::mem::take(&mut self.user.has_closed_figures) {
+            present.write(&[]);
+        }
+        self.canvas.present(recorder, image)?;
+        self.has_shown = true;
+        Ok(())
+    }
+
     /// Keeps what was seen last, once.
     fn keep_screenshot(&mut self) -> Result<(), DisplayError> {
         let Some(path) = self.screenshot.take().filter(|_| self.has_shown) else { return Ok(()) };
@@ -228,18 +241,19 @@ impl Display for WindowDisplay {
     }
 
     fn end_frame(&mut self, _: FrameTurn) -> Result<(), DisplayError> {
-        let Some(image) = self.image.take() else { return Ok(()) };
-        let present = self.canvas.present_mut();
-        present.show_eyes(self.user.both_eyes);
-        if std::mem::take(&mut self.user.has_closed_figures) {
-            present.write(&[]);
-        }
         let mut recorder = self.canvas.gpu().record()?;
         let layouts = [vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL, vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL];
         recorder.transition(&self.eyes, layouts, Access::COLOR_WRITE, Access::FRAGMENT_READ);
-        self.canvas.present(recorder, image)?;
-        self.has_shown = true;
-        Ok(())
+        self.present(recorder)
+    }
+
+    /// Does not happen while the window waits for its own last picture before it wants another.
+    fn end_same_frame(&mut self, _: FrameTurn) -> Result<(), DisplayError> {
+        if !self.has_shown {
+            return Ok(());
+        }
+        let recorder = self.canvas.gpu().record()?;
+        self.present(recorder)
     }
 
     fn end_empty_frame(&mut self, _: FrameTurn) -> Result<(), DisplayError> {

@@ -74,6 +74,8 @@ struct Headset {
     exit_requested: bool,
     /// Where head and eyes were located last, in the room: the runtime's own stage.
     last_views: Option<Views>,
+    /// Where they were for the image released last, once the session has shown one.
+    drawn_views: Option<Views>,
     jumps: Jumps,
     actions: Actions,
     locomotion: Locomotion,
@@ -287,6 +289,7 @@ impl Xr {
             refresh_hz: options.refresh_hz,
             exit_requested: false,
             last_views: None,
+            drawn_views: None,
             jumps: Jumps::default(),
             actions,
             locomotion: Locomotion::default(),
@@ -343,6 +346,10 @@ impl Display for Xr {
 
     fn end_frame(&mut self, turn: FrameTurn) -> Result<(), DisplayError> {
         Ok(self.headset.end_frame(turn, &self.swapchain)?)
+    }
+
+    fn end_same_frame(&mut self, turn: FrameTurn) -> Result<(), DisplayError> {
+        Ok(self.headset.end_same_frame(turn, &self.swapchain)?)
     }
 
     fn end_empty_frame(&mut self, turn: FrameTurn) -> Result<(), DisplayError> {
@@ -403,6 +410,7 @@ impl Headset {
             openxr::SessionState::READY => {
                 self.session.begin(VIEW_CONFIGURATION).doing("beginning the session")?;
                 self.jumps.happen();
+                self.drawn_views = None;
                 self.phase = Phase::Running;
                 self.request_rate()?;
                 self.request_performance();
@@ -581,8 +589,14 @@ impl Headset {
 
     /// Ends a frame: the last released image of `swapchain` is shown as seen from where the eyes were located last.
     fn end_frame(&mut self, turn: FrameTurn, swapchain: &Swapchain) -> Result<(), XrError> {
+        self.drawn_views = self.last_views;
+        self.end_same_frame(turn, swapchain)
+    }
+
+    /// Ends a frame for which no image was released: the runtime turns the one before to where the head is by now.
+    fn end_same_frame(&mut self, turn: FrameTurn, swapchain: &Swapchain) -> Result<(), XrError> {
         // In the room, wherever that is in the world.
-        let Some(views) = &self.last_views else { return self.end_empty_frame(turn) };
+        let Some(views) = &self.drawn_views else { return self.end_empty_frame(turn) };
         let [width, height] = swapchain.extent_pixels.map(|side| side as i32);
         let rect = openxr::Rect2Di {
             offset: openxr::Offset2Di { x: 0, y: 0 },

@@ -17,10 +17,14 @@ pub(crate) fn log_and_capture(
     frame: &Frame,
     submitted: Option<&Submitted>,
 ) -> Outcome<()> {
+    let shown = submitted.map(Submitted::releases);
+    let repeated = shown.is_some() && std::mem::replace(&mut session.shown, shown) == shown;
     core.tally.empty_frames += u64::from(submitted.is_none());
-    let due =
-        core.config.capture_every > 0 && frame.index.is_multiple_of(u64::from(core.config.capture_every));
-    let captured = match submitted.filter(|_| due && core.recorder.is_some()) {
+    core.tally.repeated_frames += u64::from(repeated);
+    let every = u64::from(core.config.capture_every);
+    let due = session.capture_is_due || (every > 0 && frame.index.is_multiple_of(every));
+    session.capture_is_due = due && repeated;
+    let captured = match submitted.filter(|_| due && !repeated && core.recorder.is_some()) {
         Some(submitted) => {
             take_pictures(core, session, frame, submitted)?;
             core.tally.captured_frames += 1;
@@ -29,17 +33,20 @@ pub(crate) fn log_and_capture(
         None => false,
     };
     let views = submitted.map(view_records).unwrap_or_default();
-    log(core, frame, FrameKind { captured, empty: submitted.is_none(), discarded: false }, views)
+    let kind = FrameKind { captured, empty: submitted.is_none(), repeated, discarded: false };
+    log(core, frame, kind, views)
 }
 
 /// Logs a frame that was begun and not ended.
 pub(crate) fn log_discarded(core: &mut Core, frame: &Frame) -> Outcome<()> {
-    log(core, frame, FrameKind { captured: false, empty: true, discarded: true }, Vec::new())
+    let kind = FrameKind { captured: false, empty: true, repeated: false, discarded: true };
+    log(core, frame, kind, Vec::new())
 }
 
 struct FrameKind {
     captured: bool,
     empty: bool,
+    repeated: bool,
     discarded: bool,
 }
 
@@ -52,6 +59,7 @@ fn log(core: &mut Core, frame: &Frame, kind: FrameKind, views: Vec<ViewRecord>) 
         wait_time_ns: frame.wait_time_ns,
         captured: kind.captured,
         empty: kind.empty,
+        repeated: kind.repeated,
         discarded: kind.discarded,
         views,
         head_pose: stage_from_head.into(),

@@ -19,6 +19,13 @@ pub(crate) struct Submitted {
     pub(crate) views: [SubmittedView; 2],
 }
 
+impl Submitted {
+    /// Which releases it shows: the same twice is the same picture.
+    pub(crate) fn releases(&self) -> [(u64, u64); 2] {
+        self.views.each_ref().map(|view| (view.swapchain, view.release))
+    }
+}
+
 /// One view of it.
 pub(crate) struct SubmittedView {
     /// Pose of the eye in the layer's space.
@@ -27,6 +34,8 @@ pub(crate) struct SubmittedView {
     pub(crate) swapchain: u64,
     /// Index of the swapchain's image: the one that was released last.
     pub(crate) image: u32,
+    /// The number of that release.
+    pub(crate) release: u64,
     pub(crate) array_index: u32,
     pub(crate) offset: [i32; 2],
     pub(crate) extent: [u32; 2],
@@ -118,13 +127,14 @@ fn check_view(session: &Session, view: &xr::CompositionLayerProjectionView) -> O
         return Err(Fault::usage(format!("a view has {:?}; angles must be finite and ordered", view.fov)));
     }
     let layer_from_eye = checked_pose(&view.pose, "a view's pose")?;
-    let image = check_sub_image(session, &view.sub_image)?;
+    let (image, release) = check_sub_image(session, &view.sub_image)?;
     let rect = view.sub_image.image_rect;
     Ok(SubmittedView {
         layer_from_eye,
         fov,
         swapchain: view.sub_image.swapchain.into_raw(),
         image,
+        release,
         array_index: view.sub_image.image_array_index,
         offset: [rect.offset.x, rect.offset.y],
         extent: [rect.extent.width as u32, rect.extent.height as u32],
@@ -151,8 +161,8 @@ pub(crate) fn checked_pose(pose: &xr::Posef, what: &str) -> Outcome<Pose> {
     }
 }
 
-/// Checks a part of a swapchain; gives the index of the image that it shows.
-fn check_sub_image(session: &Session, part: &xr::SwapchainSubImage) -> Outcome<u32> {
+/// Checks a part of a swapchain; gives the index of the image that it shows, and the number of its release.
+fn check_sub_image(session: &Session, part: &xr::SwapchainSubImage) -> Outcome<(u32, u64)> {
     let swapchain =
         session.swapchains.get(&part.swapchain.into_raw()).ok_or_else(|| Fault::handle("swapchain"))?;
     if swapchain.is_depth() {
@@ -166,7 +176,8 @@ fn check_sub_image(session: &Session, part: &xr::SwapchainSubImage) -> Outcome<u
         );
         return Err(Fault::usage(message));
     }
-    swapchain.images.last_released().ok_or_else(|| {
+    let images = &swapchain.images;
+    images.last_released().map(|image| (image, images.releases())).ok_or_else(|| {
         invalid_layer("the layer's swapchain has no released image; release one before xrEndFrame")
     })
 }

@@ -53,6 +53,10 @@ pub struct FrameRecord {
     pub captured: bool,
     /// True where no projection layer was submitted.
     pub empty: bool,
+    /// True where the pictures of the frame before were submitted again: nothing was released since. No pictures are written of such a
+    /// frame, but of the next one that has other pictures.
+    #[serde(default)]
+    pub repeated: bool,
     /// True where the next `xrBeginFrame` came without an `xrEndFrame` of this frame.
     pub discarded: bool,
     /// The two views of the first projection layer; none where the frame is empty.
@@ -94,6 +98,9 @@ pub struct Summary {
     pub missed_frames: u64,
     /// Frames without a projection layer.
     pub empty_frames: u64,
+    /// Frames that showed the pictures of the one before again.
+    #[serde(default)]
+    pub repeated_frames: u64,
     /// Frames that were begun and never ended.
     pub discarded_frames: u64,
     /// Frames of which pictures were written.

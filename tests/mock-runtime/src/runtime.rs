@@ -89,6 +89,10 @@ pub(crate) struct Session {
     pub(crate) handle: u64,
     pub(crate) state: SessionState,
     pub(crate) frames: FrameLoop,
+    /// Swapchain and release of both views that the last frame showed.
+    pub(crate) shown: Option<[(u64, u64); 2]>,
+    /// Pictures were due of a frame that showed the one before again: of the next picture they are.
+    pub(crate) capture_is_due: bool,
     /// When a session that rests is READY again, nanoseconds of `XrTime`.
     pub(crate) ready_ns: Option<i64>,
     pub(crate) gpu: Gpu,
@@ -147,6 +151,7 @@ pub(crate) struct Tally {
     pub(crate) foveation_level: i32,
     pub(crate) missed_frames: u64,
     pub(crate) empty_frames: u64,
+    pub(crate) repeated_frames: u64,
     pub(crate) discarded_frames: u64,
     pub(crate) captured_frames: u64,
     pub(crate) other_display_times: u64,
@@ -312,6 +317,7 @@ impl Core {
             foveation_level: self.tally.foveation_level,
             missed_frames: self.tally.missed_frames,
             empty_frames: self.tally.empty_frames,
+            repeated_frames: self.tally.repeated_frames,
             discarded_frames: self.tally.discarded_frames,
             captured_frames: self.tally.captured_frames,
             other_display_times: self.tally.other_display_times,

@@ -250,6 +250,8 @@ entry! {
             handle,
             state,
             frames: FrameLoop::default(),
+            shown: None,
+            capture_is_due: false,
             ready_ns: None,
             gpu,
             swapchains: Default::default(),

@@ -79,6 +79,8 @@ pub(crate) struct ImageQueue {
     /// The oldest acquired image was waited for.
     waited: bool,
     last_released: Option<u32>,
+    /// How often one was.
+    releases: u64,
     /// Only one acquire is allowed, ever.
     is_static: bool,
     was_acquired: bool,
@@ -92,6 +94,7 @@ impl ImageQueue {
             acquired: VecDeque::new(),
             waited: false,
             last_released: None,
+            releases: 0,
             is_static,
             was_acquired: false,
         }
@@ -128,12 +131,18 @@ impl ImageQueue {
         }
         self.waited = false;
         self.last_released = self.acquired.pop_front();
+        self.releases += 1;
         Ok(())
     }
 
     /// The image that layers show.
     pub(crate) fn last_released(&self) -> Option<u32> {
         self.last_released
+    }
+
+    /// The number of that release: another image has another one, and so has the same image that was drawn to again.
+    pub(crate) fn releases(&self) -> u64 {
+        self.releases
     }
 }
 
