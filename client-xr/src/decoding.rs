@@ -27,6 +27,9 @@ const MAX_WAITING_BYTES: usize = 4 * MAX_ACCESS_UNIT_BYTES;
 const THREAD_QUEUE: usize = 8;
 /// Decoded pictures on their way back to the decoding thread.
 const SPARE_QUEUE: usize = 4;
+/// Pictures that a decoder may fail with one after the other before it is said to be of no use: those that only wait for a refresh do not
+/// count.
+const MOST_FAILURES: u32 = 4;
 /// While a decoder has units, its thread looks for others so often.
 const LOOK_UP: Duration = Duration::from_millis(2);
 
@@ -91,6 +94,9 @@ pub struct Decoding {
     /// The last refresh handed to the decoder.
     last_refresh: Option<UpdateId>,
     lost: u32,
+    /// Since the last picture that it gave.
+    failures: u32,
+    trouble: Option<String>,
 }
 
 /// Puts pictures in order.
@@ -220,6 +226,8 @@ impl Decoding {
             needs_refresh: false,
             last_refresh: None,
             lost: 0,
+            failures: 0,
+            trouble: None,
         }
     }
 
@@ -287,11 +295,12 @@ impl Decoding {
             match result {
                 Ok(picture) => {
                     self.last_decoded = Some(update);
+                    self.failures = 0;
                     decoded(Decoded { update, arrived, decoding, picture });
                 }
                 Err(error) => {
-                    tracing::debug!("picture of frame {}: {error}", update.0);
                     self.lost = self.lost.saturating_add(1);
+                    self.note_failure(update, &error);
                     // A refresh that is on its way heals what failed before it.
                     self.needs_refresh |= self.last_refresh.is_none_or(|refresh| refresh <= update);
                 }
@@ -300,6 +309,23 @@ impl Decoding {
         if !self.needs_refresh {
             self.asked = None;
         }
+    }
+
+    /// One failure is a matter of a refresh; a decoder that fails with each refresh will never show anything.
+    fn note_failure(&mut self, update: UpdateId, error: &DecodeError) {
+        if !error.is_the_decoders() {
+            return tracing::debug!("picture of frame {}: {error}", update.0);
+        }
+        tracing::warn!("picture of frame {}: {error}", update.0);
+        self.failures += 1;
+        if self.failures == MOST_FAILURES {
+            self.trouble = Some(format!("pictures cannot be shown: {error}"));
+        }
+    }
+
+    /// Why this decoder is of no use, once.
+    pub fn take_trouble(&mut self) -> Option<String> {
+        self.trouble.take()
     }
 
     /// The request that is due at `now`: the last frame that decoded, if only a refresh helps.
@@ -451,6 +477,9 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
+    /// A unit that no decoder of this headset takes, though it is a refresh.
+    const UNDECODABLE: u8 = 255;
+
     /// Decodes a unit of one byte to that byte; 0 is broken, an even one needs the one before, an odd one is a refresh.
     #[derive(Default)]
     struct Toy {
@@ -463,6 +492,10 @@ mod tests {
     impl Toy {
         fn decode(&mut self, unit: u8) -> Result<Picture, DecodeError> {
             let is_refresh = unit % 2 == 1;
+            if unit == UNDECODABLE {
+                self.last = None;
+                return Err(DecodeError::Platform { doing: "setting the decoder up", reason: "no".into() });
+            }
             if unit == 0 {
                 self.last = None;
                 return Err(DecodeError::Corrupt { state: 1 });
@@ -608,6 +641,40 @@ mod tests {
         bench.add(1, 0, 1);
         bench.advance(1);
         assert_eq!(bench.decoding.refresh_request(ClientTime(MS)), Some(Some(UpdateId(0))));
+    }
+
+    #[test]
+    fn a_decoder_that_fails_with_one_refresh_after_the_other_is_of_no_use_and_the_reason_is_told_once() {
+        let mut bench = Bench::new(0);
+        let mut update = 0..;
+        let mut fail = |bench: &mut Bench| {
+            // What needs the refresh that failed is no failure of its own.
+            for unit in [UNDECODABLE, 2, 2] {
+                bench.add(update.next().expect("another"), unit, 0);
+            }
+            bench.advance(0);
+            bench.decoding.take_trouble()
+        };
+        for _ in 1..MOST_FAILURES {
+            assert_eq!(fail(&mut bench), None);
+        }
+        let text = fail(&mut bench).expect("it is of no use");
+        assert!(
+            text.contains("pictures cannot be shown") && text.contains("setting the decoder up"),
+            "{text}"
+        );
+        assert_eq!(fail(&mut bench), None, "once");
+    }
+
+    #[test]
+    fn a_picture_between_failures_makes_up_for_them() {
+        let mut bench = Bench::new(0);
+        for round in 0..4 * MOST_FAILURES {
+            bench.add(2 * round, UNDECODABLE, 0);
+            bench.add(2 * round + 1, 1, 0);
+            bench.advance(0);
+        }
+        assert_eq!((bench.decoding.take_trouble(), bench.seen.len()), (None, 4 * MOST_FAILURES as usize));
     }
 
     #[test]

@@ -276,6 +276,7 @@ impl Intake {
         let Arrived { lost_pictures, refresh_requests, .. } = &*self.end.arrived;
         count(lost_pictures, lost as usize);
         count(refresh_requests, has_asked.into());
+        self.notices.extend(self.link.take_trouble().map(Notice::Failed));
     }
 
     /// When [`Self::advance`] next has something to do by itself.

@@ -155,6 +155,11 @@ impl Link {
         (lost, has_asked)
     }
 
+    /// Why the session's pictures cannot be shown, once that is known.
+    pub(crate) fn take_trouble(&mut self) -> Option<String> {
+        self.decoding()?.take_trouble()
+    }
+
     /// A picture that is not needed any more goes back to the decoder.
     pub(crate) fn recycle(&mut self, picture: Picture) {
         if let Some(decoding) = self.decoding() {

@@ -124,7 +124,7 @@ fn look(args: &DoctorArgs) -> anyhow::Result<Findings> {
         Ok(found) => (chosen(found, args.device.as_deref()), None),
         Err(error) => (Vec::new(), Some(error.to_string())),
     };
-    let (encoders, no_encoders) = try_encoders()?;
+    let (encoders, no_encoders) = try_encoders(encoders_here());
     let udp = match try_socket(args.listen) {
         Ok(SocketTrial { buffer_bytes, wanted_bytes }) => Udp {
             address: args.listen,
@@ -159,20 +159,24 @@ fn chosen(found: Vec<FoundDevice>, wanted: Option<&str>) -> Vec<Device> {
         .collect()
 }
 
-/// All that this program has: those that work, and the others.
-fn try_encoders() -> Result<(Vec<EncoderTrial>, Vec<NoEncoder>), EncodeError> {
+/// Of all that this program has those that work, and the others. One may work for small pictures alone.
+fn try_encoders(all: Vec<(Kind, Result<(), String>)>) -> (Vec<EncoderTrial>, Vec<NoEncoder>) {
     let (mut encoders, mut no_encoders) = (Vec::new(), Vec::new());
-    for (kind, tried) in encoders_here() {
-        match tried {
-            Ok(()) => {
-                for extent_texels in EXTENTS {
-                    encoders.push(try_encoder(&kind, extent_texels)?);
-                }
+    for (kind, tried) in all {
+        let mut no = |reason| no_encoders.push(NoEncoder { encoder: kind.name, reason });
+        if let Err(reason) = tried {
+            no(reason);
+            continue;
+        }
+        for extent_texels in EXTENTS {
+            let [width, height] = extent_texels;
+            match try_encoder(&kind, extent_texels) {
+                Ok(trial) => encoders.push(trial),
+                Err(error) => no(format!("at {width}x{height}: {error}")),
             }
-            Err(reason) => no_encoders.push(NoEncoder { encoder: kind.name, reason }),
         }
     }
-    Ok((encoders, no_encoders))
+    (encoders, no_encoders)
 }
 
 /// Encodes painted noise, a third of which changes from picture to picture.
@@ -326,6 +330,38 @@ impl fmt::Display for Findings {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use shadecast_server::encode::{Encoded, Encoder};
+    use std::sync::Arc;
+    use std::time::Duration;
+
+    /// Takes no picture.
+    struct Refuses(Vec<Source>);
+
+    impl Encoder for Refuses {
+        fn submit(&mut self, source: Source, _: i64, _: bool) {
+            self.0.push(source);
+        }
+
+        fn poll(&mut self, _: Duration) -> Option<Encoded> {
+            self.0.pop().map(|source| Encoded { source, result: Err(EncodeError::Stalled) })
+        }
+
+        fn set_qp(&mut self, _: u8) -> Result<(), EncodeError> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn an_encoder_that_fails_with_large_pictures_is_told_and_the_others_are_measured() {
+        let refuses =
+            Kind::new("h264_amf", Arc::new(|_| Ok(Box::new(Refuses(Vec::new())) as Box<dyn Encoder>)));
+        let all = vec![(refuses, Ok(()))];
+        let (measured, others) = try_encoders(all);
+        assert!(measured.is_empty());
+        let told: Vec<_> = others.iter().map(|no| (no.encoder, no.reason.as_str())).collect();
+        let [(_, first), (_, second)] = told[..] else { panic!("{told:?}") };
+        assert!(first.starts_with("at 2048x2048: ") && second.starts_with("at 4096x2048: "), "{told:?}");
+    }
 
     fn healthy() -> Findings {
         let device = Device {

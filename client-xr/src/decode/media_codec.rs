@@ -31,9 +31,18 @@ const LOW_LATENCY: [&str; 4] = [
     "vendor.qti-ext-dec-picture-order.enable",
     "vendor.rtc-ext-dec-low-latency.enable",
 ];
-/// Android's numbers for what the server encodes: BT.709 with full range and the transfer of video; and for "in real time".
-const COLOURS_AND_PRIORITY: [(&str, i32); 4] =
-    [("color-standard", 1), ("color-range", 1), ("color-transfer", 3), ("priority", 0)];
+/// Decoders of H.264 in the processors of headsets: Qualcomm's by both of Android's interfaces, Samsung's, MediaTek's.
+const HARDWARE: [&str; 4] =
+    ["c2.qti.avc.decoder", "OMX.qcom.video.decoder.avc", "c2.exynos.h264.decoder", "c2.mtk.avc.decoder"];
+/// Android's numbers for what the server encodes: BT.709 with full range and the transfer of video; for "in real time"; and that no image
+/// takes the place of one that was not taken yet, which windows otherwise do to catch up.
+const DEMANDS: [(&str, i32); 5] = [
+    ("color-standard", 1),
+    ("color-range", 1),
+    ("color-transfer", 3),
+    ("priority", 0),
+    ("allow-frame-drop", 0),
+];
 
 /// What goes from one thread to another here. Android's media objects lock themselves.
 struct Sent<T>(T);
@@ -91,17 +100,18 @@ pub fn decoder(
     PlatformDecoder::new(extent_texels, Box::new(begin))
 }
 
-/// The system lists those of the hardware first, so the first one is on the CPU only where all are.
+/// The system lists those of the hardware first, as a rule; where it does not, those of the headsets' processors are asked for by name.
 fn choose() -> Result<MediaCodec, DecodeError> {
     let doing = "choosing a decoder of H.264";
     let Some(codec) = MediaCodec::from_decoder_type(MIME) else {
         return failed(doing, "this headset has none".into());
     };
     let name = codec.name().doing(doing)?;
-    if is_software(&name) {
-        return failed(doing, format!("this headset has only {name}, which runs on its CPU"));
+    if !is_software(&name) {
+        return Ok(codec);
     }
-    Ok(codec)
+    let named = HARDWARE.iter().find_map(|name| MediaCodec::from_codec_name(name));
+    named.map_or_else(|| failed(doing, format!("this headset has only {name}, which runs on its CPU")), Ok)
 }
 
 impl AndroidCodec {
@@ -182,7 +192,7 @@ fn format(extent_texels: [u32; 2], headers: &Headers) -> MediaFormat {
     format.set_buffer("csd-0", &headers.sequence);
     format.set_buffer("csd-1", &headers.picture);
     LOW_LATENCY.iter().for_each(|key| format.set_i32(key, 1));
-    COLOURS_AND_PRIORITY.iter().for_each(|(key, value)| format.set_i32(key, *value));
+    DEMANDS.iter().for_each(|(key, value)| format.set_i32(key, *value));
     format
 }
 

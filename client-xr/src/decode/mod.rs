@@ -172,3 +172,10 @@ pub enum DecodeError {
         code: std::ffi::c_long,
     },
 }
+
+impl DecodeError {
+    /// Whether it is the decoder that cannot, and not the video that is broken or lacks what it refers to.
+    pub(crate) fn is_the_decoders(&self) -> bool {
+        matches!(self, Self::Device(_) | Self::Platform { .. } | Self::Library { .. })
+    }
+}

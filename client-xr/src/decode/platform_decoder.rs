@@ -94,7 +94,7 @@ struct Stream<C> {
     inputs: VecDeque<usize>,
     /// Decoded, and not written to images: with their times, in order.
     outputs: VecDeque<(usize, u64)>,
-    /// Being written to images, or written and not taken.
+    /// Being written to images, or written and not taken: one at most.
     writing: usize,
 }
 
@@ -191,7 +191,8 @@ impl<C: PlatformCodec> PlatformDecoder<C> {
             let lease = Box::new(Counted { lent: lent.clone(), _lease: lease });
             finish(units, time_us, DevicePicture { image, is_foreign: true, lease })?;
         }
-        while !stream.outputs.is_empty() && stream.writing + lent.load(Ordering::Acquire) < MAX_LENT {
+        // One at a time: before Android 12 a window may write a picture over one that was not taken yet, whatever it is told.
+        while !stream.outputs.is_empty() && stream.writing == 0 && lent.load(Ordering::Acquire) < MAX_LENT {
             let Some((output, time_us)) = stream.outputs.pop_front() else { break };
             // What nobody waits for any more needs no image.
             let is_shown = units.iter().any(|unit| unit.time_us == time_us);

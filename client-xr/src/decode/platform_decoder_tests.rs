@@ -201,6 +201,24 @@ fn a_picture_that_is_ready_ends_the_wait_for_it() {
 }
 
 #[test]
+fn a_picture_is_written_only_where_the_one_before_was_taken() {
+    let mut bench = Bench::new();
+    for number in 0..3 {
+        bench.decoder.submit(&if number == 0 { refresh() } else { later() });
+        bench.say(CodecEvent::Input(number));
+    }
+    assert!(bench.poll().is_none());
+    (0..3).for_each(|number| bench.decode(number, number as u64));
+    for number in 0..3 {
+        assert!(bench.poll().is_none());
+        let released: Vec<_> = (0..=number).map(|output| (output, true)).collect();
+        assert_eq!(bench.script().released, released, "what is written over is lost");
+        bench.write(number as u64);
+        drop(bench.picture());
+    }
+}
+
+#[test]
 fn no_more_images_are_asked_for_than_there_are_and_those_given_back_serve_again() {
     let mut bench = Bench::new();
     let mut held = Vec::new();

@@ -412,7 +412,7 @@ impl Headset {
                 self.jumps.happen();
                 self.drawn_views = None;
                 self.phase = Phase::Running;
-                self.request_rate()?;
+                self.request_rate();
                 self.request_performance();
             }
             openxr::SessionState::STOPPING => {
@@ -441,22 +441,27 @@ impl Headset {
         }
     }
 
-    /// Asks for the wanted rate, where the runtime lets itself be asked.
-    fn request_rate(&self) -> Result<(), XrError> {
-        let Some(wanted) = self.refresh_hz else { return Ok(()) };
+    /// Asks for the wanted rate. Who does not get it sees the same at another one.
+    fn request_rate(&self) {
+        let Some(wanted) = self.refresh_hz else { return };
         if self.device.instance.exts().fb_display_refresh_rate.is_none() {
             tracing::warn!(
                 "the OpenXR runtime chooses the display's rate by itself (it lacks XR_FB_display_refresh_rate)"
             );
-            return Ok(());
+            return;
         }
-        let doing = "asking for the display's rate";
-        let offered = self.session.enumerate_display_refresh_rates().doing(doing)?;
+        if let Err(refused) = self.request_nearest_rate(wanted) {
+            tracing::warn!("the OpenXR runtime keeps the display's rate: {refused:?}");
+        }
+    }
+
+    fn request_nearest_rate(&self, wanted: f32) -> Result<(), sys::Result> {
+        let offered = self.session.enumerate_display_refresh_rates()?;
         let Some(nearest) = nearest(&offered, wanted) else { return Ok(()) };
         if nearest != wanted {
             tracing::warn!("the display has {offered:?} frames a second: {nearest} are nearest to {wanted}");
         }
-        self.session.request_display_refresh_rate(nearest).doing(doing)
+        self.session.request_display_refresh_rate(nearest)
     }
 
     /// Sleeps until the runtime wants the next frame, and begins it.

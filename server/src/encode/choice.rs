@@ -56,6 +56,11 @@ impl fmt::Debug for Kind {
 }
 
 impl Kind {
+    /// One that `make` makes.
+    pub fn new(name: &'static str, make: Make) -> Self {
+        Self { name, make }
+    }
+
     /// An encoder of it.
     ///
     /// # Errors

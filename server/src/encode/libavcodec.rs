@@ -20,6 +20,10 @@ use std::time::Duration;
 const REOPENED_FOR_QP: u8 = 4;
 /// Sides of the picture with which an encoder is tried, texels: graphics cards refuse small ones.
 const TRIAL_EXTENT_TEXELS: [u32; 2] = [512, 256];
+/// The pictures of a trial: which of them are asked for as refreshes.
+const TRIAL: [bool; 3] = [true, false, true];
+/// The library's unit of quality, in steps of the quantiser (`FF_QP2LAMBDA`).
+const LAMBDA_OF_QP: u32 = av::FF_QP2LAMBDA as u32;
 /// Kinds of NAL units: sequence and picture parameters, and a slice of a refresh.
 const NALS_OF_A_REFRESH: [u8; 3] = [7, 8, 5];
 /// A picture that is with the encoder is asked for so often.
@@ -30,7 +34,8 @@ const LOOK_UP: Duration = Duration::from_micros(200);
 pub struct Candidate {
     /// Its name in the library.
     pub name: &'static str,
-    /// Its options, as the library writes them; `{qp}` is the quantiser, `{threads}` the number of slices and threads.
+    /// Its options, as the library writes them; `{qp}` is the quantiser, `{lambda}` the same in the library's units of quality,
+    /// `{threads}` the number of slices and threads.
     options: &'static [(&'static str, &'static str)],
     /// The option by which the quantiser changes while it is open.
     live_qp: Option<&'static CStr>,
@@ -71,7 +76,7 @@ pub const CANDIDATES: [Candidate; 6] = [
             ("async_depth", "1"),
             ("forced_idr", "1"),
             ("look_ahead", "0"),
-            ("global_quality", "{qp}"),
+            ("global_quality", "{lambda}"),
             ("flags", "+qscale"),
         ],
         live_qp: None,
@@ -87,6 +92,7 @@ pub const CANDIDATES: [Candidate; 6] = [
             ("qp_i", "{qp}"),
             ("qp_p", "{qp}"),
             ("header_insertion_mode", "idr"),
+            ("forced_idr", "1"),
         ],
         live_qp: None,
         is_nv12: true,
@@ -180,7 +186,7 @@ impl Candidate {
         NonNull::new(unsafe { av::avcodec_find_encoder_by_name(name.as_ptr()) }.cast_mut())
     }
 
-    /// Encodes one picture with it.
+    /// Encodes pictures with it: the first, one that refers to it, and one that a client asks for as a refresh.
     ///
     /// # Errors
     /// Why it is of no use on this machine.
@@ -190,13 +196,16 @@ impl Candidate {
         let grey = std::iter::repeat_n(128, (width * height / 2) as usize);
         let picture = I420::new(TRIAL_EXTENT_TEXELS, luma.chain(grey).collect())?;
         let mut encoder = LibavEncoder::new(*self, EncoderSettings::new(TRIAL_EXTENT_TEXELS))?;
-        let unit = encode_one(&mut encoder, Source::Planes(picture), 0, true)?;
-        let missing =
-            NALS_OF_A_REFRESH.iter().find(|kind| !nal_types(&unit.bytes).any(|found| found == **kind));
-        match (unit.is_refresh, missing) {
-            (true, None) => Ok(()),
-            _ => Err(self.failed("encoding a trial", "its first picture is no refresh by itself".into())),
+        for (number, wants_refresh) in TRIAL.into_iter().enumerate() {
+            let source = Source::Planes(picture.clone());
+            let unit = encode_one(&mut encoder, source, number as i64 * 33_333_333, wants_refresh)?;
+            if wants_refresh && !is_whole_refresh(&unit) {
+                let reason =
+                    format!("picture {} was asked for as a refresh and is none by itself", number + 1);
+                return Err(self.failed("encoding a trial", reason));
+            }
         }
+        Ok(())
     }
 
     fn failed(&self, doing: &'static str, reason: String) -> EncodeError {
@@ -206,6 +215,11 @@ impl Candidate {
     fn check(&self, doing: &'static str, code: c_int) -> Result<c_int, EncodeError> {
         if code >= 0 { Ok(code) } else { Err(self.failed(doing, words(code))) }
     }
+}
+
+/// Whether a decoder can begin with it.
+fn is_whole_refresh(unit: &AccessUnit) -> bool {
+    unit.is_refresh && NALS_OF_A_REFRESH.iter().all(|kind| nal_types(&unit.bytes).any(|found| found == *kind))
 }
 
 /// Types of the NAL units of a byte stream.
@@ -552,6 +566,7 @@ fn options(candidate: &Candidate, settings: &EncoderSettings) -> *mut av::AVDict
     for (name, value) in candidate.options {
         let value = value
             .replace("{qp}", &settings.qp.to_string())
+            .replace("{lambda}", &(u32::from(settings.qp) * LAMBDA_OF_QP).to_string())
             .replace("{threads}", &settings.threads.to_string());
         if let (Ok(name), Ok(value)) = (CString::new(*name), CString::new(value)) {
             // SAFETY: both are strings of C, which the dictionary copies.
