@@ -1,9 +1,8 @@
 #!/usr/bin/env bash
 # The client that ships on Monado, a real OpenXR runtime: the head is moved from outside, both eyes are compared with the truth from
 # where they are, the service is ended and comes back, and all ends are clean. The layer that checks calls of OpenXR watches.
-#   monado-test.sh [--poses N] [--frames N] [--json FILE]
-# Monado lives in a box of its own with a newer system: MONADO_TOOLS names the folder of the scripts that make and run it. 77 says
-# that there is none.
+#   monado-test.sh [--poses N] [--frames N] [--json FILE] [--make-box]
+# Monado is the one that is installed, or lives in a box with a system of its own: scripts/monado-where.sh. 77 says that there is none.
 set -euo pipefail
 NAME=monado-test
 # shellcheck source=scripts/elsewhere.sh
@@ -14,26 +13,29 @@ skip() {
   exit 77
 }
 
-poses=5 frames=300 json=""
+poses=5 frames=300 json="" make_box=""
 while [ $# -gt 0 ]; do
   case $1 in
     --poses) poses=$2 ;;
     --frames) frames=$2 ;;
     --json) json=$2 ;;
-    *) die "'$1' is no option: --poses N, --frames N, --json FILE" ;;
+    --make-box)
+      make_box=yes
+      shift
+      continue
+      ;;
+    *) die "'$1' is no option: --poses N, --frames N, --json FILE, --make-box" ;;
   esac
   shift 2
 done
 
-TOOLS=${MONADO_TOOLS:-../shared/tools/monado}
-export BOX=${BOX:-/opt/monado-box}
-[ -x "$TOOLS/service.sh" ] || skip "no scripts that run Monado; name their folder with MONADO_TOOLS"
-[ -e "$BOX/.ready" ] || skip "no box with Monado in it: $TOOLS/box.sh makes one (a gigabyte, some minutes, as root)"
-[ "$(id -u)" = 0 ] || skip "the box is entered by root alone"
-needs python3 python3
-
 PROGRAMS=${PROGRAMS:-$ROOT/target/debug}
 work=$(mktemp -d)
+trap 'rm -rf -- "$work"' EXIT
+needs python3 python3
+# shellcheck source=scripts/monado-where.sh
+. "$ROOT/scripts/monado-where.sh"
+find_monado
 # Where eyes look in Monado's picture: tangents of half its angles, and half the distance between them.
 HALF_ANGLES_RAD="0.742 0.779"
 HALF_PUPILS_M=0.0315
@@ -45,13 +47,11 @@ pids=()
 
 cleanup() {
   for pid in "${pids[@]}"; do kill "$pid" 2>/dev/null || true; done
-  "$TOOLS/service.sh" stop >/dev/null 2>&1 || true
-  "$TOOLS/box.sh" umount || true
+  stop_service >/dev/null 2>&1 || true
+  leave_monado
   rm -rf -- "$work"
 }
 trap cleanup EXIT
-
-start_service() { SCALE=50 "$TOOLS/service.sh" start main remote >/dev/null; }
 
 start_server() {
   rm -f "$work/server.txt" # what the one before said
@@ -63,12 +63,17 @@ start_server() {
   address=$(sed -n 's/^Listening on \([^ ]*\) .*/\1/p' "$work/server.txt")
 }
 
-LAYER="XR_ENABLE_API_LAYERS=XR_APILAYER_LUNARG_core_validation XR_CORE_VALIDATION_EXPORT_TYPE=text XR_CORE_VALIDATION_FILE_NAME=/app/core.txt"
+LAYER=()
+if has_layer; then
+  LAYER=(XR_ENABLE_API_LAYERS=XR_APILAYER_LUNARG_core_validation XR_CORE_VALIDATION_EXPORT_TYPE=text
+    XR_CORE_VALIDATION_FILE_NAME="$APP_THERE/core.txt")
+else
+  echo "$NAME: OpenXR's core validation layer is not there (package openxr-layer-corevalidation): calls are not checked" >&2
+fi
 
 start_client() {
-  rm -f "$BOX/app/core.txt" "$BOX/app/stats.json" "$work/client.txt"
-  RUNENV=$LAYER \
-    "$TOOLS/run.sh" "$PROGRAMS/shadecast-client" --connect "$address" --stats /app/stats.json >"$work/client.txt" 2>&1 &
+  rm -f "$APP/core.txt" "$APP/stats.json" "$work/client.txt"
+  "${MONADO[@]}" "${LAYER[@]}" "$APP_THERE/shadecast-client" --connect "$address" --stats "$APP_THERE/stats.json" >"$work/client.txt" 2>&1 &
   client=$!
   pids+=("$client")
 }
@@ -92,9 +97,6 @@ ends_within() { # PID SECONDS
   wait "$1"
 }
 
-# In the box, where ImageMagick is.
-in_box() { chroot "$BOX" "$@"; }
-
 # Decibels between what an eye sees and the truth from there: psnr EYE X Y Z YAW, eye -1 left, 1 right, and the half of Monado's
 # picture that is looked at, 0 or 1.
 psnr() { # EYE HALF X Y Z YAW
@@ -107,15 +109,15 @@ psnr() { # EYE HALF X Y Z YAW
   # The truth's pixels are square, and Monado's are not.
   size=$(awk -v h="$1" -v v="$2" 'function tan(a) { return sin(a) / cos(a) } BEGIN { printf "%dx540", 540 * tan(h) / tan(v) + 0.5 }')
   local name="truth_${eye}_${place}_$3"
-  if [ ! -s "$BOX/app/$name.png" ]; then
+  if [ ! -s "$APP/$name.png" ]; then
     "$PROGRAMS/shadecast-server" forward "$work/scene.toml" --position "$place" --yaw "$3" --fov "$fov" --size "$size" \
       --out "$work/truth" >/dev/null 2>&1
-    cp "$work/truth/forward-000000.png" "$BOX/app/$name.png"
+    cp "$work/truth/forward-000000.png" "$APP/$name.png"
   fi
-  in_box convert "/app/$name.png" -resize "$VIEW!" /app/truth.png
-  in_box convert /app/shot.png -crop "$VIEW+$((half * 480))+0" +repage /app/eye.png
+  "${THERE[@]}" convert "$APP_THERE/$name.png" -resize "$VIEW!" "$APP_THERE/truth.png"
+  "${THERE[@]}" convert "$APP_THERE/shot.png" -crop "$VIEW+$((half * 480))+0" +repage "$APP_THERE/eye.png"
   # compare says by its exit code that pictures differ.
-  in_box compare -metric PSNR /app/eye.png /app/truth.png null: 2>&1 | awk '{ print $1 }' || true
+  "${THERE[@]}" compare -metric PSNR "$APP_THERE/eye.png" "$APP_THERE/truth.png" null: 2>&1 | awk '{ print $1 }' || true
 }
 
 # A new name for the file, since the head's holder reads it at any time and must not find half of it.
@@ -123,8 +125,6 @@ hold_head() { # "X Y Z YAW"
   echo "$1" >"$work/pose.new"
   mv "$work/pose.new" "$work/pose.txt"
 }
-
-shot() { "$TOOLS/service.sh" shot "$work/shot.png"; }
 
 # Waits until the head has been there for some frames, and compares both eyes.
 look() { # NUMBER X Y Z YAW
@@ -138,14 +138,14 @@ look() { # NUMBER X Y Z YAW
   results+=("$left" "$right")
   for db in "$left" "$right"; do
     awk -v db="$db" -v least=$LEAST_DB 'BEGIN { exit !(db >= least) }' || {
-      cp "$work/shot.png" monado-shot.png
+      cp "$APP/shot.png" monado-shot.png
       die "an eye shows something else than the truth ($db dB, at least $LEAST_DB): see monado-shot.png"
     }
   done
 }
 
 # Warnings and errors of the layer; it also says when it begins and ends.
-core_messages() { if [ -s "$BOX/app/core.txt" ]; then grep 'VALID_' "$BOX/app/core.txt" | grep -cvE 'VALID_(DEBUG|INFO)' || true; else echo 0; fi; }
+core_messages() { if [ -s "$APP/core.txt" ]; then grep 'VALID_' "$APP/core.txt" | grep -cvE 'VALID_(DEBUG|INFO)' || true; else echo 0; fi; }
 
 printf '%s\n' '[[model]]' 'name = "dragon"' 'file = "dragon"' \
   '[[instance]]' 'model = "dragon"' 'clip = ""' 'translation = [-0.7, 0, -3]' \
@@ -157,29 +157,30 @@ hold_head "0 1.6 0 0"
 python3 scripts/monado_head.py "$work/pose.txt" &
 pids+=($!)
 
-# The layer must see what is wrong, or its silence means nothing.
-"$TOOLS/box.sh" mount
 start_service
-rm -f "$BOX/app/core.txt"
-RUNENV=$LAYER \
-  "$TOOLS/run.sh" "$PROGRAMS/examples/wrong_call" >/dev/null 2>&1 || true
-control=$(core_messages)
-[ "$control" -gt 0 ] || die "the layer that checks calls says nothing of a wrong one"
+cp "$PROGRAMS/shadecast-client" "$PROGRAMS/examples/wrong_call" "$PROGRAMS/libshadecast_mock_runtime.so" "$APP/"
+
+# The layer must see what is wrong, or its silence means nothing.
+control=0
+if [ ${#LAYER[@]} -gt 0 ]; then
+  rm -f "$APP/core.txt"
+  "${MONADO[@]}" "${LAYER[@]}" "$APP_THERE/wrong_call" >/dev/null 2>&1 || true
+  control=$(core_messages)
+  [ "$control" -gt 0 ] || die "the layer that checks calls says nothing of a wrong one"
+fi
 
 start_server
 
 # The same layer over the project's own runtime, with a controller in use.
-cp "$PROGRAMS/shadecast-client" "$PROGRAMS/libshadecast_mock_runtime.so" "$BOX/app/"
-echo '{ "file_format_version": "1.0.0", "runtime": { "name": "mock", "library_path": "/app/libshadecast_mock_runtime.so" } }' >"$BOX/app/mock.json"
-echo '{ "extent_pixels": [64, 64], "controllers": "/interaction_profiles/oculus/touch_controller" }' >"$BOX/app/mock-config.json"
-rm -f "$BOX/app/core.txt"
-# shellcheck disable=SC2086 # several variables
-in_box env XDG_RUNTIME_DIR=/run/xr HOME=/root XR_RUNTIME_JSON=/app/mock.json SHADECAST_MOCK_CONFIG=/app/mock-config.json $LAYER \
-  /app/shadecast-client --connect "$address" --seconds 8 >"$work/mock.txt" 2>&1 || die "the client fails on the mock: $(tail -n 3 "$work/mock.txt")"
+echo "{ \"file_format_version\": \"1.0.0\", \"runtime\": { \"name\": \"mock\", \"library_path\": \"$APP_THERE/libshadecast_mock_runtime.so\" } }" >"$APP/mock.json"
+echo '{ "extent_pixels": [64, 64], "controllers": "/interaction_profiles/oculus/touch_controller" }' >"$APP/mock-config.json"
+rm -f "$APP/core.txt"
+"${MONADO[@]}" XR_RUNTIME_JSON="$APP_THERE/mock.json" SHADECAST_MOCK_CONFIG="$APP_THERE/mock-config.json" "${LAYER[@]}" \
+  "$APP_THERE/shadecast-client" --connect "$address" --seconds 8 >"$work/mock.txt" 2>&1 || die "the client fails on the mock: $(tail -n 3 "$work/mock.txt")"
 grep -q "Connected to" "$work/mock.txt" || die "on the mock the client does not connect"
-[ -s "$BOX/app/core.txt" ] || die "on the mock the layer did not run"
+[ ${#LAYER[@]} = 0 ] || [ -s "$APP/core.txt" ] || die "on the mock the layer did not run"
 on_mock=$(core_messages)
-[ "$on_mock" = 0 ] || { cat "$BOX/app/core.txt" >&2; die "the layer that checks calls has $on_mock messages over the mock"; }
+[ "$on_mock" = 0 ] || { cat "$APP/core.txt" >&2; die "the layer that checks calls has $on_mock messages over the mock"; }
 
 start_client
 wait_for "$work/client.txt" "Connected to" 60
@@ -196,7 +197,7 @@ stale=$(psnr -1 0 "${before[@]}")
 echo "$NAME: for comparison, with the other eye's truth $swapped dB, with that of the pose before $stale dB"
 
 # The headset goes, and comes back.
-"$TOOLS/service.sh" stop
+stop_service
 wait_for "$work/client.txt" "the headset is gone" 30
 start_service
 sleep 20
@@ -205,7 +206,8 @@ look again 0.3 1.5 0 -10
 # The client first: cleanly, and it says so to the server.
 kill -INT "$client"
 ends_within "$client" 30 || die "the client did not end cleanly: $(tail -n 3 "$work/client.txt")"
-shown=$(sed -n 's/.*"rendered_frames": *\([0-9]*\).*/\1/p' "$BOX/app/stats.json")
+cp "$APP/stats.json" "$work/stats.json"
+shown=$(sed -n 's/.*"rendered_frames": *\([0-9]*\).*/\1/p' "$APP/stats.json")
 wait_for "$work/server.txt" "the user left" 10
 messages=$(core_messages)
 
@@ -223,18 +225,19 @@ ends_within "$client" 30 || die "the client did not end cleanly after its server
 start_server
 start_client
 wait_for "$work/client.txt" "Connected to" 60
-"$TOOLS/service.sh" stop
+stop_service
 wait_for "$work/client.txt" "the headset is gone" 30
 kill -INT "$client"
 ends_within "$client" 40 || die "the client did not end cleanly after its runtime"
 kill -INT "$server"
 ends_within "$server" 30 || die "the server did not end cleanly"
 
-echo "$NAME: $shown display frames, $messages messages of the layer, $on_mock over the mock ($control where a call is wrong)"
-[ "$messages" = 0 ] || { cat "$BOX/app/core.txt" >&2; die "the layer that checks calls has $messages messages"; }
-[ "$shown" -ge "$frames" ] || die "$shown display frames, of which $frames were asked for"
+repeated=$(sed -n 's/.*"repeated_frames": *\([0-9]*\).*/\1/p' "$work/stats.json")
+echo "$NAME: $shown pictures and $repeated repetitions, $messages messages of the layer, $on_mock over the mock ($control where a call is wrong)"
+[ "$messages" = 0 ] || { cat "$APP/core.txt" >&2; die "the layer that checks calls has $messages messages"; }
+[ "$shown" -ge "$frames" ] || die "$shown pictures, of which $frames were asked for"
 if [ -n "$json" ]; then
-  printf '{\n  "frames": %s,\n  "psnr_db": [%s],\n  "other_eye_db": %s,\n  "stale_db": %s,\n  "least_db": %s,\n  "layer_messages": %s,\n  "layer_messages_on_mock": %s,\n  "layer_messages_of_a_wrong_call": %s\n}\n' \
-    "$shown" "$(IFS=,; echo "${results[*]}")" "$swapped" "$stale" "$(printf '%s\n' "${results[@]}" | sort -g | head -n 1)" "$messages" "$on_mock" "$control" >"$json"
+  printf '{\n  "frames": %s,\n  "repeated_frames": %s,\n  "psnr_db": [%s],\n  "other_eye_db": %s,\n  "stale_db": %s,\n  "least_db": %s,\n  "layer_messages": %s,\n  "layer_messages_on_mock": %s,\n  "layer_messages_of_a_wrong_call": %s\n}\n' \
+    "$shown" "$repeated" "$(IFS=,; echo "${results[*]}")" "$swapped" "$stale" "$(printf '%s\n' "${results[@]}" | sort -g | head -n 1)" "$messages" "$on_mock" "$control" >"$json"
 fi
 echo "$NAME: ok"
