@@ -3,9 +3,14 @@
 use crate::report::FrameReport;
 use crate::stats::{Counters, so_far};
 use shadecast_protocol::time::{ClientTime, WorldTime};
+use std::fmt::{self, Write as _};
 
 /// How often they change: readable, and fresh.
 const EVERY_NS: i64 = 500_000_000;
+
+/// All that there can be, and bytes of one.
+const MOST_LINES: usize = 12;
+const LINE_BYTES: usize = 256;
 
 /// What was counted when the figures were last made.
 #[derive(Clone, Copy, Debug, Default)]
@@ -26,10 +31,23 @@ pub(crate) struct Figures {
     latency_ns: Option<i64>,
     /// The world's time in the last display frame.
     world: Option<WorldTime>,
-    lines: Vec<String>,
+    lines: Lines,
+}
+
+/// Lines whose memory is taken once, since the thread that draws writes them.
+#[derive(Debug)]
+struct Lines {
+    lines: [String; MOST_LINES],
+    written: usize,
 }
 
 impl Figures {
+    /// Nobody has seen any; the next ones are of the time from then on.
+    pub(crate) fn begin_anew(&mut self) {
+        (self.last, self.latency_ns, self.world) = (None, None, None);
+        self.lines.begin();
+    }
+
     /// Takes in a display frame whose picture, where it is a new one, had `arrived`. Gives the lines where they are new.
     pub(crate) fn note(
         &mut self,
@@ -44,7 +62,7 @@ impl Figures {
         let counted = Counted::of(counters);
         let (since, before) = *self.last.get_or_insert((now, counted));
         let passed_ns = now.since(since);
-        if passed_ns < EVERY_NS && !self.lines.is_empty() {
+        if passed_ns < EVERY_NS && !self.lines.written().is_empty() {
             return None;
         }
         self.last = Some((now, counted));
@@ -52,19 +70,16 @@ impl Figures {
         let mbit = |bytes: u64| per_s(bytes) * 8e-6;
         let Counted { frames, bundles, atlas_bytes, geometry_bytes, lost_pictures, repeated_frames } =
             counted.since(before);
-        let ms = |ns: Option<i64>| ns.map_or("-".to_owned(), |ns| format!("{:.1}", ns as f64 * 1e-6));
-        self.lines.clear();
-        self.lines.push(counters.device.clone());
-        self.lines.push(format!("{:.1} frames/s, {:.1} updates/s", per_s(frames), per_s(bundles)));
-        self.lines.push(format!(
-            "{:.2} Mbit/s of pictures, {:.2} of geometry",
-            mbit(atlas_bytes),
-            mbit(geometry_bytes)
-        ));
-        self.lines.push(format!("{} ms from arrival to display", ms(self.latency_ns)));
-        self.lines.push(format!("{} ms the clock may be off", ms(frame.clock_error_bound_ns)));
+        let lines = &mut self.lines;
+        lines.begin();
+        lines.add(format_args!("{}", counters.device));
+        lines.add(format_args!("{:.1} frames/s, {:.1} updates/s", per_s(frames), per_s(bundles)));
+        let (pictures, geometry) = (mbit(atlas_bytes), mbit(geometry_bytes));
+        lines.add(format_args!("{pictures:.2} Mbit/s of pictures, {geometry:.2} of geometry"));
+        lines.add(format_args!("{} ms from arrival to display", Ms(self.latency_ns)));
+        lines.add(format_args!("{} ms the clock may be off", Ms(frame.clock_error_bound_ns)));
         if stands {
-            self.lines.push("the world is halted".to_owned());
+            lines.add(format_args!("the world is halted"));
         }
         let faults = [
             (u64::from(frame.held_vertices), "vertices held"),
@@ -74,8 +89,46 @@ impl Figures {
             (lost_pictures, "pictures lost"),
             (repeated_frames, "frames shown again: the device is behind"),
         ];
-        self.lines.extend(faults.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")));
-        Some(&self.lines)
+        for (count, what) in faults.iter().filter(|(count, _)| *count > 0) {
+            lines.add(format_args!("{count} {what}"));
+        }
+        Some(self.lines.written())
+    }
+}
+
+/// Milliseconds, where they are known.
+struct Ms(Option<i64>);
+
+impl fmt::Display for Ms {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            Some(ns) => write!(f, "{:.1}", ns as f64 * 1e-6),
+            None => f.write_str("-"),
+        }
+    }
+}
+
+impl Default for Lines {
+    fn default() -> Self {
+        Self { lines: std::array::from_fn(|_| String::with_capacity(LINE_BYTES)), written: 0 }
+    }
+}
+
+impl Lines {
+    fn begin(&mut self) {
+        self.written = 0;
+    }
+
+    fn add(&mut self, line: fmt::Arguments<'_>) {
+        let into = &mut self.lines[self.written];
+        into.clear();
+        // A string takes whatever is written.
+        let _ = into.write_fmt(line);
+        self.written += 1;
+    }
+
+    fn written(&self) -> &[String] {
+        &self.lines[..self.written]
     }
 }
 

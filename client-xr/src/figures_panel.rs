@@ -19,7 +19,7 @@ pub(crate) struct FiguresPanel {
 impl FiguresPanel {
     /// Says these from now on. The first, the device, is left out: who wears a headset knows it, and lines are few.
     pub(crate) fn write(&mut self, lines: &[String]) {
-        self.text = Some(Text::new(&lines.get(1..).unwrap_or_default().join("\n")));
+        self.text = Some(Text::of(lines.iter().skip(1).map(String::as_str)));
     }
 
     /// Nobody wants to see it any more.

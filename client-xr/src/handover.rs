@@ -47,7 +47,7 @@ pub(crate) enum Loan {
 /// From the intake, in order; numbers are serials of connections.
 #[allow(clippy::large_enum_variant, reason = "a box would be freed on the render thread")]
 pub(crate) enum Prepared {
-    /// What the user is to be told of the connection.
+    /// What the user is to be told of the connection. It comes back.
     Status(String),
     /// A connection stands, and will bring a scene.
     Scene(Box<Welcome>, u64),
@@ -68,6 +68,8 @@ pub(crate) enum Presented {
     Turn(TurnNote),
     /// A loan comes back.
     Loan(Loan, u64),
+    /// What was said, so that its memory is freed elsewhere.
+    Said(String),
 }
 
 /// What the server may have to know of a turn of the display.
@@ -178,6 +180,11 @@ impl PresenterEnd {
     /// Tells of a turn of the display. Of an intake that has not run for a second the server knows nothing anyway: it is not told.
     pub(crate) fn tell(&mut self, note: TurnNote) {
         self.give(Presented::Turn(note));
+    }
+
+    /// Gives back what was said.
+    pub(crate) fn give_back(&mut self, said: String) {
+        self.give(Presented::Said(said));
     }
 
     /// Gives a loan; it comes back where there is no room.

@@ -184,6 +184,7 @@ impl Intake {
                         preparing.take_back(loan);
                     }
                 }
+                Presented::Said(text) => drop(text),
             }
         }
     }

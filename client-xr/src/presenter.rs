@@ -134,7 +134,10 @@ impl Presenter {
     pub(crate) fn take_prepared(&mut self) -> Result<(), ClientError> {
         while let Some(prepared) = self.end.take() {
             match prepared {
-                Prepared::Status(text) => self.renderer.set_status(&text),
+                Prepared::Status(text) => {
+                    self.renderer.set_status(&text);
+                    self.end.give_back(text);
+                }
                 Prepared::Scene(terms, serial) => self.begin_scene(*terms, serial)?,
                 Prepared::Clock(estimate, serial) => {
                     let scene = self.scenes.of_serial(serial);
@@ -218,7 +221,7 @@ impl Presenter {
     fn show_figures(&mut self, frame: &FrameReport, picture_arrived: Option<ClientTime>) {
         let Renderer { display, words, .. } = &mut self.renderer;
         if !display.wants_figures() {
-            self.figures = Figures::default();
+            self.figures.begin_anew();
             words.figures.hide();
         } else if let Some(lines) = self.figures.note(&self.counters, frame, picture_arrived)
             && !display.show_figures(lines)

@@ -15,7 +15,11 @@ use crate::stillness::Stillness;
 use shadecast_gpu::{Gpu, GpuError, Recorder, Ticket, Timings, vk};
 use shadecast_protocol::pose::Pose;
 use shadecast_shaders::generated::EyesGpu;
+use std::fmt::Write as _;
 use std::sync::Arc;
+
+/// Bytes of a status that are said again in a notice: more than a panel has characters.
+const MOST_STATUS_BYTES: usize = 512;
 
 /// What draws. Fields are dropped in this order: what the device made goes before the session.
 pub(crate) struct Renderer {
@@ -41,8 +45,9 @@ pub(crate) struct Words {
     /// Where they are in the waiting room, once the head has been seen.
     stage_from_panel: Option<Pose>,
     status: Text,
-    /// The same for who writes the notice.
+    /// The same for who writes the notice, and the notice's own first line: their memory is taken once.
     status_words: String,
+    notice_head: String,
     /// Said before a world that stands still: why, and for how many seconds it has.
     notice: Text,
     notice_s: i64,
@@ -59,7 +64,8 @@ impl Renderer {
         let words = Words {
             stage_from_panel: None,
             status: Text::new("Shadecast"),
-            status_words: String::new(),
+            status_words: String::with_capacity(MOST_STATUS_BYTES),
+            notice_head: String::with_capacity(MOST_STATUS_BYTES),
             notice: Text::default(),
             notice_s: 0,
             stillness: Stillness::default(),
@@ -71,9 +77,11 @@ impl Renderer {
 
     /// Says `text` in the waiting room, and before a world that stands still without a connection.
     pub(crate) fn set_status(&mut self, text: &str) {
-        self.words.status = Text::new(text);
-        text.clone_into(&mut self.words.status_words);
-        self.words.notice_s = 0;
+        let Words { status, status_words, notice_s, .. } = &mut self.words;
+        *status = Text::new(text);
+        status_words.clear();
+        status_words.push_str(&text[..text.floor_char_boundary(MOST_STATUS_BYTES)]);
+        *notice_s = 0;
     }
 
     /// Pixels per eye, width and height.
@@ -145,7 +153,10 @@ impl Words {
         let seconds = self.stillness.seconds();
         if self.stillness.panel().is_some() && seconds != self.notice_s {
             self.notice_s = seconds;
-            self.notice = Text::new(&format!("No new picture for {seconds} s\n{}", self.status_words));
+            self.notice_head.clear();
+            // A string takes whatever is written.
+            let _ = write!(self.notice_head, "No new picture for {seconds} s");
+            self.notice = Text::of(std::iter::once(&*self.notice_head).chain(self.status_words.lines()));
         }
     }
 

@@ -675,6 +675,35 @@ fn while_pictures_arrive_on_the_device_the_half_that_draws_allocates_nothing() {
     draws_without_allocating(&run, client);
 }
 
+/// What is said changes, the figures are shown, and the world stands still for so long that the notice comes.
+#[test]
+fn while_words_are_shown_and_change_the_half_that_draws_allocates_nothing() {
+    let a = "right/input/a/click";
+    let inputs = script(&[(20, a, 1.0), (25, a, 0.0)]);
+    let controllers = Some("/interaction_profiles/oculus/touch_controller".to_owned());
+    let run = Run::unseen(MockConfig { controllers, inputs, ..MockConfig::default() });
+    let mut client = run.client();
+    let mut line = Line::connect(&mut client);
+    line.send(static_patches(), &planes([0, 64]), true);
+    for _ in 0..80 {
+        line.frame(&mut client);
+    }
+    let mut allocated = Vec::new();
+    for number in 0..400 {
+        if number % 30 == 0 {
+            client.intake.set_status(&format!("Connection lost; trying again ({number})"));
+        }
+        client.intake.take_presented();
+        client.intake.prepare();
+        let taken = allocation_counter::measure(|| {
+            let _ = frame_alone(&mut client);
+        });
+        allocated.push(taken.count_total);
+    }
+    assert!(allocated[40..].iter().all(|count| *count == 0), "{allocated:?}");
+    finish(&run, client);
+}
+
 fn draws_without_allocating(run: &Run, mut client: Client) {
     let mut line = Line::connect(&mut client);
     line.send(static_patches(), &planes([0, 64]), true);

@@ -51,16 +51,21 @@ struct InFlight {
 impl Text {
     /// `text` broken into lines and centred; what does not fit is cut. Characters outside ASCII become boxes.
     pub fn new(text: &str) -> Self {
+        Self::of(text.lines())
+    }
+
+    /// The same of paragraphs. The thread that draws makes texts, and takes no memory for them.
+    pub fn of<'a>(paragraphs: impl Iterator<Item = &'a str> + Clone) -> Self {
         let mut made = Self::default();
-        let lines = wrapped(text, TEXT_CELLS[0]);
-        let first_row = (TEXT_CELLS[1] - lines.len().min(TEXT_CELLS[1])) / 2;
-        for (row, line) in lines.iter().take(TEXT_CELLS[1]).enumerate() {
-            let length = line.chars().count().min(TEXT_CELLS[0]);
+        let lines = paragraphs.flat_map(|paragraph| wrapped(paragraph, TEXT_CELLS[0])).take(TEXT_CELLS[1]);
+        let first_row = (TEXT_CELLS[1] - lines.clone().count()) / 2;
+        for (row, line) in lines.enumerate() {
+            let length = line.chars().count();
             let indent = (TEXT_CELLS[0] - length) / 2;
             let [left, top, right, bottom] = made.used;
             let (this, next) = (first_row + row, first_row + row + 1);
             made.used = [left.min(indent), top.min(this), right.max(indent + length), bottom.max(next)];
-            for (column, character) in line.chars().take(TEXT_CELLS[0]).enumerate() {
+            for (column, character) in line.chars().enumerate() {
                 let cell = this * TEXT_CELLS[0] + indent + column;
                 made.glyphs[cell] = font::glyph(character);
             }
@@ -75,23 +80,21 @@ impl Text {
     }
 }
 
-/// Lines of at most `columns` characters, broken at spaces where there are any.
-fn wrapped(text: &str, columns: usize) -> Vec<String> {
-    let mut lines = Vec::new();
-    for paragraph in text.lines() {
-        let mut line = String::new();
-        for word in paragraph.split(' ') {
-            if !line.is_empty() && line.chars().count() + 1 + word.chars().count() > columns {
-                lines.push(std::mem::take(&mut line));
-            }
-            if !line.is_empty() {
-                line.push(' ');
-            }
-            line.push_str(word);
-        }
-        lines.push(line);
-    }
-    lines
+/// Lines of at most `columns` characters, broken at spaces where there are any, and else inside of words.
+fn wrapped(paragraph: &str, columns: usize) -> impl Iterator<Item = &str> + Clone {
+    let mut rest = Some(paragraph);
+    std::iter::from_fn(move || {
+        let text = rest?;
+        let Some((end, next)) = text.char_indices().nth(columns) else { return rest.take() };
+        let line = match text[..end].rfind(' ') {
+            _ if next == ' ' => &text[..end],
+            Some(space) if space > 0 => &text[..space],
+            _ => &text[..end],
+        };
+        let after = &text[line.len()..];
+        rest = Some(after.strip_prefix(' ').unwrap_or(after));
+        Some(line)
+    })
 }
 
 /// A panel ahead of a head, upright, at the head's height.
@@ -154,11 +157,19 @@ mod tests {
 
     #[test]
     fn lines_break_at_spaces_and_keep_every_word() {
+        let lines = |text| wrapped(text, 12).collect::<Vec<_>>();
         assert_eq!(
-            wrapped("the server is not the one that was pinned", 12),
+            lines("the server is not the one that was pinned"),
             ["the server", "is not the", "one that was", "pinned"]
         );
-        assert_eq!(wrapped("a\nb", 12), ["a", "b"]);
+        assert_eq!((lines(""), lines("twelve chars")), (vec![""], vec!["twelve chars"]));
+    }
+
+    #[test]
+    fn words_that_are_longer_than_a_line_are_broken_and_keep_every_character() {
+        let lines = |text| wrapped(text, 4).collect::<Vec<_>>();
+        assert_eq!(lines("delete /ho\u{e9}me/user x"), ["dele", "te", "/ho\u{e9}", "me/u", "ser", "x"]);
+        assert_eq!(lines(" abcdef"), [" abc", "def"]);
     }
 
     #[test]
@@ -172,7 +183,7 @@ mod tests {
     fn a_panel_covers_all_lines_and_not_much_more() {
         assert_eq!(Text::new("ab\nabcd").used, [18, 2, 22, 4]);
         let full = Text::new(&"x".repeat(1000));
-        assert_eq!(full.used, [0, 2, TEXT_CELLS[0], 3], "one line, cut");
+        assert_eq!(full.used, [0, 0, TEXT_CELLS[0], TEXT_CELLS[1]], "all lines, cut");
     }
 
     #[test]
