@@ -136,7 +136,7 @@ impl Counted {
     fn of(counters: &Counters) -> Self {
         let Counters { frames, bundles, repeated_frames, arrived, .. } = counters;
         Self {
-            frames: *frames,
+            frames: frames - repeated_frames,
             bundles: *bundles,
             atlas_bytes: so_far(&arrived.atlas_bytes),
             geometry_bytes: so_far(&arrived.geometry_bytes),

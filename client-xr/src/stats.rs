@@ -19,7 +19,7 @@ pub struct ClientStats {
     pub runtime: String,
     /// From the first to the last display frame, seconds of display time.
     pub seconds: f64,
-    /// Display frames per second of display time.
+    /// Display frames per second of display time, without those that showed the picture before again.
     pub client_fps: f64,
     /// Bundles that came on display, per second of display time.
     pub bundles_per_s: f64,
@@ -215,7 +215,7 @@ impl Counters {
             device_is_cpu: self.device_is_cpu,
             runtime: self.runtime.clone(),
             seconds,
-            client_fps: per_s(self.frames),
+            client_fps: per_s(self.frames - self.repeated_frames),
             bundles_per_s: per_s(self.bundles),
             frames: self.frames,
             rendered_frames: self.rendered_frames,

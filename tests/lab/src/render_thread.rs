@@ -86,6 +86,9 @@ pub struct RenderThread {
     pub frames: u64,
     /// See [`Self::frames`].
     pub bundles: u64,
+    /// Display frames for which the device was behind, so that the last picture was shown again: they are not timed.
+    #[serde(default)]
+    pub repeated: u64,
     /// With the intake on a thread of its own, as it ships.
     pub split: Cost,
     /// With the intake on the thread that draws.
@@ -94,10 +97,10 @@ pub struct RenderThread {
 
 impl fmt::Display for RenderThread {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { device, dragons, vertices, frames, bundles, .. } = self;
+        let Self { device, dragons, vertices, frames, bundles, repeated, .. } = self;
         writeln!(
             f,
-            "{dragons} dragons, {vertices} vertices, {frames} display frames, {bundles} bundles; {device}"
+            "{dragons} dragons, {vertices} vertices, {frames} display frames ({repeated} repeated), {bundles} bundles; {device}"
         )?;
         writeln!(f, "ms of a processor     median     p99   worst   with a new bundle")?;
         for (name, cost) in [("own thread", self.split), ("one thread", self.together)] {
@@ -148,6 +151,7 @@ pub fn measure(dragons: u32, size: Size, seconds: f64, folder: &Path) -> anyhow:
         vertices: split.vertices,
         frames: split.frames,
         bundles: split.bundles,
+        repeated: split.repeated,
         split: split.cost,
         together: together.cost,
     })
@@ -168,6 +172,7 @@ struct Replay {
     vertices: usize,
     frames: u64,
     bundles: u64,
+    repeated: u64,
     cost: Cost,
 }
 
@@ -199,7 +204,8 @@ impl Replay {
         presenter.frame_timings()?;
         let cost = timed.cost().context("frames with a new bundle are among them")?;
         let device = presenter.gpu().device_name();
-        Ok(Self { device, vertices: vertices.len(), frames: timed.frames, bundles: timed.bundles, cost })
+        let Timed { frames, bundles, repeated, .. } = timed;
+        Ok(Self { device, vertices: vertices.len(), frames, bundles, repeated, cost })
     }
 }
 
@@ -275,6 +281,7 @@ struct Timed {
     with_bundle: u64,
     frames: u64,
     bundles: u64,
+    repeated: u64,
     all: Percentiles,
     with_new: Percentiles,
 }
@@ -283,6 +290,10 @@ impl Timed {
     fn note(&mut self, report: &FrameReport, cpu_ns: i64) {
         self.with_bundle += u64::from(report.update.is_some());
         if self.with_bundle <= FRAMES_BEFORE {
+            return;
+        }
+        if report.is_repeated {
+            self.repeated += 1;
             return;
         }
         let ms = cpu_ns as f64 * 1e-6;
