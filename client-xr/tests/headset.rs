@@ -1458,24 +1458,38 @@ fn a_wish_to_exit_passes_through_the_runtime() {
 }
 
 #[test]
-fn a_lost_instance_is_told_from_other_errors_and_the_headset_opens_again() {
-    let events = vec![ScriptedEvent { frame: 3, kind: EventKind::InstanceLoss }];
-    let run = Run::new(MockConfig { events, ..MockConfig::default() });
-    let mut client = run.client();
-    let error = (0..20).find_map(|_| client.step().err()).expect("the loss is an error");
-    assert!(error.is_lost(), "{error}");
-    drop(client);
-    let mut client = run.client();
-    frame(&mut client);
-    finish(&run, client);
+fn a_lost_instance_or_session_is_told_from_other_errors_and_the_headset_opens_again() {
+    for kind in LOSSES {
+        let run =
+            Run::new(MockConfig { events: vec![ScriptedEvent { frame: 3, kind }], ..MockConfig::default() });
+        let mut client = run.client();
+        let error =
+            (0..20).find_map(|_| client.step().err()).unwrap_or_else(|| panic!("{kind:?} is an error"));
+        assert!(error.is_lost(), "{kind:?}: {error}");
+        drop(client);
+        let mut client = run.client();
+        let number = frame_number(&run, &mut client);
+        assert!(number > 3, "{kind:?}: frame {number} of a runtime that has gone on");
+        finish(&run, client);
+    }
+}
+
+/// Of the next frame, by the runtime's own count.
+fn frame_number(run: &Run, client: &mut Client) -> u64 {
+    frame(client);
+    read_frames(&run.captures()).expect("a log").last().expect("a frame").frame
 }
 
 /// What happens to a headset in so many frames, at random: each as likely as any other, but for the loss of the instance.
+/// What ends a headset session that can be opened again.
+const LOSSES: [EventKind; 3] =
+    [EventKind::InstanceLoss, EventKind::SessionLoss, EventKind::SuddenSessionLoss];
+
 fn random_script(rng: &mut SmallRng, frames: u64) -> (Vec<ScriptedEvent>, Vec<ScriptedInput>) {
     let (mut events, mut inputs) = (Vec::new(), Vec::new());
     let mut frame = 20;
     while frame < frames {
-        let kind = match rng.random_range(0..28) {
+        let kind = match rng.random_range(0..30) {
             0..4 => EventKind::FocusLoss,
             4..8 => EventKind::FocusGain,
             8..11 => EventKind::Hide,
@@ -1487,6 +1501,8 @@ fn random_script(rng: &mut SmallRng, frames: u64) -> (Vec<ScriptedEvent>, Vec<Sc
                 yaw_degrees: rng.random_range(-180..180),
             },
             24..27 => EventKind::RefreshRate { hz: [72, 90, 120][rng.random_range(0..3)] },
+            27 => EventKind::SessionLoss,
+            28 => EventKind::SuddenSessionLoss,
             _ => EventKind::InstanceLoss,
         };
         events.push(ScriptedEvent { frame, kind });
@@ -1542,7 +1558,7 @@ fn whatever_happens_to_headset_and_link_frames_go_on() {
         std::env::var("SHADECAST_EVENT_FRAMES").map_or(500, |frames| frames.parse().expect("a number"));
     let mut rng = SmallRng::seed_from_u64(11);
     let (events, inputs) = random_script(&mut rng, frames);
-    let losses = events.iter().filter(|event| event.kind == EventKind::InstanceLoss).count();
+    let losses = events.iter().filter(|event| LOSSES.contains(&event.kind)).count();
     let controllers = Some("/interaction_profiles/oculus/touch_controller".to_owned());
     let run = Run::unseen(MockConfig {
         events,

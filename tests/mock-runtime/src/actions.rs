@@ -10,8 +10,8 @@ use xr::Handle as _;
 use crate::fault::{Fault, Outcome};
 use crate::ffi::{self, entry};
 use crate::inputs::{Reading, strongest, value_of};
-use crate::paths::is_path_byte;
-use crate::profiles::KnownProfile;
+use crate::paths::{Paths, is_path_byte};
+use crate::profiles::{self, KnownProfile, Reads};
 use crate::runtime::{self, Core, Event, Session};
 
 /// The action sets and actions of one instance.
@@ -24,9 +24,13 @@ pub(crate) struct Actions {
 struct ActionSet {
     name: String,
     localized_name: String,
+    /// Of several active sets that share a source the one of the highest has it.
+    priority: u32,
     attached: bool,
     /// Attached once, a set stays as it is, also after its session.
     frozen: bool,
+    /// Its handle is gone; spaces of its actions stay where they are until the next `xrSyncActions`.
+    destroyed: bool,
 }
 
 struct Action {
@@ -36,10 +40,36 @@ struct Action {
     ty: xr::ActionType,
     /// Those that it can be asked for one by one.
     subaction_paths: Vec<xr::Path>,
-    /// Its sources, by profile.
-    bindings: Vec<(KnownProfile, String)>,
+    bindings: Vec<Binding>,
     /// What it says for all sources, at [`xr::Path::NULL`], and for each of its subaction paths.
     readings: HashMap<xr::Path, Reading>,
+    /// The sources that it had at the last `xrSyncActions`.
+    sources: Vec<String>,
+    /// Its handle is gone. Its spaces are still located, and its sources still have its set's priority.
+    destroyed: bool,
+}
+
+/// A binding that the application has suggested.
+struct Binding {
+    profile: KnownProfile,
+    path: String,
+    /// None where it cannot be: an action of that type finds nothing there.
+    reads: Option<Reads>,
+}
+
+/// What the application wants of `xrSyncActions`: sets, each with the top-level path below which it is active; an empty one: anywhere.
+type Asked<'a> = [(u64, &'a str)];
+
+impl Binding {
+    fn source(&self) -> &str {
+        self.profile.source(&self.path)
+    }
+
+    /// Whether it is in use, for an action of this set.
+    fn is_asked(&self, set: u64, profile: Option<KnownProfile>, asked: &Asked<'_>) -> bool {
+        let is_here = |(of, user): &(u64, &str)| *of == set && self.path.starts_with(user);
+        self.reads.is_some() && Some(self.profile) == profile && asked.iter().any(is_here)
+    }
 }
 
 /// Paths that an action can be told apart by: those that the specification reserves.
@@ -48,11 +78,18 @@ const TOP_LEVEL_USER_PATHS: [&str; 5] =
 
 impl Actions {
     fn set(&self, handle: xr::ActionSet) -> Outcome<&ActionSet> {
-        self.sets.get(&handle.into_raw()).ok_or_else(|| Fault::handle("action set"))
+        let set = self.sets.get(&handle.into_raw()).filter(|set| !set.destroyed);
+        set.ok_or_else(|| Fault::handle("action set"))
     }
 
     fn action(&self, handle: xr::Action) -> Outcome<&Action> {
-        self.actions.get(&handle.into_raw()).ok_or_else(|| Fault::handle("action"))
+        let action = self.actions.get(&handle.into_raw()).filter(|action| !action.destroyed);
+        action.ok_or_else(|| Fault::handle("action"))
+    }
+
+    /// Those of a set, destroyed ones too.
+    fn actions_of(&self, set: xr::ActionSet) -> impl Iterator<Item = &Action> + Clone {
+        self.actions.values().filter(move |action| action.set == set.into_raw())
     }
 
     /// Refuses an action that does not exist or has another type.
@@ -65,10 +102,10 @@ impl Actions {
         Err(Fault::application(xr::Result::ERROR_ACTION_TYPE_MISMATCH, message))
     }
 
-    /// Whether an action of poses had a source at the last `xrSyncActions`, of this path or of any.
-    pub(crate) fn is_active(&self, action: xr::Action, path: xr::Path) -> bool {
+    /// Whether an action had a source below a top-level path at the last `xrSyncActions`. It may be destroyed: a space asks for it.
+    pub(crate) fn is_active(&self, action: xr::Action, user: &str) -> bool {
         let action = self.actions.get(&action.into_raw());
-        action.and_then(|action| action.readings.get(&path)).is_some_and(|reading| reading.is_active)
+        action.is_some_and(|action| action.sources.iter().any(|source| source.starts_with(user)))
     }
 
     /// Refuses an action whose set is not attached to the session.
@@ -95,11 +132,68 @@ impl Actions {
         Ok(self.sets.get(&action.set).is_some_and(|set| set.frozen))
     }
 
-    /// The session is gone, and with it its attachments.
+    /// Refuses to activate a set that is not attached, or for a path that none of its actions has.
+    fn check_active(&self, paths: &Paths, asked: &xr::ActiveActionSet) -> Outcome<()> {
+        if !self.set(asked.action_set)?.attached {
+            return Err(not_attached("an active action set"));
+        }
+        let path = asked.subaction_path;
+        if path == xr::Path::NULL {
+            return Ok(());
+        }
+        let text = paths.text(path)?;
+        if self.actions_of(asked.action_set).any(|action| action.subaction_paths.contains(&path)) {
+            return Ok(());
+        }
+        let message = format!("no action of the active set was created with the subaction path {text}");
+        Err(Fault::application(xr::Result::ERROR_PATH_UNSUPPORTED, message))
+    }
+
+    /// The highest priority at which each source is asked for.
+    fn priorities(&self, profile: Option<KnownProfile>, asked: &Asked<'_>) -> HashMap<String, u32> {
+        let mut highest = HashMap::new();
+        for action in self.actions.values() {
+            let priority = self.sets.get(&action.set).map_or(0, |set| set.priority);
+            let bindings = action.bindings.iter();
+            for binding in bindings.filter(|binding| binding.is_asked(action.set, profile, asked)) {
+                let known = highest.entry(binding.source().to_owned()).or_insert(priority);
+                *known = priority.max(*known);
+            }
+        }
+        highest
+    }
+
+    /// The handles of a set and of its actions are gone.
+    fn destroy_set(&mut self, handle: xr::ActionSet) -> Outcome<()> {
+        self.set(handle)?;
+        let raw = handle.into_raw();
+        self.actions
+            .values_mut()
+            .filter(|action| action.set == raw)
+            .for_each(|action| action.destroyed = true);
+        if let Some(set) = self.sets.get_mut(&raw) {
+            set.destroyed = true;
+        }
+        self.forget_destroyed();
+        Ok(())
+    }
+
+    /// The session is gone, and with it its attachments and what its actions said.
     pub(crate) fn detach(&mut self) {
         for set in self.sets.values_mut() {
             set.attached = false;
         }
+        for action in self.actions.values_mut() {
+            action.readings.clear();
+            action.sources.clear();
+        }
+        self.forget_destroyed();
+    }
+
+    /// Destroyed sets are kept, with their actions, for the spaces of the session that they are attached to.
+    fn forget_destroyed(&mut self) {
+        self.sets.retain(|_, set| set.attached || !set.destroyed);
+        self.actions.retain(|_, action| self.sets.contains_key(&action.set));
     }
 }
 
@@ -154,9 +248,11 @@ entry! {
         let actions = &mut runtime.core(instance)?.actions;
         let name = ffi::fixed_text(&create_info.action_set_name, "actionSetName")?;
         let localized_name = ffi::fixed_text(&create_info.localized_action_set_name, "localizedActionSetName")?;
-        let in_use = actions.sets.values().map(|set| (set.name.as_str(), set.localized_name.as_str()));
-        check_names(&name, &localized_name, in_use)?;
-        actions.sets.insert(handle, ActionSet { name, localized_name, attached: false, frozen: false });
+        let in_use = actions.sets.values().filter(|set| !set.destroyed);
+        check_names(&name, &localized_name, in_use.map(|set| (set.name.as_str(), set.localized_name.as_str())))?;
+        let priority = create_info.priority;
+        let set = ActionSet { name, localized_name, priority, attached: false, frozen: false, destroyed: false };
+        actions.sets.insert(handle, set);
         *action_set = xr::ActionSet::from_raw(handle);
         Ok(xr::Result::SUCCESS)
     }
@@ -166,11 +262,7 @@ entry! {
     destroy_action_set: DestroyActionSet = "xrDestroyActionSet"(action_set: value xr::ActionSet) {
         let mut runtime = runtime::lock();
         let instance = runtime.instance.as_mut().ok_or_else(|| Fault::handle("action set"))?;
-        let actions = &mut instance.core.actions;
-        let raw = action_set.into_raw();
-        actions.sets.remove(&raw).ok_or_else(|| Fault::handle("action set"))?;
-        actions.actions.retain(|_, action| action.set != raw);
-        Ok(xr::Result::SUCCESS)
+        instance.core.actions.destroy_set(action_set).map(|()| xr::Result::SUCCESS)
     }
 }
 
@@ -189,18 +281,18 @@ entry! {
         let subaction_paths = subaction_paths(core, create_info)?;
         let name = ffi::fixed_text(&create_info.action_name, "actionName")?;
         let localized_name = ffi::fixed_text(&create_info.localized_action_name, "localizedActionName")?;
-        let set = action_set.into_raw();
-        let siblings = core.actions.actions.values().filter(|action| action.set == set);
+        let siblings = core.actions.actions_of(action_set).filter(|action| !action.destroyed);
         check_names(&name, &localized_name, siblings.map(|a| (a.name.as_str(), a.localized_name.as_str())))?;
-        let ty = create_info.action_type;
         core.actions.actions.insert(handle, Action {
-            set,
+            set: action_set.into_raw(),
             name,
             localized_name,
-            ty,
+            ty: create_info.action_type,
             subaction_paths,
             bindings: Vec::new(),
             readings: HashMap::new(),
+            sources: Vec::new(),
+            destroyed: false,
         });
         *action = xr::Action::from_raw(handle);
         Ok(xr::Result::SUCCESS)
@@ -229,8 +321,9 @@ entry! {
     destroy_action: DestroyAction = "xrDestroyAction"(action: value xr::Action) {
         let mut runtime = runtime::lock();
         let instance = runtime.instance.as_mut().ok_or_else(|| Fault::handle("action"))?;
-        let removed = instance.core.actions.actions.remove(&action.into_raw());
-        removed.map(|_| xr::Result::SUCCESS).ok_or_else(|| Fault::handle("action"))
+        let known = instance.core.actions.actions.get_mut(&action.into_raw()).filter(|action| !action.destroyed);
+        known.ok_or_else(|| Fault::handle("action"))?.destroyed = true;
+        Ok(xr::Result::SUCCESS)
     }
 }
 
@@ -256,11 +349,13 @@ entry! {
             }
         }
         // What was suggested for this profile before counts no more.
-        core.actions.actions.values_mut().for_each(|action| action.bindings.retain(|(of, _)| *of != profile));
+        let actions = &mut core.actions.actions;
+        actions.values_mut().for_each(|action| action.bindings.retain(|binding| binding.profile != profile));
         for binding in bindings {
-            let source = core.paths.text(binding.binding)?.to_owned();
-            if let Some(action) = core.actions.actions.get_mut(&binding.action.into_raw()) {
-                action.bindings.push((profile, source));
+            let path = core.paths.text(binding.binding)?.to_owned();
+            if let Some(action) = actions.get_mut(&binding.action.into_raw()) {
+                let reads = profile.reads(&path, action.ty);
+                action.bindings.push(Binding { profile, path, reads });
             }
         }
         Ok(xr::Result::SUCCESS)
@@ -304,11 +399,7 @@ entry! {
         let active = unsafe {
             ffi::array(sync_info.active_action_sets, sync_info.count_active_action_sets, "activeActionSets")
         }?;
-        for set in active {
-            if !core.actions.set(set.action_set)?.attached {
-                return Err(not_attached("an active action set"));
-            }
-        }
+        active.iter().try_for_each(|asked| core.actions.check_active(&core.paths, asked))?;
         let is_focused = session.state.is_focused();
         find_profile(core, session);
         read_inputs(core, session.profile.filter(|_| is_focused), active)?;
@@ -320,7 +411,7 @@ entry! {
 fn find_profile(core: &mut Core, session: &mut Session) {
     let there = core.config.controllers.as_deref().and_then(|path| KnownProfile::named(path).ok());
     let bindings = || core.actions.actions.values().flat_map(|action| &action.bindings);
-    let profile = there.filter(|profile| bindings().any(|(of, _)| of == profile));
+    let profile = there.filter(|profile| bindings().any(|binding| binding.profile == *profile));
     if session.profile != profile {
         session.profile = profile;
         core.events.push_back(Event::InteractionProfile { session: session.handle });
@@ -335,24 +426,34 @@ fn read_inputs(
 ) -> Outcome<()> {
     let (time_ns, frame) = (core.now_ns(), core.timeline.next_frame.saturating_sub(1));
     let Core { actions, paths, config, .. } = core;
-    for action in actions.actions.values_mut() {
-        let Action { set, ty, subaction_paths, bindings, readings, .. } = action;
+    let asked =
+        active.iter().map(|asked| Ok((asked.action_set.into_raw(), user(paths, asked.subaction_path)?)));
+    let asked = asked.collect::<Outcome<Vec<_>>>()?;
+    let highest = actions.priorities(profile, &asked);
+    let Actions { sets, actions } = actions;
+    for action in actions.values_mut() {
+        let Action { set, subaction_paths, bindings, readings, sources, .. } = action;
+        let priority = sets.get(set).map(|set| set.priority);
+        let has_it = |binding: &&Binding| {
+            binding.is_asked(*set, profile, &asked) && highest.get(binding.source()).copied() == priority
+        };
+        let bindings: Vec<_> = bindings.iter().filter(has_it).collect();
+        *sources = bindings.iter().map(|binding| binding.source().to_owned()).collect();
         for path in subaction_paths.iter().copied().chain([xr::Path::NULL]) {
-            let user = if path == xr::Path::NULL { "" } else { paths.text(path)? };
-            let asks = |asked: &xr::ActiveActionSet| {
-                let is_of = asked.subaction_path == xr::Path::NULL || asked.subaction_path == path;
-                asked.action_set.into_raw() == *set && is_of
-            };
-            let is_asked = active.iter().any(asks);
-            let sources = bindings.iter().filter(|(of, source)| {
-                is_asked && profile.is_some_and(|profile| *of == profile) && source.starts_with(user)
-            });
-            let values = sources.map(|(_, source)| value_of(&config.inputs, frame, source, *ty));
+            let user = user(paths, path)?;
+            let below = bindings.iter().filter(|binding| binding.path.starts_with(user));
+            let reads = below.filter_map(|binding| binding.reads.as_ref());
+            let values = reads.map(|reads| value_of(&config.inputs, frame, reads));
             let reading = readings.entry(path).or_default();
             *reading = reading.next(strongest(values), time_ns);
         }
     }
     Ok(())
+}
+
+/// The beginning of the paths that a subaction path stands for: of all of them where there is none.
+fn user(paths: &Paths, subaction_path: xr::Path) -> Outcome<&str> {
+    if subaction_path == xr::Path::NULL { Ok("") } else { paths.text(subaction_path) }
 }
 
 entry! {
@@ -363,11 +464,16 @@ entry! {
     ) {
         let mut runtime = runtime::lock();
         let (core, session) = runtime.session(session)?;
-        core.paths.text(top_level_user_path)?;
+        let user = core.paths.text(top_level_user_path)?;
         if !session.action_sets_attached {
             return Err(not_attached("no action set"));
         }
-        let profile = session.profile.map(|profile| core.paths.intern(profile.path())).transpose()?;
+        if !TOP_LEVEL_USER_PATHS.contains(&user) {
+            let message = format!("{user} is not one of {}", TOP_LEVEL_USER_PATHS.join(", "));
+            return Err(Fault::application(xr::Result::ERROR_PATH_UNSUPPORTED, message));
+        }
+        let profile = session.profile.filter(|profile| profile.has_user(user));
+        let profile = profile.map(|profile| core.paths.intern(profile.path())).transpose()?;
         interaction_profile.interaction_profile = profile.unwrap_or(xr::Path::NULL);
         Ok(xr::Result::SUCCESS)
     }
@@ -494,8 +600,15 @@ entry! {
         core.actions.check_attached(enumerate_info.action)?;
         let Core { actions, paths, .. } = core;
         let bindings = &actions.action(enumerate_info.action)?.bindings;
-        let bound = bindings.iter().filter(|(of, _)| session.profile == Some(*of));
-        let bound: Vec<xr::Path> = bound.map(|(_, source)| paths.intern(source)).collect::<Outcome<_>>()?;
+        let is_bound = |binding: &&Binding| session.profile == Some(binding.profile) && binding.reads.is_some();
+        let mut bound: Vec<xr::Path> = Vec::new();
+        for binding in bindings.iter().filter(is_bound) {
+            let path = paths.intern(&binding.path)?;
+            // However often it was suggested.
+            if !bound.contains(&path) {
+                bound.push(path);
+            }
+        }
         // SAFETY: count and sources are the caller's, of the capacity it says.
         unsafe { ffi::enumerate((capacity, count, sources), &bound, |place, path| *place = *path) }
     }
@@ -517,6 +630,10 @@ entry! {
         let source = core.paths.text(get_info.source_path)?;
         if !session.action_sets_attached {
             return Err(not_attached("no action set"));
+        }
+        if !profiles::is_source(source) {
+            let message = format!("no profile has {source}; ask for what xrEnumerateBoundSourcesForAction gives");
+            return Err(Fault::application(xr::Result::ERROR_PATH_UNSUPPORTED, message));
         }
         // The best name that there is of any path is the path.
         // SAFETY: count and buffer are the caller's, of the capacity it says.

@@ -163,6 +163,11 @@ pub enum EventKind {
     Stop,
     /// The instance will be lost in one second: the application must destroy it and may create another.
     InstanceLoss,
+    /// The session will be lost in one second: the application must destroy it and may create another, which goes on with the frame
+    /// numbers, the clock and the script. Nothing where the session is asked to stop already.
+    SessionLoss,
+    /// The session is lost, and nobody has said so before: the calls after this frame's `xrWaitFrame` do.
+    SuddenSessionLoss,
 }
 
 /// Why a configuration was refused: what was being done, on which file, what is wrong, what to do.
@@ -410,7 +415,7 @@ mod tests {
     const DOCS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs");
 
     #[test]
-    fn the_example_of_the_docs_is_read_and_every_key_stands_there() {
+    fn the_example_of_the_docs_is_read_and_every_key_and_event_stands_there() {
         let example = MockConfig::load(&Path::new(DOCS).join("mock.example.json")).expect("the example");
         assert!(!example.events.is_empty() && !example.inputs.is_empty());
         let page = std::fs::read_to_string(Path::new(DOCS).join("mock.md")).expect("the page");
@@ -418,6 +423,11 @@ mod tests {
         let keys = all.as_object().expect("an object").keys();
         let absent: Vec<_> = keys.filter(|key| !page.contains(&format!("`{key}`"))).collect();
         assert!(absent.is_empty(), "{absent:?}");
+        let refused =
+            loaded(r#"{"events": [{"frame": 1, "kind": "none"}]}"#).expect_err("no such kind").to_string();
+        let kinds: Vec<_> = refused.split('`').skip(3).step_by(2).collect();
+        let absent: Vec<_> = kinds.iter().filter(|kind| !page.contains(&format!("`{kind}`"))).collect();
+        assert!(kinds.contains(&"session_loss") && absent.is_empty(), "{absent:?} of {kinds:?}");
     }
 
     #[test]

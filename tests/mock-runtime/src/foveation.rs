@@ -108,7 +108,10 @@ entry! {
         let mut runtime = runtime::lock();
         let (_, session) = runtime.session_of_swapchain(swapchain)?;
         state.flags = xr::SwapchainStateFoveationFlagsFB::EMPTY;
-        state.profile = xr::FoveationProfileFB::from_raw(swapchain_of(session, swapchain)?.0.foveation_profile);
+        let given = swapchain_of(session, swapchain)?.0.foveation_profile;
+        // What the profile asked for goes on, and its handle is nobody's any more.
+        let is_there = session.foveation_profiles.contains_key(&given);
+        state.profile = xr::FoveationProfileFB::from_raw(if is_there { given } else { 0 });
         Ok(xr::Result::SUCCESS)
     }
 }

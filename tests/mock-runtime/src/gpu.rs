@@ -8,7 +8,7 @@ use openxr_sys as xr;
 use vk::Handle as _;
 
 use crate::fault::{Fault, Outcome};
-use crate::vulkan::{Vulkan, is_instance};
+use crate::vulkan::Vulkan;
 
 /// Bytes of a texel of every swapchain format.
 const TEXEL_BYTES: usize = 4;
@@ -111,11 +111,8 @@ fn change_of_layout(
 impl Gpu {
     /// Takes the device and the queue of a session's graphics binding.
     pub(crate) fn new(vulkan: &Vulkan, binding: &xr::GraphicsBindingVulkanKHR) -> Outcome<Self> {
-        if !is_instance(vulkan, binding.instance)
-            || binding.device.is_null()
-            || binding.physical_device.is_null()
-        {
-            let message = "the graphics binding must have the instance and device that the runtime has made";
+        if !vulkan.has_made(binding) {
+            let message = "the graphics binding must have what xrCreateVulkanInstanceKHR and xrCreateVulkanDeviceKHR have made";
             return Err(Fault::application(xr::Result::ERROR_GRAPHICS_DEVICE_INVALID, message));
         }
         let instance = vulkan.instance.clone();

@@ -1,7 +1,7 @@
 //! What the controllers' inputs are: those of the configuration's script, read when the application synchronises its actions.
 
 use crate::config::ScriptedInput;
-use openxr_sys as xr;
+use crate::profiles::Reads;
 
 /// A value above this is a press, where an action asks for no more.
 const PRESSED: f32 = 0.5;
@@ -18,31 +18,26 @@ pub(crate) struct Reading {
 }
 
 impl Reading {
-    /// The next one, at this time; `None`: nothing is bound, or it is not asked for. What was not active counts as 0.
+    /// The next one, at this time; `None`: nothing is bound, or it is not asked for. What was not active before has not changed.
     pub(crate) fn next(self, value: Option<[f32; 2]>, time_ns: i64) -> Self {
         let Some(value) = value else { return Self::default() };
-        let has_changed = value != self.value;
-        let changed_ns = if has_changed { time_ns } else { self.changed_ns };
-        Self { is_active: true, value, has_changed, changed_ns }
+        let differs = value != self.value;
+        let changed_ns = if differs { time_ns } else { self.changed_ns };
+        Self { is_active: true, value, has_changed: differs && self.is_active, changed_ns }
     }
 }
 
-/// What a source says to an action of this type, at a frame: one of the paths that the profile has, with its component or without.
-pub(crate) fn value_of(inputs: &[ScriptedInput], frame: u64, source: &str, ty: xr::ActionType) -> [f32; 2] {
+/// What is read at a frame.
+pub(crate) fn value_of(inputs: &[ScriptedInput], frame: u64, reads: &Reads) -> [f32; 2] {
     let of = |component: &str| {
-        let is_it = |input: &&ScriptedInput| {
-            let below = input.path.strip_prefix(source).map(|rest| rest.trim_start_matches('/'));
-            input.frame <= frame && below == Some(component)
-        };
-        inputs.iter().filter(is_it).max_by_key(|input| input.frame).map(|input| input.value)
+        let said = inputs.iter().filter(|input| input.frame <= frame && input.path == component);
+        said.max_by_key(|input| input.frame).map_or(0.0, |input| input.value)
     };
-    let first = |components: &[&str]| components.iter().find_map(|component| of(component)).unwrap_or(0.0);
-    match ty {
-        xr::ActionType::BOOLEAN_INPUT => {
-            [f32::from(u8::from(first(&["", "click", "value", "force"]) > PRESSED)), 0.0]
-        }
-        xr::ActionType::VECTOR2F_INPUT => [first(&["x"]), first(&["y"])],
-        _ => [first(&["", "value", "force"]), 0.0],
+    match reads {
+        Reads::Number(component) => [of(component), 0.0],
+        Reads::Press(component) => [f32::from(u8::from(of(component) > PRESSED)), 0.0],
+        Reads::Pair([x, y]) => [of(x), of(y)],
+        Reads::Presence => [0.0, 0.0],
     }
 }
 
@@ -61,22 +56,20 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_value_counts_for_each_kind_of_action() {
-        let (stick, trigger) = ("/user/hand/left/input/thumbstick", "/user/hand/left/input/trigger");
+    fn the_newest_value_counts_as_a_number_as_a_press_and_in_a_pair() {
+        let path = |name: &str| format!("/user/hand/left/input/{name}");
         let script = [
-            input(5, "/user/hand/left/input/thumbstick/x", 0.25),
-            input(3, "/user/hand/left/input/thumbstick/x", -1.0),
-            input(3, "/user/hand/left/input/thumbstick/y", 0.5),
-            input(4, "/user/hand/left/input/trigger/value", 0.75),
+            input(5, &path("thumbstick/x"), 0.25),
+            input(3, &path("thumbstick/x"), -1.0),
+            input(3, &path("thumbstick/y"), 0.5),
+            input(4, &path("trigger/value"), 0.75),
         ];
-        let at = |frame, source, ty| value_of(&script, frame, source, ty);
-        assert_eq!(at(2, stick, xr::ActionType::VECTOR2F_INPUT), [0.0, 0.0]);
-        assert_eq!(at(3, stick, xr::ActionType::VECTOR2F_INPUT), [-1.0, 0.5]);
-        assert_eq!(at(9, stick, xr::ActionType::VECTOR2F_INPUT), [0.25, 0.5]);
-        assert_eq!(at(4, trigger, xr::ActionType::FLOAT_INPUT), [0.75, 0.0]);
-        assert_eq!(at(4, trigger, xr::ActionType::BOOLEAN_INPUT), [1.0, 0.0]);
-        assert_eq!(at(3, trigger, xr::ActionType::BOOLEAN_INPUT), [0.0, 0.0]);
-        assert_eq!(at(9, "/user/hand/left/input/thumbstick/x", xr::ActionType::FLOAT_INPUT), [0.25, 0.0]);
+        let stick = Reads::Pair([path("thumbstick/x"), path("thumbstick/y")]);
+        let (pull, pulled) = (Reads::Number(path("trigger/value")), Reads::Press(path("trigger/value")));
+        let at = |frame, reads: &Reads| value_of(&script, frame, reads);
+        assert_eq!([at(2, &stick), at(3, &stick), at(9, &stick)], [[0.0, 0.0], [-1.0, 0.5], [0.25, 0.5]]);
+        assert_eq!([at(3, &pull), at(4, &pull)], [[0.0, 0.0], [0.75, 0.0]]);
+        assert_eq!([at(3, &pulled), at(4, &pulled)], [[0.0, 0.0], [1.0, 0.0]]);
     }
 
     #[test]
@@ -88,6 +81,8 @@ mod tests {
         let held = pressed.next(Some([1.0, 0.0]), 30);
         assert_eq!((held.has_changed, held.changed_ns), (false, 20));
         assert_eq!(held.next(None, 40), Reading::default());
+        let found = Reading::default().next(Some([1.0, 0.0]), 50);
+        assert_eq!((found.has_changed, found.changed_ns), (false, 50), "held when it becomes active");
         assert_eq!(strongest([[0.5, 0.0], [0.0, -0.75]].into_iter()), Some([0.0, -0.75]));
         assert_eq!(strongest(std::iter::empty()), None);
     }

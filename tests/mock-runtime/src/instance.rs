@@ -12,7 +12,7 @@ use crate::fault::{Fault, Outcome};
 use crate::ffi::{self, entry};
 use crate::head_path::HeadPath;
 use crate::record::Recorder;
-use crate::runtime::{self, Core, Event, Extensions, InstanceState, Resume, Runtime};
+use crate::runtime::{self, Core, Event, Extensions, InstanceState, Resume, Runtime, Session};
 use crate::space::pose_to_xr;
 use crate::{names, session, time};
 
@@ -208,6 +208,7 @@ fn new_core(
         requirements_asked: false,
         loss_time_ns: None,
         lost: false,
+        lost_session: false,
     })
 }
 
@@ -218,9 +219,10 @@ entry! {
         let Some(InstanceState { core, session }) = runtime.instance.take() else {
             return Err(Fault::handle("instance"));
         };
+        let loses = core.loss_time_ns.is_some() || core.lost_session || session.as_ref().is_some_and(Session::loses);
         session::close(session);
         core.write_summary();
-        if core.loss_time_ns.is_some() {
+        if loses {
             runtime.resume = Some(Resume { config: core.config, timeline: core.timeline, tally: core.tally });
         }
         Ok(xr::Result::SUCCESS)

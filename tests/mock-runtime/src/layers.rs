@@ -123,8 +123,11 @@ fn check_view(session: &Session, view: &xr::CompositionLayerProjectionView) -> O
         up: view.fov.angle_up,
         down: view.fov.angle_down,
     };
-    if !fov.is_valid() {
-        return Err(Fault::usage(format!("a view has {:?}; angles must be finite and ordered", view.fov)));
+    if ![fov.left, fov.right, fov.up, fov.down].into_iter().all(is_view_angle) {
+        return Err(Fault::usage(format!(
+            "a view has {:?}; angles must lie between -pi/2 and pi/2",
+            view.fov
+        )));
     }
     let layer_from_eye = checked_pose(&view.pose, "a view's pose")?;
     let (image, release) = check_sub_image(session, &view.sub_image)?;
@@ -139,6 +142,12 @@ fn check_view(session: &Session, view: &xr::CompositionLayerProjectionView) -> O
         offset: [rect.offset.x, rect.offset.y],
         extent: [rect.extent.width as u32, rect.extent.height as u32],
     })
+}
+
+/// What the specification allows, which says nothing of their order: a view whose left side is right of its right one is flipped, and
+/// one without any area shows nothing.
+fn is_view_angle(radians: f32) -> bool {
+    radians.abs() < std::f32::consts::FRAC_PI_2
 }
 
 fn check_quad(session: &Session, layer: &xr::CompositionLayerQuad) -> Outcome<()> {

@@ -159,6 +159,24 @@ const PROFILES: [Profile; 9] = [
     },
 ];
 
+/// What an action reads at a binding.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Reads {
+    /// The number of a component.
+    Number(String),
+    /// Whether a component is pressed: a press itself, or a number that is large enough.
+    Press(String),
+    /// Those of the components x and y.
+    Pair([String; 2]),
+    /// Nothing but that it is there: a pose, or something that vibrates.
+    Presence,
+}
+
+/// Whether any profile has such an input or output.
+pub(crate) fn is_source(path: &str) -> bool {
+    PROFILES.iter().flat_map(|profile| profile.parts).any(|part| part.has(path))
+}
+
 /// A profile that bindings may be suggested for. Applications try profiles in turn: an unknown one is not a mistake.
 #[derive(Clone, Copy)]
 pub(crate) struct KnownProfile(&'static Profile);
@@ -182,8 +200,52 @@ impl KnownProfile {
 
     /// Whether this is one of its inputs' components.
     pub(crate) fn has_component(self, path: &str) -> bool {
-        path.rsplit_once('/')
-            .is_some_and(|(input, _)| self.0.parts.iter().any(|part| part.has(path) && part.has(input)))
+        self.component(path).is_some()
+    }
+
+    /// An input with the component that this path names.
+    fn component(self, path: &str) -> Option<(&str, &str)> {
+        let has = |path: &str| self.0.parts.iter().any(|part| part.has(path));
+        path.rsplit_once('/').filter(|(input, _)| has(path) && has(input))
+    }
+
+    /// Whether it has anything below a top-level path.
+    pub(crate) fn has_user(self, top_level: &str) -> bool {
+        self.0.parts.iter().any(|part| part.users.contains(&top_level))
+    }
+
+    /// The input or output of a binding. Bindings of two of its components are bindings of the same.
+    pub(crate) fn source(self, binding: &str) -> &str {
+        self.component(binding).map_or(binding, |(input, _)| input)
+    }
+
+    /// What an action of this type reads at a binding, by the specification's rules for suggested bindings; what it leaves to the
+    /// runtime is not bound. None: nothing that could be made a value of that type.
+    pub(crate) fn reads(self, binding: &str, ty: xr::ActionType) -> Option<Reads> {
+        let component = self.component(binding).map(|(_, component)| component);
+        let below =
+            |component: &str| Some(format!("{binding}/{component}")).filter(|path| self.has_component(path));
+        let itself = || binding.to_owned();
+        match (ty, component) {
+            (xr::ActionType::BOOLEAN_INPUT, None) => {
+                below("click").or_else(|| below("value")).map(Reads::Press)
+            }
+            (xr::ActionType::BOOLEAN_INPUT, Some("pose")) => None,
+            (xr::ActionType::BOOLEAN_INPUT, Some(_)) => Some(Reads::Press(itself())),
+            (xr::ActionType::FLOAT_INPUT, None) => {
+                below("value").map(Reads::Number).or_else(|| below("click").map(Reads::Press))
+            }
+            (xr::ActionType::FLOAT_INPUT, Some("pose")) => None,
+            (xr::ActionType::FLOAT_INPUT, Some("click" | "touch")) => Some(Reads::Press(itself())),
+            (xr::ActionType::FLOAT_INPUT, Some(_)) => Some(Reads::Number(itself())),
+            (xr::ActionType::VECTOR2F_INPUT, None) => Some(Reads::Pair([below("x")?, below("y")?])),
+            (xr::ActionType::POSE_INPUT, None) => below("pose").map(|_| Reads::Presence),
+            (xr::ActionType::POSE_INPUT, Some("pose")) => Some(Reads::Presence),
+            (xr::ActionType::VIBRATION_OUTPUT, None) => {
+                binding.contains("/output/").then_some(Reads::Presence)
+            }
+            _ => None,
+        }
     }
 
     /// Refuses a path that the profile does not have. One without a component leaves the choice to the runtime.
@@ -253,5 +315,45 @@ mod tests {
             &["/user/hand/left/input/a/click", "/user/gamepad/input/a/touch"],
         );
         assert!(KnownProfile::named("/interaction_profiles/acme/glove").is_err());
+    }
+
+    #[test]
+    fn a_binding_of_a_component_is_of_its_input() {
+        let touch = KnownProfile::named("/interaction_profiles/oculus/touch_controller").expect("known");
+        let source = |binding| touch.source(binding);
+        assert_eq!(source("/user/hand/left/input/trigger/touch"), "/user/hand/left/input/trigger");
+        assert_eq!(source("/user/hand/left/input/trigger"), "/user/hand/left/input/trigger");
+        assert_eq!(source("/user/hand/left/input/x"), "/user/hand/left/input/x", "a button, no component");
+        assert!(is_source("/user/gamepad/input/a") && is_source("/user/hand/left/output/haptic"));
+        assert!(!is_source("/user/hand/left") && !is_source("/user/hand/right/input/elbow"));
+    }
+
+    /// What actions read: a boolean one, a float, a pair of them, a pose.
+    fn read_by_each(binding: &str) -> [Option<Reads>; 4] {
+        type Type = xr::ActionType;
+        let index = KnownProfile::named("/interaction_profiles/valve/index_controller").expect("known");
+        [Type::BOOLEAN_INPUT, Type::FLOAT_INPUT, Type::VECTOR2F_INPUT, Type::POSE_INPUT]
+            .map(|ty| index.reads(&format!("/user/hand/left/{binding}"), ty))
+    }
+
+    #[test]
+    fn presses_and_numbers_are_made_of_each_other_and_nothing_else_is() {
+        let path = |component: &str| format!("/user/hand/left/input/{component}");
+        let (press, number) = (|name| Some(Reads::Press(path(name))), |name| Some(Reads::Number(path(name))));
+        let pair = Some(Reads::Pair([path("thumbstick/x"), path("thumbstick/y")]));
+        for (binding, read) in [
+            ("input/trigger/click", [press("trigger/click"), press("trigger/click"), None, None]),
+            ("input/trigger/value", [press("trigger/value"), number("trigger/value"), None, None]),
+            ("input/thumbstick/x", [press("thumbstick/x"), number("thumbstick/x"), None, None]),
+            ("input/trigger", [press("trigger/click"), number("trigger/value"), None, None]),
+            ("input/squeeze", [press("squeeze/value"), number("squeeze/value"), None, None]),
+            ("input/a", [press("a/click"), press("a/click"), None, None]),
+            ("input/thumbstick", [press("thumbstick/click"), press("thumbstick/click"), pair, None]),
+            ("input/grip", [None, None, None, Some(Reads::Presence)]),
+            ("input/grip/pose", [None, None, None, Some(Reads::Presence)]),
+            ("output/haptic", [None, None, None, None]),
+        ] {
+            assert_eq!(read_by_each(binding), read, "{binding}");
+        }
     }
 }

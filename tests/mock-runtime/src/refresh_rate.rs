@@ -5,12 +5,14 @@ use crate::ffi::{self, entry};
 use crate::runtime::{self, Core, Event};
 use openxr_sys as xr;
 
-/// The display has this rate from its next period on.
+/// The display has this rate from its next period on. Who has not enabled the extension does not know its event.
 pub(crate) fn change(core: &mut Core, hz: f64) {
     let before = core.grid();
     if before.hz != hz {
         core.timeline.grid = Some(before.with_rate(core.timeline.last_period, hz));
-        core.events.push_back(Event::RefreshRate { from_hz: before.hz as f32, to_hz: hz as f32 });
+        if core.extensions.refresh_rate {
+            core.events.push_back(Event::RefreshRate { from_hz: before.hz as f32, to_hz: hz as f32 });
+        }
     }
 }
 

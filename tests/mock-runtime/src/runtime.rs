@@ -34,7 +34,7 @@ pub(crate) struct Runtime {
     handles: u64,
 }
 
-/// What goes on behind an instance loss: the next instance of the same configuration continues the frame numbers, the
+/// What goes on behind the loss of an instance, or of a session whose instance goes with it: the next instance of the same configuration continues the frame numbers, the
 /// virtual clock, the head path, the log and the counts, so that scripted events do not happen again.
 pub(crate) struct Resume {
     pub(crate) config: MockConfig,
@@ -68,6 +68,8 @@ pub(crate) struct Core {
     /// `XrTime` in nanoseconds from which on every call answers INSTANCE_LOST.
     pub(crate) loss_time_ns: Option<i64>,
     pub(crate) lost: bool,
+    /// Its last session was lost, and none has come after it.
+    pub(crate) lost_session: bool,
 }
 
 /// The extensions that the application enabled.
@@ -95,6 +97,9 @@ pub(crate) struct Session {
     pub(crate) capture_is_due: bool,
     /// When a session that rests is READY again, nanoseconds of `XrTime`.
     pub(crate) ready_ns: Option<i64>,
+    /// `XrTime` in nanoseconds from which on every call answers SESSION_LOST.
+    pub(crate) loss_time_ns: Option<i64>,
+    pub(crate) lost: bool,
     pub(crate) gpu: Gpu,
     pub(crate) swapchains: HashMap<u64, Swapchain>,
     /// The level of each profile.
@@ -262,7 +267,22 @@ impl Runtime {
         });
         let (core, session) = found.ok_or_else(|| Fault::handle(kind))?;
         core.present()?;
+        session.present()?;
         Ok((core, session))
+    }
+}
+
+impl Session {
+    /// Whether it is lost, or about to be.
+    pub(crate) fn loses(&self) -> bool {
+        self.lost || self.loss_time_ns.is_some()
+    }
+
+    fn present(&self) -> Outcome<()> {
+        match self.lost {
+            true => Err(Fault::quiet(xr::Result::ERROR_SESSION_LOST)),
+            false => Ok(()),
+        }
     }
 }
 

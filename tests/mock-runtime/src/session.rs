@@ -19,7 +19,7 @@ type State = xr::SessionState;
 ///
 /// IDLE and READY are announced at creation. SYNCHRONIZED, VISIBLE and FOCUSED follow the first `xrEndFrame`, so the
 /// first frame is never rendered. A stop passes VISIBLE, SYNCHRONIZED and STOPPING; `xrEndSession` leads to EXITING, or in
-/// a pause to IDLE and, when it is over, to READY.
+/// a pause to IDLE and, when it is over, to READY. From LOSS_PENDING nothing leads on: the application destroys the session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SessionState {
     current: State,
@@ -134,6 +134,16 @@ impl SessionState {
         states
     }
 
+    /// The session is about to be lost, unless it is to stop anyway.
+    fn lose(&mut self) -> Vec<State> {
+        match self.current {
+            State::READY | State::SYNCHRONIZED | State::VISIBLE | State::FOCUSED => {
+                self.pass(&[State::LOSS_PENDING])
+            }
+            _ => Vec::new(),
+        }
+    }
+
     fn set_focus(&mut self, focus: bool) -> Vec<State> {
         self.focus = focus;
         match (self.current, focus) {
@@ -161,7 +171,7 @@ pub(crate) fn announce(core: &mut Core, session: u64, states: Vec<State>) {
     core.events.extend(events);
 }
 
-/// How long before an instance loss its announcement comes, nanoseconds.
+/// How long before the loss of an instance or of a session its announcement comes, nanoseconds.
 const LOSS_NOTICE_NS: i64 = 1_000_000_000;
 
 /// Lets a scripted event happen.
@@ -192,6 +202,17 @@ pub(crate) fn happen(core: &mut Core, session: &mut Session, kind: EventKind) {
             core.events.push_back(Event::InstanceLossPending { loss_time_ns });
             Vec::new()
         }
+        EventKind::SessionLoss => {
+            let states = session.state.lose();
+            if !states.is_empty() {
+                session.loss_time_ns = Some(core.now_ns() + LOSS_NOTICE_NS);
+            }
+            states
+        }
+        EventKind::SuddenSessionLoss => {
+            session.lost = true;
+            Vec::new()
+        }
     };
     announce(core, session.handle, states);
 }
@@ -218,6 +239,22 @@ pub(crate) fn close(session: Option<Session>) {
     runtime::notify_frame_begun();
 }
 
+/// The device of a session. Its order is the conformance suite's: that there is no binding is said before that a call is missing.
+fn new_gpu(core: &Core, create_info: &xr::SessionCreateInfo) -> Outcome<Gpu> {
+    let invalid = |message: &str| Fault::application(xr::Result::ERROR_GRAPHICS_DEVICE_INVALID, message);
+    // SAFETY: the chain of a structure that the application passes in.
+    let binding = unsafe { ffi::chained_input::<xr::GraphicsBindingVulkanKHR>(create_info.next) };
+    let binding =
+        binding.ok_or_else(|| invalid("chain an XrGraphicsBindingVulkan2KHR to XrSessionCreateInfo"))?;
+    if !core.requirements_asked {
+        let message = "call xrGetVulkanGraphicsRequirements2KHR before xrCreateSession";
+        return Err(Fault::application(xr::Result::ERROR_GRAPHICS_REQUIREMENTS_CALL_MISSING, message));
+    }
+    let vulkan = core.vulkan.as_ref();
+    let vulkan = vulkan.ok_or_else(|| invalid("make the Vulkan instance by xrCreateVulkanInstanceKHR"))?;
+    Gpu::new(vulkan, binding)
+}
+
 entry! {
     create_session: CreateSession = "xrCreateSession"(
         instance: value xr::Instance,
@@ -228,19 +265,10 @@ entry! {
         check_system(create_info.system_id)?;
         let handle = runtime.new_handle();
         let core = runtime.core(instance)?;
-        if !core.requirements_asked {
-            let message = "call xrGetVulkanGraphicsRequirements2KHR before xrCreateSession";
-            return Err(Fault::application(xr::Result::ERROR_GRAPHICS_REQUIREMENTS_CALL_MISSING, message));
-        }
-        // SAFETY: the chain of a structure that the application passes in.
-        let binding = unsafe { ffi::chained_input::<xr::GraphicsBindingVulkanKHR>(create_info.next) };
-        let (Some(binding), Some(vulkan)) = (binding, &core.vulkan) else {
-            let message = "chain an XrGraphicsBindingVulkan2KHR whose instance xrCreateVulkanInstanceKHR has made";
-            return Err(Fault::application(xr::Result::ERROR_GRAPHICS_DEVICE_INVALID, message));
-        };
-        let gpu = Gpu::new(vulkan, binding)?;
+        let gpu = new_gpu(core, create_info)?;
         let (state, states) = SessionState::new();
         let state_of_instance = runtime.instance_even_lost(instance)?;
+        state_of_instance.core.lost_session = false;
         if state_of_instance.session.is_some() {
             let message = "a session exists; destroy it before creating another";
             return Err(Fault::application(xr::Result::ERROR_LIMIT_REACHED, message));
@@ -253,6 +281,8 @@ entry! {
             shown: None,
             capture_is_due: false,
             ready_ns: None,
+            loss_time_ns: None,
+            lost: false,
             gpu,
             swapchains: Default::default(),
             foveation_profiles: Default::default(),
@@ -275,6 +305,7 @@ entry! {
         if removed.is_none() {
             return Err(Fault::handle("session"));
         }
+        state.core.lost_session = removed.as_ref().is_some_and(Session::loses);
         close(removed);
         state.core.events.retain(|event| !event.is_of(raw));
         state.core.actions.detach();
@@ -378,6 +409,23 @@ mod tests {
         state.begin().expect("READY");
         assert_eq!(state.frame_ended(), [State::SYNCHRONIZED, State::VISIBLE, State::FOCUSED]);
         assert_eq!(state.stop(), [State::VISIBLE, State::SYNCHRONIZED, State::STOPPING]);
+        assert_eq!(state.end().expect("STOPPING"), [State::IDLE, State::EXITING]);
+    }
+
+    #[test]
+    fn a_session_that_is_about_to_be_lost_has_nothing_before_it() {
+        let mut state = focused();
+        assert_eq!(state.lose(), [State::LOSS_PENDING]);
+        assert!(!state.should_render() && !state.is_focused());
+        assert_eq!([state.lose(), state.stop(), state.set_focus(false), state.frame_ended()], [[]; 4]);
+        assert_eq!(code(state.end()), xr::Result::ERROR_SESSION_NOT_STOPPING);
+    }
+
+    #[test]
+    fn a_session_that_is_to_stop_is_not_about_to_be_lost() {
+        let mut state = focused();
+        state.stop();
+        assert_eq!(state.lose(), []);
         assert_eq!(state.end().expect("STOPPING"), [State::IDLE, State::EXITING]);
     }
 

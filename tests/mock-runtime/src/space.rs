@@ -3,7 +3,7 @@
 //! STAGE is the frame of the head path until the user recentres: its floor is y = 0. VIEW is the head. LOCAL has its origin where the head
 //! begins (head path time 0, at the head's height) and turns with the head's first heading, level with the floor, as
 //! the specification wants it. An action space is located while its action has a source and the configuration says where the hand is
-//! (`hands`); one that was made for no hand in particular follows the left one, or else the right one.
+//! (`hands`); one that was made for no hand in particular follows the left one, or else the right one, of those where its action has one.
 
 use glam::{Quat, Vec3};
 use openxr_sys as xr;
@@ -119,17 +119,17 @@ fn space_in_stage_of(core: &Core, space: &Space, time_ns: i64, stage_ns: i64) ->
     Some(stage_from_reference.then(space.reference_from_space))
 }
 
-/// Where the hand of an action is in the frame of the head path, where it has one.
+/// Where the hand of an action is in the frame of the head path, where it has one. A destroyed action still leads its spaces.
 fn path_from_hand(core: &Core, action: xr::Action, path: xr::Path) -> Option<Pose> {
-    if !core.actions.is_active(action, path) {
-        return None;
-    }
     let hands: &[&str] = match path {
         xr::Path::NULL => &["/user/hand/left", "/user/hand/right"],
         path => &[core.paths.text(path).ok()?],
     };
     let frame = core.timeline.next_frame.saturating_sub(1);
     let of = |hand: &&str| {
+        if !core.actions.is_active(action, hand) {
+            return None;
+        }
         let said = core.config.hands.iter().filter(|said| said.hand == **hand && said.frame <= frame);
         let said = said.max_by_key(|said| said.frame)?;
         let [yaw, pitch, roll] = said.yaw_pitch_roll_degrees.map(f32::to_radians);
@@ -284,22 +284,23 @@ entry! {
         location.pose = pose_to_xr(pose.unwrap_or(Pose::IDENTITY));
         // SAFETY: the chain of a structure that the application wants filled in.
         if let Some(out) = unsafe { ffi::chained_output::<xr::SpaceVelocity>(location.next) } {
-            check_blank(out)?;
+            check_flags(out)?;
             write_velocity(out, velocity(core, &base, &space, time_ns));
         }
         Ok(xr::Result::SUCCESS)
     }
 }
 
-/// Flags that come in are what lay in memory that nobody set. The core validation layer looks at them on the way in, and
-/// ends the program where it does not know one.
-fn check_blank(velocity: &xr::SpaceVelocity) -> Outcome<()> {
+/// Flags that come in are those of the call before, or what lay in memory that nobody set. Of the latter there are some that do not
+/// exist, and the core validation layer, which looks at them on the way in, ends the program where it does not know one.
+fn check_flags(velocity: &xr::SpaceVelocity) -> Outcome<()> {
+    let known = xr::SpaceVelocityFlags::LINEAR_VALID | xr::SpaceVelocityFlags::ANGULAR_VALID;
     let flags = velocity.velocity_flags.into_raw();
-    if flags == 0 {
+    if flags & !known.into_raw() == 0 {
         return Ok(());
     }
     Err(Fault::usage(format!(
-        "velocityFlags are {flags:#x} before the call: hand over an XrSpaceVelocity set to zero"
+        "velocityFlags are {flags:#x} before the call, as of memory that nobody has set: hand over an XrSpaceVelocity set to zero"
     )))
 }
 

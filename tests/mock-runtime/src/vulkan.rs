@@ -16,6 +16,17 @@ use crate::runtime;
 /// What `xrCreateVulkanInstanceKHR` made.
 pub(crate) struct Vulkan {
     pub(crate) instance: ash::Instance,
+    /// What `xrCreateVulkanDeviceKHR` made of it since: devices with the physical devices that they are of.
+    devices: Vec<(u64, u64)>,
+}
+
+impl Vulkan {
+    /// True where a session's instance and device were made here, as the specification wants them to be. A device of nobody's would be
+    /// used, and end the program, before anybody could say what is wrong with it.
+    pub(crate) fn has_made(&self, binding: &xr::GraphicsBindingVulkanKHR) -> bool {
+        let device = (binding.device as u64, binding.physical_device as u64);
+        is_instance(self, binding.instance) && self.devices.contains(&device)
+    }
 }
 
 /// The application's `vkGetInstanceProcAddr`.
@@ -80,7 +91,8 @@ entry! {
         *vulkan_instance = made.as_raw() as VkInstance;
         if result == vk::Result::SUCCESS {
             // SAFETY: the instance was made by these functions a moment ago.
-            core.vulkan = Some(Vulkan { instance: unsafe { ash::Instance::load(&functions, made) } });
+            let instance = unsafe { ash::Instance::load(&functions, made) };
+            core.vulkan = Some(Vulkan { instance, devices: Vec::new() });
         }
         Ok(xr::Result::SUCCESS)
     }
@@ -106,7 +118,7 @@ entry! {
 }
 
 /// True where `instance` is the application's instance.
-pub(crate) fn is_instance(vulkan: &Vulkan, instance: VkInstance) -> bool {
+fn is_instance(vulkan: &Vulkan, instance: VkInstance) -> bool {
     vulkan.instance.handle().as_raw() == instance as u64
 }
 
@@ -163,7 +175,7 @@ entry! {
         let mut runtime = runtime::lock();
         let core = runtime.core(instance)?;
         check_system(create_info.system_id)?;
-        let vulkan = core.vulkan.as_ref().ok_or_else(|| Fault::order("call xrCreateVulkanInstanceKHR first"))?;
+        let vulkan = core.vulkan.as_mut().ok_or_else(|| Fault::order("call xrCreateVulkanInstanceKHR first"))?;
         let functions = static_functions(create_info.pfn_get_instance_proc_addr)?;
         let create = function(&functions, vulkan.instance.handle(), c"vkCreateDevice")?;
         // SAFETY: vkGetInstanceProcAddr answers vkCreateDevice for its name.
@@ -181,6 +193,9 @@ entry! {
         };
         *vulkan_result = result.as_raw();
         *vulkan_device = made.as_raw() as VkDevice;
+        if result == vk::Result::SUCCESS {
+            vulkan.devices.push((made.as_raw(), physical_device.as_raw()));
+        }
         Ok(xr::Result::SUCCESS)
     }
 }

@@ -11,7 +11,7 @@ use ash::vk;
 use openxr as xr;
 use shadecast_mock_runtime::clock::{period_begin_ns, period_ns};
 use shadecast_mock_runtime::config::{
-    ClockKind, EventKind, FovDegrees, MockConfig, ScriptedEvent, ScriptedInput,
+    ClockKind, EventKind, FovDegrees, MockConfig, ScriptedEvent, ScriptedHand, ScriptedInput,
 };
 use shadecast_mock_runtime::head_path::HeadPath;
 use shadecast_mock_runtime::record::{FrameRecord, PoseRecord, Side, read_frames, read_summary};
@@ -311,6 +311,65 @@ fn foveation_is_what_the_specification_says() {
     assert_eq!((summary.foveation_level, summary.errors), (0, 4));
 }
 
+/// A swapchain with density maps.
+fn foveated_swapchain(app: &App) -> xr::Swapchain<xr::Vulkan> {
+    let foveation = xr::sys::SwapchainCreateInfoFoveationFB {
+        ty: xr::sys::SwapchainCreateInfoFoveationFB::TYPE,
+        next: std::ptr::null_mut(),
+        flags: xr::sys::SwapchainCreateFoveationFlagsFB::FRAGMENT_DENSITY_MAP,
+    };
+    let info = xr::sys::SwapchainCreateInfo {
+        ty: xr::sys::SwapchainCreateInfo::TYPE,
+        next: std::ptr::from_ref(&foveation).cast(),
+        create_flags: xr::SwapchainCreateFlags::EMPTY,
+        usage_flags: xr::SwapchainUsageFlags::COLOR_ATTACHMENT,
+        format: i64::from(vk::Format::R8G8B8A8_SRGB.as_raw()),
+        sample_count: 1,
+        width: SIZE[0],
+        height: SIZE[1],
+        face_count: 1,
+        array_size: 2,
+        mip_count: 1,
+    };
+    let mut swapchain = xr::sys::Swapchain::NULL;
+    // SAFETY: a valid session, and structures and a place that live through the call.
+    unsafe {
+        let made = (app.instance.fp().create_swapchain)(app.session.as_raw(), &info, &mut swapchain);
+        assert_eq!(made, Code::SUCCESS);
+        xr::Swapchain::from_raw(app.session.clone(), swapchain)
+    }
+}
+
+#[test]
+fn a_swapchain_tells_its_foveation_profile_while_there_is_one() {
+    let run = Run::new(&MockConfig { foveation: true, ..virtual_config() });
+    let app = App::foveated();
+    let states = app.instance.exts().fb_swapchain_update_state.expect("enabled");
+    let profile = app.session.create_foveation_profile(None).expect("a profile");
+    let swapchain = foveated_swapchain(&app);
+    let mut state = xr::sys::SwapchainStateFoveationFB {
+        ty: xr::sys::SwapchainStateFoveationFB::TYPE,
+        next: std::ptr::null_mut(),
+        flags: xr::sys::SwapchainStateFoveationFlagsFB::EMPTY,
+        profile: profile.as_raw(),
+    };
+    let raw = swapchain.as_raw();
+    // SAFETY: the swapchain is alive, and the struct says what it is.
+    let updated = unsafe { (states.update_swapchain)(raw, std::ptr::from_ref(&state).cast()) };
+    assert_eq!(updated, Code::SUCCESS);
+    let mut told = || {
+        // SAFETY: as above.
+        let code = unsafe { (states.get_swapchain_state)(raw, std::ptr::from_mut(&mut state).cast()) };
+        assert_eq!(code, Code::SUCCESS);
+        state.profile
+    };
+    assert_eq!(told(), profile.as_raw());
+    drop(profile);
+    assert_eq!(told(), xr::sys::FoveationProfileFB::NULL, "there is no handle of a destroyed one");
+    drop((swapchain, app));
+    assert_eq!(read_summary(&run.captures()).expect("summary").errors, 0);
+}
+
 #[test]
 fn calls_out_of_order_are_refused_and_counted() {
     let run = Run::new(&virtual_config());
@@ -494,6 +553,49 @@ fn layers_that_break_a_rule_are_refused() {
     drop(swapchain);
     drop(app);
     assert_eq!(read_summary(&run.captures()).expect("summary").errors, 7);
+}
+
+#[test]
+fn a_view_may_be_flipped_or_without_area_and_sees_less_than_half_the_world() {
+    let run = Run::new(&MockConfig { capture_every: 0, ..virtual_config() });
+    let mut app = App::begun();
+    app.empty_frame();
+    let mut swapchain = app.swapchain(vk::Format::R8G8B8A8_SRGB, SIZE, 2);
+    swapchain.acquire_image().expect("acquire");
+    swapchain.wait_image(xr::Duration::INFINITE).expect("wait for the image");
+    swapchain.release_image().expect("release");
+    let angles = |left, right, up, down| xr::Fovf {
+        angle_left: left,
+        angle_right: right,
+        angle_up: up,
+        angle_down: down,
+    };
+    let flipped = angles(0.5, -0.75, -0.25, 0.5);
+    let (flat, nothing) = (angles(0.25, 0.25, 0.5, -0.5), angles(0.0, 0.0, 0.0, 0.0));
+    let wide = angles(-1.57, 1.57, 1.57, -1.57);
+    let half = std::f32::consts::FRAC_PI_2;
+    let allowed = [flipped, flat, nothing, wide];
+    let wrong =
+        [angles(-half, 0.5, 0.5, -0.5), angles(-0.5, 0.5, 3.0, -0.5), angles(-0.5, f32::INFINITY, 0.5, -0.5)];
+    for fov in allowed.into_iter().chain(wrong) {
+        let state = app.waiter.wait().expect("wait");
+        app.stream.begin().expect("begin");
+        let located = xr::View { pose: xr::Posef::IDENTITY, fov };
+        let [x, y, width, height] = WHOLE;
+        let parts = [0, 1].map(|eye| view(&swapchain, eye, rect(x, y, width, height), &located));
+        let layer = xr::CompositionLayerProjection::new().space(&app.stage).views(&parts);
+        let time = state.predicted_display_time;
+        let ended = app.stream.end(time, xr::EnvironmentBlendMode::OPAQUE, &[&layer]);
+        let refused = wrong.contains(&fov).then_some(Code::ERROR_VALIDATION_FAILURE);
+        assert_eq!(ended.err(), refused, "{fov:?}");
+    }
+    drop(swapchain);
+    drop(app);
+    let frames = read_frames(&run.captures()).expect("log");
+    let logged = frames.iter().filter(|frame| !frame.empty).map(|frame| frame.views[0].fov);
+    let submitted = allowed.map(|fov| [fov.angle_left, fov.angle_right, fov.angle_up, fov.angle_down]);
+    assert_eq!(logged.collect::<Vec<_>>(), submitted, "as they were submitted");
+    assert_eq!(read_summary(&run.captures()).expect("summary").errors, 3);
 }
 
 #[test]
@@ -746,6 +848,140 @@ fn a_lost_instance_can_be_made_again_and_the_world_goes_on() {
 }
 
 #[test]
+fn another_rate_is_told_to_those_alone_who_have_enabled_its_extension() {
+    let kind = EventKind::RefreshRate { hz: 90 };
+    let config = MockConfig { events: vec![event(2, kind)], other_rates_hz: vec![90.0], ..virtual_config() };
+    for is_enabled in [false, true] {
+        let _run = Run::new(&config);
+        let app = App::with(|extensions| extensions.fb_display_refresh_rate = is_enabled);
+        let mut app = app.beginning();
+        let periods = [(); 4].map(|()| app.empty_frame().predicted_display_period.as_nanos());
+        assert_eq!(periods[1..3], [period_ns(72.0), period_ns(90.0)], "it changes for all");
+        let mut storage = xr::EventDataBuffer::new();
+        let mut told = Vec::new();
+        while let Some(event) = app.instance.poll_event(&mut storage).expect("poll") {
+            match event {
+                xr::Event::SessionStateChanged(_) => {}
+                xr::Event::DisplayRefreshRateChangedFB(change) => told.push(change.to_display_refresh_rate()),
+                _ => panic!("nothing else happens"),
+            }
+        }
+        assert_eq!(told, if is_enabled { vec![90.0] } else { vec![] });
+    }
+}
+
+/// Asserts that each kind of call of a lost session says so, that its children and the instance are still there, and that nothing of
+/// that counts as a mistake.
+#[track_caller]
+fn assert_lost(app: &mut App, swapchain: &mut xr::Swapchain<xr::Vulkan>) {
+    let lost = Some(Code::ERROR_SESSION_LOST);
+    let time = xr::Time::from_nanos(1_000_000_000);
+    assert_eq!(app.waiter.wait().err(), lost);
+    assert_eq!(app.stream.begin().err(), lost);
+    assert_eq!(app.stream.end(time, xr::EnvironmentBlendMode::OPAQUE, &[]).err(), lost);
+    assert_eq!(app.session.locate_views(STEREO, time, &app.stage).err(), lost);
+    assert_eq!(app.stage.locate(&app.stage, time).err(), lost);
+    assert_eq!(app.session.enumerate_swapchain_formats().err(), lost);
+    assert_eq!(swapchain.acquire_image().err(), lost);
+    assert_eq!(app.session.sync_actions(&[]).err(), lost);
+    assert_eq!([app.session.request_exit().err(), app.session.end().err()], [lost; 2]);
+    let view = app.session.create_reference_space(xr::ReferenceSpaceType::VIEW, xr::Posef::IDENTITY);
+    assert_eq!(view.err(), lost);
+    assert_eq!(app.states(), [], "events go on, and there are none");
+    assert!(app.instance.properties().is_ok());
+    assert!(app.instance.enumerate_view_configurations(app.system).is_ok());
+}
+
+/// Destroys what a lost session has; gives what it is answered who tries that again.
+fn destroyed_again(app: &App, space: xr::Space, swapchain: xr::Swapchain<xr::Vulkan>) -> [Code; 2] {
+    let (functions, handles) = (app.instance.fp(), (space.as_raw(), swapchain.as_raw()));
+    drop((space, swapchain));
+    // SAFETY: handles may be anything; the runtime refuses those that it does not know.
+    unsafe { [(functions.destroy_space)(handles.0), (functions.destroy_swapchain)(handles.1)] }
+}
+
+#[test]
+fn a_lost_session_is_announced_and_the_next_one_goes_on_where_it_was() {
+    let events = vec![event(4, EventKind::SessionLoss)];
+    let run = Run::new(&MockConfig { events, refresh_hz: 10.0, capture_every: 1, ..virtual_config() });
+    let mut app = App::begun();
+    let head = app.session.create_reference_space(xr::ReferenceSpaceType::VIEW, xr::Posef::IDENTITY);
+    let (head, mut swapchain) = (head.expect("space"), app.swapchain(vk::Format::R8G8B8A8_SRGB, SIZE, 2));
+    for frame in 0..5 {
+        assert!(!app.states().contains(&xr::SessionState::LOSS_PENDING), "frame {frame}");
+        multiview_frame(&mut app, &mut swapchain, frame);
+    }
+    assert_eq!(app.states(), [xr::SessionState::LOSS_PENDING]);
+    let mut frames = 5;
+    loop {
+        let state = app.waiter.wait().expect("the wait of the last frame gives it yet");
+        frames += 1;
+        assert!(!state.should_render && frames < 100);
+        let Ok(()) = app.stream.begin() else { break };
+        app.stream.end(state.predicted_display_time, xr::EnvironmentBlendMode::OPAQUE, &[]).expect("end");
+    }
+    assert_eq!(frames, 4 + 10 + 1, "a second is ten frames");
+    assert_lost(&mut app, &mut swapchain);
+    assert_eq!(
+        destroyed_again(&app, head, swapchain),
+        [Code::ERROR_HANDLE_INVALID; 2],
+        "they were destroyed"
+    );
+    let mut app = app.begun_anew();
+    let mut swapchain = app.swapchain(vk::Format::R8G8B8A8_SRGB, SIZE, 2);
+    for frame in frames..frames + 20 {
+        let state = multiview_frame(&mut app, &mut swapchain, frame);
+        assert_eq!(state.should_render, frame > frames, "frame {frame}");
+    }
+    assert_eq!(app.states().last(), Some(&xr::SessionState::FOCUSED), "no second loss");
+    drop((swapchain, app));
+    let log = read_frames(&run.captures()).expect("log");
+    let numbers: Vec<u64> = log.iter().map(|frame| frame.frame).collect();
+    let (before, after) = (0..frames - 1, frames..frames + 20);
+    assert_eq!(numbers, before.chain(after).collect::<Vec<_>>(), "the log goes on");
+    assert!(log.is_sorted_by_key(|frame| frame.predicted_display_time_ns), "the clock goes on");
+    assert_eq!(log.iter().filter(|frame| frame.captured).count(), 3 + 19);
+    let summary = read_summary(&run.captures()).expect("summary");
+    assert_eq!((summary.errors, summary.frames), (2, frames + 20), "the counts go on");
+}
+
+#[test]
+fn a_session_may_be_lost_without_a_word() {
+    let run =
+        Run::new(&MockConfig { events: vec![event(2, EventKind::SuddenSessionLoss)], ..virtual_config() });
+    let mut app = App::begun();
+    let mut swapchain = app.swapchain(vk::Format::R8G8B8A8_SRGB, SIZE, 2);
+    for _ in 0..2 {
+        app.empty_frame();
+    }
+    type State = xr::SessionState;
+    assert_eq!(app.states(), [State::SYNCHRONIZED, State::VISIBLE, State::FOCUSED]);
+    assert!(app.waiter.wait().expect("the wait of that frame").should_render);
+    assert_lost(&mut app, &mut swapchain);
+    drop(swapchain);
+    let mut app = app.begun_anew();
+    app.empty_frame();
+    assert!(app.empty_frame().should_render);
+    drop(app);
+    assert_eq!(read_summary(&run.captures()).expect("summary").errors, 0);
+}
+
+#[test]
+fn who_waits_for_a_frame_to_begin_hears_of_a_loss_at_once() {
+    let _run =
+        Run::new(&MockConfig { events: vec![event(1, EventKind::SuddenSessionLoss)], ..virtual_config() });
+    let mut app = App::begun();
+    app.empty_frame();
+    let App { stage, stream, mut waiter, session, gpu, instance, .. } = app;
+    let asked = std::time::Instant::now();
+    let thread = std::thread::spawn(move || [(); 2].map(|()| waiter.wait().err()));
+    let told = thread.join().expect("the waiting thread ends");
+    assert_eq!(told, [None, Some(Code::ERROR_SESSION_LOST)]);
+    assert!(asked.elapsed() < std::time::Duration::from_secs(4), "long before its patience ends");
+    drop((stage, stream, session, gpu, instance));
+}
+
+#[test]
 fn spaces_and_velocities_follow_the_head_path() {
     let run = Run::new(&virtual_config());
     with_walk(&run, &virtual_config());
@@ -813,16 +1049,20 @@ fn relate(
 
 /// As the core validation layer of today's SDKs does it.
 #[test]
-fn a_velocity_that_nobody_has_set_is_refused() {
+fn a_velocity_that_nobody_has_set_is_refused_and_one_of_the_call_before_is_not() {
     let run = Run::new(&virtual_config());
     let mut app = App::begun();
     let time = app.empty_frame().predicted_display_time;
     let head = app.session.create_reference_space(xr::ReferenceSpaceType::VIEW, xr::Posef::IDENTITY);
     let head = head.expect("space");
-    let left_over = xr::SpaceVelocityFlags::LINEAR_VALID;
+    let left_over = xr::SpaceVelocityFlags::from_raw(0x5dc0_0001);
     let mut velocity = xr::sys::SpaceVelocity { velocity_flags: left_over, ..blank_velocity() };
     assert_eq!(relate(&head, &app.stage, time, &mut velocity).0, Code::ERROR_VALIDATION_FAILURE);
-    assert_eq!(relate(&head, &app.stage, time, &mut blank_velocity()).0, Code::SUCCESS);
+    let mut velocity = blank_velocity();
+    for again in [false, true] {
+        assert_eq!(relate(&head, &app.stage, time, &mut velocity).0, Code::SUCCESS, "again: {again}");
+        assert!(velocity.velocity_flags.contains(xr::SpaceVelocityFlags::LINEAR_VALID));
+    }
     drop((head, app));
     assert_eq!(read_summary(&run.captures()).expect("summary").errors, 1);
 }
@@ -1003,6 +1243,289 @@ fn controllers_say_what_the_script_says_once_their_profile_is_known() {
     assert_eq!(news, 1);
 }
 
+const TOUCH: &str = "/interaction_profiles/oculus/touch_controller";
+
+/// Controllers whose triggers are pulled, the left one further, with their hands held.
+fn held_controllers() -> MockConfig {
+    let input = |path: &str, value| ScriptedInput { frame: 0, path: format!("/user/hand/{path}"), value };
+    let hand = |hand: &str, x| ScriptedHand {
+        frame: 0,
+        hand: format!("/user/hand/{hand}"),
+        position_m: Some([x, 1.5, 0.0]),
+        yaw_pitch_roll_degrees: [0.0; 3],
+    };
+    MockConfig {
+        controllers: Some(TOUCH.into()),
+        inputs: vec![input("left/input/trigger/value", 0.75), input("right/input/trigger/value", 0.25)],
+        hands: vec![hand("left", -0.5), hand("right", 0.5)],
+        ..virtual_config()
+    }
+}
+
+/// Suggests bindings of touch controllers and attaches sets, of a session in focus.
+#[track_caller]
+fn bind(app: &mut App, bindings: &[xr::Binding<'_>], sets: &[&xr::ActionSet]) {
+    let touch = app.path(TOUCH);
+    app.instance.suggest_interaction_profile_bindings(touch, bindings).expect("suggest");
+    app.session.attach_action_sets(sets).expect("attach");
+    app.empty_frame();
+}
+
+#[test]
+fn the_profile_is_that_of_the_hands_and_of_no_other_path() {
+    let run = Run::new(&held_controllers());
+    let mut app = App::begun();
+    let [left, right] = ["/user/hand/left", "/user/hand/right"].map(|text| app.path(text));
+    let set = app.instance.create_action_set("main", "Main", 0).expect("set");
+    let pull = set.create_action::<f32>("pull", "Pull", &[]).expect("action");
+    let unattached = app.session.current_interaction_profile(left);
+    assert_eq!(unattached.err(), Some(Code::ERROR_ACTIONSET_NOT_ATTACHED));
+    let trigger = app.path("/user/hand/left/input/trigger");
+    bind(&mut app, &[xr::Binding::new(&pull, trigger)], &[&set]);
+    app.session.sync_actions(&[xr::ActiveActionSet::new(&set)]).expect("sync");
+    let profile = |path| app.session.current_interaction_profile(path);
+    let touch = Ok(app.path(TOUCH));
+    assert_eq!([profile(left), profile(right)], [touch; 2]);
+    for nobody in ["/user/head", "/user/gamepad", "/user/treadmill"] {
+        assert_eq!(profile(app.path(nobody)), Ok(xr::Path::NULL), "{nobody}");
+    }
+    for none in ["/user", "/user/elbow", "/user/hand/left/input", "/user/hand/left/input/trigger"] {
+        assert_eq!(profile(app.path(none)), Err(Code::ERROR_PATH_UNSUPPORTED), "{none}");
+    }
+    assert_eq!(profile(xr::Path::NULL), Err(Code::ERROR_PATH_INVALID));
+    drop((pull, set, app));
+    assert_eq!(read_summary(&run.captures()).expect("summary").errors, 1 + 4 + 1);
+}
+
+#[test]
+fn a_set_is_active_below_the_paths_that_are_asked_for() {
+    let run = Run::new(&held_controllers());
+    let mut app = App::begun();
+    let [left, right] = ["/user/hand/left", "/user/hand/right"].map(|text| app.path(text));
+    let set = app.instance.create_action_set("main", "Main", 0).expect("set");
+    let pull = set.create_action::<f32>("pull", "Pull", &[left, right]).expect("action");
+    let any = set.create_action::<f32>("any", "Any", &[]).expect("action");
+    let grip = set.create_action::<xr::Posef>("grip", "Grip", &[]).expect("action");
+    let mut bindings = Vec::new();
+    for hand in ["left", "right"] {
+        let of = |input: &str| app.path(&format!("/user/hand/{hand}/input/{input}"));
+        let trigger = of("trigger/value");
+        bindings.extend([xr::Binding::new(&pull, trigger), xr::Binding::new(&any, trigger)]);
+        bindings.push(xr::Binding::new(&grip, of("grip/pose")));
+    }
+    bind(&mut app, &bindings, &[&set]);
+    let held = grip.create_space(&app.session, xr::Path::NULL, xr::Posef::IDENTITY).expect("space");
+    let mut said = |paths: &[xr::Path]| {
+        let time = app.empty_frame().predicted_display_time;
+        let asked = paths.iter().map(|path| xr::ActiveActionSet::with_subaction(&set, *path));
+        app.session.sync_actions(&asked.collect::<Vec<_>>()).expect("sync");
+        let of = |path| pull.state(&app.session, path).expect("a state");
+        let any = any.state(&app.session, xr::Path::NULL).expect("a state");
+        let place = held.locate(&app.stage, time).expect("located");
+        let is_located = place.location_flags.contains(xr::SpaceLocationFlags::POSITION_VALID);
+        let states = [of(left), of(right), of(xr::Path::NULL), any];
+        (
+            states.map(|state| state.is_active.then_some(state.current_state)),
+            is_located.then_some(place.pose.position.x),
+        )
+    };
+    let (l, r) = (Some(0.75), Some(0.25));
+    for both in [&[xr::Path::NULL][..], &[left, right], &[right, xr::Path::NULL]] {
+        assert_eq!(said(both), ([l, r, l, l], Some(-0.5)), "{both:?}");
+    }
+    assert_eq!(said(&[left]), ([l, None, l, l], Some(-0.5)));
+    assert_eq!(said(&[right]), ([None, r, r, r], Some(0.5)));
+    assert_eq!(said(&[]), ([None; 4], None));
+    for (path, code) in [
+        (app.path("/user/head"), Code::ERROR_PATH_UNSUPPORTED),
+        (app.path("/user/hand/left/input"), Code::ERROR_PATH_UNSUPPORTED),
+        (xr::Path::from_raw(12_345), Code::ERROR_PATH_INVALID),
+    ] {
+        let asked = [xr::ActiveActionSet::new(&set), xr::ActiveActionSet::with_subaction(&set, path)];
+        assert_eq!(app.session.sync_actions(&asked).err(), Some(code), "{path:?}");
+    }
+    drop((held, pull, any, grip, set, app));
+    assert_eq!(read_summary(&run.captures()).expect("summary").errors, 3);
+}
+
+#[test]
+fn a_source_is_of_the_active_set_of_the_highest_priority() {
+    let _run = Run::new(&held_controllers());
+    let mut app = App::begun();
+    let [left, right] = ["/user/hand/left", "/user/hand/right"].map(|text| app.path(text));
+    let set = |name, priority| app.instance.create_action_set(name, name, priority).expect("set");
+    let (low, high, equal) = (set("low", 2), set("high", 3), set("equal", 3));
+    let pull =
+        |set: &xr::ActionSet| set.create_action::<f32>("pull", "Pull", &[left, right]).expect("action");
+    let (under, over, beside) = (pull(&low), pull(&high), pull(&equal));
+    let touch = high.create_action::<bool>("touch", "Touch", &[]).expect("action");
+    let press = low.create_action::<bool>("press", "Press", &[]).expect("action");
+    let path = |text: &str| app.path(text);
+    let (pulled, touched) =
+        (path("/user/hand/left/input/trigger/value"), path("/user/hand/left/input/trigger/touch"));
+    let [other, stick] =
+        [path("/user/hand/right/input/trigger/value"), path("/user/hand/left/input/thumbstick/click")];
+    let bindings = [
+        xr::Binding::new(&under, pulled),
+        xr::Binding::new(&under, other),
+        xr::Binding::new(&over, other),
+        xr::Binding::new(&beside, other),
+        xr::Binding::new(&touch, touched),
+        xr::Binding::new(&press, stick),
+    ];
+    bind(&mut app, &bindings, &[&low, &high, &equal]);
+    let sync = |asked: &[xr::ActiveActionSet<'_>]| app.session.sync_actions(asked).expect("sync");
+    let active = |action: &xr::Action<f32>| {
+        [left, right, xr::Path::NULL].map(|hand| action.state(&app.session, hand).expect("a state").is_active)
+    };
+    let is_active =
+        |action: &xr::Action<bool>| action.state(&app.session, xr::Path::NULL).expect("a state").is_active;
+    sync(&[(&low).into()]);
+    assert_eq!((active(&under), is_active(&press)), ([true; 3], true), "alone it has both");
+    sync(&[(&low).into(), xr::ActiveActionSet::with_subaction(&high, right)]);
+    assert_eq!(active(&under), [true, false, true], "the left one is not asked for by the higher one");
+    assert_eq!((active(&over), is_active(&touch)), ([false, true, true], false));
+    sync(&[(&low).into(), (&high).into(), (&equal).into()]);
+    assert_eq!((active(&over), active(&beside)), ([false, true, true], [false, true, true]), "both have it");
+    assert_eq!(active(&under), [false; 3], "another component of the same trigger is the same source");
+    assert!(is_active(&touch) && is_active(&press), "the stick is nobody else's");
+    drop(over);
+    sync(&[(&low).into(), (&high).into()]);
+    assert_eq!(active(&under), [false; 3], "a destroyed action keeps its priority");
+}
+
+#[test]
+fn an_action_is_active_where_its_type_can_be_made_of_what_it_is_bound_to() {
+    let _run = Run::new(&held_controllers());
+    let mut app = App::begun();
+    let set = app.instance.create_action_set("main", "Main", 0).expect("set");
+    let names = ["trigger/value", "x/click", "thumbstick", "thumbstick/x", "trigger", "grip/pose", "grip"];
+    let paths = names.map(|name| app.path(&format!("/user/hand/left/input/{name}")));
+    fn of_each<T: xr::ActionTy>(set: &xr::ActionSet, ty: &str) -> [xr::Action<T>; 7] {
+        std::array::from_fn(|index| {
+            let name = format!("{ty}{index}");
+            set.create_action(&name, &name, &[]).expect("action")
+        })
+    }
+    let (presses, numbers) = (of_each::<bool>(&set, "press"), of_each::<f32>(&set, "number"));
+    let (pairs, poses) = (of_each::<xr::Vector2f>(&set, "pair"), of_each::<xr::Posef>(&set, "pose"));
+    let mut bindings = Vec::new();
+    for (index, path) in paths.into_iter().enumerate() {
+        bindings.extend([xr::Binding::new(&presses[index], path), xr::Binding::new(&numbers[index], path)]);
+        bindings.extend([xr::Binding::new(&pairs[index], path), xr::Binding::new(&poses[index], path)]);
+    }
+    bind(&mut app, &bindings, &[&set]);
+    app.session.sync_actions(&[xr::ActiveActionSet::new(&set)]).expect("sync");
+    let null = xr::Path::NULL;
+    let press = presses.each_ref().map(|action| action.state(&app.session, null).expect("a state"));
+    let number = numbers.each_ref().map(|action| action.state(&app.session, null).expect("a state"));
+    let pair = pairs.each_ref().map(|action| action.state(&app.session, null).expect("a state").is_active);
+    let pose = poses.each_ref().map(|action| action.is_active(&app.session, null).expect("a state"));
+    let scalar = [true, true, true, true, true, false, false];
+    assert_eq!(press.map(|state| state.is_active), scalar);
+    assert_eq!(number.map(|state| state.is_active), scalar);
+    assert_eq!(pair, names.map(|name| name == "thumbstick"));
+    assert_eq!(pose, names.map(|name| name.starts_with("grip")));
+    assert_eq!([press[0].current_state, press[4].current_state, press[1].current_state], [true, true, false]);
+    assert_eq!([number[0].current_state, number[4].current_state], [0.75; 2]);
+    let sources = numbers[5].bound_sources(&app.session).expect("sources");
+    assert_eq!(sources, [], "what cannot be is not bound");
+}
+
+#[test]
+fn a_space_outlives_its_action_until_the_next_sync_after_its_set() {
+    let run = Run::new(&held_controllers());
+    let mut app = App::begun();
+    let [left, pose] = ["/user/hand/left", "/user/hand/left/input/grip/pose"].map(|text| app.path(text));
+    let set = app.instance.create_action_set("main", "Main", 0).expect("set");
+    drop(set.create_action::<bool>("grip", "Grip", &[]).expect("action"));
+    let grip = set.create_action::<xr::Posef>("grip", "Grip", &[left]).expect("the name is free again");
+    bind(&mut app, &[xr::Binding::new(&grip, pose)], &[&set]);
+    let space = |path| grip.create_space(&app.session, path, xr::Posef::IDENTITY);
+    let held = [left, xr::Path::NULL].map(|path| space(path).expect("space"));
+    let located = || {
+        let time = xr::Time::from_nanos(2_000_000_000);
+        let place = |space: &xr::Space| space.locate(&app.stage, time).expect("located");
+        let valid = xr::SpaceLocationFlags::POSITION_VALID;
+        held.each_ref().map(|space| place(space).location_flags.contains(valid))
+    };
+    let sync = |sets: &[xr::ActiveActionSet<'_>]| app.session.sync_actions(sets).expect("sync");
+    sync(&[(&set).into()]);
+    assert_eq!(located(), [true; 2]);
+    let functions = app.instance.fp();
+    // SAFETY: handles may be anything; the runtime refuses those that it does not know.
+    let destroy = || unsafe { (functions.destroy_action)(grip.as_raw()) };
+    let gone = Code::ERROR_HANDLE_INVALID;
+    assert_eq!([destroy(), destroy()], [Code::SUCCESS, gone]);
+    assert_eq!([grip.is_active(&app.session, left).err(), space(left).err()], [Some(gone); 2]);
+    assert_eq!(located(), [true; 2], "the action is destroyed");
+    sync(&[]);
+    assert_eq!(located(), [false; 2], "its set is not active");
+    sync(&[(&set).into()]);
+    assert_eq!(located(), [true; 2], "its set is active again");
+    // SAFETY: as above.
+    let destroy = || unsafe { (functions.destroy_action_set)(set.as_raw()) };
+    assert_eq!([destroy(), destroy()], [Code::SUCCESS, gone]);
+    assert_eq!(located(), [true; 2], "the set was active at the last sync");
+    assert_eq!(app.session.sync_actions(&[(&set).into()]).err(), Some(gone));
+    app.instance.create_action_set("main", "Main", 0).expect("the name is free again");
+    sync(&[]);
+    assert_eq!(located(), [false; 2]);
+    drop((held, grip, set, app));
+    let by_dropping = 2;
+    assert_eq!(read_summary(&run.captures()).expect("summary").errors, 5 + by_dropping);
+}
+
+#[test]
+fn what_a_sessions_actions_said_is_not_said_in_the_next_one() {
+    let _run = Run::new(&held_controllers());
+    let mut app = App::begun();
+    let set = app.instance.create_action_set("main", "Main", 0).expect("set");
+    let pull = set.create_action::<f32>("pull", "Pull", &[]).expect("action");
+    let trigger = app.path("/user/hand/left/input/trigger/value");
+    bind(&mut app, &[xr::Binding::new(&pull, trigger)], &[&set]);
+    let said = |app: &App| pull.state(&app.session, xr::Path::NULL).expect("a state").is_active;
+    app.session.sync_actions(&[(&set).into()]).expect("sync");
+    assert!(said(&app));
+    let mut app = app.begun_anew();
+    app.session.attach_action_sets(&[&set]).expect("a session of its own");
+    assert!(!said(&app), "there was no sync yet");
+    app.empty_frame();
+    app.session.sync_actions(&[(&set).into()]).expect("sync");
+    assert!(said(&app));
+}
+
+#[test]
+fn bound_sources_are_told_once_each_and_have_names() {
+    let run = Run::new(&held_controllers());
+    let mut app = App::begun();
+    let set = app.instance.create_action_set("main", "Main", 0).expect("set");
+    let pull = set.create_action::<f32>("pull", "Pull", &[]).expect("action");
+    let buzz = set.create_action::<xr::Haptic>("buzz", "Buzz", &[]).expect("action");
+    let bound = ["right/input/trigger", "left/input/squeeze/value", "left/input/trigger/value"];
+    let bound = bound.map(|below| app.path(&format!("/user/hand/{below}")));
+    let haptic = app.path("/user/hand/left/output/haptic");
+    let pulls = [bound[0], bound[1], bound[0], bound[2], bound[1]].map(|path| xr::Binding::new(&pull, path));
+    let bindings: Vec<_> = pulls.into_iter().chain([xr::Binding::new(&buzz, haptic)]).collect();
+    bind(&mut app, &bindings, &[&set]);
+    app.session.sync_actions(&[(&set).into()]).expect("sync");
+    assert_eq!(pull.bound_sources(&app.session), Ok(bound.to_vec()));
+    assert_eq!(buzz.bound_sources(&app.session), Ok(vec![haptic]));
+    let name = |path| {
+        let all = xr::InputSourceLocalizedNameFlags::from_raw(7);
+        app.session.input_source_localized_name(path, all)
+    };
+    for path in bound.into_iter().chain([haptic, app.path("/user/gamepad/input/dpad_up/click")]) {
+        assert!(name(path).is_ok_and(|name| !name.is_empty()));
+    }
+    for none in ["/user/hand/left", "/user/hand/left/input", "/user/hand/left/input/elbow", TOUCH] {
+        assert_eq!(name(app.path(none)), Err(Code::ERROR_PATH_UNSUPPORTED), "{none}");
+    }
+    assert_eq!(name(xr::Path::NULL), Err(Code::ERROR_PATH_INVALID));
+    drop((pull, buzz, set, app));
+    assert_eq!(read_summary(&run.captures()).expect("summary").errors, 5);
+}
+
 #[test]
 fn an_action_is_asked_for_the_paths_that_it_was_created_with_and_no_others() {
     let _run = Run::new(&virtual_config());
@@ -1104,6 +1627,57 @@ fn events_of_a_session_that_is_gone_are_not_told_to_the_next_one() {
     }
     assert_eq!(states, [xr::SessionState::IDLE, xr::SessionState::READY]);
     drop(next);
+}
+
+/// What a session with this next structure, or none, is refused with.
+fn refused_session(instance: &xr::Instance, system: xr::SystemId, next: *const std::ffi::c_void) -> Code {
+    let info = xr::sys::SessionCreateInfo {
+        ty: xr::sys::SessionCreateInfo::TYPE,
+        next,
+        create_flags: xr::sys::SessionCreateFlags::EMPTY,
+        system_id: system,
+    };
+    let mut session = xr::sys::Session::NULL;
+    // SAFETY: a valid instance, and structures and a place that live through the call.
+    unsafe { (instance.fp().create_session)(instance.as_raw(), &info, &mut session) }
+}
+
+#[test]
+fn a_session_without_a_binding_is_refused_before_the_requirements_call_is_missed() {
+    let run = Run::new(&virtual_config());
+    let instance = create_instance(&load()).expect("instance");
+    let system = instance.system(xr::FormFactor::HEAD_MOUNTED_DISPLAY).expect("system");
+    let refused = || refused_session(&instance, system, std::ptr::null());
+    assert_eq!(refused(), Code::ERROR_GRAPHICS_DEVICE_INVALID, "before the call");
+    instance.graphics_requirements::<xr::Vulkan>(system).expect("requirements");
+    assert_eq!(refused(), Code::ERROR_GRAPHICS_DEVICE_INVALID, "after the call");
+    let nobody = refused_session(&instance, xr::SystemId::from_raw(77), std::ptr::null());
+    assert_eq!(nobody, Code::ERROR_SYSTEM_INVALID);
+    drop(instance);
+    assert_eq!(read_summary(&run.captures()).expect("summary").errors, 3);
+}
+
+#[test]
+fn a_device_that_the_runtime_has_not_made_is_refused() {
+    let _run = Run::new(&virtual_config());
+    let App { stage, stream, waiter, session, gpu, instance, system } = App::new();
+    drop((stage, stream, waiter, session));
+    let (good, nothing) = (gpu.binding(), std::ptr::null());
+    let nobodys = std::ptr::without_provenance(64);
+    for (physical_device, device) in
+        [(good.physical_device, nothing), (good.physical_device, nobodys), (nothing, good.device)]
+    {
+        let binding = xr::vulkan::SessionCreateInfo { physical_device, device, ..gpu.binding() };
+        // SAFETY: the runtime refuses before it uses a handle.
+        let refused = unsafe { instance.create_session::<xr::Vulkan>(system, &binding) };
+        assert_eq!(
+            refused.err(),
+            Some(Code::ERROR_GRAPHICS_DEVICE_INVALID),
+            "{physical_device:?}, {device:?}"
+        );
+    }
+    // SAFETY: the binding's handles are valid, and outlive the session.
+    assert!(unsafe { instance.create_session::<xr::Vulkan>(system, &good) }.is_ok());
 }
 
 #[test]

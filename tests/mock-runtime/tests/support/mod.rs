@@ -319,21 +319,29 @@ impl App {
         Self::of_instance(create_instance(&load()).expect("the runtime makes an instance"))
     }
 
+    /// The same with more extensions.
+    pub fn with(add: impl FnOnce(&mut xr::ExtensionSet)) -> Self {
+        Self::of_instance(create_instance_with(&load(), add).expect("the runtime makes an instance"))
+    }
+
     /// The same with all that fixed foveation takes.
     pub fn foveated() -> Self {
-        let instance = create_instance_with(&load(), |extensions| {
+        Self::with(|extensions| {
             extensions.fb_foveation = true;
             extensions.fb_foveation_configuration = true;
             extensions.fb_swapchain_update_state = true;
             extensions.fb_foveation_vulkan = true;
-        });
-        Self::of_instance(instance.expect("the runtime makes an instance"))
+        })
     }
 
     fn of_instance(instance: xr::Instance) -> Self {
         let system = instance.system(xr::FormFactor::HEAD_MOUNTED_DISPLAY).expect("a headset");
         instance.graphics_requirements::<xr::Vulkan>(system).expect("requirements");
         let gpu = Gpu::new(&instance, system);
+        Self::on(gpu, instance, system)
+    }
+
+    fn on(gpu: Gpu, instance: xr::Instance, system: xr::SystemId) -> Self {
         // SAFETY: the binding's handles are valid, and outlive the session by the order of fields.
         let (session, waiter, stream) =
             unsafe { instance.create_session::<xr::Vulkan>(system, &gpu.binding()) }.expect("a session");
@@ -345,10 +353,27 @@ impl App {
 
     /// Creates everything and begins the session.
     pub fn begun() -> Self {
-        let app = Self::new();
-        assert_eq!(app.states(), [xr::SessionState::IDLE, xr::SessionState::READY]);
-        app.session.begin(STEREO).expect("READY");
-        app
+        Self::new().beginning()
+    }
+
+    /// Begins the session.
+    pub fn beginning(self) -> Self {
+        assert_eq!(self.states(), [xr::SessionState::IDLE, xr::SessionState::READY]);
+        self.session.begin(STEREO).expect("READY");
+        self
+    }
+
+    /// Destroys the session and begins another one of the same instance on the same device.
+    pub fn begun_anew(self) -> Self {
+        let Self { stage, stream, waiter, session, gpu, instance, system } = self;
+        drop((stage, stream, waiter, session));
+        Self::on(gpu, instance, system).beginning()
+    }
+
+    /// A path's number.
+    #[track_caller]
+    pub fn path(&self, text: &str) -> xr::Path {
+        self.instance.string_to_path(text).expect("a path")
     }
 
     /// A swapchain for `size` pixels with `array_size` layers.
