@@ -2,6 +2,8 @@
 # Builds the client for a headset and packs it with the OpenXR loader into a signed APK.
 set -euo pipefail
 HERE=$(dirname -- "$(readlink -f -- "$0")")
+# Configuration changes of Android 12 and 14.
+NEWER_CHANGES="fontWeightAdjustment grammaticalGender"
 
 usage() {
   cat <<'EOT'
@@ -15,6 +17,7 @@ environment:
   ANDROID_HOME          the SDK; its newest build-tools and platform are used
   ANDROID_JAR           android.jar, where there is no SDK folder
   LIBRARY               an already built libshadecast_android.so: nothing is compiled
+  FEATURES              features of the library, such as openh264: a decoder on the CPU where the headset's own cannot be had
   KEYSTORE, KEY_ALIAS, KEYSTORE_PASS
                         sign a release with this key (KEYSTORE_PASS in apksigner's notation, such as file:PATH or env:NAME);
                         without them the APK is debuggable and signed with a debug key kept in ~/.android/
@@ -51,7 +54,7 @@ build_library() {
   fi
   cargo ndk --version >/dev/null 2>&1 || die "cargo-ndk was not found: cargo install cargo-ndk, rustup target add aarch64-linux-android"
   local target=$HERE/../target/android
-  (cd -- "$HERE" && CARGO_TARGET_DIR=$target cargo ndk -t arm64-v8a -p 29 build --release --locked)
+  (cd -- "$HERE" && CARGO_TARGET_DIR=$target cargo ndk -t arm64-v8a -p 29 build --release --locked --features "${FEATURES:-}")
   cp -- "$target/aarch64-linux-android/release/libshadecast_android.so" "$1/"
 }
 
@@ -64,10 +67,32 @@ take_loader() {
   esac
 }
 
-pack() {
+# Uncompressed resources, as Android 11 and later want them.
+compile() { # MANIFEST OUT.apk
   local mode=()
   [ -n "${KEYSTORE:-}" ] || mode=(--debug-mode)
-  aapt package -f "${mode[@]}" -M "$HERE/AndroidManifest.xml" -I "$ANDROID_JAR" -F "$WORK/base.apk"
+  aapt package -f "${mode[@]}" -0 arsc -M "$1" -S "$HERE/res" -I "$ANDROID_JAR" -F "$2"
+}
+
+# The manifest with those of NEWER_CHANGES that the platform's resources know.
+write_manifest() { # OUT.xml
+  local change manifest
+  manifest=$(<"$HERE/AndroidManifest.xml")
+  for change in $NEWER_CHANGES; do
+    sed "s/\\(android:configChanges=\"[^\"]*\\)\"/\\1|$change\"/" <<<"$manifest" >"$1"
+    if compile "$1" "$WORK/try.apk" >/dev/null 2>&1; then
+      manifest=$(<"$1")
+    else
+      echo "package.sh: the platform's resources do not know the configuration change $change; on systems that have it, it ends the session" >&2
+    fi
+  done
+  echo "$manifest" >"$1"
+}
+
+pack() {
+  mkdir -p "$WORK/manifest"
+  write_manifest "$WORK/manifest/AndroidManifest.xml"
+  compile "$WORK/manifest/AndroidManifest.xml" "$WORK/base.apk"
   (cd -- "$WORK" && aapt add base.apk lib/arm64-v8a/*.so >/dev/null)
   zipalign -f -p 4 "$WORK/base.apk" "$WORK/aligned.apk"
 }

@@ -37,7 +37,7 @@ link() {
 
 # Packs the library with a stub of the OpenXR loader, and holds what is in the APK against what is to be.
 pack() {
-  local jar=/usr/share/android-framework-res/framework-res.apk work library expected
+  local jar=/usr/share/android-framework-res/framework-res.apk work library density expected icons=""
   [ -f "${ANDROID_JAR:-$jar}" ] || die "no resources of the platform: apt-get install android-framework-res, or set ANDROID_JAR"
   work=$(mktemp -d)
   library=$CARGO_TARGET_DIR/$TARGET/debug/libshadecast_android.so
@@ -45,9 +45,15 @@ pack() {
   # The debug key is the check's own.
   HOME=$work ANDROID_JAR=${ANDROID_JAR:-$jar} LIBRARY=$library android/package.sh "$work/libopenxr_loader.so" "$work/check.apk"
   unzip -l "$work/check.apk"
-  expected="AndroidManifest.xml lib/arm64-v8a/libopenxr_loader.so lib/arm64-v8a/libshadecast_android.so"
+  # Densities are of Android's fourth version, which aapt says in their folders' names.
+  for density in hdpi mdpi xhdpi xxhdpi xxxhdpi; do
+    icons+=" res/mipmap-$density-v4/ic_launcher.png"
+  done
+  expected="AndroidManifest.xml lib/arm64-v8a/libopenxr_loader.so lib/arm64-v8a/libshadecast_android.so$icons resources.arsc"
   [ "$(unzip -Z1 "$work/check.apk" | grep -v '^META-INF/' | LC_ALL=C sort | xargs)" = "$expected" ] ||
     die "the APK holds something else than: $expected"
+  aapt dump badging "$work/check.apk" | grep -q "^application: label='Shadecast' icon='res/mipmap-.*/ic_launcher.png'" ||
+    die "the APK names no icon"
   rm -rf -- "$work"
 }
 

@@ -5,6 +5,7 @@
 //! application that does not respond.
 
 use crate::headset::Headset;
+use crate::intent;
 use crate::settings::{FILE_BYTES_MAX, FILE_NAME, Settings};
 use android_activity::{AndroidApp, InputStatus, MainEvent, PollEvent};
 use anyhow::Context;
@@ -28,7 +29,10 @@ pub fn run(app: AndroidApp) {
 
 fn start(app: &AndroidApp) -> anyhow::Result<Headset> {
     let data_folder = app.internal_data_path().context("the system names no folder for this app's data")?;
-    Headset::start(app.clone(), settings(app), data_folder)
+    let (settings, errors) = Settings::gather(&intent::extras(app), &file(app));
+    errors.iter().for_each(|error| tracing::error!("{error}"));
+    let notice = errors.first().map(ToString::to_string);
+    Headset::start(app.clone(), settings, notice, data_folder)
 }
 
 /// Answers all events that wait, and waits for the first. Returns whether the activity goes on.
@@ -56,21 +60,14 @@ fn give_back_input(app: &AndroidApp) {
     }
 }
 
-/// The user's settings; a missing file means the defaults, a wrong one is reported and ignored.
-fn settings(app: &AndroidApp) -> Settings {
+/// The user's settings file; none of its bytes where there is none.
+fn file(app: &AndroidApp) -> Vec<u8> {
     let Some(path) = app.external_data_path().map(|folder| folder.join(FILE_NAME)) else {
-        return Settings::default();
+        return Vec::new();
     };
-    let bytes = match read_bounded(&path) {
-        Ok(bytes) => bytes,
-        Err(error) => {
-            tracing::warn!("no server set: {}: {error}", path.display());
-            return Settings::default();
-        }
-    };
-    Settings::parse(&bytes).unwrap_or_else(|error| {
-        tracing::error!("{error} (in {})", path.display());
-        Settings::default()
+    read_bounded(&path).unwrap_or_else(|error| {
+        tracing::warn!("no settings: {}: {error}", path.display());
+        Vec::new()
     })
 }
 

@@ -1,6 +1,6 @@
 //! The client on a thread of its own, so that the activity's thread is always free to answer the system.
 
-use crate::settings::Settings;
+use crate::settings::{FORGETTING, Foveation, Settings};
 use android_activity::AndroidApp;
 use anyhow::Context;
 use openxr::AndroidPlatformInfo;
@@ -8,7 +8,7 @@ use shadecast_client::client::ClientOptions;
 use shadecast_client::display::Display;
 use shadecast_client::net::{self, RunOptions};
 use shadecast_client::platform::Platform;
-use shadecast_client::xr::{Xr, XrOptions};
+use shadecast_client::xr::{Xr, XrOptions, foveation};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,11 +26,18 @@ pub struct Headset {
 
 impl Headset {
     /// Starts the client; the activity's thread is woken when it has ended.
-    pub fn start(app: AndroidApp, settings: Settings, data_folder: PathBuf) -> anyhow::Result<Self> {
+    ///
+    /// `notice` is what the user is to read of the settings.
+    pub fn start(
+        app: AndroidApp,
+        settings: Settings,
+        notice: Option<String>,
+        data_folder: PathBuf,
+    ) -> anyhow::Result<Self> {
         let stop = Arc::new(AtomicBool::new(false));
         let flag = Arc::clone(&stop);
         let thread = std::thread::Builder::new().name("headset".to_owned()).spawn(move || {
-            match run(&app, &settings, data_folder, &flag) {
+            match run(&app, &settings, notice, data_folder, &flag) {
                 Ok(()) => tracing::info!("the session has ended"),
                 Err(error) => tracing::error!("{error:#}"),
             }
@@ -63,12 +70,20 @@ impl Headset {
 }
 
 /// Runtimes call Java from the thread that drives the session, so it is attached to the virtual machine for as long.
-fn run(app: &AndroidApp, settings: &Settings, data_folder: PathBuf, stop: &AtomicBool) -> anyhow::Result<()> {
+fn run(
+    app: &AndroidApp,
+    settings: &Settings,
+    notice: Option<String>,
+    data_folder: PathBuf,
+    stop: &AtomicBool,
+) -> anyhow::Result<()> {
     let options = RunOptions {
-        server: settings.server.as_str().into(),
+        server: settings.server().into(),
+        fingerprint: settings.fingerprint,
         identity_dir: data_folder,
+        forgetting: Some(FORGETTING),
+        notice,
         client: ClientOptions::default(),
-        fingerprint: None,
         seconds: 0.0,
         trace: None,
     };
@@ -76,10 +91,26 @@ fn run(app: &AndroidApp, settings: &Settings, data_folder: PathBuf, stop: &Atomi
     let machine = unsafe { jni::JavaVM::from_raw(app.vm_as_ptr().cast()) };
     machine.attach_current_thread(|_| {
         let platform = Platform { activity: openxr_platform(app) };
-        let mut open = || Ok(Box::new(Xr::open(&platform, XrOptions::default())?) as Box<dyn Display>);
+        let wanted = xr_options(settings);
+        let mut open = || Ok(Box::new(Xr::open(&platform, wanted)?) as Box<dyn Display>);
         let outcome = net::run(&mut open, &options, stop, &mut |_, _| Ok(()));
         outcome.ended.context("showing the server's scene")
     })
+}
+
+fn xr_options(settings: &Settings) -> XrOptions {
+    let foveation = settings.foveation.map(|level| match level {
+        Foveation::None => foveation::Foveation::None,
+        Foveation::Low => foveation::Foveation::Low,
+        Foveation::Medium => foveation::Foveation::Medium,
+        Foveation::High => foveation::Foveation::High,
+    });
+    let usual = XrOptions::default();
+    XrOptions {
+        refresh_hz: settings.refresh_hz.or(usual.refresh_hz),
+        foveation: foveation.unwrap_or(usual.foveation),
+        ..usual
+    }
 }
 
 /// What OpenXR must know of the process: the loader finds the runtime through it, and the runtime follows this activity.

@@ -9,6 +9,8 @@ pub mod settings;
 mod activity;
 #[cfg(target_os = "android")]
 mod headset;
+#[cfg(target_os = "android")]
+mod intent;
 
 /// Where `android-activity` starts the app, on a thread of its own; returning ends the activity.
 #[cfg(target_os = "android")]

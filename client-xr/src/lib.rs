@@ -1,8 +1,8 @@
 //! The Shadecast headset client: receives, decodes, bundles and draws.
 //!
 //! [`client::Client`] is the whole of it without I/O, [`intake`] and [`presenter`] its halves; [`frame`] is one display frame on
-//! one page. Without the feature
-//! `desktop` nothing here needs a C++ compiler or a command line: the Android library is built so.
+//! one page. Without features
+//! nothing here needs a C++ compiler or a command line: the Android library is built so.
 
 pub mod bundle;
 pub mod client;

@@ -213,6 +213,8 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         server: arguments.connect.as_str().into(),
         fingerprint: arguments.fingerprint,
         identity_dir,
+        forgetting: None,
+        notice: None,
         client: ClientOptions {
             interpolation: match arguments.interpolation {
                 InterpolationArgument::Cubic => Interpolation::Cubic,

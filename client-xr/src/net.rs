@@ -2,10 +2,14 @@
 //! for as long as the user wants. When the server goes away its last bundle stays on display; when the headset goes away it is
 //! opened again.
 
+mod address;
 mod connector;
 mod dialler;
 mod finder;
+mod heard;
 mod lines;
+mod list;
+mod wording;
 
 use crate::client::{ClientError, ClientOptions, FrameReport, Step, halves};
 use crate::display::{Display, DisplayError};
@@ -14,16 +18,15 @@ use crate::presenter::Presenter;
 use crate::stats::ClientStats;
 use crate::taking::Taking;
 use crate::traced::Traced;
+use address::Address;
 use connector::Connector;
 use shadecast_protocol::time::ClientTime;
 use shadecast_system::clock::thread_cpu_ns;
 use shadecast_trace::{Trace, TraceError};
 use shadecast_transport::mio::DriverError;
 use shadecast_transport::{Fingerprint, IdentityError};
-use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 
 /// How long it is tried to open the headset again after it was lost, and how long to wait in between.
@@ -44,8 +47,21 @@ pub const FIND: &str = "find";
 pub enum Server {
     /// As the user writes it: `host:port`.
     At(String),
-    /// One that announces itself on this network: the one that was met before, or the only one.
+    /// One that announces itself on this network: the one that was connected last, another that was met before, or the only one.
     Found,
+}
+
+impl Server {
+    /// Whether it can be a server at all. Whether there is one only the network can say.
+    ///
+    /// # Errors
+    /// It is no address.
+    fn check(&self) -> Result<(), RunError> {
+        match self {
+            Self::At(text) => Address::parse(text).map(|_| ()),
+            Self::Found => Ok(()),
+        }
+    }
 }
 
 impl From<&str> for Server {
@@ -63,6 +79,10 @@ pub struct RunOptions {
     pub fingerprint: Option<Fingerprint>,
     /// Where the fingerprints of known servers are kept.
     pub identity_dir: PathBuf,
+    /// What makes this client forget the servers that it knows, where its user cannot edit their list: a part of a sentence.
+    pub forgetting: Option<&'static str>,
+    /// What the headset says at first, such as what was wrong with the user's settings.
+    pub notice: Option<String>,
     /// How the client behaves.
     pub client: ClientOptions,
     /// Seconds from the start at which the session is asked to end; 0: never.
@@ -152,11 +172,11 @@ impl Run<'_> {
     }
 
     fn play_out(&mut self, open: &mut Opener<'_>, observe: &mut Observer<'_>) -> Result<(), RunError> {
-        let Some(addresses) = self.resolve()? else { return Ok(()) };
+        self.options.server.check()?;
         let trace = self.options.trace.as_deref().map(Trace::create).transpose()?;
         let mut opened = Some(open()?);
         while let Some(display) = opened.take() {
-            let error = match self.show(display, &addresses, trace.as_ref(), observe) {
+            let error = match self.show(display, trace.as_ref(), observe) {
                 Err(RunError::Client(error)) if error.is_lost() => error,
                 ended => return ended,
             };
@@ -164,22 +184,6 @@ impl Run<'_> {
             opened = self.reopen(open)?;
         }
         Ok(())
-    }
-
-    /// The addresses that the server's name leads to, in the system's order, none of one that is to be found; `None` where
-    /// the run is over before they are known. Asking for a name can take long, so that a thread does it.
-    fn resolve(&self) -> Result<Option<Vec<SocketAddr>>, RunError> {
-        let Server::At(server) = self.options.server.clone() else { return Ok(Some(Vec::new())) };
-        let (to, found) = channel();
-        std::thread::spawn(move || drop(to.send(resolve(&server))));
-        while !self.is_over() {
-            match found.recv_timeout(LOOK_UP) {
-                Ok(addresses) => return addresses.map(Some),
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => break,
-            }
-        }
-        Ok(None)
     }
 
     /// The display, once it can be opened again; `None` where the run is over before.
@@ -203,14 +207,13 @@ impl Run<'_> {
     fn show(
         &mut self,
         display: Box<dyn Display>,
-        addresses: &[SocketAddr],
         trace: Option<&Trace>,
         observe: &mut Observer<'_>,
     ) -> Result<(), RunError> {
         let (mut presenter, intake) = halves(display, self.options.client)?;
         let traced = Traced::new(trace);
-        let connector = Connector::new(self.options, addresses, traced.clone())?;
-        presenter.set_status(&connector.status());
+        let connector = Connector::new(self.options, traced.clone())?;
+        presenter.set_status(&connector.first_status());
         let mut taking = Taking::start(intake, connector).map_err(RunError::Thread)?;
         taking.thread().cloned().into_iter().for_each(|thread| presenter.wake(thread));
         let ended = self.frames(&mut presenter, &mut taking, traced, observe);
@@ -255,32 +258,24 @@ impl Run<'_> {
     }
 }
 
-fn resolve(server: &str) -> Result<Vec<SocketAddr>, RunError> {
-    let wrong = |reason: String| RunError::Address { address: server.to_owned(), reason };
-    let addresses = server.to_socket_addrs().map_err(|error| wrong(error.to_string()))?;
-    let mut found: Vec<SocketAddr> = Vec::new();
-    for address in addresses {
-        if !found.contains(&address) {
-            found.push(address);
-        }
-    }
-    if found.is_empty() {
-        return Err(wrong("it names no machine".to_owned()));
-    }
-    Ok(found)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn an_address_without_a_port_is_refused_with_an_example() {
-        let error = resolve("192.168.1.5").expect_err("no port").to_string();
-        assert!(error.contains("192.168.1.5:7400"), "{error}");
-        assert_eq!(
-            resolve("127.0.0.1:7400").ok(),
-            "127.0.0.1:7400".parse().ok().map(|address| vec![address])
-        );
+    fn what_is_no_address_ends_a_run_before_anything_is_opened() {
+        let options = RunOptions {
+            server: "nonsense".into(),
+            fingerprint: None,
+            identity_dir: PathBuf::new(),
+            forgetting: None,
+            notice: None,
+            client: ClientOptions::default(),
+            seconds: 0.0,
+            trace: None,
+        };
+        let mut open = || panic!("the headset was opened");
+        let outcome = run(&mut open, &options, &AtomicBool::new(false), &mut |_, _| Ok(()));
+        assert!(matches!(outcome.ended, Err(RunError::Address { .. })), "{:?}", outcome.ended);
     }
 }

@@ -18,7 +18,7 @@ use thiserror::Error;
 mod inspect;
 #[cfg(target_os = "android")]
 pub mod media_codec;
-#[cfg(feature = "desktop")]
+#[cfg(feature = "openh264")]
 pub mod openh264;
 pub mod platform_decoder;
 pub mod raw;

@@ -1,10 +1,15 @@
 //! One server, and the wish to be connected to it: what the client and the lines say to each other, and what the user is
 //! told about it.
 
-use super::finder::{Choice, Finder, List, choose, described, names};
+use super::address::{Address, Resolver};
+use super::finder::Finder;
+use super::heard::{Choice, Heard, Wish};
 use super::lines::{LineEvent, Lines};
+use super::list::{List, described, names};
+use super::wording::for_headset;
 use super::{RunError, RunOptions, Server};
 use crate::client::Notice;
+use crate::display::Presses;
 use crate::intake::Intake;
 use crate::platform::monotonic_now;
 use crate::taking::Source;
@@ -14,7 +19,9 @@ use shadecast_protocol::session::Out;
 use shadecast_protocol::text::printable;
 use shadecast_protocol::time::ClientTime;
 use shadecast_transport::discovery::FoundServer;
-use shadecast_transport::{CloseKind, Event, ExpectedIdentity, Fingerprint, KnownServers, Meeting};
+use shadecast_transport::{
+    CloseKind, Event, ExpectedIdentity, Fingerprint, KnownServers, LastServer, Meeting,
+};
 use std::collections::VecDeque;
 use std::net::SocketAddr;
 
@@ -30,6 +37,48 @@ enum Tone {
     Trouble,
 }
 
+/// What the connector tells and asks the client's half that takes in. Tests have one without a device.
+trait Listener {
+    /// Says something in the headset.
+    fn set_status(&mut self, text: &str);
+    /// What somebody has pressed.
+    fn presses(&self) -> Presses;
+    /// Bytes can flow.
+    fn on_connected(&mut self, now: ClientTime);
+    /// No longer.
+    fn on_closed(&mut self, now: ClientTime);
+    /// Something came.
+    fn on_arrived(&mut self, event: Event);
+}
+
+impl Listener for Intake {
+    fn set_status(&mut self, text: &str) {
+        self.set_status(text);
+    }
+
+    fn presses(&self) -> Presses {
+        self.presses()
+    }
+
+    fn on_connected(&mut self, now: ClientTime) {
+        self.on_connected(now);
+    }
+
+    fn on_closed(&mut self, now: ClientTime) {
+        self.on_closed(now);
+    }
+
+    fn on_arrived(&mut self, event: Event) {
+        match event {
+            Event::Control { message, at_ns, .. } => self.receive_control(ClientTime(at_ns), &message),
+            Event::Stream { bytes, at_ns, .. } => self.receive_stream(ClientTime(at_ns), &bytes),
+            Event::StreamReset { head, .. } => self.receive_reset(monotonic_now(), &head),
+            Event::Datagram { bytes, at_ns, .. } => self.receive_datagram(ClientTime(at_ns), &bytes),
+            Event::Connected { .. } | Event::Closed { .. } => {} // told by the lines
+        }
+    }
+}
+
 /// One server, and the wish to be connected to it.
 pub(super) struct Connector {
     lines: Lines,
@@ -38,140 +87,323 @@ pub(super) struct Connector {
     required: Option<Fingerprint>,
     /// As the user writes it, or as it calls itself.
     server: String,
+    naming: Naming,
     search: Search,
+    /// What the user is to know of the start, until something comes of it.
+    notice: Option<String>,
     /// What the user was told since the session last stood.
     told: VecDeque<String>,
     traced: Traced,
 }
 
-/// The search for a server whose address nobody has typed.
+/// The machines that a name leads to.
 #[derive(Default)]
+struct Naming {
+    /// `host:port`, where the user has written a name.
+    name: Option<String>,
+    /// While it is asked for.
+    resolver: Option<Resolver>,
+    /// What it led to last.
+    addresses: Vec<SocketAddr>,
+}
+
+impl Naming {
+    /// Where the connection fails the name may lead elsewhere by now.
+    fn begin(&mut self) {
+        if let Some(name) = &self.name {
+            self.resolver.get_or_insert_with(|| Resolver::start(name.clone()));
+        }
+    }
+
+    fn is_unknown(&self) -> bool {
+        self.name.is_some() && self.addresses.is_empty()
+    }
+}
+
+/// The search for a server whose address nobody has typed.
 struct Search {
     /// The address may be another one tomorrow: where the connection fails it is searched again.
     is_wanted: bool,
+    start: fn() -> Finder,
     /// While it goes on.
     finder: Option<Finder>,
-    /// What it has found last.
+    /// Whom it has heard of.
+    heard: Heard,
+    /// The server that is taken whoever else is there, with its last address: connected last, or taken by the user.
+    preferred: Option<FoundServer>,
+    /// The lines lead to where the preferred one was last, since it was not found yet.
+    is_trying_preferred: bool,
+    /// Whom the lines lead to since it was found.
     found: Option<FoundServer>,
+    /// Somebody was refused, which the user is to read.
+    is_shut_out: bool,
     /// Where it has found several.
     list: List,
 }
 
 impl Search {
-    fn begin(&mut self) {
-        if self.is_wanted {
-            self.finder.get_or_insert_with(Finder::start);
+    fn new(is_wanted: bool, preferred: Option<FoundServer>, start: fn() -> Finder) -> Self {
+        Self {
+            is_wanted,
+            start,
+            finder: None,
+            heard: Heard::default(),
+            preferred,
+            is_trying_preferred: false,
+            found: None,
+            is_shut_out: false,
+            list: List::default(),
         }
+    }
+
+    fn begin(&mut self) {
+        if self.is_wanted && self.finder.is_none() {
+            self.heard = Heard::default();
+            self.finder = Some((self.start)());
+        }
+    }
+
+    /// The key of who is to answer, by its own word or by what is remembered.
+    fn announced(&self) -> Option<Fingerprint> {
+        let tried = self.preferred.as_ref().filter(|_| self.is_trying_preferred);
+        self.found.as_ref().or(tried)?.fingerprint
+    }
+}
+
+/// A server that was met, as if it had just announced itself.
+fn announced_by(last: &LastServer) -> FoundServer {
+    FoundServer {
+        name: last.name.clone(),
+        addresses: vec![last.address],
+        fingerprint: Some(last.fingerprint),
     }
 }
 
 impl Connector {
-    pub(super) fn new(
-        options: &RunOptions,
-        addresses: &[SocketAddr],
-        traced: Traced,
-    ) -> Result<Self, RunError> {
+    pub(super) fn new(options: &RunOptions, traced: Traced) -> Result<Self, RunError> {
+        Self::asking(options, traced, Finder::start)
+    }
+
+    /// The same with another way to begin a search.
+    fn asking(options: &RunOptions, traced: Traced, start: fn() -> Finder) -> Result<Self, RunError> {
+        let mut known = KnownServers::load(&options.identity_dir)?;
+        if let Some(remedy) = options.forgetting {
+            known = known.with_remedy(remedy);
+        }
+        let last = known.last().map(announced_by);
+        let mut search = Search::new(options.server == Server::Found, last, start);
+        let mut naming = Naming::default();
         let server = match &options.server {
-            Server::At(server) => printable(server),
+            Server::At(server) => {
+                match Address::parse(server)? {
+                    Address::Of(address) => naming.addresses = vec![address],
+                    Address::Named(name) => naming.name = Some(name),
+                }
+                printable(server)
+            }
             Server::Found => "a server of this network".to_owned(),
         };
-        let mut search = Search { is_wanted: options.server == Server::Found, ..Search::default() };
         search.begin();
+        naming.begin();
         Ok(Self {
-            lines: Lines::new(addresses.to_vec()),
-            known: KnownServers::load(&options.identity_dir)?,
+            lines: Lines::new(naming.addresses.clone()),
+            known,
             required: options.fingerprint,
             server,
+            naming,
             search,
+            notice: options.notice.clone(),
             told: VecDeque::with_capacity(REMEMBERED_SENTENCES),
             traced,
         })
     }
 
-    pub(super) fn status(&self) -> String {
-        match self.search.is_wanted && self.search.found.is_none() {
-            true => "Searching for servers on this network".to_owned(),
-            false => format!("Connecting to {}", self.server),
+    /// What the headset says at first.
+    pub(super) fn first_status(&self) -> String {
+        for_headset(&self.with_notice(&self.status()))
+    }
+
+    fn status(&self) -> String {
+        if self.search.is_wanted && self.search.found.is_none() {
+            return "Searching for servers on this network".to_owned();
+        }
+        let doing = if self.naming.is_unknown() { "Looking for" } else { "Connecting to" };
+        format!("{doing} {}", self.server)
+    }
+
+    /// What was wrong at the start is read before what came of it.
+    fn with_notice(&self, text: &str) -> String {
+        self.notice.as_ref().map_or(text.to_owned(), |notice| format!("{notice}\n{text}"))
+    }
+
+    /// Does what is due for a connection: everything but what is said over it.
+    fn seek(&mut self, listener: &mut impl Listener) {
+        while let Some(event) = self.lines.poll(monotonic_now()) {
+            self.take(listener, event);
+        }
+        self.take_addresses(listener);
+        while let Some(round) = self.search.finder.as_ref().and_then(Finder::poll) {
+            self.take_round(listener, round);
+        }
+        self.take_presses(listener);
+        let (known, required, server) = (&self.known, self.required, &self.server);
+        let announced = self.search.announced();
+        let whom = |address| expected(known, required, announced, server, address);
+        if let Some(event) = self.lines.dial(monotonic_now(), whom) {
+            self.take(listener, event);
+        }
+    }
+
+    /// Turns to where the server's name leads, or says that it leads nowhere.
+    fn take_addresses(&mut self, listener: &mut impl Listener) {
+        let Some(answer) = self.naming.resolver.as_ref().and_then(Resolver::poll) else { return };
+        match answer {
+            Ok(addresses) => {
+                self.naming.resolver = None;
+                let is_new = addresses.iter().any(|address| !self.naming.addresses.contains(address));
+                if is_new && self.lines.live().is_none() {
+                    self.naming.addresses.clone_from(&addresses);
+                    self.lines = Lines::new(addresses);
+                    listener.set_status(&for_headset(&self.with_notice(&self.status())));
+                }
+            }
+            Err(reason) if self.naming.is_unknown() => {
+                let text = format!(
+                    "{} is not known on this network; check the name, or write an address such as 192.168.1.5:7400 \
+                     ({reason})",
+                    self.server
+                );
+                self.tell(listener, Tone::Trouble, &text);
+            }
+            Err(reason) => tracing::debug!("{}: {reason}", self.server),
         }
     }
 
     /// Turns to the server that was found, or says why to none.
-    fn take_found(&mut self, intake: &mut Intake) {
-        let Some(found) = self.search.finder.as_ref().and_then(Finder::newest) else { return };
-        match choose(found, &self.known, self.required) {
-            Choice::One(found) => self.turn_to(intake, found),
-            Choice::Several(found) => {
-                let text = format!(
-                    "Several servers: {}; choose one with --connect, or in the headset",
-                    names(&found)
-                );
-                self.tell(intake, Tone::Trouble, &text);
-                self.search.list.refill(found);
-                self.show_list(intake);
-            }
-            // Of one that was found before the lines say why it does not answer.
-            Choice::Nobody if self.search.found.is_some() => {}
+    fn take_round(&mut self, listener: &mut impl Listener, round: Vec<FoundServer>) {
+        self.search.heard.take(round);
+        if self.lines.live().is_some() {
+            return;
+        }
+        let wish = Wish {
+            required: self.required,
+            preferred: self.search.preferred.as_ref(),
+            current: self.search.found.as_ref(),
+            known: &self.known,
+            is_listed: self.search.list.is_shown(),
+        };
+        match self.search.heard.choose(&wish) {
+            Choice::One(found) => self.turn_to(listener, found),
+            Choice::Several(found) => self.list(listener, found),
+            Choice::Unsure => _ = self.try_preferred(),
             Choice::Nobody => {
+                self.search.list.clear();
+                let has_just_begun = self.try_preferred();
+                // Of one that was found before, or was refused, the lines say why there is nothing to see.
+                if has_just_begun || self.search.found.is_some() || self.search.is_shut_out {
+                    return;
+                }
                 let text = "No server answers on this network yet: start one with --listen 0.0.0.0:7400";
-                self.tell(intake, Tone::News, text);
+                self.tell(listener, Tone::News, text);
+                listener.set_status(&for_headset(&self.with_notice(text)));
             }
         }
     }
 
-    fn turn_to(&mut self, intake: &mut Intake, found: FoundServer) {
+    /// Lets the user choose. Who was dialled before has no say any more, but for the one that would be taken anyway.
+    fn list(&mut self, listener: &mut impl Listener, found: Vec<FoundServer>) {
+        if self.search.found.take().is_some() {
+            self.lines = Lines::new(Vec::new());
+        }
+        self.search.is_shut_out = false;
+        self.try_preferred();
+        let text = match &found[..] {
+            [one] => format!(
+                "Another server answers: {}; take it with --connect, or in the headset",
+                described(one)
+            ),
+            _ => format!("Several servers: {}; choose one with --connect, or in the headset", names(&found)),
+        };
+        self.tell(listener, Tone::Trouble, &text);
+        self.search.list.refill(found);
+        self.show_list(listener);
+    }
+
+    /// Dials where the preferred server was last, while it is not found: a network may carry no multicast. Whether that
+    /// begins now.
+    fn try_preferred(&mut self) -> bool {
+        let is_allowed = |last: &&FoundServer| {
+            last.fingerprint.is_some() && (self.required.is_none() || last.fingerprint == self.required)
+        };
+        let Some(last) = self.search.preferred.as_ref().filter(is_allowed) else { return false };
+        if self.search.found.is_some() || self.search.is_trying_preferred {
+            return false;
+        }
+        tracing::debug!("trying {} as well", described(last));
+        self.search.is_trying_preferred = true;
+        self.server.clone_from(&last.name);
+        self.lines = Lines::new(last.addresses.clone());
+        true
+    }
+
+    fn turn_to(&mut self, listener: &mut impl Listener, found: FoundServer) {
         self.search.finder = None;
-        self.search.list = List::default();
+        self.search.list.clear();
         if self.lines.live().is_some() || self.search.found.as_ref() == Some(&found) {
             return;
         }
-        self.tell(intake, Tone::News, &format!("Found {}", described(&found)));
+        self.tell(listener, Tone::News, &format!("Found {}", described(&found)));
         self.server.clone_from(&found.name);
-        self.lines.leave();
         self.lines = Lines::new(found.addresses.clone());
+        self.search.is_trying_preferred = false;
+        self.search.is_shut_out = false;
         self.search.found = Some(found);
     }
 
     /// Says in the headset which servers there are to choose from, while there are.
-    fn show_list(&self, intake: &mut Intake) {
+    fn show_list(&self, listener: &mut impl Listener) {
         let text = self.search.list.text().filter(|_| self.lines.live().is_none());
-        text.into_iter().for_each(|text| intake.set_status(&text));
+        text.into_iter().for_each(|text| listener.set_status(&text));
     }
 
     /// Does what the user does with the list.
-    fn take_presses(&mut self, intake: &mut Intake) {
-        let presses = intake.presses();
+    fn take_presses(&mut self, listener: &mut impl Listener) {
+        let presses = listener.presses();
         if !self.search.list.has_news(presses) {
             return;
         }
         match self.search.list.pick(presses) {
-            Some(taken) => self.turn_to(intake, taken),
-            None => self.show_list(intake),
+            Some(taken) => {
+                self.search.preferred = Some(taken.clone());
+                self.turn_to(listener, taken);
+            }
+            None => self.show_list(listener),
         }
     }
 
-    fn take(&mut self, intake: &mut Intake, event: LineEvent) {
+    fn take(&mut self, listener: &mut impl Listener, event: LineEvent) {
         match event {
             LineEvent::Connected { address, fingerprint } => {
                 if let Some(fingerprint) = fingerprint {
                     self.meet(address, fingerprint);
                 }
-                intake.on_connected(monotonic_now());
+                listener.on_connected(monotonic_now());
             }
-            LineEvent::Failed { kind, reason } => self.tell_closed(intake, kind, &reason),
+            LineEvent::Failed { kind, reason } => self.tell_closed(listener, kind, &reason),
             LineEvent::Lost { kind, reason } => {
-                intake.on_closed(monotonic_now());
-                self.tell_closed(intake, kind, &reason);
+                listener.on_closed(monotonic_now());
+                self.tell_closed(listener, kind, &reason);
             }
             LineEvent::Arrived(event) => {
                 if let Event::Stream { bytes, at_ns, .. } = &event {
                     self.traced.arrived(bytes, ClientTime(*at_ns));
                 }
-                arrived(intake, event);
+                listener.on_arrived(event);
             }
         }
     }
 
-    /// Pins who answered, and tells the user once who that is.
+    /// Pins who answered, and tells the user once who that is. From now on it is the one that was connected last.
     fn meet(&mut self, address: SocketAddr, fingerprint: Fingerprint) {
         let place = self.place(address);
         match self.known.remember(&self.server, address, fingerprint) {
@@ -182,6 +414,12 @@ impl Connector {
             }
             Err(error) => tracing::warn!("{error}; the server will not be recognised next time"),
         }
+        let last = LastServer { name: self.server.clone(), address, fingerprint };
+        self.search.preferred = Some(announced_by(&last));
+        self.search.list.clear();
+        if std::mem::take(&mut self.search.is_trying_preferred) {
+            self.search.found.clone_from(&self.search.preferred);
+        }
     }
 
     /// The server as the user writes it, with the address that it turned out to be.
@@ -190,11 +428,19 @@ impl Connector {
         if address == self.server { address } else { format!("{} ({address})", self.server) }
     }
 
-    fn tell_closed(&mut self, intake: &mut Intake, kind: CloseKind, reason: &str) {
+    fn tell_closed(&mut self, listener: &mut impl Listener, kind: CloseKind, reason: &str) {
         self.search.begin();
+        self.naming.begin();
+        let is_aside = self.search.is_trying_preferred && kind != CloseKind::IdentityChanged;
+        if self.search.list.is_shown() || is_aside {
+            return tracing::debug!("{}: {reason}", self.server); // something else is to be read
+        }
         match kind {
-            CloseKind::IdentityChanged => self.tell(intake, Tone::Trouble, reason),
-            _ => self.tell(intake, Tone::Trouble, &format!("{}: {reason}", self.status())),
+            CloseKind::IdentityChanged => {
+                self.search.is_shut_out = true;
+                self.tell(listener, Tone::Trouble, reason);
+            }
+            _ => self.tell(listener, Tone::Trouble, &format!("{}: {reason}", self.status())),
         }
     }
 
@@ -203,6 +449,8 @@ impl Connector {
             Notice::Welcome(_) => {
                 self.lines.succeeded();
                 self.search.finder = None;
+                self.naming.resolver = None;
+                self.notice = None;
                 self.told.clear();
                 self.tell(intake, Tone::News, &format!("Connected to {}", self.server));
                 return;
@@ -218,8 +466,8 @@ impl Connector {
     }
 
     /// Says something in the headset, and on stderr once.
-    fn tell(&mut self, intake: &mut Intake, tone: Tone, text: &str) {
-        intake.set_status(text);
+    fn tell(&mut self, listener: &mut impl Listener, tone: Tone, text: &str) {
+        listener.set_status(&for_headset(text));
         if self.told.iter().any(|told| told == text) {
             return;
         }
@@ -250,18 +498,8 @@ impl Connector {
 impl Source for Connector {
     /// Connects where it is time to, too.
     fn pump(&mut self, intake: &mut Intake) {
-        while let Some(event) = self.lines.poll(monotonic_now()) {
-            self.take(intake, event);
-        }
-        self.take_found(intake);
-        self.take_presses(intake);
+        self.seek(intake);
         let now = monotonic_now();
-        let (known, required, server) = (&self.known, self.required, &self.server);
-        let announced = self.search.found.as_ref().and_then(|found| found.fingerprint);
-        let whom = |address| expected(known, required, announced, server, address);
-        if let Some(event) = self.lines.dial(now, whom) {
-            self.take(intake, event);
-        }
         intake.advance(now);
         self.traced.decoded(intake.take_decoded());
         while let Some(notice) = intake.poll_notice() {
@@ -301,45 +539,6 @@ fn expected(
     }
 }
 
-fn arrived(intake: &mut Intake, event: Event) {
-    match event {
-        Event::Control { message, at_ns, .. } => intake.receive_control(ClientTime(at_ns), &message),
-        Event::Stream { bytes, at_ns, .. } => intake.receive_stream(ClientTime(at_ns), &bytes),
-        Event::StreamReset { head, .. } => intake.receive_reset(monotonic_now(), &head),
-        Event::Datagram { bytes, at_ns, .. } => intake.receive_datagram(ClientTime(at_ns), &bytes),
-        Event::Connected { .. } | Event::Closed { .. } => {} // told by the lines
-    }
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn key(byte: u8) -> Fingerprint {
-        format!("{byte:02x}").repeat(32).parse().expect("64 digits")
-    }
-
-    /// The key that is demanded, and whether it is at all.
-    fn demanded(expected: &ExpectedIdentity) -> Option<Fingerprint> {
-        match expected {
-            ExpectedIdentity::Pinned { fingerprint, .. } => Some(*fingerprint),
-            _ => None,
-        }
-    }
-
-    #[test]
-    fn what_the_user_demands_counts_before_what_is_known_and_that_before_what_is_announced() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let mut known = KnownServers::load(folder.path()).expect("an empty list");
-        let address: SocketAddr = "192.168.1.5:7400".parse().expect("an address");
-        let [asked, pinned, announced] = [1, 2, 3].map(key);
-        let whom = |known: &KnownServers, required, announced| {
-            demanded(&expected(known, required, announced, "desk", address))
-        };
-        assert_eq!(whom(&known, None, None), None, "a stranger whose address was typed");
-        assert_eq!(whom(&known, None, Some(announced)), Some(announced), "a stranger keeps its word");
-        known.remember("desk", address, pinned).expect("pinned");
-        assert_eq!(whom(&known, None, Some(announced)), Some(pinned), "nobody takes a name by announcing it");
-        assert_eq!(whom(&known, Some(asked), Some(announced)), Some(asked));
-    }
-}
+#[path = "connector_tests.rs"]
+mod tests;

@@ -1,6 +1,8 @@
 //! What differs between a desktop and a headset's own system, and nothing else: how the OpenXR loader is brought up, which
 //! decoder there is, what the monotonic clock is, and what may be asked of the device.
 
+#[cfg(any(test, all(target_os = "android", feature = "openh264")))]
+mod fallback;
 pub mod requirements;
 
 use crate::decode::raw::RawDecoder;
@@ -57,20 +59,34 @@ pub fn decoder(codec: Codec, extent: AtlasExtent, gpu: &Arc<Gpu>) -> Result<Box<
 }
 
 /// The platform's own; it writes to memory that the device reads.
-#[cfg(target_os = "android")]
+#[cfg(all(target_os = "android", not(feature = "openh264")))]
 fn h264_decoder(extent: AtlasExtent, gpu: &Arc<Gpu>) -> Result<Box<dyn Decoder>, DecodeError> {
     Ok(Box::new(crate::decode::media_codec::decoder(extent.texels(), gpu)?))
 }
 
-#[cfg(all(feature = "desktop", not(target_os = "android")))]
-fn h264_decoder(extent: AtlasExtent, _: &Arc<Gpu>) -> Result<Box<dyn Decoder>, DecodeError> {
-    Ok(Box::new(crate::decode::openh264::OpenH264Decoder::new(extent.texels())?))
+/// The same, and the one that is built in where that cannot be had.
+#[cfg(all(target_os = "android", feature = "openh264"))]
+fn h264_decoder(extent: AtlasExtent, gpu: &Arc<Gpu>) -> Result<Box<dyn Decoder>, DecodeError> {
+    let texels = extent.texels();
+    let own = crate::decode::media_codec::decoder(texels, gpu);
+    let own = own.map(|decoder| Box::new(decoder) as Box<dyn Decoder>);
+    fallback::decoder(own, Box::new(move || built_in(texels)))
 }
 
-#[cfg(not(any(feature = "desktop", target_os = "android")))]
+#[cfg(all(feature = "openh264", not(target_os = "android")))]
+fn h264_decoder(extent: AtlasExtent, _: &Arc<Gpu>) -> Result<Box<dyn Decoder>, DecodeError> {
+    built_in(extent.texels())
+}
+
+#[cfg(not(any(feature = "openh264", target_os = "android")))]
 fn h264_decoder(_: AtlasExtent, _: &Arc<Gpu>) -> Result<Box<dyn Decoder>, DecodeError> {
-    let reason = "this client was built without one; build it with the feature `desktop`".to_owned();
+    let reason = "this client was built without one; build it with the feature `openh264`".to_owned();
     Err(DecodeError::Platform { doing: "choosing a decoder of H.264", reason })
+}
+
+#[cfg(feature = "openh264")]
+fn built_in(extent_texels: [u32; 2]) -> Result<Box<dyn Decoder>, DecodeError> {
+    Ok(Box::new(crate::decode::openh264::OpenH264Decoder::new(extent_texels)?))
 }
 
 /// The clock of this system's programs.

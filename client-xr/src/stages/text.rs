@@ -57,7 +57,7 @@ impl Text {
     /// The same of paragraphs. The thread that draws makes texts, and takes no memory for them.
     pub fn of<'a>(paragraphs: impl Iterator<Item = &'a str> + Clone) -> Self {
         let mut made = Self::default();
-        let lines = paragraphs.flat_map(|paragraph| wrapped(paragraph, TEXT_CELLS[0])).take(TEXT_CELLS[1]);
+        let lines = shown_lines(paragraphs);
         let first_row = (TEXT_CELLS[1] - lines.clone().count()) / 2;
         for (row, line) in lines.enumerate() {
             let length = line.chars().count();
@@ -78,6 +78,13 @@ impl Text {
         let [left, top, right, bottom] = self.used.map(|cell| cell as f32);
         [left - 1.5, top - 0.75, right + 1.5, bottom + 0.75]
     }
+}
+
+/// The lines of these paragraphs that there is room for.
+pub(crate) fn shown_lines<'a>(
+    paragraphs: impl Iterator<Item = &'a str> + Clone,
+) -> impl Iterator<Item = &'a str> + Clone {
+    paragraphs.flat_map(|paragraph| wrapped(paragraph, TEXT_CELLS[0])).take(TEXT_CELLS[1])
 }
 
 /// Lines of at most `columns` characters, broken at spaces where there are any, and else inside of words.

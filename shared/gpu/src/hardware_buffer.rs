@@ -33,7 +33,7 @@ impl HardwareBufferKind {
     /// # Safety
     /// `buffer` is alive, and `gpu` was opened for pictures.
     pub unsafe fn of(gpu: &Gpu, buffer: *const vk::AHardwareBuffer) -> Result<Self, GpuError> {
-        let functions = extension::Device::new(gpu.instance(), &gpu.device());
+        let functions = extension::Device::new(gpu.instance(), gpu.device());
         let mut format = vk::AndroidHardwareBufferFormatPropertiesANDROID::default();
         let mut properties = vk::AndroidHardwareBufferPropertiesANDROID::default().push_next(&mut format);
         // SAFETY: the caller's; the structs live through the call.

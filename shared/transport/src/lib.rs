@@ -21,7 +21,9 @@ mod rng;
 pub use endpoint::{Congestion, Counters, Endpoint, EndpointConfig, PeerStats, Transmit, random_bytes};
 pub use event::{CloseKind, Event, PeerId, SendError, StreamId};
 pub use identity::tls::{SERVER_NAME, believing_client_crypto};
-pub use identity::{ExpectedIdentity, Fingerprint, IdentityError, KnownServers, Meeting, ServerIdentity};
+pub use identity::{
+    ExpectedIdentity, Fingerprint, IdentityError, KnownServers, LastServer, Meeting, ServerIdentity,
+};
 pub use link::{Direction, Link, LinkError, LinkProfile, LinkSchedule};
 pub use mio::{Driver, Events, Handle, SocketTrial, spawn, try_socket};
 pub use pair::Pair;

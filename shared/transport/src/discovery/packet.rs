@@ -8,9 +8,10 @@ use simple_dns::{CLASS, Name, Packet, QCLASS, QTYPE, Question, ResourceRecord, T
 use std::collections::BTreeMap;
 use std::net::{IpAddr, SocketAddr};
 
-/// Servers of one answer that are looked at, and addresses of each; a liar's long list is cut.
+/// Servers of one answer that are looked at; a liar's long list is cut.
 const MAX_SERVERS: usize = 16;
-const MAX_ADDRESSES: usize = 8;
+/// Addresses of a server that are looked at, of one answer and of all of a search.
+pub(super) const MAX_ADDRESSES: usize = 8;
 
 /// A server that has announced itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -21,6 +22,13 @@ pub struct FoundServer {
     pub addresses: Vec<SocketAddr>,
     /// The key that it says is its own.
     pub fingerprint: Option<Fingerprint>,
+}
+
+impl FoundServer {
+    /// Whether both are one server, as far as they say: addresses come and go with the networks that were heard.
+    pub fn is_same(&self, other: &Self) -> bool {
+        self.name == other.name && self.fingerprint == other.fingerprint
+    }
 }
 
 /// The question of number `id` for all servers, answered to whoever asks.

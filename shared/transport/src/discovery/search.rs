@@ -1,18 +1,20 @@
 //! Asks all networks of this machine once, and takes the answers that come to the asker alone (RFC 6762, 5.1 and 6.7): needs
 //! neither port 5353 nor the permission to hear what is sent to all.
 
-use super::packet::{FoundServer, question, servers};
+use super::packet::{FoundServer, MAX_ADDRESSES, question, servers};
 use crate::endpoint::random_bytes;
 use socket2::{Domain, Protocol, Socket, Type};
 use std::io;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
+use std::net::{IpAddr, Ipv4Addr, SocketAddrV4, UdpSocket};
 use std::time::{Duration, Instant};
 
 /// Where questions go.
 const GROUP: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(224, 0, 0, 251), 5353);
 /// Datagrams of a search that are looked at; a flood ends it.
 const MAX_DATAGRAMS: usize = 256;
-/// From one look at a socket to the next.
+/// Servers that a search finds at most: more than a household has, and than anybody chooses from.
+const MAX_FOUND: usize = 64;
+/// From one look at a socket to the next, also at one that has nothing but errors.
 const TURN: Duration = Duration::from_millis(20);
 /// The largest answer, bytes.
 const MAX_DATAGRAM_BYTES: usize = 9000;
@@ -23,33 +25,59 @@ const MAX_DATAGRAM_BYTES: usize = 9000;
 /// There is no network to ask on.
 pub fn search(patience: Duration) -> io::Result<Vec<FoundServer>> {
     let id = u16::from_be_bytes(random_bytes());
-    let sockets = ask(&question(id))?;
+    Ok(collect(&ask(&question(id))?, id, patience))
+}
+
+/// Where datagrams come from.
+trait Hears {
+    /// The next one's length; an error after [`TURN`] without any.
+    fn hear(&self, datagram: &mut [u8]) -> io::Result<usize>;
+}
+
+impl Hears for UdpSocket {
+    fn hear(&self, datagram: &mut [u8]) -> io::Result<usize> {
+        self.recv_from(datagram).map(|(length, _)| length)
+    }
+}
+
+/// Whom the answers to question `id` name that come within `patience`.
+fn collect(sockets: &[impl Hears], id: u16, patience: Duration) -> Vec<FoundServer> {
     let deadline = Instant::now() + patience;
-    let mut found: Vec<FoundServer> = Vec::new();
+    let mut found = Vec::new();
     let mut buffer = [0; MAX_DATAGRAM_BYTES];
     let mut datagrams = 0;
     while Instant::now() < deadline && datagrams < MAX_DATAGRAMS {
-        for socket in &sockets {
-            // An error is one network's: an answer that never came back, a cable that was pulled.
-            let Ok((length, _)) = socket.recv_from(&mut buffer) else { continue };
-            datagrams += 1;
-            servers(&buffer[..length], id).into_iter().for_each(|server| add(&mut found, server));
+        for socket in sockets {
+            match socket.hear(&mut buffer) {
+                Ok(length) => {
+                    datagrams += 1;
+                    servers(&buffer[..length], id).into_iter().for_each(|server| add(&mut found, server));
+                }
+                Err(error) if is_timeout(&error) => {}
+                // One network's affair, such as a cable that was pulled; it comes without a wait, and perhaps again.
+                Err(_) => std::thread::sleep(TURN),
+            }
         }
     }
-    Ok(found)
+    found
 }
 
-/// The same server on two networks is one with two addresses.
+fn is_timeout(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut)
+}
+
+/// The same server on two networks is one with two addresses. What is more than anybody has is a liar's, and is left out.
 fn add(found: &mut Vec<FoundServer>, server: FoundServer) {
-    let is_same =
-        |known: &&mut FoundServer| known.name == server.name && known.fingerprint == server.fingerprint;
-    match found.iter_mut().find(is_same) {
-        Some(known) => {
-            let new = server.addresses.into_iter().filter(|address| !known.addresses.contains(address));
-            let new: Vec<SocketAddr> = new.collect();
-            known.addresses.extend(new);
+    let Some(known) = found.iter_mut().find(|known| known.is_same(&server)) else {
+        if found.len() < MAX_FOUND {
+            found.push(server);
         }
-        None => found.push(server),
+        return;
+    };
+    for address in server.addresses {
+        if known.addresses.len() < MAX_ADDRESSES && !known.addresses.contains(&address) {
+            known.addresses.push(address);
+        }
     }
 }
 
@@ -82,4 +110,50 @@ fn socket_on(address: Ipv4Addr) -> io::Result<UdpSocket> {
     socket.set_multicast_loop_v4(true)?;
     socket.set_read_timeout(Some(TURN))?;
     Ok(socket.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+    use std::net::SocketAddr;
+
+    /// A socket of a network that is gone.
+    #[derive(Default)]
+    struct Broken {
+        looks: Cell<u32>,
+    }
+
+    impl Hears for Broken {
+        fn hear(&self, _: &mut [u8]) -> io::Result<usize> {
+            self.looks.set(self.looks.get() + 1);
+            Err(io::ErrorKind::NetworkDown.into())
+        }
+    }
+
+    #[test]
+    fn a_socket_that_only_fails_is_looked_at_once_a_turn() {
+        let socket = [Broken::default()];
+        assert_eq!(collect(&socket, 1, 4 * TURN), []);
+        let looks = socket[0].looks.get();
+        assert!((1..=5).contains(&looks), "{looks} looks in four turns");
+    }
+
+    fn server(name: usize, host: u8) -> FoundServer {
+        let address = SocketAddr::from(([10, 0, 0, host], 7400));
+        FoundServer { name: name.to_string(), addresses: vec![address], fingerprint: None }
+    }
+
+    #[test]
+    fn a_server_of_two_networks_is_one_and_a_liars_addresses_and_names_are_bounded() {
+        let mut found = Vec::new();
+        for host in [1, 2, 1] {
+            add(&mut found, server(0, host));
+        }
+        assert_eq!((found.len(), found[0].addresses.len()), (1, 2));
+        (0..=255).for_each(|host| add(&mut found, server(0, host)));
+        assert_eq!(found[0].addresses.len(), MAX_ADDRESSES);
+        (0..1000).for_each(|name| add(&mut found, server(name, 1)));
+        assert_eq!(found.len(), MAX_FOUND);
+    }
 }

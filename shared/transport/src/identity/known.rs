@@ -1,6 +1,7 @@
 //! The servers that a client has met, and which it is willing to talk to.
 
 use super::{Fingerprint, IdentityError, check_is_file, create_private_directory, file_error};
+use serde::Deserialize;
 use shadecast_system::PendingFile;
 use std::collections::BTreeMap;
 use std::fs;
@@ -10,6 +11,7 @@ use std::path::{Path, PathBuf};
 
 /// File of the pinned servers inside a client's configuration directory.
 pub(super) const KNOWN_SERVERS_FILE: &str = "known_servers.toml";
+
 /// Which server a client is willing to talk to.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ExpectedIdentity {
@@ -28,11 +30,34 @@ pub enum ExpectedIdentity {
 /// server there.
 ///
 /// A server is its key. What the user typed and the address that answered are two lines of one server, so that it is
-/// known by either afterwards.
+/// known by either afterwards. The line of the name that led to a connection last says at which address that was: whoever
+/// deletes it has that forgotten, too.
 #[derive(Debug)]
 pub struct KnownServers {
     pub(super) path: PathBuf,
     servers: BTreeMap<String, Fingerprint>,
+    last: Option<LastServer>,
+    /// See [`Self::with_remedy`].
+    remedy: Option<String>,
+}
+
+/// The server that a client was connected to last.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LastServer {
+    /// What led to it, as the user writes it or as it calls itself.
+    pub name: String,
+    /// Where it answered.
+    pub address: SocketAddr,
+    /// Its key's.
+    pub fingerprint: Fingerprint,
+}
+
+/// What stands behind a name or an address.
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "this is no fingerprint between quotation marks")]
+enum Entry {
+    Known(String),
+    Last { fingerprint: String, last_address: SocketAddr },
 }
 
 /// How a client knows the server that it has reached.
@@ -58,13 +83,31 @@ impl KnownServers {
             read => read.map_err(file_error("reading", &path))?,
         };
         let wrong = |wrong: String| IdentityError::KnownServers { path: path.clone(), wrong };
-        let lines: BTreeMap<String, String> = toml::from_str(&text).map_err(|e| wrong(e.to_string()))?;
-        let parse = |(address, text): (String, String)| match text.parse() {
-            Ok(fingerprint) => Ok((address, fingerprint)),
-            Err(e) => Err(wrong(format!("\"{address}\": {e}"))),
-        };
-        let servers = lines.into_iter().map(parse).collect::<Result<_, _>>()?;
-        Ok(Self { path, servers })
+        let entries: BTreeMap<String, Entry> = toml::from_str(&text).map_err(|e| wrong(e.to_string()))?;
+        let mut known = Self { path: path.clone(), servers: BTreeMap::new(), last: None, remedy: None };
+        for (name, entry) in entries {
+            let (text, last_address) = match entry {
+                Entry::Known(text) => (text, None),
+                Entry::Last { fingerprint, last_address } => (fingerprint, Some(last_address)),
+            };
+            let fingerprint = text.parse().map_err(|e| wrong(format!("\"{name}\": {e}")))?;
+            if let Some(address) = last_address {
+                known.last = Some(LastServer { name: name.clone(), address, fingerprint });
+            }
+            known.servers.insert(name, fingerprint);
+        }
+        Ok(known)
+    }
+
+    /// For users who cannot reach the file: `remedy` is what they do in place of deleting a line, as a part of a sentence.
+    pub fn with_remedy(mut self, remedy: &str) -> Self {
+        self.remedy = Some(remedy.to_owned());
+        self
+    }
+
+    /// The server that was connected last, if there was any since the file has told.
+    pub fn last(&self) -> Option<&LastServer> {
+        self.last.as_ref()
     }
 
     /// Whether the server with this key was met before, wherever.
@@ -79,42 +122,48 @@ impl KnownServers {
         let Some(&fingerprint) = self.servers.get(name).or_else(|| self.servers.get(&address)) else {
             return ExpectedIdentity::TrustOnFirstUse;
         };
-        let mut lines = vec![name];
-        if address != name {
-            lines.push(&address);
-        }
-        lines.retain(|line| self.servers.get(*line) == Some(&fingerprint));
-        let lines: Vec<String> = lines.iter().map(|line| format!("\"{line}\"")).collect();
-        let (line, begins) = if lines.len() > 1 { ("lines", "begin") } else { ("line", "begins") };
-        let remedy = format!(
-            "if the server was set up anew, delete the {line} that {begins} with {} from {} and connect again",
-            lines.join(" and "),
-            self.path.display()
-        );
+        let remedy = match &self.remedy {
+            Some(remedy) => remedy.clone(),
+            None => self.deletion([name, &address], fingerprint),
+        };
+        let remedy = format!("if it was set up anew, {remedy}");
         ExpectedIdentity::Pinned { fingerprint, remedy }
     }
 
-    /// Pins the server that answered as `name` at `address`, and writes the list where that is news.
+    /// What to delete so that the server of `fingerprint` is not expected by these names any more.
+    fn deletion(&self, names: [&str; 2], fingerprint: Fingerprint) -> String {
+        let mut lines: Vec<&str> = names.into();
+        lines.dedup();
+        lines.retain(|line| self.servers.get(*line) == Some(&fingerprint));
+        let lines: Vec<String> = lines.iter().map(|line| format!("\"{line}\"")).collect();
+        let line = if lines.len() > 1 { "lines" } else { "line" };
+        format!("delete the {line} of {} from {} and start again", lines.join(" and "), self.path.display())
+    }
+
+    /// Pins the server that answered as `name` at `address`, as the one that was connected last, and writes the list where that
+    /// is news.
     pub fn remember(
         &mut self,
         name: &str,
         address: SocketAddr,
         fingerprint: Fingerprint,
     ) -> Result<Meeting, IdentityError> {
+        let last = LastServer { name: name.to_owned(), address, fingerprint };
         let address = address.to_string();
         let knows = |line: &str| self.servers.get(line) == Some(&fingerprint);
         let (by_name, by_address) = (knows(name), knows(&address));
-        if by_name && by_address {
-            return Ok(Meeting::Again);
-        }
         let other = self.servers.iter().find(|(_, known)| **known == fingerprint);
         let meeting = match other {
             _ if by_name => Meeting::Again,
             Some((line, _)) => Meeting::KnownAs(line.clone()),
             None => Meeting::First,
         };
+        if by_name && by_address && self.last.as_ref() == Some(&last) {
+            return Ok(meeting);
+        }
         self.servers.insert(name.to_owned(), fingerprint);
         self.servers.insert(address, fingerprint);
+        self.last = Some(last);
         self.write().map(|()| meeting)
     }
 
@@ -123,8 +172,14 @@ impl KnownServers {
             create_private_directory(directory)?;
         }
         let mut text = String::from("# Servers this client has met, and the fingerprints of their keys.\n");
-        for (line, fingerprint) in &self.servers {
-            text += &format!("{} = \"{fingerprint}\"\n", toml_string(line));
+        for (name, fingerprint) in &self.servers {
+            let entry = match self.last.as_ref().filter(|last| last.name == *name) {
+                Some(last) => {
+                    format!("{{ fingerprint = \"{fingerprint}\", last_address = \"{}\" }}", last.address)
+                }
+                None => format!("\"{fingerprint}\""),
+            };
+            text += &format!("{} = {entry}\n", toml_string(name));
         }
         let write = || {
             let mut file = PendingFile::create_private(&self.path)?;

@@ -8,7 +8,7 @@ mod known;
 pub(crate) mod tls;
 
 pub use key::{Fingerprint, ServerIdentity};
-pub use known::{ExpectedIdentity, KnownServers, Meeting};
+pub use known::{ExpectedIdentity, KnownServers, LastServer, Meeting};
 
 use shadecast_system::folders::CONFIGURATION_VARIABLES;
 use shadecast_system::{folders, owner};
@@ -263,6 +263,37 @@ mod tests {
     }
 
     #[test]
+    fn the_server_that_was_connected_last_is_known_with_its_address_the_next_time() {
+        let dir = tempfile::tempdir().unwrap();
+        let load = || KnownServers::load(dir.path()).unwrap();
+        let mut known = load();
+        assert_eq!(known.last(), None);
+        known.remember("desk", at("192.168.1.5:7400"), fingerprint(1)).unwrap();
+        known.remember("attic", at("192.168.1.6:7400"), fingerprint(2)).unwrap();
+        known.remember("desk", at("[fe80::1%3]:7400"), fingerprint(1)).unwrap();
+        let (name, address) = ("desk".to_owned(), at("[fe80::1%3]:7400"));
+        let last = LastServer { name, address, fingerprint: fingerprint(1) };
+        assert_eq!(load().last(), Some(&last));
+        let text = fs::read_to_string(&known.path).unwrap();
+        assert_eq!(text.matches("last_address").count(), 1, "{text}");
+        known.remember("attic", at("192.168.1.6:7400"), fingerprint(2)).unwrap();
+        assert_eq!(load().last().map(|last| last.name.clone()), Some("attic".into()), "nothing else is new");
+        let mut others: Vec<&str> = text.lines().collect();
+        others.retain(|line| !line.starts_with("\"desk\""));
+        fs::write(&known.path, others.join("\n")).unwrap();
+        assert_eq!(load().last(), None, "its line was deleted");
+    }
+
+    #[test]
+    fn who_cannot_reach_the_list_is_told_what_else_to_do() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut known = KnownServers::load(dir.path()).unwrap().with_remedy("clear the data");
+        known.remember("desk", at("192.168.1.5:7400"), fingerprint(1)).unwrap();
+        let (_, remedy) = pinned(&known, "desk", "192.168.1.5:7400");
+        assert_eq!(remedy, "if it was set up anew, clear the data");
+    }
+
+    #[test]
     fn any_address_can_be_remembered() {
         let dir = tempfile::tempdir().unwrap();
         let odd = "a\"b\\c\td\u{1}é = ]:1";
@@ -276,7 +307,9 @@ mod tests {
     #[test]
     fn a_damaged_list_is_named_with_the_remedy() {
         let dir = tempfile::tempdir().unwrap();
-        for content in ["\"a:1\" = \"12ab\"", "\"a:1\" = 3", "what is this"] {
+        let bad_address =
+            format!("\"a:1\" = {{ fingerprint = \"{}\", last_address = \"x\" }}", fingerprint(1));
+        for content in ["\"a:1\" = \"12ab\"", "\"a:1\" = 3", "what is this", &bad_address] {
             fs::write(dir.path().join(KNOWN_SERVERS_FILE), content).unwrap();
             let message = KnownServers::load(dir.path()).unwrap_err().to_string();
             assert!(message.contains(KNOWN_SERVERS_FILE) && message.contains("delete it"), "{message}");

@@ -1,0 +1,227 @@
+use super::*;
+use crate::client::ClientOptions;
+use crate::net::heard::tests::{knowing, server};
+use shadecast_transport::{Driver, Endpoint, EndpointConfig, Events, Handle, ServerIdentity, spawn};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A headset that notes what it is told.
+#[derive(Default)]
+struct Headset {
+    said: Vec<String>,
+    presses: Presses,
+    is_connected: bool,
+}
+
+impl Headset {
+    fn shows(&self) -> &str {
+        self.said.last().map_or("", String::as_str)
+    }
+}
+
+impl Listener for Headset {
+    fn set_status(&mut self, text: &str) {
+        self.said.push(text.to_owned());
+    }
+
+    fn presses(&self) -> Presses {
+        self.presses
+    }
+
+    fn on_connected(&mut self, _: ClientTime) {
+        self.is_connected = true;
+    }
+
+    fn on_closed(&mut self, _: ClientTime) {
+        self.is_connected = false;
+    }
+
+    fn on_arrived(&mut self, _: Event) {}
+}
+
+fn options(folder: &TempDir, server: &str) -> RunOptions {
+    RunOptions {
+        server: server.into(),
+        fingerprint: None,
+        identity_dir: folder.path().to_owned(),
+        forgetting: None,
+        notice: None,
+        client: ClientOptions::default(),
+        seconds: 0.0,
+        trace: None,
+    }
+}
+
+/// A client of these options; whom it finds is for the test to say.
+fn connector(options: &RunOptions) -> Connector {
+    Connector::asking(options, Traced::new(None), Finder::silent).expect("a connector")
+}
+
+/// Lets it do what is due until then.
+#[track_caller]
+fn seek_until(connector: &mut Connector, headset: &mut Headset, is_over: impl Fn(&Headset) -> bool) {
+    let deadline = Instant::now() + PATIENCE;
+    while !is_over(headset) {
+        connector.seek(headset);
+        assert!(Instant::now() < deadline, "{:?}", headset.said);
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// A server on loopback that says nothing.
+fn mute_server(seed: u64) -> (SocketAddr, Fingerprint, (Handle, Events)) {
+    let identity = ServerIdentity::from_seed(seed).expect("an identity");
+    let endpoint = Endpoint::server(&identity, EndpointConfig::default()).expect("an endpoint");
+    let driver = Driver::bind(endpoint, SocketAddr::from(([127, 0, 0, 1], 0))).expect("a socket");
+    let address = driver.local_addr().expect("an address");
+    (address, identity.fingerprint(), spawn(driver).expect("a thread"))
+}
+
+fn key(byte: u8) -> Fingerprint {
+    format!("{byte:02x}").repeat(32).parse().expect("64 digits")
+}
+
+/// The key that is demanded, and whether it is at all.
+fn demanded(expected: &ExpectedIdentity) -> Option<Fingerprint> {
+    match expected {
+        ExpectedIdentity::Pinned { fingerprint, .. } => Some(*fingerprint),
+        _ => None,
+    }
+}
+
+#[test]
+fn what_the_user_demands_counts_before_what_is_known_and_that_before_what_is_announced() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut known = KnownServers::load(folder.path()).expect("an empty list");
+    let address: SocketAddr = "192.168.1.5:7400".parse().expect("an address");
+    let [asked, pinned, announced] = [1, 2, 3].map(key);
+    let whom = |known: &KnownServers, required, announced| {
+        demanded(&expected(known, required, announced, "desk", address))
+    };
+    assert_eq!(whom(&known, None, None), None, "a stranger whose address was typed");
+    assert_eq!(whom(&known, None, Some(announced)), Some(announced), "a stranger keeps its word");
+    known.remember("desk", address, pinned).expect("pinned");
+    assert_eq!(whom(&known, None, Some(announced)), Some(pinned), "nobody takes a name by announcing it");
+    assert_eq!(whom(&known, Some(asked), Some(announced)), Some(asked));
+}
+
+#[test]
+fn the_server_that_was_connected_last_is_taken_at_once_among_others_that_are_known() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [desk, attic] = [server("desk", 1), server("attic", 2)];
+    for last in [&attic, &desk] {
+        knowing(&folder, &[&desk, &attic, last]);
+        let (mut connector, mut headset) = (connector(&options(&folder, "find")), Headset::default());
+        connector.take_round(&mut headset, vec![desk.clone(), attic.clone()]);
+        assert_eq!(connector.search.found.as_ref(), Some(last));
+    }
+}
+
+#[test]
+fn where_nobody_is_found_the_last_server_is_reached_at_its_last_address() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (address, fingerprint, _server) = mute_server(81);
+    KnownServers::load(folder.path())
+        .and_then(|mut known| known.remember("desk", address, fingerprint))
+        .expect("known");
+    let (mut connector, mut headset) = (connector(&options(&folder, "find")), Headset::default());
+    connector.seek(&mut headset);
+    assert!(connector.search.announced().is_none(), "the search goes first");
+    connector.take_round(&mut headset, vec![]);
+    assert_eq!(connector.search.announced(), Some(fingerprint));
+    seek_until(&mut connector, &mut headset, |headset| headset.is_connected);
+    assert_eq!(connector.search.found.map(|found| found.name), Some("desk".to_owned()));
+}
+
+#[test]
+fn a_stranger_at_the_last_servers_address_is_refused_and_the_search_goes_on() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (address, _, _server) = mute_server(82);
+    KnownServers::load(folder.path())
+        .and_then(|mut known| known.remember("desk", address, key(1)))
+        .expect("known");
+    let (mut connector, mut headset) = (connector(&options(&folder, "find")), Headset::default());
+    connector.take_round(&mut headset, vec![]);
+    seek_until(&mut connector, &mut headset, |headset| headset.shows().contains("another identity"));
+    connector.take_round(&mut headset, vec![]);
+    assert!(!headset.is_connected && headset.shows().contains("another identity"), "{:?}", headset.said);
+    assert!(connector.search.finder.is_some());
+    let moved = FoundServer { fingerprint: Some(key(1)), ..server("desk", 5) };
+    connector.take_round(&mut headset, vec![moved.clone()]);
+    assert_eq!(connector.search.found, Some(moved));
+}
+
+#[test]
+fn the_list_chooses_nobody_by_itself_and_the_user_does() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [desk, attic] = [server("desk", 1), server("attic", 2)];
+    let (mut connector, mut headset) = (connector(&options(&folder, "find")), Headset::default());
+    connector.take_round(&mut headset, vec![desk.clone()]);
+    assert_eq!(connector.search.found, None, "the other one's answer may be lost");
+    connector.take_round(&mut headset, vec![desk.clone(), attic.clone()]);
+    assert!(headset.shows().starts_with("2 servers answer."), "{:?}", headset.said);
+    for _ in 0..8 {
+        connector.take_round(&mut headset, vec![desk.clone()]);
+        assert_eq!(connector.search.found, None);
+    }
+    assert!(headset.shows().starts_with("1 server answers."), "{:?}", headset.said);
+    headset.presses.takes += 1;
+    connector.take_presses(&mut headset);
+    assert_eq!(connector.search.found.as_ref(), Some(&desk));
+    assert_eq!(connector.search.preferred, Some(desk));
+}
+
+#[test]
+fn while_there_is_a_list_failures_of_a_server_found_before_do_not_overwrite_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [desk, attic] = [server("desk", 1), server("attic", 2)];
+    let (mut connector, mut headset) = (connector(&options(&folder, "find")), Headset::default());
+    (0..2).for_each(|_| connector.take_round(&mut headset, vec![desk.clone()]));
+    let failed = || LineEvent::Failed { kind: CloseKind::TimedOut, reason: "it did not answer".into() };
+    connector.take(&mut headset, failed());
+    assert_eq!(headset.shows(), "Connecting to desk: it did not answer");
+    connector.take_round(&mut headset, vec![desk.clone(), attic.clone()]);
+    assert_eq!(connector.search.found, None, "it is not dialled any more");
+    connector.take(&mut headset, failed());
+    assert!(headset.shows().starts_with("2 servers answer."), "{:?}", headset.said);
+}
+
+#[test]
+fn a_name_that_nobody_knows_is_said_with_what_to_do_until_it_leads_somewhere() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (mut connector, mut headset) =
+        (connector(&options(&folder, "desk.invalid:7400")), Headset::default());
+    assert_eq!(connector.first_status(), "Looking for desk.invalid:7400");
+    let (says, answers) = std::sync::mpsc::channel();
+    let answers = std::sync::Mutex::new(answers);
+    let ask =
+        move || answers.lock().expect("a lock").recv().unwrap_or_else(|_| Err("the test is over".into()));
+    connector.naming.resolver = Some(Resolver::asking(ask, Duration::ZERO));
+    says.send(Err("no such host".to_owned())).expect("said");
+    seek_until(&mut connector, &mut headset, |headset| !headset.said.is_empty());
+    for word in ["desk.invalid:7400 is not known on this network", "192.168.1.5:7400", "no such host"] {
+        assert!(headset.shows().contains(word), "{:?}", headset.said);
+    }
+    let (address, _, _server) = mute_server(83);
+    says.send(Ok(vec![address])).expect("said");
+    seek_until(&mut connector, &mut headset, |headset| headset.is_connected);
+    assert!(headset.said.contains(&"Connecting to desk.invalid:7400".to_owned()), "{:?}", headset.said);
+}
+
+#[test]
+fn what_was_wrong_at_the_start_is_said_first_and_as_long_as_nothing_came_of_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let notice = Some("server.txt:1: 'x' is no address".to_owned());
+    let mut connector = connector(&RunOptions { notice, ..options(&folder, "find") });
+    let is_noticed = |text: &str| text.starts_with("server.txt:1: 'x' is no address\n");
+    assert!(is_noticed(&connector.first_status()));
+    let mut headset = Headset::default();
+    connector.take_round(&mut headset, vec![]);
+    assert!(
+        is_noticed(headset.shows()) && headset.shows().contains("No server answers"),
+        "{:?}",
+        headset.said
+    );
+}
