@@ -79,6 +79,7 @@ write_manifest() { # OUT.xml
   local change manifest
   manifest=$(<"$HERE/AndroidManifest.xml")
   for change in $NEWER_CHANGES; do
+    # shellcheck disable=SC2001 # more than a replacement of text
     sed "s/\\(android:configChanges=\"[^\"]*\\)\"/\\1|$change\"/" <<<"$manifest" >"$1"
     if compile "$1" "$WORK/try.apk" >/dev/null 2>&1; then
       manifest=$(<"$1")

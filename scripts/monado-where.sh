@@ -1,9 +1,10 @@
-# shellcheck shell=bash
+# shellcheck shell=bash disable=SC2034
 # Where Monado is, and how it is started, stopped and looked at there: the one that is installed on this machine, or one in a box with a
 # newer system, which the scripts in MONADO_TOOLS make and run. Sourced by monado-test.sh.
 #
 # APP is a folder that programs there see as APP_THERE. What begins with THERE runs there, and what begins with MONADO on the runtime:
 # "${MONADO[@]}" [VARIABLE=VALUE..] PROGRAM [ARGUMENT..]
+# (shellcheck does not see that who sources this uses them.)
 
 TOOLS=${MONADO_TOOLS:-../shared/tools/monado}
 export BOX=${BOX:-/opt/monado-box}
