@@ -128,10 +128,6 @@ fn start_frame(core: &mut Core, session: &mut Session, period: u64) -> Frame {
         |loss_time_ns: Option<i64>| loss_time_ns.is_some_and(|loss_time_ns| begin_ns >= loss_time_ns);
     core.lost |= is_over(core.loss_time_ns);
     session.lost |= is_over(session.loss_time_ns);
-    if core.lost || session.lost {
-        // Who waits for this frame's begin hears of the loss instead.
-        runtime::notify_frame_begun();
-    }
     Frame { index, wait_time_ns: core.now_ns(), display_time_ns: begin_of_period(core, period + 1) }
 }
 

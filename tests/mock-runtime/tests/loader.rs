@@ -967,21 +967,6 @@ fn a_session_may_be_lost_without_a_word() {
 }
 
 #[test]
-fn who_waits_for_a_frame_to_begin_hears_of_a_loss_at_once() {
-    let _run =
-        Run::new(&MockConfig { events: vec![event(1, EventKind::SuddenSessionLoss)], ..virtual_config() });
-    let mut app = App::begun();
-    app.empty_frame();
-    let App { stage, stream, mut waiter, session, gpu, instance, .. } = app;
-    let asked = std::time::Instant::now();
-    let thread = std::thread::spawn(move || [(); 2].map(|()| waiter.wait().err()));
-    let told = thread.join().expect("the waiting thread ends");
-    assert_eq!(told, [None, Some(Code::ERROR_SESSION_LOST)]);
-    assert!(asked.elapsed() < std::time::Duration::from_secs(4), "long before its patience ends");
-    drop((stage, stream, session, gpu, instance));
-}
-
-#[test]
 fn spaces_and_velocities_follow_the_head_path() {
     let run = Run::new(&virtual_config());
     with_walk(&run, &virtual_config());
