@@ -26,8 +26,6 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Rate of a display that does not say its own, pictures a second.
-const USUAL_HZ: f64 = 60.0;
 /// How long a window that shows nothing sleeps.
 const HIDDEN_WAIT: Duration = Duration::from_millis(10);
 const FORMAT: vk::Format = REQUIRED.eye_formats[0];
@@ -128,7 +126,6 @@ impl WindowDisplay {
         canvas.present_mut().show(&eyes)?;
         let monitor = canvas.window().current_monitor();
         let rate = monitor.and_then(|monitor| monitor.refresh_rate_millihertz());
-        let rate_hz = rate.map_or(USUAL_HZ, |millihertz| f64::from(millihertz) * 1e-3);
         Ok(Self {
             handles: [eyes.handle()],
             eyes,
@@ -144,7 +141,7 @@ impl WindowDisplay {
                 has_closed_figures: false,
                 is_leaving: false,
             },
-            pace: Pace::new((1e9 / rate_hz) as i64),
+            pace: Pace::of_display(rate),
             image: None,
             screenshot: options.screenshot.clone(),
             has_shown: false,

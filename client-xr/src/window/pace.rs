@@ -2,6 +2,10 @@
 
 use shadecast_protocol::time::ClientTime;
 
+/// Rate of a display that does not say its own, pictures a second.
+const USUAL_HZ: f64 = 60.0;
+/// Slower ones there are none: Windows says 0 or 1 for one whose rate it does not know.
+const LEAST_HZ: f64 = 10.0;
 /// Share of a new frame in the idea of how long frames take.
 const NEWEST_SHARE: f64 = 0.1;
 /// A frame that took longer says nothing about the next one.
@@ -18,6 +22,13 @@ pub(super) struct Pace {
 }
 
 impl Pace {
+    /// For a display that says so many pictures in a thousand seconds.
+    pub(super) fn of_display(millihertz: Option<u32>) -> Self {
+        let said_hz = millihertz.map(|millihertz| f64::from(millihertz) * 1e-3);
+        let rate_hz = said_hz.filter(|hz| *hz >= LEAST_HZ).unwrap_or(USUAL_HZ);
+        Self::new((1e9 / rate_hz) as i64)
+    }
+
     /// For a display that shows a picture each `period_ns`.
     pub(super) fn new(period_ns: i64) -> Self {
         Self { period_ns, frame_ns: period_ns as f64, began: None, seen: ClientTime(i64::MIN) }
@@ -52,6 +63,14 @@ mod tests {
     use super::*;
 
     const MS: i64 = 1_000_000;
+
+    #[test]
+    fn a_display_that_does_not_know_its_rate_has_the_usual_one() {
+        for millihertz in [None, Some(0), Some(1), Some(1000)] {
+            assert_eq!(Pace::of_display(millihertz).period_ns, 16_666_666, "{millihertz:?}");
+        }
+        assert_eq!(Pace::of_display(Some(144_000)).period_ns, 6_944_444);
+    }
 
     #[test]
     fn frames_of_an_unthrottled_window_keep_the_displays_rate() {
