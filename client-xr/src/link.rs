@@ -8,7 +8,9 @@ use crate::report::FrameReport;
 use crate::watch::Watch;
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::clock::ClockEstimate;
-use shadecast_protocol::message::{Capabilities, ClientHello, Displayed, HeadState, ResumeSecret, Welcome};
+use shadecast_protocol::message::{
+    Capabilities, ClientHello, Displayed, HeadState, ResumeSecret, Welcome, sayable_period_ns,
+};
 use shadecast_protocol::pose::Eye;
 use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
 use shadecast_protocol::time::ClientTime;
@@ -189,7 +191,7 @@ impl Link {
 
     /// Notes the eyes of a display frame: the next hello names them.
     pub(crate) fn note_eyes(&mut self, eyes: [Eye; 2], display_period_ns: i64) {
-        self.eyes = Some((eyes, display_period_ns));
+        self.eyes = Some((eyes, sayable_period_ns(display_period_ns)));
     }
 
     /// Tells the server of a connection where the head will be.

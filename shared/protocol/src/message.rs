@@ -665,6 +665,11 @@ fn check_versions(what: &'static str, newest: u32, oldest: u32) -> Result<(), Wi
     require(oldest <= newest, what, || format!("the oldest, {oldest}, is above the newest, {newest}"))
 }
 
+/// The nearest period that a peer may say: a display that tells nonsense of itself is no reason not to be served.
+pub fn sayable_period_ns(period_ns: i64) -> i64 {
+    period_ns.clamp(*PERIOD_NS.start(), *PERIOD_NS.end())
+}
+
 fn check_period(what: &'static str, period_ns: i64) -> Result<(), WireError> {
     require(PERIOD_NS.contains(&period_ns), what, || format!("{period_ns} ns is not within {PERIOD_NS:?}"))
 }
@@ -822,6 +827,10 @@ mod tests {
         assert_hello_refused(|hello| hello.capabilities.eye_extent_pixels[1] = 0, "extent in pixels");
         assert_hello_refused(|hello| hello.capabilities.eye_extent_pixels = [8192, 8192], "number of pixels");
         assert_hello_refused(|hello| hello.capabilities.display_period_ns = 0, "display period");
+        for period_ns in [i64::MIN, 0, 13_888_888, i64::MAX] {
+            assert!(check_period("a period", sayable_period_ns(period_ns)).is_ok(), "{period_ns}");
+        }
+        assert_eq!(sayable_period_ns(13_888_888), 13_888_888);
         for ring in NO_RINGS {
             let name = format!(
                 "the ring of samples of a client is not valid: {ring} is not a power of two within 8..=64"
