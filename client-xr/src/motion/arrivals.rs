@@ -29,6 +29,11 @@ impl VertexWrites {
         self.records.push(record);
     }
 
+    /// Takes memory for so many more at once: growing bit by bit would leave holes behind that nothing fits into.
+    pub(super) fn reserve(&mut self, records: usize) {
+        self.records.reserve(records);
+    }
+
     pub(super) fn end_segment(&mut self, update: UpdateId) {
         let start = self.segments.back().map_or(self.taken, |segment| segment.end);
         if self.records.len() > start {

@@ -286,6 +286,7 @@ impl Motion {
         // Steps that share a place in the ring with a later one of the same delta could be seen by nobody, nor could
         // the step whose tag means that there is no sample.
         let oldest = newest.plus(1 - self.sample_ring as i32).max(GridIndex(i32::MIN + 1));
+        self.writes.reserve(batches.iter().map(|batch| batch.positions.len()).sum());
         for batch in batches.into_iter().filter(|batch| batch.grid >= oldest) {
             for (slot, position) in batch.positions {
                 self.take_position(slot, batch.grid, position.to_array());

@@ -193,18 +193,14 @@ impl ClientMemory {
         Ok(Entered { sampled, rescaled })
     }
 
-    /// Samples in metres, as of the last delta taken in.
-    pub fn positions(&self, batches: &[SampleBatch]) -> Vec<PositionBatch> {
+    /// Samples in metres, as of the last delta taken in. They lie where the samples lay: a delta may have two million.
+    pub fn positions(&self, batches: Vec<SampleBatch>) -> Vec<PositionBatch> {
         let step_m = |slot: VertexSlot| self.steps_m[self.instances[slot.index()].index()];
-        let batch = |batch: &SampleBatch| PositionBatch {
-            grid: batch.grid,
-            positions: batch
-                .values
-                .iter()
-                .map(|(slot, value)| (*slot, dequantise(*value, step_m(*slot))))
-                .collect(),
+        let batch = |SampleBatch { grid, values }| {
+            let placed = values.into_iter().map(|(slot, value)| (slot, dequantise(value, step_m(slot))));
+            PositionBatch { grid, positions: placed.collect() }
         };
-        batches.iter().map(batch).collect()
+        batches.into_iter().map(batch).collect()
     }
 
     /// The mesh of a vertex before skinning.
@@ -554,7 +550,7 @@ mod tests {
         for step_m in [0.0005, 0.01] {
             memory.apply(&enters(step_m)).unwrap();
             let batch = SampleBatch { grid: GridIndex(3), values: vec![(SLOT, quantise(position, step_m))] };
-            let received = memory.positions(&[batch]);
+            let received = memory.positions(vec![batch]);
             let error = received[0].positions[0].1 - position;
             assert!(error.abs().max_element() <= step_m * 0.501, "{error} at {step_m}");
             let leaves = GeometryDelta { evicted_vertices: vec![SLOT], ..GeometryDelta::default() };

@@ -27,7 +27,7 @@ pub fn check(script: &[u8]) -> usize {
             samples <= MAX_SAMPLES_PER_DELTA as usize && delta.samples.len() <= MAX_SAMPLE_BATCHES as usize
         );
         for (slot, position) in
-            decoder.memory().positions(&delta.samples).iter().flat_map(|batch| &batch.positions)
+            decoder.memory().positions(delta.samples.clone()).into_iter().flat_map(|batch| batch.positions)
         {
             assert!(position.is_finite(), "{slot:?} {position}");
         }

@@ -259,7 +259,7 @@ impl DeltaDecoder {
     /// The same, with samples in metres.
     pub fn receive(&mut self, bytes: &[u8]) -> Result<ReceivedDelta, WireError> {
         let Delta { geometry, is_update, samples } = self.decode(bytes)?;
-        let (positions, rests) = (self.memory.positions(&samples), self.memory.rests(&geometry.new_rests));
+        let (positions, rests) = (self.memory.positions(samples), self.memory.rests(&geometry.new_rests));
         Ok(ReceivedDelta { geometry, is_update, positions, rests })
     }
 
