@@ -157,7 +157,7 @@ hold_head "0 1.6 0 0"
 python3 scripts/monado_head.py "$work/pose.txt" &
 pids+=($!)
 
-start_service
+start_service || skip "Monado's service does not start here"
 cp "$PROGRAMS/shadecast-client" "$PROGRAMS/examples/wrong_call" "$PROGRAMS/libshadecast_mock_runtime.so" "$APP/"
 
 # The layer must see what is wrong, or its silence means nothing.

@@ -78,7 +78,12 @@ start_service() {
   env XDG_RUNTIME_DIR="$work/run" XRT_NO_STDIN=1 P_OVERRIDE_ACTIVE_CONFIG=remote DISPLAY="$MONADO_DISPLAY" \
     XRT_COMPOSITOR_FORCE_XCB=1 XRT_COMPOSITOR_SCALE_PERCENTAGE=50 monado-service >"$work/service.txt" 2>&1 &
   service=$!
-  wait_for "$work/service.txt" "service has started" 30
+  local left=300
+  until grep -qF "service has started" "$work/service.txt"; do
+    left=$((left - 1))
+    [ $left -gt 0 ] || { tail -n 5 "$work/service.txt" >&2; return 1; }
+    sleep 0.1
+  done
 }
 
 stop_service() {
