@@ -15,7 +15,7 @@ link() {
   # The linker looks here first, and finds no import library of the C++ library: it takes the archive.
   ln -s -- "$($MINGW-g++-posix -print-file-name=libstdc++.a)" "$STATIC/"
   export CARGO_TARGET_X86_64_PC_WINDOWS_GNU_RUSTFLAGS="-Lnative=$STATIC"
-  cargo build --target $TARGET --locked -p shadecast-server -p shadecast-client -p shadecast-lab -p shadecast-mock-runtime
+  cargo build --target $TARGET --locked -p shadecast-server-cli -p shadecast-client -p shadecast-lab -p shadecast-mock-runtime
   local program programs="$CARGO_TARGET_DIR/$TARGET/debug"
   for program in shadecast-server.exe shadecast-client.exe shadecast-lab.exe shadecast_mock_runtime.dll; do
     [ -s "$programs/$program" ] || die "$programs/$program was not made"

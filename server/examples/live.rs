@@ -17,13 +17,13 @@ use shadecast_scene::{
     Trs, Vertex,
 };
 use shadecast_server::animation::timeline::{SharedTimeline, TimelineError};
-use shadecast_server::detail::DEFAULT_DETAIL_PIXELS;
+use shadecast_server::atlas::surround::DEFAULT_SURROUND;
 use shadecast_server::encode::choice::{Encoders, Wanted};
-use shadecast_server::frame::ShowOptions;
-use shadecast_server::quality::QualityOptions;
+use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
-use shadecast_server::stream::{Device, StreamOptions, run_timeline};
-use shadecast_server::surround::DEFAULT_SURROUND;
+use shadecast_server::serve::stream::{Device, StreamOptions, run_timeline};
+use shadecast_server::update::ShowOptions;
+use shadecast_server::visibility::detail::DEFAULT_DETAIL_PIXELS;
 use std::f32::consts::TAU;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,7 +1,7 @@
 //! Skeletons and clips on the GPU.
 
 use super::manager::AnimationManager;
-use crate::upload;
+use crate::support::upload;
 use shadecast_gpu::{Bind, Buffer, Gpu, GpuError};
 use std::sync::Arc;
 

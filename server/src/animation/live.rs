@@ -8,7 +8,7 @@ use std::sync::Arc;
 const KEY_BYTES: usize = 16;
 
 /// Poses that wait for the next recording.
-pub(super) struct LivePoses {
+pub(crate) struct LivePoses {
     /// A mirror of the part of the keys that is live.
     upload: Buffer,
     /// First key that is live.
@@ -19,20 +19,20 @@ pub(super) struct LivePoses {
 
 impl LivePoses {
     /// For what is live among the keys of a scene.
-    pub(super) fn new(gpu: &Arc<Gpu>, animation: &AnimationBuffers) -> Result<Self, GpuError> {
+    pub(crate) fn new(gpu: &Arc<Gpu>, animation: &AnimationBuffers) -> Result<Self, GpuError> {
         let keys = animation.manager.live_key_range();
         let upload = Buffer::new(gpu, "live poses", keys.len() as u64 * KEY_BYTES as u64, Memory::Upload)?;
         Ok(Self { upload, first_key: keys.start, fresh: Vec::new() })
     }
 
     /// Takes the keys of a pose, which belong to the key of this number and those after it.
-    pub(super) fn add(&mut self, (first, keys): (u32, Vec<[f32; 4]>)) {
+    pub(crate) fn add(&mut self, (first, keys): (u32, Vec<[f32; 4]>)) {
         self.upload.write((first - self.first_key) as usize * KEY_BYTES, bytemuck::cast_slice(&keys));
         self.fresh.push((first, keys.len() as u32));
     }
 
     /// Brings what was taken to the keys. Nothing recorded before still reads what it takes the place of.
-    pub(super) fn record(&mut self, recorder: &mut Recorder, animation: &AnimationBuffers) {
+    pub(crate) fn record(&mut self, recorder: &mut Recorder, animation: &AnimationBuffers) {
         if self.fresh.is_empty() {
             return;
         }

@@ -1,9 +1,9 @@
 //! The animation manager: skeletons, clips and morph targets of the whole scene, each stored once however many models
 //! and instances use it, as the arrays that the GPU reads. Pure; [`super::gpu`] owns the buffers.
 
-use super::RingPlace;
 use super::saved::MOST_PLACES;
 use super::timeline::Shown;
+use crate::time::RingPlace;
 use glam::{Affine3A, Vec4};
 use shadecast_protocol::motion::playback::{At, Playing};
 use shadecast_scene::animation::playing;
@@ -288,7 +288,7 @@ impl AnimationManager {
 
     /// The keys of a live instance's pose, local transforms in the model's order, and where in the keys they belong for a
     /// place of the ring.
-    pub(super) fn keys_of_pose(
+    pub(crate) fn keys_of_pose(
         &self,
         instance: usize,
         place: RingPlace,

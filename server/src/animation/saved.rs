@@ -3,15 +3,15 @@
 //!
 //! Vertices are numbered through all buffers. Every device can bind one of [`CHUNK_VERTICES`]; an instance lies in one of them.
 
-use super::RingPlace;
 use super::packing::SAVED_BYTES;
+use crate::time::RingPlace;
 use shadecast_shaders::constants::{CHUNK_VERTICES, SAVED_CHUNKS};
 use std::ops::Range;
 
 /// Vertices of all buffers.
 const MOST_VERTICES: u32 = SAVED_CHUNKS * CHUNK_VERTICES;
 /// Sample times that are kept at least: those of one update, and the one that the last update is shaded for meanwhile.
-pub const LEAST_PLACES: u32 = crate::predict::VIEW_TIMES as u32 + 1;
+pub const LEAST_PLACES: u32 = crate::time::VIEW_TIMES as u32 + 1;
 /// Sample times that are kept at most: those of a few viewers.
 pub const MOST_PLACES: u32 = 16;
 const _: () = assert!(CHUNK_VERTICES as u64 * SAVED_BYTES <= 128 << 20);

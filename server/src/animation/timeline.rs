@@ -4,7 +4,7 @@
 //! What was sampled once stays as it was: a change takes effect after the latest time that was sampled, whatever the
 //! application asks for, so that no sample that was sent is ever contradicted.
 
-use crate::lock::lock;
+use crate::support::lock::lock;
 use shadecast_protocol::motion::playback::{Playing, Schedule};
 use shadecast_protocol::text::printable;
 use shadecast_protocol::time::{ServerTime, WorldTime};

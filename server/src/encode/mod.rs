@@ -1,6 +1,6 @@
 //! The seam between the shading atlas and its video stream.
 //!
-//! What is above ([`crate::encoding`]) hands over pictures and gets access units; it does not know which encoder made them.
+//! What is above ([`crate::serve::encoding`]) hands over pictures and gets access units; it does not know which encoder made them.
 //! What is below knows neither frames nor sockets, and has no clock: timestamps come in as arguments, so that the
 //! same pictures always give the same bytes. [`openh264`] is the embedded encoder, [`raw`] codes nothing; a hardware one goes
 //! beside them.
@@ -19,6 +19,7 @@ pub mod choice;
 #[cfg(feature = "libavcodec")]
 pub mod libavcodec;
 pub mod openh264;
+pub mod picture;
 pub mod raw;
 
 /// An encoder that gives nothing for so long is broken.

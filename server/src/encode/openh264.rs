@@ -23,12 +23,10 @@ use openh264_sys2::{
 };
 
 use super::{AccessUnit, EncodeError, Encoded, Encoder, Source};
+use crate::pacing::quality::DEFAULT_QP;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
 use shadecast_protocol::picture::I420;
-
-/// The quantisation parameter used unless told otherwise.
-pub const DEFAULT_QP: u8 = 22;
 
 /// Pictures per second that a stream can declare.
 const MAX_FPS: u32 = 60;

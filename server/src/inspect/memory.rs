@@ -3,10 +3,10 @@
 
 use super::load;
 use super::table::{Table, bytes};
-use crate::frame::{Frame, ShowOptions};
+use crate::atlas::surround::DEFAULT_SURROUND;
 use crate::scene::{SceneGpu, SceneOptions};
-use crate::stream::offer;
-use crate::surround::DEFAULT_SURROUND;
+use crate::serve::stream::offer;
+use crate::update::{Frame, ShowOptions};
 use crate::world::{ViewerId, World};
 use clap::Args;
 use glam::Vec3;
@@ -87,8 +87,10 @@ pub(super) fn run(args: &MemoryArgs) -> anyhow::Result<String> {
     let mut world = World::new(&gpu, &scene)?;
     note(&gpu, "all viewers", &mut parts);
     let (welcome, capabilities) = viewer(&scene, args)?;
-    let show =
-        ShowOptions { detail_pixels: crate::detail::DEFAULT_DETAIL_PIXELS, surround: DEFAULT_SURROUND };
+    let show = ShowOptions {
+        detail_pixels: crate::visibility::detail::DEFAULT_DETAIL_PIXELS,
+        surround: DEFAULT_SURROUND,
+    };
     let mut frame = Frame::new(&world, ViewerId(0), &welcome, &capabilities, show)?;
     for update in 0..UPDATES {
         let now = ServerTime(update * UPDATE_NS);

@@ -2,10 +2,10 @@
 //! Poses are those of these very times, not of the time grid; two updates say different things of the same moment, which is why
 //! triangles tear whose corners were told by different ones.
 
-use crate::animation::posing::CpuPose;
 use crate::animation::timeline::SharedTimeline;
 use crate::scene::SceneGpu;
 use crate::scene::numbering::SceneVertex;
+use crate::skinning::posing::CpuPose;
 use glam::Vec3;
 use shadecast_protocol::ids::VertexSlot;
 use shadecast_protocol::limits::PREDICTIONS;

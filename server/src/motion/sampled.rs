@@ -2,7 +2,7 @@
 //! made here too, since samples are coded against what deltas have put into the client's memory: an update's geometry and the
 //! samples between two updates, in one order.
 
-use crate::geometry::UpdateDelta;
+use crate::motion::delta::UpdateDelta;
 use crate::scene::numbering::SceneVertex;
 use glam::Vec3;
 use shadecast_protocol::delta::{Delta, DeltaEncoder, EncodedDelta};

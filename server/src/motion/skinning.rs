@@ -2,8 +2,8 @@
 
 use super::sender::{MotionSender, SharedMotion};
 use crate::animation::timeline::SharedTimeline;
-use crate::lock::lock;
 use crate::scene::SceneGpu;
+use crate::support::lock::lock;
 use shadecast_protocol::geometry::{GeometryDelta, Motion};
 use shadecast_protocol::ids::{RestId, SkeletonId};
 use shadecast_protocol::message::MotionMemory;

@@ -4,7 +4,7 @@
 //! as soon as it is seen, and coarser only when there is room to spare: an instance at a distance where the step changes does not
 //! flicker between two.
 
-use crate::predict::View;
+use crate::visibility::predict::View;
 use glam::Vec3;
 use shadecast_protocol::geometry::InstanceInfo;
 use shadecast_protocol::ids::InstanceId;

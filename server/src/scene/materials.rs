@@ -1,7 +1,7 @@
 //! Materials of all models with their textures, and how these are sampled; equal textures are there once.
 
 use super::SceneGpuError;
-use crate::upload;
+use crate::support::upload;
 use ash::vk;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, ImageDesc, Sampler, SamplerDesc};
 use shadecast_protocol::limits::SCENE_TEXTURES;

@@ -1,7 +1,7 @@
 //! Vertices, triangles and patches of all models, at every level of detail; equal meshes are there once.
 
-use crate::animation::skinning::{pair, used_first};
-use crate::upload;
+use crate::scene::skins::{pair, used_first};
+use crate::support::upload;
 use shadecast_gpu::{Buffer, Gpu, GpuError};
 use shadecast_scene::patches::Patch;
 use shadecast_scene::{Model, Primitive, Vertex};

@@ -1,16 +1,24 @@
 //! The scene in GPU memory, each thing once however many models and instances use it, and the numbers of its parts.
 
+pub(crate) mod drawing;
+pub mod geometry;
+pub mod gloss;
+pub mod lights;
 pub mod materials;
 pub mod meshes;
+pub mod motion_library;
 pub mod numbering;
+pub mod rasters;
+pub mod skins;
+pub mod views;
 
 use crate::animation::buffers::AnimationBuffers;
 use crate::animation::manager::AnimationManager;
-use crate::animation::skinning::{SkinnedMesh, Skinning, SkinningArrays, SkinningBuffers};
-use crate::gloss::Gloss;
-use crate::lights::{self, SunView};
-use crate::motion::MotionOption;
-use crate::motion::library::MotionLibrary;
+use crate::scene::gloss::Gloss;
+use crate::scene::lights::SunView;
+use crate::scene::motion_library::MotionLibrary;
+use crate::scene::motion_library::MotionOption;
+use crate::scene::skins::{SkinnedMesh, Skinning, SkinningArrays, SkinningBuffers};
 use materials::{MaterialArrays, Materials};
 use meshes::{Mesh, MeshArrays, Meshes};
 use numbering::{InstanceSize, Numbering, ScenePatch};

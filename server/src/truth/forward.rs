@@ -1,14 +1,14 @@
 //! The ground truth: skins at the exact time of the picture, or takes vertices that were posed elsewhere; shades per pixel
 //! with the atlas's own shading code, antialiased by multisampling. A second pass tells what is where, one sample a pixel.
 
-use crate::animation::RingPlace;
-use crate::animation::gpu::{Animation, boxes};
 use crate::animation::packing::{SAVED_BYTES, pack_frame, pack_position, packing_box};
-use crate::culling::Needed;
 use crate::scene::SceneGpu;
-use crate::stages::geometry::{FULL_DETAIL, Geometry};
-use crate::stages::shadow::Shadow;
-use crate::stages::view_gpu;
+use crate::scene::drawing::{FULL_DETAIL, Geometry};
+use crate::scene::views::view_gpu;
+use crate::shading::passes::shadow::Shadow;
+use crate::skinning::gpu::{Animation, boxes};
+use crate::time::RingPlace;
+use crate::visibility::culling::Needed;
 use ash::vk;
 use glam::{Mat4, Vec3, Vec4};
 use shadecast_gpu::{

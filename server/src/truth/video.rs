@@ -318,7 +318,7 @@ mod tests {
         for (n, frame) in frames.into_iter().enumerate() {
             assert_eq!(&frame[..6], b"FRAME\n");
             let picture = I420::new(EXTENT, frame[6..].to_vec()).expect("a whole picture");
-            let back = crate::picture::rgb_of(&picture);
+            let back = crate::encode::picture::rgb_of(&picture);
             // Inside the flat halves of blue, chroma is exact up to its rounding; red and green are slow ramps.
             let worst =
                 back.iter().zip(&rgb(n as u8)).map(|(a, b)| a.abs_diff(*b)).filter(|d| *d > 12).count();

@@ -1,7 +1,7 @@
 //! The ground truth in a window: a driver, with a clock and an event loop of its own. One frame is in flight: what a
 //! frame writes for the GPU is written when the last one is over.
 
-use crate::picture;
+use crate::encode::picture;
 use crate::scene::{SceneGpu, SceneGpuError, SceneOptions};
 use crate::truth::forward::Forward;
 use ash::vk;

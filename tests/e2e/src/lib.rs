@@ -2,9 +2,9 @@
 
 use glam::{Vec3, Vec4};
 use shadecast_gpu::{Access, Buffer, Gpu, Memory};
-use shadecast_server::animation::RingPlace;
-use shadecast_server::animation::gpu::Animation;
 use shadecast_server::animation::packing::{unpack_frame, unpack_position};
+use shadecast_server::skinning::gpu::Animation;
+use shadecast_server::time::RingPlace;
 use shadecast_shaders::constants::CHUNK_VERTICES;
 use shadecast_shaders::generated::BoxGpu;
 use std::sync::Arc;

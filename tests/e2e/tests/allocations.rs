@@ -9,9 +9,9 @@ use shadecast_protocol::message::{Capabilities, Displayed, HeadState, Welcome, n
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::load::{SceneSource, load_scene};
-use shadecast_server::frame::{Frame, ShowOptions};
+use shadecast_server::atlas::surround::DEFAULT_SURROUND;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
-use shadecast_server::surround::DEFAULT_SURROUND;
+use shadecast_server::update::{Frame, ShowOptions};
 use shadecast_server::world::{ViewerId, World};
 use shadecast_test_support::peers;
 use std::sync::Arc;

@@ -25,18 +25,18 @@ use shadecast_scene::{
     Bone, Clip, Instance, Interpolation, Material, Model, Morph, MorphDelta, MorphTrack, PaletteEntry, Path,
     Primitive, Repetition, Scene, Track, TrackValues, Trs, Vertex,
 };
-use shadecast_server::animation::RingPlace;
-use shadecast_server::animation::gpu::{Animation, AnimationCounts, SampleJob};
 use shadecast_server::animation::saved::MOST_PLACES;
-use shadecast_server::animation::skinning::Skinning;
 use shadecast_server::animation::timeline::SharedTimeline;
-use shadecast_server::culling::Needed;
-use shadecast_server::motion::MotionOption;
 use shadecast_server::motion::sender::MotionSender;
-use shadecast_server::pacing::WayState;
-use shadecast_server::predict::{PredictedViews, View};
-use shadecast_server::samples::SampleWindow;
+use shadecast_server::pacing::gate::WayState;
+use shadecast_server::scene::motion_library::MotionOption;
+use shadecast_server::scene::skins::Skinning;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
+use shadecast_server::skinning::gpu::{Animation, AnimationCounts, SampleJob};
+use shadecast_server::time::RingPlace;
+use shadecast_server::visibility::culling::Needed;
+use shadecast_server::visibility::predict::{PredictedViews, View};
+use shadecast_server::world::samples::SampleWindow;
 use std::collections::HashMap;
 use std::ops::Range;
 use std::sync::Arc;

@@ -7,8 +7,9 @@ use shadecast_client::decode::{DecodeError, Decoder, Picture};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::message::Codec;
 use shadecast_protocol::picture::I420;
-use shadecast_server::encode::openh264::{DEFAULT_QP, EncoderSettings, OpenH264Encoder};
+use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
 use shadecast_server::encode::{self, AccessUnit, EncodeError, Encoder, Source};
+use shadecast_server::pacing::quality::DEFAULT_QP;
 use std::time::Duration;
 
 const SEED: u64 = 0x5ade_ca57;

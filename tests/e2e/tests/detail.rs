@@ -5,7 +5,7 @@ use shadecast_lab::detail::{DetailReport, measure};
 use shadecast_lab::options::{Head, Renderer, RunOptions, USUAL_ROOM};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
-use shadecast_server::choice::Room;
+use shadecast_server::pacing::room::Room;
 use std::path::Path;
 
 const ROOM: Room = Room { patches: 8000, vertices: 8000, triangles: 7000 };

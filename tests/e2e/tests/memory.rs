@@ -6,8 +6,8 @@ use shadecast_lab::paper_size;
 use shadecast_lab::table1::cell::Size;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
+use shadecast_server::atlas::surround::DEFAULT_SURROUND;
 use shadecast_server::inspect;
-use shadecast_server::surround::DEFAULT_SURROUND;
 use shadecast_test_support::headset::turn;
 
 /// What `inspect memory` prints as JSON.

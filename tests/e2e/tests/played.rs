@@ -13,7 +13,7 @@ use shadecast_protocol::time::WorldTime;
 use shadecast_scene::animation::pose::source_pose;
 use shadecast_scene::load::SceneSource;
 use shadecast_scene::timeline::Change;
-use shadecast_server::animation::posing::CpuPose;
+use shadecast_server::skinning::posing::CpuPose;
 use shadecast_test_support::headset::turn;
 use std::collections::HashMap;
 use std::path::Path;

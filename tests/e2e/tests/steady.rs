@@ -5,7 +5,7 @@ use shadecast_lab::room::write_room;
 use shadecast_lab::steadiness::{Steadiness, measure};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
-use shadecast_server::surround::DEFAULT_SURROUND;
+use shadecast_server::atlas::surround::DEFAULT_SURROUND;
 
 /// The room, and three small ones in it: ahead, behind and aside.
 const SCENE: &str = r#"

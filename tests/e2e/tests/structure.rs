@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// The crates that are shipped.
-const PRODUCT: [&str; 10] = [
+const PRODUCT: [&str; 11] = [
     "shared/protocol/src",
     "shared/transport/src",
     "shared/desktop/src",
@@ -13,6 +13,7 @@ const PRODUCT: [&str; 10] = [
     "shared/trace/src",
     "shaders/src",
     "server/src",
+    "server/cli/src",
     "server/scene/src",
     "server/dragon/src",
     "client-xr/src",
@@ -81,13 +82,9 @@ fn waiting_for_the_whole_device_is_for_its_end_and_no_draw_is_indirect() {
 #[test]
 fn clocks_and_sockets_are_the_drivers() {
     let drivers = [
-        "server/src/stream/",
+        "server/src/serve/stream/",
         "server/src/truth/",
-        "server/src/main.rs",
-        "server/src/forward_command.rs",
-        "server/src/doctor_command.rs",
-        "server/src/start_up.rs",
-        "server/src/output.rs",
+        "server/cli/src/",
         "client-xr/src/net",
         "client-xr/src/window/mod.rs",
         // For a runtime that does not convert its times.
@@ -111,7 +108,7 @@ fn clocks_and_sockets_are_the_drivers() {
 fn session_events_are_understood_in_one_place_of_the_server() {
     assert_only(
         &["ServerEvent::"],
-        &["shared/protocol/src/session.rs", "server/src/sessions/", "server/src/viewer.rs"],
+        &["shared/protocol/src/session.rs", "server/src/serve/sessions/", "server/src/serve/viewer.rs"],
     );
     for (name, text) in sources("tests/lab/src/session") {
         assert!(!text.contains("ServerSession") && !text.contains("ServerEvent"), "{name} has session logic");

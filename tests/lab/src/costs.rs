@@ -9,10 +9,10 @@ use serde::{Deserialize, Serialize};
 use shadecast_client::client::Step;
 use shadecast_client::stages::atlas_draw::Reconstruction;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
-use shadecast_server::encode::openh264::DEFAULT_QP;
-use shadecast_server::ideal::Filter;
-use shadecast_server::quality::QualityOptions;
-use shadecast_server::surround::DEFAULT_SURROUND;
+use shadecast_server::atlas::surround::DEFAULT_SURROUND;
+use shadecast_server::pacing::quality::DEFAULT_QP;
+use shadecast_server::pacing::quality::QualityOptions;
+use shadecast_server::shading::filter::Filter;
 use std::fmt;
 
 /// Of each run, until the first picture and what follows it are there, seconds: not measured.

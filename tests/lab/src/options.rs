@@ -10,11 +10,11 @@ use shadecast_protocol::limits::{
 };
 use shadecast_protocol::message::Codec;
 use shadecast_scene::load::SceneSource;
-use shadecast_server::choice::Room;
-use shadecast_server::detail::DEFAULT_DETAIL_PIXELS;
-use shadecast_server::ideal::Ideal;
-use shadecast_server::quality::QualityOptions;
+use shadecast_server::pacing::quality::QualityOptions;
+use shadecast_server::pacing::room::Room;
 use shadecast_server::scene::SceneOptions;
+use shadecast_server::update::ideal::Ideal;
+use shadecast_server::visibility::detail::DEFAULT_DETAIL_PIXELS;
 use shadecast_transport::{LinkError, LinkProfile, LinkSchedule};
 use std::path::PathBuf;
 use std::str::FromStr;

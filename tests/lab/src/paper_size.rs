@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 use shadecast_client::client::Step;
 use shadecast_mock_runtime::config::ClockKind;
 use shadecast_scene::load::load_scene;
-use shadecast_server::choice::Room;
-use shadecast_server::surround::DEFAULT_SURROUND;
+use shadecast_server::atlas::surround::DEFAULT_SURROUND;
+use shadecast_server::pacing::room::Room;
 use std::fmt;
 use std::path::Path;
 

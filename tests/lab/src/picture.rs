@@ -4,7 +4,7 @@ use crate::options::{Head, Renderer, RunOptions};
 use crate::run::run;
 use serde_json::{Map, Value, json};
 use shadecast_scene::load::SceneSource;
-use shadecast_server::surround::DEFAULT_SURROUND;
+use shadecast_server::atlas::surround::DEFAULT_SURROUND;
 use shadecast_transport::LinkProfile;
 use std::path::Path;
 

@@ -295,7 +295,7 @@ impl Run<'_> {
 fn atlas_picture(atlas: &Source) -> anyhow::Result<Rgb8Image> {
     let Source::Planes(atlas) = atlas;
     let [width, height] = atlas.extent_texels();
-    Ok(Rgb8Image::new(width, height, shadecast_server::picture::rgb_of(atlas))?)
+    Ok(Rgb8Image::new(width, height, shadecast_server::encode::picture::rgb_of(atlas))?)
 }
 
 /// A client's probe as the metrics want it.

@@ -12,8 +12,8 @@ use shadecast_protocol::atlas::BlockSize;
 use shadecast_protocol::geometry::GeometryDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_server::encode::Source;
-use shadecast_server::frame::{Frame, Shaded};
 use shadecast_server::scene::numbering::ScenePatch;
+use shadecast_server::update::{Frame, Shaded};
 use std::collections::BTreeMap;
 use std::fmt;
 

@@ -12,7 +12,7 @@ use shadecast_protocol::ids::DiscontinuityId;
 use shadecast_protocol::message::{HeadState, negotiate};
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::time::ServerTime;
-use shadecast_server::frame::{Frame, ShowOptions};
+use shadecast_server::update::{Frame, ShowOptions};
 use shadecast_server::world::ViewerId;
 use std::time::Instant;
 

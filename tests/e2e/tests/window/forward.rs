@@ -6,7 +6,7 @@ use shadecast_client::decode::openh264::OpenH264Decoder;
 use shadecast_client::decode::{Decoder, Picture};
 use shadecast_lab::image::Rgb8Image;
 use shadecast_protocol::picture::I420;
-use shadecast_server::picture::rgb_of;
+use shadecast_server::encode::picture::rgb_of;
 use shadecast_server::truth::video::Video;
 use shadecast_test_support::programs::{Program, Voice, output_of, program, wait_until};
 use std::path::PathBuf;

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 use shadecast_scene::suggest::did_you_mean_or_list;
-use shadecast_server::motion::MotionOption;
+use shadecast_server::scene::motion_library::MotionOption;
 use shadecast_transport::{LinkProfile, LinkSchedule};
 use std::fmt;
 use std::str::FromStr;

@@ -11,9 +11,9 @@ use serde::Serialize;
 use shadecast_client::client::FrameReport;
 use shadecast_protocol::ids::VertexSlot;
 use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, WorldTime};
-use shadecast_server::lock::lock;
 use shadecast_server::scene::SceneGpu;
 use shadecast_server::scene::numbering::SceneVertex;
+use shadecast_server::support::lock::lock;
 use std::collections::{BTreeMap, HashMap, HashSet};
 
 /// A vertex that has not moved at all is frozen once its true place has moved on by so much, metres: less, and the steps of

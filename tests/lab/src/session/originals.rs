@@ -13,7 +13,7 @@ use shadecast_protocol::picture::I444;
 use shadecast_protocol::session::{Out, picture_stream};
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
 use shadecast_server::encode::Source;
-use shadecast_server::frame::{Frame, Shaded};
+use shadecast_server::update::{Frame, Shaded};
 use shadecast_shaders::color::full_chroma;
 use std::collections::VecDeque;
 use std::sync::Arc;

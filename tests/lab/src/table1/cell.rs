@@ -15,9 +15,9 @@ use shadecast_scene::animation::bounds::{Bounds, instance_bounds};
 use shadecast_scene::animation::played::PlayedBounds;
 use shadecast_scene::animation::sampling::{DEFAULT_INTERVAL_S, Sampling};
 use shadecast_scene::load::SceneSource;
-use shadecast_server::animation::skinning::Skinning;
-use shadecast_server::motion::MotionOption;
 use shadecast_server::scene::SceneOptions;
+use shadecast_server::scene::motion_library::MotionOption;
+use shadecast_server::scene::skins::Skinning;
 use std::path::Path;
 
 /// Pixels of a side of the paper's picture.

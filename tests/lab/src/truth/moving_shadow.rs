@@ -10,7 +10,7 @@ use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::WorldTime;
 use shadecast_scene::Scene;
 use shadecast_scene::animation::bounds::Bounds;
-use shadecast_server::lights::{SHADOW_EXTENT_TEXELS, SunView};
+use shadecast_server::scene::lights::{SHADOW_EXTENT_TEXELS, SunView};
 use std::collections::BTreeMap;
 
 /// How long a shadow that has gone still counts: what was shaded in it may still be on display.

@@ -1,0 +1,143 @@
+//! What the network tells the pipeline: of each client at most one of a kind, the newest, so that no client can make it grow
+//! and a pipeline that was busy is never behind.
+
+use crate::serve::viewer::Told;
+use crate::support::lock::lock;
+use shadecast_protocol::message::{Capabilities, Welcome};
+use shadecast_protocol::session::{DeltaSender, ServerEvent};
+use shadecast_transport::PeerId;
+use std::collections::BTreeMap;
+use std::sync::{Condvar, Mutex};
+use std::time::Duration;
+
+/// A client that was welcomed.
+#[derive(Debug)]
+pub struct Accepted {
+    /// What was agreed.
+    pub welcome: Welcome,
+    /// What it has told of itself.
+    pub capabilities: Capabilities,
+    /// The sending half of its session.
+    pub sender: DeltaSender,
+}
+
+/// Whether a client is to be served.
+#[derive(Debug, Default)]
+pub enum Client {
+    /// As before.
+    #[default]
+    Unchanged,
+    /// No longer.
+    Gone,
+    /// From now on.
+    Accepted(Box<Accepted>),
+}
+
+/// All that has happened to a client since the pipeline looked last.
+#[derive(Debug, Default)]
+pub struct News {
+    /// Whether it is to be served.
+    pub client: Client,
+    /// What it has told.
+    pub told: Told,
+}
+
+/// From the network's thread to the pipeline's.
+#[derive(Debug, Default)]
+pub struct Mailbox {
+    news: Mutex<BTreeMap<PeerId, News>>,
+    arrived: Condvar,
+}
+
+impl Mailbox {
+    /// A client was welcomed.
+    pub fn accepted(&self, peer: PeerId, accepted: Accepted) {
+        let client = Client::Accepted(Box::new(accepted));
+        self.put(|news| drop(news.insert(peer, News { client, told: Told::default() })));
+    }
+
+    /// A client has gone, or what served it is to be forgotten.
+    pub fn gone(&self, peer: PeerId) {
+        self.put(|news| match news.remove(&peer) {
+            // The pipeline has never heard of it.
+            Some(News { client: Client::Accepted(_), .. }) => {}
+            _ => drop(news.insert(peer, News { client: Client::Gone, told: Told::default() })),
+        });
+    }
+
+    /// A client that is served has said something.
+    pub fn told(&self, peer: PeerId, event: ServerEvent) {
+        // What is no viewer's affair does not come here.
+        self.put(|news| drop(news.entry(peer).or_default().told.take(event)));
+    }
+
+    /// All that is new, without waiting.
+    pub fn take(&self) -> BTreeMap<PeerId, News> {
+        std::mem::take(&mut *lock(&self.news))
+    }
+
+    /// Waits until something is new, at most so long.
+    pub fn wait(&self, at_most: Duration) {
+        let guard = lock(&self.news);
+        // Woken, timed out or poisoned: the caller looks in any case.
+        drop(self.arrived.wait_timeout(guard, at_most));
+    }
+
+    fn put(&self, change: impl FnOnce(&mut BTreeMap<PeerId, News>)) {
+        change(&mut lock(&self.news));
+        self.arrived.notify_one();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::serve::sessions::testing::accepted;
+    use shadecast_protocol::ids::UpdateId;
+    use shadecast_protocol::message::Displayed;
+    use shadecast_protocol::time::ServerTime;
+    use shadecast_test_support::peers::head;
+    use std::sync::Arc;
+
+    #[test]
+    fn of_clients_that_come_and_go_before_the_pipeline_looks_nothing_is_told() {
+        let mailbox = Mailbox::default();
+        for peer in 0..300 {
+            mailbox.accepted(PeerId(peer), accepted());
+            mailbox.told(PeerId(peer), ServerEvent::Pose(head(peer as u32, ServerTime(0))));
+            if peer < 298 {
+                mailbox.gone(PeerId(peer));
+            }
+        }
+        let news = mailbox.take();
+        assert_eq!(news.keys().copied().collect::<Vec<_>>(), [PeerId(298), PeerId(299)]);
+        assert!(matches!(news[&PeerId(299)].client, Client::Accepted(_)), "{news:?}");
+        assert_eq!(news[&PeerId(299)].told.pose.map(|pose| pose.sequence), Some(299));
+        mailbox.gone(PeerId(299));
+        assert!(matches!(mailbox.take()[&PeerId(299)], News { client: Client::Gone, .. }));
+    }
+
+    #[test]
+    fn reports_are_one_report() {
+        let mailbox = Mailbox::default();
+        for frame in 0..1000 {
+            let counted = Displayed { update: UpdateId(frame), display_frames: 2, ..Displayed::default() };
+            mailbox.told(PeerId(1), ServerEvent::Displayed(counted));
+            mailbox.told(PeerId(1), ServerEvent::RefreshRequest { after: None });
+        }
+        let told = mailbox.take()[&PeerId(1)].told;
+        let report = told.displayed.expect("one");
+        assert_eq!((report.update, report.display_frames, told.refresh), (UpdateId(999), 2000, true));
+        assert!(mailbox.take().is_empty());
+    }
+
+    #[test]
+    fn a_lock_that_a_panic_has_poisoned_is_taken_over() {
+        let mailbox = Arc::new(Mailbox::default());
+        let poisoner = mailbox.clone();
+        let panicked = std::thread::spawn(move || poisoner.put(|_| panic!("while holding the lock"))).join();
+        assert!(panicked.is_err());
+        mailbox.gone(PeerId(1));
+        assert_eq!(mailbox.take().len(), 1);
+    }
+}

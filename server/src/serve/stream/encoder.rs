@@ -1,0 +1,166 @@
+//! The encoder's thread: one picture at a time, so that what leaves is always the newest.
+
+use super::outlet::Outlet;
+use super::traced::Row;
+use crate::encode::{EncodeError, Encoder, PATIENCE};
+use crate::pacing::quality::SentPicture;
+use crate::serve::encoding::{Coded, Encoding};
+use crate::update::Shaded;
+use shadecast_protocol::message::Refused;
+use shadecast_protocol::session::picture_stream;
+use shadecast_system::monotonic_now_ns;
+use shadecast_transport::PeerId;
+use std::any::Any;
+use std::io;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, SyncSender, TryRecvError, channel, sync_channel};
+use std::thread::JoinHandle;
+
+/// A picture to encode and send.
+pub(super) struct Job {
+    /// The update.
+    pub(super) shaded: Box<Shaded>,
+    /// The picture shall need no other.
+    pub(super) refresh: bool,
+    /// Its quantiser.
+    pub(super) qp: u8,
+}
+
+/// What became of a picture.
+pub(super) enum Outcome {
+    /// It was handed to the transport.
+    Sent {
+        /// The update.
+        shaded: Box<Shaded>,
+        /// What it came to.
+        picture: SentPicture,
+        /// Bytes of its access unit.
+        unit_bytes: usize,
+    },
+    /// The encoder is of no further use: why.
+    Failed(String),
+}
+
+/// An encoder on a thread of its own. Dropping it waits for the picture that is being encoded.
+pub(super) struct EncoderThread {
+    /// `None` while dropping.
+    jobs: Option<SyncSender<Job>>,
+    outcomes: Receiver<Outcome>,
+    is_busy: bool,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl EncoderThread {
+    pub(super) fn start(
+        encoder: Box<dyn Encoder>,
+        outlet: Arc<dyn Outlet>,
+        peer: PeerId,
+        row: Row,
+    ) -> io::Result<Self> {
+        let (jobs, jobs_from) = sync_channel(1);
+        let (outcomes_to, outcomes) = channel();
+        let thread = std::thread::Builder::new().name("encoder".into()).spawn(move || {
+            let to = Recipient { outlet: outlet.as_ref(), peer, row };
+            run(Encoding::new(encoder), &to, &jobs_from, &outcomes_to);
+        })?;
+        Ok(Self { jobs: Some(jobs), outcomes, is_busy: false, thread: Some(thread) })
+    }
+
+    /// Whether a picture is being encoded.
+    pub(super) fn is_busy(&self) -> bool {
+        self.is_busy
+    }
+
+    /// Hands over a picture. A thread that has ended tells with [`Self::poll`].
+    pub(super) fn give(&mut self, job: Job) {
+        self.is_busy = true;
+        if let Some(jobs) = &self.jobs {
+            // There is room: nothing is given while the thread is busy. Where it has ended, its outcome says so.
+            let _ = jobs.try_send(job);
+        }
+    }
+
+    /// What became of the picture that was handed over, once that is known.
+    pub(super) fn poll(&mut self) -> Option<Outcome> {
+        if !self.is_busy {
+            return None;
+        }
+        let outcome = match self.outcomes.try_recv() {
+            Ok(outcome) => outcome,
+            Err(TryRecvError::Empty) => return None,
+            Err(TryRecvError::Disconnected) => Outcome::Failed("the encoder's thread has ended".into()),
+        };
+        self.is_busy = false;
+        Some(outcome)
+    }
+}
+
+impl Drop for EncoderThread {
+    fn drop(&mut self) {
+        self.jobs = None;
+        if let Some(thread) = self.thread.take() {
+            // Panics were caught in the thread and told as outcomes.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Who gets the pictures, and where it is told how long they took.
+struct Recipient<'a> {
+    outlet: &'a dyn Outlet,
+    peer: PeerId,
+    row: Row,
+}
+
+/// Ends when the pipeline lets go, or with the first picture that fails.
+fn run(mut encoding: Encoding, to: &Recipient<'_>, jobs: &Receiver<Job>, outcomes: &Sender<Outcome>) {
+    while let Ok(job) = jobs.recv() {
+        // What a panic leaves behind in the encoder is not used again.
+        let worked = AssertUnwindSafe(|| encode(&mut encoding, to, job));
+        let outcome = catch_unwind(worked).unwrap_or_else(|panic| Outcome::Failed(words_of(panic.as_ref())));
+        let has_failed = matches!(outcome, Outcome::Failed(_));
+        if outcomes.send(outcome).is_err() || has_failed {
+            return;
+        }
+    }
+}
+
+fn encode(encoding: &mut Encoding, to: &Recipient<'_>, job: Job) -> Outcome {
+    let (began_ns, update) = (monotonic_now_ns(), job.shaded.update);
+    if let Err(error) = encoding.submit(job.shaded, job.refresh, job.qp) {
+        return Outcome::Failed(error.to_string());
+    }
+    let Coded { shaded, header, unit } = match encoding.poll(PATIENCE).unwrap_or(Err(EncodeError::Stalled)) {
+        Ok(coded) => coded,
+        Err(error) => return Outcome::Failed(error.to_string()),
+    };
+    let (encode_s, is_refresh) = ((monotonic_now_ns() - began_ns) as f64 * 1e-9, header.is_refresh);
+    to.row.ended("encode", began_ns, Some(update));
+    let out = match picture_stream(header, &unit.bytes) {
+        Ok(out) => out,
+        Err(error) => {
+            return Outcome::Failed(format!(
+                "{error}; a coarser quantisation (--qp, --bitrate) makes it smaller"
+            ));
+        }
+    };
+    let picture = SentPicture { stream_bytes: out.bytes(), is_refresh, encode_s };
+    let unit_bytes = unit.bytes.len();
+    match to.outlet.send(to.peer, out) {
+        Ok(()) => Outcome::Sent { shaded, picture, unit_bytes },
+        Err(error) => Outcome::Failed(format!("a picture could not be sent: {error}")),
+    }
+}
+
+/// Why the session ends of a client whose part of the program has panicked.
+pub(super) fn refused_by(panic: &(dyn Any + Send)) -> Refused {
+    Refused::new(&words_of(panic), "connect again; if it stays so, report it with the server's log")
+}
+
+/// What a panic said.
+fn words_of(panic: &(dyn Any + Send)) -> String {
+    let words = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
+    let words = words.or_else(|| panic.downcast_ref::<String>().cloned());
+    format!("a fault of the program: {}", words.as_deref().unwrap_or("no words"))
+}

@@ -1,0 +1,226 @@
+//! A client that is served, from its acceptance on: what it tells, when its next update is made, what leaves with it. Without
+//! I/O, threads and clocks: the server's threads and the lab drive the same.
+
+use crate::motion::delta::UpdateDelta;
+use crate::motion::sender::SharedMotion;
+use crate::pacing::density::Spare;
+use crate::pacing::gate::{AFTER_ALL, Budget, Kind, Shortfall, UpdateGate, WayState};
+use crate::pacing::quality::{Quality, QualityOptions, SentPicture};
+use crate::support::lock::lock;
+use crate::update::Shaded;
+use shadecast_protocol::delta::{DeltaSizes, EncodedDelta};
+use shadecast_protocol::ids::UpdateId;
+use shadecast_protocol::message::{Displayed, HeadState};
+use shadecast_protocol::session::{DeltaSender, Out, ServerEvent};
+use shadecast_protocol::world_clock::Steering;
+
+/// What makes a viewer's updates.
+pub trait Updates {
+    /// The client's head.
+    fn head(&mut self, state: HeadState);
+    /// What the client shows.
+    fn displayed(&mut self, report: &Displayed);
+    /// Updates pause, or go on after a pause.
+    fn interrupted(&mut self);
+    /// What the next update may take on the wire.
+    fn set_budget(&mut self, budget: Budget);
+    /// Whether bits and time are left over by what it makes.
+    fn set_spare(&mut self, spare: Spare);
+    /// The bytes of an update's delta, in the order of updates.
+    fn encode(&mut self, delta: &UpdateDelta) -> EncodedDelta;
+    /// What the client is sent of motion between updates, where it is sent any.
+    fn motion(&self) -> Option<SharedMotion>;
+    /// An update is not needed any more.
+    fn recycle(&mut self, shaded: Shaded);
+}
+
+/// What a client has told since it was asked last: the newest of each kind.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Told {
+    /// Its head.
+    pub pose: Option<HeadState>,
+    /// What is on display.
+    pub displayed: Option<Displayed>,
+    /// A picture that needs no other is wanted.
+    pub refresh: bool,
+    /// Whether somebody looks, where that was told.
+    pub watching: Option<bool>,
+    /// That the world stands, or goes on: for whoever has the world.
+    pub steering: Option<Steering>,
+}
+
+impl Told {
+    /// Takes in what a served client's session says; gives back what is no viewer's affair.
+    pub fn take(&mut self, event: ServerEvent) -> Option<ServerEvent> {
+        match event {
+            ServerEvent::Pose(pose) => self.pose = Some(pose),
+            ServerEvent::Displayed(report) => {
+                let earlier = self.displayed.take();
+                self.displayed = Some(earlier.map_or(report, |earlier| earlier.merged(report)));
+            }
+            ServerEvent::RefreshRequest { .. } => self.refresh = true,
+            ServerEvent::Watching(is_watched) => self.watching = Some(is_watched),
+            ServerEvent::Steer(later) => {
+                self.steering = Some(self.steering.unwrap_or_default().then(later));
+            }
+            other => return Some(other),
+        }
+        None
+    }
+}
+
+/// An update whose delta leaves; its picture follows when it is encoded.
+#[derive(Debug)]
+pub struct Update {
+    /// What is to be encoded.
+    pub shaded: Box<Shaded>,
+    /// Where the bytes of its delta went.
+    pub sizes: DeltaSizes,
+    /// Its picture must need no other.
+    pub refresh: bool,
+    /// Quantiser of its picture.
+    pub qp: u8,
+}
+
+/// See the module. `U` makes its updates.
+pub struct Viewer<U> {
+    updates: U,
+    sender: DeltaSender,
+    gate: UpdateGate,
+    quality: Quality,
+    refresh: bool,
+    /// False while nobody looks: nothing is shaded then.
+    is_watched: bool,
+    period_ns: i64,
+    due_ns: i64,
+    motion: Option<SharedMotion>,
+    last: UpdateId,
+}
+
+impl<U: Updates> Viewer<U> {
+    /// A client that has just been accepted and wants an update in each `period_ns`.
+    pub fn new(
+        updates: U,
+        sender: DeltaSender,
+        quality: QualityOptions,
+        period_ns: i64,
+        now_ns: i64,
+    ) -> Self {
+        Self {
+            motion: updates.motion(),
+            last: UpdateId(0),
+            updates,
+            sender,
+            gate: UpdateGate::new(period_ns),
+            quality: Quality::new(quality, period_ns),
+            refresh: false,
+            is_watched: true,
+            period_ns,
+            due_ns: now_ns,
+        }
+    }
+
+    /// What makes its updates.
+    pub fn updates(&self) -> &U {
+        &self.updates
+    }
+
+    /// The same, to go on with what was begun.
+    pub fn updates_mut(&mut self) -> &mut U {
+        &mut self.updates
+    }
+
+    /// Ends it; what made its updates is given back.
+    pub fn into_updates(self) -> U {
+        self.updates
+    }
+
+    /// What its client has told.
+    pub fn hear(&mut self, told: Told, now_ns: i64) {
+        told.pose.into_iter().for_each(|pose| self.updates.head(pose));
+        told.displayed.iter().for_each(|report| self.updates.displayed(report));
+        self.refresh |= told.refresh;
+        told.watching.into_iter().for_each(|is_watched| self.watch(is_watched, now_ns));
+    }
+
+    /// Nothing is shaded for nobody; when somebody looks again, updates begin at once, with a picture that needs no other.
+    fn watch(&mut self, is_watched: bool, now_ns: i64) {
+        if std::mem::replace(&mut self.is_watched, is_watched) != is_watched {
+            self.updates.interrupted();
+            self.refresh |= is_watched;
+            self.due_ns = now_ns;
+        }
+    }
+
+    /// The next picture must need no other: its encoder is a new one.
+    pub fn refresh(&mut self) {
+        self.refresh = true;
+    }
+
+    /// What it is sent of motion between updates.
+    pub fn motion(&self) -> Option<&SharedMotion> {
+        self.motion.as_ref()
+    }
+
+    /// When its next update is due, nanoseconds; `None` while nobody looks.
+    pub fn due_ns(&self) -> Option<i64> {
+        self.is_watched.then_some(self.due_ns)
+    }
+
+    /// Whether the way to the client takes another update now, as far as anything is known of it.
+    pub fn is_open(&mut self, way: Option<&WayState>, now_ns: i64) -> bool {
+        let untold = self.motion.as_ref().map_or(Vec::new(), |motion| lock(motion).take_untold());
+        for (bytes, is_urgent) in untold {
+            let update = if is_urgent { self.last } else { AFTER_ALL };
+            self.sent(update, Kind::Motion, bytes, now_ns);
+        }
+        way.is_none_or(|way| self.gate.may_update(way, now_ns))
+    }
+
+    /// What to tell the person of a slow link, now and then.
+    pub fn shortfall(&mut self, now_ns: i64) -> Option<Shortfall> {
+        self.gate.shortfall(now_ns)
+    }
+
+    /// An update is to be made now, by what is given back. Over a way of which nothing is known it may take what it wants.
+    pub fn begin(&mut self, way: Option<&WayState>, now_ns: i64) -> &mut U {
+        // A late update does not make the next ones hurry.
+        self.due_ns = (self.due_ns + self.period_ns).max(now_ns - self.period_ns);
+        self.quality.note_link(way.and_then(|_| self.gate.rate_bytes_s(now_ns)));
+        self.updates.set_budget(way.map_or(Budget::UNLIMITED, |_| self.gate.budget(now_ns)));
+        self.updates.set_spare(self.quality.spare());
+        &mut self.updates
+    }
+
+    /// The update took the device so long, seconds; times as many as share the device.
+    pub fn note_update(&mut self, took_s: f64) {
+        self.quality.note_update(took_s);
+    }
+
+    /// The update was shaded: the stream of its delta, and what is still to be done.
+    pub fn finish(&mut self, shaded: Shaded) -> (Out, Update) {
+        let encoded = self.updates.encode(&shaded.delta);
+        let delta = self.sender.stream(&encoded);
+        self.last = shaded.update;
+        let refresh = std::mem::take(&mut self.refresh);
+        let qp = if refresh { self.quality.refresh_qp() } else { self.quality.qp() };
+        (delta, Update { shaded: Box::new(shaded), sizes: encoded.sizes, refresh, qp })
+    }
+
+    /// An update is not needed any more: its memory is used for those that come.
+    pub fn recycle(&mut self, shaded: Shaded) {
+        self.updates.recycle(shaded);
+    }
+
+    /// A stream of an update was handed to the transport, other than its picture.
+    pub fn sent(&mut self, update: UpdateId, kind: Kind, bytes: usize, now_ns: i64) {
+        self.quality.note_other(bytes, now_ns);
+        self.gate.sent(update, kind, bytes, now_ns);
+    }
+
+    /// The stream of an update's picture was handed to the transport.
+    pub fn sent_picture(&mut self, update: UpdateId, picture: SentPicture, now_ns: i64) {
+        self.quality.note_picture(picture, now_ns);
+        self.gate.sent(update, Kind::Picture, picture.stream_bytes, now_ns);
+    }
+}

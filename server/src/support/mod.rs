@@ -1,0 +1,7 @@
+//! Collections and helpers that know nothing of the product.
+
+pub mod bit_set;
+pub mod lock;
+pub mod merged;
+pub(crate) mod pool;
+pub mod upload;

@@ -1,0 +1,16 @@
+//! Where an update looks from, and what it sees.
+//!
+//! Head poses and instances enter; predicted views, needed instances, levels of detail and seen patches leave. Nothing here
+//! knows blocks, the client's memory or colours.
+
+pub mod predict;
+pub mod view_plan;
+pub mod frusta;
+pub mod culling;
+pub mod clusters;
+pub mod sweep;
+pub mod holding;
+pub mod nearness;
+pub mod detail;
+pub mod lod_set;
+pub mod passes;

@@ -1,0 +1,96 @@
+//! Level selection's first half: the visible patches, each with its largest projected extent. What the CPU reads of them grows with
+//! what is visible, not with what is looked at.
+
+use crate::scene::SceneGpu;
+use crate::skinning::gpu::Animation;
+use crate::time::RingPlace;
+use crate::time::VIEW_TIMES;
+use crate::visibility::lod_set::Looks;
+use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
+use shadecast_protocol::limits::MAX_VIEWS;
+use shadecast_shaders::generated::{LEVEL_SELECTION_COMP, LevelSelectionPush, SeenGpu};
+use std::sync::Arc;
+
+/// The stage with its output.
+pub struct LevelSelection {
+    pipeline: ComputePipeline,
+    group: BindGroup,
+    /// What is visible, in any order, for the CPU, and how many there are.
+    seen: Buffer,
+    count: Buffer,
+}
+
+impl LevelSelection {
+    /// `views` is the uniform buffer of all predicted views, `visible` the marks.
+    pub fn new(
+        gpu: &Arc<Gpu>,
+        scene: &SceneGpu,
+        animation: &Animation,
+        views: &Buffer,
+        visible: &Buffer,
+    ) -> Result<Self, GpuError> {
+        let pipeline = ComputePipeline::new(gpu, &LEVEL_SELECTION_COMP)?;
+        let bytes = u64::from(scene.numbering.totals.looked_at) * size_of::<SeenGpu>() as u64;
+        let seen = Buffer::new(gpu, "what is visible", bytes, Memory::Readback)?;
+        let count = Buffer::new(gpu, "how much is visible", size_of::<u32>() as u64, Memory::Readback)?;
+        let [saved_vertices, boxes] = animation.position_binds();
+        let group = BindGroup::new(
+            pipeline.layout(),
+            &[
+                saved_vertices,
+                boxes,
+                ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
+                ("Views", Bind::Buffer(views)),
+                ("Patches", Bind::Buffer(&scene.meshes.patches)),
+                ("Materials", Bind::Buffer(&scene.materials.buffer)),
+                ("Visible", Bind::Buffer(visible)),
+                ("Seen", Bind::Buffer(&seen)),
+                ("SeenCount", Bind::Buffer(&count)),
+            ],
+        )?;
+        Ok(Self { pipeline, group, seen, count })
+    }
+
+    /// Nothing is visible: before [`Self::record`], with a barrier from the copy between them.
+    pub fn record_start(&self, recorder: &mut Recorder) {
+        recorder.fill(&self.count, 0);
+    }
+
+    /// What was visible, ascending by entry, into `seen`. What was recorded is done.
+    pub fn read(&self, seen: &mut Vec<SeenGpu>) {
+        let count = self.count.values::<u32>()[0] as usize;
+        seen.clear();
+        seen.extend_from_slice(&self.seen.values()[..count]);
+        seen.sort_unstable_by_key(|patch| patch.entry); // each is there once
+    }
+
+    /// Measures the visible patches of what is looked at, with geometry as it is at the place of each view time.
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        scene: &SceneGpu,
+        animation: &Animation,
+        looks: &Looks,
+        places: [RingPlace; VIEW_TIMES],
+    ) {
+        for look in looks.all() {
+            let instance = &scene.numbering.instances[look.instance];
+            let model = &scene.models[instance.model];
+            let patch_count = look.patches.count;
+            let bases = places.map(|place| animation.position_base(look.instance, place));
+            // What is not there at a time is not seen then; what is never there is only told so.
+            let any = bases.iter().flatten().next().copied().unwrap_or_default();
+            let push = LevelSelectionPush {
+                vertex_base: model.vertex_base,
+                patch_base: model.levels[look.level].patch_base,
+                first_entry: look.first_entry,
+                patch_count,
+                view_count: MAX_VIEWS,
+                position_base: bases.map(|base| base.unwrap_or(any)),
+                material_base: model.material_base,
+                instance: look.instance as u32,
+            };
+            recorder.dispatch(&self.pipeline, &self.group, &push, [patch_count, 1, 1]);
+        }
+    }
+}

@@ -1,0 +1,435 @@
+//! Where the headset will look from while an update is on display. Pure: state, measurements and time in, views out.
+
+use crate::time::VIEW_TIMES;
+use crate::time::view_time::ViewTime;
+use crate::visibility::frusta::{self, MIN_MARGIN};
+use glam::{Quat, Vec3};
+use shadecast_protocol::ids::DiscontinuityId;
+use shadecast_protocol::message::HeadState;
+use shadecast_protocol::pose::{Eye, Fov, Pose};
+use shadecast_protocol::time::{Grid, ServerTime, WorldTime};
+use shadecast_protocol::world_clock::WorldClock;
+use std::collections::VecDeque;
+
+/// Start values until displays are reported: from an update's start to its first and last moment on display.
+const START_FIRST_NS: i64 = 50_000_000;
+const START_LAST_NS: i64 = 100_000_000;
+/// Reports remembered for the horizon.
+const REPORTS: usize = 64;
+/// The field of view is widened by at most this on each side, radians (20 degrees).
+const MAX_MARGIN: f32 = 0.35;
+/// Velocities beyond these are tracking errors, not heads.
+const MAX_SPEED_M_S: f32 = 10.0;
+const MAX_TURN_RAD_S: f32 = 20.0;
+/// A head that differs by no more than this from where it was, and is no faster, stands still: what is in view must not change
+/// with the last digits of its pose.
+const STILL_M: f32 = 5e-5;
+const STILL_RAD: f32 = 5e-5;
+const STILL_M_S: f32 = 2e-3;
+const STILL_RAD_S: f32 = 2e-3;
+/// Never predict farther than this, whatever the path looks like.
+const MAX_HORIZON_NS: i64 = 400_000_000;
+
+/// One predicted eye.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View {
+    /// Takes eye coordinates to the world's.
+    pub world_from_eye: Pose,
+    /// Widened by the margin.
+    pub fov: Fov,
+}
+
+/// What an update is made for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PredictedViews {
+    /// The world's time when the update is begun.
+    pub begun: WorldTime,
+    /// Of the world, spread over the interval in which the update will be on display: points of the time grid, and its middle; may
+    /// repeat, and do while the world stands.
+    pub times: [ViewTime; VIEW_TIMES],
+    /// Left and right eye at each time.
+    pub eyes: [[View; 2]; VIEW_TIMES],
+    /// The head in the middle of the interval; shading looks from there.
+    pub world_from_head: Pose,
+    /// What was added to each side of the field of view, radians.
+    pub margin: f32,
+}
+
+/// The head as reported, and how well past predictions came true.
+#[derive(Clone, Debug, Default)]
+pub struct HeadTrack {
+    latest: Option<HeadState>,
+    /// What was predicted, to be compared when the time has come.
+    promised: VecDeque<(ServerTime, Pose)>,
+    /// Recent prediction errors in radians of the view direction, newest last.
+    errors: VecDeque<f32>,
+    first_delays: VecDeque<i64>,
+    last_delays: VecDeque<i64>,
+    on_display: Option<(ServerTime, ServerTime)>,
+    /// From one display frame of the client to the next, nanoseconds.
+    display_period_ns: i64,
+}
+
+impl HeadTrack {
+    /// Of a client whose display shows a frame in each `display_period_ns`.
+    pub fn new(display_period_ns: i64) -> Self {
+        Self { display_period_ns, ..Self::default() }
+    }
+
+    /// A newer head state; older ones, which datagrams may bring late, are ignored.
+    pub fn head(&mut self, state: HeadState) {
+        if let Some(latest) = &self.latest {
+            if (state.sequence.wrapping_sub(latest.sequence) as i32) <= 0 {
+                return;
+            }
+            if state.discontinuity != latest.discontinuity {
+                self.promised.clear();
+            }
+        }
+        while self.promised.front().is_some_and(|(time, _)| *time <= state.time) {
+            if let Some((time, pose)) = self.promised.pop_front() {
+                let error = view_error(pose, extrapolate(&state, time));
+                push_bounded(&mut self.errors, error);
+            }
+        }
+        self.latest =
+            Some(self.latest.filter(|latest| stands_still(latest, &state)).map_or(state, |latest| {
+                let (linear_velocity, angular_velocity) = (Vec3::ZERO, Vec3::ZERO);
+                HeadState {
+                    sequence: state.sequence,
+                    time: state.time,
+                    linear_velocity,
+                    angular_velocity,
+                    ..latest
+                }
+            }));
+    }
+
+    /// An update made at `update` was first on display at `displayed`, both on the server's clock.
+    pub fn displayed(&mut self, update: ServerTime, displayed: ServerTime) {
+        if let Some((previous, _)) = self.on_display {
+            // What was on display until now stayed until this moment.
+            push_bounded(&mut self.last_delays, displayed.since(previous));
+        }
+        push_bounded(&mut self.first_delays, displayed.since(update));
+        self.on_display = Some((update, displayed));
+    }
+
+    /// Updates pause, or go on after a pause: what was promised, and how long the last update stays, count no more.
+    pub fn interrupted(&mut self) {
+        self.promised.clear();
+        self.on_display = None;
+    }
+
+    /// Whether a head has been reported at all.
+    pub fn is_known(&self) -> bool {
+        self.latest.is_some()
+    }
+
+    /// The latest jump of the head.
+    pub fn discontinuity(&self) -> Option<DiscontinuityId> {
+        self.latest.as_ref().map(|state| state.discontinuity)
+    }
+
+    /// From an update's start to its first and last moment on display, by what was reported: the 10th percentile of
+    /// the first, the 95th of the last.
+    pub fn delays_ns(&self) -> [i64; 2] {
+        let first = percentile(&self.first_delays, 0.10).unwrap_or(START_FIRST_NS);
+        let last = percentile(&self.last_delays, 0.95).unwrap_or(START_LAST_NS);
+        let first = first.clamp(0, MAX_HORIZON_NS);
+        [first, last.clamp(first, MAX_HORIZON_NS)]
+    }
+
+    /// From an update's start to the middle of its time on display, as it usually is. The last of its frames is shown a display
+    /// period before the first of the next update.
+    fn middle_delay_ns(&self) -> i64 {
+        let [first_ns, last_ns] = self.delays_ns();
+        let first_ns = percentile(&self.first_delays, 0.5).unwrap_or(first_ns);
+        let next_ns = percentile(&self.last_delays, 0.5).unwrap_or(last_ns);
+        ((first_ns + next_ns - self.display_period_ns) / 2).clamp(0, MAX_HORIZON_NS)
+    }
+
+    /// The views for an update that starts at `now` in a world of this clock, by so much wider than usual; `None` before the first
+    /// head state.
+    pub fn predict(
+        &mut self,
+        now: ServerTime,
+        clock: &WorldClock,
+        grid: Grid,
+        wider: f32,
+    ) -> Option<PredictedViews> {
+        let state = self.latest?;
+        let [first_ns, last_ns] = self.delays_ns();
+        let (first, last) = (now.plus_ns(first_ns), now.plus_ns(last_ns));
+        let middle = now.plus_ns(self.middle_delay_ns());
+        let margin = self.margin() + wider;
+        let shown = [first, middle, last];
+        let [world_first, world_middle, world_last] = shown.map(|at| clock.world_time(at));
+        let times = [
+            grid.floor(world_first).into(),
+            ViewTime::nearest(grid, world_middle),
+            grid.ceil(world_last).into(),
+        ];
+        let eyes = std::array::from_fn(|number| {
+            // The head goes on while the world stands.
+            let moved_ns = times[number].time(grid).since(clock.world_time(shown[number]));
+            let head = extrapolate(&state, shown[number].plus_ns(moved_ns));
+            state.eyes.map(|eye| view(head, eye, margin))
+        });
+        let world_from_head = extrapolate(&state, middle);
+        if self.promised.len() < REPORTS {
+            self.promised.push_back((middle, world_from_head));
+        }
+        Some(PredictedViews { begun: clock.world_time(now), times, eyes, world_from_head, margin })
+    }
+
+    /// The 95th percentile of recent prediction errors, within bounds.
+    fn margin(&self) -> f32 {
+        let mut errors = [0.0; REPORTS];
+        let errors = copied(&self.errors, &mut errors);
+        errors.sort_unstable_by(f32::total_cmp);
+        let error = errors.get(errors.len().saturating_sub(1) * 95 / 100).copied().unwrap_or(0.0);
+        (MIN_MARGIN + error).min(MAX_MARGIN)
+    }
+}
+
+/// Whether a head is where it was, with the eyes that it had, as far as anybody could see.
+fn stands_still(before: &HeadState, now: &HeadState) -> bool {
+    let is_there = |a: Pose, b: Pose| {
+        // The sine of half the angle: its cosine says nothing of so small ones.
+        let half = (a.orientation.inverse() * b.orientation).xyz().length();
+        a.position.distance(b.position) <= STILL_M && 2.0 * half <= STILL_RAD
+    };
+    let mut eyes = before.eyes.iter().zip(&now.eyes);
+    before.discontinuity == now.discontinuity
+        && now.linear_velocity.length() <= STILL_M_S
+        && now.angular_velocity.length() <= STILL_RAD_S
+        && is_there(before.world_from_head, now.world_from_head)
+        && eyes.all(|(a, b)| a.fov == b.fov && is_there(a.head_from_eye, b.head_from_eye))
+}
+
+fn push_bounded<T>(queue: &mut VecDeque<T>, value: T) {
+    if queue.len() == REPORTS {
+        queue.pop_front();
+    }
+    queue.push_back(value);
+}
+
+fn percentile(values: &VecDeque<i64>, share: f64) -> Option<i64> {
+    let mut sorted = [0; REPORTS];
+    let sorted = copied(values, &mut sorted);
+    sorted.sort_unstable();
+    let last = sorted.len().checked_sub(1)?;
+    sorted.get((last as f64 * share).round() as usize).copied()
+}
+
+/// What a queue of at most [`REPORTS`] holds, in memory that is at hand.
+fn copied<'a, T: Copy>(queue: &VecDeque<T>, memory: &'a mut [T; REPORTS]) -> &'a mut [T] {
+    let count = memory.iter_mut().zip(queue).map(|(place, value)| *place = *value).count();
+    &mut memory[..count]
+}
+
+fn view(world_from_head: Pose, eye: Eye, margin: f32) -> View {
+    View { world_from_eye: world_from_head.then(eye.head_from_eye), fov: frusta::widened(eye.fov, margin) }
+}
+
+/// The head at `time`, by constant linear and angular velocity.
+pub fn extrapolate(state: &HeadState, time: ServerTime) -> Pose {
+    let seconds = time.since(state.time).clamp(-MAX_HORIZON_NS, MAX_HORIZON_NS) as f32 * 1e-9;
+    let turn = state.angular_velocity.clamp_length_max(MAX_TURN_RAD_S) * seconds;
+    let step: Vec3 = state.linear_velocity.clamp_length_max(MAX_SPEED_M_S) * seconds;
+    let pose = state.world_from_head;
+    Pose {
+        position: pose.position + step,
+        orientation: (Quat::from_scaled_axis(turn) * pose.orientation).normalize(),
+    }
+}
+
+/// Angle between two view directions plus what a shift means for something 2 m away, radians.
+fn view_error(a: Pose, b: Pose) -> f32 {
+    a.orientation.angle_between(b.orientation) + a.position.distance(b.position) / 2.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shadecast_protocol::time::DEFAULT_GRID;
+    use shadecast_protocol::world_clock::Steer;
+
+    fn state(sequence: u32, seconds: f64, x: f32, turn_rad_s: f32) -> HeadState {
+        let eye = |x| Eye {
+            head_from_eye: Pose { position: Vec3::new(x, 0.0, 0.0), orientation: Quat::IDENTITY },
+            fov: Fov::symmetric_degrees(90.0),
+        };
+        HeadState {
+            sequence,
+            time: ServerTime((seconds * 1e9) as i64),
+            world_from_head: Pose {
+                position: Vec3::new(x, 1.6, 0.0),
+                orientation: Quat::from_rotation_y(turn_rad_s * seconds as f32),
+            },
+            linear_velocity: Vec3::new(1.0, 0.0, 0.0),
+            angular_velocity: Vec3::new(0.0, turn_rad_s, 0.0),
+            eyes: [eye(-0.0315), eye(0.0315)],
+            discontinuity: DiscontinuityId(0),
+        }
+    }
+
+    #[test]
+    fn a_steady_head_is_predicted_where_it_will_be() {
+        let pose = extrapolate(&state(0, 1.0, 5.0, 0.8), ServerTime(1_100_000_000));
+        assert!((pose.position.x - 5.1).abs() < 1e-5);
+        assert!(pose.orientation.angle_between(Quat::from_rotation_y(0.88)) < 1e-3);
+    }
+
+    #[test]
+    fn view_times_cover_the_time_on_display() {
+        let mut track = HeadTrack::default();
+        track.head(state(0, 1.0, 0.0, 0.0));
+        for update in 0..20 {
+            let start = ServerTime(update * 33_000_000);
+            track.displayed(start, start.plus_ns(70_000_000));
+        }
+        let now = ServerTime(1_000_000_000);
+        let views = track.predict(now, &WorldClock::default(), DEFAULT_GRID, 0.0).unwrap();
+        let [first, last] = track.delays_ns();
+        assert_eq!((first, last), (70_000_000, 103_000_000), "on display until the next one comes");
+        assert!(views.times[0].time(DEFAULT_GRID) <= WorldTime(now.0 + first));
+        assert!(views.times[2].time(DEFAULT_GRID) >= WorldTime(now.0 + last));
+    }
+
+    #[test]
+    fn in_a_world_that_stands_the_head_goes_on() {
+        let mut track = HeadTrack::default();
+        track.head(state(0, 1.0, 0.0, 0.8));
+        let mut clock = WorldClock::default();
+        clock.steer(Steer::Halt, ServerTime(1_000_000_000));
+        let now = ServerTime(1_200_000_000);
+        let [goes, stands] = [WorldClock::default(), clock]
+            .map(|clock| track.predict(now, &clock, DEFAULT_GRID, 0.0).expect("known"));
+        let times = stands.times.map(|at| at.time(DEFAULT_GRID).0);
+        assert!(times.iter().all(|at| (at - 1_000_000_000).abs() <= DEFAULT_GRID.spacing_ns), "{times:?}");
+        assert_eq!(stands.world_from_head, goes.world_from_head);
+        assert_eq!((stands.begun.0, goes.begun.0), (1_000_000_000, now.0));
+        for (stands, goes) in stands.eyes.iter().flatten().zip(goes.eyes.iter().flatten()) {
+            let turned = stands.world_from_eye.orientation.angle_between(goes.world_from_eye.orientation);
+            assert!(turned <= 0.8 * 0.04, "{turned} rad: no more than a grid step's");
+        }
+    }
+
+    #[test]
+    fn shading_is_for_the_middle_of_the_frames_that_show_it() {
+        const FRAME_NS: i64 = 13_888_889;
+        let mut track = HeadTrack::new(FRAME_NS);
+        track.head(state(0, 1.0, 0.0, 0.0));
+        // On display for three frames each, at 41.7, 55.6 and 69.4 ms after its start.
+        for update in 0..20 {
+            let start = ServerTime(update * 3 * FRAME_NS);
+            track.displayed(start, start.plus_ns(3 * FRAME_NS));
+        }
+        for phase in 0..8 {
+            let now = ServerTime(1_000_000_000 + phase * 5_000_000);
+            let views = track.predict(now, &WorldClock::default(), DEFAULT_GRID, 0.0).unwrap();
+            let apart_ns = (views.times[1].time(DEFAULT_GRID).0 - now.plus_ns(4 * FRAME_NS).0).abs();
+            assert!(apart_ns <= DEFAULT_GRID.spacing_ns / 8 + 2, "{apart_ns} ns");
+        }
+    }
+
+    #[test]
+    fn a_head_that_stands_still_is_predicted_at_one_place_and_one_that_goes_slowly_is_not() {
+        let of = |sequence: u32, x: f32, turn: f32| HeadState {
+            linear_velocity: Vec3::new(1e-4, 0.0, 0.0),
+            angular_velocity: Vec3::new(0.0, 1e-4, 0.0),
+            world_from_head: Pose {
+                position: Vec3::new(x, 1.6, 0.0),
+                orientation: Quat::from_rotation_y(0.7 + turn),
+            },
+            ..state(sequence, 1.0 + f64::from(sequence) * 0.01, x, 0.0)
+        };
+        let mut track = HeadTrack::default();
+        let mut views = |state: HeadState| {
+            let now = state.time;
+            track.head(state);
+            track
+                .predict(now, &WorldClock::default(), DEFAULT_GRID, 0.0)
+                .expect("it is known")
+                .eyes
+                .map(|pair| pair.map(|eye| eye.world_from_eye))
+        };
+        views(of(0, 0.0, 0.0));
+        let still = views(of(1, 0.0, 0.0));
+        for (number, noise) in (2..).zip([1e-6, -1e-6, 2e-5, -2e-5]) {
+            assert_eq!(views(of(number, noise, noise)), still, "{noise}");
+        }
+        assert_ne!(views(of(6, 2e-4, 0.0)), still, "it is somewhere else");
+        let there = views(of(7, 2e-4, 0.0));
+        assert_ne!(views(of(8, 2e-4, 1e-3)), there, "it has turned");
+        let mut x = 0.0;
+        for number in 9..400 {
+            x += 2e-5;
+            let [[left, _], ..] = views(of(number, x, 0.0));
+            assert!((left.position.x - views_x(x)).abs() < 1e-4, "{number}");
+        }
+    }
+
+    /// Where the left eye of a head at `x` is that has turned by 0.7.
+    fn views_x(x: f32) -> f32 {
+        x + (Quat::from_rotation_y(0.7) * Vec3::new(-0.0315, 0.0, 0.0)).x
+    }
+
+    #[test]
+    fn states_out_of_order_are_ignored_and_a_jump_forgets_what_was_promised() {
+        let mut track = HeadTrack::default();
+        track.head(state(5, 1.0, 1.0, 0.0));
+        track.head(state(4, 0.9, 0.0, 0.0));
+        assert_eq!(track.latest.unwrap().sequence, 5);
+        track.predict(ServerTime(1_000_000_000), &WorldClock::default(), DEFAULT_GRID, 0.0);
+        let jumped = HeadState { discontinuity: DiscontinuityId(1), ..state(6, 2.0, 50.0, 0.0) };
+        track.head(jumped);
+        assert!(track.errors.is_empty() && track.promised.is_empty());
+    }
+
+    #[test]
+    fn a_jump_is_no_error_of_the_prediction() {
+        let margin_after = |jump: DiscontinuityId| {
+            let mut track = HeadTrack::default();
+            track.head(state(0, 1.0, 0.0, 0.0));
+            track.predict(ServerTime(1_000_000_000), &WorldClock::default(), DEFAULT_GRID, 0.0);
+            track.head(HeadState { discontinuity: jump, ..state(1, 1.5, 50.0, 0.0) });
+            track.margin()
+        };
+        assert!(margin_after(DiscontinuityId(0)) > MIN_MARGIN);
+        assert_eq!(margin_after(DiscontinuityId(1)), MIN_MARGIN);
+    }
+
+    #[test]
+    fn a_pause_does_not_count_as_time_on_display() {
+        let mut track = HeadTrack::default();
+        let shown = |track: &mut HeadTrack, update_ms: i64| {
+            let start = ServerTime(update_ms * 1_000_000);
+            track.displayed(start, start.plus_ns(70_000_000));
+        };
+        (0..5).for_each(|update| shown(&mut track, update * 33));
+        track.interrupted();
+        (0..5).for_each(|update| shown(&mut track, 20_000 + update * 33));
+        assert_eq!(track.delays_ns(), [70_000_000, 103_000_000]);
+    }
+
+    #[test]
+    fn the_margin_grows_with_the_error_and_stays_bounded() {
+        let mut track = HeadTrack::default();
+        let steady = track.margin();
+        for i in 0..40 {
+            let turn = if i % 2 == 0 { 3.0 } else { -3.0 };
+            track.head(state(i, 1.0 + f64::from(i) * 0.1, 0.0, turn));
+            track.predict(
+                ServerTime(1_000_000_000 + i64::from(i) * 100_000_000),
+                &WorldClock::default(),
+                DEFAULT_GRID,
+                0.0,
+            );
+        }
+        assert_eq!(steady, MIN_MARGIN);
+        assert!(track.margin() > steady && track.margin() <= MAX_MARGIN);
+    }
+}
