@@ -5,7 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// The crates that are shipped.
-const PRODUCT: [&str; 10] = [
+const PRODUCT: [&str; 11] = [
+    "shared/model/src",
     "shared/protocol/src",
     "shared/transport/src",
     "shared/desktop/src",
