@@ -65,7 +65,7 @@ export CFLAGS_aarch64_linux_android="${CFLAGS_aarch64_linux_android:--nostdlibin
 # A folder of its own: this compiler may be another release than the host's.
 export CARGO_TARGET_DIR="${CARGO_TARGET_DIR:-$ROOT/target/android}"
 
-cargo clippy --target $TARGET --locked -p shadecast-protocol -p shadecast-transport -p shadecast-android -- -D warnings
+cargo clippy --target $TARGET --locked -p shadecast-model -p shadecast-protocol -p shadecast-transport -p shadecast-android -- -D warnings
 for argument in "$@"; do
   case $argument in
     --link) link ;;

@@ -17,5 +17,5 @@ export CC_aarch64_unknown_linux_gnu=aarch64-linux-gnu-gcc
 # A folder of its own, as for the other systems.
 export CARGO_TARGET_DIR="${CARGO_TARGET_DIR:-$ROOT/target/arm64}"
 
-cargo test --release --locked --target $TARGET -p shadecast-protocol -p shadecast-shaders "$@"
+cargo test --release --locked --target $TARGET -p shadecast-model -p shadecast-protocol -p shadecast-shaders "$@"
 echo "arm64-test: ok"

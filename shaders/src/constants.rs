@@ -82,8 +82,6 @@ shared! {
     ID_BUFFER_VIEWS: u32 = MAX_VIEWS * (1 + MAX_FRUSTA);
     /// What an image of numbers holds for number 0. What is less, 0, is background.
     FIRST_ID: u32 = 1;
-    /// The first view's number in the self-test; the others' follow.
-    SELFTEST_NUMBER: u32 = 7;
 
     /// What the tag of a prediction counts its time in: the places of the longest ring, so that every ring has the
     /// prediction in the same place whatever its time.

@@ -2,7 +2,7 @@
 //! what is wrong, and where possible what to write instead.
 
 use crate::cancel::Cancelled;
-use shadecast_protocol::text::printable;
+use shadecast_model::text::printable;
 
 /// Why a scene or an asset cannot be used. The text is complete: print it as it is.
 #[derive(Debug, thiserror::Error)]

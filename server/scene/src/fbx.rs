@@ -28,7 +28,7 @@ use hierarchy::Hierarchy;
 use material::Materials;
 use morph::Morphs;
 use part::Part;
-use shadecast_protocol::text::printable;
+use shadecast_model::text::printable;
 use skin::Binding;
 use std::collections::HashSet;
 use std::path::Path;

@@ -28,7 +28,7 @@ use glam::{Affine3A, Mat4, Quat, Vec3};
 use material::Materials;
 use mesh::Part;
 use serde::Deserialize;
-use shadecast_protocol::text::printable;
+use shadecast_model::text::printable;
 use std::collections::HashMap;
 use std::ops::Range;
 use std::path::Path;

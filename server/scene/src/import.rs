@@ -4,7 +4,7 @@ use super::error::{Fault, SceneError, shown};
 use super::limits::read_limited;
 use super::references::Folder;
 use crate::{Cancel, Model};
-use shadecast_protocol::text::printable;
+use shadecast_model::text::printable;
 use std::collections::BTreeSet;
 use std::path::Path;
 

@@ -45,9 +45,9 @@ use bytemuck::{Pod, Zeroable};
 use glam::{Affine3A, Quat, Vec3};
 use patches::Patches;
 use serde::{Deserialize, Serialize};
-use shadecast_protocol::motion::playback;
-pub use shadecast_protocol::motion::playback::Repetition;
-use shadecast_protocol::pose::Pose;
+use shadecast_model::playback;
+pub use shadecast_model::playback::Repetition;
+use shadecast_model::pose::Pose;
 use timeline::Event;
 
 /// Everything that is rendered.
@@ -61,7 +61,7 @@ pub struct Scene {
     pub events: Vec<Event>,
     /// The light that casts shadows.
     pub sun: Sun,
-    /// Lights placed by the scene file, at most [`MAX_LIGHTS`](shadecast_protocol::limits::MAX_LIGHTS);
+    /// Lights placed by the scene file, at most [`MAX_LIGHTS`](shadecast_model::limits::MAX_LIGHTS);
     /// those of an asset are in its [`Model::lights`].
     pub lights: Vec<PlacedLight>,
     /// Background and ambient light.

@@ -12,7 +12,7 @@ pub use quality::PatchReport;
 use crate::{Cancel, Cancelled, Material, Model, Primitive, Vertex};
 use grouping::Grouping;
 use serde::{Deserialize, Serialize};
-use shadecast_protocol::atlas::PatchKind;
+use shadecast_model::patch::PatchKind;
 use std::borrow::Cow;
 
 /// One patch of a model.

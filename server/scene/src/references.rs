@@ -4,7 +4,7 @@
 //! (Scene files are the user's own and name models wherever they like; see [`mod@crate::file`].)
 
 use crate::limits;
-use shadecast_protocol::text::printable;
+use shadecast_model::text::printable;
 use std::borrow::Cow;
 use std::io;
 use std::path::{Component, Path, PathBuf};

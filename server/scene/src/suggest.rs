@@ -1,6 +1,6 @@
 //! "Did you mean": the known word nearest to a mistyped one.
 
-use shadecast_protocol::text::printable;
+use shadecast_model::text::printable;
 
 /// The candidate within a third of the word's length in edits (at least one), the nearest first; `None` if all
 /// are further away, since a wild guess helps nobody.

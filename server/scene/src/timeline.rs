@@ -4,8 +4,8 @@
 //! [`Schedule`], which alone knows what is to be seen at a time.
 
 use crate::{Instance, Repetition, Scene};
-use shadecast_protocol::motion::playback::{Playback, Schedule};
-use shadecast_protocol::time::WorldTime;
+use shadecast_model::playback::{Playback, Schedule};
+use shadecast_model::time::WorldTime;
 
 /// What a model's instance plays: an index into the model's clips, `None` for the rest pose.
 pub type ClipIndex = Option<usize>;

@@ -2,7 +2,7 @@
 
 use crate::suggest::did_you_mean_or_list;
 use crate::{Camera, HeadPath, Scene, SceneError};
-use shadecast_protocol::pose::{Fov, Pose};
+use shadecast_model::pose::{Fov, Pose};
 
 impl Scene {
     /// The camera of this name.

@@ -5,7 +5,7 @@ use crate::ycbcr::{YcbcrImage, YcbcrSampler};
 use crate::{Buffer, Doing, Gpu, GpuError, Image, Sampler};
 use ash::vk;
 use shadecast_protocol::limits::SCENE_TEXTURES;
-use shadecast_shaders::{Binding, BindingKind, Shader, Stage};
+use shadecast_spirv::{Binding, BindingKind, Shader, Stage};
 use std::sync::Arc;
 
 /// Descriptor set layout and pipeline layout of one or two shaders.

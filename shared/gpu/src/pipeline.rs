@@ -5,7 +5,7 @@ use crate::memory::Garbage;
 use crate::pass::RenderPass;
 use crate::{Doing, Gpu, GpuError};
 use ash::vk;
-use shadecast_shaders::Shader;
+use shadecast_spirv::Shader;
 use std::sync::Arc;
 
 /// A compute pipeline with its layout.

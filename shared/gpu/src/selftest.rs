@@ -5,14 +5,22 @@ use crate::{
     Buffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Image, ImageDesc, Memory, Recorder,
 };
 use ash::vk;
-use shadecast_shaders::constants::SELFTEST_NUMBER;
-use shadecast_shaders::generated::{SELFTEST_FRAG, SELFTEST_VERT};
+use generated::{SELFTEST_FRAG, SELFTEST_VERT, SelftestPush};
 use std::sync::Arc;
+
+/// `glsl/`, compiled by the build script.
+mod generated {
+    #![allow(clippy::unreadable_literal, unused_qualifications)]
+    include!(concat!(env!("OUT_DIR"), "/selftest.rs"));
+}
+
+/// The first view's number; the other's is the next.
+const FIRST_NUMBER: u32 = 7;
 
 /// Draws a number into each of two views and reads both back.
 pub(crate) fn multiview(gpu: &Arc<Gpu>) -> Result<(), GpuError> {
     let seen = draw_two_views(gpu)?;
-    let expected = [SELFTEST_NUMBER, SELFTEST_NUMBER + 1];
+    let expected = [FIRST_NUMBER, FIRST_NUMBER + 1];
     if seen == expected {
         return Ok(());
     }
@@ -52,6 +60,7 @@ fn draw_two_views(gpu: &Arc<Gpu>) -> Result<[u32; 2], GpuError> {
     let mut recorder: Recorder = gpu.record()?;
     recorder.begin_pass(&pass, &target, &[vk::ClearValue::default()]);
     recorder.bind_pipeline(&pipeline);
+    recorder.push_constants(&pipeline, &SelftestPush { first_number: FIRST_NUMBER });
     recorder.draw(3, 1);
     recorder.end_pass();
     recorder.barrier(crate::Access::COLOR_WRITE, crate::Access::COPY_READ);

@@ -1,11 +1,17 @@
 //! The device opens with validation, runs work, retires what is dropped, and says nothing to the layers.
 
+use generated::{ADD_COMP, AddPush};
 use shadecast_gpu::{
     Access, Bind, BindGroup, Buffer, ComputePipeline, DesktopDevice, Gpu, GpuOptions, Memory, Needs,
 };
-use shadecast_shaders::generated::{BENCH_FETCH_COMP, BenchFetchPush};
 use std::sync::Arc;
 use std::time::Duration;
+
+/// `glsl/` beside this file, compiled by the build script.
+mod generated {
+    #![allow(clippy::unreadable_literal, unused_qualifications)]
+    include!(concat!(env!("OUT_DIR"), "/tests.rs"));
+}
 
 fn open(needs: Needs) -> Arc<Gpu> {
     let options = GpuOptions { needs, validation: true, device_name: None };
@@ -139,17 +145,17 @@ fn an_unknown_device_name_is_an_error_that_lists_what_there_is() {
 #[test]
 fn a_dispatch_has_an_invocation_for_each_item_and_no_workgroup_more() {
     let gpu = open(Needs::Client);
-    let pipeline = ComputePipeline::new(&gpu, &BENCH_FETCH_COMP).unwrap();
+    let pipeline = ComputePipeline::new(&gpu, &ADD_COMP).unwrap();
     let [workgroup, ..] = pipeline.workgroup();
-    let table = Buffer::upload(&gpu, "table", &[[1.0f32; 4]; 4]).unwrap();
+    let terms = Buffer::upload(&gpu, "terms", &vec![[1.0f32; 4]; 4 * workgroup as usize]).unwrap();
     let sums = Buffer::new(&gpu, "sums", u64::from(4 * workgroup) * 16, Memory::Readback).unwrap();
-    let binds = [("Table", Bind::Buffer(&table)), ("Sums", Bind::Buffer(&sums))];
+    let binds = [("Terms", Bind::Buffer(&terms)), ("Sums", Bind::Buffer(&sums))];
     let group = BindGroup::new(pipeline.layout(), &binds).unwrap();
     for (items, groups) in [(1, 1), (workgroup, 1), (workgroup + 1, 2), (3 * workgroup - 1, 3)] {
         let mut recorder = gpu.record().unwrap();
         recorder.fill(&sums, 0);
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
-        recorder.dispatch(&pipeline, &group, &BenchFetchPush { fetches: 4, mask: 3 }, [items, 1, 1]);
+        recorder.dispatch(&pipeline, &group, &AddPush { added: 1.0 }, [items, 1, 1]);
         recorder.barrier(Access::COMPUTE_WRITE, Access::HOST_READ);
         gpu.wait(recorder.submit().unwrap()).unwrap();
         let written = sums.values::<[f32; 4]>().iter().filter(|sum| sum[0] != 0.0).count();
@@ -159,16 +165,16 @@ fn a_dispatch_has_an_invocation_for_each_item_and_no_workgroup_more() {
 
 /// Validation messages of two dispatches of which the second reads what the first writes.
 fn messages_of_two_dispatches(gpu: &Arc<Gpu>, barrier: bool) -> u32 {
-    let pipeline = ComputePipeline::new(gpu, &BENCH_FETCH_COMP).unwrap();
+    let pipeline = ComputePipeline::new(gpu, &ADD_COMP).unwrap();
     let data = vec![[0.0f32; 4]; 128];
     let items = [data.len() as u32, 1, 1];
     let buffers = ["a", "b", "c"].map(|name| Buffer::upload(gpu, name, &data).unwrap());
-    let group = |table: usize, sums: usize| {
-        let binds = [("Table", Bind::Buffer(&buffers[table])), ("Sums", Bind::Buffer(&buffers[sums]))];
+    let group = |terms: usize, sums: usize| {
+        let binds = [("Terms", Bind::Buffer(&buffers[terms])), ("Sums", Bind::Buffer(&buffers[sums]))];
         BindGroup::new(pipeline.layout(), &binds).unwrap()
     };
     let (first, second) = (group(0, 1), group(1, 2));
-    let push = BenchFetchPush { fetches: 4, mask: 127 };
+    let push = AddPush { added: 1.0 };
     let before = gpu.validation_messages();
     let mut recorder = gpu.record().unwrap();
     recorder.dispatch(&pipeline, &first, &push, items);

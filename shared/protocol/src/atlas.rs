@@ -3,6 +3,8 @@
 //! Server (shading), client (lookup) and the shaders of both must agree here to the texel. What this module does not
 //! know is which block goes where: that is the server's allocator.
 
+pub use shadecast_model::patch::PatchKind;
+
 use crate::limits::{
     ATLAS_DEFAULT_EXTENT, ATLAS_MAX_EXTENT, ATLAS_MIN_SIDE, BLOCK_INSET_TEXELS, BLOCK_MAX_LOG2,
     BLOCK_MIN_LOG2,
@@ -266,56 +268,6 @@ impl Block {
     }
 }
 
-/// How many triangles a patch has; this fixes how they lie in its unit square.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[repr(u8)]
-pub enum PatchKind {
-    /// Half of the square.
-    One = 1,
-    /// The square, split by the diagonal v0-v2.
-    Two = 2,
-    /// The square, with v4 on the middle of the edge v0-v1.
-    Three = 3,
-}
-
-impl PatchKind {
-    /// All kinds, in order of their number.
-    pub const ALL: [Self; 3] = [Self::One, Self::Two, Self::Three];
-
-    /// The kind of this many triangles.
-    pub fn from_triangle_count(count: u8) -> Option<Self> {
-        Self::ALL.get(usize::from(count).checked_sub(1)?).copied()
-    }
-
-    /// Triangles, 1..=3.
-    pub fn triangle_count(self) -> usize {
-        self.triangles().len()
-    }
-
-    /// Vertices, 3..=5.
-    pub fn vertex_count(self) -> usize {
-        self.corner_uv().len()
-    }
-
-    /// Each vertex's place in the unit square; (0, 0) is the corner of the block's address.
-    pub fn corner_uv(self) -> &'static [[f32; 2]] {
-        match self {
-            Self::One => &[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]],
-            Self::Two => &[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]],
-            Self::Three => &[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.5, 0.0]],
-        }
-    }
-
-    /// The triangles, as indices of the patch's vertices. All turn from u to v, as the mesh's triangles do.
-    pub fn triangles(self) -> &'static [[u8; 3]] {
-        match self {
-            Self::One => &[[0, 1, 2]],
-            Self::Two => &[[0, 1, 2], [0, 2, 3]],
-            Self::Three => &[[0, 4, 3], [4, 2, 3], [4, 1, 2]],
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -432,23 +384,5 @@ mod tests {
         assert!(Block::unpack(1 << 26).is_err());
         let beyond = Block { address: BlockAddress { x: 4092, y: 0 }, size: BlockSize::new(3, 2).unwrap() };
         assert!(Block::unpack(beyond.pack()).is_err());
-    }
-
-    #[test]
-    fn patch_triangles_turn_alike_and_cover_their_share_of_the_square() {
-        for (kind, share) in PatchKind::ALL.into_iter().zip([0.5, 1.0, 1.0]) {
-            let uv = kind.corner_uv();
-            let mut area = 0.0;
-            for tri in kind.triangles() {
-                let [a, b, c] = tri.map(|i| uv[usize::from(i)]);
-                let twice = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
-                assert!(twice > 0.0, "{kind:?} {tri:?}");
-                area += twice * 0.5;
-            }
-            assert_eq!(area, share, "{kind:?}");
-            assert_eq!(PatchKind::from_triangle_count(kind.triangle_count() as u8), Some(kind));
-        }
-        assert_eq!(PatchKind::from_triangle_count(0), None);
-        assert_eq!(PatchKind::from_triangle_count(4), None);
     }
 }

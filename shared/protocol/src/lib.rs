@@ -15,12 +15,11 @@ pub mod memory;
 pub mod message;
 pub mod motion;
 pub mod picture;
-pub mod pose;
 pub mod session;
-pub mod text;
-pub mod time;
 pub mod wire;
 pub mod world_clock;
+
+pub use shadecast_model::{pose, text, time};
 
 #[cfg(test)]
 mod goldens;

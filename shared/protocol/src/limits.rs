@@ -1,7 +1,9 @@
 //! Every capacity of the system as a named constant, so that an overflow has one place to be defined in.
 //!
 //! Decoders check counts against these before they allocate. Shaders read some of them. The asserts at the end hold the
-//! relations between them.
+//! relations between them. Those of a scene come from `shadecast_model`.
+
+pub use shadecast_model::limits::{MAX_COORDINATE_M, MAX_INSTANCES, MAX_LIGHTS, MAX_PRINTED_CHARS};
 
 /// Vertices that a client keeps at most. Slots are numbered from 0.
 pub const MAX_VERTEX_SLOTS: u32 = 524_288;
@@ -17,10 +19,6 @@ pub const DEFAULT_PATCH_SLOTS: u32 = 131_072;
 pub const MAX_TRIANGLES: u32 = 6 * MAX_PATCH_SLOTS;
 /// Triangles that a client draws for an eye unless it says otherwise.
 pub const DEFAULT_TRIANGLES: u32 = 6 * DEFAULT_PATCH_SLOTS;
-/// Placed models of a scene.
-pub const MAX_INSTANCES: u32 = 4096;
-/// Lights beside the sun that a scene is lit by at one time.
-pub const MAX_LIGHTS: u32 = 16;
 /// Grid steps that a client keeps at least of what is sent step by step: step `g` lies at `g` modulo their number, which is a
 /// power of two and a term of the session.
 pub const MIN_SAMPLE_RING: u32 = 8;
@@ -107,8 +105,6 @@ pub const MAX_SAMPLES_PER_DELTA: u32 = MAX_SAMPLED_SLOTS * MAX_NEW_SAMPLE_GRIDS;
 pub const MIN_STEP_M: f32 = 1e-6;
 /// Largest quantisation step of vertex samples in metres.
 pub const MAX_STEP_M: f32 = 1.0;
-/// Largest magnitude of a coordinate in metres; larger ones are refused as nonsense.
-pub const MAX_COORDINATE_M: f32 = 1e6;
 /// Largest speed in metres or radians per second that a head state may claim.
 pub const MAX_SPEED: f32 = 1e4;
 
@@ -129,8 +125,6 @@ pub const MAX_STREAM_BYTES: usize = MAX_DELTA_BYTES + 64;
 pub const MAX_DATAGRAM_BYTES: usize = 1100;
 /// Bytes of a text that a peer sends to be shown or logged.
 pub const MAX_TEXT_BYTES: usize = 1024;
-/// Characters of a stranger's text that are shown; see [`crate::text::printable`].
-pub const MAX_PRINTED_CHARS: usize = 200;
 /// Codecs that a client may list.
 pub const MAX_CODECS: usize = 8;
 /// Deltas and early pictures that a client holds while one before them is still on its way.

@@ -5,8 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// The crates that are shipped.
-const PRODUCT: [&str; 11] = [
+const PRODUCT: [&str; 13] = [
+    "shared/model/src",
     "shared/protocol/src",
+    "shared/spirv/src",
     "shared/transport/src",
     "shared/desktop/src",
     "shared/gpu/src",
@@ -18,6 +20,64 @@ const PRODUCT: [&str; 11] = [
     "server/dragon/src",
     "client-xr/src",
 ];
+/// All crates, the lowest first, and the crates of the project that each depends on. Tests may use the crates of [`FOR_TESTS`] too.
+const CRATES: [(&str, &[&str]); 20] = [
+    ("shared/model", &[]),
+    ("shared/spirv", &[]),
+    ("shared/system", &[]),
+    ("shared/protocol", &["model"]),
+    ("shared/trace", &["protocol"]),
+    ("shared/transport", &["protocol", "system"]),
+    ("shared/gpu", &["protocol", "spirv"]),
+    ("shaders", &["protocol", "spirv"]),
+    ("shared/desktop", &["gpu", "protocol", "shaders", "system", "transport"]),
+    ("server/dragon", &[]),
+    ("server/scene", &["dragon", "model", "system"]),
+    ("server", &["desktop", "dragon", "gpu", "protocol", "scene", "shaders", "system", "trace", "transport"]),
+    (
+        "server/cli",
+        &["desktop", "dragon", "gpu", "protocol", "scene", "server", "system", "trace", "transport"],
+    ),
+    ("client-xr", &["desktop", "gpu", "protocol", "shaders", "system", "trace", "transport"]),
+    ("android", &["client", "transport"]),
+    ("tests/mock-runtime", &["protocol", "system"]),
+    ("tests/support", &["mock-runtime", "protocol"]),
+    ("tests/fuzz", &["client", "protocol", "scene", "shaders"]),
+    (
+        "tests/lab",
+        &[
+            "client",
+            "dragon",
+            "fuzz",
+            "gpu",
+            "mock-runtime",
+            "protocol",
+            "scene",
+            "server",
+            "shaders",
+            "system",
+            "trace",
+            "transport",
+        ],
+    ),
+    (
+        "tests/e2e",
+        &[
+            "client",
+            "gpu",
+            "lab",
+            "mock-runtime",
+            "protocol",
+            "scene",
+            "server",
+            "shaders",
+            "system",
+            "test-support",
+            "transport",
+        ],
+    ),
+];
+const FOR_TESTS: [&str; 2] = ["mock-runtime", "test-support"];
 const MAX_FUNCTION_LINES: usize = 70;
 
 fn root() -> PathBuf {
@@ -121,6 +181,52 @@ fn the_server_and_the_client_do_not_name_each_other() {
         for (name, text) in sources(folder) {
             assert!(!code(&text).any(|line| line.contains(other)), "{name} names {other}");
         }
+    }
+}
+
+/// The `Cargo.toml` of a folder.
+fn manifest(folder: &str) -> toml::Table {
+    let text = std::fs::read_to_string(root().join(folder).join("Cargo.toml")).expect("a manifest");
+    text.parse().expect("TOML")
+}
+
+/// A crate's short name in the project.
+fn short(package: &str) -> Option<&str> {
+    package.strip_prefix("shadecast-")
+}
+
+/// Crates of the project that a manifest names in sections of these kinds, for any target.
+fn dependencies(manifest: &toml::Table, kinds: &[&str]) -> BTreeSet<String> {
+    let targets =
+        manifest.get("target").and_then(toml::Value::as_table).into_iter().flat_map(toml::Table::values);
+    let tables = targets.filter_map(toml::Value::as_table).chain([manifest]);
+    let sections = tables.flat_map(|table| kinds.iter().filter_map(|kind| table.get(*kind)?.as_table()));
+    sections.flat_map(toml::Table::keys).filter_map(|name| short(name)).map(str::to_owned).collect()
+}
+
+#[test]
+fn every_crate_is_in_the_table() {
+    let workspace = manifest("");
+    let members = workspace["workspace"]["members"].as_array().expect("a list of folders");
+    let members: BTreeSet<_> = members.iter().filter_map(toml::Value::as_str).collect();
+    assert_eq!(members, CRATES.iter().map(|(folder, _)| *folder).collect());
+}
+
+#[test]
+fn crates_depend_on_lower_ones_and_on_those_of_the_table_alone() {
+    let mut lower = BTreeSet::new();
+    for (folder, allowed) in CRATES {
+        let manifest = manifest(folder);
+        let found = dependencies(&manifest, &["dependencies", "build-dependencies"]);
+        let allowed: BTreeSet<_> = allowed.iter().map(|name| (*name).to_owned()).collect();
+        assert_eq!(found, allowed, "{folder}");
+        assert!(found.is_subset(&lower), "{folder}: {found:?} are not all above it in the table");
+        let in_tests = dependencies(&manifest, &["dev-dependencies"]);
+        let more: Vec<_> =
+            in_tests.difference(&allowed).filter(|name| !FOR_TESTS.contains(&name.as_str())).collect();
+        assert!(more.is_empty(), "{folder}: its tests depend on {more:?}");
+        let name = manifest["package"]["name"].as_str().and_then(short).expect("a package of the project");
+        lower.insert(name.to_owned());
     }
 }
 

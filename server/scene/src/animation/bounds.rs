@@ -9,7 +9,7 @@ use super::{clip, playing, pose};
 use crate::timeline::ClipIndex;
 use crate::{Instance, Model, Morph, Path, Trs};
 use glam::{Affine3A, Vec3};
-use shadecast_protocol::motion::playback::{Playback, Schedule};
+use shadecast_model::playback::{Playback, Schedule};
 
 /// Moments looked at per second of a curve.
 const MOMENTS_PER_S: f32 = 60.0;

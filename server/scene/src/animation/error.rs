@@ -14,7 +14,7 @@ use super::sampling::source::{Source, Sources};
 use crate::{Model, Repetition};
 use glam::{Vec3A, Vec4};
 use serde::Serialize;
-use shadecast_protocol::motion::playback::phase_s;
+use shadecast_model::playback::phase_s;
 use std::collections::BTreeMap;
 
 /// Most times at which vertices are compared; evenly fewer keys where there are more.

@@ -6,7 +6,7 @@ use crate::animation::pose::animated_vertices;
 use crate::timeline::ClipIndex;
 use crate::{Model, Scene};
 use glam::Vec3;
-use shadecast_protocol::motion::playback::Schedule;
+use shadecast_model::playback::Schedule;
 use std::collections::HashMap;
 
 /// How much farther than in any of its clips a live pose may reach from the model's origin.
@@ -74,7 +74,7 @@ mod tests {
     use crate::timeline::{Change, Event};
     use crate::{Bone, Clip, Instance, Interpolation, PaletteEntry, Track, TrackValues, Trs, Vertex};
     use glam::{Affine3A, Quat};
-    use shadecast_protocol::time::WorldTime;
+    use shadecast_model::time::WorldTime;
 
     /// A vertex a metre from the bone that turns it, in one clip not at all and in the other nearly half around.
     fn hand(events: Vec<Event>) -> Scene {

@@ -5,7 +5,7 @@ use super::sampling::SampledClip;
 use crate::timeline::ClipIndex;
 use crate::{Model, Trs};
 use glam::{Quat, Vec4};
-use shadecast_protocol::motion::playback::{At, Playing};
+use shadecast_model::playback::{At, Playing};
 
 /// The local transforms of all bones by the source curves.
 pub fn source_pose(model: &Model, playing: &Playing<ClipIndex>) -> Vec<Trs> {

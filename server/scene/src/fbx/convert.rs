@@ -2,7 +2,7 @@
 
 use crate::import;
 use glam::{Affine3A, Quat, Vec3};
-use shadecast_protocol::text::printable;
+use shadecast_model::text::printable;
 
 pub(super) fn vec3(v: ufbx::Vec3) -> Vec3 {
     Vec3::new(v.x as f32, v.y as f32, v.z as f32)

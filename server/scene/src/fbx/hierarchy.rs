@@ -5,7 +5,7 @@ use crate::error::Fault;
 use crate::import::Warnings;
 use crate::{Bone, Light, LightKind, ModelLight, Trs};
 use glam::{Quat, Vec3};
-use shadecast_protocol::text::printable;
+use shadecast_model::text::printable;
 
 /// All nodes of a file as bones, the file's own root included, which carries what could not be converted otherwise.
 pub(super) struct Hierarchy {

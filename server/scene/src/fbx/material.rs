@@ -12,7 +12,7 @@ use crate::import::{Surroundings, Warnings};
 use crate::limits::MAX_TEXELS;
 use crate::references::Folder;
 use crate::{Material, Texture, TextureSlot, Wrap};
-use shadecast_protocol::text::printable;
+use shadecast_model::text::printable;
 use std::collections::HashMap;
 use std::rc::Rc;
 

@@ -7,8 +7,8 @@ use crate::SceneError;
 use crate::limits::{MAX_DURATION_S, MAX_EVENTS, MAX_FADE_S};
 use crate::suggest::did_you_mean_or_list;
 use crate::timeline::Change;
-use shadecast_protocol::text::printable;
-use shadecast_protocol::time::WorldTime;
+use shadecast_model::text::printable;
+use shadecast_model::time::WorldTime;
 
 const CHANGE_KEYS: [&str; 6] = ["clip", "speed", "pause", "seek", "repetition", "fade"];
 /// An event of time 0 would be what the instance itself says.

@@ -3,8 +3,8 @@
 use crate::SceneError;
 use crate::suggest::{did_you_mean, did_you_mean_or_list};
 use glam::Vec3;
-use shadecast_protocol::limits::MAX_COORDINATE_M;
-use shadecast_protocol::text::printable;
+use shadecast_model::limits::MAX_COORDINATE_M;
+use shadecast_model::text::printable;
 use std::ops::RangeInclusive;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};

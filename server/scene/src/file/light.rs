@@ -4,7 +4,7 @@ use super::fields::Fields;
 use super::transform::turned_to;
 use crate::{Environment, Light, LightKind, PlacedLight, SceneError, Sun};
 use glam::{Affine3A, Vec3};
-use shadecast_protocol::limits::MAX_LIGHTS;
+use shadecast_model::limits::MAX_LIGHTS;
 
 /// Half angle of a spot light's cone where none is given, degrees.
 const DEFAULT_OUTER_CONE_DEG: f32 = 45.0;

@@ -27,9 +27,9 @@ use crate::{Camera, Environment, HeadPath, Path, PlacedLight, Repetition, SceneE
 use fields::{Fields, Source};
 use glam::Affine3A;
 use placement::Named;
-use shadecast_protocol::pose::Pose;
-use shadecast_protocol::text::printable;
-use shadecast_protocol::time::WorldTime;
+use shadecast_model::pose::Pose;
+use shadecast_model::text::printable;
+use shadecast_model::time::WorldTime;
 use std::path::PathBuf;
 use toml::de::DeTable;
 
@@ -47,7 +47,7 @@ pub struct SceneFile {
     pub events: Vec<EventEntry>,
     /// The light that casts shadows.
     pub sun: Sun,
-    /// Other lights, at most [`MAX_LIGHTS`](shadecast_protocol::limits::MAX_LIGHTS).
+    /// Other lights, at most [`MAX_LIGHTS`](shadecast_model::limits::MAX_LIGHTS).
     pub lights: Vec<PlacedLight>,
     /// The sky.
     pub environment: Environment,

@@ -7,8 +7,8 @@ use super::{ClipChoice, InstanceEntry, ModelEntry, TimeShift};
 use crate::suggest::did_you_mean_or_list;
 use crate::{Path, SceneError};
 use glam::{Affine3A, Mat4, Quat, Vec3};
-use shadecast_protocol::limits::MAX_INSTANCES;
-use shadecast_protocol::text::printable;
+use shadecast_model::limits::MAX_INSTANCES;
+use shadecast_model::text::printable;
 
 /// Most placed models of a scene file: one number of an instance is left for the ground.
 pub const MAX_PLACED: u32 = MAX_INSTANCES - 1;

@@ -3,7 +3,7 @@
 use super::*;
 use crate::{LightKind, Scene};
 use glam::{Quat, Vec3};
-use shadecast_protocol::limits::MAX_LIGHTS;
+use shadecast_model::limits::MAX_LIGHTS;
 
 const GOOD: &str = r#"
 [[model]]

@@ -6,7 +6,7 @@ use super::path::{CURVE_KEYS, Key, read_key_times, read_path};
 use super::transform::{read_quaternion, rotation_of, turned_to};
 use crate::{Camera, HeadPath, SceneError};
 use glam::{Quat, Vec3};
-use shadecast_protocol::pose::Pose;
+use shadecast_model::pose::Pose;
 
 /// Vertical field of view of a camera that does not say its own, degrees.
 pub const DEFAULT_FOV_DEG: f32 = 90.0;

@@ -8,7 +8,7 @@ use super::{Warnings, label};
 use ::gltf::accessor::Dimensions;
 use ::gltf::animation::Property;
 use glam::{Quat, Vec3};
-use shadecast_protocol::text::printable;
+use shadecast_model::text::printable;
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 

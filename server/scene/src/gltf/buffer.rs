@@ -6,7 +6,7 @@ use crate::import::Surroundings;
 use crate::limits::MAX_BUFFER_BYTES;
 use crate::references::{Found, percent_decode};
 use ::gltf::json;
-use shadecast_protocol::text::printable;
+use shadecast_model::text::printable;
 use std::collections::HashMap;
 use std::path::PathBuf;
 use std::rc::Rc;

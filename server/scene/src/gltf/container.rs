@@ -12,7 +12,7 @@ use ::gltf::json;
 use ::gltf::json::validation::{Error as Invalid, Validate};
 use serde::Deserialize;
 use serde_json::Value;
-use shadecast_protocol::text::printable;
+use shadecast_model::text::printable;
 use std::collections::{BTreeMap, HashMap};
 use std::rc::Rc;
 

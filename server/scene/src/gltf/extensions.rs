@@ -8,7 +8,7 @@ use crate::error::Fault;
 use ::gltf::json;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
-use shadecast_protocol::text::printable;
+use shadecast_model::text::printable;
 
 pub(super) const LIGHTS: &str = "KHR_lights_punctual";
 pub(super) const UNLIT: &str = "KHR_materials_unlit";

@@ -6,7 +6,7 @@ use crate::error::Fault;
 use crate::{Light, LightKind, ModelLight};
 use glam::Vec3;
 use serde::Deserialize;
-use shadecast_protocol::text::printable;
+use shadecast_model::text::printable;
 use std::f32::consts::{FRAC_PI_2, FRAC_PI_4};
 
 /// Narrowest edge of a spot light's beam, radians: the inner angle stays below the outer one, as shading divides by

@@ -15,7 +15,7 @@ use ::gltf::material::AlphaMode;
 use ::gltf::texture::WrappingMode;
 use serde::Deserialize;
 use serde_json::{Map, Value};
-use shadecast_protocol::text::printable;
+use shadecast_model::text::printable;
 use std::collections::HashMap;
 
 /// The alpha at which a blended material counts as there.

@@ -5,7 +5,6 @@
 pub mod clip;
 pub mod keys;
 pub mod message;
-pub mod playback;
 pub mod poses;
 pub mod predicted;
 pub mod rest;
@@ -14,6 +13,8 @@ pub mod samples;
 
 mod bits;
 mod key_times;
+
+pub use shadecast_model::playback;
 
 use crate::ids::VertexSlot;
 use crate::time::GridIndex;

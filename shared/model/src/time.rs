@@ -1,6 +1,7 @@
 //! Time on the one server clock and on the client's own, that of the world in motion, and the absolute sample grid.
 //!
-//! Only [`crate::clock`] converts between the clocks, and only [`crate::world_clock`] between the server's and the world's time.
+//! Nothing here converts between them: `clock` of the wire crate does for the two clocks, its `world_clock` for the server's and
+//! the world's time.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,7 +10,7 @@ use serde::{Deserialize, Serialize};
 pub struct ServerTime(pub i64);
 
 /// Nanoseconds of the world in motion: what animation, paths and light are functions of. It goes on with the server's clock, except
-/// while the world is paused; see [`crate::world_clock`].
+/// while the world is paused.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct WorldTime(pub i64);
 
