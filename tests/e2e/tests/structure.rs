@@ -89,9 +89,9 @@ fn clocks_and_sockets_are_the_drivers() {
         "server/src/start_up.rs",
         "server/src/output.rs",
         "client-xr/src/net",
-        "client-xr/src/window/mod.rs",
+        "client-xr/src/display/window/mod.rs",
         // For a runtime that does not convert its times.
-        "client-xr/src/xr/mod.rs",
+        "client-xr/src/display/xr/mod.rs",
         "client-xr/src/platform",
         "client-xr/src/main.rs",
         "shared/transport/src/mio.rs",

@@ -2,7 +2,7 @@
 //! truth, motion between updates, and the same pictures twice. Validation layers are on throughout.
 
 use shadecast_client::client::Step;
-use shadecast_client::stats::ClientStats;
+use shadecast_client::present::stats::ClientStats;
 use shadecast_lab::headset_off::{Absence, measure};
 use shadecast_lab::image::Rgb8Image;
 use shadecast_lab::metrics::psnr_db;

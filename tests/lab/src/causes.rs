@@ -8,7 +8,7 @@ use crate::stats::{RegionStats, Stats};
 use crate::text_table::table;
 use anyhow::Context;
 use serde::{Deserialize, Serialize};
-use shadecast_client::stages::atlas_draw::Reconstruction;
+use shadecast_client::draw::stages::atlas_draw::Reconstruction;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::ideal::{Filter, Ideal};

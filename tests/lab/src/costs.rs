@@ -7,7 +7,7 @@ use crate::session::{Lab, START_NS};
 use anyhow::Context;
 use serde::{Deserialize, Serialize};
 use shadecast_client::client::Step;
-use shadecast_client::stages::atlas_draw::Reconstruction;
+use shadecast_client::draw::stages::atlas_draw::Reconstruction;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_server::encode::openh264::DEFAULT_QP;
 use shadecast_server::ideal::Filter;

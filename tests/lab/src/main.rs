@@ -3,7 +3,7 @@
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand, value_parser};
 use serde::Serialize;
-use shadecast_client::stages::atlas_draw::Reconstruction;
+use shadecast_client::draw::stages::atlas_draw::Reconstruction;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_lab::abrupt;
 use shadecast_lab::bars::{BARS, Bars};

@@ -2,7 +2,7 @@
 
 use crate::session::originals::Arrival;
 use serde::{Deserialize, Serialize};
-use shadecast_client::stages::atlas_draw::Reconstruction;
+use shadecast_client::draw::stages::atlas_draw::Reconstruction;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::limits::{
     DEFAULT_PATCH_SLOTS, DEFAULT_TRIANGLES, DEFAULT_VERTEX_SLOTS, MAX_PATCH_SLOTS, MAX_TRIANGLES,

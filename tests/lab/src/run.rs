@@ -299,7 +299,7 @@ fn atlas_picture(atlas: &Source) -> anyhow::Result<Rgb8Image> {
 }
 
 /// A client's probe as the metrics want it.
-pub fn into_probe(probe: shadecast_client::stages::probe::ProbeView) -> ProbeView {
+pub fn into_probe(probe: shadecast_client::draw::stages::probe::ProbeView) -> ProbeView {
     ProbeView {
         width: probe.width,
         height: probe.height,
