@@ -2,7 +2,9 @@
 //! which a part gets another block with each update. Memory is the CPU's own: what a bundle's costs is up to the device.
 //! `cargo run --release -p shadecast-client --example list_cost -- [ROUNDS]`
 
-use shadecast_client::draw_list::{ListWriter, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH, NewestList};
+use shadecast_client::draw::draw_list::{
+    ListWriter, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH, NewestList,
+};
 use shadecast_client::motion::Motion;
 use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::geometry::{self, NewPatch, NewVertex};

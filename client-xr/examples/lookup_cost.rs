@@ -3,13 +3,13 @@
 
 mod device;
 
-use shadecast_client::draw_list::{Drawable, ListWriter};
-use shadecast_client::motion::skinned::SkinCapacity;
-use shadecast_client::stages::FRAMES_IN_FLIGHT;
-use shadecast_client::stages::atlas_draw::{
+use shadecast_client::draw::draw_list::{Drawable, ListWriter};
+use shadecast_client::draw::stages::FRAMES_IN_FLIGHT;
+use shadecast_client::draw::stages::atlas_draw::{
     AtlasDraw, BundleMemory, BundleSet, EyeTargets, Lookup, Reconstruction,
 };
-use shadecast_client::stages::scatter::VertexMemory;
+use shadecast_client::draw::stages::scatter::VertexMemory;
+use shadecast_client::motion::skinned::SkinCapacity;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, vk};
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::ids::{InstanceId, VertexSlot};

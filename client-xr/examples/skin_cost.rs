@@ -4,9 +4,9 @@
 
 mod device;
 
-use shadecast_client::draw_list::{ListWriter, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
-use shadecast_client::stages::atlas_draw::EyeTargets;
-use shadecast_client::stages::upload::{Chroma, PlaneStaging, Planes};
+use shadecast_client::draw::draw_list::{ListWriter, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
+use shadecast_client::draw::stages::atlas_draw::EyeTargets;
+use shadecast_client::draw::stages::upload::{Chroma, PlaneStaging, Planes};
 use shadecast_gpu::{
     Access, Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
     Image, Memory, Sampler, SamplerDesc, vk,

@@ -1,6 +1,6 @@
 //! The client without I/O: bytes and time come in, bytes go out, and each display frame is one [`Client::step`].
 //!
-//! It has two halves: [`crate::intake`] takes in what arrives, [`crate::presenter`] shows it. [`crate::net`] runs each on a thread
+//! It has two halves: [`crate::stream::intake`] takes in what arrives, [`crate::present::presenter`] shows it. [`crate::net`] runs each on a thread
 //! of its own, with a socket and the real clock; the lab steps both as one in virtual time beside a server. What they do not
 //! know is sockets and who waits for whom.
 
@@ -9,8 +9,8 @@ pub use crate::report::{ClientError, DecodedIn, FrameReport, Notice, Step};
 
 use crate::display::Display;
 use crate::handover;
-use crate::intake::Intake;
-use crate::presenter::Presenter;
+use crate::present::presenter::Presenter;
+use crate::stream::intake::Intake;
 
 /// Both halves of a client on one thread.
 pub struct Client {

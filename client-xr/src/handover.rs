@@ -1,13 +1,13 @@
-//! What the two halves of the client hand to each other: [`crate::intake`] prepares what arrives, [`crate::presenter`] shows it.
+//! What the two halves of the client hand to each other: [`crate::stream::intake`] prepares what arrives, [`crate::present::presenter`] shows it.
 //! Both may be on one thread, or each on its own: neither waits for the other, and what one cannot take yet waits here.
 
 use crate::display::Presses;
-use crate::draw_list::DrawList;
+use crate::draw::draw_list::DrawList;
+use crate::draw::stages::atlas_draw::BundleMemory;
+use crate::draw::stages::batch::Batch;
 use crate::motion::skinned::Drawn;
 use crate::motion::state::MotionState;
 use crate::report::FrameReport;
-use crate::stages::atlas_draw::BundleMemory;
-use crate::stages::batch::Batch;
 use shadecast_protocol::clock::ClockEstimate;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{HeadState, Welcome};

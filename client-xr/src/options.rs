@@ -1,9 +1,9 @@
 //! How a client behaves.
 
-use crate::decoding::DecodeTiming;
+use crate::decode::decoding::DecodeTiming;
+use crate::draw::stages::atlas_draw::Lookup;
+use crate::draw::stages::interpolate::Interpolation;
 use crate::platform::{self, MakeDecoder};
-use crate::stages::atlas_draw::Lookup;
-use crate::stages::interpolate::Interpolation;
 use shadecast_protocol::limits::{DEFAULT_PATCH_SLOTS, DEFAULT_TRIANGLES, DEFAULT_VERTEX_SLOTS};
 use shadecast_protocol::message::{Codec, MotionMemory};
 

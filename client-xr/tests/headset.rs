@@ -6,7 +6,7 @@ use rand::rngs::SmallRng;
 use rand::{Rng, SeedableRng};
 use shadecast_client::client::{Client, ClientError, FrameReport, Notice, Step};
 use shadecast_client::decode::{DecodeError, Decoder};
-use shadecast_client::stages::FRAMES_IN_FLIGHT;
+use shadecast_client::draw::stages::FRAMES_IN_FLIGHT;
 use shadecast_gpu::{Gpu, vk};
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent, ScriptedHand, ScriptedInput};
 use shadecast_mock_runtime::record::{Side, read_frames};

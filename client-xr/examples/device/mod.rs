@@ -1,8 +1,8 @@
 //! What both measurements of draws share: a device with eyes to draw to, eyes that see clip space, and the middle of many values.
 
 use shadecast_client::display::EyeImages;
-use shadecast_client::stages::FRAMES_IN_FLIGHT;
-use shadecast_client::stages::atlas_draw::{EyeTargets, eye_buffers};
+use shadecast_client::draw::stages::FRAMES_IN_FLIGHT;
+use shadecast_client::draw::stages::atlas_draw::{EyeTargets, eye_buffers};
 use shadecast_gpu::{Buffer, DesktopDevice, Gpu, GpuError, GpuOptions, Image, ImageDesc, Needs, vk};
 use shadecast_shaders::generated::EyesGpu;
 use std::sync::Arc;

@@ -1,7 +1,10 @@
-//! The seam between the video stream and the atlas texture.
+//! Decoding: coded pictures to pictures of the agreed extent.
 //!
-//! What is above ([`crate::decoding`]) hands in access units in the order they were encoded and gets pictures; what is below
-//! is [`openh264`] on desktops, the platform's decoder on Android ([`platform_decoder`]), and [`raw`] for what was not coded. A decoder never conceals: after a broken or lost
+//! Access units enter, in any order. Pictures leave in the order they were encoded, or an error, or the wish for a refresh
+//! ([`decoding`]). Nothing here knows the network, the atlas and which update is shown.
+//!
+//! The codec is behind the seam [`Decoder`]: [`openh264`] on desktops, the platform's decoder on Android ([`platform_decoder`]),
+//! and [`raw`] for pictures that were not coded. A decoder never conceals: after a broken or lost
 //! unit the picture on display stays, and the decoder refuses everything but a refresh, because a picture that
 //! refers to one that is missing would look plausible and be wrong.
 //!
@@ -15,6 +18,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use thiserror::Error;
 
+pub mod decoding;
 mod inspect;
 #[cfg(target_os = "android")]
 pub mod media_codec;

@@ -327,5 +327,4 @@ impl<C: PlatformCodec> Decoder for PlatformDecoder<C> {
 }
 
 #[cfg(test)]
-#[path = "platform_decoder_tests.rs"]
 mod tests;

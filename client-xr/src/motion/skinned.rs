@@ -604,5 +604,4 @@ fn is_same(a: &Playing<ClipRef>, b: &Playing<ClipRef>) -> bool {
 }
 
 #[cfg(test)]
-#[path = "skinned_tests.rs"]
 mod tests;

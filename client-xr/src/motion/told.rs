@@ -308,5 +308,4 @@ fn kind_of(track: &ChunkTrack) -> u32 {
 }
 
 #[cfg(test)]
-#[path = "told_tests.rs"]
 mod tests;

@@ -6,14 +6,14 @@ use super::finder::Finder;
 use super::heard::{Choice, Heard, Wish};
 use super::lines::{LineEvent, Lines};
 use super::list::{List, described, names};
+use super::traced::Traced;
 use super::wording::for_headset;
 use super::{RunError, RunOptions, Server};
 use crate::client::Notice;
 use crate::display::Presses;
-use crate::intake::Intake;
 use crate::platform::monotonic_now;
-use crate::taking::Source;
-use crate::traced::Traced;
+use crate::stream::intake::Intake;
+use crate::stream::taking::Source;
 use shadecast_protocol::close::CloseCode;
 use shadecast_protocol::session::Out;
 use shadecast_protocol::text::printable;
@@ -540,5 +540,4 @@ fn expected(
 }
 
 #[cfg(test)]
-#[path = "connector_tests.rs"]
 mod tests;

@@ -23,7 +23,7 @@ pub(super) fn for_headset(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stages::text::shown_lines;
+    use crate::draw::stages::text::shown_lines;
     use shadecast_transport::{ExpectedIdentity, Fingerprint, KnownServers};
     use std::net::SocketAddr;
     use std::path::Path;

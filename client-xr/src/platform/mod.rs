@@ -1,5 +1,8 @@
-//! What differs between a desktop and a headset's own system, and nothing else: how the OpenXR loader is brought up, which
-//! decoder there is, what the monotonic clock is, and what may be asked of the device.
+//! All that differs between a desktop and a headset's own system: the OpenXR loader, the decoder, the monotonic clock, the
+//! requirements on the device.
+//!
+//! The agreed codec and extent enter. A decoder, times and [`requirements`] leave. Nothing here knows sessions, displays and
+//! drawing.
 
 #[cfg(any(test, all(target_os = "android", feature = "openh264")))]
 mod fallback;

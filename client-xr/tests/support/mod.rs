@@ -1,10 +1,10 @@
 //! A client on the mock runtime in virtual time, behind the system's OpenXR loader, with validation on.
 
 use shadecast_client::client::{Client, ClientOptions, FrameReport, Step};
+use shadecast_client::decode::decoding::DecodeTiming;
 use shadecast_client::decode::{self, DecodeError, Decoder};
-use shadecast_client::decoding::DecodeTiming;
+use shadecast_client::display::xr::{Xr, XrOptions};
 use shadecast_client::platform::{MakeDecoder, Platform};
-use shadecast_client::xr::{Xr, XrOptions};
 use shadecast_gpu::Gpu;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_mock_runtime::record::{Side, picture_path};

@@ -939,5 +939,4 @@ fn explain(peer: &Peer, error: ConnectionError) -> (CloseKind, String) {
 }
 
 #[cfg(test)]
-#[path = "endpoint_tests.rs"]
 mod tests;

@@ -560,5 +560,4 @@ impl<T> Link<T> {
 }
 
 #[cfg(test)]
-#[path = "link_tests.rs"]
 mod tests;

@@ -5,7 +5,7 @@ use glam::{Affine3A, Quat, Vec3, Vec4};
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 use shadecast_e2e::SavedVertices;
 use shadecast_gpu::{Access, DesktopDevice, Gpu, GpuOptions, Needs};
-use shadecast_lab::truth::InstancePose;
+use shadecast_lab::measure::truth::InstancePose;
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::clip::{chunk_at, chunk_count};
 use shadecast_protocol::motion::message::{MotionMessage, MotionNews};
@@ -339,7 +339,7 @@ fn amid_a_cross_fade_vertices_are_where_the_source_has_them() {
     let model = model_of_two_clips(&mut rng);
     let generated = scene_of(vec![model], vec![Instance { clip: Some(0), ..Instance::new("generated", 0) }]);
     compare_with_truth(&gpu, &fading(generated, 0, Some(1)), 1e-4);
-    let Some(fox) = shadecast_lab::long::asset("Fox.glb") else {
+    let Some(fox) = shadecast_lab::scenes::assets::asset("Fox.glb") else {
         eprintln!("SKIPPED: Fox.glb is not there; the project ships no models of others");
         return;
     };

@@ -1,11 +1,11 @@
 //! The table of causes, at the size that a software device can do in a test: runs without a cause are the same runs, and
 //! better by what the cause costs.
 
-use shadecast_lab::causes::{Cause, Mask, Row, measure, usual};
-use shadecast_lab::options::{Renderer, RunOptions, Spared};
-use shadecast_lab::run::run;
+use shadecast_lab::experiments::causes::{Cause, Mask, Row, measure, usual};
+use shadecast_lab::experiments::run::run;
+use shadecast_lab::scenes::walls::{TEXELS, write_walls};
+use shadecast_lab::session::options::{Renderer, RunOptions, Spared};
 use shadecast_lab::session::originals::Arrival;
-use shadecast_lab::walls::{TEXELS, write_walls};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::shading::filter::Filter;

@@ -1,9 +1,9 @@
 //! Cutouts on the client: what shows between the leaves of a curtain, in pictures of the whole system. Validation is on.
 
+use shadecast_lab::experiments::run::run;
 use shadecast_lab::image::Rgb8Image;
-use shadecast_lab::leaves::write_leaves;
-use shadecast_lab::options::{Renderer, RunOptions};
-use shadecast_lab::run::run;
+use shadecast_lab::scenes::leaves::write_leaves;
+use shadecast_lab::session::options::{Renderer, RunOptions};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_test_support::headset::turn;

@@ -1,8 +1,8 @@
 //! Levels of detail at run time, in virtual time: a client that draws little is shown all of it, more coarsely, wherever it goes,
 //! and the same twice.
 
-use shadecast_lab::detail::{DetailReport, measure};
-use shadecast_lab::options::{Head, Renderer, RunOptions, USUAL_ROOM};
+use shadecast_lab::experiments::detail::{DetailReport, measure};
+use shadecast_lab::session::options::{Head, Renderer, RunOptions, USUAL_ROOM};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::pacing::room::Room;

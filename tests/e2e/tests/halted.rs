@@ -3,12 +3,12 @@
 
 use glam::Vec4;
 use shadecast_client::client::Step;
-use shadecast_lab::compare::{Comparer, Shown};
+use shadecast_lab::experiments::motion_table::{Condition, Kind};
+use shadecast_lab::experiments::run::mock_config;
 use shadecast_lab::image::Rgb8Image;
-use shadecast_lab::motion_table::{Condition, Kind};
-use shadecast_lab::options::RunOptions;
-use shadecast_lab::run::mock_config;
+use shadecast_lab::measure::compare::{Comparer, Shown};
 use shadecast_lab::session::Lab;
+use shadecast_lab::session::options::RunOptions;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig, ScriptedInput};
 use shadecast_mock_runtime::record::{Side, picture_path, read_frames};
 use shadecast_protocol::atlas::AtlasExtent;

@@ -2,8 +2,8 @@
 
 use glam::{Quat, Vec3};
 use shadecast_gpu::{Access, Buffer, DesktopDevice, Gpu, GpuOptions, Memory, Needs, vk};
-use shadecast_lab::leaves::write_leaves;
-use shadecast_lab::room::write_room;
+use shadecast_lab::scenes::leaves::write_leaves;
+use shadecast_lab::scenes::room::write_room;
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::WorldTime;
 use shadecast_scene::load::{SceneSource, load_scene_with};

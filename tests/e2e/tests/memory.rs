@@ -1,9 +1,9 @@
 //! What a server holds: of the paper's largest scene, and after hundreds of updates.
 
-use shadecast_lab::churn;
-use shadecast_lab::options::RunOptions;
-use shadecast_lab::paper_size;
-use shadecast_lab::table1::cell::Size;
+use shadecast_lab::experiments::churn;
+use shadecast_lab::experiments::paper_size;
+use shadecast_lab::experiments::table1::cell::Size;
+use shadecast_lab::session::options::RunOptions;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::atlas::surround::DEFAULT_SURROUND;

@@ -3,10 +3,10 @@
 
 use glam::{Quat, Vec3};
 use shadecast_client::client::{FrameReport, Step};
-use shadecast_lab::motion_table::{Condition, MotionRow, measure};
-use shadecast_lab::options::RunOptions;
-use shadecast_lab::run::mock_config;
+use shadecast_lab::experiments::motion_table::{Condition, MotionRow, measure};
+use shadecast_lab::experiments::run::mock_config;
 use shadecast_lab::session::Lab;
+use shadecast_lab::session::options::RunOptions;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::time::WorldTime;

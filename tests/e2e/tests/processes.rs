@@ -3,9 +3,9 @@
 use serde_json::Value;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_lab::demo::read_probe;
-use shadecast_lab::options::RunOptions;
-use shadecast_lab::run::mock_config;
-use shadecast_lab::runtime::prepare_runtime;
+use shadecast_lab::experiments::run::mock_config;
+use shadecast_lab::session::options::RunOptions;
+use shadecast_lab::session::runtime::prepare_runtime;
 use shadecast_mock_runtime::config::ClockKind;
 use shadecast_protocol::message::{Capabilities, ClientHello, ClientMessage, ServerMessage};
 use shadecast_protocol::pose::{Eye, Fov, Pose};

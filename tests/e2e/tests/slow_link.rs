@@ -1,7 +1,7 @@
 //! A link that carries less than the scene needs, in virtual time: fewer updates, but a picture, and one that goes on.
 
-use shadecast_lab::options::RunOptions;
-use shadecast_lab::slow_link::measure;
+use shadecast_lab::experiments::slow_link::measure;
+use shadecast_lab::session::options::RunOptions;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_transport::LinkProfile;

@@ -1,8 +1,8 @@
 //! An atlas that comes to rest, in virtual time: with levels of detail, a surround, quality and density as they ship.
 
-use shadecast_lab::options::{Head, RunOptions};
-use shadecast_lab::room::write_room;
-use shadecast_lab::steadiness::{Steadiness, measure};
+use shadecast_lab::experiments::steadiness::{Steadiness, measure};
+use shadecast_lab::scenes::room::write_room;
+use shadecast_lab::session::options::{Head, RunOptions};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::atlas::surround::DEFAULT_SURROUND;

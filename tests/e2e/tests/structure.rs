@@ -34,10 +34,7 @@ const CRATES: [(&str, &[&str]); 20] = [
     ("server/dragon", &[]),
     ("server/scene", &["dragon", "model", "system"]),
     ("server", &["desktop", "dragon", "gpu", "protocol", "scene", "shaders", "system", "trace", "transport"]),
-    (
-        "server/cli",
-        &["desktop", "dragon", "gpu", "protocol", "scene", "server", "system", "trace", "transport"],
-    ),
+    ("server/cli", &["desktop", "dragon", "gpu", "protocol", "scene", "server", "system", "transport"]),
     ("client-xr", &["desktop", "gpu", "protocol", "shaders", "system", "trace", "transport"]),
     ("android", &["client", "transport"]),
     ("tests/mock-runtime", &["protocol", "system"]),
@@ -78,6 +75,8 @@ const CRATES: [(&str, &[&str]); 20] = [
     ),
 ];
 const FOR_TESTS: [&str; 2] = ["mock-runtime", "test-support"];
+/// The crates whose folders import downwards only.
+const FOLDERED: [&str; 3] = ["server/src", "client-xr/src", "tests/lab/src"];
 const MAX_FUNCTION_LINES: usize = 70;
 
 fn root() -> PathBuf {
@@ -146,9 +145,9 @@ fn clocks_and_sockets_are_the_drivers() {
         "server/src/truth/",
         "server/cli/src/",
         "client-xr/src/net",
-        "client-xr/src/window/mod.rs",
+        "client-xr/src/display/window/mod.rs",
         // For a runtime that does not convert its times.
-        "client-xr/src/xr/mod.rs",
+        "client-xr/src/display/xr/mod.rs",
         "client-xr/src/platform",
         "client-xr/src/main.rs",
         "shared/transport/src/mio.rs",
@@ -300,6 +299,79 @@ fn no_modules_import_from_each_other_in_a_circle() {
             .map(|path| path.join("::"))
             .collect();
         assert!(circles.is_empty(), "{folder}: a circle through {circles:?}");
+    }
+}
+
+/// The names that a path begins with: `a` of `a::b`, `a` and `c` of `{a::b, c::{d, e}}`.
+fn first_names(path: &str) -> Vec<String> {
+    let word = |text: &str| text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect::<String>();
+    let Some(group) = path.strip_prefix('{') else {
+        return vec![word(path)];
+    };
+    let mut depth = 1;
+    let is_own = |c: &char| {
+        depth += i32::from(*c == '{') - i32::from(*c == '}');
+        depth > 0
+    };
+    let inside: String = group.chars().take_while(is_own).collect();
+    let mut depth = 0;
+    inside
+        .split(|c| {
+            depth += i32::from(c == '{') - i32::from(c == '}');
+            c == ',' && depth == 0
+        })
+        .map(|leaf| word(leaf.trim()))
+        .filter(|name| !name.is_empty())
+        .collect()
+}
+
+/// The top-level folders, and lone files, of its crate that a text names by `crate::` and `super::`, in imports and elsewhere.
+fn named_folders(path: &[String], text: &str) -> BTreeSet<String> {
+    let mut found = BTreeSet::new();
+    let code = code(text).collect::<Vec<_>>().join("\n");
+    let to_root = "super::".repeat(path.len());
+    for root in ["crate::", to_root.as_str()] {
+        for (at, _) in code.match_indices(root) {
+            let is_longer = code[..at].ends_with(|c: char| c.is_alphanumeric() || "_:$".contains(c));
+            if is_longer {
+                continue;
+            }
+            found.extend(first_names(&code[at + root.len()..]));
+        }
+    }
+    found
+}
+
+#[test]
+fn folders_are_found_by_the_paths_that_name_them() {
+    let path = |text: &str| text.split("::").map(str::to_owned).collect::<Vec<_>>();
+    let named = |at: &str, text: &str| named_folders(&path(at), text).into_iter().collect::<Vec<_>>();
+    assert_eq!(named("a::b", "use crate::c::D;\nuse super::e::F;\nuse super::super::g::H;"), ["c", "g"]);
+    assert_eq!(named("a", "use super::e::{F, G};\nfn f(x: &crate::h::I) {} // crate::j::K"), ["e", "h"]);
+    assert_eq!(named("a", "use crate::{c::{D, E}, f, g::H};\nuse other_crate::i;\n{ j }"), ["c", "f", "g"]);
+    assert_eq!(named("a", "fn f() { let b = crate::c::D { e: 1 }; g(2, h::I) }"), ["c"]);
+}
+
+#[test]
+fn folders_import_downwards_only() {
+    for crate_folder in FOLDERED {
+        let mut edges: BTreeMap<Vec<String>, BTreeSet<Vec<String>>> = BTreeMap::new();
+        let texts: Vec<_> = sources(crate_folder)
+            .into_iter()
+            .map(|(name, text)| (module(crate_folder, &name), text))
+            .filter(|(path, _)| !path.is_empty())
+            .collect();
+        let folders: BTreeSet<String> = texts.iter().map(|(path, _)| path[0].clone()).collect();
+        for (path, text) in &texts {
+            let others = named_folders(path, text).into_iter().filter(|to| *to != path[0]);
+            let to = others.filter(|to| folders.contains(to)).map(|to| vec![to]);
+            edges.entry(vec![path[0].clone()]).or_default().extend(to);
+        }
+        let count: usize = edges.values().map(BTreeSet::len).sum();
+        assert!(count > folders.len(), "{crate_folder}: {count} imports, this test sees none");
+        let circles: Vec<_> =
+            edges.keys().filter(|folder| reachable(folder, &edges).contains(*folder)).flatten().collect();
+        assert!(circles.is_empty(), "{crate_folder}: a circle through {circles:?}");
     }
 }
 

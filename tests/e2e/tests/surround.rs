@@ -1,8 +1,8 @@
 //! A head that stands still and then turns and goes at full speed at once, over a long way, in virtual time.
 
-use shadecast_lab::abrupt::{AbruptReport, measure};
-use shadecast_lab::options::RunOptions;
-use shadecast_lab::room::write_room;
+use shadecast_lab::experiments::abrupt::{AbruptReport, measure};
+use shadecast_lab::scenes::room::write_room;
+use shadecast_lab::session::options::RunOptions;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use std::path::Path;

@@ -2,16 +2,18 @@
 //! truth, motion between updates, and the same pictures twice. Validation layers are on throughout.
 
 use shadecast_client::client::Step;
-use shadecast_client::stats::ClientStats;
-use shadecast_lab::headset_off::{Absence, measure};
+use shadecast_client::present::stats::ClientStats;
+use shadecast_lab::experiments::headset_off::{Absence, measure};
+use shadecast_lab::experiments::motion_table::{
+    Condition, KINDS, Kind, MotionTable, measure as measure_motion,
+};
+use shadecast_lab::experiments::run::{Report, mock_config, run};
 use shadecast_lab::image::Rgb8Image;
-use shadecast_lab::metrics::psnr_db;
-use shadecast_lab::motion_table::{Condition, KINDS, Kind, MotionTable, measure as measure_motion};
-use shadecast_lab::options::{Renderer, RunOptions, ViewerOptions};
-use shadecast_lab::run::{Report, mock_config, run};
+use shadecast_lab::measure::metrics::psnr_db;
+use shadecast_lab::report::stats::RegionStats;
+use shadecast_lab::scenes::walls::write_walls;
 use shadecast_lab::session::Lab;
-use shadecast_lab::stats::RegionStats;
-use shadecast_lab::walls::write_walls;
+use shadecast_lab::session::options::{Renderer, RunOptions, ViewerOptions};
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_mock_runtime::record::read_frames;
 use shadecast_protocol::atlas::AtlasExtent;
@@ -206,7 +208,7 @@ fn two_runs_in_virtual_time_give_identical_pictures() {
 fn real_models_look_like_the_truth() {
     let _turn = turn();
     for file in ["CesiumMan.glb", "Fox.glb"] {
-        let Some(path) = shadecast_lab::long::asset(file) else {
+        let Some(path) = shadecast_lab::scenes::assets::asset(file) else {
             eprintln!("SKIPPED: {file} is not there; the project ships no models of others");
             continue;
         };
@@ -216,7 +218,7 @@ fn real_models_look_like_the_truth() {
     }
 }
 
-/// Off for 20 seconds, by either way that runtimes have; the long form is `shadecast_lab::headset_off` with more seconds.
+/// Off for 20 seconds, by either way that runtimes have; the long form is `shadecast_lab::experiments::headset_off` with more seconds.
 #[test]
 fn a_headset_taken_off_costs_no_memory_and_no_updates_and_its_picture_is_back_within_a_second() {
     let _turn = turn();
@@ -247,7 +249,7 @@ fn no_triangle_is_torn_at_two_updates_a_second() {
             scene_options: SceneOptions { motion, ..SceneOptions::default() },
             ..small(SceneSource::Dragons(1), out.path())
         };
-        let report = shadecast_lab::tearing::measure(&options).unwrap();
+        let report = shadecast_lab::experiments::tearing::measure(&options).unwrap();
         println!("{motion:?} over {link}: {report:?}");
         assert!(report.frames > 100 && report.triangles > 100_000, "{report:?}");
         report

@@ -1,7 +1,7 @@
 //! The paper's table in the small: what it holds, and that a run that was broken off goes on.
 
 use serde_json::Value;
-use shadecast_lab::table1::{Table1Options, measure};
+use shadecast_lab::experiments::table1::{Table1Options, measure};
 use std::cell::RefCell;
 use std::path::Path;
 

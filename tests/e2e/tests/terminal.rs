@@ -1,7 +1,7 @@
 //! What a person at a terminal is told, and what becomes of programs that are interrupted.
 
 use serde_json::Value;
-use shadecast_lab::runtime::prepare_runtime;
+use shadecast_lab::session::runtime::prepare_runtime;
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent, ScriptedInput};
 use shadecast_test_support::programs::{Program, Voice, output_of, program};
 use shadecast_transport::discovery::announce::Announcement;

@@ -1,8 +1,8 @@
 //! What `--trace` tells of a run in virtual time: the way of each update from its making to its display, in the order of time.
 
 use serde_json::Value;
-use shadecast_lab::options::RunOptions;
-use shadecast_lab::run::run;
+use shadecast_lab::experiments::run::run;
+use shadecast_lab::session::options::RunOptions;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_test_support::headset::turn;

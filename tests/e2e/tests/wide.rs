@@ -1,9 +1,9 @@
 //! Eyes that see more than one projection shows well, in virtual time: what is at their border is there. Validation is on.
 
-use shadecast_lab::options::{Renderer, RunOptions};
-use shadecast_lab::room::write_room;
-use shadecast_lab::run::run;
-use shadecast_lab::stats::Stats;
+use shadecast_lab::experiments::run::run;
+use shadecast_lab::report::stats::Stats;
+use shadecast_lab::scenes::room::write_room;
+use shadecast_lab::session::options::{Renderer, RunOptions};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use std::path::Path;

@@ -2,8 +2,8 @@
 //! that is missing.
 
 use crate::script::{number, steps};
+use shadecast_client::decode::decoding::{DecodeTiming, Decoding};
 use shadecast_client::decode::{DecodeError, Decoder, Picture};
-use shadecast_client::decoding::{DecodeTiming, Decoding};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::time::ClientTime;

@@ -1,51 +1,15 @@
 //! Server, link and client on one virtual clock; metrics and reports.
+//!
+//! Folders import downwards only, in this order: [`results`], [`demo`] and [`hostile`], [`experiments`], [`scenes`], [`report`],
+//! [`measure`], [`session`], [`image`] and `process`. The command line (`cli/`) belongs to the program.
 
-pub mod abrupt;
-pub mod bars;
-mod budget;
-pub mod causes;
-pub mod churn;
-pub mod compare;
-pub mod costs;
 pub mod demo;
-pub mod demo_window;
-pub mod detail;
-#[cfg(feature = "libavcodec")]
-pub mod encoders;
-pub mod figures;
-pub mod flip;
-pub mod headset_off;
+pub mod experiments;
 pub mod hostile;
 pub mod image;
-pub mod keys;
-pub mod leaves;
-pub mod long;
-pub mod metrics;
-pub mod motion;
-pub mod motion_table;
-pub mod options;
-pub mod page;
-mod percentiles;
-pub mod paper_size;
-pub mod picture;
+pub mod measure;
 mod process;
-pub mod render_thread;
-pub mod robot;
-pub mod room;
-pub mod run;
-pub mod runtime;
+pub mod report;
+pub mod results;
+pub mod scenes;
 pub mod session;
-pub mod sheet;
-pub mod skinning;
-pub mod slow_link;
-pub mod ssim;
-pub mod stats;
-pub mod steadiness;
-pub mod still;
-pub mod table1;
-pub mod tearing;
-mod text_table;
-pub mod truth;
-pub mod typeface;
-pub mod viewers;
-pub mod walls;

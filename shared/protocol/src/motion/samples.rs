@@ -216,5 +216,4 @@ pub fn decode_batch(
 }
 
 #[cfg(test)]
-#[path = "samples_tests.rs"]
 mod tests;

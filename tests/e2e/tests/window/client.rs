@@ -3,7 +3,7 @@
 use crate::display::{Display, colours};
 use crate::x11::{self, Connection};
 use shadecast_lab::image::Rgb8Image;
-use shadecast_lab::metrics::psnr_db;
+use shadecast_lab::measure::metrics::psnr_db;
 use shadecast_test_support::programs::{Program, Voice, free_address, output_of, program, wait_until};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};

@@ -1,13 +1,13 @@
 //! A server that attacks the real client, on the mock runtime: it must go on showing frames, keep its memory, and show the
 //! pictures of a server that behaves soon after.
 
+use crate::experiments::run::mock_config;
 use crate::hostile::process::Program;
 use crate::hostile::report::{Bars, ClientReport};
 use crate::hostile::rogue::{Conduct, Rogue};
-use crate::options::RunOptions;
 use crate::process::program;
-use crate::run::mock_config;
-use crate::runtime::prepare_runtime;
+use crate::session::options::RunOptions;
+use crate::session::runtime::prepare_runtime;
 use anyhow::{Context, ensure};
 use shadecast_mock_runtime::config::ClockKind;
 use shadecast_mock_runtime::record::read_frames;

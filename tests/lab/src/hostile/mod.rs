@@ -1,6 +1,8 @@
 //! `shadecast-lab hostile`: the real programs on loopback, strangers that attack them, and what becomes of those who keep
 //! to the rules.
 //!
+//! Attacks and durations enter. A report against bars leaves. Nothing here knows pictures' quality and virtual time.
+//!
 //! [`server`] has a server serve a lawful client while strangers attack it from other sockets: does the client keep its
 //! picture, is the next one served soon after, does memory stay where it was. Everything here is in real time and sends
 //! to this machine only. [`client`] has a client shown things by a server that breaks the rules. [`neighbours`] measures what a

@@ -7,7 +7,7 @@ use crate::hostile::lawful::{Lawful, head};
 use crate::hostile::process::Server;
 use crate::hostile::scene;
 use crate::hostile::stranger::Stranger;
-use crate::percentiles::median;
+use crate::measure::percentiles::median;
 use anyhow::Context;
 use serde::Serialize;
 use shadecast_protocol::message::{ClientDatagram, ClientMessage};

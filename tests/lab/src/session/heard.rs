@@ -1,7 +1,7 @@
 //! What a client is handed, and when: told to it, and kept for who plays it again.
 
 use anyhow::bail;
-use shadecast_client::intake::Intake;
+use shadecast_client::stream::intake::Intake;
 use shadecast_protocol::time::ClientTime;
 use shadecast_transport::Event;
 

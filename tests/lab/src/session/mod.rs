@@ -1,28 +1,33 @@
 //! The whole system in one process on one virtual clock: server, links and clients, stepped in the order of time.
 //!
+//! Options of a run enter ([`options`]). Steps of the client leave, and each update of the server. Nothing here knows metrics,
+//! truth and files of results.
+//!
 //! Durations of stages are parameters, never measured, so that a slow machine shows exactly what a fast one would and
 //! two runs are the same. The client is the one that ships: it draws through the system's OpenXR loader into the mock
 //! runtime, whose clock moves on by one period per `xrWaitFrame`. Further viewers are [`ghost::Ghost`]s.
 
 pub mod ghost;
 pub mod heard;
+pub mod options;
 pub mod originals;
 pub mod residents;
+pub mod runtime;
 pub mod seat;
 mod steps;
 
-use crate::options::{Medium, RunOptions, Spared, StageMs, ViewerOptions};
-use crate::runtime::{BUILT_IN_WALK, prepare_runtime, set_runtime};
 use anyhow::{Context, bail};
 use ghost::Ghost;
 use heard::{Heard, Recording, What};
+use options::{Medium, RunOptions, Spared, StageMs, ViewerOptions};
+use runtime::{BUILT_IN_WALK, prepare_runtime, set_runtime};
 use seat::{Rows, Seat};
 use shadecast_client::client::{Client, ClientOptions, Step};
-use shadecast_client::decoding::DecodeTiming;
+use shadecast_client::decode::decoding::DecodeTiming;
+use shadecast_client::display::xr::{Xr, XrOptions};
+use shadecast_client::draw::stages::atlas_draw::Lookup;
+use shadecast_client::net::traced::Traced;
 use shadecast_client::platform::Platform;
-use shadecast_client::stages::atlas_draw::Lookup;
-use shadecast_client::traced::Traced;
-use shadecast_client::xr::{Xr, XrOptions};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_mock_runtime::clock::period_begin_ns;
 use shadecast_mock_runtime::config::MockConfig;

@@ -3,8 +3,8 @@
 
 use shadecast_client::decode::raw::RawDecoder;
 use shadecast_client::decode::{DecodeError, Decoder, Picture};
+use shadecast_client::draw::stages::upload::Chroma;
 use shadecast_client::platform::{self, MakeDecoder};
-use shadecast_client::stages::upload::Chroma;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, Memory, vk};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::ids::UpdateId;

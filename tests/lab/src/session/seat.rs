@@ -1,10 +1,10 @@
 //! The server's side of one viewer on the virtual clock: the product's [`Sessions`] and [`Viewer`], and what is on its way out.
 
+use super::options::StageMs;
 use super::originals::Originals;
 use super::residents::Residents;
 use super::steps::Steps;
 use super::{SERVER_EPOCH_NS, Server};
-use crate::options::StageMs;
 use anyhow::{Context, bail};
 use shadecast_protocol::close::CloseCode;
 use shadecast_protocol::delta::DeltaSizes;

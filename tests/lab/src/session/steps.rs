@@ -1,6 +1,6 @@
 //! The steps of a viewer's updates in virtual time, on a device that does one thing after the other and a CPU beside it.
 
-use crate::options::StepMs;
+use super::options::StepMs;
 use shadecast_server::pacing::overlap::{Flight, Overlap, Step, StepTimes};
 
 /// See the module.

@@ -1,0 +1,473 @@
+//! From coded pictures, which come in any order, to decoded ones: puts them in order, decodes each, and says when only a
+//! refresh helps. The seam to the codec is [`crate::decode`].
+//!
+//! Every frame has a picture, and each needs the one before it, unless it is a refresh. In virtual time decoding takes as
+//! long as it is told to; in real time a thread of its own does it.
+
+use super::{DecodeError, Decoder, Picture};
+use shadecast_protocol::ids::UpdateId;
+use shadecast_protocol::limits::MAX_ACCESS_UNIT_BYTES;
+use shadecast_protocol::time::{ClientTime, ServerTime};
+use shadecast_protocol::wire::{PictureHeader, encode_picture};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// A picture that is awaited this long since a later one came is lost: longer than the server tries (250 ms or three round
+/// trips), so that its word counts where it comes.
+const GIVE_UP_NS: i64 = 600_000_000;
+/// A refresh that does not come is asked for again after this time.
+const ASK_AGAIN_NS: i64 = 500_000_000;
+/// Coded pictures that wait for one before them; beyond it the missing one is lost.
+const MAX_WAITING: usize = 64;
+/// Bytes of coded pictures that wait for one before them; as above.
+const MAX_WAITING_BYTES: usize = 4 * MAX_ACCESS_UNIT_BYTES;
+/// Coded pictures that wait for the decoding thread.
+const THREAD_QUEUE: usize = 8;
+/// Decoded pictures on their way back to the decoding thread.
+const SPARE_QUEUE: usize = 4;
+/// Pictures that a decoder may fail with one after the other before it is said to be of no use: those that only wait for a refresh do not
+/// count.
+const MOST_FAILURES: u32 = 4;
+/// While a decoder has units, its thread looks for others so often.
+const LOOK_UP: Duration = Duration::from_millis(2);
+
+/// How decoding takes time.
+#[derive(Clone, Copy, Debug)]
+pub enum DecodeTiming {
+    /// On a thread of its own, as fast as it goes.
+    Thread {
+        /// The clock by which it is told how long that is.
+        now: fn() -> ClientTime,
+    },
+    /// At once, but handed on only after so many nanoseconds of the virtual clock, one picture after the other.
+    Virtual {
+        /// Nanoseconds per picture.
+        delay_ns: i64,
+    },
+}
+
+/// A decoded picture.
+#[derive(Debug)]
+pub struct Decoded {
+    /// Its frame.
+    pub update: UpdateId,
+    /// When its last byte came.
+    pub arrived: ClientTime,
+    /// From its being handed to the decoder to its being there.
+    pub decoding: [ClientTime; 2],
+    /// The picture.
+    pub picture: Picture,
+}
+
+/// A coded picture.
+struct Coded {
+    header: PictureHeader,
+    access_unit: Vec<u8>,
+    arrived: ClientTime,
+}
+
+/// What the decoder is told.
+enum Job {
+    Decode(Coded),
+    /// A picture before the next is missing.
+    UnitLost,
+}
+
+/// What became of a picture.
+struct Outcome {
+    update: UpdateId,
+    arrived: ClientTime,
+    decoding: [ClientTime; 2],
+    result: Result<Picture, DecodeError>,
+}
+
+/// The decoding of one connection.
+pub struct Decoding {
+    order: PictureOrder,
+    engine: Engine,
+    last_decoded: Option<UpdateId>,
+    /// When a refresh was last asked for, while one is needed.
+    asked: Option<ClientTime>,
+    needs_refresh: bool,
+    /// The last refresh handed to the decoder.
+    last_refresh: Option<UpdateId>,
+    lost: u32,
+    /// Since the last picture that it gave.
+    failures: u32,
+    trouble: Option<String>,
+}
+
+/// Puts pictures in order.
+#[derive(Default)]
+struct PictureOrder {
+    next: UpdateId,
+    waiting: BTreeMap<UpdateId, Coded>,
+    waiting_bytes: usize,
+    /// Given up by the server, later than `next`.
+    dead: BTreeSet<UpdateId>,
+}
+
+/// A decoder with the pictures that are in it.
+struct Work {
+    decoder: Box<dyn Decoder>,
+    /// In order.
+    under_way: VecDeque<UnderWay>,
+}
+
+/// A picture that is in a decoder.
+#[derive(Clone, Copy)]
+struct UnderWay {
+    update: UpdateId,
+    arrived: ClientTime,
+    began: ClientTime,
+}
+
+enum Engine {
+    Virtual {
+        work: Work,
+        delay_ns: i64,
+        busy_until: ClientTime,
+        done: VecDeque<Outcome>,
+    },
+    Thread {
+        jobs: Option<SyncSender<Job>>,
+        outcomes: Receiver<Outcome>,
+        spare: SyncSender<Picture>,
+        thread: Option<JoinHandle<()>>,
+        overflowed: bool,
+    },
+}
+
+/// The frame of a picture of whose stream `head` has come; `None` where that is too little, or no picture.
+pub fn frame_of_head(head: &[u8]) -> Option<UpdateId> {
+    let header = PictureHeader { update: UpdateId(0), time: ServerTime(0), is_refresh: false };
+    let kind = encode_picture(header, &[])[0];
+    let frame = head.get(1..5)?.try_into().ok().map(u32::from_le_bytes)?;
+    (head[0] == kind).then_some(UpdateId(frame))
+}
+
+impl PictureOrder {
+    /// Takes a picture in. Gives the number of missing ones that it makes superfluous, because it needs none of them.
+    fn add(&mut self, coded: Coded) -> u32 {
+        let frame = coded.header.update;
+        if frame < self.next {
+            return 0;
+        }
+        let is_refresh = coded.header.is_refresh;
+        self.waiting_bytes += coded.access_unit.len();
+        let replaced = self.waiting.insert(frame, coded);
+        self.waiting_bytes -= replaced.map_or(0, |coded| coded.access_unit.len());
+        if is_refresh { self.skip_to(frame) } else { 0 }
+    }
+
+    /// Awaits nothing before `frame` any more. Gives the number of pictures that are missing for it.
+    fn skip_to(&mut self, update: UpdateId) -> u32 {
+        let skipped = update.0.saturating_sub(self.next.0);
+        if skipped > 0 {
+            self.waiting = self.waiting.split_off(&update);
+            self.waiting_bytes = self.waiting.values().map(|coded| coded.access_unit.len()).sum();
+            self.dead = self.dead.split_off(&update);
+            self.next = update;
+        }
+        skipped
+    }
+
+    /// Awaits nothing before the oldest picture that is there.
+    fn skip_to_oldest(&mut self) -> u32 {
+        let oldest = self.waiting.first_key_value().map_or(self.next, |(frame, _)| *frame);
+        self.skip_to(oldest)
+    }
+
+    /// The next picture in order, if it is there.
+    fn pop(&mut self) -> Option<Coded> {
+        let coded = self.waiting.remove(&self.next)?;
+        self.waiting_bytes -= coded.access_unit.len();
+        self.next = self.next.next();
+        Some(coded)
+    }
+
+    /// The server gave up the picture of `frame`.
+    fn give_up(&mut self, update: UpdateId) {
+        let is_due = update >= self.next && !update.is_too_far_after(self.next);
+        if is_due && self.dead.len() < MAX_WAITING {
+            self.dead.insert(update);
+        }
+    }
+
+    /// Whether more waits than may.
+    fn is_overfull(&self) -> bool {
+        self.waiting.len() > MAX_WAITING || self.waiting_bytes > MAX_WAITING_BYTES
+    }
+
+    /// Whether the picture that is awaited must be given up.
+    fn is_hopeless(&self, now: ClientTime) -> bool {
+        let oldest = self.waiting.values().map(|coded| coded.arrived).min();
+        oldest.is_some_and(|arrived| now.since(arrived) > GIVE_UP_NS)
+    }
+}
+
+impl Decoding {
+    /// For a connection whose pictures `decoder` can decode.
+    pub fn new(decoder: Box<dyn Decoder>, timing: DecodeTiming) -> Self {
+        let work = Work { decoder, under_way: VecDeque::new() };
+        let engine = match timing {
+            DecodeTiming::Thread { now } => Engine::thread(work, now),
+            DecodeTiming::Virtual { delay_ns } => {
+                Engine::Virtual { work, delay_ns, busy_until: ClientTime(i64::MIN), done: VecDeque::new() }
+            }
+        };
+        Self {
+            order: PictureOrder::default(),
+            engine,
+            last_decoded: None,
+            asked: None,
+            needs_refresh: false,
+            last_refresh: None,
+            lost: 0,
+            failures: 0,
+            trouble: None,
+        }
+    }
+
+    /// Takes in a coded picture that came at `now`.
+    pub fn add(&mut self, header: PictureHeader, access_unit: Vec<u8>, now: ClientTime) {
+        let skipped = self.order.add(Coded { header, access_unit, arrived: now });
+        if skipped > 0 {
+            self.lose(skipped);
+        }
+        self.pump();
+        while self.order.is_overfull() {
+            self.give_up_to_oldest();
+        }
+    }
+
+    /// Bytes of coded pictures that wait for one before them.
+    pub fn waiting_bytes(&self) -> usize {
+        self.order.waiting_bytes
+    }
+
+    /// The server gave up the picture of `frame`; unknown where not a byte of it came: then it is the one awaited.
+    pub fn given_up(&mut self, update: Option<UpdateId>) {
+        self.order.give_up(update.unwrap_or(self.order.next));
+        self.pump();
+    }
+
+    /// What is missing before the oldest picture that waits will not come: one step, however many are missing.
+    fn give_up_to_oldest(&mut self) {
+        let skipped = self.order.skip_to_oldest();
+        self.lose(skipped);
+        self.pump();
+    }
+
+    fn lose(&mut self, count: u32) {
+        self.lost = self.lost.saturating_add(count);
+        self.needs_refresh = true;
+        self.engine.start(Job::UnitLost);
+    }
+
+    fn pump(&mut self) {
+        loop {
+            if self.order.dead.remove(&self.order.next) && !self.order.waiting.contains_key(&self.order.next)
+            {
+                self.order.next = self.order.next.next();
+                self.lose(1);
+                continue;
+            }
+            let Some(coded) = self.order.pop() else { return };
+            if coded.header.is_refresh {
+                self.needs_refresh = false;
+                self.last_refresh = Some(coded.header.update);
+            }
+            if !self.engine.start(Job::Decode(coded)) {
+                self.lose(1);
+            }
+        }
+    }
+
+    /// Does what is due at `now`, and hands on what is decoded by then.
+    pub fn advance(&mut self, now: ClientTime, mut decoded: impl FnMut(Decoded)) {
+        while self.order.is_hopeless(now) {
+            self.give_up_to_oldest();
+        }
+        while let Some(Outcome { update, arrived, decoding, result }) = self.engine.finished(now) {
+            match result {
+                Ok(picture) => {
+                    self.last_decoded = Some(update);
+                    self.failures = 0;
+                    decoded(Decoded { update, arrived, decoding, picture });
+                }
+                Err(error) => {
+                    self.lost = self.lost.saturating_add(1);
+                    self.note_failure(update, &error);
+                    // A refresh that is on its way heals what failed before it.
+                    self.needs_refresh |= self.last_refresh.is_none_or(|refresh| refresh <= update);
+                }
+            }
+        }
+        if !self.needs_refresh {
+            self.asked = None;
+        }
+    }
+
+    /// One failure is a matter of a refresh; a decoder that fails with each refresh will never show anything.
+    fn note_failure(&mut self, update: UpdateId, error: &DecodeError) {
+        if !error.is_the_decoders() {
+            return tracing::debug!("picture of frame {}: {error}", update.0);
+        }
+        tracing::warn!("picture of frame {}: {error}", update.0);
+        self.failures += 1;
+        if self.failures == MOST_FAILURES {
+            self.trouble = Some(format!("pictures cannot be shown: {error}"));
+        }
+    }
+
+    /// Why this decoder is of no use, once.
+    pub fn take_trouble(&mut self) -> Option<String> {
+        self.trouble.take()
+    }
+
+    /// The request that is due at `now`: the last frame that decoded, if only a refresh helps.
+    pub fn refresh_request(&mut self, now: ClientTime) -> Option<Option<UpdateId>> {
+        let is_due = self.asked.is_none_or(|asked| now.since(asked) >= ASK_AGAIN_NS);
+        if !self.needs_refresh || !is_due {
+            return None;
+        }
+        self.asked = Some(now);
+        Some(self.last_decoded)
+    }
+
+    /// Pictures lost or undecodable since the last call.
+    pub fn take_lost(&mut self) -> u32 {
+        std::mem::take(&mut self.lost)
+    }
+
+    /// Gives a picture back for reuse.
+    pub fn recycle(&mut self, picture: Picture) {
+        match &mut self.engine {
+            Engine::Virtual { work, .. } => work.decoder.recycle(picture),
+            // A full or closed channel only means that the picture is freed.
+            Engine::Thread { spare, .. } => drop(spare.try_send(picture)),
+        }
+    }
+}
+
+impl Engine {
+    fn thread(work: Work, now: fn() -> ClientTime) -> Self {
+        let (jobs, job_receiver) = sync_channel(THREAD_QUEUE);
+        let (outcome_sender, outcomes) = sync_channel(THREAD_QUEUE);
+        let (spare, spare_receiver) = sync_channel(SPARE_QUEUE);
+        // It may sleep until there is something for it.
+        let owner = std::thread::current();
+        let decode = move || {
+            decode_all(work, now, &job_receiver, &spare_receiver, |outcome| {
+                let is_wanted = outcome_sender.send(outcome).is_ok();
+                owner.unpark();
+                is_wanted
+            });
+        };
+        let thread = std::thread::Builder::new().name("decode".into()).spawn(decode);
+        if let Err(error) = &thread {
+            tracing::error!("the decoding thread could not be started: {error}");
+        }
+        Self::Thread { jobs: Some(jobs), outcomes, spare, thread: thread.ok(), overflowed: false }
+    }
+
+    /// Starts a job. False where the queue is full: the picture is lost, and the decoder will be told.
+    fn start(&mut self, job: Job) -> bool {
+        match self {
+            Self::Virtual { work, delay_ns, busy_until, .. } => {
+                let mut began = *busy_until;
+                if let Job::Decode(Coded { arrived, .. }) = &job {
+                    began = began.max(*arrived);
+                    *busy_until = began.plus_ns(*delay_ns);
+                }
+                work.start(&job, began);
+                true
+            }
+            Self::Thread { jobs: Some(jobs), overflowed, .. } => {
+                if *overflowed && jobs.try_send(Job::UnitLost).is_err() {
+                    return false;
+                }
+                let sent = jobs.try_send(job);
+                *overflowed = matches!(sent, Err(TrySendError::Full(_)));
+                sent.is_ok()
+            }
+            Self::Thread { .. } => false,
+        }
+    }
+
+    fn finished(&mut self, now: ClientTime) -> Option<Outcome> {
+        match self {
+            Self::Virtual { work, delay_ns, done, .. } => {
+                while let Some(outcome) = work.poll(Duration::ZERO, |began| began.plus_ns(*delay_ns)) {
+                    done.push_back(outcome);
+                }
+                done.pop_front_if(|outcome| outcome.decoding[1] <= now)
+            }
+            Self::Thread { outcomes, .. } => outcomes.try_recv().ok(),
+        }
+    }
+}
+
+impl Drop for Engine {
+    fn drop(&mut self) {
+        if let Self::Thread { jobs, outcomes, thread, .. } = self {
+            jobs.take();
+            // The thread may wait for room among the outcomes.
+            while outcomes.recv().is_ok() {}
+            thread.take().map(JoinHandle::join);
+        }
+    }
+}
+
+impl Work {
+    fn start(&mut self, job: &Job, began: ClientTime) {
+        match job {
+            Job::Decode(Coded { header, access_unit, arrived }) => {
+                self.decoder.submit(access_unit);
+                self.under_way.push_back(UnderWay { update: header.update, arrived: *arrived, began });
+            }
+            Job::UnitLost => self.decoder.unit_lost(),
+        }
+    }
+
+    /// What became of the oldest picture, for which it waits at most for `timeout`; `ended` tells when, by its beginning.
+    fn poll(&mut self, timeout: Duration, ended: impl FnOnce(ClientTime) -> ClientTime) -> Option<Outcome> {
+        let UnderWay { update, arrived, began } = *self.under_way.front()?;
+        let result = self.decoder.poll(timeout)?;
+        self.under_way.pop_front();
+        Some(Outcome { update, arrived, decoding: [began, ended(began)], result })
+    }
+}
+
+/// Ends when the connection does.
+fn decode_all(
+    mut work: Work,
+    now: fn() -> ClientTime,
+    jobs: &Receiver<Job>,
+    spare: &Receiver<Picture>,
+    hand_on: impl Fn(Outcome) -> bool,
+) {
+    loop {
+        let job = match work.under_way.is_empty() {
+            true => jobs.recv().map_err(|_| TryRecvError::Disconnected),
+            false => jobs.try_recv(),
+        };
+        spare.try_iter().for_each(|picture| work.decoder.recycle(picture));
+        match job {
+            Ok(job) => work.start(&job, now()),
+            Err(TryRecvError::Empty) => {}
+            Err(TryRecvError::Disconnected) => return,
+        }
+        while let Some(outcome) = work.poll(LOOK_UP, |_| now()) {
+            if !hand_on(outcome) {
+                return;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

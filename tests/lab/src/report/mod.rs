@@ -1,0 +1,9 @@
+//! Figures and pictures for people: a run's summary, tables, a contact sheet, a page.
+//!
+//! Figures and pictures enter. JSON, text, PNG and HTML leave. Nothing here knows how they were measured.
+
+pub mod page;
+pub mod sheet;
+pub mod stats;
+pub(crate) mod text_table;
+pub mod typeface;

@@ -1,0 +1,9 @@
+//! Scenes that are made for one measurement each.
+//!
+//! A folder enters, and sizes. A scene description leaves, with its models and textures. Nothing here knows runs and figures.
+
+pub mod assets;
+pub mod leaves;
+pub mod robot;
+pub mod room;
+pub mod walls;
