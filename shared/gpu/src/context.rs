@@ -192,6 +192,11 @@ impl Gpu {
         self.validation.count.load(Ordering::Relaxed)
     }
 
+    /// The same for reports; `None` with validation off: nothing was checked.
+    pub fn checked_messages(&self) -> Option<u32> {
+        self.messenger.is_some().then(|| self.validation_messages())
+    }
+
     /// Whether validation is on and looks for missing barriers: some layers cannot be asked to.
     pub fn checks_synchronisation(&self) -> bool {
         self.messenger.is_some() && can_check_synchronisation(&self.entry).unwrap_or(false)
