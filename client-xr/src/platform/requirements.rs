@@ -1,7 +1,7 @@
-//! All that the client asks of a headset, in one place. A test holds it against what a first-generation standalone headset
+//! All that the client asks of a headset, in one place; the limits of its device are in the table of [`shadecast_gpu::limits`]. A test holds it against what a first-generation standalone headset
 //! has, and what is really asked for against it.
 
-use shadecast_gpu::{GpuError, vk};
+use shadecast_gpu::vk;
 
 /// What must be there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,38 +30,6 @@ pub struct Requirements {
     pub spirv_capabilities: &'static [&'static str],
     /// OpenXR extensions, besides what a system's loader needs.
     pub openxr_extensions: &'static [&'static str],
-    /// Bytes of the largest storage buffer.
-    pub storage_buffer_bytes: u64,
-    /// Storage buffers that one shader reads and writes.
-    pub storage_buffers: usize,
-    /// Bytes of push constants.
-    pub push_constant_bytes: u32,
-}
-
-impl Requirements {
-    /// Whether a device of this name, with so many storage buffers a shader of so many bytes at most, can do.
-    ///
-    /// # Errors
-    /// It cannot; the text says what it lacks.
-    pub fn check_buffers(&self, device: &str, storage_buffers: u32, bytes: u64) -> Result<(), GpuError> {
-        let lacks = |what: String| {
-            let reason = format!("{device} has {what}; the client needs a newer driver, or another device");
-            Err(GpuError::NoDevice(reason))
-        };
-        if (storage_buffers as usize) < self.storage_buffers {
-            let needed = self.storage_buffers;
-            return lacks(format!(
-                "{storage_buffers} storage buffers a shader (maxPerStageDescriptorStorageBuffers), and {needed} are needed"
-            ));
-        }
-        if bytes < self.storage_buffer_bytes {
-            let needed = self.storage_buffer_bytes;
-            return lacks(format!(
-                "storage buffers of at most {bytes} bytes (maxStorageBufferRange), and {needed} are needed"
-            ));
-        }
-        Ok(())
-    }
 }
 
 /// What the client requires.
@@ -81,9 +49,4 @@ pub const REQUIRED: Requirements = Requirements {
     plane_format: vk::Format::R8_UNORM,
     spirv_capabilities: &["Shader", "ImageQuery", "MultiView"],
     openxr_extensions: &["XR_KHR_vulkan_enable2"],
-    // Samples of all vertices: what Vulkan guarantees.
-    storage_buffer_bytes: shadecast_protocol::limits::MAX_KEPT_SAMPLES as u64 * 16,
-    // Skeletons: the arena has a binding for each of its views. Vulkan itself guarantees 4, what headsets have is to be measured.
-    storage_buffers: 10,
-    push_constant_bytes: 40,
 };

@@ -64,8 +64,8 @@ pub struct ClientStats {
     pub clock_error_bound_ms: Option<f64>,
     /// The same at the last of them.
     pub clock_error_bound_last_ms: Option<f64>,
-    /// Validation messages; 0 with validation off.
-    pub validation_messages: u32,
+    /// Validation messages; none with validation off.
+    pub validation_messages: Option<u32>,
 }
 
 impl ClientStats {
@@ -137,8 +137,16 @@ impl ClientStats {
             refresh_requests: self.refresh_requests + refresh_requests,
             clock_error_bound_ms: larger(self.clock_error_bound_ms, clock_error_bound_ms),
             clock_error_bound_last_ms: clock_error_bound_last_ms.or(self.clock_error_bound_last_ms),
-            validation_messages: self.validation_messages + validation_messages,
+            validation_messages: sum(self.validation_messages, validation_messages),
         }
+    }
+}
+
+/// Of what was counted.
+fn sum(a: Option<u32>, b: Option<u32>) -> Option<u32> {
+    match (a, b) {
+        (Some(a), Some(b)) => Some(a + b),
+        _ => a.or(b),
     }
 }
 
@@ -237,7 +245,7 @@ impl Counters {
             refresh_requests: so_far(&self.arrived.refresh_requests),
             clock_error_bound_ms: self.clock_error_bound_ms.0,
             clock_error_bound_last_ms: self.clock_error_bound_ms.1,
-            validation_messages: gpu.validation_messages(),
+            validation_messages: gpu.checked_messages(),
         }
     }
 }

@@ -4,6 +4,7 @@ use crate::{DEFAULT_LISTEN, DEFAULT_RATE_HZ};
 use anyhow::ensure;
 use clap::Args;
 use serde::Serialize;
+use shadecast_gpu::limits::{Verdict, most_textures, verdicts};
 use shadecast_gpu::{FoundDevice, Needs, survey};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::picture::I420;
@@ -49,12 +50,29 @@ struct Device {
     vulkan: String,
     memory_mb: u64,
     /// What is needed and not there.
-    lacks: Option<&'static str>,
+    lacks: Option<String>,
+    limits: Vec<Limit>,
+    /// Textures of a scene that it can be given at once.
+    most_textures: u32,
     has_two_queues: bool,
     /// A server would take it.
     is_chosen: bool,
     #[serde(skip)]
     is_cpu: bool,
+}
+
+/// A limit of a device that a server relies on.
+#[derive(Clone, Debug, Serialize)]
+struct Limit {
+    name: &'static str,
+    needed: u32,
+    offered: u32,
+}
+
+impl From<Verdict> for Limit {
+    fn from(Verdict { name, needed, offered }: Verdict) -> Self {
+        Self { name, needed, offered }
+    }
 }
 
 /// An encoder with pictures of one extent.
@@ -153,6 +171,8 @@ fn chosen(found: Vec<FoundDevice>, wanted: Option<&str>) -> Vec<Device> {
             vulkan: format!("{}.{}", device.vulkan_version[0], device.vulkan_version[1]),
             memory_mb: device.memory_bytes / 1_000_000,
             lacks: device.lacks,
+            limits: verdicts(&device.limits, Needs::Server).into_iter().map(Limit::from).collect(),
+            most_textures: most_textures(&device.limits),
             has_two_queues: device.has_two_queues,
             is_chosen: Some(index) == best,
             is_cpu: device.is_cpu,
@@ -285,13 +305,20 @@ impl fmt::Display for Findings {
         writeln!(f, "Vulkan devices")?;
         for device in &self.devices {
             let Device { name, kind, vulkan, memory_mb, .. } = device;
-            let verdict = match device.lacks {
+            let verdict = match &device.lacks {
                 Some(what) => format!("lacks {what}"),
                 None if device.is_chosen => "would be used".into(),
                 None => "could be used".into(),
             };
             let queues = if device.has_two_queues { "two queues" } else { "one queue" };
             writeln!(f, "  {name}: {kind}, Vulkan {vulkan}, {memory_mb} MB, {queues}: {verdict}")?;
+            let to_tell = |limit: &&Limit| device.is_chosen || limit.offered < limit.needed;
+            for Limit { name, needed, offered } in device.limits.iter().filter(to_tell) {
+                writeln!(f, "    {name}: {needed} needed, {offered} offered")?;
+            }
+            if device.is_chosen {
+                writeln!(f, "    textures of a scene: at most {}", device.most_textures)?;
+            }
         }
         if let Some(error) = &self.no_devices {
             writeln!(f, "  none: {error}")?;
@@ -371,6 +398,8 @@ mod tests {
             vulkan: "1.3".into(),
             memory_mb: 8000,
             lacks: None,
+            limits: vec![Limit { name: "maxPushConstantsSize", needed: 80, offered: 128 }],
+            most_textures: 63,
             has_two_queues: true,
             is_chosen: true,
             is_cpu: false,
@@ -409,6 +438,18 @@ mod tests {
     fn a_healthy_machine_is_left_as_it_is() {
         assert_eq!(advice(&healthy(), None), Vec::<String>::new());
         assert!(healthy().to_string().contains("Nothing needs to be changed"));
+    }
+
+    #[test]
+    fn limits_are_told_of_the_device_in_use_and_of_others_where_they_are_too_low() {
+        let mut findings = healthy();
+        let text = findings.to_string();
+        assert!(text.contains("maxPushConstantsSize: 80 needed, 128 offered"), "{text}");
+        assert!(text.contains("textures of a scene: at most 63"), "{text}");
+        findings.devices[0].is_chosen = false;
+        assert!(!findings.to_string().contains("maxPushConstantsSize"));
+        findings.devices[0].limits[0].offered = 64;
+        assert!(findings.to_string().contains("maxPushConstantsSize: 80 needed, 64 offered"));
     }
 
     #[test]

@@ -38,9 +38,10 @@ pub(crate) struct Draw<'a> {
 }
 
 impl Geometry {
-    /// Pipelines of two shaders in `pass`.
+    /// Pipelines of two shaders in `pass`, with places for the scene's textures.
     pub(crate) fn new(
         gpu: &Arc<Gpu>,
+        scene: &SceneGpu,
         vertex: &Shader,
         fragment: &Shader,
         pass: &RenderPass,
@@ -49,6 +50,7 @@ impl Geometry {
             let desc = GraphicsPipelineDesc {
                 cull,
                 depth_write: Some(true),
+                textures: scene.materials.texture_count(),
                 ..GraphicsPipelineDesc::new(vertex, fragment, pass)
             };
             GraphicsPipeline::new(gpu, &desc)

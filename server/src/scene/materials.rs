@@ -3,8 +3,8 @@
 use super::SceneGpuError;
 use crate::support::upload;
 use ash::vk;
+use shadecast_gpu::limits::check_textures;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, ImageDesc, Sampler, SamplerDesc};
-use shadecast_protocol::limits::SCENE_TEXTURES;
 use shadecast_scene::identity::{ContentHash, texture_hash};
 use shadecast_scene::{Cancel, Material, Model, Texture, TextureSlot, Wrap};
 use shadecast_shaders::constants::{
@@ -25,6 +25,11 @@ pub struct Materials {
 }
 
 impl Materials {
+    /// Textures that shaders choose from.
+    pub fn texture_count(&self) -> u32 {
+        self.textures.len() as u32
+    }
+
     /// Every texture with its sampler, in scene-wide order.
     pub fn texture_binds(&self) -> Vec<(&Image, &Sampler)> {
         self.textures.iter().zip(&self.sampler_of_texture).map(|(t, s)| (t, &self.samplers[*s])).collect()
@@ -50,13 +55,7 @@ impl<'a> MaterialArrays<'a> {
     /// Brings all to the device, until somebody asks to end.
     pub(super) fn upload(&self, gpu: &Arc<Gpu>, cancel: &Cancel) -> Result<Materials, SceneGpuError> {
         let textures = &self.textures.unique;
-        if textures.len() > SCENE_TEXTURES as usize {
-            return Err(GpuError::TooLarge(format!(
-                "the scene has {} textures, at most {SCENE_TEXTURES} can be bound; use fewer",
-                textures.len()
-            ))
-            .into());
-        }
+        check_textures(gpu.limits(), textures.len() as u32)?;
         let mut wraps: Vec<[Wrap; 2]> = Vec::new();
         let (mut images, mut samplers, mut sampler_of_texture) = (Vec::new(), Vec::new(), Vec::new());
         for texture in textures.iter().copied() {

@@ -19,6 +19,7 @@ use crate::scene::lights::SunView;
 use crate::scene::motion_library::MotionLibrary;
 use crate::scene::motion_library::MotionOption;
 use crate::scene::skins::{SkinnedMesh, Skinning, SkinningArrays, SkinningBuffers};
+use crate::support::upload;
 use materials::{MaterialArrays, Materials};
 use meshes::{Mesh, MeshArrays, Meshes};
 use numbering::{InstanceSize, Numbering, ScenePatch};
@@ -31,6 +32,7 @@ use shadecast_scene::identity::ContentHash;
 use shadecast_scene::patches::Patch;
 use shadecast_scene::process::Loading;
 use shadecast_scene::{Cancel, Cancelled, Instance, Model, Scene};
+use shadecast_shaders::generated::{LEVEL_SELECTION_COMP, SKIN_COMP};
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -129,6 +131,7 @@ impl SceneGpu {
         let mut arrays = Arrays::new(options.skinning);
         let with_mesh = scene.models.iter().zip(&manager.materials);
         let models: Vec<_> = with_mesh.map(|(model, material)| arrays.add(model, material.mesh)).collect();
+        check_groups(gpu, &models)?;
         let numbering = number(&scene, &models);
         let played_bounds = played_bounds(&scene, &loading.cancel)?;
         let world_bounds = scene.instances.iter().zip(&played_bounds);
@@ -239,6 +242,15 @@ fn gloss(scene: &Scene) -> Vec<Vec<Gloss>> {
         model.materials.iter().map(|material| Gloss::of(material, &model.textures, light)).collect()
     };
     scene.models.iter().map(of_model).collect()
+}
+
+/// That each model can be worked on in one dispatch.
+fn check_groups(gpu: &Gpu, models: &[ModelGpu]) -> Result<(), GpuError> {
+    models.iter().try_for_each(|model| {
+        let patches = model.levels.iter().map(|level| level.patches.len()).max().unwrap_or(0);
+        upload::check_groups(gpu, "patches", patches as u32, &LEVEL_SELECTION_COMP)?;
+        upload::check_groups(gpu, "vertices", model.vertex_count, &SKIN_COMP)
+    })
 }
 
 fn number(scene: &Scene, models: &[ModelGpu]) -> Numbering {

@@ -1,6 +1,8 @@
 //! Arrays on the device, which may be empty or larger than it can bind.
 
+use shadecast_gpu::limits::check;
 use shadecast_gpu::{Buffer, Gpu, GpuError, Memory};
+use shadecast_shaders::Shader;
 use std::sync::Arc;
 
 /// A device-local buffer of an array that may be empty; Vulkan has no empty buffers.
@@ -29,4 +31,15 @@ pub fn check_room(gpu: &Gpu, what: &str, bytes: u64) -> Result<(), GpuError> {
         bytes.div_ceil(1 << 20),
         most >> 20
     )))
+}
+
+/// That the device can be given all workgroups of a dispatch of `shader` for so many of `what`.
+///
+/// # Errors
+/// It cannot; the text says what to do.
+pub fn check_groups(gpu: &Gpu, what: &str, items: u32, shader: &Shader) -> Result<(), GpuError> {
+    let [side, ..] = shader.workgroup.expect("a compute shader");
+    let groups = items.div_ceil(side);
+    let what = format!("{items} {what} of a model, in workgroups,");
+    check(gpu.limits(), "maxComputeWorkGroupCount[0]", &what, groups.into(), "use smaller models")
 }

@@ -449,8 +449,8 @@ impl Pass {
         shaded: Option<&Shadow>,
     ) -> Result<Self, GpuError> {
         let geometry = match shaded {
-            None => Geometry::new(gpu, &FORWARD_PROBE_VERT, &FORWARD_PROBE_FRAG, &pass)?,
-            Some(_) => Geometry::new(gpu, &FORWARD_VERT, &FORWARD_FRAG, &pass)?,
+            None => Geometry::new(gpu, scene, &FORWARD_PROBE_VERT, &FORWARD_PROBE_FRAG, &pass)?,
+            Some(_) => Geometry::new(gpu, scene, &FORWARD_VERT, &FORWARD_FRAG, &pass)?,
         };
         let textures = scene.materials.texture_binds();
         let [saved_vertices, boxes] = animation.position_binds();

@@ -2,9 +2,8 @@
 
 use crate::memory::Garbage;
 use crate::ycbcr::{YcbcrImage, YcbcrSampler};
-use crate::{Buffer, Doing, Gpu, GpuError, Image, Sampler};
+use crate::{Buffer, Doing, Gpu, GpuError, Image, Sampler, limits};
 use ash::vk;
-use shadecast_protocol::limits::SCENE_TEXTURES;
 use shadecast_spirv::{Binding, BindingKind, Shader, Stage};
 use std::sync::Arc;
 
@@ -54,16 +53,23 @@ pub struct BindGroup {
 impl Layout {
     /// The layout that reflection found in `shaders` (one compute shader, or a vertex and a fragment shader).
     pub fn new(gpu: &Arc<Gpu>, shaders: &[&Shader]) -> Result<Arc<Self>, GpuError> {
-        Self::fixing(gpu, shaders, None)
+        Self::fixing(gpu, shaders, None, 0)
     }
 
-    /// The same with a sampler that is part of it.
+    /// The same with a sampler that is part of it, and places for so many textures in an array whose length GLSL leaves open.
     pub fn fixing(
         gpu: &Arc<Gpu>,
         shaders: &[&Shader],
         fixed: Option<FixedSampler>,
+        textures: u32,
     ) -> Result<Arc<Self>, GpuError> {
-        let bindings = merged(shaders);
+        let mut bindings = merged(shaders);
+        let is_open: Vec<_> = bindings.iter().map(|(binding, _)| binding.count == 0).collect();
+        // Vulkan wants a place even where a scene has no textures.
+        let open = bindings.iter_mut().filter(|(binding, _)| binding.count == 0);
+        open.for_each(|(binding, _)| binding.count = textures.max(1));
+        let name = shaders.last().map_or("", |s| s.name);
+        check_descriptors(gpu, name, &bindings, fixed.as_ref().map(|(name, _)| *name))?;
         let samplers: Vec<_> = fixed.iter().map(|(_, sampler)| sampler.handle).collect();
         let infos: Vec<_> = bindings
             .iter()
@@ -71,7 +77,7 @@ impl Layout {
                 let info = vk::DescriptorSetLayoutBinding::default()
                     .binding(binding.index)
                     .descriptor_type(descriptor_type(binding.kind))
-                    .descriptor_count(count(binding))
+                    .descriptor_count(binding.count)
                     .stage_flags(*stages);
                 match &fixed {
                     Some((name, _)) if *name == binding.name => info.immutable_samplers(&samplers),
@@ -79,16 +85,16 @@ impl Layout {
                 }
             })
             .collect();
-        let flags: Vec<_> = bindings
+        let flags: Vec<_> = is_open
             .iter()
-            .map(|(binding, _)| match binding.count {
-                0 => vk::DescriptorBindingFlags::PARTIALLY_BOUND,
-                _ => vk::DescriptorBindingFlags::empty(),
+            .map(|is_open| match is_open {
+                true => vk::DescriptorBindingFlags::PARTIALLY_BOUND,
+                false => vk::DescriptorBindingFlags::empty(),
             })
             .collect();
         let mut flag_info = vk::DescriptorSetLayoutBindingFlagsCreateInfo::default().binding_flags(&flags);
         let mut info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&infos);
-        if bindings.iter().any(|(b, _)| b.count == 0) {
+        if is_open.contains(&true) {
             info = info.push_next(&mut flag_info);
         }
         let push_bytes = shaders.iter().map(|s| s.push_bytes).max().unwrap_or(0);
@@ -109,7 +115,6 @@ impl Layout {
             let handle = gpu.device().create_pipeline_layout(&info, None);
             (set_layout, handle.doing("creating a pipeline layout")?)
         };
-        let name = shaders.last().map_or("", |s| s.name);
         let gpu = gpu.clone();
         Ok(Arc::new(Self { gpu, handle, set_layout, bindings, push_stages, push_bytes, fixed, name }))
     }
@@ -146,9 +151,30 @@ fn merged(shaders: &[&Shader]) -> Vec<(Binding, vk::ShaderStageFlags)> {
     bindings
 }
 
-fn count(binding: &Binding) -> u32 {
-    // GLSL leaves the length of the scene's texture array open; entries may stay unbound.
-    if binding.count == 0 { SCENE_TEXTURES } else { binding.count }
+/// That a stage, and the set, may have as many descriptors. A picture for a sampler of the layout may take several.
+fn check_descriptors(
+    gpu: &Gpu,
+    shader: &str,
+    bindings: &[(Binding, vk::ShaderStageFlags)],
+    fixed: Option<&str>,
+) -> Result<(), GpuError> {
+    let count = |kind: Option<BindingKind>, stages| -> u64 {
+        let counted =
+            bindings.iter().filter(|(b, s)| kind.is_none_or(|kind| b.kind == kind) && s.intersects(stages));
+        let places =
+            counted.map(|(b, _)| if fixed == Some(b.name) { DESCRIPTORS_PER_PICTURE } else { b.count });
+        places.map(u64::from).sum()
+    };
+    let check = |limit, needed| limits::check(gpu.limits(), limit, shader, needed, "update the driver");
+    for stage in [vk::ShaderStageFlags::VERTEX, vk::ShaderStageFlags::FRAGMENT, vk::ShaderStageFlags::COMPUTE]
+    {
+        for (limit, kind) in limits::OF_STAGES {
+            check(limit, count(kind, stage))?;
+        }
+    }
+    limits::OF_SETS
+        .into_iter()
+        .try_for_each(|(limit, kind)| check(limit, count(Some(kind), vk::ShaderStageFlags::ALL)))
 }
 
 pub(crate) fn stage_flag(stage: Stage) -> vk::ShaderStageFlags {
@@ -184,7 +210,7 @@ impl BindGroup {
             .iter()
             .map(|(b, _)| {
                 let is_fixed = layout.fixed.as_ref().is_some_and(|(name, _)| *name == b.name);
-                let descriptor_count = if is_fixed { DESCRIPTORS_PER_PICTURE } else { count(b) };
+                let descriptor_count = if is_fixed { DESCRIPTORS_PER_PICTURE } else { b.count };
                 vk::DescriptorPoolSize { ty: descriptor_type(b.kind), descriptor_count }
             })
             .collect();
@@ -200,7 +226,7 @@ impl BindGroup {
         };
         let group = Self { gpu: gpu.clone(), pool, set };
         for (name, bind) in binds {
-            group.write(layout.find(name), bind);
+            group.write(layout.find(name), bind)?;
         }
         Ok(group)
     }
@@ -225,26 +251,31 @@ impl BindGroup {
         unsafe { self.gpu.device().update_descriptor_sets(&[write], &[]) };
     }
 
-    fn write(&self, binding: &Binding, bind: &Bind<'_>) {
+    fn write(&self, binding: &Binding, bind: &Bind<'_>) -> Result<(), GpuError> {
         let sampled = |image: &Image, sampler: &Sampler| {
             vk::DescriptorImageInfo::default()
                 .image_view(image.view)
                 .sampler(sampler.handle)
                 .image_layout(vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL)
         };
+        let whole = |buffer: &Buffer| {
+            check_range(&self.gpu, binding, buffer.size())?;
+            Ok(vk::DescriptorBufferInfo::default().buffer(buffer.handle).range(vk::WHOLE_SIZE))
+        };
         let mut buffers = Vec::new();
         let mut images = Vec::new();
         match bind {
-            Bind::Buffer(buffer) => {
-                buffers.push(vk::DescriptorBufferInfo::default().buffer(buffer.handle).range(vk::WHOLE_SIZE))
+            Bind::Buffer(buffer) => buffers.push(whole(buffer)?),
+            Bind::Buffers(all) => {
+                let places = (0..binding.count as usize).map(|at| whole(all.get(at).unwrap_or(&all[0])));
+                buffers = places.collect::<Result<_, GpuError>>()?;
             }
-            Bind::Buffers(all) => buffers.extend((0..count(binding) as usize).map(|element| {
-                let buffer = all.get(element).unwrap_or(&all[0]);
-                vk::DescriptorBufferInfo::default().buffer(buffer.handle).range(vk::WHOLE_SIZE)
-            })),
             Bind::Sampled(image, sampler) => images.push(sampled(image, sampler)),
             Bind::Picture(picture) => images.push(of_picture(picture)),
-            Bind::Textures(all) => images.extend(all.iter().map(|(i, s)| sampled(i, s))),
+            Bind::Textures(all) => {
+                assert!(all.len() <= binding.count as usize, "{}: a layout for fewer", binding.name);
+                images.extend(all.iter().map(|(i, s)| sampled(i, s)));
+            }
             Bind::Storage(image) => images.push(
                 vk::DescriptorImageInfo::default()
                     .image_view(image.view)
@@ -252,7 +283,7 @@ impl BindGroup {
             ),
         }
         if buffers.is_empty() && images.is_empty() {
-            return;
+            return Ok(());
         }
         let write = vk::WriteDescriptorSet::default()
             .dst_set(self.set)
@@ -262,7 +293,18 @@ impl BindGroup {
         let write = if images.is_empty() { write.buffer_info(&buffers) } else { write.image_info(&images) };
         // SAFETY: no submitted work uses the set; the resources are alive.
         unsafe { self.gpu.device().update_descriptor_sets(&[write], &[]) };
+        Ok(())
     }
+}
+
+/// That the device can bind a buffer of this size as a whole.
+fn check_range(gpu: &Gpu, binding: &Binding, bytes: u64) -> Result<(), GpuError> {
+    let limit = match binding.kind {
+        BindingKind::UniformBuffer => "maxUniformBufferRange",
+        _ => "maxStorageBufferRange",
+    };
+    let what = format!("the buffer {}, in bytes,", binding.name);
+    limits::check(gpu.limits(), limit, &what, bytes, "use fewer or smaller models")
 }
 
 /// The layout has the sampler.

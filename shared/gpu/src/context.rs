@@ -5,6 +5,7 @@ use crate::devices::{
     has_density_maps, has_geometry_shader, missing, name_of,
 };
 use crate::lanes::{LANES, Lanes};
+use crate::limits::{self, DeviceLimits};
 use crate::lock::{self, Lock};
 use crate::memory::Garbage;
 use crate::pending::Pending;
@@ -74,6 +75,7 @@ pub struct Gpu {
     pub(crate) leaves_retired: AtomicBool,
     pub(crate) timings: Lock<KeptTimings>,
     pub(crate) properties: vk::PhysicalDeviceProperties,
+    limits: DeviceLimits,
     numbers_triangles: bool,
     takes_density_maps: bool,
     physical: vk::PhysicalDevice,
@@ -136,6 +138,7 @@ impl Gpu {
             leaves_retired: AtomicBool::new(false),
             timings: Lock::default(),
             properties,
+            limits: limits::of(&instance, physical),
             takes_density_maps,
             numbers_triangles: options.needs == Needs::Server && has_geometry_shader(&instance, physical),
             physical,
@@ -158,9 +161,9 @@ impl Gpu {
         u64::from(self.properties.limits.max_storage_buffer_range)
     }
 
-    /// Most storage buffers that one shader can be given.
-    pub fn max_stage_storage_buffers(&self) -> u32 {
-        self.properties.limits.max_per_stage_descriptor_storage_buffers
+    /// The device's offer of every limit that the programs rely on.
+    pub fn limits(&self) -> &DeviceLimits {
+        &self.limits
     }
 
     /// Samples a pixel that passes with colour and depth can have: 1 and 4, and on some devices others.
@@ -187,6 +190,11 @@ impl Gpu {
     /// Validation warnings and errors since the device was opened; 0 with validation off.
     pub fn validation_messages(&self) -> u32 {
         self.validation.count.load(Ordering::Relaxed)
+    }
+
+    /// The same for reports; `None` with validation off: nothing was checked.
+    pub fn checked_messages(&self) -> Option<u32> {
+        self.messenger.is_some().then(|| self.validation_messages())
     }
 
     /// Whether validation is on and looks for missing barriers: some layers cannot be asked to.
@@ -321,7 +329,7 @@ impl DeviceSource for DesktopDevice {
         let wanted = options.device_name.as_deref();
         let best = all.iter().find(|found| found.is_usable(wanted));
         best.map(|found| found.physical).ok_or_else(|| {
-            let refused = all.iter().map(|found| match found.lacks {
+            let refused = all.iter().map(|found| match &found.lacks {
                 Some(what) if found.is_named(wanted) => format!("{}: lacks {what}", found.name),
                 _ => format!("{}: not the one asked for", found.name),
             });

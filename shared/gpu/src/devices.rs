@@ -1,6 +1,7 @@
 //! Which devices there are, and what each lacks of what is needed.
 
 use crate::GpuError;
+use crate::limits::{self, DeviceLimits};
 use ash::vk;
 use std::ffi::CStr;
 
@@ -56,7 +57,9 @@ pub struct FoundDevice {
     /// Bytes of its own memory.
     pub memory_bytes: u64,
     /// The first thing that is needed and not there.
-    pub lacks: Option<&'static str>,
+    pub lacks: Option<String>,
+    /// Its offer of every limit.
+    pub limits: DeviceLimits,
     /// Has two queues for graphics and compute, so that one works beside the other.
     pub has_two_queues: bool,
     pub(crate) physical: vk::PhysicalDevice,
@@ -109,6 +112,7 @@ fn found(instance: &ash::Instance, physical: vk::PhysicalDevice, needs: Needs) -
         vulkan_version: [vk::api_version_major(version), vk::api_version_minor(version)],
         memory_bytes: own.map(|heap| heap.size).max().unwrap_or(0),
         lacks: missing(instance, physical, needs),
+        limits: limits::of(instance, physical),
         has_two_queues: queues.is_some_and(|family| family.queue_count > 1),
         physical,
     };
@@ -139,8 +143,18 @@ pub(crate) fn name_of(properties: &vk::PhysicalDeviceProperties) -> String {
     properties.device_name_as_c_str().map_or_else(|_| "unnamed".into(), |n| n.to_string_lossy().into_owned())
 }
 
-/// Names the first needed feature that the device lacks.
+/// Names the first needed feature that the device lacks, or the first limit that is too low.
 pub(crate) fn missing(
+    instance: &ash::Instance,
+    physical: vk::PhysicalDevice,
+    needs: Needs,
+) -> Option<String> {
+    let feature = missing_feature(instance, physical, needs).map(str::to_owned);
+    let limit = || limits::lacking(&limits::of(instance, physical), needs);
+    feature.or_else(|| limit().map(|verdict| verdict.to_string()))
+}
+
+fn missing_feature(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,
     needs: Needs,

@@ -7,6 +7,7 @@ mod devices;
 #[cfg(target_os = "android")]
 mod hardware_buffer;
 mod lanes;
+pub mod limits;
 mod lock;
 mod memory;
 mod pass;

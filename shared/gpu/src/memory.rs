@@ -1,5 +1,6 @@
 //! Buffers, images and samplers. Dropping one hands its handles to the retire ring; the fence destroys.
 
+use crate::limits::{self, DeviceLimits};
 use crate::{Doing, Gpu, GpuError};
 use ash::vk;
 use gpu_allocator::MemoryLocation;
@@ -320,6 +321,7 @@ impl Image {
 
     /// The same, seen through a conversion where there is one.
     pub(crate) fn allocated(gpu: &Arc<Gpu>, desc: ImageDesc, view: YcbcrView) -> Result<Self, GpuError> {
+        check_extent(gpu.limits(), &desc)?;
         let info = vk::ImageCreateInfo::default()
             .image_type(vk::ImageType::TYPE_2D)
             .format(desc.format)
@@ -381,6 +383,23 @@ impl Image {
     pub fn whole(&self) -> vk::ImageSubresourceRange {
         whole(&self.desc, 0, self.desc.layers)
     }
+}
+
+/// That the device has images as large.
+fn check_extent(limits: &DeviceLimits, desc: &ImageDesc) -> Result<(), GpuError> {
+    let ImageDesc { name, extent: [width, height], layers, usage, .. } = desc;
+    let what = format!("the image \"{name}\" of {width}x{height} texels");
+    let check = |limit, needed: u32| limits::check(limits, limit, &what, needed.into(), "use a smaller one");
+    check("maxImageDimension2D", *width.max(height))?;
+    check("maxImageArrayLayers", *layers)?;
+    if usage.intersects(vk::ImageUsageFlags::COLOR_ATTACHMENT | vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT)
+    {
+        check("maxFramebufferWidth", *width)?;
+        check("maxFramebufferHeight", *height)?;
+        check("maxViewportDimensions[0]", *width)?;
+        check("maxViewportDimensions[1]", *height)?;
+    }
+    Ok(())
 }
 
 impl Drop for Image {

@@ -44,6 +44,8 @@ pub struct GraphicsPipelineDesc<'a> {
     pub blend: bool,
     /// A vertex buffer; `None` where the shader pulls its vertices.
     pub vertex_input: Option<VertexInput<'a>>,
+    /// Textures of the scene, where a shader reads them.
+    pub textures: u32,
 }
 
 impl<'a> GraphicsPipelineDesc<'a> {
@@ -58,6 +60,7 @@ impl<'a> GraphicsPipelineDesc<'a> {
             depth_write: None,
             blend: false,
             vertex_input: None,
+            textures: 0,
         }
     }
 }
@@ -140,7 +143,7 @@ impl GraphicsPipeline {
         desc: &GraphicsPipelineDesc<'_>,
         fixed: Option<FixedSampler>,
     ) -> Result<Self, GpuError> {
-        let layout = Layout::fixing(gpu, &[desc.vertex, desc.fragment], fixed)?;
+        let layout = Layout::fixing(gpu, &[desc.vertex, desc.fragment], fixed, desc.textures)?;
         let modules = [module(gpu, desc.vertex)?, module(gpu, desc.fragment)?];
         let made = create(gpu, desc, &layout, modules);
         // SAFETY: modules are not needed after the pipeline's creation.

@@ -27,6 +27,14 @@ fn both_feature_sets_open_and_pass_the_multiview_self_test_without_a_validation_
 }
 
 #[test]
+fn a_device_without_validation_is_not_reported_as_clean() {
+    let options = GpuOptions { needs: Needs::Client, validation: false, device_name: None };
+    let gpu = Gpu::open(&options, &DesktopDevice).expect("a Vulkan device");
+    assert_eq!(gpu.checked_messages(), None);
+    assert_eq!(open(Needs::Client).checked_messages(), Some(0));
+}
+
+#[test]
 fn copies_arrive_and_buffers_dropped_while_in_use_outlive_the_work() {
     let gpu = open(Needs::Client);
     let data: Vec<u32> = (0..1000).collect();

@@ -92,8 +92,6 @@ pub const MAX_MACROBLOCK_BYTES: usize = 400;
 pub const MIN_PICTURE_SIDE_TEXELS: u32 = 16;
 /// Largest width and height of a coded picture in texels.
 pub const MAX_PICTURE_EXTENT_TEXELS: [u32; 2] = [4096, 2304];
-/// Textures of a scene that can be bound at one time.
-pub const SCENE_TEXTURES: u32 = 512;
 
 /// Grid steps for which one delta may carry samples of as many vertices as there may be.
 pub const MAX_NEW_SAMPLE_GRIDS: u32 = 8;

@@ -3,14 +3,27 @@
 use std::io;
 use std::process::{Child, Command};
 
-/// A program that is started so can be asked to end by [`interrupt`].
+/// Starts a program so that [`interrupt`] can ask it to end. A shell lets its background jobs ignore Ctrl-C, and children inherit that.
 pub fn interruptible(command: &mut Command) -> &mut Command {
+    #[cfg(unix)]
+    // SAFETY: between fork and exec the child calls `signal` alone, which is async-signal-safe.
+    unsafe {
+        std::os::unix::process::CommandExt::pre_exec(command, || set_interrupt_action(libc::SIG_DFL));
+    }
     #[cfg(windows)]
     {
         use windows_sys::Win32::System::Threading::CREATE_NEW_PROCESS_GROUP;
         std::os::windows::process::CommandExt::creation_flags(command, CREATE_NEW_PROCESS_GROUP);
     }
     command
+}
+
+/// Sets what this process does when it is interrupted.
+#[cfg(unix)]
+fn set_interrupt_action(action: libc::sighandler_t) -> io::Result<()> {
+    // SAFETY: the callers set the default action, or none: no handler of ours runs.
+    let failed = unsafe { libc::signal(libc::SIGINT, action) } == libc::SIG_ERR;
+    if failed { Err(io::Error::last_os_error()) } else { Ok(()) }
 }
 
 /// Asks a process to end, as Ctrl-C does (on Windows Ctrl-Break, the only one that reaches one process alone).
@@ -113,5 +126,17 @@ mod tests {
         let mut child = interruptible(Command::new("sleep").arg("60")).spawn().expect("it starts");
         interrupt(&child).expect("it is there");
         assert!(!child.wait().expect("it ends").success());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn children_of_a_background_job_can_be_interrupted() {
+        use std::os::unix::process::{CommandExt, ExitStatusExt};
+        let mut command = Command::new("sleep");
+        // SAFETY: between fork and exec the child calls `signal` alone, which is async-signal-safe.
+        unsafe { command.arg("3").pre_exec(|| set_interrupt_action(libc::SIG_IGN)) };
+        let mut child = interruptible(&mut command).spawn().expect("it starts");
+        interrupt(&child).expect("it is there");
+        assert_eq!(child.wait().expect("it ends").signal(), Some(libc::SIGINT));
     }
 }

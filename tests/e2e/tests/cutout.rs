@@ -24,7 +24,7 @@ fn share_of_other_colour(sway: bool, renderer: Renderer) -> (f64, f64) {
     };
     let report = run(&options).unwrap();
     println!("{}", report.stats);
-    assert_eq!((report.stats.validation_messages, report.runtime_errors), (0, 0));
+    assert_eq!((report.stats.validation_messages, report.runtime_errors), (Some(0), 0));
     let read = |name: String| Rgb8Image::read_png(&out.path().join(name)).unwrap();
     let is_leaf = |[r, g, _]: [u8; 3]| g > r;
     let (mut differing, mut pixels) = (0, 0);

@@ -120,8 +120,6 @@ impl WindowDisplay {
         let nothing = || CanvasError::NoDisplay("the desktop does not answer".to_owned());
         let mut canvas = opening.opened.unwrap_or_else(|| Err(nothing())).map_err(refused)?;
         let gpu = canvas.gpu();
-        let storage_buffers = gpu.max_stage_storage_buffers();
-        REQUIRED.check_buffers(&gpu.device_name(), storage_buffers, gpu.max_storage_buffer_bytes())?;
         let usage = vk::ImageUsageFlags::COLOR_ATTACHMENT | vk::ImageUsageFlags::SAMPLED;
         let desc = ImageDesc::new("eyes", options.extent_pixels, FORMAT, usage);
         let eyes = Image::new(gpu, ImageDesc { layers: 2, ..desc })?;

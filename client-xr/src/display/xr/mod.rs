@@ -272,8 +272,6 @@ impl Xr {
         let needs = if on_device { Needs::ClientOfPictures } else { Needs::Client };
         let gpu_options = GpuOptions { needs, validation: options.validation, device_name: None };
         let gpu = Gpu::open(&gpu_options, &device)?;
-        let storage_buffers = gpu.max_stage_storage_buffers();
-        REQUIRED.check_buffers(&gpu.device_name(), storage_buffers, gpu.max_storage_buffer_bytes())?;
         let (session, waiter, stream) = open_session(&instance, system, &gpu)?;
         let actions = Actions::open(&instance, &session)?;
         let stage = open_stage(&session)?;

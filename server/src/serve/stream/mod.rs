@@ -225,7 +225,7 @@ pub fn run_timeline(
     }
     if let Ok(device) = studio.device() {
         stats.device = device.gpu.device_name();
-        stats.validation_messages = device.gpu.validation_messages();
+        stats.validation_messages = device.gpu.checked_messages();
     }
     Ok(stats)
 }

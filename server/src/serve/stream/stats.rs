@@ -47,8 +47,8 @@ pub struct StreamStats {
     pub devices_lost: u32,
     /// Mean milliseconds per update by GPU stage.
     pub gpu_ms: BTreeMap<String, f64>,
-    /// Vulkan validation warnings and errors.
-    pub validation_messages: u32,
+    /// Vulkan validation warnings and errors; none with validation off.
+    pub validation_messages: Option<u32>,
 }
 
 impl StreamStats {

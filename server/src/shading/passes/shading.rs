@@ -16,6 +16,7 @@ use shadecast_gpu::{
 use shadecast_protocol::atlas::{AtlasExtent, Block};
 use shadecast_protocol::limits::MAX_PATCH_SLOTS;
 use shadecast_protocol::pose::Pose;
+use shadecast_shaders::Shader;
 use shadecast_shaders::generated::{
     BlockGpu, SHADING_FRAG, SHADING_SUPERSAMPLED_FRAG, SHADING_TEXEL_FRAG, SHADING_VERT, ShadingPush,
 };
@@ -31,6 +32,15 @@ pub struct Shading {
     count: u32,
     /// RGBA8, sRGB-coded display values; what no block covers keeps its last content, which costs no bits.
     pub atlas: Image,
+}
+
+/// The shader of a filter.
+fn fragment(filter: Filter) -> &'static Shader {
+    match filter {
+        Filter::Pixel => &SHADING_FRAG,
+        Filter::Texel => &SHADING_TEXEL_FRAG,
+        Filter::Supersampled => &SHADING_SUPERSAMPLED_FRAG,
+    }
 }
 
 impl Shading {
@@ -69,16 +79,12 @@ impl Shading {
                 after: read,
             }]),
         )?;
-        let fragment = match filter {
-            Filter::Pixel => &SHADING_FRAG,
-            Filter::Texel => &SHADING_TEXEL_FRAG,
-            Filter::Supersampled => &SHADING_SUPERSAMPLED_FRAG,
-        };
         let pipeline = GraphicsPipeline::new(
             gpu,
             &GraphicsPipelineDesc {
                 topology: vk::PrimitiveTopology::TRIANGLE_STRIP,
-                ..GraphicsPipelineDesc::new(&SHADING_VERT, fragment, &pass)
+                textures: scene.materials.texture_count(),
+                ..GraphicsPipelineDesc::new(&SHADING_VERT, fragment(filter), &pass)
             },
         )?;
         let bytes =

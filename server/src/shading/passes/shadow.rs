@@ -65,7 +65,7 @@ impl Shadow {
             ),
         )?;
         let pass = RenderPass::depth_map(gpu, format)?;
-        let geometry = Geometry::new(gpu, &SHADOW_VERT, &SHADOW_FRAG, &pass)?;
+        let geometry = Geometry::new(gpu, scene, &SHADOW_VERT, &SHADOW_FRAG, &pass)?;
         let light = Buffer::new(gpu, "light", size_of::<LightGpu>() as u64, Memory::Upload)?;
         let textures = scene.materials.texture_binds();
         let [saved_vertices, boxes] = animation.position_binds();

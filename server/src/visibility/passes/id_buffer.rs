@@ -117,7 +117,7 @@ impl IdBuffer {
             },
         )?;
         let [vertex, fragment] = numbers.shaders();
-        let geometry = Geometry::new(gpu, vertex, fragment, &pass)?;
+        let geometry = Geometry::new(gpu, scene, vertex, fragment, &pass)?;
         let textures = scene.materials.texture_binds();
         let [saved_vertices, boxes] = animation.position_binds();
         let group = BindGroup::of(

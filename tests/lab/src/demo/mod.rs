@@ -307,6 +307,7 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
     let seconds = number(&server, "seconds").max(1e-3);
     let viewer = server["viewers"][0].clone(); // as it was last
     let samples = number(&server, "samples");
+    let [server_said, client_said] = [&server, &client].map(|side| side["validation_messages"].as_u64());
     let stats = summary.finish(Counted {
         device: gpu.device_name(),
         device_is_cpu: gpu.is_cpu(),
@@ -323,9 +324,9 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
         },
         mean_qp: server.get("mean_qp").and_then(Value::as_f64),
         bytes_per_animated_vertex_sample: (samples > 0.0).then(|| number(&server, "sample_bytes") / samples),
-        validation_messages: number(&server, "validation_messages") as u64
-            + number(&client, "validation_messages") as u64
-            + u64::from(gpu.validation_messages()),
+        validation_messages: [server_said, client_said, gpu.checked_messages().map(u64::from)]
+            .into_iter()
+            .sum(),
         gpu_ms: server.get("gpu_ms").cloned().map(serde_json::from_value).transpose()?.unwrap_or_default(),
         dropped_patches: number(&server, "dropped_patches") as u64,
         clock_error_bound_ms: client.get("clock_error_bound_ms").and_then(Value::as_f64),

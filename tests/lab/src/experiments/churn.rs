@@ -42,8 +42,8 @@ pub struct ChurnReport {
     pub rss_after_mb: f64,
     /// What it has grown by.
     pub grown_mb: f64,
-    /// Messages of the validation layers.
-    pub validation_messages: u32,
+    /// Messages of the validation layers; none where they are off.
+    pub validation_messages: Option<u32>,
 }
 
 impl fmt::Display for ChurnReport {
@@ -109,7 +109,7 @@ pub fn measure(options: &RunOptions, updates: u32) -> anyhow::Result<ChurnReport
     }
     (report.device_bytes_after, report.rss_after_mb) = held(&gpu)?;
     report.grown_mb = report.rss_after_mb - report.rss_before_mb;
-    report.validation_messages = gpu.validation_messages();
+    report.validation_messages = gpu.checked_messages();
     Ok(report)
 }
 

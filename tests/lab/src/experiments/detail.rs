@@ -77,8 +77,8 @@ pub struct DetailReport {
     pub level: Figure,
     /// Patches in view that were not shown.
     pub dropped_patches: u64,
-    /// Warnings and errors of the validation layers.
-    pub validation_messages: u64,
+    /// Warnings and errors of the validation layers; none where they are off.
+    pub validation_messages: Option<u64>,
 }
 
 impl fmt::Display for DetailReport {
@@ -148,8 +148,8 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<DetailReport> {
     }
     let Watch { mut report, .. } = watch;
     report.dropped_patches = lab.seat().dropped_patches();
-    report.validation_messages = u64::from(lab.server.gpu.validation_messages())
-        + u64::from(lab.client.presenter.stats().validation_messages);
+    report.validation_messages =
+        crate::report::stats::messages_of_both(&lab.server.gpu, &lab.client.presenter.stats());
     Ok(report)
 }
 

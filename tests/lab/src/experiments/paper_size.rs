@@ -112,6 +112,6 @@ pub fn measure(dragons: u32, size: Size, folder: &Path) -> anyhow::Result<PaperS
         dropped_patches: lab.seat().dropped_patches(),
         device_bytes: gpu.memory().iter().map(|held| held.bytes).sum(),
         validation_messages: u64::from(gpu.validation_messages())
-            + u64::from(lab.client.presenter.stats().validation_messages),
+            + lab.client.presenter.stats().validation_messages.map_or(0, u64::from),
     })
 }

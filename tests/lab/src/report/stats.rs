@@ -5,6 +5,8 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use shadecast_client::present::stats::ClientStats;
+use shadecast_gpu::Gpu;
 use thiserror::Error;
 
 use crate::measure::metrics::{FrameMetrics, PictureMetrics, RegionMetrics};
@@ -40,8 +42,8 @@ pub struct Counted {
     pub mean_qp: Option<f64>,
     /// Mean milliseconds per update that each GPU stage of the server took.
     pub gpu_ms: BTreeMap<String, f64>,
-    /// Messages of the validation layers, warnings and errors.
-    pub validation_messages: u64,
+    /// Messages of the validation layers, warnings and errors; none where they are off.
+    pub validation_messages: Option<u64>,
     /// Patches that were visible but had no room, summed over all updates.
     pub dropped_patches: u64,
     /// Triangles that an update shows, on average.
@@ -109,8 +111,8 @@ pub struct Stats {
     pub frames_too_empty: u64,
     /// Compared views that the client displayed without a bundle.
     pub frames_without_bundle: u64,
-    /// Messages of the validation layers, warnings and errors.
-    pub validation_messages: u64,
+    /// Messages of the validation layers, warnings and errors; none where they are off.
+    pub validation_messages: Option<u64>,
     /// Mean milliseconds per update that each GPU stage of the server took.
     pub gpu_ms: BTreeMap<String, f64>,
     /// Patches that were visible but had no room in the atlas or the client's memory, summed over all updates.
@@ -319,10 +321,21 @@ impl fmt::Display for Stats {
         let percent = 100.0 * self.reused_share;
         line(f, "reused", format_args!("{percent:.1} % of the texels in blocks were not shaded again"))?;
         line(f, "dropped patches", format_args!("{}", self.dropped_patches))?;
-        line(f, "validation", format_args!("{} messages", self.validation_messages))?;
+        line(f, "validation", format_args!("{}", messages_in_words(self.validation_messages)))?;
         let stages: Vec<_> = self.gpu_ms.iter().map(|(stage, ms)| format!("{stage} {ms:.1}")).collect();
         line(f, "GPU ms/update", format_args!("{}", stages.join(", ")))
     }
+}
+
+/// What the validation layers said; silence without them is no result.
+fn messages_in_words(messages: Option<u64>) -> String {
+    messages.map_or_else(|| "not checked".into(), |count| format!("{count} messages"))
+}
+
+/// Messages of the validation layers about both sides; `None` where one is not checked.
+pub(crate) fn messages_of_both(server: &Gpu, client: &ClientStats) -> Option<u64> {
+    let both = server.checked_messages().zip(client.validation_messages);
+    both.map(|(server, client)| u64::from(server) + u64::from(client))
 }
 
 impl Stats {

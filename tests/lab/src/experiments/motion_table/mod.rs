@@ -124,8 +124,8 @@ pub struct MotionRow {
     pub clock_error_ms: f64,
     /// How far it could be by what the client knew, milliseconds.
     pub clock_error_bound_ms: Option<f64>,
-    /// Messages of the validation layers of both sides.
-    pub validation_messages: u64,
+    /// Messages of the validation layers of both sides; none where they are off.
+    pub validation_messages: Option<u64>,
 }
 
 /// Bytes handed to the transport, by cause.
@@ -289,8 +289,7 @@ impl MotionRow {
             max_clock_step_ms: watch.max_clock_step_ms,
             clock_error_ms: watch.max_clock_error_ms,
             clock_error_bound_ms: client.clock_error_bound_ms,
-            validation_messages: u64::from(lab.server.gpu.validation_messages())
-                + u64::from(client.validation_messages),
+            validation_messages: crate::report::stats::messages_of_both(&lab.server.gpu, &client),
         })
     }
 

@@ -76,7 +76,7 @@ fn report(options: &RunOptions, server: &Server) -> anyhow::Result<Report> {
         device: server.gpu.device_name(),
         device_is_cpu: server.gpu.is_cpu(),
         renderer: options.renderer.name().into(),
-        validation_messages: server.gpu.validation_messages().into(),
+        validation_messages: server.gpu.checked_messages().map(u64::from),
         ..Counted::default()
     });
     stats.write_json(&options.out.join("stats.json"))?;

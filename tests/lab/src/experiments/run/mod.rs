@@ -9,7 +9,7 @@ use crate::measure::compare::{Comparer, Shown};
 use crate::measure::metrics::{FrameMetrics, ProbeView, psnr_db};
 use crate::measure::motion::{Motion, MotionReport};
 use crate::report::sheet::{Sheet, difference};
-use crate::report::stats::{Counted, MbitPerS, Stats, Summary};
+use crate::report::stats::{Counted, MbitPerS, Stats, Summary, messages_of_both};
 use crate::session::options::{Head, Renderer, RunOptions};
 use crate::session::runtime::BUILT_IN_WALK;
 use crate::session::seat::Sent;
@@ -232,8 +232,7 @@ impl Run<'_> {
         let seconds = self.options.seconds - self.options.compare_from as f64 / self.options.refresh_hz;
         let updates = (sent.updates - before.updates).max(1) as f64;
         let mbit = |of: fn(&Sent) -> u64| (of(&sent) - of(&before)) as f64 * 8e-6 / seconds;
-        let validation_messages = u64::from(server.gpu.validation_messages())
-            + u64::from(lab.client.presenter.stats().validation_messages);
+        let validation_messages = messages_of_both(&server.gpu, &lab.client.presenter.stats());
         let stats = self.summary.finish(Counted {
             device: server.gpu.device_name(),
             device_is_cpu: server.gpu.is_cpu(),

@@ -163,8 +163,8 @@ pub fn measure(
         prediction_bytes: last.prediction_bytes,
     };
     if options.validation {
-        let said = lab.client.presenter.stats().validation_messages + lab.server.gpu.validation_messages();
-        ensure!(said == 0, "the validation layers have said something");
+        let said = crate::report::stats::messages_of_both(&lab.server.gpu, &lab.client.presenter.stats());
+        ensure!(said == Some(0), "the validation layers have said something");
     }
     Ok(Measured { device, server: server_cost, client: client_cost, shared, shown })
 }

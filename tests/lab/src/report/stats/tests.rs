@@ -75,6 +75,20 @@ fn a_run_without_comparisons_has_no_figures() {
 }
 
 #[test]
+fn silence_without_validation_is_not_taken_for_a_check() {
+    let of = |validation_messages| {
+        let stats = Summary::default().finish(Counted { validation_messages, ..counted() });
+        let text = stats.to_string();
+        text.lines().find(|line| line.trim_start().starts_with("validation")).map(str::to_owned)
+    };
+    let ends =
+        |line: Option<String>, end: &str| assert!(line.is_some_and(|line| line.ends_with(end)), "{end}");
+    ends(of(None), " not checked");
+    ends(of(Some(0)), " 0 messages");
+    ends(of(Some(3)), " 3 messages");
+}
+
+#[test]
 fn the_file_has_the_promised_keys() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let path = dir.path().join("stats.json");
