@@ -18,8 +18,6 @@ pub struct Flight {
     pub is_in_work: bool,
     /// It has shaded it.
     pub is_shaded: bool,
-    /// Nobody else's updates come between: those of others take the places of samples that wait to be shaded.
-    pub is_alone: bool,
 }
 
 impl Flight {
@@ -117,8 +115,9 @@ impl Overlap {
         }
     }
 
-    /// What to do next. `may_begin`: an update is due, its way is open, and it would not wait for an encoder.
-    pub fn step(&self, flight: Flight, may_begin: bool) -> Step {
+    /// What to do next. `is_alone`: no other viewer's updates take the places of samples that wait to be shaded. `may_begin`: an
+    /// update is due, its link is open, and it would not wait for an encoder.
+    pub fn step(&self, flight: Flight, is_alone: bool, may_begin: bool) -> Step {
         if flight.is_shaded {
             return Step::Collect;
         }
@@ -130,7 +129,7 @@ impl Overlap {
             return Step::Wait;
         }
         match flight.is_placed {
-            true if self.is_on && flight.is_alone && may_begin => Step::Begin,
+            true if self.is_on && is_alone && may_begin => Step::Begin,
             true => Step::Shade,
             false if may_begin => Step::Begin,
             false => Step::Wait,
@@ -171,11 +170,10 @@ mod tests {
                 is_placed: placed.is_some(),
                 is_in_work: in_work.is_some(),
                 is_shaded: is_past(in_work),
-                is_alone: true,
             };
             let row_ns = visibility_ns + placement_ns + shading_ns;
             let may_begin = due_ns <= now_ns && encoder_ns <= now_ns + row_ns;
-            let step = overlap.step(flight, may_begin);
+            let step = overlap.step(flight, true, may_begin);
             let mut submit = |took_ns: i64| {
                 device_ns = now_ns.max(device_ns) + took_ns;
                 device_ns

@@ -3,6 +3,7 @@
 //! Events of the transport enter; streams leave. Nothing here knows how an update is made.
 
 pub mod encoding;
+pub mod scheduler;
 pub mod sessions;
 pub mod stream;
 pub mod viewer;

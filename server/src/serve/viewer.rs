@@ -91,21 +91,13 @@ pub struct Viewer<U> {
     refresh: bool,
     /// False while nobody looks: nothing is shaded then.
     is_watched: bool,
-    period_ns: i64,
-    due_ns: i64,
     motion: Option<SharedMotion>,
     last: UpdateId,
 }
 
 impl<U: Updates> Viewer<U> {
     /// A client that has just been accepted and wants an update in each `period_ns`.
-    pub fn new(
-        updates: U,
-        sender: DeltaSender,
-        quality: QualityOptions,
-        period_ns: i64,
-        now_ns: i64,
-    ) -> Self {
+    pub fn new(updates: U, sender: DeltaSender, quality: QualityOptions, period_ns: i64) -> Self {
         Self {
             motion: updates.motion(),
             last: UpdateId(0),
@@ -115,8 +107,6 @@ impl<U: Updates> Viewer<U> {
             quality: Quality::new(quality, period_ns),
             refresh: false,
             is_watched: true,
-            period_ns,
-            due_ns: now_ns,
         }
     }
 
@@ -136,19 +126,18 @@ impl<U: Updates> Viewer<U> {
     }
 
     /// What its client has told.
-    pub fn hear(&mut self, told: Told, now_ns: i64) {
+    pub fn hear(&mut self, told: Told) {
         told.pose.into_iter().for_each(|pose| self.updates.head(pose));
         told.displayed.iter().for_each(|report| self.updates.displayed(report));
         self.refresh |= told.refresh;
-        told.watching.into_iter().for_each(|is_watched| self.watch(is_watched, now_ns));
+        told.watching.into_iter().for_each(|is_watched| self.watch(is_watched));
     }
 
-    /// Nothing is shaded for nobody; when somebody looks again, updates begin at once, with a picture that needs no other.
-    fn watch(&mut self, is_watched: bool, now_ns: i64) {
+    /// Nothing is shaded while nobody looks. When somebody looks again, the first picture needs no other.
+    fn watch(&mut self, is_watched: bool) {
         if std::mem::replace(&mut self.is_watched, is_watched) != is_watched {
             self.updates.interrupted();
             self.refresh |= is_watched;
-            self.due_ns = now_ns;
         }
     }
 
@@ -160,11 +149,6 @@ impl<U: Updates> Viewer<U> {
     /// What it is sent of motion between updates.
     pub fn motion(&self) -> Option<&SharedMotion> {
         self.motion.as_ref()
-    }
-
-    /// When its next update is due, nanoseconds; `None` while nobody looks.
-    pub fn due_ns(&self) -> Option<i64> {
-        self.is_watched.then_some(self.due_ns)
     }
 
     /// Whether the way to the client takes another update now, as far as anything is known of it.
@@ -184,8 +168,6 @@ impl<U: Updates> Viewer<U> {
 
     /// An update is to be made now, by what is given back. Over a way of which nothing is known it may take what it wants.
     pub fn begin(&mut self, way: Option<&WayState>, now_ns: i64) -> &mut U {
-        // A late update does not make the next ones hurry.
-        self.due_ns = (self.due_ns + self.period_ns).max(now_ns - self.period_ns);
         self.quality.note_link(way.and_then(|_| self.gate.rate_bytes_s(now_ns)));
         self.updates.set_budget(way.map_or(Budget::UNLIMITED, |_| self.gate.budget(now_ns)));
         self.updates.set_spare(self.quality.spare());

@@ -487,7 +487,6 @@ impl Frame {
             is_placed: self.placed.is_some(),
             is_in_work: shading.is_some(),
             is_shaded: is_done(shading)?,
-            is_alone: !world.is_shared(),
         })
     }
 

@@ -164,6 +164,25 @@ fn clocks_and_sockets_are_the_drivers() {
 }
 
 #[test]
+fn the_scheduler_alone_decides_whose_update_is_next() {
+    let deciders = ["server/src/serve/scheduler/", "server/src/pacing/overlap.rs"];
+    assert_only(&["Turns::", "Overlap::", "StepTimes {"], &deciders);
+    assert_only(&["would_wait", "next_to_begin"], &["server/src/serve/scheduler/"]);
+    for (name, text) in sources("tests/lab/src/session") {
+        let decides = |word: &str| code(&text).any(|line| line.contains(word));
+        assert!(!["Overlap", "Turns", "due_ns"].into_iter().any(decides), "{name} schedules");
+    }
+    let (_, pipeline) = sources("server/src/serve/stream")
+        .into_iter()
+        .find(|(name, _)| name.ends_with("/pipeline.rs"))
+        .expect("the pipeline's driver");
+    assert!(
+        !["Instant::now", "monotonic_now"].iter().any(|clock| pipeline.contains(clock)),
+        "a clock of its own"
+    );
+}
+
+#[test]
 fn session_events_are_understood_in_one_place_of_the_server() {
     assert_only(
         &["ServerEvent::"],

@@ -42,6 +42,14 @@ pub(super) enum Outcome {
     Failed(String),
 }
 
+/// What encodes a client's pictures beside the pipeline, one at a time.
+pub(super) trait PictureEncoder {
+    /// Hands over a picture; the one before was polled.
+    fn give(&mut self, job: Job);
+    /// What became of the picture that was handed over, once that is known.
+    fn poll(&mut self) -> Option<Outcome>;
+}
+
 /// An encoder on a thread of its own. Dropping it waits for the picture that is being encoded.
 pub(super) struct EncoderThread {
     /// `None` while dropping.
@@ -66,14 +74,11 @@ impl EncoderThread {
         })?;
         Ok(Self { jobs: Some(jobs), outcomes, is_busy: false, thread: Some(thread) })
     }
+}
 
-    /// Whether a picture is being encoded.
-    pub(super) fn is_busy(&self) -> bool {
-        self.is_busy
-    }
-
-    /// Hands over a picture. A thread that has ended tells with [`Self::poll`].
-    pub(super) fn give(&mut self, job: Job) {
+impl PictureEncoder for EncoderThread {
+    /// A thread that has ended tells with [`Self::poll`].
+    fn give(&mut self, job: Job) {
         self.is_busy = true;
         if let Some(jobs) = &self.jobs {
             // There is room: nothing is given while the thread is busy. Where it has ended, its outcome says so.
@@ -81,8 +86,7 @@ impl EncoderThread {
         }
     }
 
-    /// What became of the picture that was handed over, once that is known.
-    pub(super) fn poll(&mut self) -> Option<Outcome> {
+    fn poll(&mut self) -> Option<Outcome> {
         if !self.is_busy {
             return None;
         }

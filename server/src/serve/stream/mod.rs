@@ -13,7 +13,6 @@ mod rebuild;
 mod stats;
 mod studio;
 mod traced;
-mod turns;
 
 pub use stats::{StreamStats, ViewerStats};
 pub use studio::{Device, Reopen};
@@ -207,7 +206,15 @@ pub fn run_timeline(
             run_motion(cadence, of_motion.as_ref(), &motion_row, epoch_ns, stop)
         })?;
         let _stop = StopOnEnd(stop);
-        let mut pipeline = Pipeline::new(&mut studio, outlet, cadence, mailbox, say, options.rate_hz, traced);
+        let mut pipeline = Pipeline::new(
+            &mut studio,
+            outlet,
+            cadence,
+            mailbox,
+            say,
+            options.rate_hz,
+            (traced, &monotonic_now_ns),
+        );
         let worked = run_pipeline(&mut pipeline, mailbox, options.seconds, stop);
         stop.store(true, Ordering::Relaxed);
         let has_panicked = network.join().is_err();

@@ -1,20 +1,19 @@
-//! The pipeline's thread: updates for the clients that are served, each at a constant rate or as often as its link takes them.
+//! The scheduler's driver on the real device: carries out what it decides, for the clients that are served.
 //!
-//! Whatever fails while one client's pipeline is made or run is that client's end, with a reason, and the server goes on.
-//! Only a lost device stops all of it; then it is opened again from the top. Where the device is slower than all updates
-//! together, who has had least of it is next.
+//! A fault while one client's updates are made ends that client's session, with a reason, and the server goes on. Only a lost
+//! device stops all of it; then it is opened again from the top. Time comes in; nothing here reads a clock by itself.
 
 use super::cadence::Cadence;
-use super::encoder::{EncoderThread, Job, Outcome, refused_by};
+use super::encoder::{EncoderThread, Job, Outcome, PictureEncoder, refused_by};
 use super::outlet::Outlet;
 use super::rebuild::Rebuild;
 use super::traced::{DeviceRow, Row, Traced};
-use super::turns::{Share, Turns};
 use super::{StreamStats, ViewerStats};
 use crate::encode::{EncodeError, Encoder};
 use crate::pacing::gate::Kind;
-use crate::pacing::overlap::{Flight, Overlap, Step, StepTimes};
+use crate::pacing::overlap::{Flight, Step};
 use crate::pacing::quality::QualityOptions;
+use crate::serve::scheduler::{Action, LONGEST_WAIT_NS, SHORTEST_WAIT_NS, Scheduler, Situation};
 use crate::serve::sessions::Say;
 use crate::serve::sessions::mailbox::{Accepted, Client, Mailbox, News};
 use crate::serve::viewer::{Update, Updates, Viewer};
@@ -27,25 +26,20 @@ use shadecast_protocol::message::{Capabilities, Refused, Welcome};
 use shadecast_protocol::session::clock_stamp;
 use shadecast_protocol::time::ServerTime;
 use shadecast_protocol::world_clock::Steering;
-use shadecast_system::monotonic_now_ns;
 use shadecast_transport::{PeerId, SendError};
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
+/// What a fault of the device came in the way of.
+const SHADING: &str = "shading an update";
 /// Encoders that may fail one after the other, without a picture between them, before the session ends.
 const MAX_ENCODER_FAILURES: u32 = 3;
-/// How long the pipeline sleeps at least and at most before it looks again; news from the network wakes it.
-const SHORTEST_WAIT_NS: i64 = 500_000;
-const LONGEST_WAIT_NS: i64 = 5_000_000;
 /// Clients that have gone whose figures are kept.
 const MAX_VIEWERS_REMEMBERED: usize = 64;
-/// How long it sleeps while nobody is served.
-const IDLE_WAIT: Duration = Duration::from_millis(50);
-
 /// What makes updates: the device and the scene on it.
-pub trait Studio {
+pub(super) trait Studio {
     /// What makes one client's updates.
     type Updates: Updates;
     /// For a client that has come.
@@ -72,6 +66,17 @@ pub trait Studio {
     fn quality(&self) -> QualityOptions;
     /// An encoder for the pictures of a session.
     fn encoder(&mut self, welcome: &Welcome) -> Result<Box<dyn Encoder>, EncodeError>;
+    /// Starts an encoder beside the pipeline, which sends the pictures of a peer.
+    fn start_encoder(
+        &mut self,
+        welcome: &Welcome,
+        outlet: Arc<dyn Outlet>,
+        peer: PeerId,
+        row: Row,
+    ) -> anyhow::Result<Box<dyn PictureEncoder>> {
+        let encoder = self.encoder(welcome)?;
+        Ok(Box::new(EncoderThread::start(encoder, outlet, peer, row)?))
+    }
     /// A viewer wants the world to stand, or to go on.
     fn steer(&mut self, wanted: Steering, now: ServerTime);
     /// Opens the device again, after it was lost, and brings the scene to it.
@@ -85,10 +90,11 @@ pub(super) struct Pipeline<'a, S: Studio> {
     cadence: &'a Cadence,
     mailbox: &'a Mailbox,
     say: &'a Say<'a>,
-    period_ns: i64,
+    /// Reads the monotonic clock, nanoseconds.
+    clock: &'a dyn Fn() -> i64,
     epoch_ns: i64,
     clients: BTreeMap<PeerId, Served<S::Updates>>,
-    turns: Turns,
+    scheduler: Scheduler<PeerId>,
     rebuild: Rebuild,
     /// When the device is opened again; `None` while it is open.
     reopen_ns: Option<i64>,
@@ -104,27 +110,43 @@ pub(super) struct Pipeline<'a, S: Studio> {
     of_device: DeviceRow,
 }
 
-/// A client that is served. Its next update is made while the picture of the last one is encoded, so that the slower of the two
-/// says how many there are.
+/// A client that is served.
 struct Served<U> {
     viewer: Viewer<U>,
     welcome: Welcome,
-    encoder: EncoderThread,
+    encoder: Box<dyn PictureEncoder>,
     encoder_failures: u32,
-    overlap: Overlap,
-    is_in_flight: bool,
-    /// What the steps of updates took of the CPU since one was collected, nanoseconds.
-    steps_ns: i64,
     /// An update that leaves when the picture before it has.
     made: Option<Shaded>,
-    /// How long the last update's steps took in a row, and the encoder for the last picture, nanoseconds.
-    update_ns: i64,
-    encode_ns: i64,
-    /// When the encoder is expected to be done.
-    encoded_ns: i64,
-    share: Share,
     stats: ViewerStats,
     since_ns: i64,
+}
+
+/// What the scheduler asks about clients.
+struct Situated<'p, S: Studio> {
+    studio: &'p S,
+    outlet: &'p dyn Outlet,
+    clients: &'p mut BTreeMap<PeerId, Served<S::Updates>>,
+}
+
+impl<S: Studio> Situation<PeerId> for Situated<'_, S> {
+    type Error = Fault;
+
+    fn flight(&mut self, peer: PeerId) -> Result<Flight, Fault> {
+        let Some(client) = self.clients.get(&peer) else { return Ok(Flight::default()) };
+        let flight =
+            || self.studio.flight(client.viewer.updates()).map_err(|error| Fault::of(&error, SHADING));
+        guarded(flight).map_err(Fault::in_update)
+    }
+
+    fn is_open(&mut self, peer: PeerId, now_ns: i64) -> bool {
+        let Some(client) = self.clients.get_mut(&peer) else { return false };
+        let is_open = client.viewer.is_open(self.outlet.way(peer).as_ref(), now_ns);
+        if let Some(shortfall) = client.viewer.shortfall(now_ns) {
+            tracing::warn!("{shortfall}");
+        }
+        is_open
+    }
 }
 
 /// What ends a client's session.
@@ -173,16 +195,6 @@ fn guarded<T>(body: impl FnOnce() -> Result<T, Fault>) -> Result<T, Fault> {
     catch_unwind(AssertUnwindSafe(body)).unwrap_or_else(|panic| Err(Fault::of_panic(panic.as_ref())))
 }
 
-/// Makes a step, and tells the trace of it; that there was nothing to do is not told.
-fn traced_step<T>(row: &Row, step: Step, make: impl FnOnce() -> T) -> T {
-    let began_ns = monotonic_now_ns();
-    let made = make();
-    if step != Step::Wait {
-        row.ended(step.name(), began_ns, None);
-    }
-    made
-}
-
 impl<'a, S: Studio> Pipeline<'a, S> {
     pub(super) fn new(
         studio: &'a mut S,
@@ -191,7 +203,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         mailbox: &'a Mailbox,
         say: &'a Say<'a>,
         rate_hz: f64,
-        traced: Traced,
+        (traced, clock): (Traced, &'a dyn Fn() -> i64),
     ) -> Self {
         let epoch_ns = traced.epoch_ns();
         Self {
@@ -204,10 +216,10 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             cadence,
             mailbox,
             say,
-            period_ns: (1e9 / rate_hz) as i64,
+            clock,
             epoch_ns,
             clients: BTreeMap::new(),
-            turns: Turns::default(),
+            scheduler: Scheduler::new((1e9 / rate_hz) as i64),
             rebuild: Rebuild::default(),
             reopen_ns: None,
             stats: StreamStats { epoch_monotonic_ns: epoch_ns, ..StreamStats::default() },
@@ -218,51 +230,48 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         }
     }
 
-    /// Does what is due, one client's updates at most; gives how long nothing will be.
+    /// Takes what is new, and carries out the scheduler's next action; gives how long nothing will be due.
     ///
     /// # Errors
     /// The device is lost, and cannot be opened again.
     pub(super) fn step(&mut self, now_ns: i64) -> anyhow::Result<Duration> {
         if let Some(at_ns) = self.reopen_ns {
             if now_ns < at_ns {
-                return Ok(Duration::from_nanos((at_ns - now_ns).min(LONGEST_WAIT_NS) as u64));
+                return Ok(nanoseconds((at_ns - now_ns).min(LONGEST_WAIT_NS)));
             }
             self.reopen(now_ns)?;
             if self.reopen_ns.is_some() {
-                return Ok(Duration::from_nanos(LONGEST_WAIT_NS as u64));
+                return Ok(nanoseconds(LONGEST_WAIT_NS));
             }
         }
         for (peer, news) in self.mailbox.take() {
             self.listen(peer, news, now_ns)?;
         }
         for peer in self.clients.keys().copied().collect::<Vec<_>>() {
-            let looked = self.look_at_encoder(peer, now_ns).and_then(|()| self.hand_on(peer, now_ns));
+            let looked = self.look_at_encoder(peer, now_ns);
             self.settle(peer, looked, now_ns)?;
         }
-        if let Some(peer) = self.in_flight().or_else(|| self.next_to_serve(now_ns)) {
-            let served = self.serve(peer, now_ns);
-            self.settle(peer, served, now_ns)?;
-        }
-        if let Some(peer) = self.in_flight() {
-            return self.rest(peer, now_ns);
-        }
-        let Some(due_ns) = self.clients.values().filter_map(|client| client.viewer.due_ns()).min() else {
-            return Ok(IDLE_WAIT);
+        let (studio, outlet, clients) = (&*self.studio, self.outlet.as_ref(), &mut self.clients);
+        let action = self.scheduler.poll(now_ns, &mut Situated { studio, outlet, clients });
+        let (peer, done) = match action {
+            Ok(Action::Make(peer, step)) => (peer, self.make(peer, step, now_ns)),
+            Ok(Action::HandOver(peer)) => (peer, self.hand_over(peer, now_ns)),
+            Ok(Action::AwaitDevice(peer, at_most_ns)) => return self.rest(peer, at_most_ns, now_ns),
+            Ok(Action::Sleep(wait_ns)) => return Ok(nanoseconds(wait_ns)),
+            Err((peer, fault)) => (peer, Err(fault)),
         };
-        let wait_ns = (due_ns - now_ns).clamp(SHORTEST_WAIT_NS, LONGEST_WAIT_NS);
-        Ok(Duration::from_nanos(wait_ns as u64))
+        self.settle(peer, done, now_ns)?;
+        Ok(Duration::ZERO)
     }
 
     /// Nothing is to be done until the device or the encoder has come further: gives how long there is still to sleep.
-    fn rest(&mut self, peer: PeerId, now_ns: i64) -> anyhow::Result<Duration> {
-        let [shortest, longest] =
-            [SHORTEST_WAIT_NS, LONGEST_WAIT_NS].map(|wait_ns| Duration::from_nanos(wait_ns as u64));
-        let Some(client) = self.clients.get(&peer) else { return Ok(shortest) };
+    fn rest(&mut self, peer: PeerId, at_most_ns: i64, now_ns: i64) -> anyhow::Result<Duration> {
+        let Some(client) = self.clients.get(&peer) else { return Ok(nanoseconds(SHORTEST_WAIT_NS)) };
         // The device wakes it; on one that is a CPU, each look beside it costs the device time.
-        match self.studio.rest(client.viewer.updates(), longest) {
-            Ok(has_rested) => Ok(if has_rested { Duration::ZERO } else { shortest }),
+        match self.studio.rest(client.viewer.updates(), nanoseconds(at_most_ns)) {
+            Ok(has_rested) => Ok(nanoseconds(if has_rested { 0 } else { SHORTEST_WAIT_NS })),
             Err(error) => {
-                let fault = Fault::of(&error, "shading an update").in_update();
+                let fault = Fault::of(&error, SHADING).in_update();
                 self.settle(peer, Err(fault), now_ns)?;
                 Ok(Duration::ZERO)
             }
@@ -286,8 +295,9 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         }
         let now = ServerTime(now_ns - self.epoch_ns);
         told.steering.into_iter().for_each(|wanted| self.studio.steer(wanted, now));
+        told.watching.into_iter().for_each(|is_watched| self.scheduler.watch(peer, is_watched, now_ns));
         let heard = guarded(|| {
-            client.viewer.hear(told, now_ns);
+            client.viewer.hear(told);
             Ok(())
         });
         self.settle(peer, heard, now_ns)
@@ -302,8 +312,9 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             updates.map_err(|error| Fault::of(&error, "making the pipeline for this client"))
         })?;
         let quality = self.studio.quality().of_codec(welcome.codec);
-        let viewer = Viewer::new(updates, sender, quality, self.period_ns, now_ns);
+        let viewer = Viewer::new(updates, sender, quality, self.scheduler.period_ns());
         viewer.motion().into_iter().for_each(|motion| self.cadence.join(peer, motion.clone()));
+        self.scheduler.join(peer, now_ns);
         self.clients.insert(
             peer,
             Served {
@@ -311,14 +322,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
                 welcome,
                 encoder,
                 encoder_failures: 0,
-                overlap: Overlap::new(self.period_ns),
-                is_in_flight: false,
-                steps_ns: 0,
                 made: None,
-                update_ns: 0,
-                encode_ns: 0,
-                encoded_ns: now_ns,
-                share: self.turns.join(),
                 stats: ViewerStats { viewer: self.stats.clients, ..ViewerStats::default() },
                 since_ns: now_ns,
             },
@@ -326,31 +330,10 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         Ok(())
     }
 
-    fn start_encoder(&mut self, peer: PeerId, welcome: &Welcome) -> Result<EncoderThread, Fault> {
-        let encoder = self.studio.encoder(welcome).map_err(|error| Fault::of_encoder(&error.to_string()))?;
-        EncoderThread::start(encoder, self.outlet.clone(), peer, self.traced.row("encoder"))
-            .map_err(|error| Fault::of_encoder(&error.to_string()))
-    }
-
-    /// Of the clients whose update is due and would not have to wait for an encoder, and whose way is open, the one that has had
-    /// least of the device; of equals the one that waits longest.
-    fn next_to_serve(&mut self, now_ns: i64) -> Option<PeerId> {
-        let mut next: Option<([i64; 2], PeerId)> = None;
-        for (peer, client) in &mut self.clients {
-            let Some(due_ns) = client.viewer.due_ns().filter(|due_ns| *due_ns <= now_ns) else { continue };
-            if client.made.is_some() || client.would_wait(now_ns) {
-                continue;
-            }
-            let is_open = client.viewer.is_open(self.outlet.way(*peer).as_ref(), now_ns);
-            if let Some(shortfall) = client.viewer.shortfall(now_ns) {
-                tracing::warn!("{shortfall}");
-            }
-            let order = [self.turns.order(client.share), due_ns];
-            if is_open && next.is_none_or(|(least, _)| order < least) {
-                next = Some((order, *peer));
-            }
-        }
-        next.map(|(_, peer)| peer)
+    fn start_encoder(&mut self, peer: PeerId, welcome: &Welcome) -> Result<Box<dyn PictureEncoder>, Fault> {
+        let started =
+            self.studio.start_encoder(welcome, self.outlet.clone(), peer, self.traced.row("encoder"));
+        started.map_err(|error| Fault::of_encoder(&error.to_string()))
     }
 
     fn look_at_encoder(&mut self, peer: PeerId, now_ns: i64) -> Result<(), Fault> {
@@ -359,7 +342,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             None => {}
             Some(Outcome::Sent { shaded, picture, unit_bytes }) => {
                 client.encoder_failures = 0;
-                client.encode_ns = (picture.encode_s * 1e9) as i64;
+                self.scheduler.encoded(peer, Some((picture.encode_s * 1e9) as i64));
                 client.viewer.sent_picture(shaded.update, picture, now_ns);
                 client.stats.atlas_bytes += unit_bytes as u64;
                 self.stats.atlas_bytes += unit_bytes as u64;
@@ -386,103 +369,50 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         if let Some(client) = self.clients.get_mut(&peer) {
             client.encoder = encoder;
             client.viewer.refresh();
+            self.scheduler.encoded(peer, None);
         }
         Ok(())
     }
 
-    /// Whose updates are in flight: one client's at most, since those of others take the places of samples that they need.
-    fn in_flight(&self) -> Option<PeerId> {
-        self.clients.iter().find(|(_, client)| client.is_in_flight).map(|(peer, _)| *peer)
-    }
-
-    /// Whether a client's updates overlap: nobody else's come between.
-    fn overlaps(&self, peer: PeerId) -> bool {
-        self.clients.len() == 1 && self.clients.get(&peer).is_some_and(|client| client.overlap.is_on())
-    }
-
-    /// Makes all steps of a client's updates that need not wait for the device. Where updates do not overlap, the next one begins
-    /// when the one before is made.
-    fn serve(&mut self, peer: PeerId, now_ns: i64) -> Result<(), Fault> {
-        let begun = Instant::now();
-        let mut may_begin = self.in_flight().is_none();
-        loop {
-            let at_ns = now_ns + begun.elapsed().as_nanos() as i64;
-            may_begin = (may_begin || self.overlaps(peer)) && self.next_to_serve(at_ns) == Some(peer);
-            if self.advance(peer, may_begin, at_ns)? == Step::Wait {
-                return Ok(());
-            }
-            may_begin = false;
-        }
-    }
-
-    /// Makes the next step of a client's updates, if there is one that need not wait for the device; says which.
-    fn advance(&mut self, peer: PeerId, may_begin: bool, now_ns: i64) -> Result<Step, Fault> {
-        let Some(client) = self.clients.get_mut(&peer) else { return Ok(Step::Wait) };
+    /// Makes a step of a client's updates.
+    fn make(&mut self, peer: PeerId, step: Step, now_ns: i64) -> Result<(), Fault> {
+        let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
         let (studio, outlet, now) = (&mut *self.studio, &self.outlet, ServerTime(now_ns - self.epoch_ns));
-        let begun = Instant::now();
+        let begun_ns = (self.clock)();
         let made = guarded(|| {
-            let fault = |error: GpuError| Fault::of(&error, "shading an update");
-            let flight = studio.flight(client.viewer.updates()).map_err(fault)?;
-            client.is_in_flight = flight.is_any();
-            let step = client.next_step(flight, may_begin);
             let updates = match step {
                 Step::Begin => client.viewer.begin(outlet.way(peer).as_ref(), now_ns),
                 _ => client.viewer.updates_mut(),
             };
-            Ok((
-                step,
-                traced_step(&self.of_steps, step, || studio.advance(updates, step, now)).map_err(fault)?,
-            ))
+            studio.advance(updates, step, now).map_err(|error| Fault::of(&error, SHADING))
         });
-        let (step, shaded) = made.map_err(Fault::in_update)?;
-        let took_ns = begun.elapsed().as_nanos() as i64;
-        client.steps_ns += took_ns;
-        if let Some(shaded) = shaded {
-            let steps_ns = std::mem::take(&mut client.steps_ns);
-            self.spent(peer, steps_ns + device_ns(&shaded));
-            self.made(peer, shaded, steps_ns, now_ns + took_ns)?;
-        }
-        Ok(step)
-    }
-
-    /// The steps of a client's update took so long in a row.
-    fn spent(&mut self, peer: PeerId, took_ns: i64) {
-        let viewers = self.clients.len();
-        let Some(client) = self.clients.get_mut(&peer) else { return };
-        let took_s = took_ns as f64 * 1e-9;
-        client.update_ns = took_ns;
-        client.stats.busy_s += took_s;
-        client.viewer.note_update(took_s * viewers as f64);
-        self.turns.served(&mut client.share, took_ns);
-    }
-
-    /// An update is shaded; `steps_ns`: what it took of the CPU.
-    fn made(&mut self, peer: PeerId, shaded: Shaded, steps_ns: i64, ended_ns: i64) -> Result<(), Fault> {
-        let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
+        self.of_steps.ended(step.name(), begun_ns, None);
+        let shaded = made.map_err(Fault::in_update)?;
+        let cpu_ns = (self.clock)() - begun_ns;
+        let cost = self.scheduler.completed((peer, step), cpu_ns, shaded.as_ref().map(device_ns), now_ns);
+        let Some((shaded, cost)) = shaded.zip(cost) else { return Ok(()) };
+        client.stats.busy_s += cost.took_ns as f64 * 1e-9;
+        client.viewer.note_update(cost.shared_s());
         self.of_pipeline.ended("update", self.epoch_ns + shaded.time.0, Some(shaded.update));
         self.of_device.ended(&shaded.timings, shaded.update);
         self.stats.add_gpu(&shaded.timings);
-        let (device_ns, encode_ns) = (device_ns(&shaded), client.encode_ns);
-        client.overlap.note(StepTimes { device_ns, placement_ns: steps_ns, encode_ns });
         client.made = Some(shaded);
-        self.hand_on(peer, ended_ns)
+        Ok(())
     }
 
-    /// Sends what an update changes in the client's memory, and gives its picture to the encoder, once that has none.
-    fn hand_on(&mut self, peer: PeerId, now_ns: i64) -> Result<(), Fault> {
-        let Some(client) = self.clients.get_mut(&peer).filter(|client| !client.encoder.is_busy()) else {
-            return Ok(());
-        };
+    /// Sends what an update changes in the client's memory, and gives its picture to the encoder.
+    fn hand_over(&mut self, peer: PeerId, now_ns: i64) -> Result<(), Fault> {
+        let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
         let Some(shaded) = client.made.take() else { return Ok(()) };
-        let (outlet, now, begun) = (&self.outlet, ServerTime(now_ns - self.epoch_ns), Instant::now());
-        let clock = || now.plus_ns(begun.elapsed().as_nanos() as i64);
+        let (outlet, now, begun_ns) = (&self.outlet, ServerTime(now_ns - self.epoch_ns), (self.clock)());
+        let clock = || now.plus_ns((self.clock)() - begun_ns);
         let Update { shaded, sizes, refresh, qp } =
             guarded(|| client.send_delta(outlet.as_ref(), peer, shaded, now_ns, clock))?;
-        client.stats.busy_s += begun.elapsed().as_secs_f64();
+        client.stats.busy_s += ((self.clock)() - begun_ns) as f64 * 1e-9;
         client.count(sizes, now_ns);
         self.qp_sum += u64::from(qp);
-        client.encoded_ns = now_ns + client.encode_ns;
         client.encoder.give(Job { shaded, refresh, qp });
+        self.scheduler.handed_over(peer, now_ns);
         self.count(sizes, now_ns);
         Ok(())
     }
@@ -528,6 +458,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
     /// Forgets a client; what its figures were stays.
     fn close(&mut self, peer: PeerId, has_failed: bool, now_ns: i64) {
         let Some(client) = self.clients.remove(&peer) else { return };
+        self.scheduler.leave(peer);
         self.cadence.leave(peer);
         let Served { viewer, mut stats, since_ns, encoder, .. } = client;
         drop(encoder);
@@ -590,17 +521,6 @@ impl<'a, S: Studio> Pipeline<'a, S> {
 }
 
 impl<U: Updates> Served<U> {
-    /// Whether an update that is begun now would be made long before the encoder is done: its views would be older for it.
-    fn would_wait(&self, now_ns: i64) -> bool {
-        self.encoder.is_busy() && now_ns + self.update_ns < self.encoded_ns
-    }
-
-    /// The next step of its updates; one is collected when the one before has left.
-    fn next_step(&self, mut flight: Flight, may_begin: bool) -> Step {
-        flight.is_shaded &= self.made.is_none();
-        self.overlap.step(flight, may_begin)
-    }
-
     /// Sends what changes in the client's memory. A delta cannot be left out: what cannot be sent is the end. `clock` reads the
     /// server's.
     fn send_delta(
@@ -636,6 +556,10 @@ impl<U: Updates> Served<U> {
     }
 }
 
+fn nanoseconds(wait_ns: i64) -> Duration {
+    Duration::from_nanos(wait_ns.max(0) as u64)
+}
+
 /// What the device did for an update, nanoseconds.
 fn device_ns(shaded: &Shaded) -> i64 {
     shaded.timings.scopes().iter().map(|timing| timing.took_ns).sum()
@@ -652,3 +576,5 @@ fn device_lost() -> Refused {
 
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod replay;

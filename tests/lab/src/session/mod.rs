@@ -11,17 +11,19 @@ pub mod ghost;
 pub mod heard;
 pub mod options;
 pub mod originals;
+mod reception;
 pub mod residents;
 pub mod runtime;
 pub mod seat;
-mod steps;
 
 use anyhow::{Context, bail};
 use ghost::Ghost;
 use heard::{Heard, Recording, What};
 use options::{Medium, RunOptions, Spared, StageMs, ViewerOptions};
+use reception::{Reception, line_of};
 use runtime::{BUILT_IN_WALK, prepare_runtime, set_runtime};
 use seat::{Rows, Seat};
+use serde::{Deserialize, Serialize};
 use shadecast_client::client::{Client, ClientOptions, Step};
 use shadecast_client::decode::decoding::DecodeTiming;
 use shadecast_client::display::xr::{Xr, XrOptions};
@@ -43,8 +45,11 @@ use shadecast_scene::load::load_scene_with;
 use shadecast_scene::process::Loading;
 use shadecast_scene::suggest::did_you_mean_or_list;
 use shadecast_server::pacing::gate::WayState;
+use shadecast_server::pacing::overlap::{Flight, Step as UpdateStep};
 use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_server::scene::SceneGpu;
+use shadecast_server::serve::scheduler::simulated::SimulatedDevice;
+use shadecast_server::serve::scheduler::{Action, LONGEST_WAIT_NS, Scheduler, Situation};
 use shadecast_server::serve::stream::offer;
 use shadecast_server::update::ShowOptions;
 use shadecast_server::world::World;
@@ -52,6 +57,8 @@ use shadecast_trace::Trace;
 use shadecast_transport::endpoint::{Endpoint, EndpointConfig};
 use shadecast_transport::event::{Event, PeerId};
 use shadecast_transport::{Direction, ExpectedIdentity, LinkSchedule, Pair, ServerIdentity};
+use std::borrow::Cow;
+use std::convert::Infallible;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -70,12 +77,27 @@ pub struct Server {
     pub world: World,
     codecs: &'static [Codec],
     quality: QualityOptions,
+    stages: StageMs,
+    scheduler: Scheduler<PeerId>,
+    device: SimulatedDevice<PeerId>,
+    reception: Reception,
+    /// What it was asked for and decided.
+    pub schedule: Schedule,
     viewers: u64,
     atlas_extent_texels: AtlasExtent,
     rate_hz: f64,
     spared: Spared,
     show: ShowOptions,
     shade_texels: Option<u64>,
+}
+
+/// What the scheduler was told and decided, at which times of the virtual clock.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Schedule {
+    /// Which viewer came when.
+    pub joined: Vec<(i64, usize)>,
+    /// When, for which viewer, and what.
+    pub decisions: Vec<(i64, usize, Cow<'static, str>)>,
 }
 
 /// A link with a client at its end, and the server's side of it.
@@ -96,10 +118,10 @@ pub struct Lab {
     /// The client that ships, which is the first viewer.
     pub client: Client,
     lines: Vec<Line>,
-    next_update_ns: i64,
+    /// When the scheduler is asked next.
+    next_poll_ns: i64,
     next_motion_ns: i64,
     refresh_hz: f64,
-    stages: StageMs,
     frame: u64,
     /// All that the client that ships is handed, where somebody wants to play it again.
     pub recording: Option<Recording>,
@@ -134,7 +156,15 @@ impl Server {
         };
         let gpu = Gpu::open(&gpu_options, &DesktopDevice)?;
         let scene = Arc::new(SceneGpu::new(&gpu, scene, &options.scene_options)?);
+        let stages = options.medium().stages;
+        let usual = offer(&scene, options.atlas_extent_texels, options.rate_hz, 0);
+        let terms = ServerOffer { codecs: options.medium().codecs.to_vec(), ..usual };
         Ok(Self {
+            scheduler: Scheduler::new((1e9 / options.rate_hz) as i64),
+            device: SimulatedDevice::new(stages.steps_ns()),
+            reception: Reception::new(terms, 1 + options.others.len()),
+            schedule: Schedule::default(),
+            stages,
             world: World::new(&gpu, &scene)?,
             gpu,
             scene,
@@ -166,22 +196,27 @@ impl Server {
     }
 
     fn period_ns(&self) -> i64 {
-        (1e9 / self.rate_hz) as i64
+        self.scheduler.period_ns()
+    }
+
+    fn first_due_ns(&self, now_ns: i64) -> i64 {
+        let period_ns = self.period_ns();
+        START_NS + ((now_ns - START_NS).max(0) + period_ns - 1) / period_ns * period_ns // ALIGNED
     }
 }
 
 impl Line {
     fn new(
-        server: &mut Server,
-        link: &LinkSchedule,
-        seed: u64,
+        server: &Server,
+        number: usize,
+        (link, seed): (&LinkSchedule, u64),
         ghost: Option<Ghost>,
     ) -> anyhow::Result<Self> {
         let identity = ServerIdentity::from_seed(seed)?;
         let config = |salt| EndpointConfig { seed: Some(seed ^ salt), ..EndpointConfig::default() };
         let server_end = Endpoint::server(&identity, config(1))?;
         let pair = Pair::new(server_end, Endpoint::client(config(2)), link.clone(), seed);
-        Ok(Self { seat: Seat::new(server), pair, client_peer: None, reconnects: false, ghost })
+        Ok(Self { seat: Seat::new(server, number), pair, client_peer: None, reconnects: false, ghost })
     }
 
     fn connect(&mut self, now_ns: i64) {
@@ -194,19 +229,21 @@ impl Line {
         self.seat.peer.and_then(|peer| self.pair.server.stats(peer)).map(WayState::from)
     }
 
+    /// Plays the link up to a time, or to the first news for the server; gives when these came.
     fn play(
         &mut self,
         server: &mut Server,
         client: &mut Client,
         (traced, recording): (&Traced, &mut Option<Recording>),
         until_ns: i64,
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<Option<i64>> {
         loop {
             let events = self.pair.step_to_events(until_ns);
             if events.is_empty() {
-                return Ok(());
+                return Ok(None);
             }
             let now_ns = self.pair.now_ns();
+            let has_news = events.iter().any(|(end, _)| *end == Direction::ToServer);
             for (end, event) in events {
                 match (end, &mut self.ghost) {
                     (Direction::ToServer, _) => self.seat.take(server, event, now_ns)?,
@@ -225,12 +262,15 @@ impl Line {
                     }
                 }
             }
-            self.flush(client)?;
+            self.flush(server, client)?;
+            if has_news {
+                return Ok(Some(now_ns));
+            }
         }
     }
 
     /// Hands what both sides want to send to the link.
-    fn flush(&mut self, client: &mut Client) -> anyhow::Result<()> {
+    fn flush(&mut self, server: &mut Server, client: &mut Client) -> anyhow::Result<()> {
         let (Some(client_peer), Some(server_peer)) = (self.client_peer, self.seat.peer) else {
             return Ok(());
         };
@@ -242,7 +282,7 @@ impl Line {
                 Out::Stream { .. } => bail!("the client opened a stream"),
             }
         }
-        while let Some(out) = self.seat.poll_out() {
+        while let Some(out) = self.seat.poll_out(server) {
             match out {
                 Out::Control(message) => self.pair.server.send_control(server_peer, &message)?,
                 Out::Datagram(bytes) => drop(self.pair.server.send_datagram(server_peer, &bytes)),
@@ -252,6 +292,27 @@ impl Line {
             }
         }
         Ok(())
+    }
+}
+
+/// What the scheduler asks about viewers, on the virtual clock.
+struct Situated<'a> {
+    device: &'a SimulatedDevice<PeerId>,
+    lines: &'a mut [Line],
+    now_ns: i64,
+}
+
+impl Situation<PeerId> for Situated<'_> {
+    type Error = Infallible;
+
+    fn flight(&mut self, peer: PeerId) -> Result<Flight, Infallible> {
+        Ok(self.device.flight(peer, self.now_ns))
+    }
+
+    fn is_open(&mut self, peer: PeerId, now_ns: i64) -> bool {
+        let line = &mut self.lines[line_of(peer)];
+        let way = line.way();
+        line.seat.is_open(way, now_ns)
     }
 }
 
@@ -293,7 +354,7 @@ impl Lab {
         Ok(lab)
     }
 
-    fn new(options: &RunOptions, mut server: Server) -> anyhow::Result<Self> {
+    fn new(options: &RunOptions, server: Server) -> anyhow::Result<Self> {
         let xr = Xr::open(&Platform, XrOptions { validation: options.validation, ..XrOptions::default() })
             .context("opening the OpenXR runtime")?;
         let Medium { codecs, link, stages } = options.medium();
@@ -314,13 +375,14 @@ impl Lab {
         let client = Client::new(Box::new(xr), client_options).context("making the client")?;
         let hello = hello(options, client.presenter.eye_extent_pixels());
         let trace = options.trace.as_deref().map(Trace::create).transpose()?;
-        let mut own = Line::new(&mut server, &link, options.seed, None)?;
+        let mut own = Line::new(&server, 0, (&link, options.seed), None)?;
         own.seat.rows = trace.as_ref().map(Rows::new);
         let mut lines = vec![Line { reconnects: options.reconnects, ..own }];
-        for (other, seed) in options.others.iter().zip(options.seed + 1..) {
+        for (other, number) in options.others.iter().zip(1..) {
             let ViewerOptions { link, head } = other;
             let ghost = Ghost::new(hello.clone(), read_head_path(head.as_deref())?, START_NS, decode_ns);
-            lines.push(Line::new(&mut server, link, seed, Some(ghost))?);
+            let seed = options.seed + number as u64;
+            lines.push(Line::new(&server, number, (link, seed), Some(ghost))?);
         }
         Ok(Self {
             traced: Traced::new(trace.as_ref()),
@@ -328,10 +390,9 @@ impl Lab {
             server,
             client,
             lines,
-            next_update_ns: START_NS,
+            next_poll_ns: START_NS,
             next_motion_ns: START_NS,
             refresh_hz: options.refresh_hz,
-            stages,
             frame: 0,
             recording: None,
         })
@@ -364,7 +425,7 @@ impl Lab {
 
     /// Durations of stages in this run.
     pub fn stages(&self) -> StageMs {
-        self.stages
+        self.server.stages
     }
 
     /// When the next display frame begins, nanoseconds of the virtual clock.
@@ -406,30 +467,75 @@ impl Lab {
             if let Some(ghost) = &mut line.ghost {
                 ghost.display(frame_ns, display_ns)?;
             }
-            line.flush(&mut self.client)?;
+            line.flush(&mut self.server, &mut self.client)?;
         }
         Ok(step)
     }
 
-    /// Updates, departures and arrivals in the order of time.
+    /// Departures, arrivals and what the scheduler wants, in the order of time.
     fn play_until(&mut self, until_ns: i64) -> anyhow::Result<()> {
         loop {
             let departures = self.lines.iter().filter_map(|line| line.seat.next_departure_ns());
             let departure_ns = departures.min().unwrap_or(i64::MAX);
-            let next_ns = departure_ns.min(self.next_update_ns).min(self.next_motion_ns).min(until_ns);
+            let mut next_ns = departure_ns.min(self.next_poll_ns).min(self.next_motion_ns).min(until_ns);
+            let mut has_news = false;
             for line in &mut self.lines {
                 let ears = (&self.traced, &mut self.recording);
-                line.play(&mut self.server, &mut self.client, ears, next_ns)?;
+                if let Some(at_ns) = line.play(&mut self.server, &mut self.client, ears, next_ns)? {
+                    (next_ns, has_news) = (at_ns, true);
+                }
             }
-            if departure_ns <= next_ns {
+            if has_news {
+                self.drive(next_ns)?; // they wake the scheduler
+            } else if departure_ns <= next_ns {
                 self.depart(departure_ns)?;
-            } else if self.next_update_ns <= next_ns {
-                self.update()?;
+                self.next_poll_ns = departure_ns; // an update may wait for the encoder
+            } else if self.next_poll_ns <= next_ns {
+                self.drive(next_ns)?;
             } else if self.next_motion_ns <= next_ns {
                 self.motion()?;
             } else {
                 return Ok(());
             }
+        }
+    }
+
+    /// Carries out what the scheduler decides, until it or the thread has to wait.
+    fn drive(&mut self, now_ns: i64) -> anyhow::Result<()> {
+        loop {
+            if now_ns < self.server.device.thread_ns() {
+                self.next_poll_ns = self.server.device.thread_ns();
+                return Ok(());
+            }
+            let Server { scheduler, device, .. } = &mut self.server;
+            let action = scheduler.poll(now_ns, &mut Situated { device, lines: &mut self.lines, now_ns });
+            let Ok(action) = action;
+            let (peer, step) = match action {
+                Action::Make(peer, step) => (peer, Some(step)),
+                Action::HandOver(peer) => (peer, None),
+                Action::AwaitDevice(_, at_most_ns) => {
+                    let comes_ns = self.server.device.next_ns(now_ns).unwrap_or(i64::MAX);
+                    self.next_poll_ns = comes_ns.min(now_ns + at_most_ns);
+                    return Ok(());
+                }
+                Action::Sleep(wait_ns) => {
+                    self.next_poll_ns = now_ns + wait_ns.min(LONGEST_WAIT_NS);
+                    return Ok(());
+                }
+            };
+            let number = line_of(peer);
+            self.server.schedule.decisions.push((
+                now_ns,
+                number,
+                step.map_or("hand over", UpdateStep::name).into(),
+            ));
+            let line = &mut self.lines[number];
+            let way = line.way();
+            match step {
+                Some(step) => line.seat.make(&mut self.server, way, step, now_ns)?,
+                None => line.seat.hand_over(&mut self.server, way, now_ns)?,
+            }
+            line.flush(&mut self.server, &mut self.client)?;
         }
     }
 
@@ -440,19 +546,7 @@ impl Lab {
         for line in &mut self.lines {
             let way = line.way();
             line.seat.motion(&mut self.server, way, now_ns);
-            line.flush(&mut self.client)?;
-        }
-        Ok(())
-    }
-
-    /// An update for every viewer.
-    fn update(&mut self) -> anyhow::Result<()> {
-        let now_ns = self.next_update_ns;
-        self.next_update_ns += self.server.period_ns();
-        for line in &mut self.lines {
-            let way = line.way();
-            line.seat.update(&mut self.server, way, self.stages, now_ns)?;
-            line.flush(&mut self.client)?;
+            line.flush(&mut self.server, &mut self.client)?;
         }
         Ok(())
     }
@@ -460,9 +554,8 @@ impl Lab {
     fn depart(&mut self, now_ns: i64) -> anyhow::Result<()> {
         let is_due = |line: &&mut Line| line.seat.next_departure_ns() == Some(now_ns);
         let Some(line) = self.lines.iter_mut().find(is_due) else { return Ok(()) };
-        let way = line.way();
-        line.seat.depart(&mut self.server, way, now_ns)?;
-        line.flush(&mut self.client)
+        line.seat.depart(&mut self.server, now_ns)?;
+        line.flush(&mut self.server, &mut self.client)
     }
 }
 

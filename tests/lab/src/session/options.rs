@@ -13,6 +13,7 @@ use shadecast_scene::load::SceneSource;
 use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_server::pacing::room::Room;
 use shadecast_server::scene::SceneOptions;
+use shadecast_server::serve::scheduler::simulated::StepsNs;
 use shadecast_server::update::ideal::Ideal;
 use shadecast_server::visibility::detail::DEFAULT_DETAIL_PIXELS;
 use shadecast_transport::{LinkError, LinkProfile, LinkSchedule};
@@ -85,6 +86,13 @@ impl StageMs {
     /// Milliseconds as nanoseconds.
     pub fn ns(self, ms: f64) -> i64 {
         (ms * 1e6) as i64
+    }
+
+    /// Durations of an update's steps. An update whose steps have none of their own is on the device for all of its time.
+    pub fn steps_ns(self) -> StepsNs {
+        let whole = StepMs { shading: self.server, ..StepMs::default() };
+        let StepMs { visibility, placement, shading } = self.steps.unwrap_or(whole);
+        StepsNs { visibility: self.ns(visibility), placement: self.ns(placement), shading: self.ns(shading) }
     }
 }
 

@@ -1,15 +1,11 @@
-//! The server's side of one viewer on the virtual clock: the product's [`Sessions`] and [`Viewer`], and what is on its way out.
+//! The server's side of one viewer on the virtual clock: the product's [`Viewer`], and what is on its way out.
 
-use super::options::StageMs;
 use super::originals::Originals;
 use super::residents::Residents;
-use super::steps::Steps;
 use super::{SERVER_EPOCH_NS, Server};
 use anyhow::{Context, bail};
-use shadecast_protocol::close::CloseCode;
 use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::ids::UpdateId;
-use shadecast_protocol::message::ServerOffer;
 use shadecast_protocol::session::{Out, clock_stamp, picture_stream};
 use shadecast_protocol::time::ServerTime;
 use shadecast_protocol::wire::PictureHeader;
@@ -20,15 +16,13 @@ use shadecast_server::pacing::gate::{Kind, WayState};
 use shadecast_server::pacing::overlap::Step;
 use shadecast_server::pacing::quality::SentPicture;
 use shadecast_server::serve::encoding::{Coded, Encoding};
-use shadecast_server::serve::sessions::mailbox::{Accepted, Client, Mailbox, News};
-use shadecast_server::serve::sessions::{Carrier, Sessions, Surroundings, Verdicts};
+use shadecast_server::serve::sessions::mailbox::{Accepted, Client, News};
 use shadecast_server::serve::viewer::{Update, Viewer};
 use shadecast_server::support::lock::lock;
 use shadecast_server::update::{Frame, Shaded, Shows};
 use shadecast_server::world::ViewerId;
 use shadecast_trace::{Process, Trace, Track};
-use shadecast_transport::{Event, PeerId, SendError};
-use std::cell::RefCell;
+use shadecast_transport::{Event, PeerId};
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
@@ -85,18 +79,24 @@ pub struct Seat {
     pub shows: Vec<Shows>,
     /// Who was in the client's memory at which update.
     pub residents: Residents,
-    sessions: Sessions,
-    desk: Desk,
+    /// Which link it is on.
+    line: usize,
     /// What goes out beside the session.
     streams: VecDeque<Out>,
     encoding: Option<Encoding>,
+    /// Who is connected.
     pub(super) peer: Option<PeerId>,
+    /// Who is served, by its name among the clients of all links.
+    served: Option<PeerId>,
+    /// A shaded update that leaves when the picture before it has.
+    made: Option<Shaded>,
     leaving: VecDeque<Leaving>,
     number: u64,
+    /// From then on an update that the link holds back counts again.
+    withheld_ns: i64,
+    period_ns: i64,
     /// Bytes of motion to those who were served before.
     motion_before: MotionBytes,
-    /// Where those of an update have times of their own.
-    steps: Option<Steps>,
     /// How long the encoder takes for a picture.
     encode_ns: i64,
     originals: Originals,
@@ -121,61 +121,18 @@ fn server_time(now_ns: i64) -> ServerTime {
     ServerTime(now_ns - SERVER_EPOCH_NS)
 }
 
-/// What leaves when its stages are done.
+/// A picture that leaves when it is encoded.
 struct Leaving {
     at_ns: i64,
     /// The viewer that it is for.
     viewer: u64,
-    what: Departure,
-}
-
-enum Departure {
-    /// An update that is shaded now.
-    Update(Box<Shaded>),
-    Picture(PictureHeader, Vec<u8>),
-    /// Nothing: steps of updates may be due.
-    Advance,
-}
-
-/// What the sessions work with: a carrier that keeps everything until it is fetched.
-#[derive(Default)]
-struct Desk {
-    carrier: Kept,
-    mailbox: Mailbox,
-    verdicts: Verdicts,
-}
-
-impl Desk {
-    fn surroundings(&self) -> Surroundings<'_> {
-        let Self { carrier, mailbox, verdicts } = self;
-        Surroundings { carrier, mailbox, verdicts, say: &|_| {} }
-    }
-}
-
-/// What sessions have to say, and why the server has sent the client away.
-#[derive(Default)]
-struct Kept {
-    out: RefCell<VecDeque<Out>>,
-    ended: RefCell<Option<String>>,
-}
-
-impl Carrier for Kept {
-    fn send(&self, _: PeerId, out: Out) -> Result<(), SendError> {
-        self.out.borrow_mut().push_back(out);
-        Ok(())
-    }
-
-    fn close(&self, _: PeerId, code: CloseCode, reason: &str) {
-        if code != CloseCode::Leaving {
-            *self.ended.borrow_mut() = Some(reason.to_owned());
-        }
-    }
+    header: PictureHeader,
+    bytes: Vec<u8>,
 }
 
 impl Seat {
-    pub(super) fn new(server: &Server) -> Self {
-        let terms = server.offer();
-        let offer = move |session| ServerOffer { session, ..terms.clone() };
+    /// Of the link of this number, before anybody is served.
+    pub(super) fn new(server: &Server, line: usize) -> Self {
         Self {
             viewer: None,
             sent: Sent::default(),
@@ -183,15 +140,17 @@ impl Seat {
             last: None,
             shows: Vec::new(),
             residents: Residents::default(),
-            sessions: Sessions::new(Box::new(offer), 1, SERVER_EPOCH_NS),
-            desk: Desk::default(),
+            line,
             streams: VecDeque::new(),
             encoding: None,
             peer: None,
+            served: None,
+            made: None,
             leaving: VecDeque::new(),
             number: 0,
+            withheld_ns: 0,
+            period_ns: server.period_ns(),
             motion_before: MotionBytes::default(),
-            steps: None,
             encode_ns: 0,
             originals: Originals::new(server.spared.arrival),
             rows: None,
@@ -213,25 +172,28 @@ impl Seat {
             Event::Closed { peer, .. } if self.peer == Some(peer) => self.peer = None,
             _ => {}
         }
-        self.sessions.take(event, now_ns, &self.desk.surroundings());
-        self.sessions.tick(now_ns, &self.desk.surroundings());
-        for (_, News { client, told }) in self.desk.mailbox.take() {
+        server.reception.take(self.line, event, now_ns);
+        for (peer, News { client, told }) in server.reception.news_of(self.line) {
             match client {
                 Client::Unchanged => {}
-                Client::Gone => self.part(server),
+                Client::Gone if self.served == Some(peer) => self.part(server),
+                Client::Gone => {}
                 Client::Accepted(accepted) => {
                     self.part(server);
-                    self.accept(server, *accepted, now_ns)?;
+                    self.accept(server, peer, *accepted, now_ns)?;
                 }
             }
-            if let Some(viewer) = &mut self.viewer {
+            if let Some(viewer) = self.viewer.as_mut().filter(|_| self.served == Some(peer)) {
                 if let Some(wanted) = told.steering {
                     server.world.timeline().lock().steer(wanted, server_time(now_ns));
                 }
-                viewer.hear(told, now_ns);
+                if let Some(is_watched) = told.watching {
+                    server.scheduler.watch(peer, is_watched, now_ns);
+                }
+                viewer.hear(told);
             }
         }
-        match self.desk.carrier.ended.take() {
+        match server.reception.ended(self.line) {
             Some(reason) => bail!("the server has ended the session: {reason}"),
             None => Ok(()),
         }
@@ -239,13 +201,23 @@ impl Seat {
 
     /// Nobody is served any more.
     fn part(&mut self, server: &mut Server) {
+        self.made = None;
+        if let Some(peer) = self.served.take() {
+            server.scheduler.leave(peer);
+            server.device.leave(peer);
+        }
         if let Some(viewer) = self.viewer.take() {
             viewer.into_updates().leave(&mut server.world);
-            self.steps = None;
         }
     }
 
-    fn accept(&mut self, server: &mut Server, accepted: Accepted, now_ns: i64) -> anyhow::Result<()> {
+    fn accept(
+        &mut self,
+        server: &mut Server,
+        peer: PeerId,
+        accepted: Accepted,
+        now_ns: i64,
+    ) -> anyhow::Result<()> {
         let Accepted { welcome, capabilities, sender } = accepted;
         self.number = server.next_viewer();
         self.motion_before = self.sent.motion;
@@ -262,7 +234,11 @@ impl Seat {
         )?;
         server.shade_texels.into_iter().for_each(|texels| frame.set_shading_budget(texels));
         let quality = server.quality.of_codec(welcome.codec);
-        self.viewer = Some(Viewer::new(frame, sender, quality, server.period_ns(), now_ns));
+        self.viewer = Some(Viewer::new(frame, sender, quality, server.period_ns()));
+        self.served = Some(peer);
+        self.encode_ns = server.stages.ns(server.stages.encode);
+        server.scheduler.join(peer, server.first_due_ns(now_ns));
+        server.schedule.joined.push((now_ns, self.line));
         Ok(())
     }
 
@@ -276,84 +252,50 @@ impl Seat {
         self.sent.motion = self.motion_before + sender.bytes();
     }
 
-    /// One update; what it makes leaves when its stages are done. `way`: that to the client.
-    pub(super) fn update(
-        &mut self,
-        server: &mut Server,
-        way: Option<WayState>,
-        stages: StageMs,
-        now_ns: i64,
-    ) -> anyhow::Result<()> {
-        let Some(viewer) = self.viewer.as_mut().filter(|viewer| viewer.due_ns().is_some()) else {
-            return Ok(());
-        };
-        if let Some(ms) = stages.steps {
-            self.encode_ns = stages.ns(stages.encode);
-            self.steps.get_or_insert_with(|| Steps::new(ms, stages.ns(stages.encode), server.period_ns()));
-            return self.advance(server, way, now_ns);
-        }
-        // One update at a time.
-        if self.leaving.iter().any(|leaving| matches!(leaving.what, Departure::Update(_))) {
-            return Ok(());
-        }
-        if !viewer.is_open(way.as_ref(), now_ns) {
-            self.sent.withheld += 1;
-            return Ok(());
-        }
+    /// Whether the link takes another update.
+    pub(super) fn is_open(&mut self, way: Option<WayState>, now_ns: i64) -> bool {
+        let Some(viewer) = &mut self.viewer else { return false };
+        let is_open = viewer.is_open(way.as_ref(), now_ns);
         if let Some(shortfall) = viewer.shortfall(now_ns) {
             tracing::warn!("{shortfall}");
         }
-        viewer.note_update(stages.ns(stages.server) as f64 * 1e-9);
-        let frame = viewer.begin(way.as_ref(), now_ns);
-        let Some(shaded) = frame.update(&mut server.world, server_time(now_ns))? else {
-            return Ok(());
-        };
-        self.encode_ns = stages.ns(stages.encode);
-        self.made(server, shaded, now_ns + stages.ns(stages.server))
+        if !is_open && now_ns >= self.withheld_ns {
+            self.sent.withheld += 1;
+            self.withheld_ns = now_ns + self.period_ns;
+        }
+        is_open
     }
 
-    /// Makes the steps of updates that are due, where they have times of their own.
-    fn advance(&mut self, server: &mut Server, way: Option<WayState>, now_ns: i64) -> anyhow::Result<()> {
-        while let (Some(steps), Some(viewer)) = (&mut self.steps, &mut self.viewer) {
-            let is_due = viewer.due_ns().is_some_and(|due_ns| due_ns <= now_ns);
-            let may_begin = is_due && !steps.would_wait(now_ns) && viewer.is_open(way.as_ref(), now_ns);
-            let step = steps.step(now_ns, may_begin, !server.world.is_shared());
-            let world = &mut server.world;
-            let mut shaded = None;
-            match step {
-                Step::Begin if !viewer.begin(way.as_ref(), now_ns).begin(world, server_time(now_ns))? => {
-                    break;
-                }
-                Step::Begin => {}
-                Step::Place => viewer.updates_mut().place(world)?,
-                Step::Shade => viewer.updates_mut().shade(world)?,
-                Step::Collect => shaded = viewer.updates_mut().collect(world)?,
-                Step::Wait => break,
-            }
-            steps.made(step, now_ns);
-            if let Some(shaded) = shaded {
-                viewer.note_update((now_ns - SERVER_EPOCH_NS - shaded.time.0) as f64 * 1e-9);
-                self.made(server, shaded, now_ns)?;
-            }
+    /// Makes a step of its updates. `way`: that to the client.
+    pub(super) fn make(
+        &mut self,
+        server: &mut Server,
+        way: Option<WayState>,
+        step: Step,
+        now_ns: i64,
+    ) -> anyhow::Result<()> {
+        let (Some(viewer), Some(peer)) = (&mut self.viewer, self.served) else { return Ok(()) };
+        let world = &mut server.world;
+        let (mut is_made, mut shaded) = (true, None);
+        match step {
+            Step::Begin => is_made = viewer.begin(way.as_ref(), now_ns).begin(world, server_time(now_ns))?,
+            Step::Place => viewer.updates_mut().place(world)?,
+            Step::Shade => viewer.updates_mut().shade(world)?,
+            Step::Collect => shaded = viewer.updates_mut().collect(world)?,
+            Step::Wait => {}
         }
-        self.look_again(now_ns);
+        let cpu_ns = if is_made { server.device.made(peer, step, now_ns) } else { 0 };
+        let device_ns = shaded.as_ref().map(|_| server.device.update_ns());
+        let cost = server.scheduler.completed((peer, step), cpu_ns, device_ns, now_ns);
+        if let (Some(cost), Some(shaded)) = (cost, shaded) {
+            viewer.note_update(cost.shared_s());
+            self.collected(server, shaded, now_ns)?;
+        }
         Ok(())
     }
 
-    /// Wakes it when the device or the CPU has come further, or an update is due.
-    fn look_again(&mut self, now_ns: i64) {
-        let (Some(steps), Some(viewer)) = (&self.steps, &self.viewer) else { return };
-        let due_ns = viewer.due_ns().filter(|due_ns| *due_ns > now_ns);
-        let Some(at_ns) = steps.next_ns(now_ns).into_iter().chain(due_ns).min() else { return };
-        let is_woken =
-            |leaving: &Leaving| matches!(leaving.what, Departure::Advance) && leaving.at_ns <= at_ns;
-        if !self.leaving.iter().any(is_woken) {
-            self.leave(at_ns, Departure::Advance);
-        }
-    }
-
-    /// An update that is shaded at `done_ns` is counted, and leaves then.
-    fn made(&mut self, server: &mut Server, shaded: Shaded, done_ns: i64) -> anyhow::Result<()> {
+    /// An update is shaded: it is counted, and leaves when the scheduler says so.
+    fn collected(&mut self, server: &mut Server, shaded: Shaded, now_ns: i64) -> anyhow::Result<()> {
         let Some(frame) = self.viewer.as_ref().map(Viewer::updates) else { return Ok(()) };
         self.originals.keep(&server.gpu, frame, &shaded)?;
         self.sent.updates += 1;
@@ -369,21 +311,20 @@ impl Seat {
         self.shows.resize(shaded.update.0 as usize, Shows::default());
         self.shows.push(shows);
         if let Some(rows) = &self.rows {
-            rows.updates.span("update", [shaded.time, server_time(done_ns)], Some(shaded.update));
+            rows.updates.span("update", [shaded.time, server_time(now_ns)], Some(shaded.update));
         }
-        self.leave(done_ns, Departure::Update(Box::new(shaded)));
+        self.made = Some(shaded);
         Ok(())
     }
 
-    /// An update is shaded: its delta leaves, its picture goes to the encoder.
-    fn finish(
+    /// The delta of its shaded update leaves, the picture goes to the encoder.
+    pub(super) fn hand_over(
         &mut self,
         server: &mut Server,
-        shaded: Shaded,
         way: Option<WayState>,
         now_ns: i64,
     ) -> anyhow::Result<()> {
-        let Some(viewer) = &mut self.viewer else { return Ok(()) };
+        let (Some(viewer), Some(shaded)) = (&mut self.viewer, self.made.take()) else { return Ok(()) };
         let began = server.world.effort.begin();
         let (delta, update) = viewer.finish(shaded);
         server.world.effort.add_delta(began);
@@ -391,11 +332,8 @@ impl Seat {
         self.streams.push_back(clock_stamp(server_time(now_ns)));
         self.send(update.shaded.update, Kind::Delta, delta, now_ns);
         self.motion(server, way, now_ns);
-        let done_ns = match &mut self.steps {
-            Some(steps) => steps.encode(now_ns),
-            None => now_ns + self.encode_ns,
-        };
-        self.encode(update, done_ns)
+        self.served.into_iter().for_each(|peer| server.scheduler.handed_over(peer, now_ns));
+        self.encode(update, now_ns + self.encode_ns)
     }
 
     /// Hands a picture to the encoder; what it has then leaves at `done_ns`.
@@ -410,7 +348,7 @@ impl Seat {
                 let times = [done_ns - self.encode_ns, done_ns].map(server_time);
                 rows.encoder.span("encode", times, Some(header.update));
             }
-            self.leave(done_ns, Departure::Picture(header, unit.bytes));
+            self.leave(Leaving { at_ns: done_ns, viewer: self.number, header, bytes: unit.bytes });
             let earlier = self.last.replace(shaded);
             if let Some((viewer, earlier)) = self.viewer.as_mut().zip(earlier) {
                 viewer.recycle(*earlier);
@@ -419,9 +357,9 @@ impl Seat {
         Ok(())
     }
 
-    fn leave(&mut self, at_ns: i64, what: Departure) {
-        let place = self.leaving.partition_point(|other| other.at_ns <= at_ns);
-        self.leaving.insert(place, Leaving { at_ns, viewer: self.number, what });
+    fn leave(&mut self, leaving: Leaving) {
+        let place = self.leaving.partition_point(|other| other.at_ns <= leaving.at_ns);
+        self.leaving.insert(place, leaving);
     }
 
     /// When something leaves next.
@@ -429,22 +367,12 @@ impl Seat {
         self.leaving.front().map(|leaving| leaving.at_ns)
     }
 
-    /// What is ready leaves; what is for a viewer that has left is dropped.
-    pub(super) fn depart(
-        &mut self,
-        server: &mut Server,
-        way: Option<WayState>,
-        now_ns: i64,
-    ) -> anyhow::Result<()> {
+    /// A picture that is encoded leaves; one for a viewer that has left is dropped.
+    pub(super) fn depart(&mut self, server: &mut Server, now_ns: i64) -> anyhow::Result<()> {
         let next = self.leaving.pop_front().filter(|leaving| leaving.viewer == self.number);
-        let Some(Leaving { what, .. }) = next else { return Ok(()) };
-        match what {
-            Departure::Update(shaded) => self.finish(server, *shaded, way, now_ns)?,
-            Departure::Advance => self.advance(server, way, now_ns)?,
-            Departure::Picture(header, bytes) => {
-                self.send_picture(header, picture_stream(header, &bytes)?, now_ns);
-            }
-        }
+        let Some(Leaving { header, bytes, .. }) = next else { return Ok(()) };
+        self.served.into_iter().for_each(|peer| server.scheduler.encoded(peer, Some(self.encode_ns)));
+        self.send_picture(header, picture_stream(header, &bytes)?, now_ns);
         Ok(())
     }
 
@@ -486,8 +414,8 @@ impl Seat {
     }
 
     /// Bytes to carry.
-    pub(super) fn poll_out(&mut self) -> Option<Out> {
-        self.desk.carrier.out.get_mut().pop_front().or_else(|| self.streams.pop_front())
+    pub(super) fn poll_out(&mut self, server: &mut Server) -> Option<Out> {
+        server.reception.poll_out(self.line).or_else(|| self.streams.pop_front())
     }
 
     /// Vertices that move, in the client's memory.

@@ -19,6 +19,7 @@ use shadecast_protocol::session::{Out, ServerEvent};
 use shadecast_protocol::time::WorldTime;
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
 use shadecast_protocol::world_clock::Steer;
+use shadecast_system::monotonic_now_ns;
 use shadecast_test_support::peers::head;
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -163,7 +164,6 @@ impl Studio for FakeStudio {
             is_placed: updates.placed.is_some(),
             is_in_work: updates.in_work.is_some(),
             is_shaded: updates.in_work.is_some() && has_come(),
-            is_alone: *self.0.open.borrow() == 1,
         })
     }
 
@@ -360,19 +360,22 @@ impl Bench {
             &self.mailbox,
             &|_| {},
             1e9 / PERIOD_NS as f64,
-            Traced::new(None, 0),
+            (Traced::new(None, 0), &monotonic_now_ns),
         );
         let (begun, mut now_ns) = (Instant::now(), 0);
         loop {
-            if let Err(error) = pipeline.step(now_ns) {
-                return (Err(error), pipeline.finish(now_ns).0);
-            }
+            let wait = match pipeline.step(now_ns) {
+                Ok(wait) => wait,
+                Err(error) => return (Err(error), pipeline.finish(now_ns).0),
+            };
             if is_done(&self.outlet) {
                 return (Ok(()), pipeline.finish(now_ns).0);
             }
             assert!(begun.elapsed() < PATIENCE, "{:?}", self.outlet.refused.lock().expect("whole"));
-            now_ns += PERIOD_NS / 2;
-            std::thread::sleep(Duration::from_micros(200));
+            if wait > Duration::ZERO {
+                now_ns += PERIOD_NS / 2;
+                std::thread::sleep(Duration::from_micros(200));
+            }
         }
     }
 

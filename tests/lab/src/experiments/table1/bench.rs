@@ -346,7 +346,7 @@ impl<'a> ServerBench<'a> {
         let now = ServerTime(self.now_ns - SERVER_EPOCH_NS);
         self.head = HeadState { time: now, sequence: self.head.sequence.wrapping_add(1), ..self.head };
         let told = Told { pose: Some(self.head), displayed: self.displayed.take(), ..Told::default() };
-        self.viewer.hear(told, self.now_ns);
+        self.viewer.hear(told);
         self.forget();
         let effort = self.world.effort;
         let (began, began_cpu_ns) = (Instant::now(), thread_cpu_ns());
