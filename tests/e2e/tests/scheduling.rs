@@ -40,7 +40,7 @@ fn scheduled(stages: StageMs) -> (Schedule, i64) {
 fn two_viewers_are_scheduled_as_recorded() {
     let _turn = turn();
     let stages: StageMs = "visibility=6,placement=2,shading=9,encode=8".parse().expect("durations");
-    let (Schedule { joined, decisions }, period_ns) = scheduled(stages);
+    let (Schedule { joined, decisions, headless }, period_ns) = scheduled(stages);
     // Viewers have the names that their places in the order of arrival give them.
     let name = |line: usize| joined.iter().position(|(_, other)| *other == line).expect("it came");
     let decisions: Vec<_> = decisions.iter().map(|(at_ns, line, what)| (at_ns, name(*line), what)).collect();
@@ -52,6 +52,7 @@ fn two_viewers_are_scheduled_as_recorded() {
         "shading_ns": steps.shading,
         "encode_ns": stages.ns(stages.encode),
         "joined_ns": joined.iter().map(|(at_ns, _)| at_ns).collect::<Vec<_>>(),
+        "headless": headless.iter().map(|(at_ns, line)| (at_ns, name(*line))).collect::<Vec<_>>(),
         "decisions": decisions,
     });
     let path =

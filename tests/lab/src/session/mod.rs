@@ -98,6 +98,8 @@ pub struct Schedule {
     pub joined: Vec<(i64, usize)>,
     /// When, for which viewer, and what.
     pub decisions: Vec<(i64, usize, Cow<'static, str>)>,
+    /// Updates that could not begin, since the viewer's head was not known yet.
+    pub headless: Vec<(i64, usize)>,
 }
 
 /// A link with a client at its end, and the server's side of it.
@@ -197,11 +199,6 @@ impl Server {
 
     fn period_ns(&self) -> i64 {
         self.scheduler.period_ns()
-    }
-
-    fn first_due_ns(&self, now_ns: i64) -> i64 {
-        let period_ns = self.period_ns();
-        START_NS + ((now_ns - START_NS).max(0) + period_ns - 1) / period_ns * period_ns // ALIGNED
     }
 }
 

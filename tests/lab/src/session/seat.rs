@@ -237,7 +237,7 @@ impl Seat {
         self.viewer = Some(Viewer::new(frame, sender, quality, server.period_ns()));
         self.served = Some(peer);
         self.encode_ns = server.stages.ns(server.stages.encode);
-        server.scheduler.join(peer, server.first_due_ns(now_ns));
+        server.scheduler.join(peer, now_ns);
         server.schedule.joined.push((now_ns, self.line));
         Ok(())
     }
@@ -285,6 +285,9 @@ impl Seat {
             Step::Wait => {}
         }
         let cpu_ns = if is_made { server.device.made(peer, step, now_ns) } else { 0 };
+        if !is_made {
+            server.schedule.headless.push((now_ns, self.line));
+        }
         let device_ns = shaded.as_ref().map(|_| server.device.update_ns());
         let cost = server.scheduler.completed((peer, step), cpu_ns, device_ns, now_ns);
         if let (Some(cost), Some(shaded)) = (cost, shaded) {

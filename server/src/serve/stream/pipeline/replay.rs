@@ -35,6 +35,8 @@ struct Recorded {
     encode_ns: i64,
     /// When each viewer came.
     joined_ns: Vec<i64>,
+    /// When an update of a viewer could not begin.
+    headless: Vec<(i64, u64)>,
     /// When, for which viewer, and what.
     decisions: Vec<(i64, u64, String)>,
 }
@@ -43,6 +45,7 @@ struct Recorded {
 struct Bench {
     now_ns: i64,
     encode_ns: i64,
+    headless: Vec<(i64, u64)>,
     device: SimulatedDevice<u64>,
     /// When the encoder of each viewer is done.
     encoding: BTreeMap<u64, i64>,
@@ -141,6 +144,9 @@ impl Studio for SimulatedStudio {
         let mut bench = self.bench.borrow_mut();
         bench.decided(updates.viewer, step.name());
         let now_ns = bench.now_ns;
+        if step == Step::Begin && bench.headless.contains(&(now_ns, updates.viewer)) {
+            return Ok(None);
+        }
         bench.now_ns += bench.device.made(updates.viewer, step, now_ns);
         if step == Step::Begin {
             updates.begun.push((UpdateId(updates.next), now));
@@ -221,11 +227,12 @@ impl Updates for SimulatedUpdates {
 #[test]
 fn the_pipeline_decides_as_the_lab_on_the_same_events() {
     let recorded: Recorded = serde_json::from_str(RECORDED).expect("a recorded run");
-    let Recorded { visibility_ns, placement_ns, shading_ns, encode_ns, .. } = recorded;
+    let Recorded { visibility_ns, placement_ns, shading_ns, encode_ns, ref headless, .. } = recorded;
     let steps = StepsNs { visibility: visibility_ns, placement: placement_ns, shading: shading_ns };
     let bench = Rc::new(RefCell::new(Bench {
         now_ns: recorded.joined_ns[0],
         encode_ns,
+        headless: headless.clone(),
         device: SimulatedDevice::new(steps),
         encoding: BTreeMap::new(),
         decisions: Vec::new(),
