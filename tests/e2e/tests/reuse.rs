@@ -12,7 +12,7 @@ use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_server::encode::Source;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::shading::reuse::{Cause, Reused};
-use shadecast_server::update::ideal::Ideal;
+use shadecast_server::update::policy::UpdatePolicy;
 use shadecast_server::update::{Frame, Shaded, ShowOptions, Shows};
 use shadecast_server::world::{ViewerId, World};
 use shadecast_test_support::peers;
@@ -40,8 +40,9 @@ impl Both {
         let (welcome, capabilities) = terms();
         let show = ShowOptions { detail_pixels: 1.0, surround: 0.0 };
         let frame = |(number, reuse): (u64, bool)| {
-            let ideal = Ideal { reuse, ..Ideal::default() };
-            Frame::with_ideal(&world, ViewerId(number), &welcome, &capabilities, show, ideal).expect("memory")
+            let ideal = UpdatePolicy { reuse, ..UpdatePolicy::default() };
+            Frame::with_policy(&world, ViewerId(number), &welcome, &capabilities, show, ideal)
+                .expect("memory")
         };
         let frames = [(1, true), (2, false)].map(frame);
         Self { gpu, frames, world, update: 0 }

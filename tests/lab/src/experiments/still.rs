@@ -13,7 +13,7 @@ use shadecast_protocol::message::{HeadState, negotiate};
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::process::Loading;
-use shadecast_server::update::ideal::Ideal;
+use shadecast_server::update::policy::UpdatePolicy;
 use shadecast_server::update::{Frame, ShowOptions};
 use shadecast_server::world::{ViewerId, World};
 use std::collections::BTreeMap;
@@ -111,8 +111,8 @@ fn two_updates(server: &Server, options: &RunOptions, reuse: bool) -> anyhow::Re
     let terms =
         negotiate(&hello, &server.offer()).map_err(|refused| anyhow::anyhow!("{}", refused.reason))?;
     let show = ShowOptions { detail_pixels: options.detail_pixels, surround: options.surround };
-    let ideal = Ideal { reuse, ..Ideal::default() };
-    let mut frame = Frame::with_ideal(&world, ViewerId(1), &terms, &hello.capabilities, show, ideal)?;
+    let ideal = UpdatePolicy { reuse, ..UpdatePolicy::default() };
+    let mut frame = Frame::with_policy(&world, ViewerId(1), &terms, &hello.capabilities, show, ideal)?;
     let period_ns = (1e9 / options.rate_hz) as i64;
     let mut update = |number: u32| -> anyhow::Result<Stages> {
         let now = ServerTime(i64::from(number) * period_ns);

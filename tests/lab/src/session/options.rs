@@ -13,7 +13,7 @@ use shadecast_scene::load::SceneSource;
 use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_server::pacing::room::Room;
 use shadecast_server::scene::SceneOptions;
-use shadecast_server::update::ideal::Ideal;
+use shadecast_server::update::policy::UpdatePolicy;
 use shadecast_server::visibility::detail::DEFAULT_DETAIL_PIXELS;
 use shadecast_transport::{LinkError, LinkProfile, LinkSchedule};
 use std::path::PathBuf;
@@ -190,7 +190,7 @@ pub struct Spared {
     /// What arrives for a coded atlas.
     pub arrival: Arrival,
     /// What the server's updates are spared.
-    pub ideal: Ideal,
+    pub ideal: UpdatePolicy,
     /// Outlines are taken for true: see [`crate::measure::metrics::with_true_outlines`].
     pub outlines: bool,
 }
