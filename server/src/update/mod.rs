@@ -41,7 +41,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// The updates of one viewer.
-pub struct Frame {
+pub struct ViewerUpdates {
     id: ViewerId,
     policy: Arc<UpdatePolicy>,
     head: HeadTrack,
@@ -99,7 +99,7 @@ pub struct Shaded {
     pub timings: Timings,
 }
 
-impl Frame {
+impl ViewerUpdates {
     /// For a viewer of `world` that agreed to `welcome` and has told its `capabilities`.
     pub fn new(
         world: &World,

@@ -1,6 +1,6 @@
 //! Reports of a viewer, settings of its updates, and figures about them. None of it touches the device.
 
-use super::{Frame, Shaded, Shows};
+use super::{Shaded, Shows, ViewerUpdates};
 use crate::atlas::layout::Layout;
 use crate::encode::Source;
 use crate::motion::delta::UpdateDelta;
@@ -14,7 +14,7 @@ use shadecast_gpu::Image;
 use shadecast_protocol::delta::EncodedDelta;
 use shadecast_protocol::message::{Displayed, HeadState};
 
-impl Frame {
+impl ViewerUpdates {
     /// The viewer.
     pub fn id(&self) -> ViewerId {
         self.id

@@ -24,7 +24,7 @@ use shadecast_server::serve::sessions::mailbox::{Accepted, Client, Mailbox, News
 use shadecast_server::serve::sessions::{Carrier, Sessions, Surroundings, Verdicts};
 use shadecast_server::serve::viewer::{Update, Viewer};
 use shadecast_server::support::lock::lock;
-use shadecast_server::update::{Frame, Shaded, Shows};
+use shadecast_server::update::{Shaded, Shows, ViewerUpdates};
 use shadecast_server::world::ViewerId;
 use shadecast_trace::{Process, Trace, Track};
 use shadecast_transport::{Event, PeerId, SendError};
@@ -74,7 +74,7 @@ pub struct Sent {
 /// See the module.
 pub struct Seat {
     /// The client, once it was accepted.
-    pub viewer: Option<Viewer<Frame>>,
+    pub viewer: Option<Viewer<ViewerUpdates>>,
     /// What was sent to it.
     pub sent: Sent,
     /// Milliseconds by GPU stage, summed over its updates.
@@ -252,7 +252,7 @@ impl Seat {
         let first_qp = server.quality.first_qp();
         let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, first_qp, server.rate_hz);
         self.encoding = Some(Encoding::new(encode::encoder(welcome.codec, settings)?));
-        let mut frame = Frame::with_policy(
+        let mut frame = ViewerUpdates::with_policy(
             &server.world,
             ViewerId(self.number),
             &welcome,

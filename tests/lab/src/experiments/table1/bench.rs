@@ -25,7 +25,7 @@ use shadecast_server::pacing::quality::DEFAULT_QP;
 use shadecast_server::serve::encoding::Encoding;
 use shadecast_server::serve::viewer::{Told, Viewer};
 use shadecast_server::support::lock::lock;
-use shadecast_server::update::{Frame, Shaded};
+use shadecast_server::update::{Shaded, ViewerUpdates};
 use shadecast_server::world::World;
 use shadecast_system::clock::thread_cpu_ns;
 use std::collections::{BTreeMap, BTreeSet};
@@ -288,7 +288,7 @@ struct Bytes {
 struct ServerBench<'a> {
     cell: Cell,
     world: &'a mut World,
-    viewer: &'a mut Viewer<Frame>,
+    viewer: &'a mut Viewer<ViewerUpdates>,
     encoding: Encoding,
     /// For what is handed over.
     uncoded: Encoding,
