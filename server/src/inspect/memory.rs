@@ -6,7 +6,7 @@ use super::table::{Table, bytes};
 use crate::atlas::surround::DEFAULT_SURROUND;
 use crate::scene::{SceneGpu, SceneOptions};
 use crate::serve::stream::offer;
-use crate::update::{Frame, ShowOptions};
+use crate::update::{ShowOptions, ViewerUpdates};
 use crate::world::{ViewerId, World};
 use clap::Args;
 use glam::Vec3;
@@ -91,11 +91,11 @@ pub(super) fn run(args: &MemoryArgs) -> anyhow::Result<String> {
         detail_pixels: crate::visibility::detail::DEFAULT_DETAIL_PIXELS,
         surround: DEFAULT_SURROUND,
     };
-    let mut frame = Frame::new(&world, ViewerId(0), &welcome, &capabilities, show)?;
+    let mut updates = ViewerUpdates::new(&world, ViewerId(0), &welcome, &capabilities, show)?;
     for update in 0..UPDATES {
         let now = ServerTime(update * UPDATE_NS);
-        frame.head(head(&scene, &capabilities, update, now));
-        frame.update(&mut world, now)?;
+        updates.head(head(&scene, &capabilities, update, now));
+        updates.update(&mut world, now)?;
     }
     note(&gpu, "a viewer", &mut parts);
     let report = Report::new(gpu.device_name(), parts.into_values().collect());

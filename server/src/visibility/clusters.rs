@@ -28,6 +28,9 @@ struct Cluster {
 }
 
 impl Clusters {
+    /// Of a scene of which nothing is known.
+    pub const NONE: &Self = &Self(Vec::new());
+
     /// The next instance moves.
     pub fn add_moving(&mut self) {
         self.0.push(Vec::new());

@@ -53,15 +53,15 @@ pub struct World {
     scene: Arc<SceneGpu>,
     grid: Grid,
     /// Positions at the times of updates.
-    pub animation: Animation,
+    animation: Animation,
     /// Which times those are.
-    pub samples: SampleWindow,
+    samples: SampleWindow,
     /// What stands still, in clusters.
-    pub clusters: Clusters,
+    clusters: Clusters,
     /// Light and the sun's map.
-    pub shadow: Shadow,
+    shadow: Shadow,
     /// What it costs.
-    pub effort: Effort,
+    effort: Effort,
     /// What each viewer needs.
     needs: BTreeMap<ViewerId, Needed>,
     /// What any of them needs.
@@ -113,6 +113,36 @@ impl World {
         &self.scene
     }
 
+    /// Positions at the times of updates.
+    pub fn animation(&self) -> &Animation {
+        &self.animation
+    }
+
+    /// Which times those are.
+    pub fn samples(&self) -> &SampleWindow {
+        &self.samples
+    }
+
+    /// What stands still, in clusters.
+    pub fn clusters(&self) -> &Clusters {
+        &self.clusters
+    }
+
+    /// Light and the sun's map.
+    pub fn shadow(&self) -> &Shadow {
+        &self.shadow
+    }
+
+    /// What it costs.
+    pub fn effort(&self) -> &Effort {
+        &self.effort
+    }
+
+    /// The same, for those who add to it.
+    pub fn effort_mut(&mut self) -> &mut Effort {
+        &mut self.effort
+    }
+
     /// The times at which vertices are sampled.
     pub fn grid(&self) -> Grid {
         self.grid
@@ -142,6 +172,16 @@ impl World {
         self.animation.forget();
         self.shadow.forget();
         self.lit = None;
+    }
+
+    /// The samples that were made are not believed any more.
+    pub fn forget_samples(&mut self) {
+        self.animation.forget();
+    }
+
+    /// The shadow map that was drawn is not believed any more.
+    pub fn forget_shadow_map(&mut self) {
+        self.shadow.forget();
     }
 
     /// Whether several look at it.

@@ -11,7 +11,7 @@ use shadecast_protocol::time::ServerTime;
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_server::atlas::surround::DEFAULT_SURROUND;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
-use shadecast_server::update::{Frame, ShowOptions};
+use shadecast_server::update::{ShowOptions, ViewerUpdates};
 use shadecast_server::world::{ViewerId, World};
 use shadecast_test_support::peers;
 use std::sync::Arc;
@@ -51,28 +51,28 @@ fn made(is_moving: bool, head: impl Fn(u32) -> Pose) -> Vec<Steps> {
     let mut world = World::new(&gpu, &scene).expect("memory");
     let (welcome, capabilities) = terms();
     let show = ShowOptions { detail_pixels: 1.0, surround: DEFAULT_SURROUND };
-    let mut frame = Frame::new(&world, ViewerId(1), &welcome, &capabilities, show).expect("memory");
+    let mut updates = ViewerUpdates::new(&world, ViewerId(1), &welcome, &capabilities, show).expect("memory");
     let mut made = Vec::new();
     for number in 0..SETTLED + MEASURED as u32 {
-        made.push(update(&mut frame, &mut world, number, head(number)));
+        made.push(update(&mut updates, &mut world, number, head(number)));
     }
     assert_eq!(gpu.validation_messages(), 0, "{:#?}", gpu.validation_texts());
     made.split_off(SETTLED as usize)
 }
 
-fn update(frame: &mut Frame, world: &mut World, number: u32, world_from_head: Pose) -> Steps {
+fn update(updates: &mut ViewerUpdates, world: &mut World, number: u32, world_from_head: Pose) -> Steps {
     let now = ServerTime(i64::from(number) * PERIOD_NS);
-    frame.head(HeadState { world_from_head, ..peers::head(number, now) });
-    let begin = measure(|| assert!(frame.begin(world, now).expect("a device"), "a head is known"));
-    let place = measure(|| frame.place(world).expect("a device"));
-    let shade = measure(|| frame.shade(world).expect("a device"));
+    updates.head(HeadState { world_from_head, ..peers::head(number, now) });
+    let begin = measure(|| assert!(updates.begin(world, now).expect("a device"), "a head is known"));
+    let place = measure(|| updates.place(world).expect("a device"));
+    let shade = measure(|| updates.shade(world).expect("a device"));
     let mut shaded = None;
-    let collect = measure(|| shaded = frame.collect(world).expect("a device"));
+    let collect = measure(|| shaded = updates.collect(world).expect("a device"));
     let shaded = shaded.expect("it is shaded");
-    let encode = measure(|| drop(frame.encode(&shaded.delta)));
+    let encode = measure(|| drop(updates.encode(&shaded.delta)));
     let display_time = now.plus_ns(PERIOD_NS);
-    frame.displayed(&Displayed { update: shaded.update, display_time, ..Displayed::default() });
-    frame.recycle(shaded);
+    updates.displayed(&Displayed { update: shaded.update, display_time, ..Displayed::default() });
+    updates.recycle(shaded);
     [begin, place, shade, collect, encode].map(|step| step.count_total)
 }
 

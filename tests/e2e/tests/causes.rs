@@ -9,7 +9,7 @@ use shadecast_lab::session::originals::Arrival;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::shading::filter::Filter;
-use shadecast_server::update::ideal::Ideal;
+use shadecast_server::update::policy::UpdatePolicy;
 use shadecast_test_support::headset::turn;
 use shadecast_transport::LinkProfile;
 use std::path::Path;
@@ -67,7 +67,7 @@ fn textures_filtered_for_the_display_are_nearer_to_the_truth_than_those_filtered
     let out = tempfile::tempdir().unwrap();
     let walls = SceneSource::File(write_walls(out.path(), TEXELS).unwrap());
     let [pixel, texel] = [Filter::Pixel, Filter::Texel].map(|filter| {
-        let ideal = Ideal { filter, ..Ideal::default() };
+        let ideal = UpdatePolicy { filter, ..UpdatePolicy::default() };
         let spared = Spared { ideal, ..Spared::default() };
         let link = LinkProfile::default().into();
         let renderer = Renderer::Local;
@@ -86,7 +86,7 @@ fn blocks_that_are_not_shaded_again_cost_no_more_than_a_fifth_of_a_decibel() {
     let out = tempfile::tempdir().unwrap();
     let walls = SceneSource::File(write_walls(out.path(), TEXELS).unwrap());
     let [reused, all] = [true, false].map(|reuse| {
-        let spared = Spared { ideal: Ideal { reuse, ..Ideal::default() }, ..Spared::default() };
+        let spared = Spared { ideal: UpdatePolicy { reuse, ..UpdatePolicy::default() }, ..Spared::default() };
         run(&RunOptions { spared, ..small(walls.clone(), &out.path().join("run")) }).unwrap().stats
     });
     let lost_db = all.psnr_db.zip(reused.psnr_db).map(|(all, reused)| all - reused);

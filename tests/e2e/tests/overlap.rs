@@ -8,7 +8,7 @@ use shadecast_protocol::pose::Pose;
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_server::scene::{SceneGpu, SceneOptions};
-use shadecast_server::update::{Frame, Shaded, ShowOptions};
+use shadecast_server::update::{Shaded, ShowOptions, ViewerUpdates};
 use shadecast_server::world::{ViewerId, World};
 use shadecast_test_support::peers;
 use std::ops::Range;
@@ -22,7 +22,7 @@ const LEAVES_AT: u32 = 3;
 /// A viewer with a world of its own.
 struct Lone {
     world: World,
-    frame: Frame,
+    updates: ViewerUpdates,
 }
 
 impl Lone {
@@ -33,8 +33,8 @@ impl Lone {
     fn of_world(world: World) -> Self {
         let (welcome, capabilities) = terms();
         let show = ShowOptions { detail_pixels: 1.0, surround: 0.25 };
-        let frame = Frame::new(&world, ViewerId(1), &welcome, &capabilities, show).expect("memory");
-        Self { world, frame }
+        let updates = ViewerUpdates::new(&world, ViewerId(1), &welcome, &capabilities, show).expect("memory");
+        Self { world, updates }
     }
 
     /// The head turns and comes nearer; gives when it did.
@@ -45,14 +45,14 @@ impl Lone {
             position: Vec3::new(along, 1.6, 2.0 - along),
             orientation: Quat::from_rotation_y(along) * Quat::from_rotation_x(-0.3),
         };
-        self.frame.head(HeadState { world_from_head, ..peers::head(update, now) });
+        self.updates.head(HeadState { world_from_head, ..peers::head(update, now) });
         now
     }
 
     fn in_a_row(mut self, updates: Range<u32>) -> Vec<Shaded> {
         let mut update = |number| {
             let now = self.turn(number);
-            self.frame.update(&mut self.world, now).expect("a device").expect("a head is known")
+            self.updates.update(&mut self.world, now).expect("a device").expect("a head is known")
         };
         updates.map(&mut update).collect()
     }
@@ -60,9 +60,9 @@ impl Lone {
     /// Begins an update beside the one before; gives the one before that.
     fn begin(&mut self, number: u32) -> Option<Shaded> {
         let now = self.turn(number);
-        let before = self.frame.collect(&self.world).expect("a device");
-        assert!(self.frame.begin(&mut self.world, now).expect("a device"), "a head is known");
-        let flight = self.frame.flight(&self.world).expect("a device");
+        let before = self.updates.collect(&self.world).expect("a device");
+        assert!(self.updates.begin(&mut self.world, now).expect("a device"), "a head is known");
+        let flight = self.updates.flight(&self.world).expect("a device");
         assert_eq!((flight.is_begun, flight.is_in_work), (true, number > 0));
         before
     }
@@ -71,10 +71,10 @@ impl Lone {
     fn leaves_in_flight(mut self) -> World {
         for number in 0..LEAVES_AT {
             self.begin(number);
-            self.frame.place(&mut self.world).expect("a device");
+            self.updates.place(&mut self.world).expect("a device");
         }
         self.begin(LEAVES_AT);
-        self.frame.leave(&mut self.world);
+        self.updates.leave(&mut self.world);
         self.world
     }
 
@@ -83,11 +83,11 @@ impl Lone {
         let mut made = Vec::new();
         for number in 0..UPDATES {
             made.extend(self.begin(number));
-            self.frame.place(&mut self.world).expect("a device");
+            self.updates.place(&mut self.world).expect("a device");
         }
-        made.extend(self.frame.collect(&self.world).expect("a device"));
-        self.frame.shade(&mut self.world).expect("a device");
-        made.extend(self.frame.collect(&self.world).expect("a device"));
+        made.extend(self.updates.collect(&self.world).expect("a device"));
+        self.updates.shade(&mut self.world).expect("a device");
+        made.extend(self.updates.collect(&self.world).expect("a device"));
         made
     }
 
@@ -96,12 +96,12 @@ impl Lone {
         let mut made = Vec::new();
         for number in 0..UPDATES {
             let now = self.turn(number);
-            assert!(self.frame.begin(&mut self.world, now).expect("a device"), "a head is known");
-            made.extend(self.frame.collect(&self.world).expect("a device"));
-            self.frame.place(&mut self.world).expect("a device");
-            self.frame.shade(&mut self.world).expect("a device");
+            assert!(self.updates.begin(&mut self.world, now).expect("a device"), "a head is known");
+            made.extend(self.updates.collect(&self.world).expect("a device"));
+            self.updates.place(&mut self.world).expect("a device");
+            self.updates.shade(&mut self.world).expect("a device");
         }
-        made.extend(self.frame.collect(&self.world).expect("a device"));
+        made.extend(self.updates.collect(&self.world).expect("a device"));
         made
     }
 }

@@ -12,8 +12,8 @@ use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_server::encode::Source;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::shading::reuse::{Cause, Reused};
-use shadecast_server::update::ideal::Ideal;
-use shadecast_server::update::{Frame, Shaded, ShowOptions, Shows};
+use shadecast_server::update::policy::UpdatePolicy;
+use shadecast_server::update::{Shaded, ShowOptions, Shows, ViewerUpdates};
 use shadecast_server::world::{ViewerId, World};
 use shadecast_test_support::peers;
 use std::sync::Arc;
@@ -26,7 +26,7 @@ const SETTLED: u32 = 24;
 struct Both {
     gpu: Arc<Gpu>,
     world: World,
-    frames: [Frame; 2],
+    viewers: [ViewerUpdates; 2],
     update: u32,
 }
 
@@ -39,12 +39,13 @@ impl Both {
         let world = World::new(&gpu, &scene).expect("memory");
         let (welcome, capabilities) = terms();
         let show = ShowOptions { detail_pixels: 1.0, surround: 0.0 };
-        let frame = |(number, reuse): (u64, bool)| {
-            let ideal = Ideal { reuse, ..Ideal::default() };
-            Frame::with_ideal(&world, ViewerId(number), &welcome, &capabilities, show, ideal).expect("memory")
+        let updates = |(number, reuse): (u64, bool)| {
+            let ideal = UpdatePolicy { reuse, ..UpdatePolicy::default() };
+            ViewerUpdates::with_policy(&world, ViewerId(number), &welcome, &capabilities, show, ideal)
+                .expect("memory")
         };
-        let frames = [(1, true), (2, false)].map(frame);
-        Self { gpu, frames, world, update: 0 }
+        let viewers = [(1, true), (2, false)].map(updates);
+        Self { gpu, viewers, world, update: 0 }
     }
 
     /// An update of both for a head at a place, and what the first of them shows.
@@ -54,19 +55,20 @@ impl Both {
         let head = HeadState { world_from_head, ..peers::head(self.update, now) };
         self.update += 1;
         let world = &mut self.world;
-        let pictures = self.frames.each_mut().map(|frame| {
-            frame.head(head);
+        let pictures = self.viewers.each_mut().map(|updates| {
+            updates.head(head);
             let Shaded { picture: Source::Planes(picture), .. } =
-                frame.update(world, now).expect("a device").expect("a head is known");
+                updates.update(world, now).expect("a device").expect("a head is known");
             picture
         });
-        (pictures, self.frames[0].shows(&self.world))
+        (pictures, self.viewers[0].shows(&self.world))
     }
 
     /// The blocks of both, which are the same.
     #[track_caller]
     fn blocks(&self) -> Vec<Block> {
-        let [reused, all] = self.frames.each_ref().map(|frame| frame.layout().live().collect::<Vec<_>>());
+        let [reused, all] =
+            self.viewers.each_ref().map(|updates| updates.layout().live().collect::<Vec<_>>());
         assert_eq!(reused, all, "what is seen does not depend on what is shaded");
         reused.into_iter().map(|(_, block)| block).collect()
     }
@@ -168,7 +170,7 @@ fn a_head_that_moves_sees_no_more_than_a_few_steps_of_what_was_shaded_before() {
 fn a_budget_bounds_what_is_shaded_again_and_what_is_new_is_never_left_out() {
     const BUDGET_TEXELS: u64 = 20_000;
     let mut both = Both::new(dragons(3, true));
-    both.frames[0].set_shading_budget(BUDGET_TEXELS);
+    both.viewers[0].set_shading_budget(BUDGET_TEXELS);
     let (mut waiting, mut oldest) = (0, 0);
     for update in 0..SETTLED {
         let ([bounded, all], shows) = both.update(AT, down(0.4));

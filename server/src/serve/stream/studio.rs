@@ -1,4 +1,4 @@
-//! The pipeline's studio on the real device: the world while somebody looks, and a [`Frame`] a viewer.
+//! The pipeline's studio on the real device: the world while somebody looks, and a [`ViewerUpdates`] a viewer.
 
 use super::pipeline::Studio;
 use super::{StreamOptions, ViewerStats};
@@ -14,7 +14,7 @@ use crate::pacing::quality::QualityOptions;
 use crate::pacing::shade_rate::ShadeRate;
 use crate::scene::SceneGpu;
 use crate::serve::viewer::Updates;
-use crate::update::{Frame, Shaded};
+use crate::update::{Shaded, ViewerUpdates};
 use crate::world::{ViewerId, World};
 use shadecast_gpu::{Gpu, GpuError};
 use shadecast_protocol::delta::EncodedDelta;
@@ -83,9 +83,9 @@ impl<'a> GpuStudio<'a> {
 }
 
 impl Studio for GpuStudio<'_> {
-    type Updates = Frame;
+    type Updates = ViewerUpdates;
 
-    fn open(&mut self, welcome: &Welcome, capabilities: &Capabilities) -> Result<Frame, GpuError> {
+    fn open(&mut self, welcome: &Welcome, capabilities: &Capabilities) -> Result<ViewerUpdates, GpuError> {
         let world = match self.world.take() {
             Some(world) => world,
             None => {
@@ -94,7 +94,8 @@ impl Studio for GpuStudio<'_> {
             }
         };
         self.viewers += 1;
-        let frame = Frame::new(&world, ViewerId(self.viewers), welcome, capabilities, self.options.show);
+        let frame =
+            ViewerUpdates::new(&world, ViewerId(self.viewers), welcome, capabilities, self.options.show);
         if self.looking > 0 || frame.is_ok() {
             self.world = Some(world);
         }
@@ -102,13 +103,13 @@ impl Studio for GpuStudio<'_> {
         frame
     }
 
-    fn flight(&self, frame: &Frame) -> Result<Flight, GpuError> {
+    fn flight(&self, frame: &ViewerUpdates) -> Result<Flight, GpuError> {
         self.world.as_ref().map_or(Ok(Flight::default()), |world| frame.flight(world))
     }
 
     fn advance(
         &mut self,
-        frame: &mut Frame,
+        frame: &mut ViewerUpdates,
         step: Step,
         now: ServerTime,
     ) -> Result<Option<Shaded>, GpuError> {
@@ -130,11 +131,11 @@ impl Studio for GpuStudio<'_> {
         }
     }
 
-    fn rest(&self, frame: &Frame, at_most: Duration) -> Result<bool, GpuError> {
+    fn rest(&self, frame: &ViewerUpdates, at_most: Duration) -> Result<bool, GpuError> {
         self.world.as_ref().map_or(Ok(false), |world| frame.rest(world, at_most))
     }
 
-    fn close(&mut self, frame: Frame, has_failed: bool) {
+    fn close(&mut self, frame: ViewerUpdates, has_failed: bool) {
         self.looking -= 1;
         let Some(world) = &mut self.world else { return };
         frame.leave(world);
@@ -146,7 +147,7 @@ impl Studio for GpuStudio<'_> {
         }
     }
 
-    fn account(&self, frame: &Frame, stats: &mut ViewerStats) {
+    fn account(&self, frame: &ViewerUpdates, stats: &mut ViewerStats) {
         stats.coarsened = frame.layout().coarsened();
         stats.dropped_patches = frame.dropped_patches();
         let Some(world) = &self.world else { return };
@@ -190,7 +191,7 @@ impl Studio for GpuStudio<'_> {
     }
 }
 
-impl Updates for Frame {
+impl Updates for ViewerUpdates {
     fn head(&mut self, state: HeadState) {
         Self::head(self, state);
     }

@@ -16,7 +16,7 @@ use shadecast_server::pacing::room::Room;
 use shadecast_server::scene::SceneOptions;
 use shadecast_server::scene::motion_library::MotionOption;
 use shadecast_server::scene::skins::Skinning;
-use shadecast_server::update::ideal::Ideal;
+use shadecast_server::update::policy::UpdatePolicy;
 use shadecast_server::visibility::detail::DEFAULT_DETAIL_PIXELS;
 use shadecast_server::visibility::view_plan::ViewPlan;
 use std::path::PathBuf;
@@ -172,7 +172,7 @@ pub(super) fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         trace: args.trace,
         detail_pixels: args.detail,
         spared: Spared {
-            ideal: Ideal { views: args.views, reuse: !args.no_reuse, ..Ideal::default() },
+            ideal: UpdatePolicy { views: args.views, reuse: !args.no_reuse, ..UpdatePolicy::default() },
             ..Spared::default()
         },
         surround: args.surround,

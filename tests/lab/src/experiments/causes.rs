@@ -13,7 +13,7 @@ use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::scene::SceneOptions;
 use shadecast_server::shading::filter::Filter;
-use shadecast_server::update::ideal::Ideal;
+use shadecast_server::update::policy::UpdatePolicy;
 use shadecast_transport::LinkProfile;
 use std::fmt;
 use std::path::PathBuf;
@@ -103,13 +103,13 @@ impl Cause {
         match self {
             Self::Density => RunOptions {
                 atlas_extent_texels: AtlasExtent::MAX,
-                ..ideal(Ideal { texels_per_pixel: DENSE, ..Ideal::default() })
+                ..ideal(UpdatePolicy { texels_per_pixel: DENSE, ..UpdatePolicy::default() })
             },
-            Self::Filter => ideal(Ideal { filter: Filter::Supersampled, ..Ideal::default() }),
+            Self::Filter => ideal(UpdatePolicy { filter: Filter::Supersampled, ..UpdatePolicy::default() }),
             Self::Reconstruction => RunOptions { reconstruction: Reconstruction::Bicubic, ..run.clone() },
             Self::ShadowTime => {
                 let shading_times = shipped.compared.iter().copied().collect();
-                ideal(Ideal { shading_times, ..Ideal::default() })
+                ideal(UpdatePolicy { shading_times, ..UpdatePolicy::default() })
             }
             Self::ShadowResolution => RunOptions {
                 scene_options: SceneOptions { shadow_doublings: 1, ..run.scene_options },

@@ -15,7 +15,7 @@ use shadecast_scene::load::load_scene_with;
 use shadecast_scene::process::Loading;
 use shadecast_server::scene::SceneGpu;
 use shadecast_server::serve::stream::offer;
-use shadecast_server::update::{Frame, ShowOptions};
+use shadecast_server::update::{ShowOptions, ViewerUpdates};
 use shadecast_server::world::{ViewerId, World};
 use shadecast_system::process::resident_bytes;
 use std::fmt;
@@ -79,7 +79,7 @@ pub fn measure(options: &RunOptions, updates: u32) -> anyhow::Result<ChurnReport
     let welcome = negotiate(&hello, &offer(&scene, options.atlas_extent_texels, options.rate_hz, 0))
         .map_err(|refused| anyhow!("{}", refused.reason))?;
     let show = ShowOptions { detail_pixels: options.detail_pixels, surround: options.surround };
-    let mut frame = Frame::new(&world, ViewerId(0), &welcome, &hello.capabilities, show)?;
+    let mut viewer = ViewerUpdates::new(&world, ViewerId(0), &welcome, &hello.capabilities, show)?;
     let (mut rng, mut report) =
         (SmallRng::seed_from_u64(options.seed), ChurnReport { updates, ..ChurnReport::default() });
     let mut pose = Pose::IDENTITY;
@@ -88,7 +88,7 @@ pub fn measure(options: &RunOptions, updates: u32) -> anyhow::Result<ChurnReport
             pose = scene.scene.world_from_stage.then(anywhere(&mut rng));
         }
         let now = ServerTime(i64::from(number) * UPDATE_NS);
-        frame.head(HeadState {
+        viewer.head(HeadState {
             sequence: number,
             time: now,
             world_from_head: pose,
@@ -97,12 +97,12 @@ pub fn measure(options: &RunOptions, updates: u32) -> anyhow::Result<ChurnReport
             eyes: hello.capabilities.eyes,
             discontinuity: DiscontinuityId(number / JUMP_EVERY_UPDATES),
         });
-        let shaded = frame.update(&mut world, now)?.context("a head is known")?;
-        let delta = frame.encode(&shaded.delta);
+        let shaded = viewer.update(&mut world, now)?.context("a head is known")?;
+        let delta = viewer.encode(&shaded.delta);
         ensure!(!delta.bytes.is_empty(), "an update says something");
         let display_time = now.plus_ns(UPDATE_NS);
-        frame.displayed(&Displayed { update: shaded.update, display_time, ..Displayed::default() });
-        frame.recycle(shaded);
+        viewer.displayed(&Displayed { update: shaded.update, display_time, ..Displayed::default() });
+        viewer.recycle(shaded);
         if number + 1 == updates / 10 {
             (report.device_bytes_before, report.rss_before_mb) = held(&gpu)?;
         }

@@ -13,7 +13,7 @@ use shadecast_protocol::geometry::GeometryDelta;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_server::encode::Source;
 use shadecast_server::scene::numbering::ScenePatch;
-use shadecast_server::update::{Frame, Shaded};
+use shadecast_server::update::{Shaded, ViewerUpdates};
 use std::collections::BTreeMap;
 use std::fmt;
 
@@ -128,7 +128,7 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<SteadinessReport> {
     Ok(report)
 }
 
-fn look(frame: &Frame, shaded: &Shaded) -> Last {
+fn look(frame: &ViewerUpdates, shaded: &Shaded) -> Last {
     let Source::Planes(picture) = &shaded.picture;
     Last {
         update: shaded.update,
@@ -137,7 +137,7 @@ fn look(frame: &Frame, shaded: &Shaded) -> Last {
     }
 }
 
-fn compare(frame: &Frame, shaded: &Shaded, before: &Last, now: &Last) -> Steadiness {
+fn compare(frame: &ViewerUpdates, shaded: &Shaded, before: &Last, now: &Last) -> Steadiness {
     let differing = |(a, b): (&Vec<u8>, &Vec<u8>)| a.iter().zip(b).filter(|(a, b)| a != b).count();
     let geometry = &shaded.delta.geometry;
     let forgotten = geometry.evicted_patches.len() + geometry.evicted_vertices.len();

@@ -13,8 +13,8 @@ use shadecast_protocol::message::{HeadState, negotiate};
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::time::ServerTime;
 use shadecast_scene::process::Loading;
-use shadecast_server::update::ideal::Ideal;
-use shadecast_server::update::{Frame, ShowOptions};
+use shadecast_server::update::policy::UpdatePolicy;
+use shadecast_server::update::{ShowOptions, ViewerUpdates};
 use shadecast_server::world::{ViewerId, World};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -111,13 +111,14 @@ fn two_updates(server: &Server, options: &RunOptions, reuse: bool) -> anyhow::Re
     let terms =
         negotiate(&hello, &server.offer()).map_err(|refused| anyhow::anyhow!("{}", refused.reason))?;
     let show = ShowOptions { detail_pixels: options.detail_pixels, surround: options.surround };
-    let ideal = Ideal { reuse, ..Ideal::default() };
-    let mut frame = Frame::with_ideal(&world, ViewerId(1), &terms, &hello.capabilities, show, ideal)?;
+    let ideal = UpdatePolicy { reuse, ..UpdatePolicy::default() };
+    let mut updates =
+        ViewerUpdates::with_policy(&world, ViewerId(1), &terms, &hello.capabilities, show, ideal)?;
     let period_ns = (1e9 / options.rate_hz) as i64;
     let mut update = |number: u32| -> anyhow::Result<Stages> {
         let now = ServerTime(i64::from(number) * period_ns);
         let standing = Pose { position: Vec3::new(0.0, 1.6, 0.0), orientation: Quat::IDENTITY };
-        frame.head(HeadState {
+        updates.head(HeadState {
             sequence: number,
             time: now,
             world_from_head: server.scene.scene.world_from_stage.then(standing),
@@ -126,7 +127,7 @@ fn two_updates(server: &Server, options: &RunOptions, reuse: bool) -> anyhow::Re
             eyes: hello.capabilities.eyes,
             discontinuity: DiscontinuityId(0),
         });
-        let shaded = frame.update(&mut world, now)?.context("a viewer with a head has updates")?;
+        let shaded = updates.update(&mut world, now)?.context("a viewer with a head has updates")?;
         Ok(by_stage(&shaded.timings))
     };
     Ok([update(0)?, update(1)?])

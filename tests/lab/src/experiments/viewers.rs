@@ -12,7 +12,7 @@ use shadecast_protocol::ids::DiscontinuityId;
 use shadecast_protocol::message::{HeadState, negotiate};
 use shadecast_protocol::pose::Pose;
 use shadecast_protocol::time::ServerTime;
-use shadecast_server::update::{Frame, ShowOptions};
+use shadecast_server::update::{ShowOptions, ViewerUpdates};
 use shadecast_server::world::ViewerId;
 use std::time::Instant;
 
@@ -96,15 +96,16 @@ pub fn second_viewer(options: &RunOptions, rounds: usize) -> anyhow::Result<Seco
     let offer = server.offer();
     let terms = negotiate(&hello, &offer).map_err(|refused| anyhow::anyhow!("{}", refused.reason))?;
     let plain = ShowOptions { detail_pixels: 0.0, surround: 0.0 };
-    let frame = |number| Frame::new(&server.world, ViewerId(number), &terms, &hello.capabilities, plain);
-    let mut frames = [frame(1)?, frame(2)?];
+    let updates =
+        |number| ViewerUpdates::new(&server.world, ViewerId(number), &terms, &hello.capabilities, plain);
+    let mut both = [updates(1)?, updates(2)?];
     let period_ns = (1e9 / options.rate_hz) as i64;
     let (mut one_ms, mut two_ms) = (Vec::new(), Vec::new());
     for update in 0..WARM_UP + 2 * rounds as u32 {
         let now = ServerTime(i64::from(update) * period_ns);
         let counts_both = update < WARM_UP || update.is_multiple_of(2);
-        for (frame, x_m) in frames.iter_mut().zip([0.0, 0.5]) {
-            frame.head(HeadState {
+        for (updates, x_m) in both.iter_mut().zip([0.0, 0.5]) {
+            updates.head(HeadState {
                 sequence: update,
                 time: now,
                 world_from_head: server
@@ -120,8 +121,8 @@ pub fn second_viewer(options: &RunOptions, rounds: usize) -> anyhow::Result<Seco
         }
         let begun = Instant::now();
         let looking = if counts_both { 2 } else { 1 };
-        for frame in frames.iter_mut().take(looking) {
-            ensure!(frame.update(&mut server.world, now)?.is_some(), "a viewer with a head has updates");
+        for updates in both.iter_mut().take(looking) {
+            ensure!(updates.update(&mut server.world, now)?.is_some(), "a viewer with a head has updates");
         }
         let took_ms = begun.elapsed().as_secs_f64() * 1e3;
         match update {

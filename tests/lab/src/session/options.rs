@@ -14,7 +14,7 @@ use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_server::pacing::room::Room;
 use shadecast_server::scene::SceneOptions;
 use shadecast_server::serve::scheduler::simulated::StepsNs;
-use shadecast_server::update::ideal::Ideal;
+use shadecast_server::update::policy::UpdatePolicy;
 use shadecast_server::visibility::detail::DEFAULT_DETAIL_PIXELS;
 use shadecast_transport::{LinkError, LinkProfile, LinkSchedule};
 use std::path::PathBuf;
@@ -198,7 +198,7 @@ pub struct Spared {
     /// What arrives for a coded atlas.
     pub arrival: Arrival,
     /// What the server's updates are spared.
-    pub ideal: Ideal,
+    pub ideal: UpdatePolicy,
     /// Outlines are taken for true: see [`crate::measure::metrics::with_true_outlines`].
     pub outlines: bool,
 }

@@ -13,7 +13,7 @@ use shadecast_protocol::picture::I444;
 use shadecast_protocol::session::{Out, picture_stream};
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
 use shadecast_server::encode::Source;
-use shadecast_server::update::{Frame, Shaded};
+use shadecast_server::update::{Shaded, ViewerUpdates};
 use shadecast_shaders::color::full_chroma;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -100,7 +100,7 @@ impl Originals {
     ///
     /// # Errors
     /// The device.
-    pub fn keep(&mut self, gpu: &Arc<Gpu>, frame: &Frame, shaded: &Shaded) -> Result<(), GpuError> {
+    pub fn keep(&mut self, gpu: &Arc<Gpu>, frame: &ViewerUpdates, shaded: &Shaded) -> Result<(), GpuError> {
         let Source::Planes(planes) = &shaded.picture;
         let bytes = match self.arrival {
             Arrival::Coded => return Ok(()),

@@ -19,7 +19,7 @@ use shadecast_server::serve::encoding::{Coded, Encoding};
 use shadecast_server::serve::sessions::mailbox::{Accepted, Client, News};
 use shadecast_server::serve::viewer::{Update, Viewer};
 use shadecast_server::support::lock::lock;
-use shadecast_server::update::{Frame, Shaded, Shows};
+use shadecast_server::update::{Shaded, Shows, ViewerUpdates};
 use shadecast_server::world::ViewerId;
 use shadecast_trace::{Process, Trace, Track};
 use shadecast_transport::{Event, PeerId};
@@ -68,7 +68,7 @@ pub struct Sent {
 /// See the module.
 pub struct Seat {
     /// The client, once it was accepted.
-    pub viewer: Option<Viewer<Frame>>,
+    pub viewer: Option<Viewer<ViewerUpdates>>,
     /// What was sent to it.
     pub sent: Sent,
     /// Milliseconds by GPU stage, summed over its updates.
@@ -224,7 +224,7 @@ impl Seat {
         let first_qp = server.quality.first_qp();
         let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, first_qp, server.rate_hz);
         self.encoding = Some(Encoding::new(encode::encoder(welcome.codec, settings)?));
-        let mut frame = Frame::with_ideal(
+        let mut frame = ViewerUpdates::with_policy(
             &server.world,
             ViewerId(self.number),
             &welcome,
@@ -246,9 +246,9 @@ impl Seat {
     pub(super) fn motion(&mut self, server: &mut Server, way: Option<WayState>, now_ns: i64) {
         let Some(motion) = self.viewer.as_ref().and_then(Viewer::motion) else { return };
         let mut sender = lock(motion);
-        let began = server.world.effort.begin();
+        let began = server.world.effort().begin();
         self.streams.extend(sender.tick(server_time(now_ns), way.as_ref()));
-        server.world.effort.add_delta(began);
+        server.world.effort_mut().add_delta(began);
         self.sent.motion = self.motion_before + sender.bytes();
     }
 
@@ -328,9 +328,9 @@ impl Seat {
         now_ns: i64,
     ) -> anyhow::Result<()> {
         let (Some(viewer), Some(shaded)) = (&mut self.viewer, self.made.take()) else { return Ok(()) };
-        let began = server.world.effort.begin();
+        let began = server.world.effort().begin();
         let (delta, update) = viewer.finish(shaded);
-        server.world.effort.add_delta(began);
+        server.world.effort_mut().add_delta(began);
         self.count(update.sizes);
         self.streams.push_back(clock_stamp(server_time(now_ns)));
         self.send(update.shaded.update, Kind::Delta, delta, now_ns);

@@ -230,7 +230,7 @@ fn measure_one(options: &RunOptions, kind: Kind, condition: &Condition) -> anyho
     let config = MockConfig { capture_dir: None, ..mock_config(&options, ClockKind::Virtual, 0)? };
     // SAFETY: the caller's promise, as for `run`.
     let mut lab = unsafe { Lab::open(&options, &config) }?;
-    lab.server.world.effort.measure_by(thread_cpu_ns);
+    lab.server.world.effort_mut().measure_by(thread_cpu_ns);
     let bar = progress(options.verbose, (options.seconds * options.refresh_hz).round() as u64);
     let mut watch = Watch::default();
     while let Step::Frame(frame) = lab.step()? {
@@ -244,7 +244,7 @@ fn measure_one(options: &RunOptions, kind: Kind, condition: &Condition) -> anyho
 impl MotionRow {
     fn new(kind: Kind, condition: &Condition, lab: &Lab, watch: &Watch) -> anyhow::Result<Self> {
         let max_error_mm = watch.errors_mm.largest().context("nothing animated was drawn")?;
-        let (seat, client, effort) = (lab.seat(), lab.client.presenter.stats(), lab.server.world.effort);
+        let (seat, client, effort) = (lab.seat(), lab.client.presenter.stats(), *lab.server.world.effort());
         let bytes = Bytes::from(seat.sent);
         let (frames, updates) = (watch.frames.max(1) as f64, seat.sent.updates.max(1) as f64);
         let client_stage_ms = means(&watch.client_gpu_ms, frames);

@@ -25,7 +25,7 @@ use shadecast_server::pacing::quality::DEFAULT_QP;
 use shadecast_server::serve::encoding::Encoding;
 use shadecast_server::serve::viewer::{Told, Viewer};
 use shadecast_server::support::lock::lock;
-use shadecast_server::update::{Frame, Shaded};
+use shadecast_server::update::{Shaded, ViewerUpdates};
 use shadecast_server::world::World;
 use shadecast_system::clock::thread_cpu_ns;
 use std::collections::{BTreeMap, BTreeSet};
@@ -141,7 +141,7 @@ pub fn measure(
     let head =
         lab.client.presenter.head_state().context("the client's head is known once it shows something")?;
     let (server, seat, client) = lab.apart();
-    server.world.effort.measure_by(thread_cpu_ns);
+    server.world.effort_mut().measure_by(thread_cpu_ns);
     let device = server.gpu.device_name();
     let mut client = ClientBench { client, now_ns, withheld_vertices: 0 };
     let mut server = ServerBench::new(cell, server, seat, head, now_ns)?;
@@ -288,7 +288,7 @@ struct Bytes {
 struct ServerBench<'a> {
     cell: Cell,
     world: &'a mut World,
-    viewer: &'a mut Viewer<Frame>,
+    viewer: &'a mut Viewer<ViewerUpdates>,
     encoding: Encoding,
     /// For what is handed over.
     uncoded: Encoding,
@@ -334,10 +334,10 @@ impl<'a> ServerBench<'a> {
     /// Nothing of an update before is believed, as far as the cell does without.
     fn forget(&mut self) {
         if self.cell.set == Set::Paper {
-            self.world.shadow.forget();
+            self.world.forget_shadow_map();
         }
         if self.cell.mode == Mode::AsPaper {
-            self.world.animation.forget();
+            self.world.forget_samples();
         }
     }
 
@@ -348,7 +348,7 @@ impl<'a> ServerBench<'a> {
         let told = Told { pose: Some(self.head), displayed: self.displayed.take(), ..Told::default() };
         self.viewer.hear(told);
         self.forget();
-        let effort = self.world.effort;
+        let effort = *self.world.effort();
         let (began, began_cpu_ns) = (Instant::now(), thread_cpu_ns());
         let frame = self.viewer.begin(None, self.now_ns);
         let shaded = frame.update(self.world, now)?.context("a viewer with a head has updates")?;
@@ -359,8 +359,8 @@ impl<'a> ServerBench<'a> {
         streams.extend(self.viewer.motion().into_iter().flat_map(|motion| lock(motion).tick(now, None)));
         let wall_ms = began.elapsed().as_secs_f64() * 1e3;
         let ms = |from_ns: i64, to_ns: i64| (to_ns - from_ns) as f64 * 1e-6;
-        let animation_ms = self.world.effort.animation_ms() - effort.animation_ms();
-        let delta_ms = self.world.effort.delta_ms() - effort.delta_ms();
+        let animation_ms = self.world.effort().animation_ms() - effort.animation_ms();
+        let delta_ms = self.world.effort().delta_ms() - effort.delta_ms();
         let cpu = [
             ("animation", animation_ms),
             ("delta", delta_ms),

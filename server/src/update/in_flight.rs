@@ -1,0 +1,131 @@
+//! The states of a viewer's updates between begin and collection.
+//!
+//! One update at most is made ready: it is begun, then placed. One at most is shaded beside it. A placed update is shaded before
+//! another is begun, and after the update before it was collected: the device reads the lists of one shading at a time.
+
+use crate::encode::Source;
+use crate::motion::delta::UpdateDelta;
+use crate::pacing::overlap::Flight;
+use crate::update::Shaded;
+use crate::update::visibility_step::Begun;
+use crate::visibility::predict::PredictedViews;
+use crate::world::{Sampled, World};
+use shadecast_gpu::{GpuError, Ticket, Timings};
+use shadecast_protocol::ids::UpdateId;
+use shadecast_protocol::time::ServerTime;
+
+/// An update that lacks only its shading.
+pub struct Placed {
+    /// Its number.
+    pub update: UpdateId,
+    /// When it was begun.
+    pub time: ServerTime,
+    /// Its views: shading looks from the head between them.
+    pub views: PredictedViews,
+    /// The samples of their times.
+    pub sampled: Sampled,
+    /// Changes to the client's memory.
+    pub delta: UpdateDelta,
+    /// Device time of its looks.
+    pub timings: Timings,
+}
+
+/// An update whose blocks are shaded by the device.
+pub struct InWork {
+    shaded: Shaded,
+    ticket: Ticket,
+}
+
+/// See the module.
+#[derive(Default)]
+pub struct InFlight {
+    ahead: Ahead,
+    in_work: Option<InWork>,
+}
+
+/// The update that is made ready.
+#[derive(Default)]
+enum Ahead {
+    #[default]
+    None,
+    /// The device looks for it.
+    Begun(Begun),
+    /// Its shading waits to be recorded.
+    Placed(Placed),
+}
+
+impl InFlight {
+    /// An update is begun, or looks once more.
+    pub fn begin(&mut self, begun: Begun) {
+        assert!(matches!(self.ahead, Ahead::None), "an update is placed and shaded before the next is begun");
+        self.ahead = Ahead::Begun(begun);
+    }
+
+    /// Whether an update looks.
+    pub fn is_begun(&self) -> bool {
+        matches!(self.ahead, Ahead::Begun(_))
+    }
+
+    /// The begun update, to be placed or to look once more.
+    pub fn take_begun(&mut self) -> Option<Begun> {
+        match std::mem::take(&mut self.ahead) {
+            Ahead::Begun(begun) => Some(begun),
+            other => {
+                self.ahead = other;
+                None
+            }
+        }
+    }
+
+    /// What was begun is placed.
+    pub fn place(&mut self, placed: Placed) {
+        assert!(matches!(self.ahead, Ahead::None), "one update is placed at a time");
+        self.ahead = Ahead::Placed(placed);
+    }
+
+    /// The placed update, to be shaded.
+    pub fn take_placed(&mut self) -> Option<Placed> {
+        match std::mem::take(&mut self.ahead) {
+            Ahead::Placed(placed) => {
+                assert!(self.in_work.is_none(), "the device still reads the lists of the update before");
+                Some(placed)
+            }
+            other => {
+                self.ahead = other;
+                None
+            }
+        }
+    }
+
+    /// What was placed is before the device.
+    pub fn shade(&mut self, Placed { update, time, delta, timings, .. }: Placed, ticket: Ticket) {
+        let shaded = Shaded { update, time, delta, picture: Source::default(), timings };
+        self.in_work = Some(InWork { shaded, ticket });
+    }
+
+    /// The update that the device shades, without its picture, once it is shaded: waits for it.
+    pub fn wait_shaded(&mut self, world: &World) -> Result<Option<Shaded>, GpuError> {
+        let Some(InWork { mut shaded, ticket }) = self.in_work.take() else { return Ok(None) };
+        world.gpu().wait_timed_into(ticket, &mut shaded.timings)?;
+        Ok(Some(shaded))
+    }
+
+    /// The tickets of the look and of the shading that are before the device.
+    pub fn tickets(&self) -> [Option<Ticket>; 2] {
+        let look = if let Ahead::Begun(begun) = &self.ahead { Some(begun.ticket()) } else { None };
+        [look, self.in_work.as_ref().map(|work| work.ticket)]
+    }
+
+    /// The progress of all.
+    pub fn flight(&self, world: &World) -> Result<Flight, GpuError> {
+        let is_done = |ticket: Option<Ticket>| ticket.map_or(Ok(false), |ticket| world.gpu().is_done(ticket));
+        let [look, shading] = self.tickets();
+        Ok(Flight {
+            is_begun: look.is_some(),
+            is_seen: is_done(look)?,
+            is_placed: matches!(self.ahead, Ahead::Placed(_)),
+            is_in_work: shading.is_some(),
+            is_shaded: is_done(shading)?,
+        })
+    }
+}

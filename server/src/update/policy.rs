@@ -1,0 +1,78 @@
+//! The policy of a viewer's updates. The product has the default. A measurement changes one rule at a time, to say what each
+//! cause of error costs. The steps ask the policy; they know no measurement.
+
+use crate::shading::filter::Filter;
+use crate::time::view_time::ViewTime;
+use crate::time::{RingPlace, VIEW_TIMES};
+use crate::visibility::clusters::Clusters;
+use crate::visibility::view_plan::ViewPlan;
+use crate::world::World;
+use shadecast_gpu::Recorder;
+use shadecast_protocol::ids::UpdateId;
+use shadecast_protocol::time::WorldTime;
+use std::collections::BTreeMap;
+
+/// The first of an update's times alone.
+pub const ONLY_THE_FIRST: [bool; VIEW_TIMES] = [true, false, false];
+
+/// See the module.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UpdatePolicy {
+    /// Texels that blocks get for a pixel of the display, in an atlas with room.
+    pub texels_per_pixel: f32,
+    /// What textures are filtered for.
+    pub filter: Filter,
+    /// Blocks whose inputs have not changed are not shaded again.
+    pub reuse: bool,
+    /// Still views of a still scene are drawn once an update, not at each of its times.
+    pub looks_once: bool,
+    /// Of static instances, only clusters in sight are drawn.
+    pub clusters: bool,
+    /// For when exactly updates are shaded, where that is known ahead; others for the middle of their time on display, as expected.
+    pub shading_times: BTreeMap<UpdateId, WorldTime>,
+    /// At which of its times an update looks.
+    pub views: ViewPlan,
+}
+
+impl Default for UpdatePolicy {
+    fn default() -> Self {
+        Self {
+            texels_per_pixel: 1.0,
+            filter: Filter::default(),
+            reuse: true,
+            looks_once: true,
+            clusters: true,
+            shading_times: BTreeMap::new(),
+            views: ViewPlan::default(),
+        }
+    }
+}
+
+impl UpdatePolicy {
+    /// The times at which an update looks: one where head and scene stand still.
+    pub(super) fn looked_at(&self, update: UpdateId, stands: impl FnOnce() -> bool) -> [bool; VIEW_TIMES] {
+        if self.looks_once && stands() { ONLY_THE_FIRST } else { self.views.times(update.0) }
+    }
+
+    /// The clusters of static instances that are culled; an instance without any is drawn whole.
+    pub(super) fn clusters<'a>(&self, world: &'a World) -> &'a Clusters {
+        if self.clusters { world.clusters() } else { Clusters::NONE }
+    }
+
+    /// Records light, shadow map and tangents for an update that is sampled for the time `middle` into `place`. Returns the time
+    /// of its shading.
+    pub(super) fn light(
+        &self,
+        world: &mut World,
+        recorder: &mut Recorder,
+        update: UpdateId,
+        (middle, place): (ViewTime, RingPlace),
+    ) -> WorldTime {
+        if let Some(time) = self.shading_times.get(&update) {
+            world.light_at(recorder, place, *time);
+            return *time;
+        }
+        world.light(recorder, middle, place);
+        middle.time(world.grid())
+    }
+}

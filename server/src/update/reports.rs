@@ -1,0 +1,119 @@
+//! Reports of a viewer, settings of its updates, and figures about them. None of it touches the device.
+
+use super::{Shaded, Shows, ViewerUpdates};
+use crate::atlas::layout::Layout;
+use crate::encode::Source;
+use crate::motion::delta::UpdateDelta;
+use crate::pacing::density::Spare;
+use crate::pacing::gate::Budget;
+use crate::residency::Residency;
+use crate::shading::reuse::Reused;
+use crate::visibility::predict::HeadTrack;
+use crate::world::{ViewerId, World};
+use shadecast_gpu::Image;
+use shadecast_protocol::delta::EncodedDelta;
+use shadecast_protocol::message::{Displayed, HeadState};
+
+impl ViewerUpdates {
+    /// The viewer.
+    pub fn id(&self) -> ViewerId {
+        self.id
+    }
+
+    /// The client's head, as reported.
+    pub fn head(&mut self, state: HeadState) {
+        self.head.head(state);
+    }
+
+    /// Updates pause or go on: how long the last one stays on display says nothing about the way.
+    pub fn interrupted(&mut self) {
+        self.head.interrupted();
+    }
+
+    /// The client shows an update: frees slots, and teaches the prediction how long the way is.
+    pub fn displayed(&mut self, report: &Displayed) {
+        self.placement.residency.displayed(report.update);
+        if let Some(begun) = self.numbers.displayed(report.update) {
+            self.head.displayed(begun, report.display_time);
+        }
+    }
+
+    /// What each update may take on the wire from now on.
+    pub fn set_budget(&mut self, budget: Budget) {
+        self.placement.residency.set_budget(budget);
+    }
+
+    /// Whether bits and time are left over by the updates that it makes.
+    pub fn set_spare(&mut self, spare: Spare) {
+        self.placement.set_spare(spare);
+    }
+
+    /// How many texels an update may shade from now on, beside those of new blocks.
+    pub fn set_shading_budget(&mut self, texels: u64) {
+        self.shading.set_budget(texels);
+    }
+
+    /// The bytes of an update's delta, in the order of updates.
+    pub fn encode(&self, delta: &UpdateDelta) -> EncodedDelta {
+        self.placement.residency.encode(delta)
+    }
+
+    /// An update that is not needed any more: its memory is used for those that come.
+    pub fn recycle(&mut self, shaded: Shaded) {
+        let Shaded { delta, picture: Source::Planes(picture), timings, .. } = shaded;
+        self.placement.residency.recycle(delta);
+        self.shading.recycle(picture);
+        self.timings.give(timings);
+    }
+
+    /// How the head moves and how long the way to the display is.
+    pub fn head_track(&self) -> &HeadTrack {
+        &self.head
+    }
+
+    /// Which patch has which block.
+    pub fn layout(&self) -> &Layout {
+        self.placement.layout()
+    }
+
+    /// The client's memory.
+    pub fn residency(&self) -> &Residency {
+        &self.placement.residency
+    }
+
+    /// The atlas of the last update, as shaders read it.
+    pub fn atlas(&self) -> &Image {
+        self.shading.atlas()
+    }
+
+    /// Patches in view that were not shown, for want of a block or of a free slot, summed over all updates.
+    pub fn dropped_patches(&self) -> u64 {
+        self.placement.dropped_patches()
+    }
+
+    /// What the last update shaded, and what it did not have to.
+    pub fn reused(&self) -> Reused {
+        self.shading.reuse().reused()
+    }
+
+    /// Part of the blocks' texels that was not shaded again, over all updates, 0..1.
+    pub fn reused_share(&self) -> f32 {
+        self.shading.reuse().total_share()
+    }
+
+    /// What the last update shows.
+    pub fn shows(&self, world: &World) -> Shows {
+        let (layout, detail) = (self.placement.layout(), self.visibility.detail());
+        let drawn = || layout.live().chain(layout.around()).map(|(patch, _)| patch);
+        Shows {
+            patches: drawn().count() as u32,
+            triangles: drawn().map(|patch| world.scene().patch(patch).drawn_triangles()).sum(),
+            levels: detail.levels().flatten().map(|levels| levels.shown).collect(),
+            detail_pixels: detail.allowed_pixels(),
+            texels_per_pixel: self.placement.texels_per_pixel(),
+            pairs: self.visibility.pairs(),
+            reused: self.reused(),
+            converted_texels: self.shading.converted_texels(),
+        }
+    }
+}

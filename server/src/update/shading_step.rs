@@ -1,0 +1,118 @@
+//! Steps 6 and 7 of an update: blocks whose inputs have changed are shaded, and their colours become the encoder's planes.
+//!
+//! A [`Placed`] update and the layout enter. A recording leaves, and once the device has run it the picture and the coverage of
+//! masked blocks. Visibility and the client's memory are unknown here.
+
+use crate::atlas::layout::Layout;
+use crate::encode::Source;
+use crate::shading::passes::shading::Shading;
+use crate::shading::passes::ycbcr::Ycbcr;
+use crate::shading::reuse::{Moment, Reuse};
+use crate::support::pool::Pool;
+use crate::time::VIEW_TIMES;
+use crate::update::Shaded;
+use crate::update::eye::EyeSize;
+use crate::update::in_flight::Placed;
+use crate::update::policy::UpdatePolicy;
+use crate::world::World;
+use crate::world::moment::Stance;
+use shadecast_gpu::{Access, GpuError, Image, Recorder};
+use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::picture::I420;
+use std::sync::Arc;
+
+/// Owner of the atlas image and of the planes, for one viewer.
+pub struct ShadingStep {
+    eye: EyeSize,
+    policy: Arc<UpdatePolicy>,
+    shading: Shading,
+    reuse: Reuse<Stance>,
+    /// Texels that an update may shade beside new blocks.
+    budget_texels: u64,
+    ycbcr: Ycbcr,
+    /// Memory for the pictures of updates that come.
+    pictures: Pool<I420>,
+}
+
+impl ShadingStep {
+    /// For an atlas of this extent.
+    pub fn new(
+        world: &World,
+        eye: EyeSize,
+        extent: AtlasExtent,
+        policy: &Arc<UpdatePolicy>,
+    ) -> Result<Self, GpuError> {
+        let (gpu, scene) = (world.gpu(), world.scene());
+        let shading = Shading::new(gpu, scene, world.animation(), world.shadow(), extent, policy.filter)?;
+        Ok(Self {
+            eye,
+            policy: policy.clone(),
+            ycbcr: Ycbcr::new(gpu, &shading.atlas, scene.has_masks())?,
+            shading,
+            reuse: Reuse::new(policy.reuse),
+            budget_texels: u64::MAX,
+            pictures: Pool::default(),
+        })
+    }
+
+    /// Texels that an update may shade from now on, beside those of new blocks.
+    pub fn set_budget(&mut self, texels: u64) {
+        self.budget_texels = texels;
+    }
+
+    /// Takes back a picture, for its memory.
+    pub fn recycle(&mut self, picture: I420) {
+        self.pictures.give(picture);
+    }
+
+    /// The blocks that are shaded again, and those that are not.
+    pub fn reuse(&self) -> &Reuse<Stance> {
+        &self.reuse
+    }
+
+    /// The atlas, as shaders read it.
+    pub fn atlas(&self) -> &Image {
+        &self.shading.atlas
+    }
+
+    /// Texels of the atlas that the last update converted for the encoder.
+    pub fn converted_texels(&self) -> u64 {
+        self.ycbcr.converted_texels()
+    }
+
+    /// Records the blocks whose inputs have changed, as they are in the middle of the update's time on display, and their
+    /// conversion.
+    pub fn record(
+        &mut self,
+        world: &mut World,
+        Placed { update, views, sampled, .. }: &Placed,
+        layout: &Layout,
+    ) -> Result<Recorder, GpuError> {
+        let (middle, place) = (views.times[VIEW_TIMES / 2], sampled.places[VIEW_TIMES / 2]);
+        let mut recorder = world.gpu().record()?;
+        let time = self.policy.light(world, &mut recorder, *update, (middle, place));
+        let (surfaces, placed) = (world.surfaces(time, place), layout.all_placed());
+        let moment = |now: &mut Moment<Stance>| world.moment(time, now);
+        let due = self.reuse.due(moment, views.world_from_head, placed, &surfaces, self.budget_texels);
+        let blocks = due.iter().map(|due| (due.patch, due.block));
+        self.shading.write_blocks(world.scene(), world.animation(), place, blocks);
+        self.ycbcr.note_changed(due.iter().map(|due| due.block));
+        self.ycbcr.write_cells(layout.cell_extents());
+        recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the last conversion has read the atlas
+        let pixels_per_tangent = self.eye.pixels_per_tangent();
+        recorder.scope("shading", |r| self.shading.record(r, views.world_from_head, pixels_per_tangent));
+        recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
+        recorder.scope("ycbcr", |r| self.ycbcr.record(r));
+        Ok(recorder)
+    }
+
+    /// Reads the picture of a shaded update, and the coverage of its masked blocks.
+    pub fn read(&mut self, shaded: &mut Shaded) {
+        let blocks = shaded.delta.masked.iter();
+        let covered = blocks.map(|(slot, block)| (*slot, self.ycbcr.coverage(*block)));
+        shaded.delta.geometry.coverage.extend(covered.filter(|(_, coverage)| !coverage.is_whole()));
+        let mut picture = self.pictures.take();
+        self.ycbcr.read(&mut picture);
+        shaded.picture = Source::Planes(picture);
+    }
+}
