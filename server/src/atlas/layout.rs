@@ -10,6 +10,7 @@ use crate::atlas::placement::Placed;
 use crate::atlas::placement::PlacementChange;
 use crate::atlas::sizing::{Shape, Turn, have_their_turn, least_turns, wanted_size};
 use crate::atlas::surround::{Kept, SURROUND_DENSITY, Surround};
+use crate::pacing::pressure::{Level, Pressure};
 use crate::pacing::room::Room;
 use crate::scene::geometry::Geometry;
 use crate::scene::numbering::ScenePatch;
@@ -32,10 +33,22 @@ const WELL_FILLED: f32 = 0.9;
 const ROOMY: f32 = 0.85;
 /// What found no place because free texels were scattered says little: it counts as at least this part of the atlas.
 const LEAST_OVERFLOW_SHARE: f32 = 0.8;
-/// Density rises after there was room for this many updates.
-const RECOVER_AFTER_UPDATES: u32 = 15;
-/// Density that falls within this many updates after it rose should not have risen: the next rise needs more room.
-const TRIAL_UPDATES: u32 = 60;
+
+/// Of the texels for a pixel that are asked for, a part.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct DensityLevel(f32);
+
+impl DensityLevel {
+    fn coarser(self) -> Self {
+        Self(self.0 * COARSEN)
+    }
+}
+
+impl Level for DensityLevel {
+    fn finer(self) -> Option<Self> {
+        (self.0 < 1.0).then(|| Self((self.0 / COARSEN).min(1.0)))
+    }
+}
 
 /// Which patch has which block.
 #[derive(Clone, Debug)]
@@ -54,15 +67,13 @@ pub struct Layout {
     /// Texels for a pixel that views are measured with.
     asked: f32,
     /// Of those, the part that blocks are to have.
-    density: f32,
+    pressure: Pressure<DensityLevel>,
     /// Part of the atlas that blocks take when all have had their turn.
     settled_share: f32,
     /// What part of the atlas the blocks would have taken that found no place when density fell last.
     overflow_share: f32,
-    /// For how many updates a higher density would have left room.
-    roomy_updates: u32,
-    /// The update in which density rose last, and the part of the atlas that blocks took then.
-    last_rise: (u32, f32),
+    /// What part of the atlas blocks took when density rose last.
+    share_at_rise: f32,
     update: u32,
     coarsened: u32,
     dropped: usize,
@@ -137,11 +148,10 @@ impl Layout {
             surround: Surround::new(0.0, room),
             around: Vec::new(),
             asked: 1.0,
-            density: 1.0,
+            pressure: Pressure::new(DensityLevel(1.0)),
             settled_share: 0.0,
             overflow_share: 1.0,
-            roomy_updates: 0,
-            last_rise: (0, 1.0),
+            share_at_rise: 1.0,
             update: 0,
             coarsened: 0,
             dropped: 0,
@@ -348,19 +358,14 @@ impl Layout {
 
     /// Takes the highest density that leaves room, once there has been room for a higher one for a while.
     fn recover(&mut self) {
-        let mut roomy = self.density;
-        while roomy < 1.0 && self.is_roomy((roomy / COARSEN).min(1.0)) {
-            roomy = (roomy / COARSEN).min(1.0);
+        let mut pressure = self.pressure;
+        if pressure.recover(self.update, |density| self.is_roomy(density)) {
+            self.share_at_rise = self.share_at(pressure.level(), Sizes::Kept);
         }
-        self.roomy_updates = if roomy > self.density { self.roomy_updates + 1 } else { 0 };
-        if self.roomy_updates >= RECOVER_AFTER_UPDATES {
-            self.roomy_updates = 0;
-            self.density = roomy;
-            self.last_rise = (self.update, self.share_at(roomy, Sizes::Kept));
-        }
+        self.pressure = pressure;
     }
 
-    fn is_roomy(&self, density: f32) -> bool {
+    fn is_roomy(&self, density: DensityLevel) -> bool {
         let allowed = ROOMY * self.overflow_share.min(self.well_filled());
         let fits = |sizes| self.share_at(density, sizes) <= allowed;
         // Blocks that keep their size now may still grow to the exact one.
@@ -368,11 +373,11 @@ impl Layout {
     }
 
     /// Part of the atlas that what is in view would take at a density.
-    fn share_at(&self, density: f32, sizes: Sizes) -> f32 {
+    fn share_at(&self, density: DensityLevel, sizes: Sizes) -> f32 {
         let texels = |patch: &ScenePatch| {
             let shape = self.shape(*patch);
             let now = shape.block.filter(|_| sizes == Sizes::Kept).map(|(size, _)| size);
-            u64::from(wanted_size(shape.extent_at(self.asked * density), now).texels())
+            u64::from(wanted_size(shape.extent_at(self.asked * density.0), now).texels())
         };
         self.share(self.live.iter().map(texels).sum())
     }
@@ -384,7 +389,7 @@ impl Layout {
 
     /// What becomes of each block in view, in patch order.
     fn turns(&mut self) -> Vec<Turn> {
-        let density = self.asked * self.density;
+        let density = self.asked * self.density();
         let mut turns = std::mem::take(&mut self.scratch.turns);
         turns.clear();
         turns.extend(self.live.iter().map(|patch| self.shape(*patch).turn(*patch, density)));
@@ -410,7 +415,7 @@ impl Layout {
         if !fits {
             return self.make_room();
         }
-        let coarser = || self.share_at(self.density * COARSEN, Sizes::Exact);
+        let coarser = || self.share_at(self.pressure.level().coarser(), Sizes::Exact);
         if are_all && settled > self.well_filled() && coarser() < settled {
             self.fall(settled);
         }
@@ -463,11 +468,10 @@ impl Layout {
     /// Density falls; sizes follow in turn.
     fn fall(&mut self, share: f32) {
         self.coarsened += 1;
-        self.density *= COARSEN;
+        let is_within_trial = self.pressure.rise(self.update, self.pressure.level().coarser());
         self.overflow_share = share.clamp(LEAST_OVERFLOW_SHARE, 1.0);
-        let (rose, share_then) = self.last_rise;
-        if rose > 0 && self.update - rose <= TRIAL_UPDATES {
-            self.overflow_share = self.overflow_share.min(share_then);
+        if is_within_trial {
+            self.overflow_share = self.overflow_share.min(self.share_at_rise);
         }
     }
 
@@ -487,7 +491,7 @@ impl Layout {
         }
         self.scratch.waiting = waiting;
         if fits {
-            let density = self.asked * self.density;
+            let density = self.asked * self.density();
             let has_turned = |(turn, size): &(&Turn, &BlockSize)| turn.after == **size || turn.now.is_none();
             for (turn, _) in turns.iter().zip(sizes).filter(has_turned) {
                 self.states[turn.patch.index()].follows = Some(density);
@@ -582,7 +586,7 @@ impl Layout {
 
     /// Of the texels for a pixel that are asked for, the part that blocks are sized for; below 1 under pressure.
     pub fn density(&self) -> f32 {
-        self.density
+        self.pressure.level().0
     }
 
     /// How often the atlas was full and everything became coarser.
@@ -599,6 +603,7 @@ impl Layout {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pacing::pressure::RECOVER_AFTER_UPDATES;
     use crate::scene::geometry::test_geometry::Loose;
     use crate::scene::numbering::{InstanceSize, Numbering};
     use crate::visibility::lod_set::Levels;

@@ -6,6 +6,7 @@
 //! taken back one after the other once there has been room for a while. Which patches of a level will be seen is only known once
 //! it was looked at; until then as large a part of them is taken to be seen as of the level that is shown.
 
+use crate::pacing::pressure::{Level, Pressure};
 use crate::pacing::room::Room;
 use crate::visibility::culling::Needed;
 use crate::visibility::lod_set::Levels;
@@ -27,10 +28,6 @@ const ROOMY: f32 = 0.8;
 /// A step that had to be taken again soon after makes the next try wait for that much more room.
 const MORE_ROOM: f32 = 0.85;
 const MOST_ROOM: f32 = 0.3;
-/// A step is taken back after there was room for so many updates.
-const RECOVER_AFTER_UPDATES: u32 = 15;
-/// A step that is taken again within so many updates should not have been taken back.
-const TRIAL_UPDATES: u32 = 60;
 /// Part of a level's patches that is taken to be seen of what was never looked at: more than half of a closed surface is rare.
 const UNKNOWN_SHARE: f32 = 0.6;
 /// Vertices at the rim of what is seen, as a factor.
@@ -61,7 +58,9 @@ pub struct Detail {
     /// By instance.
     costs: Vec<Vec<LevelCost>>,
     states: Vec<State>,
-    pressure: Pressure,
+    pressure: Pressure<Steps>,
+    /// What [`ROOMY`] has come to.
+    roomy: f32,
     update: u32,
 }
 
@@ -88,15 +87,14 @@ impl State {
     }
 }
 
-/// How many times the allowed error has grown, and when it may shrink.
-#[derive(Clone, Copy, Debug)]
-struct Pressure {
-    steps: u32,
-    roomy_updates: u32,
-    /// The update in which a step was taken back last.
-    fell: Option<u32>,
-    /// What [`ROOMY`] has come to.
-    roomy: f32,
+/// How many times the allowed error has grown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Steps(u32);
+
+impl Level for Steps {
+    fn finer(self) -> Option<Self> {
+        self.0.checked_sub(1).map(Self)
+    }
 }
 
 /// What is seen, about.
@@ -129,7 +127,8 @@ impl Detail {
             room,
             states: vec![state; costs.len()],
             costs,
-            pressure: Pressure { steps: 0, roomy_updates: 0, fell: None, roomy: ROOMY },
+            pressure: Pressure::new(Steps(0)),
+            roomy: ROOMY,
             update: 0,
         }
     }
@@ -147,7 +146,7 @@ impl Detail {
         }
         if self.asked_pixels > 0.0 {
             self.relieve();
-            let is_tight = !self.fits(self.pressure.steps);
+            let is_tight = !self.fits(self.steps());
             if is_tight {
                 self.press();
             }
@@ -193,7 +192,7 @@ impl Detail {
         let wanted = |states: &[State]| states.iter().map(|state| state.wanted).collect::<Vec<_>>();
         let before = wanted(&self.states);
         while self.asked_pixels > 0.0 && wanted(&self.states) == before {
-            if self.is_coarsest(self.pressure.steps) {
+            if self.is_coarsest(self.steps()) {
                 return false;
             }
             self.press();
@@ -204,7 +203,11 @@ impl Detail {
 
     /// Pixels of error that are allowed now.
     pub fn allowed_pixels(&self) -> f32 {
-        self.allowed(self.pressure.steps)
+        self.allowed(self.steps())
+    }
+
+    fn steps(&self) -> u32 {
+        self.pressure.level().0
     }
 
     fn allowed(&self, steps: u32) -> f32 {
@@ -220,30 +223,24 @@ impl Detail {
 
     /// Steps until what is seen fits, one at least.
     fn press(&mut self) {
-        let Pressure { steps, fell, roomy, .. } = self.pressure;
-        let mut steps = (steps + 1).min(MOST_STEPS);
+        let mut steps = (self.steps() + 1).min(MOST_STEPS);
         while !self.fits(steps) && !self.is_coarsest(steps) {
             steps += 1;
         }
-        let is_soon = fell.is_some_and(|fell| self.update - fell <= TRIAL_UPDATES);
-        let roomy = if is_soon { (roomy * MORE_ROOM).max(MOST_ROOM) } else { roomy };
-        self.pressure = Pressure { steps, roomy_updates: 0, fell: None, roomy };
+        if self.pressure.rise(self.update, Steps(steps)) {
+            self.roomy = (self.roomy * MORE_ROOM).max(MOST_ROOM);
+        }
+        self.pressure.start_over();
     }
 
     /// Takes steps back once there has been room for a while.
     fn relieve(&mut self) {
-        if self.pressure.fell.is_some_and(|fell| self.update - fell > TRIAL_UPDATES) {
-            (self.pressure.fell, self.pressure.roomy) = (None, ROOMY);
+        let mut pressure = self.pressure;
+        if pressure.has_passed(self.update) {
+            self.roomy = ROOMY;
         }
-        let mut steps = self.pressure.steps;
-        while steps > 0 && self.need(steps - 1) <= self.pressure.roomy {
-            steps -= 1;
-        }
-        let is_roomy = steps < self.pressure.steps;
-        self.pressure.roomy_updates = if is_roomy { self.pressure.roomy_updates + 1 } else { 0 };
-        if self.pressure.roomy_updates >= RECOVER_AFTER_UPDATES {
-            self.pressure = Pressure { steps, roomy_updates: 0, fell: Some(self.update), ..self.pressure };
-        }
+        pressure.recover(self.update, |Steps(steps)| self.need(steps) <= self.roomy);
+        self.pressure = pressure;
     }
 
     /// Whether everything is at its coarsest with so many steps.
@@ -280,6 +277,7 @@ impl Detail {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pacing::pressure::RECOVER_AFTER_UPDATES;
     use rand::{Rng, SeedableRng, rngs::SmallRng};
 
     const ROOM: Room = Room { patches: 131_072, vertices: 131_072, triangles: 786_432 };
