@@ -136,16 +136,15 @@ impl<'a> Visible<'a> {
 }
 
 impl Layout {
-    /// For `patches` patches in an empty atlas, of which a client has room for some at one time.
-    pub fn new(atlas_extent: AtlasExtent, patches: usize, room: Room) -> Self {
-        let room = Room { patches: room.patches.min(Self::most_blocks(atlas_extent)), ..room };
+    /// For `patches` patches in an empty atlas.
+    pub fn new(atlas_extent: AtlasExtent, patches: usize) -> Self {
         Self {
             atlas: Atlas::new(atlas_extent),
-            chooser: Chooser::new(room),
+            chooser: Chooser::default(),
             states: vec![State::default(); patches],
             recent: Vec::new(),
             live: Vec::new(),
-            surround: Surround::new(0.0, room),
+            surround: Surround::new(0.0),
             around: Vec::new(),
             asked: 1.0,
             pressure: Pressure::new(DensityLevel(1.0)),
@@ -161,8 +160,8 @@ impl Layout {
 
     /// With a surround that may take so large a part of the room and of the atlas, 0..1.
     #[must_use]
-    pub fn with_surround(mut self, share: f32, room: Room) -> Self {
-        self.surround = Surround::new(share, room);
+    pub fn with_surround(mut self, share: f32) -> Self {
+        self.surround = Surround::new(share);
         self
     }
 
@@ -215,22 +214,29 @@ impl Layout {
         looks.shown_of(&self.recent)
     }
 
-    /// Whether there is room for all that this update's views see of what is shown.
-    pub fn has_room(&mut self, geometry: &impl Geometry, looks: &Looks) -> bool {
+    /// Whether a client with this room can be shown all that this update's views see of what is shown.
+    pub fn has_room(&mut self, geometry: &impl Geometry, looks: &Looks, room: Room) -> bool {
         let (states, update) = (&self.states, self.update);
         let in_view = looks.shown_of(&self.recent).map(|(_, patch)| patch);
-        self.chooser.all_fit(geometry, in_view.filter(|patch| states[patch.index()].last_seen == update))
+        let in_view = in_view.filter(|patch| states[patch.index()].last_seen == update);
+        self.chooser.all_fit(geometry, room, in_view)
     }
 
     /// Places the patches of what is shown that are visible, and those seen within the last
-    /// [`HOLD_UPDATES`]; where these are too many, those that matter most on screen. `changes` becomes what changed, in patch
-    /// order.
-    pub fn place(&mut self, geometry: &impl Geometry, looks: &Looks, changes: &mut Vec<PlacementChange>) {
+    /// [`HOLD_UPDATES`]; where these are too many for the client's room, those that matter most on screen. `room` has no more patches
+    /// than [`Layout::most_blocks`]. `changes` becomes what changed, in patch order.
+    pub fn place(
+        &mut self,
+        geometry: &impl Geometry,
+        looks: &Looks,
+        room: Room,
+        changes: &mut Vec<PlacementChange>,
+    ) {
         let mut before = std::mem::take(&mut self.scratch.before);
         before.clear();
         before.extend(self.all_placed().map(|placed| (placed.patch, placed.block)));
-        self.choose(geometry, looks);
-        self.choose_around(geometry, looks);
+        self.choose(geometry, looks, room);
+        self.choose_around(geometry, looks, room);
         self.release(&before);
         self.recover();
         self.place_live();
@@ -241,7 +247,7 @@ impl Layout {
     }
 
     /// Chooses who is to have a block.
-    fn choose(&mut self, geometry: &impl Geometry, looks: &Looks) {
+    fn choose(&mut self, geometry: &impl Geometry, looks: &Looks, room: Room) {
         let candidate = |(_, patch): (usize, ScenePatch)| {
             let state = &self.states[patch.index()];
             Candidate {
@@ -257,7 +263,7 @@ impl Layout {
         let is_visible =
             |candidate: &&Candidate| self.states[candidate.patch.index()].last_seen == self.update;
         let visible = candidates.iter().filter(is_visible).count();
-        self.chooser.choose(geometry, &mut candidates);
+        self.chooser.choose(geometry, room, &mut candidates);
         self.dropped = visible - candidates.iter().filter(is_visible).count();
         self.live.clear();
         self.live.extend(candidates.iter().map(|candidate| candidate.patch));
@@ -265,12 +271,12 @@ impl Layout {
     }
 
     /// Chooses what of the surround is to have a block, of levels that are shown.
-    fn choose_around(&mut self, geometry: &impl Geometry, looks: &Looks) {
+    fn choose_around(&mut self, geometry: &impl Geometry, looks: &Looks, room: Room) {
         self.around.clear();
         if !self.surround.is_kept() {
             return;
         }
-        let left = self.chooser.left_beside(geometry, self.live.iter().copied());
+        let left = self.chooser.left_beside(geometry, room, self.live.iter().copied());
         let Scratch { kept, .. } = &mut self.scratch;
         kept.clear();
         let shown = looks.shown_among(self.surround.seen().iter(), |seen| seen.patch);
@@ -288,7 +294,7 @@ impl Layout {
             self.around.push((seen.patch, size));
         }
         let [width, height] = self.atlas.extent_texels();
-        let chosen = self.surround.choose(geometry, kept, left, u64::from(width) * u64::from(height));
+        let chosen = self.surround.choose(geometry, kept, room, left, u64::from(width) * u64::from(height));
         self.around.retain(|(patch, _)| chosen.binary_search_by_key(patch, |chosen| chosen.patch).is_ok());
     }
 
@@ -612,12 +618,23 @@ mod tests {
     const ROOM: Room = Room { patches: 100_000, vertices: 100_000, triangles: 600_000 };
 
     fn layout([width, height]: [u32; 2], patches: usize) -> Layout {
-        Layout::new(AtlasExtent::new(width, height).expect("an atlas"), patches, ROOM)
+        Layout::new(AtlasExtent::new(width, height).expect("an atlas"), patches)
     }
 
     fn placed(layout: &mut Layout, geometry: &impl Geometry, looks: &Looks) -> Vec<PlacementChange> {
+        let [width, height] = layout.atlas.extent_texels();
+        let patches = ROOM.patches.min(width * height >> (2 * BLOCK_MIN_LOG2));
+        placed_in(Room { patches, ..ROOM }, layout, geometry, looks)
+    }
+
+    fn placed_in(
+        room: Room,
+        layout: &mut Layout,
+        geometry: &impl Geometry,
+        looks: &Looks,
+    ) -> Vec<PlacementChange> {
         let mut changes = Vec::new();
-        layout.place(geometry, looks, &mut changes);
+        layout.place(geometry, looks, room, &mut changes);
         changes
     }
 
@@ -718,7 +735,7 @@ mod tests {
         }
         let next = looks.next().next().expect("the other level");
         assert_eq!(layout.seen_of(next), [45, 46, 47].map(ScenePatch));
-        assert!(layout.has_room(&geometry, &looks));
+        assert!(layout.has_room(&geometry, &looks, ROOM));
     }
 
     #[test]
@@ -899,7 +916,7 @@ mod tests {
 
     #[test]
     fn what_is_around_has_small_blocks_until_it_is_in_view() {
-        let mut layout = layout([512, 512], 20).with_surround(0.25, ROOM);
+        let mut layout = layout([512, 512], 20).with_surround(0.25);
         let (mut in_view, around) = (vec![0; 20], vec![pack(60, 60); 20]);
         in_view[3] = pack(60, 60);
         place_both(&mut layout, &in_view, &around);
@@ -928,7 +945,7 @@ mod tests {
                 .collect();
             let around: Vec<u32> = vec![pack(200, 200); 3000];
             let (mut without, mut with) =
-                (layout([512, 512], 3000), layout([512, 512], 3000).with_surround(0.25, ROOM));
+                (layout([512, 512], 3000), layout([512, 512], 3000).with_surround(0.25));
             for _ in 0..60 {
                 place(&mut without, &in_view);
                 place_both(&mut with, &in_view, &around);
@@ -954,7 +971,7 @@ mod tests {
 
     #[test]
     fn what_is_around_moves_only_where_what_is_in_view_takes_its_place() {
-        let mut layout = layout([512, 512], 3000).with_surround(0.25, ROOM);
+        let mut layout = layout([512, 512], 3000).with_surround(0.25);
         let (mut stayed, mut moved) = (0, 0);
         for seed in 0..120 {
             let mut in_view = random_extents(seed / 4, 3000, 60);
@@ -976,7 +993,7 @@ mod tests {
     fn a_surround_of_patches_that_are_not_of_the_shown_level_has_no_blocks() {
         let size = InstanceSize { patches: vec![20, 10], ..InstanceSize::default() };
         let numbering = Numbering::new(&[size]);
-        let mut layout = layout([512, 512], 30).with_surround(0.25, ROOM);
+        let mut layout = layout([512, 512], 30).with_surround(0.25);
         let mut show = |level: usize| {
             let looks = Looks::new(&numbering, [Some(Levels { shown: level, next: None })]);
             layout.begin(1.0);
@@ -994,8 +1011,14 @@ mod tests {
 
     #[test]
     fn with_too_little_room_the_ground_near_the_viewer_stays_and_what_is_missing_is_counted() {
-        let mut layout =
-            Layout::new(AtlasExtent::MIN, 100, Room { patches: 20, vertices: 1000, triangles: 1000 });
+        let mut layout = Layout::new(AtlasExtent::MIN, 100);
+        let room = Room { patches: 20, vertices: 1000, triangles: 1000 };
+        let mut place = |layout: &mut Layout, extents: &[u32]| {
+            let looks = Looks::of_one(extents.len() as u32);
+            layout.begin(1.0);
+            layout.see(Visible { looks: &looks, seen: &seen(extents) });
+            placed_in(room, layout, &Loose { patches: 100 }, &looks)
+        };
         let mut extents: Vec<u32> = (0..100).map(|patch| pack(3 + patch / 20, 3)).collect();
         extents[0] = pack(300, 200);
         place(&mut layout, &extents);
@@ -1075,7 +1098,7 @@ mod tests {
             changed_share(&mut layout, &finer, 2.0);
         }
         assert_eq!(layout.used_share(), settled);
-        let mut at_once = Layout::new(AtlasExtent::new(2048, 2048).expect("an atlas"), 1000, ROOM);
+        let mut at_once = Layout::new(AtlasExtent::new(2048, 2048).expect("an atlas"), 1000);
         changed_share(&mut at_once, &finer, 2.0);
         let is_as_large = |(patch, block): (ScenePatch, Block)| {
             let now = layout.states[patch.index()].block.expect("it is in view");
@@ -1087,7 +1110,7 @@ mod tests {
     #[test]
     fn a_surround_gives_way_where_what_is_in_view_takes_all_blocks_of_the_smallest_size() {
         let patches = Layout::most_blocks(AtlasExtent::MIN) as usize;
-        let mut layout = layout([512, 512], patches).with_surround(0.25, ROOM);
+        let mut layout = layout([512, 512], patches).with_surround(0.25);
         let (mut in_view, around) = (vec![pack(1, 1); patches], vec![pack(500, 500); patches]);
         in_view[patches * 9 / 10..].fill(0);
         for _ in 0..3 {

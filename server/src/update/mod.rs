@@ -291,8 +291,8 @@ impl Frame {
             seen: Vec::new(),
             changes: Vec::new(),
             needs: Needed::none(scene.numbering.instances.len()),
-            layout: Layout::new(welcome.atlas_extent_texels, scene.numbering.totals.patches as usize, room)
-                .with_surround(show.surround, room),
+            layout: Layout::new(welcome.atlas_extent_texels, scene.numbering.totals.patches as usize)
+                .with_surround(show.surround),
             residency: Residency::new(&world.samples, welcome.patch_slots, welcome.vertex_slots)
                 .with_skinning(Skinning::new(scene, world.timeline(), welcome.motion), welcome.motion),
             room,
@@ -302,7 +302,7 @@ impl Frame {
             head: HeadTrack::new(capabilities.display_period_ns),
             culling: culling(scene),
             around: (show.surround > 0.0).then(|| Around::new(scene)),
-            detail: Detail::new(show.detail_pixels, room, level_costs(scene)),
+            detail: Detail::new(show.detail_pixels, level_costs(scene)),
             density: Density::default(),
             spare_bits: Spare::Enough,
             views,
@@ -409,7 +409,7 @@ impl Frame {
         let glance = self.look_for_surround(&views);
         let near: &mut Vec<f32> = &mut self.lists.pixels_per_metre;
         pixels_per_metre(world.scene(), world.grid(), &views, self.eye.pixels_per_radian(), near);
-        self.detail.begin(&self.needs, near, self.density.error());
+        self.detail.begin(self.room, &self.needs, near, self.density.error());
         let mut recorder = world.gpu().record()?;
         let began = world.effort.begin();
         self.needs.set_levels(self.detail.finest());
@@ -444,7 +444,7 @@ impl Frame {
         }
         let Begun { now, views, sampled, look: Seeing { looks, .. }, timings, .. } = begun;
         let mut changes: Vec<PlacementChange> = std::mem::take(&mut self.changes);
-        self.layout.place(&world.samples, &looks, &mut changes); // 4, 5
+        self.layout.place(&world.samples, &looks, self.room, &mut changes); // 4, 5
         self.lists.looks = looks;
         self.density.note(self.spare_bits, self.layout.settled_share(), self.layout.density() < 1.0);
         let began = world.effort.begin();
@@ -603,10 +603,10 @@ impl Frame {
         self.layout.see(Visible { looks, seen: &self.seen });
         self.switch(world, looks);
         self.measure(looks);
-        if self.layout.has_room(&world.samples, looks) {
+        if self.layout.has_room(&world.samples, looks, self.room) {
             return true;
         }
-        let is_last = number == MAX_LOOKS || !self.detail.tighten();
+        let is_last = number == MAX_LOOKS || !self.detail.tighten(self.room);
         if is_last {
             self.switch_at_once(looks);
         }
