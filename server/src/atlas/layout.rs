@@ -1013,7 +1013,7 @@ mod tests {
     fn with_too_little_room_the_ground_near_the_viewer_stays_and_what_is_missing_is_counted() {
         let mut layout = Layout::new(AtlasExtent::MIN, 100);
         let room = Room { patches: 20, vertices: 1000, triangles: 1000 };
-        let mut place = |layout: &mut Layout, extents: &[u32]| {
+        let place = |layout: &mut Layout, extents: &[u32]| {
             let looks = Looks::of_one(extents.len() as u32);
             layout.begin(1.0);
             layout.see(Visible { looks: &looks, seen: &seen(extents) });
