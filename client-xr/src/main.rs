@@ -14,7 +14,7 @@ use shadecast_client::platform::Platform;
 use shadecast_client::present::presenter::Presenter;
 use shadecast_client::present::stats::ClientStats;
 use shadecast_desktop::canvas::DEFAULT_EXTENT;
-use shadecast_protocol::flags::{number, size};
+use shadecast_desktop::flags::{number, size};
 use shadecast_protocol::text::{printable, with_causes};
 use shadecast_system::write_atomically;
 use shadecast_transport::Fingerprint;

@@ -16,4 +16,3 @@ pub mod encode;
 pub mod update;
 pub mod serve;
 pub mod truth;
-pub mod inspect;

@@ -1,13 +1,13 @@
 //! `shadecast-server forward`: the ground truth to files, to a video, or in a window.
 
-use crate::{DeviceArgs, gpu_options, load, loading, open, parse_vector, scene_options};
+use crate::{DeviceArgs, load, loading, open, parse_vector};
 use anyhow::Context;
 use clap::{Args, value_parser};
 use glam::{EulerRot, Quat, Vec3};
 use shadecast_desktop::camera::{ViewCamera, fov_of_picture};
 use shadecast_desktop::canvas::DEFAULT_EXTENT;
+use shadecast_desktop::flags::{MOST_S, number, size};
 use shadecast_gpu::{Gpu, vk};
-use shadecast_protocol::flags::{MOST_S, number, size};
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::WorldTime;
 use shadecast_scene::file::{DEFAULT_FOV_DEG, FOV_RANGE_DEG};
@@ -127,9 +127,9 @@ fn in_window(args: &ForwardArgs, cancel: &Cancel) -> anyhow::Result<()> {
         seconds: args.seconds,
         figures: !args.no_figures,
         screenshot: args.screenshot.clone(),
-        scene: scene_options(&args.device),
+        scene: args.device.scene.options(),
         loading,
-        gpu: gpu_options(&args.device),
+        gpu: args.device.gpu.options(),
     };
     let stats = window::run(scene, options)?;
     println!("{} frames in {:.1} s", stats.frames, stats.seconds);

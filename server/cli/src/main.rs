@@ -11,27 +11,20 @@ use clap::{Args, Parser, Subcommand, ValueEnum, value_parser};
 use glam::Vec3;
 use interrupt::FirstSignal;
 use output::{Output, note};
+use shadecast_desktop::flags::{MOST_S, number};
 use shadecast_dragon::dragon;
-use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
-use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_protocol::flags::{MOST_S, number};
+use shadecast_gpu::{DesktopDevice, Gpu};
 use shadecast_protocol::limits::MAX_COORDINATE_M;
 use shadecast_protocol::text::{printable, with_causes};
-use shadecast_scene::animation::sampling::Sampling;
 use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
 use shadecast_scene::{Cancel, Scene};
-use shadecast_server::atlas::surround::DEFAULT_SURROUND;
 use shadecast_server::encode::choice::{Encoders, Wanted};
-use shadecast_server::inspect::{self, InspectArgs};
-use shadecast_server::pacing::quality::QualityArgs;
-use shadecast_server::scene::motion_library::MotionOption;
-use shadecast_server::scene::skins::Skinning;
-use shadecast_server::scene::{SceneGpu, SceneOptions};
+use shadecast_server::scene::SceneGpu;
 use shadecast_server::serve::stream::{Device, StreamOptions, run};
 use shadecast_server::update;
-use shadecast_server::update::ShowOptions;
-use shadecast_server::visibility::detail::DEFAULT_DETAIL_PIXELS;
+use shadecast_server_cli::arguments::{GpuArgs, RenderArgs, SceneArgs};
+use shadecast_server_cli::inspect::{self, InspectArgs};
 use shadecast_system::write_atomically;
 use start_up::{CacheArgs, StartUp};
 use std::io::IsTerminal;
@@ -90,21 +83,10 @@ enum Command {
 
 #[derive(Args)]
 struct DeviceArgs {
-    /// Part of the wanted Vulkan device's name
-    #[arg(long)]
-    device: Option<String>,
-    /// Vulkan validation layers on; messages are logged and counted
-    #[arg(long)]
-    validation: bool,
-    /// How clips become keys: error-bounded[:0.1mm], or the paper's constant[:100ms]
-    #[arg(long, default_value_t)]
-    sampling: Sampling,
-    /// How vertices are skinned
-    #[arg(long, value_enum, default_value_t)]
-    skinning: Skinning,
-    /// How clients are told of motion
-    #[arg(long, value_enum, default_value_t)]
-    motion: MotionOption,
+    #[command(flatten)]
+    gpu: GpuArgs,
+    #[command(flatten)]
+    scene: SceneArgs,
     /// The sun casts no shadows, whatever the scene says
     #[arg(long)]
     no_shadows: bool,
@@ -128,21 +110,11 @@ struct StreamArgs {
     /// Folder of the server's key [default: the user's configuration folder]
     #[arg(long)]
     identity: Option<PathBuf>,
-    /// Atlas width and height in texels, powers of two from 512x512 to 4096x2048
-    #[arg(long, value_name = "WxH", default_value_t = AtlasExtent::DEFAULT)]
-    atlas: AtlasExtent,
     #[command(flatten)]
-    quality: QualityArgs,
+    render: RenderArgs,
     /// Encoder of the video: auto, or one of those that `doctor` lists
     #[arg(long, value_name = "NAME", default_value = "auto")]
     encoder: Wanted,
-    /// Pixels of the client's display that a level of detail may err by, twice as many where bits or time are short, half as many where they are
-    /// to spare; 0: everything has full detail
-    #[arg(long, value_name = "PIXELS", default_value_t = DEFAULT_DETAIL_PIXELS, value_parser = number(0.0..=64.0f32, "pixels"))]
-    detail: f32,
-    /// Part of the client's slots and of the atlas for what an abrupt turn of the head would show, 0 to 0.5; 0: none
-    #[arg(long, value_name = "SHARE", default_value_t = DEFAULT_SURROUND, value_parser = number(0.0..=0.5f32, "of all"))]
-    surround: f32,
     /// Updates per second, 1 to 60
     #[arg(long, default_value_t = DEFAULT_RATE_HZ, value_parser = number(1.0..=60.0, "updates a second"))]
     rate: f64,
@@ -171,9 +143,6 @@ struct StreamArgs {
     /// Writes the last shading atlas to this PNG file on leaving
     #[arg(long)]
     atlas_png: Option<PathBuf>,
-    /// Writes there what happened when, for Perfetto (ui.perfetto.dev)
-    #[arg(long, value_name = "FILE")]
-    trace: Option<PathBuf>,
     #[command(flatten)]
     device: DeviceArgs,
 }
@@ -278,19 +247,6 @@ fn load(scene: &str, args: &DeviceArgs, loading: &Loading) -> anyhow::Result<Sce
     Ok(scene)
 }
 
-fn gpu_options(args: &DeviceArgs) -> GpuOptions {
-    GpuOptions { needs: Needs::Server, validation: args.validation, device_name: args.device.clone() }
-}
-
-fn scene_options(args: &DeviceArgs) -> SceneOptions {
-    SceneOptions {
-        sampling: args.sampling,
-        skinning: args.skinning,
-        motion: args.motion,
-        ..SceneOptions::default()
-    }
-}
-
 fn open(
     scene: &str,
     args: &DeviceArgs,
@@ -299,7 +255,7 @@ fn open(
     let loading = loading(args, cancel);
     let mut start_up = StartUp::new(loading.cache.clone());
     // Before the scene, which may take long: without a device it would be loaded for nothing.
-    let gpu = Gpu::open(&gpu_options(args), &DesktopDevice)?;
+    let gpu = Gpu::open(&args.gpu.options(), &DesktopDevice)?;
     // Standard output may be where a video goes.
     note(&format!("Vulkan device: {}", gpu.device_name()));
     if gpu.is_cpu() {
@@ -308,7 +264,7 @@ fn open(
     start_up.ended("device");
     let scene = load(scene, args, &loading)?;
     start_up.ended("scene");
-    let scene = SceneGpu::cached(&gpu, scene, &scene_options(args), &loading)?;
+    let scene = SceneGpu::cached(&gpu, scene, &args.scene.options(), &loading)?;
     start_up.ended("upload");
     Ok((gpu, Arc::new(scene), start_up))
 }
@@ -319,19 +275,19 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
     let (gpu, scene, _) = open(&args.scene, &args.device, cancel)?;
     update::check_device(&gpu, &scene).with_context(|| format!("scene {}", args.scene))?;
     let reopen = |scene: Scene| -> anyhow::Result<Device> {
-        let gpu = Gpu::open(&gpu_options(&args.device), &DesktopDevice)?;
+        let gpu = Gpu::open(&args.device.gpu.options(), &DesktopDevice)?;
         let loading = loading(&args.device, cancel);
-        let scene = SceneGpu::cached(&gpu, scene, &scene_options(&args.device), &loading)?;
+        let scene = SceneGpu::cached(&gpu, scene, &args.device.scene.options(), &loading)?;
         Ok(Device { gpu, scene: Arc::new(scene) })
     };
     let options = StreamOptions {
         listen: args.listen,
         announced_as: args.announced_as(),
         identity: args.identity.clone(),
-        atlas_extent_texels: args.atlas,
-        quality: args.quality.options(),
+        atlas_extent_texels: args.render.atlas,
+        quality: args.render.quality(),
         encoders,
-        show: ShowOptions { detail_pixels: args.detail, surround: args.surround },
+        show: args.render.show(),
         rate_hz: args.rate,
         shade_ms: args.shade_ms,
         viewers: usize::from(args.viewers),
@@ -339,7 +295,7 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
         link,
         seed: args.seed,
         seconds: args.seconds,
-        trace: args.trace.clone(),
+        trace: args.render.trace.clone(),
         atlas_png: args.atlas_png.clone(),
     };
     let output = Output::start().context("starting to write")?;

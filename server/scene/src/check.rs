@@ -169,14 +169,7 @@ fn material(material: &Material, textures: usize) -> Checked {
     let scales = [material.metallic, material.roughness, material.normal_scale, material.occlusion_strength];
     let colours = material.base_color.iter().chain(&material.emissive).chain(&material.alpha_cutoff);
     ensure(scales.iter().chain(colours).all(|n| n.is_finite()), "a factor is not finite")?;
-    let slots = [
-        material.base_color_texture,
-        material.metallic_roughness_texture,
-        material.normal_texture,
-        material.occlusion_texture,
-        material.emissive_texture,
-    ];
-    for TextureSlot { texture, set, uv_transform } in slots.into_iter().flatten() {
+    for TextureSlot { texture, set, uv_transform } in material.texture_slots().into_iter().flatten() {
         ensure((texture as usize) < textures && set <= 1, "a texture that there is not")?;
         ensure(uv_transform.iter().flatten().all(|n| n.is_finite()), "a transform is not finite")?;
     }

@@ -293,6 +293,19 @@ impl Default for Material {
     }
 }
 
+impl Material {
+    /// All places for textures, with what is in them.
+    pub fn texture_slots(&self) -> [Option<TextureSlot>; 5] {
+        [
+            self.base_color_texture,
+            self.metallic_roughness_texture,
+            self.normal_texture,
+            self.occlusion_texture,
+            self.emissive_texture,
+        ]
+    }
+}
+
 /// How a material uses a texture.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TextureSlot {

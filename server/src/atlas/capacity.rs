@@ -37,32 +37,22 @@ impl Candidate {
 }
 
 /// Makes the choice, update after update.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Chooser {
-    room: Room,
     /// By scene-wide vertex number: the last count that met it.
     counted: Vec<u32>,
     count: u32,
 }
 
 impl Chooser {
-    /// For a client with this room.
-    pub fn new(room: Room) -> Self {
-        Self { room, counted: Vec::new(), count: 0 }
-    }
-
-    /// Another room from now on.
-    pub fn set_room(&mut self, room: Room) {
-        self.room = room;
-    }
-
     /// What of the room these patches leave.
     pub fn left_beside(
         &mut self,
         geometry: &impl Geometry,
+        room: Room,
         patches: impl Iterator<Item = ScenePatch>,
     ) -> Room {
-        let mut left = self.room;
+        let mut left = room;
         self.start_count(geometry);
         for patch in patches {
             let drawn = geometry.patch(patch).drawn_triangles();
@@ -73,13 +63,13 @@ impl Chooser {
         left
     }
 
-    /// Leaves all `candidates`, or those that matter most of them: in patch order, as they came.
-    pub fn choose(&mut self, geometry: &impl Geometry, candidates: &mut Vec<Candidate>) {
-        if self.all_fit(geometry, candidates.iter().map(|candidate| candidate.patch)) {
+    /// Leaves all `candidates`, or those that matter most of them and have room: in patch order, as they came.
+    pub fn choose(&mut self, geometry: &impl Geometry, room: Room, candidates: &mut Vec<Candidate>) {
+        if self.all_fit(geometry, room, candidates.iter().map(|candidate| candidate.patch)) {
             return;
         }
         candidates.sort_unstable_by_key(Candidate::rank);
-        let Room { mut patches, mut vertices, mut triangles } = self.room;
+        let Room { mut patches, mut vertices, mut triangles } = room;
         self.start_count(geometry);
         candidates.retain(|candidate| {
             let cost = self.uncounted(geometry, candidate.patch);
@@ -98,23 +88,24 @@ impl Chooser {
     pub fn all_fit(
         &mut self,
         geometry: &impl Geometry,
+        room: Room,
         patches: impl Iterator<Item = ScenePatch> + Clone,
     ) -> bool {
         let count = patches.clone().count();
         let most = |of_each: usize, room: u32| count * of_each <= room as usize;
-        if !most(1, self.room.patches) {
+        if !most(1, room.patches) {
             return false;
         }
         let has_triangles =
             || patches.clone().map(|patch| geometry.patch(patch).drawn_triangles()).sum::<u32>();
-        if !most(MAX_TRIANGLES, self.room.triangles) && has_triangles() > self.room.triangles {
+        if !most(MAX_TRIANGLES, room.triangles) && has_triangles() > room.triangles {
             return false;
         }
-        if most(MAX_CORNERS, self.room.vertices) {
+        if most(MAX_CORNERS, room.vertices) {
             return true; // without counting
         }
         self.start_count(geometry);
-        patches.map(|patch| self.count_vertices(geometry, patch)).sum::<u32>() <= self.room.vertices
+        patches.map(|patch| self.count_vertices(geometry, patch)).sum::<u32>() <= room.vertices
     }
 
     fn start_count(&mut self, geometry: &impl Geometry) {
@@ -191,50 +182,50 @@ mod tests {
         Candidate { patch: ScenePatch(patch), is_in_view: true, area_texels, is_shown: false }
     }
 
-    fn chosen(chooser: &mut Chooser, candidates: &[Candidate]) -> Vec<u32> {
+    fn chosen(room: Room, candidates: &[Candidate]) -> Vec<u32> {
         let mut chosen = candidates.to_vec();
-        chooser.choose(&Fan { patches: 100 }, &mut chosen);
+        Chooser::default().choose(&Fan { patches: 100 }, room, &mut chosen);
         chosen.iter().map(|candidate| candidate.patch.0).collect()
     }
 
     #[test]
     fn the_large_patch_near_the_viewer_stays_while_tiny_far_ones_go() {
-        let mut chooser = Chooser::new(Room { patches: 10, vertices: 1000, triangles: 1000 });
+        let room = Room { patches: 10, vertices: 1000, triangles: 1000 };
         let ground = candidate(0, 300 * 200);
         let candidates: Vec<_> =
             [ground].into_iter().chain((1..100).map(|patch| candidate(patch, patch))).collect();
-        assert_eq!(chosen(&mut chooser, &candidates), [0, 91, 92, 93, 94, 95, 96, 97, 98, 99]);
+        assert_eq!(chosen(room, &candidates), [0, 91, 92, 93, 94, 95, 96, 97, 98, 99]);
     }
 
     #[test]
     fn vertices_that_patches_share_count_once() {
         // A fan of n triangles has n + 2 vertices.
         let all: Vec<_> = (0..20).map(|patch| candidate(patch, 5)).collect();
-        let mut chooser = Chooser::new(Room { patches: 100, vertices: 22, triangles: 1000 });
-        assert_eq!(chosen(&mut chooser, &all).len(), 20);
-        let mut chooser = Chooser::new(Room { patches: 100, vertices: 21, triangles: 1000 });
-        assert_eq!(chosen(&mut chooser, &all), (0..19).collect::<Vec<_>>());
+        let room = Room { patches: 100, vertices: 22, triangles: 1000 };
+        assert_eq!(chosen(room, &all).len(), 20);
+        let room = Room { patches: 100, vertices: 21, triangles: 1000 };
+        assert_eq!(chosen(room, &all), (0..19).collect::<Vec<_>>());
     }
 
     #[test]
     fn no_more_triangles_are_drawn_than_the_client_draws() {
         let all: Vec<_> = (0..20).map(|patch| candidate(patch, 5)).collect();
         let room = Room { patches: 100, vertices: 100, triangles: 20 };
-        assert_eq!(chosen(&mut Chooser::new(room), &all).len(), 20);
+        assert_eq!(chosen(room, &all).len(), 20);
         let room = Room { triangles: 19, ..room };
-        assert_eq!(chosen(&mut Chooser::new(room), &all), (0..19).collect::<Vec<_>>());
+        assert_eq!(chosen(room, &all), (0..19).collect::<Vec<_>>());
     }
 
     #[test]
     fn what_is_in_view_goes_before_what_is_only_held() {
         let held = Candidate { is_in_view: false, is_shown: true, ..candidate(0, 5000) };
-        let mut chooser = Chooser::new(Room { patches: 1, vertices: 100, triangles: 1000 });
-        assert_eq!(chosen(&mut chooser, &[held, candidate(1, 1)]), [1]);
+        let room = Room { patches: 1, vertices: 100, triangles: 1000 };
+        assert_eq!(chosen(room, &[held, candidate(1, 1)]), [1]);
     }
 
     #[test]
     fn sizes_that_tremble_do_not_change_the_choice_and_a_real_change_does() {
-        let mut chooser = Chooser::new(Room { patches: 30, vertices: 1000, triangles: 1000 });
+        let room = Room { patches: 30, vertices: 1000, triangles: 1000 };
         let mut shown = Vec::new();
         let mut areas: Vec<u32> = (0..100).map(|patch| 1000 + 3 * patch).collect();
         for update in 0..40u32 {
@@ -245,7 +236,7 @@ mod tests {
                     ..candidate(patch, areas[patch as usize] + tremble(patch))
                 })
                 .collect();
-            let now = chosen(&mut chooser, &candidates);
+            let now = chosen(room, &candidates);
             assert!(update == 0 || now == shown, "update {update}");
             shown = now;
         }
@@ -256,7 +247,7 @@ mod tests {
                 ..candidate(patch, areas[patch as usize])
             })
             .collect();
-        assert!(!shown.contains(&0) && chosen(&mut chooser, &candidates).contains(&0));
+        assert!(!shown.contains(&0) && chosen(room, &candidates).contains(&0));
     }
 
     #[test]

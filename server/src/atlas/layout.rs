@@ -10,6 +10,7 @@ use crate::atlas::placement::Placed;
 use crate::atlas::placement::PlacementChange;
 use crate::atlas::sizing::{Shape, Turn, have_their_turn, least_turns, wanted_size};
 use crate::atlas::surround::{Kept, SURROUND_DENSITY, Surround};
+use crate::pacing::pressure::{Level, Pressure};
 use crate::pacing::room::Room;
 use crate::scene::geometry::Geometry;
 use crate::scene::numbering::ScenePatch;
@@ -32,10 +33,22 @@ const WELL_FILLED: f32 = 0.9;
 const ROOMY: f32 = 0.85;
 /// What found no place because free texels were scattered says little: it counts as at least this part of the atlas.
 const LEAST_OVERFLOW_SHARE: f32 = 0.8;
-/// Density rises after there was room for this many updates.
-const RECOVER_AFTER_UPDATES: u32 = 15;
-/// Density that falls within this many updates after it rose should not have risen: the next rise needs more room.
-const TRIAL_UPDATES: u32 = 60;
+
+/// Of the texels for a pixel that are asked for, a part.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct DensityLevel(f32);
+
+impl DensityLevel {
+    fn coarser(self) -> Self {
+        Self(self.0 * COARSEN)
+    }
+}
+
+impl Level for DensityLevel {
+    fn finer(self) -> Option<Self> {
+        (self.0 < 1.0).then(|| Self((self.0 / COARSEN).min(1.0)))
+    }
+}
 
 /// Which patch has which block.
 #[derive(Clone, Debug)]
@@ -54,15 +67,13 @@ pub struct Layout {
     /// Texels for a pixel that views are measured with.
     asked: f32,
     /// Of those, the part that blocks are to have.
-    density: f32,
+    pressure: Pressure<DensityLevel>,
     /// Part of the atlas that blocks take when all have had their turn.
     settled_share: f32,
     /// What part of the atlas the blocks would have taken that found no place when density fell last.
     overflow_share: f32,
-    /// For how many updates a higher density would have left room.
-    roomy_updates: u32,
-    /// The update in which density rose last, and the part of the atlas that blocks took then.
-    last_rise: (u32, f32),
+    /// What part of the atlas blocks took when density rose last.
+    share_at_rise: f32,
     update: u32,
     coarsened: u32,
     dropped: usize,
@@ -125,23 +136,21 @@ impl<'a> Visible<'a> {
 }
 
 impl Layout {
-    /// For `patches` patches in an empty atlas, of which a client has room for some at one time.
-    pub fn new(atlas_extent: AtlasExtent, patches: usize, room: Room) -> Self {
-        let room = Room { patches: room.patches.min(Self::most_blocks(atlas_extent)), ..room };
+    /// For `patches` patches in an empty atlas.
+    pub fn new(atlas_extent: AtlasExtent, patches: usize) -> Self {
         Self {
             atlas: Atlas::new(atlas_extent),
-            chooser: Chooser::new(room),
+            chooser: Chooser::default(),
             states: vec![State::default(); patches],
             recent: Vec::new(),
             live: Vec::new(),
-            surround: Surround::new(0.0, room),
+            surround: Surround::new(0.0),
             around: Vec::new(),
             asked: 1.0,
-            density: 1.0,
+            pressure: Pressure::new(DensityLevel(1.0)),
             settled_share: 0.0,
             overflow_share: 1.0,
-            roomy_updates: 0,
-            last_rise: (0, 1.0),
+            share_at_rise: 1.0,
             update: 0,
             coarsened: 0,
             dropped: 0,
@@ -151,8 +160,8 @@ impl Layout {
 
     /// With a surround that may take so large a part of the room and of the atlas, 0..1.
     #[must_use]
-    pub fn with_surround(mut self, share: f32, room: Room) -> Self {
-        self.surround = Surround::new(share, room);
+    pub fn with_surround(mut self, share: f32) -> Self {
+        self.surround = Surround::new(share);
         self
     }
 
@@ -205,22 +214,29 @@ impl Layout {
         looks.shown_of(&self.recent)
     }
 
-    /// Whether there is room for all that this update's views see of what is shown.
-    pub fn has_room(&mut self, geometry: &impl Geometry, looks: &Looks) -> bool {
+    /// Whether a client with this room can be shown all that this update's views see of what is shown.
+    pub fn has_room(&mut self, geometry: &impl Geometry, looks: &Looks, room: Room) -> bool {
         let (states, update) = (&self.states, self.update);
         let in_view = looks.shown_of(&self.recent).map(|(_, patch)| patch);
-        self.chooser.all_fit(geometry, in_view.filter(|patch| states[patch.index()].last_seen == update))
+        let in_view = in_view.filter(|patch| states[patch.index()].last_seen == update);
+        self.chooser.all_fit(geometry, room, in_view)
     }
 
     /// Places the patches of what is shown that are visible, and those seen within the last
-    /// [`HOLD_UPDATES`]; where these are too many, those that matter most on screen. `changes` becomes what changed, in patch
-    /// order.
-    pub fn place(&mut self, geometry: &impl Geometry, looks: &Looks, changes: &mut Vec<PlacementChange>) {
+    /// [`HOLD_UPDATES`]; where these are too many for the client's room, those that matter most on screen. `room` has no more patches
+    /// than [`Layout::most_blocks`]. `changes` becomes what changed, in patch order.
+    pub fn place(
+        &mut self,
+        geometry: &impl Geometry,
+        looks: &Looks,
+        room: Room,
+        changes: &mut Vec<PlacementChange>,
+    ) {
         let mut before = std::mem::take(&mut self.scratch.before);
         before.clear();
         before.extend(self.all_placed().map(|placed| (placed.patch, placed.block)));
-        self.choose(geometry, looks);
-        self.choose_around(geometry, looks);
+        self.choose(geometry, looks, room);
+        self.choose_around(geometry, looks, room);
         self.release(&before);
         self.recover();
         self.place_live();
@@ -231,7 +247,7 @@ impl Layout {
     }
 
     /// Chooses who is to have a block.
-    fn choose(&mut self, geometry: &impl Geometry, looks: &Looks) {
+    fn choose(&mut self, geometry: &impl Geometry, looks: &Looks, room: Room) {
         let candidate = |(_, patch): (usize, ScenePatch)| {
             let state = &self.states[patch.index()];
             Candidate {
@@ -247,7 +263,7 @@ impl Layout {
         let is_visible =
             |candidate: &&Candidate| self.states[candidate.patch.index()].last_seen == self.update;
         let visible = candidates.iter().filter(is_visible).count();
-        self.chooser.choose(geometry, &mut candidates);
+        self.chooser.choose(geometry, room, &mut candidates);
         self.dropped = visible - candidates.iter().filter(is_visible).count();
         self.live.clear();
         self.live.extend(candidates.iter().map(|candidate| candidate.patch));
@@ -255,12 +271,12 @@ impl Layout {
     }
 
     /// Chooses what of the surround is to have a block, of levels that are shown.
-    fn choose_around(&mut self, geometry: &impl Geometry, looks: &Looks) {
+    fn choose_around(&mut self, geometry: &impl Geometry, looks: &Looks, room: Room) {
         self.around.clear();
         if !self.surround.is_kept() {
             return;
         }
-        let left = self.chooser.left_beside(geometry, self.live.iter().copied());
+        let left = self.chooser.left_beside(geometry, room, self.live.iter().copied());
         let Scratch { kept, .. } = &mut self.scratch;
         kept.clear();
         let shown = looks.shown_among(self.surround.seen().iter(), |seen| seen.patch);
@@ -278,7 +294,7 @@ impl Layout {
             self.around.push((seen.patch, size));
         }
         let [width, height] = self.atlas.extent_texels();
-        let chosen = self.surround.choose(geometry, kept, left, u64::from(width) * u64::from(height));
+        let chosen = self.surround.choose(geometry, kept, room, left, u64::from(width) * u64::from(height));
         self.around.retain(|(patch, _)| chosen.binary_search_by_key(patch, |chosen| chosen.patch).is_ok());
     }
 
@@ -348,19 +364,14 @@ impl Layout {
 
     /// Takes the highest density that leaves room, once there has been room for a higher one for a while.
     fn recover(&mut self) {
-        let mut roomy = self.density;
-        while roomy < 1.0 && self.is_roomy((roomy / COARSEN).min(1.0)) {
-            roomy = (roomy / COARSEN).min(1.0);
+        let mut pressure = self.pressure;
+        if pressure.recover(self.update, |density| self.is_roomy(density)) {
+            self.share_at_rise = self.share_at(pressure.level(), Sizes::Kept);
         }
-        self.roomy_updates = if roomy > self.density { self.roomy_updates + 1 } else { 0 };
-        if self.roomy_updates >= RECOVER_AFTER_UPDATES {
-            self.roomy_updates = 0;
-            self.density = roomy;
-            self.last_rise = (self.update, self.share_at(roomy, Sizes::Kept));
-        }
+        self.pressure = pressure;
     }
 
-    fn is_roomy(&self, density: f32) -> bool {
+    fn is_roomy(&self, density: DensityLevel) -> bool {
         let allowed = ROOMY * self.overflow_share.min(self.well_filled());
         let fits = |sizes| self.share_at(density, sizes) <= allowed;
         // Blocks that keep their size now may still grow to the exact one.
@@ -368,11 +379,11 @@ impl Layout {
     }
 
     /// Part of the atlas that what is in view would take at a density.
-    fn share_at(&self, density: f32, sizes: Sizes) -> f32 {
+    fn share_at(&self, density: DensityLevel, sizes: Sizes) -> f32 {
         let texels = |patch: &ScenePatch| {
             let shape = self.shape(*patch);
             let now = shape.block.filter(|_| sizes == Sizes::Kept).map(|(size, _)| size);
-            u64::from(wanted_size(shape.extent_at(self.asked * density), now).texels())
+            u64::from(wanted_size(shape.extent_at(self.asked * density.0), now).texels())
         };
         self.share(self.live.iter().map(texels).sum())
     }
@@ -384,7 +395,7 @@ impl Layout {
 
     /// What becomes of each block in view, in patch order.
     fn turns(&mut self) -> Vec<Turn> {
-        let density = self.asked * self.density;
+        let density = self.asked * self.density();
         let mut turns = std::mem::take(&mut self.scratch.turns);
         turns.clear();
         turns.extend(self.live.iter().map(|patch| self.shape(*patch).turn(*patch, density)));
@@ -410,7 +421,7 @@ impl Layout {
         if !fits {
             return self.make_room();
         }
-        let coarser = || self.share_at(self.density * COARSEN, Sizes::Exact);
+        let coarser = || self.share_at(self.pressure.level().coarser(), Sizes::Exact);
         if are_all && settled > self.well_filled() && coarser() < settled {
             self.fall(settled);
         }
@@ -463,11 +474,10 @@ impl Layout {
     /// Density falls; sizes follow in turn.
     fn fall(&mut self, share: f32) {
         self.coarsened += 1;
-        self.density *= COARSEN;
+        let is_within_trial = self.pressure.rise(self.update, self.pressure.level().coarser());
         self.overflow_share = share.clamp(LEAST_OVERFLOW_SHARE, 1.0);
-        let (rose, share_then) = self.last_rise;
-        if rose > 0 && self.update - rose <= TRIAL_UPDATES {
-            self.overflow_share = self.overflow_share.min(share_then);
+        if is_within_trial {
+            self.overflow_share = self.overflow_share.min(self.share_at_rise);
         }
     }
 
@@ -487,7 +497,7 @@ impl Layout {
         }
         self.scratch.waiting = waiting;
         if fits {
-            let density = self.asked * self.density;
+            let density = self.asked * self.density();
             let has_turned = |(turn, size): &(&Turn, &BlockSize)| turn.after == **size || turn.now.is_none();
             for (turn, _) in turns.iter().zip(sizes).filter(has_turned) {
                 self.states[turn.patch.index()].follows = Some(density);
@@ -582,7 +592,7 @@ impl Layout {
 
     /// Of the texels for a pixel that are asked for, the part that blocks are sized for; below 1 under pressure.
     pub fn density(&self) -> f32 {
-        self.density
+        self.pressure.level().0
     }
 
     /// How often the atlas was full and everything became coarser.
@@ -599,6 +609,7 @@ impl Layout {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pacing::pressure::RECOVER_AFTER_UPDATES;
     use crate::scene::geometry::test_geometry::Loose;
     use crate::scene::numbering::{InstanceSize, Numbering};
     use crate::visibility::lod_set::Levels;
@@ -607,12 +618,23 @@ mod tests {
     const ROOM: Room = Room { patches: 100_000, vertices: 100_000, triangles: 600_000 };
 
     fn layout([width, height]: [u32; 2], patches: usize) -> Layout {
-        Layout::new(AtlasExtent::new(width, height).expect("an atlas"), patches, ROOM)
+        Layout::new(AtlasExtent::new(width, height).expect("an atlas"), patches)
     }
 
     fn placed(layout: &mut Layout, geometry: &impl Geometry, looks: &Looks) -> Vec<PlacementChange> {
+        let [width, height] = layout.atlas.extent_texels();
+        let patches = ROOM.patches.min(width * height >> (2 * BLOCK_MIN_LOG2));
+        placed_in(Room { patches, ..ROOM }, layout, geometry, looks)
+    }
+
+    fn placed_in(
+        room: Room,
+        layout: &mut Layout,
+        geometry: &impl Geometry,
+        looks: &Looks,
+    ) -> Vec<PlacementChange> {
         let mut changes = Vec::new();
-        layout.place(geometry, looks, &mut changes);
+        layout.place(geometry, looks, room, &mut changes);
         changes
     }
 
@@ -713,7 +735,7 @@ mod tests {
         }
         let next = looks.next().next().expect("the other level");
         assert_eq!(layout.seen_of(next), [45, 46, 47].map(ScenePatch));
-        assert!(layout.has_room(&geometry, &looks));
+        assert!(layout.has_room(&geometry, &looks, ROOM));
     }
 
     #[test]
@@ -894,7 +916,7 @@ mod tests {
 
     #[test]
     fn what_is_around_has_small_blocks_until_it_is_in_view() {
-        let mut layout = layout([512, 512], 20).with_surround(0.25, ROOM);
+        let mut layout = layout([512, 512], 20).with_surround(0.25);
         let (mut in_view, around) = (vec![0; 20], vec![pack(60, 60); 20]);
         in_view[3] = pack(60, 60);
         place_both(&mut layout, &in_view, &around);
@@ -923,7 +945,7 @@ mod tests {
                 .collect();
             let around: Vec<u32> = vec![pack(200, 200); 3000];
             let (mut without, mut with) =
-                (layout([512, 512], 3000), layout([512, 512], 3000).with_surround(0.25, ROOM));
+                (layout([512, 512], 3000), layout([512, 512], 3000).with_surround(0.25));
             for _ in 0..60 {
                 place(&mut without, &in_view);
                 place_both(&mut with, &in_view, &around);
@@ -949,7 +971,7 @@ mod tests {
 
     #[test]
     fn what_is_around_moves_only_where_what_is_in_view_takes_its_place() {
-        let mut layout = layout([512, 512], 3000).with_surround(0.25, ROOM);
+        let mut layout = layout([512, 512], 3000).with_surround(0.25);
         let (mut stayed, mut moved) = (0, 0);
         for seed in 0..120 {
             let mut in_view = random_extents(seed / 4, 3000, 60);
@@ -971,7 +993,7 @@ mod tests {
     fn a_surround_of_patches_that_are_not_of_the_shown_level_has_no_blocks() {
         let size = InstanceSize { patches: vec![20, 10], ..InstanceSize::default() };
         let numbering = Numbering::new(&[size]);
-        let mut layout = layout([512, 512], 30).with_surround(0.25, ROOM);
+        let mut layout = layout([512, 512], 30).with_surround(0.25);
         let mut show = |level: usize| {
             let looks = Looks::new(&numbering, [Some(Levels { shown: level, next: None })]);
             layout.begin(1.0);
@@ -989,8 +1011,14 @@ mod tests {
 
     #[test]
     fn with_too_little_room_the_ground_near_the_viewer_stays_and_what_is_missing_is_counted() {
-        let mut layout =
-            Layout::new(AtlasExtent::MIN, 100, Room { patches: 20, vertices: 1000, triangles: 1000 });
+        let mut layout = Layout::new(AtlasExtent::MIN, 100);
+        let room = Room { patches: 20, vertices: 1000, triangles: 1000 };
+        let place = |layout: &mut Layout, extents: &[u32]| {
+            let looks = Looks::of_one(extents.len() as u32);
+            layout.begin(1.0);
+            layout.see(Visible { looks: &looks, seen: &seen(extents) });
+            placed_in(room, layout, &Loose { patches: 100 }, &looks)
+        };
         let mut extents: Vec<u32> = (0..100).map(|patch| pack(3 + patch / 20, 3)).collect();
         extents[0] = pack(300, 200);
         place(&mut layout, &extents);
@@ -1070,7 +1098,7 @@ mod tests {
             changed_share(&mut layout, &finer, 2.0);
         }
         assert_eq!(layout.used_share(), settled);
-        let mut at_once = Layout::new(AtlasExtent::new(2048, 2048).expect("an atlas"), 1000, ROOM);
+        let mut at_once = Layout::new(AtlasExtent::new(2048, 2048).expect("an atlas"), 1000);
         changed_share(&mut at_once, &finer, 2.0);
         let is_as_large = |(patch, block): (ScenePatch, Block)| {
             let now = layout.states[patch.index()].block.expect("it is in view");
@@ -1082,7 +1110,7 @@ mod tests {
     #[test]
     fn a_surround_gives_way_where_what_is_in_view_takes_all_blocks_of_the_smallest_size() {
         let patches = Layout::most_blocks(AtlasExtent::MIN) as usize;
-        let mut layout = layout([512, 512], patches).with_surround(0.25, ROOM);
+        let mut layout = layout([512, 512], patches).with_surround(0.25);
         let (mut in_view, around) = (vec![pack(1, 1); patches], vec![pack(500, 500); patches]);
         in_view[patches * 9 / 10..].fill(0);
         for _ in 0..3 {

@@ -61,7 +61,6 @@ impl Seen {
 #[derive(Clone, Debug)]
 pub struct Surround {
     share: f32,
-    room: Room,
     chooser: Chooser,
     /// What was seen within a round of the sweep, ascending.
     seen: Vec<Seen>,
@@ -72,15 +71,8 @@ pub struct Surround {
 
 impl Surround {
     /// With a share of a client's room, 0..1.
-    pub fn new(share: f32, room: Room) -> Self {
-        Self {
-            share,
-            room,
-            chooser: Chooser::new(room),
-            seen: Vec::new(),
-            before: Vec::new(),
-            chosen: Vec::new(),
-        }
+    pub fn new(share: f32) -> Self {
+        Self { share, chooser: Chooser::default(), seen: Vec::new(), before: Vec::new(), chosen: Vec::new() }
     }
 
     /// Whether there is any.
@@ -107,11 +99,13 @@ impl Surround {
         &self.seen
     }
 
-    /// Those of `kept` that fit what may be taken, of a client that has room `left` and an atlas of so many texels; ascending.
+    /// Those of `kept` that fit what may be taken, of a client that has of its `room` so much `left`, and an atlas of so many texels;
+    /// ascending.
     pub fn choose(
         &mut self,
         geometry: &impl Geometry,
         kept: &mut [Kept],
+        room: Room,
         left: Room,
         atlas_texels: u64,
     ) -> &[Candidate] {
@@ -124,22 +118,22 @@ impl Surround {
             }
             None => false,
         };
-        self.chooser.set_room(self.allowed(left));
+        let allowed = self.allowed(room, left);
         self.chosen.clear();
         self.chosen.extend(kept.iter().take_while(fits).map(|kept| kept.candidate));
         self.chosen.sort_unstable_by_key(|candidate| candidate.patch);
-        self.chooser.choose(geometry, &mut self.chosen);
+        self.chooser.choose(geometry, allowed, &mut self.chosen);
         &self.chosen
     }
 
-    fn allowed(&self, left: Room) -> Room {
+    fn allowed(&self, room: Room, left: Room) -> Room {
         let of = |all: u32, left: u32| {
             ((all as f32 * self.share) as u32).min((left as f32 * (1.0 - LEFT_FREE)) as u32)
         };
         Room {
-            patches: of(self.room.patches, left.patches),
-            vertices: of(self.room.vertices, left.vertices),
-            triangles: of(self.room.triangles, left.triangles),
+            patches: of(room.patches, left.patches),
+            vertices: of(room.vertices, left.vertices),
+            triangles: of(room.triangles, left.triangles),
         }
     }
 }
@@ -162,8 +156,8 @@ mod tests {
     fn chosen(share: f32, left: Room, atlas_texels: u64) -> Vec<u32> {
         let mut all: Vec<Kept> = (0..200).map(|patch| kept(patch, 10 + patch)).collect();
         let geometry = Loose { patches: 200 };
-        let mut surround = Surround::new(share, ROOM);
-        let chosen = surround.choose(&geometry, &mut all, left, atlas_texels);
+        let mut surround = Surround::new(share);
+        let chosen = surround.choose(&geometry, &mut all, ROOM, left, atlas_texels);
         chosen.iter().map(|chosen| chosen.patch.0).collect()
     }
 
@@ -172,13 +166,12 @@ mod tests {
         let last = |count: u32| (200 - count..200).collect::<Vec<_>>();
         assert_eq!(chosen(0.25, ROOM, ATLAS_TEXELS), last(25));
         assert_eq!(chosen(0.25, ROOM, ATLAS_TEXELS / 5), last(5), "texels");
-        let less = |room: Room| Surround { room, ..Surround::new(0.25, ROOM) };
         for room in
             [Room { patches: 20, ..ROOM }, Room { vertices: 60, ..ROOM }, Room { triangles: 20, ..ROOM }]
         {
             let mut all: Vec<Kept> = (0..200).map(|patch| kept(patch, 10 + patch)).collect();
-            let mut surround = less(room);
-            let chosen = surround.choose(&Loose { patches: 200 }, &mut all, ROOM, ATLAS_TEXELS);
+            let mut surround = Surround::new(0.25);
+            let chosen = surround.choose(&Loose { patches: 200 }, &mut all, room, ROOM, ATLAS_TEXELS);
             assert_eq!(chosen.len(), 5, "{room:?}");
         }
     }
@@ -196,12 +189,12 @@ mod tests {
     #[test]
     fn without_a_share_nothing_is_kept() {
         assert!(chosen(0.0, ROOM, ATLAS_TEXELS).is_empty());
-        assert!(!Surround::new(0.0, ROOM).is_kept());
+        assert!(!Surround::new(0.0).is_kept());
     }
 
     #[test]
     fn what_was_seen_is_known_for_a_round_of_the_sweep() {
-        let mut surround = Surround::new(0.25, ROOM);
+        let mut surround = Surround::new(0.25);
         let mut see = |update: u32, patches: &[u32]| {
             surround.see(update, patches.iter().map(|patch| (ScenePatch(*patch), [5; 2])));
             surround.seen().iter().map(|seen| seen.patch.0).collect::<Vec<_>>()
@@ -214,7 +207,7 @@ mod tests {
 
     #[test]
     fn an_extent_is_the_largest_of_a_round_so_that_places_of_the_eye_do_not_change_it() {
-        let mut surround = Surround::new(0.25, ROOM);
+        let mut surround = Surround::new(0.25);
         let mut extents = |updates: std::ops::Range<u32>, scale: u16| {
             let mut see = |update: u32| {
                 let extent = [scale * (10 + (update % ROUND_UPDATES) as u16 % 7), scale * 9];

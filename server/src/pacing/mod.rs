@@ -6,6 +6,7 @@
 pub mod density;
 pub mod gate;
 pub mod overlap;
+pub mod pressure;
 pub mod quality;
 pub mod room;
 pub mod shade_rate;

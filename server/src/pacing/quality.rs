@@ -9,7 +9,6 @@
 //! What is left over is for more texels ([`crate::pacing::density`]).
 
 use crate::pacing::density::Spare;
-use shadecast_protocol::flags::number;
 use shadecast_protocol::message::Codec;
 
 /// The quantisation parameter used unless told otherwise.
@@ -54,24 +53,6 @@ pub enum QualityOptions {
     Constant(u8),
     /// As fine as the streams of one client take no more than so many Mbit/s together.
     Bitrate(f64),
-}
-
-/// The same on a command line.
-#[derive(Clone, Copy, Debug, clap::Args)]
-pub struct QualityArgs {
-    /// The same quantisation for all pictures, 0 (finest) to 51, instead of one that follows --bitrate
-    #[arg(long, conflicts_with = "bitrate", value_parser = clap::value_parser!(u8).range(0..=51))]
-    qp: Option<u8>,
-    /// What all streams of one client may take together, Mbit/s: pictures are quantised as finely as that allows
-    #[arg(long, value_name = "MBIT", default_value_t = DEFAULT_BITRATE_MBIT_S, value_parser = number(0.1..=1000.0, "Mbit/s"))]
-    bitrate: f64,
-}
-
-impl QualityArgs {
-    /// What was asked for.
-    pub fn options(self) -> QualityOptions {
-        self.qp.map_or(QualityOptions::Bitrate(self.bitrate), QualityOptions::Constant)
-    }
 }
 
 impl Default for QualityOptions {

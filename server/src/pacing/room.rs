@@ -1,4 +1,4 @@
-//! How much a client can be shown at one time.
+//! How much a client can be shown at one time. The updates of a viewer hold it; whoever chooses for them is given it with each choice.
 
 /// How much a client can be shown at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -46,14 +46,7 @@ pub struct Brightness {
 impl Gloss {
     /// Of a material with its model's textures.
     pub fn of(material: &Material, textures: &[Texture], light: Brightness) -> Self {
-        let slots = [
-            material.base_color_texture,
-            material.metallic_roughness_texture,
-            material.normal_texture,
-            material.occlusion_texture,
-            material.emissive_texture,
-        ];
-        let is_textured = slots.iter().any(Option::is_some);
+        let is_textured = material.texture_slots().iter().any(Option::is_some);
         let steps_by_octave = if is_textured { TEXTURE_STEPS_BY_OCTAVE } else { 0.0 };
         if material.unlit {
             return Self { steps_by_radian: 0.0, steps_by_octave, is_lit: false };

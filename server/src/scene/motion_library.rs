@@ -6,6 +6,7 @@
 use super::rasters::{Joints, Raster, Rasters};
 use crate::animation::manager::{AnimationManager, BoneOrder, rows};
 use crate::scene::numbering::Numbering;
+use crate::support::named::{UnknownName, named};
 use shadecast_protocol::ids::{ClipId, InstanceId, RestId, SkeletonId};
 use shadecast_protocol::limits::{
     ARENA_ALIGNMENT_WORDS, CHUNK_S, DEFAULT_ARENA_WORDS, DEFAULT_SAMPLE_RING, MAX_ARENA_WORDS,
@@ -34,7 +35,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 /// How instances that move are sent.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MotionOption {
     /// Clips where there are any, poses where an application gives them, samples for the rest
     #[default]
@@ -47,6 +48,36 @@ pub enum MotionOption {
     Samples,
     /// Three predicted positions a vertex with every update, as the paper does
     Paper,
+}
+
+impl MotionOption {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::Auto, Self::Clip, Self::Palette, Self::Samples, Self::Paper];
+
+    /// Its name, as a person writes it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Clip => "clip",
+            Self::Palette => "palette",
+            Self::Samples => "samples",
+            Self::Paper => "paper",
+        }
+    }
+}
+
+impl std::fmt::Display for MotionOption {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl std::str::FromStr for MotionOption {
+    type Err = UnknownName;
+
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        named("the motion", text, &Self::ALL, Self::name)
+    }
 }
 
 /// Step of positions before skinning, metres in the world at the largest size at which their mesh is drawn.

@@ -1,5 +1,6 @@
 //! What skinning reads of meshes beside their vertices: morph targets, and vertices packed for it where that is asked for.
 
+use crate::support::named::{UnknownName, named};
 use crate::support::upload;
 use shadecast_gpu::{Buffer, Gpu, GpuError};
 use shadecast_scene::influences::units_of_weight;
@@ -10,7 +11,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 /// How vertices get their matrices.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Skinning {
     /// The paper's: each vertex walks the whole parent chain of each of its bones
     PerVertexChain,
@@ -19,6 +20,34 @@ pub enum Skinning {
     Palette,
     /// As palette, from compact vertices, each number of influences by itself
     Packed,
+}
+
+impl Skinning {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::PerVertexChain, Self::Palette, Self::Packed];
+
+    /// Its name, as a person writes it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::PerVertexChain => "per-vertex-chain",
+            Self::Palette => "palette",
+            Self::Packed => "packed",
+        }
+    }
+}
+
+impl std::fmt::Display for Skinning {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl std::str::FromStr for Skinning {
+    type Err = UnknownName;
+
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        named("the skinning", text, &Self::ALL, Self::name)
+    }
 }
 
 /// A mesh's place in the shared buffers.

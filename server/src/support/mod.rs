@@ -3,5 +3,6 @@
 pub mod bit_set;
 pub mod lock;
 pub mod merged;
+pub mod named;
 pub(crate) mod pool;
 pub mod upload;

@@ -129,7 +129,7 @@ impl ViewerUpdates {
         Ok(Self {
             id,
             head: HeadTrack::new(capabilities.display_period_ns),
-            visibility: VisibilityStep::new(world, (id, eye), show, room, &policy)?,
+            visibility: VisibilityStep::new(world, (id, eye), show, &policy)?,
             placement: PlacementStep::new(world, eye, welcome, (room, show.surround), &policy),
             shading: ShadingStep::new(world, eye, welcome.atlas_extent_texels, &policy)?,
             policy,
@@ -212,6 +212,7 @@ impl ViewerUpdates {
             views,
             texels_per_pixel: self.placement.asked_texels_per_pixel(),
             error: self.placement.error(),
+            room: self.placement.room(),
             timings,
         }
     }

@@ -65,8 +65,8 @@ impl PlacementStep {
         Self {
             eye,
             policy: policy.clone(),
-            layout: Layout::new(welcome.atlas_extent_texels, scene.numbering.totals.patches as usize, room)
-                .with_surround(surround, room),
+            layout: Layout::new(welcome.atlas_extent_texels, scene.numbering.totals.patches as usize)
+                .with_surround(surround),
             changes: Vec::new(),
             residency: Residency::new(world.samples(), welcome.patch_slots, welcome.vertex_slots)
                 .with_skinning(Skinning::new(scene, world.timeline(), welcome.motion), welcome.motion),
@@ -108,6 +108,11 @@ impl PlacementStep {
         self.shortage.total()
     }
 
+    /// How much the client can be shown at once.
+    pub fn room(&self) -> Room {
+        self.room
+    }
+
     /// Takes in the result of a look. Returns whether there is room for all of it.
     pub fn see(&mut self, world: &World, seen: Seen<'_>) -> bool {
         let Seen { aim, texels_per_pixel, looks, seen, detail } = seen;
@@ -123,13 +128,13 @@ impl PlacementStep {
         self.layout.see(Visible { looks, seen });
         self.switch(world, looks, detail);
         self.measure(looks, detail);
-        self.layout.has_room(world.samples(), looks)
+        self.layout.has_room(world.samples(), looks, self.room)
     }
 
     /// Places what was seen. Returns what the client must learn.
     pub fn place(&mut self, world: &mut World, Looked { start, looks, .. }: &Looked) -> UpdateDelta {
         let mut changes: Vec<PlacementChange> = std::mem::take(&mut self.changes);
-        self.layout.place(world.samples(), looks, &mut changes); // 4, 5
+        self.layout.place(world.samples(), looks, self.room, &mut changes); // 4, 5
         self.density.note(self.spare, self.layout.settled_share(), self.layout.density() < 1.0);
         let began = world.effort().begin();
         let delta = self.tell(world, start.update, &start.views, &changes); // 8

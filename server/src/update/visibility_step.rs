@@ -86,6 +86,8 @@ pub struct Start {
     pub texels_per_pixel: f32,
     /// Factor on the allowed error of levels of detail.
     pub error: f32,
+    /// How much the client can be shown at once.
+    pub room: Room,
     /// Memory for the device time of its looks.
     pub timings: Timings,
 }
@@ -156,7 +158,6 @@ impl VisibilityStep {
         world: &World,
         (viewer, eye): (ViewerId, EyeSize),
         show: ShowOptions,
-        room: Room,
         policy: &Arc<UpdatePolicy>,
     ) -> Result<Self, GpuError> {
         let (gpu, scene, animation) = (world.gpu(), world.scene(), world.animation());
@@ -172,7 +173,7 @@ impl VisibilityStep {
             culling: culling(scene),
             needs: Needed::none(scene.numbering.instances.len()),
             around: (show.surround > 0.0).then(|| Around::new(scene)),
-            detail: Detail::new(show.detail_pixels, room, level_costs(scene)),
+            detail: Detail::new(show.detail_pixels, level_costs(scene)),
             views,
             turned_frusta: 0,
             looked_at: [false; VIEW_TIMES],
@@ -191,7 +192,7 @@ impl VisibilityStep {
         let glance = self.look_for_surround(views);
         let near: &mut Vec<f32> = &mut self.lists.pixels_per_metre;
         pixels_per_metre(world.scene(), world.grid(), views, self.eye.pixels_per_radian(), near);
-        self.detail.begin(&self.needs, near, start.error);
+        self.detail.begin(start.room, &self.needs, near, start.error);
         let mut recorder = world.gpu().record()?;
         let began = world.effort().begin();
         self.needs.set_levels(self.detail.finest());
@@ -227,7 +228,7 @@ impl VisibilityStep {
     ) -> Result<bool, GpuError> {
         let Begun { start, glance, sampled, aim, look } = begun;
         let Aim::InView(number) = aim else { return Ok(false) };
-        if !has_room && *number < MAX_LOOKS && self.detail.tighten() {
+        if !has_room && *number < MAX_LOOKS && self.detail.tighten(start.room) {
             *number += 1;
             self.lists.looks = std::mem::take(&mut look.looks);
             *look = self.look_again(world.gpu().record()?, world, (&*sampled, &start.views))?;

@@ -6,6 +6,7 @@
 //! taken back one after the other once there has been room for a while. Which patches of a level will be seen is only known once
 //! it was looked at; until then as large a part of them is taken to be seen as of the level that is shown.
 
+use crate::pacing::pressure::{Level, Pressure};
 use crate::pacing::room::Room;
 use crate::visibility::culling::Needed;
 use crate::visibility::lod_set::Levels;
@@ -27,10 +28,6 @@ const ROOMY: f32 = 0.8;
 /// A step that had to be taken again soon after makes the next try wait for that much more room.
 const MORE_ROOM: f32 = 0.85;
 const MOST_ROOM: f32 = 0.3;
-/// A step is taken back after there was room for so many updates.
-const RECOVER_AFTER_UPDATES: u32 = 15;
-/// A step that is taken again within so many updates should not have been taken back.
-const TRIAL_UPDATES: u32 = 60;
 /// Part of a level's patches that is taken to be seen of what was never looked at: more than half of a closed surface is rare.
 const UNKNOWN_SHARE: f32 = 0.6;
 /// Vertices at the rim of what is seen, as a factor.
@@ -57,11 +54,12 @@ pub struct Detail {
     asked_pixels: f32,
     /// So many times as much is allowed where nothing presses.
     error: f32,
-    room: Room,
     /// By instance.
     costs: Vec<Vec<LevelCost>>,
     states: Vec<State>,
-    pressure: Pressure,
+    pressure: Pressure<Steps>,
+    /// What [`ROOMY`] has come to.
+    roomy: f32,
     update: u32,
 }
 
@@ -88,15 +86,14 @@ impl State {
     }
 }
 
-/// How many times the allowed error has grown, and when it may shrink.
-#[derive(Clone, Copy, Debug)]
-struct Pressure {
-    steps: u32,
-    roomy_updates: u32,
-    /// The update in which a step was taken back last.
-    fell: Option<u32>,
-    /// What [`ROOMY`] has come to.
-    roomy: f32,
+/// How many times the allowed error has grown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Steps(u32);
+
+impl Level for Steps {
+    fn finer(self) -> Option<Self> {
+        self.0.checked_sub(1).map(Self)
+    }
 }
 
 /// What is seen, about.
@@ -118,25 +115,25 @@ impl Seen {
 }
 
 impl Detail {
-    /// Levels with an error of so many pixels of a client that has this room; with 0 everything is shown in full detail,
-    /// whether there is room for it or not. `costs`: the levels by instance, one at least.
-    pub fn new(asked_pixels: f32, room: Room, costs: Vec<Vec<LevelCost>>) -> Self {
+    /// Levels with an error of so many pixels; with 0 everything is shown in full detail, whether there is room for it or not.
+    /// `costs`: the levels by instance, one at least.
+    pub fn new(asked_pixels: f32, costs: Vec<Vec<LevelCost>>) -> Self {
         let state =
             State { is_needed: false, shown: None, wanted: 0, share: UNKNOWN_SHARE, pixels_per_metre: 0.0 };
         Self {
             asked_pixels,
             error: 1.0,
-            room,
             states: vec![state; costs.len()],
             costs,
-            pressure: Pressure { steps: 0, roomy_updates: 0, fell: None, roomy: ROOMY },
+            pressure: Pressure::new(Steps(0)),
+            roomy: ROOMY,
             update: 0,
         }
     }
 
-    /// An update begins, which needs some instances and sees a metre of each of their models with so many pixels at most. Levels may
+    /// An update begins for a client with this room, which needs some instances and sees a metre of each of their models with so many pixels at most. Levels may
     /// err by so many times as much as was asked for.
-    pub fn begin(&mut self, needed: &Needed, pixels_per_metre: &[f32], error: f32) {
+    pub fn begin(&mut self, room: Room, needed: &Needed, pixels_per_metre: &[f32], error: f32) {
         self.error = error;
         self.update += 1;
         for (instance, state) in self.states.iter_mut().enumerate() {
@@ -146,10 +143,10 @@ impl Detail {
             }
         }
         if self.asked_pixels > 0.0 {
-            self.relieve();
-            let is_tight = !self.fits(self.pressure.steps);
+            self.relieve(room);
+            let is_tight = !self.fits(room, self.steps());
             if is_tight {
-                self.press();
+                self.press(room);
             }
             let may_change = is_tight || self.update % CHANGE_EVERY_UPDATES == 1;
             self.want(|state| may_change || state.shown.is_none());
@@ -189,14 +186,14 @@ impl Detail {
     }
 
     /// What was measured does not fit: coarser levels are wanted. False where there are none.
-    pub fn tighten(&mut self) -> bool {
+    pub fn tighten(&mut self, room: Room) -> bool {
         let wanted = |states: &[State]| states.iter().map(|state| state.wanted).collect::<Vec<_>>();
         let before = wanted(&self.states);
         while self.asked_pixels > 0.0 && wanted(&self.states) == before {
-            if self.is_coarsest(self.pressure.steps) {
+            if self.is_coarsest(self.steps()) {
                 return false;
             }
-            self.press();
+            self.press(room);
             self.want(|_| true);
         }
         self.asked_pixels > 0.0
@@ -204,7 +201,11 @@ impl Detail {
 
     /// Pixels of error that are allowed now.
     pub fn allowed_pixels(&self) -> f32 {
-        self.allowed(self.pressure.steps)
+        self.allowed(self.steps())
+    }
+
+    fn steps(&self) -> u32 {
+        self.pressure.level().0
     }
 
     fn allowed(&self, steps: u32) -> f32 {
@@ -219,31 +220,25 @@ impl Detail {
     }
 
     /// Steps until what is seen fits, one at least.
-    fn press(&mut self) {
-        let Pressure { steps, fell, roomy, .. } = self.pressure;
-        let mut steps = (steps + 1).min(MOST_STEPS);
-        while !self.fits(steps) && !self.is_coarsest(steps) {
+    fn press(&mut self, room: Room) {
+        let mut steps = (self.steps() + 1).min(MOST_STEPS);
+        while !self.fits(room, steps) && !self.is_coarsest(steps) {
             steps += 1;
         }
-        let is_soon = fell.is_some_and(|fell| self.update - fell <= TRIAL_UPDATES);
-        let roomy = if is_soon { (roomy * MORE_ROOM).max(MOST_ROOM) } else { roomy };
-        self.pressure = Pressure { steps, roomy_updates: 0, fell: None, roomy };
+        if self.pressure.rise(self.update, Steps(steps)) {
+            self.roomy = (self.roomy * MORE_ROOM).max(MOST_ROOM);
+        }
+        self.pressure.start_over();
     }
 
     /// Takes steps back once there has been room for a while.
-    fn relieve(&mut self) {
-        if self.pressure.fell.is_some_and(|fell| self.update - fell > TRIAL_UPDATES) {
-            (self.pressure.fell, self.pressure.roomy) = (None, ROOMY);
+    fn relieve(&mut self, room: Room) {
+        let mut pressure = self.pressure;
+        if pressure.has_passed(self.update) {
+            self.roomy = ROOMY;
         }
-        let mut steps = self.pressure.steps;
-        while steps > 0 && self.need(steps - 1) <= self.pressure.roomy {
-            steps -= 1;
-        }
-        let is_roomy = steps < self.pressure.steps;
-        self.pressure.roomy_updates = if is_roomy { self.pressure.roomy_updates + 1 } else { 0 };
-        if self.pressure.roomy_updates >= RECOVER_AFTER_UPDATES {
-            self.pressure = Pressure { steps, roomy_updates: 0, fell: Some(self.update), ..self.pressure };
-        }
+        pressure.recover(self.update, |Steps(steps)| self.need(room, steps) <= self.roomy);
+        self.pressure = pressure;
     }
 
     /// Whether everything is at its coarsest with so many steps.
@@ -253,12 +248,12 @@ impl Detail {
         steps == MOST_STEPS || needed.all(|(state, costs)| state.level(costs, allowed) + 1 == costs.len())
     }
 
-    fn fits(&self, steps: u32) -> bool {
-        self.need(steps) <= 1.0
+    fn fits(&self, room: Room, steps: u32) -> bool {
+        self.need(room, steps) <= 1.0
     }
 
     /// What would be seen with so many steps, as a part of what may be filled.
-    fn need(&self, steps: u32) -> f32 {
+    fn need(&self, room: Room, steps: u32) -> f32 {
         let allowed = self.allowed(steps);
         let (mut all, mut most) = (Seen::default(), Seen::default());
         for (state, costs) in self.states.iter().zip(&self.costs).filter(|(state, _)| state.is_needed) {
@@ -271,15 +266,16 @@ impl Detail {
         }
         // While an instance changes its level, the client's memory holds both.
         let slots = |all: f32, most: f32, room: u32| (all + most) / (FILL * room as f32);
-        slots(all.patches, most.patches, self.room.patches)
-            .max(slots(all.vertices, most.vertices, self.room.vertices))
-            .max(all.triangles / (FILL_TRIANGLES * self.room.triangles as f32))
+        slots(all.patches, most.patches, room.patches)
+            .max(slots(all.vertices, most.vertices, room.vertices))
+            .max(all.triangles / (FILL_TRIANGLES * room.triangles as f32))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pacing::pressure::RECOVER_AFTER_UPDATES;
     use rand::{Rng, SeedableRng, rngs::SmallRng};
 
     const ROOM: Room = Room { patches: 131_072, vertices: 131_072, triangles: 786_432 };
@@ -301,7 +297,11 @@ mod tests {
 
     /// An update after which everything that is wanted is shown, and `share` of its patches was seen.
     fn update(detail: &mut Detail, pixels_per_metre: &[f32], share: f32) -> Vec<usize> {
-        detail.begin(&Needed::all(pixels_per_metre.len()), pixels_per_metre, 1.0);
+        update_in(ROOM, detail, pixels_per_metre, share)
+    }
+
+    fn update_in(room: Room, detail: &mut Detail, pixels_per_metre: &[f32], share: f32) -> Vec<usize> {
+        detail.begin(room, &Needed::all(pixels_per_metre.len()), pixels_per_metre, 1.0);
         let levels = shown(detail);
         for (instance, level) in levels.iter().enumerate() {
             detail.switched(instance);
@@ -316,7 +316,7 @@ mod tests {
         let mut rng = SmallRng::seed_from_u64(5);
         for case in 0..300 {
             let costs = chain(rng.random_range(100..5000), rng.random_range(0.001..0.1), 6);
-            let mut detail = Detail::new(1.0, ROOM, vec![costs.clone(); 8]);
+            let mut detail = Detail::new(1.0, vec![costs.clone(); 8]);
             let mut near = rng.random_range(20.0..2000.0f32);
             let pixels: Vec<f32> = (0..8)
                 .map(|_| {
@@ -336,7 +336,7 @@ mod tests {
 
     #[test]
     fn a_distance_that_trembles_by_a_tenth_does_not_change_the_level() {
-        let mut detail = Detail::new(1.0, ROOM, vec![chain(1000, 0.01, 6)]);
+        let mut detail = Detail::new(1.0, vec![chain(1000, 0.01, 6)]);
         let mut changes = 0;
         for middle in [3.0f32, 12.0, 45.0, 49.0, 51.0, 70.0, 100.0] {
             (0..8).for_each(|_| drop(update(&mut detail, &[middle * 1.05], 0.5)));
@@ -354,8 +354,8 @@ mod tests {
     #[test]
     fn levels_may_err_by_as_many_times_what_was_asked_for_as_they_are_told() {
         let level = |asked_pixels: f32, error: f32| {
-            let mut detail = Detail::new(asked_pixels, ROOM, vec![chain(1000, 0.01, 6)]);
-            detail.begin(&Needed::all(1), &[20.0], error);
+            let mut detail = Detail::new(asked_pixels, vec![chain(1000, 0.01, 6)]);
+            detail.begin(ROOM, &Needed::all(1), &[20.0], error);
             (shown(&detail), detail.allowed_pixels())
         };
         let [fine, asked, coarse] = [0.5, 1.0, 2.0].map(|error| level(1.0, error));
@@ -366,9 +366,9 @@ mod tests {
     #[test]
     fn without_an_allowed_error_everything_has_full_detail() {
         let room = Room { patches: 10, vertices: 10, triangles: 10 };
-        let mut detail = Detail::new(0.0, room, vec![chain(1000, 0.01, 6); 3]);
-        assert_eq!(update(&mut detail, &[0.001; 3], 1.0), [0; 3]);
-        assert!(!detail.tighten());
+        let mut detail = Detail::new(0.0, vec![chain(1000, 0.01, 6); 3]);
+        assert_eq!(update_in(room, &mut detail, &[0.001; 3], 1.0), [0; 3]);
+        assert!(!detail.tighten(room));
     }
 
     #[test]
@@ -383,9 +383,10 @@ mod tests {
             let room = coarsest * rng.random_range(4..40);
             let room = Room { patches: room, vertices: 2 * room, triangles: 4 * room };
             let share = rng.random_range(0.2..0.9);
-            let mut detail = Detail::new(1.0, room, costs.clone());
+            let mut detail = Detail::new(1.0, costs.clone());
             let pixels: Vec<f32> = (0..count).map(|_| rng.random_range(1.0..500.0)).collect();
-            let history: Vec<Vec<usize>> = (0..400).map(|_| update(&mut detail, &pixels, share)).collect();
+            let history: Vec<Vec<usize>> =
+                (0..400).map(|_| update_in(room, &mut detail, &pixels, share)).collect();
             for (number, levels) in history.iter().enumerate().skip(1) {
                 let seen: f32 = levels
                     .iter()
@@ -406,13 +407,14 @@ mod tests {
 
     #[test]
     fn the_error_that_is_allowed_shrinks_again_when_there_is_room() {
-        let mut detail = Detail::new(1.0, Room { patches: 3000, ..ROOM }, vec![chain(1000, 0.01, 6); 20]);
-        let near = update(&mut detail, &[100.0; 20], 0.5);
+        let room = Room { patches: 3000, ..ROOM };
+        let mut detail = Detail::new(1.0, vec![chain(1000, 0.01, 6); 20]);
+        let near = update_in(room, &mut detail, &[100.0; 20], 0.5);
         assert!(detail.allowed_pixels() > 1.0 && near[0] > 0);
         // All but two go.
         let few: Needed = (0..20).map(|instance| instance < 2).collect();
         for _ in 0..2 * RECOVER_AFTER_UPDATES {
-            detail.begin(&few, &[100.0; 20], 1.0);
+            detail.begin(room, &few, &[100.0; 20], 1.0);
             for instance in [0, 1] {
                 detail.switched(instance);
                 let level = shown(&detail)[instance];
@@ -424,25 +426,26 @@ mod tests {
 
     #[test]
     fn what_is_measured_not_to_fit_is_made_coarser_in_the_same_update() {
-        let mut detail = Detail::new(1.0, Room { patches: 100_000, ..ROOM }, vec![chain(1000, 0.01, 3); 4]);
-        update(&mut detail, &[100.0; 4], 0.5);
+        let room = Room { patches: 100_000, ..ROOM };
+        let mut detail = Detail::new(1.0, vec![chain(1000, 0.01, 3); 4]);
+        update_in(room, &mut detail, &[100.0; 4], 0.5);
         assert_eq!(shown(&detail), [0; 4]);
-        assert!(detail.tighten() && shown(&detail).iter().all(|level| *level > 0));
-        assert!(detail.tighten() && shown(&detail) == [2; 4]);
-        assert!(!detail.tighten(), "there is nothing coarser");
+        assert!(detail.tighten(room) && shown(&detail).iter().all(|level| *level > 0));
+        assert!(detail.tighten(room) && shown(&detail) == [2; 4]);
+        assert!(!detail.tighten(room), "there is nothing coarser");
     }
 
     #[test]
     fn a_level_is_shown_once_it_was_brought_unless_nothing_of_the_other_is_seen() {
-        let mut detail = Detail::new(1.0, ROOM, vec![chain(1000, 0.01, 6); 2]);
+        let mut detail = Detail::new(1.0, vec![chain(1000, 0.01, 6); 2]);
         update(&mut detail, &[1.0; 2], 0.5);
         let coarse = shown(&detail);
         for _ in 0..CHANGE_EVERY_UPDATES {
-            detail.begin(&Needed::all(2), &[1000.0; 2], 1.0);
+            detail.begin(ROOM, &Needed::all(2), &[1000.0; 2], 1.0);
             detail.measured(0, 5);
             detail.measured(1, 0);
         }
-        detail.begin(&Needed::all(2), &[1000.0; 2], 1.0);
+        detail.begin(ROOM, &Needed::all(2), &[1000.0; 2], 1.0);
         let levels: Vec<_> = detail.levels().flatten().collect();
         assert_eq!(levels[0], Levels { shown: coarse[0], next: Some(0) });
         assert_eq!(levels[1], Levels { shown: 0, next: None });

@@ -3,10 +3,11 @@
 //! What is seen is held for some updates, so that those that follow each other see for each other: see `docs/decisions.md` for what
 //! fewer looks find and cost.
 
+use crate::support::named::{UnknownName, named};
 use crate::time::VIEW_TIMES;
 
 /// See the module.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ViewPlan {
     /// At each of them
     #[default]
@@ -26,6 +27,30 @@ pub enum ViewPlan {
 }
 
 impl ViewPlan {
+    /// All of them.
+    pub const ALL: [Self; 7] = [
+        Self::Every,
+        Self::Ends,
+        Self::TwoInTurn,
+        Self::EndsInTurn,
+        Self::OneInTurn,
+        Self::WideMiddle,
+        Self::Middle,
+    ];
+
+    /// Its name, as a person writes it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Every => "every",
+            Self::Ends => "ends",
+            Self::TwoInTurn => "two-in-turn",
+            Self::EndsInTurn => "ends-in-turn",
+            Self::OneInTurn => "one-in-turn",
+            Self::WideMiddle => "wide-middle",
+            Self::Middle => "middle",
+        }
+    }
+
     /// Which times the update of this number looks at.
     pub fn times(self, update: u32) -> [bool; VIEW_TIMES] {
         let turn = update as usize % VIEW_TIMES;
@@ -45,15 +70,28 @@ impl ViewPlan {
     }
 }
 
+impl std::fmt::Display for ViewPlan {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl std::str::FromStr for ViewPlan {
+    type Err = UnknownName;
+
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        named("the times that an update looks at", text, &Self::ALL, Self::name)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::visibility::holding::HOLD_UPDATES;
-    use clap::ValueEnum;
 
     #[test]
     fn every_update_looks_and_what_is_in_turn_comes_round_before_what_was_seen_is_given_up() {
-        for plan in ViewPlan::value_variants() {
+        for plan in ViewPlan::ALL {
             let looks = |time: usize| (0..HOLD_UPDATES / 2).any(|update| plan.times(update)[time]);
             let middle_alone = matches!(plan, ViewPlan::Middle | ViewPlan::WideMiddle);
             assert!(middle_alone || looks(0) && looks(VIEW_TIMES - 1), "{plan:?}");

@@ -7,7 +7,6 @@ pub mod clock;
 pub mod close;
 pub mod coverage;
 pub mod delta;
-pub mod flags;
 pub mod geometry;
 pub mod ids;
 pub mod limits;

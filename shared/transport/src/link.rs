@@ -137,18 +137,20 @@ fn split_unit(value: &str) -> Option<(f64, &str)> {
     Some((number, unit.trim()))
 }
 
+/// A number with a unit, times what the unit stands for. The names say what such a value is, what its units are of, and which to use.
+fn in_units(value: &str, units: &[(&str, f64)], [what, of, usual]: [&str; 3]) -> Result<f64, String> {
+    let (number, unit) = split_unit(value).ok_or_else(|| format!("this is not a {what}"))?;
+    match units.iter().find(|(name, _)| *name == unit) {
+        Some((_, scale)) => Ok(number * scale),
+        None if unit.is_empty() => Err(format!("the unit is missing ({usual})")),
+        None => Err(format!("\"{unit}\" is not a unit of {of} ({usual})")),
+    }
+}
+
 /// Nanoseconds from `20ms`, `500us`, `2s`.
 fn parse_duration(value: &str) -> Result<i64, String> {
-    let (number, unit) = split_unit(value).ok_or("this is not a duration")?;
-    let scale = match unit {
-        "ns" => 1.0,
-        "us" => 1e3,
-        "ms" => 1e6,
-        "s" => 1e9,
-        "" => return Err("the unit is missing (us, ms or s)".into()),
-        other => return Err(format!("\"{other}\" is not a unit of time (us, ms or s)")),
-    };
-    let ns = number * scale;
+    let units = [("ns", 1.0), ("us", 1e3), ("ms", 1e6), ("s", 1e9)];
+    let ns = in_units(value, &units, ["duration", "time", "us, ms or s"])?;
     if ns > 60e9 { Err("more than 60 s".into()) } else { Ok(ns.round() as i64) }
 }
 
@@ -163,16 +165,8 @@ fn parse_percent(value: &str) -> Result<f64, String> {
 
 /// Bits per second from `100mbit`.
 fn parse_rate(value: &str) -> Result<u64, String> {
-    let (number, unit) = split_unit(value).ok_or("this is not a rate")?;
-    let scale = match unit {
-        "bit" => 1.0,
-        "kbit" => 1e3,
-        "mbit" => 1e6,
-        "gbit" => 1e9,
-        "" => return Err("the unit is missing (kbit, mbit or gbit)".into()),
-        other => return Err(format!("\"{other}\" is not a unit of rate (kbit, mbit or gbit)")),
-    };
-    let rate = number * scale;
+    let units = [("bit", 1.0), ("kbit", 1e3), ("mbit", 1e6), ("gbit", 1e9)];
+    let rate = in_units(value, &units, ["rate", "rate", "kbit, mbit or gbit"])?;
     if !(1000.0..=1e12).contains(&rate) {
         return Err("a rate lies between 1kbit and 1000gbit".into());
     }

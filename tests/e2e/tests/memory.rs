@@ -7,7 +7,7 @@ use shadecast_lab::session::options::RunOptions;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
 use shadecast_server::atlas::surround::DEFAULT_SURROUND;
-use shadecast_server::inspect;
+use shadecast_server_cli::inspect;
 use shadecast_test_support::headset::turn;
 
 /// What `inspect memory` prints as JSON.

@@ -3,9 +3,10 @@
 use super::run::ReconstructionArgument;
 use super::write_json;
 use clap::Args;
+use shadecast_desktop::flags::{MOST_S, number, size};
 use shadecast_lab::experiments::causes::{self, CAUSES, Cause};
 use shadecast_lab::session::options::{RunOptions, USUAL_LINK};
-use shadecast_protocol::flags::{MOST_S, number, size};
+use shadecast_server_cli::arguments::GpuArgs;
 use std::path::{Path, PathBuf};
 
 #[derive(Args)]
@@ -30,12 +31,8 @@ pub(super) struct CausesArgs {
     /// Writes the table to this JSON file
     #[arg(long)]
     json: Option<PathBuf>,
-    /// Vulkan validation layers on
-    #[arg(long)]
-    validation: bool,
-    /// Part of the wanted Vulkan device's name
-    #[arg(long)]
-    device: Option<String>,
+    #[command(flatten)]
+    gpu: GpuArgs,
 }
 
 pub(super) fn run(args: CausesArgs) -> anyhow::Result<()> {
@@ -46,8 +43,8 @@ pub(super) fn run(args: CausesArgs) -> anyhow::Result<()> {
         reconstruction: args.reconstruction.into(),
         seconds: args.seconds,
         extent_pixels: args.size,
-        validation: args.validation,
-        device: args.device,
+        validation: args.gpu.validation,
+        device: args.gpu.device,
         verbose: true,
         ..causes::usual(args.scene.parse()?, folder.clone())
     };

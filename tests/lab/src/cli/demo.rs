@@ -2,9 +2,9 @@
 
 use super::device::open_device;
 use clap::Args;
+use shadecast_desktop::flags::{number, size};
 use shadecast_lab::demo::window::{DemoWindowOptions, demo_window};
 use shadecast_lab::demo::{DemoOptions, demo};
-use shadecast_protocol::flags::{number, size};
 use std::path::PathBuf;
 
 #[derive(Args)]

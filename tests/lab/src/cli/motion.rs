@@ -2,10 +2,11 @@
 
 use super::write_json;
 use clap::Args;
+use shadecast_desktop::flags::{MOST_S, number, size};
 use shadecast_lab::experiments::motion_table::{self, Condition, KINDS, Kind};
 use shadecast_lab::session::options::RunOptions;
 use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_protocol::flags::{MOST_S, number, size};
+use shadecast_server_cli::arguments::GpuArgs;
 use std::path::PathBuf;
 
 #[derive(Args)]
@@ -36,12 +37,8 @@ pub(super) struct MotionArgs {
     /// Writes the table to this JSON file
     #[arg(long)]
     json: Option<PathBuf>,
-    /// Vulkan validation layers on
-    #[arg(long)]
-    validation: bool,
-    /// Part of the server's device's name
-    #[arg(long)]
-    device: Option<String>,
+    #[command(flatten)]
+    gpu: GpuArgs,
 }
 
 pub(super) fn run(args: MotionArgs) -> anyhow::Result<()> {
@@ -54,8 +51,8 @@ pub(super) fn run(args: MotionArgs) -> anyhow::Result<()> {
         extent_pixels: args.size,
         atlas_extent_texels: args.atlas,
         seed: args.seed,
-        validation: args.validation,
-        device: args.device,
+        validation: args.gpu.validation,
+        device: args.gpu.device,
         verbose: true,
         ..RunOptions::new(args.scene.parse()?, folder.clone())
     };

@@ -3,8 +3,8 @@
 use anyhow::Context;
 
 use clap::{Args, value_parser};
+use shadecast_desktop::flags::number;
 use shadecast_lab::experiments::{render_thread, table1};
-use shadecast_protocol::flags::number;
 use shadecast_scene::load::MAX_DRAGONS;
 use std::path::PathBuf;
 

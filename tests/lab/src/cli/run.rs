@@ -2,30 +2,21 @@
 
 use clap::{Args, value_parser};
 use shadecast_client::draw::stages::atlas_draw::Reconstruction;
+use shadecast_desktop::flags::{MOST_S, number, size};
 use shadecast_lab::experiments::run::{self, Report};
 use shadecast_lab::experiments::viewers::run_each;
 use shadecast_lab::session::options::{
     Head, Renderer, RunOptions, Spared, StageMs, USUAL_LINK, ViewerOptions, parse_room,
 };
-use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_protocol::flags::{MOST_S, number, size};
-use shadecast_scene::animation::sampling::Sampling;
-use shadecast_server::atlas::surround::DEFAULT_SURROUND;
-use shadecast_server::pacing::quality::QualityArgs;
 use shadecast_server::pacing::room::Room;
-use shadecast_server::scene::SceneOptions;
-use shadecast_server::scene::motion_library::MotionOption;
-use shadecast_server::scene::skins::Skinning;
+use shadecast_server::update::ShowOptions;
 use shadecast_server::update::policy::UpdatePolicy;
-use shadecast_server::visibility::detail::DEFAULT_DETAIL_PIXELS;
 use shadecast_server::visibility::view_plan::ViewPlan;
+use shadecast_server_cli::arguments::{GpuArgs, RenderArgs, SceneArgs, one_of};
 use std::path::PathBuf;
 
 #[derive(Args)]
 pub(super) struct RunArgs {
-    /// Writes there what happened when, for Perfetto (ui.perfetto.dev)
-    #[arg(long, value_name = "FILE")]
-    trace: Option<PathBuf>,
     /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     scene: String,
     /// The clip that animated instances play [default: the scene's own choice]
@@ -80,20 +71,10 @@ pub(super) struct RunArgs {
     #[arg(long)]
     measure_motion: bool,
     #[command(flatten)]
-    quality: QualityArgs,
-    /// Atlas width and height in texels, powers of two from 512x512 to 4096x2048
-    #[arg(long, value_name = "WxH", default_value_t = AtlasExtent::DEFAULT)]
-    atlas: AtlasExtent,
-    /// Pixels of the client's display that a level of detail may err by, twice as many where bits or time are short, half as many where they are
-    /// to spare; 0: everything has full detail
-    #[arg(long, value_name = "PIXELS", default_value_t = DEFAULT_DETAIL_PIXELS, value_parser = number(0.0..=64.0f32, "pixels"))]
-    detail: f32,
+    render: RenderArgs,
     /// At which of its predicted times an update looks at the scene
-    #[arg(long, value_enum, default_value = "every")]
+    #[arg(long, default_value_t, value_parser = one_of(ViewPlan::ALL, of_views))]
     views: ViewPlan,
-    /// Part of the client's slots and of the atlas for what an abrupt turn of the head would show, 0 to 0.5; 0: none
-    #[arg(long, value_name = "SHARE", default_value_t = DEFAULT_SURROUND, value_parser = number(0.0..=0.5f32, "of all"))]
-    surround: f32,
     /// Texels that an update may shade again beside those of new blocks [default: all]
     #[arg(long, value_name = "TEXELS")]
     shade_texels: Option<u64>,
@@ -106,21 +87,10 @@ pub(super) struct RunArgs {
     /// How the client finds colours between the atlas's texels
     #[arg(long, value_enum, default_value = "bilinear")]
     reconstruction: ReconstructionArgument,
-    /// How clips become keys: error-bounded[:0.1mm], or the paper's constant[:100ms]
-    #[arg(long, default_value_t)]
-    sampling: Sampling,
-    /// How vertices are skinned
-    #[arg(long, value_enum, default_value_t)]
-    skinning: Skinning,
-    /// How clients are told of motion
-    #[arg(long, value_enum, default_value_t)]
-    motion: MotionOption,
-    /// Vulkan validation layers on
-    #[arg(long)]
-    validation: bool,
-    /// Part of the wanted Vulkan device's name
-    #[arg(long)]
-    device: Option<String>,
+    #[command(flatten)]
+    scene_options: SceneArgs,
+    #[command(flatten)]
+    gpu: GpuArgs,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -140,6 +110,19 @@ impl From<ReconstructionArgument> for Reconstruction {
     }
 }
 
+fn of_views(plan: ViewPlan) -> (&'static str, &'static str) {
+    let about = match plan {
+        ViewPlan::Every => "At each of them",
+        ViewPlan::Ends => "At the first and the last",
+        ViewPlan::TwoInTurn => "At two, in turn",
+        ViewPlan::EndsInTurn => "At the first and the last, in turn",
+        ViewPlan::OneInTurn => "At one, in turn",
+        ViewPlan::WideMiddle => "At the middle, with a wider view",
+        ViewPlan::Middle => "At the middle alone",
+    };
+    (plan.name(), about)
+}
+
 pub(super) fn run(args: RunArgs) -> anyhow::Result<()> {
     let viewers = args.viewer.clone();
     let options = run_options(args)?;
@@ -156,6 +139,7 @@ pub(super) fn run(args: RunArgs) -> anyhow::Result<()> {
 }
 
 pub(super) fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
+    let ShowOptions { detail_pixels, surround } = args.render.show();
     Ok(RunOptions {
         renderer: args.renderer,
         clip: args.clip,
@@ -169,13 +153,15 @@ pub(super) fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         extent_pixels: args.size,
         fov_degrees: args.fov,
         rate_hz: args.rate,
-        trace: args.trace,
-        detail_pixels: args.detail,
+        quality: args.render.quality(),
+        atlas_extent_texels: args.render.atlas,
+        trace: args.render.trace,
+        detail_pixels,
         spared: Spared {
             ideal: UpdatePolicy { views: args.views, reuse: !args.no_reuse, ..UpdatePolicy::default() },
             ..Spared::default()
         },
-        surround: args.surround,
+        surround,
         shade_texels: args.shade_texels,
         room: args.room,
         seed: args.seed,
@@ -183,17 +169,10 @@ pub(super) fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         compare_every: args.compare_every,
         compare_from: args.compare_from,
         stages: args.stage_ms,
-        validation: args.validation,
-        device: args.device,
-        quality: args.quality.options(),
+        validation: args.gpu.validation,
+        device: args.gpu.device,
         reconstruction: args.reconstruction.into(),
-        atlas_extent_texels: args.atlas,
-        scene_options: SceneOptions {
-            sampling: args.sampling,
-            skinning: args.skinning,
-            motion: args.motion,
-            ..SceneOptions::default()
-        },
+        scene_options: args.scene_options.options(),
         motion: args.measure_motion,
         verbose: true,
         ..RunOptions::new(args.scene.parse()?, args.out)

@@ -4,7 +4,7 @@ use anyhow::Context;
 
 use clap::Args;
 use shadecast_lab::experiments::skinning;
-use shadecast_scene::animation::sampling::Sampling;
+use shadecast_server_cli::arguments::SamplingArgs;
 use std::path::PathBuf;
 
 #[derive(Args)]
@@ -12,16 +12,15 @@ pub(super) struct SkinningArgs {
     /// dragon, dragons:N, a .glb/.gltf file, or a scene .toml
     #[arg(default_value = "dragons:9")]
     scene: String,
-    /// How clips become keys: error-bounded[:0.1mm], or the paper's constant[:100ms]
-    #[arg(long, default_value_t)]
-    sampling: Sampling,
+    #[command(flatten)]
+    sampling: SamplingArgs,
     /// Writes the figures to this JSON file
     #[arg(long)]
     out: Option<PathBuf>,
 }
 
 pub(super) fn run(args: &SkinningArgs) -> anyhow::Result<()> {
-    let report = skinning::measure(&args.scene.parse()?, args.sampling)?;
+    let report = skinning::measure(&args.scene.parse()?, args.sampling.sampling)?;
     println!("{report}");
     if let Some(path) = &args.out {
         shadecast_system::write_atomically(path, serde_json::to_string_pretty(&report)?.as_bytes())

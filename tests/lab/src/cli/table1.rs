@@ -1,9 +1,10 @@
 //! `shadecast-lab table1`.
 
 use clap::{Args, value_parser};
+use shadecast_desktop::flags::number;
 use shadecast_lab::experiments::table1::{self, Table1Options};
-use shadecast_protocol::flags::number;
 use shadecast_scene::load::MAX_DRAGONS;
+use shadecast_server_cli::arguments::GpuArgs;
 use std::path::PathBuf;
 
 #[derive(Args)]
@@ -26,18 +27,14 @@ pub(super) struct Table1Args {
     /// Folder for table1.json, .csv, .svg and table1-cost.svg; a run that was broken off goes on there
     #[arg(long, default_value = "out/table1")]
     out: PathBuf,
-    /// Vulkan validation layers on
-    #[arg(long)]
-    validation: bool,
-    /// Part of the server's device's name
-    #[arg(long)]
-    device: Option<String>,
+    #[command(flatten)]
+    gpu: GpuArgs,
 }
 
 pub(super) fn run(args: Table1Args) -> anyhow::Result<()> {
     let scale = match args.scale {
         Some(scale) => scale,
-        None => table1::usual_scale(args.device.as_deref())?,
+        None => table1::usual_scale(args.gpu.device.as_deref())?,
     };
     let usual = Table1Options::new(args.out, scale);
     let options = Table1Options {
@@ -45,8 +42,8 @@ pub(super) fn run(args: Table1Args) -> anyhow::Result<()> {
         rounds: args.rounds,
         updates: args.updates,
         as_paper: args.as_paper,
-        validation: args.validation,
-        device: args.device,
+        validation: args.gpu.validation,
+        device: args.gpu.device,
         ..usual
     };
     let report = table1::measure(&options, &|line| println!("{line}"))?;

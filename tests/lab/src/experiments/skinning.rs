@@ -261,8 +261,7 @@ impl Variant {
 }
 
 fn name_of(skinning: Skinning) -> String {
-    use clap::ValueEnum;
-    skinning.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+    skinning.name().to_owned()
 }
 
 impl Counts {

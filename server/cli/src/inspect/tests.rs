@@ -32,7 +32,7 @@ fn keys(value: &Value, found: &mut BTreeSet<String>) {
 
 /// What stands in the first column of a section's table, in backticks.
 fn documented(section: usize) -> BTreeSet<String> {
-    let page = include_str!("../../../docs/inspect.md");
+    let page = include_str!("../../../../docs/inspect.md");
     let section = page.split("\n## ").nth(section).expect("the page has this section");
     let rows = section.lines().filter(|line| line.starts_with("| `"));
     let names =

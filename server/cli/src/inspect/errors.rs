@@ -3,9 +3,10 @@
 
 use super::load;
 use super::table::Table;
+use crate::arguments::SamplingArgs;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
-use shadecast_protocol::flags::number;
+use shadecast_desktop::flags::number;
 use shadecast_protocol::text::printable;
 use shadecast_scene::animation::error::{
     CurveError, ErrorTable, HEADSET_PIXEL_MM, PAPER_PIXEL_MM, Subject, VertexError, Weights, linear_weights,
@@ -37,9 +38,8 @@ pub struct ErrorArgs {
     /// How the client interpolates [default: both]
     #[arg(long, value_enum)]
     interpolation: Option<ClientInterpolation>,
-    /// How clips become keys: error-bounded[:0.1mm], or the paper's constant[:100ms]
-    #[arg(long, default_value_t)]
-    sampling: Sampling,
+    #[command(flatten)]
+    sampling: SamplingArgs,
     /// Keys and bytes against error, for constant intervals and for bounds
     #[arg(long)]
     curve: bool,
@@ -122,7 +122,7 @@ impl ErrorReport {
             (0..model.clips.len()).map(move |clip| (model, clip, world_scale(scene, index)))
         });
         Self {
-            sampling: args.sampling.to_string(),
+            sampling: args.sampling.sampling.to_string(),
             spacing_ms: args.spacing_ms,
             paper_pixel_mm: PAPER_PIXEL_MM,
             headset_pixel_mm: HEADSET_PIXEL_MM,
@@ -148,7 +148,7 @@ impl ErrorReport {
 
 impl ClipErrors {
     fn new(model: &Model, clip: usize, scale: f32, args: &ErrorArgs) -> Self {
-        let sampled = sample(model, Some(clip), args.sampling.in_model(scale));
+        let sampled = sample(model, Some(clip), args.sampling.sampling.in_model(scale));
         let subject = Subject { model, clip, sampled: &sampled, world_scale: scale };
         let wanted =
             args.interpolation.map_or(ClientInterpolation::value_variants().to_vec(), |one| vec![one]);
@@ -311,7 +311,7 @@ pub(super) mod tests {
     }
 
     fn args() -> ErrorArgs {
-        let (sampling, interpolation) = (Sampling::default(), None);
+        let (sampling, interpolation) = (SamplingArgs { sampling: Sampling::default() }, None);
         ErrorArgs { scene: String::new(), json: true, spacing_ms: 33.3, interpolation, sampling, curve: true }
     }
 

@@ -7,7 +7,7 @@ use std::str::FromStr;
 /// The longest that anything lasts, seconds: a year.
 pub const MOST_S: f64 = 31_536_000.0;
 
-/// A reader of finite numbers within a range, for `clap`, which puts the flag before what this says.
+/// A reader of finite numbers within a range, for a parser of arguments, which puts the flag before what this says.
 pub fn number<T>(
     range: RangeInclusive<T>,
     unit: &'static str,
@@ -22,7 +22,7 @@ where
     }
 }
 
-/// A reader of the sides of a picture, for `clap`.
+/// A reader of the sides of a picture.
 ///
 /// # Errors
 /// What is none, or has a side that is out of its range.

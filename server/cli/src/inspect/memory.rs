@@ -3,11 +3,6 @@
 
 use super::load;
 use super::table::{Table, bytes};
-use crate::atlas::surround::DEFAULT_SURROUND;
-use crate::scene::{SceneGpu, SceneOptions};
-use crate::serve::stream::offer;
-use crate::update::{ShowOptions, ViewerUpdates};
-use crate::world::{ViewerId, World};
 use clap::Args;
 use glam::Vec3;
 use serde::Serialize;
@@ -23,6 +18,11 @@ use shadecast_protocol::message::{
 };
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::time::ServerTime;
+use shadecast_server::atlas::surround::DEFAULT_SURROUND;
+use shadecast_server::scene::{SceneGpu, SceneOptions};
+use shadecast_server::serve::stream::offer;
+use shadecast_server::update::{ShowOptions, ViewerUpdates};
+use shadecast_server::world::{ViewerId, World};
 use shadecast_system::process::resident_bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -39,7 +39,7 @@ pub struct MemoryArgs {
     /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     scene: String,
     /// Pixels per eye of the viewer
-    #[arg(long, default_value = "1300x1300", value_parser = shadecast_protocol::flags::size)]
+    #[arg(long, default_value = "1300x1300", value_parser = shadecast_desktop::flags::size)]
     size: [u32; 2],
     /// Atlas width and height in texels, powers of two from 512x512 to 4096x2048
     #[arg(long, default_value = "4096x2048")]
@@ -88,7 +88,7 @@ pub(super) fn run(args: &MemoryArgs) -> anyhow::Result<String> {
     note(&gpu, "all viewers", &mut parts);
     let (welcome, capabilities) = viewer(&scene, args)?;
     let show = ShowOptions {
-        detail_pixels: crate::visibility::detail::DEFAULT_DETAIL_PIXELS,
+        detail_pixels: shadecast_server::visibility::detail::DEFAULT_DETAIL_PIXELS,
         surround: DEFAULT_SURROUND,
     };
     let mut updates = ViewerUpdates::new(&world, ViewerId(0), &welcome, &capabilities, show)?;

@@ -5,10 +5,7 @@ pub mod errors;
 mod memory;
 mod table;
 
-use crate::animation::manager::AnimationManager;
-use crate::animation::packing::SAVED_BYTES;
-use crate::animation::saved::{InstanceVertices, Saved};
-use crate::skinning::passes::palette::BONE_BYTES;
+use crate::arguments::SamplingArgs;
 use clap::{Args, Subcommand};
 use serde::Serialize;
 use shadecast_protocol::text::printable;
@@ -19,6 +16,10 @@ use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::patches::PatchReport;
 use shadecast_scene::process::Loading;
 use shadecast_scene::{Model, Scene, Texture, mips};
+use shadecast_server::animation::manager::AnimationManager;
+use shadecast_server::animation::packing::SAVED_BYTES;
+use shadecast_server::animation::saved::{InstanceVertices, Saved};
+use shadecast_server::skinning::passes::palette::BONE_BYTES;
 use shadecast_shaders::generated::{MaterialGpu, MorphDeltaGpu, PatchGpu, PoseGpu, VertexGpu};
 use std::collections::HashSet;
 use std::sync::{Arc, Mutex};
@@ -52,9 +53,8 @@ struct ContentsArgs {
     /// JSON, as docs/inspect.md describes it, instead of text
     #[arg(long)]
     json: bool,
-    /// How clips become keys: error-bounded[:0.1mm], or the paper's constant[:100ms]
-    #[arg(long, default_value_t)]
-    sampling: Sampling,
+    #[command(flatten)]
+    sampling: SamplingArgs,
 }
 
 /// Runs the command; returns what it prints.
@@ -69,7 +69,7 @@ pub fn run(args: &InspectArgs) -> anyhow::Result<String> {
     }
     let args = &args.contents;
     let (scene, warnings) = load(args.scene.as_deref().unwrap_or_default())?;
-    let report = Report::new(&scene, args.sampling, warnings);
+    let report = Report::new(&scene, args.sampling.sampling, warnings);
     Ok(if args.json { serde_json::to_string_pretty(&report)? + "\n" } else { report.text() })
 }
 

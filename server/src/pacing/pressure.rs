@@ -1,0 +1,131 @@
+//! When a level of coarseness rises and falls with what must fit. Pure.
+//!
+//! Pressure rises at once. It eases once there has been room for a while, to the finest level with room. The time after that is a
+//! trial: pressure that rises again during it should not have eased, and the owner asks for more room the next time. What a level
+//! is, and what fits, the owner knows.
+
+/// Pressure eases after there was room for this many updates.
+pub const RECOVER_AFTER_UPDATES: u32 = 15;
+/// Pressure that rises within this many updates after it eased should not have eased.
+pub const TRIAL_UPDATES: u32 = 60;
+
+/// A level of coarseness.
+pub trait Level: Copy + PartialEq {
+    /// One level finer; `None` where nothing presses.
+    fn finer(self) -> Option<Self>;
+}
+
+/// A level, and when it may become finer.
+#[derive(Clone, Copy, Debug)]
+pub struct Pressure<L> {
+    level: L,
+    /// For how many updates in a row a finer level would have had room.
+    roomy_updates: u32,
+    /// The update in which it eased last, as long as that may prove wrong.
+    eased: Option<u32>,
+}
+
+impl<L: Level> Pressure<L> {
+    /// At a level.
+    pub fn new(level: L) -> Self {
+        Self { level, roomy_updates: 0, eased: None }
+    }
+
+    /// The level now.
+    pub fn level(&self) -> L {
+        self.level
+    }
+
+    /// An update begins. Eases to the finest level with room where there has been room for a while; whether it did.
+    pub fn recover(&mut self, update: u32, has_room: impl Fn(L) -> bool) -> bool {
+        let mut roomy = self.level;
+        while let Some(finer) = roomy.finer().filter(|finer| has_room(*finer)) {
+            roomy = finer;
+        }
+        self.roomy_updates = if roomy == self.level { 0 } else { self.roomy_updates + 1 };
+        let eases = self.roomy_updates >= RECOVER_AFTER_UPDATES;
+        if eases {
+            *self = Self { level: roomy, roomy_updates: 0, eased: Some(update) };
+        }
+        eases
+    }
+
+    /// Rises to a coarser level; whether that is within the trial of the last ease. The updates with room so far still count.
+    pub fn rise(&mut self, update: u32, level: L) -> bool {
+        self.level = level;
+        self.eased.is_some_and(|eased| update - eased <= TRIAL_UPDATES)
+    }
+
+    /// Waits for room from the start, and ends the trial.
+    pub fn start_over(&mut self) {
+        (self.roomy_updates, self.eased) = (0, None);
+    }
+
+    /// Ends a trial that has passed; whether there was one.
+    pub fn has_passed(&mut self, update: u32) -> bool {
+        let has_passed = self.eased.is_some_and(|eased| update - eased > TRIAL_UPDATES);
+        self.eased = self.eased.filter(|_| !has_passed);
+        has_passed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    impl Level for u8 {
+        fn finer(self) -> Option<Self> {
+            self.checked_sub(1)
+        }
+    }
+
+    /// Updates from `first` on until pressure has eased.
+    fn updates_until_ease(pressure: &mut Pressure<u8>, first: u32, has_room: impl Fn(u8) -> bool) -> u32 {
+        (first..first + 1000).take_while(|update| !pressure.recover(*update, &has_room)).count() as u32 + 1
+    }
+
+    #[test]
+    fn pressure_eases_to_the_finest_level_with_room_after_a_while() {
+        let mut pressure = Pressure::new(9);
+        assert_eq!(updates_until_ease(&mut pressure, 1, |level| level >= 4), RECOVER_AFTER_UPDATES);
+        assert_eq!(pressure.level(), 4);
+        assert!((100..200).all(|update| !pressure.recover(update, |level| level >= 4)));
+    }
+
+    #[test]
+    fn an_update_without_room_starts_the_wait_anew() {
+        let mut pressure = Pressure::new(3);
+        (1..RECOVER_AFTER_UPDATES).for_each(|update| assert!(!pressure.recover(update, |_| true)));
+        assert!(!pressure.recover(RECOVER_AFTER_UPDATES, |_| false));
+        assert_eq!(updates_until_ease(&mut pressure, 50, |_| true), RECOVER_AFTER_UPDATES);
+    }
+
+    #[test]
+    fn a_rise_keeps_the_updates_with_room_until_the_owner_starts_over() {
+        let mut pressure = Pressure::new(3);
+        (1..RECOVER_AFTER_UPDATES).for_each(|update| assert!(!pressure.recover(update, |_| true)));
+        pressure.rise(20, 5);
+        let mut kept = pressure;
+        assert!(kept.recover(21, |_| true));
+        pressure.start_over();
+        assert_eq!(updates_until_ease(&mut pressure, 21, |_| true), RECOVER_AFTER_UPDATES);
+    }
+
+    #[test]
+    fn a_rise_within_the_trial_is_told_from_a_later_one() {
+        let mut pressure = Pressure::new(3);
+        assert!(!pressure.rise(1, 4), "it has never eased");
+        let eased = 10 + updates_until_ease(&mut pressure, 11, |_| true);
+        assert!(pressure.rise(eased + TRIAL_UPDATES, 1));
+        assert!(!pressure.rise(eased + TRIAL_UPDATES + 1, 1));
+    }
+
+    #[test]
+    fn a_trial_passes_once() {
+        let mut pressure = Pressure::new(3);
+        let eased = 10 + updates_until_ease(&mut pressure, 11, |_| true);
+        assert!(!pressure.has_passed(eased + TRIAL_UPDATES));
+        assert!(pressure.has_passed(eased + TRIAL_UPDATES + 1));
+        assert!(!pressure.has_passed(eased + TRIAL_UPDATES + 2));
+    }
+}
