@@ -64,7 +64,7 @@ fn the_doctor_says_what_a_server_could_do_here_and_what_keeps_it_from_starting()
     }
     let none = doctor(&address, &["--device", "no such device"]);
     let said = String::from_utf8(none.stdout).expect("text");
-    assert!(!none.status.success() && said.contains("no usable device's name holds"), "{said}");
+    assert!(!none.status.success() && said.contains("no usable device has"), "{said}");
 }
 
 /// Folders and environment of clients.
