@@ -58,7 +58,7 @@ impl Headset {
         while !self.thread.is_finished() {
             if start.elapsed() > LEAVING_PATIENCE {
                 // Its session still uses an activity that is about to vanish.
-                tracing::error!("the client did not leave in {LEAVING_PATIENCE:?}; ending the process");
+                tracing::error!("the client did not end within {LEAVING_PATIENCE:?}; ending the process");
                 std::process::exit(1);
             }
             std::thread::sleep(Duration::from_millis(10));

@@ -97,16 +97,18 @@ pub enum Wrong {
     #[error("'{0}' is neither find nor HOST:PORT, such as 192.168.1.20:7400")]
     Address(String),
     /// It is not a fingerprint.
-    #[error("'{0}' is not a fingerprint, so no server will do; write the 64 digits that the server says")]
+    #[error(
+        "'{0}' is not a fingerprint, so every server is refused; write the 64 digits printed by the server"
+    )]
     Fingerprint(String),
     /// It is not a rate.
     #[error("'{0}' is not a number of frames a second, such as 90")]
     Refresh(String),
     /// It is not a level.
-    #[error("'{0}' is none of none, low, medium and high")]
+    #[error("'{0}' is not a foveation level; write none, low, medium or high")]
     Foveation(String),
     /// Nothing of this name can be set.
-    #[error("nothing is called '{0}'; there are fingerprint, refresh and foveation")]
+    #[error("there is no setting '{0}'; settings are fingerprint, refresh and foveation")]
     Name(String),
     /// It was set before.
     #[error("a second {0}; keep one")]
@@ -340,9 +342,9 @@ mod tests {
             ("refresh = fast", "frames a second"),
             ("refresh = 0", "frames a second"),
             ("refresh = NaN", "frames a second"),
-            ("foveation = much", "none, low, medium and high"),
-            ("colour = red", "nothing is called 'colour'"),
-            ("=", "nothing is called ''"),
+            ("foveation = much", "none, low, medium or high"),
+            ("colour = red", "there is no setting 'colour'"),
+            ("=", "there is no setting ''"),
         ] {
             let (settings, errors) = of_file(&format!("{wrong}\ndesktop:7400"));
             assert_eq!((settings.server(), errors.len()), ("desktop:7400", 1), "{errors:?}");
@@ -355,7 +357,7 @@ mod tests {
     fn who_demands_an_identity_and_writes_it_wrong_gets_no_other_one() {
         let (settings, errors) = of_file("fingerprint = 12ab");
         assert_eq!((settings.fingerprint, errors.len()), (Some(NOBODY), 1));
-        assert!(errors[0].to_string().contains("no server will do"), "{}", errors[0]);
+        assert!(errors[0].to_string().contains("every server is refused"), "{}", errors[0]);
     }
 
     #[test]

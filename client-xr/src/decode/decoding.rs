@@ -314,9 +314,9 @@ impl Decoding {
     /// One failure is a matter of a refresh; a decoder that fails with each refresh will never show anything.
     fn note_failure(&mut self, update: UpdateId, error: &DecodeError) {
         if !error.is_the_decoders() {
-            return tracing::debug!("picture of frame {}: {error}", update.0);
+            return tracing::debug!("picture of update {}: {error}", update.0);
         }
-        tracing::warn!("picture of frame {}: {error}", update.0);
+        tracing::warn!("picture of update {}: {error}", update.0);
         self.failures += 1;
         if self.failures == MOST_FAILURES {
             self.trouble = Some(format!("pictures cannot be shown: {error}"));

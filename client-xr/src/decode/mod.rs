@@ -154,10 +154,10 @@ pub enum DecodeError {
     #[error("waiting for a refresh: this access unit depends on a picture that is missing")]
     NeedsRefresh,
     /// A unit that is no picture as it is.
-    #[error("an access unit is no picture: {0}")]
+    #[error("an uncompressed picture is malformed: {0}")]
     NotRaw(#[from] I420Error),
     /// The device cannot read what the platform's decoder writes.
-    #[error("a decoded picture is not to be read: {0}")]
+    #[error("a decoded picture cannot be read: {0}")]
     Device(#[from] GpuError),
     /// The platform's decoder has failed.
     #[error("the platform's decoder failed while {doing}: {reason}")]

@@ -30,7 +30,7 @@ impl EarlyPoses {
         }
         let words = self.words - known.map_or(0, words) + words(&pose);
         if words > arena_words {
-            tracing::debug!("poses of instance {} came too early and are dropped", pose.instance.0);
+            tracing::debug!("poses of instance {} arrived too early and are dropped", pose.instance.0);
             return;
         }
         self.words = words;

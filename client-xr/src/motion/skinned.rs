@@ -99,7 +99,7 @@ pub enum SkinnedChange {
 
 /// An instance names a skeleton that the client does not know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("instance {} is said to have skeleton {}, of which nothing was said; the server is at fault", .0.0, .1.0)]
+#[error("instance {} names skeleton {}, which was never sent; the server is at fault", .0.0, .1.0)]
 pub struct UnknownSkeleton(pub InstanceId, pub SkeletonId);
 
 /// An instance on the draw list.

@@ -408,7 +408,7 @@ impl Connector {
         let place = self.place(address);
         match self.known.remember(&self.server, address, fingerprint) {
             Ok(Meeting::Again) => tracing::debug!("{place} has answered"),
-            Ok(Meeting::KnownAs(name)) => tracing::info!("{place} is the server that is known as {name}"),
+            Ok(Meeting::KnownAs(name)) => tracing::info!("{place} is the server known as {name}"),
             Ok(Meeting::First) => {
                 tracing::info!("first connection to {place}: its identity is {fingerprint}; pinned");
             }
@@ -456,7 +456,7 @@ impl Connector {
                 return;
             }
             Notice::Refused(refused) => format!("{}: {}", refused.reason, refused.remedy),
-            Notice::ServerLeft => format!("{} has ended the session", self.server),
+            Notice::ServerLeft => format!("{} ended the session", self.server),
             Notice::Failed(reason) => reason,
         };
         self.tell(intake, Tone::Trouble, &text);
@@ -526,15 +526,13 @@ fn expected(
     let pinned =
         |fingerprint, remedy: &str| ExpectedIdentity::Pinned { fingerprint, remedy: remedy.to_owned() };
     if let Some(fingerprint) = required {
-        let remedy =
-            "--fingerprint names another server; a server says its identity when it starts to listen";
+        let remedy = "--fingerprint names another server; a server prints its identity at its start";
         return pinned(fingerprint, remedy);
     }
     match (known.expected(server, address), announced) {
-        (ExpectedIdentity::TrustOnFirstUse, Some(fingerprint)) => pinned(
-            fingerprint,
-            "who answers is not the server that has announced itself; name it with --connect",
-        ),
+        (ExpectedIdentity::TrustOnFirstUse, Some(fingerprint)) => {
+            pinned(fingerprint, "the answering server is not the announced one; name it with --connect")
+        }
         (expected, _) => expected,
     }
 }

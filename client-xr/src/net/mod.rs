@@ -253,7 +253,7 @@ impl Run<'_> {
                     leaving_since = Some(monotonic_now());
                 }
                 Some(since) if monotonic_now().since(since) > LEAVE_PATIENCE_NS => {
-                    tracing::warn!("the OpenXR runtime does not end the session; leaving without it");
+                    tracing::warn!("the OpenXR runtime does not end the session; exiting anyway");
                     return Ok(());
                 }
                 _ => {}

@@ -37,7 +37,7 @@ pub(super) fn decoder(
 }
 
 fn say(error: &DecodeError) {
-    tracing::warn!("{error}; pictures are decoded on the CPU, which takes longer and warms the headset");
+    tracing::warn!("{error}; pictures are decoded on the CPU, which is slower and uses more power");
 }
 
 impl Replaceable {

@@ -347,7 +347,7 @@ impl Intake {
             session.hold_back(is_full);
         }
         if let Some(slot) = contradiction {
-            let reason = format!("vertex slot {} is given anew while it is on display", slot.0);
+            let reason = format!("vertex slot {} is reused while it is on display", slot.0);
             self.link.fail(WireError::Invalid { what: "a geometry delta", reason });
         }
     }

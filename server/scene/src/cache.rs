@@ -167,12 +167,12 @@ impl Cache {
             Ok(bytes) => bytes,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return None,
             Err(error) => {
-                tracing::warn!("{}: cannot be read ({error}); it is made anew", path.display());
+                tracing::warn!("{}: cannot be read ({error}); it is rebuilt", path.display());
                 return None;
             }
         };
         let found = payload(&bytes, &key.hash()).and_then(|payload| {
-            postcard::from_bytes(payload).map_err(|_| "holds something else than its name says")
+            postcard::from_bytes(payload).map_err(|_| "does not hold the entry of its name")
         });
         match found {
             Ok(value) => match check(&value) {
@@ -181,12 +181,12 @@ impl Cache {
                     Some(value)
                 }
                 Err(problem) => {
-                    tracing::debug!("{}: {problem}; it is made anew", path.display());
+                    tracing::debug!("{}: {problem}; it is rebuilt", path.display());
                     None
                 }
             },
             Err(problem) => {
-                tracing::warn!("{}: {problem}; it is made anew", path.display());
+                tracing::warn!("{}: {problem}; it is rebuilt", path.display());
                 None
             }
         }
@@ -200,7 +200,7 @@ impl Cache {
             && !self.counts.has_warned.swap(true, Ordering::Relaxed)
         {
             let folder = folder.display();
-            tracing::warn!("cache {folder}: {error}; the next start computes again what this one did");
+            tracing::warn!("cache {folder}: {error}; the next start processes the assets again");
         }
     }
 
@@ -244,8 +244,8 @@ fn is_safe(folder: &Path) -> bool {
         let folder = folder.display();
         SAID.call_once(|| {
             tracing::warn!(
-                "cache {folder}: others can write to it, so it is not used; run chmod go-w {folder}, \
-                 or choose a folder of your own with --cache-dir"
+                "cache {folder}: not used, because other users can write to it; run chmod go-w {folder}, \
+                 or choose your own folder with --cache-dir"
             );
         });
     }
@@ -263,7 +263,7 @@ fn make_folder(folder: &Path) -> std::io::Result<()> {
 fn read_entry(path: &Path) -> std::io::Result<Vec<u8>> {
     let meta = std::fs::metadata(path)?;
     if !meta.is_file() || meta.len() > MAX_CACHE_BYTES {
-        return Err(std::io::Error::other("no file of ours"));
+        return Err(std::io::Error::other("not a regular file, or too large"));
     }
     std::fs::read(path)
 }

@@ -366,7 +366,7 @@ impl<'a> Assembly<'a> {
     fn push_entries(&mut self, entries: Vec<PaletteEntry>) -> Result<usize, Fault> {
         let first = self.model.palette.len();
         if first + entries.len() > MAX_PALETTE {
-            let problem = format!("need more than {MAX_PALETTE} bone matrices together");
+            let problem = format!("need more than {MAX_PALETTE} bone matrices in total; reduce them");
             return Err(Fault::new("skins and mesh nodes", problem));
         }
         self.model.palette.extend(entries);

@@ -31,7 +31,7 @@ impl FromStr for Wanted {
 
 /// The encoder that a user names is not to be had.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("--encoder {name}: {reason}; here there is {}, or auto", there.join(", "))]
+#[error("--encoder {name}: {reason}; available: {}, or auto", there.join(", "))]
 pub struct NoSuchEncoder {
     name: String,
     reason: String,
@@ -175,7 +175,9 @@ impl Encoders {
     fn give_up(&self, number: usize, error: &EncodeError) {
         let (broken, next) = (self.kinds[number].name, self.kinds[number + 1].name);
         if self.first.fetch_max(number + 1, Ordering::Relaxed) <= number {
-            tracing::warn!("the encoder {broken} is given up for {next}: {error}; --encoder chooses another");
+            tracing::warn!(
+                "the encoder {broken} failed and is replaced by {next}: {error}; choose another with --encoder"
+            );
         }
     }
 }

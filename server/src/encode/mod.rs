@@ -141,7 +141,7 @@ pub enum EncodeError {
         got: usize,
     },
     /// Nothing came out.
-    #[error("no picture came out of the encoder within {} s", PATIENCE.as_secs())]
+    #[error("the encoder returned no picture within {} s", PATIENCE.as_secs())]
     Stalled,
     /// An encoder of libavcodec.
     #[error("{encoder} failed while {doing}: {reason}")]
@@ -154,7 +154,7 @@ pub enum EncodeError {
         reason: String,
     },
     /// A picture cannot be described.
-    #[error("a picture has not the bytes of its extent: {0}")]
+    #[error("a picture does not have the bytes of its extent: {0}")]
     Picture(#[from] I420Error),
     /// The encoder library refused.
     #[error("openh264 failed while {doing} (code {code}); the next picture starts a new stream")]

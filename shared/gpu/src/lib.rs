@@ -42,7 +42,7 @@ pub enum GpuError {
     #[error("the Vulkan loader could not be opened ({0}); {remedy}", remedy = devices::NO_LOADER)]
     NoLoader(String),
     /// No device does what is needed.
-    #[error("no Vulkan device can be used: {0}")]
+    #[error("no Vulkan device is usable: {0}")]
     NoDevice(String),
     /// More than the device can hold or bind at once; the text says what, and what to do.
     #[error("{0}")]

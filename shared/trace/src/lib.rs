@@ -31,7 +31,7 @@ pub enum Process {
 #[derive(Debug, thiserror::Error)]
 pub enum TraceError {
     /// The file.
-    #[error("the trace {path}: {error}; name a file in a folder that can be written with --trace")]
+    #[error("writing the trace {path}: {error}; name a file in a writable folder with --trace")]
     File {
         /// Which.
         path: PathBuf,
@@ -39,7 +39,7 @@ pub enum TraceError {
         error: io::Error,
     },
     /// It is no trace.
-    #[error("{path} is no trace of --trace: {reason}")]
+    #[error("{path} is not a trace written by --trace: {reason}")]
     Content {
         /// Which.
         path: PathBuf,

@@ -227,7 +227,7 @@ fn a_server_is_shown_once_known_by_any_name_and_refused_when_it_is_another() {
     };
     says(&["--connect", &typed], &[&format!("first connection to {typed}: its identity is {fingerprint}")]);
     let by_name = format!("localhost:{}", address.port());
-    says(&["--connect", &by_name], &[&format!("is the server that is known as {typed}")]);
+    says(&["--connect", &by_name], &[&format!("is the server known as {typed}")]);
     let wrong = ServerIdentity::from_seed(2).expect("an identity").fingerprint().to_string();
     says(&["--quiet", "--connect", &typed, "--fingerprint", &wrong], &["another identity", "--fingerprint"]);
     drop(server);

@@ -67,7 +67,7 @@ pub(super) fn open(
     let swapchain = create_swapchain(session, info)?;
     let (images, maps) = images_and_maps(&swapchain)?;
     fill(session, &swapchain, foveation)?;
-    tracing::info!("fewer fragments are shaded towards the border ({foveation:?})");
+    tracing::info!("fixed foveation is on ({foveation:?})");
     Ok((swapchain, images, maps))
 }
 

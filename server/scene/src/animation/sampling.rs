@@ -296,7 +296,9 @@ fn interval_count(duration_s: f32, interval_s: f32, track_count: usize) -> u32 {
     let limit = (MAX_CONSTANT_KEYS / track_count.max(1)).saturating_sub(1).max(1) as f64;
     if wanted > limit {
         let longer_s = f64::from(duration_s) / limit;
-        tracing::warn!("clip of {duration_s} s is sampled each {longer_s} s instead of each {interval_s} s");
+        tracing::warn!(
+            "a clip of {duration_s} s is sampled every {longer_s} s instead of every {interval_s} s"
+        );
     }
     wanted.min(limit) as u32
 }

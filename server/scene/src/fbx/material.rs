@@ -266,7 +266,7 @@ fn file_texture<'a>(texture: &'a ufbx::Texture, warnings: &mut Warnings) -> Opti
     if texture.type_ == ufbx::TextureType::File && texture.has_file {
         return Some(texture);
     }
-    warnings.insert("of layered and procedural textures only the first picture is used".into());
+    warnings.insert("layered and procedural textures are reduced to their first picture".into());
     texture.file_textures.as_ref().iter().map(|texture| &**texture).find(|texture| texture.has_file)
 }
 

@@ -99,7 +99,9 @@ impl Morphs {
                     let shape = read_shape(&key.shape, first + index as u32, mesh.num_vertices)?;
                     found.moved.extend(shape.offsets.keys());
                     if !shape.has_normals {
-                        warnings.insert("blend shapes without normals get them from their surface".into());
+                        warnings.insert(
+                            "blend shapes without normals get normals computed from their surface".into(),
+                        );
                     }
                     found.shapes.push(shape);
                 }

@@ -19,7 +19,7 @@ pub(super) fn read_events(root: &Fields, instances: &[InstanceEntry]) -> Result<
     let known = [&["at", "instance"][..], &CHANGE_KEYS].concat();
     let tables = root.tables("event", &known)?;
     if let Some(fields) = tables.get(MAX_EVENTS) {
-        let problem = format!("a scene can have {MAX_EVENTS} events");
+        let problem = format!("a scene can have at most {MAX_EVENTS} events");
         return Err(fields.source.error(fields.line, problem));
     }
     let mut events = Vec::new();

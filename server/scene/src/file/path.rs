@@ -106,11 +106,11 @@ pub(super) fn read_key_times(
         let time_s = table.number_within("time_s", 0.0..=MAX_PATH_DURATION_S, "seconds")?;
         let time_s = table.required("time_s", time_s)?;
         if let Some(before) = keys.last().filter(|before| before.time_s >= time_s) {
-            let problem = format!("time {time_s} s does not come after {} s; sort the keys", before.time_s);
+            let problem = format!("time {time_s} s is not after {} s; sort the keys", before.time_s);
             return Err(table.error("time_s", problem));
         }
         if table.first_of(channels).is_none() {
-            let problem = format!("key says nothing but its time; give it {}", channels.join(", "));
+            let problem = format!("key has only a time; give it {}", channels.join(", "));
             return Err(table.source.error(table.line, problem));
         }
         keys.push(read(table, time_s)?);

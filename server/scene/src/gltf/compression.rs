@@ -101,7 +101,7 @@ impl Compressed {
             Filter::Exponential => mode == Mode::Attributes,
         };
         if !filter_fits {
-            return Err(format!("the filter does not go with the mode and byteStride {stride}"));
+            return Err(format!("the filter is not allowed with this mode and byteStride {stride}"));
         }
         count.checked_mul(stride).ok_or_else(|| format!("count {count} is too large"))
     }
@@ -141,7 +141,7 @@ impl Compressed {
     }
 }
 
-const DAMAGED: &str = "its data is damaged, or was written by a newer version of the codec";
+const DAMAGED: &str = "its data is damaged, or written by a newer version of the codec";
 
 /// `count` elements of `stride` bytes, a multiple of 4 up to 256, as words, so that filters find them aligned.
 fn decode_vertices(source: &[u8], count: usize, stride: usize) -> Result<Vec<u32>, String> {

@@ -41,7 +41,7 @@ fn a_pipe_in_the_place_of_a_file_is_refused_and_not_waited_for() {
     let known = KnownServers::load(dir.path()).unwrap_err();
     for error in [key, known] {
         assert!(matches!(error, IdentityError::NotAFile { .. }), "{error}");
-        assert!(error.to_string().contains("this is no file"), "{error}");
+        assert!(error.to_string().contains("this is not a file"), "{error}");
     }
 }
 

@@ -58,7 +58,7 @@ pub(super) fn sample(
     let Found { clip, is_kept } = find(model, clip, bounds, cancel)?;
     if !is_kept {
         tracing::warn!(
-            "model '{}': a clip cannot be kept within {} of its own units; single precision may not hold it",
+            "model '{}': a clip exceeds the error bound of {} of its own units; single precision may be too coarse",
             model.name,
             bounds[0]
         );
