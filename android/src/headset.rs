@@ -1,4 +1,4 @@
-//! The client on a thread of its own, so that the activity's thread is always free to answer the system.
+//! The client on its own thread. The activity's thread stays free to answer the system.
 
 use crate::settings::{FORGETTING, Foveation, Settings};
 use android_activity::AndroidApp;

@@ -1,7 +1,7 @@
-//! What a user can set on a headset, where there is no command line: a small text file in the app's folder, and the extras of
-//! the intent that starts the app, which count before it.
+//! Settings of a headset, which has no command line: a small text file in the app's folder, and the extras of the intent that
+//! starts the app. The extras take precedence.
 //!
-//! Plain data in and out, so that it is tested on the host.
+//! Pure: plain data enters and leaves, and the tests run on the host.
 
 use shadecast_transport::Fingerprint;
 use std::fmt;

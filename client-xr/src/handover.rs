@@ -1,5 +1,6 @@
-//! What the two halves of the client hand to each other: [`crate::stream::intake`] prepares what arrives, [`crate::present::presenter`] shows it.
-//! Both may be on one thread, or each on its own: neither waits for the other, and what one cannot take yet waits here.
+//! The hand-over between the client's halves: [`crate::stream::intake`] prepares arrivals, [`crate::present::presenter`]
+//! displays them. Both run on one thread or on two. Neither waits for the other; items that the other cannot take yet wait
+//! here.
 
 use crate::display::Presses;
 use crate::draw::draw_list::DrawList;

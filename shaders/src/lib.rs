@@ -1,5 +1,5 @@
-//! The GLSL of both sides as SPIR-V with its reflection, the struct layouts that GLSL declares, and the CPU
-//! reference twins of the GPU stages. No Vulkan in here.
+//! The GLSL of both sides as SPIR-V with its reflection, the struct layouts declared in GLSL, and the CPU twins of the GPU
+//! stages. This crate does not know Vulkan.
 #![forbid(unsafe_code)]
 
 pub mod color;

@@ -1,8 +1,8 @@
-//! From coded pictures, which come in any order, to decoded ones: puts them in order, decodes each, and says when only a
-//! refresh helps. The seam to the codec is [`crate::decode`].
+//! Coded pictures enter in any order; decoded pictures leave in order. The module also reports when only a refresh helps. The
+//! seam to the codec is [`crate::decode`].
 //!
-//! Every frame has a picture, and each needs the one before it, unless it is a refresh. In virtual time decoding takes as
-//! long as it is told to; in real time a thread of its own does it.
+//! Every update has a picture. Each picture needs the previous one, unless it is a refresh. In virtual time decoding takes a
+//! given time; in real time it runs on its own thread.
 
 use super::{DecodeError, Decoder, Picture};
 use shadecast_protocol::ids::UpdateId;

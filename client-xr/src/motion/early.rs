@@ -1,5 +1,5 @@
-//! Poses of instances that the client was not told of yet: messages about motion wait for no update, and may overtake the one
-//! that brings the instance. Kept until it comes, within what a client could ever need.
+//! Poses of unknown instances. Messages about motion wait for no update, and may overtake the update that brings the instance.
+//! The poses are kept until it arrives, within the client's needs.
 
 use shadecast_protocol::ids::InstanceId;
 use shadecast_protocol::motion::poses::GridPose;

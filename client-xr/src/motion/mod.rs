@@ -1,10 +1,11 @@
-//! How vertices move on the client: arrived samples ([`arrivals`]), the times that can be evaluated and the one
-//! that is shown ([`pace`]); skeletons, clips and their players (`told`, [`arena`], [`skinned`]).
+//! Motion of vertices on the client: arrived samples ([`arrivals`]), the times that can be evaluated and the displayed one
+//! ([`pace`]); skeletons, clips and their players (`told`, [`arena`], [`skinned`]).
 //!
-//! Motion messages enter, by world time and slot. Writes for the GPU's memory leave, and the time at which all of it is whole.
-//! Nothing here knows pictures, GPUs and networks.
+//! Motion messages enter, by world time and slot. Writes for the GPU's memory leave, and the time at which all of it is
+//! complete. Nothing here knows pictures, GPUs and networks.
 //!
-//! Counts from arrival on, whatever bundle is on display: the server never reuses a slot that the bundle on display still needs.
+//! A message applies from its arrival, whatever bundle is on display: the server never reuses a slot that the bundle on display
+//! still needs.
 
 pub mod arena;
 pub mod arrivals;

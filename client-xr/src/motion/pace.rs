@@ -1,8 +1,8 @@
-//! The one time at which all vertices of the draw list on display are evaluated, so that no triangle has corners of two times.
+//! The one evaluation time of all vertices of the draw list on display. No triangle has corners of two times.
 //!
-//! It is the display time, as long as every vertex drawn has samples there, and for one grid step more, by its last velocity.
-//! When some run out of samples, all stay, until those get theirs too or another list comes on display. Then the time catches
-//! up with the display's, without a jump as far as samples reach back.
+//! It is the display time while every drawn vertex has samples there, and for one more grid step by its last velocity. When
+//! some vertices run out of samples, all stay, until those get samples or another list is displayed. Then the time catches up
+//! with the display's, without a jump as far as samples reach back.
 
 use shadecast_protocol::time::{Grid, GridIndex, ServerTime, WorldTime};
 

@@ -1,8 +1,8 @@
-//! Instances that move by clips or by poses on the grid: what the GPU must be told of them in a display frame. Knows where in
-//! the arena the server has put skeletons and chunks of clips, and which of them are there; not what they say.
+//! Instances that move by clips or by poses on the grid, and their data for the GPU in a display frame. This module knows the
+//! places of skeletons and chunks in the arena, and which have arrived. It does not know their contents.
 //!
-//! They are evaluated at the display time itself, whatever samples are short. An instance of which something is missing for
-//! that time is withheld: it is never shown in a pose of another time.
+//! Instances are evaluated at the display time itself, whatever samples are missing. An instance with missing data for that
+//! time is withheld: it is never displayed in a pose of another time.
 
 use super::arena::ArenaSerial;
 use super::pace::{BLEND_NS, GridTime};

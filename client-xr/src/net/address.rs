@@ -1,5 +1,5 @@
-//! A server's address as the user writes it, and the machines that its name leads to. A network can be slow to say, or not be
-//! there yet: a thread asks, again and again.
+//! A server's address as written by the user, and the machines of its name. A name server may be slow or unreachable, so a
+//! thread asks repeatedly.
 
 use super::RunError;
 use std::net::{SocketAddr, ToSocketAddrs};

@@ -1,5 +1,4 @@
-//! One server, and the wish to be connected to it: what the client and the lines say to each other, and what the user is
-//! told about it.
+//! The connection to one server: messages between the client and the lines, and messages for the user.
 
 use super::address::{Address, Resolver};
 use super::finder::Finder;

@@ -1,4 +1,4 @@
-//! In which order, and when, the addresses of one server are tried. Knows the time as an argument, and no socket.
+//! Order and times of the attempts to reach one server's addresses. Time is an argument; the module knows no socket.
 
 use shadecast_protocol::time::ClientTime;
 use std::net::SocketAddr;

@@ -1,5 +1,5 @@
-//! Which servers there are, by the rounds of a search, and which of them to connect to. Pure: datagrams get lost, so that a
-//! single round is no proof of who is not there.
+//! The known servers, by the rounds of a search, and the choice of one. Pure. Datagrams get lost, so a single round does not
+//! prove absence.
 
 use shadecast_transport::discovery::FoundServer;
 use shadecast_transport::{Fingerprint, KnownServers};

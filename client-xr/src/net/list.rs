@@ -1,4 +1,4 @@
-//! The list of servers in the headset, of which the user takes one.
+//! The list of servers in the headset, for the user's choice.
 
 use crate::display::Presses;
 use shadecast_transport::discovery::FoundServer;

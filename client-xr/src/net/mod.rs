@@ -1,9 +1,9 @@
-//! The client in real time: threads, sockets and the clock, and connecting again for as long as the user wants.
+//! The client in real time: threads, sockets and the clock, and reconnection.
 //!
 //! Datagrams enter, a server's address and the user's choice. Datagrams leave, and notices for the user. Nothing here knows
 //! messages and the GPU.
 //!
-//! When the server goes away its last bundle stays on display; when the headset goes away it is opened again.
+//! When the server disappears, its last bundle stays on display. When the headset disappears, it is opened again.
 
 mod address;
 mod connector;

@@ -1,4 +1,4 @@
-//! What a headset shows of a text that a terminal has room for.
+//! Short forms of terminal texts for the headset.
 
 /// Hexadecimal digits of a fingerprint.
 const FINGERPRINT_DIGITS: usize = 64;

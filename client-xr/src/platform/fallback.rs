@@ -1,5 +1,5 @@
-//! A decoder that takes the place of the system's own where that cannot be had. Whether it can is not known when it is made:
-//! a codec is set up with the first refresh, and may refuse the pictures' extent only then.
+//! A fallback for the system's decoder. Its failure shows late: a codec is set up with the first refresh, and may refuse the
+//! pictures' extent only then.
 
 use crate::decode::{DecodeError, Decoder, Picture};
 use std::time::Duration;

@@ -1,4 +1,4 @@
-//! Figures for who watches: how it goes, in a few lines, anew twice a second.
+//! Figures for the viewer: a few lines, renewed twice a second.
 
 use super::stats::{Counters, so_far};
 use crate::report::FrameReport;

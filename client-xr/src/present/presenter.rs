@@ -1,5 +1,5 @@
-//! The half of the client that the render thread runs: it takes what was prepared, shows it, and says what was seen. A display
-//! frame of it is in [`super::frame`].
+//! The render thread's half of the client. It takes prepared items, displays them and reports on them. One display frame is in
+//! [`super::frame`].
 
 use super::figures::Figures;
 use super::renderer::Renderer;

@@ -1,6 +1,6 @@
-//! What one connection shows: the terms it was made under, and its vertices, skeletons and bundles on the GPU. A new connection
-//! has a new one; the old one stays on display until the new one has its first complete bundle. All that costs time with what
-//! arrives was done before it comes here ([`crate::stream::preparing`]).
+//! One connection's scene on the GPU: its terms, vertices, skeletons and bundles. A new connection has a new scene; the old one
+//! stays on display until the new one has its first complete bundle. Costly work on arrivals is done earlier
+//! ([`crate::stream::preparing`]).
 
 use crate::draw::draw_list::{DrawList, Drawable};
 use crate::draw::stages::Stages;

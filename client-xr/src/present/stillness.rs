@@ -1,5 +1,5 @@
-//! When a person must be told that the world stands still, and where the words are. Without them a server that has gone
-//! is a world in which nothing moves any more, and nobody says why.
+//! The notice of a world at rest, and its place. Without it a vanished server is a world in which nothing moves, without
+//! explanation.
 
 use crate::draw::stages::text::panel_ahead;
 use crate::report::FrameReport;

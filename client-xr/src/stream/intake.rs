@@ -1,5 +1,5 @@
-//! The half of the client that takes in what arrives: the session, the decoding of its pictures, and all that is made of both
-//! before the render thread takes it. It may run on a thread of its own, and knows the GPU only by memory that it fills.
+//! The receiving half of the client: the session, the decoding of its pictures, and their preparation for the render thread. It
+//! may run on its own thread, and knows the GPU only as memory to fill.
 
 use super::link::Link;
 use super::preparing::{ArrivedPicture, Preparing};

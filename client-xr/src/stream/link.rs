@@ -1,6 +1,6 @@
-//! What talks to the server: the session, the decoding of its pictures, and what it is told of the head and of the display.
+//! The client's end of the session: messages, the decoding of pictures, and reports of the head and of the display.
 //!
-//! It knows neither scenes nor the GPU. A connection that has ended leaves nothing here but what the next one begins with.
+//! It knows neither scenes nor the GPU. An ended connection leaves nothing here except the start of the next one.
 
 use super::watch::Watch;
 use crate::decode::decoding::{self, DecodeTiming, Decoded, Decoding};

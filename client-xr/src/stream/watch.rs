@@ -1,5 +1,5 @@
-//! Whether somebody looks: a headset that was taken off, or shows something else, needs no updates. A state that lasts only a
-//! moment is not worth telling.
+//! Whether somebody watches. A headset that was taken off, or shows something else, needs no updates. Brief states are not
+//! reported.
 
 use shadecast_protocol::time::ClientTime;
 

@@ -1,11 +1,11 @@
-//! Results that are expensive to compute and cheap to keep, on disk between starts.
+//! Expensive results, kept on disk between starts.
 //!
-//! An entry is found by a [`Key`]: the hash of everything that the result depends on. So an entry never has to be
-//! invalidated: when an input changes, so does the key, and the old entry ages until it is removed for its space.
-//! The files may be damaged, cut off, or from another version; then they count as absent. Their checksum keeps chance
-//! out, not intent: whoever can write to the folder can write whatever checksum belongs to a change. So the folder is
-//! its owner's alone (one that others can write to is not used), and whatever is read is checked to be something that
-//! can be worked with before anyone sees it. Nothing that goes wrong in here stops a program: at worst it computes again.
+//! A [`Key`], the hash of all inputs of a result, finds its entry. Entries are never invalidated: a changed input changes the
+//! key, and the old entry ages until it is removed for its space.
+//!
+//! Damaged or truncated files, and files of another version, count as absent. Their checksum excludes chance, not intent: any
+//! writer of the folder can write a fitting checksum. So the folder belongs to its owner alone (a folder that others can write
+//! to is not used), and every entry is validated before use. No failure in here stops a program: at worst it computes again.
 
 use crate::check::Unsound;
 use serde::Serialize;

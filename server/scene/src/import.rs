@@ -1,4 +1,4 @@
-//! What every importer does around its format: reading the file, naming elements, and telling warnings and faults.
+//! Common work of all importers: reading the file, naming elements, and reporting warnings and faults.
 
 use super::error::{Fault, SceneError, shown};
 use super::limits::read_limited;

@@ -1,7 +1,7 @@
-//! From an asset to a model that is ready to be shown, each expensive step through the [`Cache`].
+//! From an asset to a model ready for display, each expensive step through the [`Cache`].
 //!
-//! Two steps, since the second depends on how large the scene shows the model: the import (files to curves, vertices
-//! and texels), and its [refinement](refine) (long edges split, coarser levels, patches).
+//! There are two steps, because the second depends on the model's size in the scene: the import (files to curves, vertices and
+//! texels), and its [refinement](refine) (long edges split, coarser LODs, patches).
 
 use crate::animation::sampling::{SampledClip, Sampling, sample_until};
 use crate::cache::{Cache, Key};

@@ -1,7 +1,7 @@
-//! Files that an asset refers to. Assets come from strangers: one may name files of its own folder and of folders in it,
-//! and nothing else of this machine, in whichever way it writes the name.
+//! Files that an asset refers to. Assets come from strangers. An asset may name files of its own folder and its subfolders, and
+//! no other file of this machine, however it writes the name.
 //!
-//! (Scene files are the user's own and name models wherever they like; see [`mod@crate::file`].)
+//! Scene files belong to the user and name models anywhere; see [`mod@crate::file`].
 
 use crate::limits;
 use shadecast_model::text::printable;

@@ -1,8 +1,7 @@
 //! Splits triangles with long edges, so that no patch needs a larger block than the atlas grants.
 //!
-//! Whether an edge is split depends on nothing but its two end positions, and its middle is computed from nothing but
-//! its two ends, in a way that does not depend on their order. Both sides of an edge therefore do the same, also
-//! across a seam where they share no vertex, and no T-junction can open a crack.
+//! The split of an edge depends only on its two end positions, and its middle only on its two ends, in any order. So both sides
+//! of an edge split alike, even across a seam without shared vertices, and no T-junction can open a crack.
 
 use super::influences::reduce_to_four;
 use super::{Cancel, Cancelled, Model, Morph, MorphDelta, Primitive, Vertex};

@@ -1,5 +1,5 @@
-//! Tangents where the file has none: MikkTSpace for normal-mapped primitives, as glTF asks for; any unit vector in
-//! the surface for the others, whose shading never reads it.
+//! Tangents for files without them: MikkTSpace for normal-mapped primitives, as glTF requires; any unit vector in the surface
+//! for the others, whose shading never reads it.
 
 use super::{TextureSlot, Vertex};
 use glam::{Vec2, Vec3};

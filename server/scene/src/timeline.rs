@@ -1,7 +1,7 @@
-//! What instances play as time goes by: what the scene says at first, and its events.
+//! Playback of instances over time: the scene's initial state, and its events.
 //!
-//! An event, or an application at run time, says only what changes; the rest stays as it was. Both become entries of a
-//! [`Schedule`], which alone knows what is to be seen at a time.
+//! An event, or an application at run time, gives only the changes. Both become entries of a [`Schedule`], which alone
+//! determines the playback at a time.
 
 use crate::{Instance, Repetition, Scene};
 use shadecast_model::playback::{Playback, Schedule};

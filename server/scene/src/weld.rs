@@ -1,5 +1,5 @@
-//! Makes one vertex of those that are equal in everything, so that neighbouring triangles share them: patches are
-//! found, and vertices streamed, by index.
+//! Merges vertices that are equal in everything, so that neighbouring triangles share them. Patches are found, and vertices
+//! streamed, by index.
 
 use super::Vertex;
 use std::collections::HashMap;

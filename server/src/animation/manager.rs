@@ -1,5 +1,5 @@
-//! The animation manager: skeletons, clips and morph targets of the whole scene, each stored once however many models
-//! and instances use it, as the arrays that the GPU reads. Pure; [`super::gpu`] owns the buffers.
+//! The animation manager: skeletons, clips and morph targets of the whole scene, as arrays for the GPU. Each is stored once,
+//! however many models and instances use it. Pure; [`super::gpu`] owns the buffers.
 
 use super::saved::MOST_PLACES;
 use super::timeline::Shown;

@@ -1,7 +1,7 @@
-//! Where the vertices that were skinned lie: those of instances that stand still once, those of the others once a sample time, as
-//! long as they are needed. Pure.
+//! Places of the skinned vertices: one for instances at rest, one per needed sample time for the others. Pure.
 //!
-//! Vertices are numbered through all buffers. Every device can bind one of [`CHUNK_VERTICES`]; an instance lies in one of them.
+//! Vertices are numbered through all buffers. Every device can bind a buffer of [`CHUNK_VERTICES`]; an instance lies in one
+//! buffer.
 
 use super::packing::SAVED_BYTES;
 use crate::time::RingPlace;

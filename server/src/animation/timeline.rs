@@ -1,8 +1,8 @@
-//! What every instance does at every time: the scene's events, and what an application changes while the world runs; and how the
-//! world's time goes on. Pure.
+//! State of every instance at every time: the scene's events, an application's changes at run time, and the course of world
+//! time. Pure.
 //!
-//! What was sampled once stays as it was: a change takes effect after the latest time that was sampled, whatever the
-//! application asks for, so that no sample that was sent is ever contradicted.
+//! Sampled times never change: a change takes effect after the latest sampled time, whatever the application requests. So no
+//! sent sample is ever contradicted.
 
 use crate::support::lock::lock;
 use shadecast_protocol::motion::playback::{Playing, Schedule};

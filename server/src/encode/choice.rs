@@ -1,5 +1,5 @@
-//! Which encoder makes a stream's H.264: the one that the user names, or the first that works here; and the next one where that
-//! breaks while a client is served.
+//! Choice of a stream's H.264 encoder: the one named by the user, or the first one that works here. If it fails while a client
+//! is served, the next one replaces it.
 
 use super::openh264::{EncoderSettings, OpenH264Encoder};
 use super::{EncodeError, Encoded, Encoder, Source};

@@ -1,4 +1,4 @@
-//! Bytes that may be sent as time goes by. Pure: how often it is asked changes nothing.
+//! Allowed bytes over time. Pure: the frequency of the requests changes nothing.
 
 use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
 

@@ -1,4 +1,4 @@
-//! Poses on the time grid, for one client: of instances whose bones an application moves, or of all where that is asked for.
+//! Poses on the time grid for one client: of instances with bones moved by an application, or of all instances on request.
 
 use super::sampled::SampleWindow;
 use crate::animation::timeline::SharedTimeline;

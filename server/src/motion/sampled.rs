@@ -1,6 +1,6 @@
-//! Samples on the time grid: of every vertex that moves in no way that the client could follow by itself. The bytes of deltas are
-//! made here too, since samples are coded against what deltas have put into the client's memory: an update's geometry and the
-//! samples between two updates, in one order.
+//! Samples on the time grid, of every vertex whose motion the client cannot evaluate itself. The bytes of deltas are made here
+//! too, because samples are coded against the client's memory after each delta: an update's geometry and the samples between
+//! two updates, in one order.
 
 use crate::motion::delta::UpdateDelta;
 use crate::scene::numbering::SceneVertex;

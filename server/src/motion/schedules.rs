@@ -1,5 +1,4 @@
-//! What one client has been told of what instances play, and what of that has changed since: events that come near, and what
-//! applications do while the world runs.
+//! Schedules sent to one client, and their changes since: approaching events, and an application's changes at run time.
 
 use crate::animation::timeline::Timeline;
 use crate::scene::SceneGpu;

@@ -1,4 +1,4 @@
-//! What one client has been told so that it skins by itself: each skeleton, mesh, instance and vertex before skinning once.
+//! The one-time data of a client that skins by itself: skeletons, meshes, instances and vertices before skinning.
 
 use super::sender::{MotionSender, SharedMotion};
 use crate::animation::timeline::SharedTimeline;

@@ -1,8 +1,7 @@
-//! How finely samples are rounded: as finely as the client can tell at the distance from which it looks, and no finer. Pure.
+//! Rounding of samples: as fine as the client can see at its distance, and no finer. Pure.
 //!
-//! Steps are powers of two of a metre, so that going from one to another is exact in the direction of the finer one. One gets finer
-//! as soon as it is seen, and coarser only when there is room to spare: an instance at a distance where the step changes does not
-//! flicker between two.
+//! Steps are powers of two of a metre, so a change to a finer step is exact. A step becomes finer at once, and coarser only
+//! with room to spare: an instance at a threshold distance does not flicker between two steps.
 
 use crate::visibility::predict::View;
 use glam::Vec3;

@@ -1,10 +1,9 @@
-//! What of the scene lies in one client's memory: the cache that the server alone writes.
+//! The part of the scene in one client's memory: a cache that only the server writes.
 //!
-//! Produces the delta of each update. What the memory holds is for a
-//! [`ClientMemory`](shadecast_protocol::memory::ClientMemory) to say; here is where each patch and vertex of the scene lies in it,
-//! and which slots are free. Eviction is lazy, because what was visible tends to come back; only geometry with samples or
-//! predictions leaves with its block, because every one of them costs bytes. A freed slot is used again only after the client
-//! has displayed the update that freed it.
+//! Visible patches enter; the delta of each update leaves. [`ClientMemory`](shadecast_protocol::memory::ClientMemory) defines
+//! the memory's contents; this folder knows the place of each patch and vertex of the scene, and the free slots. Eviction is
+//! lazy, because visible geometry tends to return. Only geometry with samples or predictions leaves with its block, because
+//! each of them costs bytes. A freed slot is reused only after the client has displayed the update that freed it.
 
 mod retained;
 

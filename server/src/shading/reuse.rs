@@ -1,8 +1,9 @@
-//! Which blocks of the atlas are to be shaded with an update: those whose inputs have changed since they were. Pure.
+//! The blocks to shade with an update: those with changed inputs. Pure.
 //!
-//! A block is remembered with the head that it was shaded for. What moves, what moving shadows and lamps reach, and what the head
-//! sees differently by more than [`SEEN_STEPS`] is due. Where an update may not shade as much, new blocks go first, since nothing
-//! is in their place; then what has waited too long; then what is seen largest, changed most and waited longest.
+//! A block is remembered with the head that it was shaded for. Due are moving patches, patches in moving shadows or light, and
+//! patches that the head sees differently by more than [`SEEN_STEPS`]. Where the budget is too small, new blocks go first,
+//! because their places hold nothing. Next come blocks that have waited too long; then the largest, most changed and longest
+//! waiting ones.
 
 use crate::atlas::placement::Placed;
 use crate::atlas::surround::SHADED_EVERY_UPDATES;

@@ -1,4 +1,4 @@
-//! Twin of `ambient.glsl`: what the sky's light does to a surface.
+//! Twin of `ambient.glsl`: the sky's light on a surface.
 
 use glam::{Vec3, Vec4};
 

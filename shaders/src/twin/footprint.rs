@@ -1,4 +1,4 @@
-//! Twin of `footprint.glsl`: what a pixel of the display covers of a block.
+//! Twin of `footprint.glsl`: the area of a block under a pixel of the display.
 
 use crate::constants::{EDGE_COSINE, MAX_TEXELS_PER_PIXEL, MIN_TEXELS_PER_PIXEL};
 use glam::{Mat2, Vec2, Vec3};

@@ -1,6 +1,6 @@
-//! A window of the desktop, for who shows something in one: the server its ground truth, the client its eyes. Device and
-//! images ([`canvas`]), the last stage ([`present`]), a camera ([`camera`]), keys and pointer that move it ([`controls`]),
-//! and what is kept of it ([`png`]). Knows no clock: who has one draws.
+//! A desktop window, for the server's ground truth and the client's eyes. Device and images ([`canvas`]), the last stage
+//! ([`present`]), a camera ([`camera`]), its keys and pointer ([`controls`]), and screenshots ([`png`]). The crate knows no
+//! clock; its callers do.
 
 pub mod camera;
 pub mod canvas;

@@ -1,5 +1,5 @@
-//! The only general Vulkan code of the project: device, memory, retire ring, pipelines from reflection, recorder.
-//! It knows nothing of scenes, atlases or headsets.
+//! The only general Vulkan code of the project: device, memory, retire ring, pipelines from reflection, recorder. It does not
+//! know scenes, atlases or headsets.
 
 mod bind;
 mod context;

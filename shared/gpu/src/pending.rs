@@ -1,5 +1,5 @@
-//! Recordings that are not known to have finished, in the order of their serials. Threads ask for them, wait for them and take their slots
-//! back side by side; its lock is held for a few words, never while the device is called.
+//! Unfinished recordings, in the order of their serials. Threads query them, wait for them and take their slots back in
+//! parallel. The lock is held for a few memory accesses, never for a driver call.
 
 use crate::lock::Lock;
 use ash::vk;

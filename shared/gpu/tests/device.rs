@@ -1,4 +1,4 @@
-//! The device opens with validation, runs work, retires what is dropped, and says nothing to the layers.
+//! The device opens with validation, runs work, retires dropped objects, and causes no validation message.
 
 use generated::{ADD_COMP, AddPush};
 use shadecast_gpu::{

@@ -1,5 +1,5 @@
-//! Which texels of a block its patch covers: what a cutout's material leaves of it. One bit a texel, told once with the block's
-//! placement, and without loss: a picture's codec would move the edges of leaves.
+//! Coverage of a block: the texels that a cutout's material leaves. It takes one bit per texel, sent once with the block's
+//! placement, and lossless: a picture's codec would move the edges of leaves.
 
 use crate::wire::{Reader, WireError, check_count, invalid, put_varint};
 

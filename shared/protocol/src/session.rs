@@ -1,8 +1,8 @@
-//! The two ends of a session as state machines without I/O: bytes and time go in, bytes and events come out.
+//! The two ends of a session as state machines without I/O: bytes and time enter, bytes and events leave.
 //!
-//! Whoever drives them carries three kinds of messages: control messages each way (in order, each whole),
-//! unidirectional streams from the server (each whole), and datagrams (lossy). What they do not know is framing, sockets,
-//! QUIC, clocks, pictures and GPUs.
+//! Their driver carries three kinds of messages: control messages each way (in order, each whole), unidirectional streams from
+//! the server (each whole), and datagrams (lossy). The state machines do not know framing, sockets, QUIC, clocks, pictures and
+//! GPUs.
 //!
 //! An error ends a session: after [`ClientEvent::Failed`] or [`ServerEvent::Failed`] nothing more comes out.
 

@@ -1,8 +1,7 @@
-//! What happened when, on server and client: a file in Chrome's trace event format, which Perfetto (ui.perfetto.dev) and
-//! chrome://tracing show.
+//! Traces of server and client: a file in Chrome's trace event format, for Perfetto (ui.perfetto.dev) and chrome://tracing.
 //!
-//! All times are the server's. A span that belongs to an update is joined by arrows to the others of that update, in the order of
-//! time: from its making to its display. A thread of its own writes the file: who traces waits for no disk.
+//! All times are the server's. Arrows join the spans of an update in the order of time, from its making to its display. A
+//! separate thread writes the file, so tracing waits for no disk.
 
 mod shares;
 

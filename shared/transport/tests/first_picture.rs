@@ -1,4 +1,4 @@
-//! Two sessions over a simulated link, without pictures and GPUs: how many round trips there are before the first picture.
+//! Two sessions over a simulated link, without pictures and GPUs: the number of round trips before the first picture.
 
 use shadecast_protocol::delta::DeltaEncoder;
 use shadecast_protocol::geometry::GeometryDelta;

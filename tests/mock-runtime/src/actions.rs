@@ -1,5 +1,5 @@
-//! Actions: everything an application sets up is checked and kept. Without controllers in the configuration every state is
-//! inactive; with them it is what the script says ([`crate::inputs`]).
+//! Actions: everything that an application sets up is checked and kept. Without controllers in the configuration every state is
+//! inactive; with them the script gives it ([`crate::inputs`]).
 
 use std::collections::{HashMap, HashSet};
 use std::ffi::c_char;

@@ -1,4 +1,4 @@
-//! The end of a frame, written down: its line in the log, and the pictures of what was submitted.
+//! Records at the end of a frame: its line in the log, and the pictures of the submission.
 
 use openxr_sys as xr;
 

@@ -1,5 +1,5 @@
-//! What the mock headset is and does in one run: read once per `xrCreateInstance` from the JSON file that the
-//! environment variable [`CONFIG_VARIABLE`] names. The lab and the demo write that file with [`MockConfig::write`].
+//! Configuration of the mock headset for one run: read once per `xrCreateInstance` from the JSON file that the environment
+//! variable [`CONFIG_VARIABLE`] names. The lab and the demo write that file with [`MockConfig::write`].
 
 use std::ffi::OsString;
 use std::io;

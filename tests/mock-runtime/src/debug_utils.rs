@@ -1,5 +1,5 @@
-//! `XR_EXT_debug_utils`: messengers hear of every refused call, and of what the application submits itself, with the names that
-//! it gave to objects and the labels of its session.
+//! `XR_EXT_debug_utils`: messengers receive every refused call and the application's own messages, with its object names and
+//! session labels.
 
 use std::collections::HashMap;
 use std::ffi::{CStr, CString, c_char, c_void};

@@ -1,5 +1,4 @@
-//! How a call that goes wrong is answered: an OpenXR code for the caller, one line on stderr for the person, one more
-//! in the count of application errors.
+//! Answers to wrong calls: an OpenXR code for the caller, one line on stderr, one more in the count of application errors.
 
 use openxr_sys as xr;
 

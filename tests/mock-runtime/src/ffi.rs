@@ -1,8 +1,8 @@
-//! The border to C: how raw pointers become references, and the macro that declares an entry point.
+//! The border to C: the conversion of raw pointers to references, and the macro that declares an entry point.
 //!
-//! All dereferencing of the application's pointers is here and in the few places that walk arrays. The proof is always
-//! the same: OpenXR's valid usage makes the caller answer for pointers being null or valid for the call, aligned and,
-//! for outputs, not aliased; null is refused here.
+//! All dereferencing of the application's pointers is here and in the few places that walk arrays. The proof is always the
+//! same: OpenXR's valid usage makes the caller answer for pointers being null or valid for the call, aligned and, for outputs,
+//! not aliased; null is refused here.
 
 use std::ffi::{CStr, c_char, c_void};
 

@@ -1,6 +1,6 @@
-//! Fixed foveation, where the configuration asks for it: `XR_FB_foveation`, `XR_FB_foveation_configuration`,
-//! `XR_FB_swapchain_update_state` and `XR_FB_foveation_vulkan`. What the application asks for is checked and recorded. Density maps are
-//! plain images that nothing is written to, so that calls can be checked on devices that have no such maps: a pass cannot use them.
+//! Fixed foveation, if configured: `XR_FB_foveation`, `XR_FB_foveation_configuration`, `XR_FB_swapchain_update_state` and
+//! `XR_FB_foveation_vulkan`. The application's requests are checked and recorded. Density maps are plain images without
+//! content, so calls can be checked on devices without such maps; a pass cannot use them.
 
 use crate::fault::{Fault, Outcome};
 use crate::ffi::{self, entry};

@@ -1,5 +1,5 @@
-//! The frame loop: `xrWaitFrame` paces, `xrBeginFrame` and `xrEndFrame` bracket the rendering, and the end of a frame
-//! is where everything is checked, logged and captured.
+//! The frame loop: `xrWaitFrame` paces, `xrBeginFrame` and `xrEndFrame` bracket the rendering. The end of a frame is checked,
+//! logged and captured.
 
 use std::time::Duration;
 

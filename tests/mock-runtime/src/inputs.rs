@@ -1,4 +1,4 @@
-//! What the controllers' inputs are: those of the configuration's script, read when the application synchronises its actions.
+//! Inputs of the controllers, by the configuration's script, read when the application synchronises its actions.
 
 use crate::config::ScriptedInput;
 use crate::profiles::Reads;

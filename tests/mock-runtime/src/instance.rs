@@ -1,4 +1,4 @@
-//! The instance: what the runtime is, what its one system (a headset) can do, and the queue of events.
+//! The instance: the runtime's properties, the abilities of its one system (a headset), and the queue of events.
 
 use std::ffi::c_char;
 use std::path::PathBuf;

@@ -1,4 +1,4 @@
-//! What may be submitted at the end of a frame: the rules for layers, and the first projection layer in our terms.
+//! Submissions at the end of a frame: the rules for layers, and the first projection layer in our terms.
 
 use openxr_sys as xr;
 use shadecast_protocol::pose::{Fov, Pose};

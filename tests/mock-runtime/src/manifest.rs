@@ -1,4 +1,4 @@
-//! The JSON manifest by which the OpenXR loader finds this runtime (`XR_RUNTIME_JSON`), and where the library is.
+//! The JSON manifest by which the OpenXR loader finds this runtime (`XR_RUNTIME_JSON`), and the path of the library.
 
 use std::io;
 use std::path::{Path, PathBuf};

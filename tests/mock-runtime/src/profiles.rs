@@ -1,5 +1,5 @@
-//! What an interaction profile has: the paths that actions can be bound to, by the specification's tables of OpenXR 1.0. What an
-//! extension adds is not there, since the mock runtime has none that does.
+//! Interaction profiles: their bindable paths, by the tables of OpenXR 1.0. Paths of extensions are absent, because the mock
+//! runtime has no such extension.
 
 use crate::fault::{Fault, Outcome};
 use openxr_sys as xr;

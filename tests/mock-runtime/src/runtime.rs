@@ -1,5 +1,4 @@
-//! Everything the runtime knows, behind one lock: one instance, at most one session in it, and what outlives a lost
-//! instance.
+//! The runtime's state behind one lock: one instance, at most one session in it, and the state that outlives a lost instance.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};

@@ -1,4 +1,4 @@
-//! The state machine against a codec that does what the test says, when it says it.
+//! The state machine against a scripted codec.
 
 use super::*;
 use rand::rngs::SmallRng;

@@ -1,4 +1,4 @@
-//! A head that keys and pointer move, and what it sees with. Pure; times are arguments.
+//! A head moved by keys and pointer, and its eyes. Pure; times are arguments.
 
 use crate::display::{ASSUMED_EYE_HEIGHT_M, Views};
 use glam::{Quat, Vec3};

@@ -1,5 +1,5 @@
-//! Fixed foveation: fewer fragments are shaded where the lenses show little of them, by maps that the runtime makes for the images of
-//! both eyes (`XR_FB_foveation` and those that go with it) and the device reads (`VK_EXT_fragment_density_map`).
+//! Fixed foveation: fewer fragments are shaded near the border of the lenses. The runtime makes density maps for the images of
+//! both eyes (`XR_FB_foveation` and its companions); the device reads them (`VK_EXT_fragment_density_map`).
 
 use super::error::{Doing, XrError};
 use super::succeeded;

@@ -1,10 +1,10 @@
 //! OpenXR: instance, Vulkan device, session, frames, views. The only module that names `openxr`.
 //!
-//! The runtime's events and poses enter, and drawn images. Frame turns, views in the walked stage and presses leave. Nothing here
-//! knows what is drawn.
+//! The runtime's events and poses enter, and drawn images. Frame turns, views in the walked stage and presses leave. Nothing
+//! here knows the drawn content.
 //!
-//! Asks for API 1.0, which every loader in use accepts. Nothing here allocates once frames run: views are located
-//! through the function pointers into arrays of two.
+//! The module requests API 1.0, which every loader in use accepts. Frames allocate nothing: views are located through the
+//! function pointers into arrays of two.
 
 mod actions;
 pub mod error;

@@ -1,4 +1,4 @@
-//! Lists that change by what has changed, against lists that are made anew.
+//! Lists updated by differences, against newly made lists.
 
 use super::*;
 use rand::{Rng, SeedableRng, rngs::StdRng};

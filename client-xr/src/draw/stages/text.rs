@@ -1,5 +1,4 @@
-//! Text in the headset: lines in cells of the dot font, the panel that they lie on, and the draw that shows them
-//! (`text.glsl`).
+//! Text in the headset: lines in cells of the dot font, their panel, and their draw (`text.glsl`).
 
 use super::FRAMES_IN_FLIGHT;
 use glam::{Quat, Vec3};

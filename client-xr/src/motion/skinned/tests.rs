@@ -1,4 +1,4 @@
-//! Which chunk, phase, fade and readiness an instance has at a time.
+//! Chunk, phase, fade and readiness of an instance at a time.
 
 use super::*;
 use crate::motion::arena::ArenaWrites;

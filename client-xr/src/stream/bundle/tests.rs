@@ -1,4 +1,4 @@
-//! A small server with a slot allocator, a network that reorders and drops, and a client that must always show exactly one
+//! A small server with a slot allocator, a network that reorders and drops, and a client that must always display exactly one
 //! update.
 
 use super::*;

@@ -1,9 +1,9 @@
-//! The paper's error table: how far sampled curves are from their originals, and how far the client's interpolation
-//! between samples on a time grid is.
+//! The paper's error table: the distance of sampled curves from their originals, and of the client's interpolation between
+//! samples on a time grid.
 //!
-//! Curves are compared at their original keys, in percent of their own range: the largest distance between any two of
-//! their values, which for a rotation is an angle. Curves that hardly move (below 0.1 mrad, 0.01 mm or 0.00001) have no
-//! range to speak of and are left out. Vertices are compared at the keys of all curves, in millimetres.
+//! Curves are compared at their original keys, in percent of their own range: the largest distance between any two of their
+//! values, an angle for rotations. Curves that hardly move (below 0.1 mrad, 0.01 mm or 0.00001) have no range and are omitted.
+//! Vertices are compared at the keys of all curves, in millimetres.
 
 use super::pose;
 use super::sampling::SampledClip;

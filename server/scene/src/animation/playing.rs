@@ -1,4 +1,4 @@
-//! Poses by what is played: of one clip, or of two amid a cross-fade. CPU twin of the fade in `pose.glsl`.
+//! Poses of the played clips: of one clip, or of two during a cross-fade. CPU twin of the fade in `pose.glsl`.
 
 use super::clip;
 use super::sampling::SampledClip;

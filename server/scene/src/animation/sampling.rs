@@ -1,8 +1,8 @@
-//! Clips as the GPU evaluates them: each curve with its own keys and its own interpolation.
+//! Clips for the GPU: each curve with its own keys and its own interpolation.
 //!
-//! Two ways lead there. *Constant* sampling looks at every curve at one interval, as the paper does. *Error-bounded*
-//! sampling keeps the fewest keys with which no skinned vertex leaves the original by more than a bound
-//! (`bounded`). What evaluates a clip need not know which of the two made it.
+//! Two ways produce them. *Constant* sampling evaluates every curve at one interval, as the paper does. *Error-bounded*
+//! sampling keeps the fewest keys with which no skinned vertex leaves the original by more than a bound (`bounded`). The
+//! evaluation does not depend on the way.
 
 mod bounded;
 pub(crate) mod curve;

@@ -1,4 +1,4 @@
-//! Nodes to bones, parents first; which of them are shown; lights.
+//! Nodes to bones, parents first; their visibility; lights.
 
 use super::convert::{self, rotation, vec3};
 use crate::error::Fault;

@@ -1,8 +1,8 @@
-//! Materials and the textures that they use: FBX's Lambert and Phong and the physically based ones of the common tools,
-//! which the library brings into one form, to metallic-roughness.
+//! Materials and their textures. The library brings FBX's Lambert and Phong and the physically based materials of the common
+//! tools into one form; this module converts it to metallic-roughness.
 //!
-//! A texture that cannot be had (not beside the file, or in a format that is not read) costs one warning; the material
-//! keeps its factors. Colours count as linear.
+//! An unavailable texture (not beside the file, or in an unsupported format) costs one warning; the material keeps its factors.
+//! Colours count as linear.
 
 use super::convert;
 use crate::error::Fault;

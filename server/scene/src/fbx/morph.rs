@@ -1,5 +1,5 @@
-//! Blend shapes to morph targets. A channel with shapes in between becomes one morph for each of its shapes; their
-//! weights follow the channel's as FBX blends them (see [`Channel::weights`]).
+//! Blend shapes to morph targets. A channel with in-between shapes becomes one morph per shape. Their weights follow the
+//! channel's by FBX's blending (see [`Channel::weights`]).
 
 use super::convert::{self, vec3};
 use super::part::Part;

@@ -1,4 +1,4 @@
-//! What the control points of a mesh follow: the clusters of its skin, or the node that shows it.
+//! Influences on the control points of a mesh: the clusters of its skin, or its node.
 
 use super::convert::affine;
 use crate::PaletteEntry;

@@ -1,4 +1,4 @@
-//! What a scene file lets happen as time goes by: `[[event]]`s, which change what an instance plays.
+//! Events of a scene file over time: `[[event]]`s, which change an instance's playback.
 
 use super::fields::Fields;
 use super::path::REPETITIONS;

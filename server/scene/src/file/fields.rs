@@ -1,4 +1,4 @@
-//! Tables of a TOML text with the line of every value: the part of the reader that knows TOML and nothing of scenes.
+//! Tables of a TOML text with the line of every value. This part of the reader knows TOML and no scenes.
 
 use crate::SceneError;
 use crate::suggest::{did_you_mean, did_you_mean_or_list};

@@ -1,5 +1,5 @@
-//! Keyframed transforms of a scene file: what a person writes, a list of keys, made into the curves that every
-//! clip has. Smooth paths get their tangents here, so that nothing behind this file knows of a further interpolation.
+//! Keyframed transforms of a scene file: a user's list of keys becomes the same curves as a clip's. Smooth paths get their
+//! tangents here, so later modules know no further interpolation.
 
 use super::fields::Fields;
 use super::transform::{read_quaternion, read_scale, rotation_of};

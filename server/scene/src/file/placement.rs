@@ -1,4 +1,4 @@
-//! Where a scene file places its models: single instances, and grids of them.
+//! Placement of models in a scene file: single instances, and grids of them.
 
 use super::fields::Fields;
 use super::path::{CURVE_KEYS, REPETITIONS, read_transform_path};

@@ -1,5 +1,4 @@
-//! Where a scene file is looked at from: the stage, cameras and head paths. Cameras and heads stand in the stage and
-//! look along their -z.
+//! Viewpoints of a scene file: the stage, cameras and head paths. Cameras and heads stand in the stage and look along their -z.
 
 use super::fields::Fields;
 use super::path::{CURVE_KEYS, Key, read_key_times, read_path};

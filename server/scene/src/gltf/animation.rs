@@ -1,4 +1,4 @@
-//! glTF animations to [`Clip`]s: curves are kept as the file has them.
+//! glTF animations to [`Clip`]s, with their curves unchanged.
 
 use super::super::error::Fault;
 use super::super::limits::MAX_DURATION_S;

@@ -1,5 +1,5 @@
-//! `EXT_meshopt_compression`: buffer views whose bytes are compressed. They are decoded once, before anything reads
-//! them, so that the rest of the importer does not know of compression.
+//! `EXT_meshopt_compression`: buffer views with compressed bytes. They are decoded once, before all reads, so the rest of the
+//! importer does not know of compression.
 
 use super::buffer::Buffer;
 use super::extensions::{self, COMPRESSION};

@@ -1,7 +1,7 @@
 //! From bytes, GLB or plain glTF, to a validated JSON document and its buffers.
 //!
-//! The `gltf` crate's own container reader computes with unchecked lengths, so the container is read here; its JSON
-//! types and its index validation are used.
+//! The `gltf` crate's container reader computes with unchecked lengths, so this module reads the container. It uses the crate's
+//! JSON types and index validation.
 
 use super::super::error::Fault;
 use super::super::import::Surroundings;

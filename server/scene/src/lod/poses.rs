@@ -1,5 +1,5 @@
-//! In which poses a coarser level has to be good: the rest pose, a few of the clips that differ most, and some in which
-//! every joint is bent, for what no clip shows.
+//! Poses in which a coarser LOD must be good: the rest pose, a few of the most different poses of the clips, and some with
+//! every joint bent, for poses outside the clips.
 
 use crate::animation::pose::{self, blend};
 use crate::{Cancel, Cancelled, Model};

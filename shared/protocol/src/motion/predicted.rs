@@ -1,6 +1,6 @@
-//! Predicted positions, as the paper sends them: with every update each visible animated vertex is told again where it will be at
+//! Predicted positions, as the paper sends them: every update carries, for each visible animated vertex, its positions at
 //! [`PREDICTIONS`] times ("For our test, we compute three view predictions that are 33 ms in the future, generating 100 ms time
-//! frame", section 4). Nothing is packed and nothing is kept between updates: the baseline that the other ways are compared with.
+//! frame", section 4). Nothing is packed and nothing is kept between updates: this is the baseline for the other kinds.
 
 use crate::ids::VertexSlot;
 use crate::limits::{MAX_COORDINATE_M, PREDICTIONS};

@@ -1,4 +1,4 @@
-//! A server's announcement, by a library that keeps to multicast DNS: probes, answers, takes leave.
+//! A server's announcement, by a library for multicast DNS: probes, answers, goodbye.
 
 use super::{FINGERPRINT_KEY, SERVICE};
 use crate::identity::Fingerprint;

@@ -1,5 +1,5 @@
-//! Asks all networks of this machine once, and takes the answers that come to the asker alone (RFC 6762, 5.1 and 6.7): needs
-//! neither port 5353 nor the permission to hear what is sent to all.
+//! Asks all networks of this machine once, and takes the unicast answers (RFC 6762, 5.1 and 6.7). It needs neither port 5353
+//! nor the permission to receive multicast.
 
 use super::packet::{FoundServer, MAX_ADDRESSES, question, servers};
 use crate::endpoint::random_bytes;

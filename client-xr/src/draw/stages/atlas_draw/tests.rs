@@ -1,5 +1,5 @@
-//! Whether colours of one block are seen in another's patch: blocks of all levels, small and large on the display, whose
-//! neighbours have the farthest colours; and the lookup against its twin. Validation is on; any message fails.
+//! Colours never leak between blocks: blocks of all sizes, small and large on the display, with neighbours of the most distant
+//! colours. The lookup is compared with its twin. Validation is on; any message fails.
 
 use super::*;
 use crate::decode::{DevicePicture, Picture};

@@ -1,9 +1,8 @@
 //! Exchanges the fits of single curves while the bound holds.
 //!
-//! Errors are small, so that they add up: what the error of one curve does to a vertex does not depend on the others'.
-//! Kept is how far each watched vertex is from its place at each watched time; what another fit of one curve would make
-//! of that is a product for each vertex that the curve moves, without a pose. That is exact to first order only, so
-//! that whoever asks measures in the end.
+//! Errors are small and therefore add up: the effect of one curve's error on a vertex does not depend on the other curves. The
+//! distance of each watched vertex from its place is stored for each watched time. The effect of another fit of one curve is
+//! then a product per moved vertex, without a pose. That is exact to first order only, so the caller measures in the end.
 
 use super::moving::{Moving, Place};
 use super::probe::{Moment, offset};

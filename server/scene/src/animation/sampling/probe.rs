@@ -1,4 +1,4 @@
-//! How far skinned vertices are from where the original has them.
+//! Distance of skinned vertices from their places in the original.
 
 use super::SampledClip;
 use crate::animation::pose;
