@@ -213,7 +213,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_given_waits_for_a_presenter_that_takes_nothing_and_what_is_offered_does_not() {
+    fn given_items_wait_for_the_presenter_and_offered_ones_do_not() {
         let (presenter, mut intake) = ends();
         let word = |number: usize| Prepared::Status(number.to_string());
         assert!((0..CAPACITY).all(|number| intake.offer(word(number))));

@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_that_is_silent_is_joined_by_the_next_one_after_half_a_second() {
+    fn a_silent_address_is_joined_by_the_next_after_half_a_second() {
         let mut dialler = dialler(2);
         assert_eq!(dialler.dial(at(0), 0), Some(address(1)));
         assert_eq!(dialler.dial(at(S / 2 - 1), 1), None);

@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn units_that_were_in_a_decoder_that_is_replaced_come_out_once_and_in_order() {
+    fn units_of_a_replaced_decoder_come_out_once_in_order() {
         let own = scripted([Err(refused()), Ok(())]);
         let mut decoder = decoder(Ok(own), Box::new(|| Ok(scripted([Ok(())])))).expect("a decoder");
         (0..3).for_each(|_| decoder.submit(&[]));

@@ -412,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn work_on_a_model_ends_wherever_it_is_asked_to_and_keeps_nothing_half_done() {
+    fn cancelled_work_on_a_model_keeps_nothing_half_done() {
         let folder = tempfile::tempdir().unwrap();
         let work = |cancel: &Cancel| {
             let loading = Loading::complete(Cache::new(folder.path())).until(cancel);
@@ -493,7 +493,7 @@ mod tests {
     }
 
     #[test]
-    fn edited_entries_with_their_checksum_made_to_fit_are_sound_or_made_anew() {
+    fn forged_cache_entries_are_sound_or_rebuilt() {
         let folder = tempfile::tempdir().unwrap();
         let (asset, cache) = (folder.path().join("a.asset"), folder.path().join("cache"));
         std::fs::write(&asset, "a").unwrap();

@@ -329,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn a_morphed_model_splits_into_the_same_surface_as_a_split_one_morphs_into() {
+    fn splitting_and_morphing_commute() {
         let mut rng = SmallRng::seed_from_u64(36);
         let mut model = sheet(&mut rng, 3, false);
         let delta = |vertex: u32| MorphDelta {

@@ -415,7 +415,7 @@ mod tests {
     }
 
     #[test]
-    fn a_change_takes_effect_when_it_is_to_but_never_before_what_was_sampled() {
+    fn a_change_never_precedes_sampled_times() {
         let mut timeline = Timeline::new(&scene());
         assert_eq!(timeline.set_playback(0, faster(), ms(700)), Ok(ms(700)));
         timeline.sampled(ms(900));
@@ -456,7 +456,7 @@ mod tests {
     }
 
     #[test]
-    fn between_two_poses_a_live_instance_goes_straight_and_outside_them_it_stands() {
+    fn a_live_instance_moves_linearly_between_poses() {
         let scene = scene();
         let mut timeline = Timeline::new(&scene);
         let (from, mut to) = (rest(&scene), rest(&scene));

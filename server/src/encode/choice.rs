@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_with_which_an_encoder_breaks_comes_out_of_the_next_as_a_refresh() {
+    fn a_failing_encoders_picture_returns_as_a_refresh() {
         let all = encoders(vec![breaks("first", 2), unmade("second")]);
         let mut encoder = all.encoder(EncoderSettings::new(EXTENT)).expect("an encoder");
         let mut units = Vec::new();

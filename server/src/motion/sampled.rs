@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn who_enters_when_the_horizon_has_come_nearer_gets_every_step_that_the_others_have() {
+    fn a_vertex_entering_late_gets_every_step_of_the_others() {
         let mut sampled = SampledVertices::default();
         sampled.enter(VertexSlot(0), SceneVertex(0));
         assert_eq!(steps(&mut sampled, 0, 8, 0), (0..=8).collect::<Vec<_>>());

@@ -825,7 +825,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slot_is_not_used_again_before_the_frame_that_freed_it_was_displayed() {
+    fn a_freed_slot_waits_for_the_display_of_its_update() {
         let mut run = Run::new();
         let mut freed: HashMap<VertexSlot, u32> = HashMap::new();
         let mut displayed = 0;
@@ -845,7 +845,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_put_behind_comes_after_all_others_with_what_they_leave_and_is_no_shortage() {
+    fn deferred_patches_get_the_remaining_budget() {
         let mut residency = Residency::new(&Strip, 1024, 1024);
         residency.put_behind((0..10).map(ScenePatch));
         let bytes = |patches: usize| patches * (PATCH_BYTES + 4 * STATIC_VERTEX_BYTES);
@@ -877,7 +877,7 @@ mod tests {
     }
 
     #[test]
-    fn static_geometry_out_of_sight_stays_for_a_while_and_costs_nothing_when_it_returns() {
+    fn hidden_static_geometry_stays_and_returns_free() {
         let mut residency = Residency::new(&Strip, 8192, 8192);
         let change = |block| [change(3, block)];
         residency.update(&Strip, &change(block(3)), stamp(0));
@@ -919,7 +919,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_are_rounded_to_the_step_that_the_client_was_told_and_a_change_disturbs_none() {
+    fn samples_are_rounded_to_the_announced_step() {
         let (fine, usual) = (1.0 / 8192.0, 1.0 / 2048.0);
         let (told_m, worst) = walk(&[usual, usual, fine, fine, usual, usual * 0.9, fine]);
         assert_eq!(told_m, [usual, fine, usual, usual / 2.0, fine]);
@@ -948,7 +948,7 @@ mod tests {
     }
 
     #[test]
-    fn limited_updates_bring_the_largest_blocks_first_and_everything_in_the_end() {
+    fn limited_updates_bring_the_largest_blocks_first() {
         let mut residency = Residency::new(&Strip, 8192, 8192);
         let changes: Vec<_> =
             (0..PATCHES).map(|patch| sized(patch, if patch >= 390 { 8 } else { 2 })).collect();
@@ -970,7 +970,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_reserved_comes_with_the_next_update_and_what_does_not_fit_is_not_reserved() {
+    fn reserved_patches_come_with_the_next_update() {
         for (geometry_bytes, slots) in [(2000, 8192), (usize::MAX, 60)] {
             let mut residency = Residency::new(&Strip, slots, slots);
             residency.set_budget(Budget { geometry_bytes, ..Budget::UNLIMITED });
@@ -989,7 +989,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_brought_ahead_comes_without_a_block_in_several_updates_and_stays_until_it_gets_one() {
+    fn prefetched_patches_arrive_without_blocks_and_stay() {
         let mut residency = Residency::new(&Strip, 1024, 1024);
         residency.set_budget(Budget { geometry_bytes: 500, ..Budget::UNLIMITED });
         let ahead: Vec<ScenePatch> = (0..60).map(ScenePatch).collect();
@@ -1011,7 +1011,7 @@ mod tests {
     }
 
     #[test]
-    fn what_may_take_so_much_brings_the_last_samples_of_a_pause_and_no_more_than_fit() {
+    fn a_pause_ends_with_the_samples_that_fit_the_budget() {
         let moving: Vec<_> = (200..400).map(|patch| sized(patch, 4)).collect();
         let after_a_pause = |budget_bytes| {
             let mut residency = Residency::new(&Strip, 8192, 8192);
@@ -1035,7 +1035,7 @@ mod tests {
     }
 
     #[test]
-    fn what_waits_comes_in_as_soon_as_slots_are_free_though_its_block_has_not_changed() {
+    fn waiting_patches_enter_as_soon_as_slots_are_free() {
         let mut residency = Residency::new(&Strip, 8, 8);
         residency.update(&Strip, &[sized(0, 4), sized(1, 4), sized(2, 4)], stamp(0));
         residency.update(&Strip, &[sized(10, 4)], stamp(1));

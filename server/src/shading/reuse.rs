@@ -500,7 +500,7 @@ mod tests {
     }
 
     #[test]
-    fn a_block_elsewhere_or_of_another_size_is_new_and_so_is_one_that_comes_back() {
+    fn moved_resized_and_returning_blocks_are_new() {
         let (row, mut reuse) = (row(), Reuse::new(true));
         due(&mut reuse, &row, row.moment([0; 4]), &all());
         let mut placed = all();
@@ -558,7 +558,7 @@ mod tests {
     }
 
     #[test]
-    fn a_head_that_goes_aside_has_what_is_near_shaded_again_and_never_lets_differences_grow() {
+    fn a_sidestep_shades_near_blocks_again() {
         let (row, mut reuse) = (row(), Reuse::new(true));
         let mut shaded_from = [HEAD.position; 40];
         for step in 0..60 {

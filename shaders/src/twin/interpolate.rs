@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn after_a_gap_a_vertex_is_where_its_samples_are_though_the_ring_has_lost_what_it_went_on_from() {
+    fn after_a_gap_a_vertex_follows_its_new_samples() {
         let at = |g: i32| 0.1 * g as f32;
         let mut memory = with_samples(25..=30, at);
         memory.interpolate(&push(31, 0.0, true));
@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn past_the_last_sample_it_holds_its_velocity_for_one_step_and_then_stays() {
+    fn past_the_last_sample_a_vertex_extrapolates_one_step() {
         let mut memory = with_samples(0..=7, |g| (2 * g) as f32);
         for (grid, fraction, expected) in [(7, 0.5, 15.0), (7, 1.0, 16.0), (8, 0.25, 16.0), (5000, 0.5, 16.0)]
         {
@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vertex_that_enters_a_slot_never_uses_the_samples_of_the_one_before() {
+    fn a_vertex_never_uses_its_slots_earlier_samples() {
         let mut memory = with_samples(0..=9, |_| 100.0);
         memory.scatter(&[sampled_entry(0)]);
         memory.scatter(&[5, 6].map(|g| sample_write(0, GridIndex(g), [g as f32, 0.0, 0.0])));
@@ -422,7 +422,7 @@ mod tests {
 
     /// Runs display frames of a tenth of a step, with late samples, and gives the largest movement between two.
     #[test]
-    fn after_a_freeze_it_returns_to_its_curve_without_a_jump_within_the_blending_time() {
+    fn after_a_freeze_a_vertex_blends_back_without_a_jump() {
         let mut memory = with_samples(0..=4, |g| g as f32);
         let (mut worst, mut last) = (0f32, None);
         for frame in 40..200 {

@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn all_before_the_oldest_that_goes_on_have_finished_in_whatever_order_they_do() {
+    fn all_before_the_oldest_pending_have_finished() {
         let pending = Pending::default();
         let [a, b, c] = ["a", "b", "c"].map(|slot| submit(&pending, slot));
         assert_eq!(pending.next_submitted(a).map(|(serial, _)| serial), Some(b));

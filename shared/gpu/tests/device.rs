@@ -19,7 +19,7 @@ fn open(needs: Needs) -> Arc<Gpu> {
 }
 
 #[test]
-fn both_feature_sets_open_and_pass_the_multiview_self_test_without_a_validation_message() {
+fn both_feature_sets_pass_the_multiview_self_test() {
     for needs in [Needs::Server, Needs::Client] {
         let gpu = open(needs);
         assert_eq!(gpu.validation_messages(), 0, "{:?}", gpu.validation_texts());
@@ -67,7 +67,7 @@ fn who_waits_for_a_recording_sees_its_timings_and_no_others() {
 }
 
 #[test]
-fn recordings_of_both_queues_are_waited_for_by_themselves_and_see_what_had_ended() {
+fn recordings_of_both_queues_are_waited_for_separately() {
     let gpu = open(Needs::Server);
     let target = Buffer::new(&gpu, "target", 4096, Memory::Device).unwrap();
     let back = Buffer::new(&gpu, "back", 4096, Memory::Readback).unwrap();

@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn merged_traces_keep_their_processes_apart_and_what_is_none_is_refused() {
+    fn merged_traces_keep_their_processes_apart() {
         let folder = tempfile::tempdir().unwrap();
         let file = |name: &str| folder.path().join(name);
         for (name, process) in [("server.json", Process::Server), ("client.json", Process::Client)] {

@@ -642,7 +642,7 @@ fn what_one_buffer_does_not_hold_is_skinned_into_several() {
 }
 
 #[test]
-fn only_the_vertices_of_the_level_that_is_needed_are_skinned_until_a_finer_one_is() {
+fn only_vertices_of_the_needed_lod_are_skinned() {
     let gpu = gpu();
     let mut scene = load_scene(&SceneSource::Dragons(1)).expect("the built-in scene loads");
     let dragon = scene.instances.iter().position(|instance| instance.clip.is_some()).expect("it flies");

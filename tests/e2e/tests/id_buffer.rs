@@ -92,7 +92,7 @@ fn patches_in(ids: &[u32]) -> usize {
 }
 
 #[test]
-fn triangles_have_the_same_patches_whether_the_device_numbers_them_or_the_vertices_do() {
+fn both_ways_of_numbering_triangles_give_the_same_patches() {
     let gpu = gpu();
     let folder = tempfile::tempdir().unwrap();
     let leaves = write_leaves(folder.path(), true).unwrap();

@@ -75,7 +75,7 @@ fn pictures_come_back_one_for_one_and_only_the_first_is_a_refresh() {
 }
 
 #[test]
-fn a_refresh_comes_with_the_picture_that_it_is_asked_for_and_needs_none_before_it() {
+fn a_refresh_comes_with_its_picture_and_needs_no_earlier_one() {
     let mut encoder = x264(22);
     let units: Vec<AccessUnit> = (0..9).map(|number| encode(&mut encoder, number, number == 5)).collect();
     let refreshes: Vec<bool> = units.iter().map(|unit| unit.is_refresh).collect();

@@ -192,7 +192,7 @@ fn what_an_application_changes_is_shown_in_the_frame_for_which_it_is() {
 }
 
 #[test]
-fn a_change_that_comes_late_is_blended_to_without_a_jump() {
+fn a_late_change_is_blended_without_a_jump() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     // Silence from 1.3 to 2.2 s of the server's time: what changes soon after its beginning is heard of too late.

@@ -117,7 +117,7 @@ fn down(radians: f32) -> Quat {
 }
 
 #[test]
-fn a_still_scene_is_shaded_and_converted_once_and_looked_at_from_one_place() {
+fn a_still_scene_is_shaded_and_converted_once() {
     let mut both = Both::new(dragons(9, false));
     for _ in 0..SETTLED {
         both.update(AT, down(0.3));
@@ -148,7 +148,7 @@ fn shadows_of_what_moves_are_nowhere_old() {
 }
 
 #[test]
-fn a_head_that_moves_sees_no_more_than_a_few_steps_of_what_was_shaded_before() {
+fn reused_shading_differs_by_few_steps_for_a_moving_head() {
     let mut both = Both::new(dragons(3, false));
     let (mut shaded, mut texels) = (0, 0);
     for update in 0..SETTLED {
@@ -165,7 +165,7 @@ fn a_head_that_moves_sees_no_more_than_a_few_steps_of_what_was_shaded_before() {
 }
 
 #[test]
-fn a_budget_bounds_what_is_shaded_again_and_what_is_new_is_never_left_out() {
+fn a_budget_bounds_reshading_and_never_new_blocks() {
     const BUDGET_TEXELS: u64 = 20_000;
     let mut both = Both::new(dragons(3, true));
     both.frames[0].set_shading_budget(BUDGET_TEXELS);

@@ -34,7 +34,7 @@ enabled = false
 "#;
 
 #[test]
-fn at_rest_consecutive_atlases_are_the_same_and_deltas_say_nothing() {
+fn at_rest_atlases_are_identical_and_deltas_empty() {
     let folder = tempfile::tempdir().expect("a folder");
     write_room(folder.path(), [2, 1]).expect("a room");
     let scene = folder.path().join("rest.toml");

@@ -39,7 +39,7 @@ fn an_atlas_that_no_client_takes_is_refused_at_the_command_line() {
 }
 
 #[test]
-fn the_doctor_says_what_a_server_could_do_here_and_what_keeps_it_from_starting() {
+fn the_doctor_reports_abilities_and_obstacles() {
     let taken = UdpSocket::bind("127.0.0.1:0").expect("a socket");
     let address = taken.local_addr().expect("its address").to_string();
     let doctor = |address: &str, more: &[&str]| {
@@ -215,7 +215,7 @@ fn what_goes_wrong_is_said_in_plain_text_to_who_wants_quiet_too() {
 }
 
 #[test]
-fn a_server_is_shown_once_known_by_any_name_and_refused_when_it_is_another() {
+fn a_known_server_is_recognised_by_any_name() {
     let stage = Stage::new();
     let (address, server, fingerprint) = mute_server(1, ANY);
     let typed = address.to_string();

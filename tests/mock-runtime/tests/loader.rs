@@ -562,7 +562,7 @@ fn release_next(swapchain: &mut xr::Swapchain<xr::Vulkan>) {
 }
 
 #[test]
-fn a_view_may_be_flipped_or_without_area_and_sees_less_than_half_the_world() {
+fn views_may_be_flipped_or_empty_and_are_under_180_degrees() {
     let run = Run::new(&MockConfig { capture_every: 0, ..virtual_config() });
     let mut app = App::begun();
     app.empty_frame();
@@ -1036,7 +1036,7 @@ fn relate(
 
 /// As the core validation layer of today's SDKs does it.
 #[test]
-fn a_velocity_that_nobody_has_set_is_refused_and_one_of_the_call_before_is_not() {
+fn an_unset_velocity_is_refused() {
     let run = Run::new(&virtual_config());
     let mut app = App::begun();
     let time = app.empty_frame().predicted_display_time;
@@ -1514,7 +1514,7 @@ fn bound_sources_are_told_once_each_and_have_names() {
 }
 
 #[test]
-fn an_action_is_asked_for_the_paths_that_it_was_created_with_and_no_others() {
+fn actions_accept_only_their_own_paths() {
     let _run = Run::new(&virtual_config());
     let app = App::begun();
     let instance = &app.instance;
@@ -1630,7 +1630,7 @@ fn refused_session(instance: &xr::Instance, system: xr::SystemId, next: *const s
 }
 
 #[test]
-fn a_session_without_a_binding_is_refused_before_the_requirements_call_is_missed() {
+fn a_session_without_binding_is_refused_first() {
     let run = Run::new(&virtual_config());
     let instance = create_instance(&load()).expect("instance");
     let system = instance.system(xr::FormFactor::HEAD_MOUNTED_DISPLAY).expect("system");

@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_was_held_up_does_not_throw_the_head_through_the_world() {
+    fn a_stalled_program_does_not_throw_the_head() {
         let mut head = Head::new(60.0);
         head.views(ClientTime(0), Vec3::Z, [640, 480]);
         let late = head.views(ClientTime(10_000 * MS), Vec3::Z, [640, 480]);

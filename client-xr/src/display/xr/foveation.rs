@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_asked_for_where_it_is_not_wanted_or_part_of_it_is_missing() {
+    fn unwanted_or_incomplete_foveation_requests_nothing() {
         let hidden_extensions = vec!["XR_FB_swapchain_update_state".to_owned()];
         for (config, foveation) in [
             (config(), Foveation::None),

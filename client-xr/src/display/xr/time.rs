@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn a_runtime_whose_clock_begins_anew_is_followed_and_nonsense_does_no_harm() {
+    fn a_reset_runtime_clock_is_followed() {
         let mut clock = GuessedClock::default();
         let now = ClientTime(3_600 * S);
         clock.convert(900 * S, now, 14 * MS);

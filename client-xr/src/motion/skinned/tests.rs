@@ -108,7 +108,7 @@ fn what_does_not_depend_on_time_is_the_skeletons_and_the_instances() {
 }
 
 #[test]
-fn without_the_chunk_of_the_moment_an_instance_is_withheld_and_its_place_is_told() {
+fn an_instance_without_its_chunk_is_withheld_and_reported() {
     let mut tables = dancing();
     tables.forget_chunk((DANCE, 1));
     for (at, ready) in [(499, true), (500, false), (999, false), (1000, true)] {
@@ -301,7 +301,7 @@ fn poses_on_the_grid_are_weighed_by_four_steps_where_they_are_there() {
 }
 
 #[test]
-fn without_an_outer_step_poses_on_the_grid_are_on_a_line_and_name_no_other_words() {
+fn grid_poses_without_an_outer_step_are_linear() {
     for steps in [&[7, 8][..], &[6, 7, 8], &[7, 8, 9]] {
         let (pose, counts) = pose(&mut on_grid(steps), 725);
         assert_eq!(pose.grid_weights, [0.0, 0.75, 0.25, 0.0], "{steps:?}");

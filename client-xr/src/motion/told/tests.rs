@@ -264,7 +264,7 @@ fn a_schedule_that_comes_before_its_instance_counts() {
 }
 
 #[test]
-fn a_schedule_that_comes_before_its_instance_is_not_blended_to_from_what_nobody_saw() {
+fn an_early_schedule_is_not_blended_from_an_undisplayed_state() {
     let mut motion = motion();
     pose(&mut motion);
     [chunk(0, WALK, 200), schedule(1, WALK)].into_iter().for_each(|news| motion.take_motion(news));
@@ -375,7 +375,7 @@ fn x_at(arena: &[u8], grid: i32) -> f32 {
 }
 
 #[test]
-fn poses_go_to_their_places_whether_their_instance_comes_before_or_after_them() {
+fn poses_reach_their_places_before_or_after_their_instance() {
     for is_early in [false, true] {
         let mut motion = motion();
         let news = poses(vec![posed(-1, 10.0, 1), posed(0, 20.0, 1), posed(1, 30.0, 1)]);
@@ -392,7 +392,7 @@ fn poses_go_to_their_places_whether_their_instance_comes_before_or_after_them() 
 }
 
 #[test]
-fn a_pose_that_is_older_than_what_has_its_place_or_of_another_skeleton_changes_nothing() {
+fn an_older_or_foreign_pose_changes_nothing() {
     let mut motion = motion();
     motion.take_delta(&mut posed_fox());
     motion.take_motion(poses(vec![posed(40, 10.0, 1), posed(8, 20.0, 1), posed(40, 30.0, 2)]));

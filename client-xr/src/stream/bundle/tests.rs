@@ -470,7 +470,7 @@ fn changes_of_patches_that_wait_for_pictures_are_bounded_by_what_they_say() {
 }
 
 #[test]
-fn what_is_drawn_is_always_one_update_whatever_arrives_when() {
+fn a_drawn_bundle_is_always_one_update() {
     let patches_seen: usize = (0..300).map(run).sum();
     assert!(patches_seen > 50_000, "{patches_seen}: the scenes are too empty to show anything");
 }
@@ -647,7 +647,7 @@ fn a_patch_is_withheld_until_the_first_step_that_all_its_vertices_have() {
 }
 
 #[test]
-fn vertices_past_their_last_sample_are_held_for_one_step_and_then_frozen() {
+fn vertices_past_their_last_sample_freeze_after_one_step() {
     let mut bench = Bench::new(0);
     bench.add_delta(triangle(0, 0..=4));
     bench.bundler.add_picture(UpdateId(0), 0);

@@ -411,7 +411,7 @@ mod tests {
     }
 
     #[test]
-    fn client_that_interpolates_linearly_errs_as_resampling_does_and_a_cubic_hardly() {
+    fn linear_clients_err_like_resampling_and_cubic_ones_hardly() {
         with_sampled(&swinging(), Sampling::Constant { interval_s: 0.005 }, |subject| {
             let percent = |table: ErrorTable| table.rotation.expect("it turns").max_percent;
             let linear = percent(subject.client_side(0.1, linear_weights));

@@ -295,7 +295,7 @@ fn hidden_nodes_and_what_hangs_on_them_are_not_drawn() {
 }
 
 #[test]
-fn more_than_four_influences_are_reduced_and_unskinned_points_follow_the_node() {
+fn influences_are_reduced_to_four() {
     let (model, _) = load_text(&with_skin(plain()));
     let at = |x: f32, y: f32| {
         model.vertices.iter().find(|v| v.position.truncate() == glam::Vec2::new(x, y)).expect("vertex")
@@ -346,7 +346,7 @@ fn curves_skins_and_shapes_in_between_are_what_the_library_evaluates() {
 }
 
 #[test]
-fn layers_and_scale_that_children_do_not_inherit_are_what_the_library_evaluates() {
+fn layers_and_uninherited_scale_equal_the_library() {
     let mut file = sample();
     // A second, additive layer; bone 3 (which is stretched) does not hand its scale on to bone 4.
     file.object(

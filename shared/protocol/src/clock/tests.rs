@@ -232,7 +232,7 @@ impl Headset {
 const RATES_HZ: [f64; 5] = [36.0, 60.0, 72.0, 90.0, 120.0];
 
 #[test]
-fn once_something_is_on_display_no_frame_steps_by_more_than_a_tenth_of_a_millisecond() {
+fn a_displayed_clock_steps_by_at_most_100_microseconds() {
     for (seed, rate_hz) in (0..60).flat_map(|seed| RATES_HZ.map(|rate_hz| (seed, rate_hz))) {
         let mut dice = Dice::new(seed);
         let headset = Headset::throw(&mut dice, rate_hz);
@@ -331,7 +331,7 @@ fn before_anything_is_on_display_an_estimate_counts_at_once() {
 }
 
 #[test]
-fn another_estimate_of_the_same_clock_is_turned_to_slowly_and_another_clock_at_once() {
+fn a_new_estimate_is_followed_slowly_and_a_new_clock_at_once() {
     let seen_ns = |from_ns| {
         let mut clock = ClockEstimator::new();
         let server = ServerTime(1000 * MS);
@@ -349,7 +349,7 @@ fn another_estimate_of_the_same_clock_is_turned_to_slowly_and_another_clock_at_o
 }
 
 #[test]
-fn a_way_that_is_faster_than_ever_is_not_taken_for_a_clock_that_was_set_anew() {
+fn a_faster_path_is_not_mistaken_for_a_reset_clock() {
     let mut clock = ClockEstimator::new();
     let exchange = |clock: &mut ClockEstimator, at_ms: i64, up_ms: i64| {
         let server = ServerTime((at_ms + up_ms) * MS);

@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn predictions_come_back_as_they_were_and_a_run_costs_48_bytes_a_vertex() {
+    fn predictions_round_trip_at_48_bytes_a_vertex() {
         let vertices: Vec<_> = [0, 1, 2, 40, 41, 99].map(vertex).to_vec();
         assert_eq!(take_predictions(&coded(&vertices), SLOTS), Ok(vertices.clone()));
         let run: Vec<_> = (10..90).map(vertex).collect();

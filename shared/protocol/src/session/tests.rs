@@ -466,7 +466,7 @@ fn pings_without_answers_are_remembered_up_to_a_bound() {
 }
 
 #[test]
-fn a_server_that_never_sends_the_missing_delta_cannot_fill_the_clients_memory() {
+fn a_missing_delta_cannot_fill_the_clients_memory() {
     let mut pair = Pair::connected();
     (0..=MAX_QUEUED_STREAMS + 1).for_each(|_| pair.send_delta());
     pair.carry(ServerTime(0));

@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_server_of_two_networks_is_one_and_a_liars_addresses_and_names_are_bounded() {
+    fn one_server_on_two_networks_is_one_and_lies_are_bounded() {
         let mut found = Vec::new();
         for host in [1, 2, 1] {
             add(&mut found, server(0, host));

@@ -275,7 +275,7 @@ fn burst_ns(Connected { pair, on_server, .. }: &mut Connected) -> i64 {
 }
 
 #[test]
-fn a_burst_after_small_traffic_crosses_a_long_way_without_another_round_trip() {
+fn a_burst_after_small_traffic_costs_no_extra_round_trip() {
     for link in
         ["latency=110ms,rate=1gbit", "latency=110ms,jitter=10ms,rate=1gbit", "latency=110ms,jitter=10ms"]
     {
@@ -386,7 +386,7 @@ fn a_full_send_queue_refuses_and_counts() {
 }
 
 #[test]
-fn an_application_that_takes_nothing_makes_the_peer_wait_and_loses_nothing() {
+fn an_idle_application_makes_the_peer_wait_and_loses_nothing() {
     let Connected { mut pair, on_server, on_client } = connected("latency=1ms", 9);
     let count = 48;
     let mut sent = 0;
@@ -450,7 +450,7 @@ fn a_silent_network_is_noticed_by_both_within_the_idle_timeout() {
 }
 
 #[test]
-fn a_restarted_server_with_the_same_identity_is_noticed_at_once_and_accepted_again() {
+fn a_restarted_server_is_noticed_at_once_and_accepted() {
     let Connected { mut pair, .. } = connected("latency=10ms", 12);
     let pinned = ExpectedIdentity::Pinned {
         fingerprint: ServerIdentity::from_seed(12).unwrap().fingerprint(),
@@ -676,7 +676,7 @@ fn half_open_flood(pair: &mut Pair, seconds: i64, address: impl Fn(u64) -> Socke
 }
 
 #[test]
-fn a_lawful_client_connects_amid_two_hundred_initials_a_second_from_many_addresses() {
+fn a_client_connects_amid_two_hundred_initials_a_second() {
     let mut pair = pair("latency=20ms", 27);
     let address = |n: u64| SocketAddr::from(([172, 16, (n >> 8) as u8, n as u8], 1000));
     let seen = half_open_flood(&mut pair, 4, address);

@@ -91,7 +91,7 @@ fn a_window_shows_what_the_server_streams_as_the_truth_has_it() {
 }
 
 #[test]
-fn while_the_server_stands_still_the_picture_follows_the_head_and_words_say_why_nothing_else_moves() {
+fn a_halted_server_leaves_the_head_free_and_a_notice_in_view() {
     let stage = Stage::new();
     let window = Program::start(&mut stage.client(), Voice::Errors);
     wait_until("the window shows a picture", || colours(&stage.display.screen()) >= 500);

@@ -189,7 +189,7 @@ mod tests {
     use shadecast_scene::load::{SceneSource, load_scene};
 
     #[test]
-    fn an_error_is_counted_in_millimetres_and_pixels_and_where_it_travels_in_percent() {
+    fn motion_errors_have_millimetres_pixels_and_percent() {
         let mut motion = Motion::default();
         assert_eq!(motion.report(), None);
         let eyes = [DVec3::ZERO, DVec3::new(0.0, 0.0, 4.0)];

@@ -516,7 +516,7 @@ mod tests {
     }
 
     #[test]
-    fn the_papers_table_is_shown_as_its_result_says_and_without_one_says_so() {
+    fn the_papers_table_follows_its_result() {
         let folder = tempfile::tempdir().expect("a folder");
         for name in ["table1", "table1-as-paper", "table1-shipped", "table1-stages", "table1-growth"] {
             assert_eq!(table(name, folder.path()).expect("a table"), NOT_MEASURED, "{name}");

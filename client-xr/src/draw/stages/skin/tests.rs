@@ -429,7 +429,7 @@ fn clip_instances() -> Vec<SkinnedInstance> {
 }
 
 #[test]
-fn skinned_vertices_are_where_their_twin_has_them_whatever_the_clip_the_fade_and_the_path() {
+fn skinned_vertices_equal_their_twin() {
     let mut worst = 0f64;
     for seed in 1..5 {
         let (mut dice, mut words, mut bench) = (Dice(seed), Words::default(), Bench::new());
@@ -563,7 +563,7 @@ impl GridBench {
 }
 
 #[test]
-fn poses_on_the_grid_are_interpolated_as_their_twin_does_with_four_steps_and_with_two() {
+fn grid_poses_equal_their_twin_with_four_steps_and_with_two() {
     let mut grid = GridBench::new(11);
     (4..6).for_each(|step| grid.add_step(step));
     let ready = SkinnedCounts { instances: 1, ..Default::default() };
@@ -576,7 +576,7 @@ fn poses_on_the_grid_are_interpolated_as_their_twin_does_with_four_steps_and_wit
 }
 
 #[test]
-fn past_the_last_pose_an_instance_goes_on_for_a_step_and_before_the_first_it_has_no_area() {
+fn past_the_last_pose_an_instance_extrapolates_one_step() {
     let mut grid = GridBench::new(12);
     (4..6).for_each(|step| grid.add_step(step));
     let vertices = grid.model.vertices.len() as u32;
@@ -592,7 +592,7 @@ fn past_the_last_pose_an_instance_goes_on_for_a_step_and_before_the_first_it_has
 }
 
 #[test]
-fn skinning_leaves_static_and_sampled_vertices_alone_and_they_leave_it_alone() {
+fn skinning_touches_skinned_vertices_only() {
     let (mut dice, mut words, mut bench) = (Dice(9), Words::default(), Bench::new());
     let model = Model::random(&mut dice, &mut words);
     let written = bench.motion.arena().push(0, bytemuck::cast_slice(&words.0));

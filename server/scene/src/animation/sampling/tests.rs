@@ -9,7 +9,7 @@ use rand::{SeedableRng, rngs::SmallRng};
 const TWENTIETH: Sampling = Sampling::Constant { interval_s: 0.05 };
 
 #[test]
-fn constant_sampling_has_its_keys_on_the_source_and_the_last_at_the_end() {
+fn constant_sampling_has_keys_on_the_source_and_at_the_end() {
     let mut rng = SmallRng::seed_from_u64(3);
     for case in 0..100 {
         let model = one_bone(random_track(&mut rng, 0, INTERPOLATIONS[case % 3], 0));

@@ -79,12 +79,12 @@ fn assert_cost(name: &str, wing: &[[f64; 3]], limit: f64) {
 }
 
 #[test]
-fn a_beating_wing_costs_less_than_two_and_a_half_bytes_per_vertex_and_sample() {
+fn a_beating_wing_costs_under_2_5_bytes_a_sample() {
     assert_cost("rough wing, neighbours in order", &wing(20_000), 2.5);
 }
 
 #[test]
-fn a_wing_whose_slots_are_scattered_costs_less_than_two_and_a_half_bytes_too() {
+fn a_wing_in_scattered_slots_costs_under_2_5_bytes() {
     let (mut wing, mut dice) = (wing(20_000), Dice::new(2));
     (1..wing.len()).rev().for_each(|i| wing.swap(i, dice.below(i as u64 + 1) as usize));
     assert_cost("rough wing, slots at random", &wing, 2.5);

@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vertex_leaps_that_an_update_puts_elsewhere_and_not_one_that_is_blended_back() {
+    fn a_moved_vertex_leaps_and_a_blended_one_does_not() {
         let mut watch = Watch::default();
         let mut see = |shown: f64, truth: f64| {
             watch.frames += 1;

@@ -47,7 +47,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_paper_says_that_animation_costs_three_quarters_of_its_rate_and_more() {
+    fn the_papers_animation_costs_three_quarters_of_its_rate() {
         let kept = PAPER.map(|row| row.fps(Column::Animated)[0] / row.fps(Column::Off)[0]);
         assert!((kept[0] - 0.28).abs() < 0.005 && (kept[5] - 0.06).abs() < 0.005, "{kept:?}");
         assert_eq!(paper_row(49).map(|row| row.fps(Column::Static)), Some([86.0, 302.0]));

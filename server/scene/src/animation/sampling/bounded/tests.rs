@@ -68,7 +68,7 @@ fn swinging(rng: &mut SmallRng, bone: u32) -> Track {
 }
 
 #[test]
-fn no_vertex_of_random_creatures_leaves_the_original_by_more_than_the_bound() {
+fn random_creatures_stay_within_the_bound() {
     let mut rng = SmallRng::seed_from_u64(31);
     for case in 0..6 {
         let count = rng.random_range(2..14);
