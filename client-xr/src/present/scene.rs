@@ -13,7 +13,7 @@ use crate::draw::stages::probe::{Probe, ProbeView};
 use crate::draw::stages::scatter::VertexMemory;
 use crate::handover::{Bundle, Loan};
 use crate::motion::pace::{GridTime, Pace, Span};
-use crate::motion::skinned::{Moment, SkinCapacity, Skinned, SkinnedCounts};
+use crate::motion::skinned::{PoseQuery, SkinCapacity, Skinned, SkinnedCounts};
 use crate::motion::state::{MotionState, Motionless};
 use crate::report::ClientError;
 use shadecast_gpu::{Access, BindGroup, Buffer, Gpu, GpuError, Memory, Recorder};
@@ -208,7 +208,7 @@ impl Scene {
         time: WorldTime,
     ) -> SkinnedCounts {
         let Some(shown) = &self.shown else { return SkinnedCounts::default() };
-        let moment = Moment { time, grid: self.terms.grid, written: self.state.written };
+        let moment = PoseQuery { time, grid: self.terms.grid, written: self.state.written };
         let counts = self.skinned.poses(moment, &shown.drawn, self.pose_staging.poses_mut(flight));
         stages.pose.record(recorder, &self.pose_staging, flight, counts.instances);
         counts

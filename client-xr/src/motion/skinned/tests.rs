@@ -49,8 +49,8 @@ fn dancing() -> Skinned {
     tables
 }
 
-fn moment(time_ms: i64) -> Moment {
-    Moment { time: ms(time_ms), grid: GRID, written: ArenaSerial::default() }
+fn moment(time_ms: i64) -> PoseQuery {
+    PoseQuery { time: ms(time_ms), grid: GRID, written: ArenaSerial::default() }
 }
 
 /// The fox, with 10 vertices, at a time.
@@ -128,7 +128,7 @@ fn words_on_their_way_are_not_evaluated() {
     assert!(!is_ready(&pose(&mut tables, 600).0));
     arena.drain_into(&mut [0; 16], |_| {});
     let mut out = [bytemuck::Zeroable::zeroed()];
-    let there = Moment { written: arena.written(), ..moment(600) };
+    let there = PoseQuery { written: arena.written(), ..moment(600) };
     tables.poses(there, &[Drawn { instance: FOX, vertices: 10 }], &mut out);
     assert!(is_ready(&out[0]));
     let late = arena.push(0, &[0; 16]);

@@ -1,7 +1,7 @@
 //! News of motion in whatever order they come, and the words of the arena that they make.
 
 use super::*;
-use crate::motion::skinned::{DrawnInstances, Moment, SkinnedCounts};
+use crate::motion::skinned::{DrawnInstances, PoseQuery, SkinnedCounts};
 use shadecast_protocol::geometry::{GeometryDelta, NewVertex};
 use shadecast_protocol::ids::{ClipId, RestId as WireRest, SkeletonId, VertexSlot};
 use shadecast_protocol::message::MotionMemory;
@@ -119,7 +119,8 @@ fn pose(motion: &mut Motion) -> (PlacedPoseGpu, SkinnedCounts) {
     drawn.add_vertex(FOX);
     motion.drawn = drawn;
     let mut out = [bytemuck::Zeroable::zeroed()];
-    let moment = Moment { time: WorldTime(100_000_000), grid: DEFAULT_GRID, written: motion.arena.written() };
+    let moment =
+        PoseQuery { time: WorldTime(100_000_000), grid: DEFAULT_GRID, written: motion.arena.written() };
     let counts = motion.skinned.poses(moment, motion.drawn.all(), &mut out);
     (out[0], counts)
 }
@@ -238,7 +239,7 @@ fn vertices_that_enter_do_not_withhold_those_that_are_seen() {
     let mut drawn = DrawnInstances::default();
     drawn.add_vertex(FOX);
     motion.drawn = drawn;
-    let moment = Moment { time: WorldTime(0), grid: DEFAULT_GRID, written: motion.arena.written() };
+    let moment = PoseQuery { time: WorldTime(0), grid: DEFAULT_GRID, written: motion.arena.written() };
     let counts = motion.skinned.poses(moment, motion.drawn.all(), &mut [bytemuck::Zeroable::zeroed()]);
     assert_eq!(counts.withheld_vertices, 0, "though their morph targets are on their way");
 }

@@ -9,7 +9,7 @@ use crate::draw::stages::scatter::Scatter;
 use crate::motion::Motion;
 use crate::motion::arena::ArenaSerial;
 use crate::motion::skinned::{
-    Drawn, Moment, SkeletonPlace, SkinCapacity, Skinned, SkinnedCounts, SkinnedInstance, Source,
+    Drawn, PoseQuery, SkeletonPlace, SkinCapacity, Skinned, SkinnedCounts, SkinnedInstance, Source,
 };
 use glam::{Affine3A, Quat, Vec3, Vec4};
 use shadecast_gpu::{Access, Buffer, DesktopDevice, GpuOptions, Memory, Needs};
@@ -313,7 +313,7 @@ impl Bench {
         self.memory.record(&mut recorder, &self.batch);
         self.scatter.record(&mut recorder, &self.scatter_group, &self.vertices, &self.batch);
         recorder.barrier(crate::draw::stages::ARRIVALS, Access::COMPUTE);
-        let moment = Moment { time, grid: GRID, written: self.batch.state.written };
+        let moment = PoseQuery { time, grid: GRID, written: self.batch.state.written };
         let drawn = self.motion.drawn().to_vec();
         let counts = self.motion.skinned().poses(moment, &drawn, self.poses.poses_mut(flight));
         self.pose.record(&mut recorder, &self.poses, flight, counts.instances);
@@ -396,7 +396,7 @@ fn worst_error_m(
 ) -> f64 {
     let mut poses = vec![bytemuck::Zeroable::zeroed(); usize::from(instances)];
     let drawn: Vec<_> = (0..instances).map(|i| Drawn { instance: InstanceId(i), vertices: 1 }).collect();
-    let moment = Moment { time, grid: GRID, written: ArenaSerial::default() };
+    let moment = PoseQuery { time, grid: GRID, written: ArenaSerial::default() };
     tables.poses(moment, &drawn, &mut poses);
     let mut slots = positions.iter();
     let mut worst = 0f64;
