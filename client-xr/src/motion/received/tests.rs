@@ -1,4 +1,4 @@
-//! News of motion in whatever order they come, and the words of the arena that they make.
+//! Messages about motion in any order, and their words of the arena.
 
 use super::*;
 use crate::motion::skinned::{DrawnInstances, PoseQuery, SkinnedCounts};
