@@ -97,7 +97,7 @@ pub struct RunOptions {
 
 /// How a run went, and how it ended.
 #[derive(Debug)]
-pub struct Outcome {
+pub struct RunOutcome {
     /// What was counted, over all headset sessions of the run; there also where the run failed.
     pub stats: ClientStats,
     /// The run's end.
@@ -153,11 +153,11 @@ pub fn run(
     options: &RunOptions,
     stop: &AtomicBool,
     observe: &mut Observer<'_>,
-) -> Outcome {
+) -> RunOutcome {
     let until = (options.seconds > 0.0).then(|| monotonic_now().plus_ns((options.seconds * 1e9) as i64));
     let mut run = Run { options, stop, until, stats: ClientStats::default() };
     let ended = run.play_out(open, observe);
-    Outcome { stats: run.stats, ended }
+    RunOutcome { stats: run.stats, ended }
 }
 
 /// A run under way.

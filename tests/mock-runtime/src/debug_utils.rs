@@ -7,7 +7,7 @@ use std::ffi::{CStr, CString, c_char, c_void};
 use openxr_sys as xr;
 use xr::Handle as _;
 
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use crate::ffi::{self, entry};
 use crate::runtime;
 
@@ -91,7 +91,7 @@ impl Labels {
 }
 
 /// A name that the application hands over.
-fn text(name: *const c_char, what: &str) -> Outcome<CString> {
+fn text(name: *const c_char, what: &str) -> CallResult<CString> {
     if name.is_null() {
         return Err(Fault::usage(format!("{what} is null")));
     }
