@@ -179,7 +179,7 @@ impl PresenterEnd {
     }
 
     /// Tells of a turn of the display. Of an intake that has not run for a second the server knows nothing anyway: it is not told.
-    pub(crate) fn tell(&mut self, note: TurnNote) {
+    pub(crate) fn report(&mut self, note: TurnNote) {
         self.give(Presented::Turn(note));
     }
 
@@ -240,7 +240,7 @@ mod tests {
         assert!(intake.waiting.is_empty());
         let (mut presenter, intake) = ends();
         drop(intake);
-        presenter.tell(TurnNote::default());
+        presenter.report(TurnNote::default());
         assert!(presenter.take().is_none());
     }
 }

@@ -172,7 +172,7 @@ impl Presenter {
     /// A turn of the display that showed nothing of ours.
     pub(crate) fn note_turn(&mut self, is_seen: bool) {
         let presses = self.renderer.display.presses();
-        self.end.tell(TurnNote { is_seen, presses, frame: None });
+        self.end.report(TurnNote { is_seen, presses, frame: None });
     }
 
     /// Takes note of a display frame, and tells the server.
@@ -196,7 +196,7 @@ impl Presenter {
             head: self.locate_head(report.display_time, views),
         };
         let presses = self.renderer.display.presses();
-        self.end.tell(TurnNote { is_seen, presses, frame: Some(frame) });
+        self.end.report(TurnNote { is_seen, presses, frame: Some(frame) });
     }
 
     /// Where the head will be at a display time, for the server of the scene that arrives.

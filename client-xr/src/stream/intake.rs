@@ -196,7 +196,7 @@ impl Intake {
         let FrameNote { report, shown, picture_arrived, eyes, display_period_ns, head } = frame;
         self.link.note_eyes(eyes, display_period_ns);
         if let Some((head, serial)) = head {
-            self.link.tell_head(serial, head);
+            self.link.report_head(serial, head);
         }
         self.link.report(shown, &report, picture_arrived);
     }
@@ -226,8 +226,8 @@ impl Intake {
     /// [`Self::advance`].
     pub fn prepare(&mut self) -> bool {
         self.end.flush();
-        self.tell_clock();
-        self.tell_world();
+        self.report_clock();
+        self.report_world();
         let Self { preparing: Some(preparing), end, link, ways, notices, .. } = self else { return false };
         let batch = preparing.next_batch();
         let bundle = preparing.next_bundle(ways, |picture| link.recycle(picture)).unwrap_or_else(|error| {
@@ -241,7 +241,7 @@ impl Intake {
         is_something
     }
 
-    fn tell_clock(&mut self) {
+    fn report_clock(&mut self) {
         let clock = self.link.clock_estimate();
         let Some((estimate, serial)) = clock.filter(|_| clock != self.told_clock) else { return };
         // Of a presenter that sleeps for an hour only the last counts.
@@ -251,7 +251,7 @@ impl Intake {
     }
 
     /// Tells the presenter how the world's time goes on, where that is new.
-    fn tell_world(&mut self) {
+    fn report_world(&mut self) {
         let Some(preparing) = &self.preparing else { return };
         let clock = preparing.motion.world_clock();
         if clock != self.told_world && self.end.offer(Prepared::World(clock, preparing.serial)) {

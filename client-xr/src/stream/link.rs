@@ -185,7 +185,7 @@ impl Link {
     pub(crate) fn watch(&mut self, is_seen: bool, now: ClientTime) {
         let Some(connection) = self.connection.as_mut().filter(|c| c.decoding.is_some()) else { return };
         if let Some(is_watched) = self.watch.turn(is_seen, now) {
-            connection.session.tell_watching(is_watched);
+            connection.session.report_watching(is_watched);
         }
     }
 
@@ -195,7 +195,7 @@ impl Link {
     }
 
     /// Tells the server of a connection where the head will be.
-    pub(crate) fn tell_head(&mut self, serial: u64, head: HeadState) {
+    pub(crate) fn report_head(&mut self, serial: u64, head: HeadState) {
         if let Some(connection) = self.of_serial(serial) {
             connection.session.send_pose(head);
         }

@@ -73,7 +73,7 @@ pub(crate) fn import(
     importer: impl FnOnce(&Path) -> Result<Imported, SceneError>,
 ) -> Result<Model, SceneError> {
     let (model, warnings) = imported(cache, path, importer)?;
-    import::tell(&warnings, &path.display().to_string());
+    import::report(&warnings, &path.display().to_string());
     Ok(model)
 }
 

@@ -329,7 +329,7 @@ impl ClientSession {
     }
 
     /// Tells whether somebody looks.
-    pub fn tell_watching(&mut self, is_watched: bool) {
+    pub fn report_watching(&mut self, is_watched: bool) {
         if self.phase == Phase::Running {
             self.say(&ClientMessage::Watching { is_watched });
         }
@@ -748,7 +748,7 @@ impl ServerSession {
     fn try_control(&mut self, message: &[u8]) -> Result<(), WireError> {
         match self.phase {
             ServerPhase::Greeting => self.greet(message),
-            ServerPhase::Asked | ServerPhase::Running => self.hear(ClientMessage::decode(message)?),
+            ServerPhase::Asked | ServerPhase::Running => self.handle(ClientMessage::decode(message)?),
             ServerPhase::Ended => Ok(()),
         }
     }
@@ -784,7 +784,7 @@ impl ServerSession {
         self.end_with(ServerEvent::Refused(refused));
     }
 
-    fn hear(&mut self, message: ClientMessage) -> Result<(), WireError> {
+    fn handle(&mut self, message: ClientMessage) -> Result<(), WireError> {
         match message {
             ClientMessage::Hello(_) => return Err(invalid("a hello", "it comes a second time")),
             ClientMessage::Displayed(displayed) => {

@@ -102,13 +102,13 @@ impl Trace {
     pub fn track(&self, process: Process, name: &str) -> Track {
         let number = self.tracks.fetch_add(1, Ordering::Relaxed) + 1;
         let of_track = |what: &str, args: Value| json!({ "ph": "M", "name": what, "pid": process.number(), "tid": number, "args": args });
-        self.tell(of_track("process_name", json!({ "name": process.name() })));
-        self.tell(of_track("thread_name", json!({ "name": name })));
-        self.tell(of_track("thread_sort_index", json!({ "sort_index": number })));
+        self.write(of_track("process_name", json!({ "name": process.name() })));
+        self.write(of_track("thread_name", json!({ "name": name })));
+        self.write(of_track("thread_sort_index", json!({ "sort_index": number })));
         Track { events: self.events.clone(), process, number }
     }
 
-    fn tell(&self, event: Value) {
+    fn write(&self, event: Value) {
         // Where the writer has ended it has said why.
         let _ = self.events.send(Some(event));
     }

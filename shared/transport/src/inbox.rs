@@ -125,7 +125,7 @@ impl Inbox {
         let _ = self.woken.set(thread);
     }
 
-    fn tell(&self) {
+    fn notify(&self) {
         self.arrived.notify_all();
         self.woken.get().into_iter().for_each(Thread::unpark);
     }
@@ -144,7 +144,7 @@ impl Inbox {
             waiting.datagrams.pop_front();
         }
         drop(queue);
-        self.tell();
+        self.notify();
         fits
     }
 
@@ -195,7 +195,7 @@ impl Inbox {
     /// Nothing more will be put in.
     pub(crate) fn end(&self) {
         self.lock().is_ended = true;
-        self.tell();
+        self.notify();
     }
 
     /// Nothing more will be taken out.

@@ -649,7 +649,7 @@ fn a_quad_layer_is_accepted_and_not_captured() {
 #[test]
 fn a_messenger_hears_of_refused_calls() {
     static HEARD: std::sync::Mutex<Vec<String>> = std::sync::Mutex::new(Vec::new());
-    unsafe extern "system" fn hear(
+    unsafe extern "system" fn on_message(
         _severity: xr::sys::DebugUtilsMessageSeverityFlagsEXT,
         _types: xr::sys::DebugUtilsMessageTypeFlagsEXT,
         data: *const xr::sys::DebugUtilsMessengerCallbackDataEXT,
@@ -671,7 +671,7 @@ fn a_messenger_hears_of_refused_calls() {
         next: std::ptr::null(),
         message_severities: xr::sys::DebugUtilsMessageSeverityFlagsEXT::ERROR,
         message_types: xr::sys::DebugUtilsMessageTypeFlagsEXT::VALIDATION,
-        user_callback: Some(hear),
+        user_callback: Some(on_message),
         user_data: std::ptr::null_mut(),
     };
     let mut messenger = xr::sys::DebugUtilsMessengerEXT::NULL;

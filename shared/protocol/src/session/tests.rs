@@ -247,7 +247,7 @@ fn reports_and_requests_reach_the_server() {
     pair.send_delta();
     pair.client.send_displayed(displayed(0));
     pair.client.request_refresh(Some(UpdateId(0)));
-    pair.client.tell_watching(false);
+    pair.client.report_watching(false);
     pair.client.goodbye();
     pair.carry(ServerTime(0));
     let events: Vec<_> = std::iter::from_fn(|| pair.server.poll_event()).collect();
