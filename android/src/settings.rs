@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn who_demands_an_identity_and_writes_it_wrong_gets_no_other_one() {
+    fn a_malformed_fingerprint_accepts_no_server() {
         let (settings, errors) = of_file("fingerprint = 12ab");
         assert_eq!((settings.fingerprint, errors.len()), (Some(NOBODY), 1));
         assert!(errors[0].to_string().contains("every server is refused"), "{}", errors[0]);

@@ -202,7 +202,7 @@ fn both_eyes_see_patches_in_place_and_in_colour() {
 }
 
 #[test]
-fn an_animated_edge_moves_with_every_display_frame_and_follows_its_motion() {
+fn an_animated_edge_moves_with_every_display_frame() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::in_step(&mut client);
@@ -677,7 +677,7 @@ fn the_presenter_allocates_nothing_with_device_pictures() {
 
 /// What is said changes, the figures are shown, and the world stands still for so long that the notice comes.
 #[test]
-fn while_words_are_shown_and_change_the_half_that_draws_allocates_nothing() {
+fn the_presenter_allocates_nothing_while_texts_change() {
     let a = "right/input/a/click";
     let inputs = script(&[(20, a, 1.0), (25, a, 0.0)]);
     let controllers = Some("/interaction_profiles/oculus/touch_controller".to_owned());
@@ -797,7 +797,7 @@ fn a_lost_picture_keeps_the_last_bundle_until_a_refresh() {
 }
 
 #[test]
-fn after_a_reconnect_the_old_bundle_stays_until_the_new_server_has_one() {
+fn a_reconnect_keeps_the_old_bundle_until_a_new_one() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
@@ -1098,7 +1098,7 @@ fn an_unwatched_client_keeps_its_picture_current() {
 }
 
 #[test]
-fn a_session_that_rests_and_begins_again_goes_on_with_the_same_server() {
+fn a_resumed_session_keeps_its_server() {
     let events = vec![ScriptedEvent { frame: 20, kind: EventKind::Pause { ms: 10_000 } }];
     let run = Run::new(MockConfig { events, capture_every: 0, ..MockConfig::default() });
     let mut client = run.client();
@@ -1217,7 +1217,7 @@ fn is_of(period_ns: i64, hz: f64) -> bool {
 }
 
 #[test]
-fn a_headset_is_asked_for_what_it_can_give_for_long_where_it_can_be_asked() {
+fn sustained_performance_is_requested_where_offered() {
     let levels = |hidden: &[&str]| {
         let hidden_extensions = hidden.iter().map(|name| (*name).to_owned()).collect();
         let run = Run::unseen(MockConfig { hidden_extensions, ..MockConfig::default() });
@@ -1253,7 +1253,7 @@ fn the_menu_button_leaves() {
 }
 
 #[test]
-fn a_button_shows_the_figures_below_what_is_looked_at_and_hides_them() {
+fn a_button_toggles_the_figures() {
     for profile in ["oculus/touch_controller", "valve/index_controller"] {
         let a = "right/input/a/click";
         let inputs = script(&[(20, a, 1.0), (50, a, 0.0), (60, a, 1.0), (65, a, 0.0)]);
@@ -1386,7 +1386,7 @@ fn without_focus_controllers_do_nothing() {
 }
 
 #[test]
-fn a_picture_of_the_far_future_ends_the_session_and_not_the_frame_loop() {
+fn a_far_future_picture_ends_only_the_session() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::connect(&mut client);

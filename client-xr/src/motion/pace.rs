@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn when_all_have_samples_again_the_time_catches_up_without_a_jump() {
+    fn with_samples_again_the_time_catches_up_without_a_jump() {
         let mut pace = Pace::default();
         let mut last = shown_ms(&mut pace, 1040, span(30, 34), false);
         for ms in (1050..=1150).step_by(10) {
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn in_a_world_that_stands_all_stay_and_what_was_behind_catches_up() {
+    fn in_a_halted_world_late_samples_catch_up() {
         let mut pace = Pace::default();
         let mut see = |ms: i64, world_ms: i64, last: i32| {
             let evaluation = pace.advance(GRID, (ServerTime(ms * MS), at(world_ms)), span(30, last), false);

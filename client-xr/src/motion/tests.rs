@@ -71,7 +71,7 @@ fn with_skinned() -> Motion {
 }
 
 #[test]
-fn vertices_of_an_instance_count_once_however_many_patches_share_them() {
+fn shared_vertices_of_an_instance_count_once() {
     let mut motion = with_skinned();
     let patches = [[0, 1, 2], [1, 2, 3]].map(|patch| patch.map(VertexSlot));
     for _ in 0..2 {
@@ -92,7 +92,7 @@ fn vertices_of_an_instance_count_once_however_many_patches_share_them() {
 }
 
 #[test]
-fn a_vertex_of_an_instance_of_which_nothing_was_said_does_not_enter() {
+fn a_vertex_of_an_unknown_instance_does_not_enter() {
     let mut motion = with_skinned();
     assert_eq!(motion.enter_skinned(VertexSlot(9), InstanceId(4), RestId(0)), None);
     assert_eq!(motion.state().vertex_count, 4);

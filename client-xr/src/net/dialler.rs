@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn after_a_break_the_address_that_answered_is_first_and_nobody_waits() {
+    fn after_a_break_the_last_answering_address_is_first() {
         let mut dialler = dialler(3);
         for second in [0, 1] {
             dialler.dial(at(second * S), 1);

@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_of_a_family_that_leads_nowhere_does_not_end_the_search() {
+    fn an_unreachable_address_family_does_not_end_the_search() {
         let (address, _handle, _events) = server();
         // No machine has this address (RFC 6666, discard only); many have no way to any of its family.
         let nowhere = "[100::1]:7400".parse().expect("an address");

@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn where_the_system_has_no_decoder_the_other_one_is_made_at_once() {
+    fn without_a_system_decoder_the_fallback_is_made_at_once() {
         assert_eq!(pictures(Err(refused()), 2), [true, true]);
     }
 
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn a_decoder_that_has_given_a_picture_stays_whatever_fails_later() {
+    fn a_working_decoder_stays_despite_later_failures() {
         let script = [Ok(()), Err(refused()), Err(refused()), Ok(())];
         assert_eq!(pictures(Ok(scripted(script)), 4), [true, false, false, true]);
     }

@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn a_world_without_news_is_told_after_two_seconds_and_no_longer_than_that() {
+    fn a_world_at_rest_is_reported_after_two_seconds() {
         let mut stillness = Stillness::default();
         for ms in (0..2000).step_by(10) {
             stillness.note(&shown(ms, ms == 0), Pose::IDENTITY);

@@ -630,7 +630,7 @@ mod tests {
     }
 
     #[test]
-    fn assets_take_a_third_of_the_picture_and_stay_in_it_along_the_walk() {
+    fn assets_take_a_third_of_the_picture() {
         for name in
             ["CesiumMan.glb", "Fox.glb", "maya_kenney_character_7700_binary.fbx", "MorphStressTest.gltf"]
         {

@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn a_change_of_the_asset_or_of_a_file_beside_it_is_noticed_and_undone() {
+    fn a_changed_asset_or_companion_file_is_noticed() {
         let folder = Folder::new();
         folder.import();
         folder.write("b", "second");

@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_in_the_folder_is_found_by_any_name_that_stays_inside() {
+    fn files_in_the_folder_are_found_by_any_inside_name() {
         let (_top, folder) = folders();
         for (uri, bytes) in [
             ("a.bin", "a"),
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_leads_out_of_the_folder_is_refused_with_the_name_and_a_remedy() {
+    fn paths_out_of_the_folder_are_refused() {
         let (top, folder) = folders();
         let absolute = top.path().join("secret.bin").to_string_lossy().into_owned();
         for uri in [

@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn absurdly_large_model_is_left_coarse_instead_of_filling_memory() {
+    fn an_absurdly_large_model_stays_coarse() {
         let mut model = sheet(&mut SmallRng::seed_from_u64(35), 2, false);
         model.vertices.iter_mut().for_each(|vertex| vertex.position *= 1e9);
         let stats = split_long_edges(&mut model, 0.5);

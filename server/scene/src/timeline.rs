@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_change_amid_a_fade_goes_on_from_where_the_clip_is_at_its_end() {
+    fn a_change_amid_a_fade_continues_from_the_fades_end() {
         let mut schedule = scene(Vec::new()).schedules().swap_remove(0);
         let fade = Change { clip: Some(Some(0)), fade_ns: 400_000_000, ..Change::default() };
         assert_eq!(fade.apply(&mut schedule, ms(1000)), ms(1000));

@@ -428,7 +428,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_scene_was_not_prepared_for_is_refused_and_changes_nothing() {
+    fn unprepared_changes_are_refused_without_effect() {
         let scene = scene();
         let mut timeline = Timeline::new(&scene);
         let before = timeline.schedule(0).clone();
@@ -472,7 +472,7 @@ mod tests {
     }
 
     #[test]
-    fn a_released_instance_plays_its_clip_again_and_can_be_posed_anew() {
+    fn a_released_instance_plays_its_clip_again() {
         let scene = scene();
         let mut timeline = Timeline::new(&scene);
         timeline.set_pose(1, ms(1000), rest(&scene)).expect("a pose");

@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_that_were_with_a_broken_encoder_come_out_of_the_next_in_order() {
+    fn a_broken_encoders_pictures_return_in_order() {
         let all = encoders(vec![breaks("first", 1)]);
         let mut encoder = all.encoder(EncoderSettings::new(EXTENT)).expect("an encoder");
         (0..4).for_each(|at| encoder.submit(grey(), at * 33_000_000, false));

@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn every_step_is_sent_once_and_one_who_enters_gets_those_on_display() {
+    fn every_step_is_sent_once_and_newcomers_get_the_displayed() {
         let mut posed = two();
         posed.instances[1].sent_until = Some(GridIndex(13));
         let due = posed.due(window(10), usize::MAX);

@@ -795,7 +795,7 @@ mod tests {
     }
 
     #[test]
-    fn coverage_is_told_with_every_block_of_a_cutout_and_with_no_other() {
+    fn coverage_is_sent_with_blocks_of_cutouts_only() {
         let mut residency = Residency::new(&Strip, 8192, 8192);
         let all: Vec<_> = (0..30).map(|patch| change(patch, block(patch))).collect();
         for frame in 0..2 {
@@ -936,7 +936,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_client_memory_takes_the_largest_blocks_and_lets_the_others_wait() {
+    fn a_full_client_memory_takes_the_largest_blocks() {
         let mut residency = Residency::new(&Strip, 8, 8);
         let changes: Vec<_> = (0..50).map(|patch| sized(patch, if patch == 40 { 8 } else { 2 })).collect();
         let delta = residency.update(&Strip, &changes, stamp(0)).geometry;

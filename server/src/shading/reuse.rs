@@ -514,7 +514,7 @@ mod tests {
     }
 
     #[test]
-    fn only_patches_of_what_moved_are_due_and_what_stops_is_due_no_more() {
+    fn only_moving_patches_are_due() {
         let (row, mut reuse) = (row(), Reuse::new(true));
         due(&mut reuse, &row, row.moment([0; 4]), &all());
         assert_eq!(due(&mut reuse, &row, row.moment([0, 1, 0, 0]), &all()), of(Cause::Moved, 10..20));
@@ -522,7 +522,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_moving_shadow_reaches_is_due_where_it_was_and_where_it_is() {
+    fn a_moving_shadow_makes_old_and_new_places_due() {
         let (row, mut reuse) = (row(), Reuse::new(true));
         let above = |patch: u32| {
             let mut moment = row.moment([0; 4]);
@@ -607,7 +607,7 @@ mod tests {
     }
 
     #[test]
-    fn a_budget_is_kept_but_for_what_is_new_and_nothing_waits_for_ever() {
+    fn a_budget_is_kept_and_nothing_waits_for_ever() {
         let (row, mut random) = (row(), SmallRng::seed_from_u64(9));
         for round in 0..40 {
             let mut reuse = Reuse::new(true);

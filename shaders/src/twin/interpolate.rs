@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_predicted_vertex_is_on_the_line_between_two_and_stays_at_the_ends() {
+    fn a_predicted_vertex_is_linear_and_stays_at_the_ends() {
         // The second time: tags begin anew between the first and the last. Every ring has room for predictions.
         let all = [1000, (1 << 26) / 20 - 45]
             .map(|update_ms| [MIN_SAMPLE_RING, MAX_SAMPLE_RING].map(|ring| (update_ms, ring)));
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn cubic_follows_a_sine_of_one_hertz_within_a_hundredth_of_a_percent() {
+    fn cubic_follows_a_1_hz_sine_within_1e_4() {
         let error = sine_error(true);
         assert!(error < 1e-4, "{error}");
     }
@@ -375,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn a_skinned_vertex_is_left_to_skinning_until_another_takes_its_slot() {
+    fn only_skinning_moves_a_skinned_vertex() {
         let mut memory = with_samples(0..=9, |_| 100.0);
         memory.scatter(&[skinned_entry(0, RestId(4), 17)]);
         memory.interpolate(&push(5, 0.5, true));

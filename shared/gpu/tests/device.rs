@@ -35,7 +35,7 @@ fn a_device_without_validation_is_not_reported_as_clean() {
 }
 
 #[test]
-fn copies_arrive_and_buffers_dropped_while_in_use_outlive_the_work() {
+fn dropped_buffers_outlive_their_work() {
     let gpu = open(Needs::Client);
     let data: Vec<u32> = (0..1000).collect();
     let source = Buffer::upload(&gpu, "source", &data).unwrap();
@@ -151,7 +151,7 @@ fn an_unknown_device_name_is_an_error_that_lists_what_there_is() {
 }
 
 #[test]
-fn a_dispatch_has_an_invocation_for_each_item_and_no_workgroup_more() {
+fn a_dispatch_covers_each_item_without_a_spare_workgroup() {
     let gpu = open(Needs::Client);
     let pipeline = ComputePipeline::new(&gpu, &ADD_COMP).unwrap();
     let [workgroup, ..] = pipeline.workgroup();
@@ -198,7 +198,7 @@ fn messages_of_two_dispatches(gpu: &Arc<Gpu>, barrier: bool) -> u32 {
 /// lavapipe does all in order, so that a missing barrier shows nowhere but in the layer's messages: this is how we know
 /// that there would be some.
 #[test]
-fn a_missing_barrier_is_told_by_the_layers_and_a_barrier_ends_it() {
+fn the_layers_report_a_missing_barrier() {
     let gpu = open(Needs::Server);
     if !gpu.checks_synchronisation() {
         eprintln!("SKIPPED: the installed validation layer cannot be asked to look for missing barriers");

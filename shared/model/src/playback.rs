@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_over_is_forgotten_and_changes_nothing_that_is_to_come() {
+    fn past_entries_are_dropped_without_effect() {
         let mut schedule = Schedule::new(playback(0, 'a', 0));
         schedule.change(playback(1000, 'b', 400));
         schedule.change(playback(3000, 'c', 400));

@@ -362,7 +362,7 @@ fn a_paused_instance_stands_still() {
 }
 
 #[test]
-fn a_live_instance_is_where_it_is_posed_and_plays_on_when_released() {
+fn a_live_instance_follows_its_pose_until_released() {
     let gpu = gpu();
     let mut rng = SmallRng::seed_from_u64(SEED);
     let model = model_of_two_clips(&mut rng);
@@ -419,7 +419,7 @@ fn shared_bytes(scene: &SceneGpu) -> Vec<u64> {
 }
 
 #[test]
-fn a_hundred_and_sixty_nine_instances_add_only_what_is_per_instance() {
+fn further_instances_add_only_per_instance_data() {
     let gpu = gpu();
     let options = SceneOptions { skinning: Skinning::Packed, ..SceneOptions::default() };
     let one = load_scene(&SceneSource::Dragons(1)).expect("the built-in scene loads");

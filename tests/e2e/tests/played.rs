@@ -173,7 +173,7 @@ fn elsewhere() -> Change {
 }
 
 #[test]
-fn what_an_application_changes_is_shown_in_the_frame_for_which_it_is() {
+fn an_applications_change_shows_in_its_frame() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let mut effect = None;

@@ -133,7 +133,7 @@ fn only_the_client_names_openxr() {
 }
 
 #[test]
-fn waiting_for_the_whole_device_is_for_its_end_and_no_draw_is_indirect() {
+fn only_shutdown_waits_for_the_device_and_no_draw_is_indirect() {
     assert_only(&["device_wait_idle"], &["shared/gpu/src/context.rs"]);
     assert_only(&["draw_indirect", "draw_indexed_indirect"], &[]);
 }

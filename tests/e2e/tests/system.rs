@@ -89,7 +89,7 @@ fn a_dragon_over_a_link_looks_like_the_truth() {
 }
 
 #[test]
-fn the_local_renderer_leaves_codec_and_link_out_and_looks_like_the_truth() {
+fn the_local_renderer_looks_like_the_truth() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let options = RunOptions { renderer: Renderer::Local, ..small(SceneSource::Dragons(1), out.path()) };
@@ -288,7 +288,7 @@ fn motion_table(kinds: &[Kind], link: &str, seconds: f64, out: &Path) -> MotionT
 }
 
 #[test]
-fn the_table_of_motion_has_a_row_of_sensible_figures_for_each_kind() {
+fn the_motion_table_has_a_row_for_each_kind() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let table = motion_table(KINDS, "latency=20ms,jitter=5ms,rate=100mbit", 1.0, out.path());
@@ -388,7 +388,7 @@ fn kept(scene: SceneSource, motion: MotionOption, out: &Path) -> ClientStats {
 }
 
 #[test]
-fn a_client_keeps_a_short_ring_where_all_plays_clips_or_stands_still() {
+fn clips_and_static_scenes_need_a_short_ring() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let still = out.path().join("still.toml");
@@ -406,7 +406,7 @@ fn a_client_keeps_a_short_ring_where_all_plays_clips_or_stands_still() {
 
 /// A loss and its repair take 0.7 s there: samples reach that far ahead, within the 0.87 s of a ring of 32.
 #[test]
-fn samples_are_there_in_time_on_a_way_of_two_hundred_milliseconds() {
+fn samples_arrive_in_time_over_200_ms() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let table = motion_table(&["samples".parse().unwrap()], "latency=200ms,jitter=10ms", 3.0, out.path());

@@ -26,7 +26,7 @@ fn spans(trace: &str) -> BTreeMap<u64, BTreeMap<String, Span>> {
 }
 
 #[test]
-fn the_way_of_each_update_can_be_followed_from_its_making_to_its_display() {
+fn each_update_is_traced_from_making_to_display() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let trace = out.path().join("trace.json");

@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_label_is_first_and_an_inserted_one_stands_until_the_next() {
+    fn the_newest_label_is_first() {
         let mut labels = Labels::default();
         labels.begin(c"session".into());
         labels.insert(c"loading".into());

@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_library_is_found_from_the_programs_folder_and_from_its_deps() {
+    fn the_library_is_found_beside_programs_and_tests() {
         let target = tempfile::tempdir().expect("a temporary folder");
         let deps = target.path().join("deps");
         std::fs::create_dir(&deps).expect("make deps");

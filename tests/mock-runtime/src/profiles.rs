@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn presses_and_numbers_are_made_of_each_other_and_nothing_else_is() {
+    fn presses_and_numbers_convert_into_each_other_only() {
         let path = |component: &str| format!("/user/hand/left/input/{component}");
         let (press, number) = (|name| Some(Reads::Press(path(name))), |name| Some(Reads::Number(path(name))));
         let pair = Some(Reads::Pair([path("thumbstick/x"), path("thumbstick/y")]));

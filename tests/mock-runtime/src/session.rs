@@ -370,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn a_session_is_synchronised_visible_and_focused_after_its_first_frame() {
+    fn a_session_is_focused_after_its_first_frame() {
         let (mut state, announced) = SessionState::new();
         assert_eq!(announced, [State::IDLE, State::READY]);
         state.begin().expect("READY");

@@ -251,7 +251,7 @@ fn the_thread_decodes_the_same() {
 }
 
 #[test]
-fn the_thread_takes_later_units_while_a_decoder_keeps_pictures_back() {
+fn a_holding_decoder_still_gets_later_units() {
     assert_eq!(seen_of_thread(Toy { kept_back: 1, ..Toy::default() }), [(0, 1), (1, 2), (2, 4)]);
 }
 

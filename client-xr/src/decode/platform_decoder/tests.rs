@@ -311,7 +311,7 @@ fn the_next_refresh_replaces_a_failed_codec() {
 }
 
 #[test]
-fn a_codec_that_takes_no_input_or_cannot_begin_is_an_error_and_no_end() {
+fn a_codec_that_cannot_begin_is_an_error() {
     let mut bench = Bench::new();
     bench.script().refuses_to_begin = true;
     bench.decoder.submit(&refresh());
@@ -362,7 +362,7 @@ fn a_skipped_picture_costs_its_dependents_but_no_refresh() {
 }
 
 #[test]
-fn outputs_and_images_of_times_that_nobody_asked_for_are_given_back() {
+fn unrequested_outputs_and_images_are_released() {
     let mut bench = Bench::new();
     bench.decoder.submit(&refresh());
     bench.say(CodecEvent::Input(0));

@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_runtime_makes_a_map_for_each_image_and_fills_it_for_the_level() {
+    fn a_runtime_makes_a_density_map_for_each_image() {
         for (foveation, level) in [(Foveation::Low, 1), (Foveation::Medium, 2), (Foveation::High, 3)] {
             let summary = account(&config(), foveation, |xr| {
                 assert!(xr.headset.device.has_density_maps);

@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stick_walks_where_the_head_looks_on_the_ground_and_says_how_fast() {
+    fn a_stick_walks_in_the_heads_direction() {
         for (yaw, pitch, ahead) in [
             (0.0, 0.0, Vec3::NEG_Z),
             (FRAC_PI_2, -0.9, Vec3::NEG_X),

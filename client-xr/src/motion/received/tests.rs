@@ -133,7 +133,7 @@ fn evaluated_from(motion: &mut Motion) -> Option<u32> {
 }
 
 #[test]
-fn a_chunk_that_comes_before_its_instance_is_used_when_that_comes() {
+fn an_early_chunk_is_used_when_its_instance_arrives() {
     let mut motion = motion();
     motion.take_motion(chunk(0, DANCE, 100));
     assert_eq!(pose(&mut motion).1.withheld_vertices, 1, "nobody knows the fox");
@@ -165,7 +165,7 @@ fn a_chunk_beside_another_leaves_it() {
 }
 
 #[test]
-fn a_chunk_that_comes_later_than_what_replaced_it_is_not_written() {
+fn a_chunk_older_than_its_replacement_is_dropped() {
     for (clip, expected) in [(DANCE, None), (WALK, Some(104))] {
         let mut motion = motion();
         motion.take_delta(&mut fox());
@@ -188,7 +188,7 @@ fn numbers_of_messages_go_on_after_the_last() {
 }
 
 #[test]
-fn a_chunk_that_was_put_elsewhere_survives_what_takes_its_first_place() {
+fn a_moved_chunk_survives_the_reuse_of_its_old_place() {
     // Whichever of its places is heard of first.
     for order in [[0, 1, 2], [1, 0, 2], [1, 2, 0]] {
         let mut motion = motion();
@@ -212,7 +212,7 @@ fn what_is_there_for_good_ends_a_chunk_in_its_words() {
 }
 
 #[test]
-fn an_update_is_complete_when_its_morph_targets_are_on_their_way() {
+fn an_update_is_complete_with_its_morph_targets() {
     let mut motion = motion();
     motion.take_delta(&mut fox());
     write(&mut motion);
@@ -297,7 +297,7 @@ fn numbers<T: bytemuck::Pod>(arena: &[u8], word: u32, count: usize) -> Vec<T> {
 }
 
 #[test]
-fn the_words_of_a_chunk_are_where_its_layout_says_whatever_its_tracks() {
+fn a_chunks_words_follow_its_layout() {
     let kinds = [TrackKind::Step, TrackKind::Linear, TrackKind::Cubic];
     let tracks: Vec<_> = (1..6).flat_map(|keys| kinds.map(|kind| track(kind, keys))).collect();
     let chunk = ClipChunk { clip: DANCE, index: 0, first_word: 40, tracks: tracks.clone() };

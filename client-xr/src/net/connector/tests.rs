@@ -92,7 +92,7 @@ fn demanded(expected: &ExpectedIdentity) -> Option<Fingerprint> {
 }
 
 #[test]
-fn demanded_identity_precedes_known_and_known_precedes_announced() {
+fn demanded_precedes_known_precedes_announced() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut known = KnownServers::load(folder.path()).expect("an empty list");
     let address: SocketAddr = "192.168.1.5:7400".parse().expect("an address");

@@ -324,7 +324,7 @@ fn clip_starts_at_0_and_a_stepped_curve_stays_one() {
 }
 
 #[test]
-fn curves_skins_and_shapes_in_between_are_what_the_library_evaluates() {
+fn curves_skins_and_in_between_shapes_equal_the_library() {
     let mut file = sample();
     // Four influences at most, so that nothing is approximated: the two weakest clusters let go of points 2 and 3.
     for weight in ["0.05,0.05", "0.1,0.1"] {
@@ -467,7 +467,7 @@ fn embedded_textures_take_the_place_of_colours() {
 }
 
 #[test]
-fn textures_beside_the_file_are_found_and_missing_ones_cost_a_warning() {
+fn missing_textures_cost_a_warning() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut file = plain();
     add_texture(&mut file, 700, "DiffuseColor", "a.png", "", None);
@@ -531,7 +531,7 @@ fn roughness_and_metalness_become_one_texture() {
 }
 
 #[test]
-fn transform_of_texture_coordinates_is_turned_upside_down_like_them() {
+fn texture_transforms_are_flipped_with_their_coordinates() {
     let mut file = plain();
     let moved = "Properties70: {\nP: \"Translation\", \"Vector\", \"\", \"A\",0.25,0.5,0\nP: \"Scaling\", \"Vector\", \"\", \"A\",2,3,1\n}";
     add_texture(&mut file, 700, "DiffuseColor", "a.png", moved, Some(&png(2, [1, 2, 3])));

@@ -277,7 +277,7 @@ fn many_vertices_and_a_long_ring_are_not_had_together() {
 
 /// Whatever both may say, the ring is one that both can keep, and the shortest where nothing is sampled.
 #[test]
-fn the_ring_of_samples_is_what_is_needed_as_far_as_the_client_keeps_it() {
+fn the_ring_has_the_needed_size_within_the_clients() {
     let mut dice = Dice::new(7);
     let [mut least, mut sampled] = [0; 2];
     for _ in 0..2000 {

@@ -395,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn the_number_of_a_rotation_that_is_expected_is_large_and_keeps_its_sign() {
+    fn the_predicted_number_of_a_rotation_is_large() {
         let turn = |angle: f32| [0.0, angle.sin(), 0.0, angle.cos()];
         let form = |angles: [f32; 2]| Form::rotation(&angles.map(turn));
         assert_eq!(form([0.1, 0.2]), Some(Form::Rotation { largest: 3, is_negative: false }));

@@ -125,7 +125,7 @@ fn a_halted_server_leaves_the_head_free_and_a_notice_in_view() {
 }
 
 #[test]
-fn the_demo_with_a_window_ends_with_the_window_and_leaves_what_it_showed() {
+fn the_window_demo_ends_with_its_window() {
     let (display, folder) = (Display::start(SCREEN), tempfile::tempdir().unwrap());
     let mut demo = Command::new(program("shadecast-lab"));
     demo.args(["demo", "--window", "--seconds", "6", "--size", &format!("{}x{}", SIZE[0], SIZE[1])]);

@@ -349,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gain_is_positive_where_the_picture_is_better_without_the_cause() {
+    fn a_gain_is_positive_for_a_better_picture() {
         let found = row(Cause::Chroma, Mask::All, figures_of(30.0, 0.05), figures_of(31.5, 0.03));
         assert_eq!((found.psnr_gain_db, found.ssim_gain), (1.5, 0.0));
         assert!((found.flip_gain - 0.02).abs() < 1e-12);

@@ -239,7 +239,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bits_at_a_quality_lie_between_those_of_the_quantisers_around_it() {
+    fn bits_at_a_quality_lie_between_neighbouring_quantisers() {
         let at = |qp, psnr_db, mbit_per_s| Coded {
             encoder: "x".into(),
             qp,

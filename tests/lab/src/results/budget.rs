@@ -137,7 +137,7 @@ mod tests {
     const MOST_OF_A_FRAME: u64 = 77_000_000;
 
     #[test]
-    fn no_vertex_corner_or_bone_moves_more_than_its_budget_and_no_frame_does() {
+    fn no_vertex_corner_or_bone_exceeds_its_budget() {
         let vertex = VECTOR_BYTES + SKIN_BYTES + bytes::<RestGpu>() + 2 * VECTOR_BYTES;
         assert!(
             vertex <= MOST_OF_A_VERTEX,

@@ -542,7 +542,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_is_made_anew_between_its_comments_and_nothing_else_is_touched() {
+    fn a_table_is_replaced_between_its_comments_only() {
         let folder = tempfile::tempdir().expect("a folder");
         let result = r#"{"stats": {"psnr_db": 31.25, "hole_fraction": 0.001}, "motion": null}"#;
         std::fs::write(folder.path().join("robot-512.json"), result).expect("written");

@@ -192,7 +192,7 @@ impl Bench {
 }
 
 #[test]
-fn no_colour_of_a_neighbour_is_seen_at_any_level_by_any_reconstruction() {
+fn no_reconstruction_bleeds_at_any_block_size() {
     let bench = Bench::new();
     let blocks = blocks();
     assert_eq!(blocks.len(), 49, "each size but the largest");
@@ -335,7 +335,7 @@ fn smooth() -> Picture {
 }
 
 #[test]
-fn a_picture_in_one_image_of_the_device_has_the_colours_of_its_planes() {
+fn a_multi_plane_image_has_the_colours_of_its_planes() {
     let bench = Bench::new();
     let blocks = blocks();
     let shown = Patches::of(&blocks);

@@ -466,7 +466,7 @@ fn skinned_vertices_equal_their_twin() {
 }
 
 #[test]
-fn an_instance_whose_chunk_is_on_its_way_has_no_area_until_it_is_there() {
+fn an_instance_has_no_area_before_its_chunk() {
     let (mut dice, mut words, mut bench) = (Dice(7), Words::default(), Bench::new());
     let model = Model::random(&mut dice, &mut words);
     bench.motion.arena().push(0, bytemuck::cast_slice(&words.0));

@@ -98,7 +98,7 @@ fn rest_pose_and_clip_without_duration_have_one_key() {
 }
 
 #[test]
-fn very_long_clip_is_sampled_more_coarsely_instead_of_filling_memory() {
+fn a_very_long_clip_is_sampled_more_coarsely() {
     let values = TrackValues::Translation(vec![Vec3::ZERO, Vec3::X]);
     let track = Track { bone: 0, times_s: vec![0.0, 86_400.0], interpolation: Interpolation::Linear, values };
     let mut model = one_bone(track);

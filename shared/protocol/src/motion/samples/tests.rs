@@ -125,7 +125,7 @@ fn uniform_motion_costs_only_the_headers_of_groups() {
 }
 
 #[test]
-fn a_missing_grid_step_lowers_the_order_instead_of_extrapolating_wrongly() {
+fn a_missing_grid_step_lowers_the_order() {
     let mut past = Past::default();
     [(0, 10), (1, 20), (2, 30)].into_iter().for_each(|(grid, x)| past.push(GridIndex(grid), [x; 3]));
     assert_eq!(past.order(GridIndex(3)), 3);
@@ -165,7 +165,7 @@ fn damaged_batches_give_values_or_errors() {
 }
 
 #[test]
-fn a_new_step_rescales_the_past_and_a_vertex_that_enters_has_none() {
+fn a_new_step_rescales_the_history() {
     let mut history = SampleHistory::new(2);
     (0..2).for_each(|slot| history.past[slot].push(GridIndex(0), [1000, -1001, i32::MAX]));
     let entered =

@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn an_instance_moved_when_a_vertex_did_and_not_when_one_came_into_view() {
+    fn an_instance_moves_when_one_of_its_vertices_does() {
         let mut watch = Watch::default();
         let mut see = |frame: u64, number: u32, x: f64| {
             watch.frames = frame;

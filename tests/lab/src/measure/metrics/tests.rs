@@ -293,7 +293,7 @@ fn an_outline_shifted_by_one_pixel_is_told_apart() {
 }
 
 #[test]
-fn an_outline_shifted_by_two_pixels_stays_a_hole_where_it_is_one() {
+fn a_shifted_outline_stays_a_hole() {
     let truth = probe(&[".1111", ".1111", ".1111", ".1111"]);
     let client = probe(&["...11", "...11", "...11", "...11"]);
     // The outer column has background beside it, the inner one is no outline.

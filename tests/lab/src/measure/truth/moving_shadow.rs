@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn what_moves_itself_is_not_a_still_surface_and_background_is_nothing() {
+    fn still_surfaces_exclude_movers_and_background() {
         let scene = scene(true);
         let mut shadow = shadow(&scene);
         let truth = ProbeView { width: 1, height: 1, instance: vec![0], depth_m: vec![5.0] };
