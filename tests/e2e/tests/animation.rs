@@ -1,5 +1,5 @@
-//! The animation stages on the GPU against their CPU twin, and what they are spared: on small scenes of everything
-//! that moves vertices, with validation layers on.
+//! The animation stages on the GPU against their CPU twin, and the work that they skip, on small scenes with every kind of
+//! motion. Validation is on.
 
 use glam::{Affine3A, Quat, Vec3, Vec4};
 use rand::{Rng, SeedableRng, rngs::SmallRng};

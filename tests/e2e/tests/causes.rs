@@ -1,5 +1,5 @@
-//! The table of causes, at the size that a software device can do in a test: runs without a cause are the same runs, and
-//! better by what the cause costs.
+//! The table of causes, at a size for a software device: runs without a cause are otherwise the same runs, and better by the
+//! cost of the cause.
 
 use shadecast_lab::experiments::causes::{Cause, Mask, Row, measure, usual};
 use shadecast_lab::experiments::run::run;

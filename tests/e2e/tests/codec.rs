@@ -1,4 +1,4 @@
-//! The video seams against each other: what the server's encoder writes, the client's decoder reads.
+//! The video seams against each other: the client's decoder reads the output of the server's encoder.
 
 use shadecast_client::decode::openh264::OpenH264Decoder;
 use shadecast_client::decode::raw::RawDecoder;

@@ -1,5 +1,5 @@
-//! Levels of detail at run time, in virtual time: a client that draws little is shown all of it, more coarsely, wherever it goes,
-//! and the same twice.
+//! Levels of detail at run time, in virtual time: a weak client gets the whole scene at coarser LODs, wherever it goes, and
+//! twice alike.
 
 use shadecast_lab::experiments::detail::{DetailReport, measure};
 use shadecast_lab::session::options::{Head, Renderer, RunOptions, USUAL_ROOM};

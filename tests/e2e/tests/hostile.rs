@@ -1,5 +1,5 @@
-//! Strangers attack a server, and a server attacks a client, in every way the lab knows, each for a second: who keeps to the
-//! rules keeps the picture. The long runs do the same for 20 s each, with the bars of the acceptance.
+//! Strangers attack a server, and a server attacks a client, in every way the lab knows, each for a second. Well-behaved peers
+//! keep their picture. The long runs do the same for 20 s each, with the bars of the acceptance.
 
 use shadecast_lab::hostile::attacks::ATTACKS;
 use shadecast_lab::hostile::{Bars, ClientReport, HostileOptions, HostileReport, run};

@@ -1,4 +1,4 @@
-//! The ID buffer is the same whichever way a pixel learns its triangle, and without what is not in sight. Validation is on.
+//! The ID buffer is the same for both ways of numbering triangles, and without hidden geometry. Validation is on.
 
 use glam::{Quat, Vec3};
 use shadecast_gpu::{Access, Buffer, DesktopDevice, Gpu, GpuOptions, Memory, Needs, vk};

@@ -1,4 +1,4 @@
-//! What libx264 writes, as the server drives it, the client's decoder reads. With the feature `libavcodec` alone.
+//! The client's decoder reads the server's libx264 streams. Only with the feature `libavcodec`.
 #![cfg(feature = "libavcodec")]
 
 use shadecast_client::decode::openh264::OpenH264Decoder;

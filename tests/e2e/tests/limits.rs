@@ -1,4 +1,4 @@
-//! The table of limits against the shaders: each need is that of the pipeline that needs most.
+//! The table of limits against the shaders: each need is the largest of all pipelines.
 
 use shadecast_gpu::limits::{DeviceLimits, verdict, verdicts};
 use shadecast_gpu::{Needs, survey};

@@ -1,4 +1,4 @@
-//! What a server holds: of the paper's largest scene, and after hundreds of updates.
+//! Memory of a server, with the paper's largest scene and after hundreds of updates.
 
 use shadecast_lab::experiments::churn;
 use shadecast_lab::experiments::paper_size;

@@ -1,4 +1,4 @@
-//! Updates in flight together are those that are made one after the other, with validation layers on.
+//! Overlapping updates equal sequential ones. Validation is on.
 
 use glam::{Quat, Vec3};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};

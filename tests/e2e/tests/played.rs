@@ -1,5 +1,5 @@
-//! What instances play while time goes by, on the client: events of the scene, changes and poses of an application. In virtual
-//! time, drawn small, with validation layers on.
+//! Playback over time on the client: events of the scene, changes and poses of an application. In virtual time, at a small
+//! size. Validation is on.
 
 use glam::{Quat, Vec3};
 use shadecast_client::client::{FrameReport, Step};

@@ -1,4 +1,4 @@
-//! What an update does not shade again: beside a viewer whose updates shade everything, on one device, with validation layers on.
+//! Reuse of shading, beside a viewer whose updates shade everything, on one device. Validation is on.
 
 use glam::{Quat, Vec3};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};

@@ -1,4 +1,4 @@
-//! Every GPU stage of the server against its CPU twin, on a small scene, with validation layers on.
+//! Every GPU stage of the server against its CPU twin, on a small scene. Validation is on.
 
 use glam::{Mat4, Vec3, Vec4};
 use shadecast_e2e::{SavedVertices, read};

@@ -1,4 +1,4 @@
-//! An atlas that comes to rest, in virtual time: with levels of detail, a surround, quality and density as they ship.
+//! An atlas at rest, in virtual time, with the shipped LODs, surround, quality and density.
 
 use shadecast_lab::experiments::steadiness::{Steadiness, measure};
 use shadecast_lab::scenes::room::write_room;

@@ -1,5 +1,4 @@
-//! What `ARCHITECTURE.md` says of the sources, held against them: who may name what, which modules may import from each
-//! other, how long a function may be.
+//! The rules of `ARCHITECTURE.md` on the sources: allowed names, imports between modules, lengths of functions.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

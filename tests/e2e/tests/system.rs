@@ -1,5 +1,5 @@
-//! The whole system in virtual time, at the size that a software device can do in a test: quality against the ground
-//! truth, motion between updates, and the same pictures twice. Validation layers are on throughout.
+//! The whole system in virtual time, at a size for a software device: quality against the ground truth, motion between updates,
+//! and the same pictures twice. Validation is on.
 
 use shadecast_client::client::Step;
 use shadecast_client::present::stats::ClientStats;

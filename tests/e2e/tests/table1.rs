@@ -1,4 +1,4 @@
-//! The paper's table in the small: what it holds, and that a run that was broken off goes on.
+//! The paper's table at a small size: its contents, and the resumption of an interrupted run.
 
 use serde_json::Value;
 use shadecast_lab::experiments::table1::{Table1Options, measure};

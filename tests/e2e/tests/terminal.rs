@@ -1,4 +1,4 @@
-//! What a person at a terminal is told, and what becomes of programs that are interrupted.
+//! Messages on a terminal, and interrupted programs.
 
 use serde_json::Value;
 use shadecast_lab::session::runtime::prepare_runtime;

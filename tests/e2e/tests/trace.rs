@@ -1,4 +1,4 @@
-//! What `--trace` tells of a run in virtual time: the way of each update from its making to its display, in the order of time.
+//! The trace of a run in virtual time: each update from its making to its display, in the order of time.
 
 use serde_json::Value;
 use shadecast_lab::experiments::run::run;

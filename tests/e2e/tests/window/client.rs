@@ -1,4 +1,4 @@
-//! The client in a window of the desktop, on a display of its own (Xvfb), with a server as another process.
+//! The client in a desktop window, on its own display (Xvfb), with a server as another process.
 
 use crate::display::{Display, colours};
 use crate::x11::{self, Connection};

@@ -1,4 +1,4 @@
-//! The forward renderer's window on a display of its own (Xvfb), and the videos it writes.
+//! The forward renderer's window on its own display (Xvfb), and its videos.
 
 use crate::display::{Display, colours};
 use crate::x11::{self, Connection};

@@ -1,5 +1,5 @@
-//! `shadecast-lab causes`: what each cause of error costs. A run as it ships, and the same run again for each cause without it:
-//! the same head, the same display frames, the same truth. What a cause costs is what the run gains by its absence.
+//! `shadecast-lab causes`: the cost of each cause of error. A shipped run is repeated once without each cause, with the same
+//! head, display frames and truth. The cost of a cause is the run's gain by its absence.
 
 use super::run::{Report, run};
 use crate::report::stats::{RegionStats, Stats};

@@ -1,8 +1,7 @@
-//! How well the client's animated vertices follow the true animation: what the client's memory holds at every display frame,
-//! read back, against the source curves at the true time of display.
+//! Accuracy of the client's animated vertices: the client's memory at every display frame, read back, against the source curves
+//! at the true display time.
 //!
-//! Every vertex counts from the first frame on in which it is drawn, so quantisation, clock and whatever the link does are
-//! in the figures.
+//! Every vertex counts from its first drawn frame on, so quantisation, clock and link are in the figures.
 
 use super::percentiles::Percentiles;
 use super::truth::{InstancePose, TrueVertex, VertexTruth};

@@ -1,5 +1,5 @@
-//! `shadecast-lab figures`: the tables of README and docs, made of the results that are committed. A table stands between two
-//! comments, `<!-- figures NAME -->` and `<!-- /figures -->`; a test holds that each is what the results say.
+//! `shadecast-lab figures`: the tables of README and docs, from the committed results. A table stands between two comments,
+//! `<!-- figures NAME -->` and `<!-- /figures -->`; a test compares each with the results.
 
 use super::bars::{BARS, Bars};
 use crate::experiments::causes::Causes;

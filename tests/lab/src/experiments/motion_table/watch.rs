@@ -1,6 +1,6 @@
-//! What becomes of every vertex of every triangle drawn, in every display frame: where it is, read back from the client's
-//! memory, against the source curves at the time at which the client believes that it is seen, on the server's clock. How far
-//! that belief is from the truth is no error of motion, and is counted apart.
+//! Every vertex of every drawn triangle, in every display frame: its position, read back from the client's memory, against the
+//! source curves at the display time as the client estimates it, on the server's clock. The error of that estimate is no error
+//! of motion, and is counted apart.
 
 use crate::measure::percentiles::Percentiles;
 use crate::measure::truth::{TrueVertex, VertexTruth};

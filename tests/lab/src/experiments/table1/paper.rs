@@ -1,5 +1,5 @@
-//! The paper's own numbers: its Table 1, which its Figure 4 plots. 1300x1300 pixels, 90 degrees, server and client on one GeForce
-//! RTX 2080 Super.
+//! The paper's own numbers: its Table 1, plotted in its Figure 4. 1300x1300 pixels, 90 degrees, server and client on one
+//! GeForce RTX 2080 Super.
 
 use super::cell::Column;
 

@@ -1,4 +1,4 @@
-//! What comes out of all rounds: medians by cell, ratios within rounds, how the cost grows, and the table as text and CSV.
+//! Results of all rounds: medians by cell, ratios within rounds, growth of the cost, and the table as text and CSV.
 
 use super::bench::{Measured, Stages};
 use super::cell::{Cell, Column, Mode, Set, Size};

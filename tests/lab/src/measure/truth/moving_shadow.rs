@@ -1,7 +1,7 @@
-//! Where moving shadows fall, now or in the last second: still surfaces whose light from the sun depends on what moves.
+//! Moving shadows, now or in the last second: still surfaces whose sunlight depends on moving geometry.
 //!
-//! Depth maps of what moves, and of what stands still, are drawn here on the CPU from the true positions; the renderer's own
-//! shadow map has no part in it.
+//! Depth maps of moving and of still geometry are drawn here on the CPU from the true positions. The renderer's own shadow map
+//! has no part in it.
 
 use super::InstancePose;
 use crate::measure::metrics::ProbeView;
