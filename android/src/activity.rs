@@ -1,8 +1,8 @@
-//! The Android activity: its events must be answered, and it knows the app's folders.
+//! The Android activity. It answers the system's events and knows the app's folders.
 //!
-//! `NativeActivity` calls us on Java's main thread, and `android-activity` holds that thread until `android_main` has taken
-//! the event. So this thread does nothing else; and every input event is taken from its queue, or the system reports an
-//! application that does not respond.
+//! `NativeActivity` calls us on Java's main thread. `android-activity` holds that thread until `android_main` has taken the
+//! event. So this thread does nothing else. Every input event must leave its queue; otherwise the system reports an application
+//! that does not respond.
 
 use crate::headset::Headset;
 use crate::intent;

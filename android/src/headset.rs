@@ -1,4 +1,4 @@
-//! The client on a thread of its own, so that the activity's thread is always free to answer the system.
+//! The client on its own thread. The activity's thread stays free to answer the system.
 
 use crate::settings::{FORGETTING, Foveation, Settings};
 use android_activity::AndroidApp;
@@ -58,7 +58,7 @@ impl Headset {
         while !self.thread.is_finished() {
             if start.elapsed() > LEAVING_PATIENCE {
                 // Its session still uses an activity that is about to vanish.
-                tracing::error!("the client did not leave in {LEAVING_PATIENCE:?}; ending the process");
+                tracing::error!("the client did not end within {LEAVING_PATIENCE:?}; ending the process");
                 std::process::exit(1);
             }
             std::thread::sleep(Duration::from_millis(10));

@@ -1,5 +1,5 @@
-//! The extras of the intent that started the activity: only what asks Java for them. What they mean is [`crate::settings`]'s
-//! affair.
+//! The extras of the intent that started the activity. This module only asks Java for them; [`crate::settings`] interprets
+//! them.
 
 use crate::settings::Key;
 use android_activity::AndroidApp;

@@ -1,7 +1,7 @@
 //! The Android library around the Shadecast client.
 //!
-//! It exists because a headset starts an app as an activity and not through `main`: it answers the system's events, names the
-//! activity to OpenXR, and runs the same client as everywhere else. On other systems only [`settings`] is compiled.
+//! A headset starts an app as an activity, not through `main`. This crate answers the system's events, names the activity to
+//! OpenXR, and runs the same client as everywhere else. On other systems only [`settings`] is compiled.
 
 pub mod settings;
 

@@ -1,7 +1,7 @@
-//! What a user can set on a headset, where there is no command line: a small text file in the app's folder, and the extras of
-//! the intent that starts the app, which count before it.
+//! Settings of a headset, which has no command line: a small text file in the app's folder, and the extras of the intent that
+//! starts the app. The extras take precedence.
 //!
-//! Plain data in and out, so that it is tested on the host.
+//! Pure: plain data enters and leaves, and the tests run on the host.
 
 use shadecast_transport::Fingerprint;
 use std::fmt;
@@ -97,16 +97,18 @@ pub enum Wrong {
     #[error("'{0}' is neither find nor HOST:PORT, such as 192.168.1.20:7400")]
     Address(String),
     /// It is not a fingerprint.
-    #[error("'{0}' is not a fingerprint, so no server will do; write the 64 digits that the server says")]
+    #[error(
+        "'{0}' is not a fingerprint, so every server is refused; write the 64 digits printed by the server"
+    )]
     Fingerprint(String),
     /// It is not a rate.
     #[error("'{0}' is not a number of frames a second, such as 90")]
     Refresh(String),
     /// It is not a level.
-    #[error("'{0}' is none of none, low, medium and high")]
+    #[error("'{0}' is not a foveation level; write none, low, medium or high")]
     Foveation(String),
     /// Nothing of this name can be set.
-    #[error("nothing is called '{0}'; there are fingerprint, refresh and foveation")]
+    #[error("there is no setting '{0}'; settings are fingerprint, refresh and foveation")]
     Name(String),
     /// It was set before.
     #[error("a second {0}; keep one")]
@@ -340,9 +342,9 @@ mod tests {
             ("refresh = fast", "frames a second"),
             ("refresh = 0", "frames a second"),
             ("refresh = NaN", "frames a second"),
-            ("foveation = much", "none, low, medium and high"),
-            ("colour = red", "nothing is called 'colour'"),
-            ("=", "nothing is called ''"),
+            ("foveation = much", "none, low, medium or high"),
+            ("colour = red", "there is no setting 'colour'"),
+            ("=", "there is no setting ''"),
         ] {
             let (settings, errors) = of_file(&format!("{wrong}\ndesktop:7400"));
             assert_eq!((settings.server(), errors.len()), ("desktop:7400", 1), "{errors:?}");
@@ -352,10 +354,10 @@ mod tests {
     }
 
     #[test]
-    fn who_demands_an_identity_and_writes_it_wrong_gets_no_other_one() {
+    fn a_malformed_fingerprint_accepts_no_server() {
         let (settings, errors) = of_file("fingerprint = 12ab");
         assert_eq!((settings.fingerprint, errors.len()), (Some(NOBODY), 1));
-        assert!(errors[0].to_string().contains("no server will do"), "{}", errors[0]);
+        assert!(errors[0].to_string().contains("every server is refused"), "{}", errors[0]);
     }
 
     #[test]

@@ -1,6 +1,6 @@
-//! The launcher's icon: two lenses, and in them a triangle, textured and lit. It is drawn here and committed as files, which
-//! this test holds against the drawing. After a change of the drawing, make the files anew:
-//! `SHADECAST_WRITE_ICON=1 cargo test -p shadecast-android --test icon`.
+//! The launcher's icon: two lenses, and in them a textured and lit triangle. It is drawn here and committed as files. This test
+//! compares the files with the drawing. Rewrite the files after a change of the drawing: `SHADECAST_WRITE_ICON=1 cargo test -p
+//! shadecast-android --test icon`.
 
 use std::fs::File;
 use std::io::{BufReader, BufWriter};

@@ -1,8 +1,8 @@
-//! The client without I/O: bytes and time come in, bytes go out, and each display frame is one [`Client::step`].
+//! The client without I/O: bytes and time enter, bytes leave, and each display frame is one [`Client::step`].
 //!
-//! It has two halves: [`crate::stream::intake`] takes in what arrives, [`crate::present::presenter`] shows it. [`crate::net`] runs each on a thread
-//! of its own, with a socket and the real clock; the lab steps both as one in virtual time beside a server. What they do not
-//! know is sockets and who waits for whom.
+//! It has two halves: [`crate::stream::intake`] takes in arrivals, [`crate::present::presenter`] displays them. [`crate::net`]
+//! runs each half on its own thread, with a socket and the real clock. The lab steps both on one thread in virtual time, beside
+//! a server. The halves know neither sockets nor threads.
 
 pub use crate::options::ClientOptions;
 pub use crate::report::{ClientError, DecodedIn, FrameReport, Notice, Step};

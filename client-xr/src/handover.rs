@@ -1,5 +1,6 @@
-//! What the two halves of the client hand to each other: [`crate::stream::intake`] prepares what arrives, [`crate::present::presenter`] shows it.
-//! Both may be on one thread, or each on its own: neither waits for the other, and what one cannot take yet waits here.
+//! The hand-over between the client's halves: [`crate::stream::intake`] prepares arrivals, [`crate::present::presenter`]
+//! displays them. Both run on one thread or on two. Neither waits for the other; items that the other cannot take yet wait
+//! here.
 
 use crate::display::Presses;
 use crate::draw::draw_list::DrawList;
@@ -178,7 +179,7 @@ impl PresenterEnd {
     }
 
     /// Tells of a turn of the display. Of an intake that has not run for a second the server knows nothing anyway: it is not told.
-    pub(crate) fn tell(&mut self, note: TurnNote) {
+    pub(crate) fn report(&mut self, note: TurnNote) {
         self.give(Presented::Turn(note));
     }
 
@@ -212,7 +213,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_given_waits_for_a_presenter_that_takes_nothing_and_what_is_offered_does_not() {
+    fn given_items_wait_for_the_presenter_and_offered_ones_do_not() {
         let (presenter, mut intake) = ends();
         let word = |number: usize| Prepared::Status(number.to_string());
         assert!((0..CAPACITY).all(|number| intake.offer(word(number))));
@@ -239,7 +240,7 @@ mod tests {
         assert!(intake.waiting.is_empty());
         let (mut presenter, intake) = ends();
         drop(intake);
-        presenter.tell(TurnNote::default());
+        presenter.report(TurnNote::default());
         assert!(presenter.take().is_none());
     }
 }

@@ -25,7 +25,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
-/// Longest time that a run may be limited to, seconds: eleven days.
+/// Longest limit of a run in seconds: eleven days.
 const MAX_SECONDS: f64 = 1e6;
 
 /// Set by SIGINT and SIGTERM.
@@ -38,62 +38,63 @@ Examples:
   shadecast-client --window --connect find
   shadecast-client --seconds 10 --stats stats.json --validation
 
-In a window: drag to look around, WASD and QE walk, the wheel changes the speed, Tab switches between flying and orbiting,
-B shows both eyes, F figures, R goes back to the start, Esc ends.
-P halts the world, for all who look, and lets it go on; the full stop lets a halted world make a step.
-Of several servers that --connect find finds, N goes to the next one and Enter takes it.
+Keys in the window: drag to look around, WASD and QE to move, wheel for the speed, Tab to fly or orbit,
+B for both eyes, F for figures, R to return to the start, Esc to quit.
+P halts and resumes the world, for all viewers. The full stop advances a halted world by one step.
+Where --connect find finds several servers, N marks the next one and Enter connects to it.
 
-The OpenXR runtime is the system's active one, or the one whose manifest XR_RUNTIME_JSON names.
-A server is trusted at the first connection and known by its identity afterwards; --fingerprint demands one.
-The program exits with 0 when the runtime or the user ends the session. Ctrl-C ends it; a second one at once.";
+XR_RUNTIME_JSON names the manifest of an OpenXR runtime. Without it the system's active runtime is used.
+The first connection to a server pins its identity. Later connections require it; --fingerprint requires a given one.
+The exit status is 0 when the runtime or the user ends the session. Ctrl-C ends the session; a second Ctrl-C kills the
+program.";
 
-/// Shows an animated scene that a Shadecast server shades, on an OpenXR headset or in a window.
+/// Displays the scene of a Shadecast server, on an OpenXR headset or in a window.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Arguments {
-    /// Server to connect to, as HOST:PORT, or find: one that announces itself on this network
+    /// Server as HOST:PORT, or find to search this network
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7400")]
     connect: String,
-    /// Folder with the fingerprints of known servers [default: ~/.config/shadecast]
+    /// Folder for the fingerprints of known servers [default: ~/.config/shadecast]
     #[arg(long, value_name = "DIR")]
     identity: Option<PathBuf>,
-    /// Identity that the server must have, as it says when it starts to listen: 64 hexadecimal digits
+    /// Required identity of the server: 64 hexadecimal digits, printed by the server at its start
     #[arg(long, value_name = "HEX")]
     fingerprint: Option<Fingerprint>,
-    /// End the session so many seconds after the program's start; 0: never
+    /// End the session this many seconds after the start; 0: never
     #[arg(long, value_name = "S", default_value = "0", hide_default_value = true, value_parser = number(0.0..=MAX_SECONDS, "seconds"))]
     seconds: f64,
-    /// Write there what happened when, for Perfetto (ui.perfetto.dev), in the server's time
+    /// Write a trace for Perfetto (ui.perfetto.dev), in server time
     #[arg(long, value_name = "FILE")]
     trace: Option<PathBuf>,
-    /// Write what was counted to this file
+    /// Write the statistics of the session
     #[arg(long, value_name = "FILE.json")]
     stats: Option<PathBuf>,
-    /// Vulkan validation layers on
+    /// Enable the Vulkan validation layers
     #[arg(long)]
     validation: bool,
-    /// How positions between two samples are found
+    /// Interpolation of positions between two samples
     #[arg(long, value_enum, default_value_t = InterpolationArgument::Cubic)]
     interpolation: InterpolationArgument,
-    /// Measurement: write instance and distance of each pixel to this folder
+    /// Measurement: folder for instance and distance of each pixel
     #[arg(long, value_name = "DIR", requires = "probe_every")]
     probe_dir: Option<PathBuf>,
-    /// Measurement: write them at every Nth display frame
+    /// Measurement: write the pixels of every Nth display frame
     #[arg(long, value_name = "N", requires = "probe_dir", value_parser = clap::value_parser!(u64).range(1..))]
     probe_every: Option<u64>,
-    /// How colours between the atlas's texels are found
+    /// Interpolation of colours between atlas texels
     #[arg(long, value_enum, default_value_t = ReconstructionArgument::Bilinear)]
     reconstruction: ReconstructionArgument,
-    /// Samples per pixel; 2 are 4 where the device has no 2
+    /// MSAA samples; 2 falls back to 4 where unsupported
     #[arg(long, value_name = "SAMPLES", default_value = "4", value_parser = ["1", "2", "4"])]
     msaa: String,
-    /// Frames a second that the headset is asked for: of those that it has the nearest; its own choice without
+    /// Requested refresh rate; the nearest offered rate is used [default: chosen by the runtime]
     #[arg(long, value_name = "HZ", conflicts_with = "window", value_parser = number(1.0_f32..=1000.0, "frames a second"))]
     refresh: Option<f32>,
-    /// How much less is shaded towards the border, on headsets that can (XR_FB_foveation)
+    /// Fixed foveation, where the headset supports XR_FB_foveation
     #[arg(long, value_enum, conflicts_with = "window", default_value_t = FoveationArgument::Low)]
     foveation: FoveationArgument,
-    /// Say only what goes wrong
+    /// Print warnings and errors only
     #[arg(long)]
     quiet: bool,
     #[command(flatten)]
@@ -102,13 +103,13 @@ struct Arguments {
 
 #[derive(Args)]
 struct WindowArguments {
-    /// Show it in a window of the desktop: needs neither headset nor OpenXR runtime
+    /// Display in a desktop window, without headset and OpenXR runtime
     #[arg(long)]
     window: bool,
-    /// Pixels of each eye, and of the window at first [default: 1280x800]
+    /// Pixels per eye, and initial size of the window [default: 1280x800]
     #[arg(long, value_name = "WxH", requires = "window", value_parser = size)]
     size: Option<[u32; 2]>,
-    /// Field of view from top to bottom, degrees
+    /// Vertical field of view in degrees
     #[arg(
         long,
         value_name = "DEG",
@@ -117,45 +118,45 @@ struct WindowArguments {
         value_parser = number(20.0_f32..=120.0, "degrees")
     )]
     fov: f32,
-    /// The window shows both eyes from the start
+    /// Start with both eyes in the window
     #[arg(long, requires = "window")]
     both_eyes: bool,
-    /// The window starts without figures
+    /// Start without figures in the window
     #[arg(long, requires = "window")]
     no_figures: bool,
-    /// Write what the window showed last to this file
+    /// Write the last picture of the window
     #[arg(long, value_name = "FILE.png", requires = "window")]
     screenshot: Option<PathBuf>,
-    /// Part of the name of the Vulkan device that draws the window
+    /// Part of the Vulkan device's name
     #[arg(long, value_name = "NAME", requires = "window")]
     device: Option<String>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 enum InterpolationArgument {
-    /// A cubic through four samples
+    /// Cubic through four samples
     Cubic,
-    /// A line through two
+    /// Line through two samples
     Linear,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 enum ReconstructionArgument {
-    /// On a line between the nearest
+    /// Linear
     Bilinear,
-    /// Brightness by a cubic: sharper, for GPUs with time to spare
+    /// Cubic for luma: sharper, and slower
     Bicubic,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 enum FoveationArgument {
-    /// All is shaded
+    /// Off
     None,
-    /// Hardly seen
+    /// Hardly visible
     Low,
-    /// In between
+    /// Moderate
     Medium,
-    /// Seen where a lens is sharp to its border
+    /// Visible where the lens is sharp to its border
     High,
 }
 
@@ -166,12 +167,12 @@ fn stop() {
     }
 }
 
-/// A line for who started the program. Where nobody reads it any more the program goes on.
+/// Prints a line to standard error. A closed pipe does not end the program.
 fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-/// Colour escapes are for terminals: not for files, and not for who sets NO_COLOR.
+/// Colour escapes are for terminals without NO_COLOR.
 fn wants_colour() -> bool {
     let is_refused = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     std::io::stderr().is_terminal() && !is_refused
@@ -250,7 +251,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         probes.as_mut().map_or(Ok(()), |probes| probes.observe(presenter, report))
     });
-    // What was counted is kept however it ended.
+    // The statistics are written after a failure too.
     let written = arguments.stats.as_deref().map_or(Ok(()), |path| write_stats(path, &outcome.stats));
     if !arguments.quiet && outcome.stats.frames > 0 {
         summarise(&outcome.stats);
@@ -259,7 +260,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
     probes.and_then(|probes| probes.failure).map_or(written, Err)
 }
 
-/// What opens the headset, or the window in its place.
+/// Opens the headset, or the window in its place.
 fn opener(arguments: &Arguments) -> Result<Box<net::Opener<'static>>, DisplayError> {
     let validation = arguments.validation;
     let window = &arguments.window;
@@ -313,14 +314,14 @@ fn summarise(stats: &ClientStats) {
     ));
 }
 
-/// Writes what the probe sees, every so many display frames.
+/// Writes a probe of every Nth display frame.
 struct Probes {
     folder: PathBuf,
     every: u64,
     frames: u64,
-    /// One was due of a frame that showed the picture before again: it is of the next picture.
+    /// The due frame repeated the last picture, so the next picture is probed.
     is_due: bool,
-    /// The first file that could not be written; later ones are not tried.
+    /// The first file that could not be written. Later files are not tried.
     failure: Option<anyhow::Error>,
 }
 

@@ -1,4 +1,4 @@
-//! How a client behaves.
+//! Options of a client.
 
 use crate::decode::decoding::DecodeTiming;
 use crate::draw::stages::atlas_draw::Lookup;

@@ -1,4 +1,4 @@
-//! What a client tells whoever drives it: of its connection, its display frames and its end.
+//! Reports of a client to its driver: its connection, its display frames and its end.
 
 use crate::display::DisplayError;
 use shadecast_gpu::GpuError;

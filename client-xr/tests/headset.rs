@@ -126,7 +126,7 @@ fn assert_close(got: [u8; 3], want: [u8; 3], what: &str) {
 }
 
 #[test]
-fn a_runtime_that_does_not_convert_its_times_is_taken_and_its_frames_keep_their_distances() {
+fn a_runtime_without_time_conversion_keeps_frame_distances() {
     let hidden = ["XR_KHR_convert_timespec_time", "XR_KHR_win32_convert_performance_counter_time"];
     let hidden_extensions = hidden.map(str::to_owned).to_vec();
     let run = Run::new(MockConfig { hidden_extensions, ..MockConfig::default() });
@@ -142,7 +142,7 @@ fn a_runtime_that_does_not_convert_its_times_is_taken_and_its_frames_keep_their_
 }
 
 #[test]
-fn before_the_first_bundle_there_is_a_gradient_a_floor_and_a_text_in_both_eyes() {
+fn before_the_first_bundle_both_eyes_see_the_waiting_room() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     client.presenter.set_status("Connecting to 192.168.1.5:7400");
@@ -162,7 +162,7 @@ fn before_the_first_bundle_there_is_a_gradient_a_floor_and_a_text_in_both_eyes()
 }
 
 #[test]
-fn patches_are_seen_where_they_are_and_in_the_atlas_colours_by_both_eyes() {
+fn both_eyes_see_patches_in_place_and_in_colour() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::in_step(&mut client);
@@ -202,7 +202,7 @@ fn patches_are_seen_where_they_are_and_in_the_atlas_colours_by_both_eyes() {
 }
 
 #[test]
-fn an_animated_edge_moves_with_every_display_frame_and_follows_its_motion() {
+fn an_animated_edge_moves_with_every_display_frame() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::in_step(&mut client);
@@ -227,7 +227,7 @@ fn an_animated_edge_moves_with_every_display_frame_and_follows_its_motion() {
 }
 
 #[test]
-fn a_vertex_that_runs_out_of_samples_stops_and_is_counted_and_returns_without_a_jump() {
+fn a_vertex_without_samples_freezes_and_returns_smoothly() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::in_step(&mut client);
@@ -275,7 +275,7 @@ fn a_patch_without_samples_is_withheld_and_the_rest_is_seen() {
 }
 
 #[test]
-fn the_newest_picture_goes_with_its_own_placements() {
+fn the_newest_picture_has_its_own_placements() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::in_step(&mut client);
@@ -355,7 +355,7 @@ fn torn_s(client: &Client) -> f32 {
 }
 
 #[test]
-fn samples_of_the_next_update_do_not_tear_what_is_on_display_and_its_picture_sets_it_going() {
+fn samples_of_the_next_update_do_not_tear_the_display() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::in_step(&mut client);
@@ -662,14 +662,14 @@ fn a_display_frame_allocates_nothing_but_the_messages_that_leave() {
 
 /// With the intake on another thread, all that the thread that draws does is this.
 #[test]
-fn while_updates_arrive_the_half_that_draws_allocates_nothing() {
+fn the_presenter_allocates_nothing_while_updates_arrive() {
     let run = Run::new(MockConfig::default());
     let client = run.client();
     draws_without_allocating(&run, client);
 }
 
 #[test]
-fn while_pictures_arrive_on_the_device_the_half_that_draws_allocates_nothing() {
+fn the_presenter_allocates_nothing_with_device_pictures() {
     let run = Run::new(MockConfig::default());
     let client = run.client_on_device(on_device_decoder);
     draws_without_allocating(&run, client);
@@ -677,7 +677,7 @@ fn while_pictures_arrive_on_the_device_the_half_that_draws_allocates_nothing() {
 
 /// What is said changes, the figures are shown, and the world stands still for so long that the notice comes.
 #[test]
-fn while_words_are_shown_and_change_the_half_that_draws_allocates_nothing() {
+fn the_presenter_allocates_nothing_while_texts_change() {
     let a = "right/input/a/click";
     let inputs = script(&[(20, a, 1.0), (25, a, 0.0)]);
     let controllers = Some("/interaction_profiles/oculus/touch_controller".to_owned());
@@ -740,7 +740,7 @@ fn draws_without_allocating(run: &Run, mut client: Client) {
 }
 
 #[test]
-fn pictures_that_the_decoder_leaves_on_the_device_are_shown_in_any_format_and_come_back() {
+fn device_pictures_are_drawn_in_any_format_and_returned() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client_on_device(changing_decoder);
     let mut line = Line::connect(&mut client);
@@ -771,7 +771,7 @@ fn pictures_that_the_decoder_leaves_on_the_device_are_shown_in_any_format_and_co
 }
 
 #[test]
-fn a_lost_picture_leaves_the_last_bundle_on_display_until_a_refresh_that_is_asked_for() {
+fn a_lost_picture_keeps_the_last_bundle_until_a_refresh() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
@@ -797,7 +797,7 @@ fn a_lost_picture_leaves_the_last_bundle_on_display_until_a_refresh_that_is_aske
 }
 
 #[test]
-fn after_a_reconnect_the_old_bundle_stays_until_the_new_server_has_one() {
+fn a_reconnect_keeps_the_old_bundle_until_a_new_one() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
@@ -837,7 +837,7 @@ fn decoder_of_the_first(
 }
 
 #[test]
-fn deltas_of_a_session_whose_pictures_cannot_be_decoded_leave_the_scene_on_display_alone() {
+fn undecodable_sessions_leave_the_displayed_scene_alone() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client_with(decoder_of_the_first);
     let mut line = Line::connect(&mut client);
@@ -932,7 +932,7 @@ fn is_edge_seen(picture: &Picture, stage_from_head: Pose, eye: f32) -> bool {
 }
 
 #[test]
-fn with_a_silent_server_the_picture_follows_every_turn_of_the_head_under_a_text_that_says_so() {
+fn a_silent_server_leaves_the_head_free_under_a_notice() {
     let folder = tempfile::tempdir().expect("a folder");
     // 3 pixels from frame to frame.
     let head_path = Some(turning_head(folder.path(), 3.4, 1.8, 0.25));
@@ -1011,7 +1011,7 @@ fn frame_alone(client: &mut Client) -> FrameReport {
 }
 
 #[test]
-fn a_device_that_is_behind_is_not_waited_for_and_its_last_picture_is_shown_again() {
+fn a_slow_device_is_not_waited_for_and_repeats_its_picture() {
     let folder = tempfile::tempdir().expect("a folder");
     let head_path = Some(turning_head(folder.path(), 0.1, 1.0, 3.0));
     let run = Run::unseen(MockConfig { head_path, ..MockConfig::default() });
@@ -1074,7 +1074,7 @@ fn absence(line: &mut Line, client: &mut Client, turns: u32, frame: &mut u32) ->
 }
 
 #[test]
-fn while_nobody_looks_arrivals_are_taken_in_and_the_picture_is_there_when_somebody_does() {
+fn an_unwatched_client_keeps_its_picture_current() {
     let events = vec![
         ScriptedEvent { frame: 20, kind: EventKind::Hide },
         ScriptedEvent { frame: 1460, kind: EventKind::Show },
@@ -1098,7 +1098,7 @@ fn while_nobody_looks_arrivals_are_taken_in_and_the_picture_is_there_when_somebo
 }
 
 #[test]
-fn a_session_that_rests_and_begins_again_goes_on_with_the_same_server() {
+fn a_resumed_session_keeps_its_server() {
     let events = vec![ScriptedEvent { frame: 20, kind: EventKind::Pause { ms: 10_000 } }];
     let run = Run::new(MockConfig { events, capture_every: 0, ..MockConfig::default() });
     let mut client = run.client();
@@ -1128,7 +1128,7 @@ fn a_session_that_rests_and_begins_again_goes_on_with_the_same_server() {
 }
 
 #[test]
-fn recentring_is_told_from_motion_from_the_frame_on_in_which_it_happens() {
+fn recentring_is_distinguished_from_motion_at_its_frame() {
     let kind = EventKind::Recentre { x_mm: 2000, z_mm: 500, yaw_degrees: 30 };
     let events = vec![ScriptedEvent { frame: 20, kind }];
     let run = Run::new(MockConfig { events, ..MockConfig::default() });
@@ -1200,7 +1200,7 @@ fn controllers_walk_and_turn_the_room_through_the_world() {
 }
 
 #[test]
-fn a_display_is_asked_for_the_nearest_of_its_rates_and_may_change_it_by_itself() {
+fn the_nearest_refresh_rate_is_requested() {
     let events = vec![ScriptedEvent { frame: 30, kind: EventKind::RefreshRate { hz: 90 } }];
     let other_rates_hz = vec![90.0, 120.0];
     let run = Run::unseen(MockConfig { events, other_rates_hz, ..MockConfig::default() });
@@ -1217,7 +1217,7 @@ fn is_of(period_ns: i64, hz: f64) -> bool {
 }
 
 #[test]
-fn a_headset_is_asked_for_what_it_can_give_for_long_where_it_can_be_asked() {
+fn sustained_performance_is_requested_where_offered() {
     let levels = |hidden: &[&str]| {
         let hidden_extensions = hidden.iter().map(|name| (*name).to_owned()).collect();
         let run = Run::unseen(MockConfig { hidden_extensions, ..MockConfig::default() });
@@ -1253,7 +1253,7 @@ fn the_menu_button_leaves() {
 }
 
 #[test]
-fn a_button_shows_the_figures_below_what_is_looked_at_and_hides_them() {
+fn a_button_toggles_the_figures() {
     for profile in ["oculus/touch_controller", "valve/index_controller"] {
         let a = "right/input/a/click";
         let inputs = script(&[(20, a, 1.0), (50, a, 0.0), (60, a, 1.0), (65, a, 0.0)]);
@@ -1282,7 +1282,7 @@ fn a_button_shows_the_figures_below_what_is_looked_at_and_hides_them() {
 }
 
 #[test]
-fn controllers_are_seen_where_they_are_held_by_both_eyes_and_in_front_of_the_world() {
+fn controllers_are_drawn_in_place_in_both_eyes() {
     let hand = |frame, hand: &str, position_m| ScriptedHand {
         frame,
         hand: format!("/user/hand/{hand}"),
@@ -1386,7 +1386,7 @@ fn without_focus_controllers_do_nothing() {
 }
 
 #[test]
-fn a_picture_of_the_far_future_ends_the_session_and_not_the_frame_loop() {
+fn a_far_future_picture_ends_only_the_session() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
@@ -1402,7 +1402,7 @@ fn a_picture_of_the_far_future_ends_the_session_and_not_the_frame_loop() {
 }
 
 #[test]
-fn a_flood_of_samples_that_take_no_bits_waits_coded_and_then_ends_the_session() {
+fn a_flood_of_zero_bit_samples_ends_the_session() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
@@ -1458,7 +1458,7 @@ fn a_wish_to_exit_passes_through_the_runtime() {
 }
 
 #[test]
-fn a_lost_instance_or_session_is_told_from_other_errors_and_the_headset_opens_again() {
+fn a_lost_instance_or_session_reopens_the_headset() {
     for kind in LOSSES {
         let run =
             Run::new(MockConfig { events: vec![ScriptedEvent { frame: 3, kind }], ..MockConfig::default() });

@@ -60,7 +60,7 @@ fn client_shaders() -> Vec<&'static Shader> {
 }
 
 #[test]
-fn the_list_asks_for_nothing_that_a_first_generation_headset_lacks() {
+fn the_requirements_fit_a_first_generation_headset() {
     assert!(REQUIRED.vulkan_version <= [1, 1]);
     assert!(REQUIRED.vulkan_extensions.is_empty());
     assert!(REQUIRED.vulkan_features.iter().all(|f| EVERY_HEADSET_FEATURES.contains(f)));
@@ -82,7 +82,7 @@ fn the_largest_buffer_is_within_the_table_of_limits() {
 }
 
 #[test]
-fn the_shaders_declare_the_capabilities_of_the_list_and_no_other() {
+fn the_shaders_declare_only_listed_capabilities() {
     let mut declared = std::collections::BTreeSet::new();
     for shader in client_shaders() {
         for capability in capabilities(shader.words) {

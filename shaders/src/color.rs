@@ -1,5 +1,5 @@
-//! Colours as a picture's planes: full-range BT.709 (ITU-R BT.709-6, item 3), 4:2:0, chroma centre-sited. On the CPU, for
-//! pictures that never were on the device.
+//! Conversion of colours to a picture's planes: full-range BT.709 (ITU-R BT.709-6, item 3), 4:2:0, chroma centre-sited. On the
+//! CPU, for pictures that never were on the device.
 
 use shadecast_protocol::picture::I420;
 

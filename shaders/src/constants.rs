@@ -1,6 +1,6 @@
-//! Constants that GLSL and Rust share. Rust is the source of all of them: the build script, which includes this file, gives
-//! them and what shaders read of `shadecast_protocol` to the compiler as macros of the same names. GLSL repeats none, and
-//! Rust repeats none of GLSL's.
+//! Constants shared by GLSL and Rust. Rust is their source: the build script includes this file, and gives its constants, and
+//! those of `shadecast_protocol` that shaders read, to the compiler as macros of the same names. GLSL repeats none, and Rust
+//! repeats none of GLSL's.
 
 use shadecast_protocol::atlas::PatchKind;
 use shadecast_protocol::limits::{

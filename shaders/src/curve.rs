@@ -1,4 +1,4 @@
-//! The curve of a vertex through its samples: that of `client_interpolate.comp`, for whoever must know how exact it is.
+//! The curve of a vertex through its samples, as in `client_interpolate.comp`. It serves estimates of its error.
 
 /// Lagrange's polynomial through samples at -1, 0, 1, 2, at `f` in 0..=1.
 pub fn cubic_weights(f: f32) -> [f32; 4] {

@@ -1,5 +1,5 @@
-//! The GLSL of both sides as SPIR-V with its reflection, the struct layouts that GLSL declares, and the CPU
-//! reference twins of the GPU stages. No Vulkan in here.
+//! The GLSL of both sides as SPIR-V with its reflection, the struct layouts declared in GLSL, and the CPU twins of the GPU
+//! stages. This crate does not know Vulkan.
 #![forbid(unsafe_code)]
 
 pub mod color;
@@ -51,7 +51,7 @@ mod tests {
     }
 
     #[test]
-    fn triangles_are_numbered_without_geometry_shaders_by_who_pulls_indices() {
+    fn index_pulling_numbers_triangles_without_geometry_shaders() {
         assert!(needs_geometry_shader(ID_BUFFER_FRAG.words));
         for shader in [&ID_BUFFER_PULLED_VERT, &ID_BUFFER_PULLED_FRAG] {
             assert!(!needs_geometry_shader(shader.words), "{}", shader.name);

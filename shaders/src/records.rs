@@ -1,4 +1,4 @@
-//! The records that write the client's vertex memory, as `client_scatter.comp` reads them.
+//! The records that write the client's vertex memory, in the layout of `client_scatter.comp`.
 
 use crate::constants::{
     MORPH_FIRST_BITS, NO_SAMPLE, PREDICTED_BIT, REST_BIT, REST_END_BIT, SKINNED_BIT, SLOT_MASK, STATIC_BIT,

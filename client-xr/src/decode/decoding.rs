@@ -1,8 +1,8 @@
-//! From coded pictures, which come in any order, to decoded ones: puts them in order, decodes each, and says when only a
-//! refresh helps. The seam to the codec is [`crate::decode`].
+//! Coded pictures enter in any order; decoded pictures leave in order. The module also reports when only a refresh helps. The
+//! seam to the codec is [`crate::decode`].
 //!
-//! Every frame has a picture, and each needs the one before it, unless it is a refresh. In virtual time decoding takes as
-//! long as it is told to; in real time a thread of its own does it.
+//! Every update has a picture. Each picture needs the previous one, unless it is a refresh. In virtual time decoding takes a
+//! given time; in real time it runs on its own thread.
 
 use super::{DecodeError, Decoder, Picture};
 use shadecast_protocol::ids::UpdateId;
@@ -75,8 +75,8 @@ enum Job {
     UnitLost,
 }
 
-/// What became of a picture.
-struct Outcome {
+/// Result of one coded picture.
+struct DecodedUnit {
     update: UpdateId,
     arrived: ClientTime,
     decoding: [ClientTime; 2],
@@ -129,11 +129,11 @@ enum Engine {
         work: Work,
         delay_ns: i64,
         busy_until: ClientTime,
-        done: VecDeque<Outcome>,
+        done: VecDeque<DecodedUnit>,
     },
     Thread {
         jobs: Option<SyncSender<Job>>,
-        outcomes: Receiver<Outcome>,
+        outcomes: Receiver<DecodedUnit>,
         spare: SyncSender<Picture>,
         thread: Option<JoinHandle<()>>,
         overflowed: bool,
@@ -291,7 +291,7 @@ impl Decoding {
         while self.order.is_hopeless(now) {
             self.give_up_to_oldest();
         }
-        while let Some(Outcome { update, arrived, decoding, result }) = self.engine.finished(now) {
+        while let Some(DecodedUnit { update, arrived, decoding, result }) = self.engine.finished(now) {
             match result {
                 Ok(picture) => {
                     self.last_decoded = Some(update);
@@ -314,9 +314,9 @@ impl Decoding {
     /// One failure is a matter of a refresh; a decoder that fails with each refresh will never show anything.
     fn note_failure(&mut self, update: UpdateId, error: &DecodeError) {
         if !error.is_the_decoders() {
-            return tracing::debug!("picture of frame {}: {error}", update.0);
+            return tracing::debug!("picture of update {}: {error}", update.0);
         }
-        tracing::warn!("picture of frame {}: {error}", update.0);
+        tracing::warn!("picture of update {}: {error}", update.0);
         self.failures += 1;
         if self.failures == MOST_FAILURES {
             self.trouble = Some(format!("pictures cannot be shown: {error}"));
@@ -398,7 +398,7 @@ impl Engine {
         }
     }
 
-    fn finished(&mut self, now: ClientTime) -> Option<Outcome> {
+    fn finished(&mut self, now: ClientTime) -> Option<DecodedUnit> {
         match self {
             Self::Virtual { work, delay_ns, done, .. } => {
                 while let Some(outcome) = work.poll(Duration::ZERO, |began| began.plus_ns(*delay_ns)) {
@@ -434,11 +434,15 @@ impl Work {
     }
 
     /// What became of the oldest picture, for which it waits at most for `timeout`; `ended` tells when, by its beginning.
-    fn poll(&mut self, timeout: Duration, ended: impl FnOnce(ClientTime) -> ClientTime) -> Option<Outcome> {
+    fn poll(
+        &mut self,
+        timeout: Duration,
+        ended: impl FnOnce(ClientTime) -> ClientTime,
+    ) -> Option<DecodedUnit> {
         let UnderWay { update, arrived, began } = *self.under_way.front()?;
         let result = self.decoder.poll(timeout)?;
         self.under_way.pop_front();
-        Some(Outcome { update, arrived, decoding: [began, ended(began)], result })
+        Some(DecodedUnit { update, arrived, decoding: [began, ended(began)], result })
     }
 }
 
@@ -448,7 +452,7 @@ fn decode_all(
     now: fn() -> ClientTime,
     jobs: &Receiver<Job>,
     spare: &Receiver<Picture>,
-    hand_on: impl Fn(Outcome) -> bool,
+    hand_on: impl Fn(DecodedUnit) -> bool,
 ) {
     loop {
         let job = match work.under_way.is_empty() {

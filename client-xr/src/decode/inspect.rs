@@ -1,4 +1,4 @@
-//! What is looked at before a decoder sees it: a library or a driver takes whatever it is given, and may allocate by it.
+//! Checks before a decoder. A library or a driver accepts any bytes, and may allocate by them.
 
 use super::DecodeError;
 use super::sps::{self, Sps};

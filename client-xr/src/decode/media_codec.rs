@@ -1,6 +1,7 @@
-//! Android's decoder: MediaCodec, asynchronous, writes to the images of an `ImageReader`, whose buffers the device reads where they are.
+//! Android's decoder: an asynchronous MediaCodec writes to the images of an `ImageReader`. The device reads their buffers in
+//! place.
 //!
-//! Only what speaks to the platform is here; what may go wrong in which order is [`super::platform_decoder`]'s affair.
+//! This module only calls the platform. [`super::platform_decoder`] handles order and failures.
 
 use super::DecodeError;
 use super::platform_decoder::{

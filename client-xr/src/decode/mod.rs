@@ -1,14 +1,15 @@
 //! Decoding: coded pictures to pictures of the agreed extent.
 //!
-//! Access units enter, in any order. Pictures leave in the order they were encoded, or an error, or the wish for a refresh
-//! ([`decoding`]). Nothing here knows the network, the atlas and which update is shown.
+//! Access units enter in any order. Pictures leave in encoding order, or an error, or the request for a refresh ([`decoding`]).
+//! Nothing here knows the network, the atlas and the update on display.
 //!
-//! The codec is behind the seam [`Decoder`]: [`openh264`] on desktops, the platform's decoder on Android ([`platform_decoder`]),
-//! and [`raw`] for pictures that were not coded. A decoder never conceals: after a broken or lost
-//! unit the picture on display stays, and the decoder refuses everything but a refresh, because a picture that
-//! refers to one that is missing would look plausible and be wrong.
+//! The codec is behind the seam [`Decoder`]: [`openh264`] on desktops, the platform's decoder on Android
+//! ([`platform_decoder`]), and [`raw`] for uncompressed pictures. A decoder never conceals. After a broken or lost unit the
+//! picture on display stays, and the decoder refuses everything but a refresh: a picture that refers to a missing one would
+//! look plausible and be wrong.
 //!
-//! Whatever bytes come in, a decoder gives a picture of the agreed extent or an error; [`sps`] looks at every sequence header before the decoder does.
+//! A decoder turns any bytes into a picture of the agreed extent or an error. [`sps`] checks every sequence header before the
+//! decoder.
 
 use shadecast_gpu::{GpuError, YcbcrImage};
 use shadecast_protocol::limits::{MAX_ACCESS_UNIT_BYTES, MAX_PICTURE_EXTENT_TEXELS, MIN_PICTURE_SIDE_TEXELS};
@@ -154,10 +155,10 @@ pub enum DecodeError {
     #[error("waiting for a refresh: this access unit depends on a picture that is missing")]
     NeedsRefresh,
     /// A unit that is no picture as it is.
-    #[error("an access unit is no picture: {0}")]
+    #[error("an uncompressed picture is malformed: {0}")]
     NotRaw(#[from] I420Error),
     /// The device cannot read what the platform's decoder writes.
-    #[error("a decoded picture is not to be read: {0}")]
+    #[error("a decoded picture cannot be read: {0}")]
     Device(#[from] GpuError),
     /// The platform's decoder has failed.
     #[error("the platform's decoder failed while {doing}: {reason}")]

@@ -1,10 +1,10 @@
-//! The desktop decoder: openh264, with concealment off.
+//! The desktop decoder: openh264, without concealment.
 //!
-//! The library takes whatever it is given and may allocate by it, so nothing reaches it unseen: a unit is split, kinds
-//! of NAL units that no stream of ours has are refused, and sequence headers must show the agreed extent. After an
-//! error the whole decoder is replaced at the next refresh, so that no half-decoded state survives.
+//! The library accepts any bytes and may allocate by them, so every unit is checked first. A unit is split, unexpected kinds of
+//! NAL units are refused, and sequence headers must have the agreed extent. After an error the next refresh gets a new decoder,
+//! so no half-decoded state survives.
 //!
-//! The library keeps a picture back in case a later one should come before it. Ours never do, so each unit is flushed
+//! The library holds a picture back in case an earlier one follows. Our streams have no such order. So each unit is flushed,
 //! and its picture comes out at once.
 
 use std::collections::VecDeque;

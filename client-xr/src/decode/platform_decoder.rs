@@ -1,10 +1,10 @@
-//! A platform's decoder behind the seam: asynchronous, with input buffers that come when it likes and pictures in images of its own.
+//! The platform's decoder behind the seam: asynchronous, with input buffers at its own pace, and pictures in its own images.
 //!
-//! This half is plain: which unit is where, which picture belongs to which, how many images are lent, and what an error costs. What
-//! speaks to the platform is a [`PlatformCodec`]; tests have a scripted one.
+//! This half is plain logic: the place of each unit, the unit of each picture, the number of lent images, the cost of an error.
+//! A [`PlatformCodec`] calls the platform; tests have a scripted one.
 //!
-//! A codec says what happens from threads of its own, through a channel. After an error, or where it leaves a unit out, it is thrown away: a
-//! new one begins with the next refresh, so that nothing of the old one's state or numbers survives.
+//! A codec reports events from its own threads, through a channel. A codec is discarded after an error or a skipped unit. The
+//! next refresh starts a new one, so no state or number of the old one survives.
 
 use super::inspect::{check_picture_extent, inspect};
 use super::{DecodeError, Decoder, DevicePicture, Picture, sps};

@@ -1,4 +1,4 @@
-//! No coding at all: an access unit is the picture's bytes, and needs no other.
+//! No coding: an access unit is the picture's bytes and needs no other unit.
 
 use super::{DecodeError, Decoder, Picture, Spare};
 use std::collections::VecDeque;

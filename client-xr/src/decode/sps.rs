@@ -1,9 +1,9 @@
-//! Reads what an H.264 stream says about itself: the NAL units of an access unit, and the fields of a sequence header
-//! (SPS) that decide whether it may reach a decoder at all.
+//! Parser of an H.264 stream's own description: the NAL units of an access unit, and the fields of a sequence header (SPS) that
+//! decide whether it may reach a decoder.
 //!
-//! Decoders allocate what a header asks for. Checking it here first keeps a damaged header from costing gigabytes, and
-//! shows whether the colours are declared as agreed. Total: any bytes give a value or an error. The syntax is
-//! ITU-T H.264, sections 7.3.2.1.1 and E.1.1; names follow it.
+//! Decoders allocate by the header. The check keeps a damaged header from costing gigabytes, and shows whether the colours are
+//! declared as agreed. It is total: any bytes give a value or an error. The syntax is ITU-T H.264, sections 7.3.2.1.1 and
+//! E.1.1; names follow it.
 
 use thiserror::Error;
 

@@ -1,7 +1,7 @@
-//! The display that the client draws to: a headset behind OpenXR ([`xr`]), or a window of the desktop in its place.
+//! The client's display: a headset behind OpenXR ([`xr`]), or a desktop window in its place.
 //!
-//! The runtime's or desktop's events enter, and drawn images of two layers. Display times, head and eye poses, presses and images
-//! to draw to leave, by the trait [`Display`]. Nothing here knows scenes, servers and pictures.
+//! The runtime's or desktop's events enter, and drawn images of two layers. Display times, head and eye poses, presses and
+//! images to draw to leave, by the trait [`Display`]. Nothing here knows scenes, servers and pictures.
 
 #[cfg(feature = "desktop")]
 pub mod window;

@@ -1,4 +1,4 @@
-//! What cutouts leave of their blocks, by texel of the atlas, as of the update on display.
+//! Coverage of the cutouts' blocks, by texel of the atlas, for the update on display.
 
 use shadecast_protocol::atlas::{AtlasExtent, Block};
 use shadecast_protocol::coverage::Coverage;

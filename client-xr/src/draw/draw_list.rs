@@ -1,7 +1,7 @@
-//! What the one draw of a display frame reads: corners and indices of every patch that has a block.
+//! The input of a display frame's one draw: corners and indices of every patch with a block.
 //!
-//! Corners lie by patch slot, and a patch keeps its place among the indices: the newest list changes by what has changed, and each
-//! bundle's memory is brought up to date with what has changed since it was written last.
+//! Corners lie by patch slot, and a patch keeps its place among the indices. The newest list changes by differences. Each
+//! bundle's memory is updated by the differences since its last write.
 
 use super::index_places::IndexPlaces;
 use crate::motion::{Motion, Users};

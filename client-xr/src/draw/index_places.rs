@@ -1,5 +1,5 @@
-//! Places of patches among the indices of a draw list: each patch keeps its own while it is drawn, so that a list changes by what
-//! has changed. What goes leaves a hole, which the next patch of as many indices takes. Pure.
+//! Places of patches among the indices of a draw list. Each patch keeps its place while it is drawn, so a list changes by
+//! differences. A removed patch leaves a hole for the next patch with as many indices. Pure.
 
 /// How many indices a patch can have: one to three triangles, with one side or two.
 const SIZES: [u32; 5] = [3, 6, 9, 12, 18];

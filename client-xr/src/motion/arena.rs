@@ -1,6 +1,6 @@
-//! What has arrived for the arena, the memory of skeletons, keys and morph deltas, on its way to the GPU. The server says
-//! which words hold what. Nothing may be evaluated from words that are still on their way: each write has a serial, and
-//! [`ArenaWrites::written`] says how far the GPU has got.
+//! Arrivals for the arena, the memory of skeletons, keys and morph deltas, on their way to the GPU. The server assigns the
+//! words. Words still on their way must not be evaluated: each write has a serial, and [`ArenaWrites::written`] gives the GPU's
+//! progress.
 
 use std::collections::VecDeque;
 use std::ops::Range;

@@ -1,4 +1,4 @@
-//! What has arrived about vertices, on its way to the GPU's memory.
+//! Arrivals about vertices, on their way to the GPU's memory.
 
 use shadecast_protocol::ids::UpdateId;
 use shadecast_shaders::generated::VertexWriteGpu;

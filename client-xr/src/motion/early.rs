@@ -1,5 +1,5 @@
-//! Poses of instances that the client was not told of yet: messages about motion wait for no update, and may overtake the one
-//! that brings the instance. Kept until it comes, within what a client could ever need.
+//! Poses of unknown instances. Messages about motion wait for no update, and may overtake the update that brings the instance.
+//! The poses are kept until it arrives, within the client's needs.
 
 use shadecast_protocol::ids::InstanceId;
 use shadecast_protocol::motion::poses::GridPose;
@@ -30,7 +30,7 @@ impl EarlyPoses {
         }
         let words = self.words - known.map_or(0, words) + words(&pose);
         if words > arena_words {
-            tracing::debug!("poses of instance {} came too early and are dropped", pose.instance.0);
+            tracing::debug!("poses of instance {} arrived too early and are dropped", pose.instance.0);
             return;
         }
         self.words = words;

@@ -1,10 +1,11 @@
-//! How vertices move on the client: arrived samples ([`arrivals`]), the times that can be evaluated and the one
-//! that is shown ([`pace`]); skeletons, clips and their players (`told`, [`arena`], [`skinned`]).
+//! Motion of vertices on the client: arrived samples ([`arrivals`]), the times that can be evaluated and the displayed one
+//! ([`pace`]); skeletons, clips and their players (`received`, [`arena`], [`skinned`]).
 //!
-//! Motion messages enter, by world time and slot. Writes for the GPU's memory leave, and the time at which all of it is whole.
-//! Nothing here knows pictures, GPUs and networks.
+//! Motion messages enter, by world time and slot. Writes for the GPU's memory leave, and the time at which all of it is
+//! complete. Nothing here knows pictures, GPUs and networks.
 //!
-//! Counts from arrival on, whatever bundle is on display: the server never reuses a slot that the bundle on display still needs.
+//! A message applies from its arrival, whatever bundle is on display: the server never reuses a slot that the bundle on display
+//! still needs.
 
 pub mod arena;
 pub mod arrivals;
@@ -12,7 +13,7 @@ mod early;
 pub mod pace;
 pub mod skinned;
 pub mod state;
-mod told;
+mod received;
 
 use arena::ArenaWrites;
 use arrivals::VertexWrites;
@@ -44,7 +45,7 @@ pub struct Motion {
     skinned: Skinned,
     /// What has changed in `skinned` since it was last handed on.
     changes: Vec<SkinnedChange>,
-    told: told::Told,
+    received: received::ReceivedMotion,
     early: early::EarlyPoses,
     /// Skinned instances of the draw list.
     drawn: DrawnInstances,
@@ -140,7 +141,7 @@ impl Motion {
             arena: ArenaWrites::new(capacity.arena_words),
             skinned: Skinned::default(),
             changes: Vec::new(),
-            told: told::Told::default(),
+            received: received::ReceivedMotion::default(),
             early: early::EarlyPoses::new(capacity.sample_ring),
             drawn: DrawnInstances::default(),
             used: Vec::with_capacity(vertex_slots as usize),
@@ -152,12 +153,12 @@ impl Motion {
         }
     }
 
-    /// What the GPU's vertex memory has yet to be told.
+    /// What the GPU's vertex memory has not received yet.
     pub fn writes(&mut self) -> &mut VertexWrites {
         &mut self.writes
     }
 
-    /// What the arena has yet to be told.
+    /// What the arena has not received yet.
     pub fn arena(&mut self) -> &mut ArenaWrites {
         &mut self.arena
     }

@@ -1,8 +1,8 @@
-//! The one time at which all vertices of the draw list on display are evaluated, so that no triangle has corners of two times.
+//! The one evaluation time of all vertices of the draw list on display. No triangle has corners of two times.
 //!
-//! It is the display time, as long as every vertex drawn has samples there, and for one grid step more, by its last velocity.
-//! When some run out of samples, all stay, until those get theirs too or another list comes on display. Then the time catches
-//! up with the display's, without a jump as far as samples reach back.
+//! It is the display time while every drawn vertex has samples there, and for one more grid step by its last velocity. When
+//! some vertices run out of samples, all stay, until those get samples or another list is displayed. Then the time catches up
+//! with the display's, without a jump as far as samples reach back.
 
 use shadecast_protocol::time::{Grid, GridIndex, ServerTime, WorldTime};
 
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn when_all_have_samples_again_the_time_catches_up_without_a_jump() {
+    fn with_samples_again_the_time_catches_up_without_a_jump() {
         let mut pace = Pace::default();
         let mut last = shown_ms(&mut pace, 1040, span(30, 34), false);
         for ms in (1050..=1150).step_by(10) {
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn in_a_world_that_stands_all_stay_and_what_was_behind_catches_up() {
+    fn in_a_halted_world_late_samples_catch_up() {
         let mut pace = Pace::default();
         let mut see = |ms: i64, world_ms: i64, last: i32| {
             let evaluation = pace.advance(GRID, (ServerTime(ms * MS), at(world_ms)), span(30, last), false);

@@ -1,8 +1,8 @@
-//! Instances that move by clips or by poses on the grid: what the GPU must be told of them in a display frame. Knows where in
-//! the arena the server has put skeletons and chunks of clips, and which of them are there; not what they say.
+//! Instances that move by clips or by poses on the grid, and their data for the GPU in a display frame. This module knows the
+//! places of skeletons and chunks in the arena, and which have arrived. It does not know their contents.
 //!
-//! They are evaluated at the display time itself, whatever samples are short. An instance of which something is missing for
-//! that time is withheld: it is never shown in a pose of another time.
+//! Instances are evaluated at the display time itself, whatever samples are missing. An instance with missing data for that
+//! time is withheld: it is never displayed in a pose of another time.
 
 use super::arena::ArenaSerial;
 use super::pace::{BLEND_NS, GridTime};
@@ -99,7 +99,7 @@ pub enum SkinnedChange {
 
 /// An instance names a skeleton that the client does not know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("instance {} is said to have skeleton {}, of which nothing was said; the server is at fault", .0.0, .1.0)]
+#[error("instance {} names skeleton {}, which was never sent; the server is at fault", .0.0, .1.0)]
 pub struct UnknownSkeleton(pub InstanceId, pub SkeletonId);
 
 /// An instance on the draw list.
@@ -111,9 +111,9 @@ pub struct Drawn {
     pub vertices: u32,
 }
 
-/// When instances are evaluated, and with how much of the arena.
+/// The time of an evaluation, and the part of the arena that the GPU has.
 #[derive(Clone, Copy, Debug)]
-pub struct Moment {
+pub struct PoseQuery {
     /// The display time.
     pub time: WorldTime,
     /// The grid of poses that come as time goes by.
@@ -381,7 +381,7 @@ impl Skinned {
 
     /// What the GPU must be told of the instances on a draw list, one after the other in `out`. What does not fit there is
     /// withheld, and so is what is not known.
-    pub fn poses(&mut self, moment: Moment, drawn: &[Drawn], out: &mut [PlacedPoseGpu]) -> SkinnedCounts {
+    pub fn poses(&mut self, moment: PoseQuery, drawn: &[Drawn], out: &mut [PlacedPoseGpu]) -> SkinnedCounts {
         self.shown = Some(moment.time);
         let mut counts = SkinnedCounts::default();
         for Drawn { instance, vertices } in drawn {
@@ -408,7 +408,7 @@ impl Skinned {
     }
 
     /// An instance for the GPU, and how it stands; `None`: it is not ready.
-    fn placed(&self, instance: &Instance, moment: Moment) -> (PlacedPoseGpu, Option<Supply>) {
+    fn placed(&self, instance: &Instance, moment: PoseQuery) -> (PlacedPoseGpu, Option<Supply>) {
         let mut placed = instance.unready();
         let is_there = instance.skeleton.written <= moment.written;
         let supply = (is_there && self.place_path(instance, moment, &mut placed))
@@ -425,7 +425,7 @@ impl Skinned {
     }
 
     /// False where there is a path, but not its keys.
-    fn place_path(&self, instance: &Instance, moment: Moment, placed: &mut PlacedPoseGpu) -> bool {
+    fn place_path(&self, instance: &Instance, moment: PoseQuery, placed: &mut PlacedPoseGpu) -> bool {
         let Some(path) = &instance.path else { return true };
         let Some(tracks) = self.tracks(path.at(moment.time).now, BONE_TRACKS, moment.written) else {
             return false;
@@ -440,7 +440,7 @@ impl Skinned {
         &self,
         playing: &Schedule<ClipRef>,
         least: u32,
-        moment: Moment,
+        moment: PoseQuery,
         placed: &mut PlacedPoseGpu,
     ) -> Option<Supply> {
         let Playing { now, fading } = playing.at(moment.time);
@@ -522,7 +522,7 @@ impl GridRing {
     fn place_steps(
         &self,
         skeleton: &SkeletonPlace,
-        moment: Moment,
+        moment: PoseQuery,
         placed: &mut PlacedPoseGpu,
     ) -> Option<Supply> {
         let at = GridTime::of(moment.grid, moment.time);

@@ -1,5 +1,5 @@
-//! How the vertices of the newest draw list stand, for who evaluates them at a display time: small enough to be handed over
-//! with each batch of arrivals.
+//! Motion state of the vertices of the newest draw list, for the evaluation at a display time. It is small enough to go with
+//! each batch of arrivals.
 
 use super::arena::ArenaSerial;
 use super::pace::Span;

@@ -25,7 +25,7 @@ fn positions(steps: std::ops::Range<i32>) -> Vec<PositionBatch> {
 }
 
 #[test]
-fn vertex_records_that_are_on_their_way_are_forgotten_though_the_queue_is_never_empty() {
+fn written_vertex_records_are_dropped_from_a_full_queue() {
     let mut motion = Motion::new(SLOTS, MotionMemory::DEFAULT.into());
     enter_three(&mut motion);
     let mut staging = [bytemuck::Zeroable::zeroed(); 12];
@@ -71,7 +71,7 @@ fn with_skinned() -> Motion {
 }
 
 #[test]
-fn vertices_of_an_instance_count_once_however_many_patches_share_them() {
+fn shared_vertices_of_an_instance_count_once() {
     let mut motion = with_skinned();
     let patches = [[0, 1, 2], [1, 2, 3]].map(|patch| patch.map(VertexSlot));
     for _ in 0..2 {
@@ -92,14 +92,14 @@ fn vertices_of_an_instance_count_once_however_many_patches_share_them() {
 }
 
 #[test]
-fn a_vertex_of_an_instance_of_which_nothing_was_said_does_not_enter() {
+fn a_vertex_of_an_unknown_instance_does_not_enter() {
     let mut motion = with_skinned();
     assert_eq!(motion.enter_skinned(VertexSlot(9), InstanceId(4), RestId(0)), None);
     assert_eq!(motion.state().vertex_count, 4);
 }
 
 #[test]
-fn a_skinned_slot_that_is_given_anew_while_it_is_seen_is_a_contradiction() {
+fn a_displayed_skinned_slot_cannot_be_reused() {
     let mut motion = with_skinned();
     let mut users = motion.users();
     users.add(&[0, 1, 2].map(VertexSlot));
@@ -139,7 +139,7 @@ fn drain(motion: &mut Motion, room: usize) -> Vec<Vec<VertexWriteGpu>> {
 }
 
 #[test]
-fn predictions_are_written_after_their_vertices_and_the_update_is_complete_with_the_last() {
+fn predictions_follow_their_vertices_and_complete_the_update() {
     let mut motion = with_predicted();
     let places: Vec<u32> = (0..3).collect();
     let write = |slot: u32, number: &u32| {

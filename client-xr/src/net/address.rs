@@ -1,5 +1,5 @@
-//! A server's address as the user writes it, and the machines that its name leads to. A network can be slow to say, or not be
-//! there yet: a thread asks, again and again.
+//! A server's address as written by the user, and the machines of its name. A name server may be slow or unreachable, so a
+//! thread asks repeatedly.
 
 use super::RunError;
 use std::net::{SocketAddr, ToSocketAddrs};
@@ -35,21 +35,21 @@ impl Address {
         let wrong = |reason: &str| RunError::Address { address: text.to_owned(), reason: reason.to_owned() };
         if let Ok(address) = text.parse::<SocketAddr>() {
             return match address.port() {
-                0 => Err(wrong("nobody has port 0")),
+                0 => Err(wrong("port 0 is not allowed")),
                 _ => Ok(Self::Of(address)),
             };
         }
         let (host, port) = text.rsplit_once(':').ok_or_else(|| wrong("it has no port"))?;
         match port.parse::<u16>() {
-            Ok(0) => return Err(wrong("nobody has port 0")),
+            Ok(0) => return Err(wrong("port 0 is not allowed")),
             Ok(_) => {}
-            Err(_) => return Err(wrong("what follows the last colon is no port")),
+            Err(_) => return Err(wrong("the part after the last colon is not a port")),
         }
         if host.is_empty() {
             return Err(wrong("it names no machine"));
         }
         if host.contains([':', '[', ']']) {
-            return Err(wrong("it is neither a name nor an address of a machine; IPv6 is [ADDRESS]:PORT"));
+            return Err(wrong("it is neither a host name nor an address; IPv6 is written [ADDRESS]:PORT"));
         }
         Ok(Self::Named(text.to_owned()))
     }

@@ -1,5 +1,4 @@
-//! One server, and the wish to be connected to it: what the client and the lines say to each other, and what the user is
-//! told about it.
+//! The connection to one server: messages between the client and the lines, and messages for the user.
 
 use super::address::{Address, Resolver};
 use super::finder::Finder;
@@ -273,7 +272,7 @@ impl Connector {
                      ({reason})",
                     self.server
                 );
-                self.tell(listener, Tone::Trouble, &text);
+                self.report(listener, Tone::Trouble, &text);
             }
             Err(reason) => tracing::debug!("{}: {reason}", self.server),
         }
@@ -304,7 +303,7 @@ impl Connector {
                     return;
                 }
                 let text = "No server answers on this network yet: start one with --listen 0.0.0.0:7400";
-                self.tell(listener, Tone::News, text);
+                self.report(listener, Tone::News, text);
                 listener.set_status(&for_headset(&self.with_notice(text)));
             }
         }
@@ -324,7 +323,7 @@ impl Connector {
             ),
             _ => format!("Several servers: {}; choose one with --connect, or in the headset", names(&found)),
         };
-        self.tell(listener, Tone::Trouble, &text);
+        self.report(listener, Tone::Trouble, &text);
         self.search.list.refill(found);
         self.show_list(listener);
     }
@@ -352,7 +351,7 @@ impl Connector {
         if self.lines.live().is_some() || self.search.found.as_ref() == Some(&found) {
             return;
         }
-        self.tell(listener, Tone::News, &format!("Found {}", described(&found)));
+        self.report(listener, Tone::News, &format!("Found {}", described(&found)));
         self.server.clone_from(&found.name);
         self.lines = Lines::new(found.addresses.clone());
         self.search.is_trying_preferred = false;
@@ -389,10 +388,10 @@ impl Connector {
                 }
                 listener.on_connected(monotonic_now());
             }
-            LineEvent::Failed { kind, reason } => self.tell_closed(listener, kind, &reason),
+            LineEvent::Failed { kind, reason } => self.report_closed(listener, kind, &reason),
             LineEvent::Lost { kind, reason } => {
                 listener.on_closed(monotonic_now());
-                self.tell_closed(listener, kind, &reason);
+                self.report_closed(listener, kind, &reason);
             }
             LineEvent::Arrived(event) => {
                 if let Event::Stream { bytes, at_ns, .. } = &event {
@@ -408,7 +407,7 @@ impl Connector {
         let place = self.place(address);
         match self.known.remember(&self.server, address, fingerprint) {
             Ok(Meeting::Again) => tracing::debug!("{place} has answered"),
-            Ok(Meeting::KnownAs(name)) => tracing::info!("{place} is the server that is known as {name}"),
+            Ok(Meeting::KnownAs(name)) => tracing::info!("{place} is the server known as {name}"),
             Ok(Meeting::First) => {
                 tracing::info!("first connection to {place}: its identity is {fingerprint}; pinned");
             }
@@ -428,7 +427,7 @@ impl Connector {
         if address == self.server { address } else { format!("{} ({address})", self.server) }
     }
 
-    fn tell_closed(&mut self, listener: &mut impl Listener, kind: CloseKind, reason: &str) {
+    fn report_closed(&mut self, listener: &mut impl Listener, kind: CloseKind, reason: &str) {
         self.search.begin();
         self.naming.begin();
         let is_aside = self.search.is_trying_preferred && kind != CloseKind::IdentityChanged;
@@ -438,9 +437,9 @@ impl Connector {
         match kind {
             CloseKind::IdentityChanged => {
                 self.search.is_shut_out = true;
-                self.tell(listener, Tone::Trouble, reason);
+                self.report(listener, Tone::Trouble, reason);
             }
-            _ => self.tell(listener, Tone::Trouble, &format!("{}: {reason}", self.status())),
+            _ => self.report(listener, Tone::Trouble, &format!("{}: {reason}", self.status())),
         }
     }
 
@@ -452,21 +451,21 @@ impl Connector {
                 self.naming.resolver = None;
                 self.notice = None;
                 self.told.clear();
-                self.tell(intake, Tone::News, &format!("Connected to {}", self.server));
+                self.report(intake, Tone::News, &format!("Connected to {}", self.server));
                 return;
             }
             Notice::Refused(refused) => format!("{}: {}", refused.reason, refused.remedy),
-            Notice::ServerLeft => format!("{} has ended the session", self.server),
+            Notice::ServerLeft => format!("{} ended the session", self.server),
             Notice::Failed(reason) => reason,
         };
-        self.tell(intake, Tone::Trouble, &text);
+        self.report(intake, Tone::Trouble, &text);
         self.flush(intake);
         self.lines.give_up(now, CloseCode::NotUnderstood, &text);
         intake.on_closed(now);
     }
 
     /// Says something in the headset, and on stderr once.
-    fn tell(&mut self, listener: &mut impl Listener, tone: Tone, text: &str) {
+    fn report(&mut self, listener: &mut impl Listener, tone: Tone, text: &str) {
         listener.set_status(&for_headset(text));
         if self.told.iter().any(|told| told == text) {
             return;
@@ -526,15 +525,13 @@ fn expected(
     let pinned =
         |fingerprint, remedy: &str| ExpectedIdentity::Pinned { fingerprint, remedy: remedy.to_owned() };
     if let Some(fingerprint) = required {
-        let remedy =
-            "--fingerprint names another server; a server says its identity when it starts to listen";
+        let remedy = "--fingerprint names another server; a server prints its identity at its start";
         return pinned(fingerprint, remedy);
     }
     match (known.expected(server, address), announced) {
-        (ExpectedIdentity::TrustOnFirstUse, Some(fingerprint)) => pinned(
-            fingerprint,
-            "who answers is not the server that has announced itself; name it with --connect",
-        ),
+        (ExpectedIdentity::TrustOnFirstUse, Some(fingerprint)) => {
+            pinned(fingerprint, "the answering server is not the announced one; name it with --connect")
+        }
         (expected, _) => expected,
     }
 }

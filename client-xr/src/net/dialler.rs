@@ -1,4 +1,4 @@
-//! In which order, and when, the addresses of one server are tried. Knows the time as an argument, and no socket.
+//! Order and times of the attempts to reach one server's addresses. Time is an argument; the module knows no socket.
 
 use shadecast_protocol::time::ClientTime;
 use std::net::SocketAddr;
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_that_is_silent_is_joined_by_the_next_one_after_half_a_second() {
+    fn a_silent_address_is_joined_by_the_next_after_half_a_second() {
         let mut dialler = dialler(2);
         assert_eq!(dialler.dial(at(0), 0), Some(address(1)));
         assert_eq!(dialler.dial(at(S / 2 - 1), 1), None);
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn after_a_break_the_address_that_answered_is_first_and_nobody_waits() {
+    fn after_a_break_the_last_answering_address_is_first() {
         let mut dialler = dialler(3);
         for second in [0, 1] {
             dialler.dial(at(second * S), 1);

@@ -1,4 +1,4 @@
-//! Servers that announce themselves, looked for on a thread of its own, round after round.
+//! Repeated search for announced servers, on its own thread.
 
 use shadecast_transport::discovery::FoundServer;
 use shadecast_transport::discovery::search::search;

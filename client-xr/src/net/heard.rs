@@ -1,5 +1,5 @@
-//! Which servers there are, by the rounds of a search, and which of them to connect to. Pure: datagrams get lost, so that a
-//! single round is no proof of who is not there.
+//! The known servers, by the rounds of a search, and the choice of one. Pure. Datagrams get lost, so a single round does not
+//! prove absence.
 
 use shadecast_transport::discovery::FoundServer;
 use shadecast_transport::{Fingerprint, KnownServers};
@@ -176,7 +176,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn the_one_that_was_connected_last_is_taken_at_once_among_other_known_ones() {
+    fn the_last_server_is_taken_at_once_among_known_ones() {
         let folder = tempfile::tempdir().expect("a folder");
         let [desk, attic, shed] = [server("desk", 1), server("attic", 2), server("shed", 3)];
         let known = knowing(&folder, &[&desk, &attic]);
@@ -219,7 +219,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn when_the_server_of_a_session_is_gone_no_other_one_is_taken_without_a_question() {
+    fn a_vanished_server_is_not_replaced_without_asking() {
         let folder = tempfile::tempdir().expect("a folder");
         let [desk, attic] = [server("desk", 1), server("attic", 2)];
         for known in [knowing(&folder, &[]), knowing(&folder, &[&desk, &attic])] {

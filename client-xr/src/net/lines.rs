@@ -1,7 +1,7 @@
-//! The sockets of a client, and which of a server's addresses it talks to. Knows nothing of what is said.
+//! The sockets of a client, and its choice among a server's addresses. The module does not know the messages.
 //!
-//! A name can lead to several addresses, and the server need not listen on the first: `localhost` is `::1` before it is
-//! `127.0.0.1`. They are tried as the [`Dialler`] says; who answers first is kept.
+//! A name may have several addresses, and the server may not listen on the first: `localhost` is `::1` before `127.0.0.1`. The
+//! [`Dialler`] orders the attempts. The first answer wins.
 
 use super::dialler::Dialler;
 use shadecast_protocol::close::CloseCode;
@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_of_a_family_that_leads_nowhere_does_not_end_the_search() {
+    fn an_unreachable_address_family_does_not_end_the_search() {
         let (address, _handle, _events) = server();
         // No machine has this address (RFC 6666, discard only); many have no way to any of its family.
         let nowhere = "[100::1]:7400".parse().expect("an address");

@@ -1,4 +1,4 @@
-//! The list of servers in the headset, of which the user takes one.
+//! The list of servers in the headset, for the user's choice.
 
 use crate::display::Presses;
 use shadecast_transport::discovery::FoundServer;
@@ -81,7 +81,7 @@ mod tests {
     use crate::net::heard::tests::server;
 
     #[test]
-    fn of_several_the_user_takes_one_and_those_that_come_and_go_do_not_move_the_mark() {
+    fn changing_server_lists_do_not_move_the_mark() {
         let presses = |nexts, takes| Presses { nexts, takes, ..Presses::default() };
         let mut list = List::default();
         assert_eq!((list.pick(presses(2, 1)), list.text()), (None, None), "nothing was there to take");

@@ -1,9 +1,9 @@
-//! The client in real time: threads, sockets and the clock, and connecting again for as long as the user wants.
+//! The client in real time: threads, sockets and the clock, and reconnection.
 //!
 //! Datagrams enter, a server's address and the user's choice. Datagrams leave, and notices for the user. Nothing here knows
 //! messages and the GPU.
 //!
-//! When the server goes away its last bundle stays on display; when the headset goes away it is opened again.
+//! When the server disappears, its last bundle stays on display. When the headset disappears, it is opened again.
 
 mod address;
 mod connector;
@@ -97,7 +97,7 @@ pub struct RunOptions {
 
 /// How a run went, and how it ended.
 #[derive(Debug)]
-pub struct Outcome {
+pub struct RunOutcome {
     /// What was counted, over all headset sessions of the run; there also where the run failed.
     pub stats: ClientStats,
     /// The run's end.
@@ -153,11 +153,11 @@ pub fn run(
     options: &RunOptions,
     stop: &AtomicBool,
     observe: &mut Observer<'_>,
-) -> Outcome {
+) -> RunOutcome {
     let until = (options.seconds > 0.0).then(|| monotonic_now().plus_ns((options.seconds * 1e9) as i64));
     let mut run = Run { options, stop, until, stats: ClientStats::default() };
     let ended = run.play_out(open, observe);
-    Outcome { stats: run.stats, ended }
+    RunOutcome { stats: run.stats, ended }
 }
 
 /// A run under way.
@@ -253,7 +253,7 @@ impl Run<'_> {
                     leaving_since = Some(monotonic_now());
                 }
                 Some(since) if monotonic_now().since(since) > LEAVE_PATIENCE_NS => {
-                    tracing::warn!("the OpenXR runtime does not end the session; leaving without it");
+                    tracing::warn!("the OpenXR runtime does not end the session; exiting anyway");
                     return Ok(());
                 }
                 _ => {}

@@ -1,5 +1,4 @@
-//! What the client does, told to a trace where one is asked for: in the server's time, once that is known. What happens before is
-//! not told.
+//! Trace of the client, if requested, in the server's time. Nothing is traced before that time is known.
 
 use crate::client::DecodedIn;
 use crate::report::FrameReport;

@@ -1,4 +1,4 @@
-//! What a headset shows of a text that a terminal has room for.
+//! Short forms of terminal texts for the headset.
 
 /// Hexadecimal digits of a fingerprint.
 const FINGERPRINT_DIGITS: usize = 64;
@@ -62,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn what_to_do_about_another_identity_is_wholly_in_a_headsets_rows() {
+    fn the_identity_remedy_fits_a_headsets_rows() {
         let folder = tempfile::tempdir().expect("a folder");
         let load = || KnownServers::load(folder.path()).expect("a list");
         let (shown, remedy) = refusal(load(), folder.path());

@@ -1,5 +1,5 @@
-//! A decoder that takes the place of the system's own where that cannot be had. Whether it can is not known when it is made:
-//! a codec is set up with the first refresh, and may refuse the pictures' extent only then.
+//! A fallback for the system's decoder. Its failure shows late: a codec is set up with the first refresh, and may refuse the
+//! pictures' extent only then.
 
 use crate::decode::{DecodeError, Decoder, Picture};
 use std::time::Duration;
@@ -37,7 +37,7 @@ pub(super) fn decoder(
 }
 
 fn say(error: &DecodeError) {
-    tracing::warn!("{error}; pictures are decoded on the CPU, which takes longer and warms the headset");
+    tracing::warn!("{error}; pictures are decoded on the CPU, which is slower and uses more power");
 }
 
 impl Replaceable {
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn where_the_system_has_no_decoder_the_other_one_is_made_at_once() {
+    fn without_a_system_decoder_the_fallback_is_made_at_once() {
         assert_eq!(pictures(Err(refused()), 2), [true, true]);
     }
 
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn a_decoder_that_has_given_a_picture_stays_whatever_fails_later() {
+    fn a_working_decoder_stays_despite_later_failures() {
         let script = [Ok(()), Err(refused()), Err(refused()), Ok(())];
         assert_eq!(pictures(Ok(scripted(script)), 4), [true, false, false, true]);
     }
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn units_that_were_in_a_decoder_that_is_replaced_come_out_once_and_in_order() {
+    fn units_of_a_replaced_decoder_come_out_once_in_order() {
         let own = scripted([Err(refused()), Ok(())]);
         let mut decoder = decoder(Ok(own), Box::new(|| Ok(scripted([Ok(())])))).expect("a decoder");
         (0..3).for_each(|_| decoder.submit(&[]));

@@ -1,5 +1,5 @@
-//! All that differs between a desktop and a headset's own system: the OpenXR loader, the decoder, the monotonic clock, the
-//! requirements on the device.
+//! All differences between a desktop and a headset's system: the OpenXR loader, the decoder, the monotonic clock, the device
+//! requirements.
 //!
 //! The agreed codec and extent enter. A decoder, times and [`requirements`] leave. Nothing here knows sessions, displays and
 //! drawing.

@@ -1,5 +1,5 @@
-//! All that the client asks of a headset, in one place; the limits of its device are in the table of [`shadecast_gpu::limits`]. A test holds it against what a first-generation standalone headset
-//! has, and what is really asked for against it.
+//! All requirements on a headset, in one place. The limits of its device are in the table of [`shadecast_gpu::limits`]. Tests
+//! compare the list with a first-generation standalone headset, and the actual requests with the list.
 
 use shadecast_gpu::vk;
 

@@ -1,4 +1,4 @@
-//! Figures for who watches: how it goes, in a few lines, anew twice a second.
+//! Figures for the viewer: a few lines, renewed twice a second.
 
 use super::stats::{Counters, so_far};
 use crate::report::FrameReport;
@@ -77,7 +77,7 @@ impl Figures {
         let (pictures, geometry) = (mbit(atlas_bytes), mbit(geometry_bytes));
         lines.add(format_args!("{pictures:.2} Mbit/s of pictures, {geometry:.2} of geometry"));
         lines.add(format_args!("{} ms from arrival to display", Ms(self.latency_ns)));
-        lines.add(format_args!("{} ms the clock may be off", Ms(frame.clock_error_bound_ns)));
+        lines.add(format_args!("{} ms clock error at most", Ms(frame.clock_error_bound_ns)));
         if stands {
             lines.add(format_args!("the world is halted"));
         }
@@ -87,7 +87,7 @@ impl Figures {
             (u64::from(frame.withheld_vertices), "vertices withheld"),
             (u64::from(frame.withheld_patches), "patches withheld"),
             (lost_pictures, "pictures lost"),
-            (repeated_frames, "frames shown again: the device is behind"),
+            (repeated_frames, "frames repeated: the device is behind"),
         ];
         for (count, what) in faults.iter().filter(|(count, _)| *count > 0) {
             lines.add(format_args!("{count} {what}"));

@@ -1,4 +1,4 @@
-//! Figures in the headset: a panel that a button shows and hides, ahead of the head and below where words of need are.
+//! Figures in the headset: a panel that a button toggles, ahead of the head and below the notices.
 
 use super::stillness::is_ahead;
 use crate::draw::stages::text::{Text, panel_ahead};

@@ -1,5 +1,4 @@
-//! One display frame, from the runtime's wish to its picture: the client's half of the design, step 11. The barriers between
-//! stages are here and nowhere else.
+//! One display frame, from the runtime's request to the picture: step 11 of the design. All barriers between stages are here.
 
 use super::presenter::Presenter;
 use super::renderer::{LastDrawn, Renderer};

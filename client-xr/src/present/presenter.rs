@@ -1,5 +1,5 @@
-//! The half of the client that the render thread runs: it takes what was prepared, shows it, and says what was seen. A display
-//! frame of it is in [`super::frame`].
+//! The render thread's half of the client. It takes prepared items, displays them and reports on them. One display frame is in
+//! [`super::frame`].
 
 use super::figures::Figures;
 use super::renderer::Renderer;
@@ -172,7 +172,7 @@ impl Presenter {
     /// A turn of the display that showed nothing of ours.
     pub(crate) fn note_turn(&mut self, is_seen: bool) {
         let presses = self.renderer.display.presses();
-        self.end.tell(TurnNote { is_seen, presses, frame: None });
+        self.end.report(TurnNote { is_seen, presses, frame: None });
     }
 
     /// Takes note of a display frame, and tells the server.
@@ -196,7 +196,7 @@ impl Presenter {
             head: self.locate_head(report.display_time, views),
         };
         let presses = self.renderer.display.presses();
-        self.end.tell(TurnNote { is_seen, presses, frame: Some(frame) });
+        self.end.report(TurnNote { is_seen, presses, frame: Some(frame) });
     }
 
     /// Where the head will be at a display time, for the server of the scene that arrives.

@@ -1,5 +1,5 @@
-//! What draws: the headset's images, the stages with what they share, and the words that are seen. One per headset session,
-//! whatever connections come and go.
+//! The renderer: the headset's images, the stages with their shared resources, and the visible texts. There is one per headset
+//! session, across connections.
 
 use super::figures_panel::FiguresPanel;
 use super::scene::Scene;

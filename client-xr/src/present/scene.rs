@@ -1,6 +1,6 @@
-//! What one connection shows: the terms it was made under, and its vertices, skeletons and bundles on the GPU. A new connection
-//! has a new one; the old one stays on display until the new one has its first complete bundle. All that costs time with what
-//! arrives was done before it comes here ([`crate::stream::preparing`]).
+//! One connection's scene on the GPU: its terms, vertices, skeletons and bundles. A new connection has a new scene; the old one
+//! stays on display until the new one has its first complete bundle. Costly work on arrivals is done earlier
+//! ([`crate::stream::preparing`]).
 
 use crate::draw::draw_list::{DrawList, Drawable};
 use crate::draw::stages::Stages;
@@ -13,7 +13,7 @@ use crate::draw::stages::probe::{Probe, ProbeView};
 use crate::draw::stages::scatter::VertexMemory;
 use crate::handover::{Bundle, Loan};
 use crate::motion::pace::{GridTime, Pace, Span};
-use crate::motion::skinned::{Moment, SkinCapacity, Skinned, SkinnedCounts};
+use crate::motion::skinned::{PoseQuery, SkinCapacity, Skinned, SkinnedCounts};
 use crate::motion::state::{MotionState, Motionless};
 use crate::report::ClientError;
 use shadecast_gpu::{Access, BindGroup, Buffer, Gpu, GpuError, Memory, Recorder};
@@ -208,7 +208,7 @@ impl Scene {
         time: WorldTime,
     ) -> SkinnedCounts {
         let Some(shown) = &self.shown else { return SkinnedCounts::default() };
-        let moment = Moment { time, grid: self.terms.grid, written: self.state.written };
+        let moment = PoseQuery { time, grid: self.terms.grid, written: self.state.written };
         let counts = self.skinned.poses(moment, &shown.drawn, self.pose_staging.poses_mut(flight));
         stages.pose.record(recorder, &self.pose_staging, flight, counts.instances);
         counts

@@ -1,4 +1,4 @@
-//! The scene on display and the one that takes its place: a new connection's is drawn only when it has a whole bundle.
+//! The scene on display and its successor. A new connection's scene is drawn from its first complete bundle on.
 
 use super::scene::Scene;
 use crate::draw::stages::Stages;

@@ -1,4 +1,4 @@
-//! What a client counts, and how it is reported.
+//! Statistics of a client and their report.
 
 use crate::handover::Arrived;
 use crate::report::FrameReport;

@@ -1,5 +1,5 @@
-//! When a person must be told that the world stands still, and where the words are. Without them a server that has gone
-//! is a world in which nothing moves any more, and nobody says why.
+//! The notice of a world at rest, and its place. Without it a vanished server is a world in which nothing moves, without
+//! explanation.
 
 use crate::draw::stages::text::panel_ahead;
 use crate::report::FrameReport;
@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn a_world_without_news_is_told_after_two_seconds_and_no_longer_than_that() {
+    fn a_world_at_rest_is_reported_after_two_seconds() {
         let mut stillness = Stillness::default();
         for ms in (0..2000).step_by(10) {
             stillness.note(&shown(ms, ms == 0), Pose::IDENTITY);

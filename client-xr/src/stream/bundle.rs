@@ -1,9 +1,8 @@
-//! What may be drawn: pixels and placements of the same update, never a mixture.
+//! The drawable bundles: pixels and placements of the same update, never a mixture.
 //!
-//! Deltas come in the order of updates, pictures whenever they are decoded. What a delta says about vertices counts at once
-//! ([`crate::motion`]), so that motion goes on while a picture is late. What it says about patches waits until the picture of
-//! its update, or of a later one, is there. A delta whose picture never came applies all the same. Knows nothing of vertices,
-//! GPUs and networks.
+//! Deltas arrive in the order of updates, pictures whenever they are decoded. A delta's vertices apply at once
+//! ([`crate::motion`]), so motion continues while a picture is late. Its patches wait for the picture of its update, or of a
+//! later one. A delta whose picture never arrived applies all the same. The module does not know vertices, GPUs and networks.
 
 use crate::draw::coverage::CoverageMap;
 use shadecast_protocol::atlas::{AtlasExtent, Block};

@@ -1,5 +1,5 @@
-//! The half of the client that takes in what arrives: the session, the decoding of its pictures, and all that is made of both
-//! before the render thread takes it. It may run on a thread of its own, and knows the GPU only by memory that it fills.
+//! The receiving half of the client: the session, the decoding of its pictures, and their preparation for the render thread. It
+//! may run on its own thread, and knows the GPU only as memory to fill.
 
 use super::link::Link;
 use super::preparing::{ArrivedPicture, Preparing};
@@ -196,7 +196,7 @@ impl Intake {
         let FrameNote { report, shown, picture_arrived, eyes, display_period_ns, head } = frame;
         self.link.note_eyes(eyes, display_period_ns);
         if let Some((head, serial)) = head {
-            self.link.tell_head(serial, head);
+            self.link.report_head(serial, head);
         }
         self.link.report(shown, &report, picture_arrived);
     }
@@ -226,8 +226,8 @@ impl Intake {
     /// [`Self::advance`].
     pub fn prepare(&mut self) -> bool {
         self.end.flush();
-        self.tell_clock();
-        self.tell_world();
+        self.report_clock();
+        self.report_world();
         let Self { preparing: Some(preparing), end, link, ways, notices, .. } = self else { return false };
         let batch = preparing.next_batch();
         let bundle = preparing.next_bundle(ways, |picture| link.recycle(picture)).unwrap_or_else(|error| {
@@ -241,7 +241,7 @@ impl Intake {
         is_something
     }
 
-    fn tell_clock(&mut self) {
+    fn report_clock(&mut self) {
         let clock = self.link.clock_estimate();
         let Some((estimate, serial)) = clock.filter(|_| clock != self.told_clock) else { return };
         // Of a presenter that sleeps for an hour only the last counts.
@@ -251,7 +251,7 @@ impl Intake {
     }
 
     /// Tells the presenter how the world's time goes on, where that is new.
-    fn tell_world(&mut self) {
+    fn report_world(&mut self) {
         let Some(preparing) = &self.preparing else { return };
         let clock = preparing.motion.world_clock();
         if clock != self.told_world && self.end.offer(Prepared::World(clock, preparing.serial)) {
@@ -347,7 +347,7 @@ impl Intake {
             session.hold_back(is_full);
         }
         if let Some(slot) = contradiction {
-            let reason = format!("vertex slot {} is given anew while it is on display", slot.0);
+            let reason = format!("vertex slot {} is reused while it is on display", slot.0);
             self.link.fail(WireError::Invalid { what: "a geometry delta", reason });
         }
     }

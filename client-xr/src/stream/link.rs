@@ -1,6 +1,6 @@
-//! What talks to the server: the session, the decoding of its pictures, and what it is told of the head and of the display.
+//! The client's end of the session: messages, the decoding of pictures, and reports of the head and of the display.
 //!
-//! It knows neither scenes nor the GPU. A connection that has ended leaves nothing here but what the next one begins with.
+//! It knows neither scenes nor the GPU. An ended connection leaves nothing here except the start of the next one.
 
 use super::watch::Watch;
 use crate::decode::decoding::{self, DecodeTiming, Decoded, Decoding};
@@ -185,7 +185,7 @@ impl Link {
     pub(crate) fn watch(&mut self, is_seen: bool, now: ClientTime) {
         let Some(connection) = self.connection.as_mut().filter(|c| c.decoding.is_some()) else { return };
         if let Some(is_watched) = self.watch.turn(is_seen, now) {
-            connection.session.tell_watching(is_watched);
+            connection.session.report_watching(is_watched);
         }
     }
 
@@ -195,7 +195,7 @@ impl Link {
     }
 
     /// Tells the server of a connection where the head will be.
-    pub(crate) fn tell_head(&mut self, serial: u64, head: HeadState) {
+    pub(crate) fn report_head(&mut self, serial: u64, head: HeadState) {
         if let Some(connection) = self.of_serial(serial) {
             connection.session.send_pose(head);
         }

@@ -1,5 +1,5 @@
-//! What one connection brings, until it is handed over: vertices, skeletons, patches and pictures, and the memory that the GPU
-//! reads them from. All that costs time with what arrives is here, on the intake's thread.
+//! Arrivals of one connection until their hand-over: vertices, skeletons, patches and pictures, and their GPU memory. All
+//! costly work on arrivals is here, on the intake's thread.
 
 use super::bundle::Bundler;
 use crate::decode::Picture;

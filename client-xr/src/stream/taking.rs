@@ -1,5 +1,5 @@
-//! The intake on a thread of its own: what arrives is parsed, decoded and prepared here, so that the thread that draws waits for
-//! none of it. It sleeps until the network, the decoder or the presenter has something for it.
+//! The intake on its own thread. Arrivals are parsed, decoded and prepared here, so the render thread waits for none of it. The
+//! thread sleeps until the network, the decoder or the presenter has work for it.
 
 use super::intake::Intake;
 use std::io;

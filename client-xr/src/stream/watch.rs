@@ -1,5 +1,5 @@
-//! Whether somebody looks: a headset that was taken off, or shows something else, needs no updates. A state that lasts only a
-//! moment is not worth telling.
+//! Whether somebody watches. A headset that was taken off, or shows something else, needs no updates. Brief states are not
+//! reported.
 
 use shadecast_protocol::time::ClientTime;
 
@@ -44,7 +44,7 @@ mod tests {
     }
 
     #[test]
-    fn the_server_is_told_once_that_nobody_looks_and_at_once_that_somebody_does() {
+    fn watching_is_reported_at_once_and_its_end_once() {
         let mut watch = Watch::default();
         assert_eq!(turn(&mut watch, true, 1000), None);
         assert_eq!(turn(&mut watch, false, 1010), None);

@@ -1,4 +1,4 @@
-//! `shadecast-server doctor`: what this machine can do as a server, measured, and what to change.
+//! `shadecast-server doctor`: measures this machine as a server, and advises changes.
 
 use crate::{DEFAULT_LISTEN, DEFAULT_RATE_HZ};
 use anyhow::ensure;
@@ -19,25 +19,25 @@ use std::fmt;
 use std::net::SocketAddr;
 use std::time::Instant;
 
-/// Atlases that encoders are tried with, texels.
+/// Atlas sizes of the encoder trials, texels.
 const EXTENTS: [[u32; 2]; 2] = [[2048, 2048], [4096, 2048]];
-/// Pictures after the first, of which the median counts.
+/// Pictures after the first one. Their median counts.
 const PICTURES: usize = 8;
-/// Part of a picture that changes from one to the next: a third, in bands.
+/// Inverse of the part of a picture that changes from one picture to the next: a third, in bands.
 const CHANGES: usize = 3;
-/// Looks at the clock, of which the smallest step counts.
+/// Readings of the clock. The smallest step counts.
 const CLOCK_LOOKS: usize = 10_000;
 
-/// What to look at.
+/// Options of `doctor`.
 #[derive(Args)]
 pub(crate) struct DoctorArgs {
-    /// UDP address that a server would listen on
+    /// UDP address of a server
     #[arg(long, default_value = DEFAULT_LISTEN)]
     listen: SocketAddr,
-    /// Part of the wanted Vulkan device's name
+    /// Part of the Vulkan device's name
     #[arg(long)]
     device: Option<String>,
-    /// Print it as JSON
+    /// Print the findings as JSON
     #[arg(long)]
     json: bool,
 }
@@ -49,19 +49,19 @@ struct Device {
     kind: &'static str,
     vulkan: String,
     memory_mb: u64,
-    /// What is needed and not there.
+    /// Missing requirements.
     lacks: Option<String>,
     limits: Vec<Limit>,
-    /// Textures of a scene that it can be given at once.
+    /// Most textures of a scene.
     most_textures: u32,
     has_two_queues: bool,
-    /// A server would take it.
+    /// A server would use it.
     is_chosen: bool,
     #[serde(skip)]
     is_cpu: bool,
 }
 
-/// A limit of a device that a server relies on.
+/// A device limit that a server relies on.
 #[derive(Clone, Debug, Serialize)]
 struct Limit {
     name: &'static str,
@@ -75,25 +75,25 @@ impl From<Verdict> for Limit {
     }
 }
 
-/// An encoder with pictures of one extent.
+/// Times of an encoder at one picture size.
 #[derive(Clone, Debug, Serialize)]
 struct EncoderTrial {
     encoder: &'static str,
     extent_texels: [u32; 2],
-    /// The first picture, which depends on no other, milliseconds.
+    /// Time of the first picture, an IDR picture, in milliseconds.
     first_ms: f64,
-    /// One of those after it, milliseconds.
+    /// Median time of a later picture in milliseconds.
     next_ms: f64,
 }
 
-/// An encoder that is of no use here.
+/// An encoder that does not work here.
 #[derive(Clone, Debug, Serialize)]
 struct NoEncoder {
     encoder: &'static str,
     reason: String,
 }
 
-/// A socket, or why there is none.
+/// A socket, or the reason for its absence.
 #[derive(Clone, Debug, Serialize)]
 struct Udp {
     address: SocketAddr,
@@ -102,25 +102,25 @@ struct Udp {
     error: Option<String>,
 }
 
-/// What was found.
+/// Findings about this machine.
 #[derive(Clone, Debug, Serialize)]
 struct Findings {
     devices: Vec<Device>,
-    /// Why there is none.
+    /// Reason for the absence of devices.
     no_devices: Option<String>,
     /// Best first.
     encoders: Vec<EncoderTrial>,
     no_encoders: Vec<NoEncoder>,
     udp: Udp,
-    /// Smallest step of the clock that was seen, nanoseconds.
+    /// Smallest observed step of the clock in nanoseconds.
     clock_step_ns: i64,
-    /// What to change, the most urgent first.
+    /// Advised changes, the most urgent first.
     advice: Vec<String>,
     /// A server could start.
     can_serve: bool,
 }
 
-/// Looks, and prints what it found.
+/// Examines the machine and prints the findings.
 ///
 /// # Errors
 /// A server could not start here.
@@ -134,7 +134,7 @@ pub(crate) fn doctor(args: &DoctorArgs) -> anyhow::Result<()> {
     } else {
         print!("{findings}");
     }
-    ensure!(findings.can_serve, "a server cannot start here; see what to change");
+    ensure!(findings.can_serve, "a server cannot start on this machine; follow the advice above");
     Ok(())
 }
 
@@ -160,7 +160,7 @@ fn look(args: &DoctorArgs) -> anyhow::Result<Findings> {
     Ok(Findings { devices, no_devices, encoders, no_encoders, udp, clock_step_ns, advice, can_serve })
 }
 
-/// Marks the one that a server would take: the best that lacks nothing.
+/// Marks the device that a server would use: the best one that lacks nothing.
 fn chosen(found: Vec<FoundDevice>, wanted: Option<&str>) -> Vec<Device> {
     let best = found.iter().position(|device| device.is_usable(wanted));
     let devices = found.into_iter().enumerate();
@@ -180,7 +180,7 @@ fn chosen(found: Vec<FoundDevice>, wanted: Option<&str>) -> Vec<Device> {
         .collect()
 }
 
-/// Of all that this program has those that work, and the others. One may work for small pictures alone.
+/// Divides the encoders into those that work and the others. An encoder may work for small pictures only.
 fn try_encoders(all: Vec<(Kind, Result<(), String>)>) -> (Vec<EncoderTrial>, Vec<NoEncoder>) {
     let (mut encoders, mut no_encoders) = (Vec::new(), Vec::new());
     for (kind, tried) in all {
@@ -200,7 +200,7 @@ fn try_encoders(all: Vec<(Kind, Result<(), String>)>) -> (Vec<EncoderTrial>, Vec
     (encoders, no_encoders)
 }
 
-/// Encodes painted noise, a third of which changes from picture to picture.
+/// Encodes painted noise. A third of it changes from picture to picture.
 fn try_encoder(kind: &Kind, extent_texels: [u32; 2]) -> Result<EncoderTrial, EncodeError> {
     let extent = AtlasExtent::new(extent_texels[0], extent_texels[1]).expect("an atlas's extent");
     let settings = EncoderSettings::for_stream(extent, DEFAULT_QP, DEFAULT_RATE_HZ);
@@ -217,7 +217,7 @@ fn try_encoder(kind: &Kind, extent_texels: [u32; 2]) -> Result<EncoderTrial, Enc
     Ok(EncoderTrial { encoder: kind.name, extent_texels, first_ms, next_ms: took_ms[PICTURES / 2] })
 }
 
-/// Blocks of 16x16 texels, smooth and rough by turns; picture `index` differs from the one before in every third row of them.
+/// Blocks of 16x16 texels, alternately smooth and rough. Every third row of blocks differs from the previous picture.
 fn painted(extent_texels: [u32; 2], index: usize) -> I420 {
     let [width, height] = extent_texels.map(|side| side as usize);
     let texel = |x: usize, y: usize| {
@@ -234,7 +234,7 @@ fn painted(extent_texels: [u32; 2], index: usize) -> I420 {
     I420::new(extent_texels, bytes).expect("planes of this extent")
 }
 
-/// A few bits that look like chance.
+/// A few pseudo-random bits.
 fn hash(of: [usize; 3]) -> usize {
     let mixed = of
         .into_iter()
@@ -248,24 +248,24 @@ fn clock_step_ns() -> i64 {
     steps.filter(|step| *step > 0).min().unwrap_or(0)
 }
 
-/// What to change, the most urgent first.
+/// Advised changes, the most urgent first.
 fn advice(findings: &Findings, wanted: Option<&str>) -> Vec<String> {
     let mut advice = Vec::new();
     advice.extend(findings.no_devices.clone());
     match findings.devices.iter().find(|device| device.is_chosen) {
         None if findings.no_devices.is_none() => advice.push(match wanted {
-            Some(wanted) => format!("no usable device's name holds \"{wanted}\": leave --device out, or take one of the above"),
-            None => "no device has all that is needed: install a newer driver, or Mesa's software device (package mesa-vulkan-drivers)".into(),
+            Some(wanted) => format!("no usable device has \"{wanted}\" in its name: leave --device out, or name a device listed above"),
+            None => "no device meets all requirements: install a newer driver, or Mesa's software device (package mesa-vulkan-drivers)".into(),
         }),
         Some(device) if device.is_cpu => advice.push(
-            "the device is a CPU: pictures are right, but there are few of them; where there is a graphics card, install its Vulkan driver".into(),
+            "the device is a CPU: pictures are correct, but slow; install the Vulkan driver of the graphics card, if there is one".into(),
         ),
         _ => {}
     }
     advice.extend(findings.udp.error.clone());
     if findings.udp.error.is_none() && findings.udp.address.ip().is_loopback() {
         advice.push(format!(
-            "{} is reached from this machine alone: a headset needs --listen 0.0.0.0:{}",
+            "{} is reachable from this machine only: a headset needs --listen 0.0.0.0:{}",
             findings.udp.address,
             findings.udp.address.port()
         ));
@@ -275,7 +275,7 @@ fn advice(findings: &Findings, wanted: Option<&str>) -> Vec<String> {
     {
         let bytes = wanted << 10;
         advice.push(format!(
-            "the system gives sockets {receive} and {send} KiB where {wanted} are wanted: bursts may be lost on fast links{}",
+            "socket buffers are limited to {receive} and {send} KiB; {wanted} KiB are recommended: fast links may lose bursts{}",
             if cfg!(unix) {
                 format!("; sysctl -w net.core.rmem_max={bytes} net.core.wmem_max={bytes}")
             } else {
@@ -284,14 +284,14 @@ fn advice(findings: &Findings, wanted: Option<&str>) -> Vec<String> {
         ));
     }
     let period_ms = 1e3 / DEFAULT_RATE_HZ;
-    // The first is the one that would be used.
+    // A server would use the first one.
     let used = findings.encoders.first().map(|trial| trial.encoder);
     let trials = findings.encoders.iter().filter(|trial| Some(trial.encoder) == used);
     if let Some(slow) = trials.into_iter().find(|trial| trial.next_ms > period_ms) {
         let [width, height] = slow.extent_texels;
         advice.push(format!(
-            "{} takes {:.0} ms for a picture of {width}x{height}: at most {:.0} updates a second with such an atlas; choose a \
-             smaller one with --atlas, or fewer updates with --rate",
+            "{} takes {:.0} ms for a picture of {width}x{height}: at most {:.0} updates a second with this atlas; choose a \
+             smaller atlas with --atlas, or a lower rate with --rate",
             slow.encoder,
             slow.next_ms,
             1e3 / slow.next_ms
@@ -312,8 +312,8 @@ impl fmt::Display for Findings {
             };
             let queues = if device.has_two_queues { "two queues" } else { "one queue" };
             writeln!(f, "  {name}: {kind}, Vulkan {vulkan}, {memory_mb} MB, {queues}: {verdict}")?;
-            let to_tell = |limit: &&Limit| device.is_chosen || limit.offered < limit.needed;
-            for Limit { name, needed, offered } in device.limits.iter().filter(to_tell) {
+            let is_shown = |limit: &&Limit| device.is_chosen || limit.offered < limit.needed;
+            for Limit { name, needed, offered } in device.limits.iter().filter(is_shown) {
                 writeln!(f, "    {name}: {needed} needed, {offered} offered")?;
             }
             if device.is_chosen {
@@ -325,7 +325,7 @@ impl fmt::Display for Findings {
         }
         writeln!(
             f,
-            "Encoders, milliseconds for the first picture and for each after it (painted noise, a third changes)"
+            "Encoders, milliseconds for the first and for each later picture (painted noise, a third changes)"
         )?;
         for EncoderTrial { encoder, extent_texels: [width, height], first_ms, next_ms } in &self.encoders {
             writeln!(f, "  {encoder}, {width}x{height}: {first_ms:.1}, {next_ms:.1}")?;
@@ -334,10 +334,7 @@ impl fmt::Display for Findings {
             writeln!(f, "  {encoder}: none: {reason}")?;
         }
         if !cfg!(feature = "libavcodec") {
-            writeln!(
-                f,
-                "  others: not built in; build the server with --features libavcodec for hardware encoders and libx264"
-            )?;
+            writeln!(f, "  others: not built in; --features libavcodec adds hardware encoders and libx264")?;
         }
         writeln!(f, "UDP")?;
         match (&self.udp.error, self.udp.buffer_kib) {
@@ -348,9 +345,9 @@ impl fmt::Display for Findings {
         }
         writeln!(f, "Clock\n  monotonic, steps of {} ns", self.clock_step_ns)?;
         if self.advice.is_empty() {
-            return writeln!(f, "Nothing needs to be changed");
+            return writeln!(f, "No changes needed");
         }
-        writeln!(f, "What to change")?;
+        writeln!(f, "Advice")?;
         self.advice.iter().try_for_each(|line| writeln!(f, "  - {line}"))
     }
 }
@@ -380,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn an_encoder_that_fails_with_large_pictures_is_told_and_the_others_are_measured() {
+    fn an_encoder_that_fails_with_large_pictures_is_reported() {
         let refuses =
             Kind::new("h264_amf", Arc::new(|_| Ok(Box::new(Refuses(Vec::new())) as Box<dyn Encoder>)));
         let all = vec![(refuses, Ok(()))];
@@ -435,13 +432,13 @@ mod tests {
     }
 
     #[test]
-    fn a_healthy_machine_is_left_as_it_is() {
+    fn a_healthy_machine_needs_no_changes() {
         assert_eq!(advice(&healthy(), None), Vec::<String>::new());
-        assert!(healthy().to_string().contains("Nothing needs to be changed"));
+        assert!(healthy().to_string().contains("No changes needed"));
     }
 
     #[test]
-    fn limits_are_told_of_the_device_in_use_and_of_others_where_they_are_too_low() {
+    fn limits_are_shown_where_used_or_too_low() {
         let mut findings = healthy();
         let text = findings.to_string();
         assert!(text.contains("maxPushConstantsSize: 80 needed, 128 offered"), "{text}");
@@ -465,7 +462,7 @@ mod tests {
         advises(&local, None, &["--listen 0.0.0.0:7777"]);
         let mut cpu = healthy();
         cpu.devices[0].is_cpu = true;
-        advises(&cpu, None, &["is a CPU", "driver"]);
+        advises(&cpu, None, &["is a CPU", "Vulkan driver"]);
         let mut none = healthy();
         none.devices[0].is_chosen = false;
         advises(&none, Some("Radeon"), &["Radeon", "--device"]);

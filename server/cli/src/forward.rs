@@ -1,4 +1,4 @@
-//! `shadecast-server forward`: the ground truth to files, to a video, or in a window.
+//! `shadecast-server forward`: the ground truth as PNG files, as a video, or in a window.
 
 use crate::{DeviceArgs, load, loading, open, parse_vector};
 use anyhow::Context;
@@ -21,69 +21,68 @@ use std::path::{Path, PathBuf};
 
 #[derive(Args)]
 pub(crate) struct ForwardArgs {
-    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
+    /// Scene: dragon, dragons:N, a .glb, .gltf or .fbx file, or a .toml scene
     scene: String,
-    /// Folder for forward-NNNNNN.png; or a video, FILE.y4m, FILE.mp4, or - for Y4M to standard output
+    /// Folder for forward-NNNNNN.png, a video FILE.y4m or FILE.mp4, or - for Y4M on standard output
     #[arg(long, required_unless_present = "window")]
     out: Option<PathBuf>,
-    /// Shows the scene in a window: drag and wheel, WASD and QE move, Tab switches between orbiting and flying, Space
-    /// pauses, . and , step, 1 to 9 choose the scene's cameras, R resets, F figures, Esc ends
+    /// Display the scene in a window. Keys: drag and wheel, WASD and QE to move, Tab to orbit or fly, Space to pause, . and
+    /// , to step, 1 to 9 for the scene's cameras, R to reset, F for figures, Esc to quit
     #[arg(long, conflicts_with = "out")]
     window: bool,
-    /// Width and height in pixels [default: 1300x1300; of a window 1280x800]
+    /// Width and height in pixels [default: 1300x1300, window 1280x800]
     #[arg(long, value_parser = size)]
     size: Option<[u32; 2]>,
-    /// Vertical field of view in degrees [default: the camera's; 90 without one]
+    /// Vertical field of view in degrees [default: the camera's, else 90]
     #[arg(long, value_parser = number(FOV_RANGE_DEG, "degrees"))]
     fov: Option<f32>,
-    /// Samples a pixel: 1 or 4
+    /// MSAA samples: 1 or 4
     #[arg(long, default_value_t = 4, value_parser = parse_samples)]
     msaa: u32,
-    /// Pictures to render [default: 1; of a window: until it is closed]
+    /// Pictures to render [default: 1, window: until closed]
     #[arg(long, value_parser = value_parser!(u32).range(1..=MAX_FRAMES))]
     frames: Option<u32>,
-    /// Pictures per second of the scene's time
+    /// Pictures per second of scene time
     #[arg(long, default_value_t = 30.0, value_parser = number(0.001..=1000.0, "pictures a second"))]
     fps: f64,
-    /// Scene time of the first picture, seconds
+    /// Scene time of the first picture in seconds
     #[arg(long, default_value_t = 0.0, allow_hyphen_values = true, value_parser = number(-MOST_S..=MOST_S, "seconds"))]
     start: f64,
-    /// Quantisation of an .mp4: 0 (finest) to 51
+    /// Quantiser of an .mp4: 0 (finest) to 51
     #[arg(long, default_value_t = DEFAULT_QP, value_parser = value_parser!(u8).range(0..=51))]
     qp: u8,
-    /// Closes the window after so many seconds
+    /// Close the window after this many seconds
     #[arg(long, requires = "window", value_parser = number(0.001..=MOST_S, "seconds"))]
     seconds: Option<f64>,
-    /// Writes the window's last frame to this PNG file
+    /// Write the last picture of the window to this PNG file
     #[arg(long, requires = "window")]
     screenshot: Option<PathBuf>,
-    /// The window starts without figures
+    /// Start without figures in the window
     #[arg(long, requires = "window")]
     no_figures: bool,
-    /// A camera of the scene, by its name
+    /// Name of one of the scene's cameras
     #[arg(long, conflicts_with_all = ["position", "yaw", "pitch", "head_path"])]
     camera: Option<String>,
-    /// The camera follows a head path of the scene, by its name, at the scene's time; every scene has still, turn, walk
-    /// and stride
+    /// Name of the head path that the camera follows in scene time; every scene has still, turn, walk and stride
     #[arg(long, conflicts_with_all = ["position", "yaw", "pitch", "window"])]
     head_path: Option<String>,
-    /// Camera in the stage: x,y,z in metres, y up, -z forward
+    /// Position of the camera in the stage: x,y,z in metres, y up, -z forward
     #[arg(long, value_parser = parse_vector, default_value = "0,1.6,0", allow_hyphen_values = true)]
     position: Vec3,
-    /// Camera turned left by so many degrees
+    /// Turn of the camera to the left in degrees
     #[arg(long, default_value_t = 0.0, allow_hyphen_values = true, value_parser = number(-360.0_f32..=360.0, "degrees"))]
     yaw: f32,
-    /// Camera turned up by so many degrees
+    /// Turn of the camera upwards in degrees
     #[arg(long, default_value_t = 0.0, allow_hyphen_values = true, value_parser = number(-360.0_f32..=360.0, "degrees"))]
     pitch: f32,
     #[command(flatten)]
     device: DeviceArgs,
 }
 
-/// A day of pictures at the highest rate that an MP4 has here, and more.
+/// More than a day of pictures at the highest rate of an MP4.
 const MAX_FRAMES: i64 = 10_000_000;
 const HEADLESS_EXTENT: [u32; 2] = [1300, 1300];
-/// From the camera to what it orbits around in a scene of nothing, metres.
+/// Distance from the camera to the centre of its orbit in an empty scene, metres.
 const DEFAULT_ORBIT_M: f32 = 3.0;
 
 fn parse_samples(text: &str) -> Result<u32, String> {
@@ -141,7 +140,7 @@ fn in_window(args: &ForwardArgs, cancel: &Cancel) -> anyhow::Result<()> {
     Ok(cancel.check()?)
 }
 
-/// Where pictures go.
+/// Destination of the pictures.
 enum Output<'a> {
     Folder(&'a Path),
     Video(Video),
@@ -191,7 +190,7 @@ fn to_files(args: &ForwardArgs, out: &Path, cancel: &Cancel) -> anyhow::Result<(
     no_messages(&gpu)
 }
 
-/// What was made before an interruption is kept; a video without pictures is none.
+/// Keeps the pictures made before an interruption. A video without pictures is discarded.
 fn finish(output: Output, made: u32) -> anyhow::Result<()> {
     match output {
         Output::Video(video) if made > 0 => Ok(video.finish()?),
@@ -205,7 +204,7 @@ fn no_messages(gpu: &Gpu) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Where pictures are made from.
+/// Source of the camera's pose.
 enum Viewpoint<'a> {
     Still(Pose),
     Camera(&'a Camera),
@@ -225,7 +224,7 @@ impl<'a> Viewpoint<'a> {
         Ok(Self::Still(Pose { position: args.position, orientation }))
     }
 
-    /// At a time of the scene in seconds.
+    /// Pose at a scene time in seconds.
     fn stage_from_eye(&self, time_s: f64) -> Pose {
         match self {
             Self::Still(stage_from_eye) => *stage_from_eye,
@@ -234,7 +233,7 @@ impl<'a> Viewpoint<'a> {
         }
     }
 
-    /// What was asked for, else what the camera says, else 90 degrees.
+    /// The requested field of view, else the camera's, else 90 degrees.
     fn fov(&self, asked_deg: Option<f32>, extent: [u32; 2]) -> Fov {
         match (asked_deg, self) {
             (None, Self::Camera(camera)) => fov_of_picture(camera.fov_deg, extent),

@@ -1,19 +1,19 @@
-//! Signals: the first asks to end, the second ends at once.
+//! Signals: the first one requests the end, the second one ends the program at once.
 
 use anyhow::Context;
 use shadecast_scene::{Cancel, Cancelled};
 use shadecast_system::process::end_at_once;
 
-/// What the first signal does.
+/// Effect of the first signal.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum FirstSignal {
-    /// Asks, so that what was begun is finished or taken back; the next one ends the program.
+    /// Requests the end, so that begun work is finished or undone. The second signal ends the program.
     Asks,
-    /// Ends the program, which has nothing to finish.
+    /// Ends the program. It has nothing to finish.
     Ends,
 }
 
-/// From now on signals (Ctrl-C, and the systems' wishes to end) ask through what is returned.
+/// Routes signals (Ctrl-C and SIGTERM) to the returned [`Cancel`].
 ///
 /// # Errors
 /// The system refuses the handler.
@@ -30,7 +30,7 @@ pub(crate) fn install(first: FirstSignal) -> anyhow::Result<Cancel> {
     Ok(cancel)
 }
 
-/// Whether this is no failure: somebody asked to end, and so it did.
+/// Whether the error is only a requested end.
 pub(crate) fn is_interruption(error: &anyhow::Error) -> bool {
     error.chain().any(|cause| cause.is::<Cancelled>())
 }

@@ -1,13 +1,12 @@
-//! What the program says. Nobody who works waits for a reader, and nothing ends because there is none: a closed pipe is the
-//! reader's business.
+//! Output of the program. No working thread waits for a reader. A closed pipe ends nothing.
 
 use std::io::Write;
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 use std::time::Duration;
 
-/// Lines that wait for a slow reader; more are left out.
+/// Lines that wait for a slow reader. Further lines are dropped.
 const MAX_WAITING_LINES: usize = 256;
-/// How long the program's end waits for a reader that does not read.
+/// Longest wait for a slow reader at the end of the program.
 const LAST_LINES: Duration = Duration::from_millis(500);
 
 /// Standard output, written by a thread of its own.
@@ -16,23 +15,23 @@ pub(crate) struct Output {
     written: Receiver<()>,
 }
 
-/// Says lines, from any thread.
+/// Prints lines, from any thread.
 #[derive(Clone)]
 pub(crate) struct Voice {
-    /// `None` ends it.
+    /// `None` ends the thread.
     lines: SyncSender<Option<String>>,
 }
 
 impl Voice {
-    /// Says a line, soon.
+    /// Queues a line.
     pub(crate) fn say(&self, line: &str) {
-        // A reader that is so far behind does not miss it.
+        // A full queue drops the line.
         let _ = self.lines.try_send(Some(line.to_owned()));
     }
 }
 
 impl Output {
-    /// Begins to write.
+    /// Starts the writing thread.
     ///
     /// # Errors
     /// The system gives no thread.
@@ -48,12 +47,12 @@ impl Output {
         Ok(Self { voice: Voice { lines }, written })
     }
 
-    /// What says lines.
+    /// A handle that queues lines.
     pub(crate) fn voice(&self) -> Voice {
         self.voice.clone()
     }
 
-    /// Waits until all is written, but not for a reader that does not read.
+    /// Waits until all lines are written, at most [`LAST_LINES`].
     pub(crate) fn finish(self) {
         if self.voice.lines.try_send(None).is_ok() {
             let _ = self.written.recv_timeout(LAST_LINES);
@@ -61,7 +60,7 @@ impl Output {
     }
 }
 
-/// Says a line on standard error.
+/// Prints a line to standard error.
 pub(crate) fn note(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
@@ -79,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cause_that_was_said_is_not_said_again() {
+    fn a_cause_is_printed_once() {
         let source = std::io::Error::from_raw_os_error(13);
         let error = Err::<(), _>(Embeds { source }).context("starting the server").expect_err("an error");
         assert_eq!(
@@ -92,13 +91,13 @@ mod tests {
     }
 
     #[test]
-    fn output_that_nobody_reads_holds_up_nobody() {
+    fn unread_output_blocks_nobody() {
         let (lines, to_write) = sync_channel(2);
         let (_done, written) = channel();
         let output = Output { voice: Voice { lines }, written };
         let voice = output.voice();
         (0..1000).for_each(|_| voice.say("a line"));
-        assert_eq!(to_write.try_iter().count(), 2, "what nobody reads is left out");
+        assert_eq!(to_write.try_iter().count(), 2, "unread lines are dropped");
         drop(to_write);
         voice.say("a line more");
         output.finish();

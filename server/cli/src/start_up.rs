@@ -1,17 +1,17 @@
-//! The command line's share of the cache, and an account of what a start spent its time on.
+//! Cache options of the command line, and the times of the steps of a start.
 
 use clap::Args;
 use shadecast_scene::cache::Cache;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-/// For everything that loads a scene.
+/// Options of every command that loads a scene.
 #[derive(Args)]
 pub(crate) struct CacheArgs {
-    /// Folder in which processed assets are kept between starts [default: the user's cache folder]
+    /// Folder for processed assets [default: the user's cache folder]
     #[arg(long, conflicts_with = "no_cache")]
     cache_dir: Option<PathBuf>,
-    /// Nothing is kept between starts, and nothing that was kept is used
+    /// Neither read nor write processed assets
     #[arg(long)]
     no_cache: bool,
 }
@@ -26,7 +26,7 @@ impl CacheArgs {
     }
 }
 
-/// Steps of a start, each timed from the end of the one before.
+/// Steps of a start, each timed from the end of the previous one.
 pub(crate) struct StartUp {
     begun: Instant,
     last: Instant,
@@ -35,20 +35,20 @@ pub(crate) struct StartUp {
 }
 
 impl StartUp {
-    /// The start begins now.
+    /// Begins a start.
     pub(crate) fn new(cache: Cache) -> Self {
         let begun = Instant::now();
         Self { begun, last: begun, steps: Vec::new(), cache }
     }
 
-    /// A step has ended.
+    /// Ends a step.
     pub(crate) fn ended(&mut self, step: &'static str) {
         let now = Instant::now();
         self.steps.push((step, now - self.last));
         self.last = now;
     }
 
-    /// Says that what follows needs no more preparation. On standard error: standard output may be a video.
+    /// Prints the times of the finished start to standard error. Standard output may be a video.
     pub(crate) fn done(mut self, last_step: &'static str) {
         self.ended(last_step);
         let (hits, misses) = self.cache.hits_and_misses();

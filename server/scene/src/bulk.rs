@@ -1,8 +1,8 @@
-//! Arrays as one block of bytes in binary formats, so that large ones are copied instead of decoded number by number:
-//! `#[serde(with = "crate::bulk")]` on a `Vec` of plain data.
+//! Arrays as one block of bytes in binary formats. Large arrays are copied, not decoded number by number: `#[serde(with =
+//! "crate::bulk")]` on a `Vec` of plain data.
 //!
-//! The bytes are this machine's own. [`cache`](crate::cache), the one place that keeps them, refuses those of a machine
-//! of the other byte order.
+//! The bytes have this machine's order. [`cache`](crate::cache), the one place that stores them, refuses those of the other
+//! byte order.
 
 use bytemuck::Pod;
 use serde::de::{Deserializer, Error, Visitor};

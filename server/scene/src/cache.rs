@@ -1,11 +1,11 @@
-//! Results that are expensive to compute and cheap to keep, on disk between starts.
+//! Expensive results, kept on disk between starts.
 //!
-//! An entry is found by a [`Key`]: the hash of everything that the result depends on. So an entry never has to be
-//! invalidated: when an input changes, so does the key, and the old entry ages until it is removed for its space.
-//! The files may be damaged, cut off, or from another version; then they count as absent. Their checksum keeps chance
-//! out, not intent: whoever can write to the folder can write whatever checksum belongs to a change. So the folder is
-//! its owner's alone (one that others can write to is not used), and whatever is read is checked to be something that
-//! can be worked with before anyone sees it. Nothing that goes wrong in here stops a program: at worst it computes again.
+//! A [`Key`], the hash of all inputs of a result, finds its entry. Entries are never invalidated: a changed input changes the
+//! key, and the old entry ages until it is removed for its space.
+//!
+//! Damaged or truncated files, and files of another version, count as absent. Their checksum excludes chance, not intent: any
+//! writer of the folder can write a fitting checksum. So the folder belongs to its owner alone (a folder that others can write
+//! to is not used), and every entry is validated before use. No failure in here stops a program: at worst it computes again.
 
 use crate::check::Unsound;
 use serde::Serialize;
@@ -167,12 +167,12 @@ impl Cache {
             Ok(bytes) => bytes,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return None,
             Err(error) => {
-                tracing::warn!("{}: cannot be read ({error}); it is made anew", path.display());
+                tracing::warn!("{}: cannot be read ({error}); it is rebuilt", path.display());
                 return None;
             }
         };
         let found = payload(&bytes, &key.hash()).and_then(|payload| {
-            postcard::from_bytes(payload).map_err(|_| "holds something else than its name says")
+            postcard::from_bytes(payload).map_err(|_| "does not hold the entry of its name")
         });
         match found {
             Ok(value) => match check(&value) {
@@ -181,12 +181,12 @@ impl Cache {
                     Some(value)
                 }
                 Err(problem) => {
-                    tracing::debug!("{}: {problem}; it is made anew", path.display());
+                    tracing::debug!("{}: {problem}; it is rebuilt", path.display());
                     None
                 }
             },
             Err(problem) => {
-                tracing::warn!("{}: {problem}; it is made anew", path.display());
+                tracing::warn!("{}: {problem}; it is rebuilt", path.display());
                 None
             }
         }
@@ -200,7 +200,7 @@ impl Cache {
             && !self.counts.has_warned.swap(true, Ordering::Relaxed)
         {
             let folder = folder.display();
-            tracing::warn!("cache {folder}: {error}; the next start computes again what this one did");
+            tracing::warn!("cache {folder}: {error}; the next start processes the assets again");
         }
     }
 
@@ -244,8 +244,8 @@ fn is_safe(folder: &Path) -> bool {
         let folder = folder.display();
         SAID.call_once(|| {
             tracing::warn!(
-                "cache {folder}: others can write to it, so it is not used; run chmod go-w {folder}, \
-                 or choose a folder of your own with --cache-dir"
+                "cache {folder}: not used, because other users can write to it; run chmod go-w {folder}, \
+                 or choose your own folder with --cache-dir"
             );
         });
     }
@@ -263,7 +263,7 @@ fn make_folder(folder: &Path) -> std::io::Result<()> {
 fn read_entry(path: &Path) -> std::io::Result<Vec<u8>> {
     let meta = std::fs::metadata(path)?;
     if !meta.is_file() || meta.len() > MAX_CACHE_BYTES {
-        return Err(std::io::Error::other("no file of ours"));
+        return Err(std::io::Error::other("not a regular file, or too large"));
     }
     std::fs::read(path)
 }

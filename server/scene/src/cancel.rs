@@ -1,4 +1,4 @@
-//! A wish to end, which whatever takes long looks at: the first Ctrl-C ends a program while it loads, not after.
+//! Cancellation. Long operations poll it, so the first Ctrl-C ends a program while it loads.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,6 +1,5 @@
-//! Whether a model or a sampled clip can be worked with: every index in range, every number finite, everything as often
-//! as what belongs to it. Importers see to that themselves; what was kept on disk may have been changed there by anyone
-//! who can write to it, with whatever checksum belongs to the change.
+//! Validation of a model or a sampled clip: every index in range, every number finite, every length consistent. Importers
+//! guarantee this themselves. Files on disk may have been changed by anyone who can write to them, with a fitting checksum.
 
 use crate::animation::sampling::{KeyInterpolation, SampledClip, SampledTrack};
 use crate::error::shown;

@@ -1,5 +1,4 @@
-//! What can be wrong with a scene, said so that the person who made the file can mend it: file, element or line,
-//! what is wrong, and where possible what to write instead.
+//! Faults of a scene, for the author of the file: file, element or line, the fault, and where possible the correction.
 
 use crate::cancel::Cancelled;
 use shadecast_model::text::printable;

@@ -1,10 +1,10 @@
 //! FBX importer, by `ufbx`: binary and ASCII files of any version that it reads to a [`Model`].
 //!
-//! `ufbx` opens no file by itself: it is given bytes, and loading external files is left off. It parses, converts axes and units, and bakes FBX's layered Euler curves to keys; this module makes of its scene
-//! what the renderers want, and holds it to what every model must keep. Files come from strangers: whatever they hold,
-//! the result is a sound model or an error that names the file and the element.
-//! Not imported, one warning each: cameras, NURBS, vertex caches, constraints that were not baked into curves,
-//! subdivision, blending, bump maps. Dual quaternion skins are skinned linearly.
+//! `ufbx` opens no file by itself: it gets bytes, and loading external files is off. It parses, converts axes and units, and
+//! bakes FBX's layered Euler curves to keys. This module turns its scene into the renderers' form, and enforces the rules of a
+//! model. Files come from strangers: the result is a sound model, or an error that names the file and the element. Each
+//! omission costs one warning: cameras, NURBS, vertex caches, constraints not baked into curves, subdivision, blending, bump
+//! maps. Dual quaternion skins are skinned linearly.
 
 mod animation;
 mod convert;

@@ -1,9 +1,8 @@
 //! glTF 2.0 importer: `.glb` and `.gltf` to a [`Model`].
 //!
-//! Files come from strangers. Whatever they hold, the result is a model whose every index is in range and whose every
-//! number is finite, or an error that names the file and the element; the tests mutate files to hold it to that.
-//! What is not imported (cameras, blending, unknown extensions) is named in one warning each; an extension that the
-//! file requires and this importer lacks is an error.
+//! Files come from strangers. The result is a model with every index in range and every number finite, or an error that names
+//! the file and the element; the tests mutate files to verify that. Each omission (cameras, blending, unknown extensions) costs
+//! one warning. A required extension that this importer lacks is an error.
 
 mod accessor;
 mod animation;
@@ -366,7 +365,7 @@ impl<'a> Assembly<'a> {
     fn push_entries(&mut self, entries: Vec<PaletteEntry>) -> Result<usize, Fault> {
         let first = self.model.palette.len();
         if first + entries.len() > MAX_PALETTE {
-            let problem = format!("need more than {MAX_PALETTE} bone matrices together");
+            let problem = format!("need more than {MAX_PALETTE} bone matrices in total; reduce them");
             return Err(Fault::new("skins and mesh nodes", problem));
         }
         self.model.palette.extend(entries);

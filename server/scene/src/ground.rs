@@ -1,4 +1,4 @@
-//! The floor under the scene: something for the eye to judge distance by, in cells that fit patches.
+//! The floor under the scene: a reference for distances, in cells that fit patches.
 
 use super::{Bone, Material, Model, PaletteEntry, Primitive, Texture, Trs, Vertex, Wrap};
 use glam::{Affine3A, Vec2, Vec3};

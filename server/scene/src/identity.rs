@@ -1,4 +1,4 @@
-//! What makes two parts of assets the same part, so that a scene stores it once however many files bring it.
+//! Equality of asset parts. A scene stores equal parts once, however many files have them.
 
 use crate::Model;
 use serde::Serialize;

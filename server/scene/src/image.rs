@@ -1,4 +1,4 @@
-//! PNG and JPEG to 8-bit RGBA. The kind is told by the first bytes, not by the MIME type, which files get wrong.
+//! PNG and JPEG to 8-bit RGBA. The first bytes decide the kind; MIME types in files are often wrong.
 
 use crate::limits::MAX_IMAGE_SIDE as MAX_SIDE;
 use std::io::Cursor;

@@ -1,4 +1,4 @@
-//! What every importer does around its format: reading the file, naming elements, and telling warnings and faults.
+//! Common work of all importers: reading the file, naming elements, and reporting warnings and faults.
 
 use super::error::{Fault, SceneError, shown};
 use super::limits::read_limited;
@@ -33,7 +33,7 @@ impl Surroundings {
 /// Loads a file; what it refers to is found relative to it.
 pub(crate) fn load(path: &Path, import: Import) -> Result<Model, SceneError> {
     let (model, warnings) = read(path, import, &Cancel::default())?;
-    tell(&warnings, &path.display().to_string());
+    report(&warnings, &path.display().to_string());
     Ok(model)
 }
 
@@ -49,12 +49,12 @@ pub(crate) fn read(path: &Path, import: Import, cancel: &Cancel) -> Result<(Mode
 pub(crate) fn from_slice(bytes: &[u8], name: &str, import: Import) -> Result<Model, SceneError> {
     let nothing = Surroundings::default();
     let (model, warnings) = import(bytes, name, &nothing).map_err(|fault| fault.in_file(name))?;
-    tell(&warnings, name);
+    report(&warnings, name);
     Ok(model)
 }
 
 /// Says what was left out.
-pub(crate) fn tell(warnings: &Warnings, file: &str) {
+pub(crate) fn report(warnings: &Warnings, file: &str) {
     for warning in warnings {
         tracing::warn!("{}: {}", shown(file), shown(warning));
     }

@@ -1,8 +1,8 @@
-//! The scene as every renderer sees it: models with their bones, clips and materials, and placed instances.
+//! The renderers' view of a scene: models with their bones, clips and materials, and placed instances.
 //!
-//! Importers ([`gltf`], [`fbx`]) and the scene file ([`mod@file`]) produce it; [`animation`] evaluates and
-//! samples its curves. A crate of its own, so that nothing in here can know of Vulkan, sockets or clocks, and so that
-//! what reads strangers' files can be fuzzed without building a renderer.
+//! Importers ([`gltf`], [`fbx`]) and the scene file ([`mod@file`]) produce it; [`animation`] evaluates and samples its curves.
+//! It is a separate crate: it cannot know Vulkan, sockets or clocks, and its readers of strangers' files can be fuzzed without
+//! building a renderer.
 
 pub mod animation;
 pub mod bulk;

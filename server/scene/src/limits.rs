@@ -1,5 +1,5 @@
-//! What no asset may exceed, whatever its format: far above anything a headset could show, and small enough that a
-//! wrong or hostile file is refused rather than read until memory is full.
+//! Limits of every asset, whatever its format. They lie far above anything a headset could display, and low enough to refuse a
+//! wrong or hostile file before memory is full.
 
 use std::cell::RefCell;
 use std::fs::File;

@@ -114,7 +114,7 @@ fn unknown_kind(path: &Path, extension: &str) -> SceneError {
     let hint = did_you_mean(&name, ["dragon", "dragons"]);
     let problem = match extension {
         "" => format!("is neither a built-in scene nor a .glb, .gltf, .fbx or .toml file{hint}"),
-        other => format!("files of kind .{other} are not known; give a .glb, .gltf, .fbx or .toml file"),
+        other => format!("files of type .{other} are not supported; give a .glb, .gltf, .fbx or .toml file"),
     };
     SceneError::Argument { argument: name, problem }
 }
@@ -280,9 +280,7 @@ fn finite_bounds(model: &Model, clip: Option<usize>) -> Result<(Vec3, Vec3), Str
     let (low, high) = pose::bounds(model, clip, 16).ok_or("has no triangles to show")?;
     let extent = (high - low).max_element();
     if !(low.is_finite() && high.is_finite() && extent > 1e-6 && extent < 1e7) {
-        return Err(format!(
-            "its extent of {extent} m cannot be shown (bones may blow it up or shrink it to nothing)"
-        ));
+        return Err(format!("its extent of {extent} m is out of range; check the scales of its bones"));
     }
     Ok((low, high))
 }
@@ -597,7 +595,7 @@ mod tests {
     #[test]
     fn unknown_files_are_refused_with_advice() {
         let message = |path: &str| load_scene(&SceneSource::File(path.into())).expect_err(path).to_string();
-        assert!(message("x.obj").contains("files of kind .obj are not known"), "{}", message("x.obj"));
+        assert!(message("x.obj").contains("files of type .obj are not supported"), "{}", message("x.obj"));
         assert!(message("dragn").contains("did you mean \"dragon\"?"), "{}", message("dragn"));
         assert!(
             message("nowhere.glb").starts_with("nowhere.glb: cannot be read"),
@@ -632,7 +630,7 @@ mod tests {
     }
 
     #[test]
-    fn assets_take_a_third_of_the_picture_and_stay_in_it_along_the_walk() {
+    fn assets_take_a_third_of_the_picture() {
         for name in
             ["CesiumMan.glb", "Fox.glb", "maya_kenney_character_7700_binary.fbx", "MorphStressTest.gltf"]
         {

@@ -1,10 +1,10 @@
 //! Coarser levels of detail over a model's own vertices.
 //!
-//! The simplifier (meshopt) weighs positions against attributes. What skinning and morphing do to a vertex is handed
-//! to it as such attributes: the vertex's *positions in several other poses*. Where those are a linear function of the
-//! place on the surface, as on a limb that moves as one, they cost nothing; around a joint they cost as much as the
-//! surface would be off in those poses, in metres, and so joints keep their loops. Weights of bones as attributes would have to be
-//! scaled by how far each bone moves, for which the poses are the measure anyway.
+//! The simplifier (meshopt) weighs positions against attributes. The effect of skinning and morphing on a vertex is such an
+//! attribute: the vertex's *positions in several other poses*. Where those are a linear function of the place on the surface,
+//! as on a rigid limb, they cost nothing. Around a joint they cost the surface's error in those poses, in metres, so joints
+//! keep their loops. Bone weights as attributes would need a scale by each bone's motion, for which the poses are the measure
+//! anyway.
 
 mod poses;
 

@@ -1,7 +1,7 @@
 //! Patches: groups of 1 to 3 adjacent triangles of one material, each mapped to a rectangle of the atlas.
 //!
-//! Built once per model and level of detail, so that few blocks of few texels show the triangles well: `grouping.rs` says what may share a
-//! patch and what it costs, `matching.rs` finds a cheap division.
+//! They are built once per model and LOD, so that few blocks of few texels show the triangles well. `grouping.rs` decides which
+//! triangles may share a patch, and the costs. `matching.rs` finds a cheap division.
 
 mod grouping;
 mod matching;

@@ -1,4 +1,4 @@
-//! What paths are asked beside where they are: how large they make what they carry.
+//! The largest scale of a path over time.
 
 use crate::animation::clip::{TrackValue, evaluate_track};
 use crate::{Interpolation, Path, Track, TrackValues};

@@ -1,7 +1,7 @@
-//! From an asset to a model that is ready to be shown, each expensive step through the [`Cache`].
+//! From an asset to a model ready for display, each expensive step through the [`Cache`].
 //!
-//! Two steps, since the second depends on how large the scene shows the model: the import (files to curves, vertices
-//! and texels), and its [refinement](refine) (long edges split, coarser levels, patches).
+//! There are two steps, because the second depends on the model's size in the scene: the import (files to curves, vertices and
+//! texels), and its [refinement](refine) (long edges split, coarser LODs, patches).
 
 use crate::animation::sampling::{SampledClip, Sampling, sample_until};
 use crate::cache::{Cache, Key};
@@ -73,7 +73,7 @@ pub(crate) fn import(
     importer: impl FnOnce(&Path) -> Result<Imported, SceneError>,
 ) -> Result<Model, SceneError> {
     let (model, warnings) = imported(cache, path, importer)?;
-    import::tell(&warnings, &path.display().to_string());
+    import::report(&warnings, &path.display().to_string());
     Ok(model)
 }
 
@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn a_change_of_the_asset_or_of_a_file_beside_it_is_noticed_and_undone() {
+    fn a_changed_asset_or_companion_file_is_noticed() {
         let folder = Folder::new();
         folder.import();
         folder.write("b", "second");
@@ -412,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn work_on_a_model_ends_wherever_it_is_asked_to_and_keeps_nothing_half_done() {
+    fn cancelled_work_on_a_model_keeps_nothing_half_done() {
         let folder = tempfile::tempdir().unwrap();
         let work = |cancel: &Cancel| {
             let loading = Loading::complete(Cache::new(folder.path())).until(cancel);
@@ -493,7 +493,7 @@ mod tests {
     }
 
     #[test]
-    fn edited_entries_with_their_checksum_made_to_fit_are_sound_or_made_anew() {
+    fn forged_cache_entries_are_sound_or_rebuilt() {
         let folder = tempfile::tempdir().unwrap();
         let (asset, cache) = (folder.path().join("a.asset"), folder.path().join("cache"));
         std::fs::write(&asset, "a").unwrap();

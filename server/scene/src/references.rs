@@ -1,7 +1,7 @@
-//! Files that an asset refers to. Assets come from strangers: one may name files of its own folder and of folders in it,
-//! and nothing else of this machine, in whichever way it writes the name.
+//! Files that an asset refers to. Assets come from strangers. An asset may name files of its own folder and its subfolders, and
+//! no other file of this machine, however it writes the name.
 //!
-//! (Scene files are the user's own and name models wherever they like; see [`mod@crate::file`].)
+//! Scene files belong to the user and name models anywhere; see [`mod@crate::file`].
 
 use crate::limits;
 use shadecast_model::text::printable;
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_in_the_folder_is_found_by_any_name_that_stays_inside() {
+    fn files_in_the_folder_are_found_by_any_inside_name() {
         let (_top, folder) = folders();
         for (uri, bytes) in [
             ("a.bin", "a"),
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_leads_out_of_the_folder_is_refused_with_the_name_and_a_remedy() {
+    fn paths_out_of_the_folder_are_refused() {
         let (top, folder) = folders();
         let absolute = top.path().join("secret.bin").to_string_lossy().into_owned();
         for uri in [

@@ -1,4 +1,4 @@
-//! What every importer's models are held to in tests and by fuzz targets, whatever the file was.
+//! Rules that tests and fuzz targets verify on every importer's models, whatever the file.
 
 use crate::animation::pose;
 use crate::animation::sampling::{Sampling, sample};

@@ -1,8 +1,7 @@
 //! Splits triangles with long edges, so that no patch needs a larger block than the atlas grants.
 //!
-//! Whether an edge is split depends on nothing but its two end positions, and its middle is computed from nothing but
-//! its two ends, in a way that does not depend on their order. Both sides of an edge therefore do the same, also
-//! across a seam where they share no vertex, and no T-junction can open a crack.
+//! The split of an edge depends only on its two end positions, and its middle only on its two ends, in any order. So both sides
+//! of an edge split alike, even across a seam without shared vertices, and no T-junction can open a crack.
 
 use super::influences::reduce_to_four;
 use super::{Cancel, Cancelled, Model, Morph, MorphDelta, Primitive, Vertex};
@@ -330,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn a_morphed_model_splits_into_the_same_surface_as_a_split_one_morphs_into() {
+    fn splitting_and_morphing_commute() {
         let mut rng = SmallRng::seed_from_u64(36);
         let mut model = sheet(&mut rng, 3, false);
         let delta = |vertex: u32| MorphDelta {
@@ -388,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn absurdly_large_model_is_left_coarse_instead_of_filling_memory() {
+    fn an_absurdly_large_model_stays_coarse() {
         let mut model = sheet(&mut SmallRng::seed_from_u64(35), 2, false);
         model.vertices.iter_mut().for_each(|vertex| vertex.position *= 1e9);
         let stats = split_long_edges(&mut model, 0.5);

@@ -1,4 +1,4 @@
-//! How far points are from a triangle surface: the measure of what simplification lost.
+//! Distance of points from a triangle surface: the measure of simplification.
 
 use glam::{Vec3, Vec3A};
 

@@ -1,5 +1,5 @@
-//! Tangents where the file has none: MikkTSpace for normal-mapped primitives, as glTF asks for; any unit vector in
-//! the surface for the others, whose shading never reads it.
+//! Tangents for files without them: MikkTSpace for normal-mapped primitives, as glTF requires; any unit vector in the surface
+//! for the others, whose shading never reads it.
 
 use super::{TextureSlot, Vertex};
 use glam::{Vec2, Vec3};
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn a_huge_fan_neither_overflows_the_stack_nor_leaves_tangents_unset() {
+    fn a_huge_fan_does_not_overflow_the_stack() {
         let mut corners = Vec::new();
         let rim = |i: usize| {
             let angle = i as f32 * 1e-4;

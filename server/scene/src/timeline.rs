@@ -1,7 +1,7 @@
-//! What instances play as time goes by: what the scene says at first, and its events.
+//! Playback of instances over time: the scene's initial state, and its events.
 //!
-//! An event, or an application at run time, says only what changes; the rest stays as it was. Both become entries of a
-//! [`Schedule`], which alone knows what is to be seen at a time.
+//! An event, or an application at run time, gives only the changes. Both become entries of a [`Schedule`], which alone
+//! determines the playback at a time.
 
 use crate::{Instance, Repetition, Scene};
 use shadecast_model::playback::{Playback, Schedule};
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_change_amid_a_fade_goes_on_from_where_the_clip_is_at_its_end() {
+    fn a_change_amid_a_fade_continues_from_the_fades_end() {
         let mut schedule = scene(Vec::new()).schedules().swap_remove(0);
         let fade = Change { clip: Some(Some(0)), fade_ns: 400_000_000, ..Change::default() };
         assert_eq!(fade.apply(&mut schedule, ms(1000)), ms(1000));

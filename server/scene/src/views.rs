@@ -1,4 +1,4 @@
-//! Cameras and head paths by name: where a scene is looked at from when it is measured or pictured.
+//! Cameras and head paths by name: viewpoints for measurements and pictures.
 
 use crate::suggest::did_you_mean_or_list;
 use crate::{Camera, HeadPath, Scene, SceneError};

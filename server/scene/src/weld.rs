@@ -1,5 +1,5 @@
-//! Makes one vertex of those that are equal in everything, so that neighbouring triangles share them: patches are
-//! found, and vertices streamed, by index.
+//! Merges vertices that are equal in everything, so that neighbouring triangles share them. Patches are found, and vertices
+//! streamed, by index.
 
 use super::Vertex;
 use std::collections::HashMap;
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn vertices_of_different_classes_stay_apart_and_say_what_they_were() {
+    fn vertices_of_different_classes_stay_apart() {
         let mut vertices: Vec<Vertex> = [5.0, 0.0, 1.0, 2.0, 2.0, 1.0, -3.0].map(|x| vertex(x, 0)).to_vec();
         let mut indices = vec![1, 2, 3, 4, 5, 6];
         let origins = weld_within_classes(&mut vertices, &mut indices, |vertex| u32::from(vertex == 5));

@@ -1,4 +1,4 @@
-//! Live poses on their way to the GPU, which evaluates them as tracks of one key.
+//! Live poses on their way to the GPU. The GPU evaluates them as tracks of one key.
 
 use super::buffers::AnimationBuffers;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Memory, Recorder};

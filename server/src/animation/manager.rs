@@ -1,5 +1,5 @@
-//! The animation manager: skeletons, clips and morph targets of the whole scene, each stored once however many models
-//! and instances use it, as the arrays that the GPU reads. Pure; [`super::gpu`] owns the buffers.
+//! The animation manager: skeletons, clips and morph targets of the whole scene, as arrays for the GPU. Each is stored once,
+//! however many models and instances use it. Pure; [`super::gpu`] owns the buffers.
 
 use super::saved::MOST_PLACES;
 use super::timeline::Shown;
@@ -105,14 +105,14 @@ pub struct Arrays {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct PoseKey {
     skeleton: usize,
-    now: Moment,
+    now: TrackTime,
     /// What is faded out, and the bits of its share.
-    fading: Option<(Moment, u32)>,
+    fading: Option<(TrackTime, u32)>,
 }
 
-/// What is evaluated of which tracks.
+/// Tracks to evaluate, and their time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-enum Moment {
+enum TrackTime {
     /// A stored clip, and the bits of its phase.
     Clip(usize, u64),
     /// As a live instance, of this number, is posed; the rest pose of this stored clip gives its morph weights.
@@ -202,22 +202,22 @@ impl AnimationManager {
         let AnimationMaterial { skeleton, clips, .. } = &self.materials[model];
         let moment = |at: &At<ClipIndex>| {
             let clip = clips[at.clip.map_or(0, |clip| clip + 1)];
-            Moment::Clip(clip, at.phase_s(self.clips[clip].duration_s).to_bits())
+            TrackTime::Clip(clip, at.phase_s(self.clips[clip].duration_s).to_bits())
         };
         let (now, fading) = match shown {
             Shown::Clips(Playing { now, fading }) => {
                 (moment(now), fading.map(|(at, share)| (moment(&at), (share as f32).to_bits())))
             }
-            Shown::Live(_) => (Moment::Live(instance, clips[0]), None),
+            Shown::Live(_) => (TrackTime::Live(instance, clips[0]), None),
         };
         PoseKey { skeleton: *skeleton, now, fading }
     }
 
     /// First of the tracks that a moment is evaluated by, and the phase, in a place of the ring.
-    fn tracks_of(&self, moment: Moment, place: RingPlace) -> (u32, f64) {
+    fn tracks_of(&self, moment: TrackTime, place: RingPlace) -> (u32, f64) {
         match moment {
-            Moment::Clip(clip, phase_bits) => (self.clips[clip].track_base, f64::from_bits(phase_bits)),
-            Moment::Live(instance, _) => {
+            TrackTime::Clip(clip, phase_bits) => (self.clips[clip].track_base, f64::from_bits(phase_bits)),
+            TrackTime::Live(instance, _) => {
                 let live = &self.live[&instance];
                 (live.track_base + live.block(place), 0.0)
             }
@@ -267,10 +267,10 @@ impl AnimationManager {
 
     /// The morph weights of a pose.
     pub fn morph_weights(&self, key: PoseKey) -> impl Iterator<Item = f32> + '_ {
-        let of = |moment: Moment| {
+        let of = |moment: TrackTime| {
             let (clip, phase_s) = match moment {
-                Moment::Clip(clip, phase_bits) => (clip, f64::from_bits(phase_bits)),
-                Moment::Live(_, rest) => (rest, 0.0),
+                TrackTime::Clip(clip, phase_bits) => (clip, f64::from_bits(phase_bits)),
+                TrackTime::Live(_, rest) => (rest, 0.0),
             };
             self.clips[clip].sampled.morphs.iter().map(move |track| track.evaluate(phase_s).x)
         };

@@ -1,4 +1,4 @@
-//! How the scene moves, each thing once: skeletons, clips, the timeline of all instances, and where saved vertices lie.
+//! Motion of the scene, each part once: skeletons, clips, the timeline of all instances, and the places of saved vertices.
 //!
 //! A loaded scene and events enter; poses to evaluate leave. Nothing here knows meshes on the GPU or a viewer.
 

@@ -1,5 +1,5 @@
-//! How positions and frames are kept on the GPU: 8 bytes each. A position by 21 bits an axis within a box that its instance never
-//! leaves; a normal and a tangent as points of an octahedron (Meyer et al., "On Floating-Point Normal Vectors", 2010). Pure;
+//! Packed positions and frames on the GPU: 8 bytes each. A position has 21 bits per axis within a box that its instance never
+//! leaves. A normal and a tangent are points of an octahedron (Meyer et al., "On Floating-Point Normal Vectors", 2010). Pure;
 //! `saved.glsl` does the same.
 
 use glam::{Vec2, Vec3, Vec4, vec2};

@@ -1,7 +1,7 @@
-//! Where the vertices that were skinned lie: those of instances that stand still once, those of the others once a sample time, as
-//! long as they are needed. Pure.
+//! Places of the skinned vertices: one for instances at rest, one per needed sample time for the others. Pure.
 //!
-//! Vertices are numbered through all buffers. Every device can bind one of [`CHUNK_VERTICES`]; an instance lies in one of them.
+//! Vertices are numbered through all buffers. Every device can bind a buffer of [`CHUNK_VERTICES`]; an instance lies in one
+//! buffer.
 
 use super::packing::SAVED_BYTES;
 use crate::time::RingPlace;
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn no_two_vertices_share_a_place_and_no_instance_lies_in_two_buffers() {
+    fn no_two_vertices_share_a_place() {
         let mut rng = SmallRng::seed_from_u64(31);
         for case in 0..200 {
             let largest = [50, 40_000, 1_500_000][case % 3];
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn of_more_than_all_buffers_hold_those_that_come_first_have_room() {
+    fn the_first_vertices_have_room_in_full_buffers() {
         let dragons = some(22_000, true, 2000);
         let mut saved = saved(&dragons, LEAST_PLACES);
         assert_eq!(saved.chunks().len() as u32, SAVED_CHUNKS);

@@ -1,8 +1,8 @@
-//! What every instance does at every time: the scene's events, and what an application changes while the world runs; and how the
-//! world's time goes on. Pure.
+//! State of every instance at every time: the scene's events, an application's changes at run time, and the course of world
+//! time. Pure.
 //!
-//! What was sampled once stays as it was: a change takes effect after the latest time that was sampled, whatever the
-//! application asks for, so that no sample that was sent is ever contradicted.
+//! Sampled times never change: a change takes effect after the latest sampled time, whatever the application requests. So no
+//! sent sample is ever contradicted.
 
 use crate::support::lock::lock;
 use shadecast_protocol::motion::playback::{Playing, Schedule};
@@ -41,7 +41,7 @@ pub enum TimelineError {
     },
     /// The clip is not among those for which the scene was prepared.
     #[error(
-        "instance \"{}\" cannot play clip {clip:?}: no event of the scene names it; let an event name it, or set \
+        "instance \"{}\" cannot play clip {clip:?}: no event of the scene names it; name it in an event, or set \
          live = true on the instance",
         printable(name)
     )]
@@ -52,10 +52,7 @@ pub enum TimelineError {
         clip: ClipIndex,
     },
     /// It takes what only a live instance may do.
-    #[error(
-        "instance \"{}\" cannot {what} at run time: room is made for that only where the scene says live = true",
-        printable(name)
-    )]
+    #[error("instance \"{}\" cannot {what} at run time; set live = true on the instance", printable(name))]
     NotLive {
         /// The instance.
         name: String,
@@ -334,7 +331,7 @@ impl OfInstance {
             return Ok(());
         }
         Err(self.value(format!(
-            "the pose may reach {own_m:.3} m from the model's origin, and room is made for {most_m:.3} m; move \
+            "the pose may reach {own_m:.3} m from the model's origin, but only {most_m:.3} m are reserved; move \
              bones less far"
         )))
     }
@@ -418,7 +415,7 @@ mod tests {
     }
 
     #[test]
-    fn a_change_takes_effect_when_it_is_to_but_never_before_what_was_sampled() {
+    fn a_change_never_precedes_sampled_times() {
         let mut timeline = Timeline::new(&scene());
         assert_eq!(timeline.set_playback(0, faster(), ms(700)), Ok(ms(700)));
         timeline.sampled(ms(900));
@@ -431,7 +428,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_scene_was_not_prepared_for_is_refused_and_changes_nothing() {
+    fn unprepared_changes_are_refused_without_effect() {
         let scene = scene();
         let mut timeline = Timeline::new(&scene);
         let before = timeline.schedule(0).clone();
@@ -439,11 +436,11 @@ mod tests {
             timeline.set_playback(instance, change, ms(10)).expect_err("refused").to_string()
         };
         let rest = Change { clip: Some(None), ..Change::default() };
-        let not_playable = "instance \"dragon 0\" cannot play clip None: no event of the scene names it; let an \
-             event name it, or set live = true on the instance";
+        let not_playable = "instance \"dragon 0\" cannot play clip None: no event of the scene names it; name it in \
+             an event, or set live = true on the instance";
         assert_eq!(refused(0, rest), not_playable);
-        let not_live = "instance \"dragon 0\" cannot fade from clip to clip at run time: room is made for that \
-             only where the scene says live = true";
+        let not_live = "instance \"dragon 0\" cannot fade from clip to clip at run time; set live = true on \
+             the instance";
         assert_eq!(refused(0, Change { clip: Some(Some(0)), fade_ns: 1, ..Change::default() }), not_live);
         assert_eq!(refused(9, rest), "the scene has no instance 9; it has 3, numbered from 0");
         let out_of_range = [
@@ -459,7 +456,7 @@ mod tests {
     }
 
     #[test]
-    fn between_two_poses_a_live_instance_goes_straight_and_outside_them_it_stands() {
+    fn a_live_instance_moves_linearly_between_poses() {
         let scene = scene();
         let mut timeline = Timeline::new(&scene);
         let (from, mut to) = (rest(&scene), rest(&scene));
@@ -475,7 +472,7 @@ mod tests {
     }
 
     #[test]
-    fn a_released_instance_plays_its_clip_again_and_can_be_posed_anew() {
+    fn a_released_instance_plays_its_clip_again() {
         let scene = scene();
         let mut timeline = Timeline::new(&scene);
         timeline.set_pose(1, ms(1000), rest(&scene)).expect("a pose");
@@ -542,7 +539,7 @@ mod tests {
             refused(1, ms(1), with(Trs { translation: nowhere, ..Trs::IDENTITY })).contains("not finite")
         );
         let far = with(Trs { translation: Vec3::X * 10.0, ..Trs::IDENTITY });
-        assert!(refused(1, ms(1), far).contains("room is made for"));
+        assert!(refused(1, ms(1), far).contains("m are reserved"));
         assert!(refused(1, WorldTime(i64::MIN), rest(&scene)).contains("is no time"));
         timeline.set_pose(1, ms(5), rest(&scene)).expect("a pose");
         assert!(timeline.set_pose(1, ms(5), rest(&scene)).is_err(), "not later than the one before");

@@ -1,5 +1,5 @@
-//! Which encoder makes a stream's H.264: the one that the user names, or the first that works here; and the next one where that
-//! breaks while a client is served.
+//! Choice of a stream's H.264 encoder: the one named by the user, or the first one that works here. If it fails while a client
+//! is served, the next one replaces it.
 
 use super::openh264::{EncoderSettings, OpenH264Encoder};
 use super::{EncodeError, Encoded, Encoder, Source};
@@ -31,7 +31,7 @@ impl FromStr for Wanted {
 
 /// The encoder that a user names is not to be had.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("--encoder {name}: {reason}; here there is {}, or auto", there.join(", "))]
+#[error("--encoder {name}: {reason}; available: {}, or auto", there.join(", "))]
 pub struct NoSuchEncoder {
     name: String,
     reason: String,
@@ -175,7 +175,9 @@ impl Encoders {
     fn give_up(&self, number: usize, error: &EncodeError) {
         let (broken, next) = (self.kinds[number].name, self.kinds[number + 1].name);
         if self.first.fetch_max(number + 1, Ordering::Relaxed) <= number {
-            tracing::warn!("the encoder {broken} is given up for {next}: {error}; --encoder chooses another");
+            tracing::warn!(
+                "the encoder {broken} failed and is replaced by {next}: {error}; choose another with --encoder"
+            );
         }
     }
 }
@@ -309,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_with_which_an_encoder_breaks_comes_out_of_the_next_as_a_refresh() {
+    fn a_failing_encoders_picture_returns_as_a_refresh() {
         let all = encoders(vec![breaks("first", 2), unmade("second")]);
         let mut encoder = all.encoder(EncoderSettings::new(EXTENT)).expect("an encoder");
         let mut units = Vec::new();
@@ -323,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_that_were_with_a_broken_encoder_come_out_of_the_next_in_order() {
+    fn a_broken_encoders_pictures_return_in_order() {
         let all = encoders(vec![breaks("first", 1)]);
         let mut encoder = all.encoder(EncoderSettings::new(EXTENT)).expect("an encoder");
         (0..4).for_each(|at| encoder.submit(grey(), at * 33_000_000, false));

@@ -1,10 +1,10 @@
-//! H.264 by FFmpeg's libavcodec: the encoders of graphics cards, and libx264. A feature of its own (`libavcodec`), since it needs
-//! the system's libraries, and since libx264 in them puts the whole under the GPL.
+//! H.264 by FFmpeg's libavcodec: the encoders of graphics cards, and libx264. It is a separate feature (`libavcodec`): it needs
+//! the system's libraries, and libx264 in them puts the whole under the GPL.
 //!
-//! What was said of [`super::openh264`] holds here too: no deblocking, a constant quantiser, a refresh only when it is asked for.
-//! Of these encoders only libx264 takes another quantiser while it is open; the others are opened anew for it, which begins with a
-//! refresh, so that small changes are left out. A picture comes out before the next goes in: who keeps pictures back to look ahead
-//! is not used. Only libx264 was run; that the others are found, tried and passed over was.
+//! The rules of [`super::openh264`] apply here too: no deblocking, a constant quantiser, a refresh only on request. Only
+//! libx264 changes its quantiser while it is open. The others are reopened for it, which begins with a refresh, so small
+//! changes are skipped. A picture comes out before the next goes in: encoders that look ahead are not used. Only libx264 was
+//! run; the search, the trial and the skipping of the others were.
 
 use super::openh264::{EncoderSettings, check_picture_extent, check_qp};
 use super::{AccessUnit, EncodeError, Encoded, Encoder, Source, encode_one};

@@ -1,11 +1,10 @@
 //! The seam between the shading atlas and its video stream.
 //!
-//! What is above ([`crate::serve::encoding`]) hands over pictures and gets access units; it does not know which encoder made them.
-//! What is below knows neither frames nor sockets, and has no clock: timestamps come in as arguments, so that the
-//! same pictures always give the same bytes. [`openh264`] is the embedded encoder, [`raw`] codes nothing; a hardware one goes
-//! beside them.
+//! The caller ([`crate::serve::encoding`]) hands over pictures and gets access units; it does not know the encoder. Encoders
+//! know neither updates nor sockets, and have no clock: timestamps are arguments, so the same pictures always give the same
+//! bytes. [`openh264`] is the embedded encoder, [`raw`] codes nothing; hardware encoders stand beside them.
 //!
-//! Every picture is an [`I420`], and the stream says what that is (VUI).
+//! Every picture is an [`I420`], and the stream declares its colours (VUI).
 
 use openh264::{EncoderSettings, OpenH264Encoder};
 use raw::RawEncoder;
@@ -141,7 +140,7 @@ pub enum EncodeError {
         got: usize,
     },
     /// Nothing came out.
-    #[error("no picture came out of the encoder within {} s", PATIENCE.as_secs())]
+    #[error("the encoder returned no picture within {} s", PATIENCE.as_secs())]
     Stalled,
     /// An encoder of libavcodec.
     #[error("{encoder} failed while {doing}: {reason}")]
@@ -154,7 +153,7 @@ pub enum EncodeError {
         reason: String,
     },
     /// A picture cannot be described.
-    #[error("a picture has not the bytes of its extent: {0}")]
+    #[error("a picture does not have the bytes of its extent: {0}")]
     Picture(#[from] I420Error),
     /// The encoder library refused.
     #[error("openh264 failed while {doing} (code {code}); the next picture starts a new stream")]

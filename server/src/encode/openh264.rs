@@ -1,13 +1,13 @@
-//! The embedded encoder: openh264, driven for atlases rather than for conversations.
+//! The embedded encoder: openh264, tuned for atlases.
 //!
-//! An atlas is not a film. Neighbouring blocks have nothing to do with each other, so deblocking only smears one
-//! into the next (off: -30 % time, +1.1 dB chroma); what does not change must cost nothing and stay exact, so the
-//! quantiser is constant and no rate control, background or scene-change heuristic interferes; and a refresh comes
-//! only when the client asks for one. CABAC saves 32 % of the bits at the same time per picture. The safe `openh264`
-//! crate reaches none of these settings, hence this wrapper of our own over `openh264-sys2`.
+//! An atlas is not a film. Neighbouring blocks are unrelated, so deblocking only smears one into the next (off: -30 % time,
+//! +1.1 dB chroma). Unchanged blocks must cost nothing and stay exact, so the quantiser is constant, and no rate control,
+//! background or scene-change heuristic interferes. A refresh comes only on the client's request. CABAC saves 32 % of the bits
+//! at the same time per picture. The safe `openh264` crate reaches none of these settings, hence this wrapper over
+//! `openh264-sys2`.
 //!
-//! The library is built from source, and without `nasm` on the build machine it silently loses all its assembly and
-//! becomes several times slower: the set-up installs it.
+//! The library is built from source. Without `nasm` on the build machine it silently loses all its assembly and becomes several
+//! times slower; the set-up installs `nasm`.
 
 use std::collections::VecDeque;
 use std::ffi::{c_int, c_void};

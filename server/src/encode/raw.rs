@@ -1,6 +1,6 @@
-//! No coding at all: an access unit is the picture's bytes, and needs no other.
+//! No coding: an access unit is the picture's bytes and needs no other unit.
 //!
-//! For links that carry anything, where what is seen shall not depend on a codec. A server offers it only where it was asked to.
+//! It serves links of any rate, and pictures without a codec's losses. A server offers it only on request.
 
 use super::{AccessUnit, EncodeError, Encoded, Encoder, Source};
 use std::collections::VecDeque;

@@ -1,4 +1,4 @@
-//! Bytes that may be sent as time goes by. Pure: how often it is asked changes nothing.
+//! Allowed bytes over time. Pure: the frequency of the requests changes nothing.
 
 use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
 
@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_costs_the_same_however_often_is_asked_and_whatever_a_message_takes() {
+    fn allowance_of_a_second_is_independent_of_requests() {
         for (asked, message) in [(1, 100), (2, 900), (5, 900), (8, 900), (3, 5000), (1, 20_000), (8, 20_000)]
         {
             let (sent, most) = (sent(asked, message), 1000 * 300);

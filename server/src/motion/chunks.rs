@@ -1,5 +1,5 @@
-//! Which chunks of clips lie in one client's arena, and where. Chunks stay as long as there is room; when there is none, of those
-//! that nobody needs soon the one that was needed last goes, since in a loop it is needed again the latest.
+//! Chunks of clips in one client's arena, and their places. Chunks stay while there is room. Then, of the chunks not needed
+//! soon, the last needed one goes: in a loop it is needed again the latest.
 
 use shadecast_protocol::ids::ClipId;
 use shadecast_protocol::time::ServerTime;

@@ -1,4 +1,4 @@
-//! What one update changes in a client's memory, before it is coded.
+//! Changes of one update in a client's memory, before coding.
 
 use crate::scene::numbering::SceneVertex;
 use shadecast_protocol::atlas::Block;

@@ -1,7 +1,8 @@
-//! How vertices move for a client: which way each instance takes, what is told of it once, and what is sent as time goes by.
+//! Motion as one client receives it: the kind of each instance, its one-time data, and its messages over time.
 //!
-//! Clips need keys once and nothing afterwards; poses need a transform a bone and grid step; samples need a position a vertex and
-//! grid step. What is chosen is the way that takes the fewest bytes among those that are exact.
+//! The scene's poses and a client's visible instances enter; messages about motion leave. Clips need keys once and nothing
+//! afterwards. Poses need a transform per bone and grid step. Samples need a position per vertex and grid step. Of the exact
+//! kinds, the one with the fewest bytes is chosen.
 
 mod allowance;
 pub mod chunks;

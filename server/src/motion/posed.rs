@@ -1,4 +1,4 @@
-//! Poses on the time grid, for one client: of instances whose bones an application moves, or of all where that is asked for.
+//! Poses on the time grid for one client: of instances with bones moved by an application, or of all instances on request.
 
 use super::sampled::SampleWindow;
 use crate::animation::timeline::SharedTimeline;
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn every_step_is_sent_once_and_one_who_enters_gets_those_on_display() {
+    fn every_step_is_sent_once_and_newcomers_get_the_displayed() {
         let mut posed = two();
         posed.instances[1].sent_until = Some(GridIndex(13));
         let due = posed.due(window(10), usize::MAX);

@@ -1,6 +1,6 @@
-//! The paper's way: with every update, of each visible vertex that moves, where it will be 33, 67 and 100 ms after the update.
-//! Poses are those of these very times, not of the time grid; two updates say different things of the same moment, which is why
-//! triangles tear whose corners were told by different ones.
+//! The paper's way: every update carries, for each visible moving vertex, its positions 33, 67 and 100 ms after the update. The
+//! poses are those of these very times, not of the time grid. Two updates give different positions for the same time, so
+//! triangles tear whose corners came with different updates.
 
 use crate::animation::timeline::SharedTimeline;
 use crate::scene::SceneGpu;

@@ -1,6 +1,6 @@
-//! Samples on the time grid: of every vertex that moves in no way that the client could follow by itself. The bytes of deltas are
-//! made here too, since samples are coded against what deltas have put into the client's memory: an update's geometry and the
-//! samples between two updates, in one order.
+//! Samples on the time grid, of every vertex whose motion the client cannot evaluate itself. The bytes of deltas are made here
+//! too, because samples are coded against the client's memory after each delta: an update's geometry and the samples between
+//! two updates, in one order.
 
 use crate::motion::delta::UpdateDelta;
 use crate::scene::numbering::SceneVertex;
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn who_enters_when_the_horizon_has_come_nearer_gets_every_step_that_the_others_have() {
+    fn a_vertex_entering_late_gets_every_step_of_the_others() {
         let mut sampled = SampledVertices::default();
         sampled.enter(VertexSlot(0), SceneVertex(0));
         assert_eq!(steps(&mut sampled, 0, 8, 0), (0..=8).collect::<Vec<_>>());

@@ -1,5 +1,4 @@
-//! What one client has been told of what instances play, and what of that has changed since: events that come near, and what
-//! applications do while the world runs.
+//! Schedules sent to one client, and their changes since: approaching events, and an application's changes at run time.
 
 use crate::animation::timeline::Timeline;
 use crate::scene::SceneGpu;
@@ -16,11 +15,11 @@ const OVER_NS: i64 = 2_000_000_000;
 /// See the module.
 #[derive(Debug, Default)]
 pub struct Schedules {
-    told: Vec<Told>,
+    sent: Vec<SentSchedule>,
 }
 
 #[derive(Debug)]
-struct Told {
+struct SentSchedule {
     instance: usize,
     path: Option<Schedule<ClipRef>>,
     /// `None`: its poses are sent instead.
@@ -39,18 +38,18 @@ impl Schedules {
         let instance = told.instance.index();
         told.schedule = current(scene, timeline, now, instance);
         let schedule = (told.source == PoseSource::Clips).then(|| told.schedule.clone());
-        self.told.push(Told { instance, path: told.path.clone(), schedule });
+        self.sent.push(SentSchedule { instance, path: told.path.clone(), schedule });
     }
 
     /// Whether any instance plays clips on the client.
     pub fn plays_any(&self) -> bool {
-        self.told.iter().any(|told| told.schedule.is_some())
+        self.sent.iter().any(|told| told.schedule.is_some())
     }
 
     /// What has changed of what was told. It counts as told from now on.
     pub fn changes(&mut self, scene: &SceneGpu, timeline: &Timeline, now: WorldTime) -> Vec<NewSchedule> {
         let mut changes = Vec::new();
-        for Told { instance, schedule, .. } in &mut self.told {
+        for SentSchedule { instance, schedule, .. } in &mut self.sent {
             let Some(known) = schedule else { continue };
             let schedule = current(scene, timeline, Some(now), *instance);
             known.forget_before(now.plus_ns(-OVER_NS));
@@ -64,7 +63,7 @@ impl Schedules {
 
     /// What is evaluated on the client at a time: of paths and of instances.
     pub fn playing(&self, at: WorldTime) -> impl Iterator<Item = Playing<ClipRef>> + '_ {
-        let all = self.told.iter().flat_map(|told| told.path.iter().chain(&told.schedule));
+        let all = self.sent.iter().flat_map(|told| told.path.iter().chain(&told.schedule));
         all.map(move |schedule| schedule.at(at))
     }
 }

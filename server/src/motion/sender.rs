@@ -1,5 +1,5 @@
-//! What one client is sent of motion as time goes by, at motion's own cadence: changes of what is played, chunks of clips, those
-//! that are shown next first, poses and samples. Waits for no update, and no update waits for it.
+//! Messages of motion to one client, at motion's own cadence: playback changes, chunks of clips (those needed first), poses and
+//! samples. It waits for no update, and no update waits for it.
 
 use super::allowance::Allowance;
 use super::chunks::Chunks;

@@ -1,4 +1,4 @@
-//! What one client has been told so that it skins by itself: each skeleton, mesh, instance and vertex before skinning once.
+//! The one-time data of a client that skins by itself: skeletons, meshes, instances and vertices before skinning.
 
 use super::sender::{MotionSender, SharedMotion};
 use crate::animation::timeline::SharedTimeline;
@@ -72,7 +72,7 @@ impl Skinning {
     /// A vertex enters, of a skinned instance: adds to the delta what the client must be told first.
     pub fn enter(&mut self, instance: u16, number: u32, delta: &mut GeometryDelta) -> Motion {
         if !std::mem::replace(&mut self.told_instances[usize::from(instance)], true) {
-            self.tell(instance, delta);
+            self.report(instance, delta);
         }
         let rest = self.rest(instance, number);
         if !std::mem::replace(&mut self.told_rests[rest.0 as usize], true) {
@@ -82,7 +82,7 @@ impl Skinning {
         Motion::Skinned { rest }
     }
 
-    fn tell(&mut self, instance: u16, delta: &mut GeometryDelta) {
+    fn report(&mut self, instance: u16, delta: &mut GeometryDelta) {
         let Some(mut told) = self.instances[usize::from(instance)].clone() else { return };
         let (library, mesh) = (&self.scene.motion, self.scene.motion.mesh(self.model(instance)));
         if self.told_skeletons.insert(told.skeleton) {

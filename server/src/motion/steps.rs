@@ -1,8 +1,7 @@
-//! How finely samples are rounded: as finely as the client can tell at the distance from which it looks, and no finer. Pure.
+//! Rounding of samples: as fine as the client can see at its distance, and no finer. Pure.
 //!
-//! Steps are powers of two of a metre, so that going from one to another is exact in the direction of the finer one. One gets finer
-//! as soon as it is seen, and coarser only when there is room to spare: an instance at a distance where the step changes does not
-//! flicker between two.
+//! Steps are powers of two of a metre, so a change to a finer step is exact. A step becomes finer at once, and coarser only
+//! with room to spare: an instance at a threshold distance does not flicker between two steps.
 
 use crate::visibility::predict::View;
 use glam::Vec3;
@@ -137,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_is_a_quarter_of_a_pixel_from_the_nearest_eye_and_not_less_than_an_eighth() {
+    fn a_step_is_an_eighth_to_a_quarter_of_a_pixel() {
         for distance_m in [0.5, 1.0, 2.0, 3.7, 8.0, 15.0] {
             let pixels = told_m(&[distance_m])[0] / distance_m * PIXELS_PER_RADIAN;
             assert!((0.125..=0.25).contains(&pixels), "{pixels} at {distance_m} m");
@@ -147,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn a_client_that_comes_close_gets_a_finer_step_at_once_and_a_coarser_one_when_it_has_left() {
+    fn steps_get_finer_at_once_and_coarser_with_distance() {
         let (one, two, four) = (1.0 / 4096.0, 1.0 / 2048.0, 1.0 / 1024.0);
         // A quarter of a pixel is 0.25 mm at 1 m.
         assert_eq!(told_m(&[2.0, 1.9, 0.98]), [two, one], "finer as soon as it is seen");

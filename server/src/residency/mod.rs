@@ -1,10 +1,9 @@
-//! What of the scene lies in one client's memory: the cache that the server alone writes.
+//! The part of the scene in one client's memory: a cache that only the server writes.
 //!
-//! Produces the delta of each update. What the memory holds is for a
-//! [`ClientMemory`](shadecast_protocol::memory::ClientMemory) to say; here is where each patch and vertex of the scene lies in it,
-//! and which slots are free. Eviction is lazy, because what was visible tends to come back; only geometry with samples or
-//! predictions leaves with its block, because every one of them costs bytes. A freed slot is used again only after the client
-//! has displayed the update that freed it.
+//! Visible patches enter; the delta of each update leaves. [`ClientMemory`](shadecast_protocol::memory::ClientMemory) defines
+//! the memory's contents; this folder knows the place of each patch and vertex of the scene, and the free slots. Eviction is
+//! lazy, because visible geometry tends to return. Only geometry with samples or predictions leaves with its block, because
+//! each of them costs bytes. A freed slot is reused only after the client has displayed the update that freed it.
 
 mod retained;
 
@@ -796,7 +795,7 @@ mod tests {
     }
 
     #[test]
-    fn coverage_is_told_with_every_block_of_a_cutout_and_with_no_other() {
+    fn coverage_is_sent_with_blocks_of_cutouts_only() {
         let mut residency = Residency::new(&Strip, 8192, 8192);
         let all: Vec<_> = (0..30).map(|patch| change(patch, block(patch))).collect();
         for frame in 0..2 {
@@ -826,7 +825,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slot_is_not_used_again_before_the_frame_that_freed_it_was_displayed() {
+    fn a_freed_slot_waits_for_the_display_of_its_update() {
         let mut run = Run::new();
         let mut freed: HashMap<VertexSlot, u32> = HashMap::new();
         let mut displayed = 0;
@@ -846,7 +845,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_put_behind_comes_after_all_others_with_what_they_leave_and_is_no_shortage() {
+    fn deferred_patches_get_the_remaining_budget() {
         let mut residency = Residency::new(&Strip, 1024, 1024);
         residency.put_behind((0..10).map(ScenePatch));
         let bytes = |patches: usize| patches * (PATCH_BYTES + 4 * STATIC_VERTEX_BYTES);
@@ -878,7 +877,7 @@ mod tests {
     }
 
     #[test]
-    fn static_geometry_out_of_sight_stays_for_a_while_and_costs_nothing_when_it_returns() {
+    fn hidden_static_geometry_stays_and_returns_free() {
         let mut residency = Residency::new(&Strip, 8192, 8192);
         let change = |block| [change(3, block)];
         residency.update(&Strip, &change(block(3)), stamp(0));
@@ -920,7 +919,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_are_rounded_to_the_step_that_the_client_was_told_and_a_change_disturbs_none() {
+    fn samples_are_rounded_to_the_announced_step() {
         let (fine, usual) = (1.0 / 8192.0, 1.0 / 2048.0);
         let (told_m, worst) = walk(&[usual, usual, fine, fine, usual, usual * 0.9, fine]);
         assert_eq!(told_m, [usual, fine, usual, usual / 2.0, fine]);
@@ -937,7 +936,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_client_memory_takes_the_largest_blocks_and_lets_the_others_wait() {
+    fn a_full_client_memory_takes_the_largest_blocks() {
         let mut residency = Residency::new(&Strip, 8, 8);
         let changes: Vec<_> = (0..50).map(|patch| sized(patch, if patch == 40 { 8 } else { 2 })).collect();
         let delta = residency.update(&Strip, &changes, stamp(0)).geometry;
@@ -949,7 +948,7 @@ mod tests {
     }
 
     #[test]
-    fn limited_updates_bring_the_largest_blocks_first_and_everything_in_the_end() {
+    fn limited_updates_bring_the_largest_blocks_first() {
         let mut residency = Residency::new(&Strip, 8192, 8192);
         let changes: Vec<_> =
             (0..PATCHES).map(|patch| sized(patch, if patch >= 390 { 8 } else { 2 })).collect();
@@ -971,7 +970,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_reserved_comes_with_the_next_update_and_what_does_not_fit_is_not_reserved() {
+    fn reserved_patches_come_with_the_next_update() {
         for (geometry_bytes, slots) in [(2000, 8192), (usize::MAX, 60)] {
             let mut residency = Residency::new(&Strip, slots, slots);
             residency.set_budget(Budget { geometry_bytes, ..Budget::UNLIMITED });
@@ -990,7 +989,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_brought_ahead_comes_without_a_block_in_several_updates_and_stays_until_it_gets_one() {
+    fn prefetched_patches_arrive_without_blocks_and_stay() {
         let mut residency = Residency::new(&Strip, 1024, 1024);
         residency.set_budget(Budget { geometry_bytes: 500, ..Budget::UNLIMITED });
         let ahead: Vec<ScenePatch> = (0..60).map(ScenePatch).collect();
@@ -1012,7 +1011,7 @@ mod tests {
     }
 
     #[test]
-    fn what_may_take_so_much_brings_the_last_samples_of_a_pause_and_no_more_than_fit() {
+    fn a_pause_ends_with_the_samples_that_fit_the_budget() {
         let moving: Vec<_> = (200..400).map(|patch| sized(patch, 4)).collect();
         let after_a_pause = |budget_bytes| {
             let mut residency = Residency::new(&Strip, 8192, 8192);
@@ -1036,7 +1035,7 @@ mod tests {
     }
 
     #[test]
-    fn what_waits_comes_in_as_soon_as_slots_are_free_though_its_block_has_not_changed() {
+    fn waiting_patches_enter_as_soon_as_slots_are_free() {
         let mut residency = Residency::new(&Strip, 8, 8);
         residency.update(&Strip, &[sized(0, 4), sized(1, 4), sized(2, 4)], stamp(0));
         residency.update(&Strip, &[sized(10, 4)], stamp(1));

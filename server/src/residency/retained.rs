@@ -1,4 +1,4 @@
-//! Patches in a client's memory that have no block for the moment, by the update since when. Pure.
+//! Patches in a client's memory without a block, by the update of the loss. Pure.
 
 use crate::scene::numbering::ScenePatch;
 use shadecast_protocol::ids::UpdateId;

@@ -1,4 +1,4 @@
-//! What a texture is filtered for when a block is shaded.
+//! The pixel that textures are filtered for in a block.
 
 /// What textures are filtered for when a block is shaded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

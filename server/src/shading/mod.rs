@@ -1,7 +1,7 @@
-//! Which blocks an update shades, and the passes that do.
+//! The blocks that an update shades, and the shading passes.
 //!
-//! Placed blocks and the state of the scene enter; the planes of the atlas leave. Nothing here decides what is visible or
-//! where a block lies.
+//! Placed blocks and the state of the scene enter; the planes of the atlas leave. Nothing here decides visibility or the places
+//! of blocks.
 
 pub mod filter;
 pub mod reuse;

@@ -1,8 +1,9 @@
-//! Which blocks of the atlas are to be shaded with an update: those whose inputs have changed since they were. Pure.
+//! The blocks to shade with an update: those with changed inputs. Pure.
 //!
-//! A block is remembered with the head that it was shaded for. What moves, what moving shadows and lamps reach, and what the head
-//! sees differently by more than [`SEEN_STEPS`] is due. Where an update may not shade as much, new blocks go first, since nothing
-//! is in their place; then what has waited too long; then what is seen largest, changed most and waited longest.
+//! A block is remembered with the head that it was shaded for. Due are moving patches, patches in moving shadows or light, and
+//! patches that the head sees differently by more than [`SEEN_STEPS`]. Where the budget is too small, new blocks go first,
+//! because their places hold nothing. Next come blocks that have waited too long; then the largest, most changed and longest
+//! waiting ones.
 
 use crate::atlas::placement::Placed;
 use crate::atlas::surround::SHADED_EVERY_UPDATES;
@@ -499,7 +500,7 @@ mod tests {
     }
 
     #[test]
-    fn a_block_elsewhere_or_of_another_size_is_new_and_so_is_one_that_comes_back() {
+    fn moved_resized_and_returning_blocks_are_new() {
         let (row, mut reuse) = (row(), Reuse::new(true));
         due(&mut reuse, &row, row.moment([0; 4]), &all());
         let mut placed = all();
@@ -513,7 +514,7 @@ mod tests {
     }
 
     #[test]
-    fn only_patches_of_what_moved_are_due_and_what_stops_is_due_no_more() {
+    fn only_moving_patches_are_due() {
         let (row, mut reuse) = (row(), Reuse::new(true));
         due(&mut reuse, &row, row.moment([0; 4]), &all());
         assert_eq!(due(&mut reuse, &row, row.moment([0, 1, 0, 0]), &all()), of(Cause::Moved, 10..20));
@@ -521,7 +522,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_moving_shadow_reaches_is_due_where_it_was_and_where_it_is() {
+    fn a_moving_shadow_makes_old_and_new_places_due() {
         let (row, mut reuse) = (row(), Reuse::new(true));
         let above = |patch: u32| {
             let mut moment = row.moment([0; 4]);
@@ -557,7 +558,7 @@ mod tests {
     }
 
     #[test]
-    fn a_head_that_goes_aside_has_what_is_near_shaded_again_and_never_lets_differences_grow() {
+    fn a_sidestep_shades_near_blocks_again() {
         let (row, mut reuse) = (row(), Reuse::new(true));
         let mut shaded_from = [HEAD.position; 40];
         for step in 0..60 {
@@ -606,7 +607,7 @@ mod tests {
     }
 
     #[test]
-    fn a_budget_is_kept_but_for_what_is_new_and_nothing_waits_for_ever() {
+    fn a_budget_is_kept_and_nothing_waits_for_ever() {
         let (row, mut random) = (row(), SmallRng::seed_from_u64(9));
         for round in 0..40 {
             let mut reuse = Reuse::new(true);

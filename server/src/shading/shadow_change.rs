@@ -1,7 +1,8 @@
-//! Where the sun's shadows may have changed since the update before: what moving casters can darken, as the sun sees it. Pure.
+//! Possible changes of the sun's shadows since the previous update: the area that moving casters can darken, as seen from the
+//! sun. Pure.
 //!
-//! A coarse grid over the sun's view keeps how near to the sun anything comes that moved above each cell: what lies deeper may be
-//! darker or lighter than it was. A question costs the cells that a patch covers, however many casters move.
+//! A coarse grid over the sun's view stores the smallest distance of any moving caster from the sun per cell. Deeper surfaces
+//! may be darker or lighter than before. A query costs the cells under a patch, however many casters move.
 
 use crate::scene::lights::SunView;
 use glam::{Vec2, Vec3, Vec3Swizzles};

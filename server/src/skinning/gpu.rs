@@ -1,5 +1,5 @@
-//! Samples of what is needed of the scene, each computed once on the GPU and kept for a while, shared by all updates that cover
-//! its time. Instances with the same skeleton, clip and phase share a palette.
+//! Samples of the needed part of the scene. Each is computed once on the GPU, kept for a while, and shared by all updates that
+//! cover its time. Instances with the same skeleton, clip and phase share a palette.
 
 use crate::animation::live::LivePoses;
 use crate::animation::manager::{PoseKey, rows};

@@ -1,5 +1,5 @@
-//! Where single vertices of an instance are at a time, on the CPU: for those that are sent as positions. Poses are those of the
-//! palettes, by the same sampled curves.
+//! Single vertices of an instance at a time, on the CPU, for vertices sent as positions. The poses are those of the palettes,
+//! by the same sampled curves.
 
 use crate::animation::timeline::Shown;
 use crate::scene::SceneGpu;

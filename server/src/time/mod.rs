@@ -1,4 +1,4 @@
-//! The times that an update looks at and skins, and where in the ring of samples they lie.
+//! The sample times of an update, and their places in the ring of samples.
 //!
 //! Grid times and world times enter; places of the ring leave. Nothing here knows the scene or the device.
 

@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_that_is_held_keeps_its_place_and_the_oldest_makes_room() {
+    fn a_held_time_keeps_its_place() {
         let at = |points: [i32; 3]| points.map(|point| ViewTime::from(GridIndex(point)));
         let mut times = HeldTimes::new(4);
         let first = times.take(at([10, 14, 12]));

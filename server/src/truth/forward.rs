@@ -1,5 +1,5 @@
-//! The ground truth: skins at the exact time of the picture, or takes vertices that were posed elsewhere; shades per pixel
-//! with the atlas's own shading code, antialiased by multisampling. A second pass tells what is where, one sample a pixel.
+//! The ground truth. It skins at the exact time of the picture, or takes vertices posed elsewhere. It shades per pixel with the
+//! atlas's own shading code, antialiased by multisampling. A second pass gives instance and distance, one sample per pixel.
 
 use crate::animation::packing::{SAVED_BYTES, pack_frame, pack_position, packing_box};
 use crate::scene::SceneGpu;

@@ -1,9 +1,9 @@
-//! Pictures to video files: Y4M, which is the planes themselves, and MP4 around the embedded encoder's H.264.
+//! Pictures to video files: Y4M with the planes themselves, and MP4 with the embedded encoder's H.264.
 //!
-//! A video to a file is there once it is finished; until then, and where it is given up, nothing is.
+//! A video file appears when it is finished. Before that, and after a failure, there is none.
 //!
-//! Both hold the atlas's own colour coding, full-range BT.709 4:2:0 with chroma in the middle of its four pixels, and say
-//! so: Y4M by its tags, H.264 by its VUI.
+//! Both hold the atlas's own colour coding, full-range BT.709 4:2:0 with chroma in the middle of its four pixels, and declare
+//! it: Y4M by its tags, H.264 by its VUI.
 
 use crate::encode::openh264::{EncoderSettings, OpenH264Encoder};
 use crate::encode::{EncodeError, Source, encode_one};

@@ -1,5 +1,5 @@
-//! The ground truth in a window: a driver, with a clock and an event loop of its own. One frame is in flight: what a
-//! frame writes for the GPU is written when the last one is over.
+//! The ground truth in a window: a driver with its own clock and event loop. One frame is in flight: data for the GPU is
+//! written after the previous frame has finished.
 
 use crate::encode::picture;
 use crate::scene::{SceneGpu, SceneGpuError, SceneOptions};

@@ -1,4 +1,4 @@
-//! Twin of `ambient.glsl`: what the sky's light does to a surface.
+//! Twin of `ambient.glsl`: the sky's light on a surface.
 
 use glam::{Vec3, Vec4};
 
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn irradiance_is_the_integral_over_the_hemisphere_within_two_thousandths() {
+    fn irradiance_is_the_hemisphere_integral_within_0_2_percent() {
         for up in heights() {
             let [found, expected] = [f64::from(zenith_in_irradiance(up as f32)), irradiance_by_steps(up)];
             assert!((found - expected).abs() < 0.002, "{up}: {found}, not {expected}");

@@ -1,4 +1,4 @@
-//! Twin of `atlas_lookup.glsl`: how a colour is made of the atlas's texels.
+//! Twin of `atlas_lookup.glsl`: a colour from the atlas's texels.
 
 use glam::Vec2;
 use shadecast_protocol::limits::BLOCK_INSET_TEXELS;

@@ -1,4 +1,4 @@
-//! Twin of `footprint.glsl`: what a pixel of the display covers of a block.
+//! Twin of `footprint.glsl`: the area of a block under a pixel of the display.
 
 use crate::constants::{EDGE_COSINE, MAX_TEXELS_PER_PIXEL, MIN_TEXELS_PER_PIXEL};
 use glam::{Mat2, Vec2, Vec3};
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn beside_the_view_and_behind_it_a_pixel_is_as_small_as_in_its_corner() {
+    fn outside_the_view_a_pixel_is_as_small_as_in_its_corner() {
         let density = Vec2::new(300.0, 200.0);
         for at in [Vec3::Z, Vec3::X, -Vec3::X, Vec3::Y, Vec3::new(1.0, 2.0, 3.0), Vec3::new(-3.0, 0.0, -0.1)]
         {
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pixel_covers_a_texel_at_least_and_is_bounded_whatever_is_seen() {
+    fn a_pixel_covers_at_least_a_texel_and_is_bounded() {
         let mut dice = SmallRng::seed_from_u64(3);
         for round in 0..2000 {
             let scale = 10f32.powi(round % 13 - 6);

@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_predicted_vertex_is_on_the_line_between_two_and_stays_at_the_ends() {
+    fn a_predicted_vertex_is_linear_and_stays_at_the_ends() {
         // The second time: tags begin anew between the first and the last. Every ring has room for predictions.
         let all = [1000, (1 << 26) / 20 - 45]
             .map(|update_ms| [MIN_SAMPLE_RING, MAX_SAMPLE_RING].map(|ring| (update_ms, ring)));
@@ -299,13 +299,13 @@ mod tests {
     }
 
     #[test]
-    fn cubic_follows_a_sine_of_one_hertz_within_a_hundredth_of_a_percent() {
+    fn cubic_follows_a_1_hz_sine_within_1e_4() {
         let error = sine_error(true);
         assert!(error < 1e-4, "{error}");
     }
 
     #[test]
-    fn after_a_gap_a_vertex_is_where_its_samples_are_though_the_ring_has_lost_what_it_went_on_from() {
+    fn after_a_gap_a_vertex_follows_its_new_samples() {
         let at = |g: i32| 0.1 * g as f32;
         let mut memory = with_samples(25..=30, at);
         memory.interpolate(&push(31, 0.0, true));
@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn past_the_last_sample_it_holds_its_velocity_for_one_step_and_then_stays() {
+    fn past_the_last_sample_a_vertex_extrapolates_one_step() {
         let mut memory = with_samples(0..=7, |g| (2 * g) as f32);
         for (grid, fraction, expected) in [(7, 0.5, 15.0), (7, 1.0, 16.0), (8, 0.25, 16.0), (5000, 0.5, 16.0)]
         {
@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vertex_that_enters_a_slot_never_uses_the_samples_of_the_one_before() {
+    fn a_vertex_never_uses_its_slots_earlier_samples() {
         let mut memory = with_samples(0..=9, |_| 100.0);
         memory.scatter(&[sampled_entry(0)]);
         memory.scatter(&[5, 6].map(|g| sample_write(0, GridIndex(g), [g as f32, 0.0, 0.0])));
@@ -375,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn a_skinned_vertex_is_left_to_skinning_until_another_takes_its_slot() {
+    fn only_skinning_moves_a_skinned_vertex() {
         let mut memory = with_samples(0..=9, |_| 100.0);
         memory.scatter(&[skinned_entry(0, RestId(4), 17)]);
         memory.interpolate(&push(5, 0.5, true));
@@ -422,7 +422,7 @@ mod tests {
 
     /// Runs display frames of a tenth of a step, with late samples, and gives the largest movement between two.
     #[test]
-    fn after_a_freeze_it_returns_to_its_curve_without_a_jump_within_the_blending_time() {
+    fn after_a_freeze_a_vertex_blends_back_without_a_jump() {
         let mut memory = with_samples(0..=4, |g| g as f32);
         let (mut worst, mut last) = (0f32, None);
         for frame in 40..200 {

@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quad_of_one_metre_at_two_metres_has_128_texels_in_a_512_pixel_view() {
+    fn a_metre_quad_at_two_metres_has_128_texels() {
         assert_eq!(extent_texels(2, &[view()], &[quad(-2.0)]), [128, 32]);
     }
 
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn beside_the_display_a_patch_has_about_the_texels_that_it_has_at_its_border() {
+    fn a_patch_beside_the_display_keeps_its_border_texels() {
         let width = |degrees: f32| extent_texels(2, &[view()], &[aside(degrees)])[0];
         let in_the_middle = 0.04f32 / 2.0 * 256.0;
         assert_eq!(width(0.0), in_the_middle.ceil() as u32);
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn a_patch_that_ends_behind_the_eye_is_as_large_as_what_is_seen_of_it_at_most() {
+    fn a_patch_behind_the_eye_counts_its_visible_part_only() {
         let mut corners = quad(-2.0);
         corners[1].z = 3.0;
         corners[2].z = 3.0;

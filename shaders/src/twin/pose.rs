@@ -1,5 +1,5 @@
-//! Twin of `client_pose.comp`: palettes and morph weights of an instance at a time, from the words of the client's arena. In
-//! double precision, so that what single precision costs is seen.
+//! Twin of `client_pose.comp`: palettes and morph weights of an instance at a time, from the words of the client's arena.
+//! Double precision shows the error of single precision.
 
 use crate::constants::{CUBIC_TRACK, LINEAR_TRACK, POSE_FROM_GRID, POSE_HAS_PATH, POSE_READY, STEP_TRACK};
 use crate::generated::{EntryGpu, PlacedPoseGpu, PoseGpu, TrackGpu};

@@ -1,4 +1,4 @@
-//! Twin of `client_skin.comp`: where a skinned vertex is in the world. In double precision.
+//! Twin of `client_skin.comp`: the place of a skinned vertex in the world, in double precision.
 
 use super::pose::{Arena, Posed};
 use crate::constants::MORPH_FIRST_BITS;

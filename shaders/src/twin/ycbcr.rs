@@ -1,4 +1,4 @@
-//! What `ycbcr.comp` makes of an atlas: planes whose chroma is made of the texels of its block alone.
+//! Twin of `ycbcr.comp`: the planes of an atlas, with chroma from the texels of the same block only.
 
 use crate::color::{byte, ycbcr};
 use crate::constants::{CHROMA_REACH, CHROMA_TAPS};

@@ -1,4 +1,4 @@
-//! The window's camera: where it stands, and what dragging, wheel and keys do to it. Pure; time steps are arguments.
+//! The window's camera: its place, and its motion by dragging, wheel and keys. Pure; time steps are arguments.
 
 use glam::{EulerRot, Quat, Vec3};
 use shadecast_protocol::pose::{Fov, Pose};

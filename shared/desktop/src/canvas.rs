@@ -1,5 +1,5 @@
-//! A window with the device that presents to it. One frame is in flight: what a frame writes for the GPU is written when
-//! the last one is over.
+//! A window with the device that presents to it. One frame is in flight: data for the GPU is written after the previous frame
+//! has finished.
 
 use crate::present::{Present, Shows};
 use ash::vk;

@@ -1,5 +1,5 @@
-//! Keys that are held and a pointer that drags: what moves the camera. WASD and QE walk, dragging turns, the wheel goes
-//! nearer or changes the speed.
+//! Held keys and a dragging pointer, which move the camera. WASD and QE move, dragging turns, the wheel changes the distance or
+//! the speed.
 
 use crate::camera::ViewCamera;
 use glam::Vec3;

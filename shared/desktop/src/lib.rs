@@ -1,8 +1,8 @@
 //! What desktop programs share: a window, and the numbers of their command lines.
 //!
-//! The server shows its ground truth in the window, the client its eyes. It has a device and images ([`canvas`]), the last stage
-//! ([`present`]), a camera ([`camera`]), keys and pointer that move it ([`controls`]), and pictures of it are kept ([`png`]). It knows
-//! no clock: whoever has one draws. Numbers of the command line have ranges ([`flags`]).
+//! The server shows its ground truth in the window, the client its eyes. Device and images ([`canvas`]), the last stage
+//! ([`present`]), a camera ([`camera`]), its keys and pointer ([`controls`]), screenshots ([`png`]), ranges of numbers
+//! ([`flags`]). The crate knows no clock; its callers do.
 
 pub mod camera;
 pub mod canvas;

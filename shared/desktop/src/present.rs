@@ -1,4 +1,4 @@
-//! The last stage of a window: a rendered picture as it is, or the pictures of two eyes as they fit, with figures as text
+//! The last stage of a window: a rendered picture unscaled, or the pictures of two eyes scaled to fit, with figures as text
 //! over them (`present.*`, `present_eyes.frag`).
 
 use ash::vk;

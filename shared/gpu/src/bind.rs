@@ -1,4 +1,4 @@
-//! Descriptor layouts from reflection, and sets bound by the names that GLSL gives.
+//! Descriptor layouts from reflection, and descriptor sets bound by GLSL's names.
 
 use crate::memory::Garbage;
 use crate::ycbcr::{YcbcrImage, YcbcrSampler};

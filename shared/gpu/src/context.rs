@@ -1,4 +1,4 @@
-//! The device and what hangs on it: allocator, command slots, retire ring, validation messages.
+//! The device and its companions: allocator, command slots, retire ring, validation messages.
 
 use crate::devices::{
     self, DENSITY_MAP_EXTENSION, FoundDevice, NO_DRIVER, NO_LAYER, Needs, PICTURE_EXTENSIONS,

@@ -1,4 +1,4 @@
-//! Which devices there are, and what each lacks of what is needed.
+//! The Vulkan devices of this machine, and the missing requirements of each.
 
 use crate::GpuError;
 use crate::limits::{self, DeviceLimits};

@@ -1,5 +1,5 @@
-//! The device's queues. A server has two lanes, for work that goes on side by side: two queues where the device has them, one for both
-//! elsewhere. A client has one, its runtime's.
+//! The device's queues. A server has two lanes for parallel work: two queues where the device has them, else one for both. A
+//! client has one, its runtime's.
 
 use crate::{Doing, GpuError};
 use ash::vk;

@@ -1,5 +1,5 @@
-//! The only general Vulkan code of the project: device, memory, retire ring, pipelines from reflection, recorder.
-//! It knows nothing of scenes, atlases or headsets.
+//! The only general Vulkan code of the project: device, memory, retire ring, pipelines from reflection, recorder. It does not
+//! know scenes, atlases or headsets.
 
 mod bind;
 mod context;
@@ -42,7 +42,7 @@ pub enum GpuError {
     #[error("the Vulkan loader could not be opened ({0}); {remedy}", remedy = devices::NO_LOADER)]
     NoLoader(String),
     /// No device does what is needed.
-    #[error("no Vulkan device can be used: {0}")]
+    #[error("no Vulkan device is usable: {0}")]
     NoDevice(String),
     /// More than the device can hold or bind at once; the text says what, and what to do.
     #[error("{0}")]

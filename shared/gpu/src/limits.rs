@@ -1,4 +1,4 @@
-//! Every limit of a device that the programs rely on, in one table: the need of each program beside the device's offer. A device is
+//! Every device limit that the programs rely on, in one table: the need of each program beside the device's offer. A device is
 //! checked against the table before it is opened. Needs that depend on the scene are checked where they arise, by [`check`].
 
 use crate::{GpuError, Needs};

@@ -1,6 +1,6 @@
-//! The locks of this crate. Whoever waits for one waits for a few words of memory, never for a driver: none is held while the device is
-//! called, and debug builds hold that at each call. Two are of another kind: the allocator's, which the driver gives its memory
-//! through, and the turn of a server's threads at a queue, which Vulkan wants (`lanes.rs`).
+//! The locks of this crate. A lock is held for a few memory accesses, never for a driver call; debug builds assert that at each
+//! call. There are two exceptions: the allocator's lock, because the driver allocates under it, and the turn of a server's
+//! threads at a queue, which Vulkan requires (`lanes.rs`).
 
 use std::cell::Cell;
 use std::ops::{Deref, DerefMut};

@@ -1,5 +1,5 @@
-//! Recordings that are not known to have finished, in the order of their serials. Threads ask for them, wait for them and take their slots
-//! back side by side; its lock is held for a few words, never while the device is called.
+//! Unfinished recordings, in the order of their serials. Threads query them, wait for them and take their slots back in
+//! parallel. The lock is held for a few memory accesses, never for a driver call.
 
 use crate::lock::Lock;
 use ash::vk;
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn all_before_the_oldest_that_goes_on_have_finished_in_whatever_order_they_do() {
+    fn all_before_the_oldest_pending_have_finished() {
         let pending = Pending::default();
         let [a, b, c] = ["a", "b", "c"].map(|slot| submit(&pending, slot));
         assert_eq!(pending.next_submitted(a).map(|(serial, _)| serial), Some(b));

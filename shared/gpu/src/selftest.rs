@@ -1,4 +1,4 @@
-//! Refuses a device that draws only one of two views: better a clear error than one black eye.
+//! Refuses a device that draws only one of two views. A clear error is better than one black eye.
 
 use crate::pass::{Attachment, Framebuffer, RenderPass, RenderPassDesc};
 use crate::{

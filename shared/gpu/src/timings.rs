@@ -1,4 +1,4 @@
-//! How long the scopes of a recording took on the device: told to whoever waits for its ticket, and to nobody else.
+//! Device times of a recording's scopes, for the owner of its ticket only.
 
 use std::collections::VecDeque;
 

@@ -1,5 +1,5 @@
-//! Presenting to a window of the desktop: a device that can, and a swapchain whose images are values consumed by
-//! presenting them. Not for headsets: there the OpenXR runtime owns the swapchains.
+//! Presentation to a desktop window: a capable device, and a swapchain whose images are values consumed by presenting them.
+//! Headsets do not use it: the OpenXR runtime owns their swapchains.
 
 use crate::memory::Garbage;
 use crate::{

@@ -1,5 +1,5 @@
-//! Pictures of several planes that one lookup reads as a colour: the sampler with its conversion, and the images it reads.
-//! Decoders of a platform write such pictures, often in a format that only its driver knows.
+//! Multi-plane pictures that one lookup reads as a colour: the sampler with its conversion, and its images. Platform decoders
+//! write such pictures, often in a format that only the driver knows.
 
 use crate::memory::{Backing, Garbage, YcbcrView};
 use crate::{Doing, Gpu, GpuError, Image, ImageDesc};

@@ -1,4 +1,4 @@
-//! The device opens with validation, runs work, retires what is dropped, and says nothing to the layers.
+//! The device opens with validation, runs work, retires dropped objects, and causes no validation message.
 
 use generated::{ADD_COMP, AddPush};
 use shadecast_gpu::{
@@ -19,7 +19,7 @@ fn open(needs: Needs) -> Arc<Gpu> {
 }
 
 #[test]
-fn both_feature_sets_open_and_pass_the_multiview_self_test_without_a_validation_message() {
+fn both_feature_sets_pass_the_multiview_self_test() {
     for needs in [Needs::Server, Needs::Client] {
         let gpu = open(needs);
         assert_eq!(gpu.validation_messages(), 0, "{:?}", gpu.validation_texts());
@@ -35,7 +35,7 @@ fn a_device_without_validation_is_not_reported_as_clean() {
 }
 
 #[test]
-fn copies_arrive_and_buffers_dropped_while_in_use_outlive_the_work() {
+fn dropped_buffers_outlive_their_work() {
     let gpu = open(Needs::Client);
     let data: Vec<u32> = (0..1000).collect();
     let source = Buffer::upload(&gpu, "source", &data).unwrap();
@@ -67,7 +67,7 @@ fn who_waits_for_a_recording_sees_its_timings_and_no_others() {
 }
 
 #[test]
-fn recordings_of_both_queues_are_waited_for_by_themselves_and_see_what_had_ended() {
+fn recordings_of_both_queues_are_waited_for_separately() {
     let gpu = open(Needs::Server);
     let target = Buffer::new(&gpu, "target", 4096, Memory::Device).unwrap();
     let back = Buffer::new(&gpu, "back", 4096, Memory::Readback).unwrap();
@@ -151,7 +151,7 @@ fn an_unknown_device_name_is_an_error_that_lists_what_there_is() {
 }
 
 #[test]
-fn a_dispatch_has_an_invocation_for_each_item_and_no_workgroup_more() {
+fn a_dispatch_covers_each_item_without_a_spare_workgroup() {
     let gpu = open(Needs::Client);
     let pipeline = ComputePipeline::new(&gpu, &ADD_COMP).unwrap();
     let [workgroup, ..] = pipeline.workgroup();
@@ -198,7 +198,7 @@ fn messages_of_two_dispatches(gpu: &Arc<Gpu>, barrier: bool) -> u32 {
 /// lavapipe does all in order, so that a missing barrier shows nowhere but in the layer's messages: this is how we know
 /// that there would be some.
 #[test]
-fn a_missing_barrier_is_told_by_the_layers_and_a_barrier_ends_it() {
+fn the_layers_report_a_missing_barrier() {
     let gpu = open(Needs::Server);
     if !gpu.checks_synchronisation() {
         eprintln!("SKIPPED: the installed validation layer cannot be asked to look for missing barriers");

@@ -1,5 +1,5 @@
 //! The parts of the world that server, client and files share: poses, times, playback of clips, kinds of patches, a scene's
-//! limits, text fit to be shown. Pure, and below the wire crate: it knows no message, no session and no file format.
+//! limits, printable text. Pure, and below the wire crate: it knows no message, no session and no file format.
 #![forbid(unsafe_code)]
 
 pub mod limits;

@@ -1,4 +1,4 @@
-//! Capacities of a scene, and of foreign text. The wire crate re-exports them, and has those of streams and clients.
+//! Capacities of a scene, and of foreign text. The wire crate re-exports them, and adds those of streams and clients.
 
 /// Placed models of a scene.
 pub const MAX_INSTANCES: u32 = 4096;

@@ -1,7 +1,7 @@
-//! Which clip an instance plays, and how far into it: what is sent of its motion as time goes by.
+//! The playing clip of an instance, and its phase: sent as motion over time.
 //!
-//! A clip's *local time* runs on for ever; its *phase* lies within the clip. Both sides, and every time that is asked for,
-//! get the phase from here, so that they cannot disagree.
+//! A clip's *local time* runs on for ever; its *phase* lies within the clip. Both sides compute every phase here, so they
+//! cannot disagree.
 
 use crate::time::WorldTime;
 use serde::{Deserialize, Serialize};
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_over_is_forgotten_and_changes_nothing_that_is_to_come() {
+    fn past_entries_are_dropped_without_effect() {
         let mut schedule = Schedule::new(playback(0, 'a', 0));
         schedule.change(playback(1000, 'b', 400));
         schedule.change(playback(3000, 'c', 400));

@@ -1,7 +1,7 @@
-//! Text of strangers, made fit to be shown: what a peer or a file says reaches terminals, logs and the headset's panel.
+//! Printable text. A peer's or a file's text reaches terminals, logs and the headset's panel.
 //!
-//! A terminal obeys control characters, and bidirectional ones let a line read otherwise than it is. Both are shown as
-//! escapes. This module does not know where a text comes from: it is applied where foreign text enters.
+//! A terminal obeys control characters, and bidirectional characters let a line read otherwise than it is. Both are shown as
+//! escapes. This module does not know the source of a text: callers apply it where foreign text enters.
 
 use crate::limits::MAX_PRINTED_CHARS;
 use std::error::Error;

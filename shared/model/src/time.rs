@@ -1,7 +1,7 @@
-//! Time on the one server clock and on the client's own, that of the world in motion, and the absolute sample grid.
+//! Time on the server's clock and on the client's, world time, and the absolute sample grid.
 //!
-//! Nothing here converts between them: `clock` of the wire crate does for the two clocks, its `world_clock` for the server's and
-//! the world's time.
+//! Nothing here converts between them. In the wire crate, `clock` converts between the two clocks, and `world_clock` between
+//! the server's clock and world time.
 
 use serde::{Deserialize, Serialize};
 

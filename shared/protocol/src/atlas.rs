@@ -1,7 +1,7 @@
-//! Addressing of the shading atlas: where a patch's block lies, and which part of it a lookup may reach.
+//! Addressing of the shading atlas: the place of a patch's block, and the area that a lookup may reach.
 //!
-//! Server (shading), client (lookup) and the shaders of both must agree here to the texel. What this module does not
-//! know is which block goes where: that is the server's allocator.
+//! Server (shading), client (lookup) and the shaders of both agree here to the texel. The module does not assign blocks: the
+//! server's allocator does.
 
 pub use shadecast_model::patch::PatchKind;
 

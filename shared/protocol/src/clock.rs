@@ -1,19 +1,20 @@
-//! The client's estimate of the server's clock, from pings and pongs, and from stamps that leave just before an update.
+//! The client's estimate of the server's clock, from pings and pongs, and from stamps sent just before an update.
 //!
-//! Delay is never negative, so that each way of each exchange bounds the offset between the clocks from one side, and
-//! the fastest packets bound it best. Over a window, the two ways' lower envelopes are fitted separately (a ping that
-//! was fast on one way alone still counts) by parallel lines whose slope is the drift; the offset lies in the middle of
-//! them, as if the fastest packets took equally long both ways. The error so falls with the number of exchanges, where
-//! that of a mean falls with its root. Source: Moon, Skelly and Towsley, INFOCOM 1999, for the envelope.
+//! Delay is never negative. So each way of each exchange bounds the offset between the clocks from one side, and the fastest
+//! packets bound it best. Over a window, the lower envelopes of both ways are fitted separately (a ping that was fast on one
+//! way only still counts) by parallel lines whose slope is the drift. The offset lies in the middle of them, as if the fastest
+//! packets took equally long both ways. The error falls with the number of exchanges; that of a mean falls with its root.
+//! Source: Moon, Skelly and Towsley, INFOCOM 1999, for the envelope.
 //!
-//! Where packets keep their order, an answer that leaves soon after an update's hundred packets waits for the slowest of them, and
-//! hardly any way back is as fast as it could be. The way of a stamp is free: it leaves before them. It bounds the way back alone.
+//! Where packets keep their order, an answer that leaves soon after an update's hundred packets waits for the slowest of them.
+//! Hardly any way back would be as fast as possible. A stamp leaves before the packets, so its way is free. It bounds the way
+//! back only.
 //!
-//! How far the estimate can be off is known too: see [`ClockEstimator::error_bound_ns`].
+//! The error bound of the estimate is known too: see [`ClockEstimator::error_bound_ns`].
 //!
-//! Until something is on display, the estimate is what callers see. From then on, what they see follows it by at most
-//! [`MAX_STEP_NS`] a display frame, however far apart the two are: time that runs a little fast for a second is not seen, time
-//! that jumps is. Only a clock that was set anew is followed at once.
+//! Before the first display, callers see the estimate. Afterwards the visible time follows the estimate by at most
+//! [`MAX_STEP_NS`] a display frame, however far apart the two are: a slightly fast second is invisible, a jump is not. Only a
+//! reset clock is followed at once.
 
 use crate::time::{ClientTime, ServerTime};
 use std::collections::VecDeque;

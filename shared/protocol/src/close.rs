@@ -1,4 +1,4 @@
-//! Why a connection is ended, as the other side learns it. The words that go with it are for people.
+//! Reasons for the end of a connection, as the other side receives them. The accompanying text is for people.
 
 /// A reason that programs can tell apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

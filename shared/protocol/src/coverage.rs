@@ -1,5 +1,5 @@
-//! Which texels of a block its patch covers: what a cutout's material leaves of it. One bit a texel, told once with the block's
-//! placement, and without loss: a picture's codec would move the edges of leaves.
+//! Coverage of a block: the texels that a cutout's material leaves. It takes one bit per texel, sent once with the block's
+//! placement, and lossless: a picture's codec would move the edges of leaves.
 
 use crate::wire::{Reader, WireError, check_count, invalid, put_varint};
 
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn coverage_comes_back_as_it_was_and_costs_no_more_than_its_bits() {
+    fn coverage_round_trips_within_its_bits() {
         assert_eq!(round_trip(&Coverage::from_fn(4096, |_| false)), 3, "one run");
         assert_eq!(round_trip(&Coverage::from_fn(4096, |_| true)), 4, "none, and one run");
         assert_eq!(round_trip(&Coverage::from_fn(4096, |texel| texel % 2 == 0)), 1 + 512, "its bits");

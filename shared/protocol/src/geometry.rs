@@ -1,5 +1,5 @@
-//! What a client is told of geometry: which vertices and patches enter its memory and leave it, and where patches lie in the
-//! atlas. Motion is [`crate::motion`]'s; the bytes are [`crate::delta`]'s.
+//! Geometry for the client: the vertices and patches that enter and leave its memory, and the places of patches in the atlas.
+//! Motion is in [`crate::motion`], the bytes are in [`crate::delta`].
 
 use crate::atlas::{Block, PatchKind};
 use crate::coverage::Coverage;

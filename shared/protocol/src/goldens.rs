@@ -1,7 +1,7 @@
-//! The wire format's bytes, pinned: peers of the same version must agree on them, on every machine and in every build.
+//! The pinned bytes of the wire format. Peers of the same version must agree on them, on every machine and in every build.
 //!
-//! A test fails here? Then old and new programs no longer understand each other. Raise `PROTOCOL_VERSION`, then take the
-//! new bytes over from the failure's message.
+//! A failing test here means that old and new programs no longer understand each other. Raise `PROTOCOL_VERSION`, then copy the
+//! new bytes from the failure's message.
 
 use crate::atlas::{Block, BlockAddress, BlockSize, PatchKind};
 use crate::coverage::Coverage;

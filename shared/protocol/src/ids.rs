@@ -1,4 +1,4 @@
-//! Names for what must not be mixed up.
+//! Newtypes of ids that must not be mixed up.
 
 use crate::limits::MAX_FRAMES_AHEAD;
 use serde::{Deserialize, Serialize};

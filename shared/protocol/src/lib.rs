@@ -1,5 +1,5 @@
-//! What server and client agree on: ids, time, limits, atlas addressing, messages, the vertex codec and the
-//! session state machines. Pure: no GPU, no socket, no clock; time and bytes are arguments.
+//! The agreement of server and client: ids, time, limits, atlas addressing, messages, the vertex codec and the session state
+//! machines. Pure: no GPU, no socket, no clock; time and bytes are arguments.
 #![forbid(unsafe_code)]
 
 pub mod atlas;

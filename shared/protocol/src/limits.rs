@@ -1,7 +1,7 @@
-//! Every capacity of the system as a named constant, so that an overflow has one place to be defined in.
+//! Every capacity of the system as a named constant, so each overflow is defined in one place.
 //!
 //! Decoders check counts against these before they allocate. Shaders read some of them. The asserts at the end hold the
-//! relations between them. Those of a scene come from `shadecast_model`.
+//! relations between them. The capacities of a scene come from `shadecast_model`.
 
 pub use shadecast_model::limits::{MAX_COORDINATE_M, MAX_INSTANCES, MAX_LIGHTS, MAX_PRINTED_CHARS};
 

@@ -1,7 +1,7 @@
-//! The client's memory: which vertices and patches lie in which slots.
+//! The client's memory: its vertices and patches, by slot.
 //!
-//! One model for both sides. The server's residency keeps it for each client, the client's decoder keeps its own; a delta
-//! that contradicts it is refused by both, and leaves it of no further use.
+//! One model serves both sides. The server's residency keeps it for each client; the client's decoder keeps its own. Both
+//! refuse a delta that contradicts it; the memory is unusable afterwards.
 
 use crate::atlas::{Block, PatchKind};
 use crate::coverage::Coverage;

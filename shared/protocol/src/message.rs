@@ -1,7 +1,7 @@
-//! Control messages and datagrams: what the two sides say beside pictures and geometry.
+//! Control messages and datagrams: everything that the two sides send beside pictures and geometry.
 //!
-//! All are `postcard`. The version fields of a hello and the whole of a refusal keep their place and type in every
-//! version of the protocol, so that two versions that understand nothing else can still say what to update.
+//! All are `postcard`. The version fields of a hello and the whole of a refusal keep their place and type in every version of
+//! the protocol. So even two incompatible versions can report which side to update.
 
 use crate::PROTOCOL_VERSION;
 use crate::atlas::AtlasExtent;

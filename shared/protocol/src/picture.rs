@@ -1,6 +1,6 @@
-//! A picture on the CPU, as encoders read it and decoders give it.
+//! A picture on the CPU, the input of encoders and the output of decoders.
 //!
-//! One type on both sides, so that what one checked the other need not. It knows neither codecs nor where pictures come from.
+//! One type on both sides saves repeated checks. It knows neither codecs nor the source of pictures.
 
 use thiserror::Error;
 

@@ -1,8 +1,8 @@
-//! The two ends of a session as state machines without I/O: bytes and time go in, bytes and events come out.
+//! The two ends of a session as state machines without I/O: bytes and time enter, bytes and events leave.
 //!
-//! Whoever drives them carries three kinds of messages: control messages each way (in order, each whole),
-//! unidirectional streams from the server (each whole), and datagrams (lossy). What they do not know is framing, sockets,
-//! QUIC, clocks, pictures and GPUs.
+//! Their driver carries three kinds of messages: control messages each way (in order, each whole), unidirectional streams from
+//! the server (each whole), and datagrams (lossy). The state machines do not know framing, sockets, QUIC, clocks, pictures and
+//! GPUs.
 //!
 //! An error ends a session: after [`ClientEvent::Failed`] or [`ServerEvent::Failed`] nothing more comes out.
 
@@ -329,7 +329,7 @@ impl ClientSession {
     }
 
     /// Tells whether somebody looks.
-    pub fn tell_watching(&mut self, is_watched: bool) {
+    pub fn report_watching(&mut self, is_watched: bool) {
         if self.phase == Phase::Running {
             self.say(&ClientMessage::Watching { is_watched });
         }
@@ -748,7 +748,7 @@ impl ServerSession {
     fn try_control(&mut self, message: &[u8]) -> Result<(), WireError> {
         match self.phase {
             ServerPhase::Greeting => self.greet(message),
-            ServerPhase::Asked | ServerPhase::Running => self.hear(ClientMessage::decode(message)?),
+            ServerPhase::Asked | ServerPhase::Running => self.handle(ClientMessage::decode(message)?),
             ServerPhase::Ended => Ok(()),
         }
     }
@@ -784,7 +784,7 @@ impl ServerSession {
         self.end_with(ServerEvent::Refused(refused));
     }
 
-    fn hear(&mut self, message: ClientMessage) -> Result<(), WireError> {
+    fn handle(&mut self, message: ClientMessage) -> Result<(), WireError> {
         match message {
             ClientMessage::Hello(_) => return Err(invalid("a hello", "it comes a second time")),
             ClientMessage::Displayed(displayed) => {

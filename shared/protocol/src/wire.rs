@@ -444,7 +444,7 @@ mod tests {
     }
 
     #[test]
-    fn only_so_many_empty_messages_are_taken_and_the_rest_not_even_looked_at() {
+    fn empty_messages_are_bounded() {
         let flood = vec![0; 15 << 20];
         let mut reader = ControlReader::default();
         assert!(matches!(reader.push(&flood), Err(WireError::TooMany { .. })));
@@ -476,7 +476,7 @@ mod tests {
     }
 
     #[test]
-    fn a_control_message_above_the_limit_is_refused_by_its_length_alone() {
+    fn an_oversized_control_message_is_refused_by_length() {
         let length = (MAX_CONTROL_BYTES as u32 + 1).to_le_bytes();
         assert!(matches!(ControlReader::default().push(&length), Err(WireError::TooMany { .. })));
     }

@@ -1,5 +1,5 @@
-//! How the world's time follows the server's clock: it goes on with it, except while the world is halted. Both sides turn one into
-//! the other by the same halts, so that they cannot disagree. The world's time never jumps, and never goes back.
+//! World time from the server's clock: it advances with the clock, except while the world is halted. Both sides convert by the
+//! same halts, so they cannot disagree. World time never jumps, and never goes back.
 
 use crate::time::{ServerTime, WorldTime};
 use crate::wire::{WireError, invalid};

@@ -1,8 +1,8 @@
-//! Compiles the `*.{vert,frag,comp}` of a folder with glslangValidator and turns the reflection of the SPIR-V into Rust:
-//! one `Shader` per file (words, bindings, push constant size, workgroup size) and one `#[repr(C)]` struct per GLSL struct that
-//! a buffer or push constant holds. Nothing about a binding or a layout is typed by hand in Rust.
+//! Compiles the `*.{vert,frag,comp}` of a folder with glslangValidator, and turns the reflection of the SPIR-V into Rust: one
+//! `Shader` per file (words, bindings, push constant size, workgroup size) and one `#[repr(C)]` struct per GLSL struct in a
+//! buffer or push constant. No binding and no layout is typed by hand in Rust.
 //!
-//! For build scripts: a failure ends the build with what is wrong. A crate that includes the result depends on this crate and on
+//! For build scripts: a failure ends the build with its reason. A crate that includes the result depends on this crate and on
 //! `bytemuck`.
 
 use spirq::prelude::*;

@@ -1,5 +1,5 @@
-//! A compiled shader as Rust sees it: SPIR-V with what reflection found in it. Build scripts make these of GLSL
-//! (feature `compile`). This crate knows no shader, and no Vulkan.
+//! A compiled shader in Rust: SPIR-V with its reflection. Build scripts make these from GLSL (feature `compile`). This crate
+//! knows no shader, and no Vulkan.
 #![forbid(unsafe_code)]
 
 #[cfg(feature = "compile")]

@@ -1,4 +1,4 @@
-//! The monotonic clock, which must be the one that OpenXR's times can be converted to, and the CPU time of a thread.
+//! The monotonic clock, to which OpenXR's times must be convertible, and the CPU time of a thread.
 
 /// Nanoseconds on the monotonic clock: `CLOCK_MONOTONIC`, which is the clock of `XrTime` on Linux and Android.
 #[cfg(unix)]

@@ -1,6 +1,6 @@
-//! Files that are there whole or not at all: written beside their place, then moved to it.
+//! Atomic files: written beside their place, then moved to it.
 //!
-//! A program that is stopped in the middle leaves what was there before, and a reader never sees a half.
+//! A stopped program leaves the previous file, and a reader never sees half a file.
 
 use crate::owner;
 use std::fs::{self, File, OpenOptions};

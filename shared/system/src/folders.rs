@@ -1,5 +1,5 @@
-//! Where a user's files lie: `$XDG_CONFIG_HOME` or `~/.config`, `$XDG_CACHE_HOME` or `~/.cache`; on Windows `%APPDATA%` and
-//! `%LOCALAPPDATA%`. Relative paths are ignored, as the XDG specification has it.
+//! The user's folders: `$XDG_CONFIG_HOME` or `~/.config`, `$XDG_CACHE_HOME` or `~/.cache`; on Windows `%APPDATA%` and
+//! `%LOCALAPPDATA%`. Relative paths are ignored, as the XDG specification requires.
 
 use std::ffi::OsString;
 use std::path::PathBuf;

@@ -1,5 +1,5 @@
-//! What differs between operating systems, and nothing else: clocks, files that are their owner's alone, where a user's files
-//! lie, other processes. All that is Windows' or Unix's own is in here, but for what OpenXR and Vulkan ask of them.
+//! All differences between operating systems: clocks, private files, the user's folders, other processes. Code for Windows or
+//! Unix alone is in here, except that for OpenXR and Vulkan.
 
 pub mod clock;
 pub mod files;

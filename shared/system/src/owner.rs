@@ -1,7 +1,7 @@
-//! What is its owner's alone.
+//! Private files and folders.
 //!
-//! On Unix that is said with a file's mode. On Windows what lies below a user's profile is that user's (and the administrators')
-//! alone by what it inherits, and nothing more is said or asked.
+//! On Unix a file's mode makes it private. On Windows files below a user's profile inherit access for that user and the
+//! administrators only; nothing more is set or checked.
 
 use std::fs::{DirBuilder, Metadata, OpenOptions};
 use std::io;

@@ -1,4 +1,4 @@
-//! Other processes, and this one: memory, and the wish to end.
+//! Processes: memory, and requests to end.
 
 use std::io;
 use std::process::{Child, Command};

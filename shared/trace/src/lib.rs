@@ -1,8 +1,7 @@
-//! What happened when, on server and client: a file in Chrome's trace event format, which Perfetto (ui.perfetto.dev) and
-//! chrome://tracing show.
+//! Traces of server and client: a file in Chrome's trace event format, for Perfetto (ui.perfetto.dev) and chrome://tracing.
 //!
-//! All times are the server's. A span that belongs to an update is joined by arrows to the others of that update, in the order of
-//! time: from its making to its display. A thread of its own writes the file: who traces waits for no disk.
+//! All times are the server's. Arrows join the spans of an update in the order of time, from its making to its display. A
+//! separate thread writes the file, so tracing waits for no disk.
 
 mod shares;
 
@@ -31,7 +30,7 @@ pub enum Process {
 #[derive(Debug, thiserror::Error)]
 pub enum TraceError {
     /// The file.
-    #[error("the trace {path}: {error}; name a file in a folder that can be written with --trace")]
+    #[error("writing the trace {path}: {error}; name a file in a writable folder with --trace")]
     File {
         /// Which.
         path: PathBuf,
@@ -39,7 +38,7 @@ pub enum TraceError {
         error: io::Error,
     },
     /// It is no trace.
-    #[error("{path} is no trace of --trace: {reason}")]
+    #[error("{path} is not a trace written by --trace: {reason}")]
     Content {
         /// Which.
         path: PathBuf,
@@ -103,13 +102,13 @@ impl Trace {
     pub fn track(&self, process: Process, name: &str) -> Track {
         let number = self.tracks.fetch_add(1, Ordering::Relaxed) + 1;
         let of_track = |what: &str, args: Value| json!({ "ph": "M", "name": what, "pid": process.number(), "tid": number, "args": args });
-        self.tell(of_track("process_name", json!({ "name": process.name() })));
-        self.tell(of_track("thread_name", json!({ "name": name })));
-        self.tell(of_track("thread_sort_index", json!({ "sort_index": number })));
+        self.write(of_track("process_name", json!({ "name": process.name() })));
+        self.write(of_track("thread_name", json!({ "name": name })));
+        self.write(of_track("thread_sort_index", json!({ "sort_index": number })));
         Track { events: self.events.clone(), process, number }
     }
 
-    fn tell(&self, event: Value) {
+    fn write(&self, event: Value) {
         // Where the writer has ended it has said why.
         let _ = self.events.send(Some(event));
     }
@@ -286,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn merged_traces_keep_their_processes_apart_and_what_is_none_is_refused() {
+    fn merged_traces_keep_their_processes_apart() {
         let folder = tempfile::tempdir().unwrap();
         let file = |name: &str| folder.path().join(name);
         for (name, process) in [("server.json", Process::Server), ("client.json", Process::Client)] {

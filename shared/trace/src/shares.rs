@@ -1,4 +1,4 @@
-//! How much of a trace's time each row was at work, and how much two rows were at once.
+//! Busy share of each row of a trace, and the share in which two rows overlap.
 
 use crate::TraceError;
 use serde_json::Value;

@@ -1,4 +1,4 @@
-//! Measures congestion control on simulated links, in virtual time: how much passes, and how late pictures arrive.
+//! Measures congestion control on simulated links, in virtual time: the rate, and the delay of pictures.
 //!
 //! `cargo run --release -p shadecast-transport --example link_bench`
 

@@ -1,16 +1,15 @@
-//! How much may be under way: a congestion controller for a stream of pictures over radio.
+//! The congestion window: a controller for a stream of pictures over radio.
 //!
-//! Cubic and `NewReno` take each lost packet for congestion; at 1 % random loss and 40 ms of round trip they settle
-//! at a few Mbit/s. quinn's BBR copes with loss, but draws its phase from the thread's random numbers, so that no two
-//! runs are alike. [`Steady`] keeps BBR's model, the product of the delivery rate measured at the bottleneck and the
-//! shortest round trip, without its random gain cycle, and answers loss only when it is too much for a radio link.
-//! The measurements that decided are in the documentation of [`crate::endpoint`].
+//! Cubic and `NewReno` take each lost packet for congestion; at 1 % random loss and 40 ms of round trip they settle at a few
+//! Mbit/s. quinn's BBR copes with loss, but draws its phase from the thread's random numbers, so no two runs are alike.
+//! [`Steady`] keeps BBR's model, the product of the delivery rate measured at the bottleneck and the shortest round trip. It
+//! has no random gain cycle, and answers loss only above the level of a radio link. The deciding measurements are in the
+//! documentation of [`crate::endpoint`].
 //!
-//! A stream of pictures seldom fills the path, and then says nothing about the bottleneck: what was delivered is what there
-//! was to send. Only packets that were sent while the window was full are evidence for a rate lower than the best one, and
-//! only they end the startup phase. Until then a burst of [`BURST_BYTES`] may leave at [`BURST_RATE`]: a head that starts
-//! to move wants its new geometry now, not after three round trips of growth. On a narrow path the first such burst is
-//! queued or partly lost, once; from then on the bottleneck is known.
+//! A stream of pictures seldom fills the path. Its delivery rate is then that of the sender, not of the bottleneck. Only
+//! packets sent with a full window are evidence for a rate below the best one, and only they end the startup phase. Until then
+//! a burst of [`BURST_BYTES`] may leave at [`BURST_RATE`]: a moving head needs its new geometry now, not after three round
+//! trips of growth. On a narrow path the first such burst is queued or partly lost, once; from then on the bottleneck is known.
 
 use std::any::Any;
 use std::collections::VecDeque;

@@ -716,7 +716,7 @@ impl Endpoint {
             proto::Event::ConnectionLost { reason } => {
                 peer.closed = true;
                 let (kind, reason) = explain(peer, reason);
-                self.tell_closed(id, kind, reason);
+                self.report_closed(id, kind, reason);
             }
             proto::Event::Stream(event) => {
                 if let Err(violation) = peer.on_stream_event(event) {
@@ -772,11 +772,11 @@ impl Endpoint {
         peer.closed = true;
         let told = Bytes::copy_from_slice(told.as_bytes());
         peer.conn.close(self.clock.instant(now_ns), VarInt::from_u32(code), told);
-        self.tell_closed(id, kind, reason);
+        self.report_closed(id, kind, reason);
     }
 
     /// Strangers who never became clients are no news to a server.
-    fn tell_closed(&self, id: PeerId, kind: CloseKind, reason: String) {
+    fn report_closed(&self, id: PeerId, kind: CloseKind, reason: String) {
         if !self.is_server || self.peers.get(&id).is_some_and(|peer| peer.connected) {
             self.inbox.close(id, Event::Closed { peer: id, kind, reason });
         }

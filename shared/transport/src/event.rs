@@ -90,7 +90,7 @@ pub enum Event {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SendError {
     /// The peer is unknown or its connection has ended.
-    #[error("sending to a peer that is not connected (any more)")]
+    #[error("the peer is not connected")]
     NotConnected,
     /// The network thread has ended.
     #[error("the network thread has ended; its reason is in the log")]
@@ -99,10 +99,10 @@ pub enum SendError {
     #[error("a client sends no streams; use a control message or a datagram")]
     ClientStream,
     /// The queue is full: the network takes less than is sent.
-    #[error("the send queue is full: the network takes less than is sent; send less or cancel old streams")]
+    #[error("the send queue is full: the network is slower than the sender; send less or cancel old streams")]
     QueueFull,
     /// The message is empty or too large.
-    #[error("a message of {bytes} bytes; it must have 1 to {limit}")]
+    #[error("a message has {bytes} bytes; 1 to {limit} are allowed")]
     Size {
         /// Its size.
         bytes: usize,

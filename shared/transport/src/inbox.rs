@@ -1,8 +1,8 @@
-//! What peers sent and the application has not taken yet: counted in bytes for each peer, and handed out in turn.
+//! Messages of peers before the application takes them: counted in bytes per peer, and handed out in turn.
 //!
-//! The endpoint puts in, the application takes out, if need be on another thread. What a peer may have waiting is its own
-//! bound: beyond it that peer's streams are not read on, its flow control makes it wait, and nobody else notices. What a
-//! peer that has gone left behind goes with it.
+//! The endpoint fills it; the application empties it, possibly on another thread. Each peer has its own bound. Beyond it the
+//! peer's streams are not read, its flow control makes it wait, and no other peer notices. The messages of a disconnected peer
+//! are dropped.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -125,7 +125,7 @@ impl Inbox {
         let _ = self.woken.set(thread);
     }
 
-    fn tell(&self) {
+    fn notify(&self) {
         self.arrived.notify_all();
         self.woken.get().into_iter().for_each(Thread::unpark);
     }
@@ -144,7 +144,7 @@ impl Inbox {
             waiting.datagrams.pop_front();
         }
         drop(queue);
-        self.tell();
+        self.notify();
         fits
     }
 
@@ -195,7 +195,7 @@ impl Inbox {
     /// Nothing more will be put in.
     pub(crate) fn end(&self) {
         self.lock().is_ended = true;
-        self.tell();
+        self.notify();
     }
 
     /// Nothing more will be taken out.

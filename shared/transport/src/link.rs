@@ -1,11 +1,11 @@
 //! A seeded network between two endpoints, at the level of UDP datagrams.
 //!
-//! Kernels without a network emulator, and every test that must repeat, need the network as a value: bytes go in
-//! with a time, and come out later, or never. The link knows nothing of QUIC and holds no clock.
+//! Kernels without a network emulator, and every test that must repeat, need the network as a value: bytes go in with a time,
+//! and come out later, or never. The link does not know QUIC and holds no clock.
 //!
-//! Each direction is a bottleneck with a bounded queue (tail drop), followed by random loss and a delay:
-//! `arrival = departure + latency + uniform(-jitter, +jitter)`. Order is kept unless `reorder` asks otherwise. The
-//! fate of a datagram depends on the seed, its direction and its number only, so that two runs lose the same ones.
+//! Each direction is a bottleneck with a bounded queue (tail drop), followed by random loss and a delay: `arrival = departure +
+//! latency + uniform(-jitter, +jitter)`. Order is kept unless `reorder` asks otherwise. The fate of a datagram depends only on
+//! the seed, its direction and its number, so two runs lose the same ones.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;

@@ -1,7 +1,7 @@
 //! Two endpoints joined by a simulated link, in virtual time.
 //!
-//! Nothing happens by itself: [`Pair::step_until`] plays everything up to a time, in the order in which it would
-//! happen, and a slow machine sees exactly what a fast one does.
+//! Nothing happens by itself: [`Pair::step_until`] plays all events up to a time, in order. A slow machine gives exactly the
+//! results of a fast one.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 

@@ -1,7 +1,6 @@
 //! One connection as messages: framing on the control stream, whole unidirectional streams, datagrams.
 //!
-//! Everything that is kept has a limit. What the peer sends too much of closes the connection; what we send too much
-//! of is refused and counted.
+//! Every store has a limit. Excess from the peer closes the connection; our own excess is refused and counted.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::net::SocketAddr;

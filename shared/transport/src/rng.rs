@@ -1,5 +1,5 @@
-//! A tiny generator whose numbers never change: simulated fates and test inputs must stay the same across crate
-//! versions and platforms, which the general-purpose crates do not promise.
+//! A tiny generator whose numbers never change. Simulated fates and test inputs must stay the same across crate versions and
+//! platforms; the general-purpose crates do not promise that.
 
 /// Advances `state` and returns 64 well-mixed bits (`SplitMix64`, Steele, Lea and Flood 2014).
 pub(crate) fn next(state: &mut u64) -> u64 {

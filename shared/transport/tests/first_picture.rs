@@ -1,4 +1,4 @@
-//! Two sessions over a simulated link, without pictures and GPUs: how many round trips there are before the first picture.
+//! Two sessions over a simulated link, without pictures and GPUs: the number of round trips before the first picture.
 
 use shadecast_protocol::delta::DeltaEncoder;
 use shadecast_protocol::geometry::GeometryDelta;
@@ -68,7 +68,7 @@ impl Play {
                 has_delta |= matches!(event, ClientEvent::Delta(_));
                 has_picture |= matches!(event, ClientEvent::Picture { .. });
             }
-            self.tell_head();
+            self.report_head();
             self.answer();
             self.flush();
         }
@@ -96,7 +96,7 @@ impl Play {
     }
 
     /// The head is told as soon as the server's clock is known, which is what its time is on.
-    fn tell_head(&mut self) {
+    fn report_head(&mut self) {
         let Some(client) = self.client.as_mut().filter(|_| self.wants_head) else { return };
         let Some(time) = client.clock().server_time(ClientTime(self.pair.now_ns())) else { return };
         client.send_pose(head(0, time));

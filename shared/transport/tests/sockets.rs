@@ -189,7 +189,7 @@ fn a_killed_client_is_noticed_and_the_next_one_is_served() {
 }
 
 #[test]
-fn a_client_finds_its_restarted_server_again_and_refuses_another_at_its_address() {
+fn a_client_finds_its_restarted_server_and_refuses_another() {
     let dir = tempfile::tempdir().unwrap();
     let identity = ServerIdentity::load_or_create(&dir.path().join("server")).unwrap();
     let mut known = KnownServers::load(&dir.path().join("client")).unwrap();

@@ -1,5 +1,5 @@
-//! What an update takes from the allocator once all has come to rest, of a scene that stands still and of one that moves: the bytes
-//! that leave for the client, and nothing else. Its lists, its picture and its timings are those of updates before it.
+//! Allocations of an update at rest, for a static and for a moving scene: only the bytes for the client. Lists, picture and
+//! timings reuse those of earlier updates.
 
 use allocation_counter::measure;
 use glam::{Quat, Vec3};

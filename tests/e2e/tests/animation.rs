@@ -1,5 +1,5 @@
-//! The animation stages on the GPU against their CPU twin, and what they are spared: on small scenes of everything
-//! that moves vertices, with validation layers on.
+//! The animation stages on the GPU against their CPU twin, and the work that they skip, on small scenes with every kind of
+//! motion. Validation is on.
 
 use glam::{Affine3A, Quat, Vec3, Vec4};
 use rand::{Rng, SeedableRng, rngs::SmallRng};
@@ -362,7 +362,7 @@ fn a_paused_instance_stands_still() {
 }
 
 #[test]
-fn a_live_instance_is_where_it_is_posed_and_plays_on_when_released() {
+fn a_live_instance_follows_its_pose_until_released() {
     let gpu = gpu();
     let mut rng = SmallRng::seed_from_u64(SEED);
     let model = model_of_two_clips(&mut rng);
@@ -419,7 +419,7 @@ fn shared_bytes(scene: &SceneGpu) -> Vec<u64> {
 }
 
 #[test]
-fn a_hundred_and_sixty_nine_instances_add_only_what_is_per_instance() {
+fn further_instances_add_only_per_instance_data() {
     let gpu = gpu();
     let options = SceneOptions { skinning: Skinning::Packed, ..SceneOptions::default() };
     let one = load_scene(&SceneSource::Dragons(1)).expect("the built-in scene loads");
@@ -642,7 +642,7 @@ fn what_one_buffer_does_not_hold_is_skinned_into_several() {
 }
 
 #[test]
-fn only_the_vertices_of_the_level_that_is_needed_are_skinned_until_a_finer_one_is() {
+fn only_vertices_of_the_needed_lod_are_skinned() {
     let gpu = gpu();
     let mut scene = load_scene(&SceneSource::Dragons(1)).expect("the built-in scene loads");
     let dragon = scene.instances.iter().position(|instance| instance.clip.is_some()).expect("it flies");

@@ -1,5 +1,5 @@
-//! The table of causes, at the size that a software device can do in a test: runs without a cause are the same runs, and
-//! better by what the cause costs.
+//! The table of causes, at a size for a software device: runs without a cause are otherwise the same runs, and better by the
+//! cost of the cause.
 
 use shadecast_lab::experiments::causes::{Cause, Mask, Row, measure, usual};
 use shadecast_lab::experiments::run::run;
@@ -26,7 +26,7 @@ fn small(scene: SceneSource, out: &Path) -> RunOptions {
 }
 
 #[test]
-fn each_cause_that_is_left_out_makes_the_picture_better_and_the_worst_comes_first() {
+fn each_removed_cause_improves_the_picture_worst_first() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let causes = [Cause::Density, Cause::ShadowTime, Cause::Outlines, Cause::Quantisation];
@@ -62,7 +62,7 @@ fn an_atlas_that_arrives_uncoded_changes_no_time() {
 }
 
 #[test]
-fn textures_filtered_for_the_display_are_nearer_to_the_truth_than_those_filtered_for_the_block() {
+fn filtering_for_display_pixels_is_nearer_to_the_truth() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let walls = SceneSource::File(write_walls(out.path(), TEXELS).unwrap());
@@ -81,7 +81,7 @@ fn textures_filtered_for_the_display_are_nearer_to_the_truth_than_those_filtered
 }
 
 #[test]
-fn blocks_that_are_not_shaded_again_cost_no_more_than_a_fifth_of_a_decibel() {
+fn reused_blocks_cost_at_most_a_fifth_of_a_decibel() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let walls = SceneSource::File(write_walls(out.path(), TEXELS).unwrap());

@@ -1,4 +1,4 @@
-//! The video seams against each other: what the server's encoder writes, the client's decoder reads.
+//! The video seams against each other: the client's decoder reads the output of the server's encoder.
 
 use shadecast_client::decode::openh264::OpenH264Decoder;
 use shadecast_client::decode::raw::RawDecoder;
@@ -254,7 +254,7 @@ fn unchanged_pictures_cost_almost_nothing() {
 }
 
 #[test]
-fn an_unchanged_picture_gets_better_as_the_quantiser_falls_and_then_costs_nothing() {
+fn an_unchanged_picture_refines_and_then_costs_nothing() {
     let extent = [512, 512];
     let picture = atlas_picture(extent, &mut Random(SEED));
     let (mut encoder, mut decoder) = (encoder(EncoderSettings::new(extent)), decoder(extent));

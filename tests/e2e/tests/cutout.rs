@@ -1,4 +1,4 @@
-//! Cutouts on the client: what shows between the leaves of a curtain, in pictures of the whole system. Validation is on.
+//! Cutouts on the client: the gaps between the leaves of a curtain, in pictures of the whole system. Validation is on.
 
 use shadecast_lab::experiments::run::run;
 use shadecast_lab::image::Rgb8Image;

@@ -1,5 +1,5 @@
-//! Levels of detail at run time, in virtual time: a client that draws little is shown all of it, more coarsely, wherever it goes,
-//! and the same twice.
+//! Levels of detail at run time, in virtual time: a weak client gets the whole scene at coarser LODs, wherever it goes, and
+//! twice alike.
 
 use shadecast_lab::experiments::detail::{DetailReport, measure};
 use shadecast_lab::session::options::{Head, Renderer, RunOptions, USUAL_ROOM};
@@ -38,7 +38,7 @@ fn walk(folder: &Path, name: &str, detail_pixels: f32, room: Room) -> DetailRepo
 }
 
 #[test]
-fn a_client_that_draws_little_is_shown_all_of_it_more_coarsely_and_the_same_twice() {
+fn a_weak_client_gets_all_geometry_at_coarser_lod() {
     let folder = tempfile::tempdir().expect("a folder");
     // This file has one test, and no thread has been started yet: the environment is its own.
     let full = walk(folder.path(), "full", 0.0, USUAL_ROOM);

@@ -1,5 +1,5 @@
-//! A viewer halts the world with a trigger, lets it make steps with the other, and lets it go on: for every way in which a client is
-//! told of motion. In virtual time, drawn small, with validation layers on.
+//! A viewer halts the world with one trigger, steps it with the other, and resumes it, for every kind of motion. In virtual
+//! time, at a small size. Validation is on.
 
 use glam::Vec4;
 use shadecast_client::client::Step;

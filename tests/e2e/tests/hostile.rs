@@ -1,5 +1,5 @@
-//! Strangers attack a server, and a server attacks a client, in every way the lab knows, each for a second: who keeps to the
-//! rules keeps the picture. The long runs do the same for 20 s each, with the bars of the acceptance.
+//! Strangers attack a server, and a server attacks a client, in every way the lab knows, each for a second. Well-behaved peers
+//! keep their picture. The long runs do the same for 20 s each, with the bars of the acceptance.
 
 use shadecast_lab::hostile::attacks::ATTACKS;
 use shadecast_lab::hostile::{Bars, ClientReport, HostileOptions, HostileReport, run};
@@ -32,7 +32,7 @@ fn assert_good(report: &HostileReport) {
 }
 
 #[test]
-fn a_served_client_keeps_its_picture_and_the_next_one_gets_it() {
+fn a_hostile_peer_disturbs_neither_served_nor_next_clients() {
     let _alone = alone();
     let report = attack(ATTACKS.iter().map(|attack| attack.name));
     assert_good(&report);
@@ -55,7 +55,7 @@ fn a_served_client_keeps_its_picture_and_the_next_one_gets_it() {
 }
 
 #[test]
-fn a_client_goes_on_whatever_a_server_sends_and_shows_the_next_lawful_one() {
+fn a_client_survives_any_server_and_shows_the_next_valid_one() {
     let _alone = alone();
     let report =
         attack(["far-pictures", "last-pictures", "hollow-deltas", "pongs", "broken-units"].into_iter());

@@ -1,4 +1,4 @@
-//! The ID buffer is the same whichever way a pixel learns its triangle, and without what is not in sight. Validation is on.
+//! The ID buffer is the same for both ways of numbering triangles, and without hidden geometry. Validation is on.
 
 use glam::{Quat, Vec3};
 use shadecast_gpu::{Access, Buffer, DesktopDevice, Gpu, GpuOptions, Memory, Needs, vk};
@@ -92,7 +92,7 @@ fn patches_in(ids: &[u32]) -> usize {
 }
 
 #[test]
-fn triangles_have_the_same_patches_whether_the_device_numbers_them_or_the_vertices_do() {
+fn both_ways_of_numbering_triangles_give_the_same_patches() {
     let gpu = gpu();
     let folder = tempfile::tempdir().unwrap();
     let leaves = write_leaves(folder.path(), true).unwrap();

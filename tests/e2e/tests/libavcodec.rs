@@ -1,4 +1,4 @@
-//! What libx264 writes, as the server drives it, the client's decoder reads. With the feature `libavcodec` alone.
+//! The client's decoder reads the server's libx264 streams. Only with the feature `libavcodec`.
 #![cfg(feature = "libavcodec")]
 
 use shadecast_client::decode::openh264::OpenH264Decoder;
@@ -64,7 +64,7 @@ fn psnr_db(a: &I420, b: &I420) -> f64 {
 }
 
 #[test]
-fn pictures_come_back_one_for_one_and_only_the_first_is_a_refresh() {
+fn only_the_first_picture_is_a_refresh() {
     let (mut encoder, mut decoder) = (x264(20), decoder());
     for number in 0..12 {
         let unit = encode(&mut encoder, number, false);
@@ -75,7 +75,7 @@ fn pictures_come_back_one_for_one_and_only_the_first_is_a_refresh() {
 }
 
 #[test]
-fn a_refresh_comes_with_the_picture_that_it_is_asked_for_and_needs_none_before_it() {
+fn a_refresh_comes_with_its_picture_and_needs_no_earlier_one() {
     let mut encoder = x264(22);
     let units: Vec<AccessUnit> = (0..9).map(|number| encode(&mut encoder, number, number == 5)).collect();
     let refreshes: Vec<bool> = units.iter().map(|unit| unit.is_refresh).collect();
@@ -87,7 +87,7 @@ fn a_refresh_comes_with_the_picture_that_it_is_asked_for_and_needs_none_before_i
 }
 
 #[test]
-fn another_quantiser_counts_from_the_next_picture_on_without_a_refresh() {
+fn a_new_quantiser_applies_to_the_next_picture() {
     let (mut encoder, mut decoder) = (x264(40), decoder());
     let mut see = |encoder: &mut LibavEncoder, number| {
         let unit = encode(encoder, number, false);

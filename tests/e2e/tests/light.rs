@@ -269,7 +269,7 @@ fn code(x: f32) -> f32 {
 }
 
 #[test]
-fn the_sky_lights_a_surface_as_the_twin_says_whatever_its_roughness() {
+fn the_skys_light_equals_its_twin_at_any_roughness() {
     let gpu = gpu();
     let sky = Sky {
         zenith: Vec3::new(0.1, 0.3, 0.9),

@@ -1,4 +1,4 @@
-//! The table of limits against the shaders: each need is that of the pipeline that needs most.
+//! The table of limits against the shaders: each need is the largest of all pipelines.
 
 use shadecast_gpu::limits::{DeviceLimits, verdict, verdicts};
 use shadecast_gpu::{Needs, survey};
@@ -117,7 +117,7 @@ fn needs_of_descriptors_are_those_of_the_shaders() {
 }
 
 #[test]
-fn needs_of_push_constants_workgroups_and_varyings_are_those_of_the_shaders() {
+fn the_limits_table_has_the_needs_of_the_shaders() {
     for (needs, pipelines) in SIDES {
         let of = |of: fn(&Shader) -> u32| most_of_a_shader(pipelines, of);
         assert_eq!(need(needs, "maxPushConstantsSize"), of(|shader| shader.push_bytes));

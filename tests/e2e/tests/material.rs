@@ -1,4 +1,4 @@
-//! What materials and vertices say about colour, in the ground truth, with validation layers on.
+//! Colours of materials and vertices in the ground truth. Validation is on.
 
 use glam::Vec3;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};

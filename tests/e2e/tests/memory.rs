@@ -1,4 +1,4 @@
-//! What a server holds: of the paper's largest scene, and after hundreds of updates.
+//! Memory of a server, with the paper's largest scene and after hundreds of updates.
 
 use shadecast_lab::experiments::churn;
 use shadecast_lab::experiments::paper_size;
@@ -62,7 +62,7 @@ fn hundreds_of_updates_leave_nothing_behind() {
 }
 
 #[test]
-fn dragons_that_are_all_in_view_have_room_and_nothing_is_dropped() {
+fn all_visible_dragons_have_room() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let found = paper_size::measure(4, Size::at(0.08).unwrap(), out.path()).unwrap();

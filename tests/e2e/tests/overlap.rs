@@ -1,4 +1,4 @@
-//! Updates in flight together are those that are made one after the other, with validation layers on.
+//! Overlapping updates equal sequential ones. Validation is on.
 
 use glam::{Quat, Vec3};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
@@ -146,7 +146,7 @@ fn updates_that_overlap_are_those_in_a_row() {
 }
 
 #[test]
-fn a_viewer_that_leaves_with_updates_in_flight_leaves_the_world_as_it_should_be() {
+fn a_viewer_leaving_mid_update_leaves_the_world_intact() {
     let (gpu, scene) = dragons(2);
     let world = Lone::new(&gpu, &scene).leaves_in_flight();
     // The next one looks from the time at which that one left: what was begun for it is used.
@@ -157,7 +157,7 @@ fn a_viewer_that_leaves_with_updates_in_flight_leaves_the_world_as_it_should_be(
 }
 
 #[test]
-fn shading_on_a_queue_of_its_own_may_be_ahead_of_what_the_next_update_looks_at() {
+fn shading_on_its_own_queue_may_overlap_the_next_update() {
     let (gpu, scene) = dragons(4);
     let row = Lone::new(&gpu, &scene).in_a_row(0..UPDATES);
     let ahead = Lone::new(&gpu, &scene).shading_first();

@@ -1,5 +1,5 @@
-//! What instances play while time goes by, on the client: events of the scene, changes and poses of an application. In virtual
-//! time, drawn small, with validation layers on.
+//! Playback over time on the client: events of the scene, changes and poses of an application. In virtual time, at a small
+//! size. Validation is on.
 
 use glam::{Quat, Vec3};
 use shadecast_client::client::{FrameReport, Step};
@@ -173,7 +173,7 @@ fn elsewhere() -> Change {
 }
 
 #[test]
-fn what_an_application_changes_is_shown_in_the_frame_for_which_it_is() {
+fn an_applications_change_shows_in_its_frame() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let mut effect = None;
@@ -192,7 +192,7 @@ fn what_an_application_changes_is_shown_in_the_frame_for_which_it_is() {
 }
 
 #[test]
-fn a_change_that_comes_late_is_blended_to_without_a_jump() {
+fn a_late_change_is_blended_without_a_jump() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     // Silence from 1.3 to 2.2 s of the server's time: what changes soon after its beginning is heard of too late.

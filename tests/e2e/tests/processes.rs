@@ -147,7 +147,7 @@ fn a_killed_client_is_forgotten_and_the_next_one_is_served() {
 }
 
 #[test]
-fn two_clients_are_served_at_once_and_one_that_is_killed_is_nothing_to_the_other() {
+fn killing_one_client_does_not_disturb_the_other() {
     let stage = Stage::new();
     let mut server = stage.server("server.json");
     server.says("Listening");
@@ -211,7 +211,7 @@ impl Stranger {
 }
 
 #[test]
-fn eyes_that_no_pipeline_can_be_made_for_are_refused_and_a_lawful_client_is_served() {
+fn impossible_eyes_are_refused_and_valid_clients_served() {
     let stage = Stage::new();
     let mut server = stage.server("server.json");
     server.says("Listening");
@@ -255,7 +255,7 @@ fn a_server_whose_output_is_closed_goes_on_serving() {
 }
 
 #[test]
-fn a_scene_that_is_too_large_for_the_device_is_refused_before_anybody_is_listened_to() {
+fn a_too_large_scene_is_refused_before_listening() {
     let options = GpuOptions { needs: Needs::Server, validation: false, device_name: None };
     let most = Gpu::open(&options, &DesktopDevice).unwrap().max_storage_buffer_bytes();
     // The patches of 4095 dragons, the most that a scene may have, take 400 MiB.

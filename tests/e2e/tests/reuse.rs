@@ -1,4 +1,4 @@
-//! What an update does not shade again: beside a viewer whose updates shade everything, on one device, with validation layers on.
+//! Reuse of shading, beside a viewer whose updates shade everything, on one device. Validation is on.
 
 use glam::{Quat, Vec3};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
@@ -119,7 +119,7 @@ fn down(radians: f32) -> Quat {
 }
 
 #[test]
-fn a_still_scene_is_shaded_and_converted_once_and_looked_at_from_one_place() {
+fn a_still_scene_is_shaded_and_converted_once() {
     let mut both = Both::new(dragons(9, false));
     for _ in 0..SETTLED {
         both.update(AT, down(0.3));
@@ -150,7 +150,7 @@ fn shadows_of_what_moves_are_nowhere_old() {
 }
 
 #[test]
-fn a_head_that_moves_sees_no_more_than_a_few_steps_of_what_was_shaded_before() {
+fn reused_shading_differs_by_few_steps_for_a_moving_head() {
     let mut both = Both::new(dragons(3, false));
     let (mut shaded, mut texels) = (0, 0);
     for update in 0..SETTLED {
@@ -167,7 +167,7 @@ fn a_head_that_moves_sees_no_more_than_a_few_steps_of_what_was_shaded_before() {
 }
 
 #[test]
-fn a_budget_bounds_what_is_shaded_again_and_what_is_new_is_never_left_out() {
+fn a_budget_bounds_reshading_and_never_new_blocks() {
     const BUDGET_TEXELS: u64 = 20_000;
     let mut both = Both::new(dragons(3, true));
     both.viewers[0].set_shading_budget(BUDGET_TEXELS);

@@ -1,4 +1,4 @@
-//! A link that carries less than the scene needs, in virtual time: fewer updates, but a picture, and one that goes on.
+//! A link below the scene's needs, in virtual time: fewer updates, but a picture that goes on.
 
 use shadecast_lab::experiments::slow_link::measure;
 use shadecast_lab::session::options::RunOptions;

@@ -1,4 +1,4 @@
-//! Every GPU stage of the server against its CPU twin, on a small scene, with validation layers on.
+//! Every GPU stage of the server against its CPU twin, on a small scene. Validation is on.
 
 use glam::{Mat4, Vec3, Vec4};
 use shadecast_e2e::{SavedVertices, read};
@@ -41,7 +41,7 @@ fn assert_no_messages(gpu: &Gpu) {
 }
 
 #[test]
-fn skinned_vertices_equal_the_cpu_twin_within_a_hundred_thousandth_of_the_models_size() {
+fn skinned_vertices_equal_the_cpu_twin_within_1e_5() {
     let gpu = gpu();
     let scene = dragon(&gpu);
     let mut animation = Animation::new(&gpu, &scene, 2).unwrap();
@@ -168,7 +168,7 @@ fn marks_and_extents_equal_their_cpu_twins() {
 }
 
 #[test]
-fn the_forward_renderer_shows_the_dragon_in_front_of_the_sky_and_the_same_twice() {
+fn the_forward_renderer_draws_the_dragon_twice_alike() {
     let gpu = gpu();
     let scene = dragon(&gpu);
     let mut forward = Forward::new(&gpu, &scene, [128, 128]).unwrap();

@@ -1,4 +1,4 @@
-//! An atlas that comes to rest, in virtual time: with levels of detail, a surround, quality and density as they ship.
+//! An atlas at rest, in virtual time, with the shipped LODs, surround, quality and density.
 
 use shadecast_lab::experiments::steadiness::{Steadiness, measure};
 use shadecast_lab::scenes::room::write_room;
@@ -34,7 +34,7 @@ enabled = false
 "#;
 
 #[test]
-fn at_rest_consecutive_atlases_are_the_same_and_deltas_say_nothing() {
+fn at_rest_atlases_are_identical_and_deltas_empty() {
     let folder = tempfile::tempdir().expect("a folder");
     write_room(folder.path(), [2, 1]).expect("a room");
     let scene = folder.path().join("rest.toml");

@@ -1,5 +1,4 @@
-//! What `ARCHITECTURE.md` says of the sources, held against them: who may name what, which modules may import from each
-//! other, how long a function may be.
+//! The rules of `ARCHITECTURE.md` on the sources: allowed names, imports between modules, lengths of functions.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -139,7 +138,7 @@ fn only_the_client_names_openxr() {
 }
 
 #[test]
-fn waiting_for_the_whole_device_is_for_its_end_and_no_draw_is_indirect() {
+fn only_shutdown_waits_for_the_device_and_no_draw_is_indirect() {
     assert_only(&["device_wait_idle"], &["shared/gpu/src/context.rs"]);
     assert_only(&["draw_indirect", "draw_indexed_indirect"], &[]);
 }

@@ -1,4 +1,4 @@
-//! A head that stands still and then turns and goes at full speed at once, over a long way, in virtual time.
+//! A still head that suddenly turns and moves at full speed, over a link with long delay, in virtual time.
 
 use shadecast_lab::experiments::abrupt::{AbruptReport, measure};
 use shadecast_lab::scenes::room::write_room;

@@ -1,5 +1,5 @@
-//! The whole system in virtual time, at the size that a software device can do in a test: quality against the ground
-//! truth, motion between updates, and the same pictures twice. Validation layers are on throughout.
+//! The whole system in virtual time, at a size for a software device: quality against the ground truth, motion between updates,
+//! and the same pictures twice. Validation is on.
 
 use shadecast_client::client::Step;
 use shadecast_client::present::stats::ClientStats;
@@ -55,7 +55,7 @@ fn assert_good(report: &Report, what: &str) {
 }
 
 #[test]
-fn a_dragon_over_a_simulated_link_looks_like_the_truth_and_moves_between_updates() {
+fn a_dragon_over_a_link_looks_like_the_truth() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let report = run(&small(SceneSource::Dragons(1), out.path())).unwrap();
@@ -89,7 +89,7 @@ fn a_dragon_over_a_simulated_link_looks_like_the_truth_and_moves_between_updates
 }
 
 #[test]
-fn the_local_renderer_leaves_codec_and_link_out_and_looks_like_the_truth() {
+fn the_local_renderer_looks_like_the_truth() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let options = RunOptions { renderer: Renderer::Local, ..small(SceneSource::Dragons(1), out.path()) };
@@ -103,7 +103,7 @@ fn the_local_renderer_leaves_codec_and_link_out_and_looks_like_the_truth() {
 }
 
 #[test]
-fn textures_are_filtered_for_pixels_of_the_display_and_not_for_texels_of_blocks() {
+fn textures_are_filtered_for_display_pixels() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let scene = SceneSource::File(write_walls(out.path(), 1024).expect("a room"));
@@ -223,7 +223,7 @@ fn real_models_look_like_the_truth() {
 
 /// Off for 20 seconds, by either way that runtimes have; the long form is `shadecast_lab::experiments::headset_off` with more seconds.
 #[test]
-fn a_headset_taken_off_costs_no_memory_and_no_updates_and_its_picture_is_back_within_a_second() {
+fn a_headset_taken_off_costs_nothing_and_returns_within_a_second() {
     let _turn = turn();
     for absence in [Absence::Hidden, Absence::Resting] {
         let out = tempfile::tempdir().unwrap();
@@ -288,7 +288,7 @@ fn motion_table(kinds: &[Kind], link: &str, seconds: f64, out: &Path) -> MotionT
 }
 
 #[test]
-fn the_table_of_motion_has_a_row_of_sensible_figures_for_each_kind() {
+fn the_motion_table_has_a_row_for_each_kind() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let table = motion_table(KINDS, "latency=20ms,jitter=5ms,rate=100mbit", 1.0, out.path());
@@ -353,7 +353,7 @@ fn triangles_tear_as_the_paper_says_in_its_own_way_alone() {
 }
 
 #[test]
-fn after_three_seconds_of_silence_the_world_goes_on_and_no_clock_has_jumped() {
+fn after_three_silent_seconds_no_clock_jumps() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let (kinds, link) = (["samples".parse().unwrap()], "latency=20ms,jitter=5ms,rate=100mbit");
@@ -388,7 +388,7 @@ fn kept(scene: SceneSource, motion: MotionOption, out: &Path) -> ClientStats {
 }
 
 #[test]
-fn a_client_keeps_a_short_ring_where_all_plays_clips_or_stands_still() {
+fn clips_and_static_scenes_need_a_short_ring() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let still = out.path().join("still.toml");
@@ -406,7 +406,7 @@ fn a_client_keeps_a_short_ring_where_all_plays_clips_or_stands_still() {
 
 /// A loss and its repair take 0.7 s there: samples reach that far ahead, within the 0.87 s of a ring of 32.
 #[test]
-fn samples_are_there_in_time_on_a_way_of_two_hundred_milliseconds() {
+fn samples_arrive_in_time_over_200_ms() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let table = motion_table(&["samples".parse().unwrap()], "latency=200ms,jitter=10ms", 3.0, out.path());
@@ -444,7 +444,7 @@ fn counts(others: Vec<ViewerOptions>) -> (WorldCounts, Vec<u64>) {
 }
 
 #[test]
-fn what_does_not_depend_on_who_looks_is_made_once_for_a_time() {
+fn shared_work_is_done_once_per_sample_time() {
     let _turn = turn();
     let (alone, updates) = counts(Vec::new());
     let (together, of_each) = counts(vec![other("latency=20ms"); 2]);

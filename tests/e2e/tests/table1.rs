@@ -1,4 +1,4 @@
-//! The paper's table in the small: what it holds, and that a run that was broken off goes on.
+//! The paper's table at a small size: its contents, and the resumption of an interrupted run.
 
 use serde_json::Value;
 use shadecast_lab::experiments::table1::{Table1Options, measure};
@@ -30,7 +30,7 @@ fn assert_row(row: &Value) {
 }
 
 #[test]
-fn the_table_holds_every_column_and_a_run_that_was_broken_off_goes_on() {
+fn the_table_is_complete_and_an_interrupted_run_resumes() {
     let folder = tempfile::tempdir().expect("a folder");
     // This file has one test, and no thread has been started yet: the environment is its own.
     let usual = Table1Options {

@@ -1,4 +1,4 @@
-//! What a person at a terminal is told, and what becomes of programs that are interrupted.
+//! Messages on a terminal, and interrupted programs.
 
 use serde_json::Value;
 use shadecast_lab::session::runtime::prepare_runtime;
@@ -39,7 +39,7 @@ fn an_atlas_that_no_client_takes_is_refused_at_the_command_line() {
 }
 
 #[test]
-fn the_doctor_says_what_a_server_could_do_here_and_what_keeps_it_from_starting() {
+fn the_doctor_reports_abilities_and_obstacles() {
     let taken = UdpSocket::bind("127.0.0.1:0").expect("a socket");
     let address = taken.local_addr().expect("its address").to_string();
     let doctor = |address: &str, more: &[&str]| {
@@ -64,7 +64,7 @@ fn the_doctor_says_what_a_server_could_do_here_and_what_keeps_it_from_starting()
     }
     let none = doctor(&address, &["--device", "no such device"]);
     let said = String::from_utf8(none.stdout).expect("text");
-    assert!(!none.status.success() && said.contains("no usable device's name holds"), "{said}");
+    assert!(!none.status.success() && said.contains("no usable device has"), "{said}");
 }
 
 /// Folders and environment of clients.
@@ -117,7 +117,7 @@ fn mute_server(seed: u64, address: SocketAddr) -> (SocketAddr, (Handle, Events),
 const ANY: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 
 #[test]
-fn ctrl_c_while_the_headset_is_gone_ends_well_and_keeps_the_statistics() {
+fn ctrl_c_without_headset_keeps_the_statistics() {
     let stage = Stage::new();
     let stats = stage.path("stats.json");
     let arguments = ["--connect", "127.0.0.1:9", "--stats", stats.to_str().expect("text")];
@@ -215,7 +215,7 @@ fn what_goes_wrong_is_said_in_plain_text_to_who_wants_quiet_too() {
 }
 
 #[test]
-fn a_server_is_shown_once_known_by_any_name_and_refused_when_it_is_another() {
+fn a_known_server_is_recognised_by_any_name() {
     let stage = Stage::new();
     let (address, server, fingerprint) = mute_server(1, ANY);
     let typed = address.to_string();
@@ -227,7 +227,7 @@ fn a_server_is_shown_once_known_by_any_name_and_refused_when_it_is_another() {
     };
     says(&["--connect", &typed], &[&format!("first connection to {typed}: its identity is {fingerprint}")]);
     let by_name = format!("localhost:{}", address.port());
-    says(&["--connect", &by_name], &[&format!("is the server that is known as {typed}")]);
+    says(&["--connect", &by_name], &[&format!("is the server known as {typed}")]);
     let wrong = ServerIdentity::from_seed(2).expect("an identity").fingerprint().to_string();
     says(&["--quiet", "--connect", &typed, "--fingerprint", &wrong], &["another identity", "--fingerprint"]);
     drop(server);

@@ -1,4 +1,4 @@
-//! What `--trace` tells of a run in virtual time: the way of each update from its making to its display, in the order of time.
+//! The trace of a run in virtual time: each update from its making to its display, in the order of time.
 
 use serde_json::Value;
 use shadecast_lab::experiments::run::run;
@@ -26,7 +26,7 @@ fn spans(trace: &str) -> BTreeMap<u64, BTreeMap<String, Span>> {
 }
 
 #[test]
-fn the_way_of_each_update_can_be_followed_from_its_making_to_its_display() {
+fn each_update_is_traced_from_making_to_display() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let trace = out.path().join("trace.json");

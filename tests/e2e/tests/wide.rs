@@ -1,4 +1,4 @@
-//! Eyes that see more than one projection shows well, in virtual time: what is at their border is there. Validation is on.
+//! Eyes wider than one projection, in virtual time: geometry at their border is present. Validation is on.
 
 use shadecast_lab::experiments::run::run;
 use shadecast_lab::report::stats::Stats;

@@ -3,7 +3,7 @@
 use crate::script::{number, steps};
 use shadecast_client::motion::Motion;
 use shadecast_client::motion::arena::ArenaCopy;
-use shadecast_client::motion::skinned::{Moment, SkinCapacity, Skinned};
+use shadecast_client::motion::skinned::{PoseQuery, SkinCapacity, Skinned};
 use shadecast_protocol::ids::{UpdateId, VertexSlot};
 use shadecast_protocol::limits::MAX_INSTANCES;
 use shadecast_protocol::message::{
@@ -104,7 +104,7 @@ impl Moved {
         users.add(&self.used);
         users.end();
         self.motion.state().motionless(self.grid, time);
-        let moment = Moment { time, grid: self.grid, written: state.written };
+        let moment = PoseQuery { time, grid: self.grid, written: state.written };
         let counts = self.tables.poses(moment, self.motion.drawn(), &mut self.poses);
         for pose in &self.poses[..counts.instances as usize] {
             let posed = Arena(&self.arena).pose(pose);

@@ -1,5 +1,5 @@
-//! Actions: everything an application sets up is checked and kept. Without controllers in the configuration every state is
-//! inactive; with them it is what the script says ([`crate::inputs`]).
+//! Actions: everything that an application sets up is checked and kept. Without controllers in the configuration every state is
+//! inactive; with them the script gives it ([`crate::inputs`]).
 
 use std::collections::{HashMap, HashSet};
 use std::ffi::c_char;
@@ -7,7 +7,7 @@ use std::ffi::c_char;
 use openxr_sys as xr;
 use xr::Handle as _;
 
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use crate::ffi::{self, entry};
 use crate::inputs::{Reading, strongest, value_of};
 use crate::paths::{Paths, is_path_byte};
@@ -77,12 +77,12 @@ const TOP_LEVEL_USER_PATHS: [&str; 5] =
     ["/user/hand/left", "/user/hand/right", "/user/head", "/user/gamepad", "/user/treadmill"];
 
 impl Actions {
-    fn set(&self, handle: xr::ActionSet) -> Outcome<&ActionSet> {
+    fn set(&self, handle: xr::ActionSet) -> CallResult<&ActionSet> {
         let set = self.sets.get(&handle.into_raw()).filter(|set| !set.destroyed);
         set.ok_or_else(|| Fault::handle("action set"))
     }
 
-    fn action(&self, handle: xr::Action) -> Outcome<&Action> {
+    fn action(&self, handle: xr::Action) -> CallResult<&Action> {
         let action = self.actions.get(&handle.into_raw()).filter(|action| !action.destroyed);
         action.ok_or_else(|| Fault::handle("action"))
     }
@@ -93,7 +93,7 @@ impl Actions {
     }
 
     /// Refuses an action that does not exist or has another type.
-    pub(crate) fn check_type(&self, action: xr::Action, needed: xr::ActionType) -> Outcome<()> {
+    pub(crate) fn check_type(&self, action: xr::Action, needed: xr::ActionType) -> CallResult<()> {
         let action = self.action(action)?;
         if action.ty == needed {
             return Ok(());
@@ -109,7 +109,7 @@ impl Actions {
     }
 
     /// Refuses an action whose set is not attached to the session.
-    fn check_attached(&self, action: xr::Action) -> Outcome<()> {
+    fn check_attached(&self, action: xr::Action) -> CallResult<()> {
         let action = self.action(action)?;
         match self.sets.get(&action.set).is_some_and(|set| set.attached) {
             true => Ok(()),
@@ -118,7 +118,7 @@ impl Actions {
     }
 
     /// Refuses a path that was not given at the action's creation. None asks for all of them.
-    pub(crate) fn check_subaction_path(&self, action: xr::Action, path: xr::Path) -> Outcome<()> {
+    pub(crate) fn check_subaction_path(&self, action: xr::Action, path: xr::Path) -> CallResult<()> {
         let action = self.action(action)?;
         if path == xr::Path::NULL || action.subaction_paths.contains(&path) {
             return Ok(());
@@ -127,13 +127,13 @@ impl Actions {
         Err(Fault::application(xr::Result::ERROR_PATH_UNSUPPORTED, message))
     }
 
-    fn is_frozen(&self, action: xr::Action) -> Outcome<bool> {
+    fn is_frozen(&self, action: xr::Action) -> CallResult<bool> {
         let action = self.action(action)?;
         Ok(self.sets.get(&action.set).is_some_and(|set| set.frozen))
     }
 
     /// Refuses to activate a set that is not attached, or for a path that none of its actions has.
-    fn check_active(&self, paths: &Paths, asked: &xr::ActiveActionSet) -> Outcome<()> {
+    fn check_active(&self, paths: &Paths, asked: &xr::ActiveActionSet) -> CallResult<()> {
         if !self.set(asked.action_set)?.attached {
             return Err(not_attached("an active action set"));
         }
@@ -164,7 +164,7 @@ impl Actions {
     }
 
     /// The handles of a set and of its actions are gone.
-    fn destroy_set(&mut self, handle: xr::ActionSet) -> Outcome<()> {
+    fn destroy_set(&mut self, handle: xr::ActionSet) -> CallResult<()> {
         self.set(handle)?;
         let raw = handle.into_raw();
         self.actions
@@ -214,7 +214,7 @@ fn check_names<'a>(
     name: &str,
     localized_name: &str,
     mut in_use: impl Iterator<Item = (&'a str, &'a str)> + Clone,
-) -> Outcome<()> {
+) -> CallResult<()> {
     let refused = |code, why: &str| Err(Fault::application(code, format!("name {name:?} {why}")));
     if name.is_empty() {
         return refused(xr::Result::ERROR_NAME_INVALID, "is empty");
@@ -299,7 +299,7 @@ entry! {
     }
 }
 
-fn subaction_paths(core: &Core, info: &xr::ActionCreateInfo) -> Outcome<Vec<xr::Path>> {
+fn subaction_paths(core: &Core, info: &xr::ActionCreateInfo) -> CallResult<Vec<xr::Path>> {
     // SAFETY: the paths are an array of the length that the application says.
     let paths = unsafe { ffi::array(info.subaction_paths, info.count_subaction_paths, "subactionPaths") }?;
     let mut seen = HashSet::new();
@@ -423,12 +423,12 @@ fn read_inputs(
     core: &mut Core,
     profile: Option<KnownProfile>,
     active: &[xr::ActiveActionSet],
-) -> Outcome<()> {
+) -> CallResult<()> {
     let (time_ns, frame) = (core.now_ns(), core.timeline.next_frame.saturating_sub(1));
     let Core { actions, paths, config, .. } = core;
     let asked =
         active.iter().map(|asked| Ok((asked.action_set.into_raw(), user(paths, asked.subaction_path)?)));
-    let asked = asked.collect::<Outcome<Vec<_>>>()?;
+    let asked = asked.collect::<CallResult<Vec<_>>>()?;
     let highest = actions.priorities(profile, &asked);
     let Actions { sets, actions } = actions;
     for action in actions.values_mut() {
@@ -452,7 +452,7 @@ fn read_inputs(
 }
 
 /// The beginning of the paths that a subaction path stands for: of all of them where there is none.
-fn user(paths: &Paths, subaction_path: xr::Path) -> Outcome<&str> {
+fn user(paths: &Paths, subaction_path: xr::Path) -> CallResult<&str> {
     if subaction_path == xr::Path::NULL { Ok("") } else { paths.text(subaction_path) }
 }
 
@@ -480,7 +480,7 @@ entry! {
 }
 
 /// What an action of this type says, if it may be asked.
-fn reading(session: xr::Session, info: &xr::ActionStateGetInfo, ty: xr::ActionType) -> Outcome<Reading> {
+fn reading(session: xr::Session, info: &xr::ActionStateGetInfo, ty: xr::ActionType) -> CallResult<Reading> {
     let mut runtime = runtime::lock();
     let (core, _) = runtime.session(session)?;
     check_use(core, info.action, ty, info.subaction_path)?;
@@ -488,7 +488,7 @@ fn reading(session: xr::Session, info: &xr::ActionStateGetInfo, ty: xr::ActionTy
 }
 
 /// Checks that an action of a type can be asked or set off now, for a path or for all.
-fn check_use(core: &Core, action: xr::Action, ty: xr::ActionType, path: xr::Path) -> Outcome<()> {
+fn check_use(core: &Core, action: xr::Action, ty: xr::ActionType, path: xr::Path) -> CallResult<()> {
     core.actions.check_type(action, ty)?;
     if path != xr::Path::NULL {
         core.paths.text(path)?;
@@ -555,7 +555,7 @@ entry! {
 }
 
 /// Checks a haptic call. Whether there is something that vibrates is not the application's concern.
-fn check_haptic(session: xr::Session, info: &xr::HapticActionInfo) -> Outcome {
+fn check_haptic(session: xr::Session, info: &xr::HapticActionInfo) -> CallResult {
     let mut runtime = runtime::lock();
     let (core, session) = runtime.session(session)?;
     check_use(core, info.action, xr::ActionType::VIBRATION_OUTPUT, info.subaction_path)?;

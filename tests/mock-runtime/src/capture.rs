@@ -1,8 +1,8 @@
-//! The end of a frame, written down: its line in the log, and the pictures of what was submitted.
+//! Records at the end of a frame: its line in the log, and the pictures of the submission.
 
 use openxr_sys as xr;
 
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use crate::frame::Frame;
 use crate::gpu::ReadBack;
 use crate::layers::{Submitted, SubmittedView};
@@ -16,7 +16,7 @@ pub(crate) fn log_and_capture(
     session: &mut Session,
     frame: &Frame,
     submitted: Option<&Submitted>,
-) -> Outcome<()> {
+) -> CallResult<()> {
     let shown = submitted.map(Submitted::releases);
     let repeated = shown.is_some() && std::mem::replace(&mut session.shown, shown) == shown;
     core.tally.empty_frames += u64::from(submitted.is_none());
@@ -38,7 +38,7 @@ pub(crate) fn log_and_capture(
 }
 
 /// Logs a frame that was begun and not ended.
-pub(crate) fn log_discarded(core: &mut Core, frame: &Frame) -> Outcome<()> {
+pub(crate) fn log_discarded(core: &mut Core, frame: &Frame) -> CallResult<()> {
     let kind = FrameKind { captured: false, empty: true, repeated: false, discarded: true };
     log(core, frame, kind, Vec::new())
 }
@@ -50,7 +50,7 @@ struct FrameKind {
     discarded: bool,
 }
 
-fn log(core: &mut Core, frame: &Frame, kind: FrameKind, views: Vec<ViewRecord>) -> Outcome<()> {
+fn log(core: &mut Core, frame: &Frame, kind: FrameKind, views: Vec<ViewRecord>) -> CallResult<()> {
     let stage_from_head = space::stage_from_head(core, frame.display_time_ns);
     let Some(recorder) = &mut core.recorder else { return Ok(()) };
     let record = FrameRecord {
@@ -78,7 +78,7 @@ fn view_records(submitted: &Submitted) -> Vec<ViewRecord> {
     submitted.views.iter().map(record).collect()
 }
 
-fn take_pictures(core: &Core, session: &mut Session, frame: &Frame, submitted: &Submitted) -> Outcome<()> {
+fn take_pictures(core: &Core, session: &mut Session, frame: &Frame, submitted: &Submitted) -> CallResult<()> {
     let Session { gpu, swapchains, .. } = session;
     let mut parts = Vec::with_capacity(2);
     for view in &submitted.views {

@@ -1,5 +1,5 @@
-//! What the mock headset is and does in one run: read once per `xrCreateInstance` from the JSON file that the
-//! environment variable [`CONFIG_VARIABLE`] names. The lab and the demo write that file with [`MockConfig::write`].
+//! Configuration of the mock headset for one run: read once per `xrCreateInstance` from the JSON file that the environment
+//! variable [`CONFIG_VARIABLE`] names. The lab and the demo write that file with [`MockConfig::write`].
 
 use std::ffi::OsString;
 use std::io;
@@ -415,7 +415,7 @@ mod tests {
     const DOCS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs");
 
     #[test]
-    fn the_example_of_the_docs_is_read_and_every_key_and_event_stands_there() {
+    fn the_documented_example_has_every_key_and_event() {
         let example = MockConfig::load(&Path::new(DOCS).join("mock.example.json")).expect("the example");
         assert!(!example.events.is_empty() && !example.inputs.is_empty());
         let page = std::fs::read_to_string(Path::new(DOCS).join("mock.md")).expect("the page");

@@ -1,5 +1,5 @@
-//! `XR_EXT_debug_utils`: messengers hear of every refused call, and of what the application submits itself, with the names that
-//! it gave to objects and the labels of its session.
+//! `XR_EXT_debug_utils`: messengers receive every refused call and the application's own messages, with its object names and
+//! session labels.
 
 use std::collections::HashMap;
 use std::ffi::{CStr, CString, c_char, c_void};
@@ -7,7 +7,7 @@ use std::ffi::{CStr, CString, c_char, c_void};
 use openxr_sys as xr;
 use xr::Handle as _;
 
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use crate::ffi::{self, entry};
 use crate::runtime;
 
@@ -91,7 +91,7 @@ impl Labels {
 }
 
 /// A name that the application hands over.
-fn text(name: *const c_char, what: &str) -> Outcome<CString> {
+fn text(name: *const c_char, what: &str) -> CallResult<CString> {
     if name.is_null() {
         return Err(Fault::usage(format!("{what} is null")));
     }
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_label_is_first_and_an_inserted_one_stands_until_the_next() {
+    fn the_newest_label_is_first() {
         let mut labels = Labels::default();
         labels.begin(c"session".into());
         labels.insert(c"loading".into());

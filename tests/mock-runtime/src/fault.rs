@@ -1,5 +1,4 @@
-//! How a call that goes wrong is answered: an OpenXR code for the caller, one line on stderr for the person, one more
-//! in the count of application errors.
+//! Answers to wrong calls: an OpenXR code for the caller, one line on stderr, one more in the count of application errors.
 
 use openxr_sys as xr;
 
@@ -23,8 +22,8 @@ enum Blame {
     Nobody,
 }
 
-/// What the body of an entry point gives: a success code or a fault.
-pub(crate) type Outcome<T = xr::Result> = Result<T, Fault>;
+/// Result of an entry point: a success code or a fault.
+pub(crate) type CallResult<T = xr::Result> = Result<T, Fault>;
 
 impl Fault {
     /// The application broke a rule.
@@ -63,7 +62,7 @@ impl Fault {
 
 /// Runs the body of the entry point `function`, and reports its fault where it has one.
 /// The body must have let go of the runtime's lock when it returns.
-pub(crate) fn guard(function: &'static str, body: impl FnOnce() -> Outcome) -> xr::Result {
+pub(crate) fn guard(function: &'static str, body: impl FnOnce() -> CallResult) -> xr::Result {
     match body() {
         Ok(code) => code,
         Err(fault) => {

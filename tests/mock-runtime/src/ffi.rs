@@ -1,14 +1,14 @@
-//! The border to C: how raw pointers become references, and the macro that declares an entry point.
+//! The border to C: the conversion of raw pointers to references, and the macro that declares an entry point.
 //!
-//! All dereferencing of the application's pointers is here and in the few places that walk arrays. The proof is always
-//! the same: OpenXR's valid usage makes the caller answer for pointers being null or valid for the call, aligned and,
-//! for outputs, not aliased; null is refused here.
+//! All dereferencing of the application's pointers is here and in the few places that walk arrays. The proof is always the
+//! same: OpenXR's valid usage makes the caller answer for pointers being null or valid for the call, aligned and, for outputs,
+//! not aliased; null is refused here.
 
 use std::ffi::{CStr, c_char, c_void};
 
 use openxr_sys as xr;
 
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 
 /// An OpenXR structure that begins with its type and the next structure of its chain.
 pub(crate) trait Structure {
@@ -90,7 +90,7 @@ fn null(name: &str) -> Fault {
     Fault::usage(format!("{name} is null"))
 }
 
-fn checked<T: Structure>(found: xr::StructureType, name: &str) -> Outcome<()> {
+fn checked<T: Structure>(found: xr::StructureType, name: &str) -> CallResult<()> {
     if found == T::TYPE {
         return Ok(());
     }
@@ -102,7 +102,7 @@ fn checked<T: Structure>(found: xr::StructureType, name: &str) -> Outcome<()> {
 ///
 /// # Safety
 /// `pointer` is null, or valid for reads while `'a` lasts.
-pub(crate) unsafe fn input<'a, T: Structure>(pointer: *const T, name: &str) -> Outcome<&'a T> {
+pub(crate) unsafe fn input<'a, T: Structure>(pointer: *const T, name: &str) -> CallResult<&'a T> {
     // SAFETY: by this function's own contract.
     let value = unsafe { pointer.as_ref() }.ok_or_else(|| null(name))?;
     checked::<T>(value.structure_type(), name)?;
@@ -113,7 +113,7 @@ pub(crate) unsafe fn input<'a, T: Structure>(pointer: *const T, name: &str) -> O
 ///
 /// # Safety
 /// As for [`input`].
-pub(crate) unsafe fn optional<'a, T: Structure>(pointer: *const T, name: &str) -> Outcome<Option<&'a T>> {
+pub(crate) unsafe fn optional<'a, T: Structure>(pointer: *const T, name: &str) -> CallResult<Option<&'a T>> {
     if pointer.is_null() {
         return Ok(None);
     }
@@ -125,7 +125,7 @@ pub(crate) unsafe fn optional<'a, T: Structure>(pointer: *const T, name: &str) -
 ///
 /// # Safety
 /// `pointer` is null, or valid for reads and writes and not aliased while `'a` lasts.
-pub(crate) unsafe fn output<'a, T: Structure>(pointer: *mut T, name: &str) -> Outcome<&'a mut T> {
+pub(crate) unsafe fn output<'a, T: Structure>(pointer: *mut T, name: &str) -> CallResult<&'a mut T> {
     // SAFETY: by this function's own contract. The payload may be uninitialised, but it consists of integers and
     // floats, and is written before it is read.
     let value = unsafe { pointer.as_mut() }.ok_or_else(|| null(name))?;
@@ -137,7 +137,7 @@ pub(crate) unsafe fn output<'a, T: Structure>(pointer: *mut T, name: &str) -> Ou
 ///
 /// # Safety
 /// As for [`output`].
-pub(crate) unsafe fn slot<'a, T>(pointer: *mut T, name: &str) -> Outcome<&'a mut T> {
+pub(crate) unsafe fn slot<'a, T>(pointer: *mut T, name: &str) -> CallResult<&'a mut T> {
     // SAFETY: by this function's own contract.
     unsafe { pointer.as_mut() }.ok_or_else(|| null(name))
 }
@@ -146,7 +146,7 @@ pub(crate) unsafe fn slot<'a, T>(pointer: *mut T, name: &str) -> Outcome<&'a mut
 ///
 /// # Safety
 /// `pointer` is null, or points to a zero-terminated string that lives while `'a` lasts.
-pub(crate) unsafe fn text<'a>(pointer: *const c_char, name: &str) -> Outcome<&'a str> {
+pub(crate) unsafe fn text<'a>(pointer: *const c_char, name: &str) -> CallResult<&'a str> {
     if pointer.is_null() {
         return Err(null(name));
     }
@@ -159,7 +159,7 @@ pub(crate) unsafe fn text<'a>(pointer: *const c_char, name: &str) -> Outcome<&'a
 ///
 /// # Safety
 /// `pointer` is null, or valid for reads of `count` values while `'a` lasts.
-pub(crate) unsafe fn array<'a, T>(pointer: *const T, count: u32, name: &str) -> Outcome<&'a [T]> {
+pub(crate) unsafe fn array<'a, T>(pointer: *const T, count: u32, name: &str) -> CallResult<&'a [T]> {
     match (count, pointer.is_null()) {
         (0, _) => Ok(&[]),
         (_, true) => Err(null(name)),
@@ -177,7 +177,7 @@ pub(crate) unsafe fn enumerate<T, I>(
     (capacity, count, buffer): (u32, *mut u32, *mut T),
     items: &[I],
     write: impl Fn(&mut T, &I),
-) -> Outcome {
+) -> CallResult {
     // SAFETY: by this function's own contract.
     let count = unsafe { slot(count, "the count's address") }?;
     *count = items.len() as u32;
@@ -206,7 +206,7 @@ pub(crate) unsafe fn enumerate_structures<T: Structure, I>(
     name: &str,
     items: &[I],
     write: impl Fn(&mut T, &I),
-) -> Outcome {
+) -> CallResult {
     if capacity as usize >= items.len() && !buffer.is_null() {
         for index in 0..items.len() {
             // SAFETY: `index` is below `capacity`, for which `buffer` is valid by this function's own contract.
@@ -221,7 +221,7 @@ pub(crate) unsafe fn enumerate_structures<T: Structure, I>(
 ///
 /// # Safety
 /// As for [`enumerate`].
-pub(crate) unsafe fn enumerate_text(target: (u32, *mut u32, *mut c_char), text: &str) -> Outcome {
+pub(crate) unsafe fn enumerate_text(target: (u32, *mut u32, *mut c_char), text: &str) -> CallResult {
     let bytes: Vec<u8> = text.bytes().chain([0]).collect();
     // SAFETY: by this function's own contract.
     unsafe { enumerate(target, &bytes, |slot, byte| *slot = *byte as c_char) }
@@ -262,7 +262,7 @@ pub(crate) unsafe fn chained_input<'a, T: Structure>(next: *const c_void) -> Opt
 }
 
 /// Text of a fixed-size array of characters, up to its zero.
-pub(crate) fn fixed_text(characters: &[c_char], name: &str) -> Outcome<String> {
+pub(crate) fn fixed_text(characters: &[c_char], name: &str) -> CallResult<String> {
     let bytes: Vec<u8> = characters.iter().take_while(|c| **c != 0).map(|c| *c as u8).collect();
     if bytes.len() == characters.len() {
         return Err(Fault::usage(format!("{name} has no final zero")));
@@ -283,7 +283,7 @@ pub(crate) fn place_text(characters: &mut [c_char], text: &str) {
 ///
 /// The kinds of parameters: `value` is passed on; `input`, `optional`, `output`, `slot`, `text` go through the functions
 /// above; `raw_in` and `raw_out` are pointers that the body hands to [`enumerate`] and the like. The body gives an
-/// [`Outcome`]. The compiler checks the signature against the registry's.
+/// [`CallResult`]. The compiler checks the signature against the registry's.
 macro_rules! entry {
     ($fn_name:ident: $pfn:ident = $name:literal ($($arg:ident: $kind:ident $ty:ty),* $(,)?) $body:block) => {
         pub(crate) unsafe extern "system" fn $fn_name($($arg: entry!(@type $kind $ty)),*) -> openxr_sys::Result {

@@ -1,8 +1,8 @@
-//! Fixed foveation, where the configuration asks for it: `XR_FB_foveation`, `XR_FB_foveation_configuration`,
-//! `XR_FB_swapchain_update_state` and `XR_FB_foveation_vulkan`. What the application asks for is checked and recorded. Density maps are
-//! plain images that nothing is written to, so that calls can be checked on devices that have no such maps: a pass cannot use them.
+//! Fixed foveation, if configured: `XR_FB_foveation`, `XR_FB_foveation_configuration`, `XR_FB_swapchain_update_state` and
+//! `XR_FB_foveation_vulkan`. The application's requests are checked and recorded. Density maps are plain images without
+//! content, so calls can be checked on devices without such maps; a pass cannot use them.
 
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use crate::ffi::{self, entry};
 use crate::runtime::{self, Extensions};
 use crate::swapchain::swapchain_of;
@@ -28,12 +28,12 @@ const LEVELS: [xr::FoveationLevelFB; 4] = [
     xr::FoveationLevelFB::HIGH,
 ];
 
-fn refused<T>(message: impl Into<String>) -> Outcome<T> {
+fn refused<T>(message: impl Into<String>) -> CallResult<T> {
     Err(Fault::application(xr::Result::ERROR_VALIDATION_FAILURE, message))
 }
 
 /// The level of a profile's creation; none without one, or without the extension that has levels.
-fn level(info: &xr::FoveationProfileCreateInfoFB, extensions: Extensions) -> Outcome<i32> {
+fn level(info: &xr::FoveationProfileCreateInfoFB, extensions: Extensions) -> CallResult<i32> {
     // SAFETY: the chain is the application's, of valid structures.
     let level = unsafe { ffi::chained_input::<xr::FoveationLevelProfileCreateInfoFB>(info.next) };
     let Some(level) = level.filter(|_| extensions.foveation_configuration) else {

@@ -1,5 +1,5 @@
-//! The frame loop: `xrWaitFrame` paces, `xrBeginFrame` and `xrEndFrame` bracket the rendering, and the end of a frame
-//! is where everything is checked, logged and captured.
+//! The frame loop: `xrWaitFrame` paces, `xrBeginFrame` and `xrEndFrame` bracket the rendering. The end of a frame is checked,
+//! logged and captured.
 
 use std::time::Duration;
 
@@ -8,7 +8,7 @@ use openxr_sys as xr;
 use crate::capture;
 use crate::clock;
 use crate::config::{ClockKind, EventKind};
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use crate::ffi::entry;
 use crate::layers;
 use crate::runtime::{self, Core, Locked, Session};
@@ -64,7 +64,7 @@ entry! {
 }
 
 /// Takes the lock once the frame before has begun.
-fn turn_to_wait(session: xr::Session) -> Outcome<Locked> {
+fn turn_to_wait(session: xr::Session) -> CallResult<Locked> {
     let give_up = std::time::Instant::now() + BEGIN_PATIENCE;
     let mut runtime = runtime::lock();
     loop {

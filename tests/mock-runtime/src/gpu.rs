@@ -7,7 +7,7 @@ use ash::vk;
 use openxr_sys as xr;
 use vk::Handle as _;
 
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use crate::vulkan::Vulkan;
 
 /// Bytes of a texel of every swapchain format.
@@ -110,7 +110,7 @@ fn change_of_layout(
 
 impl Gpu {
     /// Takes the device and the queue of a session's graphics binding.
-    pub(crate) fn new(vulkan: &Vulkan, binding: &xr::GraphicsBindingVulkanKHR) -> Outcome<Self> {
+    pub(crate) fn new(vulkan: &Vulkan, binding: &xr::GraphicsBindingVulkanKHR) -> CallResult<Self> {
         if !vulkan.has_made(binding) {
             let message = "the graphics binding must have what xrCreateVulkanInstanceKHR and xrCreateVulkanDeviceKHR have made";
             return Err(Fault::application(xr::Result::ERROR_GRAPHICS_DEVICE_INVALID, message));
@@ -156,7 +156,7 @@ impl Gpu {
     }
 
     /// Makes an image for a swapchain, in no layout yet.
-    pub(crate) fn create_image(&self, info: &ImageInfo) -> Outcome<GpuImage> {
+    pub(crate) fn create_image(&self, info: &ImageInfo) -> CallResult<GpuImage> {
         let flags = match info.mutable_format {
             true => vk::ImageCreateFlags::MUTABLE_FORMAT,
             false => vk::ImageCreateFlags::empty(),
@@ -181,7 +181,7 @@ impl Gpu {
         })
     }
 
-    fn bind_image(&self, image: vk::Image, is_depth: bool) -> Outcome<GpuImage> {
+    fn bind_image(&self, image: vk::Image, is_depth: bool) -> CallResult<GpuImage> {
         // SAFETY: the image is of this device.
         let needs = unsafe { self.device.get_image_memory_requirements(image) };
         let memory = self.allocate(needs, vk::MemoryPropertyFlags::DEVICE_LOCAL, "a swapchain image")?;
@@ -197,7 +197,7 @@ impl Gpu {
     }
 
     /// Refuses images that the device cannot make.
-    fn check_image(&self, info: &ImageInfo, flags: vk::ImageCreateFlags) -> Outcome<()> {
+    fn check_image(&self, info: &ImageInfo, flags: vk::ImageCreateFlags) -> CallResult<()> {
         let unsupported =
             |message: String| Err(Fault::application(xr::Result::ERROR_FEATURE_UNSUPPORTED, message));
         // SAFETY: the physical device is the application's, of this instance.
@@ -240,7 +240,7 @@ impl Gpu {
         needs: vk::MemoryRequirements,
         wanted: vk::MemoryPropertyFlags,
         what: &str,
-    ) -> Outcome<vk::DeviceMemory> {
+    ) -> CallResult<vk::DeviceMemory> {
         let types = self.memory.memory_types_as_slice().iter().enumerate();
         let mut allowed = types.filter(|(index, _)| needs.memory_type_bits & (1 << index) != 0);
         let (index, _) = allowed.find(|(_, ty)| ty.property_flags.contains(wanted)).ok_or_else(|| {
@@ -255,7 +255,7 @@ impl Gpu {
     }
 
     /// Puts a new image into the layout of its attachment, in which the application gets it.
-    pub(crate) fn hand_over(&mut self, image: &GpuImage) -> Outcome<()> {
+    pub(crate) fn hand_over(&mut self, image: &GpuImage) -> CallResult<()> {
         let (layout, aspect) = match image.is_depth {
             true => (vk::ImageLayout::DEPTH_STENCIL_ATTACHMENT_OPTIMAL, vk::ImageAspectFlags::DEPTH),
             false => (vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL, vk::ImageAspectFlags::COLOR),
@@ -267,7 +267,7 @@ impl Gpu {
     }
 
     /// Copies parts of images, as RGB, row by row. The images keep their layout.
-    pub(crate) fn read_back(&mut self, parts: &[ReadBack]) -> Outcome<Vec<Vec<u8>>> {
+    pub(crate) fn read_back(&mut self, parts: &[ReadBack]) -> CallResult<Vec<Vec<u8>>> {
         let size = parts.iter().map(ReadBack::bytes).sum();
         let (buffer, mapped) = self.staging(size)?;
         self.submit(|gpu| gpu.record_copies(parts, buffer))
@@ -342,7 +342,7 @@ impl Gpu {
     }
 
     /// The staging buffer, with at least `size` bytes.
-    fn staging(&mut self, size: usize) -> Outcome<(vk::Buffer, *const u8)> {
+    fn staging(&mut self, size: usize) -> CallResult<(vk::Buffer, *const u8)> {
         if let Some(staging) = self.staging.as_ref().filter(|staging| staging.size >= size) {
             return Ok((staging.buffer, staging.mapped));
         }
@@ -360,7 +360,7 @@ impl Gpu {
         Ok((staging.buffer, staging.mapped))
     }
 
-    fn bind_staging(&self, buffer: vk::Buffer, size: usize) -> Outcome<Staging> {
+    fn bind_staging(&self, buffer: vk::Buffer, size: usize) -> CallResult<Staging> {
         type Kind = vk::MemoryPropertyFlags;
         let coherent = Kind::HOST_VISIBLE | Kind::HOST_COHERENT;
         // SAFETY: the buffer is of this device.

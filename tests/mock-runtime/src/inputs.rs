@@ -1,4 +1,4 @@
-//! What the controllers' inputs are: those of the configuration's script, read when the application synchronises its actions.
+//! Inputs of the controllers, by the configuration's script, read when the application synchronises its actions.
 
 use crate::config::ScriptedInput;
 use crate::profiles::Reads;
@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn what_changes_is_told_with_its_time_and_what_is_not_bound_is_not_active() {
+    fn changed_inputs_have_times_and_unbound_ones_are_inactive() {
         let rest = Reading::default().next(Some([0.0, 0.0]), 10);
         assert_eq!((rest.is_active, rest.has_changed, rest.changed_ns), (true, false, 0));
         let pressed = rest.next(Some([1.0, 0.0]), 20);

@@ -1,4 +1,4 @@
-//! The instance: what the runtime is, what its one system (a headset) can do, and the queue of events.
+//! The instance: the runtime's properties, the abilities of its one system (a headset), and the queue of events.
 
 use std::ffi::c_char;
 use std::path::PathBuf;
@@ -8,7 +8,7 @@ use xr::Handle as _;
 
 use crate::config::{CONFIG_VARIABLE, ConfigError, MAX_EXTENT_PIXELS, MockConfig};
 use crate::debug_utils::ObjectNames;
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use crate::ffi::{self, entry};
 use crate::head_path::HeadPath;
 use crate::record::Recorder;
@@ -106,7 +106,7 @@ entry! {
     }
 }
 
-fn enabled_extensions(create_info: &xr::InstanceCreateInfo) -> Outcome<Extensions> {
+fn enabled_extensions(create_info: &xr::InstanceCreateInfo) -> CallResult<Extensions> {
     // SAFETY: the names are an array of the length that the application says.
     let names = unsafe {
         ffi::array(
@@ -144,7 +144,7 @@ fn enabled_extensions(create_info: &xr::InstanceCreateInfo) -> Outcome<Extension
     Ok(enabled)
 }
 
-fn check_application(info: &xr::ApplicationInfo) -> Outcome<()> {
+fn check_application(info: &xr::ApplicationInfo) -> CallResult<()> {
     if ffi::fixed_text(&info.application_name, "applicationName")?.is_empty() {
         return Err(Fault::application(xr::Result::ERROR_NAME_INVALID, "applicationName is empty"));
     }
@@ -177,7 +177,7 @@ fn new_core(
     extensions: Extensions,
     config: MockConfig,
     head_path: HeadPath,
-) -> Outcome<Core> {
+) -> CallResult<Core> {
     let resume = runtime.resume.take().filter(|resume| resume.config == config);
     let open = |dir: &PathBuf| {
         Recorder::open(dir, resume.is_some()).map_err(|error| {
@@ -352,7 +352,7 @@ entry! {
 }
 
 /// Writes into one of the two buffers of 64 characters that a caller provides without saying their size.
-fn place_in_buffer(buffer: *mut c_char, text: &str) -> Outcome {
+fn place_in_buffer(buffer: *mut c_char, text: &str) -> CallResult {
     const { assert!(xr::MAX_RESULT_STRING_SIZE == 64 && xr::MAX_STRUCTURE_NAME_SIZE == 64) };
     // SAFETY: the specification makes the caller's buffer 64 characters long (XR_MAX_RESULT_STRING_SIZE).
     let buffer = unsafe { ffi::slot(buffer.cast::<[c_char; 64]>(), "buffer") }?;
@@ -361,7 +361,7 @@ fn place_in_buffer(buffer: *mut c_char, text: &str) -> Outcome {
 }
 
 /// Refuses any system but the one.
-pub(crate) fn check_system(system: xr::SystemId) -> Outcome<()> {
+pub(crate) fn check_system(system: xr::SystemId) -> CallResult<()> {
     match system.into_raw() {
         SYSTEM => Ok(()),
         other => {
@@ -372,7 +372,7 @@ pub(crate) fn check_system(system: xr::SystemId) -> Outcome<()> {
 }
 
 /// Refuses any view configuration but stereo.
-pub(crate) fn check_view_configuration(ty: xr::ViewConfigurationType) -> Outcome<()> {
+pub(crate) fn check_view_configuration(ty: xr::ViewConfigurationType) -> CallResult<()> {
     if ty == STEREO {
         return Ok(());
     }

@@ -1,10 +1,10 @@
-//! What may be submitted at the end of a frame: the rules for layers, and the first projection layer in our terms.
+//! Submissions at the end of a frame: the rules for layers, and the first projection layer in our terms.
 
 use openxr_sys as xr;
 use shadecast_protocol::pose::{Fov, Pose};
 use xr::Handle as _;
 
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use crate::ffi;
 use crate::frame::Frame;
 use crate::instance::MAX_LAYERS;
@@ -47,7 +47,7 @@ pub(crate) fn check(
     session: &Session,
     info: &xr::FrameEndInfo,
     frame: &Frame,
-) -> Outcome<Option<Submitted>> {
+) -> CallResult<Option<Submitted>> {
     space::check_time(info.display_time)?;
     if info.environment_blend_mode != xr::EnvironmentBlendMode::OPAQUE {
         let message = format!("{:?}; the mock runtime has OPAQUE only", info.environment_blend_mode);
@@ -76,7 +76,7 @@ fn check_layer(
     session: &Session,
     layer: *const xr::CompositionLayerBaseHeader,
     frame: &Frame,
-) -> Outcome<Option<Submitted>> {
+) -> CallResult<Option<Submitted>> {
     // SAFETY: null or a layer of the application's, all of which begin with this header.
     let header = unsafe { layer.as_ref() }.ok_or_else(|| invalid_layer("a layer is null"))?;
     match header.ty {
@@ -102,7 +102,7 @@ fn check_projection(
     session: &Session,
     layer: &xr::CompositionLayerProjection,
     frame: &Frame,
-) -> Outcome<Submitted> {
+) -> CallResult<Submitted> {
     let space = session.spaces.get(&layer.space.into_raw()).ok_or_else(|| Fault::handle("space"))?;
     // SAFETY: the views are an array of the length that the application says.
     let views = unsafe { ffi::array(layer.views, layer.view_count, "views") }?;
@@ -114,7 +114,7 @@ fn check_projection(
     Ok(Submitted { stage_from_layer, views: [check_view(session, left)?, check_view(session, right)?] })
 }
 
-fn check_view(session: &Session, view: &xr::CompositionLayerProjectionView) -> Outcome<SubmittedView> {
+fn check_view(session: &Session, view: &xr::CompositionLayerProjectionView) -> CallResult<SubmittedView> {
     // SAFETY: a reference is a valid pointer.
     let view = unsafe { ffi::input(view, "a projection view") }?;
     let fov = Fov {
@@ -150,7 +150,7 @@ fn is_view_angle(radians: f32) -> bool {
     radians.abs() < std::f32::consts::FRAC_PI_2
 }
 
-fn check_quad(session: &Session, layer: &xr::CompositionLayerQuad) -> Outcome<()> {
+fn check_quad(session: &Session, layer: &xr::CompositionLayerQuad) -> CallResult<()> {
     if !session.spaces.contains_key(&layer.space.into_raw()) {
         return Err(Fault::handle("space"));
     }
@@ -159,7 +159,7 @@ fn check_quad(session: &Session, layer: &xr::CompositionLayerQuad) -> Outcome<()
 }
 
 /// A finite pose with a unit quaternion.
-pub(crate) fn checked_pose(pose: &xr::Posef, what: &str) -> Outcome<Pose> {
+pub(crate) fn checked_pose(pose: &xr::Posef, what: &str) -> CallResult<Pose> {
     let ours = pose_from_xr(pose);
     match ours.is_valid() {
         true => Ok(ours),
@@ -171,7 +171,7 @@ pub(crate) fn checked_pose(pose: &xr::Posef, what: &str) -> Outcome<Pose> {
 }
 
 /// Checks a part of a swapchain; gives the index of the image that it shows, and the number of its release.
-fn check_sub_image(session: &Session, part: &xr::SwapchainSubImage) -> Outcome<(u32, u64)> {
+fn check_sub_image(session: &Session, part: &xr::SwapchainSubImage) -> CallResult<(u32, u64)> {
     let swapchain =
         session.swapchains.get(&part.swapchain.into_raw()).ok_or_else(|| Fault::handle("swapchain"))?;
     if swapchain.is_depth() {
@@ -191,7 +191,7 @@ fn check_sub_image(session: &Session, part: &xr::SwapchainSubImage) -> Outcome<(
     })
 }
 
-fn check_rect(swapchain: &Swapchain, rect: &xr::Rect2Di) -> Outcome<()> {
+fn check_rect(swapchain: &Swapchain, rect: &xr::Rect2Di) -> CallResult<()> {
     let inside = |offset: i32, extent: i32, whole: u32| {
         offset >= 0 && extent > 0 && i64::from(offset) + i64::from(extent) <= i64::from(whole)
     };

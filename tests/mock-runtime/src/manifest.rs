@@ -1,4 +1,4 @@
-//! The JSON manifest by which the OpenXR loader finds this runtime (`XR_RUNTIME_JSON`), and where the library is.
+//! The JSON manifest by which the OpenXR loader finds this runtime (`XR_RUNTIME_JSON`), and the path of the library.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_library_is_found_from_the_programs_folder_and_from_its_deps() {
+    fn the_library_is_found_beside_programs_and_tests() {
         let target = tempfile::tempdir().expect("a temporary folder");
         let deps = target.path().join("deps");
         std::fs::create_dir(&deps).expect("make deps");

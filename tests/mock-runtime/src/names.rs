@@ -1,4 +1,4 @@
-//! Names of result codes and structure types, as `xrResultToString` and messages give them.
+//! Names of result codes and structure types, for `xrResultToString` and messages.
 
 use openxr_sys as xr;
 

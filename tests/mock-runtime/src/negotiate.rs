@@ -1,4 +1,4 @@
-//! How the loader gets in: the one exported symbol, and the table of functions behind it.
+//! The loader's entry: the one exported symbol, and the table of functions behind it.
 
 use std::ffi::c_char;
 

@@ -4,7 +4,7 @@ use std::ffi::c_char;
 
 use openxr_sys as xr;
 
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use crate::ffi::{self, entry};
 use crate::runtime;
 
@@ -21,7 +21,7 @@ pub(crate) struct Paths {
 }
 
 impl Paths {
-    pub(crate) fn intern(&mut self, text: &str) -> Outcome<xr::Path> {
+    pub(crate) fn intern(&mut self, text: &str) -> CallResult<xr::Path> {
         check(text)?;
         let index = match self.strings.iter().position(|known| known == text) {
             Some(index) => index,
@@ -36,7 +36,7 @@ impl Paths {
         Ok(xr::Path::from_raw(index as u64 + 1))
     }
 
-    pub(crate) fn text(&self, path: xr::Path) -> Outcome<&str> {
+    pub(crate) fn text(&self, path: xr::Path) -> CallResult<&str> {
         let index = usize::try_from(path.into_raw()).ok().and_then(|number| number.checked_sub(1));
         index.and_then(|index| self.strings.get(index)).map(String::as_str).ok_or_else(|| {
             let message = format!("path {} was not made by xrStringToPath", path.into_raw());
@@ -45,7 +45,7 @@ impl Paths {
     }
 }
 
-fn check(text: &str) -> Outcome<()> {
+fn check(text: &str) -> CallResult<()> {
     let refused = |why: &str| {
         Err(Fault::application(xr::Result::ERROR_PATH_FORMAT_INVALID, format!("path {text:?} {why}")))
     };

@@ -1,5 +1,4 @@
-//! `XR_EXT_performance_settings`: what the application asks of processor and graphics processor is checked and counted; there is
-//! nothing here that could run faster for it.
+//! `XR_EXT_performance_settings`: the application's requests are checked and counted. They change no speed here.
 
 use crate::fault::Fault;
 use crate::ffi::entry;

@@ -1,7 +1,7 @@
-//! What an interaction profile has: the paths that actions can be bound to, by the specification's tables of OpenXR 1.0. What an
-//! extension adds is not there, since the mock runtime has none that does.
+//! Interaction profiles: their bindable paths, by the tables of OpenXR 1.0. Paths of extensions are absent, because the mock
+//! runtime has no such extension.
 
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use openxr_sys as xr;
 
 /// Paths below one or several top-level paths: identifiers with their components, those of no component by themselves.
@@ -188,7 +188,7 @@ impl PartialEq for KnownProfile {
 }
 
 impl KnownProfile {
-    pub(crate) fn named(path: &str) -> Outcome<Self> {
+    pub(crate) fn named(path: &str) -> CallResult<Self> {
         let known = PROFILES.iter().find(|profile| profile.path == path);
         known.map(Self).ok_or_else(|| Fault::quiet(xr::Result::ERROR_PATH_UNSUPPORTED))
     }
@@ -249,7 +249,7 @@ impl KnownProfile {
     }
 
     /// Refuses a path that the profile does not have. One without a component leaves the choice to the runtime.
-    pub(crate) fn check(self, binding: &str) -> Outcome<()> {
+    pub(crate) fn check(self, binding: &str) -> CallResult<()> {
         let is_there = self.0.parts.iter().any(|part| part.has(binding));
         if is_there {
             return Ok(());
@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn presses_and_numbers_are_made_of_each_other_and_nothing_else_is() {
+    fn presses_and_numbers_convert_into_each_other_only() {
         let path = |component: &str| format!("/user/hand/left/input/{component}");
         let (press, number) = (|name| Some(Reads::Press(path(name))), |name| Some(Reads::Number(path(name))));
         let pair = Some(Reads::Pair([path("thumbstick/x"), path("thumbstick/y")]));

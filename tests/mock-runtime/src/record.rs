@@ -1,5 +1,5 @@
-//! What is written about a run: one line of `frames.jsonl` per frame, the pictures' names, `summary.json`.
-//! The runtime writes these, and the lab reads them with the same types.
+//! Records of a run: one line of `frames.jsonl` per frame, the pictures' names, `summary.json`. The runtime writes these, and
+//! the lab reads them with the same types.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Write};

@@ -1,4 +1,4 @@
-//! `XR_FB_display_refresh_rate`: the display has the rates of the configuration, and goes from one to another at the end of a period.
+//! `XR_FB_display_refresh_rate`: the display has the rates of the configuration, and changes its rate at the end of a period.
 
 use crate::fault::Fault;
 use crate::ffi::{self, entry};

@@ -1,5 +1,4 @@
-//! Everything the runtime knows, behind one lock: one instance, at most one session in it, and what outlives a lost
-//! instance.
+//! The runtime's state behind one lock: one instance, at most one session in it, and the state that outlives a lost instance.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -11,7 +10,7 @@ use crate::actions::Actions;
 use crate::clock::Grid;
 use crate::config::{ClockKind, EventKind, MockConfig};
 use crate::debug_utils::{Labels, Messenger, ObjectNames};
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use crate::frame::FrameLoop;
 use crate::gpu::Gpu;
 use crate::head_path::HeadPath;
@@ -211,7 +210,7 @@ impl Runtime {
     }
 
     /// The instance of `handle`, lost or not.
-    pub(crate) fn instance_even_lost(&mut self, handle: xr::Instance) -> Outcome<&mut InstanceState> {
+    pub(crate) fn instance_even_lost(&mut self, handle: xr::Instance) -> CallResult<&mut InstanceState> {
         let raw = handle.into_raw();
         self.instance.as_mut().filter(|i| i.core.handle == raw).ok_or_else(|| Fault::handle("instance"))
     }
@@ -223,21 +222,21 @@ impl Runtime {
     }
 
     /// The instance of `handle`; a lost one is refused.
-    pub(crate) fn core(&mut self, handle: xr::Instance) -> Outcome<&mut Core> {
+    pub(crate) fn core(&mut self, handle: xr::Instance) -> CallResult<&mut Core> {
         let core = &mut self.instance_even_lost(handle)?.core;
         core.present()?;
         Ok(core)
     }
 
     /// The instance, for the use of `handle`, a handle below it; a lost one is refused.
-    pub(crate) fn core_of_child(&mut self, kind: &str) -> Outcome<&mut Core> {
+    pub(crate) fn core_of_child(&mut self, kind: &str) -> CallResult<&mut Core> {
         let core = &mut self.instance.as_mut().ok_or_else(|| Fault::handle(kind))?.core;
         core.present()?;
         Ok(core)
     }
 
     /// The session of `handle` and its instance; a lost one is refused.
-    pub(crate) fn session(&mut self, handle: xr::Session) -> Outcome<(&mut Core, &mut Session)> {
+    pub(crate) fn session(&mut self, handle: xr::Session) -> CallResult<(&mut Core, &mut Session)> {
         let raw = handle.into_raw();
         self.session_where("session", |session| session.handle == raw)
     }
@@ -246,13 +245,13 @@ impl Runtime {
     pub(crate) fn session_of_swapchain(
         &mut self,
         handle: xr::Swapchain,
-    ) -> Outcome<(&mut Core, &mut Session)> {
+    ) -> CallResult<(&mut Core, &mut Session)> {
         let raw = handle.into_raw();
         self.session_where("swapchain", |session| session.swapchains.contains_key(&raw))
     }
 
     /// The session that owns the space of `handle`, and the instance; a lost one is refused.
-    pub(crate) fn session_of_space(&mut self, handle: xr::Space) -> Outcome<(&mut Core, &mut Session)> {
+    pub(crate) fn session_of_space(&mut self, handle: xr::Space) -> CallResult<(&mut Core, &mut Session)> {
         let raw = handle.into_raw();
         self.session_where("space", |session| session.spaces.contains_key(&raw))
     }
@@ -261,7 +260,7 @@ impl Runtime {
         &mut self,
         kind: &str,
         is_it: impl Fn(&Session) -> bool,
-    ) -> Outcome<(&mut Core, &mut Session)> {
+    ) -> CallResult<(&mut Core, &mut Session)> {
         let found = self.instance.as_mut().and_then(|InstanceState { core, session }| {
             session.as_mut().filter(|session| is_it(session)).map(|session| (core, session))
         });
@@ -278,7 +277,7 @@ impl Session {
         self.lost || self.loss_time_ns.is_some()
     }
 
-    fn present(&self) -> Outcome<()> {
+    fn present(&self) -> CallResult<()> {
         match self.lost {
             true => Err(Fault::quiet(xr::Result::ERROR_SESSION_LOST)),
             false => Ok(()),
@@ -287,7 +286,7 @@ impl Session {
 }
 
 impl Core {
-    fn present(&self) -> Outcome<()> {
+    fn present(&self) -> CallResult<()> {
         match self.lost {
             true => Err(Fault::quiet(xr::Result::ERROR_INSTANCE_LOST)),
             false => Ok(()),

@@ -5,7 +5,7 @@ use xr::Handle as _;
 
 use crate::config::EventKind;
 use crate::debug_utils::Labels;
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use crate::ffi::{self, entry};
 use crate::frame::FrameLoop;
 use crate::gpu::Gpu;
@@ -44,7 +44,7 @@ impl SessionState {
     }
 
     /// Refuses a session that has not begun.
-    pub(crate) fn check_running(&self) -> Outcome<()> {
+    pub(crate) fn check_running(&self) -> CallResult<()> {
         match self.running {
             true => Ok(()),
             false => Err(Fault::application(
@@ -64,7 +64,7 @@ impl SessionState {
         self.current == State::FOCUSED
     }
 
-    fn begin(&mut self) -> Outcome<()> {
+    fn begin(&mut self) -> CallResult<()> {
         if self.running {
             return Err(Fault::application(
                 xr::Result::ERROR_SESSION_RUNNING,
@@ -79,7 +79,7 @@ impl SessionState {
         Ok(())
     }
 
-    fn end(&mut self) -> Outcome<Vec<State>> {
+    fn end(&mut self) -> CallResult<Vec<State>> {
         self.check_running()?;
         if self.current != State::STOPPING {
             let message =
@@ -240,7 +240,7 @@ pub(crate) fn close(session: Option<Session>) {
 }
 
 /// The device of a session. Its order is the conformance suite's: that there is no binding is said before that a call is missing.
-fn new_gpu(core: &Core, create_info: &xr::SessionCreateInfo) -> Outcome<Gpu> {
+fn new_gpu(core: &Core, create_info: &xr::SessionCreateInfo) -> CallResult<Gpu> {
     let invalid = |message: &str| Fault::application(xr::Result::ERROR_GRAPHICS_DEVICE_INVALID, message);
     // SAFETY: the chain of a structure that the application passes in.
     let binding = unsafe { ffi::chained_input::<xr::GraphicsBindingVulkanKHR>(create_info.next) };
@@ -365,12 +365,12 @@ mod tests {
     }
 
     #[track_caller]
-    fn code<T: std::fmt::Debug>(outcome: Outcome<T>) -> xr::Result {
+    fn code<T: std::fmt::Debug>(outcome: CallResult<T>) -> xr::Result {
         outcome.expect_err("must be refused").code
     }
 
     #[test]
-    fn a_session_is_synchronised_visible_and_focused_after_its_first_frame() {
+    fn a_session_is_focused_after_its_first_frame() {
         let (mut state, announced) = SessionState::new();
         assert_eq!(announced, [State::IDLE, State::READY]);
         state.begin().expect("READY");

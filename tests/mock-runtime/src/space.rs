@@ -11,7 +11,7 @@ use shadecast_protocol::pose::Pose;
 use xr::Handle as _;
 
 use crate::config::RECENTRE_NOTICE_NS;
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use crate::ffi::{self, entry};
 use crate::instance::check_view_configuration;
 use crate::layers::checked_pose;
@@ -165,7 +165,7 @@ fn rotation_vector(rotation: Quat) -> Vec3 {
     }
 }
 
-pub(crate) fn check_time(time: xr::Time) -> Outcome<i64> {
+pub(crate) fn check_time(time: xr::Time) -> CallResult<i64> {
     match time.as_nanos() {
         time_ns @ 1.. => Ok(time_ns),
         other => {
@@ -174,7 +174,7 @@ pub(crate) fn check_time(time: xr::Time) -> Outcome<i64> {
     }
 }
 
-fn space_of(session: &Session, handle: xr::Space) -> Outcome<Space> {
+fn space_of(session: &Session, handle: xr::Space) -> CallResult<Space> {
     session.spaces.get(&handle.into_raw()).copied().ok_or_else(|| Fault::handle("space"))
 }
 
@@ -293,7 +293,7 @@ entry! {
 
 /// Flags that come in are those of the call before, or what lay in memory that nobody set. Of the latter there are some that do not
 /// exist, and the core validation layer, which looks at them on the way in, ends the program where it does not know one.
-fn check_flags(velocity: &xr::SpaceVelocity) -> Outcome<()> {
+fn check_flags(velocity: &xr::SpaceVelocity) -> CallResult<()> {
     let known = xr::SpaceVelocityFlags::LINEAR_VALID | xr::SpaceVelocityFlags::ANGULAR_VALID;
     let flags = velocity.velocity_flags.into_raw();
     if flags & !known.into_raw() == 0 {

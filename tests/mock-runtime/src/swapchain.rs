@@ -7,7 +7,7 @@ use openxr_sys as xr;
 use xr::Handle as _;
 
 use crate::config::MAX_EXTENT_PIXELS;
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use crate::ffi::{self, entry};
 use crate::foveation;
 use crate::gpu::{Gpu, GpuImage, ImageInfo};
@@ -100,7 +100,7 @@ impl ImageQueue {
         }
     }
 
-    fn acquire(&mut self) -> Outcome<u32> {
+    fn acquire(&mut self) -> CallResult<u32> {
         if self.is_static && self.was_acquired {
             return Err(Fault::order("a static swapchain's image is acquired once only"));
         }
@@ -114,7 +114,7 @@ impl ImageQueue {
         Ok(index)
     }
 
-    fn wait(&mut self) -> Outcome<()> {
+    fn wait(&mut self) -> CallResult<()> {
         if self.acquired.is_empty() {
             return Err(Fault::order("no image is acquired; call xrAcquireSwapchainImage first"));
         }
@@ -125,7 +125,7 @@ impl ImageQueue {
         Ok(())
     }
 
-    fn release(&mut self) -> Outcome<()> {
+    fn release(&mut self) -> CallResult<()> {
         if !self.waited {
             return Err(Fault::order("no image was waited for; call xrWaitSwapchainImage first"));
         }
@@ -164,7 +164,7 @@ entry! {
 }
 
 /// The images that a swapchain's creation asks for.
-fn image_info(info: &xr::SwapchainCreateInfo) -> Outcome<ImageInfo> {
+fn image_info(info: &xr::SwapchainCreateInfo) -> CallResult<ImageInfo> {
     let format =
         FORMATS.into_iter().find(|format| i64::from(format.as_raw()) == info.format).ok_or_else(|| {
             let message = format!("format {}; take one of xrEnumerateSwapchainFormats", info.format);
@@ -202,7 +202,7 @@ fn image_info(info: &xr::SwapchainCreateInfo) -> Outcome<ImageInfo> {
 
 /// The application's usages, and those that the runtime needs itself: the attachment's, for the layout in which images
 /// are handed over, TRANSFER_SRC for captures.
-fn vulkan_usage(flags: xr::SwapchainUsageFlags, is_depth: bool) -> Outcome<vk::ImageUsageFlags> {
+fn vulkan_usage(flags: xr::SwapchainUsageFlags, is_depth: bool) -> CallResult<vk::ImageUsageFlags> {
     type Xr = xr::SwapchainUsageFlags;
     type Vk = vk::ImageUsageFlags;
     let (wrong, message) = match is_depth {
@@ -249,7 +249,7 @@ entry! {
 }
 
 /// Whether a swapchain's creation asks for density maps.
-fn wants_density_maps(info: &xr::SwapchainCreateInfo, extensions: Extensions) -> Outcome<bool> {
+fn wants_density_maps(info: &xr::SwapchainCreateInfo, extensions: Extensions) -> CallResult<bool> {
     // SAFETY: the chain is the application's, of valid structures.
     let asked = unsafe { ffi::chained_input::<xr::SwapchainCreateInfoFoveationFB>(info.next) };
     // Structures of extensions that are not enabled are left out.
@@ -263,7 +263,7 @@ fn wants_density_maps(info: &xr::SwapchainCreateInfo, extensions: Extensions) ->
     Ok(asked.flags.contains(Flags::FRAGMENT_DENSITY_MAP))
 }
 
-fn density_map(gpu: &Gpu, of: &ImageInfo) -> Outcome<GpuImage> {
+fn density_map(gpu: &Gpu, of: &ImageInfo) -> CallResult<GpuImage> {
     gpu.create_image(&ImageInfo {
         format: foveation::FORMAT,
         extent: foveation::map_extent(of.extent),
@@ -280,7 +280,7 @@ fn new_swapchain(
     info: &ImageInfo,
     count: u32,
     (is_static, has_maps): (bool, bool),
-) -> Outcome<Swapchain> {
+) -> CallResult<Swapchain> {
     let mut swapchain = Swapchain {
         extent: info.extent,
         array_size: info.array_size,
@@ -356,7 +356,7 @@ entry! {
 pub(crate) fn swapchain_of(
     session: &mut Session,
     handle: xr::Swapchain,
-) -> Outcome<(&mut Swapchain, &mut Gpu)> {
+) -> CallResult<(&mut Swapchain, &mut Gpu)> {
     let Session { swapchains, gpu, .. } = session;
     let swapchain = swapchains.get_mut(&handle.into_raw()).ok_or_else(|| Fault::handle("swapchain"))?;
     Ok((swapchain, gpu))
@@ -415,7 +415,7 @@ mod tests {
     use super::*;
 
     #[track_caller]
-    fn refused<T: std::fmt::Debug>(outcome: Outcome<T>) {
+    fn refused<T: std::fmt::Debug>(outcome: CallResult<T>) {
         assert_eq!(outcome.expect_err("out of order").code, xr::Result::ERROR_CALL_ORDER_INVALID);
     }
 

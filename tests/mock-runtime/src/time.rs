@@ -9,11 +9,11 @@ pub(crate) use counter::{convert_counter_to_time, convert_time_to_counter};
 #[cfg(unix)]
 pub(crate) use timespec::{convert_time_to_timespec_time, convert_timespec_time_to_time};
 
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use openxr_sys as xr;
 
 /// A time that an application may give, nanoseconds.
-fn positive_ns(time: xr::Time) -> Outcome<i64> {
+fn positive_ns(time: xr::Time) -> CallResult<i64> {
     let time_ns = time.as_nanos();
     if time_ns > 0 {
         return Ok(time_ns);

@@ -8,7 +8,7 @@ use openxr_sys as xr;
 use vk::Handle as _;
 use xr::platform::{VkDevice, VkInstance, VkPhysicalDevice, VkResult};
 
-use crate::fault::{Fault, Outcome};
+use crate::fault::{CallResult, Fault};
 use crate::ffi::entry;
 use crate::instance::check_system;
 use crate::runtime;
@@ -30,7 +30,7 @@ impl Vulkan {
 }
 
 /// The application's `vkGetInstanceProcAddr`.
-fn static_functions(given: Option<xr::platform::VkGetInstanceProcAddr>) -> Outcome<ash::StaticFn> {
+fn static_functions(given: Option<xr::platform::VkGetInstanceProcAddr>) -> CallResult<ash::StaticFn> {
     let given = given.ok_or_else(|| Fault::usage("pfnGetInstanceProcAddr is null"))?;
     // SAFETY: both types describe vkGetInstanceProcAddr; a VkInstance is a pointer in both.
     let get_instance_proc_addr = unsafe {
@@ -44,7 +44,7 @@ fn function(
     vulkan: &ash::StaticFn,
     instance: vk::Instance,
     name: &CStr,
-) -> Outcome<unsafe extern "system" fn()> {
+) -> CallResult<unsafe extern "system" fn()> {
     // SAFETY: vkGetInstanceProcAddr takes a null or valid instance and a zero-terminated name.
     let found = unsafe { (vulkan.get_instance_proc_addr)(instance, name.as_ptr().cast::<c_char>()) };
     found.ok_or_else(|| {
@@ -123,7 +123,7 @@ fn is_instance(vulkan: &Vulkan, instance: VkInstance) -> bool {
 }
 
 /// The first device of the fastest kind that can draw and whose name has `wanted` in it.
-fn choose_device(vulkan: &Vulkan, wanted: Option<&str>) -> Outcome<vk::PhysicalDevice> {
+fn choose_device(vulkan: &Vulkan, wanted: Option<&str>) -> CallResult<vk::PhysicalDevice> {
     // SAFETY: the instance lives: the application must destroy its session before it.
     let devices = unsafe { vulkan.instance.enumerate_physical_devices() }.map_err(|error| {
         Fault::runtime(xr::Result::ERROR_RUNTIME_FAILURE, format!("cannot list the Vulkan devices: {error}"))

@@ -447,7 +447,7 @@ fn an_extension_that_is_hidden_is_not_listed_and_is_refused() {
 }
 
 #[test]
-fn depth_swapchains_are_attachments_of_depth_and_no_layer_shows_them() {
+fn no_layer_shows_a_depth_swapchain() {
     type Usage = xr::SwapchainUsageFlags;
     let run = Run::new(&virtual_config());
     let mut app = App::begun();
@@ -562,7 +562,7 @@ fn release_next(swapchain: &mut xr::Swapchain<xr::Vulkan>) {
 }
 
 #[test]
-fn a_view_may_be_flipped_or_without_area_and_sees_less_than_half_the_world() {
+fn views_may_be_flipped_or_empty_and_are_under_180_degrees() {
     let run = Run::new(&MockConfig { capture_every: 0, ..virtual_config() });
     let mut app = App::begun();
     app.empty_frame();
@@ -649,7 +649,7 @@ fn a_quad_layer_is_accepted_and_not_captured() {
 #[test]
 fn a_messenger_hears_of_refused_calls() {
     static HEARD: std::sync::Mutex<Vec<String>> = std::sync::Mutex::new(Vec::new());
-    unsafe extern "system" fn hear(
+    unsafe extern "system" fn on_message(
         _severity: xr::sys::DebugUtilsMessageSeverityFlagsEXT,
         _types: xr::sys::DebugUtilsMessageTypeFlagsEXT,
         data: *const xr::sys::DebugUtilsMessengerCallbackDataEXT,
@@ -671,7 +671,7 @@ fn a_messenger_hears_of_refused_calls() {
         next: std::ptr::null(),
         message_severities: xr::sys::DebugUtilsMessageSeverityFlagsEXT::ERROR,
         message_types: xr::sys::DebugUtilsMessageTypeFlagsEXT::VALIDATION,
-        user_callback: Some(hear),
+        user_callback: Some(on_message),
         user_data: std::ptr::null_mut(),
     };
     let mut messenger = xr::sys::DebugUtilsMessengerEXT::NULL;
@@ -716,7 +716,7 @@ fn scripted_focus_changes_and_the_stop_arrive_at_their_frames() {
 }
 
 #[test]
-fn a_hidden_session_goes_on_without_being_rendered_until_it_is_shown() {
+fn a_hidden_session_runs_without_rendering() {
     type State = xr::SessionState;
     let events = vec![event(3, EventKind::Hide), event(6, EventKind::Show)];
     let _run = Run::new(&MockConfig { events, ..virtual_config() });
@@ -761,7 +761,7 @@ fn a_paused_session_rests_and_then_is_ready_again() {
 }
 
 #[test]
-fn recentring_is_announced_and_moves_the_stages_origin_at_its_time() {
+fn recentring_moves_the_stages_origin_at_its_time() {
     let kind = EventKind::Recentre { x_mm: 2000, z_mm: -500, yaw_degrees: 0 };
     let _run = Run::new(&MockConfig { events: vec![event(3, kind)], ..virtual_config() });
     let mut app = App::begun();
@@ -850,7 +850,7 @@ fn a_lost_instance_can_be_made_again_and_the_world_goes_on() {
 }
 
 #[test]
-fn another_rate_is_told_to_those_alone_who_have_enabled_its_extension() {
+fn rate_events_need_the_enabled_extension() {
     let kind = EventKind::RefreshRate { hz: 90 };
     let config = MockConfig { events: vec![event(2, kind)], other_rates_hz: vec![90.0], ..virtual_config() };
     for is_enabled in [false, true] {
@@ -903,7 +903,7 @@ fn destroyed_again(app: &App, space: xr::Space, swapchain: xr::Swapchain<xr::Vul
 }
 
 #[test]
-fn a_lost_session_is_announced_and_the_next_one_goes_on_where_it_was() {
+fn a_lost_session_is_announced_and_continued() {
     let events = vec![event(4, EventKind::SessionLoss)];
     let run = Run::new(&MockConfig { events, refresh_hz: 10.0, capture_every: 1, ..virtual_config() });
     let mut app = App::begun();
@@ -1036,7 +1036,7 @@ fn relate(
 
 /// As the core validation layer of today's SDKs does it.
 #[test]
-fn a_velocity_that_nobody_has_set_is_refused_and_one_of_the_call_before_is_not() {
+fn an_unset_velocity_is_refused() {
     let run = Run::new(&virtual_config());
     let mut app = App::begun();
     let time = app.empty_frame().predicted_display_time;
@@ -1168,7 +1168,7 @@ fn actions_can_be_set_up_and_are_inactive() {
 }
 
 #[test]
-fn controllers_say_what_the_script_says_once_their_profile_is_known() {
+fn controllers_follow_the_script_once_their_profile_is_known() {
     let touch = "/interaction_profiles/oculus/touch_controller";
     let input = |frame, path: &str, value| ScriptedInput { frame, path: format!("/user/hand/{path}"), value };
     let inputs = vec![
@@ -1382,7 +1382,7 @@ fn a_source_is_of_the_active_set_of_the_highest_priority() {
 }
 
 #[test]
-fn an_action_is_active_where_its_type_can_be_made_of_what_it_is_bound_to() {
+fn an_action_is_active_where_its_binding_converts() {
     let _run = Run::new(&held_controllers());
     let mut app = App::begun();
     let set = app.instance.create_action_set("main", "Main", 0).expect("set");
@@ -1514,7 +1514,7 @@ fn bound_sources_are_told_once_each_and_have_names() {
 }
 
 #[test]
-fn an_action_is_asked_for_the_paths_that_it_was_created_with_and_no_others() {
+fn actions_accept_only_their_own_paths() {
     let _run = Run::new(&virtual_config());
     let app = App::begun();
     let instance = &app.instance;
@@ -1599,7 +1599,7 @@ fn places_for_views_say_what_they_are() {
 }
 
 #[test]
-fn events_of_a_session_that_is_gone_are_not_told_to_the_next_one() {
+fn events_of_a_lost_session_do_not_reach_the_next() {
     let _run = Run::new(&virtual_config());
     let App { stage, stream, waiter, session, gpu, instance, system } = App::new();
     drop((stage, stream, waiter, session)); // IDLE and READY wait in the queue
@@ -1630,7 +1630,7 @@ fn refused_session(instance: &xr::Instance, system: xr::SystemId, next: *const s
 }
 
 #[test]
-fn a_session_without_a_binding_is_refused_before_the_requirements_call_is_missed() {
+fn a_session_without_binding_is_refused_first() {
     let run = Run::new(&virtual_config());
     let instance = create_instance(&load()).expect("instance");
     let system = instance.system(xr::FormFactor::HEAD_MOUNTED_DISPLAY).expect("system");

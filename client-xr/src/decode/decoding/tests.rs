@@ -122,7 +122,7 @@ fn decoding_takes_its_time_one_picture_after_the_other() {
 }
 
 #[test]
-fn a_picture_given_up_costs_those_up_to_the_next_refresh_and_asks_for_it() {
+fn an_abandoned_picture_requests_a_refresh() {
     let mut bench = Bench::new(0);
     bench.add(0, 1, 0);
     bench.add(2, 4, 1);
@@ -171,7 +171,7 @@ fn a_broken_picture_asks_for_a_refresh() {
 }
 
 #[test]
-fn a_decoder_that_fails_with_one_refresh_after_the_other_is_of_no_use_and_the_reason_is_told_once() {
+fn a_decoder_failing_with_each_refresh_is_reported_once() {
     let mut bench = Bench::new(0);
     let mut update = 0..;
     let mut fail = |bench: &mut Bench| {
@@ -202,7 +202,7 @@ fn a_picture_between_failures_makes_up_for_them() {
 }
 
 #[test]
-fn one_picture_of_the_far_future_costs_one_step_and_not_one_for_each_that_is_missing() {
+fn a_picture_of_the_far_future_costs_one_step() {
     for far in [4_000_000_000, u32::MAX] {
         let mut bench = Bench::new(0);
         bench.add(0, 1, 0);
@@ -251,7 +251,7 @@ fn the_thread_decodes_the_same() {
 }
 
 #[test]
-fn the_thread_takes_later_units_while_a_decoder_keeps_pictures_back() {
+fn a_holding_decoder_still_gets_later_units() {
     assert_eq!(seen_of_thread(Toy { kept_back: 1, ..Toy::default() }), [(0, 1), (1, 2), (2, 4)]);
 }
 

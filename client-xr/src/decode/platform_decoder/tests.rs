@@ -1,4 +1,4 @@
-//! The state machine against a codec that does what the test says, when it says it.
+//! The state machine against a scripted codec.
 
 use super::*;
 use rand::rngs::SmallRng;
@@ -219,7 +219,7 @@ fn a_picture_is_written_only_where_the_one_before_was_taken() {
 }
 
 #[test]
-fn no_more_images_are_asked_for_than_there_are_and_those_given_back_serve_again() {
+fn images_are_limited_and_reused() {
     let mut bench = Bench::new();
     let mut held = Vec::new();
     for number in 0..MAX_LENT as u64 + 3 {
@@ -288,7 +288,7 @@ fn after_a_lost_unit_the_same_codec_goes_on_with_a_refresh() {
 }
 
 #[test]
-fn a_codec_that_fails_loses_what_is_in_it_and_the_next_refresh_gets_another() {
+fn the_next_refresh_replaces_a_failed_codec() {
     let mut bench = Bench::new();
     bench.decoder.submit(&refresh());
     bench.decoder.submit(&later());
@@ -311,7 +311,7 @@ fn a_codec_that_fails_loses_what_is_in_it_and_the_next_refresh_gets_another() {
 }
 
 #[test]
-fn a_codec_that_takes_no_input_or_cannot_begin_is_an_error_and_no_end() {
+fn a_codec_that_cannot_begin_is_an_error() {
     let mut bench = Bench::new();
     bench.script().refuses_to_begin = true;
     bench.decoder.submit(&refresh());
@@ -332,7 +332,7 @@ fn a_codec_that_takes_no_input_or_cannot_begin_is_an_error_and_no_end() {
 }
 
 #[test]
-fn a_picture_that_is_left_out_costs_all_that_refer_to_it_but_no_refresh() {
+fn a_skipped_picture_costs_its_dependents_but_no_refresh() {
     let mut bench = Bench::new();
     for number in 0..3 {
         bench.decoder.submit(&if number == 0 { refresh() } else { later() });
@@ -362,7 +362,7 @@ fn a_picture_that_is_left_out_costs_all_that_refer_to_it_but_no_refresh() {
 }
 
 #[test]
-fn outputs_and_images_of_times_that_nobody_asked_for_are_given_back() {
+fn unrequested_outputs_and_images_are_released() {
     let mut bench = Bench::new();
     bench.decoder.submit(&refresh());
     bench.say(CodecEvent::Input(0));
@@ -522,7 +522,7 @@ impl Chance {
 }
 
 #[test]
-fn whatever_a_codec_does_each_unit_comes_out_once_in_order_and_none_that_refers_to_what_is_missing() {
+fn each_unit_comes_out_once_in_order_whatever_the_codec_does() {
     for seed in 0..12 {
         let mut chance = Chance::new(seed);
         (0..4000).for_each(|_| chance.step());

@@ -1,4 +1,4 @@
-//! A head that keys and pointer move, and what it sees with. Pure; times are arguments.
+//! A head moved by keys and pointer, and its eyes. Pure; times are arguments.
 
 use crate::display::{ASSUMED_EYE_HEIGHT_M, Views};
 use glam::{Quat, Vec3};
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_was_held_up_does_not_throw_the_head_through_the_world() {
+    fn a_stalled_program_does_not_throw_the_head() {
         let mut head = Head::new(60.0);
         head.views(ClientTime(0), Vec3::Z, [640, 480]);
         let late = head.views(ClientTime(10_000 * MS), Vec3::Z, [640, 480]);

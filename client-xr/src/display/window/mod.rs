@@ -1,7 +1,7 @@
-//! A window of the desktop in place of a headset: keys and pointer move the head, one eye or both are seen.
+//! A desktop window in place of a headset. Keys and pointer move the head; one or both eyes are visible.
 //!
 //! The desktop's events and the clock enter, and drawn images. Frame turns, views and presses leave. Nothing here knows OpenXR
-//! and what is drawn.
+//! and the drawn content.
 
 mod head;
 mod pace;

@@ -1,4 +1,4 @@
-//! When a window's frames begin, and when they will be seen. Pure; times are arguments.
+//! Begin and display time of a window's frames. Pure; times are arguments.
 
 use shadecast_protocol::time::ClientTime;
 

@@ -1,4 +1,4 @@
-//! The controllers: which of their inputs mean what, for each kind of controller that there is.
+//! The controllers: the meaning of their inputs, for each kind of controller.
 
 use super::error::{Doing, XrError};
 use super::locomotion::Wish;

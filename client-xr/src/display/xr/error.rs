@@ -1,4 +1,4 @@
-//! What can go wrong with a headset's runtime, said so that a person knows what to do.
+//! Failures of a headset's runtime, each with its remedy.
 
 use openxr::sys;
 use shadecast_gpu::GpuError;

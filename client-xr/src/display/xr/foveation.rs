@@ -1,5 +1,5 @@
-//! Fixed foveation: fewer fragments are shaded where the lenses show little of them, by maps that the runtime makes for the images of
-//! both eyes (`XR_FB_foveation` and those that go with it) and the device reads (`VK_EXT_fragment_density_map`).
+//! Fixed foveation: fewer fragments are shaded near the border of the lenses. The runtime makes density maps for the images of
+//! both eyes (`XR_FB_foveation` and its companions); the device reads them (`VK_EXT_fragment_density_map`).
 
 use super::error::{Doing, XrError};
 use super::succeeded;
@@ -67,7 +67,7 @@ pub(super) fn open(
     let swapchain = create_swapchain(session, info)?;
     let (images, maps) = images_and_maps(&swapchain)?;
     fill(session, &swapchain, foveation)?;
-    tracing::info!("fewer fragments are shaded towards the border ({foveation:?})");
+    tracing::info!("fixed foveation is on ({foveation:?})");
     Ok((swapchain, images, maps))
 }
 
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_runtime_makes_a_map_for_each_image_and_fills_it_for_the_level() {
+    fn a_runtime_makes_a_density_map_for_each_image() {
         for (foveation, level) in [(Foveation::Low, 1), (Foveation::Medium, 2), (Foveation::High, 3)] {
             let summary = account(&config(), foveation, |xr| {
                 assert!(xr.headset.device.has_density_maps);
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_asked_for_where_it_is_not_wanted_or_part_of_it_is_missing() {
+    fn unwanted_or_incomplete_foveation_requests_nothing() {
         let hidden_extensions = vec!["XR_FB_swapchain_update_state".to_owned()];
         for (config, foveation) in [
             (config(), Foveation::None),

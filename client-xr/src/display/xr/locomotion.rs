@@ -1,8 +1,7 @@
-//! Where the room that a person stands in lies in the world: thumb sticks walk it and turn it. Pure; times are arguments.
+//! The place of the user's room in the world. Thumb sticks move and turn it. Pure; times are arguments.
 //!
-//! The runtime locates head and eyes in its own stage, the room. What the client tells the server, and what it draws, is where
-//! they are in the stage that the server knows, through which the room moves. A turn is a jump: poses before it and after it are
-//! of no one motion.
+//! The runtime locates head and eyes in its own stage, the room. The client reports and draws them in the server's stage,
+//! through which the room moves. A turn is a jump: poses before and after it belong to no common motion.
 
 use crate::display::Views;
 use glam::{Quat, Vec2, Vec3};
@@ -152,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stick_walks_where_the_head_looks_on_the_ground_and_says_how_fast() {
+    fn a_stick_walks_in_the_heads_direction() {
         for (yaw, pitch, ahead) in [
             (0.0, 0.0, Vec3::NEG_Z),
             (FRAC_PI_2, -0.9, Vec3::NEG_X),

@@ -1,10 +1,10 @@
 //! OpenXR: instance, Vulkan device, session, frames, views. The only module that names `openxr`.
 //!
-//! The runtime's events and poses enter, and drawn images. Frame turns, views in the walked stage and presses leave. Nothing here
-//! knows what is drawn.
+//! The runtime's events and poses enter, and drawn images. Frame turns, views in the walked stage and presses leave. Nothing
+//! here knows the drawn content.
 //!
-//! Asks for API 1.0, which every loader in use accepts. Nothing here allocates once frames run: views are located
-//! through the function pointers into arrays of two.
+//! The module requests API 1.0, which every loader in use accepts. Frames allocate nothing: views are located through the
+//! function pointers into arrays of two.
 
 mod actions;
 pub mod error;
@@ -384,7 +384,7 @@ impl Headset {
                 }
                 openxr::Event::DisplayRefreshRateChangedFB(change) => {
                     let [from, to] = [change.from_display_refresh_rate(), change.to_display_refresh_rate()];
-                    tracing::info!("the display goes from {from} to {to} frames a second");
+                    tracing::info!("the display changes from {from} to {to} Hz");
                 }
                 openxr::Event::InstanceLossPending(_) => return Err(XrError::Lost("polling events")),
                 _ => {}
@@ -438,7 +438,7 @@ impl Headset {
                 (performance.perf_settings_set_performance_level)(self.session.as_raw(), domain, level)
             };
             if result.into_raw() < 0 {
-                tracing::warn!("the OpenXR runtime gives no more of {domain:?}: {result:?}");
+                tracing::warn!("the OpenXR runtime refuses the performance level of {domain:?}: {result:?}");
             }
         }
     }
@@ -448,12 +448,12 @@ impl Headset {
         let Some(wanted) = self.refresh_hz else { return };
         if self.device.instance.exts().fb_display_refresh_rate.is_none() {
             tracing::warn!(
-                "the OpenXR runtime chooses the display's rate by itself (it lacks XR_FB_display_refresh_rate)"
+                "the OpenXR runtime chooses the refresh rate itself (it lacks XR_FB_display_refresh_rate)"
             );
             return;
         }
         if let Err(refused) = self.request_nearest_rate(wanted) {
-            tracing::warn!("the OpenXR runtime keeps the display's rate: {refused:?}");
+            tracing::warn!("the OpenXR runtime refuses another refresh rate: {refused:?}");
         }
     }
 
@@ -461,7 +461,7 @@ impl Headset {
         let offered = self.session.enumerate_display_refresh_rates()?;
         let Some(nearest) = nearest(&offered, wanted) else { return Ok(()) };
         if nearest != wanted {
-            tracing::warn!("the display has {offered:?} frames a second: {nearest} are nearest to {wanted}");
+            tracing::warn!("the display offers {offered:?} Hz: {nearest} Hz is nearest to {wanted} Hz");
         }
         self.session.request_display_refresh_rate(nearest)
     }
@@ -690,7 +690,7 @@ impl Swapchain {
         };
         let foveated = foveation.and_then(|foveation| {
             let made = foveation::open(session, &info, foveation);
-            made.inspect_err(|error| tracing::warn!("all fragments are shaded: {error}")).ok()
+            made.inspect_err(|error| tracing::warn!("fixed foveation is off: {error}")).ok()
         });
         let (handle, images, maps) = match foveated {
             Some((handle, images, maps)) => (handle, images, Some(maps)),

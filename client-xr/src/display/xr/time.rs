@@ -1,8 +1,7 @@
-//! From a runtime's times to the client's monotonic clock: by the extension that this system has for it, or without.
+//! Conversion of a runtime's times to the client's monotonic clock, by this system's extension or without one.
 //!
-//! On most systems both are the same clock. Where they are not and the runtime does not convert its times, the first frame
-//! tells how far they are apart, but for the part of a display period for which the runtime waits: that error stays the same
-//! from frame to frame, so that motion is as even as ever.
+//! On most systems both are the same clock. Elsewhere, without the extension, the first frame gives their distance, except for
+//! the runtime's wait within a display period. That error stays constant from frame to frame, so motion stays even.
 
 use shadecast_protocol::time::ClientTime;
 
@@ -111,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn a_runtime_whose_clock_begins_anew_is_followed_and_nonsense_does_no_harm() {
+    fn a_reset_runtime_clock_is_followed() {
         let mut clock = GuessedClock::default();
         let now = ClientTime(3_600 * S);
         clock.convert(900 * S, now, 14 * MS);

@@ -1,4 +1,4 @@
-//! Lists that change by what has changed, against lists that are made anew.
+//! Lists updated by differences, against newly made lists.
 
 use super::*;
 use rand::{Rng, SeedableRng, rngs::StdRng};
@@ -79,7 +79,7 @@ fn expected(patches: &Patches, motion: &Motion, step: GridIndex) -> [BTreeMap<us
 }
 
 #[test]
-fn a_list_that_changed_by_what_has_changed_is_the_one_that_would_be_made_anew() {
+fn an_updated_list_equals_a_new_one() {
     for seed in 0..12 {
         let mut rng = StdRng::seed_from_u64(seed);
         let (mut motion, mut patches) = (motion(), Patches::new(PATCHES));

@@ -1,4 +1,4 @@
-//! What skinned instances are evaluated from and into on the GPU, and what writes arrivals into the arena.
+//! Input and output buffers of skinned instances on the GPU, and the pass that writes arrivals into the arena.
 
 use super::batch::{Batch, OrderedCopy};
 use crate::motion::arena::WORD_BYTES;

@@ -1,4 +1,4 @@
-//! The one draw of a bundle: both eyes by multiview, the atlas looked up and nothing shaded (`client_atlas.*`).
+//! The one draw of a bundle: both eyes by multiview. It samples the atlas and shades nothing (`client_atlas.*`).
 
 use super::FRAMES_IN_FLIGHT;
 use super::scatter::VertexMemory;

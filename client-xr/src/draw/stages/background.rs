@@ -1,5 +1,5 @@
-//! What is behind everything, at far depth: the scene's environment, or before there is a scene a waiting room with a
-//! gradient, a floor grid and a text (`client_background.*`).
+//! The background at far depth: the scene's environment, or, before there is a scene, a waiting room with a gradient, a floor
+//! grid and a text (`client_background.*`).
 
 use super::FRAMES_IN_FLIGHT;
 use super::text::{CELL_EXTENT_M, TEXT_CELLS, Text, TextDraw};

@@ -1,5 +1,5 @@
-//! What a worker makes of arrivals about vertices and skeletons, and the render thread hands over: bytes that the GPU copies and
-//! scatters, where they go, and what they change in the tables that the render thread keeps.
+//! A worker's batch of arrivals about vertices and skeletons: bytes that the GPU copies and scatters, their destinations, and
+//! their changes to the render thread's tables.
 
 use crate::motion::Motion;
 use crate::motion::arena::ArenaCopy;

@@ -1,4 +1,4 @@
-//! The controllers where the hands hold them, as simple shapes (`client_hands.*`).
+//! The controllers in the hands, as simple shapes (`client_hands.*`).
 
 use super::FRAMES_IN_FLIGHT;
 use glam::Mat4;

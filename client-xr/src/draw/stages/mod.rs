@@ -1,8 +1,8 @@
-//! The client's GPU stages, in the order of a display frame. Each is one file: layout, pipeline, `record`; its shader and
-//! twin carry the same stem.
+//! The client's GPU stages, in the order of a display frame. Each is one file: layout, pipeline, `record`. Its shader and twin
+//! have the same stem.
 //!
-//! Batches, lists, planes and eye poses enter. Recorded commands leave. Nothing here knows barriers between stages, which are in
-//! `present/frame.rs`, and times of bundles.
+//! Batches, lists, planes and eye poses enter. Recorded commands leave. Nothing here knows the times of bundles and the
+//! barriers between stages, which are in `present/frame.rs`.
 
 pub mod arena;
 pub mod atlas_draw;

@@ -1,5 +1,4 @@
-//! A panel with a text in front of everything, for what a person must know while the world stands still
-//! (`client_notice.*`).
+//! A panel with a text in front of everything, for notices while the world stands still (`client_notice.*`).
 
 use super::FRAMES_IN_FLIGHT;
 use super::text::{CELL_EXTENT_M, TEXT_CELLS, Text, TextDraw};

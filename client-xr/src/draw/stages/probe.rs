@@ -1,5 +1,5 @@
-//! For measurements only: what is where in the client's picture, without the picture (`client_probe.*`). Draws the bundle on
-//! display once more, with one sample per pixel, and waits for the read-back.
+//! For measurements only: instance and distance of each pixel, without the picture (`client_probe.*`). The stage draws the
+//! bundle on display once more, with one sample per pixel, and waits for the read-back.
 
 use super::FRAMES_IN_FLIGHT;
 use super::atlas_draw::{BOTH_EYES, BundleMemory, DEPTH_FORMAT};

@@ -1,4 +1,4 @@
-//! The client's vertex memory on the GPU, and what writes deltas into it (`client_scatter.comp`).
+//! The client's vertex memory on the GPU, and the pass that writes deltas into it (`client_scatter.comp`).
 
 use super::batch::Batch;
 use crate::motion::skinned::SkinCapacity;

@@ -1,5 +1,4 @@
-//! Text in the headset: lines in cells of the dot font, the panel that they lie on, and the draw that shows them
-//! (`text.glsl`).
+//! Text in the headset: lines in cells of the dot font, their panel, and their draw (`text.glsl`).
 
 use super::FRAMES_IN_FLIGHT;
 use glam::{Quat, Vec3};
@@ -173,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn words_that_are_longer_than_a_line_are_broken_and_keep_every_character() {
+    fn long_words_are_broken_and_keep_every_character() {
         let lines = |text| wrapped(text, 4).collect::<Vec<_>>();
         assert_eq!(lines("delete /ho\u{e9}me/user x"), ["dele", "te", "/ho\u{e9}", "me/u", "ser", "x"]);
         assert_eq!(lines(" abcdef"), [" abc", "def"]);

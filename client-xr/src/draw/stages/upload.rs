@@ -1,5 +1,5 @@
-//! Decoded planes into images. Three sets exist, so that the one on display is never overwritten and no copy is waited for.
-//! A worker writes the staging buffers, the render thread lets the GPU copy them.
+//! Decoded planes into images. There are three sets, so the one on display is never overwritten and no copy is waited for. A
+//! worker writes the staging buffers; the render thread submits the copies.
 
 use crate::platform::requirements::REQUIRED;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, ImageDesc, Memory, Recorder, vk};

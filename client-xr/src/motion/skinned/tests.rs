@@ -1,4 +1,4 @@
-//! Which chunk, phase, fade and readiness an instance has at a time.
+//! Chunk, phase, fade and readiness of an instance at a time.
 
 use super::*;
 use crate::motion::arena::ArenaWrites;
@@ -49,8 +49,8 @@ fn dancing() -> Skinned {
     tables
 }
 
-fn moment(time_ms: i64) -> Moment {
-    Moment { time: ms(time_ms), grid: GRID, written: ArenaSerial::default() }
+fn moment(time_ms: i64) -> PoseQuery {
+    PoseQuery { time: ms(time_ms), grid: GRID, written: ArenaSerial::default() }
 }
 
 /// The fox, with 10 vertices, at a time.
@@ -99,7 +99,7 @@ fn a_phase_is_exact_to_less_than_a_nanosecond_after_a_week() {
 }
 
 #[test]
-fn what_does_not_depend_on_time_is_the_skeletons_and_the_instances() {
+fn time_independent_data_is_the_skeletons_and_the_instances() {
     let mut tables = dancing();
     let (placed, counts) = pose(&mut tables, 0);
     assert_eq!([placed.pose.entry_count, placed.pose.palette_base, placed.pose.global_base], [9, 30, 40]);
@@ -108,7 +108,7 @@ fn what_does_not_depend_on_time_is_the_skeletons_and_the_instances() {
 }
 
 #[test]
-fn without_the_chunk_of_the_moment_an_instance_is_withheld_and_its_place_is_told() {
+fn an_instance_without_its_chunk_is_withheld_and_reported() {
     let mut tables = dancing();
     tables.forget_chunk((DANCE, 1));
     for (at, ready) in [(499, true), (500, false), (999, false), (1000, true)] {
@@ -128,7 +128,7 @@ fn words_on_their_way_are_not_evaluated() {
     assert!(!is_ready(&pose(&mut tables, 600).0));
     arena.drain_into(&mut [0; 16], |_| {});
     let mut out = [bytemuck::Zeroable::zeroed()];
-    let there = Moment { written: arena.written(), ..moment(600) };
+    let there = PoseQuery { written: arena.written(), ..moment(600) };
     tables.poses(there, &[Drawn { instance: FOX, vertices: 10 }], &mut out);
     assert!(is_ready(&out[0]));
     let late = arena.push(0, &[0; 16]);
@@ -179,7 +179,7 @@ fn a_change_in_time_is_followed_to_the_letter() {
 }
 
 #[test]
-fn a_change_that_comes_late_is_blended_to_within_the_blending_time() {
+fn a_late_change_is_blended_within_the_blending_time() {
     let mut tables = dancing();
     pose(&mut tables, 900);
     let mut schedule = Schedule::new(playback(0, DANCE, 0.0, 0));
@@ -215,7 +215,7 @@ fn what_is_told_again_disturbs_no_blend_and_later_changes_count() {
 }
 
 #[test]
-fn what_is_seen_before_its_first_time_goes_on_until_the_next_change() {
+fn playback_before_its_start_continues_until_a_change() {
     let mut tables = dancing();
     tables.set_schedule(FOX, Schedule::new(playback(1000, DANCE, 1.0, 0)));
     pose(&mut tables, 700);
@@ -292,7 +292,7 @@ fn word(place: u32) -> u32 {
 }
 
 #[test]
-fn poses_on_the_grid_are_weighed_by_four_steps_where_they_are_there() {
+fn grid_poses_use_four_steps_where_present() {
     let (pose, _) = pose(&mut on_grid(&[6, 7, 8, 9]), 725);
     assert_eq!(pose.flags, POSE_READY | POSE_FROM_GRID);
     assert_eq!(pose.grid_words, [6, 7, 0, 1].map(word));
@@ -301,7 +301,7 @@ fn poses_on_the_grid_are_weighed_by_four_steps_where_they_are_there() {
 }
 
 #[test]
-fn without_an_outer_step_poses_on_the_grid_are_on_a_line_and_name_no_other_words() {
+fn grid_poses_without_an_outer_step_are_linear() {
     for steps in [&[7, 8][..], &[6, 7, 8], &[7, 8, 9]] {
         let (pose, counts) = pose(&mut on_grid(steps), 725);
         assert_eq!(pose.grid_weights, [0.0, 0.75, 0.25, 0.0], "{steps:?}");
@@ -313,7 +313,7 @@ fn without_an_outer_step_poses_on_the_grid_are_on_a_line_and_name_no_other_words
 }
 
 #[test]
-fn past_the_last_pose_on_the_grid_it_goes_on_for_one_step_and_stays() {
+fn past_the_last_grid_pose_an_instance_extrapolates_one_step() {
     let mut tables = on_grid(&[6, 7]);
     let weights = |tables: &mut Skinned, at| pose(tables, at).0.grid_weights;
     assert_eq!(weights(&mut tables, 750), [-0.5, 1.5, 0.0, 0.0]);

@@ -92,7 +92,7 @@ fn demanded(expected: &ExpectedIdentity) -> Option<Fingerprint> {
 }
 
 #[test]
-fn what_the_user_demands_counts_before_what_is_known_and_that_before_what_is_announced() {
+fn demanded_precedes_known_precedes_announced() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut known = KnownServers::load(folder.path()).expect("an empty list");
     let address: SocketAddr = "192.168.1.5:7400".parse().expect("an address");
@@ -108,7 +108,7 @@ fn what_the_user_demands_counts_before_what_is_known_and_that_before_what_is_ann
 }
 
 #[test]
-fn the_server_that_was_connected_last_is_taken_at_once_among_others_that_are_known() {
+fn the_last_server_wins_among_known_ones_at_once() {
     let folder = tempfile::tempdir().expect("a folder");
     let [desk, attic] = [server("desk", 1), server("attic", 2)];
     for last in [&attic, &desk] {
@@ -120,7 +120,7 @@ fn the_server_that_was_connected_last_is_taken_at_once_among_others_that_are_kno
 }
 
 #[test]
-fn where_nobody_is_found_the_last_server_is_reached_at_its_last_address() {
+fn an_unfound_last_server_is_reached_at_its_last_address() {
     let folder = tempfile::tempdir().expect("a folder");
     let (address, fingerprint, _server) = mute_server(81);
     KnownServers::load(folder.path())
@@ -136,7 +136,7 @@ fn where_nobody_is_found_the_last_server_is_reached_at_its_last_address() {
 }
 
 #[test]
-fn a_stranger_at_the_last_servers_address_is_refused_and_the_search_goes_on() {
+fn a_stranger_at_the_last_address_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let (address, _, _server) = mute_server(82);
     KnownServers::load(folder.path())
@@ -174,7 +174,7 @@ fn the_list_chooses_nobody_by_itself_and_the_user_does() {
 }
 
 #[test]
-fn while_there_is_a_list_failures_of_a_server_found_before_do_not_overwrite_it() {
+fn failures_do_not_overwrite_the_server_list() {
     let folder = tempfile::tempdir().expect("a folder");
     let [desk, attic] = [server("desk", 1), server("attic", 2)];
     let (mut connector, mut headset) = (connector(&options(&folder, "find")), Headset::default());
@@ -189,7 +189,7 @@ fn while_there_is_a_list_failures_of_a_server_found_before_do_not_overwrite_it()
 }
 
 #[test]
-fn a_name_that_nobody_knows_is_said_with_what_to_do_until_it_leads_somewhere() {
+fn an_unknown_name_is_reported_with_its_remedy() {
     let folder = tempfile::tempdir().expect("a folder");
     let (mut connector, mut headset) =
         (connector(&options(&folder, "desk.invalid:7400")), Headset::default());
@@ -211,7 +211,7 @@ fn a_name_that_nobody_knows_is_said_with_what_to_do_until_it_leads_somewhere() {
 }
 
 #[test]
-fn what_was_wrong_at_the_start_is_said_first_and_as_long_as_nothing_came_of_it() {
+fn the_first_failure_is_reported_until_a_connection() {
     let folder = tempfile::tempdir().expect("a folder");
     let notice = Some("server.txt:1: 'x' is no address".to_owned());
     let mut connector = connector(&RunOptions { notice, ..options(&folder, "find") });

@@ -1,4 +1,4 @@
-//! A small server with a slot allocator, a network that reorders and drops, and a client that must always show exactly one
+//! A small server with a slot allocator, a network that reorders and drops, and a client that must always display exactly one
 //! update.
 
 use super::*;
@@ -440,7 +440,7 @@ fn run_slowly(seed: u64) -> usize {
 }
 
 #[test]
-fn no_triangle_has_corners_of_two_times_however_late_pictures_are() {
+fn no_triangle_has_corners_of_two_times() {
     let frozen: usize = (0..200).map(run_slowly).sum();
     assert!(frozen > 1000, "{frozen}: samples never ran short");
 }
@@ -456,7 +456,7 @@ fn a_slot_given_anew_while_it_is_on_display_is_told() {
 }
 
 #[test]
-fn changes_of_patches_that_wait_for_pictures_are_bounded_by_what_they_say() {
+fn waiting_patch_changes_are_bounded() {
     let mut bundler = Bundler::<u32>::new(DEFAULT_PATCH_SLOTS, AtlasExtent::DEFAULT);
     let all = || (0..DEFAULT_PATCH_SLOTS).map(PatchSlot);
     let enters = |slot| NewPatch { slot, ..one_triangle() };
@@ -470,7 +470,7 @@ fn changes_of_patches_that_wait_for_pictures_are_bounded_by_what_they_say() {
 }
 
 #[test]
-fn what_is_drawn_is_always_one_update_whatever_arrives_when() {
+fn a_drawn_bundle_is_always_one_update() {
     let patches_seen: usize = (0..300).map(run).sum();
     assert!(patches_seen > 50_000, "{patches_seen}: the scenes are too empty to show anything");
 }
@@ -513,7 +513,7 @@ fn triangle(frame: u32, steps: std::ops::RangeInclusive<i32>) -> ReceivedDelta {
 }
 
 #[test]
-fn a_picture_without_its_delta_is_not_shown_nor_a_delta_without_a_picture() {
+fn neither_picture_nor_delta_is_drawn_alone() {
     let mut bench = Bench::new(0);
     bench.bundler.add_picture(UpdateId(0), 0);
     assert_eq!(bench.display(100, 0), None);
@@ -526,7 +526,7 @@ fn a_picture_without_its_delta_is_not_shown_nor_a_delta_without_a_picture() {
 }
 
 #[test]
-fn a_picture_that_comes_after_a_later_one_was_shown_is_given_back() {
+fn a_picture_older_than_the_displayed_is_returned() {
     let mut bench = Bench::new(0);
     (0..2).for_each(|frame| bench.add_delta(delta(frame)));
     assert_eq!(bench.bundler.add_picture(UpdateId(1), 1), None);
@@ -535,7 +535,7 @@ fn a_picture_that_comes_after_a_later_one_was_shown_is_given_back() {
 }
 
 #[test]
-fn corners_lie_in_the_blocks_lookup_rectangle_and_carry_slot_and_instance() {
+fn corners_lie_in_the_blocks_lookup_rectangle() {
     let mut bench = Bench::new(0);
     bench.add_delta(triangle(0, 0..=4));
     bench.bundler.add_picture(UpdateId(0), 0);
@@ -634,7 +634,7 @@ fn samples_are_in_metres_and_count_before_the_picture_is_there() {
 }
 
 #[test]
-fn a_patch_is_withheld_until_the_first_step_that_all_its_vertices_have() {
+fn a_patch_waits_for_a_step_of_all_its_vertices() {
     let mut bench = Bench::new(0);
     bench.add_delta(triangle(0, 5..=8));
     bench.bundler.add_picture(UpdateId(0), 0);
@@ -647,7 +647,7 @@ fn a_patch_is_withheld_until_the_first_step_that_all_its_vertices_have() {
 }
 
 #[test]
-fn vertices_past_their_last_sample_are_held_for_one_step_and_then_frozen() {
+fn vertices_past_their_last_sample_freeze_after_one_step() {
     let mut bench = Bench::new(0);
     bench.add_delta(triangle(0, 0..=4));
     bench.bundler.add_picture(UpdateId(0), 0);

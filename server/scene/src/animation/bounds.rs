@@ -1,9 +1,9 @@
-//! Boxes that hold a model over a whole clip, and an instance over its clip and its path: what culling, shadows and
-//! quantisation may rely on at any time of the scene.
+//! Bounding boxes of a model over a whole clip, and of an instance over its clip and its path. Culling, shadows and
+//! quantisation rely on them at any time of the scene.
 //!
-//! A skinned vertex is a weighted mean of the places to which its palette entries move it, so it stays in the hull of
-//! the boxes of what each entry moves. Moving 8 corners for each entry is far cheaper than moving every vertex, and
-//! allows as many moments as the display has.
+//! A skinned vertex is a weighted mean of the places to which its palette entries move it. So it stays in the hull of the boxes
+//! of each entry's moved vertices. Moving 8 corners per entry is far cheaper than moving every vertex, and allows as many times
+//! as the display has.
 
 use super::{clip, playing, pose};
 use crate::timeline::ClipIndex;

@@ -1,15 +1,15 @@
-//! The paper's error table: how far sampled curves are from their originals, and how far the client's interpolation
-//! between samples on a time grid is.
+//! The paper's error table: the distance of sampled curves from their originals, and of the client's interpolation between
+//! samples on a time grid.
 //!
-//! Curves are compared at their original keys, in percent of their own range: the largest distance between any two of
-//! their values, which for a rotation is an angle. Curves that hardly move (below 0.1 mrad, 0.01 mm or 0.00001) have no
-//! range to speak of and are left out. Vertices are compared at the keys of all curves, in millimetres.
+//! Curves are compared at their original keys, in percent of their own range: the largest distance between any two of their
+//! values, an angle for rotations. Curves that hardly move (below 0.1 mrad, 0.01 mm or 0.00001) have no range and are omitted.
+//! Vertices are compared at the keys of all curves, in millimetres.
 
 use super::pose;
 use super::sampling::SampledClip;
 use super::sampling::SampledTrack;
 use super::sampling::curve::Curve;
-use super::sampling::probe::{Moment, distances};
+use super::sampling::probe::{VertexInputs, distances};
 use super::sampling::source::{Source, Sources};
 use crate::{Model, Repetition};
 use glam::{Vec3A, Vec4};
@@ -149,10 +149,14 @@ impl Subject<'_> {
             samples.retain(|index, _| *index >= first);
             for (index, at_s, _) in &used {
                 samples.entry(*index).or_insert_with(|| {
-                    positions(self.model, &Moment::of_samples(self.model, self.sampled, *at_s), vertices)
+                    positions(
+                        self.model,
+                        &VertexInputs::of_samples(self.model, self.sampled, *at_s),
+                        vertices,
+                    )
                 });
             }
-            let truth = Moment::of_source(self.model, Some(self.clip), f64::from(*time_s));
+            let truth = VertexInputs::of_source(self.model, Some(self.clip), f64::from(*time_s));
             for (place, truth) in positions(self.model, &truth, vertices).into_iter().enumerate() {
                 let found: Vec3A =
                     used.iter().map(|(index, _, weight)| samples[index][place] * *weight).sum();
@@ -161,9 +165,9 @@ impl Subject<'_> {
         }
     }
 
-    fn moments(&self, t_s: f64) -> [Moment; 2] {
-        let truth = Moment::of_source(self.model, Some(self.clip), t_s);
-        [truth, Moment::of_samples(self.model, self.sampled, t_s)]
+    fn moments(&self, t_s: f64) -> [VertexInputs; 2] {
+        let truth = VertexInputs::of_source(self.model, Some(self.clip), t_s);
+        [truth, VertexInputs::of_samples(self.model, self.sampled, t_s)]
     }
 
     /// Curves that move, with what they were sampled to.
@@ -298,7 +302,7 @@ impl Grid {
     }
 }
 
-fn positions(model: &Model, moment: &Moment, vertices: &[u32]) -> Vec<Vec3A> {
+fn positions(model: &Model, moment: &VertexInputs, vertices: &[u32]) -> Vec<Vec3A> {
     let morphed = pose::morphed(model, &moment.weights);
     let place = |index: &u32| {
         let vertex = &morphed[*index as usize];
@@ -411,7 +415,7 @@ mod tests {
     }
 
     #[test]
-    fn client_that_interpolates_linearly_errs_as_resampling_does_and_a_cubic_hardly() {
+    fn linear_clients_err_like_resampling_and_cubic_ones_hardly() {
         with_sampled(&swinging(), Sampling::Constant { interval_s: 0.005 }, |subject| {
             let percent = |table: ErrorTable| table.rotation.expect("it turns").max_percent;
             let linear = percent(subject.client_side(0.1, linear_weights));

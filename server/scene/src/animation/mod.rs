@@ -1,4 +1,4 @@
-//! How a model moves, on the CPU: source curves, their sampling, poses, skinning.
+//! Motion of a model on the CPU: source curves, their sampling, poses, skinning.
 
 pub mod bounds;
 pub mod clip;

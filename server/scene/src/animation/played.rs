@@ -1,5 +1,5 @@
-//! Boxes that hold a model over all that an instance can ever play: its clips, their cross-fades, and where an application
-//! poses it, whatever that may do.
+//! Bounding boxes of a model over everything that an instance can play: its clips, their cross-fades, and an application's
+//! poses.
 
 use super::bounds::{Bounds, Reach, fade_bounds, model_bounds};
 use crate::animation::pose::animated_vertices;

@@ -1,4 +1,4 @@
-//! Poses by what is played: of one clip, or of two amid a cross-fade. CPU twin of the fade in `pose.glsl`.
+//! Poses of the played clips: of one clip, or of two during a cross-fade. CPU twin of the fade in `pose.glsl`.
 
 use super::clip;
 use super::sampling::SampledClip;
@@ -81,7 +81,7 @@ mod tests {
     use glam::Vec3;
 
     #[test]
-    fn a_mix_goes_straight_and_turns_along_the_shorter_arc_whatever_the_sign() {
+    fn a_mix_turns_along_the_shorter_arc() {
         let at = |x: f32, angle: f32| Trs {
             translation: Vec3::X * x,
             rotation: Quat::from_rotation_y(angle),

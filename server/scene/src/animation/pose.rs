@@ -1,5 +1,5 @@
-//! CPU twin of the GPU's animation stages: bone palette, morph targets, skinning; and the same from the source curves,
-//! which is the truth that both are measured against. Local poses come from [`super::sampling`] or [`source_pose`].
+//! CPU twin of the GPU's animation stages: bone palette, morph targets, skinning; and the same from the source curves, the
+//! truth for both. Local poses come from [`super::sampling`] or [`source_pose`].
 
 use super::clip;
 use crate::{Model, Trs, Vertex};

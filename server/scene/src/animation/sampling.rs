@@ -1,8 +1,8 @@
-//! Clips as the GPU evaluates them: each curve with its own keys and its own interpolation.
+//! Clips for the GPU: each curve with its own keys and its own interpolation.
 //!
-//! Two ways lead there. *Constant* sampling looks at every curve at one interval, as the paper does. *Error-bounded*
-//! sampling keeps the fewest keys with which no skinned vertex leaves the original by more than a bound
-//! (`bounded`). What evaluates a clip need not know which of the two made it.
+//! Two ways produce them. *Constant* sampling evaluates every curve at one interval, as the paper does. *Error-bounded*
+//! sampling keeps the fewest keys with which no skinned vertex leaves the original by more than a bound (`bounded`). The
+//! evaluation does not depend on the way.
 
 mod bounded;
 pub(crate) mod curve;
@@ -296,7 +296,9 @@ fn interval_count(duration_s: f32, interval_s: f32, track_count: usize) -> u32 {
     let limit = (MAX_CONSTANT_KEYS / track_count.max(1)).saturating_sub(1).max(1) as f64;
     if wanted > limit {
         let longer_s = f64::from(duration_s) / limit;
-        tracing::warn!("clip of {duration_s} s is sampled each {longer_s} s instead of each {interval_s} s");
+        tracing::warn!(
+            "a clip of {duration_s} s is sampled every {longer_s} s instead of every {interval_s} s"
+        );
     }
     wanted.min(limit) as u32
 }

@@ -1,8 +1,8 @@
 //! Animation stacks to [`Clip`]s.
 //!
 //! FBX animates Euler angles in layers, by curves with tangents, under pre- and post-rotations and pivots. The library
-//! evaluates all that and bakes it into keys. Between those, more are added where a straight line would leave what the
-//! library evaluates (see [`curve`](super::curve)); the keys are cut to the stack's time range and moved to start at 0.
+//! evaluates all that and bakes it into keys. More keys are added where a straight line would leave the library's evaluation
+//! (see [`curve`](super::curve)). The keys are cut to the stack's time range and moved to start at 0.
 
 use super::convert::{self, rotation, vec3};
 use super::curve::{Curve, Key, ROTATION, Range, SCALE, TRANSLATION, WEIGHT, refined, with_bends};

@@ -1,4 +1,4 @@
-//! Keys of one animated number, vector or rotation: made exact enough, cut to a clip's time range.
+//! Keys of one animated number, vector or rotation: refined to be exact enough, cut to a clip's time range.
 
 use crate::limits::MAX_DURATION_S;
 use crate::{Interpolation, Track, TrackValues};

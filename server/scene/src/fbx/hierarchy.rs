@@ -1,4 +1,4 @@
-//! Nodes to bones, parents first; which of them are shown; lights.
+//! Nodes to bones, parents first; their visibility; lights.
 
 use super::convert::{self, rotation, vec3};
 use crate::error::Fault;
@@ -127,7 +127,7 @@ fn light(source: &ufbx::Light, warnings: &mut Warnings) -> Option<(Light, Quat)>
     let towards = vec3(source.local_direction).try_normalize().unwrap_or(Vec3::NEG_Y);
     if !(intensity.is_finite() && intensity.min_element() >= 0.0) {
         warnings.insert(format!(
-            "{} is ignored: its intensity makes no sense",
+            "{} is ignored: its intensity is not finite, or negative",
             convert::label("light", &source.element)
         ));
         return None;

@@ -1,8 +1,8 @@
-//! Materials and the textures that they use: FBX's Lambert and Phong and the physically based ones of the common tools,
-//! which the library brings into one form, to metallic-roughness.
+//! Materials and their textures. The library brings FBX's Lambert and Phong and the physically based materials of the common
+//! tools into one form; this module converts it to metallic-roughness.
 //!
-//! A texture that cannot be had (not beside the file, or in a format that is not read) costs one warning; the material
-//! keeps its factors. Colours count as linear.
+//! An unavailable texture (not beside the file, or in an unsupported format) costs one warning; the material keeps its factors.
+//! Colours count as linear.
 
 use super::convert;
 use crate::error::Fault;
@@ -266,7 +266,7 @@ fn file_texture<'a>(texture: &'a ufbx::Texture, warnings: &mut Warnings) -> Opti
     if texture.type_ == ufbx::TextureType::File && texture.has_file {
         return Some(texture);
     }
-    warnings.insert("of layered and procedural textures only the first picture is used".into());
+    warnings.insert("layered and procedural textures are reduced to their first picture".into());
     texture.file_textures.as_ref().iter().map(|texture| &**texture).find(|texture| texture.has_file)
 }
 

@@ -44,7 +44,7 @@ impl Source<'_> {
         }
         let mut indices: Vec<u32> = (0..vertices.len() as u32).collect();
         if vertices.iter().any(|vertex| vertex.normal == Vec3::ZERO) {
-            warnings.insert("normals without length are replaced".into());
+            warnings.insert("normals of length 0 are replaced".into());
             replace_zero_normals(&mut vertices, &indices);
         }
         match normal_map {

@@ -1,5 +1,5 @@
-//! Blend shapes to morph targets. A channel with shapes in between becomes one morph for each of its shapes; their
-//! weights follow the channel's as FBX blends them (see [`Channel::weights`]).
+//! Blend shapes to morph targets. A channel with in-between shapes becomes one morph per shape. Their weights follow the
+//! channel's by FBX's blending (see [`Channel::weights`]).
 
 use super::convert::{self, vec3};
 use super::part::Part;
@@ -99,7 +99,9 @@ impl Morphs {
                     let shape = read_shape(&key.shape, first + index as u32, mesh.num_vertices)?;
                     found.moved.extend(shape.offsets.keys());
                     if !shape.has_normals {
-                        warnings.insert("blend shapes without normals get them from their surface".into());
+                        warnings.insert(
+                            "blend shapes without normals get normals computed from their surface".into(),
+                        );
                     }
                     found.shapes.push(shape);
                 }

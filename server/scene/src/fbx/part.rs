@@ -1,4 +1,4 @@
-//! What a mesh is read to, one for each material, and what shapes then move.
+//! The parts of a mesh, one per material, before shapes move them.
 
 use crate::Vertex;
 

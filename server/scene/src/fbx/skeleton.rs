@@ -1,4 +1,4 @@
-//! Bones as geometry, for files that hold a skeleton and no mesh: without, there would be nothing to see of them.
+//! Bones as geometry, for files with a skeleton and no mesh. Without it nothing would be visible.
 
 use super::hierarchy::Hierarchy;
 use crate::limits::MAX_PALETTE;

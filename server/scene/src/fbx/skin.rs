@@ -1,4 +1,4 @@
-//! What the control points of a mesh follow: the clusters of its skin, or the node that shows it.
+//! Influences on the control points of a mesh: the clusters of its skin, or its node.
 
 use super::convert::affine;
 use crate::PaletteEntry;
@@ -23,11 +23,11 @@ impl Binding {
 
 pub(super) fn note_what_is_approximate(mesh: &ufbx::Mesh, warnings: &mut Warnings) {
     if mesh.skin_deformers.count > 1 {
-        warnings.insert("of several skins of one mesh only the first is used".into());
+        warnings.insert("a mesh has several skins; only the first is used".into());
     }
     let method = mesh.skin_deformers.as_ref().first().map(|skin| skin.skinning_method);
     if matches!(method, Some(ufbx::SkinningMethod::DualQuaternion | ufbx::SkinningMethod::BlendedDqLinear)) {
-        warnings.insert("dual quaternion skins are skinned linearly".into());
+        warnings.insert("dual quaternion skinning is replaced by linear skinning".into());
     }
 }
 

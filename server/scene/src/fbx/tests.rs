@@ -1,4 +1,4 @@
-//! The importer on small generated files, on thousands of damaged ones, and on real assets where they are there.
+//! The importer on small generated files, on thousands of damaged ones, and on real assets where present.
 
 mod ascii;
 
@@ -295,7 +295,7 @@ fn hidden_nodes_and_what_hangs_on_them_are_not_drawn() {
 }
 
 #[test]
-fn more_than_four_influences_are_reduced_and_unskinned_points_follow_the_node() {
+fn influences_are_reduced_to_four() {
     let (model, _) = load_text(&with_skin(plain()));
     let at = |x: f32, y: f32| {
         model.vertices.iter().find(|v| v.position.truncate() == glam::Vec2::new(x, y)).expect("vertex")
@@ -324,7 +324,7 @@ fn clip_starts_at_0_and_a_stepped_curve_stays_one() {
 }
 
 #[test]
-fn curves_skins_and_shapes_in_between_are_what_the_library_evaluates() {
+fn curves_skins_and_in_between_shapes_equal_the_library() {
     let mut file = sample();
     // Four influences at most, so that nothing is approximated: the two weakest clusters let go of points 2 and 3.
     for weight in ["0.05,0.05", "0.1,0.1"] {
@@ -346,7 +346,7 @@ fn curves_skins_and_shapes_in_between_are_what_the_library_evaluates() {
 }
 
 #[test]
-fn layers_and_scale_that_children_do_not_inherit_are_what_the_library_evaluates() {
+fn layers_and_uninherited_scale_equal_the_library() {
     let mut file = sample();
     // A second, additive layer; bone 3 (which is stretched) does not hand its scale on to bone 4.
     file.object(
@@ -467,7 +467,7 @@ fn embedded_textures_take_the_place_of_colours() {
 }
 
 #[test]
-fn textures_beside_the_file_are_found_and_missing_ones_cost_a_warning() {
+fn missing_textures_cost_a_warning() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut file = plain();
     add_texture(&mut file, 700, "DiffuseColor", "a.png", "", None);
@@ -531,7 +531,7 @@ fn roughness_and_metalness_become_one_texture() {
 }
 
 #[test]
-fn transform_of_texture_coordinates_is_turned_upside_down_like_them() {
+fn texture_transforms_are_flipped_with_their_coordinates() {
     let mut file = plain();
     let moved = "Properties70: {\nP: \"Translation\", \"Vector\", \"\", \"A\",0.25,0.5,0\nP: \"Scaling\", \"Vector\", \"\", \"A\",2,3,1\n}";
     add_texture(&mut file, 700, "DiffuseColor", "a.png", moved, Some(&png(2, [1, 2, 3])));

@@ -1,4 +1,4 @@
-//! What a scene file lets happen as time goes by: `[[event]]`s, which change what an instance plays.
+//! Events of a scene file over time: `[[event]]`s, which change an instance's playback.
 
 use super::fields::Fields;
 use super::path::REPETITIONS;
@@ -19,7 +19,7 @@ pub(super) fn read_events(root: &Fields, instances: &[InstanceEntry]) -> Result<
     let known = [&["at", "instance"][..], &CHANGE_KEYS].concat();
     let tables = root.tables("event", &known)?;
     if let Some(fields) = tables.get(MAX_EVENTS) {
-        let problem = format!("a scene can have {MAX_EVENTS} events");
+        let problem = format!("a scene can have at most {MAX_EVENTS} events");
         return Err(fields.source.error(fields.line, problem));
     }
     let mut events = Vec::new();

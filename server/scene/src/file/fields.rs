@@ -1,4 +1,4 @@
-//! Tables of a TOML text with the line of every value: the part of the reader that knows TOML and nothing of scenes.
+//! Tables of a TOML text with the line of every value. This part of the reader knows TOML and no scenes.
 
 use crate::SceneError;
 use crate::suggest::{did_you_mean, did_you_mean_or_list};
@@ -136,7 +136,7 @@ impl<'a> Fields<'a> {
         match taken.any(|other| other == name) {
             true => Err(self
                 .source
-                .error(line, format!("there are two {kind} of the name \"{}\"", printable(&name)))),
+                .error(line, format!("two {kind} have the name \"{}\"; rename one", printable(&name)))),
             false => Ok(name),
         }
     }
@@ -252,7 +252,7 @@ impl<'a> Fields<'a> {
         known: &[&str],
     ) -> Result<Option<Fields<'a>>, SceneError> {
         if self.has(key) && self.has(other) {
-            let problem = format!("[{key}] and [{other}] are two names of one thing; keep one");
+            let problem = format!("[{key}] and [{other}] are synonyms; keep one");
             return Err(self.error(other, problem));
         }
         Ok(self.table(key, known)?.or(self.table(other, known)?))

@@ -103,7 +103,7 @@ pub(super) fn read_lights(root: &Fields) -> Result<Vec<PlacedLight>, SceneError>
 fn read_light(fields: &Fields, index: usize) -> Result<PlacedLight, SceneError> {
     let kind = fields.required("kind", fields.choice("kind", &KINDS)?)?;
     if let Some(key) = fields.first_of(kind.meaningless()) {
-        let problem = format!("a {} light has no \"{key}\"; take it out", kind.name());
+        let problem = format!("a {} light has no \"{key}\"; remove it", kind.name());
         return Err(fields.error(key, problem));
     }
     let color = fields.colour("color")?.unwrap_or(Vec3::ONE);
@@ -145,7 +145,7 @@ fn read_place(fields: &Fields, kind: Kind) -> Result<Affine3A, SceneError> {
         if kind == Kind::Directional { Vec3::ZERO } else { fields.required("position", position)? };
     let along = match fields.vector_m("target")? {
         Some(target) => Some((target - position).try_normalize().ok_or_else(|| {
-            fields.error("target", "\"target\" is where the light itself is; put it where the light shines")
+            fields.error("target", "\"target\" is the position of the light itself; move it to a lit point")
         })?),
         None => fields.direction("direction", "the way the light shines")?,
     };

@@ -1,10 +1,9 @@
-//! The scene file: TOML to a [`SceneFile`], with the line of everything, so that what turns out to be wrong later
-//! (a model that is not there, a clip that it does not have) can still be shown where it stands.
+//! The scene file: TOML to a [`SceneFile`], with the line of everything. Later faults (a missing model, an unknown clip) can
+//! still be shown at their line.
 //!
-//! Read by hand rather than through serde: its errors name the key, but not what the user may have meant.
-//! A scene file is its user's own: it names models wherever they are on this machine. What it names, an asset of a
-//! stranger's, may name files of its own folder only (`references`).
-//! `docs/scene.example.toml` shows everything that a scene file can say.
+//! The reader does not use serde, whose errors name the key, but not the likely intention. A scene file belongs to its user: it
+//! names models anywhere on this machine. Its assets may be a stranger's, and may name files of their own folder only
+//! (`references`). `docs/scene.example.toml` shows every key.
 
 mod event;
 mod fields;

@@ -1,5 +1,5 @@
-//! Keyframed transforms of a scene file: what a person writes, a list of keys, made into the curves that every
-//! clip has. Smooth paths get their tangents here, so that nothing behind this file knows of a further interpolation.
+//! Keyframed transforms of a scene file: a user's list of keys becomes the same curves as a clip's. Smooth paths get their
+//! tangents here, so later modules know no further interpolation.
 
 use super::fields::Fields;
 use super::transform::{read_quaternion, read_scale, rotation_of};
@@ -106,11 +106,11 @@ pub(super) fn read_key_times(
         let time_s = table.number_within("time_s", 0.0..=MAX_PATH_DURATION_S, "seconds")?;
         let time_s = table.required("time_s", time_s)?;
         if let Some(before) = keys.last().filter(|before| before.time_s >= time_s) {
-            let problem = format!("time {time_s} s does not come after {} s; sort the keys", before.time_s);
+            let problem = format!("time {time_s} s is not after {} s; sort the keys", before.time_s);
             return Err(table.error("time_s", problem));
         }
         if table.first_of(channels).is_none() {
-            let problem = format!("key says nothing but its time; give it {}", channels.join(", "));
+            let problem = format!("key has only a time; give it {}", channels.join(", "));
             return Err(table.source.error(table.line, problem));
         }
         keys.push(read(table, time_s)?);

@@ -1,4 +1,4 @@
-//! Where a scene file places its models: single instances, and grids of them.
+//! Placement of models in a scene file: single instances, and grids of them.
 
 use super::fields::Fields;
 use super::path::{CURVE_KEYS, REPETITIONS, read_transform_path};
@@ -67,7 +67,7 @@ pub(super) fn read_instances(root: &Fields, named: &Named) -> Result<Vec<Instanc
         instances.extend(cells(grid.count).map(|cell| grid.place(&shared, upright, cell)));
     }
     if instances.is_empty() {
-        let problem = "there is no [[instance]] and no [[grid]]: the scene shows nothing";
+        let problem = "the scene has no [[instance]] and no [[grid]]; add one";
         return Err(root.source.error(root.source.last_line(), problem));
     }
     Ok(instances)
@@ -170,7 +170,7 @@ fn check_not_flat(fields: &Fields, placement: Affine3A, key: &str) -> Result<(),
     let problem = if determinant < 0.0 {
         "mirrors the model; mirror the asset instead"
     } else {
-        "flattens the model to nothing, or blows it up beyond all numbers"
+        "scales the model to 0 or beyond the range of numbers"
     };
     Err(fields.error(key, format!("\"{key}\" {problem}")))
 }

@@ -94,7 +94,7 @@ fn faults_are_shown_where_they_stand() {
         (
             "scale = 2",
             "scale = 0",
-            "scene.toml:14: \"scale\" flattens the model to nothing, or blows it up beyond all numbers",
+            "scene.toml:14: \"scale\" scales the model to 0 or beyond the range of numbers",
         ),
         (
             "scale = 2",
@@ -106,7 +106,11 @@ fn faults_are_shown_where_they_stand() {
             "[1, 2.5]",
             "scene.toml:12: \"translation\" of instance has 2 numbers; it must have 3",
         ),
-        ("name = \"fox\"", "name = \"dragon\"", "scene.toml:7: there are two models of the name \"dragon\""),
+        (
+            "name = \"fox\"",
+            "name = \"dragon\"",
+            "scene.toml:7: two models have the name \"dragon\"; rename one",
+        ),
         ("file = \"dragon\"", "", "scene.toml:2: model needs \"file\""),
         (
             "direction = [0, 2, 0]",
@@ -147,7 +151,7 @@ fn scene_that_shows_nothing_is_refused() {
 
 #[test]
 fn two_names_of_one_table_are_refused() {
-    assert!(message(&format!("{GOOD}\n[environment]\nzenith = [0, 0, 0]")).contains("two names"));
+    assert!(message(&format!("{GOOD}\n[environment]\nzenith = [0, 0, 0]")).contains("are synonyms"));
     assert!(parse(&GOOD.replace("[sky]", "[environment]"), "scene.toml").is_ok());
 }
 
@@ -351,12 +355,12 @@ fn faults_of_the_rich_file_are_shown_where_they_stand() {
             "\"forever\"",
             "scene.toml:9: \"repetition\" of path cannot be \"forever\"; it can be \"once\", \"loop\", \"ping-pong\"",
         ),
-        ("time_s = 3", "time_s = 1", "scene.toml:21: time 1 s does not come after 1 s; sort the keys"),
+        ("time_s = 3", "time_s = 1", "scene.toml:21: time 1 s is not after 1 s; sort the keys"),
         ("time_s = 3", "time_s = -3", "scene.toml:21: \"time_s\" must be from 0 to 86400 seconds"),
         (
             "  translation = [1, 0, 0]\n  scale = 2",
             "",
-            "scene.toml:16: key says nothing but its time; give it translation, rotation_euler_deg, \
+            "scene.toml:16: key has only a time; give it translation, rotation_euler_deg, \
              rotation_quaternion, scale",
         ),
         (
@@ -397,7 +401,7 @@ fn faults_of_the_rich_file_are_shown_where_they_stand() {
         (
             "kind = \"spot\"",
             "kind = \"point\"",
-            "scene.toml:55: a point light has no \"outer_cone_deg\"; take it out",
+            "scene.toml:55: a point light has no \"outer_cone_deg\"; remove it",
         ),
         (
             "outer_cone_deg = 30",
@@ -411,11 +415,7 @@ fn faults_of_the_rich_file_are_shown_where_they_stand() {
             "scene.toml:52: \"intensity\" must be from 0 to 1000000 (linear)",
         ),
         ("fov_deg = 60", "fov_deg = 200", "scene.toml:66: \"fov_deg\" must be from 1 to 150 degrees"),
-        (
-            "position = [4, 1, 0]",
-            "",
-            "scene.toml:65: \"look_at\" needs \"position\" beside it: seen from where?",
-        ),
+        ("position = [4, 1, 0]", "", "scene.toml:65: \"look_at\" needs \"position\"; add it"),
         (
             "fov_deg = 60",
             "yaw_deg = 60",
@@ -424,7 +424,7 @@ fn faults_of_the_rich_file_are_shown_where_they_stand() {
         (
             "  position = [0, 1.7, 0]\n",
             "",
-            "scene.toml:68: head path \"nod\" does not say where the head is: give a key \"position\"",
+            "scene.toml:68: head path \"nod\" has no position; give its keys a \"position\"",
         ),
         ("[4, 1, 0]", "[4e9, 1, 0]", "scene.toml:64: \"position\" lies more than 1000000 m away"),
     ];
@@ -808,5 +808,5 @@ fn faults_of_events_are_shown_where_they_stand() {
     }
     let event = "[[event]]\nat = 1\ninstance = \"near\"\npause = true\n";
     let many = EVENTS.to_owned() + &event.repeat(4094);
-    assert_eq!(message(&many), "scene.toml:16407: a scene can have 4096 events");
+    assert_eq!(message(&many), "scene.toml:16407: a scene can have at most 4096 events");
 }

@@ -1,4 +1,4 @@
-//! Scales and rotations as instances, paths, lights and views write them.
+//! Scales and rotations of instances, paths, lights and views in a scene file.
 
 use super::fields::Fields;
 use crate::SceneError;

@@ -1,5 +1,4 @@
-//! Where a scene file is looked at from: the stage, cameras and head paths. Cameras and heads stand in the stage and
-//! look along their -z.
+//! Viewpoints of a scene file: the stage, cameras and head paths. Cameras and heads stand in the stage and look along their -z.
 
 use super::fields::Fields;
 use super::path::{CURVE_KEYS, Key, read_key_times, read_path};
@@ -54,8 +53,7 @@ pub(super) fn read_head_paths(root: &Fields) -> Result<Vec<HeadPath>, SceneError
         let name = fields.unique_name("head paths", head_paths.iter().map(|path| path.name.as_str()))?;
         let keys = read_key_times(&fields, &POSE_KEYS, read_head_key)?;
         if keys.iter().all(|key| key.translation.is_none()) {
-            let problem =
-                format!("head path \"{name}\" does not say where the head is: give a key \"position\"");
+            let problem = format!("head path \"{name}\" has no position; give its keys a \"position\"");
             return Err(fields.source.error(fields.line, problem));
         }
         let path = read_path(&fields, &name, &keys)?;
@@ -121,10 +119,9 @@ fn read_pose(fields: &Fields) -> Result<(Option<Vec3>, Option<Turn>), SceneError
 }
 
 fn look_at(fields: &Fields, position: Option<Vec3>, target: Vec3) -> Result<Quat, SceneError> {
-    let position = position.ok_or_else(|| {
-        fields.error("look_at", "\"look_at\" needs \"position\" beside it: seen from where?")
-    })?;
+    let position =
+        position.ok_or_else(|| fields.error("look_at", "\"look_at\" needs \"position\"; add it"))?;
     let along = (target - position).try_normalize();
-    let fault = || fields.error("look_at", "\"look_at\" is the position itself; it is the point looked at");
+    let fault = || fields.error("look_at", "\"look_at\" equals the position; give a point to look at");
     along.map(turned_to).ok_or_else(fault)
 }

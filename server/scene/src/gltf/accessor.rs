@@ -1,5 +1,4 @@
-//! Reads typed numbers out of buffers, with every bound checked first (the `gltf` crate's iterators index without
-//! looking).
+//! Typed numbers from buffers, with every bound checked first. (The `gltf` crate's iterators index without checks.)
 
 use super::super::error::Fault;
 use super::super::limits::MAX_ELEMENTS;

@@ -1,4 +1,4 @@
-//! glTF animations to [`Clip`]s: curves are kept as the file has them.
+//! glTF animations to [`Clip`]s, with their curves unchanged.
 
 use super::super::error::Fault;
 use super::super::limits::MAX_DURATION_S;
@@ -49,7 +49,7 @@ fn read(
     for channel in animation.channels() {
         let (node, property) = (channel.target().node().index(), channel.target().property());
         if !seen.insert((node, property_number(property))) {
-            warnings.insert("of several curves for one property of a node the first is used".into());
+            warnings.insert("a node has several curves for one property; only the first is used".into());
             continue;
         }
         let element = format!("{element} channel {}", channel.index());
@@ -61,7 +61,7 @@ fn read(
                 clip.morph_tracks.push(curve.into_morph_track(morphs.clone())?);
             }
             (Property::MorphTargetWeights, None) => {
-                warnings.insert("weights of nodes that show no morph targets are ignored".into());
+                warnings.insert("weight curves of nodes without morph targets are ignored".into());
             }
             _ => clip.tracks.push(curve.into_track(moved.bone_of_node[node])?),
         }

@@ -149,7 +149,7 @@ fn decode_base64(text: &str) -> Result<Vec<u8>, String> {
             b'0'..=b'9' => letter - b'0' + 52,
             b'+' | b'-' => 62,
             b'/' | b'_' => 63,
-            _ => return Err(format!("base64 data has a wrong letter at position {at}")),
+            _ => return Err(format!("base64 data has an invalid character at position {at}")),
         };
         bits = bits << 6 | u32::from(six);
         count += 6;

@@ -1,5 +1,5 @@
-//! `EXT_meshopt_compression`: buffer views whose bytes are compressed. They are decoded once, before anything reads
-//! them, so that the rest of the importer does not know of compression.
+//! `EXT_meshopt_compression`: buffer views with compressed bytes. They are decoded once, before all reads, so the rest of the
+//! importer does not know of compression.
 
 use super::buffer::Buffer;
 use super::extensions::{self, COMPRESSION};
@@ -101,7 +101,7 @@ impl Compressed {
             Filter::Exponential => mode == Mode::Attributes,
         };
         if !filter_fits {
-            return Err(format!("the filter does not go with the mode and byteStride {stride}"));
+            return Err(format!("the filter is not allowed with this mode and byteStride {stride}"));
         }
         count.checked_mul(stride).ok_or_else(|| format!("count {count} is too large"))
     }
@@ -141,7 +141,7 @@ impl Compressed {
     }
 }
 
-const DAMAGED: &str = "its data is damaged, or was written by a newer version of the codec";
+const DAMAGED: &str = "its data is damaged, or written by a newer version of the codec";
 
 /// `count` elements of `stride` bytes, a multiple of 4 up to 256, as words, so that filters find them aligned.
 fn decode_vertices(source: &[u8], count: usize, stride: usize) -> Result<Vec<u32>, String> {

@@ -1,7 +1,7 @@
 //! From bytes, GLB or plain glTF, to a validated JSON document and its buffers.
 //!
-//! The `gltf` crate's own container reader computes with unchecked lengths, so the container is read here; its JSON
-//! types and its index validation are used.
+//! The `gltf` crate's container reader computes with unchecked lengths, so this module reads the container. It uses the crate's
+//! JSON types and index validation.
 
 use super::super::error::Fault;
 use super::super::import::Surroundings;
@@ -86,12 +86,14 @@ fn parse(bytes: &[u8], warnings: &mut Warnings) -> Result<json::Root, serde_json
     let overlooked: Overlooked = serde_json::from_slice(bytes).unwrap_or_default();
     let targets = overlooked.meshes.iter().flat_map(|mesh| &mesh.primitives).flat_map(|p| &p.targets);
     if targets.flat_map(|target| target.keys()).any(|name| !is_morphed(name)) {
-        warnings.insert("morph targets move positions, normals and tangents only, nothing else".into());
+        warnings.insert(
+            "morph targets of other attributes than positions, normals and tangents are ignored".into(),
+        );
     }
     if overlooked.animations.iter().flat_map(|animation| &animation.channels).all(moves_a_node) {
         return json::Root::from_slice(bytes);
     }
-    warnings.insert("curves that do not move a node are ignored".into());
+    warnings.insert("curves without a target node are ignored".into());
     let mut root: Value = serde_json::from_slice(bytes)?;
     for animation in root.get_mut("animations").and_then(Value::as_array_mut).into_iter().flatten() {
         if let Some(channels) = animation.get_mut("channels").and_then(Value::as_array_mut) {
@@ -116,7 +118,7 @@ fn split_glb(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), Fault> {
         return Err(fault("the file ends inside its header".into()));
     };
     if version != 2 {
-        return Err(fault(format!("is version {version}; only version 2 is known")));
+        return Err(fault(format!("is version {version}; only version 2 is supported")));
     }
     let length = length as usize;
     if length > bytes.len() {

@@ -1,7 +1,7 @@
-//! Which extensions of glTF are read, what is said about the others, and how their JSON becomes a type of ours.
+//! The supported glTF extensions, the warnings about others, and the conversion of their JSON.
 //!
-//! The `gltf` crate knows some of these extensions itself, but neither on all objects that may carry them nor with
-//! messages that name the element; so their JSON is kept as it is and read here.
+//! The `gltf` crate knows some of these extensions, but not on all objects that may carry them, and its messages do not name
+//! the element. So their JSON is kept and read here.
 
 use super::Warnings;
 use crate::error::Fault;

@@ -1,4 +1,4 @@
-//! `KHR_lights_punctual`: lights that hang on nodes.
+//! `KHR_lights_punctual`: lights of nodes.
 
 use super::extensions::{self, LIGHTS};
 use super::{label, node_label};

@@ -1,8 +1,8 @@
-//! Materials and the textures that they use. A glTF image becomes one [`Texture`] per way of use: coded in sRGB or
-//! linear, and with which wrap modes.
+//! Materials and their textures. A glTF image becomes one [`Texture`] per use: coded in sRGB or linear, and with its wrap
+//! modes.
 //!
-//! A vertex holds two sets of texture coordinates. Files may number theirs as they like; the first two that a
-//! material uses become sets 0 and 1 of the vertices that have the material.
+//! A vertex holds two sets of texture coordinates. Files may number theirs freely. The first two that a material uses become
+//! sets 0 and 1 of its vertices.
 
 use super::super::error::Fault;
 use super::super::import::Surroundings;

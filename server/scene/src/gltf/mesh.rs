@@ -225,7 +225,7 @@ impl Source<'_> {
             vertex.normal = tangent::unit(Vec3::from_array(normal)).unwrap_or(Vec3::ZERO);
         }
         if vertices.iter().any(|vertex| vertex.normal == Vec3::ZERO) {
-            warnings.insert("normals without length are replaced".into());
+            warnings.insert("normals of length 0 are replaced".into());
             replace_zero_normals(vertices, indices);
         }
         Ok(true)

@@ -1,10 +1,9 @@
-//! A primitive under construction: its vertices, its triangles, and what every morph target adds to every vertex, kept
-//! in step while corners are separated and equal vertices merged.
+//! A primitive under construction: its vertices, its triangles, and every morph target's offset of every vertex. They stay in
+//! step while corners are separated and equal vertices merged.
 //!
-//! What glTF 2.0 section 3.7.2.2 asks for where a file leaves something out: without base normals, normals are flat
-//! in the base and in every target; without base tangents, they are generated for the base and for every target;
-//! what targets bring for them is then ignored. A target without normals (tangents) of its own leaves the base's as
-//! they are.
+//! Missing attributes follow glTF 2.0 section 3.7.2.2. Without base normals, normals are flat in the base and in every target.
+//! Without base tangents, they are generated for the base and for every target. The targets' own normals or tangents are then
+//! ignored. A target without its own normals (tangents) keeps the base's.
 
 use super::super::{MorphDelta, TextureSlot, Vertex, tangent, weld};
 use glam::Vec3;

@@ -1,4 +1,4 @@
-//! The importer on small generated files, on thousands of damaged ones, and on real assets where they are there.
+//! The importer on small generated files, on thousands of damaged ones, and on real assets where present.
 
 use super::super::{Model, Wrap};
 use super::*;

@@ -1,5 +1,5 @@
-//! In which poses a coarser level has to be good: the rest pose, a few of the clips that differ most, and some in which
-//! every joint is bent, for what no clip shows.
+//! Poses in which a coarser LOD must be good: the rest pose, a few of the most different poses of the clips, and some with
+//! every joint bent, for poses outside the clips.
 
 use crate::animation::pose::{self, blend};
 use crate::{Cancel, Cancelled, Model};
@@ -23,8 +23,8 @@ pub struct PoseSet {
     pub bent: Vec<Vec<Vec3>>,
 }
 
-/// Bone matrices and morph weights of one moment.
-struct Moment {
+/// Bone matrices and morph weights at one time.
+struct SampledPose {
     palette: Vec<Affine3A>,
     morph_weights: Vec<f32>,
 }
@@ -35,18 +35,19 @@ impl PoseSet {
     /// # Errors
     /// Somebody asked to end.
     pub fn choose(model: &Model, cancel: &Cancel) -> Result<Option<Self>, Cancelled> {
-        let rest = Moment::of_clip(model, None, 0.0);
+        let rest = SampledPose::of_clip(model, None, 0.0);
         let at_rest = rest.positions(model);
         if !at_rest.iter().all(|p| p.is_finite()) {
             return Ok(None);
         }
         let moments = differing(model, rest, cancel)?;
         let count = if moments.is_empty() { 4 } else { 2 };
-        let finite =
-            |moment: &Moment| Some(moment.positions(model)).filter(|all| all.iter().all(|p| p.is_finite()));
+        let finite = |moment: &SampledPose| {
+            Some(moment.positions(model)).filter(|all| all.iter().all(|p| p.is_finite()))
+        };
         let real = std::iter::once(at_rest).chain(moments.iter().filter_map(finite)).collect();
         let bends = if moves(model) { count } else { 0 };
-        let bent = (0..bends).map(|number| Moment::bent(model, number, bends));
+        let bent = (0..bends).map(|number| SampledPose::bent(model, number, bends));
         Ok(Some(Self { real, bent: bent.filter_map(|moment| finite(&moment)).collect() }))
     }
 }
@@ -58,7 +59,7 @@ fn moves(model: &Model) -> bool {
     !is_rigid || !model.morphs.is_empty()
 }
 
-impl Moment {
+impl SampledPose {
     fn of_clip(model: &Model, clip: Option<usize>, t_s: f64) -> Self {
         let palette = pose::source_palette(model, clip, t_s);
         Self { palette, morph_weights: pose::source_morph_weights(model, clip, t_s) }
@@ -97,14 +98,14 @@ impl Moment {
 }
 
 /// Moments of the clips, each as different as possible from the rest pose and those before it.
-fn differing(model: &Model, rest: Moment, cancel: &Cancel) -> Result<Vec<Moment>, Cancelled> {
+fn differing(model: &Model, rest: SampledPose, cancel: &Cancel) -> Result<Vec<SampledPose>, Cancelled> {
     let pairs = pairs(model.vertices.len() as u32);
     let reach = |deltas: &[crate::MorphDelta]| deltas.iter().map(|d| d.position.length()).fold(0.0, f32::max);
     let reach_of_morph: Vec<f32> = model.morphs.iter().map(|morph| reach(&morph.deltas)).collect();
-    let features = |moment: &Moment| moment.features(model, &pairs, &reach_of_morph);
+    let features = |moment: &SampledPose| moment.features(model, &pairs, &reach_of_morph);
     let at_rest = features(&rest);
     let least = 1e-3 * at_rest.iter().copied().fold(0.0, f32::max);
-    let mut candidates: Vec<(Moment, Vec<f32>, f32)> = moments(model)
+    let mut candidates: Vec<(SampledPose, Vec<f32>, f32)> = moments(model)
         .take_while(|_| !cancel.is_asked())
         .map(|moment| {
             let own = features(&moment);
@@ -127,13 +128,13 @@ fn differing(model: &Model, rest: Moment, cancel: &Cancel) -> Result<Vec<Moment>
     Ok(chosen)
 }
 
-fn moments(model: &Model) -> impl Iterator<Item = Moment> + '_ {
+fn moments(model: &Model) -> impl Iterator<Item = SampledPose> + '_ {
     let clips = model.clips.len().min(MAX_CLIPS);
     let each = CANDIDATES / clips.max(1);
     let times = (0..clips).flat_map(move |clip| (0..each).map(move |moment| (clip, moment)));
     times.map(move |(clip, moment)| {
         let t_s = f64::from(model.clips[clip].duration_s) * (moment as f64 + 0.5) / each as f64;
-        Moment::of_clip(model, Some(clip), t_s)
+        SampledPose::of_clip(model, Some(clip), t_s)
     })
 }
 

@@ -1,4 +1,4 @@
-//! Levels cover their primitives, get coarser, stay closed, and keep their shape where joints bend.
+//! LODs cover their primitives, get coarser, stay closed, and keep their shape at bent joints.
 
 use super::*;
 use crate::animation::pose::source_skin;

@@ -1,4 +1,4 @@
-//! From triangles to patches: which may share one, what each group of them costs, and the patches of the cheapest groups.
+//! From triangles to patches: possible groups, their costs, and the patches of the cheapest groups.
 
 use super::matching::{Graph, Joined, NO_TWIN, others};
 use super::quality::Fit;

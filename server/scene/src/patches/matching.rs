@@ -1,10 +1,10 @@
-//! Which triangles share a patch: the cheapest division of a graph, in which a node has three sides at most, into single
+//! Assignment of triangles to patches: the cheapest division of a graph, whose nodes have at most three sides, into single
 //! nodes, pairs and strips of three.
 //!
-//! On a tree the cheapest division is found exactly in one pass up and one down. A mesh is no tree; but of a division that
-//! there is, all joined sides lie on some spanning tree, and the best one on that tree is no worse. So a few rounds take random
-//! trees through the division of the round before. Each round sees exchanges along paths of any length, and takes
-//! time in proportion to the nodes.
+//! On a tree one pass up and one down find the cheapest division exactly. A mesh is no tree. But all joined sides of a given
+//! division lie on some spanning tree, and the best division on that tree is no worse. So a few rounds take random trees
+//! through the previous round's division. Each round covers exchanges along paths of any length, in time proportional to the
+//! nodes.
 
 use crate::{Cancel, Cancelled};
 

@@ -1,4 +1,4 @@
-//! How well triangles fill the rectangle of their patch.
+//! Use of a patch's rectangle by its triangles.
 
 use super::{PatchKind, Patches};
 use crate::Vertex;

@@ -1,4 +1,4 @@
-//! Object-space shading: one quad per block that is due, gutter included, into the atlas. What is not shaded keeps its texels.
+//! Object-space shading: one quad per due block, gutter included, into the atlas. Other blocks keep their texels.
 
 use crate::animation::manager::rows;
 use crate::scene::SceneGpu;

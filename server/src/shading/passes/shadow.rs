@@ -1,5 +1,4 @@
-//! The sun's shadows: the depth of all casters as the sun sees them, and the buffer of all light, which the map's lookup
-//! belongs to.
+//! The sun's shadows: the depth of all casters from the sun, and the buffer of all lights, which holds the map's lookup.
 
 use crate::scene::SceneGpu;
 use crate::scene::drawing::{FULL_DETAIL, Geometry};

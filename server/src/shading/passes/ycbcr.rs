@@ -1,5 +1,5 @@
-//! The atlas as full-range BT.709 4:2:0 planes, in memory that the encoder can read, and its alpha as coverage where the scene
-//! has cutouts. What did not change is neither converted nor copied: its bytes stay as they are.
+//! The atlas as full-range BT.709 4:2:0 planes in memory for the encoder, and its alpha as coverage in scenes with cutouts.
+//! Unchanged blocks are neither converted nor copied: their bytes stay.
 
 use crate::visibility::passes::mark::nearest;
 use shadecast_gpu::{

@@ -74,7 +74,7 @@ fn the_first_exchange_already_bounds_the_error_by_half_the_jitter() {
 }
 
 #[test]
-fn jitter_on_one_way_alone_is_outweighed_by_the_fastest_exchanges() {
+fn the_fastest_exchanges_outweigh_one_way_jitter() {
     for seed in 0..50 {
         let path = Path {
             offset_ns: 0,
@@ -148,7 +148,7 @@ fn stamps_before_bursts_halve_the_error() {
 }
 
 #[test]
-fn a_stamp_of_another_clock_is_ignored_and_the_next_exchange_decides() {
+fn a_stamp_of_another_clock_is_ignored() {
     let mut clock = ClockEstimator::new();
     clock.note_stamp(ServerTime(0), ClientTime(0));
     clock.settle();
@@ -232,7 +232,7 @@ impl Headset {
 const RATES_HZ: [f64; 5] = [36.0, 60.0, 72.0, 90.0, 120.0];
 
 #[test]
-fn once_something_is_on_display_no_frame_steps_by_more_than_a_tenth_of_a_millisecond() {
+fn a_displayed_clock_steps_by_at_most_100_microseconds() {
     for (seed, rate_hz) in (0..60).flat_map(|seed| RATES_HZ.map(|rate_hz| (seed, rate_hz))) {
         let mut dice = Dice::new(seed);
         let headset = Headset::throw(&mut dice, rate_hz);
@@ -292,7 +292,7 @@ fn slow_clock(off_ns: i64) -> ClockEstimator {
 }
 
 #[test]
-fn an_estimate_that_was_off_by_3_ms_is_caught_up_with_in_half_a_second() {
+fn a_3_ms_error_is_corrected_in_half_a_second() {
     for rate_hz in [60, 90, 120] {
         let mut clock = slow_clock(3 * MS);
         let wanted_ns = clock.seen.mapping.expect("known").line.offset_at(ClientTime(0));
@@ -331,7 +331,7 @@ fn before_anything_is_on_display_an_estimate_counts_at_once() {
 }
 
 #[test]
-fn another_estimate_of_the_same_clock_is_turned_to_slowly_and_another_clock_at_once() {
+fn a_new_estimate_is_followed_slowly_and_a_new_clock_at_once() {
     let seen_ns = |from_ns| {
         let mut clock = ClockEstimator::new();
         let server = ServerTime(1000 * MS);
@@ -349,7 +349,7 @@ fn another_estimate_of_the_same_clock_is_turned_to_slowly_and_another_clock_at_o
 }
 
 #[test]
-fn a_way_that_is_faster_than_ever_is_not_taken_for_a_clock_that_was_set_anew() {
+fn a_faster_path_is_not_mistaken_for_a_reset_clock() {
     let mut clock = ClockEstimator::new();
     let exchange = |clock: &mut ClockEstimator, at_ms: i64, up_ms: i64| {
         let server = ServerTime((at_ms + up_ms) * MS);

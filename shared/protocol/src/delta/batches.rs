@@ -1,4 +1,4 @@
-//! The section of samples: batches, each with its grid step, which vertices it covers, and the coded samples.
+//! The section of samples: batches, each with its grid step, its vertices, and the coded samples.
 
 use super::sections::{BEFORE_FIRST, put_evictions, put_successor, take_successor};
 use crate::ids::VertexSlot;

@@ -1,8 +1,8 @@
-//! The bytes of what an update tells the client: geometry ([`crate::geometry`]) and samples ([`crate::motion`]).
+//! The bytes of an update: geometry ([`crate::geometry`]) and samples ([`crate::motion`]).
 //!
-//! A header with the lengths of its sections, then the sections: explicit little-endian blocks and varints, small because
-//! slots come in runs. Both sides keep the client's memory and the pasts of its samples, so that samples need no slots, and so
-//! that a delta which contradicts the memory is refused.
+//! A header has the lengths of its sections; the sections follow: explicit little-endian blocks and varints, small because
+//! slots come in runs. Both sides keep the client's memory and the history of its samples. So samples need no slots, and a
+//! delta that contradicts the memory is refused.
 
 mod batches;
 mod sections;

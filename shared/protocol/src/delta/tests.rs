@@ -270,7 +270,7 @@ fn slots_beyond_the_agreed_capacity_are_refused() {
 }
 
 #[test]
-fn a_slot_in_use_is_not_given_again_and_a_free_one_not_taken_back() {
+fn used_slots_are_not_assigned_and_free_ones_not_freed() {
     let delta = GeometryDelta { new_vertices: vec![static_vertex(7)], ..Default::default() };
     let bytes = bytes_of(delta);
     let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
@@ -286,7 +286,7 @@ fn a_slot_in_use_is_not_given_again_and_a_free_one_not_taken_back() {
 }
 
 #[test]
-fn samples_that_take_no_bits_grow_to_no_more_than_the_agreed_memory_holds() {
+fn zero_bit_samples_stay_within_the_agreed_memory() {
     let new_vertices: Vec<_> = (0..VERTEX_SLOTS)
         .map(|slot| NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion: Motion::Sampled })
         .collect();

@@ -20,7 +20,7 @@ fn enters(step_m: f32) -> GeometryDelta {
 }
 
 #[test]
-fn a_position_comes_back_within_half_a_step_as_of_the_delta_in_hand() {
+fn a_position_round_trips_within_half_a_step() {
     let position = Vec3::new(1.234_567, -7.654_321, 0.000_2);
     let mut memory = ClientMemory::new(8, 1);
     for step_m in [0.0005, 0.01] {
@@ -157,7 +157,7 @@ fn what_is_told_of_skinning_is_taken() {
 }
 
 #[test]
-fn a_vertex_names_no_joint_and_no_morph_target_that_its_instance_lacks() {
+fn a_vertex_names_only_its_instances_joints_and_morphs() {
     let lacks = "joints or morph targets that instance 9 lacks";
     assert_refused(|delta| delta.new_rests[0].joints[3] = 2, lacks);
     assert_refused(|delta| delta.new_rests[0].morphs[0].0 = 1, lacks);

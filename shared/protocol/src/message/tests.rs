@@ -168,7 +168,7 @@ fn views_that_no_pipeline_can_be_made_for_are_refused() {
 }
 
 #[test]
-fn two_reports_of_what_is_on_display_are_one_of_the_later_frame_with_the_counts_of_both() {
+fn display_reports_merge_into_the_later_with_summed_counts() {
     let (early, late) = (displayed(3), Displayed { display_time: ServerTime(9), ..displayed(4) });
     let both = Displayed {
         update: UpdateId(4),
@@ -277,7 +277,7 @@ fn many_vertices_and_a_long_ring_are_not_had_together() {
 
 /// Whatever both may say, the ring is one that both can keep, and the shortest where nothing is sampled.
 #[test]
-fn the_ring_of_samples_is_what_is_needed_as_far_as_the_client_keeps_it() {
+fn the_ring_has_the_needed_size_within_the_clients() {
     let mut dice = Dice::new(7);
     let [mut least, mut sampled] = [0; 2];
     for _ in 0..2000 {
@@ -305,7 +305,7 @@ fn the_ring_of_samples_is_what_is_needed_as_far_as_the_client_keeps_it() {
 }
 
 #[test]
-fn versions_that_overlap_agree_on_the_newest_and_others_learn_what_to_update() {
+fn overlapping_versions_agree_on_the_newest() {
     let offer = ServerOffer { protocol_version: 5, min_protocol_version: 3, ..offer() };
     let negotiated = |newest, oldest| negotiate_version(newest, oldest, "0.9", &offer);
     assert_eq!(negotiated(4, 1), Ok(4));

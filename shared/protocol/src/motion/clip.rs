@@ -1,4 +1,4 @@
-//! Clips on the wire, in chunks of time: each chunk can be evaluated by itself, and lies where the server says.
+//! Clips on the wire, in chunks of time. Each chunk can be evaluated by itself, at a place chosen by the server.
 
 use super::keys::{ChunkTrack, put_tracks, take_tracks};
 use super::skeleton::check_words;

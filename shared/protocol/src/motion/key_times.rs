@@ -1,6 +1,6 @@
-//! When the keys of a chunk stand, once for all its curves. Most clips are made at so many frames a second: there a key's time is
-//! the number of its frame. Else the times are listed, and a key's time is a place in the list. Both come back to the last bit, as
-//! what is shown at a step depends on it.
+//! Times of a chunk's keys, once for all its curves. Most clips have a frame rate: there a key's time is its frame number.
+//! Otherwise the times are listed, and a key's time is an index of the list. Both are lossless to the last bit, because the
+//! displayed pose at a step depends on it.
 
 use super::bits::{BitReader, BitWriter, width_of};
 use crate::limits::{MAX_CHUNK_KEYS, MAX_FRAME_RATE};

@@ -1,12 +1,11 @@
-//! The curves of a chunk in bits. The numbers of a curve are multiples of a power of two, its step, which is found here: whoever
-//! rounds numbers to a coarse one makes them small. Each number is told as what it misses of what those before it let expect:
+//! The curves of a chunk in bits. The numbers of a curve are multiples of a power of two, its step, which is found here:
+//! coarsely rounded numbers become small. Each number is coded as its difference from a prediction by the previous ones:
 //!
-//! - a value is expected where the one before was, and the tangents of both lead from there;
-//! - of a rotation one number, the same for all keys, is expected where it makes the length one, and its tangent where the length
-//!   stays.
+//! - a value is predicted as the previous one, and the tangents of both by the line between them;
+//! - of a rotation, one component, the same for all keys, is predicted by unit length, and its tangent by constant length.
 //!
-//! Nothing is lost by that: what is expected decides how many bits a number takes, not what it is. Writer and reader walk through
-//! the same code (`Coder`).
+//! The coding is lossless: the prediction decides the number of bits, not the value. Writer and reader share the same code
+//! (`Coder`).
 
 use super::bits::{BitReader, BitWriter, width_of};
 use super::key_times::KeyTimes;
@@ -396,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn the_number_of_a_rotation_that_is_expected_is_large_and_keeps_its_sign() {
+    fn the_predicted_number_of_a_rotation_is_large() {
         let turn = |angle: f32| [0.0, angle.sin(), 0.0, angle.cos()];
         let form = |angles: [f32; 2]| Form::rotation(&angles.map(turn));
         assert_eq!(form([0.1, 0.2]), Some(Form::Rotation { largest: 3, is_negative: false }));

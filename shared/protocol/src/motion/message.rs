@@ -1,4 +1,4 @@
-//! Messages about motion, each on a stream of its own: they wait for no update, and none waits for another.
+//! Messages about motion, each on its own stream: they wait for no update, and none waits for another.
 
 use super::clip::ClipChunk;
 use super::playback::Schedule;

@@ -1,6 +1,6 @@
-//! How vertices move, a file a kind: what the client is told, and how it is coded. A vertex that does not move carries its
-//! position with it ([`crate::geometry::Motion::Static`]); what a skeleton moves is told before skinning ([`rest`]), the rest is sampled
-//! on the time grid ([`samples`]), or predicted with each update ([`predicted`]).
+//! Motion of vertices, one file per kind: its data for the client, and its coding. A static vertex carries its position
+//! ([`crate::geometry::Motion::Static`]). A skinned vertex is sent before skinning ([`rest`]). The others are sampled on the
+//! time grid ([`samples`]), or predicted with each update ([`predicted`]).
 
 pub mod clip;
 pub mod keys;

@@ -1,8 +1,8 @@
-//! Poses on the time grid: the local transforms of all bones of an instance at a grid step, for a skeleton that follows no clip.
-//! Each pose can be read by itself, whatever was lost before it.
+//! Poses on the time grid: the local transforms of all bones of an instance at a grid step, for a skeleton without a clip. Each
+//! pose can be decoded by itself, whatever was lost before it.
 //!
-//! A rotation is the three smallest of its four numbers, the largest being what is left of unit length. A translation is fixed-point
-//! within a power of two that the pose has for all its bones. Bones that are far away or have a scale are written in full.
+//! A rotation is the three smallest of its four numbers; the largest follows from unit length. A translation is fixed-point
+//! within a power of two that the pose has for all its bones. Distant or scaled bones are written in full.
 
 use super::bits::{BitReader, BitWriter};
 use crate::ids::InstanceId;

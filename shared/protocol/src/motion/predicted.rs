@@ -1,6 +1,6 @@
-//! Predicted positions, as the paper sends them: with every update each visible animated vertex is told again where it will be at
+//! Predicted positions, as the paper sends them: every update carries, for each visible animated vertex, its positions at
 //! [`PREDICTIONS`] times ("For our test, we compute three view predictions that are 33 ms in the future, generating 100 ms time
-//! frame", section 4). Nothing is packed and nothing is kept between updates: the baseline that the other ways are compared with.
+//! frame", section 4). Nothing is packed and nothing is kept between updates: this is the baseline for the other kinds.
 
 use crate::ids::VertexSlot;
 use crate::limits::{MAX_COORDINATE_M, PREDICTIONS};
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn predictions_come_back_as_they_were_and_a_run_costs_48_bytes_a_vertex() {
+    fn predictions_round_trip_at_48_bytes_a_vertex() {
         let vertices: Vec<_> = [0, 1, 2, 40, 41, 99].map(vertex).to_vec();
         assert_eq!(take_predictions(&coded(&vertices), SLOTS), Ok(vertices.clone()));
         let run: Vec<_> = (10..90).map(vertex).collect();

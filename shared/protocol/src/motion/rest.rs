@@ -1,8 +1,8 @@
-//! Vertices before skinning: position, joints, weights and morph targets, sent once for each vertex of a mesh that some instance
-//! shows, however many instances do.
+//! Vertices before skinning: position, joints, weights and morph targets, sent once for each vertex of a mesh, however many
+//! instances show it.
 //!
-//! Positions are fixed-point in the mesh's space, with a step that the server chooses by the size at which the mesh is drawn.
-//! Weights are whole units of 1/65,535, as vertices of a scene have them, so that blending is exact.
+//! Positions are fixed-point in the mesh's space, with a step that the server chooses by the drawn size of the mesh. Weights
+//! are whole units of 1/65,535, as in a scene's vertices, so blending is exact.
 
 use super::bits::{BitReader, BitWriter, Packing};
 use crate::ids::RestId;

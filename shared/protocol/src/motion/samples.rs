@@ -1,12 +1,12 @@
 //! The vertex sample codec: quantised positions of animated vertices, one batch per step of the sample grid.
 //!
-//! Both sides keep the same [`SampleHistory`]: of every animated vertex its last three samples. A batch is coded in
-//! groups of 32 vertices. Each group is predicted from its vertices' own past by a polynomial of the order that costs
-//! least (none, hold, line, parabola); what the prediction misses is packed at the width that the group's spread needs.
-//! Vertices next to each other in slots move alike, so that their misses differ little and the common part is stored
-//! once per group and axis. Vertices without a past are predicted from the vertex before them.
+//! Both sides keep the same [`SampleHistory`]: the last three samples of every animated vertex. A batch is coded in groups of
+//! 32 vertices. Each group is predicted from its vertices' own history by a polynomial of the cheapest order (none, hold, line,
+//! parabola). The residuals are packed at the width of the group's spread. Vertices in neighbouring slots move alike, so their
+//! residuals differ little, and the common part is stored once per group and axis. Vertices without history are predicted from
+//! the previous vertex.
 //!
-//! All arithmetic wraps, so that hostile bytes can give wrong positions but nothing worse.
+//! All arithmetic wraps: hostile bytes give wrong positions, but nothing worse.
 
 use super::bits::{BitReader, BitWriter, Packing};
 use super::{SampleBatch, SampleValues};

@@ -1,4 +1,4 @@
-//! Skeletons, and the instances that they move: what a client is told once of each.
+//! Skeletons and their instances: the one-time data of each for a client.
 
 use super::playback::Schedule;
 use crate::ids::{ClipId, InstanceId, SkeletonId};

@@ -247,7 +247,7 @@ fn reports_and_requests_reach_the_server() {
     pair.send_delta();
     pair.client.send_displayed(displayed(0));
     pair.client.request_refresh(Some(UpdateId(0)));
-    pair.client.tell_watching(false);
+    pair.client.report_watching(false);
     pair.client.goodbye();
     pair.carry(ServerTime(0));
     let events: Vec<_> = std::iter::from_fn(|| pair.server.poll_event()).collect();
@@ -328,7 +328,7 @@ fn chunk(sequence: u32) -> Vec<u8> {
 }
 
 #[test]
-fn news_of_motion_wait_where_a_turn_brings_more_than_the_arena_holds() {
+fn motion_messages_wait_for_room_in_the_arena() {
     let mut pair = Pair::connected();
     (pair.client.motion_words, pair.client.motion_words_left) = (10, 10);
     pair.client_events();
@@ -389,7 +389,7 @@ fn a_turn_takes_in_so_many_records_and_a_delta_always_whole() {
 }
 
 #[test]
-fn answers_to_what_was_not_asked_do_not_count_nor_do_second_ones() {
+fn unrequested_and_second_answers_do_not_count() {
     let mut pair = Pair::connected();
     let pong = |client_send, server_ns| {
         let server = ServerTime(server_ns);
@@ -466,7 +466,7 @@ fn pings_without_answers_are_remembered_up_to_a_bound() {
 }
 
 #[test]
-fn a_server_that_never_sends_the_missing_delta_cannot_fill_the_clients_memory() {
+fn a_missing_delta_cannot_fill_the_clients_memory() {
     let mut pair = Pair::connected();
     (0..=MAX_QUEUED_STREAMS + 1).for_each(|_| pair.send_delta());
     pair.carry(ServerTime(0));
@@ -560,7 +560,7 @@ fn what_a_client_says_faster_than_it_is_heard_coalesces() {
 }
 
 #[test]
-fn an_update_goes_before_all_later_ones_and_its_delta_before_its_picture() {
+fn updates_go_in_order_delta_before_picture() {
     let order: Vec<i32> = [(0, 1), (0, 0), (1, 1), (1, 0), (9, 1), (u32::MAX - 1, 0)]
         .map(|(frame, urgency)| priority(UpdateId(frame), urgency))
         .to_vec();
@@ -569,13 +569,13 @@ fn an_update_goes_before_all_later_ones_and_its_delta_before_its_picture() {
 }
 
 #[test]
-fn a_picture_that_the_wire_does_not_allow_is_an_error_and_no_panic() {
+fn an_oversized_picture_is_an_error() {
     let error = picture_stream(picture(0), &vec![0; MAX_ACCESS_UNIT_BYTES + 1]);
     assert!(matches!(error, Err(WireError::TooMany { .. })));
 }
 
 #[test]
-fn a_client_that_asks_can_be_refused_and_so_can_one_that_is_served() {
+fn asking_and_served_clients_can_be_refused() {
     let refused = Refused::new("another client is being served", "try again later");
     for is_served in [false, true] {
         let mut pair = Pair::new();

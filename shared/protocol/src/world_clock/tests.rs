@@ -32,7 +32,7 @@ fn a_halted_world_stands_and_goes_on_from_where_it_stood() {
 }
 
 #[test]
-fn a_halt_that_has_not_begun_can_be_taken_back_and_so_can_its_end() {
+fn a_future_halt_can_be_cancelled() {
     let mut clock = WorldClock::default();
     clock.steer(Steer::Halt, ms(100));
     clock.steer(Steer::GoOn, ms(50));
@@ -44,7 +44,7 @@ fn a_halt_that_has_not_begun_can_be_taken_back_and_so_can_its_end() {
 }
 
 #[test]
-fn a_step_halts_what_goes_and_lets_what_stands_go_on_for_a_moment() {
+fn a_step_halts_a_running_world_and_advances_a_halted_one() {
     let mut clock = WorldClock::default();
     clock.steer(Steer::Step, ms(1000));
     assert_eq!(world_ms(&clock, 2000), 1000);

@@ -1,4 +1,4 @@
-//! A server's announcement, by a library that keeps to multicast DNS: probes, answers, takes leave.
+//! A server's announcement, by a library for multicast DNS: probes, answers, goodbye.
 
 use super::{FINGERPRINT_KEY, SERVICE};
 use crate::identity::Fingerprint;
@@ -17,7 +17,7 @@ pub struct Announcement {
 
 /// Why nobody will find the server by itself.
 #[derive(Debug, thiserror::Error)]
-#[error("the server is not announced on the network ({0}): clients need its address")]
+#[error("the server cannot announce itself on the network ({0}): clients need its address")]
 pub struct AnnounceError(#[from] mdns_sd::Error);
 
 impl Announcement {

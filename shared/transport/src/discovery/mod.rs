@@ -1,6 +1,6 @@
-//! Servers of the network that somebody is in, found without typing an address: DNS-SD over multicast DNS (RFC 6762 and
-//! 6763). A server announces itself ([`announce`]), a client asks once and takes the answers ([`search`]). What an answer
-//! says is a stranger's word: who answers at the address must have the key that was announced, or that is known.
+//! Discovery of servers on the local network: DNS-SD over multicast DNS (RFC 6762 and 6763). A server announces itself
+//! ([`announce`]); a client asks once and takes the answers ([`search`]). An answer is not trusted: the server at the address
+//! must have the announced key, or the known one.
 
 #[cfg(feature = "announce")]
 pub mod announce;

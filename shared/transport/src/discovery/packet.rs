@@ -1,4 +1,4 @@
-//! The question, and what its answers say. Pure: bytes in and out.
+//! The question and the content of its answers. Pure: bytes in and out.
 
 use super::{FINGERPRINT_KEY, SERVICE};
 use crate::identity::Fingerprint;

@@ -1,5 +1,5 @@
-//! Asks all networks of this machine once, and takes the answers that come to the asker alone (RFC 6762, 5.1 and 6.7): needs
-//! neither port 5353 nor the permission to hear what is sent to all.
+//! Asks all networks of this machine once, and takes the unicast answers (RFC 6762, 5.1 and 6.7). It needs neither port 5353
+//! nor the permission to receive multicast.
 
 use super::packet::{FoundServer, MAX_ADDRESSES, question, servers};
 use crate::endpoint::random_bytes;
@@ -29,26 +29,26 @@ pub fn search(patience: Duration) -> io::Result<Vec<FoundServer>> {
 }
 
 /// Where datagrams come from.
-trait Hears {
+trait Receives {
     /// The next one's length; an error after [`TURN`] without any.
-    fn hear(&self, datagram: &mut [u8]) -> io::Result<usize>;
+    fn receive(&self, datagram: &mut [u8]) -> io::Result<usize>;
 }
 
-impl Hears for UdpSocket {
-    fn hear(&self, datagram: &mut [u8]) -> io::Result<usize> {
+impl Receives for UdpSocket {
+    fn receive(&self, datagram: &mut [u8]) -> io::Result<usize> {
         self.recv_from(datagram).map(|(length, _)| length)
     }
 }
 
 /// Whom the answers to question `id` name that come within `patience`.
-fn collect(sockets: &[impl Hears], id: u16, patience: Duration) -> Vec<FoundServer> {
+fn collect(sockets: &[impl Receives], id: u16, patience: Duration) -> Vec<FoundServer> {
     let deadline = Instant::now() + patience;
     let mut found = Vec::new();
     let mut buffer = [0; MAX_DATAGRAM_BYTES];
     let mut datagrams = 0;
     while Instant::now() < deadline && datagrams < MAX_DATAGRAMS {
         for socket in sockets {
-            match socket.hear(&mut buffer) {
+            match socket.receive(&mut buffer) {
                 Ok(length) => {
                     datagrams += 1;
                     servers(&buffer[..length], id).into_iter().for_each(|server| add(&mut found, server));
@@ -124,8 +124,8 @@ mod tests {
         looks: Cell<u32>,
     }
 
-    impl Hears for Broken {
-        fn hear(&self, _: &mut [u8]) -> io::Result<usize> {
+    impl Receives for Broken {
+        fn receive(&self, _: &mut [u8]) -> io::Result<usize> {
             self.looks.set(self.looks.get() + 1);
             Err(io::ErrorKind::NetworkDown.into())
         }
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_server_of_two_networks_is_one_and_a_liars_addresses_and_names_are_bounded() {
+    fn one_server_on_two_networks_is_one_and_lies_are_bounded() {
         let mut found = Vec::new();
         for host in [1, 2, 1] {
             add(&mut found, server(0, host));

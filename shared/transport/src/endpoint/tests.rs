@@ -182,7 +182,7 @@ fn datagrams_arrive_with_the_time_of_their_arrival() {
 }
 
 #[test]
-fn datagrams_that_nobody_takes_are_dropped_oldest_first_and_counted() {
+fn untaken_datagrams_are_dropped_oldest_first() {
     let Connected { mut pair, on_client, .. } = connected("latency=1ms", 3);
     let extra = 50;
     for n in 0..crate::inbox::MAX_WAITING_DATAGRAMS as u32 + extra {
@@ -275,7 +275,7 @@ fn burst_ns(Connected { pair, on_server, .. }: &mut Connected) -> i64 {
 }
 
 #[test]
-fn a_burst_after_small_traffic_crosses_a_long_way_without_another_round_trip() {
+fn a_burst_after_small_traffic_costs_no_extra_round_trip() {
     for link in
         ["latency=110ms,rate=1gbit", "latency=110ms,jitter=10ms,rate=1gbit", "latency=110ms,jitter=10ms"]
     {
@@ -286,7 +286,7 @@ fn a_burst_after_small_traffic_crosses_a_long_way_without_another_round_trip() {
 }
 
 #[test]
-fn the_first_burst_of_a_connection_crosses_a_long_way_at_once_too() {
+fn the_first_burst_costs_no_extra_round_trip() {
     let mut connected = connected("latency=110ms,rate=1gbit", 32);
     let ms = burst_ns(&mut connected) / MS;
     assert!(ms < 110 + 50, "{ms} ms");
@@ -386,7 +386,7 @@ fn a_full_send_queue_refuses_and_counts() {
 }
 
 #[test]
-fn an_application_that_takes_nothing_makes_the_peer_wait_and_loses_nothing() {
+fn an_idle_application_makes_the_peer_wait_and_loses_nothing() {
     let Connected { mut pair, on_server, on_client } = connected("latency=1ms", 9);
     let count = 48;
     let mut sent = 0;
@@ -450,7 +450,7 @@ fn a_silent_network_is_noticed_by_both_within_the_idle_timeout() {
 }
 
 #[test]
-fn a_restarted_server_with_the_same_identity_is_noticed_at_once_and_accepted_again() {
+fn a_restarted_server_is_noticed_at_once_and_accepted() {
     let Connected { mut pair, .. } = connected("latency=10ms", 12);
     let pinned = ExpectedIdentity::Pinned {
         fingerprint: ServerIdentity::from_seed(12).unwrap().fingerprint(),
@@ -545,7 +545,7 @@ fn send_raw_control(seed: u64, bytes: &[u8]) -> (Vec<Event>, Vec<Event>) {
 }
 
 #[test]
-fn an_oversized_control_message_closes_the_connection_with_an_error() {
+fn an_oversized_control_message_closes_the_connection() {
     let (on_server, on_client) = send_raw_control(17, &(MAX_CONTROL_BYTES as u32 + 1).to_le_bytes());
     assert_closed(&on_server, CloseKind::Error, &["control message's length", "1048577"]);
     assert_closed(&on_client, CloseKind::Peer(u64::from(CloseCode::Violation.code())), &["1048577"]);
@@ -610,7 +610,7 @@ fn a_client_can_open_no_stream_but_the_control_stream() {
 }
 
 #[test]
-fn a_flood_of_control_messages_ends_its_connection_and_is_forgotten() {
+fn a_flood_of_control_messages_ends_its_connection() {
     let Connected { mut pair, on_server, on_client } = connected("latency=2ms", 24);
     let flood = shadecast_protocol::wire::frame_control(b"xx").repeat(MAX_CONTROL_PER_SECOND as usize + 1);
     pair.client.peers.get_mut(&on_client).unwrap().send_raw_control(&flood);
@@ -635,7 +635,7 @@ fn a_client_that_says_something_each_frame_may_go_on_for_ever() {
 }
 
 #[test]
-fn a_client_whose_server_takes_nothing_waits_and_another_goes_on() {
+fn a_client_waits_for_its_own_stalled_server_only() {
     let config = EndpointConfig { control_per_s: 1_000_000, ..seeded(26) };
     let server = Endpoint::server(&ServerIdentity::from_seed(26).unwrap(), config).unwrap();
     let pair = Pair::new(server, Endpoint::client(seeded(26)), LinkProfile::default(), 26);
@@ -676,7 +676,7 @@ fn half_open_flood(pair: &mut Pair, seconds: i64, address: impl Fn(u64) -> Socke
 }
 
 #[test]
-fn a_lawful_client_connects_amid_two_hundred_initials_a_second_from_many_addresses() {
+fn a_client_connects_amid_two_hundred_initials_a_second() {
     let mut pair = pair("latency=20ms", 27);
     let address = |n: u64| SocketAddr::from(([172, 16, (n >> 8) as u8, n as u8], 1000));
     let seen = half_open_flood(&mut pair, 4, address);
@@ -689,7 +689,7 @@ fn a_lawful_client_connects_amid_two_hundred_initials_a_second_from_many_address
 }
 
 #[test]
-fn a_stranger_who_does_not_end_the_handshake_is_given_up_in_time() {
+fn an_unfinished_handshake_times_out() {
     let mut pair = pair("latency=20ms", 28);
     let address = SocketAddr::from(([172, 16, 0, 1], 1000));
     // It never sees an answer and asks again and again, so that it does not count as silent.
@@ -800,7 +800,7 @@ fn session_trace(seed: u64) -> Vec<(i64, Direction, usize)> {
 }
 
 #[test]
-fn two_runs_with_one_seed_send_the_same_datagrams_at_the_same_times() {
+fn two_runs_with_one_seed_send_the_same_datagrams() {
     for seed in [1, 2, 3] {
         let (first, second) = (session_trace(seed), session_trace(seed));
         assert!(first.len() > 2000, "{} datagrams", first.len());

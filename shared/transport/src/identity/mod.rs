@@ -20,10 +20,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum IdentityError {
     /// No directory was given and the environment names none.
-    #[error(
-        "there is no place for the configuration: {} must name one; give --identity DIR",
-        CONFIGURATION_VARIABLES
-    )]
+    #[error("there is no configuration folder: set {} or give --identity DIR", CONFIGURATION_VARIABLES)]
     NoDirectory,
     /// A file or directory could not be read or written.
     #[error("{doing} {path}: {reason}")]
@@ -36,7 +33,7 @@ pub enum IdentityError {
         reason: io::Error,
     },
     /// There is something else in the place of a file.
-    #[error("{path}: this is no file; delete it, or give another folder with --identity DIR")]
+    #[error("{path}: this is not a file; delete it, or give another folder with --identity DIR")]
     NotAFile {
         /// Its place.
         path: PathBuf,

@@ -41,7 +41,7 @@ fn a_pipe_in_the_place_of_a_file_is_refused_and_not_waited_for() {
     let known = KnownServers::load(dir.path()).unwrap_err();
     for error in [key, known] {
         assert!(matches!(error, IdentityError::NotAFile { .. }), "{error}");
-        assert!(error.to_string().contains("this is no file"), "{error}");
+        assert!(error.to_string().contains("this is not a file"), "{error}");
     }
 }
 
@@ -139,7 +139,7 @@ fn a_server_is_its_key_and_not_the_string_that_was_typed() {
 }
 
 #[test]
-fn an_address_that_went_to_another_machine_does_not_shut_out_the_one_that_is_meant() {
+fn a_reassigned_address_does_not_lock_out_its_old_server() {
     let dir = tempfile::tempdir().unwrap();
     let mut known = KnownServers::load(dir.path()).unwrap();
     let address = "192.168.1.5:7400";
@@ -166,7 +166,7 @@ fn a_list_of_an_earlier_version_is_read() {
 }
 
 #[test]
-fn the_server_that_was_connected_last_is_known_with_its_address_the_next_time() {
+fn the_last_server_is_remembered_with_its_address() {
     let dir = tempfile::tempdir().unwrap();
     let load = || KnownServers::load(dir.path()).unwrap();
     let mut known = load();

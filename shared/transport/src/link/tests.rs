@@ -143,7 +143,7 @@ fn jitter_stays_in_its_range_and_fills_it() {
 }
 
 #[test]
-fn the_bottleneck_holds_its_rate_and_drops_what_its_queue_cannot_hold() {
+fn the_bottleneck_holds_its_rate_and_drops_overflow() {
     // 20 ms of queue at 10 Mbit/s, offered 40 Mbit/s for a second.
     let (arrived, counts) = fates("latency=5ms,rate=10mbit,queue=20ms", 6, 5000, 972, MS / 5);
     let bits = (arrived.len() as u64) * (972 + UDP_IP_OVERHEAD_BYTES) * 8;

@@ -1,4 +1,4 @@
-//! The client in a window of the desktop, on a display of its own (Xvfb), with a server as another process.
+//! The client in a desktop window, on its own display (Xvfb), with a server as another process.
 
 use crate::display::{Display, colours};
 use crate::x11::{self, Connection};
@@ -91,7 +91,7 @@ fn a_window_shows_what_the_server_streams_as_the_truth_has_it() {
 }
 
 #[test]
-fn while_the_server_stands_still_the_picture_follows_the_head_and_words_say_why_nothing_else_moves() {
+fn a_halted_server_leaves_the_head_free_and_a_notice_in_view() {
     let stage = Stage::new();
     let window = Program::start(&mut stage.client(), Voice::Errors);
     wait_until("the window shows a picture", || colours(&stage.display.screen()) >= 500);
@@ -125,7 +125,7 @@ fn while_the_server_stands_still_the_picture_follows_the_head_and_words_say_why_
 }
 
 #[test]
-fn the_demo_with_a_window_ends_with_the_window_and_leaves_what_it_showed() {
+fn the_window_demo_ends_with_its_window() {
     let (display, folder) = (Display::start(SCREEN), tempfile::tempdir().unwrap());
     let mut demo = Command::new(program("shadecast-lab"));
     demo.args(["demo", "--window", "--seconds", "6", "--size", &format!("{}x{}", SIZE[0], SIZE[1])]);

@@ -1,4 +1,4 @@
-//! A display of the test's own: Xvfb, whose screen is a file.
+//! The test's own display: Xvfb, with a file as its screen.
 
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader};

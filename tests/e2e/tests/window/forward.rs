@@ -1,4 +1,4 @@
-//! The forward renderer's window on a display of its own (Xvfb), and the videos it writes.
+//! The forward renderer's window on its own display (Xvfb), and its videos.
 
 use crate::display::{Display, colours};
 use crate::x11::{self, Connection};
@@ -49,7 +49,7 @@ fn window_shows_what_the_headless_renderer_renders() {
 }
 
 #[test]
-fn picture_reaches_the_screen_follows_the_windows_size_and_escape_ends_the_program() {
+fn the_picture_fills_the_window_and_escape_ends_the_program() {
     let display = Display::start(SCREEN);
     let before = display.screen();
     let mut window = server();

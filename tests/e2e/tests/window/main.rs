@@ -1,4 +1,4 @@
-//! Windows on a display of the test's own: the forward renderer's, and the client's.
+//! Windows on the test's own display: the forward renderer's, and the client's.
 
 #![cfg(unix)]
 

@@ -1,5 +1,5 @@
-//! Just enough of the X protocol to be a user of a window: focus it and press keys (X11R7 protocol and the XTEST extension,
-//! version 2.2). Keys are evdev's numbers plus 8, as servers on Linux have them.
+//! A minimal X client that acts as a window's user: it focuses the window and presses keys (X11R7 protocol and the XTEST
+//! extension, version 2.2). Keys are evdev's numbers plus 8, as on Linux servers.
 
 use std::io::{self, Read, Write};
 use std::os::unix::net::UnixStream;

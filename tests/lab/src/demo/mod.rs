@@ -1,8 +1,8 @@
 //! `shadecast-lab demo`: first server and client as a user runs them, two processes on loopback in real time, with the mock
-//! runtime behind the system's OpenXR loader; then the same scene in virtual time, as a fast machine shows it.
+//! runtime behind the system's OpenXR loader; then the same scene in virtual time, at a fast machine's rates.
 //!
-//! A scene enters, and a size. Pictures beside the truth's leave, a sheet and a page that say which is which. Nothing here knows
-//! what makes a figure good enough.
+//! A scene enters, and a size. Pictures beside the truth's leave, with a sheet and a page that explain them. Nothing here knows
+//! the bars of the figures.
 
 pub mod window;
 

@@ -1,4 +1,4 @@
-//! `shadecast-lab demo --window`: a server, and a window on it, as somebody uses them who has neither headset nor simulator.
+//! `shadecast-lab demo --window`: a server and a window on it, for users without headset and simulator.
 
 use crate::process::{PATIENCE, Running, free_address, program};
 use anyhow::{Context, ensure};

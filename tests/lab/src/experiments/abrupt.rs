@@ -1,5 +1,5 @@
-//! A head that stands still and then moves at full speed at once, in a room full of geometry that it has not seen: how much
-//! is missing meanwhile, and when the picture is whole again.
+//! A still head that suddenly moves at full speed, in a room full of unseen geometry: the share of holes meanwhile, and the
+//! time until the picture is whole again.
 
 use super::run::{into_probe, mock_config};
 use crate::image::Rgb8Image;

@@ -1,5 +1,5 @@
-//! `shadecast-lab causes`: what each cause of error costs. A run as it ships, and the same run again for each cause without it:
-//! the same head, the same display frames, the same truth. What a cause costs is what the run gains by its absence.
+//! `shadecast-lab causes`: the cost of each cause of error. A shipped run is repeated once without each cause, with the same
+//! head, display frames and truth. The cost of a cause is the run's gain by its absence.
 
 use super::run::{Report, run};
 use crate::report::stats::{RegionStats, Stats};
@@ -349,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gain_is_positive_where_the_picture_is_better_without_the_cause() {
+    fn a_gain_is_positive_for_a_better_picture() {
         let found = row(Cause::Chroma, Mask::All, figures_of(30.0, 0.05), figures_of(31.5, 0.03));
         assert_eq!((found.psnr_gain_db, found.ssim_gain), (1.5, 0.0));
         assert!((found.flip_gain - 0.02).abs() < 1e-12);

@@ -1,4 +1,4 @@
-//! What a server's updates leave behind: a head that jumps about in a scene of many, for thousands of updates.
+//! Residues of a server's updates: a head jumps about in a crowded scene, for thousands of updates.
 
 use crate::session::hello;
 use crate::session::options::RunOptions;

@@ -1,5 +1,5 @@
-//! What parts of the picture cost: the same run with and without each, in turn, in several rounds, so that a noisy machine
-//! disturbs all alike.
+//! Costs of parts of the picture: the same run with and without each, in turn, in several rounds, so a noisy machine disturbs
+//! all alike.
 
 use super::run::mock_config;
 use crate::session::options::RunOptions;

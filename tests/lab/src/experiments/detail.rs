@@ -1,8 +1,7 @@
-//! What levels of detail do to the picture where they change, and how much a client has to draw.
+//! Visibility of LOD switches, and the client's drawn geometry.
 //!
-//! Display frames on which another update comes on display are told apart by whether an instance changed its level with it. The
-//! change of the picture beyond what the truth changes meanwhile is what is seen of the switch; the other updates say how much
-//! there is anyway.
+//! Display frames with a new update are divided by LOD changes of an instance. The change of the picture beyond the truth's
+//! change is the visible part of the switch. The other updates give the level without a switch.
 
 use super::run::{into_probe, mock_config};
 use crate::image::Rgb8Image;

@@ -1,6 +1,6 @@
-//! `shadecast-lab encoders`: openh264 beside libx264 on atlases that the server that ships makes of nine dragons in flight, seen
-//! from a head that walks. Each picture goes to all encoders in turn, so that what else the machine does falls on all alike, and
-//! what comes out is decoded by the client's decoder and compared with what went in.
+//! `shadecast-lab encoders`: openh264 beside libx264 on the shipped server's atlases of nine dragons in flight, from a walking
+//! head. Each picture goes to all encoders in turn, so other load falls on all alike. The client's decoder decodes the output,
+//! which is compared with the input.
 
 use super::run::mock_config;
 use crate::session::Lab;
@@ -239,7 +239,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bits_at_a_quality_lie_between_those_of_the_quantisers_around_it() {
+    fn bits_at_a_quality_lie_between_neighbouring_quantisers() {
         let at = |qp, psnr_db, mbit_per_s| Coded {
             encoder: "x".into(),
             qp,

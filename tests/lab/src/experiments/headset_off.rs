@@ -1,4 +1,4 @@
-//! A headset that is taken off for a while: what memory that costs, and how soon the picture is back.
+//! A headset taken off for a while: its cost in memory, and the return of the picture.
 
 use super::run::mock_config;
 use crate::session::Lab;

@@ -1,4 +1,4 @@
-//! The paper's largest scene at its size: 169 dragons, all in view, streamed to a client of 150,000 vertices, and what that takes.
+//! The paper's largest scene at full size: 169 dragons, all in view, streamed to a client of 150,000 vertices, and its costs.
 
 use super::run::mock_config;
 use super::table1::cell::{FOV_DEGREES, Size, boxes, eye_for, head_csv, source, whole_in_view};

@@ -1,4 +1,5 @@
-//! The picture at the size of a headset's: both ways of a picture, over short and long links, with a head that goes and turns.
+//! The picture at a headset's size: both kinds of picture, over links with short and long delay, with a moving and turning
+//! head.
 
 use super::run::run;
 use crate::session::options::{Head, Renderer, RunOptions};

@@ -1,11 +1,10 @@
-//! `shadecast-lab render-thread`: what a display frame costs the thread that draws while updates arrive.
+//! `shadecast-lab render-thread`: the render thread's cost of a display frame while updates arrive.
 //!
-//! The paper's dragons are streamed to the client in virtual time, and all that it is handed is kept. Then a client that has
-//! not seen it is handed the same, in the same order between the same display frames, once by a thread of its own, as
-//! `shadecast-client` does it, and once on the thread that draws. What is timed is that thread's time on a processor, from the
-//! runtime's wish for a frame to the frame's end; a decoder's thread decodes as it ships. Real time goes by more slowly than the
-//! recording's, so that a device that is slow is done with a frame before the next, and the decoder with a picture: there are as
-//! many display frames for an update as at full speed.
+//! The paper's dragons are streamed to the client in virtual time, and its input is recorded. Then a new client gets the same
+//! input, in the same order between the same display frames: once by an intake thread, as in `shadecast-client`, and once on
+//! the render thread. The measure is the render thread's CPU time, from the runtime's request of a frame to its end; a
+//! decoder's thread decodes as shipped. Real time runs slower than the recording's, so a slow device finishes a frame before
+//! the next, and the decoder a picture. There are as many display frames per update as at full speed.
 
 use super::run::mock_config;
 use super::table1::cell::{FOV_DEGREES, Size, boxes, eye_for, head_csv, source};

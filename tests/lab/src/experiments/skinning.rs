@@ -1,5 +1,5 @@
-//! `shadecast-lab skinning`: the three ways of skinning side by side on one device in one run, with the matrix products
-//! that each needs, and with the floor that the device's own measured rates set.
+//! `shadecast-lab skinning`: the three ways of skinning side by side on one device in one run, with the matrix products of
+//! each, and with the floor of the device's own measured rates.
 
 use crate::measure::percentiles::median;
 use anyhow::Context;

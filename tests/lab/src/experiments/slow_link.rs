@@ -1,4 +1,4 @@
-//! A link that carries less than the scene needs: when there is a picture, and how it goes on.
+//! A link below the scene's needs: the time of the first picture, and its continuation.
 
 use super::run::mock_config;
 use crate::session::Lab;

@@ -1,5 +1,5 @@
-//! How steady the atlas is from update to update: whether it comes to rest where nothing moves, and how many blocks change their
-//! size where something does.
+//! Steadiness of the atlas between updates: whether it rests in a static scene, and the number of resized blocks in a moving
+//! one.
 
 use super::run::mock_config;
 use crate::session::Lab;

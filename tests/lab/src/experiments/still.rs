@@ -1,5 +1,4 @@
-//! `shadecast-lab still`: what the second update of a scene in which nothing moves costs the device, beside the first; and what it
-//! costs where all is shaded again.
+//! `shadecast-lab still`: the device's cost of the second update of a static scene, beside the first, and beside full shading.
 
 use crate::measure::percentiles::median;
 use crate::session::options::RunOptions;

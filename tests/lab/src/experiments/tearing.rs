@@ -1,4 +1,4 @@
-//! Whether triangles on display are whole: all corners where their vertices are at one time.
+//! Tearing of displayed triangles: whether all corners have the positions of one time.
 
 use super::run::mock_config;
 use crate::measure::truth::{InstancePose, VertexTruth};

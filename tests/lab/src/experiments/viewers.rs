@@ -1,5 +1,5 @@
-//! Several viewers of one world: a run for each, in which it is the client that ships and the others are as busy beside it;
-//! and what a second viewer costs.
+//! Several viewers of one world: a run for each as the shipped client, with equally busy viewers beside it; and the cost of a
+//! second viewer.
 
 use super::run::{Report, run};
 use crate::measure::percentiles::median;

@@ -1,5 +1,5 @@
-//! A server that attacks the real client, on the mock runtime: it must go on showing frames, keep its memory, and show the
-//! pictures of a server that behaves soon after.
+//! A server that attacks the real client, on the mock runtime. The client must keep displaying frames, keep its memory bounded,
+//! and display a well-behaved server's pictures soon after.
 
 use crate::experiments::run::mock_config;
 use crate::hostile::process::Program;

@@ -1,5 +1,5 @@
-//! A client that keeps to the rules and draws nothing: it says where its head is at 72 Hz, reports what it would show, and
-//! notes when pictures came. It comes back when it is turned away, as the real one does.
+//! A well-behaved client that draws nothing: it reports its head at 72 Hz and its display, and notes the arrival of pictures.
+//! It reconnects after a refusal, like the real one.
 
 use anyhow::Context;
 use glam::{Quat, Vec3};

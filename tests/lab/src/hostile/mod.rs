@@ -1,12 +1,11 @@
-//! `shadecast-lab hostile`: the real programs on loopback, strangers that attack them, and what becomes of those who keep
-//! to the rules.
+//! `shadecast-lab hostile`: the real programs on loopback, attacking strangers, and the effect on well-behaved peers.
 //!
 //! Attacks and durations enter. A report against bars leaves. Nothing here knows pictures' quality and virtual time.
 //!
-//! [`server`] has a server serve a lawful client while strangers attack it from other sockets: does the client keep its
-//! picture, is the next one served soon after, does memory stay where it was. Everything here is in real time and sends
-//! to this machine only. [`client`] has a client shown things by a server that breaks the rules. [`neighbours`] measures what a
-//! viewer that behaves badly costs the others.
+//! [`server`] has a server serve a well-behaved client while strangers attack it from other sockets. It checks that the client
+//! keeps its picture, that the next one is served soon after, and that memory does not grow. Everything here runs in real time
+//! and sends to this machine only. [`client`] connects a client to a server that breaks the rules. [`neighbours`] measures the
+//! cost of a misbehaving viewer to the others.
 
 pub mod attacks;
 pub mod client;

@@ -1,5 +1,5 @@
-//! What a viewer that behaves badly costs the others of the same server: how many pictures a lawful client gets beside each
-//! kind of neighbour, of those that it gets beside another lawful one.
+//! Cost of a misbehaving viewer to the others of the same server: a well-behaved client's pictures beside each kind of
+//! neighbour, relative to those beside another well-behaved one.
 
 use crate::hostile::Work;
 use crate::hostile::attacks::{REFUSED_PAUSE, Repeated, Target, control_bytes, hello_bytes};

@@ -1,4 +1,4 @@
-//! The server under attack: the real program on loopback, with its memory and its last words.
+//! The server under attack: the real program on loopback, with its memory and its last output.
 
 use crate::process::program;
 use anyhow::{Context, bail};

@@ -1,4 +1,4 @@
-//! What came of attacks, and whether it is good enough.
+//! Results of attacks, judged by bars.
 
 use crate::hostile::attacks::Effort;
 use serde::Serialize;

@@ -1,5 +1,5 @@
-//! A server that greets a client lawfully, and then sends it what no server should: on the project's own transport, which
-//! carries any streams and datagrams, with one identity, so that the client takes it for the same server when it behaves.
+//! A server that greets a client correctly, and then breaks the protocol. It uses the project's own transport, which carries
+//! any streams and datagrams. It keeps one identity, so the client takes it for the same server when it behaves.
 
 use anyhow::Context;
 use glam::{Quat, Vec3};

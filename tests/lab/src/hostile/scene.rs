@@ -1,5 +1,4 @@
-//! The scene that is served under attack: one cube that turns. It costs a slow device little, so that what is measured is
-//! the attack.
+//! The scene under attack: one turning cube. It costs a slow device little, so the attack dominates the measurement.
 
 use anyhow::Context;
 use glam::{Quat, Vec3};

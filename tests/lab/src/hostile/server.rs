@@ -1,4 +1,4 @@
-//! Attacks on a server, one after the other, each once while a lawful client is served and once without one.
+//! Attacks on a server, one after the other, each once with a well-behaved client and once without one.
 
 use crate::hostile::HostileOptions;
 use crate::hostile::attacks::{Attack, Effort, Target};

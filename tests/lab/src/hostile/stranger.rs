@@ -1,7 +1,7 @@
-//! A stranger on the network: QUIC on a socket of its own, with whatever bytes an attack wants on its streams.
+//! A stranger on the network: QUIC on its own socket, with an attack's bytes on its streams.
 //!
-//! It speaks `quinn-proto` itself, because the project's own transport would not send what is wrong. It believes any
-//! server, and it never sends to another machine than this one.
+//! It uses `quinn-proto` itself, because the project's own transport would refuse to send invalid data. It trusts any server,
+//! and it sends to this machine only.
 
 use anyhow::{Context, ensure};
 use bytes::{Bytes, BytesMut};

@@ -1,5 +1,5 @@
-//! Records what a lawful client and a real server say to each other, as seeds for the fuzz targets of `tests/fuzz`: what is
-//! made up without them is turned away at the first bytes.
+//! Recorded messages of a well-behaved client and a real server, as seeds for the fuzz targets of `tests/fuzz`. Inputs without
+//! them are refused at the first bytes.
 
 use crate::hostile::lawful::{self, Lawful, Recorded};
 use crate::hostile::process::Server;

@@ -1,5 +1,5 @@
-//! Compares what an eye was shown with what the forward renderer shows for the same pose, field of view and time of
-//! display, of vertices that [`crate::measure::truth`] has posed.
+//! Comparison of an eye's displayed picture with the forward renderer's for the same pose, field of view and display time, with
+//! vertices posed by [`crate::measure::truth`].
 
 use super::flip::pixels_per_degree;
 use super::metrics::{FrameMetrics, ProbeView, Regions, View, with_true_outlines};

@@ -1,7 +1,7 @@
-//! FLIP (Andersson et al. 2020): how visible the difference is to someone who flips between two pictures.
+//! FLIP (Andersson et al. 2020): visibility of the difference to someone who flips between two pictures.
 //!
-//! NVIDIA's own implementation through `nv-flip`, for low dynamic range. It expects sRGB bytes and linearises them
-//! itself. What is visible depends on how many pixels a degree of the view holds, so every figure needs that number.
+//! NVIDIA's own implementation through `nv-flip`, for low dynamic range. It expects sRGB bytes and linearises them itself.
+//! Visibility depends on the pixels per degree of the view, so every figure needs that number.
 
 use crate::image::Rgb8Image;
 

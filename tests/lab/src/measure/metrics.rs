@@ -1,14 +1,12 @@
-//! What a displayed frame is worth, measured against the truth: the forward renderer with the same eye pose, field of
-//! view and time of display.
+//! Quality of a displayed frame against the truth: the forward renderer with the same eye pose, field of view and display time.
 //!
-//! Every figure is taken over the pixels where the truth shows geometry, since an empty sky would flatter all of them; and
-//! again over two regions of it, since a still ground flatters what moves: pixels whose truth shows an animated instance,
-//! and still surfaces on which a moving shadow falls or has just fallen.
-//! Pictures are compared after display encoding, as sRGB bytes. Filters of SSIM and FLIP look at neighbours outside
-//! that mask too: only their results are masked.
+//! Every figure covers the pixels with geometry in the truth, because an empty sky would flatter all of them. Two regions have
+//! their own figures, because a still ground flatters moving geometry: pixels of animated instances in the truth, and still
+//! surfaces with a moving shadow, now or just before. Pictures are compared after display encoding, as sRGB bytes. Filters of
+//! SSIM and FLIP read neighbours outside that mask too: only their results are masked.
 //!
-//! A **hole** is a pixel of the mask where the client's picture shows another instance, or none, or where its depth
-//! lies more than 1 % behind the truth's. The share is taken of the mask, not of the picture.
+//! A **hole** is a pixel of the mask where the client's picture has another instance, or none, or a depth more than 1 % behind
+//! the truth's. The share is of the mask, not of the picture.
 
 use thiserror::Error;
 

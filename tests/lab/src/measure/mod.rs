@@ -1,7 +1,7 @@
-//! How good a picture is, and how exact motion: metrics, and the truth that they compare with.
+//! Quality of pictures and accuracy of motion: metrics, and the truth for their comparison.
 //!
 //! Pictures, probes and a scene's source curves enter. Figures leave: decibels, FLIP, SSIM, pixels, percentiles. Nothing here
-//! knows how a run is set up and how its figures are written down.
+//! knows the set-up of a run and the files of its figures.
 
 pub mod compare;
 pub mod flip;

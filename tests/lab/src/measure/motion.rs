@@ -1,8 +1,7 @@
-//! How well the client's animated vertices follow the true animation: what the client's memory holds at every display frame,
-//! read back, against the source curves at the true time of display.
+//! Accuracy of the client's animated vertices: the client's memory at every display frame, read back, against the source curves
+//! at the true display time.
 //!
-//! Every vertex counts from the first frame on in which it is drawn, so quantisation, clock and whatever the link does are
-//! in the figures.
+//! Every vertex counts from its first drawn frame on, so quantisation, clock and link are in the figures.
 
 use super::percentiles::Percentiles;
 use super::truth::{InstancePose, TrueVertex, VertexTruth};
@@ -189,7 +188,7 @@ mod tests {
     use shadecast_scene::load::{SceneSource, load_scene};
 
     #[test]
-    fn an_error_is_counted_in_millimetres_and_pixels_and_where_it_travels_in_percent() {
+    fn motion_errors_have_millimetres_pixels_and_percent() {
         let mut motion = Motion::default();
         assert_eq!(motion.report(), None);
         let eyes = [DVec3::ZERO, DVec3::new(0.0, 0.0, 4.0)];

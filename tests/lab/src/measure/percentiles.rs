@@ -1,4 +1,4 @@
-//! Percentiles of more numbers than one would keep.
+//! Percentiles of more numbers than memory should hold.
 
 /// The least number that is told from nothing.
 const LEAST: f64 = 1e-6;

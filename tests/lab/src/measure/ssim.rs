@@ -1,8 +1,8 @@
-//! Structural similarity (Wang et al. 2004) as a map, so that it can be averaged where it matters.
+//! Structural similarity (Wang et al. 2004) as a map, for averages over regions.
 //!
-//! The same figures as scikit-image's `structural_similarity(a, b, gaussian_weights=True, sigma=1.5,
-//! use_sample_covariance=False, data_range=255, channel_axis=2, full=True)`, whose map this is: an 11x11 Gaussian
-//! window, pictures mirrored at their borders.
+//! The figures equal those of scikit-image's `structural_similarity(a, b, gaussian_weights=True, sigma=1.5,
+//! use_sample_covariance=False, data_range=255, channel_axis=2, full=True)`, whose map this is: an 11x11 Gaussian window,
+//! pictures mirrored at their borders.
 
 use crate::image::Rgb8Image;
 

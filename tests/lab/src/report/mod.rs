@@ -1,6 +1,6 @@
 //! Figures and pictures for people: a run's summary, tables, a contact sheet, a page.
 //!
-//! Figures and pictures enter. JSON, text, PNG and HTML leave. Nothing here knows how they were measured.
+//! Figures and pictures enter. JSON, text, PNG and HTML leave. Nothing here knows their measurement.
 
 pub mod page;
 pub mod sheet;

@@ -1,6 +1,6 @@
 //! `index.html` of the demo: the pictures with a slider between client and truth, and the figures in words.
 //!
-//! Knows files and figures by name only, so that it can be made again of any finished demo's folder.
+//! The page knows files and figures by name only, so it can be rebuilt from any finished demo's folder.
 
 use serde_json::Value;
 use std::fmt::Write;

@@ -1,6 +1,6 @@
-//! A contact sheet: everything that a run shows, captioned, in one picture, with its figures below the pictures.
+//! A contact sheet: all pictures of a run, captioned, in one picture, with its figures below.
 //!
-//! Made for looking, not for measuring: thumbnails are averages of sRGB bytes.
+//! It is for viewing, not for measuring: thumbnails are averages of sRGB bytes.
 
 use super::typeface::{Typeface, WIDEST_GLYPH_EM};
 use crate::image::{ImageError, Rgb8Image};

@@ -1,4 +1,4 @@
-//! What a run is summed up as: `stats.json`, the same from the demo and from the lab, and a few lines for people.
+//! Summary of a run: `stats.json`, the same from the demo and from the lab, and a few lines for people.
 
 use std::collections::BTreeMap;
 use std::fmt;

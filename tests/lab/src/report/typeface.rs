@@ -1,4 +1,4 @@
-//! Text in pictures, in a proportional typeface. Knows one weight and draws lines; laying out pages is the sheet's.
+//! Text in pictures, in a proportional typeface. It has one weight and draws lines; the sheet lays out pages.
 
 use crate::image::Rgb8Image;
 use ab_glyph::{Font, FontRef, Glyph, PxScale, ScaleFont, point};

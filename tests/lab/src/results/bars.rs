@@ -1,5 +1,5 @@
-//! The bars: what each figure of the long runs must reach. `tests/lab/bars.toml` holds them; a figure that misses its bar is
-//! a failure, and so is one that is not there.
+//! The bars: limits for the figures of the long runs, in `tests/lab/bars.toml`. A figure that misses its bar is a failure, and
+//! so is a missing figure.
 
 use crate::report::text_table::table;
 use anyhow::{Context, ensure};

@@ -1,5 +1,5 @@
-//! What a display frame of the client moves through memory, by the layouts that its shaders were compiled with times how much of each
-//! there is: a floor (each byte once, as with caches that hold everything) and what is asked for (as without any).
+//! Memory traffic of a client's display frame, from the layouts of its compiled shaders times the counts: a floor (each byte
+//! once, as with infinite caches) and the requests (as without caches).
 
 use shadecast_shaders::constants::EYES;
 use shadecast_shaders::generated::{CornerGpu, EntryGpu, PlacedPoseGpu, RestGpu, TrackGpu};
@@ -137,7 +137,7 @@ mod tests {
     const MOST_OF_A_FRAME: u64 = 77_000_000;
 
     #[test]
-    fn no_vertex_corner_or_bone_moves_more_than_its_budget_and_no_frame_does() {
+    fn no_vertex_corner_or_bone_exceeds_its_budget() {
         let vertex = VECTOR_BYTES + SKIN_BYTES + bytes::<RestGpu>() + 2 * VECTOR_BYTES;
         assert!(
             vertex <= MOST_OF_A_VERTEX,

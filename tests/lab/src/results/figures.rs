@@ -1,5 +1,5 @@
-//! `shadecast-lab figures`: the tables of README and docs, made of the results that are committed. A table stands between two
-//! comments, `<!-- figures NAME -->` and `<!-- /figures -->`; a test holds that each is what the results say.
+//! `shadecast-lab figures`: the tables of README and docs, from the committed results. A table stands between two comments,
+//! `<!-- figures NAME -->` and `<!-- /figures -->`; a test compares each with the results.
 
 use super::bars::{BARS, Bars};
 use crate::experiments::causes::Causes;
@@ -516,7 +516,7 @@ mod tests {
     }
 
     #[test]
-    fn the_papers_table_is_shown_as_its_result_says_and_without_one_says_so() {
+    fn the_papers_table_follows_its_result() {
         let folder = tempfile::tempdir().expect("a folder");
         for name in ["table1", "table1-as-paper", "table1-shipped", "table1-stages", "table1-growth"] {
             assert_eq!(table(name, folder.path()).expect("a table"), NOT_MEASURED, "{name}");
@@ -542,7 +542,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_is_made_anew_between_its_comments_and_nothing_else_is_touched() {
+    fn a_table_is_replaced_between_its_comments_only() {
         let folder = tempfile::tempdir().expect("a folder");
         let result = r#"{"stats": {"psnr_db": 31.25, "hole_fraction": 0.001}, "motion": null}"#;
         std::fs::write(folder.path().join("robot-512.json"), result).expect("written");

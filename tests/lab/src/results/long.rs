@@ -1,5 +1,5 @@
-//! `shadecast-lab long`: the measurements that take long, as a list of named jobs that write a JSON file each. A file that is
-//! there is not made again, so that a run that was broken off goes on where it stopped.
+//! `shadecast-lab long`: the long measurements, as a list of named jobs that write a JSON file each. Existing files are kept,
+//! so an interrupted run resumes.
 
 use crate::experiments::abrupt;
 use crate::experiments::causes::{self, CAUSES, Cause};

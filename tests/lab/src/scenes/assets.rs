@@ -1,4 +1,4 @@
-//! Real models that the runs use where they are there; the project ships none.
+//! Real models for the runs, where present; the project ships none.
 
 use std::path::{Path, PathBuf};
 

@@ -1,5 +1,5 @@
-//! A room for measurements of cutouts: before each wall hangs a curtain of leaves, between which the wall shows. The curtains
-//! hang still, or sway about their upper edge.
+//! A room for measurements of cutouts: a curtain of leaves before each wall, with the wall visible between the leaves. The
+//! curtains hang still, or sway about their upper edge.
 
 use super::room::{Surface, wall, walls, write_scene};
 use crate::image::ImageError;

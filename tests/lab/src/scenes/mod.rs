@@ -1,4 +1,4 @@
-//! Scenes that are made for one measurement each.
+//! Scenes for one measurement each.
 //!
 //! A folder enters, and sizes. A scene description leaves, with its models and textures. Nothing here knows runs and figures.
 

@@ -1,5 +1,5 @@
 //! A stiff character for measurements: boxes, each bound to one joint of a skin, that walk by linear keys 24 times a second
-//! with wide steps from key to key. Nothing bends and nothing is smoothed, so corners of the curves show in every vertex.
+//! with wide steps from key to key. Nothing bends and nothing is smoothed, so corners of the curves appear in every vertex.
 
 use glam::{Mat4, Quat, Vec3, Vec4};
 use serde_json::{Value, json};

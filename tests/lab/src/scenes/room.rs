@@ -1,5 +1,5 @@
-//! A room for measurements of abrupt heads: vases in rows along its four walls, so that wherever one turns there is much
-//! geometry that the client has not seen. Nothing in it moves.
+//! A room for measurements of abrupt heads: vases in rows along its four walls, so every turn reveals much new geometry.
+//! Nothing in it moves.
 
 use glam::Vec3;
 use serde_json::{Value, json};

@@ -1,5 +1,5 @@
-//! A room for measurements of how textures are filtered: large walls whose paint has detail down to a texel, bricks and
-//! letters beside soft colours, so that what is filtered too little or too much shows. Nothing in it moves.
+//! A room for measurements of texture filtering: large walls with paint of texel-sized detail, bricks and letters beside soft
+//! colours, so too weak and too strong filters are visible. Nothing in it moves.
 
 use super::room::{Surface, wall, walls, write_scene};
 use crate::image::{ImageError, Rgb8Image};

@@ -1,5 +1,5 @@
-//! Whether colours of one block are seen in another's patch: blocks of all levels, small and large on the display, whose
-//! neighbours have the farthest colours; and the lookup against its twin. Validation is on; any message fails.
+//! Colours never leak between blocks: blocks of all sizes, small and large on the display, with neighbours of the most distant
+//! colours. The lookup is compared with its twin. Validation is on; any message fails.
 
 use super::*;
 use crate::decode::{DevicePicture, Picture};
@@ -192,7 +192,7 @@ impl Bench {
 }
 
 #[test]
-fn no_colour_of_a_neighbour_is_seen_at_any_level_by_any_reconstruction() {
+fn no_reconstruction_bleeds_at_any_block_size() {
     let bench = Bench::new();
     let blocks = blocks();
     assert_eq!(blocks.len(), 49, "each size but the largest");
@@ -335,7 +335,7 @@ fn smooth() -> Picture {
 }
 
 #[test]
-fn a_picture_in_one_image_of_the_device_has_the_colours_of_its_planes() {
+fn a_multi_plane_image_has_the_colours_of_its_planes() {
     let bench = Bench::new();
     let blocks = blocks();
     let shown = Patches::of(&blocks);

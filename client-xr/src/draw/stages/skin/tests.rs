@@ -9,7 +9,7 @@ use crate::draw::stages::scatter::Scatter;
 use crate::motion::Motion;
 use crate::motion::arena::ArenaSerial;
 use crate::motion::skinned::{
-    Drawn, Moment, SkeletonPlace, SkinCapacity, Skinned, SkinnedCounts, SkinnedInstance, Source,
+    Drawn, PoseQuery, SkeletonPlace, SkinCapacity, Skinned, SkinnedCounts, SkinnedInstance, Source,
 };
 use glam::{Affine3A, Quat, Vec3, Vec4};
 use shadecast_gpu::{Access, Buffer, DesktopDevice, GpuOptions, Memory, Needs};
@@ -313,7 +313,7 @@ impl Bench {
         self.memory.record(&mut recorder, &self.batch);
         self.scatter.record(&mut recorder, &self.scatter_group, &self.vertices, &self.batch);
         recorder.barrier(crate::draw::stages::ARRIVALS, Access::COMPUTE);
-        let moment = Moment { time, grid: GRID, written: self.batch.state.written };
+        let moment = PoseQuery { time, grid: GRID, written: self.batch.state.written };
         let drawn = self.motion.drawn().to_vec();
         let counts = self.motion.skinned().poses(moment, &drawn, self.poses.poses_mut(flight));
         self.pose.record(&mut recorder, &self.poses, flight, counts.instances);
@@ -396,7 +396,7 @@ fn worst_error_m(
 ) -> f64 {
     let mut poses = vec![bytemuck::Zeroable::zeroed(); usize::from(instances)];
     let drawn: Vec<_> = (0..instances).map(|i| Drawn { instance: InstanceId(i), vertices: 1 }).collect();
-    let moment = Moment { time, grid: GRID, written: ArenaSerial::default() };
+    let moment = PoseQuery { time, grid: GRID, written: ArenaSerial::default() };
     tables.poses(moment, &drawn, &mut poses);
     let mut slots = positions.iter();
     let mut worst = 0f64;
@@ -429,7 +429,7 @@ fn clip_instances() -> Vec<SkinnedInstance> {
 }
 
 #[test]
-fn skinned_vertices_are_where_their_twin_has_them_whatever_the_clip_the_fade_and_the_path() {
+fn skinned_vertices_equal_their_twin() {
     let mut worst = 0f64;
     for seed in 1..5 {
         let (mut dice, mut words, mut bench) = (Dice(seed), Words::default(), Bench::new());
@@ -466,7 +466,7 @@ fn skinned_vertices_are_where_their_twin_has_them_whatever_the_clip_the_fade_and
 }
 
 #[test]
-fn an_instance_whose_chunk_is_on_its_way_has_no_area_until_it_is_there() {
+fn an_instance_has_no_area_before_its_chunk() {
     let (mut dice, mut words, mut bench) = (Dice(7), Words::default(), Bench::new());
     let model = Model::random(&mut dice, &mut words);
     bench.motion.arena().push(0, bytemuck::cast_slice(&words.0));
@@ -563,7 +563,7 @@ impl GridBench {
 }
 
 #[test]
-fn poses_on_the_grid_are_interpolated_as_their_twin_does_with_four_steps_and_with_two() {
+fn grid_poses_equal_their_twin_with_four_steps_and_with_two() {
     let mut grid = GridBench::new(11);
     (4..6).for_each(|step| grid.add_step(step));
     let ready = SkinnedCounts { instances: 1, ..Default::default() };
@@ -576,7 +576,7 @@ fn poses_on_the_grid_are_interpolated_as_their_twin_does_with_four_steps_and_wit
 }
 
 #[test]
-fn past_the_last_pose_an_instance_goes_on_for_a_step_and_before_the_first_it_has_no_area() {
+fn past_the_last_pose_an_instance_extrapolates_one_step() {
     let mut grid = GridBench::new(12);
     (4..6).for_each(|step| grid.add_step(step));
     let vertices = grid.model.vertices.len() as u32;
@@ -592,7 +592,7 @@ fn past_the_last_pose_an_instance_goes_on_for_a_step_and_before_the_first_it_has
 }
 
 #[test]
-fn skinning_leaves_static_and_sampled_vertices_alone_and_they_leave_it_alone() {
+fn skinning_touches_skinned_vertices_only() {
     let (mut dice, mut words, mut bench) = (Dice(9), Words::default(), Bench::new());
     let model = Model::random(&mut dice, &mut words);
     let written = bench.motion.arena().push(0, bytemuck::cast_slice(&words.0));

@@ -15,7 +15,7 @@
 use super::curve::Curve;
 use super::exchange::{Exchange, Watch};
 use super::moving::{Moving, Place};
-use super::probe::{Moment, distances};
+use super::probe::{VertexInputs, distances};
 use super::source::{Source, Sources};
 use super::{SampledClip, SampledTrack, longest_axis};
 use crate::animation::bounds::Bounds;
@@ -58,7 +58,7 @@ pub(super) fn sample(
     let Found { clip, is_kept } = find(model, clip, bounds, cancel)?;
     if !is_kept {
         tracing::warn!(
-            "model '{}': a clip cannot be kept within {} of its own units; single precision may not hold it",
+            "model '{}': a clip exceeds the error bound of {} of its own units; single precision may be too coarse",
             model.name,
             bounds[0]
         );
@@ -128,7 +128,7 @@ struct Watched {
     prices: Vec<f32>,
     times_s: Vec<f32>,
     /// By time.
-    truth: Vec<Moment>,
+    truth: Vec<VertexInputs>,
 }
 
 /// Distances from the original.
@@ -199,7 +199,7 @@ impl<'a> Trial<'a> {
 
     fn watch_times(&mut self, times_s: Vec<f32>) {
         for time_s in times_s {
-            self.watched.truth.push(Moment::of_source(self.model, self.clip, f64::from(time_s)));
+            self.watched.truth.push(VertexInputs::of_source(self.model, self.clip, f64::from(time_s)));
             self.watched.times_s.push(time_s);
         }
     }
@@ -266,9 +266,9 @@ impl<'a> Trial<'a> {
 
     fn exchange(&self, aim: f32) -> Option<Exchange> {
         let Watched { vertices, times_s, truth, .. } = &self.watched;
-        let now: Vec<Moment> = times_s
+        let now: Vec<VertexInputs> = times_s
             .iter()
-            .map(|time_s| Moment::of_samples(self.model, &self.found, f64::from(*time_s)))
+            .map(|time_s| VertexInputs::of_samples(self.model, &self.found, f64::from(*time_s)))
             .collect();
         let watch = Watch { model: self.model, clip: self.clip, vertices, times_s, truth };
         Exchange::new(&watch, &now, &self.moving, aim * self.bound_m)
@@ -367,7 +367,7 @@ impl<'a> Trial<'a> {
         let mut by_vertex_m = vec![0.0f32; self.model.vertices.len()];
         let by_time = times_s.iter().zip(truth).map(|(time_s, truth)| {
             self.cancel.check()?;
-            let found = Moment::of_samples(self.model, &self.found, f64::from(*time_s));
+            let found = VertexInputs::of_samples(self.model, &self.found, f64::from(*time_s));
             let mut largest_m = 0.0f32;
             distances(self.model, truth, &found, vertices, |vertex, distance_m| {
                 let so_far_m = &mut by_vertex_m[vertex as usize];
@@ -387,8 +387,8 @@ impl<'a> Trial<'a> {
         for time_s in &self.times_s {
             self.cancel.check()?;
             let t_s = f64::from(*time_s);
-            let truth = Moment::of_source(self.model, self.clip, t_s);
-            let found = Moment::of_samples(self.model, &self.found, t_s);
+            let truth = VertexInputs::of_source(self.model, self.clip, t_s);
+            let found = VertexInputs::of_samples(self.model, &self.found, t_s);
             let mut largest_m = 0.0f32;
             distances(self.model, &truth, &found, &self.suspects(&truth, &found), |vertex, distance_m| {
                 let so_far_m = &mut measured.by_vertex_m[vertex as usize];
@@ -402,7 +402,7 @@ impl<'a> Trial<'a> {
 
     /// Vertices that might be beyond the bound: those of palette entries that move a corner of the box around their
     /// vertices so far. What moves a vertex is a mean of what its entries do to it, and that is largest at corners.
-    fn suspects(&self, truth: &Moment, found: &Moment) -> Vec<u32> {
+    fn suspects(&self, truth: &VertexInputs, found: &VertexInputs) -> Vec<u32> {
         if !self.model.morphs.is_empty() {
             return self.vertices.clone(); // morph targets move them beside that
         }

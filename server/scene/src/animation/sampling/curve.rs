@@ -1,4 +1,4 @@
-//! A source curve looked at so densely that nothing of it is missed, and how far something else is from it.
+//! A densely evaluated source curve, and the distance of another curve from it.
 
 use super::source::Source;
 use crate::Interpolation;

@@ -1,12 +1,11 @@
 //! Exchanges the fits of single curves while the bound holds.
 //!
-//! Errors are small, so that they add up: what the error of one curve does to a vertex does not depend on the others'.
-//! Kept is how far each watched vertex is from its place at each watched time; what another fit of one curve would make
-//! of that is a product for each vertex that the curve moves, without a pose. That is exact to first order only, so
-//! that whoever asks measures in the end.
+//! Errors are small and therefore add up: the effect of one curve's error on a vertex does not depend on the other curves. The
+//! distance of each watched vertex from its place is stored for each watched time. The effect of another fit of one curve is
+//! then a product per moved vertex, without a pose. That is exact to first order only, so the caller measures in the end.
 
 use super::moving::{Moving, Place};
-use super::probe::{Moment, offset};
+use super::probe::{VertexInputs, offset};
 use super::{SampledTrack, unit_rotation};
 use crate::animation::pose;
 use crate::{Cancel, Cancelled, Model, Trs};
@@ -40,7 +39,7 @@ pub(super) struct Watch<'a> {
     pub clip: Option<usize>,
     pub vertices: &'a [u32],
     pub times_s: &'a [f32],
-    pub truth: &'a [Moment],
+    pub truth: &'a [VertexInputs],
 }
 
 pub(super) struct Exchange {
@@ -73,7 +72,7 @@ impl From<Place> for Owner {
 
 impl Exchange {
     /// Where `now` has each watched vertex at each watched time. `None` where that is too much to keep.
-    pub fn new(watch: &Watch, now: &[Moment], moving: &[Moving], limit_m: f32) -> Option<Self> {
+    pub fn new(watch: &Watch, now: &[VertexInputs], moving: &[Moving], limit_m: f32) -> Option<Self> {
         let mut exchange = Self {
             limit_m,
             times_s: watch.times_s.to_vec(),
@@ -88,7 +87,7 @@ impl Exchange {
         Some(exchange)
     }
 
-    fn measure(&mut self, watch: &Watch, now: &[Moment]) {
+    fn measure(&mut self, watch: &Watch, now: &[VertexInputs]) {
         self.offsets_m.clear();
         for vertex in watch.vertices {
             let offsets = watch.truth.iter().zip(now).map(|(a, b)| offset(watch.model, a, b, *vertex));
@@ -263,8 +262,9 @@ fn levers_of(watch: &Watch, index: usize, vertex: u32) -> Vec<(Owner, Lever)> {
     let points: Vec<Vec3A> = truth.iter().map(|moment| moment.morphed_point(model, vertex)).collect();
     for (joint, weight) in joints {
         let entry = usize::from(joint);
-        let place =
-            |(moment, point): (&Moment, &Vec3A)| weight * moment.palette[entry].transform_point3a(*point);
+        let place = |(moment, point): (&VertexInputs, &Vec3A)| {
+            weight * moment.palette[entry].transform_point3a(*point)
+        };
         let places: Vec<Vec3A> = truth.iter().zip(&points).map(place).collect();
         let mut next = Some(model.palette[entry].bone as usize);
         while let Some(bone) = next {
@@ -274,7 +274,7 @@ fn levers_of(watch: &Watch, index: usize, vertex: u32) -> Vec<(Owner, Lever)> {
     }
     for (morph, target) in model.morphs.iter().enumerate() {
         for delta in target.deltas.iter().filter(|delta| delta.vertex == vertex) {
-            let moved = |moment: &Moment| {
+            let moved = |moment: &VertexInputs| {
                 pose::blend(&moment.palette, shape.joints, shape.weights).matrix3
                     * Vec3A::from(delta.position)
             };

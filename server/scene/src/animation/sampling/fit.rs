@@ -1,9 +1,8 @@
 //! The fewest keys of one curve for a tolerance.
 //!
-//! Keys are chosen greedily, each as far from the one before as the span between them allows, at the source's own
-//! keys where these will do. That is tried again with more tolerance than there is, after which the values (and for
-//! cubics the tangents) between the ends are moved to where the sum of squares of all errors is least: keys off the
-//! curve err to both sides of it, so that fewer of them may do.
+//! Keys are chosen greedily, each as far from the previous one as the span between them allows, at the source's own keys where
+//! these suffice. That is repeated with more tolerance than allowed. Then the values (and for cubics the tangents) between the
+//! ends move to the least sum of squared errors: keys off the curve err to both sides of it, so fewer of them may suffice.
 
 use super::curve::{Curve, Tolerance};
 use super::{KeyInterpolation, SAME, SampledTrack, hermite_weights};

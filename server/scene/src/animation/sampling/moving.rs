@@ -1,4 +1,4 @@
-//! A curve that moves, in its several fits: the choice that error-bounded sampling makes for it.
+//! A moving curve in several fits, and the choice of error-bounded sampling for it.
 
 use super::SampledTrack;
 use super::curve::Curve;

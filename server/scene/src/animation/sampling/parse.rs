@@ -1,4 +1,4 @@
-//! Sampling as it is written on a command line: `constant:100ms`, `error-bounded:0.1mm,0.2%`.
+//! Sampling on a command line: `constant:100ms`, `error-bounded:0.1mm,0.2%`.
 
 use super::{DEFAULT_BOUND_M, DEFAULT_INTERVAL_S, DEFAULT_RANGE_SHARE, Sampling};
 use crate::suggest::did_you_mean;

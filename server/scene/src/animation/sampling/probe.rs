@@ -1,20 +1,20 @@
-//! How far skinned vertices are from where the original has them.
+//! Distance of skinned vertices from their places in the original.
 
 use super::SampledClip;
 use crate::animation::pose;
 use crate::{Model, Vertex};
 use glam::{Affine3A, Vec3, Vec3A};
 
-/// All that a model's vertices depend on at one time.
+/// Inputs of a model's vertices at one time.
 #[derive(Clone, Debug)]
-pub(crate) struct Moment {
+pub(crate) struct VertexInputs {
     /// `model_from_mesh` by palette entry.
     pub palette: Vec<Affine3A>,
     /// By morph target.
     pub weights: Vec<f32>,
 }
 
-impl Moment {
+impl VertexInputs {
     /// By the source curves.
     pub fn of_source(model: &Model, clip: Option<usize>, t_s: f64) -> Self {
         Self {
@@ -41,7 +41,7 @@ impl Moment {
 }
 
 /// From where the truth has a vertex to where it was found.
-pub(crate) fn offset(model: &Model, truth: &Moment, found: &Moment, vertex: u32) -> Vec3A {
+pub(crate) fn offset(model: &Model, truth: &VertexInputs, found: &VertexInputs, vertex: u32) -> Vec3A {
     let Vertex { joints, weights, .. } = model.vertices[vertex as usize];
     let (from, to) = (truth.morphed_point(model, vertex), found.morphed_point(model, vertex));
     let joints = joints.into_iter().zip(weights).filter(|(_, weight)| *weight > 0.0);
@@ -56,8 +56,8 @@ pub(crate) fn offset(model: &Model, truth: &Moment, found: &Moment, vertex: u32)
 /// Calls with each of `vertices` (indices) and the distance of its two places.
 pub(crate) fn distances(
     model: &Model,
-    truth: &Moment,
-    found: &Moment,
+    truth: &VertexInputs,
+    found: &VertexInputs,
     vertices: &[u32],
     mut each: impl FnMut(u32, f32),
 ) {

@@ -1,4 +1,4 @@
-//! A model's source curves one by one, whatever they move: what sampling needs to know of them.
+//! A model's source curves one by one, with the data that sampling needs of them.
 
 use super::{SampledClip, SampledTrack};
 use crate::animation::clip::{self, TrackValue};

@@ -9,7 +9,7 @@ use rand::{SeedableRng, rngs::SmallRng};
 const TWENTIETH: Sampling = Sampling::Constant { interval_s: 0.05 };
 
 #[test]
-fn constant_sampling_has_its_keys_on_the_source_and_the_last_at_the_end() {
+fn constant_sampling_has_keys_on_the_source_and_at_the_end() {
     let mut rng = SmallRng::seed_from_u64(3);
     for case in 0..100 {
         let model = one_bone(random_track(&mut rng, 0, INTERPOLATIONS[case % 3], 0));
@@ -98,7 +98,7 @@ fn rest_pose_and_clip_without_duration_have_one_key() {
 }
 
 #[test]
-fn very_long_clip_is_sampled_more_coarsely_instead_of_filling_memory() {
+fn a_very_long_clip_is_sampled_more_coarsely() {
     let values = TrackValues::Translation(vec![Vec3::ZERO, Vec3::X]);
     let track = Track { bone: 0, times_s: vec![0.0, 86_400.0], interpolation: Interpolation::Linear, values };
     let mut model = one_bone(track);

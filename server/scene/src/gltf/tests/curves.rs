@@ -234,7 +234,7 @@ fn largest_error(model: &Model, raw: &Raw, animation: usize, time: f64) -> f64 {
 }
 
 #[test]
-fn poses_of_real_files_equal_an_independent_evaluation_of_their_curves() {
+fn poses_of_real_files_equal_an_independent_evaluation() {
     let Some(folder) = assets() else { return };
     for name in ["Fox.glb", "CesiumMan.glb", "RiggedSimple.glb", "MorphStressTest.gltf"] {
         let path = folder.join(name);

@@ -1,4 +1,4 @@
-//! Groups as they were made before: cheapest first, while their triangles are free.
+//! The previous grouping: cheapest groups first, while their triangles are free.
 use super::{Patch, PatchKind, Patches, Triangles};
 use glam::Vec3;
 use std::collections::HashMap;

@@ -79,12 +79,12 @@ fn assert_cost(name: &str, wing: &[[f64; 3]], limit: f64) {
 }
 
 #[test]
-fn a_beating_wing_costs_less_than_two_and_a_half_bytes_per_vertex_and_sample() {
+fn a_beating_wing_costs_under_2_5_bytes_a_sample() {
     assert_cost("rough wing, neighbours in order", &wing(20_000), 2.5);
 }
 
 #[test]
-fn a_wing_whose_slots_are_scattered_costs_less_than_two_and_a_half_bytes_too() {
+fn a_wing_in_scattered_slots_costs_under_2_5_bytes() {
     let (mut wing, mut dice) = (wing(20_000), Dice::new(2));
     (1..wing.len()).rev().for_each(|i| wing.swap(i, dice.below(i as u64 + 1) as usize));
     assert_cost("rough wing, slots at random", &wing, 2.5);
@@ -125,7 +125,7 @@ fn uniform_motion_costs_only_the_headers_of_groups() {
 }
 
 #[test]
-fn a_missing_grid_step_lowers_the_order_instead_of_extrapolating_wrongly() {
+fn a_missing_grid_step_lowers_the_order() {
     let mut past = Past::default();
     [(0, 10), (1, 20), (2, 30)].into_iter().for_each(|(grid, x)| past.push(GridIndex(grid), [x; 3]));
     assert_eq!(past.order(GridIndex(3)), 3);
@@ -165,7 +165,7 @@ fn damaged_batches_give_values_or_errors() {
 }
 
 #[test]
-fn a_new_step_rescales_the_past_and_a_vertex_that_enters_has_none() {
+fn a_new_step_rescales_the_history() {
     let mut history = SampleHistory::new(2);
     (0..2).for_each(|slot| history.past[slot].push(GridIndex(0), [1000, -1001, i32::MAX]));
     let entered =

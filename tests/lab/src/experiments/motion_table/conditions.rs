@@ -1,4 +1,4 @@
-//! Under what motion is measured: the ways in which vertices can move, and the links.
+//! Conditions of the motion table: the kinds of motion, and the links.
 
 use serde::Serialize;
 use shadecast_scene::suggest::did_you_mean_or_list;

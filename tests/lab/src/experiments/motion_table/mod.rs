@@ -1,7 +1,7 @@
-//! `shadecast-lab motion`: one table of all ways in which vertices move, over several links: how exact they are on display, what
-//! they cost on the way, on the client and on the server.
+//! `shadecast-lab motion`: one table of all kinds of motion over several links: their error on display, and their costs on the
+//! link, the client and the server.
 //!
-//! A scene enters, ways of motion and links. A row a pair leaves. Nothing here knows colours.
+//! A scene enters, kinds of motion and links. A row per pair leaves. Nothing here knows colours.
 
 mod conditions;
 mod watch;

@@ -1,6 +1,6 @@
-//! What becomes of every vertex of every triangle drawn, in every display frame: where it is, read back from the client's
-//! memory, against the source curves at the time at which the client believes that it is seen, on the server's clock. How far
-//! that belief is from the truth is no error of motion, and is counted apart.
+//! Every vertex of every drawn triangle, in every display frame: its position, read back from the client's memory, against the
+//! source curves at the display time as the client estimates it, on the server's clock. The error of that estimate is no error
+//! of motion, and is counted apart.
 
 use crate::measure::percentiles::Percentiles;
 use crate::measure::truth::{TrueVertex, VertexTruth};
@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vertex_leaps_that_an_update_puts_elsewhere_and_not_one_that_is_blended_back() {
+    fn a_moved_vertex_leaps_and_a_blended_one_does_not() {
         let mut watch = Watch::default();
         let mut see = |shown: f64, truth: f64| {
             watch.frames += 1;
@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn an_instance_moved_when_a_vertex_did_and_not_when_one_came_into_view() {
+    fn an_instance_moves_when_one_of_its_vertices_does() {
         let mut watch = Watch::default();
         let mut see = |frame: u64, number: u32, x: f64| {
             watch.frames = frame;

@@ -1,5 +1,5 @@
-//! `shadecast-lab run --renderer forward`: the truth's pictures at the poses and times at which another renderer's would be
-//! displayed. Nothing is compared: there is nothing to compare it with.
+//! `shadecast-lab run --renderer forward`: the truth's pictures at the poses and display times of another renderer. Nothing is
+//! compared: there is no second picture.
 
 use super::{Report, progress};
 use crate::image::Rgb8Image;

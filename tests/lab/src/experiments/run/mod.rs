@@ -1,6 +1,6 @@
-//! `shadecast-lab run`: one run in virtual time, measured and written down.
+//! `shadecast-lab run`: one run in virtual time, measured and recorded.
 //!
-//! Options enter ([`RunOptions`]). Pictures leave, `stats.json`, and a report. Nothing here knows which question the run answers.
+//! Options enter ([`RunOptions`]). Pictures leave, `stats.json`, and a report. Nothing here knows the question behind the run.
 
 mod forward;
 

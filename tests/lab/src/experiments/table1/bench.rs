@@ -1,9 +1,9 @@
-//! One cell once: server and client are connected, the client is handed updates over no link until everything is there, then each
-//! works by itself without a pause, then both at once on the one device.
+//! One cell once. Server and client are connected, and the client gets updates without a link until everything has arrived.
+//! Then each works alone without a pause, then both at once on the one device.
 //!
-//! What is timed of the server is what it does for an update: the update, its delta's bytes, and what it says of motion until the
-//! next. Link and codec are left out; what the codec takes is measured beside it. What is timed of the client is its display
-//! frame. Nothing arrives meanwhile: the client draws what it has, at times that go on.
+//! The server's time covers an update, its delta's bytes, and its messages of motion until the next. Link and codec are left
+//! out; the codec is measured beside it. The client's time is its display frame. Nothing arrives meanwhile: the client draws
+//! its scene, at advancing times.
 
 use super::cell::{Cell, Mode, REFRESH_HZ, Set, UPDATES_HZ};
 use crate::measure::percentiles::median;
@@ -480,7 +480,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn short_updates_are_measured_more_often_and_long_ones_as_often_as_asked() {
+    fn short_updates_are_measured_more_often() {
         assert_eq!(updates_in_a_row(1, 10_000.0), 1);
         assert_eq!(updates_in_a_row(3, 900.0), 3);
         assert_eq!(updates_in_a_row(1, 500.0), 5);

@@ -1,8 +1,8 @@
-//! What is measured by itself: so many dragons in one of the table's columns, and how the scene for it is made of the loaded one.
+//! A cell: a number of dragons in one of the table's columns, and the derivation of its scene from the loaded one.
 //!
-//! Off: the dragons have no clip, so that no stage of animation runs for them. Static: each has its skeleton, its clip and its
-//! own phase of it, and is posed and skinned for every update as one in flight, but time stands still: its clip advances by a
-//! microsecond a second. Animated: it flies.
+//! Off: the dragons have no clip, so no animation stage runs for them. Static: each has its skeleton, its clip and its own
+//! phase, and is posed and skinned for every update, but time stands still: its clip advances by a microsecond a second.
+//! Animated: it flies.
 
 use crate::session::options::{Head, MOST_ROOM, Renderer, RunOptions, Spared, StageMs};
 use glam::{Quat, Vec3};

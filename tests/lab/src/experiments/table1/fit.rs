@@ -1,4 +1,4 @@
-//! How a cost grows with the number of dragons.
+//! Growth of a cost with the number of dragons.
 
 /// The exponent `k` of `cost = c * dragons^k` that fits best: the slope of the line through the logarithms, least squares. `None`
 /// of fewer than two numbers of dragons, or of costs that are not above 0.

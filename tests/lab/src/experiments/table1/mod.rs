@@ -1,17 +1,17 @@
-//! `shadecast-lab table1`: the paper's Table 1 and Figure 4. Up to 169 dragons, all in view of a head that stands still: rates of
-//! server and client without animation, with dragons for which time stands still, and with all of them in flight.
+//! `shadecast-lab table1`: the paper's Table 1 and Figure 4. Up to 169 dragons are in view of a still head. The table has the
+//! rates of server and client without animation, with dragons for which time stands still, and with all of them in flight.
 //!
-//! Numbers of dragons enter, rounds and a scale. A table leaves, with plots beside the paper's figures. Nothing here knows links
-//! and metrics of pictures.
+//! Numbers of dragons enter, rounds and a scale. A table leaves, with plots beside the paper's figures. Nothing here knows
+//! links and metrics of pictures.
 //!
-//! A table is made of cells ([`cell`]), each of which is measured by itself ([`bench`]), in rounds: all cells of a scene in turn,
-//! then all of them again, so that a machine whose speed changes disturbs all alike. Ratios are those within a round, figures are
-//! medians of the rounds ([`report`]). What is measured is written down at once (`state.rs`).
+//! A table consists of cells ([`cell`]), each measured by itself ([`bench`]), in rounds: all cells of a scene in turn, then all
+//! of them again, so a machine of varying speed disturbs all alike. Ratios are within a round; figures are medians of the
+//! rounds ([`report`]). Each measurement is stored at once (`state.rs`).
 //!
-//! The first set is the paper's: full detail, and nothing that one update has made serves the next, so that its columns differ by
-//! animation alone; the sun's shadow map is drawn anew for each update in all of them. By the paper's ways ([`cell::Mode::AsPaper`])
-//! the same scenes are measured from the same head in the same rounds. The second set is what ships, with levels of detail and
-//! with all that updates leave to those after them.
+//! The first set is the paper's: full detail, and no reuse between updates, so its columns differ by animation alone; the sun's
+//! shadow map is drawn anew for each update in all of them. The paper's ways ([`cell::Mode::AsPaper`]) are measured on the same
+//! scenes from the same head in the same rounds. The second set is the shipped program, with levels of detail and with all
+//! reuse between updates.
 
 mod bench;
 pub mod cell;

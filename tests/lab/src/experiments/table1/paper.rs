@@ -1,5 +1,5 @@
-//! The paper's own numbers: its Table 1, which its Figure 4 plots. 1300x1300 pixels, 90 degrees, server and client on one GeForce
-//! RTX 2080 Super.
+//! The paper's own numbers: its Table 1, plotted in its Figure 4. 1300x1300 pixels, 90 degrees, server and client on one
+//! GeForce RTX 2080 Super.
 
 use super::cell::Column;
 
@@ -47,7 +47,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_paper_says_that_animation_costs_three_quarters_of_its_rate_and_more() {
+    fn the_papers_animation_costs_three_quarters_of_its_rate() {
         let kept = PAPER.map(|row| row.fps(Column::Animated)[0] / row.fps(Column::Off)[0]);
         assert!((kept[0] - 0.28).abs() < 0.005 && (kept[5] - 0.06).abs() < 0.005, "{kept:?}");
         assert_eq!(paper_row(49).map(|row| row.fps(Column::Static)), Some([86.0, 302.0]));

@@ -1,5 +1,5 @@
-//! The table as pictures, SVG, made of its JSON: rates over dragons, which is the paper's Figure 4 with the paper's own curves
-//! beside ours, and what an update costs over dragons, with the exponents that fit.
+//! The table as SVG pictures, from its JSON: rates over dragons (the paper's Figure 4, with the paper's curves beside ours),
+//! and costs of an update over dragons, with the fitted exponents.
 
 use super::cell::{Column, Mode, Set};
 use super::paper::PAPER;

@@ -1,4 +1,4 @@
-//! What comes out of all rounds: medians by cell, ratios within rounds, how the cost grows, and the table as text and CSV.
+//! Results of all rounds: medians by cell, ratios within rounds, growth of the cost, and the table as text and CSV.
 
 use super::bench::{Measured, Stages};
 use super::cell::{Cell, Column, Mode, Set, Size};
@@ -482,7 +482,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn ratios_are_those_within_a_round_and_rates_those_of_the_middle_one() {
+    fn ratios_are_within_a_round_and_rates_of_the_median() {
         let report = report();
         assert_eq!((report.rounds, report.rows.len(), report.speedups.len()), (3, 16, 2));
         let row = report.rows_of(Set::Paper, Mode::Ours, Column::Animated).next().expect("a row");

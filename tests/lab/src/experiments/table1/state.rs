@@ -1,5 +1,4 @@
-//! What is measured already, in a file beside the results: a run that was broken off goes on where it stopped, if it is asked for
-//! the same.
+//! Finished measurements, in a file beside the results. An interrupted run with the same options resumes there.
 
 use super::bench::Measured;
 use super::cell::Cell;

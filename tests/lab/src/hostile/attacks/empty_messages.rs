@@ -1,4 +1,4 @@
-//! Empty control messages by the megabyte: each is four bytes, and none of them means anything.
+//! Empty control messages by the megabyte: each has four bytes and no content.
 
 use super::{Effort, Repeated, Target, Then, one_after_the_other};
 

@@ -1,4 +1,4 @@
-//! Datagrams that are no QUIC, and such whose first bytes pretend to be.
+//! Datagrams that are not QUIC, some with the first bytes of it.
 
 use super::{Effort, Target};
 use crate::hostile::stranger::raw_socket;

@@ -1,4 +1,4 @@
-//! Handshakes that are begun and never finished, from many addresses.
+//! Unfinished handshakes from many addresses.
 
 use super::{Effort, Target};
 use crate::hostile::stranger::Stranger;

@@ -1,5 +1,5 @@
-//! Hellos, and heads after a lawful hello, whose numbers are finite and framed well but cannot be served: what they ask for
-//! is more than there is, less than nothing, or nowhere.
+//! Hellos, and heads after a valid hello, with finite and well-framed numbers that cannot be served: too large, negative, or
+//! nowhere.
 
 use super::{Effort, Target, Then, hello_bytes, one_after_the_other};
 use crate::hostile::lawful;

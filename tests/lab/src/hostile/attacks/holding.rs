@@ -1,4 +1,4 @@
-//! Connections that are made and then only kept: a byte of nonsense now and then, so that each counts as alive.
+//! Idle connections: a byte of nonsense now and then keeps each alive.
 
 use super::{Effort, MAX_CONNECTIONS, Target};
 use crate::hostile::stranger::Stranger;

@@ -1,5 +1,5 @@
-//! What strangers do to a server, one file each. Every attack is bounded in count and in time, and goes to an address of
-//! this machine only.
+//! Attacks on a server, one file each. Every attack is bounded in count and in time, and goes to an address of this machine
+//! only.
 //!
 //! A target's address enters, and a time to end. Counts of connections and answers leave ([`Effort`]). Nothing here knows other
 //! viewers and bars.

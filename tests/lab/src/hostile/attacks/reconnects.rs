@@ -1,5 +1,5 @@
-//! One lawful hello after the other, each on a connection that is left without a word once the server has answered: the
-//! server may not build for who has gone.
+//! One valid hello after the other, each on a connection that is abandoned after the server's answer. The server must not build
+//! for absent clients.
 
 use super::{Effort, Target, Then, hello_bytes, one_after_the_other};
 use std::time::{Duration, Instant};

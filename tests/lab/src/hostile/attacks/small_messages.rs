@@ -1,4 +1,4 @@
-//! The smallest messages there are, as fast as they are taken.
+//! The smallest possible messages, as fast as the server takes them.
 
 use super::{Effort, Repeated, Target, Then, control_bytes, hello_bytes, one_after_the_other};
 use shadecast_protocol::message::ClientMessage;

@@ -1,4 +1,4 @@
-//! Large unidirectional streams from a client, which has nothing to say on such.
+//! Large unidirectional streams from a client, which may send none.
 
 use super::{Effort, Target, Then, hello_bytes, one_after_the_other};
 use shadecast_protocol::limits::MAX_STREAM_BYTES;

@@ -54,7 +54,7 @@ fn known_pictures_have_the_figures_of_the_reference_tools() {
 
 /// Rows of a ground that recedes, as a picture shows them, and a post on it.
 #[test]
-fn outlines_are_taken_for_true_and_surfaces_are_not_however_steeply_they_are_seen() {
+fn outlines_are_detected_and_steep_surfaces_are_not() {
     let (width, height) = (32u32, 24u32);
     let is_post = |at: u32| (12..16).contains(&(at % width)) && at / width < 20;
     let pixels = 0..width * height;
@@ -293,7 +293,7 @@ fn an_outline_shifted_by_one_pixel_is_told_apart() {
 }
 
 #[test]
-fn an_outline_shifted_by_two_pixels_stays_a_hole_where_it_is_one() {
+fn a_shifted_outline_stays_a_hole() {
     let truth = probe(&[".1111", ".1111", ".1111", ".1111"]);
     let client = probe(&["...11", "...11", "...11", "...11"]);
     // The outer column has background beside it, the inner one is no outline.

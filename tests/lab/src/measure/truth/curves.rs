@@ -1,5 +1,5 @@
-//! Source curves in double precision, written from the glTF specification and from nothing else of this project: what
-//! judges the renderer's sampling and skinning must not share their code.
+//! Source curves in double precision, written from the glTF specification and from nothing else of this project: the judge of
+//! the renderer's sampling and skinning must not share their code.
 //!
 //! Outside its keys a curve keeps its end value. Sections are those of glTF 2.0.
 

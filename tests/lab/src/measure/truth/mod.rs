@@ -1,11 +1,10 @@
-//! The truth about a scene at a time: where every vertex is, by the source curves, in double precision.
+//! The truth about a scene at a time: the place of every vertex, by the source curves, in double precision.
 //!
 //! A scene's source file and a time enter. Positions of vertices and instances leave. Nothing here knows clients, updates and
 //! sampled clips.
 //!
-//! It shares with the renderer what the source file says (curves, hierarchy, inverse binds, weights, morph targets) and
-//! nothing else: no sampled clip, no shader, no function that poses or skins. Pictures of it are drawn by the forward
-//! renderer, which shades it as the atlas is shaded.
+//! It shares the source file with the renderer (curves, hierarchy, inverse binds, weights, morph targets) and nothing else: no
+//! sampled clip, no shader, no function that poses or skins. The forward renderer draws its pictures, with the atlas's shading.
 
 mod curves;
 pub mod moving_shadow;

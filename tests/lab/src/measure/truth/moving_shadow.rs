@@ -1,7 +1,7 @@
-//! Where moving shadows fall, now or in the last second: still surfaces whose light from the sun depends on what moves.
+//! Moving shadows, now or in the last second: still surfaces whose sunlight depends on moving geometry.
 //!
-//! Depth maps of what moves, and of what stands still, are drawn here on the CPU from the true positions; the renderer's own
-//! shadow map has no part in it.
+//! Depth maps of moving and of still geometry are drawn here on the CPU from the true positions. The renderer's own shadow map
+//! has no part in it.
 
 use super::InstancePose;
 use crate::measure::metrics::ProbeView;
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn what_moves_itself_is_not_a_still_surface_and_background_is_nothing() {
+    fn still_surfaces_exclude_movers_and_background() {
         let scene = scene(true);
         let mut shadow = shadow(&scene);
         let truth = ProbeView { width: 1, height: 1, instance: vec![0], depth_m: vec![5.0] };

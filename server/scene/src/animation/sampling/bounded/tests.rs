@@ -18,7 +18,8 @@ fn largest_error(model: &Model, clip: &SampledClip, times_s: impl Iterator<Item 
     let vertices: Vec<u32> = (0..model.vertices.len() as u32).collect();
     let mut largest = 0.0f32;
     for t in times_s {
-        let (truth, found) = (Moment::of_source(model, Some(0), t), Moment::of_samples(model, clip, t));
+        let (truth, found) =
+            (VertexInputs::of_source(model, Some(0), t), VertexInputs::of_samples(model, clip, t));
         distances(model, &truth, &found, &vertices, |_, distance| largest = largest.max(distance));
     }
     largest
@@ -68,7 +69,7 @@ fn swinging(rng: &mut SmallRng, bone: u32) -> Track {
 }
 
 #[test]
-fn no_vertex_of_random_creatures_leaves_the_original_by_more_than_the_bound() {
+fn random_creatures_stay_within_the_bound() {
     let mut rng = SmallRng::seed_from_u64(31);
     for case in 0..6 {
         let count = rng.random_range(2..14);
@@ -281,8 +282,8 @@ fn assert_kept(model: &Model, clip: usize, world_scale: f32, path: &std::path::P
         let vertices: Vec<u32> = (0..moves.len() as u32).filter(|v| moves[*v as usize]).step_by(3).collect();
         for step in 0..600 {
             let t = f64::from(found.duration_s) * (f64::from(step) + 0.37) / 600.0;
-            let truth = Moment::of_source(model, Some(clip), t);
-            let at = Moment::of_samples(model, &found, t);
+            let truth = VertexInputs::of_source(model, Some(clip), t);
+            let at = VertexInputs::of_samples(model, &found, t);
             distances(model, &truth, &at, &vertices, |vertex, distance_m| {
                 assert!(distance_m <= 1.05 * bound_m, "{what}: vertex {vertex} at {t} s: {distance_m}");
             });

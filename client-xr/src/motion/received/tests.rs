@@ -1,7 +1,7 @@
-//! News of motion in whatever order they come, and the words of the arena that they make.
+//! Messages about motion in any order, and their words of the arena.
 
 use super::*;
-use crate::motion::skinned::{DrawnInstances, Moment, SkinnedCounts};
+use crate::motion::skinned::{DrawnInstances, PoseQuery, SkinnedCounts};
 use shadecast_protocol::geometry::{GeometryDelta, NewVertex};
 use shadecast_protocol::ids::{ClipId, RestId as WireRest, SkeletonId, VertexSlot};
 use shadecast_protocol::message::MotionMemory;
@@ -119,7 +119,8 @@ fn pose(motion: &mut Motion) -> (PlacedPoseGpu, SkinnedCounts) {
     drawn.add_vertex(FOX);
     motion.drawn = drawn;
     let mut out = [bytemuck::Zeroable::zeroed()];
-    let moment = Moment { time: WorldTime(100_000_000), grid: DEFAULT_GRID, written: motion.arena.written() };
+    let moment =
+        PoseQuery { time: WorldTime(100_000_000), grid: DEFAULT_GRID, written: motion.arena.written() };
     let counts = motion.skinned.poses(moment, motion.drawn.all(), &mut out);
     (out[0], counts)
 }
@@ -132,7 +133,7 @@ fn evaluated_from(motion: &mut Motion) -> Option<u32> {
 }
 
 #[test]
-fn a_chunk_that_comes_before_its_instance_is_used_when_that_comes() {
+fn an_early_chunk_is_used_when_its_instance_arrives() {
     let mut motion = motion();
     motion.take_motion(chunk(0, DANCE, 100));
     assert_eq!(pose(&mut motion).1.withheld_vertices, 1, "nobody knows the fox");
@@ -164,7 +165,7 @@ fn a_chunk_beside_another_leaves_it() {
 }
 
 #[test]
-fn a_chunk_that_comes_later_than_what_replaced_it_is_not_written() {
+fn a_chunk_older_than_its_replacement_is_dropped() {
     for (clip, expected) in [(DANCE, None), (WALK, Some(104))] {
         let mut motion = motion();
         motion.take_delta(&mut fox());
@@ -187,7 +188,7 @@ fn numbers_of_messages_go_on_after_the_last() {
 }
 
 #[test]
-fn a_chunk_that_was_put_elsewhere_survives_what_takes_its_first_place() {
+fn a_moved_chunk_survives_the_reuse_of_its_old_place() {
     // Whichever of its places is heard of first.
     for order in [[0, 1, 2], [1, 0, 2], [1, 2, 0]] {
         let mut motion = motion();
@@ -211,7 +212,7 @@ fn what_is_there_for_good_ends_a_chunk_in_its_words() {
 }
 
 #[test]
-fn an_update_is_complete_when_its_morph_targets_are_on_their_way() {
+fn an_update_is_complete_with_its_morph_targets() {
     let mut motion = motion();
     motion.take_delta(&mut fox());
     write(&mut motion);
@@ -238,7 +239,7 @@ fn vertices_that_enter_do_not_withhold_those_that_are_seen() {
     let mut drawn = DrawnInstances::default();
     drawn.add_vertex(FOX);
     motion.drawn = drawn;
-    let moment = Moment { time: WorldTime(0), grid: DEFAULT_GRID, written: motion.arena.written() };
+    let moment = PoseQuery { time: WorldTime(0), grid: DEFAULT_GRID, written: motion.arena.written() };
     let counts = motion.skinned.poses(moment, motion.drawn.all(), &mut [bytemuck::Zeroable::zeroed()]);
     assert_eq!(counts.withheld_vertices, 0, "though their morph targets are on their way");
 }
@@ -264,7 +265,7 @@ fn a_schedule_that_comes_before_its_instance_counts() {
 }
 
 #[test]
-fn a_schedule_that_comes_before_its_instance_is_not_blended_to_from_what_nobody_saw() {
+fn an_early_schedule_is_not_blended_from_an_undisplayed_state() {
     let mut motion = motion();
     pose(&mut motion);
     [chunk(0, WALK, 200), schedule(1, WALK)].into_iter().for_each(|news| motion.take_motion(news));
@@ -296,7 +297,7 @@ fn numbers<T: bytemuck::Pod>(arena: &[u8], word: u32, count: usize) -> Vec<T> {
 }
 
 #[test]
-fn the_words_of_a_chunk_are_where_its_layout_says_whatever_its_tracks() {
+fn a_chunks_words_follow_its_layout() {
     let kinds = [TrackKind::Step, TrackKind::Linear, TrackKind::Cubic];
     let tracks: Vec<_> = (1..6).flat_map(|keys| kinds.map(|kind| track(kind, keys))).collect();
     let chunk = ClipChunk { clip: DANCE, index: 0, first_word: 40, tracks: tracks.clone() };
@@ -375,7 +376,7 @@ fn x_at(arena: &[u8], grid: i32) -> f32 {
 }
 
 #[test]
-fn poses_go_to_their_places_whether_their_instance_comes_before_or_after_them() {
+fn poses_reach_their_places_before_or_after_their_instance() {
     for is_early in [false, true] {
         let mut motion = motion();
         let news = poses(vec![posed(-1, 10.0, 1), posed(0, 20.0, 1), posed(1, 30.0, 1)]);
@@ -392,7 +393,7 @@ fn poses_go_to_their_places_whether_their_instance_comes_before_or_after_them() 
 }
 
 #[test]
-fn a_pose_that_is_older_than_what_has_its_place_or_of_another_skeleton_changes_nothing() {
+fn an_older_or_foreign_pose_changes_nothing() {
     let mut motion = motion();
     motion.take_delta(&mut posed_fox());
     motion.take_motion(poses(vec![posed(40, 10.0, 1), posed(8, 20.0, 1), posed(40, 30.0, 2)]));

@@ -1,5 +1,5 @@
-//! What the server says of skeletons, clips and who plays them, brought to where it belongs: words of the arena, rest vertices,
-//! and the tables of [`super::skinned`].
+//! Received skeletons, clips and players, brought to their places: words of the arena, rest vertices, and the tables of
+//! [`super::skinned`].
 
 use super::Motion;
 use super::arena::{ArenaSerial, WORD_BYTES};
@@ -25,9 +25,9 @@ const NUMBERS: u32 = WORD_BYTES as u32 / 4;
 /// Arena words of a palette entry.
 const ENTRY_WORDS: u32 = (size_of::<EntryGpu>() / WORD_BYTES) as u32;
 
-/// What messages about motion have brought, which overtake each other and updates.
+/// Contents of messages about motion. They overtake each other and updates.
 #[derive(Debug, Default)]
-pub(super) struct Told {
+pub(super) struct ReceivedMotion {
     places: ChunkPlaces,
     /// By instance: the newest schedule, and the number of its message.
     schedules: BTreeMap<InstanceId, (u32, Schedule<ClipRef>)>,
@@ -104,7 +104,7 @@ impl Motion {
         let skeletons = skeletons.iter().map(|skeleton| self.learn_skeleton(skeleton)).max();
         instances.iter().for_each(|instance| self.learn_instance(instance));
         let morphs = delta.rests.iter().filter_map(|rest| self.learn_rest(rest)).max();
-        self.told.updates.extend(skeletons.max(morphs).map(|written| (update, written)));
+        self.received.updates.extend(skeletons.max(morphs).map(|written| (update, written)));
         let geometry::GeometryDelta { time, new_vertices, predictions, .. } = &delta.geometry;
         match delta.is_update && !predictions.is_empty() {
             false => self.take(update, new_vertices, positions, delta.is_update),
@@ -119,7 +119,7 @@ impl Motion {
     /// The last update all of whose vertices, skeletons and morph targets are on their way to the GPU's memory, and with it those
     /// before.
     pub fn complete(&mut self) -> Option<UpdateId> {
-        let (written, updates) = (self.arena.written(), &mut self.told.updates);
+        let (written, updates) = (self.arena.written(), &mut self.received.updates);
         while updates.front().is_some_and(|(_, write)| *write <= written) {
             updates.pop_front();
         }
@@ -135,17 +135,17 @@ impl Motion {
         match news {
             MotionNews::Chunk(chunk) => self.take_chunk(&chunk, sequence),
             MotionNews::Schedule(NewSchedule { instance, schedule }) => {
-                let newest = self.told.schedules.get(&instance);
+                let newest = self.received.schedules.get(&instance);
                 if newest.is_none_or(|(newest, _)| !is_later(*newest, sequence)) {
-                    self.told.schedules.insert(instance, (sequence, schedule.clone()));
+                    self.received.schedules.insert(instance, (sequence, schedule.clone()));
                     self.change(SkinnedChange::Schedule(instance, schedule));
                 }
             }
             MotionNews::Poses(poses) => poses.into_iter().for_each(|pose| self.take_pose(pose)),
             MotionNews::Clock(clock) => {
-                let newest = self.told.clock.map(|(newest, _)| newest);
+                let newest = self.received.clock.map(|(newest, _)| newest);
                 if newest.is_none_or(|newest| !is_later(newest, sequence)) {
-                    self.told.clock = Some((sequence, *clock));
+                    self.received.clock = Some((sequence, *clock));
                 }
             }
         }
@@ -153,7 +153,7 @@ impl Motion {
 
     /// How the world's time goes on, as far as that has been told.
     pub fn world_clock(&self) -> WorldClock {
-        self.told.clock.map_or(WorldClock::default(), |(_, clock)| clock)
+        self.received.clock.map_or(WorldClock::default(), |(_, clock)| clock)
     }
 
     fn take_pose(&mut self, pose: GridPose) {
@@ -174,7 +174,7 @@ impl Motion {
     /// Words for good, whatever a chunk has put there.
     fn push_for_good(&mut self, first_word: u32, bytes: &[u8]) -> ArenaSerial {
         let end_word = first_word + bytes.len().div_ceil(WORD_BYTES) as u32;
-        let gone = self.told.places.clear(first_word, end_word);
+        let gone = self.received.places.clear(first_word, end_word);
         gone.into_iter().for_each(|chunk| self.change(SkinnedChange::ChunkGone(chunk)));
         self.arena.push(first_word, bytes)
     }
@@ -212,7 +212,7 @@ impl Motion {
 
     fn learn_instance(&mut self, told: &SkinnedInstance) {
         // What is said of an instance that is known is newer than what it was told with, though it may come before that.
-        let newest = self.told.schedules.get(&told.instance).map(|(_, schedule)| schedule);
+        let newest = self.received.schedules.get(&told.instance).map(|(_, schedule)| schedule);
         let source = match told.source {
             PoseSource::Clips => Source::Clips(newest.unwrap_or(&told.schedule).clone()),
             PoseSource::Grid { first_word } => Source::Grid { first_word, steps: self.sample_ring },
@@ -245,7 +245,7 @@ impl Motion {
     }
 
     fn take_chunk(&mut self, chunk: &ClipChunk, sequence: u32) {
-        let Some(gone) = self.told.places.take(chunk, sequence) else { return };
+        let Some(gone) = self.received.places.take(chunk, sequence) else { return };
         gone.into_iter().for_each(|chunk| self.change(SkinnedChange::ChunkGone(chunk)));
         let written = self.arena.push(chunk.first_word, &chunk_words(chunk));
         let place = [chunk.first_word, chunk.tracks.len() as u32];
