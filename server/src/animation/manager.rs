@@ -198,7 +198,7 @@ impl AnimationManager {
     }
 
     /// Which pose an instance of a model is in that shows this.
-    pub fn pose_key(&self, model: usize, instance: usize, shown: &Shown) -> PoseKey {
+    pub(crate) fn pose_key(&self, model: usize, instance: usize, shown: &Shown) -> PoseKey {
         let AnimationMaterial { skeleton, clips, .. } = &self.materials[model];
         let moment = |at: &At<ClipIndex>| {
             let clip = clips[at.clip.map_or(0, |clip| clip + 1)];
@@ -251,7 +251,7 @@ impl AnimationManager {
     }
 
     /// The local transforms of a model's bones, in the model's own order, that shows this.
-    pub fn local_pose(&self, model: usize, shown: &Shown) -> Vec<Trs> {
+    pub(crate) fn local_pose(&self, model: usize, shown: &Shown) -> Vec<Trs> {
         let clips = &self.materials[model].clips;
         let sampled = |clip: ClipIndex| &*self.clips[clips[clip.map_or(0, |clip| clip + 1)]].sampled;
         match shown {

@@ -2,7 +2,7 @@
 //!
 //! A loaded scene and events enter; poses to evaluate leave. Nothing here knows meshes on the GPU or a viewer.
 
-pub mod buffers;
+pub(crate) mod buffers;
 pub(crate) mod live;
 pub mod manager;
 pub mod packing;

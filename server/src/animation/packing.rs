@@ -19,7 +19,7 @@ const NORMAL_MOST: f32 = 32767.0;
 const TANGENT_MOST: f32 = 16383.0;
 
 /// The box that positions within `bounds` are packed in.
-pub fn packing_box(bounds: Bounds) -> BoxGpu {
+pub(crate) fn packing_box(bounds: Bounds) -> BoxGpu {
     if bounds.is_empty() {
         return BoxGpu { origin_m: [0.0; 4], step_m: [1.0; 4] };
     }
@@ -30,7 +30,7 @@ pub fn packing_box(bounds: Bounds) -> BoxGpu {
 }
 
 /// A position, metres, in a box.
-pub fn pack_position(within: &BoxGpu, position: Vec3) -> [u32; 2] {
+pub(crate) fn pack_position(within: &BoxGpu, position: Vec3) -> [u32; 2] {
     let (origin, step) = (Vec4::from(within.origin_m).truncate(), Vec4::from(within.step_m).truncate());
     let [x, y, z] = ((position - origin) / step)
         .round()
@@ -49,7 +49,7 @@ pub fn unpack_position(within: &BoxGpu, [low, high]: [u32; 2]) -> Vec3 {
 }
 
 /// A normal and a tangent of unit length, whose `w` is the bitangent's side.
-pub fn pack_frame(normal: Vec3, tangent: Vec4) -> [u32; 2] {
+pub(crate) fn pack_frame(normal: Vec3, tangent: Vec4) -> [u32; 2] {
     let [nx, ny] = octahedral(normal).to_array().map(|at| (at * NORMAL_MOST).round() as i32 as u32 & 0xffff);
     let [tx, ty] = octahedral(tangent.truncate())
         .to_array()

@@ -18,9 +18,9 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard};
 
 /// Longest fade that an application may ask for, nanoseconds.
-pub const MAX_FADE_NS: i64 = 60_000_000_000;
+pub(crate) const MAX_FADE_NS: i64 = 60_000_000_000;
 /// Live poses kept of an instance; the oldest goes first.
-pub const MAX_LIVE_POSES: usize = 512;
+pub(crate) const MAX_LIVE_POSES: usize = 512;
 /// How long what is over is remembered: far longer than samples are kept, nanoseconds.
 const MEMORY_NS: i64 = 10_000_000_000;
 /// How long halts of the world are remembered that are over: longer than any display is behind, nanoseconds.

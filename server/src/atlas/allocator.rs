@@ -16,7 +16,7 @@ const MAX_PLACES_WORDS: usize = 4;
 
 /// Which blocks of an atlas are free.
 #[derive(Clone, Debug)]
-pub struct Atlas {
+pub(crate) struct Atlas {
     extent: AtlasExtent,
     /// Cells of free superblock corners by size: 64, 128, 256, 512.
     free: [BitSet; LEVELS],
@@ -101,7 +101,7 @@ impl Atlas {
     }
 
     /// Texels inside blocks that are in use.
-    pub fn used_texels(&self) -> u64 {
+    pub(crate) fn used_texels(&self) -> u64 {
         self.used_texels
     }
 
@@ -272,7 +272,8 @@ impl Atlas {
     }
 
     /// Texels of free superblocks and of free blocks inside superblocks in use.
-    pub fn free_texels(&self) -> u64 {
+    #[cfg(test)]
+    pub(crate) fn free_texels(&self) -> u64 {
         let whole: u64 = (0..LEVELS)
             .map(|level| (self.free[level].count() as u64) << (2 * (CELL_LOG2 as usize + level)))
             .sum();

@@ -38,7 +38,7 @@ impl Candidate {
 
 /// Makes the choice, update after update.
 #[derive(Clone, Debug, Default)]
-pub struct Chooser {
+pub(crate) struct Chooser {
     /// By scene-wide vertex number: the last count that met it.
     counted: Vec<u32>,
     count: u32,
@@ -46,7 +46,7 @@ pub struct Chooser {
 
 impl Chooser {
     /// What of the room these patches leave.
-    pub fn left_beside(
+    pub(crate) fn left_beside(
         &mut self,
         geometry: &impl Geometry,
         room: Room,
@@ -85,7 +85,7 @@ impl Chooser {
     }
 
     /// Whether there is room for all of these patches.
-    pub fn all_fit(
+    pub(crate) fn all_fit(
         &mut self,
         geometry: &impl Geometry,
         room: Room,
@@ -129,7 +129,7 @@ impl Chooser {
 
 /// What there is to say about patches that are missing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Notice {
+pub(crate) enum Notice {
     /// From now on some are missing: so many at first.
     Begins(usize),
     /// None has been missing for a while; so many were in the worst update.
@@ -138,7 +138,7 @@ pub enum Notice {
 
 /// Watches how many patches are missing, update after update.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Shortage {
+pub(crate) struct Shortage {
     total: u64,
     /// The worst update since the shortage began that goes on, if one does, and updates since the last that had one.
     now: Option<(usize, u32)>,

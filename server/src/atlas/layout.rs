@@ -160,13 +160,13 @@ impl Layout {
 
     /// With a surround that may take so large a part of the room and of the atlas, 0..1.
     #[must_use]
-    pub fn with_surround(mut self, share: f32) -> Self {
+    pub(crate) fn with_surround(mut self, share: f32) -> Self {
         self.surround = Surround::new(share);
         self
     }
 
     /// At the coarsest every block is of the smallest size; more patches than that cannot have one.
-    pub fn most_blocks(atlas_extent: AtlasExtent) -> u32 {
+    pub(crate) fn most_blocks(atlas_extent: AtlasExtent) -> u32 {
         (atlas_extent.width() * atlas_extent.height()) >> (2 * BLOCK_MIN_LOG2)
     }
 
@@ -198,13 +198,13 @@ impl Layout {
     }
 
     /// Takes in what a glance around shows of those instances that may be in the surround.
-    pub fn see_around(&mut self, visible: Visible<'_>, may_be: impl Fn(usize) -> bool) {
+    pub(crate) fn see_around(&mut self, visible: Visible<'_>, may_be: impl Fn(usize) -> bool) {
         let seen = visible.patches().filter(|(instance, ..)| may_be(*instance));
         self.surround.see(self.update, seen.map(|(_, patch, extent)| (patch, extent)));
     }
 
     /// Of a level that was looked at, the patches that should be there before it is shown, ascending.
-    pub fn seen_of(&self, look: &Look) -> &[ScenePatch] {
+    pub(crate) fn seen_of(&self, look: &Look) -> &[ScenePatch] {
         let at = |number: u32| self.recent.partition_point(|patch| patch.0 < number);
         &self.recent[at(look.patches.first.0)..at(look.patches.end())]
     }
@@ -215,7 +215,7 @@ impl Layout {
     }
 
     /// Whether a client with this room can be shown all that this update's views see of what is shown.
-    pub fn has_room(&mut self, geometry: &impl Geometry, looks: &Looks, room: Room) -> bool {
+    pub(crate) fn has_room(&mut self, geometry: &impl Geometry, looks: &Looks, room: Room) -> bool {
         let (states, update) = (&self.states, self.update);
         let in_view = looks.shown_of(&self.recent).map(|(_, patch)| patch);
         let in_view = in_view.filter(|patch| states[patch.index()].last_seen == update);
@@ -560,13 +560,14 @@ impl Layout {
     }
 
     /// Both, ascending.
-    pub fn all_placed(&self) -> impl Iterator<Item = Placed> + '_ {
+    pub(crate) fn all_placed(&self) -> impl Iterator<Item = Placed> + '_ {
         let placed = |is_around| move |(patch, block)| Placed { patch, block, is_around };
         merged(self.live().map(placed(false)), self.around().map(placed(true)), |a, b| a.patch.cmp(&b.patch))
     }
 
     /// Patches in view, and those held, with a block.
-    pub fn live_count(&self) -> usize {
+    #[cfg(test)]
+    pub(crate) fn live_count(&self) -> usize {
         self.live.len()
     }
 
@@ -586,7 +587,7 @@ impl Layout {
     }
 
     /// Part of the atlas that blocks take when all have had their turn, 0..1.
-    pub fn settled_share(&self) -> f32 {
+    pub(crate) fn settled_share(&self) -> f32 {
         self.settled_share
     }
 
@@ -596,7 +597,7 @@ impl Layout {
     }
 
     /// How often the atlas was full and everything became coarser.
-    pub fn coarsened(&self) -> u32 {
+    pub(crate) fn coarsened(&self) -> u32 {
         self.coarsened
     }
 

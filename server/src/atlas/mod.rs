@@ -2,9 +2,9 @@
 //!
 //! Seen patches with their extents enter; placements leave. Nothing here knows the device or the client's slots.
 
-pub mod placement;
-pub mod capacity;
-pub mod allocator;
-pub mod sizing;
+pub(crate) mod placement;
+pub(crate) mod capacity;
+pub(crate) mod allocator;
+pub(crate) mod sizing;
 pub mod surround;
-pub mod layout;
+pub(crate) mod layout;

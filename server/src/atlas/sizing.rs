@@ -18,7 +18,7 @@ const LEAST_TURNS_SHARE: f32 = 0.01;
 
 /// The block for a patch of `extent` texels, whose sides are rounded up to powers of two. A block that the patch has already
 /// changes its size only when the extent is clearly larger or smaller than what that size is for.
-pub fn wanted_size(extent: [f32; 2], current: Option<BlockSize>) -> BlockSize {
+pub(crate) fn wanted_size(extent: [f32; 2], current: Option<BlockSize>) -> BlockSize {
     let side = |texels: f32, current: Option<u8>| {
         let needed = texels + 2.0 * BLOCK_INSET_TEXELS as f32;
         match current {
@@ -43,7 +43,7 @@ fn side_log2(needed_texels: f32) -> u8 {
 
 /// What a patch's views show, and the block that it has.
 #[derive(Clone, Copy, Debug)]
-pub struct Shape {
+pub(crate) struct Shape {
     /// Width and height in texels, at so many texels for a pixel.
     pub extent: [u16; 2],
     /// Texels for a pixel of that extent.
@@ -54,7 +54,7 @@ pub struct Shape {
 
 /// What becomes of the block of a patch in view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Turn {
+pub(crate) struct Turn {
     /// The patch.
     pub patch: ScenePatch,
     /// Its size until now; `None`: it was not in view.
@@ -71,7 +71,7 @@ pub struct Turn {
 
 impl Shape {
     /// The extent at so many texels for a pixel.
-    pub fn extent_at(&self, density: f32) -> [f32; 2] {
+    pub(crate) fn extent_at(&self, density: f32) -> [f32; 2] {
         self.extent.map(|side| f32::from(side) * density / self.extent_density)
     }
 
@@ -99,12 +99,12 @@ impl Shape {
 
 impl Turn {
     /// Whether its block changes before its turn.
-    pub fn changes_by_itself(&self) -> bool {
+    pub(crate) fn changes_by_itself(&self) -> bool {
         self.now.is_some_and(|now| now != self.before)
     }
 
     /// Texels that it gives up where it must do with the least.
-    pub fn spare_texels(&self) -> u64 {
+    pub(crate) fn spare_texels(&self) -> u64 {
         u64::from(self.before.texels() - self.least.texels())
     }
 }
@@ -119,7 +119,7 @@ fn sides(size: BlockSize, of: impl Fn(u8, &dyn Fn(BlockSize) -> u8) -> u8) -> Bl
 
 /// `chosen` becomes those of all that wait for their turn that have it with this update, ascending; gives whether these are all: so
 /// many that no more than 4 % change, who gives up texels before who gets some, and the nearest first.
-pub fn have_their_turn(turns: &[Turn], chosen: &mut Vec<Turn>) -> bool {
+pub(crate) fn have_their_turn(turns: &[Turn], chosen: &mut Vec<Turn>) -> bool {
     chosen.clear();
     chosen.extend(turns.iter().filter(|turn| turn.before != turn.after));
     let by_themselves = turns.iter().filter(|turn| turn.changes_by_itself()).count();
@@ -134,7 +134,7 @@ pub fn have_their_turn(turns: &[Turn], chosen: &mut Vec<Turn>) -> bool {
 }
 
 /// Of so many blocks.
-pub fn least_turns(blocks: usize) -> usize {
+pub(crate) fn least_turns(blocks: usize) -> usize {
     ((blocks as f32 * LEAST_TURNS_SHARE) as usize).max(1)
 }
 

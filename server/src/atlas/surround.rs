@@ -14,9 +14,9 @@ use crate::visibility::sweep::ROUND_UPDATES;
 /// Part of the client's slots and of the atlas that the surround may take unless asked otherwise; see `docs/decisions.md`.
 pub const DEFAULT_SURROUND: f32 = 0.25;
 /// Texels to a pixel of the display.
-pub const SURROUND_DENSITY: f32 = 0.125;
+pub(crate) const SURROUND_DENSITY: f32 = 0.125;
 /// Updates until all of it was shaded again.
-pub const SHADED_EVERY_UPDATES: u32 = 16;
+pub(crate) const SHADED_EVERY_UPDATES: u32 = 16;
 /// Of what is left, as much stays free for what comes into view.
 const LEFT_FREE: f32 = 0.5;
 
@@ -76,7 +76,7 @@ impl Surround {
     }
 
     /// Whether there is any.
-    pub fn is_kept(&self) -> bool {
+    pub(crate) fn is_kept(&self) -> bool {
         self.share > 0.0
     }
 

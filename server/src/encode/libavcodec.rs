@@ -46,7 +46,7 @@ pub struct Candidate {
 }
 
 /// All that are tried, best first.
-pub const CANDIDATES: [Candidate; 6] = [
+pub(crate) const CANDIDATES: [Candidate; 6] = [
     Candidate {
         name: "h264_nvenc",
         options: &[
@@ -176,7 +176,7 @@ unsafe impl Send for Open {}
 
 impl Candidate {
     /// Whether the library that is linked has it at all.
-    pub fn is_known(&self) -> bool {
+    pub(crate) fn is_known(&self) -> bool {
         self.codec().is_some()
     }
 
@@ -190,7 +190,7 @@ impl Candidate {
     ///
     /// # Errors
     /// Why it is of no use on this machine.
-    pub fn try_out(&self) -> Result<(), EncodeError> {
+    pub(crate) fn try_out(&self) -> Result<(), EncodeError> {
         let [width, height] = TRIAL_EXTENT_TEXELS;
         let luma = (0..width * height).map(|at| (at.wrapping_mul(2_654_435_761) >> 26) as u8);
         let grey = std::iter::repeat_n(128, (width * height / 2) as usize);

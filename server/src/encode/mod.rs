@@ -19,7 +19,7 @@ pub mod choice;
 pub mod libavcodec;
 pub mod openh264;
 pub mod picture;
-pub mod raw;
+pub(crate) mod raw;
 
 /// An encoder that gives nothing for so long is broken.
 pub const PATIENCE: Duration = Duration::from_secs(2);

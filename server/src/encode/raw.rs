@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 /// An [`Encoder`] that copies.
-pub struct RawEncoder {
+pub(crate) struct RawEncoder {
     extent_texels: [u32; 2],
     done: VecDeque<Encoded>,
 }

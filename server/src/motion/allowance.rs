@@ -23,7 +23,7 @@ impl Allowance {
     }
 
     /// What each step brings from now on.
-    pub fn set_step_bytes(&mut self, bytes: usize) {
+    pub(crate) fn set_step_bytes(&mut self, bytes: usize) {
         self.step_bytes = i64::try_from(bytes).unwrap_or(UNLIMITED_BYTES).min(UNLIMITED_BYTES);
         self.left_bytes = self.left_bytes.min(self.most_bytes());
     }
@@ -39,13 +39,13 @@ impl Allowance {
     }
 
     /// Whether so many bytes may be sent now: all of them are there, or as many as are ever saved.
-    pub fn affords(&self, bytes: usize) -> bool {
+    pub(crate) fn affords(&self, bytes: usize) -> bool {
         self.left_bytes > 0
             && self.left_bytes >= i64::try_from(bytes).unwrap_or(i64::MAX).min(self.most_bytes())
     }
 
     /// Bytes that may be sent now.
-    pub fn left_bytes(&self) -> usize {
+    pub(crate) fn left_bytes(&self) -> usize {
         self.left_bytes.max(0) as usize
     }
 

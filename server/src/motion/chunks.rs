@@ -7,11 +7,11 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// A chunk of a clip.
-pub type ChunkKey = (ClipId, u32);
+pub(crate) type ChunkKey = (ClipId, u32);
 
 /// See the module.
 #[derive(Clone, Debug)]
-pub struct Chunks {
+pub(crate) struct Chunks {
     /// First word and number of words of each run that is free, neither empty nor touching another.
     free: BTreeMap<u32, u32>,
     resident: BTreeMap<ChunkKey, Resident>,
@@ -82,12 +82,12 @@ impl Chunks {
     }
 
     /// What had to make room since this was asked last.
-    pub fn take_evicted(&mut self) -> Vec<ChunkKey> {
+    pub(crate) fn take_evicted(&mut self) -> Vec<ChunkKey> {
         std::mem::take(&mut self.evicted)
     }
 
     /// As [`Self::place`], at nobody's cost.
-    pub fn place_beside(&mut self, key: ChunkKey, words: u32, now: ServerTime) -> Option<u32> {
+    pub(crate) fn place_beside(&mut self, key: ChunkKey, words: u32, now: ServerTime) -> Option<u32> {
         let first_word = self.take(words)?;
         self.resident.insert(key, Resident { first_word, words, needed: now.plus_ns(-1) });
         Some(first_word)

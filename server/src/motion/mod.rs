@@ -5,12 +5,12 @@
 //! kinds, the one with the fewest bytes is chosen.
 
 mod allowance;
-pub mod chunks;
-pub mod delta;
-pub mod posed;
-pub mod predictions;
-pub mod sampled;
-pub mod schedules;
+pub(crate) mod chunks;
+pub(crate) mod delta;
+pub(crate) mod posed;
+pub(crate) mod predictions;
+pub(crate) mod sampled;
+pub(crate) mod schedules;
 pub mod sender;
-pub mod skinning;
-pub mod steps;
+pub(crate) mod skinning;
+pub(crate) mod steps;

@@ -9,7 +9,7 @@ use shadecast_protocol::time::{DEFAULT_GRID, GridIndex};
 
 /// The instances that one client is sent poses of, and how far they were sent.
 #[derive(Debug, Default)]
-pub struct PosedInstances {
+pub(crate) struct PosedInstances {
     instances: Vec<Posed>,
 }
 
@@ -30,7 +30,7 @@ impl PosedInstances {
     }
 
     /// Bytes of the poses of one step, about.
-    pub fn step_bytes(&self) -> usize {
+    pub(crate) fn step_bytes(&self) -> usize {
         self.instances.iter().map(|posed| posed.bytes).sum()
     }
 
@@ -55,7 +55,12 @@ impl PosedInstances {
 }
 
 /// An instance at a grid step, by the sampled clips or as it is posed: what the server's own pictures show.
-pub fn pose(scene: &SceneGpu, timeline: &SharedTimeline, grid: GridIndex, instance: usize) -> GridPose {
+pub(crate) fn pose(
+    scene: &SceneGpu,
+    timeline: &SharedTimeline,
+    grid: GridIndex,
+    instance: usize,
+) -> GridPose {
     let (manager, model) = (&scene.animation.manager, scene.scene.instances[instance].model);
     let shown = timeline.lock().at(instance, DEFAULT_GRID.time_of(grid));
     let local = manager.local_pose(model, &shown);

@@ -16,7 +16,7 @@ use std::collections::HashMap;
 const COUNT: usize = PREDICTIONS as usize;
 
 /// What an update of this time says of these vertices, which are those in the client's memory.
-pub fn predictions(
+pub(crate) fn predictions(
     scene: &SceneGpu,
     timeline: &SharedTimeline,
     update: WorldTime,

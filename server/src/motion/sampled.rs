@@ -31,7 +31,7 @@ pub struct SampleWindow {
 }
 
 /// What the client's pipeline and the thread of motion both code with.
-pub type SharedCoder = Arc<Mutex<Coder>>;
+pub(crate) type SharedCoder = Arc<Mutex<Coder>>;
 
 /// See the module.
 #[derive(Debug)]
@@ -78,7 +78,7 @@ impl Coder {
     }
 
     /// Bytes of the samples of one step, about.
-    pub fn step_bytes(&self) -> usize {
+    pub(crate) fn step_bytes(&self) -> usize {
         self.sampled.vertices.len() * SAMPLE_BYTES
     }
 

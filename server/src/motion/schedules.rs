@@ -14,7 +14,7 @@ const OVER_NS: i64 = 2_000_000_000;
 
 /// See the module.
 #[derive(Debug, Default)]
-pub struct Schedules {
+pub(crate) struct Schedules {
     sent: Vec<SentSchedule>,
 }
 
@@ -42,7 +42,7 @@ impl Schedules {
     }
 
     /// Whether any instance plays clips on the client.
-    pub fn plays_any(&self) -> bool {
+    pub(crate) fn plays_any(&self) -> bool {
         self.sent.iter().any(|told| told.schedule.is_some())
     }
 

@@ -47,10 +47,10 @@ const SAVED_STEPS: i64 = 8;
 const MOST_CLOCK_LEAD_NS: i64 = 500_000_000;
 
 /// What the thread of motion and the client's pipeline both work with.
-pub type SharedMotion = Arc<Mutex<MotionSender>>;
+pub(crate) type SharedMotion = Arc<Mutex<MotionSender>>;
 
 /// As far ahead of now as samples can reach for a client that keeps so many steps, nanoseconds.
-pub fn longest_lead_ns(sample_ring: u32) -> i64 {
+pub(crate) fn longest_lead_ns(sample_ring: u32) -> i64 {
     (i64::from(sample_ring) - STEPS_BEHIND) * DEFAULT_GRID.spacing_ns
 }
 
@@ -177,12 +177,12 @@ impl MotionSender {
     }
 
     /// Its samples are coded by this.
-    pub fn code_with(&mut self, coder: &SharedCoder) {
+    pub(crate) fn code_with(&mut self, coder: &SharedCoder) {
         self.coder = Some(coder.clone());
     }
 
     /// What a step of the time grid may bring.
-    pub fn set_budget(&mut self, budget: Budget) {
+    pub(crate) fn set_budget(&mut self, budget: Budget) {
         self.steps.set_step_bytes(budget.sample_bytes);
         self.later.set_step_bytes(budget.later_bytes.min(LATER_BYTES));
     }
@@ -213,7 +213,7 @@ impl MotionSender {
     }
 
     /// Bytes of each stream since this was asked last, and whether it goes before all updates or after them.
-    pub fn take_untold(&mut self) -> Vec<(usize, bool)> {
+    pub(crate) fn take_untold(&mut self) -> Vec<(usize, bool)> {
         std::mem::take(&mut self.untold)
     }
 

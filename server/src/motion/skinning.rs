@@ -54,12 +54,12 @@ impl Skinning {
     }
 
     /// Whether an instance is skinned by the client.
-    pub fn is_skinned(&self, instance: u16) -> bool {
+    pub(crate) fn is_skinned(&self, instance: u16) -> bool {
         self.instances.get(usize::from(instance)).is_some_and(Option::is_some)
     }
 
     /// Whether updates predict what it does not skin.
-    pub fn predicts_others(&self) -> bool {
+    pub(crate) fn predicts_others(&self) -> bool {
         self.scene.motion.is_predicted()
     }
 

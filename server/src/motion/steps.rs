@@ -12,11 +12,11 @@ use shadecast_scene::animation::bounds::Bounds;
 use std::collections::BTreeMap;
 
 /// The finest step, metres: 0.06 mm.
-pub const FINEST_STEP_M: f32 = 1.0 / 16_384.0;
+pub(crate) const FINEST_STEP_M: f32 = 1.0 / 16_384.0;
 /// The coarsest, metres: 3.9 mm.
-pub const COARSEST_STEP_M: f32 = 1.0 / 256.0;
+pub(crate) const COARSEST_STEP_M: f32 = 1.0 / 256.0;
 /// What an instance has of whose distance nothing was said, metres: 0.49 mm.
-pub const START_STEP_M: f32 = 1.0 / 2048.0;
+pub(crate) const START_STEP_M: f32 = 1.0 / 2048.0;
 /// A step is at most so many pixels of the client.
 const STEP_PIXELS: f32 = 0.25;
 /// A step is doubled only where that many times as coarse a one would do.
@@ -29,7 +29,7 @@ const _: () = assert!(MIN_STEP_M <= FINEST_STEP_M && COARSEST_STEP_M <= MAX_STEP
 
 /// The steps of one client's instances.
 #[derive(Clone, Debug, Default)]
-pub struct Steps {
+pub(crate) struct Steps {
     /// By instance: the coarsest that will do, metres.
     wanted_m: Vec<f32>,
     /// What the client was told, or will be with the update in the making.
@@ -66,7 +66,7 @@ impl Steps {
 
 /// The coarsest steps that will do for instances with these bounds in the world, seen from `views`, metres. `pixels_per_radian` in
 /// the middle of the client's picture.
-pub fn wanted_steps_m<'a>(
+pub(crate) fn wanted_steps_m<'a>(
     bounds: &[Bounds],
     views: impl Iterator<Item = &'a View> + Clone,
     pixels_per_radian: f32,

@@ -41,7 +41,7 @@ pub enum Spare {
 
 /// One viewer's.
 #[derive(Clone, Debug)]
-pub struct Density {
+pub(crate) struct Density {
     step: usize,
     /// Updates in a row with room for the next step, and without it for this one.
     roomy_updates: u32,

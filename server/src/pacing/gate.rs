@@ -44,7 +44,7 @@ const NEWEST: f64 = 0.25;
 const LONGEST_COVERED_NS: i64 = 1_000_000_000;
 
 /// Stands for what leaves after all updates, so that none waits for it.
-pub const AFTER_ALL: UpdateId = UpdateId(u32::MAX);
+pub(crate) const AFTER_ALL: UpdateId = UpdateId(u32::MAX);
 
 /// What the transport knows of the way to a client.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -83,7 +83,7 @@ pub struct Budget {
 
 impl Budget {
     /// As much as there is.
-    pub const UNLIMITED: Self =
+    pub(crate) const UNLIMITED: Self =
         Self { geometry_bytes: usize::MAX, sample_bytes: usize::MAX, later_bytes: usize::MAX };
 }
 
@@ -119,7 +119,7 @@ impl std::fmt::Display for Shortfall {
 
 /// Decides for one client when an update is made.
 #[derive(Clone, Debug)]
-pub struct UpdateGate {
+pub(crate) struct UpdateGate {
     period_ns: i64,
     /// Not known to have arrived, in the order in which they leave.
     under_way: VecDeque<Sent>,
@@ -181,7 +181,7 @@ impl UpdateGate {
     }
 
     /// Whether an update may be made now.
-    pub fn may_update(&mut self, way: &WayState, now_ns: i64) -> bool {
+    pub(crate) fn may_update(&mut self, way: &WayState, now_ns: i64) -> bool {
         self.observe(way, now_ns);
         let waiting = self.before_the_link(way, now_ns);
         let under_way: u64 = self.before_updates().map(|sent| sent.bytes).sum();
@@ -225,7 +225,7 @@ impl UpdateGate {
     }
 
     /// What the link carries, bytes a second, where it was too slow a moment ago.
-    pub fn rate_bytes_s(&self, now_ns: i64) -> Option<f64> {
+    pub(crate) fn rate_bytes_s(&self, now_ns: i64) -> Option<f64> {
         self.rate.filter(|(_, at_ns)| now_ns - at_ns <= RATE_LIFETIME_NS).map(|(rate, _)| rate)
     }
 

@@ -3,10 +3,10 @@
 //! Measurements of the link, the encoder and the device enter; budgets, quantisers and densities leave. Nothing here knows
 //! the scene or makes an update.
 
-pub mod density;
+pub(crate) mod density;
 pub mod gate;
 pub mod overlap;
-pub mod pressure;
+pub(crate) mod pressure;
 pub mod quality;
 pub mod room;
-pub mod shade_rate;
+pub(crate) mod shade_rate;

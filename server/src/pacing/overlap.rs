@@ -22,7 +22,7 @@ pub struct Flight {
 
 impl Flight {
     /// Whether there are any.
-    pub fn is_any(self) -> bool {
+    pub(crate) fn is_any(self) -> bool {
         self.is_begun || self.is_placed || self.is_in_work
     }
 }

@@ -5,19 +5,19 @@
 //! is, and what fits, the owner knows.
 
 /// Pressure eases after there was room for this many updates.
-pub const RECOVER_AFTER_UPDATES: u32 = 15;
+pub(crate) const RECOVER_AFTER_UPDATES: u32 = 15;
 /// Pressure that rises within this many updates after it eased should not have eased.
-pub const TRIAL_UPDATES: u32 = 60;
+pub(crate) const TRIAL_UPDATES: u32 = 60;
 
 /// A level of coarseness.
-pub trait Level: Copy + PartialEq {
+pub(crate) trait Level: Copy + PartialEq {
     /// One level finer; `None` where nothing presses.
     fn finer(self) -> Option<Self>;
 }
 
 /// A level, and when it may become finer.
 #[derive(Clone, Copy, Debug)]
-pub struct Pressure<L> {
+pub(crate) struct Pressure<L> {
     level: L,
     /// For how many updates in a row a finer level would have had room.
     roomy_updates: u32,
@@ -51,18 +51,18 @@ impl<L: Level> Pressure<L> {
     }
 
     /// Rises to a coarser level; whether that is within the trial of the last ease. The updates with room so far still count.
-    pub fn rise(&mut self, update: u32, level: L) -> bool {
+    pub(crate) fn rise(&mut self, update: u32, level: L) -> bool {
         self.level = level;
         self.eased.is_some_and(|eased| update - eased <= TRIAL_UPDATES)
     }
 
     /// Waits for room from the start, and ends the trial.
-    pub fn start_over(&mut self) {
+    pub(crate) fn start_over(&mut self) {
         (self.roomy_updates, self.eased) = (0, None);
     }
 
     /// Ends a trial that has passed; whether there was one.
-    pub fn has_passed(&mut self, update: u32) -> bool {
+    pub(crate) fn has_passed(&mut self, update: u32) -> bool {
         let has_passed = self.eased.is_some_and(|eased| update - eased > TRIAL_UPDATES);
         self.eased = self.eased.filter(|_| !has_passed);
         has_passed

@@ -132,12 +132,12 @@ impl Quality {
     }
 
     /// What the link carries, bytes a second, where it is known to be slow.
-    pub fn note_link(&mut self, bytes_s: Option<f64>) {
+    pub(crate) fn note_link(&mut self, bytes_s: Option<f64>) {
         self.link_bytes_s = bytes_s;
     }
 
     /// So many bytes that are no picture were sent.
-    pub fn note_other(&mut self, bytes: usize, now_ns: i64) {
+    pub(crate) fn note_other(&mut self, bytes: usize, now_ns: i64) {
         let Some(bytes_s) = self.bytes_s() else { return };
         self.pass_to(now_ns, bytes_s);
         self.others_bytes_s += bytes as f64 / OTHERS_S;
@@ -176,7 +176,7 @@ impl Quality {
 
     /// Of the next picture where it must need no other, and of those after it: all of it costs bits anew, which what stands still
     /// cost once.
-    pub fn refresh_qp(&mut self) -> u8 {
+    pub(crate) fn refresh_qp(&mut self) -> u8 {
         if matches!(self.options, QualityOptions::Bitrate(_)) {
             self.qp = self.qp.max(DEFAULT_QP);
         }
@@ -184,7 +184,7 @@ impl Quality {
     }
 
     /// A picture is on its way. One that needs no other says nothing of those that do.
-    pub fn note_picture(&mut self, picture: SentPicture, now_ns: i64) {
+    pub(crate) fn note_picture(&mut self, picture: SentPicture, now_ns: i64) {
         let is_slow = picture.encode_s > ENCODER_SHARE * self.period_s;
         self.is_slow[1] = is_slow;
         let Some(bytes_s) = self.bytes_s() else { return };

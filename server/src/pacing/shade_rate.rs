@@ -9,14 +9,14 @@ const NEW_WEIGHT: f64 = 0.2;
 /// Of fewer texels the time says nothing: they are over before the pass has begun well.
 const LEAST_TEXELS: u64 = 4096;
 /// Part of an update's period that is left to shading, however long all else takes.
-pub const LEAST_SHARE: f64 = 0.25;
+pub(crate) const LEAST_SHARE: f64 = 0.25;
 /// Part of the time by which all else is behind that shading may take too: where updates are slow anyway, leaving colours as they were
 /// would win little time, and show.
-pub const BEHIND_SHARE: f64 = 0.5;
+pub(crate) const BEHIND_SHARE: f64 = 0.5;
 
 /// What a device was measured to take.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ShadeRate {
+pub(crate) struct ShadeRate {
     ms_by_texel: Option<f64>,
     /// All of an update but its shading.
     rest_ms: Option<f64>,
@@ -37,7 +37,7 @@ impl ShadeRate {
 
     /// How many texels may be shaded within `wanted_ms`, or, where nothing is wanted, with what is left of `period_ms`; all while
     /// nothing was measured.
-    pub fn budget_texels(&self, wanted_ms: Option<f64>, period_ms: f64) -> u64 {
+    pub(crate) fn budget_texels(&self, wanted_ms: Option<f64>, period_ms: f64) -> u64 {
         let Some(ms_by_texel) = self.ms_by_texel else { return u64::MAX };
         let left_ms = || {
             let spare_ms = period_ms - self.rest_ms.unwrap_or(0.0);

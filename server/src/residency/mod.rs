@@ -163,7 +163,7 @@ impl Residency {
 
     /// With what the client skins by itself.
     #[must_use]
-    pub fn with_skinning(mut self, skinning: Skinning, memory: MotionMemory) -> Self {
+    pub(crate) fn with_skinning(mut self, skinning: Skinning, memory: MotionMemory) -> Self {
         let encoder = lock(&self.coder).encoder().clone().with_motion(memory);
         self.coder = Arc::new(Mutex::new(Coder::new(encoder)));
         lock(skinning.sender()).code_with(&self.coder);
@@ -172,12 +172,12 @@ impl Residency {
     }
 
     /// The coarsest steps of samples that will do from the next update on, by instance, metres.
-    pub fn want_steps(&mut self, wanted_m: impl IntoIterator<Item = f32>) {
+    pub(crate) fn want_steps(&mut self, wanted_m: impl IntoIterator<Item = f32>) {
         self.steps.want(wanted_m);
     }
 
     /// Whether updates predict the vertices that move.
-    pub fn predicts(&self) -> bool {
+    pub(crate) fn predicts(&self) -> bool {
         self.skinning.as_ref().is_some_and(Skinning::predicts_others)
     }
 
@@ -188,7 +188,7 @@ impl Residency {
     }
 
     /// What each update may take from now on.
-    pub fn set_budget(&mut self, budget: Budget) {
+    pub(crate) fn set_budget(&mut self, budget: Budget) {
         self.budget = budget;
         if let Some(skinning) = &self.skinning {
             lock(skinning.sender()).set_budget(budget);
@@ -205,7 +205,7 @@ impl Residency {
 
     /// Takes off what it takes to bring those of `patches` that are not there. False, and nothing is taken off, where there is
     /// not so much.
-    pub fn reserve(
+    pub(crate) fn reserve(
         &self,
         geometry: &impl Geometry,
         patches: impl IntoIterator<Item = ScenePatch>,
@@ -226,7 +226,7 @@ impl Residency {
     }
 
     /// The same for as many of the patches as fit.
-    pub fn reserve_what_fits(
+    pub(crate) fn reserve_what_fits(
         &self,
         geometry: &impl Geometry,
         patches: impl IntoIterator<Item = ScenePatch>,
@@ -265,24 +265,24 @@ impl Residency {
     }
 
     /// How many of these patches are not there.
-    pub fn lacking(&self, patches: &[ScenePatch]) -> usize {
+    pub(crate) fn lacking(&self, patches: &[ScenePatch]) -> usize {
         patches.iter().filter(|patch| self.slot_of_patch[patch.index()].is_none()).count()
     }
 
     /// The next update brings these ahead of their block as far as it can, and keeps those that are there.
-    pub fn bring_ahead(&mut self, patches: &[ScenePatch]) {
+    pub(crate) fn bring_ahead(&mut self, patches: &[ScenePatch]) {
         self.ahead.clear();
         self.ahead.extend_from_slice(patches);
     }
 
     /// Of those with a block these, ascending, come after all others, and as far as slots are not short.
-    pub fn put_behind(&mut self, patches: impl IntoIterator<Item = ScenePatch>) {
+    pub(crate) fn put_behind(&mut self, patches: impl IntoIterator<Item = ScenePatch>) {
         self.behind.clear();
         self.behind.extend(patches);
     }
 
     /// Whether an instance that stays in the client's memory is told only once.
-    pub fn is_told_once(&self, geometry: &impl Geometry, instance: u16) -> bool {
+    pub(crate) fn is_told_once(&self, geometry: &impl Geometry, instance: u16) -> bool {
         let is_skinned = self.skinning.as_ref().is_some_and(|skinning| skinning.is_skinned(instance));
         is_skinned || geometry.static_position(geometry.first_vertex(instance)).is_some()
     }
@@ -597,7 +597,8 @@ impl Residency {
     }
 
     /// Patches with a block that are not shown yet, because updates may bring only so much.
-    pub fn held_back(&self) -> usize {
+    #[cfg(test)]
+    pub(crate) fn held_back(&self) -> usize {
         self.held_back
     }
 }

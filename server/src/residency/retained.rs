@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 
 /// See the module.
 #[derive(Debug)]
-pub struct Retained {
+pub(crate) struct Retained {
     /// By [`ScenePatch`]; `None`: it is not retained.
     since: Vec<Option<UpdateId>>,
     /// All of them, the oldest first, and some that are not retained any more, or since later.
@@ -27,7 +27,7 @@ impl Retained {
     }
 
     /// The same, if it is retained.
-    pub fn renew(&mut self, patch: ScenePatch, update: UpdateId) {
+    pub(crate) fn renew(&mut self, patch: ScenePatch, update: UpdateId) {
         if self.since[patch.index()].is_some() {
             self.insert(patch, update);
         }
@@ -39,7 +39,7 @@ impl Retained {
     }
 
     /// Takes out one that is retained since before this update.
-    pub fn pop_before(&mut self, update: UpdateId) -> Option<ScenePatch> {
+    pub(crate) fn pop_before(&mut self, update: UpdateId) -> Option<ScenePatch> {
         while let Some((since, patch)) = self.queue.pop_front_if(|(since, _)| *since < update) {
             let known = &mut self.since[patch.index()];
             if *known == Some(since) {

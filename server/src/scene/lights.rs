@@ -60,7 +60,7 @@ fn sun_from_world(to_sun: Vec3) -> Mat4 {
 
 /// Corners of a box and of its shadow as far as the shadow can fall inside `scene`: a caster matters to a view that
 /// misses its box where the hull of these points is in view.
-pub fn caster_reach(caster: Bounds, to_sun: Vec3, scene: Bounds) -> [Vec3; 16] {
+pub(crate) fn caster_reach(caster: Bounds, to_sun: Vec3, scene: Bounds) -> [Vec3; 16] {
     let farthest = scene.corners().into_iter().map(|c| c.dot(to_sun)).fold(f32::INFINITY, f32::min);
     let corners = caster.corners();
     std::array::from_fn(|index| {
@@ -71,7 +71,7 @@ pub fn caster_reach(caster: Bounds, to_sun: Vec3, scene: Bounds) -> [Vec3; 16] {
 }
 
 /// Lamps beyond [`MAX_LIGHTS`]: placed ones count first, then those of the instances in their order.
-pub fn surplus(scene: &Scene) -> usize {
+pub(crate) fn surplus(scene: &Scene) -> usize {
     let hung = scene.instances.iter().map(|instance| scene.models[instance.model].lights.len());
     (scene.lights.len() + hung.sum::<usize>()).saturating_sub(MAX_LIGHTS as usize)
 }

@@ -26,7 +26,7 @@ pub struct Materials {
 
 impl Materials {
     /// Textures that shaders choose from.
-    pub fn texture_count(&self) -> u32 {
+    pub(crate) fn texture_count(&self) -> u32 {
         self.textures.len() as u32
     }
 

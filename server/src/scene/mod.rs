@@ -1,14 +1,14 @@
 //! The scene in GPU memory, each thing once however many models and instances use it, and the numbers of its parts.
 
 pub(crate) mod drawing;
-pub mod geometry;
-pub mod gloss;
+pub(crate) mod geometry;
+pub(crate) mod gloss;
 pub mod lights;
-pub mod materials;
-pub mod meshes;
+pub(crate) mod materials;
+pub(crate) mod meshes;
 pub mod motion_library;
 pub mod numbering;
-pub mod rasters;
+pub(crate) mod rasters;
 pub mod skins;
 pub mod views;
 
@@ -166,19 +166,19 @@ impl SceneGpu {
     }
 
     /// Whether the material of a patch cuts something out.
-    pub fn is_masked(&self, patch: ScenePatch) -> bool {
+    pub(crate) fn is_masked(&self, patch: ScenePatch) -> bool {
         let model = self.numbering.instances[self.numbering.instance_of_patch(patch)].model;
         let materials = &self.scene.models[model].materials;
         materials[self.patch(patch).material as usize].alpha_cutoff.is_some()
     }
 
     /// What of a patch's material depends on the eye; `number`: of its instance.
-    pub fn gloss_of(&self, number: usize, patch: &Patch) -> Gloss {
+    pub(crate) fn gloss_of(&self, number: usize, patch: &Patch) -> Gloss {
         self.gloss[self.numbering.instances[number].model][patch.material as usize]
     }
 
     /// Whether any material cuts something out.
-    pub fn has_masks(&self) -> bool {
+    pub(crate) fn has_masks(&self) -> bool {
         let materials = self.scene.models.iter().flat_map(|model| &model.materials);
         materials.into_iter().any(|material| material.alpha_cutoff.is_some())
     }
@@ -199,7 +199,7 @@ impl SceneGpu {
     }
 
     /// The sun's view of the casters; `None` where it casts no shadows.
-    pub fn sun_view(&self) -> Option<SunView> {
+    pub(crate) fn sun_view(&self) -> Option<SunView> {
         let sun = self.scene.sun;
         let casters = self.casters().map(|index| self.world_bounds[index]);
         if sun.casts_shadows { SunView::around(sun.to_sun, casters, self.shadow_extent_texels) } else { None }

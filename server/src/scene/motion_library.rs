@@ -239,7 +239,7 @@ impl MotionLibrary {
 
     /// The least memory of a client that is sent no samples and no poses: all that moves plays clips there. `None`: every client
     /// is sent some.
-    pub fn unsampled_memory(&self) -> Option<MotionMemory> {
+    pub(crate) fn unsampled_memory(&self) -> Option<MotionMemory> {
         if self.is_sampled {
             return None;
         }
@@ -322,7 +322,7 @@ impl MotionLibrary {
     }
 
     /// The clip of an instance of a model: the rest pose for `None`.
-    pub fn clip_of(manager: &AnimationManager, model: usize, clip: Option<usize>) -> ClipId {
+    pub(crate) fn clip_of(manager: &AnimationManager, model: usize, clip: Option<usize>) -> ClipId {
         ClipId(manager.materials[model].clips[clip.map_or(0, |clip| clip + 1)] as u32)
     }
 
@@ -339,7 +339,7 @@ impl MotionLibrary {
     }
 
     /// By bone of a model's skeleton as clients know it, the place in the order of the model.
-    pub fn bone_order(&self, model: usize) -> &[u32] {
+    pub(crate) fn bone_order(&self, model: usize) -> &[u32] {
         &self.orders[self.of_model[model].skeleton]
     }
 
@@ -350,7 +350,7 @@ impl MotionLibrary {
     }
 
     /// Words of the arena that it takes.
-    pub fn chunk_words(&self, clip: ClipId, index: u32) -> u32 {
+    pub(crate) fn chunk_words(&self, clip: ClipId, index: u32) -> u32 {
         let between_s = chunk_s(index);
         let count = |(track, _): (&SampledTrack, Raster)| {
             let keys = needed(track, between_s).len();

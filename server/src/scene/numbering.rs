@@ -50,7 +50,7 @@ pub struct PatchRange {
 
 impl PatchRange {
     /// The number of one of these patches within its model's level.
-    pub fn model_number(self, patch: ScenePatch) -> u32 {
+    pub(crate) fn model_number(self, patch: ScenePatch) -> u32 {
         patch.0 - self.first.0
     }
 
@@ -144,7 +144,7 @@ impl Numbering {
     }
 
     /// The instance that a patch of any level belongs to, and the level.
-    pub fn place_of_patch(&self, patch: ScenePatch) -> (usize, usize) {
+    pub(crate) fn place_of_patch(&self, patch: ScenePatch) -> (usize, usize) {
         let begins = |levels: &Vec<PatchRange>| levels[0].first <= patch;
         let instance = self.patches.partition_point(begins) - 1;
         let is_within = |range: &PatchRange| range.has(patch);

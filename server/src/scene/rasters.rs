@@ -18,14 +18,14 @@ const MOST_STEPS_LOG2: i32 = 22;
 
 /// Which powers of two the numbers of a curve are multiples of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Raster {
+pub(crate) struct Raster {
     value_log2: i32,
     tangent_log2: i32,
 }
 
 /// The rasters of a clip's curves.
 #[derive(Clone, Debug)]
-pub struct Rasters {
+pub(crate) struct Rasters {
     /// By bone, in the clip's order: translation, rotation, scale.
     pub bones: Vec<[Raster; 3]>,
     /// By morph target.
@@ -56,7 +56,7 @@ impl Raster {
 
 impl Rasters {
     /// Of a clip of a model that is drawn at this scale at most.
-    pub fn of_clip(model: &Model, joints: &Joints, clip: &SampledClip, world_scale: f32) -> Self {
+    pub(crate) fn of_clip(model: &Model, joints: &Joints, clip: &SampledClip, world_scale: f32) -> Self {
         let reaches = joints.reaches(model, clip);
         let mut above = vec![world_scale; clip.bones.len()];
         let mut bones = Vec::with_capacity(clip.bones.len());
@@ -95,7 +95,7 @@ impl Rasters {
 
 /// What the joints of a model move.
 #[derive(Clone, Debug)]
-pub struct Joints {
+pub(crate) struct Joints {
     /// By bone, the distance of the farthest vertex that follows it, in its own units; 0 where none does.
     own_reaches: Vec<f32>,
 }
@@ -127,7 +127,7 @@ impl Joints {
     }
 
     /// How far from the model's origin its vertices are at most while it plays a clip, in its own units.
-    pub fn reach_of_model(&self, model: &Model, clip: &SampledClip) -> f32 {
+    pub(crate) fn reach_of_model(&self, model: &Model, clip: &SampledClip) -> f32 {
         let (reaches, roots) = (self.reaches(model, clip), 0..model.bones.len());
         let roots = roots.filter(|bone| model.bones[*bone].parent.is_none());
         roots.map(|bone| beyond(&clip.bones[bone], reaches[bone])).fold(0.0, f32::max)

@@ -5,5 +5,5 @@
 
 pub mod filter;
 pub mod reuse;
-pub mod shadow_change;
+pub(crate) mod shadow_change;
 pub mod passes;

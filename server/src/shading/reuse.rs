@@ -16,11 +16,11 @@ use shadecast_protocol::pose::Pose;
 use std::cmp::Reverse;
 
 /// Steps of an 8-bit display value by which a block may look different from where the head is now.
-pub const SEEN_STEPS: f32 = 1.5;
+pub(crate) const SEEN_STEPS: f32 = 1.5;
 /// Updates after which a block that waits goes before all others but new ones.
-pub const PATIENCE_UPDATES: u32 = 8;
+pub(crate) const PATIENCE_UPDATES: u32 = 8;
 /// Part of what an update may shade that is left to what waits, however much is new.
-pub const LEAST_OLD_SHARE: f32 = 0.25;
+pub(crate) const LEAST_OLD_SHARE: f32 = 0.25;
 /// What it counts that something moved, or that its light changed, in steps: no bound is known.
 const CHANGED_STEPS: f32 = 32.0;
 
@@ -212,7 +212,7 @@ impl<S: PartialEq + Default> Reuse<S> {
     }
 
     /// Part of the texels that was not shaded, over all updates, 0..1.
-    pub fn total_share(&self) -> f32 {
+    pub(crate) fn total_share(&self) -> f32 {
         let [all, shaded] = self.total_texels.map(|texels| texels as f64);
         (1.0 - shaded / all.max(1.0)) as f32
     }

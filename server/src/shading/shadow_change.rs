@@ -31,7 +31,7 @@ impl SunBox {
 
     /// Larger by what a lookup of the shadow map reaches beyond a surface.
     #[must_use]
-    pub fn as_looked_up(self, sun: &SunView) -> Self {
+    pub(crate) fn as_looked_up(self, sun: &SunView) -> Self {
         let depth_by_m = sun.map_from_world.row(2).truncate().length();
         let aside = FILTER_TEXELS / sun.extent_texels as f32;
         let margin = Vec3::new(aside, aside, FILTER_TEXELS * sun.texel_m * depth_by_m);
@@ -56,7 +56,7 @@ impl SunBox {
 
 /// See the module.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ShadowChange {
+pub(crate) struct ShadowChange {
     /// By cell in rows: the largest z of what moved above it, negative infinity where nothing did.
     nearest: Vec<f32>,
     is_any: bool,
@@ -77,7 +77,7 @@ impl ShadowChange {
     }
 
     /// Something has moved.
-    pub fn is_any(&self) -> bool {
+    pub(crate) fn is_any(&self) -> bool {
         self.is_any
     }
 

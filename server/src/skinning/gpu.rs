@@ -99,7 +99,7 @@ impl Animation {
     }
 
     /// With room for `times` sample times, of what a timeline of this scene says.
-    pub fn of_timeline(
+    pub(crate) fn of_timeline(
         gpu: &Arc<Gpu>,
         scene: &Arc<SceneGpu>,
         times: u32,
@@ -204,7 +204,7 @@ impl Animation {
     }
 
     /// Normals and tangents of another time come next.
-    pub fn forget_tangents(&mut self) {
+    pub(crate) fn forget_tangents(&mut self) {
         self.frames.begin(SHADED);
     }
 
@@ -361,12 +361,12 @@ impl Animation {
     }
 
     /// What reads positions binds: they lie in several buffers, packed in boxes.
-    pub fn position_binds(&self) -> [(&'static str, Bind<'_>); 2] {
+    pub(crate) fn position_binds(&self) -> [(&'static str, Bind<'_>); 2] {
         [("SavedVertices", Bind::Buffers(self.saved_vertices())), ("Boxes", Bind::Buffer(&self.boxes))]
     }
 
     /// What reads normals and tangents binds.
-    pub fn frame_bind(&self) -> (&'static str, Bind<'_>) {
+    pub(crate) fn frame_bind(&self) -> (&'static str, Bind<'_>) {
         ("Tangents", Bind::Buffers(self.tangents()))
     }
 
@@ -419,7 +419,7 @@ fn saved(scene: &SceneGpu, times: u32) -> Result<Saved, GpuError> {
 ///
 /// # Errors
 /// It cannot; the text says what to do.
-pub fn check_room(scene: &SceneGpu) -> Result<(), GpuError> {
+pub(crate) fn check_room(scene: &SceneGpu) -> Result<(), GpuError> {
     saved(scene, 1).map(|_| ())
 }
 

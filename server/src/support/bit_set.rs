@@ -2,7 +2,7 @@
 
 /// Numbers below an end.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct BitSet {
+pub(crate) struct BitSet {
     words: Vec<u64>,
     count: usize,
     /// No word before this one has a bit set.
@@ -73,7 +73,7 @@ impl BitSet {
     }
 
     /// Takes the lowest number out.
-    pub fn pop_first(&mut self) -> Option<usize> {
+    pub(crate) fn pop_first(&mut self) -> Option<usize> {
         let first = self.first()?;
         self.remove(first);
         Some(first)

@@ -3,7 +3,7 @@
 use std::cmp::Ordering;
 
 /// Two ascending iterators as one; of what both have that of the second.
-pub fn merged<T>(
+pub(crate) fn merged<T>(
     first: impl Iterator<Item = T>,
     second: impl Iterator<Item = T>,
     order: impl Fn(&T, &T) -> Ordering,

@@ -1,8 +1,8 @@
 //! Collections and helpers that know nothing of the product.
 
-pub mod bit_set;
+pub(crate) mod bit_set;
 pub mod lock;
-pub mod merged;
-pub mod named;
+pub(crate) mod merged;
+pub(crate) mod named;
 pub(crate) mod pool;
-pub mod upload;
+pub(crate) mod upload;

@@ -16,7 +16,7 @@ pub struct UnknownName {
 ///
 /// # Errors
 /// There is none: with the nearest name, or all of them.
-pub fn named<T: Copy>(
+pub(crate) fn named<T: Copy>(
     what: &'static str,
     text: &str,
     all: &[T],

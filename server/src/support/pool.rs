@@ -5,7 +5,7 @@ const MOST: usize = 4;
 
 /// See the module.
 #[derive(Clone, Debug)]
-pub struct Pool<T>(Vec<T>);
+pub(crate) struct Pool<T>(Vec<T>);
 
 impl<T> Default for Pool<T> {
     fn default() -> Self {

@@ -9,7 +9,7 @@ use std::sync::Arc;
 ///
 /// # Errors
 /// Memory, or more than the device can bind.
-pub fn array<T: bytemuck::Pod>(gpu: &Arc<Gpu>, name: &str, data: &[T]) -> Result<Buffer, GpuError> {
+pub(crate) fn array<T: bytemuck::Pod>(gpu: &Arc<Gpu>, name: &str, data: &[T]) -> Result<Buffer, GpuError> {
     check_room(gpu, name, size_of_val(data) as u64)?;
     match data.is_empty() {
         true => Buffer::new(gpu, name, 64, Memory::Device),
@@ -21,7 +21,7 @@ pub fn array<T: bytemuck::Pod>(gpu: &Arc<Gpu>, name: &str, data: &[T]) -> Result
 ///
 /// # Errors
 /// It cannot; the text says what to do.
-pub fn check_room(gpu: &Gpu, what: &str, bytes: u64) -> Result<(), GpuError> {
+pub(crate) fn check_room(gpu: &Gpu, what: &str, bytes: u64) -> Result<(), GpuError> {
     let most = gpu.max_storage_buffer_bytes();
     if bytes <= most {
         return Ok(());
@@ -37,7 +37,7 @@ pub fn check_room(gpu: &Gpu, what: &str, bytes: u64) -> Result<(), GpuError> {
 ///
 /// # Errors
 /// It cannot; the text says what to do.
-pub fn check_groups(gpu: &Gpu, what: &str, items: u32, shader: &Shader) -> Result<(), GpuError> {
+pub(crate) fn check_groups(gpu: &Gpu, what: &str, items: u32, shader: &Shader) -> Result<(), GpuError> {
     let [side, ..] = shader.workgroup.expect("a compute shader");
     let groups = items.div_ceil(side);
     let what = format!("{items} {what} of a model, in workgroups,");

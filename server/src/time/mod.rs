@@ -2,13 +2,13 @@
 //!
 //! Grid times and world times enter; places of the ring leave. Nothing here knows the scene or the device.
 
-pub mod view_time;
+pub(crate) mod view_time;
 
 use shadecast_protocol::limits::MAX_VIEWS;
 use shadecast_shaders::constants::EYES;
 
 /// View times per update.
-pub const VIEW_TIMES: usize = (MAX_VIEWS / EYES) as usize;
+pub(crate) const VIEW_TIMES: usize = (MAX_VIEWS / EYES) as usize;
 
 /// A place in which samples of one time are kept, until those of another time take it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -38,7 +38,7 @@ impl ViewTime {
 
 /// Which time each place holds: the times that were used last.
 #[derive(Clone, Debug)]
-pub struct HeldTimes {
+pub(crate) struct HeldTimes {
     held: Vec<Held>,
     uses: u64,
 }

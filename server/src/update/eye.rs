@@ -12,7 +12,7 @@ const MAX_ID_BUFFER_SIDE: f32 = 8192.0;
 
 /// Extent and fields of view of a client's eyes.
 #[derive(Clone, Copy, Debug)]
-pub struct EyeSize {
+pub(crate) struct EyeSize {
     extent_pixels: [u32; 2],
     /// Left and right, as the display shows them.
     pub fovs: [Fov; 2],
@@ -36,7 +36,7 @@ impl EyeSize {
     }
 
     /// The same of an eye with this field of view.
-    pub fn pixels_per_tangent_of(&self, fov: Fov) -> [f32; 2] {
+    pub(crate) fn pixels_per_tangent_of(&self, fov: Fov) -> [f32; 2] {
         let [width, height] = span_tangents(fov);
         [self.extent_pixels[0] as f32 / width, self.extent_pixels[1] as f32 / height]
     }
@@ -51,7 +51,7 @@ impl EyeSize {
 
     /// Large enough for the widest field of view that a steady head needs; a wider one is seen more coarsely, and so is one
     /// that would need more than [`MAX_ID_BUFFER_PIXELS`].
-    pub fn id_buffer_extent(&self) -> [u32; 2] {
+    pub(crate) fn id_buffer_extent(&self) -> [u32; 2] {
         let widest = self.fovs.map(|fov| self.extent_of(fov));
         let side = |axis: usize| widest[0][axis].max(widest[1][axis]);
         let sides =

@@ -31,14 +31,14 @@ pub struct Placed {
 }
 
 /// An update whose blocks are shaded by the device.
-pub struct InWork {
+pub(crate) struct InWork {
     shaded: Shaded,
     ticket: Ticket,
 }
 
 /// See the module.
 #[derive(Default)]
-pub struct InFlight {
+pub(crate) struct InFlight {
     ahead: Ahead,
     in_work: Option<InWork>,
 }
@@ -67,7 +67,7 @@ impl InFlight {
     }
 
     /// The begun update, to be placed or to look once more.
-    pub fn take_begun(&mut self) -> Option<Begun> {
+    pub(crate) fn take_begun(&mut self) -> Option<Begun> {
         match std::mem::take(&mut self.ahead) {
             Ahead::Begun(begun) => Some(begun),
             other => {
@@ -84,7 +84,7 @@ impl InFlight {
     }
 
     /// The placed update, to be shaded.
-    pub fn take_placed(&mut self) -> Option<Placed> {
+    pub(crate) fn take_placed(&mut self) -> Option<Placed> {
         match std::mem::take(&mut self.ahead) {
             Ahead::Placed(placed) => {
                 assert!(self.in_work.is_none(), "the device still reads the lists of the update before");
@@ -104,14 +104,14 @@ impl InFlight {
     }
 
     /// The update that the device shades, without its picture, once it is shaded: waits for it.
-    pub fn wait_shaded(&mut self, world: &World) -> Result<Option<Shaded>, GpuError> {
+    pub(crate) fn wait_shaded(&mut self, world: &World) -> Result<Option<Shaded>, GpuError> {
         let Some(InWork { mut shaded, ticket }) = self.in_work.take() else { return Ok(None) };
         world.gpu().wait_timed_into(ticket, &mut shaded.timings)?;
         Ok(Some(shaded))
     }
 
     /// The tickets of the look and of the shading that are before the device.
-    pub fn tickets(&self) -> [Option<Ticket>; 2] {
+    pub(crate) fn tickets(&self) -> [Option<Ticket>; 2] {
         let look = if let Ahead::Begun(begun) = &self.ahead { Some(begun.ticket()) } else { None };
         [look, self.in_work.as_ref().map(|work| work.ticket)]
     }

@@ -172,7 +172,7 @@ impl ViewerUpdates {
     }
 
     /// The same up to the next look: waits for the one before the device, and submits the one that follows, if one does.
-    pub fn place_seen(&mut self, world: &mut World) -> Result<(), GpuError> {
+    pub(crate) fn place_seen(&mut self, world: &mut World) -> Result<(), GpuError> {
         let Some(mut begun) = self.in_flight.take_begun() else { return Ok(()) };
         let seen = self.visibility.see(world, &mut begun)?;
         let has_room = self.placement.see(world, seen);

@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 const REMEMBERED_UPDATES: usize = 256;
 
 /// See the module.
-pub struct UpdateNumbers {
+pub(crate) struct UpdateNumbers {
     next: UpdateId,
     made: VecDeque<(UpdateId, ServerTime)>,
 }

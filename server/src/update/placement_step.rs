@@ -26,7 +26,7 @@ use shadecast_protocol::message::Welcome;
 use std::sync::Arc;
 
 /// Owner of the atlas layout and of the client's memory, for one viewer.
-pub struct PlacementStep {
+pub(crate) struct PlacementStep {
     eye: EyeSize,
     policy: Arc<UpdatePolicy>,
     layout: Layout,
@@ -79,12 +79,12 @@ impl PlacementStep {
     }
 
     /// Whether updates leave bits and time over.
-    pub fn set_spare(&mut self, spare: Spare) {
+    pub(crate) fn set_spare(&mut self, spare: Spare) {
         self.spare = spare;
     }
 
     /// Texels for a pixel that extents are measured with.
-    pub fn asked_texels_per_pixel(&self) -> f32 {
+    pub(crate) fn asked_texels_per_pixel(&self) -> f32 {
         self.density.texels_per_pixel() * self.policy.texels_per_pixel
     }
 

@@ -13,7 +13,7 @@ use shadecast_protocol::time::WorldTime;
 use std::collections::BTreeMap;
 
 /// The first of an update's times alone.
-pub const ONLY_THE_FIRST: [bool; VIEW_TIMES] = [true, false, false];
+pub(crate) const ONLY_THE_FIRST: [bool; VIEW_TIMES] = [true, false, false];
 
 /// See the module.
 #[derive(Clone, Debug, PartialEq)]

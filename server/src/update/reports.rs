@@ -8,7 +8,6 @@ use crate::pacing::density::Spare;
 use crate::pacing::gate::Budget;
 use crate::residency::Residency;
 use crate::shading::reuse::Reused;
-use crate::visibility::predict::HeadTrack;
 use crate::world::{ViewerId, World};
 use shadecast_gpu::Image;
 use shadecast_protocol::delta::EncodedDelta;
@@ -39,12 +38,12 @@ impl ViewerUpdates {
     }
 
     /// What each update may take on the wire from now on.
-    pub fn set_budget(&mut self, budget: Budget) {
+    pub(crate) fn set_budget(&mut self, budget: Budget) {
         self.placement.residency.set_budget(budget);
     }
 
     /// Whether bits and time are left over by the updates that it makes.
-    pub fn set_spare(&mut self, spare: Spare) {
+    pub(crate) fn set_spare(&mut self, spare: Spare) {
         self.placement.set_spare(spare);
     }
 
@@ -64,11 +63,6 @@ impl ViewerUpdates {
         self.placement.residency.recycle(delta);
         self.shading.recycle(picture);
         self.timings.give(timings);
-    }
-
-    /// How the head moves and how long the way to the display is.
-    pub fn head_track(&self) -> &HeadTrack {
-        &self.head
     }
 
     /// Which patch has which block.

@@ -22,7 +22,7 @@ use shadecast_protocol::picture::I420;
 use std::sync::Arc;
 
 /// Owner of the atlas image and of the planes, for one viewer.
-pub struct ShadingStep {
+pub(crate) struct ShadingStep {
     eye: EyeSize,
     policy: Arc<UpdatePolicy>,
     shading: Shading,
@@ -56,7 +56,7 @@ impl ShadingStep {
     }
 
     /// Texels that an update may shade from now on, beside those of new blocks.
-    pub fn set_budget(&mut self, texels: u64) {
+    pub(crate) fn set_budget(&mut self, texels: u64) {
         self.budget_texels = texels;
     }
 

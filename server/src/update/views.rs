@@ -16,7 +16,7 @@ use shadecast_shaders::generated::ViewGpu;
 use std::sync::Arc;
 
 /// See the module.
-pub struct ViewsBuffer {
+pub(crate) struct ViewsBuffer {
     /// Read by the passes of visibility.
     pub buffer: Buffer,
     eye: EyeSize,
@@ -53,7 +53,7 @@ impl ViewsBuffer {
     }
 
     /// Writes the two views of a glance in place of all pairs: an extent is the largest of all.
-    pub fn write_glance(&mut self, glance: &Glance) {
+    pub(crate) fn write_glance(&mut self, glance: &Glance) {
         for index in 0..MAX_VIEWS {
             let side = index % EYES;
             let view = &glance.views[side as usize];
@@ -80,7 +80,7 @@ impl ViewsBuffer {
 
 /// The first view of each pair that the ID buffer is drawn from at a time: the predicted pair, from which extents are measured, or
 /// its turned frusta in place of it.
-pub fn first_views(time: usize, turned_frusta: usize) -> impl Iterator<Item = u32> + Clone {
+pub(crate) fn first_views(time: usize, turned_frusta: usize) -> impl Iterator<Item = u32> + Clone {
     let groups = if turned_frusta == 0 { 0..=0 } else { 1..=turned_frusta as u32 };
     groups.map(move |group| MAX_VIEWS * group + EYES * time as u32)
 }

@@ -32,7 +32,7 @@ use std::sync::Arc;
 const MAX_LOOKS: u32 = 3;
 
 /// Owner of everything that looks, for one viewer.
-pub struct VisibilityStep {
+pub(crate) struct VisibilityStep {
     viewer: ViewerId,
     eye: EyeSize,
     policy: Arc<UpdatePolicy>,
@@ -75,7 +75,7 @@ struct Lists {
 }
 
 /// An update as it starts, and the placement's demands on it.
-pub struct Start {
+pub(crate) struct Start {
     /// Its number.
     pub update: UpdateId,
     /// When it starts.
@@ -93,7 +93,7 @@ pub struct Start {
 }
 
 /// An update whose look is before the device.
-pub struct Begun {
+pub(crate) struct Begun {
     start: Start,
     glance: Option<Glance>,
     sampled: Sampled,
@@ -103,7 +103,7 @@ pub struct Begun {
 
 /// The aim of a look.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Aim {
+pub(crate) enum Aim {
     /// The views of the eyes, for so many times with this one: at coarser levels of detail each time.
     InView(u32),
     /// The surround of the head.
@@ -131,7 +131,7 @@ pub struct Seen<'a> {
 }
 
 /// A begun update after its last look.
-pub struct Looked {
+pub(crate) struct Looked {
     /// The update.
     pub start: Start,
     /// The samples of its times.
@@ -220,7 +220,7 @@ impl VisibilityStep {
 
     /// Submits the look that follows, if one does: at coarser levels of detail until what is visible has room, then around the
     /// head.
-    pub fn looks_again(
+    pub(crate) fn looks_again(
         &mut self,
         world: &World,
         begun: &mut Begun,
@@ -371,7 +371,7 @@ impl VisibilityStep {
 
 impl Begun {
     /// The look that is before the device.
-    pub fn ticket(&self) -> Ticket {
+    pub(crate) fn ticket(&self) -> Ticket {
         self.look.ticket
     }
 

@@ -32,12 +32,12 @@ impl Clusters {
     pub const NONE: &Self = &Self(Vec::new());
 
     /// The next instance moves.
-    pub fn add_moving(&mut self) {
+    pub(crate) fn add_moving(&mut self) {
         self.0.push(Vec::new());
     }
 
     /// The next instance stands still: of each of its levels the primitives, and where each index has its vertex in the world.
-    pub fn add_still<'a>(
+    pub(crate) fn add_still<'a>(
         &mut self,
         levels: impl IntoIterator<Item = (&'a [Primitive], &'a [u32])>,
         position: impl Fn(u32) -> Vec3,

@@ -17,7 +17,7 @@ const BESIDE_MIDDLE_RAD: f32 = 0.01;
 
 /// Remembers when each instance was last in view.
 #[derive(Clone, Debug)]
-pub struct Culling {
+pub(crate) struct Culling {
     /// By instance: points whose hull holds it and its shadow; none for what shows nothing.
     reach: Vec<Vec<Vec3>>,
     /// By instance: the update that needed it last; 0: none.
@@ -69,14 +69,14 @@ impl Needed {
     }
 
     /// Of what is needed no finer level than these, by instance, is.
-    pub fn set_levels(&mut self, levels: impl IntoIterator<Item = usize>) {
+    pub(crate) fn set_levels(&mut self, levels: impl IntoIterator<Item = usize>) {
         for (has, level) in self.0.iter_mut().zip(levels) {
             *has = has.map(|_| level);
         }
     }
 
     /// Of what is needed no coarser level than these, by instance, is.
-    pub fn refine(&mut self, levels: impl IntoIterator<Item = usize>) {
+    pub(crate) fn refine(&mut self, levels: impl IntoIterator<Item = usize>) {
         for (has, level) in self.0.iter_mut().zip(levels) {
             *has = has.map(|has| has.min(level));
         }
@@ -90,7 +90,7 @@ impl Needed {
     }
 
     /// Whether all that others need is needed here, however finely.
-    pub fn has_all(&self, others: &Self) -> bool {
+    pub(crate) fn has_all(&self, others: &Self) -> bool {
         self.0.iter().zip(&others.0).all(|(has, other)| has.is_some() || other.is_none())
     }
 

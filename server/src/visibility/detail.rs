@@ -186,7 +186,7 @@ impl Detail {
     }
 
     /// What was measured does not fit: coarser levels are wanted. False where there are none.
-    pub fn tighten(&mut self, room: Room) -> bool {
+    pub(crate) fn tighten(&mut self, room: Room) -> bool {
         let wanted = |states: &[State]| states.iter().map(|state| state.wanted).collect::<Vec<_>>();
         let before = wanted(&self.states);
         while self.asked_pixels > 0.0 && wanted(&self.states) == before {
@@ -200,7 +200,7 @@ impl Detail {
     }
 
     /// Pixels of error that are allowed now.
-    pub fn allowed_pixels(&self) -> f32 {
+    pub(crate) fn allowed_pixels(&self) -> f32 {
         self.allowed(self.steps())
     }
 

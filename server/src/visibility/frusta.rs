@@ -9,7 +9,7 @@ use shadecast_shaders::constants::MAX_FRUSTA;
 use std::f32::consts::{FRAC_PI_2, FRAC_PI_3};
 
 /// The field of view is widened by at least this on each side (radians, 3 degrees), for what lies between the view times.
-pub const MIN_MARGIN: f32 = 0.052;
+pub(crate) const MIN_MARGIN: f32 = 0.052;
 /// An eye of which no side is looked at farther from its axis than this has one frustum that is not turned, radians: 60 degrees.
 const MAX_PLAIN_ANGLE: f32 = FRAC_PI_3;
 /// What is turned spans no more along the axis that it is split along, radians: 90 degrees. So turned, it stays below
@@ -22,7 +22,7 @@ const COMPARED_PLACES: u32 = 9;
 
 /// A part of what an eye sees.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Frustum {
+pub(crate) struct Frustum {
     /// Turns directions of the frustum, which looks along -z, to the eye's.
     pub eye_from_frustum: Quat,
     /// Its sides, in its own frame.
@@ -31,7 +31,7 @@ pub struct Frustum {
 
 /// The frusta of an eye; there is one at least.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Frusta {
+pub(crate) struct Frusta {
     all: [Frustum; MAX_FRUSTA as usize],
     count: usize,
 }
@@ -43,7 +43,7 @@ enum Axis {
 }
 
 /// What is looked at of an eye that shows `fov`, with so much more on each side, radians.
-pub fn widened(fov: Fov, margin: f32) -> Fov {
+pub(crate) fn widened(fov: Fov, margin: f32) -> Fov {
     let least = fov.widened(MIN_MARGIN, MAX_VIEW_ANGLE);
     let is_plain = [Axis::X, Axis::Y].iter().all(|axis| is_plain(least, *axis));
     fov.widened(margin, if is_plain { MAX_PLAIN_ANGLE } else { MAX_VIEW_ANGLE })

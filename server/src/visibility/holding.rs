@@ -2,4 +2,4 @@
 
 /// A patch that was seen stays for this many updates, so that what flickers at the limit of the ID buffer's sampling
 /// does not flicker on the client.
-pub const HOLD_UPDATES: u32 = 10;
+pub(crate) const HOLD_UPDATES: u32 = 10;

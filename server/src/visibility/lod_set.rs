@@ -54,7 +54,7 @@ impl Looks {
     }
 
     /// The same in the memory of another update's.
-    pub fn refill(&mut self, numbering: &Numbering, levels: impl IntoIterator<Item = Option<Levels>>) {
+    pub(crate) fn refill(&mut self, numbering: &Numbering, levels: impl IntoIterator<Item = Option<Levels>>) {
         self.looks.clear();
         for (instance, Levels { shown, next }) in
             levels.into_iter().enumerate().filter_map(|(instance, levels)| Some((instance, levels?)))
@@ -138,7 +138,7 @@ impl Looks {
     }
 
     /// The patches among `sorted` ones that the client shows, with their instance.
-    pub fn shown_of<'a>(
+    pub(crate) fn shown_of<'a>(
         &'a self,
         sorted: &'a [ScenePatch],
     ) -> impl Iterator<Item = (usize, ScenePatch)> + Clone + 'a {
@@ -146,7 +146,7 @@ impl Looks {
     }
 
     /// The same of what is known of patches, ascending by these.
-    pub fn shown_among<T>(
+    pub(crate) fn shown_among<T>(
         &self,
         sorted: impl Iterator<Item = T> + Clone,
         patch_of: impl Fn(&T) -> ScenePatch + Clone,

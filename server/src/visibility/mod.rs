@@ -5,12 +5,12 @@
 
 pub mod predict;
 pub mod view_plan;
-pub mod frusta;
+pub(crate) mod frusta;
 pub mod culling;
 pub mod clusters;
-pub mod sweep;
-pub mod holding;
-pub mod nearness;
+pub(crate) mod sweep;
+pub(crate) mod holding;
+pub(crate) mod nearness;
 pub mod detail;
 pub mod lod_set;
 pub mod passes;

@@ -12,7 +12,7 @@ use shadecast_scene::animation::sampling::longest_axis;
 
 /// By instance. The nearest point is that of the box around all that the instance can play, where its path has taken it at each of
 /// the view times.
-pub fn pixels_per_metre(
+pub(crate) fn pixels_per_metre(
     scene: &SceneGpu,
     grid: Grid,
     views: &PredictedViews,

@@ -57,7 +57,7 @@ pub struct PredictedViews {
 
 /// The head as reported, and how well past predictions came true.
 #[derive(Clone, Debug, Default)]
-pub struct HeadTrack {
+pub(crate) struct HeadTrack {
     latest: Option<HeadState>,
     /// What was predicted, to be compared when the time has come.
     promised: VecDeque<(ServerTime, Pose)>,
@@ -121,19 +121,9 @@ impl HeadTrack {
         self.on_display = None;
     }
 
-    /// Whether a head has been reported at all.
-    pub fn is_known(&self) -> bool {
-        self.latest.is_some()
-    }
-
-    /// The latest jump of the head.
-    pub fn discontinuity(&self) -> Option<DiscontinuityId> {
-        self.latest.as_ref().map(|state| state.discontinuity)
-    }
-
     /// From an update's start to its first and last moment on display, by what was reported: the 10th percentile of
     /// the first, the 95th of the last.
-    pub fn delays_ns(&self) -> [i64; 2] {
+    pub(crate) fn delays_ns(&self) -> [i64; 2] {
         let first = percentile(&self.first_delays, 0.10).unwrap_or(START_FIRST_NS);
         let last = percentile(&self.last_delays, 0.95).unwrap_or(START_LAST_NS);
         let first = first.clamp(0, MAX_HORIZON_NS);
@@ -234,7 +224,7 @@ fn view(world_from_head: Pose, eye: Eye, margin: f32) -> View {
 }
 
 /// The head at `time`, by constant linear and angular velocity.
-pub fn extrapolate(state: &HeadState, time: ServerTime) -> Pose {
+pub(crate) fn extrapolate(state: &HeadState, time: ServerTime) -> Pose {
     let seconds = time.since(state.time).clamp(-MAX_HORIZON_NS, MAX_HORIZON_NS) as f32 * 1e-9;
     let turn = state.angular_velocity.clamp_length_max(MAX_TURN_RAD_S) * seconds;
     let step: Vec3 = state.linear_velocity.clamp_length_max(MAX_SPEED_M_S) * seconds;

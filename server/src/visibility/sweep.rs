@@ -12,7 +12,7 @@ const PAIRS: u32 = 3;
 /// Places of the eye, one after the other: the corners of a cube around the head.
 const PLACES: u32 = 8;
 /// Updates until every direction was seen from every place.
-pub const ROUND_UPDATES: u32 = EVERY_UPDATES * PAIRS * PLACES;
+pub(crate) const ROUND_UPDATES: u32 = EVERY_UPDATES * PAIRS * PLACES;
 /// How far from the head these places are, metres: what it may go until an update arrives that knows of it.
 const ASIDE_M: f32 = 0.15;
 /// Across a view; the sides of a cube, with something to spare.
@@ -20,7 +20,7 @@ const FOV_DEGREES: f32 = 92.0;
 
 /// Two views that look around.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Glance {
+pub(crate) struct Glance {
     /// In opposite directions.
     pub views: [View; 2],
     /// The glances before this one.
@@ -29,7 +29,7 @@ pub struct Glance {
 
 /// Which direction is next.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Sweep {
+pub(crate) struct Sweep {
     updates: u32,
 }
 

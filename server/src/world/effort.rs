@@ -26,7 +26,7 @@ impl Effort {
     }
 
     /// It was the posing of what moves, and the recording of its way through the device.
-    pub fn add_animation(&mut self, Began(began_ns): Began) {
+    pub(crate) fn add_animation(&mut self, Began(began_ns): Began) {
         self.animation_ns += self.now_ns() - began_ns;
     }
 

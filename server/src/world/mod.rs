@@ -1,7 +1,7 @@
 //! The world that all viewers look at: the scene in motion and under its light, each thing once for a time, however many look.
 
-pub mod effort;
-pub mod moment;
+pub(crate) mod effort;
+pub(crate) mod moment;
 pub mod samples;
 
 use crate::animation::timeline::SharedTimeline;
@@ -79,7 +79,7 @@ impl World {
     }
 
     /// The scene before its first update, moving as a timeline says, which may have been another world's before.
-    pub fn of_timeline(
+    pub(crate) fn of_timeline(
         gpu: &Arc<Gpu>,
         scene: &Arc<SceneGpu>,
         timeline: SharedTimeline,
@@ -184,11 +184,6 @@ impl World {
         self.shadow.forget();
     }
 
-    /// Whether several look at it.
-    pub fn is_shared(&self) -> bool {
-        self.needs.len() > 1
-    }
-
     /// A viewer has gone: what only it needed is animated no longer.
     pub fn leave(&mut self, viewer: ViewerId) {
         self.needs.remove(&viewer);
@@ -233,7 +228,7 @@ impl World {
     }
 
     /// The same for any time, which vertices in `place` are moved to: for measurements, since no sample is kept by it.
-    pub fn light_at(&mut self, recorder: &mut Recorder, place: RingPlace, time: WorldTime) {
+    pub(crate) fn light_at(&mut self, recorder: &mut Recorder, place: RingPlace, time: WorldTime) {
         self.animation.record_sample(recorder, place, time);
         self.record_light(recorder, place, time);
         self.animation.forget();

@@ -39,7 +39,7 @@ struct Stands {
 }
 
 /// Of an instance, at a time.
-pub fn stance(scene: &SceneGpu, timeline: &Timeline, instance: usize, time: WorldTime) -> Stance {
+pub(crate) fn stance(scene: &SceneGpu, timeline: &Timeline, instance: usize, time: WorldTime) -> Stance {
     let (manager, place) = (&scene.animation.manager, &scene.numbering.instances[instance]);
     let stands = || {
         let shown = timeline.at(instance, time);
@@ -52,7 +52,7 @@ pub fn stance(scene: &SceneGpu, timeline: &Timeline, instance: usize, time: Worl
 }
 
 /// All of a time, which light and shadow map are of, over what was there.
-pub fn write(
+pub(crate) fn write(
     scene: &SceneGpu,
     animation: &Animation,
     shadow: &Shadow,

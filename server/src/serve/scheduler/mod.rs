@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use turns::{Share, Turns};
 
 /// The shortest and the longest sleep of a driver that has something to wait for, nanoseconds.
-pub const SHORTEST_WAIT_NS: i64 = 500_000;
+pub(crate) const SHORTEST_WAIT_NS: i64 = 500_000;
 /// See [`SHORTEST_WAIT_NS`].
 pub const LONGEST_WAIT_NS: i64 = 5_000_000;
 /// How long a driver sleeps while no update is wanted, nanoseconds.

@@ -25,7 +25,7 @@ const FAREWELL_NS: i64 = 500_000_000;
 const MAX_LEAVING: usize = 8;
 
 /// Says a line to the person who started the server. It must not wait.
-pub type Say<'a> = dyn Fn(&str) + Send + Sync + 'a;
+pub(crate) type Say<'a> = dyn Fn(&str) + Send + Sync + 'a;
 
 /// Sessions that whoever makes the updates wants to end.
 #[derive(Debug, Default)]

@@ -6,7 +6,7 @@ use shadecast_protocol::session::Out;
 use shadecast_transport::{PeerId, SendError};
 
 /// The way to the clients.
-pub trait Outlet: Send + Sync {
+pub(crate) trait Outlet: Send + Sync {
     /// Sends a stream.
     fn send(&self, peer: PeerId, out: Out) -> Result<(), SendError>;
     /// What is known of the way to a client; `None` where nothing is yet.

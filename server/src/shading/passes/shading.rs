@@ -23,7 +23,7 @@ use shadecast_shaders::generated::{
 use std::sync::Arc;
 
 /// The stage with its output.
-pub struct Shading {
+pub(crate) struct Shading {
     pass: RenderPass,
     pipeline: GraphicsPipeline,
     group: BindGroup,
@@ -113,7 +113,7 @@ impl Shading {
     }
 
     /// Writes the list of blocks to shade, ascending by patch, with geometry as it is in `place`. No submitted work still reads the list.
-    pub fn write_blocks(
+    pub(crate) fn write_blocks(
         &mut self,
         scene: &SceneGpu,
         animation: &Animation,

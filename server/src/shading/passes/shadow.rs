@@ -50,7 +50,11 @@ impl Shadow {
     }
 
     /// The same with casters in full detail.
-    pub fn in_full_detail(gpu: &Arc<Gpu>, scene: &SceneGpu, animation: &Animation) -> Result<Self, GpuError> {
+    pub(crate) fn in_full_detail(
+        gpu: &Arc<Gpu>,
+        scene: &SceneGpu,
+        animation: &Animation,
+    ) -> Result<Self, GpuError> {
         let view = scene.sun_view();
         let side = view.map_or(16, |view| view.extent_texels);
         let format = vk::Format::D32_SFLOAT;
@@ -156,7 +160,7 @@ impl Shadow {
     }
 
     /// How the sun sees its casters, where it casts shadows.
-    pub fn sun_view(&self) -> Option<&SunView> {
+    pub(crate) fn sun_view(&self) -> Option<&SunView> {
         self.view.as_ref()
     }
 

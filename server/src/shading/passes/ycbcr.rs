@@ -133,7 +133,7 @@ impl Ycbcr {
     }
 
     /// Blocks have changed since the last conversion; all of the atlas has before the first.
-    pub fn note_changed(&mut self, blocks: impl Iterator<Item = Block>) {
+    pub(crate) fn note_changed(&mut self, blocks: impl Iterator<Item = Block>) {
         blocks.for_each(|block| self.work.add(block));
     }
 

@@ -1,4 +1,4 @@
 //! The GPU passes of animation, in pipeline order: poses, then vertices.
 
 pub mod palette;
-pub mod skin;
+pub(crate) mod skin;

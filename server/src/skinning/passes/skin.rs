@@ -12,7 +12,7 @@ use shadecast_shaders::generated::{SKIN_CHAIN_COMP, SKIN_COMP, SKIN_PACKED_COMP,
 use std::sync::Arc;
 
 /// The stage with its outputs, which lie where [`Saved`] says.
-pub struct Skin {
+pub(crate) struct Skin {
     /// Of vertices as they are; per-vertex-chain where that is asked for.
     whole: Variant,
     /// Of packed vertices, for 1, 2, 3 and 4 influences, where that is asked for.
@@ -30,7 +30,7 @@ struct Variant {
 
 /// Instances to be skinned, each at a sample time.
 #[derive(Debug, Default)]
-pub struct SkinJobs {
+pub(crate) struct SkinJobs {
     /// Of vertices as they are.
     pub whole: Vec<SkinJob>,
     /// Of packed vertices, by the number of their influences.

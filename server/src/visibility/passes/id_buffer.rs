@@ -25,7 +25,7 @@ const _: () = assert!(SAMPLE_PLACES <= crate::visibility::holding::HOLD_UPDATES)
 /// By how much an update's views are shifted, in normalised device coordinates of an image of `extent_pixels`: half a
 /// pixel at most to each side, another place for each of the `views` and in each of several updates. A head that stands
 /// still would see the same samples for ever, and never a triangle that lies between them.
-pub fn shift_ndc(update: u32, view: u32, views: u32, extent_pixels: [f32; 2]) -> [f32; 2] {
+pub(crate) fn shift_ndc(update: u32, view: u32, views: u32, extent_pixels: [f32; 2]) -> [f32; 2] {
     // R2, a sequence of low discrepancy (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018).
     const STEPS: [f32; 2] = [0.754_877_7, 0.569_840_3];
     let place = (update % SAMPLE_PLACES * views + view) as f32;
