@@ -516,7 +516,7 @@ impl Line {
 
     fn poses(&self) -> Vec<HeadState> {
         let said = self.events.iter().filter_map(|event| match event {
-            ServerEvent::Pose(head) => Some(*head),
+            ServerEvent::Head(head) => Some(*head),
             _ => None,
         });
         said.collect()
@@ -602,7 +602,7 @@ fn a_session_is_agreed_on_and_the_server_learns_of_head_and_time() {
     assert_eq!((capabilities.eye_extent_pixels, capabilities.max_vertex_slots), ([SIDE; 2], 256));
     assert!((capabilities.eyes[1].head_from_eye.position.x - 0.0315).abs() < 1e-5);
     let poses = line.events.iter().filter_map(|event| match event {
-        ServerEvent::Pose(pose) => Some(pose),
+        ServerEvent::Head(pose) => Some(pose),
         _ => None,
     });
     let last: Vec<_> = poses.rev().take(10).collect();

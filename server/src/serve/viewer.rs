@@ -36,9 +36,9 @@ pub trait Updates {
 
 /// What a client has told since it was asked last: the newest of each kind.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Told {
+pub struct Reported {
     /// Its head.
-    pub pose: Option<HeadState>,
+    pub head: Option<HeadState>,
     /// What is on display.
     pub displayed: Option<Displayed>,
     /// A picture that needs no other is wanted.
@@ -49,11 +49,11 @@ pub struct Told {
     pub steering: Option<Steering>,
 }
 
-impl Told {
+impl Reported {
     /// Takes in what a served client's session says; gives back what is no viewer's affair.
     pub fn take(&mut self, event: ServerEvent) -> Option<ServerEvent> {
         match event {
-            ServerEvent::Pose(pose) => self.pose = Some(pose),
+            ServerEvent::Head(head) => self.head = Some(head),
             ServerEvent::Displayed(report) => {
                 let earlier = self.displayed.take();
                 self.displayed = Some(earlier.map_or(report, |earlier| earlier.merged(report)));
@@ -126,11 +126,11 @@ impl<U: Updates> Viewer<U> {
     }
 
     /// What its client has told.
-    pub fn hear(&mut self, told: Told) {
-        told.pose.into_iter().for_each(|pose| self.updates.head(pose));
-        told.displayed.iter().for_each(|report| self.updates.displayed(report));
-        self.refresh |= told.refresh;
-        told.watching.into_iter().for_each(|is_watched| self.watch(is_watched));
+    pub fn apply(&mut self, reported: Reported) {
+        reported.head.into_iter().for_each(|head| self.updates.head(head));
+        reported.displayed.iter().for_each(|report| self.updates.displayed(report));
+        self.refresh |= reported.refresh;
+        reported.watching.into_iter().for_each(|is_watched| self.watch(is_watched));
     }
 
     /// Nothing is shaded while nobody looks. When somebody looks again, the first picture needs no other.

@@ -137,7 +137,7 @@ impl PlacementStep {
         self.layout.place(world.samples(), looks, self.room, &mut changes); // 4, 5
         self.density.note(self.spare, self.layout.settled_share(), self.layout.density() < 1.0);
         let began = world.effort().begin();
-        let delta = self.tell(world, start.update, &start.views, &changes); // 8
+        let delta = self.delta(world, start.update, &start.views, &changes); // 8
         world.effort_mut().add_delta(began);
         self.changes = changes;
         self.report_shortage();
@@ -184,7 +184,7 @@ impl PlacementStep {
     }
 
     /// The delta of an update, with vertices as they are seen from `views`.
-    fn tell(
+    fn delta(
         &mut self,
         world: &World,
         update: UpdateId,

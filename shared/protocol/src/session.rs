@@ -104,7 +104,7 @@ pub enum ServerEvent {
     /// There will be no session; the client has been told why. Flush, then close.
     Refused(Refused),
     /// The newest head state; older ones that come late are left out.
-    Pose(HeadState),
+    Head(HeadState),
     /// What the client shows: of several reports the latest, with the counts of all.
     Displayed(Displayed),
     /// The client needs a picture that needs no other.
@@ -713,7 +713,7 @@ impl ServerSession {
         let watching = || heard.watching.take().map(ServerEvent::Watching);
         let steering = || heard.steering.take().map(ServerEvent::Steer);
         let event = displayed.or_else(refresh).or_else(watching).or_else(steering);
-        event.or_else(|| heard.pose.take().map(ServerEvent::Pose)).or_else(|| heard.end.take())
+        event.or_else(|| heard.pose.take().map(ServerEvent::Head)).or_else(|| heard.end.take())
     }
 
     /// The next bytes to carry. They are sent at `now`, which answers to pings say.

@@ -108,7 +108,7 @@ impl Play {
         while let Some(event) = self.server.poll_event() {
             match (event, &mut self.sender) {
                 (ServerEvent::Asked { .. }, sender) => *sender = self.server.accept(),
-                (ServerEvent::Pose(_), Some(sender)) => {
+                (ServerEvent::Head(_), Some(sender)) => {
                     let frame = sender.next_update();
                     let delta = GeometryDelta { update: frame, ..Default::default() };
                     let header = PictureHeader { update: frame, time: ServerTime(0), is_refresh: true };

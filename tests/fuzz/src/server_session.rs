@@ -141,7 +141,7 @@ impl Run {
                 self.sender = self.session.accept();
                 assert!(self.sender.is_some(), "who asks can be accepted");
             }
-            ServerEvent::Pose(head) => {
+            ServerEvent::Head(head) => {
                 head.check().expect("a head is checked");
                 let is_newer =
                     self.newest_pose.is_none_or(|newest| head.sequence.wrapping_sub(newest) as i32 > 0);

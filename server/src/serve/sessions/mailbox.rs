@@ -1,7 +1,7 @@
 //! What the network tells the pipeline: of each client at most one of a kind, the newest, so that no client can make it grow
 //! and a pipeline that was busy is never behind.
 
-use crate::serve::viewer::Told;
+use crate::serve::viewer::Reported;
 use crate::support::lock::lock;
 use shadecast_protocol::message::{Capabilities, Welcome};
 use shadecast_protocol::session::{DeltaSender, ServerEvent};
@@ -39,7 +39,7 @@ pub struct News {
     /// Whether it is to be served.
     pub client: Client,
     /// What it has told.
-    pub told: Told,
+    pub reported: Reported,
 }
 
 /// From the network's thread to the pipeline's.
@@ -53,7 +53,7 @@ impl Mailbox {
     /// A client was welcomed.
     pub fn accepted(&self, peer: PeerId, accepted: Accepted) {
         let client = Client::Accepted(Box::new(accepted));
-        self.put(|news| drop(news.insert(peer, News { client, told: Told::default() })));
+        self.put(|news| drop(news.insert(peer, News { client, reported: Reported::default() })));
     }
 
     /// A client has gone, or what served it is to be forgotten.
@@ -61,14 +61,14 @@ impl Mailbox {
         self.put(|news| match news.remove(&peer) {
             // The pipeline has never heard of it.
             Some(News { client: Client::Accepted(_), .. }) => {}
-            _ => drop(news.insert(peer, News { client: Client::Gone, told: Told::default() })),
+            _ => drop(news.insert(peer, News { client: Client::Gone, reported: Reported::default() })),
         });
     }
 
     /// A client that is served has said something.
-    pub fn told(&self, peer: PeerId, event: ServerEvent) {
+    pub fn reported(&self, peer: PeerId, event: ServerEvent) {
         // What is no viewer's affair does not come here.
-        self.put(|news| drop(news.entry(peer).or_default().told.take(event)));
+        self.put(|news| drop(news.entry(peer).or_default().reported.take(event)));
     }
 
     /// All that is new, without waiting.
@@ -104,7 +104,7 @@ mod tests {
         let mailbox = Mailbox::default();
         for peer in 0..300 {
             mailbox.accepted(PeerId(peer), accepted());
-            mailbox.told(PeerId(peer), ServerEvent::Pose(head(peer as u32, ServerTime(0))));
+            mailbox.reported(PeerId(peer), ServerEvent::Head(head(peer as u32, ServerTime(0))));
             if peer < 298 {
                 mailbox.gone(PeerId(peer));
             }
@@ -112,7 +112,7 @@ mod tests {
         let news = mailbox.take();
         assert_eq!(news.keys().copied().collect::<Vec<_>>(), [PeerId(298), PeerId(299)]);
         assert!(matches!(news[&PeerId(299)].client, Client::Accepted(_)), "{news:?}");
-        assert_eq!(news[&PeerId(299)].told.pose.map(|pose| pose.sequence), Some(299));
+        assert_eq!(news[&PeerId(299)].reported.head.map(|head| head.sequence), Some(299));
         mailbox.gone(PeerId(299));
         assert!(matches!(mailbox.take()[&PeerId(299)], News { client: Client::Gone, .. }));
     }
@@ -122,12 +122,12 @@ mod tests {
         let mailbox = Mailbox::default();
         for frame in 0..1000 {
             let counted = Displayed { update: UpdateId(frame), display_frames: 2, ..Displayed::default() };
-            mailbox.told(PeerId(1), ServerEvent::Displayed(counted));
-            mailbox.told(PeerId(1), ServerEvent::RefreshRequest { after: None });
+            mailbox.reported(PeerId(1), ServerEvent::Displayed(counted));
+            mailbox.reported(PeerId(1), ServerEvent::RefreshRequest { after: None });
         }
-        let told = mailbox.take()[&PeerId(1)].told;
-        let report = told.displayed.expect("one");
-        assert_eq!((report.update, report.display_frames, told.refresh), (UpdateId(999), 2000, true));
+        let reported = mailbox.take()[&PeerId(1)].reported;
+        let report = reported.displayed.expect("one");
+        assert_eq!((report.update, report.display_frames, reported.refresh), (UpdateId(999), 2000, true));
         assert!(mailbox.take().is_empty());
     }
 

@@ -118,11 +118,11 @@ impl Sessions {
         match event {
             Event::Connected { peer, remote, .. } => self.connected(peer, remote, now_ns, around),
             Event::Control { peer, message, at_ns } => {
-                self.hear(peer, [at_ns, now_ns], around, |session| session.on_control(&message));
+                self.handle(peer, [at_ns, now_ns], around, |session| session.on_control(&message));
             }
             Event::Datagram { peer, bytes, at_ns } => {
                 let received = ServerTime(at_ns - self.epoch_ns);
-                self.hear(peer, [at_ns, now_ns], around, |session| session.on_datagram(&bytes, received));
+                self.handle(peer, [at_ns, now_ns], around, |session| session.on_datagram(&bytes, received));
             }
             Event::Closed { peer, kind, reason } => self.closed(peer, kind, &reason, around),
             // Clients have nothing to send on streams.
@@ -169,7 +169,7 @@ impl Sessions {
     }
 
     /// Hands something to a client's session, and does what comes of it.
-    fn hear(
+    fn handle(
         &mut self,
         peer: PeerId,
         [at_ns, now_ns]: [i64; 2],
@@ -201,11 +201,11 @@ impl Sessions {
                 self.lose(peer, &reason, around);
                 self.drop_guest(peer, CloseCode::NotUnderstood, &reason, around);
             }
-            told if self.places.has(peer) => {
-                if matches!(told, ServerEvent::Displayed(_)) {
+            event if self.places.has(peer) => {
+                if matches!(event, ServerEvent::Displayed(_)) {
                     self.places.shown(peer);
                 }
-                around.mailbox.told(peer, told);
+                around.mailbox.reported(peer, event);
             }
             _ => {}
         }
@@ -466,7 +466,7 @@ mod tests {
             &DeltaEncoder::new(1, 1).encode(&shadecast_protocol::geometry::GeometryDelta::default().into()),
         );
         say(network, peer, &ClientMessage::Displayed(Displayed::default()), at_ns);
-        assert!(desk.news(peer).is_some_and(|news| news.told.displayed.is_some()));
+        assert!(desk.news(peer).is_some_and(|news| news.reported.displayed.is_some()));
     }
 
     #[test]
@@ -575,7 +575,7 @@ mod tests {
         assert_eq!(desk.carrier.datagrams.borrow().len(), 1);
         let pose = ClientDatagram::Pose(head(3, ServerTime(0))).encode();
         network.take(Event::Datagram { peer: first, bytes: pose.clone(), at_ns: 9 }, 9);
-        assert!(desk.news(first).is_some_and(|news| news.told.pose.is_some()));
+        assert!(desk.news(first).is_some_and(|news| news.reported.head.is_some()));
         let second = greet(&mut network, 2, None, 10);
         network.take(Event::Datagram { peer: second, bytes: pose, at_ns: 11 }, 11);
         assert!(desk.news(second).is_none());

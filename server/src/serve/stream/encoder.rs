@@ -28,7 +28,7 @@ pub(super) struct Job {
 }
 
 /// What became of a picture.
-pub(super) enum Outcome {
+pub(super) enum EncodeOutcome {
     /// It was handed to the transport.
     Sent {
         /// The update.
@@ -47,14 +47,14 @@ pub(super) trait PictureEncoder {
     /// Hands over a picture; the one before was polled.
     fn give(&mut self, job: Job);
     /// What became of the picture that was handed over, once that is known.
-    fn poll(&mut self) -> Option<Outcome>;
+    fn poll(&mut self) -> Option<EncodeOutcome>;
 }
 
 /// An encoder on a thread of its own. Dropping it waits for the picture that is being encoded.
 pub(super) struct EncoderThread {
     /// `None` while dropping.
     jobs: Option<SyncSender<Job>>,
-    outcomes: Receiver<Outcome>,
+    outcomes: Receiver<EncodeOutcome>,
     is_busy: bool,
     thread: Option<JoinHandle<()>>,
 }
@@ -86,14 +86,14 @@ impl PictureEncoder for EncoderThread {
         }
     }
 
-    fn poll(&mut self) -> Option<Outcome> {
+    fn poll(&mut self) -> Option<EncodeOutcome> {
         if !self.is_busy {
             return None;
         }
         let outcome = match self.outcomes.try_recv() {
             Ok(outcome) => outcome,
             Err(TryRecvError::Empty) => return None,
-            Err(TryRecvError::Disconnected) => Outcome::Failed("the encoder's thread has ended".into()),
+            Err(TryRecvError::Disconnected) => EncodeOutcome::Failed("the encoder's thread has ended".into()),
         };
         self.is_busy = false;
         Some(outcome)
@@ -118,33 +118,34 @@ struct Recipient<'a> {
 }
 
 /// Ends when the pipeline lets go, or with the first picture that fails.
-fn run(mut encoding: Encoding, to: &Recipient<'_>, jobs: &Receiver<Job>, outcomes: &Sender<Outcome>) {
+fn run(mut encoding: Encoding, to: &Recipient<'_>, jobs: &Receiver<Job>, outcomes: &Sender<EncodeOutcome>) {
     while let Ok(job) = jobs.recv() {
         // What a panic leaves behind in the encoder is not used again.
         let worked = AssertUnwindSafe(|| encode(&mut encoding, to, job));
-        let outcome = catch_unwind(worked).unwrap_or_else(|panic| Outcome::Failed(words_of(panic.as_ref())));
-        let has_failed = matches!(outcome, Outcome::Failed(_));
+        let outcome =
+            catch_unwind(worked).unwrap_or_else(|panic| EncodeOutcome::Failed(words_of(panic.as_ref())));
+        let has_failed = matches!(outcome, EncodeOutcome::Failed(_));
         if outcomes.send(outcome).is_err() || has_failed {
             return;
         }
     }
 }
 
-fn encode(encoding: &mut Encoding, to: &Recipient<'_>, job: Job) -> Outcome {
+fn encode(encoding: &mut Encoding, to: &Recipient<'_>, job: Job) -> EncodeOutcome {
     let (began_ns, update) = (monotonic_now_ns(), job.shaded.update);
     if let Err(error) = encoding.submit(job.shaded, job.refresh, job.qp) {
-        return Outcome::Failed(error.to_string());
+        return EncodeOutcome::Failed(error.to_string());
     }
     let Coded { shaded, header, unit } = match encoding.poll(PATIENCE).unwrap_or(Err(EncodeError::Stalled)) {
         Ok(coded) => coded,
-        Err(error) => return Outcome::Failed(error.to_string()),
+        Err(error) => return EncodeOutcome::Failed(error.to_string()),
     };
     let (encode_s, is_refresh) = ((monotonic_now_ns() - began_ns) as f64 * 1e-9, header.is_refresh);
     to.row.ended("encode", began_ns, Some(update));
     let out = match picture_stream(header, &unit.bytes) {
         Ok(out) => out,
         Err(error) => {
-            return Outcome::Failed(format!(
+            return EncodeOutcome::Failed(format!(
                 "{error}; a coarser quantisation (--qp, --bitrate) makes it smaller"
             ));
         }
@@ -152,8 +153,8 @@ fn encode(encoding: &mut Encoding, to: &Recipient<'_>, job: Job) -> Outcome {
     let picture = SentPicture { stream_bytes: out.bytes(), is_refresh, encode_s };
     let unit_bytes = unit.bytes.len();
     match to.outlet.send(to.peer, out) {
-        Ok(()) => Outcome::Sent { shaded, picture, unit_bytes },
-        Err(error) => Outcome::Failed(format!("a picture could not be sent: {error}")),
+        Ok(()) => EncodeOutcome::Sent { shaded, picture, unit_bytes },
+        Err(error) => EncodeOutcome::Failed(format!("a picture could not be sent: {error}")),
     }
 }
 

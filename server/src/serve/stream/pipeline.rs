@@ -4,7 +4,7 @@
 //! device stops all of it; then it is opened again from the top. Time comes in; nothing here reads a clock by itself.
 
 use super::cadence::Cadence;
-use super::encoder::{EncoderThread, Job, Outcome, PictureEncoder, refused_by};
+use super::encoder::{EncodeOutcome, EncoderThread, Job, PictureEncoder, refused_by};
 use super::outlet::Outlet;
 use super::rebuild::Rebuild;
 use super::traced::{DeviceRow, Row, Traced};
@@ -245,11 +245,11 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             }
         }
         for (peer, news) in self.mailbox.take() {
-            self.listen(peer, news, now_ns)?;
+            self.take_news(peer, news, now_ns)?;
         }
         for peer in self.clients.keys().copied().collect::<Vec<_>>() {
-            let looked = self.look_at_encoder(peer, now_ns);
-            self.settle(peer, looked, now_ns)?;
+            let polled = self.poll_encoder(peer, now_ns);
+            self.settle(peer, polled, now_ns)?;
         }
         let (studio, outlet, clients) = (&*self.studio, self.outlet.as_ref(), &mut self.clients);
         let action = self.scheduler.poll(now_ns, &mut Situated { studio, outlet, clients });
@@ -279,7 +279,12 @@ impl<'a, S: Studio> Pipeline<'a, S> {
     }
 
     /// Takes what is new of a client; makes its pipeline where it has just come.
-    fn listen(&mut self, peer: PeerId, News { client, told }: News, now_ns: i64) -> anyhow::Result<()> {
+    fn take_news(
+        &mut self,
+        peer: PeerId,
+        News { client, reported }: News,
+        now_ns: i64,
+    ) -> anyhow::Result<()> {
         match client {
             Client::Unchanged => {}
             Client::Gone => self.close(peer, false, now_ns),
@@ -290,17 +295,17 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             }
         }
         let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
-        if let Some(report) = &told.displayed {
+        if let Some(report) = &reported.displayed {
             self.of_pipeline.happens("display is known", Some(report.update));
         }
         let now = ServerTime(now_ns - self.epoch_ns);
-        told.steering.into_iter().for_each(|wanted| self.studio.steer(wanted, now));
-        told.watching.into_iter().for_each(|is_watched| self.scheduler.watch(peer, is_watched, now_ns));
-        let heard = guarded(|| {
-            client.viewer.hear(told);
+        reported.steering.into_iter().for_each(|wanted| self.studio.steer(wanted, now));
+        reported.watching.into_iter().for_each(|is_watched| self.scheduler.watch(peer, is_watched, now_ns));
+        let applied = guarded(|| {
+            client.viewer.apply(reported);
             Ok(())
         });
-        self.settle(peer, heard, now_ns)
+        self.settle(peer, applied, now_ns)
     }
 
     fn accept(&mut self, peer: PeerId, accepted: Accepted, now_ns: i64) -> Result<(), Fault> {
@@ -336,11 +341,11 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         started.map_err(|error| Fault::of_encoder(&error.to_string()))
     }
 
-    fn look_at_encoder(&mut self, peer: PeerId, now_ns: i64) -> Result<(), Fault> {
+    fn poll_encoder(&mut self, peer: PeerId, now_ns: i64) -> Result<(), Fault> {
         let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
         match client.encoder.poll() {
             None => {}
-            Some(Outcome::Sent { shaded, picture, unit_bytes }) => {
+            Some(EncodeOutcome::Sent { shaded, picture, unit_bytes }) => {
                 client.encoder_failures = 0;
                 self.scheduler.encoded(peer, Some((picture.encode_s * 1e9) as i64));
                 client.viewer.sent_picture(shaded.update, picture, now_ns);
@@ -350,7 +355,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
                     client.viewer.recycle(*earlier);
                 }
             }
-            Some(Outcome::Failed(reason)) => return self.restart_encoder(peer, &reason),
+            Some(EncodeOutcome::Failed(reason)) => return self.restart_encoder(peer, &reason),
         }
         Ok(())
     }

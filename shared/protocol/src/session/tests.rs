@@ -234,7 +234,7 @@ fn late_poses_are_left_out_also_when_the_sequence_wraps() {
         pair.client.send_pose(head(sequence));
         pair.carry(ServerTime(0));
         seen.extend(pair.server.poll_event().map(|event| match event {
-            ServerEvent::Pose(head) => head.sequence,
+            ServerEvent::Head(head) => head.sequence,
             other => panic!("{other:?}"),
         }));
     }
@@ -550,7 +550,7 @@ fn what_a_client_says_faster_than_it_is_heard_coalesces() {
         ServerEvent::Displayed(shown),
         ServerEvent::RefreshRequest { .. },
         ServerEvent::Steer(steering),
-        ServerEvent::Pose(pose),
+        ServerEvent::Head(pose),
     ] = events[..]
     else {
         panic!("{events:?}")

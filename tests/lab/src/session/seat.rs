@@ -173,7 +173,7 @@ impl Seat {
             _ => {}
         }
         server.reception.take(self.line, event, now_ns);
-        for (peer, News { client, told }) in server.reception.news_of(self.line) {
+        for (peer, News { client, reported }) in server.reception.news_of(self.line) {
             match client {
                 Client::Unchanged => {}
                 Client::Gone if self.served == Some(peer) => self.part(server),
@@ -184,13 +184,13 @@ impl Seat {
                 }
             }
             if let Some(viewer) = self.viewer.as_mut().filter(|_| self.served == Some(peer)) {
-                if let Some(wanted) = told.steering {
+                if let Some(wanted) = reported.steering {
                     server.world.timeline().lock().steer(wanted, server_time(now_ns));
                 }
-                if let Some(is_watched) = told.watching {
+                if let Some(is_watched) = reported.watching {
                     server.scheduler.watch(peer, is_watched, now_ns);
                 }
-                viewer.hear(told);
+                viewer.apply(reported);
             }
         }
         match server.reception.ended(self.line) {

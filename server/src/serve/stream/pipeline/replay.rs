@@ -111,13 +111,13 @@ impl PictureEncoder for SimulatedEncoder {
         assert!(self.job.replace(job).is_none(), "an encoder has one picture");
     }
 
-    fn poll(&mut self) -> Option<Outcome> {
+    fn poll(&mut self) -> Option<EncodeOutcome> {
         let mut bench = self.bench.borrow_mut();
         bench.encoding.get(&self.viewer).filter(|done_ns| **done_ns <= bench.now_ns)?;
         bench.encoding.remove(&self.viewer);
         let encode_s = bench.encode_ns as f64 * 1e-9;
         let picture = SentPicture { stream_bytes: 1000, is_refresh: false, encode_s };
-        self.job.take().map(|job| Outcome::Sent { shaded: job.shaded, picture, unit_bytes: 1000 })
+        self.job.take().map(|job| EncodeOutcome::Sent { shaded: job.shaded, picture, unit_bytes: 1000 })
     }
 }
 
@@ -256,7 +256,7 @@ fn the_pipeline_decides_as_the_lab_on_the_same_events() {
     while clock() <= end_ns {
         for (_, viewer) in joins.extract_if(.., |(at_ns, _)| *at_ns <= clock()) {
             mailbox.accepted(PeerId(viewer), accepted());
-            mailbox.told(PeerId(viewer), ServerEvent::Pose(head(0, ServerTime(0))));
+            mailbox.reported(PeerId(viewer), ServerEvent::Head(head(0, ServerTime(0))));
         }
         let wait = pipeline.step(clock()).expect("the device is there");
         if wait > Duration::ZERO {

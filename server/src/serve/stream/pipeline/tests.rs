@@ -345,7 +345,7 @@ impl Bench {
 
     fn comes(&self, peer: u64) {
         self.mailbox.accepted(PeerId(peer), accepted());
-        self.mailbox.told(PeerId(peer), ServerEvent::Pose(head(0, ServerTime(0))));
+        self.mailbox.reported(PeerId(peer), ServerEvent::Head(head(0, ServerTime(0))));
     }
 
     /// Steps in virtual time until `is_done`; gives what ended the server, if anything did.
@@ -453,11 +453,11 @@ fn nothing_is_shaded_while_nobody_looks_and_then_at_once_a_picture_that_needs_no
         let deltas = recorder.deltas.lock().expect("whole").len();
         looks += u32::from(pictures(recorder) >= 3);
         match looks {
-            1 => bench.mailbox.told(PeerId(1), ServerEvent::Watching(false)),
+            1 => bench.mailbox.reported(PeerId(1), ServerEvent::Watching(false)),
             20 => before = deltas, // what was in flight has left
             200 => {
                 after = deltas;
-                bench.mailbox.told(PeerId(1), ServerEvent::Watching(true));
+                bench.mailbox.reported(PeerId(1), ServerEvent::Watching(true));
             }
             _ => {}
         }
@@ -477,8 +477,8 @@ fn what_a_viewer_wants_of_the_worlds_time_comes_to_whoever_has_the_world() {
     let mut asked = 0;
     let (ended, _) = bench.run(|recorder| {
         if pictures(recorder) >= 3 && asked < 2 {
-            bench.mailbox.told(PeerId(1), ServerEvent::Steer(Steer::Halt.into()));
-            bench.mailbox.told(PeerId(1), ServerEvent::Steer(Steer::Step.into()));
+            bench.mailbox.reported(PeerId(1), ServerEvent::Steer(Steer::Halt.into()));
+            bench.mailbox.reported(PeerId(1), ServerEvent::Steer(Steer::Step.into()));
             asked += 1;
         }
         bench.script.steered.borrow().len() >= 2

@@ -23,7 +23,7 @@ use shadecast_server::encode;
 use shadecast_server::encode::openh264::EncoderSettings;
 use shadecast_server::pacing::quality::DEFAULT_QP;
 use shadecast_server::serve::encoding::Encoding;
-use shadecast_server::serve::viewer::{Told, Viewer};
+use shadecast_server::serve::viewer::{Reported, Viewer};
 use shadecast_server::support::lock::lock;
 use shadecast_server::update::{Shaded, ViewerUpdates};
 use shadecast_server::world::World;
@@ -345,8 +345,9 @@ impl<'a> ServerBench<'a> {
         self.now_ns += PERIOD_NS;
         let now = ServerTime(self.now_ns - SERVER_EPOCH_NS);
         self.head = HeadState { time: now, sequence: self.head.sequence.wrapping_add(1), ..self.head };
-        let told = Told { pose: Some(self.head), displayed: self.displayed.take(), ..Told::default() };
-        self.viewer.hear(told);
+        let reported =
+            Reported { head: Some(self.head), displayed: self.displayed.take(), ..Reported::default() };
+        self.viewer.apply(reported);
         self.forget();
         let effort = *self.world.effort();
         let (began, began_cpu_ns) = (Instant::now(), thread_cpu_ns());
