@@ -624,7 +624,7 @@ mod tests {
 
     fn placed(layout: &mut Layout, geometry: &impl Geometry, looks: &Looks) -> Vec<PlacementChange> {
         let [width, height] = layout.atlas.extent_texels();
-        let patches = ROOM.patches.min(width * height >> (2 * BLOCK_MIN_LOG2));
+        let patches = ROOM.patches.min((width * height) >> (2 * BLOCK_MIN_LOG2));
         placed_in(Room { patches, ..ROOM }, layout, geometry, looks)
     }
 

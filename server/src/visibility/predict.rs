@@ -4,7 +4,6 @@ use crate::time::VIEW_TIMES;
 use crate::time::view_time::ViewTime;
 use crate::visibility::frusta::{self, MIN_MARGIN};
 use glam::{Quat, Vec3};
-use shadecast_protocol::ids::DiscontinuityId;
 use shadecast_protocol::message::HeadState;
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::time::{Grid, ServerTime, WorldTime};
@@ -243,6 +242,7 @@ fn view_error(a: Pose, b: Pose) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use shadecast_protocol::ids::DiscontinuityId;
     use shadecast_protocol::time::DEFAULT_GRID;
     use shadecast_protocol::world_clock::Steer;
 
