@@ -1,6 +1,6 @@
 //! The render thread: one display frame after another.
 //!
-//! Prepared scenes, batches and bundles enter through [`crate::handover`], and poses from the display. Pictures leave for the
+//! Prepared scenes, batches and bundles enter through `handover`, and poses from the display. Pictures leave for the
 //! display, and notes on each display frame for the intake. Nothing here knows messages, codecs and sockets.
 
 mod figures;

@@ -1,5 +1,5 @@
 //! The render thread's half of the client. It takes prepared items, displays them and reports on them. One display frame is in
-//! [`super::frame`].
+//! `frame`.
 
 use super::figures::Figures;
 use super::renderer::Renderer;

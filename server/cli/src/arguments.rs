@@ -65,8 +65,12 @@ struct QualityArgs {
 /// How clips are sampled.
 #[derive(Clone, Copy, Debug, Args)]
 pub struct SamplingArgs {
-    /// How clips become keys: error-bounded[:0.1mm], or the paper's constant[:100ms]
-    #[arg(long, default_value_t)]
+    /// How clips become keys.
+    #[arg(
+        long,
+        default_value_t,
+        help = "How clips become keys: error-bounded[:0.1mm], or the paper's constant[:100ms]"
+    )]
     pub sampling: Sampling,
 }
 

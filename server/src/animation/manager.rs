@@ -1,5 +1,5 @@
 //! The animation manager: skeletons, clips and morph targets of the whole scene, as arrays for the GPU. Each is stored once,
-//! however many models and instances use it. Pure; [`super::gpu`] owns the buffers.
+//! however many models and instances use it. Pure; `skinning/gpu.rs` owns the buffers.
 
 use super::saved::MOST_PLACES;
 use super::timeline::Shown;

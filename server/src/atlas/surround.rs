@@ -1,7 +1,7 @@
 //! What no predicted view sees, but a head could see before an update arrives that knows of it: kept with small blocks, so that
 //! no turn of the head shows emptiness. Pure.
 //!
-//! [`Sweep`](crate::visibility::sweep::Sweep) finds it. What is largest on screen, and so what is near, comes first, until what the surround
+//! `Sweep` finds it. What is largest on screen, and so what is near, comes first, until what the surround
 //! may take is used up: a share of all that the client and the atlas hold, and half of what is left beside what is in view.
 
 use crate::atlas::capacity::{Candidate, Chooser};

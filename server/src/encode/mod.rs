@@ -2,7 +2,7 @@
 //!
 //! The caller ([`crate::serve::encoding`]) hands over pictures and gets access units; it does not know the encoder. Encoders
 //! know neither updates nor sockets, and have no clock: timestamps are arguments, so the same pictures always give the same
-//! bytes. [`openh264`] is the embedded encoder, [`raw`] codes nothing; hardware encoders stand beside them.
+//! bytes. [`openh264`] is the embedded encoder, `raw` codes nothing; hardware encoders stand beside them.
 //!
 //! Every picture is an [`I420`], and the stream declares its colours (VUI).
 

@@ -6,7 +6,7 @@
 //! gets; an encoder takes nothing back when a later picture is coded more coarsely. Pictures have what geometry and motion leave; what all of
 //! them took too much, or left, the next second's make good.
 //!
-//! What is left over is for more texels ([`crate::pacing::density`]).
+//! What is left over is for more texels (`density`).
 
 use crate::pacing::density::Spare;
 use shadecast_protocol::message::Codec;

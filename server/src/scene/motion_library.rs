@@ -1,7 +1,7 @@
 //! What clients can be told of the scene's motion, each thing once for the scene: skeletons, vertices before skinning, clips.
 //!
 //! Skeletons, morph targets and rings of poses have places in the client's arena that are the same for every client, at its
-//! beginning; chunks of clips share what is left ([`super::chunks`]).
+//! beginning; chunks of clips share what is left (`motion/chunks.rs`).
 
 use super::rasters::{Joints, Raster, Rasters};
 use crate::animation::manager::{AnimationManager, BoneOrder, rows};

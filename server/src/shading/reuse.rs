@@ -1,7 +1,7 @@
 //! The blocks to shade with an update: those with changed inputs. Pure.
 //!
 //! A block is remembered with the head that it was shaded for. Due are moving patches, patches in moving shadows or light, and
-//! patches that the head sees differently by more than [`SEEN_STEPS`]. Where the budget is too small, new blocks go first,
+//! patches that the head sees differently by more than `SEEN_STEPS`. Where the budget is too small, new blocks go first,
 //! because their places hold nothing. Next come blocks that have waited too long; then the largest, most changed and longest
 //! waiting ones.
 

@@ -1,7 +1,7 @@
 //! One update for one viewer, from the head's pose to the picture and the delta: the design's steps 1 to 8 on one page.
 //!
-//! A step has an owner: [`VisibilityStep`], [`PlacementStep`], [`ShadingStep`]. Between two of them stands a type: [`Start`],
-//! [`Begun`](visibility_step::Begun), [`Seen`](visibility_step::Seen), [`Looked`], [`Placed`], [`Shaded`]. Each step is a recording
+//! A step has an owner: `VisibilityStep`, `PlacementStep`, `ShadingStep`. Between two of them stands a type: `Start`,
+//! `Begun`, `Seen`, `Looked`, `Placed`, [`Shaded`]. Each step is a recording
 //! of its own; barriers inside a recording stand in the step that owns it. What does not depend on the viewer is the [`World`]'s.
 
 mod device_needs;

@@ -1,7 +1,7 @@
 //! Which level of detail each instance is shown at, for one viewer. Pure.
 //!
 //! A level will do while its error, as large as the nearest predicted eye sees it, stays within so many pixels, which follow from
-//! what bits and time there are ([`crate::pacing::density`]). It is given up at once when it does not, and a coarser one is taken only when
+//! what bits and time there are (`density`). It is given up at once when it does not, and a coarser one is taken only when
 //! there is room to spare. Where what is seen would not fit the client, the error that is allowed grows for all: in steps, which are
 //! taken back one after the other once there has been room for a while. Which patches of a level will be seen is only known once
 //! it was looked at; until then as large a part of them is taken to be seen as of the level that is shown.

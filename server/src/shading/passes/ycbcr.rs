@@ -137,7 +137,7 @@ impl Ycbcr {
         blocks.for_each(|block| self.work.add(block));
     }
 
-    /// Takes what the blocks are like in each cell: [`crate::atlas::allocator::Atlas::cell_extents`]. Chroma is made of a block's own
+    /// Takes what the blocks are like in each cell: `cell_extents`. Chroma is made of a block's own
     /// texels. No submitted work still reads it.
     pub fn write_cells(&mut self, cell_extents: &[u32]) {
         self.cell_extents.write(0, bytemuck::cast_slice(cell_extents));
