@@ -582,4 +582,4 @@ fn device_lost() -> Refused {
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
-mod replay;
+mod replay_tests;
