@@ -175,11 +175,6 @@ struct Open {
 unsafe impl Send for Open {}
 
 impl Candidate {
-    /// Whether the library that is linked has it at all.
-    pub(crate) fn is_known(&self) -> bool {
-        self.codec().is_some()
-    }
-
     fn codec(&self) -> Option<NonNull<av::AVCodec>> {
         let name = CString::new(self.name).ok()?;
         // SAFETY: the name is a string of C; what comes back lives as long as the library.
