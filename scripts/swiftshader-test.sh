@@ -22,7 +22,7 @@ fi
 export VK_DRIVER_FILES=$manifest
 
 # A driver that does not load would leave the tests to another device, or to none.
-cargo run --locked -p shadecast-server -- doctor --device SwiftShader --listen 127.0.0.1:0
+cargo run --locked -p shadecast-server-cli -- doctor --device SwiftShader --listen 127.0.0.1:0
 cargo test --locked --no-fail-fast -p shadecast-gpu
 cargo test --locked --no-fail-fast -p shadecast-client --lib stages
 cargo test --locked --no-fail-fast -p shadecast-e2e --test stages --test id_buffer --test light --test material --test animation -- "$@"
