@@ -256,6 +256,8 @@ fn clips_of_real_models_are_kept_within_their_bound() {
     paths.retain(|path| {
         path.extension().is_some_and(|e| ["glb", "gltf", "fbx"].iter().any(|kind| e == *kind))
     });
+    // What the importer refuses, its own tests say.
+    paths.retain(|path| !path.to_string_lossy().ends_with("-draco.glb"));
     paths.sort();
     let mut clips = 0;
     for path in paths {
