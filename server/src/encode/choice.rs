@@ -363,8 +363,10 @@ mod tests {
         assert_eq!(ask("openh264"), Ok("openh264"));
         assert_eq!(ask("auto"), Ok("openh264"));
         let text = |name| ask(name).expect_err("not there").to_string();
+        let unknown = text("h265");
         assert!(
-            text("h265").contains("h265: this program has no encoder of that name; here there is openh264")
+            unknown.contains("h265: this program has no encoder of that name; available: openh264"),
+            "{unknown}"
         );
         assert!(text("h264_nvenc").contains("no card"), "{}", text("h264_nvenc"));
     }
