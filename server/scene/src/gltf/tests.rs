@@ -775,7 +775,7 @@ fn all_real_assets_load_and_move_as_they_should() {
         let around = Surroundings::of(&path, &Cancel::default());
         let loaded = import(&bytes, "asset", &around).map_err(|fault| fault.in_file("x"));
         if path.to_string_lossy().ends_with("-draco.glb") {
-            let refused = loaded.err().expect("nobody here reads Draco").to_string();
+            let refused = loaded.expect_err("nobody here reads Draco").to_string();
             assert!(refused.contains("export without Draco compression"), "{refused}");
             continue;
         }
