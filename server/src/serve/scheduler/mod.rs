@@ -52,8 +52,6 @@ pub enum Action<V> {
 pub struct UpdateCost {
     /// Device and CPU, in a row, nanoseconds.
     pub took_ns: i64,
-    /// The CPU's part, nanoseconds.
-    pub cpu_ns: i64,
     /// Viewers that share the device.
     pub viewers: usize,
 }
@@ -102,11 +100,6 @@ impl<V: Copy + Ord> Scheduler<V> {
     /// Nanoseconds from one update of a viewer to the next.
     pub fn period_ns(&self) -> i64 {
         self.period_ns
-    }
-
-    /// Viewers that share the device.
-    pub fn viewers(&self) -> usize {
-        self.seats.len()
     }
 
     /// A viewer has come; its first update is due at once.
@@ -177,7 +170,7 @@ impl<V: Copy + Ord> Scheduler<V> {
         seat.is_made = true;
         self.turns.served(&mut seat.share, seat.update_ns);
         seat.overlap.note(StepTimes { device_ns, placement_ns: cpu_ns, encode_ns: seat.encode_ns });
-        Some(UpdateCost { took_ns: seat.update_ns, cpu_ns, viewers })
+        Some(UpdateCost { took_ns: seat.update_ns, viewers })
     }
 
     /// What is next.
