@@ -232,7 +232,7 @@ fn foveation(text: &str) -> Result<Foveation, Wrong> {
     }
 }
 
-/// Looks like `HOST:PORT`; whether the host is known only the network can say. An IPv6 host stands in brackets.
+/// Has the form `HOST:PORT`; whether the host is known only the network can say. An IPv6 host stands in brackets.
 fn is_address(text: &str) -> bool {
     if let Ok(address) = text.parse::<SocketAddr>() {
         return address.port() > 0;

@@ -85,9 +85,9 @@ struct Arguments {
     /// Interpolation of colours between atlas texels
     #[arg(long, value_enum, default_value_t = ReconstructionArgument::Bilinear)]
     reconstruction: ReconstructionArgument,
-    /// MSAA samples; 2 falls back to 4 where unsupported
-    #[arg(long, value_name = "SAMPLES", default_value = "4", value_parser = ["1", "2", "4"])]
-    msaa: String,
+    /// MSAA samples; 2 falls back to 4 where unsupported [default: 4, and 1 in a window of a device without a GPU]
+    #[arg(long, value_name = "SAMPLES", value_parser = ["1", "2", "4"])]
+    msaa: Option<String>,
     /// Requested refresh rate; the nearest offered rate is used [default: chosen by the runtime]
     #[arg(long, value_name = "HZ", conflicts_with = "window", value_parser = number(1.0_f32..=1000.0, "frames a second"))]
     refresh: Option<f32>,
@@ -228,7 +228,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 },
                 ..Lookup::default()
             },
-            msaa: arguments.msaa.parse().unwrap_or(ClientOptions::default().msaa),
+            msaa: arguments.msaa.as_ref().and_then(|samples| samples.parse().ok()),
             ..ClientOptions::default()
         },
         seconds: arguments.seconds,

@@ -13,7 +13,7 @@ pub struct ClientOptions {
     /// How positions between samples are found.
     pub interpolation: Interpolation,
     /// Samples per pixel: 1, 2 or 4.
-    pub msaa: u32,
+    pub msaa: Option<u32>,
     /// How the atlas is looked up.
     pub lookup: Lookup,
     /// How decoding takes time.
@@ -36,7 +36,7 @@ impl Default for ClientOptions {
     fn default() -> Self {
         Self {
             interpolation: Interpolation::Cubic,
-            msaa: 4,
+            msaa: None,
             lookup: Lookup::default(),
             decoding: DecodeTiming::Thread { now: platform::CLOCK },
             codecs: &[Codec::H264],

@@ -7,7 +7,7 @@ use rand::{Rng, SeedableRng};
 use shadecast_client::client::{Client, ClientError, FrameReport, Notice, Step};
 use shadecast_client::decode::{DecodeError, Decoder};
 use shadecast_client::draw::stages::FRAMES_IN_FLIGHT;
-use shadecast_gpu::{Gpu, vk};
+use shadecast_gpu::{Gpu, MemoryUse, vk};
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent, ScriptedHand, ScriptedInput};
 use shadecast_mock_runtime::record::{Side, read_frames};
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
@@ -865,6 +865,48 @@ fn undecodable_sessions_leave_the_displayed_scene_alone() {
     let failures =
         std::iter::from_fn(|| client.intake.poll_notice()).filter(|n| matches!(n, Notice::Failed(_)));
     assert_eq!(failures.count(), 1, "and the driver knows");
+    finish(&run, client);
+}
+
+/// As [`Line::turn`], with an intake on a thread of its own, which runs once a turn.
+fn turn_apart(line: &mut Line, client: &mut Client) {
+    let now = line.begin(client);
+    client.intake.take_presented();
+    client.intake.advance(now);
+    client.intake.prepare();
+    let turn = client.presenter.wait_turn().expect("a turn");
+    client.presenter.present(turn, None).expect("a step");
+    line.answer(client);
+    line.deliver(client, now);
+}
+
+#[test]
+fn at_most_two_scenes_are_held_by_servers_that_come_and_go() {
+    let run = Run::unseen(MockConfig::default());
+    let mut client = run.client();
+    let mut first = Line::connect(&mut client);
+    first.send(static_patches(), &planes([0, 64]), true);
+    for _ in 0..3 {
+        first.frame(&mut client);
+    }
+    let held_bytes = |client: &Client| {
+        let of_name = |used: &MemoryUse| (used.name == "vertex positions").then_some(used.bytes);
+        client.presenter.gpu().memory().iter().filter_map(of_name).sum::<u64>()
+    };
+    let one_scene = held_bytes(&client);
+    let (mut most, mut frames) = (0, first.frames);
+    for _ in 0..6 {
+        let mut line = Line { frames, ..Line::new(Pose::IDENTITY, SERVER_AHEAD_NS) };
+        client.intake.on_connected(at(1_000_000_000 + line.frames * PERIOD_NS));
+        let from = client.presenter.stats().connections;
+        while client.presenter.stats().connections == from {
+            turn_apart(&mut line, &mut client);
+            most = most.max(held_bytes(&client));
+        }
+        frames = line.frames;
+    }
+    assert_eq!(client.presenter.stats().connections, 7, "each brought a scene");
+    assert_eq!(most, 2 * one_scene);
     finish(&run, client);
 }
 

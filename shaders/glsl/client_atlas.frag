@@ -1,6 +1,6 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
-// Looks the atlas up, all planes in a straight line between texels.
+// Samples the atlas, all planes linearly.
 #include "client_atlas.glsl"
 
 void main() {

@@ -1,6 +1,6 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
-// Looks the atlas up, luma by a cubic.
+// Samples the atlas, luma with a cubic filter.
 #include "client_atlas.glsl"
 
 void main() {

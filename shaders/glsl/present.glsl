@@ -10,6 +10,7 @@ layout(push_constant) uniform PresentPush {
     uint codes_srgb;     // 1: the window's format does not
     vec2 window_extent;  // pixels
     vec2 pane_extent;    // pixels of each picture on the window
+    vec2 picture_part;   // of the picture that is drawn, from its first corner on, 0..1
     uint panes;          // pictures beside each other
 };
 #include "text.glsl"

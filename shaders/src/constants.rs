@@ -125,11 +125,13 @@ shared! {
 
     /// Kinds of patches, which are numbers of triangles: 1 to this.
     PATCH_KINDS: u32 = PatchKind::ALL.len() as u32;
+    /// A word of a patch that is visible as a neighbour of what a view shows.
+    SPREAD: u32 = 2;
     /// The kind of a patch of one triangle.
     PATCH_ONE: u32 = PatchKind::One as u32;
     /// The kind of a patch of two triangles.
     PATCH_TWO: u32 = PatchKind::Two as u32;
-    /// Largest projected extent that level selection tells.
+    /// Largest projected extent that the extents pass tells.
     MAX_PATCH_EXTENT_TEXELS: f32 = 65535.0;
     /// Beyond this cosine from the middle of the view, 66 degrees, a pixel's footprint is not that of a flat picture any more.
     EDGE_COSINE: f32 = 0.4;

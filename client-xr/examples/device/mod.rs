@@ -19,7 +19,7 @@ pub fn open(
     let desc = ImageDesc { layers: 2, ..ImageDesc::new("eyes", [side; 2], format, usage) };
     let image = Image::new(&gpu, desc)?;
     let images = &[image.handle()];
-    let images = EyeImages { images, format, extent_pixels: [side; 2], density_maps: None };
+    let images = EyeImages { images, format, extent_pixels: [side; 2], one_eye: false, density_maps: None };
     let targets = EyeTargets::new(&gpu, images, samples)?;
     Ok((gpu, image, targets))
 }

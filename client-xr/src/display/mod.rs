@@ -8,7 +8,7 @@ pub mod window;
 pub mod xr;
 
 use glam::{Quat, Vec3};
-use shadecast_gpu::{Gpu, GpuError, vk};
+use shadecast_gpu::{Gpu, GpuError, Part, vk};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::time::ClientTime;
 use std::sync::Arc;
@@ -105,6 +105,8 @@ pub struct EyeImages<'a> {
     pub format: vk::Format,
     /// Width and height of one eye in pixels.
     pub extent_pixels: [u32; 2],
+    /// Whether the left eye may be drawn alone.
+    pub one_eye: bool,
     /// What says where fewer fragments are enough, where there is such a thing.
     pub density_maps: Option<DensityMaps<'a>>,
 }
@@ -141,6 +143,11 @@ pub trait Display {
 
     /// What is drawn to.
     fn eye_images(&self) -> EyeImages<'_>;
+
+    /// What is drawn of them in this frame.
+    fn part(&self) -> Part {
+        Part { extent: self.eye_images().extent_pixels, first_alone: false }
+    }
 
     /// Asks for the session's end; [`Activity::Exit`] follows.
     fn request_exit(&mut self);

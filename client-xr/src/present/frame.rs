@@ -65,10 +65,11 @@ impl Presenter {
         }
         let flight = self.next_flight(intake.is_some())?;
         self.give_back()?;
-        self.take_prepared()?;
+        self.count_held_turn(flight.is_some());
+        self.take_prepared(intake.is_none())?;
         if let Some(intake) = intake {
             self.let_prepare(intake)?;
-            self.take_prepared()?;
+            self.take_prepared(false)?;
         }
         match (turn, flight) {
             (Turn::Frame(turn), Some(flight)) if turn.should_render => self.render(turn, flight),
@@ -123,10 +124,11 @@ impl Presenter {
         let content = self.record_scene(&mut recorder, flight, &turn)?;
 
         let image = self.renderer.display.acquire_image()?;
+        let part = self.renderer.display.part();
         let world = self.scenes.shown().filter(|_| content.update.is_some());
         let (stages, words) = (&mut self.renderer.stages, &self.renderer.words);
         recorder.scope("draw", |r| {
-            stages.targets.begin(r, image);
+            stages.targets.begin_part(r, image, part);
             if let Some(scene) = world {
                 scene.record_draw(r, stages, flight, content.scene.drawn);
             }

@@ -23,6 +23,9 @@ use std::thread::Thread;
 
 /// Loans of the scene on display and of the one that follows it.
 const MOST_LOANS: usize = 2 * (BATCHES + BUNDLES);
+/// Turns of the display for which a new scene waits, at most, for the memory of ended ones, while the device takes more work. A display
+/// that shows nothing records nothing, and so frees nothing.
+const MOST_HELD_TURNS: u32 = 8;
 
 /// See the module. Fields are dropped in this order: scenes go before the device that made them.
 pub struct Presenter {
@@ -31,6 +34,9 @@ pub struct Presenter {
     spent: Vec<(Option<Ticket>, Loan, u64)>,
     pub(crate) renderer: Renderer,
     end: PresenterEnd,
+    /// A scene that waits for the memory of ended ones, before everything that came after it.
+    held: Option<Prepared>,
+    held_turns: u32,
     pub(crate) interpolation: Interpolation,
     counters: Counters,
     figures: Figures,
@@ -60,6 +66,8 @@ impl Presenter {
             spent: Vec::with_capacity(MOST_LOANS),
             renderer: Renderer::new(display, options.msaa, options.lookup)?,
             end,
+            held: None,
+            held_turns: 0,
             interpolation: options.interpolation,
             counters,
             figures: Figures::default(),
@@ -130,9 +138,18 @@ impl Presenter {
         self.spent.extend(spent);
     }
 
-    /// Takes what the intake has prepared to where it is shown.
-    pub(crate) fn take_prepared(&mut self) -> Result<(), ClientError> {
-        while let Some(prepared) = self.end.take() {
+    /// Another turn for a scene that is held. Of a device that is busy, memory will come.
+    pub(crate) fn count_held_turn(&mut self, takes_work: bool) {
+        self.held_turns += u32::from(takes_work && self.held.is_some());
+    }
+
+    /// Takes what the intake has prepared to where it is shown. With `is_alone`, the intake runs on a thread of its own.
+    pub(crate) fn take_prepared(&mut self, is_alone: bool) -> Result<(), ClientError> {
+        while let Some(prepared) = self.held.take().or_else(|| self.end.take()) {
+            if is_alone && matches!(prepared, Prepared::Scene(..)) && self.waits_for_memory() {
+                self.held = Some(prepared);
+                return Ok(());
+            }
             match prepared {
                 Prepared::Status(text) => {
                     self.renderer.set_status(&text);
@@ -158,9 +175,16 @@ impl Presenter {
         Ok(())
     }
 
+    /// Whether a new scene is to wait for another turn: with servers that come and go quickly, the memory of three scenes and more
+    /// would be held at once.
+    fn waits_for_memory(&self) -> bool {
+        self.counters.connections > 0 && self.held_turns < MOST_HELD_TURNS && self.renderer.gpu.has_retired()
+    }
+
     fn begin_scene(&mut self, terms: Welcome, serial: u64) -> Result<(), ClientError> {
         let Renderer { gpu, stages, .. } = &self.renderer;
         self.counters.connections += 1;
+        self.held_turns = 0;
         self.counters.sample_ring = terms.motion.sample_ring;
         let (scene, loans) = Scene::new(gpu, stages, terms, serial)?;
         self.counters.motion_memory_bytes = scene.motion_memory_bytes();

@@ -21,6 +21,9 @@ use std::sync::Arc;
 /// Bytes of a status that are said again in a notice: more than a panel has characters.
 const MOST_STATUS_BYTES: usize = 512;
 
+/// Samples a pixel where nobody wants another number.
+const USUAL_MSAA: u32 = 4;
+
 /// What draws. Fields are dropped in this order: what the device made goes before the session.
 pub(crate) struct Renderer {
     pub(crate) stages: Stages,
@@ -58,9 +61,16 @@ pub(crate) struct Words {
 
 impl Renderer {
     /// On an open display, with so many samples a pixel.
-    pub(crate) fn new(display: Box<dyn Display>, msaa: u32, lookup: Lookup) -> Result<Self, GpuError> {
+    pub(crate) fn new(
+        display: Box<dyn Display>,
+        msaa: Option<u32>,
+        lookup: Lookup,
+    ) -> Result<Self, GpuError> {
         let gpu = display.gpu().clone();
-        let samples = samples(msaa, display.gpu().sample_counts());
+        let eyes = display.eye_images();
+        // Without a GPU each sample costs as much as a pixel.
+        let usual = if eyes.one_eye && gpu.is_cpu() { 1 } else { USUAL_MSAA };
+        let samples = samples(msaa.unwrap_or(usual), display.gpu().sample_counts());
         let words = Words {
             stage_from_panel: None,
             status: Text::new("Shadecast"),

@@ -103,7 +103,7 @@ pub struct Arrays {
 
 /// What decides which pose an instance is in. Equal keys share a palette.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct PoseKey {
+pub(crate) struct PoseKey {
     skeleton: usize,
     now: TrackTime,
     /// What is faded out, and the bits of its share.
@@ -225,7 +225,13 @@ impl AnimationManager {
     }
 
     /// The pose of a key for the GPU in a place of the ring, its bones and palette where the caller has room for them.
-    pub fn pose(&self, key: PoseKey, place: RingPlace, global_base: u32, palette_base: u32) -> PoseGpu {
+    pub(crate) fn pose(
+        &self,
+        key: PoseKey,
+        place: RingPlace,
+        global_base: u32,
+        palette_base: u32,
+    ) -> PoseGpu {
         let skeleton = &self.skeletons[key.skeleton];
         let (track_base, phase_s) = self.tracks_of(key.now, place);
         let fading = key.fading.map(|(moment, share)| (self.tracks_of(moment, place), f32::from_bits(share)));
@@ -261,12 +267,12 @@ impl AnimationManager {
     }
 
     /// The skeleton of a pose.
-    pub fn skeleton(&self, key: PoseKey) -> &Skeleton {
+    pub(crate) fn skeleton(&self, key: PoseKey) -> &Skeleton {
         &self.skeletons[key.skeleton]
     }
 
     /// The morph weights of a pose.
-    pub fn morph_weights(&self, key: PoseKey) -> impl Iterator<Item = f32> + '_ {
+    pub(crate) fn morph_weights(&self, key: PoseKey) -> impl Iterator<Item = f32> + '_ {
         let of = |moment: TrackTime| {
             let (clip, phase_s) = match moment {
                 TrackTime::Clip(clip, phase_bits) => (clip, f64::from_bits(phase_bits)),
@@ -359,7 +365,7 @@ fn track_kind(interpolation: KeyInterpolation) -> u32 {
 }
 
 /// An affine transform as rows.
-pub fn rows(transform: Affine3A) -> [[f32; 4]; AFFINE_ROWS as usize] {
+pub(crate) fn rows(transform: Affine3A) -> [[f32; 4]; AFFINE_ROWS as usize] {
     let (m, t) = (transform.matrix3, transform.translation);
     [0, 1, 2].map(|r| [m.x_axis[r], m.y_axis[r], m.z_axis[r], t[r]])
 }

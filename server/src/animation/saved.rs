@@ -85,7 +85,7 @@ impl Saved {
     }
 
     /// A place holds another time from now on: nothing yet.
-    pub fn begin(&mut self, place: RingPlace) {
+    pub(crate) fn begin(&mut self, place: RingPlace) {
         let of_place = &mut self.places[place.index()];
         of_place.next = of_place.room.start;
         let count = self.instances.len();
@@ -93,7 +93,7 @@ impl Saved {
     }
 
     /// Makes room for an instance in a place, unless it has; gives its first vertex. `None` where the place is full.
-    pub fn keep(&mut self, instance: usize, place: RingPlace) -> Option<u32> {
+    pub(crate) fn keep(&mut self, instance: usize, place: RingPlace) -> Option<u32> {
         if let Some(base) = self.base(instance, place) {
             return Some(base);
         }
@@ -105,7 +105,7 @@ impl Saved {
     }
 
     /// The first vertex of an instance in a place; `None` where it is not there.
-    pub fn base(&self, instance: usize, place: RingPlace) -> Option<u32> {
+    pub(crate) fn base(&self, instance: usize, place: RingPlace) -> Option<u32> {
         match self.instances[instance].moves {
             true => self.bases[place.index() * self.instances.len() + instance],
             false => Some(self.still[instance]),

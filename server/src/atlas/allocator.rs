@@ -1,14 +1,14 @@
 //! The shading atlas's memory: superblocks of side max(64, block side), each cut into blocks of one size.
 //!
 //! Blocks keep their address while patch and size stay. The allocator is deterministic: the lowest free address
-//! wins. It knows nothing of patches, levels or time.
+//! wins. It knows nothing of patches, LODs or time.
 
 use crate::support::bit_set::BitSet;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize};
 use shadecast_protocol::limits::{BLOCK_MAX_LOG2, BLOCK_MIN_LOG2, SUPERBLOCK_MIN_LOG2};
 
 const CELL_LOG2: u32 = SUPERBLOCK_MIN_LOG2;
-const LEVELS: usize = (BLOCK_MAX_LOG2 - SUPERBLOCK_MIN_LOG2 + 1) as usize;
+const SUPERBLOCK_SIDES: usize = (BLOCK_MAX_LOG2 - SUPERBLOCK_MIN_LOG2 + 1) as usize;
 /// Sides that a block may have.
 const SIDES: usize = (BLOCK_MAX_LOG2 - BLOCK_MIN_LOG2 + 1) as usize;
 /// Blocks of the smallest size in the smallest superblock: 16 x 16.
@@ -19,7 +19,7 @@ const MAX_PLACES_WORDS: usize = 4;
 pub(crate) struct Atlas {
     extent: AtlasExtent,
     /// Cells of free superblock corners by size: 64, 128, 256, 512.
-    free: [BitSet; LEVELS],
+    free: [BitSet; SUPERBLOCK_SIDES],
     /// Superblocks in use, by the cell of their corner.
     used: Vec<Option<Superblock>>,
     /// Cells of superblocks that have a block free, by the size of their blocks.
@@ -64,7 +64,7 @@ impl Superblock {
 
 impl Atlas {
     /// An empty atlas.
-    pub fn new(extent: AtlasExtent) -> Self {
+    pub(crate) fn new(extent: AtlasExtent) -> Self {
         let largest = 1 << BLOCK_MAX_LOG2;
         let cells = extent.texels().map(|side| side >> CELL_LOG2).iter().product::<u32>() as usize;
         let smallest = BlockSize::new(BLOCK_MIN_LOG2 as u8, BLOCK_MIN_LOG2 as u8).expect("a size");
@@ -79,7 +79,7 @@ impl Atlas {
         for y in (0..extent.height()).step_by(largest) {
             for x in (0..extent.width()).step_by(largest) {
                 let cell = atlas.cell((y, x));
-                atlas.free[LEVELS - 1].insert(cell);
+                atlas.free[SUPERBLOCK_SIDES - 1].insert(cell);
             }
         }
         atlas
@@ -96,7 +96,7 @@ impl Atlas {
     }
 
     /// Width and height in texels.
-    pub fn extent_texels(&self) -> [u32; 2] {
+    pub(crate) fn extent_texels(&self) -> [u32; 2] {
         self.extent.texels()
     }
 
@@ -107,12 +107,12 @@ impl Atlas {
 
     /// What the blocks are like in each cell of the smallest superblock's side, in rows: width | height << 16, in texels. All
     /// blocks of a cell are alike, and lie at multiples of their sides. What is free is as it was.
-    pub fn cell_extents(&self) -> &[u32] {
+    pub(crate) fn cell_extents(&self) -> &[u32] {
         &self.cell_extents
     }
 
     /// A block of this size, or `None` where the atlas is full.
-    pub fn allocate(&mut self, size: BlockSize) -> Option<Block> {
+    pub(crate) fn allocate(&mut self, size: BlockSize) -> Option<Block> {
         let corner = match self.open[index_of(size)].first() {
             Some(cell) => self.corner(cell),
             None => self.open_superblock(size)?,
@@ -129,7 +129,7 @@ impl Atlas {
     }
 
     /// This very block, where it is free.
-    pub fn take(&mut self, block: Block) -> bool {
+    pub(crate) fn take(&mut self, block: Block) -> bool {
         let (corner, side_log2) = (self.superblock_of(block), side_log2(block.size));
         if self.superblock(corner).is_none() {
             if !self.take_superblock_at(corner, (side_log2 - CELL_LOG2) as usize) {
@@ -165,7 +165,7 @@ impl Atlas {
     ///
     /// # Panics
     /// The block was not allocated here: a mistake of ours.
-    pub fn free(&mut self, block: Block) {
+    pub(crate) fn free(&mut self, block: Block) {
         let corner = self.superblock_of(block);
         let cell = self.cell(corner);
         let superblock = self.used[cell].as_mut().expect("a block of this atlas");
@@ -215,58 +215,58 @@ impl Atlas {
         self.open[index_of(size)].insert(cell);
     }
 
-    /// The lowest free superblock of a level, split from the smallest larger one where there is none.
-    fn take_superblock(&mut self, level: usize) -> Option<(u32, u32)> {
-        if let Some(cell) = self.free[level].pop_first() {
+    /// The lowest free superblock of a side, split from the smallest larger one where there is none.
+    fn take_superblock(&mut self, side_index: usize) -> Option<(u32, u32)> {
+        if let Some(cell) = self.free[side_index].pop_first() {
             return Some(self.corner(cell));
         }
-        if level + 1 == LEVELS {
+        if side_index + 1 == SUPERBLOCK_SIDES {
             return None;
         }
-        let (y, x) = self.take_superblock(level + 1)?;
-        let side = 1 << (CELL_LOG2 + level as u32);
-        self.give(level, [(y, x + side), (y + side, x), (y + side, x + side)]);
+        let (y, x) = self.take_superblock(side_index + 1)?;
+        let side = 1 << (CELL_LOG2 + side_index as u32);
+        self.give(side_index, [(y, x + side), (y + side, x), (y + side, x + side)]);
         Some((y, x))
     }
 
-    /// The superblock of a level at this very corner, split from a larger one where that is free.
-    fn take_superblock_at(&mut self, corner: (u32, u32), level: usize) -> bool {
+    /// The superblock of a side at this very corner, split from a larger one where that is free.
+    fn take_superblock_at(&mut self, corner: (u32, u32), side_index: usize) -> bool {
         let cell = self.cell(corner);
-        if self.free[level].remove(cell) {
+        if self.free[side_index].remove(cell) {
             return true;
         }
-        let side = 1u32 << (CELL_LOG2 + level as u32);
+        let side = 1u32 << (CELL_LOG2 + side_index as u32);
         let parent = (corner.0 & !(2 * side - 1), corner.1 & !(2 * side - 1));
-        if level + 1 == LEVELS || !self.take_superblock_at(parent, level + 1) {
+        if side_index + 1 == SUPERBLOCK_SIDES || !self.take_superblock_at(parent, side_index + 1) {
             return false;
         }
         let (y, x) = parent;
-        self.give(level, [(y, x), (y, x + side), (y + side, x), (y + side, x + side)]);
-        self.free[level].remove(cell)
+        self.give(side_index, [(y, x), (y, x + side), (y + side, x), (y + side, x + side)]);
+        self.free[side_index].remove(cell)
     }
 
-    /// Superblocks of a level are free.
-    fn give<const N: usize>(&mut self, level: usize, corners: [(u32, u32); N]) {
+    /// Superblocks of a side are free.
+    fn give<const N: usize>(&mut self, side_index: usize, corners: [(u32, u32); N]) {
         for cell in corners.map(|corner| self.cell(corner)) {
-            self.free[level].insert(cell);
+            self.free[side_index].insert(cell);
         }
     }
 
     /// Puts a superblock back and joins it with its three siblings while all are free.
     fn return_superblock(&mut self, corner: (u32, u32), side_log2: u32) {
-        let level = (side_log2 - CELL_LOG2) as usize;
+        let side_index = (side_log2 - CELL_LOG2) as usize;
         let (side, parent) = (1u32 << side_log2, !((2u32 << side_log2) - 1));
         let (y, x) = (corner.0 & parent, corner.1 & parent);
-        if level + 1 == LEVELS {
-            return self.give(level, [corner]);
+        if side_index + 1 == SUPERBLOCK_SIDES {
+            return self.give(side_index, [corner]);
         }
         let siblings = [(y, x), (y, x + side), (y + side, x), (y + side, x + side)].map(|at| self.cell(at));
         let cell = self.cell(corner);
-        if !siblings.iter().all(|sibling| *sibling == cell || self.free[level].contains(*sibling)) {
-            return self.give(level, [corner]);
+        if !siblings.iter().all(|sibling| *sibling == cell || self.free[side_index].contains(*sibling)) {
+            return self.give(side_index, [corner]);
         }
         for sibling in siblings {
-            self.free[level].remove(sibling);
+            self.free[side_index].remove(sibling);
         }
         self.return_superblock((y, x), side_log2 + 1);
     }
@@ -274,8 +274,10 @@ impl Atlas {
     /// Texels of free superblocks and of free blocks inside superblocks in use.
     #[cfg(test)]
     pub(crate) fn free_texels(&self) -> u64 {
-        let whole: u64 = (0..LEVELS)
-            .map(|level| (self.free[level].count() as u64) << (2 * (CELL_LOG2 as usize + level)))
+        let whole: u64 = (0..SUPERBLOCK_SIDES)
+            .map(|side_index| {
+                (self.free[side_index].count() as u64) << (2 * (CELL_LOG2 as usize + side_index))
+            })
             .sum();
         let used = self.used.iter().flatten();
         let partial: u64 = used.map(|s| u64::from(s.places() - s.count) * u64::from(s.size.texels())).sum();
@@ -378,7 +380,7 @@ mod tests {
             }
         }
         live.drain(..).for_each(|block| atlas.free(block));
-        assert_eq!(atlas.free[LEVELS - 1].count(), 2, "everything joins again");
+        assert_eq!(atlas.free[SUPERBLOCK_SIDES - 1].count(), 2, "everything joins again");
         assert!(taken > 500, "{taken} were free still");
     }
 

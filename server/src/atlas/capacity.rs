@@ -17,7 +17,7 @@ const MAX_TRIANGLES: usize = 6;
 
 /// A patch that could be shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Candidate {
+pub(crate) struct Candidate {
     /// The patch.
     pub patch: ScenePatch,
     /// Whether a view shows it, or did so a moment ago. Those go before what is only held.
@@ -64,7 +64,7 @@ impl Chooser {
     }
 
     /// Leaves all `candidates`, or those that matter most of them and have room: in patch order, as they came.
-    pub fn choose(&mut self, geometry: &impl Geometry, room: Room, candidates: &mut Vec<Candidate>) {
+    pub(crate) fn choose(&mut self, geometry: &impl Geometry, room: Room, candidates: &mut Vec<Candidate>) {
         if self.all_fit(geometry, room, candidates.iter().map(|candidate| candidate.patch)) {
             return;
         }
@@ -146,7 +146,7 @@ pub(crate) struct Shortage {
 
 impl Shortage {
     /// Takes the number of patches in view that one update does not show; says when a shortage begins and when it ends.
-    pub fn update(&mut self, missing: usize) -> Option<Notice> {
+    pub(crate) fn update(&mut self, missing: usize) -> Option<Notice> {
         self.total += missing as u64;
         match (&mut self.now, missing) {
             (None, 0) => None,
@@ -168,7 +168,7 @@ impl Shortage {
     }
 
     /// Patches in view that were not shown, summed over all updates.
-    pub fn total(&self) -> u64 {
+    pub(crate) fn total(&self) -> u64 {
         self.total
     }
 }

@@ -5,7 +5,7 @@ use shadecast_protocol::atlas::Block;
 
 /// A patch that has a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Placed {
+pub(crate) struct Placed {
     /// The patch.
     pub patch: ScenePatch,
     /// Its block.
@@ -16,7 +16,7 @@ pub struct Placed {
 
 /// A block that changed with this update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PlacementChange {
+pub(crate) struct PlacementChange {
     /// The patch.
     pub patch: ScenePatch,
     /// Its block now; `None`: it has none any more.

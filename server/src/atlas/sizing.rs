@@ -76,7 +76,7 @@ impl Shape {
     }
 
     /// What becomes of its block where so many texels are asked for a pixel.
-    pub fn turn(&self, patch: ScenePatch, density: f32) -> Turn {
+    pub(crate) fn turn(&self, patch: ScenePatch, density: f32) -> Turn {
         let exact = wanted_size(self.extent_at(density), None);
         let area_texels = u32::from(self.extent[0]) * u32::from(self.extent[1]);
         let Some((now, follows)) = self.block else {

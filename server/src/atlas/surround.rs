@@ -22,7 +22,7 @@ const LEFT_FREE: f32 = 0.5;
 
 /// A patch that could be kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Kept {
+pub(crate) struct Kept {
     /// The patch, and how much it matters.
     pub candidate: Candidate,
     /// Texels of its block.
@@ -31,7 +31,7 @@ pub struct Kept {
 
 /// A patch that a glance saw.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Seen {
+pub(crate) struct Seen {
     /// The patch.
     pub patch: ScenePatch,
     /// Width and height in texels at density 1: the largest of this round of the sweep and of the last, which look from several
@@ -59,7 +59,7 @@ impl Seen {
 
 /// See the module.
 #[derive(Clone, Debug)]
-pub struct Surround {
+pub(crate) struct Surround {
     share: f32,
     chooser: Chooser,
     /// What was seen within a round of the sweep, ascending.
@@ -71,7 +71,7 @@ pub struct Surround {
 
 impl Surround {
     /// With a share of a client's room, 0..1.
-    pub fn new(share: f32) -> Self {
+    pub(crate) fn new(share: f32) -> Self {
         Self { share, chooser: Chooser::default(), seen: Vec::new(), before: Vec::new(), chosen: Vec::new() }
     }
 
@@ -81,7 +81,7 @@ impl Surround {
     }
 
     /// A glance of `update` saw these, ascending.
-    pub fn see(&mut self, update: u32, now: impl Iterator<Item = (ScenePatch, [u16; 2])>) {
+    pub(crate) fn see(&mut self, update: u32, now: impl Iterator<Item = (ScenePatch, [u16; 2])>) {
         std::mem::swap(&mut self.seen, &mut self.before);
         self.seen.clear();
         let before = &self.before;
@@ -95,13 +95,13 @@ impl Surround {
     }
 
     /// What was seen within a round, ascending.
-    pub fn seen(&self) -> &[Seen] {
+    pub(crate) fn seen(&self) -> &[Seen] {
         &self.seen
     }
 
     /// Those of `kept` that fit what may be taken, of a client that has of its `room` so much `left`, and an atlas of so many texels;
     /// ascending.
-    pub fn choose(
+    pub(crate) fn choose(
         &mut self,
         geometry: &impl Geometry,
         kept: &mut [Kept],

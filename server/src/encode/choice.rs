@@ -39,7 +39,7 @@ pub struct NoSuchEncoder {
 }
 
 /// Makes an encoder.
-pub type Make = Arc<dyn Fn(EncoderSettings) -> Result<Box<dyn Encoder>, EncodeError> + Send + Sync>;
+pub(crate) type Make = Arc<dyn Fn(EncoderSettings) -> Result<Box<dyn Encoder>, EncodeError> + Send + Sync>;
 
 /// An encoder that can be made.
 #[derive(Clone)]
@@ -141,7 +141,7 @@ impl Encoders {
     ///
     /// # Errors
     /// The settings are outside of their ranges, or none can be made.
-    pub fn encoder(&self, settings: EncoderSettings) -> Result<Box<dyn Encoder>, EncodeError> {
+    pub(crate) fn encoder(&self, settings: EncoderSettings) -> Result<Box<dyn Encoder>, EncodeError> {
         let (number, encoder) = self.make(self.first.load(Ordering::Relaxed), settings)?;
         if number + 1 == self.kinds.len() {
             return Ok(encoder);
@@ -359,7 +359,9 @@ mod tests {
     #[test]
     fn a_name_that_is_not_there_is_answered_with_those_that_are() {
         let all = || vec![(unmade("h264_nvenc"), Err("no card".to_owned())), (openh264(), Ok(()))];
-        let ask = |name: &str| Encoders::among(all(), &name.parse().expect("any text")).map(|all| all.name());
+        let ask = |name: &str| {
+            Encoders::among(all(), &name.parse().expect("any text")).map(|all| all.kinds[0].name)
+        };
         assert_eq!(ask("openh264"), Ok("openh264"));
         assert_eq!(ask("auto"), Ok("openh264"));
         let text = |name| ask(name).expect_err("not there").to_string();

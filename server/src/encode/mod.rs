@@ -22,7 +22,7 @@ pub mod picture;
 pub(crate) mod raw;
 
 /// An encoder that gives nothing for so long is broken.
-pub const PATIENCE: Duration = Duration::from_secs(2);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(2);
 
 /// The coded form of one picture.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -14,7 +14,7 @@ pub(crate) struct RawEncoder {
 
 impl RawEncoder {
     /// Makes an encoder for pictures of one extent.
-    pub fn new(extent_texels: [u32; 2]) -> Self {
+    pub(crate) fn new(extent_texels: [u32; 2]) -> Self {
         Self { extent_texels, done: VecDeque::new() }
     }
 }

@@ -7,7 +7,7 @@ const UNLIMITED_BYTES: i64 = 1 << 40;
 
 /// So many bytes a step of the time grid, saved for a few steps. What was sent beyond that is owed.
 #[derive(Clone, Copy, Debug)]
-pub struct Allowance {
+pub(crate) struct Allowance {
     step_bytes: i64,
     saved_steps: i64,
     left_bytes: i64,
@@ -17,7 +17,7 @@ pub struct Allowance {
 
 impl Allowance {
     /// Without a limit until one is set; then saved for so many steps.
-    pub fn new(saved_steps: i64) -> Self {
+    pub(crate) fn new(saved_steps: i64) -> Self {
         let step_bytes = UNLIMITED_BYTES;
         Self { step_bytes, saved_steps, left_bytes: step_bytes * saved_steps, counted: None }
     }
@@ -29,7 +29,7 @@ impl Allowance {
     }
 
     /// Adds what the time until `now` brings.
-    pub fn pass(&mut self, now: ServerTime) {
+    pub(crate) fn pass(&mut self, now: ServerTime) {
         let most_ns = self.saved_steps * DEFAULT_GRID.spacing_ns;
         let passed_ns = self.counted.map_or(DEFAULT_GRID.spacing_ns, |counted| now.since(counted));
         self.counted = self.counted.max(Some(now));
@@ -50,7 +50,7 @@ impl Allowance {
     }
 
     /// So many bytes were sent.
-    pub fn take(&mut self, bytes: usize) {
+    pub(crate) fn take(&mut self, bytes: usize) {
         self.left_bytes -= bytes as i64;
     }
 

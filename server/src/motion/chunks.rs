@@ -29,13 +29,13 @@ struct Resident {
 
 impl Chunks {
     /// With these words of an arena, all free.
-    pub fn new(words: Range<u32>) -> Self {
+    pub(crate) fn new(words: Range<u32>) -> Self {
         let free = (words.start < words.end).then(|| (words.start, words.end - words.start));
         Self { free: free.into_iter().collect(), resident: BTreeMap::new(), evicted: Vec::new(), words }
     }
 
     /// Notes that a chunk is needed at `now` or soon; true where it is there.
-    pub fn need(&mut self, key: ChunkKey, now: ServerTime) -> bool {
+    pub(crate) fn need(&mut self, key: ChunkKey, now: ServerTime) -> bool {
         match self.resident.get_mut(&key) {
             Some(resident) => {
                 resident.needed = now;
@@ -46,13 +46,13 @@ impl Chunks {
     }
 
     /// Whether a chunk is there.
-    pub fn has(&self, key: ChunkKey) -> bool {
+    pub(crate) fn has(&self, key: ChunkKey) -> bool {
         self.resident.contains_key(&key)
     }
 
     /// Makes room for a chunk of so many words, at the cost of those that are not needed at `now`; its first word. `None`: there
     /// is no room, and nothing has gone.
-    pub fn place(&mut self, key: ChunkKey, words: u32, now: ServerTime) -> Option<u32> {
+    pub(crate) fn place(&mut self, key: ChunkKey, words: u32, now: ServerTime) -> Option<u32> {
         loop {
             if let Some(first_word) = self.take(words) {
                 self.resident.insert(key, Resident { first_word, words, needed: now });

@@ -8,7 +8,7 @@ use shadecast_protocol::time::WorldTime;
 
 /// An update, as far as its delta says.
 #[derive(Clone, Copy, Debug)]
-pub struct UpdateStamp {
+pub(crate) struct UpdateStamp {
     /// The update.
     pub update: UpdateId,
     /// The world's time when it was begun.
@@ -28,7 +28,7 @@ pub struct UpdateDelta {
 
 impl UpdateDelta {
     /// Says nothing any more; the memory of its lists stays.
-    pub fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         let Self { geometry, sampled, masked } = self;
         geometry.clear();
         sampled.clear();

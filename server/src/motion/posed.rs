@@ -23,7 +23,7 @@ struct Posed {
 
 impl PosedInstances {
     /// The client has been told of an instance.
-    pub fn announce(&mut self, scene: &SceneGpu, instance: usize) {
+    pub(crate) fn announce(&mut self, scene: &SceneGpu, instance: usize) {
         let model = &scene.scene.models[scene.scene.instances[instance].model];
         let bytes = pose_bytes(model.bones.len() as u32, model.morphs.len() as u32);
         self.instances.push(Posed { instance, bytes, sent_until: None });
@@ -36,7 +36,7 @@ impl PosedInstances {
 
     /// Which poses of a window were not sent, by rising times, as far as they take no more than so many bytes, about: the last
     /// ones, since after a pause the first are those of the pause. They count as sent from now on.
-    pub fn due(&mut self, window: SampleWindow, budget_bytes: usize) -> Vec<(GridIndex, usize)> {
+    pub(crate) fn due(&mut self, window: SampleWindow, budget_bytes: usize) -> Vec<(GridIndex, usize)> {
         let steps = budget_bytes / self.step_bytes().max(1);
         if steps == 0 {
             return Vec::new();

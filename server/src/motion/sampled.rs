@@ -21,7 +21,7 @@ const LEAST_STEPS: usize = 2;
 
 /// Which samples may be sent now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SampleWindow {
+pub(crate) struct SampleWindow {
     /// Earliest grid point that a vertex which enters now can be displayed with.
     pub first: GridIndex,
     /// Oldest grid point that is of use after a pause.
@@ -55,7 +55,7 @@ struct SampledVertices {
 
 impl Coder {
     /// Of an empty memory.
-    pub fn new(encoder: DeltaEncoder) -> Self {
+    pub(crate) fn new(encoder: DeltaEncoder) -> Self {
         Self { encoder, sampled: SampledVertices::default(), last: UpdateId(0) }
     }
 
@@ -65,12 +65,12 @@ impl Coder {
     }
 
     /// Vertices with samples.
-    pub fn vertex_count(&self) -> usize {
+    pub(crate) fn vertex_count(&self) -> usize {
         self.sampled.vertices.len()
     }
 
     /// An update's geometry.
-    pub fn update(&mut self, delta: &UpdateDelta) -> EncodedDelta {
+    pub(crate) fn update(&mut self, delta: &UpdateDelta) -> EncodedDelta {
         self.last = delta.geometry.update;
         delta.geometry.evicted_vertices.iter().for_each(|slot| self.sampled.leave(*slot));
         delta.sampled.iter().for_each(|(slot, vertex)| self.sampled.enter(*slot, *vertex));
@@ -84,7 +84,7 @@ impl Coder {
 
     /// The samples of a window that were not sent, as far as they take no more than so many bytes, about: the last ones, since
     /// after a pause the first are those of the pause.
-    pub fn samples(
+    pub(crate) fn samples(
         &mut self,
         window: SampleWindow,
         budget_bytes: usize,

@@ -28,7 +28,7 @@ struct SentSchedule {
 
 impl Schedules {
     /// The client is told of an instance with what it plays as of `now`, as far as that is known, and will.
-    pub fn announce(
+    pub(crate) fn announce(
         &mut self,
         scene: &SceneGpu,
         timeline: &Timeline,
@@ -47,7 +47,12 @@ impl Schedules {
     }
 
     /// What has changed of what was told. It counts as told from now on.
-    pub fn changes(&mut self, scene: &SceneGpu, timeline: &Timeline, now: WorldTime) -> Vec<NewSchedule> {
+    pub(crate) fn changes(
+        &mut self,
+        scene: &SceneGpu,
+        timeline: &Timeline,
+        now: WorldTime,
+    ) -> Vec<NewSchedule> {
         let mut changes = Vec::new();
         for SentSchedule { instance, schedule, .. } in &mut self.sent {
             let Some(known) = schedule else { continue };
@@ -62,7 +67,7 @@ impl Schedules {
     }
 
     /// What is evaluated on the client at a time: of paths and of instances.
-    pub fn playing(&self, at: WorldTime) -> impl Iterator<Item = Playing<ClipRef>> + '_ {
+    pub(crate) fn playing(&self, at: WorldTime) -> impl Iterator<Item = Playing<ClipRef>> + '_ {
         let all = self.sent.iter().flat_map(|told| told.path.iter().chain(&told.schedule));
         all.map(move |schedule| schedule.at(at))
     }

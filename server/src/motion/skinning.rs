@@ -16,7 +16,7 @@ const VERTEX_BYTES: usize = 3;
 const REST_BYTES: usize = 12;
 
 /// See the module.
-pub struct Skinning {
+pub(crate) struct Skinning {
     scene: Arc<SceneGpu>,
     /// By instance; `None` where it is not skinned by this client.
     instances: Vec<Option<SkinnedInstance>>,
@@ -24,6 +24,8 @@ pub struct Skinning {
     told_skeletons: BTreeSet<SkeletonId>,
     told_meshes: BTreeSet<RestId>,
     told_rests: Vec<bool>,
+    /// Instances by model.
+    sharing: Vec<usize>,
     sender: SharedMotion,
 }
 
@@ -35,21 +37,24 @@ impl std::fmt::Debug for Skinning {
 
 impl Skinning {
     /// For a client with so much memory, of which nothing is used yet.
-    pub fn new(scene: &Arc<SceneGpu>, timeline: &SharedTimeline, memory: MotionMemory) -> Self {
+    pub(crate) fn new(scene: &Arc<SceneGpu>, timeline: &SharedTimeline, memory: MotionMemory) -> Self {
         let instances = scene.motion.skinned(memory);
+        let mut sharing = vec![0; scene.scene.models.len()];
+        scene.scene.instances.iter().for_each(|instance| sharing[instance.model] += 1);
         Self {
             told_instances: vec![false; instances.len()],
             instances,
             told_skeletons: BTreeSet::new(),
             told_meshes: BTreeSet::new(),
             told_rests: vec![false; memory.rest_vertices as usize],
+            sharing,
             sender: Arc::new(Mutex::new(MotionSender::new(scene, timeline, memory))),
             scene: scene.clone(),
         }
     }
 
     /// What sends the rest as time goes by.
-    pub fn sender(&self) -> &SharedMotion {
+    pub(crate) fn sender(&self) -> &SharedMotion {
         &self.sender
     }
 
@@ -64,13 +69,18 @@ impl Skinning {
     }
 
     /// About how many bytes a vertex of a skinned instance takes that enters.
-    pub fn entry_bytes(&self, instance: u16, number: u32) -> usize {
+    pub(crate) fn entry_bytes(&self, instance: u16, number: u32) -> usize {
         let is_told = self.told_rests[self.rest(instance, number).0 as usize];
         VERTEX_BYTES + if is_told { 0 } else { REST_BYTES }
     }
 
+    /// The same where nothing is known to the client: instances of one model share what vertices are before skinning.
+    pub(crate) fn new_vertex_bytes(&self, instance: u16) -> usize {
+        VERTEX_BYTES + REST_BYTES.div_ceil(self.sharing[self.model(instance)])
+    }
+
     /// A vertex enters, of a skinned instance: adds to the delta what the client must be told first.
-    pub fn enter(&mut self, instance: u16, number: u32, delta: &mut GeometryDelta) -> Motion {
+    pub(crate) fn enter(&mut self, instance: u16, number: u32, delta: &mut GeometryDelta) -> Motion {
         if !std::mem::replace(&mut self.told_instances[usize::from(instance)], true) {
             self.report(instance, delta);
         }

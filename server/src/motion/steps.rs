@@ -38,13 +38,13 @@ pub(crate) struct Steps {
 
 impl Steps {
     /// The coarsest steps that will do from now on, by instance, metres.
-    pub fn want(&mut self, wanted_m: impl IntoIterator<Item = f32>) {
+    pub(crate) fn want(&mut self, wanted_m: impl IntoIterator<Item = f32>) {
         self.wanted_m.clear();
         self.wanted_m.extend(wanted_m);
     }
 
     /// What the client must be told before the first sample of an instance; `None` where it was.
-    pub fn announce(&mut self, instance: InstanceId) -> Option<InstanceInfo> {
+    pub(crate) fn announce(&mut self, instance: InstanceId) -> Option<InstanceInfo> {
         if self.told_m.contains_key(&instance) {
             return None;
         }
@@ -54,7 +54,7 @@ impl Steps {
     }
 
     /// Instances that the client was told of and whose step is another one now, each given once.
-    pub fn changes(&mut self) -> impl Iterator<Item = InstanceInfo> + '_ {
+    pub(crate) fn changes(&mut self) -> impl Iterator<Item = InstanceInfo> + '_ {
         let wanted_m = &self.wanted_m;
         self.told_m.iter_mut().filter_map(|(instance, told_m)| {
             let step_m = next_step(*told_m, wanted_of(wanted_m, *instance));

@@ -57,17 +57,17 @@ impl Default for Density {
 
 impl Density {
     /// Texels for a pixel of the next update.
-    pub fn texels_per_pixel(&self) -> f32 {
+    pub(crate) fn texels_per_pixel(&self) -> f32 {
         STEPS[self.step].texels_per_pixel
     }
 
     /// So many times as much as was asked for may its levels of detail err.
-    pub fn error(&self) -> f32 {
+    pub(crate) fn error(&self) -> f32 {
         STEPS[self.step].error
     }
 
     /// An update was placed: blocks come to this part of the atlas, with fewer texels than were asked for if it is full.
-    pub fn note(&mut self, spare: Spare, used_share: f32, is_full: bool) {
+    pub(crate) fn note(&mut self, spare: Spare, used_share: f32, is_full: bool) {
         let now = &STEPS[self.step];
         let has_room = match STEPS.get(self.step + 1) {
             None => false,

@@ -159,7 +159,7 @@ struct Waiting {
 
 impl UpdateGate {
     /// For updates that are wanted once in `period_ns`.
-    pub fn new(period_ns: i64) -> Self {
+    pub(crate) fn new(period_ns: i64) -> Self {
         Self {
             period_ns: period_ns.max(1),
             under_way: VecDeque::new(),
@@ -173,7 +173,7 @@ impl UpdateGate {
     }
 
     /// A stream of an update was handed to the transport.
-    pub fn sent(&mut self, update: UpdateId, kind: Kind, bytes: usize, now_ns: i64) {
+    pub(crate) fn sent(&mut self, update: UpdateId, kind: Kind, bytes: usize, now_ns: i64) {
         // An update's streams leave before those of later ones.
         let place = self.under_way.partition_point(|other| other.update <= update);
         self.under_way.insert(place, Sent { update, bytes: bytes as u64, at_ns: now_ns });
@@ -196,7 +196,7 @@ impl UpdateGate {
     }
 
     /// What the next update may take.
-    pub fn budget(&self, now_ns: i64) -> Budget {
+    pub(crate) fn budget(&self, now_ns: i64) -> Budget {
         match self.rate_bytes_s(now_ns) {
             Some(rate) => Budget {
                 geometry_bytes: (rate * GEOMETRY_S).max(LEAST_GEOMETRY_BYTES) as usize,
@@ -211,7 +211,7 @@ impl UpdateGate {
     }
 
     /// What to tell the person, now and then, where updates are withheld.
-    pub fn shortfall(&mut self, now_ns: i64) -> Option<Shortfall> {
+    pub(crate) fn shortfall(&mut self, now_ns: i64) -> Option<Shortfall> {
         let carries = self.rate_bytes_s(now_ns)?;
         let needs = self.needs.geometry? + self.needs.pictures?;
         let [first_ns, last_ns] = self.withheld_ns?;
@@ -292,160 +292,4 @@ impl Needs {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const PERIOD_NS: i64 = 33_333_333;
-
-    /// A link in virtual time: so many bytes a second, and so many under way.
-    struct SlowLink {
-        bytes_s: f64,
-        window_bytes: u64,
-        /// Bytes left of each stream, the oldest first.
-        streams: VecDeque<f64>,
-        now_ns: i64,
-    }
-
-    impl SlowLink {
-        fn new(bytes_s: f64) -> Self {
-            Self { bytes_s, window_bytes: 20_000, streams: VecDeque::new(), now_ns: 0 }
-        }
-
-        fn pass(&mut self, ns: i64) {
-            self.now_ns += ns;
-            let mut carried = self.bytes_s * ns as f64 * 1e-9;
-            while let Some(left) = self.streams.front_mut() {
-                if *left > carried {
-                    *left -= carried;
-                    return;
-                }
-                carried -= *left;
-                self.streams.pop_front();
-            }
-        }
-
-        fn way(&self) -> WayState {
-            WayState {
-                streams_under_way: self.streams.len() as u64,
-                window_bytes: self.window_bytes,
-                round_trip_ns: 40_000_000,
-                smoothed_ns: 40_000_000,
-            }
-        }
-
-        fn send(&mut self, gate: &mut UpdateGate, frame: u32, bytes: [usize; 2]) {
-            for (kind, bytes) in [Kind::Delta, Kind::Picture].into_iter().zip(bytes) {
-                gate.sent(UpdateId(frame), kind, bytes, self.now_ns);
-                self.streams.push_back(bytes as f64);
-            }
-        }
-    }
-
-    /// So many seconds of updates of so many bytes, whenever the gate allows one; gives when each was made.
-    fn run(gate: &mut UpdateGate, link: &mut SlowLink, seconds: i64, bytes: [usize; 2]) -> Vec<i64> {
-        let mut made = Vec::new();
-        for _ in 0..seconds * 1_000_000_000 / PERIOD_NS {
-            if gate.may_update(&link.way(), link.now_ns) {
-                link.send(gate, made.len() as u32, bytes);
-                made.push(link.now_ns);
-            }
-            link.pass(PERIOD_NS);
-        }
-        made
-    }
-
-    #[test]
-    fn a_link_that_carries_the_scene_never_holds_an_update_back() {
-        let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(12.5e6));
-        link.window_bytes = 500_000;
-        assert_eq!(run(&mut gate, &mut link, 10, [20_000, 60_000]).len() as i64, 10_000_000_000 / PERIOD_NS);
-        assert_eq!((gate.budget(link.now_ns), gate.shortfall(link.now_ns)), (Budget::UNLIMITED, None));
-    }
-
-    #[test]
-    fn a_slow_link_gets_as_many_updates_as_it_carries_and_none_waits_long() {
-        let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(125_000.0));
-        let made = run(&mut gate, &mut link, 30, [40_000, 20_000]);
-        let carried = 30.0 * 125_000.0 / 60_000.0;
-        assert!((made.len() as f64 - carried).abs() < 6.0, "{} updates, {carried} fit", made.len());
-        let queued: f64 = link.streams.iter().sum();
-        assert!(queued < 60_000.0 + 20_000.0 + 0.3 * 125_000.0, "{queued} bytes wait at the end");
-        let longest = made.windows(2).map(|pair| pair[1] - pair[0]).max();
-        assert!(longest < Some(2_000_000_000), "{longest:?}");
-    }
-
-    #[test]
-    fn at_the_start_no_more_than_three_updates_go_before_the_link_is_known() {
-        let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(1000.0));
-        assert_eq!(run(&mut gate, &mut link, 5, [400_000, 100_000]).len(), MAX_WAITING_UPDATES + 1);
-    }
-
-    #[test]
-    fn a_slow_link_is_noticed_though_the_window_of_a_new_connection_takes_everything() {
-        let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(50_000.0));
-        link.window_bytes = 256 << 10;
-        let made = run(&mut gate, &mut link, 2, [10_000, 5_000]);
-        assert!(made.len() <= 14, "{} updates before the first seconds are over, 6.7 fit", made.len());
-        let queued: f64 = link.streams.iter().sum();
-        assert!(queued < 3.0 * 15_000.0, "{queued} bytes wait");
-    }
-
-    #[test]
-    fn the_first_picture_does_not_wait_for_the_whole_scene() {
-        let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(12.5e6));
-        link.window_bytes = 500_000;
-        assert!(gate.may_update(&link.way(), link.now_ns));
-        let first = gate.budget(link.now_ns);
-        assert!(first.geometry_bytes < 200_000 && first.sample_bytes == usize::MAX, "{first:?}");
-        link.send(&mut gate, 0, [first.geometry_bytes, 20_000]);
-        link.pass(PERIOD_NS);
-        assert!(gate.may_update(&link.way(), link.now_ns));
-        assert_eq!(gate.budget(link.now_ns), Budget::UNLIMITED, "it has arrived");
-    }
-
-    #[test]
-    fn geometry_is_bounded_only_while_the_link_is_known_to_be_slow() {
-        let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(125_000.0));
-        run(&mut gate, &mut link, 10, [40_000, 20_000]);
-        let Budget { geometry_bytes, sample_bytes, .. } = gate.budget(link.now_ns);
-        assert!((100_000..150_000).contains(&geometry_bytes), "{geometry_bytes}");
-        assert!((2_000..3_000).contains(&sample_bytes), "{sample_bytes}");
-        link.bytes_s = 50e6;
-        link.window_bytes = 1 << 20;
-        run(&mut gate, &mut link, 12, [40_000, 20_000]);
-        assert_eq!(gate.budget(link.now_ns), Budget::UNLIMITED, "the link has recovered");
-    }
-
-    #[test]
-    fn nobody_is_told_of_a_link_that_is_behind_for_a_moment() {
-        let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(125_000.0));
-        run(&mut gate, &mut link, 1, [40_000, 20_000]);
-        assert!(gate.withheld_ns.is_some() && gate.shortfall(link.now_ns).is_none());
-    }
-
-    #[test]
-    fn the_person_is_told_what_the_link_carries_and_not_more_often_than_they_want_to_hear() {
-        let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(125_000.0));
-        let mut told = Vec::new();
-        for _ in 0..25 {
-            run_from(&mut gate, &mut link);
-            told.extend(gate.shortfall(link.now_ns));
-        }
-        assert!((1..=3).contains(&told.len()), "{told:?}");
-        assert!((0.8..1.2).contains(&told[0].carries_mbit_s) && told[0].needs_mbit_s > 2.0, "{told:?}");
-        let text = Shortfall { carries_mbit_s: 1.0, needs_mbit_s: 6.34 }.to_string();
-        assert_eq!(text, "the link carries 1.0 of 6.3 Mbit/s that the scene needs: fewer updates are sent");
-    }
-
-    /// A second of it, the frames counted on.
-    fn run_from(gate: &mut UpdateGate, link: &mut SlowLink) {
-        let mut frame = (link.now_ns / 1_000_000) as u32;
-        for _ in 0..30 {
-            if gate.may_update(&link.way(), link.now_ns) {
-                link.send(gate, frame, [40_000, 20_000]);
-            }
-            frame += 33;
-            link.pass(PERIOD_NS);
-        }
-    }
-}
+mod tests;

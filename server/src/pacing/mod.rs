@@ -8,5 +8,6 @@ pub mod gate;
 pub mod overlap;
 pub(crate) mod pressure;
 pub mod quality;
+pub mod relief;
 pub mod room;
 pub(crate) mod shade_rate;

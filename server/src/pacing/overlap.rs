@@ -57,7 +57,7 @@ impl Step {
 
 /// How long the steps of an update took, nanoseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct StepTimes {
+pub(crate) struct StepTimes {
     /// What the device did for visibility and shading.
     pub device_ns: i64,
     /// What the CPU did: placement, for the most part.
@@ -79,7 +79,7 @@ const STILL_WORTH: f64 = 1.03;
 
 /// Decides for one client.
 #[derive(Clone, Debug)]
-pub struct Overlap {
+pub(crate) struct Overlap {
     period_ns: f64,
     /// Of device, placement and encoder, smoothed.
     times_ns: Option<[f64; 3]>,
@@ -89,17 +89,17 @@ pub struct Overlap {
 
 impl Overlap {
     /// For updates that are wanted once in `period_ns`: in a row, until they are measured.
-    pub fn new(period_ns: i64) -> Self {
+    pub(crate) fn new(period_ns: i64) -> Self {
         Self { period_ns: period_ns as f64, times_ns: None, behind: 0, is_on: false }
     }
 
     /// Whether updates overlap: where those in a row are slower than is wanted, than the encoder, and than they then are.
-    pub fn is_on(&self) -> bool {
+    pub(crate) fn is_on(&self) -> bool {
         self.is_on
     }
 
     /// An update was made.
-    pub fn note(&mut self, StepTimes { device_ns, placement_ns, encode_ns }: StepTimes) {
+    pub(crate) fn note(&mut self, StepTimes { device_ns, placement_ns, encode_ns }: StepTimes) {
         let newest_ns = [device_ns, placement_ns, encode_ns].map(|time_ns| time_ns as f64);
         let before_ns = self.times_ns.unwrap_or(newest_ns);
         let times_ns = [0, 1, 2].map(|of| smoothed(before_ns[of], newest_ns[of]));
@@ -117,7 +117,7 @@ impl Overlap {
 
     /// What to do next. `is_alone`: no other viewer's updates take the places of samples that wait to be shaded. `may_begin`: an
     /// update is due, its link is open, and it would not wait for an encoder.
-    pub fn step(&self, flight: Flight, is_alone: bool, may_begin: bool) -> Step {
+    pub(crate) fn step(&self, flight: Flight, is_alone: bool, may_begin: bool) -> Step {
         if flight.is_shaded {
             return Step::Collect;
         }

@@ -1,7 +1,7 @@
-//! When a level of coarseness rises and falls with what must fit. Pure.
+//! When a step of coarseness rises and falls with what must fit. Pure.
 //!
-//! Pressure rises at once. It eases once there has been room for a while, to the finest level with room. The time after that is a
-//! trial: pressure that rises again during it should not have eased, and the owner asks for more room the next time. What a level
+//! Pressure rises at once. It eases once there has been room for a while, to the finest step with room. The time after that is a
+//! trial: pressure that rises again during it should not have eased, and the owner asks for more room the next time. What a step
 //! is, and what fits, the owner knows.
 
 /// Pressure eases after there was room for this many updates.
@@ -9,50 +9,50 @@ pub(crate) const RECOVER_AFTER_UPDATES: u32 = 15;
 /// Pressure that rises within this many updates after it eased should not have eased.
 pub(crate) const TRIAL_UPDATES: u32 = 60;
 
-/// A level of coarseness.
-pub(crate) trait Level: Copy + PartialEq {
-    /// One level finer; `None` where nothing presses.
+/// A step of coarseness.
+pub(crate) trait Coarseness: Copy + PartialEq {
+    /// One step finer; `None` where nothing presses.
     fn finer(self) -> Option<Self>;
 }
 
-/// A level, and when it may become finer.
+/// A step, and when it may become finer.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pressure<L> {
-    level: L,
-    /// For how many updates in a row a finer level would have had room.
+    step: L,
+    /// For how many updates in a row a finer step would have had room.
     roomy_updates: u32,
     /// The update in which it eased last, as long as that may prove wrong.
     eased: Option<u32>,
 }
 
-impl<L: Level> Pressure<L> {
-    /// At a level.
-    pub fn new(level: L) -> Self {
-        Self { level, roomy_updates: 0, eased: None }
+impl<L: Coarseness> Pressure<L> {
+    /// At a step.
+    pub(crate) fn new(step: L) -> Self {
+        Self { step, roomy_updates: 0, eased: None }
     }
 
-    /// The level now.
-    pub fn level(&self) -> L {
-        self.level
+    /// The step now.
+    pub(crate) fn step(&self) -> L {
+        self.step
     }
 
-    /// An update begins. Eases to the finest level with room where there has been room for a while; whether it did.
-    pub fn recover(&mut self, update: u32, has_room: impl Fn(L) -> bool) -> bool {
-        let mut roomy = self.level;
+    /// An update begins. Eases to the finest step with room where there has been room for a while; whether it did.
+    pub(crate) fn recover(&mut self, update: u32, has_room: impl Fn(L) -> bool) -> bool {
+        let mut roomy = self.step;
         while let Some(finer) = roomy.finer().filter(|finer| has_room(*finer)) {
             roomy = finer;
         }
-        self.roomy_updates = if roomy == self.level { 0 } else { self.roomy_updates + 1 };
+        self.roomy_updates = if roomy == self.step { 0 } else { self.roomy_updates + 1 };
         let eases = self.roomy_updates >= RECOVER_AFTER_UPDATES;
         if eases {
-            *self = Self { level: roomy, roomy_updates: 0, eased: Some(update) };
+            *self = Self { step: roomy, roomy_updates: 0, eased: Some(update) };
         }
         eases
     }
 
-    /// Rises to a coarser level; whether that is within the trial of the last ease. The updates with room so far still count.
-    pub(crate) fn rise(&mut self, update: u32, level: L) -> bool {
-        self.level = level;
+    /// Rises to a coarser step; whether that is within the trial of the last ease. The updates with room so far still count.
+    pub(crate) fn rise(&mut self, update: u32, step: L) -> bool {
+        self.step = step;
         self.eased.is_some_and(|eased| update - eased <= TRIAL_UPDATES)
     }
 
@@ -73,7 +73,7 @@ impl<L: Level> Pressure<L> {
 mod tests {
     use super::*;
 
-    impl Level for u8 {
+    impl Coarseness for u8 {
         fn finer(self) -> Option<Self> {
             self.checked_sub(1)
         }
@@ -85,11 +85,11 @@ mod tests {
     }
 
     #[test]
-    fn pressure_eases_to_the_finest_level_with_room_after_a_while() {
+    fn pressure_eases_to_the_finest_step_with_room_after_a_while() {
         let mut pressure = Pressure::new(9);
-        assert_eq!(updates_until_ease(&mut pressure, 1, |level| level >= 4), RECOVER_AFTER_UPDATES);
-        assert_eq!(pressure.level(), 4);
-        assert!((100..200).all(|update| !pressure.recover(update, |level| level >= 4)));
+        assert_eq!(updates_until_ease(&mut pressure, 1, |step| step >= 4), RECOVER_AFTER_UPDATES);
+        assert_eq!(pressure.step(), 4);
+        assert!((100..200).all(|update| !pressure.recover(update, |step| step >= 4)));
     }
 
     #[test]

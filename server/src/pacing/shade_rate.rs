@@ -24,7 +24,7 @@ pub(crate) struct ShadeRate {
 
 impl ShadeRate {
     /// An update took so long, and shaded so many texels.
-    pub fn note(&mut self, timings: &Timings, shaded_texels: u64) {
+    pub(crate) fn note(&mut self, timings: &Timings, shaded_texels: u64) {
         let (mut shading_ms, mut rest_ms) = (0.0, 0.0);
         for (scope, ms) in timings.iter() {
             *(if scope == SHADING { &mut shading_ms } else { &mut rest_ms }) += ms;

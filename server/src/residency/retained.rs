@@ -15,12 +15,12 @@ pub(crate) struct Retained {
 
 impl Retained {
     /// None of so many.
-    pub fn new(patches: usize) -> Self {
+    pub(crate) fn new(patches: usize) -> Self {
         Self { since: vec![None; patches], queue: VecDeque::new() }
     }
 
     /// It is retained since this update, which is no earlier than those before.
-    pub fn insert(&mut self, patch: ScenePatch, update: UpdateId) {
+    pub(crate) fn insert(&mut self, patch: ScenePatch, update: UpdateId) {
         if self.since[patch.index()].replace(update) != Some(update) {
             self.queue.push_back((update, patch));
         }
@@ -34,7 +34,7 @@ impl Retained {
     }
 
     /// It is not retained any more, if it was.
-    pub fn remove(&mut self, patch: ScenePatch) {
+    pub(crate) fn remove(&mut self, patch: ScenePatch) {
         self.since[patch.index()] = None;
     }
 

@@ -1,7 +1,7 @@
 //! What every stage that rasterises the scene shares: a pipeline for each kind of side, and the walk over instances and
 //! primitives.
 
-use crate::scene::meshes::MeshLevel;
+use crate::scene::meshes::MeshLod;
 use crate::scene::{ModelGpu, SceneGpu};
 use ash::vk;
 use shadecast_gpu::{
@@ -12,7 +12,7 @@ use shadecast_shaders::Shader;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// The level that shadows and the truth are drawn at.
+/// The LOD that shadows and the truth are drawn at.
 pub(crate) const FULL_DETAIL: usize = 0;
 
 /// The pipelines of a pass that draws the scene with depth test.
@@ -29,11 +29,11 @@ pub(crate) struct Draw<'a> {
     pub(crate) number: usize,
     /// Its model.
     pub(crate) model: &'a ModelGpu,
-    /// The level of detail of its mesh.
-    pub(crate) level: &'a MeshLevel,
-    /// The primitive, in the level's own numbers.
+    /// The LOD of its mesh.
+    pub(crate) lod: &'a MeshLod,
+    /// The primitive, in the LOD's own numbers.
     pub(crate) primitive: &'a Primitive,
-    /// Its first index that is drawn, in the level's own numbers.
+    /// Its first index that is drawn, in the LOD's own numbers.
     pub(crate) first_index: u32,
 }
 
@@ -67,27 +67,27 @@ impl Geometry {
         self.culled.layout()
     }
 
-    /// Draws every instance at the level of detail that `level_of` gives for its number, if any.
+    /// Draws every instance at the LOD that `lod_of` gives for its number, if any.
     pub(crate) fn record<P: bytemuck::Pod>(
         &self,
         recorder: &mut Recorder,
         group: &BindGroup,
         scene: &SceneGpu,
-        level_of: impl Fn(usize) -> Option<usize>,
+        lod_of: impl Fn(usize) -> Option<usize>,
         push: impl Fn(&Draw<'_>) -> P,
     ) {
         let all = |_, primitive: &Primitive| {
             std::iter::once(primitive.first_index..primitive.first_index + primitive.index_count)
         };
-        self.record_runs(recorder, (group, scene), level_of, all, push);
+        self.record_runs(recorder, (group, scene), lod_of, all, push);
     }
 
-    /// The same, of each primitive of an instance and level only some runs of indices.
+    /// The same, of each primitive of an instance and LOD only some runs of indices.
     pub(crate) fn record_runs<P: bytemuck::Pod, R: Iterator<Item = Range<u32>>>(
         &self,
         recorder: &mut Recorder,
         (group, scene): (&BindGroup, &SceneGpu),
-        level_of: impl Fn(usize) -> Option<usize>,
+        lod_of: impl Fn(usize) -> Option<usize>,
         runs: impl Fn([usize; 2], &Primitive) -> R,
         push: impl Fn(&Draw<'_>) -> P,
     ) {
@@ -95,19 +95,19 @@ impl Geometry {
         for (pipeline, double_sided) in [(&self.culled, false), (&self.double_sided, true)] {
             recorder.bind(pipeline, group);
             for (number, instance) in scene.numbering.instances.iter().enumerate() {
-                let Some(number_of_level) = level_of(number) else { continue };
+                let Some(lod_index) = lod_of(number) else { continue };
                 let (model, source) = (&scene.models[instance.model], &scene.scene.models[instance.model]);
                 let is_so =
                     |p: &&Primitive| source.materials[p.material as usize].double_sided == double_sided;
-                let level = &model.levels[number_of_level];
-                for primitive in level.primitives.iter().filter(is_so) {
-                    for run in runs([number, number_of_level], primitive) {
+                let lod = &model.lods[lod_index];
+                for primitive in lod.primitives.iter().filter(is_so) {
+                    for run in runs([number, lod_index], primitive) {
                         let (first_index, count) = (run.start, run.end - run.start);
-                        let draw = Draw { number, model, level, primitive, first_index };
+                        let draw = Draw { number, model, lod, primitive, first_index };
                         recorder.push_constants(pipeline, &push(&draw));
                         match self.pulls_indices {
                             true => recorder.draw(count, 1),
-                            false => recorder.draw_indexed(level.index_base + first_index, count),
+                            false => recorder.draw_indexed(lod.index_base + first_index, count),
                         }
                     }
                 }

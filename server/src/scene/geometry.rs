@@ -8,7 +8,7 @@ use shadecast_scene::patches::Patch;
 pub(crate) const MAX_CORNERS: usize = shadecast_protocol::limits::PATCH_MAX_VERTICES as usize;
 
 /// The scene as far as the client's memory goes.
-pub trait Geometry {
+pub(crate) trait Geometry {
     /// The instance that a scene-wide patch number belongs to.
     fn instance_of_patch(&self, patch: ScenePatch) -> u16;
     /// Its first vertex.

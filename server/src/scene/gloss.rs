@@ -36,7 +36,7 @@ pub struct Gloss {
 
 /// The light that a scene has at most.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Brightness {
+pub(crate) struct Brightness {
     /// Of sun and lamps, irradiance of the brightest channel.
     pub direct: f32,
     /// Of the sky, radiance of the brightest channel.
@@ -45,7 +45,7 @@ pub struct Brightness {
 
 impl Gloss {
     /// Of a material with its model's textures.
-    pub fn of(material: &Material, textures: &[Texture], light: Brightness) -> Self {
+    pub(crate) fn of(material: &Material, textures: &[Texture], light: Brightness) -> Self {
         let is_textured = material.texture_slots().iter().any(Option::is_some);
         let steps_by_octave = if is_textured { TEXTURE_STEPS_BY_OCTAVE } else { 0.0 };
         if material.unlit {
@@ -63,7 +63,7 @@ impl Gloss {
     }
 
     /// Most steps by which a place of a surface looks different from another head, `then` and `now` each with what it knows of it.
-    pub fn steps(&self, then: &Seen, now: &Seen, moved_m: f32) -> f32 {
+    pub(crate) fn steps(&self, then: &Seen, now: &Seen, moved_m: f32) -> f32 {
         let radians = moved_m / then.distance_m.min(now.distance_m);
         let octaves = |a: f32, b: f32| (a / b).log2().abs();
         let footprint = octaves(then.distance_m, now.distance_m)
@@ -75,7 +75,7 @@ impl Gloss {
 
 /// How a place of a surface is seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Seen {
+pub(crate) struct Seen {
     distance_m: f32,
     /// Of the angle from the middle of the view.
     axis_cosine: f32,
@@ -85,7 +85,7 @@ pub struct Seen {
 
 impl Seen {
     /// The nearest place of a ball, with a normal where there is one.
-    pub fn from(world_from_head: Pose, centre: Vec3, radius_m: f32, normal: Option<Vec3>) -> Self {
+    pub(crate) fn from(world_from_head: Pose, centre: Vec3, radius_m: f32, normal: Option<Vec3>) -> Self {
         let way = centre - world_from_head.position;
         let length_m = way.length().max(NEAR_M);
         let axis = world_from_head.orientation * Vec3::NEG_Z;

@@ -77,7 +77,7 @@ pub(crate) fn surplus(scene: &Scene) -> usize {
 }
 
 /// How bright the scene's light is at most; of lamps, a metre away.
-pub fn brightness(scene: &Scene) -> Brightness {
+pub(crate) fn brightness(scene: &Scene) -> Brightness {
     let hung = scene.models.iter().flat_map(|model| &model.lights).map(|hung| hung.light.intensity);
     let lamps = scene.lights.iter().map(|placed| placed.light.intensity).chain(hung);
     let direct = lamps.map(Vec3::max_element).fold(scene.sun.irradiance.max_element(), f32::max);
@@ -87,7 +87,12 @@ pub fn brightness(scene: &Scene) -> Brightness {
 }
 
 /// Everything at a time of the scene, which moves as `timeline` says. `sun_view` is `None` where the sun casts no shadows.
-pub fn at(scene: &Scene, timeline: &Timeline, sun_view: Option<&SunView>, time: WorldTime) -> LightGpu {
+pub(crate) fn at(
+    scene: &Scene,
+    timeline: &Timeline,
+    sun_view: Option<&SunView>,
+    time: WorldTime,
+) -> LightGpu {
     let environment = scene.environment;
     let wide = |v: Vec3| v.extend(0.0).to_array();
     let mut punctual = [bytemuck::Zeroable::zeroed(); MAX_LIGHTS as usize];

@@ -1,4 +1,4 @@
-//! Vertices, triangles and patches of all models, at every level of detail; equal meshes are there once.
+//! Vertices, triangles and patches of all models, at every LOD; equal meshes are there once.
 
 use crate::scene::skins::{pair, used_first};
 use crate::support::upload;
@@ -15,13 +15,13 @@ pub struct Mesh {
     pub vertex_base: u32,
     /// Vertices.
     pub vertex_count: u32,
-    /// Its levels of detail, the finest first; there is one at least.
-    pub levels: Arc<[MeshLevel]>,
+    /// Its LODs, the finest first; there is one at least.
+    pub lods: Arc<[MeshLod]>,
 }
 
-/// A level of detail of a mesh.
+/// An LOD of a mesh.
 #[derive(Clone, Debug)]
-pub struct MeshLevel {
+pub struct MeshLod {
     /// First entry in the index buffer; a third of it is the first entry in `patch_of_triangle`.
     pub index_base: u32,
     /// Ranges of its indices, from `index_base` on.
@@ -30,11 +30,11 @@ pub struct MeshLevel {
     pub patch_base: u32,
     /// The patches, for the CPU.
     pub patches: Vec<Patch>,
-    /// Distance of its surface from the finest level's at most, metres of the model.
+    /// Distance of its surface from the finest LOD's at most, metres of the model.
     pub error_m: f32,
     /// Vertices that its triangles use.
     pub vertices: u32,
-    /// So many vertices, in [`Meshes::vertex_order`], hold those of this level and of all coarser ones.
+    /// So many vertices, in [`Meshes::vertex_order`], hold those of this LOD and of all coarser ones.
     pub skinned: u32,
     /// Triangles that a client draws for it: of two sides twice.
     pub triangles: u32,
@@ -44,7 +44,7 @@ pub struct MeshLevel {
 pub struct Meshes {
     /// `VertexGpu`.
     pub vertices: Buffer,
-    /// The vertices of each mesh, numbers within it, from its `vertex_base` on: those of the coarsest level first.
+    /// The vertices of each mesh, numbers within it, from its `vertex_base` on: those of the coarsest LOD first.
     pub vertex_order: Buffer,
     /// Three a triangle, numbers within the mesh.
     pub indices: Buffer,
@@ -67,11 +67,11 @@ pub(super) struct MeshArrays {
 impl MeshArrays {
     /// Adds a model's mesh; `morphs` says by vertex which morph deltas move it.
     pub(super) fn add(&mut self, model: &Model, morphs: &[[u32; 2]]) -> Mesh {
-        let coarsest = coarsest_levels(model);
+        let coarsest = coarsest_lods(model);
         let mesh = Mesh {
             vertex_base: self.vertices.len() as u32,
             vertex_count: model.vertices.len() as u32,
-            levels: (0..=model.lods.len()).map(|level| self.add_level(model, level, &coarsest)).collect(),
+            lods: (0..=model.lods.len()).map(|lod| self.add_lod(model, lod, &coarsest)).collect(),
         };
         let first = self.vertex_order.len();
         self.vertex_order.extend(0..mesh.vertex_count);
@@ -80,15 +80,15 @@ impl MeshArrays {
         mesh
     }
 
-    fn add_level(&mut self, model: &Model, level: usize, coarsest: &[usize]) -> MeshLevel {
-        let (triangles, patches) = (model.triangles(level), model.patches_of(level).into_owned());
-        let added = MeshLevel {
+    fn add_lod(&mut self, model: &Model, lod: usize, coarsest: &[usize]) -> MeshLod {
+        let (triangles, patches) = (model.triangles(lod), model.patches_of(lod).into_owned());
+        let added = MeshLod {
             index_base: self.indices.len() as u32,
             primitives: triangles.primitives.to_vec(),
             patch_base: self.patches.len() as u32,
-            error_m: level.checked_sub(1).map_or(0.0, |lod| model.lods[lod].error_m),
+            error_m: lod.checked_sub(1).map_or(0.0, |lod| model.lods[lod].error_m),
             vertices: used_vertices(triangles.indices, model.vertices.len()),
-            skinned: coarsest.iter().filter(|of_vertex| **of_vertex >= level).count() as u32,
+            skinned: coarsest.iter().filter(|of_vertex| **of_vertex >= lod).count() as u32,
             triangles: patches.patches.iter().map(Patch::drawn_triangles).sum(),
             patches: patches.patches,
         };
@@ -122,11 +122,11 @@ fn used_vertices(indices: &[u32], vertices: usize) -> u32 {
     is_used.into_iter().filter(|used| *used).count() as u32
 }
 
-/// By vertex the coarsest level that uses it.
-fn coarsest_levels(model: &Model) -> Vec<usize> {
+/// By vertex the coarsest LOD that uses it.
+fn coarsest_lods(model: &Model) -> Vec<usize> {
     let mut coarsest = vec![0; model.vertices.len()];
-    for level in 0..=model.lods.len() {
-        model.triangles(level).indices.iter().for_each(|index| coarsest[*index as usize] = level);
+    for lod in 0..=model.lods.len() {
+        model.triangles(lod).indices.iter().for_each(|index| coarsest[*index as usize] = lod);
     }
     coarsest
 }

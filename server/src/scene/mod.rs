@@ -32,7 +32,7 @@ use shadecast_scene::identity::ContentHash;
 use shadecast_scene::patches::Patch;
 use shadecast_scene::process::Loading;
 use shadecast_scene::{Cancel, Cancelled, Instance, Model, Scene};
-use shadecast_shaders::generated::{LEVEL_SELECTION_COMP, SKIN_COMP};
+use shadecast_shaders::generated::{EXTENTS_COMP, SKIN_COMP};
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -158,11 +158,11 @@ impl SceneGpu {
         })
     }
 
-    /// A patch of any level of detail; its vertices are indices within the model.
+    /// A patch of any LOD; its vertices are indices within the model.
     pub fn patch(&self, patch: ScenePatch) -> Patch {
-        let (instance, level) = self.numbering.place_of_patch(patch);
-        let range = self.numbering.patches(instance, level).expect("it holds the patch");
-        self.mesh(instance).levels[level].patches[range.model_number(patch) as usize]
+        let (instance, lod) = self.numbering.place_of_patch(patch);
+        let range = self.numbering.patches(instance, lod).expect("it holds the patch");
+        self.mesh(instance).lods[lod].patches[range.model_number(patch) as usize]
     }
 
     /// Whether the material of a patch cuts something out.
@@ -189,12 +189,12 @@ impl SceneGpu {
     }
 
     /// The instances that cast shadows.
-    pub fn casters(&self) -> impl Iterator<Item = usize> + '_ {
+    pub(crate) fn casters(&self) -> impl Iterator<Item = usize> + '_ {
         (0..self.numbering.instances.len()).filter(|index| self.scene.instances[*index].casts_shadow)
     }
 
     /// Whether an instance is ever elsewhere than at first.
-    pub fn moves(&self, index: usize) -> bool {
+    pub(crate) fn moves(&self, index: usize) -> bool {
         self.numbering.instances[index].is_animated
     }
 
@@ -247,8 +247,8 @@ fn gloss(scene: &Scene) -> Vec<Vec<Gloss>> {
 /// That each model can be worked on in one dispatch.
 fn check_groups(gpu: &Gpu, models: &[ModelGpu]) -> Result<(), GpuError> {
     models.iter().try_for_each(|model| {
-        let patches = model.levels.iter().map(|level| level.patches.len()).max().unwrap_or(0);
-        upload::check_groups(gpu, "patches", patches as u32, &LEVEL_SELECTION_COMP)?;
+        let patches = model.lods.iter().map(|lod| lod.patches.len()).max().unwrap_or(0);
+        upload::check_groups(gpu, "patches", patches as u32, &EXTENTS_COMP)?;
         upload::check_groups(gpu, "vertices", model.vertex_count, &SKIN_COMP)
     })
 }
@@ -258,7 +258,7 @@ fn number(scene: &Scene, models: &[ModelGpu]) -> Numbering {
         let (source, model) = (&scene.models[instance.model], &models[instance.model]);
         InstanceSize {
             model: instance.model,
-            patches: model.levels.iter().map(|level| level.patches.len() as u32).collect(),
+            patches: model.lods.iter().map(|lod| lod.patches.len() as u32).collect(),
             vertices: model.vertex_count,
             is_animated: scene.moves(index),
             palette: source.palette.len() as u32,

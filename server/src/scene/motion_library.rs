@@ -176,7 +176,7 @@ impl InstanceMotion {
 
 impl MotionLibrary {
     /// Of a scene.
-    pub fn new(
+    pub(crate) fn new(
         scene: &Scene,
         manager: &AnimationManager,
         numbering: &Numbering,
@@ -212,7 +212,7 @@ impl MotionLibrary {
     }
 
     /// Whether updates predict what no client skins; else it is sampled on the time grid.
-    pub fn is_predicted(&self) -> bool {
+    pub(crate) fn is_predicted(&self) -> bool {
         self.is_predicted
     }
 
@@ -281,17 +281,17 @@ impl MotionLibrary {
     }
 
     /// The skeleton of an instance that is skinned.
-    pub fn skeleton(&self, skeleton: SkeletonId) -> &SkeletonInfo {
+    pub(crate) fn skeleton(&self, skeleton: SkeletonId) -> &SkeletonInfo {
         self.skeletons[usize::from(skeleton.0)].as_ref().expect("only skeletons that can be sent are used")
     }
 
     /// The vertices of a model before skinning.
-    pub fn mesh(&self, model: usize) -> MeshInfo {
+    pub(crate) fn mesh(&self, model: usize) -> MeshInfo {
         self.meshes[self.of_model[model].mesh].info
     }
 
     /// A vertex of a model before skinning.
-    pub fn rest(&self, scene: &Scene, model: usize, number: u32) -> RestVertex {
+    pub(crate) fn rest(&self, scene: &Scene, model: usize, number: u32) -> RestVertex {
         let mesh = &self.meshes[self.of_model[model].mesh];
         let model = &scene.models[mesh.model];
         let vertex = &model.vertices[number as usize];
@@ -317,7 +317,7 @@ impl MotionLibrary {
     }
 
     /// Length of a clip.
-    pub fn clip(&self, clip: ClipId) -> ClipRef {
+    pub(crate) fn clip(&self, clip: ClipId) -> ClipRef {
         self.clips[clip.index()].info
     }
 
@@ -327,7 +327,7 @@ impl MotionLibrary {
     }
 
     /// What a client is told of what an instance of a model plays.
-    pub fn schedule(
+    pub(crate) fn schedule(
         &self,
         manager: &AnimationManager,
         model: usize,
@@ -344,7 +344,7 @@ impl MotionLibrary {
     }
 
     /// A clip between two times.
-    pub fn chunk(&self, clip: ClipId, index: u32) -> Vec<ChunkTrack> {
+    pub(crate) fn chunk(&self, clip: ClipId, index: u32) -> Vec<ChunkTrack> {
         let between_s = chunk_s(index);
         self.clips[clip.index()].tracks().map(|(track, raster)| cut(track, raster, between_s)).collect()
     }

@@ -4,8 +4,8 @@
 //! a place in a client's memory, which has a [`PatchSlot`](shadecast_protocol::ids::PatchSlot) or a
 //! [`VertexSlot`](shadecast_protocol::ids::VertexSlot).
 //!
-//! All levels of detail have patch numbers: those of the first instance, the finest level first, then those of the next
-//! instance. Levels share their model's vertices.
+//! All LODs have patch numbers: those of the first instance, the finest LOD first, then those of the next
+//! instance. LODs share their model's vertices.
 
 /// A patch of an instance, by its scene-wide number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -16,30 +16,25 @@ pub struct ScenePatch(pub u32);
 pub struct SceneVertex(pub u32);
 
 impl ScenePatch {
-    /// Of an entry in an array by patch.
-    pub fn at(index: usize) -> Self {
-        Self(index as u32)
-    }
-
     /// As an index into an array by patch.
-    pub fn index(self) -> usize {
+    pub(crate) fn index(self) -> usize {
         self.0 as usize
     }
 }
 
 impl SceneVertex {
     /// As an index into an array by vertex.
-    pub fn index(self) -> usize {
+    pub(crate) fn index(self) -> usize {
         self.0 as usize
     }
 
     /// The vertex so many numbers further on.
-    pub fn plus(self, count: u32) -> Self {
+    pub(crate) fn plus(self, count: u32) -> Self {
         Self(self.0 + count)
     }
 }
 
-/// The patches of an instance at one level of detail.
+/// The patches of an instance at one LOD.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PatchRange {
     /// The first.
@@ -49,28 +44,28 @@ pub struct PatchRange {
 }
 
 impl PatchRange {
-    /// The number of one of these patches within its model's level.
+    /// The number of one of these patches within its model's LOD.
     pub(crate) fn model_number(self, patch: ScenePatch) -> u32 {
         patch.0 - self.first.0
     }
 
     /// Whether it is one of these patches.
-    pub fn has(self, patch: ScenePatch) -> bool {
+    pub(crate) fn has(self, patch: ScenePatch) -> bool {
         (self.first.0..self.end()).contains(&patch.0)
     }
 
     /// The number after the last.
-    pub fn end(self) -> u32 {
+    pub(crate) fn end(self) -> u32 {
         self.first.0 + self.count
     }
 }
 
 /// What an instance has, to be numbered.
 #[derive(Clone, Debug, Default)]
-pub struct InstanceSize {
+pub(crate) struct InstanceSize {
     /// Index into the models.
     pub model: usize,
-    /// Patches of each level of detail, the finest first.
+    /// Patches of each LOD, the finest first.
     pub patches: Vec<u32>,
     /// Vertices.
     pub vertices: u32,
@@ -100,10 +95,10 @@ pub struct InstancePlace {
 /// Sizes of what grows with the instances.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Totals {
-    /// Patches of all levels of detail, over all instances.
+    /// Patches of all LODs, over all instances.
     pub patches: u32,
-    /// Patches of the two largest levels of every instance: as many are looked at in one update at most.
-    pub looked_at: u32,
+    /// Patches of the two largest LODs of every instance: an LOD set has no more.
+    pub in_lod_set: u32,
     /// Vertices over all instances.
     pub vertices: u32,
     /// Vertices of instances that do not move.
@@ -125,37 +120,37 @@ pub struct Numbering {
     pub instances: Vec<InstancePlace>,
     /// Sizes.
     pub totals: Totals,
-    /// By instance, then by level of detail, of which there is one at least.
+    /// By instance, then by LOD, of which there is one at least.
     patches: Vec<Vec<PatchRange>>,
 }
 
 impl Numbering {
     /// Of a scene with these instances.
-    pub fn new(sizes: &[InstanceSize]) -> Self {
+    pub(crate) fn new(sizes: &[InstanceSize]) -> Self {
         let mut totals = Totals::default();
         let mut number = |size: &InstanceSize| (totals.place(size), totals.add(size));
         let (instances, patches) = sizes.iter().map(&mut number).unzip();
         Self { instances, totals, patches }
     }
 
-    /// The patches of an instance at a level of detail; none where its model has no such level.
-    pub fn patches(&self, instance: usize, level: usize) -> Option<PatchRange> {
-        self.patches[instance].get(level).copied().filter(|range| range.count > 0)
+    /// The patches of an instance at an LOD; none where its model has no such LOD.
+    pub(crate) fn patches(&self, instance: usize, lod: usize) -> Option<PatchRange> {
+        self.patches[instance].get(lod).copied().filter(|range| range.count > 0)
     }
 
-    /// The instance that a patch of any level belongs to, and the level.
+    /// The instance that a patch of any LOD belongs to, and the LOD.
     pub(crate) fn place_of_patch(&self, patch: ScenePatch) -> (usize, usize) {
-        let begins = |levels: &Vec<PatchRange>| levels[0].first <= patch;
+        let begins = |lods: &Vec<PatchRange>| lods[0].first <= patch;
         let instance = self.patches.partition_point(begins) - 1;
         let is_within = |range: &PatchRange| range.has(patch);
         // What has no patches begins where the next begins: the last of them is not the one.
         let is_owner = |instance: &usize| self.patches[*instance].iter().any(is_within);
         let instance = (0..=instance).rev().find(is_owner).expect("a patch of this scene");
-        let level = self.patches[instance].iter().position(is_within);
-        (instance, level.expect("it has the patch"))
+        let lod = self.patches[instance].iter().position(is_within);
+        (instance, lod.expect("it has the patch"))
     }
 
-    /// The instance that a patch of any level belongs to.
+    /// The instance that a patch of any LOD belongs to.
     pub fn instance_of_patch(&self, patch: ScenePatch) -> usize {
         self.place_of_patch(patch).0
     }
@@ -177,7 +172,7 @@ impl Totals {
         }
     }
 
-    /// Counts an instance; gives the numbers of its patches, by level of detail.
+    /// Counts an instance; gives the numbers of its patches, by LOD.
     fn add(&mut self, size: &InstanceSize) -> Vec<PatchRange> {
         let mut number = |count: &u32| {
             let first = ScenePatch(self.patches);
@@ -185,17 +180,17 @@ impl Totals {
             PatchRange { first, count: *count }
         };
         let finest = number(size.patches.first().unwrap_or(&0));
-        let levels = std::iter::once(finest).chain(size.patches.iter().skip(1).map(&mut number)).collect();
+        let lods = std::iter::once(finest).chain(size.patches.iter().skip(1).map(&mut number)).collect();
         let mut counts = size.patches.clone();
         counts.sort_unstable_by_key(|count| std::cmp::Reverse(*count));
-        self.looked_at += counts.iter().take(2).sum::<u32>();
+        self.in_lod_set += counts.iter().take(2).sum::<u32>();
         self.vertices += size.vertices;
         let saved = if size.is_animated { &mut self.animated_vertices } else { &mut self.static_vertices };
         *saved += size.vertices;
         self.palette += size.palette;
         self.bones += size.bones;
         self.morphs += size.morphs;
-        levels
+        lods
     }
 }
 
@@ -207,21 +202,21 @@ mod tests {
         InstanceSize { patches: patches.to_vec(), vertices, is_animated, bones: 3, ..InstanceSize::default() }
     }
 
-    /// A dragon, something without triangles, a rock of one level, another dragon.
+    /// A dragon, something without triangles, a rock of one LOD, another dragon.
     fn scene() -> Numbering {
         let dragon = size(&[50, 20, 10], 40, true);
         Numbering::new(&[dragon.clone(), size(&[0], 0, false), size(&[7], 9, false), dragon])
     }
 
     #[test]
-    fn every_patch_of_every_level_belongs_to_one_instance() {
+    fn every_patch_of_every_lod_belongs_to_one_instance() {
         let scene = scene();
         let mut owners = vec![None; 2 * 80 + 7];
-        for (instance, level) in (0..4).flat_map(|instance| (0..3).map(move |level| (instance, level))) {
-            let Some(range) = scene.patches(instance, level) else { continue };
+        for (instance, lod) in (0..4).flat_map(|instance| (0..3).map(move |lod| (instance, lod))) {
+            let Some(range) = scene.patches(instance, lod) else { continue };
             for patch in (range.first.0..range.end()).map(ScenePatch) {
                 assert_eq!(owners[patch.index()].replace(instance), None, "{patch:?} is numbered once");
-                assert_eq!(scene.place_of_patch(patch), (instance, level), "{patch:?}");
+                assert_eq!(scene.place_of_patch(patch), (instance, lod), "{patch:?}");
                 assert!(range.model_number(patch) < range.count);
             }
         }
@@ -229,13 +224,13 @@ mod tests {
     }
 
     #[test]
-    fn levels_follow_each_other_instance_after_instance() {
+    fn lods_follow_each_other_instance_after_instance() {
         let scene = scene();
-        assert_eq!((scene.totals.patches, scene.totals.looked_at), (167, 147));
-        let first = |instance, level| scene.patches(instance, level).map(|range| range.first.0);
+        assert_eq!((scene.totals.patches, scene.totals.in_lod_set), (167, 147));
+        let first = |instance, lod| scene.patches(instance, lod).map(|range| range.first.0);
         assert_eq!([first(0, 0), first(0, 1), first(0, 2)], [Some(0), Some(50), Some(70)]);
         assert_eq!([first(2, 0), first(3, 0), first(3, 2)], [Some(80), Some(87), Some(157)]);
-        assert_eq!([first(1, 0), first(2, 1)], [None, None], "nothing, and no coarser level");
+        assert_eq!([first(1, 0), first(2, 1)], [None, None], "nothing, and no coarser LOD");
     }
 
     #[test]

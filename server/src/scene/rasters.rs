@@ -44,12 +44,12 @@ impl Raster {
     }
 
     /// The nearest that a value of the curve can be.
-    pub fn value(self, value: Vec4) -> [f32; 4] {
+    pub(crate) fn value(self, value: Vec4) -> [f32; 4] {
         rounded(value, self.value_log2)
     }
 
     /// The nearest that a tangent of the curve can be.
-    pub fn tangent(self, tangent: Vec4) -> [f32; 4] {
+    pub(crate) fn tangent(self, tangent: Vec4) -> [f32; 4] {
         rounded(tangent, self.tangent_log2)
     }
 }
@@ -84,7 +84,7 @@ impl Rasters {
     }
 
     /// Of a path on which the farthest vertex is so many metres from what moves along it.
-    pub fn of_path(path: &SampledClip, reach_m: f32) -> Self {
+    pub(crate) fn of_path(path: &SampledClip, reach_m: f32) -> Self {
         let arms = [1.0, 2.0 * reach_m, reach_m];
         let of = |tracks: &[SampledTrack; 3]| {
             std::array::from_fn(|curve| Raster::new(&tracks[curve], arms[curve]))
@@ -102,7 +102,7 @@ pub(crate) struct Joints {
 
 impl Joints {
     /// Of a model.
-    pub fn new(model: &Model) -> Self {
+    pub(crate) fn new(model: &Model) -> Self {
         let mut own_reaches = vec![0.0f32; model.bones.len()];
         for vertex in &model.vertices {
             for (joint, _) in vertex.joints.iter().zip(vertex.weights).filter(|(_, weight)| *weight > 0.0) {

@@ -6,6 +6,7 @@ use crate::motion::sender::SharedMotion;
 use crate::pacing::density::Spare;
 use crate::pacing::gate::{AFTER_ALL, Budget, Kind, Shortfall, UpdateGate, WayState};
 use crate::pacing::quality::{Quality, QualityOptions, SentPicture};
+use crate::pacing::relief::{Measures, Relief};
 use crate::support::lock::lock;
 use crate::update::Shaded;
 use shadecast_protocol::delta::{DeltaSizes, EncodedDelta};
@@ -26,6 +27,14 @@ pub trait Updates {
     fn set_budget(&mut self, budget: Budget);
     /// Whether bits and time are left over by what it makes.
     fn set_spare(&mut self, spare: Spare);
+    /// What the next update does without.
+    fn set_measures(&mut self, measures: Measures);
+    /// What an update took when nobody looked yet, seconds, where that is known.
+    fn rehearsed_s(&self) -> Option<f64> {
+        None
+    }
+    /// An update takes about so many nanoseconds.
+    fn note_update(&mut self, took_ns: i64);
     /// The bytes of an update's delta, in the order of updates.
     fn encode(&mut self, delta: &UpdateDelta) -> EncodedDelta;
     /// What the client is sent of motion between updates, where it is sent any.
@@ -51,7 +60,7 @@ pub struct Reported {
 
 impl Reported {
     /// Takes in what a served client's session says; gives back what is no viewer's affair.
-    pub fn take(&mut self, event: ServerEvent) -> Option<ServerEvent> {
+    pub(crate) fn take(&mut self, event: ServerEvent) -> Option<ServerEvent> {
         match event {
             ServerEvent::Head(head) => self.head = Some(head),
             ServerEvent::Displayed(report) => {
@@ -88,6 +97,7 @@ pub struct Viewer<U> {
     sender: DeltaSender,
     gate: UpdateGate,
     quality: Quality,
+    relief: Relief,
     refresh: bool,
     /// False while nobody looks: nothing is shaded then.
     is_watched: bool,
@@ -100,6 +110,7 @@ impl<U: Updates> Viewer<U> {
     pub fn new(updates: U, sender: DeltaSender, quality: QualityOptions, period_ns: i64) -> Self {
         Self {
             motion: updates.motion(),
+            relief: Relief::new(period_ns as f64 * 1e-9, updates.rehearsed_s()),
             last: UpdateId(0),
             updates,
             sender,
@@ -142,7 +153,7 @@ impl<U: Updates> Viewer<U> {
     }
 
     /// The next picture must need no other: its encoder is a new one.
-    pub fn refresh(&mut self) {
+    pub(crate) fn refresh(&mut self) {
         self.refresh = true;
     }
 
@@ -171,12 +182,15 @@ impl<U: Updates> Viewer<U> {
         self.quality.note_link(way.and_then(|_| self.gate.rate_bytes_s(now_ns)));
         self.updates.set_budget(way.map_or(Budget::UNLIMITED, |_| self.gate.budget(now_ns)));
         self.updates.set_spare(self.quality.spare());
+        self.updates.set_measures(self.relief.measures());
         &mut self.updates
     }
 
     /// The update took the device so long, seconds; times as many as share the device.
     pub fn note_update(&mut self, took_s: f64) {
         self.quality.note_update(took_s);
+        self.relief.note(took_s);
+        self.updates.note_update((took_s * 1e9) as i64);
     }
 
     /// The update was shaded: the stream of its delta, and what is still to be done.

@@ -15,14 +15,14 @@ const FILTER_TEXELS: f32 = 6.5;
 
 /// A box as the sun sees it: x and y 0 to 1 over the map, z 1 nearest to the sun.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SunBox {
+pub(crate) struct SunBox {
     low: Vec3,
     high: Vec3,
 }
 
 impl SunBox {
     /// Around points of the world; `None` around nothing.
-    pub fn around(sun: &SunView, points: impl IntoIterator<Item = Vec3>) -> Option<Self> {
+    pub(crate) fn around(sun: &SunView, points: impl IntoIterator<Item = Vec3>) -> Option<Self> {
         let seen = points.into_iter().map(|point| sun.map_from_world.transform_point3(point));
         let nothing = Self { low: Vec3::INFINITY, high: Vec3::NEG_INFINITY };
         let all = seen.fold(nothing, |all, p| Self { low: all.low.min(p), high: all.high.max(p) });
@@ -40,7 +40,7 @@ impl SunBox {
 
     /// Larger on each side by a part of its extent.
     #[must_use]
-    pub fn stretched(self, share: f32) -> Self {
+    pub(crate) fn stretched(self, share: f32) -> Self {
         let margin = (self.high - self.low) * share;
         Self { low: self.low - margin, high: self.high + margin }
     }
@@ -70,7 +70,7 @@ impl Default for ShadowChange {
 
 impl ShadowChange {
     /// Nothing has moved.
-    pub fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         if std::mem::take(&mut self.is_any) {
             self.nearest.fill(f32::NEG_INFINITY);
         }
@@ -82,7 +82,7 @@ impl ShadowChange {
     }
 
     /// A caster came into this box, or left it.
-    pub fn add(&mut self, caster: SunBox) {
+    pub(crate) fn add(&mut self, caster: SunBox) {
         let Some([columns, rows]) = caster.cells() else { return };
         self.is_any = true;
         for row in rows[0]..=rows[1] {
@@ -92,7 +92,7 @@ impl ShadowChange {
     }
 
     /// Whether the light may have changed of a surface within a box, as it is looked up.
-    pub fn reaches(&self, surface: &SunBox) -> bool {
+    pub(crate) fn reaches(&self, surface: &SunBox) -> bool {
         let Some([columns, rows]) = surface.cells().filter(|_| self.is_any) else { return false };
         (rows[0]..=rows[1]).any(|row| {
             let cells = &self.nearest[row * CELLS + columns[0]..=row * CELLS + columns[1]];

@@ -26,8 +26,8 @@ use std::sync::Arc;
 pub struct SampleJob {
     /// Index into the scene's instances.
     pub instance: usize,
-    /// The finest level of detail whose vertices are to be there.
-    pub level: usize,
+    /// The finest LOD whose vertices are to be there.
+    pub lod: usize,
     /// Where its samples are kept.
     pub place: RingPlace,
     /// That place's time; the same for all jobs of a place until it is used for another time.
@@ -88,8 +88,8 @@ struct PoseRef {
     pose: u32,
     palette_base: u32,
     weight_base: u32,
-    /// The finest level of detail that was skinned.
-    level: usize,
+    /// The finest LOD that was skinned.
+    lod: usize,
 }
 
 impl Animation {
@@ -132,12 +132,12 @@ impl Animation {
     }
 
     /// How many sample times of a scene are worth keeping.
-    pub fn places_for(scene: &SceneGpu) -> u32 {
+    pub(crate) fn places_for(scene: &SceneGpu) -> u32 {
         Saved::places_for(&vertices(scene))
     }
 
     /// How many sample times are kept.
-    pub fn places(&self) -> u32 {
+    pub(crate) fn places(&self) -> u32 {
         self.poses.len() as u32
     }
 
@@ -145,7 +145,7 @@ impl Animation {
     pub fn has(&self, job: SampleJob) -> bool {
         let poses = &self.poses[job.place.index()];
         let pose = poses.of_instance[job.instance];
-        poses.time == Some(job.time) && pose.is_some_and(|pose| pose.level <= job.level)
+        poses.time == Some(job.time) && pose.is_some_and(|pose| pose.lod <= job.lod)
     }
 
     /// What it evaluates.
@@ -158,8 +158,8 @@ impl Animation {
         let animated =
             self.scene.numbering.instances.iter().enumerate().filter(|(_, instance)| instance.is_animated);
         let jobs: Vec<SampleJob> =
-            animated.map(|(instance, _)| SampleJob { instance, level: FULL_DETAIL, place, time }).collect();
-        self.record(recorder, &jobs, SampleJob { instance: 0, level: FULL_DETAIL, place, time });
+            animated.map(|(instance, _)| SampleJob { instance, lod: FULL_DETAIL, place, time }).collect();
+        self.record(recorder, &jobs, SampleJob { instance: 0, lod: FULL_DETAIL, place, time });
     }
 
     /// Poses and skins the instances of `samples`; the static ones with the first call, posed at `statics`.
@@ -168,7 +168,7 @@ impl Animation {
         let still =
             |instance: &usize| !self.statics_done && !self.scene.numbering.instances[*instance].is_animated;
         let still: Vec<SampleJob> =
-            all.filter(still).map(|instance| SampleJob { instance, level: FULL_DETAIL, ..statics }).collect();
+            all.filter(still).map(|instance| SampleJob { instance, lod: FULL_DETAIL, ..statics }).collect();
         let mut jobs = self.no_jobs();
         let mut poses = std::mem::take(&mut self.fresh);
         poses.clear();
@@ -221,7 +221,7 @@ impl Animation {
         let sample = |instance: usize| {
             let pose = self.poses[place.index()].of_instance[instance]?;
             let is_wanted = scene.numbering.instances[instance].is_animated && is_wanted(instance);
-            is_wanted.then_some(SampleJob { instance, level: pose.level, place, time })
+            is_wanted.then_some(SampleJob { instance, lod: pose.lod, place, time })
         };
         let mut samples = std::mem::take(&mut self.framed);
         samples.clear();
@@ -256,7 +256,7 @@ impl Animation {
             self.saved.begin(sample.place);
         }
         if let Some(known) = poses.by_key.get(&key).copied() {
-            let known = PoseRef { level: sample.level, ..known };
+            let known = PoseRef { lod: sample.lod, ..known };
             poses.of_instance[sample.instance] = Some(known);
             self.counts.shared_poses += 1;
             return known;
@@ -273,7 +273,7 @@ impl Animation {
             self.morph_weights.write(at as usize * 4, bytemuck::bytes_of(&weight));
             poses.weights += 1;
         }
-        let found = PoseRef { pose, palette_base, weight_base, level: sample.level };
+        let found = PoseRef { pose, palette_base, weight_base, lod: sample.lod };
         poses.by_key.insert(key, found);
         poses.of_instance[sample.instance] = Some(found);
         if let Shown::Live(pose) = &shown {
@@ -293,7 +293,7 @@ impl Animation {
     fn vertex_count(&self, sample: &SampleJob) -> u32 {
         let mesh = self.scene.mesh(sample.instance);
         // In full detail those too that no triangle uses.
-        if sample.level == FULL_DETAIL { mesh.vertex_count } else { mesh.levels[sample.level].skinned }
+        if sample.lod == FULL_DETAIL { mesh.vertex_count } else { mesh.lods[sample.lod].skinned }
     }
 
     /// An empty list with the room of the last one.
@@ -340,13 +340,13 @@ impl Animation {
     }
 
     /// Nothing that was computed is believed any more.
-    pub fn forget(&mut self) {
+    pub(crate) fn forget(&mut self) {
         self.poses.iter_mut().for_each(Poses::forget);
         self.statics_done = false;
     }
 
     /// Makes room for an instance's positions in a place and for its frames, for who poses elsewhere; gives the first of both.
-    pub fn keep(&mut self, instance: usize, place: RingPlace) -> Option<(u32, u32)> {
+    pub(crate) fn keep(&mut self, instance: usize, place: RingPlace) -> Option<(u32, u32)> {
         self.saved.keep(instance, place).zip(self.frames.keep(instance, SHADED))
     }
 
@@ -424,7 +424,7 @@ pub(crate) fn check_room(scene: &SceneGpu) -> Result<(), GpuError> {
 }
 
 /// By instance what its positions are packed in.
-pub fn boxes(scene: &SceneGpu) -> Vec<BoxGpu> {
+pub(crate) fn boxes(scene: &SceneGpu) -> Vec<BoxGpu> {
     scene.world_bounds.iter().map(|bounds| packing_box(*bounds)).collect()
 }
 

@@ -11,12 +11,12 @@ pub(crate) struct BitSet {
 
 impl BitSet {
     /// None of the numbers below `end`.
-    pub fn none(end: usize) -> Self {
+    pub(crate) fn none(end: usize) -> Self {
         Self { words: vec![0; end.div_ceil(64)], count: 0, first_word: 0 }
     }
 
     /// All numbers below `end`.
-    pub fn all(end: usize) -> Self {
+    pub(crate) fn all(end: usize) -> Self {
         let mut set = Self::none(end);
         for number in 0..end {
             set.insert(number);
@@ -25,17 +25,17 @@ impl BitSet {
     }
 
     /// How many numbers are in it.
-    pub fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.count
     }
 
     /// Whether a number is in it.
-    pub fn contains(&self, number: usize) -> bool {
+    pub(crate) fn contains(&self, number: usize) -> bool {
         self.words[number / 64] >> (number % 64) & 1 != 0
     }
 
     /// Adds a number; false where it was there.
-    pub fn insert(&mut self, number: usize) -> bool {
+    pub(crate) fn insert(&mut self, number: usize) -> bool {
         let is_new = !self.contains(number);
         self.words[number / 64] |= 1 << (number % 64);
         self.count += usize::from(is_new);
@@ -44,7 +44,7 @@ impl BitSet {
     }
 
     /// Takes a number out; false where it was not there.
-    pub fn remove(&mut self, number: usize) -> bool {
+    pub(crate) fn remove(&mut self, number: usize) -> bool {
         let was_there = self.contains(number);
         self.words[number / 64] &= !(1 << (number % 64));
         self.count -= usize::from(was_there);
@@ -52,7 +52,7 @@ impl BitSet {
     }
 
     /// All of them, ascending.
-    pub fn iter(&self) -> impl Iterator<Item = usize> + '_ {
+    pub(crate) fn iter(&self) -> impl Iterator<Item = usize> + '_ {
         let words = self.words.iter().enumerate().skip(self.first_word);
         words.flat_map(|(at, word)| {
             let mut left = *word;
@@ -65,7 +65,7 @@ impl BitSet {
     }
 
     /// The lowest number.
-    pub fn first(&mut self) -> Option<usize> {
+    pub(crate) fn first(&mut self) -> Option<usize> {
         let after = self.words[self.first_word.min(self.words.len())..].iter().position(|word| *word != 0);
         self.first_word = after.map_or(self.words.len(), |after| self.first_word + after);
         let word = self.words.get(self.first_word)?;

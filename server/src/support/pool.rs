@@ -15,12 +15,12 @@ impl<T> Default for Pool<T> {
 
 impl<T: Default> Pool<T> {
     /// One that was given, as it was; a new one where there is none.
-    pub fn take(&mut self) -> T {
+    pub(crate) fn take(&mut self) -> T {
         self.0.pop().unwrap_or_default()
     }
 
     /// This one is not needed any more. Of more than can be under way it goes.
-    pub fn give(&mut self, item: T) {
+    pub(crate) fn give(&mut self, item: T) {
         if self.0.len() < MOST {
             self.0.push(item);
         }

@@ -16,7 +16,7 @@ pub struct RingPlace(pub u32);
 
 impl RingPlace {
     /// As an index into an array by place.
-    pub fn index(self) -> usize {
+    pub(crate) fn index(self) -> usize {
         self.0 as usize
     }
 }

@@ -21,7 +21,7 @@ impl From<GridIndex> for ViewTime {
 
 impl ViewTime {
     /// The nearest to a time: no farther than an eighth of the grid's spacing.
-    pub fn nearest(grid: Grid, time: WorldTime) -> Self {
+    pub(crate) fn nearest(grid: Grid, time: WorldTime) -> Self {
         let before = grid.floor(time);
         let passed_ns = time.since(grid.time_of(before)).clamp(0, grid.spacing_ns);
         match (passed_ns * PARTS + grid.spacing_ns / 2) / grid.spacing_ns {
@@ -31,7 +31,7 @@ impl ViewTime {
     }
 
     /// When it is.
-    pub fn time(self, grid: Grid) -> WorldTime {
+    pub(crate) fn time(self, grid: Grid) -> WorldTime {
         grid.time_of(self.grid).plus_ns(i64::from(self.part) * grid.spacing_ns / PARTS)
     }
 }
@@ -52,13 +52,13 @@ struct Held {
 
 impl HeldTimes {
     /// So many places, in which nothing is.
-    pub fn new(places: u32) -> Self {
+    pub(crate) fn new(places: u32) -> Self {
         Self { held: vec![Held::default(); places as usize], uses: 0 }
     }
 
     /// The places of different times, of which there are no more than places: a time that is held has its place, the others those
     /// whose last use is longest ago. The last of the times is used last.
-    pub fn take<const N: usize>(&mut self, times: [ViewTime; N]) -> [RingPlace; N] {
+    pub(crate) fn take<const N: usize>(&mut self, times: [ViewTime; N]) -> [RingPlace; N] {
         let first_use = self.uses + 1;
         for time in times {
             self.uses += 1;

@@ -149,23 +149,29 @@ impl Forward {
     }
 
     /// Renders pictures of another size from now on. Nothing submitted still uses the old one.
-    pub fn resize(&mut self, extent: [u32; 2]) -> Result<(), GpuError> {
+    pub(crate) fn resize(&mut self, extent: [u32; 2]) -> Result<(), GpuError> {
         self.targets = Targets::new(&self.gpu, [&self.color.pass, &self.probe.pass], extent, self.samples)?;
         Ok(())
     }
 
     /// Width and height of pictures, pixels.
-    pub fn extent(&self) -> [u32; 2] {
+    pub(crate) fn extent(&self) -> [u32; 2] {
         self.targets.extent
     }
 
     /// What was drawn last: sRGB, one sample a pixel, in TRANSFER_SRC_OPTIMAL after [`Forward::record`].
-    pub fn image(&self) -> &Image {
+    pub(crate) fn image(&self) -> &Image {
         &self.targets.resolved
     }
 
     /// Records what an eye sees at `time`. Nothing submitted still reads the last recording's view.
-    pub fn record(&mut self, recorder: &mut Recorder, world_from_eye: Pose, fov: Fov, time: WorldTime) {
+    pub(crate) fn record(
+        &mut self,
+        recorder: &mut Recorder,
+        world_from_eye: Pose,
+        fov: Fov,
+        time: WorldTime,
+    ) {
         if std::mem::take(&mut self.is_posed) {
             self.animation.forget();
             let (from, to) = (&self.boxes, self.animation.boxes());

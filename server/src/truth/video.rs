@@ -150,7 +150,7 @@ pub struct Y4m<W> {
 
 impl<W: Write> Y4m<W> {
     /// Writes the header.
-    pub fn new(mut output: W, extent: [u32; 2], fps: f64) -> io::Result<Self> {
+    pub(crate) fn new(mut output: W, extent: [u32; 2], fps: f64) -> io::Result<Self> {
         let [width, height] = extent;
         let (number, divisor) = rational(fps);
         // The format has no tag for the matrix; X tags are free to say it.
@@ -162,7 +162,7 @@ impl<W: Write> Y4m<W> {
     }
 
     /// Adds a picture: tight RGB rows, sRGB-coded.
-    pub fn add(&mut self, rgb8: &[u8]) -> io::Result<()> {
+    pub(crate) fn add(&mut self, rgb8: &[u8]) -> io::Result<()> {
         self.output.write_all(b"FRAME\n")?;
         self.output.write_all(i420_of(rgb8, self.extent).bytes())
     }

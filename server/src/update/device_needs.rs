@@ -23,7 +23,7 @@ fn needs(totals: Totals, times: u32) -> [(&'static str, u64); 3] {
     [
         ("bones of all instances and sample times", of_all_times(totals.bones)),
         ("palettes of all instances and sample times", of_all_times(totals.palette)),
-        ("patches of all instances", u64::from(totals.looked_at) * size_of::<u32>() as u64),
+        ("patches of all instances", u64::from(totals.in_lod_set) * size_of::<u32>() as u64),
     ]
 }
 

@@ -20,17 +20,17 @@ pub(crate) struct EyeSize {
 
 impl EyeSize {
     /// As a client tells them.
-    pub fn of(capabilities: &Capabilities) -> Self {
+    pub(crate) fn of(capabilities: &Capabilities) -> Self {
         Self { extent_pixels: capabilities.eye_extent_pixels, fovs: capabilities.eyes.map(|eye| eye.fov) }
     }
 
     /// In the middle of the picture, along the denser side of the denser eye.
-    pub fn pixels_per_radian(&self) -> f32 {
+    pub(crate) fn pixels_per_radian(&self) -> f32 {
         self.pixels_per_tangent().into_iter().fold(0.0, f32::max)
     }
 
     /// Pixels of the picture across which the tangent of the view angle grows by 1, x and y, of the denser eye.
-    pub fn pixels_per_tangent(&self) -> [f32; 2] {
+    pub(crate) fn pixels_per_tangent(&self) -> [f32; 2] {
         let eyes = self.fovs.map(|fov| self.pixels_per_tangent_of(fov));
         [0, 1].map(|axis| eyes[0][axis].max(eyes[1][axis]))
     }

@@ -15,22 +15,22 @@ use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::time::ServerTime;
 
 /// An update that lacks only its shading.
-pub struct Placed {
+pub(crate) struct Placed {
     /// Its number.
     pub update: UpdateId,
     /// When it was begun.
     pub time: ServerTime,
-    /// Its views: shading looks from the head between them.
+    /// Its views: shading uses the head between them.
     pub views: PredictedViews,
     /// The samples of their times.
     pub sampled: Sampled,
     /// Changes to the client's memory.
     pub delta: UpdateDelta,
-    /// Device time of its looks.
+    /// Device time of its visibility passes.
     pub timings: Timings,
 }
 
-/// An update whose blocks are shaded by the device.
+/// An update whose shading is on the device.
 pub(crate) struct InWork {
     shaded: Shaded,
     ticket: Ticket,
@@ -48,25 +48,25 @@ pub(crate) struct InFlight {
 enum Ahead {
     #[default]
     None,
-    /// The device looks for it.
+    /// A visibility pass of it is on the device.
     Begun(Begun),
     /// Its shading waits to be recorded.
     Placed(Placed),
 }
 
 impl InFlight {
-    /// An update is begun, or looks once more.
-    pub fn begin(&mut self, begun: Begun) {
+    /// An update has a visibility pass on the device: its first, or another.
+    pub(crate) fn begin(&mut self, begun: Begun) {
         assert!(matches!(self.ahead, Ahead::None), "an update is placed and shaded before the next is begun");
         self.ahead = Ahead::Begun(begun);
     }
 
-    /// Whether an update looks.
-    pub fn is_begun(&self) -> bool {
+    /// Whether a visibility pass is on the device.
+    pub(crate) fn is_begun(&self) -> bool {
         matches!(self.ahead, Ahead::Begun(_))
     }
 
-    /// The begun update, to be placed or to look once more.
+    /// The begun update, to be placed or to get another visibility pass.
     pub(crate) fn take_begun(&mut self) -> Option<Begun> {
         match std::mem::take(&mut self.ahead) {
             Ahead::Begun(begun) => Some(begun),
@@ -78,7 +78,7 @@ impl InFlight {
     }
 
     /// What was begun is placed.
-    pub fn place(&mut self, placed: Placed) {
+    pub(crate) fn place(&mut self, placed: Placed) {
         assert!(matches!(self.ahead, Ahead::None), "one update is placed at a time");
         self.ahead = Ahead::Placed(placed);
     }
@@ -98,7 +98,7 @@ impl InFlight {
     }
 
     /// What was placed is before the device.
-    pub fn shade(&mut self, Placed { update, time, delta, timings, .. }: Placed, ticket: Ticket) {
+    pub(crate) fn shade(&mut self, Placed { update, time, delta, timings, .. }: Placed, ticket: Ticket) {
         let shaded = Shaded { update, time, delta, picture: Source::default(), timings };
         self.in_work = Some(InWork { shaded, ticket });
     }
@@ -110,19 +110,19 @@ impl InFlight {
         Ok(Some(shaded))
     }
 
-    /// The tickets of the look and of the shading that are before the device.
+    /// The tickets of the visibility pass and of the shading on the device.
     pub(crate) fn tickets(&self) -> [Option<Ticket>; 2] {
-        let look = if let Ahead::Begun(begun) = &self.ahead { Some(begun.ticket()) } else { None };
-        [look, self.in_work.as_ref().map(|work| work.ticket)]
+        let pass = if let Ahead::Begun(begun) = &self.ahead { Some(begun.ticket()) } else { None };
+        [pass, self.in_work.as_ref().map(|work| work.ticket)]
     }
 
     /// The progress of all.
-    pub fn flight(&self, world: &World) -> Result<Flight, GpuError> {
+    pub(crate) fn flight(&self, world: &World) -> Result<Flight, GpuError> {
         let is_done = |ticket: Option<Ticket>| ticket.map_or(Ok(false), |ticket| world.gpu().is_done(ticket));
-        let [look, shading] = self.tickets();
+        let [pass, shading] = self.tickets();
         Ok(Flight {
-            is_begun: look.is_some(),
-            is_seen: is_done(look)?,
+            is_begun: pass.is_some(),
+            is_seen: is_done(pass)?,
             is_placed: matches!(self.ahead, Ahead::Placed(_)),
             is_in_work: shading.is_some(),
             is_shaded: is_done(shading)?,

@@ -1,7 +1,7 @@
 //! One update for one viewer, from the head's pose to the picture and the delta: the design's steps 1 to 8 on one page.
 //!
 //! A step has an owner: `VisibilityStep`, `PlacementStep`, `ShadingStep`. Between two of them stands a type: `Start`,
-//! `Begun`, `Seen`, `Looked`, `Placed`, [`Shaded`]. Each step is a recording
+//! `Begun`, `Seen`, `PlacementInput`, `Placed`, [`Shaded`]. Each step is a recording
 //! of its own; barriers inside a recording stand in the step that owns it. What does not depend on the viewer is the [`World`]'s.
 
 mod device_needs;
@@ -30,7 +30,7 @@ use crate::update::numbers::UpdateNumbers;
 use crate::update::placement_step::PlacementStep;
 use crate::update::policy::UpdatePolicy;
 use crate::update::shading_step::ShadingStep;
-use crate::update::visibility_step::{Looked, Start, VisibilityStep};
+use crate::update::visibility_step::{PlacementInput, Start, VisibilityStep};
 use crate::visibility::predict::{HeadTrack, PredictedViews};
 use crate::world::{ViewerId, World};
 use shadecast_gpu::{GpuError, Recorder, Timings};
@@ -52,12 +52,14 @@ pub struct ViewerUpdates {
     numbers: UpdateNumbers,
     /// Memory for the timings of updates that come.
     timings: Pool<Timings>,
+    /// What an update took when nobody looked yet.
+    rehearsed_s: Option<f64>,
 }
 
 /// How much of the scene a viewer is shown, and how.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShowOptions {
-    /// Pixels of the display that a level of detail may err by where bits and time suffice; 0: everything has full detail.
+    /// Pixels of the display that an LOD may err by where bits and time suffice; 0: everything has full detail.
     pub detail_pixels: f32,
     /// Part of the client's slots and of the atlas for what an abrupt head could see, 0..1; 0: none.
     pub surround: f32,
@@ -70,13 +72,13 @@ pub struct Shows {
     pub patches: u32,
     /// Triangles that are drawn for them: those of two sides twice.
     pub triangles: u32,
-    /// Levels of detail of the instances that are needed, in their order.
-    pub levels: Vec<usize>,
-    /// Pixels of error that a level may have.
+    /// LODs of the instances that are needed, in their order.
+    pub lods: Vec<usize>,
+    /// Pixels of error that an LOD may have.
     pub detail_pixels: f32,
     /// Texels that blocks are asked to have for a pixel of the display, before sides are rounded up.
     pub texels_per_pixel: f32,
-    /// Pairs of views that the scene was looked at from.
+    /// Pairs of views with an ID buffer.
     pub pairs: usize,
     /// What was shaded, and what was not.
     pub reused: Reused,
@@ -126,20 +128,22 @@ impl ViewerUpdates {
             vertices: welcome.vertex_slots,
             triangles: capabilities.max_triangles,
         };
+        let placement = PlacementStep::new(world, eye, welcome, (room, show.surround), &policy);
         Ok(Self {
             id,
             head: HeadTrack::new(capabilities.display_period_ns),
-            visibility: VisibilityStep::new(world, (id, eye), show, &policy)?,
-            placement: PlacementStep::new(world, eye, welcome, (room, show.surround), &policy),
+            visibility: VisibilityStep::new(world, (id, eye), show, &policy, &placement.residency)?,
+            placement,
             shading: ShadingStep::new(world, eye, welcome.atlas_extent_texels, &policy)?,
             policy,
             in_flight: InFlight::default(),
             numbers: UpdateNumbers::new(),
             timings: Pool::default(),
+            rehearsed_s: None,
         })
     }
 
-    /// Steps 1 to 8, one after the other. `None` before the first head state: there is nowhere to look from.
+    /// Steps 1 to 8, one after the other. `None` before the first head state: no view is known.
     pub fn update(&mut self, world: &mut World, now: ServerTime) -> Result<Option<Shaded>, GpuError> {
         if !self.begin(world, now)? {
             return Ok(None);
@@ -163,7 +167,7 @@ impl ViewerUpdates {
         Ok(true)
     }
 
-    /// Steps 4, 5 and 8 of the begun update: waits for its looks.
+    /// Steps 4, 5 and 8 of the begun update: waits for its visibility passes.
     pub fn place(&mut self, world: &mut World) -> Result<(), GpuError> {
         while self.in_flight.is_begun() {
             self.place_seen(world)?;
@@ -171,19 +175,19 @@ impl ViewerUpdates {
         Ok(())
     }
 
-    /// The same up to the next look: waits for the one before the device, and submits the one that follows, if one does.
+    /// The same up to the next visibility pass: waits for the one on the device, and submits the next, if there is one.
     pub(crate) fn place_seen(&mut self, world: &mut World) -> Result<(), GpuError> {
         let Some(mut begun) = self.in_flight.take_begun() else { return Ok(()) };
         let seen = self.visibility.see(world, &mut begun)?;
-        let has_room = self.placement.see(world, seen);
-        if self.visibility.looks_again(world, &mut begun, has_room)? {
+        let fit = self.placement.see(world, seen);
+        if self.visibility.submit_next_pass(world, &mut begun, fit)? {
             self.in_flight.begin(begun);
             return Ok(());
         }
-        let looked = begun.looked();
-        let delta = self.placement.place(world, &looked); // 4, 5, 8
-        let Looked { start: Start { update, time, views, timings, .. }, sampled, looks } = looked;
-        self.visibility.recycle(looks);
+        let input = begun.finish();
+        let delta = self.placement.place(world, &input); // 4, 5, 8
+        let PlacementInput { start: Start { update, time, views, timings, .. }, sampled, lods } = input;
+        self.visibility.recycle(lods);
         self.numbers.placed(time);
         self.in_flight.place(Placed { update, time, views, sampled, delta, timings });
         Ok(())
@@ -213,6 +217,7 @@ impl ViewerUpdates {
             texels_per_pixel: self.placement.asked_texels_per_pixel(),
             error: self.placement.error(),
             room: self.placement.room(),
+            geometry_bytes: self.placement.residency.budget_bytes(),
             timings,
         }
     }
@@ -235,7 +240,7 @@ impl ViewerUpdates {
     }
 
     /// Waits until the device has come further with what is in flight, at most so long; false where it has nothing to do.
-    pub fn rest(&self, world: &World, at_most: Duration) -> Result<bool, GpuError> {
+    pub(crate) fn rest(&self, world: &World, at_most: Duration) -> Result<bool, GpuError> {
         for ticket in self.in_flight.tickets().into_iter().flatten() {
             if world.gpu().wait_at_most(ticket, at_most)? {
                 return Ok(true);

@@ -15,17 +15,17 @@ pub(crate) struct UpdateNumbers {
 
 impl UpdateNumbers {
     /// Before the first update.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self { next: UpdateId(0), made: VecDeque::new() }
     }
 
     /// The update that is made next, or is being made.
-    pub fn next(&self) -> UpdateId {
+    pub(crate) fn next(&self) -> UpdateId {
         self.next
     }
 
     /// That update is placed; it was begun at `begun`.
-    pub fn placed(&mut self, begun: ServerTime) {
+    pub(crate) fn placed(&mut self, begun: ServerTime) {
         self.made.push_back((self.next, begun));
         self.next = self.next.next();
         if self.made.len() > REMEMBERED_UPDATES {
@@ -34,7 +34,7 @@ impl UpdateNumbers {
     }
 
     /// The client shows an update. Returns when it was begun, at the first report of it.
-    pub fn displayed(&mut self, update: UpdateId) -> Option<ServerTime> {
+    pub(crate) fn displayed(&mut self, update: UpdateId) -> Option<ServerTime> {
         while self.made.front().is_some_and(|(made, _)| *made < update) {
             self.made.pop_front();
         }

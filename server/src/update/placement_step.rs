@@ -1,7 +1,7 @@
 //! Steps 4, 5 and 8 of an update: blocks for the patches that were seen, slots in the client's memory, and the delta.
 //!
-//! What a look has [`Seen`] enters. The answer whether it has room leaves, and after the last look the delta. Views of the device,
-//! passes and colours are unknown here.
+//! The result of a visibility pass enters ([`Seen`]). The answer whether it has room leaves, and after the last pass the delta.
+//! Views of the device and colours are unknown here.
 
 use crate::atlas::capacity::{Notice, Shortage};
 use crate::atlas::layout::{Layout, Visible};
@@ -11,14 +11,15 @@ use crate::motion::predictions::predictions;
 use crate::motion::skinning::Skinning;
 use crate::motion::steps::wanted_steps_m;
 use crate::pacing::density::{Density, Spare};
+use crate::pacing::relief::{Measure, Measures};
 use crate::pacing::room::Room;
 use crate::residency::{Allowance, Residency};
 use crate::scene::numbering::ScenePatch;
 use crate::update::eye::EyeSize;
 use crate::update::policy::UpdatePolicy;
-use crate::update::visibility_step::{Aim, Looked, Seen};
+use crate::update::visibility_step::{Aim, Fit, PlacementInput, Seen};
 use crate::visibility::detail::Detail;
-use crate::visibility::lod_set::{Look, Looks};
+use crate::visibility::lod_set::{LodInstance, LodSet};
 use crate::visibility::predict::PredictedViews;
 use crate::world::World;
 use shadecast_protocol::ids::UpdateId;
@@ -38,23 +39,33 @@ pub(crate) struct PlacementStep {
     shortage: Shortage,
     density: Density,
     spare: Spare,
+    measures: Measures,
     lists: Lists,
 }
 
 /// Lists of one update, in whose memory the next makes its own.
 #[derive(Default)]
 struct Lists {
-    /// The levels to be shown next.
-    next: Vec<Look>,
+    /// The LODs to be shown next.
+    next: Vec<LodInstance>,
     /// The patches that are shown, with their instance.
     shown: Vec<(usize, ScenePatch)>,
     /// The rest that the client can be brought.
     left: Allowance,
+    /// Bytes that the client lacks of what is shown, by instance.
+    lacking: Vec<(usize, usize)>,
 }
+
+/// Half the texels of a block, along a side.
+const FEWER_TEXELS: f32 = std::f32::consts::FRAC_1_SQRT_2;
+/// Factor on the error of coarser LODs.
+const COARSER_ERROR: f32 = 4.0;
+/// Part of what is seen that may be missing until the next update, before coarser LODs are shown.
+const MOST_MISSING: f64 = 0.003;
 
 impl PlacementStep {
     /// For a client with so much room. `surround`: part of the room for what an abrupt head could see.
-    pub fn new(
+    pub(crate) fn new(
         world: &World,
         eye: EyeSize,
         welcome: &Welcome,
@@ -74,6 +85,7 @@ impl PlacementStep {
             shortage: Shortage::default(),
             density: Density::default(),
             spare: Spare::Enough,
+            measures: Measures::default(),
             lists: Lists::default(),
         }
     }
@@ -83,58 +95,105 @@ impl PlacementStep {
         self.spare = spare;
     }
 
-    /// Texels for a pixel that extents are measured with.
-    pub(crate) fn asked_texels_per_pixel(&self) -> f32 {
-        self.density.texels_per_pixel() * self.policy.texels_per_pixel
+    /// What updates do without from now on.
+    pub(crate) fn set_measures(&mut self, measures: Measures) {
+        self.measures = measures;
     }
 
-    /// Factor on the allowed error of levels of detail.
-    pub fn error(&self) -> f32 {
-        self.density.error()
+    /// Texels for a pixel that extents are measured with.
+    pub(crate) fn asked_texels_per_pixel(&self) -> f32 {
+        self.wanted_texels_per_pixel() * self.policy.texels_per_pixel
+    }
+
+    /// Factor on the allowed error of LODs.
+    pub(crate) fn error(&self) -> f32 {
+        let coarser = [Measure::CoarserDetail, Measure::CoarsestDetail].map(|m| self.measures.has(m));
+        let steps = coarser.iter().filter(|has| **has).count();
+        COARSER_ERROR.powi(steps as i32) * self.density.error()
     }
 
     /// Texels that blocks are asked to have for a pixel of the display, before sides are rounded up.
-    pub fn texels_per_pixel(&self) -> f32 {
-        self.density.texels_per_pixel() * self.layout.density()
+    pub(crate) fn texels_per_pixel(&self) -> f32 {
+        self.wanted_texels_per_pixel() * self.layout.density()
+    }
+
+    fn wanted_texels_per_pixel(&self) -> f32 {
+        let part = if self.measures.has(Measure::FewerTexels) { FEWER_TEXELS } else { 1.0 };
+        part * self.density.texels_per_pixel()
     }
 
     /// The block of each patch.
-    pub fn layout(&self) -> &Layout {
+    pub(crate) fn layout(&self) -> &Layout {
         &self.layout
     }
 
     /// Patches in view without a block or a free slot, summed over all updates.
-    pub fn dropped_patches(&self) -> u64 {
+    pub(crate) fn dropped_patches(&self) -> u64 {
         self.shortage.total()
     }
 
     /// How much the client can be shown at once.
-    pub fn room(&self) -> Room {
+    pub(crate) fn room(&self) -> Room {
         self.room
     }
 
-    /// Takes in the result of a look. Returns whether there is room for all of it.
-    pub fn see(&mut self, world: &World, seen: Seen<'_>) -> bool {
-        let Seen { aim, texels_per_pixel, looks, seen, detail } = seen;
+    /// Takes in the result of a visibility pass. Returns whether the client can be shown all of it.
+    pub(crate) fn see(&mut self, world: &World, seen: Seen<'_>) -> Fit {
+        let Seen { aim, texels_per_pixel, lods, seen, detail } = seen;
         if aim == Aim::Around {
             let (residency, geometry) = (&self.residency, world.samples());
             let may_be = |instance: usize| residency.is_told_once(geometry, instance as u16);
-            self.layout.see_around(Visible { looks, seen }, may_be);
-            return true;
+            self.layout.see_around(Visible { lods, seen }, may_be);
+            return Fit::Fits;
         }
         if aim == Aim::InView(1) {
             self.layout.begin(texels_per_pixel);
         }
-        self.layout.see(Visible { looks, seen });
-        self.switch(world, looks, detail);
-        self.measure(looks, detail);
-        self.layout.has_room(world.samples(), looks, self.room)
+        self.layout.see(Visible { lods, seen });
+        if aim == Aim::InView(1) && self.gives_way(world, lods, detail) {
+            return Fit::LacksBytes;
+        }
+        self.switch(world, lods, detail);
+        self.measure(lods, detail);
+        if self.layout.has_room(world.samples(), lods, self.room) { Fit::Fits } else { Fit::LacksRoom }
+    }
+
+    /// Whether so much of what is shown is missing, and more than the update may bring, that coarser LODs are to be shown: a whole
+    /// coarse surface before a part of a fine one.
+    fn gives_way(&mut self, world: &World, lods: &LodSet, detail: &mut Detail) -> bool {
+        let geometry = world.samples();
+        self.residency.allow(&mut self.lists.left);
+        if self.lists.left.is_unlimited() {
+            return false;
+        }
+        self.measure(lods, detail);
+        let Lists { left, lacking, .. } = &mut self.lists;
+        lacking.clear();
+        let (mut seen_texels, mut missing_texels) = (0u64, 0u64);
+        for (instance, patch) in self.layout.shown(lods) {
+            let texels = self.layout.seen_texels(patch);
+            seen_texels += texels;
+            let bytes = self.residency.entry_bytes(geometry, patch);
+            if !self.residency.reserve(geometry, [patch], left) {
+                missing_texels += texels;
+            }
+            match lacking.last_mut() {
+                _ if bytes == 0 => {}
+                Some((last, sum)) if *last == instance => *sum += bytes,
+                _ => lacking.push((instance, bytes)),
+            }
+        }
+        missing_texels as f64 > MOST_MISSING * seen_texels as f64 && detail.give_way(lacking)
     }
 
     /// Places what was seen. Returns what the client must learn.
-    pub fn place(&mut self, world: &mut World, Looked { start, looks, .. }: &Looked) -> UpdateDelta {
+    pub(crate) fn place(
+        &mut self,
+        world: &mut World,
+        PlacementInput { start, lods, .. }: &PlacementInput,
+    ) -> UpdateDelta {
         let mut changes: Vec<PlacementChange> = std::mem::take(&mut self.changes);
-        self.layout.place(world.samples(), looks, self.room, &mut changes); // 4, 5
+        self.layout.place(world.samples(), lods, self.room, &mut changes); // 4, 5
         self.density.note(self.spare, self.layout.settled_share(), self.layout.density() < 1.0);
         let began = world.effort().begin();
         let delta = self.delta(world, start.update, &start.views, &changes); // 8
@@ -144,31 +203,31 @@ impl PlacementStep {
         delta
     }
 
-    /// Lets the client show the next level of those instances of which it has all that is seen, or gets it with this update. Of
+    /// Lets the client show the next LOD of those instances of which it has all that is seen, or gets it with this update. Of
     /// the others, the one that lacks least is brought ahead.
-    fn switch(&mut self, world: &World, looks: &mut Looks, detail: &mut Detail) {
+    fn switch(&mut self, world: &World, lods: &mut LodSet, detail: &mut Detail) {
         let (geometry, layout) = (world.samples(), &self.layout);
-        let Lists { next, shown, left } = &mut self.lists;
+        let Lists { next, shown, left, .. } = &mut self.lists;
         next.clear();
-        next.extend(looks.next());
+        next.extend(lods.next());
         shown.clear();
         if next.is_empty() {
             return self.residency.bring_ahead(&[]);
         }
-        shown.extend(layout.shown(looks));
+        shown.extend(layout.shown(lods));
         self.residency.allow(left);
-        let waits = |instance: usize| next.iter().any(|look| look.instance == instance);
+        let waits = |instance: usize| next.iter().any(|lod| lod.instance == instance);
         let stays = shown.iter().filter(|(instance, _)| !waits(*instance)).map(|(_, patch)| *patch);
         self.residency.reserve_what_fits(geometry, stays, left);
         let mut least: Option<&[ScenePatch]> = None;
-        for look in next.iter() {
-            let seen = layout.seen_of(look);
+        for lod in next.iter() {
+            let seen = layout.seen_of(lod);
             if self.residency.reserve(geometry, seen.iter().copied(), left) {
-                looks.switch(look.instance);
-                detail.switched(look.instance);
+                lods.switch(lod.instance);
+                detail.switched(lod.instance);
                 continue;
             }
-            let stays = shown.iter().filter(|(instance, _)| *instance == look.instance);
+            let stays = shown.iter().filter(|(instance, _)| *instance == lod.instance);
             self.residency.reserve_what_fits(geometry, stays.map(|(_, patch)| *patch), left);
             let lacking = |patches: &[ScenePatch]| self.residency.lacking(patches);
             least = Some(least.filter(|least| lacking(least) <= lacking(seen)).unwrap_or(seen));
@@ -176,10 +235,10 @@ impl PlacementStep {
         self.residency.bring_ahead(least.unwrap_or_default());
     }
 
-    /// Measures how much of each level that is shown was seen.
-    fn measure(&self, looks: &Looks, detail: &mut Detail) {
-        for look in looks.shown() {
-            detail.measured(look.instance, self.layout.seen_of(look).len() as u32);
+    /// Measures how much of each LOD that is shown was seen.
+    fn measure(&self, lods: &LodSet, detail: &mut Detail) {
+        for lod in lods.shown() {
+            detail.measured(lod.instance, self.layout.seen_of(lod).len() as u32);
         }
     }
 

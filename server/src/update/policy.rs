@@ -1,6 +1,7 @@
 //! The policy of a viewer's updates. The product has the default. A measurement changes one rule at a time, to say what each
 //! cause of error costs. The steps ask the policy; they know no measurement.
 
+use crate::pacing::relief::{Measure, Measures};
 use crate::shading::filter::Filter;
 use crate::time::view_time::ViewTime;
 use crate::time::{RingPlace, VIEW_TIMES};
@@ -25,12 +26,12 @@ pub struct UpdatePolicy {
     /// Blocks whose inputs have not changed are not shaded again.
     pub reuse: bool,
     /// Still views of a still scene are drawn once an update, not at each of its times.
-    pub looks_once: bool,
+    pub one_pass_when_still: bool,
     /// Of static instances, only clusters in sight are drawn.
     pub clusters: bool,
     /// For when exactly updates are shaded, where that is known ahead; others for the middle of their time on display, as expected.
     pub shading_times: BTreeMap<UpdateId, WorldTime>,
-    /// At which of its times an update looks.
+    /// The times at which an update has a visibility pass.
     pub views: ViewPlan,
 }
 
@@ -40,7 +41,7 @@ impl Default for UpdatePolicy {
             texels_per_pixel: 1.0,
             filter: Filter::default(),
             reuse: true,
-            looks_once: true,
+            one_pass_when_still: true,
             clusters: true,
             shading_times: BTreeMap::new(),
             views: ViewPlan::default(),
@@ -49,9 +50,21 @@ impl Default for UpdatePolicy {
 }
 
 impl UpdatePolicy {
-    /// The times at which an update looks: one where head and scene stand still.
-    pub(super) fn looked_at(&self, update: UpdateId, stands: impl FnOnce() -> bool) -> [bool; VIEW_TIMES] {
-        if self.looks_once && stands() { ONLY_THE_FIRST } else { self.views.times(update.0) }
+    /// The times of an update's visibility passes: one where head and scene stand still, fewer where a measure says so.
+    pub(super) fn pass_times(
+        &self,
+        update: UpdateId,
+        measures: Measures,
+        stands: impl FnOnce() -> bool,
+    ) -> [bool; VIEW_TIMES] {
+        if self.one_pass_when_still && stands() {
+            return ONLY_THE_FIRST;
+        }
+        let plan = match self.views {
+            ViewPlan::Every if measures.has(Measure::OneTime) => ViewPlan::OneInTurn,
+            plan => plan,
+        };
+        plan.times(update.0)
     }
 
     /// The clusters of static instances that are culled; an instance without any is drawn whole.

@@ -6,26 +6,22 @@ use crate::encode::Source;
 use crate::motion::delta::UpdateDelta;
 use crate::pacing::density::Spare;
 use crate::pacing::gate::Budget;
+use crate::pacing::relief::Measures;
 use crate::residency::Residency;
 use crate::shading::reuse::Reused;
-use crate::world::{ViewerId, World};
+use crate::world::World;
 use shadecast_gpu::Image;
 use shadecast_protocol::delta::EncodedDelta;
 use shadecast_protocol::message::{Displayed, HeadState};
 
 impl ViewerUpdates {
-    /// The viewer.
-    pub fn id(&self) -> ViewerId {
-        self.id
-    }
-
     /// The client's head, as reported.
     pub fn head(&mut self, state: HeadState) {
         self.head.head(state);
     }
 
     /// Updates pause or go on: how long the last one stays on display says nothing about the way.
-    pub fn interrupted(&mut self) {
+    pub(crate) fn interrupted(&mut self) {
         self.head.interrupted();
     }
 
@@ -45,6 +41,29 @@ impl ViewerUpdates {
     /// Whether bits and time are left over by the updates that it makes.
     pub(crate) fn set_spare(&mut self, spare: Spare) {
         self.placement.set_spare(spare);
+    }
+
+    /// An update takes about so many nanoseconds.
+    pub fn note_update(&mut self, took_ns: i64) {
+        self.head.note_update(took_ns);
+    }
+
+    /// An update took so many nanoseconds when nobody looked yet.
+    pub(crate) fn note_rehearsal(&mut self, took_ns: i64) {
+        self.note_update(took_ns);
+        self.rehearsed_s = Some(took_ns as f64 * 1e-9);
+    }
+
+    /// The same, seconds.
+    pub(crate) fn rehearsed_s(&self) -> Option<f64> {
+        self.rehearsed_s
+    }
+
+    /// What updates do without from now on.
+    pub(crate) fn set_measures(&mut self, measures: Measures) {
+        self.visibility.set_measures(measures);
+        self.placement.set_measures(measures);
+        self.shading.set_measures(measures);
     }
 
     /// How many texels an update may shade from now on, beside those of new blocks.
@@ -86,12 +105,12 @@ impl ViewerUpdates {
     }
 
     /// What the last update shaded, and what it did not have to.
-    pub fn reused(&self) -> Reused {
+    pub(crate) fn reused(&self) -> Reused {
         self.shading.reuse().reused()
     }
 
     /// Part of the blocks' texels that was not shaded again, over all updates, 0..1.
-    pub fn reused_share(&self) -> f32 {
+    pub(crate) fn reused_share(&self) -> f32 {
         self.shading.reuse().total_share()
     }
 
@@ -102,7 +121,7 @@ impl ViewerUpdates {
         Shows {
             patches: drawn().count() as u32,
             triangles: drawn().map(|patch| world.scene().patch(patch).drawn_triangles()).sum(),
-            levels: detail.levels().flatten().map(|levels| levels.shown).collect(),
+            lods: detail.lods().flatten().map(|lods| lods.shown).collect(),
             detail_pixels: detail.allowed_pixels(),
             texels_per_pixel: self.placement.texels_per_pixel(),
             pairs: self.visibility.pairs(),

@@ -5,6 +5,7 @@
 
 use crate::atlas::layout::Layout;
 use crate::encode::Source;
+use crate::pacing::relief::{Measure, Measures};
 use crate::shading::passes::shading::Shading;
 use crate::shading::passes::ycbcr::Ycbcr;
 use crate::shading::reuse::{Moment, Reuse};
@@ -21,6 +22,9 @@ use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::picture::I420;
 use std::sync::Arc;
 
+/// The part of the texels that are shaded again where that is a measure.
+const LESS_SHADING: u64 = 3;
+
 /// Owner of the atlas image and of the planes, for one viewer.
 pub(crate) struct ShadingStep {
     eye: EyeSize,
@@ -29,6 +33,7 @@ pub(crate) struct ShadingStep {
     reuse: Reuse<Stance>,
     /// Texels that an update may shade beside new blocks.
     budget_texels: u64,
+    measures: Measures,
     ycbcr: Ycbcr,
     /// Memory for the pictures of updates that come.
     pictures: Pool<I420>,
@@ -36,7 +41,7 @@ pub(crate) struct ShadingStep {
 
 impl ShadingStep {
     /// For an atlas of this extent.
-    pub fn new(
+    pub(crate) fn new(
         world: &World,
         eye: EyeSize,
         extent: AtlasExtent,
@@ -51,6 +56,7 @@ impl ShadingStep {
             shading,
             reuse: Reuse::new(policy.reuse),
             budget_texels: u64::MAX,
+            measures: Measures::default(),
             pictures: Pool::default(),
         })
     }
@@ -60,29 +66,42 @@ impl ShadingStep {
         self.budget_texels = texels;
     }
 
+    /// What updates do without from now on.
+    pub(crate) fn set_measures(&mut self, measures: Measures) {
+        self.measures = measures;
+    }
+
+    /// Texels that may be shaded again.
+    fn allowed_texels(&self) -> u64 {
+        match self.measures.has(Measure::LessShading) && self.budget_texels != u64::MAX {
+            true => self.budget_texels / LESS_SHADING,
+            false => self.budget_texels,
+        }
+    }
+
     /// Takes back a picture, for its memory.
-    pub fn recycle(&mut self, picture: I420) {
+    pub(crate) fn recycle(&mut self, picture: I420) {
         self.pictures.give(picture);
     }
 
     /// The blocks that are shaded again, and those that are not.
-    pub fn reuse(&self) -> &Reuse<Stance> {
+    pub(crate) fn reuse(&self) -> &Reuse<Stance> {
         &self.reuse
     }
 
     /// The atlas, as shaders read it.
-    pub fn atlas(&self) -> &Image {
+    pub(crate) fn atlas(&self) -> &Image {
         &self.shading.atlas
     }
 
     /// Texels of the atlas that the last update converted for the encoder.
-    pub fn converted_texels(&self) -> u64 {
+    pub(crate) fn converted_texels(&self) -> u64 {
         self.ycbcr.converted_texels()
     }
 
     /// Records the blocks whose inputs have changed, as they are in the middle of the update's time on display, and their
     /// conversion.
-    pub fn record(
+    pub(crate) fn record(
         &mut self,
         world: &mut World,
         Placed { update, views, sampled, .. }: &Placed,
@@ -93,7 +112,7 @@ impl ShadingStep {
         let time = self.policy.light(world, &mut recorder, *update, (middle, place));
         let (surfaces, placed) = (world.surfaces(time, place), layout.all_placed());
         let moment = |now: &mut Moment<Stance>| world.moment(time, now);
-        let due = self.reuse.due(moment, views.world_from_head, placed, &surfaces, self.budget_texels);
+        let due = self.reuse.due(moment, views.world_from_head, placed, &surfaces, self.allowed_texels());
         let blocks = due.iter().map(|due| (due.patch, due.block));
         self.shading.write_blocks(world.scene(), world.animation(), place, blocks);
         self.ycbcr.note_changed(due.iter().map(|due| due.block));
@@ -107,7 +126,7 @@ impl ShadingStep {
     }
 
     /// Reads the picture of a shaded update, and the coverage of its masked blocks.
-    pub fn read(&mut self, shaded: &mut Shaded) {
+    pub(crate) fn read(&mut self, shaded: &mut Shaded) {
         let blocks = shaded.delta.masked.iter();
         let covered = blocks.map(|(slot, block)| (*slot, self.ycbcr.coverage(*block)));
         shaded.delta.geometry.coverage.extend(covered.filter(|(_, coverage)| !coverage.is_whole()));

@@ -25,7 +25,7 @@ pub(crate) struct ViewsBuffer {
 
 impl ViewsBuffer {
     /// For eyes that are drawn into an ID buffer of this extent.
-    pub fn new(gpu: &Arc<Gpu>, eye: EyeSize, id_buffer_extent: [u32; 2]) -> Result<Self, GpuError> {
+    pub(crate) fn new(gpu: &Arc<Gpu>, eye: EyeSize, id_buffer_extent: [u32; 2]) -> Result<Self, GpuError> {
         let bytes = u64::from(ID_BUFFER_VIEWS) * size_of::<ViewGpu>() as u64;
         Ok(Self {
             buffer: Buffer::new(gpu, "views", bytes, Memory::Upload)?,
@@ -35,7 +35,7 @@ impl ViewsBuffer {
     }
 
     /// Writes the views of an update. Returns the number of turned frusta of each eye; 0: each is drawn as it is.
-    pub fn write(&mut self, views: &PredictedViews, update: UpdateId, texels_per_pixel: f32) -> usize {
+    pub(crate) fn write(&mut self, views: &PredictedViews, update: UpdateId, texels_per_pixel: f32) -> usize {
         let eyes = || views.eyes.iter().flat_map(|pair| pair.iter().enumerate()).enumerate();
         let turned_frusta = eyes().map(|(_, (_, view))| Frusta::of(view.fov).turned()).max().unwrap_or(0);
         for (index, (side, view)) in eyes() {

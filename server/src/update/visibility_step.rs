@@ -1,24 +1,28 @@
-//! Steps 2 and 3 of an update: the levels of detail to look at, the samples of the predicted times, and looks at them.
+//! Steps 2 and 3 of an update: LOD set, vertex samples of the predicted times, visibility passes.
 //!
-//! Predicted views enter with the placement's demands. A [`Begun`] update leaves, whose look is before the device, then what that
-//! look has [`Seen`]. Placement answers whether this has room: if not, another look follows at coarser levels. A look around the
-//! head may come last. Blocks, slots and colours are unknown here.
+//! Predicted views enter with the placement's demands. A [`Begun`] update leaves: its visibility pass is on the device. [`Seen`] is
+//! the result of the pass. Placement answers whether this has room. If not, another pass follows at coarser LODs. A pass for the
+//! surround of the head may come last. Blocks, slots and colours are unknown here.
 
+use crate::pacing::relief::{Measure, Measures};
 use crate::pacing::room::Room;
+use crate::residency::Residency;
 use crate::scene::SceneGpu;
-use crate::scene::meshes::MeshLevel;
+use crate::scene::meshes::MeshLod;
+use crate::time::view_time::ViewTime;
 use crate::time::{RingPlace, VIEW_TIMES};
 use crate::update::ShowOptions;
 use crate::update::eye::EyeSize;
 use crate::update::policy::{ONLY_THE_FIRST, UpdatePolicy};
 use crate::update::views::{ViewsBuffer, first_views};
 use crate::visibility::culling::{Culling, Needed, Sight};
-use crate::visibility::detail::{Detail, LevelCost};
-use crate::visibility::lod_set::{Look, Looks};
+use crate::visibility::detail::{Detail, LodCost};
+use crate::visibility::lod_set::{LodInstance, LodSet};
 use crate::visibility::nearness::pixels_per_metre;
+use crate::visibility::passes::extents::Extents;
 use crate::visibility::passes::id_buffer::{IdBuffer, Pass};
-use crate::visibility::passes::level_selection::LevelSelection;
 use crate::visibility::passes::mark::Mark;
+use crate::visibility::passes::spread::Spread;
 use crate::visibility::predict::PredictedViews;
 use crate::visibility::sweep::{Glance, Sweep};
 use crate::world::{Sampled, ViewerId, World};
@@ -28,14 +32,15 @@ use shadecast_protocol::time::ServerTime;
 use shadecast_shaders::generated::SeenGpu;
 use std::sync::Arc;
 
-/// Looks of an update at its views, each at coarser levels than the one before, until patches are left out.
-const MAX_LOOKS: u32 = 3;
+/// Visibility passes of an update's views, each at coarser LODs than the one before. After them patches are left out.
+const MAX_VIEW_PASSES: u32 = 3;
 
-/// Owner of everything that looks, for one viewer.
+/// Owner of everything that sees, for one viewer.
 pub(crate) struct VisibilityStep {
     viewer: ViewerId,
     eye: EyeSize,
     policy: Arc<UpdatePolicy>,
+    measures: Measures,
     culling: Culling,
     /// Instances needed for what is in view and for the surround.
     needs: Needed,
@@ -45,13 +50,14 @@ pub(crate) struct VisibilityStep {
     views: ViewsBuffer,
     /// Turned frusta of each eye; 0: each is drawn as it is.
     turned_frusta: usize,
-    /// The times that the last update looked at.
-    looked_at: [bool; VIEW_TIMES],
+    /// The times at which the last update had a visibility pass.
+    pass_times: [bool; VIEW_TIMES],
     id_buffer: IdBuffer,
     mark: Mark,
-    level_selection: LevelSelection,
+    spread: Spread,
+    extents: Extents,
     lists: Lists,
-    /// The extents that the last look found.
+    /// The extents that the last pass found.
     seen: Vec<SeenGpu>,
 }
 
@@ -66,12 +72,12 @@ struct Around {
 struct Lists {
     /// Pixels per metre of each instance.
     pixels_per_metre: Vec<f32>,
-    /// The levels to look at.
-    looks: Looks,
-    /// The levels that are drawn for it.
-    drawn: [Vec<Look>; 2],
-    /// Levels that are shown at once, for want of room.
-    coarser: Vec<Look>,
+    /// The LODs of the update.
+    lods: LodSet,
+    /// The LODs that are drawn for it.
+    drawn: [Vec<LodInstance>; 2],
+    /// LODs that are shown at once, for want of room.
+    coarser: Vec<LodInstance>,
 }
 
 /// An update as it starts, and the placement's demands on it.
@@ -84,236 +90,288 @@ pub(crate) struct Start {
     pub views: PredictedViews,
     /// Texels for a pixel that extents are measured with.
     pub texels_per_pixel: f32,
-    /// Factor on the allowed error of levels of detail.
+    /// Factor on the allowed error of LODs.
     pub error: f32,
     /// How much the client can be shown at once.
     pub room: Room,
-    /// Memory for the device time of its looks.
+    /// Bytes of geometry that it may bring.
+    pub geometry_bytes: usize,
+    /// Memory for the device time of its passes.
     pub timings: Timings,
 }
 
-/// An update whose look is before the device.
+/// An update whose visibility pass is on the device.
 pub(crate) struct Begun {
     start: Start,
     glance: Option<Glance>,
     sampled: Sampled,
     aim: Aim,
-    look: Seeing,
+    pass: VisibilityPass,
 }
 
-/// The aim of a look.
+/// The aim of a visibility pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Aim {
-    /// The views of the eyes, for so many times with this one: at coarser levels of detail each time.
+    /// The views of the eyes, for so many times with this one: at coarser LODs each time.
     InView(u32),
     /// The surround of the head.
     Around,
 }
 
-/// A look, and its recording.
-struct Seeing {
-    looks: Looks,
+/// Whether a client can be shown what a pass has seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Fit {
+    /// All of it.
+    Fits,
+    /// The client's memory is too small.
+    LacksRoom,
+    /// The update may not bring so many bytes. Coarser LODs are chosen.
+    LacksBytes,
+}
+
+/// A pass, and its recording.
+struct VisibilityPass {
+    lods: LodSet,
     ticket: Ticket,
 }
 
-/// The result of a look, for placement.
-pub struct Seen<'a> {
-    /// The aim of the look.
+/// The result of a pass, for placement.
+pub(crate) struct Seen<'a> {
+    /// The aim of the pass.
     pub aim: Aim,
     /// Texels for a pixel that extents were measured with.
     pub texels_per_pixel: f32,
-    /// The levels looked at. Placement switches those whose next level the client can show.
-    pub looks: &'a mut Looks,
-    /// Extents by entry of `looks`.
+    /// The LODs of the pass. Placement switches those whose next LOD the client can show.
+    pub lods: &'a mut LodSet,
+    /// Extents by entry of `lods`.
     pub seen: &'a [SeenGpu],
-    /// The levels of instances, which hear of each switch.
+    /// The LODs of instances, which hear of each switch.
     pub detail: &'a mut Detail,
 }
 
-/// A begun update after its last look.
-pub(crate) struct Looked {
+/// A begun update after its last visibility pass.
+pub(crate) struct PlacementInput {
     /// The update.
     pub start: Start,
     /// The samples of its times.
     pub sampled: Sampled,
-    /// The levels of detail that it shows.
-    pub looks: Looks,
+    /// The LODs that it shows.
+    pub lods: LodSet,
 }
 
-/// Pairs of views of one look, and where in the ring their samples are.
+/// Pairs of views of one pass, and where in the ring their samples are.
 #[derive(Clone, Copy)]
-struct Looking<'a> {
-    looks: &'a Looks,
-    /// Levels to draw: each once, and no two of an instance in a scene. The second may be empty.
-    scenes: &'a [Vec<Look>; 2],
+struct PassInputs<'a> {
+    lods: &'a LodSet,
+    /// LODs to draw: each once, and no two of an instance in a scene. The second may be empty.
+    scenes: &'a [Vec<LodInstance>; 2],
     places: [RingPlace; VIEW_TIMES],
     sight: &'a Sight,
     times: [bool; VIEW_TIMES],
     turned_frusta: usize,
+    /// Both eyes are one.
+    one_eye: bool,
+    /// The times of the update, where they are far apart.
+    rare_times: Option<&'a [ViewTime; VIEW_TIMES]>,
 }
 
+/// An update that is on display for longer shows surfaces that no predicted view has seen: what moves turns them into view,
+/// nanoseconds.
+const RARE_NS: i64 = 100_000_000;
+/// Meanwhile, rings of patches around those that a view has seen come into view: one for so many nanoseconds, and so many at most.
+const RING_NS: i64 = 60_000_000;
+const MOST_RINGS: i64 = 8;
+
 impl VisibilityStep {
-    /// For a viewer of `world`.
-    pub fn new(
+    /// For a viewer of `world`, whose client's memory is as it begins.
+    pub(crate) fn new(
         world: &World,
         (viewer, eye): (ViewerId, EyeSize),
         show: ShowOptions,
         policy: &Arc<UpdatePolicy>,
+        residency: &Residency,
     ) -> Result<Self, GpuError> {
         let (gpu, scene, animation) = (world.gpu(), world.scene(), world.animation());
         let id_buffer_extent = eye.id_buffer_extent();
         let views = ViewsBuffer::new(gpu, eye, id_buffer_extent)?;
         let id_buffer = IdBuffer::new(gpu, scene, animation, &views.buffer, id_buffer_extent)?;
-        let mark = Mark::new(gpu, &id_buffer.image, scene.numbering.totals.looked_at)?;
-        let level_selection = LevelSelection::new(gpu, scene, animation, &views.buffer, &mark.visible)?;
+        let mark = Mark::new(gpu, &id_buffer.image, scene.numbering.totals.in_lod_set)?;
+        let spread = Spread::new(gpu, scene, &mark.visible)?;
+        let extents = Extents::new(gpu, scene, animation, &views.buffer, &mark.visible)?;
         Ok(Self {
             viewer,
             eye,
             policy: policy.clone(),
+            measures: Measures::default(),
             culling: culling(scene),
             needs: Needed::none(scene.numbering.instances.len()),
             around: (show.surround > 0.0).then(|| Around::new(scene)),
-            detail: Detail::new(show.detail_pixels, level_costs(scene)),
+            detail: Detail::new(show.detail_pixels, lod_costs(world, residency)),
             views,
             turned_frusta: 0,
-            looked_at: [false; VIEW_TIMES],
+            pass_times: [false; VIEW_TIMES],
             id_buffer,
             mark,
-            level_selection,
+            spread,
+            extents,
             lists: Lists::default(),
             seen: Vec::new(),
         })
     }
 
-    /// Records and submits the samples of an update and its first look.
-    pub fn begin(&mut self, world: &mut World, start: Start) -> Result<Begun, GpuError> {
+    /// Records and submits the samples of an update and its first visibility pass.
+    pub(crate) fn begin(&mut self, world: &mut World, start: Start) -> Result<Begun, GpuError> {
         let views = &start.views;
         self.culling.needs(views.eyes.iter().flatten().copied());
-        let glance = self.look_for_surround(views);
+        let glance = self.glance_around(views);
         let near: &mut Vec<f32> = &mut self.lists.pixels_per_metre;
         pixels_per_metre(world.scene(), world.grid(), views, self.eye.pixels_per_radian(), near);
-        self.detail.begin(start.room, &self.needs, near, start.error);
+        self.detail.begin((start.room, start.geometry_bytes), &self.needs, near, start.error);
         let mut recorder = world.gpu().record()?;
         let began = world.effort().begin();
-        self.needs.set_levels(self.detail.finest());
+        self.needs.set_lods(self.detail.finest());
         let sampled = world.animate(&mut recorder, self.viewer, views, &self.needs); // 2
         world.effort_mut().add_animation(began);
         self.turned_frusta = self.views.write(views, start.update, start.texels_per_pixel);
-        self.looked_at = self.times_to_look_at(world, &start);
-        let look = self.look_again(recorder, world, (&sampled, views))?; // 3
-        Ok(Begun { start, glance, sampled, aim: Aim::InView(1), look })
+        self.pass_times = self.times_of_passes(world, &start);
+        let pass = self.submit_view_pass(recorder, world, (&sampled, views))?; // 3
+        Ok(Begun { start, glance, sampled, aim: Aim::InView(1), pass })
     }
 
-    /// The result of the look that is before the device: waits for it.
-    pub fn see<'a>(&'a mut self, world: &World, begun: &'a mut Begun) -> Result<Seen<'a>, GpuError> {
-        let Begun { start, aim, look, .. } = begun;
-        world.gpu().wait_timed_into(look.ticket, &mut start.timings)?;
-        self.level_selection.read(&mut self.seen);
+    /// The result of the pass on the device: waits for it.
+    pub(crate) fn see<'a>(&'a mut self, world: &World, begun: &'a mut Begun) -> Result<Seen<'a>, GpuError> {
+        let Begun { start, aim, pass, .. } = begun;
+        world.gpu().wait_timed_into(pass.ticket, &mut start.timings)?;
+        self.extents.read(&mut self.seen);
         Ok(Seen {
             aim: *aim,
             texels_per_pixel: start.texels_per_pixel,
-            looks: &mut look.looks,
+            lods: &mut pass.lods,
             seen: &self.seen,
             detail: &mut self.detail,
         })
     }
 
-    /// Submits the look that follows, if one does: at coarser levels of detail until what is visible has room, then around the
+    /// Submits the next pass, if there is one: at coarser LODs until what is visible has room, then around the
     /// head.
-    pub(crate) fn looks_again(
+    pub(crate) fn submit_next_pass(
         &mut self,
         world: &World,
         begun: &mut Begun,
-        has_room: bool,
+        fit: Fit,
     ) -> Result<bool, GpuError> {
-        let Begun { start, glance, sampled, aim, look } = begun;
+        let Begun { start, glance, sampled, aim, pass } = begun;
         let Aim::InView(number) = aim else { return Ok(false) };
-        if !has_room && *number < MAX_LOOKS && self.detail.tighten(start.room) {
+        if fit == Fit::LacksBytes {
+            // `Detail` has coarser LODs for the same views.
             *number += 1;
-            self.lists.looks = std::mem::take(&mut look.looks);
-            *look = self.look_again(world.gpu().record()?, world, (&*sampled, &start.views))?;
+            self.lists.lods = std::mem::take(&mut pass.lods);
+            *pass = self.submit_view_pass(world.gpu().record()?, world, (&*sampled, &start.views))?;
+            return Ok(true);
+        }
+        let has_room = fit == Fit::Fits;
+        if !has_room && *number < MAX_VIEW_PASSES && self.detail.tighten(start.room) {
+            *number += 1;
+            self.lists.lods = std::mem::take(&mut pass.lods);
+            *pass = self.submit_view_pass(world.gpu().record()?, world, (&*sampled, &start.views))?;
             return Ok(true);
         }
         if !has_room {
-            self.switch_at_once(&mut look.looks);
+            self.switch_at_once(&mut pass.lods);
         }
         let Some(glance) = glance else { return Ok(false) };
-        look.ticket = self.look_around(world, glance, &look.looks, sampled)?;
+        pass.ticket = self.submit_surround_pass(world, glance, &pass.lods, sampled)?;
         *aim = Aim::Around;
         Ok(true)
     }
 
-    /// Takes back the levels of an update, for their memory.
-    pub fn recycle(&mut self, looks: Looks) {
-        self.lists.looks = looks;
+    /// What updates do without from now on.
+    pub(crate) fn set_measures(&mut self, measures: Measures) {
+        self.measures = measures;
     }
 
-    /// Levels of the instances that are needed, in their order.
-    pub fn detail(&self) -> &Detail {
+    /// Takes back the LODs of an update, for their memory.
+    pub(crate) fn recycle(&mut self, lods: LodSet) {
+        self.lists.lods = lods;
+    }
+
+    /// LODs of the instances that are needed, in their order.
+    pub(crate) fn detail(&self) -> &Detail {
         &self.detail
     }
 
-    /// Pairs of views that the last update looked at.
-    pub fn pairs(&self) -> usize {
-        self.looked_at.iter().filter(|looks| **looks).count()
+    /// Pairs of views with a visibility pass in the last update.
+    pub(crate) fn pairs(&self) -> usize {
+        self.pass_times.iter().filter(|has_pass| **has_pass).count()
     }
 
-    /// Records and submits a look at the levels of detail as they are.
-    fn look_again(
+    /// Records and submits a visibility pass at the present LODs.
+    fn submit_view_pass(
         &mut self,
         recorder: Recorder,
         world: &World,
         (sampled, views): (&Sampled, &PredictedViews),
-    ) -> Result<Seeing, GpuError> {
-        let mut looks = std::mem::take(&mut self.lists.looks);
-        looks.refill(&world.scene().numbering, self.detail.levels());
+    ) -> Result<VisibilityPass, GpuError> {
+        let mut lods = std::mem::take(&mut self.lists.lods);
+        lods.refill(&world.scene().numbering, self.detail.lods());
         let mut drawn = std::mem::take(&mut self.lists.drawn);
-        looks.scenes(&mut drawn, |instance| self.culling.needed().has(instance));
-        let looking = Looking {
-            looks: &looks,
+        lods.scenes(&mut drawn, |instance| self.culling.needed().has(instance));
+        let inputs = PassInputs {
+            lods: &lods,
             scenes: &drawn,
             places: sampled.places,
             sight: &Sight::of(views.eyes.iter().flatten()),
-            times: self.looked_at,
+            times: self.pass_times,
             turned_frusta: self.turned_frusta,
+            one_eye: views.eyes.iter().all(|[left, right]| left == right),
+            rare_times: Some(&views.times).filter(|times| span_ns(world, times) > RARE_NS),
         };
-        let ticket = self.look_at(recorder, world, looking)?;
+        let ticket = self.submit_pass(recorder, world, inputs)?;
         self.lists.drawn = drawn;
-        Ok(Seeing { looks, ticket })
+        Ok(VisibilityPass { lods, ticket })
     }
 
-    /// Submits a look at what two directions around the head show, whether it is in view or not.
-    fn look_around(
+    /// Submits a visibility pass in two directions around the head, in view or not.
+    fn submit_surround_pass(
         &mut self,
         world: &World,
         glance: &Glance,
-        looks: &Looks,
+        lods: &LodSet,
         sampled: &Sampled,
     ) -> Result<Ticket, GpuError> {
         self.views.write_glance(glance);
         let sight = Sight::of(glance.views.iter());
         let mut drawn = std::mem::take(&mut self.lists.drawn);
         drawn.iter_mut().for_each(Vec::clear);
-        drawn[0].extend(looks.shown());
+        drawn[0].extend(lods.shown());
         let places = [sampled.places[VIEW_TIMES / 2]; VIEW_TIMES];
         let (scenes, times) = (&drawn, ONLY_THE_FIRST);
-        let looking = Looking { looks, scenes, places, sight: &sight, times, turned_frusta: 0 };
-        let ticket = self.look_at(world.gpu().record()?, world, looking)?;
+        let inputs = PassInputs {
+            lods,
+            scenes,
+            places,
+            sight: &sight,
+            times,
+            turned_frusta: 0,
+            one_eye: false,
+            rare_times: None,
+        };
+        let ticket = self.submit_pass(world.gpu().record()?, world, inputs)?;
         self.lists.drawn = drawn;
         Ok(ticket)
     }
 
     /// Rasterises views at their times, and measures what is visible.
-    fn look_at(
+    fn submit_pass(
         &mut self,
         mut recorder: Recorder,
         world: &World,
-        Looking { looks, scenes, places, sight, times, turned_frusta }: Looking<'_>,
+        PassInputs { lods, scenes, places, sight, times, turned_frusta, one_eye, rare_times }: PassInputs<'_>,
     ) -> Result<Ticket, GpuError> {
         let (scene, animation) = (world.scene(), world.animation());
         let within = (self.policy.clusters(world), sight);
         recorder.fill(&self.mark.visible, 0);
-        self.level_selection.record_start(&mut recorder);
+        self.extents.record_start(&mut recorder);
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
         for (time, place) in places.into_iter().enumerate().filter(|(time, _)| times[*time]) {
@@ -323,34 +381,41 @@ impl VisibilityStep {
             let all = all.flat_map(|drawn| first_views(time, turned_frusta).map(move |first| (drawn, first)));
             for (drawn, first_view) in all {
                 recorder.scope("id buffer", |r| {
-                    let pass = Pass { looked_at: drawn, place, first_view, within };
+                    let pass = Pass { lods: drawn, place, first_view, first_alone: one_eye, within };
                     self.id_buffer.record(r, scene, animation, pass);
                 });
                 recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
-                recorder.scope("mark", |r| self.mark.record(r));
+                recorder.scope("mark", |r| self.mark.record(r, one_eye));
                 recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the next one draws over the ID buffer
             }
         }
-        recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
-        recorder.scope("level selection", |r| {
-            self.level_selection.record(r, scene, animation, looks, places);
+        recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE);
+        if let Some(times) = rare_times {
+            let moves = |lod: &&LodInstance| lod.is_shown && !world.instance_stands(lod.instance, times);
+            let rings = (span_ns(world, times) / RING_NS).min(MOST_RINGS) as u32;
+            recorder
+                .scope("spread", |r| self.spread.record(r, scene, lods.all().iter().filter(moves), rings));
+        }
+        recorder.scope("extents", |r| {
+            self.extents.record(r, scene, animation, lods, places);
         });
         recorder.barrier(Access::COMPUTE_WRITE, Access::HOST_READ);
         recorder.submit()
     }
 
     /// The times that may show something that another does not: one of them where the head and all in view stand still.
-    fn times_to_look_at(&self, world: &World, Start { update, views, .. }: &Start) -> [bool; VIEW_TIMES] {
-        self.policy.looked_at(*update, || {
+    fn times_of_passes(&self, world: &World, Start { update, views, .. }: &Start) -> [bool; VIEW_TIMES] {
+        self.policy.pass_times(*update, self.measures, || {
             views.eyes.iter().all(|pair| *pair == views.eyes[0])
                 && world.stands(self.culling.needed(), &views.times)
         })
     }
 
     /// Adds the needs of the surround to those of the view. Returns the glance of this update, if it has one.
-    fn look_for_surround(&mut self, views: &PredictedViews) -> Option<Glance> {
+    fn glance_around(&mut self, views: &PredictedViews) -> Option<Glance> {
         self.needs.copy(self.culling.needed());
-        let Around { sweep, culling } = self.around.as_mut()?;
+        let around = self.around.as_mut().filter(|_| !self.measures.has(Measure::NoSurround));
+        let Around { sweep, culling } = around?;
         let glance = sweep.next(views.world_from_head);
         self.needs.add(culling.needs(glance.iter().flat_map(|glance| glance.views)));
         glance
@@ -358,27 +423,33 @@ impl VisibilityStep {
 
     /// There is no room for what is seen, not even for a moment beside what is to be shown instead: whatever is to be coarser is
     /// so from now on, and comes in as the other goes.
-    fn switch_at_once(&mut self, looks: &mut Looks) {
+    fn switch_at_once(&mut self, lods: &mut LodSet) {
         let coarser = &mut self.lists.coarser;
         coarser.clear();
-        coarser.extend(looks.coarser());
-        for look in coarser {
-            looks.switch(look.instance);
-            self.detail.switched(look.instance);
+        coarser.extend(lods.coarser());
+        for lod in coarser {
+            lods.switch(lod.instance);
+            self.detail.switched(lod.instance);
         }
     }
 }
 
+/// From the first of an update's predicted times to the last.
+fn span_ns(world: &World, times: &[ViewTime; VIEW_TIMES]) -> i64 {
+    let [first, .., last] = times.map(|at| at.time(world.grid()));
+    last.since(first)
+}
+
 impl Begun {
-    /// The look that is before the device.
+    /// The pass on the device.
     pub(crate) fn ticket(&self) -> Ticket {
-        self.look.ticket
+        self.pass.ticket
     }
 
-    /// After the last look.
-    pub fn looked(self) -> Looked {
-        let Self { start, sampled, look: Seeing { looks, .. }, .. } = self;
-        Looked { start, sampled, looks }
+    /// After the last pass.
+    pub(crate) fn finish(self) -> PlacementInput {
+        let Self { start, sampled, pass: VisibilityPass { lods, .. }, .. } = self;
+        PlacementInput { start, sampled, lods }
     }
 }
 
@@ -395,14 +466,21 @@ fn culling(scene: &SceneGpu) -> Culling {
     Culling::new(&scene.world_bounds, casts_shadow, sun.casts_shadows.then_some(sun.to_sun))
 }
 
-/// The costs of each level of detail of each instance.
-fn level_costs(scene: &SceneGpu) -> Vec<Vec<LevelCost>> {
-    let cost = |level: &MeshLevel| LevelCost {
-        error_m: level.error_m,
-        patches: level.patches.len() as u32,
-        vertices: level.vertices,
-        triangles: level.triangles,
+/// The costs of each LOD of each instance.
+fn lod_costs(world: &World, residency: &Residency) -> Vec<Vec<LodCost>> {
+    let (scene, geometry) = (world.scene(), world.samples());
+    let bytes = |instance: usize, lod: &MeshLod| {
+        residency.new_bytes(geometry, instance as u16, (lod.patches.len(), lod.vertices as usize))
     };
-    let instances = 0..scene.numbering.instances.len();
-    instances.map(|instance| scene.mesh(instance).levels.iter().map(cost).collect()).collect()
+    let costs = |instance: usize| {
+        let cost = |lod: &MeshLod| LodCost {
+            error_m: lod.error_m,
+            patches: lod.patches.len() as u32,
+            vertices: lod.vertices,
+            triangles: lod.triangles,
+            bytes: bytes(instance, lod) as u32,
+        };
+        scene.mesh(instance).lods.iter().map(cost).collect()
+    };
+    (0..scene.numbering.instances.len()).map(costs).collect()
 }

@@ -14,14 +14,14 @@ const CLUSTER_INDICES: u32 = 3 * 128;
 const PACKED_SHARE: f32 = 1e-5;
 const PACKED_M: f32 = 1e-4;
 
-/// By instance, and by level of detail; none for what moves, and for what nothing is known of.
+/// By instance, and by LOD; none for what moves, and for what nothing is known of.
 #[derive(Clone, Debug, Default)]
 pub struct Clusters(Vec<Vec<Vec<Cluster>>>);
 
 /// Triangles of one primitive that follow each other.
 #[derive(Clone, Debug)]
 struct Cluster {
-    /// In the level's own numbers.
+    /// In the LOD's own numbers.
     indices: Range<u32>,
     /// In the world.
     bounds: Bounds,
@@ -29,20 +29,20 @@ struct Cluster {
 
 impl Clusters {
     /// Of a scene of which nothing is known.
-    pub const NONE: &Self = &Self(Vec::new());
+    pub(crate) const NONE: &Self = &Self(Vec::new());
 
     /// The next instance moves.
     pub(crate) fn add_moving(&mut self) {
         self.0.push(Vec::new());
     }
 
-    /// The next instance stands still: of each of its levels the primitives, and where each index has its vertex in the world.
+    /// The next instance stands still: of each of its LODs the primitives, and where each index has its vertex in the world.
     pub(crate) fn add_still<'a>(
         &mut self,
-        levels: impl IntoIterator<Item = (&'a [Primitive], &'a [u32])>,
+        lods: impl IntoIterator<Item = (&'a [Primitive], &'a [u32])>,
         position: impl Fn(u32) -> Vec3,
     ) {
-        let of_level = |(primitives, indices): (&[Primitive], &[u32])| {
+        let of_lod = |(primitives, indices): (&[Primitive], &[u32])| {
             let all = primitives.iter().flat_map(|primitive| {
                 let all = all_indices(primitive);
                 let of = |first: u32| first..(first + CLUSTER_INDICES).min(all.end);
@@ -52,20 +52,20 @@ impl Clusters {
             clusters.sort_by_key(|cluster| cluster.indices.start);
             clusters
         };
-        self.0.push(levels.into_iter().map(of_level).collect());
+        self.0.push(lods.into_iter().map(of_lod).collect());
     }
 
-    /// Indices of a primitive of an instance's level that may be in sight, in runs without gaps.
-    pub fn runs<'a>(
+    /// Indices of a primitive of an instance's LOD that may be in sight, in runs without gaps.
+    pub(crate) fn runs<'a>(
         &'a self,
-        [instance, level]: [usize; 2],
+        [instance, lod]: [usize; 2],
         primitive: &Primitive,
         sight: &'a Sight,
     ) -> impl Iterator<Item = Range<u32>> + use<'a> {
         let all = all_indices(primitive);
-        let of_level = self.0.get(instance).and_then(|levels| levels.get(level));
-        let first = of_level.map_or(0, |of| of.partition_point(|cluster| cluster.indices.start < all.start));
-        let of_primitive = of_level.map_or(&[][..], |of| &of[first..]);
+        let of_lod = self.0.get(instance).and_then(|lods| lods.get(lod));
+        let first = of_lod.map_or(0, |of| of.partition_point(|cluster| cluster.indices.start < all.start));
+        let of_primitive = of_lod.map_or(&[][..], |of| &of[first..]);
         let end = all.end;
         let mut in_sight = of_primitive
             .iter()
@@ -73,7 +73,7 @@ impl Clusters {
             .filter(|cluster| sight.reaches(cluster.bounds))
             .map(|cluster| cluster.indices.clone())
             .peekable();
-        let mut whole = of_level.is_none().then_some(all);
+        let mut whole = of_lod.is_none().then_some(all);
         std::iter::from_fn(move || {
             let mut run = whole.take().or_else(|| in_sight.next())?;
             while let Some(next) = in_sight.next_if(|next| next.start == run.end) {

@@ -27,7 +27,7 @@ pub(crate) struct Culling {
     update: u32,
 }
 
-/// The instances that an update needs, or that several do, each with the finest level of detail that is.
+/// The instances that an update needs, or that several do, each with the finest LOD that is.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Needed(Vec<Option<usize>>);
 
@@ -39,51 +39,51 @@ impl FromIterator<bool> for Needed {
 
 impl Needed {
     /// None of so many instances.
-    pub fn none(instances: usize) -> Self {
+    pub(crate) fn none(instances: usize) -> Self {
         Self(vec![None; instances])
     }
 
     /// All of them in full detail.
-    pub fn all(instances: usize) -> Self {
+    pub(crate) fn all(instances: usize) -> Self {
         Self(vec![Some(0); instances])
     }
 
     /// Whether an instance is needed.
-    pub fn has(&self, instance: usize) -> bool {
+    pub(crate) fn has(&self, instance: usize) -> bool {
         self.0[instance].is_some()
     }
 
-    /// The finest level of an instance that is needed.
-    pub fn level(&self, instance: usize) -> Option<usize> {
+    /// The finest LOD of an instance that is needed.
+    pub(crate) fn lod(&self, instance: usize) -> Option<usize> {
         self.0[instance]
     }
 
     /// Becomes what others need, in the memory that it has.
-    pub fn copy(&mut self, others: &Self) {
+    pub(crate) fn copy(&mut self, others: &Self) {
         self.0.clone_from(&others.0);
     }
 
     /// Nothing is needed any more.
-    pub fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.0.fill(None);
     }
 
-    /// Of what is needed no finer level than these, by instance, is.
-    pub(crate) fn set_levels(&mut self, levels: impl IntoIterator<Item = usize>) {
-        for (has, level) in self.0.iter_mut().zip(levels) {
-            *has = has.map(|_| level);
+    /// Of what is needed no finer LOD than these, by instance, is.
+    pub(crate) fn set_lods(&mut self, lods: impl IntoIterator<Item = usize>) {
+        for (has, lod) in self.0.iter_mut().zip(lods) {
+            *has = has.map(|_| lod);
         }
     }
 
-    /// Of what is needed no coarser level than these, by instance, is.
-    pub(crate) fn refine(&mut self, levels: impl IntoIterator<Item = usize>) {
-        for (has, level) in self.0.iter_mut().zip(levels) {
-            *has = has.map(|has| has.min(level));
+    /// Of what is needed no coarser LOD than these, by instance, is.
+    pub(crate) fn refine(&mut self, lods: impl IntoIterator<Item = usize>) {
+        for (has, lod) in self.0.iter_mut().zip(lods) {
+            *has = has.map(|has| has.min(lod));
         }
     }
 
     /// Adds what others need.
-    pub fn add(&mut self, others: &Self) {
+    pub(crate) fn add(&mut self, others: &Self) {
         for (has, other) in self.0.iter_mut().zip(&others.0) {
             *has = has.iter().chain(other).min().copied();
         }
@@ -95,7 +95,7 @@ impl Needed {
     }
 
     /// Whether all that others need is needed here, as finely.
-    pub fn covers(&self, others: &Self) -> bool {
+    pub(crate) fn covers(&self, others: &Self) -> bool {
         let covers = |has: &Option<usize>, other: usize| has.is_some_and(|has| has <= other);
         self.0.iter().zip(&others.0).all(|(has, other)| other.is_none_or(|other| covers(has, other)))
     }
@@ -103,7 +103,7 @@ impl Needed {
 
 impl Culling {
     /// `bounds` and `casts_shadow` by instance; `to_sun` is `None` where the sun casts no shadows.
-    pub fn new(bounds: &[Bounds], casts_shadow: impl Fn(usize) -> bool, to_sun: Option<Vec3>) -> Self {
+    pub(crate) fn new(bounds: &[Bounds], casts_shadow: impl Fn(usize) -> bool, to_sun: Option<Vec3>) -> Self {
         let all = bounds.iter().copied().fold(Bounds::EMPTY, Bounds::union);
         let reach = |(index, bounds): (usize, &Bounds)| match to_sun {
             _ if bounds.is_empty() => Vec::new(),
@@ -119,7 +119,7 @@ impl Culling {
     }
 
     /// What the next update needs, with these views.
-    pub fn needs(&mut self, views: impl Iterator<Item = View> + Clone) -> &Needed {
+    pub(crate) fn needs(&mut self, views: impl Iterator<Item = View> + Clone) -> &Needed {
         self.update += 1;
         for (index, reach) in self.reach.iter().enumerate() {
             if views.clone().any(|view| is_in_view(reach, &view)) {
@@ -133,7 +133,7 @@ impl Culling {
     }
 
     /// What the last update needs.
-    pub fn needed(&self) -> &Needed {
+    pub(crate) fn needed(&self) -> &Needed {
         &self.needed
     }
 }
@@ -160,7 +160,7 @@ impl Sight {
     }
 
     /// Conservative: false only if all of a box lies on the far side of a plane of each view.
-    pub fn reaches(&self, bounds: Bounds) -> bool {
+    pub(crate) fn reaches(&self, bounds: Bounds) -> bool {
         let (middle, half) = ((bounds.low + bounds.high) * 0.5, (bounds.high - bounds.low) * 0.5);
         let is_inside =
             |plane: &Vec4| plane.dot(middle.extend(1.0)) + plane.truncate().abs().dot(half) >= 0.0;

@@ -51,7 +51,7 @@ pub(crate) fn widened(fov: Fov, margin: f32) -> Fov {
 
 impl Frusta {
     /// Of a [`widened`] field of view: every direction within it lies in one of them.
-    pub fn of(widened: Fov) -> Self {
+    pub(crate) fn of(widened: Fov) -> Self {
         let whole = Frustum { eye_from_frustum: Quat::IDENTITY, fov: widened };
         let all = Self { all: [whole; MAX_FRUSTA as usize], count: 1 };
         // What is turned along one axis is wider along the other.
@@ -59,17 +59,17 @@ impl Frusta {
     }
 
     /// All of them.
-    pub fn all(&self) -> &[Frustum] {
+    pub(crate) fn all(&self) -> &[Frustum] {
         &self.all[..self.count]
     }
 
     /// How many of them are turned: all, or none.
-    pub fn turned(&self) -> usize {
+    pub(crate) fn turned(&self) -> usize {
         if self.all().iter().any(Frustum::is_turned) { self.count } else { 0 }
     }
 
     /// That of this number; the last one where there are fewer.
-    pub fn at(&self, number: usize) -> Frustum {
+    pub(crate) fn at(&self, number: usize) -> Frustum {
         self.all[number.min(self.count - 1)]
     }
 
@@ -116,7 +116,7 @@ impl Frustum {
 
     /// Pixels that an image of it has for an eye that shows `shown` with so many pixels of its display along x and y for a tangent
     /// of 1: as dense as the display in the frustum's middle, and nowhere much less.
-    pub fn extent_pixels(&self, shown: Fov, pixels_per_tangent: [f32; 2]) -> [f32; 2] {
+    pub(crate) fn extent_pixels(&self, shown: Fov, pixels_per_tangent: [f32; 2]) -> [f32; 2] {
         let low = Vec2::new(self.fov.left.tan(), self.fov.down.tan());
         let high = Vec2::new(self.fov.right.tan(), self.fov.up.tan());
         let density = |at: Vec2| self.display_pixels(at, shown, pixels_per_tangent);

@@ -1,6 +1,6 @@
 //! Where an update looks from, and what it sees.
 //!
-//! Head poses and instances enter; predicted views, needed instances, levels of detail and seen patches leave. Nothing here
+//! Head poses and instances enter; predicted views, needed instances, LODs and seen patches leave. Nothing here
 //! knows blocks, the client's memory or colours.
 
 pub mod predict;

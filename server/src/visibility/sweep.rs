@@ -1,4 +1,4 @@
-//! Looks around the head, two opposite directions of a cube at a time: what they see is what an abrupt turn would show. Pure.
+//! The sweep around the head, two opposite directions of a cube at a time. It finds what an abrupt turn would show. Pure.
 
 use crate::visibility::predict::View;
 use glam::{Quat, Vec3};
@@ -35,7 +35,7 @@ pub(crate) struct Sweep {
 
 impl Sweep {
     /// Where the next update looks besides, if it does.
-    pub fn next(&mut self, world_from_head: Pose) -> Option<Glance> {
+    pub(crate) fn next(&mut self, world_from_head: Pose) -> Option<Glance> {
         let update = self.updates;
         self.updates = self.updates.wrapping_add(1);
         update.is_multiple_of(EVERY_UPDATES).then(|| glance(update / EVERY_UPDATES, world_from_head))

@@ -52,7 +52,7 @@ impl ViewPlan {
     }
 
     /// Which times the update of this number looks at.
-    pub fn times(self, update: u32) -> [bool; VIEW_TIMES] {
+    pub(crate) fn times(self, update: u32) -> [bool; VIEW_TIMES] {
         let turn = update as usize % VIEW_TIMES;
         std::array::from_fn(|time| match self {
             Self::Every => true,
@@ -65,7 +65,7 @@ impl ViewPlan {
     }
 
     /// What is added to each side of the field of view beside the usual margin, radians.
-    pub fn margin(self) -> f32 {
+    pub(crate) fn margin(self) -> f32 {
         if self == Self::WideMiddle { 0.087 } else { 0.0 }
     }
 }

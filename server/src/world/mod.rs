@@ -28,9 +28,14 @@ use std::sync::Arc;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct ViewerId(pub u64);
 
+impl ViewerId {
+    /// Of nobody.
+    pub(crate) const REHEARSAL: Self = Self(0);
+}
+
 /// The samples that an update works with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Sampled {
+pub(crate) struct Sampled {
     /// Where those of each predicted time are in the ring.
     pub places: [RingPlace; VIEW_TIMES],
 }
@@ -104,32 +109,32 @@ impl World {
     }
 
     /// Its device.
-    pub fn gpu(&self) -> &Arc<Gpu> {
+    pub(crate) fn gpu(&self) -> &Arc<Gpu> {
         &self.gpu
     }
 
     /// Its scene.
-    pub fn scene(&self) -> &Arc<SceneGpu> {
+    pub(crate) fn scene(&self) -> &Arc<SceneGpu> {
         &self.scene
     }
 
     /// Positions at the times of updates.
-    pub fn animation(&self) -> &Animation {
+    pub(crate) fn animation(&self) -> &Animation {
         &self.animation
     }
 
     /// Which times those are.
-    pub fn samples(&self) -> &SampleWindow {
+    pub(crate) fn samples(&self) -> &SampleWindow {
         &self.samples
     }
 
     /// What stands still, in clusters.
-    pub fn clusters(&self) -> &Clusters {
+    pub(crate) fn clusters(&self) -> &Clusters {
         &self.clusters
     }
 
     /// Light and the sun's map.
-    pub fn shadow(&self) -> &Shadow {
+    pub(crate) fn shadow(&self) -> &Shadow {
         &self.shadow
     }
 
@@ -144,7 +149,7 @@ impl World {
     }
 
     /// The times at which vertices are sampled.
-    pub fn grid(&self) -> Grid {
+    pub(crate) fn grid(&self) -> Grid {
         self.grid
     }
 
@@ -168,7 +173,7 @@ impl World {
     }
 
     /// Nothing that was made is believed any more: an update was broken off in the middle.
-    pub fn forget(&mut self) {
+    pub(crate) fn forget(&mut self) {
         self.animation.forget();
         self.shadow.forget();
         self.lit = None;
@@ -185,13 +190,13 @@ impl World {
     }
 
     /// A viewer has gone: what only it needed is animated no longer.
-    pub fn leave(&mut self, viewer: ViewerId) {
+    pub(crate) fn leave(&mut self, viewer: ViewerId) {
         self.needs.remove(&viewer);
         self.unite();
     }
 
     /// Records the samples that an update for `views` lacks, of the instances that `viewer` needs and those that others do.
-    pub fn animate(
+    pub(crate) fn animate(
         &mut self,
         recorder: &mut Recorder,
         viewer: ViewerId,
@@ -201,20 +206,20 @@ impl World {
         let instances = self.scene.numbering.instances.len();
         let of_viewer = self.needs.entry(viewer).or_insert_with(|| Needed::none(instances));
         of_viewer.copy(needs);
-        of_viewer.refine(self.shadow.levels());
+        of_viewer.refine(self.shadow.lods());
         self.unite();
         let places = self.samples.record(recorder, &mut self.animation, self.grid, views, &self.needed);
         Sampled { places }
     }
 
     /// Records light, shadow map and tangents as they are at `at`, which [`Self::animate`] has sampled into `place`, unless they are.
-    pub fn light(&mut self, recorder: &mut Recorder, at: ViewTime, place: RingPlace) {
+    pub(crate) fn light(&mut self, recorder: &mut Recorder, at: ViewTime, place: RingPlace) {
         let known = self.lit.as_ref().filter(|(lit, _)| *lit == at).map(|(_, of)| of);
         match known {
             Some(of) if of.covers(&self.needed) => return,
             // Another viewer needs finer frames; the map is as fine for all.
             Some(of) if of.has_all(&self.needed) => {
-                let lacks = |instance: usize| self.needed.level(instance) < of.level(instance);
+                let lacks = |instance: usize| self.needed.lod(instance) < of.lod(instance);
                 self.animation.record_tangents(recorder, place, |instance| {
                     self.needed.has(instance) && lacks(instance)
                 });
@@ -236,26 +241,29 @@ impl World {
     }
 
     /// Writes what shading depends on at the time of the light that was recorded last.
-    pub fn moment(&self, time: WorldTime, now: &mut Moment<Stance>) {
+    pub(crate) fn moment(&self, time: WorldTime, now: &mut Moment<Stance>) {
         moment::write(&self.scene, &self.animation, &self.shadow, time, now);
     }
 
     /// Its surfaces at a time, of which a place has the positions.
-    pub fn surfaces(&self, time: WorldTime, place: RingPlace) -> SceneSurfaces<'_> {
+    pub(crate) fn surfaces(&self, time: WorldTime, place: RingPlace) -> SceneSurfaces<'_> {
         let Self { scene, samples, animation, shadow, .. } = self;
         SceneSurfaces { scene, samples, animation, sun: shadow.sun_view(), time, place }
     }
 
     /// Whether all that is in `needs` looks the same at several times.
-    pub fn stands(&self, needs: &Needed, times: &[ViewTime]) -> bool {
+    pub(crate) fn stands(&self, needs: &Needed, times: &[ViewTime]) -> bool {
+        let mut needed = (0..self.scene.numbering.instances.len()).filter(|number| needs.has(*number));
+        needed.all(|number| self.instance_stands(number, times))
+    }
+
+    /// The same of one instance.
+    pub(crate) fn instance_stands(&self, number: usize, times: &[ViewTime]) -> bool {
         let timeline = self.animation.timeline().lock();
         let Some((first, others)) = times.split_first() else { return true };
-        let stance = |number, at: &ViewTime| stance(&self.scene, &timeline, number, at.time(self.grid));
-        let mut needed = (0..self.scene.numbering.instances.len()).filter(|number| needs.has(*number));
-        needed.all(|number| {
-            let at_first = stance(number, first);
-            others.iter().all(|other| stance(number, other) == at_first)
-        })
+        let stance = |at: &ViewTime| stance(&self.scene, &timeline, number, at.time(self.grid));
+        let at_first = stance(first);
+        others.iter().all(|other| stance(other) == at_first)
     }
 
     fn record_light(&mut self, recorder: &mut Recorder, place: RingPlace, time: WorldTime) {

@@ -27,7 +27,7 @@ const FLAT_COSINE: f32 = 0.95;
 
 /// Equal where an instance looks the same.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Stance(Option<Stands>);
+pub(crate) struct Stance(Option<Stands>);
 
 /// Of an instance that may move.
 #[derive(Clone, Debug, PartialEq)]
@@ -90,7 +90,7 @@ fn bounds_at(scene: &SceneGpu, number: usize, time: WorldTime) -> Bounds {
 }
 
 /// The scene's surfaces at a time.
-pub struct SceneSurfaces<'a> {
+pub(crate) struct SceneSurfaces<'a> {
     /// The scene.
     pub scene: &'a SceneGpu,
     /// Where its vertices are that do not move.

@@ -48,11 +48,10 @@ impl SampleWindow {
                 continue;
             }
             let model = &scene.scene.models[place.model];
-            let levels = (0..scene.mesh(index).levels.len()).map(|level| model.triangles(level));
+            let lods = (0..scene.mesh(index).lods.len()).map(|lod| model.triangles(lod));
             let statics = &self.statics[place.saved_base as usize..];
-            clusters.add_still(levels.map(|level| (level.primitives, level.indices)), |vertex| {
-                statics[vertex as usize]
-            });
+            clusters
+                .add_still(lods.map(|lod| (lod.primitives, lod.indices)), |vertex| statics[vertex as usize]);
         }
         clusters
     }
@@ -71,7 +70,7 @@ impl SampleWindow {
         let places = self.times.take([first, last, middle]);
         let places = [places[0], places[2], places[1]];
         self.list_jobs(animation, places, views.times.map(|at| at.time(grid)), needed);
-        let statics = SampleJob { instance: 0, level: FULL_DETAIL, place: places[0], time: first.time(grid) };
+        let statics = SampleJob { instance: 0, lod: FULL_DETAIL, place: places[0], time: first.time(grid) };
         animation.record(recorder, &self.jobs, statics);
         places
     }
@@ -90,8 +89,8 @@ impl SampleWindow {
             }
             let (place, time) = (places[number], times[number]);
             for (instance, of_scene) in self.scene.numbering.instances.iter().enumerate() {
-                let level = needed.level(instance).filter(|_| of_scene.is_animated);
-                let job = level.map(|level| SampleJob { instance, level, place, time });
+                let lod = needed.lod(instance).filter(|_| of_scene.is_animated);
+                let job = lod.map(|lod| SampleJob { instance, lod, place, time });
                 self.jobs.extend(job.filter(|job| !animation.has(*job)));
             }
         }

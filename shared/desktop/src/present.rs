@@ -4,7 +4,7 @@
 use ash::vk;
 use shadecast_gpu::{
     Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Image,
-    Memory, Recorder, RenderPass, Sampler, SamplerDesc,
+    Memory, Part, Recorder, RenderPass, Sampler, SamplerDesc,
 };
 use shadecast_shaders::font::{self, Glyph};
 use shadecast_shaders::generated::{PRESENT_EYES_FRAG, PRESENT_FRAG, PRESENT_VERT, PresentPush};
@@ -29,6 +29,8 @@ pub struct Present {
     picture_extent: [u32; 2],
     /// Eyes that are seen, from the left one on: 1 or 2, beside each other.
     eyes: u32,
+    /// The part of it that is drawn, across and along.
+    picture_part: [f32; 2],
     pipeline: GraphicsPipeline,
     sampler: Sampler,
     group: Option<BindGroup>,
@@ -52,6 +54,7 @@ impl Present {
             shows,
             picture_extent: [1, 1],
             eyes: 1,
+            picture_part: [1.0; 2],
             pipeline: GraphicsPipeline::new(gpu, &desc)?,
             sampler: Sampler::new(gpu, sampler)?,
             group: None,
@@ -69,9 +72,11 @@ impl Present {
         Ok(())
     }
 
-    /// Shows the left eye, or both beside each other.
-    pub fn show_eyes(&mut self, both: bool) {
-        self.eyes = if both { 2 } else { 1 };
+    /// Shows a part of the picture, from its first corner on: the left eye of it, or both beside each other.
+    pub fn show_part(&mut self, Part { extent, first_alone }: Part) {
+        self.eyes = if first_alone { 1 } else { 2 };
+        self.picture_part =
+            std::array::from_fn(|side| extent[side] as f32 / self.picture_extent[side] as f32);
     }
 
     /// Writes the figures, a line a row; what does not fit is cut. Nothing submitted still reads the old ones.
@@ -100,6 +105,7 @@ impl Present {
             codes_srgb: u32::from(self.codes_srgb),
             window_extent: window,
             pane_extent: pane_extent(window, self.picture_extent, eyes),
+            picture_part: self.picture_part,
             panes: eyes,
             _pad_end: Default::default(),
         };

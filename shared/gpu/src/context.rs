@@ -10,6 +10,7 @@ use crate::lock::{self, Lock};
 use crate::memory::Garbage;
 use crate::pending::Pending;
 use crate::recorder::CommandSlot;
+use crate::shared_pipelines::SharedPipelines;
 use crate::timings::KeptTimings;
 use crate::{Doing, GpuError};
 use ash::{ext, vk};
@@ -68,12 +69,15 @@ pub struct Gpu {
     pub(crate) allocator: Mutex<Option<Allocator>>,
     pub(crate) lanes: Lanes,
     pub(crate) queue_family: u32,
+    /// Bits of its timestamps that count; 0: its scopes are not timed.
+    pub(crate) timestamp_bits: u32,
     pub(crate) idle_slots: Lock<Vec<CommandSlot>>,
     pub(crate) pending: Pending<CommandSlot>,
     pub(crate) garbage: Lock<VecDeque<(u64, Garbage)>>,
     /// Somebody else destroys what was retired, not whoever records next.
     pub(crate) leaves_retired: AtomicBool,
     pub(crate) timings: Lock<KeptTimings>,
+    pub(crate) pipelines: SharedPipelines,
     pub(crate) properties: vk::PhysicalDeviceProperties,
     limits: DeviceLimits,
     numbers_triangles: bool,
@@ -111,7 +115,7 @@ impl Gpu {
         let physical = source.physical_device(&instance, options)?;
         // SAFETY: `physical` belongs to `instance`.
         let properties = unsafe { instance.get_physical_device_properties(physical) };
-        let (queue_family, queues) = queue_family(&instance, physical)?;
+        let QueueFamily { index: queue_family, queues, timestamp_bits } = queue_family(&instance, physical)?;
         let is_server = options.needs == Needs::Server;
         let queues = if is_server { queues.min(LANES as u32) } else { 1 };
         let takes_density_maps = source.wants_density_maps() && has_density_maps(&instance, physical);
@@ -132,11 +136,13 @@ impl Gpu {
             allocator: Mutex::new(Some(allocator)),
             lanes,
             queue_family,
+            timestamp_bits,
             idle_slots: Lock::default(),
             pending: Pending::default(),
             garbage: Lock::default(),
             leaves_retired: AtomicBool::new(false),
             timings: Lock::default(),
+            pipelines: SharedPipelines::default(),
             properties,
             limits: limits::of(&instance, physical),
             takes_density_maps,
@@ -258,6 +264,11 @@ impl Gpu {
         while let Some(item) = self.next_retired() {
             item.destroy(self);
         }
+    }
+
+    /// Whether anything waits to be destroyed.
+    pub fn has_retired(&self) -> bool {
+        !self.garbage.lock().is_empty()
     }
 
     fn next_retired(&self) -> Option<Garbage> {
@@ -447,15 +458,26 @@ unsafe extern "system" fn on_message(
     vk::FALSE
 }
 
-/// Its index, and how many queues it has.
-fn queue_family(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Result<(u32, u32), GpuError> {
+/// The queue family of a device for graphics and compute.
+struct QueueFamily {
+    index: u32,
+    queues: u32,
+    /// Bits of its timestamps that count; 0: it has none.
+    timestamp_bits: u32,
+}
+
+fn queue_family(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Result<QueueFamily, GpuError> {
     let wanted = vk::QueueFlags::GRAPHICS | vk::QueueFlags::COMPUTE;
     // SAFETY: `physical` belongs to `instance`.
     unsafe { instance.get_physical_device_queue_family_properties(physical) }
         .iter()
         .zip(0..)
         .find(|(family, _)| family.queue_flags.contains(wanted))
-        .map(|(family, index)| (index, family.queue_count))
+        .map(|(family, index)| QueueFamily {
+            index,
+            queues: family.queue_count,
+            timestamp_bits: family.timestamp_valid_bits,
+        })
         .ok_or_else(|| GpuError::NoDevice("it has no queue for graphics and compute".into()))
 }
 

@@ -15,6 +15,7 @@ mod pending;
 mod pipeline;
 mod recorder;
 mod selftest;
+mod shared_pipelines;
 mod timings;
 #[cfg(feature = "window")]
 mod window;
@@ -27,9 +28,10 @@ pub use devices::{DENSITY_MAP_EXTENSION, FoundDevice, Needs, PICTURE_EXTENSIONS}
 #[cfg(target_os = "android")]
 pub use hardware_buffer::HardwareBufferKind;
 pub use memory::{Buffer, Image, ImageDesc, Memory, MemoryUse, Sampler, SamplerDesc};
-pub use pass::{Attachment, DENSITY_MAP_FORMAT, Foreign, Framebuffer, RenderPass, RenderPassDesc};
+pub use pass::{Attachment, DENSITY_MAP_FORMAT, Foreign, Framebuffer, Part, RenderPass, RenderPassDesc};
 pub use pipeline::{ComputePipeline, GraphicsPipeline, GraphicsPipelineDesc, VertexInput};
 pub use recorder::{Access, Recorder, Ticket};
+pub use shared_pipelines::HeldPipelines;
 pub use timings::{Timing, Timings};
 #[cfg(feature = "window")]
 pub use window::{Swapchain, WindowDevice, WindowImage};

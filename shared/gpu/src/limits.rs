@@ -49,6 +49,10 @@ const ATLAS_SIDE: u32 = shadecast_protocol::limits::ATLAS_MAX_EXTENT[0];
 /// The table. A need of 0 is none. `tests/limits.rs` holds the needs against the shaders.
 #[rustfmt::skip]
 const ROWS: &[Row] = &[
+    // The allocator asks for blocks of 64 MiB and more.
+    ("maxMemoryAllocationCount", [256, 256], |l| &mut l.core.max_memory_allocation_count),
+    // Wrap modes of textures; one for each stage that samples.
+    ("maxSamplerAllocationCount", [16, 8], |l| &mut l.core.max_sampler_allocation_count),
     ("maxImageDimension2D", [ATLAS_SIDE, ATLAS_SIDE], |l| &mut l.core.max_image_dimension2_d),
     // Two eyes.
     ("maxImageArrayLayers", [2, 2], |l| &mut l.core.max_image_array_layers),
@@ -69,7 +73,7 @@ const ROWS: &[Row] = &[
     // An instance has at most as many vertices.
     ("maxDrawIndexedIndexValue", [(1 << 24) - 1, 0], |l| &mut l.core.max_draw_indexed_index_value),
     ("maxBoundDescriptorSets", [1, 1], |l| &mut l.core.max_bound_descriptor_sets),
-    ("maxPushConstantsSize", [96, 40], |l| &mut l.core.max_push_constants_size),
+    ("maxPushConstantsSize", [96, 44], |l| &mut l.core.max_push_constants_size),
     ("maxUniformBufferRange", [3840, 288], |l| &mut l.core.max_uniform_buffer_range),
     // The server's saved vertices, the client's samples.
     ("maxStorageBufferRange", [128 << 20, 128 << 20], |l| &mut l.core.max_storage_buffer_range),
@@ -256,6 +260,7 @@ mod tests {
     fn of_the_least_vulkan_device_only_storage_buffers_are_too_few() {
         let mut least = offering(u32::MAX);
         let core = &mut least.core;
+        (core.max_memory_allocation_count, core.max_sampler_allocation_count) = (4096, 4000);
         (core.max_image_dimension2_d, core.max_image_array_layers) = (4096, 256);
         (core.max_framebuffer_width, core.max_framebuffer_height) = (4096, 4096);
         (core.max_framebuffer_layers, core.max_viewport_dimensions) = (256, [4096; 2]);

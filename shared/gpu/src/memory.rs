@@ -67,6 +67,12 @@ impl Gpu {
         }
         uses.into_iter().map(|((name, memory), bytes)| MemoryUse { name, memory, bytes }).collect()
     }
+
+    /// What the device's memory has given, in use or not, bytes.
+    pub fn reserved_bytes(&self) -> u64 {
+        let allocator = self.allocator.lock().expect("not poisoned");
+        allocator.as_ref().expect("alive until the device goes").generate_report().total_capacity_bytes
+    }
 }
 
 /// A buffer with its memory.
@@ -209,19 +215,26 @@ fn free(gpu: &Gpu, allocation: Option<Allocation>) {
     }
 }
 
+/// From this size on a buffer or image has memory of its own, bytes. Dropping it returns the memory. Within a shared block of
+/// 64 or 256 MB it would stay as long as anything else lives there, and each session would leave some.
+const OWN_MEMORY_BYTES: u64 = 4 << 20;
+
 fn allocate(
     gpu: &Gpu,
     name: &str,
     requirements: vk::MemoryRequirements,
     memory: Memory,
-    linear: bool,
+    owner: AllocationScheme,
 ) -> Result<Allocation, GpuError> {
     let desc = AllocationCreateDesc {
         name: &format!("{name}{}", memory.tag()),
         requirements,
         location: memory.location(),
-        linear,
-        allocation_scheme: AllocationScheme::GpuAllocatorManaged,
+        linear: matches!(owner, AllocationScheme::DedicatedBuffer(_)),
+        allocation_scheme: match requirements.size < OWN_MEMORY_BYTES {
+            true => AllocationScheme::GpuAllocatorManaged,
+            false => owner,
+        },
     };
     let mut allocator = gpu.allocator.lock().expect("not poisoned");
     let allocator = allocator.as_mut().expect("alive until the device goes");
@@ -247,7 +260,8 @@ impl Buffer {
         unsafe {
             let handle = gpu.device().create_buffer(&info, None).doing("creating a buffer")?;
             let requirements = gpu.device().get_buffer_memory_requirements(handle);
-            let allocation = allocate(gpu, name, requirements, memory, true)?;
+            let owner = AllocationScheme::DedicatedBuffer(handle);
+            let allocation = allocate(gpu, name, requirements, memory, owner)?;
             gpu.device()
                 .bind_buffer_memory(handle, allocation.memory(), allocation.offset())
                 .doing("binding a buffer's memory")?;
@@ -334,7 +348,7 @@ impl Image {
         unsafe {
             let handle = gpu.device().create_image(&info, None).doing("creating an image")?;
             let requirements = gpu.device().get_image_memory_requirements(handle);
-            let backing = image_backing(gpu, &desc, requirements)?;
+            let backing = image_backing(gpu, &desc, handle, requirements)?;
             let (memory, offset) = match &backing {
                 Backing::Allocation(allocation) => (allocation.memory(), allocation.offset()),
                 Backing::Own(memory) => (*memory, 0),
@@ -411,6 +425,7 @@ impl Drop for Image {
 fn image_backing(
     gpu: &Gpu,
     desc: &ImageDesc,
+    handle: vk::Image,
     requirements: vk::MemoryRequirements,
 ) -> Result<Backing, GpuError> {
     let lazy = match desc.usage.contains(vk::ImageUsageFlags::TRANSIENT_ATTACHMENT) {
@@ -418,7 +433,8 @@ fn image_backing(
         false => None,
     };
     let Some(memory_type_index) = lazy else {
-        let allocation = allocate(gpu, desc.name, requirements, Memory::Device, false)?;
+        let owner = AllocationScheme::DedicatedImage(handle);
+        let allocation = allocate(gpu, desc.name, requirements, Memory::Device, owner)?;
         return Ok(Backing::Allocation(allocation));
     };
     let info = vk::MemoryAllocateInfo::default()

@@ -33,6 +33,8 @@ pub struct RenderPassDesc {
     pub samples: vk::SampleCountFlags,
     /// Multiview mask; 0 is off.
     pub view_mask: u32,
+    /// Whether a pass may draw the first view alone ([`Part`]): each pipeline for it exists twice then.
+    pub first_alone: bool,
     /// A map says where fewer fragments are shaded; needs [`Gpu::takes_density_maps`].
     pub density_map: bool,
 }
@@ -60,24 +62,65 @@ impl RenderPassDesc {
             depth: None,
             samples: vk::SampleCountFlags::TYPE_1,
             view_mask: 0,
+            first_alone: false,
             density_map: false,
         }
     }
 }
 
+/// What one recording of a pass draws.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Part {
+    /// Width and height from the first corner on, in pixels, within the framebuffer's.
+    pub extent: [u32; 2],
+    /// The first view and no other, in a pass that may ([`RenderPassDesc::first_alone`]).
+    pub first_alone: bool,
+}
+
 /// A render pass.
 pub struct RenderPass {
     gpu: Arc<Gpu>,
-    pub(crate) handle: vk::RenderPass,
+    pub(crate) handles: OfViews<vk::RenderPass>,
     pub(crate) samples: vk::SampleCountFlags,
     pub(crate) colors: usize,
     pub(crate) has_depth: bool,
+    /// Says what pipelines of compatible passes have in common.
+    pub(crate) key: String,
+}
+
+/// One thing for all views of a pass, and where it may draw the first alone, another for that.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct OfViews<T> {
+    pub(crate) all: T,
+    pub(crate) first: Option<T>,
+}
+
+impl<T: Copy> OfViews<T> {
+    /// The one for some of the views.
+    pub(crate) fn of(&self, first_alone: bool) -> T {
+        match self.first {
+            Some(first) if first_alone => first,
+            _ => {
+                debug_assert!(!first_alone, "the pass was not made for the first view alone");
+                self.all
+            }
+        }
+    }
+
+    /// One more for each that is there.
+    pub(crate) fn map<U, E>(&self, mut make: impl FnMut(T) -> Result<U, E>) -> Result<OfViews<U>, E> {
+        Ok(OfViews { all: make(self.all)?, first: self.first.map(make).transpose()? })
+    }
+
+    pub(crate) fn iter(&self) -> impl Iterator<Item = T> {
+        std::iter::once(self.all).chain(self.first)
+    }
 }
 
 /// Image views for a pass, in its order: colours, resolves, depth, density map.
 pub struct Framebuffer {
     gpu: Arc<Gpu>,
-    pub(crate) handle: vk::Framebuffer,
+    pub(crate) handles: OfViews<vk::Framebuffer>,
     pub(crate) extent: [u32; 2],
     owned_views: Vec<vk::ImageView>,
 }
@@ -134,34 +177,42 @@ impl RenderPass {
         }
         let subpasses = [subpass];
         let dependencies = [attachment_reuse(), hand_over()];
-        let masks = [desc.view_mask];
-        let mut multiview = vk::RenderPassMultiviewCreateInfo::default().view_masks(&masks);
-        let mut info = vk::RenderPassCreateInfo::default()
+        let info = vk::RenderPassCreateInfo::default()
             .attachments(&attachments)
             .subpasses(&subpasses)
             .dependencies(&dependencies);
-        if desc.view_mask != 0 {
-            info = info.push_next(&mut multiview);
-        }
         let mut density =
             vk::RenderPassFragmentDensityMapCreateInfoEXT::default().fragment_density_map_attachment(
                 reference(attachments.len().saturating_sub(1), density_map().after),
             );
-        if desc.density_map {
-            assert!(gpu.takes_density_maps(), "the device was not opened for density maps");
-            info = info.push_next(&mut density);
-        }
-        // SAFETY: the device is alive; all that the info points to lives through the call.
-        let handle =
-            unsafe { gpu.device().create_render_pass(&info, None) }.doing("creating a render pass")?;
+        let info = match desc.density_map {
+            true => {
+                assert!(gpu.takes_density_maps(), "the device was not opened for density maps");
+                info.push_next(&mut density)
+            }
+            false => info,
+        };
+        let masks = OfViews { all: desc.view_mask, first: desc.first_alone.then_some(FIRST_VIEW) };
         Ok(Self {
             gpu: gpu.clone(),
-            handle,
+            handles: masks.map(|mask| for_views(gpu, info, mask))?,
             samples: desc.samples,
             colors: desc.colors.len(),
             has_depth: desc.depth.is_some(),
+            key: format!("{desc:?}"),
         })
     }
+}
+
+const FIRST_VIEW: u32 = 0b1;
+
+/// The pass of some views; 0: without multiview.
+fn for_views(gpu: &Gpu, info: vk::RenderPassCreateInfo<'_>, mask: u32) -> Result<vk::RenderPass, GpuError> {
+    let masks = [mask];
+    let mut multiview = vk::RenderPassMultiviewCreateInfo::default().view_masks(&masks);
+    let info = if mask == 0 { info } else { info.push_next(&mut multiview) };
+    // SAFETY: the device is alive; all that the info points to lives through the call.
+    unsafe { gpu.device().create_render_pass(&info, None) }.doing("creating a render pass")
 }
 
 /// Somebody else writes it, ready to be read by passes.
@@ -225,7 +276,7 @@ fn description(a: &Attachment, samples: vk::SampleCountFlags) -> vk::AttachmentD
 
 impl Drop for RenderPass {
     fn drop(&mut self) {
-        self.gpu.retire(Garbage::RenderPass(self.handle));
+        self.handles.iter().for_each(|pass| self.gpu.retire(Garbage::RenderPass(pass)));
     }
 }
 
@@ -237,16 +288,17 @@ impl Framebuffer {
         extent: [u32; 2],
         views: &[vk::ImageView],
     ) -> Result<Self, GpuError> {
-        let info = vk::FramebufferCreateInfo::default()
-            .render_pass(pass.handle)
-            .attachments(views)
-            .width(extent[0])
-            .height(extent[1])
-            .layers(1);
-        // SAFETY: pass and views are alive, and the views are of the pass's formats.
-        let handle =
-            unsafe { gpu.device().create_framebuffer(&info, None) }.doing("creating a framebuffer")?;
-        Ok(Self { gpu: gpu.clone(), handle, extent, owned_views: Vec::new() })
+        let handles = pass.handles.map(|pass| {
+            let info = vk::FramebufferCreateInfo::default()
+                .render_pass(pass)
+                .attachments(views)
+                .width(extent[0])
+                .height(extent[1])
+                .layers(1);
+            // SAFETY: pass and views are alive, and the views are of the pass's formats.
+            unsafe { gpu.device().create_framebuffer(&info, None) }.doing("creating a framebuffer")
+        })?;
+        Ok(Self { gpu: gpu.clone(), handles, extent, owned_views: Vec::new() })
     }
 
     /// Width and height in pixels.
@@ -276,7 +328,7 @@ impl Framebuffer {
 
 impl Drop for Framebuffer {
     fn drop(&mut self) {
-        self.gpu.retire(Garbage::Framebuffer(self.handle));
+        self.handles.iter().for_each(|framebuffer| self.gpu.retire(Garbage::Framebuffer(framebuffer)));
         self.owned_views.drain(..).for_each(|view| self.gpu.retire(Garbage::View(view)));
     }
 }

@@ -1,18 +1,17 @@
 //! Pipelines from reflected shaders.
 
 use crate::bind::{FixedSampler, Layout};
-use crate::memory::Garbage;
-use crate::pass::RenderPass;
+use crate::pass::{OfViews, RenderPass};
+use crate::shared_pipelines::Made;
 use crate::{Doing, Gpu, GpuError};
 use ash::vk;
 use shadecast_spirv::Shader;
+use std::hash::{Hash, Hasher};
 use std::sync::Arc;
 
-/// A compute pipeline with its layout.
+/// A compute pipeline with its layout. Those of the same shader and constants are one.
 pub struct ComputePipeline {
-    gpu: Arc<Gpu>,
-    pub(crate) handle: vk::Pipeline,
-    layout: Arc<Layout>,
+    made: Arc<Made>,
     workgroup: [u32; 3],
 }
 
@@ -63,13 +62,27 @@ impl<'a> GraphicsPipelineDesc<'a> {
             textures: 0,
         }
     }
+
+    /// Says all that a pipeline of it is made of.
+    fn key(&self) -> String {
+        let Self { vertex, fragment, pass, topology, cull, depth_write, blend, vertex_input, textures } =
+            self;
+        let shaders = [vertex, fragment].map(|shader| identity(shader));
+        format!(
+            "{shaders:?} {} {topology:?} {cull:?} {depth_write:?} {blend} {vertex_input:?} {textures}",
+            pass.key
+        )
+    }
 }
 
-/// A graphics pipeline with its layout.
-pub struct GraphicsPipeline {
-    gpu: Arc<Gpu>,
-    pub(crate) handle: vk::Pipeline,
-    layout: Arc<Layout>,
+/// A graphics pipeline with its layout. Those of the same description are one, unless a sampler is part of them.
+pub struct GraphicsPipeline(Arc<Made>);
+
+/// Says which shader it is: its name, and a hash of its words.
+fn identity(shader: &Shader) -> String {
+    let mut hasher = std::hash::DefaultHasher::new();
+    shader.words.hash(&mut hasher);
+    format!("{} {:x}", shader.name, hasher.finish())
 }
 
 fn module(gpu: &Gpu, shader: &Shader) -> Result<vk::ShaderModule, GpuError> {
@@ -87,6 +100,12 @@ impl ComputePipeline {
     /// The same with specialisation constants, numbered as they stand.
     pub fn specialised(gpu: &Arc<Gpu>, shader: &Shader, constants: &[u32]) -> Result<Self, GpuError> {
         let workgroup = shader.workgroup.expect("a compute shader");
+        let key = format!("{} {constants:?}", identity(shader));
+        let made = gpu.pipelines.get(key, || Self::make(gpu, shader, constants))?;
+        Ok(Self { made, workgroup })
+    }
+
+    fn make(gpu: &Arc<Gpu>, shader: &Shader, constants: &[u32]) -> Result<Made, GpuError> {
         let layout = Layout::new(gpu, &[shader])?;
         let module = module(gpu, shader)?;
         let entry = |id: u32| vk::SpecializationMapEntry { constant_id: id, offset: id * 4, size: 4 };
@@ -106,12 +125,16 @@ impl ComputePipeline {
             made
         };
         let handle = made.map_err(|(_, e)| e).doing("creating a compute pipeline")?[0];
-        Ok(Self { gpu: gpu.clone(), handle, layout, workgroup })
+        Ok(Made::new(gpu, OfViews { all: handle, first: None }, layout))
+    }
+
+    pub(crate) fn handle(&self) -> vk::Pipeline {
+        self.made.handles.all
     }
 
     /// Layout, for bind groups.
     pub fn layout(&self) -> &Arc<Layout> {
-        &self.layout
+        &self.made.layout
     }
 
     /// Invocations of a workgroup in x, y and z.
@@ -125,16 +148,10 @@ impl ComputePipeline {
     }
 }
 
-impl Drop for ComputePipeline {
-    fn drop(&mut self) {
-        self.gpu.retire(Garbage::Pipeline(self.handle));
-    }
-}
-
 impl GraphicsPipeline {
     /// A pipeline.
     pub fn new(gpu: &Arc<Gpu>, desc: &GraphicsPipelineDesc<'_>) -> Result<Self, GpuError> {
-        Self::fixing(gpu, desc, None)
+        gpu.pipelines.get(desc.key(), || make(gpu, desc, None)).map(Self)
     }
 
     /// A pipeline with a sampler that is part of it.
@@ -143,23 +160,39 @@ impl GraphicsPipeline {
         desc: &GraphicsPipelineDesc<'_>,
         fixed: Option<FixedSampler>,
     ) -> Result<Self, GpuError> {
-        let layout = Layout::fixing(gpu, &[desc.vertex, desc.fragment], fixed, desc.textures)?;
-        let modules = [module(gpu, desc.vertex)?, module(gpu, desc.fragment)?];
-        let made = create(gpu, desc, &layout, modules);
-        // SAFETY: modules are not needed after the pipeline's creation.
-        modules.iter().for_each(|m| unsafe { gpu.device().destroy_shader_module(*m, None) });
-        Ok(Self { gpu: gpu.clone(), handle: made?, layout })
+        match fixed {
+            None => Self::new(gpu, desc),
+            fixed => Ok(Self(Arc::new(make(gpu, desc, fixed)?))),
+        }
+    }
+
+    pub(crate) fn handle(&self, first_alone: bool) -> vk::Pipeline {
+        self.0.handles.of(first_alone)
     }
 
     /// Layout, for bind groups.
     pub fn layout(&self) -> &Arc<Layout> {
-        &self.layout
+        &self.0.layout
     }
+}
+
+fn make(
+    gpu: &Arc<Gpu>,
+    desc: &GraphicsPipelineDesc<'_>,
+    fixed: Option<FixedSampler>,
+) -> Result<Made, GpuError> {
+    let layout = Layout::fixing(gpu, &[desc.vertex, desc.fragment], fixed, desc.textures)?;
+    let modules = [module(gpu, desc.vertex)?, module(gpu, desc.fragment)?];
+    let made = desc.pass.handles.map(|pass| create(gpu, desc, pass, &layout, modules));
+    // SAFETY: modules are not needed after the pipeline's creation.
+    modules.iter().for_each(|m| unsafe { gpu.device().destroy_shader_module(*m, None) });
+    Ok(Made::new(gpu, made?, layout))
 }
 
 fn create(
     gpu: &Gpu,
     desc: &GraphicsPipelineDesc<'_>,
+    pass: vk::RenderPass,
     layout: &Layout,
     modules: [vk::ShaderModule; 2],
 ) -> Result<vk::Pipeline, GpuError> {
@@ -201,7 +234,7 @@ fn create(
         .color_blend_state(&blend)
         .dynamic_state(&dynamic)
         .layout(layout.handle)
-        .render_pass(desc.pass.handle)];
+        .render_pass(pass)];
     // SAFETY: all handles are alive and all that the info points to lives through the call.
     let made = unsafe { gpu.device().create_graphics_pipelines(vk::PipelineCache::null(), &infos, None) };
     Ok(made.map_err(|(_, e)| e).doing("creating a graphics pipeline")?[0])
@@ -235,10 +268,4 @@ fn blend_state(over: bool) -> vk::PipelineColorBlendAttachmentState {
         .src_alpha_blend_factor(vk::BlendFactor::ONE)
         .dst_alpha_blend_factor(vk::BlendFactor::ONE_MINUS_SRC_ALPHA)
         .color_write_mask(vk::ColorComponentFlags::RGBA)
-}
-
-impl Drop for GraphicsPipeline {
-    fn drop(&mut self) {
-        self.gpu.retire(Garbage::Pipeline(self.handle));
-    }
 }

@@ -2,7 +2,7 @@
 
 use crate::bind::BindGroup;
 use crate::lanes::{Between, Lane};
-use crate::pass::{Framebuffer, RenderPass};
+use crate::pass::{Framebuffer, Part, RenderPass};
 use crate::pending::Fence;
 use crate::pipeline::{ComputePipeline, GraphicsPipeline};
 use crate::timings::{Timing, Timings};
@@ -80,6 +80,8 @@ impl Access {
 pub struct Recorder {
     gpu: Arc<Gpu>,
     slot: Option<CommandSlot>,
+    /// The open pass draws the first view alone.
+    first_alone: bool,
 }
 
 impl CommandSlot {
@@ -134,11 +136,16 @@ impl CommandSlot {
         let timing = |(scope, pair): (&&'static str, &[u64])| Timing {
             scope,
             began_ns: ns(pair[0]),
-            took_ns: ns(pair[1].saturating_sub(pair[0])),
+            took_ns: ns(ticks_between([pair[0], pair[1]], gpu.timestamp_bits)),
         };
         let mut timings = gpu.timings.lock();
         timings.keep(self.serial, self.scopes.iter().zip(stamps.chunks_exact(2)).map(timing));
     }
+}
+
+/// Ticks from one timestamp to the next, of which so many bits count: 36 to 64. They begin anew after the largest.
+fn ticks_between([began, ended]: [u64; 2], bits: u32) -> u64 {
+    ended.wrapping_sub(began) & (u64::MAX >> (64 - bits.clamp(1, 64)))
 }
 
 impl Gpu {
@@ -159,7 +166,7 @@ impl Gpu {
             self.device().begin_command_buffer(slot.commands, &info).doing("beginning a recording")?;
             self.device().cmd_reset_query_pool(slot.commands, slot.queries, 0, MAX_TIMED_SCOPES * 2);
         }
-        Ok(Recorder { gpu: self.clone(), slot: Some(slot) })
+        Ok(Recorder { gpu: self.clone(), slot: Some(slot), first_alone: false })
     }
 
     /// One whose fence nobody holds any more. Those that lie idle are given to nobody.
@@ -303,7 +310,7 @@ impl Recorder {
     /// Times what `body` records under `name`; see [`Gpu::wait_timed`].
     pub fn scope<R>(&mut self, name: &'static str, body: impl FnOnce(&mut Self) -> R) -> R {
         let index = self.slot().scopes.len() as u32;
-        let timed = index < MAX_TIMED_SCOPES;
+        let timed = index < MAX_TIMED_SCOPES && self.gpu.timestamp_bits > 0;
         if timed {
             self.slot.as_mut().expect("present until submitted").scopes.push(name);
             self.timestamp(index * 2);
@@ -343,7 +350,7 @@ impl Recorder {
         let (device, commands, layout) = (&self.gpu.device(), self.commands(), pipeline.layout());
         // SAFETY: pipeline and set are alive and of one layout.
         unsafe {
-            device.cmd_bind_pipeline(commands, vk::PipelineBindPoint::COMPUTE, pipeline.handle);
+            device.cmd_bind_pipeline(commands, vk::PipelineBindPoint::COMPUTE, pipeline.handle());
             let (sets, point) = ([group.set], vk::PipelineBindPoint::COMPUTE);
             device.cmd_bind_descriptor_sets(commands, point, layout.handle, 0, &sets, &[]);
         }
@@ -376,21 +383,27 @@ impl Recorder {
 
     /// Begins a pass over the whole framebuffer with viewport and scissor set.
     pub fn begin_pass(&mut self, pass: &RenderPass, target: &Framebuffer, clears: &[vk::ClearValue]) {
-        let area = vk::Rect2D {
-            offset: vk::Offset2D::default(),
-            extent: vk::Extent2D { width: target.extent[0], height: target.extent[1] },
-        };
+        let all = Part { extent: target.extent, first_alone: false };
+        self.begin_pass_of(pass, target, clears, all);
+    }
+
+    /// The same over a part.
+    pub fn begin_pass_of(
+        &mut self,
+        pass: &RenderPass,
+        target: &Framebuffer,
+        clears: &[vk::ClearValue],
+        Part { extent: [width, height], first_alone }: Part,
+    ) {
+        self.first_alone = first_alone;
+        let area = vk::Rect2D { offset: vk::Offset2D::default(), extent: vk::Extent2D { width, height } };
         let info = vk::RenderPassBeginInfo::default()
-            .render_pass(pass.handle)
-            .framebuffer(target.handle)
+            .render_pass(pass.handles.of(first_alone))
+            .framebuffer(target.handles.of(first_alone))
             .render_area(area)
             .clear_values(clears);
-        let viewport = vk::Viewport {
-            width: target.extent[0] as f32,
-            height: target.extent[1] as f32,
-            max_depth: 1.0,
-            ..Default::default()
-        };
+        let viewport =
+            vk::Viewport { width: width as f32, height: height as f32, max_depth: 1.0, ..Default::default() };
         // SAFETY: pass and framebuffer are alive and compatible.
         unsafe {
             let (device, commands) = (&self.gpu.device(), self.commands());
@@ -412,7 +425,7 @@ impl Recorder {
         // SAFETY: pipeline and set are alive and of one layout.
         unsafe {
             let (device, commands) = (&self.gpu.device(), self.commands());
-            device.cmd_bind_pipeline(commands, point, pipeline.handle);
+            device.cmd_bind_pipeline(commands, point, pipeline.handle(self.first_alone));
             let sets = [group.set];
             device.cmd_bind_descriptor_sets(commands, point, pipeline.layout().handle, 0, &sets, &[]);
         }
@@ -425,7 +438,7 @@ impl Recorder {
             self.gpu.device().cmd_bind_pipeline(
                 self.commands(),
                 vk::PipelineBindPoint::GRAPHICS,
-                pipeline.handle,
+                pipeline.handle(self.first_alone),
             );
         }
     }
@@ -627,5 +640,17 @@ impl Drop for Recorder {
             // The buffer is reset when the slot is used again.
             self.gpu.idle_slots.lock().push(slot);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_counter_that_begins_anew_between_two_timestamps_costs_nothing() {
+        assert_eq!(ticks_between([10, 25], 64), 15);
+        assert_eq!(ticks_between([(1 << 36) - 5, 10], 36), 15);
+        assert_eq!(ticks_between([u64::MAX - 4, 10], 64), 15);
     }
 }

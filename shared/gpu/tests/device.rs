@@ -143,6 +143,21 @@ fn what_is_left_to_another_is_destroyed_by_it_alone() {
 }
 
 #[test]
+fn a_large_buffer_returns_its_memory_beside_small_ones() {
+    let gpu = open(Needs::Client);
+    let large_bytes = 24 << 20;
+    let buffer = |name, bytes| Buffer::new(&gpu, name, bytes, Memory::Device).unwrap();
+    let large = [0; 2].map(|_| buffer("large", large_bytes));
+    let _small = buffer("small", 4096);
+    let before_bytes = gpu.reserved_bytes();
+    drop(large);
+    gpu.wait(gpu.record().unwrap().submit().unwrap()).unwrap();
+    gpu.destroy_retired();
+    assert_eq!(gpu.reserved_bytes(), before_bytes - 2 * large_bytes);
+    assert_eq!(gpu.validation_messages(), 0, "{:#?}", gpu.validation_texts());
+}
+
+#[test]
 fn an_unknown_device_name_is_an_error_that_lists_what_there_is() {
     let options =
         GpuOptions { needs: Needs::Client, validation: false, device_name: Some("no such device".into()) };
@@ -169,6 +184,22 @@ fn a_dispatch_covers_each_item_without_a_spare_workgroup() {
         let written = sums.values::<[f32; 4]>().iter().filter(|sum| sum[0] != 0.0).count();
         assert_eq!(written, (groups * workgroup) as usize, "{items} items");
     }
+}
+
+#[test]
+fn pipelines_of_the_same_shader_are_one_while_one_is_in_use_or_held() {
+    let gpu = open(Needs::Client);
+    let pipeline = || ComputePipeline::new(&gpu, &ADD_COMP).unwrap();
+    let (first, second) = (pipeline(), pipeline());
+    assert!(Arc::ptr_eq(first.layout(), second.layout()));
+    let layout = Arc::downgrade(first.layout());
+    let held = gpu.hold_pipelines();
+    drop((first, second));
+    assert!(layout.upgrade().is_some_and(|layout| Arc::ptr_eq(&layout, pipeline().layout())), "it is held");
+    drop(held);
+    assert!(layout.upgrade().is_none(), "nobody uses it any more");
+    drop(pipeline());
+    assert_eq!(gpu.validation_messages(), 0, "{:#?}", gpu.validation_texts());
 }
 
 /// Validation messages of two dispatches of which the second reads what the first writes.

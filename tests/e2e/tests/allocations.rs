@@ -38,12 +38,12 @@ fn hold(made: &[Steps], grown_updates: usize) {
     assert!(is_held && made.len() == MEASURED, "{made:?}");
 }
 
-/// What each update after [`SETTLED`] takes.
-fn made(is_moving: bool, head: impl Fn(u32) -> Pose) -> Vec<Steps> {
+/// What each update of so many dragons after [`SETTLED`] takes.
+fn made(dragons: u32, is_moving: bool, head: impl Fn(u32) -> Pose) -> Vec<Steps> {
     let options = GpuOptions { needs: Needs::Server, validation: true, device_name: None };
     let gpu = Gpu::open(&options, &DesktopDevice)
         .expect("a Vulkan device; `./shadecast setup` installs a software one");
-    let mut scene = load_scene(&SceneSource::Dragons(3)).expect("built in");
+    let mut scene = load_scene(&SceneSource::Dragons(dragons)).expect("built in");
     if !is_moving {
         scene.instances.iter_mut().for_each(|instance| (instance.clip, instance.path) = (None, None));
     }
@@ -81,7 +81,7 @@ fn terms() -> (Welcome, Capabilities) {
     (hello.capabilities.max_patch_slots, offer.patch_slots) = (20_000, 20_000);
     (hello.capabilities.max_vertex_slots, offer.vertex_slots) = (60_000, 60_000);
     hello.capabilities.max_triangles = 120_000;
-    hello.capabilities.eye_extent_pixels = [128, 128];
+    hello.capabilities.eye_extent_pixels = [96, 96];
     offer.atlas_extent_texels = AtlasExtent::new(1024, 1024).expect("an atlas");
     let welcome = negotiate(&hello, &offer).expect("they agree");
     (welcome, hello.capabilities)
@@ -93,15 +93,15 @@ fn head(turn: f32) -> Pose {
 
 #[test]
 fn of_what_stands_still() {
-    hold(&made(false, |_| head(0.0)), 0);
+    hold(&made(3, false, |_| head(0.0)), 0);
 }
 
 #[test]
 fn of_what_moves_before_a_still_head() {
-    hold(&made(true, |_| head(0.0)), GROWN_UPDATES);
+    hold(&made(3, true, |_| head(0.0)), GROWN_UPDATES);
 }
 
 #[test]
 fn of_what_moves_before_a_head_that_sways() {
-    hold(&made(true, |number| head((number as f32 * 0.1).sin() * 0.2)), GROWN_UPDATES);
+    hold(&made(1, true, |number| head((number as f32 * 0.1).sin() * 0.2)), GROWN_UPDATES);
 }

@@ -654,8 +654,8 @@ fn only_vertices_of_the_needed_lod_are_skinned() {
     let time = WorldTime(731_000_000);
     let twin = twin(&scene, dragon, sampling::Sampling::default(), time);
     let (mut skinned, place) = (Vec::new(), RingPlace(2));
-    for level in [4, 4, 5, 1, 0] {
-        let job = SampleJob { instance: dragon, level, place, time };
+    for lod in [4, 4, 5, 1, 0] {
+        let job = SampleJob { instance: dragon, lod, place, time };
         let before = animation.counts().vertices;
         let mut recorder = gpu.record().unwrap();
         let jobs: Vec<SampleJob> = [job].into_iter().filter(|job| !animation.has(*job)).collect();
@@ -663,9 +663,9 @@ fn only_vertices_of_the_needed_lod_are_skinned() {
         gpu.wait(recorder.submit().unwrap()).unwrap();
         skinned.push(animation.counts().vertices - before);
         let saved = SavedVertices::read(&gpu, &animation);
-        for vertex in scene.models[model].triangles(level).indices.iter().map(|index| *index as usize) {
+        for vertex in scene.models[model].triangles(lod).indices.iter().map(|index| *index as usize) {
             let off_m = saved.position(&animation, dragon, place, vertex).distance(twin[vertex].position);
-            assert!(off_m < 1e-4, "level {level}, vertex {vertex}: {off_m} m off");
+            assert!(off_m < 1e-4, "LOD {lod}, vertex {vertex}: {off_m} m off");
         }
     }
     let all = scene.models[model].vertices.len() as u64;

@@ -22,7 +22,7 @@ fn there_and_back(folder: &Path) -> Head {
 fn walk(folder: &Path, name: &str, detail_pixels: f32, room: Room) -> DetailReport {
     let options = RunOptions {
         renderer: Renderer::Local,
-        extent_pixels: [128, 128],
+        extent_pixels: [96, 96],
         atlas_extent_texels: AtlasExtent::new(1024, 1024).expect("an atlas"),
         seconds: 1.6,
         head: there_and_back(folder),

@@ -24,10 +24,10 @@ use std::path::Path;
 /// Display frames a second.
 const REFRESH_HZ: u64 = 72;
 /// Frames in which a trigger is pulled: to halt, twice for a step, to go on.
-const HALT: u64 = 72;
-const STEPS: [u64; 2] = [150, 154];
-const GO_ON: u64 = 220;
-const FRAMES: u64 = 290;
+const HALT: u64 = 60;
+const STEPS: [u64; 2] = [124, 128];
+const GO_ON: u64 = 172;
+const FRAMES: u64 = 221;
 /// From a press to its effect over this link, frames at most: 0.4 s.
 const EFFECT: u64 = 29;
 
@@ -64,7 +64,7 @@ fn watch(kind: &str, out: &Path) -> Vec<Seen> {
     let link = "latency=20ms,jitter=5ms,rate=100mbit".parse::<Condition>().expect("a link").link;
     let plain = RunOptions::new(SceneSource::Dragons(1), out.to_owned());
     let options = RunOptions {
-        extent_pixels: [128, 128],
+        extent_pixels: [96, 96],
         atlas_extent_texels: AtlasExtent::new(1024, 512).expect("an atlas"),
         seconds: FRAMES as f64 / REFRESH_HZ as f64,
         refresh_hz: REFRESH_HZ as f64,

@@ -22,7 +22,7 @@ const SERVER: &[&[&Shader]] = &[
     &[&shaders::SHADING_VERT, &shaders::SHADING_SUPERSAMPLED_FRAG],
     &[&shaders::SHADOW_VERT, &shaders::SHADOW_FRAG],
     &[&shaders::PRESENT_VERT, &shaders::PRESENT_FRAG],
-    &[&shaders::LEVEL_SELECTION_COMP],
+    &[&shaders::EXTENTS_COMP],
     &[&shaders::MARK_COMP],
     &[&shaders::PALETTE_COMP],
     &[&shaders::SKIN_COMP],

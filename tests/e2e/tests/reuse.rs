@@ -40,8 +40,8 @@ impl Both {
         let (welcome, capabilities) = terms();
         let show = ShowOptions { detail_pixels: 1.0, surround: 0.0 };
         let updates = |(number, reuse): (u64, bool)| {
-            let ideal = UpdatePolicy { reuse, ..UpdatePolicy::default() };
-            ViewerUpdates::with_policy(&world, ViewerId(number), &welcome, &capabilities, show, ideal)
+            let policy = UpdatePolicy { reuse, ..UpdatePolicy::default() };
+            ViewerUpdates::with_policy(&world, ViewerId(number), &welcome, &capabilities, show, policy)
                 .expect("memory")
         };
         let viewers = [(1, true), (2, false)].map(updates);

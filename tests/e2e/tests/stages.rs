@@ -17,11 +17,12 @@ use shadecast_server::time::RingPlace;
 use shadecast_server::truth::forward::Forward;
 use shadecast_server::visibility::clusters::Clusters;
 use shadecast_server::visibility::culling::Sight;
-use shadecast_server::visibility::lod_set::{Levels, Looks};
+use shadecast_server::visibility::lod_set::{LodChoice, LodSet};
+use shadecast_server::visibility::passes::extents::Extents;
 use shadecast_server::visibility::passes::id_buffer::{IdBuffer, Pass};
-use shadecast_server::visibility::passes::level_selection::LevelSelection;
 use shadecast_server::visibility::passes::mark::Mark;
-use shadecast_shaders::constants::ID_BUFFER_VIEWS;
+use shadecast_server::visibility::passes::spread::Spread;
+use shadecast_shaders::constants::{ID_BUFFER_VIEWS, SPREAD};
 use shadecast_shaders::twin;
 use std::sync::Arc;
 
@@ -71,6 +72,18 @@ fn skinned_vertices_equal_the_cpu_twin_within_1e_5() {
 
 #[test]
 fn marks_and_extents_equal_their_cpu_twins() {
+    let seen = marks_and_extents(0);
+    assert!(seen > 500, "{seen}");
+}
+
+#[test]
+fn rings_around_what_is_marked_equal_their_cpu_twin() {
+    let [marked, near] = [0, 3].map(marks_and_extents);
+    assert!(near > marked * 5 / 4, "{marked} are marked, {near} are near them");
+}
+
+/// Holds the stages against their twins, with so many rings around what is marked. Gives how many patches are seen.
+fn marks_and_extents(rings: u32) -> usize {
     let gpu = gpu();
     let scene = dragon(&gpu);
     let mut animation = Animation::new(&gpu, &scene, 3).unwrap();
@@ -88,9 +101,10 @@ fn marks_and_extents_equal_their_cpu_twins() {
     let views = Buffer::upload(&gpu, "views", &all_views).unwrap();
     let id_buffer = IdBuffer::new(&gpu, &scene, &animation, &views, extent).unwrap();
     let instances = scene.numbering.instances.len();
-    let looks = Looks::new(&scene.numbering, vec![Some(Levels { shown: 0, next: None }); instances]);
-    let mark = Mark::new(&gpu, &id_buffer.image, scene.numbering.totals.looked_at).unwrap();
-    let levels = LevelSelection::new(&gpu, &scene, &animation, &views, &mark.visible).unwrap();
+    let lods = LodSet::new(&scene.numbering, vec![Some(LodChoice { shown: 0, next: None }); instances]);
+    let mark = Mark::new(&gpu, &id_buffer.image, scene.numbering.totals.in_lod_set).unwrap();
+    let spread = Spread::new(&gpu, &scene, &mark.visible).unwrap();
+    let extents = Extents::new(&gpu, &scene, &animation, &views, &mark.visible).unwrap();
     let pixels = (extent[0] * extent[1]) as usize;
     let ids = Buffer::new(&gpu, "ids", pixels as u64 * 8, Memory::Readback).unwrap();
     let mut recorder = gpu.record().unwrap();
@@ -98,16 +112,17 @@ fn marks_and_extents_equal_their_cpu_twins() {
         animation.record_sample(&mut recorder, RingPlace(place), WorldTime(i64::from(place) * 33_000_000));
     }
     recorder.fill(&mark.visible, 0);
-    levels.record_start(&mut recorder);
+    extents.record_start(&mut recorder);
     recorder.barrier(Access::COPY_WRITE, Access::COMPUTE);
     recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
     let within = (&Clusters::default(), &Sight::default());
-    let pass = Pass { looked_at: looks.all(), place: RingPlace(1), first_view: 2, within };
+    let pass = Pass { lods: lods.all(), place: RingPlace(1), first_view: 2, first_alone: false, within };
     id_buffer.record(&mut recorder, &scene, &animation, pass);
     recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
-    mark.record(&mut recorder);
-    recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
-    levels.record(&mut recorder, &scene, &animation, &looks, [0, 1, 2].map(RingPlace));
+    mark.record(&mut recorder, false);
+    recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE);
+    spread.record(&mut recorder, &scene, lods.all().iter(), rings);
+    extents.record(&mut recorder, &scene, &animation, &lods, [0, 1, 2].map(RingPlace));
     recorder.barrier(Access::COMPUTE_WRITE, Access::HOST_READ);
     let layouts = [
         shadecast_gpu::vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
@@ -120,29 +135,35 @@ fn marks_and_extents_equal_their_cpu_twins() {
     recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
     gpu.wait(recorder.submit().unwrap()).unwrap();
 
-    // Of one level: entries are numbers of patches.
-    let patches = looks.entries();
+    // Of one LOD: entries are numbers of patches.
+    let patches = lods.entries();
     let visible: Vec<u32> = read(&gpu, &mark.visible);
-    let twin = twin::mark::mark(&ids.values::<u32>()[..2 * pixels], patches);
+    let mut twin = twin::mark::mark(&ids.values::<u32>()[..2 * pixels], patches);
+    let vertices = |patch: u32| {
+        let instance = scene.numbering.instance_of_patch(ScenePatch(patch));
+        let first = scene.numbering.instances[instance].first_vertex.0;
+        scene.patch(ScenePatch(patch)).vertices.map(|vertex| first + vertex)
+    };
+    let vertices: Vec<_> = (0..patches as u32).map(vertices).collect();
+    (0..rings).for_each(|_| twin::spread::spread(&vertices, &mut twin));
     assert_eq!(visible[..patches], twin[..]);
-    assert!(twin.iter().sum::<u32>() > 500, "the dragon is in view");
+    assert!(twin.iter().filter(|visible| **visible != 0).count() > 500, "the dragon is in view");
 
     let saved = SavedVertices::read(&gpu, &animation);
     let mut seen = Vec::new();
-    levels.read(&mut seen);
+    extents.read(&mut seen);
     let entries: Vec<u32> = seen.iter().map(|patch| patch.entry).collect();
-    let visible = (0..patches as u32).filter(|entry| twin[*entry as usize] != 0);
-    assert_eq!(entries, visible.collect::<Vec<_>>(), "each visible one is listed once, ascending");
+    assert!(entries.is_sorted_by(|a, b| a < b), "each is listed once, ascending");
     let twin_views: Vec<_> = view_gpus
         .iter()
-        .map(|view| twin::level_selection::View {
+        .map(|view| twin::extents::View {
             clip_from_world: Mat4::from_cols_array_2d(&view.clip_from_world),
             tangents_from_clip: Vec4::from(view.tangents_from_clip),
             shown_tangents: Vec4::from(view.shown_tangents),
             pixels_per_tangent: Vec4::from(view.pixels_per_tangent).truncate().truncate(),
         })
         .collect();
-    let mut compared = 0;
+    let (mut compared, mut listed) = (0, 0);
     for patch in (0..patches as u32).filter(|p| twin[*p as usize] != 0) {
         let number = ScenePatch(patch);
         let instance = scene.numbering.instance_of_patch(number);
@@ -153,8 +174,12 @@ fn marks_and_extents_equal_their_cpu_twins() {
                 shape.vertices.map(|v| at(v).extend(1.0))
             })
             .collect();
-        let expected = twin::level_selection::extent_texels(shape.kind as u32, &twin_views, &world);
-        let at = entries.binary_search(&patch).expect("it is listed");
+        let expected = twin::extents::extent_texels(shape.kind as u32, &twin_views, &world);
+        let at = entries.binary_search(&patch);
+        let is_listed = twin[patch as usize] != SPREAD || twin::extents::is_within(&twin_views, &world);
+        assert_eq!(at.is_ok(), is_listed, "patch {patch}");
+        listed += usize::from(is_listed);
+        let Ok(at) = at else { continue };
         let got = [seen[at].extent_texels & 0xffff, seen[at].extent_texels >> 16];
         for axis in 0..2 {
             // Textures may cap it; rounding may differ by one.
@@ -164,7 +189,9 @@ fn marks_and_extents_equal_their_cpu_twins() {
         }
     }
     assert!(compared > 500, "most extents are not capped: {compared}");
+    assert_eq!(listed, entries.len(), "nothing else is listed");
     assert_no_messages(&gpu);
+    entries.len()
 }
 
 #[test]

@@ -54,6 +54,8 @@ fn at_rest_atlases_are_identical_and_deltas_empty() {
     assert!(last.texels_per_pixel > 1.0, "there is room for more texels: {last:?}");
     let settled = report.from_which_on(Steadiness::is_at_rest).expect("it comes to rest");
     assert!(settled < 170, "it comes to rest at update {settled} of {}", last.update);
-    let [_, worst] = report.resized(1);
-    assert!(worst <= 0.05, "{worst} of the blocks changed their size in one update");
+    // The first updates show coarser LODs, and so fewer blocks: what changes is counted as a part of the blocks at rest.
+    let resized = report.updates.iter().skip(1).map(|update| update.resized).max().unwrap_or(0);
+    let part = resized as f64 / last.stayed as f64;
+    assert!(part <= 0.05, "{part} of the blocks changed their size in one update");
 }

@@ -198,6 +198,23 @@ fn session_events_are_understood_in_one_place_of_the_server() {
     }
 }
 
+/// Unit tests are inline, up to so many lines; longer ones are in `tests.rs` of the module.
+const MOST_INLINE_TEST_LINES: usize = 150;
+
+#[test]
+fn long_unit_tests_have_a_file_of_their_own() {
+    for folder in PRODUCT.into_iter().chain(["tests/lab"]) {
+        for (name, _) in sources(folder) {
+            let text = std::fs::read_to_string(root().join(&name)).expect("a text");
+            let lines = text.split_once("\nmod tests {\n").map_or(0, |(_, tests)| tests.lines().count());
+            assert!(
+                lines <= MOST_INLINE_TEST_LINES,
+                "{name} has {lines} lines of tests: move them to tests.rs"
+            );
+        }
+    }
+}
+
 #[test]
 fn the_server_and_the_client_do_not_name_each_other() {
     for (folder, other) in [("server", "shadecast_client"), ("client-xr", "shadecast_server")] {

@@ -27,9 +27,9 @@ use std::path::Path;
 
 fn small(scene: SceneSource, out: &Path) -> RunOptions {
     RunOptions {
-        extent_pixels: [192, 192],
+        extent_pixels: [144, 144],
         atlas_extent_texels: AtlasExtent::new(1024, 1024).expect("an atlas"),
-        seconds: 1.6,
+        seconds: 1.2,
         compare_every: 9,
         validation: true,
         motion: true,
@@ -221,14 +221,14 @@ fn real_models_look_like_the_truth() {
     }
 }
 
-/// Off for 20 seconds, by either way that runtimes have; the long form is `shadecast_lab::experiments::headset_off` with more seconds.
+/// Off for 10 seconds, by either way that runtimes have; the long form is `shadecast_lab::experiments::headset_off` with more seconds.
 #[test]
 fn a_headset_taken_off_costs_nothing_and_returns_within_a_second() {
     let _turn = turn();
     for absence in [Absence::Hidden, Absence::Resting] {
         let out = tempfile::tempdir().unwrap();
         let options = RunOptions { extent_pixels: [96, 96], ..small(SceneSource::Dragons(1), out.path()) };
-        let report = measure(&options, absence, 20.0).unwrap();
+        let report = measure(&options, absence, 10.0).unwrap();
         println!("{absence:?}: {report}");
         assert_eq!(report.updates_while_off, 0, "{absence:?}: nothing is shaded for nobody");
         assert!(report.most_waiting_bytes < 10_000_000, "{absence:?}: {report}");
@@ -357,7 +357,7 @@ fn after_three_silent_seconds_no_clock_jumps() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let (kinds, link) = (["samples".parse().unwrap()], "latency=20ms,jitter=5ms,rate=100mbit");
-    let table = motion_table(&kinds, &format!("{link},outage=3s"), 6.0, out.path());
+    let table = motion_table(&kinds, &format!("{link},outage=3s"), 5.2, out.path());
     let samples = &table.rows[0];
     let until_silence = &motion_table(&kinds, link, 1.9, out.path()).rows[0];
     // Either connection by itself is sent about as much.

@@ -36,8 +36,15 @@ impl Head {
         self.jumps = self.jumps.wrapping_add(1);
     }
 
-    /// Walks along `axes` until `time`, which never goes back, and looks at pictures of `extent_pixels`.
-    pub(super) fn views(&mut self, time: ClientTime, axes: Vec3, extent_pixels: [u32; 2]) -> Views {
+    /// Walks along `axes` until `time`, which never goes back, and looks at pictures of `extent_pixels`: with both eyes, or with one
+    /// in the middle, which both are then.
+    pub(super) fn views(
+        &mut self,
+        time: ClientTime,
+        axes: Vec3,
+        extent_pixels: [u32; 2],
+        both_eyes: bool,
+    ) -> Views {
         let passed_s = self.last.map_or(0.0, |(last, _)| time.since(last) as f32 * 1e-9);
         let is_held_up = passed_s > MAX_STEP_S;
         self.camera.walk(axes, if is_held_up { 0.0 } else { passed_s });
@@ -48,12 +55,13 @@ impl Head {
             ((head.position - before.position) / passed_s, turned / passed_s)
         });
         self.last = Some((time, head));
+        let offset_m = if both_eyes { EYE_OFFSET_M } else { 0.0 };
         let eye = |side: f32| head.then(Pose { position: Vec3::X * side, orientation: Quat::IDENTITY });
         Views {
             stage_from_head: head,
             linear_velocity,
             angular_velocity,
-            stage_from_eye: [eye(-EYE_OFFSET_M), eye(EYE_OFFSET_M)],
+            stage_from_eye: [eye(-offset_m), eye(offset_m)],
             fov: [fov_of_picture(self.camera.fov_deg, extent_pixels); 2],
             stage_from_hand: [None; 2],
             jumps: self.jumps,
@@ -75,24 +83,26 @@ mod tests {
     #[test]
     fn a_walking_head_says_how_fast_it_walks() {
         let mut head = Head::new(60.0);
-        let still = head.views(ClientTime(0), Vec3::Z, [640, 480]);
+        let still = head.views(ClientTime(0), Vec3::Z, [640, 480], true);
         assert_eq!((still.linear_velocity, still.stage_from_head.position.z), (Vec3::ZERO, 0.0));
-        let walking = head.views(ClientTime(20 * MS), Vec3::Z, [640, 480]);
+        let walking = head.views(ClientTime(20 * MS), Vec3::Z, [640, 480], true);
         let speed = Vec3::NEG_Z * head.camera.speed_m_s;
         assert!(walking.linear_velocity.abs_diff_eq(speed, 1e-4), "{}", walking.linear_velocity);
         assert!(walking.stage_from_head.position.abs_diff_eq(Vec3::Y * 1.6 + speed * 0.02, 1e-6));
         let [left, right] = walking.stage_from_eye.map(|eye| eye.position);
         assert!((right - left).abs_diff_eq(Vec3::X * 0.063, 1e-6));
         assert!(walking.is_valid());
+        let [left, right] = head.views(ClientTime(40 * MS), Vec3::Z, [640, 480], false).eyes();
+        assert_eq!(left, right, "one eye is two that are the same");
     }
 
     #[test]
     fn a_turning_head_says_how_fast_it_turns_the_short_way() {
         let mut head = Head::new(60.0);
         head.camera.yaw = 3.1;
-        head.views(ClientTime(0), Vec3::ZERO, [640, 480]);
+        head.views(ClientTime(0), Vec3::ZERO, [640, 480], true);
         head.camera.yaw = -3.1;
-        let turned = head.views(ClientTime(100 * MS), Vec3::ZERO, [640, 480]);
+        let turned = head.views(ClientTime(100 * MS), Vec3::ZERO, [640, 480], true);
         let expected = Vec3::Y * (std::f32::consts::TAU - 6.2) / 0.1;
         assert!(turned.angular_velocity.abs_diff_eq(expected, 1e-3), "{}", turned.angular_velocity);
     }
@@ -100,18 +110,18 @@ mod tests {
     #[test]
     fn a_stalled_program_does_not_throw_the_head() {
         let mut head = Head::new(60.0);
-        head.views(ClientTime(0), Vec3::Z, [640, 480]);
-        let late = head.views(ClientTime(10_000 * MS), Vec3::Z, [640, 480]);
+        head.views(ClientTime(0), Vec3::Z, [640, 480], true);
+        let late = head.views(ClientTime(10_000 * MS), Vec3::Z, [640, 480], true);
         assert_eq!((late.stage_from_head.position.z, late.linear_velocity), (0.0, Vec3::ZERO));
     }
 
     #[test]
     fn going_back_to_the_start_is_a_jump_and_no_motion() {
         let mut head = Head::new(60.0);
-        head.views(ClientTime(0), Vec3::Z, [640, 480]);
-        head.views(ClientTime(100 * MS), Vec3::Z, [640, 480]);
+        head.views(ClientTime(0), Vec3::Z, [640, 480], true);
+        head.views(ClientTime(100 * MS), Vec3::Z, [640, 480], true);
         head.reset();
-        let back = head.views(ClientTime(110 * MS), Vec3::ZERO, [640, 480]);
+        let back = head.views(ClientTime(110 * MS), Vec3::ZERO, [640, 480], true);
         assert_eq!((back.jumps, back.linear_velocity), (1, Vec3::ZERO));
         assert_eq!(back.stage_from_head.position, Vec3::Y * ASSUMED_EYE_HEIGHT_M);
     }

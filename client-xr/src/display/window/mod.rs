@@ -5,12 +5,14 @@
 
 mod head;
 mod pace;
+mod scale;
 
 use crate::display::{Activity, Display, DisplayError, EyeImages, FrameTurn, Presses, Views};
 use crate::platform::monotonic_now;
 use crate::platform::requirements::REQUIRED;
 use head::Head;
 use pace::Pace;
+use scale::Scale;
 use shadecast_desktop::canvas::{Canvas, CanvasError};
 use shadecast_desktop::controls::Controls;
 use shadecast_desktop::png::write_png;
@@ -21,7 +23,7 @@ use shadecast_desktop::winit::event_loop::{ActiveEventLoop, EventLoop};
 use shadecast_desktop::winit::keyboard::KeyCode;
 use shadecast_desktop::winit::platform::pump_events::{EventLoopExtPumpEvents, PumpStatus};
 use shadecast_desktop::winit::window::WindowId;
-use shadecast_gpu::{Access, Gpu, GpuOptions, Image, ImageDesc, Needs, Recorder, WindowImage, vk};
+use shadecast_gpu::{Access, Gpu, GpuOptions, Image, ImageDesc, Needs, Part, Recorder, WindowImage, vk};
 use std::cell::RefCell;
 use std::path::PathBuf;
 use std::rc::Rc;
@@ -30,6 +32,8 @@ use std::time::Duration;
 
 /// How long a window that shows nothing sleeps.
 const HIDDEN_WAIT: Duration = Duration::from_millis(10);
+/// Without a GPU a server may need the same cores: the part of a frame's time that it gets after each.
+const REST_PART: f64 = 0.15;
 const FORMAT: vk::Format = REQUIRED.eye_formats[0];
 
 /// How the window is opened.
@@ -90,6 +94,9 @@ pub struct WindowDisplay {
     name: String,
     user: User,
     pace: Pace,
+    scale: Scale,
+    /// Of this frame.
+    part: Part,
     /// The window's, between waiting for a frame and its end.
     image: Option<WindowImage>,
     screenshot: Option<PathBuf>,
@@ -120,6 +127,7 @@ impl WindowDisplay {
         let nothing = || CanvasError::NoDisplay("the desktop does not answer".to_owned());
         let mut canvas = opening.opened.unwrap_or_else(|| Err(nothing())).map_err(refused)?;
         let gpu = canvas.gpu();
+        let is_cpu = gpu.is_cpu();
         let usage = vk::ImageUsageFlags::COLOR_ATTACHMENT | vk::ImageUsageFlags::SAMPLED;
         let desc = ImageDesc::new("eyes", options.extent_pixels, FORMAT, usage);
         let eyes = Image::new(gpu, ImageDesc { layers: 2, ..desc })?;
@@ -141,7 +149,9 @@ impl WindowDisplay {
                 has_closed_figures: false,
                 is_leaving: false,
             },
-            pace: Pace::of_display(rate),
+            pace: Pace::of_display(rate).resting(if is_cpu { REST_PART } else { 0.0 }),
+            scale: if is_cpu { Scale::without_gpu(options.extent_pixels) } else { Scale::default() },
+            part: Part { extent: options.extent_pixels, first_alone: !options.both_eyes },
             image: None,
             screenshot: options.screenshot.clone(),
             has_shown: false,
@@ -158,7 +168,7 @@ impl WindowDisplay {
     fn present(&mut self, recorder: Recorder) -> Result<(), DisplayError> {
         let Some(image) = self.image.take() else { return Ok(()) };
         let present = self.canvas.present_mut();
-        present.show_eyes(self.user.both_eyes);
+        present.show_part(self.part);
         if std::mem::take(&mut self.user.has_closed_figures) {
             present.write(&[]);
         }
@@ -189,8 +199,13 @@ impl Display for WindowDisplay {
             images: &self.handles,
             format: FORMAT,
             extent_pixels: self.eyes.desc().extent,
+            one_eye: true,
             density_maps: None,
         }
+    }
+
+    fn part(&self) -> Part {
+        self.part
     }
 
     fn request_exit(&mut self) {
@@ -208,8 +223,10 @@ impl Display for WindowDisplay {
 
     fn wait_frame(&mut self) -> Result<FrameTurn, DisplayError> {
         if self.canvas.finish()?.is_some() {
-            self.pace.finished(monotonic_now());
+            self.scale.note(self.pace.finished(monotonic_now()));
         }
+        self.part =
+            Part { extent: self.scale.of(self.eyes.desc().extent), first_alone: !self.user.both_eyes };
         self.image = self.canvas.acquire()?;
         let should_render = self.image.is_some();
         match self.pace.wait_ns(monotonic_now()) {
@@ -226,7 +243,8 @@ impl Display for WindowDisplay {
     fn locate_views(&mut self, turn: &FrameTurn) -> Result<Views, DisplayError> {
         self.pump();
         let axes = self.user.controls.axes();
-        Ok(self.user.head.views(turn.display_time, axes, self.eyes.desc().extent))
+        let both_eyes = !self.part.first_alone;
+        Ok(self.user.head.views(turn.display_time, axes, self.eyes.desc().extent, both_eyes))
     }
 
     fn acquire_image(&mut self) -> Result<usize, DisplayError> {

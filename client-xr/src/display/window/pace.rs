@@ -17,6 +17,10 @@ pub(super) struct Pace {
     /// Between two pictures of the display.
     pub(super) period_ns: i64,
     frame_ns: f64,
+    /// What the last one took.
+    took_ns: i64,
+    /// Part of that for which nothing is drawn then.
+    rest_part: f64,
     began: Option<ClientTime>,
     seen: ClientTime,
 }
@@ -31,22 +35,37 @@ impl Pace {
 
     /// For a display that shows a picture each `period_ns`.
     pub(super) fn new(period_ns: i64) -> Self {
-        Self { period_ns, frame_ns: period_ns as f64, began: None, seen: ClientTime(i64::MIN) }
+        Self {
+            period_ns,
+            frame_ns: period_ns as f64,
+            took_ns: 0,
+            rest_part: 0.0,
+            began: None,
+            seen: ClientTime(i64::MIN),
+        }
     }
 
-    /// The frame that began last is on display.
-    pub(super) fn finished(&mut self, now: ClientTime) {
-        if let Some(began) = self.began {
-            let took_ns = now.since(began).clamp(0, MAX_FRAME_NS) as f64;
-            self.frame_ns += (took_ns - self.frame_ns) * NEWEST_SHARE;
-        }
+    /// Rests after each frame for a part of what it took: for a device without a GPU, on which others draw as well.
+    pub(super) fn resting(self, rest_part: f64) -> Self {
+        Self { rest_part, ..self }
+    }
+
+    /// The frame that began last is on display. Gives how long it took, nanoseconds.
+    pub(super) fn finished(&mut self, now: ClientTime) -> i64 {
+        let Some(began) = self.began else { return 0 };
+        let took_ns = now.since(began).max(0);
+        self.took_ns = took_ns;
+        self.frame_ns += (took_ns.min(MAX_FRAME_NS) as f64 - self.frame_ns) * NEWEST_SHARE;
+        took_ns
     }
 
     /// How long to wait at `now` before the next frame begins, nanoseconds. A display that holds frames back by itself needs
     /// no wait: what it takes off is less than half of a period.
     pub(super) fn wait_ns(&self, now: ClientTime) -> i64 {
         let passed_ns = self.began.map_or(i64::MAX, |began| now.since(began));
-        if passed_ns >= self.period_ns / 2 { 0 } else { self.period_ns - passed_ns }
+        let of_display_ns = if passed_ns >= self.period_ns / 2 { 0 } else { self.period_ns - passed_ns };
+        let rest_ns = (self.took_ns.min(MAX_FRAME_NS) as f64 * self.rest_part) as i64;
+        if self.began.is_some() { of_display_ns.max(rest_ns) } else { of_display_ns }
     }
 
     /// A frame begins at `now`: when it will be seen, later than the one before.
@@ -79,6 +98,17 @@ mod tests {
         pace.begin(ClientTime(0));
         assert_eq!(pace.wait_ns(ClientTime(3 * MS)), 13 * MS);
         assert_eq!(pace.wait_ns(ClientTime(15 * MS)), 0, "the display has held it back");
+    }
+
+    #[test]
+    fn a_slow_device_is_left_to_others_for_a_part_of_the_time() {
+        let mut pace = Pace::new(16 * MS).resting(0.25);
+        pace.begin(ClientTime(0));
+        pace.finished(ClientTime(80 * MS));
+        assert_eq!(pace.wait_ns(ClientTime(80 * MS)), 20 * MS);
+        pace.begin(ClientTime(100 * MS));
+        pace.finished(ClientTime(104 * MS));
+        assert_eq!(pace.wait_ns(ClientTime(104 * MS)), 12 * MS, "a fast one keeps the display's rate");
     }
 
     #[test]

@@ -319,7 +319,7 @@ impl Display for Xr {
         let Swapchain { images, maps, format, extent_pixels, .. } = &self.swapchain;
         let density_maps =
             maps.as_ref().map(|maps| DensityMaps { images: &maps.images, extent_texels: maps.extent_texels });
-        EyeImages { images, format: *format, extent_pixels: *extent_pixels, density_maps }
+        EyeImages { images, format: *format, extent_pixels: *extent_pixels, one_eye: false, density_maps }
     }
 
     fn request_exit(&mut self) {

@@ -10,7 +10,7 @@ use crate::draw::draw_list::{Drawable, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PA
 use crate::platform::requirements::REQUIRED;
 use shadecast_gpu::{
     Attachment, Bind, BindGroup, Buffer, DENSITY_MAP_FORMAT, FixedSampler, Foreign, Framebuffer, Gpu,
-    GpuError, GraphicsPipeline, GraphicsPipelineDesc, Image, ImageDesc, Memory, Recorder, RenderPass,
+    GpuError, GraphicsPipeline, GraphicsPipelineDesc, Image, ImageDesc, Memory, Part, Recorder, RenderPass,
     RenderPassDesc, Sampler, SamplerDesc, YcbcrImage, YcbcrSampler, vk,
 };
 use shadecast_protocol::atlas::AtlasExtent;
@@ -107,7 +107,7 @@ pub struct BundleSet {
 impl EyeTargets {
     /// A pass and its framebuffers for the images of two eyes.
     pub fn new(gpu: &Arc<Gpu>, eyes: EyeImages<'_>, samples: vk::SampleCountFlags) -> Result<Self, GpuError> {
-        let EyeImages { images, format, extent_pixels, density_maps } = eyes;
+        let EyeImages { images, format, extent_pixels, one_eye, density_maps } = eyes;
         let multisampled = samples != vk::SampleCountFlags::TYPE_1;
         let color = |store| Attachment {
             format,
@@ -126,6 +126,7 @@ impl EyeTargets {
             depth: Some(DEPTH_FORMAT),
             samples,
             view_mask: BOTH_EYES,
+            first_alone: one_eye,
             density_map: density_maps.is_some(),
             ..RenderPassDesc::new(colors)
         };
@@ -167,14 +168,20 @@ impl EyeTargets {
         Ok(Self { pass, framebuffers, _transient: transient })
     }
 
-    /// Begins the pass on the swapchain image `index`.
+    /// Begins the pass on all of the swapchain image `index`.
     pub fn begin(&self, recorder: &mut Recorder, index: usize) {
+        let extent = self.framebuffers[index].extent();
+        self.begin_part(recorder, index, Part { extent, first_alone: false });
+    }
+
+    /// The same on a part of it.
+    pub fn begin_part(&self, recorder: &mut Recorder, index: usize, part: Part) {
         let color = vk::ClearValue::default();
         let far = vk::ClearValue { depth_stencil: vk::ClearDepthStencilValue { depth: 0.0, stencil: 0 } };
         let clears = [color, color, far];
         // A clear value for colour and depth, or multisampled colour, resolve target and depth; a density map is not cleared.
         let first = usize::from(self._transient.len() == 1);
-        recorder.begin_pass(&self.pass, &self.framebuffers[index], &clears[first..]);
+        recorder.begin_pass_of(&self.pass, &self.framebuffers[index], &clears[first..], part);
     }
 }
 

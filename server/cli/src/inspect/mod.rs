@@ -195,7 +195,7 @@ struct MemoryPart {
 }
 
 impl Report {
-    /// Looks at a scene; clips are sampled to count their keys.
+    /// Inspects a scene; clips are sampled to count their keys.
     pub fn new(scene: &Scene, sampling: Sampling, warnings: Vec<String>) -> Self {
         let models = (0..scene.models.len()).map(|index| ModelReport::new(scene, index, sampling)).collect();
         let memory = memory(scene, sampling);

@@ -2,7 +2,7 @@
 //! actions come out. Two drivers carry them out: the pipeline's thread and the lab in virtual time.
 //!
 //! One viewer's updates are in flight at a time, since those of others take the places of their samples. Of the viewers that are
-//! due, the one with the least device time is next (`turns`). Updates of a lone viewer overlap where that pays ([`Overlap`]). An
+//! due, the one with the least device time is next (`turns`). Updates of a lone viewer overlap where that pays (`Overlap`). An
 //! update waits for the encoder of its viewer before it leaves, and none begins that would wait long.
 
 pub mod simulated;

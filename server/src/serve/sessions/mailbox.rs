@@ -51,13 +51,13 @@ pub struct Mailbox {
 
 impl Mailbox {
     /// A client was welcomed.
-    pub fn accepted(&self, peer: PeerId, accepted: Accepted) {
+    pub(crate) fn accepted(&self, peer: PeerId, accepted: Accepted) {
         let client = Client::Accepted(Box::new(accepted));
         self.put(|news| drop(news.insert(peer, News { client, reported: Reported::default() })));
     }
 
     /// A client has gone, or what served it is to be forgotten.
-    pub fn gone(&self, peer: PeerId) {
+    pub(crate) fn gone(&self, peer: PeerId) {
         self.put(|news| match news.remove(&peer) {
             // The pipeline has never heard of it.
             Some(News { client: Client::Accepted(_), .. }) => {}
@@ -66,7 +66,7 @@ impl Mailbox {
     }
 
     /// A client that is served has said something.
-    pub fn reported(&self, peer: PeerId, event: ServerEvent) {
+    pub(crate) fn reported(&self, peer: PeerId, event: ServerEvent) {
         // What is no viewer's affair does not come here.
         self.put(|news| drop(news.entry(peer).or_default().reported.take(event)));
     }
@@ -77,7 +77,7 @@ impl Mailbox {
     }
 
     /// Waits until something is new, at most so long.
-    pub fn wait(&self, at_most: Duration) {
+    pub(crate) fn wait(&self, at_most: Duration) {
         let guard = lock(&self.news);
         // Woken, timed out or poisoned: the caller looks in any case.
         drop(self.arrived.wait_timeout(guard, at_most));

@@ -10,6 +10,7 @@ mod encoder;
 mod outlet;
 mod pipeline;
 mod rebuild;
+mod rehearsal;
 mod stats;
 mod studio;
 mod traced;
@@ -175,8 +176,9 @@ pub fn run_timeline(
     say: &Say<'_>,
 ) -> anyhow::Result<StreamStats> {
     let trace = options.trace.as_deref().map(Trace::create).transpose()?;
-    let (handle, events, _announcement) = listen(options, say)?;
-    let terms = offer(&device.scene, options.atlas_extent_texels, options.rate_hz, 0);
+    let mut studio = GpuStudio::rehearsed(device, timeline, reopen, options)?;
+    let (handle, events, _announcement) = listen(options, studio.rehearsal_s(), say)?;
+    let terms = offer(&studio.device()?.scene, options.atlas_extent_texels, options.rate_hz, 0);
     let terms = move |session| {
         let resume = ResumeSecret(shadecast_transport::random_bytes());
         ServerOffer { session, resume, ..terms.clone() }
@@ -185,7 +187,6 @@ pub fn run_timeline(
         (Mailbox::default(), Arc::new(Verdicts::default()), monotonic_now_ns());
     let cadence = Cadence::default();
     let traced = Traced::new(trace, epoch_ns);
-    let mut studio = GpuStudio::new(device, timeline, reopen, options);
     let (mut stats, last_atlas) = std::thread::scope(|scope| {
         let (mailbox, verdicts, carrier) = (&mailbox, &verdicts, handle.clone());
         let network = std::thread::Builder::new().name("sessions".into()).spawn_scoped(scope, move || {
@@ -238,7 +239,11 @@ pub fn run_timeline(
 }
 
 /// Opens the socket, and says so: here, and on the network.
-fn listen(options: &StreamOptions, say: &Say<'_>) -> anyhow::Result<(Handle, Events, Option<Announcement>)> {
+fn listen(
+    options: &StreamOptions,
+    rehearsal_s: f64,
+    say: &Say<'_>,
+) -> anyhow::Result<(Handle, Events, Option<Announcement>)> {
     let identity = match &options.identity {
         Some(folder) => ServerIdentity::load_or_create(folder)?,
         None => ServerIdentity::load_or_create(&shadecast_transport::identity::default_directory()?)?,
@@ -253,6 +258,7 @@ fn listen(options: &StreamOptions, say: &Say<'_>) -> anyhow::Result<(Handle, Eve
     let (handle, events) = spawn(driver)?;
     let (address, fingerprint) = (handle.local_addr(), identity.fingerprint());
     say(&format!("Listening on {address} with identity {fingerprint}"));
+    say(&format!("Pipelines were made ready in {rehearsal_s:.1} s"));
     let announce = |name: &String| match Announcement::start(name, address, fingerprint) {
         Ok(announcement) => {
             say(&format!("Announced as {name}: clients of this network find it with --connect find"));

@@ -536,14 +536,14 @@ impl<U: Updates> Served<U> {
         now_ns: i64,
         clock: impl Fn() -> ServerTime,
     ) -> Result<Update, Fault> {
-        let frame = shaded.update;
+        let number = shaded.update;
         let time = shaded.time;
         let (delta, update) = self.viewer.finish(shaded);
         let bytes = delta.bytes();
         // What is sent unreliably may be lost here as well.
         let _ = outlet.send(peer, clock_stamp(clock()));
         outlet.send(peer, delta).map_err(|error| unsent(&error))?;
-        self.viewer.sent(frame, Kind::Delta, bytes, now_ns);
+        self.viewer.sent(number, Kind::Delta, bytes, now_ns);
         // What it shows first follows at once.
         if let Some(motion) = self.viewer.motion() {
             let due = lock(motion).tick(time, outlet.way(peer).as_ref());

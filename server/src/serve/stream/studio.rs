@@ -1,6 +1,7 @@
 //! The pipeline's studio on the real device: the world while somebody looks, and a [`ViewerUpdates`] a viewer.
 
 use super::pipeline::Studio;
+use super::rehearsal::rehearse;
 use super::{StreamOptions, ViewerStats};
 use crate::animation::timeline::SharedTimeline;
 use crate::encode::openh264::EncoderSettings;
@@ -11,17 +12,19 @@ use crate::pacing::density::Spare;
 use crate::pacing::gate::Budget;
 use crate::pacing::overlap::{Flight, Step};
 use crate::pacing::quality::QualityOptions;
+use crate::pacing::relief::Measures;
 use crate::pacing::shade_rate::ShadeRate;
 use crate::scene::SceneGpu;
 use crate::serve::viewer::Updates;
 use crate::update::{Shaded, ViewerUpdates};
 use crate::world::{ViewerId, World};
-use shadecast_gpu::{Gpu, GpuError};
+use shadecast_gpu::{Gpu, GpuError, HeldPipelines};
 use shadecast_protocol::delta::EncodedDelta;
 use shadecast_protocol::message::{Capabilities, Codec, Displayed, HeadState, Welcome};
 use shadecast_protocol::time::ServerTime;
 use shadecast_protocol::world_clock::Steering;
 use shadecast_scene::Scene;
+use shadecast_system::monotonic_now_ns;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -46,6 +49,11 @@ pub(super) struct GpuStudio<'a> {
     world: Option<World>,
     viewers: u64,
     looking: usize,
+    /// Pipelines of the rehearsal, for viewers that come.
+    pipelines: Option<HeldPipelines>,
+    rehearsal_s: f64,
+    /// How long its last update took, nanoseconds: the first guess of what a viewer's take.
+    rehearsed_update_ns: i64,
     /// How fast the device shades.
     shade_rate: ShadeRate,
     /// Kept for that.
@@ -55,24 +63,47 @@ pub(super) struct GpuStudio<'a> {
 }
 
 impl<'a> GpuStudio<'a> {
-    /// Before anybody looks.
-    pub(super) fn new(
+    /// Before anybody looks, with all pipelines made.
+    pub(super) fn rehearsed(
         device: Device,
         timeline: SharedTimeline,
         reopen: &'a Reopen<'a>,
         options: &'a StreamOptions,
-    ) -> Self {
-        Self {
+    ) -> Result<Self, GpuError> {
+        let mut studio = Self {
             device: Some(device),
             timeline,
             world: None,
             viewers: 0,
             looking: 0,
+            pipelines: None,
             shade_rate: ShadeRate::default(),
             scene: None,
+            rehearsal_s: 0.0,
+            rehearsed_update_ns: 0,
             reopen,
             options,
-        }
+        };
+        studio.rehearse()?;
+        Ok(studio)
+    }
+
+    /// Seconds that the last rehearsal took.
+    pub(super) fn rehearsal_s(&self) -> f64 {
+        self.rehearsal_s
+    }
+
+    /// Makes first small updates for nobody, so that the first viewer's find their pipelines compiled.
+    fn rehearse(&mut self) -> Result<(), GpuError> {
+        let began_ns = monotonic_now_ns();
+        let Device { gpu, scene } = self.device()?;
+        let (gpu, mut world) = (gpu.clone(), World::of_timeline(gpu, scene, self.timeline.clone())?);
+        // In use until the world and the viewer of the rehearsal are gone.
+        let mut held = None;
+        self.rehearsed_update_ns = rehearse(&mut world, self.options, || held = Some(gpu.hold_pipelines()))?;
+        self.pipelines = held;
+        self.rehearsal_s = (monotonic_now_ns() - began_ns) as f64 * 1e-9;
+        Ok(())
     }
 
     /// What it works on.
@@ -94,36 +125,37 @@ impl Studio for GpuStudio<'_> {
             }
         };
         self.viewers += 1;
-        let frame =
+        let mut updates =
             ViewerUpdates::new(&world, ViewerId(self.viewers), welcome, capabilities, self.options.show);
-        if self.looking > 0 || frame.is_ok() {
+        updates.iter_mut().for_each(|updates| updates.note_rehearsal(self.rehearsed_update_ns));
+        if self.looking > 0 || updates.is_ok() {
             self.world = Some(world);
         }
-        self.looking += usize::from(frame.is_ok());
-        frame
+        self.looking += usize::from(updates.is_ok());
+        updates
     }
 
-    fn flight(&self, frame: &ViewerUpdates) -> Result<Flight, GpuError> {
-        self.world.as_ref().map_or(Ok(Flight::default()), |world| frame.flight(world))
+    fn flight(&self, updates: &ViewerUpdates) -> Result<Flight, GpuError> {
+        self.world.as_ref().map_or(Ok(Flight::default()), |world| updates.flight(world))
     }
 
     fn advance(
         &mut self,
-        frame: &mut ViewerUpdates,
+        updates: &mut ViewerUpdates,
         step: Step,
         now: ServerTime,
     ) -> Result<Option<Shaded>, GpuError> {
         let Some(world) = &mut self.world else { return Ok(None) };
         // Who looks at the same time has a part of it.
         let period_ms = 1e3 / self.options.rate_hz / self.looking.max(1) as f64;
-        frame.set_shading_budget(self.shade_rate.budget_texels(self.options.shade_ms, period_ms));
+        updates.set_shading_budget(self.shade_rate.budget_texels(self.options.shade_ms, period_ms));
         match step {
-            Step::Begin => frame.begin(world, now).map(|_| None),
-            Step::Place => frame.place_seen(world).map(|()| None),
-            Step::Shade => frame.shade(world).map(|()| None),
+            Step::Begin => updates.begin(world, now).map(|_| None),
+            Step::Place => updates.place_seen(world).map(|()| None),
+            Step::Shade => updates.shade(world).map(|()| None),
             Step::Collect => {
-                let shaded = frame.collect(world)?;
-                let texels = frame.reused().shaded_texels;
+                let shaded = updates.collect(world)?;
+                let texels = updates.reused().shaded_texels;
                 shaded.iter().for_each(|shaded| self.shade_rate.note(&shaded.timings, texels));
                 Ok(shaded)
             }
@@ -131,14 +163,14 @@ impl Studio for GpuStudio<'_> {
         }
     }
 
-    fn rest(&self, frame: &ViewerUpdates, at_most: Duration) -> Result<bool, GpuError> {
-        self.world.as_ref().map_or(Ok(false), |world| frame.rest(world, at_most))
+    fn rest(&self, updates: &ViewerUpdates, at_most: Duration) -> Result<bool, GpuError> {
+        self.world.as_ref().map_or(Ok(false), |world| updates.rest(world, at_most))
     }
 
-    fn close(&mut self, frame: ViewerUpdates, has_failed: bool) {
+    fn close(&mut self, updates: ViewerUpdates, has_failed: bool) {
         self.looking -= 1;
         let Some(world) = &mut self.world else { return };
-        frame.leave(world);
+        updates.leave(world);
         if has_failed {
             world.forget();
         }
@@ -147,15 +179,15 @@ impl Studio for GpuStudio<'_> {
         }
     }
 
-    fn account(&self, frame: &ViewerUpdates, stats: &mut ViewerStats) {
-        stats.coarsened = frame.layout().coarsened();
-        stats.dropped_patches = frame.dropped_patches();
+    fn account(&self, updates: &ViewerUpdates, stats: &mut ViewerStats) {
+        stats.coarsened = updates.layout().coarsened();
+        stats.dropped_patches = updates.dropped_patches();
         let Some(world) = &self.world else { return };
-        let shows = frame.shows(world);
+        let shows = updates.shows(world);
         (stats.triangles, stats.detail_pixels) = (shows.triangles, shows.detail_pixels);
         stats.texels_per_pixel = shows.texels_per_pixel;
-        stats.reused_share = frame.reused_share();
-        stats.levels = shows.levels;
+        stats.reused_share = updates.reused_share();
+        stats.levels = shows.lods;
     }
 
     fn quality(&self) -> QualityOptions {
@@ -179,7 +211,7 @@ impl Studio for GpuStudio<'_> {
     }
 
     fn reopen(&mut self) -> anyhow::Result<()> {
-        (self.world, self.looking) = (None, 0);
+        (self.world, self.looking, self.pipelines) = (None, 0, None);
         self.shade_rate = ShadeRate::default();
         if let Some(Device { scene, .. }) = self.device.take() {
             self.scene = Some(scene.scene.clone());
@@ -187,6 +219,7 @@ impl Studio for GpuStudio<'_> {
         let scene = self.scene.clone().ok_or_else(|| anyhow::anyhow!("the scene is gone"))?;
         self.device = Some((self.reopen)(scene)?);
         self.scene = None;
+        self.rehearse()?;
         Ok(())
     }
 }
@@ -210,6 +243,18 @@ impl Updates for ViewerUpdates {
 
     fn set_spare(&mut self, spare: Spare) {
         Self::set_spare(self, spare);
+    }
+
+    fn rehearsed_s(&self) -> Option<f64> {
+        Self::rehearsed_s(self)
+    }
+
+    fn set_measures(&mut self, measures: Measures) {
+        Self::set_measures(self, measures);
+    }
+
+    fn note_update(&mut self, took_ns: i64) {
+        Self::note_update(self, took_ns);
     }
 
     fn encode(&mut self, delta: &UpdateDelta) -> EncodedDelta {

@@ -45,7 +45,7 @@ fn fragment(filter: Filter) -> &'static Shader {
 
 impl Shading {
     /// For an atlas of this extent; textures are filtered as a measurement wants it, or as usual.
-    pub fn new(
+    pub(crate) fn new(
         gpu: &Arc<Gpu>,
         scene: &SceneGpu,
         animation: &Animation,
@@ -122,22 +122,22 @@ impl Shading {
     ) {
         let list: &mut [BlockGpu] = bytemuck::cast_slice_mut(self.blocks.bytes_mut());
         self.count = 0;
-        // Live patches come in ascending order: most are of the level of the one before.
+        // Live patches come in ascending order: most are of the LOD of the one before.
         let mut now: Option<(usize, usize, PatchRange)> = None;
         for (patch, block) in due {
-            let (number, level, range) = now.filter(|(.., range)| range.has(patch)).unwrap_or_else(|| {
-                let (number, level) = scene.numbering.place_of_patch(patch);
-                let range = scene.numbering.patches(number, level);
-                (number, level, range.expect("it holds the patch"))
+            let (number, lod, range) = now.filter(|(.., range)| range.has(patch)).unwrap_or_else(|| {
+                let (number, lod) = scene.numbering.place_of_patch(patch);
+                let range = scene.numbering.patches(number, lod);
+                (number, lod, range.expect("it holds the patch"))
             });
-            now = Some((number, level, range));
+            now = Some((number, lod, range));
             let bases = animation.position_base(number, place).zip(animation.tangent_base(number));
             // What had no room when it was skinned keeps the colours that it has.
             let Some((position_base, tangent_base)) = bases else { continue };
             let Some(entry) = list.get_mut(self.count as usize) else { break };
             let model = &scene.models[scene.numbering.instances[number].model];
             *entry = BlockGpu {
-                patch_index: model.levels[level].patch_base + range.model_number(patch),
+                patch_index: model.lods[lod].patch_base + range.model_number(patch),
                 address_texels: u32::from(block.address.x) | u32::from(block.address.y) << 16,
                 extent_texels: block.size.width() | block.size.height() << 16,
                 vertex_base: model.vertex_base,
@@ -151,7 +151,12 @@ impl Shading {
     }
 
     /// Shades the listed blocks as seen by a head, filtered for a display of so many pixels to a tangent of 1, x and y.
-    pub fn record(&self, recorder: &mut Recorder, world_from_head: Pose, pixels_per_tangent: [f32; 2]) {
+    pub(crate) fn record(
+        &self,
+        recorder: &mut Recorder,
+        world_from_head: Pose,
+        pixels_per_tangent: [f32; 2],
+    ) {
         if self.count == 0 {
             return;
         }

@@ -21,7 +21,7 @@ use std::sync::Arc;
 const ERROR_TEXELS: f32 = 0.5;
 
 /// The stage with its outputs.
-pub struct Shadow {
+pub(crate) struct Shadow {
     pass: RenderPass,
     geometry: Geometry,
     group: BindGroup,
@@ -30,8 +30,8 @@ pub struct Shadow {
     sampler: Sampler,
     light: Buffer,
     view: Option<SunView>,
-    /// By instance: the level of detail that its shadow is drawn at.
-    levels: Vec<usize>,
+    /// By instance: the LOD that its shadow is drawn at.
+    lods: Vec<usize>,
     /// Whether any caster moves.
     is_animated: bool,
     is_drawn: bool,
@@ -44,9 +44,9 @@ pub struct Shadow {
 impl Shadow {
     /// For the scene's sun, with casters as fine as its map can show. Where it casts no shadows, or nothing is in its way, the map is a
     /// small empty one.
-    pub fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, animation: &Animation) -> Result<Self, GpuError> {
-        let levels = caster_levels(scene);
-        Ok(Self { levels, ..Self::in_full_detail(gpu, scene, animation)? })
+    pub(crate) fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, animation: &Animation) -> Result<Self, GpuError> {
+        let lods = caster_lods(scene);
+        Ok(Self { lods, ..Self::in_full_detail(gpu, scene, animation)? })
     }
 
     /// The same with casters in full detail.
@@ -87,7 +87,7 @@ impl Shadow {
             group: BindGroup::new(geometry.layout(), &binds)?,
             target: Framebuffer::new(gpu, &pass, [side; 2], &[map.view()])?,
             sampler: Sampler::new(gpu, nearest)?,
-            levels: vec![FULL_DETAIL; scene.numbering.instances.len()],
+            lods: vec![FULL_DETAIL; scene.numbering.instances.len()],
             is_animated: scene.casters().any(|index| scene.moves(index)),
             pass,
             geometry,
@@ -100,20 +100,20 @@ impl Shadow {
         })
     }
 
-    /// By instance the level that is drawn: vertices must be there as finely.
-    pub fn levels(&self) -> impl Iterator<Item = usize> + '_ {
-        self.levels.iter().copied()
+    /// By instance the LOD that is drawn: vertices must be there as finely.
+    pub(crate) fn lods(&self) -> impl Iterator<Item = usize> + '_ {
+        self.lods.iter().copied()
     }
 
     /// Writes the light as it is at `time` by the animation's timeline. No submitted work still reads it.
-    pub fn write(&mut self, scene: &SceneGpu, animation: &Animation, time: WorldTime) {
+    pub(crate) fn write(&mut self, scene: &SceneGpu, animation: &Animation, time: WorldTime) {
         let light = lights::at(&scene.scene, &animation.timeline().lock(), self.view.as_ref(), time);
         self.light.write(0, bytemuck::bytes_of(&light));
         self.written = light;
     }
 
     /// Draws the casters in `needs` as they are in `place`; once and all where none of them moves. Gives whether it did.
-    pub fn record(
+    pub(crate) fn record(
         &mut self,
         recorder: &mut Recorder,
         scene: &SceneGpu,
@@ -128,13 +128,13 @@ impl Shadow {
         recorder.begin_pass(&self.pass, &self.target, &[vk::ClearValue::default()]); // 0: far from the sun
         if self.view.is_some() {
             let all = !self.is_animated;
-            // One map serves all viewers, who see different levels.
+            // One map serves all viewers, who see different LODs.
             let base = |number: usize| animation.position_base(number, place);
             let casts = |number: usize| {
                 let is_drawn = (all || needs.has(number))
                     && scene.scene.instances[number].casts_shadow
                     && base(number).is_some();
-                is_drawn.then_some(self.levels[number])
+                is_drawn.then_some(self.lods[number])
             };
             let held = (0..self.held.len()).map(|number| casts(number).is_some());
             self.held.iter_mut().zip(held).for_each(|(held, now)| *held = now);
@@ -150,12 +150,12 @@ impl Shadow {
     }
 
     /// The map is drawn anew.
-    pub fn forget(&mut self) {
+    pub(crate) fn forget(&mut self) {
         self.is_drawn = false;
     }
 
     /// Whether the map holds an instance's shadow.
-    pub fn has(&self, instance: usize) -> bool {
+    pub(crate) fn has(&self, instance: usize) -> bool {
         self.held[instance]
     }
 
@@ -165,30 +165,30 @@ impl Shadow {
     }
 
     /// The lamps as they were written last.
-    pub fn lamps(&self) -> &[PunctualGpu] {
+    pub(crate) fn lamps(&self) -> &[PunctualGpu] {
         &self.written.punctual[..self.written.punctual_count[0] as usize]
     }
 
     /// What shading binds to see by: the light, and the map.
-    pub fn binds(&self) -> [(&'static str, Bind<'_>); 2] {
+    pub(crate) fn binds(&self) -> [(&'static str, Bind<'_>); 2] {
         [("Light", Bind::Buffer(&self.light)), ("shadow_map", Bind::Sampled(&self.map, &self.sampler))]
     }
 }
 
-/// By instance the coarsest level whose error a map cannot show.
-fn caster_levels(scene: &SceneGpu) -> Vec<usize> {
+/// By instance the coarsest LOD whose error a map cannot show.
+fn caster_lods(scene: &SceneGpu) -> Vec<usize> {
     let texel_m = scene.sun_view().map_or(0.0, |view| view.texel_m);
-    let level = |number: usize| {
+    let lod = |number: usize| {
         let instance = &scene.scene.instances[number];
         let allowed_m = ERROR_TEXELS * texel_m / largest_scale(instance).max(f32::MIN_POSITIVE);
         let casts = instance.casts_shadow;
-        let levels = &scene.mesh(number).levels;
+        let lods = &scene.mesh(number).lods;
         match casts {
-            true => levels.iter().rposition(|level| level.error_m <= allowed_m).unwrap_or(FULL_DETAIL),
-            false => levels.len() - 1,
+            true => lods.iter().rposition(|lod| lod.error_m <= allowed_m).unwrap_or(FULL_DETAIL),
+            false => lods.len() - 1,
         }
     };
-    (0..scene.numbering.instances.len()).map(level).collect()
+    (0..scene.numbering.instances.len()).map(lod).collect()
 }
 
 /// How much larger than its model an instance is anywhere on its path.

@@ -167,7 +167,7 @@ impl Ycbcr {
     }
 
     /// Texels that the last recording converted: of whole workgroups.
-    pub fn converted_texels(&self) -> u64 {
+    pub(crate) fn converted_texels(&self) -> u64 {
         self.converted_texels
     }
 

@@ -11,7 +11,7 @@ use std::sync::Arc;
 pub const BONE_BYTES: u64 = AFFINE_ROWS as u64 * 16;
 
 /// The stage with its inputs and outputs.
-pub struct Palette {
+pub(crate) struct Palette {
     pipeline: ComputePipeline,
     group: BindGroup,
     /// `PoseGpu`, written by whoever records, at most as many a sample time as there are instances.
@@ -23,7 +23,7 @@ pub struct Palette {
 
 impl Palette {
     /// With room for `times` sample times at which no two instances share a pose.
-    pub fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, times: u32) -> Result<Self, GpuError> {
+    pub(crate) fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, times: u32) -> Result<Self, GpuError> {
         let pipeline = ComputePipeline::new(gpu, &PALETTE_COMP)?;
         let bytes = |count: u32, size: u64| u64::from(times) * u64::from(count) * size;
         let poses_bytes = bytes(scene.numbering.instances.len() as u32, size_of::<PoseGpu>() as u64);
@@ -48,7 +48,7 @@ impl Palette {
     }
 
     /// Evaluates a range of the poses.
-    pub fn record(&self, recorder: &mut Recorder, poses: Range<u32>) {
+    pub(crate) fn record(&self, recorder: &mut Recorder, poses: Range<u32>) {
         if !poses.is_empty() {
             let push = PalettePush { pose_base: poses.start };
             // A workgroup for each pose.

@@ -39,7 +39,7 @@ pub(crate) struct SkinJobs {
 
 impl SkinJobs {
     /// Forgets all, keeps the room.
-    pub fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.whole.clear();
         self.packed.iter_mut().for_each(Vec::clear);
     }
@@ -47,7 +47,7 @@ impl SkinJobs {
 
 impl Skin {
     /// With room for what is saved of positions and of frames. `morph_weights` holds those of each pose.
-    pub fn new(
+    pub(crate) fn new(
         gpu: &Arc<Gpu>,
         scene: &SceneGpu,
         palette: &Palette,
@@ -84,7 +84,7 @@ impl Skin {
     }
 
     /// A dispatch for each of `jobs`.
-    pub fn record(&self, recorder: &mut Recorder, jobs: &SkinJobs) {
+    pub(crate) fn record(&self, recorder: &mut Recorder, jobs: &SkinJobs) {
         let lists = [(&self.whole, &jobs.whole)].into_iter().chain(self.packed.iter().zip(&jobs.packed));
         for (variant, jobs) in lists.filter(|(_, jobs)| !jobs.is_empty()) {
             let dispatches = jobs.iter().map(|job| (job, [job.vertex_count, 1, 1]));

@@ -6,11 +6,11 @@ use crate::skinning::gpu::Animation;
 use crate::time::RingPlace;
 use crate::visibility::clusters::Clusters;
 use crate::visibility::culling::Sight;
-use crate::visibility::lod_set::Look;
+use crate::visibility::lod_set::LodInstance;
 use ash::vk;
 use shadecast_gpu::{
-    Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, Image, ImageDesc, Recorder, RenderPass,
-    RenderPassDesc,
+    Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, Image, ImageDesc, Part, Recorder,
+    RenderPass, RenderPassDesc,
 };
 use shadecast_shaders::Shader;
 use shadecast_shaders::generated::{
@@ -60,11 +60,13 @@ impl TriangleNumbers {
 #[derive(Clone, Copy, Debug)]
 pub struct Pass<'a> {
     /// Ascending by instance, each once.
-    pub looked_at: &'a [Look],
+    pub lods: &'a [LodInstance],
     /// Where their positions are.
     pub place: RingPlace,
     /// The left eye's; the right one's follows.
     pub first_view: u32,
+    /// No other view is drawn: both eyes are one.
+    pub first_alone: bool,
     /// What stands still, and what can be seen of it.
     pub within: (&'a Clusters, &'a Sight),
 }
@@ -107,6 +109,7 @@ impl IdBuffer {
             &RenderPassDesc {
                 depth: Some(vk::Format::D32_SFLOAT),
                 view_mask: 0b11,
+                first_alone: true,
                 ..RenderPassDesc::new(vec![Attachment {
                     format: vk::Format::R32_UINT,
                     load: vk::AttachmentLoadOp::CLEAR,
@@ -137,32 +140,33 @@ impl IdBuffer {
         Ok(Self { pass, geometry, group, target, image, _depth: depth })
     }
 
-    /// Draws what is `looked_at`, as it is in `place`, into the two views from `first_view` on: of what stands still no more
-    /// than is in sight.
+    /// Draws what is `lods`, as it is in `place`, into the two views from `first_view` on, or into that alone: of what stands still
+    /// no more than is in sight.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         scene: &SceneGpu,
         animation: &Animation,
-        Pass { looked_at, place, first_view, within }: Pass<'_>,
+        Pass { lods, place, first_view, first_alone, within }: Pass<'_>,
     ) {
         let clears = [vk::ClearValue::default(), vk::ClearValue::default()]; // no patch; far, which is 0
         let base = |number: usize| animation.position_base(number, place);
-        let look = |number: usize| {
-            let at = looked_at.binary_search_by_key(&number, |look| look.instance).ok()?;
-            base(number).is_some().then_some(looked_at[at])
+        let lod_of = |number: usize| {
+            let at = lods.binary_search_by_key(&number, |lod| lod.instance).ok()?;
+            base(number).is_some().then_some(lods[at])
         };
-        recorder.begin_pass(&self.pass, &self.target, &clears);
+        let part = Part { extent: self.image.desc().extent, first_alone };
+        recorder.begin_pass_of(&self.pass, &self.target, &clears, part);
         self.geometry.record_runs(
             recorder,
             (&self.group, scene),
-            |number| look(number).map(|look| look.level),
+            |number| lod_of(number).map(|lod| lod.lod),
             |of, primitive| within.0.runs(of, primitive, within.1),
             |draw| IdBufferPush {
                 vertex_base: draw.model.vertex_base,
                 position_base: base(draw.number).unwrap_or_default(),
-                triangle_base: (draw.level.index_base + draw.first_index) / 3,
-                first_entry: look(draw.number).map_or(0, |look| look.first_entry),
+                triangle_base: (draw.lod.index_base + draw.first_index) / 3,
+                first_entry: lod_of(draw.number).map_or(0, |lod| lod.first_entry),
                 material: draw.model.material_base + draw.primitive.material,
                 first_view,
                 instance: draw.number as u32,

@@ -30,10 +30,11 @@ impl Mark {
         Ok(Self { pipeline, group, _sampler: sampler, visible, extent: id_buffer.desc().extent })
     }
 
-    /// Marks what both layers of the ID buffer show.
-    pub fn record(&self, recorder: &mut Recorder) {
+    /// Marks what the ID buffer shows, in its first layer alone or in both.
+    pub fn record(&self, recorder: &mut Recorder, first_alone: bool) {
         let [width, height] = self.extent;
-        recorder.dispatch(&self.pipeline, &self.group, &[0u32; 0], [width, height, 2]);
+        let layers = if first_alone { 1 } else { 2 };
+        recorder.dispatch(&self.pipeline, &self.group, &[0u32; 0], [width, height, layers]);
     }
 }
 

@@ -3,4 +3,5 @@
 
 pub mod id_buffer;
 pub mod mark;
-pub mod level_selection;
+pub mod spread;
+pub mod extents;

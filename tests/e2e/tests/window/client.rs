@@ -60,10 +60,10 @@ fn client() -> Command {
     command
 }
 
-/// What the forward renderer shows from where the window's left eye is.
+/// What the forward renderer shows from where the window's one eye is.
 fn truth(scene: &Path, folder: &Path) -> Rgb8Image {
     let mut forward = Command::new(program("shadecast-server"));
-    forward.arg("forward").arg(scene).args(["--fov", "60", "--position=-0.0315,1.6,0", "--frames", "1"]);
+    forward.arg("forward").arg(scene).args(["--fov", "60", "--position=0,1.6,0", "--frames", "1"]);
     forward.args(["--size", &format!("{}x{}", SIZE[0], SIZE[1])]).arg("--out").arg(folder);
     let output = output_of(&mut forward);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

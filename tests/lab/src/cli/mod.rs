@@ -18,6 +18,7 @@ mod neighbours;
 mod render_thread;
 mod run;
 mod skinning;
+mod slow;
 mod steady;
 mod still;
 mod table1;
@@ -64,6 +65,8 @@ enum Command {
     Skinning(skinning::SkinningArgs),
     /// Measures the second update of a scene in which nothing moves beside the first, by stage of the device
     Still(run::RunArgs),
+    /// Measures slow devices: when the first picture comes, when a whole one, and what is missing afterwards
+    Slow(slow::SlowArgs),
     /// Measures the paper's Table 1 and Figure 4: rates of server and client for 9 to 169 dragons, and how the cost grows
     Table1(table1::Table1Args),
     /// Measures openh264 beside libx264 on atlases of nine dragons
@@ -181,6 +184,7 @@ pub(crate) fn run() -> anyhow::Result<()> {
         }
         Command::Skinning(args) => skinning::run(&args),
         Command::Still(args) => still::run(args),
+        Command::Slow(args) => slow::run(args),
         Command::Hostile(args) => hostile::run(args),
         Command::Neighbours { seconds, json } => neighbours::run(seconds, json.as_deref()),
         Command::RecordTraffic { out } => record(&out),

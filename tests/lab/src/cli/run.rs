@@ -18,7 +18,7 @@ use std::path::PathBuf;
 #[derive(Args)]
 pub(super) struct RunArgs {
     /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
-    scene: String,
+    pub(super) scene: String,
     /// The clip that animated instances play [default: the scene's own choice]
     #[arg(long)]
     clip: Option<String>,
@@ -158,7 +158,7 @@ pub(super) fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         trace: args.render.trace,
         detail_pixels,
         spared: Spared {
-            ideal: UpdatePolicy { views: args.views, reuse: !args.no_reuse, ..UpdatePolicy::default() },
+            policy: UpdatePolicy { views: args.views, reuse: !args.no_reuse, ..UpdatePolicy::default() },
             ..Spared::default()
         },
         surround,
@@ -168,6 +168,7 @@ pub(super) fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         dump_every: args.dump_every,
         compare_every: args.compare_every,
         compare_from: args.compare_from,
+        compare_waiting: false,
         stages: args.stage_ms,
         validation: args.gpu.validation,
         device: args.gpu.device,

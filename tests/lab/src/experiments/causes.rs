@@ -99,17 +99,17 @@ impl Cause {
     fn leave_out(self, run: &RunOptions, shipped: &Report) -> RunOptions {
         let spared = |spared: Spared| RunOptions { spared, ..run.clone() };
         let arrival = |arrival| spared(Spared { arrival, ..Spared::default() });
-        let ideal = |ideal| spared(Spared { ideal, ..Spared::default() });
+        let policy = |policy| spared(Spared { policy, ..Spared::default() });
         match self {
             Self::Density => RunOptions {
                 atlas_extent_texels: AtlasExtent::MAX,
-                ..ideal(UpdatePolicy { texels_per_pixel: DENSE, ..UpdatePolicy::default() })
+                ..policy(UpdatePolicy { texels_per_pixel: DENSE, ..UpdatePolicy::default() })
             },
-            Self::Filter => ideal(UpdatePolicy { filter: Filter::Supersampled, ..UpdatePolicy::default() }),
+            Self::Filter => policy(UpdatePolicy { filter: Filter::Supersampled, ..UpdatePolicy::default() }),
             Self::Reconstruction => RunOptions { reconstruction: Reconstruction::Bicubic, ..run.clone() },
             Self::ShadowTime => {
                 let shading_times = shipped.compared.iter().copied().collect();
-                ideal(UpdatePolicy { shading_times, ..UpdatePolicy::default() })
+                policy(UpdatePolicy { shading_times, ..UpdatePolicy::default() })
             }
             Self::ShadowResolution => RunOptions {
                 scene_options: SceneOptions { shadow_doublings: 1, ..run.scene_options },

@@ -43,10 +43,10 @@ impl Part {
         let mut options = options.clone();
         match self {
             Self::Surround => options.surround = if is_on { DEFAULT_SURROUND } else { 0.0 },
-            Self::Filter if !is_on => options.spared.ideal.filter = Filter::Texel,
+            Self::Filter if !is_on => options.spared.policy.filter = Filter::Texel,
             Self::Cubic if is_on => options.reconstruction = Reconstruction::Bicubic,
             Self::Detail if !is_on => options.detail_pixels = 0.0,
-            Self::Reuse if !is_on => options.spared.ideal.reuse = false,
+            Self::Reuse if !is_on => options.spared.policy.reuse = false,
             Self::Filter | Self::Cubic | Self::Detail | Self::Reuse => {}
         }
         options

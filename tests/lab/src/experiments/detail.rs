@@ -157,7 +157,7 @@ impl Watch {
         self.report.frames += 1;
         let shows = &lab.seat().shows;
         let at = |update: UpdateId| &shows[update.0 as usize];
-        let levels = &at(now.update).levels;
+        let levels = &at(now.update).lods;
         self.report.patches.add(f64::from(at(now.update).patches));
         self.report.level.add(levels.iter().sum::<usize>() as f64 / levels.len().max(1) as f64);
         if let Some(last) = self.last.as_ref().filter(|last| last.update < now.update) {
@@ -165,7 +165,7 @@ impl Watch {
                 let map = flip_map(a, b, ppd);
                 map.iter().map(|error| f64::from(*error)).sum::<f64>() / map.len() as f64
             };
-            let is_switch = at(last.update).levels != *levels;
+            let is_switch = at(last.update).lods != *levels;
             let changes = if is_switch { &mut self.report.switches } else { &mut self.report.others };
             changes.count += 1;
             changes.before.add(difference(&last.truth, &last.client));

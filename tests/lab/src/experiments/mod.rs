@@ -17,6 +17,7 @@ pub mod picture;
 pub mod render_thread;
 pub mod run;
 pub mod skinning;
+pub mod slow;
 pub mod slow_link;
 pub mod steadiness;
 pub mod still;

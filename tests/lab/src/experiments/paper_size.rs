@@ -107,7 +107,7 @@ pub fn measure(dragons: u32, size: Size, folder: &Path) -> anyhow::Result<PaperS
         vertices,
         patches: shows.iter().map(|update| update.patches).max().unwrap_or(0),
         triangles: shows.iter().map(|update| update.triangles).max().unwrap_or(0),
-        mean_level: last.levels.iter().sum::<usize>() as f64 / last.levels.len().max(1) as f64,
+        mean_level: last.lods.iter().sum::<usize>() as f64 / last.lods.len().max(1) as f64,
         texels_per_pixel: last.texels_per_pixel,
         dropped_patches: lab.seat().dropped_patches(),
         device_bytes: gpu.memory().iter().map(|held| held.bytes).sum(),

@@ -116,28 +116,28 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<SteadinessReport> {
         if last.as_ref().is_some_and(|last| last.update == shaded.update) {
             continue;
         }
-        let frame = lab.seat().viewer.as_ref().context("a viewer has updates")?.updates();
-        let (now, before) = (look(frame, shaded), last.take());
+        let updates = lab.seat().viewer.as_ref().context("a viewer has updates")?.updates();
+        let (now, before) = (look(updates, shaded), last.take());
         if let Some(before) = before {
             anyhow::ensure!(shaded.update == before.update.next(), "an update was missed");
             let texels_per_pixel = lab.seat().shows[shaded.update.0 as usize].texels_per_pixel;
-            report.updates.push(Steadiness { texels_per_pixel, ..compare(frame, shaded, &before, &now) });
+            report.updates.push(Steadiness { texels_per_pixel, ..compare(updates, shaded, &before, &now) });
         }
         last = Some(now);
     }
     Ok(report)
 }
 
-fn look(frame: &ViewerUpdates, shaded: &Shaded) -> Last {
+fn look(updates: &ViewerUpdates, shaded: &Shaded) -> Last {
     let Source::Planes(picture) = &shaded.picture;
     Last {
         update: shaded.update,
         planes: picture.planes().map(<[u8]>::to_vec).into(),
-        sizes: frame.layout().live().map(|(patch, block)| (patch, block.size)).collect(),
+        sizes: updates.layout().live().map(|(patch, block)| (patch, block.size)).collect(),
     }
 }
 
-fn compare(frame: &ViewerUpdates, shaded: &Shaded, before: &Last, now: &Last) -> Steadiness {
+fn compare(updates: &ViewerUpdates, shaded: &Shaded, before: &Last, now: &Last) -> Steadiness {
     let differing = |(a, b): (&Vec<u8>, &Vec<u8>)| a.iter().zip(b).filter(|(a, b)| a != b).count();
     let geometry = &shaded.delta.geometry;
     let forgotten = geometry.evicted_patches.len() + geometry.evicted_vertices.len();
@@ -157,7 +157,7 @@ fn compare(frame: &ViewerUpdates, shaded: &Shaded, before: &Last, now: &Last) ->
         forgotten,
         stayed: stayed.clone().count(),
         resized: stayed.filter(|(now, before)| now != before).count(),
-        used_share: frame.layout().used_share(),
+        used_share: updates.layout().used_share(),
         texels_per_pixel: 0.0,
     }
 }

@@ -110,9 +110,9 @@ fn two_updates(server: &Server, options: &RunOptions, reuse: bool) -> anyhow::Re
     let terms =
         negotiate(&hello, &server.offer()).map_err(|refused| anyhow::anyhow!("{}", refused.reason))?;
     let show = ShowOptions { detail_pixels: options.detail_pixels, surround: options.surround };
-    let ideal = UpdatePolicy { reuse, ..UpdatePolicy::default() };
+    let policy = UpdatePolicy { reuse, ..UpdatePolicy::default() };
     let mut updates =
-        ViewerUpdates::with_policy(&world, ViewerId(1), &terms, &hello.capabilities, show, ideal)?;
+        ViewerUpdates::with_policy(&world, ViewerId(1), &terms, &hello.capabilities, show, policy)?;
     let period_ns = (1e9 / options.rate_hz) as i64;
     let mut update = |number: u32| -> anyhow::Result<Stages> {
         let now = ServerTime(i64::from(number) * period_ns);

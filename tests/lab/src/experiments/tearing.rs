@@ -9,7 +9,7 @@ use shadecast_client::client::Step;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_protocol::time::{DEFAULT_GRID, WorldTime};
 use shadecast_server::scene::numbering::SceneVertex;
-use std::collections::{BTreeSet, HashMap};
+use std::collections::BTreeSet;
 
 /// What was found.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -39,11 +39,13 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<TearingReport> {
         last_step_error_m: last_step_error_m(&lab, options.seconds),
         ..TearingReport::default()
     };
-    let mut vertex_of_slot = HashMap::new();
+    let mut vertex_of_slot = Vec::new();
     while let Step::Frame(frame) = lab.step()? {
         // Slots that have left the server's list may still be on display: their last vertex counts.
-        let sampled = lab.seat().viewer.iter().flat_map(|viewer| viewer.updates().residency().moving());
-        vertex_of_slot.extend(sampled.map(|(slot, vertex)| (slot.0, vertex)));
+        if let Some(viewer) = &lab.seat().viewer {
+            vertex_of_slot.clear();
+            vertex_of_slot.extend_from_slice(viewer.updates().residency().vertex_of_slot());
+        }
         let (Some(_), Some(time)) = (frame.update, frame.motion_time) else { continue };
         report.frames += 1;
         report.frames_behind += u64::from(frame.motion_time < frame.world_time);
@@ -54,7 +56,7 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<TearingReport> {
 
 fn look(
     lab: &Lab,
-    vertex_of_slot: &HashMap<u32, SceneVertex>,
+    vertex_of_slot: &[SceneVertex],
     time: WorldTime,
     report: &mut TearingReport,
 ) -> anyhow::Result<()> {
@@ -63,9 +65,9 @@ fn look(
     report.triangles += triangles.len() as u64;
     let slots: BTreeSet<u32> = triangles.into_iter().flatten().collect();
     let mut truth = VertexTruth::at(&lab.server.scene, time);
-    for (slot, vertex) in slots.into_iter().filter_map(|slot| Some((slot, *vertex_of_slot.get(&slot)?))) {
-        let [x, y, z, _] = positions[slot as usize];
-        let place = truth.vertex(vertex).position.as_vec3();
+    for slot in slots.into_iter().map(|slot| slot as usize) {
+        let [x, y, z, _] = positions[slot];
+        let place = truth.vertex(vertex_of_slot[slot]).position.as_vec3();
         report.max_error_m = report.max_error_m.max(Vec3::new(x, y, z).distance(place));
     }
     Ok(())

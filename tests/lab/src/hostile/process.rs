@@ -101,7 +101,7 @@ fn collect(output: impl Read + Send + 'static, lines: Lines, to: Sender<String>)
     });
 }
 
-/// Looks at a process's memory again and again.
+/// Samples a process's memory.
 pub(crate) struct MemoryWatch {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<u64>>,

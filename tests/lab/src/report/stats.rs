@@ -190,16 +190,27 @@ impl Stats {
 #[derive(Clone, Debug, Default)]
 pub struct Summary {
     compared: Vec<(PictureMetrics, FrameMetrics)>,
+    /// Of both eyes of the last frame.
+    last: Vec<FrameMetrics>,
     too_empty: u64,
 }
 
 impl Summary {
     /// Takes the figures of one eye's view of one displayed frame.
     pub fn add(&mut self, metrics: FrameMetrics) {
+        if self.last.len() == 2 {
+            self.last.clear();
+        }
+        self.last.push(metrics);
         match metrics.picture {
             Some(picture) => self.compared.push((picture, metrics)),
             None => self.too_empty += 1,
         }
+    }
+
+    /// The figures that were added last, of both eyes of a frame.
+    pub fn last_two(&self) -> &[FrameMetrics] {
+        &self.last
     }
 
     /// How many views count.

@@ -95,11 +95,22 @@ impl Job {
         std::fs::create_dir_all(&folder).with_context(|| format!("making {}", folder.display()))?;
         let value = (self.work)(&folder).with_context(|| format!("running {name}"));
         let _ = std::fs::remove_dir_all(&folder);
-        let Some(value) = value? else { return Ok(()) };
+        let Some(mut value) = value? else { return Ok(()) };
+        if let Some(fields) = value.as_object_mut() {
+            fields.insert("commit".into(), commit().into());
+        }
         write_whole(&result, &(serde_json::to_string_pretty(&value)? + "\n"))?;
         println!("{name}: {:.0} s", started.elapsed().as_secs_f64());
         Ok(())
     }
+}
+
+/// The commit that is measured, with `-dirty` where files differ from it; `None` outside of a git checkout.
+fn commit() -> Option<String> {
+    let described =
+        Command::new("git").args(["describe", "--always", "--dirty", "--exclude=*"]).output().ok()?;
+    let text = String::from_utf8(described.stdout).ok()?;
+    (described.status.success() && !text.trim().is_empty()).then(|| text.trim().to_owned())
 }
 
 /// All of them, in their order: what has bars that ordinary assets must reach comes first.

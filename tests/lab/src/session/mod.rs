@@ -48,7 +48,7 @@ use shadecast_server::pacing::gate::WayState;
 use shadecast_server::pacing::overlap::{Flight, Step as UpdateStep};
 use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_server::scene::SceneGpu;
-use shadecast_server::serve::scheduler::simulated::SimulatedDevice;
+use shadecast_server::serve::scheduler::simulated::{SimulatedDevice, StepsNs};
 use shadecast_server::serve::scheduler::{Action, LONGEST_WAIT_NS, Scheduler, Situation};
 use shadecast_server::serve::stream::offer;
 use shadecast_server::update::ShowOptions;
@@ -195,6 +195,12 @@ impl Server {
     pub fn offer(&self) -> ServerOffer {
         let usual = offer(&self.scene, self.atlas_extent_texels, self.rate_hz, 0);
         ServerOffer { codecs: self.codecs.to_vec(), ..usual }
+    }
+
+    /// What an update takes the device and the thread.
+    fn update_ns(&self) -> i64 {
+        let StepsNs { visibility, placement, shading } = self.stages.steps_ns();
+        visibility + placement + shading
     }
 
     fn period_ns(&self) -> i64 {

@@ -198,7 +198,7 @@ pub struct Spared {
     /// What arrives for a coded atlas.
     pub arrival: Arrival,
     /// What the server's updates are spared.
-    pub ideal: UpdatePolicy,
+    pub policy: UpdatePolicy,
     /// Outlines are taken for true: see [`crate::measure::metrics::with_true_outlines`].
     pub outlines: bool,
 }
@@ -234,6 +234,8 @@ pub struct RunOptions {
     pub compare_every: u32,
     /// No earlier than this display frame.
     pub compare_from: u64,
+    /// Display frames before the first picture are compared too: all that they should show is missing.
+    pub compare_waiting: bool,
     /// How the client finds colours between the atlas's texels.
     pub reconstruction: Reconstruction,
     /// For the table of causes.
@@ -290,6 +292,7 @@ impl RunOptions {
             dump_every: 0,
             compare_every: 12,
             compare_from: 0,
+            compare_waiting: false,
             reconstruction: Reconstruction::default(),
             spared: Spared::default(),
             stages: StageMs::default(),
@@ -381,7 +384,7 @@ impl RunOptions {
         let flags = [
             (" --measure-motion", self.motion),
             (" --validation", self.validation),
-            (" --no-reuse", !self.spared.ideal.reuse),
+            (" --no-reuse", !self.spared.policy.reuse),
         ];
         for (flag, is_on) in flags {
             line += if is_on { flag } else { "" };

@@ -96,16 +96,16 @@ impl Originals {
         Self { arrival, kept: VecDeque::new() }
     }
 
-    /// Keeps the picture of an update that was just made by `frame`.
+    /// Keeps the picture of an update that was just made by `updates`.
     ///
     /// # Errors
     /// The device.
-    pub fn keep(&mut self, gpu: &Arc<Gpu>, frame: &ViewerUpdates, shaded: &Shaded) -> Result<(), GpuError> {
+    pub fn keep(&mut self, gpu: &Arc<Gpu>, updates: &ViewerUpdates, shaded: &Shaded) -> Result<(), GpuError> {
         let Source::Planes(planes) = &shaded.picture;
         let bytes = match self.arrival {
             Arrival::Coded => return Ok(()),
             Arrival::Uncoded => planes.bytes().to_vec(),
-            Arrival::FullChroma => full_chroma(&read(gpu, frame.atlas())?),
+            Arrival::FullChroma => full_chroma(&read(gpu, updates.atlas())?),
         };
         self.kept.push_back((shaded.update, bytes));
         if self.kept.len() > MAX_KEPT {

@@ -62,7 +62,7 @@ pub struct Sent {
     /// Triangles that updates show, summed over them.
     pub triangles: u64,
     /// Levels of detail of the instances that updates needed, summed over both, and how many those are.
-    pub levels: [u64; 2],
+    pub lods: [u64; 2],
 }
 
 /// See the module.
@@ -224,17 +224,18 @@ impl Seat {
         let first_qp = server.quality.first_qp();
         let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, first_qp, server.rate_hz);
         self.encoding = Some(Encoding::new(encode::encoder(welcome.codec, settings)?));
-        let mut frame = ViewerUpdates::with_policy(
+        let mut updates = ViewerUpdates::with_policy(
             &server.world,
             ViewerId(self.number),
             &welcome,
             &capabilities,
             server.show,
-            server.spared.ideal.clone(),
+            server.spared.policy.clone(),
         )?;
-        server.shade_texels.into_iter().for_each(|texels| frame.set_shading_budget(texels));
+        server.shade_texels.into_iter().for_each(|texels| updates.set_shading_budget(texels));
+        updates.note_update(server.update_ns());
         let quality = server.quality.of_codec(welcome.codec);
-        self.viewer = Some(Viewer::new(frame, sender, quality, server.period_ns()));
+        self.viewer = Some(Viewer::new(updates, sender, quality, server.period_ns()));
         self.served = Some(peer);
         self.encode_ns = server.stages.ns(server.stages.encode);
         server.scheduler.join(peer, now_ns);
@@ -299,18 +300,18 @@ impl Seat {
 
     /// An update is shaded: it is counted, and leaves when the scheduler says so.
     fn collected(&mut self, server: &mut Server, shaded: Shaded, now_ns: i64) -> anyhow::Result<()> {
-        let Some(frame) = self.viewer.as_ref().map(Viewer::updates) else { return Ok(()) };
-        self.originals.keep(&server.gpu, frame, &shaded)?;
+        let Some(updates) = self.viewer.as_ref().map(Viewer::updates) else { return Ok(()) };
+        self.originals.keep(&server.gpu, updates, &shaded)?;
         self.sent.updates += 1;
         shaded.timings.iter().for_each(|(stage, ms)| *self.gpu_ms.entry(stage).or_default() += ms);
-        self.residents.note(shaded.update, frame.residency());
-        let shows = frame.shows(&server.world);
+        self.residents.note(shaded.update, updates.residency());
+        let shows = updates.shows(&server.world);
         self.sent.triangles += u64::from(shows.triangles);
         self.sent.texels_per_pixel_sum += f64::from(shows.texels_per_pixel);
         self.sent.texels[0] += shows.reused.texels;
         self.sent.texels[1] += shows.reused.shaded_texels;
-        self.sent.levels[0] += shows.levels.iter().sum::<usize>() as u64;
-        self.sent.levels[1] += shows.levels.len() as u64;
+        self.sent.lods[0] += shows.lods.iter().sum::<usize>() as u64;
+        self.sent.lods[1] += shows.lods.len() as u64;
         self.shows.resize(shaded.update.0 as usize, Shows::default());
         self.shows.push(shows);
         if let Some(rows) = &self.rows {

@@ -123,7 +123,8 @@ impl Bench {
         let image = Image::new(&gpu, desc).unwrap();
         let four = vk::SampleCountFlags::TYPE_4;
         let images = &[image.handle()];
-        let images = EyeImages { images, format, extent_pixels: [SIDE; 2], density_maps: None };
+        let images =
+            EyeImages { images, format, extent_pixels: [SIDE; 2], one_eye: false, density_maps: None };
         let targets = EyeTargets::new(&gpu, images, four).unwrap();
         let mut recorder = gpu.record().unwrap();
         let capacity = SkinCapacity::from(MotionMemory { sample_ring: 8, ..MotionMemory::NONE });

@@ -38,7 +38,7 @@ pub(crate) struct Curve {
 }
 
 impl Curve {
-    /// Looks at a source over a clip of positive duration.
+    /// Samples a source over a clip of positive duration.
     pub fn new(source: &Source, duration_s: f32) -> Self {
         let is_step = source.interpolation() == Interpolation::Step;
         let is_cubic = source.interpolation() == Interpolation::CubicSpline;

@@ -210,6 +210,10 @@ impl Updates for SimulatedUpdates {
 
     fn set_spare(&mut self, _: Spare) {}
 
+    fn set_measures(&mut self, _: crate::pacing::relief::Measures) {}
+
+    fn note_update(&mut self, _: i64) {}
+
     fn encode(&mut self, delta: &UpdateDelta) -> EncodedDelta {
         let mut encoder = DeltaEncoder::new(1, 1).from_delta(delta.geometry.update.0);
         encoder.encode(&delta.geometry.clone().into())

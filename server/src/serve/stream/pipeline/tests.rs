@@ -277,6 +277,10 @@ impl Updates for FakeUpdates {
 
     fn set_spare(&mut self, _: Spare) {}
 
+    fn set_measures(&mut self, _: crate::pacing::relief::Measures) {}
+
+    fn note_update(&mut self, _: i64) {}
+
     fn encode(&mut self, delta: &UpdateDelta) -> EncodedDelta {
         let mut encoder = DeltaEncoder::new(1, 1).from_delta(delta.geometry.update.0);
         encoder.encode(&delta.geometry.clone().into())
@@ -461,12 +465,12 @@ fn nothing_is_shaded_while_nobody_looks_and_then_at_once_a_picture_that_needs_no
             }
             _ => {}
         }
-        let newest = recorder.pictures.lock().expect("whole").last().map_or(0, |(frame, _)| *frame);
+        let newest = recorder.pictures.lock().expect("whole").last().map_or(0, |(update, _)| *update);
         looks > 200 && newest as usize >= after
     });
     assert!(ended.is_ok() && before == after, "{before} updates, and {after} after two seconds");
     let pictures = bench.outlet.pictures.lock().expect("whole");
-    let back = pictures.iter().find(|(frame, _)| *frame as usize >= after);
+    let back = pictures.iter().find(|(update, _)| *update as usize >= after);
     assert_eq!(back, Some(&(after as u32, true)), "it needs no other");
 }
 

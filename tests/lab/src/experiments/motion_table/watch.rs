@@ -117,7 +117,7 @@ impl Watch {
         self.standing.len() as u64
     }
 
-    /// Looks at what a display frame has just drawn.
+    /// Reads the vertices of the display frame that was just drawn.
     ///
     /// # Errors
     /// The client cannot read its memory back, or shows what the server has forgotten.

@@ -87,5 +87,6 @@ fn report(options: &RunOptions, server: &Server) -> anyhow::Result<Report> {
         runtime_errors: 0,
         motion: None,
         compared: Vec::new(),
+        looks: Vec::new(),
     })
 }

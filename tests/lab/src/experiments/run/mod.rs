@@ -43,6 +43,33 @@ pub struct Report {
     pub motion: Option<MotionReport>,
     /// What was on display in the frames that were compared, and when.
     pub compared: Vec<(UpdateId, WorldTime)>,
+    /// How far each of these was from the truth.
+    pub looks: Vec<Look>,
+}
+
+/// What a display frame showed, the worse of both eyes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// Its number: the first is 0.
+    pub frame: u64,
+    /// Part of the truth's geometry that is missing, 0..1.
+    pub holes: f64,
+    /// The same of what is animated, where there is enough of it.
+    pub animated_holes: Option<f64>,
+    /// Distance from the truth, 0..1, where there is enough to see.
+    pub flip: Option<f64>,
+}
+
+impl Look {
+    fn of(frame: u64, eyes: &[FrameMetrics]) -> Self {
+        let most = |of: fn(&FrameMetrics) -> Option<f64>| eyes.iter().filter_map(of).reduce(f64::max);
+        Self {
+            frame,
+            holes: most(|eye| Some(eye.holes.strict)).unwrap_or(0.0),
+            animated_holes: most(|eye| eye.animated.picture.map(|_| eye.animated.holes.strict)),
+            flip: most(|eye| eye.picture.map(|picture| picture.flip)),
+        }
+    }
 }
 
 /// The mock runtime's configuration for a run.
@@ -137,6 +164,7 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
         motion: Motion::default(),
         clock_errors_ms: Vec::new(),
         compared: Vec::new(),
+        looks: Vec::new(),
     };
     let bar = progress(options.verbose, frames);
     while let Step::Frame(shown) = lab.step()? {
@@ -181,6 +209,7 @@ struct Run<'a> {
     /// The client's clock less the server's at each display frame with a bundle.
     clock_errors_ms: Vec<f64>,
     compared: Vec<(UpdateId, WorldTime)>,
+    looks: Vec<Look>,
 }
 
 impl Run<'_> {
@@ -198,7 +227,9 @@ impl Run<'_> {
         }
         if !has_bundle && self.with_bundle == 0 {
             self.before += 1;
-            return Ok(());
+            if !self.options.compare_waiting {
+                return Ok(());
+            }
         }
         self.with_bundle += u64::from(has_bundle);
         if frame < self.options.compare_from || !frame.is_multiple_of(u64::from(self.capture_every)) {
@@ -219,6 +250,7 @@ impl Run<'_> {
             time,
             probes.as_ref(),
         )?;
+        self.looks.push(Look::of(frame, self.summary.last_two()));
         if self.options.dump_every > 0 {
             dump(&self.options.out, record.frame, &pictures)?;
         }
@@ -259,7 +291,7 @@ impl Run<'_> {
             reused_share: 1.0
                 - (sent.texels[1] - before.texels[1]) as f64
                     / (sent.texels[0] - before.texels[0]).max(1) as f64,
-            mean_level: sent.levels[0] as f64 / sent.levels[1].max(1) as f64,
+            mean_level: sent.lods[0] as f64 / sent.lods[1].max(1) as f64,
             clock_errors_ms: self.clock_errors_ms,
             clock_error_bound_ms: lab.client.presenter.stats().clock_error_bound_ms,
             stage_ms: Some(lab.stages()),
@@ -288,6 +320,7 @@ impl Run<'_> {
             runtime_errors,
             motion,
             compared: self.compared,
+            looks: self.looks,
         })
     }
 }

@@ -351,8 +351,8 @@ impl<'a> ServerBench<'a> {
         self.forget();
         let effort = *self.world.effort();
         let (began, began_cpu_ns) = (Instant::now(), thread_cpu_ns());
-        let frame = self.viewer.begin(None, self.now_ns);
-        let shaded = frame.update(self.world, now)?.context("a viewer with a head has updates")?;
+        let updates = self.viewer.begin(None, self.now_ns);
+        let shaded = updates.update(self.world, now)?.context("a viewer with a head has updates")?;
         let updated_cpu_ns = thread_cpu_ns();
         let (delta, update) = self.viewer.finish(shaded);
         let finished_cpu_ns = thread_cpu_ns();

@@ -137,8 +137,8 @@ impl Cell {
         };
         let is_paper = self.set == Set::Paper;
         let mut spared = Spared::default();
-        let ideal = &mut spared.ideal;
-        (ideal.reuse, ideal.looks_once, ideal.clusters) = (!is_paper, !is_paper, !is_paper);
+        let policy = &mut spared.policy;
+        (policy.reuse, policy.one_pass_when_still, policy.clusters) = (!is_paper, !is_paper, !is_paper);
         RunOptions {
             renderer: Renderer::Local,
             head: Head::File(head.to_owned()),

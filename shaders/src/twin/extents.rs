@@ -1,4 +1,4 @@
-//! Twin of `level_selection.comp`: the largest extent on the display of a patch over all predicted views.
+//! Twin of `extents.comp`: the largest extent on the display of a patch over all predicted views.
 
 use crate::constants::{MAX_PATCH_EXTENT_TEXELS, PATCH_ONE};
 use glam::{Mat4, Vec2, Vec4, Vec4Swizzles};
@@ -37,6 +37,11 @@ pub fn extent_texels(kind: u32, views: &[View], world: &[[Vec4; CORNERS]]) -> [u
         extent = extent.max(size);
     }
     extent.to_array().map(|side| side.ceil().clamp(1.0, MAX_PATCH_EXTENT_TEXELS) as u32)
+}
+
+/// Whether any of the views has a patch within it, as far as one side of its frustum tells.
+pub fn is_within(views: &[View], world: &[[Vec4; CORNERS]]) -> bool {
+    views.iter().zip(world).any(|(view, p)| !outside_one_side(&p.map(|p| view.clip_from_world * p)))
 }
 
 fn outside_one_side(c: &[Vec4; CORNERS]) -> bool {

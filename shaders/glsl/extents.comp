@@ -1,7 +1,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
-// Lists the visible patches, in any order, each with its largest extent on the display over all predicted views, in texels. Twin:
-// twin/level_selection.rs.
+// The visible patches, in any order, each with its largest extent on the display over all predicted views, in texels. Twin:
+// twin/extents.rs.
 layout(local_size_x = 64) in;
 #include "scene.glsl"
 #define SAVED_VERTICES_BINDING 1
@@ -20,7 +20,7 @@ struct SeenGpu {
 };
 layout(std430, binding = 6) writeonly buffer Seen { SeenGpu seen[]; };
 layout(std430, binding = 8) buffer SeenCount { uint seen_count[]; };
-layout(push_constant) uniform LevelSelectionPush {
+layout(push_constant) uniform ExtentsPush {
     uint vertex_base;
     uint patch_base;       // of the model's level of detail, into patches
     uint first_entry;      // of the instance's patches, into visible
@@ -84,6 +84,7 @@ void main() {
     if (index >= patch_count || visible[first_entry + index] == 0) return;
     PatchGpu p = patches[patch_base + index];
     vec2 extent = vec2(1.0);
+    bool is_within = visible[first_entry + index] != SPREAD;
     for (uint view = 0; view < view_count; view++) {
         vec4 c[PATCH_MAX_VERTICES];
         for (int i = 0; i < PATCH_MAX_VERTICES; i++) {
@@ -91,6 +92,7 @@ void main() {
             c[i] = views[view].clip_from_world * vec4(at, 1.0);
         }
         if (outside_one_side(c)) continue;
+        is_within = true;
         vec2 at[PATCH_MAX_VERTICES];
         for (int i = 0; i < PATCH_MAX_VERTICES; i++) at[i] = place_pixels(c[i], views[view]);
         float width = distance(at[0], at[1]), height = distance(at[0], at[p.kind == PATCH_ONE ? 2 : 3]);
@@ -100,6 +102,7 @@ void main() {
         }
         extent = max(extent, vec2(width, height));
     }
+    if (!is_within) return;
     uvec2 texels = uvec2(clamp(ceil(min(extent, texture_cap(p))), 1.0, MAX_PATCH_EXTENT_TEXELS));
     seen[atomicAdd(seen_count[0], 1)] = SeenGpu(first_entry + index, texels.x | texels.y << 16);
 }

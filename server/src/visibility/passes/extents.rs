@@ -1,18 +1,18 @@
-//! Level selection's first half: the visible patches, each with its largest projected extent. What the CPU reads of them grows with
-//! what is visible, not with what is looked at.
+//! The visible patches, each with its largest projected extent. What the CPU reads grows with what is visible, not with the LOD
+//! set.
 
 use crate::scene::SceneGpu;
 use crate::skinning::gpu::Animation;
 use crate::time::RingPlace;
 use crate::time::VIEW_TIMES;
-use crate::visibility::lod_set::Looks;
+use crate::visibility::lod_set::LodSet;
 use shadecast_gpu::{Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::limits::MAX_VIEWS;
-use shadecast_shaders::generated::{LEVEL_SELECTION_COMP, LevelSelectionPush, SeenGpu};
+use shadecast_shaders::generated::{EXTENTS_COMP, ExtentsPush, SeenGpu};
 use std::sync::Arc;
 
 /// The stage with its output.
-pub struct LevelSelection {
+pub struct Extents {
     pipeline: ComputePipeline,
     group: BindGroup,
     /// What is visible, in any order, for the CPU, and how many there are.
@@ -20,7 +20,7 @@ pub struct LevelSelection {
     count: Buffer,
 }
 
-impl LevelSelection {
+impl Extents {
     /// `views` is the uniform buffer of all predicted views, `visible` the marks.
     pub fn new(
         gpu: &Arc<Gpu>,
@@ -29,8 +29,8 @@ impl LevelSelection {
         views: &Buffer,
         visible: &Buffer,
     ) -> Result<Self, GpuError> {
-        let pipeline = ComputePipeline::new(gpu, &LEVEL_SELECTION_COMP)?;
-        let bytes = u64::from(scene.numbering.totals.looked_at) * size_of::<SeenGpu>() as u64;
+        let pipeline = ComputePipeline::new(gpu, &EXTENTS_COMP)?;
+        let bytes = u64::from(scene.numbering.totals.in_lod_set) * size_of::<SeenGpu>() as u64;
         let seen = Buffer::new(gpu, "what is visible", bytes, Memory::Readback)?;
         let count = Buffer::new(gpu, "how much is visible", size_of::<u32>() as u64, Memory::Readback)?;
         let [saved_vertices, boxes] = animation.position_binds();
@@ -64,31 +64,31 @@ impl LevelSelection {
         seen.sort_unstable_by_key(|patch| patch.entry); // each is there once
     }
 
-    /// Measures the visible patches of what is looked at, with geometry as it is at the place of each view time.
+    /// Measures the visible patches of the LOD set, with the vertex samples at the ring place of each view time.
     pub fn record(
         &self,
         recorder: &mut Recorder,
         scene: &SceneGpu,
         animation: &Animation,
-        looks: &Looks,
+        lods: &LodSet,
         places: [RingPlace; VIEW_TIMES],
     ) {
-        for look in looks.all() {
-            let instance = &scene.numbering.instances[look.instance];
+        for lod in lods.all() {
+            let instance = &scene.numbering.instances[lod.instance];
             let model = &scene.models[instance.model];
-            let patch_count = look.patches.count;
-            let bases = places.map(|place| animation.position_base(look.instance, place));
+            let patch_count = lod.patches.count;
+            let bases = places.map(|place| animation.position_base(lod.instance, place));
             // What is not there at a time is not seen then; what is never there is only told so.
             let any = bases.iter().flatten().next().copied().unwrap_or_default();
-            let push = LevelSelectionPush {
+            let push = ExtentsPush {
                 vertex_base: model.vertex_base,
-                patch_base: model.levels[look.level].patch_base,
-                first_entry: look.first_entry,
+                patch_base: model.lods[lod.lod].patch_base,
+                first_entry: lod.first_entry,
                 patch_count,
                 view_count: MAX_VIEWS,
                 position_base: bases.map(|base| base.unwrap_or(any)),
                 material_base: model.material_base,
-                instance: look.instance as u32,
+                instance: lod.instance as u32,
             };
             recorder.dispatch(&self.pipeline, &self.group, &push, [patch_count, 1, 1]);
         }

@@ -1,0 +1,275 @@
+//! Measures that make updates faster, on a device too slow for eight updates a second. Pure: the time of each update comes in, the measures in
+//! force come out.
+//!
+//! Measures are taken in the order of [`Measure::ALL`], from the least visible on, while updates take too long. A device that is slow
+//! at its rehearsal begins with all of them. The worth of each is measured: the time of updates before and after. A measure that
+//! saves too little is given up, and not tried again for a while. The last measure ends when its time would fit again.
+
+/// Updates a second below which measures are taken.
+const LEAST_RATE_HZ: f64 = 8.0;
+/// Updates after a change until their time counts, and updates whose time is then compared.
+const SETTLE_UPDATES: u32 = 2;
+const MEASURED_UPDATES: u32 = 4;
+/// Where all measures are taken, one of unknown worth is given up once in so many updates, to see.
+const TRY_EVERY_UPDATES: u32 = 30;
+/// A measure must save this part of an update's time.
+const LEAST_WORTH: f64 = 0.04;
+/// A rehearsal's update is of few pixels: one that takes this part of what is allowed says that a viewer's will take more than that.
+const REHEARSED_PART: f64 = 0.5;
+/// More is not believed of a measure.
+const MOST_WORTH: f64 = 0.9;
+/// A measure ends when updates without it would take this part of the time that is allowed.
+const ROOMY: f64 = 0.8;
+/// So many updates with room end a measure, at first and at most. A measure that had to come back doubles the wait.
+const FIRST_WAIT_UPDATES: u32 = 15;
+const LONGEST_WAIT_UPDATES: u32 = 960;
+/// A measure without worth is tried again after so many updates.
+const FORGET_UPDATES: u32 = 600;
+
+/// Something that an update can do without.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Measure {
+    /// No look at the surroundings of the head.
+    NoSurround,
+    /// Levels of detail with four times the error.
+    CoarserDetail,
+    /// A third of the texels that are shaded again beside what is new.
+    LessShading,
+    /// Visibility at one of the three predicted times, in turn.
+    OneTime,
+    /// Half the texels of each block.
+    FewerTexels,
+    /// Levels of detail with four times the error again.
+    CoarsestDetail,
+}
+
+impl Measure {
+    /// In the order in which they are taken.
+    pub const ALL: [Self; 6] = [
+        Self::NoSurround,
+        Self::CoarserDetail,
+        Self::LessShading,
+        Self::OneTime,
+        Self::FewerTexels,
+        Self::CoarsestDetail,
+    ];
+
+    /// Whether it can be given up for a few updates alone. Finer LODs take as long to come.
+    fn is_quick(self) -> bool {
+        !matches!(self, Self::CoarserDetail | Self::CoarsestDetail)
+    }
+}
+
+/// The measures in force.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Measures([bool; Measure::ALL.len()]);
+
+impl Measures {
+    const ALL: Self = Self([true; Measure::ALL.len()]);
+
+    /// Whether a measure is in force.
+    pub fn has(self, measure: Measure) -> bool {
+        self.0[measure as usize]
+    }
+}
+
+/// What is being tried: a measure, and the time of updates before it was taken, or given up.
+#[derive(Clone, Copy, Debug)]
+struct Trial {
+    measure: usize,
+    before_s: f64,
+    is_taken: bool,
+}
+
+/// One viewer's.
+#[derive(Clone, Debug)]
+pub(crate) struct Relief {
+    allowed_s: f64,
+    measures: Measures,
+    /// The part of an update's time that a measure saved when it was tried last, and the update of that.
+    worth: [Option<(f64, u32)>; Measure::ALL.len()],
+    trial: Option<Trial>,
+    update: u32,
+    /// The update at which something was tried last.
+    tried: u32,
+    /// Updates since measures changed, and the sum of the times that count.
+    since_change: u32,
+    sum_s: f64,
+    roomy_updates: u32,
+    wait_updates: u32,
+}
+
+impl Relief {
+    /// For updates that are wanted once in `period_s`. Where even the rehearsal's took longer than is allowed, a first picture is made
+    /// with all measures, and soon.
+    pub(crate) fn new(period_s: f64, rehearsed_s: Option<f64>) -> Self {
+        let allowed_s = period_s.max(1.0 / LEAST_RATE_HZ);
+        let is_slow = rehearsed_s.is_some_and(|rehearsed_s| rehearsed_s > REHEARSED_PART * allowed_s);
+        Self {
+            allowed_s,
+            measures: if is_slow { Measures::ALL } else { Measures::default() },
+            worth: [None; Measure::ALL.len()],
+            trial: None,
+            update: 0,
+            tried: 0,
+            since_change: 0,
+            sum_s: 0.0,
+            roomy_updates: 0,
+            wait_updates: FIRST_WAIT_UPDATES,
+        }
+    }
+
+    /// The measures for the next update.
+    pub(crate) fn measures(&self) -> Measures {
+        self.measures
+    }
+
+    /// An update took so long.
+    pub(crate) fn note(&mut self, took_s: f64) {
+        self.update += 1;
+        self.since_change += 1;
+        if self.since_change <= SETTLE_UPDATES {
+            return;
+        }
+        self.sum_s += took_s;
+        if self.since_change < SETTLE_UPDATES + MEASURED_UPDATES {
+            return;
+        }
+        let mean_s = self.sum_s / f64::from(MEASURED_UPDATES);
+        (self.since_change, self.sum_s) = (SETTLE_UPDATES, 0.0);
+        if self.ends_trial(mean_s) {
+            return;
+        }
+        if mean_s > self.allowed_s {
+            self.roomy_updates = 0;
+            self.take_next(mean_s);
+        } else {
+            self.end_last(mean_s);
+        }
+    }
+
+    /// Judges what was tried. True where that changes the measures.
+    fn ends_trial(&mut self, mean_s: f64) -> bool {
+        let Some(Trial { measure, before_s, is_taken }) = self.trial.take() else { return false };
+        let (with_s, without_s) = if is_taken { (mean_s, before_s) } else { (before_s, mean_s) };
+        let saved_part = 1.0 - with_s / without_s;
+        self.worth[measure] = Some((saved_part, self.update));
+        let is_wanted = saved_part >= LEAST_WORTH && without_s > ROOMY * self.allowed_s;
+        if is_wanted != is_taken {
+            self.set(measure, is_wanted);
+        }
+        is_wanted != is_taken
+    }
+
+    /// Takes the next measure that may be worth it. Where all are taken, one of unknown worth is given up, to see.
+    fn take_next(&mut self, mean_s: f64) {
+        let is_worthless = |measure: usize| {
+            self.worth[measure].is_some_and(|(saved_part, update)| {
+                saved_part < LEAST_WORTH && self.update - update < FORGET_UPDATES
+            })
+        };
+        let next = (0..Measure::ALL.len()).find(|at| !self.measures.0[*at] && !is_worthless(*at));
+        let unknown = (0..Measure::ALL.len())
+            .find(|at| self.measures.0[*at] && self.worth[*at].is_none() && Measure::ALL[*at].is_quick())
+            .filter(|_| self.update - self.tried >= TRY_EVERY_UPDATES);
+        let (measure, is_taken) = match (next, unknown) {
+            (Some(next), _) => (next, true),
+            (None, Some(unknown)) => (unknown, false),
+            (None, None) => return,
+        };
+        if is_taken && self.worth[measure].is_some_and(|(saved_part, _)| saved_part >= LEAST_WORTH) {
+            self.wait_updates = (2 * self.wait_updates).min(LONGEST_WAIT_UPDATES);
+        }
+        self.tried = self.update;
+        self.trial = Some(Trial { measure, before_s: mean_s, is_taken });
+        self.set(measure, is_taken);
+    }
+
+    /// Ends the last measure once there was room for a while.
+    fn end_last(&mut self, mean_s: f64) {
+        let Some(last) = (0..Measure::ALL.len()).rev().find(|at| self.measures.0[*at]) else { return };
+        let saved_part = self.worth[last].map_or(0.0, |(saved_part, _)| saved_part.clamp(0.0, MOST_WORTH));
+        let has_room = mean_s / (1.0 - saved_part) <= ROOMY * self.allowed_s;
+        self.roomy_updates = if has_room { self.roomy_updates + MEASURED_UPDATES } else { 0 };
+        if self.roomy_updates >= self.wait_updates {
+            self.roomy_updates = 0;
+            self.trial = Some(Trial { measure: last, before_s: mean_s, is_taken: false });
+            self.set(last, false);
+        }
+    }
+
+    fn set(&mut self, measure: usize, is_in_force: bool) {
+        tracing::debug!("{:?} is {}", Measure::ALL[measure], if is_in_force { "taken" } else { "given up" });
+        self.measures.0[measure] = is_in_force;
+        self.since_change = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A device whose updates take `base_s`, less for each measure in force.
+    fn took_s(relief: &Relief, base_s: f64, saves: [f64; 6]) -> f64 {
+        let in_force = Measure::ALL.iter().zip(saves).filter(|(measure, _)| relief.measures().has(**measure));
+        base_s * (1.0 - in_force.map(|(_, part)| part).sum::<f64>())
+    }
+
+    fn after(relief: &mut Relief, updates: u32, base_s: f64, saves: [f64; 6]) -> [bool; 6] {
+        (0..updates).for_each(|_| relief.note(took_s(relief, base_s, saves)));
+        relief.measures.0
+    }
+
+    fn fast() -> Relief {
+        Relief::new(1.0 / 30.0, Some(0.01))
+    }
+
+    const SAVES: [f64; 6] = [0.1, 0.2, 0.2, 0.2, 0.1, 0.1];
+
+    #[test]
+    fn a_device_that_makes_eight_updates_a_second_gives_nothing_up() {
+        assert_eq!(after(&mut fast(), 1000, 0.12, SAVES), [false; 6]);
+    }
+
+    #[test]
+    fn a_slow_device_takes_measures_in_order_until_updates_are_fast_enough() {
+        assert_eq!(after(&mut fast(), 60, 0.2, SAVES), [true, true, true, false, false, false]);
+        assert_eq!(after(&mut fast(), 100, 1.0, SAVES), [true; 6]);
+    }
+
+    #[test]
+    fn a_device_that_is_slow_at_its_rehearsal_begins_with_all_measures_and_keeps_those_of_worth() {
+        let slow = || Relief::new(1.0 / 30.0, Some(0.2));
+        assert_eq!(slow().measures(), Measures::ALL);
+        assert_eq!(after(&mut slow(), 300, 1.0, SAVES), [true; 6]);
+        let some = [0.1, 0.0, 0.3, 0.0, 0.0, 0.2];
+        assert_eq!(after(&mut slow(), 400, 1.0, some), [true, true, true, false, false, true]);
+        assert_eq!(after(&mut slow(), 1000, 0.08, SAVES), [false; 6], "it was not slow after all");
+    }
+
+    #[test]
+    fn a_measure_without_worth_is_given_up() {
+        let some = [0.1, 0.0, 0.3, 0.0, 0.0, 0.0];
+        assert_eq!(after(&mut fast(), 100, 1.0, some), [true, false, true, false, false, false]);
+        assert_eq!(after(&mut fast(), 100, 0.7, [0.0; 6]), [false; 6], "nothing helps: nothing is given up");
+    }
+
+    #[test]
+    fn measures_end_when_there_is_room() {
+        let mut relief = fast();
+        after(&mut relief, 100, 1.0, SAVES);
+        assert_eq!(after(&mut relief, 800, 0.05, SAVES), [false; 6]);
+    }
+
+    #[test]
+    fn a_device_at_the_edge_changes_seldom() {
+        let (mut relief, mut changes) = (fast(), 0);
+        for update in 0..8 * 600u32 {
+            let before = relief.measures();
+            let base_s = if update / 40 % 2 == 0 { 0.11 } else { 0.135 };
+            relief.note(took_s(&relief, base_s, SAVES));
+            changes += u32::from(relief.measures() != before);
+        }
+        assert!(changes < 60, "{changes} changes in ten minutes");
+    }
+}

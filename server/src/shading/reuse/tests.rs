@@ -1,0 +1,244 @@
+use super::*;
+use crate::scene::lights::{SHADOW_EXTENT_TEXELS, SunView};
+use glam::Quat;
+use rand::{Rng, SeedableRng, rngs::SmallRng};
+use shadecast_protocol::atlas::{BlockAddress, BlockSize};
+use shadecast_scene::animation::bounds::Bounds;
+
+/// Ten patches an instance in a row along x, 1 m apart, under a sun in the zenith; the last instance has no light on it.
+struct Row {
+    sun: SunView,
+    absent: Option<usize>,
+}
+
+const PATCHES: u32 = 10;
+const INSTANCES: usize = 4;
+const GLOSS: Gloss = Gloss { steps_by_radian: 50.0, steps_by_octave: 0.0, is_lit: true };
+
+fn row() -> Row {
+    let world = Bounds { low: Vec3::new(-1.0, -1.0, -1.0), high: Vec3::new(41.0, 3.0, 1.0) };
+    let sun = SunView::around(Vec3::Y, [world].into_iter(), SHADOW_EXTENT_TEXELS).expect("casters");
+    Row { sun, absent: None }
+}
+
+impl Row {
+    fn at(patch: u32) -> Vec3 {
+        Vec3::X * patch as f32
+    }
+
+    fn caster(&self, above: u32) -> Option<SunBox> {
+        let middle = Self::at(above) + Vec3::Y;
+        SunBox::around(&self.sun, Bounds { low: middle, high: middle }.grown(0.2).corners())
+    }
+
+    fn moment(&self, stances: [u32; INSTANCES]) -> Moment<u32> {
+        Moment { stances: stances.to_vec(), casters: vec![None; INSTANCES], lamps: Vec::new() }
+    }
+}
+
+impl Surfaces for Row {
+    fn instance(&self, patch: ScenePatch) -> usize {
+        (patch.0 / PATCHES) as usize
+    }
+
+    fn is_there(&self, instance: usize) -> bool {
+        self.absent != Some(instance)
+    }
+
+    fn receiver(&self, patch: ScenePatch, _: Block) -> Receiver {
+        let centre = Self::at(patch.0);
+        let in_sun = SunBox::around(&self.sun, [centre]).map(|own| own.as_looked_up(&self.sun));
+        let gloss = if self.instance(patch) + 1 < INSTANCES { GLOSS } else { Gloss::default() };
+        Receiver { centre, radius_m: 0.1, normal: None, in_sun, gloss }
+    }
+
+    fn turns_after_m(&self, patch: ScenePatch, _: Vec3) -> f32 {
+        if patch.0 == 3 { 0.0 } else { f32::INFINITY }
+    }
+}
+
+fn block(x: u16, side_log2: u8) -> Block {
+    Block { address: BlockAddress { x, y: 0 }, size: BlockSize::new(side_log2, side_log2).expect("a size") }
+}
+
+/// All patches with blocks of 8x8 texels.
+fn all() -> Vec<Placed> {
+    let placed =
+        |patch: u32| Placed { patch: ScenePatch(patch), block: block(8 * patch as u16, 3), is_around: false };
+    (0..PATCHES * INSTANCES as u32).map(placed).collect()
+}
+
+const HEAD: Pose = Pose { position: Vec3::new(0.0, 1.0, 5.0), orientation: Quat::IDENTITY };
+
+fn due(reuse: &mut Reuse<u32>, row: &Row, moment: Moment<u32>, placed: &[Placed]) -> Vec<(u32, Cause)> {
+    let due = reuse.due(|now| *now = moment, HEAD, placed.iter().copied(), row, u64::MAX);
+    due.iter().map(|due| (due.patch.0, due.cause)).collect()
+}
+
+fn of(cause: Cause, patches: impl Iterator<Item = u32>) -> Vec<(u32, Cause)> {
+    patches.map(|patch| (patch, cause)).collect()
+}
+
+#[test]
+fn all_is_new_at_first_and_nothing_is_due_while_nothing_changes() {
+    let (row, mut reuse) = (row(), Reuse::new(true));
+    assert_eq!(due(&mut reuse, &row, row.moment([0; 4]), &all()), of(Cause::New, 0..40));
+    for _ in 0..20 {
+        assert_eq!(due(&mut reuse, &row, row.moment([0; 4]), &all()), []);
+    }
+    let reused = reuse.reused();
+    assert_eq!((reused.blocks, reused.texels, reused.share()), (40, 40 * 64, 1.0));
+}
+
+#[test]
+fn moved_resized_and_returning_blocks_are_new() {
+    let (row, mut reuse) = (row(), Reuse::new(true));
+    due(&mut reuse, &row, row.moment([0; 4]), &all());
+    let mut placed = all();
+    (placed[4].block, placed[7].block) = (block(1000, 3), block(8 * 7, 2));
+    assert_eq!(due(&mut reuse, &row, row.moment([0; 4]), &placed), of(Cause::New, [4, 7].into_iter()));
+    placed.remove(20);
+    assert_eq!(due(&mut reuse, &row, row.moment([0; 4]), &placed), []);
+    let mut back = placed.clone();
+    back.insert(20, all()[20]);
+    assert_eq!(due(&mut reuse, &row, row.moment([0; 4]), &back), of(Cause::New, 20..21));
+}
+
+#[test]
+fn only_moving_patches_are_due() {
+    let (row, mut reuse) = (row(), Reuse::new(true));
+    due(&mut reuse, &row, row.moment([0; 4]), &all());
+    assert_eq!(due(&mut reuse, &row, row.moment([0, 1, 0, 0]), &all()), of(Cause::Moved, 10..20));
+    assert_eq!(due(&mut reuse, &row, row.moment([0, 1, 0, 0]), &all()), []);
+}
+
+#[test]
+fn a_moving_shadow_makes_old_and_new_places_due() {
+    let (row, mut reuse) = (row(), Reuse::new(true));
+    let above = |patch: u32| {
+        let mut moment = row.moment([0; 4]);
+        moment.casters[0] = row.caster(patch);
+        moment
+    };
+    due(&mut reuse, &row, above(5), &all());
+    assert_eq!(due(&mut reuse, &row, above(5), &all()), []);
+    let found = due(&mut reuse, &row, above(22), &all());
+    let is_shadow = |patch: u32| found.contains(&(patch, Cause::Shadow));
+    assert!(is_shadow(5) && is_shadow(22), "{found:?}");
+    assert!(found.len() < 10 && !is_shadow(12), "{found:?}");
+    due(&mut reuse, &row, above(35), &all());
+    assert_eq!(due(&mut reuse, &row, row.moment([0; 4]), &all()), [], "no light falls on the last instance");
+}
+
+#[test]
+fn a_lamp_that_changes_is_due_as_far_as_it_reaches() {
+    let (row, mut reuse) = (row(), Reuse::new(true));
+    let lit = |strength: f32, range_m: f32| {
+        let lamp = Lamp { words: [strength; 16], position: Row::at(6), range_m };
+        Moment { lamps: vec![lamp], ..row.moment([0; 4]) }
+    };
+    due(&mut reuse, &row, lit(1.0, 2.5), &all());
+    assert_eq!(due(&mut reuse, &row, lit(1.0, 2.5), &all()), []);
+    assert_eq!(due(&mut reuse, &row, lit(2.0, 2.5), &all()), of(Cause::Lamp, 4..9));
+    assert_eq!(due(&mut reuse, &row, row.moment([0; 4]), &all()), of(Cause::Lamp, 4..9), "it is gone");
+    assert_eq!(due(&mut reuse, &row, lit(1.0, f32::INFINITY), &all()), of(Cause::Lamp, 0..30));
+}
+
+#[test]
+fn a_sidestep_shades_near_blocks_again() {
+    let (row, mut reuse) = (row(), Reuse::new(true));
+    let mut shaded_from = [HEAD.position; 40];
+    for step in 0..60 {
+        let head = Pose { position: HEAD.position + Vec3::X * 0.03 * step as f32, ..HEAD };
+        let placed = all();
+        let due = reuse.due(|now| *now = row.moment([0; 4]), head, placed.iter().copied(), &row, u64::MAX);
+        due.iter().for_each(|due| shaded_from[due.patch.index()] = head.position);
+        assert!(step == 0 || due.len() < 30, "step {step}: {}", due.len());
+        assert!(step == 0 || due.iter().any(|due| due.patch.0 == 3), "its other side may be seen");
+        for (patch, from) in shaded_from.iter().enumerate().take(30) {
+            let distance_m = Row::at(patch as u32).distance(head.position) - 0.1;
+            let steps = GLOSS.steps_by_radian * from.distance(head.position) / distance_m;
+            assert!(steps <= SEEN_STEPS * 1.2, "step {step}: {steps} of {patch}");
+        }
+    }
+    assert!(shaded_from[30..].iter().all(|from| *from == HEAD.position), "nothing of it depends on the eye");
+}
+
+#[test]
+fn without_reuse_all_is_due_and_the_surround_in_turn() {
+    let (row, mut reuse) = (row(), Reuse::new(false));
+    let mut placed = all();
+    placed[20..].iter_mut().for_each(|placed| placed.is_around = true);
+    due(&mut reuse, &row, row.moment([0; 4]), &placed);
+    let mut around = [0; 20];
+    for _ in 0..SHADED_EVERY_UPDATES {
+        let found = due(&mut reuse, &row, row.moment([0; 4]), &placed);
+        assert_eq!(found[..20], of(Cause::Moved, 0..20));
+        found[20..].iter().for_each(|(patch, _)| around[*patch as usize - 20] += 1);
+    }
+    assert_eq!(around, [1; 20]);
+}
+
+#[test]
+fn what_is_not_there_is_new_when_it_is() {
+    let (mut row, mut reuse) = (row(), Reuse::new(true));
+    due(&mut reuse, &row, row.moment([0; 4]), &all());
+    row.absent = Some(1);
+    assert_eq!(due(&mut reuse, &row, row.moment([0, 1, 0, 0]), &all()), []);
+    row.absent = None;
+    assert_eq!(due(&mut reuse, &row, row.moment([0, 1, 0, 0]), &all()), of(Cause::New, 10..20));
+}
+
+#[test]
+fn a_budget_is_kept_and_nothing_waits_for_ever() {
+    let (row, mut random) = (row(), SmallRng::seed_from_u64(9));
+    for round in 0..40 {
+        let mut reuse = Reuse::new(true);
+        let budget: u64 = random.random_range(1..1500);
+        let new_share = random.random_range(0.0..0.3);
+        let mut placed = all();
+        let mut shaded = [0u32; 40];
+        // Every update leaves this much to those that wait longest, or a block.
+        let least = ((budget as f32 * LEAST_OLD_SHARE) as u64 / 256).max(1);
+        let most = PATIENCE_UPDATES + 40u32.div_ceil(least as u32) + 1;
+        for update in 1..200u32 {
+            for placed in &mut placed {
+                if random.random_bool(new_share) {
+                    placed.block = block(placed.block.address.x, random.random_range(2..=4));
+                }
+            }
+            let due = reuse
+                .due(|now| *now = row.moment([update; 4]), HEAD, placed.iter().copied(), &row, budget)
+                .to_vec();
+            assert!(due.is_sorted_by_key(|due| due.patch));
+            due.iter().for_each(|due| shaded[due.patch.index()] = update);
+            let texels = |is_new: bool| -> u64 {
+                let of = due.iter().filter(|due| (due.cause == Cause::New) == is_new);
+                of.map(|due| u64::from(due.block.size.texels())).sum()
+            };
+            let allowed = budget.saturating_sub(texels(true)).max((budget as f32 * LEAST_OLD_SHARE) as u64);
+            assert!(texels(false) <= allowed.max(256), "round {round}: {} of {allowed}", texels(false));
+            let oldest = shaded.iter().map(|last| update - last).max().unwrap_or(0);
+            assert!(oldest <= most, "round {round}, update {update}: {oldest} of {most}, budget {budget}");
+            let all_of = |placed: &Placed| reuse_is_of(&reuse, placed);
+            assert!(placed.iter().all(all_of), "what is new is never left as it was");
+        }
+        assert_eq!(reuse.reused().waiting + reuse.reused().shaded_blocks(), 40);
+    }
+}
+
+fn reuse_is_of(reuse: &Reuse<u32>, placed: &Placed) -> bool {
+    let record = reuse.records.iter().find(|record| record.patch == placed.patch);
+    record.is_some_and(|record| record.block == placed.block && !record.is_new())
+}
+
+#[test]
+fn of_what_waits_alike_the_largest_is_first() {
+    let (row, mut reuse) = (row(), Reuse::new(true));
+    let mut placed = all();
+    placed[17].block = block(8 * 17, 6);
+    due(&mut reuse, &row, row.moment([0; 4]), &placed);
+    let first =
+        reuse.due(|now| *now = row.moment([1; 4]), HEAD, placed.iter().copied(), &row, 64 * 64 + 64).to_vec();
+    assert_eq!(first.iter().map(|due| due.patch.0).collect::<Vec<_>>(), [0, 17]);
+}

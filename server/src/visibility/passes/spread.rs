@@ -1,0 +1,59 @@
+//! What moves may turn into view until the next update: rings of patches around those that the predicted views show.
+
+use crate::scene::SceneGpu;
+use crate::visibility::lod_set::LodInstance;
+use shadecast_gpu::{Access, Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Memory, Recorder};
+use shadecast_shaders::generated::{SPREAD_COMP, SpreadPush};
+use std::sync::Arc;
+
+/// The stage.
+pub struct Spread {
+    pipeline: ComputePipeline,
+    group: BindGroup,
+    /// A bit for each vertex of the scene.
+    reached: Buffer,
+}
+
+impl Spread {
+    /// Adds to `visible`, a word for each patch of the LOD set.
+    pub fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, visible: &Buffer) -> Result<Self, GpuError> {
+        let pipeline = ComputePipeline::new(gpu, &SPREAD_COMP)?;
+        let bytes = u64::from(scene.numbering.totals.vertices.div_ceil(32)) * 4;
+        let reached = Buffer::new(gpu, "vertices near visible patches", bytes, Memory::Device)?;
+        let group = BindGroup::new(
+            pipeline.layout(),
+            &[
+                ("Patches", Bind::Buffer(&scene.meshes.patches)),
+                ("Visible", Bind::Buffer(visible)),
+                ("Reached", Bind::Buffer(&reached)),
+            ],
+        )?;
+        Ok(Self { pipeline, group, reached })
+    }
+
+    /// Adds so many rings around the visible patches of these LODs. Needs barriers before and after it.
+    pub fn record<'a>(
+        &self,
+        recorder: &mut Recorder,
+        scene: &SceneGpu,
+        lods: impl Iterator<Item = &'a LodInstance> + Clone,
+        rings: u32,
+    ) {
+        recorder.fill(&self.reached, 0);
+        recorder.barrier(Access::COPY_WRITE, Access::COMPUTE);
+        for to_patches in (0..rings).flat_map(|_| [0, 1]) {
+            for lod in lods.clone() {
+                let instance = &scene.numbering.instances[lod.instance];
+                let push = SpreadPush {
+                    patch_base: scene.models[instance.model].lods[lod.lod].patch_base,
+                    first_entry: lod.first_entry,
+                    patch_count: lod.patches.count,
+                    first_vertex: instance.first_vertex.0,
+                    to_patches,
+                };
+                recorder.dispatch(&self.pipeline, &self.group, &push, [lod.patches.count, 1, 1]);
+            }
+            recorder.barrier(Access::COMPUTE, Access::COMPUTE);
+        }
+    }
+}
