@@ -232,6 +232,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
             ..ClientOptions::default()
         },
         seconds: arguments.seconds,
+        pipelines: shadecast_system::folders::cache(|name| std::env::var_os(name)),
         trace: arguments.trace.clone(),
     };
     let mut probes = arguments

@@ -20,6 +20,7 @@ use crate::display::{Display, DisplayError};
 use crate::platform::monotonic_now;
 use crate::present::presenter::Presenter;
 use crate::present::stats::ClientStats;
+use crate::stream::intake::Intake;
 use crate::stream::taking::Taking;
 use address::Address;
 use connector::Connector;
@@ -42,6 +43,9 @@ const IDLE_WAIT: Duration = Duration::from_millis(10);
 const LOOK_UP: Duration = Duration::from_millis(50);
 /// How long the runtime may take to end a session that was asked to end.
 const LEAVE_PATIENCE_NS: i64 = 5_000_000_000;
+
+/// In the names of files that keep compiled pipelines.
+const PROGRAM: &str = "client";
 
 /// What `--connect` says for [`Server::Found`].
 pub const FIND: &str = "find";
@@ -91,6 +95,8 @@ pub struct RunOptions {
     pub client: ClientOptions,
     /// Seconds from the start at which the session is asked to end; 0: never.
     pub seconds: f64,
+    /// Folder that keeps compiled pipelines for the next start; `None`: each start compiles.
+    pub pipelines: Option<PathBuf>,
     /// Writes there what happens when, for Perfetto.
     pub trace: Option<PathBuf>,
 }
@@ -214,7 +220,7 @@ impl Run<'_> {
         trace: Option<&Trace>,
         observe: &mut Observer<'_>,
     ) -> Result<(), RunError> {
-        let (mut presenter, intake) = halves(display, self.options.client)?;
+        let (mut presenter, intake) = self.rehearsed(display)?;
         let traced = Traced::new(trace);
         let connector = Connector::new(self.options, traced.clone())?;
         presenter.set_status(&connector.first_status());
@@ -224,6 +230,18 @@ impl Run<'_> {
         drop(taking);
         self.stats = std::mem::take(&mut self.stats).and(presenter.stats());
         ended
+    }
+
+    /// The halves of a client that has compiled all pipelines.
+    fn rehearsed(&self, display: Box<dyn Display>) -> Result<(Presenter, Intake), RunError> {
+        let began = monotonic_now();
+        tracing::info!("Compiling pipelines");
+        let folder = self.options.pipelines.iter();
+        folder.for_each(|folder| display.gpu().load_pipelines(folder, PROGRAM));
+        let (mut presenter, intake) = halves(display, self.options.client)?;
+        presenter.rehearse()?;
+        tracing::info!("Pipelines are ready after {:.1} s", monotonic_now().since(began) as f64 * 1e-9);
+        Ok((presenter, intake))
     }
 
     fn frames(
@@ -276,6 +294,7 @@ mod tests {
             notice: None,
             client: ClientOptions::default(),
             seconds: 0.0,
+            pipelines: None,
             trace: None,
         };
         let mut open = || panic!("the headset was opened");

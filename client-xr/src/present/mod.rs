@@ -7,6 +7,7 @@ mod figures;
 mod figures_panel;
 mod frame;
 pub mod presenter;
+mod rehearsal;
 mod renderer;
 mod scene;
 mod scenes;

@@ -2,6 +2,7 @@
 //! `frame`.
 
 use super::figures::Figures;
+use super::rehearsal;
 use super::renderer::Renderer;
 use super::scene::Scene;
 use super::scenes::Scenes;
@@ -74,6 +75,17 @@ impl Presenter {
             head: None,
             head_sequence: 0,
         })
+    }
+
+    /// Compiles all that displays a world, and keeps it for the next start. Takes seconds where nothing is kept and there is no GPU: to
+    /// be called before a connection.
+    ///
+    /// # Errors
+    /// Those of the device.
+    pub fn rehearse(&mut self) -> Result<(), ClientError> {
+        rehearsal::rehearse(&mut self.renderer)?;
+        self.renderer.gpu.keep_pipelines();
+        Ok(())
     }
 
     /// The intake has a thread of its own, which is woken when there is something to do.

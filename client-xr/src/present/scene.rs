@@ -5,7 +5,7 @@
 use crate::draw::draw_list::{DrawList, Drawable};
 use crate::draw::stages::Stages;
 use crate::draw::stages::arena::SkinMemory;
-use crate::draw::stages::atlas_draw::{BUNDLES, BundleSet};
+use crate::draw::stages::atlas_draw::{BUNDLES, BundleMemory, BundleSet};
 use crate::draw::stages::batch::{BATCHES, Batch};
 use crate::draw::stages::interpolate::{self, Interpolation, Slots};
 use crate::draw::stages::pose::PoseStaging;
@@ -16,6 +16,7 @@ use crate::motion::pace::{GridTime, Pace, Span};
 use crate::motion::skinned::{PoseQuery, SkinCapacity, Skinned, SkinnedCounts};
 use crate::motion::state::{MotionState, Motionless};
 use crate::report::ClientError;
+use bytemuck::Zeroable;
 use shadecast_gpu::{Access, BindGroup, Buffer, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::clock::ShownClock;
 use shadecast_protocol::ids::UpdateId;
@@ -23,7 +24,7 @@ use shadecast_protocol::limits::MAX_INSTANCES;
 use shadecast_protocol::message::Welcome;
 use shadecast_protocol::time::{ClientTime, GridIndex, ServerTime, WorldTime};
 use shadecast_protocol::world_clock::ShownWorldClock;
-use shadecast_shaders::generated::{CornerGpu, EyesGpu};
+use shadecast_shaders::generated::{CornerGpu, EyesGpu, InterpolatePush, PlacedPoseGpu};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -266,6 +267,41 @@ impl Scene {
         if let Some(Bundle { memory, .. }) = self.shown.as_deref() {
             stages.atlas.record(recorder, &self.sets[memory.index], memory, flight, drawn);
         }
+    }
+
+    /// Runs each stage before the draw once: on a vertex, an instance and a picture of zeros. Needs the barriers of a display frame
+    /// before and after it.
+    pub(crate) fn record_zeros(
+        &mut self,
+        recorder: &mut Recorder,
+        stages: &Stages,
+        flight: usize,
+    ) -> Result<(), GpuError> {
+        for mut loan in std::mem::take(&mut self.coming) {
+            match &mut loan {
+                Loan::Batch(batch) => {
+                    batch.vertices.bytes_mut().fill(0);
+                    batch.ranges.push(0..1);
+                    stages.scatter.record(recorder, &self.scatter_groups[batch.index], &self.memory, batch);
+                }
+                Loan::Bundle(bundle) => {
+                    let BundleMemory { corners, indices, coverage, .. } = &mut bundle.memory;
+                    [corners, indices, coverage].into_iter().for_each(|buffer| buffer.bytes_mut().fill(0));
+                }
+            }
+            match loan {
+                Loan::Bundle(bundle) if self.next.is_none() => self.next = Some(bundle),
+                loan => self.spent.push(loan),
+            }
+        }
+        self.record_switch(recorder, stages, WorldTime(0))?;
+        self.pose_staging.poses_mut(flight)[0] = PlacedPoseGpu::zeroed();
+        stages.pose.record(recorder, &self.pose_staging, flight, 1);
+        let push = InterpolatePush { vertex_count: 1, vertex_slots: 1, sample_ring: 1, ..Zeroable::zeroed() };
+        stages.interpolate.record(recorder, &self.interpolate_group, &push);
+        recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
+        stages.skin.record(recorder, &self.skin_group, 1);
+        Ok(())
     }
 
     /// The bundle on display, for the probe; `None` where there is none.

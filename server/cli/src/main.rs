@@ -34,6 +34,8 @@ use std::sync::Arc;
 
 /// Where a server listens unless asked to listen elsewhere: for this machine alone.
 const DEFAULT_LISTEN: &str = "127.0.0.1:7400";
+/// In the names of files that keep compiled pipelines.
+const PROGRAM: &str = "server";
 /// Updates a second that it makes at most unless asked for another rate.
 const DEFAULT_RATE_HZ: f64 = 30.0;
 
@@ -258,6 +260,7 @@ fn open(
     let gpu = Gpu::open(&args.gpu.options(), &DesktopDevice)?;
     // Standard output may be where a video goes.
     note(&format!("Vulkan device: {}", gpu.device_name()));
+    loading.cache.folder().into_iter().for_each(|folder| gpu.load_pipelines(folder, PROGRAM));
     if gpu.is_cpu() {
         note("warning: this device is a CPU; pictures are right, but slow");
     }
@@ -277,6 +280,7 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
     let reopen = |scene: Scene| -> anyhow::Result<Device> {
         let gpu = Gpu::open(&args.device.gpu.options(), &DesktopDevice)?;
         let loading = loading(&args.device, cancel);
+        loading.cache.folder().into_iter().for_each(|folder| gpu.load_pipelines(folder, PROGRAM));
         let scene = SceneGpu::cached(&gpu, scene, &args.device.scene.options(), &loading)?;
         Ok(Device { gpu, scene: Arc::new(scene) })
     };

@@ -129,12 +129,18 @@ impl ViewerUpdates {
             triangles: capabilities.max_triangles,
         };
         let placement = PlacementStep::new(world, eye, welcome, (room, show.surround), &policy);
+        // A thread each: drivers compile on the thread that asks.
+        let (visibility, shading) = std::thread::scope(|scope| {
+            let shading = scope.spawn(|| ShadingStep::new(world, eye, welcome.atlas_extent_texels, &policy));
+            let visibility = VisibilityStep::new(world, (id, eye), show, &policy, &placement.residency);
+            (visibility, shading.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+        });
         Ok(Self {
             id,
             head: HeadTrack::new(capabilities.display_period_ns),
-            visibility: VisibilityStep::new(world, (id, eye), show, &policy, &placement.residency)?,
+            visibility: visibility?,
             placement,
-            shading: ShadingStep::new(world, eye, welcome.atlas_extent_texels, &policy)?,
+            shading: shading?,
             policy,
             in_flight: InFlight::default(),
             numbers: UpdateNumbers::new(),

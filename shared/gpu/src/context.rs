@@ -4,6 +4,7 @@ use crate::devices::{
     self, DENSITY_MAP_EXTENSION, FoundDevice, NO_DRIVER, NO_LAYER, Needs, PICTURE_EXTENSIONS,
     has_density_maps, has_geometry_shader, missing, name_of,
 };
+use crate::kept_pipelines::KeptPipelines;
 use crate::lanes::{LANES, Lanes};
 use crate::limits::{self, DeviceLimits};
 use crate::lock::{self, Lock};
@@ -18,7 +19,7 @@ use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 use std::collections::VecDeque;
 use std::ffi::{CStr, c_char, c_void};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 /// How a device is opened.
@@ -78,6 +79,7 @@ pub struct Gpu {
     pub(crate) leaves_retired: AtomicBool,
     pub(crate) timings: Lock<KeptTimings>,
     pub(crate) pipelines: SharedPipelines,
+    pub(crate) kept_pipelines: OnceLock<KeptPipelines>,
     pub(crate) properties: vk::PhysicalDeviceProperties,
     limits: DeviceLimits,
     numbers_triangles: bool,
@@ -143,6 +145,7 @@ impl Gpu {
             leaves_retired: AtomicBool::new(false),
             timings: Lock::default(),
             pipelines: SharedPipelines::default(),
+            kept_pipelines: OnceLock::new(),
             properties,
             limits: limits::of(&instance, physical),
             takes_density_maps,
@@ -288,6 +291,7 @@ impl Drop for Gpu {
         let idle: Vec<_> = self.idle_slots.lock().drain(..).collect();
         self.pending.drain().into_iter().chain(idle).for_each(|slot| slot.destroy(&self.device));
         self.lanes.destroy(&self.device);
+        self.kept_pipelines.get().into_iter().for_each(|kept| kept.destroy(&self.device));
         drop(self.allocator.lock().expect("not poisoned").take());
         // SAFETY: the device is idle and all its objects are gone; the messenger outlives the device, and the
         // instance goes last.

@@ -6,6 +6,7 @@ mod context;
 mod devices;
 #[cfg(target_os = "android")]
 mod hardware_buffer;
+mod kept_pipelines;
 mod lanes;
 pub mod limits;
 mod lock;

@@ -120,7 +120,7 @@ impl ComputePipeline {
         let infos = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(layout.handle)];
         // SAFETY: module and layout are alive; the module is not needed after creation.
         let made = unsafe {
-            let made = gpu.device().create_compute_pipelines(vk::PipelineCache::null(), &infos, None);
+            let made = gpu.device().create_compute_pipelines(gpu.pipeline_cache(), &infos, None);
             gpu.device().destroy_shader_module(module, None);
             made
         };
@@ -236,7 +236,7 @@ fn create(
         .layout(layout.handle)
         .render_pass(pass)];
     // SAFETY: all handles are alive and all that the info points to lives through the call.
-    let made = unsafe { gpu.device().create_graphics_pipelines(vk::PipelineCache::null(), &infos, None) };
+    let made = unsafe { gpu.device().create_graphics_pipelines(gpu.pipeline_cache(), &infos, None) };
     Ok(made.map_err(|(_, e)| e).doing("creating a graphics pipeline")?[0])
 }
 

@@ -13,7 +13,11 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-const MAX_TIMED_SCOPES: u32 = 32;
+/// Scopes of a recording that are timed. A wide eye has three times of four turned frusta, each with two scopes.
+const MAX_TIMED_SCOPES: u32 = 64;
+/// Lavapipe (Mesa 25) writes a timestamp once for each view of the last pass, also after the pass: the last one's second view needs
+/// a query.
+const QUERIES: u32 = MAX_TIMED_SCOPES * 2 + 1;
 
 /// A submitted recording; completes after those that were submitted before it, except for those beside it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -97,7 +101,7 @@ impl CommandSlot {
                 device.create_fence(&vk::FenceCreateInfo::default(), None).doing("creating a fence")?;
             let info = vk::QueryPoolCreateInfo::default()
                 .query_type(vk::QueryType::TIMESTAMP)
-                .query_count(MAX_TIMED_SCOPES * 2);
+                .query_count(QUERIES);
             let queries = device.create_query_pool(&info, None).doing("creating a query pool")?;
             let scopes = Vec::with_capacity(MAX_TIMED_SCOPES as usize);
             Ok(Self { pool, commands, fence: Arc::new(fence), queries, scopes, lane: Lane::Main, serial: 0 })
@@ -164,7 +168,7 @@ impl Gpu {
             let reset = self.device().reset_command_pool(slot.pool, vk::CommandPoolResetFlags::empty());
             reset.doing("resetting a command pool")?;
             self.device().begin_command_buffer(slot.commands, &info).doing("beginning a recording")?;
-            self.device().cmd_reset_query_pool(slot.commands, slot.queries, 0, MAX_TIMED_SCOPES * 2);
+            self.device().cmd_reset_query_pool(slot.commands, slot.queries, 0, QUERIES);
         }
         Ok(Recorder { gpu: self.clone(), slot: Some(slot), first_alone: false })
     }

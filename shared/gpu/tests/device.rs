@@ -2,7 +2,8 @@
 
 use generated::{ADD_COMP, AddPush};
 use shadecast_gpu::{
-    Access, Bind, BindGroup, Buffer, ComputePipeline, DesktopDevice, Gpu, GpuOptions, Memory, Needs,
+    Access, Attachment, Bind, BindGroup, Buffer, ComputePipeline, DesktopDevice, Framebuffer, Gpu, GpuOptions,
+    Image, ImageDesc, Memory, Needs, RenderPass, RenderPassDesc, vk,
 };
 use std::sync::Arc;
 use std::time::Duration;
@@ -238,4 +239,46 @@ fn the_layers_report_a_missing_barrier() {
     assert_eq!(messages_of_two_dispatches(&gpu, true), 0, "{:?}", gpu.validation_texts());
     assert!(messages_of_two_dispatches(&gpu, false) > 0, "the layer did not see a hazard");
     assert!(gpu.validation_texts()[0].contains("HAZARD"), "{:?}", gpu.validation_texts());
+}
+
+#[test]
+fn compiled_pipelines_are_kept_for_the_next_start() {
+    let around = tempfile::tempdir().unwrap();
+    let folder = around.path().join("made/when/needed");
+    for _ in 0..2 {
+        let gpu = open(Needs::Client);
+        gpu.load_pipelines(&folder, "test");
+        let _pipeline = ComputePipeline::new(&gpu, &ADD_COMP).unwrap();
+        gpu.keep_pipelines();
+        let files: Vec<_> = std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap()).collect();
+        assert_eq!(files.len(), 1, "{files:?}");
+        assert!(files[0].metadata().unwrap().len() >= 40, "a header and a checksum");
+        assert_eq!(gpu.validation_messages(), 0, "{:?}", gpu.validation_texts());
+    }
+}
+
+#[test]
+fn any_number_of_scopes_may_follow_a_pass_of_two_views() {
+    let gpu = open(Needs::Server);
+    let format = vk::Format::R32_UINT;
+    let usage = vk::ImageUsageFlags::COLOR_ATTACHMENT;
+    let desc = ImageDesc { layers: 2, ..ImageDesc::new("eyes", [4, 4], format, usage) };
+    let image = Image::new(&gpu, desc).unwrap();
+    let color = Attachment {
+        format,
+        load: vk::AttachmentLoadOp::CLEAR,
+        store: vk::AttachmentStoreOp::STORE,
+        before: vk::ImageLayout::UNDEFINED,
+        after: vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL,
+    };
+    let pass = RenderPassDesc { view_mask: 0b11, ..RenderPassDesc::new(vec![color]) };
+    let pass = RenderPass::new(&gpu, &pass).unwrap();
+    let target = Framebuffer::new(&gpu, &pass, [4, 4], &[image.view()]).unwrap();
+    let mut recorder = gpu.record().unwrap();
+    recorder.begin_pass(&pass, &target, &[vk::ClearValue::default()]);
+    recorder.end_pass();
+    (0..100).for_each(|_| recorder.scope("nothing", |_| {}));
+    let timings = gpu.wait_timed(recorder.submit().unwrap()).unwrap();
+    assert_eq!(timings.iter().count(), 64, "the first scopes are timed");
+    assert_eq!(gpu.validation_messages(), 0, "{:?}", gpu.validation_texts());
 }

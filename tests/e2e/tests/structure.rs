@@ -27,7 +27,7 @@ const CRATES: [(&str, &[&str]); 20] = [
     ("shared/protocol", &["model"]),
     ("shared/trace", &["protocol"]),
     ("shared/transport", &["protocol", "system"]),
-    ("shared/gpu", &["protocol", "spirv"]),
+    ("shared/gpu", &["protocol", "spirv", "system"]),
     ("shaders", &["protocol", "spirv"]),
     ("shared/desktop", &["gpu", "protocol", "shaders", "system", "transport"]),
     ("server/dragon", &[]),

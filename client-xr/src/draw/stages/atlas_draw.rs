@@ -32,6 +32,7 @@ pub(super) const BOTH_EYES: u32 = 0b11;
 pub struct EyeTargets {
     /// The one pass of a display frame.
     pub pass: Arc<RenderPass>,
+    samples: vk::SampleCountFlags,
     framebuffers: Vec<Framebuffer>,
     _transient: Vec<Image>,
 }
@@ -107,7 +108,7 @@ pub struct BundleSet {
 impl EyeTargets {
     /// A pass and its framebuffers for the images of two eyes.
     pub fn new(gpu: &Arc<Gpu>, eyes: EyeImages<'_>, samples: vk::SampleCountFlags) -> Result<Self, GpuError> {
-        let EyeImages { images, format, extent_pixels, one_eye, density_maps } = eyes;
+        let EyeImages { format, one_eye, density_maps, .. } = eyes;
         let multisampled = samples != vk::SampleCountFlags::TYPE_1;
         let color = |store| Attachment {
             format,
@@ -131,6 +132,22 @@ impl EyeTargets {
             ..RenderPassDesc::new(colors)
         };
         let pass = Arc::new(RenderPass::new(gpu, &desc)?);
+        Self::of_pass(gpu, pass, eyes, samples)
+    }
+
+    /// The same pass for other images of the same kind.
+    pub fn for_images(&self, gpu: &Arc<Gpu>, eyes: EyeImages<'_>) -> Result<Self, GpuError> {
+        Self::of_pass(gpu, self.pass.clone(), eyes, self.samples)
+    }
+
+    fn of_pass(
+        gpu: &Arc<Gpu>,
+        pass: Arc<RenderPass>,
+        eyes: EyeImages<'_>,
+        samples: vk::SampleCountFlags,
+    ) -> Result<Self, GpuError> {
+        let EyeImages { images, format, extent_pixels, density_maps, .. } = eyes;
+        let multisampled = samples != vk::SampleCountFlags::TYPE_1;
         let attachment = |name, format, usage| {
             let usage = usage | vk::ImageUsageFlags::TRANSIENT_ATTACHMENT;
             Image::new(
@@ -165,7 +182,7 @@ impl EyeTargets {
             Framebuffer::around_foreign_images(gpu, &pass, extent_pixels, &foreign, &views)
         };
         let framebuffers = (0..images.len()).map(framebuffer).collect::<Result<_, _>>()?;
-        Ok(Self { pass, framebuffers, _transient: transient })
+        Ok(Self { pass, samples, framebuffers, _transient: transient })
     }
 
     /// Begins the pass on all of the swapchain image `index`.

@@ -32,6 +32,7 @@ use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_shaders::generated::EyesGpu;
 use skin::Skin;
 use std::sync::Arc;
+use std::thread::ScopedJoinHandle;
 
 /// Display frames that the CPU may be ahead of the GPU. What the CPU writes for a frame exists this often.
 pub const FRAMES_IN_FLIGHT: usize = 3;
@@ -90,16 +91,31 @@ impl Stages {
     ) -> Result<Self, GpuError> {
         let targets = EyeTargets::new(gpu, eyes, samples)?;
         let eyes = eye_buffers(gpu)?;
+        let (pass, of_eyes) = (&targets.pass, eyes.each_ref());
+        // A thread each: drivers compile on the thread that asks.
+        let (moving, atlas, background, hands, notices) = std::thread::scope(|scope| {
+            let moving = scope.spawn(|| {
+                let (scatter, interpolate) = (Scatter::new(gpu)?, Interpolate::new(gpu)?);
+                Ok((scatter, interpolate, PoseStage::new(gpu)?, Skin::new(gpu)?))
+            });
+            let atlas = scope.spawn(|| AtlasDraw::new(gpu, pass, lookup));
+            let background = scope.spawn(|| Background::new(gpu, pass, of_eyes));
+            let hands = scope.spawn(|| Hands::new(gpu, pass, of_eyes));
+            let notices = (Notice::new(gpu, pass, of_eyes)?, Notice::new(gpu, pass, of_eyes)?);
+            Ok((joined(moving)?, joined(atlas)?, joined(background)?, joined(hands)?, notices))
+        })?;
+        let (scatter, interpolate, pose, skin) = moving;
+        let (notice, figures) = notices;
         Ok(Self {
-            scatter: Scatter::new(gpu)?,
-            interpolate: Interpolate::new(gpu)?,
-            pose: PoseStage::new(gpu)?,
-            skin: Skin::new(gpu)?,
-            atlas: AtlasDraw::new(gpu, &targets.pass, lookup)?,
-            background: Background::new(gpu, &targets.pass, eyes.each_ref())?,
-            hands: Hands::new(gpu, &targets.pass, eyes.each_ref())?,
-            notice: Notice::new(gpu, &targets.pass, eyes.each_ref())?,
-            figures: Notice::new(gpu, &targets.pass, eyes.each_ref())?,
+            scatter,
+            interpolate,
+            pose,
+            skin,
+            atlas,
+            background,
+            hands,
+            notice,
+            figures,
             targets,
             eyes,
             last_use: [None; FRAMES_IN_FLIGHT],
@@ -141,6 +157,10 @@ impl Stages {
     pub fn used_by(&mut self, flight: usize, ticket: Ticket) {
         self.last_use[flight] = Some(ticket);
     }
+}
+
+fn joined<T>(thread: ScopedJoinHandle<'_, Result<T, GpuError>>) -> Result<T, GpuError> {
+    thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }
 
 /// What the shaders must know of two eyes in the world, and of the same eyes in the backdrop's space.

@@ -50,6 +50,7 @@ fn options(folder: &TempDir, server: &str) -> RunOptions {
         notice: None,
         client: ClientOptions::default(),
         seconds: 0.0,
+        pipelines: None,
         trace: None,
     }
 }

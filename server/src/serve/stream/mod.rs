@@ -176,6 +176,7 @@ pub fn run_timeline(
     say: &Say<'_>,
 ) -> anyhow::Result<StreamStats> {
     let trace = options.trace.as_deref().map(Trace::create).transpose()?;
+    say("Compiling pipelines");
     let mut studio = GpuStudio::rehearsed(device, timeline, reopen, options)?;
     let (handle, events, _announcement) = listen(options, studio.rehearsal_s(), say)?;
     let terms = offer(&studio.device()?.scene, options.atlas_extent_texels, options.rate_hz, 0);
@@ -258,7 +259,7 @@ fn listen(
     let (handle, events) = spawn(driver)?;
     let (address, fingerprint) = (handle.local_addr(), identity.fingerprint());
     say(&format!("Listening on {address} with identity {fingerprint}"));
-    say(&format!("Pipelines were made ready in {rehearsal_s:.1} s"));
+    say(&format!("Pipelines are ready after {rehearsal_s:.1} s"));
     let announce = |name: &String| match Announcement::start(name, address, fingerprint) {
         Ok(announcement) => {
             say(&format!("Announced as {name}: clients of this network find it with --connect find"));

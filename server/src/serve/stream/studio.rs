@@ -102,6 +102,7 @@ impl<'a> GpuStudio<'a> {
         let mut held = None;
         self.rehearsed_update_ns = rehearse(&mut world, self.options, || held = Some(gpu.hold_pipelines()))?;
         self.pipelines = held;
+        gpu.keep_pipelines();
         self.rehearsal_s = (monotonic_now_ns() - began_ns) as f64 * 1e-9;
         Ok(())
     }
