@@ -43,6 +43,8 @@ pub struct Layout {
     around: Vec<(ScenePatch, BlockSize)>,
     /// Texels for a pixel that views are measured with.
     asked: f32,
+    /// The part of what a block is to have that it has at first.
+    new_part: f32,
     /// Of those, the part that blocks are to have.
     pressure: Pressure<DensityStep>,
     /// Part of the atlas that blocks take when all have had their turn.
@@ -117,6 +119,7 @@ impl Layout {
             surround: Surround::new(0.0),
             around: Vec::new(),
             asked: 1.0,
+            new_part: 1.0,
             pressure: Pressure::new(DensityStep(1.0)),
             settled_share: 0.0,
             overflow_share: 1.0,
@@ -144,6 +147,11 @@ impl Layout {
     pub(crate) fn begin(&mut self, asked: f32) {
         self.update += 1;
         self.asked = asked;
+    }
+
+    /// New blocks begin with this part of the texels for a pixel that are asked for, 0 to 1; then each waits for its turn.
+    pub(crate) fn begin_blocks_with(&mut self, part: f32) {
+        self.new_part = part;
     }
 
     /// Takes in what this update's views show; of several visibility passes the last counts.
@@ -275,7 +283,7 @@ impl Layout {
         let density = self.asked * self.density();
         let mut turns = std::mem::take(&mut self.scratch.turns);
         turns.clear();
-        turns.extend(self.live.iter().map(|patch| self.shape(*patch).turn(*patch, density)));
+        turns.extend(self.live.iter().map(|patch| self.shape(*patch).turn(*patch, density, self.new_part)));
         turns
     }
 
@@ -366,8 +374,9 @@ impl Layout {
         if fits {
             let density = self.asked * self.density();
             let has_turned = |(turn, size): &(&Turn, &BlockSize)| turn.after == **size || turn.now.is_none();
-            for (turn, _) in turns.iter().zip(sizes).filter(has_turned) {
-                self.states[turn.patch.index()].follows = Some(density);
+            for (turn, size) in turns.iter().zip(sizes).filter(has_turned) {
+                let part = if turn.after == *size { 1.0 } else { self.new_part };
+                self.states[turn.patch.index()].follows = Some(density * part);
             }
         }
         fits

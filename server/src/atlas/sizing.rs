@@ -75,12 +75,13 @@ impl Shape {
         self.extent.map(|side| f32::from(side) * density / self.extent_density)
     }
 
-    /// What becomes of its block where so many texels are asked for a pixel.
-    pub(crate) fn turn(&self, patch: ScenePatch, density: f32) -> Turn {
+    /// What becomes of its block where so many texels are asked for a pixel. A new one begins with this part of them.
+    pub(crate) fn turn(&self, patch: ScenePatch, density: f32, new_part: f32) -> Turn {
         let exact = wanted_size(self.extent_at(density), None);
         let area_texels = u32::from(self.extent[0]) * u32::from(self.extent[1]);
         let Some((now, follows)) = self.block else {
-            return Turn { patch, now: None, before: exact, after: exact, least: exact, area_texels };
+            let before = wanted_size(self.extent_at(density * new_part), None);
+            return Turn { patch, now: None, before, after: exact, least: before, area_texels };
         };
         let at = |density: f32, more: f32| {
             let extent = self.extent_at(density).map(|side| (side + more).max(0.0));
@@ -121,7 +122,7 @@ fn sides(size: BlockSize, of: impl Fn(u8, &dyn Fn(BlockSize) -> u8) -> u8) -> Bl
 /// many that no more than 4 % change, who gives up texels before who gets some, and the nearest first.
 pub(crate) fn have_their_turn(turns: &[Turn], chosen: &mut Vec<Turn>) -> bool {
     chosen.clear();
-    chosen.extend(turns.iter().filter(|turn| turn.before != turn.after));
+    chosen.extend(turns.iter().filter(|turn| turn.now.is_some() && turn.before != turn.after));
     let by_themselves = turns.iter().filter(|turn| turn.changes_by_itself()).count();
     let most = ((turns.len() as f32 * CHANGED_SHARE) as usize).saturating_sub(by_themselves);
     let most = most.max(least_turns(turns.len()));
@@ -157,7 +158,7 @@ mod tests {
     /// Of a patch of so many texels at density 1, which has a block for `follows`.
     fn turn(side: u16, follows: f32, density: f32) -> Turn {
         let block = Some((size(f32::from(side) * follows), follows));
-        Shape { extent: [side; 2], extent_density: 1.0, block }.turn(ScenePatch(3), density)
+        Shape { extent: [side; 2], extent_density: 1.0, block }.turn(ScenePatch(3), density, 1.0)
     }
 
     #[test]
@@ -178,10 +179,22 @@ mod tests {
     }
 
     #[test]
+    fn a_new_block_may_begin_small_and_then_waits_for_its_turn() {
+        let shape = |block| Shape { extent: [50; 2], extent_density: 1.0, block };
+        let new = shape(None).turn(ScenePatch(3), 1.0, 0.5);
+        assert_eq!((new.before, new.after), (size(25.0), size(50.0)));
+        let mut chosen = Vec::new();
+        assert!(have_their_turn(&[new], &mut chosen) && chosen.is_empty(), "not at once");
+        let next = shape(Some((new.before, 0.5))).turn(ScenePatch(3), 1.0, 0.5);
+        assert_eq!((next.before, next.after), (size(25.0), size(50.0)));
+        assert!(have_their_turn(&[next], &mut chosen) && chosen == [next]);
+    }
+
+    #[test]
     fn an_extent_that_changes_by_itself_waits_for_no_turn() {
         let of = |extent: u16, density: f32| {
             let block = Some((size(20.0), 1.0));
-            Shape { extent: [extent; 2], extent_density: 1.0, block }.turn(ScenePatch(3), density).before
+            Shape { extent: [extent; 2], extent_density: 1.0, block }.turn(ScenePatch(3), density, 1.0).before
         };
         assert_eq!([of(20, 2.0), of(20, 0.5)], [size(20.0); 2]);
         assert_eq!([of(60, 2.0), of(5, 0.5)], [size(60.0), size(5.0)], "by what it follows");

@@ -5,21 +5,34 @@
 //! at its rehearsal begins with all of them. The worth of each is measured: the time of updates before and after. A measure that
 //! saves too little is given up, and not tried again for a while. The last measure ends when its time would fit again.
 
-/// Updates a second below which measures are taken.
+use shadecast_protocol::message::HeadState;
+use shadecast_protocol::time::ServerTime;
+
+/// Updates a second below which measures are taken: of a head that moves, and of one that is still and sees every detail.
 const LEAST_RATE_HZ: f64 = 8.0;
-/// Updates after a change until their time counts, and updates whose time is then compared.
+const LEAST_RATE_STILL_HZ: f64 = 7.0;
+/// A head is still that has not been faster than this for so long.
+const STILL_M_S: f32 = 0.1;
+const STILL_RAD_S: f32 = 0.1;
+const STILL_AFTER_NS: i64 = 1_000_000_000;
+/// Updates after a change until their time counts: other LODs come one after the other.
 const SETTLE_UPDATES: u32 = 2;
-const MEASURED_UPDATES: u32 = 4;
-/// Where all measures are taken, one of unknown worth is given up once in so many updates, to see.
-const TRY_EVERY_UPDATES: u32 = 30;
+const SETTLE_LODS_UPDATES: u32 = 10;
+/// Updates whose time is then compared.
+const MEASURED_UPDATES: u32 = 6;
+/// The last measure of unknown worth is given up once in so many updates, to see. First when first blocks have grown.
+const TRY_EVERY_UPDATES: u32 = 8;
+const FIRST_TRY_UPDATE: u32 = 24;
+/// Worth of [`Measure::CoarserDetail`] until it was tried: it is not given up just to see, since all blocks are new then, and again after.
+const EXPECTED_WORTH: f64 = 0.25;
 /// A measure must save this part of an update's time.
 const LEAST_WORTH: f64 = 0.04;
 /// A rehearsal's update is of few pixels: one that takes this part of what is allowed says that a viewer's will take more than that.
-const REHEARSED_PART: f64 = 0.5;
+const REHEARSED_PART: f64 = 0.25;
 /// More is not believed of a measure.
 const MOST_WORTH: f64 = 0.9;
 /// A measure ends when updates without it would take this part of the time that is allowed.
-const ROOMY: f64 = 0.8;
+const ROOMY: f64 = 0.9;
 /// So many updates with room end a measure, at first and at most. A measure that had to come back doubles the wait.
 const FIRST_WAIT_UPDATES: u32 = 15;
 const LONGEST_WAIT_UPDATES: u32 = 960;
@@ -54,9 +67,12 @@ impl Measure {
         Self::CoarsestDetail,
     ];
 
-    /// Whether it can be given up for a few updates alone. Finer LODs take as long to come.
-    fn is_quick(self) -> bool {
-        !matches!(self, Self::CoarserDetail | Self::CoarsestDetail)
+    /// Updates until it is in force, or given up, for all that is shown.
+    fn settle_updates(self) -> u32 {
+        match self {
+            Self::CoarserDetail | Self::CoarsestDetail => SETTLE_LODS_UPDATES,
+            _ => SETTLE_UPDATES,
+        }
     }
 }
 
@@ -66,6 +82,11 @@ pub struct Measures([bool; Measure::ALL.len()]);
 
 impl Measures {
     const ALL: Self = Self([true; Measure::ALL.len()]);
+
+    /// Whether any is in force.
+    pub fn are_some(self) -> bool {
+        self != Self::default()
+    }
 
     /// Whether a measure is in force.
     pub fn has(self, measure: Measure) -> bool {
@@ -84,7 +105,10 @@ struct Trial {
 /// One viewer's.
 #[derive(Clone, Debug)]
 pub(crate) struct Relief {
+    period_s: f64,
     allowed_s: f64,
+    /// When the head moved last.
+    moved: Option<ServerTime>,
     measures: Measures,
     /// The part of an update's time that a measure saved when it was tried last, and the update of that.
     worth: [Option<(f64, u32)>; Measure::ALL.len()],
@@ -92,8 +116,9 @@ pub(crate) struct Relief {
     update: u32,
     /// The update at which something was tried last.
     tried: u32,
-    /// Updates since measures changed, and the sum of the times that count.
-    since_change: u32,
+    /// Updates until their time counts, those that count, and the sum of their times.
+    settles: u32,
+    counted: u32,
     sum_s: f64,
     roomy_updates: u32,
     wait_updates: u32,
@@ -106,13 +131,17 @@ impl Relief {
         let allowed_s = period_s.max(1.0 / LEAST_RATE_HZ);
         let is_slow = rehearsed_s.is_some_and(|rehearsed_s| rehearsed_s > REHEARSED_PART * allowed_s);
         Self {
+            period_s,
             allowed_s,
+            moved: None,
             measures: if is_slow { Measures::ALL } else { Measures::default() },
-            worth: [None; Measure::ALL.len()],
+            worth: Measure::ALL
+                .map(|measure| (measure == Measure::CoarserDetail).then_some((EXPECTED_WORTH, 0))),
             trial: None,
             update: 0,
-            tried: 0,
-            since_change: 0,
+            tried: FIRST_TRY_UPDATE - TRY_EVERY_UPDATES,
+            settles: SETTLE_UPDATES,
+            counted: 0,
             sum_s: 0.0,
             roomy_updates: 0,
             wait_updates: FIRST_WAIT_UPDATES,
@@ -124,26 +153,39 @@ impl Relief {
         self.measures
     }
 
+    /// The newest state of the viewer's head.
+    pub(crate) fn head(&mut self, state: &HeadState) {
+        let moves =
+            state.linear_velocity.length() > STILL_M_S || state.angular_velocity.length() > STILL_RAD_S;
+        self.moved = if moves { Some(state.time) } else { self.moved };
+        let is_still = self.moved.is_none_or(|moved| state.time.since(moved) > STILL_AFTER_NS);
+        let least_hz = if is_still { LEAST_RATE_STILL_HZ } else { LEAST_RATE_HZ };
+        self.allowed_s = self.period_s.max(1.0 / least_hz);
+    }
+
     /// An update took so long.
     pub(crate) fn note(&mut self, took_s: f64) {
         self.update += 1;
-        self.since_change += 1;
-        if self.since_change <= SETTLE_UPDATES {
+        if self.settles > 0 {
+            self.settles -= 1;
             return;
         }
+        self.counted += 1;
         self.sum_s += took_s;
-        if self.since_change < SETTLE_UPDATES + MEASURED_UPDATES {
+        if self.counted < MEASURED_UPDATES {
             return;
         }
         let mean_s = self.sum_s / f64::from(MEASURED_UPDATES);
-        (self.since_change, self.sum_s) = (SETTLE_UPDATES, 0.0);
+        (self.counted, self.sum_s) = (0, 0.0);
         if self.ends_trial(mean_s) {
             return;
         }
-        if mean_s > self.allowed_s {
+        let is_too_slow = mean_s > self.allowed_s;
+        if is_too_slow {
             self.roomy_updates = 0;
-            self.take_next(mean_s);
-        } else {
+        }
+        let begins_trial = is_too_slow && self.take_next(mean_s) || self.give_up_unknown(mean_s);
+        if !begins_trial && !is_too_slow {
             self.end_last(mean_s);
         }
     }
@@ -161,28 +203,37 @@ impl Relief {
         is_wanted != is_taken
     }
 
-    /// Takes the next measure that may be worth it. Where all are taken, one of unknown worth is given up, to see.
-    fn take_next(&mut self, mean_s: f64) {
+    /// Takes the next measure that may be worth it, if there is one.
+    fn take_next(&mut self, mean_s: f64) -> bool {
         let is_worthless = |measure: usize| {
             self.worth[measure].is_some_and(|(saved_part, update)| {
                 saved_part < LEAST_WORTH && self.update - update < FORGET_UPDATES
             })
         };
         let next = (0..Measure::ALL.len()).find(|at| !self.measures.0[*at] && !is_worthless(*at));
-        let unknown = (0..Measure::ALL.len())
-            .find(|at| self.measures.0[*at] && self.worth[*at].is_none() && Measure::ALL[*at].is_quick())
-            .filter(|_| self.update - self.tried >= TRY_EVERY_UPDATES);
-        let (measure, is_taken) = match (next, unknown) {
-            (Some(next), _) => (next, true),
-            (None, Some(unknown)) => (unknown, false),
-            (None, None) => return,
-        };
-        if is_taken && self.worth[measure].is_some_and(|(saved_part, _)| saved_part >= LEAST_WORTH) {
+        let Some(measure) = next else { return false };
+        if self.worth[measure].is_some_and(|(saved_part, _)| saved_part >= LEAST_WORTH) {
             self.wait_updates = (2 * self.wait_updates).min(LONGEST_WAIT_UPDATES);
         }
+        self.begin_trial(Trial { measure, before_s: mean_s, is_taken: true });
+        true
+    }
+
+    /// Gives up the last measure of unknown worth, if there is one, to see.
+    fn give_up_unknown(&mut self, mean_s: f64) -> bool {
+        let is_unknown = |at: &usize| self.measures.0[*at] && self.worth[*at].is_none();
+        let last = (0..Measure::ALL.len()).rev().find(is_unknown);
+        let Some(measure) = last.filter(|_| self.update >= self.tried + TRY_EVERY_UPDATES) else {
+            return false;
+        };
+        self.begin_trial(Trial { measure, before_s: mean_s, is_taken: false });
+        true
+    }
+
+    fn begin_trial(&mut self, trial: Trial) {
         self.tried = self.update;
-        self.trial = Some(Trial { measure, before_s: mean_s, is_taken });
-        self.set(measure, is_taken);
+        self.trial = Some(trial);
+        self.set(trial.measure, trial.is_taken);
     }
 
     /// Ends the last measure once there was room for a while.
@@ -193,21 +244,23 @@ impl Relief {
         self.roomy_updates = if has_room { self.roomy_updates + MEASURED_UPDATES } else { 0 };
         if self.roomy_updates >= self.wait_updates {
             self.roomy_updates = 0;
-            self.trial = Some(Trial { measure: last, before_s: mean_s, is_taken: false });
-            self.set(last, false);
+            self.begin_trial(Trial { measure: last, before_s: mean_s, is_taken: false });
         }
     }
 
     fn set(&mut self, measure: usize, is_in_force: bool) {
         tracing::debug!("{:?} is {}", Measure::ALL[measure], if is_in_force { "taken" } else { "given up" });
         self.measures.0[measure] = is_in_force;
-        self.since_change = 0;
+        (self.settles, self.counted, self.sum_s) = (Measure::ALL[measure].settle_updates(), 0, 0.0);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::Vec3;
+    use shadecast_protocol::ids::DiscontinuityId;
+    use shadecast_protocol::pose::{Eye, Fov, Pose};
 
     /// A device whose updates take `base_s`, less for each measure in force.
     fn took_s(relief: &Relief, base_s: f64, saves: [f64; 6]) -> f64 {
@@ -250,8 +303,28 @@ mod tests {
     #[test]
     fn a_measure_without_worth_is_given_up() {
         let some = [0.1, 0.0, 0.3, 0.0, 0.0, 0.0];
-        assert_eq!(after(&mut fast(), 100, 1.0, some), [true, false, true, false, false, false]);
-        assert_eq!(after(&mut fast(), 100, 0.7, [0.0; 6]), [false; 6], "nothing helps: nothing is given up");
+        assert_eq!(after(&mut fast(), 150, 1.0, some), [true, false, true, false, false, false]);
+        assert_eq!(after(&mut fast(), 150, 0.7, [0.0; 6]), [false; 6], "nothing helps: nothing is given up");
+    }
+
+    #[test]
+    fn a_head_that_moves_is_shown_more_updates_than_a_still_one() {
+        let head = |at_s: i64, speed_m_s: f32| HeadState {
+            sequence: 0,
+            time: ServerTime(at_s * 1_000_000_000),
+            world_from_head: Pose::IDENTITY,
+            linear_velocity: Vec3::X * speed_m_s,
+            angular_velocity: Vec3::ZERO,
+            eyes: [Eye { head_from_eye: Pose::IDENTITY, fov: Fov::symmetric_degrees(90.0) }; 2],
+            discontinuity: DiscontinuityId(0),
+        };
+        let mut relief = fast();
+        relief.head(&head(0, 0.01));
+        assert_eq!(after(&mut relief, 100, 0.135, SAVES), [false; 6]);
+        relief.head(&head(1, 1.0));
+        assert_ne!(after(&mut relief, 20, 0.135, SAVES), [false; 6]);
+        [2, 3].iter().for_each(|at_s| relief.head(&head(*at_s, 0.0)));
+        assert_eq!(after(&mut relief, 200, 0.1, SAVES), [false; 6]);
     }
 
     #[test]

@@ -138,7 +138,10 @@ impl<U: Updates> Viewer<U> {
 
     /// What its client has told.
     pub fn apply(&mut self, reported: Reported) {
-        reported.head.into_iter().for_each(|head| self.updates.head(head));
+        if let Some(head) = reported.head {
+            self.relief.head(&head);
+            self.updates.head(head);
+        }
         reported.displayed.iter().for_each(|report| self.updates.displayed(report));
         self.refresh |= reported.refresh;
         reported.watching.into_iter().for_each(|is_watched| self.watch(is_watched));

@@ -58,6 +58,10 @@ struct Lists {
 
 /// Half the texels of a block, along a side.
 const FEWER_TEXELS: f32 = std::f32::consts::FRAC_1_SQRT_2;
+/// On a slow device new blocks begin with this part of the texels for a pixel: else many that come at once take long.
+const NEW_PART: f32 = 0.35;
+/// On a slow device LODs change with an update for this part of what is seen, and for the instance that makes it so much.
+const SWITCHED_PART: u64 = 16;
 /// Factor on the error of coarser LODs.
 const COARSER_ERROR: f32 = 4.0;
 /// Part of what is seen that may be missing until the next update, before coarser LODs are shown.
@@ -98,6 +102,7 @@ impl PlacementStep {
     /// What updates do without from now on.
     pub(crate) fn set_measures(&mut self, measures: Measures) {
         self.measures = measures;
+        self.layout.begin_blocks_with(if measures.are_some() { NEW_PART } else { 1.0 });
     }
 
     /// Texels for a pixel that extents are measured with.
@@ -220,9 +225,18 @@ impl PlacementStep {
         let stays = shown.iter().filter(|(instance, _)| !waits(*instance)).map(|(_, patch)| *patch);
         self.residency.reserve_what_fits(geometry, stays, left);
         let mut least: Option<&[ScenePatch]> = None;
+        let texels =
+            |patches: &[ScenePatch]| patches.iter().map(|patch| layout.seen_texels(*patch)).sum::<u64>();
+        // All blocks of another LOD are new: where that takes too long, a few instances at a time.
+        let most_texels = match self.measures.are_some() {
+            true => shown.iter().map(|(_, patch)| layout.seen_texels(*patch)).sum::<u64>() / SWITCHED_PART,
+            false => u64::MAX,
+        };
+        let mut switched_texels = 0;
         for lod in next.iter() {
             let seen = layout.seen_of(lod);
-            if self.residency.reserve(geometry, seen.iter().copied(), left) {
+            if switched_texels < most_texels && self.residency.reserve(geometry, seen.iter().copied(), left) {
+                switched_texels += texels(seen);
                 lods.switch(lod.instance);
                 detail.switched(lod.instance);
                 continue;

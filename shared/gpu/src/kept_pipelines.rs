@@ -5,10 +5,9 @@
 
 use crate::Gpu;
 use ash::vk;
-use shadecast_system::{owner, write_atomically};
-use std::fmt::Write as _;
+use shadecast_system::{PendingFile, owner};
 use std::hash::Hasher;
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -78,7 +77,9 @@ impl Gpu {
             return Err(io::Error::other("other users can write to its folder; run chmod go-w on it"));
         }
         data.extend(new.to_le_bytes());
-        write_atomically(&kept.file, &data)
+        let mut file = PendingFile::create_private(&kept.file)?;
+        file.write_all(&data)?;
+        file.commit()
     }
 
     /// For pipelines that are made; null where none are kept.
@@ -87,12 +88,8 @@ impl Gpu {
     }
 
     fn pipelines_file(&self, program: &str) -> String {
-        let mut name = format!("pipelines-{program}-");
-        for byte in &self.pipelines_header()[8..] {
-            // A string takes whatever is written.
-            let _ = write!(name, "{byte:02x}");
-        }
-        name + ".bin"
+        let device: String = self.pipelines_header()[8..].iter().map(|byte| format!("{byte:02x}")).collect();
+        format!("pipelines-{program}-{device}.bin")
     }
 
     /// What this driver's data begin with.

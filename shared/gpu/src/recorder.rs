@@ -99,9 +99,8 @@ impl CommandSlot {
             let commands = device.allocate_command_buffers(&info).doing("allocating a command buffer")?[0];
             let fence =
                 device.create_fence(&vk::FenceCreateInfo::default(), None).doing("creating a fence")?;
-            let info = vk::QueryPoolCreateInfo::default()
-                .query_type(vk::QueryType::TIMESTAMP)
-                .query_count(QUERIES);
+            let info =
+                vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(QUERIES);
             let queries = device.create_query_pool(&info, None).doing("creating a query pool")?;
             let scopes = Vec::with_capacity(MAX_TIMED_SCOPES as usize);
             Ok(Self { pool, commands, fence: Arc::new(fence), queries, scopes, lane: Lane::Main, serial: 0 })

@@ -2,8 +2,8 @@
 
 use generated::{ADD_COMP, AddPush};
 use shadecast_gpu::{
-    Access, Attachment, Bind, BindGroup, Buffer, ComputePipeline, DesktopDevice, Framebuffer, Gpu, GpuOptions,
-    Image, ImageDesc, Memory, Needs, RenderPass, RenderPassDesc, vk,
+    Access, Attachment, Bind, BindGroup, Buffer, ComputePipeline, DesktopDevice, Framebuffer, Gpu,
+    GpuOptions, Image, ImageDesc, Memory, Needs, RenderPass, RenderPassDesc, vk,
 };
 use std::sync::Arc;
 use std::time::Duration;

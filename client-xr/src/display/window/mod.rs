@@ -33,7 +33,7 @@ use std::time::Duration;
 /// How long a window that shows nothing sleeps.
 const HIDDEN_WAIT: Duration = Duration::from_millis(10);
 /// Without a GPU a server may need the same cores: the part of a frame's time that it gets after each.
-const REST_PART: f64 = 0.15;
+const REST_PART: f64 = 0.3;
 const FORMAT: vk::Format = REQUIRED.eye_formats[0];
 
 /// How the window is opened.

@@ -176,7 +176,6 @@ pub fn run_timeline(
     say: &Say<'_>,
 ) -> anyhow::Result<StreamStats> {
     let trace = options.trace.as_deref().map(Trace::create).transpose()?;
-    say("Compiling pipelines");
     let mut studio = GpuStudio::rehearsed(device, timeline, reopen, options)?;
     let (handle, events, _announcement) = listen(options, studio.rehearsal_s(), say)?;
     let terms = offer(&studio.device()?.scene, options.atlas_extent_texels, options.rate_hz, 0);
