@@ -305,7 +305,7 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
     let output = Output::start().context("starting to write")?;
     let voice = output.voice();
     let say = |line: &str| voice.say(line);
-    say("Compiling pipelines");
+    note("compiling pipelines");
     let stats = run(Device { gpu, scene }, &reopen, &options, cancel.flag(), &say)?;
     voice.say(&format!("{} updates, {:.1} a second", stats.updates, stats.server_fps));
     if let Some(last) = stats.viewers.last() {

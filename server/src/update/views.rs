@@ -20,18 +20,15 @@ pub(crate) struct ViewsBuffer {
     /// Read by the passes of visibility.
     pub buffer: Buffer,
     eye: EyeSize,
-    id_buffer_extent: [f32; 2],
+    /// Of the ID buffer that the next views are drawn to, pixels.
+    pub extent: [u32; 2],
 }
 
 impl ViewsBuffer {
     /// For eyes that are drawn into an ID buffer of this extent.
     pub(crate) fn new(gpu: &Arc<Gpu>, eye: EyeSize, id_buffer_extent: [u32; 2]) -> Result<Self, GpuError> {
         let bytes = u64::from(ID_BUFFER_VIEWS) * size_of::<ViewGpu>() as u64;
-        Ok(Self {
-            buffer: Buffer::new(gpu, "views", bytes, Memory::Upload)?,
-            eye,
-            id_buffer_extent: id_buffer_extent.map(|side| side as f32),
-        })
+        Ok(Self { buffer: Buffer::new(gpu, "views", bytes, Memory::Upload)?, eye, extent: id_buffer_extent })
     }
 
     /// Writes the views of an update. Returns the number of turned frusta of each eye; 0: each is drawn as it is.
@@ -65,7 +62,7 @@ impl ViewsBuffer {
 
     /// Shift of the samples of one of so many views, in a round of updates.
     fn shift_ndc(&self, number: u32, view: u32, views: u32) -> [f32; 2] {
-        shift_ndc(number, view, views, self.id_buffer_extent)
+        shift_ndc(number, view, views, self.extent.map(|side| side as f32))
     }
 
     /// `shown`: the part that the display shows, and its texels a tangent.

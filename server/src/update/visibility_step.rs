@@ -26,7 +26,7 @@ use crate::visibility::passes::spread::Spread;
 use crate::visibility::predict::PredictedViews;
 use crate::visibility::sweep::{Glance, Sweep};
 use crate::world::{Sampled, ViewerId, World};
-use shadecast_gpu::{Access, GpuError, Recorder, Ticket, Timings};
+use shadecast_gpu::{Access, GpuError, Part, Recorder, Ticket, Timings};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::time::ServerTime;
 use shadecast_shaders::generated::SeenGpu;
@@ -182,6 +182,9 @@ const RARE_NS: i64 = 100_000_000;
 const RING_NS: i64 = 60_000_000;
 const MOST_RINGS: i64 = 8;
 
+/// Sides of a workgroup of `mark.comp`.
+const MARK_WORKGROUP: u32 = 8;
+
 impl VisibilityStep {
     /// For a viewer of `world`, whose client's memory is as it begins.
     pub(crate) fn new(
@@ -232,6 +235,7 @@ impl VisibilityStep {
         self.needs.set_lods(self.detail.finest());
         let sampled = world.animate(&mut recorder, self.viewer, views, &self.needs); // 2
         world.effort_mut().add_animation(began);
+        self.views.extent = self.ids_extent();
         self.turned_frusta = self.views.write(views, start.update, start.texels_per_pixel);
         self.pass_times = self.times_of_passes(world, &start);
         let pass = self.submit_view_pass(recorder, world, (&sampled, views))?; // 3
@@ -374,6 +378,7 @@ impl VisibilityStep {
         self.extents.record_start(&mut recorder);
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
         recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
+        let part = Part { extent: self.views.extent, first_alone: one_eye };
         for (time, place) in places.into_iter().enumerate().filter(|(time, _)| times[*time]) {
             let [now, next] = scenes;
             let drawn = [Some(now), Some(next).filter(|next| !next.is_empty())];
@@ -381,11 +386,11 @@ impl VisibilityStep {
             let all = all.flat_map(|drawn| first_views(time, turned_frusta).map(move |first| (drawn, first)));
             for (drawn, first_view) in all {
                 recorder.scope("id buffer", |r| {
-                    let pass = Pass { lods: drawn, place, first_view, first_alone: one_eye, within };
+                    let pass = Pass { lods: drawn, place, first_view, part, within };
                     self.id_buffer.record(r, scene, animation, pass);
                 });
                 recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
-                recorder.scope("mark", |r| self.mark.record(r, one_eye));
+                recorder.scope("mark", |r| self.mark.record(r, part));
                 recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the next one draws over the ID buffer
             }
         }
@@ -401,6 +406,15 @@ impl VisibilityStep {
         });
         recorder.barrier(Access::COMPUTE_WRITE, Access::HOST_READ);
         recorder.submit()
+    }
+
+    /// Pixels of the ID buffer that the next views are drawn to.
+    fn ids_extent(&self) -> [u32; 2] {
+        let whole = self.id_buffer.image.desc().extent;
+        match self.measures.has(Measure::FewerIds) {
+            true => whole.map(|side| (side / 2).next_multiple_of(MARK_WORKGROUP).min(side)),
+            false => whole,
+        }
     }
 
     /// The times that may show something that another does not: one of them where the head and all in view stand still.

@@ -66,14 +66,15 @@ fn ids(
     animation.record_sample(&mut recorder, RingPlace(0), WorldTime(731_000_000));
     recorder.barrier(Access::COMPUTE_WRITE, Access::GRAPHICS_READ);
     let within = (&clusters, &sight);
-    let mut pass = Pass { lods: lods.all(), place: RingPlace(0), first_view: 4, first_alone: false, within };
+    let mut pass =
+        Pass { lods: lods.all(), place: RingPlace(0), first_view: 4, part: id_buffer.whole(), within };
     id_buffer.record(&mut recorder, scene, &animation, pass);
     if first_alone {
         // From other eyes in between, so that what was there is not what is compared.
         pass.first_view = 0;
         recorder.barrier(Access::COLOR_WRITE, Access::COLOR_WRITE);
         id_buffer.record(&mut recorder, scene, &animation, pass);
-        (pass.first_view, pass.first_alone) = (4, true);
+        (pass.first_view, pass.part.first_alone) = (4, true);
         recorder.barrier(Access::COLOR_WRITE, Access::COLOR_WRITE);
         id_buffer.record(&mut recorder, scene, &animation, pass);
     }

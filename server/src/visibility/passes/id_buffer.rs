@@ -65,8 +65,8 @@ pub struct Pass<'a> {
     pub place: RingPlace,
     /// The left eye's; the right one's follows.
     pub first_view: u32,
-    /// No other view is drawn: both eyes are one.
-    pub first_alone: bool,
+    /// Pixels of each view, from the first corner on, and whether no other view is drawn: both eyes are one.
+    pub part: Part,
     /// What stands still, and what can be seen of it.
     pub within: (&'a Clusters, &'a Sight),
 }
@@ -140,6 +140,11 @@ impl IdBuffer {
         Ok(Self { pass, geometry, group, target, image, _depth: depth })
     }
 
+    /// Both views, whole.
+    pub fn whole(&self) -> Part {
+        Part { extent: self.image.desc().extent, first_alone: false }
+    }
+
     /// Draws what is `lods`, as it is in `place`, into the two views from `first_view` on, or into that alone: of what stands still
     /// no more than is in sight.
     pub fn record(
@@ -147,7 +152,7 @@ impl IdBuffer {
         recorder: &mut Recorder,
         scene: &SceneGpu,
         animation: &Animation,
-        Pass { lods, place, first_view, first_alone, within }: Pass<'_>,
+        Pass { lods, place, first_view, part, within }: Pass<'_>,
     ) {
         let clears = [vk::ClearValue::default(), vk::ClearValue::default()]; // no patch; far, which is 0
         let base = |number: usize| animation.position_base(number, place);
@@ -155,7 +160,6 @@ impl IdBuffer {
             let at = lods.binary_search_by_key(&number, |lod| lod.instance).ok()?;
             base(number).is_some().then_some(lods[at])
         };
-        let part = Part { extent: self.image.desc().extent, first_alone };
         recorder.begin_pass_of(&self.pass, &self.target, &clears, part);
         self.geometry.record_runs(
             recorder,

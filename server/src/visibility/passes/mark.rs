@@ -2,7 +2,8 @@
 
 use ash::vk;
 use shadecast_gpu::{
-    Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Image, Memory, Recorder, Sampler, SamplerDesc,
+    Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, Image, Memory, Part, Recorder, Sampler,
+    SamplerDesc,
 };
 use shadecast_shaders::generated::MARK_COMP;
 use std::sync::Arc;
@@ -14,7 +15,6 @@ pub struct Mark {
     _sampler: Sampler,
     /// One word per entry: 1 where it is visible.
     pub visible: Buffer,
-    extent: [u32; 2],
 }
 
 impl Mark {
@@ -27,12 +27,12 @@ impl Mark {
             pipeline.layout(),
             &[("id_buffer", Bind::Sampled(id_buffer, &sampler)), ("Visible", Bind::Buffer(&visible))],
         )?;
-        Ok(Self { pipeline, group, _sampler: sampler, visible, extent: id_buffer.desc().extent })
+        Ok(Self { pipeline, group, _sampler: sampler, visible })
     }
 
-    /// Marks what the ID buffer shows, in its first layer alone or in both.
-    pub fn record(&self, recorder: &mut Recorder, first_alone: bool) {
-        let [width, height] = self.extent;
+    /// Marks what a part of the ID buffer shows, in its first layer alone or in both. Its sides are the buffer's, or multiples of a
+    /// workgroup's: what lies beyond is of another update.
+    pub fn record(&self, recorder: &mut Recorder, Part { extent: [width, height], first_alone }: Part) {
         let layers = if first_alone { 1 } else { 2 };
         recorder.dispatch(&self.pipeline, &self.group, &[0u32; 0], [width, height, layers]);
     }
