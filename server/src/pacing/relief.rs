@@ -1,9 +1,10 @@
-//! Measures that make updates faster, on a device too slow for eight updates a second. Pure: the time of each update comes in, the measures in
-//! force come out.
+//! Measures that make updates faster, on a device too slow for eight updates a second, or for seven where the head is still. Pure: the time
+//! of each update comes in, and the head's states. The measures in force come out.
 //!
 //! Measures are taken in the order of [`Measure::ALL`], from the least visible on, while updates take too long. A device that is slow
-//! at its rehearsal begins with all of them. The worth of each is measured: the time of updates before and after. A measure that
-//! saves too little is given up, and not tried again for a while. The last measure ends when its time would fit again.
+//! at its rehearsal begins with all of them, and gives them up one by one, the last first. The worth of each is measured so: the time of
+//! updates before and after. A measure that saves too little stays given up for a while. The last measure ends when its time would fit
+//! again.
 
 use shadecast_protocol::message::HeadState;
 use shadecast_protocol::time::ServerTime;
