@@ -162,6 +162,26 @@ fn before_the_first_bundle_both_eyes_see_the_waiting_room() {
 }
 
 #[test]
+fn a_rehearsal_is_unseen_and_leaves_no_memory() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    let held_bytes =
+        |client: &Client| client.presenter.gpu().memory().iter().map(|used| used.bytes).sum::<u64>();
+    let before = held_bytes(&client);
+    client.presenter.rehearse().expect("every stage runs");
+    for _ in 0..4 {
+        assert_eq!(frame(&mut client).update, None, "nothing of it is displayed");
+    }
+    client.presenter.gpu().destroy_retired(); // as the intake does
+    assert!(held_bytes(&client) <= before, "{} and {before} bytes", held_bytes(&client));
+    let mut line = Line::connect(&mut client);
+    line.send(static_patches(), &planes([0, 64]), true);
+    (0..3).for_each(|_| drop(line.frame(&mut client)));
+    assert_eq!(line.frame(&mut client).update, Some(UpdateId(0)), "a session goes on as without it");
+    finish(&run, client);
+}
+
+#[test]
 fn both_eyes_see_patches_in_place_and_in_colour() {
     let run = Run::new(MockConfig::default());
     let mut client = run.client();

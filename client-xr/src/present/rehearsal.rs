@@ -25,7 +25,7 @@ const DRAWN: Drawable = Drawable { opaque: 3, cutouts: [3, 3], withheld_patches:
 /// Patches that have room for them.
 const PATCH_SLOTS: u32 = 2;
 
-/// Draws the frame and waits for it. Nothing of it stays.
+/// Draws the frame and waits for it. Nothing of it stays once the next frames have been drawn.
 ///
 /// # Errors
 /// Those of the device.
@@ -45,8 +45,7 @@ pub(crate) fn rehearse(renderer: &mut Renderer) -> Result<(), GpuError> {
     };
     gpu.wait(recorder.submit()?)?;
     stages.hands.write(FLIGHT, [None; 2]);
-    drop((scene, image));
-    gpu.destroy_retired();
+    drop((scene, image)); // with the next display frames
     Ok(())
 }
 
