@@ -229,7 +229,9 @@ impl PlacementStep {
             |patches: &[ScenePatch]| patches.iter().map(|patch| layout.seen_texels(*patch)).sum::<u64>();
         // All blocks of another LOD are new: where that takes too long, a few instances at a time.
         let most_texels = match self.measures.are_some() {
-            true => shown.iter().map(|(_, patch)| layout.seen_texels(*patch)).sum::<u64>() / SWITCHED_PART,
+            true => {
+                1 + shown.iter().map(|(_, patch)| layout.seen_texels(*patch)).sum::<u64>() / SWITCHED_PART
+            }
             false => u64::MAX,
         };
         let mut switched_texels = 0;
