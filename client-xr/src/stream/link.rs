@@ -6,7 +6,6 @@ use super::watch::Watch;
 use crate::decode::decoding::{self, DecodeTiming, Decoded, Decoding};
 use crate::decode::{Decoder, Picture};
 use crate::report::FrameReport;
-use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::clock::ClockEstimate;
 use shadecast_protocol::message::{
     Capabilities, ClientHello, Displayed, HeadState, ResumeSecret, Welcome, sayable_period_ns,
@@ -72,11 +71,8 @@ impl Link {
             return;
         };
         let hello = ClientHello {
-            protocol_version: PROTOCOL_VERSION,
-            min_protocol_version: PROTOCOL_VERSION,
-            app_version: env!("CARGO_PKG_VERSION").to_owned(),
-            capabilities: capabilities(eyes, period_ns),
             resume: self.resume,
+            ..ClientHello::new(env!("CARGO_PKG_VERSION"), capabilities(eyes, period_ns))
         };
         self.serial += 1;
         let session = ClientSession::start(hello, now);

@@ -182,9 +182,6 @@ const RARE_NS: i64 = 100_000_000;
 const RING_NS: i64 = 60_000_000;
 const MOST_RINGS: i64 = 8;
 
-/// Sides of a workgroup of `mark.comp`.
-const MARK_WORKGROUP: u32 = 8;
-
 impl VisibilityStep {
     /// For a viewer of `world`, whose client's memory is as it begins.
     pub(crate) fn new(
@@ -412,7 +409,7 @@ impl VisibilityStep {
     fn ids_extent(&self) -> [u32; 2] {
         let whole = self.id_buffer.image.desc().extent;
         match self.measures.has(Measure::FewerIds) {
-            true => whole.map(|side| (side / 2).next_multiple_of(MARK_WORKGROUP).min(side)),
+            true => self.mark.half_of(whole),
             false => whole,
         }
     }

@@ -7,10 +7,11 @@ use crate::PROTOCOL_VERSION;
 use crate::atlas::AtlasExtent;
 use crate::ids::{DiscontinuityId, UpdateId};
 use crate::limits::{
-    ATLAS_MIN_SIDE, DEFAULT_ARENA_WORDS, DEFAULT_REST_VERTICES, DEFAULT_SAMPLE_RING, MAX_ARENA_WORDS,
-    MAX_CODECS, MAX_CONTROL_BYTES, MAX_COORDINATE_M, MAX_DATAGRAM_BYTES, MAX_EYE_EXTENT_PIXELS,
-    MAX_EYE_PIXELS, MAX_KEPT_SAMPLES, MAX_PATCH_SLOTS, MAX_POSE_PLACES, MAX_REST_VERTICES, MAX_SAMPLE_RING,
-    MAX_SAMPLED_SLOTS, MAX_SPEED, MAX_TEXT_BYTES, MAX_TRIANGLES, MAX_VERTEX_SLOTS, MIN_SAMPLE_RING,
+    ATLAS_MAX_EXTENT, ATLAS_MIN_SIDE, DEFAULT_ARENA_WORDS, DEFAULT_REST_VERTICES, DEFAULT_SAMPLE_RING,
+    MAX_ARENA_WORDS, MAX_CODECS, MAX_CONTROL_BYTES, MAX_COORDINATE_M, MAX_DATAGRAM_BYTES,
+    MAX_EYE_EXTENT_PIXELS, MAX_EYE_PIXELS, MAX_KEPT_SAMPLES, MAX_PATCH_SLOTS, MAX_POSE_PLACES,
+    MAX_REST_VERTICES, MAX_SAMPLE_RING, MAX_SAMPLED_SLOTS, MAX_SPEED, MAX_TEXT_BYTES, MAX_TRIANGLES,
+    MAX_VERTEX_SLOTS, MIN_SAMPLE_RING,
 };
 use crate::pose::{Eye, Pose};
 use crate::text::printable;
@@ -78,6 +79,19 @@ pub struct ClientHello {
     pub resume: Option<ResumeSecret>,
 }
 
+impl ClientHello {
+    /// That of a client of this version of the protocol alone, which was not served before.
+    pub fn new(app_version: &str, capabilities: Capabilities) -> Self {
+        Self {
+            protocol_version: PROTOCOL_VERSION,
+            min_protocol_version: PROTOCOL_VERSION,
+            app_version: app_version.to_owned(),
+            capabilities,
+            resume: None,
+        }
+    }
+}
+
 /// Lets a client that was served come back to its place before others: random, and new with every welcome.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ResumeSecret(pub [u8; 16]);
@@ -110,6 +124,23 @@ pub struct Capabilities {
     pub eye_extent_pixels: [u32; 2],
     /// Nanoseconds from one display frame to the next.
     pub display_period_ns: i64,
+}
+
+impl Capabilities {
+    /// Those of a client that holds as much of geometry as any may, and of motion as much as usual.
+    pub fn most(eyes: [Eye; 2], eye_extent_pixels: [u32; 2], display_period_ns: i64) -> Self {
+        Self {
+            max_atlas_extent: ATLAS_MAX_EXTENT,
+            max_vertex_slots: MAX_VERTEX_SLOTS,
+            max_patch_slots: MAX_PATCH_SLOTS,
+            max_triangles: MAX_TRIANGLES,
+            motion: MotionMemory::DEFAULT,
+            codecs: vec![Codec::H264],
+            eyes,
+            eye_extent_pixels,
+            display_period_ns,
+        }
+    }
 }
 
 /// What a client keeps of how vertices move: to skin them by itself, and of what is sent step by step. The server decides what

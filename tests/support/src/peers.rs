@@ -4,7 +4,6 @@ use glam::Vec3;
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::ids::DiscontinuityId;
-use shadecast_protocol::limits::ATLAS_MAX_EXTENT;
 use shadecast_protocol::message::{
     Capabilities, ClientHello, Codec, Environment, HeadState, MotionMemory, ResumeSecret, ServerOffer,
 };
@@ -21,23 +20,13 @@ pub fn eyes() -> [Eye; 2] {
 
 /// Of a client with a small display that takes the largest atlas.
 pub fn hello() -> ClientHello {
-    ClientHello {
-        protocol_version: PROTOCOL_VERSION,
-        min_protocol_version: PROTOCOL_VERSION,
-        app_version: "test".into(),
-        capabilities: Capabilities {
-            max_atlas_extent: ATLAS_MAX_EXTENT,
-            max_vertex_slots: 1000,
-            max_patch_slots: 1000,
-            max_triangles: 6000,
-            motion: MotionMemory::DEFAULT,
-            codecs: vec![Codec::H264],
-            eyes: eyes(),
-            eye_extent_pixels: [64, 64],
-            display_period_ns: 13_888_888,
-        },
-        resume: None,
-    }
+    let capabilities = Capabilities {
+        max_vertex_slots: 1000,
+        max_patch_slots: 1000,
+        max_triangles: 6000,
+        ..Capabilities::most(eyes(), [64, 64], 13_888_888)
+    };
+    ClientHello::new("test", capabilities)
 }
 
 /// Of a server with the smallest atlas, at 30 updates a second.

@@ -7,15 +7,10 @@ use clap::Args;
 use glam::Vec3;
 use serde::Serialize;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Memory, Needs};
-use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::ids::DiscontinuityId;
-use shadecast_protocol::limits::{
-    ATLAS_MAX_EXTENT, DEFAULT_PATCH_SLOTS, DEFAULT_TRIANGLES, DEFAULT_VERTEX_SLOTS,
-};
-use shadecast_protocol::message::{
-    Capabilities, ClientHello, Codec, HeadState, MotionMemory, Welcome, negotiate,
-};
+use shadecast_protocol::limits::{DEFAULT_PATCH_SLOTS, DEFAULT_TRIANGLES, DEFAULT_VERTEX_SLOTS};
+use shadecast_protocol::message::{Capabilities, ClientHello, HeadState, Welcome, negotiate};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_server::atlas::surround::DEFAULT_SURROUND;
@@ -123,23 +118,12 @@ fn viewer(scene: &SceneGpu, args: &MemoryArgs) -> anyhow::Result<(Welcome, Capab
         fov: Fov::symmetric_degrees(90.0),
     };
     let capabilities = Capabilities {
-        max_atlas_extent: ATLAS_MAX_EXTENT,
         max_vertex_slots: DEFAULT_VERTEX_SLOTS,
         max_patch_slots: DEFAULT_PATCH_SLOTS,
         max_triangles: DEFAULT_TRIANGLES,
-        motion: MotionMemory::DEFAULT,
-        codecs: vec![Codec::H264],
-        eyes: [eye(-0.0315), eye(0.0315)],
-        eye_extent_pixels: args.size,
-        display_period_ns: 13_888_889,
+        ..Capabilities::most([eye(-0.0315), eye(0.0315)], args.size, 13_888_889)
     };
-    let hello = ClientHello {
-        protocol_version: PROTOCOL_VERSION,
-        min_protocol_version: PROTOCOL_VERSION,
-        app_version: env!("CARGO_PKG_VERSION").into(),
-        capabilities: capabilities.clone(),
-        resume: None,
-    };
+    let hello = ClientHello::new(env!("CARGO_PKG_VERSION"), capabilities.clone());
     let welcome = negotiate(&hello, &offer(scene, args.atlas, 30.0, 0))
         .map_err(|refused| anyhow::anyhow!("{}; {}", refused.reason, refused.remedy))?;
     Ok((welcome, capabilities))

@@ -6,11 +6,9 @@ use crate::update::ViewerUpdates;
 use crate::world::{ViewerId, World};
 use glam::Vec3;
 use shadecast_gpu::GpuError;
-use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::ids::DiscontinuityId;
-use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS};
-use shadecast_protocol::message::{Capabilities, ClientHello, Codec, HeadState, MotionMemory, negotiate};
+use shadecast_protocol::message::{Capabilities, ClientHello, HeadState, negotiate};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::time::ServerTime;
 use shadecast_system::monotonic_now_ns;
@@ -34,14 +32,9 @@ pub(super) fn rehearse(
         head_from_eye: Pose { position: Vec3::new(x, 0.0, 0.0), ..Pose::IDENTITY },
         fov: Fov::symmetric_degrees(FOV_DEGREES),
     };
-    let capabilities = capabilities([eye(-HALF_PUPILS_M), eye(HALF_PUPILS_M)]);
-    let hello = ClientHello {
-        protocol_version: PROTOCOL_VERSION,
-        min_protocol_version: PROTOCOL_VERSION,
-        app_version: env!("CARGO_PKG_VERSION").into(),
-        capabilities,
-        resume: None,
-    };
+    let eyes = [eye(-HALF_PUPILS_M), eye(HALF_PUPILS_M)];
+    let capabilities = Capabilities::most(eyes, EXTENT_PIXELS, DISPLAY_PERIOD_NS);
+    let hello = ClientHello::new(env!("CARGO_PKG_VERSION"), capabilities);
     let offer = offer(world.scene(), AtlasExtent::MIN, options.rate_hz, 0);
     let welcome = negotiate(&hello, &offer).expect("the server's own offer suits a client that takes all");
     let mut updates =
@@ -66,18 +59,4 @@ pub(super) fn rehearse(
     all_in_use();
     updates.leave(world);
     Ok(took_ns)
-}
-
-fn capabilities(eyes: [Eye; 2]) -> Capabilities {
-    Capabilities {
-        max_atlas_extent: ATLAS_MAX_EXTENT,
-        max_vertex_slots: MAX_VERTEX_SLOTS,
-        max_patch_slots: MAX_PATCH_SLOTS,
-        max_triangles: MAX_TRIANGLES,
-        motion: MotionMemory::DEFAULT,
-        codecs: vec![Codec::H264],
-        eyes,
-        eye_extent_pixels: EXTENT_PIXELS,
-        display_period_ns: DISPLAY_PERIOD_NS,
-    }
 }

@@ -30,6 +30,12 @@ impl Mark {
         Ok(Self { pipeline, group, _sampler: sampler, visible })
     }
 
+    /// About half of each side of an ID buffer of `extent`, as [`Self::record`] takes it.
+    pub(crate) fn half_of(&self, extent: [u32; 2]) -> [u32; 2] {
+        let workgroup = self.pipeline.workgroup();
+        [0, 1].map(|axis| (extent[axis] / 2).next_multiple_of(workgroup[axis]).min(extent[axis]))
+    }
+
     /// Marks what a part of the ID buffer shows, in its first layer alone or in both. Its sides are the buffer's, or multiples of a
     /// workgroup's: what lies beyond is of another update.
     pub fn record(&self, recorder: &mut Recorder, Part { extent: [width, height], first_alone }: Part) {

@@ -3,12 +3,8 @@
 
 use anyhow::Context;
 use glam::{Quat, Vec3};
-use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::ids::{DiscontinuityId, UpdateId};
-use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS};
-use shadecast_protocol::message::{
-    Capabilities, ClientHello, Codec, Displayed, HeadState, MotionMemory, ResumeSecret,
-};
+use shadecast_protocol::message::{Capabilities, ClientHello, Displayed, HeadState, ResumeSecret};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
 use shadecast_protocol::time::ClientTime;
@@ -41,23 +37,8 @@ pub(crate) fn eyes() -> [Eye; 2] {
 
 /// What a client with a small display says first.
 pub(crate) fn hello() -> ClientHello {
-    ClientHello {
-        protocol_version: PROTOCOL_VERSION,
-        min_protocol_version: PROTOCOL_VERSION,
-        app_version: env!("CARGO_PKG_VERSION").to_owned(),
-        capabilities: Capabilities {
-            max_atlas_extent: ATLAS_MAX_EXTENT,
-            max_vertex_slots: MAX_VERTEX_SLOTS,
-            max_patch_slots: MAX_PATCH_SLOTS,
-            max_triangles: MAX_TRIANGLES,
-            motion: MotionMemory::DEFAULT,
-            codecs: vec![Codec::H264],
-            eyes: eyes(),
-            eye_extent_pixels: [128, 128],
-            display_period_ns: DISPLAY_PERIOD_NS,
-        },
-        resume: None,
-    }
+    let capabilities = Capabilities::most(eyes(), [128, 128], DISPLAY_PERIOD_NS);
+    ClientHello::new(env!("CARGO_PKG_VERSION"), capabilities)
 }
 
 /// A head at eye height that turns slowly from side to side.

@@ -35,8 +35,7 @@ use shadecast_mock_runtime::clock::period_begin_ns;
 use shadecast_mock_runtime::config::MockConfig;
 use shadecast_mock_runtime::head_path::HeadPath;
 use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_protocol::limits::ATLAS_MAX_EXTENT;
-use shadecast_protocol::message::{Capabilities, ClientHello, Codec, MotionMemory, ServerOffer};
+use shadecast_protocol::message::{Capabilities, ClientHello, Codec, ServerOffer};
 use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::session::Out;
 use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, ServerTime, WorldTime};
@@ -568,23 +567,15 @@ pub fn hello(options: &RunOptions, eye_extent_pixels: [u32; 2]) -> ClientHello {
         head_from_eye: Pose { position: glam::Vec3::new(x, 0.0, 0.0), ..Pose::IDENTITY },
         fov: Fov::symmetric_degrees(options.fov_degrees),
     };
-    ClientHello {
-        protocol_version: shadecast_protocol::PROTOCOL_VERSION,
-        min_protocol_version: shadecast_protocol::PROTOCOL_VERSION,
-        app_version: env!("CARGO_PKG_VERSION").into(),
-        capabilities: Capabilities {
-            max_atlas_extent: ATLAS_MAX_EXTENT,
-            max_vertex_slots: options.room.vertices,
-            max_patch_slots: options.room.patches,
-            max_triangles: options.room.triangles,
-            motion: MotionMemory::DEFAULT,
-            codecs: options.medium().codecs.to_vec(),
-            eyes: [eye(-0.0315), eye(0.0315)],
-            eye_extent_pixels,
-            display_period_ns: (1e9 / options.refresh_hz) as i64,
-        },
-        resume: None,
-    }
+    let (eyes, display_period_ns) = ([eye(-0.0315), eye(0.0315)], (1e9 / options.refresh_hz) as i64);
+    let capabilities = Capabilities {
+        max_vertex_slots: options.room.vertices,
+        max_patch_slots: options.room.patches,
+        max_triangles: options.room.triangles,
+        codecs: options.medium().codecs.to_vec(),
+        ..Capabilities::most(eyes, eye_extent_pixels, display_period_ns)
+    };
+    ClientHello::new(env!("CARGO_PKG_VERSION"), capabilities)
 }
 
 /// The head path in a file; without one, a short walk.
