@@ -338,7 +338,11 @@ impl Probes {
         if !is_due || !report.is_rendered || self.failure.is_some() {
             return Ok(());
         }
-        for (view, side) in presenter.probe()?.iter().zip(["left", "right"]) {
+        let views = presenter.probe()?;
+        // A window's two eyes are one.
+        let is_one = views[0].eye.is_some() && views[0].eye == views[1].eye;
+        let eyes = if is_one { 1 } else { 2 };
+        for (view, side) in views.iter().zip(["left", "right"]).take(eyes) {
             let path = self.folder.join(format!("probe-{}-{side}.bin", report.display_time.0));
             let written = write_atomically(&path, &view.to_bytes());
             if let Err(error) = written.with_context(|| format!("writing {}", path.display())) {

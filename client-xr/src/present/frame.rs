@@ -153,7 +153,8 @@ impl Presenter {
         self.used_by(ticket);
         self.renderer.display.release_image()?;
         let drawn = content.scene.drawn;
-        self.renderer.last_drawn = content.update.map(|_| LastDrawn { eyes, drawn });
+        let seen_from = [0, 1].map(|eye| (space_from_eye[eye], views.fov[eye]));
+        self.renderer.last_drawn = content.update.map(|_| LastDrawn { eyes: seen_from, drawn });
         let report = self.finish(&turn, &views, content, Drawn::Now);
         self.renderer.display.end_frame(turn)?;
         Ok(report)

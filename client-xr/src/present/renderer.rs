@@ -9,12 +9,11 @@ use crate::draw::draw_list::Drawable;
 use crate::draw::stages::Stages;
 use crate::draw::stages::atlas_draw::Lookup;
 use crate::draw::stages::background::Backdrop;
-use crate::draw::stages::probe::{Probe, ProbeView};
+use crate::draw::stages::probe::{EyeView, Probe, ProbeView};
 use crate::draw::stages::text::{Text, panel_ahead};
 use crate::report::FrameReport;
 use shadecast_gpu::{Gpu, GpuError, Recorder, Ticket, Timings, vk};
 use shadecast_protocol::pose::Pose;
-use shadecast_shaders::generated::EyesGpu;
 use std::fmt::Write as _;
 use std::sync::Arc;
 
@@ -39,7 +38,7 @@ pub(crate) struct Renderer {
 /// What the last rendered frame showed, for the probe.
 #[derive(Clone, Copy)]
 pub(crate) struct LastDrawn {
-    pub(crate) eyes: EyesGpu,
+    pub(crate) eyes: [EyeView; 2],
     pub(crate) drawn: Drawable,
 }
 
@@ -129,7 +128,7 @@ impl Renderer {
             Some(probe) => probe,
             none => none.insert(Probe::new(&self.gpu, extent)?),
         };
-        Ok(scene.probe(probe, &last.eyes, last.drawn)?.unwrap_or_else(nothing))
+        Ok(scene.probe(probe, last.eyes, last.drawn)?.unwrap_or_else(nothing))
     }
 
     /// Waits until the device is done with all that was submitted.

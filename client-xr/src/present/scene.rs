@@ -9,7 +9,7 @@ use crate::draw::stages::atlas_draw::{BUNDLES, BundleMemory, BundleSet};
 use crate::draw::stages::batch::{BATCHES, Batch};
 use crate::draw::stages::interpolate::{self, Interpolation, Slots};
 use crate::draw::stages::pose::PoseStaging;
-use crate::draw::stages::probe::{Probe, ProbeView};
+use crate::draw::stages::probe::{EyeView, Probe, ProbeView};
 use crate::draw::stages::scatter::VertexMemory;
 use crate::handover::{Bundle, Loan};
 use crate::motion::pace::{GridTime, Pace, Span};
@@ -24,7 +24,7 @@ use shadecast_protocol::limits::MAX_INSTANCES;
 use shadecast_protocol::message::Welcome;
 use shadecast_protocol::time::{ClientTime, GridIndex, ServerTime, WorldTime};
 use shadecast_protocol::world_clock::ShownWorldClock;
-use shadecast_shaders::generated::{CornerGpu, EyesGpu, InterpolatePush, PlacedPoseGpu};
+use shadecast_shaders::generated::{CornerGpu, InterpolatePush, PlacedPoseGpu};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -308,7 +308,7 @@ impl Scene {
     pub(crate) fn probe(
         &self,
         probe: &mut Probe,
-        eyes: &EyesGpu,
+        eyes: [EyeView; 2],
         drawn: Drawable,
     ) -> Result<Option<[ProbeView; 2]>, GpuError> {
         let shown = self.shown.as_ref();

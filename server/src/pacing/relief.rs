@@ -21,6 +21,10 @@ const SETTLE_UPDATES: u32 = 2;
 const SETTLE_LODS_UPDATES: u32 = 10;
 /// Updates whose time is then compared.
 const MEASURED_UPDATES: u32 = 6;
+/// So many updates in a row that are late are judged at once: they take longer than this, and longer by a part than those before.
+const LATE_UPDATES: u32 = 2;
+const LATE_S: f64 = 1.0 / 6.0;
+const LATER_PART: f64 = 0.1;
 /// The last measure of unknown worth is given up once in so many updates, to see. First when first blocks have grown.
 const TRY_EVERY_UPDATES: u32 = 8;
 const FIRST_TRY_UPDATE: u32 = 24;
@@ -124,6 +128,11 @@ pub(crate) struct Relief {
     settles: u32,
     counted: u32,
     sum_s: f64,
+    /// The mean of those that were counted before.
+    before_s: f64,
+    /// Updates in a row that were late, and the sum of their times.
+    late: u32,
+    late_sum_s: f64,
     roomy_updates: u32,
     wait_updates: u32,
 }
@@ -147,6 +156,9 @@ impl Relief {
             settles: SETTLE_UPDATES,
             counted: 0,
             sum_s: 0.0,
+            before_s: 0.0,
+            late: 0,
+            late_sum_s: 0.0,
             roomy_updates: 0,
             wait_updates: FIRST_WAIT_UPDATES,
         }
@@ -170,17 +182,8 @@ impl Relief {
     /// An update took so long.
     pub(crate) fn note(&mut self, took_s: f64) {
         self.update += 1;
-        if self.settles > 0 {
-            self.settles -= 1;
-            return;
-        }
-        self.counted += 1;
-        self.sum_s += took_s;
-        if self.counted < MEASURED_UPDATES {
-            return;
-        }
-        let mean_s = self.sum_s / f64::from(MEASURED_UPDATES);
-        (self.counted, self.sum_s) = (0, 0.0);
+        let Some(mean_s) = self.late_mean_s(took_s).or_else(|| self.settled_mean_s(took_s)) else { return };
+        (self.counted, self.sum_s, self.before_s) = (0, 0.0, mean_s);
         if self.ends_trial(mean_s) {
             return;
         }
@@ -192,6 +195,34 @@ impl Relief {
         if !begins_trial && !is_too_slow {
             self.end_last(mean_s);
         }
+    }
+
+    /// The mean of updates that are late, where there are enough of them to act. A measure just taken is given time: LODs come as new blocks.
+    fn late_mean_s(&mut self, took_s: f64) -> Option<f64> {
+        let is_taking = self.trial.is_some_and(|trial| trial.is_taken);
+        let usual_s = self.trial.map_or(self.before_s, |trial| trial.before_s);
+        if is_taking || usual_s == 0.0 || took_s <= LATE_S.max(usual_s * (1.0 + LATER_PART)) {
+            (self.late, self.late_sum_s) = (0, 0.0);
+            return None;
+        }
+        self.late += 1;
+        self.late_sum_s += took_s;
+        if self.late < LATE_UPDATES {
+            return None;
+        }
+        self.settles = 0;
+        Some(std::mem::take(&mut self.late_sum_s) / f64::from(std::mem::take(&mut self.late)))
+    }
+
+    /// The mean of updates since the last change has settled, where there are enough of them.
+    fn settled_mean_s(&mut self, took_s: f64) -> Option<f64> {
+        if self.settles > 0 {
+            self.settles -= 1;
+            return None;
+        }
+        self.counted += 1;
+        self.sum_s += took_s;
+        (self.counted == MEASURED_UPDATES).then(|| self.sum_s / f64::from(MEASURED_UPDATES))
     }
 
     /// Judges what was tried. True where that changes the measures.
@@ -329,6 +360,18 @@ mod tests {
         assert_ne!(after(&mut relief, 20, 0.135, SAVES), [false; 7]);
         [2, 3].iter().for_each(|at_s| relief.head(&head(*at_s, 0.0)));
         assert_eq!(after(&mut relief, 200, 0.1, SAVES), [false; 7]);
+    }
+
+    #[test]
+    fn a_measure_is_taken_back_after_two_late_updates() {
+        let saves = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.4];
+        let mut relief = Relief::new(1.0 / 30.0, Some(0.2));
+        let mut without = 0;
+        for _ in 0..40 {
+            relief.note(took_s(&relief, 0.25, saves));
+            without += u32::from(!relief.measures().has(Measure::CoarsestDetail));
+        }
+        assert_eq!(without, LATE_UPDATES, "given up once, to see");
     }
 
     #[test]

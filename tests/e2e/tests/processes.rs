@@ -2,8 +2,8 @@
 
 use serde_json::Value;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
-use shadecast_lab::demo::read_probe;
 use shadecast_lab::experiments::run::mock_config;
+use shadecast_lab::probe_file::read_probe;
 use shadecast_lab::session::options::RunOptions;
 use shadecast_lab::session::runtime::prepare_runtime;
 use shadecast_mock_runtime::config::ClockKind;
@@ -76,7 +76,7 @@ impl Stage {
         while Instant::now() < deadline {
             if probes()
                 .filter(|path| !known.contains(path))
-                .any(|path| read_probe(&path).is_ok_and(|probe| probe.coverage() > 0.0))
+                .any(|path| read_probe(&path).is_ok_and(|probe| probe.view.coverage() > 0.0))
             {
                 return;
             }

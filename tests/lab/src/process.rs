@@ -7,6 +7,7 @@ use std::io::{BufRead, BufReader};
 use std::net::{SocketAddr, UdpSocket};
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 /// How long a process may take to start, to show the first picture, or to end.
@@ -21,28 +22,36 @@ pub(crate) fn free_address() -> anyhow::Result<SocketAddr> {
 pub(crate) struct Running {
     pub(crate) name: &'static str,
     child: Child,
+    /// Its output, once somebody has asked for it.
+    lines: Option<Receiver<String>>,
 }
 
 impl Running {
     pub(crate) fn start(name: &'static str, command: &mut Command) -> anyhow::Result<Self> {
         let child = interruptible(command.stdin(Stdio::null())).spawn();
-        Ok(Self { name, child: child.with_context(|| format!("starting {name}"))? })
+        Ok(Self { name, child: child.with_context(|| format!("starting {name}"))?, lines: None })
     }
 
-    /// Reads the process's output until a line holds `text`, then lets it run on unheard.
-    pub(crate) fn says(&mut self, text: &'static str) -> anyhow::Result<()> {
-        let output = self.child.stdout.take().context("its output is read once")?;
-        let (heard_to, heard) = std::sync::mpsc::channel();
-        std::thread::spawn(move || {
-            for line in BufReader::new(output).lines().map_while(Result::ok) {
-                if line.contains(text) {
-                    let _ = heard_to.send(());
-                }
-            }
+    /// Reads the process's output on until a line holds `text`. The process never waits for a reader.
+    pub(crate) fn says(&mut self, text: &str) -> anyhow::Result<()> {
+        let output = self.child.stdout.take();
+        let lines = self.lines.get_or_insert_with(|| {
+            let (said, lines) = std::sync::mpsc::channel();
+            std::thread::spawn(move || {
+                let read = output.into_iter().flat_map(|output| BufReader::new(output).lines());
+                read.map_while(Result::ok).for_each(|line| drop(said.send(line)));
+            });
+            lines
         });
-        heard
-            .recv_timeout(PATIENCE)
-            .map_err(|_| anyhow::anyhow!("{} did not start; its messages are above", self.name))
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            let left = deadline.saturating_duration_since(Instant::now());
+            match lines.recv_timeout(left) {
+                Ok(line) if line.contains(text) => return Ok(()),
+                Ok(_) => {}
+                Err(_) => bail!("{} did not say {text:?}; its messages are above", self.name),
+            }
+        }
     }
 
     pub(crate) fn is_running(&mut self) -> anyhow::Result<bool> {

@@ -1,20 +1,26 @@
 //! For measurements only: instance and distance of each pixel, without the picture (`client_probe.*`). The stage draws the
 //! bundle on display once more, with one sample per pixel, and waits for the read-back.
 
-use super::FRAMES_IN_FLIGHT;
 use super::atlas_draw::{BOTH_EYES, BundleMemory, DEPTH_FORMAT};
+use super::{FRAMES_IN_FLIGHT, eyes_gpu};
 use crate::draw::draw_list::Drawable;
 use shadecast_gpu::{
     Access, Attachment, Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline,
     GraphicsPipelineDesc, Image, ImageDesc, Memory, RenderPass, RenderPassDesc, vk,
 };
+use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_shaders::constants::FIRST_ID;
 use shadecast_shaders::generated::{CLIENT_PROBE_FRAG, CLIENT_PROBE_VERT, EyesGpu};
 use std::sync::Arc;
 
+/// Of one eye: takes its coordinates to the world's, and its frustum.
+pub type EyeView = (Pose, Fov);
+
 /// What one eye sees, row by row from the top.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProbeView {
+    /// From where; `None` where nothing was drawn.
+    pub eye: Option<EyeView>,
     /// Pixels per row.
     pub width: u32,
     /// Rows.
@@ -29,16 +35,27 @@ impl ProbeView {
     /// A view of nothing.
     pub fn empty([width, height]: [u32; 2]) -> Self {
         let pixels = (width * height) as usize;
-        Self { width, height, instance: vec![u32::MAX; pixels], distance_m: vec![f32::INFINITY; pixels] }
+        Self {
+            eye: None,
+            width,
+            height,
+            instance: vec![u32::MAX; pixels],
+            distance_m: vec![f32::INFINITY; pixels],
+        }
     }
 
-    /// Little-endian: width, height, then instances, then distances, four bytes each.
+    /// Little-endian, four bytes each: width, height, position and orientation (x, y, z, w) of the eye in the world, angles of its
+    /// frustum (left, right, up, down; all 0 where nothing was drawn), then instances, then distances.
     pub fn to_bytes(&self) -> Vec<u8> {
+        let eye = self.eye.map_or([0.0; 11], |(Pose { position: p, orientation: q }, fov)| {
+            [p.x, p.y, p.z, q.x, q.y, q.z, q.w, fov.left, fov.right, fov.up, fov.down]
+        });
         let instances = self.instance.iter().flat_map(|i| i.to_le_bytes());
         let distances = self.distance_m.iter().flat_map(|d| d.to_le_bytes());
         [self.width, self.height]
             .into_iter()
             .flat_map(u32::to_le_bytes)
+            .chain(eye.into_iter().flat_map(f32::to_le_bytes))
             .chain(instances)
             .chain(distances)
             .collect()
@@ -118,11 +135,12 @@ impl Probe {
         &mut self,
         bundle: &BundleMemory,
         positions: &Buffer,
-        eyes: &EyesGpu,
+        eyes: [EyeView; 2],
         drawn: Drawable,
     ) -> Result<[ProbeView; 2], GpuError> {
         const _: () = assert!(FRAMES_IN_FLIGHT > 0);
-        self.eyes.write(0, bytemuck::bytes_of(eyes));
+        let (world_from_eye, fov) = (eyes.map(|(pose, _)| pose), eyes.map(|(_, fov)| fov));
+        self.eyes.write(0, bytemuck::bytes_of(&eyes_gpu(world_from_eye, world_from_eye, fov)));
         let binds = [
             ("Corners", Bind::Buffer(&bundle.corners)),
             ("Positions", Bind::Buffer(positions)),
@@ -151,7 +169,7 @@ impl Probe {
         }
         recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
         self.gpu.wait(recorder.submit()?)?;
-        Ok([self.view(0), self.view(1)])
+        Ok([0, 1].map(|eye| ProbeView { eye: Some(eyes[eye]), ..self.view(eye) }))
     }
 
     fn view(&self, eye: usize) -> ProbeView {
@@ -164,6 +182,7 @@ impl Probe {
         let distances: &[f32] = bytemuck::cast_slice(part(1));
         let is_hit = |index: usize| ids[index] >= FIRST_ID;
         ProbeView {
+            eye: None,
             width,
             height,
             instance: ids.iter().map(|id| id.wrapping_sub(FIRST_ID)).collect(),

@@ -9,7 +9,7 @@ pub mod window;
 use crate::experiments::run::{compare, mock_config, progress, run, write_pictures};
 use crate::image::Rgb8Image;
 use crate::measure::compare::Comparer;
-use crate::measure::metrics::ProbeView;
+use crate::probe_file::{read_probe, read_probes};
 use crate::process::{PATIENCE, Running, free_address, program};
 use crate::report::page::Page;
 use crate::report::sheet::Sheet;
@@ -20,7 +20,7 @@ use anyhow::{Context, ensure};
 use serde_json::Value;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_mock_runtime::config::ClockKind;
-use shadecast_mock_runtime::record::{FrameRecord, read_frames};
+use shadecast_mock_runtime::record::read_frames;
 use shadecast_protocol::time::WorldTime;
 use shadecast_scene::load::{SceneSource, load_scene};
 use shadecast_server::scene::{SceneGpu, SceneOptions};
@@ -258,7 +258,9 @@ fn watch(options: &DemoOptions, probes: &Path, mut processes: [&mut Running; 2])
 /// Whether any probe in the folder holds more than background.
 fn shows_geometry(folder: &Path) -> bool {
     let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    files.map(|file| read_probe(&file.path())).any(|probe| probe.is_ok_and(|probe| probe.coverage() > 0.0))
+    files
+        .map(|file| read_probe(&file.path()))
+        .any(|probe| probe.is_ok_and(|probe| probe.view.coverage() > 0.0))
 }
 
 fn read_json(path: &Path) -> anyhow::Result<Value> {
@@ -292,7 +294,10 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
     let mut last = None;
     let mut has_begun = false;
     for record in frames.iter().filter(|record| record.captured) {
-        let Some(probes) = read_probes(out, record)? else { continue };
+        let Some(probed) = read_probes(&out.join("probe"), record.predicted_display_time_ns)? else {
+            continue;
+        };
+        let probes = probed.map(|probed| probed.view);
         has_begun |= probes.iter().any(|probe| probe.coverage() > 0.0);
         if !has_begun {
             continue; // the waiting room, before the first bundle
@@ -336,29 +341,4 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
     let atlas = Rgb8Image::read_png(&out.join("atlas.png")).ok();
     write_pictures(out, &shown, &truth, atlas.as_ref(), &stats)?;
     Ok(stats)
-}
-
-/// The client's probes of a captured frame; none for a frame that showed no bundle.
-fn read_probes(out: &Path, record: &FrameRecord) -> anyhow::Result<Option<[ProbeView; 2]>> {
-    let path =
-        |side| out.join("probe").join(format!("probe-{}-{side}.bin", record.predicted_display_time_ns));
-    if !path("left").exists() {
-        return Ok(None);
-    }
-    Ok(Some([read_probe(&path("left"))?, read_probe(&path("right"))?]))
-}
-
-/// A probe file of the client: width, height, instances, distances; little-endian words.
-///
-/// # Errors
-/// The file cannot be read, or is cut short.
-pub fn read_probe(path: &Path) -> anyhow::Result<ProbeView> {
-    let bytes = std::fs::read(path).with_context(|| format!("reading {}", path.display()))?;
-    let words: Vec<u32> =
-        bytes.chunks_exact(4).map(|c| u32::from_le_bytes([c[0], c[1], c[2], c[3]])).collect();
-    let (extent, rest) = words.split_at_checked(2).context("a probe begins with its extent")?;
-    let pixels = extent[0] as usize * extent[1] as usize;
-    ensure!(rest.len() == 2 * pixels, "{} is cut short", path.display());
-    let depth_m = rest[pixels..].iter().map(|bits| f32::from_bits(*bits)).collect();
-    Ok(ProbeView { width: extent[0], height: extent[1], instance: rest[..pixels].to_vec(), depth_m })
 }

@@ -34,7 +34,7 @@ pub struct Slow {
 }
 
 /// One device.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SlowRow {
     /// How many times slower it is than the first.
     pub slower: f64,
@@ -54,6 +54,8 @@ pub struct SlowRow {
     pub flip: f64,
     /// The same from the first picture on.
     pub flip_shown: f64,
+    /// Of each frame that was looked at: its time, seconds; holes, and animated holes where there is enough of it.
+    pub looks: Vec<(f64, f64, Option<f64>)>,
 }
 
 /// Mean and worst.
@@ -91,6 +93,7 @@ impl SlowRow {
             holes: Holes::of(shown.iter().map(|look| look.holes)),
             animated_holes: Holes::of(shown.iter().filter_map(|look| look.animated_holes)),
             flip: mean(&mut report.looks.iter().filter_map(|look| look.flip)),
+            looks: shown.iter().map(|look| (seconds(look.frame), look.holes, look.animated_holes)).collect(),
             flip_shown: mean(&mut shown.iter().filter_map(|look| look.flip)),
         }
     }

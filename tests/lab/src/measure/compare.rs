@@ -2,7 +2,7 @@
 //! vertices posed by [`crate::measure::truth`].
 
 use super::flip::pixels_per_degree;
-use super::metrics::{FrameMetrics, ProbeView, Regions, View, with_true_outlines};
+use super::metrics::{FrameMetrics, Holes, ProbeView, Regions, View, with_true_outlines};
 use super::truth::SceneTruth;
 use super::truth::moving_shadow::MovingShadow;
 use crate::image::Rgb8Image;
@@ -66,10 +66,8 @@ impl Comparer {
     pub fn measure(&mut self, shown: &Shown<'_>) -> anyhow::Result<(Rgb8Image, FrameMetrics)> {
         let &Shown { world_from_eye, fov, time, .. } = shown;
         let (picture, probe) = self.render(world_from_eye, fov, time)?;
-        let instances = &self.scene.numbering.instances;
-        let moves = |instance: &u32| instances.get(*instance as usize).is_some_and(|place| place.is_animated);
         let regions = Regions {
-            animated: probe.instance.iter().map(moves).collect(),
+            animated: probe.instance.iter().map(|instance| self.moves(*instance)).collect(),
             shadowed: self.moving_shadow.mask(&self.scene.scene, &probe, world_from_eye, fov, time),
         };
         let view = View {
@@ -85,6 +83,23 @@ impl Comparer {
             false => FrameMetrics::measure(&view)?,
         };
         Ok((picture, metrics))
+    }
+
+    /// What is missing in a view: of all geometry, and of what is animated.
+    pub fn missing(
+        &mut self,
+        world_from_eye: Pose,
+        fov: Fov,
+        time: WorldTime,
+        client: &ProbeView,
+    ) -> anyhow::Result<[Holes; 2]> {
+        let (_, truth) = self.render(world_from_eye, fov, time)?;
+        let animated: Vec<bool> = truth.instance.iter().map(|instance| self.moves(*instance)).collect();
+        Ok([Holes::measure(&truth, client)?, Holes::within(&truth, client, &animated)?])
+    }
+
+    fn moves(&self, instance: u32) -> bool {
+        self.scene.numbering.instances.get(instance as usize).is_some_and(|place| place.is_animated)
     }
 
     fn render(

@@ -337,13 +337,18 @@ fn masked_mean(values: impl IntoIterator<Item = f64>, mask: &[bool]) -> f64 {
 impl Holes {
     /// Compares what two views show. Where the truth shows no geometry, nothing can be missing.
     pub fn measure(truth: &ProbeView, client: &ProbeView) -> Result<Self, MetricsError> {
+        Self::within(truth, client, &truth.geometry_mask())
+    }
+
+    /// The same of a part of the view that shows geometry in the truth.
+    pub fn within(truth: &ProbeView, client: &ProbeView, mask: &[bool]) -> Result<Self, MetricsError> {
         truth.check("the truth's probe")?;
         client.check("the client's probe")?;
         if (truth.width, truth.height) != (client.width, client.height) {
             let [truth, got] = [truth, client].map(|probe| [probe.width, probe.height]);
             return Err(MetricsError::Extents { name: "the client's probe", truth, got });
         }
-        Ok(Self::between(truth, client, &truth.geometry_mask()))
+        Ok(Self::between(truth, client, mask))
     }
 
     /// What is missing of the pixels in the mask, all of which show geometry: all, where the client had no bundle.
