@@ -28,8 +28,10 @@ const SAMPLES_S: f64 = 0.02;
 /// The same for what is shown later: a tenth of what the link carries meanwhile.
 const LATER_S: f64 = 0.0033;
 /// New geometry that an update may bring until the first one has arrived, bytes: over a slow link the first picture would
-/// have to wait for the whole scene.
+/// have to wait for the whole scene. More where the connection's first messages went faster: what their rate carries in a part of a
+/// second.
 const FIRST_GEOMETRY_BYTES: usize = 131_072;
+const FIRST_GEOMETRY_S: f64 = 0.5;
 /// New geometry that any update may bring, bytes: the scene must enter even over the slowest link.
 const LEAST_GEOMETRY_BYTES: f64 = 16_384.0;
 /// The person is told of a slow link at most this often, and when updates have been withheld for this long, nanoseconds: a
@@ -57,6 +59,8 @@ pub struct WayState {
     pub round_trip_ns: i64,
     /// The usual one, nanoseconds.
     pub smoothed_ns: i64,
+    /// It has delivered so many bytes a second, and may carry more; 0 before anything is known.
+    pub delivered_bytes_s: u64,
 }
 
 impl From<PeerStats> for WayState {
@@ -66,6 +70,7 @@ impl From<PeerStats> for WayState {
             window_bytes: stats.window_bytes,
             round_trip_ns: stats.min_rtt.min(LONGEST_ROUND_TRIP).as_nanos() as i64,
             smoothed_ns: stats.rtt.min(LONGEST_ROUND_TRIP).as_nanos() as i64,
+            delivered_bytes_s: stats.delivered_bit_per_s / 8,
         }
     }
 }
@@ -196,7 +201,7 @@ impl UpdateGate {
     }
 
     /// What the next update may take.
-    pub(crate) fn budget(&self, now_ns: i64) -> Budget {
+    pub(crate) fn budget(&self, way: &WayState, now_ns: i64) -> Budget {
         match self.rate_bytes_s(now_ns) {
             Some(rate) => Budget {
                 geometry_bytes: (rate * GEOMETRY_S).max(LEAST_GEOMETRY_BYTES) as usize,
@@ -204,7 +209,9 @@ impl UpdateGate {
                 later_bytes: (rate * LATER_S) as usize,
             },
             None if !self.has_arrived => {
-                Budget { geometry_bytes: FIRST_GEOMETRY_BYTES, later_bytes: 0, ..Budget::UNLIMITED }
+                let carried = (way.delivered_bytes_s as f64 * FIRST_GEOMETRY_S) as usize;
+                let geometry_bytes = FIRST_GEOMETRY_BYTES.max(carried);
+                Budget { geometry_bytes, later_bytes: 0, ..Budget::UNLIMITED }
             }
             None => Budget::UNLIMITED,
         }

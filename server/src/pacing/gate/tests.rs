@@ -35,6 +35,7 @@ impl SlowLink {
             window_bytes: self.window_bytes,
             round_trip_ns: 40_000_000,
             smoothed_ns: 40_000_000,
+            delivered_bytes_s: 0,
         }
     }
 
@@ -64,7 +65,10 @@ fn a_link_that_carries_the_scene_never_holds_an_update_back() {
     let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(12.5e6));
     link.window_bytes = 500_000;
     assert_eq!(run(&mut gate, &mut link, 10, [20_000, 60_000]).len() as i64, 10_000_000_000 / PERIOD_NS);
-    assert_eq!((gate.budget(link.now_ns), gate.shortfall(link.now_ns)), (Budget::UNLIMITED, None));
+    assert_eq!(
+        (gate.budget(&link.way(), link.now_ns), gate.shortfall(link.now_ns)),
+        (Budget::UNLIMITED, None)
+    );
 }
 
 #[test]
@@ -100,25 +104,36 @@ fn the_first_picture_does_not_wait_for_the_whole_scene() {
     let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(12.5e6));
     link.window_bytes = 500_000;
     assert!(gate.may_update(&link.way(), link.now_ns));
-    let first = gate.budget(link.now_ns);
+    let first = gate.budget(&link.way(), link.now_ns);
     assert!(first.geometry_bytes < 200_000 && first.sample_bytes == usize::MAX, "{first:?}");
     link.send(&mut gate, 0, [first.geometry_bytes, 20_000]);
     link.pass(PERIOD_NS);
     assert!(gate.may_update(&link.way(), link.now_ns));
-    assert_eq!(gate.budget(link.now_ns), Budget::UNLIMITED, "it has arrived");
+    assert_eq!(gate.budget(&link.way(), link.now_ns), Budget::UNLIMITED, "it has arrived");
+}
+
+#[test]
+fn a_first_picture_is_finer_over_a_link_that_has_been_fast() {
+    let gate = UpdateGate::new(PERIOD_NS);
+    let bytes = |delivered_bytes_s| {
+        let way = WayState { delivered_bytes_s, ..WayState::default() };
+        gate.budget(&way, 0).geometry_bytes
+    };
+    assert_eq!((bytes(0), bytes(50_000)), (FIRST_GEOMETRY_BYTES, FIRST_GEOMETRY_BYTES));
+    assert_eq!(bytes(2_000_000), 1_000_000);
 }
 
 #[test]
 fn geometry_is_bounded_only_while_the_link_is_known_to_be_slow() {
     let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(125_000.0));
     run(&mut gate, &mut link, 10, [40_000, 20_000]);
-    let Budget { geometry_bytes, sample_bytes, .. } = gate.budget(link.now_ns);
+    let Budget { geometry_bytes, sample_bytes, .. } = gate.budget(&link.way(), link.now_ns);
     assert!((100_000..150_000).contains(&geometry_bytes), "{geometry_bytes}");
     assert!((2_000..3_000).contains(&sample_bytes), "{sample_bytes}");
     link.bytes_s = 50e6;
     link.window_bytes = 1 << 20;
     run(&mut gate, &mut link, 12, [40_000, 20_000]);
-    assert_eq!(gate.budget(link.now_ns), Budget::UNLIMITED, "the link has recovered");
+    assert_eq!(gate.budget(&link.way(), link.now_ns), Budget::UNLIMITED, "the link has recovered");
 }
 
 #[test]
