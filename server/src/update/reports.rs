@@ -14,6 +14,9 @@ use shadecast_gpu::Image;
 use shadecast_protocol::delta::EncodedDelta;
 use shadecast_protocol::message::{Displayed, HeadState};
 
+/// A viewer's first update takes about so many times as long as the rehearsal's, whose picture is small.
+const FIRST_LONGER: i64 = 4;
+
 impl ViewerUpdates {
     /// The client's head, as reported.
     pub fn head(&mut self, state: HeadState) {
@@ -50,7 +53,7 @@ impl ViewerUpdates {
 
     /// An update took so many nanoseconds when nobody looked yet.
     pub(crate) fn note_rehearsal(&mut self, took_ns: i64) {
-        self.note_update(took_ns);
+        self.note_update(FIRST_LONGER * took_ns);
         self.rehearsed_s = Some(took_ns as f64 * 1e-9);
     }
 

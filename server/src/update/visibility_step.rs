@@ -206,7 +206,7 @@ impl VisibilityStep {
             culling: culling(scene),
             needs: Needed::none(scene.numbering.instances.len()),
             around: (show.surround > 0.0).then(|| Around::new(scene)),
-            detail: Detail::new(show.detail_pixels, lod_costs(world, residency)),
+            detail: Detail::new(show.detail_pixels, eye.pixels_per_radian(), lod_costs(world, residency)),
             views,
             turned_frusta: 0,
             pass_times: [false; VIEW_TIMES],

@@ -16,6 +16,9 @@ use crate::visibility::lod_set::LodChoice;
 
 /// Pixels of the client's display that an LOD's error may have unless asked otherwise; see `docs/decisions.md`.
 pub const DEFAULT_DETAIL_PIXELS: f32 = 0.5;
+/// Measures of a slow device make LODs err by no more than this angle, radians: 17 pixels of a window with 800 rows. More of a small
+/// picture would break its shapes.
+const MOST_ERROR_RAD: f32 = 0.024;
 /// A coarser LOD is taken when its error is below this part of what is allowed.
 const COARSER_BELOW: f32 = 0.7;
 /// Under pressure the allowed error grows by this factor with every step.
@@ -57,6 +60,8 @@ pub(crate) struct LodCost {
 #[derive(Clone, Debug)]
 pub(crate) struct Detail {
     asked_pixels: f32,
+    /// [`MOST_ERROR_RAD`] as pixels of the client's display.
+    most_pixels: f32,
     /// So many times as much is allowed where nothing presses.
     error: f32,
     /// By instance.
@@ -140,9 +145,9 @@ impl Seen {
 }
 
 impl Detail {
-    /// LODs with an error of so many pixels; with 0 everything is shown in full detail, whether there is room for it or not.
-    /// `costs`: the LODs by instance, one at least.
-    pub(crate) fn new(asked_pixels: f32, costs: Vec<Vec<LodCost>>) -> Self {
+    /// LODs with an error of so many pixels, of which a radian has so many; with 0 everything is shown in full detail, whether there
+    /// is room for it or not. `costs`: the LODs by instance, one at least.
+    pub(crate) fn new(asked_pixels: f32, pixels_per_radian: f32, costs: Vec<Vec<LodCost>>) -> Self {
         let state = State {
             is_needed: false,
             shown: None,
@@ -154,6 +159,7 @@ impl Detail {
         };
         Self {
             asked_pixels,
+            most_pixels: MOST_ERROR_RAD * pixels_per_radian,
             error: 1.0,
             states: vec![state; costs.len()],
             costs,
@@ -298,7 +304,8 @@ impl Detail {
     }
 
     fn allowed(&self, steps: u32) -> f32 {
-        self.asked_pixels * self.error * STEP.powi(steps as i32)
+        let pixels = (self.asked_pixels * self.error).min(self.most_pixels.max(self.asked_pixels));
+        pixels * STEP.powi(steps as i32)
     }
 
     fn want(&mut self, may_change: impl Fn(&State) -> bool) {

@@ -2,6 +2,8 @@ use super::*;
 use crate::pacing::pressure::RECOVER_AFTER_UPDATES;
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 
+/// Of a display that limits no error.
+const PIXELS_PER_RADIAN: f32 = 1e6;
 const ROOM: Room = Room { patches: 131_072, vertices: 131_072, triangles: 786_432 };
 
 /// LODs of which each has half the triangles of the one before, and twice its error.
@@ -41,7 +43,7 @@ fn the_error_that_is_seen_is_within_what_is_allowed_and_grows_with_distance() {
     let mut rng = SmallRng::seed_from_u64(5);
     for case in 0..300 {
         let costs = chain(rng.random_range(100..5000), rng.random_range(0.001..0.1), 6);
-        let mut detail = Detail::new(1.0, vec![costs.clone(); 8]);
+        let mut detail = Detail::new(1.0, PIXELS_PER_RADIAN, vec![costs.clone(); 8]);
         let mut near = rng.random_range(20.0..2000.0f32);
         let pixels: Vec<f32> = (0..8)
             .map(|_| {
@@ -61,7 +63,7 @@ fn the_error_that_is_seen_is_within_what_is_allowed_and_grows_with_distance() {
 
 #[test]
 fn a_distance_that_trembles_by_a_tenth_does_not_change_the_lod() {
-    let mut detail = Detail::new(1.0, vec![chain(1000, 0.01, 6)]);
+    let mut detail = Detail::new(1.0, PIXELS_PER_RADIAN, vec![chain(1000, 0.01, 6)]);
     let mut changes = 0;
     for middle in [3.0f32, 12.0, 45.0, 49.0, 51.0, 70.0, 100.0] {
         (0..8).for_each(|_| drop(update(&mut detail, &[middle * 1.05], 0.5)));
@@ -79,7 +81,7 @@ fn a_distance_that_trembles_by_a_tenth_does_not_change_the_lod() {
 #[test]
 fn lods_may_err_by_as_many_times_what_was_asked_for_as_they_are_told() {
     let lod = |asked_pixels: f32, error: f32| {
-        let mut detail = Detail::new(asked_pixels, vec![chain(1000, 0.01, 6)]);
+        let mut detail = Detail::new(asked_pixels, PIXELS_PER_RADIAN, vec![chain(1000, 0.01, 6)]);
         detail.begin((ROOM, usize::MAX), &Needed::all(1), &[20.0], error);
         (shown(&detail), detail.allowed_pixels())
     };
@@ -89,9 +91,20 @@ fn lods_may_err_by_as_many_times_what_was_asked_for_as_they_are_told() {
 }
 
 #[test]
+fn a_small_picture_keeps_its_shapes_however_much_error_is_allowed() {
+    let allowed = |pixels_per_radian: f32, error: f32| {
+        let mut detail = Detail::new(0.5, pixels_per_radian, vec![chain(1000, 0.01, 6)]);
+        detail.begin((ROOM, usize::MAX), &Needed::all(1), &[20.0], error);
+        detail.allowed_pixels()
+    };
+    assert_eq!([700.0, 64.0, 1.0].map(|density| allowed(density, 32.0)), [16.0, MOST_ERROR_RAD * 64.0, 0.5]);
+    assert_eq!(allowed(64.0, 2.0), 1.0, "usual errors are as they were");
+}
+
+#[test]
 fn without_an_allowed_error_everything_has_full_detail() {
     let room = Room { patches: 10, vertices: 10, triangles: 10 };
-    let mut detail = Detail::new(0.0, vec![chain(1000, 0.01, 6); 3]);
+    let mut detail = Detail::new(0.0, PIXELS_PER_RADIAN, vec![chain(1000, 0.01, 6); 3]);
     assert_eq!(update_in(room, &mut detail, &[0.001; 3], 1.0), [0; 3]);
     assert!(!detail.tighten(room));
 }
@@ -108,7 +121,7 @@ fn what_does_not_fit_becomes_coarser_until_it_does_and_then_stays_as_it_is() {
         let room = coarsest * rng.random_range(4..40);
         let room = Room { patches: room, vertices: 2 * room, triangles: 4 * room };
         let share = rng.random_range(0.2..0.9);
-        let mut detail = Detail::new(1.0, costs.clone());
+        let mut detail = Detail::new(1.0, PIXELS_PER_RADIAN, costs.clone());
         let pixels: Vec<f32> = (0..count).map(|_| rng.random_range(1.0..500.0)).collect();
         let history: Vec<Vec<usize>> =
             (0..400).map(|_| update_in(room, &mut detail, &pixels, share)).collect();
@@ -127,7 +140,7 @@ fn what_does_not_fit_becomes_coarser_until_it_does_and_then_stays_as_it_is() {
 #[test]
 fn the_error_that_is_allowed_shrinks_again_when_there_is_room() {
     let room = Room { patches: 3000, ..ROOM };
-    let mut detail = Detail::new(1.0, vec![chain(1000, 0.01, 6); 20]);
+    let mut detail = Detail::new(1.0, PIXELS_PER_RADIAN, vec![chain(1000, 0.01, 6); 20]);
     let near = update_in(room, &mut detail, &[100.0; 20], 0.5);
     assert!(detail.allowed_pixels() > 1.0 && near[0] > 0);
     // All but two go.
@@ -146,7 +159,7 @@ fn the_error_that_is_allowed_shrinks_again_when_there_is_room() {
 #[test]
 fn what_is_measured_not_to_fit_is_made_coarser_in_the_same_update() {
     let room = Room { patches: 100_000, ..ROOM };
-    let mut detail = Detail::new(1.0, vec![chain(1000, 0.01, 3); 4]);
+    let mut detail = Detail::new(1.0, PIXELS_PER_RADIAN, vec![chain(1000, 0.01, 3); 4]);
     update_in(room, &mut detail, &[100.0; 4], 0.5);
     assert_eq!(shown(&detail), [0; 4]);
     assert!(detail.tighten(room) && shown(&detail).iter().all(|lod| *lod > 0));
@@ -156,7 +169,7 @@ fn what_is_measured_not_to_fit_is_made_coarser_in_the_same_update() {
 
 #[test]
 fn a_lod_is_shown_once_it_was_brought_unless_nothing_of_the_other_is_seen() {
-    let mut detail = Detail::new(1.0, vec![chain(1000, 0.01, 6); 2]);
+    let mut detail = Detail::new(1.0, PIXELS_PER_RADIAN, vec![chain(1000, 0.01, 6); 2]);
     update(&mut detail, &[1.0; 2], 0.5);
     let coarse = shown(&detail);
     for _ in 0..CHANGE_EVERY_UPDATES {
@@ -189,7 +202,7 @@ fn update_with_bytes(
 #[test]
 fn what_comes_into_view_enters_whole_within_the_bytes_and_gets_finer() {
     const BYTES: usize = 40_000;
-    let mut detail = Detail::new(1.0, vec![chain(4000, 0.002, 7); 4]);
+    let mut detail = Detail::new(1.0, PIXELS_PER_RADIAN, vec![chain(4000, 0.002, 7); 4]);
     let pixels = [1000.0, 600.0, 400.0, 200.0];
     let first = update_with_bytes(&mut detail, BYTES, &pixels, UNKNOWN_SHARE);
     let bytes: usize = first
@@ -207,7 +220,7 @@ fn what_comes_into_view_enters_whole_within_the_bytes_and_gets_finer() {
 #[test]
 fn a_finer_lod_that_one_update_cannot_bring_comes_by_those_between() {
     const BYTES: usize = 10_000;
-    let mut detail = Detail::new(1.0, vec![chain(4000, 0.002, 7)]);
+    let mut detail = Detail::new(1.0, PIXELS_PER_RADIAN, vec![chain(4000, 0.002, 7)]);
     let mut shown = update_with_bytes(&mut detail, BYTES, &[1000.0], UNKNOWN_SHARE)[0].shown;
     let mut path = vec![shown];
     for _ in 0..40 {
@@ -226,7 +239,7 @@ fn a_finer_lod_that_one_update_cannot_bring_comes_by_those_between() {
 
 #[test]
 fn what_lacks_more_than_an_update_brings_gives_way_at_once() {
-    let mut detail = Detail::new(1.0, vec![chain(4000, 0.002, 7); 2]);
+    let mut detail = Detail::new(1.0, PIXELS_PER_RADIAN, vec![chain(4000, 0.002, 7); 2]);
     update_with_bytes(&mut detail, usize::MAX, &[1000.0, 1000.0], 0.5);
     let fine: Vec<_> = update_with_bytes(&mut detail, 20_000, &[1000.0, 1000.0], 0.5);
     assert!(detail.give_way(&[(1, 60_000)]));
