@@ -19,7 +19,7 @@ fn a_slow_device_shows_a_picture_after_one_update_and_soon_a_whole_one() {
     // This file has one test, and no thread has been started yet: the environment is its own.
     let report = measure(&options, "dragon", &[1.0, 2.8]).expect("two runs");
     println!("{report}");
-    let [fast, slow] = report.rows[..] else { panic!("{report}") };
+    let [fast, slow] = &report.rows[..] else { panic!("{report}") };
     for row in [fast, slow] {
         // A connection, one update, and the frames in which it is taken in.
         let update_s = row.update_ms * 1e-3;

@@ -7,7 +7,7 @@ use crate::measure::compare::Comparer;
 use crate::probe_file::{probed_times_ns, read_probes};
 use crate::process::{PATIENCE, Running, free_address, program};
 use anyhow::{Context, ensure};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use shadecast_client::platform::monotonic_now;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
@@ -41,7 +41,7 @@ pub struct LiveOptions {
 }
 
 /// How it went.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Live {
     /// What was shown.
     pub scene: String,
@@ -72,7 +72,7 @@ pub struct Live {
 }
 
 /// A second of the session.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Second {
     /// Updates that came on display.
     pub updates: u32,

@@ -8,7 +8,7 @@ use crate::image::Rgb8Image;
 use crate::report::sheet::Sheet;
 use crate::session::options::{RunOptions, StageMs};
 use anyhow::ensure;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// How many times slower each device is than the first.
@@ -21,7 +21,7 @@ const LOOKS_HZ: f64 = 6.0;
 const SHEET: [f64; 5] = [0.1, 0.2, 0.3, 0.5, 0.95];
 
 /// All devices.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Slow {
     /// What was shown.
     pub scene: String,
@@ -34,7 +34,7 @@ pub struct Slow {
 }
 
 /// One device.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SlowRow {
     /// How many times slower it is than the first.
     pub slower: f64,
@@ -59,7 +59,7 @@ pub struct SlowRow {
 }
 
 /// Mean and worst.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Holes {
     /// Of all frames.
     pub mean: f64,

@@ -3,12 +3,15 @@
 
 use super::bars::{BARS, Bars};
 use crate::experiments::causes::Causes;
+use crate::experiments::live::Live;
 use crate::experiments::paper_size::PaperSize;
 use crate::experiments::render_thread::RenderThread;
+use crate::experiments::slow::Slow;
 use crate::experiments::table1::plot;
 use anyhow::{Context, bail};
+use serde::de::DeserializeOwned;
 use serde_json::Value;
-use std::fmt::Write;
+use std::fmt::{Display, Write};
 use std::path::Path;
 
 const BEGIN: &str = "<!-- figures ";
@@ -105,10 +108,12 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "table1-shipped" => table1(results, "shipped", "ours"),
         "table1-stages" => table1_stages(results),
         "table1-growth" => table1_growth(results),
-        "paper-size" => paper_size(results)?,
-        "render-thread" => render_thread(results)?,
+        "paper-size" => printed::<PaperSize>(name, results)?,
+        "render-thread" => printed::<RenderThread>(name, results)?,
+        "slow-dragons3" => printed::<Slow>(name, results)?,
+        "live-window-dragons3" => printed::<Live>(name, results)?,
         "budget" => crate::results::budget::table(),
-        name if name.starts_with("causes-") => causes(name, results)?,
+        name if name.starts_with("causes-") => printed::<Causes>(name, results)?,
         "bars" => format!("```text\n{}\n```\n", Bars::parse(BARS)?.check(results)),
         other => bail!("there is no table \"{other}\""),
     })
@@ -119,25 +124,11 @@ fn read(results: &Path, name: &str) -> Option<Value> {
     serde_json::from_str(&text).ok()
 }
 
-/// What each cause of error costs in a scene.
-fn causes(name: &str, results: &Path) -> anyhow::Result<String> {
+/// A result as its own table.
+fn printed<T: DeserializeOwned + Display>(name: &str, results: &Path) -> anyhow::Result<String> {
     let Some(found) = read(results, name) else { return Ok(NOT_MEASURED.to_owned()) };
-    let found: Causes = serde_json::from_value(found).with_context(|| name.to_owned())?;
-    Ok(format!("```text\n{found}```\n"))
-}
-
-/// What the paper's largest scene takes.
-fn paper_size(results: &Path) -> anyhow::Result<String> {
-    let Some(found) = read(results, "paper-size") else { return Ok(NOT_MEASURED.to_owned()) };
-    let found: PaperSize = serde_json::from_value(found).context("paper-size.json")?;
-    Ok(format!("```text\n{found}\n```\n"))
-}
-
-/// What a display frame costs the thread that draws.
-fn render_thread(results: &Path) -> anyhow::Result<String> {
-    let Some(found) = read(results, "render-thread") else { return Ok(NOT_MEASURED.to_owned()) };
-    let found: RenderThread = serde_json::from_value(found).context("render-thread.json")?;
-    Ok(format!("```text\n{found}```\n"))
+    let found: T = serde_json::from_value(found).with_context(|| name.to_owned())?;
+    Ok(format!("```text\n{}\n```\n", found.to_string().trim_end()))
 }
 
 /// A number at a way of keys, with so many decimals; `-` where there is none.

@@ -6,12 +6,14 @@ use crate::experiments::causes::{self, CAUSES, Cause};
 use crate::experiments::churn;
 use crate::experiments::costs;
 use crate::experiments::headset_off::{self, Absence};
+use crate::experiments::live;
 use crate::experiments::motion_table::{self, Condition, Kind};
 use crate::experiments::paper_size;
 use crate::experiments::picture;
 use crate::experiments::render_thread;
 use crate::experiments::run::run;
 use crate::experiments::skinning;
+use crate::experiments::slow;
 use crate::experiments::slow_link;
 use crate::experiments::table1::cell::Size;
 use crate::experiments::table1::{self, Table1Options};
@@ -60,6 +62,13 @@ const SLOW_LINK_SECONDS: f64 = 25.0;
 /// Seconds of each run that says what a part of the picture costs, and rounds of all of them.
 const COST_SECONDS: f64 = 1.2;
 const COST_ROUNDS: usize = 3;
+/// Devices whose updates take 250, 700 and 1,000 ms.
+const SLOW_STAGES: StageMs = StageMs { server: 250.0, encode: 20.0, decode: 10.0, steps: None };
+const SLOWER: [f64; 3] = [1.0, 2.8, 4.0];
+const SLOW_SECONDS: f64 = 10.0;
+/// The window that is watched in real time, and for how long.
+const LIVE_WINDOW_PIXELS: [u32; 2] = [1280, 800];
+const LIVE_SECONDS: u32 = 60;
 /// Milliseconds one way of the link for the head that starts abruptly.
 const ABRUPT_WAY_MS: f64 = 110.0;
 /// Dragons of the paper's largest group.
@@ -197,6 +206,18 @@ fn jobs() -> Vec<Job> {
         Ok(Some(serde_json::to_value(found)?))
     }));
     jobs.push(Job::new("slow-link", |folder| slow_links(folder).map(Some)));
+    jobs.push(Job::new("slow-dragons3", |folder| {
+        let options = RunOptions {
+            extent_pixels: [512, 512],
+            seconds: SLOW_SECONDS,
+            stages: SLOW_STAGES,
+            ..RunOptions::new(SceneSource::Dragons(3), folder.join("run"))
+        };
+        let found = slow::measure(&options, "dragons:3", &SLOWER)?;
+        println!("{found}");
+        Ok(Some(serde_json::to_value(found)?))
+    }));
+    jobs.push(Job::new("live-window-dragons3", |folder| live_window(folder)));
     jobs.push(Job::new("viewers-4", |folder| four_viewers(folder).map(Some)));
     jobs.push(Job::new("second-viewer-dragons9", |folder| second_viewer(folder).map(Some)));
     jobs.push(Job::new("headset-off", |folder| headset_off(folder).map(Some)));
@@ -327,6 +348,22 @@ fn slow_links(folder: &Path) -> anyhow::Result<Value> {
         "dragon_0_4_mbit": measured(SceneSource::Dragons(1), "0.4mbit")?,
         "dragons3_1_mbit": measured(SceneSource::Dragons(3), "1mbit")?,
     }))
+}
+
+/// A window in real time; `None` without a desktop to show it on.
+fn live_window(folder: &Path) -> anyhow::Result<Option<Value>> {
+    if cfg!(unix) && ["DISPLAY", "WAYLAND_DISPLAY"].iter().all(|name| std::env::var_os(name).is_none()) {
+        println!("SKIPPED: a window needs a desktop: set DISPLAY");
+        return Ok(None);
+    }
+    let found = live::measure(&live::LiveOptions {
+        scene: SceneSource::Dragons(3),
+        out: folder.to_owned(),
+        window_pixels: Some(LIVE_WINDOW_PIXELS),
+        seconds: LIVE_SECONDS,
+    })?;
+    println!("{found}");
+    Ok(Some(serde_json::to_value(found)?))
 }
 
 /// One dragon, and the headset taken off by either way that runtimes have.
