@@ -217,7 +217,7 @@ fn jobs() -> Vec<Job> {
         println!("{found}");
         Ok(Some(serde_json::to_value(found)?))
     }));
-    jobs.push(Job::new("live-window-dragons3", |folder| live_window(folder)));
+    jobs.push(Job::new("live-window-dragons3", live_window));
     jobs.push(Job::new("viewers-4", |folder| four_viewers(folder).map(Some)));
     jobs.push(Job::new("second-viewer-dragons9", |folder| second_viewer(folder).map(Some)));
     jobs.push(Job::new("headset-off", |folder| headset_off(folder).map(Some)));
