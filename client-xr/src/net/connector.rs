@@ -92,6 +92,8 @@ pub(super) struct Connector {
     notice: Option<String>,
     /// What the user was told since the session last stood.
     told: VecDeque<String>,
+    /// What the connection has brought so far.
+    received_bytes: u64,
     traced: Traced,
 }
 
@@ -213,6 +215,7 @@ impl Connector {
             search,
             notice: options.notice.clone(),
             told: VecDeque::with_capacity(REMEMBERED_SENTENCES),
+            received_bytes: 0,
             traced,
         })
     }
@@ -478,6 +481,15 @@ impl Connector {
         self.told.push_front(text.to_owned());
     }
 
+    /// Tells the session that its connection brings something, if only acknowledgements.
+    fn note_alive(&mut self, intake: &mut Intake, now: ClientTime) {
+        let stats = self.lines.live().and_then(|(handle, peer)| handle.stats(peer));
+        let received_bytes = stats.map_or(0, |stats| stats.received_bytes);
+        if received_bytes != std::mem::replace(&mut self.received_bytes, received_bytes) {
+            intake.note_alive(now);
+        }
+    }
+
     /// Hands the client's bytes to the network thread. What it cannot take is lost, as on a bad network.
     fn flush(&mut self, intake: &mut Intake) {
         while let Some(out) = intake.poll_out() {
@@ -499,6 +511,7 @@ impl Source for Connector {
     fn pump(&mut self, intake: &mut Intake) {
         self.seek(intake);
         let now = monotonic_now();
+        self.note_alive(intake, now);
         intake.advance(now);
         self.traced.decoded(intake.take_decoded());
         while let Some(notice) = intake.poll_notice() {

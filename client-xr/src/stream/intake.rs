@@ -23,6 +23,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Decoded pictures that are remembered for who drives the client.
 const MAX_DECODED_TOLD: usize = 16;
+/// What is said of a server that no longer answers over a connection that stands.
+const SILENT: &str = "the server has answered no ping for 2 s; connecting anew";
 /// Steps of the world that a turn of the display asks for.
 const MAX_STEPS_AT_ONCE: u32 = 8;
 
@@ -156,6 +158,13 @@ impl Intake {
         self.now = now;
         if let Some(session) = self.link.session() {
             session.on_datagram(bytes, now);
+        }
+    }
+
+    /// The connection has brought something, whatever it was.
+    pub fn note_alive(&mut self, now: ClientTime) {
+        if let Some(session) = self.link.session() {
+            session.note_alive(now);
         }
     }
 
@@ -319,6 +328,7 @@ impl Intake {
                 ClientEvent::Refused(refused) => self.notices.push_back(Notice::Refused(refused)),
                 ClientEvent::Goodbye => self.notices.push_back(Notice::ServerLeft),
                 ClientEvent::Failed(error) => self.notices.push_back(Notice::Failed(error.to_string())),
+                ClientEvent::Silent => self.notices.push_back(Notice::Failed(SILENT.to_owned())),
             }
         }
     }

@@ -113,6 +113,8 @@ pub const MAX_EMPTY_CONTROL_MESSAGES: usize = 1;
 /// Control messages a second, and at once after a pause: a client reports each update that it shows, and asks for little
 /// else.
 pub const MAX_CONTROL_PER_SECOND: u32 = 1000;
+/// Datagrams a second, and at once after a pause, that are taken from a peer: a head state each display frame, and pings.
+pub const MAX_DATAGRAMS_PER_SECOND: u32 = 500;
 /// Bytes of one geometry delta.
 pub const MAX_DELTA_BYTES: usize = 60 << 20;
 /// Bytes of one coded picture: whatever an encoder can make of the largest, or leaves as it is.

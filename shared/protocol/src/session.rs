@@ -41,6 +41,13 @@ const PING_NS: i64 = 25_000_000;
 const MAX_WAITING_PINGS: usize = 16;
 /// Pings whose answers are awaited: those of more than two seconds.
 const MAX_OUTSTANDING_PINGS: usize = 256;
+/// Pings that are answered before the hello was judged good: whoever says none has no claim to more.
+const PINGS_BEFORE_HELLO: u32 = 32;
+/// A server that has answered none of so many pings for so long, over a connection that brought something within the last second, does
+/// not serve this client.
+const SILENCE_NS: i64 = 2_000_000_000;
+const SILENCE_PINGS: u32 = 12;
+const ALIVE_NS: i64 = 1_000_000_000;
 
 /// Bytes to be carried to the other end.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -89,6 +96,8 @@ pub enum ClientEvent {
     Goodbye,
     /// The server said what makes no sense: drop the connection, then connect anew.
     Failed(WireError),
+    /// The connection stands, and the server answers no pings: drop it, then connect anew.
+    Silent,
 }
 
 /// What a server learns.
@@ -142,6 +151,10 @@ pub struct ClientSession {
     next_ping: ClientTime,
     /// When the pings left that have not been answered, in order.
     outstanding: VecDeque<ClientTime>,
+    /// The first ping since the last answer, and how many there were.
+    unanswered: Option<(ClientTime, u32)>,
+    /// When the connection brought something last, whatever it was; `None` where nobody says.
+    alive: Option<ClientTime>,
     decoder: Option<DeltaDecoder>,
     next_delta: u32,
     /// The last update's delta that was handed on, and one more.
@@ -210,6 +223,8 @@ impl ClientSession {
             pings: 0,
             next_ping: now,
             outstanding: VecDeque::new(),
+            unanswered: None,
+            alive: None,
             decoder: None,
             next_delta: 0,
             next_update: UpdateId(0),
@@ -249,6 +264,7 @@ impl ClientSession {
             Ok(ServerDatagram::ClockPong { client_send, server_receive, server_send }) => {
                 if let Ok(place) = self.outstanding.binary_search(&client_send) {
                     self.outstanding.remove(place);
+                    self.unanswered = None;
                     self.clock.note_pong(client_send, server_receive, server_send, now);
                 }
             }
@@ -274,7 +290,26 @@ impl ClientSession {
         }
     }
 
+    /// The connection has brought something, if only an acknowledgement, at `now`. A network that carries nothing is the transport's to
+    /// notice.
+    pub fn note_alive(&mut self, now: ClientTime) {
+        self.alive = Some(now);
+    }
+
+    /// Whether a server that has welcomed this client has stopped to answer. A client that slept has asked little meanwhile.
+    fn is_unanswered(&self, now: ClientTime) -> bool {
+        let is_alive = self.alive.is_some_and(|alive| now.since(alive) < ALIVE_NS);
+        let is_long =
+            |(since, pings): (ClientTime, u32)| pings >= SILENCE_PINGS && now.since(since) > SILENCE_NS;
+        self.phase == Phase::Running && is_alive && self.unanswered.is_some_and(is_long)
+    }
+
     fn ping(&mut self, now: ClientTime) {
+        if self.is_unanswered(now) {
+            return self.end_with(ClientEvent::Silent);
+        }
+        let (since, pings) = self.unanswered.unwrap_or((now, 0));
+        self.unanswered = Some((since, pings + 1));
         if self.outstanding.len() == MAX_OUTSTANDING_PINGS {
             self.outstanding.pop_front();
         }
@@ -563,6 +598,8 @@ pub struct ServerSession {
     newest_pose: Option<u32>,
     /// Pings to be answered: what they say, and when they came.
     pings: VecDeque<(ClientTime, ServerTime)>,
+    /// So many pings are still taken before the hello.
+    early_pings_left: u32,
     control: VecDeque<Out>,
     heard: Heard,
 }
@@ -643,6 +680,7 @@ impl ServerSession {
             understood: 0,
             newest_pose: None,
             pings: VecDeque::new(),
+            early_pings_left: PINGS_BEFORE_HELLO,
             control: VecDeque::new(),
             heard: Heard::default(),
         }
@@ -656,8 +694,8 @@ impl ServerSession {
         }
     }
 
-    /// Takes a datagram that came at `now`. Damaged ones are dropped: they carry nothing that is not sent again. Pings are
-    /// answered before the hello, too, so that the clocks agree a round trip earlier.
+    /// Takes a datagram that came at `now`. Damaged ones are dropped: they carry nothing that is not sent again. A few pings
+    /// are answered before the hello, too, so that the clocks agree a round trip earlier.
     pub fn on_datagram(&mut self, bytes: &[u8], now: ServerTime) {
         if self.phase == ServerPhase::Ended {
             return;
@@ -668,6 +706,10 @@ impl ServerSession {
             ClientDatagram::Pose(head) if self.phase == ServerPhase::Running => self.take_pose(head),
             ClientDatagram::Pose(_) => {}
             ClientDatagram::ClockPing { client_send } => {
+                if self.phase != ServerPhase::Running {
+                    let Some(left) = self.early_pings_left.checked_sub(1) else { return };
+                    self.early_pings_left = left;
+                }
                 self.pings.push_back((client_send, now));
                 if self.pings.len() > MAX_WAITING_PINGS {
                     self.pings.pop_front();

@@ -210,7 +210,10 @@ impl Run {
                     assert!(self.welcomed, "a picture before the welcome");
                     self.handed_on += 1;
                 }
-                ClientEvent::Refused(_) | ClientEvent::Goodbye | ClientEvent::Failed(_) => {
+                ClientEvent::Refused(_)
+                | ClientEvent::Goodbye
+                | ClientEvent::Silent
+                | ClientEvent::Failed(_) => {
                     self.ended = true;
                     assert!(!self.session.is_alive());
                 }

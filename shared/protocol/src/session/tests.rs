@@ -216,8 +216,55 @@ fn a_pong_says_when_the_ping_came_and_when_the_pong_left() {
 }
 
 #[test]
+fn few_pings_are_answered_before_the_hello_and_all_after_it() {
+    let mut pair = Pair::new();
+    let answered = |server: &mut ServerSession| {
+        let ping = |n| ClientDatagram::ClockPing { client_send: ClientTime(n) }.encode();
+        let pongs = (0..10_000).filter_map(|n| {
+            server.on_datagram(&ping(n), ServerTime(n));
+            server.poll_out(ServerTime(n))
+        });
+        pongs.filter(|out| matches!(out, Out::Datagram(_))).count()
+    };
+    assert_eq!(answered(&mut pair.server), PINGS_BEFORE_HELLO as usize);
+    assert_eq!(answered(&mut Pair::connected().server), 10_000);
+}
+
+#[test]
+fn a_server_that_answers_no_pings_is_left_after_two_seconds() {
+    let mut pair = Pair::connected();
+    let ticks = |pair: &mut Pair, from: i64, to: i64| {
+        (from..to).for_each(|i| pair.client.on_tick(NOW.plus_ns(i * PING_NS)));
+        pair.client.is_alive()
+    };
+    let silent = SILENCE_NS / PING_NS;
+    assert!(ticks(&mut pair, 1, 2 * silent), "a network that carries nothing");
+    pair.client.note_alive(NOW.plus_ns(2 * SILENCE_NS));
+    assert!(!ticks(&mut pair, 2 * silent, 2 * silent + 2), "a connection that lives");
+    let events: Vec<_> = std::iter::from_fn(|| pair.client.poll_event()).collect();
+    assert_eq!(events.last(), Some(&ClientEvent::Silent));
+}
+
+#[test]
+fn a_client_that_slept_hears_what_came_before_it_gives_the_server_up() {
+    let mut pair = Pair::connected();
+    pair.client.on_tick(NOW.plus_ns(PING_NS));
+    let awake = NOW.plus_ns(3_600_000_000_000);
+    pair.client.note_alive(awake);
+    (0..i64::from(SILENCE_PINGS) - 2).for_each(|i| pair.client.on_tick(awake.plus_ns(i * PING_NS)));
+    assert!(pair.client.is_alive());
+    let (server_receive, server_send) = (ServerTime(5), ServerTime(6));
+    let client_send = *pair.client.outstanding.back().expect("pinged");
+    let pong = ServerDatagram::ClockPong { client_send, server_receive, server_send };
+    pair.client.on_datagram(&pong.encode(), awake.plus_ns(300_000_000));
+    pair.client.note_alive(awake.plus_ns(300_000_000));
+    (0..40).for_each(|i| pair.client.on_tick(awake.plus_ns(300_000_000 + i * PING_NS)));
+    assert!(pair.client.is_alive());
+}
+
+#[test]
 fn pings_that_nobody_answers_are_dropped_oldest_first() {
-    let mut server = ServerSession::new(offer());
+    let mut server = Pair::connected().server;
     for n in 0..1000 {
         let ping = ClientDatagram::ClockPing { client_send: ClientTime(n) };
         server.on_datagram(&ping.encode(), ServerTime(n));
@@ -460,7 +507,8 @@ fn however_many_answers_come_the_clock_is_fitted_once_a_turn() {
 
 #[test]
 fn pings_without_answers_are_remembered_up_to_a_bound() {
-    let mut pair = Pair::connected();
+    let mut pair = Pair::new();
+    // A client is patient until it is welcomed.
     (0..10_000).for_each(|i| pair.client.on_tick(NOW.plus_ns(i * PING_NS)));
     assert_eq!(pair.client.outstanding.len(), MAX_OUTSTANDING_PINGS);
 }

@@ -313,6 +313,7 @@ impl Run {
             ClientEvent::Motion(_) => {}
             ClientEvent::Refused(refused) => self.give_up(refused.reason),
             ClientEvent::Goodbye => self.give_up("the server said goodbye".into()),
+            ClientEvent::Silent => self.give_up("the server answers no pings".into()),
             ClientEvent::Failed(error) => self.give_up(error.to_string()),
         }
     }

@@ -97,6 +97,7 @@ impl Ghost {
                 ClientEvent::Motion(_) => {}
                 ClientEvent::Refused(refused) => bail!("a viewer was refused: {}", refused.reason),
                 ClientEvent::Goodbye => bail!("the server took leave of a viewer"),
+                ClientEvent::Silent => bail!("the server answers a viewer no longer"),
                 ClientEvent::Failed(error) => bail!("a viewer could not understand the server: {error}"),
             }
         }
