@@ -45,7 +45,7 @@
 //! as served: a handshake has [`HANDSHAKE_DEADLINE`], and as soon as one is under way every other address must show by a
 //! round trip more that it is its own. A lone client does not pay for that.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -59,9 +59,12 @@ use quinn_proto::{
 };
 use ring::rand::SecureRandom;
 use shadecast_protocol::close::CloseCode;
-use shadecast_protocol::limits::{MAX_CONTROL_PER_SECOND, MAX_DATAGRAM_BYTES, MAX_STREAM_BYTES};
+use shadecast_protocol::limits::{
+    MAX_CONTROL_PER_SECOND, MAX_DATAGRAM_BYTES, MAX_DATAGRAMS_PER_SECOND, MAX_STREAM_BYTES,
+};
 use shadecast_protocol::text::printable;
 
+use crate::arrivals::{Arrivals, Network, given_up_for};
 use crate::congestion::{INITIAL_WINDOW_BYTES, SteadyConfig};
 use crate::event::{CloseKind, Event, PeerId, SendError, StreamId};
 use crate::identity::tls::{self, PinVerifier};
@@ -78,12 +81,10 @@ pub const KEEP_ALIVE: Duration = Duration::from_millis(500);
 const INITIAL_RTT: Duration = Duration::from_millis(100);
 /// How long a server waits for a handshake to end.
 pub const HANDSHAKE_DEADLINE: Duration = Duration::from_secs(3);
-/// Handshakes that a server has under way at once; beyond that the oldest is given up.
-const MAX_HALF_OPEN: usize = 64;
-/// Handshakes that a server has under way at once with one address.
-const MAX_HALF_OPEN_PER_ADDRESS: usize = 8;
-/// Connections that a server keeps at all, those on their way out included.
+/// Connections that a server keeps at all, those included that have ended and whose end the application has not taken.
 const MAX_CONNECTIONS: usize = 512;
+/// Connections on their way out; beyond that the oldest is forgotten, and its packets are answered like a stranger's.
+const MAX_DRAINING: usize = 64;
 /// Unidirectional streams that a server may have open at once.
 const MAX_OPEN_STREAMS: u32 = 256;
 /// Bytes that one of the server's streams, and all of them, may have under way: never the limit, the congestion window is.
@@ -100,6 +101,8 @@ const SERVER_WAITING_BYTES: usize = 256 << 10;
 /// Datagrams that are handed to the kernel at once: together no more than one UDP datagram may have, 65,507 bytes,
 /// at the largest size that path discovery tries, 1452 bytes.
 const MAX_SEGMENTS: usize = 40;
+/// Room for one of them, bytes.
+const TRANSMIT_BYTES_PER_SEGMENT: usize = 1500;
 
 /// Which congestion controller to use. The module [`crate::congestion`] says why there is one of our own.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -126,6 +129,8 @@ pub struct EndpointConfig {
     pub max_stream_bytes: usize,
     /// Control messages a second, and at once after a pause, that a peer may send.
     pub control_per_s: u32,
+    /// Datagrams a second, and at once after a pause, that are taken from a peer. Ten times as many end its connection.
+    pub datagrams_per_s: u32,
 }
 
 impl Default for EndpointConfig {
@@ -136,6 +141,7 @@ impl Default for EndpointConfig {
             max_peers: 8,
             max_stream_bytes: MAX_STREAM_BYTES,
             control_per_s: MAX_CONTROL_PER_SECOND,
+            datagrams_per_s: MAX_DATAGRAMS_PER_SECOND,
         }
     }
 }
@@ -198,6 +204,8 @@ pub struct PeerStats {
 pub struct Counters {
     /// Received datagrams dropped because the application did not take them.
     pub datagrams_dropped: u64,
+    /// Received datagrams dropped because their sender sends more than it may.
+    pub datagrams_excess: u64,
     /// Datagrams that could not be sent: not connected, or larger than the path carries.
     pub datagrams_refused: u64,
     /// Messages and streams refused because the queue was full.
@@ -353,8 +361,13 @@ pub struct Endpoint {
     by_handle: HashMap<ConnectionHandle, PeerId>,
     inbox: Arc<Inbox>,
     responses: VecDeque<Transmit>,
+    arrivals: Arrivals,
+    /// Peers that may have something to send: something has happened to them since they had nothing.
+    ready: BTreeSet<PeerId>,
     /// The peer that may send next, so that none starves the others.
     next_turn: PeerId,
+    /// What the last transmit's bytes lay in.
+    spare: Vec<u8>,
     is_server: bool,
     max_segments: usize,
     last_now_ns: i64,
@@ -407,7 +420,10 @@ impl Endpoint {
             by_handle: HashMap::new(),
             inbox: Arc::new(Inbox::new(is_server, max_waiting_bytes)),
             responses: VecDeque::new(),
+            arrivals: Arrivals::default(),
+            ready: BTreeSet::new(),
             next_turn: PeerId(0),
+            spare: Vec::new(),
             is_server,
             max_segments: 1,
             last_now_ns: 0,
@@ -486,10 +502,11 @@ impl Endpoint {
         conn: proto::Connection,
         verifier: Option<Arc<PinVerifier>>,
     ) {
-        let EndpointConfig { max_stream_bytes, control_per_s, .. } = self.config;
-        let limits = PeerLimits { max_stream_bytes, control_per_s };
+        let EndpointConfig { max_stream_bytes, control_per_s, datagrams_per_s, .. } = self.config;
+        let limits = PeerLimits { max_stream_bytes, control_per_s, datagrams_per_s };
         self.peers.insert(id, Peer::new(id, handle, conn, verifier, limits, now_ns));
         self.by_handle.insert(handle, id);
+        self.ready.insert(id);
     }
 
     /// Takes a datagram that was received. `ecn` are the two bits of its IP header, if known.
@@ -511,6 +528,7 @@ impl Endpoint {
                 if let Some(peer) = self.peers.get_mut(&id) {
                     peer.conn.handle_event(event);
                 }
+                self.ready.insert(id);
                 self.drive(now_ns, id);
             }
             Some(DatagramEvent::NewConnection(incoming)) => self.accept(now_ns, incoming),
@@ -521,8 +539,13 @@ impl Endpoint {
 
     fn accept(&mut self, now_ns: i64, incoming: proto::Incoming) {
         let mut response = Vec::new();
-        match self.admit(&incoming) {
-            Admission::Accept => self.make_room(now_ns),
+        match self.admit(&incoming, now_ns) {
+            Admission::Accept => {
+                let half_open: Vec<_> = self.half_open().collect();
+                if let Some(other) = given_up_for(incoming.remote_address().ip(), &half_open) {
+                    self.give_up_handshake(now_ns, other);
+                }
+            }
             Admission::Retry => {
                 self.counters.retries += 1;
                 return match self.proto.retry(incoming, &mut response) {
@@ -552,39 +575,33 @@ impl Endpoint {
         }
     }
 
-    fn admit(&self, incoming: &proto::Incoming) -> Admission {
-        let half_open = self.peers.values().filter(|peer| peer.is_half_open());
-        let from_there = half_open.clone().filter(|peer| peer.remote.ip() == incoming.remote_address().ip());
-        let is_crowded = self.peers.len().max(self.inbox.waiting_peers()) >= MAX_CONNECTIONS;
+    fn admit(&mut self, incoming: &proto::Incoming, now_ns: i64) -> Admission {
+        let network = Network::of(incoming.remote_address().ip());
         if self.connected_peers() >= self.config.max_peers {
             Admission::Refuse
-        } else if !incoming.remote_address_validated() && half_open.clone().next().is_some() {
+        } else if !incoming.remote_address_validated() && self.half_open().next().is_some() {
             Admission::Retry
-        } else if is_crowded || from_there.count() >= MAX_HALF_OPEN_PER_ADDRESS {
+        } else if self.peers.len().max(self.inbox.waiting_peers()) >= MAX_CONNECTIONS {
             Admission::Ignore
-        } else {
+        } else if self.arrivals.take(network, now_ns) {
             Admission::Accept
+        } else {
+            Admission::Ignore
         }
+    }
+
+    /// Those whose handshake is under way, from old to new.
+    fn half_open(&self) -> impl Iterator<Item = (PeerId, IpAddr)> {
+        self.peers.values().filter(|peer| peer.is_half_open()).map(|peer| (peer.id, peer.remote.ip()))
     }
 
     fn connected_peers(&self) -> usize {
         self.peers.values().filter(|peer| peer.is_in_use()).count()
     }
 
-    /// Gives up the oldest handshake where there are too many: a lawful one needs a round trip and no more.
-    fn make_room(&mut self, now_ns: i64) {
-        let mut half_open = self.peers.values().filter(|peer| peer.is_half_open());
-        let oldest = half_open.next().map(|peer| peer.id);
-        if half_open.count() + 1 >= MAX_HALF_OPEN
-            && let Some(oldest) = oldest
-        {
-            self.give_up_handshake(now_ns, oldest);
-        }
-    }
-
     fn give_up_handshake(&mut self, now_ns: i64, id: PeerId) {
         self.counters.handshakes_given_up += 1;
-        let why = "the handshake took too long";
+        let why = "the handshake took too long, or others wait";
         self.end(now_ns, id, CloseCode::Full.code(), why, CloseKind::Local, why.into());
     }
 
@@ -621,6 +638,7 @@ impl Endpoint {
             if let Some(peer) = self.peers.get_mut(&id) {
                 peer.conn.handle_timeout(now);
             }
+            self.ready.insert(id);
             self.drive(now_ns, id);
         }
     }
@@ -639,21 +657,53 @@ impl Endpoint {
             return Some(response);
         }
         let now = self.clock.instant(now_ns);
-        let turn = self.next_turn;
-        let order: Vec<PeerId> =
-            self.peers.range(turn..).chain(self.peers.range(..turn)).map(|(&id, _)| id).collect();
-        for id in order {
-            let Some(peer) = self.peers.get_mut(&id) else { continue };
-            let mut bytes = Vec::with_capacity(1500 * self.max_segments);
+        let mut bytes = std::mem::take(&mut self.spare);
+        while let Some(id) = self.next_ready() {
+            let Some(peer) = self.peers.get_mut(&id) else {
+                self.ready.remove(&id);
+                continue;
+            };
+            bytes.clear();
+            bytes.reserve(TRANSMIT_BYTES_PER_SEGMENT * self.max_segments);
             let transmit = peer.conn.poll_transmit(now, self.max_segments, &mut bytes);
+            if transmit.is_none() {
+                self.ready.remove(&id);
+            }
             self.drive(now_ns, id);
             if let Some(transmit) = transmit {
                 self.next_turn = PeerId(id.0 + 1);
                 bytes.truncate(transmit.size);
                 return Some(to_transmit(&transmit, bytes));
             }
+            self.forget_oldest_draining();
         }
+        self.spare = bytes;
         None
+    }
+
+    /// Whose turn it is of those that may have something to send.
+    fn next_ready(&self) -> Option<PeerId> {
+        self.ready.range(self.next_turn..).chain(self.ready.range(..self.next_turn)).next().copied()
+    }
+
+    /// Takes back the bytes of what has been sent, for the next.
+    pub fn recycle(&mut self, sent: Transmit) {
+        if sent.bytes.capacity() > self.spare.capacity() {
+            self.spare = sent.bytes;
+        }
+    }
+
+    /// Forgets the oldest connection on its way out where there are too many. Its last packet has been sent.
+    fn forget_oldest_draining(&mut self) {
+        let draining = self.peers.values().filter(|peer| peer.closed);
+        let mut told = draining.clone().filter(|peer| !self.ready.contains(&peer.id));
+        if draining.clone().count() <= MAX_DRAINING {
+            return;
+        }
+        let Some((id, handle)) = told.next().map(|peer| (peer.id, peer.handle)) else { return };
+        // The connection itself goes with its peer: no answer is for it.
+        let _ = self.proto.handle_event(handle, proto::EndpointEvent::drained());
+        self.forget(id);
     }
 
     /// The next event.
@@ -696,6 +746,7 @@ impl Endpoint {
     fn forget(&mut self, id: PeerId) {
         if let Some(peer) = self.peers.remove(&id) {
             self.by_handle.remove(&peer.handle);
+            self.ready.remove(&id);
         }
     }
 
@@ -719,6 +770,8 @@ impl Endpoint {
                 self.report_closed(id, kind, reason);
             }
             proto::Event::Stream(event) => {
+                // It may have let more be written.
+                self.ready.insert(id);
                 if let Err(violation) = peer.on_stream_event(event) {
                     self.close_violator(now_ns, id, &violation);
                 }
@@ -729,10 +782,16 @@ impl Endpoint {
     }
 
     fn read_datagrams(&mut self, at_ns: i64, id: PeerId) {
-        let Some(peer) = self.peers.get_mut(&id) else { return };
-        while let Some(bytes) = peer.conn.datagrams().recv() {
-            let fits = self.inbox.push(id, Event::Datagram { peer: id, bytes: bytes.into(), at_ns });
-            self.counters.datagrams_dropped += u64::from(!fits);
+        loop {
+            let Some(peer) = self.peers.get_mut(&id) else { return };
+            match peer.next_datagram(at_ns, &mut self.counters.datagrams_excess) {
+                Ok(Some(bytes)) => {
+                    let fits = self.inbox.push(id, Event::Datagram { peer: id, bytes: bytes.into(), at_ns });
+                    self.counters.datagrams_dropped += u64::from(!fits);
+                }
+                Ok(None) => return,
+                Err(violation) => return self.close_violator(at_ns, id, &violation),
+            }
         }
     }
 
@@ -740,6 +799,8 @@ impl Endpoint {
     fn read(&mut self, at_ns: i64, id: PeerId) {
         let Some(peer) = self.peers.get_mut(&id) else { return };
         while peer.has_readable() && self.inbox.has_room(id) {
+            // What is read makes room, which the peer must be told.
+            self.ready.insert(id);
             let mut emit = |event| {
                 self.inbox.push(id, event);
             };
@@ -772,6 +833,7 @@ impl Endpoint {
         peer.closed = true;
         let told = Bytes::copy_from_slice(told.as_bytes());
         peer.conn.close(self.clock.instant(now_ns), VarInt::from_u32(code), told);
+        self.ready.insert(id);
         self.report_closed(id, kind, reason);
     }
 
@@ -789,8 +851,11 @@ impl Endpoint {
         }
     }
 
+    /// A peer to which something is to be sent.
     fn peer_mut(&mut self, id: PeerId) -> Result<&mut Peer, SendError> {
-        self.peers.get_mut(&id).filter(|peer| !peer.closed).ok_or(SendError::NotConnected)
+        let peer = self.peers.get_mut(&id).filter(|peer| !peer.closed).ok_or(SendError::NotConnected)?;
+        self.ready.insert(id);
+        Ok(peer)
     }
 
     fn count<T>(&mut self, sent: Result<T, SendError>) -> Result<T, SendError> {

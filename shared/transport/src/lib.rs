@@ -6,6 +6,8 @@
 //!   endpoints with it in virtual time;
 //! - [`mio`], [`discovery`] and [`identity`] are the only modules that touch sockets and files.
 
+mod allowance;
+mod arrivals;
 pub mod congestion;
 pub mod discovery;
 pub mod endpoint;
@@ -14,10 +16,12 @@ pub mod identity;
 mod inbox;
 pub mod link;
 pub mod mio;
+mod outbox;
 pub mod pair;
 mod peer;
 mod rng;
 
+pub use arrivals::{Network, crowded};
 pub use endpoint::{Congestion, Counters, Endpoint, EndpointConfig, PeerStats, Transmit, random_bytes};
 pub use event::{CloseKind, Event, PeerId, SendError, StreamId};
 pub use identity::tls::{SERVER_NAME, believing_client_crypto};

@@ -3,7 +3,7 @@
 //! This is the only module with a socket, and the only one that reads the clock. The driver moves datagrams between socket and endpoint in
 //! batches (segmentation offload both ways), sleeps until the socket, a timer or another thread wants something, and
 //! never waits for anything else: what the socket does not take is kept, one piece, and what the application does not
-//! take stays in the inbox, and flow control then makes the peer wait.
+//! take stays in the inbox, and flow control then makes the peer wait. What the application sends waits in the outbox, by peer.
 //!
 //! Reads and writes go through mio, which must see the socket refuse: on Windows it asks the system only then for the next
 //! readiness.
@@ -11,7 +11,6 @@
 use std::collections::BTreeMap;
 use std::io::{self, IoSliceMut};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
-use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{JoinHandle, Thread};
 use std::time::Duration;
@@ -26,6 +25,8 @@ use crate::event::{Event, PeerId, SendError, StreamId};
 use crate::identity::ExpectedIdentity;
 use crate::inbox::{Inbox, Next};
 use crate::link::{Direction, Link, LinkCounts, LinkSchedule};
+use crate::outbox::{Command, Outbox};
+use shadecast_protocol::close::CloseCode;
 use shadecast_system::monotonic_now_ns;
 
 const SOCKET: Token = Token(0);
@@ -34,12 +35,15 @@ const WAKER: Token = Token(1);
 const MAX_DATAGRAM_TRAIN_BYTES: usize = 65_535;
 /// Asked of the kernel for both socket buffers, bytes; it may give less.
 const SOCKET_BUFFER_BYTES: usize = 4 << 20;
-/// Receive batches handled before timers and sending have their turn.
-const BATCHES_PER_TURN: usize = 16;
-/// Commands that wait between the threads.
-const CHANNEL_CAPACITY: usize = 1024;
+/// Commands taken before the socket has its turn.
+const COMMANDS_PER_TURN: usize = 1024;
+/// Under load what is known of the connections is told this often, nanoseconds.
+const PUBLISH_NS: i64 = 1_000_000;
 /// The thread looks at its channels at least this often.
 const MAX_WAIT: Duration = Duration::from_millis(100);
+/// Errors of the socket, one after the other, after which it is opened anew, and the least time between two openings, nanoseconds.
+const MANY_FAILURES: u32 = 16;
+const REOPEN_NS: i64 = 1_000_000_000;
 /// How long a stopping thread tries to tell its peers.
 const FAREWELL: Duration = Duration::from_millis(200);
 
@@ -137,12 +141,19 @@ pub struct Driver {
     receive_buffers: Vec<Vec<u8>>,
     /// The socket may have more than was read.
     more_to_read: bool,
+    /// Where the socket belongs, and whether it had to be opened elsewhere.
+    address: SocketAddr,
+    is_elsewhere: bool,
+    opened_ns: i64,
+    /// Errors since the last datagram that was received or sent.
+    failures: u32,
 }
 
 impl Driver {
     /// Opens a socket at `address` for `endpoint`.
     pub fn bind(endpoint: Endpoint, address: SocketAddr) -> Result<Self, DriverError> {
         let mut socket = UdpSocket::bind(address).map_err(|e| bind_error(address, e))?;
+        let address = socket.local_addr()?;
         let state = open_wide(&socket)?;
         let poll = Poll::new()?;
         poll.registry().register(&mut socket, SOCKET, Interest::READABLE)?;
@@ -160,6 +171,10 @@ impl Driver {
             link: None,
             receive_buffers,
             more_to_read: false,
+            address,
+            is_elsewhere: false,
+            opened_ns: monotonic_now_ns(),
+            failures: 0,
         })
     }
 
@@ -191,7 +206,11 @@ impl Driver {
 
     /// Sends and receives; waits up to `max_wait` when there is nothing to do.
     pub fn poll(&mut self, max_wait: Duration) -> io::Result<()> {
-        self.advance(monotonic_now_ns())?;
+        let now_ns = monotonic_now_ns();
+        if self.is_elsewhere && now_ns >= self.opened_ns + REOPEN_NS {
+            self.reopen(now_ns)?;
+        }
+        self.advance(now_ns)?;
         self.watch_for_room()?;
         let wait = self.wait(max_wait);
         match self.poll.poll(&mut self.readiness, Some(wait)) {
@@ -238,7 +257,7 @@ impl Driver {
         self.deliver_from_link(now_ns)
     }
 
-    /// Reads what the socket has, at most a turn's worth.
+    /// Reads one batch of what the socket has: commands, timers and sending have their turn before the next one.
     fn receive(&mut self) -> io::Result<()> {
         let mut buffers = std::mem::take(&mut self.receive_buffers);
         let result = self.receive_into(&mut buffers);
@@ -248,30 +267,61 @@ impl Driver {
 
     fn receive_into(&mut self, buffers: &mut [Vec<u8>]) -> io::Result<()> {
         let mut metas = [RecvMeta::default(); quinn_udp::BATCH_SIZE];
-        for _ in 0..BATCHES_PER_TURN {
-            let mut slices: Vec<IoSliceMut<'_>> = buffers.iter_mut().map(|b| IoSliceMut::new(b)).collect();
-            let (socket, state) = (&self.socket, &self.state);
-            let received = socket.try_io(|| state.recv(UdpSockRef::from(socket), &mut slices, &mut metas));
-            let count = match received {
-                Ok(count) => count,
-                Err(e) if e.kind() == io::ErrorKind::WouldBlock => {
-                    self.more_to_read = false;
-                    return Ok(());
-                }
-                // An earlier datagram could not be delivered: says nothing about this socket.
-                Err(e) if is_passing(&e) => continue,
-                Err(e) => return Err(e),
-            };
-            let now_ns = monotonic_now_ns();
-            for (buffer, meta) in buffers.iter().zip(&metas[..count]) {
-                for datagram in buffer[..meta.len].chunks(meta.stride.max(1)) {
-                    self.take_datagram(now_ns, meta, datagram);
-                }
+        let mut slices: Vec<IoSliceMut<'_>> = buffers.iter_mut().map(|b| IoSliceMut::new(b)).collect();
+        let (socket, state) = (&self.socket, &self.state);
+        let received = socket.try_io(|| state.recv(UdpSockRef::from(socket), &mut slices, &mut metas));
+        let count = match received {
+            Ok(count) => count,
+            Err(e) if e.kind() == io::ErrorKind::WouldBlock => {
+                self.more_to_read = false;
+                return Ok(());
             }
-            // Acknowledgements go out after every batch: the sender's pace follows them.
-            self.transmit(now_ns)?;
+            Err(e) => {
+                // There may be datagrams behind an error.
+                self.more_to_read = self.failures < MANY_FAILURES;
+                return self.failed("receiving", &e);
+            }
+        };
+        (self.more_to_read, self.failures) = (true, 0);
+        let now_ns = monotonic_now_ns();
+        for (buffer, meta) in buffers.iter().zip(&metas[..count]) {
+            for datagram in buffer[..meta.len].chunks(meta.stride.max(1)) {
+                self.take_datagram(now_ns, meta, datagram);
+            }
         }
-        self.more_to_read = true;
+        Ok(())
+    }
+
+    /// A datagram was not received or sent. One error says nothing about the socket, whatever it is; after many without a success
+    /// between them it is opened anew.
+    fn failed(&mut self, doing: &str, error: &io::Error) -> io::Result<()> {
+        if is_passing(error) {
+            return Ok(());
+        }
+        self.failures += 1;
+        let now_ns = monotonic_now_ns();
+        if self.failures < MANY_FAILURES || now_ns < self.opened_ns + REOPEN_NS {
+            tracing::debug!("{doing} failed: {error}");
+            return Ok(());
+        }
+        tracing::warn!("{doing} keeps failing; the socket is opened anew: {error}");
+        self.reopen(now_ns)
+    }
+
+    /// Opens the socket anew at its address; while another program has that, at any.
+    fn reopen(&mut self, now_ns: i64) -> io::Result<()> {
+        (self.opened_ns, self.failures) = (now_ns, 0);
+        // The old one goes first: it has the port.
+        self.socket = UdpSocket::bind(any_address_for(self.address))?;
+        let reopened = UdpSocket::bind(self.address);
+        self.is_elsewhere = reopened.is_err();
+        match reopened {
+            Ok(socket) => self.socket = socket,
+            Err(error) => tracing::warn!("opening UDP socket {}: {error}; it is tried again", self.address),
+        }
+        self.state = open_wide(&self.socket)?;
+        self.poll.registry().register(&mut self.socket, SOCKET, Interest::READABLE)?;
+        (self.waits_to_write, self.more_to_read) = (false, true);
         Ok(())
     }
 
@@ -309,11 +359,12 @@ impl Driver {
                 self.pending = Some(transmit);
                 return Ok(());
             }
+            self.endpoint.recycle(transmit);
         }
     }
 
     /// `false` when the socket takes no more for now.
-    fn send(&self, transmit: &Transmit) -> io::Result<bool> {
+    fn send(&mut self, transmit: &Transmit) -> io::Result<bool> {
         let datagrams = quinn_udp::Transmit {
             destination: transmit.to,
             ecn: transmit.ecn.and_then(quinn_udp::EcnCodepoint::from_bits),
@@ -322,10 +373,13 @@ impl Driver {
             src_ip: transmit.from_ip,
         };
         match self.socket.try_io(|| self.state.send(UdpSockRef::from(&self.socket), &datagrams)) {
-            Ok(()) => Ok(true),
+            Ok(()) => {
+                self.failures = 0;
+                Ok(true)
+            }
             Err(e) if e.kind() == io::ErrorKind::WouldBlock => Ok(false),
-            Err(e) if is_passing(&e) => Ok(true),
-            Err(e) => Err(e),
+            // It is lost, as in a network.
+            Err(e) => self.failed("sending", &e).map(|()| true),
         }
     }
 
@@ -370,76 +424,12 @@ fn is_passing(error: &io::Error) -> bool {
     kinds.contains(&error.kind())
 }
 
-/// What the application asks of the network thread.
-enum Command {
-    Connect { peer: PeerId, remote: SocketAddr, expected: ExpectedIdentity },
-    Control { peer: PeerId, message: Vec<u8> },
-    Stream { peer: PeerId, stream: StreamId, bytes: Vec<u8>, priority: i32 },
-    Cancel { peer: PeerId, stream: StreamId },
-    Datagram { peer: PeerId, bytes: Vec<u8> },
-    Close { peer: PeerId, code: u32, reason: String },
-}
-
-impl Command {
-    /// What it adds to a peer's queue.
-    fn load(&self) -> Option<(PeerId, Load)> {
-        match self {
-            Self::Control { peer, message } => {
-                Some((*peer, Load { bytes: message.len() as u64, ..Load::default() }))
-            }
-            Self::Stream { peer, bytes, .. } => {
-                let bytes = bytes.len() as u64;
-                Some((*peer, Load { bytes, stream_bytes: bytes, streams: 1 }))
-            }
-            _ => None,
-        }
-    }
-}
-
-/// What waits between the threads for one peer.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Load {
-    bytes: u64,
-    /// Of these, those of streams.
-    stream_bytes: u64,
-    streams: u64,
-}
-
-/// What the network thread tells about itself, and what it has not taken yet.
+/// What the network thread tells about itself.
 #[derive(Debug, Default)]
 struct Published {
     stats: BTreeMap<PeerId, PeerStats>,
     counters: Counters,
     link: Option<[LinkCounts; 2]>,
-    loads: BTreeMap<PeerId, Load>,
-}
-
-impl Published {
-    fn add(&mut self, (peer, added): (PeerId, Load)) {
-        let load = self.loads.entry(peer).or_default();
-        load.bytes += added.bytes;
-        load.stream_bytes += added.stream_bytes;
-        load.streams += added.streams;
-    }
-
-    fn remove(&mut self, (peer, taken): (PeerId, Load)) {
-        let Some(load) = self.loads.get_mut(&peer) else { return };
-        load.bytes = load.bytes.saturating_sub(taken.bytes);
-        load.stream_bytes = load.stream_bytes.saturating_sub(taken.stream_bytes);
-        load.streams = load.streams.saturating_sub(taken.streams);
-        if *load == Load::default() {
-            self.loads.remove(&peer);
-        }
-    }
-
-    fn stats(&self, peer: PeerId) -> Option<PeerStats> {
-        let mut stats = *self.stats.get(&peer)?;
-        let load = self.loads.get(&peer).copied().unwrap_or_default();
-        stats.queued_bytes += load.bytes;
-        stats.streams_under_way += load.streams;
-        stats.unacknowledged_bytes += load.stream_bytes;
-        Some(stats)
-    }
 }
 
 fn lock(published: &Mutex<Published>) -> MutexGuard<'_, Published> {
@@ -447,8 +437,7 @@ fn lock(published: &Mutex<Published>) -> MutexGuard<'_, Published> {
 }
 
 struct Inner {
-    /// `None` while dropping.
-    commands: Option<SyncSender<Command>>,
+    outbox: Arc<Outbox>,
     waker: Arc<Waker>,
     thread: Option<JoinHandle<()>>,
     published: Arc<Mutex<Published>>,
@@ -459,7 +448,7 @@ struct Inner {
 
 impl Drop for Inner {
     fn drop(&mut self) {
-        self.commands = None;
+        self.outbox.abandon();
         // Failing only means that the thread notices at its next look.
         let _ = self.waker.wake();
         if let Some(thread) = self.thread.take() {
@@ -477,18 +466,8 @@ pub struct Handle {
 }
 
 impl Handle {
-    fn command(&self, command: Command) -> Result<(), SendError> {
-        let commands = self.inner.commands.as_ref().ok_or(SendError::Stopped)?;
-        let load = command.load();
-        // Before the thread can have seen it: the count is never short.
-        load.into_iter().for_each(|load| self.published().add(load));
-        if let Err(refused) = commands.try_send(command) {
-            load.into_iter().for_each(|load| self.published().remove(load));
-            return Err(match refused {
-                TrySendError::Full(_) => SendError::QueueFull,
-                TrySendError::Disconnected(_) => SendError::Stopped,
-            });
-        }
+    fn command(&self, peer: PeerId, command: Command) -> Result<(), SendError> {
+        self.inner.outbox.push(peer, command)?;
         // Failing only means that the thread notices at its next look.
         let _ = self.inner.waker.wake();
         Ok(())
@@ -497,33 +476,39 @@ impl Handle {
     /// Starts a connection; `Connected` or `Closed` follows.
     pub fn connect(&self, remote: SocketAddr, expected: ExpectedIdentity) -> Result<PeerId, SendError> {
         let peer = PeerId(self.inner.peer_ids.next());
-        self.command(Command::Connect { peer, remote, expected }).map(|()| peer)
+        self.command(peer, Command::Connect { remote, expected }).map(|()| peer)
     }
 
-    /// Sends a message on the control stream. What the network thread cannot queue is counted in [`Self::counters`].
+    /// Sends a message on the control stream. Where the connection cannot take it, the connection ends.
+    ///
+    /// # Errors
+    /// [`SendError::QueueFull`] where too much waits for this peer; what waits for others does not matter.
     pub fn send_control(&self, peer: PeerId, message: Vec<u8>) -> Result<(), SendError> {
-        self.command(Command::Control { peer, message })
+        self.command(peer, Command::Control(message))
     }
 
     /// Sends `bytes` as a stream of its own; higher `priority` first.
+    ///
+    /// # Errors
+    /// As [`Self::send_control`].
     pub fn send_stream(&self, peer: PeerId, bytes: Vec<u8>, priority: i32) -> Result<StreamId, SendError> {
         let stream = StreamId(self.inner.stream_ids.next());
-        self.command(Command::Stream { peer, stream, bytes, priority }).map(|()| stream)
+        self.command(peer, Command::Stream { stream, bytes, priority }).map(|()| stream)
     }
 
     /// Gives up a stream.
     pub fn cancel_stream(&self, peer: PeerId, stream: StreamId) -> Result<(), SendError> {
-        self.command(Command::Cancel { peer, stream })
+        self.command(peer, Command::Cancel(stream))
     }
 
     /// Sends a datagram, which may be lost.
     pub fn send_datagram(&self, peer: PeerId, bytes: Vec<u8>) -> Result<(), SendError> {
-        self.command(Command::Datagram { peer, bytes })
+        self.command(peer, Command::Datagram(bytes))
     }
 
-    /// Closes a connection; the peer learns `code` and `reason`.
+    /// Closes a connection after what was sent before; the peer learns `code` and `reason`. However much waits, this is done.
     pub fn close(&self, peer: PeerId, code: u32, reason: &str) -> Result<(), SendError> {
-        self.command(Command::Close { peer, code, reason: reason.to_owned() })
+        self.command(peer, Command::Close { code, reason: reason.to_owned() })
     }
 
     fn published(&self) -> MutexGuard<'_, Published> {
@@ -533,12 +518,21 @@ impl Handle {
     /// What is known of a connection, as of the network thread's last turn. What waits to be sent is exact: it counts from
     /// the moment in which it was handed over. `None` before the first turn and after the connection's end.
     pub fn stats(&self, peer: PeerId) -> Option<PeerStats> {
-        self.published().stats(peer)
+        let published = self.published();
+        let mut stats = *published.stats.get(&peer)?;
+        // Under the same lock as the thread's own counts: a byte is in one of both.
+        let load = self.inner.outbox.load(peer);
+        stats.queued_bytes += load.bytes;
+        stats.streams_under_way += load.streams;
+        stats.unacknowledged_bytes += load.stream_bytes;
+        Some(stats)
     }
 
     /// What overflowed so far, as of the network thread's last turn.
     pub fn counters(&self) -> Counters {
-        self.published().counters
+        let counters = self.published().counters;
+        let refused = counters.datagrams_refused + self.inner.outbox.datagrams_dropped();
+        Counters { datagrams_refused: refused, ..counters }
     }
 
     /// What became of the datagrams on the simulated link, if there is one.
@@ -608,19 +602,18 @@ pub fn spawn(driver: Driver) -> Result<(Handle, Events), DriverError> {
     let local_addr = driver.local_addr()?;
     let waker = driver.waker();
     let inbox = driver.endpoint.inbox();
-    let (commands, command_receiver) = sync_channel(CHANNEL_CAPACITY);
+    let (outbox, published) = (Arc::new(Outbox::default()), Arc::new(Mutex::default()));
     let (peer_ids, stream_ids) = driver.endpoint.id_sources();
-    let published = Arc::new(Mutex::default());
     let worker = Worker {
         driver,
-        commands: command_receiver,
+        outbox: outbox.clone(),
         inbox: inbox.clone(),
         published: published.clone(),
-        taken: Vec::new(),
+        published_ns: 0,
     };
     let thread = std::thread::Builder::new().name("network".into()).spawn(move || worker.run())?;
     let inner = Inner {
-        commands: Some(commands),
+        outbox,
         waker: waker.clone(),
         thread: Some(thread),
         published,
@@ -634,27 +627,25 @@ pub fn spawn(driver: Driver) -> Result<(Handle, Events), DriverError> {
 /// The network thread.
 struct Worker {
     driver: Driver,
-    commands: Receiver<Command>,
+    outbox: Arc<Outbox>,
     inbox: Arc<Inbox>,
     published: Arc<Mutex<Published>>,
-    /// What was taken over from the handles since it was last published.
-    taken: Vec<(PeerId, Load)>,
+    published_ns: i64,
 }
 
-/// However the thread ends, nobody waits for its events.
+/// However the thread ends, nobody waits for its events, and nobody's commands wait.
 impl Drop for Worker {
     fn drop(&mut self) {
         self.inbox.end();
+        self.outbox.end();
     }
 }
-
-/// The application has let go of the thread.
-struct LetGo;
 
 impl Worker {
     fn run(mut self) {
         let result = loop {
-            if self.take_commands().is_err() || self.inbox.is_abandoned() {
+            self.take_commands();
+            if self.outbox.is_done() || self.inbox.is_abandoned() {
                 break self.driver.farewell();
             }
             self.driver.endpoint.read_on();
@@ -669,51 +660,60 @@ impl Worker {
 
     /// Sends what there is, tells how that went, then waits for more.
     fn turn(&mut self) -> io::Result<()> {
-        self.driver.advance(monotonic_now_ns())?;
-        self.publish();
+        let now_ns = monotonic_now_ns();
+        self.driver.advance(now_ns)?;
+        // While there is more to read, turns are short and many.
+        if !self.driver.more_to_read || now_ns - self.published_ns >= PUBLISH_NS {
+            self.published_ns = now_ns;
+            self.publish();
+        }
         self.driver.poll(MAX_WAIT)
     }
 
-    fn take_commands(&mut self) -> Result<(), LetGo> {
+    fn take_commands(&mut self) {
         // A bound, so that a busy application cannot keep the socket waiting.
-        for _ in 0..CHANNEL_CAPACITY {
-            match self.commands.try_recv() {
-                Ok(command) => self.execute(command),
-                Err(TryRecvError::Empty) => return Ok(()),
-                Err(TryRecvError::Disconnected) => return Err(LetGo),
-            }
+        for _ in 0..COMMANDS_PER_TURN {
+            let Some((peer, command)) = self.outbox.pop() else { return };
+            self.execute(peer, command);
         }
-        Ok(())
+        // Failing only means that the thread notices at its next look.
+        let _ = self.driver.waker.wake();
     }
 
-    fn execute(&mut self, command: Command) {
+    fn execute(&mut self, peer: PeerId, command: Command) {
         let now_ns = monotonic_now_ns();
-        self.taken.extend(command.load());
         let endpoint = self.driver.endpoint();
         let sent = match command {
-            Command::Connect { peer, remote, expected } => {
+            Command::Connect { remote, expected } => {
                 endpoint.connect_as(now_ns, peer, remote, expected);
                 Ok(())
             }
-            Command::Control { peer, message } => endpoint.send_control(peer, &message),
-            Command::Stream { peer, stream, bytes, priority } => {
+            Command::Control(message) => endpoint.send_control(peer, &message),
+            Command::Stream { stream, bytes, priority } => {
                 endpoint.send_stream_as(peer, stream, bytes, priority)
             }
-            Command::Cancel { peer, stream } => {
+            Command::Cancel(stream) => {
                 endpoint.cancel_stream(peer, stream);
                 Ok(())
             }
-            Command::Datagram { peer, bytes } => {
+            Command::Datagram(bytes) => {
                 endpoint.send_datagram(peer, &bytes);
                 Ok(())
             }
-            Command::Close { peer, code, reason } => {
+            Command::Close { code, reason } => {
                 endpoint.close(now_ns, peer, code, &reason);
                 Ok(())
             }
         };
-        if let Err(e) = sent {
-            tracing::debug!("not sent: {e}");
+        match sent {
+            // Its end is told already, or was never begun.
+            Ok(()) | Err(SendError::NotConnected) => {}
+            // The peer would wait for ever for what is missing.
+            Err(error) => {
+                tracing::warn!("a connection ends: {error}");
+                let reason = format!("a message could not be sent: {error}");
+                endpoint.close(now_ns, peer, CloseCode::NotUnderstood.code(), &reason);
+            }
         }
     }
 
@@ -723,7 +723,7 @@ impl Worker {
         let link = self.driver.link.as_ref();
         let link = link.map(|link| [Direction::ToClient, Direction::ToServer].map(|d| link.counts(d)));
         let mut published = lock(&self.published);
-        self.taken.drain(..).for_each(|load| published.remove(load));
+        self.outbox.told();
         (published.stats, published.counters, published.link) = (stats, endpoint.counters(), link);
     }
 }
@@ -750,5 +750,23 @@ mod tests {
         assert!(wakes_for_room(&mut driver));
         driver.pending = None;
         assert!(!wakes_for_room(&mut driver));
+    }
+    #[test]
+    fn a_socket_that_keeps_failing_is_opened_anew_at_its_address() {
+        let any = "127.0.0.1:0".parse().expect("an address");
+        let mut driver = Driver::bind(Endpoint::client(EndpointConfig::default()), any).expect("bound");
+        let address = driver.local_addr().expect("bound");
+        let error = || io::Error::other("the adapter is gone");
+        (1..MANY_FAILURES).for_each(|_| driver.failed("receiving", &error()).expect("it goes on"));
+        assert_eq!(driver.failures, MANY_FAILURES - 1, "one error, or a few, say nothing");
+        driver.failed("receiving", &error()).expect("it goes on");
+        assert_eq!(driver.failures, MANY_FAILURES, "not so soon after it was opened");
+        driver.opened_ns -= REOPEN_NS;
+        driver.failed("receiving", &error()).expect("opened anew");
+        assert_eq!((driver.failures, driver.local_addr().expect("bound")), (0, address));
+        let sender = std::net::UdpSocket::bind(any).expect("bound");
+        sender.send_to(b"not QUIC", address).expect("sent");
+        driver.poll(Duration::from_secs(2)).expect("polled");
+        assert!(driver.more_to_read, "it hears what is sent to its address");
     }
 }

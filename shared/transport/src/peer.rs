@@ -2,6 +2,7 @@
 //!
 //! Every store has a limit. Excess from the peer closes the connection; our own excess is refused and counted.
 
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -9,16 +10,17 @@ use std::sync::Arc;
 use bytes::Bytes;
 use quinn_proto as proto;
 use quinn_proto::{Connection, ConnectionHandle, Dir, VarInt};
-use shadecast_protocol::limits::{MAX_CONTROL_BYTES, MAX_STREAM_BYTES};
+use shadecast_protocol::limits::{MAX_CONTROL_BYTES, MAX_INSTANCES, MAX_STREAM_BYTES};
 use shadecast_protocol::wire::{ControlReader, WireError, frame_control};
 
+use crate::allowance::Allowance;
 use crate::event::{Event, PeerId, SendError, StreamId};
 use crate::identity::tls::PinVerifier;
 
 /// Bytes of messages and streams that wait for the network to take them, per peer.
 const MAX_QUEUED_BYTES: usize = 96 << 20;
-/// Streams that wait for the network to take them, per peer.
-const MAX_OUTGOING_STREAMS: usize = 1024;
+/// Streams that are not yet acknowledged to their end, per peer: changes of each instance that there may be, twice.
+const MAX_OUTGOING_STREAMS: usize = 2 * MAX_INSTANCES as usize;
 /// Of a stream that the sender gave up, this many bytes are handed on, so that its header can be read.
 const RESET_HEAD_BYTES: usize = 64;
 /// The control stream goes before all other streams.
@@ -42,26 +44,12 @@ pub(crate) struct PeerLimits {
     pub(crate) max_stream_bytes: usize,
     /// Control messages a second, and at once after a pause.
     pub(crate) control_per_s: u32,
+    /// Datagrams a second that are handed on, and at once after a pause. [`FLOOD`] times as many end the connection.
+    pub(crate) datagrams_per_s: u32,
 }
 
-/// How many control messages the peer may still send: a bucket that fills in one second.
-struct ControlAllowance {
-    per_s: u32,
-    /// When the bucket will be full again, nanoseconds.
-    full_ns: i64,
-}
-
-impl ControlAllowance {
-    fn take(&mut self, now_ns: i64) -> Result<(), Violation> {
-        const SECOND_NS: i64 = 1_000_000_000;
-        let full_ns = self.full_ns.max(now_ns) + SECOND_NS / i64::from(self.per_s.max(1));
-        if full_ns - now_ns > SECOND_NS {
-            return Err(Violation(format!("more than {} control messages a second", self.per_s)));
-        }
-        self.full_ns = full_ns;
-        Ok(())
-    }
-}
+/// So many times the datagrams that are handed on are no mishap.
+const FLOOD: u32 = 10;
 
 /// A unidirectional stream that we send.
 struct Outgoing {
@@ -89,10 +77,14 @@ pub(crate) struct Peer {
     pub(crate) closed: bool,
     limits: PeerLimits,
     control: Option<proto::StreamId>,
-    allowance: ControlAllowance,
+    control_allowance: Allowance,
+    datagram_allowance: Allowance,
+    flood_allowance: Allowance,
     control_in: ControlReader,
     control_out: VecDeque<Bytes>,
     outgoing: BTreeMap<StreamId, Outgoing>,
+    /// Those of them that wait until the peer allows more streams, the most urgent and oldest first.
+    unopened: BTreeSet<(Reverse<i32>, StreamId)>,
     by_quic: BTreeMap<proto::StreamId, StreamId>,
     queued_bytes: usize,
     unacknowledged_bytes: usize,
@@ -111,6 +103,7 @@ impl Peer {
         limits: PeerLimits,
         now_ns: i64,
     ) -> Self {
+        let allowance = |per_s| Allowance::new(per_s, now_ns);
         Self {
             id,
             handle,
@@ -122,10 +115,13 @@ impl Peer {
             closed: false,
             limits,
             control: None,
-            allowance: ControlAllowance { per_s: limits.control_per_s, full_ns: now_ns },
+            control_allowance: allowance(limits.control_per_s),
+            datagram_allowance: allowance(limits.datagrams_per_s),
+            flood_allowance: allowance(FLOOD.saturating_mul(limits.datagrams_per_s)),
             control_in: ControlReader::default(),
             control_out: VecDeque::new(),
             outgoing: BTreeMap::new(),
+            unopened: BTreeSet::new(),
             by_quic: BTreeMap::new(),
             queued_bytes: 0,
             unacknowledged_bytes: 0,
@@ -207,6 +203,7 @@ impl Peer {
         self.reserve(bytes.len())?;
         self.unacknowledged_bytes += bytes.len();
         self.outgoing.insert(id, Outgoing { quic: None, priority, bytes: bytes.len(), rest: bytes });
+        self.unopened.insert((Reverse(priority), id));
         self.open_waiting();
         Ok(())
     }
@@ -227,6 +224,7 @@ impl Peer {
         let Some(outgoing) = self.outgoing.remove(&id) else { return false };
         self.queued_bytes -= outgoing.rest.len();
         self.unacknowledged_bytes -= outgoing.bytes;
+        self.unopened.remove(&(Reverse(outgoing.priority), id));
         if let Some(quic) = outgoing.quic {
             self.by_quic.remove(&quic);
             // An already closed stream needs no reset.
@@ -257,15 +255,9 @@ impl Peer {
         if !self.connected {
             return;
         }
-        let mut waiting: Vec<(std::cmp::Reverse<i32>, StreamId)> = self
-            .outgoing
-            .iter()
-            .filter(|(_, outgoing)| outgoing.quic.is_none())
-            .map(|(&id, outgoing)| (std::cmp::Reverse(outgoing.priority), id))
-            .collect();
-        waiting.sort_unstable();
-        for (std::cmp::Reverse(priority), id) in waiting {
+        while let Some(&(Reverse(priority), id)) = self.unopened.first() {
             let Some(quic) = self.conn.streams().open(Dir::Uni) else { return };
+            self.unopened.pop_first();
             let _ = self.conn.send_stream(quic).set_priority(priority);
             self.by_quic.insert(quic, id);
             if let Some(outgoing) = self.outgoing.get_mut(&id) {
@@ -290,6 +282,28 @@ impl Peer {
             // Finishing twice or after a stop is refused, and harmless.
             let _ = stream.finish();
         }
+    }
+
+    /// The next datagram that is handed on; those beyond the allowance are dropped, and counted.
+    ///
+    /// # Errors
+    /// They are so many that nothing but harm can be meant.
+    pub(crate) fn next_datagram(
+        &mut self,
+        now_ns: i64,
+        dropped: &mut u64,
+    ) -> Result<Option<Bytes>, Violation> {
+        while let Some(bytes) = self.conn.datagrams().recv() {
+            if !self.flood_allowance.take(now_ns) {
+                let most = FLOOD.saturating_mul(self.limits.datagrams_per_s);
+                return Err(Violation(format!("more than {most} datagrams a second")));
+            }
+            if self.datagram_allowance.take(now_ns) {
+                return Ok(Some(bytes));
+            }
+            *dropped += 1;
+        }
+        Ok(None)
     }
 
     /// Takes over what QUIC reports about streams.
@@ -368,7 +382,10 @@ impl Peer {
                 Err(proto::ReadError::Blocked) => break,
             };
             for message in self.control_in.push(&chunk.bytes)? {
-                self.allowance.take(at_ns)?;
+                if !self.control_allowance.take(at_ns) {
+                    let most = self.limits.control_per_s;
+                    return Err(Violation(format!("more than {most} control messages a second")));
+                }
                 emit(Event::Control { peer: self.id, message, at_ns });
             }
         }

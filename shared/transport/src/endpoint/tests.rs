@@ -538,7 +538,7 @@ fn a_server_refuses_more_peers_than_it_serves() {
 /// A client whose control stream carries `bytes` as they are, without our framing.
 fn send_raw_control(seed: u64, bytes: &[u8]) -> (Vec<Event>, Vec<Event>) {
     let Connected { mut pair, on_client, .. } = connected("latency=2ms", seed);
-    let peer = pair.client.peers.get_mut(&on_client).unwrap();
+    let peer = pair.client.peer_mut(on_client).unwrap();
     peer.send_raw_control(bytes);
     pair.step_until(pair.now_ns() + 2 * S);
     (events(&mut pair.server), events(&mut pair.client))
@@ -562,7 +562,7 @@ fn garbage_on_the_control_stream_ends_that_connection_only() {
     for seed in 0..10 {
         let Connected { mut pair, on_client, .. } = connected("latency=2ms", 18);
         let garbage = [&[0xff; 4][..], &pattern(5000, seed)].concat();
-        pair.client.peers.get_mut(&on_client).unwrap().send_raw_control(&garbage);
+        pair.client.peer_mut(on_client).unwrap().send_raw_control(&garbage);
         pair.step_until(pair.now_ns() + 2 * S);
         assert_closed(&events(&mut pair.server), CloseKind::Error, &["control message"]);
         pair.client.connect(pair.now_ns(), SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
@@ -591,7 +591,7 @@ fn many_incomplete_streams_cannot_fill_the_memory() {
     let pair = Pair::new(server(20), Endpoint::client(config), LinkProfile::default(), 20);
     let Connected { mut pair, on_server, .. } = connect(pair);
     for _ in 0..3 {
-        pair.server.peers.get_mut(&on_server).unwrap().send_unfinished(&[0; 90_000]);
+        pair.server.peer_mut(on_server).unwrap().send_unfinished(&[0; 90_000]);
         pair.step_until(pair.now_ns() + 200 * MS);
     }
     assert_closed(&events(&mut pair.client), CloseKind::Error, &["incomplete streams"]);
@@ -613,12 +613,59 @@ fn a_client_can_open_no_stream_but_the_control_stream() {
 fn a_flood_of_control_messages_ends_its_connection() {
     let Connected { mut pair, on_server, on_client } = connected("latency=2ms", 24);
     let flood = shadecast_protocol::wire::frame_control(b"xx").repeat(MAX_CONTROL_PER_SECOND as usize + 1);
-    pair.client.peers.get_mut(&on_client).unwrap().send_raw_control(&flood);
+    pair.client.peer_mut(on_client).unwrap().send_raw_control(&flood);
     pair.step_until(pair.now_ns() + S);
     let seen = events(&mut pair.server);
     assert_eq!(seen.len(), 1, "only the end of a peer that has gone remains");
     assert_closed(&seen, CloseKind::Error, &["more than 1000 control messages a second"]);
     assert!(!pair.server.peers().any(|peer| peer == on_server));
+}
+
+/// The server's events, and its counters, after a client has sent so many datagrams a second for three seconds.
+fn after_datagrams(per_s: i64) -> (Vec<Event>, Counters) {
+    let Connected { mut pair, on_client, .. } = connected("latency=2ms", 24);
+    let mut seen = Vec::new();
+    for n in 0..3 * per_s {
+        pair.client.send_datagram(on_client, b"a ping or a pose");
+        if n % 20 == 19 {
+            pair.step_until(pair.now_ns() + 20 * S / per_s);
+            seen.extend(events(&mut pair.server));
+        }
+    }
+    pair.step_until(pair.now_ns() + S);
+    seen.extend(events(&mut pair.server));
+    (seen, pair.server.counters())
+}
+
+#[test]
+fn datagrams_beyond_the_allowance_are_dropped_and_counted() {
+    let (seen, counters) = after_datagrams(400);
+    assert_eq!((seen.len(), counters.datagrams_excess), (1200, 0));
+    let (seen, counters) = after_datagrams(2000);
+    assert!((1900..2200).contains(&seen.len()), "500 at once, and 500 a second: {}", seen.len());
+    assert_eq!(seen.len() as u64 + counters.datagrams_excess, 6000);
+}
+
+#[test]
+fn a_flood_of_datagrams_ends_its_connection() {
+    let (seen, counters) = after_datagrams(20_000);
+    assert_closed(&seen, CloseKind::Error, &["more than 5000 datagrams a second"]);
+    assert_eq!(counters.violations, 1);
+}
+
+#[test]
+fn as_many_streams_as_there_are_instances_wait_for_a_slow_peer_and_arrive() {
+    let Connected { mut pair, on_server, .. } = connected("latency=20ms,rate=20mbit", 7);
+    let count = shadecast_protocol::limits::MAX_INSTANCES as usize;
+    for n in 0..count {
+        pair.server.send_stream(on_server, vec![3; 60], -(n as i32 % 3)).unwrap();
+    }
+    let mut arrived = 0;
+    for _ in 0..100 {
+        pair.step_until(pair.now_ns() + 100 * MS);
+        arrived += events(&mut pair.client).len();
+    }
+    assert_eq!(arrived, count);
 }
 
 #[test]
@@ -727,6 +774,26 @@ fn a_connection_on_its_way_out_takes_no_place() {
     pair.step_until(pair.now_ns() + 120 * MS);
     let seen = events(&mut pair.client);
     assert!(seen.iter().any(|event| matches!(event, Event::Connected { .. })), "{seen:?}");
+}
+
+#[test]
+fn clients_that_come_and_go_leave_no_connections_behind_and_keep_nobody_out() {
+    let mut pair = pair("latency=1ms", 31);
+    for _ in 0..500 {
+        let client = pair.client.connect(pair.now_ns(), SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+        pair.step_until(pair.now_ns() + 6 * MS);
+        pair.client.close(pair.now_ns(), client, 0, "gone");
+        // On the client's side too: its own connections on their way out are not what is tested.
+        pair.step_until(pair.now_ns() + 3 * MS);
+        let _ = events(&mut pair.server);
+        let most = MAX_DRAINING + 2;
+        assert!(pair.server.peers.len() <= most, "{} connections", pair.server.peers.len());
+    }
+    let _ = events(&mut pair.client);
+    pair.client.connect(pair.now_ns(), SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+    pair.step_until(pair.now_ns() + 50 * MS);
+    assert!(matches!(events(&mut pair.client)[..], [Event::Connected { .. }]));
+    assert!(pair.server.ready.is_empty(), "nothing more is to be sent, and nobody is visited for it");
 }
 
 #[test]
