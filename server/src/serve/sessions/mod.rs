@@ -14,7 +14,7 @@ use shadecast_protocol::message::{ClientHello, Refused, ServerOffer, Welcome};
 use shadecast_protocol::session::{Out, ServerEvent, ServerSession};
 use shadecast_protocol::text::printable;
 use shadecast_protocol::time::ServerTime;
-use shadecast_transport::{CloseKind, Event, Handle, PeerId, SendError};
+use shadecast_transport::{CloseKind, Event, Handle, Network, PeerId, SendError};
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::sync::Mutex;
@@ -155,7 +155,7 @@ impl Sessions {
     }
 
     fn connected(&mut self, peer: PeerId, remote: SocketAddr, now_ns: i64, around: &Surroundings<'_>) {
-        if let Some(oldest) = self.greeting.connected(peer, now_ns) {
+        if let Some(oldest) = self.greeting.connected(peer, Network::of(remote.ip()), now_ns) {
             self.drop_guest(
                 oldest,
                 CloseCode::NotUnderstood,

@@ -5,7 +5,7 @@
 //! secret of its last welcome, and before others do.
 
 use shadecast_protocol::message::{Refused, ResumeSecret};
-use shadecast_transport::PeerId;
+use shadecast_transport::{Network, PeerId, crowded};
 use std::collections::VecDeque;
 
 /// How long after its connection a client may take for its hello, nanoseconds.
@@ -15,31 +15,36 @@ pub(super) const HELLO_DEADLINE_NS: i64 = 2_000_000_000;
 pub(super) const KEPT_NS: i64 = 5_000_000_000;
 /// One that has shown nothing yet keeps it for so long: whoever only takes places shall not keep others out.
 const UNPROVEN_NS: i64 = 3_000_000_000;
-/// Connections without a hello; the oldest goes when another one comes. Fewer than the transport allows peers.
+/// Connections without a hello. When another one comes, the oldest goes of the network that has most. Fewer than the transport allows peers.
 pub(super) const MAX_GREETING: usize = 6;
 
 /// Connections whose hello is awaited.
 #[derive(Debug, Default)]
 pub(super) struct Greeting {
-    since: VecDeque<(PeerId, i64)>,
+    since: VecDeque<(PeerId, Network, i64)>,
 }
 
 impl Greeting {
     /// A peer has connected; gives the one that must go for it.
-    pub(super) fn connected(&mut self, peer: PeerId, now_ns: i64) -> Option<PeerId> {
-        self.since.push_back((peer, now_ns));
-        let is_full = self.since.len() > MAX_GREETING;
-        if is_full { self.since.pop_front().map(|(oldest, _)| oldest) } else { None }
+    pub(super) fn connected(&mut self, peer: PeerId, network: Network, now_ns: i64) -> Option<PeerId> {
+        self.since.push_back((peer, network, now_ns));
+        if self.since.len() <= MAX_GREETING {
+            return None;
+        }
+        let (oldest, _) = crowded(self.since.iter().map(|(peer, network, _)| (*peer, *network)))?;
+        self.done(oldest);
+        Some(oldest)
     }
 
     /// A peer has said its hello, or has gone.
     pub(super) fn done(&mut self, peer: PeerId) {
-        self.since.retain(|(other, _)| *other != peer);
+        self.since.retain(|(other, ..)| *other != peer);
     }
 
     /// A peer that took too long.
     pub(super) fn overdue(&mut self, now_ns: i64) -> Option<PeerId> {
-        let (peer, _) = self.since.pop_front_if(|(_, since_ns)| now_ns - *since_ns > HELLO_DEADLINE_NS)?;
+        let (peer, ..) =
+            self.since.pop_front_if(|(_, _, since_ns)| now_ns - *since_ns > HELLO_DEADLINE_NS)?;
         Some(peer)
     }
 }
@@ -177,6 +182,7 @@ mod tests {
     const FIRST: PeerId = PeerId(1);
     const OTHER: PeerId = PeerId(2);
     const BACK: PeerId = PeerId(3);
+    const CROWD: Network = Network::V4([10, 0, 1]);
 
     fn secret(of: u8) -> ResumeSecret {
         ResumeSecret([of; 16])
@@ -274,12 +280,20 @@ mod tests {
         let mut greeting = Greeting::default();
         let peers = MAX_GREETING as u64;
         for peer in 0..peers {
-            assert_eq!(greeting.connected(PeerId(peer), peer as i64), None);
+            assert_eq!(greeting.connected(PeerId(peer), CROWD, peer as i64), None);
         }
-        assert_eq!(greeting.connected(PeerId(peers), 9), Some(PeerId(0)), "the oldest goes");
+        assert_eq!(greeting.connected(PeerId(peers), CROWD, 9), Some(PeerId(0)), "the oldest goes");
         greeting.done(PeerId(2));
         assert_eq!(greeting.overdue(HELLO_DEADLINE_NS + 1), None);
         let overdue: Vec<_> = std::iter::from_fn(|| greeting.overdue(HELLO_DEADLINE_NS + 4)).collect();
         assert_eq!(overdue, [PeerId(1), PeerId(3)]);
+    }
+
+    #[test]
+    fn a_crowd_of_one_network_does_not_push_out_another() {
+        let mut greeting = Greeting::default();
+        assert_eq!(greeting.connected(FIRST, Network::V4([10, 0, 2]), 0), None);
+        let gone = (0..100).filter_map(|n| greeting.connected(PeerId(10 + n), CROWD, n as i64));
+        assert_eq!(gone.filter(|peer| *peer == FIRST).count(), 0);
     }
 }

@@ -5,8 +5,9 @@ use super::encoder::refused_by;
 use super::outlet::Outlet;
 use crate::motion::sender::SharedMotion;
 use crate::support::lock::lock;
+use shadecast_protocol::message::Refused;
 use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
-use shadecast_transport::PeerId;
+use shadecast_transport::{PeerId, SendError};
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Mutex;
@@ -29,12 +30,13 @@ impl Cadence {
         lock(&self.clients).remove(&peer);
     }
 
-    /// Sends what is due. What cannot be sent is the pipeline's to notice: its next delta cannot be either.
+    /// Sends what is due.
     pub(super) fn step(&self, outlet: &dyn Outlet, now: ServerTime) {
         let clients: Vec<_> =
             lock(&self.clients).iter().map(|(peer, motion)| (*peer, motion.clone())).collect();
         for (peer, motion) in clients {
-            if !guarded(outlet, peer, || send_due(outlet, peer, &motion, now)) {
+            let sent = guarded(outlet, peer, || send_due(outlet, peer, &motion, now));
+            if !goes_on(outlet, peer, sent) {
                 self.leave(peer);
             }
         }
@@ -47,33 +49,49 @@ impl Cadence {
     }
 }
 
-fn send_due(outlet: &dyn Outlet, peer: PeerId, motion: &SharedMotion, now: ServerTime) {
+fn send_due(
+    outlet: &dyn Outlet,
+    peer: PeerId,
+    motion: &SharedMotion,
+    now: ServerTime,
+) -> Result<(), SendError> {
     let way = outlet.way(peer);
     let due = lock(motion).tick(now, way.as_ref());
-    for out in due {
-        if let Err(error) = outlet.send(peer, out) {
-            tracing::debug!("motion could not be sent: {error}");
+    due.into_iter().try_for_each(|out| outlet.send(peer, out))
+}
+
+/// Whether a client is sent motion again after `sent`. What was not sent counts as told, so that the client would show a wrong world
+/// from then on: its session ends.
+fn goes_on(outlet: &dyn Outlet, peer: PeerId, sent: Option<Result<(), SendError>>) -> bool {
+    match sent {
+        Some(Ok(()) | Err(SendError::NotConnected)) => true,
+        Some(Err(error)) => {
+            outlet.refuse(peer, unsent(&error));
+            false
         }
+        None => false,
     }
 }
 
-/// Runs `body`; a panic in it ends the session of this client alone. False after one.
-fn guarded(outlet: &dyn Outlet, peer: PeerId, body: impl FnOnce()) -> bool {
+/// Why a session ends whose client does not take what moves.
+fn unsent(error: &SendError) -> Refused {
+    let reason = format!("what moves could not be sent: {error}");
+    Refused::new(&reason, "connect again; a faster link, or fewer instances that change at once, helps")
+}
+
+/// Runs `body`; a panic in it ends the session of this client alone. `None` after one.
+fn guarded<T>(outlet: &dyn Outlet, peer: PeerId, body: impl FnOnce() -> T) -> Option<T> {
     // What a panic leaves behind belongs to the client, which is sent away.
-    let ended = catch_unwind(AssertUnwindSafe(body));
-    if let Err(panic) = &ended {
-        outlet.refuse(peer, refused_by(panic.as_ref()));
-    }
-    ended.is_ok()
+    catch_unwind(AssertUnwindSafe(body))
+        .inspect_err(|panic| outlet.refuse(peer, refused_by(panic.as_ref())))
+        .ok()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::pacing::gate::WayState;
-    use shadecast_protocol::message::Refused;
     use shadecast_protocol::session::Out;
-    use shadecast_transport::SendError;
 
     #[derive(Default)]
     struct Refusals(Mutex<Vec<(PeerId, String)>>);
@@ -95,9 +113,19 @@ mod tests {
     #[test]
     fn a_panic_amid_a_clients_motion_ends_its_session_and_not_the_thread() {
         let outlet = Refusals::default();
-        assert!(guarded(&outlet, PeerId(1), || {}));
-        assert!(!guarded(&outlet, PeerId(2), || panic!("on purpose")));
+        assert_eq!(guarded(&outlet, PeerId(1), || 1), Some(1));
+        assert_eq!(guarded(&outlet, PeerId(2), || panic!("on purpose")), None::<()>);
         assert_eq!(*lock(&outlet.0), [(PeerId(2), "a fault of the program: on purpose".to_owned())]);
+    }
+
+    #[test]
+    fn motion_that_cannot_be_sent_ends_the_session_whose_it_is() {
+        let outlet = Refusals::default();
+        assert!(goes_on(&outlet, PeerId(1), Some(Ok(()))));
+        assert!(goes_on(&outlet, PeerId(2), Some(Err(SendError::NotConnected))), "its end is told elsewhere");
+        assert!(!goes_on(&outlet, PeerId(3), Some(Err(SendError::QueueFull))));
+        let [(peer, reason)] = &lock(&outlet.0)[..] else { panic!("one session ends") };
+        assert_eq!((*peer, reason.contains("what moves could not be sent")), (PeerId(3), true), "{reason}");
     }
 
     #[test]
