@@ -3,7 +3,8 @@
 //! Cubic and `NewReno` take each lost packet for congestion; at 1 % random loss and 40 ms of round trip they settle at a few
 //! Mbit/s. quinn's BBR copes with loss, but draws its phase from the thread's random numbers, so no two runs are alike.
 //! [`Steady`] keeps BBR's model, the product of the delivery rate measured at the bottleneck and the shortest round trip. It
-//! has no random gain cycle, and answers loss only above the level of a radio link. The deciding measurements are in the
+//! has no random gain cycle, and answers loss only above the level of a radio link. A router's mark (RFC 3168) is congestion, and is answered
+//! once a round trip. The deciding measurements are in the
 //! documentation of [`crate::endpoint`].
 //!
 //! A stream of pictures seldom fills the path. Its delivery rate is then that of the sender, not of the bottleneck. Only
@@ -380,6 +381,11 @@ impl Controller for Steady {
             self.sampled_lost += lost_bytes;
         }
         self.in_flight_bytes = self.in_flight_bytes.saturating_sub(lost_bytes);
+        // A mark comes without lost bytes. Packets that left before the last answer say nothing new: one answer a round trip.
+        if lost_bytes == 0 && !is_persistent_congestion && !self.is_answered_for(sent) {
+            self.back_off(now, self.limit().min(self.in_flight_bytes) as f64 * BACKOFF);
+            (self.sampled_acked, self.sampled_lost) = (0, 0);
+        }
         if is_persistent_congestion {
             self.back_off(now, 0.0);
             self.congested = true;
@@ -417,5 +423,35 @@ impl Controller for Steady {
 
     fn into_any(self: Box<Self>) -> Box<dyn Any> {
         self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A controller with ten packets of each of so many milliseconds under way.
+    fn with_packets(milliseconds: u64, start: Instant) -> Steady {
+        let mut steady = Steady::new(1200);
+        for at in 0..milliseconds {
+            (0..10).for_each(|n| steady.on_sent(start + Duration::from_millis(at), 1200, at * 10 + n));
+        }
+        steady
+    }
+
+    #[test]
+    fn marks_of_one_round_trip_are_answered_once() {
+        let start = Instant::now();
+        let at = |ms: u64| start + Duration::from_millis(ms);
+        let mut steady = with_packets(20, start);
+        assert_eq!(steady.limit(), BURST_BYTES);
+        (0..10).for_each(|sent| steady.on_congestion_event(at(40), at(sent), false, 0));
+        let once = (20.0 * 10.0 * 1200.0 * BACKOFF) as u64;
+        assert_eq!(steady.limit(), once, "what was under way, less a part");
+        (10..20).for_each(|sent| steady.on_congestion_event(at(41 + sent), at(sent), false, 0));
+        assert_eq!(steady.limit(), once, "these left before the answer");
+        steady.on_sent(at(45), 1200, 200);
+        steady.on_congestion_event(at(85), at(45), false, 0);
+        assert!(steady.limit() < once, "this one left after it");
     }
 }
