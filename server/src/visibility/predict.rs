@@ -114,11 +114,13 @@ impl HeadTrack {
 
     /// An update made at `update` was first on display at `displayed`, both on the server's clock.
     pub(crate) fn displayed(&mut self, update: ServerTime, displayed: ServerTime) {
+        // A client may report any time; no delay beyond the bound is believed.
+        let delay_ns = |begun| displayed.since(begun).clamp(-MAX_DELAY_NS, MAX_DELAY_NS);
         if let Some((previous, _)) = self.on_display {
             // What was on display until now stayed until this moment.
-            push_bounded(&mut self.last_delays, displayed.since(previous));
+            push_bounded(&mut self.last_delays, delay_ns(previous));
         }
-        push_bounded(&mut self.first_delays, displayed.since(update));
+        push_bounded(&mut self.first_delays, delay_ns(update));
         self.on_display = Some((update, displayed));
     }
 

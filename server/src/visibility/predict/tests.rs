@@ -197,6 +197,18 @@ fn a_late_update_predicts_the_world_as_far_and_the_head_no_farther_than_it_can_b
 }
 
 #[test]
+fn any_reported_time_of_display_is_taken_without_harm() {
+    for reported in [i64::MIN, i64::MIN + 1, -1, 0, i64::MAX - 1, i64::MAX] {
+        let mut track = HeadTrack::default();
+        track.head(state(0, 1.0, 0.0, 0.0));
+        (0..5).for_each(|update| track.displayed(ServerTime(update), ServerTime(reported)));
+        let [first_ns, last_ns] = track.delays_ns();
+        assert!(0 <= first_ns && first_ns <= last_ns && last_ns <= MAX_DELAY_NS, "{reported}");
+        assert!(track.predict(ServerTime(1), &WorldClock::default(), DEFAULT_GRID, 0.0).is_some());
+    }
+}
+
+#[test]
 fn a_link_that_pauses_now_and_then_does_not_move_the_usual_horizon() {
     let mut track = HeadTrack::default();
     let mut at = ServerTime(0);
