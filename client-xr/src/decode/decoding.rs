@@ -14,9 +14,13 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_cha
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// A picture that is awaited this long since a later one came is lost: longer than the server tries (250 ms or three round
-/// trips), so that its word counts where it comes.
-const GIVE_UP_NS: i64 = 600_000_000;
+/// A picture that is awaited this long, and so many round trips, since a later one came is lost. The network repairs a loss within two
+/// round trips, and a refresh costs a round trip and many times a picture's size. So three repairs in a row are waited for.
+const GIVE_UP_NS: i64 = 250_000_000;
+const GIVE_UP_ROUND_TRIPS: i64 = 5;
+const LEAST_GIVE_UP_NS: i64 = 600_000_000;
+/// A longer round trip is not believed.
+const LONGEST_ROUND_TRIP_NS: i64 = 1_000_000_000;
 /// A refresh that does not come is asked for again after this time.
 const ASK_AGAIN_NS: i64 = 500_000_000;
 /// Coded pictures that wait for one before them; beyond it the missing one is lost.
@@ -97,6 +101,7 @@ pub struct Decoding {
     /// Since the last picture that it gave.
     failures: u32,
     trouble: Option<String>,
+    round_trip_ns: i64,
 }
 
 /// Puts pictures in order.
@@ -202,9 +207,10 @@ impl PictureOrder {
     }
 
     /// Whether the picture that is awaited must be given up.
-    fn is_hopeless(&self, now: ClientTime) -> bool {
+    fn is_hopeless(&self, now: ClientTime, round_trip_ns: i64) -> bool {
         let oldest = self.waiting.values().map(|coded| coded.arrived).min();
-        oldest.is_some_and(|arrived| now.since(arrived) > GIVE_UP_NS)
+        let patience_ns = (GIVE_UP_NS + GIVE_UP_ROUND_TRIPS * round_trip_ns).max(LEAST_GIVE_UP_NS);
+        oldest.is_some_and(|arrived| now.since(arrived) > patience_ns)
     }
 }
 
@@ -228,6 +234,7 @@ impl Decoding {
             lost: 0,
             failures: 0,
             trouble: None,
+            round_trip_ns: 0,
         }
     }
 
@@ -241,6 +248,11 @@ impl Decoding {
         while self.order.is_overfull() {
             self.give_up_to_oldest();
         }
+    }
+
+    /// The connection's fastest round trip of late, nanoseconds.
+    pub fn set_round_trip(&mut self, round_trip_ns: i64) {
+        self.round_trip_ns = round_trip_ns.clamp(0, LONGEST_ROUND_TRIP_NS);
     }
 
     /// Bytes of coded pictures that wait for one before them.
@@ -288,7 +300,7 @@ impl Decoding {
 
     /// Does what is due at `now`, and hands on what is decoded by then.
     pub fn advance(&mut self, now: ClientTime, mut decoded: impl FnMut(Decoded)) {
-        while self.order.is_hopeless(now) {
+        while self.order.is_hopeless(now, self.round_trip_ns) {
             self.give_up_to_oldest();
         }
         while let Some(DecodedUnit { update, arrived, decoding, result }) = self.engine.finished(now) {

@@ -143,6 +143,7 @@ impl Link {
             return (0, false);
         };
         let mut unused = Vec::new();
+        decoding.set_round_trip(session.clock().rtt_ns().unwrap_or(0));
         decoding.advance(now, |decoded| unused.extend(take(*serial, decoded)));
         unused.into_iter().for_each(|picture| decoding.recycle(picture));
         let request = decoding.refresh_request(now);

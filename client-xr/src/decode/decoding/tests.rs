@@ -162,6 +162,18 @@ fn a_picture_that_never_comes_is_given_up_in_the_end() {
 }
 
 #[test]
+fn over_a_long_way_a_picture_is_waited_for_until_its_third_repair() {
+    let mut bench = Bench::new(0);
+    bench.decoding.set_round_trip(220 * MS);
+    bench.add(0, 1, 0);
+    bench.add(2, 4, 10);
+    bench.advance(1300);
+    assert!(!bench.asks(1300));
+    bench.advance(1370);
+    assert!(bench.asks(1370));
+}
+
+#[test]
 fn a_broken_picture_asks_for_a_refresh() {
     let mut bench = Bench::new(0);
     bench.add(0, 1, 0);
