@@ -1,14 +1,16 @@
 //! Connections, their sessions, pings, and who is served. Without I/O and clocks; it encodes nothing and draws nothing, so
 //! that a ping is answered when it comes. The server's network thread and the lab drive the same.
 
+mod lines;
 pub mod mailbox;
 mod place;
 #[cfg(test)]
 pub(crate) mod testing;
 
 use crate::support::lock::lock;
+use lines::Sparse;
 use mailbox::{Accepted, Mailbox};
-use place::{Greeting, Places};
+use place::{Greeting, Places, Starts};
 use shadecast_protocol::close::CloseCode;
 use shadecast_protocol::message::{ClientHello, Refused, ServerOffer, Welcome};
 use shadecast_protocol::session::{Out, ServerEvent, ServerSession};
@@ -85,6 +87,8 @@ pub struct Sessions {
     offer: Box<dyn Fn(u64) -> ServerOffer + Send>,
     epoch_ns: i64,
     greeting: Greeting,
+    starts: Starts,
+    refusal_lines: Sparse,
     places: Places,
     guests: BTreeMap<PeerId, Guest>,
     /// Refused clients, and when their connection is ended if they do not do it.
@@ -106,6 +110,8 @@ impl Sessions {
             offer,
             epoch_ns,
             greeting: Greeting::default(),
+            starts: Starts::default(),
+            refusal_lines: Sparse::default(),
             places: Places::new(viewers),
             guests: BTreeMap::new(),
             leaving: Vec::new(),
@@ -220,10 +226,16 @@ impl Sessions {
         now_ns: i64,
         around: &Surroundings<'_>,
     ) {
-        let taken = match self.places.ask(peer, hello.resume, welcome.resume, now_ns) {
+        let Some(network) = self.guests.get(&peer).map(|guest| Network::of(guest.remote.ip())) else {
+            return;
+        };
+        let may_start = self.starts.ask(network, now_ns);
+        let taken = match may_start.and_then(|()| self.places.ask(peer, hello.resume, welcome.resume, now_ns))
+        {
             Ok(taken) => taken,
             Err(refused) => return self.refuse(peer, refused, now_ns, around),
         };
+        self.starts.began(network, now_ns);
         self.greeting.done(peer);
         if let Some(old) = taken.displaced {
             around.mailbox.gone(old);
@@ -247,8 +259,12 @@ impl Sessions {
     /// A client has been told that it is refused.
     fn sent_away(&mut self, peer: PeerId, refused: &Refused, now_ns: i64, around: &Surroundings<'_>) {
         let Some(guest) = self.guests.get(&peer) else { return };
-        let why = printable(&format!("{}; {}", refused.reason, refused.remedy));
-        (around.say)(&format!("Client refused: {} ({why})", guest.remote));
+        if let Some(unsaid) = self.refusal_lines.ask(now_ns) {
+            let why = printable(&format!("{}; {}", refused.reason, refused.remedy));
+            let more =
+                if unsaid == 0 { String::new() } else { format!("; {unsaid} more since the last such line") };
+            (around.say)(&format!("Client refused: {} ({why}){more}", guest.remote));
+        }
         self.greeting.done(peer);
         if self.places.has(peer) {
             self.places.left(peer);

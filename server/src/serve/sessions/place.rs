@@ -18,6 +18,39 @@ const UNPROVEN_NS: i64 = 3_000_000_000;
 /// Connections without a hello. When another one comes, the oldest goes of the network that has most. Fewer than the transport allows peers.
 pub(super) const MAX_GREETING: usize = 6;
 
+/// Sessions that the machines of one network may begin within [`STARTS_NS`]: each costs the other viewers a part of an update.
+const MAX_STARTS: usize = 4;
+const STARTS_NS: i64 = 1_000_000_000;
+
+/// When sessions were begun, from old to new.
+#[derive(Debug, Default)]
+pub(super) struct Starts {
+    begun: VecDeque<(Network, i64)>,
+}
+
+impl Starts {
+    /// Whether a machine of this network may begin a session now.
+    ///
+    /// # Errors
+    /// Its network has begun many: when to try again.
+    pub(super) fn ask(&mut self, network: Network, now_ns: i64) -> Result<(), Refused> {
+        while self.begun.pop_front_if(|(_, begun_ns)| now_ns - *begun_ns >= STARTS_NS).is_some() {}
+        let of_network: Vec<i64> =
+            self.begun.iter().filter(|(other, _)| *other == network).map(|(_, begun_ns)| *begun_ns).collect();
+        let Some(first_ns) = of_network.first().filter(|_| of_network.len() >= MAX_STARTS) else {
+            return Ok(());
+        };
+        let wait_s = (first_ns + STARTS_NS - now_ns) / 1_000_000_000 + 1;
+        let reason = "many sessions were begun from this network a moment ago";
+        Err(Refused::new(reason, &format!("try again in {wait_s} s")))
+    }
+
+    /// A session was begun.
+    pub(super) fn began(&mut self, network: Network, now_ns: i64) {
+        self.begun.push_back((network, now_ns));
+    }
+}
+
 /// Connections whose hello is awaited.
 #[derive(Debug, Default)]
 pub(super) struct Greeting {
@@ -287,6 +320,22 @@ mod tests {
         assert_eq!(greeting.overdue(HELLO_DEADLINE_NS + 1), None);
         let overdue: Vec<_> = std::iter::from_fn(|| greeting.overdue(HELLO_DEADLINE_NS + 4)).collect();
         assert_eq!(overdue, [PeerId(1), PeerId(3)]);
+    }
+
+    #[test]
+    fn a_network_that_begins_many_sessions_waits_and_others_do_not() {
+        let mut starts = Starts::default();
+        for n in 0..MAX_STARTS as i64 {
+            assert_eq!(starts.ask(CROWD, n), Ok(()));
+            starts.began(CROWD, n);
+        }
+        let refused = starts.ask(CROWD, SECOND / 2).expect_err("too many");
+        assert_eq!(refused.remedy, "try again in 1 s");
+        assert_eq!(starts.ask(Network::V4([10, 0, 2]), SECOND / 2), Ok(()));
+        assert_eq!(starts.ask(CROWD, STARTS_NS), Ok(()), "the first is forgotten");
+        starts.began(CROWD, STARTS_NS);
+        assert!(starts.ask(CROWD, STARTS_NS).is_err(), "the second is not");
+        assert_eq!(starts.begun.len(), MAX_STARTS);
     }
 
     #[test]
